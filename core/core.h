@@ -1,0 +1,225 @@
+/* core: subsurface-scattering profiles R(r), their albedo and their cdf.
+ *
+ * Prepare once, evaluate elementwise: core_profile_prepare() turns a medium, a model and an
+ * evaluator into a profile (coefficients); core_eval_f64() and core_eval_f32() apply it to radii.
+ * The same profile and radius give the same bits on every instruction set, at every array length,
+ * alignment and slicing, on every machine.
+ *
+ * Units: lengths in mm, coefficients in 1/mm, R in 1/mm^2 per unit of power that entered the medium
+ * (not per launched power: specular reflection is not part of it).
+ *
+ * Nothing here allocates, logs, opens files or keeps state; every function may be called from any
+ * thread at any time.
+ */
+#ifndef DIPOLED_CORE_H
+#define DIPOLED_CORE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+/* ---- lists ------------------------------------------------------------------------------------
+ */
+
+enum core_dipole_switch {
+  CORE_DIPOLE_GROSJEAN = 1, /* Grosjean's diffusion coefficient and prefactor alpha'^2 */
+  CORE_DIPOLE_BOUNDARY = 2, /* A = (1 + 3 C2) / (1 - 2 C1) */
+  CORE_DIPOLE_EXITANCE = 4, /* fluence and flux leave: (1 - 2 C1) / 4 and (1 - 3 C2) / 2 */
+};
+
+enum core_model {
+#define CORE_MODEL(id, IDENT, name, family, variant, source) CORE_MODEL_##IDENT = (id),
+#include "core/models.def"
+#undef CORE_MODEL
+};
+
+#define CORE_EVALUATOR(id, IDENT, name, about) CORE_EVALUATOR_##IDENT = (id),
+enum core_evaluator {
+#include "core/choices.def"
+};
+
+#define CORE_MOMENTS(id, IDENT, name, eta_min, eta_max, about) CORE_MOMENTS_##IDENT = (id),
+enum core_moments {
+#include "core/choices.def"
+};
+
+#define CORE_QUANTITY(bit, IDENT, name, unit) CORE_QUANTITY_##IDENT = (bit),
+enum core_quantity {
+#include "core/choices.def"
+};
+
+#define CORE_SPACING(id, IDENT, name, about) CORE_SPACING_##IDENT = (id),
+enum core_spacing {
+#include "core/choices.def"
+};
+
+/* One entry of a list, for listings and for turning names into ids. `about` is the source of a
+ * model, the unit of a quantity, the meaning of anything else. */
+typedef struct core_choice {
+  unsigned id;
+  const char *name;
+  const char *about;
+} core_choice;
+
+/* Each list ends with an entry whose name is NULL; static, immutable. */
+extern const core_choice core_models[];
+extern const core_choice core_evaluators[];
+extern const core_choice core_moments_list[];
+extern const core_choice core_quantities[];
+extern const core_choice core_spacings[];
+
+/* The entry of a list with this id or this exact name; NULL when there is none. */
+const core_choice *core_choice_by_id(const core_choice *list, unsigned id);
+const core_choice *core_choice_by_name(const core_choice *list, const char *name);
+
+/* ---- faults -----------------------------------------------------------------------------------
+ */
+
+/* What is wrong with an input: which field, and what is allowed. field == NULL: nothing is wrong.
+ * The strings are static. index: the position of the value in its array, 0 for a single one. */
+typedef struct core_fault {
+  const char *field;
+  const char *allowed;
+  size_t index;
+} core_fault;
+
+/* ---- media ------------------------------------------------------------------------------------
+ */
+
+/* A homogeneous, semi-infinite medium. */
+typedef struct core_medium {
+  double sigma_a_per_mm; /* absorption coefficient: 0 to CORE_SIGMA_MAX_PER_MM */
+  double sigma_s_per_mm; /* scattering coefficient: 0 to CORE_SIGMA_MAX_PER_MM */
+  double g;              /* mean cosine of the phase function: in (-1, 1) */
+  double eta;            /* index inside over index outside: CORE_ETA_MIN to CORE_ETA_MAX */
+} core_medium;
+
+#define CORE_SIGMA_MAX_PER_MM 1e15
+#define CORE_SIGMA_T_PRIME_MIN_PER_MM 1e-15 /* sigma_a + sigma_s (1 - g) must reach it */
+#define CORE_ETA_MIN 1e-3
+#define CORE_ETA_MAX 1e3
+
+/* The first fault of the medium, in the order of its fields. */
+core_fault core_medium_check(const core_medium *medium);
+
+/* The media measured by Jensen et al. 2001 (Figure 5); three channels: red, green, blue.
+ * Only sigma_s' was measured: sigma_s holds it, with g = 0. eta = 1.3. */
+typedef struct core_measured_medium {
+  const char *name;
+  core_medium channel[3];
+} core_measured_medium;
+
+extern const core_measured_medium core_measured_media[];
+extern const size_t core_measured_media_count;
+
+const core_measured_medium *core_measured_medium_by_name(const char *name); /* NULL: none */
+
+/* ---- Fresnel moments --------------------------------------------------------------------------
+ */
+
+/* With C_k the integral over mu in [0, 1] of F(mu) mu^k, F the unpolarized Fresnel reflectance of
+ * light that strikes the boundary from inside (d'Eon 2012, section 2). The complements are kept,
+ * because 1 - 2 C1 loses its digits when eta is large. */
+typedef struct core_fresnel {
+  double one_minus_2c1;
+  double one_minus_3c2;
+} core_fresnel;
+
+/* The fault of an eta outside the range of these moments (a kind of the list, asserted). */
+core_fault core_fresnel_check(enum core_moments moments, double eta);
+
+/* eta in that range; asserted. Exact moments are within 2 epsilon of the integrals; the fits within
+ * 1 epsilon of their polynomials' exact values. */
+core_fresnel core_fresnel_moments(enum core_moments moments, double eta);
+
+/* ---- instruction sets -------------------------------------------------------------------------
+ */
+
+typedef struct core_isa core_isa;
+
+/* The kernels for an instruction set: "portable", "sse2", "avx2", "avx512" (x86-64), or NULL for
+ * the best that this machine has. NULL is returned for a name that is unknown or that this machine
+ * cannot run. */
+const core_isa *core_isa_select(const char *name);
+
+const char *core_isa_name(const core_isa *isa);
+
+/* All levels that this build holds, worst first; NULL past the end. The machine may lack some. */
+const char *core_isa_listed(size_t index);
+
+/* ---- profiles ---------------------------------------------------------------------------------
+ */
+
+enum { CORE_COEFFICIENTS_MAX = 24 };
+
+/* model + medium + evaluator, prepared. A plain value: copy it, keep it anywhere, no clean-up.
+ * Read the public part; the rest belongs to the kernels. */
+typedef struct core_profile {
+  core_medium medium;
+  enum core_model model;
+  enum core_moments moments;
+  enum core_evaluator evaluator;
+  double albedo; /* integral of 2 pi r R(r) from 0 to infinity; 0 when nothing scatters */
+  /* Numerical error: a value at radius r is off from the model's exact formula by at most
+   * numerical_error + numerical_error_per_mm * r, relative; and by no more than 16 of the smallest
+   * subnormal numbers where the value itself is subnormal. Holds for R, cdf and (at r = 0, and in
+   * double precision for both evaluators) the albedo. */
+  double numerical_error;
+  double numerical_error_per_mm;
+  /* Model error: how far the model is from radiative transport, relative. NaN: not measured. */
+  double model_error;
+
+  const struct core_kernels *kernels;
+  union {
+    double f64[CORE_COEFFICIENTS_MAX];
+    float f32[CORE_COEFFICIENTS_MAX];
+  } coefficients;
+} core_profile;
+
+/* The fault that core_profile_prepare() would return for the same arguments, cheaply. */
+core_fault core_profile_check(unsigned model, unsigned moments, unsigned evaluator,
+                              const core_medium *medium);
+
+/* Prepares *profile for the kernels of isa. model, moments and evaluator are any integers (a peer
+ * may have sent them). On a fault *profile is unspecified. */
+core_fault core_profile_prepare(core_profile *profile, const core_isa *isa, unsigned model,
+                                unsigned moments, unsigned evaluator, const core_medium *medium);
+
+/* Evaluates a profile prepared with evaluator f64 (asserted) at n radii: r[n] in mm, from 0 to
+ * infinity inclusive; R[n] in 1/mm^2; cdf[n], the energy within r over the albedo, from 0 to 1.
+ * R or cdf may be NULL: not wanted. Arrays may have any alignment; they do not overlap.
+ * R underflows gradually. Values for radii that core_radii_check_f64() faults are unspecified. */
+void core_eval_f64(const core_profile *profile, size_t n, const double *r, double *R, double *cdf);
+
+/* The same for evaluator f32. */
+void core_eval_f32(const core_profile *profile, size_t n, const float *r, float *R, float *cdf);
+
+/* ---- radii ------------------------------------------------------------------------------------
+ */
+
+/* The first radius that is negative or NaN. -0.0 is 0. */
+core_fault core_radii_check_f64(size_t n, const double *r);
+core_fault core_radii_check_f32(size_t n, const float *r);
+
+/* Radii by rule: count of them from start to stop, both included (count = 1: start alone).
+ * linear:       start + i (stop - start) / (count - 1)
+ * logarithmic:  start (stop / start)^(i / (count - 1)), each within 1e-12 of it, relative
+ * In single precision: the double precision radius, rounded. */
+typedef struct core_grid {
+  enum core_spacing spacing; /* LINEAR or LOGARITHMIC */
+  uint64_t count;            /* at least 1, at most CORE_GRID_COUNT_MAX */
+  double start_mm;           /* finite, at least 0; logarithmic: at least CORE_GRID_LOG_MIN_MM */
+  double stop_mm;            /* finite, at least start */
+} core_grid;
+
+#define CORE_GRID_COUNT_MAX ((uint64_t)1 << 53)
+#define CORE_GRID_LOG_MIN_MM 1e-300
+
+/* The faults name the fields of the wire: radius_count, radius_start, radius_stop. */
+core_fault core_grid_check(const core_grid *grid);
+
+/* Writes the radii first, first + 1, ..., first + n - 1 of the grid to r[n]. */
+void core_grid_radii_f64(const core_grid *grid, uint64_t first, size_t n, double *r);
+void core_grid_radii_f32(const core_grid *grid, uint64_t first, size_t n, float *r);
+
+#endif

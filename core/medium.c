@@ -1,0 +1,65 @@
+#include <math.h>
+#include <string.h>
+
+#include "core/core.h"
+
+/* Written so that NaN is out of every range. */
+static bool in_range(double value, double low, double high) {
+  return value >= low && value <= high;
+}
+
+core_fault core_medium_check(const core_medium *medium) {
+  const double sigma_t_prime = medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g);
+  if (!in_range(medium->sigma_a_per_mm, 0, CORE_SIGMA_MAX_PER_MM)) {
+    return (core_fault){"sigma_a", "0 to 1e15 per mm", 0};
+  }
+  if (!in_range(medium->sigma_s_per_mm, 0, CORE_SIGMA_MAX_PER_MM)) {
+    return (core_fault){"sigma_s", "0 to 1e15 per mm", 0};
+  }
+  if (!(medium->g > -1 && medium->g < 1)) {
+    return (core_fault){"g", "between -1 and 1, exclusive", 0};
+  }
+  if (!in_range(medium->eta, CORE_ETA_MIN, CORE_ETA_MAX)) {
+    return (core_fault){"eta", "0.001 to 1000", 0};
+  }
+  if (sigma_t_prime < CORE_SIGMA_T_PRIME_MIN_PER_MM) {
+    return (core_fault){"sigma_s", "sigma_a + sigma_s (1 - g) of at least 1e-15 per mm", 0};
+  }
+  return (core_fault){0};
+}
+
+#define CHANNEL(sigma_s_prime, sigma_a)                                                            \
+  { sigma_a, sigma_s_prime, 0, 1.3 }
+#define MEDIUM(name, s_r, s_g, s_b, a_r, a_g, a_b)                                                 \
+  {                                                                                                \
+    name, {                                                                                        \
+      CHANNEL(s_r, a_r), CHANNEL(s_g, a_g), CHANNEL(s_b, a_b)                                      \
+    }                                                                                              \
+  }
+
+/* Jensen, Marschner, Levoy, Hanrahan 2001, Figure 5: sigma_s' and sigma_a in 1/mm for R, G, B. */
+const core_measured_medium core_measured_media[] = {
+    MEDIUM("apple", 2.29, 2.39, 1.97, 0.0030, 0.0034, 0.046),
+    MEDIUM("chicken1", 0.15, 0.21, 0.38, 0.015, 0.077, 0.19),
+    MEDIUM("chicken2", 0.19, 0.25, 0.32, 0.018, 0.088, 0.20),
+    MEDIUM("cream", 7.38, 5.47, 3.15, 0.0002, 0.0028, 0.0163),
+    MEDIUM("ketchup", 0.18, 0.07, 0.03, 0.061, 0.97, 1.45),
+    MEDIUM("marble", 2.19, 2.62, 3.00, 0.0021, 0.0041, 0.0071),
+    MEDIUM("potato", 0.68, 0.70, 0.55, 0.0024, 0.0090, 0.12),
+    MEDIUM("skimmilk", 0.70, 1.22, 1.90, 0.0014, 0.0025, 0.0142),
+    MEDIUM("skin1", 0.74, 0.88, 1.01, 0.032, 0.17, 0.48),
+    MEDIUM("skin2", 1.09, 1.59, 1.79, 0.013, 0.070, 0.145),
+    MEDIUM("spectralon", 11.6, 20.4, 14.9, 0, 0, 0),
+    MEDIUM("wholemilk", 2.55, 3.21, 3.77, 0.0011, 0.0024, 0.014),
+};
+
+const size_t core_measured_media_count = sizeof core_measured_media / sizeof core_measured_media[0];
+
+const core_measured_medium *core_measured_medium_by_name(const char *name) {
+  for (size_t i = 0; i < core_measured_media_count; i++) {
+    if (strcmp(core_measured_media[i].name, name) == 0) {
+      return &core_measured_media[i];
+    }
+  }
+  return NULL;
+}

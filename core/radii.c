@@ -1,0 +1,128 @@
+/* Radii: listed ones checked, grids expanded. */
+#include <assert.h>
+#include <math.h>
+
+#include "core/core.h"
+
+#define CORE_REAL 64
+#include "core/kernel.h"
+
+/* ---- lists ------------------------------------------------------------------------------------
+ */
+
+#define RADIUS_ALLOWED "0 to infinity, in mm"
+
+/* The whole list is looked at without a branch, which vectorizes; only a list with a fault is gone
+ * through again to find the first. */
+#define DEFINE_CHECK(name, type)                                                                   \
+  core_fault name(size_t n, const type *r) {                                                       \
+    int good = 1;                                                                                  \
+    for (size_t i = 0; i < n; i++) {                                                               \
+      good &= r[i] >= 0;                                                                           \
+    }                                                                                              \
+    if (good) {                                                                                    \
+      return (core_fault){0};                                                                      \
+    }                                                                                              \
+    size_t first = 0;                                                                              \
+    while (r[first] >= 0) {                                                                        \
+      first++;                                                                                     \
+    }                                                                                              \
+    return (core_fault){"r", RADIUS_ALLOWED, first};                                               \
+  }
+
+DEFINE_CHECK(core_radii_check_f64, double)
+DEFINE_CHECK(core_radii_check_f32, float)
+
+/* ---- grids ------------------------------------------------------------------------------------
+ */
+
+core_fault core_grid_check(const core_grid *grid) {
+  const bool logarithmic = grid->spacing == CORE_SPACING_LOGARITHMIC;
+  if (grid->count < 1 || grid->count > CORE_GRID_COUNT_MAX) {
+    return (core_fault){"radius_count", "1 to 2^53 for a grid", 0};
+  }
+  if (!(grid->start_mm >= (logarithmic ? CORE_GRID_LOG_MIN_MM : 0) && isfinite(grid->start_mm))) {
+    return logarithmic ? (core_fault){"radius_start", "at least 1e-300 mm, finite (logarithmic)", 0}
+                       : (core_fault){"radius_start", "at least 0 mm, finite", 0};
+  }
+  if (!(grid->stop_mm >= grid->start_mm && isfinite(grid->stop_mm))) {
+    return (core_fault){"radius_stop", "at least radius_start, finite", 0};
+  }
+  return (core_fault){0};
+}
+
+/* ln(x) for a positive, normal x: the exponent and the series of artanh for a mantissa within
+ * sqrt(2) of 1; its first neglected term is below 2e-18. */
+static double natural_logarithm(double x) {
+  int exponent;
+  double mantissa = frexp(x, &exponent);
+  if (mantissa < 0.70710678118654752) {
+    mantissa *= 2;
+    exponent--;
+  }
+  const double s = (mantissa - 1) / (mantissa + 1);
+  const double s_squared = s * s;
+  double series = 0;
+  for (int odd = 23; odd >= 1; odd -= 2) {
+    series = fma(series, s_squared, 1.0 / odd);
+  }
+  return fma(exponent, REAL_LN2_HI, fma(exponent, REAL_LN2_LO, 2 * s * series));
+}
+
+/* start e^x for x >= 0 whose result does not overflow: powers are applied in two halves, upwards.
+ */
+static double times_exp(double start, double x) {
+  const real_exp_parts parts = real_exp_split(x);
+  const double half = floor(0.5 * parts.k);
+  return fma(start, parts.m, start) * real_power_of_two(half) * real_power_of_two(parts.k - half);
+}
+
+/* A grid's rule, ready to be applied. The step of a linear grid is taken of halves, so that a range
+ * near the largest double does not overflow. */
+struct rule {
+  const core_grid *grid;
+  double step;
+};
+
+static struct rule make_rule(const core_grid *grid) {
+  struct rule rule = {grid, 0};
+  if (grid->count > 1) {
+    const double steps = (double)(grid->count - 1);
+    rule.step =
+        grid->spacing == CORE_SPACING_LINEAR
+            ? 2 * ((0.5 * grid->stop_mm - 0.5 * grid->start_mm) / steps)
+            : (natural_logarithm(grid->stop_mm) - natural_logarithm(grid->start_mm)) / steps;
+  }
+  return rule;
+}
+
+/* The ends are exact; rounding never takes a radius between them beyond the last one. */
+static double apply(const struct rule *rule, uint64_t index) {
+  const core_grid *grid = rule->grid;
+  if (index == 0) {
+    return grid->start_mm;
+  }
+  if (index == grid->count - 1) {
+    return grid->stop_mm;
+  }
+  const double radius = grid->spacing == CORE_SPACING_LINEAR
+                            ? fma((double)index, rule->step, grid->start_mm)
+                            : times_exp(grid->start_mm, (double)index * rule->step);
+  return real_min(radius, grid->stop_mm);
+}
+
+void core_grid_radii_f64(const core_grid *grid, uint64_t first, size_t n, double *r) {
+  assert(core_grid_check(grid).field == NULL && n <= grid->count && first <= grid->count - n);
+  const struct rule rule = make_rule(grid);
+  for (size_t i = 0; i < n; i++) {
+    r[i] = apply(&rule, first + i);
+  }
+}
+
+void core_grid_radii_f32(const core_grid *grid, uint64_t first, size_t n, float *r) {
+  assert(core_grid_check(grid).field == NULL && n <= grid->count && first <= grid->count - n);
+  const struct rule rule = make_rule(grid);
+  for (size_t i = 0; i < n; i++) {
+    r[i] = (float)apply(&rule, first + i);
+  }
+}
