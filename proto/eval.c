@@ -1,0 +1,172 @@
+#include "proto/eval.h"
+
+#include <stdio.h>
+
+/* Quantities with one value per radius and channel, in the order of their arrays in a reply. */
+static const enum core_quantity elementwise[] = {CORE_QUANTITY_R, CORE_QUANTITY_CDF};
+enum { ELEMENTWISE = sizeof elementwise / sizeof elementwise[0] };
+
+static unsigned all_quantities(void) {
+  unsigned all = 0;
+  for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
+    all |= quantity->id;
+  }
+  return all;
+}
+
+size_t eval_value_bytes(unsigned evaluator) {
+  switch (evaluator) {
+  case CORE_EVALUATOR_F64:
+    return sizeof(double);
+  case CORE_EVALUATOR_F32:
+    return sizeof(float);
+  default:
+    return 0;
+  }
+}
+
+uint64_t eval_request_bytes(uint32_t medium_count, uint64_t radii_bytes) {
+  return WIRE_BYTES_eval_request + (uint64_t)medium_count * WIRE_BYTES_medium +
+         wire_padded(radii_bytes);
+}
+
+/* "one of 1 (f64), 2 (f32)", so that the reader of an error need not look the list up. */
+static wire_error not_in_list(const char *field, const core_choice *list, const char *how) {
+  char allowed[81];
+  size_t length = (size_t)snprintf(allowed, sizeof allowed, "%s", how);
+  for (const core_choice *entry = list; entry->name != NULL && length < sizeof allowed; entry++) {
+    length += (size_t)snprintf(allowed + length, sizeof allowed - length, "%s%u (%s)",
+                               entry == list ? " " : ", ", entry->id, entry->name);
+  }
+  return wire_error_make(WIRE_STATUS_BAD_VALUE, field, allowed);
+}
+
+static wire_error check_choices(const wire_eval_request *fixed) {
+  if (core_choice_by_id(core_models, fixed->model) == NULL) {
+    return not_in_list("model", core_models, "one of");
+  }
+  if (core_choice_by_id(core_evaluators, fixed->evaluator) == NULL) {
+    return not_in_list("evaluator", core_evaluators, "one of");
+  }
+  if (core_choice_by_id(core_moments_list, fixed->moments) == NULL) {
+    return not_in_list("moments", core_moments_list, "one of");
+  }
+  if (core_choice_by_id(core_spacings, fixed->spacing) == NULL) {
+    return not_in_list("spacing", core_spacings, "one of");
+  }
+  if (fixed->wanted == 0 || (fixed->wanted & ~all_quantities()) != 0) {
+    return not_in_list("wanted", core_quantities, "a sum of");
+  }
+  return wire_error_none();
+}
+
+static wire_error check_padding(const uint8_t *padding, size_t bytes) {
+  for (size_t i = 0; i < bytes; i++) {
+    if (padding[i] != 0) {
+      return wire_error_make(WIRE_STATUS_BAD_VALUE, "r", "zero bytes of padding after the list");
+    }
+  }
+  return wire_error_none();
+}
+
+/* The list of radii is what remains after the media, exactly. Lengths are compared by subtraction
+ * and counts before they are multiplied, so that no count can wrap. */
+static wire_error parse_radii(const uint8_t *at, size_t remaining, eval_request *request) {
+  const wire_eval_request *fixed = &request->fixed;
+  if (fixed->spacing != CORE_SPACING_LIST) {
+    request->radii = NULL;
+    return remaining == 0 ? wire_error_none()
+                          : wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes",
+                                            "nothing after the media when the radii are a grid");
+  }
+  if (fixed->radius_start != 0 || fixed->radius_stop != 0) {
+    return wire_error_make(WIRE_STATUS_BAD_VALUE,
+                           fixed->radius_start != 0 ? "radius_start" : "radius_stop",
+                           "0 when the radii are a list");
+  }
+  const size_t value_bytes = eval_value_bytes(fixed->evaluator);
+  if (fixed->radius_count > remaining / value_bytes) {
+    return wire_error_make(WIRE_STATUS_BAD_COUNT, "radius_count",
+                           "no more radii than the payload holds after the media");
+  }
+  const size_t list_bytes = (size_t)fixed->radius_count * value_bytes;
+  if (remaining != wire_padded(list_bytes)) {
+    return wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes",
+                           "nothing after the listed radii but padding to a multiple of 8");
+  }
+  request->radii = at;
+  return check_padding(at + list_bytes, remaining - list_bytes);
+}
+
+wire_error eval_request_parse(const uint8_t *payload, size_t payload_bytes, eval_request *request) {
+  char allowed[64];
+  if (payload_bytes < WIRE_BYTES_eval_request) {
+    snprintf(allowed, sizeof allowed, "at least %d", WIRE_BYTES_eval_request);
+    return wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes", allowed);
+  }
+  wire_get_eval_request(payload, &request->fixed);
+  const wire_error choices = check_choices(&request->fixed);
+  if (choices.status != WIRE_STATUS_OK) {
+    return choices;
+  }
+  const uint8_t *at = payload + WIRE_BYTES_eval_request;
+  const size_t remaining = payload_bytes - WIRE_BYTES_eval_request;
+  if (request->fixed.medium_count == 0) {
+    return wire_error_make(WIRE_STATUS_BAD_COUNT, "medium_count", "at least 1");
+  }
+  if (request->fixed.medium_count > remaining / WIRE_BYTES_medium) {
+    return wire_error_make(WIRE_STATUS_BAD_COUNT, "medium_count",
+                           "no more media than the payload holds");
+  }
+  const size_t media_bytes = (size_t)request->fixed.medium_count * WIRE_BYTES_medium;
+  request->media = at;
+  return parse_radii(at + media_bytes, remaining - media_bytes, request);
+}
+
+bool eval_reply_layout(unsigned evaluator, unsigned wanted, uint32_t channel_count,
+                       uint64_t radius_count, uint64_t max_payload_bytes, eval_layout *layout) {
+  const size_t value_bytes = eval_value_bytes(evaluator);
+  *layout = (eval_layout){.channels_offset = WIRE_BYTES_eval_reply};
+  for (size_t i = 0; i < ELEMENTWISE; i++) {
+    layout->arrays_per_channel += (wanted & elementwise[i]) != 0;
+  }
+  const bool radii_wanted = (wanted & CORE_QUANTITY_RADIUS) != 0;
+  /* At most 2^32 channels of 32 bytes and 2 arrays each: nothing here can wrap before the arrays'
+   * own length is multiplied, and that is checked by division. */
+  const uint64_t arrays = (uint64_t)channel_count * layout->arrays_per_channel + radii_wanted;
+  const uint64_t before = WIRE_BYTES_eval_reply + (uint64_t)channel_count * WIRE_BYTES_channel;
+  if (before > max_payload_bytes) {
+    return false;
+  }
+  if (arrays > 0 && radius_count > (max_payload_bytes - before) / arrays / value_bytes) {
+    return false;
+  }
+  layout->array_bytes = arrays > 0 ? wire_padded(radius_count * value_bytes) : 0;
+  layout->radius_offset = before;
+  layout->arrays_offset = before + (radii_wanted ? layout->array_bytes : 0);
+  layout->payload_bytes = before + arrays * layout->array_bytes;
+  return layout->payload_bytes <= max_payload_bytes;
+}
+
+uint64_t eval_array_offset(const eval_layout *layout, unsigned wanted, uint32_t channel,
+                           enum core_quantity quantity) {
+  uint64_t array = (uint64_t)channel * layout->arrays_per_channel;
+  for (size_t i = 0; i < ELEMENTWISE && elementwise[i] != quantity; i++) {
+    array += (wanted & elementwise[i]) != 0;
+  }
+  return layout->arrays_offset + array * layout->array_bytes;
+}
+
+bool eval_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_eval_reply *fixed,
+                      eval_layout *layout) {
+  if (payload_bytes < WIRE_BYTES_eval_reply) {
+    return false;
+  }
+  wire_get_eval_reply(payload, fixed);
+  if (eval_value_bytes(fixed->evaluator) == 0 || (fixed->wanted & ~all_quantities()) != 0) {
+    return false;
+  }
+  return eval_reply_layout(fixed->evaluator, fixed->wanted, fixed->channel_count,
+                           fixed->radius_count, payload_bytes, layout) &&
+         layout->payload_bytes == payload_bytes;
+}

@@ -1,0 +1,288 @@
+#include "proto/wire.h"
+
+#include <stdio.h>
+#include <string.h>
+
+#include "core/core.h"
+
+/* ---- structures -------------------------------------------------------------------------------
+ */
+
+/* Written byte by byte: right on every machine, and compilers make single loads and stores of it.
+ */
+static uint8_t *put_u64_bytes(uint8_t *at, uint64_t value, unsigned bytes) {
+  for (unsigned i = 0; i < bytes; i++) {
+    at[i] = (uint8_t)(value >> (8 * i));
+  }
+  return at + bytes;
+}
+
+static uint64_t get_u64_bytes(const uint8_t **at, unsigned bytes) {
+  uint64_t value = 0;
+  for (unsigned i = 0; i < bytes; i++) {
+    value |= (uint64_t)(*at)[i] << (8 * i);
+  }
+  *at += bytes;
+  return value;
+}
+
+static uint8_t *put_u16(uint8_t *at, uint16_t value) {
+  return put_u64_bytes(at, value, 2);
+}
+static uint8_t *put_u32(uint8_t *at, uint32_t value) {
+  return put_u64_bytes(at, value, 4);
+}
+static uint8_t *put_u64(uint8_t *at, uint64_t value) {
+  return put_u64_bytes(at, value, 8);
+}
+
+static uint8_t *put_f64(uint8_t *at, double value) {
+  uint64_t bits;
+  memcpy(&bits, &value, sizeof bits);
+  return put_u64(at, bits);
+}
+
+static uint16_t get_u16(const uint8_t **at) {
+  return (uint16_t)get_u64_bytes(at, 2);
+}
+static uint32_t get_u32(const uint8_t **at) {
+  return (uint32_t)get_u64_bytes(at, 4);
+}
+static uint64_t get_u64(const uint8_t **at) {
+  return get_u64_bytes(at, 8);
+}
+
+static double get_f64(const uint8_t **at) {
+  const uint64_t bits = get_u64(at);
+  double value;
+  memcpy(&value, &bits, sizeof value);
+  return value;
+}
+
+static uint8_t *put_text(uint8_t *at, const char *text, size_t bytes) {
+  const size_t length = strnlen(text, bytes);
+  memcpy(at, text, length);
+  memset(at + length, 0, bytes - length);
+  return at + bytes;
+}
+
+static const uint8_t *get_text(const uint8_t *at, char *text, size_t bytes) {
+  memcpy(text, at, bytes);
+  text[bytes] = '\0';
+  return at + bytes;
+}
+
+#define PUT_ONE(kind, field, meaning) at = put_##kind(at, from->field);
+#define PUT_ARRAY(kind, field, count, meaning)                                                     \
+  for (size_t i = 0; i < (count); i++) {                                                           \
+    at = put_##kind(at, from->field[i]);                                                           \
+  }
+#define PUT_TEXT(field, bytes, meaning) at = put_text(at, from->field, bytes);
+#define GET_ONE(kind, field, meaning) to->field = get_##kind(&at);
+#define GET_ARRAY(kind, field, count, meaning)                                                     \
+  for (size_t i = 0; i < (count); i++) {                                                           \
+    to->field[i] = get_##kind(&at);                                                                \
+  }
+#define GET_TEXT(field, bytes, meaning) at = get_text(at, to->field, bytes);
+
+#define WIRE_STRUCTURE(name, about)                                                                \
+  void wire_put_##name(uint8_t *at, const wire_##name *from) {                                     \
+    WIRE_FIELDS_##name(PUT_ONE, PUT_ARRAY, PUT_TEXT)(void) at;                                     \
+  }                                                                                                \
+  void wire_get_##name(const uint8_t *at, wire_##name *to) {                                       \
+    WIRE_FIELDS_##name(GET_ONE, GET_ARRAY, GET_TEXT)(void) at;                                     \
+  }                                                                                                \
+  _Static_assert(WIRE_BYTES_##name % WIRE_ALIGNMENT == 0, #name " is padded");
+#include "proto/messages.def"
+
+void wire_set_text(char *field, size_t bytes, const char *text) {
+  const size_t length = strnlen(text, bytes);
+  memcpy(field, text, length);
+  memset(field + length, 0, bytes + 1 - length);
+}
+
+/* ---- frames -----------------------------------------------------------------------------------
+ */
+
+wire_error wire_error_none(void) {
+  return (wire_error){.status = WIRE_STATUS_OK};
+}
+
+wire_error wire_error_make(enum wire_status status, const char *field, const char *allowed) {
+  wire_error error = {.status = (uint16_t)status};
+  WIRE_SET_TEXT(error.field, field);
+  WIRE_SET_TEXT(error.allowed, allowed);
+  return error;
+}
+
+wire_error wire_header_check(const wire_header *header, uint64_t max_payload_bytes) {
+  char allowed[64];
+  if (header->magic != WIRE_MAGIC) {
+    return wire_error_make(WIRE_STATUS_BAD_MAGIC, "magic", "0x4c504944, the bytes D I P L");
+  }
+  if (header->version != WIRE_VERSION) {
+    snprintf(allowed, sizeof allowed, "%d", WIRE_VERSION);
+    return wire_error_make(WIRE_STATUS_BAD_VERSION, "version", allowed);
+  }
+  if (header->flags != 0) {
+    return wire_error_make(WIRE_STATUS_BAD_VALUE, "flags", "0");
+  }
+  if (header->payload_bytes > max_payload_bytes) {
+    snprintf(allowed, sizeof allowed, "at most %llu", (unsigned long long)max_payload_bytes);
+    return wire_error_make(WIRE_STATUS_TOO_LARGE, "payload_bytes", allowed);
+  }
+  if (header->payload_bytes % WIRE_ALIGNMENT != 0) {
+    return wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes", "a multiple of 8");
+  }
+  return wire_error_none();
+}
+
+const char *wire_status_name(unsigned status) {
+  switch (status) {
+#define WIRE_STATUS(code, IDENT, modbus_exception, name, text)                                     \
+  case code:                                                                                       \
+    return name;
+#include "proto/statuses.def"
+#undef WIRE_STATUS
+  default:
+    return "unknown";
+  }
+}
+
+const char *wire_status_text(unsigned status) {
+  switch (status) {
+#define WIRE_STATUS(code, IDENT, modbus_exception, name, text)                                     \
+  case code:                                                                                       \
+    return text;
+#include "proto/statuses.def"
+#undef WIRE_STATUS
+  default:
+    return "an error that this version does not know";
+  }
+}
+
+const char *wire_type_name(unsigned type) {
+  if (type == WIRE_TYPE_ERROR) {
+    return "error";
+  }
+  switch (type & ~(unsigned)WIRE_REPLY) {
+#define WIRE_MESSAGE(type, IDENT, name)                                                            \
+  case type:                                                                                       \
+    return name;
+#include "proto/messages.def"
+  default:
+    return "unknown";
+  }
+}
+
+/* ---- the list of choices ----------------------------------------------------------------------
+ */
+
+static const core_choice statuses[] = {
+#define WIRE_STATUS(code, IDENT, modbus_exception, name, text) {code, name, text},
+#include "proto/statuses.def"
+#undef WIRE_STATUS
+    {0, NULL, NULL},
+};
+
+static const struct {
+  enum wire_choice_kind kind;
+  const core_choice *list;
+} choice_lists[] = {
+    {WIRE_CHOICE_MODEL, core_models},         {WIRE_CHOICE_EVALUATOR, core_evaluators},
+    {WIRE_CHOICE_MOMENTS, core_moments_list}, {WIRE_CHOICE_QUANTITY, core_quantities},
+    {WIRE_CHOICE_SPACING, core_spacings},     {WIRE_CHOICE_STATUS, statuses},
+};
+
+enum { CHOICE_LISTS = sizeof choice_lists / sizeof choice_lists[0] };
+
+static size_t list_length(const core_choice *list) {
+  size_t length = 0;
+  while (list[length].name != NULL) {
+    length++;
+  }
+  return length;
+}
+
+size_t wire_choice_count(void) {
+  size_t count = 0;
+  for (size_t i = 0; i < CHOICE_LISTS; i++) {
+    count += list_length(choice_lists[i].list);
+  }
+  return count;
+}
+
+wire_choice wire_choice_at(size_t index) {
+  size_t list = 0;
+  while (index >= list_length(choice_lists[list].list)) {
+    index -= list_length(choice_lists[list].list);
+    list++;
+  }
+  const core_choice *entry = &choice_lists[list].list[index];
+  wire_choice choice = {.kind = (uint16_t)choice_lists[list].kind, .id = (uint16_t)entry->id};
+  WIRE_SET_TEXT(choice.name, entry->name);
+  WIRE_SET_TEXT(choice.about, entry->about);
+  return choice;
+}
+
+/* ---- documentation ----------------------------------------------------------------------------
+ */
+
+struct description {
+  void (*print)(void *context, const char *text);
+  void *context;
+  size_t offset_bytes;
+};
+
+static void describe_field(struct description *to, const char *kind, const char *field,
+                           size_t count, size_t size_bytes, const char *meaning) {
+  char type[32];
+  char row[256];
+  if (count == 1) {
+    snprintf(type, sizeof type, "%s", kind);
+  } else {
+    snprintf(type, sizeof type, "%s[%zu]", kind, count);
+  }
+  snprintf(row, sizeof row, "| %zu | %s | %s | %s |\n", to->offset_bytes, type, field, meaning);
+  to->print(to->context, row);
+  to->offset_bytes += count * size_bytes;
+}
+
+#define DESCRIBE_ONE(kind, field, meaning)                                                         \
+  describe_field(&to, #kind, #field, 1, WIRE_SIZE_##kind, meaning);
+#define DESCRIBE_ARRAY(kind, field, count, meaning)                                                \
+  describe_field(&to, #kind, #field, count, WIRE_SIZE_##kind, meaning);
+#define DESCRIBE_TEXT(field, bytes, meaning) describe_field(&to, "text", #field, bytes, 1, meaning);
+
+static void describe_title(struct description *to, const char *name, size_t bytes,
+                           const char *about) {
+  char title[256];
+  snprintf(title, sizeof title,
+           "### %s\n%zu bytes; %s.\n\n| offset | type | field | meaning |\n|---|---|---|---|\n",
+           name, bytes, about);
+  to->print(to->context, title);
+  to->offset_bytes = 0;
+}
+
+static void describe_status(struct description *to, int code, const char *ident, int modbus,
+                            const char *name, const char *text) {
+  char row[256];
+  snprintf(row, sizeof row, "| %d | %s | %s | %02x | %s |\n", code, ident, name, (unsigned)modbus,
+           text);
+  to->print(to->context, row);
+}
+
+void wire_describe(void (*print)(void *context, const char *text), void *context) {
+  struct description to = {.print = print, .context = context};
+#define WIRE_STRUCTURE(name, about)                                                                \
+  describe_title(&to, #name, WIRE_BYTES_##name, about);                                            \
+  WIRE_FIELDS_##name(DESCRIBE_ONE, DESCRIBE_ARRAY, DESCRIBE_TEXT) print(context, "\n");
+#include "proto/messages.def"
+  print(context, "## Statuses\n| code | status | name | Modbus exception | meaning |\n"
+                 "|---|---|---|---|---|\n");
+#define WIRE_STATUS(code, IDENT, modbus_exception, name, text)                                     \
+  describe_status(&to, code, #IDENT, modbus_exception, name, text);
+#include "proto/statuses.def"
+#undef WIRE_STATUS
+  print(context, "\n");
+}
