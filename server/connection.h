@@ -1,0 +1,78 @@
+/* connection: one client. It reads frames, has them answered in their order, and writes the
+ * answers.
+ *
+ * A connection belongs to one worker and is only touched on that worker's thread, once it has been
+ * given to it. It is in the worker's run queue while it has something to do; each turn is bounded,
+ * so that connections take turns.
+ */
+#ifndef DIPOLED_CONNECTION_H
+#define DIPOLED_CONNECTION_H
+
+#include "server/input.h"
+#include "server/job.h"
+#include "server/output.h"
+
+enum connection_purpose {
+  CONNECTION_SERVE,
+  CONNECTION_INHERITED, /* the one of --fd: when it is gone, so is the daemon */
+  CONNECTION_REFUSE,    /* one too many: is told so and closed */
+};
+
+struct connection {
+  struct connection *next; /* in the worker's list of all */
+  struct connection *previous;
+  struct connection *next_to_run; /* in the run queue, or in the inbox of a worker */
+  struct worker *worker;
+  struct server *server;
+  int fd;
+  enum connection_purpose purpose;
+
+  union {
+    uv_handle_t handle;
+    uv_stream_t stream;
+    uv_tcp_t tcp;
+    uv_pipe_t pipe;
+  } uv;
+  uv_write_t write;
+  uv_shutdown_t shutdown;
+  uint64_t writing_bytes; /* handed to the loop, not yet written */
+
+  struct input input;
+  struct output output;
+  struct job job;
+  wire_header job_header;
+
+  bool to_run; /* in the run queue */
+  bool in_job; /* job is under way; its frame stays in the input */
+  bool reading;
+  bool stopping;  /* the daemon stops: ends when what has arrived is answered */
+  bool peer_done; /* nothing more will arrive */
+  bool ending;    /* no more frames are taken; closes when all is written */
+  bool lingering; /* shut down; waits for the peer to close, so that it can read the last answer */
+  bool closing;   /* uv_close() has been called */
+
+  uint64_t active_ms;        /* when bytes last arrived or left */
+  uint64_t frame_started_ms; /* when the unfinished frame began to arrive; 0: there is none */
+  uint64_t lingering_ms;
+};
+
+/* For a connected stream socket, which it owns from now on; NULL: no memory, fd is still the
+ * caller's. May be called on any thread. */
+struct connection *connection_new(struct server *server, int fd, enum connection_purpose purpose);
+
+/* On the worker's thread, all of them. */
+void connection_start(struct connection *connection, struct worker *worker);
+
+/* Its turn in the run queue. */
+void connection_run(struct connection *connection);
+
+/* Time has passed: closes what has taken too long. */
+void connection_tick(struct connection *connection, uint64_t now_ms);
+
+/* The daemon stops: what has arrived is answered, then the connection is closed. */
+void connection_stop(struct connection *connection);
+
+/* At once, whatever is under way. */
+void connection_abort(struct connection *connection);
+
+#endif

@@ -1,0 +1,128 @@
+#include "server/input.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+/* What every open connection costs; larger frames grow the buffer and give it back. */
+enum { BASE_BYTES = 65536 };
+
+void input_init(struct input *input, struct server *server) {
+  *input = (struct input){.server = server};
+}
+
+void input_free(struct input *input) {
+  server_return_bytes(input->server, input->capacity);
+  free(input->bytes);
+  input->bytes = NULL;
+  input->capacity = input->begin = input->end = 0;
+}
+
+static bool resize(struct input *input, size_t capacity) {
+  if (capacity > input->capacity && !server_take_bytes(input->server, capacity - input->capacity)) {
+    return false;
+  }
+  uint8_t *bytes = realloc(input->bytes, capacity);
+  if (bytes == NULL) {
+    if (capacity > input->capacity) {
+      server_return_bytes(input->server, capacity - input->capacity);
+    }
+    return false;
+  }
+  if (capacity < input->capacity) {
+    server_return_bytes(input->server, input->capacity - capacity);
+  }
+  input->bytes = bytes;
+  input->capacity = capacity;
+  return true;
+}
+
+static size_t held(const struct input *input) {
+  return input->end - input->begin;
+}
+
+/* Frames start at a multiple of 8 as long as their lengths are; a refused one may have broken that.
+ */
+static void move_to_front(struct input *input) {
+  if (input->begin > 0) {
+    memmove(input->bytes, input->bytes + input->begin, held(input));
+    input->end = held(input);
+    input->begin = 0;
+  }
+}
+
+size_t input_room(struct input *input, uint8_t **room) {
+  if (held(input) == 0) {
+    input->begin = input->end = 0;
+  }
+  if (input->capacity > BASE_BYTES && held(input) <= BASE_BYTES / 2) {
+    move_to_front(input);
+    resize(input, BASE_BYTES);
+  }
+  if (input->end == input->capacity) {
+    move_to_front(input);
+  }
+  /* Doubling, as the bytes come: a header alone, whatever length it claims, costs nothing. */
+  if (input->end == input->capacity &&
+      !resize(input, input->capacity == 0 ? BASE_BYTES : 2 * input->capacity)) {
+    return 0;
+  }
+  *room = input->bytes + input->end;
+  return input->capacity - input->end;
+}
+
+static void take_skipped(struct input *input) {
+  const size_t skipped = input->skip_bytes < held(input) ? (size_t)input->skip_bytes : held(input);
+  input->begin += skipped;
+  input->skip_bytes -= skipped;
+}
+
+void input_arrived(struct input *input, size_t bytes) {
+  input->end += bytes;
+  take_skipped(input);
+}
+
+enum input_outcome input_frame(struct input *input, wire_header *header, const uint8_t **payload,
+                               wire_error *error) {
+  if (input->skip_bytes > 0 || held(input) < WIRE_BYTES_header) {
+    return INPUT_INCOMPLETE;
+  }
+  if (input->begin % WIRE_ALIGNMENT != 0) {
+    move_to_front(input);
+  }
+  wire_get_header(input->bytes + input->begin, header);
+  *error = wire_header_check(header, input->server->options.max_frame_bytes);
+  if (error->status == WIRE_STATUS_BAD_MAGIC) {
+    return INPUT_LOST;
+  }
+  if (error->status != WIRE_STATUS_OK) {
+    return INPUT_REFUSED;
+  }
+  if (held(input) - WIRE_BYTES_header < header->payload_bytes) {
+    return INPUT_INCOMPLETE;
+  }
+  *payload = input->bytes + input->begin + WIRE_BYTES_header;
+  return INPUT_FRAME;
+}
+
+void input_next(struct input *input, const wire_header *header) {
+  input->skip_bytes = WIRE_BYTES_header + (uint64_t)header->payload_bytes;
+  take_skipped(input);
+}
+
+bool input_refuse(struct input *input, wire_header *header) {
+  if (input->skip_bytes > 0 || held(input) < WIRE_BYTES_header) {
+    return false;
+  }
+  wire_get_header(input->bytes + input->begin, header);
+  input_next(input, header);
+  return true;
+}
+
+void input_discard(struct input *input) {
+  input->begin = input->end = 0;
+  input->skip_bytes = 0;
+}
+
+bool input_partial(const struct input *input) {
+  return input->skip_bytes > 0 || held(input) > 0;
+}

@@ -1,0 +1,44 @@
+/* job: one eval request being answered, slice by slice. Independent of how requests arrive. */
+#ifndef DIPOLED_JOB_H
+#define DIPOLED_JOB_H
+
+#include "proto/eval.h"
+#include "server/server.h"
+
+/* A slice's evaluations: about 50 to 200 microseconds, which is what a small request may have to
+ * wait for when a large one is being evaluated on its worker. */
+enum { JOB_SLICE_RADII = 32768 };
+
+/* What a step costs besides, in radii: preparing a profile, or taking a frame apart. */
+enum { JOB_STEP_RADII = 64 };
+
+struct job {
+  eval_request request;
+  core_grid grid;
+  eval_layout layout;
+  uint8_t *reply;       /* payload of the reply, layout.payload_bytes */
+  core_profile profile; /* of the channel being evaluated */
+  uint32_t channel;
+  uint64_t index; /* the next radius of that channel */
+  bool radii_done;
+};
+
+/* Checks all of a request before any of it is evaluated; the payload has to stay while the job
+ * runs. OK: layout.payload_bytes says what the reply needs. */
+wire_error job_check(struct job *job, const struct server *server, const uint8_t *payload,
+                     size_t payload_bytes);
+
+/* Starts to fill in the reply, which starts at a multiple of 8. */
+void job_start(struct job *job, uint8_t *reply);
+
+/* Room for a slice's radii, for grids whose radii are not wanted. */
+struct job_scratch {
+  double radii[JOB_SLICE_RADII];
+};
+
+/* Evaluates one slice and subtracts what it cost, in radii, from *budget (down to 0); false when
+ * the reply is complete. */
+bool job_slice(struct job *job, struct server *server, struct job_scratch *scratch,
+               uint64_t *budget);
+
+#endif

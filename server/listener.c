@@ -1,0 +1,248 @@
+#include "server/listener.h"
+
+#include <errno.h>
+#include <netdb.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <sys/un.h>
+#include <unistd.h>
+
+#include "server/log.h"
+#include "server/worker.h"
+
+enum {
+  BACKLOG = 1024,
+  ACCEPTS_PER_ROUND = 64,
+  PAUSE_MS = 100,        /* when the process has no file descriptor left */
+  REFUSALS_AT_ONCE = 64, /* connections being told that they are too many; others are just closed */
+};
+
+static bool complain(const char *url, const char *why) {
+  fprintf(stderr, "dipoled: cannot listen at %s: %s\n", url, why);
+  return false;
+}
+
+/* ---- admission --------------------------------------------------------------------------------
+ */
+
+static struct worker *least_busy(struct server *server) {
+  struct worker *best = &server->workers[0];
+  for (uint64_t i = 1; i < server->options.workers; i++) {
+    struct worker *worker = &server->workers[i];
+    if (worker->connection_count < best->connection_count) {
+      best = worker;
+    }
+  }
+  return best;
+}
+
+/* All connections of all workers, those being refused among them. */
+static uint64_t held_connections(const struct server *server) {
+  uint64_t held = 0;
+  for (uint64_t i = 0; i < server->options.workers; i++) {
+    held += server->workers[i].connection_count;
+  }
+  return held;
+}
+
+void listener_admit(struct server *server, int fd, bool inherited) {
+  struct stats *stats = &server->stats;
+  const bool full = stats_get(stats, STATS_CONNECTIONS_OPEN) >= server->options.max_connections;
+  const enum connection_purpose purpose = full        ? CONNECTION_REFUSE
+                                          : inherited ? CONNECTION_INHERITED
+                                                      : CONNECTION_SERVE;
+  stats_add(stats, full ? STATS_CONNECTIONS_REFUSED : STATS_CONNECTIONS_ACCEPTED, 1);
+  const bool too_many_refusals =
+      held_connections(server) >= server->options.max_connections + REFUSALS_AT_ONCE;
+  struct connection *connection =
+      full && too_many_refusals ? NULL : connection_new(server, fd, purpose);
+  if (connection == NULL) {
+    close(fd);
+    return;
+  }
+  if (!full) {
+    stats_add(stats, STATS_CONNECTIONS_OPEN, 1);
+  }
+  worker_give(least_busy(server), connection);
+}
+
+static void on_pause_over(uv_timer_t *timer);
+
+static void on_connections(uv_poll_t *poll, int status, int events) {
+  (void)status;
+  (void)events;
+  struct listener *listener = poll->data;
+  for (int i = 0; i < ACCEPTS_PER_ROUND; i++) {
+    const int fd = accept4(listener->fd, NULL, NULL, SOCK_NONBLOCK | SOCK_CLOEXEC);
+    if (fd >= 0) {
+      listener_admit(listener->server, fd, false);
+    } else if (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM) {
+      /* The waiting connection would make the loop spin. */
+      log_peer_line(LOG_LEVEL_ERROR, "event=accept-paused reason=%s", strerror(errno));
+      uv_poll_stop(&listener->poll);
+      uv_timer_start(&listener->pause, on_pause_over, PAUSE_MS, 0);
+      return;
+    } else if (errno == EAGAIN) {
+      return;
+    }
+  }
+}
+
+static void on_pause_over(uv_timer_t *timer) {
+  struct listener *listener = timer->data;
+  uv_poll_start(&listener->poll, UV_READABLE, on_connections);
+}
+
+/* ---- Unix sockets ------------------------------------------------------------------------------
+ */
+
+static int unix_socket(void) {
+  return socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+}
+
+/* A socket file that nobody listens at any more, which a daemon that was killed leaves behind. */
+static bool is_stale(const struct sockaddr_un *address) {
+  const int fd = unix_socket();
+  const bool refused =
+      connect(fd, (const struct sockaddr *)address, sizeof *address) != 0 && errno == ECONNREFUSED;
+  close(fd);
+  return refused;
+}
+
+static bool open_unix(struct listener *listener, const char *url, const char *path) {
+  struct sockaddr_un address = {.sun_family = AF_UNIX};
+  if (*path == '\0' || strlen(path) >= sizeof address.sun_path) {
+    return complain(url, "the path is empty or longer than a socket's path may be (107 bytes)");
+  }
+  memcpy(address.sun_path, path, strlen(path) + 1);
+  listener->fd = unix_socket();
+  if (listener->fd < 0) {
+    return complain(url, strerror(errno));
+  }
+  int bound = bind(listener->fd, (struct sockaddr *)&address, sizeof address);
+  if (bound != 0 && errno == EADDRINUSE && is_stale(&address)) {
+    unlink(path);
+    bound = bind(listener->fd, (struct sockaddr *)&address, sizeof address);
+  }
+  if (bound != 0 || listen(listener->fd, BACKLOG) != 0) {
+    return complain(url, errno == EADDRINUSE ? "another process listens there" : strerror(errno));
+  }
+  listener->unix_path = strdup(path);
+  log_line(LOG_LEVEL_INFO, "event=listening url=unix:%s", path);
+  return true;
+}
+
+/* ---- TCP ---------------------------------------------------------------------------------------
+ */
+
+static void log_bound(int fd) {
+  struct sockaddr_storage address;
+  socklen_t length = sizeof address;
+  char host[128];
+  char port[16];
+  if (getsockname(fd, (struct sockaddr *)&address, &length) == 0 &&
+      getnameinfo((struct sockaddr *)&address, length, host, sizeof host, port, sizeof port,
+                  NI_NUMERICHOST | NI_NUMERICSERV) == 0) {
+    const bool bracket = address.ss_family == AF_INET6;
+    log_line(LOG_LEVEL_INFO, "event=listening url=tcp:%s%s%s:%s", bracket ? "[" : "", host,
+             bracket ? "]" : "", port);
+  }
+}
+
+static int bind_tcp(const struct addrinfo *address) {
+  const int fd =
+      socket(address->ai_family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, IPPROTO_TCP);
+  const int on = 1;
+  if (fd >= 0) {
+    setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);
+    if (bind(fd, address->ai_addr, address->ai_addrlen) == 0 && listen(fd, BACKLOG) == 0) {
+      return fd;
+    }
+    const int error = errno;
+    close(fd);
+    errno = error;
+  }
+  return -1;
+}
+
+/* HOST:PORT, the host in brackets when it has colons. */
+static bool split_host_port(const char *text, char *host, size_t room, const char **port) {
+  const char *colon = strrchr(text, ':');
+  if (colon == NULL || colon[1] == '\0') {
+    return false;
+  }
+  size_t length = (size_t)(colon - text);
+  if (length >= 2 && text[0] == '[' && text[length - 1] == ']') {
+    text++;
+    length -= 2;
+  }
+  if (length == 0 || length >= room) {
+    return false;
+  }
+  memcpy(host, text, length);
+  host[length] = '\0';
+  *port = colon + 1;
+  return true;
+}
+
+static bool open_tcp(struct listener *listener, const char *url, const char *host_port) {
+  char host[256];
+  const char *port;
+  if (!split_host_port(host_port, host, sizeof host, &port)) {
+    return complain(url, "the address has the form tcp:HOST:PORT, tcp:[::1]:PORT for IPv6");
+  }
+  const struct addrinfo hints = {.ai_socktype = SOCK_STREAM, .ai_flags = AI_PASSIVE};
+  struct addrinfo *found = NULL;
+  const int looked_up = getaddrinfo(host, port, &hints, &found);
+  if (looked_up != 0) {
+    return complain(url, gai_strerror(looked_up));
+  }
+  listener->fd = bind_tcp(found);
+  const int error = errno;
+  freeaddrinfo(found);
+  if (listener->fd < 0) {
+    return complain(url, error == EADDRINUSE
+                             ? "another process listens there; --listen names another address"
+                             : strerror(error));
+  }
+  log_bound(listener->fd);
+  return true;
+}
+
+/* ---- public ------------------------------------------------------------------------------------
+ */
+
+bool listener_open(struct listener *listener, struct server *server, uv_loop_t *loop,
+                   const char *url) {
+  *listener = (struct listener){.server = server, .fd = -1};
+  bool open;
+  if (strncmp(url, "unix:", 5) == 0) {
+    open = open_unix(listener, url, url + 5);
+  } else if (strncmp(url, "tcp:", 4) == 0) {
+    open = open_tcp(listener, url, url + 4);
+  } else {
+    open = complain(url, "the address has the form unix:PATH or tcp:HOST:PORT");
+  }
+  if (!open) {
+    if (listener->fd >= 0) {
+      close(listener->fd);
+    }
+    return false;
+  }
+  uv_poll_init(loop, &listener->poll, listener->fd);
+  uv_timer_init(loop, &listener->pause);
+  listener->poll.data = listener->pause.data = listener;
+  return uv_poll_start(&listener->poll, UV_READABLE, on_connections) == 0;
+}
+
+void listener_close(struct listener *listener) {
+  uv_close((uv_handle_t *)&listener->poll, NULL);
+  uv_close((uv_handle_t *)&listener->pause, NULL);
+  close(listener->fd);
+  if (listener->unix_path != NULL) {
+    unlink(listener->unix_path);
+    free(listener->unix_path);
+  }
+}

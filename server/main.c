@@ -1,0 +1,223 @@
+/* dipoled: starts the workers and the listeners, and waits for the wish to stop. */
+#include <errno.h>
+#include <signal.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "server/listener.h"
+#include "server/log.h"
+#include "server/worker.h"
+
+#define DEFAULT_TCP "tcp:127.0.0.1:4817"
+#define DEFAULT_SOCKET "dipoled.sock"
+
+struct daemon {
+  struct server server;
+  uv_loop_t loop;
+  uv_signal_t terminate;
+  uv_signal_t interrupt;
+  struct listener listeners[OPTIONS_LIST_MAX + 2];
+  size_t listener_count;
+  uint64_t workers_started;
+  bool stopping;
+};
+
+/* ---- stopping ----------------------------------------------------------------------------------
+ */
+
+static void stop(struct daemon *daemon) {
+  if (daemon->stopping) {
+    return;
+  }
+  daemon->stopping = true;
+  log_line(LOG_LEVEL_INFO, "event=stopping");
+  for (size_t i = 0; i < daemon->listener_count; i++) {
+    listener_close(&daemon->listeners[i]);
+  }
+  for (uint64_t i = 0; i < daemon->workers_started; i++) {
+    worker_stop(&daemon->server.workers[i]);
+  }
+  uv_close((uv_handle_t *)&daemon->terminate, NULL);
+  uv_close((uv_handle_t *)&daemon->interrupt, NULL);
+  for (uint64_t i = 0; i < daemon->workers_started; i++) {
+    worker_join(&daemon->server.workers[i]);
+  }
+  uv_close((uv_handle_t *)&daemon->server.inherited_closed, NULL);
+}
+
+static void on_signal(uv_signal_t *handle, int signal_number) {
+  (void)signal_number;
+  stop(handle->data);
+}
+
+static void on_inherited_closed(uv_async_t *handle) {
+  stop(handle->data);
+}
+
+/* ---- starting ----------------------------------------------------------------------------------
+ */
+
+static bool complain(const char *what, const char *why) {
+  fprintf(stderr, "dipoled: %s: %s\n", what, why);
+  return false;
+}
+
+static bool choose_isa(struct server *server) {
+  server->isa = core_isa_select(server->options.isa);
+  if (server->isa != NULL) {
+    return true;
+  }
+  char have[128] = "this machine can run:";
+  size_t length = strlen(have);
+  const char *name;
+  for (size_t i = 0; (name = core_isa_listed(i)) != NULL; i++) {
+    if (core_isa_select(name) != NULL) {
+      length += (size_t)snprintf(have + length, sizeof have - length, " %s", name);
+    }
+  }
+  fprintf(stderr, "dipoled: --isa %s: %s\n", server->options.isa, have);
+  return false;
+}
+
+static bool start_workers(struct daemon *daemon) {
+  struct server *server = &daemon->server;
+  server->workers = calloc(server->options.workers, sizeof *server->workers);
+  if (server->workers == NULL) {
+    return complain("workers", "out of memory");
+  }
+  for (; daemon->workers_started < server->options.workers; daemon->workers_started++) {
+    const int error = worker_start(&server->workers[daemon->workers_started], server);
+    if (error != 0) {
+      return complain("workers", uv_strerror(error));
+    }
+  }
+  return true;
+}
+
+static bool listen_at(struct daemon *daemon, const char *url) {
+  if (!listener_open(&daemon->listeners[daemon->listener_count], &daemon->server, &daemon->loop,
+                     url)) {
+    return false;
+  }
+  daemon->listener_count++;
+  return true;
+}
+
+/* The runtime directory: systemd's, the user's, or /run for root; NULL: there is none. */
+static const char *runtime_directory(void) {
+  const char *directory = getenv("RUNTIME_DIRECTORY");
+  if (directory == NULL || *directory == '\0') {
+    directory = getenv("XDG_RUNTIME_DIR");
+  }
+  if (directory == NULL || *directory == '\0') {
+    directory = geteuid() == 0 ? "/run" : NULL;
+  }
+  struct stat status;
+  return directory != NULL && stat(directory, &status) == 0 && S_ISDIR(status.st_mode) ? directory
+                                                                                       : NULL;
+}
+
+static bool listen_by_default(struct daemon *daemon) {
+  const char *directory = runtime_directory();
+  char url[256];
+  if (directory == NULL) {
+    log_line(LOG_LEVEL_INFO, "event=no-socket reason=no-runtime-directory");
+  } else {
+    snprintf(url, sizeof url, "unix:%s/" DEFAULT_SOCKET, directory);
+    if (!listen_at(daemon, url)) {
+      return false;
+    }
+  }
+  return listen_at(daemon, DEFAULT_TCP);
+}
+
+static bool admit_inherited(struct server *server) {
+  char *end;
+  const long fd = strtol(server->options.fd, &end, 10);
+  int type = 0;
+  socklen_t length = sizeof type;
+  if (*end != '\0' || fd < 0 || fd > 1048576 ||
+      getsockopt((int)fd, SOL_SOCKET, SO_TYPE, &type, &length) != 0 || type != SOCK_STREAM) {
+    return complain("--fd", "the number of a connected stream socket that this process inherits");
+  }
+  listener_admit(server, (int)fd, true);
+  return true;
+}
+
+static bool open_addresses(struct daemon *daemon) {
+  const struct options *options = &daemon->server.options;
+  for (size_t i = 0; i < options->listen.count; i++) {
+    if (!listen_at(daemon, options->listen.items[i])) {
+      return false;
+    }
+  }
+  if (options->fd != NULL) {
+    return admit_inherited(&daemon->server);
+  }
+  return options->listen.count > 0 || listen_by_default(daemon);
+}
+
+static void set_up_loop(struct daemon *daemon) {
+  uv_loop_init(&daemon->loop);
+  uv_async_init(&daemon->loop, &daemon->server.inherited_closed, on_inherited_closed);
+  uv_signal_init(&daemon->loop, &daemon->terminate);
+  uv_signal_init(&daemon->loop, &daemon->interrupt);
+  daemon->server.inherited_closed.data = daemon;
+  daemon->terminate.data = daemon->interrupt.data = daemon;
+  uv_signal_start(&daemon->terminate, on_signal, SIGTERM);
+  uv_signal_start(&daemon->interrupt, on_signal, SIGINT);
+}
+
+static bool set_log_level(const struct options *options) {
+  enum log_level level = LOG_LEVEL_INFO;
+  if (options->log_level != NULL && !log_level_by_name(options->log_level, &level)) {
+    return complain("--log-level", "error or info");
+  }
+  log_set_level(level);
+  return true;
+}
+
+static int run(struct daemon *daemon) {
+  struct server *server = &daemon->server;
+  if (!set_log_level(&server->options) || !choose_isa(server)) {
+    return 2;
+  }
+  signal(SIGPIPE, SIG_IGN);
+  set_up_loop(daemon);
+  const bool ready = start_workers(daemon) && open_addresses(daemon);
+  if (ready) {
+    log_line(LOG_LEVEL_INFO, "event=ready workers=%llu isa=%s",
+             (unsigned long long)server->options.workers, core_isa_name(server->isa));
+  } else {
+    stop(daemon);
+  }
+  uv_run(&daemon->loop, UV_RUN_DEFAULT);
+  uv_loop_close(&daemon->loop);
+  free(server->workers);
+  if (ready) {
+    log_line(LOG_LEVEL_INFO, "event=stopped");
+  }
+  return ready ? EXIT_SUCCESS : EXIT_FAILURE;
+}
+
+int main(int argc, char **argv) {
+  static struct daemon daemon;
+  daemon.server.started_ns = uv_hrtime();
+  int status = EXIT_SUCCESS;
+  switch (options_read(argc, argv, &daemon.server.options)) {
+  case OPTIONS_RUN:
+    status = run(&daemon);
+    break;
+  case OPTIONS_EXIT_OK:
+    break;
+  case OPTIONS_EXIT_USAGE:
+    status = 2;
+    break;
+  }
+  options_free(&daemon.server.options);
+  return status;
+}

@@ -1,0 +1,241 @@
+#include "server/options.h"
+
+#include <ctype.h>
+#include <errno.h>
+#include <getopt.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum kind { NUMBER, TEXT, LIST };
+
+struct description {
+  const char *name;
+  const char *field_name;
+  const char *value;
+  const char *help;
+  enum kind kind;
+  size_t offset; /* into struct options */
+  uint64_t least;
+  uint64_t most;
+  uint64_t default_value;
+};
+
+#define AT(field) offsetof(struct options, field)
+#define SERVER_NUMBER(field, name, default_value, least, most, help)                               \
+  {name, #field, "N", help, NUMBER, AT(field), least, most, default_value},
+#define SERVER_TEXT(field, name, value, help) {name, #field, value, help, TEXT, AT(field), 0, 0, 0},
+#define SERVER_LIST(field, name, value, help) {name, #field, value, help, LIST, AT(field), 0, 0, 0},
+static const struct description descriptions[] = {
+#include "server/options.def"
+};
+
+enum { OPTIONS = sizeof descriptions / sizeof descriptions[0], HELP = OPTIONS, VERSION };
+
+static void *place(struct options *options, const struct description *option) {
+  return (char *)options + option->offset;
+}
+
+/* ---- values -----------------------------------------------------------------------------------
+ */
+
+static bool set_number(const struct description *option, const char *text, uint64_t *number) {
+  char *end;
+  errno = 0;
+  const unsigned long long value = strtoull(text, &end, 10);
+  if (!isdigit((unsigned char)text[0]) || *end != '\0' || errno != 0 || value < option->least ||
+      value > option->most) {
+    fprintf(stderr, "dipoled: --%s is a number from %llu to %llu, not '%s'\n", option->name,
+            (unsigned long long)option->least, (unsigned long long)option->most, text);
+    return false;
+  }
+  *number = value;
+  return true;
+}
+
+static bool add_item(const struct description *option, const char *text,
+                     struct options_list *list) {
+  if (list->count == OPTIONS_LIST_MAX) {
+    fprintf(stderr, "dipoled: --%s can be given %d times at most\n", option->name,
+            OPTIONS_LIST_MAX);
+    return false;
+  }
+  list->items[list->count++] = text;
+  return true;
+}
+
+static bool set(struct options *options, const struct description *option, const char *text) {
+  switch (option->kind) {
+  case NUMBER:
+    return set_number(option, text, place(options, option));
+  case TEXT:
+    *(const char **)place(options, option) = text;
+    return true;
+  case LIST:
+    return add_item(option, text, place(options, option));
+  }
+  return false;
+}
+
+/* ---- environment ------------------------------------------------------------------------------
+ */
+
+static const char *environment(const struct description *option) {
+  char name[64] = "DIPOLED_";
+  size_t length = strlen(name);
+  for (const char *c = option->field_name; *c != '\0' && length + 1 < sizeof name; c++) {
+    name[length++] = (char)toupper((unsigned char)*c);
+  }
+  name[length] = '\0';
+  return getenv(name);
+}
+
+static bool read_environment_list(struct options *options, const struct description *option,
+                                  const char *text) {
+  free(options->environment_copy);
+  options->environment_copy = strdup(text);
+  if (options->environment_copy == NULL) {
+    return false;
+  }
+  char *rest = options->environment_copy;
+  for (char *item = strtok_r(rest, ",", &rest); item != NULL; item = strtok_r(NULL, ",", &rest)) {
+    if (!set(options, option, item)) {
+      return false;
+    }
+  }
+  return true;
+}
+
+static bool read_environment(struct options *options) {
+  for (int i = 0; i < OPTIONS; i++) {
+    const struct description *option = &descriptions[i];
+    const char *text = environment(option);
+    if (text == NULL || *text == '\0') {
+      continue;
+    }
+    const bool good = option->kind == LIST ? read_environment_list(options, option, text)
+                                           : set(options, option, text);
+    if (!good) {
+      return false;
+    }
+  }
+  return true;
+}
+
+/* ---- help -------------------------------------------------------------------------------------
+ */
+
+static void print_wrapped(const char *text, int indent, int width) {
+  int column = indent;
+  while (*text != '\0') {
+    const int word = (int)strcspn(text, " ");
+    if (column + word > width) {
+      printf("\n%*s", indent, "");
+      column = indent;
+    }
+    printf("%.*s ", word, text);
+    column += word + 1;
+    text += word;
+    text += strspn(text, " ");
+  }
+  printf("\n");
+}
+
+static void print_option(const struct description *option) {
+  char title[48];
+  snprintf(title, sizeof title, "--%s %s", option->name, option->value);
+  printf("  %-25s ", title);
+  print_wrapped(option->help, 28, 96);
+  if (option->kind == NUMBER) {
+    printf("%28s(%llu; %llu to %llu)\n", "", (unsigned long long)option->default_value,
+           (unsigned long long)option->least, (unsigned long long)option->most);
+  }
+}
+
+static void print_help(void) {
+  printf(
+      "dipoled " DIPOLED_VERSION ": evaluates subsurface-scattering profiles R(r) for clients.\n"
+      "\n"
+      "usage: dipoled [OPTION VALUE]...\n"
+      "\n"
+      "examples:\n"
+      "  dipoled                                   this machine only, at the default addresses\n"
+      "  dipoled --listen unix:/run/dipoled.sock --workers 4\n"
+      "  dipoled --listen tcp:0.0.0.0:4817         whoever reaches this machine\n"
+      "\n"
+      "Stop it with SIGTERM: it answers what is in flight and exits with 0. Ask it with `dipole`.\n"
+      "Each option is also read from the environment, as DIPOLED_ and its name in capitals with\n"
+      "underscores (DIPOLED_MAX_MEDIA); the command line wins.\n"
+      "\n"
+      "options (default; range):\n");
+  for (int i = 0; i < OPTIONS; i++) {
+    print_option(&descriptions[i]);
+  }
+  printf("  %-25s this text\n  %-25s the version\n", "--help", "--version");
+}
+
+/* ---- command line -----------------------------------------------------------------------------
+ */
+
+static enum options_outcome read_command_line(int argc, char **argv, struct options *options) {
+  struct option longs[OPTIONS + 3] = {{0}};
+  bool list_begun[OPTIONS] = {false};
+  for (int i = 0; i < OPTIONS; i++) {
+    longs[i] = (struct option){descriptions[i].name, required_argument, NULL, i};
+  }
+  longs[HELP] = (struct option){"help", no_argument, NULL, HELP};
+  longs[VERSION] = (struct option){"version", no_argument, NULL, VERSION};
+  int which;
+  while ((which = getopt_long(argc, argv, "", longs, NULL)) != -1) {
+    if (which == HELP) {
+      print_help();
+      return OPTIONS_EXIT_OK;
+    }
+    if (which == VERSION) {
+      printf("dipoled " DIPOLED_VERSION "\n");
+      return OPTIONS_EXIT_OK;
+    }
+    if (which < 0 || which >= OPTIONS) {
+      fprintf(stderr, "dipoled --help lists the options\n");
+      return OPTIONS_EXIT_USAGE;
+    }
+    const struct description *option = &descriptions[which];
+    if (option->kind == LIST && !list_begun[which]) {
+      list_begun[which] = true;
+      ((struct options_list *)place(options, option))->count = 0;
+    }
+    if (!set(options, option, optarg)) {
+      return OPTIONS_EXIT_USAGE;
+    }
+  }
+  if (optind < argc) {
+    fprintf(stderr, "dipoled: '%s' is not an option; dipoled --help lists them\n", argv[optind]);
+    return OPTIONS_EXIT_USAGE;
+  }
+  return OPTIONS_RUN;
+}
+
+enum options_outcome options_read(int argc, char **argv, struct options *options) {
+  *options = (struct options){0};
+  for (int i = 0; i < OPTIONS; i++) {
+    if (descriptions[i].kind == NUMBER) {
+      *(uint64_t *)place(options, &descriptions[i]) = descriptions[i].default_value;
+    }
+  }
+  if (!read_environment(options)) {
+    return OPTIONS_EXIT_USAGE;
+  }
+  return read_command_line(argc, argv, options);
+}
+
+void options_free(struct options *options) {
+  free(options->environment_copy);
+}
+
+void options_each_number(const struct options *options,
+                         void (*each)(void *context, const char *name, uint64_t value),
+                         void *context) {
+#define SERVER_NUMBER(field, name, default_value, least, most, help)                               \
+  each(context, #field, options->field);
+#include "server/options.def"
+}

@@ -1,0 +1,37 @@
+/* options: what dipoled was told on the command line and in the environment. */
+#ifndef DIPOLED_OPTIONS_H
+#define DIPOLED_OPTIONS_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+enum { OPTIONS_LIST_MAX = 32 };
+
+struct options_list {
+  const char *items[OPTIONS_LIST_MAX];
+  size_t count;
+};
+
+#define SERVER_NUMBER(field, name, default_value, least, most, help) uint64_t field;
+#define SERVER_TEXT(field, name, value, help) const char *field;
+#define SERVER_LIST(field, name, value, help) struct options_list field;
+struct options {
+#include "server/options.def"
+  char *environment_copy; /* what list items from the environment point into */
+};
+
+enum options_outcome { OPTIONS_RUN, OPTIONS_EXIT_OK, OPTIONS_EXIT_USAGE };
+
+/* Reads the environment, then the command line, which wins. Prints help, version or what is wrong.
+ * Texts point into argv and the environment. */
+enum options_outcome options_read(int argc, char **argv, struct options *options);
+
+void options_free(struct options *options);
+
+/* Calls each(context, name, value) for every number, under its name with underscores. */
+void options_each_number(const struct options *options,
+                         void (*each)(void *context, const char *name, uint64_t value),
+                         void *context);
+
+#endif

@@ -1,0 +1,119 @@
+#include "server/output.h"
+
+#include <assert.h>
+#include <stdlib.h>
+
+/* Holds a few hundred small answers, and makes one system call of them. */
+enum { CHUNK_BYTES = 65536 };
+
+struct output_chunk {
+  struct output_chunk *next;
+  size_t capacity;
+  size_t committed;
+  size_t consumed;
+  _Alignas(16) uint8_t bytes[];
+};
+
+void output_init(struct output *output, struct server *server) {
+  *output = (struct output){.server = server};
+}
+
+static void free_first(struct output *output) {
+  struct output_chunk *chunk = output->first;
+  output->first = chunk->next;
+  if (output->first == NULL) {
+    output->last = NULL;
+  }
+  server_return_bytes(output->server, chunk->capacity);
+  free(chunk);
+}
+
+void output_free(struct output *output) {
+  while (output->first != NULL) {
+    free_first(output);
+  }
+}
+
+static struct output_chunk *add_chunk(struct output *output, size_t bytes) {
+  const size_t capacity = bytes > CHUNK_BYTES ? bytes : CHUNK_BYTES;
+  if (!server_take_bytes(output->server, capacity)) {
+    return NULL;
+  }
+  struct output_chunk *chunk = malloc(sizeof *chunk + capacity);
+  if (chunk == NULL) {
+    server_return_bytes(output->server, capacity);
+    return NULL;
+  }
+  *chunk = (struct output_chunk){.capacity = capacity};
+  if (output->last == NULL) {
+    output->first = chunk;
+  } else {
+    output->last->next = chunk;
+  }
+  output->last = chunk;
+  return chunk;
+}
+
+uint8_t *output_reserve(struct output *output, size_t bytes) {
+  assert(output->reserved_bytes == 0 && bytes > 0 && bytes % 8 == 0);
+  struct output_chunk *chunk = output->last;
+  if (chunk == NULL || chunk->capacity - chunk->committed < bytes) {
+    chunk = add_chunk(output, bytes);
+  }
+  if (chunk == NULL) {
+    return NULL;
+  }
+  output->reserved_bytes = bytes;
+  return chunk->bytes + chunk->committed;
+}
+
+void output_commit(struct output *output) {
+  output->last->committed += output->reserved_bytes;
+  output->ready_bytes += output->reserved_bytes;
+  output->reserved_bytes = 0;
+}
+
+size_t output_buffers(struct output *output, uv_buf_t *buffers, size_t count) {
+  size_t used = 0;
+  for (struct output_chunk *chunk = output->first; chunk != NULL && used < count;
+       chunk = chunk->next) {
+    if (chunk->committed > chunk->consumed) {
+      buffers[used++] = uv_buf_init((char *)chunk->bytes + chunk->consumed,
+                                    (unsigned)(chunk->committed - chunk->consumed));
+    }
+  }
+  return used;
+}
+
+/* A chunk that has been written entirely is given back, or begun again if it is the last and small
+ * and nothing is being filled in. */
+static bool finish_first(struct output *output) {
+  struct output_chunk *chunk = output->first;
+  if (chunk != output->last) {
+    free_first(output);
+    return true;
+  }
+  if (output->reserved_bytes == 0) {
+    if (chunk->capacity == CHUNK_BYTES) {
+      chunk->committed = chunk->consumed = 0;
+    } else {
+      free_first(output);
+    }
+  }
+  return false;
+}
+
+void output_consume(struct output *output, uint64_t bytes) {
+  assert(bytes <= output->ready_bytes);
+  output->ready_bytes -= bytes;
+  while (output->first != NULL) {
+    struct output_chunk *chunk = output->first;
+    const size_t there = chunk->committed - chunk->consumed;
+    const size_t taken = bytes < there ? (size_t)bytes : there;
+    chunk->consumed += taken;
+    bytes -= taken;
+    if (chunk->consumed < chunk->committed || !finish_first(output)) {
+      return;
+    }
+  }
+}

@@ -1,0 +1,42 @@
+/* output: the answers of one connection that wait to be written, in chunks.
+ *
+ * Kernels write their results into a chunk, and the socket takes them from there: nothing is
+ * copied. Small answers share a chunk; a large one gets its own. Memory is taken from the server's
+ * budget.
+ */
+#ifndef DIPOLED_OUTPUT_H
+#define DIPOLED_OUTPUT_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "server/server.h"
+
+struct output_chunk;
+
+struct output {
+  struct server *server;
+  struct output_chunk *first;
+  struct output_chunk *last;
+  uint64_t ready_bytes;  /* committed and not yet consumed */
+  size_t reserved_bytes; /* at the end of the last chunk, being filled */
+};
+
+void output_init(struct output *output, struct server *server);
+void output_free(struct output *output);
+
+/* Room for bytes (a multiple of 8) at an address that is a multiple of 8, stable until it has been
+ * consumed; NULL: the memory budget is exhausted. One reservation at a time. */
+uint8_t *output_reserve(struct output *output, size_t bytes);
+
+/* The reserved bytes are complete and may be written. */
+void output_commit(struct output *output);
+
+/* Up to count buffers that cover committed bytes from the front; their number. */
+size_t output_buffers(struct output *output, uv_buf_t *buffers, size_t count);
+
+/* bytes from the front have been written. */
+void output_consume(struct output *output, uint64_t bytes);
+
+#endif

@@ -1,0 +1,259 @@
+#include "server/request.h"
+
+#include <string.h>
+
+/* What a client that is told BUSY should wait: long enough for a worker to finish what it has. */
+enum { RETRY_AFTER_MS = 20 };
+
+/* A message being answered. */
+struct question {
+  struct server *server;
+  const wire_header *header;
+  const uint8_t *payload;
+  struct output *output;
+  struct job *job;
+};
+
+/* What a handler made of it: OK and answered, OK and a job started, or an error to be sent. */
+struct outcome {
+  wire_error error;
+  bool started;
+};
+
+static struct outcome answered(void) {
+  return (struct outcome){wire_error_none(), false};
+}
+
+static struct outcome refused(wire_error error) {
+  return (struct outcome){error, false};
+}
+
+/* Room for a frame; its header is written, its payload is returned. */
+static uint8_t *begin_frame(struct output *output, unsigned type, uint64_t request_id,
+                            size_t payload_bytes) {
+  uint8_t *frame = output_reserve(output, WIRE_BYTES_header + payload_bytes);
+  if (frame == NULL) {
+    return NULL;
+  }
+  const wire_header header = {
+      .magic = WIRE_MAGIC,
+      .version = WIRE_VERSION,
+      .type = (uint16_t)type,
+      .request_id = request_id,
+      .payload_bytes = (uint32_t)payload_bytes,
+  };
+  wire_put_header(frame, &header);
+  return frame + WIRE_BYTES_header;
+}
+
+static uint8_t *begin_reply(struct question *question, size_t payload_bytes) {
+  return begin_frame(question->output, question->header->type | WIRE_REPLY,
+                     question->header->request_id, payload_bytes);
+}
+
+static struct outcome busy(void) {
+  wire_error error =
+      wire_error_make(WIRE_STATUS_BUSY, "", "less at a time: max_total_bytes is in use");
+  error.retry_after_ms = RETRY_AFTER_MS;
+  return refused(error);
+}
+
+static struct outcome bad_length(const char *allowed) {
+  return refused(wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes", allowed));
+}
+
+/* ---- messages: answer_<IDENT> for each of the list ---------------------------------------------
+ */
+
+struct value_cursor {
+  uint8_t *at;
+  uint32_t count;
+};
+
+static void put_value(void *context, const char *name, uint64_t number) {
+  struct value_cursor *cursor = context;
+  if (cursor->at != NULL) {
+    wire_value value = {.value = number};
+    WIRE_SET_TEXT(value.name, name);
+    wire_put_value(cursor->at, &value);
+    cursor->at += WIRE_BYTES_value;
+  }
+  cursor->count++;
+}
+
+static wire_hello_reply describe_daemon(const struct server *server) {
+  struct value_cursor counter = {NULL, 0};
+  options_each_number(&server->options, put_value, &counter);
+  wire_hello_reply reply = {
+      .version = WIRE_VERSION,
+      .version_min = WIRE_VERSION,
+      .version_max = WIRE_VERSION,
+      .workers = (uint16_t)server->options.workers,
+      .choice_count = (uint32_t)wire_choice_count(),
+      .limit_count = counter.count,
+  };
+  WIRE_SET_TEXT(reply.software, "dipoled " DIPOLED_VERSION);
+  WIRE_SET_TEXT(reply.instruction_set, core_isa_name(server->isa));
+  WIRE_SET_TEXT(reply.R_unit, WIRE_R_UNIT);
+  return reply;
+}
+
+static struct outcome answer_HELLO(struct question *question) {
+  if (question->header->payload_bytes != WIRE_BYTES_hello_request) {
+    return bad_length("8");
+  }
+  wire_hello_request request;
+  wire_get_hello_request(question->payload, &request);
+  if (request.zero != 0) {
+    return refused(wire_error_make(WIRE_STATUS_BAD_VALUE, "zero", "0"));
+  }
+  if (request.version_min > request.version_max) {
+    return refused(wire_error_make(WIRE_STATUS_BAD_VALUE, "version_min", "at most version_max"));
+  }
+  if (request.version_min > WIRE_VERSION || request.version_max < WIRE_VERSION) {
+    return refused(wire_error_make(WIRE_STATUS_BAD_VERSION, "version_max", "a range with 1 in it"));
+  }
+  const wire_hello_reply reply = describe_daemon(question->server);
+  uint8_t *at = begin_reply(question, WIRE_BYTES_hello_reply +
+                                          reply.choice_count * (size_t)WIRE_BYTES_choice +
+                                          reply.limit_count * (size_t)WIRE_BYTES_value);
+  if (at == NULL) {
+    return busy();
+  }
+  wire_put_hello_reply(at, &reply);
+  at += WIRE_BYTES_hello_reply;
+  for (uint32_t i = 0; i < reply.choice_count; i++) {
+    const wire_choice choice = wire_choice_at(i);
+    wire_put_choice(at, &choice);
+    at += WIRE_BYTES_choice;
+  }
+  struct value_cursor limits = {at, 0};
+  options_each_number(&question->server->options, put_value, &limits);
+  output_commit(question->output);
+  return answered();
+}
+
+static struct outcome answer_EVAL(struct question *question) {
+  struct job *job = question->job;
+  const wire_error error =
+      job_check(job, question->server, question->payload, question->header->payload_bytes);
+  if (error.status != WIRE_STATUS_OK) {
+    return refused(error);
+  }
+  uint8_t *reply = begin_reply(question, (size_t)job->layout.payload_bytes);
+  if (reply == NULL) {
+    return busy();
+  }
+  job_start(job, reply);
+  return (struct outcome){wire_error_none(), true};
+}
+
+/* Room for a list reply with count entries; NULL: none. */
+static uint8_t *begin_list(struct question *question, size_t count, size_t entry_bytes) {
+  uint8_t *at = begin_reply(question, WIRE_BYTES_list_reply + count * entry_bytes);
+  if (at != NULL) {
+    const wire_list_reply list = {.count = (uint32_t)count};
+    wire_put_list_reply(at, &list);
+    at += WIRE_BYTES_list_reply;
+  }
+  return at;
+}
+
+static struct outcome answer_MEDIA(struct question *question) {
+  if (question->header->payload_bytes != 0) {
+    return bad_length("0");
+  }
+  uint8_t *at = begin_list(question, core_measured_media_count, WIRE_BYTES_measured_medium);
+  if (at == NULL) {
+    return busy();
+  }
+  for (size_t i = 0; i < core_measured_media_count; i++) {
+    const core_measured_medium *medium = &core_measured_media[i];
+    wire_measured_medium entry = {.g = medium->channel[0].g, .eta = medium->channel[0].eta};
+    WIRE_SET_TEXT(entry.name, medium->name);
+    for (int channel = 0; channel < 3; channel++) {
+      entry.sigma_a[channel] = medium->channel[channel].sigma_a_per_mm;
+      entry.sigma_s[channel] = medium->channel[channel].sigma_s_per_mm;
+    }
+    wire_put_measured_medium(at, &entry);
+    at += WIRE_BYTES_measured_medium;
+  }
+  output_commit(question->output);
+  return answered();
+}
+
+static struct outcome answer_STATS(struct question *question) {
+  if (question->header->payload_bytes != 0) {
+    return bad_length("0");
+  }
+  uint8_t *at = begin_list(question, STATS_COUNT, WIRE_BYTES_value);
+  if (at == NULL) {
+    return busy();
+  }
+  struct server *server = question->server;
+  for (size_t i = 0; i < STATS_COUNT; i++) {
+    wire_value value = stats_value(&server->stats, i);
+    if (i == STATS_UPTIME_MS) {
+      value.value = (uv_hrtime() - server->started_ns) / 1000000;
+    }
+    wire_put_value(at, &value);
+    at += WIRE_BYTES_value;
+  }
+  output_commit(question->output);
+  return answered();
+}
+
+static struct outcome answer_PING(struct question *question) {
+  const size_t bytes = question->header->payload_bytes;
+  if (bytes > WIRE_PING_MAX_BYTES) {
+    return bad_length("at most 1024");
+  }
+  uint8_t *at = begin_reply(question, bytes);
+  if (at == NULL) {
+    return busy();
+  }
+  memcpy(at, question->payload, bytes);
+  output_commit(question->output);
+  return answered();
+}
+
+static struct outcome answer(struct question *question) {
+  switch (question->header->type) {
+#define WIRE_MESSAGE(type, IDENT, name)                                                            \
+  case type:                                                                                       \
+    return answer_##IDENT(question);
+#include "proto/messages.def"
+  default:
+    return refused(wire_error_make(WIRE_STATUS_BAD_TYPE, "type", "a message of the protocol"));
+  }
+}
+
+/* ---- public -----------------------------------------------------------------------------------
+ */
+
+bool request_refuse(struct server *server, uint64_t request_id, const wire_error *error,
+                    struct output *output) {
+  stats_count_error(&server->stats, error->status);
+  uint8_t *at = begin_frame(output, WIRE_TYPE_ERROR, request_id, WIRE_BYTES_error);
+  if (at == NULL) {
+    return false;
+  }
+  wire_put_error(at, error);
+  output_commit(output);
+  return true;
+}
+
+enum request_outcome request_begin(struct server *server, const wire_header *header,
+                                   const uint8_t *payload, struct output *output, struct job *job) {
+  struct question question = {server, header, payload, output, job};
+  stats_count_request(&server->stats, header->type);
+  const struct outcome outcome = answer(&question);
+  if (outcome.started) {
+    return REQUEST_STARTED;
+  }
+  if (outcome.error.status != WIRE_STATUS_OK &&
+      !request_refuse(server, header->request_id, &outcome.error, output)) {
+    return REQUEST_NO_ROOM;
+  }
+  return REQUEST_ANSWERED;
+}

@@ -1,0 +1,38 @@
+/* server: what all threads of the daemon share. Set up by main before the threads start; after that
+ * only the statistics change. */
+#ifndef DIPOLED_SERVER_H
+#define DIPOLED_SERVER_H
+
+#include <uv.h>
+
+#include "core/core.h"
+#include "server/options.h"
+#include "server/stats.h"
+
+struct worker;
+
+struct server {
+  struct options options;
+  const core_isa *isa;
+  struct stats stats;
+  uint64_t started_ns;
+  struct worker *workers;      /* [options.workers] */
+  uv_async_t inherited_closed; /* on main's loop: the connection of --fd is gone */
+};
+
+/* Takes bytes from the budget of all buffers (--max-total-bytes); false, and nothing is taken, when
+ * they are not there. */
+static inline bool server_take_bytes(struct server *server, uint64_t bytes) {
+  stats_add(&server->stats, STATS_BUFFER_BYTES, bytes);
+  if (stats_get(&server->stats, STATS_BUFFER_BYTES) <= server->options.max_total_bytes) {
+    return true;
+  }
+  stats_subtract(&server->stats, STATS_BUFFER_BYTES, bytes);
+  return false;
+}
+
+static inline void server_return_bytes(struct server *server, uint64_t bytes) {
+  stats_subtract(&server->stats, STATS_BUFFER_BYTES, bytes);
+}
+
+#endif

@@ -1,0 +1,238 @@
+#include "server/worker.h"
+
+#include <assert.h>
+#include <string.h>
+
+/* ---- the run queue ----------------------------------------------------------------------------
+ */
+
+static void on_awake(uv_idle_t *handle) {
+  (void)handle;
+}
+
+void worker_run_later(struct worker *worker, struct connection *connection) {
+  if (connection->to_run) {
+    return;
+  }
+  connection->to_run = true;
+  connection->next_to_run = NULL;
+  if (worker->run_last == NULL) {
+    worker->run_first = connection;
+  } else {
+    worker->run_last->next_to_run = connection;
+  }
+  worker->run_last = connection;
+}
+
+static struct connection *next_to_run(struct worker *worker) {
+  struct connection *connection = worker->run_first;
+  worker->run_first = connection->next_to_run;
+  if (worker->run_first == NULL) {
+    worker->run_last = NULL;
+  }
+  connection->to_run = false;
+  return connection;
+}
+
+static void remove_from_run_queue(struct worker *worker, struct connection *connection) {
+  struct connection *last = NULL;
+  struct connection **link = &worker->run_first;
+  while (*link != NULL) {
+    if (*link == connection) {
+      *link = connection->next_to_run;
+    } else {
+      last = *link;
+      link = &(*link)->next_to_run;
+    }
+  }
+  worker->run_last = last;
+  connection->to_run = false;
+}
+
+/* One turn for each connection that is in the queue now; those that come back have their next turn
+ * after new requests have been read. */
+static void run_round(struct worker *worker) {
+  struct connection *last = worker->run_last;
+  for (bool more = last != NULL; more;) {
+    struct connection *connection = next_to_run(worker);
+    more = connection != last;
+    connection_run(connection);
+  }
+}
+
+/* ---- all connections ---------------------------------------------------------------------------
+ */
+
+void worker_remember(struct worker *worker, struct connection *connection) {
+  connection->previous = NULL;
+  connection->next = worker->connections;
+  if (worker->connections != NULL) {
+    worker->connections->previous = connection;
+  }
+  worker->connections = connection;
+}
+
+void worker_forget(struct worker *worker, struct connection *connection) {
+  if (connection->to_run) {
+    remove_from_run_queue(worker, connection);
+  }
+  if (connection->previous != NULL) {
+    connection->previous->next = connection->next;
+  } else {
+    worker->connections = connection->next;
+  }
+  if (connection->next != NULL) {
+    connection->next->previous = connection->previous;
+  }
+  atomic_fetch_sub_explicit(&worker->connection_count, 1, memory_order_relaxed);
+}
+
+static void for_each(struct worker *worker, void (*act)(struct connection *connection)) {
+  struct connection *next;
+  for (struct connection *c = worker->connections; c != NULL; c = next) {
+    next = c->next;
+    act(c);
+  }
+}
+
+/* ---- stopping ---------------------------------------------------------------------------------
+ */
+
+/* The first round after the wish reads what had been sent before it; then nothing more is taken. */
+static void stop_round(struct worker *worker) {
+  if (worker->stop_rounds == 0) {
+    return;
+  }
+  worker->stop_rounds++;
+  if (worker->stop_rounds == 3) {
+    for_each(worker, connection_stop);
+  }
+  const uint64_t taken_ms = uv_now(&worker->loop) - worker->stop_began_ms;
+  if (taken_ms > worker->server->options.drain_timeout_ms) {
+    for_each(worker, connection_abort);
+  }
+  if (worker->stop_rounds > 3 && worker->connections == NULL) {
+    uv_stop(&worker->loop);
+  }
+}
+
+/* ---- the loop ---------------------------------------------------------------------------------
+ */
+
+static void take_from_inbox(struct worker *worker) {
+  uv_mutex_lock(&worker->mutex);
+  struct connection *given = worker->inbox;
+  worker->inbox = NULL;
+  const bool stop_wanted = worker->stop_wanted;
+  uv_mutex_unlock(&worker->mutex);
+  while (given != NULL) {
+    struct connection *next = given->next_to_run;
+    connection_start(given, worker);
+    given = next;
+  }
+  if (stop_wanted && worker->stop_rounds == 0) {
+    worker->stop_rounds = 1;
+    worker->stop_began_ms = uv_now(&worker->loop);
+  }
+}
+
+static void on_wake(uv_async_t *handle) {
+  take_from_inbox(handle->data);
+}
+
+static void after_poll(uv_check_t *handle) {
+  struct worker *worker = handle->data;
+  run_round(worker);
+  stop_round(worker);
+  /* An active idle handle keeps the loop from sleeping in its next poll. */
+  if (worker->run_first != NULL || (worker->stop_rounds > 0 && worker->stop_rounds < 4)) {
+    uv_idle_start(&worker->stay_awake, on_awake);
+  } else {
+    uv_idle_stop(&worker->stay_awake);
+  }
+}
+
+static void on_clock(uv_timer_t *timer) {
+  struct worker *worker = timer->data;
+  const uint64_t now_ms = uv_now(&worker->loop);
+  struct connection *next;
+  for (struct connection *c = worker->connections; c != NULL; c = next) {
+    next = c->next;
+    connection_tick(c, now_ms);
+  }
+}
+
+/* Timeouts are looked at so often that they are kept to a quarter. */
+static uint64_t clock_period_ms(const struct options *options) {
+  uint64_t shortest = options->frame_timeout_ms;
+  shortest = options->idle_timeout_ms < shortest ? options->idle_timeout_ms : shortest;
+  shortest = options->drain_timeout_ms < shortest ? options->drain_timeout_ms : shortest;
+  const uint64_t quarter = shortest / 4 + 1;
+  return quarter < 250 ? quarter : 250;
+}
+
+static void close_handle(uv_handle_t *handle, void *unused) {
+  (void)unused;
+  if (!uv_is_closing(handle)) {
+    uv_close(handle, NULL);
+  }
+}
+
+static void thread_main(void *argument) {
+  struct worker *worker = argument;
+  uv_run(&worker->loop, UV_RUN_DEFAULT);
+  assert(worker->connections == NULL);
+  uv_walk(&worker->loop, close_handle, NULL);
+  uv_run(&worker->loop, UV_RUN_DEFAULT);
+  const int closed = uv_loop_close(&worker->loop);
+  assert(closed == 0);
+}
+
+static int set_up_handles(struct worker *worker) {
+  const uint64_t period_ms = clock_period_ms(&worker->server->options);
+  uv_check_init(&worker->loop, &worker->after_poll);
+  uv_idle_init(&worker->loop, &worker->stay_awake);
+  uv_timer_init(&worker->loop, &worker->clock);
+  worker->wake.data = worker->after_poll.data = worker->clock.data = worker;
+  uv_check_start(&worker->after_poll, after_poll);
+  return uv_timer_start(&worker->clock, on_clock, period_ms, period_ms);
+}
+
+int worker_start(struct worker *worker, struct server *server) {
+  memset(worker, 0, sizeof *worker);
+  worker->server = server;
+  int error = uv_mutex_init(&worker->mutex);
+  error = error != 0 ? error : uv_loop_init(&worker->loop);
+  error = error != 0 ? error : uv_async_init(&worker->loop, &worker->wake, on_wake);
+  error = error != 0 ? error : set_up_handles(worker);
+  return error != 0 ? error : uv_thread_create(&worker->thread, thread_main, worker);
+}
+
+void worker_give(struct worker *worker, struct connection *connection) {
+  atomic_fetch_add_explicit(&worker->connection_count, 1, memory_order_relaxed);
+  uv_mutex_lock(&worker->mutex);
+  connection->next_to_run = worker->inbox;
+  worker->inbox = connection;
+  uv_mutex_unlock(&worker->mutex);
+  uv_async_send(&worker->wake);
+}
+
+void worker_stop(struct worker *worker) {
+  uv_mutex_lock(&worker->mutex);
+  worker->stop_wanted = true;
+  uv_mutex_unlock(&worker->mutex);
+  uv_async_send(&worker->wake);
+}
+
+void worker_join(struct worker *worker) {
+  uv_thread_join(&worker->thread);
+  uv_mutex_destroy(&worker->mutex);
+}
+
+uv_loop_t *worker_loop(struct worker *worker) {
+  return &worker->loop;
+}
+
+struct job_scratch *worker_scratch(struct worker *worker) {
+  return &worker->scratch;
+}

@@ -1,0 +1,51 @@
+/* worker: a thread with an event loop of its own, its connections, and their run queue.
+ *
+ * Threading: main accepts and gives each connection to the worker that has the fewest; from then on
+ * the worker reads, evaluates and writes on its own thread, so that a request crosses no threads.
+ * In each round of its loop a worker reads what has arrived on all of its connections, then gives
+ * each that has work one turn of bounded length, and goes round again; so requests that arrive
+ * together are evaluated together, and a large one is taken in slices between the others' turns.
+ */
+#ifndef DIPOLED_WORKER_H
+#define DIPOLED_WORKER_H
+
+#include "server/connection.h"
+
+struct worker {
+  struct server *server;
+  uv_thread_t thread;
+  uv_loop_t loop;
+  uv_async_t wake;
+  uv_check_t after_poll;
+  uv_idle_t stay_awake; /* active while the run queue is not empty */
+  uv_timer_t clock;
+
+  uv_mutex_t mutex; /* guards the inbox and stop_wanted */
+  struct connection *inbox;
+  bool stop_wanted;
+
+  struct connection *connections;
+  struct connection *run_first;
+  struct connection *run_last;
+  unsigned stop_rounds; /* rounds of the loop since the stop was wanted; 0: it is not */
+  uint64_t stop_began_ms;
+  _Atomic uint64_t connection_count; /* given to it and not yet closed */
+  struct job_scratch scratch;
+};
+
+/* Starts the thread; a libuv error code, 0 when it runs. */
+int worker_start(struct worker *worker, struct server *server);
+
+/* Any thread. */
+void worker_give(struct worker *worker, struct connection *connection);
+void worker_stop(struct worker *worker); /* answers what has arrived, closes all, ends the thread */
+void worker_join(struct worker *worker);
+
+/* For connections, on the worker's thread. */
+uv_loop_t *worker_loop(struct worker *worker);
+struct job_scratch *worker_scratch(struct worker *worker);
+void worker_remember(struct worker *worker, struct connection *connection);
+void worker_forget(struct worker *worker, struct connection *connection);
+void worker_run_later(struct worker *worker, struct connection *connection);
+
+#endif
