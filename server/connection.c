@@ -11,6 +11,7 @@
 enum {
   TURN_RADII = JOB_SLICE_RADII, /* what a turn may cost; a frame costs JOB_STEP_RADII besides */
   WRITE_BUFFERS = 16,
+  REST_MS = 1000,   /* of silence, after which a connection's memory is given back */
   LINGER_MS = 1000, /* for a peer that does not close after the last answer */
 };
 
@@ -403,5 +404,8 @@ void connection_tick(struct connection *c, uint64_t now_ms) {
   } else if (now_ms - c->active_ms > options->idle_timeout_ms) {
     end(c, 0, wire_error_make(WIRE_STATUS_TIMEOUT, "", "no silence longer than idle_timeout_ms"));
     worker_run_later(c->worker, c);
+  } else if (now_ms - c->active_ms > REST_MS) {
+    input_rest(&c->input);
+    output_rest(&c->output);
   }
 }

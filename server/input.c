@@ -18,7 +18,10 @@ void input_free(struct input *input) {
 }
 
 static bool resize(struct input *input, size_t capacity) {
-  if (capacity > input->capacity && !server_take_bytes(input->server, capacity - input->capacity)) {
+  if (capacity == BASE_BYTES && input->capacity == 0) {
+    server_take_base_bytes(input->server, capacity);
+  } else if (capacity > input->capacity &&
+             !server_take_bytes(input->server, capacity - input->capacity)) {
     return false;
   }
   uint8_t *bytes = realloc(input->bytes, capacity);
@@ -116,6 +119,12 @@ bool input_refuse(struct input *input, wire_header *header) {
   wire_get_header(input->bytes + input->begin, header);
   input_next(input, header);
   return true;
+}
+
+void input_rest(struct input *input) {
+  if (held(input) == 0) {
+    input_free(input);
+  }
 }
 
 void input_discard(struct input *input) {

@@ -44,6 +44,9 @@ void input_next(struct input *input, const wire_header *header);
  * there. */
 bool input_refuse(struct input *input, wire_header *header);
 
+/* Gives its memory back when nothing is held. */
+void input_rest(struct input *input);
+
 /* Drops everything that has arrived. */
 void input_discard(struct input *input);
 

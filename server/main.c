@@ -4,6 +4,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/resource.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <unistd.h>
@@ -181,12 +182,22 @@ static bool set_log_level(const struct options *options) {
   return true;
 }
 
+/* As many file descriptors as the system lets a process have: connections need one each. */
+static void raise_descriptor_limit(void) {
+  struct rlimit limit;
+  if (getrlimit(RLIMIT_NOFILE, &limit) == 0) {
+    limit.rlim_cur = limit.rlim_max;
+    setrlimit(RLIMIT_NOFILE, &limit);
+  }
+}
+
 static int run(struct daemon *daemon) {
   struct server *server = &daemon->server;
   if (!set_log_level(&server->options) || !choose_isa(server)) {
     return 2;
   }
   signal(SIGPIPE, SIG_IGN);
+  raise_descriptor_limit();
   set_up_loop(daemon);
   const bool ready = start_workers(daemon) && open_addresses(daemon);
   if (ready) {

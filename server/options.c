@@ -129,12 +129,11 @@ static void print_wrapped(const char *text, int indent, int width) {
   int column = indent;
   while (*text != '\0') {
     const int word = (int)strcspn(text, " ");
-    if (column + word > width) {
+    if (column > indent && column + 1 + word > width) {
       printf("\n%*s", indent, "");
       column = indent;
     }
-    printf("%.*s ", word, text);
-    column += word + 1;
+    column += printf("%s%.*s", column > indent ? " " : "", word, text);
     text += word;
     text += strspn(text, " ");
   }

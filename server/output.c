@@ -36,7 +36,9 @@ void output_free(struct output *output) {
 
 static struct output_chunk *add_chunk(struct output *output, size_t bytes) {
   const size_t capacity = bytes > CHUNK_BYTES ? bytes : CHUNK_BYTES;
-  if (!server_take_bytes(output->server, capacity)) {
+  if (output->first == NULL && capacity == CHUNK_BYTES) {
+    server_take_base_bytes(output->server, capacity);
+  } else if (!server_take_bytes(output->server, capacity)) {
     return NULL;
   }
   struct output_chunk *chunk = malloc(sizeof *chunk + capacity);
@@ -52,6 +54,12 @@ static struct output_chunk *add_chunk(struct output *output, size_t bytes) {
   }
   output->last = chunk;
   return chunk;
+}
+
+void output_rest(struct output *output) {
+  if (output->ready_bytes == 0 && output->reserved_bytes == 0) {
+    output_free(output);
+  }
 }
 
 uint8_t *output_reserve(struct output *output, size_t bytes) {

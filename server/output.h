@@ -26,6 +26,9 @@ struct output {
 void output_init(struct output *output, struct server *server);
 void output_free(struct output *output);
 
+/* Gives its memory back when nothing waits. */
+void output_rest(struct output *output);
+
 /* Room for bytes (a multiple of 8) at an address that is a multiple of 8, stable until it has been
  * consumed; NULL: the memory budget is exhausted. One reservation at a time. */
 uint8_t *output_reserve(struct output *output, size_t bytes);

@@ -31,6 +31,12 @@ static inline bool server_take_bytes(struct server *server, uint64_t bytes) {
   return false;
 }
 
+/* The same without asking, for the first buffers of a connection: their number is bounded already,
+ * and with them small requests and errors are answered whatever large ones hold. */
+static inline void server_take_base_bytes(struct server *server, uint64_t bytes) {
+  stats_add(&server->stats, STATS_BUFFER_BYTES, bytes);
+}
+
 static inline void server_return_bytes(struct server *server, uint64_t bytes) {
   stats_subtract(&server->stats, STATS_BUFFER_BYTES, bytes);
 }

@@ -1,0 +1,179 @@
+# dipoled: `make demo` shows it working, `make check` tests it. Both install what is missing.
+#
+#   make            the daemon, the client, the libraries, the benchmark, in build/
+#   make demo       measured skin, two models, a table and two pictures
+#   make check      all tests; check-asan and check-tsan run them under sanitizers
+#   make bench      every benchmark; build/bench GROUP runs one
+#   make docs       the byte tables of proto/PROTOCOL.md, from proto/messages.def
+#   make install    to $(DESTDIR)$(PREFIX); make uninstall takes it away again
+#   make setup      installs the packages of .ci/packages, nothing else
+#   make clean
+
+PREFIX ?= /usr/local
+DESTDIR ?=
+LIBDIR ?= $(PREFIX)/lib
+BUILD ?= build
+PYTHON ?= /usr/bin/python3
+
+VERSION := 0.1.0
+SOVERSION := 0
+
+CC ?= cc
+ifeq ($(origin CC),default)
+CC := cc
+endif
+CFLAGS ?= -O2 -g
+WARNINGS := -Wall -Wextra -Werror -Wshadow -Wstrict-prototypes -Wmissing-prototypes -Wpointer-arith
+# -ffp-contract=off: the same bits from every compiler and machine. The two -fno options change no
+# value; without them loops with sqrt and selections are not vectorized.
+BITS := -ffp-contract=off -fno-math-errno -fno-trapping-math
+ALL_CFLAGS = -std=c17 $(WARNINGS) $(BITS) -fPIC -pthread $(CFLAGS) $(SANITIZE)
+ALL_CPPFLAGS = -D_GNU_SOURCE -I. -DDIPOLED_VERSION='"$(VERSION)"' -MMD -MP $(CPPFLAGS)
+ALL_LDFLAGS = -pthread $(LDFLAGS) $(SANITIZE)
+
+UV_CFLAGS = $(shell pkg-config --cflags libuv)
+UV_LIBS = $(shell pkg-config --libs libuv)
+
+# ---- what is built -------------------------------------------------------------------------------
+
+OBJ := $(BUILD)/obj
+objects = $(patsubst %.c,$(OBJ)/%.o,$(1))
+
+# The kernels: each file of core/models once for each instruction set and precision.
+ARCH := $(shell uname -m)
+ISAS := portable
+ifeq ($(ARCH),x86_64)
+ISAS += sse2 avx2 avx512
+endif
+ISA_FLAGS_portable := -O2 -fno-tree-vectorize
+ISA_FLAGS_sse2 := -O3 -msse2
+ISA_FLAGS_avx2 := -O3 -mavx2 -mfma
+ISA_FLAGS_avx512 := -O3 -mavx512f -mavx512dq -mavx512vl -mfma -mprefer-vector-width=512
+MODELS := $(patsubst core/models/%.c,%,$(wildcard core/models/*.c))
+KERNELS := $(foreach isa,$(ISAS),$(foreach real,32 64,$(MODELS:%=$(OBJ)/core/models/%.$(isa).f$(real).o)))
+
+CORE := $(call objects,$(wildcard core/*.c core/models/*.c)) $(KERNELS)
+PROTO := $(call objects,$(wildcard proto/*.c))
+SERVER := $(call objects,$(wildcard server/*.c))
+LIBRARY := $(call objects,$(wildcard clients/c/*.c))
+CLI := $(call objects,$(wildcard clients/cli/*.c))
+BENCH := $(call objects,$(wildcard tests/bench/*.c))
+TESTS := $(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/unit/test_*.c tests/accuracy/test_*.c tests/fuzz/test_*.c))
+TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/bench/*.c),$(wildcard tests/*/*.c)))
+
+PROGRAMS := $(BUILD)/dipoled $(BUILD)/dipole $(BUILD)/bench
+LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so $(BUILD)/dipole.pc
+
+.PHONY: all setup demo check check-unit check-e2e check-asan check-tsan bench docs install uninstall clean
+.DELETE_ON_ERROR:
+.SECONDARY:
+
+all: $(PROGRAMS) $(LIBRARIES)
+
+$(OBJ)/%.o: %.c Makefile
+	@mkdir -p $(@D)
+	$(CC) $(ALL_CPPFLAGS) $(EXTRA_CPPFLAGS) $(ALL_CFLAGS) -c -o $@ $<
+
+# core/models/NAME.ISA.fREAL.o
+define kernel_rule
+$(OBJ)/core/models/%.$(1).f$(2).o: core/models/%.c Makefile
+	@mkdir -p $$(@D)
+	$$(CC) $$(ALL_CPPFLAGS) -DCORE_ISA=$(1) -DCORE_REAL=$(2) $$(ALL_CFLAGS) $$(ISA_FLAGS_$(1)) -c -o $$@ $$<
+endef
+$(foreach isa,$(ISAS),$(foreach real,32 64,$(eval $(call kernel_rule,$(isa),$(real)))))
+
+$(SERVER): EXTRA_CPPFLAGS = $(UV_CFLAGS)
+
+$(BUILD)/libcore.a: $(CORE)
+$(BUILD)/libproto.a: $(PROTO)
+$(BUILD)/libcore.a $(BUILD)/libproto.a:
+	@rm -f $@
+	ar rcs $@ $^
+
+# The client library holds the codec and the core, so that it needs nothing else.
+$(BUILD)/libdipole.a: $(LIBRARY) $(PROTO) $(CORE)
+	@rm -f $@
+	ar rcs $@ $^
+
+$(BUILD)/libdipole.so.$(VERSION): $(LIBRARY) $(PROTO) $(CORE) clients/c/libdipole.map
+	$(CC) $(ALL_LDFLAGS) -shared -Wl,-soname,libdipole.so.$(SOVERSION) -Wl,--version-script=clients/c/libdipole.map -o $@ $(filter %.o,$^) -lm
+
+$(BUILD)/libdipole.so: $(BUILD)/libdipole.so.$(VERSION)
+	ln -sf libdipole.so.$(VERSION) $(BUILD)/libdipole.so.$(SOVERSION)
+	ln -sf libdipole.so.$(SOVERSION) $@
+
+$(BUILD)/dipole.pc: clients/c/dipole.pc.in Makefile
+	@mkdir -p $(@D)
+	sed -e 's|@PREFIX@|$(PREFIX)|' -e 's|@LIBDIR@|$(LIBDIR)|' -e 's|@VERSION@|$(VERSION)|' $< > $@
+
+$(BUILD)/dipoled: $(SERVER) $(BUILD)/libproto.a $(BUILD)/libcore.a
+	$(CC) $(ALL_LDFLAGS) -o $@ $^ $(UV_LIBS) -lm
+
+$(BUILD)/dipole: $(CLI) $(BUILD)/libdipole.a
+	$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
+
+$(BUILD)/bench: $(BENCH) $(BUILD)/libdipole.a
+	$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
+
+$(BUILD)/wire-tables: $(OBJ)/proto/tools/wire_tables.o $(BUILD)/libproto.a $(BUILD)/libcore.a
+	$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
+
+$(BUILD)/tests/%: $(OBJ)/tests/%.o $(TEST_SUPPORT) $(BUILD)/libdipole.a
+	@mkdir -p $(@D)
+	$(CC) $(ALL_LDFLAGS) -o $@ $^ -lcmocka -lmpfr -lgmp -lm
+
+-include $(shell find $(OBJ) -name '*.d' 2>/dev/null)
+
+# ---- what is run ---------------------------------------------------------------------------------
+
+# Packages come first and in a make of their own: pkg-config's answers are asked for after it.
+setup:
+	@sh .ci/install-packages
+
+demo:
+	@sh .ci/install-packages demo
+	@$(MAKE) --no-print-directory -j2 all
+	@sh clients/demo.sh $(BUILD)
+
+check:
+	@sh .ci/install-packages
+	@$(MAKE) --no-print-directory -j2 all $(TESTS) $(BUILD)/wire-tables
+	@$(MAKE) --no-print-directory check-unit check-e2e
+
+# Each test program by itself, so that one that crashes takes no other with it.
+check-unit: $(TESTS)
+	@sh tests/run-units.sh $(TESTS)
+
+check-e2e: all
+	DIPOLED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python PYTHONDONTWRITEBYTECODE=1 $(PYTHON) -m pytest -q -p no:cacheprovider tests/e2e
+
+check-asan:
+	@sh .ci/install-packages
+	@$(MAKE) --no-print-directory BUILD=build-asan SANITIZE='-fsanitize=address,undefined -fno-sanitize-recover=all' CFLAGS='-O1 -g' check
+
+check-tsan:
+	@sh .ci/install-packages
+	@$(MAKE) --no-print-directory BUILD=build-tsan SANITIZE='-fsanitize=thread' CFLAGS='-O1 -g' check
+
+bench: $(BUILD)/bench
+	$(BUILD)/bench
+
+docs: $(BUILD)/wire-tables
+	$(BUILD)/wire-tables proto/PROTOCOL.md
+
+install: all
+	install -d $(DESTDIR)$(PREFIX)/bin $(DESTDIR)$(PREFIX)/include $(DESTDIR)$(LIBDIR)/pkgconfig
+	install $(BUILD)/dipoled $(BUILD)/dipole $(DESTDIR)$(PREFIX)/bin/
+	install -m 644 clients/c/dipole.h $(DESTDIR)$(PREFIX)/include/
+	install -m 644 $(BUILD)/libdipole.a $(DESTDIR)$(LIBDIR)/
+	install $(BUILD)/libdipole.so.$(VERSION) $(DESTDIR)$(LIBDIR)/
+	ln -sf libdipole.so.$(VERSION) $(DESTDIR)$(LIBDIR)/libdipole.so.$(SOVERSION)
+	ln -sf libdipole.so.$(SOVERSION) $(DESTDIR)$(LIBDIR)/libdipole.so
+	install -m 644 $(BUILD)/dipole.pc $(DESTDIR)$(LIBDIR)/pkgconfig/
+
+uninstall:
+	rm -f $(addprefix $(DESTDIR)$(PREFIX)/bin/,dipoled dipole) $(DESTDIR)$(PREFIX)/include/dipole.h
+	rm -f $(addprefix $(DESTDIR)$(LIBDIR)/,libdipole.a libdipole.so libdipole.so.$(SOVERSION) libdipole.so.$(VERSION) pkgconfig/dipole.pc)
+
+clean:
+	rm -rf $(BUILD) build-asan build-tsan
