@@ -245,6 +245,7 @@ static bool take_frame(struct connection *c) {
 static void run_job(struct connection *c, uint64_t *budget) {
   if (!job_slice(&c->job, c->server, worker_scratch(c->worker), budget)) {
     output_commit(&c->output);
+    stats_count_answer(&c->server->stats, WIRE_STATUS_OK);
     input_next(&c->input, &c->job_header);
     c->in_job = false;
   }

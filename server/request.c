@@ -233,7 +233,7 @@ static struct outcome answer(struct question *question) {
 
 bool request_refuse(struct server *server, uint64_t request_id, const wire_error *error,
                     struct output *output) {
-  stats_count_error(&server->stats, error->status);
+  stats_count_answer(&server->stats, error->status);
   uint8_t *at = begin_frame(output, WIRE_TYPE_ERROR, request_id, WIRE_BYTES_error);
   if (at == NULL) {
     return false;
@@ -251,9 +251,10 @@ enum request_outcome request_begin(struct server *server, const wire_header *hea
   if (outcome.started) {
     return REQUEST_STARTED;
   }
-  if (outcome.error.status != WIRE_STATUS_OK &&
-      !request_refuse(server, header->request_id, &outcome.error, output)) {
-    return REQUEST_NO_ROOM;
+  if (outcome.error.status == WIRE_STATUS_OK) {
+    stats_count_answer(&server->stats, WIRE_STATUS_OK);
+    return REQUEST_ANSWERED;
   }
-  return REQUEST_ANSWERED;
+  return request_refuse(server, header->request_id, &outcome.error, output) ? REQUEST_ANSWERED
+                                                                            : REQUEST_NO_ROOM;
 }

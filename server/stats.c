@@ -6,7 +6,7 @@ static const char *const names[STATS_COUNT] = {
 #undef SERVER_STATISTIC
 #define WIRE_MESSAGE(type, IDENT, name) "requests_" name,
 #include "proto/messages.def"
-#define WIRE_STATUS(code, IDENT, modbus_exception, name, text) "errors_" name,
+#define WIRE_STATUS(code, IDENT, modbus_exception, name, text) "answers_" name,
 #include "proto/statuses.def"
 #undef WIRE_STATUS
 };
@@ -21,11 +21,11 @@ void stats_count_request(struct stats *stats, unsigned type) {
   }
 }
 
-void stats_count_error(struct stats *stats, unsigned status) {
+void stats_count_answer(struct stats *stats, unsigned status) {
   switch (status) {
 #define WIRE_STATUS(code, IDENT, modbus_exception, name, text)                                     \
   case code:                                                                                       \
-    stats_add(stats, STATS_ERRORS_##IDENT, 1);                                                     \
+    stats_add(stats, STATS_ANSWERS_##IDENT, 1);                                                     \
     break;
 #include "proto/statuses.def"
 #undef WIRE_STATUS

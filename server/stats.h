@@ -14,7 +14,7 @@ enum stats_index {
 #undef SERVER_STATISTIC
 #define WIRE_MESSAGE(type, IDENT, name) STATS_REQUESTS_##IDENT,
 #include "proto/messages.def"
-#define WIRE_STATUS(code, IDENT, modbus_exception, name, text) STATS_ERRORS_##IDENT,
+#define WIRE_STATUS(code, IDENT, modbus_exception, name, text) STATS_ANSWERS_##IDENT,
 #include "proto/statuses.def"
 #undef WIRE_STATUS
   STATS_COUNT
@@ -37,7 +37,7 @@ static inline uint64_t stats_get(const struct stats *stats, enum stats_index ind
 }
 
 void stats_count_request(struct stats *stats, unsigned type); /* a type of the list */
-void stats_count_error(struct stats *stats, unsigned status); /* a status of the list */
+void stats_count_answer(struct stats *stats, unsigned status); /* a status of the list */
 
 /* index < STATS_COUNT: the name on the wire, and the value now. */
 wire_value stats_value(const struct stats *stats, size_t index);
