@@ -24,7 +24,7 @@ const core_choice core_moments_list[] = {
     END,
 };
 
-#define CORE_QUANTITY(bit, IDENT, name, unit) {bit, name, unit},
+#define CORE_QUANTITY(bit, IDENT, name, unit, SHAPE) {bit, name, unit},
 const core_choice core_quantities[] = {
 #include "core/choices.def"
     END,

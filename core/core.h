@@ -43,7 +43,7 @@ enum core_moments {
 #include "core/choices.def"
 };
 
-#define CORE_QUANTITY(bit, IDENT, name, unit) CORE_QUANTITY_##IDENT = (bit),
+#define CORE_QUANTITY(bit, IDENT, name, unit, SHAPE) CORE_QUANTITY_##IDENT = (bit),
 enum core_quantity {
 #include "core/choices.def"
 };
@@ -185,14 +185,49 @@ core_fault core_profile_check(unsigned model, unsigned moments, unsigned evaluat
 core_fault core_profile_prepare(core_profile *profile, const core_isa *isa, unsigned model,
                                 unsigned moments, unsigned evaluator, const core_medium *medium);
 
-/* Evaluates a profile prepared with evaluator f64 (asserted) at n radii: r[n] in mm, from 0 to
- * infinity inclusive; R[n] in 1/mm^2; cdf[n], the energy within r over the albedo, from 0 to 1.
- * R or cdf may be NULL: not wanted. Arrays may have any alignment; they do not overlap.
- * R underflows gradually. Values for radii that core_radii_check_f64() faults are unspecified. */
-void core_eval_f64(const core_profile *profile, size_t n, const double *r, double *R, double *cdf);
+/* Evaluates one elementwise quantity of a profile prepared with evaluator f64 (both asserted) at n
+ * radii: r[n] in mm, from 0 to infinity inclusive; out[n] in the quantity's unit:
+ *   R      1/mm^2; underflows gradually
+ *   CDF    the energy within r over the albedo, from 0 to 1
+ *   SLOPE  dR/dr, 1/mm^3, never positive
+ *   LN_R   the natural logarithm of R, which goes on where R has underflowed: finite up to 1e100
+ *          (f32: 1e12) mean free paths 1 / sigma_t', -infinity from there on and where R is 0.
+ *          Its error is absolute: numerical_error + numerical_error_per_mm r + 8 epsilon |ln R|
+ *   PDF    the density of radii, 2 pi r R over the albedo, 1/mm
+ * The arrays may have any alignment; they do not overlap. Values for radii that
+ * core_radii_check_f64() faults are unspecified. */
+void core_eval_f64(const core_profile *profile, enum core_quantity quantity, size_t n,
+                   const double *r, double *out);
 
 /* The same for evaluator f32. */
-void core_eval_f32(const core_profile *profile, size_t n, const float *r, float *R, float *cdf);
+void core_eval_f32(const core_profile *profile, enum core_quantity quantity, size_t n,
+                   const float *r, float *out);
+
+/* Radii with given cdf: r[n] in mm such that cdf(r) = u, for u[n] from 0 to 1 inclusive (0: 0;
+ * 1: infinity), for drawing radii in proportion to r R(r) from uniform numbers.
+ * |cdf(r) - u| is at most CORE_SAMPLE_ERROR_F64 (F32) for u up to 1 - 1e-7. A profile that scatters
+ * nothing has no distribution: r is 0. */
+void core_sample_f64(const core_profile *profile, size_t n, const double *u, double *r);
+void core_sample_f32(const core_profile *profile, size_t n, const float *u, float *r);
+
+#define CORE_SAMPLE_ERROR_F64 1e-14
+#define CORE_SAMPLE_ERROR_F32 4e-7
+
+/* ---- from albedo to coefficients ---------------------------------------------------------------
+ */
+
+/* The medium (g = 0: sigma_s is sigma_s') whose albedo under a model is the one that is wanted. */
+typedef struct core_inversion {
+  core_fault fault; /* field `albedo`: it cannot be reached; the two numbers below say what can */
+  core_medium medium;
+  double albedo_least; /* reachable, for this model, moments and eta */
+  double albedo_most;
+} core_inversion;
+
+/* mean_free_path_mm: 1 / sigma_t', 1e-15 to 1e15. The medium's albedo is within 1e-12 of the wanted
+ * one, relative. */
+core_inversion core_invert_albedo(unsigned model, unsigned moments, double albedo,
+                                  double mean_free_path_mm, double eta);
 
 /* ---- radii ------------------------------------------------------------------------------------
  */

@@ -13,15 +13,28 @@
 #define CORE_ISA_LEVELS(X, ...) X(portable, __VA_ARGS__)
 #endif
 
+/* Positions of the elementwise quantities, in the order of the list. */
+#define CORE_IF_ELEMENTWISE(...) __VA_ARGS__
+#define CORE_IF_CHANNEL(...)
+#define CORE_IF_RADII(...)
+#define CORE_QUANTITY(bit, IDENT, name, unit, SHAPE) CORE_IF_##SHAPE(CORE_ELEMENTWISE_##IDENT, )
+enum core_elementwise {
+#include "core/choices.def"
+  CORE_ELEMENTWISE_COUNT
+};
+
 /* coefficients as preparation left them; in and out do not overlap, any alignment, any n. */
+typedef void core_kernel_f64(const double *coefficients, size_t n, const double *in, double *out);
+typedef void core_kernel_f32(const float *coefficients, size_t n, const float *in, float *out);
+
 typedef struct core_kernels_f64 {
-  void (*R)(const double *coefficients, size_t n, const double *r, double *R);
-  void (*cdf)(const double *coefficients, size_t n, const double *r, double *cdf);
+  core_kernel_f64 *evaluate[CORE_ELEMENTWISE_COUNT]; /* in: radii in mm */
+  core_kernel_f64 *sample;                           /* in: cdf values; out: radii in mm */
 } core_kernels_f64;
 
 typedef struct core_kernels_f32 {
-  void (*R)(const float *coefficients, size_t n, const float *r, float *R);
-  void (*cdf)(const float *coefficients, size_t n, const float *r, float *cdf);
+  core_kernel_f32 *evaluate[CORE_ELEMENTWISE_COUNT];
+  core_kernel_f32 *sample;
 } core_kernels_f32;
 
 /* One model on one instruction set. */

@@ -68,24 +68,35 @@ core_fault core_profile_prepare(core_profile *profile, const core_isa *isa, unsi
   return (core_fault){0};
 }
 
-void core_eval_f64(const core_profile *profile, size_t n, const double *r, double *R, double *cdf) {
-  assert(profile->evaluator == CORE_EVALUATOR_F64);
-  const core_kernels_f64 *kernels = profile->kernels->f64;
-  if (R != NULL) {
-    kernels->R(profile->coefficients.f64, n, r, R);
-  }
-  if (cdf != NULL) {
-    kernels->cdf(profile->coefficients.f64, n, r, cdf);
+static enum core_elementwise position(enum core_quantity quantity) {
+  switch (quantity) {
+#define CORE_QUANTITY(bit, IDENT, name, unit, SHAPE)                                               \
+  CORE_IF_##SHAPE(case CORE_QUANTITY_##IDENT : return CORE_ELEMENTWISE_##IDENT;)
+#include "core/choices.def"
+  default:
+    assert(!"an elementwise quantity");
+    return CORE_ELEMENTWISE_COUNT;
   }
 }
 
-void core_eval_f32(const core_profile *profile, size_t n, const float *r, float *R, float *cdf) {
+void core_eval_f64(const core_profile *profile, enum core_quantity quantity, size_t n,
+                   const double *r, double *out) {
+  assert(profile->evaluator == CORE_EVALUATOR_F64);
+  profile->kernels->f64->evaluate[position(quantity)](profile->coefficients.f64, n, r, out);
+}
+
+void core_eval_f32(const core_profile *profile, enum core_quantity quantity, size_t n,
+                   const float *r, float *out) {
   assert(profile->evaluator == CORE_EVALUATOR_F32);
-  const core_kernels_f32 *kernels = profile->kernels->f32;
-  if (R != NULL) {
-    kernels->R(profile->coefficients.f32, n, r, R);
-  }
-  if (cdf != NULL) {
-    kernels->cdf(profile->coefficients.f32, n, r, cdf);
-  }
+  profile->kernels->f32->evaluate[position(quantity)](profile->coefficients.f32, n, r, out);
+}
+
+void core_sample_f64(const core_profile *profile, size_t n, const double *u, double *r) {
+  assert(profile->evaluator == CORE_EVALUATOR_F64);
+  profile->kernels->f64->sample(profile->coefficients.f64, n, u, r);
+}
+
+void core_sample_f32(const core_profile *profile, size_t n, const float *u, float *r) {
+  assert(profile->evaluator == CORE_EVALUATOR_F32);
+  profile->kernels->f32->sample(profile->coefficients.f32, n, u, r);
 }

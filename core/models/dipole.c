@@ -27,14 +27,19 @@
 
 /* What preparation leaves for the kernels; lengths in units of z1. */
 enum coefficient {
-  SIGMA_T_PRIME, /* 1/mm: what turns a radius into units of z1 */
-  MU,            /* effective attenuation, per z1 */
-  Z2,            /* height of the mirror source */
+  SIGMA_T_PRIME,  /* 1/mm: what turns a radius into units of z1 */
+  MEAN_FREE_PATH, /* mm: what turns it back */
+  MU,             /* effective attenuation, per z1 */
+  INVERSE_MU,     /* or a number so large that it stands for infinity */
+  Z2,             /* height of the mirror source */
   Z2_SQUARED,
   Z2_LESS_1, /* z2 - z1 */
   Z2_SQUARED_LESS_1,
   SCALE, /* p sigma_t'^2 / (4 pi) = SCALE 2^SCALE_EXPONENT, SCALE at least 1 (or 0) */
   SCALE_EXPONENT,
+  SLOPE_SCALE, /* p sigma_t'^3 / (4 pi), SLOPE_SCALE in [1, 2) (or 0) */
+  SLOPE_EXPONENT,
+  PDF_SCALE,    /* p sigma_t' / (2 albedo) */
   PHI,          /* C_phi / D */
   FLUX,         /* C_E */
   CDF_FLUX_1,   /* shares of the energy, over the albedo: flux of the real source, */
@@ -42,6 +47,8 @@ enum coefficient {
   CDF_PHI_FAR,  /* fluence, by the attenuation of the sources' own depths */
   CDF_PHI_NEAR, /* and by their difference in distance */
   CDF_LIMIT,    /* the cdf at infinity: 1, or 0 when nothing scatters */
+  CORE,         /* the cdf is at most x^2 / CORE, and near that for small x */
+  TAIL,         /* 1 - cdf is at most TAIL / d1 e^(-mu (d1 - 1)) */
   COEFFICIENTS
 };
 _Static_assert((int)COEFFICIENTS <= CORE_COEFFICIENTS_MAX, "the profile has room for them");
@@ -53,63 +60,186 @@ _Static_assert((int)COEFFICIENTS <= CORE_COEFFICIENTS_MAX, "the profile has room
 
 #include "core/kernel.h"
 
-/* Radii beyond this many z1 are as good as infinite, in R (which has underflowed) and in the cdf
- * (which has rounded to its limit); below it no square overflows. */
+/* FAR: radii beyond this many z1 are as good as infinite, in R (which has underflowed) and in the
+ * cdf (which has rounded to its limit); below it no square overflows. LN_R_FAR: below it ln R is
+ * taken of numbers that have not underflowed. SMALL_U: below it the cdf is x^2 / CORE to the last
+ * digit. SAMPLE_STEPS: what Newton's method needs at most, and one more; see dipole_sample(). */
 #if CORE_REAL == 64
 #define FAR 1e150
+#define LN_R_FAR 1e100
+#define SMALL_U 1e-30
+#define BRACKET_SLACK 1e-13
+enum { SAMPLE_STEPS = 9 };
 #else
 #define FAR 1e19f
+#define LN_R_FAR 1e12f
+#define SMALL_U 1e-13f
+#define BRACKET_SLACK 1e-5f
+enum { SAMPLE_STEPS = 7 };
 #endif
 
-static inline real dipole_R(const real *c, real r) {
-  const real x = real_min(r * c[SIGMA_T_PRIME], FAR);
-  const real mu = c[MU];
-  const real d1 = real_sqrt(real_fma(x, x, 1));
-  const real d2 = real_sqrt(real_fma(x, x, c[Z2_SQUARED]));
-  const real inverse_d1_d2 = 1 / (d1 * d2);
-  const real inverse_d1 = inverse_d1_d2 * d2;
-  const real inverse_d2 = inverse_d1_d2 * d1;
-  const real apart = c[Z2_SQUARED_LESS_1] / (d1 + d2);
-  const real_exp_values mirror = real_exp(-mu * apart);
+/* A radius as seen from both sources. */
+struct view {
+  real x;
+  real d1;
+  real d2;
+  real inverse_d1;
+  real inverse_d2;
+  real apart;             /* d2 - d1 */
+  real_exp_values mirror; /* e^(-mu (d2 - d1)) */
+};
 
-  const real phi = c[PHI] * inverse_d2 * real_fma(d1, mirror.one_minus_exp, apart);
-  const real flux1 = real_fma(mu, d1, 1) * inverse_d1 * inverse_d1;
-  const real flux2 = c[Z2] * real_fma(mu, d2, 1) * inverse_d2 * inverse_d2;
-  const real flux = real_fma(flux2 * (inverse_d2 * d1), mirror.exp, flux1);
-  const real sum = real_fma(c[FLUX], flux, phi);
-  return real_times_exp(c[SCALE] * inverse_d1 * sum, -mu * d1, c[SCALE_EXPONENT]);
+static inline struct view look(const real *c, real x) {
+  struct view v;
+  v.x = x;
+  v.d1 = real_sqrt(real_fma(x, x, 1));
+  v.d2 = real_sqrt(real_fma(x, x, c[Z2_SQUARED]));
+  const real inverse_d1_d2 = 1 / (v.d1 * v.d2);
+  v.inverse_d1 = inverse_d1_d2 * v.d2;
+  v.inverse_d2 = inverse_d1_d2 * v.d1;
+  v.apart = c[Z2_SQUARED_LESS_1] / (v.d1 + v.d2);
+  v.mirror = real_exp(-c[MU] * v.apart);
+  return v;
 }
 
-static inline real dipole_cdf(const real *c, real r) {
-  const real x = real_min(r * c[SIGMA_T_PRIME], FAR);
+/* The bracket of R times d1 e^(mu d1), for weights of its two parts. */
+static inline real bracket(const real *c, struct view v, real phi_weight, real flux_weight) {
   const real mu = c[MU];
-  const real d1 = real_sqrt(real_fma(x, x, 1));
-  const real d2 = real_sqrt(real_fma(x, x, c[Z2_SQUARED]));
-  const real inverse_d1_d2 = 1 / (d1 * d2);
-  const real slope1 = x / (d1 + 1);
-  const real slope2 = x / (d2 + c[Z2]);
-  const real apart = c[Z2_SQUARED_LESS_1] / (d1 + d2);
-  const real a1 = x * slope1;
-  const real a2 = x * slope2;
-  const real a1_less_a2 = slope1 * slope2 * (apart + c[Z2_LESS_1]);
+  const real phi = phi_weight * v.inverse_d2 * real_fma(v.d1, v.mirror.one_minus_exp, v.apart);
+  const real flux1 = real_fma(mu, v.d1, 1) * v.inverse_d1 * v.inverse_d1;
+  const real flux2 = c[Z2] * real_fma(mu, v.d2, 1) * v.inverse_d2 * v.inverse_d2;
+  const real flux = real_fma(flux2 * (v.inverse_d2 * v.d1), v.mirror.exp, flux1);
+  return real_fma(flux_weight, flux, phi);
+}
+
+static inline real dipole_R(const real *c, real r) {
+  const struct view v = look(c, real_min(r * c[SIGMA_T_PRIME], FAR));
+  const real sum = bracket(c, v, c[PHI], c[FLUX]);
+  return real_times_exp(c[SCALE] * v.inverse_d1 * sum, -c[MU] * v.d1, c[SCALE_EXPONENT]);
+}
+
+/* The density of radii, 2 pi r R / albedo. */
+static inline real dipole_pdf(const real *c, real r) {
+  const struct view v = look(c, real_min(r * c[SIGMA_T_PRIME], FAR));
+  const real sum = bracket(c, v, c[PHI], c[FLUX]);
+  return real_times_exp(c[PDF_SCALE] * (v.x * v.inverse_d1) * sum, -c[MU] * v.d1, 0);
+}
+
+static inline real dipole_ln_R(const real *c, real r) {
+  const real x = r * c[SIGMA_T_PRIME];
+  const struct view v = look(c, real_min(x, LN_R_FAR));
+  const real sum = bracket(c, v, c[PHI], c[FLUX]);
+  const real logarithm = real_log(c[SCALE] * v.inverse_d1 * sum, c[SCALE_EXPONENT]);
+  const real ln_R = real_fma(-c[MU], v.d1, logarithm);
+  return x < LN_R_FAR && c[CDF_LIMIT] > 0 ? ln_R : -(real)INFINITY;
+}
+
+/* Differentiated term by term; with f(d) = (1 + mu d) e^(-mu d) / d^3 the fluence's part is
+ * f(d1) - f(d2), again written as a sum of positive terms. All times d1 e^(mu d1). */
+static inline real dipole_slope(const real *c, real r) {
+  const struct view v = look(c, real_min(r * c[SIGMA_T_PRIME], FAR));
+  const real i1 = v.inverse_d1;
+  const real i2 = v.inverse_d2;
+  const real m1 = c[MU] * v.d1;
+  const real m2 = c[MU] * v.d2;
+  const real squares = real_fma(i1, i1, real_fma(i1, i2, i2 * i2));
+  const real gone = (1 + m2) * v.mirror.one_minus_exp * (v.d1 * i2) * (i2 * i2);
+  const real steeper = c[MU] * c[Z2_SQUARED_LESS_1] * i1 * (i2 * i2);
+  const real phi = c[PHI] * (real_fma(v.apart * i2, squares, steeper) + gone);
+  const real flux1 = real_fma(m1, m1 + 3, 3) * (i1 * i1) * (i1 * i1);
+  const real flux2 = c[Z2] * real_fma(m2, m2 + 3, 3) * (i2 * i2) * (i2 * i2) * (i2 * v.d1);
+  const real sum = real_fma(c[FLUX], real_fma(flux2, v.mirror.exp, flux1), phi);
+  return real_times_exp(-c[SLOPE_SCALE] * (v.x * i1) * sum, -m1, c[SLOPE_EXPONENT]);
+}
+
+/* The way from the sources' depths to their distances: what has been attenuated within r. */
+struct within {
+  real cdf;
+  real real_left; /* e^(-mu a1) */
+};
+
+static inline struct within gather(const real *c, struct view v) {
+  const real mu = c[MU];
+  const real slope1 = v.x / (v.d1 + 1);
+  const real slope2 = v.x / (v.d2 + c[Z2]);
+  const real a1 = v.x * slope1;
+  const real a2 = v.x * slope2;
+  const real a1_less_a2 = slope1 * slope2 * (v.apart + c[Z2_LESS_1]);
   const real_exp_values far = real_exp(-mu * a2);
   const real_exp_values near = real_exp(-mu * a1_less_a2);
 
   const real gone2 = far.one_minus_exp;
   const real near_length = a1_less_a2 * near.quotient; /* (1 - e^(-mu (a1 - a2))) / mu */
   const real gone1 = real_fma(mu * near_length, 1 - gone2, gone2); /* 1 - e^(-mu a1) */
-  const real flux1 = (a1 + gone1) * (inverse_d1_d2 * d2);
-  const real flux2 = real_fma(c[Z2], gone2, a2) * (inverse_d1_d2 * d1);
+  const real flux1 = (a1 + gone1) * v.inverse_d1;
+  const real flux2 = real_fma(c[Z2], gone2, a2) * v.inverse_d2;
   const real phi = real_fma(c[CDF_PHI_NEAR] * (1 - gone2), near_length, c[CDF_PHI_FAR] * gone2);
-  const real cdf = real_fma(c[CDF_FLUX_1], flux1, real_fma(c[CDF_FLUX_2], flux2, phi));
+  return (struct within){
+      .cdf = real_fma(c[CDF_FLUX_1], flux1, real_fma(c[CDF_FLUX_2], flux2, phi)),
+      .real_left = far.exp * near.exp,
+  };
+}
+
+static inline real dipole_cdf(const real *c, real r) {
+  const struct view v = look(c, real_min(r * c[SIGMA_T_PRIME], FAR));
+  const struct within within = gather(c, v);
   /* Rounding may leave the sum an ulp above its limit. */
-  return x < FAR ? real_min(cdf, c[CDF_LIMIT]) : c[CDF_LIMIT];
+  return v.x < FAR ? real_min(within.cdf, c[CDF_LIMIT]) : c[CDF_LIMIT];
+}
+
+/* The inverse of the cdf, by Newton's method on ln(cdf / (1 - cdf)) over ln x, which is nearly a
+ * straight line: its slope is 2 at the source, 1 in a tail without absorption, and 1 + mu x in a
+ * tail with it. The root is bracketed from the start (R falls with r, so cdf <= x^2 / CORE; and 1 -
+ * cdf <= TAIL / d1 e^(-mu (d1 - 1)), as e^(-mu d) / d does) and the bracket shrinks with every
+ * step; a step that would leave it halves it instead. Over the whole domain no start needs more
+ * than SAMPLE_STEPS - 1 steps; tests/accuracy measures that. 1 - cdf is summed from what lies
+ * beyond r, so that both tails keep their digits. */
+static inline real dipole_sample(const real *c, real u) {
+  const real inside = real_max(u, SMALL_U);
+  const real outside = real_max(1 - inside, REAL_HALF_EPSILON);
+  const real wanted = real_log(inside / outside, 0);
+  const real spread = c[TAIL] / outside;
+  real low = real_sqrt(inside * c[CORE]);
+  real high = real_max(real_min(spread, real_fma(real_log(spread, 0), c[INVERSE_MU], 1)), low);
+  real x = real_min(low * real_sqrt(1 / outside), high);
+  for (int step = 0; step < SAMPLE_STEPS; step++) {
+    const struct view v = look(c, x);
+    const struct within within = gather(c, v);
+    const real flux_beyond = real_fma(c[Z2] * v.inverse_d2, v.mirror.exp, v.inverse_d1);
+    const real phi_beyond = c[CDF_PHI_NEAR] * v.apart * v.mirror.quotient;
+    const real beyond = within.real_left * real_fma(c[CDF_FLUX_1], flux_beyond, phi_beyond);
+    const real density =
+        x * v.inverse_d1 * within.real_left * bracket(c, v, c[CDF_PHI_NEAR], c[CDF_FLUX_1]);
+    const real excess = real_log(within.cdf / beyond, 0) - wanted;
+    low = excess < 0 ? x : low;
+    high = excess < 0 ? high : x;
+    const real newton = -excess * (within.cdf * beyond) / (x * density);
+    const real next = x * real_exp(real_max(real_min(newton, 5), -5)).exp;
+    /* At the root rounding decides which side x is taken for; that must not throw it out. */
+    const int kept = next > low * (1 - BRACKET_SLACK) && next < high * (1 + BRACKET_SLACK);
+    x = kept ? next : real_sqrt(low * high);
+  }
+  x = u < SMALL_U ? real_sqrt(u * c[CORE]) : x;
+  const real r = x * c[MEAN_FREE_PATH];
+  const real bounded = u < 1 ? r : (real)INFINITY;
+  return c[CDF_LIMIT] > 0 && u > 0 ? bounded : 0;
 }
 
 CORE_KERNEL(eval_R, dipole_R)
 CORE_KERNEL(eval_cdf, dipole_cdf)
+CORE_KERNEL(eval_slope, dipole_slope)
+CORE_KERNEL(eval_ln_R, dipole_ln_R)
+CORE_KERNEL(eval_pdf, dipole_pdf)
+CORE_KERNEL(sample, dipole_sample)
 
-CORE_KERNEL_TABLE(dipole, .R = eval_R, .cdf = eval_cdf);
+CORE_KERNEL_TABLE(dipole, .sample = sample,
+                  .evaluate = {
+                      [CORE_ELEMENTWISE_R] = eval_R,
+                      [CORE_ELEMENTWISE_CDF] = eval_cdf,
+                      [CORE_ELEMENTWISE_SLOPE] = eval_slope,
+                      [CORE_ELEMENTWISE_LN_R] = eval_ln_R,
+                      [CORE_ELEMENTWISE_PDF] = eval_pdf,
+                  });
 
 #else /* ---- preparation, compiled once                                                           \
          ----------------------------------------------------------- */
@@ -160,15 +290,19 @@ static struct dipole table_2(int variant, enum core_moments moments, const core_
   return dipole;
 }
 
-static void set_scale(const struct dipole *dipole, double *c) {
+/* value = mantissa 2^exponent, mantissa at least 1 and below most; 0 stays 0. */
+static void set_scaled(double value, double most, double *mantissa, double *exponent) {
+  const int power = value > 0 && !(value >= 1 && value < most) ? ilogb(value) : 0;
+  *mantissa = ldexp(value, -power);
+  *exponent = power;
+}
+
+static void set_scales(const struct dipole *dipole, double *c) {
   const dd squared = dd_mul(dipole->sigma_t_prime, dipole->sigma_t_prime);
-  const double scale = dd_round(dd_div(dd_mul(dipole->albedo_prime_power, squared), FOUR_PI));
-  int exponent = 0;
-  if (scale < 1 && scale > 0) {
-    exponent = ilogb(scale);
-  }
-  c[SCALE] = ldexp(scale, -exponent);
-  c[SCALE_EXPONENT] = exponent;
+  const dd scale = dd_div(dd_mul(dipole->albedo_prime_power, squared), FOUR_PI);
+  const dd slope_scale = dd_mul(scale, dipole->sigma_t_prime);
+  set_scaled(dd_round(scale), 1e30, &c[SCALE], &c[SCALE_EXPONENT]);
+  set_scaled(dd_round(slope_scale), 2, &c[SLOPE_SCALE], &c[SLOPE_EXPONENT]);
 }
 
 /* The closed forms of the albedo and of the energy within r, divided by the albedo. In
@@ -196,7 +330,19 @@ static double set_energy(const struct dipole *dipole, double *c) {
   c[CDF_FLUX_2] = scatters ? dd_round(dd_div(dd_mul(dipole->c_flux, mirror_share), sum)) : 0;
   c[CDF_PHI_FAR] = scatters ? dd_round(dd_div(between, sum)) : 0;
   c[CDF_PHI_NEAR] = scatters ? dd_round(dd_div(dd_mul(phi, real_share), sum)) : 0;
+  c[PDF_SCALE] = scatters ? dd_round(dd_div(dipole->sigma_t_prime, sum)) : 0;
   return dd_round(albedo);
+}
+
+/* What brackets the inverse of the cdf; bounds, so plain double will do. */
+static void set_bracket(double *c) {
+  const double z2 = c[Z2];
+  const real_exp_values mirror = real_exp(-c[MU] * c[Z2_LESS_1]);
+  const double phi = c[CDF_PHI_NEAR] * (c[Z2_LESS_1] + mirror.one_minus_exp) / z2;
+  const double flux = c[CDF_FLUX_1] * (1 + c[MU] + (1 + c[MU] * z2) / (z2 * z2) * mirror.exp);
+  c[CORE] = phi + flux > 0 ? 2 / (phi + flux) : 0;
+  c[TAIL] = c[CDF_FLUX_1] * (1 + z2) + 0.5 * c[CDF_PHI_NEAR] * c[Z2_SQUARED_LESS_1];
+  c[INVERSE_MU] = fmin(1 / c[MU], 1e30);
 }
 
 core_prepare_function core_dipole_prepare;
@@ -212,8 +358,10 @@ void core_dipole_prepare(int variant, enum core_moments moments, const core_medi
   c[Z2_SQUARED] = dd_round(dd_mul(z2, z2));
   c[Z2_LESS_1] = dd_round(dipole.z2_less_1);
   c[Z2_SQUARED_LESS_1] = dd_round(dd_mul(dipole.z2_less_1, z2_plus_1));
-  set_scale(&dipole, c);
+  c[MEAN_FREE_PATH] = dd_round(dd_div(ONE, dipole.sigma_t_prime));
+  set_scales(&dipole, c);
   preparation->albedo = set_energy(&dipole, c);
+  set_bracket(c);
   /* 1 + mu_tr d1 <= 1 + mu_tr (z1 + r) */
   preparation->error_epsilons = DIPOLE_ERROR_EPSILONS * (1 + c[MU]);
   preparation->error_epsilons_per_mm = DIPOLE_ERROR_EPSILONS * c[MU] * c[SIGMA_T_PRIME];
