@@ -36,6 +36,20 @@ const core_choice core_spacings[] = {
     END,
 };
 
+#define ELEMENTWISE true
+#define CHANNEL false
+#define RADII false
+bool core_quantity_elementwise(unsigned bit) {
+  switch (bit) {
+#define CORE_QUANTITY(bit, IDENT, name, unit, SHAPE)                                               \
+  case bit:                                                                                        \
+    return SHAPE;
+#include "core/choices.def"
+  default:
+    return false;
+  }
+}
+
 const core_choice *core_choice_by_id(const core_choice *list, unsigned id) {
   for (; list->name != NULL; list++) {
     if (list->id == id) {

@@ -72,6 +72,9 @@ extern const core_choice core_spacings[];
 const core_choice *core_choice_by_id(const core_choice *list, unsigned id);
 const core_choice *core_choice_by_name(const core_choice *list, const char *name);
 
+/* True for quantities with one value for each radius and channel. bit: of the list. */
+bool core_quantity_elementwise(unsigned bit);
+
 /* ---- faults -----------------------------------------------------------------------------------
  */
 

@@ -2,10 +2,6 @@
 
 #include <stdio.h>
 
-/* Quantities with one value per radius and channel, in the order of their arrays in a reply. */
-static const enum core_quantity elementwise[] = {CORE_QUANTITY_R, CORE_QUANTITY_CDF};
-enum { ELEMENTWISE = sizeof elementwise / sizeof elementwise[0] };
-
 static unsigned all_quantities(void) {
   unsigned all = 0;
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
@@ -23,6 +19,10 @@ size_t eval_value_bytes(unsigned evaluator) {
   default:
     return 0;
   }
+}
+
+bool eval_is_array(unsigned wanted, unsigned quantity) {
+  return (wanted & quantity) != 0 && core_quantity_elementwise(quantity);
 }
 
 uint64_t eval_request_bytes(uint32_t medium_count, uint64_t radii_bytes) {
@@ -127,8 +127,8 @@ bool eval_reply_layout(unsigned evaluator, unsigned wanted, uint32_t channel_cou
                        uint64_t radius_count, uint64_t max_payload_bytes, eval_layout *layout) {
   const size_t value_bytes = eval_value_bytes(evaluator);
   *layout = (eval_layout){.channels_offset = WIRE_BYTES_eval_reply};
-  for (size_t i = 0; i < ELEMENTWISE; i++) {
-    layout->arrays_per_channel += (wanted & elementwise[i]) != 0;
+  for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
+    layout->arrays_per_channel += eval_is_array(wanted, quantity->id);
   }
   const bool radii_wanted = (wanted & CORE_QUANTITY_RADIUS) != 0;
   /* At most 2^32 channels of 32 bytes and 2 arrays each: nothing here can wrap before the arrays'
@@ -151,8 +151,8 @@ bool eval_reply_layout(unsigned evaluator, unsigned wanted, uint32_t channel_cou
 uint64_t eval_array_offset(const eval_layout *layout, unsigned wanted, uint32_t channel,
                            enum core_quantity quantity) {
   uint64_t array = (uint64_t)channel * layout->arrays_per_channel;
-  for (size_t i = 0; i < ELEMENTWISE && elementwise[i] != quantity; i++) {
-    array += (wanted & elementwise[i]) != 0;
+  for (const core_choice *before = core_quantities; before->id != (unsigned)quantity; before++) {
+    array += eval_is_array(wanted, before->id);
   }
   return layout->arrays_offset + array * layout->array_bytes;
 }

@@ -43,7 +43,11 @@ typedef struct eval_layout {
 bool eval_reply_layout(unsigned evaluator, unsigned wanted, uint32_t channel_count,
                        uint64_t radius_count, uint64_t max_payload_bytes, eval_layout *layout);
 
-/* Offset of a channel's array for an elementwise quantity (R or CDF) that is wanted. */
+/* True when a reply has an array of this quantity for each channel. */
+bool eval_is_array(unsigned wanted, unsigned quantity);
+
+/* Offset of a channel's array of a quantity for which eval_is_array(). The arrays of a channel lie
+ * in the order of the list of quantities. */
 uint64_t eval_array_offset(const eval_layout *layout, unsigned wanted, uint32_t channel,
                            enum core_quantity quantity);
 

@@ -143,15 +143,6 @@ static const void *slice_radii(const struct job *job, struct job_scratch *scratc
   return scratch->radii;
 }
 
-static void *slice_array(const struct job *job, enum core_quantity quantity) {
-  const unsigned wanted = job->request.fixed.wanted;
-  if ((wanted & quantity) == 0) {
-    return NULL;
-  }
-  return job->reply + eval_array_offset(&job->layout, wanted, job->channel, quantity) +
-         (size_t)job->index * value_bytes(job);
-}
-
 static void start_channel(struct job *job, const struct server *server) {
   const wire_eval_request *fixed = &job->request.fixed;
   const core_medium medium = medium_at(job, job->channel);
@@ -170,24 +161,32 @@ static void start_channel(struct job *job, const struct server *server) {
                    &channel);
 }
 
+/* Evaluates the n radii of a slice for every array that is wanted. */
 static void evaluate(struct job *job, struct job_scratch *scratch, size_t n) {
   const void *r = slice_radii(job, scratch, n);
-  void *R = slice_array(job, CORE_QUANTITY_R);
-  void *cdf = slice_array(job, CORE_QUANTITY_CDF);
-  if (job->request.fixed.evaluator == CORE_EVALUATOR_F32) {
-    core_eval_f32(&job->profile, n, r, R, cdf);
-  } else {
-    core_eval_f64(&job->profile, n, r, R, cdf);
+  const unsigned wanted = job->request.fixed.wanted;
+  const size_t done = (size_t)job->index * value_bytes(job);
+  for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
+    if (!eval_is_array(wanted, quantity->id)) {
+      continue;
+    }
+    void *to =
+        job->reply + eval_array_offset(&job->layout, wanted, job->channel, quantity->id) + done;
+    if (job->request.fixed.evaluator == CORE_EVALUATOR_F32) {
+      core_eval_f32(&job->profile, quantity->id, n, r, to);
+    } else {
+      core_eval_f64(&job->profile, quantity->id, n, r, to);
+    }
   }
 }
 
+/* The arrays of a channel lie one behind the other. */
 static void pad_channel(const struct job *job) {
-  static const enum core_quantity quantities[] = {CORE_QUANTITY_R, CORE_QUANTITY_CDF};
-  for (size_t i = 0; i < sizeof quantities / sizeof quantities[0]; i++) {
-    if (job->request.fixed.wanted & quantities[i]) {
-      pad(job,
-          eval_array_offset(&job->layout, job->request.fixed.wanted, job->channel, quantities[i]));
-    }
+  const uint64_t channel_bytes = job->layout.arrays_per_channel * job->layout.array_bytes;
+  uint64_t offset = job->layout.arrays_offset + job->channel * channel_bytes;
+  for (unsigned array = 0; array < job->layout.arrays_per_channel; array++) {
+    pad(job, offset);
+    offset += job->layout.array_bytes;
   }
 }
 

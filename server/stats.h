@@ -36,7 +36,7 @@ static inline uint64_t stats_get(const struct stats *stats, enum stats_index ind
   return atomic_load_explicit(&stats->values[index], memory_order_relaxed);
 }
 
-void stats_count_request(struct stats *stats, unsigned type); /* a type of the list */
+void stats_count_request(struct stats *stats, unsigned type);  /* a type of the list */
 void stats_count_answer(struct stats *stats, unsigned status); /* a status of the list */
 
 /* index < STATS_COUNT: the name on the wire, and the value now. */
