@@ -59,7 +59,7 @@ LIBRARY := $(call objects,$(wildcard clients/c/*.c))
 CLI := $(call objects,$(wildcard clients/cli/*.c))
 BENCH := $(call objects,$(wildcard tests/bench/*.c))
 TESTS := $(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/unit/test_*.c tests/accuracy/test_*.c tests/fuzz/test_*.c))
-TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/bench/*.c),$(wildcard tests/*/*.c)))
+TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/bench/*.c tests/bits/*.c),$(wildcard tests/*/*.c)))
 
 PROGRAMS := $(BUILD)/dipoled $(BUILD)/dipole $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so $(BUILD)/dipole.pc
@@ -116,6 +116,10 @@ $(BUILD)/bench: $(BENCH) $(BUILD)/libdipole.a
 	$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
 
 $(BUILD)/wire-tables: $(OBJ)/proto/tools/wire_tables.o $(BUILD)/libproto.a $(BUILD)/libcore.a
+	$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
+
+$(BUILD)/tests/bits: $(OBJ)/tests/bits/bits.o $(BUILD)/libcore.a
+	@mkdir -p $(@D)
 	$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
 
 $(BUILD)/tests/%: $(OBJ)/tests/%.o $(TEST_SUPPORT) $(BUILD)/libdipole.a
