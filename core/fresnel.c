@@ -41,86 +41,106 @@ static const double gauss[NODES][2] = {
     {0.09501250983763744018, 0.18945061045506849628},
 };
 
-/* What does not change along the integral. */
+/* What does not change along the integral, in double-double: an error in it would not average out
+ * as the nodes' own roundings do. */
 struct boundary {
-  double eta;
-  double eta_squared;
-  double v0;
+  bool denser_inside; /* eta > 1 */
+  dd eta_squared;
+  dd v0;
 };
 
-/* Sums of 1 - F times 2 mu dmu and times 3 mu^2 dmu, without the powers of (eta + 1) / (2 eta). */
+/* Sums of 1 - F times 2 mu dmu and times 3 mu^2 dmu, without the factors that are the same for all
+ * nodes of a range. */
 struct moments {
   dd first;
   dd second;
 };
 
-/* weight: of dv / v0 at v = 1 - u; ratio: v / v0 */
-static void add_node(const struct boundary *b, double weight, double ratio, double u,
+/* weight: of dv; v and u = 1 - v */
+static void add_node(const struct boundary *b, double weight, double v, double u,
                      struct moments *sum) {
   const double grazing = u * (2 - u);
   const double larger = 2 - u;
-  const double p_amplitude = b->eta > 1 ? larger + b->eta_squared * u : u + b->eta_squared * larger;
-  const double p_transmitted = 4 * b->eta_squared * grazing / (p_amplitude * p_amplitude);
+  const double amplitude = b->denser_inside
+                               ? fma(b->eta_squared.hi, u, larger) + b->eta_squared.lo * u
+                               : fma(b->eta_squared.hi, larger, u) + b->eta_squared.lo * larger;
+  const double shared = 4 * grazing / (amplitude * amplitude);
+  const double p_transmitted = fma(shared, b->eta_squared.hi, shared * b->eta_squared.lo);
   const double transmitted = 0.5 * (grazing + p_transmitted);
-  const double measure = weight * grazing / (ratio * ratio);
-  const double mu = (b->eta > 1 ? larger : u) / sqrt(ratio);
-  sum->first = dd_add(sum->first, dd_from(measure * transmitted));
-  sum->second = dd_add(sum->second, dd_from(measure * transmitted * mu));
+  const double measured = weight * grazing / (v * v) * transmitted;
+  const double mu = (b->denser_inside ? larger : u) / sqrt(v);
+  sum->first = dd_add(sum->first, dd_from(measured));
+  sum->second = dd_add(sum->second, dd_from(measured * mu));
 }
 
-/* from and to: in v / v0 */
-static void add_panel_in_v(const struct boundary *b, double from, double to, struct moments *sum) {
-  const double half = 0.5 * (to - from);
-  const double middle = 0.5 * (to + from);
-  for (int i = 0; i < 2 * NODES; i++) {
-    const double *node = gauss[i / 2];
-    const double ratio = middle + (i % 2 ? half : -half) * node[0];
-    add_node(b, half * node[1], ratio, 1 - b->v0 * ratio, sum);
+/* The part near normal incidence, where v may be tiny: in ratio = v / v0, panels that double away
+ * from v = 0. */
+static struct moments sum_near_normal(const struct boundary *b) {
+  struct moments sum = {{0, 0}, {0, 0}};
+  const double end = 0.5 / dd_round(b->v0);
+  for (double from = 1; from < end; from *= 2) {
+    const double to = fmin(2 * from, end);
+    const double half = 0.5 * (to - from);
+    const double middle = 0.5 * (to + from);
+    for (int i = 0; i < 2 * NODES; i++) {
+      const double *node = gauss[i / 2];
+      const double ratio = fma(i % 2 ? half : -half, node[0], middle);
+      const double u = fma(-b->v0.hi, ratio, 1) - b->v0.lo * ratio;
+      add_node(b, half * node[1], ratio, u, &sum);
+    }
   }
+  return sum;
 }
 
-/* from and to: in u */
-static void add_panel_in_u(const struct boundary *b, double from, double to, struct moments *sum) {
-  const double half = 0.5 * (to - from);
-  const double middle = 0.5 * (to + from);
-  for (int i = 0; i < 2 * NODES; i++) {
-    const double *node = gauss[i / 2];
-    const double u = middle + (i % 2 ? half : -half) * node[0];
-    add_node(b, half * node[1] / b->v0, (1 - u) / b->v0, u, sum);
+/* The part towards grazing incidence: in share = u / end, panels that double away from the pole
+ * beyond u = 0. */
+static struct moments sum_near_grazing(const struct boundary *b, dd end, double pole) {
+  struct moments sum = {{0, 0}, {0, 0}};
+  double from = 0;
+  double to = fmin(pole / dd_round(end), 1);
+  while (from < 1) {
+    const double half = 0.5 * (to - from);
+    const double middle = 0.5 * (to + from);
+    for (int i = 0; i < 2 * NODES; i++) {
+      const double *node = gauss[i / 2];
+      const double share = fma(i % 2 ? half : -half, node[0], middle);
+      const double u = fma(end.hi, share, end.lo * share);
+      add_node(b, half * node[1], 1 - u, u, &sum);
+    }
+    from = to;
+    to = fmin(2 * to, 1);
   }
+  return sum;
 }
 
 static core_fresnel exact_moments(double eta) {
   if (eta == 1) {
     return (core_fresnel){1, 1};
   }
-  const double difference = fabs(eta - 1);
-  const struct boundary b = {eta, eta * eta, difference / (eta + 1)};
-  const double u0 = (eta > 1 ? 2 : 2 * eta) / (eta + 1);
-  struct moments sum = {{0, 0}, {0, 0}};
+  const dd eta_plus_1 = dd_two_sum(eta, 1);
+  const dd difference = eta > 1 ? dd_two_sum(eta, -1) : dd_two_sum(1, -eta);
+  const struct boundary b = {
+      .denser_inside = eta > 1,
+      .eta_squared = dd_two_product(eta, eta),
+      .v0 = dd_div(difference, eta_plus_1),
+  };
+  const dd u0 = dd_div(dd_from(eta > 1 ? 2 : 2 * eta), eta_plus_1);
+  const dd end = dd_round(u0) < 0.5 ? u0 : dd_from(0.5);
+  const double pole = 2 * fmin(1, eta * eta) / (difference.hi * eta_plus_1.hi);
+  const struct moments normal = sum_near_normal(&b);
+  const struct moments grazing = sum_near_grazing(&b, end, pole);
 
-  /* Near normal incidence, where v may be tiny: panels that double away from v = 0, in v / v0. */
-  const double half_ratio = 0.5 / b.v0;
-  for (double from = 1; from < half_ratio; from *= 2) {
-    add_panel_in_v(&b, from, fmin(2 * from, half_ratio), &sum);
-  }
-  /* Towards grazing incidence: panels that double away from the pole beyond u = 0. */
-  const double u_end = fmin(u0, 0.5);
-  const double pole = 2 * fmin(1, b.eta_squared) / (difference * (eta + 1));
-  double to = fmin(pole, u_end);
-  add_panel_in_u(&b, 0, to, &sum);
-  while (to < u_end) {
-    const double from = to;
-    to = fmin(2 * from, u_end);
-    add_panel_in_u(&b, from, to, &sum);
-  }
-
-  const dd half_sum = dd_scale(dd_div(dd_two_sum(eta, 1), dd_from(eta)), 0.5);
+  /* dv = v0 dratio and v0 / v^2 = 1 / (v0 ratio^2); du = end dshare */
+  const dd root = dd_sqrt(b.v0);
+  const dd weight = dd_mul(b.v0, end);
+  const dd first = dd_add(normal.first, dd_mul(weight, grazing.first));
+  const dd second = dd_add(normal.second, dd_mul(dd_mul(weight, root), grazing.second));
+  const dd half_sum = dd_scale(dd_div(eta_plus_1, dd_from(eta)), 0.5);
   const dd squared = dd_mul(half_sum, half_sum);
+  const dd cubed = dd_mul(squared, half_sum);
   return (core_fresnel){
-      .one_minus_2c1 = dd_round(dd_mul(squared, sum.first)),
-      .one_minus_3c2 =
-          dd_round(dd_mul(dd_from(1.5), dd_mul(dd_mul(squared, half_sum), sum.second))),
+      .one_minus_2c1 = dd_round(dd_mul(squared, first)),
+      .one_minus_3c2 = dd_round(dd_mul(dd_from(1.5), dd_mul(cubed, second))),
   };
 }
 

@@ -25,30 +25,35 @@
  */
 #include "core/kernels.h"
 
-/* What preparation leaves for the kernels; lengths in units of z1. */
+/* The unit of length in the kernels is z1 / Z1: so small a Z1 that in single precision no square of
+ * a distance overflows before R has underflowed. A power of two, so that it changes no digit. */
+#define Z1 0x1p-24
+
+/* What preparation leaves for the kernels; lengths in that unit. */
 enum coefficient {
-  SIGMA_T_PRIME,  /* 1/mm: what turns a radius into units of z1 */
-  MEAN_FREE_PATH, /* mm: what turns it back */
-  MU,             /* effective attenuation, per z1 */
-  INVERSE_MU,     /* or a number so large that it stands for infinity */
-  Z2,             /* height of the mirror source */
+  UNITS_PER_MM,
+  MM_PER_UNIT,
+  MU,         /* effective attenuation */
+  INVERSE_MU, /* or a number so large that it stands for infinity */
+  Z2,         /* height of the mirror source */
+  Z2_OVER_Z1,
+  Z2_LESS_Z1,
   Z2_SQUARED,
-  Z2_LESS_1, /* z2 - z1 */
-  Z2_SQUARED_LESS_1,
-  SCALE, /* p sigma_t'^2 / (4 pi) = SCALE 2^SCALE_EXPONENT, SCALE at least 1 (or 0) */
+  Z2_SQUARED_LESS_Z1_SQUARED,
+  SCALE, /* p / (4 pi), in 1/mm^2: SCALE 2^SCALE_EXPONENT, SCALE at least 1 (or 0) */
   SCALE_EXPONENT,
-  SLOPE_SCALE, /* p sigma_t'^3 / (4 pi), SLOPE_SCALE in [1, 2) (or 0) */
+  SLOPE_SCALE, /* the same in 1/mm^3 */
   SLOPE_EXPONENT,
-  PDF_SCALE,    /* p sigma_t' / (2 albedo) */
+  PDF_SCALE,    /* p / (2 albedo), in 1/mm */
   PHI,          /* C_phi / D */
-  FLUX,         /* C_E */
+  FLUX,         /* C_E z1 */
   CDF_FLUX_1,   /* shares of the energy, over the albedo: flux of the real source, */
   CDF_FLUX_2,   /* of the mirror source, */
   CDF_PHI_FAR,  /* fluence, by the attenuation of the sources' own depths */
   CDF_PHI_NEAR, /* and by their difference in distance */
   CDF_LIMIT,    /* the cdf at infinity: 1, or 0 when nothing scatters */
   CORE,         /* the cdf is at most x^2 / CORE, and near that for small x */
-  TAIL,         /* 1 - cdf is at most TAIL / d1 e^(-mu (d1 - 1)) */
+  TAIL,         /* 1 - cdf is at most TAIL / d1 e^(-mu (d1 - z1)) */
   COEFFICIENTS
 };
 _Static_assert((int)COEFFICIENTS <= CORE_COEFFICIENTS_MAX, "the profile has room for them");
@@ -60,19 +65,22 @@ _Static_assert((int)COEFFICIENTS <= CORE_COEFFICIENTS_MAX, "the profile has room
 
 #include "core/kernel.h"
 
-/* FAR: radii beyond this many z1 are as good as infinite, in R (which has underflowed) and in the
- * cdf (which has rounded to its limit); below it no square overflows. LN_R_FAR: below it ln R is
- * taken of numbers that have not underflowed. SMALL_U: below it the cdf is x^2 / CORE to the last
- * digit. SAMPLE_STEPS: what Newton's method needs at most, and one more; see dipole_sample(). */
+#define REAL_Z1 ((real)Z1)
+
+/* FAR: radii beyond it are as good as infinite, in R (which has underflowed) and in the cdf (which
+ * has rounded to its limit); up to it no product of two distances overflows. LN_R_FAR: up to it ln
+ * R is taken of numbers that have not underflowed. SMALL_U: below it the cdf is x^2 / CORE to the
+ * last digit. SAMPLE_STEPS: what Newton's method needs at most, and one more; see dipole_sample().
+ */
 #if CORE_REAL == 64
 #define FAR 1e150
-#define LN_R_FAR 1e100
+#define LN_R_FAR (REAL_Z1 * 1e100)
 #define SMALL_U 1e-30
 #define BRACKET_SLACK 1e-13
 enum { SAMPLE_STEPS = 9 };
 #else
 #define FAR 1e19f
-#define LN_R_FAR 1e12f
+#define LN_R_FAR (REAL_Z1 * 1e12f)
 #define SMALL_U 1e-13f
 #define BRACKET_SLACK 1e-5f
 enum { SAMPLE_STEPS = 7 };
@@ -92,62 +100,68 @@ struct view {
 static inline struct view look(const real *c, real x) {
   struct view v;
   v.x = x;
-  v.d1 = real_sqrt(real_fma(x, x, 1));
+  v.d1 = real_sqrt(real_fma(x, x, REAL_Z1 * REAL_Z1));
   v.d2 = real_sqrt(real_fma(x, x, c[Z2_SQUARED]));
   const real inverse_d1_d2 = 1 / (v.d1 * v.d2);
   v.inverse_d1 = inverse_d1_d2 * v.d2;
   v.inverse_d2 = inverse_d1_d2 * v.d1;
-  v.apart = c[Z2_SQUARED_LESS_1] / (v.d1 + v.d2);
+  v.apart = c[Z2_SQUARED_LESS_Z1_SQUARED] / (v.d1 + v.d2);
   v.mirror = real_exp(-c[MU] * v.apart);
   return v;
 }
 
-/* The bracket of R times d1 e^(mu d1), for weights of its two parts. */
-static inline real bracket(const real *c, struct view v, real phi_weight, real flux_weight) {
-  const real mu = c[MU];
-  const real phi = phi_weight * v.inverse_d2 * real_fma(v.d1, v.mirror.one_minus_exp, v.apart);
-  const real flux1 = real_fma(mu, v.d1, 1) * v.inverse_d1 * v.inverse_d1;
-  const real flux2 = c[Z2] * real_fma(mu, v.d2, 1) * v.inverse_d2 * v.inverse_d2;
-  const real flux = real_fma(flux2 * (v.inverse_d2 * v.d1), v.mirror.exp, flux1);
-  return real_fma(flux_weight, flux, phi);
+static inline struct view look_from(const real *c, real r) {
+  return look(c, real_min(r * c[UNITS_PER_MM], FAR));
+}
+
+/* scale times the bracket of R times d1 e^(mu d1), for weights of its two parts. The scale is
+ * multiplied in first, so that nothing underflows before the product does. */
+static inline real bracket(const real *c, struct view v, real scale, real phi_weight,
+                           real flux_weight) {
+  const real scaled_inverse_d2 = scale * v.inverse_d2;
+  const real phi = scaled_inverse_d2 * real_fma(v.d1, v.mirror.one_minus_exp, v.apart);
+  const real flux1 = scale * v.inverse_d1 * (v.inverse_d1 + c[MU]);
+  const real flux2 =
+      c[Z2_OVER_Z1] * scaled_inverse_d2 * (v.inverse_d2 + c[MU]) * (v.inverse_d2 * v.d1);
+  const real flux = real_fma(flux2, v.mirror.exp, flux1);
+  return real_fma(flux_weight, flux, phi_weight * phi);
 }
 
 static inline real dipole_R(const real *c, real r) {
-  const struct view v = look(c, real_min(r * c[SIGMA_T_PRIME], FAR));
-  const real sum = bracket(c, v, c[PHI], c[FLUX]);
-  return real_times_exp(c[SCALE] * v.inverse_d1 * sum, -c[MU] * v.d1, c[SCALE_EXPONENT]);
+  const struct view v = look_from(c, r);
+  const real sum = bracket(c, v, c[SCALE] * v.inverse_d1, c[PHI], c[FLUX]);
+  return real_times_exp(sum, -c[MU] * v.d1, c[SCALE_EXPONENT]);
 }
 
 /* The density of radii, 2 pi r R / albedo. */
 static inline real dipole_pdf(const real *c, real r) {
-  const struct view v = look(c, real_min(r * c[SIGMA_T_PRIME], FAR));
-  const real sum = bracket(c, v, c[PHI], c[FLUX]);
-  return real_times_exp(c[PDF_SCALE] * (v.x * v.inverse_d1) * sum, -c[MU] * v.d1, 0);
+  const struct view v = look_from(c, r);
+  const real sum = bracket(c, v, c[PDF_SCALE] * (v.x * v.inverse_d1), c[PHI], c[FLUX]);
+  return real_times_exp(sum, -c[MU] * v.d1, 0);
 }
 
 static inline real dipole_ln_R(const real *c, real r) {
-  const real x = r * c[SIGMA_T_PRIME];
-  const struct view v = look(c, real_min(x, LN_R_FAR));
-  const real sum = bracket(c, v, c[PHI], c[FLUX]);
-  const real logarithm = real_log(c[SCALE] * v.inverse_d1 * sum, c[SCALE_EXPONENT]);
-  const real ln_R = real_fma(-c[MU], v.d1, logarithm);
-  return x < LN_R_FAR && c[CDF_LIMIT] > 0 ? ln_R : -(real)INFINITY;
+  const struct view v = look_from(c, r);
+  const real sum = bracket(c, v, c[SCALE] * v.inverse_d1, c[PHI], c[FLUX]);
+  const real ln_R = real_fma(-c[MU], v.d1, real_log(sum, c[SCALE_EXPONENT]));
+  const real near_ln_R = v.x < LN_R_FAR ? ln_R : -(real)INFINITY;
+  return c[CDF_LIMIT] > 0 ? near_ln_R : -(real)INFINITY;
 }
 
 /* Differentiated term by term; with f(d) = (1 + mu d) e^(-mu d) / d^3 the fluence's part is
  * f(d1) - f(d2), again written as a sum of positive terms. All times d1 e^(mu d1). */
 static inline real dipole_slope(const real *c, real r) {
-  const struct view v = look(c, real_min(r * c[SIGMA_T_PRIME], FAR));
+  const struct view v = look_from(c, r);
   const real i1 = v.inverse_d1;
   const real i2 = v.inverse_d2;
   const real m1 = c[MU] * v.d1;
   const real m2 = c[MU] * v.d2;
   const real squares = real_fma(i1, i1, real_fma(i1, i2, i2 * i2));
   const real gone = (1 + m2) * v.mirror.one_minus_exp * (v.d1 * i2) * (i2 * i2);
-  const real steeper = c[MU] * c[Z2_SQUARED_LESS_1] * i1 * (i2 * i2);
+  const real steeper = c[MU] * c[Z2_SQUARED_LESS_Z1_SQUARED] * i1 * (i2 * i2);
   const real phi = c[PHI] * (real_fma(v.apart * i2, squares, steeper) + gone);
   const real flux1 = real_fma(m1, m1 + 3, 3) * (i1 * i1) * (i1 * i1);
-  const real flux2 = c[Z2] * real_fma(m2, m2 + 3, 3) * (i2 * i2) * (i2 * i2) * (i2 * v.d1);
+  const real flux2 = c[Z2_OVER_Z1] * real_fma(m2, m2 + 3, 3) * (i2 * i2) * (i2 * i2) * (i2 * v.d1);
   const real sum = real_fma(c[FLUX], real_fma(flux2, v.mirror.exp, flux1), phi);
   return real_times_exp(-c[SLOPE_SCALE] * (v.x * i1) * sum, -m1, c[SLOPE_EXPONENT]);
 }
@@ -160,18 +174,18 @@ struct within {
 
 static inline struct within gather(const real *c, struct view v) {
   const real mu = c[MU];
-  const real slope1 = v.x / (v.d1 + 1);
+  const real slope1 = v.x / (v.d1 + REAL_Z1);
   const real slope2 = v.x / (v.d2 + c[Z2]);
   const real a1 = v.x * slope1;
   const real a2 = v.x * slope2;
-  const real a1_less_a2 = slope1 * slope2 * (v.apart + c[Z2_LESS_1]);
+  const real a1_less_a2 = slope1 * slope2 * (v.apart + c[Z2_LESS_Z1]);
   const real_exp_values far = real_exp(-mu * a2);
   const real_exp_values near = real_exp(-mu * a1_less_a2);
 
   const real gone2 = far.one_minus_exp;
   const real near_length = a1_less_a2 * near.quotient; /* (1 - e^(-mu (a1 - a2))) / mu */
   const real gone1 = real_fma(mu * near_length, 1 - gone2, gone2); /* 1 - e^(-mu a1) */
-  const real flux1 = (a1 + gone1) * v.inverse_d1;
+  const real flux1 = real_fma(REAL_Z1, gone1, a1) * v.inverse_d1;
   const real flux2 = real_fma(c[Z2], gone2, a2) * v.inverse_d2;
   const real phi = real_fma(c[CDF_PHI_NEAR] * (1 - gone2), near_length, c[CDF_PHI_FAR] * gone2);
   return (struct within){
@@ -181,7 +195,7 @@ static inline struct within gather(const real *c, struct view v) {
 }
 
 static inline real dipole_cdf(const real *c, real r) {
-  const struct view v = look(c, real_min(r * c[SIGMA_T_PRIME], FAR));
+  const struct view v = look_from(c, r);
   const struct within within = gather(c, v);
   /* Rounding may leave the sum an ulp above its limit. */
   return v.x < FAR ? real_min(within.cdf, c[CDF_LIMIT]) : c[CDF_LIMIT];
@@ -200,16 +214,18 @@ static inline real dipole_sample(const real *c, real u) {
   const real wanted = real_log(inside / outside, 0);
   const real spread = c[TAIL] / outside;
   real low = real_sqrt(inside * c[CORE]);
-  real high = real_max(real_min(spread, real_fma(real_log(spread, 0), c[INVERSE_MU], 1)), low);
+  const real decayed = real_fma(real_log(spread / REAL_Z1, 0), c[INVERSE_MU], REAL_Z1);
+  real high = real_max(real_min(spread, decayed), low);
   real x = real_min(low * real_sqrt(1 / outside), high);
   for (int step = 0; step < SAMPLE_STEPS; step++) {
     const struct view v = look(c, x);
     const struct within within = gather(c, v);
-    const real flux_beyond = real_fma(c[Z2] * v.inverse_d2, v.mirror.exp, v.inverse_d1);
+    const real mirror_beyond = c[Z2] * v.inverse_d2 * v.mirror.exp;
+    const real flux_beyond = real_fma(REAL_Z1, v.inverse_d1, mirror_beyond);
     const real phi_beyond = c[CDF_PHI_NEAR] * v.apart * v.mirror.quotient;
     const real beyond = within.real_left * real_fma(c[CDF_FLUX_1], flux_beyond, phi_beyond);
-    const real density =
-        x * v.inverse_d1 * within.real_left * bracket(c, v, c[CDF_PHI_NEAR], c[CDF_FLUX_1]);
+    const real density = within.real_left *
+                         bracket(c, v, x * v.inverse_d1, c[CDF_PHI_NEAR], c[CDF_FLUX_1] * REAL_Z1);
     const real excess = real_log(within.cdf / beyond, 0) - wanted;
     low = excess < 0 ? x : low;
     high = excess < 0 ? high : x;
@@ -220,7 +236,7 @@ static inline real dipole_sample(const real *c, real u) {
     x = kept ? next : real_sqrt(low * high);
   }
   x = u < SMALL_U ? real_sqrt(u * c[CORE]) : x;
-  const real r = x * c[MEAN_FREE_PATH];
+  const real r = x * c[MM_PER_UNIT];
   const real bounded = u < 1 ? r : (real)INFINITY;
   return c[CDF_LIMIT] > 0 && u > 0 ? bounded : 0;
 }
@@ -290,26 +306,32 @@ static struct dipole table_2(int variant, enum core_moments moments, const core_
   return dipole;
 }
 
-/* value = mantissa 2^exponent, mantissa at least 1 and below most; 0 stays 0. */
-static void set_scaled(double value, double most, double *mantissa, double *exponent) {
-  const int power = value > 0 && !(value >= 1 && value < most) ? ilogb(value) : 0;
+/* value = mantissa 2^exponent with a mantissa that single precision can hold, from 1 to 1e30 or so;
+ * 0 stays 0. */
+static void set_scaled(double value, double *mantissa, double *exponent) {
+  int power = 0;
+  if (value > 0 && value < 1) {
+    power = ilogb(value);
+  } else if (value > 0x1p100) {
+    power = ilogb(value) - 100;
+  }
   *mantissa = ldexp(value, -power);
   *exponent = power;
 }
 
 static void set_scales(const struct dipole *dipole, double *c) {
-  const dd squared = dd_mul(dipole->sigma_t_prime, dipole->sigma_t_prime);
-  const dd scale = dd_div(dd_mul(dipole->albedo_prime_power, squared), FOUR_PI);
-  const dd slope_scale = dd_mul(scale, dipole->sigma_t_prime);
-  set_scaled(dd_round(scale), 1e30, &c[SCALE], &c[SCALE_EXPONENT]);
-  set_scaled(dd_round(slope_scale), 2, &c[SLOPE_SCALE], &c[SLOPE_EXPONENT]);
+  const dd per_mm = dd_scale(dipole->sigma_t_prime, Z1);
+  const dd scale = dd_div(dd_mul(dipole->albedo_prime_power, dd_mul(per_mm, per_mm)), FOUR_PI);
+  c[UNITS_PER_MM] = dd_round(per_mm);
+  c[MM_PER_UNIT] = dd_round(dd_div(ONE, per_mm));
+  set_scaled(dd_round(scale), &c[SCALE], &c[SCALE_EXPONENT]);
+  set_scaled(dd_round(dd_mul(scale, per_mm)), &c[SLOPE_SCALE], &c[SLOPE_EXPONENT]);
 }
 
 /* The closed forms of the albedo and of the energy within r, divided by the albedo. In
  * double-double where it matters: with sigma_a = 0 the better dipole's albedo is 1 to the last bit.
  */
 static double set_energy(const struct dipole *dipole, double *c) {
-  const dd z2 = dd_add(ONE, dipole->z2_less_1);
   const double reach = dd_round(dipole->mu) * dd_round(dipole->z2_less_1);
   const dd real_share = dd_from(real_exp(-dd_round(dipole->mu)).exp);
   const dd mirror_share = dd_mul(real_share, dd_from(real_exp(-reach).exp));
@@ -322,26 +344,27 @@ static double set_energy(const struct dipole *dipole, double *c) {
   const dd albedo = dd_scale(dd_mul(dipole->albedo_prime_power, sum), 0.5);
   const bool scatters = dd_round(dipole->albedo_prime_power) > 0;
 
-  c[Z2] = dd_round(z2);
-  c[PHI] = dd_round(phi);
-  c[FLUX] = dd_round(dipole->c_flux);
+  c[PHI] = dd_round(phi) / Z1;
+  c[FLUX] = dd_round(dipole->c_flux) * Z1;
   c[CDF_LIMIT] = scatters;
   c[CDF_FLUX_1] = scatters ? dd_round(dd_div(dd_mul(dipole->c_flux, real_share), sum)) : 0;
   c[CDF_FLUX_2] = scatters ? dd_round(dd_div(dd_mul(dipole->c_flux, mirror_share), sum)) : 0;
   c[CDF_PHI_FAR] = scatters ? dd_round(dd_div(between, sum)) : 0;
-  c[CDF_PHI_NEAR] = scatters ? dd_round(dd_div(dd_mul(phi, real_share), sum)) : 0;
-  c[PDF_SCALE] = scatters ? dd_round(dd_div(dipole->sigma_t_prime, sum)) : 0;
+  c[CDF_PHI_NEAR] = scatters ? dd_round(dd_div(dd_mul(phi, real_share), sum)) / Z1 : 0;
+  c[PDF_SCALE] = scatters ? dd_round(dd_div(dipole->sigma_t_prime, sum)) * Z1 : 0;
   return dd_round(albedo);
 }
 
 /* What brackets the inverse of the cdf; bounds, so plain double will do. */
 static void set_bracket(double *c) {
-  const double z2 = c[Z2];
-  const real_exp_values mirror = real_exp(-c[MU] * c[Z2_LESS_1]);
-  const double phi = c[CDF_PHI_NEAR] * (c[Z2_LESS_1] + mirror.one_minus_exp) / z2;
-  const double flux = c[CDF_FLUX_1] * (1 + c[MU] + (1 + c[MU] * z2) / (z2 * z2) * mirror.exp);
-  c[CORE] = phi + flux > 0 ? 2 / (phi + flux) : 0;
-  c[TAIL] = c[CDF_FLUX_1] * (1 + z2) + 0.5 * c[CDF_PHI_NEAR] * c[Z2_SQUARED_LESS_1];
+  const double z2 = c[Z2_OVER_Z1];
+  const double mu = c[MU] * Z1;
+  const double phi_near = c[CDF_PHI_NEAR] * Z1;
+  const real_exp_values mirror = real_exp(-mu * (z2 - 1));
+  const double phi = phi_near * (z2 - 1 + mirror.one_minus_exp) / z2;
+  const double flux = c[CDF_FLUX_1] * (1 + mu + (1 + mu * z2) / (z2 * z2) * mirror.exp);
+  c[CORE] = phi + flux > 0 ? Z1 * Z1 * 2 / (phi + flux) : 0;
+  c[TAIL] = Z1 * (c[CDF_FLUX_1] * (1 + z2) + 0.5 * phi_near * (z2 * z2 - 1));
   c[INVERSE_MU] = fmin(1 / c[MU], 1e30);
 }
 
@@ -353,18 +376,18 @@ void core_dipole_prepare(int variant, enum core_moments moments, const core_medi
   const dd z2_plus_1 = dd_add(TWO, dipole.z2_less_1);
   const dd z2 = dd_add(ONE, dipole.z2_less_1);
   double *c = preparation->coefficients;
-  c[SIGMA_T_PRIME] = dd_round(dipole.sigma_t_prime);
-  c[MU] = dd_round(dipole.mu);
-  c[Z2_SQUARED] = dd_round(dd_mul(z2, z2));
-  c[Z2_LESS_1] = dd_round(dipole.z2_less_1);
-  c[Z2_SQUARED_LESS_1] = dd_round(dd_mul(dipole.z2_less_1, z2_plus_1));
-  c[MEAN_FREE_PATH] = dd_round(dd_div(ONE, dipole.sigma_t_prime));
+  c[MU] = dd_round(dipole.mu) / Z1;
+  c[Z2] = dd_round(z2) * Z1;
+  c[Z2_OVER_Z1] = dd_round(z2);
+  c[Z2_LESS_Z1] = dd_round(dipole.z2_less_1) * Z1;
+  c[Z2_SQUARED] = dd_round(dd_mul(z2, z2)) * (Z1 * Z1);
+  c[Z2_SQUARED_LESS_Z1_SQUARED] = dd_round(dd_mul(dipole.z2_less_1, z2_plus_1)) * (Z1 * Z1);
   set_scales(&dipole, c);
   preparation->albedo = set_energy(&dipole, c);
   set_bracket(c);
   /* 1 + mu_tr d1 <= 1 + mu_tr (z1 + r) */
-  preparation->error_epsilons = DIPOLE_ERROR_EPSILONS * (1 + c[MU]);
-  preparation->error_epsilons_per_mm = DIPOLE_ERROR_EPSILONS * c[MU] * c[SIGMA_T_PRIME];
+  preparation->error_epsilons = DIPOLE_ERROR_EPSILONS * (1 + dd_round(dipole.mu));
+  preparation->error_epsilons_per_mm = DIPOLE_ERROR_EPSILONS * c[MU] * c[UNITS_PER_MM];
 }
 
 #endif
