@@ -88,12 +88,12 @@ $(BUILD)/libcore.a: $(CORE)
 $(BUILD)/libproto.a: $(PROTO)
 $(BUILD)/libcore.a $(BUILD)/libproto.a:
 	@rm -f $@
-	ar rcs $@ $^
+	ar qcs $@ $^
 
 # The client library holds the codec and the core, so that it needs nothing else.
 $(BUILD)/libdipole.a: $(LIBRARY) $(PROTO) $(CORE)
 	@rm -f $@
-	ar rcs $@ $^
+	ar qcs $@ $^
 
 $(BUILD)/libdipole.so.$(VERSION): $(LIBRARY) $(PROTO) $(CORE) clients/c/libdipole.map
 	$(CC) $(ALL_LDFLAGS) -shared -Wl,-soname,libdipole.so.$(SOVERSION) -Wl,--version-script=clients/c/libdipole.map -o $@ $(filter %.o,$^) -lm
@@ -145,7 +145,7 @@ check-unit: $(TESTS)
 	@sh tests/run-units.sh $(TESTS)
 
 check-e2e: all
-	DIPOLED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python PYTHONDONTWRITEBYTECODE=1 $(PYTHON) -m pytest -q -p no:cacheprovider tests/e2e
+	DIPOLED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python PYTHONDONTWRITEBYTECODE=1 $(PYTHON) -m pytest -q -rs -p no:cacheprovider tests/e2e
 
 check-asan:
 	@sh .ci/install-packages
