@@ -25,7 +25,7 @@ void stats_count_answer(struct stats *stats, unsigned status) {
   switch (status) {
 #define WIRE_STATUS(code, IDENT, modbus_exception, name, text)                                     \
   case code:                                                                                       \
-    stats_add(stats, STATS_ANSWERS_##IDENT, 1);                                                     \
+    stats_add(stats, STATS_ANSWERS_##IDENT, 1);                                                    \
     break;
 #include "proto/statuses.def"
 #undef WIRE_STATUS
