@@ -7,7 +7,7 @@
 #   make docs       the byte tables of proto/PROTOCOL.md, from proto/messages.def
 #   make install    to $(DESTDIR)$(PREFIX); make uninstall takes it away again
 #   make setup      installs the packages of .ci/packages, nothing else
-#   make clean
+#   make clean     (V=1 shows the commands of any of these)
 
 PREFIX ?= /usr/local
 DESTDIR ?=
@@ -17,6 +17,16 @@ PYTHON ?= /usr/bin/python3
 
 VERSION := 0.1.0
 SOVERSION := 0
+
+# Short lines; make V=1 shows the commands.
+V ?= 0
+ifeq ($(V),0)
+Q := @
+SAY = @echo " " $(1) $(2)
+else
+Q :=
+SAY =
+endif
 
 CC ?= cc
 ifeq ($(origin CC),default)
@@ -72,13 +82,15 @@ all: $(PROGRAMS) $(LIBRARIES)
 
 $(OBJ)/%.o: %.c Makefile
 	@mkdir -p $(@D)
-	$(CC) $(ALL_CPPFLAGS) $(EXTRA_CPPFLAGS) $(ALL_CFLAGS) -c -o $@ $<
+	$(call SAY,CC,$<)
+	$(Q)$(CC) $(ALL_CPPFLAGS) $(EXTRA_CPPFLAGS) $(ALL_CFLAGS) -c -o $@ $<
 
 # core/models/NAME.ISA.fREAL.o
 define kernel_rule
 $(OBJ)/core/models/%.$(1).f$(2).o: core/models/%.c Makefile
 	@mkdir -p $$(@D)
-	$$(CC) $$(ALL_CPPFLAGS) -DCORE_ISA=$(1) -DCORE_REAL=$(2) $$(ALL_CFLAGS) $$(ISA_FLAGS_$(1)) -c -o $$@ $$<
+	$$(call SAY,CC,$$< $(1) f$(2))
+	$$(Q)$$(CC) $$(ALL_CPPFLAGS) -DCORE_ISA=$(1) -DCORE_REAL=$(2) $$(ALL_CFLAGS) $$(ISA_FLAGS_$(1)) -c -o $$@ $$<
 endef
 $(foreach isa,$(ISAS),$(foreach real,32 64,$(eval $(call kernel_rule,$(isa),$(real)))))
 
@@ -87,36 +99,43 @@ $(SERVER): EXTRA_CPPFLAGS = $(UV_CFLAGS)
 $(BUILD)/libcore.a: $(CORE)
 $(BUILD)/libproto.a: $(PROTO)
 $(BUILD)/libcore.a $(BUILD)/libproto.a:
+	$(call SAY,AR,$@)
 	@rm -f $@
-	ar rcs $@ $^
+	$(Q)ar qcs $@ $^
 
 # The client library holds the codec and the core, so that it needs nothing else.
 $(BUILD)/libdipole.a: $(LIBRARY) $(PROTO) $(CORE)
+	$(call SAY,AR,$@)
 	@rm -f $@
-	ar rcs $@ $^
+	$(Q)ar qcs $@ $^
 
 $(BUILD)/libdipole.so.$(VERSION): $(LIBRARY) $(PROTO) $(CORE) clients/c/libdipole.map
-	$(CC) $(ALL_LDFLAGS) -shared -Wl,-soname,libdipole.so.$(SOVERSION) -Wl,--version-script=clients/c/libdipole.map -o $@ $(filter %.o,$^) -lm
+	$(call SAY,LD,$@)
+	$(Q)$(CC) $(ALL_LDFLAGS) -shared -Wl,-soname,libdipole.so.$(SOVERSION) -Wl,--version-script=clients/c/libdipole.map -o $@ $(filter %.o,$^) -lm
 
 $(BUILD)/libdipole.so: $(BUILD)/libdipole.so.$(VERSION)
-	ln -sf libdipole.so.$(VERSION) $(BUILD)/libdipole.so.$(SOVERSION)
-	ln -sf libdipole.so.$(SOVERSION) $@
+	$(Q)ln -sf libdipole.so.$(VERSION) $(BUILD)/libdipole.so.$(SOVERSION)
+	$(Q)ln -sf libdipole.so.$(SOVERSION) $@
 
 $(BUILD)/dipole.pc: clients/c/dipole.pc.in Makefile
 	@mkdir -p $(@D)
-	sed -e 's|@PREFIX@|$(PREFIX)|' -e 's|@LIBDIR@|$(LIBDIR)|' -e 's|@VERSION@|$(VERSION)|' $< > $@
+	$(Q)sed -e 's|@PREFIX@|$(PREFIX)|' -e 's|@LIBDIR@|$(LIBDIR)|' -e 's|@VERSION@|$(VERSION)|' $< > $@
 
 $(BUILD)/dipoled: $(SERVER) $(BUILD)/libproto.a $(BUILD)/libcore.a
-	$(CC) $(ALL_LDFLAGS) -o $@ $^ $(UV_LIBS) -lm
+	$(call SAY,LD,$@)
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(UV_LIBS) -lm
 
 $(BUILD)/dipole: $(CLI) $(BUILD)/libdipole.a
-	$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
+	$(call SAY,LD,$@)
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
 
 $(BUILD)/bench: $(BENCH) $(BUILD)/libdipole.a
-	$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
+	$(call SAY,LD,$@)
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
 
 $(BUILD)/wire-tables: $(OBJ)/proto/tools/wire_tables.o $(BUILD)/libproto.a $(BUILD)/libcore.a
-	$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
+	$(call SAY,LD,$@)
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
 
 $(BUILD)/tests/bits: $(OBJ)/tests/bits/bits.o $(BUILD)/libcore.a
 	@mkdir -p $(@D)
@@ -124,7 +143,8 @@ $(BUILD)/tests/bits: $(OBJ)/tests/bits/bits.o $(BUILD)/libcore.a
 
 $(BUILD)/tests/%: $(OBJ)/tests/%.o $(TEST_SUPPORT) $(BUILD)/libdipole.a
 	@mkdir -p $(@D)
-	$(CC) $(ALL_LDFLAGS) -o $@ $^ -lcmocka -lmpfr -lgmp -lm
+	$(call SAY,LD,$@)
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lcmocka -lmpfr -lgmp -lm
 
 -include $(shell find $(OBJ) -name '*.d' 2>/dev/null)
 
@@ -149,7 +169,7 @@ check-unit: $(TESTS)
 	@sh tests/run-units.sh $(TESTS)
 
 check-e2e: all
-	DIPOLED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python PYTHONDONTWRITEBYTECODE=1 $(PYTHON) -m pytest -q -p no:cacheprovider tests/e2e
+	DIPOLED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python PYTHONDONTWRITEBYTECODE=1 $(PYTHON) -m pytest -q -rs -p no:cacheprovider tests/e2e
 
 check-asan:
 	@sh .ci/install-packages

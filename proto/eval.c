@@ -138,7 +138,10 @@ bool eval_reply_layout(unsigned evaluator, unsigned wanted, uint32_t channel_cou
   if (before > max_payload_bytes) {
     return false;
   }
-  if (arrays > 0 && radius_count > (max_payload_bytes - before) / arrays / value_bytes) {
+  /* Rounded down to whole padding, so that padding an array that fits does not make it too large.
+   */
+  const uint64_t array_room = arrays > 0 ? (max_payload_bytes - before) / arrays & ~UINT64_C(7) : 0;
+  if (arrays > 0 && radius_count > array_room / value_bytes) {
     return false;
   }
   layout->array_bytes = arrays > 0 ? wire_padded(radius_count * value_bytes) : 0;

@@ -284,7 +284,10 @@ static void end_if_done(struct connection *c) {
     return;
   }
   if (c->peer_done && input_partial(&c->input)) {
-    end(c, 0, wire_error_make(WIRE_STATUS_TRUNCATED, "payload_bytes", "as many as announced"));
+    wire_header header = {0}; /* request id 0 unless the header has arrived */
+    input_refuse(&c->input, &header);
+    end(c, header.request_id,
+        wire_error_make(WIRE_STATUS_TRUNCATED, "payload_bytes", "as many as announced"));
   } else if (c->stopping && !c->peer_done) {
     end(c, 0, wire_error_make(WIRE_STATUS_SHUTTING_DOWN, "", "another daemon, or this one later"));
   }
@@ -318,13 +321,15 @@ void connection_run(struct connection *c) {
   while (more && budget > 0 && !c->closing) {
     more = step(c, &budget);
   }
+  /* Frames that waited for the reader have to be taken up if writing has just unblocked them. */
+  const bool was_blocked = blocked(c);
   if (!c->closing) {
     write_more(c);
   }
   if (c->closing) {
     return;
   }
-  if (more) {
+  if (more || (was_blocked && !blocked(c))) {
     worker_run_later(c->worker, c);
   } else {
     settle(c);

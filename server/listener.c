@@ -6,6 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/socket.h>
+#include <sys/stat.h>
 #include <sys/un.h>
 #include <unistd.h>
 
@@ -104,6 +105,10 @@ static int unix_socket(void) {
 
 /* A socket file that nobody listens at any more, which a daemon that was killed leaves behind. */
 static bool is_stale(const struct sockaddr_un *address) {
+  struct stat status;
+  if (lstat(address->sun_path, &status) != 0 || !S_ISSOCK(status.st_mode)) {
+    return false;
+  }
   const int fd = unix_socket();
   const bool refused =
       connect(fd, (const struct sockaddr *)address, sizeof *address) != 0 && errno == ECONNREFUSED;
@@ -192,6 +197,10 @@ static bool open_tcp(struct listener *listener, const char *url, const char *hos
   const char *port;
   if (!split_host_port(host_port, host, sizeof host, &port)) {
     return complain(url, "the address has the form tcp:HOST:PORT, tcp:[::1]:PORT for IPv6");
+  }
+  char *port_end;
+  if (strtoul(port, &port_end, 10) > 65535 || *port_end != '\0') {
+    return complain(url, "the port is a number from 0 to 65535");
   }
   const struct addrinfo hints = {.ai_socktype = SOCK_STREAM, .ai_flags = AI_PASSIVE};
   struct addrinfo *found = NULL;

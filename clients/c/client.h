@@ -1,0 +1,174 @@
+/* client: what the files of libdipole share among themselves. Not installed. The names start with
+ * libdipole_ so that they neither leave the shared library (which exports dipole_*) nor meet names
+ * of the program that links the static one. */
+#ifndef LIBDIPOLE_CLIENT_H
+#define LIBDIPOLE_CLIENT_H
+
+#include <limits.h>
+#include <sys/types.h>
+
+#include "clients/c/dipole.h"
+#include "proto/wire.h"
+
+/* ---- error.c ------------------------------------------------------------------------------- */
+
+/* Fills *error and returns false. */
+bool libdipole_fail(dipole_error *error, enum dipole_error_kind kind, const char *format, ...)
+    __attribute__((format(printf, 3, 4)));
+
+/* The same for a call of the system; its errno is told. */
+bool libdipole_fail_errno(dipole_error *error, enum dipole_error_kind kind, int number,
+                          const char *what);
+
+/* ---- clock.c ------------------------------------------------------------------------------- */
+
+int64_t libdipole_now_ms(void); /* since some moment in the past; never set back */
+
+/* poll() for one descriptor, started again after a signal. False: timed out, with errno ETIMEDOUT,
+ * or failed, with errno. timeout_ms 0: for ever. */
+bool libdipole_wait(int fd, short events, unsigned timeout_ms, short *ready);
+
+/* ---- text.c -------------------------------------------------------------------------------- */
+
+/* Replaces what is no printable UTF-8 by question marks: a peer's text may go to a terminal. */
+void libdipole_clean_text(char *text);
+
+/* ---- address.c ----------------------------------------------------------------------------- */
+
+enum libdipole_address_kind { LIBDIPOLE_UNIX, LIBDIPOLE_TCP, LIBDIPOLE_PRIVATE };
+
+typedef struct libdipole_address {
+  enum libdipole_address_kind kind;
+  char host[256]; /* TCP */
+  char port[6];
+  char path[PATH_MAX]; /* Unix: the socket; private: the program, "" for any */
+} libdipole_address;
+
+/* The address to use when the caller names none. */
+const char *libdipole_address_default(void);
+
+bool libdipole_address_parse(const char *text, libdipole_address *address, dipole_error *error);
+
+/* ---- connect.c ----------------------------------------------------------------------------- */
+
+/* Connects to a Unix socket or a TCP address; *fd is then non-blocking. timeout_ms 0: for ever. */
+bool libdipole_connect(const libdipole_address *address, unsigned timeout_ms, int *fd,
+                       dipole_error *error);
+
+/* ---- daemon.c ------------------------------------------------------------------------------ */
+
+/* Starts a dipoled of our own at the other end of *fd (non-blocking). program "": see dipole.h. */
+bool libdipole_daemon_start(const char *program, int *fd, pid_t *pid, dipole_error *error);
+
+/* Waits for a private daemon whose connection has been closed, and ends it if it does not end. */
+void libdipole_daemon_end(pid_t pid);
+
+/* ---- stream.c ------------------------------------------------------------------------------ */
+
+enum { LIBDIPOLE_INPUT_BYTES = 65536 };
+
+/* A non-blocking socket with buffers. Bytes that arrive go to `target` while target_bytes > 0 (and
+ * the buffer has been emptied before it was set), else to the buffer in[in_begin .. in_end]. */
+typedef struct libdipole_stream {
+  int fd;
+  int send_errno; /* sending has failed; what the peer still says is read before that is told */
+  uint8_t *out;   /* unsent: out[out_begin .. out_end] */
+  size_t out_begin, out_end, out_capacity;
+  uint8_t *target;
+  size_t target_bytes;
+  size_t in_begin, in_end;
+  uint8_t in[LIBDIPOLE_INPUT_BYTES];
+} libdipole_stream;
+
+void libdipole_stream_init(libdipole_stream *stream, int fd);
+void libdipole_stream_close(libdipole_stream *stream);
+
+/* Room for bytes more at out + out_end; the caller adds to out_end what it wrote there. */
+bool libdipole_stream_reserve(libdipole_stream *stream, size_t bytes, dipole_error *error);
+
+/* Sends what the socket takes at once. */
+void libdipole_stream_send(libdipole_stream *stream);
+
+/* Waits until a byte can be read or sent, and reads and sends once. Reading goes on while there is
+ * something to send: two peers that only send would wait for each other for ever. */
+bool libdipole_stream_step(libdipole_stream *stream, unsigned timeout_ms, dipole_error *error);
+
+/* ---- request.c ----------------------------------------------------------------------------- */
+
+/* A frame that has arrived. The result comes first, so that the caller's result is the block that
+ * holds the payload; after the payload there is room for the result's channels. */
+typedef struct libdipole_frame {
+  dipole_result result;
+  wire_header header;
+  _Alignas(8) uint8_t payload[];
+} libdipole_frame;
+
+/* A request whose answer has not been handed out, and what the answer may look like. */
+typedef struct libdipole_pending {
+  uint64_t id;
+  uint16_t type;
+  uint64_t reply_bytes_min, reply_bytes_max; /* of the payload */
+  uint16_t evaluator, wanted;                /* these four: eval only */
+  uint32_t medium_count;
+  uint64_t radius_count;
+  libdipole_frame *frame; /* the answer; NULL: not here yet */
+} libdipole_pending;
+
+struct dipole_client {
+  libdipole_stream stream;
+  pid_t daemon; /* a private daemon; 0: none */
+  unsigned timeout_ms;
+  dipole_error broken; /* kind NONE while the connection works */
+
+  /* pending[pending_begin .. pending_begin + pending_count], by ascending id */
+  uint64_t last_id;
+  libdipole_pending *pending;
+  size_t pending_begin, pending_count, pending_capacity;
+  size_t arrived_count;   /* of those, with an answer */
+  libdipole_frame *frame; /* being received; NULL: a header is next */
+
+  char *address;
+  dipole_info info; /* points into the next four and hello */
+  wire_hello_reply hello;
+  dipole_choice *choices;
+  wire_choice *choice_texts;
+  dipole_value *limits;
+  wire_value *limit_texts;
+};
+
+/* Starts a request: *payload is room for payload_bytes, to be filled before request_send(). What
+ * the answer may look like is taken from *pending; its id is set. */
+bool libdipole_request_begin(dipole_client *client, libdipole_pending *pending,
+                             uint64_t payload_bytes, uint8_t **payload, dipole_error *error);
+
+/* Sends it, as far as that needs no wait or the backlog has grown too long. */
+bool libdipole_request_send(dipole_client *client, dipole_error *error);
+
+/* Waits for the answer to request id, or to any request when id is 0, and hands it out: frame, to
+ * be freed by the caller, is then in *pending. */
+bool libdipole_request_wait(dipole_client *client, uint64_t id, libdipole_pending *pending,
+                            dipole_error *error);
+
+/* A request with this payload and its answer, which is no error frame; to be freed. */
+libdipole_frame *libdipole_ask(dipole_client *client, libdipole_pending *pending,
+                               const uint8_t *payload, size_t payload_bytes, dipole_error *error);
+
+/* Says in *error what an error frame says. Returns false. */
+bool libdipole_refused(const dipole_client *client, const libdipole_pending *pending,
+                       const libdipole_frame *frame, dipole_error *error);
+
+void libdipole_pending_free(dipole_client *client);
+
+/* ---- result.c ------------------------------------------------------------------------------ */
+
+/* Makes the result out of the answer to an eval request; takes pending->frame over. */
+bool libdipole_result_take(dipole_client *client, libdipole_pending *pending,
+                           dipole_result **result, dipole_error *error);
+
+/* ---- info.c -------------------------------------------------------------------------------- */
+
+/* Says hello and fills client->info. */
+bool libdipole_hello(dipole_client *client, dipole_error *error);
+void libdipole_info_free(dipole_client *client);
+
+#endif

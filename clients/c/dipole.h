@@ -1,0 +1,224 @@
+/* libdipole: ask a dipoled for subsurface-scattering profiles R(r).
+ *
+ *   dipole_client *client;
+ *   dipole_error error;
+ *   if (!dipole_open(NULL, &client, &error)) { puts(error.text); ... }
+ *   dipole_medium skin = {.sigma_a_per_mm = 0.032, .sigma_s_per_mm = 0.74, .g = 0, .eta = 1.3};
+ *   double r[2] = {0.5, 1.0};
+ *   dipole_query query = {.model = dipole_id(client, DIPOLE_MODEL, "better"),
+ *                         .evaluator = DIPOLE_F64, .moments = DIPOLE_EXACT,
+ *                         .wanted = DIPOLE_R | DIPOLE_CDF,
+ *                         .media = &skin, .medium_count = 1,
+ *                         .spacing = DIPOLE_LIST, .radii = r, .radius_count = 2};
+ *   dipole_result *result;
+ *   if (!dipole_eval(client, &query, &result, &error)) { ... }
+ *   printf("%g 1/mm^2\n", result->channels[0].R_f64[1]);
+ *   dipole_result_free(result);
+ *   dipole_close(client);
+ *
+ * Units: lengths in mm, coefficients in 1/mm, R in 1/mm^2 per unit of power that entered the
+ * medium.
+ *
+ * A client belongs to one thread at a time; use one client for each thread. There is no global
+ * state, and nothing here ends the program: errors are values. Functions that return bool return
+ * false on failure and then fill *error (which may be NULL).
+ */
+#ifndef DIPOLE_H
+#define DIPOLE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct dipole_client dipole_client;
+
+/* ---- errors -------------------------------------------------------------------------------- */
+
+enum dipole_error_kind {
+  DIPOLE_ERROR_NONE = 0,
+  DIPOLE_ERROR_ADDRESS,    /* the address cannot be understood */
+  DIPOLE_ERROR_CONNECT,    /* nobody answers there */
+  DIPOLE_ERROR_CONNECTION, /* the connection was lost or timed out; the client can only be closed */
+  DIPOLE_ERROR_PROTOCOL,   /* the peer does not speak this protocol; likewise */
+  DIPOLE_ERROR_MEMORY,     /* out of memory; within an answer: the client can only be closed */
+  DIPOLE_ERROR_ARGUMENT,   /* the call's arguments do not fit together */
+  DIPOLE_ERROR_REFUSED,    /* the daemon refused the request; the client goes on working */
+};
+
+typedef struct dipole_error {
+  enum dipole_error_kind kind;
+  unsigned status;         /* REFUSED: the daemon's status code */
+  uint64_t index;          /* REFUSED: the position of the value at fault in its array */
+  char field[33];          /* REFUSED: the field at fault, or "" */
+  char allowed[81];        /* REFUSED: what is allowed there, or "" */
+  uint32_t retry_after_ms; /* REFUSED because the daemon is busy: when to try again; else 0 */
+  char text[256];          /* the whole of it in words, for people */
+} dipole_error;
+
+/* ---- connecting ---------------------------------------------------------------------------- */
+
+/* Connects, agrees on a protocol version and reads the daemon's lists. address is one of
+ *   unix:PATH          a Unix socket
+ *   tcp:HOST:PORT      TCP ([::1]:PORT for IPv6)
+ *   private:           starts a dipoled of its own that ends with the client; the program is found
+ *                      beside the running one, then in $PATH
+ *   private:PROGRAM    the same, with this program
+ *   NULL               $DIPOLED when that is set, else private:
+ * *client is to be closed with dipole_close(). On failure it is NULL; kind REFUSED then means that
+ * the daemon did not take the connection, for example because it has too many. */
+bool dipole_open(const char *address, dipole_client **client, dipole_error *error);
+
+/* How long a call waits at first without any byte arriving or leaving. */
+#define DIPOLE_TIMEOUT_MS 30000
+
+/* dipole_open() with another timeout, which also holds for connecting; 0: for ever. */
+bool dipole_open_within(const char *address, unsigned timeout_ms, dipole_client **client,
+                        dipole_error *error);
+
+/* Changes the timeout of the calls that follow. */
+void dipole_set_timeout_ms(dipole_client *client, unsigned timeout_ms);
+
+/* Closes the connection, ends a private daemon, frees the client. NULL is fine. */
+void dipole_close(dipole_client *client);
+
+/* ---- what the daemon offers ---------------------------------------------------------------- */
+
+enum dipole_kind {
+  DIPOLE_MODEL = 1,
+  DIPOLE_EVALUATOR,
+  DIPOLE_MOMENTS,
+  DIPOLE_QUANTITY,
+  DIPOLE_SPACING,
+  DIPOLE_STATUS,
+};
+
+typedef struct dipole_choice {
+  enum dipole_kind kind;
+  unsigned id;
+  const char *name;
+  const char *about; /* source of a model, unit of a quantity, meaning of anything else */
+} dipole_choice;
+
+typedef struct dipole_value {
+  const char *name; /* unit last: max_frame_bytes */
+  uint64_t value;
+} dipole_value;
+
+/* What the daemon said of itself; owned by the client and valid until it is closed. */
+typedef struct dipole_info {
+  const char *address; /* as connected to */
+  const char *software;
+  const char *instruction_set;
+  const char *R_unit;
+  unsigned protocol_version;
+  unsigned workers;
+  const dipole_choice *choices;
+  size_t choice_count;
+  const dipole_value *limits;
+  size_t limit_count;
+} dipole_info;
+
+const dipole_info *dipole_get_info(const dipole_client *client);
+
+/* The id of the choice of this kind with this name; 0: the daemon has none (only the
+ * status ok has the id 0). */
+unsigned dipole_id(const dipole_client *client, enum dipole_kind kind, const char *name);
+
+/* ---- evaluating ---------------------------------------------------------------------------- */
+
+/* Ids that are permanent; models are asked for by name, see dipole_id(). */
+enum dipole_evaluator { DIPOLE_F64 = 1, DIPOLE_F32 = 2 };
+enum dipole_moments { DIPOLE_EXACT = 1, DIPOLE_FIT = 2, DIPOLE_JENSEN = 3 };
+enum dipole_quantity { DIPOLE_R = 1, DIPOLE_ALBEDO = 2, DIPOLE_CDF = 4, DIPOLE_RADIUS = 8 };
+enum dipole_spacing { DIPOLE_LIST = 1, DIPOLE_LINEAR = 2, DIPOLE_LOGARITHMIC = 3 };
+
+typedef struct dipole_medium {
+  double sigma_a_per_mm; /* absorption coefficient, 0 to 1e15 */
+  double sigma_s_per_mm; /* scattering coefficient, 0 to 1e15 */
+  double g;              /* mean cosine of the phase function, in (-1, 1) */
+  double eta;            /* index inside over index outside, 0.001 to 1000 */
+} dipole_medium;
+
+typedef struct dipole_query {
+  unsigned model;     /* dipole_id(client, DIPOLE_MODEL, name) */
+  unsigned evaluator; /* enum dipole_evaluator: also the type of radii and values */
+  unsigned moments;   /* enum dipole_moments */
+  unsigned wanted;    /* sum of enum dipole_quantity; DIPOLE_RADIUS returns a grid's radii */
+  const dipole_medium *media; /* [medium_count], one for each channel */
+  uint32_t medium_count;
+  unsigned spacing;  /* enum dipole_spacing */
+  const void *radii; /* list: [radius_count] of double (f64) or float (f32), mm, 0 to infinity */
+  uint64_t radius_count;
+  double radius_start_mm; /* linear, logarithmic: the first radius */
+  double radius_stop_mm;  /* and the last */
+} dipole_query;
+
+/* The answer for one medium. An array is NULL when its quantity was not wanted or when the other
+ * evaluator was taken. */
+typedef struct dipole_channel {
+  double albedo; /* NaN when not wanted */
+  /* A value at radius r is off from the model's formula by at most
+   * numerical_error + numerical_error_per_mm * r, relative. */
+  double numerical_error;
+  double numerical_error_per_mm;
+  double model_error;    /* of the model against radiative transport, relative; NaN: not measured */
+  const double *R_f64;   /* [radius_count], 1/mm^2 */
+  const double *cdf_f64; /* [radius_count] */
+  const float *R_f32;
+  const float *cdf_f32;
+} dipole_channel;
+
+typedef struct dipole_result {
+  unsigned model, evaluator, moments, wanted; /* as taken by the daemon */
+  uint64_t radius_count;
+  const double *radius_f64; /* [radius_count], mm; NULL unless DIPOLE_RADIUS was wanted */
+  const float *radius_f32;
+  uint32_t channel_count;
+  const dipole_channel *channels; /* [channel_count], in the order of the query's media */
+} dipole_result;
+
+/* Evaluates and waits for the answer. *result is the caller's, to be freed with
+ * dipole_result_free(). Answers to submitted queries that arrive meanwhile are kept. */
+bool dipole_eval(dipole_client *client, const dipole_query *query, dipole_result **result,
+                 dipole_error *error);
+
+void dipole_result_free(dipole_result *result); /* NULL is fine */
+
+/* Sends a query without waiting and sets *id. The query is copied. Keep the number of outstanding
+ * queries bounded (a few hundred): the daemon stops reading from a client that does not collect. */
+bool dipole_submit(dipole_client *client, const dipole_query *query, uint64_t *id,
+                   dipole_error *error);
+
+/* Waits for the answer to any outstanding query and sets *id to it. False with kind REFUSED: the
+ * query *id was refused, others go on. False with kind ARGUMENT: nothing is outstanding. */
+bool dipole_collect(dipole_client *client, uint64_t *id, dipole_result **result,
+                    dipole_error *error);
+
+/* ---- the rest ------------------------------------------------------------------------------ */
+
+/* A measured medium: three channels, red, green, blue. */
+typedef struct dipole_measured_medium {
+  char name[17];
+  dipole_medium channel[3];
+} dipole_measured_medium;
+
+/* The daemon's measured media, as an array for the caller to free(). */
+bool dipole_media(dipole_client *client, dipole_measured_medium **media, size_t *count,
+                  dipole_error *error);
+
+/* The daemon's statistics, as one block for the caller to free(); names point into it. */
+bool dipole_statistics(dipole_client *client, dipole_value **values, size_t *count,
+                       dipole_error *error);
+
+/* A round trip that does nothing else. */
+bool dipole_ping(dipole_client *client, dipole_error *error);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,274 @@
+#include <stdlib.h>
+#include <string.h>
+
+#include "clients/c/client.h"
+
+/* Unsent bytes up to which a request is left to be sent later. */
+#define BACKLOG_MAX_BYTES ((size_t)1 << 20)
+
+/* ---- what has been asked ------------------------------------------------------------------- */
+
+static libdipole_pending *pending_find(dipole_client *client, uint64_t id) {
+  libdipole_pending *first = client->pending + client->pending_begin;
+  for (size_t i = 0; i < client->pending_count && first[i].id <= id; i++) {
+    if (first[i].id == id) { /* answers come nearly in order, so this is a short walk */
+      return &first[i];
+    }
+  }
+  return NULL;
+}
+
+static libdipole_pending *pending_first_arrived(dipole_client *client) {
+  libdipole_pending *first = client->pending + client->pending_begin;
+  for (size_t i = 0; i < client->pending_count; i++) {
+    if (first[i].frame != NULL) {
+      return &first[i];
+    }
+  }
+  return NULL;
+}
+
+static bool pending_reserve(dipole_client *client, dipole_error *error) {
+  if (client->pending_begin + client->pending_count < client->pending_capacity) {
+    return true;
+  }
+  if (client->pending_begin > client->pending_capacity / 2) {
+    memmove(client->pending, client->pending + client->pending_begin,
+            client->pending_count * sizeof *client->pending);
+    client->pending_begin = 0;
+    return true;
+  }
+  const size_t capacity = client->pending_capacity == 0 ? 16 : 2 * client->pending_capacity;
+  libdipole_pending *larger = reallocarray(client->pending, capacity, sizeof *larger);
+  if (larger == NULL) {
+    return libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory");
+  }
+  client->pending = larger;
+  client->pending_capacity = capacity;
+  return true;
+}
+
+/* Hands an entry out. Those before it, usually none, move up. */
+static void pending_take(dipole_client *client, libdipole_pending *entry, libdipole_pending *out) {
+  libdipole_pending *first = client->pending + client->pending_begin;
+  *out = *entry;
+  memmove(first + 1, first, (size_t)(entry - first) * sizeof *first);
+  client->pending_begin++;
+  client->pending_count--;
+  client->arrived_count--;
+}
+
+void libdipole_pending_free(dipole_client *client) {
+  for (size_t i = 0; i < client->pending_count; i++) {
+    free(client->pending[client->pending_begin + i].frame);
+  }
+  free(client->pending);
+  free(client->frame);
+  client->pending = NULL;
+  client->frame = NULL;
+  client->pending_count = 0;
+}
+
+/* ---- what arrives -------------------------------------------------------------------------- */
+
+static bool is_error(const wire_header *header) {
+  return header->type == WIRE_TYPE_ERROR;
+}
+
+/* What a header announces must be an answer that this request can have. An error may also be about
+ * the connection as a whole: then there is no request with its id. */
+static bool check_header(const wire_header *header, const libdipole_pending *pending,
+                         dipole_error *error) {
+  const wire_error fault = wire_header_check(header, UINT32_MAX);
+  if (fault.status != WIRE_STATUS_OK) {
+    return libdipole_fail(error, DIPOLE_ERROR_PROTOCOL,
+                          "the peer does not speak this protocol: %s: %s: expected %s",
+                          wire_status_name(fault.status), fault.field, fault.allowed);
+  }
+  if (is_error(header) && header->payload_bytes == WIRE_BYTES_error) {
+    return true;
+  }
+  if (pending == NULL || pending->frame != NULL) {
+    return libdipole_fail(error, DIPOLE_ERROR_PROTOCOL,
+                          "the peer does not speak this protocol: it answered a request that was "
+                          "not sent");
+  }
+  if (header->type != (pending->type | WIRE_REPLY) ||
+      header->payload_bytes < pending->reply_bytes_min ||
+      header->payload_bytes > pending->reply_bytes_max) {
+    return libdipole_fail(error, DIPOLE_ERROR_PROTOCOL,
+                          "the peer does not speak this protocol: it answered a request of type "
+                          "%s with type 0x%04x and %lu bytes",
+                          wire_type_name(pending->type), header->type,
+                          (unsigned long)header->payload_bytes);
+  }
+  return true;
+}
+
+/* Starts a frame when a whole header is in the buffer. */
+static bool begin_frame(dipole_client *client, dipole_error *error) {
+  libdipole_stream *stream = &client->stream;
+  wire_header header;
+  wire_get_header(stream->in + stream->in_begin, &header);
+  stream->in_begin += WIRE_BYTES_header;
+  const libdipole_pending *pending = pending_find(client, header.request_id);
+  if (!check_header(&header, pending, error)) {
+    return false;
+  }
+  const uint64_t channels_bytes =
+      pending != NULL ? pending->medium_count * (uint64_t)sizeof(dipole_channel) : 0;
+  const uint64_t bytes = sizeof(libdipole_frame) + header.payload_bytes + channels_bytes;
+  client->frame = bytes <= SIZE_MAX ? malloc((size_t)bytes) : NULL;
+  if (client->frame == NULL) {
+    return libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory: %llu bytes for an answer",
+                          (unsigned long long)bytes);
+  }
+  client->frame->header = header;
+  stream->target = client->frame->payload;
+  stream->target_bytes = header.payload_bytes;
+  return true;
+}
+
+/* Gives a complete frame to its request. */
+static bool end_frame(dipole_client *client, dipole_error *error) {
+  libdipole_frame *frame = client->frame;
+  libdipole_pending *pending = pending_find(client, frame->header.request_id);
+  client->frame = NULL;
+  if (pending != NULL && pending->frame == NULL) {
+    pending->frame = frame;
+    client->arrived_count++;
+    return true;
+  }
+  libdipole_refused(client, NULL, frame, error);
+  free(frame);
+  /* Before the lists are here, the client has nothing to lose: what the daemon says is the reason
+   * why it cannot be opened. Later, it is why the connection is lost. */
+  error->kind = client->info.software != NULL ? DIPOLE_ERROR_CONNECTION : DIPOLE_ERROR_REFUSED;
+  return false;
+}
+
+/* Makes frames of the bytes in the buffer. */
+static bool take_frames(dipole_client *client, dipole_error *error) {
+  libdipole_stream *stream = &client->stream;
+  for (;;) {
+    if (client->frame == NULL) {
+      if (stream->in_end - stream->in_begin < WIRE_BYTES_header) {
+        return true;
+      }
+      if (!begin_frame(client, error)) {
+        return false;
+      }
+    }
+    const size_t unread = stream->in_end - stream->in_begin;
+    const size_t bytes = unread < stream->target_bytes ? unread : stream->target_bytes;
+    memcpy(stream->target, stream->in + stream->in_begin, bytes);
+    stream->in_begin += bytes;
+    stream->target += bytes;
+    stream->target_bytes -= bytes;
+    if (stream->target_bytes > 0) {
+      return true;
+    }
+    if (!end_frame(client, error)) {
+      return false;
+    }
+  }
+}
+
+/* Waits for bytes to come or go and deals with what came. After a failure the connection is in an
+ * unknown state: from then on every call fails in the same way. */
+static bool step(dipole_client *client, dipole_error *error) {
+  if (client->broken.kind == DIPOLE_ERROR_NONE) {
+    if (libdipole_stream_step(&client->stream, client->timeout_ms, error) &&
+        take_frames(client, error)) {
+      return true;
+    }
+    client->broken = *error;
+  }
+  *error = client->broken;
+  return false;
+}
+
+/* ---- asking -------------------------------------------------------------------------------- */
+
+bool libdipole_request_begin(dipole_client *client, libdipole_pending *pending,
+                             uint64_t payload_bytes, uint8_t **payload, dipole_error *error) {
+  if (client->broken.kind != DIPOLE_ERROR_NONE) {
+    *error = client->broken;
+    return false;
+  }
+  if (payload_bytes > UINT32_MAX - WIRE_BYTES_header) {
+    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
+                          "the request takes %llu bytes, more than a frame holds: ask for fewer "
+                          "radii or media at a time",
+                          (unsigned long long)payload_bytes);
+  }
+  const size_t bytes = WIRE_BYTES_header + (size_t)payload_bytes;
+  if (!pending_reserve(client, error) || !libdipole_stream_reserve(&client->stream, bytes, error)) {
+    return false;
+  }
+  pending->id = ++client->last_id;
+  pending->frame = NULL;
+  const wire_header header = {.magic = WIRE_MAGIC,
+                              .version = WIRE_VERSION,
+                              .type = pending->type,
+                              .request_id = pending->id,
+                              .payload_bytes = (uint32_t)payload_bytes};
+  uint8_t *at = client->stream.out + client->stream.out_end;
+  wire_put_header(at, &header);
+  *payload = at + WIRE_BYTES_header;
+  client->stream.out_end += bytes;
+  client->pending[client->pending_begin + client->pending_count++] = *pending;
+  return true;
+}
+
+bool libdipole_request_send(dipole_client *client, dipole_error *error) {
+  const libdipole_stream *stream = &client->stream;
+  libdipole_stream_send(&client->stream);
+  while (stream->out_end - stream->out_begin > BACKLOG_MAX_BYTES) {
+    if (!step(client, error)) {
+      return false;
+    }
+  }
+  return true;
+}
+
+bool libdipole_request_wait(dipole_client *client, uint64_t id, libdipole_pending *pending,
+                            dipole_error *error) {
+  for (;;) {
+    libdipole_pending *entry = NULL;
+    if (client->arrived_count > 0) {
+      entry = id != 0 ? pending_find(client, id) : pending_first_arrived(client);
+    }
+    if (entry != NULL && entry->frame != NULL) {
+      pending_take(client, entry, pending);
+      return true;
+    }
+    if (client->pending_count == 0) {
+      return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "no query is outstanding");
+    }
+    if (!step(client, error)) {
+      return false;
+    }
+  }
+}
+
+libdipole_frame *libdipole_ask(dipole_client *client, libdipole_pending *pending,
+                               const uint8_t *payload, size_t payload_bytes, dipole_error *error) {
+  uint8_t *at;
+  if (!libdipole_request_begin(client, pending, payload_bytes, &at, error)) {
+    return NULL;
+  }
+  if (payload_bytes > 0) {
+    memcpy(at, payload, payload_bytes);
+  }
+  if (!libdipole_request_send(client, error) ||
+      !libdipole_request_wait(client, pending->id, pending, error)) {
+    return NULL;
+  }
+  if (is_error(&pending->frame->header)) {
+    libdipole_refused(client, pending, pending->frame, error);
+    free(pending->frame);
+    return NULL;
+  }
+  return pending->frame;
+}

@@ -1,0 +1,133 @@
+#include <assert.h>
+#include <errno.h>
+#include <poll.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include "clients/c/client.h"
+
+/* An empty output buffer larger than this is given back. */
+#define OUTPUT_KEPT_BYTES ((size_t)1 << 20)
+
+void libdipole_stream_init(libdipole_stream *stream, int fd) {
+  stream->fd = fd;
+  stream->send_errno = 0;
+  stream->out = NULL;
+  stream->out_begin = stream->out_end = stream->out_capacity = 0;
+  stream->target = NULL;
+  stream->target_bytes = 0;
+  stream->in_begin = stream->in_end = 0;
+}
+
+void libdipole_stream_close(libdipole_stream *stream) {
+  if (stream->fd >= 0) {
+    close(stream->fd);
+  }
+  free(stream->out);
+  libdipole_stream_init(stream, -1);
+}
+
+bool libdipole_stream_reserve(libdipole_stream *stream, size_t bytes, dipole_error *error) {
+  const size_t unsent = stream->out_end - stream->out_begin;
+  if (bytes <= stream->out_capacity - stream->out_end) {
+    return true;
+  }
+  if (stream->out_begin > 0) {
+    memmove(stream->out, stream->out + stream->out_begin, unsent);
+    stream->out_begin = 0;
+    stream->out_end = unsent;
+  }
+  if (bytes <= stream->out_capacity - unsent) {
+    return true;
+  }
+  const size_t twice = stream->out_capacity > SIZE_MAX / 2 ? SIZE_MAX : 2 * stream->out_capacity;
+  if (bytes > SIZE_MAX - unsent) {
+    return libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory");
+  }
+  const size_t capacity = unsent + bytes > twice ? unsent + bytes : twice;
+  uint8_t *out = realloc(stream->out, capacity);
+  if (out == NULL) {
+    return libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory: %zu bytes for a request",
+                          capacity);
+  }
+  stream->out = out;
+  stream->out_capacity = capacity;
+  return true;
+}
+
+void libdipole_stream_send(libdipole_stream *stream) {
+  const size_t unsent = stream->out_end - stream->out_begin;
+  if (unsent == 0 || stream->send_errno != 0) {
+    return;
+  }
+  const ssize_t sent = send(stream->fd, stream->out + stream->out_begin, unsent, MSG_NOSIGNAL);
+  if (sent < 0) {
+    if (errno != EAGAIN && errno != EINTR) {
+      stream->send_errno = errno;
+    }
+    return;
+  }
+  stream->out_begin += (size_t)sent;
+  if (stream->out_begin == stream->out_end) {
+    stream->out_begin = stream->out_end = 0;
+    if (stream->out_capacity > OUTPUT_KEPT_BYTES) {
+      free(stream->out);
+      stream->out = NULL;
+      stream->out_capacity = 0;
+    }
+  }
+}
+
+/* Reads once, into the target or the buffer, which has room. */
+static bool receive(libdipole_stream *stream, dipole_error *error) {
+  uint8_t *to = stream->target;
+  size_t room = stream->target_bytes;
+  if (room == 0) {
+    const size_t unread = stream->in_end - stream->in_begin;
+    memmove(stream->in, stream->in + stream->in_begin, unread);
+    stream->in_begin = 0;
+    stream->in_end = unread;
+    to = stream->in + unread;
+    room = sizeof stream->in - unread;
+  }
+  assert(room > 0); /* a caller takes all but an incomplete header out of the buffer */
+  const ssize_t got = recv(stream->fd, to, room, 0);
+  if (got < 0) {
+    return errno == EAGAIN || errno == EINTR ||
+           libdipole_fail_errno(error, DIPOLE_ERROR_CONNECTION, errno,
+                                "the connection to the daemon was lost");
+  }
+  if (got == 0) {
+    return stream->send_errno != 0
+               ? libdipole_fail_errno(error, DIPOLE_ERROR_CONNECTION, stream->send_errno,
+                                      "the connection to the daemon was lost")
+               : libdipole_fail(error, DIPOLE_ERROR_CONNECTION, "the daemon closed the connection");
+  }
+  if (stream->target_bytes > 0) {
+    stream->target += got;
+    stream->target_bytes -= (size_t)got;
+  } else {
+    stream->in_end += (size_t)got;
+  }
+  return true;
+}
+
+bool libdipole_stream_step(libdipole_stream *stream, unsigned timeout_ms, dipole_error *error) {
+  const bool sending = stream->out_end > stream->out_begin && stream->send_errno == 0;
+  short ready;
+  if (!libdipole_wait(stream->fd, (short)(POLLIN | (sending ? POLLOUT : 0)), timeout_ms, &ready)) {
+    return errno == ETIMEDOUT
+               ? libdipole_fail(error, DIPOLE_ERROR_CONNECTION,
+                                "the daemon was silent for %u ms: gave up", timeout_ms)
+               : libdipole_fail_errno(error, DIPOLE_ERROR_CONNECTION, errno, "poll");
+  }
+  if ((ready & ~POLLOUT) != 0 && !receive(stream, error)) { /* also for errors: recv names them */
+    return false;
+  }
+  if ((ready & POLLOUT) != 0) {
+    libdipole_stream_send(stream);
+  }
+  return true;
+}

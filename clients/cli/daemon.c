@@ -1,0 +1,38 @@
+#include <time.h>
+
+#include "clients/cli/cli.h"
+
+bool cli_open(const cli_command *command, const cli_common *common, dipole_client **client) {
+  dipole_error error;
+  if (dipole_open_within(common->connect, (unsigned)common->timeout_ms.value, client, &error)) {
+    return true;
+  }
+  cli_fail(command, "%s", error.text);
+  return false;
+}
+
+int64_t cli_now_ms(void) {
+  struct timespec now;
+  clock_gettime(CLOCK_MONOTONIC, &now);
+  return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
+}
+
+void cli_nap(const dipole_error *busy) {
+  const uint32_t nap_ms = busy->retry_after_ms < 1000 ? busy->retry_after_ms : 1000;
+  const struct timespec nap = {.tv_sec = nap_ms / 1000, .tv_nsec = (nap_ms % 1000) * 1000000L};
+  nanosleep(&nap, NULL);
+}
+
+bool cli_eval(dipole_client *client, const cli_common *common, const dipole_query *query,
+              dipole_result **result, dipole_error *error) {
+  const int64_t start_ms = cli_now_ms();
+  while (!dipole_eval(client, query, result, error)) {
+    const bool patient = common->timeout_ms.value == 0 ||
+                         cli_now_ms() - start_ms < (int64_t)common->timeout_ms.value;
+    if (error->retry_after_ms == 0 || !patient) {
+      return false;
+    }
+    cli_nap(error);
+  }
+  return true;
+}

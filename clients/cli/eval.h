@@ -1,0 +1,83 @@
+/* eval: what `dipole eval` asks for and what it got, as its parts share it. */
+#ifndef DIPOLE_CLI_EVAL_H
+#define DIPOLE_CLI_EVAL_H
+
+#include "clients/cli/cli.h"
+
+typedef struct cli_eval_settings {
+  cli_common common;
+  const char *medium;
+  cli_numbers sigma_a, sigma_s, g, eta;
+  cli_texts model;
+  const char *moments, *evaluator;
+  cli_numbers r;
+  cli_number from, to;
+  cli_count count;
+  bool logarithmic;
+  cli_texts want;
+  cli_texts plot;
+} cli_eval_settings;
+
+typedef struct cli_eval_channel {
+  char name[24];
+  dipole_medium medium;
+} cli_eval_channel;
+
+/* Of one model and channel. Single precision values are held as the doubles that they equal. */
+typedef struct cli_eval_values {
+  double albedo; /* NaN: not wanted */
+  double numerical_error, numerical_error_per_mm;
+  double model_error; /* NaN: not measured */
+  double *R;          /* [radius_count]; NULL: not wanted */
+  double *cdf;
+} cli_eval_values;
+
+typedef struct cli_eval_report {
+  const dipole_info *info;
+  const char *medium; /* name of a measured medium; NULL: none */
+  const dipole_choice *evaluator, *moments;
+  unsigned wanted;
+  size_t channel_count;
+  cli_eval_channel *channels;
+  size_t model_count;
+  const dipole_choice **models;
+  size_t radius_count;
+  double *radii;           /* mm, as the daemon took them */
+  cli_eval_values *values; /* [model_count * channel_count], model by model */
+} cli_eval_report;
+
+const cli_eval_values *cli_eval_values_of(const cli_eval_report *report, size_t model,
+                                          size_t channel);
+
+/* The numerical error, relative, of the values at a radius. */
+double cli_eval_numerical_error(const cli_eval_values *values, double r_mm);
+
+/* The largest finite radius of the report; 0 when there is none. */
+double cli_eval_radius_max(const cli_eval_report *report);
+
+/* ---- eval_ask.c: fills a zeroed report; says what is wrong and returns an exit status ------ */
+
+int cli_eval_ask(const cli_command *command, const cli_eval_settings *settings,
+                 dipole_client *client, cli_eval_report *report);
+void cli_eval_report_free(cli_eval_report *report);
+
+/* ---- eval_media.c: the channels of the report, from the options ---------------------------- */
+
+int cli_eval_media(const cli_command *command, const cli_eval_settings *settings,
+                   dipole_client *client, cli_eval_report *report);
+
+/* ---- eval_write.c -------------------------------------------------------------------------- */
+
+void cli_eval_write_table(const cli_eval_report *report, FILE *file);
+void cli_eval_write_csv(const cli_eval_report *report, FILE *file);
+void cli_eval_write_json(const cli_eval_report *report, FILE *file);
+
+/* ---- plot.c -------------------------------------------------------------------------------- */
+
+/* Whether a picture can be drawn into a file of this name; says what is wrong when it cannot. */
+bool cli_plot_check(const cli_command *command, const char *path);
+
+/* Draws R over r into a file; an exit status. */
+int cli_plot(const cli_command *command, const cli_eval_report *report, const char *path);
+
+#endif

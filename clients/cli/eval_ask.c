@@ -1,0 +1,296 @@
+/* What `dipole eval` asks the daemon, and the answers put together. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "clients/cli/eval.h"
+
+#define MODEL_DEFAULT "better"
+#define MODEL_ALL "all"
+#define MOMENTS_DEFAULT "exact"
+#define EVALUATOR_DEFAULT "f64"
+#define FROM_DEFAULT_MM 0.0
+#define TO_DEFAULT_MM 10.0
+#define COUNT_DEFAULT 21
+
+/* ---- names --------------------------------------------------------------------------------- */
+
+static void add_model(cli_eval_report *report, const dipole_choice *model) {
+  for (size_t i = 0; i < report->model_count; i++) {
+    if (report->models[i] == model) {
+      return;
+    }
+  }
+  report->models = cli_resize(report->models, report->model_count + 1, sizeof *report->models);
+  report->models[report->model_count++] = model;
+}
+
+static void add_all_models(cli_eval_report *report) {
+  const dipole_choice *model;
+  for (size_t from = 0; (model = cli_next_choice(report->info, DIPOLE_MODEL, &from)) != NULL;) {
+    add_model(report, model);
+  }
+}
+
+static bool choose_model(const cli_command *command, const char *name, cli_eval_report *report) {
+  const dipole_choice *model = cli_named(command, report->info, DIPOLE_MODEL, "model", name);
+  if (model != NULL) {
+    add_model(report, model);
+  }
+  return model != NULL;
+}
+
+static bool choose_models(const cli_command *command, const cli_texts *names,
+                          cli_eval_report *report) {
+  for (size_t i = 0; i < names->count; i++) {
+    if (strcmp(names->items[i], MODEL_ALL) == 0) {
+      add_all_models(report);
+    } else if (!choose_model(command, names->items[i], report)) {
+      return false;
+    }
+  }
+  return names->count > 0 || choose_model(command, MODEL_DEFAULT, report);
+}
+
+static bool choose_quantities(const cli_command *command, const cli_texts *names,
+                              cli_eval_report *report) {
+  for (size_t i = 0; i < names->count; i++) {
+    const dipole_choice *quantity =
+        cli_named(command, report->info, DIPOLE_QUANTITY, "want", names->items[i]);
+    if (quantity == NULL) {
+      return false;
+    }
+    report->wanted |= quantity->id;
+  }
+  if (names->count == 0) {
+    report->wanted = DIPOLE_R | DIPOLE_ALBEDO;
+  }
+  return true;
+}
+
+static bool choose(const cli_command *command, const cli_eval_settings *settings,
+                   cli_eval_report *report) {
+  const char *moments = settings->moments != NULL ? settings->moments : MOMENTS_DEFAULT;
+  const char *evaluator = settings->evaluator != NULL ? settings->evaluator : EVALUATOR_DEFAULT;
+  report->moments = cli_named(command, report->info, DIPOLE_MOMENTS, "moments", moments);
+  if (report->moments == NULL) {
+    return false;
+  }
+  report->evaluator = cli_named(command, report->info, DIPOLE_EVALUATOR, "evaluator", evaluator);
+  return report->evaluator != NULL && choose_models(command, &settings->model, report) &&
+         choose_quantities(command, &settings->want, report);
+}
+
+/* ---- radii --------------------------------------------------------------------------------- */
+
+/* The radii of one query. */
+typedef struct asked_radii {
+  unsigned spacing;
+  uint64_t count;
+  double start_mm, stop_mm;
+  double *f64; /* a list in the evaluator's precision: one of these two */
+  float *f32;
+} asked_radii;
+
+static void make_radii(const cli_eval_settings *settings, const cli_eval_report *report,
+                       asked_radii *radii) {
+  const bool elementwise = (report->wanted & (DIPOLE_R | DIPOLE_CDF)) != 0;
+  *radii = (asked_radii){.spacing = DIPOLE_LIST};
+  if (!elementwise) {
+    return;
+  }
+  if (settings->r.count == 0) {
+    radii->spacing = settings->logarithmic ? DIPOLE_LOGARITHMIC : DIPOLE_LINEAR;
+    radii->count = settings->count.given ? settings->count.value : COUNT_DEFAULT;
+    radii->start_mm = settings->from.given ? settings->from.value : FROM_DEFAULT_MM;
+    radii->stop_mm = settings->to.given ? settings->to.value : TO_DEFAULT_MM;
+    return;
+  }
+  radii->count = settings->r.count;
+  if (report->evaluator->id == DIPOLE_F32) {
+    radii->f32 = cli_allocate(settings->r.count, sizeof *radii->f32);
+    for (size_t i = 0; i < settings->r.count; i++) {
+      radii->f32[i] = (float)settings->r.items[i];
+    }
+  } else {
+    radii->f64 = settings->r.items;
+  }
+}
+
+/* ---- asking -------------------------------------------------------------------------------- */
+
+typedef struct asking {
+  const cli_common *common;
+  dipole_client *client;
+  cli_eval_report *report;
+  const dipole_medium *media;
+  const asked_radii *radii;
+  unsigned too_large; /* the daemon's status for a request beyond its limits */
+} asking;
+
+static void copy_values(double *to, const double *f64, const float *f32, size_t count) {
+  for (size_t i = 0; i < count; i++) {
+    to[i] = f64 != NULL ? f64[i] : (double)f32[i];
+  }
+}
+
+/* Room for all radii of a model, once the daemon has agreed to so many. */
+static double *make_room(double *values, size_t count) {
+  return values != NULL ? values : cli_allocate(count, sizeof *values);
+}
+
+/* Keeps the answer for one model and the radii from `first` on. */
+static void keep(const asking *ask, size_t model, size_t first, const dipole_result *result) {
+  cli_eval_report *report = ask->report;
+  const size_t count = (size_t)result->radius_count;
+  report->radius_count = (size_t)ask->radii->count;
+  report->radii = make_room(report->radii, report->radius_count);
+  copy_values(report->radii + first, result->radius_f64, result->radius_f32, count);
+  for (size_t i = 0; i < report->channel_count; i++) {
+    const dipole_channel *channel = &result->channels[i];
+    cli_eval_values *values = &report->values[model * report->channel_count + i];
+    values->albedo = channel->albedo;
+    values->numerical_error = channel->numerical_error;
+    values->numerical_error_per_mm = channel->numerical_error_per_mm;
+    values->model_error = channel->model_error;
+    if ((result->wanted & DIPOLE_R) != 0) {
+      values->R = make_room(values->R, report->radius_count);
+      copy_values(values->R + first, channel->R_f64, channel->R_f32, count);
+    }
+    if ((result->wanted & DIPOLE_CDF) != 0) {
+      values->cdf = make_room(values->cdf, report->radius_count);
+      copy_values(values->cdf + first, channel->cdf_f64, channel->cdf_f32, count);
+    }
+  }
+}
+
+/* Asks for the radii first, first + 1, ..., first + count - 1 of a list, or for the whole grid. A
+ * list that is too long for the daemon is asked for in halves. */
+static bool ask_part(const asking *ask, size_t model, size_t first, uint64_t count,
+                     dipole_error *error) {
+  const asked_radii *radii = ask->radii;
+  const cli_eval_report *report = ask->report;
+  dipole_query query = {.model = report->models[model]->id,
+                        .evaluator = report->evaluator->id,
+                        .moments = report->moments->id,
+                        .wanted = report->wanted | DIPOLE_RADIUS,
+                        .media = ask->media,
+                        .medium_count = (uint32_t)report->channel_count,
+                        .spacing = radii->spacing,
+                        .radius_count = count,
+                        .radius_start_mm = radii->start_mm,
+                        .radius_stop_mm = radii->stop_mm};
+  dipole_result *result;
+  if (radii->f64 != NULL) {
+    query.radii = radii->f64 + first;
+  } else if (radii->f32 != NULL) {
+    query.radii = radii->f32 + first;
+  }
+  if (cli_eval(ask->client, ask->common, &query, &result, error)) {
+    keep(ask, model, first, result);
+    dipole_result_free(result);
+    return true;
+  }
+  if (error->kind == DIPOLE_ERROR_REFUSED && error->status == ask->too_large &&
+      radii->spacing == DIPOLE_LIST && count > 1) {
+    const uint64_t half = count / 2;
+    return ask_part(ask, model, first, half, error) &&
+           ask_part(ask, model, first + (size_t)half, count - half, error);
+  }
+  return false;
+}
+
+/* What a person wrote to give a field of a request its value. */
+static const char *option_of(const char *field) {
+  static const struct {
+    const char *field, *option;
+  } pairs[] = {{"radius_start", " (--from)"},
+               {"radius_stop", " (--to)"},
+               {"radius_count", " (--count)"},
+               {"r", " (--r)"},
+               {"sigma_a", " (--sigma-a)"},
+               {"sigma_s", " (--sigma-s)"},
+               {"g", " (--g)"},
+               {"eta", " (--eta)"}};
+  for (size_t i = 0; i < sizeof pairs / sizeof pairs[0]; i++) {
+    if (strcmp(pairs[i].field, field) == 0) {
+      return pairs[i].option;
+    }
+  }
+  return "";
+}
+
+static int ask_all(const cli_command *command, const asking *ask) {
+  dipole_error error;
+  for (size_t model = 0; model < ask->report->model_count; model++) {
+    if (!ask_part(ask, model, 0, ask->radii->count, &error)) {
+      return cli_fail(command, "%s%s", error.text, option_of(error.field));
+    }
+  }
+  return CLI_OK;
+}
+
+int cli_eval_ask(const cli_command *command, const cli_eval_settings *settings,
+                 dipole_client *client, cli_eval_report *report) {
+  asked_radii radii;
+  report->info = dipole_get_info(client);
+  if (!choose(command, settings, report)) {
+    return CLI_USAGE;
+  }
+  const int status = cli_eval_media(command, settings, client, report);
+  if (status != CLI_OK) {
+    return status;
+  }
+  report->values =
+      cli_allocate(report->model_count * report->channel_count, sizeof *report->values);
+  dipole_medium *media = cli_allocate(report->channel_count, sizeof *media);
+  for (size_t i = 0; i < report->channel_count; i++) {
+    media[i] = report->channels[i].medium;
+  }
+  make_radii(settings, report, &radii);
+  const asking ask = {.common = &settings->common,
+                      .client = client,
+                      .report = report,
+                      .media = media,
+                      .radii = &radii,
+                      .too_large = dipole_id(client, DIPOLE_STATUS, "too-large")};
+  const int asked = ask_all(command, &ask);
+  free(radii.f32);
+  free(media);
+  return asked;
+}
+
+/* ---- the report ---------------------------------------------------------------------------- */
+
+const cli_eval_values *cli_eval_values_of(const cli_eval_report *report, size_t model,
+                                          size_t channel) {
+  return &report->values[model * report->channel_count + channel];
+}
+
+double cli_eval_numerical_error(const cli_eval_values *values, double r_mm) {
+  /* 0 times infinity is not a number, but a rate of 0 adds nothing at any radius. */
+  return values->numerical_error +
+         (values->numerical_error_per_mm > 0 ? values->numerical_error_per_mm * r_mm : 0);
+}
+
+double cli_eval_radius_max(const cli_eval_report *report) {
+  double max = 0;
+  for (size_t i = 0; i < report->radius_count; i++) {
+    if (isfinite(report->radii[i]) && report->radii[i] > max) {
+      max = report->radii[i];
+    }
+  }
+  return max;
+}
+
+void cli_eval_report_free(cli_eval_report *report) {
+  for (size_t i = 0; report->values != NULL && i < report->model_count * report->channel_count;
+       i++) {
+    free(report->values[i].R);
+    free(report->values[i].cdf);
+  }
+  free(report->values);
+  free(report->radii);
+  free(report->models);
+  free(report->channels);
+}

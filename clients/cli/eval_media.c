@@ -1,0 +1,121 @@
+/* The media that --medium or --sigma-a, --sigma-s, --g and --eta describe. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "clients/cli/eval.h"
+
+#define G_DEFAULT 0.0
+#define ETA_DEFAULT 1.3
+
+enum { MEASURED_CHANNELS = 3 };
+
+static const dipole_measured_medium *find_medium(const dipole_measured_medium *media, size_t count,
+                                                 const char *name) {
+  for (size_t i = 0; i < count; i++) {
+    if (strcmp(media[i].name, name) == 0) {
+      return &media[i];
+    }
+  }
+  return NULL;
+}
+
+static int fail_unknown(const cli_command *command, const char *name,
+                        const dipole_measured_medium *media, size_t count) {
+  char known[1024] = "";
+  size_t length = 0;
+  for (size_t i = 0; i < count && length < sizeof known; i++) {
+    length += (size_t)snprintf(known + length, sizeof known - length, "%s%s", i > 0 ? ", " : "",
+                               media[i].name);
+  }
+  return cli_fail_usage(command, "--medium: '%s' is unknown; this daemon has %s", name, known);
+}
+
+/* Value number `channel` of an option that has one value for all channels or one for each. */
+static double pick(const cli_numbers *numbers, size_t channel, double otherwise) {
+  return numbers->count == 0 ? otherwise : numbers->items[numbers->count == 1 ? 0 : channel];
+}
+
+static int measured(const cli_command *command, const cli_eval_settings *settings,
+                    dipole_client *client, cli_eval_report *report) {
+  static const char *const colours[MEASURED_CHANNELS] = {"red", "green", "blue"};
+  dipole_measured_medium *media;
+  dipole_error error;
+  size_t count;
+  if (!dipole_media(client, &media, &count, &error)) {
+    return cli_fail(command, "%s", error.text);
+  }
+  const dipole_measured_medium *medium = find_medium(media, count, settings->medium);
+  if (medium == NULL) {
+    const int status = fail_unknown(command, settings->medium, media, count);
+    free(media);
+    return status;
+  }
+  report->medium = settings->medium;
+  report->channel_count = MEASURED_CHANNELS;
+  report->channels = cli_allocate(MEASURED_CHANNELS, sizeof *report->channels);
+  for (size_t i = 0; i < MEASURED_CHANNELS; i++) {
+    cli_eval_channel *channel = &report->channels[i];
+    snprintf(channel->name, sizeof channel->name, "%s", colours[i]);
+    channel->medium = medium->channel[i];
+    channel->medium.eta = pick(&settings->eta, i, channel->medium.eta);
+  }
+  free(media);
+  return CLI_OK;
+}
+
+static void given(const cli_eval_settings *settings, size_t count, cli_eval_report *report) {
+  report->channel_count = count;
+  report->channels = cli_allocate(count, sizeof *report->channels);
+  for (size_t i = 0; i < count; i++) {
+    cli_eval_channel *channel = &report->channels[i];
+    snprintf(channel->name, sizeof channel->name, "%zu", i + 1);
+    channel->medium = (dipole_medium){.sigma_a_per_mm = pick(&settings->sigma_a, i, 0),
+                                      .sigma_s_per_mm = pick(&settings->sigma_s, i, 0),
+                                      .g = pick(&settings->g, i, G_DEFAULT),
+                                      .eta = pick(&settings->eta, i, ETA_DEFAULT)};
+  }
+}
+
+/* The number of channels: that of the options with more than one value, which must agree. */
+static bool count_channels(const cli_command *command, const cli_eval_settings *settings,
+                           size_t *count) {
+  const struct {
+    const char *name;
+    const cli_numbers *numbers;
+  } options[] = {{"sigma-a", &settings->sigma_a},
+                 {"sigma-s", &settings->sigma_s},
+                 {"g", &settings->g},
+                 {"eta", &settings->eta}};
+  const char *first = NULL;
+  *count = 1;
+  if (settings->medium != NULL) {
+    first = "medium";
+    *count = MEASURED_CHANNELS;
+  }
+  for (size_t i = 0; i < sizeof options / sizeof options[0]; i++) {
+    const size_t values = options[i].numbers->count;
+    if (values > 1 && first != NULL && values != *count) {
+      cli_fail_usage(command, "--%s has %zu values and --%s has %zu: give one value or as many",
+                     options[i].name, values, first, *count);
+      return false;
+    }
+    if (values > 1 && first == NULL) {
+      first = options[i].name;
+      *count = values;
+    }
+  }
+  return true;
+}
+
+int cli_eval_media(const cli_command *command, const cli_eval_settings *settings,
+                   dipole_client *client, cli_eval_report *report) {
+  size_t count;
+  if (!count_channels(command, settings, &count)) {
+    return CLI_USAGE;
+  }
+  if (settings->medium != NULL) {
+    return measured(command, settings, client, report);
+  }
+  given(settings, count, report);
+  return CLI_OK;
+}

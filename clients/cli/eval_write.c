@@ -1,0 +1,237 @@
+/* The report of `dipole eval` as a table for people, as CSV and as JSON. */
+#include <math.h>
+
+#include "clients/cli/eval.h"
+#include "clients/cli/json.h"
+#include "clients/cli/number.h"
+#include "clients/cli/table.h"
+
+static const char *unit_of(const cli_eval_report *report, unsigned quantity) {
+  const dipole_choice *choice;
+  for (size_t from = 0; (choice = cli_next_choice(report->info, DIPOLE_QUANTITY, &from)) != NULL;) {
+    if (choice->id == quantity) {
+      return choice->about;
+    }
+  }
+  return "";
+}
+
+/* ---- for people ---------------------------------------------------------------------------- */
+
+enum { ELEMENTWISE = 2 };
+
+typedef struct elementwise {
+  unsigned quantity;
+  const char *name;
+} elementwise;
+
+static const elementwise elementwise_list[ELEMENTWISE] = {{DIPOLE_R, "R"}, {DIPOLE_CDF, "cdf"}};
+
+static const double *array_of(const cli_eval_values *values, unsigned quantity) {
+  return quantity == DIPOLE_R ? values->R : values->cdf;
+}
+
+/* Three header rows: the model, the quantity and channel, the unit. */
+static void add_profile_header(const cli_eval_report *report, cli_table *table) {
+  const char *const first[] = {"", "r", unit_of(report, DIPOLE_RADIUS)};
+  for (size_t row = 0; row < sizeof first / sizeof first[0]; row++) {
+    cli_table_add(table, "%s", first[row]);
+    for (size_t q = 0; q < ELEMENTWISE; q++) {
+      const elementwise *what = &elementwise_list[q];
+      const size_t columns =
+          (report->wanted & what->quantity) != 0 ? report->model_count * report->channel_count : 0;
+      for (size_t i = 0; i < columns; i++) {
+        const char *model = report->models[i / report->channel_count]->name;
+        const char *channel = report->channels[i % report->channel_count].name;
+        if (row == 0) {
+          cli_table_add(table, "%s", model);
+        } else if (row == 1) {
+          cli_table_add(table, "%s %s", what->name, channel);
+        } else {
+          cli_table_add(table, "%s", unit_of(report, what->quantity));
+        }
+      }
+    }
+  }
+}
+
+static void write_profiles(const cli_eval_report *report, FILE *file) {
+  cli_table table = {.heads = 3, .columns = 1};
+  const size_t profiles = report->model_count * report->channel_count;
+  for (size_t q = 0; q < ELEMENTWISE; q++) {
+    table.columns += (report->wanted & elementwise_list[q].quantity) != 0 ? profiles : 0;
+  }
+  add_profile_header(report, &table);
+  for (size_t i = 0; i < report->radius_count; i++) {
+    cli_table_add(&table, "%.6g", report->radii[i]);
+    for (size_t q = 0; q < ELEMENTWISE; q++) {
+      for (size_t p = 0; p < profiles; p++) {
+        const double *array = array_of(&report->values[p], elementwise_list[q].quantity);
+        if (array != NULL) {
+          cli_table_add(&table, elementwise_list[q].quantity == DIPOLE_R ? "%.4e" : "%.6g",
+                        array[i]);
+        }
+      }
+    }
+  }
+  cli_table_print(&table, file);
+}
+
+/* What holds for all radii of a model and channel. */
+static void write_channels(const cli_eval_report *report, FILE *file) {
+  const bool albedo = (report->wanted & DIPOLE_ALBEDO) != 0;
+  cli_table table = {.heads = 2, .left = 2, .columns = albedo ? 9 : 8};
+  const char *const names[] = {"model", "channel", "sigma_a",         "sigma_s",    "g",
+                               "eta",   "albedo",  "numerical error", "model error"};
+  const char *const units[] = {"", "", "1/mm", "1/mm", "", "", "", "relative, at most", "relative"};
+  for (size_t row = 0; row < table.heads; row++) {
+    for (size_t i = 0; i < sizeof names / sizeof names[0]; i++) {
+      if (albedo || i != 6) {
+        cli_table_add(&table, "%s", row == 0 ? names[i] : units[i]);
+      }
+    }
+  }
+  for (size_t i = 0; i < report->model_count * report->channel_count; i++) {
+    const cli_eval_values *values = &report->values[i];
+    const cli_eval_channel *channel = &report->channels[i % report->channel_count];
+    cli_table_add(&table, "%s", report->models[i / report->channel_count]->name);
+    cli_table_add(&table, "%s", channel->name);
+    cli_table_add(&table, "%.6g", channel->medium.sigma_a_per_mm);
+    cli_table_add(&table, "%.6g", channel->medium.sigma_s_per_mm);
+    cli_table_add(&table, "%.6g", channel->medium.g);
+    cli_table_add(&table, "%.6g", channel->medium.eta);
+    if (albedo) {
+      cli_table_add(&table, "%.6g", values->albedo);
+    }
+    cli_table_add(&table, "%.1e", cli_eval_numerical_error(values, cli_eval_radius_max(report)));
+    if (isnan(values->model_error)) {
+      cli_table_add(&table, "not measured");
+    } else {
+      cli_table_add(&table, "%.1e", values->model_error);
+    }
+  }
+  cli_table_print(&table, file);
+}
+
+void cli_eval_write_table(const cli_eval_report *report, FILE *file) {
+  fprintf(file, "%s%sR in %s; evaluator %s, moments %s\n\n",
+          report->medium != NULL ? report->medium : "", report->medium != NULL ? ": " : "",
+          report->info->R_unit, report->evaluator->name, report->moments->name);
+  if ((report->wanted & (DIPOLE_R | DIPOLE_CDF)) != 0) {
+    write_profiles(report, file);
+    fputc('\n', file);
+  }
+  write_channels(report, file);
+  if (cli_eval_radius_max(report) > 0) {
+    fprintf(file, "numerical error: against the model's formula, up to r = %.6g mm\n",
+            cli_eval_radius_max(report));
+  }
+  fputs("model error: of the model against radiative transport\n", file);
+}
+
+/* ---- CSV ----------------------------------------------------------------------------------- */
+
+/* A cell and the comma before it. What is not there, NaN, is an empty cell. */
+static void write_cell(FILE *file, double value) {
+  char text[CLI_NUMBER_BYTES];
+  fprintf(file, ",%s", isnan(value) ? "" : cli_number_format(value, text));
+}
+
+static void write_csv_row(const cli_eval_report *report, size_t model, size_t channel_index,
+                          size_t radius, FILE *file) {
+  const cli_eval_values *values = cli_eval_values_of(report, model, channel_index);
+  const cli_eval_channel *channel = &report->channels[channel_index];
+  const bool any = radius < report->radius_count;
+  const double r_mm = any ? report->radii[radius] : NAN;
+  fprintf(file, "%s,%s", report->models[model]->name, channel->name);
+  write_cell(file, channel->medium.sigma_a_per_mm);
+  write_cell(file, channel->medium.sigma_s_per_mm);
+  write_cell(file, channel->medium.g);
+  write_cell(file, channel->medium.eta);
+  write_cell(file, r_mm);
+  write_cell(file, any && values->R != NULL ? values->R[radius] : NAN);
+  write_cell(file, values->albedo);
+  write_cell(file, any && values->cdf != NULL ? values->cdf[radius] : NAN);
+  write_cell(file, cli_eval_numerical_error(values, any ? r_mm : 0));
+  write_cell(file, values->model_error);
+  fputc('\n', file);
+}
+
+void cli_eval_write_csv(const cli_eval_report *report, FILE *file) {
+  /* Without radii (only the albedo was wanted) there is one row for each model and channel. */
+  const size_t rows = report->radius_count > 0 ? report->radius_count : 1;
+  fputs("model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,cdf,numerical_error,model_error\n", file);
+  for (size_t model = 0; model < report->model_count; model++) {
+    for (size_t channel = 0; channel < report->channel_count; channel++) {
+      for (size_t radius = 0; radius < rows; radius++) {
+        write_csv_row(report, model, channel, radius, file);
+      }
+    }
+  }
+}
+
+/* ---- JSON ---------------------------------------------------------------------------------- */
+
+static void write_json_units(cli_json *json, const cli_eval_report *report) {
+  cli_json_begin(json, "units", '{');
+  cli_json_text(json, "sigma_a", "1/mm");
+  cli_json_text(json, "sigma_s", "1/mm");
+  cli_json_text(json, "r", unit_of(report, DIPOLE_RADIUS));
+  cli_json_text(json, "R", report->info->R_unit);
+  cli_json_text(json, "albedo", unit_of(report, DIPOLE_ALBEDO));
+  cli_json_text(json, "cdf", unit_of(report, DIPOLE_CDF));
+  cli_json_end(json, '}');
+}
+
+static void write_json_channel(cli_json *json, const cli_eval_report *report, size_t model,
+                               size_t index) {
+  const cli_eval_values *values = cli_eval_values_of(report, model, index);
+  const cli_eval_channel *channel = &report->channels[index];
+  cli_json_begin(json, NULL, '{');
+  cli_json_text(json, "channel", channel->name);
+  cli_json_number(json, "sigma_a", channel->medium.sigma_a_per_mm);
+  cli_json_number(json, "sigma_s", channel->medium.sigma_s_per_mm);
+  cli_json_number(json, "g", channel->medium.g);
+  cli_json_number(json, "eta", channel->medium.eta);
+  cli_json_number(json, "numerical_error", values->numerical_error);
+  cli_json_number(json, "numerical_error_per_mm", values->numerical_error_per_mm);
+  cli_json_number(json, "model_error", values->model_error);
+  if ((report->wanted & DIPOLE_ALBEDO) != 0) {
+    cli_json_number(json, "albedo", values->albedo);
+  }
+  if (values->R != NULL) {
+    cli_json_numbers(json, "R", values->R, report->radius_count);
+  }
+  if (values->cdf != NULL) {
+    cli_json_numbers(json, "cdf", values->cdf, report->radius_count);
+  }
+  cli_json_end(json, '}');
+}
+
+void cli_eval_write_json(const cli_eval_report *report, FILE *file) {
+  cli_json json = {.file = file};
+  cli_json_begin(&json, NULL, '{');
+  cli_json_text(&json, "software", report->info->software);
+  cli_json_text(&json, "instruction_set", report->info->instruction_set);
+  if (report->medium != NULL) {
+    cli_json_text(&json, "medium", report->medium);
+  }
+  cli_json_text(&json, "evaluator", report->evaluator->name);
+  cli_json_text(&json, "moments", report->moments->name);
+  write_json_units(&json, report);
+  cli_json_numbers(&json, "r", report->radii, report->radius_count);
+  cli_json_begin(&json, "models", '[');
+  for (size_t model = 0; model < report->model_count; model++) {
+    cli_json_begin(&json, NULL, '{');
+    cli_json_text(&json, "model", report->models[model]->name);
+    cli_json_text(&json, "source", report->models[model]->about);
+    cli_json_begin(&json, "channels", '[');
+    for (size_t channel = 0; channel < report->channel_count; channel++) {
+      write_json_channel(&json, report, model, channel);
+    }
+    cli_json_end(&json, ']');
+    cli_json_end(&json, '}');
+  }
+  cli_json_end(&json, ']');
+  cli_json_end(&json, '}');
+}

@@ -1,0 +1,46 @@
+#include <string.h>
+
+#include "clients/cli/cli.h"
+
+const dipole_choice *cli_next_choice(const dipole_info *info, enum dipole_kind kind, size_t *from) {
+  while (*from < info->choice_count) {
+    const dipole_choice *choice = &info->choices[(*from)++];
+    if (choice->kind == kind) {
+      return choice;
+    }
+  }
+  return NULL;
+}
+
+const dipole_choice *cli_choice(const dipole_info *info, enum dipole_kind kind, const char *name) {
+  const dipole_choice *choice;
+  for (size_t from = 0; (choice = cli_next_choice(info, kind, &from)) != NULL;) {
+    if (strcmp(choice->name, name) == 0) {
+      return choice;
+    }
+  }
+  return NULL;
+}
+
+void cli_list_names(const dipole_info *info, enum dipole_kind kind, char *text, size_t bytes) {
+  const dipole_choice *choice;
+  size_t length = 0;
+  text[0] = '\0';
+  for (size_t from = 0; (choice = cli_next_choice(info, kind, &from)) != NULL;) {
+    if (length < bytes) {
+      length += (size_t)snprintf(text + length, bytes - length, "%s%s", length > 0 ? ", " : "",
+                                 choice->name);
+    }
+  }
+}
+
+const dipole_choice *cli_named(const cli_command *command, const dipole_info *info,
+                               enum dipole_kind kind, const char *option, const char *name) {
+  char known[1024];
+  const dipole_choice *choice = cli_choice(info, kind, name);
+  if (choice == NULL) {
+    cli_list_names(info, kind, known, sizeof known);
+    cli_fail_usage(command, "--%s: '%s' is unknown; this daemon has %s", option, name, known);
+  }
+  return choice;
+}

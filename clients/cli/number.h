@@ -1,0 +1,22 @@
+/* number: decimal numbers, read strictly and written so that nothing is lost. */
+#ifndef DIPOLE_CLI_NUMBER_H
+#define DIPOLE_CLI_NUMBER_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+/* Room for any number that cli_number_format() writes. */
+#define CLI_NUMBER_BYTES 32
+
+/* Reads a whole text as a decimal number, inf or nan, in the notation of the C locale. No spaces,
+ * no hexadecimal. False also when the number is finite but beyond the range of doubles. */
+bool cli_number_parse(const char *text, double *value);
+
+/* Reads a whole text of decimal digits. */
+bool cli_count_parse(const char *text, uint64_t *value);
+
+/* Writes the fewest digits that read back to the same double, in plain or scientific notation,
+ * whichever is shorter. Returns text. */
+const char *cli_number_format(double value, char text[CLI_NUMBER_BYTES]);
+
+#endif

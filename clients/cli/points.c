@@ -1,0 +1,331 @@
+/* dipole points: the same rows with R, albedo, cdf and status. Rows wait for their answers in a
+ * window, so that many queries are under way while memory stays bounded and the order is kept. */
+#include "clients/cli/points.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <stdarg.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "clients/cli/progress.h"
+
+#define EVALUATOR_DEFAULT "f64"
+
+/* A full window is settled to half before more is read, so that many queries leave at once. */
+enum { WINDOW_ROWS = 512 };
+
+/* Text that the rows of the window may hold together. */
+#define WINDOW_BYTES ((size_t)4 << 20)
+
+typedef struct points_settings {
+  cli_common common;
+  const char *evaluator;
+} points_settings;
+
+typedef struct points_run {
+  const cli_command *command;
+  const points_settings *settings;
+  const char *source; /* name of the input, for messages */
+  dipole_client *client;
+  unsigned evaluator;
+  cli_csv_reader reader;
+  cli_points_columns columns;
+  cli_progress progress;
+  uint64_t input_bytes; /* size of the input; 0: unknown */
+  uint64_t rows_written, rows_bad;
+  int64_t answer_ms; /* when the last answer came */
+  bool failed;
+  size_t first, count; /* the window: rows[(first + i) % WINDOW_ROWS] */
+  size_t window_bytes;
+  cli_points_row rows[WINDOW_ROWS];
+} points_run;
+
+static cli_points_row *row_at(points_run *points, size_t index) {
+  return &points->rows[(points->first + index) % WINDOW_ROWS];
+}
+
+/* Says what is wrong with the input or the connection, and ends the command. */
+static bool fail(points_run *points, const char *format, ...) __attribute__((format(printf, 2, 3)));
+
+static bool fail(points_run *points, const char *format, ...) {
+  char text[512];
+  va_list arguments;
+  va_start(arguments, format);
+  vsnprintf(text, sizeof text, format, arguments);
+  va_end(arguments);
+  cli_progress_wipe(&points->progress);
+  cli_fail(points->command, "%s: %s", points->source, text);
+  points->failed = true;
+  return false;
+}
+
+/* ---- answers ------------------------------------------------------------------------------- */
+
+static cli_points_row *find_row(points_run *points, uint64_t id) {
+  for (size_t i = 0; i < points->count; i++) {
+    cli_points_row *row = row_at(points, i);
+    if (row->state == CLI_POINTS_WAITING && row->id == id) {
+      return row;
+    }
+  }
+  return NULL;
+}
+
+static bool submit(points_run *points, cli_points_row *row) {
+  dipole_error error;
+  return cli_points_submit(points->client, points->evaluator, row, &error) ||
+         fail(points, "%s", error.text);
+}
+
+/* A busy daemon is asked again; a refusal that names a field is the row's own fault; anything else
+ * ends the command. */
+static bool take_refusal(points_run *points, uint64_t id, const dipole_error *error) {
+  const uint64_t timeout_ms = points->settings->common.timeout_ms.value;
+  cli_points_row *row = error->kind == DIPOLE_ERROR_REFUSED ? find_row(points, id) : NULL;
+  if (row == NULL || (error->retry_after_ms == 0 && error->field[0] == '\0')) {
+    return fail(points, "%s", error->text);
+  }
+  if (error->retry_after_ms == 0) {
+    row->state = CLI_POINTS_BAD;
+    memcpy(row->status, error->text, sizeof row->status);
+    return true;
+  }
+  if (timeout_ms != 0 && cli_now_ms() - points->answer_ms > (int64_t)timeout_ms) {
+    return fail(points, "%s", error->text);
+  }
+  cli_nap(error);
+  return submit(points, row);
+}
+
+_Static_assert(sizeof((cli_points_row *)0)->status == sizeof((dipole_error *)0)->text, "status");
+
+/* Waits for one answer. */
+static bool collect(points_run *points) {
+  dipole_error error;
+  dipole_result *result;
+  uint64_t id = 0;
+  if (!dipole_collect(points->client, &id, &result, &error)) {
+    return take_refusal(points, id, &error);
+  }
+  points->answer_ms = cli_now_ms();
+  cli_points_row *row = find_row(points, id);
+  if (row != NULL) {
+    cli_points_take(row, result);
+  }
+  dipole_result_free(result);
+  return row != NULL || fail(points, "an answer came to a query that was not sent");
+}
+
+/* ---- the window ---------------------------------------------------------------------------- */
+
+static void write_first(points_run *points) {
+  cli_points_row *row = row_at(points, 0);
+  if (row->state == CLI_POINTS_COPIED) {
+    fwrite(row->record.bytes, 1, row->record.length, stdout);
+  } else {
+    cli_points_write_row(&points->columns, row, stdout);
+    points->rows_written++;
+    points->rows_bad += row->state == CLI_POINTS_BAD;
+  }
+  points->window_bytes -= row->record.length;
+  cli_csv_record_trim(&row->record);
+  points->first = (points->first + 1) % WINDOW_ROWS;
+  points->count--;
+  cli_progress_show(&points->progress, points->reader.bytes_read, points->input_bytes,
+                    points->rows_written);
+}
+
+/* Writes the oldest rows until no more than `left` are in the window. */
+static bool settle(points_run *points, size_t left) {
+  while (!points->failed && points->count > left) {
+    if (row_at(points, 0)->state != CLI_POINTS_WAITING) {
+      write_first(points);
+    } else {
+      collect(points);
+    }
+  }
+  if (!points->failed && ferror(stdout)) {
+    points->failed = true; /* main() says why */
+  }
+  return !points->failed;
+}
+
+/* Nothing to read yet: whoever feeds us row by row sees the answers to what has come so far. */
+static void settle_before_wait(void *context) {
+  if (settle(context, 0)) {
+    fflush(stdout);
+  }
+}
+
+/* ---- reading ------------------------------------------------------------------------------- */
+
+/* True when a record or a comment was read; at the end false, and failed when it came too soon. */
+static bool read_record(points_run *points, cli_csv_record *record, enum cli_csv_kind *kind) {
+  const char *what = "";
+  *kind = cli_csv_read(&points->reader, record);
+  switch (*kind) {
+  case CLI_CSV_RECORD:
+  case CLI_CSV_COMMENT:
+    return !points->failed;
+  case CLI_CSV_END:
+    return false;
+  case CLI_CSV_TOO_LONG:
+    what = "the row is longer than 1 MiB";
+    break;
+  case CLI_CSV_UNCLOSED:
+    what = "a quote is not closed";
+    break;
+  case CLI_CSV_FAILED:
+    what = strerror(points->reader.read_errno);
+    break;
+  }
+  if (points->failed || !settle(points, 0)) { /* what was read before is still good */
+    return false;
+  }
+  return fail(points, "line %llu: %s", (unsigned long long)points->reader.lines + 1, what);
+}
+
+static bool read_header(points_run *points) {
+  cli_csv_record header = {0};
+  enum cli_csv_kind kind;
+  bool good = true;
+  while ((good = read_record(points, &header, &kind)) && kind == CLI_CSV_COMMENT) {
+    fwrite(header.bytes, 1, header.length, stdout);
+  }
+  if (good) {
+    good = cli_points_find_columns(points->command, points->source, &header, &points->columns);
+    if (good) {
+      cli_points_write_header(&points->columns, &header, stdout);
+    }
+  } else if (!points->failed) {
+    fail(points, "there is no header line; it names the columns: sigma_a, sigma_s, g, eta, r, if "
+                 "need be model and moments");
+  }
+  cli_csv_record_free(&header);
+  return good;
+}
+
+static bool read_rows(points_run *points) {
+  const dipole_info *info = dipole_get_info(points->client);
+  enum cli_csv_kind kind;
+  for (;;) {
+    if (points->count == WINDOW_ROWS || points->window_bytes > WINDOW_BYTES) {
+      if (!settle(points, points->count / 2)) {
+        return false;
+      }
+    }
+    /* Reading may settle the window, which moves its start, but not the place behind its end. */
+    cli_points_row *row = row_at(points, points->count);
+    if (!read_record(points, &row->record, &kind)) {
+      return !points->failed && settle(points, 0);
+    }
+    points->count++;
+    points->window_bytes += row->record.length;
+    if (kind == CLI_CSV_COMMENT) {
+      row->state = CLI_POINTS_COPIED;
+    } else if (cli_points_parse(&points->columns, info, row) && !submit(points, row)) {
+      return false;
+    }
+  }
+}
+
+/* ---- the command --------------------------------------------------------------------------- */
+
+/* Opens the input and learns its size. */
+static bool open_input(points_run *points, const char *operand) {
+  struct stat about;
+  const bool standard = operand == NULL || strcmp(operand, "-") == 0;
+  points->source = standard ? "standard input" : operand;
+  points->reader.fd = standard ? STDIN_FILENO : open(operand, O_RDONLY | O_CLOEXEC);
+  if (points->reader.fd < 0) {
+    cli_fail(points->command, "%s: %s", operand, strerror(errno));
+    return false;
+  }
+  if (fstat(points->reader.fd, &about) == 0 && S_ISREG(about.st_mode)) {
+    points->input_bytes = (uint64_t)about.st_size;
+  }
+  points->reader.before_wait = settle_before_wait;
+  points->reader.context = points;
+  return true;
+}
+
+static int work(points_run *points) {
+  const char *name = points->settings->evaluator;
+  const dipole_choice *evaluator =
+      cli_named(points->command, dipole_get_info(points->client), DIPOLE_EVALUATOR, "evaluator",
+                name != NULL ? name : EVALUATOR_DEFAULT);
+  if (evaluator == NULL) {
+    return CLI_USAGE;
+  }
+  points->evaluator = evaluator->id;
+  points->answer_ms = cli_now_ms();
+  cli_progress_start(&points->progress);
+  const bool good = read_header(points) && read_rows(points);
+  cli_progress_wipe(&points->progress);
+  if (!good) {
+    return CLI_FAILED;
+  }
+  if (points->rows_bad > 0) {
+    cli_fail(points->command, "%s: %llu of %llu rows were bad: see the column status",
+             points->source, (unsigned long long)points->rows_bad,
+             (unsigned long long)points->rows_written);
+    return CLI_BAD_ROWS;
+  }
+  return CLI_OK;
+}
+
+static int run(const cli_command *command, int argc, char **argv) {
+  points_settings settings = {0};
+  const char *operand;
+  int status;
+  if (!cli_options_read(command, argc, argv, &settings, &operand, &status)) {
+    return status;
+  }
+  points_run *points = cli_allocate(1, sizeof *points);
+  points->command = command;
+  points->settings = &settings;
+  status = CLI_FAILED;
+  if (open_input(points, operand)) {
+    if (cli_open(command, &settings.common, &points->client)) {
+      status = work(points);
+      dipole_close(points->client);
+    }
+    if (points->reader.fd != STDIN_FILENO) {
+      close(points->reader.fd);
+    }
+  }
+  for (size_t i = 0; i < WINDOW_ROWS; i++) {
+    cli_csv_record_free(&points->rows[i].record);
+  }
+  free(points);
+  return status;
+}
+
+static const cli_option options[] = {
+    {"Evaluation", NULL, NULL, CLI_HEADING, 0},
+    {"evaluator", "NAME", "f64 or f32: double or single precision (default: f64)", CLI_TEXT,
+     offsetof(points_settings, evaluator)},
+    {0},
+};
+
+const cli_command cli_command_points = {
+    .name = "points",
+    .operand = "[FILE]",
+    .about = "Evaluate each row of a CSV file (or of standard input)",
+    .more =
+        "\n"
+        "The header names the columns, in any order: sigma_a, sigma_s (1/mm), g, eta and r (mm)\n"
+        "are needed; model (default: better) and moments (default: exact) may be absent or\n"
+        "empty. The rows come out as they are, with R (1/mm^2 per unit of power that entered),\n"
+        "albedo, cdf (the share of the albedo within r) and status appended, or replaced where\n"
+        "such a column exists. status is ok, or says what is wrong with the row; the other rows\n"
+        "go on, and the exit status is 3. Lines that start with # are copied.\n",
+    .formats = "csv",
+    .options = options,
+    .examples = "  dipole points media.csv > profiles.csv\n"
+                "  printf 'sigma_a,sigma_s,g,eta,r\\n0.01,1,0,1.4,2\\n' | dipole points\n",
+    .run = run,
+};

@@ -1,0 +1,23 @@
+/* table: columns for people, as wide as their widest cell. */
+#ifndef DIPOLE_CLI_TABLE_H
+#define DIPOLE_CLI_TABLE_H
+
+#include <stddef.h>
+#include <stdio.h>
+
+typedef struct cli_table {
+  size_t columns;
+  size_t left;       /* so many of the first columns are aligned left, the others right */
+  size_t heads;      /* so many of the first rows are the header */
+  size_t cell_count; /* row by row */
+  size_t cell_capacity;
+  char **cells;
+} cli_table;
+
+/* Adds the next cell. */
+void cli_table_add(cli_table *table, const char *format, ...) __attribute__((format(printf, 2, 3)));
+
+/* Prints the table, with a line under its header, and frees the cells. */
+void cli_table_print(cli_table *table, FILE *file);
+
+#endif

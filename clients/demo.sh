@@ -1,0 +1,76 @@
+#!/bin/sh
+# The demonstration: a daemon on a temporary socket evaluates measured skin with two models, as a
+# table and as pictures. Usage: demo.sh BUILD_DIR
+set -eu
+
+build=${1:?"usage: $0 BUILD_DIR"}
+medium=skin1
+models=classical,better
+daemon=
+folder=
+
+say() { printf '%s\n' "$*"; }
+fail() {
+  printf 'demo: %s\n' "$*" >&2
+  exit 1
+}
+
+clean_up() {
+  status=$?
+  trap - EXIT INT TERM HUP
+  if [ -n "$daemon" ]; then
+    kill -TERM "$daemon" 2>/dev/null || true
+    wait "$daemon" 2>/dev/null || true
+  fi
+  if [ -n "$folder" ]; then
+    [ "$status" -eq 0 ] || cat "$folder/dipoled.log" >&2 2>/dev/null || true
+    rm -rf "$folder"
+  fi
+  exit "$status"
+}
+trap clean_up EXIT
+trap 'exit 129' HUP
+trap 'exit 130' INT
+trap 'exit 143' TERM
+
+for program in dipoled dipole; do
+  [ -x "$build/$program" ] || fail "$build/$program is not there: run make first"
+done
+command -v gnuplot >/dev/null || fail "gnuplot is not installed: install the package gnuplot-nox"
+
+folder=$(mktemp -d)
+address=unix:$folder/dipoled.sock
+"$build/dipoled" --listen "$address" 2>"$folder/dipoled.log" &
+daemon=$!
+
+# Ready when it answers; it has ten seconds to get there.
+tries=100
+until "$build/dipole" info --connect "$address" >/dev/null 2>&1; do
+  kill -0 "$daemon" 2>/dev/null || fail "the daemon ended before it was ready"
+  tries=$((tries - 1))
+  [ "$tries" -gt 0 ] || fail "the daemon was not ready after 10 seconds"
+  sleep 0.1
+done
+
+mkdir -p "$build/demo"
+say "\$ $build/dipole eval --medium $medium --model $models --from 0 --to 10"
+"$build/dipole" eval --connect "$address" --medium "$medium" --model "$models" --from 0 --to 10 ||
+  fail "the evaluation failed"
+
+# The pictures have more radii than a table that people read.
+"$build/dipole" eval --connect "$address" --medium "$medium" --model "$models" --from 0 --to 10 \
+  --count 401 --format csv --plot "$build/demo/$medium.svg" --plot "$build/demo/$medium.png" \
+  >"$build/demo/$medium.csv" || fail "the pictures could not be drawn"
+
+kill -TERM "$daemon" || fail "the daemon was gone before it was stopped"
+status=0
+wait "$daemon" || status=$?
+daemon=
+[ "$status" -eq 0 ] || fail "the daemon ended with status $status instead of 0"
+
+say
+say "Both profiles over r, on a logarithmic axis:"
+for file in svg png csv; do
+  [ -s "$build/demo/$medium.$file" ] || fail "$build/demo/$medium.$file was not written"
+  say "  $build/demo/$medium.$file"
+done

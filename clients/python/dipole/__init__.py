@@ -1,0 +1,41 @@
+"""dipole: ask a dipoled for subsurface-scattering profiles R(r).
+
+    import dipole
+
+    with dipole.Client("unix:/run/dipoled/socket") as client:
+        result = client.eval("better", dipole.Medium(sigma_a=0.032, sigma_s=0.74), r=[0.5, 1, 2])
+        print(result.R, result.albedo)
+
+Lengths in mm, coefficients in 1/mm, R in 1/mm^2 per unit of power that entered the medium.
+"""
+
+from .client import Client
+from .connection import Connection, Frame
+from .errors import (
+    AddressError,
+    ArgumentError,
+    ConnectError,
+    ConnectionLost,
+    DipoleError,
+    ProtocolError,
+    Refused,
+)
+from .values import Choice, Grid, Info, Medium, Result
+
+__all__ = [
+    "AddressError",
+    "ArgumentError",
+    "Choice",
+    "Client",
+    "ConnectError",
+    "Connection",
+    "ConnectionLost",
+    "DipoleError",
+    "Frame",
+    "Grid",
+    "Info",
+    "Medium",
+    "ProtocolError",
+    "Refused",
+    "Result",
+]

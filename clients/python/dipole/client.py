@@ -1,0 +1,346 @@
+"""A client of dipoled: evaluates subsurface-scattering profiles R(r).
+
+    with dipole.Client() as client:
+        result = client.eval("better", client.media()["skin1"], r=[0.5, 1, 2])
+        print(result.R)  # [channel, radius], 1/mm^2
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from . import wire
+from .connection import Connection, Frame
+from .errors import ArgumentError, ProtocolError, Refused
+from .values import Choice, Grid, Info, Medium, Result
+
+
+class _Query(NamedTuple):
+    """What a reply does not repeat and its decoding needs."""
+
+    radii: np.ndarray | None  # as listed; None for a grid
+    medium_count: int
+    radius_count: int
+
+
+class Client:
+    """Connects, agrees on a protocol version and reads the daemon's lists.
+
+    address and timeout_s: see Connection. A client belongs to one thread at a time. Close it, or
+    use it in a with statement; a private daemon ends with it.
+    """
+
+    def __init__(self, address: str | None = None, timeout_s: float | None = 30.0):
+        self._last_id = 0
+        self._outstanding: dict[int, _Query] = {}
+        self._arrived: dict[int, Frame] = {}  # answers to submitted queries, in order of arrival
+        self._connection = Connection(address, timeout_s)
+        try:
+            self.info: Info = self._hello()
+        except BaseException:
+            self._connection.close()
+            raise
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Closes the connection and ends a private daemon. Closing twice is fine."""
+        self._connection.close()
+
+    # ---- evaluating ------------------------------------------------------------------------------
+
+    def eval(
+        self,
+        model: str | int,
+        media: Medium | Iterable[Sequence[float]] | np.ndarray,
+        r: Any = None,
+        *,
+        grid: Grid | None = None,
+        evaluator: str | int = "f64",
+        moments: str | int = "exact",
+        wanted: Iterable[str] | None = None,
+    ) -> Result:
+        """Evaluates a model for one or more media and waits for the answer.
+
+        media: one Medium, or C of them, or an array [C, 4] of sigma_a, sigma_s (1/mm), g, eta.
+        r: N radii in mm, from 0 to infinity; or grid: the radii by rule, which cost no bytes.
+        evaluator: "f64", or "f32" for radii and values in single precision.
+        moments: "exact", or "fit" for the polynomials.
+        wanted: names of quantities; all of them by default ("r" only for a grid).
+
+        Raises Refused when the daemon does not take the query, with the field at fault.
+        """
+        request_id = self.submit(
+            model, media, r, grid=grid, evaluator=evaluator, moments=moments, wanted=wanted
+        )
+        query = self._outstanding.pop(request_id)
+        return self._result(self._answer(request_id, "eval"), query)
+
+    def submit(
+        self,
+        model: str | int,
+        media: Medium | Iterable[Sequence[float]] | np.ndarray,
+        r: Any = None,
+        *,
+        grid: Grid | None = None,
+        evaluator: str | int = "f64",
+        moments: str | int = "exact",
+        wanted: Iterable[str] | None = None,
+    ) -> int:
+        """Sends a query like eval() without waiting; returns its id, for collect()."""
+        if wanted is None:
+            wanted = ("R", "albedo", "cdf") if grid is None else ("R", "albedo", "cdf", "r")
+        evaluator_id = self._id("evaluator", evaluator)
+        media_array = _media_array(media)
+        radii = _radii_array(r, grid, evaluator_id)
+        radius_count = grid.count if radii is None else len(radii)
+        fixed = wire.EVAL_REQUEST.pack(
+            model=self._id("model", model),
+            evaluator=evaluator_id,
+            moments=self._id("moments", moments),
+            wanted=sum({self._id("quantity", name) for name in wanted}),
+            medium_count=len(media_array),
+            spacing=wire.SPACING_LIST if grid is None else self._id("spacing", grid.spacing),
+            radius_count=radius_count,
+            radius_start=0.0 if grid is None else grid.start_mm,
+            radius_stop=0.0 if grid is None else grid.stop_mm,
+        )
+        listed = b"" if radii is None else radii.tobytes()
+        listed += bytes(wire.padded(len(listed)) - len(listed))
+        request_id = self._send("eval", fixed + media_array.tobytes() + listed)
+        self._outstanding[request_id] = _Query(radii, len(media_array), radius_count)
+        return request_id
+
+    def collect(self) -> tuple[int, Result]:
+        """Waits for the answer to any outstanding query; returns its id and the result. A refusal
+        is raised with the query's id in request_id; the others go on."""
+        if not self._outstanding:
+            raise ArgumentError("nothing is outstanding")
+        while not self._arrived:
+            self._receive()
+        request_id = next(iter(self._arrived))
+        query = self._outstanding.pop(request_id)
+        frame = self._arrived.pop(request_id)
+        return request_id, self._result(self._payload(frame, "eval"), query)
+
+    # ---- the rest --------------------------------------------------------------------------------
+
+    def media(self) -> dict[str, tuple[Medium, Medium, Medium]]:
+        """The daemon's measured media by name: red, green, blue."""
+        entries = self._list("media", wire.MEASURED_MEDIUM)
+        return {
+            entry.name: tuple(
+                Medium(entry.sigma_a[i], entry.sigma_s[i], entry.g, entry.eta) for i in range(3)
+            )
+            for entry in entries
+        }
+
+    def statistics(self) -> dict[str, int]:
+        """The daemon's statistics by name, whose end is the unit."""
+        return {entry.name: entry.value for entry in self._list("statistics", wire.VALUE)}
+
+    def ping(self, payload: bytes = b"") -> float:
+        """A round trip that does nothing else, in seconds. payload: up to 1024 bytes, a multiple of
+        8, that the daemon sends back."""
+        if len(payload) % wire.ALIGNMENT or len(payload) > wire.PING_MAX_BYTES:
+            raise ArgumentError("payload: a multiple of 8 bytes, at most 1024")
+        start = time.perf_counter()
+        if self._answer(self._send("ping", payload), "ping") != payload:
+            raise ProtocolError("the ping came back changed")
+        return time.perf_counter() - start
+
+    def send_frame(self, type: int, request_id: int, payload: bytes = b"") -> None:
+        """Sends a frame of any type as it is; use receive_frame() for what comes back."""
+        self._connection.send_frame(type, request_id, payload)
+
+    def receive_frame(self) -> Frame:
+        """The next frame, unless another call took it; see send_frame()."""
+        return self._connection.receive_frame()
+
+    # ---- requests and replies --------------------------------------------------------------------
+
+    def _id(self, kind: str, name: str | int) -> int:
+        """The id of a choice by its name; an id stays as it is, for the daemon to judge."""
+        if not isinstance(name, str):
+            return name
+        choices = self.info.choices[kind]
+        if name not in choices:
+            raise ArgumentError(f"{kind} {name}: not one of {', '.join(choices)}")
+        return choices[name].id
+
+    def _send(self, message: str, payload: bytes = b"") -> int:
+        self._last_id += 1
+        self._connection.send_frame(wire.MESSAGES[message], self._last_id, payload)
+        return self._last_id
+
+    def _receive(self, request_id: int = 0) -> Frame | None:
+        """The next frame when it answers this request. One that answers a submitted query is kept
+        in _arrived; one that answers nothing is the daemon's word on the connection as a whole."""
+        frame = self._connection.receive_frame()
+        if frame.request_id in self._outstanding:
+            self._arrived[frame.request_id] = frame
+            return None
+        if request_id != 0 and frame.request_id == request_id:
+            return frame
+        if frame.type == wire.TYPE_ERROR and frame.request_id == 0:
+            raise self._refused(frame)
+        raise ProtocolError(f"a reply to request {frame.request_id}, which was not made")
+
+    def _answer(self, request_id: int, message: str) -> bytes:
+        """The payload of the reply to a request that is not among the submitted ones."""
+        frame = None
+        while frame is None:
+            frame = self._receive(request_id)
+        return self._payload(frame, message)
+
+    def _payload(self, frame: Frame, message: str) -> bytes:
+        """The payload of a reply, or its error as an exception."""
+        if frame.type == wire.TYPE_ERROR:
+            raise self._refused(frame)
+        if frame.type != wire.MESSAGES[message] | wire.REPLY:
+            raise ProtocolError(f"a reply of type {frame.type} to a request for {message}")
+        return frame.payload
+
+    def _refused(self, frame: Frame) -> Exception:
+        if len(frame.payload) != wire.ERROR.bytes:
+            return ProtocolError("an error of an unexpected size")
+        error = wire.ERROR.unpack(frame.payload)
+        return Refused(
+            status=wire.STATUSES.get(error.status, f"status {error.status}"),
+            code=error.status,
+            field=error.field,
+            allowed=error.allowed,
+            index=error.index,
+            retry_after_ms=error.retry_after_ms,
+            request_id=frame.request_id,
+        )
+
+    def _list(self, message: str, structure: wire.Structure) -> list[Any]:
+        payload = self._answer(self._send(message), message)
+        return _unpack_list(payload, wire.LIST_REPLY, [("count", structure)])[1][0]
+
+    def _hello(self) -> Info:
+        request = wire.HELLO_REQUEST.pack(version_min=wire.VERSION, version_max=wire.VERSION)
+        payload = self._answer(self._send("hello", request), "hello")
+        reply, (choices, limits) = _unpack_list(
+            payload,
+            wire.HELLO_REPLY,
+            [("choice_count", wire.CHOICE), ("limit_count", wire.VALUE)],
+        )
+        by_kind: dict[str, dict[str, Choice]] = {kind: {} for kind in wire.KINDS.values()}
+        for choice in choices:
+            kind = wire.KINDS.get(choice.kind)
+            if kind is not None:  # a later daemon may have kinds that this client does not know
+                by_kind[kind][choice.name] = Choice(choice.id, choice.name, choice.about)
+        return Info(
+            address=self._connection.address,
+            software=reply.software,
+            instruction_set=reply.instruction_set,
+            R_unit=reply.R_unit,
+            protocol_version=reply.version,
+            workers=reply.workers,
+            choices=by_kind,
+            limits={limit.name: limit.value for limit in limits},
+        )
+
+    def _name(self, kind: str, number: int) -> str:
+        for choice in self.info.choices[kind].values():
+            if choice.id == number:
+                return choice.name
+        raise ProtocolError(f"a reply with {kind} {number}, which the daemon has not listed")
+
+    def _result(self, payload: bytes, query: _Query) -> Result:
+        if len(payload) < wire.EVAL_REPLY.bytes:
+            raise ProtocolError("an eval reply that is too short")
+        fixed = wire.EVAL_REPLY.unpack(payload)
+        counts = (fixed.channel_count, fixed.radius_count)
+        known = fixed.evaluator in wire.EVALUATOR_TYPES
+        if not known or counts != (query.medium_count, query.radius_count):
+            raise ProtocolError("an eval reply that does not answer the query")
+        channels, arrays = _reply_arrays(payload, fixed)
+        wanted_r = fixed.wanted & wire.QUANTITY_RADIUS
+        return Result(
+            model=self._name("model", fixed.model),
+            evaluator=self._name("evaluator", fixed.evaluator),
+            moments=self._name("moments", fixed.moments),
+            r=arrays[wire.QUANTITY_RADIUS] if wanted_r else query.radii,
+            R=arrays.get(wire.QUANTITY_R),
+            cdf=arrays.get(wire.QUANTITY_CDF),
+            albedo=channels[:, 0] if fixed.wanted & wire.QUANTITY_ALBEDO else None,
+            numerical_error_constant=channels[:, 1],
+            numerical_error_per_mm=channels[:, 2],
+            model_error=channels[:, 3],
+        )
+
+
+def _media_array(media: Medium | Iterable[Sequence[float]] | np.ndarray) -> np.ndarray:
+    array = np.asarray(media if isinstance(media, (tuple, np.ndarray)) else list(media), "<f8")
+    if array.ndim == 1:
+        array = array[np.newaxis]
+    if array.ndim != 2 or array.shape[1] != 4:
+        raise ArgumentError("media: a Medium, or several, or an array [C, 4]")
+    return array
+
+
+def _radii_array(r: Any, grid: Grid | None, evaluator_id: int) -> np.ndarray | None:
+    if grid is not None:
+        if r is not None:
+            raise ArgumentError("r, grid: one of them, not both")
+        return None
+    if evaluator_id not in wire.EVALUATOR_TYPES:
+        raise ArgumentError(f"evaluator {evaluator_id}: the type of its radii is not known here")
+    radii = np.asarray([] if r is None else r, wire.EVALUATOR_TYPES[evaluator_id])
+    if radii.ndim > 1:
+        raise ArgumentError("r: one radius or an array [N]")
+    return radii.reshape(-1)
+
+
+def _unpack_list(
+    payload: bytes, fixed_structure: wire.Structure, lists: list[tuple[str, wire.Structure]]
+) -> tuple[Any, list[list[Any]]]:
+    """A payload that is a fixed part followed by lists, whose lengths the fixed part names."""
+    if len(payload) < fixed_structure.bytes:
+        raise ProtocolError(f"a {fixed_structure.name} that is too short")
+    fixed = fixed_structure.unpack(payload)
+    counts = [getattr(fixed, count) for count, _ in lists]
+    expected = fixed_structure.bytes
+    expected += sum(count * entry.bytes for count, (_, entry) in zip(counts, lists))
+    if len(payload) != expected:
+        raise ProtocolError(f"a {fixed_structure.name} of an unexpected size")
+    offset = fixed_structure.bytes
+    unpacked = []
+    for count, (_, entry) in zip(counts, lists):
+        unpacked.append([entry.unpack(payload, offset + i * entry.bytes) for i in range(count)])
+        offset += count * entry.bytes
+    return fixed, unpacked
+
+
+def _reply_arrays(payload: bytes, fixed: Any) -> tuple[np.ndarray, dict[int, np.ndarray]]:
+    """The channel structures [C, 4] and, by quantity, the radii [N] and the values [C, N]: each
+    array padded to a multiple of 8 bytes, the radii first, then each channel's R and cdf."""
+    value_type = np.dtype(wire.EVALUATOR_TYPES[fixed.evaluator])
+    per_channel = [q for q in (wire.QUANTITY_R, wire.QUANTITY_CDF) if fixed.wanted & q]
+    wanted_r = bool(fixed.wanted & wire.QUANTITY_RADIUS)
+    channels_bytes = fixed.channel_count * wire.CHANNEL.bytes
+    stride = wire.padded(fixed.radius_count * value_type.itemsize)
+    array_count = fixed.channel_count * len(per_channel) + wanted_r
+    at = wire.EVAL_REPLY.bytes
+    if len(payload) != at + channels_bytes + array_count * stride:
+        raise ProtocolError("an eval reply whose size does not fit its counts")
+    channels = np.frombuffer(payload, "<f8", channels_bytes // 8, at).reshape(-1, 4)
+    values = np.frombuffer(payload, value_type, -1, at + channels_bytes)
+    rows = values.reshape(array_count, -1)[:, : fixed.radius_count] if array_count else None
+    arrays: dict[int, np.ndarray] = {}
+    if wanted_r:
+        arrays[wire.QUANTITY_RADIUS] = rows[0]
+    for i, quantity in enumerate(per_channel):
+        arrays[quantity] = rows[wanted_r + i :: len(per_channel)]
+    return channels, arrays

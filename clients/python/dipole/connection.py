@@ -1,0 +1,222 @@
+"""A connection to a dipoled: addresses, a private daemon, and whole frames in both directions."""
+
+from __future__ import annotations
+
+import os
+import select
+import shutil
+import socket
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+from . import wire
+from .errors import AddressError, ConnectError, ConnectionLost, ProtocolError
+
+_RECEIVE_BYTES = 1 << 20
+_PRIVATE_EXIT_S = 10.0
+
+
+class Frame(NamedTuple):
+    """A frame as received: the header's fields and the payload."""
+
+    type: int
+    request_id: int
+    payload: bytes
+
+
+class Connection:
+    """One connection, without any knowledge of what the messages mean.
+
+    address: unix:PATH, tcp:HOST:PORT ([::1]:PORT for IPv6), private: or private:PROGRAM; None means
+    $DIPOLED when that is set, else private:. timeout_s: how long a call waits without any byte
+    arriving or leaving; None: for ever.
+    """
+
+    def __init__(self, address: str | None = None, timeout_s: float | None = 30.0):
+        self.address = address or os.environ.get("DIPOLED") or "private:"
+        self.timeout_s = timeout_s
+        self._incoming = bytearray()
+        self._process: subprocess.Popen[bytes] | None = None
+        self.socket = self._open()
+
+    def __enter__(self) -> Connection:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Closes the connection and waits for a private daemon to end, which it then does."""
+        self.socket.close()
+        if self._process is not None:
+            _end(self._process)
+            self._process = None
+
+    # ---- connecting ------------------------------------------------------------------------------
+
+    def _open(self) -> socket.socket:
+        scheme, colon, rest = self.address.partition(":")
+        try:
+            if colon and scheme == "unix" and rest:
+                return self._open_unix(rest)
+            if colon and scheme == "tcp":
+                return self._open_tcp(rest)
+            if colon and scheme == "private":
+                return self._open_private(rest or _find_daemon())
+        except (OSError, subprocess.SubprocessError) as error:
+            raise ConnectError(f"{self.address}: {error}") from error
+        raise AddressError(
+            f"{self.address}: not one of unix:PATH, tcp:HOST:PORT, private:, private:PROGRAM"
+        )
+
+    def _open_unix(self, path: str) -> socket.socket:
+        connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            connection.settimeout(self.timeout_s)
+            connection.connect(path)
+        except OSError:
+            connection.close()
+            raise
+        return connection
+
+    def _open_tcp(self, host_and_port: str) -> socket.socket:
+        host, _, port = host_and_port.rpartition(":")
+        if host.startswith("[") and host.endswith("]"):
+            host = host[1:-1]
+        if not host or not port.isascii() or not port.isdigit() or not 0 < int(port) < 65536:
+            raise AddressError(f"{self.address}: not tcp:HOST:PORT")
+        connection = socket.create_connection((host, int(port)), self.timeout_s)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        return connection
+
+    def _open_private(self, program: str) -> socket.socket:
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            with theirs:
+                self._process = subprocess.Popen(
+                    [program, "--fd", str(theirs.fileno())],
+                    pass_fds=[theirs.fileno()],
+                    stdin=subprocess.DEVNULL,
+                )
+        except BaseException:
+            ours.close()
+            raise
+        ours.settimeout(self.timeout_s)
+        return ours
+
+    # ---- bytes -----------------------------------------------------------------------------------
+
+    def send_bytes(self, data: bytes) -> None:
+        """Sends bytes as they are. What arrives meanwhile is kept, so that two ends that both have
+        much to say cannot wait for each other."""
+        view = memoryview(data)
+        try:
+            while view:
+                readable, writable = self._wait(writing=True)
+                if readable:
+                    self._receive_some()
+                if writable:
+                    view = view[self._send_some(view) :]
+        except ConnectionLost:
+            # A daemon that hangs up says why first: what it said is to be read before the loss.
+            if not self._incoming:
+                raise
+
+    def receive_bytes(self, count: int) -> bytes:
+        """Exactly count bytes."""
+        while len(self._incoming) < count:
+            self._wait(writing=False)
+            self._receive_some()
+        data = bytes(self._incoming[:count])
+        del self._incoming[:count]
+        return data
+
+    def receive_eof(self) -> bool:
+        """Waits for the peer's next move: True when it closes, False when it sends something."""
+        if self._incoming:
+            return False
+        self._wait(writing=False)
+        try:
+            self._receive_some()
+        except ConnectionLost:
+            return True
+        return False
+
+    def half_close(self) -> None:
+        """Says that nothing more will be sent; the peer's answers can still be read."""
+        self.socket.shutdown(socket.SHUT_WR)
+
+    def _wait(self, writing: bool) -> tuple[bool, bool]:
+        if self.socket.fileno() < 0:
+            raise ConnectionLost(f"{self.address}: this client is closed")
+        poll = select.poll()
+        poll.register(self.socket, select.POLLIN | (select.POLLOUT if writing else 0))
+        events = poll.poll(None if self.timeout_s is None else self.timeout_s * 1000)
+        if not events:
+            raise ConnectionLost(f"{self.address}: nothing moved for {self.timeout_s} s")
+        readable = select.POLLIN | select.POLLHUP | select.POLLERR
+        return bool(events[0][1] & readable), bool(events[0][1] & select.POLLOUT)
+
+    def _send_some(self, data: memoryview) -> int:
+        try:
+            return self.socket.send(data, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return 0
+        except OSError as error:
+            raise ConnectionLost(f"{self.address}: {error}") from error
+
+    def _receive_some(self) -> None:
+        try:
+            data = self.socket.recv(_RECEIVE_BYTES)
+        except OSError as error:
+            raise ConnectionLost(f"{self.address}: {error}") from error
+        if not data:
+            raise ConnectionLost(f"{self.address}: the daemon closed the connection")
+        self._incoming += data
+
+    # ---- frames ----------------------------------------------------------------------------------
+
+    def send_frame(self, type: int, request_id: int, payload: bytes = b"") -> None:
+        """Sends a header and a payload, whose length must be a multiple of 8."""
+        self.send_bytes(frame_bytes(type, request_id, payload))
+
+    def receive_frame(self) -> Frame:
+        """The next frame, whatever its type."""
+        header = wire.HEADER.unpack(self.receive_bytes(wire.HEADER.bytes))
+        if header.magic != wire.MAGIC or header.version != wire.VERSION:
+            raise ProtocolError(f"{self.address}: this is not a dipoled")
+        return Frame(header.type, header.request_id, self.receive_bytes(header.payload_bytes))
+
+
+def frame_bytes(type: int, request_id: int, payload: bytes = b"") -> bytes:
+    """A whole frame."""
+    header = wire.HEADER.pack(
+        magic=wire.MAGIC,
+        version=wire.VERSION,
+        type=type,
+        request_id=request_id,
+        payload_bytes=len(payload),
+        flags=0,
+    )
+    return header + payload
+
+
+def _find_daemon() -> str:
+    """The dipoled beside the running program, else the one in $PATH."""
+    beside = Path(sys.argv[0] or ".").resolve().parent / "dipoled"
+    if os.access(beside, os.X_OK):
+        return str(beside)
+    found = shutil.which("dipoled")
+    if found is None:
+        raise FileNotFoundError("there is no dipoled beside this program or in $PATH")
+    return found
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    try:
+        process.wait(_PRIVATE_EXIT_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()

@@ -1,0 +1,225 @@
+"""The structures of dipoled's binary protocol, as proto/PROTOCOL.md describes them.
+
+Little-endian and packed. A structure packs from keywords and unpacks to a named tuple.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections import namedtuple
+from typing import Any, NamedTuple
+
+from .errors import ArgumentError
+
+MAGIC = 0x4C504944
+VERSION = 1
+REPLY = 0x8000  # added to the type of a request
+TYPE_ERROR = 0xFFFF  # an error instead of a reply
+ALIGNMENT = 8  # of payloads, structures and arrays within a frame
+PING_MAX_BYTES = 1024
+
+# Types of requests by name.
+MESSAGES = {"hello": 1, "eval": 2, "media": 3, "statistics": 4, "ping": 5}
+
+# Names of statuses by code.
+STATUSES = {
+    0: "ok",
+    1: "bad-magic",
+    2: "bad-version",
+    3: "bad-type",
+    4: "bad-length",
+    5: "bad-count",
+    6: "bad-value",
+    7: "too-large",
+    8: "truncated",
+    9: "timeout",
+    10: "busy",
+    11: "shutting-down",
+}
+
+# Kinds of choices by number.
+KINDS = {1: "model", 2: "evaluator", 3: "moments", 4: "quantity", 5: "spacing", 6: "status"}
+
+# Ids that are permanent and that the layout of a payload depends on.
+EVALUATOR_TYPES = {1: "<f8", 2: "<f4"}  # numpy's type of radii and values
+QUANTITY_R = 1
+QUANTITY_ALBEDO = 2
+QUANTITY_CDF = 4
+QUANTITY_RADIUS = 8
+SPACING_LIST = 1
+
+_FORMATS = {"u16": "H", "u32": "I", "u64": "Q", "f64": "d", "text": "s"}
+
+
+class Field(NamedTuple):
+    """One field: count values of a kind, or a text of count bytes padded with zero bytes."""
+
+    kind: str
+    name: str
+    count: int
+
+    @property
+    def format(self) -> str:
+        """The field in the struct module's notation."""
+        return f"{self.count if self.count > 1 else ''}{_FORMATS[self.kind]}"
+
+
+class Structure:
+    """A fixed-size structure, from declarations like "f64 eta", "f64 g[3]", "text name[16]"."""
+
+    def __init__(self, name: str, *declarations: str):
+        self.name = name
+        self.fields = tuple(_field(declaration) for declaration in declarations)
+        self._struct = struct.Struct("<" + "".join(field.format for field in self.fields))
+        self._tuple = namedtuple(name, [field.name for field in self.fields])
+
+    @property
+    def bytes(self) -> int:
+        """Its size on the wire."""
+        return self._struct.size
+
+    def pack(self, **values: Any) -> bytes:
+        """The structure's bytes; every field must be given, those named zero apart."""
+        flat: list[Any] = []
+        for field in self.fields:
+            value = values.pop(field.name) if field.name != "zero" else values.pop("zero", 0)
+            if field.kind == "text":
+                flat.append(value.encode())
+            elif field.count > 1:
+                flat.extend(value)
+            else:
+                flat.append(value)
+        if values:
+            raise TypeError(f"{self.name} has no field {', '.join(values)}")
+        try:
+            return self._struct.pack(*flat)
+        except struct.error as error:
+            raise ArgumentError(f"{self.name}: {error}") from error
+
+    def unpack(self, data: bytes, offset: int = 0) -> Any:
+        """The structure at an offset of data, as a named tuple; arrays are tuples, texts str."""
+        flat = iter(self._struct.unpack_from(data, offset))
+        values: list[Any] = []
+        for field in self.fields:
+            if field.kind == "text":
+                values.append(next(flat).rstrip(b"\0").decode(errors="replace"))
+            elif field.count > 1:
+                values.append(tuple(next(flat) for _ in range(field.count)))
+            else:
+                values.append(next(flat))
+        return self._tuple(*values)
+
+
+def _field(declaration: str) -> Field:
+    match = re.fullmatch(r"(\w+) (\w+)(?:\[(\d+)\])?", declaration)
+    assert match, declaration
+    return Field(match[1], match[2], int(match[3] or 1))
+
+
+def padded(data_bytes: int) -> int:
+    """Rounds a length up to ALIGNMENT."""
+    return -(-data_bytes // ALIGNMENT) * ALIGNMENT
+
+
+HEADER = Structure(
+    "header",
+    "u32 magic",
+    "u16 version",
+    "u16 type",
+    "u64 request_id",
+    "u32 payload_bytes",
+    "u32 flags",
+)
+
+HELLO_REQUEST = Structure("hello_request", "u16 version_min", "u16 version_max", "u32 zero")
+
+HELLO_REPLY = Structure(
+    "hello_reply",
+    "u16 version",
+    "u16 version_min",
+    "u16 version_max",
+    "u16 workers",
+    "u32 choice_count",
+    "u32 limit_count",
+    "text software[32]",
+    "text instruction_set[16]",
+    "text R_unit[48]",
+)
+
+CHOICE = Structure("choice", "u16 kind", "u16 id", "text name[28]", "text about[96]")
+
+VALUE = Structure("value", "text name[40]", "u64 value")
+
+EVAL_REQUEST = Structure(
+    "eval_request",
+    "u16 model",
+    "u16 evaluator",
+    "u16 moments",
+    "u16 wanted",
+    "u32 medium_count",
+    "u32 spacing",
+    "u64 radius_count",
+    "f64 radius_start",
+    "f64 radius_stop",
+)
+
+MEDIUM = Structure("medium", "f64 sigma_a", "f64 sigma_s", "f64 g", "f64 eta")
+
+EVAL_REPLY = Structure(
+    "eval_reply",
+    "u16 model",
+    "u16 evaluator",
+    "u16 moments",
+    "u16 wanted",
+    "u32 channel_count",
+    "u32 zero",
+    "u64 radius_count",
+)
+
+CHANNEL = Structure(
+    "channel",
+    "f64 albedo",
+    "f64 numerical_error",
+    "f64 numerical_error_per_mm",
+    "f64 model_error",
+)
+
+LIST_REPLY = Structure("list_reply", "u32 count", "u32 zero")
+
+MEASURED_MEDIUM = Structure(
+    "measured_medium",
+    "text name[16]",
+    "f64 sigma_a[3]",
+    "f64 sigma_s[3]",
+    "f64 g",
+    "f64 eta",
+)
+
+ERROR = Structure(
+    "error",
+    "u16 status",
+    "u16 zero",
+    "u32 retry_after_ms",
+    "u64 index",
+    "text field[32]",
+    "text allowed[80]",
+)
+
+STRUCTURES = {
+    structure.name: structure
+    for structure in (
+        HEADER,
+        HELLO_REQUEST,
+        HELLO_REPLY,
+        CHOICE,
+        VALUE,
+        EVAL_REQUEST,
+        MEDIUM,
+        EVAL_REPLY,
+        CHANNEL,
+        LIST_REPLY,
+        MEASURED_MEDIUM,
+        ERROR,
+    )
+}

@@ -1,0 +1,43 @@
+/* reference: the dipole family with many digits, from the formulas of d'Eon 2012, Table 2, as the
+ * paper gives them. No form is chosen for the digits that it keeps; where terms cancel, there are
+ * more bits instead. What the kernels are measured against. */
+#ifndef DIPOLED_TESTS_REFERENCE_H
+#define DIPOLED_TESTS_REFERENCE_H
+
+#include <mpfr.h>
+
+#include "core/core.h"
+#include "tests/accuracy/reference_fresnel.h"
+
+/* The paper's quantities for one medium; lengths in mm. Read mu_tr_per_mm, z1_mm and albedo. */
+typedef struct reference_dipole {
+  bool scatters;       /* if not, R, albedo and cdf are 0 */
+  mpfr_t prefactor;    /* alpha' or alpha'^2 */
+  mpfr_t diffusion_mm; /* D */
+  mpfr_t mu_tr_per_mm;
+  mpfr_t z1_mm; /* depth of the source */
+  mpfr_t z2_mm; /* height of its mirror image */
+  mpfr_t c_phi;
+  mpfr_t c_flux; /* C_E */
+  mpfr_t albedo;
+} reference_dipole;
+
+/* switches: a sum of enum core_dipole_switch. Any medium of positive sigma_t' will do. Prepare once
+ * after init, as often as wanted; clear at last. */
+void reference_dipole_init(reference_dipole *dipole);
+void reference_dipole_prepare(reference_dipole *dipole, int switches, enum core_moments moments,
+                              const core_medium *medium);
+void reference_dipole_clear(reference_dipole *dipole);
+
+/* R in 1/mm^2 and the energy within r over the albedo, at r mm, infinity included. good to 1e-33,
+ * relative; value has any precision. */
+void reference_dipole_R(const reference_dipole *dipole, double r_mm, mpfr_t value);
+void reference_dipole_cdf(const reference_dipole *dipole, double r_mm, mpfr_t value);
+
+/* 1 + mu_tr d_r, the condition of e^(-mu_tr d_r). */
+double reference_dipole_condition(const reference_dipole *dipole, double r_mm);
+
+/* The switches of a model of the dipole family, -1 for a model of another family. */
+int reference_switches(unsigned model);
+
+#endif

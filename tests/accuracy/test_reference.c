@@ -1,0 +1,270 @@
+/* The reference itself, against numbers that this project did not make. */
+#include <math.h>
+
+#include "tests/accuracy/reference.h"
+#include "tests/accuracy/vectors.h"
+#include "tests/unit/unit.h"
+
+/* ---- Fresnel moments ---------------------------------------------------------------------- */
+
+static void assert_close(double value, double expected, double tolerance, const char *what) {
+  if (!(fabs(value - expected) <= tolerance)) {
+    fail_msg("%s: %.17g, expected %.17g", what, value, expected);
+  }
+}
+
+/* 30-digit quadratures of C1, C2 and of A = (1 + 3 C2) / (1 - 2 C1), to ten digits. */
+static void moments_equal_published_quadratures(void **state) {
+  (void)state;
+  static const struct {
+    double eta, c1, c2, boundary;
+  } rows[] = {
+      {0.5, .0802983185, .0446550277, 1.3509179652},
+      {1 / 1.33, .0329654246, .0131377674, 1.1127798207},
+      {1, 0, 0, 1},
+      {1.1, .0971724617, .0293065807, 1.3503542321},
+      {1.33, .2359745744, .1094128412, 2.5153610122},
+      {1.5, .2981728799, .1548101740, 3.6279329582},
+      {2, .3950745796, .2349566853, 8.1241993124},
+      {3, .4597890783, .2942283369, 23.410120094},
+  };
+  for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
+    const reference_fresnel *moments = reference_fresnel_moments(CORE_MOMENTS_EXACT, rows[i].eta);
+    const double one_minus_2c1 = mpfr_get_d(moments->one_minus_2c1, MPFR_RNDN);
+    const double one_minus_3c2 = mpfr_get_d(moments->one_minus_3c2, MPFR_RNDN);
+    assert_close((1 - one_minus_2c1) / 2, rows[i].c1, 6e-11, "C1");
+    assert_close((1 - one_minus_3c2) / 3, rows[i].c2, 6e-11, "C2");
+    assert_close((2 - one_minus_3c2) / one_minus_2c1, rows[i].boundary, 6e-10 * rows[i].boundary,
+                 "A");
+  }
+}
+
+/* 1 - 2 C1 for light from outside, in closed form (Walsh 1926): with n > 1,
+ *   2 C1 = 1/2 + (n-1)(3n+1) / (6(n+1)^2) + n^2 (n^2-1)^2 / (n^2+1)^3 ln((n-1)/(n+1))
+ *          - 2 n^3 (n^2+2n-1) / ((n^2+1)(n^4-1)) + 8 n^4 (n^4+1) / ((n^2+1)(n^4-1)^2) ln n. */
+enum { WALSH_BITS = 2 * REFERENCE_BITS };
+
+static void add_walsh_term(mpfr_t sum, double numerator, double denominator, const mpfr_t factor) {
+  mpfr_t term;
+  mpfr_init2(term, WALSH_BITS);
+  mpfr_set_d(term, numerator, MPFR_RNDN);
+  mpfr_div_d(term, term, denominator, MPFR_RNDN);
+  mpfr_mul(term, term, factor, MPFR_RNDN);
+  mpfr_add(sum, sum, term, MPFR_RNDN);
+  mpfr_clear(term);
+}
+
+/* n: few bits, so that all of the products are exact doubles */
+static void one_minus_walsh(mpfr_t value, double n) {
+  const double n2 = n * n;
+  const double n4 = n2 * n2;
+  mpfr_t factor;
+  mpfr_init2(factor, WALSH_BITS);
+  mpfr_set_ui(factor, 1, MPFR_RNDN);
+  mpfr_set_d(value, -0.5, MPFR_RNDN);
+  add_walsh_term(value, -(n - 1) * (3 * n + 1), 6 * (n + 1) * (n + 1), factor);
+  add_walsh_term(value, 2 * n * n2 * (n2 + 2 * n - 1), (n2 + 1) * (n4 - 1), factor);
+  mpfr_set_d(factor, n - 1, MPFR_RNDN);
+  mpfr_div_d(factor, factor, n + 1, MPFR_RNDN);
+  mpfr_log(factor, factor, MPFR_RNDN);
+  add_walsh_term(value, -n2 * (n2 - 1) * (n2 - 1), (n2 + 1) * (n2 + 1) * (n2 + 1), factor);
+  mpfr_set_d(factor, n, MPFR_RNDN);
+  mpfr_log(factor, factor, MPFR_RNDN);
+  add_walsh_term(value, -8 * n4 * (n4 + 1), (n2 + 1) * (n4 - 1) * (n4 - 1), factor);
+  mpfr_add_ui(value, value, 1, MPFR_RNDN);
+  mpfr_clear(factor);
+}
+
+static double relative_difference(const mpfr_t a, const mpfr_t b) {
+  mpfr_t difference;
+  mpfr_init2(difference, REFERENCE_BITS);
+  mpfr_reldiff(difference, a, b, MPFR_RNDN);
+  const double value = fabs(mpfr_get_d(difference, MPFR_RNDN));
+  mpfr_clear(difference);
+  return value;
+}
+
+/* From inside, 1 - 2 C1 is that over n^2 (reciprocity). */
+static void first_moment_equals_closed_form(void **state) {
+  (void)state;
+  static const double indices[] = {1.125, 1.25, 1.5, 2, 3, 4, 16, 32};
+  mpfr_t expected;
+  mpfr_init2(expected, WALSH_BITS);
+  for (size_t i = 0; i < sizeof indices / sizeof indices[0]; i++) {
+    const double n = indices[i];
+    one_minus_walsh(expected, n);
+    mpfr_div_d(expected, expected, n * n, MPFR_RNDN);
+    const reference_fresnel *inside = reference_fresnel_moments(CORE_MOMENTS_EXACT, n);
+    assert_true(relative_difference(inside->one_minus_2c1, expected) < 1e-33);
+    if (n == 2 || n == 4 || n == 16 || n == 32) { /* 1 / n is exact */
+      mpfr_mul_d(expected, expected, n * n, MPFR_RNDN);
+      const reference_fresnel *outside = reference_fresnel_moments(CORE_MOMENTS_EXACT, 1 / n);
+      assert_true(relative_difference(outside->one_minus_2c1, expected) < 1e-33);
+    }
+  }
+  mpfr_clear(expected);
+}
+
+/* How far the polynomials of Eq. 2 are from the integrals, as truth has it. */
+static void fits_differ_from_exact_as_published(void **state) {
+  (void)state;
+  static const struct {
+    double eta, two_c1, three_c2, unit; /* differences, and the unit of their last digit */
+  } rows[] = {
+      {0.5, -7e-6, 1e-5, 1e-5},    {1 / 1.33, -2e-5, 4e-5, 1e-5}, {1, .00433, -.00684, 1e-5},
+      {1.1, -.0016, -.0046, 1e-4}, {1.33, .00098, -.0027, 1e-4},  {1.5, .00019, -.0018, 1e-4},
+      {2, .00039, .0019, 1e-4},    {3, .234, .210, 1e-3},
+  };
+  for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
+    const reference_fresnel *exact = reference_fresnel_moments(CORE_MOMENTS_EXACT, rows[i].eta);
+    const reference_fresnel *fit = reference_fresnel_moments(CORE_MOMENTS_FIT, rows[i].eta);
+    assert_close(mpfr_get_d(exact->one_minus_2c1, MPFR_RNDN) -
+                     mpfr_get_d(fit->one_minus_2c1, MPFR_RNDN),
+                 rows[i].two_c1, rows[i].unit, "2 C1 fit - exact");
+    assert_close(mpfr_get_d(exact->one_minus_3c2, MPFR_RNDN) -
+                     mpfr_get_d(fit->one_minus_3c2, MPFR_RNDN),
+                 rows[i].three_c2, rows[i].unit, "3 C2 fit - exact");
+  }
+}
+
+/* ---- profiles ----------------------------------------------------------------------------- */
+
+/* How many doubles lie between two that are not negative. */
+static uint64_t ulps_between(double a, double b) {
+  uint64_t a_bits, b_bits;
+  memcpy(&a_bits, &a, sizeof a);
+  memcpy(&b_bits, &b, sizeof b);
+  return a_bits > b_bits ? a_bits - b_bits : b_bits - a_bits;
+}
+
+static void assert_within_an_ulp(const mpfr_t value, double expected, size_t row,
+                                 const char *what) {
+  const double rounded = mpfr_get_d(value, MPFR_RNDN);
+  if (!(rounded >= 0) || ulps_between(rounded, expected) > 1) {
+    fail_msg("row %zu, %s: %.17g, expected %.17g", row + 1, what, rounded, expected);
+  }
+}
+
+static void assert_equals_vectors(const vector *vectors, size_t count) {
+  reference_dipole dipole;
+  mpfr_t value;
+  reference_dipole_init(&dipole);
+  mpfr_init2(value, REFERENCE_BITS);
+  for (size_t i = 0; i < count; i++) {
+    const vector *v = &vectors[i];
+    reference_dipole_prepare(&dipole, reference_switches(v->model), (enum core_moments)v->moments,
+                             &v->medium);
+    assert_within_an_ulp(dipole.albedo, v->albedo, i, "albedo");
+    reference_dipole_R(&dipole, v->r_mm, value);
+    assert_within_an_ulp(value, v->R, i, "R");
+    reference_dipole_cdf(&dipole, v->r_mm, value);
+    assert_within_an_ulp(value, v->cdf, i, "cdf");
+  }
+  mpfr_clear(value);
+  reference_dipole_clear(&dipole);
+}
+
+static void equals_selected_vectors(void **state) {
+  (void)state;
+  size_t count;
+  vector *vectors = vectors_read(VECTORS_FILE, &count);
+  assert_non_null(vectors);
+  assert_int_equal(count, 200);
+  assert_equals_vectors(vectors, count);
+  free(vectors);
+}
+
+static void equals_all_vectors(void **state) {
+  (void)state;
+  size_t count;
+  vector *vectors = vectors_read(VECTORS_FILE_ALL, &count);
+  if (vectors == NULL) {
+    printf("skipped: there is no %s here; the selection of it was tested\n", VECTORS_FILE_ALL);
+    skip();
+  }
+  assert_equals_vectors(vectors, count);
+  printf("%zu vectors of %s\n", count, VECTORS_FILE_ALL);
+  free(vectors);
+}
+
+/* mu_a = 0.01 / mm, mu_s' = 1 / mm, n = 1.4, exact moments: Farrell's flux with A = (1 + 3 C2) /
+ * (1 - 2 C1), and Kienle and Patterson's sum of fluence and flux; both are for one photon at z1,
+ * without the prefactor alpha'. To their last digit. */
+static void equals_published_fluence_and_flux(void **state) {
+  (void)state;
+  static const core_medium medium = {0.01, 1, 0, 1.4};
+  static const double alpha_prime = 1 / 1.01;
+  static const struct {
+    int switches;
+    double R[3];
+  } rows[] = {
+      {CORE_DIPOLE_BOUNDARY, {.030013187, .0037557889, 1.5646681e-4}},
+      {CORE_DIPOLE_BOUNDARY | CORE_DIPOLE_EXITANCE, {.022572461, .0045062827, 1.7148597e-4}},
+  };
+  static const double radii[] = {1, 3, 10};
+  reference_dipole dipole;
+  mpfr_t value;
+  reference_dipole_init(&dipole);
+  mpfr_init2(value, REFERENCE_BITS);
+  for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
+    reference_dipole_prepare(&dipole, rows[i].switches, CORE_MOMENTS_EXACT, &medium);
+    for (size_t j = 0; j < 3; j++) {
+      reference_dipole_R(&dipole, radii[j], value);
+      assert_close(mpfr_get_d(value, MPFR_RNDN) / alpha_prime, rows[i].R[j], 3e-8 * rows[i].R[j],
+                   "R");
+    }
+  }
+  mpfr_clear(value);
+  reference_dipole_clear(&dipole);
+}
+
+/* The closed forms are the integrals of R: for each member of the family, the midpoint rule over
+ * log r of 2 pi r R(r), against the difference of the cdf times the albedo. */
+static void cdf_is_the_integral_of_R(void **state) {
+  (void)state;
+  static const core_medium media[] = {{0.02, 0.8, 0, 1.3}, {3, 1, 0.5, 0.7}, {0, 2, 0, 1.5}};
+  enum { STEPS = 400 };
+  const double low = log(1e-3), high = log(10.0), step = (high - low) / STEPS;
+  reference_dipole dipole;
+  mpfr_t value;
+  reference_dipole_init(&dipole);
+  mpfr_init2(value, REFERENCE_BITS);
+  for (int switches = 0; switches < 8; switches++) {
+    for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
+      reference_dipole_prepare(&dipole, switches, CORE_MOMENTS_EXACT, &media[i]);
+      double sum = 0;
+      for (int k = 0; k < STEPS; k++) {
+        const double r = exp(low + (k + 0.5) * step);
+        reference_dipole_R(&dipole, r, value);
+        sum += 2 * 3.14159265358979324 * r * r * step * mpfr_get_d(value, MPFR_RNDN);
+      }
+      reference_dipole_cdf(&dipole, exp(high), value);
+      double within = mpfr_get_d(value, MPFR_RNDN);
+      reference_dipole_cdf(&dipole, exp(low), value);
+      within -= mpfr_get_d(value, MPFR_RNDN);
+      const double expected = within * mpfr_get_d(dipole.albedo, MPFR_RNDN);
+      assert_close(sum, expected, 1e-4 * expected, "energy");
+    }
+  }
+  mpfr_clear(value);
+  reference_dipole_clear(&dipole);
+}
+
+static int forget(void **state) {
+  (void)state;
+  reference_fresnel_forget();
+  return 0;
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(moments_equal_published_quadratures),
+      cmocka_unit_test(first_moment_equals_closed_form),
+      cmocka_unit_test(fits_differ_from_exact_as_published),
+      cmocka_unit_test(equals_selected_vectors),
+      cmocka_unit_test(equals_all_vectors),
+      cmocka_unit_test(equals_published_fluence_and_flux),
+      cmocka_unit_test(cdf_is_the_integral_of_R),
+  };
+  return cmocka_run_group_tests(tests, NULL, forget);
+}

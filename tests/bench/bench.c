@@ -1,0 +1,151 @@
+/* build/bench [GROUP...]: runs these groups of benchmarks, or all. */
+#include "tests/bench/bench.h"
+
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+#include <unistd.h>
+
+static const struct {
+  const char *name;
+  const char *about;
+  void (*run)(void);
+} groups[] = {
+#define BENCH_GROUP(name, about) {#name, about, bench_##name},
+#include "tests/bench/groups.def"
+#undef BENCH_GROUP
+};
+enum { GROUPS = sizeof groups / sizeof groups[0] };
+
+/* ---- figures ------------------------------------------------------------------------------ */
+
+void bench_figure(double value, const char *unit, const char *format, ...) {
+  char name[256];
+  va_list arguments;
+  va_start(arguments, format);
+  vsnprintf(name, sizeof name, format, arguments);
+  va_end(arguments);
+  bench_progress("");
+  printf("%s\t%.6g\t%s\n", name, value, unit);
+  fflush(stdout);
+}
+
+void bench_progress(const char *what) {
+  if (isatty(STDERR_FILENO)) {
+    fprintf(stderr, "\r\033[K%s", what);
+    fflush(stderr);
+  }
+}
+
+void bench_fail(const char *why) {
+  bench_progress("");
+  fprintf(stderr, "bench: %s\n", why);
+  exit(EXIT_FAILURE);
+}
+
+/* ---- time --------------------------------------------------------------------------------- */
+
+uint64_t bench_now_ns(void) {
+  struct timespec now;
+  clock_gettime(CLOCK_MONOTONIC, &now);
+  return (uint64_t)now.tv_sec * 1000000000u + (uint64_t)now.tv_nsec;
+}
+
+static int compare_doubles(const void *a, const void *b) {
+  const double x = *(const double *)a;
+  const double y = *(const double *)b;
+  return (x > y) - (x < y);
+}
+
+double bench_median(double *values, size_t n) {
+  qsort(values, n, sizeof *values, compare_doubles);
+  return n % 2 ? values[n / 2] : 0.5 * (values[n / 2 - 1] + values[n / 2]);
+}
+
+/* ---- comparing ---------------------------------------------------------------------------- */
+
+enum { CONTENDERS_MAX = 16, ROUNDS_MIN = 7, ROUNDS_MAX = 51 };
+#define SAMPLE_NS 500000         /* long beside the clock's own cost, short beside a time slice */
+#define COMPARISON_NS 1000000000 /* rounds are added until about that */
+
+static double sample_ns(const bench_contender *contender, uint64_t runs) {
+  const uint64_t start = bench_now_ns();
+  for (uint64_t i = 0; i < runs; i++) {
+    contender->run(contender->context);
+  }
+  return (double)(bench_now_ns() - start);
+}
+
+/* How many runs make a sample; also warms caches and clocks up. */
+static uint64_t calibrate(const bench_contender *contender) {
+  uint64_t runs = 1;
+  while (sample_ns(contender, runs) < SAMPLE_NS) {
+    runs *= 2;
+  }
+  return runs;
+}
+
+void bench_compare(bench_contender *contenders, size_t count) {
+  static double ns[CONTENDERS_MAX][ROUNDS_MAX];
+  uint64_t runs[CONTENDERS_MAX];
+  if (count > CONTENDERS_MAX) {
+    bench_fail("too many contenders for one comparison");
+  }
+  for (size_t i = 0; i < count; i++) {
+    runs[i] = calibrate(&contenders[i]);
+  }
+  size_t rounds = 0;
+  const uint64_t start = bench_now_ns();
+  while (rounds < ROUNDS_MIN || (rounds < ROUNDS_MAX && bench_now_ns() - start < COMPARISON_NS)) {
+    for (size_t i = 0; i < count; i++) {
+      ns[i][rounds] = sample_ns(&contenders[i], runs[i]) / (double)runs[i];
+    }
+    rounds++;
+  }
+  for (size_t i = 0; i < count; i++) {
+    contenders[i].ns = bench_median(ns[i], rounds);
+  }
+}
+
+/* ---- the program -------------------------------------------------------------------------- */
+
+static void usage(FILE *to) {
+  fprintf(to, "usage: bench [GROUP...]\n"
+              "Prints one figure a line: name, value and unit, separated by tabs.\n"
+              "Groups (all, if none is named):\n");
+  for (size_t i = 0; i < GROUPS; i++) {
+    fprintf(to, "  %-10s %s\n", groups[i].name, groups[i].about);
+  }
+}
+
+static size_t find_group(const char *name) {
+  size_t i = 0;
+  while (i < GROUPS && strcmp(groups[i].name, name) != 0) {
+    i++;
+  }
+  return i;
+}
+
+int main(int argc, char **argv) {
+  for (int i = 1; i < argc; i++) {
+    if (strcmp(argv[i], "--help") == 0 || strcmp(argv[i], "-h") == 0) {
+      usage(stdout);
+      return EXIT_SUCCESS;
+    }
+    if (find_group(argv[i]) == GROUPS) {
+      fprintf(stderr, "bench: there is no group %s\n", argv[i]);
+      usage(stderr);
+      return 2;
+    }
+  }
+  for (size_t i = 0; i < GROUPS && argc == 1; i++) {
+    groups[i].run();
+  }
+  for (int i = 1; i < argc; i++) {
+    groups[find_group(argv[i])].run();
+  }
+  bench_progress("");
+  return EXIT_SUCCESS;
+}

@@ -1,0 +1,213 @@
+/* Evaluating R for arrays of radii: every instruction set of this machine, a plain loop over the C
+ * library's functions, and memcpy of the same bytes, one after another in the same run.
+ *
+ *   kernel.<model>.<evaluator>.<instruction set, libm or memcpy>.<array length>   values/s
+ *   ratio.kernel.<model>.<evaluator>    the best instruction set over libm, at 4096 values
+ */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core/core.h"
+#include "tests/bench/bench.h"
+#include "tests/bench/plain_dipole.h"
+
+enum { LENGTH_MAX = 1048576, RATIO_LENGTH = 4096, CONTENDERS_MAX = 8 };
+
+static const size_t lengths[] = {1, 16, 256, RATIO_LENGTH, LENGTH_MAX};
+
+/* Arrays of the longest length; those of floats fill half. */
+struct arrays {
+  void *r;
+  void *R;
+};
+
+/* What a run needs; the precision is the profile's. */
+struct work {
+  const char *name;
+  core_profile profile;
+  plain_dipole plain;
+  const struct arrays *arrays;
+  size_t n;
+};
+
+/* ---- what is run -------------------------------------------------------------------------- */
+
+static bool single(const struct work *work) {
+  return work->profile.evaluator == CORE_EVALUATOR_F32;
+}
+
+static void run_kernel(const void *context) {
+  const struct work *work = context;
+  if (single(work)) {
+    core_eval_f32(&work->profile, work->n, work->arrays->r, work->arrays->R, NULL);
+  } else {
+    core_eval_f64(&work->profile, work->n, work->arrays->r, work->arrays->R, NULL);
+  }
+}
+
+static void run_libm(const void *context) {
+  const struct work *work = context;
+  if (single(work)) {
+    plain_dipole_f32(&work->plain, work->n, work->arrays->r, work->arrays->R);
+  } else {
+    plain_dipole_f64(&work->plain, work->n, work->arrays->r, work->arrays->R);
+  }
+}
+
+static void run_memcpy(const void *context) {
+  const struct work *work = context;
+  memcpy(work->arrays->R, work->arrays->r,
+         work->n * (single(work) ? sizeof(float) : sizeof(double)));
+}
+
+/* ---- one model and evaluator -------------------------------------------------------------- */
+
+struct comparison {
+  struct work work[CONTENDERS_MAX];
+  bench_contender contenders[CONTENDERS_MAX];
+  size_t count;
+  size_t kernels; /* the first of them are kernels */
+};
+
+static struct work *add(struct comparison *comparison, const char *name,
+                        void (*run)(const void *context), const core_profile *profile,
+                        const struct arrays *arrays) {
+  if (comparison->count == CONTENDERS_MAX) {
+    bench_fail("more instruction sets than a comparison holds");
+  }
+  struct work *work = &comparison->work[comparison->count];
+  *work = (struct work){.name = name, .profile = *profile, .arrays = arrays};
+  comparison->contenders[comparison->count++] = (bench_contender){.run = run, .context = work};
+  return work;
+}
+
+/* The switches of a model of the dipole family; -1 for others, which have no plain loop. */
+static int plain_switches(unsigned model) {
+  switch (model) {
+#define CORE_MODEL(id, IDENT, name, family, variant, source)                                       \
+  case id:                                                                                         \
+    return strcmp(#family, "dipole") == 0 ? (variant) : -1;
+#include "core/models.def"
+#undef CORE_MODEL
+  default:
+    return -1;
+  }
+}
+
+static void make_comparison(struct comparison *comparison, unsigned model, unsigned evaluator,
+                            const struct arrays *arrays) {
+  const core_medium *medium = &core_measured_medium_by_name("skin1")->channel[0];
+  core_profile profile;
+  comparison->count = 0;
+  for (size_t i = 0; core_isa_listed(i) != NULL; i++) {
+    const core_isa *isa = core_isa_select(core_isa_listed(i));
+    if (isa == NULL) {
+      continue;
+    }
+    if (core_profile_prepare(&profile, isa, model, CORE_MOMENTS_EXACT, evaluator, medium).field !=
+        NULL) {
+      bench_fail("a measured medium was refused");
+    }
+    add(comparison, core_isa_listed(i), run_kernel, &profile, arrays);
+  }
+  comparison->kernels = comparison->count;
+  const int switches = plain_switches(model);
+  if (switches >= 0) {
+    add(comparison, "libm", run_libm, &profile, arrays)->plain =
+        plain_dipole_prepare(switches, medium);
+  }
+  add(comparison, "memcpy", run_memcpy, &profile, arrays);
+}
+
+/* A comparison with a loop that computes something else would be worth nothing. */
+static void check_plain_loop(const struct work *plain) {
+  enum { CHECKED = 64 };
+  const size_t bytes = CHECKED * (single(plain) ? sizeof(float) : sizeof(double));
+  double kept[CHECKED];
+  struct work work = *plain;
+  work.n = CHECKED;
+  run_libm(&work);
+  memcpy(kept, work.arrays->R, bytes);
+  run_kernel(&work);
+  for (size_t i = 0; i < CHECKED; i++) {
+    const double a = single(plain) ? (double)((const float *)kept)[i] : kept[i];
+    const double b = single(plain) ? (double)((const float *)work.arrays->R)[i]
+                                   : ((const double *)work.arrays->R)[i];
+    if (!(fabs(a - b) <= (single(plain) ? 1e-4 : 1e-12) * b)) {
+      bench_fail("the plain loop and the kernel disagree");
+    }
+  }
+}
+
+static void report_ratio(const struct comparison *comparison, const char *model,
+                         const char *evaluator) {
+  const size_t libm = comparison->kernels;
+  double best_ns = INFINITY;
+  for (size_t i = 0; i < comparison->kernels; i++) {
+    best_ns = fmin(best_ns, comparison->contenders[i].ns);
+  }
+  bench_figure(comparison->contenders[libm].ns / best_ns, "times", "ratio.kernel.%s.%s", model,
+               evaluator);
+}
+
+static void measure(const core_choice *model, const core_choice *evaluator,
+                    const struct arrays *arrays) {
+  struct comparison comparison;
+  make_comparison(&comparison, model->id, evaluator->id, arrays);
+  const bool has_plain = comparison.contenders[comparison.kernels].run == run_libm;
+  if (has_plain) {
+    check_plain_loop(&comparison.work[comparison.kernels]);
+  }
+  for (size_t i = 0; i < sizeof lengths / sizeof lengths[0]; i++) {
+    char what[128];
+    snprintf(what, sizeof what, "kernel: %s, %s, arrays of %zu", model->name, evaluator->name,
+             lengths[i]);
+    bench_progress(what);
+    for (size_t j = 0; j < comparison.count; j++) {
+      comparison.work[j].n = lengths[i];
+    }
+    bench_compare(comparison.contenders, comparison.count);
+    for (size_t j = 0; j < comparison.count; j++) {
+      bench_figure((double)lengths[i] / comparison.contenders[j].ns * 1e9, "values/s",
+                   "kernel.%s.%s.%s.%zu", model->name, evaluator->name, comparison.work[j].name,
+                   lengths[i]);
+    }
+    if (lengths[i] == RATIO_LENGTH && has_plain) {
+      report_ratio(&comparison, model->name, evaluator->name);
+    }
+  }
+}
+
+/* ---- all of them -------------------------------------------------------------------------- */
+
+/* 0.01 to 10 mm, in an order that no branch predictor learns. */
+static void fill_radii(void *r, unsigned evaluator) {
+  uint32_t random = 1;
+  for (size_t i = 0; i < LENGTH_MAX; i++) {
+    random = random * 1664525u + 1013904223u;
+    const double radius = 0.01 + 9.99 * (random >> 8) * 0x1p-24;
+    if (evaluator == CORE_EVALUATOR_F32) {
+      ((float *)r)[i] = (float)radius;
+    } else {
+      ((double *)r)[i] = radius;
+    }
+  }
+}
+
+void bench_kernel(void) {
+  const struct arrays arrays = {malloc(LENGTH_MAX * sizeof(double)),
+                                calloc(LENGTH_MAX, sizeof(double))};
+  if (arrays.r == NULL || arrays.R == NULL) {
+    bench_fail("out of memory");
+  }
+  for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
+    fill_radii(arrays.r, evaluator->id);
+    for (const core_choice *model = core_models; model->name != NULL; model++) {
+      measure(model, evaluator, &arrays);
+    }
+  }
+  free(arrays.r);
+  free(arrays.R);
+}

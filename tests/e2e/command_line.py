@@ -1,0 +1,157 @@
+"""Runs `dipole`, the command line, and reads what it writes."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import socket
+import subprocess
+import tempfile
+import threading
+from pathlib import Path
+
+from daemons import BUILD, environment
+from dipole import wire
+from frames import EVAL, frame
+
+PROGRAM = BUILD / "dipole"
+TIMEOUT_S = 120.0
+
+OK, FAILED, USAGE, BAD_ROWS = 0, 1, 2, 3
+
+
+def dipole(
+    *arguments: str,
+    stdin: str | bytes = b"",
+    env: dict[str, str] | None = None,
+    status: int = OK,
+) -> subprocess.CompletedProcess[str]:
+    """Runs a command, with a private daemon unless told otherwise, and checks its exit status."""
+    run = subprocess.run(
+        [str(PROGRAM), *arguments],
+        input=stdin.encode() if isinstance(stdin, str) else stdin,
+        capture_output=True,
+        env=environment(**(env or {})),
+        timeout=TIMEOUT_S,
+        check=False,
+    )
+    text = subprocess.CompletedProcess(
+        run.args, run.returncode, run.stdout.decode(), run.stderr.decode()
+    )
+    assert "Sanitizer" not in text.stderr and "runtime error:" not in text.stderr, text.stderr
+    assert text.returncode == status, f"{arguments}: {text.returncode}: {text.stderr}"
+    if status == OK:
+        assert text.stderr == ""
+    return text
+
+
+def eval_rows(*arguments: str) -> list[dict[str, str]]:
+    """The rows of `dipole eval --format csv`."""
+    return read_csv(dipole("eval", "--format", "csv", *arguments).stdout)
+
+
+def eval_json(*arguments: str) -> dict:
+    """The object of `dipole eval --format json`."""
+    return json.loads(dipole("eval", "--format", "json", *arguments).stdout)
+
+
+def points(text: str | bytes, *arguments: str, status: int = OK) -> str:
+    """What `dipole points` makes of a CSV text."""
+    return dipole("points", *arguments, stdin=text, status=status).stdout
+
+
+def read_csv(text: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(text, newline="")))
+
+
+class Proxy:
+    """Stands between a client and a daemon and does something to the client's eval requests.
+
+    on_eval(number, request_id) says what: None passes the request on, bytes are answered instead,
+    and False ends the connection.
+    """
+
+    def __init__(self, url: str, on_eval):
+        self._daemon_path = url.removeprefix("unix:")
+        self._on_eval = on_eval
+        self._folder = tempfile.TemporaryDirectory(prefix="dipole-proxy-")
+        self.url = f"unix:{self._folder.name}/s"
+        self._listener = socket.socket(socket.AF_UNIX)
+        self._listener.bind(self.url.removeprefix("unix:"))
+        self._listener.listen()
+        self._listener.settimeout(TIMEOUT_S)
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> Proxy:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._thread.join(TIMEOUT_S)
+        self._listener.close()
+        self._folder.cleanup()
+        assert not self._thread.is_alive()
+
+    def _serve(self) -> None:
+        client, _ = self._listener.accept()
+        with client, socket.socket(socket.AF_UNIX) as daemon:
+            daemon.connect(self._daemon_path)
+            lock = threading.Lock()  # an answer of ours does not fall into one of the daemon's
+            back = threading.Thread(target=self._pass_back, args=(daemon, client, lock))
+            back.start()
+            try:
+                self._pass_on(client, daemon, lock)
+            except OSError:
+                pass  # the client is gone
+            for end in (daemon, client):
+                try:
+                    end.shutdown(socket.SHUT_RDWR)
+                except OSError:
+                    pass
+            back.join()
+
+    def _pass_on(self, client, daemon, lock) -> None:
+        evals = 0
+        stream = client.makefile("rb")
+        while head := stream.read(wire.HEADER.bytes):
+            header = wire.HEADER.unpack(head)
+            payload = stream.read(header.payload_bytes)
+            answer = None
+            if header.type == EVAL:
+                answer = self._on_eval(evals, header.request_id)
+                evals += 1
+            if answer is None:
+                daemon.sendall(head + payload)
+            elif answer is False:
+                return
+            else:
+                with lock:
+                    client.sendall(answer)
+
+    @staticmethod
+    def _pass_back(daemon, client, lock) -> None:
+        stream = daemon.makefile("rb")
+        try:
+            while head := stream.read(wire.HEADER.bytes):
+                payload = stream.read(wire.HEADER.unpack(head).payload_bytes)
+                with lock:
+                    client.sendall(head + payload)
+        except OSError:
+            pass  # the client is gone
+
+
+def busy(request_id: int, retry_after_ms: int = 1) -> bytes:
+    """The error frame of a daemon at its limit."""
+    code = next(code for code, name in wire.STATUSES.items() if name == "busy")
+    error = wire.ERROR.pack(
+        status=code, zero=0, retry_after_ms=retry_after_ms, index=0, field="", allowed=""
+    )
+    return frame(wire.TYPE_ERROR, request_id, error)
+
+
+def scratch(tmp_path: Path, name: str, text: str | bytes) -> str:
+    """A file with this text."""
+    path = tmp_path / name
+    path.write_bytes(text.encode() if isinstance(text, str) else text)
+    return str(path)

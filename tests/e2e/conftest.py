@@ -1,0 +1,60 @@
+"""Fixtures: daemons that are started for a test, or once for all tests that leave no trace."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "clients" / "python"))
+
+from daemons import BUILD, Daemon  # noqa: E402  (needs the path above)
+
+
+@pytest.fixture(scope="session")
+def build() -> Path:
+    """The folder of the programs under test: $DIPOLED_BUILD, else build/."""
+    return BUILD
+
+
+@pytest.fixture
+def daemon():
+    """Starts daemons: daemon(*options, env=..., listen=...). Each is ended and judged."""
+    started: list[Daemon] = []
+
+    def start(*options: str, **how) -> Daemon:
+        started.append(Daemon(*options, **how))
+        return started[-1]
+
+    yield start
+    failures = []
+    for one in started:
+        try:
+            one.close()
+        except AssertionError as failure:
+            failures.append(failure)
+    if failures:
+        raise failures[0]
+
+
+@pytest.fixture(scope="session")
+def shared():
+    """A daemon with default options, for tests that change nothing in it."""
+    one = Daemon()
+    yield one
+    one.close()
+
+
+@pytest.fixture(params=["unix", "tcp"])
+def connection(request, shared):
+    """A bare connection to the shared daemon, over each transport."""
+    with shared.connect(request.param) as one:
+        yield one
+
+
+@pytest.fixture
+def client(shared):
+    """A client of the shared daemon."""
+    with shared.client() as one:
+        yield one

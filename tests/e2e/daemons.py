@@ -1,0 +1,217 @@
+"""Starts a dipoled from outside, reads its log, and ends it: with a look at how it went."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import dipole
+
+START_S = 30.0
+END_S = 10.0
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+BUILD = Path(os.environ.get("DIPOLED_BUILD") or REPOSITORY / "build").resolve()
+PROGRAM = BUILD / "dipoled"
+
+
+def sanitized(*kinds: str) -> bool:
+    """Whether the build has a sanitizer, which makes it slower and its memory larger."""
+    code = PROGRAM.read_bytes()
+    return any(f"__{kind}_init".encode() in code for kind in kinds or ("asan", "tsan"))
+
+
+def environment(**variables: str) -> dict[str, str]:
+    """This process's environment without any option of dipoled but the given ones."""
+    kept = {k: v for k, v in os.environ.items() if not k.startswith("DIPOLED")}
+    return {**kept, **variables}
+
+
+def read_log_line(line: str) -> dict[str, str]:
+    """The pairs of a line key=value key=value; values with blanks are quoted or escaped."""
+    return dict(pair.split("=", 1) for pair in line.split() if "=" in pair)
+
+
+class Daemon:
+    """A dipoled that runs. Listens on a Unix socket and on a free TCP port unless told otherwise.
+
+    env: variables besides the usual ones. listen: addresses. quiet: it logs nothing, so that the
+    address is the one it was told. prefix: a program that starts it.
+    """
+
+    def __init__(
+        self,
+        *options: str,
+        env: dict[str, str] | None = None,
+        listen: list[str] | None = None,
+        quiet: bool = False,
+        prefix: list[str] | None = None,
+    ):
+        self.folder = Path(tempfile.mkdtemp(prefix="dipoled-"))
+        if listen is None:
+            listen = [f"unix:{self.folder}/s", "tcp:127.0.0.1:0"]
+        command = [*(prefix or []), str(PROGRAM)]
+        for url in listen:
+            command += ["--listen", url]
+        self._lines: list[str] = []
+        self._changed = threading.Condition()
+        self._ended = False  # no more lines will come
+        self._stopping = False
+        self._killed = False
+        self._quiet = quiet
+        self.process = subprocess.Popen(
+            [*command, *options],
+            stdin=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            env=environment(**(env or {})),
+            text=True,
+            errors="replace",
+        )
+        self._reader = threading.Thread(target=self._read_log, daemon=True)
+        self._reader.start()
+        try:
+            self.urls = self._wait_until_connected(listen) if quiet else self._wait_until_ready()
+        except BaseException:
+            self.kill()
+            raise
+
+    def _wait_until_ready(self) -> list[str]:
+        assert self.has_line("event=ready", START_S), "not ready:\n" + "\n".join(self.log)
+        lines = map(read_log_line, self.log)
+        return [line["url"] for line in lines if line.get("event") == "listening"]
+
+    def _wait_until_connected(self, urls: list[str]) -> list[str]:
+        def answers() -> bool:
+            try:
+                dipole.Connection(urls[0]).close()
+                return True
+            except dipole.ConnectError:
+                return False
+
+        assert eventually(answers, START_S)
+        return urls
+
+    # ---- the log ---------------------------------------------------------------------------------
+
+    def _read_log(self) -> None:
+        for line in self.process.stderr:
+            with self._changed:
+                self._lines.append(line.rstrip("\n"))
+                self._changed.notify_all()
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+
+    @property
+    def log(self) -> list[str]:
+        """The lines so far."""
+        with self._changed:
+            return list(self._lines)
+
+    def has_line(self, text: str, timeout_s: float) -> bool:
+        """Whether there is a line that holds a text, or comes in time and before the end."""
+        with self._changed:
+
+            def found() -> bool:
+                return any(text in line for line in self._lines)
+
+            self._changed.wait_for(lambda: found() or self._ended, timeout_s)
+            return found()
+
+    # ---- connecting ------------------------------------------------------------------------------
+
+    def url(self, scheme: str = "unix") -> str:
+        """The first address of a scheme that the daemon listens on, as it said itself."""
+        return next(url for url in self.urls if url.startswith(scheme + ":"))
+
+    def connect(self, scheme: str = "unix") -> dipole.Connection:
+        """A bare connection."""
+        return dipole.Connection(self.url(scheme))
+
+    def client(self, scheme: str = "unix") -> dipole.Client:
+        """A client that has said hello."""
+        return dipole.Client(self.url(scheme))
+
+    # ---- looking at it ---------------------------------------------------------------------------
+
+    def resident_bytes(self) -> int:
+        """The memory that it holds now."""
+        status = Path(f"/proc/{self.process.pid}/status").read_text()
+        line = next(line for line in status.splitlines() if line.startswith("VmRSS:"))
+        return int(line.split()[1]) * 1024
+
+    # ---- ending it -------------------------------------------------------------------------------
+
+    def terminate(self, how: signal.Signals = signal.SIGTERM) -> None:
+        """Asks it to stop, without waiting."""
+        self._stopping = True
+        self.process.send_signal(how)
+        # gcc 12's thread sanitizer loses a signal that comes just when libuv's loop begins to wait,
+        # in the smallest of programs; the daemon's log shows whether it arrived.
+        for _ in range(5):
+            if self._quiet or not sanitized("tsan") or self.has_line("event=stopping", 1.0):
+                break
+            if self.process.poll() is None:
+                self.process.send_signal(how)
+
+    def kill(self) -> None:
+        """Ends it at once; there is nothing to judge then."""
+        self._killed = True
+        self.process.kill()
+        self.wait()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def wait(self, timeout_s: float = END_S) -> int:
+        """Its exit status, once it ended, and its log is whole."""
+        status = self.process.wait(timeout_s)
+        self._reader.join(timeout_s)
+        return status
+
+    def close(self) -> None:
+        """Stops it, and holds it to a clean end: not before it was asked, soon, status 0, and
+        nothing for a sanitizer to report."""
+        if self._killed:
+            return
+        if not self._stopping:
+            died = self.process.poll()
+            assert died is None, f"dipoled ended with {died}:\n" + "\n".join(self.log)
+            self.terminate()
+        try:
+            status = self.wait()
+        except subprocess.TimeoutExpired:
+            log = "\n".join(self.log)
+            self.kill()
+            raise AssertionError(f"dipoled did not stop in {END_S} s:\n{log}") from None
+        log = "\n".join(self.log)
+        shutil.rmtree(self.folder, ignore_errors=True)
+        assert status == 0, f"dipoled ended with {status}:\n{log}"
+        assert "Sanitizer" not in log and "runtime error:" not in log, log
+
+
+def run(*options: str, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+    """Runs dipoled with options that make it end by itself."""
+    return subprocess.run(
+        [str(PROGRAM), *options],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        env=environment(**(env or {})),
+        text=True,
+        timeout=END_S,
+        check=False,
+    )
+
+
+def eventually(condition, timeout_s: float = 10.0, interval_s: float = 0.005) -> bool:
+    """Whether a condition comes true in time."""
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(interval_s)
+    return True

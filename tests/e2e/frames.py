@@ -1,0 +1,112 @@
+"""Requests built byte by byte, right and wrong, and what replies to them must look like."""
+
+from __future__ import annotations
+
+import numpy as np
+from dipole import Connection, Frame, wire
+
+SKIN = (0.032, 0.74, 0.0, 1.3)  # skin1, red
+SPECTRALON = (0.0, 11.6, 0.0, 1.3)  # does not absorb: the better dipole's albedo is exactly 1
+
+CLASSICAL, BETTER = 1, 2
+F64, F32 = 1, 2
+EXACT, FIT = 1, 2
+R, ALBEDO, CDF, RADIUS = 1, 2, 4, 8
+LIST, LINEAR, LOGARITHMIC = 1, 2, 3
+
+PING = wire.MESSAGES["ping"]
+HELLO = wire.MESSAGES["hello"]
+EVAL = wire.MESSAGES["eval"]
+MEDIA = wire.MESSAGES["media"]
+STATISTICS = wire.MESSAGES["statistics"]
+
+
+def header(**changes: int) -> bytes:
+    """A header, with some fields other than they should be."""
+    fields = {
+        "magic": wire.MAGIC,
+        "version": wire.VERSION,
+        "type": PING,
+        "request_id": 1,
+        "payload_bytes": 0,
+        "flags": 0,
+    }
+    return wire.HEADER.pack(**{**fields, **changes})
+
+
+def frame(type: int, request_id: int, payload: bytes = b"") -> bytes:
+    """A whole frame."""
+    return header(type=type, request_id=request_id, payload_bytes=len(payload)) + payload
+
+
+def media_bytes(media) -> bytes:
+    """Medium structures."""
+    return np.asarray(media, "<f8").reshape(-1, 4).tobytes()
+
+
+def radii_bytes(radii, evaluator: int = F64) -> bytes:
+    """Listed radii with their padding."""
+    listed = np.asarray(radii, wire.EVALUATOR_TYPES[evaluator]).tobytes()
+    return listed + bytes(wire.padded(len(listed)) - len(listed))
+
+
+def eval_payload(media=(SKIN,), radii=(0.5, 1.0), **fixed: float) -> bytes:
+    """The payload of an eval request: counts that fit and a list, unless told otherwise. radii:
+    None for a grid."""
+    fields = {
+        "model": BETTER,
+        "evaluator": F64,
+        "moments": EXACT,
+        "wanted": R | ALBEDO | CDF,
+        "medium_count": len(media),
+        "spacing": LIST if radii is not None else LINEAR,
+        "radius_count": len(radii) if radii is not None else 2,
+        "radius_start": 0.0,
+        "radius_stop": 0.0 if radii is not None else 1.0,
+    }
+    fields.update(fixed)
+    evaluator = fields["evaluator"] if fields["evaluator"] in wire.EVALUATOR_TYPES else F64
+    listed = b"" if radii is None else radii_bytes(radii, evaluator)
+    return wire.EVAL_REQUEST.pack(**fields) + media_bytes(media) + listed
+
+
+def ask(connection: Connection, type: int, payload: bytes = b"", request_id: int = 77) -> Frame:
+    """Sends one request and waits for what comes back."""
+    connection.send_bytes(frame(type, request_id, payload))
+    return connection.receive_frame()
+
+
+def assert_error(
+    reply: Frame, status: str, field: str, allowed: str, index: int = 0, request_id: int = 77
+) -> None:
+    """The reply is an error that names status, field and position, and says what is allowed."""
+    assert reply.type == wire.TYPE_ERROR, f"a reply of type {reply.type:#x}, not an error"
+    assert reply.request_id == request_id
+    assert len(reply.payload) == wire.ERROR.bytes
+    error = wire.ERROR.unpack(reply.payload)
+    assert (wire.STATUSES[error.status], error.field) == (status, field), error
+    assert error.allowed and allowed in error.allowed, error
+    assert error.index == index, error
+    assert error.zero == 0
+    assert (error.retry_after_ms > 0) == (status == "busy"), error
+
+
+def assert_serves(connection: Connection) -> None:
+    """The connection answers, and rightly."""
+    echo = ask(connection, PING, b"answered", request_id=901)
+    assert echo == Frame(PING | wire.REPLY, 901, b"answered")
+    payload = eval_payload([SPECTRALON], [], wanted=ALBEDO)
+    reply = ask(connection, EVAL, payload, request_id=902)
+    assert (reply.type, reply.request_id) == (EVAL | wire.REPLY, 902)
+    assert wire.CHANNEL.unpack(reply.payload, wire.EVAL_REPLY.bytes).albedo == 1.0
+
+
+def assert_closed(connection: Connection) -> None:
+    """The daemon says nothing more and closes."""
+    assert connection.receive_eof(), "the daemon went on instead of closing"
+
+
+def assert_daemon_serves(daemon) -> None:
+    """A fresh connection is answered."""
+    with daemon.connect() as fresh:
+        assert_serves(fresh)

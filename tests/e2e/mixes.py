@@ -1,0 +1,73 @@
+"""Many different eval requests, the same ones every time: for tests that compare answers."""
+
+from __future__ import annotations
+
+import random
+
+import numpy as np
+from frames import (
+    F32,
+    F64,
+    LINEAR,
+    LOGARITHMIC,
+    eval_payload,
+)
+from lists import MODELS, MOMENTS, Moments
+
+EDGE_RADII = [0.0, -0.0, 5e-324, 1e-300, 1e-45, 1e30, 1e300, np.inf]
+
+
+def random_medium(rng: random.Random, moments: Moments) -> tuple[float, float, float, float]:
+    """A medium from anywhere in the domain, mostly from its middle."""
+    wide = rng.random() < 0.25
+    decades = 14 if wide else 2
+    sigma_a = 0.0 if rng.random() < 0.1 else 10 ** rng.uniform(-decades, decades)
+    sigma_s = 0.0 if sigma_a > 0 and rng.random() < 0.05 else 10 ** rng.uniform(-decades, decades)
+    g = 0.0 if rng.random() < 0.3 else rng.uniform(-0.99, 0.99)
+    eta_range = (moments.eta_min, moments.eta_max) if wide else (0.7, 2.0)
+    return sigma_a, sigma_s, g, rng.uniform(*eta_range)
+
+
+def random_radii(rng: random.Random, count: int) -> np.ndarray:
+    """Radii over ten decades, with the ends of the domain among them."""
+    radii = 10 ** np.random.default_rng(rng.getrandbits(32)).uniform(-6, 4, count)
+    for i in range(0, count, 7):
+        radii[i] = rng.choice(EDGE_RADII)
+    return radii
+
+
+def random_payload(rng: random.Random, counts) -> bytes:
+    """The payload of a valid eval request with one of these numbers of radii."""
+    moments = rng.choice(list(MOMENTS.values()))
+    fields = {
+        "model": rng.choice(list(MODELS.values())),
+        "evaluator": rng.choice([F64, F32]),
+        "moments": moments.id,
+        "wanted": rng.randint(1, 15),
+    }
+    count = rng.choice(counts)
+    media = [random_medium(rng, moments) for _ in range(rng.randint(1, 4))]
+    if count == 0 or rng.random() < 0.6:
+        with np.errstate(over="ignore"):
+            radii = random_radii(rng, count)
+            if fields["evaluator"] == F32:
+                radii = radii.astype(np.float32)
+        return eval_payload(media, radii, **fields)
+    return eval_payload(
+        media,
+        None,
+        spacing=rng.choice([LINEAR, LOGARITHMIC]),
+        radius_count=count,
+        radius_start=rng.uniform(1e-3, 1.0),
+        radius_stop=rng.uniform(1.0, 50.0),
+        **fields,
+    )
+
+
+def broad_mix(seed: int, sizes: dict[int, int] | None = None) -> list[bytes]:
+    """Payloads: short lists of every length, and as many of each longer size as sizes says."""
+    rng = random.Random(seed)
+    payloads = [random_payload(rng, [length]) for length in range(68) for _ in range(3)]
+    for size, times in (sizes or {}).items():
+        payloads += [random_payload(rng, [size]) for _ in range(times)]
+    return payloads

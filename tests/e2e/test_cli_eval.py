@@ -1,0 +1,253 @@
+"""`dipole eval`: the same numbers as a table, as CSV and as JSON, for any way to ask."""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+
+import pytest
+from command_line import Proxy, busy, dipole, eval_json, eval_rows, points, read_csv
+from test_cli_numbers import many_numbers
+
+MEDIUM = ["--sigma-a", "0.01,0.1", "--sigma-s", "10", "--g", "0.9", "--eta", "1.4"]
+HEADER = "model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,cdf,numerical_error,model_error"
+
+
+# ---- numbers -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("channel, albedo", enumerate([0.72775656, 0.54408776, 0.44055470]))
+def test_published_albedo_of_skin2(channel, albedo):
+    """These numbers were made with the F_dr of Jensen et al. 2001, not with the fits of Eq. 2."""
+    rows = eval_rows(
+        *["--medium", "skin2", "--eta", "1", "--model", "classical", "--moments", "jensen"],
+        *["--want", "albedo"],
+    )
+    assert len(rows) == 3
+    assert abs(float(rows[channel]["albedo"]) - albedo) <= 5e-8
+
+
+@pytest.mark.parametrize("evaluator", ["f64", "f32"])
+@pytest.mark.parametrize("moments", ["exact", "fit"])
+def test_points_says_the_same_as_eval(evaluator, moments):
+    rows = eval_rows(
+        *[*MEDIUM, "--model", "all", "--r", "0,0.3,1,7.5,inf", "--want", "R,albedo,cdf"],
+        *["--evaluator", evaluator, "--moments", moments],
+    )
+    assert len(rows) >= 2 * 2 * 5
+    columns = ["model", "sigma_a", "sigma_s", "g", "eta", "r"]
+    lines = [",".join(row[column] for column in columns) + f",{moments}" for row in rows]
+    text = "\n".join([",".join([*columns, "moments"]), *lines])
+    again = read_csv(points(text, "--evaluator", evaluator))
+    for row, other in zip(rows, again, strict=True):
+        for column in ("R", "albedo", "cdf"):
+            assert row[column] == other[column] != ""
+
+
+def test_extremes():
+    rows = eval_rows(*MEDIUM, "--r", "0,inf", "--want", "R,cdf")
+    assert [row["r"] for row in rows] == ["0", "inf"] * 2
+    assert float(rows[0]["R"]) > 0 and rows[0]["cdf"] == "0"
+    assert rows[1]["R"] == "0" and rows[1]["cdf"] == "1"
+
+
+def test_defaults():
+    rows = eval_rows("--sigma-a", "0.1", "--sigma-s", "1")
+    assert len(rows) == 21
+    assert [float(row["r"]) for row in rows] == [i * 0.5 for i in range(21)]
+    expected = {"model": "better", "channel": "1", "g": "0", "eta": "1.3", "cdf": ""}
+    assert expected.items() <= rows[0].items()
+    assert rows == eval_rows(
+        *["--sigma-a", "0.1", "--sigma-s", "1", "--g", "0", "--eta", "1.3", "--model", "better"],
+        *["--from", "0", "--to", "10", "--count", "21", "--moments", "exact"],
+        *["--want", "R,albedo", "--evaluator", "f64"],
+    )
+
+
+def test_single_values_hold_for_all_channels():
+    rows = eval_rows(*MEDIUM, "--r", "1")
+    assert [row["sigma_a"] for row in rows] == ["0.01", "0.1"]
+    for column, value in {"sigma_s": "10", "g": "0.9", "eta": "1.4"}.items():
+        assert [row[column] for row in rows] == [value, value]
+
+
+def test_eta_of_a_measured_medium_can_be_replaced():
+    usual = eval_rows("--medium", "marble", "--r", "1")
+    same = eval_rows("--medium", "marble", "--eta", "1.3", "--r", "1")
+    other = eval_rows("--medium", "marble", "--eta", "1.2,1.3,1.5", "--r", "1")
+    assert usual == same
+    assert [row["eta"] for row in other] == ["1.2", "1.3", "1.5"]
+    assert other[1] == usual[1] and other[0]["R"] != usual[0]["R"]
+
+
+def test_grids():
+    linear = eval_json(*MEDIUM, "--from", "1", "--to", "3", "--count", "5")["r"]
+    assert linear == [1, 1.5, 2, 2.5, 3]
+    grid = ["--from", "0.01", "--to", "100", "--count", "5", "--log"]
+    ratios = eval_json(*MEDIUM, *grid)["r"]
+    assert ratios[0] == 0.01 and ratios[-1] == 100
+    assert ratios == pytest.approx([0.01, 0.1, 1, 10, 100], rel=1e-12)
+    grid = ["--from", "0.1", "--to", "0.1", "--count", "1"]
+    single = eval_json(*MEDIUM, *grid, "--evaluator", "f32")
+    assert single["r"] == [0.10000000149011612]  # the radius that the evaluator took
+
+
+def test_models_are_asked_for_once_each():
+    rows = eval_rows(*MEDIUM, "--r", "1", "--model", "classical,better,classical")
+    assert [row["model"] for row in rows] == ["classical"] * 2 + ["better"] * 2
+    every = eval_rows(*MEDIUM, "--r", "1", "--model", "all")
+    assert {row["model"] for row in every} >= {"classical", "better"}
+
+
+# ---- formats -------------------------------------------------------------------------------------
+
+
+def test_csv():
+    text = dipole("eval", *MEDIUM, "--count", "3", "--format", "csv").stdout
+    assert text.splitlines()[0] == HEADER
+    assert len(text.splitlines()) == 1 + 2 * 3
+    for row in read_csv(text):
+        assert 0 < float(row["numerical_error"]) < 1e-12
+        assert row["cdf"] == "" and row["model_error"] == ""  # not wanted, not measured
+
+
+def test_csv_without_radii():
+    rows = eval_rows(*MEDIUM, "--want", "albedo")
+    assert len(rows) == 2
+    assert all(row["r"] == row["R"] == row["cdf"] == "" for row in rows)
+    assert all(0 < float(row["albedo"]) < 1 for row in rows)
+
+
+def test_json_says_the_same_as_csv():
+    arguments = [*MEDIUM, "--model", "classical,better", "--want", "R,albedo,cdf", "--r", "0,1,inf"]
+    report = eval_json(*arguments)
+    assert report["units"]["r"] == "mm"
+    assert report["units"]["R"] == "1/mm^2 per unit of power that entered"
+    assert report["evaluator"] == "f64" and report["moments"] == "exact"
+    assert report["r"] == [0, 1, "inf"]
+    rows = []
+    for model in report["models"]:
+        assert model["source"] != ""
+        for channel in model["channels"]:
+            assert channel["model_error"] is None
+            for i, r in enumerate(report["r"]):
+                error = channel["numerical_error"]
+                if channel["numerical_error_per_mm"] > 0:
+                    error += channel["numerical_error_per_mm"] * float(r)
+                rows.append(
+                    [model["model"], channel["channel"]]
+                    + [float(channel[name]) for name in ("sigma_a", "sigma_s", "g", "eta")]
+                    + [float(r), channel["R"][i], channel["albedo"], channel["cdf"][i], error]
+                )
+    expected = [
+        [*list(row.values())[:2], *map(float, list(row.values())[2:11])]
+        for row in eval_rows(*arguments)
+    ]
+    assert rows == expected
+
+
+def test_json_of_a_measured_medium():
+    report = eval_json("--medium", "skin1", "--count", "2")
+    assert report["medium"] == "skin1"
+    channels = report["models"][0]["channels"]
+    assert [channel["channel"] for channel in channels] == ["red", "green", "blue"]
+    assert [channel["sigma_a"] for channel in channels] == [0.032, 0.17, 0.48]
+    assert all("cdf" not in channel and len(channel["R"]) == 2 for channel in channels)
+
+
+def test_table_is_aligned_and_has_units():
+    text = dipole("eval", "--medium", "skin1", "--model", "classical,better").stdout
+    title, profiles, channels = text.split("\n\n")
+    assert title == (
+        "skin1: R in 1/mm^2 per unit of power that entered; evaluator f64, moments exact"
+    )
+    lines = profiles.splitlines()
+    assert lines[0].split() == ["classical"] * 3 + ["better"] * 3
+    assert lines[1].split() == ["r", *["R", "red", "R", "green", "R", "blue"] * 2]
+    assert lines[2].split() == ["mm"] + ["1/mm^2"] * 6
+    assert set(lines[3]) == {"-", " "} and len(lines[3].split()) == 7
+    assert len(lines) == 4 + 21
+    ends = [match.end() - 1 for match in re.finditer("-+", lines[3])]
+    for line in [*lines[:3], *lines[4:]]:
+        cells = [(line + " ")[end : end + 2].strip() for end in ends]
+        assert len(line) == len(lines[3])
+        assert all(cell != "" for cell in cells[1:])  # every column ends where its line ends
+    rows = eval_rows("--medium", "skin1", "--model", "classical,better")
+    first = [float(cell) for cell in lines[5].split()]  # the second radius
+    exact = [float(rows[1]["r"])] + [float(row["R"]) for row in rows[1::21]]
+    assert first == pytest.approx(exact, rel=1e-4)
+    assert "albedo" in channels and "numerical error" in channels and "not measured" in channels
+    assert [line.split()[:2] for line in channels.splitlines()[3:9]] == [
+        [model, colour] for model in ("classical", "better") for colour in ("red", "green", "blue")
+    ]
+
+
+def test_table_holds_what_is_wanted():
+    text = dipole("eval", *MEDIUM, "--r", "2", "--want", "cdf").stdout
+    assert "cdf 1" in text and "cdf 2" in text and "R 1" not in text and "albedo" not in text
+    assert dipole("eval", *MEDIUM, "--want", "albedo").stdout.count("better") == 2
+
+
+# ---- daemons -------------------------------------------------------------------------------------
+
+
+def test_a_long_list_is_asked_for_in_parts(daemon):
+    small = daemon("--max-frame-bytes", "4096").url()
+    radii = ",".join(str(i / 16) for i in range(3000))
+    arguments = [*MEDIUM, "--want", "R,albedo,cdf", "--r", radii]
+    for evaluator in ("f64", "f32"):
+        whole = eval_rows(*arguments, "--evaluator", evaluator)
+        assert whole == eval_rows(*arguments, "--evaluator", evaluator, "--connect", small)
+    assert len(whole) == 6000
+
+
+def test_the_daemon_is_named_by_option_or_environment(daemon):
+    one = daemon()
+    by_option = eval_json(*MEDIUM, "--count", "2", "--connect", one.url("tcp"))
+    by_variable = dipole(
+        *["eval", *MEDIUM, "--count", "2", "--format", "json"], env={"DIPOLED": one.url("unix")}
+    )
+    with one.client() as client:
+        assert client.statistics()["requests_eval"] == 2
+    assert by_variable.stdout == dipole("eval", *MEDIUM, "--count", "2", "--format", "json").stdout
+    assert by_option["models"] == eval_json(*MEDIUM, "--count", "2")["models"]
+
+
+def test_a_private_daemon_listens_for_nobody_else(tmp_path):
+    path = tmp_path / "socket"
+    dipole("media", env={"DIPOLED_LISTEN": f"unix:{path}"})
+    assert not path.exists()
+
+
+def test_a_busy_daemon_is_asked_again(daemon):
+    def on_eval(number: int, request_id: int):
+        return busy(request_id) if number < 3 else None
+
+    with Proxy(daemon().url(), on_eval) as proxy:
+        rows = eval_rows(*MEDIUM, "--connect", proxy.url)
+    assert rows == eval_rows(*MEDIUM)
+
+
+def test_a_daemon_that_stays_busy_is_given_up(daemon):
+    with Proxy(daemon().url(), lambda number, request_id: busy(request_id)) as proxy:
+        run = dipole("eval", *MEDIUM, "--connect", proxy.url, "--timeout-ms", "50", status=1)
+    assert "busy" in run.stderr
+
+
+def test_a_connection_that_is_lost(daemon):
+    with Proxy(daemon().url(), lambda number, request_id: False) as proxy:
+        run = dipole("eval", *MEDIUM, "--connect", proxy.url, status=1)
+    assert run.stdout == ""
+    assert "the daemon closed the connection" in run.stderr
+
+
+def test_radii_are_the_ones_that_the_evaluator_took():
+    radii = [number for number in many_numbers(500) if number < 3e38 and number >= 0]
+    rows = eval_rows(
+        *["--sigma-a", "0", "--sigma-s", "1", "--evaluator", "f32", "--want", "cdf"],
+        *["--r", ",".join(map(repr, radii))],
+    )
+    for row, r in zip(rows, radii, strict=True):
+        assert float(row["r"]) == struct.unpack("<f", struct.pack("<f", r))[0]
+        assert math.isfinite(float(row["cdf"]))

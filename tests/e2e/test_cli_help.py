@@ -1,0 +1,150 @@
+"""`dipole` for newcomers: help, versions, and command lines that are wrong."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+
+import pytest
+from command_line import FAILED, PROGRAM, TIMEOUT_S, USAGE, dipole
+from daemons import environment
+
+COMMANDS = ["eval", "points", "media", "info"]
+
+
+def test_help_lists_the_commands():
+    text = dipole("--help").stdout
+    assert text == dipole("help").stdout
+    for command in COMMANDS:
+        assert re.search(rf"^  {command} +\w", text, re.MULTILINE)
+
+
+def test_without_a_command_it_says_how_to_use_it():
+    run = dipole(status=USAGE)
+    assert run.stdout == ""
+    assert run.stderr == dipole("--help").stdout
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_of_a_command(command):
+    text = dipole(command, "--help").stdout
+    assert text == dipole("help", command).stdout
+    assert text.startswith(f"Usage: dipole {command} ")
+    examples = text.split("\nExamples\n")[1]
+    assert f"  dipole {command}" in examples and text.endswith("\n")
+    assert "Exit status: 0 " in text
+    for option in ("--connect ADDRESS", "--format FORMAT", "--timeout-ms N", "--help"):
+        assert f"\n  {option}" in text
+    assert max(len(line) for line in text.splitlines()) <= 100
+
+
+def test_examples_of_eval_work():
+    text = dipole("eval", "--help").stdout.split("\nExamples\n")[1]
+    examples = [line.split() for line in text.splitlines()]
+    assert len(examples) >= 3
+    for words in examples:
+        assert words[0] == "dipole"
+        if "--plot" in words:
+            at = words.index("--plot")
+            del words[at : at + 2]
+        assert dipole(*words[1:]).stdout != ""
+
+
+def test_version():
+    assert re.fullmatch(r"dipole \d+\.\d+\.\d+\n", dipole("--version").stdout)
+
+
+EVAL = ["eval", "--sigma-a", "0.1", "--sigma-s", "1"]
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (["evaluate"], "there is no command 'evaluate'; the commands are eval, points, media,"),
+        (["help", "evaluate"], "there is no command 'evaluate'"),
+        (["eval"], "give --medium NAME, or --sigma-a and --sigma-s"),
+        (["eval", "--sigma-a", "1"], "give --medium NAME, or --sigma-a and --sigma-s"),
+        (["eval", "skin1"], "'skin1' is more than it takes"),
+        (["points", "a.csv", "b.csv"], "'b.csv' is more than it takes"),
+        (["media", "--mediun"], "--mediun: no such option"),
+        (["media", "-x"], "-x: no such option"),
+        (["eval", "--sigma-a"], "--sigma-a: a value is missing"),
+        (["media", "--format", "xml"], "--format xml: it is one of table,csv,json"),
+        (["media", "--format", "able"], "--format able: it is one of table,csv,json"),
+        (["points", "--format", "json"], "--format json: it is one of csv"),
+        (["media", "--timeout-ms", "-1"], "--timeout-ms: '-1' is no whole number"),
+        (["media", "--timeout-ms", "4294967296"], "--timeout-ms: at most 4294967295"),
+        ([*EVAL, "--g", "0x1p-1"], "--g: '0x1p-1' is no number"),
+        ([*EVAL, "--g", "0,5,"], "--g: '0,5,' is no number"),
+        ([*EVAL, "--g", " 0"], "--g: ' 0' is no number"),
+        ([*EVAL, "--eta", "1e999"], "--eta: '1e999' is no number"),
+        ([*EVAL, "--to", "1mm"], "--to: '1mm' is no number"),
+        ([*EVAL, "--count", "1e3"], "--count: '1e3' is no whole number"),
+        ([*EVAL, "--count", "18446744073709551616"], "is no whole number"),
+        ([*EVAL, "--medium", "skin1"], "--medium NAME stands for --sigma-a, --sigma-s and --g"),
+        (["eval", "--medium", "skin1", "--g", "0"], "--medium NAME stands for"),
+        ([*EVAL, "--r", "1", "--count", "3"], "--r gives the radii one by one"),
+        ([*EVAL, "--log"], "--log needs --from, above 0"),
+        ([*EVAL, "--g", "0,0.5", "--eta", "1,1.2,1.4"], "--eta has 3 values and --g has 2"),
+        (["eval", "--medium", "skin1", "--eta", "1,2"], "--eta has 2 values and --medium has 3"),
+        ([*EVAL, "--plot", "r.pdf"], "--plot r.pdf: the name must end in .svg or .png"),
+        ([*EVAL, "--plot", ".png"], "--plot .png: the name must end in .svg or .png"),
+        ([*EVAL, "--plot", "r.png", "--want", "albedo"], "--plot draws R: add R to --want"),
+        ([*EVAL, "--model", "best"], "--model: 'best' is unknown; this daemon has classical, be"),
+        ([*EVAL, "--model", "better,"], "--model: '' is unknown; this daemon has"),
+        ([*EVAL, "--moments", "fat"], "--moments: 'fat' is unknown; this daemon has exact, fit"),
+        ([*EVAL, "--evaluator", "f16"], "--evaluator: 'f16' is unknown; this daemon has f64, f32"),
+        ([*EVAL, "--want", "pdf"], "--want: 'pdf' is unknown; this daemon has R, albedo, cdf"),
+        (["eval", "--medium", "skin"], "--medium: 'skin' is unknown; this daemon has apple, ch"),
+        (["points", "--evaluator", "f16"], "--evaluator: 'f16' is unknown; this daemon has f64"),
+    ],
+)
+def test_wrong_command_lines_say_what_to_do(arguments, said):
+    run = dipole(*arguments, status=USAGE)
+    assert said in run.stderr
+    assert run.stdout == ""
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (["--sigma-a", "-1", "--sigma-s", "1"], "bad-value: sigma_a: allowed: "),
+        (["--sigma-a", "inf", "--sigma-s", "1"], "bad-value: sigma_a: allowed: "),
+        (["--sigma-a", "1", "--sigma-s", "nan"], "bad-value: sigma_s: allowed: "),
+        (["--sigma-a", "0,-1", "--sigma-s", "1"], "sigma_a of medium 2 of 2: allowed: "),
+        ([*EVAL[1:], "--g", "1"], "bad-value: g: allowed: "),
+        ([*EVAL[1:], "--eta", "0"], "bad-value: eta: allowed: "),
+        ([*EVAL[1:], "--eta", "3", "--moments", "fit"], "bad-value: eta: allowed: "),
+        ([*EVAL[1:], "--r", "0,-1"], "bad-value: r number 2 of 2: allowed: "),
+        ([*EVAL[1:], "--from", "-1"], "bad-value: radius_start: allowed: "),
+        ([*EVAL[1:], "--from", "0", "--log"], "bad-value: radius_start: allowed: "),
+        ([*EVAL[1:], "--to", "inf"], "bad-value: radius_stop: allowed: "),
+        ([*EVAL[1:], "--count", "99999999999"], "too-large: radius_count: allowed: "),
+        ([*EVAL[1:], "--connect", "localhost"], "write unix:PATH, tcp:HOST:PORT or private:"),
+        ([*EVAL[1:], "--connect", "unix:/nonexistent"], "cannot connect to the socket /nonexist"),
+        ([*EVAL[1:], "--connect", "private:/nonexistent"], "cannot start a private daemon"),
+    ],
+)
+def test_what_the_daemon_refuses_or_cannot_be_reached(arguments, said):
+    run = dipole("eval", *arguments, status=FAILED)
+    assert said in run.stderr
+    assert run.stdout == ""
+
+
+def test_a_refused_field_is_named_by_its_option_too():
+    run = dipole("eval", *EVAL[1:], "--from", "-1", status=FAILED)
+    assert run.stderr.rstrip().endswith("(--from)")
+
+
+def test_output_that_cannot_be_written_is_a_failure():
+    with open("/dev/full", "w") as full:
+        run = subprocess.run(
+            [str(PROGRAM), "media"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            env=environment(),
+            timeout=TIMEOUT_S,
+            check=False,
+        )
+    assert run.returncode == FAILED
+    assert b"cannot write the output" in run.stderr

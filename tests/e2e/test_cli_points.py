@@ -1,0 +1,407 @@
+"""`dipole points`: rows in, the same rows with R, albedo, cdf and status out."""
+
+from __future__ import annotations
+
+import os
+import pty
+import select
+import subprocess
+import time
+
+import pytest
+from command_line import (
+    BAD_ROWS,
+    FAILED,
+    PROGRAM,
+    TIMEOUT_S,
+    Proxy,
+    busy,
+    dipole,
+    eval_rows,
+    points,
+    read_csv,
+    scratch,
+)
+from daemons import environment
+
+HEADER = "sigma_a,sigma_s,g,eta,r"
+ROW = "0.01,1,0,1.4,2"
+
+
+def columns(row: dict[str, str], *names: str) -> list[str]:
+    return [row[name] for name in names]
+
+
+# ---- good rows -----------------------------------------------------------------------------------
+
+
+def test_columns_are_appended():
+    text = points(f"{HEADER}\n{ROW}\n")
+    header, row = text.splitlines()
+    assert header == HEADER + ",R,albedo,cdf,status"
+    assert row.startswith(ROW + ",") and row.endswith(",ok")
+    expected = eval_rows(
+        *["--sigma-a", "0.01", "--sigma-s", "1", "--eta", "1.4", "--r", "2"],
+        *["--want", "R,albedo,cdf"],
+    )[0]
+    assert columns(read_csv(text)[0], "R", "albedo", "cdf") == columns(
+        expected, "R", "albedo", "cdf"
+    )
+
+
+def test_columns_in_any_order_with_others_between():
+    text = points('note,r,eta,"sigma_s",x,g,sigma_a\n"a, ""b""",2,1.4,"1",,0,0.01\n')
+    assert text.splitlines()[0] == 'note,r,eta,"sigma_s",x,g,sigma_a,R,albedo,cdf,status'
+    assert text.splitlines()[1].startswith('"a, ""b""",2,1.4,"1",,0,0.01,')
+    usual = read_csv(points(f"{HEADER}\n{ROW}\n"))[0]
+    assert columns(read_csv(text)[0], "R", "albedo", "cdf", "status") == columns(
+        usual, "R", "albedo", "cdf", "status"
+    )
+
+
+def test_model_and_moments_may_be_absent_or_empty():
+    rows = read_csv(
+        points(
+            f"model,moments,{HEADER}\n,,{ROW}\nbetter,exact,{ROW}\n"
+            f"classical,exact,{ROW}\nbetter,fit,{ROW}\n"
+        )
+    )
+    values = [columns(row, "R", "albedo", "cdf") for row in rows]
+    assert values[0] == values[1]
+    assert len({tuple(value) for value in values}) == 3
+    assert values[0] == columns(read_csv(points(f"{HEADER}\n{ROW}\n"))[0], "R", "albedo", "cdf")
+
+
+def test_existing_results_are_replaced_where_they_stand():
+    text = points(f"status,R,{HEADER},cdf\nold,,{ROW},0.5\n")
+    assert text.splitlines()[0] == f"status,R,{HEADER},cdf,albedo"
+    usual = read_csv(points(f"{HEADER}\n{ROW}\n"))[0]
+    row = read_csv(text)[0]
+    assert columns(row, "R", "albedo", "cdf", "status") == columns(
+        usual, "R", "albedo", "cdf", "status"
+    )
+    assert text == points(text).replace("\r", "")  # nothing is left to do the second time
+
+
+def test_extremes():
+    text = f"{HEADER}\n0,1,0,1.4,0\n0,1,0,1.4,inf\n0.5,0,0,1.4,1\n0.5,1,0,1.4,1e300\n"
+    rows = read_csv(points(text))
+    assert [row["status"] for row in rows] == ["ok"] * 4
+    assert float(rows[0]["R"]) > 0 and rows[0]["albedo"] == "1" and rows[0]["cdf"] == "0"
+    assert columns(rows[1], "R", "albedo", "cdf") == ["0", "1", "1"]
+    assert columns(rows[2], "R", "albedo", "cdf") == ["0", "0", "0"]
+    assert columns(rows[3], "R", "cdf") == ["0", "1"]
+
+
+def test_single_precision():
+    text = f"{HEADER}\n{ROW}\n0.01,1,0,1.4,0.1\n"
+    double = read_csv(points(text))
+    single = read_csv(points(text, "--evaluator", "f32"))
+    for one, other in zip(double, single, strict=True):
+        assert one["r"] == other["r"] and one["albedo"] == other["albedo"]
+        for column in ("R", "cdf"):
+            assert one[column] != other[column]
+            assert float(one[column]) == pytest.approx(float(other[column]), rel=1e-5)
+
+
+def test_no_rows():
+    assert points(f"{HEADER}\n") == f"{HEADER},R,albedo,cdf,status\n"
+    assert points(HEADER) == f"{HEADER},R,albedo,cdf,status\n"
+
+
+# ---- what CSV can look like ----------------------------------------------------------------------
+
+
+def test_comments_and_blank_lines_are_copied():
+    text = points(f"# media, \"odd\n\n{HEADER}\n#\n{ROW}\n\n  \n{ROW}\n# end")
+    lines = text.split("\n")
+    assert lines[:3] == ['# media, "odd', "", HEADER + ",R,albedo,cdf,status"]
+    assert lines[3] == "#" and lines[5:7] == ["", "  "] and lines[8] == "# end"
+    assert lines[4] == lines[7] and lines[4].endswith(",ok")
+    assert len(lines) == 9
+
+
+def test_carriage_returns_are_kept():
+    text = points(f"{HEADER}\r\n{ROW}\r\n\r\n{ROW}\n")
+    lines = text.split("\n")
+    assert lines[0] == f"{HEADER},R,albedo,cdf,status\r"
+    assert lines[1].endswith(",ok\r") and lines[2] == "\r" and lines[3].endswith(",ok")
+
+
+def test_byte_order_mark():
+    text = points(b"\xef\xbb\xbf" + f"{HEADER}\n{ROW}\n".encode())
+    assert text == "\ufeff" + points(f"{HEADER}\n{ROW}\n")
+
+
+def test_quoted_cells_may_hold_lines():
+    note = '"two\nlines, # and ""quotes"""'
+    text = points(f"note,{HEADER}\n{note},{ROW}\n\"\",{ROW}\n")
+    assert text.split("\n", 1)[1].startswith(f"{note},{ROW},")
+    rows = read_csv(text)
+    assert [row["note"] for row in rows] == ['two\nlines, # and "quotes"', ""]
+    assert [row["status"] for row in rows] == ["ok", "ok"]
+
+
+def test_last_line_without_an_end():
+    assert points(f"{HEADER}\n{ROW}") == points(f"{HEADER}\n{ROW}\n")
+
+
+def test_bytes_that_are_no_text_are_passed_through():
+    run = subprocess.run(
+        [str(PROGRAM), "points"],
+        input=b"note," + HEADER.encode() + b"\n\xff\x00\xfe," + ROW.encode() + b"\n",
+        capture_output=True,
+        env=environment(),
+        timeout=TIMEOUT_S,
+        check=True,
+    )
+    assert run.stdout.splitlines()[1].startswith(b"\xff\x00\xfe," + ROW.encode() + b",")
+
+
+def test_file_standard_input_and_dash(tmp_path):
+    text = f"{HEADER}\n{ROW}\n"
+    path = scratch(tmp_path, "rows.csv", text)
+    expected = points(text)
+    assert dipole("points", path).stdout == expected
+    assert dipole("points", "-", stdin=text).stdout == expected
+    assert dipole("points", "--format", "csv", path).stdout == expected
+
+
+# ---- bad rows ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "row, said",
+    [
+        ("best,,0.01,1,0,1.4,2", "model: 'best' is unknown: allowed: classical, better"),
+        ("Better,,0.01,1,0,1.4,2", "model: 'Better' is unknown"),
+        (",exakt,0.01,1,0,1.4,2", "moments: 'exakt' is unknown: allowed: exact, fit"),
+        (",,-0.01,1,0,1.4,2", "bad-value: sigma_a: allowed: "),
+        (",,inf,1,0,1.4,2", "bad-value: sigma_a: allowed: "),
+        (",,0.01,nan,0,1.4,2", "bad-value: sigma_s: allowed: "),
+        (",,0,0,0,1.4,2", "allowed: "),
+        (",,0.01,1,1,1.4,2", "bad-value: g: allowed: "),
+        (",,0.01,1,-1,1.4,2", "bad-value: g: allowed: "),
+        (",,0.01,1,0,0,2", "bad-value: eta: allowed: "),
+        (",fit,0.01,1,0,2.6,2", "bad-value: eta: allowed: "),
+        (",,0.01,1,0,1.4,-2", "bad-value: r: allowed: "),
+        (",,0.01,1,0,1.4,nan", "bad-value: r: allowed: "),
+        (",,0.01,1,0,1.4,", "r: '' is no number: allowed: "),
+        (",,0.01,1,0,1.4, 2", "r: ' 2' is no number: allowed: "),
+        (",,0.01,1,0,1.4,2mm", "r: '2mm' is no number: allowed: "),
+        (",,0x1,1,0,1.4,2", "sigma_a: '0x1' is no number: allowed: "),
+        (",,1e999,1,0,1.4,2", "sigma_a: '1e999' is no number: allowed: "),
+        (',,"0,01",1,0,1.4,2', "sigma_a: '0,01' is no number: allowed: "),
+        (',,"0.""",1,0,1.4,2', "sigma_a: '0.\"' is no number: allowed: "),
+        (",,0.01,1,0,1.4", "the row: 6 cells: allowed: 7"),
+        ("0.01", "the row: 1 cells: allowed: 7"),
+        (",,0.01,1,0,1.4,2,3,4", "the row: 9 cells: allowed: 7"),
+        ('"a"b,,0.01,1,0,1.4,2', "the row: text after a closing quote"),
+    ],
+)
+def test_a_bad_row_says_why_and_the_others_go_on(row, said):
+    good = f"better,exact,{ROW}"
+    run = dipole(
+        *["points"], stdin=f"model,moments,{HEADER}\n{good}\n{row}\n{good}\n", status=BAD_ROWS
+    )
+    lines = run.stdout.splitlines()
+    assert len(lines) == 4
+    assert lines[1] == lines[3] and lines[1].endswith(",ok")
+    rows = read_csv(run.stdout)
+    assert said in rows[1]["status"]
+    assert columns(rows[1], "R", "albedo", "cdf") == ["", "", ""]
+    assert lines[2].startswith(row.split(",3,4")[0])
+    assert "1 of 3 rows were bad" in run.stderr
+
+
+def test_cells_beyond_the_header_are_kept_behind_the_results():
+    run = points(f"{HEADER}\n{ROW},\"more\",yes\n", status=BAD_ROWS)
+    assert run.splitlines()[1].endswith(',"more",yes')
+    row = next(iter(read_csv(run)))
+    assert "7 cells" in row["status"] and row[None] == ["more", "yes"]
+
+
+def test_results_of_a_bad_row_are_replaced_too():
+    text = f"R,status,{HEADER}\n1,ok,0.01,1,0,1.4,-1\n"
+    row = read_csv(points(text, status=BAD_ROWS))[0]
+    assert row["R"] == "" and row["status"].startswith("bad-value: r: allowed: ")
+
+
+# ---- bad files -----------------------------------------------------------------------------------
+
+
+def test_a_missing_column_is_named_with_those_found():
+    run = dipole("points", stdin="model,sigma_a,R,eta,g\n", status=FAILED)
+    assert "the column sigma_s is missing; the header has model, sigma_a, R, eta, g;" in run.stderr
+    assert "standard input: " in run.stderr and run.stdout == ""
+
+
+def test_a_column_that_stands_twice(tmp_path):
+    path = scratch(tmp_path, "twice.csv", f"{HEADER},r\n{ROW},1\n")
+    run = dipole("points", path, status=FAILED)
+    assert "the header has the column r twice" in run.stderr and path in run.stderr
+
+
+@pytest.mark.parametrize("text", ["", "\n", "# a comment\n", "\ufeff"])
+def test_no_header(text):
+    run = dipole("points", stdin=text, status=FAILED)
+    assert "there is no header line; it names the columns: sigma_a, " in run.stderr
+
+
+def test_no_file():
+    run = dipole("points", "/nonexistent/rows.csv", status=FAILED)
+    assert "/nonexistent/rows.csv: No such file" in run.stderr
+
+
+def test_a_folder_instead_of_a_file(tmp_path):
+    run = dipole("points", str(tmp_path), status=FAILED)
+    assert "Is a directory" in run.stderr
+
+
+def test_an_open_quote_is_an_error_after_the_rows_before_it():
+    run = dipole("points", stdin=f"{HEADER}\n{ROW}\n\"{ROW}\n", status=FAILED)
+    assert "line 4: a quote is not closed" in run.stderr
+    assert run.stdout.splitlines()[1].endswith(",ok")
+
+
+@pytest.mark.parametrize("excess", [0, 1])
+def test_the_longest_line(excess):
+    note = "x" * (2**20 - len(f",{ROW}\n") + excess)
+    run = dipole(
+        *["points"],
+        stdin=f"note,{HEADER}\n-,{ROW}\n{note},{ROW}\n",
+        status=FAILED if excess else 0,
+    )
+    if excess:
+        assert "line 3: the row is longer than 1 MiB" in run.stderr
+        assert len(run.stdout.splitlines()) == 2
+    else:
+        assert len(run.stdout.splitlines()) == 3
+        assert len(run.stdout) > 2**20 and run.stdout.endswith(",ok\n")
+
+
+# ---- many rows -----------------------------------------------------------------------------------
+
+
+def test_many_rows_keep_their_order():
+    count = 20000
+    lines = [f"{i},{(i % 7) / 10},1,0,1.4,{i % 11}" for i in range(count)]
+    lines[777] = "777,-1,1,0,1.4,0"
+    text = points("\n".join([f"id,{HEADER}", *lines]), status=BAD_ROWS)
+    rows = read_csv(text)
+    assert [int(row["id"]) for row in rows] == list(range(count))
+    assert [i for i, row in enumerate(rows) if row["status"] != "ok"] == [777]
+    seen = {}
+    for row in rows:
+        key = (row["sigma_a"], row["r"])
+        assert seen.setdefault(key, (row["R"], row["cdf"])) == (row["R"], row["cdf"])
+
+
+def test_memory_is_bounded(tmp_path):
+    """Rows of 100 kB each: far more than the window holds at a time."""
+    path = tmp_path / "wide.csv"
+    note = "x" * 100_000
+    with path.open("w") as file:
+        file.write(f"note,{HEADER}\n")
+        for _ in range(600):
+            file.write(f"{note},{ROW}\n")
+    code = (
+        "import resource, subprocess, sys;"
+        "status = subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL).returncode;"
+        "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss, status)"
+    )
+    plain = [str(PROGRAM), "media"]
+    sizes = {}
+    for name, command in (("plain", plain), ("wide", [str(PROGRAM), "points", str(path)])):
+        run = subprocess.run(
+            ["/usr/bin/python3", "-c", code, *command],
+            capture_output=True,
+            # The address sanitizer keeps freed memory for a while, unless told otherwise.
+            env=environment(ASAN_OPTIONS="quarantine_size_mb=1:thread_local_quarantine_size_kb=64"),
+            timeout=TIMEOUT_S,
+            check=True,
+            text=True,
+        )
+        kilobytes, status = map(int, run.stdout.split())
+        assert status == 0
+        sizes[name] = kilobytes
+    assert sizes["wide"] - sizes["plain"] < 24_000  # of 60,000
+
+
+# ---- while it runs -------------------------------------------------------------------------------
+
+
+def read_until(stream: int, text: bytes, timeout_s: float = 30.0) -> bytes:
+    """What comes out of a file descriptor until a text does."""
+    deadline = time.monotonic() + timeout_s
+    got = b""
+    while text not in got:
+        ready, _, _ = select.select([stream], [], [], max(0, deadline - time.monotonic()))
+        assert ready, f"no {text!r} in {got!r}"
+        part = os.read(stream, 65536)
+        assert part, f"no {text!r} in {got!r}"
+        got += part
+    return got
+
+
+def test_rows_come_out_while_others_are_awaited():
+    with subprocess.Popen(
+        [str(PROGRAM), "points"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env=environment(),
+        bufsize=0,
+    ) as run:
+        run.stdin.write(HEADER.encode() + b"\n")
+        read_until(run.stdout.fileno(), b"status\n")
+        for _ in range(3):
+            run.stdin.write(ROW.encode() + b"\n")
+            read_until(run.stdout.fileno(), b",ok\n")
+        run.stdin.close()
+        assert run.wait(TIMEOUT_S) == 0
+
+
+def test_a_bar_is_shown_on_a_terminal_when_it_takes_long():
+    terminal, other_end = pty.openpty()
+    with subprocess.Popen(
+        [str(PROGRAM), "points"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=other_end,
+        env=environment(),
+        bufsize=0,
+    ) as run:
+        os.close(other_end)
+        run.stdin.write(HEADER.encode() + b"\n")
+        start = time.monotonic()
+        shown = b""
+        while b" rows" not in shown:
+            assert time.monotonic() - start < 30
+            run.stdin.write(ROW.encode() + b"\n")
+            read_until(run.stdout.fileno(), b"\n")
+            if select.select([terminal], [], [], 0.01)[0]:
+                shown += os.read(terminal, 4096)
+        assert time.monotonic() - start > 1.9
+        run.stdin.close()
+        read_until(terminal, b"\r\x1b[K")  # wiped at the end
+        assert run.wait(TIMEOUT_S) == 0
+    os.close(terminal)
+
+
+def test_a_busy_daemon_is_asked_again(daemon):
+    text = "\n".join([f"id,{HEADER}", *(f"{i},0.01,1,0,1.4,{i}" for i in range(700))])
+
+    def on_eval(number: int, request_id: int):
+        return busy(request_id) if number % 3 == 0 and number < 600 else None
+
+    with Proxy(daemon().url(), on_eval) as proxy:
+        assert points(text, "--connect", proxy.url) == points(text)
+
+
+def test_a_daemon_that_goes_away(daemon):
+    text = "\n".join([f"id,{HEADER}", *(f"{i},0.01,1,0,1.4,{i}" for i in range(3000))])
+    with Proxy(daemon().url(), lambda number, _: False if number == 1500 else None) as proxy:
+        run = dipole("points", "--connect", proxy.url, stdin=text, status=FAILED)
+    assert "connection" in run.stderr
+    whole = points(text)
+    assert whole.startswith(run.stdout) and len(run.stdout) < len(whole)

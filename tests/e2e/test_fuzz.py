@@ -1,0 +1,202 @@
+"""Thousands of broken frames at a live daemon: it answers each with something well formed, goes on,
+and is right afterwards. The same seed gives the same frames; $DIPOLED_FUZZ_SEED chooses another."""
+
+from __future__ import annotations
+
+import os
+import random
+
+import numpy as np
+import pytest
+from dipole import Connection, ConnectionLost, Frame, wire
+from frames import (
+    EVAL,
+    HELLO,
+    LINEAR,
+    LOGARITHMIC,
+    MEDIA,
+    PING,
+    SKIN,
+    SPECTRALON,
+    STATISTICS,
+    assert_daemon_serves,
+    eval_payload,
+    frame,
+)
+from lists import EVALUATORS, MODELS
+
+SEED = int(os.environ.get("DIPOLED_FUZZ_SEED", "40009"))
+OPTIONS = ["--max-frame-bytes", "65536", "--max-media", "16", "--log-level", "info"]
+BATCH = 50
+
+COUNTS = [0, 1, 2, 7, 8, 255, 65535, 2**16, 2**27, 2**31, 2**32 - 1, 2**53, 2**61, 2**63, 2**64 - 1]
+NUMBERS = [0.0, -0.0, 1.0, -1.0, 5e-324, 1e-300, 1e300, 1e15, 1e-15, np.inf, -np.inf, np.nan]
+
+
+@pytest.fixture
+def rng() -> random.Random:
+    """The source of all chance; its seed shows with a failure."""
+    print(f"DIPOLED_FUZZ_SEED={SEED}")
+    return random.Random(SEED)
+
+
+def right_request(rng: random.Random) -> tuple[int, bytes]:
+    """A message that is right: type and payload."""
+    kind = rng.random()
+    if kind < 0.08:
+        return HELLO, wire.HELLO_REQUEST.pack(version_min=rng.randint(0, 1), version_max=1)
+    if kind < 0.16:
+        return rng.choice([MEDIA, STATISTICS]), b""
+    if kind < 0.22:
+        return PING, rng.randbytes(8 * rng.randint(0, 10))
+    fixed = {
+        "model": rng.choice(list(MODELS.values())),
+        "evaluator": rng.choice(list(EVALUATORS.values())),
+        "wanted": rng.randint(1, 15),
+    }
+    media = [rng.choice([SKIN, SPECTRALON]) for _ in range(rng.randint(1, 4))]
+    if rng.random() < 0.4:
+        spacing = rng.choice([LINEAR, LOGARITHMIC])
+        count = rng.randint(1, 300)
+        grid = {"spacing": spacing, "radius_count": count, "radius_start": 0.1, "radius_stop": 4.0}
+        return EVAL, eval_payload(media, None, **grid, **fixed)
+    radii = [rng.uniform(0, 9) for _ in range(rng.randint(0, 20))]
+    return EVAL, eval_payload(media, radii, **fixed)
+
+
+def mutate(rng: random.Random, data: bytes, low: int = 0) -> bytes:
+    """Some bytes of data changed, from an offset on: bits, counts, numbers."""
+    changed = bytearray(data)
+    for _ in range(rng.randint(1, 4)):
+        if len(changed) - low < 8:
+            break
+        if rng.random() < 0.3:
+            changed[rng.randrange(low, len(changed))] ^= 1 << rng.randrange(8)
+            continue
+        width = rng.choice([2, 4, 8, 8])
+        at = low + width * rng.randrange((min(len(changed), low + 160) - low) // width)
+        if width == 8 and rng.random() < 0.5:
+            value = np.float64(rng.choice(NUMBERS)).tobytes()
+        else:
+            count = (rng.choice(COUNTS) + rng.randint(-2, 2)) % 2 ** (8 * width)
+            value = count.to_bytes(width, "little")
+        changed[at : at + width] = value
+    return bytes(changed)
+
+
+def resize(rng: random.Random, payload: bytes) -> bytes:
+    """A payload made longer or shorter, by whole words or by any number of bytes."""
+    step = 1 if rng.random() < 0.2 else 8
+    length = len(payload) + step * rng.randint(-6, 6)
+    return (payload + rng.randbytes(48))[: max(0, length)]
+
+
+def broken_request(rng: random.Random) -> tuple[int, bytes]:
+    """A frame whose header holds, so that the stream goes on after it: type and payload."""
+    type, payload = right_request(rng)
+    if rng.random() < 0.8:
+        payload = mutate(rng, payload)
+    if rng.random() < 0.25:
+        payload = resize(rng, payload)
+    if rng.random() < 0.05:
+        type = rng.getrandbits(16)
+    return type, payload
+
+
+def assert_well_formed(reply: Frame) -> None:
+    """A reply of a known type that holds what it says, or an error that says what is wrong."""
+    if reply.type == wire.TYPE_ERROR:
+        assert len(reply.payload) == wire.ERROR.bytes
+        error = wire.ERROR.unpack(reply.payload)
+        assert wire.STATUSES[error.status] not in ("ok", "busy", "shutting-down")
+        assert error.field and error.allowed
+        return
+    assert reply.type & wire.REPLY and reply.type & ~wire.REPLY in wire.MESSAGES.values()
+    if reply.type == EVAL | wire.REPLY:
+        assert_well_formed_eval(reply.payload)
+
+
+def assert_well_formed_eval(payload: bytes) -> None:
+    """The arrays are there, and no value is NaN, negative or, for R, infinite."""
+    fixed = wire.EVAL_REPLY.unpack(payload)
+    value_type = np.dtype(wire.EVALUATOR_TYPES[fixed.evaluator])
+    per_channel = [q for q in (wire.QUANTITY_R, wire.QUANTITY_CDF) if fixed.wanted & q]
+    radii = bool(fixed.wanted & wire.QUANTITY_RADIUS)
+    rows = fixed.channel_count * len(per_channel) + radii
+    start = wire.EVAL_REPLY.bytes + fixed.channel_count * wire.CHANNEL.bytes
+    row_bytes = wire.padded(fixed.radius_count * value_type.itemsize)
+    assert len(payload) == start + rows * row_bytes
+    channels = np.frombuffer(payload[wire.EVAL_REPLY.bytes : start], "<f8").reshape(-1, 4)
+    if fixed.wanted & wire.QUANTITY_ALBEDO:
+        assert np.all((channels[:, 0] >= 0) & (channels[:, 0] <= 1))
+    for row in range(rows):
+        values = np.frombuffer(payload, value_type, fixed.radius_count, start + row * row_bytes)
+        assert np.all(values >= 0)
+        if row >= radii and per_channel[(row - radii) % len(per_channel)] == wire.QUANTITY_CDF:
+            assert np.all(values <= 1)
+
+
+def test_broken_payloads(daemon, rng):
+    one = daemon(*OPTIONS)
+    outcomes = {True: 0, False: 0}
+    with one.connect() as connection:
+        for batch in range(80):
+            requests = [broken_request(rng) for _ in range(BATCH)]
+            data = [frame(type, i, payload) for i, (type, payload) in enumerate(requests)]
+            connection.send_bytes(b"".join(data))
+            replies = [connection.receive_frame() for _ in requests]
+            assert sorted(reply.request_id for reply in replies) == list(range(BATCH)), batch
+            for reply in replies:
+                assert_well_formed(reply)
+                outcomes[reply.type == wire.TYPE_ERROR] += 1
+            if batch % 10 == 0:
+                assert_daemon_serves(one)
+    assert min(outcomes.values()) > 500, outcomes
+    assert_daemon_serves(one)
+
+
+def read_to_the_end(connection: Connection) -> list[Frame]:
+    """All frames until the daemon closes."""
+    frames = []
+    try:
+        while not connection.receive_eof():
+            frames.append(connection.receive_frame())
+    except ConnectionLost:
+        pass  # in the middle of nothing: receive_frame() had no byte
+    return frames
+
+
+def test_broken_streams(daemon, rng):
+    """Headers and lengths broken too: whatever the daemon makes of it, it says so and closes."""
+    one = daemon(*OPTIONS)
+    before = 0
+    for i in range(400):
+        requests = [right_request(rng) for _ in range(2)]
+        stream = mutate(rng, b"".join(frame(type, 7, payload) for type, payload in requests))
+        if rng.random() < 0.3:
+            stream = stream[: rng.randrange(len(stream))]
+        with one.connect(rng.choice(["unix", "tcp"])) as connection:
+            connection.send_bytes(stream)
+            if rng.random() < 0.1:
+                continue  # gone without a word
+            connection.half_close()
+            for reply in read_to_the_end(connection):
+                assert_well_formed(reply)
+                before += 1
+        if i % 50 == 0:
+            assert_daemon_serves(one)
+    assert before > 400
+    assert_daemon_serves(one)
+
+
+def test_noise(daemon, rng):
+    one = daemon(*OPTIONS)
+    for _ in range(60):
+        with one.connect(rng.choice(["unix", "tcp"])) as connection:
+            connection.send_bytes(rng.randbytes(rng.choice([1, 23, 24, 100, 70_000])))
+            connection.half_close()
+            frames = read_to_the_end(connection)
+            assert len(frames) == 1 and frames[0].type == wire.TYPE_ERROR
+            error = wire.ERROR.unpack(frames[0].payload)
+            assert wire.STATUSES[error.status] in ("bad-magic", "truncated")
+    assert_daemon_serves(one)

@@ -1,0 +1,96 @@
+"""Radii by rule: they are what the rule says, and evaluate like the same radii in a list."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from dipole import Grid, Medium
+
+MEDIA = [Medium(0.032, 0.74), Medium(0.17, 0.88), Medium(0.0, 11.6)]
+
+GRIDS = {
+    "linear": Grid(0.0, 10.0, 1001),
+    "linear, odd step": Grid(0.1, 7.7, 37),
+    "linear, three": Grid(1.0, 2.0, 3),
+    "linear, large": Grid(0.0, 1.7e308, 5),
+    "linear, narrow": Grid(1.0, 1.0 + 2**-50, 9),
+    "logarithmic": Grid(0.01, 100.0, 401, "logarithmic"),
+    "logarithmic, wide": Grid(1e-300, 1e300, 97, "logarithmic"),
+    "logarithmic, narrow": Grid(1.0, 1.0000001, 11, "logarithmic"),
+    "longer than a slice": Grid(0.0, 20.0, 100_003),
+    "logarithmic, longer than a slice": Grid(1e-4, 50.0, 70_001, "logarithmic"),
+}
+EVALUATORS = {"f64": np.float64, "f32": np.float32}
+
+
+def rule(grid: Grid) -> np.ndarray:
+    """The radii by the documented rule, in extended precision."""
+    start, stop = np.longdouble(grid.start_mm), np.longdouble(grid.stop_mm)
+    part = np.arange(grid.count, dtype=np.longdouble) / (grid.count - 1)
+    if grid.spacing == "linear":
+        return start + part * (stop - start)
+    return start * np.exp(part * (np.log(stop) - np.log(start)))
+
+
+@pytest.mark.parametrize("name", GRIDS)
+def test_radii_follow_the_rule(client, name):
+    grid = GRIDS[name]
+    r = client.eval("better", MEDIA[:1], grid=grid, wanted=["r"]).r
+    assert r.shape == (grid.count,)
+    assert (r[0], r[-1]) == (grid.start_mm, grid.stop_mm)
+    assert np.all(np.diff(r) >= 0)
+    np.testing.assert_allclose(r.astype(np.longdouble), rule(grid), rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", GRIDS)
+def test_f32_radii_are_the_f64_ones_rounded(client, name):
+    double = client.eval("better", MEDIA[:1], grid=GRIDS[name], wanted=["r"]).r
+    single = client.eval("better", MEDIA[:1], grid=GRIDS[name], wanted=["r"], evaluator="f32").r
+    assert single.dtype == np.float32
+    with np.errstate(over="ignore"):
+        np.testing.assert_array_equal(single, double.astype(np.float32))
+
+
+@pytest.mark.parametrize(
+    "name, evaluator, model", itertools.product(GRIDS, EVALUATORS, ["classical", "better"])
+)
+def test_values_equal_those_of_the_list(client, name, evaluator, model):
+    by_rule = client.eval(model, MEDIA, grid=GRIDS[name], evaluator=evaluator)
+    by_list = client.eval(model, MEDIA, by_rule.r, evaluator=evaluator)
+    assert by_rule.r.dtype == EVALUATORS[evaluator]
+    assert by_rule.R.tobytes() == by_list.R.tobytes()
+    assert by_rule.cdf.tobytes() == by_list.cdf.tobytes()
+    assert by_rule.albedo.tobytes() == by_list.albedo.tobytes()
+
+
+@pytest.mark.parametrize("spacing", ["linear", "logarithmic"])
+def test_one_radius_is_the_start(client, spacing):
+    result = client.eval("better", MEDIA, grid=Grid(0.3, 4.0, 1, spacing))
+    np.testing.assert_array_equal(result.r, [0.3])
+    np.testing.assert_array_equal(result.R, client.eval("better", MEDIA, [0.3]).R)
+
+
+def test_start_equal_to_stop(client):
+    for spacing in ("linear", "logarithmic"):
+        result = client.eval("better", MEDIA, grid=Grid(2.5, 2.5, 4, spacing))
+        np.testing.assert_array_equal(result.r, [2.5] * 4)
+
+
+def test_listed_radii_come_back_when_wanted(client):
+    r = [3.0, 0.0, 1.5]
+    result = client.eval("better", MEDIA, r, wanted=["r", "R"])
+    np.testing.assert_array_equal(result.r, r)
+    np.testing.assert_array_equal(result.R, client.eval("better", MEDIA, r).R)
+
+
+def test_a_grid_for_an_albedo_costs_nothing(client):
+    # However many radii: none of them is needed for what is wanted.
+    result = client.eval("better", MEDIA, grid=Grid(0.0, 1.0, 2**53), wanted=["albedo"])
+    assert result.albedo[2] == 1.0
+
+
+def test_a_grid_without_radii_is_fine_for_an_albedo(client):
+    result = client.eval("better", MEDIA, grid=Grid(0.0, 0.0, 0), wanted=["albedo"])
+    assert result.albedo[2] == 1.0

@@ -1,0 +1,172 @@
+"""What the daemon says of itself: versions, lists, limits and statistics."""
+
+from __future__ import annotations
+
+import pytest
+from daemons import eventually
+from dipole import wire
+from frames import (
+    BETTER,
+    EVAL,
+    HELLO,
+    MEDIA,
+    PING,
+    SKIN,
+    STATISTICS,
+    ask,
+    assert_error,
+    assert_serves,
+    eval_payload,
+    frame,
+)
+from lists import choices
+
+
+def versions(low: int, high: int) -> bytes:
+    """The payload of a hello request."""
+    return wire.HELLO_REQUEST.pack(version_min=low, version_max=high)
+
+
+@pytest.mark.parametrize("low, high", [(1, 1), (0, 1), (1, 9), (0, 65535)])
+def test_version_that_both_speak(connection, low, high):
+    reply = ask(connection, HELLO, versions(low, high))
+    assert reply.type == HELLO | wire.REPLY
+    fixed = wire.HELLO_REPLY.unpack(reply.payload)
+    assert (fixed.version, fixed.version_min, fixed.version_max) == (1, 1, 1)
+
+
+@pytest.mark.parametrize("low, high", [(0, 0), (2, 2), (2, 65535)])
+def test_version_that_only_one_speaks(connection, low, high):
+    reply = ask(connection, HELLO, versions(low, high))
+    assert_error(reply, "bad-version", "version_max", "1")
+    assert_serves(connection)
+
+
+def test_hello_is_optional_and_may_come_late_and_twice(connection):
+    assert_serves(connection)
+    first = ask(connection, HELLO, versions(1, 1))
+    assert_serves(connection)
+    assert ask(connection, HELLO, versions(1, 1)) == first
+
+
+def test_the_lists(client):
+    listed = client.info.choices
+    ids = {kind: {name: one.id for name, one in some.items()} for kind, some in listed.items()}
+    assert ids["model"] == choices("CORE_MODEL", "core/models.def")
+    assert ids["evaluator"] == choices("CORE_EVALUATOR")
+    assert ids["moments"] == choices("CORE_MOMENTS")
+    assert ids["quantity"] == choices("CORE_QUANTITY")
+    assert ids["spacing"] == choices("CORE_SPACING")
+    assert ids["status"] == {name: code for code, name in wire.STATUSES.items()}
+    assert "d'Eon" in listed["model"]["better"].about
+    assert listed["quantity"]["R"].about == "1/mm^2"
+    assert all(one.about for entries in listed.values() for one in entries.values())
+
+
+def test_permanent_ids(client):
+    permanent = {
+        "model": {"classical": 1, "better": 2},
+        "evaluator": {"f64": 1, "f32": 2},
+        "moments": {"exact": 1, "fit": 2, "jensen": 3},
+        "quantity": {"R": 1, "albedo": 2, "cdf": 4, "r": 8},
+        "spacing": {"list": 1, "linear": 2, "logarithmic": 3},
+    }
+    for kind, ids in permanent.items():
+        for name, number in ids.items():
+            assert client.info.choices[kind][name].id == number
+
+
+def test_who_it_is(client):
+    info = client.info
+    assert info.software.startswith("dipoled ")
+    assert info.protocol_version == 1
+    assert info.workers == 2
+    assert "1/mm^2" in info.R_unit and "entered" in info.R_unit
+
+
+REQUESTS = {
+    "requests_hello": (HELLO, versions(1, 1)),
+    "requests_eval": (EVAL, eval_payload()),
+    "requests_media": (MEDIA, b""),
+    "requests_ping": (PING, bytes(8)),
+}
+
+ERRORS = {
+    "answers_bad-version": (HELLO, versions(2, 2)),
+    "answers_bad-type": (99, b""),
+    "answers_bad-length": (PING, bytes(2000)),
+    "answers_bad-count": (EVAL, eval_payload(radius_count=7)),
+    "answers_bad-value": (EVAL, eval_payload(model=99)),
+    "answers_too-large": (EVAL, eval_payload([SKIN] * 65)),
+}
+
+
+@pytest.mark.parametrize("name", [*REQUESTS, *ERRORS])
+def test_statistics_count(daemon, name):
+    type, payload = {**REQUESTS, **ERRORS}[name]
+    one = daemon()
+    with one.client() as client:
+        before = client.statistics()
+        with one.connect() as connection:
+            for _ in range(5):
+                ask(connection, type, payload)
+        after = client.statistics()
+    assert after[name] == before[name] + 5
+    counted = {key for key in after if key.startswith("answers_") and after[key] != before[key]}
+    # The statistics themselves are answered too, before or after they count themselves.
+    assert counted - {"answers_ok"} == ({name} if name in ERRORS else set())
+    well = after["answers_ok"] - before["answers_ok"]
+    assert well == (1 if name in ERRORS else 6)
+    assert after["requests_statistics"] == before["requests_statistics"] + 1
+
+
+def test_statistics_of_work(daemon):
+    one = daemon()
+    with one.client() as client:
+        before = client.statistics()
+        client.eval("better", [SKIN] * 3, [1.0] * 1000)
+        client.eval("better", SKIN, wanted=["albedo"])
+        after = client.statistics()
+    assert after["radii_evaluated"] == before["radii_evaluated"] + 3000
+    assert after["slices_evaluated"] == before["slices_evaluated"] + 3
+
+
+def test_statistics_of_connections(daemon):
+    one = daemon("--max-connections", "3")
+    with one.client() as client:
+        assert client.statistics()["connections_open"] == 1
+        with one.connect() as second, one.connect("tcp") as third:
+            assert_serves(second)
+            assert_serves(third)
+            with one.connect() as fourth:
+                fourth.receive_frame()
+            there = client.statistics()
+            assert there["connections_open"] == 3
+            assert there["connections_accepted"] == 3
+            assert there["connections_refused"] == 1
+            assert there["answers_busy"] == 1
+        assert eventually(lambda: client.statistics()["connections_open"] == 1)
+        assert client.statistics()["connections_accepted"] == 3
+
+
+def test_statistics_of_bytes(daemon):
+    one = daemon()
+    with one.connect() as connection:
+        first = ask(connection, STATISTICS)
+        sent = frame(EVAL, 5, eval_payload([SKIN], [1.0, 2.0], model=BETTER))
+        connection.send_bytes(sent)
+        reply = connection.receive_frame()
+        second = ask(connection, STATISTICS)
+
+    def read(answer, name: str) -> int:
+        count = wire.LIST_REPLY.unpack(answer.payload).count
+        offsets = [wire.LIST_REPLY.bytes + i * wire.VALUE.bytes for i in range(count)]
+        values = dict(wire.VALUE.unpack(answer.payload, offset) for offset in offsets)
+        return values[name]
+
+    header_bytes = wire.HEADER.bytes
+    received = read(second, "received_bytes") - read(first, "received_bytes")
+    assert received == len(sent) + header_bytes  # the request and the second statistics request
+    answered = read(second, "sent_bytes") - read(first, "sent_bytes")
+    assert answered == 2 * header_bytes + len(first.payload) + len(reply.payload)
+    assert read(second, "uptime_ms") >= read(first, "uptime_ms")

@@ -1,0 +1,345 @@
+"""Every limit of the daemon, at the limit and one beyond it."""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+
+import pytest
+from daemons import Daemon, eventually, sanitized
+from dipole import Connection, ConnectionLost, Frame, wire
+from frames import (
+    ALBEDO,
+    EVAL,
+    F32,
+    PING,
+    SKIN,
+    STATISTICS,
+    R,
+    ask,
+    assert_closed,
+    assert_daemon_serves,
+    assert_error,
+    assert_serves,
+    eval_payload,
+    frame,
+    header,
+)
+
+PONG = PING | wire.REPLY
+EVALUATED = EVAL | wire.REPLY
+
+
+def read_statistics(payload: bytes) -> dict[str, int]:
+    """The named numbers of a statistics reply."""
+    count = wire.LIST_REPLY.unpack(payload).count
+    offsets = (wire.LIST_REPLY.bytes + i * wire.VALUE.bytes for i in range(count))
+    return dict(wire.VALUE.unpack(payload, offset) for offset in offsets)
+
+
+def statistics(connection: Connection) -> dict[str, int]:
+    """The daemon's statistics, read over this connection."""
+    return read_statistics(ask(connection, STATISTICS).payload)
+
+
+# ---- frames and media ----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def small_frames(daemon):
+    """A connection to a daemon with the smallest frames that there are."""
+    with daemon("--max-frame-bytes", "4096").connect() as connection:
+        yield connection
+
+
+def test_request_of_the_largest_size(small_frames):
+    payload = eval_payload(radii=[1.0] * 503, wanted=R)
+    assert len(payload) == 4096
+    assert ask(small_frames, EVAL, payload).type == EVALUATED
+    assert_serves(small_frames)
+
+
+@pytest.mark.parametrize("radii", [504, 200_000])
+def test_request_beyond_the_largest_size(small_frames, radii):
+    payload = eval_payload(radii=[1.0] * radii, wanted=R)
+    reply = ask(small_frames, EVAL, payload)
+    assert_error(reply, "too-large", "payload_bytes", "at most 4096")
+    assert_serves(small_frames)
+
+
+def test_a_header_alone_is_enough_to_be_refused(small_frames):
+    small_frames.send_bytes(header(request_id=6, payload_bytes=2**32 - 8))
+    reply = small_frames.receive_frame()
+    assert_error(reply, "too-large", "payload_bytes", "at most 4096", request_id=6)
+
+
+def test_reply_of_the_largest_size(small_frames):
+    reply = ask(small_frames, EVAL, eval_payload(radii=None, radius_count=505, wanted=R))
+    assert reply.type == EVALUATED and len(reply.payload) == 4096
+    single = eval_payload(radii=None, radius_count=1010, wanted=R, evaluator=F32)
+    assert len(ask(small_frames, EVAL, single).payload) == 4096
+
+
+@pytest.mark.parametrize("fixed", [{"radius_count": 506}, {"radius_count": 1011, "evaluator": F32}])
+def test_reply_beyond_the_largest_size(small_frames, fixed):
+    reply = ask(small_frames, EVAL, eval_payload(radii=None, wanted=R, **fixed))
+    assert_error(reply, "too-large", "radius_count", "at most 4096")
+    assert_serves(small_frames)
+
+
+def test_max_media(daemon):
+    with daemon("--max-media", "3").connect() as connection:
+        assert ask(connection, EVAL, eval_payload([SKIN] * 3)).type == EVALUATED
+        reply = ask(connection, EVAL, eval_payload([SKIN] * 4))
+        assert_error(reply, "too-large", "medium_count", "at most 3")
+        assert_serves(connection)
+
+
+def test_default_max_media(connection):
+    assert ask(connection, EVAL, eval_payload([SKIN] * 64)).type == EVALUATED
+    reply = ask(connection, EVAL, eval_payload([SKIN] * 65))
+    assert_error(reply, "too-large", "medium_count", "at most 64")
+
+
+# ---- connections ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scheme", ["unix", "tcp"])
+def test_max_connections(daemon, scheme):
+    one = daemon("--max-connections", "4")
+    open_ones = [one.connect(scheme) for _ in range(4)]
+    for connection in open_ones:
+        assert_serves(connection)
+    for _ in range(3):
+        with one.connect(scheme) as too_many:
+            reply = too_many.receive_frame()
+            assert_error(reply, "busy", "", "max_connections", request_id=0)
+            assert_closed(too_many)
+    for connection in open_ones:
+        assert_serves(connection)
+    open_ones.pop().close()
+
+    def served() -> bool:
+        with one.connect(scheme) as fresh:
+            try:
+                return ask(fresh, PING).type == PONG
+            except ConnectionLost:
+                return False
+
+    assert eventually(served)
+    for connection in open_ones:
+        connection.close()
+
+
+# ---- memory --------------------------------------------------------------------------------------
+
+
+class SlowReader:
+    """Sends pings without end and reads nothing, until nothing moves any more."""
+
+    def __init__(self, daemon: Daemon):
+        self.daemon = daemon
+        self.connection = daemon.connect()
+        self.connection.socket.setblocking(False)
+        self.watcher = daemon.connect()
+        self.watched_bytes = 0
+        self.sent_bytes = 0
+
+    def __enter__(self) -> SlowReader:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.connection.close()
+        self.watcher.close()
+
+    def statistics(self) -> dict[str, int]:
+        """The daemon's, without what it sent to the watcher itself."""
+        reply = ask(self.watcher, STATISTICS)
+        values = read_statistics(reply.payload)
+        values["sent_bytes"] -= self.watched_bytes
+        self.watched_bytes += wire.HEADER.bytes + len(reply.payload)
+        return values
+
+    def send_what_fits(self) -> None:
+        """Sends pings until the socket takes no more."""
+        pings = frame(PING, 3) * 1000
+        try:
+            while True:
+                offset = self.sent_bytes % len(pings)
+                self.sent_bytes += self.connection.socket.send(pings[offset:])
+        except BlockingIOError:
+            pass
+
+    def queued_bytes(self) -> int:
+        """Answers that the daemon holds for it."""
+        now = self.statistics()
+        return now["requests_ping"] * wire.HEADER.bytes - now["sent_bytes"]
+
+
+@pytest.mark.parametrize("limit", [0, 1, 1000, 1008, 1016, 65536, 1048576])
+def test_max_queued_bytes(daemon, limit):
+    """Answers are queued while what waits is not more than the limit: so it ends within one answer
+    beyond it."""
+    with SlowReader(daemon("--max-queued-bytes", str(limit))) as slow:
+
+        def observe() -> int:
+            slow.send_what_fits()
+            return slow.queued_bytes()
+
+        def settled() -> bool:
+            first = observe()
+            return first > limit and all(observe() == first for _ in range(30))
+
+        assert eventually(settled)
+        assert limit < slow.queued_bytes() <= limit + wire.HEADER.bytes
+        assert slow.sent_bytes > slow.statistics()["requests_ping"] * wire.HEADER.bytes
+
+
+def test_slow_reader_costs_bounded_memory_and_loses_nothing(daemon):
+    # A sanitizer that keeps what was freed would hide what is held.
+    one = daemon(env={"ASAN_OPTIONS": os.environ.get("ASAN_OPTIONS", "") + ":quarantine_size_mb=1"})
+    request_bytes = frame(EVAL, 1, eval_payload(radii=None, radius_count=100_000))
+    with one.connect() as slow, one.connect() as other:
+        assert_serves(other)
+        before_bytes = one.resident_bytes()
+        slow.socket.sendall(request_bytes * 200)  # 320 MB of answers
+        assert eventually(lambda: statistics(other)["requests_eval"] > 1)
+        for _ in range(50):
+            assert_serves(other)
+        slack_bytes = (64 if sanitized() else 24) << 20
+        assert one.resident_bytes() < before_bytes + slack_bytes
+        assert statistics(other)["buffer_bytes"] < 8 << 20
+        first = slow.receive_frame()
+        assert first.type == EVALUATED
+        for _ in range(199):
+            assert slow.receive_frame() == first
+        assert one.resident_bytes() < before_bytes + slack_bytes
+        assert_serves(slow)
+
+
+def test_one_answer_may_always_be_queued(daemon):
+    with daemon("--max-queued-bytes", "0").connect() as connection:
+        reply = ask(connection, EVAL, eval_payload(radii=None, radius_count=500_000))
+        assert reply.type == EVALUATED and len(reply.payload) > 8_000_000
+        connection.send_bytes(frame(PING, 1) * 100)
+        assert [connection.receive_frame() for _ in range(100)] == [Frame(PONG, 1, b"")] * 100
+
+
+TOTAL_BYTES = 1 << 20
+
+
+def reply_payload_that_takes(free_bytes: int) -> bytes:
+    """An eval request whose answer's frame has this length: as much as there is in a buffer."""
+    fixed_bytes = wire.HEADER.bytes + wire.EVAL_REPLY.bytes + wire.CHANNEL.bytes
+    return eval_payload(radii=None, radius_count=(free_bytes - fixed_bytes) // 8, wanted=R)
+
+
+def test_max_total_bytes(daemon):
+    with daemon("--max-total-bytes", str(TOTAL_BYTES)).connect() as connection:
+        free_bytes = TOTAL_BYTES - statistics(connection)["buffer_bytes"]
+        assert 0 < free_bytes < TOTAL_BYTES and free_bytes % 8 == 0
+        assert ask(connection, EVAL, reply_payload_that_takes(free_bytes)).type == EVALUATED
+        assert_serves(connection)
+        assert TOTAL_BYTES - statistics(connection)["buffer_bytes"] == free_bytes
+        reply = ask(connection, EVAL, reply_payload_that_takes(free_bytes + 8))
+        assert_error(reply, "busy", "", "max_total_bytes")
+        assert_serves(connection)
+
+
+def test_request_that_total_bytes_cannot_hold(daemon):
+    with daemon("--max-total-bytes", str(TOTAL_BYTES)).connect() as connection:
+        payload = eval_payload(radii=[1.0] * (TOTAL_BYTES // 4), wanted=ALBEDO)
+        reply = ask(connection, EVAL, payload)
+        assert_error(reply, "busy", "payload_bytes", "max_total_bytes")
+        assert_serves(connection)
+        assert ask(connection, EVAL, eval_payload(radii=[1.0] * 1000)).type == EVALUATED
+
+
+def test_total_bytes_are_given_back(daemon):
+    one = daemon("--max-total-bytes", str(TOTAL_BYTES))
+    for _ in range(30):
+        with one.connect() as connection:
+            connection.send_bytes(frame(EVAL, 1, eval_payload(radii=None, radius_count=50_000)))
+            connection.receive_bytes(1)
+    with one.connect() as connection:
+        assert_serves(connection)
+        assert eventually(lambda: statistics(connection)["connections_open"] == 1)
+        assert statistics(connection)["buffer_bytes"] < 256 << 10
+
+
+# ---- time ----------------------------------------------------------------------------------------
+
+PARTIAL = {
+    "header": frame(PING, 9)[:10],
+    "payload": frame(EVAL, 9, eval_payload())[:100],
+    "payload that is skipped": header(version=7, payload_bytes=1000) + bytes(50),
+}
+
+
+@pytest.mark.parametrize("name", PARTIAL)
+def test_frame_timeout(daemon, name):
+    one = daemon("--frame-timeout-ms", "100")
+    with one.connect() as idle, one.connect("tcp") as late:
+        assert_serves(idle)
+        assert_serves(late)
+        late.send_bytes(PARTIAL[name])
+        if "skipped" in name:
+            assert_error(late.receive_frame(), "bad-version", "version", "1", request_id=1)
+        reply = late.receive_frame()
+        assert_error(reply, "timeout", "payload_bytes", "frame_timeout_ms", request_id=0)
+        assert_closed(late)
+        assert_serves(idle)  # between frames there is no such limit
+
+
+def test_dripping_bytes_do_not_prolong_a_frame(daemon):
+    with daemon("--frame-timeout-ms", "200").connect() as connection:
+        drops = iter(frame(EVAL, 9, eval_payload(radii=[1.0] * 1000)))
+        while not select.select([connection.socket], [], [], 0.01)[0]:
+            connection.socket.send(bytes([next(drops)]))
+        reply = connection.receive_frame()
+        assert_error(reply, "timeout", "payload_bytes", "frame_timeout_ms", request_id=0)
+        assert_closed(connection)
+
+
+def test_idle_timeout(daemon):
+    one = daemon("--idle-timeout-ms", "400")
+    with one.connect() as silent, one.connect() as busy:
+        assert_serves(silent)
+        while not select.select([silent.socket], [], [], 0.02)[0]:
+            assert_serves(busy)
+        reply = silent.receive_frame()
+        assert_error(reply, "timeout", "", "idle_timeout_ms", request_id=0)
+        assert_closed(silent)
+        assert_serves(busy)
+
+
+def test_idle_timeout_of_one_that_never_said_anything(daemon):
+    with daemon("--idle-timeout-ms", "100").connect("tcp") as silent:
+        assert_error(silent.receive_frame(), "timeout", "", "idle_timeout_ms", request_id=0)
+        assert_closed(silent)
+
+
+def test_idle_timeout_of_one_that_never_reads(daemon):
+    one = daemon("--idle-timeout-ms", "300")
+    with one.connect() as stuck:
+        stuck.socket.sendall(frame(EVAL, 1, eval_payload(radii=None, radius_count=500_000)) * 2)
+
+        def gone() -> bool:
+            with one.connect() as watcher:
+                return statistics(watcher)["connections_open"] == 1
+
+        assert eventually(gone)
+    assert_daemon_serves(one)
+
+
+def test_a_client_that_does_not_close_after_its_error(daemon):
+    """The daemon lets go of the connection by itself, and of its place among the connections."""
+    one = daemon("--max-connections", "2")
+    with one.connect() as watcher, one.connect() as rude:
+        assert_serves(watcher)
+        rude.send_bytes(bytes(24))
+        assert_error(rude.receive_frame(), "bad-magic", "magic", "D I P L", request_id=0)
+        assert eventually(lambda: statistics(watcher)["connections_open"] == 1)
+        rude.socket.setblocking(False)
+        assert rude.socket.recv(1, socket.MSG_PEEK) == b""

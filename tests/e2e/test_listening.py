@@ -1,0 +1,242 @@
+"""Where the daemon listens: Unix sockets, TCP, several of them, or one connection it inherits."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+from pathlib import Path
+
+import dipole
+import pytest
+from daemons import END_S, PROGRAM, Daemon, environment, run
+from frames import EVAL, PING, ask, assert_serves, eval_payload, frame
+
+
+@pytest.fixture
+def folder(tmp_path_factory) -> Path:
+    """A folder whose path is short enough for sockets."""
+    return tmp_path_factory.mktemp("l")
+
+
+def has_ipv6() -> bool:
+    """Whether the loopback of this machine has an IPv6 address."""
+    try:
+        with socket.socket(socket.AF_INET6) as one:
+            one.bind(("::1", 0))
+        return True
+    except OSError:
+        return False
+
+
+def test_several_addresses(daemon, folder):
+    listen = [f"unix:{folder}/a", "tcp:127.0.0.1:0", f"unix:{folder}/b", "tcp:localhost:0"]
+    listen += ["tcp:[::1]:0"] if has_ipv6() else []
+    one = daemon(listen=listen)
+    assert len(set(one.urls)) == len(listen)
+    assert [url.split(":")[0] for url in one.urls] == [url.split(":")[0] for url in listen]
+    for url in one.urls:
+        with dipole.Connection(url) as connection:
+            assert_serves(connection)
+
+
+def test_socket_file_goes_when_the_daemon_does(daemon, folder):
+    one = daemon(listen=[f"unix:{folder}/s"])
+    assert (folder / "s").is_socket()
+    one.close()
+    assert not (folder / "s").exists()
+
+
+def test_stale_socket_file_is_replaced(daemon, folder):
+    with socket.socket(socket.AF_UNIX) as dead:
+        dead.bind(str(folder / "s"))
+        dead.listen()
+    assert (folder / "s").is_socket()
+    with daemon(listen=[f"unix:{folder}/s"]).connect() as connection:
+        assert_serves(connection)
+
+
+def test_socket_of_a_killed_daemon_is_replaced(daemon, folder):
+    first = daemon(listen=[f"unix:{folder}/s"])
+    first.kill()
+    assert (folder / "s").is_socket()
+    with daemon(listen=[f"unix:{folder}/s"]).connect() as connection:
+        assert_serves(connection)
+
+
+def test_live_socket_file_is_left_alone(daemon, folder):
+    one = daemon(listen=[f"unix:{folder}/s"])
+    second = run("--listen", f"unix:{folder}/s")
+    assert second.returncode == 1
+    assert f"unix:{folder}/s" in second.stderr and "another process" in second.stderr
+    with one.connect() as connection:
+        assert_serves(connection)
+
+
+def test_other_files_are_left_alone(folder):
+    (folder / "precious").write_text("not a socket")
+    ended = run("--listen", f"unix:{folder}/precious")
+    assert ended.returncode == 1 and "precious" in ended.stderr
+    assert (folder / "precious").read_text() == "not a socket"
+
+
+def test_port_in_use(daemon):
+    one = daemon(listen=["tcp:127.0.0.1:0"])
+    second = run("--listen", one.url("tcp"))
+    assert second.returncode == 1 and one.url("tcp") in second.stderr
+    with one.connect("tcp") as connection:
+        assert_serves(connection)
+
+
+WRONG = [
+    "nonsense",
+    "",
+    "http://localhost:80",
+    "unix:",
+    "unix:/no/such/folder/s",
+    "unix:/" + "x" * 200,
+    "tcp:",
+    "tcp:127.0.0.1",
+    "tcp:127.0.0.1:",
+    "tcp:127.0.0.1:65536",
+    "tcp:127.0.0.1:-1",
+    "tcp:127.0.0.1:port",
+    "tcp::0",
+    "tcp:256.1.1.1:0",
+]
+
+
+@pytest.mark.parametrize("url", WRONG)
+def test_wrong_address(url):
+    ended = run("--listen", url)
+    assert ended.returncode == 1
+    assert "cannot listen at" in ended.stderr and url in ended.stderr
+
+
+def test_all_addresses_or_none(folder):
+    ended = run("--listen", f"unix:{folder}/s", "--listen", "tcp:127.0.0.1:nonsense")
+    assert ended.returncode == 1
+    assert not (folder / "s").exists()
+
+
+# ---- an inherited connection ---------------------------------------------------------------------
+
+
+def start_with_fd(one: socket.socket, *options: str) -> subprocess.Popen[str]:
+    """A dipoled that serves a socket of ours."""
+    return subprocess.Popen(
+        [str(PROGRAM), "--fd", str(one.fileno()), *options],
+        pass_fds=[one.fileno()],
+        stdin=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        env=environment(),
+        text=True,
+    )
+
+
+def exchange(one: socket.socket, request: bytes, reply_bytes: int) -> bytes:
+    """Sends a request and reads so many bytes."""
+    one.sendall(request)
+    return receive(one, reply_bytes)
+
+
+def receive(one: socket.socket, reply_bytes: int) -> bytes:
+    """Reads so many bytes, or until the end."""
+    one.settimeout(END_S)
+    reply = b""
+    while len(reply) < reply_bytes and (more := one.recv(reply_bytes - len(reply))):
+        reply += more
+    return reply
+
+
+def test_fd_serves_and_ends_with_the_connection(shared):
+    ours, theirs = socket.socketpair()
+    with theirs:
+        process = start_with_fd(theirs)
+    with shared.connect() as connection:
+        expected = ask(connection, EVAL, eval_payload(), request_id=5).payload
+    reply = exchange(ours, frame(EVAL, 5, eval_payload()), 24 + len(expected))
+    assert reply[24:] == expected
+    assert process.poll() is None
+    ours.close()
+    _, log = process.communicate(timeout=END_S)
+    assert process.returncode == 0, log
+    assert "listening" not in log
+
+
+def test_fd_answers_what_came_before_the_end():
+    ours, theirs = socket.socketpair()
+    with theirs:
+        process = start_with_fd(theirs)
+    ours.sendall(frame(PING, 1) * 1000)
+    ours.shutdown(socket.SHUT_WR)
+    assert len(receive(ours, 24 * 1000 + 1)) == 24 * 1000
+    ours.close()
+    process.communicate(timeout=END_S)
+    assert process.returncode == 0
+
+
+def test_fd_and_listen(folder):
+    ours, theirs = socket.socketpair()
+    with theirs:
+        process = start_with_fd(theirs, "--listen", f"unix:{folder}/s")
+    assert len(exchange(ours, frame(PING, 1), 24)) == 24
+    with dipole.Connection(f"unix:{folder}/s") as connection:
+        assert_serves(connection)
+    ours.close()
+    process.communicate(timeout=END_S)
+    assert process.returncode == 0
+
+
+def test_fd_of_a_tcp_connection():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        ours = socket.create_connection(server.getsockname())
+        theirs, _ = server.accept()
+    with theirs:
+        process = start_with_fd(theirs)
+    assert len(exchange(ours, frame(PING, 1), 24)) == 24
+    ours.close()
+    process.communicate(timeout=END_S)
+    assert process.returncode == 0
+
+
+@pytest.mark.parametrize("fd", ["x", "-1", "", "999", "1", "0x3"])
+def test_fd_that_is_no_connection(fd):
+    ended = run("--fd", fd)
+    assert ended.returncode in (1, 2)
+    assert "--fd" in ended.stderr
+
+
+def test_fd_of_a_datagram_socket():
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as wrong:
+        process = start_with_fd(wrong)
+        _, log = process.communicate(timeout=END_S)
+    assert process.returncode in (1, 2) and "--fd" in log
+
+
+def test_private_daemon_of_the_python_client(monkeypatch):
+    monkeypatch.setenv("DIPOLED", f"private:{PROGRAM}")
+    before = set(os.listdir("/proc/self/fd"))
+    with dipole.Client() as client:
+        assert client.info.address == f"private:{PROGRAM}"
+        assert client.eval("better", dipole.Medium(0.0, 1.0), [1.0]).albedo[0] == 1.0
+        process = client._connection._process
+        assert process.poll() is None
+    assert process.returncode == 0
+    assert set(os.listdir("/proc/self/fd")) == before
+
+
+def test_daemon_without_descriptors_goes_on(daemon):
+    """More connections than the process may have: those that fit are served, and so are others when
+    these have gone."""
+    one = Daemon("--max-connections", "1000", prefix=["prlimit", "--nofile=40"])
+    try:
+        crowd = [one.connect() for _ in range(60)]
+        with crowd[0] as first:
+            assert_serves(first)
+        for connection in crowd:
+            connection.close()
+        with one.connect() as fresh:
+            assert_serves(fresh)
+    finally:
+        one.close()

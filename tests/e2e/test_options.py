@@ -1,0 +1,149 @@
+"""Options: from the command line, from the environment, and wrong ones."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from daemons import REPOSITORY, run
+
+# name: (default, least, most), from the one list that there is
+NUMBERS = {
+    name: (int(default), int(least), int(most))
+    for name, default, least, most in re.findall(
+        r'^SERVER_NUMBER\(\w+, "(.*?)", (\d+), (\d+), (\d+),',
+        (REPOSITORY / "server/options.def").read_text(),
+        re.M,
+    )
+}
+OTHERS = ["listen", "fd", "isa", "log-level", "help", "version"]
+NOWHERE = ["--listen", "tcp:127.0.0.1:0"]
+
+
+def variable(name: str) -> str:
+    """The option's name in the environment."""
+    return "DIPOLED_" + name.upper().replace("-", "_")
+
+
+def test_the_limits_in_hello_are_the_options(shared):
+    with shared.client() as client:
+        limits = {name.replace("_", "-"): value for name, value in client.info.limits.items()}
+    assert limits == {name: default for name, (default, _, _) in NUMBERS.items()}
+    assert len(limits) >= 9
+
+
+def test_command_line(daemon):
+    with daemon("--max-media", "7", "--frame-timeout-ms=1234").client() as client:
+        assert client.info.limits["max_media"] == 7
+        assert client.info.limits["frame_timeout_ms"] == 1234
+
+
+def test_environment(daemon):
+    env = {"DIPOLED_MAX_FRAME_BYTES": "8192", "DIPOLED_WORKERS": "3", "DIPOLED_ISA": "portable"}
+    with daemon(env=env).client() as client:
+        assert client.info.limits["max_frame_bytes"] == 8192
+        assert client.info.workers == 3
+        assert client.info.instruction_set == "portable"
+
+
+def test_command_line_wins_over_the_environment(daemon):
+    env = {"DIPOLED_MAX_MEDIA": "3", "DIPOLED_ISA": "nonsense", "DIPOLED_MAX_QUEUED_BYTES": "9"}
+    with daemon("--max-media", "5", "--isa", "portable", env=env).client() as client:
+        assert client.info.limits["max_media"] == 5
+        assert client.info.limits["max_queued_bytes"] == 9
+        assert client.info.instruction_set == "portable"
+
+
+def test_addresses_from_the_environment(daemon, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("e")
+    env = {"DIPOLED_LISTEN": f"unix:{folder}/a,unix:{folder}/b,tcp:127.0.0.1:0"}
+    one = daemon(env=env, listen=[])
+    assert one.urls[:2] == [f"unix:{folder}/a", f"unix:{folder}/b"]
+    assert len(one.urls) == 3
+    two = daemon(env={"DIPOLED_LISTEN": f"unix:{folder}/c"}, listen=["tcp:127.0.0.1:0"])
+    assert [url[:4] for url in two.urls] == ["tcp:"]
+
+
+def test_an_empty_variable_is_none(daemon):
+    with daemon(env={"DIPOLED_MAX_MEDIA": ""}).client() as client:
+        assert client.info.limits["max_media"] == NUMBERS["max-media"][0]
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_numbers_out_of_range(name):
+    _, least, most = NUMBERS[name]
+    beyond = [str(most + 1)] + ([str(least - 1)] if least > 0 else [])
+    for value in beyond:
+        ended = run(*NOWHERE, f"--{name}", value)
+        assert ended.returncode == 2
+        assert f"--{name}" in ended.stderr and str(least) in ended.stderr
+        assert str(most) in ended.stderr and value in ended.stderr
+        assert ended.stdout == ""
+    ended = run(*NOWHERE, env={variable(name): beyond[0]})
+    assert ended.returncode == 2 and name in ended.stderr
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_numbers_at_the_ends_of_their_range(name):
+    """Taken, which shows in the complaint about the option after it."""
+    for value in NUMBERS[name][1:]:
+        ended = run(*NOWHERE, f"--{name}", str(value), "--no-such-option")
+        assert ended.returncode == 2
+        assert "no-such-option" in ended.stderr and f"--{name}" not in ended.stderr
+
+
+NO_NUMBERS = ["", " 5", "5 ", "-5", "+5", "1.5", "1e3", "0x10", "five", "9" * 30]
+
+
+@pytest.mark.parametrize("value", NO_NUMBERS)
+def test_not_a_number(value):
+    ended = run(*NOWHERE, "--max-media", value)
+    assert ended.returncode == 2 and "--max-media" in ended.stderr
+    assert ended.stdout == ""
+
+
+WRONG = {
+    "unknown option": ["--max-medium", "5"],
+    "no value": ["--max-media"],
+    "argument": ["tcp:127.0.0.1:0"],
+    "log level": ["--log-level", "loud"],
+    "isa": ["--isa", "pentium"],
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_usage(name):
+    ended = run(*NOWHERE, *WRONG[name])
+    assert ended.returncode == 2
+    assert WRONG[name][0].lstrip("-") in ended.stderr
+
+
+def test_help():
+    ended = run("--help")
+    assert ended.returncode == 0 and ended.stderr == ""
+    for name in [*NUMBERS, *OTHERS]:
+        assert f"--{name}" in ended.stdout
+    for name, values in NUMBERS.items():
+        for value in values:
+            assert str(value) in ended.stdout, name
+    assert "DIPOLED_" in ended.stdout and "SIGTERM" in ended.stdout
+    assert max(map(len, ended.stdout.splitlines())) <= 100
+
+
+def test_version():
+    version = re.search(r"^VERSION := (\S+)", (REPOSITORY / "Makefile").read_text(), re.M)[1]
+    ended = run("--version")
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, f"dipoled {version}\n", "")
+
+
+def test_help_comes_before_any_start():
+    assert run("--help", "--listen", "nonsense").returncode == 0
+
+
+def test_log_level_error_is_quiet(daemon, tmp_path_factory):
+    # A daemon that does not say where it listens: at a socket that the test chose.
+    path = tmp_path_factory.mktemp("q") / "s"
+    quiet = daemon("--log-level", "error", listen=[f"unix:{path}"], quiet=True)
+    with quiet.client() as client:
+        client.ping()
+    assert quiet.log == []

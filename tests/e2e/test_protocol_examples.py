@@ -1,0 +1,131 @@
+"""The examples of proto/PROTOCOL.md, sent to a daemon as they stand there."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from daemons import REPOSITORY
+from dipole import Frame, wire
+from frames import assert_serves
+
+DETERMINISTIC = ["eval", "media", "ping", "error"]
+NAMES = {
+    "hello-request",
+    "eval-request",
+    "eval-reply",
+    "media-request",
+    "ping-request",
+    "ping-reply",
+    "error-request",
+    "error-reply",
+    "statistics-request",
+}
+
+
+def read_examples() -> dict[str, bytes]:
+    """The frames in blocks ```hex NAME: pairs of digits, and comments from # to the line's end."""
+    text = (REPOSITORY / "proto/PROTOCOL.md").read_text()
+    examples = {}
+    for name, body in re.findall(r"^```hex ([\w-]+)\n(.*?)^```", text, re.M | re.S):
+        assert name not in examples, name
+        examples[name] = bytes.fromhex(re.sub(r"#.*", "", body))
+    return examples
+
+
+EXAMPLES = read_examples()
+REQUESTS = sorted(name for name in EXAMPLES if name.endswith("-request"))
+
+
+def test_all_examples_are_there():
+    assert NAMES <= set(EXAMPLES)
+
+
+@pytest.mark.parametrize("name", sorted(EXAMPLES))
+def test_example_is_one_whole_frame(name):
+    data = EXAMPLES[name]
+    header = wire.HEADER.unpack(data)
+    assert (header.magic, header.version, header.flags) == (wire.MAGIC, wire.VERSION, 0)
+    assert len(data) == wire.HEADER.bytes + header.payload_bytes
+    message = name.split("-")[0]
+    if name == "error-reply":
+        assert header.type == wire.TYPE_ERROR
+    elif name.endswith("-reply"):
+        assert header.type == wire.MESSAGES[message] | wire.REPLY
+    elif message != "error":
+        assert header.type == wire.MESSAGES[message]
+
+
+def frame_bytes(reply: Frame) -> bytes:
+    """A received frame as it came."""
+    header = wire.HEADER.pack(
+        magic=wire.MAGIC,
+        version=wire.VERSION,
+        type=reply.type,
+        request_id=reply.request_id,
+        payload_bytes=len(reply.payload),
+        flags=0,
+    )
+    return header + reply.payload
+
+
+@pytest.mark.parametrize("name", REQUESTS)
+def test_request_is_answered_as_documented(connection, name):
+    message = name.removesuffix("-request")
+    connection.send_bytes(EXAMPLES[name])
+    reply = connection.receive_frame()
+    assert reply.request_id == wire.HEADER.unpack(EXAMPLES[name]).request_id
+    if message == "error":
+        assert reply.type == wire.TYPE_ERROR
+    else:
+        assert reply.type == wire.MESSAGES[message] | wire.REPLY
+    documented = EXAMPLES.get(f"{message}-reply")
+    if message in DETERMINISTIC and documented is not None:
+        assert frame_bytes(reply).hex(" ") == documented.hex(" ")
+    STRUCTURE[message](reply.payload)
+    assert_serves(connection)
+
+
+def check_hello(payload: bytes) -> None:
+    fixed = wire.HELLO_REPLY.unpack(payload)
+    lists_bytes = fixed.choice_count * wire.CHOICE.bytes + fixed.limit_count * wire.VALUE.bytes
+    assert len(payload) == wire.HELLO_REPLY.bytes + lists_bytes
+    assert fixed.version == 1 and fixed.choice_count > 0 and fixed.limit_count > 0
+
+
+def check_eval(payload: bytes) -> None:
+    fixed = wire.EVAL_REPLY.unpack(payload)
+    assert fixed.channel_count >= 1 and fixed.zero == 0
+    channel = wire.CHANNEL.unpack(payload, wire.EVAL_REPLY.bytes)
+    assert 0 <= channel.numerical_error < 1
+
+
+def check_list(entry: wire.Structure):
+    def check(payload: bytes) -> None:
+        fixed = wire.LIST_REPLY.unpack(payload)
+        assert fixed.count > 0 and fixed.zero == 0
+        assert len(payload) == wire.LIST_REPLY.bytes + fixed.count * entry.bytes
+        for i in range(fixed.count):
+            assert entry.unpack(payload, wire.LIST_REPLY.bytes + i * entry.bytes).name
+
+    return check
+
+
+def check_ping(payload: bytes) -> None:
+    assert len(payload) % wire.ALIGNMENT == 0
+
+
+def check_error(payload: bytes) -> None:
+    assert len(payload) == wire.ERROR.bytes
+    error = wire.ERROR.unpack(payload)
+    assert error.status in wire.STATUSES and error.field and error.allowed
+
+
+STRUCTURE = {
+    "hello": check_hello,
+    "eval": check_eval,
+    "media": check_list(wire.MEASURED_MEDIUM),
+    "statistics": check_list(wire.VALUE),
+    "ping": check_ping,
+    "error": check_error,
+}

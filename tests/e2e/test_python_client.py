@@ -1,0 +1,264 @@
+"""The Python client itself: what it gives, what it refuses to send, and how it reports errors."""
+
+from __future__ import annotations
+
+import math
+import socket
+import threading
+
+import dipole
+import numpy as np
+import pytest
+from daemons import PROGRAM
+from dipole import Grid, Medium, wire
+from frames import PING, SKIN, frame
+
+THREE = [Medium(0.032, 0.74), Medium(0.17, 0.88), Medium(0.48, 1.01)]
+
+
+def test_result_of_a_list(client):
+    result = client.eval("better", THREE, [0.5, 1.0])
+    assert (result.model, result.evaluator, result.moments) == ("better", "f64", "exact")
+    assert result.R.shape == result.cdf.shape == (3, 2)
+    assert result.albedo.shape == result.model_error.shape == (3,)
+    assert result.R.dtype == result.albedo.dtype == np.float64
+    np.testing.assert_array_equal(result.r, [0.5, 1.0])
+    assert result.numerical_error().shape == (3, 2)
+    assert result.numerical_error(4.0).shape == (3,)
+    np.testing.assert_array_equal(result.numerical_error(0.0), result.numerical_error_constant)
+
+
+def test_result_of_a_grid(client):
+    result = client.eval("classical", THREE[0], grid=Grid(0.0, 1.0, 5), evaluator="f32")
+    assert result.R.dtype == result.r.dtype == np.float32
+    np.testing.assert_array_equal(result.r, [0, 0.25, 0.5, 0.75, 1])
+    assert result.R.shape == (1, 5)
+    without = client.eval("classical", THREE[0], grid=Grid(0.0, 1.0, 5), wanted=["cdf"])
+    assert without.r is None and without.R is None and without.cdf.shape == (1, 5)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_padded_arrays_are_cut_to_size(client, count):
+    r = np.arange(count, dtype=np.float32)
+    result = client.eval("better", THREE, r, evaluator="f32", wanted=["R", "cdf", "r"])
+    one_by_one = [client.eval("better", THREE, [x], evaluator="f32") for x in r]
+    np.testing.assert_array_equal(result.R, np.hstack([one.R for one in one_by_one]))
+    np.testing.assert_array_equal(result.cdf, np.hstack([one.cdf for one in one_by_one]))
+    np.testing.assert_array_equal(result.r, r)
+
+
+def test_numerical_error_at_infinity(client):
+    result = client.eval("better", [Medium(0.0, 1.0), Medium(1.0, 1.0)], [0.0, math.inf])
+    assert np.all(result.numerical_error()[0] == result.numerical_error_constant[0])
+    assert result.numerical_error()[1, 1] == math.inf
+
+
+def test_media_may_be_given_in_many_ways(client):
+    expected = client.eval("better", [SKIN, SKIN], [1.0]).R
+    for media in ([Medium(*SKIN)] * 2, np.array([SKIN, SKIN]), (SKIN, SKIN), iter([SKIN, SKIN])):
+        np.testing.assert_array_equal(client.eval("better", media, [1.0]).R, expected)
+    np.testing.assert_array_equal(client.eval("better", SKIN, 1.0).R, expected[:1])
+
+
+@pytest.mark.parametrize(
+    "arguments, text",
+    [
+        ({"model": "worse"}, "classical, better"),
+        ({"evaluator": "f16"}, "f64, f32"),
+        ({"moments": "none"}, "exact, fit, jensen"),
+        ({"wanted": ["R", "flux"]}, "R, albedo, cdf, r"),
+        ({"r": [1.0], "grid": Grid(0.0, 1.0, 2)}, "not both"),
+        ({"r": None, "grid": Grid(0.0, 1.0, 2, "cubic")}, "linear, logarithmic"),
+        ({"r": None, "grid": Grid(0.0, 1.0, -2)}, "eval_request"),
+        ({"media": [1.0, 2.0]}, "array [C, 4]"),
+        ({"r": [[1.0]]}, "array [N]"),
+        ({"evaluator": 7}, "evaluator 7"),
+        ({"model": 70000}, "eval_request"),
+    ],
+)
+def test_arguments_that_do_not_fit(client, arguments, text):
+    call = {"model": "better", "media": SKIN, "r": [1.0], **arguments}
+    with pytest.raises(dipole.ArgumentError) as caught:
+        client.eval(call.pop("model"), call.pop("media"), call.pop("r"), **call)
+    assert text in str(caught.value)
+    assert client.eval("better", SKIN, [1.0]).R.shape == (1, 1)
+
+
+def test_refusal(client):
+    with pytest.raises(dipole.Refused) as caught:
+        client.eval("better", [SKIN, Medium(-1.0, 1.0)], [1.0])
+    refusal = caught.value
+    assert (refusal.status, refusal.code) == ("bad-value", 6)
+    assert (refusal.field, refusal.index) == ("sigma_a", 1)
+    assert "1e15" in refusal.allowed and refusal.retry_after_ms == 0
+    for part in ("bad-value", "sigma_a[1]", "1e15"):
+        assert part in str(refusal)
+    assert client.eval("better", SKIN, [1.0]).R.shape == (1, 1)
+
+
+def test_ids_are_left_to_the_daemon(client):
+    with pytest.raises(dipole.Refused) as caught:
+        client.eval(999, SKIN, [1.0])
+    assert caught.value.field == "model"
+    assert client.eval(2, SKIN, [1.0]).model == "better"
+
+
+def test_submit_and_collect(client):
+    queries = {client.submit("better", SKIN, [0.1 * i]): 0.1 * i for i in range(1, 51)}
+    between = client.eval("better", SKIN, [7.0])
+    client.ping(b"between ")
+    bad = client.submit("better", SKIN, [-1.0])
+    collected = {}
+    refused = []
+    for _ in range(51):
+        try:
+            request_id, result = client.collect()
+            collected[request_id] = result
+        except dipole.Refused as refusal:
+            refused.append((refusal.request_id, refusal.field))
+    assert refused == [(bad, "r")]
+    assert set(collected) == set(queries)
+    for request_id, result in collected.items():
+        alone = client.eval("better", SKIN, [queries[request_id]])
+        np.testing.assert_array_equal(result.R, alone.R)
+    assert between.r[0] == 7.0
+    with pytest.raises(dipole.ArgumentError):
+        client.collect()
+
+
+def test_much_may_be_submitted_before_anything_is_collected(client):
+    """Both ends have megabytes to say: neither may wait for the other for ever."""
+    r = np.linspace(0, 10, 50_000)
+    ids = [client.submit("better", SKIN, r) for _ in range(30)]
+    results = dict(client.collect() for _ in ids)
+    assert sorted(results) == ids
+    assert all(np.array_equal(results[i].R, results[ids[0]].R) for i in ids)
+
+
+def test_ping_and_frames(client):
+    assert 0 < client.ping() < 10
+    assert client.ping(bytes(1024)) > 0
+    for payload in (b"odd", bytes(1032)):
+        with pytest.raises(dipole.ArgumentError):
+            client.ping(payload)
+    client.send_frame(PING, 12345, b"8 bytes!")
+    assert client.receive_frame() == dipole.Frame(PING | wire.REPLY, 12345, b"8 bytes!")
+
+
+NO_ADDRESSES = ["nonsense", "unix:", "tcp:", "tcp:h", "tcp:h:", "tcp::1", "tcp:h:99999", "http:x"]
+
+
+@pytest.mark.parametrize("address", NO_ADDRESSES)
+def test_addresses_that_cannot_be_understood(address):
+    with pytest.raises(dipole.AddressError) as caught:
+        dipole.Client(address)
+    assert address in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "address", ["unix:/no/such/socket", "private:/no/such/program", "unix:/" + "x" * 200]
+)
+def test_addresses_where_nobody_answers(address):
+    with pytest.raises(dipole.ConnectError) as caught:
+        dipole.Client(address)
+    assert address in str(caught.value)
+
+
+def test_port_where_nobody_answers():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    with pytest.raises(dipole.ConnectError):
+        dipole.Client(f"tcp:127.0.0.1:{port}")
+
+
+def test_no_daemon_to_start(monkeypatch, tmp_path):
+    monkeypatch.delenv("DIPOLED", raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(dipole.ConnectError) as caught:
+        dipole.Client()
+    assert "dipoled" in str(caught.value)
+
+
+def test_daemon_from_the_path(monkeypatch):
+    monkeypatch.delenv("DIPOLED", raising=False)
+    monkeypatch.setenv("PATH", str(PROGRAM.parent))
+    with dipole.Client() as client:
+        assert client.info.address == "private:"
+        assert client.ping() > 0
+
+
+def test_address_from_the_environment(monkeypatch, shared):
+    monkeypatch.setenv("DIPOLED", shared.url("tcp"))
+    with dipole.Client() as client:
+        assert client.info.address == shared.url("tcp")
+
+
+def test_a_full_daemon_says_so(daemon):
+    one = daemon("--max-connections", "1")
+    with one.client() as first:
+        with pytest.raises(dipole.Refused) as caught:
+            one.client()
+        assert caught.value.status == "busy" and caught.value.retry_after_ms > 0
+        assert first.ping() > 0
+
+
+def test_a_daemon_that_goes_away(daemon):
+    one = daemon()
+    with one.client() as client:
+        one.kill()
+        with pytest.raises(dipole.ConnectionLost):
+            client.ping()
+
+
+def answer_with(data: bytes) -> tuple[str, threading.Thread]:
+    """A server that answers the first bytes of one connection with data and closes."""
+    server = socket.create_server(("127.0.0.1", 0))
+
+    def serve() -> None:
+        with server, server.accept()[0] as connection:
+            connection.recv(4096)
+            connection.sendall(data)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    return f"tcp:127.0.0.1:{server.getsockname()[1]}", thread
+
+
+HELLO_REPLY = wire.MESSAGES["hello"] | wire.REPLY
+STRANGERS = {
+    "http": (b"HTTP/1.1 400 Bad Request\r\nServer: somebody else\r\n\r\n", dipole.ProtocolError),
+    "nothing": (b"", dipole.ConnectionLost),
+    "half a header": (frame(HELLO_REPLY, 1)[:10], dipole.ConnectionLost),
+    "half a payload": (frame(HELLO_REPLY, 1, bytes(112))[:-1], dipole.ConnectionLost),
+    "short hello": (frame(HELLO_REPLY, 1, bytes(8)), dipole.ProtocolError),
+    "counts that do not fit": (frame(HELLO_REPLY, 1, b"\x01" * 112), dipole.ProtocolError),
+    "another type": (frame(PING | wire.REPLY, 1, bytes(112)), dipole.ProtocolError),
+    "another id": (frame(HELLO_REPLY, 9, bytes(112)), dipole.ProtocolError),
+    "short error": (frame(wire.TYPE_ERROR, 1, bytes(8)), dipole.ProtocolError),
+}
+
+
+@pytest.mark.parametrize("name", STRANGERS)
+def test_a_stranger_at_the_address(name):
+    data, error = STRANGERS[name]
+    address, thread = answer_with(data)
+    with pytest.raises(error):
+        dipole.Client(address)
+    thread.join(10)
+    assert not thread.is_alive()
+
+
+def test_timeout():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"tcp:127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(dipole.ConnectionLost) as caught:
+            dipole.Client(address, timeout_s=0.1)
+    assert "0.1 s" in str(caught.value)
+
+
+def test_closing_twice_is_fine(shared):
+    client = shared.client()
+    client.close()
+    client.close()
+    with pytest.raises(dipole.ConnectionLost):
+        client.ping()

@@ -1,0 +1,128 @@
+"""SIGTERM: nothing new is accepted, what is in flight is answered, and the exit status is 0."""
+
+from __future__ import annotations
+
+import signal
+import time
+
+import pytest
+from daemons import eventually
+from dipole import ConnectError, Connection, ConnectionLost, wire
+from frames import (
+    EVAL,
+    PING,
+    ask,
+    assert_closed,
+    assert_error,
+    assert_serves,
+    eval_payload,
+    frame,
+)
+
+LARGE = eval_payload(radii=None, radius_count=200_000)
+
+
+def refused(url: str) -> bool:
+    """Whether nobody answers at an address any more."""
+    try:
+        with Connection(url) as connection:
+            ask(connection, PING)
+        return False
+    except (ConnectError, ConnectionLost):
+        return True
+
+
+@pytest.mark.parametrize("scheme", ["unix", "tcp"])
+def test_requests_in_flight_are_answered(daemon, scheme):
+    one = daemon()
+    with one.connect(scheme) as connection:
+        expected = ask(connection, EVAL, LARGE).payload
+        connection.send_bytes(b"".join(frame(EVAL, i, LARGE) for i in range(100, 130)))
+        replies = [connection.receive_frame()]  # the first: so all of them have arrived there
+        one.terminate()
+        replies += [connection.receive_frame() for _ in range(29)]
+        assert [reply.request_id for reply in replies] == list(range(100, 130))
+        assert all(reply.type == EVAL | wire.REPLY for reply in replies)
+        assert all(reply.payload == expected for reply in replies)
+        last = connection.receive_frame()
+        assert_error(last, "shutting-down", "", "", request_id=0)
+        assert_closed(connection)
+    assert one.wait() == 0
+
+
+def test_every_connection_is_told(daemon):
+    one = daemon()
+    connections = [one.connect(scheme) for scheme in ("unix", "tcp") * 5]
+    for connection in connections:
+        assert_serves(connection)
+    one.terminate()
+    for connection in connections:
+        assert_error(connection.receive_frame(), "shutting-down", "", "", request_id=0)
+        assert_closed(connection)
+        connection.close()
+    assert one.wait() == 0
+    assert refused(one.url("unix")) and refused(one.url("tcp"))
+
+
+def test_nobody_new_is_served(daemon):
+    """While an earlier client's answers wait to be read, which holds the daemon up."""
+    one = daemon("--drain-timeout-ms", "5000")
+    with one.connect() as slow:
+        slow.send_bytes(frame(EVAL, 1, LARGE) * 10)
+        first = slow.receive_frame()
+        one.terminate()
+        assert eventually(lambda: refused(one.url("tcp")) and refused(one.url("unix")))
+        assert one.process.poll() is None
+        assert [slow.receive_frame() for _ in range(9)] == [first] * 9
+    assert one.wait() == 0
+
+
+def test_a_client_that_does_not_read_cannot_hold_it_up(daemon):
+    one = daemon("--drain-timeout-ms", "300")
+    with one.connect() as stuck:
+        stuck.send_bytes(frame(EVAL, 1, LARGE) * 10)
+        stuck.receive_bytes(1)
+        one.terminate()
+        start = time.monotonic()
+        assert one.wait() == 0
+        assert time.monotonic() - start < 5
+
+
+def test_a_partial_frame_does_not_hold_it_up(daemon):
+    one = daemon()
+    with one.connect() as connection:
+        connection.send_bytes(frame(PING, 4) + frame(EVAL, 5, LARGE)[:50])
+        assert connection.receive_frame().request_id == 4
+        one.terminate()
+        start = time.monotonic()
+        last = connection.receive_frame()
+        assert last.type == wire.TYPE_ERROR
+        assert_closed(connection)
+    assert one.wait() == 0
+    assert time.monotonic() - start < 5
+
+
+def test_interrupt_is_the_same_wish(daemon):
+    one = daemon()
+    with one.connect() as connection:
+        assert_serves(connection)
+        one.terminate(signal.SIGINT)
+        assert_error(connection.receive_frame(), "shutting-down", "", "", request_id=0)
+    assert one.wait() == 0
+
+
+def test_stop_without_any_client(daemon):
+    one = daemon()
+    one.terminate()
+    assert one.wait() == 0
+    assert "event=stopping" in "\n".join(one.log)
+
+
+def test_broken_pipes_and_hangups_are_no_reason_to_stop(daemon):
+    one = daemon()
+    for _ in range(10):
+        with one.connect() as rude:
+            rude.send_bytes(frame(EVAL, 1, LARGE) * 3)
+            rude.receive_bytes(1)
+    with one.connect() as connection:
+        assert_serves(connection)

@@ -1,0 +1,367 @@
+/* Feeds the decoders of proto/ bytes that nobody should send. Each input lies in a heap buffer of
+ * exactly its size, so that the address sanitizer sees a read past its end. The same seed gives the
+ * same inputs; DIPOLED_FUZZ_SEED in the environment chooses another. */
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+#include "proto/eval.h"
+#include "proto/wire.h"
+
+enum { ROUNDS = 300000, MEDIA_MAX = 5, RADII_MAX = 9, PAYLOAD_MAX = 1024 };
+
+/* ---- pseudo-random numbers --------------------------------------------------------------------
+ */
+
+static uint64_t state;
+
+static uint64_t random_u64(void) { /* splitmix64 */
+  uint64_t z = state += UINT64_C(0x9e3779b97f4a7c15);
+  z = (z ^ (z >> 30)) * UINT64_C(0xbf58476d1ce4e5b9);
+  z = (z ^ (z >> 27)) * UINT64_C(0x94d049bb133111eb);
+  return z ^ (z >> 31);
+}
+
+static size_t random_below(size_t limit) {
+  return (size_t)(random_u64() % limit);
+}
+
+static int seed(void **unused) {
+  (void)unused;
+  const char *chosen = getenv("DIPOLED_FUZZ_SEED");
+  state = chosen != NULL ? strtoull(chosen, NULL, 0) : 20011;
+  print_message("seed %llu\n", (unsigned long long)state);
+  return 0;
+}
+
+/* ---- inputs -----------------------------------------------------------------------------------
+ */
+
+struct bytes {
+  size_t length;
+  uint8_t at[PAYLOAD_MAX];
+};
+
+static uint16_t random_id(const core_choice *list) {
+  size_t length = 0;
+  while (list[length].name != NULL) {
+    length++;
+  }
+  return (uint16_t)list[random_below(length)].id;
+}
+
+/* A payload that is right: some media, and radii by list or by rule. */
+static void make_request(struct bytes *to) {
+  const uint32_t medium_count = (uint32_t)(1 + random_below(MEDIA_MAX));
+  const bool list = random_below(3) != 0;
+  wire_eval_request fixed = {
+      .model = random_id(core_models),
+      .evaluator = random_id(core_evaluators),
+      .moments = random_id(core_moments_list),
+      .wanted = (uint16_t)(1 + random_below(15)),
+      .medium_count = medium_count,
+      .spacing = list ? CORE_SPACING_LIST : CORE_SPACING_LINEAR,
+      .radius_count = random_below(RADII_MAX + 1),
+      .radius_stop = list ? 0 : 1,
+  };
+  const size_t radii_bytes =
+      list ? (size_t)fixed.radius_count * eval_value_bytes(fixed.evaluator) : 0;
+  memset(to, 0, sizeof *to);
+  to->length = (size_t)eval_request_bytes(medium_count, radii_bytes);
+  wire_put_eval_request(to->at, &fixed);
+  for (uint32_t i = 0; i < medium_count; i++) {
+    const wire_medium medium = {.sigma_a = 0.1, .sigma_s = 1, .g = 0, .eta = 1.3};
+    wire_put_medium(to->at + WIRE_BYTES_eval_request + i * WIRE_BYTES_medium, &medium);
+  }
+  memset(to->at + eval_request_bytes(medium_count, 0), 0x3f, radii_bytes);
+}
+
+/* A reply that is right; its values are any bytes. */
+static void make_reply(struct bytes *to) {
+  const wire_eval_reply fixed = {
+      .model = 1,
+      .evaluator = random_id(core_evaluators),
+      .moments = 1,
+      .wanted = (uint16_t)random_below(16),
+      .channel_count = (uint32_t)random_below(MEDIA_MAX + 1),
+      .radius_count = random_below(RADII_MAX + 1),
+  };
+  eval_layout layout;
+  assert_true(eval_reply_layout(fixed.evaluator, fixed.wanted, fixed.channel_count,
+                                fixed.radius_count, PAYLOAD_MAX, &layout));
+  memset(to, 0x40, sizeof *to);
+  to->length = (size_t)layout.payload_bytes;
+  wire_put_eval_reply(to->at, &fixed);
+}
+
+/* Counts that are near where arithmetic wraps or bytes run out. */
+static uint64_t interesting(void) {
+  static const uint64_t edges[] = {
+      0,          1,          2,          8,          0x7fff,     0x8000,
+      0xffff,     0x08000000, 0x7fffffff, 0x80000000, 0xffffffff, UINT64_C(0x100000000),
+      1ull << 53, 1ull << 60, 1ull << 61, 1ull << 62, 1ull << 63, UINT64_MAX};
+  return edges[random_below(sizeof edges / sizeof edges[0])] + random_below(5) - 2;
+}
+
+static void mutate_once(struct bytes *bytes) {
+  static const size_t widths[] = {1, 2, 4, 8};
+  const size_t width = widths[random_below(4)];
+  const uint64_t value = interesting();
+  switch (random_below(5)) {
+  case 0: /* one bit */
+    if (bytes->length > 0) {
+      bytes->at[random_below(bytes->length)] ^= (uint8_t)(1u << random_below(8));
+    }
+    break;
+  case 1: /* one number, mostly in the fixed part, where the counts are */
+    if (bytes->length >= 64) {
+      const size_t slots = (random_below(4) == 0 ? bytes->length : 64) / width;
+      memcpy(bytes->at + width * random_below(slots), &value, width);
+    }
+    break;
+  case 2: /* cut short */
+    bytes->length = random_below(bytes->length + 1);
+    break;
+  case 3: /* cut by whole structures */
+    bytes->length -= bytes->length >= 8 ? 8 : 0;
+    break;
+  default: /* trailing bytes */
+    bytes->length += random_below(PAYLOAD_MAX - bytes->length + 1);
+    break;
+  }
+}
+
+/* The input in a buffer of its exact size, for the caller to free. */
+static uint8_t *mutated(struct bytes *bytes) {
+  for (size_t times = random_below(4); times > 0; times--) {
+    mutate_once(bytes);
+  }
+  uint8_t *exact = malloc(bytes->length > 0 ? bytes->length : 1);
+  assert_non_null(exact);
+  memcpy(exact, bytes->at, bytes->length);
+  return exact;
+}
+
+/* ---- requests ---------------------------------------------------------------------------------
+ */
+
+static void check_refusal(const wire_error *error) {
+  assert_true(error->status == WIRE_STATUS_BAD_LENGTH || error->status == WIRE_STATUS_BAD_COUNT ||
+              error->status == WIRE_STATUS_BAD_VALUE);
+  assert_true(error->field[0] != '\0' && error->allowed[0] != '\0');
+}
+
+/* What was taken lies inside the payload and fills it; every byte of it is read. */
+static void check_taken(const eval_request *request, const uint8_t *payload, size_t payload_bytes) {
+  const wire_eval_request *fixed = &request->fixed;
+  const size_t value_bytes = eval_value_bytes(fixed->evaluator);
+  assert_true(value_bytes == 4 || value_bytes == 8);
+  assert_ptr_equal(request->media, payload + WIRE_BYTES_eval_request);
+  assert_in_range(fixed->medium_count, 1, payload_bytes / WIRE_BYTES_medium);
+  for (uint32_t i = 0; i < fixed->medium_count; i++) {
+    wire_medium medium;
+    wire_get_medium(request->media + (size_t)i * WIRE_BYTES_medium, &medium);
+  }
+  size_t radii_bytes = 0;
+  if (fixed->spacing == CORE_SPACING_LIST) {
+    assert_true(fixed->radius_count <= payload_bytes / value_bytes);
+    radii_bytes = (size_t)fixed->radius_count * value_bytes;
+    uint8_t copy[PAYLOAD_MAX];
+    memcpy(copy, request->radii, radii_bytes);
+  } else {
+    assert_null(request->radii);
+  }
+  assert_int_equal(eval_request_bytes(fixed->medium_count, radii_bytes), payload_bytes);
+}
+
+static void requests_are_refused_or_whole(void **unused) {
+  (void)unused;
+  size_t seen[WIRE_STATUS_SHUTTING_DOWN + 1] = {0};
+  for (size_t round = 0; round < ROUNDS; round++) {
+    struct bytes bytes;
+    make_request(&bytes);
+    uint8_t *payload = mutated(&bytes);
+    eval_request request;
+    const wire_error error = eval_request_parse(payload, bytes.length, &request);
+    if (error.status == WIRE_STATUS_OK) {
+      check_taken(&request, payload, bytes.length);
+    } else {
+      check_refusal(&error);
+    }
+    seen[error.status]++;
+    free(payload);
+  }
+  assert_true(seen[WIRE_STATUS_OK] > ROUNDS / 5);
+  assert_true(seen[WIRE_STATUS_BAD_LENGTH] > ROUNDS / 20);
+  assert_true(seen[WIRE_STATUS_BAD_COUNT] > ROUNDS / 20);
+  assert_true(seen[WIRE_STATUS_BAD_VALUE] > ROUNDS / 20);
+}
+
+/* ---- replies ----------------------------------------------------------------------------------
+ */
+
+static void read_array(const uint8_t *payload, size_t payload_bytes, uint64_t offset,
+                       uint64_t length) {
+  uint8_t copy[PAYLOAD_MAX];
+  assert_true(offset <= payload_bytes && length <= payload_bytes - offset);
+  memcpy(copy, payload + offset, (size_t)length);
+}
+
+/* Every structure and array that the reply announces lies inside of it; every byte is read. */
+static void check_reply(const uint8_t *payload, size_t payload_bytes, const wire_eval_reply *fixed,
+                        const eval_layout *layout) {
+  assert_int_equal(layout->payload_bytes, payload_bytes);
+  for (uint32_t i = 0; i < fixed->channel_count; i++) {
+    read_array(payload, payload_bytes, layout->channels_offset + (uint64_t)i * WIRE_BYTES_channel,
+               WIRE_BYTES_channel);
+    for (unsigned quantity = CORE_QUANTITY_R; quantity <= CORE_QUANTITY_CDF; quantity <<= 1) {
+      if (quantity != CORE_QUANTITY_ALBEDO && (fixed->wanted & quantity) != 0) {
+        const uint64_t offset = eval_array_offset(layout, fixed->wanted, i, quantity);
+        read_array(payload, payload_bytes, offset, layout->array_bytes);
+      }
+    }
+  }
+  if (fixed->wanted & CORE_QUANTITY_RADIUS) {
+    read_array(payload, payload_bytes, layout->radius_offset, layout->array_bytes);
+  }
+}
+
+static void replies_are_refused_or_whole(void **unused) {
+  (void)unused;
+  size_t taken = 0;
+  for (size_t round = 0; round < ROUNDS; round++) {
+    struct bytes bytes;
+    make_reply(&bytes);
+    uint8_t *payload = mutated(&bytes);
+    wire_eval_reply fixed;
+    eval_layout layout;
+    if (eval_reply_parse(payload, bytes.length, &fixed, &layout)) {
+      check_reply(payload, bytes.length, &fixed, &layout);
+      taken++;
+    }
+    free(payload);
+  }
+  assert_in_range(taken, ROUNDS / 5, ROUNDS - ROUNDS / 5);
+}
+
+/* The layout for any counts against the same sum in 128 bits, which cannot wrap. */
+static void layouts_do_not_wrap(void **unused) {
+  (void)unused;
+  for (size_t round = 0; round < ROUNDS; round++) {
+    const unsigned evaluator = random_id(core_evaluators);
+    const unsigned wanted = (unsigned)random_below(16);
+    const uint32_t channels = (uint32_t)interesting();
+    const uint64_t radii = interesting();
+    const uint64_t most = random_below(2) ? interesting() : 67108864;
+    const unsigned per_channel = (wanted & 1) + ((wanted & 4) >> 2);
+    const unsigned __int128 values = (unsigned __int128)radii * eval_value_bytes(evaluator);
+    const unsigned __int128 arrays =
+        (unsigned __int128)channels * per_channel + ((wanted & 8) >> 3);
+    const unsigned __int128 needed = WIRE_BYTES_eval_reply +
+                                     (unsigned __int128)channels * WIRE_BYTES_channel +
+                                     arrays * ((values + 7) / 8 * 8);
+    eval_layout layout;
+    assert_true(eval_reply_layout(evaluator, wanted, channels, radii, most, &layout) ==
+                (needed <= most));
+    if (needed <= most) {
+      assert_true(layout.payload_bytes == (uint64_t)needed);
+    }
+  }
+}
+
+/* ---- headers and structures -------------------------------------------------------------------
+ */
+
+static enum wire_status expected_status(const wire_header *header, uint64_t most) {
+  if (header->magic != WIRE_MAGIC) {
+    return WIRE_STATUS_BAD_MAGIC;
+  }
+  if (header->version != WIRE_VERSION) {
+    return WIRE_STATUS_BAD_VERSION;
+  }
+  if (header->flags != 0) {
+    return WIRE_STATUS_BAD_VALUE;
+  }
+  if (header->payload_bytes > most) {
+    return WIRE_STATUS_TOO_LARGE;
+  }
+  return header->payload_bytes % 8 != 0 ? WIRE_STATUS_BAD_LENGTH : WIRE_STATUS_OK;
+}
+
+static void headers_are_judged_in_order(void **unused) {
+  (void)unused;
+  size_t seen[WIRE_STATUS_SHUTTING_DOWN + 1] = {0};
+  for (size_t round = 0; round < ROUNDS; round++) {
+    const wire_header right = {
+        .magic = WIRE_MAGIC,
+        .version = WIRE_VERSION,
+        .type = WIRE_TYPE_EVAL,
+        .request_id = random_u64(),
+        .payload_bytes = (uint32_t)interesting(),
+    };
+    uint8_t *bytes = malloc(WIRE_BYTES_header);
+    assert_non_null(bytes);
+    wire_put_header(bytes, &right);
+    if (random_below(2) == 0) {
+      const size_t fault_at[] = {0, 4, 20}; /* magic, version, flags */
+      bytes[fault_at[random_below(3)] + random_below(2)] ^= (uint8_t)(1u << random_below(8));
+    }
+    wire_header header;
+    wire_get_header(bytes, &header);
+    const wire_error error = wire_header_check(&header, 67108864);
+    assert_int_equal(error.status, expected_status(&header, 67108864));
+    assert_true(error.status == WIRE_STATUS_OK ||
+                (error.field[0] != '\0' && error.allowed[0] != '\0'));
+    seen[error.status]++;
+    free(bytes);
+  }
+  assert_true(seen[WIRE_STATUS_OK] > 0 && seen[WIRE_STATUS_BAD_MAGIC] > 0);
+  assert_true(seen[WIRE_STATUS_BAD_VERSION] > 0 && seen[WIRE_STATUS_BAD_VALUE] > 0);
+  assert_true(seen[WIRE_STATUS_TOO_LARGE] > 0 && seen[WIRE_STATUS_BAD_LENGTH] > 0);
+}
+
+/* Any bytes decode; what was decoded encodes to bytes that decode to the same. Text that goes on
+ * after a zero byte is cut there, so the bytes are compared from the second time on. */
+#define WIRE_STRUCTURE(name, about)                                                                \
+  static void round_trip_##name(void) {                                                            \
+    uint8_t *bytes = malloc(WIRE_BYTES_##name);                                                    \
+    uint8_t *again = malloc(WIRE_BYTES_##name);                                                    \
+    wire_##name value;                                                                             \
+    assert_true(bytes != NULL && again != NULL);                                                   \
+    for (size_t i = 0; i < WIRE_BYTES_##name; i++) {                                               \
+      bytes[i] = (uint8_t)random_u64();                                                            \
+    }                                                                                              \
+    wire_get_##name(bytes, &value);                                                                \
+    wire_put_##name(bytes, &value);                                                                \
+    wire_get_##name(bytes, &value);                                                                \
+    wire_put_##name(again, &value);                                                                \
+    assert_memory_equal(bytes, again, WIRE_BYTES_##name);                                          \
+    free(bytes);                                                                                   \
+    free(again);                                                                                   \
+  }
+#include "proto/messages.def"
+
+static void structures_survive_a_round_trip(void **unused) {
+  (void)unused;
+  for (size_t round = 0; round < ROUNDS / 100; round++) {
+#define WIRE_STRUCTURE(name, about) round_trip_##name();
+#include "proto/messages.def"
+  }
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test_setup(requests_are_refused_or_whole, seed),
+      cmocka_unit_test_setup(replies_are_refused_or_whole, seed),
+      cmocka_unit_test_setup(layouts_do_not_wrap, seed),
+      cmocka_unit_test_setup(headers_are_judged_in_order, seed),
+      cmocka_unit_test_setup(structures_survive_a_round_trip, seed),
+  };
+  return cmocka_run_group_tests(tests, NULL, NULL);
+}

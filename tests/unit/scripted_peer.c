@@ -1,0 +1,176 @@
+#include "tests/unit/scripted_peer.h"
+
+#include <assert.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <sys/un.h>
+#include <unistd.h>
+
+#include "proto/eval.h"
+
+static void *run(void *argument) {
+  scripted_peer *peer = argument;
+  const int fd = accept4(peer->listener, NULL, NULL, SOCK_CLOEXEC);
+  if (fd >= 0) {
+    peer->script(fd, peer->context);
+    close(fd);
+  }
+  return NULL;
+}
+
+void peer_start(scripted_peer *peer, void (*script)(int fd, void *context), void *context) {
+  struct sockaddr_un name = {.sun_family = AF_UNIX};
+  snprintf(peer->folder, sizeof peer->folder, "/tmp/dipole-peer-XXXXXX");
+  if (mkdtemp(peer->folder) == NULL) {
+    abort();
+  }
+  snprintf(name.sun_path, sizeof name.sun_path, "%s/s", peer->folder);
+  snprintf(peer->address, sizeof peer->address, "unix:%s/s", peer->folder);
+  peer->script = script;
+  peer->context = context;
+  peer->listener = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  if (bind(peer->listener, (const struct sockaddr *)&name, sizeof name) != 0 ||
+      listen(peer->listener, 4) != 0 || pthread_create(&peer->thread, NULL, run, peer) != 0) {
+    abort();
+  }
+}
+
+void peer_end(scripted_peer *peer) {
+  shutdown(peer->listener, SHUT_RDWR); /* if nobody came, accept() ends by this */
+  pthread_join(peer->thread, NULL);
+  close(peer->listener);
+  unlink(peer->address + strlen("unix:"));
+  rmdir(peer->folder);
+}
+
+static bool receive_bytes(int fd, void *bytes, size_t count) {
+  return count == 0 || recv(fd, bytes, count, MSG_WAITALL) == (ssize_t)count;
+}
+
+bool peer_receive(int fd, peer_frame *frame) {
+  uint8_t header[WIRE_BYTES_header];
+  if (!receive_bytes(fd, header, sizeof header)) {
+    return false;
+  }
+  wire_get_header(header, &frame->header);
+  frame->payload = malloc(frame->header.payload_bytes + 1);
+  if (frame->payload != NULL && receive_bytes(fd, frame->payload, frame->header.payload_bytes)) {
+    return true;
+  }
+  free(frame->payload);
+  return false;
+}
+
+bool peer_send_bytes(int fd, const void *bytes, size_t count) {
+  const char *at = bytes;
+  while (count > 0) {
+    const ssize_t sent = send(fd, at, count, MSG_NOSIGNAL);
+    if (sent <= 0) {
+      return false;
+    }
+    at += sent;
+    count -= (size_t)sent;
+  }
+  return true;
+}
+
+bool peer_send(int fd, uint16_t type, uint64_t id, const void *payload, size_t payload_bytes) {
+  const wire_header header = {.magic = WIRE_MAGIC,
+                              .version = WIRE_VERSION,
+                              .type = type,
+                              .request_id = id,
+                              .payload_bytes = (uint32_t)payload_bytes};
+  uint8_t bytes[WIRE_BYTES_header];
+  wire_put_header(bytes, &header);
+  return peer_send_bytes(fd, bytes, sizeof bytes) && peer_send_bytes(fd, payload, payload_bytes);
+}
+
+bool peer_say_hello(int fd) {
+  uint8_t payload[WIRE_BYTES_hello_reply + 2 * WIRE_BYTES_choice];
+  wire_hello_reply reply = {
+      .version = 1, .version_min = 1, .version_max = 1, .workers = 1, .choice_count = 2};
+  wire_choice model = {.kind = WIRE_CHOICE_MODEL, .id = 2};
+  wire_choice status = {.kind = WIRE_CHOICE_STATUS, .id = WIRE_STATUS_BAD_VALUE};
+  peer_frame request;
+  WIRE_SET_TEXT(reply.software, "scripted\033[31m");
+  WIRE_SET_TEXT(reply.R_unit, WIRE_R_UNIT);
+  WIRE_SET_TEXT(model.name, "better");
+  WIRE_SET_TEXT(status.name, "bad-value");
+  wire_put_hello_reply(payload, &reply);
+  wire_put_choice(payload + WIRE_BYTES_hello_reply, &model);
+  wire_put_choice(payload + WIRE_BYTES_hello_reply + WIRE_BYTES_choice, &status);
+  if (!peer_receive(fd, &request)) {
+    return false;
+  }
+  free(request.payload);
+  return peer_send(fd, WIRE_TYPE_HELLO | WIRE_REPLY, request.header.request_id, payload,
+                   sizeof payload);
+}
+
+static void put_values(uint8_t *to, const eval_request *request, double factor) {
+  const uint64_t count = request->fixed.radius_count;
+  for (uint64_t i = 0; i < count; i++) {
+    if (request->fixed.evaluator == CORE_EVALUATOR_F64) {
+      ((double *)to)[i] = factor * ((const double *)request->radii)[i];
+    } else {
+      ((float *)to)[i] = (float)factor * ((const float *)request->radii)[i];
+    }
+  }
+}
+
+size_t peer_evaluate(const peer_frame *frame, uint8_t **payload) {
+  eval_request request;
+  eval_layout layout;
+  const wire_error fault =
+      eval_request_parse(frame->payload, frame->header.payload_bytes, &request);
+  const wire_eval_request *fixed = &request.fixed;
+  if (fault.status != WIRE_STATUS_OK ||
+      !eval_reply_layout(fixed->evaluator, fixed->wanted, fixed->medium_count, fixed->radius_count,
+                         UINT32_MAX, &layout)) {
+    abort(); /* the library makes well-formed requests */
+  }
+  const wire_eval_reply reply = {.model = fixed->model,
+                                 .evaluator = fixed->evaluator,
+                                 .moments = fixed->moments,
+                                 .wanted = fixed->wanted,
+                                 .channel_count = fixed->medium_count,
+                                 .radius_count = fixed->radius_count};
+  uint8_t *at = calloc(1, layout.payload_bytes);
+  if (at == NULL) {
+    abort();
+  }
+  *payload = at;
+  wire_put_eval_reply(at, &reply);
+  if ((fixed->wanted & CORE_QUANTITY_RADIUS) != 0) {
+    put_values(at + layout.radius_offset, &request, 1);
+  }
+  for (uint32_t i = 0; i < fixed->medium_count; i++) {
+    wire_medium medium;
+    wire_get_medium(request.media + (size_t)i * WIRE_BYTES_medium, &medium);
+    const wire_channel channel = {.albedo = medium.sigma_a, .numerical_error = 1e-15};
+    wire_put_channel(at + layout.channels_offset + (size_t)i * WIRE_BYTES_channel, &channel);
+    if ((fixed->wanted & CORE_QUANTITY_R) != 0) {
+      put_values(at + eval_array_offset(&layout, fixed->wanted, i, CORE_QUANTITY_R), &request, 2);
+    }
+    if ((fixed->wanted & CORE_QUANTITY_CDF) != 0) {
+      put_values(at + eval_array_offset(&layout, fixed->wanted, i, CORE_QUANTITY_CDF), &request,
+                 0.25);
+    }
+  }
+  return layout.payload_bytes;
+}
+
+void peer_serve(int fd, void *context) {
+  peer_frame request;
+  (void)context;
+  bool good = peer_say_hello(fd);
+  while (good && peer_receive(fd, &request)) {
+    uint8_t *payload;
+    const size_t bytes = peer_evaluate(&request, &payload);
+    good = peer_send(fd, WIRE_TYPE_EVAL | WIRE_REPLY, request.header.request_id, payload, bytes);
+    free(payload);
+    free(request.payload);
+  }
+}

@@ -1,0 +1,46 @@
+/* scripted_peer: a daemon of a few lines for tests of the client library. It accepts one connection
+ * on a Unix socket and does there, in a thread of its own, what a script of the test says. */
+#ifndef DIPOLED_TESTS_SCRIPTED_PEER_H
+#define DIPOLED_TESTS_SCRIPTED_PEER_H
+
+#include <pthread.h>
+
+#include "clients/c/dipole.h"
+#include "proto/wire.h"
+
+typedef struct peer_frame {
+  wire_header header;
+  uint8_t *payload; /* to be freed */
+} peer_frame;
+
+typedef struct scripted_peer {
+  char folder[64];
+  char address[96]; /* for dipole_open() */
+  int listener;
+  void (*script)(int fd, void *context);
+  void *context;
+  pthread_t thread;
+} scripted_peer;
+
+/* Starts to listen; the script runs once somebody has connected. */
+void peer_start(scripted_peer *peer, void (*script)(int fd, void *context), void *context);
+
+/* Waits for the script to end. */
+void peer_end(scripted_peer *peer);
+
+/* For scripts. False: the other side is gone. */
+bool peer_receive(int fd, peer_frame *frame);
+bool peer_send(int fd, uint16_t type, uint64_t id, const void *payload, size_t payload_bytes);
+bool peer_send_bytes(int fd, const void *bytes, size_t count);
+
+/* Answers hello with a model "better" and a status "bad-value". */
+bool peer_say_hello(int fd);
+
+/* The honest answer to an eval request with listed radii: R = 2 r, cdf = r / 4, albedo = the
+ * medium's sigma_a. *payload: to be freed. Returns its length. */
+size_t peer_evaluate(const peer_frame *request, uint8_t **payload);
+
+/* Hello and then honest answers until the client is gone: a script. */
+void peer_serve(int fd, void *context);
+
+#endif

@@ -1,0 +1,90 @@
+/* The lists that requests choose from: lookups, and what of them is permanent. */
+#include "tests/unit/unit.h"
+
+static const core_choice *const lists[] = {
+    core_models, core_evaluators, core_moments_list, core_quantities, core_spacings,
+};
+enum { LISTS = sizeof lists / sizeof lists[0] };
+
+static void entries_are_found_by_id_and_by_name(void **state) {
+  (void)state;
+  for (size_t i = 0; i < LISTS; i++) {
+    assert_non_null(lists[i]->name);
+    for (const core_choice *entry = lists[i]; entry->name != NULL; entry++) {
+      assert_true(entry - lists[i] < UNIT_ROWS_MAX);
+      assert_ptr_equal(core_choice_by_id(lists[i], entry->id), entry);
+      assert_ptr_equal(core_choice_by_name(lists[i], entry->name), entry);
+    }
+  }
+}
+
+static void unknown_ones_are_not_found(void **state) {
+  (void)state;
+  for (size_t i = 0; i < LISTS; i++) {
+    assert_null(core_choice_by_id(lists[i], 0));
+    assert_null(core_choice_by_id(lists[i], 0x7fff));
+    assert_null(core_choice_by_id(lists[i], UINT32_MAX));
+    assert_null(core_choice_by_name(lists[i], ""));
+    assert_null(core_choice_by_name(lists[i], "no such thing"));
+  }
+  assert_null(core_choice_by_name(core_models, "Classical"));
+  assert_null(core_choice_by_name(core_models, "classica"));
+  assert_null(core_choice_by_name(core_models, "classical "));
+}
+
+/* Ids travel in 16 bits and 0 means none; names have 28 bytes on the wire, explanations 96. */
+static void entries_fit_the_wire(void **state) {
+  (void)state;
+  for (size_t i = 0; i < LISTS; i++) {
+    for (const core_choice *entry = lists[i]; entry->name != NULL; entry++) {
+      assert_in_range(entry->id, 1, 0xfffe);
+      assert_in_range(strlen(entry->name), 1, 28);
+      assert_non_null(entry->about);
+      assert_in_range(strlen(entry->about), 1, 96);
+    }
+  }
+}
+
+static void quantities_are_separate_bits(void **state) {
+  (void)state;
+  unsigned seen = 0;
+  for (const core_choice *entry = core_quantities; entry->name != NULL; entry++) {
+    assert_int_equal(entry->id & (entry->id - 1), 0);
+    assert_int_equal(seen & entry->id, 0);
+    seen |= entry->id;
+  }
+}
+
+/* Clients in the field have these compiled in. */
+static void ids_are_permanent(void **state) {
+  (void)state;
+  static const struct {
+    const core_choice *list;
+    const char *name;
+    unsigned id;
+  } published[] = {
+      {core_models, "classical", 1},     {core_models, "better", 2},
+      {core_evaluators, "f64", 1},       {core_evaluators, "f32", 2},
+      {core_moments_list, "exact", 1},   {core_moments_list, "fit", 2},
+      {core_quantities, "R", 1},         {core_quantities, "albedo", 2},
+      {core_quantities, "cdf", 4},       {core_quantities, "r", 8},
+      {core_spacings, "list", 1},        {core_spacings, "linear", 2},
+      {core_spacings, "logarithmic", 3},
+  };
+  for (size_t i = 0; i < sizeof published / sizeof published[0]; i++) {
+    const core_choice *entry = core_choice_by_name(published[i].list, published[i].name);
+    assert_non_null(entry);
+    assert_int_equal(entry->id, published[i].id);
+  }
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(entries_are_found_by_id_and_by_name),
+      cmocka_unit_test(unknown_ones_are_not_found),
+      cmocka_unit_test(entries_fit_the_wire),
+      cmocka_unit_test(quantities_are_separate_bits),
+      cmocka_unit_test(ids_are_permanent),
+  };
+  return cmocka_run_group_tests(tests, NULL, NULL);
+}

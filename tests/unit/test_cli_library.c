@@ -1,0 +1,551 @@
+/* libdipole against a peer that follows a script: orders, sizes and lies that a real daemon does
+ * not produce on demand. */
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+#include "tests/unit/scripted_peer.h"
+
+#define TIMEOUT_MS 20000 /* a test that would hang fails after this */
+
+static const dipole_medium media[2] = {{.sigma_a_per_mm = 0.25, .sigma_s_per_mm = 1, .eta = 1.3},
+                                       {.sigma_a_per_mm = 0.5, .sigma_s_per_mm = 2, .eta = 1.3}};
+static const double radii[3] = {0.5, 1, 2};
+
+static const dipole_query simple_query = {.model = 2,
+                                          .evaluator = DIPOLE_F64,
+                                          .moments = DIPOLE_EXACT,
+                                          .wanted = DIPOLE_R | DIPOLE_ALBEDO | DIPOLE_CDF,
+                                          .media = media,
+                                          .medium_count = 2,
+                                          .spacing = DIPOLE_LIST,
+                                          .radii = radii,
+                                          .radius_count = 3};
+
+static dipole_client *open_client(const scripted_peer *peer) {
+  dipole_client *client;
+  dipole_error error;
+  if (!dipole_open_within(peer->address, TIMEOUT_MS, &client, &error)) {
+    fail_msg("%s", error.text);
+  }
+  return client;
+}
+
+/* ---- honest answers ------------------------------------------------------------------------ */
+
+static void check_simple_result(const dipole_result *result) {
+  assert_int_equal(result->channel_count, 2);
+  assert_int_equal(result->radius_count, 3);
+  assert_null(result->radius_f64);
+  for (size_t i = 0; i < 2; i++) {
+    const dipole_channel *channel = &result->channels[i];
+    assert_true(channel->albedo == media[i].sigma_a_per_mm);
+    assert_null(channel->R_f32);
+    assert_null(channel->cdf_f32);
+    assert_int_equal((uintptr_t)channel->R_f64 % 8, 0);
+    assert_int_equal((uintptr_t)channel->cdf_f64 % 8, 0);
+    for (size_t k = 0; k < 3; k++) {
+      assert_true(channel->R_f64[k] == 2 * radii[k]);
+      assert_true(channel->cdf_f64[k] == radii[k] / 4);
+    }
+  }
+}
+
+static void test_eval(void **state) {
+  (void)state;
+  scripted_peer peer;
+  dipole_error error;
+  dipole_result *result;
+  peer_start(&peer, peer_serve, NULL);
+  dipole_client *client = open_client(&peer);
+  const dipole_info *info = dipole_get_info(client);
+  assert_string_equal(info->address, peer.address);
+  assert_string_equal(info->software, "scripted?[31m"); /* no escape sequences for terminals */
+  assert_int_equal(dipole_id(client, DIPOLE_MODEL, "better"), 2);
+  assert_int_equal(dipole_id(client, DIPOLE_MODEL, "bad-value"), 0);
+  assert_true(dipole_eval(client, &simple_query, &result, &error));
+  check_simple_result(result);
+  dipole_result_free(result);
+  dipole_close(client);
+  peer_end(&peer);
+}
+
+static void test_eval_f32(void **state) {
+  (void)state;
+  static const float r[5] = {1, 2, 3, 4, 5};
+  scripted_peer peer;
+  dipole_error error;
+  dipole_result *result;
+  dipole_query query = simple_query;
+  query.evaluator = DIPOLE_F32;
+  query.wanted = DIPOLE_R | DIPOLE_RADIUS;
+  query.radii = r;
+  query.radius_count = 5;
+  peer_start(&peer, peer_serve, NULL);
+  dipole_client *client = open_client(&peer);
+  assert_true(dipole_eval(client, &query, &result, &error));
+  assert_null(result->radius_f64);
+  assert_null(result->channels[1].R_f64);
+  assert_null(result->channels[1].cdf_f32);
+  for (size_t i = 0; i < 5; i++) {
+    assert_true(result->radius_f32[i] == r[i]);
+    assert_true(result->channels[1].R_f32[i] == 2 * r[i]);
+  }
+  dipole_result_free(result);
+  dipole_close(client);
+  peer_end(&peer);
+}
+
+enum { ORDERED = 3 };
+
+/* Answers three requests in reverse, then a fourth. */
+static void answer_in_reverse(int fd, void *context) {
+  peer_frame request[ORDERED + 1];
+  uint8_t *payload;
+  (void)context;
+  peer_say_hello(fd);
+  for (size_t i = 0; i < ORDERED + 1; i++) {
+    if (!peer_receive(fd, &request[i])) {
+      abort();
+    }
+  }
+  for (size_t i = ORDERED + 1; i-- > 0;) {
+    const size_t bytes = peer_evaluate(&request[i], &payload);
+    peer_send(fd, WIRE_TYPE_EVAL | WIRE_REPLY, request[i].header.request_id, payload, bytes);
+    free(payload);
+    free(request[i].payload);
+  }
+}
+
+/* Three queries are submitted and a fourth is waited for; their answers are kept meanwhile. */
+static void test_answers_in_any_order(void **state) {
+  (void)state;
+  scripted_peer peer;
+  dipole_error error;
+  dipole_result *result;
+  uint64_t submitted[ORDERED], id;
+  bool seen[ORDERED] = {false};
+  peer_start(&peer, answer_in_reverse, NULL);
+  dipole_client *client = open_client(&peer);
+  for (size_t i = 0; i < ORDERED; i++) {
+    dipole_query query = simple_query;
+    query.radius_count = i + 1;
+    assert_true(dipole_submit(client, &query, &submitted[i], &error));
+  }
+  assert_true(dipole_eval(client, &simple_query, &result, &error));
+  check_simple_result(result);
+  dipole_result_free(result);
+  for (size_t n = 0; n < ORDERED; n++) {
+    assert_true(dipole_collect(client, &id, &result, &error));
+    for (size_t i = 0; i < ORDERED; i++) {
+      if (submitted[i] == id) {
+        assert_false(seen[i]);
+        seen[i] = true;
+        assert_int_equal(result->radius_count, i + 1);
+      }
+    }
+    dipole_result_free(result);
+  }
+  assert_true(seen[0] && seen[1] && seen[2]);
+  assert_false(dipole_collect(client, &id, &result, &error));
+  assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
+  dipole_close(client);
+  peer_end(&peer);
+}
+
+enum { BIG_QUERIES = 64, BIG_RADII = 50000 };
+
+/* The peer writes each answer before it reads on, as a daemon does that stops reading from a client
+ * that does not collect: 24 MiB in each direction, far more than sockets hold. */
+static void test_long_pipeline_does_not_deadlock(void **state) {
+  (void)state;
+  scripted_peer peer;
+  dipole_error error;
+  dipole_result *result;
+  uint64_t id;
+  double *many = malloc(BIG_RADII * sizeof *many);
+  assert_non_null(many);
+  for (size_t i = 0; i < BIG_RADII; i++) {
+    many[i] = (double)i;
+  }
+  dipole_query query = simple_query;
+  query.wanted = DIPOLE_R;
+  query.medium_count = 1;
+  query.radii = many;
+  query.radius_count = BIG_RADII;
+  peer_start(&peer, peer_serve, NULL);
+  dipole_client *client = open_client(&peer);
+  for (size_t i = 0; i < BIG_QUERIES; i++) {
+    if (!dipole_submit(client, &query, &id, &error)) {
+      fail_msg("%s", error.text);
+    }
+  }
+  for (size_t i = 0; i < BIG_QUERIES; i++) {
+    if (!dipole_collect(client, &id, &result, &error)) {
+      fail_msg("%s", error.text);
+    }
+    assert_true(result->channels[0].R_f64[BIG_RADII - 1] == 2.0 * (BIG_RADII - 1));
+    dipole_result_free(result);
+  }
+  free(many);
+  dipole_close(client);
+  peer_end(&peer);
+}
+
+/* ---- refusals ------------------------------------------------------------------------------ */
+
+static const char *const refused_fields[] = {"sigma_a", "r", "model", ""};
+
+enum { REFUSALS = sizeof refused_fields / sizeof refused_fields[0] };
+
+/* Refuses some requests and answers the one after them. */
+static void refuse(int fd, void *context) {
+  (void)context;
+  peer_say_hello(fd);
+  for (size_t i = 0; i < REFUSALS + 1; i++) {
+    peer_frame request;
+    uint8_t bytes[WIRE_BYTES_error];
+    uint8_t *payload;
+    if (!peer_receive(fd, &request)) {
+      abort();
+    }
+    if (i < REFUSALS) {
+      wire_error error = {.status = WIRE_STATUS_BAD_VALUE, .index = 1};
+      WIRE_SET_TEXT(error.field, refused_fields[i]);
+      WIRE_SET_TEXT(error.allowed, "0 to 1e15");
+      if (refused_fields[i][0] == '\0') {
+        error = (wire_error){.status = WIRE_STATUS_BUSY, .retry_after_ms = 7};
+      }
+      wire_put_error(bytes, &error);
+      peer_send(fd, WIRE_TYPE_ERROR, request.header.request_id, bytes, sizeof bytes);
+    } else {
+      const size_t size = peer_evaluate(&request, &payload);
+      peer_send(fd, WIRE_TYPE_EVAL | WIRE_REPLY, request.header.request_id, payload, size);
+      free(payload);
+    }
+    free(request.payload);
+  }
+}
+
+static void test_refusals_say_what_is_allowed(void **state) {
+  (void)state;
+  static const char *const texts[REFUSALS] = {
+      "bad-value: sigma_a of medium 2 of 2: allowed: 0 to 1e15",
+      "bad-value: r number 2 of 3: allowed: 0 to 1e15", "bad-value: model: allowed: 0 to 1e15",
+      "busy: the daemon is at its limit; try again later (in 7 ms)"};
+  scripted_peer peer;
+  dipole_error error;
+  dipole_result *result;
+  peer_start(&peer, refuse, NULL);
+  dipole_client *client = open_client(&peer);
+  for (size_t i = 0; i < REFUSALS; i++) {
+    assert_false(dipole_eval(client, &simple_query, &result, &error));
+    assert_int_equal(error.kind, DIPOLE_ERROR_REFUSED);
+    assert_string_equal(error.text, texts[i]);
+    assert_string_equal(error.field, refused_fields[i]);
+    assert_int_equal(error.status, i < 3 ? WIRE_STATUS_BAD_VALUE : WIRE_STATUS_BUSY);
+    assert_int_equal(error.retry_after_ms, i < 3 ? 0 : 7);
+  }
+  assert_true(dipole_eval(client, &simple_query, &result, NULL));
+  check_simple_result(result);
+  dipole_result_free(result);
+  dipole_close(client);
+  peer_end(&peer);
+}
+
+/* A daemon at its limit says so before anything has been asked. */
+static void be_busy(int fd, void *context) {
+  uint8_t bytes[WIRE_BYTES_error];
+  const wire_error error = {.status = WIRE_STATUS_BUSY, .retry_after_ms = 250};
+  peer_frame request;
+  (void)context;
+  wire_put_error(bytes, &error);
+  peer_send(fd, WIRE_TYPE_ERROR, 0, bytes, sizeof bytes);
+  if (peer_receive(fd, &request)) {
+    free(request.payload);
+  }
+}
+
+static void test_busy_at_connecting(void **state) {
+  (void)state;
+  scripted_peer peer;
+  dipole_client *client;
+  dipole_error error;
+  peer_start(&peer, be_busy, NULL);
+  assert_false(dipole_open_within(peer.address, TIMEOUT_MS, &client, &error));
+  assert_null(client);
+  assert_int_equal(error.kind, DIPOLE_ERROR_REFUSED);
+  assert_int_equal(error.status, WIRE_STATUS_BUSY);
+  assert_int_equal(error.retry_after_ms, 250);
+  peer_end(&peer);
+}
+
+/* ---- lies ---------------------------------------------------------------------------------- */
+
+/* One number of an otherwise honest answer that is changed. */
+typedef struct one_lie {
+  const char *what;
+  size_t offset; /* from the start of the frame */
+  size_t bytes;
+  uint64_t value;
+} one_lie;
+
+#define IN_PAYLOAD(offset) (WIRE_BYTES_header + (offset))
+
+static void tell_lie(int fd, void *context) {
+  const one_lie *lie = context;
+  peer_frame request;
+  uint8_t *payload;
+  peer_say_hello(fd);
+  if (!peer_receive(fd, &request)) {
+    return;
+  }
+  const size_t payload_bytes = peer_evaluate(&request, &payload);
+  const size_t bytes = WIRE_BYTES_header + payload_bytes;
+  uint8_t *frame = malloc(bytes);
+  if (frame == NULL) {
+    abort();
+  }
+  const wire_header header = {.magic = WIRE_MAGIC,
+                              .version = WIRE_VERSION,
+                              .type = WIRE_TYPE_EVAL | WIRE_REPLY,
+                              .request_id = request.header.request_id,
+                              .payload_bytes = (uint32_t)payload_bytes};
+  wire_put_header(frame, &header);
+  memcpy(frame + WIRE_BYTES_header, payload, payload_bytes);
+  for (size_t i = 0; i < lie->bytes; i++) {
+    frame[lie->offset + i] = (uint8_t)(lie->value >> (8 * i));
+  }
+  peer_send_bytes(fd, frame, bytes);
+  free(frame);
+  free(payload);
+  free(request.payload);
+}
+
+static void test_lies_are_noticed(void **state) {
+  (void)state;
+  one_lie lies[] = {
+      {"magic", 0, 4, 0x12345678},
+      {"version", 4, 2, 2},
+      {"another type", 6, 2, WIRE_TYPE_PING | WIRE_REPLY},
+      {"a request instead of an answer", 6, 2, WIRE_TYPE_EVAL},
+      {"an error of another length", 6, 2, WIRE_TYPE_ERROR},
+      {"an answer that nobody asked for", 8, 8, 12345},
+      {"a payload of 4 GiB", 16, 4, 0xfffffff8},
+      {"an empty payload", 16, 4, 0},
+      {"a payload that is not padded", 16, 4, 3},
+      {"flags", 20, 4, 1},
+      {"another evaluator", IN_PAYLOAD(2), 2, DIPOLE_F32},
+      {"no evaluator", IN_PAYLOAD(2), 2, 99},
+      {"fewer arrays", IN_PAYLOAD(6), 2, DIPOLE_R | DIPOLE_ALBEDO},
+      {"other arrays", IN_PAYLOAD(6), 2, DIPOLE_CDF | DIPOLE_ALBEDO | DIPOLE_RADIUS},
+      {"no channels", IN_PAYLOAD(8), 4, 0},
+      {"more channels", IN_PAYLOAD(8), 4, 0xffffffff},
+      {"fewer radii", IN_PAYLOAD(16), 8, 2},
+      {"more radii", IN_PAYLOAD(16), 8, 4},
+      {"so many radii that their bytes wrap", IN_PAYLOAD(16), 8, (UINT64_C(1) << 61) + 3},
+  };
+  for (size_t i = 0; i < sizeof lies / sizeof lies[0]; i++) {
+    scripted_peer peer;
+    dipole_error error;
+    dipole_result *result;
+    peer_start(&peer, tell_lie, &lies[i]);
+    dipole_client *client = open_client(&peer);
+    for (int again = 0; again < 2; again++) { /* the client stays broken */
+      if (dipole_eval(client, &simple_query, &result, &error)) {
+        fail_msg("not noticed: %s", lies[i].what);
+      }
+      if (error.kind != DIPOLE_ERROR_PROTOCOL) {
+        fail_msg("%s: %s", lies[i].what, error.text);
+      }
+    }
+    dipole_close(client);
+    peer_end(&peer);
+  }
+}
+
+/* Counts in a hello that do not fit its length. */
+static void lie_in_hello(int fd, void *context) {
+  uint8_t payload[WIRE_BYTES_hello_reply + WIRE_BYTES_choice];
+  const wire_hello_reply *reply = context;
+  const wire_choice choice = {.kind = WIRE_CHOICE_MODEL, .id = 1};
+  peer_frame request;
+  wire_put_hello_reply(payload, reply);
+  wire_put_choice(payload + WIRE_BYTES_hello_reply, &choice);
+  if (peer_receive(fd, &request)) {
+    free(request.payload);
+    peer_send(fd, WIRE_TYPE_HELLO | WIRE_REPLY, request.header.request_id, payload, sizeof payload);
+  }
+}
+
+static void test_lies_in_hello_are_noticed(void **state) {
+  (void)state;
+  wire_hello_reply lies[] = {
+      {.version = 1, .choice_count = 0},
+      {.version = 1, .choice_count = 2},
+      {.version = 1, .choice_count = 1, .limit_count = 1},
+      {.version = 1, .choice_count = 0x80000001},
+      {.version = 1, .limit_count = 0xffffffff},
+      {.version = 2, .version_min = 2, .version_max = 3, .choice_count = 1},
+  };
+  for (size_t i = 0; i < sizeof lies / sizeof lies[0]; i++) {
+    scripted_peer peer;
+    dipole_client *client;
+    dipole_error error;
+    peer_start(&peer, lie_in_hello, &lies[i]);
+    assert_false(dipole_open_within(peer.address, TIMEOUT_MS, &client, &error));
+    assert_int_equal(error.kind, DIPOLE_ERROR_PROTOCOL);
+    peer_end(&peer);
+  }
+}
+
+/* ---- connections --------------------------------------------------------------------------- */
+
+/* Half an answer, and the end. */
+static void break_off(int fd, void *context) {
+  peer_frame request;
+  uint8_t *payload;
+  (void)context;
+  peer_say_hello(fd);
+  if (peer_receive(fd, &request)) {
+    const size_t bytes = peer_evaluate(&request, &payload);
+    const wire_header header = {.magic = WIRE_MAGIC,
+                                .version = WIRE_VERSION,
+                                .type = WIRE_TYPE_EVAL | WIRE_REPLY,
+                                .request_id = request.header.request_id,
+                                .payload_bytes = (uint32_t)bytes};
+    uint8_t head[WIRE_BYTES_header];
+    wire_put_header(head, &header);
+    peer_send_bytes(fd, head, sizeof head);
+    peer_send_bytes(fd, payload, bytes / 2);
+    free(payload);
+    free(request.payload);
+  }
+}
+
+static void test_lost_connection(void **state) {
+  (void)state;
+  scripted_peer peer;
+  dipole_error error;
+  dipole_result *result;
+  uint64_t id;
+  peer_start(&peer, break_off, NULL);
+  dipole_client *client = open_client(&peer);
+  assert_false(dipole_eval(client, &simple_query, &result, &error));
+  assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
+  assert_false(dipole_submit(client, &simple_query, &id, &error));
+  assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
+  assert_false(dipole_ping(client, NULL));
+  dipole_close(client);
+  peer_end(&peer);
+}
+
+/* Says hello, then nothing until the client goes. */
+static void be_silent(int fd, void *context) {
+  peer_frame request;
+  (void)context;
+  peer_say_hello(fd);
+  while (peer_receive(fd, &request)) {
+    free(request.payload);
+  }
+}
+
+static void test_silent_peer_times_out(void **state) {
+  (void)state;
+  scripted_peer peer;
+  dipole_error error;
+  dipole_result *result;
+  peer_start(&peer, be_silent, NULL);
+  dipole_client *client = open_client(&peer);
+  dipole_set_timeout_ms(client, 30);
+  assert_false(dipole_eval(client, &simple_query, &result, &error));
+  assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
+  assert_string_equal(error.text, "the daemon was silent for 30 ms: gave up");
+  dipole_close(client);
+  peer_end(&peer);
+}
+
+static void test_addresses(void **state) {
+  (void)state;
+  static const struct {
+    const char *address;
+    enum dipole_error_kind kind;
+  } cases[] = {
+      {"", DIPOLE_ERROR_ADDRESS},
+      {"localhost:4817", DIPOLE_ERROR_ADDRESS},
+      {"http://localhost:4817", DIPOLE_ERROR_ADDRESS},
+      {"unix:", DIPOLE_ERROR_ADDRESS},
+      {"tcp:", DIPOLE_ERROR_ADDRESS},
+      {"tcp:localhost", DIPOLE_ERROR_ADDRESS},
+      {"tcp:localhost:", DIPOLE_ERROR_ADDRESS},
+      {"tcp::4817", DIPOLE_ERROR_ADDRESS},
+      {"tcp:localhost:0", DIPOLE_ERROR_ADDRESS},
+      {"tcp:localhost:65536", DIPOLE_ERROR_ADDRESS},
+      {"tcp:localhost:48a", DIPOLE_ERROR_ADDRESS},
+      {"tcp:localhost:-1", DIPOLE_ERROR_ADDRESS},
+      {"tcp:::1:4817", DIPOLE_ERROR_ADDRESS},
+      {"tcp:[]:4817", DIPOLE_ERROR_ADDRESS},
+      {"unix:/nonexistent/dipoled.sock", DIPOLE_ERROR_CONNECT},
+      {"private:/nonexistent/dipoled", DIPOLE_ERROR_CONNECT},
+      {"private:/dev/null", DIPOLE_ERROR_CONNECT},
+      {"private:/bin/false", DIPOLE_ERROR_CONNECTION}, /* it starts and ends */
+  };
+  for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+    dipole_client *client;
+    dipole_error error;
+    assert_false(dipole_open_within(cases[i].address, TIMEOUT_MS, &client, &error));
+    assert_null(client);
+    if (error.kind != cases[i].kind || error.text[0] == '\0') {
+      fail_msg("%s: kind %d: %s", cases[i].address, error.kind, error.text);
+    }
+  }
+}
+
+static void test_arguments(void **state) {
+  (void)state;
+  scripted_peer peer;
+  dipole_error error;
+  dipole_result *result;
+  peer_start(&peer, peer_serve, NULL);
+  dipole_client *client = open_client(&peer);
+  dipole_query queries[] = {simple_query, simple_query, simple_query, simple_query, simple_query};
+  queries[0].media = NULL;
+  queries[1].radii = NULL;
+  queries[2].evaluator = 99;
+  queries[3].radius_count = UINT64_MAX;
+  queries[4].model = 65536 + 2;
+  for (size_t i = 0; i < sizeof queries / sizeof queries[0]; i++) {
+    assert_false(dipole_eval(client, &queries[i], &result, &error));
+    assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
+  }
+  assert_true(dipole_eval(client, &simple_query, &result, &error)); /* nothing was sent */
+  check_simple_result(result);
+  dipole_result_free(result);
+  dipole_close(client);
+  dipole_close(NULL);
+  dipole_result_free(NULL);
+  peer_end(&peer);
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(test_eval),
+      cmocka_unit_test(test_eval_f32),
+      cmocka_unit_test(test_answers_in_any_order),
+      cmocka_unit_test(test_long_pipeline_does_not_deadlock),
+      cmocka_unit_test(test_refusals_say_what_is_allowed),
+      cmocka_unit_test(test_busy_at_connecting),
+      cmocka_unit_test(test_lies_are_noticed),
+      cmocka_unit_test(test_lies_in_hello_are_noticed),
+      cmocka_unit_test(test_lost_connection),
+      cmocka_unit_test(test_silent_peer_times_out),
+      cmocka_unit_test(test_addresses),
+      cmocka_unit_test(test_arguments),
+  };
+  return cmocka_run_group_tests(tests, NULL, NULL);
+}

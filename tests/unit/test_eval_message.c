@@ -1,0 +1,443 @@
+/* The payloads of eval requests and replies: what is refused and with which status, where things
+ * lie, and that no count can wrap. */
+#include <math.h>
+
+#include "proto/eval.h"
+#include "tests/unit/unit.h"
+
+enum { PAYLOAD_MAX = 4096 };
+
+/* ---- requests ----------------------------------------------------------------------------- */
+
+/* A request under construction. */
+struct payload {
+  _Alignas(8) uint8_t bytes[PAYLOAD_MAX];
+  size_t length;
+};
+
+static wire_eval_request request_of(unsigned evaluator, uint32_t medium_count, unsigned spacing,
+                                    uint64_t radius_count) {
+  return (wire_eval_request){
+      .model = CORE_MODEL_BETTER,
+      .evaluator = (uint16_t)evaluator,
+      .moments = CORE_MOMENTS_EXACT,
+      .wanted = CORE_QUANTITY_R | CORE_QUANTITY_CDF,
+      .medium_count = medium_count,
+      .spacing = spacing,
+      .radius_count = radius_count,
+      .radius_start = spacing == CORE_SPACING_LIST ? 0 : 0.5,
+      .radius_stop = spacing == CORE_SPACING_LIST ? 0 : 8,
+  };
+}
+
+/* The fixed part followed by so many media and by `count` radii 1, 2, 3, ... of the evaluator. */
+static void build(struct payload *payload, const wire_eval_request *fixed, size_t media,
+                  size_t count) {
+  memset(payload, 0, sizeof *payload);
+  wire_put_eval_request(payload->bytes, fixed);
+  payload->length = WIRE_BYTES_eval_request;
+  for (size_t i = 0; i < media; i++) {
+    const wire_medium medium = {0.1 * (double)(i + 1), 1, 0, 1.3};
+    wire_put_medium(payload->bytes + payload->length, &medium);
+    payload->length += WIRE_BYTES_medium;
+  }
+  for (size_t i = 0; i < count; i++) {
+    uint8_t *to = payload->bytes + payload->length;
+    if (fixed->evaluator == CORE_EVALUATOR_F32) {
+      const float r = (float)(i + 1);
+      memcpy(to + i * sizeof r, &r, sizeof r);
+    } else {
+      const double r = (double)(i + 1);
+      memcpy(to + i * sizeof r, &r, sizeof r);
+    }
+  }
+  payload->length += wire_padded(
+      count * (fixed->evaluator == CORE_EVALUATOR_F32 ? sizeof(float) : sizeof(double)));
+}
+
+static wire_error parse(const struct payload *payload, eval_request *request) {
+  return eval_request_parse(payload->bytes, payload->length, request);
+}
+
+static void assert_refused(const struct payload *payload, enum wire_status status,
+                           const char *field) {
+  eval_request request;
+  const wire_error error = parse(payload, &request);
+  assert_int_equal(error.status, status);
+  assert_string_equal(error.field, field);
+  assert_true(strlen(error.allowed) > 0);
+}
+
+/* The request with these media and radii behind it is refused. */
+static void assert_fixed_refused(wire_eval_request fixed, size_t media, size_t count,
+                                 enum wire_status status, const char *field) {
+  struct payload payload;
+  build(&payload, &fixed, media, count);
+  assert_refused(&payload, status, field);
+}
+
+static void assert_list_parsed(unsigned evaluator, uint32_t media, size_t count) {
+  struct payload payload;
+  eval_request request;
+  const wire_eval_request fixed = request_of(evaluator, media, CORE_SPACING_LIST, count);
+  build(&payload, &fixed, media, count);
+  assert_int_equal(parse(&payload, &request).status, WIRE_STATUS_OK);
+  assert_int_equal(payload.length, eval_request_bytes(media, count * eval_value_bytes(evaluator)));
+  assert_memory_equal(&request.fixed, &fixed, sizeof fixed);
+  for (uint32_t i = 0; i < media; i++) {
+    wire_medium medium;
+    wire_get_medium(request.media + i * WIRE_BYTES_medium, &medium);
+    assert_true(medium.sigma_a == 0.1 * (double)(i + 1) && medium.eta == 1.3);
+  }
+  assert_true(count == 0 || (uintptr_t)request.radii % 8 == 0);
+  for (size_t i = 0; i < count; i++) {
+    const double r = evaluator == CORE_EVALUATOR_F64 ? ((const double *)request.radii)[i]
+                                                     : (double)((const float *)request.radii)[i];
+    assert_true(r == (double)(i + 1));
+  }
+}
+
+static void lists_are_taken_apart(void **state) {
+  (void)state;
+  for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
+    for (uint32_t media = 1; media <= 4; media++) {
+      for (size_t count = 0; count <= 9; count++) {
+        assert_list_parsed(evaluator->id, media, count);
+      }
+    }
+  }
+}
+
+static void grids_are_taken_apart(void **state) {
+  (void)state;
+  static const unsigned spacings[] = {CORE_SPACING_LINEAR, CORE_SPACING_LOGARITHMIC};
+  for (size_t i = 0; i < 2; i++) {
+    struct payload payload;
+    eval_request request;
+    const wire_eval_request fixed = request_of(CORE_EVALUATOR_F32, 3, spacings[i], UINT64_MAX);
+    build(&payload, &fixed, 3, 0);
+    assert_int_equal(parse(&payload, &request).status, WIRE_STATUS_OK);
+    assert_null(request.radii);
+    assert_ptr_equal(request.media, payload.bytes + WIRE_BYTES_eval_request);
+    assert_true(request.fixed.radius_count == UINT64_MAX);
+    assert_int_equal(payload.length, eval_request_bytes(3, 0));
+  }
+}
+
+/* Every other length than the right one, from nothing to trailing bytes. */
+static void only_the_exact_length_will_do(void **state) {
+  (void)state;
+  for (unsigned spacing = CORE_SPACING_LIST; spacing <= CORE_SPACING_LOGARITHMIC; spacing++) {
+    struct payload payload;
+    const size_t count = spacing == CORE_SPACING_LIST ? 5 : 0;
+    const wire_eval_request fixed = request_of(CORE_EVALUATOR_F32, 2, spacing, 5);
+    build(&payload, &fixed, 2, count);
+    const size_t right = payload.length;
+    for (payload.length = 0; payload.length < right + 64; payload.length++) {
+      eval_request request;
+      const wire_error error = parse(&payload, &request);
+      if (payload.length == right) {
+        assert_int_equal(error.status, WIRE_STATUS_OK);
+      } else if (payload.length > right || payload.length < WIRE_BYTES_eval_request) {
+        assert_refused(&payload, WIRE_STATUS_BAD_LENGTH, "payload_bytes");
+      } else {
+        assert_true(error.status == WIRE_STATUS_BAD_COUNT ||
+                    error.status == WIRE_STATUS_BAD_LENGTH);
+      }
+    }
+  }
+}
+
+static void counts_must_fit_the_payload(void **state) {
+  (void)state;
+  static const uint32_t media[] = {3, 4, 1u << 27, (1u << 27) + 2, UINT32_MAX};
+  for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
+    assert_fixed_refused(request_of(CORE_EVALUATOR_F64, media[i], CORE_SPACING_LINEAR, 5), 2, 0,
+                         WIRE_STATUS_BAD_COUNT, "medium_count");
+  }
+  assert_fixed_refused(request_of(CORE_EVALUATOR_F64, 0, CORE_SPACING_LINEAR, 5), 2, 0,
+                       WIRE_STATUS_BAD_COUNT, "medium_count");
+  assert_fixed_refused(request_of(CORE_EVALUATOR_F64, 1, CORE_SPACING_LINEAR, 5), 2, 0,
+                       WIRE_STATUS_BAD_LENGTH, "payload_bytes");
+}
+
+/* Times 4 or 8 these wrap to 0, to the payload's length, or near it. */
+static void radius_counts_do_not_wrap(void **state) {
+  (void)state;
+  static const uint64_t counts[] = {6,
+                                    (UINT64_C(1) << 61),
+                                    (UINT64_C(1) << 61) + 5,
+                                    (UINT64_C(1) << 62),
+                                    (UINT64_C(1) << 62) + 5,
+                                    (UINT64_C(1) << 63) + 5,
+                                    UINT64_MAX,
+                                    UINT64_MAX - 1,
+                                    UINT64_C(1) << 32};
+  for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
+    for (size_t i = 0; i < sizeof counts / sizeof counts[0]; i++) {
+      const size_t sent = evaluator->id == CORE_EVALUATOR_F32 && counts[i] == 6 ? 4 : 5;
+      assert_fixed_refused(request_of(evaluator->id, 2, CORE_SPACING_LIST, counts[i]), 2, sent,
+                           WIRE_STATUS_BAD_COUNT, "radius_count");
+    }
+    assert_fixed_refused(request_of(evaluator->id, 2, CORE_SPACING_LIST, 2), 2, 5,
+                         WIRE_STATUS_BAD_LENGTH, "payload_bytes");
+    assert_fixed_refused(request_of(evaluator->id, 2, CORE_SPACING_LIST, 0), 2, 5,
+                         WIRE_STATUS_BAD_LENGTH, "payload_bytes");
+  }
+}
+
+static void choices_are_checked(void **state) {
+  (void)state;
+  const wire_eval_request good = request_of(CORE_EVALUATOR_F64, 2, CORE_SPACING_LINEAR, 5);
+  static const uint16_t unknown[] = {0, 999, UINT16_MAX};
+  for (size_t i = 0; i < sizeof unknown / sizeof unknown[0]; i++) {
+    wire_eval_request fixed = good;
+    fixed.model = unknown[i];
+    assert_fixed_refused(fixed, 2, 0, WIRE_STATUS_BAD_VALUE, "model");
+    fixed = good;
+    fixed.evaluator = unknown[i];
+    assert_fixed_refused(fixed, 2, 0, WIRE_STATUS_BAD_VALUE, "evaluator");
+    fixed = good;
+    fixed.moments = unknown[i];
+    assert_fixed_refused(fixed, 2, 0, WIRE_STATUS_BAD_VALUE, "moments");
+    fixed = good;
+    fixed.spacing = unknown[i];
+    assert_fixed_refused(fixed, 2, 0, WIRE_STATUS_BAD_VALUE, "spacing");
+    fixed = good;
+    fixed.spacing = CORE_SPACING_LIST + (1u << 16); /* the upper half counts too */
+    assert_fixed_refused(fixed, 2, 0, WIRE_STATUS_BAD_VALUE, "spacing");
+    fixed = good;
+    fixed.wanted = i == 0 ? 0 : (uint16_t)(unknown[i] | 0x4000);
+    assert_fixed_refused(fixed, 2, 0, WIRE_STATUS_BAD_VALUE, "wanted");
+  }
+}
+
+/* Who reads the error need not look the list up. */
+static void a_refused_choice_is_told_what_there_is(void **state) {
+  (void)state;
+  struct payload payload;
+  eval_request request;
+  wire_eval_request fixed = request_of(9, 1, CORE_SPACING_LINEAR, 5);
+  build(&payload, &fixed, 1, 0);
+  assert_string_equal(parse(&payload, &request).allowed, "one of 1 (f64), 2 (f32)");
+}
+
+static void a_list_has_no_start_and_stop(void **state) {
+  (void)state;
+  wire_eval_request fixed = request_of(CORE_EVALUATOR_F64, 1, CORE_SPACING_LIST, 3);
+  fixed.radius_start = 1e-300;
+  assert_fixed_refused(fixed, 1, 3, WIRE_STATUS_BAD_VALUE, "radius_start");
+  fixed.radius_start = (double)NAN;
+  assert_fixed_refused(fixed, 1, 3, WIRE_STATUS_BAD_VALUE, "radius_start");
+  fixed.radius_start = 0;
+  fixed.radius_stop = -1;
+  assert_fixed_refused(fixed, 1, 3, WIRE_STATUS_BAD_VALUE, "radius_stop");
+}
+
+static void padding_is_zero(void **state) {
+  (void)state;
+  struct payload payload;
+  const wire_eval_request fixed = request_of(CORE_EVALUATOR_F32, 1, CORE_SPACING_LIST, 3);
+  for (size_t i = 1; i <= sizeof(float); i++) {
+    build(&payload, &fixed, 1, 3);
+    payload.bytes[payload.length - i] = 1;
+    assert_refused(&payload, WIRE_STATUS_BAD_VALUE, "r");
+  }
+}
+
+/* ---- replies ------------------------------------------------------------------------------ */
+
+enum { ALL_QUANTITIES = 15 };
+
+static bool has(unsigned wanted, enum core_quantity quantity) {
+  return (wanted & quantity) != 0;
+}
+
+/* Written down as PROTOCOL.md says it: the channels, the radii once, then R and cdf for each
+ * channel. */
+static void assert_layout(unsigned evaluator, unsigned wanted, uint32_t channels, uint64_t count) {
+  eval_layout layout;
+  const uint64_t array = (count * (evaluator == CORE_EVALUATOR_F64 ? 8 : 4) + 7) / 8 * 8;
+  uint64_t at = 24 + 32 * (uint64_t)channels;
+  const uint64_t radii_at = at;
+  const unsigned arrays = has(wanted, CORE_QUANTITY_R) + has(wanted, CORE_QUANTITY_CDF);
+  const uint64_t bytes = at + array * (has(wanted, CORE_QUANTITY_RADIUS) + arrays * channels);
+
+  assert_true(eval_reply_layout(evaluator, wanted, channels, count, bytes, &layout));
+  assert_int_equal(layout.payload_bytes, bytes);
+  assert_int_equal(layout.channels_offset, 24);
+  assert_int_equal(layout.arrays_per_channel, arrays);
+  if (has(wanted, CORE_QUANTITY_RADIUS)) {
+    assert_int_equal(layout.radius_offset, radii_at);
+    at += array;
+  }
+  for (uint32_t channel = 0; channel < channels; channel++) {
+    static const enum core_quantity order[] = {CORE_QUANTITY_R, CORE_QUANTITY_CDF};
+    for (size_t i = 0; i < 2; i++) {
+      if (has(wanted, order[i])) {
+        assert_int_equal(eval_array_offset(&layout, wanted, channel, order[i]), at);
+        at += array;
+      }
+    }
+  }
+  assert_int_equal(at, bytes);
+  assert_false(eval_reply_layout(evaluator, wanted, channels, count, bytes - 1, &layout));
+  assert_false(eval_reply_layout(evaluator, wanted, channels, count, 0, &layout));
+}
+
+static void arrays_lie_where_the_protocol_says(void **state) {
+  (void)state;
+  for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
+    for (unsigned wanted = 1; wanted <= ALL_QUANTITIES; wanted++) {
+      for (uint32_t channels = 1; channels <= 4; channels++) {
+        for (uint64_t count = 0; count <= 5; count++) {
+          assert_layout(evaluator->id, wanted, channels, count);
+        }
+      }
+    }
+  }
+}
+
+/* With 128 bits nothing wraps: what the layout should say of any counts and limit. */
+static bool fits(unsigned evaluator, unsigned wanted, uint32_t channels, uint64_t count,
+                 uint64_t max_bytes) {
+  const unsigned __int128 array =
+      ((unsigned __int128)count * eval_value_bytes(evaluator) + 7) / 8 * 8;
+  const unsigned arrays = has(wanted, CORE_QUANTITY_R) + has(wanted, CORE_QUANTITY_CDF);
+  /* at most 2^33 arrays of 2^67 bytes */
+  const unsigned __int128 bytes =
+      24 + 32 * (unsigned __int128)channels +
+      array * (has(wanted, CORE_QUANTITY_RADIUS) + (unsigned __int128)arrays * channels);
+  return bytes <= max_bytes;
+}
+
+static void assert_fits_as_it_should(unsigned evaluator, unsigned wanted, uint32_t channels,
+                                     uint64_t count, uint64_t max_bytes) {
+  eval_layout layout;
+  const bool expected = fits(evaluator, wanted, channels, count, max_bytes);
+  if (eval_reply_layout(evaluator, wanted, channels, count, max_bytes, &layout) != expected) {
+    fail_msg("evaluator %u wanted %u channels %u count %llu in %llu bytes: fits is %d", evaluator,
+             wanted, channels, (unsigned long long)count, (unsigned long long)max_bytes, expected);
+  }
+}
+
+/* Counts on both sides of every product that could wrap. */
+static void layouts_do_not_wrap(void **state) {
+  (void)state;
+  static const uint64_t limits[] = {4096,           UINT32_MAX,      (uint64_t)1 << 40,
+                                    UINT64_MAX / 2, UINT64_MAX - 65, UINT64_MAX};
+  static const uint32_t channels[] = {1, 2, 3, 5, 1u << 27, UINT32_MAX - 1, UINT32_MAX};
+  uint64_t random = unit_seed();
+  for (int i = 0; i < 200000; i++) {
+    const unsigned evaluator = i % 2 ? CORE_EVALUATOR_F64 : CORE_EVALUATOR_F32;
+    const unsigned wanted = 1 + (unsigned)unit_random_below(&random, ALL_QUANTITIES);
+    const uint32_t channel_count = channels[unit_random_below(&random, 7)];
+    const uint64_t limit = limits[unit_random_below(&random, 6)];
+    const unsigned arrays = has(wanted, CORE_QUANTITY_R) + has(wanted, CORE_QUANTITY_CDF);
+    const uint64_t all = has(wanted, CORE_QUANTITY_RADIUS) + (uint64_t)arrays * channel_count;
+    /* near the largest count that fits, near a wrap, or anything */
+    const uint64_t largest = limit / (all > 0 ? all : 1) / eval_value_bytes(evaluator);
+    const uint64_t bases[] = {largest, (uint64_t)1 << (58 + i % 6), unit_random(&random), 0};
+    const uint64_t count = bases[i % 4] + unit_random_below(&random, 40) - 20;
+    assert_fits_as_it_should(evaluator, wanted, channel_count, count, limit);
+  }
+}
+
+static size_t build_reply(uint8_t *bytes, wire_eval_reply fixed) {
+  eval_layout layout;
+  assert_true(eval_reply_layout(fixed.evaluator, fixed.wanted, fixed.channel_count,
+                                fixed.radius_count, PAYLOAD_MAX, &layout));
+  memset(bytes, 0, PAYLOAD_MAX);
+  wire_put_eval_reply(bytes, &fixed);
+  return (size_t)layout.payload_bytes;
+}
+
+static const wire_eval_reply good_reply = {
+    .model = CORE_MODEL_BETTER,
+    .evaluator = CORE_EVALUATOR_F32,
+    .moments = CORE_MOMENTS_EXACT,
+    .wanted = CORE_QUANTITY_R | CORE_QUANTITY_CDF | CORE_QUANTITY_RADIUS,
+    .channel_count = 3,
+    .radius_count = 7,
+};
+
+static void replies_are_taken_apart(void **state) {
+  (void)state;
+  uint8_t bytes[PAYLOAD_MAX];
+  const size_t right = build_reply(bytes, good_reply);
+  for (size_t length = 0; length < right + 64; length++) {
+    wire_eval_reply fixed;
+    eval_layout layout;
+    assert_int_equal(eval_reply_parse(bytes, length, &fixed, &layout), length == right);
+    if (length == right) {
+      assert_memory_equal(&fixed, &good_reply, sizeof fixed);
+      assert_int_equal(layout.payload_bytes, right);
+    }
+  }
+}
+
+static void assert_reply_refused(wire_eval_reply fixed, size_t length) {
+  uint8_t bytes[PAYLOAD_MAX] = {0};
+  eval_layout layout;
+  wire_put_eval_reply(bytes, &fixed);
+  assert_false(eval_reply_parse(bytes, length, &fixed, &layout));
+}
+
+/* A client does not trust a daemon's counts either. */
+static void replies_of_another_shape_are_refused(void **state) {
+  (void)state;
+  uint8_t bytes[PAYLOAD_MAX];
+  const size_t right = build_reply(bytes, good_reply);
+  wire_eval_reply fixed = good_reply;
+  fixed.channel_count = 4;
+  assert_reply_refused(fixed, right);
+  fixed.channel_count = UINT32_MAX;
+  assert_reply_refused(fixed, right);
+  fixed = good_reply;
+  fixed.radius_count = 9;
+  assert_reply_refused(fixed, right);
+  fixed.radius_count = UINT64_MAX;
+  assert_reply_refused(fixed, right);
+  fixed.radius_count = (UINT64_C(1) << 62) + 7;
+  assert_reply_refused(fixed, right);
+  fixed = good_reply;
+  fixed.evaluator = 0;
+  assert_reply_refused(fixed, right);
+  fixed.evaluator = CORE_EVALUATOR_F64;
+  assert_reply_refused(fixed, right);
+  fixed = good_reply;
+  fixed.wanted |= 0x4000;
+  assert_reply_refused(fixed, right);
+}
+
+static void values_have_their_sizes(void **state) {
+  (void)state;
+  assert_int_equal(eval_value_bytes(CORE_EVALUATOR_F64), 8);
+  assert_int_equal(eval_value_bytes(CORE_EVALUATOR_F32), 4);
+  assert_int_equal(eval_value_bytes(0), 0);
+  assert_int_equal(eval_value_bytes(UINT32_MAX), 0);
+  assert_int_equal(wire_padded(0), 0);
+  assert_int_equal(wire_padded(1), 8);
+  assert_int_equal(wire_padded(8), 8);
+  assert_int_equal(wire_padded(9), 16);
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(lists_are_taken_apart),
+      cmocka_unit_test(grids_are_taken_apart),
+      cmocka_unit_test(only_the_exact_length_will_do),
+      cmocka_unit_test(counts_must_fit_the_payload),
+      cmocka_unit_test(radius_counts_do_not_wrap),
+      cmocka_unit_test(choices_are_checked),
+      cmocka_unit_test(a_refused_choice_is_told_what_there_is),
+      cmocka_unit_test(a_list_has_no_start_and_stop),
+      cmocka_unit_test(padding_is_zero),
+      cmocka_unit_test(arrays_lie_where_the_protocol_says),
+      cmocka_unit_test(layouts_do_not_wrap),
+      cmocka_unit_test(replies_are_taken_apart),
+      cmocka_unit_test(replies_of_another_shape_are_refused),
+      cmocka_unit_test(values_have_their_sizes),
+  };
+  return cmocka_run_group_tests(tests, NULL, NULL);
+}

@@ -1,0 +1,216 @@
+/* Radii: lists checked, grids checked and expanded. */
+#include <float.h>
+#include <math.h>
+
+#include "tests/unit/unit.h"
+
+enum { COUNT_MAX = 4096 };
+
+/* ---- lists -------------------------------------------------------------------------------- */
+
+static void lists_with_good_radii_pass(void **state) {
+  (void)state;
+  static const double wide[] = {0, -0.0, 5e-324, 1e-300, 1, 1e300, DBL_MAX, INFINITY};
+  static const float narrow[] = {0, -0.0f, 1e-45f, 1, FLT_MAX, INFINITY};
+  unit_assert_fault(core_radii_check_f64(sizeof wide / sizeof wide[0], wide), NULL, 0);
+  unit_assert_fault(core_radii_check_f32(sizeof narrow / sizeof narrow[0], narrow), NULL, 0);
+  unit_assert_fault(core_radii_check_f64(0, NULL), NULL, 0);
+  unit_assert_fault(core_radii_check_f32(0, NULL), NULL, 0);
+}
+
+/* At every position of lists of every length, with another bad one after it. */
+static void lists_name_the_first_bad_radius(void **state) {
+  (void)state;
+  enum { LENGTHS = 68 };
+  static const double bad[] = {-1, -5e-324, -INFINITY, NAN, -1e-44};
+  for (size_t n = 1; n < LENGTHS; n++) {
+    for (size_t at = 0; at < n; at++) {
+      double wide[LENGTHS];
+      float narrow[LENGTHS];
+      for (size_t i = 0; i < n; i++) {
+        wide[i] = (double)i;
+        narrow[i] = (float)i;
+      }
+      const double value = bad[(n + at) % (sizeof bad / sizeof bad[0])];
+      wide[at] = value;
+      wide[n - 1] = at == n - 1 ? value : -2;
+      unit_assert_fault(core_radii_check_f64(n, wide), "r", at);
+      narrow[at] = (float)value == 0 ? -1.0f : (float)value;
+      narrow[n - 1] = at == n - 1 ? narrow[at] : -2;
+      unit_assert_fault(core_radii_check_f32(n, narrow), "r", at);
+    }
+  }
+}
+
+/* ---- what a grid may be ------------------------------------------------------------------- */
+
+static void assert_grid(enum core_spacing spacing, uint64_t count, double start, double stop,
+                        const char *field) {
+  const core_grid grid = {spacing, count, start, stop};
+  unit_assert_fault(core_grid_check(&grid), field, 0);
+}
+
+static void grids_are_checked(void **state) {
+  (void)state;
+  static const enum core_spacing spacings[] = {CORE_SPACING_LINEAR, CORE_SPACING_LOGARITHMIC};
+  for (size_t i = 0; i < 2; i++) {
+    const enum core_spacing s = spacings[i];
+    assert_grid(s, 1, 1, 1, NULL);
+    assert_grid(s, CORE_GRID_COUNT_MAX, 1, 2, NULL);
+    assert_grid(s, 2, 1e-300, DBL_MAX, NULL);
+    assert_grid(s, 0, 1, 2, "radius_count");
+    assert_grid(s, CORE_GRID_COUNT_MAX + 1, 1, 2, "radius_count");
+    assert_grid(s, UINT64_MAX, 1, 2, "radius_count");
+    assert_grid(s, 2, -1, 2, "radius_start");
+    assert_grid(s, 2, NAN, 2, "radius_start");
+    assert_grid(s, 2, INFINITY, INFINITY, "radius_start");
+    assert_grid(s, 2, 1, 0.5, "radius_stop");
+    assert_grid(s, 2, 1, NAN, "radius_stop");
+    assert_grid(s, 2, 1, INFINITY, "radius_stop");
+    assert_grid(s, 0, -1, -2, "radius_count");
+  }
+  assert_grid(CORE_SPACING_LINEAR, 2, 0, 0, NULL);
+  assert_grid(CORE_SPACING_LINEAR, 2, -0.0, 5e-324, NULL);
+  assert_grid(CORE_SPACING_LOGARITHMIC, 2, 0, 1, "radius_start");
+  assert_grid(CORE_SPACING_LOGARITHMIC, 2, 0.99e-300, 1, "radius_start");
+}
+
+/* ---- what its radii are ------------------------------------------------------------------- */
+
+static long double expected_radius(const core_grid *grid, uint64_t index) {
+  const long double part =
+      grid->count == 1 ? 0 : (long double)index / (long double)(grid->count - 1);
+  const long double start = grid->start_mm;
+  const long double stop = grid->stop_mm;
+  return grid->spacing == CORE_SPACING_LINEAR ? start + part * (stop - start)
+                                              : start * powl(stop / start, part);
+}
+
+/* Linear radii are as near as their step can be: its rounding adds up, which only shows where the
+ * step is subnormal. Both kinds never decrease. */
+static void assert_radii(const core_grid *grid, uint64_t first, size_t n, const double *r) {
+  const long double relative = grid->spacing == CORE_SPACING_LINEAR ? 2 * DBL_EPSILON : 1e-12L;
+  for (size_t i = 0; i < n; i++) {
+    const uint64_t index = first + i;
+    const long double expected = expected_radius(grid, index);
+    if (index == 0) {
+      assert_true(r[i] == grid->start_mm);
+    } else if (index == grid->count - 1) {
+      assert_true(r[i] == grid->stop_mm);
+    } else if (!(fabsl(r[i] - expected) <=
+                 relative * expected + (long double)index * DBL_TRUE_MIN)) {
+      fail_msg("radius %llu of %llu from %.17g to %.17g: %.17g, expected %.17Lg",
+               (unsigned long long)index, (unsigned long long)grid->count, grid->start_mm,
+               grid->stop_mm, r[i], expected);
+    }
+    assert_true(i == 0 || r[i] >= r[i - 1]);
+  }
+}
+
+static const core_grid grids[] = {
+    {CORE_SPACING_LINEAR, 1, 3, 5},
+    {CORE_SPACING_LINEAR, 2, 0, 5},
+    {CORE_SPACING_LINEAR, 67, 0, 10},
+    {CORE_SPACING_LINEAR, COUNT_MAX, 0.1, 0.7},
+    {CORE_SPACING_LINEAR, 1000, 2, 2},
+    {CORE_SPACING_LINEAR, 1000, 0, DBL_MAX},
+    {CORE_SPACING_LINEAR, 1000, DBL_MAX / 2, DBL_MAX},
+    {CORE_SPACING_LINEAR, 300, 0, 100 * DBL_TRUE_MIN},
+    {CORE_SPACING_LOGARITHMIC, 1, 3, 5},
+    {CORE_SPACING_LOGARITHMIC, 2, 3, 5},
+    {CORE_SPACING_LOGARITHMIC, 67, 0.01, 100},
+    {CORE_SPACING_LOGARITHMIC, COUNT_MAX, 1e-300, DBL_MAX},
+    {CORE_SPACING_LOGARITHMIC, 1000, 2, 2},
+    {CORE_SPACING_LOGARITHMIC, 1000, 1, 1 + 1e-9},
+    {CORE_SPACING_LOGARITHMIC, 1000, 1e300, DBL_MAX},
+    {CORE_SPACING_LOGARITHMIC, 1000, 1e-300, 1e-290},
+};
+enum { GRIDS = sizeof grids / sizeof grids[0] };
+
+static void radii_follow_the_rule(void **state) {
+  (void)state;
+  for (size_t i = 0; i < GRIDS; i++) {
+    double r[COUNT_MAX];
+    core_grid_radii_f64(&grids[i], 0, (size_t)grids[i].count, r);
+    assert_radii(&grids[i], 0, (size_t)grids[i].count, r);
+  }
+}
+
+/* The largest grid, of which nobody needs more than a slice at once. */
+static void slices_of_the_largest_grids_follow_the_rule(void **state) {
+  (void)state;
+  enum { SLICE = 100 };
+  static const enum core_spacing spacings[] = {CORE_SPACING_LINEAR, CORE_SPACING_LOGARITHMIC};
+  for (size_t i = 0; i < 2; i++) {
+    const core_grid grid = {spacings[i], CORE_GRID_COUNT_MAX, 1e-3, 1e3};
+    const uint64_t firsts[] = {0, 1, grid.count / 3, grid.count / 2, grid.count - SLICE};
+    for (size_t j = 0; j < sizeof firsts / sizeof firsts[0]; j++) {
+      double r[SLICE];
+      core_grid_radii_f64(&grid, firsts[j], SLICE, r);
+      assert_radii(&grid, firsts[j], SLICE, r);
+    }
+  }
+}
+
+/* A worker that evaluates a part of a grid sees the same bits as one that evaluates it whole. */
+static void slices_equal_the_whole(void **state) {
+  (void)state;
+  uint64_t random = unit_seed();
+  for (size_t i = 0; i < GRIDS; i++) {
+    const size_t count = (size_t)grids[i].count;
+    double whole[COUNT_MAX], slices[COUNT_MAX];
+    core_grid_radii_f64(&grids[i], 0, count, whole);
+    for (size_t first = 0; first < count;) {
+      size_t n = 1 + unit_random_below(&random, 100);
+      n = n < count - first ? n : count - first;
+      core_grid_radii_f64(&grids[i], first, n, slices + first);
+      first += n;
+    }
+    assert_memory_equal(whole, slices, count * sizeof *whole);
+  }
+}
+
+static void single_precision_is_the_double_rounded(void **state) {
+  (void)state;
+  for (size_t i = 0; i < GRIDS; i++) {
+    const size_t count = (size_t)grids[i].count;
+    double wide[COUNT_MAX];
+    float narrow[COUNT_MAX];
+    core_grid_radii_f64(&grids[i], 0, count, wide);
+    core_grid_radii_f32(&grids[i], 0, count, narrow);
+    for (size_t j = 0; j < count; j++) {
+      assert_true(narrow[j] == (float)wide[j]);
+    }
+  }
+}
+
+static void nothing_beyond_the_slice_is_written(void **state) {
+  (void)state;
+  const core_grid grid = {CORE_SPACING_LOGARITHMIC, 100, 1, 10};
+  double wide[12];
+  float narrow[12];
+  for (size_t i = 0; i < 12; i++) {
+    wide[i] = -7;
+    narrow[i] = -7;
+  }
+  core_grid_radii_f64(&grid, 3, 10, wide + 1);
+  core_grid_radii_f32(&grid, 3, 10, narrow + 1);
+  assert_true(wide[0] == -7 && wide[11] == -7);
+  assert_true(narrow[0] == -7 && narrow[11] == -7);
+  core_grid_radii_f64(&grid, 3, 0, wide);
+  assert_true(wide[0] == -7);
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(lists_with_good_radii_pass),
+      cmocka_unit_test(lists_name_the_first_bad_radius),
+      cmocka_unit_test(grids_are_checked),
+      cmocka_unit_test(radii_follow_the_rule),
+      cmocka_unit_test(slices_of_the_largest_grids_follow_the_rule),
+      cmocka_unit_test(slices_equal_the_whole),
+      cmocka_unit_test(single_precision_is_the_double_rounded),
+      cmocka_unit_test(nothing_beyond_the_slice_is_written),
+  };
+  return cmocka_run_group_tests(tests, NULL, NULL);
+}

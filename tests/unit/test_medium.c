@@ -1,0 +1,221 @@
+/* Media: what is refused, with which field; the measured list; what preparing a profile refuses. */
+#include <math.h>
+
+#include "tests/unit/unit.h"
+
+static const core_medium good = {0.02, 0.8, 0.1, 1.3};
+
+static void assert_medium(double sigma_a, double sigma_s, double g, double eta, const char *field) {
+  const core_medium medium = {sigma_a, sigma_s, g, eta};
+  unit_assert_fault(core_medium_check(&medium), field, 0);
+}
+
+static void accepts_the_whole_domain(void **state) {
+  (void)state;
+  assert_medium(0.02, 0.8, 0.1, 1.3, NULL);
+  assert_medium(0, 0.8, 0, 1.3, NULL);
+  assert_medium(-0.0, 0.8, 0, 1.3, NULL);
+  assert_medium(0.02, 0, 0, 1.3, NULL);
+  assert_medium(5e-324, 1, 0, 1.3, NULL);
+  assert_medium(CORE_SIGMA_MAX_PER_MM, CORE_SIGMA_MAX_PER_MM, -0.999, 1, NULL);
+  assert_medium(1, 1, nextafter(1, 0), 1, NULL);
+  assert_medium(1, 1, nextafter(-1, 0), 1, NULL);
+  assert_medium(1, 1, 0, CORE_ETA_MIN, NULL);
+  assert_medium(1, 1, 0, CORE_ETA_MAX, NULL);
+  assert_medium(CORE_SIGMA_T_PRIME_MIN_PER_MM, 0, 0, 1, NULL);
+  assert_medium(0, CORE_SIGMA_T_PRIME_MIN_PER_MM, 0, 1, NULL);
+}
+
+static void names_the_coefficient_at_fault(void **state) {
+  (void)state;
+  static const double bad[] = {-1, -5e-324, 1.0000001e15, INFINITY, -INFINITY, NAN};
+  for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
+    assert_medium(bad[i], 0.8, 0, 1.3, "sigma_a");
+    assert_medium(0.02, bad[i], 0, 1.3, "sigma_s");
+  }
+}
+
+static void names_g_at_fault(void **state) {
+  (void)state;
+  static const double bad[] = {1, -1, 1.5, -7, INFINITY, -INFINITY, NAN};
+  for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
+    assert_medium(0.02, 0.8, bad[i], 1.3, "g");
+  }
+}
+
+static void names_eta_at_fault(void **state) {
+  (void)state;
+  static const double bad[] = {0, -0.0, -1.3, 0.000999, 1000.01, 5e-324, INFINITY, -INFINITY, NAN};
+  for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
+    assert_medium(0.02, 0.8, 0, bad[i], "eta");
+  }
+}
+
+/* Whichever is small: nothing, next to nothing, or forward scattering that leaves next to nothing.
+ */
+static void refuses_media_without_extinction(void **state) {
+  (void)state;
+  assert_medium(0, 0, 0, 1.3, "sigma_s");
+  assert_medium(1e-16, 1e-16, 0, 1.3, "sigma_s");
+  assert_medium(0, 1, nextafter(1, 0), 1.3, "sigma_s");
+  assert_medium(0, 5e-324, 0, 1.3, "sigma_s");
+}
+
+/* Several faults: the first field in the order of the structure. */
+static void reports_the_first_field(void **state) {
+  (void)state;
+  assert_medium(-1, -1, 2, 0, "sigma_a");
+  assert_medium(1, -1, 2, 0, "sigma_s");
+  assert_medium(1, 1, 2, 0, "g");
+  assert_medium(0, 0, 0, 0, "eta");
+}
+
+/* ---- profiles ----------------------------------------------------------------------------- */
+
+static void preparing_refuses_what_is_not_in_the_lists(void **state) {
+  (void)state;
+  const core_isa *isa = core_isa_select("portable");
+  core_profile profile;
+  static const unsigned unknown[] = {0, 4711, 65535, UINT32_MAX};
+  for (size_t i = 0; i < sizeof unknown / sizeof unknown[0]; i++) {
+    unit_assert_fault(core_profile_prepare(&profile, isa, unknown[i], CORE_MOMENTS_EXACT,
+                                           CORE_EVALUATOR_F64, &good),
+                      "model", 0);
+    unit_assert_fault(core_profile_prepare(&profile, isa, CORE_MODEL_BETTER, unknown[i],
+                                           CORE_EVALUATOR_F64, &good),
+                      "moments", 0);
+    unit_assert_fault(core_profile_prepare(&profile, isa, CORE_MODEL_BETTER, CORE_MOMENTS_EXACT,
+                                           unknown[i], &good),
+                      "evaluator", 0);
+  }
+}
+
+static void preparing_refuses_bad_media(void **state) {
+  (void)state;
+  const core_medium bad = {0.02, 0.8, 1, 1.3};
+  const core_medium beyond_the_fit = {0.02, 0.8, 0, 2.6};
+  core_profile profile;
+  const core_isa *isa = core_isa_select("portable");
+  unit_assert_fault(core_profile_prepare(&profile, isa, CORE_MODEL_CLASSICAL, CORE_MOMENTS_EXACT,
+                                         CORE_EVALUATOR_F32, &bad),
+                    "g", 0);
+  unit_assert_fault(core_profile_prepare(&profile, isa, CORE_MODEL_CLASSICAL, CORE_MOMENTS_FIT,
+                                         CORE_EVALUATOR_F64, &beyond_the_fit),
+                    "eta", 0);
+  unit_assert_fault(core_profile_prepare(&profile, isa, CORE_MODEL_CLASSICAL, CORE_MOMENTS_EXACT,
+                                         CORE_EVALUATOR_F64, &beyond_the_fit),
+                    NULL, 0);
+}
+
+static void a_profile_says_what_it_was_made_from(void **state) {
+  (void)state;
+  for (const core_choice *model = core_models; model->name != NULL; model++) {
+    for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
+      core_profile profile;
+      unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model->id,
+                                             CORE_MOMENTS_EXACT, evaluator->id, &good),
+                        NULL, 0);
+      assert_int_equal(profile.model, model->id);
+      assert_int_equal(profile.evaluator, evaluator->id);
+      assert_int_equal(profile.moments, CORE_MOMENTS_EXACT);
+      assert_memory_equal(&profile.medium, &good, sizeof good);
+      assert_true(profile.albedo > 0 && profile.albedo < 1);
+      assert_true(profile.numerical_error > 0 && profile.numerical_error < 1e-4);
+      assert_true(profile.numerical_error_per_mm >= 0 && profile.numerical_error_per_mm < 1e-4);
+    }
+  }
+}
+
+/* Nothing comes back from a medium that does not scatter. */
+static void without_scattering_everything_is_zero(void **state) {
+  (void)state;
+  static const core_medium absorbing = {0.3, 0, 0.5, 1.3};
+  static const double radii[] = {0, 1e-9, 1, 1e9, INFINITY};
+  for (const core_choice *model = core_models; model->name != NULL; model++) {
+    core_profile profile;
+    double R[5], cdf[5];
+    unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model->id,
+                                           CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &absorbing),
+                      NULL, 0);
+    assert_true(profile.albedo == 0);
+    core_eval_f64(&profile, 5, radii, R, cdf);
+    for (size_t i = 0; i < 5; i++) {
+      assert_true(R[i] == 0 && cdf[i] == 0);
+    }
+  }
+}
+
+/* ---- the measured list -------------------------------------------------------------------- */
+
+static void assert_measured(const char *name, const double sigma_s[3], const double sigma_a[3]) {
+  const core_measured_medium *medium = core_measured_medium_by_name(name);
+  assert_non_null(medium);
+  assert_string_equal(medium->name, name);
+  for (size_t i = 0; i < 3; i++) {
+    assert_true(medium->channel[i].sigma_s_per_mm == sigma_s[i]);
+    assert_true(medium->channel[i].sigma_a_per_mm == sigma_a[i]);
+    assert_true(medium->channel[i].g == 0);
+    assert_true(medium->channel[i].eta == 1.3);
+  }
+}
+
+/* Jensen et al. 2001, Figure 5: sigma_s' and sigma_a in 1/mm. */
+static void measured_media_are_the_published_ones(void **state) {
+  (void)state;
+  static const struct {
+    const char *name;
+    double sigma_s[3];
+    double sigma_a[3];
+  } published[] = {
+      {"apple", {2.29, 2.39, 1.97}, {0.0030, 0.0034, 0.046}},
+      {"chicken1", {0.15, 0.21, 0.38}, {0.015, 0.077, 0.19}},
+      {"chicken2", {0.19, 0.25, 0.32}, {0.018, 0.088, 0.20}},
+      {"cream", {7.38, 5.47, 3.15}, {0.0002, 0.0028, 0.0163}},
+      {"ketchup", {0.18, 0.07, 0.03}, {0.061, 0.97, 1.45}},
+      {"marble", {2.19, 2.62, 3.00}, {0.0021, 0.0041, 0.0071}},
+      {"potato", {0.68, 0.70, 0.55}, {0.0024, 0.0090, 0.12}},
+      {"skimmilk", {0.70, 1.22, 1.90}, {0.0014, 0.0025, 0.0142}},
+      {"skin1", {0.74, 0.88, 1.01}, {0.032, 0.17, 0.48}},
+      {"skin2", {1.09, 1.59, 1.79}, {0.013, 0.070, 0.145}},
+      {"spectralon", {11.6, 20.4, 14.9}, {0, 0, 0}},
+      {"wholemilk", {2.55, 3.21, 3.77}, {0.0011, 0.0024, 0.014}},
+  };
+  const size_t count = sizeof published / sizeof published[0];
+  assert_int_equal(core_measured_media_count, count);
+  for (size_t i = 0; i < count; i++) {
+    assert_measured(published[i].name, published[i].sigma_s, published[i].sigma_a);
+  }
+}
+
+static void measured_media_are_valid_and_found_by_name_only(void **state) {
+  (void)state;
+  for (size_t i = 0; i < core_measured_media_count; i++) {
+    const core_measured_medium *medium = &core_measured_media[i];
+    assert_ptr_equal(core_measured_medium_by_name(medium->name), medium);
+    for (size_t channel = 0; channel < 3; channel++) {
+      unit_assert_fault(core_medium_check(&medium->channel[channel]), NULL, 0);
+    }
+  }
+  assert_null(core_measured_medium_by_name(""));
+  assert_null(core_measured_medium_by_name("skin"));
+  assert_null(core_measured_medium_by_name("skin10"));
+  assert_null(core_measured_medium_by_name("Skin1"));
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(accepts_the_whole_domain),
+      cmocka_unit_test(names_the_coefficient_at_fault),
+      cmocka_unit_test(names_g_at_fault),
+      cmocka_unit_test(names_eta_at_fault),
+      cmocka_unit_test(refuses_media_without_extinction),
+      cmocka_unit_test(reports_the_first_field),
+      cmocka_unit_test(preparing_refuses_what_is_not_in_the_lists),
+      cmocka_unit_test(preparing_refuses_bad_media),
+      cmocka_unit_test(a_profile_says_what_it_was_made_from),
+      cmocka_unit_test(without_scattering_everything_is_zero),
+      cmocka_unit_test(measured_media_are_the_published_ones),
+      cmocka_unit_test(measured_media_are_valid_and_found_by_name_only),
+  };
+  return cmocka_run_group_tests(tests, NULL, NULL);
+}

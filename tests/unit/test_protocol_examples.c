@@ -1,0 +1,271 @@
+/* The examples of PROTOCOL.md: whole frames, of every message, that say what the codec and the core
+ * say. (That a daemon answers so is tested from outside.) */
+#include <ctype.h>
+#include <math.h>
+
+#include "proto/eval.h"
+#include "tests/unit/unit.h"
+
+enum { EXAMPLES_MAX = 64, FRAME_MAX = 4096, NAME_MAX_BYTES = 64, LIMIT_BYTES = 1 << 20 };
+#define FENCE "```hex "
+
+struct example {
+  char name[NAME_MAX_BYTES];
+  _Alignas(8) uint8_t bytes[FRAME_MAX]; /* the header's 24 bytes leave the payload aligned */
+  size_t length;
+  wire_header header;
+};
+
+static struct example examples[EXAMPLES_MAX];
+static size_t example_count;
+
+/* ---- reading ------------------------------------------------------------------------------ */
+
+/* A line of hexadecimal bytes; # starts a comment. */
+static void read_line(struct example *example, const char *at, const char *end) {
+  while (at < end && *at != '#') {
+    if (isspace((unsigned char)*at)) {
+      at++;
+      continue;
+    }
+    assert_true(end - at >= 2 && isxdigit((unsigned char)at[0]) && isxdigit((unsigned char)at[1]));
+    assert_true(example->length < FRAME_MAX);
+    const char digits[3] = {at[0], at[1], '\0'};
+    example->bytes[example->length++] = (uint8_t)strtoul(digits, NULL, 16);
+    at += 2;
+  }
+}
+
+/* A fenced block, from after its fence to its end, which is returned. */
+static const char *read_block(struct example *example, const char *at) {
+  const size_t name_length = strcspn(at, "\n");
+  assert_in_range(name_length, 1, NAME_MAX_BYTES - 1);
+  memcpy(example->name, at, name_length);
+  at += name_length + 1;
+  while (strncmp(at, "```", 3) != 0) {
+    const char *end = strchr(at, '\n');
+    assert_non_null(end);
+    read_line(example, at, end);
+    at = end + 1;
+  }
+  return at + 3;
+}
+
+static int read_examples(void **state) {
+  (void)state;
+  char *document = unit_read_file("proto/PROTOCOL.md");
+  assert_non_null(document);
+  const char *at = document;
+  while ((at = strstr(at, FENCE)) != NULL) {
+    assert_true(example_count < EXAMPLES_MAX);
+    struct example *example = &examples[example_count++];
+    at = read_block(example, at + strlen(FENCE));
+    if (example->length >= WIRE_BYTES_header) {
+      wire_get_header(example->bytes, &example->header);
+    }
+  }
+  free(document);
+  return 0;
+}
+
+/* The one example of this name. */
+static const struct example *example_named(const char *name) {
+  const struct example *found = NULL;
+  for (size_t i = 0; i < example_count; i++) {
+    if (strcmp(examples[i].name, name) == 0) {
+      assert_null(found);
+      found = &examples[i];
+    }
+  }
+  if (found == NULL) {
+    fail_msg("PROTOCOL.md has no example %s", name);
+  }
+  return found;
+}
+
+static bool ends_with(const char *text, const char *end) {
+  const size_t length = strlen(text);
+  return length >= strlen(end) && strcmp(text + length - strlen(end), end) == 0;
+}
+
+static const uint8_t *payload_of(const struct example *example) {
+  return example->bytes + WIRE_BYTES_header;
+}
+
+/* ---- all of them -------------------------------------------------------------------------- */
+
+static void examples_are_whole_frames(void **state) {
+  (void)state;
+  assert_true(example_count > 0);
+  for (size_t i = 0; i < example_count; i++) {
+    const struct example *example = &examples[i];
+    assert_true(example->length >= WIRE_BYTES_header);
+    assert_int_equal(wire_header_check(&example->header, LIMIT_BYTES).status, WIRE_STATUS_OK);
+    assert_int_equal(example->length, WIRE_BYTES_header + example->header.payload_bytes);
+    assert_string_not_equal(wire_type_name(example->header.type), "unknown");
+    const bool is_reply = (example->header.type & WIRE_REPLY) != 0;
+    assert_int_equal(is_reply, ends_with(example->name, "-reply"));
+    assert_int_equal(!is_reply, ends_with(example->name, "-request"));
+  }
+}
+
+static void every_message_has_a_request(void **state) {
+  (void)state;
+#define WIRE_MESSAGE(type_id, IDENT, message_name)                                                 \
+  assert_int_equal(example_named(message_name "-request")->header.type, type_id);
+#include "proto/messages.def"
+}
+
+/* NAME-reply answers NAME-request: same id, and the type plus 0x8000 or an error. */
+static void replies_answer_their_requests(void **state) {
+  (void)state;
+  size_t replies = 0;
+  for (size_t i = 0; i < example_count; i++) {
+    const struct example *reply = &examples[i];
+    if (!ends_with(reply->name, "-reply")) {
+      continue;
+    }
+    char request_name[NAME_MAX_BYTES + 8];
+    snprintf(request_name, sizeof request_name, "%.*s-request",
+             (int)(strlen(reply->name) - strlen("-reply")), reply->name);
+    const struct example *request = example_named(request_name);
+    assert_int_equal(reply->header.request_id, request->header.request_id);
+    if (reply->header.type != WIRE_TYPE_ERROR) {
+      assert_int_equal(reply->header.type, request->header.type | WIRE_REPLY);
+    }
+    replies++;
+  }
+  assert_true(replies > 0);
+}
+
+/* ---- each of them ------------------------------------------------------------------------- */
+
+static void hello_agrees_on_this_version(void **state) {
+  (void)state;
+  const struct example *example = example_named("hello-request");
+  wire_hello_request hello;
+  assert_int_equal(example->header.payload_bytes, WIRE_BYTES_hello_request);
+  wire_get_hello_request(payload_of(example), &hello);
+  assert_true(hello.version_min <= WIRE_VERSION && hello.version_max >= WIRE_VERSION);
+  assert_int_equal(hello.zero, 0);
+}
+
+static void empty_requests_are_empty(void **state) {
+  (void)state;
+  assert_int_equal(example_named("media-request")->header.payload_bytes, 0);
+  assert_int_equal(example_named("statistics-request")->header.payload_bytes, 0);
+}
+
+static void ping_comes_back(void **state) {
+  (void)state;
+  const struct example *request = example_named("ping-request");
+  const struct example *reply = example_named("ping-reply");
+  assert_true(request->header.payload_bytes <= WIRE_PING_MAX_BYTES);
+  assert_int_equal(reply->length, request->length);
+  assert_memory_equal(payload_of(reply), payload_of(request), request->header.payload_bytes);
+}
+
+/* The example is the red channel of skin1, evaluated at listed radii in double precision. */
+static void eval_request_asks_for_skin(void **state) {
+  (void)state;
+  const struct example *example = example_named("eval-request");
+  eval_request request;
+  assert_int_equal(
+      eval_request_parse(payload_of(example), example->header.payload_bytes, &request).status,
+      WIRE_STATUS_OK);
+  assert_int_equal(request.fixed.evaluator, CORE_EVALUATOR_F64);
+  assert_int_equal(request.fixed.spacing, CORE_SPACING_LIST);
+  assert_true(request.fixed.radius_count > 0);
+  unit_assert_fault(core_radii_check_f64((size_t)request.fixed.radius_count, request.radii), NULL,
+                    0);
+  wire_medium medium;
+  wire_get_medium(request.media, &medium);
+  const core_medium *skin = &core_measured_medium_by_name("skin1")->channel[0];
+  assert_true(medium.sigma_a == skin->sigma_a_per_mm && medium.sigma_s == skin->sigma_s_per_mm);
+  assert_true(medium.g == skin->g && medium.eta == skin->eta);
+}
+
+/* Every bit of the reply is what the core computes for the request. */
+static void assert_channel(const wire_channel *channel, const core_profile *profile) {
+  assert_memory_equal(&channel->albedo, &profile->albedo, sizeof profile->albedo);
+  assert_true(channel->numerical_error == profile->numerical_error);
+  assert_true(channel->numerical_error_per_mm == profile->numerical_error_per_mm);
+  assert_true(isnan(channel->model_error) == isnan(profile->model_error));
+}
+
+static void eval_reply_holds_the_cores_values(void **state) {
+  (void)state;
+  enum { RADII_MAX = 64 };
+  const struct example *example = example_named("eval-request");
+  const struct example *answer = example_named("eval-reply");
+  eval_request request;
+  wire_eval_reply reply;
+  eval_layout layout;
+  wire_channel channel;
+  wire_medium wire;
+  core_profile profile;
+  double R[RADII_MAX], cdf[RADII_MAX];
+  eval_request_parse(payload_of(example), example->header.payload_bytes, &request);
+  const size_t n = (size_t)request.fixed.radius_count;
+  assert_true(n <= RADII_MAX);
+  assert_true(eval_reply_parse(payload_of(answer), answer->header.payload_bytes, &reply, &layout));
+  assert_int_equal(reply.model, request.fixed.model);
+  assert_int_equal(reply.wanted, request.fixed.wanted);
+  assert_int_equal(reply.channel_count, request.fixed.medium_count);
+  assert_int_equal(reply.radius_count, n);
+
+  wire_get_medium(request.media, &wire);
+  const core_medium medium = {wire.sigma_a, wire.sigma_s, wire.g, wire.eta};
+  unit_assert_fault(core_profile_prepare(&profile, core_isa_select("portable"), request.fixed.model,
+                                         request.fixed.moments, request.fixed.evaluator, &medium),
+                    NULL, 0);
+  core_eval_f64(&profile, n, request.radii, R, cdf);
+  wire_get_channel(payload_of(answer) + layout.channels_offset, &channel);
+  assert_channel(&channel, &profile);
+  const uint8_t *payload = payload_of(answer);
+  assert_memory_equal(payload + eval_array_offset(&layout, reply.wanted, 0, CORE_QUANTITY_R), R,
+                      n * sizeof *R);
+  assert_memory_equal(payload + eval_array_offset(&layout, reply.wanted, 0, CORE_QUANTITY_CDF), cdf,
+                      n * sizeof *cdf);
+}
+
+/* The request has the right shape; it is the core that refuses its medium, as the reply says. */
+static void the_error_is_the_cores(void **state) {
+  (void)state;
+  const struct example *example = example_named("error-request");
+  const struct example *answer = example_named("error-reply");
+  eval_request request;
+  assert_int_equal(
+      eval_request_parse(payload_of(example), example->header.payload_bytes, &request).status,
+      WIRE_STATUS_OK);
+  wire_medium wire;
+  wire_get_medium(request.media, &wire);
+  const core_medium medium = {wire.sigma_a, wire.sigma_s, wire.g, wire.eta};
+  const core_fault fault = core_medium_check(&medium);
+  assert_non_null(fault.field);
+
+  wire_error error;
+  assert_int_equal(answer->header.type, WIRE_TYPE_ERROR);
+  assert_int_equal(answer->header.payload_bytes, WIRE_BYTES_error);
+  wire_get_error(payload_of(answer), &error);
+  assert_int_equal(error.status, WIRE_STATUS_BAD_VALUE);
+  assert_string_equal(error.field, fault.field);
+  assert_string_equal(error.allowed, fault.allowed);
+  assert_int_equal(error.index, 0);
+  assert_int_equal(error.retry_after_ms, 0);
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(examples_are_whole_frames),
+      cmocka_unit_test(every_message_has_a_request),
+      cmocka_unit_test(replies_answer_their_requests),
+      cmocka_unit_test(hello_agrees_on_this_version),
+      cmocka_unit_test(empty_requests_are_empty),
+      cmocka_unit_test(ping_comes_back),
+      cmocka_unit_test(eval_request_asks_for_skin),
+      cmocka_unit_test(eval_reply_holds_the_cores_values),
+      cmocka_unit_test(the_error_is_the_cores),
+  };
+  return cmocka_run_group_tests(tests, read_examples, NULL);
+}

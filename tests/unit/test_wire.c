@@ -1,0 +1,340 @@
+/* The wire's structures, headers, lists and the tables of PROTOCOL.md. */
+#include "proto/wire.h"
+#include "tests/unit/unit.h"
+
+enum { REPEATS = 50, MARGIN = 16, GUARD = 0xa5 };
+
+/* ---- structures: every one of the list ---------------------------------------------------- */
+
+/* Any bits for numbers (a double's signalling NaN among them), any text that fits. */
+static void random_text(uint64_t *random, char *text, size_t bytes) {
+  const size_t length = unit_random_below(random, bytes + 1);
+  memset(text, 0, bytes + 1);
+  for (size_t i = 0; i < length; i++) {
+    text[i] = (char)(1 + unit_random_below(random, 255));
+  }
+}
+
+#define FILL_ONE(kind, field, meaning) unit_random_bytes(random, &to->field, sizeof to->field);
+#define FILL_ARRAY(kind, field, count, meaning)                                                    \
+  unit_random_bytes(random, to->field, sizeof to->field);
+#define FILL_TEXT(field, bytes, meaning) random_text(random, to->field, bytes);
+
+/* memcmp of each field: the bits count, and structs may have padding. */
+#define SAME_ONE(kind, field, meaning) assert_memory_equal(&a->field, &b->field, sizeof a->field);
+#define SAME_ARRAY(kind, field, count, meaning)                                                    \
+  assert_memory_equal(a->field, b->field, sizeof a->field);
+#define SAME_TEXT(field, bytes, meaning) assert_memory_equal(a->field, b->field, (bytes) + 1);
+
+/* The structure's bytes by the list: little-endian numbers one after another, then compared. */
+static const uint8_t *number_at(const uint8_t *at, const void *number, size_t bytes) {
+  uint64_t value = 0;
+  switch (bytes) {
+  case 2: {
+    uint16_t u;
+    memcpy(&u, number, sizeof u);
+    value = u;
+    break;
+  }
+  case 4: {
+    uint32_t u;
+    memcpy(&u, number, sizeof u);
+    value = u;
+    break;
+  }
+  default:
+    memcpy(&value, number, sizeof value);
+  }
+  for (size_t i = 0; i < bytes; i++) {
+    assert_int_equal(at[i], (uint8_t)(value >> (8 * i)));
+  }
+  return at + bytes;
+}
+
+static const uint8_t *text_at(const uint8_t *at, const char *text, size_t bytes) {
+  for (size_t i = 0; i < bytes; i++) {
+    assert_int_equal(at[i], (uint8_t)text[i]);
+  }
+  return at + bytes;
+}
+
+#define EXPECT_ONE(kind, field, meaning) at = number_at(at, &from->field, WIRE_SIZE_##kind);
+#define EXPECT_ARRAY(kind, field, count, meaning)                                                  \
+  for (size_t i = 0; i < (count); i++) {                                                           \
+    at = number_at(at, &from->field[i], WIRE_SIZE_##kind);                                         \
+  }
+#define EXPECT_TEXT(field, bytes, meaning) at = text_at(at, from->field, bytes);
+
+#define WIRE_STRUCTURE(name, about)                                                                \
+  static void fill_##name(uint64_t *random, wire_##name *to) {                                     \
+    WIRE_FIELDS_##name(FILL_ONE, FILL_ARRAY, FILL_TEXT)                                            \
+  }                                                                                                \
+  static void same_##name(const wire_##name *a, const wire_##name *b) {                            \
+    WIRE_FIELDS_##name(SAME_ONE, SAME_ARRAY, SAME_TEXT)                                            \
+  }                                                                                                \
+  static void bytes_are_##name(const uint8_t *start, const wire_##name *from) {                    \
+    const uint8_t *at = start;                                                                     \
+    WIRE_FIELDS_##name(EXPECT_ONE, EXPECT_ARRAY, EXPECT_TEXT)                                      \
+        assert_int_equal(at - start, WIRE_BYTES_##name);                                           \
+  }                                                                                                \
+  static void round_trip_##name(uint64_t *random) {                                                \
+    uint8_t bytes[MARGIN + WIRE_BYTES_##name + MARGIN];                                            \
+    for (size_t offset = 0; offset < MARGIN; offset++) {                                           \
+      wire_##name before, after;                                                                   \
+      fill_##name(random, &before);                                                                \
+      memset(&after, GUARD, sizeof after);                                                         \
+      memset(bytes, GUARD, sizeof bytes);                                                          \
+      wire_put_##name(bytes + offset, &before);                                                    \
+      assert_guarded(bytes, offset, WIRE_BYTES_##name, sizeof bytes);                              \
+      bytes_are_##name(bytes + offset, &before);                                                   \
+      wire_get_##name(bytes + offset, &after);                                                     \
+      same_##name(&before, &after);                                                                \
+    }                                                                                              \
+  }
+
+/* Nothing before or after the structure was written. */
+static void assert_guarded(const uint8_t *bytes, size_t offset, size_t size, size_t all) {
+  for (size_t i = 0; i < all; i++) {
+    if (i < offset || i >= offset + size) {
+      assert_int_equal(bytes[i], GUARD);
+    }
+  }
+}
+
+#include "proto/messages.def"
+
+static void structures_survive_the_round_trip(void **state) {
+  (void)state;
+  uint64_t random = unit_seed();
+  for (int i = 0; i < REPEATS; i++) {
+#define WIRE_STRUCTURE(name, about) round_trip_##name(&random);
+#include "proto/messages.def"
+  }
+}
+
+/* Their sizes are part of the protocol. */
+static void structures_have_their_sizes(void **state) {
+  (void)state;
+  assert_int_equal(WIRE_BYTES_header, 24);
+  assert_int_equal(WIRE_BYTES_hello_request, 8);
+  assert_int_equal(WIRE_BYTES_hello_reply, 112);
+  assert_int_equal(WIRE_BYTES_choice, 128);
+  assert_int_equal(WIRE_BYTES_value, 48);
+  assert_int_equal(WIRE_BYTES_eval_request, 40);
+  assert_int_equal(WIRE_BYTES_medium, 32);
+  assert_int_equal(WIRE_BYTES_eval_reply, 24);
+  assert_int_equal(WIRE_BYTES_channel, 32);
+  assert_int_equal(WIRE_BYTES_list_reply, 8);
+  assert_int_equal(WIRE_BYTES_measured_medium, 80);
+  assert_int_equal(WIRE_BYTES_error, 128);
+}
+
+/* ---- text --------------------------------------------------------------------------------- */
+
+static void text_is_cut_and_padded(void **state) {
+  (void)state;
+  wire_error error;
+  memset(&error, GUARD, sizeof error);
+  WIRE_SET_TEXT(error.field, "eta");
+  assert_string_equal(error.field, "eta");
+  for (size_t i = 3; i < sizeof error.field; i++) {
+    assert_int_equal(error.field[i], 0);
+  }
+  WIRE_SET_TEXT(error.field, "0123456789012345678901234567890123456789");
+  assert_string_equal(error.field, "01234567890123456789012345678901");
+  WIRE_SET_TEXT(error.field, "");
+  assert_string_equal(error.field, "");
+}
+
+/* A field that is full has no zero byte on the wire; the struct gets one. */
+static void full_text_needs_no_zero_on_the_wire(void **state) {
+  (void)state;
+  uint8_t bytes[WIRE_BYTES_value];
+  wire_value value;
+  memset(bytes, 'x', sizeof bytes);
+  memset(&value, GUARD, sizeof value);
+  wire_get_value(bytes, &value);
+  assert_int_equal(strlen(value.name), sizeof value.name - 1);
+}
+
+/* ---- headers ------------------------------------------------------------------------------ */
+
+static const wire_header good_header = {
+    .magic = WIRE_MAGIC,
+    .version = WIRE_VERSION,
+    .type = WIRE_TYPE_EVAL,
+    .request_id = 7,
+    .payload_bytes = 64,
+};
+
+static void assert_header(wire_header header, uint64_t max_payload_bytes, enum wire_status status,
+                          const char *field) {
+  const wire_error error = wire_header_check(&header, max_payload_bytes);
+  assert_int_equal(error.status, status);
+  assert_string_equal(error.field, field);
+  assert_int_equal(strlen(error.allowed) > 0, status != WIRE_STATUS_OK);
+}
+
+static void headers_are_checked(void **state) {
+  (void)state;
+  wire_header header = good_header;
+  assert_header(header, 64, WIRE_STATUS_OK, "");
+  assert_header(header, UINT64_MAX, WIRE_STATUS_OK, "");
+  assert_header(header, 63, WIRE_STATUS_TOO_LARGE, "payload_bytes");
+  header.payload_bytes = 0;
+  assert_header(header, 0, WIRE_STATUS_OK, "");
+  header.payload_bytes = UINT32_MAX - 7;
+  assert_header(header, UINT32_MAX, WIRE_STATUS_OK, "");
+  header.payload_bytes = UINT32_MAX;
+  assert_header(header, 1024, WIRE_STATUS_TOO_LARGE, "payload_bytes");
+  for (uint32_t rest = 1; rest < WIRE_ALIGNMENT; rest++) {
+    header.payload_bytes = 64 + rest;
+    assert_header(header, 1024, WIRE_STATUS_BAD_LENGTH, "payload_bytes");
+  }
+}
+
+static void headers_of_others_are_refused(void **state) {
+  (void)state;
+  wire_header header = good_header;
+  header.magic = 0x4449504c; /* the bytes in the other order */
+  assert_header(header, 1024, WIRE_STATUS_BAD_MAGIC, "magic");
+  header.magic = 0;
+  header.version = 99; /* the first fault counts */
+  assert_header(header, 1024, WIRE_STATUS_BAD_MAGIC, "magic");
+  header.magic = WIRE_MAGIC;
+  assert_header(header, 1024, WIRE_STATUS_BAD_VERSION, "version");
+  header.version = 0;
+  header.flags = 1;
+  assert_header(header, 1024, WIRE_STATUS_BAD_VERSION, "version");
+  header.version = WIRE_VERSION;
+  assert_header(header, 1024, WIRE_STATUS_BAD_VALUE, "flags");
+}
+
+static void the_magic_reads_as_text(void **state) {
+  (void)state;
+  uint8_t bytes[WIRE_BYTES_header];
+  wire_put_header(bytes, &good_header);
+  assert_memory_equal(bytes, "DIPL", 4);
+}
+
+/* ---- names -------------------------------------------------------------------------------- */
+
+static void statuses_and_types_have_names(void **state) {
+  (void)state;
+#define WIRE_STATUS(code, IDENT, modbus_exception, name, text)                                     \
+  assert_string_equal(wire_status_name(code), name);                                               \
+  assert_string_equal(wire_status_text(code), text);
+#include "proto/statuses.def"
+#undef WIRE_STATUS
+#define WIRE_MESSAGE(type, IDENT, name)                                                            \
+  assert_string_equal(wire_type_name(type), name);                                                 \
+  assert_string_equal(wire_type_name((type) | WIRE_REPLY), name);
+#include "proto/messages.def"
+  assert_string_equal(wire_type_name(WIRE_TYPE_ERROR), "error");
+  assert_string_equal(wire_type_name(0), "unknown");
+  assert_string_equal(wire_type_name(0x7abc), "unknown");
+  assert_string_equal(wire_status_name(0xffff), "unknown");
+  assert_true(strlen(wire_status_text(0xffff)) > 0);
+}
+
+static void assert_error(wire_error error, unsigned status, const char *field,
+                         const char *allowed) {
+  assert_int_equal(error.status, status);
+  assert_string_equal(error.field, field);
+  assert_string_equal(error.allowed, allowed);
+  assert_int_equal(error.zero, 0);
+  assert_int_equal(error.retry_after_ms, 0);
+  assert_int_equal(error.index, 0);
+}
+
+static void errors_are_values(void **state) {
+  (void)state;
+  assert_error(wire_error_none(), WIRE_STATUS_OK, "", "");
+  assert_error(wire_error_make(WIRE_STATUS_BAD_VALUE, "eta", "0.001 to 1000"),
+               WIRE_STATUS_BAD_VALUE, "eta", "0.001 to 1000");
+}
+
+/* ---- choices ------------------------------------------------------------------------------ */
+
+static void assert_choices_hold(enum wire_choice_kind kind, const core_choice *list,
+                                size_t *index) {
+  for (; list->name != NULL; list++) {
+    assert_true(*index < wire_choice_count());
+    const wire_choice choice = wire_choice_at((*index)++);
+    assert_int_equal(choice.kind, kind);
+    assert_int_equal(choice.id, list->id);
+    assert_string_equal(choice.name, list->name);
+    assert_string_equal(choice.about, list->about);
+  }
+}
+
+/* Every list of the core, uncut, then the statuses. */
+static void choices_hold_every_list(void **state) {
+  (void)state;
+  static const core_choice statuses[] = {
+#define WIRE_STATUS(code, IDENT, modbus_exception, name, text) {code, name, text},
+#include "proto/statuses.def"
+#undef WIRE_STATUS
+      {0, NULL, NULL},
+  };
+  size_t index = 0;
+  assert_choices_hold(WIRE_CHOICE_MODEL, core_models, &index);
+  assert_choices_hold(WIRE_CHOICE_EVALUATOR, core_evaluators, &index);
+  assert_choices_hold(WIRE_CHOICE_MOMENTS, core_moments_list, &index);
+  assert_choices_hold(WIRE_CHOICE_QUANTITY, core_quantities, &index);
+  assert_choices_hold(WIRE_CHOICE_SPACING, core_spacings, &index);
+  assert_choices_hold(WIRE_CHOICE_STATUS, statuses, &index);
+  assert_int_equal(index, wire_choice_count());
+}
+
+/* ---- PROTOCOL.md -------------------------------------------------------------------------- */
+
+#define TABLES_BEGIN "<!-- tables: begin -->\n"
+#define TABLES_END "<!-- tables: end -->\n"
+
+struct description {
+  char text[1 << 16];
+  size_t length;
+};
+
+static void append(void *context, const char *text) {
+  struct description *description = context;
+  const size_t length = strlen(text);
+  assert_true(description->length + length < sizeof description->text);
+  memcpy(description->text + description->length, text, length + 1);
+  description->length += length;
+}
+
+/* The document says what the code does: `make docs` writes these tables. */
+static void the_protocols_tables_are_those_of_the_list(void **state) {
+  (void)state;
+  static struct description description;
+  char *document = unit_read_file("proto/PROTOCOL.md");
+  assert_non_null(document);
+  char *begin = strstr(document, TABLES_BEGIN);
+  assert_non_null(begin);
+  begin += strlen(TABLES_BEGIN);
+  char *end = strstr(begin, TABLES_END);
+  assert_non_null(end);
+  *end = '\0';
+  wire_describe(append, &description);
+  assert_string_equal(begin, description.text);
+  free(document);
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(structures_survive_the_round_trip),
+      cmocka_unit_test(structures_have_their_sizes),
+      cmocka_unit_test(text_is_cut_and_padded),
+      cmocka_unit_test(full_text_needs_no_zero_on_the_wire),
+      cmocka_unit_test(headers_are_checked),
+      cmocka_unit_test(headers_of_others_are_refused),
+      cmocka_unit_test(the_magic_reads_as_text),
+      cmocka_unit_test(statuses_and_types_have_names),
+      cmocka_unit_test(errors_are_values),
+      cmocka_unit_test(choices_hold_every_list),
+      cmocka_unit_test(the_protocols_tables_are_those_of_the_list),
+  };
+  return cmocka_run_group_tests(tests, NULL, NULL);
+}

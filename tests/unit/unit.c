@@ -1,0 +1,66 @@
+#include "tests/unit/unit.h"
+
+#include <math.h>
+
+uint64_t unit_seed(void) {
+  const char *chosen = getenv("DIPOLED_TEST_SEED");
+  const uint64_t seed = chosen != NULL ? strtoull(chosen, NULL, 0) : 20120101;
+  printf("seed %llu (DIPOLED_TEST_SEED chooses another)\n", (unsigned long long)seed);
+  return seed;
+}
+
+uint64_t unit_random(uint64_t *state) {
+  uint64_t z = *state += UINT64_C(0x9e3779b97f4a7c15);
+  z = (z ^ (z >> 30)) * UINT64_C(0xbf58476d1ce4e5b9);
+  z = (z ^ (z >> 27)) * UINT64_C(0x94d049bb133111eb);
+  return z ^ (z >> 31);
+}
+
+double unit_random_between(uint64_t *state, double low, double high) {
+  return low + (high - low) * ((double)(unit_random(state) >> 11) * 0x1p-53);
+}
+
+double unit_random_log(uint64_t *state, double low, double high) {
+  return fmin(high, fmax(low, exp(unit_random_between(state, log(low), log(high)))));
+}
+
+size_t unit_random_below(uint64_t *state, size_t limit) {
+  return (size_t)(unit_random(state) % limit);
+}
+
+void unit_random_bytes(uint64_t *state, void *to, size_t bytes) {
+  unsigned char *at = to;
+  for (size_t i = 0; i < bytes; i++) {
+    at[i] = (unsigned char)unit_random(state);
+  }
+}
+
+void unit_assert_fault(core_fault fault, const char *field, size_t index) {
+  if (field == NULL) {
+    if (fault.field != NULL) {
+      fail_msg("unexpected fault: %s, allowed: %s", fault.field, fault.allowed);
+    }
+    return;
+  }
+  assert_non_null(fault.field);
+  assert_string_equal(fault.field, field);
+  assert_non_null(fault.allowed);
+  assert_true(strlen(fault.allowed) > 0);
+  assert_int_equal(fault.index, index);
+}
+
+char *unit_read_file(const char *path) {
+  FILE *file = fopen(path, "rb");
+  if (file == NULL) {
+    return NULL;
+  }
+  assert_int_equal(fseek(file, 0, SEEK_END), 0);
+  const long bytes = ftell(file);
+  assert_true(bytes >= 0);
+  rewind(file);
+  char *text = malloc((size_t)bytes + 1);
+  assert_non_null(text);
+  text[fread(text, 1, (size_t)bytes, file)] = '\0';
+  fclose(file);
+  return text;
+}

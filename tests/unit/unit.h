@@ -1,0 +1,38 @@
+/* unit: what test programs in C share: cmocka with the headers that it needs first, random numbers
+ * from a printed seed, and an assertion on faults. */
+#ifndef DIPOLED_TESTS_UNIT_H
+#define DIPOLED_TESTS_UNIT_H
+
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+#include "core/core.h"
+
+enum { UNIT_ROWS_MAX = 100 }; /* a bound for loops over lists that end with an empty entry */
+
+/* The seed of this run: $DIPOLED_TEST_SEED, or a fixed one. Printed, so that a failure found with
+ * another seed can be had again. */
+uint64_t unit_seed(void);
+
+/* Vigna's splitmix64: the next 64 random bits. */
+uint64_t unit_random(uint64_t *state);
+double unit_random_between(uint64_t *state, double low, double high);
+double unit_random_log(uint64_t *state, double low, double high); /* equal chance per decade */
+size_t unit_random_below(uint64_t *state, size_t limit);
+void unit_random_bytes(uint64_t *state, void *to, size_t bytes);
+
+/* The fault names this field (NULL: there is no fault), says what is allowed, and has this index.
+ */
+void unit_assert_fault(core_fault fault, const char *field, size_t index);
+
+/* Reads a whole file as text, to be freed; NULL when there is none. */
+char *unit_read_file(const char *path);
+
+#endif
