@@ -131,8 +131,8 @@ typedef struct core_fresnel {
 /* The fault of an eta outside the range of these moments (a kind of the list, asserted). */
 core_fault core_fresnel_check(enum core_moments moments, double eta);
 
-/* eta in that range; asserted. Exact moments are within 2 epsilon of the integrals; the fits within
- * 1 epsilon of their polynomials' exact values. */
+/* eta in that range; asserted. The exact moments are within 4 epsilon of the integrals, the fits
+ * within 1 epsilon of their polynomials' exact values. */
 core_fresnel core_fresnel_moments(enum core_moments moments, double eta);
 
 /* ---- instruction sets -------------------------------------------------------------------------
@@ -153,7 +153,7 @@ const char *core_isa_listed(size_t index);
 /* ---- profiles ---------------------------------------------------------------------------------
  */
 
-enum { CORE_COEFFICIENTS_MAX = 24 };
+enum { CORE_COEFFICIENTS_MAX = 32 };
 
 /* model + medium + evaluator, prepared. A plain value: copy it, keep it anywhere, no clean-up.
  * Read the public part; the rest belongs to the kernels. */
@@ -164,9 +164,9 @@ typedef struct core_profile {
   enum core_evaluator evaluator;
   double albedo; /* integral of 2 pi r R(r) from 0 to infinity; 0 when nothing scatters */
   /* Numerical error: a value at radius r is off from the model's exact formula by at most
-   * numerical_error + numerical_error_per_mm * r, relative; and by no more than 16 of the smallest
-   * subnormal numbers where the value itself is subnormal. Holds for R, cdf and (at r = 0, and in
-   * double precision for both evaluators) the albedo. */
+   * numerical_error + numerical_error_per_mm * r, relative, or by 16 of the smallest subnormal
+   * numbers, whichever is more. Holds for R, cdf, dR/dr, pdf and (at r = 0, and in double precision
+   * for both evaluators) the albedo; for ln R see core_eval_f64(). */
   double numerical_error;
   double numerical_error_per_mm;
   /* Model error: how far the model is from radiative transport, relative. NaN: not measured. */
@@ -197,7 +197,7 @@ core_fault core_profile_prepare(core_profile *profile, const core_isa *isa, unsi
  *          (f32: 1e12) mean free paths 1 / sigma_t', -infinity from there on and where R is 0.
  *          Its error is absolute: numerical_error + numerical_error_per_mm r + 8 epsilon |ln R|
  *   PDF    the density of radii, 2 pi r R over the albedo, 1/mm
- * The arrays may have any alignment; they do not overlap. Values for radii that
+ * The arrays are aligned for their type, no more; they do not overlap. Values for radii that
  * core_radii_check_f64() faults are unspecified. */
 void core_eval_f64(const core_profile *profile, enum core_quantity quantity, size_t n,
                    const double *r, double *out);

@@ -23,7 +23,7 @@ enum core_elementwise {
   CORE_ELEMENTWISE_COUNT
 };
 
-/* coefficients as preparation left them; in and out do not overlap, any alignment, any n. */
+/* coefficients as preparation left them; in and out do not overlap, any n. */
 typedef void core_kernel_f64(const double *coefficients, size_t n, const double *in, double *out);
 typedef void core_kernel_f32(const float *coefficients, size_t n, const float *in, float *out);
 

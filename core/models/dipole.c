@@ -27,7 +27,7 @@
 
 /* The unit of length in the kernels is z1 / Z1: so small a Z1 that in single precision no square of
  * a distance overflows before R has underflowed. A power of two, so that it changes no digit. */
-#define Z1 0x1p-24
+#define Z1 0x1p-40
 
 /* What preparation leaves for the kernels; lengths in that unit. */
 enum coefficient {
@@ -40,13 +40,18 @@ enum coefficient {
   Z2_LESS_Z1,
   Z2_SQUARED,
   Z2_SQUARED_LESS_Z1_SQUARED,
-  SCALE, /* p / (4 pi), in 1/mm^2: SCALE 2^SCALE_EXPONENT, SCALE at least 1 (or 0) */
-  SCALE_EXPONENT,
-  SLOPE_SCALE, /* the same in 1/mm^3 */
+  R_PHI,    /* weights of the fluence, */
+  R_FLUX_1, /* the flux of the real source */
+  R_FLUX_2, /* and of the mirror source in R; in 1/mm^2, times 2^-R_EXPONENT */
+  R_EXPONENT,
+  SLOPE_PHI, /* the same in dR/dr, in 1/mm^3 */
+  SLOPE_FLUX_1,
+  SLOPE_FLUX_2,
   SLOPE_EXPONENT,
-  PDF_SCALE,    /* p / (2 albedo), in 1/mm */
-  PHI,          /* C_phi / D */
-  FLUX,         /* C_E z1 */
+  PDF_PHI, /* and in the density of radii, in 1/mm */
+  PDF_FLUX_1,
+  PDF_FLUX_2,
+  PDF_EXPONENT,
   CDF_FLUX_1,   /* shares of the energy, over the albedo: flux of the real source, */
   CDF_FLUX_2,   /* of the mirror source, */
   CDF_PHI_FAR,  /* fluence, by the attenuation of the sources' own depths */
@@ -114,56 +119,59 @@ static inline struct view look_from(const real *c, real r) {
   return look(c, real_min(r * c[UNITS_PER_MM], FAR));
 }
 
-/* scale times the bracket of R times d1 e^(mu d1), for weights of its two parts. The scale is
- * multiplied in first, so that nothing underflows before the product does. */
-static inline real bracket(const real *c, struct view v, real scale, real phi_weight,
-                           real flux_weight) {
-  const real scaled_inverse_d2 = scale * v.inverse_d2;
-  const real phi = scaled_inverse_d2 * real_fma(v.d1, v.mirror.one_minus_exp, v.apart);
-  const real flux1 = scale * v.inverse_d1 * (v.inverse_d1 + c[MU]);
-  const real flux2 =
-      c[Z2_OVER_Z1] * scaled_inverse_d2 * (v.inverse_d2 + c[MU]) * (v.inverse_d2 * v.d1);
-  const real flux = real_fma(flux2, v.mirror.exp, flux1);
-  return real_fma(flux_weight, flux, phi_weight * phi);
+/* The bracket of R times e^(mu d1), for weights of its parts. The weights are multiplied in first,
+ * so that nothing underflows before the product does. */
+static inline real bracket(struct view v, real mu, real phi, real flux1, real flux2) {
+  const real i1 = v.inverse_d1;
+  const real i2 = v.inverse_d2;
+  const real near = phi * i2;
+  const real real_flux = i1 * (i1 + mu);
+  const real mirror_flux = (flux2 * i2) * (i2 * (i2 + mu));
+  const real fluence = real_fma(near * v.apart, i1, near * v.mirror.one_minus_exp);
+  return real_fma(mirror_flux, v.mirror.exp, real_fma(flux1 * i1, real_flux, fluence));
 }
 
 static inline real dipole_R(const real *c, real r) {
   const struct view v = look_from(c, r);
-  const real sum = bracket(c, v, c[SCALE] * v.inverse_d1, c[PHI], c[FLUX]);
-  return real_times_exp(sum, -c[MU] * v.d1, c[SCALE_EXPONENT]);
+  const real sum = bracket(v, c[MU], c[R_PHI], c[R_FLUX_1], c[R_FLUX_2]);
+  return real_times_exp(sum, -c[MU] * v.d1, c[R_EXPONENT]);
 }
 
 /* The density of radii, 2 pi r R / albedo. */
 static inline real dipole_pdf(const real *c, real r) {
   const struct view v = look_from(c, r);
-  const real sum = bracket(c, v, c[PDF_SCALE] * (v.x * v.inverse_d1), c[PHI], c[FLUX]);
-  return real_times_exp(sum, -c[MU] * v.d1, 0);
+  const real sum = bracket(v, c[MU], c[PDF_PHI], c[PDF_FLUX_1], c[PDF_FLUX_2]);
+  return real_times_exp(v.x * sum, -c[MU] * v.d1, c[PDF_EXPONENT]);
 }
 
 static inline real dipole_ln_R(const real *c, real r) {
   const struct view v = look_from(c, r);
-  const real sum = bracket(c, v, c[SCALE] * v.inverse_d1, c[PHI], c[FLUX]);
-  const real ln_R = real_fma(-c[MU], v.d1, real_log(sum, c[SCALE_EXPONENT]));
+  const real sum = bracket(v, c[MU], c[R_PHI], c[R_FLUX_1], c[R_FLUX_2]);
+  const real ln_R = real_fma(-c[MU], v.d1, real_log(sum, c[R_EXPONENT]));
   const real near_ln_R = v.x < LN_R_FAR ? ln_R : -(real)INFINITY;
   return c[CDF_LIMIT] > 0 ? near_ln_R : -(real)INFINITY;
 }
 
-/* Differentiated term by term; with f(d) = (1 + mu d) e^(-mu d) / d^3 the fluence's part is
- * f(d1) - f(d2), again written as a sum of positive terms. All times d1 e^(mu d1). */
+/* Differentiated term by term, in units of z1; with f(d) = (1 + mu d) e^(-mu d) / d^3 the fluence's
+ * part is f(d1) - f(d2), again written as a sum of positive terms. */
 static inline real dipole_slope(const real *c, real r) {
   const struct view v = look_from(c, r);
-  const real i1 = v.inverse_d1;
-  const real i2 = v.inverse_d2;
+  const real i1 = v.inverse_d1 * REAL_Z1;
+  const real i2 = v.inverse_d2 * REAL_Z1;
+  const real apart = v.apart * (1 / REAL_Z1);
   const real m1 = c[MU] * v.d1;
   const real m2 = c[MU] * v.d2;
+  const real mu_squares = c[MU] * (1 / REAL_Z1) * c[Z2_SQUARED_LESS_Z1_SQUARED];
   const real squares = real_fma(i1, i1, real_fma(i1, i2, i2 * i2));
-  const real gone = (1 + m2) * v.mirror.one_minus_exp * (v.d1 * i2) * (i2 * i2);
-  const real steeper = c[MU] * c[Z2_SQUARED_LESS_Z1_SQUARED] * i1 * (i2 * i2);
-  const real phi = c[PHI] * (real_fma(v.apart * i2, squares, steeper) + gone);
-  const real flux1 = real_fma(m1, m1 + 3, 3) * (i1 * i1) * (i1 * i1);
-  const real flux2 = c[Z2_OVER_Z1] * real_fma(m2, m2 + 3, 3) * (i2 * i2) * (i2 * i2) * (i2 * v.d1);
-  const real sum = real_fma(c[FLUX], real_fma(flux2, v.mirror.exp, flux1), phi);
-  return real_times_exp(-c[SLOPE_SCALE] * (v.x * i1) * sum, -m1, c[SLOPE_EXPONENT]);
+  const real gone = (1 + m2) * v.mirror.one_minus_exp * (v.d1 * v.inverse_d2) * i2;
+  const real steeper = real_fma(mu_squares, i1 * i2, gone);
+  const real sine = v.x * v.inverse_d1;
+  const real phi = c[SLOPE_PHI] * sine * i2 * real_fma(apart, squares, steeper);
+  const real flux1 = c[SLOPE_FLUX_1] * sine * (i1 * i1) * (i1 * i1) * real_fma(m1, m1 + 3, 3);
+  const real flux2 = c[SLOPE_FLUX_2] * sine * (i2 * i2) * (i2 * i2) * (v.d1 * v.inverse_d2) *
+                     real_fma(m2, m2 + 3, 3);
+  const real sum = real_fma(flux2, v.mirror.exp, flux1 + phi);
+  return -real_times_exp(sum, -m1, c[SLOPE_EXPONENT]);
 }
 
 /* The way from the sources' depths to their distances: what has been attenuated within r. */
@@ -174,20 +182,19 @@ struct within {
 
 static inline struct within gather(const real *c, struct view v) {
   const real mu = c[MU];
-  const real slope1 = v.x / (v.d1 + REAL_Z1);
+  const real slope1 = v.x / (v.d1 + REAL_Z1); /* a1 / x */
   const real slope2 = v.x / (v.d2 + c[Z2]);
-  const real a1 = v.x * slope1;
-  const real a2 = v.x * slope2;
-  const real a1_less_a2 = slope1 * slope2 * (v.apart + c[Z2_LESS_Z1]);
-  const real_exp_values far = real_exp(-mu * a2);
-  const real_exp_values near = real_exp(-mu * a1_less_a2);
+  const real apart = v.apart + c[Z2_LESS_Z1]; /* slope1 slope2 apart is a1 - a2 */
+  const real slopes = slope1 * slope2;
+  const real_exp_values far = real_exp(-(mu * v.x) * slope2);
+  const real_exp_values near = real_exp(-(mu * apart) * slopes);
 
   const real gone2 = far.one_minus_exp;
-  const real near_length = a1_less_a2 * near.quotient; /* (1 - e^(-mu (a1 - a2))) / mu */
-  const real gone1 = real_fma(mu * near_length, 1 - gone2, gone2); /* 1 - e^(-mu a1) */
-  const real flux1 = real_fma(REAL_Z1, gone1, a1) * v.inverse_d1;
-  const real flux2 = real_fma(c[Z2], gone2, a2) * v.inverse_d2;
-  const real phi = real_fma(c[CDF_PHI_NEAR] * (1 - gone2), near_length, c[CDF_PHI_FAR] * gone2);
+  const real near_share = slopes * near.quotient * (1 - gone2);
+  const real gone1 = real_fma(mu * apart, near_share, gone2); /* 1 - e^(-mu a1) */
+  const real flux1 = real_fma(v.x * v.inverse_d1, slope1, REAL_Z1 * v.inverse_d1 * gone1);
+  const real flux2 = real_fma(v.x * v.inverse_d2, slope2, c[Z2] * v.inverse_d2 * gone2);
+  const real phi = real_fma(c[CDF_PHI_NEAR] * apart, near_share, c[CDF_PHI_FAR] * gone2);
   return (struct within){
       .cdf = real_fma(c[CDF_FLUX_1], flux1, real_fma(c[CDF_FLUX_2], flux2, phi)),
       .real_left = far.exp * near.exp,
@@ -224,8 +231,9 @@ static inline real dipole_sample(const real *c, real u) {
     const real flux_beyond = real_fma(REAL_Z1, v.inverse_d1, mirror_beyond);
     const real phi_beyond = c[CDF_PHI_NEAR] * v.apart * v.mirror.quotient;
     const real beyond = within.real_left * real_fma(c[CDF_FLUX_1], flux_beyond, phi_beyond);
-    const real density = within.real_left *
-                         bracket(c, v, x * v.inverse_d1, c[CDF_PHI_NEAR], c[CDF_FLUX_1] * REAL_Z1);
+    const real density =
+        x * within.real_left *
+        bracket(v, c[MU], c[CDF_PHI_NEAR], c[CDF_FLUX_1] * REAL_Z1, c[CDF_FLUX_1] * c[Z2]);
     const real excess = real_log(within.cdf / beyond, 0) - wanted;
     low = excess < 0 ? x : low;
     high = excess < 0 ? high : x;
@@ -306,26 +314,36 @@ static struct dipole table_2(int variant, enum core_moments moments, const core_
   return dipole;
 }
 
-/* value = mantissa 2^exponent with a mantissa that single precision can hold, from 1 to 1e30 or so;
- * 0 stays 0. */
-static void set_scaled(double value, double *mantissa, double *exponent) {
-  int power = 0;
-  if (value > 0 && value < 1) {
-    power = ilogb(value);
-  } else if (value > 0x1p100) {
-    power = ilogb(value) - 100;
-  }
-  *mantissa = ldexp(value, -power);
+/* Weights of the bracket for a scale: phi scale, flux scale z1 and flux scale z2; with their
+ * exponent, which brings the scale between 2^least and 2^most: so that in single precision no
+ * weight underflows in the kernels' unit, no sum overflows near the source, and none underflows
+ * before R does. */
+static void set_weights(const struct dipole *dipole, dd scale, int least, int most, double *weights,
+                        double *exponent) {
+  const dd phi = dd_div(dipole->c_phi, dipole->diffusion);
+  const dd flux = dd_mul(scale, dipole->c_flux);
+  const dd z2 = dd_add(ONE, dipole->z2_less_1);
+  const dd values[] = {dd_mul(scale, phi), flux, dd_mul(flux, z2)};
+  const int size = dd_round(scale) > 0 ? ilogb(dd_round(scale)) : least;
+  const int power = size < least ? size - least : size > most ? size - most : 0;
   *exponent = power;
+  for (int i = 0; i < 3; i++) {
+    weights[i] = ldexp(dd_round(values[i]), -power);
+  }
 }
 
 static void set_scales(const struct dipole *dipole, double *c) {
-  const dd per_mm = dd_scale(dipole->sigma_t_prime, Z1);
-  const dd scale = dd_div(dd_mul(dipole->albedo_prime_power, dd_mul(per_mm, per_mm)), FOUR_PI);
-  c[UNITS_PER_MM] = dd_round(per_mm);
-  c[MM_PER_UNIT] = dd_round(dd_div(ONE, per_mm));
-  set_scaled(dd_round(scale), &c[SCALE], &c[SCALE_EXPONENT]);
-  set_scaled(dd_round(dd_mul(scale, per_mm)), &c[SLOPE_SCALE], &c[SLOPE_EXPONENT]);
+  const dd squared = dd_mul(dipole->sigma_t_prime, dipole->sigma_t_prime);
+  const dd R_scale = dd_div(dd_mul(dipole->albedo_prime_power, squared), FOUR_PI);
+  const dd slope_scale = dd_mul(R_scale, dipole->sigma_t_prime);
+  c[UNITS_PER_MM] = dd_round(dipole->sigma_t_prime) * Z1;
+  c[MM_PER_UNIT] = dd_round(dd_div(ONE, dipole->sigma_t_prime)) / Z1;
+  set_weights(dipole, R_scale, 90, 100, &c[R_PHI], &c[R_EXPONENT]);
+  set_weights(dipole, slope_scale, 90, 100, &c[SLOPE_PHI], &c[SLOPE_EXPONENT]);
+  /* In the kernels' unit of length: fluence is 1 / length here, flux 1 / length^3 times z. */
+  c[R_PHI] *= Z1;
+  c[R_FLUX_1] *= Z1 * Z1 * Z1;
+  c[R_FLUX_2] *= Z1 * Z1 * Z1;
 }
 
 /* The closed forms of the albedo and of the energy within r, divided by the albedo. In
@@ -344,14 +362,16 @@ static double set_energy(const struct dipole *dipole, double *c) {
   const dd albedo = dd_scale(dd_mul(dipole->albedo_prime_power, sum), 0.5);
   const bool scatters = dd_round(dipole->albedo_prime_power) > 0;
 
-  c[PHI] = dd_round(phi) / Z1;
-  c[FLUX] = dd_round(dipole->c_flux) * Z1;
   c[CDF_LIMIT] = scatters;
   c[CDF_FLUX_1] = scatters ? dd_round(dd_div(dd_mul(dipole->c_flux, real_share), sum)) : 0;
   c[CDF_FLUX_2] = scatters ? dd_round(dd_div(dd_mul(dipole->c_flux, mirror_share), sum)) : 0;
   c[CDF_PHI_FAR] = scatters ? dd_round(dd_div(between, sum)) : 0;
   c[CDF_PHI_NEAR] = scatters ? dd_round(dd_div(dd_mul(phi, real_share), sum)) / Z1 : 0;
-  c[PDF_SCALE] = scatters ? dd_round(dd_div(dipole->sigma_t_prime, sum)) * Z1 : 0;
+  if (scatters) {
+    set_weights(dipole, dd_div(dipole->sigma_t_prime, sum), 60, 80, &c[PDF_PHI], &c[PDF_EXPONENT]);
+    c[PDF_FLUX_1] *= Z1 * Z1;
+    c[PDF_FLUX_2] *= Z1 * Z1;
+  }
   return dd_round(albedo);
 }
 

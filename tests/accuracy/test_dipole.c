@@ -65,7 +65,8 @@ static int stop(void **state) {
  * written back to r. */
 static void evaluate(const core_profile *profile, size_t n, double *r, double *R, double *cdf) {
   if (profile->evaluator == CORE_EVALUATOR_F64) {
-    core_eval_f64(profile, n, r, R, cdf);
+    core_eval_f64(profile, CORE_QUANTITY_R, n, r, R);
+    core_eval_f64(profile, CORE_QUANTITY_CDF, n, r, cdf);
     return;
   }
   float radii[RADII_MAX], R_f32[RADII_MAX], cdf_f32[RADII_MAX];
@@ -73,7 +74,8 @@ static void evaluate(const core_profile *profile, size_t n, double *r, double *R
     radii[i] = (float)r[i];
     r[i] = (double)radii[i];
   }
-  core_eval_f32(profile, n, radii, R_f32, cdf_f32);
+  core_eval_f32(profile, CORE_QUANTITY_R, n, radii, R_f32);
+  core_eval_f32(profile, CORE_QUANTITY_CDF, n, radii, cdf_f32);
   for (size_t i = 0; i < n; i++) {
     R[i] = (double)R_f32[i];
     cdf[i] = (double)cdf_f32[i];
@@ -313,7 +315,8 @@ static void holds_for_the_vectors(void **state) {
     unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), v->model, v->moments,
                                            CORE_EVALUATOR_F64, &v->medium),
                       NULL, 0);
-    core_eval_f64(&profile, 1, &v->r_mm, &R, &cdf);
+    core_eval_f64(&profile, CORE_QUANTITY_R, 1, &v->r_mm, &R);
+    core_eval_f64(&profile, CORE_QUANTITY_CDF, 1, &v->r_mm, &cdf);
     const double bound = profile.numerical_error + profile.numerical_error_per_mm * v->r_mm;
     assert_vector(profile.albedo, v->albedo, profile.numerical_error, i, "albedo");
     assert_vector(R, v->R, bound, i, "R");
@@ -385,10 +388,10 @@ static void every_setting_of_the_switches_holds(void **state) {
             .epsilon = DBL_EPSILON,
             .unit = DBL_EPSILON * reference_dipole_condition(&reference, radii[j]),
         };
-        kernels->R(preparation.coefficients, 1, &radii[j], &value);
+        kernels->evaluate[CORE_ELEMENTWISE_R](preparation.coefficients, 1, &radii[j], &value);
         reference_dipole_R(&reference, radii[j], truth);
         tally_add(&R, &point, value, truth);
-        kernels->cdf(preparation.coefficients, 1, &radii[j], &value);
+        kernels->evaluate[CORE_ELEMENTWISE_CDF](preparation.coefficients, 1, &radii[j], &value);
         reference_dipole_cdf(&reference, radii[j], truth);
         tally_add(&cdf, &point, value, truth);
       }

@@ -41,9 +41,9 @@ static bool single(const struct work *work) {
 static void run_kernel(const void *context) {
   const struct work *work = context;
   if (single(work)) {
-    core_eval_f32(&work->profile, work->n, work->arrays->r, work->arrays->R, NULL);
+    core_eval_f32(&work->profile, CORE_QUANTITY_R, work->n, work->arrays->r, work->arrays->R);
   } else {
-    core_eval_f64(&work->profile, work->n, work->arrays->r, work->arrays->R, NULL);
+    core_eval_f64(&work->profile, CORE_QUANTITY_R, work->n, work->arrays->r, work->arrays->R);
   }
 }
 

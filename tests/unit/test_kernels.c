@@ -41,9 +41,11 @@ static double get(const void *from, unsigned evaluator, size_t index) {
 
 static void evaluate(const core_profile *profile, size_t n, const void *r, void *R, void *cdf) {
   if (profile->evaluator == CORE_EVALUATOR_F64) {
-    core_eval_f64(profile, n, r, R, cdf);
+    core_eval_f64(profile, CORE_QUANTITY_R, n, r, R);
+    core_eval_f64(profile, CORE_QUANTITY_CDF, n, r, cdf);
   } else {
-    core_eval_f32(profile, n, r, R, cdf);
+    core_eval_f32(profile, CORE_QUANTITY_R, n, r, R);
+    core_eval_f32(profile, CORE_QUANTITY_CDF, n, r, cdf);
   }
 }
 

@@ -138,7 +138,8 @@ static void without_scattering_everything_is_zero(void **state) {
                                            CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &absorbing),
                       NULL, 0);
     assert_true(profile.albedo == 0);
-    core_eval_f64(&profile, 5, radii, R, cdf);
+    core_eval_f64(&profile, CORE_QUANTITY_R, 5, radii, R);
+    core_eval_f64(&profile, CORE_QUANTITY_CDF, 5, radii, cdf);
     for (size_t i = 0; i < 5; i++) {
       assert_true(R[i] == 0 && cdf[i] == 0);
     }

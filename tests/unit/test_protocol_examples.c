@@ -219,7 +219,8 @@ static void eval_reply_holds_the_cores_values(void **state) {
   unit_assert_fault(core_profile_prepare(&profile, core_isa_select("portable"), request.fixed.model,
                                          request.fixed.moments, request.fixed.evaluator, &medium),
                     NULL, 0);
-  core_eval_f64(&profile, n, request.radii, R, cdf);
+  core_eval_f64(&profile, CORE_QUANTITY_R, n, request.radii, R);
+  core_eval_f64(&profile, CORE_QUANTITY_CDF, n, request.radii, cdf);
   wire_get_channel(payload_of(answer) + layout.channels_offset, &channel);
   assert_channel(&channel, &profile);
   const uint8_t *payload = payload_of(answer);
