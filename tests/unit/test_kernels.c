@@ -39,14 +39,22 @@ static double get(const void *from, unsigned evaluator, size_t index) {
                                          : (double)((const float *)from)[index];
 }
 
-static void evaluate(const core_profile *profile, size_t n, const void *r, void *R, void *cdf) {
-  if (profile->evaluator == CORE_EVALUATOR_F64) {
-    core_eval_f64(profile, CORE_QUANTITY_R, n, r, R);
-    core_eval_f64(profile, CORE_QUANTITY_CDF, n, r, cdf);
-  } else {
-    core_eval_f32(profile, CORE_QUANTITY_R, n, r, R);
-    core_eval_f32(profile, CORE_QUANTITY_CDF, n, r, cdf);
+static void evaluate_one(const core_profile *profile, enum core_quantity quantity, size_t n,
+                         const void *r, void *out) {
+  if (out == NULL) {
+    return;
   }
+  if (profile->evaluator == CORE_EVALUATOR_F64) {
+    core_eval_f64(profile, quantity, n, r, out);
+  } else {
+    core_eval_f32(profile, quantity, n, r, out);
+  }
+}
+
+/* R or cdf may be NULL: not wanted. */
+static void evaluate(const core_profile *profile, size_t n, const void *r, void *R, void *cdf) {
+  evaluate_one(profile, CORE_QUANTITY_R, n, r, R);
+  evaluate_one(profile, CORE_QUANTITY_CDF, n, r, cdf);
 }
 
 /* ---- every pair of kernels that should agree ---------------------------------------------- */
