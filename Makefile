@@ -74,7 +74,7 @@ TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildc
 PROGRAMS := $(BUILD)/dipoled $(BUILD)/dipole $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so $(BUILD)/dipole.pc
 
-.PHONY: all setup demo check check-unit check-e2e check-asan check-tsan bench docs install uninstall clean
+.PHONY: all setup demo check check-unit check-bits check-e2e check-asan check-tsan bench docs install uninstall clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -161,12 +161,15 @@ demo:
 
 check:
 	@sh .ci/install-packages
-	@$(MAKE) --no-print-directory -j2 all $(TESTS) $(BUILD)/wire-tables
-	@$(MAKE) --no-print-directory check-unit check-e2e
+	@$(MAKE) --no-print-directory -j2 all $(TESTS) $(BUILD)/tests/bits $(BUILD)/wire-tables
+	@$(MAKE) --no-print-directory check-unit check-bits check-e2e
 
 # Each test program by itself, so that one that crashes takes no other with it.
 check-unit: $(TESTS)
 	@sh tests/run-units.sh $(TESTS)
+
+check-bits: $(BUILD)/tests/bits
+	@sh tests/run-bits.sh $(BUILD)
 
 check-e2e: all
 	DIPOLED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python PYTHONDONTWRITEBYTECODE=1 $(PYTHON) -m pytest -q -rs -p no:cacheprovider tests/e2e

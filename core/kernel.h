@@ -66,6 +66,14 @@ static inline real real_from_bits(real_bits bits) {
   return x;
 }
 
+/* The one nearer to 0 of two numbers with the same sign: a minimum of integers, which is one
+ * instruction where compilers make two of a minimum of numbers. */
+static inline real real_nearer_zero(real a, real b) {
+  const real_bits a_bits = real_to_bits(a);
+  const real_bits b_bits = real_to_bits(b);
+  return real_from_bits(a_bits < b_bits ? a_bits : b_bits);
+}
+
 /* A number is rounded to an integer k by adding REAL_ROUND_MAGIC: the sum's last bits are k. */
 
 /* 2^k for an integral k in the exponent range of normal numbers. */
@@ -94,14 +102,15 @@ static inline real_exp_parts real_exp_split(real x) {
   const real t = real_fma(-parts.k, REAL_LN2_LO, real_fma(-parts.k, REAL_LN2_HI, x));
   const real t2 = t * t;
 #if CORE_REAL == 64
-  const real q01 = real_fma(0x1.5555555555556p-3, t, 0x1.0000000000001p-1);
-  const real q23 = real_fma(0x1.11111111109b3p-7, t, 0x1.5555555553d63p-5);
-  const real q45 = real_fma(0x1.a01a01a7c41d5p-13, t, 0x1.6c16c1788bd90p-10);
-  const real q67 = real_fma(0x1.71de0dae63bb3p-19, t, 0x1.a019b90d2ae7ap-16);
-  const real q89 = real_fma(0x1.af38a9b0ec855p-26, t, 0x1.289185613a3d6p-22);
-  const real low = real_fma(q23, t2, q01);
-  const real high = real_fma(real_fma(q89, t2, q67), t2, q45);
-  const real q = real_fma(high, t2 * t2, low);
+  real even = real_fma(0x1.289185613a3d6p-22, t2, 0x1.a019b90d2ae7ap-16);
+  real odd = real_fma(0x1.af38a9b0ec855p-26, t2, 0x1.71de0dae63bb3p-19);
+  even = real_fma(even, t2, 0x1.6c16c1788bd90p-10);
+  odd = real_fma(odd, t2, 0x1.a01a01a7c41d5p-13);
+  even = real_fma(even, t2, 0x1.5555555553d63p-5);
+  odd = real_fma(odd, t2, 0x1.11111111109b3p-7);
+  even = real_fma(even, t2, 0x1.0000000000001p-1);
+  odd = real_fma(odd, t2, 0x1.5555555555556p-3);
+  const real q = real_fma(odd, t, even);
 #else
   const real q01 = real_fma(0x1.5554dcp-3f, t, 0.5f);
   const real q23 = real_fma(0x1.120b6ep-7f, t, 0x1.55551ap-5f);
@@ -119,14 +128,23 @@ static inline real_exp_parts real_exp_split(real x) {
  * range. Smaller x than the one where the result has long been 0 are taken for it. Error: that of v
  * and 1 ulp. */
 static inline real real_times_exp(real v, real x, real exponent) {
-  const real least_power = 2 - 2 * REAL_EXPONENT_BIAS;
-  const real least_x = (least_power + 1 - exponent) * REAL(0.69314718055994530942);
-  const real_exp_parts parts = real_exp_split(real_max(x, least_x));
+#if CORE_REAL == 64
+  /* The range of double precision has room for a result that is too large by a constant power. */
+  const real least_x = (2 - REAL_EXPONENT_BIAS - 800 - exponent) * 0.69314718055994530942;
+  const real_exp_parts parts = real_exp_split(real_nearer_zero(x, least_x));
+  const real biased = parts.shifted + (exponent + REAL_EXPONENT_BIAS + 800);
+  const real power = real_from_bits(real_to_bits(biased) << REAL_MANTISSA_BITS);
+  return real_fma(v, parts.m, v) * power * 0x1p-800;
+#else
+  const real least_x = (3 - 2 * REAL_EXPONENT_BIAS - exponent) * 0.69314718f;
+  const real_exp_parts parts = real_exp_split(real_nearer_zero(x, least_x));
   const real biased = parts.shifted + (exponent + 2 * REAL_EXPONENT_BIAS);
-  const real_bits both = real_to_bits(biased) - real_to_bits(REAL_ROUND_MAGIC);
+  /* Only the last bits are the power; the others are shifted out. */
+  const real_bits both = real_to_bits(biased);
   const real_bits half = both >> 1;
   return real_fma(v, parts.m, v) * real_from_bits(half << REAL_MANTISSA_BITS) *
          real_from_bits((both - half) << REAL_MANTISSA_BITS);
+#endif
 }
 
 /* x <= 0, finite: e^x (never below the normal range), 1 - e^x, and (1 - e^x) / -x, 1 at x = 0.
@@ -138,7 +156,7 @@ typedef struct real_exp_values {
 } real_exp_values;
 
 static inline real_exp_values real_exp(real x) {
-  const real bounded = real_max(x, REAL_EXP_MIN);
+  const real bounded = real_nearer_zero(x, REAL_EXP_MIN);
   const real_exp_parts parts = real_exp_split(bounded);
   const real power =
       real_from_bits((real_to_bits(parts.shifted) + REAL_EXPONENT_BIAS) << REAL_MANTISSA_BITS);

@@ -115,8 +115,9 @@ static inline struct view look(const real *c, real x) {
   return v;
 }
 
+/* Adding 0 makes 0 of -0. */
 static inline struct view look_from(const real *c, real r) {
-  return look(c, real_min(r * c[UNITS_PER_MM], FAR));
+  return look(c, real_nearer_zero(real_fma(r, c[UNITS_PER_MM], 0), FAR));
 }
 
 /* The bracket of R times e^(mu d1), for weights of its parts. The weights are multiplied in first,
@@ -127,7 +128,11 @@ static inline real bracket(struct view v, real mu, real phi, real flux1, real fl
   const real near = phi * i2;
   const real real_flux = i1 * (i1 + mu);
   const real mirror_flux = (flux2 * i2) * (i2 * (i2 + mu));
+#if CORE_REAL == 64
+  const real fluence = near * real_fma(v.apart, i1, v.mirror.one_minus_exp);
+#else /* apart / d1 alone would underflow */
   const real fluence = real_fma(near * v.apart, i1, near * v.mirror.one_minus_exp);
+#endif
   return real_fma(mirror_flux, v.mirror.exp, real_fma(flux1 * i1, real_flux, fluence));
 }
 
