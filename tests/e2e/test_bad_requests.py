@@ -63,7 +63,7 @@ CHOICES = {
         "1 (list)",
     ),
     "wanted nothing": (eval_payload(wanted=0), "bad-value", "wanted", "1 (R), 2 (albedo)"),
-    "wanted unknown bit": (eval_payload(wanted=16), "bad-value", "wanted", "4 (cdf), 8 (r)"),
+    "wanted unknown bit": (eval_payload(wanted=0x4000), "bad-value", "wanted", "4 (cdf), 8 (r)"),
     "wanted known and unknown": (eval_payload(wanted=0x8007), "bad-value", "wanted", "1 (R)"),
 }
 
