@@ -133,7 +133,16 @@ unsigned dipole_id(const dipole_client *client, enum dipole_kind kind, const cha
 /* Ids that are permanent; models are asked for by name, see dipole_id(). */
 enum dipole_evaluator { DIPOLE_F64 = 1, DIPOLE_F32 = 2 };
 enum dipole_moments { DIPOLE_EXACT = 1, DIPOLE_FIT = 2, DIPOLE_JENSEN = 3 };
-enum dipole_quantity { DIPOLE_R = 1, DIPOLE_ALBEDO = 2, DIPOLE_CDF = 4, DIPOLE_RADIUS = 8 };
+enum dipole_quantity {
+  DIPOLE_R = 1,      /* 1/mm^2 per unit of power that entered */
+  DIPOLE_ALBEDO = 2, /* one for each medium: the integral of 2 pi r R(r) */
+  DIPOLE_CDF = 4,    /* the energy within r over the albedo */
+  DIPOLE_RADIUS = 8, /* the radii, once: of a grid, those that were taken */
+  DIPOLE_SLOPE = 16, /* dR/dr, 1/mm^3 */
+  DIPOLE_LN_R = 32,  /* ln of R in 1/mm^2; goes on where R has underflowed. Its error is absolute:
+                        the numerical error and 8 epsilon |ln R| */
+  DIPOLE_PDF = 64    /* the density of radii, 2 pi r R over the albedo, 1/mm */
+};
 enum dipole_spacing { DIPOLE_LIST = 1, DIPOLE_LINEAR = 2, DIPOLE_LOGARITHMIC = 3 };
 
 typedef struct dipole_medium {
@@ -187,6 +196,12 @@ bool dipole_eval(dipole_client *client, const dipole_query *query, dipole_result
                  dipole_error *error);
 
 void dipole_result_free(dipole_result *result); /* NULL is fine */
+
+/* The array of any quantity that has a value for each radius (all but albedo and radius):
+ * [radius_count], owned by the result. NULL when it was not wanted, when the other evaluator was
+ * taken, or when there is no such channel. For R and cdf the channel's own fields say the same. */
+const double *dipole_values_f64(const dipole_result *result, uint32_t channel, unsigned quantity);
+const float *dipole_values_f32(const dipole_result *result, uint32_t channel, unsigned quantity);
 
 /* Sends a query without waiting and sets *id. The query is copied. Keep the number of outstanding
  * queries bounded (a few hundred): the daemon stops reading from a client that does not collect. */

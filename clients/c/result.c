@@ -207,6 +207,28 @@ bool dipole_eval(dipole_client *client, const dipole_query *query, dipole_result
          libdipole_result_take(client, &pending, result, error);
 }
 
+/* The layout follows from the result's own counts, as it did when the answer was parsed. */
+static const void *values(const dipole_result *result, uint32_t channel, unsigned quantity,
+                          unsigned evaluator) {
+  const libdipole_frame *frame = (const libdipole_frame *)(const void *)result;
+  eval_layout layout;
+  if (result->evaluator != evaluator || channel >= result->channel_count ||
+      !eval_is_array(result->wanted, quantity) ||
+      !eval_reply_layout(evaluator, result->wanted, result->channel_count, result->radius_count,
+                         frame->header.payload_bytes, &layout)) {
+    return NULL;
+  }
+  return array_at(frame, &layout, result->wanted, channel, quantity);
+}
+
+const double *dipole_values_f64(const dipole_result *result, uint32_t channel, unsigned quantity) {
+  return values(result, channel, quantity, DIPOLE_F64);
+}
+
+const float *dipole_values_f32(const dipole_result *result, uint32_t channel, unsigned quantity) {
+  return values(result, channel, quantity, DIPOLE_F32);
+}
+
 void dipole_result_free(dipole_result *result) {
   free(result); /* the first member of the frame that holds it all */
 }

@@ -33,7 +33,8 @@ static const cli_option options[] = {
      FIELD(evaluator)},
     {"want", "NAME[,NAME...]",
      "R: 1/mm^2 per unit of power that entered; albedo; cdf: the share of\n"
-     "the albedo within r (default: R,albedo)",
+     "the albedo within r; dR_dr, ln_R, pdf: see `dipole info`\n"
+     "(default: R,albedo)",
      CLI_NAMES, FIELD(want)},
     {"Output", NULL, NULL, CLI_HEADING, 0},
     {"plot", "FILE", "also draw R over r into FILE.svg or FILE.png; may be repeated", CLI_TEXTS,

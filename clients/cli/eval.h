@@ -23,13 +23,15 @@ typedef struct cli_eval_channel {
   dipole_medium medium;
 } cli_eval_channel;
 
+enum { CLI_EVAL_QUANTITIES_MAX = 32 };
+
 /* Of one model and channel. Single precision values are held as the doubles that they equal. */
 typedef struct cli_eval_values {
   double albedo; /* NaN: not wanted */
   double numerical_error, numerical_error_per_mm;
   double model_error; /* NaN: not measured */
-  double *R;          /* [radius_count]; NULL: not wanted */
-  double *cdf;
+  /* By the position of the quantity in report->quantities: [radius_count]. */
+  double *arrays[CLI_EVAL_QUANTITIES_MAX];
 } cli_eval_values;
 
 typedef struct cli_eval_report {
@@ -41,6 +43,8 @@ typedef struct cli_eval_report {
   cli_eval_channel *channels;
   size_t model_count;
   const dipole_choice **models;
+  size_t quantity_count; /* of those wanted that have a value for each radius */
+  const dipole_choice *quantities[CLI_EVAL_QUANTITIES_MAX]; /* in the daemon's order */
   size_t radius_count;
   double *radii;           /* mm, as the daemon took them */
   cli_eval_values *values; /* [model_count * channel_count], model by model */
@@ -48,6 +52,10 @@ typedef struct cli_eval_report {
 
 const cli_eval_values *cli_eval_values_of(const cli_eval_report *report, size_t model,
                                           size_t channel);
+
+/* The values of a quantity at the report's radii; NULL: not wanted. */
+const double *cli_eval_array(const cli_eval_report *report, const cli_eval_values *values,
+                             unsigned quantity);
 
 /* The numerical error, relative, of the values at a radius. */
 double cli_eval_numerical_error(const cli_eval_values *values, double r_mm);

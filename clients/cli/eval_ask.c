@@ -52,6 +52,18 @@ static bool choose_models(const cli_command *command, const cli_texts *names,
   return names->count > 0 || choose_model(command, MODEL_DEFAULT, report);
 }
 
+/* The wanted quantities that have a value for each radius: all but the albedo and the radius. */
+static void list_arrays(cli_eval_report *report) {
+  const dipole_choice *quantity;
+  for (size_t from = 0;
+       report->quantity_count < CLI_EVAL_QUANTITIES_MAX &&
+       (quantity = cli_next_choice(report->info, DIPOLE_QUANTITY, &from)) != NULL;) {
+    if ((report->wanted & quantity->id & ~(unsigned)(DIPOLE_ALBEDO | DIPOLE_RADIUS)) != 0) {
+      report->quantities[report->quantity_count++] = quantity;
+    }
+  }
+}
+
 static bool choose_quantities(const cli_command *command, const cli_texts *names,
                               cli_eval_report *report) {
   for (size_t i = 0; i < names->count; i++) {
@@ -65,6 +77,7 @@ static bool choose_quantities(const cli_command *command, const cli_texts *names
   if (names->count == 0) {
     report->wanted = DIPOLE_R | DIPOLE_ALBEDO;
   }
+  list_arrays(report);
   return true;
 }
 
@@ -94,7 +107,7 @@ typedef struct asked_radii {
 
 static void make_radii(const cli_eval_settings *settings, const cli_eval_report *report,
                        asked_radii *radii) {
-  const bool elementwise = (report->wanted & (DIPOLE_R | DIPOLE_CDF)) != 0;
+  const bool elementwise = report->quantity_count > 0;
   *radii = (asked_radii){.spacing = DIPOLE_LIST};
   if (!elementwise) {
     return;
@@ -153,13 +166,11 @@ static void keep(const asking *ask, size_t model, size_t first, const dipole_res
     values->numerical_error = channel->numerical_error;
     values->numerical_error_per_mm = channel->numerical_error_per_mm;
     values->model_error = channel->model_error;
-    if ((result->wanted & DIPOLE_R) != 0) {
-      values->R = make_room(values->R, report->radius_count);
-      copy_values(values->R + first, channel->R_f64, channel->R_f32, count);
-    }
-    if ((result->wanted & DIPOLE_CDF) != 0) {
-      values->cdf = make_room(values->cdf, report->radius_count);
-      copy_values(values->cdf + first, channel->cdf_f64, channel->cdf_f32, count);
+    for (size_t q = 0; q < report->quantity_count; q++) {
+      const unsigned id = report->quantities[q]->id;
+      values->arrays[q] = make_room(values->arrays[q], report->radius_count);
+      copy_values(values->arrays[q] + first, dipole_values_f64(result, (uint32_t)i, id),
+                  dipole_values_f32(result, (uint32_t)i, id), count);
     }
   }
 }
@@ -267,6 +278,16 @@ const cli_eval_values *cli_eval_values_of(const cli_eval_report *report, size_t 
   return &report->values[model * report->channel_count + channel];
 }
 
+const double *cli_eval_array(const cli_eval_report *report, const cli_eval_values *values,
+                             unsigned quantity) {
+  for (size_t q = 0; q < report->quantity_count; q++) {
+    if (report->quantities[q]->id == quantity) {
+      return values->arrays[q];
+    }
+  }
+  return NULL;
+}
+
 double cli_eval_numerical_error(const cli_eval_values *values, double r_mm) {
   /* 0 times infinity is not a number, but a rate of 0 adds nothing at any radius. */
   return values->numerical_error +
@@ -286,8 +307,9 @@ double cli_eval_radius_max(const cli_eval_report *report) {
 void cli_eval_report_free(cli_eval_report *report) {
   for (size_t i = 0; report->values != NULL && i < report->model_count * report->channel_count;
        i++) {
-    free(report->values[i].R);
-    free(report->values[i].cdf);
+    for (size_t q = 0; q < report->quantity_count; q++) {
+      free(report->values[i].arrays[q]);
+    }
   }
   free(report->values);
   free(report->radii);

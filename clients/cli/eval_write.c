@@ -18,59 +18,39 @@ static const char *unit_of(const cli_eval_report *report, unsigned quantity) {
 
 /* ---- for people ---------------------------------------------------------------------------- */
 
-enum { ELEMENTWISE = 2 };
-
-typedef struct elementwise {
-  unsigned quantity;
-  const char *name;
-} elementwise;
-
-static const elementwise elementwise_list[ELEMENTWISE] = {{DIPOLE_R, "R"}, {DIPOLE_CDF, "cdf"}};
-
-static const double *array_of(const cli_eval_values *values, unsigned quantity) {
-  return quantity == DIPOLE_R ? values->R : values->cdf;
-}
-
 /* Three header rows: the model, the quantity and channel, the unit. */
 static void add_profile_header(const cli_eval_report *report, cli_table *table) {
   const char *const first[] = {"", "r", unit_of(report, DIPOLE_RADIUS)};
+  const size_t profiles = report->model_count * report->channel_count;
   for (size_t row = 0; row < sizeof first / sizeof first[0]; row++) {
     cli_table_add(table, "%s", first[row]);
-    for (size_t q = 0; q < ELEMENTWISE; q++) {
-      const elementwise *what = &elementwise_list[q];
-      const size_t columns =
-          (report->wanted & what->quantity) != 0 ? report->model_count * report->channel_count : 0;
-      for (size_t i = 0; i < columns; i++) {
-        const char *model = report->models[i / report->channel_count]->name;
-        const char *channel = report->channels[i % report->channel_count].name;
-        if (row == 0) {
-          cli_table_add(table, "%s", model);
-        } else if (row == 1) {
-          cli_table_add(table, "%s %s", what->name, channel);
-        } else {
-          cli_table_add(table, "%s", unit_of(report, what->quantity));
-        }
+    for (size_t column = 0; column < report->quantity_count * profiles; column++) {
+      const dipole_choice *quantity = report->quantities[column / profiles];
+      const size_t profile = column % profiles;
+      if (row == 0) {
+        cli_table_add(table, "%s", report->models[profile / report->channel_count]->name);
+      } else if (row == 1) {
+        const char *channel = report->channels[profile % report->channel_count].name;
+        cli_table_add(table, "%s %s", quantity->name, channel);
+      } else {
+        cli_table_add(table, "%s", quantity->about);
       }
     }
   }
 }
 
 static void write_profiles(const cli_eval_report *report, FILE *file) {
-  cli_table table = {.heads = 3, .columns = 1};
   const size_t profiles = report->model_count * report->channel_count;
-  for (size_t q = 0; q < ELEMENTWISE; q++) {
-    table.columns += (report->wanted & elementwise_list[q].quantity) != 0 ? profiles : 0;
-  }
+  cli_table table = {.heads = 3, .columns = 1 + report->quantity_count * profiles};
   add_profile_header(report, &table);
   for (size_t i = 0; i < report->radius_count; i++) {
     cli_table_add(&table, "%.6g", report->radii[i]);
-    for (size_t q = 0; q < ELEMENTWISE; q++) {
+    for (size_t q = 0; q < report->quantity_count; q++) {
+      /* A share of 1 and a logarithm are read best plainly; all else spans many magnitudes. */
+      const unsigned id = report->quantities[q]->id;
+      const char *format = id == DIPOLE_CDF || id == DIPOLE_LN_R ? "%.6g" : "%.4e";
       for (size_t p = 0; p < profiles; p++) {
-        const double *array = array_of(&report->values[p], elementwise_list[q].quantity);
-        if (array != NULL) {
-          cli_table_add(&table, elementwise_list[q].quantity == DIPOLE_R ? "%.4e" : "%.6g",
-                        array[i]);
-        }
+        cli_table_add(&table, format, report->values[p].arrays[q][i]);
       }
     }
   }
@@ -117,7 +97,7 @@ void cli_eval_write_table(const cli_eval_report *report, FILE *file) {
   fprintf(file, "%s%sR in %s; evaluator %s, moments %s\n\n",
           report->medium != NULL ? report->medium : "", report->medium != NULL ? ": " : "",
           report->info->R_unit, report->evaluator->name, report->moments->name);
-  if ((report->wanted & (DIPOLE_R | DIPOLE_CDF)) != 0) {
+  if (report->quantity_count > 0) {
     write_profiles(report, file);
     fputc('\n', file);
   }
@@ -137,6 +117,16 @@ static void write_cell(FILE *file, double value) {
   fprintf(file, ",%s", isnan(value) ? "" : cli_number_format(value, text));
 }
 
+/* R and cdf have columns of their own whether wanted or not; other quantities follow when wanted.
+ */
+static bool is_appended(const dipole_choice *quantity) {
+  return quantity->id != DIPOLE_R && quantity->id != DIPOLE_CDF;
+}
+
+static double value_at(const double *array, bool any, size_t radius) {
+  return any && array != NULL ? array[radius] : NAN;
+}
+
 static void write_csv_row(const cli_eval_report *report, size_t model, size_t channel_index,
                           size_t radius, FILE *file) {
   const cli_eval_values *values = cli_eval_values_of(report, model, channel_index);
@@ -149,18 +139,29 @@ static void write_csv_row(const cli_eval_report *report, size_t model, size_t ch
   write_cell(file, channel->medium.g);
   write_cell(file, channel->medium.eta);
   write_cell(file, r_mm);
-  write_cell(file, any && values->R != NULL ? values->R[radius] : NAN);
+  write_cell(file, value_at(cli_eval_array(report, values, DIPOLE_R), any, radius));
   write_cell(file, values->albedo);
-  write_cell(file, any && values->cdf != NULL ? values->cdf[radius] : NAN);
+  write_cell(file, value_at(cli_eval_array(report, values, DIPOLE_CDF), any, radius));
   write_cell(file, cli_eval_numerical_error(values, any ? r_mm : 0));
   write_cell(file, values->model_error);
+  for (size_t q = 0; q < report->quantity_count; q++) {
+    if (is_appended(report->quantities[q])) {
+      write_cell(file, value_at(values->arrays[q], any, radius));
+    }
+  }
   fputc('\n', file);
 }
 
 void cli_eval_write_csv(const cli_eval_report *report, FILE *file) {
   /* Without radii (only the albedo was wanted) there is one row for each model and channel. */
   const size_t rows = report->radius_count > 0 ? report->radius_count : 1;
-  fputs("model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,cdf,numerical_error,model_error\n", file);
+  fputs("model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,cdf,numerical_error,model_error", file);
+  for (size_t q = 0; q < report->quantity_count; q++) {
+    if (is_appended(report->quantities[q])) {
+      fprintf(file, ",%s", report->quantities[q]->name);
+    }
+  }
+  fputc('\n', file);
   for (size_t model = 0; model < report->model_count; model++) {
     for (size_t channel = 0; channel < report->channel_count; channel++) {
       for (size_t radius = 0; radius < rows; radius++) {
@@ -180,6 +181,11 @@ static void write_json_units(cli_json *json, const cli_eval_report *report) {
   cli_json_text(json, "R", report->info->R_unit);
   cli_json_text(json, "albedo", unit_of(report, DIPOLE_ALBEDO));
   cli_json_text(json, "cdf", unit_of(report, DIPOLE_CDF));
+  for (size_t q = 0; q < report->quantity_count; q++) {
+    if (is_appended(report->quantities[q])) {
+      cli_json_text(json, report->quantities[q]->name, report->quantities[q]->about);
+    }
+  }
   cli_json_end(json, '}');
 }
 
@@ -199,11 +205,8 @@ static void write_json_channel(cli_json *json, const cli_eval_report *report, si
   if ((report->wanted & DIPOLE_ALBEDO) != 0) {
     cli_json_number(json, "albedo", values->albedo);
   }
-  if (values->R != NULL) {
-    cli_json_numbers(json, "R", values->R, report->radius_count);
-  }
-  if (values->cdf != NULL) {
-    cli_json_numbers(json, "cdf", values->cdf, report->radius_count);
+  for (size_t q = 0; q < report->quantity_count; q++) {
+    cli_json_numbers(json, report->quantities[q]->name, values->arrays[q], report->radius_count);
   }
   cli_json_end(json, '}');
 }

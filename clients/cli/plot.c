@@ -65,8 +65,9 @@ static bool is_drawn(double r_mm, double R) {
 static size_t count_drawn(const cli_eval_report *report) {
   size_t drawn = 0;
   for (size_t p = 0; p < report->model_count * report->channel_count; p++) {
+    const double *R = cli_eval_array(report, &report->values[p], DIPOLE_R);
     for (size_t i = 0; i < report->radius_count; i++) {
-      drawn += is_drawn(report->radii[i], report->values[p].R[i]);
+      drawn += is_drawn(report->radii[i], R[i]);
     }
   }
   return drawn;
@@ -75,10 +76,11 @@ static size_t count_drawn(const cli_eval_report *report) {
 /* The points of each line as a named block. A line has at least one, if only an undefined one. */
 static void write_data(FILE *script, const cli_eval_report *report) {
   for (size_t p = 0; p < report->model_count * report->channel_count; p++) {
+    const double *R = cli_eval_array(report, &report->values[p], DIPOLE_R);
     fprintf(script, "$line%zu << END\n", p);
     for (size_t i = 0; i < report->radius_count; i++) {
-      if (is_drawn(report->radii[i], report->values[p].R[i])) {
-        fprintf(script, "%.17g %.17g\n", report->radii[i], report->values[p].R[i]);
+      if (is_drawn(report->radii[i], R[i])) {
+        fprintf(script, "%.17g %.17g\n", report->radii[i], R[i]);
       } else {
         fputs("NaN NaN\n", script);
       }

@@ -163,20 +163,22 @@ static inline real dipole_slope(const real *c, real r) {
   const struct view v = look_from(c, r);
   const real i1 = v.inverse_d1 * REAL_Z1;
   const real i2 = v.inverse_d2 * REAL_Z1;
+  const real mu = c[MU] * REAL_Z1;
   const real apart = v.apart * (1 / REAL_Z1);
-  const real m1 = c[MU] * v.d1;
-  const real m2 = c[MU] * v.d2;
   const real mu_squares = c[MU] * (1 / REAL_Z1) * c[Z2_SQUARED_LESS_Z1_SQUARED];
-  const real squares = real_fma(i1, i1, real_fma(i1, i2, i2 * i2));
-  const real gone = (1 + m2) * v.mirror.one_minus_exp * (v.d1 * v.inverse_d2) * i2;
-  const real steeper = real_fma(mu_squares, i1 * i2, gone);
+  const real ratio = v.d1 * v.inverse_d2;
   const real sine = v.x * v.inverse_d1;
+  const real squares = real_fma(i1, i1, real_fma(i1, i2, i2 * i2));
+  const real gone = (i2 + mu) * v.mirror.one_minus_exp * ratio;
+  const real steeper = real_fma(mu_squares, i1 * i2, gone);
   const real phi = c[SLOPE_PHI] * sine * i2 * real_fma(apart, squares, steeper);
-  const real flux1 = c[SLOPE_FLUX_1] * sine * (i1 * i1) * (i1 * i1) * real_fma(m1, m1 + 3, 3);
-  const real flux2 = c[SLOPE_FLUX_2] * sine * (i2 * i2) * (i2 * i2) * (v.d1 * v.inverse_d2) *
-                     real_fma(m2, m2 + 3, 3);
+  /* (3 + 3 mu d + (mu d)^2) / d^2, which does not overflow */
+  const real bend1 = real_fma(mu, real_fma(i1, 3, mu), 3 * i1 * i1);
+  const real bend2 = real_fma(mu, real_fma(i2, 3, mu), 3 * i2 * i2);
+  const real flux1 = c[SLOPE_FLUX_1] * sine * (i1 * i1) * bend1;
+  const real flux2 = c[SLOPE_FLUX_2] * sine * (i2 * i2) * bend2 * ratio;
   const real sum = real_fma(flux2, v.mirror.exp, flux1 + phi);
-  return -real_times_exp(sum, -m1, c[SLOPE_EXPONENT]);
+  return -real_times_exp(sum, -c[MU] * v.d1, c[SLOPE_EXPONENT]);
 }
 
 /* The way from the sources' depths to their distances: what has been attenuated within r. */

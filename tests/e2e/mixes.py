@@ -12,8 +12,9 @@ from frames import (
     LOGARITHMIC,
     eval_payload,
 )
-from lists import MODELS, MOMENTS, Moments
+from lists import MODELS, MOMENTS, Moments, choices
 
+ALL_QUANTITIES = sum(choices("CORE_QUANTITY").values())
 EDGE_RADII = [0.0, -0.0, 5e-324, 1e-300, 1e-45, 1e30, 1e300, np.inf]
 
 
@@ -43,7 +44,7 @@ def random_payload(rng: random.Random, counts) -> bytes:
         "model": rng.choice(list(MODELS.values())),
         "evaluator": rng.choice([F64, F32]),
         "moments": moments.id,
-        "wanted": rng.randint(1, 15),
+        "wanted": rng.randint(1, ALL_QUANTITIES),
     }
     count = rng.choice(counts)
     media = [random_medium(rng, moments) for _ in range(rng.randint(1, 4))]

@@ -120,7 +120,7 @@ def assert_well_formed_eval(payload: bytes) -> None:
     """The arrays are there, and no value is NaN, negative or, for R, infinite."""
     fixed = wire.EVAL_REPLY.unpack(payload)
     value_type = np.dtype(wire.EVALUATOR_TYPES[fixed.evaluator])
-    per_channel = [q for q in (wire.QUANTITY_R, wire.QUANTITY_CDF) if fixed.wanted & q]
+    per_channel = [q for q in wire.ELEMENTWISE if fixed.wanted & q]
     radii = bool(fixed.wanted & wire.QUANTITY_RADIUS)
     rows = fixed.channel_count * len(per_channel) + radii
     start = wire.EVAL_REPLY.bytes + fixed.channel_count * wire.CHANNEL.bytes

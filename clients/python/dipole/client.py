@@ -274,6 +274,9 @@ class Client:
             r=arrays[wire.QUANTITY_RADIUS] if wanted_r else query.radii,
             R=arrays.get(wire.QUANTITY_R),
             cdf=arrays.get(wire.QUANTITY_CDF),
+            dR_dr=arrays.get(wire.QUANTITY_SLOPE),
+            ln_R=arrays.get(wire.QUANTITY_LN_R),
+            pdf=arrays.get(wire.QUANTITY_PDF),
             albedo=channels[:, 0] if fixed.wanted & wire.QUANTITY_ALBEDO else None,
             numerical_error_constant=channels[:, 1],
             numerical_error_per_mm=channels[:, 2],
@@ -325,9 +328,9 @@ def _unpack_list(
 
 def _reply_arrays(payload: bytes, fixed: Any) -> tuple[np.ndarray, dict[int, np.ndarray]]:
     """The channel structures [C, 4] and, by quantity, the radii [N] and the values [C, N]: each
-    array padded to a multiple of 8 bytes, the radii first, then each channel's R and cdf."""
+    array padded to a multiple of 8 bytes, the radii first, then each channel's quantities."""
     value_type = np.dtype(wire.EVALUATOR_TYPES[fixed.evaluator])
-    per_channel = [q for q in (wire.QUANTITY_R, wire.QUANTITY_CDF) if fixed.wanted & q]
+    per_channel = [q for q in wire.ELEMENTWISE if fixed.wanted & q]
     wanted_r = bool(fixed.wanted & wire.QUANTITY_RADIUS)
     channels_bytes = fixed.channel_count * wire.CHANNEL.bytes
     stride = wire.padded(fixed.radius_count * value_type.itemsize)

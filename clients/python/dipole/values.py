@@ -53,7 +53,7 @@ class Result:
     """The answer to one evaluation, for C channels (media) and N radii.
 
     Arrays have the precision of the evaluator, float64 or float32; those that were not wanted are
-    None. R and cdf are views of one read-only buffer.
+    None. The arrays are views of one read-only buffer.
     """
 
     model: str
@@ -62,6 +62,9 @@ class Result:
     r: np.ndarray | None  # [N] mm: the radii asked for; of a grid only when "r" was wanted
     R: np.ndarray | None  # [C, N] 1/mm^2 per unit of power that entered
     cdf: np.ndarray | None  # [C, N] energy within r over the albedo, 0 to 1
+    dR_dr: np.ndarray | None  # [C, N] 1/mm^3
+    ln_R: np.ndarray | None  # [C, N] goes on where R has underflowed; its error is absolute
+    pdf: np.ndarray | None  # [C, N] 1/mm: density of radii, 2 pi r R over the albedo
     albedo: np.ndarray | None  # [C] float64, integral of 2 pi r R(r)
     numerical_error_constant: np.ndarray  # [C] see numerical_error()
     numerical_error_per_mm: np.ndarray  # [C] 1/mm

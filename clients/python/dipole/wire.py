@@ -47,6 +47,11 @@ QUANTITY_R = 1
 QUANTITY_ALBEDO = 2
 QUANTITY_CDF = 4
 QUANTITY_RADIUS = 8
+QUANTITY_SLOPE = 16
+QUANTITY_LN_R = 32
+QUANTITY_PDF = 64
+# Those with a value for each radius and channel, in the order of their arrays in a reply.
+ELEMENTWISE = (QUANTITY_R, QUANTITY_CDF, QUANTITY_SLOPE, QUANTITY_LN_R, QUANTITY_PDF)
 SPACING_LIST = 1
 
 _FORMATS = {"u16": "H", "u32": "I", "u64": "Q", "f64": "d", "text": "s"}
