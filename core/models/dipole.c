@@ -57,7 +57,7 @@ enum coefficient {
   CDF_PHI_FAR,  /* fluence, by the attenuation of the sources' own depths */
   CDF_PHI_NEAR, /* and by their difference in distance */
   CDF_LIMIT,    /* the cdf at infinity: 1, or 0 when nothing scatters */
-  CORE,         /* the cdf is at most x^2 / CORE, and near that for small x */
+  CORE,         /* the cdf is at most (x / CORE)^2, and near that for small x */
   TAIL,         /* 1 - cdf is at most TAIL / d1 e^(-mu (d1 - z1)) */
   COEFFICIENTS
 };
@@ -74,7 +74,7 @@ _Static_assert((int)COEFFICIENTS <= CORE_COEFFICIENTS_MAX, "the profile has room
 
 /* FAR: radii beyond it are as good as infinite, in R (which has underflowed) and in the cdf (which
  * has rounded to its limit); up to it no product of two distances overflows. LN_R_FAR: up to it ln
- * R is taken of numbers that have not underflowed. SMALL_U: below it the cdf is x^2 / CORE to the
+ * R is taken of numbers that have not underflowed. SMALL_U: below it the cdf is (x / CORE)^2 to the
  * last digit. SAMPLE_STEPS: what Newton's method needs at most, and one more; see dipole_sample().
  */
 #if CORE_REAL == 64
@@ -217,8 +217,8 @@ static inline real dipole_cdf(const real *c, real r) {
 
 /* The inverse of the cdf, by Newton's method on ln(cdf / (1 - cdf)) over ln x, which is nearly a
  * straight line: its slope is 2 at the source, 1 in a tail without absorption, and 1 + mu x in a
- * tail with it. The root is bracketed from the start (R falls with r, so cdf <= x^2 / CORE; and 1 -
- * cdf <= TAIL / d1 e^(-mu (d1 - 1)), as e^(-mu d) / d does) and the bracket shrinks with every
+ * tail with it. The root is bracketed from the start (R falls with r, so cdf <= (x / CORE)^2; and 1
+ * - cdf <= TAIL / d1 e^(-mu (d1 - 1)), as e^(-mu d) / d does) and the bracket shrinks with every
  * step; a step that would leave it halves it instead. Over the whole domain no start needs more
  * than SAMPLE_STEPS - 1 steps; tests/accuracy measures that. 1 - cdf is summed from what lies
  * beyond r, so that both tails keep their digits. */
@@ -227,7 +227,7 @@ static inline real dipole_sample(const real *c, real u) {
   const real outside = real_max(1 - inside, REAL_HALF_EPSILON);
   const real wanted = real_log(inside / outside, 0);
   const real spread = c[TAIL] / outside;
-  real low = real_sqrt(inside * c[CORE]);
+  real low = real_sqrt(inside) * c[CORE];
   const real decayed = real_fma(real_log(spread / REAL_Z1, 0), c[INVERSE_MU], REAL_Z1);
   real high = real_max(real_min(spread, decayed), low);
   real x = real_min(low * real_sqrt(1 / outside), high);
@@ -250,7 +250,7 @@ static inline real dipole_sample(const real *c, real u) {
     const int kept = next > low * (1 - BRACKET_SLACK) && next < high * (1 + BRACKET_SLACK);
     x = kept ? next : real_sqrt(low * high);
   }
-  x = u < SMALL_U ? real_sqrt(u * c[CORE]) : x;
+  x = u < SMALL_U ? real_sqrt(u) * c[CORE] : x;
   const real r = x * c[MM_PER_UNIT];
   const real bounded = u < 1 ? r : (real)INFINITY;
   return c[CDF_LIMIT] > 0 && u > 0 ? bounded : 0;
@@ -390,7 +390,7 @@ static void set_bracket(double *c) {
   const real_exp_values mirror = real_exp(-mu * (z2 - 1));
   const double phi = phi_near * (z2 - 1 + mirror.one_minus_exp) / z2;
   const double flux = c[CDF_FLUX_1] * (1 + mu + (1 + mu * z2) / (z2 * z2) * mirror.exp);
-  c[CORE] = phi + flux > 0 ? Z1 * Z1 * 2 / (phi + flux) : 0;
+  c[CORE] = phi + flux > 0 ? Z1 * sqrt(2 / (phi + flux)) : 0;
   c[TAIL] = Z1 * (c[CDF_FLUX_1] * (1 + z2) + 0.5 * phi_near * (z2 * z2 - 1));
   c[INVERSE_MU] = fmin(1 / c[MU], 1e30);
 }
