@@ -49,6 +49,12 @@ void *cli_resize(void *block, size_t count, size_t size_bytes);
 /* Connects as --connect and --timeout-ms say; says why when it cannot. */
 bool cli_open(const cli_command *command, const cli_common *common, dipole_client **client);
 
+/* A command without options of its own: reads the common ones, connects, and shows what it has to
+ * show in a format (NULL: the default). An exit status. */
+int cli_run_plain(const cli_command *command, int argc, char **argv,
+                  int (*show)(const cli_command *command, const char *format,
+                              dipole_client *client));
+
 /* dipole_eval(), asked again for as long as the daemon is busy (at most the timeout). */
 bool cli_eval(dipole_client *client, const cli_common *common, const dipole_query *query,
               dipole_result **result, dipole_error *error);

@@ -36,3 +36,21 @@ bool cli_eval(dipole_client *client, const cli_common *common, const dipole_quer
   }
   return true;
 }
+
+int cli_run_plain(const cli_command *command, int argc, char **argv,
+                  int (*show)(const cli_command *command, const char *format,
+                              dipole_client *client)) {
+  cli_common common = {0};
+  dipole_client *client;
+  const char *operand;
+  int status;
+  if (!cli_options_read(command, argc, argv, &common, &operand, &status)) {
+    return status;
+  }
+  if (!cli_open(command, &common, &client)) {
+    return CLI_FAILED;
+  }
+  status = show(command, common.format, client);
+  dipole_close(client);
+  return status;
+}

@@ -165,19 +165,7 @@ static int show(const cli_command *command, const char *format, dipole_client *c
 }
 
 static int run(const cli_command *command, int argc, char **argv) {
-  cli_common common = {0};
-  dipole_client *client;
-  const char *operand;
-  int status;
-  if (!cli_options_read(command, argc, argv, &common, &operand, &status)) {
-    return status;
-  }
-  if (!cli_open(command, &common, &client)) {
-    return CLI_FAILED;
-  }
-  status = show(command, common.format, client);
-  dipole_close(client);
-  return status;
+  return cli_run_plain(command, argc, argv, show);
 }
 
 static const cli_option options[] = {{0}};
