@@ -72,7 +72,7 @@ TESTS := $(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/unit/test_*.c te
 TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/bench/*.c tests/bits/*.c),$(wildcard tests/*/*.c)))
 
 PROGRAMS := $(BUILD)/dipoled $(BUILD)/dipole $(BUILD)/bench
-LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so $(BUILD)/dipole.pc
+LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
 .PHONY: all setup demo check check-unit check-bits check-e2e check-asan check-tsan bench docs install uninstall clean
 .DELETE_ON_ERROR:
@@ -116,10 +116,6 @@ $(BUILD)/libdipole.so.$(VERSION): $(LIBRARY) $(PROTO) $(CORE) clients/c/libdipol
 $(BUILD)/libdipole.so: $(BUILD)/libdipole.so.$(VERSION)
 	$(Q)ln -sf libdipole.so.$(VERSION) $(BUILD)/libdipole.so.$(SOVERSION)
 	$(Q)ln -sf libdipole.so.$(SOVERSION) $@
-
-$(BUILD)/dipole.pc: clients/c/dipole.pc.in Makefile
-	@mkdir -p $(@D)
-	$(Q)sed -e 's|@PREFIX@|$(PREFIX)|' -e 's|@LIBDIR@|$(LIBDIR)|' -e 's|@VERSION@|$(VERSION)|' $< > $@
 
 $(BUILD)/dipoled: $(SERVER) $(BUILD)/libproto.a $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
@@ -196,7 +192,7 @@ install: all
 	install $(BUILD)/libdipole.so.$(VERSION) $(DESTDIR)$(LIBDIR)/
 	ln -sf libdipole.so.$(VERSION) $(DESTDIR)$(LIBDIR)/libdipole.so.$(SOVERSION)
 	ln -sf libdipole.so.$(SOVERSION) $(DESTDIR)$(LIBDIR)/libdipole.so
-	install -m 644 $(BUILD)/dipole.pc $(DESTDIR)$(LIBDIR)/pkgconfig/
+	sed -e 's|@PREFIX@|$(PREFIX)|' -e 's|@LIBDIR@|$(LIBDIR)|' -e 's|@VERSION@|$(VERSION)|' clients/c/dipole.pc.in > $(DESTDIR)$(LIBDIR)/pkgconfig/dipole.pc
 
 uninstall:
 	rm -f $(addprefix $(DESTDIR)$(PREFIX)/bin/,dipoled dipole) $(DESTDIR)$(PREFIX)/include/dipole.h
