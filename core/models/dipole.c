@@ -161,13 +161,14 @@ static inline real dipole_ln_R(const real *c, real r) {
  * part is f(d1) - f(d2), again written as a sum of positive terms. */
 static inline real dipole_slope(const real *c, real r) {
   const struct view v = look_from(c, r);
-  const real i1 = v.inverse_d1 * REAL_Z1;
-  const real i2 = v.inverse_d2 * REAL_Z1;
+  /* Divided anew, because their errors count fourfold here. */
+  const real i1 = REAL_Z1 / v.d1;
+  const real i2 = REAL_Z1 / v.d2;
   const real mu = c[MU] * REAL_Z1;
   const real apart = v.apart * (1 / REAL_Z1);
   const real mu_squares = c[MU] * (1 / REAL_Z1) * c[Z2_SQUARED_LESS_Z1_SQUARED];
-  const real ratio = v.d1 * v.inverse_d2;
-  const real sine = v.x * v.inverse_d1;
+  const real ratio = v.d1 / v.d2;
+  const real sine = v.x / v.d1;
   const real squares = real_fma(i1, i1, real_fma(i1, i2, i2 * i2));
   const real gone = (i2 + mu) * v.mirror.one_minus_exp * ratio;
   const real steeper = real_fma(mu_squares, i1 * i2, gone);
@@ -346,7 +347,7 @@ static void set_scales(const struct dipole *dipole, double *c) {
   c[UNITS_PER_MM] = dd_round(dipole->sigma_t_prime) * Z1;
   c[MM_PER_UNIT] = dd_round(dd_div(ONE, dipole->sigma_t_prime)) / Z1;
   set_weights(dipole, R_scale, 90, 100, &c[R_PHI], &c[R_EXPONENT]);
-  set_weights(dipole, slope_scale, 90, 100, &c[SLOPE_PHI], &c[SLOPE_EXPONENT]);
+  set_weights(dipole, slope_scale, 70, 80, &c[SLOPE_PHI], &c[SLOPE_EXPONENT]);
   /* In the kernels' unit of length: fluence is 1 / length here, flux 1 / length^3 times z. */
   c[R_PHI] *= Z1;
   c[R_FLUX_1] *= Z1 * Z1 * Z1;

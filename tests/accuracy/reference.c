@@ -87,27 +87,19 @@ static void attenuation(mpfr_t value, const reference_dipole *dipole, const mpfr
   mpfr_exp(value, value, MPFR_RNDN);
 }
 
-static void distance(mpfr_t d, const mpfr_t z, double r_mm) {
-  mpfr_set_d(d, r_mm, MPFR_RNDN);
-  mpfr_hypot(d, d, z, MPFR_RNDN);
-}
-
-/* sum += sign * (e^(-mu a) - e^(-mu b)) / mu; for mu = 0 that is sign * (b - a). */
-static void add_fluence(mpfr_t sum, const reference_dipole *dipole, const mpfr_t a, const mpfr_t b,
-                        int sign) {
-  mpfr_t at_a, at_b;
-  mpfr_inits2(mpfr_get_prec(sum), at_a, at_b, (mpfr_ptr)NULL);
+/* (e^(-mu z1) - e^(-mu z2)) / mu, which is z2 - z1 for mu = 0 */
+static void set_fluence(mpfr_t fluence, const reference_dipole *dipole) {
+  mpfr_t share;
+  mpfr_init2(share, mpfr_get_prec(fluence));
   if (mpfr_zero_p(dipole->mu_tr_per_mm)) {
-    mpfr_sub(at_a, b, a, MPFR_RNDN);
+    mpfr_sub(fluence, dipole->z2_mm, dipole->z1_mm, MPFR_RNDN);
   } else {
-    attenuation(at_a, dipole, a);
-    attenuation(at_b, dipole, b);
-    mpfr_sub(at_a, at_a, at_b, MPFR_RNDN);
-    mpfr_div(at_a, at_a, dipole->mu_tr_per_mm, MPFR_RNDN);
+    attenuation(fluence, dipole, dipole->z1_mm);
+    attenuation(share, dipole, dipole->z2_mm);
+    mpfr_sub(fluence, fluence, share, MPFR_RNDN);
+    mpfr_div(fluence, fluence, dipole->mu_tr_per_mm, MPFR_RNDN);
   }
-  mpfr_mul_si(at_a, at_a, sign, MPFR_RNDN);
-  mpfr_add(sum, sum, at_a, MPFR_RNDN);
-  mpfr_clears(at_a, at_b, (mpfr_ptr)NULL);
+  mpfr_clear(share);
 }
 
 /* energy = p / 2 (C_E flux + C_phi / D fluence), with the brackets of the closed forms. */
@@ -126,8 +118,7 @@ static void set_albedo(reference_dipole *dipole) {
   attenuation(flux, dipole, dipole->z1_mm);
   attenuation(share, dipole, dipole->z2_mm);
   mpfr_add(flux, flux, share, MPFR_RNDN);
-  mpfr_set_zero(fluence, 1);
-  add_fluence(fluence, dipole, dipole->z1_mm, dipole->z2_mm, 1);
+  set_fluence(fluence, dipole);
   combine(dipole->albedo, dipole, flux, fluence);
   mpfr_clears(flux, fluence, share, (mpfr_ptr)NULL);
 }
@@ -141,78 +132,193 @@ void reference_dipole_prepare(reference_dipole *dipole, int switches, enum core_
   set_albedo(dipole);
 }
 
-/* flux += e^(-mu z) - (z / d) e^(-mu d) */
-static void add_flux_within(mpfr_t flux, const reference_dipole *dipole, const mpfr_t z,
-                            const mpfr_t d) {
-  mpfr_t term, ratio;
-  mpfr_inits2(mpfr_get_prec(flux), term, ratio, (mpfr_ptr)NULL);
-  attenuation(term, dipole, z);
-  mpfr_add(flux, flux, term, MPFR_RNDN);
-  attenuation(term, dipole, d);
-  mpfr_div(ratio, z, d, MPFR_RNDN); /* 1 at r = 0, so that nothing is left there */
-  mpfr_mul(term, term, ratio, MPFR_RNDN);
+/* ---- at a radius --------------------------------------------------------------------------- */
+
+/* A source, real or mirrored, as seen from a radius. */
+struct source {
+  mpfr_t z;
+  mpfr_t d;
+  mpfr_t left_at_z; /* e^(-mu_tr z) */
+  mpfr_t left_at_d;
+  mpfr_t mu_d; /* mu_tr d */
+};
+
+#define SOURCE_FIELDS(source)                                                                      \
+  (source)->z, (source)->d, (source)->left_at_z, (source)->left_at_d, (source)->mu_d
+
+static void source_start(struct source *source, const reference_dipole *dipole, const mpfr_t z_mm,
+                         double r_mm) {
+  mpfr_inits2(working_bits(dipole, r_mm), SOURCE_FIELDS(source), (mpfr_ptr)NULL);
+  mpfr_set(source->z, z_mm, MPFR_RNDN);
+  mpfr_set_d(source->d, r_mm, MPFR_RNDN);
+  mpfr_hypot(source->d, source->d, source->z, MPFR_RNDN);
+  attenuation(source->left_at_z, dipole, source->z);
+  attenuation(source->left_at_d, dipole, source->d);
+  mpfr_mul(source->mu_d, dipole->mu_tr_per_mm, source->d, MPFR_RNDN);
+}
+
+static void source_clear(struct source *source) {
+  mpfr_clears(SOURCE_FIELDS(source), (mpfr_ptr)NULL);
+}
+
+/* flux += e^(-mu z) - (z / d) e^(-mu d); fluence += sign (e^(-mu z) - e^(-mu d)) / mu, which is
+ * sign (d - z) for mu = 0. */
+static void add_within(mpfr_t flux, mpfr_t fluence, const reference_dipole *dipole,
+                       const struct source *source, int sign) {
+  mpfr_t term;
+  mpfr_init2(term, mpfr_get_prec(flux));
+  mpfr_add(flux, flux, source->left_at_z, MPFR_RNDN);
+  mpfr_div(term, source->z, source->d, MPFR_RNDN); /* 1 at r = 0, so that nothing is left there */
+  mpfr_mul(term, term, source->left_at_d, MPFR_RNDN);
   mpfr_sub(flux, flux, term, MPFR_RNDN);
-  mpfr_clears(term, ratio, (mpfr_ptr)NULL);
-}
 
-void reference_dipole_cdf(const reference_dipole *dipole, double r_mm, mpfr_t value) {
-  if (!dipole->scatters || isinf(r_mm)) {
-    mpfr_set_ui(value, dipole->scatters, MPFR_RNDN);
-    return;
+  if (mpfr_zero_p(dipole->mu_tr_per_mm)) {
+    mpfr_sub(term, source->d, source->z, MPFR_RNDN);
+  } else {
+    mpfr_sub(term, source->left_at_z, source->left_at_d, MPFR_RNDN);
+    mpfr_div(term, term, dipole->mu_tr_per_mm, MPFR_RNDN);
   }
-  mpfr_t flux, fluence, d1, d2;
-  mpfr_inits2(working_bits(dipole, r_mm), flux, fluence, d1, d2, (mpfr_ptr)NULL);
-  distance(d1, dipole->z1_mm, r_mm);
-  distance(d2, dipole->z2_mm, r_mm);
-  mpfr_set_zero(flux, 1);
-  add_flux_within(flux, dipole, dipole->z1_mm, d1);
-  add_flux_within(flux, dipole, dipole->z2_mm, d2);
-  mpfr_set_zero(fluence, 1);
-  add_fluence(fluence, dipole, dipole->z1_mm, d1, 1);
-  add_fluence(fluence, dipole, dipole->z2_mm, d2, -1);
-  combine(flux, dipole, flux, fluence);
-  mpfr_div(value, flux, dipole->albedo, MPFR_RNDN);
-  mpfr_clears(flux, fluence, d1, d2, (mpfr_ptr)NULL);
+  mpfr_mul_si(term, term, sign, MPFR_RNDN);
+  mpfr_add(fluence, fluence, term, MPFR_RNDN);
+  mpfr_clear(term);
 }
 
-/* flux += z (1 + mu d) e^(-mu d) / d^3, fluence += sign * e^(-mu d) / d */
-static void add_source(mpfr_t flux, mpfr_t fluence, const reference_dipole *dipole, const mpfr_t z,
-                       double r_mm, int sign) {
-  mpfr_t d, share, term;
-  mpfr_inits2(mpfr_get_prec(flux), d, share, term, (mpfr_ptr)NULL);
-  distance(d, z, r_mm);
-  attenuation(share, dipole, d);
-  mpfr_div(share, share, d, MPFR_RNDN);
+/* flux += z (1 + mu d) e^(-mu d) / d^3, fluence += sign e^(-mu d) / d */
+static void add_R(mpfr_t flux, mpfr_t fluence, const reference_dipole *dipole,
+                  const struct source *source, int sign) {
+  (void)dipole;
+  mpfr_t share, term;
+  mpfr_inits2(mpfr_get_prec(flux), share, term, (mpfr_ptr)NULL);
+  mpfr_div(share, source->left_at_d, source->d, MPFR_RNDN);
 
-  mpfr_mul(term, dipole->mu_tr_per_mm, d, MPFR_RNDN);
-  mpfr_add_ui(term, term, 1, MPFR_RNDN);
-  mpfr_mul(term, term, z, MPFR_RNDN);
+  mpfr_add_ui(term, source->mu_d, 1, MPFR_RNDN);
+  mpfr_mul(term, term, source->z, MPFR_RNDN);
   mpfr_mul(term, term, share, MPFR_RNDN);
-  mpfr_div(term, term, d, MPFR_RNDN);
-  mpfr_div(term, term, d, MPFR_RNDN);
+  mpfr_div(term, term, source->d, MPFR_RNDN);
+  mpfr_div(term, term, source->d, MPFR_RNDN);
   mpfr_add(flux, flux, term, MPFR_RNDN);
 
   mpfr_mul_si(share, share, sign, MPFR_RNDN);
   mpfr_add(fluence, fluence, share, MPFR_RNDN);
-  mpfr_clears(d, share, term, (mpfr_ptr)NULL);
+  mpfr_clears(share, term, (mpfr_ptr)NULL);
 }
 
-void reference_dipole_R(const reference_dipole *dipole, double r_mm, mpfr_t value) {
-  if (!dipole->scatters || isinf(r_mm)) {
-    mpfr_set_zero(value, 1);
-    return;
-  }
-  mpfr_t flux, fluence, pi;
-  mpfr_inits2(working_bits(dipole, r_mm), flux, fluence, pi, (mpfr_ptr)NULL);
+/* The derivatives of the terms of add_R() over r, divided by r. With d' = r / d,
+ *   d/dd e^(-mu d) / d              = -(1 + mu d) e^(-mu d) / d^2
+ *   d/dd (1 + mu d) e^(-mu d) / d^3 = -(3 + 3 mu d + (mu d)^2) e^(-mu d) / d^4 */
+static void add_slope(mpfr_t flux, mpfr_t fluence, const reference_dipole *dipole,
+                      const struct source *source, int sign) {
+  (void)dipole;
+  mpfr_t cube, term;
+  mpfr_inits2(mpfr_get_prec(flux), cube, term, (mpfr_ptr)NULL);
+  mpfr_pow_ui(cube, source->d, 3, MPFR_RNDN);
+
+  mpfr_add_ui(term, source->mu_d, 1, MPFR_RNDN);
+  mpfr_mul(term, term, source->left_at_d, MPFR_RNDN);
+  mpfr_div(term, term, cube, MPFR_RNDN);
+  mpfr_mul_si(term, term, -sign, MPFR_RNDN);
+  mpfr_add(fluence, fluence, term, MPFR_RNDN);
+
+  mpfr_add_ui(term, source->mu_d, 3, MPFR_RNDN);
+  mpfr_mul(term, term, source->mu_d, MPFR_RNDN);
+  mpfr_add_ui(term, term, 3, MPFR_RNDN);
+  mpfr_mul(term, term, source->left_at_d, MPFR_RNDN);
+  mpfr_mul(term, term, source->z, MPFR_RNDN);
+  mpfr_div(term, term, cube, MPFR_RNDN);
+  mpfr_div(term, term, source->d, MPFR_RNDN);
+  mpfr_div(term, term, source->d, MPFR_RNDN);
+  mpfr_sub(flux, flux, term, MPFR_RNDN);
+  mpfr_clears(cube, term, (mpfr_ptr)NULL);
+}
+
+typedef void add_function(mpfr_t flux, mpfr_t fluence, const reference_dipole *dipole,
+                          const struct source *source, int sign);
+
+/* p / 2 (C_E flux + C_phi / D fluence), with what both sources add. */
+static void sum_sources(mpfr_t value, const reference_dipole *dipole,
+                        const struct source sources[2], add_function *add) {
+  mpfr_t flux, fluence;
+  mpfr_inits2(mpfr_get_prec(sources[0].d), flux, fluence, (mpfr_ptr)NULL);
   mpfr_set_zero(flux, 1);
   mpfr_set_zero(fluence, 1);
-  add_source(flux, fluence, dipole, dipole->z1_mm, r_mm, 1);
-  add_source(flux, fluence, dipole, dipole->z2_mm, r_mm, -1);
-  combine(flux, dipole, flux, fluence);
-  mpfr_const_pi(pi, MPFR_RNDN);
-  mpfr_mul_2ui(pi, pi, 1, MPFR_RNDN);
-  mpfr_div(value, flux, pi, MPFR_RNDN);
-  mpfr_clears(flux, fluence, pi, (mpfr_ptr)NULL);
+  add(flux, fluence, dipole, &sources[0], 1);
+  add(flux, fluence, dipole, &sources[1], -1);
+  combine(value, dipole, flux, fluence);
+  mpfr_clears(flux, fluence, (mpfr_ptr)NULL);
+}
+
+void reference_values_init(reference_values *values) {
+  for (int i = 0; i < CORE_ELEMENTWISE_COUNT; i++) {
+    mpfr_init2(values->of[i], REFERENCE_BITS);
+  }
+}
+
+void reference_values_clear(reference_values *values) {
+  for (int i = 0; i < CORE_ELEMENTWISE_COUNT; i++) {
+    mpfr_clear(values->of[i]);
+  }
+}
+
+/* Where nothing scatters, and infinitely far away. */
+static void set_limits(const reference_dipole *dipole, reference_values *values) {
+  for (int i = 0; i < CORE_ELEMENTWISE_COUNT; i++) {
+    mpfr_set_zero(values->of[i], 1);
+  }
+  mpfr_set_ui(values->of[CORE_ELEMENTWISE_CDF], dipole->scatters, MPFR_RNDN);
+  mpfr_set_inf(values->of[CORE_ELEMENTWISE_LN_R], -1);
+}
+
+/* ln R where R has left even MPFR's range: with e^(-mu_tr d1) taken out of both sources. */
+static void set_deep_ln_R(mpfr_t ln_R, const reference_dipole *dipole, struct source sources[2],
+                          const mpfr_t two_pi) {
+  mpfr_set_ui(sources[0].left_at_d, 1, MPFR_RNDN);
+  mpfr_sub(sources[1].left_at_d, sources[0].mu_d, sources[1].mu_d, MPFR_RNDN);
+  mpfr_exp(sources[1].left_at_d, sources[1].left_at_d, MPFR_RNDN);
+  sum_sources(ln_R, dipole, sources, add_R);
+  mpfr_div(ln_R, ln_R, two_pi, MPFR_RNDN);
+  mpfr_log(ln_R, ln_R, MPFR_RNDN);
+  mpfr_sub(ln_R, ln_R, sources[0].mu_d, MPFR_RNDN);
+}
+
+void reference_dipole_evaluate(const reference_dipole *dipole, double r_mm,
+                               reference_values *values) {
+  if (!dipole->scatters || isinf(r_mm)) {
+    set_limits(dipole, values);
+    return;
+  }
+  struct source sources[2];
+  source_start(&sources[0], dipole, dipole->z1_mm, r_mm);
+  source_start(&sources[1], dipole, dipole->z2_mm, r_mm);
+  mpfr_t two_pi;
+  mpfr_init2(two_pi, REFERENCE_BITS);
+  mpfr_const_pi(two_pi, MPFR_RNDN);
+  mpfr_mul_2ui(two_pi, two_pi, 1, MPFR_RNDN);
+
+  mpfr_ptr R = values->of[CORE_ELEMENTWISE_R];
+  sum_sources(R, dipole, sources, add_R);
+  mpfr_div(R, R, two_pi, MPFR_RNDN);
+  mpfr_log(values->of[CORE_ELEMENTWISE_LN_R], R, MPFR_RNDN);
+
+  mpfr_ptr slope = values->of[CORE_ELEMENTWISE_SLOPE];
+  sum_sources(slope, dipole, sources, add_slope);
+  mpfr_div(slope, slope, two_pi, MPFR_RNDN);
+  mpfr_mul_d(slope, slope, r_mm, MPFR_RNDN);
+
+  mpfr_ptr pdf = values->of[CORE_ELEMENTWISE_PDF];
+  mpfr_mul(pdf, R, two_pi, MPFR_RNDN);
+  mpfr_mul_d(pdf, pdf, r_mm, MPFR_RNDN);
+  mpfr_div(pdf, pdf, dipole->albedo, MPFR_RNDN);
+
+  mpfr_ptr cdf = values->of[CORE_ELEMENTWISE_CDF];
+  sum_sources(cdf, dipole, sources, add_within);
+  mpfr_div(cdf, cdf, dipole->albedo, MPFR_RNDN);
+
+  if (mpfr_zero_p(R)) { /* last, because it spoils the sources */
+    set_deep_ln_R(values->of[CORE_ELEMENTWISE_LN_R], dipole, sources, two_pi);
+  }
+  mpfr_clear(two_pi);
+  source_clear(&sources[0]);
+  source_clear(&sources[1]);
 }
 
 double reference_dipole_condition(const reference_dipole *dipole, double r_mm) {

@@ -6,12 +6,12 @@
 
 #include <mpfr.h>
 
-#include "core/core.h"
+#include "core/kernels.h"
 #include "tests/accuracy/reference_fresnel.h"
 
 /* The paper's quantities for one medium; lengths in mm. Read mu_tr_per_mm, z1_mm and albedo. */
 typedef struct reference_dipole {
-  bool scatters;       /* if not, R, albedo and cdf are 0 */
+  bool scatters;       /* if not, R, albedo, cdf and pdf are 0 */
   mpfr_t prefactor;    /* alpha' or alpha'^2 */
   mpfr_t diffusion_mm; /* D */
   mpfr_t mu_tr_per_mm;
@@ -29,10 +29,18 @@ void reference_dipole_prepare(reference_dipole *dipole, int switches, enum core_
                               const core_medium *medium);
 void reference_dipole_clear(reference_dipole *dipole);
 
-/* R in 1/mm^2 and the energy within r over the albedo, at r mm, infinity included. good to 1e-33,
- * relative; value has any precision. */
-void reference_dipole_R(const reference_dipole *dipole, double r_mm, mpfr_t value);
-void reference_dipole_cdf(const reference_dipole *dipole, double r_mm, mpfr_t value);
+/* The elementwise quantities at one radius, by their position in the list. */
+typedef struct reference_values {
+  mpfr_t of[CORE_ELEMENTWISE_COUNT];
+} reference_values;
+
+void reference_values_init(reference_values *values);
+void reference_values_clear(reference_values *values);
+
+/* All quantities at r mm, infinity included, good to 1e-33, relative; ln R absolutely, too. ln R is
+ * -infinity only where R is 0. */
+void reference_dipole_evaluate(const reference_dipole *dipole, double r_mm,
+                               reference_values *values);
 
 /* 1 + mu_tr d_r, the condition of e^(-mu_tr d_r). */
 double reference_dipole_condition(const reference_dipole *dipole, double r_mm);

@@ -57,31 +57,63 @@ static bool add_subnormal(tally *to, const tally_point *point, double error, dou
   return quanta <= fmax(TALLY_QUANTA, point->bound * truth / quantum);
 }
 
-void tally_add(tally *to, const tally_point *point, double value, const mpfr_t truth) {
+/* An infinite value is right where the truth is infinite, or beyond the largest number. */
+static bool infinity_is_right(const tally_point *point, double value, const mpfr_t truth) {
+  const double largest = point->epsilon == (double)FLT_EPSILON ? (double)FLT_MAX : DBL_MAX;
+  const double rounded = mpfr_get_d(truth, MPFR_RNDN);
+  return signbit(rounded) == signbit(value) && fabs(rounded) * (1 + point->bound) > largest;
+}
+
+/* The same judgement without taking the error in. */
+static bool within_bound(const tally_point *point, double value, const mpfr_t truth, double size,
+                         double quantum) {
+  return absolute_error(value, truth) <= fmax(TALLY_QUANTA * quantum, point->bound * size);
+}
+
+static bool judge(tally *to, const tally_point *point, double value, const mpfr_t truth) {
   const bool single = point->epsilon == (double)FLT_EPSILON;
   const double smallest_normal = single ? (double)FLT_MIN : DBL_MIN;
   const double quantum = smallest_normal * point->epsilon;
-  const double rounded = mpfr_get_d(truth, MPFR_RNDN);
-  bool good = value >= 0 && value <= to->upper_limit; /* false for NaN */
-  if (mpfr_zero_p(truth)) {
-    good = good && value == 0;
-  } else if (good && rounded < smallest_normal) {
-    good = add_subnormal(to, point, absolute_error(value, truth), quantum, rounded);
-  } else if (good) {
-    good = add_normal(to, point, relative_error(value, truth));
+  const double size = fabs(mpfr_get_d(truth, MPFR_RNDN));
+  if (!(value >= to->lower_limit && value <= to->upper_limit)) { /* NaN is neither */
+    return false;
   }
+  if (mpfr_inf_p(truth)) {
+    return mpfr_cmp_d(truth, value) == 0;
+  }
+  if (isinf(value)) {
+    return !to->absolute && infinity_is_right(point, value, truth);
+  }
+  if (!to->everywhere && !point->in_domain) {
+    to->beyond += !within_bound(point, value, truth, size, quantum);
+    return true;
+  }
+  if (to->absolute) {
+    return add_normal(to, point, absolute_error(value, truth));
+  }
+  if (mpfr_zero_p(truth)) {
+    return value == 0;
+  }
+  if (size < smallest_normal) {
+    return add_subnormal(to, point, absolute_error(value, truth), quantum, size);
+  }
+  return add_normal(to, point, relative_error(value, truth));
+}
+
+void tally_add(tally *to, const tally_point *point, double value, const mpfr_t truth) {
   to->points++;
-  if (!good) {
+  if (!judge(to, point, value, truth)) {
     report(to, point, value, truth);
   }
 }
 
 void tally_print_header(void) {
-  printf("%-12s %-9s %-8s %9s %8s %8s %10s   %s\n", "model", "evaluator", "quantity", "points",
-         "worst", "bound", "subnormal", "failures");
+  printf("%-12s %-9s %-8s %9s %8s %8s %10s %8s   %s\n", "model", "evaluator", "quantity", "points",
+         "worst", "bound", "subnormal", "beyond", "failures");
 }
 
 void tally_print(const tally *of) {
-  printf("%-12s %-9s %-8s %9zu %8.2f %8.2f %10.1f   %zu\n", of->model, of->evaluator, of->quantity,
-         of->points, of->worst, of->bound_there, of->worst_quanta, of->failures);
+  printf("%-12s %-9s %-8s %9zu %8.2f %8.2f %10.1f %8zu   %zu\n", of->model, of->evaluator,
+         of->quantity, of->points, of->worst, of->bound_there, of->worst_quanta, of->beyond,
+         of->failures);
 }

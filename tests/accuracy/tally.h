@@ -14,18 +14,23 @@ typedef struct tally_point {
   core_medium medium;
   enum core_moments moments;
   double r_mm;
-  double bound;   /* relative, as core states it for this point */
+  bool in_domain; /* where every quantity keeps its bound; beyond it, its sign and range */
+  double bound;   /* as core states it for this point: relative, or absolute for ln R */
   double epsilon; /* of the evaluator's precision */
-  double unit;    /* epsilon (1 + mu_tr d_r): what errors are counted in */
+  double unit;    /* what errors are counted in: epsilon (1 + mu_tr d_r), for ln R more */
 } tally_point;
 
 typedef struct tally {
   const char *model;
   const char *evaluator;
   const char *quantity;
-  double upper_limit; /* no value may be above it */
+  double lower_limit; /* no value may be below it */
+  double upper_limit; /* or above it */
+  bool absolute;      /* errors are, instead of relative to the truth */
+  bool everywhere;    /* the bound holds at every point, not in the promised domain alone */
   size_t points;
   size_t failures;
+  size_t beyond;       /* points beyond the domain that are off by more than their bound */
   double worst;        /* error in units, normal values */
   double bound_there;  /* the bound in the same units, where the worst was found */
   double worst_share;  /* error over bound, at most 1 */

@@ -147,20 +147,19 @@ static void assert_within_an_ulp(const mpfr_t value, double expected, size_t row
 
 static void assert_equals_vectors(const vector *vectors, size_t count) {
   reference_dipole dipole;
-  mpfr_t value;
+  reference_values values;
   reference_dipole_init(&dipole);
-  mpfr_init2(value, REFERENCE_BITS);
+  reference_values_init(&values);
   for (size_t i = 0; i < count; i++) {
     const vector *v = &vectors[i];
     reference_dipole_prepare(&dipole, reference_switches(v->model), (enum core_moments)v->moments,
                              &v->medium);
     assert_within_an_ulp(dipole.albedo, v->albedo, i, "albedo");
-    reference_dipole_R(&dipole, v->r_mm, value);
-    assert_within_an_ulp(value, v->R, i, "R");
-    reference_dipole_cdf(&dipole, v->r_mm, value);
-    assert_within_an_ulp(value, v->cdf, i, "cdf");
+    reference_dipole_evaluate(&dipole, v->r_mm, &values);
+    assert_within_an_ulp(values.of[CORE_ELEMENTWISE_R], v->R, i, "R");
+    assert_within_an_ulp(values.of[CORE_ELEMENTWISE_CDF], v->cdf, i, "cdf");
   }
-  mpfr_clear(value);
+  reference_values_clear(&values);
   reference_dipole_clear(&dipole);
 }
 
@@ -203,51 +202,96 @@ static void equals_published_fluence_and_flux(void **state) {
   };
   static const double radii[] = {1, 3, 10};
   reference_dipole dipole;
-  mpfr_t value;
+  reference_values values;
   reference_dipole_init(&dipole);
-  mpfr_init2(value, REFERENCE_BITS);
+  reference_values_init(&values);
   for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
     reference_dipole_prepare(&dipole, rows[i].switches, CORE_MOMENTS_EXACT, &medium);
     for (size_t j = 0; j < 3; j++) {
-      reference_dipole_R(&dipole, radii[j], value);
-      assert_close(mpfr_get_d(value, MPFR_RNDN) / alpha_prime, rows[i].R[j], 3e-8 * rows[i].R[j],
-                   "R");
+      reference_dipole_evaluate(&dipole, radii[j], &values);
+      const double R = mpfr_get_d(values.of[CORE_ELEMENTWISE_R], MPFR_RNDN);
+      assert_close(R / alpha_prime, rows[i].R[j], 3e-8 * rows[i].R[j], "R");
     }
   }
-  mpfr_clear(value);
+  reference_values_clear(&values);
   reference_dipole_clear(&dipole);
 }
 
-/* The closed forms are the integrals of R: for each member of the family, the midpoint rule over
- * log r of 2 pi r R(r), against the difference of the cdf times the albedo. */
-static void cdf_is_the_integral_of_R(void **state) {
-  (void)state;
+/* One medium of each kind, with every setting of the switches. */
+typedef void member_test(const reference_dipole *dipole, reference_values *values);
+
+static void with_every_member(member_test *test) {
   static const core_medium media[] = {{0.02, 0.8, 0, 1.3}, {3, 1, 0.5, 0.7}, {0, 2, 0, 1.5}};
-  enum { STEPS = 400 };
-  const double low = log(1e-3), high = log(10.0), step = (high - low) / STEPS;
   reference_dipole dipole;
-  mpfr_t value;
+  reference_values values;
   reference_dipole_init(&dipole);
-  mpfr_init2(value, REFERENCE_BITS);
+  reference_values_init(&values);
   for (int switches = 0; switches < 8; switches++) {
     for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
       reference_dipole_prepare(&dipole, switches, CORE_MOMENTS_EXACT, &media[i]);
-      double sum = 0;
-      for (int k = 0; k < STEPS; k++) {
-        const double r = exp(low + (k + 0.5) * step);
-        reference_dipole_R(&dipole, r, value);
-        sum += 2 * 3.14159265358979324 * r * r * step * mpfr_get_d(value, MPFR_RNDN);
-      }
-      reference_dipole_cdf(&dipole, exp(high), value);
-      double within = mpfr_get_d(value, MPFR_RNDN);
-      reference_dipole_cdf(&dipole, exp(low), value);
-      within -= mpfr_get_d(value, MPFR_RNDN);
-      const double expected = within * mpfr_get_d(dipole.albedo, MPFR_RNDN);
-      assert_close(sum, expected, 1e-4 * expected, "energy");
+      test(&dipole, &values);
     }
   }
-  mpfr_clear(value);
+  reference_values_clear(&values);
   reference_dipole_clear(&dipole);
+}
+
+static double value_at(const reference_dipole *dipole, double r, reference_values *values,
+                       enum core_elementwise quantity) {
+  reference_dipole_evaluate(dipole, r, values);
+  return mpfr_get_d(values->of[quantity], MPFR_RNDN);
+}
+
+/* The midpoint rule over log r of 2 pi r R(r), against the difference of the cdf times the albedo;
+ * and of the pdf, against the difference alone. */
+static void compare_integrals(const reference_dipole *dipole, reference_values *values) {
+  enum { STEPS = 400 };
+  const double low = log(1e-3), high = log(10.0), step = (high - low) / STEPS;
+  double energy = 0, probability = 0;
+  for (int k = 0; k < STEPS; k++) {
+    const double r = exp(low + (k + 0.5) * step);
+    const double R = value_at(dipole, r, values, CORE_ELEMENTWISE_R);
+    energy += 2 * 3.14159265358979324 * r * r * step * R;
+    probability += r * step * mpfr_get_d(values->of[CORE_ELEMENTWISE_PDF], MPFR_RNDN);
+  }
+  const double within = value_at(dipole, exp(high), values, CORE_ELEMENTWISE_CDF) -
+                        value_at(dipole, exp(low), values, CORE_ELEMENTWISE_CDF);
+  const double expected = within * mpfr_get_d(dipole->albedo, MPFR_RNDN);
+  assert_close(energy, expected, 1e-4 * expected, "energy");
+  assert_close(probability, within, 1e-4 * within, "probability");
+}
+
+static void cdf_is_the_integral_of_R(void **state) {
+  (void)state;
+  with_every_member(compare_integrals);
+}
+
+/* Differences of R over a step that is small, but of 384 bits: off from the derivative by the
+ * square of the step. */
+static void compare_slopes(const reference_dipole *dipole, reference_values *values) {
+  static const double radii[] = {0.0009765625, 0.125, 1, 3, 20};
+  mpfr_t difference;
+  mpfr_init2(difference, REFERENCE_BITS);
+  for (size_t i = 0; i < sizeof radii / sizeof radii[0]; i++) {
+    const double r = radii[i];
+    const double half_step = r * 0x1p-20;
+    reference_dipole_evaluate(dipole, r + half_step, values);
+    mpfr_set(difference, values->of[CORE_ELEMENTWISE_R], MPFR_RNDN);
+    reference_dipole_evaluate(dipole, r - half_step, values);
+    mpfr_sub(difference, difference, values->of[CORE_ELEMENTWISE_R], MPFR_RNDN);
+    mpfr_div_d(difference, difference, 2 * half_step, MPFR_RNDN);
+    const double slope = value_at(dipole, r, values, CORE_ELEMENTWISE_SLOPE);
+    assert_true(slope < 0);
+    assert_close(mpfr_get_d(difference, MPFR_RNDN), slope, 1e-8 * -slope, "slope");
+    const double R = mpfr_get_d(values->of[CORE_ELEMENTWISE_R], MPFR_RNDN);
+    assert_close(mpfr_get_d(values->of[CORE_ELEMENTWISE_LN_R], MPFR_RNDN), log(R), 1e-12, "ln R");
+  }
+  mpfr_clear(difference);
+}
+
+static void slope_is_the_derivative_of_R(void **state) {
+  (void)state;
+  with_every_member(compare_slopes);
 }
 
 static int forget(void **state) {
@@ -265,6 +309,7 @@ int main(void) {
       cmocka_unit_test(equals_all_vectors),
       cmocka_unit_test(equals_published_fluence_and_flux),
       cmocka_unit_test(cdf_is_the_integral_of_R),
+      cmocka_unit_test(slope_is_the_derivative_of_R),
   };
   return cmocka_run_group_tests(tests, NULL, forget);
 }
