@@ -165,8 +165,10 @@ typedef struct core_profile {
   double albedo; /* integral of 2 pi r R(r) from 0 to infinity; 0 when nothing scatters */
   /* Numerical error: a value at radius r is off from the model's exact formula by at most
    * numerical_error + numerical_error_per_mm * r, relative, or by 16 of the smallest subnormal
-   * numbers, whichever is more. Holds for R, cdf, dR/dr, pdf and (at r = 0, and in double precision
-   * for both evaluators) the albedo; for ln R see core_eval_f64(). */
+   * numbers, whichever is more. Holds for R, cdf and (at r = 0, and in double precision for both
+   * evaluators) the albedo; for dR/dr and pdf with sigma_t' from 1e-6 to 1e6 per mm, sigma_a up to
+   * 1e6 sigma_s', eta from 0.2 to 5 and r 0 or from 1e-12 to 1e6 mean free paths 1 / sigma_t',
+   * beyond which they may underflow too early; for ln R see core_eval_f64(). */
   double numerical_error;
   double numerical_error_per_mm;
   /* Model error: how far the model is from radiative transport, relative. NaN: not measured. */
@@ -227,7 +229,10 @@ typedef struct core_inversion {
   double albedo_most;
 } core_inversion;
 
-/* mean_free_path_mm: 1 / sigma_t', 1e-15 to 1e15. The medium's albedo is within 1e-12 of the wanted
+#define CORE_MEAN_FREE_PATH_MIN_MM 1e-14 /* within what a medium may have, with room to round */
+#define CORE_MEAN_FREE_PATH_MAX_MM 1e14
+
+/* mean_free_path_mm: 1 / sigma_t', in that range. The medium's albedo is within 1e-12 of the wanted
  * one, relative. */
 core_inversion core_invert_albedo(unsigned model, unsigned moments, double albedo,
                                   double mean_free_path_mm, double eta);

@@ -11,7 +11,7 @@
 
 /* The ratios between which the root is looked for; beyond them nothing but 0 is left of an albedo.
  */
-#define RATIO_MIN 1e-40
+#define RATIO_MIN 1e-80
 #define RATIO_MAX 1e30
 
 /* sigma_a and sigma_s' with the given sum and ratio, each to its last digits. */
@@ -61,9 +61,9 @@ static double solve(const struct problem *problem, double wanted) {
 }
 
 static core_fault check(const struct problem *problem, double mean_free_path_mm) {
-  if (!(mean_free_path_mm >= 1 / CORE_SIGMA_MAX_PER_MM &&
-        mean_free_path_mm <= 1 / CORE_SIGMA_T_PRIME_MIN_PER_MM)) {
-    return (core_fault){"mean_free_path", "1e-15 to 1e15 mm", 0};
+  if (!(mean_free_path_mm >= CORE_MEAN_FREE_PATH_MIN_MM &&
+        mean_free_path_mm <= CORE_MEAN_FREE_PATH_MAX_MM)) {
+    return (core_fault){"mean_free_path", "1e-14 to 1e14 mm", 0};
   }
   const core_medium white = medium_of_ratio(0, problem->sigma_t_prime, problem->eta);
   return core_profile_check(problem->model, problem->moments, CORE_EVALUATOR_F64, &white);

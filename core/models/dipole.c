@@ -221,8 +221,8 @@ static inline real dipole_cdf(const real *c, real r) {
  * tail with it. The root is bracketed from the start (R falls with r, so cdf <= (x / CORE)^2; and 1
  * - cdf <= TAIL / d1 e^(-mu (d1 - 1)), as e^(-mu d) / d does) and the bracket shrinks with every
  * step; a step that would leave it halves it instead. Over the whole domain no start needs more
- * than SAMPLE_STEPS - 1 steps; tests/accuracy measures that. 1 - cdf is summed from what lies
- * beyond r, so that both tails keep their digits. */
+ * than SAMPLE_STEPS - 1 steps; the round trip in tests/accuracy/test_sample.c rests on it. 1 - cdf
+ * is summed from what lies beyond r, so that both tails keep their digits. */
 static inline real dipole_sample(const real *c, real u) {
   const real inside = real_max(u, SMALL_U);
   const real outside = real_max(1 - inside, REAL_HALF_EPSILON);
