@@ -131,8 +131,8 @@ bool eval_reply_layout(unsigned evaluator, unsigned wanted, uint32_t channel_cou
     layout->arrays_per_channel += eval_is_array(wanted, quantity->id);
   }
   const bool radii_wanted = (wanted & CORE_QUANTITY_RADIUS) != 0;
-  /* At most 2^32 channels of 32 bytes and 2 arrays each: nothing here can wrap before the arrays'
-   * own length is multiplied, and that is checked by division. */
+  /* At most 2^32 channels of 32 bytes and a few arrays each: nothing here can wrap before the
+   * arrays' own length is multiplied, and that is checked by division. */
   const uint64_t arrays = (uint64_t)channel_count * layout->arrays_per_channel + radii_wanted;
   const uint64_t before = WIRE_BYTES_eval_reply + (uint64_t)channel_count * WIRE_BYTES_channel;
   if (before > max_payload_bytes) {

@@ -52,13 +52,20 @@ static bool choose_models(const cli_command *command, const cli_texts *names,
   return names->count > 0 || choose_model(command, MODEL_DEFAULT, report);
 }
 
+/* One quantity and not a sum of some, whatever the daemon lists: only then is there an array of it.
+ */
+static bool is_one_bit(unsigned id) {
+  return id != 0 && (id & (id - 1)) == 0;
+}
+
 /* The wanted quantities that have a value for each radius: all but the albedo and the radius. */
 static void list_arrays(cli_eval_report *report) {
   const dipole_choice *quantity;
   for (size_t from = 0;
        report->quantity_count < CLI_EVAL_QUANTITIES_MAX &&
        (quantity = cli_next_choice(report->info, DIPOLE_QUANTITY, &from)) != NULL;) {
-    if ((report->wanted & quantity->id & ~(unsigned)(DIPOLE_ALBEDO | DIPOLE_RADIUS)) != 0) {
+    if (is_one_bit(quantity->id) &&
+        (report->wanted & quantity->id & ~(unsigned)(DIPOLE_ALBEDO | DIPOLE_RADIUS)) != 0) {
       report->quantities[report->quantity_count++] = quantity;
     }
   }

@@ -66,15 +66,18 @@ def read_csv(text: str) -> list[dict[str, str]]:
 
 
 class Proxy:
-    """Stands between a client and a daemon and does something to the client's eval requests.
+    """Stands between a client and a daemon and does something to the client's eval requests and,
+    if on_reply is given, to what comes back.
 
     on_eval(number, request_id) says what: None passes the request on, bytes are answered instead,
-    and False ends the connection.
+    and False ends the connection. on_reply(type, payload) says what the client gets instead of a
+    payload; as many bytes.
     """
 
-    def __init__(self, url: str, on_eval):
+    def __init__(self, url: str, on_eval, on_reply=lambda type, payload: payload):
         self._daemon_path = url.removeprefix("unix:")
         self._on_eval = on_eval
+        self._on_reply = on_reply
         self._folder = tempfile.TemporaryDirectory(prefix="dipole-proxy-")
         self.url = f"unix:{self._folder.name}/s"
         self._listener = socket.socket(socket.AF_UNIX)
@@ -129,12 +132,12 @@ class Proxy:
                 with lock:
                     client.sendall(answer)
 
-    @staticmethod
-    def _pass_back(daemon, client, lock) -> None:
+    def _pass_back(self, daemon, client, lock) -> None:
         stream = daemon.makefile("rb")
         try:
             while head := stream.read(wire.HEADER.bytes):
-                payload = stream.read(wire.HEADER.unpack(head).payload_bytes)
+                header = wire.HEADER.unpack(head)
+                payload = self._on_reply(header.type, stream.read(header.payload_bytes))
                 with lock:
                     client.sendall(head + payload)
         except OSError:

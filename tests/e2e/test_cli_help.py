@@ -94,7 +94,7 @@ EVAL = ["eval", "--sigma-a", "0.1", "--sigma-s", "1"]
         ([*EVAL, "--model", "better,"], "--model: '' is unknown; this daemon has"),
         ([*EVAL, "--moments", "fat"], "--moments: 'fat' is unknown; this daemon has exact, fit"),
         ([*EVAL, "--evaluator", "f16"], "--evaluator: 'f16' is unknown; this daemon has f64, f32"),
-        ([*EVAL, "--want", "colour"], "--want: 'colour' is unknown; this daemon has R, albedo, cdf"),
+        ([*EVAL, "--want", "colour"], "--want: 'colour' is unknown; this daemon has R, albedo"),
         (["eval", "--medium", "skin"], "--medium: 'skin' is unknown; this daemon has apple, ch"),
         (["points", "--evaluator", "f16"], "--evaluator: 'f16' is unknown; this daemon has f64"),
     ],

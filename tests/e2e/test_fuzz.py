@@ -24,12 +24,19 @@ from frames import (
     frame,
 )
 from lists import EVALUATORS, MODELS
+from mixes import ALL_QUANTITIES
 
 SEED = int(os.environ.get("DIPOLED_FUZZ_SEED", "40009"))
 OPTIONS = ["--max-frame-bytes", "65536", "--max-media", "16", "--log-level", "info"]
 BATCH = 50
 
 COUNTS = [0, 1, 2, 7, 8, 255, 65535, 2**16, 2**27, 2**31, 2**32 - 1, 2**53, 2**61, 2**63, 2**64 - 1]
+# Between which the values of a quantity are, if not between 0 and infinity.
+RANGES = {
+    wire.QUANTITY_CDF: (0, 1),
+    wire.QUANTITY_SLOPE: (-np.inf, 0),
+    wire.QUANTITY_LN_R: (-np.inf, np.inf),
+}
 NUMBERS = [0.0, -0.0, 1.0, -1.0, 5e-324, 1e-300, 1e300, 1e15, 1e-15, np.inf, -np.inf, np.nan]
 
 
@@ -52,7 +59,7 @@ def right_request(rng: random.Random) -> tuple[int, bytes]:
     fixed = {
         "model": rng.choice(list(MODELS.values())),
         "evaluator": rng.choice(list(EVALUATORS.values())),
-        "wanted": rng.randint(1, 15),
+        "wanted": rng.randint(1, ALL_QUANTITIES),
     }
     media = [rng.choice([SKIN, SPECTRALON]) for _ in range(rng.randint(1, 4))]
     if rng.random() < 0.4:
@@ -117,23 +124,22 @@ def assert_well_formed(reply: Frame) -> None:
 
 
 def assert_well_formed_eval(payload: bytes) -> None:
-    """The arrays are there, and no value is NaN, negative or, for R, infinite."""
+    """The arrays are there, and no value is NaN or out of its quantity's range."""
     fixed = wire.EVAL_REPLY.unpack(payload)
     value_type = np.dtype(wire.EVALUATOR_TYPES[fixed.evaluator])
     per_channel = [q for q in wire.ELEMENTWISE if fixed.wanted & q]
     radii = bool(fixed.wanted & wire.QUANTITY_RADIUS)
-    rows = fixed.channel_count * len(per_channel) + radii
+    quantities = [wire.QUANTITY_RADIUS] * radii + per_channel * fixed.channel_count
     start = wire.EVAL_REPLY.bytes + fixed.channel_count * wire.CHANNEL.bytes
     row_bytes = wire.padded(fixed.radius_count * value_type.itemsize)
-    assert len(payload) == start + rows * row_bytes
+    assert len(payload) == start + len(quantities) * row_bytes
     channels = np.frombuffer(payload[wire.EVAL_REPLY.bytes : start], "<f8").reshape(-1, 4)
     if fixed.wanted & wire.QUANTITY_ALBEDO:
         assert np.all((channels[:, 0] >= 0) & (channels[:, 0] <= 1))
-    for row in range(rows):
+    for row, quantity in enumerate(quantities):
         values = np.frombuffer(payload, value_type, fixed.radius_count, start + row * row_bytes)
-        assert np.all(values >= 0)
-        if row >= radii and per_channel[(row - radii) % len(per_channel)] == wire.QUANTITY_CDF:
-            assert np.all(values <= 1)
+        least, most = RANGES.get(quantity, (0, np.inf))
+        assert np.all((values >= least) & (values <= most)), (quantity, fixed)
 
 
 def test_broken_payloads(daemon, rng):

@@ -7,8 +7,9 @@ import io
 
 import numpy as np
 import pytest
-from command_line import dipole
-from dipole import Medium
+from command_line import Proxy, dipole, eval_json, eval_rows
+from dipole import Medium, wire
+from frames import HELLO
 
 MEDIA = [Medium(0.032, 0.74), Medium(0.48, 1.01, 0.3, 1.5), Medium(0.0, 2.5, 0.0, 1.0)]
 WANTED = ("R", "albedo", "cdf", "dR_dr", "ln_R", "pdf")
@@ -75,3 +76,48 @@ def test_the_command_line_appends_columns(client):
     for name in ("R", "ln_R", "pdf"):
         assert [float(row[name]) for row in rows] == list(getattr(answer, name)[0])
     assert all(row["cdf"] == "" for row in rows)
+
+
+@pytest.mark.parametrize("evaluator", ["f64", "f32"])
+def test_every_format_of_the_command_line_has_them(client, evaluator):
+    arguments = ["--sigma-a", "0.1", "--sigma-s", "1", "--r", "0.5,2", "--evaluator", evaluator]
+    arguments += ["--want", "dR_dr,ln_R,pdf"]
+    answer = client.eval("better", Medium(0.1, 1.0), [0.5, 2.0], evaluator=evaluator, wanted=WANTED)
+    report = eval_json(*arguments)
+    channel = report["models"][0]["channels"][0]
+    rows = eval_rows(*arguments)
+    text = dipole("eval", *arguments).stdout.split("\n\n")[1].splitlines()
+    assert text[1].split() == ["r", "dR_dr", "1", "ln_R", "1", "pdf", "1"]
+    assert text[2].split() == ["mm", "1/mm^3", "ln(1/mm^2)", "1/mm"]
+    table = np.array([line.split()[1:] for line in text[4:]], dtype=float)
+    for column, (name, unit) in enumerate(zip(["dR_dr", "ln_R", "pdf"], text[2].split()[1:])):
+        expected = [float(value) for value in getattr(answer, name)[0]]
+        assert report["units"][name] == unit
+        assert channel[name] == expected
+        assert [float(row[name]) for row in rows] == expected
+        assert table[:, column] == pytest.approx(expected, rel=1e-4)
+
+
+def sums_for_quantities(type: int, payload: bytes) -> bytes:
+    """A hello whose quantity pdf is said to be the bits of R and cdf."""
+    if type != HELLO | wire.REPLY:
+        return payload
+    data = bytearray(payload)
+    for i in range(wire.HELLO_REPLY.unpack(payload).choice_count):
+        at = wire.HELLO_REPLY.bytes + i * wire.CHOICE.bytes
+        choice = wire.CHOICE.unpack(payload, at)
+        if wire.KINDS[choice.kind] == "quantity" and choice.name == "pdf":
+            changed = choice._replace(id=wire.QUANTITY_R | wire.QUANTITY_CDF)
+            data[at : at + wire.CHOICE.bytes] = wire.CHOICE.pack(**changed._asdict())
+    assert data != payload
+    return bytes(data)
+
+
+@pytest.mark.parametrize("want", ["R", "pdf"])
+def test_a_daemon_whose_quantities_are_not_bits(daemon, want):
+    """It had the command line look for an array that no answer holds."""
+    arguments = ["--sigma-a", "0.1", "--sigma-s", "1", "--r", "0.5,2"]
+    with Proxy(daemon().url(), lambda number, request_id: None, sums_for_quantities) as proxy:
+        rows = eval_rows(*arguments, "--want", want, "--connect", proxy.url)
+    expected = eval_rows(*arguments, "--want", "R" if want == "R" else "R,cdf")
+    assert rows == expected

@@ -14,7 +14,7 @@
 #include "proto/eval.h"
 #include "proto/wire.h"
 
-enum { ROUNDS = 300000, MEDIA_MAX = 5, RADII_MAX = 9, PAYLOAD_MAX = 1024 };
+enum { ROUNDS = 300000, MEDIA_MAX = 5, RADII_MAX = 9, PAYLOAD_MAX = 2560 };
 
 /* ---- pseudo-random numbers --------------------------------------------------------------------
  */
@@ -64,7 +64,7 @@ static void make_request(struct bytes *to) {
       .model = random_id(core_models),
       .evaluator = random_id(core_evaluators),
       .moments = random_id(core_moments_list),
-      .wanted = (uint16_t)(1 + random_below(15)),
+      .wanted = (uint16_t)(1 + random_below(127)),
       .medium_count = medium_count,
       .spacing = list ? CORE_SPACING_LIST : CORE_SPACING_LINEAR,
       .radius_count = random_below(RADII_MAX + 1),
@@ -88,7 +88,7 @@ static void make_reply(struct bytes *to) {
       .model = 1,
       .evaluator = random_id(core_evaluators),
       .moments = 1,
-      .wanted = (uint16_t)random_below(16),
+      .wanted = (uint16_t)random_below(128),
       .channel_count = (uint32_t)random_below(MEDIA_MAX + 1),
       .radius_count = random_below(RADII_MAX + 1),
   };
@@ -220,9 +220,9 @@ static void check_reply(const uint8_t *payload, size_t payload_bytes, const wire
   for (uint32_t i = 0; i < fixed->channel_count; i++) {
     read_array(payload, payload_bytes, layout->channels_offset + (uint64_t)i * WIRE_BYTES_channel,
                WIRE_BYTES_channel);
-    for (unsigned quantity = CORE_QUANTITY_R; quantity <= CORE_QUANTITY_CDF; quantity <<= 1) {
-      if (quantity != CORE_QUANTITY_ALBEDO && (fixed->wanted & quantity) != 0) {
-        const uint64_t offset = eval_array_offset(layout, fixed->wanted, i, quantity);
+    for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
+      if (eval_is_array(fixed->wanted, quantity->id)) {
+        const uint64_t offset = eval_array_offset(layout, fixed->wanted, i, quantity->id);
         read_array(payload, payload_bytes, offset, layout->array_bytes);
       }
     }
@@ -255,11 +255,11 @@ static void layouts_do_not_wrap(void **unused) {
   (void)unused;
   for (size_t round = 0; round < ROUNDS; round++) {
     const unsigned evaluator = random_id(core_evaluators);
-    const unsigned wanted = (unsigned)random_below(16);
+    const unsigned wanted = (unsigned)random_below(128);
     const uint32_t channels = (uint32_t)interesting();
     const uint64_t radii = interesting();
     const uint64_t most = random_below(2) ? interesting() : 67108864;
-    const unsigned per_channel = (wanted & 1) + ((wanted & 4) >> 2);
+    const unsigned per_channel = (unsigned)__builtin_popcount(wanted & (1 | 4 | 16 | 32 | 64));
     const unsigned __int128 values = (unsigned __int128)radii * eval_value_bytes(evaluator);
     const unsigned __int128 arrays =
         (unsigned __int128)channels * per_channel + ((wanted & 8) >> 3);

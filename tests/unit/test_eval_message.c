@@ -247,10 +247,23 @@ static void padding_is_zero(void **state) {
 
 /* ---- replies ------------------------------------------------------------------------------ */
 
-enum { ALL_QUANTITIES = 15 };
+enum { ALL_QUANTITIES = 127 };
+
+/* Those with an array for each channel, in the order of their arrays. */
+static const enum core_quantity order[] = {CORE_QUANTITY_R, CORE_QUANTITY_CDF, CORE_QUANTITY_SLOPE,
+                                           CORE_QUANTITY_LN_R, CORE_QUANTITY_PDF};
+enum { ORDER = sizeof order / sizeof order[0] };
 
 static bool has(unsigned wanted, enum core_quantity quantity) {
   return (wanted & quantity) != 0;
+}
+
+static unsigned array_count(unsigned wanted) {
+  unsigned count = 0;
+  for (size_t i = 0; i < ORDER; i++) {
+    count += has(wanted, order[i]);
+  }
+  return count;
 }
 
 /* Written down as PROTOCOL.md says it: the channels, the radii once, then R and cdf for each
@@ -260,7 +273,7 @@ static void assert_layout(unsigned evaluator, unsigned wanted, uint32_t channels
   const uint64_t array = (count * (evaluator == CORE_EVALUATOR_F64 ? 8 : 4) + 7) / 8 * 8;
   uint64_t at = 24 + 32 * (uint64_t)channels;
   const uint64_t radii_at = at;
-  const unsigned arrays = has(wanted, CORE_QUANTITY_R) + has(wanted, CORE_QUANTITY_CDF);
+  const unsigned arrays = array_count(wanted);
   const uint64_t bytes = at + array * (has(wanted, CORE_QUANTITY_RADIUS) + arrays * channels);
 
   assert_true(eval_reply_layout(evaluator, wanted, channels, count, bytes, &layout));
@@ -272,8 +285,7 @@ static void assert_layout(unsigned evaluator, unsigned wanted, uint32_t channels
     at += array;
   }
   for (uint32_t channel = 0; channel < channels; channel++) {
-    static const enum core_quantity order[] = {CORE_QUANTITY_R, CORE_QUANTITY_CDF};
-    for (size_t i = 0; i < 2; i++) {
+    for (size_t i = 0; i < ORDER; i++) {
       if (has(wanted, order[i])) {
         assert_int_equal(eval_array_offset(&layout, wanted, channel, order[i]), at);
         at += array;
@@ -303,7 +315,7 @@ static bool fits(unsigned evaluator, unsigned wanted, uint32_t channels, uint64_
                  uint64_t max_bytes) {
   const unsigned __int128 array =
       ((unsigned __int128)count * eval_value_bytes(evaluator) + 7) / 8 * 8;
-  const unsigned arrays = has(wanted, CORE_QUANTITY_R) + has(wanted, CORE_QUANTITY_CDF);
+  const unsigned arrays = array_count(wanted);
   /* at most 2^33 arrays of 2^67 bytes */
   const unsigned __int128 bytes =
       24 + 32 * (unsigned __int128)channels +
@@ -333,7 +345,7 @@ static void layouts_do_not_wrap(void **state) {
     const unsigned wanted = 1 + (unsigned)unit_random_below(&random, ALL_QUANTITIES);
     const uint32_t channel_count = channels[unit_random_below(&random, 7)];
     const uint64_t limit = limits[unit_random_below(&random, 6)];
-    const unsigned arrays = has(wanted, CORE_QUANTITY_R) + has(wanted, CORE_QUANTITY_CDF);
+    const unsigned arrays = array_count(wanted);
     const uint64_t all = has(wanted, CORE_QUANTITY_RADIUS) + (uint64_t)arrays * channel_count;
     /* near the largest count that fits, near a wrap, or anything */
     const uint64_t largest = limit / (all > 0 ? all : 1) / eval_value_bytes(evaluator);

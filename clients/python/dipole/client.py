@@ -74,7 +74,7 @@ class Client:
         r: N radii in mm, from 0 to infinity; or grid: the radii by rule, which cost no bytes.
         evaluator: "f64", or "f32" for radii and values in single precision.
         moments: "exact", or "fit" for the polynomials.
-        wanted: names of quantities; all of them by default ("r" only for a grid).
+        wanted: names of quantities; by default R, albedo, cdf and, for a grid, r.
 
         Raises Refused when the daemon does not take the query, with the field at fault.
         """
