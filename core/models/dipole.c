@@ -14,14 +14,20 @@
  *   EXITANCE  C_phi = 0, C_E = 1         C_phi = (1 - 2C1) / 4, C_E = (1 - 3C2) / 2
  *
  * Domain: every medium that core_medium_check() accepts; radii from 0 to infinity.
- * Error: DIPOLE_ERROR_EPSILONS epsilon (1 + mu_tr d1), relative, for R, albedo and cdf, in the
+ * Error: DIPOLE_ERROR_EPSILONS epsilon (1 + mu_tr d1), relative, for R, dR/dr, pdf, albedo and cdf
+ * (of ln R absolute, and as many epsilon of its own size; see core.h for where each holds), in the
  * epsilon of the evaluator; the factor in brackets is the condition of e^(-mu_tr d1).
  *
- * Everything is computed in units of z1, where d1 >= 1, and every subtraction that would lose
- * digits is rewritten as a sum of positive terms: d2 - d1 = (z2^2 - z1^2) / (d1 + d2) e^(-mu d1) /
- * d1 - e^(-mu d2) / d2 = e^(-mu d1) / (d1 d2) [d2 - d1 + d1 (1 - e^(-mu (d2 - d1)))] and for the
- * cdf, with a_i = d_i - z_i = r^2 / (d_i + z_i), 1 - z_i / d_i e^(-mu a_i) = [a_i + z_i (1 - e^(-mu
- * a_i))] / d_i a1 - a2 = r^2 (d2 - d1 + z2 - z1) / ((d1 + z1) (d2 + z2))
+ * Every subtraction that would lose digits is rewritten as a sum of positive terms:
+ *
+ *   d2 - d1 = (z2^2 - z1^2) / (d1 + d2)
+ *   e^(-mu d1) / d1 - e^(-mu d2) / d2
+ *           = e^(-mu d1) / (d1 d2) [d2 - d1 + d1 (1 - e^(-mu (d2 - d1)))]
+ *
+ * and for the cdf, with a_i = d_i - z_i = r^2 / (d_i + z_i),
+ *
+ *   1 - z_i / d_i e^(-mu a_i) = [a_i + z_i (1 - e^(-mu a_i))] / d_i
+ *   a1 - a2 = r^2 (d2 - d1 + z2 - z1) / ((d1 + z1) (d2 + z2))
  */
 #include "core/kernels.h"
 
@@ -65,8 +71,7 @@ _Static_assert((int)COEFFICIENTS <= CORE_COEFFICIENTS_MAX, "the profile has room
 
 #define DIPOLE_ERROR_EPSILONS 8.0
 
-#ifdef CORE_ISA /* ---- the kernels, compiled for each instruction set and precision               \
-                   -------------- */
+#ifdef CORE_ISA /* the kernels, compiled for each instruction set and precision */
 
 #include "core/kernel.h"
 
@@ -219,7 +224,7 @@ static inline real dipole_cdf(const real *c, real r) {
 /* The inverse of the cdf, by Newton's method on ln(cdf / (1 - cdf)) over ln x, which is nearly a
  * straight line: its slope is 2 at the source, 1 in a tail without absorption, and 1 + mu x in a
  * tail with it. The root is bracketed from the start (R falls with r, so cdf <= (x / CORE)^2; and 1
- * - cdf <= TAIL / d1 e^(-mu (d1 - 1)), as e^(-mu d) / d does) and the bracket shrinks with every
+ * - cdf <= TAIL / d1 e^(-mu (d1 - z1)), as e^(-mu d) / d does) and the bracket shrinks with every
  * step; a step that would leave it halves it instead. Over the whole domain no start needs more
  * than SAMPLE_STEPS - 1 steps; the round trip in tests/accuracy/test_sample.c rests on it. 1 - cdf
  * is summed from what lies beyond r, so that both tails keep their digits. */
@@ -273,8 +278,7 @@ CORE_KERNEL_TABLE(dipole, .sample = sample,
                       [CORE_ELEMENTWISE_PDF] = eval_pdf,
                   });
 
-#else /* ---- preparation, compiled once                                                           \
-         ----------------------------------------------------------- */
+#else /* preparation, compiled once */
 
 #define CORE_REAL 64
 #include "core/dd.h"
