@@ -43,6 +43,15 @@ ALL_LDFLAGS = -pthread $(LDFLAGS) $(SANITIZE)
 
 UV_CFLAGS = $(shell pkg-config --cflags libuv)
 UV_LIBS = $(shell pkg-config --libs libuv)
+# What core's preparation uses. The archives' members are taken as needed, so that the client library
+# does without.
+# GSL=no builds without the model `gaussians`.
+GSL ?= yes
+ifeq ($(GSL),yes)
+CORE_LIBS = $(shell pkg-config --libs gsl)
+else
+CPPFLAGS += -DCORE_WITHOUT_GSL
+endif
 
 # ---- what is built -------------------------------------------------------------------------------
 
@@ -59,10 +68,14 @@ ISA_FLAGS_portable := -O2 -fno-tree-vectorize
 ISA_FLAGS_sse2 := -O3 -msse2
 ISA_FLAGS_avx2 := -O3 -mavx2 -mfma
 ISA_FLAGS_avx512 := -O3 -mavx512f -mavx512dq -mavx512vl -mfma -mprefer-vector-width=512
-MODELS := $(patsubst core/models/%.c,%,$(wildcard core/models/*.c))
+# Files of core/models that hold kernels; the others prepare for the kernels of one that does.
+MODELS := $(patsubst core/models/%.c,%,$(shell grep -l CORE_KERNEL_TABLE core/models/*.c))
 KERNELS := $(foreach isa,$(ISAS),$(foreach real,32 64,$(MODELS:%=$(OBJ)/core/models/%.$(isa).f$(real).o)))
 
-CORE := $(call objects,$(wildcard core/*.c core/models/*.c)) $(KERNELS)
+# The walk of Monte Carlo: once for each instruction set.
+WALKS := $(ISAS:%=$(OBJ)/core/montecarlo/walk.%.o)
+
+CORE := $(call objects,$(filter-out core/montecarlo/walk.c,$(wildcard core/*.c core/models/*.c core/montecarlo/*.c core/transport/*.c))) $(KERNELS) $(WALKS)
 PROTO := $(call objects,$(wildcard proto/*.c))
 SERVER := $(call objects,$(wildcard server/*.c))
 LIBRARY := $(call objects,$(wildcard clients/c/*.c))
@@ -94,7 +107,18 @@ $(OBJ)/core/models/%.$(1).f$(2).o: core/models/%.c Makefile
 endef
 $(foreach isa,$(ISAS),$(foreach real,32 64,$(eval $(call kernel_rule,$(isa),$(real)))))
 
+# core/montecarlo/walk.ISA.o
+define walk_rule
+$(OBJ)/core/montecarlo/walk.$(1).o: core/montecarlo/walk.c Makefile
+	@mkdir -p $$(@D)
+	$$(call SAY,CC,$$< $(1))
+	$$(Q)$$(CC) $$(ALL_CPPFLAGS) -DCORE_ISA=$(1) $$(ALL_CFLAGS) $$(ISA_FLAGS_$(1)) -c -o $$@ $$<
+endef
+$(foreach isa,$(ISAS),$(eval $(call walk_rule,$(isa))))
+
 $(SERVER): EXTRA_CPPFLAGS = $(UV_CFLAGS)
+# Complex products and quotients as they stand in textbooks: in line, the same from every compiler.
+$(call objects,$(wildcard core/transport/*.c)): EXTRA_CPPFLAGS = -fcx-limited-range
 
 $(BUILD)/libcore.a: $(CORE)
 $(BUILD)/libproto.a: $(PROTO)
@@ -109,9 +133,9 @@ $(BUILD)/libdipole.a: $(LIBRARY) $(PROTO) $(CORE)
 	@rm -f $@
 	$(Q)ar qcs $@ $^
 
-$(BUILD)/libdipole.so.$(VERSION): $(LIBRARY) $(PROTO) $(CORE) clients/c/libdipole.map
+$(BUILD)/libdipole.so.$(VERSION): $(LIBRARY) $(BUILD)/libproto.a $(BUILD)/libcore.a clients/c/libdipole.map
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -shared -Wl,-soname,libdipole.so.$(SOVERSION) -Wl,--version-script=clients/c/libdipole.map -o $@ $(filter %.o,$^) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -shared -Wl,-soname,libdipole.so.$(SOVERSION) -Wl,--version-script=clients/c/libdipole.map -Wl,--no-undefined -o $@ $(filter %.o %.a,$^) -lm
 
 $(BUILD)/libdipole.so: $(BUILD)/libdipole.so.$(VERSION)
 	$(Q)ln -sf libdipole.so.$(VERSION) $(BUILD)/libdipole.so.$(SOVERSION)
@@ -119,15 +143,15 @@ $(BUILD)/libdipole.so: $(BUILD)/libdipole.so.$(VERSION)
 
 $(BUILD)/dipoled: $(SERVER) $(BUILD)/libproto.a $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(UV_LIBS) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(UV_LIBS) $(CORE_LIBS) -lm
 
 $(BUILD)/dipole: $(CLI) $(BUILD)/libdipole.a
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
 
 $(BUILD)/bench: $(BENCH) $(BUILD)/libdipole.a
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
 
 $(BUILD)/wire-tables: $(OBJ)/proto/tools/wire_tables.o $(BUILD)/libproto.a $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
@@ -135,12 +159,12 @@ $(BUILD)/wire-tables: $(OBJ)/proto/tools/wire_tables.o $(BUILD)/libproto.a $(BUI
 
 $(BUILD)/tests/bits: $(OBJ)/tests/bits/bits.o $(BUILD)/libcore.a
 	@mkdir -p $(@D)
-	$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
+	$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
 
 $(BUILD)/tests/%: $(OBJ)/tests/%.o $(TEST_SUPPORT) $(BUILD)/libdipole.a
 	@mkdir -p $(@D)
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lcmocka -lmpfr -lgmp -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lcmocka -lmpfr -lgmp $(CORE_LIBS) -lm
 
 -include $(shell find $(OBJ) -name '*.d' 2>/dev/null)
 

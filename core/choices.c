@@ -1,3 +1,4 @@
+#include <math.h>
 #include <string.h>
 
 #include "core/core.h"
@@ -6,9 +7,10 @@
   { 0, NULL, NULL }
 
 const core_choice core_models[] = {
-#define CORE_MODEL(id, IDENT, name, family, variant, source) {id, name, source},
+#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
+  {id, name, source},
+#define CORE_SUM(id, IDENT, name, FIRST, SECOND, source) {id, name, source},
 #include "core/models.def"
-#undef CORE_MODEL
     END,
 };
 
@@ -32,6 +34,19 @@ const core_choice core_quantities[] = {
 
 #define CORE_SPACING(id, IDENT, name, about) {id, name, about},
 const core_choice core_spacings[] = {
+#include "core/choices.def"
+    END,
+};
+
+#define CORE_PARAMETER(id, IDENT, name, unit, least, most, about)                                  \
+  {id, name, unit ": " about " (" #least " to " #most ")"},
+const core_choice core_parameter_list[] = {
+#include "core/choices.def"
+    END,
+};
+
+#define CORE_NOTE(bit, IDENT, name, about) {bit, name, about},
+const core_choice core_notes[] = {
 #include "core/choices.def"
     END,
 };
@@ -66,4 +81,12 @@ const core_choice *core_choice_by_name(const core_choice *list, const char *name
     }
   }
   return NULL;
+}
+
+core_parameters core_parameters_none(void) {
+  core_parameters parameters;
+  for (size_t i = 0; i < CORE_PARAMETERS_END; i++) {
+    parameters.value[i] = (double)NAN;
+  }
+  return parameters;
 }

@@ -8,8 +8,8 @@
  * Units: lengths in mm, coefficients in 1/mm, R in 1/mm^2 per unit of power that entered the medium
  * (not per launched power: specular reflection is not part of it).
  *
- * Nothing here allocates, logs, opens files or keeps state; every function may be called from any
- * thread at any time.
+ * Nothing here logs, opens files or keeps state; every function may be called from any thread at
+ * any time. Only core_profile_prepare() allocates, and only for models that need a table.
  */
 #ifndef DIPOLED_CORE_H
 #define DIPOLED_CORE_H
@@ -27,10 +27,17 @@ enum core_dipole_switch {
   CORE_DIPOLE_EXITANCE = 4, /* fluence and flux leave: (1 - 2 C1) / 4 and (1 - 3 C2) / 2 */
 };
 
+/* Of Burley's profile: which fit gives its width. */
+enum core_burley_fit { CORE_BURLEY_SEARCHLIGHT, CORE_BURLEY_DIFFUSE, CORE_BURLEY_DMFP };
+
+/* Of slabs: the transmitted profile instead of the reflected one. */
+enum { CORE_SLAB_TRANSMITTED = 8 };
+
 enum core_model {
-#define CORE_MODEL(id, IDENT, name, family, variant, source) CORE_MODEL_##IDENT = (id),
+#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
+  CORE_MODEL_##IDENT = (id),
+#define CORE_SUM(id, IDENT, name, FIRST, SECOND, source) CORE_MODEL_##IDENT = (id),
 #include "core/models.def"
-#undef CORE_MODEL
 };
 
 #define CORE_EVALUATOR(id, IDENT, name, about) CORE_EVALUATOR_##IDENT = (id),
@@ -53,6 +60,17 @@ enum core_spacing {
 #include "core/choices.def"
 };
 
+#define CORE_PARAMETER(id, IDENT, name, unit, least, most, about) CORE_PARAMETER_##IDENT = (id),
+enum core_parameter {
+#include "core/choices.def"
+  CORE_PARAMETERS_END
+};
+
+#define CORE_NOTE(bit, IDENT, name, about) CORE_NOTE_##IDENT = (bit),
+enum core_note {
+#include "core/choices.def"
+};
+
 /* One entry of a list, for listings and for turning names into ids. `about` is the source of a
  * model, the unit of a quantity, the meaning of anything else. */
 typedef struct core_choice {
@@ -67,6 +85,8 @@ extern const core_choice core_evaluators[];
 extern const core_choice core_moments_list[];
 extern const core_choice core_quantities[];
 extern const core_choice core_spacings[];
+extern const core_choice core_parameter_list[];
+extern const core_choice core_notes[];
 
 /* The entry of a list with this id or this exact name; NULL when there is none. */
 const core_choice *core_choice_by_id(const core_choice *list, unsigned id);
@@ -85,6 +105,9 @@ typedef struct core_fault {
   const char *allowed;
   size_t index;
 } core_fault;
+
+/* The field of the fault that there is no memory left for a profile, which may pass. */
+#define CORE_FIELD_MEMORY "memory"
 
 /* ---- media ------------------------------------------------------------------------------------
  */
@@ -117,6 +140,18 @@ extern const size_t core_measured_media_count;
 
 const core_measured_medium *core_measured_medium_by_name(const char *name); /* NULL: none */
 
+/* ---- parameters -------------------------------------------------------------------------------
+ */
+
+/* Optional numbers that a request may carry; value[CORE_PARAMETER_...], NaN where it is not given.
+ */
+typedef struct core_parameters {
+  double value[CORE_PARAMETERS_END];
+} core_parameters;
+
+/* None given. */
+core_parameters core_parameters_none(void);
+
 /* ---- Fresnel moments --------------------------------------------------------------------------
  */
 
@@ -134,6 +169,10 @@ core_fault core_fresnel_check(enum core_moments moments, double eta);
 /* eta in that range; asserted. The exact moments are within 4 epsilon of the integrals, the fits
  * within 1 epsilon of their polynomials' exact values. */
 core_fresnel core_fresnel_moments(enum core_moments moments, double eta);
+
+/* The unpolarized Fresnel transmittance of light between outside and inside, for the cosine of its
+ * angle outside, from 0 to 1; 0 where light from outside is totally reflected. */
+double core_fresnel_transmittance(double eta, double cos_outside);
 
 /* ---- instruction sets -------------------------------------------------------------------------
  */
@@ -155,7 +194,13 @@ const char *core_isa_listed(size_t index);
 
 enum { CORE_COEFFICIENTS_MAX = 32 };
 
-/* model + medium + evaluator, prepared. A plain value: copy it, keep it anywhere, no clean-up.
+/* Radii in mm from least to most, both included. */
+typedef struct core_radii_range {
+  double least_mm;
+  double most_mm;
+} core_radii_range;
+
+/* model + medium + evaluator, prepared. It may be copied; the copies share what one of them frees.
  * Read the public part; the rest belongs to the kernels. */
 typedef struct core_profile {
   core_medium medium;
@@ -173,22 +218,39 @@ typedef struct core_profile {
   double numerical_error_per_mm;
   /* Model error: how far the model is from radiative transport, relative. NaN: not measured. */
   double model_error;
+  unsigned notes;         /* bits of enum core_note */
+  core_radii_range radii; /* where the profile may be evaluated */
+  double cost;            /* of a radius: about as many evaluations of a dipole */
 
-  const struct core_kernels *kernels;
+  const struct core_kernels *kernels; /* NULL: a sum of parts */
+  struct core_profile *parts;         /* [2], of a sum; owned */
+  double *table;                      /* instead of the coefficients below; owned */
+  double scale_mm;                    /* the order of the radii that matter */
+  double cos_in;                      /* angles of S */
+  double cos_out;
+  double part_shares[2]; /* of the albedo */
   union {
     double f64[CORE_COEFFICIENTS_MAX];
     float f32[CORE_COEFFICIENTS_MAX];
   } coefficients;
 } core_profile;
 
-/* The fault that core_profile_prepare() would return for the same arguments, cheaply. */
+/* The fault that core_profile_prepare() would return for the same arguments, cheaply; without one,
+ * *radii is where such a profile may be evaluated. What only shows in preparing is not found: that
+ * memory has run out, or that a fit does not reach the tolerance. parameters, radii: may be NULL. */
 core_fault core_profile_check(unsigned model, unsigned moments, unsigned evaluator,
-                              const core_medium *medium);
+                              const core_medium *medium, const core_parameters *parameters,
+                              core_radii_range *radii);
 
 /* Prepares *profile for the kernels of isa. model, moments and evaluator are any integers (a peer
- * may have sent them). On a fault *profile is unspecified. */
+ * may have sent them); parameters may be NULL (none is given). On a fault *profile is unspecified,
+ * else it is to be freed with core_profile_free(). */
 core_fault core_profile_prepare(core_profile *profile, const core_isa *isa, unsigned model,
-                                unsigned moments, unsigned evaluator, const core_medium *medium);
+                                unsigned moments, unsigned evaluator, const core_medium *medium,
+                                const core_parameters *parameters);
+
+/* Frees what the profile owns; its copies are then dead, too. */
+void core_profile_free(core_profile *profile);
 
 /* Evaluates one elementwise quantity of a profile prepared with evaluator f64 (both asserted) at n
  * radii: r[n] in mm, from 0 to infinity inclusive; out[n] in the quantity's unit:
@@ -199,6 +261,10 @@ core_fault core_profile_prepare(core_profile *profile, const core_isa *isa, unsi
  *          (f32: 1e12) mean free paths 1 / sigma_t', -infinity from there on and where R is 0.
  *          Its error is absolute: numerical_error + numerical_error_per_mm r + 8 epsilon |ln R|
  *   PDF    the density of radii, 2 pi r R over the albedo, 1/mm
+ *   RING   2 pi r R, the power that leaves per mm of radius; finite at r = 0 where R is not, 1/mm
+ *   S      the BSSRDF for the two angles of the parameters (normal when not given), 1/(mm^2 sr):
+ *          F_t(cos_in) R(r) F_t(cos_out) / (pi (1 - 2 C1(1 / eta))), with the exact C1
+ *          (d'Eon 2012, Eq. 1; Jensen et al. 2001, Eq. 5)
  * The arrays are aligned for their type, no more; they do not overlap. Values for radii that
  * core_radii_check_f64() faults are unspecified. */
 void core_eval_f64(const core_profile *profile, enum core_quantity quantity, size_t n,
@@ -210,8 +276,8 @@ void core_eval_f32(const core_profile *profile, enum core_quantity quantity, siz
 
 /* Radii with given cdf: r[n] in mm such that cdf(r) = u, for u[n] from 0 to 1 inclusive (0: 0;
  * 1: infinity), for drawing radii in proportion to r R(r) from uniform numbers.
- * |cdf(r) - u| is at most CORE_SAMPLE_ERROR_F64 (F32) for u up to 1 - 1e-7. A profile that scatters
- * nothing has no distribution: r is 0. */
+ * |cdf(r) - u| is at most CORE_SAMPLE_ERROR_F64 (F32) and the numerical error of the cdf, for u up
+ * to 1 - 1e-7. A profile that scatters nothing has no distribution: r is 0. */
 void core_sample_f64(const core_profile *profile, size_t n, const double *u, double *r);
 void core_sample_f32(const core_profile *profile, size_t n, const float *u, float *r);
 
@@ -243,6 +309,10 @@ core_inversion core_invert_albedo(unsigned model, unsigned moments, double albed
 /* The first radius that is negative or NaN. -0.0 is 0. */
 core_fault core_radii_check_f64(size_t n, const double *r);
 core_fault core_radii_check_f32(size_t n, const float *r);
+
+/* The first radius outside a profile's range, of radii that are not NaN. */
+core_fault core_radii_range_check_f64(const core_radii_range *range, size_t n, const double *r);
+core_fault core_radii_range_check_f32(const core_radii_range *range, size_t n, const float *r);
 
 /* Radii by rule: count of them from start to stop, both included (count = 1: start alone).
  * linear:       start + i (stop - start) / (count - 1)

@@ -35,9 +35,13 @@ struct problem {
 static double albedo_of_ratio(const struct problem *problem, double ratio) {
   const core_medium medium = medium_of_ratio(ratio, problem->sigma_t_prime, problem->eta);
   core_profile profile;
-  const core_fault fault = core_profile_prepare(&profile, problem->isa, problem->model,
-                                                problem->moments, CORE_EVALUATOR_F64, &medium);
-  return fault.field == NULL ? profile.albedo : (double)NAN;
+  const core_fault fault = core_profile_prepare(
+      &profile, problem->isa, problem->model, problem->moments, CORE_EVALUATOR_F64, &medium, NULL);
+  if (fault.field != NULL) {
+    return (double)NAN;
+  }
+  core_profile_free(&profile);
+  return profile.albedo;
 }
 
 /* least <= albedo(high) < wanted <= albedo(low) */
@@ -66,7 +70,8 @@ static core_fault check(const struct problem *problem, double mean_free_path_mm)
     return (core_fault){"mean_free_path", "1e-14 to 1e14 mm", 0};
   }
   const core_medium white = medium_of_ratio(0, problem->sigma_t_prime, problem->eta);
-  return core_profile_check(problem->model, problem->moments, CORE_EVALUATOR_F64, &white);
+  return core_profile_check(problem->model, problem->moments, CORE_EVALUATOR_F64, &white, NULL,
+                            NULL);
 }
 
 core_inversion core_invert_albedo(unsigned model, unsigned moments, double albedo,

@@ -6,9 +6,8 @@
 
 /* Positions of the models in the tables below. */
 enum model_index {
-#define CORE_MODEL(id, IDENT, name, family, variant, source) INDEX_##IDENT,
+#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source) INDEX_##IDENT,
 #include "core/models.def"
-#undef CORE_MODEL
   MODELS
 };
 
@@ -18,18 +17,17 @@ enum level_index { CORE_ISA_LEVELS(INDEX, ) LEVELS };
 #define DECLARE(level, family)                                                                     \
   extern const core_kernels_f64 core_kernels_##family##_##level##_f64;                             \
   extern const core_kernels_f32 core_kernels_##family##_##level##_f32;
-#define CORE_MODEL(id, IDENT, name, family, variant, source) CORE_ISA_LEVELS(DECLARE, family)
+#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
+  CORE_ISA_LEVELS(DECLARE, kernels)
 #include "core/models.def"
-#undef CORE_MODEL
 
 #define KERNELS(level, family)                                                                     \
   [INDEX_##                                                                                        \
       level] = {&core_kernels_##family##_##level##_f64, &core_kernels_##family##_##level##_f32},
 static const struct core_kernels kernels[MODELS][LEVELS] = {
-#define CORE_MODEL(id, IDENT, name, family, variant, source)                                       \
-  [INDEX_##IDENT] = {CORE_ISA_LEVELS(KERNELS, family)},
+#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
+  [INDEX_##IDENT] = {CORE_ISA_LEVELS(KERNELS, kernels)},
 #include "core/models.def"
-#undef CORE_MODEL
 };
 
 struct core_isa {
@@ -79,12 +77,13 @@ const char *core_isa_listed(size_t index) {
 
 const struct core_kernels *core_isa_kernels(const core_isa *isa, enum core_model model) {
   switch (model) {
-#define CORE_MODEL(id, IDENT, name, family, variant, source)                                       \
+#define CORE_MODEL(id, IDENT, name, formula, family, variant, parameters, source)                  \
   case CORE_MODEL_##IDENT:                                                                         \
     return &kernels[INDEX_##IDENT][isa - levels];
 #include "core/models.def"
-#undef CORE_MODEL
+  default:
+    break;
   }
-  assert(!"a model of the list");
+  assert(!"a model of the list, not a sum");
   return NULL;
 }

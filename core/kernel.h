@@ -222,6 +222,12 @@ static inline real real_log(real x, real exponent) {
   const CORE_PASTE2(core_kernels_f, CORE_REAL)                                                     \
       CORE_PASTE5(core_kernels_, family, _, CORE_ISA, CORE_PASTE2(_f, CORE_REAL)) = {__VA_ARGS__}
 
+/* The same for a family whose single precision is its double precision, rounded: its file is
+ * compiled for both, and has kernels where CORE_REAL is 64. */
+#define CORE_KERNEL_TABLE_NONE(family)                                                             \
+  extern const core_kernels_f32 CORE_PASTE5(core_kernels_, family, _, CORE_ISA, _f32);             \
+  const core_kernels_f32 CORE_PASTE5(core_kernels_, family, _, CORE_ISA, _f32) = {.sample = NULL}
+
 /* CORE_KERNEL(name, element): a loop that applies element(coefficients, x) to every number. */
 #define CORE_KERNEL(name, element)                                                                 \
   static void name(const real *restrict coefficients, size_t n, const real *restrict in,           \

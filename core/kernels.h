@@ -27,6 +27,8 @@ enum core_elementwise {
 typedef void core_kernel_f64(const double *coefficients, size_t n, const double *in, double *out);
 typedef void core_kernel_f32(const float *coefficients, size_t n, const float *in, float *out);
 
+/* An entry is NULL where profile.c has a way for all models: S from R, sampling by inverting the
+ * cdf. A table for f32 that is all NULL: single precision is double precision, rounded. */
 typedef struct core_kernels_f64 {
   core_kernel_f64 *evaluate[CORE_ELEMENTWISE_COUNT]; /* in: radii in mm */
   core_kernel_f64 *sample;                           /* in: cdf values; out: radii in mm */
@@ -43,21 +45,58 @@ struct core_kernels {
   const core_kernels_f32 *f32;
 };
 
-/* The kernels of a model (by id, in the list) for an instruction set. */
+/* The kernels of a model (by id, in the list, not a sum) for an instruction set. */
 const struct core_kernels *core_isa_kernels(const core_isa *isa, enum core_model model);
 
-/* What a family's preparation fills in: the double precision coefficients, the albedo, and the
- * numerical error in units of epsilon, which core_profile_prepare() multiplies by the evaluator's.
- */
+/* What a model is prepared from; the medium, the moments and the parameters' ranges have been
+ * checked. */
+typedef struct core_inputs {
+  int variant;
+  enum core_moments moments;
+  const core_medium *medium;
+  const core_parameters *parameters;
+  const core_isa *isa;
+} core_inputs;
+
+/* What a formula's preparation fills in; it finds zeros, and 1 for cost. */
 typedef struct core_preparation {
   double coefficients[CORE_COEFFICIENTS_MAX];
+  double *table; /* malloc(), instead of the coefficients when they need more room; NULL: not */
   double albedo;
-  double error_epsilons;        /* at r = 0 */
-  double error_epsilons_per_mm; /* more for each mm */
+  double error;                 /* numerical, relative, of all values */
+  double error_epsilons;        /* and in units of the evaluator's epsilon: at r = 0 */
+  double error_epsilons_per_mm; /* and more for each mm */
+  double cost;                  /* see core_profile */
+  double scale_mm;              /* see core_profile; 0: 1 / sigma_t' */
+  unsigned notes;               /* besides those that hold for all models */
 } core_preparation;
 
-/* Each family has core_<family>_prepare(); the medium has been checked. */
-typedef void core_prepare_function(int variant, enum core_moments moments,
-                                   const core_medium *medium, core_preparation *preparation);
+/* Each formula has core_<formula>_check(): the fault of inputs outside the model's domain, and the
+ * radii it may be evaluated at (0 to infinity unless it says otherwise); and
+ * core_<formula>_prepare() for inputs without a fault: it finds what only shows then. */
+typedef core_fault core_check_function(const core_inputs *inputs, core_radii_range *radii);
+typedef core_fault core_prepare_function(const core_inputs *inputs, core_preparation *preparation);
+
+#define CORE_OUT_OF_MEMORY ((core_fault){CORE_FIELD_MEMORY, "less than what is left: try again", 0})
+
+/* The value of a parameter, or another one where it is not given. */
+static inline double core_parameter_or(const core_inputs *inputs, enum core_parameter parameter,
+                                       double otherwise) {
+  const double value = inputs->parameters->value[parameter];
+  return value == value ? value : otherwise;
+}
+
+/* For models that see isotropic scattering of sigma_s (1 - g). */
+static inline unsigned core_similarity_note(const core_inputs *inputs) {
+  return inputs->medium->g < 0 || inputs->medium->g > 0 ? CORE_NOTE_SIMILARITY : 0;
+}
+
+/* core_eval_f64() for any quantity but S, and for profiles of either evaluator that hold their
+ * coefficients in double precision: sums and those whose kernels have no f32. */
+void core_evaluate(const core_profile *profile, enum core_quantity quantity, size_t n,
+                   const double *r, double *out);
+
+/* Radii with given cdf for any profile in double precision, by inverting its cdf. */
+void core_invert_cdf(const core_profile *profile, size_t n, const double *u, double *r);
 
 #endif

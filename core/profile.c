@@ -1,30 +1,105 @@
+/* Profiles: checked, prepared, freed. */
 #include <assert.h>
 #include <float.h>
 #include <math.h>
+#include <stdlib.h>
 
 #include "core/kernels.h"
 
-#define CORE_MODEL(id, IDENT, name, family, variant, source)                                       \
-  extern core_prepare_function core_##family##_prepare;
+#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
+  extern core_check_function core_##formula##_check;                                               \
+  extern core_prepare_function core_##formula##_prepare;
 #include "core/models.def"
-#undef CORE_MODEL
 
-static void prepare_model(enum core_model model, enum core_moments moments,
-                          const core_medium *medium, core_preparation *preparation) {
-  switch (model) {
-#define CORE_MODEL(id, IDENT, name, family, variant, source)                                       \
-  case id:                                                                                         \
-    core_##family##_prepare(variant, moments, medium, preparation);                                \
-    return;
+/* ---- the list, as a table ---------------------------------------------------------------------
+ */
+
+struct model {
+  unsigned id;
+  core_check_function *check; /* NULL: a sum */
+  core_prepare_function *prepare;
+  int variant;
+  unsigned parameters; /* bits of those that it takes */
+  unsigned parts[2];   /* of a sum */
+};
+
+#define BIT(IDENT) (1u << CORE_PARAMETER_##IDENT)
+#define TAKEN_BY_ALL (BIT(TOLERANCE) | BIT(COS_IN) | BIT(COS_OUT))
+
+static const struct model models[] = {
+#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
+  {id, core_##formula##_check, core_##formula##_prepare, variant, parameters, {0}},
+#define CORE_SUM(id, IDENT, name, FIRST, SECOND, source)                                           \
+  {id, NULL, NULL, 0, 0, {CORE_MODEL_##FIRST, CORE_MODEL_##SECOND}},
 #include "core/models.def"
-#undef CORE_MODEL
+};
+
+enum { MODELS = sizeof models / sizeof models[0] };
+
+static const struct model *find(unsigned id) {
+  for (size_t i = 0; i < MODELS; i++) {
+    if (models[i].id == id) {
+      return &models[i];
+    }
   }
-  assert(!"a model of the list");
+  return NULL;
 }
 
-core_fault core_profile_check(unsigned model, unsigned moments, unsigned evaluator,
-                              const core_medium *medium) {
-  if (core_choice_by_id(core_models, model) == NULL) {
+static unsigned parameters_of(const struct model *model) {
+  return model->check != NULL
+             ? model->parameters | TAKEN_BY_ALL
+             : parameters_of(find(model->parts[0])) | parameters_of(find(model->parts[1]));
+}
+
+/* ---- checking ---------------------------------------------------------------------------------
+ */
+
+static const struct {
+  unsigned id;
+  const char *name;
+  double least;
+  double most;
+  const char *range;
+} parameter_ranges[] = {
+#define CORE_PARAMETER(id, IDENT, name, unit, least, most, about)                                  \
+  {id, name, least, most, #least " to " #most},
+#include "core/choices.def"
+};
+
+static core_fault check_parameters(const struct model *model, const core_parameters *parameters) {
+  const unsigned taken = parameters_of(model);
+  for (size_t i = 0; i < sizeof parameter_ranges / sizeof parameter_ranges[0]; i++) {
+    const double value = parameters->value[parameter_ranges[i].id];
+    if (isnan(value)) {
+      continue;
+    }
+    if ((taken & 1u << parameter_ranges[i].id) == 0) {
+      return (core_fault){parameter_ranges[i].name, "nothing: this model does not take it", 0};
+    }
+    if (!(value >= parameter_ranges[i].least && value <= parameter_ranges[i].most)) {
+      return (core_fault){parameter_ranges[i].name, parameter_ranges[i].range, 0};
+    }
+  }
+  return (core_fault){0};
+}
+
+/* The domain of the model itself: of a sum, of both its parts. */
+static core_fault check_domain(const struct model *model, core_inputs inputs,
+                               core_radii_range *radii) {
+  inputs.variant = model->variant;
+  if (model->check != NULL) {
+    return model->check(&inputs, radii);
+  }
+  core_fault fault = check_domain(find(model->parts[0]), inputs, radii);
+  if (fault.field == NULL) {
+    fault = check_domain(find(model->parts[1]), inputs, radii);
+  }
+  return fault;
+}
+
+static core_fault check(const struct model *model, unsigned moments, unsigned evaluator,
+                        const core_inputs *inputs, core_radii_range *radii) {
+  if (model == NULL) {
     return (core_fault){"model", "a model of the list", 0};
   }
   if (core_choice_by_id(core_moments_list, moments) == NULL) {
@@ -33,33 +108,64 @@ core_fault core_profile_check(unsigned model, unsigned moments, unsigned evaluat
   if (core_choice_by_id(core_evaluators, evaluator) == NULL) {
     return (core_fault){"evaluator", "an evaluator of the list", 0};
   }
-  const core_fault fault = core_medium_check(medium);
-  return fault.field != NULL ? fault : core_fresnel_check(moments, medium->eta);
+  core_fault fault = core_medium_check(inputs->medium);
+  if (fault.field == NULL) {
+    fault = core_fresnel_check(moments, inputs->medium->eta);
+  }
+  if (fault.field == NULL) {
+    fault = check_parameters(model, inputs->parameters);
+  }
+  *radii = (core_radii_range){0, (double)INFINITY};
+  return fault.field == NULL ? check_domain(model, *inputs, radii) : fault;
 }
 
-core_fault core_profile_prepare(core_profile *profile, const core_isa *isa, unsigned model,
-                                unsigned moments, unsigned evaluator, const core_medium *medium) {
-  const core_fault fault = core_profile_check(model, moments, evaluator, medium);
+core_fault core_profile_check(unsigned model, unsigned moments, unsigned evaluator,
+                              const core_medium *medium, const core_parameters *parameters,
+                              core_radii_range *radii) {
+  const core_parameters none = core_parameters_none();
+  const core_inputs inputs = {
+      .moments = moments, .medium = medium, .parameters = parameters != NULL ? parameters : &none};
+  core_radii_range range;
+  const core_fault fault = check(find(model), moments, evaluator, &inputs, &range);
+  if (fault.field == NULL && radii != NULL) {
+    *radii = range;
+  }
+  return fault;
+}
+
+/* ---- preparing --------------------------------------------------------------------------------
+ */
+
+static void set_notes(core_profile *profile) {
+  if (profile->albedo > 1 + profile->numerical_error) {
+    profile->notes |= CORE_NOTE_ALBEDO_ABOVE_1;
+    profile->model_error = profile->albedo - 1;
+  }
+}
+
+static core_fault prepare_model(core_profile *profile, const struct model *model,
+                                const core_inputs *inputs) {
+  const double sigma_t_prime =
+      inputs->medium->sigma_a_per_mm + inputs->medium->sigma_s_per_mm * (1 - inputs->medium->g);
+  core_preparation preparation = {.cost = 1, .scale_mm = 1 / sigma_t_prime};
+  const core_fault fault = model->prepare(inputs, &preparation);
   if (fault.field != NULL) {
     return fault;
   }
-  core_preparation preparation = {0};
-  prepare_model(model, moments, medium, &preparation);
-  const bool single = evaluator == CORE_EVALUATOR_F32;
-  const double epsilon = single ? (double)FLT_EPSILON : DBL_EPSILON;
-  *profile = (core_profile){
-      .medium = *medium,
-      .model = model,
-      .moments = moments,
-      .evaluator = evaluator,
-      .albedo = preparation.albedo,
-      .numerical_error = preparation.error_epsilons * epsilon,
-      .numerical_error_per_mm = preparation.error_epsilons_per_mm * epsilon,
-      .model_error = (double)NAN,
-      .kernels = core_isa_kernels(isa, model),
-  };
+  profile->kernels = core_isa_kernels(inputs->isa, model->id);
+  const bool single = profile->evaluator == CORE_EVALUATOR_F32;
+  const bool wide = profile->kernels->f32->evaluate[0] == NULL;
+  const double epsilon = single && !wide ? (double)FLT_EPSILON : DBL_EPSILON;
+  profile->albedo = preparation.albedo;
+  profile->numerical_error = preparation.error + preparation.error_epsilons * epsilon +
+                             (single && wide ? (double)FLT_EPSILON : 0);
+  profile->numerical_error_per_mm = preparation.error_epsilons_per_mm * epsilon;
+  profile->notes = preparation.notes;
+  profile->cost = preparation.cost;
+  profile->scale_mm = preparation.scale_mm;
+  profile->table = preparation.table;
   for (int i = 0; i < CORE_COEFFICIENTS_MAX; i++) {
-    if (single) {
+    if (single && !wide) {
       profile->coefficients.f32[i] = (float)preparation.coefficients[i];
     } else {
       profile->coefficients.f64[i] = preparation.coefficients[i];
@@ -68,35 +174,92 @@ core_fault core_profile_prepare(core_profile *profile, const core_isa *isa, unsi
   return (core_fault){0};
 }
 
-static enum core_elementwise position(enum core_quantity quantity) {
-  switch (quantity) {
-#define CORE_QUANTITY(bit, IDENT, name, unit, SHAPE)                                               \
-  CORE_IF_##SHAPE(case CORE_QUANTITY_##IDENT : return CORE_ELEMENTWISE_##IDENT;)
-#include "core/choices.def"
-  default:
-    assert(!"an elementwise quantity");
-    return CORE_ELEMENTWISE_COUNT;
+static core_fault prepare(core_profile *profile, const struct model *model, core_inputs inputs,
+                          core_radii_range radii);
+
+/* Both parts in double precision; what is added is rounded once. */
+static core_fault prepare_sum(core_profile *profile, const struct model *model,
+                              const core_inputs *inputs, core_radii_range radii) {
+  core_profile *parts = malloc(2 * sizeof *parts);
+  if (parts == NULL) {
+    return CORE_OUT_OF_MEMORY;
   }
+  for (int i = 0; i < 2; i++) {
+    parts[i] = (core_profile){.evaluator = CORE_EVALUATOR_F64};
+    const core_fault fault = prepare(&parts[i], find(model->parts[i]), *inputs, radii);
+    if (fault.field != NULL) {
+      if (i == 1) {
+        core_profile_free(&parts[0]);
+      }
+      free(parts);
+      return fault;
+    }
+  }
+  profile->parts = parts;
+  profile->albedo = parts[0].albedo + parts[1].albedo;
+  const bool scatters = profile->albedo > 0;
+  profile->part_shares[0] = scatters ? parts[0].albedo / profile->albedo : 0;
+  profile->part_shares[1] = scatters ? parts[1].albedo / profile->albedo : 0;
+  const bool single = profile->evaluator == CORE_EVALUATOR_F32;
+  profile->numerical_error = fmax(parts[0].numerical_error, parts[1].numerical_error) +
+                             2 * DBL_EPSILON + (single ? (double)FLT_EPSILON : 0);
+  profile->numerical_error_per_mm =
+      fmax(parts[0].numerical_error_per_mm, parts[1].numerical_error_per_mm);
+  profile->notes = (parts[0].notes | parts[1].notes) & ~(unsigned)CORE_NOTE_ALBEDO_ABOVE_1;
+  profile->cost = parts[0].cost + parts[1].cost;
+  profile->scale_mm = fmin(parts[0].scale_mm, parts[1].scale_mm);
+  return (core_fault){0};
 }
 
-void core_eval_f64(const core_profile *profile, enum core_quantity quantity, size_t n,
-                   const double *r, double *out) {
-  assert(profile->evaluator == CORE_EVALUATOR_F64);
-  profile->kernels->f64->evaluate[position(quantity)](profile->coefficients.f64, n, r, out);
+static core_fault prepare(core_profile *profile, const struct model *model, core_inputs inputs,
+                          core_radii_range radii) {
+  const enum core_evaluator evaluator = profile->evaluator;
+  *profile = (core_profile){
+      .medium = *inputs.medium,
+      .model = model->id,
+      .moments = inputs.moments,
+      .evaluator = evaluator,
+      .model_error = (double)NAN,
+      .radii = radii,
+      .cos_in = core_parameter_or(&inputs, CORE_PARAMETER_COS_IN, 1),
+      .cos_out = core_parameter_or(&inputs, CORE_PARAMETER_COS_OUT, 1),
+  };
+  inputs.variant = model->variant;
+  const core_fault fault = model->check != NULL ? prepare_model(profile, model, &inputs)
+                                                : prepare_sum(profile, model, &inputs, radii);
+  if (fault.field == NULL) {
+    set_notes(profile);
+  }
+  return fault;
 }
 
-void core_eval_f32(const core_profile *profile, enum core_quantity quantity, size_t n,
-                   const float *r, float *out) {
-  assert(profile->evaluator == CORE_EVALUATOR_F32);
-  profile->kernels->f32->evaluate[position(quantity)](profile->coefficients.f32, n, r, out);
+core_fault core_profile_prepare(core_profile *profile, const core_isa *isa, unsigned model,
+                                unsigned moments, unsigned evaluator, const core_medium *medium,
+                                const core_parameters *parameters) {
+  const core_parameters none = core_parameters_none();
+  const core_inputs inputs = {
+      .moments = moments,
+      .medium = medium,
+      .parameters = parameters != NULL ? parameters : &none,
+      .isa = isa,
+  };
+  const struct model *found = find(model);
+  core_radii_range radii;
+  const core_fault fault = check(found, moments, evaluator, &inputs, &radii);
+  if (fault.field != NULL) {
+    return fault;
+  }
+  profile->evaluator = evaluator;
+  return prepare(profile, found, inputs, radii);
 }
 
-void core_sample_f64(const core_profile *profile, size_t n, const double *u, double *r) {
-  assert(profile->evaluator == CORE_EVALUATOR_F64);
-  profile->kernels->f64->sample(profile->coefficients.f64, n, u, r);
-}
-
-void core_sample_f32(const core_profile *profile, size_t n, const float *u, float *r) {
-  assert(profile->evaluator == CORE_EVALUATOR_F32);
-  profile->kernels->f32->sample(profile->coefficients.f32, n, u, r);
+void core_profile_free(core_profile *profile) {
+  free(profile->table);
+  profile->table = NULL;
+  if (profile->parts != NULL) {
+    core_profile_free(&profile->parts[0]);
+    core_profile_free(&profile->parts[1]);
+    free(profile->parts);
+    profile->parts = NULL;
+  }
 }

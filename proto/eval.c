@@ -1,5 +1,6 @@
 #include "proto/eval.h"
 
+#include <math.h>
 #include <stdio.h>
 
 static unsigned all_quantities(void) {
@@ -25,18 +26,27 @@ bool eval_is_array(unsigned wanted, unsigned quantity) {
   return (wanted & quantity) != 0 && core_quantity_elementwise(quantity);
 }
 
-uint64_t eval_request_bytes(uint32_t medium_count, uint64_t radii_bytes) {
+uint64_t eval_request_bytes(uint32_t medium_count, uint32_t parameter_count, uint64_t radii_bytes) {
   return WIRE_BYTES_eval_request + (uint64_t)medium_count * WIRE_BYTES_medium +
-         wire_padded(radii_bytes);
+         (uint64_t)parameter_count * WIRE_BYTES_parameter + wire_padded(radii_bytes);
 }
 
-/* "one of 1 (f64), 2 (f32)", so that the reader of an error need not look the list up. */
+/* "one of 1 (f64), 2 (f32)", so that the reader of an error need not look the list up unless it is
+ * long. */
 static wire_error not_in_list(const char *field, const core_choice *list, const char *how) {
+  static const char more[] = " ... of the list in hello";
   char allowed[81];
   size_t length = (size_t)snprintf(allowed, sizeof allowed, "%s", how);
-  for (const core_choice *entry = list; entry->name != NULL && length < sizeof allowed; entry++) {
-    length += (size_t)snprintf(allowed + length, sizeof allowed - length, "%s%u (%s)",
-                               entry == list ? " " : ", ", entry->id, entry->name);
+  for (const core_choice *entry = list; entry->name != NULL; entry++) {
+    char item[64];
+    const int bytes = snprintf(item, sizeof item, "%s%u (%s)", entry == list ? " " : ", ",
+                               entry->id, entry->name);
+    const size_t room = sizeof allowed - (entry[1].name != NULL ? sizeof more : 1);
+    if (length + (size_t)bytes > room) {
+      snprintf(allowed + length, sizeof allowed - length, "%s", more);
+      break;
+    }
+    length += (size_t)snprintf(allowed + length, sizeof allowed - length, "%s", item);
   }
   return wire_error_make(WIRE_STATUS_BAD_VALUE, field, allowed);
 }
@@ -75,9 +85,10 @@ static wire_error parse_radii(const uint8_t *at, size_t remaining, eval_request 
   const wire_eval_request *fixed = &request->fixed;
   if (fixed->spacing != CORE_SPACING_LIST) {
     request->radii = NULL;
-    return remaining == 0 ? wire_error_none()
-                          : wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes",
-                                            "nothing after the media when the radii are a grid");
+    return remaining == 0
+               ? wire_error_none()
+               : wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes",
+                                 "nothing after media and parameters when the radii are a grid");
   }
   if (fixed->radius_start != 0 || fixed->radius_stop != 0) {
     return wire_error_make(WIRE_STATUS_BAD_VALUE,
@@ -87,7 +98,7 @@ static wire_error parse_radii(const uint8_t *at, size_t remaining, eval_request 
   const size_t value_bytes = eval_value_bytes(fixed->evaluator);
   if (fixed->radius_count > remaining / value_bytes) {
     return wire_error_make(WIRE_STATUS_BAD_COUNT, "radius_count",
-                           "no more radii than the payload holds after the media");
+                           "no more radii than the payload holds after media and parameters");
   }
   const size_t list_bytes = (size_t)fixed->radius_count * value_bytes;
   if (remaining != wire_padded(list_bytes)) {
@@ -96,6 +107,43 @@ static wire_error parse_radii(const uint8_t *at, size_t remaining, eval_request 
   }
   request->radii = at;
   return check_padding(at + list_bytes, remaining - list_bytes);
+}
+
+static wire_error parse_parameter(const uint8_t *at, core_parameters *parameters) {
+  wire_parameter parameter;
+  wire_get_parameter(at, &parameter);
+  if (core_choice_by_id(core_parameter_list, parameter.parameter) == NULL) {
+    return not_in_list("parameter", core_parameter_list, "one of");
+  }
+  if (parameter.zero != 0 || parameter.zero_too != 0) {
+    return wire_error_make(WIRE_STATUS_BAD_VALUE, parameter.zero != 0 ? "zero" : "zero_too", "0");
+  }
+  if (!isnan(parameters->value[parameter.parameter])) {
+    return wire_error_make(WIRE_STATUS_BAD_VALUE, "parameter", "each at most once");
+  }
+  if (isnan(parameter.value)) {
+    return wire_error_make(WIRE_STATUS_BAD_VALUE,
+                           core_choice_by_id(core_parameter_list, parameter.parameter)->name,
+                           "a number; a parameter that is not wanted is left out");
+  }
+  parameters->value[parameter.parameter] = parameter.value;
+  return wire_error_none();
+}
+
+static wire_error parse_parameters(const uint8_t *at, size_t remaining, eval_request *request) {
+  request->parameters = core_parameters_none();
+  if (request->fixed.parameter_count > remaining / WIRE_BYTES_parameter) {
+    return wire_error_make(WIRE_STATUS_BAD_COUNT, "parameter_count",
+                           "no more parameters than the payload holds after the media");
+  }
+  for (uint32_t i = 0; i < request->fixed.parameter_count; i++) {
+    wire_error error = parse_parameter(at + i * WIRE_BYTES_parameter, &request->parameters);
+    if (error.status != WIRE_STATUS_OK) {
+      error.index = i;
+      return error;
+    }
+  }
+  return wire_error_none();
 }
 
 wire_error eval_request_parse(const uint8_t *payload, size_t payload_bytes, eval_request *request) {
@@ -120,7 +168,14 @@ wire_error eval_request_parse(const uint8_t *payload, size_t payload_bytes, eval
   }
   const size_t media_bytes = (size_t)request->fixed.medium_count * WIRE_BYTES_medium;
   request->media = at;
-  return parse_radii(at + media_bytes, remaining - media_bytes, request);
+  const wire_error parameters =
+      parse_parameters(at + media_bytes, remaining - media_bytes, request);
+  if (parameters.status != WIRE_STATUS_OK) {
+    return parameters;
+  }
+  const size_t before_radii =
+      media_bytes + (size_t)request->fixed.parameter_count * WIRE_BYTES_parameter;
+  return parse_radii(at + before_radii, remaining - before_radii, request);
 }
 
 bool eval_reply_layout(unsigned evaluator, unsigned wanted, uint32_t channel_count,

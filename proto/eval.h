@@ -13,7 +13,8 @@
 typedef struct eval_request {
   wire_eval_request fixed;
   const uint8_t *media; /* fixed.medium_count structures: wire_get_medium(media + i * 32, ...) */
-  const void *radii;    /* a list: fixed.radius_count of double or float; NULL for a grid */
+  core_parameters parameters;
+  const void *radii; /* a list: fixed.radius_count of double or float; NULL for a grid */
 } eval_request;
 
 /* Bytes of one radius or value: 8 for f64, 4 for f32; 0 for an evaluator that is not in the list.
@@ -21,11 +22,11 @@ typedef struct eval_request {
 size_t eval_value_bytes(unsigned evaluator);
 
 /* Takes a payload apart. Shape only: ids and counts that the layout depends on are checked, as are
- * the exact length and zero padding; the values are core's to check. */
+ * the ids of the parameters, the exact length and zero padding; the values are core's to check. */
 wire_error eval_request_parse(const uint8_t *payload, size_t payload_bytes, eval_request *request);
 
 /* Bytes of a request's payload with radii_bytes of listed radii (0 for a grid). */
-uint64_t eval_request_bytes(uint32_t medium_count, uint64_t radii_bytes);
+uint64_t eval_request_bytes(uint32_t medium_count, uint32_t parameter_count, uint64_t radii_bytes);
 
 /* The layout of a reply's payload. Offsets are from its start. */
 typedef struct eval_layout {

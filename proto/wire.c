@@ -189,9 +189,14 @@ static const struct {
   enum wire_choice_kind kind;
   const core_choice *list;
 } choice_lists[] = {
-    {WIRE_CHOICE_MODEL, core_models},         {WIRE_CHOICE_EVALUATOR, core_evaluators},
-    {WIRE_CHOICE_MOMENTS, core_moments_list}, {WIRE_CHOICE_QUANTITY, core_quantities},
-    {WIRE_CHOICE_SPACING, core_spacings},     {WIRE_CHOICE_STATUS, statuses},
+    {WIRE_CHOICE_MODEL, core_models},
+    {WIRE_CHOICE_EVALUATOR, core_evaluators},
+    {WIRE_CHOICE_MOMENTS, core_moments_list},
+    {WIRE_CHOICE_QUANTITY, core_quantities},
+    {WIRE_CHOICE_SPACING, core_spacings},
+    {WIRE_CHOICE_STATUS, statuses},
+    {WIRE_CHOICE_PARAMETER, core_parameter_list},
+    {WIRE_CHOICE_NOTE, core_notes},
 };
 
 enum { CHOICE_LISTS = sizeof choice_lists / sizeof choice_lists[0] };

@@ -38,6 +38,8 @@ enum wire_choice_kind {
   WIRE_CHOICE_QUANTITY,
   WIRE_CHOICE_SPACING,
   WIRE_CHOICE_STATUS,
+  WIRE_CHOICE_PARAMETER,
+  WIRE_CHOICE_NOTE,
 };
 
 /* ---- structures -------------------------------------------------------------------------------

@@ -40,6 +40,7 @@ static void on_closed(uv_handle_t *handle) {
   input_free(&c->input);
   output_free(&c->output);
   worker_forget(c->worker, c);
+  job_end(&c->job);
   free(c);
   if (purpose != CONNECTION_REFUSE) {
     stats_subtract(&server->stats, STATS_CONNECTIONS_OPEN, 1);
@@ -243,11 +244,24 @@ static bool take_frame(struct connection *c) {
 }
 
 static void run_job(struct connection *c, uint64_t *budget) {
-  if (!job_slice(&c->job, c->server, worker_scratch(c->worker), budget)) {
+  switch (job_slice(&c->job, c->server, worker_scratch(c->worker), budget)) {
+  case JOB_GOES_ON:
+    return;
+  case JOB_DONE:
     output_commit(&c->output);
     stats_count_answer(&c->server->stats, WIRE_STATUS_OK);
     input_next(&c->input, &c->job_header);
     c->in_job = false;
+    return;
+  case JOB_REFUSED:
+    output_cancel(&c->output);
+    c->in_job = false;
+    if (request_refuse(c->server, c->job_header.request_id, &c->job.refusal, &c->output)) {
+      input_next(&c->input, &c->job_header);
+    } else {
+      connection_abort(c);
+    }
+    return;
   }
 }
 

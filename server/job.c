@@ -1,6 +1,5 @@
 #include "server/job.h"
 
-#include <assert.h>
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -20,15 +19,45 @@ static core_medium medium_at(const struct job *job, uint32_t channel) {
   return (core_medium){medium.sigma_a, medium.sigma_s, medium.g, medium.eta};
 }
 
-static wire_error check_media(const struct job *job) {
+/* *radii: where all channels may be evaluated. */
+static wire_error check_media(const struct job *job, core_radii_range *radii) {
   const wire_eval_request *fixed = &job->request.fixed;
+  *radii = (core_radii_range){0, (double)INFINITY};
   for (uint32_t channel = 0; channel < fixed->medium_count; channel++) {
     const core_medium medium = medium_at(job, channel);
-    core_fault fault = core_profile_check(fixed->model, fixed->moments, fixed->evaluator, &medium);
+    core_radii_range range;
+    core_fault fault = core_profile_check(fixed->model, fixed->moments, fixed->evaluator, &medium,
+                                          &job->request.parameters, &range);
     if (fault.field != NULL) {
       fault.index = channel;
       return from_fault(fault);
     }
+    radii->least_mm = fmax(radii->least_mm, range.least_mm);
+    radii->most_mm = fmin(radii->most_mm, range.most_mm);
+  }
+  return wire_error_none();
+}
+
+/* Radii that the model does not cover, where it covers less than all. */
+static wire_error check_range(const struct job *job, const core_radii_range *range) {
+  const wire_eval_request *fixed = &job->request.fixed;
+  if (fixed->spacing == CORE_SPACING_LIST) {
+    const core_fault fault =
+        fixed->evaluator == CORE_EVALUATOR_F32
+            ? core_radii_range_check_f32(range, fixed->radius_count, job->request.radii)
+            : core_radii_range_check_f64(range, fixed->radius_count, job->request.radii);
+    return fault.field == NULL ? wire_error_none() : from_fault(fault);
+  }
+  char allowed[80];
+  const bool low = fixed->radius_count > 0 && job->grid.start_mm < range->least_mm;
+  const bool high = fixed->radius_count > 1 && job->grid.stop_mm > range->most_mm;
+  if (low) {
+    snprintf(allowed, sizeof allowed, "at least fit_from: %.6g mm", range->least_mm);
+    return wire_error_make(WIRE_STATUS_BAD_VALUE, "radius_start", allowed);
+  }
+  if (high) {
+    snprintf(allowed, sizeof allowed, "at most fit_to: %.6g mm", range->most_mm);
+    return wire_error_make(WIRE_STATUS_BAD_VALUE, "radius_stop", allowed);
   }
   return wire_error_none();
 }
@@ -70,9 +99,13 @@ wire_error job_check(struct job *job, const struct server *server, const uint8_t
   if (fixed->medium_count > server->options.max_media) {
     return too_large("medium_count", server->options.max_media, "media");
   }
-  error = check_media(job);
+  core_radii_range range;
+  error = check_media(job, &range);
   if (error.status == WIRE_STATUS_OK) {
     error = check_radii(job);
+  }
+  if (error.status == WIRE_STATUS_OK) {
+    error = check_range(job, &range);
   }
   if (error.status == WIRE_STATUS_OK &&
       !eval_reply_layout(fixed->evaluator, fixed->wanted, fixed->medium_count, fixed->radius_count,
@@ -87,6 +120,7 @@ wire_error job_check(struct job *job, const struct server *server, const uint8_t
 
 void job_start(struct job *job, uint8_t *reply) {
   const wire_eval_request *fixed = &job->request.fixed;
+  /* The notes are known when all channels have been prepared. */
   const wire_eval_reply start = {
       .model = fixed->model,
       .evaluator = fixed->evaluator,
@@ -97,6 +131,8 @@ void job_start(struct job *job, uint8_t *reply) {
   };
   wire_put_eval_reply(reply, &start);
   job->reply = reply;
+  job->notes = 0;
+  job->profile_ready = false;
   job->channel = 0;
   job->index = 0;
   job->radii_done = (fixed->wanted & CORE_QUANTITY_RADIUS) == 0;
@@ -143,12 +179,38 @@ static const void *slice_radii(const struct job *job, struct job_scratch *scratc
   return scratch->radii;
 }
 
-static void start_channel(struct job *job, const struct server *server) {
+void job_end(struct job *job) {
+  if (job->profile_ready) {
+    core_profile_free(&job->profile);
+    job->profile_ready = false;
+  }
+}
+
+/* What job_check() could not find. */
+static wire_error from_preparing(core_fault fault, uint32_t channel) {
+  fault.index = channel;
+  wire_error error = from_fault(fault);
+  if (strcmp(fault.field, CORE_FIELD_MEMORY) == 0) {
+    error.status = WIRE_STATUS_BUSY;
+    error.retry_after_ms = JOB_RETRY_AFTER_MS;
+  }
+  return error;
+}
+
+/* False: refused, with the reason. */
+static bool start_channel(struct job *job, const struct server *server) {
   const wire_eval_request *fixed = &job->request.fixed;
   const core_medium medium = medium_at(job, job->channel);
-  const core_fault fault = core_profile_prepare(&job->profile, server->isa, fixed->model,
-                                                fixed->moments, fixed->evaluator, &medium);
-  assert(fault.field == NULL); /* job_check() has seen to it */
+  job_end(job);
+  const core_fault fault =
+      core_profile_prepare(&job->profile, server->isa, fixed->model, fixed->moments,
+                           fixed->evaluator, &medium, &job->request.parameters);
+  if (fault.field != NULL) {
+    job->refusal = from_preparing(fault, job->channel);
+    return false;
+  }
+  job->profile_ready = true;
+  job->notes |= job->profile.notes;
   const bool albedo_wanted = (fixed->wanted & CORE_QUANTITY_ALBEDO) != 0;
   const wire_channel channel = {
       .albedo = albedo_wanted ? job->profile.albedo : (double)NAN,
@@ -159,6 +221,7 @@ static void start_channel(struct job *job, const struct server *server) {
   wire_put_channel(job->reply + job->layout.channels_offset +
                        (size_t)job->channel * WIRE_BYTES_channel,
                    &channel);
+  return true;
 }
 
 /* Evaluates the n radii of a slice for every array that is wanted. */
@@ -208,34 +271,53 @@ static void radii_step(struct job *job, size_t n) {
   }
 }
 
+/* The bits that start_channel() has gathered, into the start of the reply. */
+static void put_notes(const struct job *job) {
+  wire_eval_reply start;
+  wire_get_eval_reply(job->reply, &start);
+  start.notes = job->notes;
+  wire_put_eval_reply(job->reply, &start);
+}
+
 static void channel_step(struct job *job, struct server *server, struct job_scratch *scratch,
                          size_t n) {
-  if (job->index == 0) {
-    start_channel(job, server);
+  if (job->layout.arrays_per_channel > 0) {
+    evaluate(job, scratch, n);
+    stats_add(&server->stats, STATS_RADII_EVALUATED, n);
+    stats_add(&server->stats, STATS_SLICES_EVALUATED, 1);
   }
-  if (job->layout.arrays_per_channel == 0) {
-    job->channel++;
-    return;
-  }
-  evaluate(job, scratch, n);
-  stats_add(&server->stats, STATS_RADII_EVALUATED, n);
-  stats_add(&server->stats, STATS_SLICES_EVALUATED, 1);
-  if (advance(job, n)) {
+  if (job->layout.arrays_per_channel == 0 || advance(job, n)) {
     pad_channel(job);
     job->channel++;
+    job_end(job);
+  }
+  if (job->channel == job->request.fixed.medium_count) {
+    put_notes(job);
   }
 }
 
-bool job_slice(struct job *job, struct server *server, struct job_scratch *scratch,
-               uint64_t *budget) {
+static size_t slice_length(const struct job *job, double cost) {
   const uint64_t left = job->request.fixed.radius_count - job->index;
-  const size_t n = left < JOB_SLICE_RADII ? (size_t)left : JOB_SLICE_RADII;
-  if (job->radii_done) {
-    channel_step(job, server, scratch, n);
-  } else {
+  const size_t most = (size_t)fmax(JOB_SLICE_RADII / cost, 1);
+  return left < most ? (size_t)left : most;
+}
+
+enum job_state job_slice(struct job *job, struct server *server, struct job_scratch *scratch,
+                         uint64_t *budget) {
+  size_t n;
+  double cost = 1;
+  if (!job->radii_done) {
+    n = slice_length(job, cost);
     radii_step(job, n);
+  } else {
+    if (!job->profile_ready && !start_channel(job, server)) {
+      return JOB_REFUSED;
+    }
+    cost = job->profile.cost;
+    n = slice_length(job, cost);
+    channel_step(job, server, scratch, n);
   }
-  const uint64_t spent = n + JOB_STEP_RADII;
+  const uint64_t spent = (uint64_t)((double)n * cost) + JOB_STEP_RADII;
   *budget -= spent < *budget ? spent : *budget;
-  return job->channel < job->request.fixed.medium_count;
+  return job->channel < job->request.fixed.medium_count ? JOB_GOES_ON : JOB_DONE;
 }

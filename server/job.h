@@ -5,12 +5,16 @@
 #include "proto/eval.h"
 #include "server/server.h"
 
-/* A slice's evaluations: about 50 to 200 microseconds, which is what a small request may have to
- * wait for when a large one is being evaluated on its worker. */
+/* A slice's evaluations of a dipole: about 50 to 200 microseconds, which is what a small request may
+ * have to wait for when a large one is being evaluated on its worker. Costlier profiles get slices
+ * with fewer radii. */
 enum { JOB_SLICE_RADII = 32768 };
 
 /* What a step costs besides, in radii: preparing a profile, or taking a frame apart. */
 enum { JOB_STEP_RADII = 64 };
+
+/* What a client that is told BUSY should wait: long enough for a worker to finish what it has. */
+enum { JOB_RETRY_AFTER_MS = 20 };
 
 struct job {
   eval_request request;
@@ -21,6 +25,9 @@ struct job {
   uint32_t channel;
   uint64_t index; /* the next radius of that channel */
   bool radii_done;
+  bool profile_ready; /* and to be freed */
+  unsigned notes;     /* of the channels so far */
+  wire_error refusal;
 };
 
 /* Checks all of a request before any of it is evaluated; the payload has to stay while the job
@@ -31,14 +38,23 @@ wire_error job_check(struct job *job, const struct server *server, const uint8_t
 /* Starts to fill in the reply, which starts at a multiple of 8. */
 void job_start(struct job *job, uint8_t *reply);
 
+/* Frees what a job holds that is given up before its reply is complete, or that is. */
+void job_end(struct job *job);
+
 /* Room for a slice's radii, for grids whose radii are not wanted. */
 struct job_scratch {
   double radii[JOB_SLICE_RADII];
 };
 
-/* Evaluates one slice and subtracts what it cost, in radii, from *budget (down to 0); false when
- * the reply is complete. */
-bool job_slice(struct job *job, struct server *server, struct job_scratch *scratch,
-               uint64_t *budget);
+enum job_state {
+  JOB_GOES_ON,
+  JOB_DONE,    /* the reply is complete */
+  JOB_REFUSED, /* there will be no reply; job->refusal says why */
+};
+
+/* Evaluates one slice and subtracts what it cost, in radii of a dipole, from *budget (down to 0).
+ */
+enum job_state job_slice(struct job *job, struct server *server, struct job_scratch *scratch,
+                         uint64_t *budget);
 
 #endif

@@ -81,6 +81,10 @@ void output_commit(struct output *output) {
   output->reserved_bytes = 0;
 }
 
+void output_cancel(struct output *output) {
+  output->reserved_bytes = 0;
+}
+
 size_t output_buffers(struct output *output, uv_buf_t *buffers, size_t count) {
   size_t used = 0;
   for (struct output_chunk *chunk = output->first; chunk != NULL && used < count;

@@ -36,6 +36,9 @@ uint8_t *output_reserve(struct output *output, size_t bytes);
 /* The reserved bytes are complete and may be written. */
 void output_commit(struct output *output);
 
+/* Gives up what was reserved. */
+void output_cancel(struct output *output);
+
 /* Up to count buffers that cover committed bytes from the front; their number. */
 size_t output_buffers(struct output *output, uv_buf_t *buffers, size_t count);
 

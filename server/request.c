@@ -2,9 +2,6 @@
 
 #include <string.h>
 
-/* What a client that is told BUSY should wait: long enough for a worker to finish what it has. */
-enum { RETRY_AFTER_MS = 20 };
-
 /* A message being answered. */
 struct question {
   struct server *server;
@@ -54,7 +51,7 @@ static uint8_t *begin_reply(struct question *question, size_t payload_bytes) {
 static struct outcome busy(void) {
   wire_error error =
       wire_error_make(WIRE_STATUS_BUSY, "", "less at a time: max_total_bytes is in use");
-  error.retry_after_ms = RETRY_AFTER_MS;
+  error.retry_after_ms = JOB_RETRY_AFTER_MS;
   return refused(error);
 }
 

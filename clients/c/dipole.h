@@ -94,13 +94,16 @@ enum dipole_kind {
   DIPOLE_QUANTITY,
   DIPOLE_SPACING,
   DIPOLE_STATUS,
+  DIPOLE_PARAMETER,
+  DIPOLE_NOTE,
 };
 
 typedef struct dipole_choice {
   enum dipole_kind kind;
   unsigned id;
   const char *name;
-  const char *about; /* source of a model, unit of a quantity, meaning of anything else */
+  const char *about; /* source of a model, unit of a quantity, meaning of anything else (of a
+                        parameter: unit, meaning and range) */
 } dipole_choice;
 
 typedef struct dipole_value {
@@ -141,7 +144,10 @@ enum dipole_quantity {
   DIPOLE_SLOPE = 16, /* dR/dr, 1/mm^3 */
   DIPOLE_LN_R = 32,  /* ln of R in 1/mm^2; goes on where R has underflowed. Its error is absolute:
                         the numerical error and 8 epsilon |ln R| */
-  DIPOLE_PDF = 64    /* the density of radii, 2 pi r R over the albedo, 1/mm */
+  DIPOLE_PDF = 64,   /* the density of radii, 2 pi r R over the albedo, 1/mm */
+  DIPOLE_RING = 128, /* 2 pi r R, 1/mm: the power that leaves per mm of radius; finite at r = 0,
+                        where R of some models is infinite */
+  DIPOLE_S = 256     /* the BSSRDF, 1/(mm^2 sr), for the parameters cos_in and cos_out */
 };
 enum dipole_spacing { DIPOLE_LIST = 1, DIPOLE_LINEAR = 2, DIPOLE_LOGARITHMIC = 3 };
 
@@ -151,6 +157,14 @@ typedef struct dipole_medium {
   double g;              /* mean cosine of the phase function, in (-1, 1) */
   double eta;            /* index inside over index outside, 0.001 to 1000 */
 } dipole_medium;
+
+/* An optional number of a query. Which there are, their units and ranges: the choices of kind
+ * DIPOLE_PARAMETER; dipole_id(client, DIPOLE_PARAMETER, "cos_in"). A model refuses what it does not
+ * take. */
+typedef struct dipole_parameter {
+  unsigned id;
+  double value; /* a number: a parameter that is not wanted is left out */
+} dipole_parameter;
 
 typedef struct dipole_query {
   unsigned model;     /* dipole_id(client, DIPOLE_MODEL, name) */
@@ -162,8 +176,10 @@ typedef struct dipole_query {
   unsigned spacing;  /* enum dipole_spacing */
   const void *radii; /* list: [radius_count] of double (f64) or float (f32), mm, 0 to infinity */
   uint64_t radius_count;
-  double radius_start_mm; /* linear, logarithmic: the first radius */
-  double radius_stop_mm;  /* and the last */
+  double radius_start_mm;             /* linear, logarithmic: the first radius */
+  double radius_stop_mm;              /* and the last */
+  const dipole_parameter *parameters; /* [parameter_count], each id at most once; NULL: none */
+  size_t parameter_count;
 } dipole_query;
 
 /* The answer for one medium. An array is NULL when its quantity was not wanted or when the other
@@ -183,6 +199,7 @@ typedef struct dipole_channel {
 
 typedef struct dipole_result {
   unsigned model, evaluator, moments, wanted; /* as taken by the daemon */
+  unsigned notes; /* sum of the ids of the choices of kind DIPOLE_NOTE that hold for a channel */
   uint64_t radius_count;
   const double *radius_f64; /* [radius_count], mm; NULL unless DIPOLE_RADIUS was wanted */
   const float *radius_f32;

@@ -10,12 +10,32 @@ _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's arrays
 
 /* ---- asking -------------------------------------------------------------------------------- */
 
+static bool check_parameters(const dipole_query *query, dipole_error *error) {
+  if (query->parameters == NULL && query->parameter_count > 0) {
+    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
+                          "parameters is NULL, parameter_count is not 0");
+  }
+  for (size_t i = 0; i < query->parameter_count; i++) {
+    if (query->parameters[i].id > UINT16_MAX) {
+      return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "the id of a parameter is at most 65535");
+    }
+  }
+  return true;
+}
+
 /* Only what the frame's layout depends on: everything else is the daemon's to judge. */
 static bool check_query(const dipole_query *query, uint64_t *radii_bytes, dipole_error *error) {
   *radii_bytes = 0;
   if ((query->model | query->evaluator | query->moments | query->wanted) > UINT16_MAX) {
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
                           "model, evaluator, moments and wanted are at most 65535");
+  }
+  if (query->spacing > UINT16_MAX || query->parameter_count > UINT16_MAX) {
+    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
+                          "spacing and parameter_count are at most 65535");
+  }
+  if (!check_parameters(query, error)) {
+    return false;
   }
   if (query->media == NULL && query->medium_count > 0) {
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "media is NULL, medium_count is not 0");
@@ -48,7 +68,8 @@ static void put_query(uint8_t *at, const dipole_query *query, size_t radii_bytes
                                    .moments = (uint16_t)query->moments,
                                    .wanted = (uint16_t)query->wanted,
                                    .medium_count = query->medium_count,
-                                   .spacing = query->spacing,
+                                   .spacing = (uint16_t)query->spacing,
+                                   .parameter_count = (uint16_t)query->parameter_count,
                                    .radius_count = query->radius_count,
                                    .radius_start = list ? 0 : query->radius_start_mm,
                                    .radius_stop = list ? 0 : query->radius_stop_mm};
@@ -61,6 +82,12 @@ static void put_query(uint8_t *at, const dipole_query *query, size_t radii_bytes
                                 .eta = query->media[i].eta};
     wire_put_medium(at, &medium);
     at += WIRE_BYTES_medium;
+  }
+  for (size_t i = 0; i < query->parameter_count; i++) {
+    const wire_parameter parameter = {.parameter = (uint16_t)query->parameters[i].id,
+                                      .value = query->parameters[i].value};
+    wire_put_parameter(at, &parameter);
+    at += WIRE_BYTES_parameter;
   }
   if (radii_bytes > 0) {
     memcpy(at, query->radii, radii_bytes);
@@ -89,7 +116,8 @@ static bool submit(dipole_client *client, const dipole_query *query, uint64_t *i
   } else {
     pending.reply_bytes_min = UINT64_MAX;
   }
-  const uint64_t bytes = eval_request_bytes(query->medium_count, radii_bytes);
+  const uint64_t bytes =
+      eval_request_bytes(query->medium_count, (uint32_t)query->parameter_count, radii_bytes);
   if (!libdipole_request_begin(client, &pending, bytes, &payload, error)) {
     return false;
   }
@@ -168,6 +196,7 @@ bool libdipole_result_take(dipole_client *client, libdipole_pending *pending,
                                   .evaluator = fixed.evaluator,
                                   .moments = fixed.moments,
                                   .wanted = fixed.wanted,
+                                  .notes = fixed.notes,
                                   .radius_count = fixed.radius_count,
                                   .radius_f64 = fixed.evaluator == DIPOLE_F64 ? radii : NULL,
                                   .radius_f32 = fixed.evaluator == DIPOLE_F64 ? NULL : radii,

@@ -20,6 +20,8 @@ typedef struct cli_command {
   const char *examples; /* lines; ends with a newline */
   const char *formats;  /* the values of --format, separated by commas; the first is the default */
   const cli_option *options; /* its own, beside those of all commands; ends with an empty one */
+  const cli_option *shared_options; /* likewise, of some commands; NULL: none */
+  const char *usual_file;           /* for options of kind CLI_FILES */
   int (*run)(const struct cli_command *command, int argc, char **argv); /* an exit status */
 } cli_command;
 
@@ -77,7 +79,7 @@ const dipole_choice *cli_choice(const dipole_info *info, enum dipole_kind kind, 
 const dipole_choice *cli_named(const cli_command *command, const dipole_info *info,
                                enum dipole_kind kind, const char *option, const char *name);
 
-/* "classical, better": all names of a kind. */
+/* "classical, better": all names of a kind, or ", ..." instead of those that do not fit. */
 void cli_list_names(const dipole_info *info, enum dipole_kind kind, char *text, size_t bytes);
 
 #endif

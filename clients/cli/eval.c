@@ -3,6 +3,8 @@
 
 #include <string.h>
 
+#define PLOT_FILE "dipole.svg"
+
 #define FIELD(name) offsetof(cli_eval_settings, name)
 
 static const cli_option options[] = {
@@ -25,20 +27,24 @@ static const cli_option options[] = {
     {"log", NULL, "equal ratios from radius to radius instead of equal steps; needs --from",
      CLI_SWITCH, FIELD(logarithmic)},
     {"Evaluation", NULL, NULL, CLI_HEADING, 0},
-    {"model", "NAME[,NAME...]", "see `dipole info`; all: every model (default: better)", CLI_NAMES,
-     FIELD(model)},
+    {"model", "NAME[,NAME...]",
+     "see `dipole info`; all: every model that takes what is asked, those that\n"
+     "refuse it are named on standard error (default: better)",
+     CLI_NAMES, FIELD(model)},
     {"moments", "NAME", "Fresnel moments, see `dipole info` (default: exact)", CLI_TEXT,
      FIELD(moments)},
     {"evaluator", "NAME", "f64 or f32: double or single precision (default: f64)", CLI_TEXT,
      FIELD(evaluator)},
     {"want", "NAME[,NAME...]",
      "R: 1/mm^2 per unit of power that entered; albedo; cdf: the share of\n"
-     "the albedo within r; dR_dr, ln_R, pdf: see `dipole info`\n"
+     "the albedo within r; S: 1/(mm^2 sr); others: see `dipole info`\n"
      "(default: R,albedo)",
      CLI_NAMES, FIELD(want)},
     {"Output", NULL, NULL, CLI_HEADING, 0},
-    {"plot", "FILE", "also draw R over r into FILE.svg or FILE.png; may be repeated", CLI_TEXTS,
-     FIELD(plot)},
+    {"plot", "[FILE]",
+     "also draw R over r into FILE.svg or FILE.png (default: " PLOT_FILE "); may be\n"
+     "repeated",
+     CLI_FILES, FIELD(plot)},
     {0},
 };
 
@@ -78,7 +84,8 @@ static int check(const cli_command *command, const cli_eval_settings *settings) 
 }
 
 static void write_report(const cli_eval_settings *settings, const cli_eval_report *report) {
-  const char *format = settings->common.format != NULL ? settings->common.format : formats[0].name;
+  const char *format =
+      settings->profile.common.format != NULL ? settings->profile.common.format : formats[0].name;
   for (size_t i = 0; i < sizeof formats / sizeof formats[0]; i++) {
     if (strcmp(formats[i].name, format) == 0) {
       formats[i].write(report, stdout);
@@ -97,7 +104,11 @@ static int ask_and_write(const cli_command *command, const cli_eval_settings *se
     write_report(settings, &report);
   }
   for (size_t i = 0; status == CLI_OK && i < settings->plot.count; i++) {
-    status = cli_plot(command, &report, settings->plot.items[i]);
+    const char *file = settings->plot.items[i];
+    status = cli_plot(command, &report, file);
+    if (status == CLI_OK && strcmp(file, PLOT_FILE) == 0) { /* which may not have been named */
+      fprintf(stderr, "dipole %s: the picture is %s\n", command->name, file);
+    }
   }
   cli_eval_report_free(&report);
   return status;
@@ -110,7 +121,7 @@ static int run(const cli_command *command, int argc, char **argv) {
   int status;
   if (cli_options_read(command, argc, argv, &settings, &operand, &status)) {
     status = check(command, &settings);
-    if (status == CLI_OK && !cli_open(command, &settings.common, &client)) {
+    if (status == CLI_OK && !cli_open(command, &settings.profile.common, &client)) {
       status = CLI_FAILED;
     } else if (status == CLI_OK) {
       status = ask_and_write(command, &settings, client);
@@ -124,11 +135,20 @@ static int run(const cli_command *command, int argc, char **argv) {
 const cli_command cli_command_eval = {
     .name = "eval",
     .about = "Evaluate a medium over a range of radii, as a table or a picture",
+    .more =
+        "\n"
+        "Beside the values stand their numerical error, the model's own error where it has been\n"
+        "measured, and notes on what the model does not do. Where R is infinite, at r = 0 of\n"
+        "some models, tables and CSV say inf, JSON \"inf\"; NaN is an empty cell or null.\n",
     .formats = "table,csv,json",
     .options = options,
+    .shared_options = cli_parameter_options,
+    .usual_file = PLOT_FILE,
     .examples = "  dipole eval --medium skin1 --model classical,better --plot skin1.svg\n"
                 "  dipole eval --sigma-a 0.01,0.1 --sigma-s 10 --g 0.9 --eta 1.4 --r 0,0.5,1,2\n"
                 "  dipole eval --medium marble --from 0.01 --to 100 --count 41 --log --format csv\n"
-                "  dipole eval --medium skin2 --eta 1 --moments fit --want albedo\n",
+                "  dipole eval --medium skin2 --eta 1 --moments fit --want albedo\n"
+                "  dipole eval --medium skin1 --want S --cos-in 0.8 --cos-out 0.5 --r 0.5,1,2\n"
+                "  dipole eval --medium skin1 --model all --plot\n",
     .run = run,
 };

@@ -3,9 +3,10 @@
 #define DIPOLE_CLI_EVAL_H
 
 #include "clients/cli/cli.h"
+#include "clients/cli/parameters.h"
 
 typedef struct cli_eval_settings {
-  cli_common common;
+  cli_profile_settings profile;
   const char *medium;
   cli_numbers sigma_a, sigma_s, g, eta;
   cli_texts model;
@@ -34,21 +35,31 @@ typedef struct cli_eval_values {
   double *arrays[CLI_EVAL_QUANTITIES_MAX];
 } cli_eval_values;
 
+typedef struct cli_eval_model {
+  const dipole_choice *choice;
+  bool named;     /* by itself, and not only as one of all: then its refusal is a failure */
+  unsigned notes; /* ids of the daemon's notes */
+} cli_eval_model;
+
 typedef struct cli_eval_report {
   const dipole_info *info;
   const char *medium; /* name of a measured medium; NULL: none */
   const dipole_choice *evaluator, *moments;
+  cli_parameters parameters; /* as given; of all models each takes what it can */
   unsigned wanted;
   size_t channel_count;
   cli_eval_channel *channels;
-  size_t model_count;
-  const dipole_choice **models;
+  size_t model_count; /* of those that answered */
+  cli_eval_model *models;
   size_t quantity_count; /* of those wanted that have a value for each radius */
   const dipole_choice *quantities[CLI_EVAL_QUANTITIES_MAX]; /* in the daemon's order */
   size_t radius_count;
   double *radii;           /* mm, as the daemon took them */
   cli_eval_values *values; /* [model_count * channel_count], model by model */
+  size_t values_capacity;  /* what there is room for, and may hold arrays */
 } cli_eval_report;
+
+/* ---- eval_report.c ------------------------------------------------------------------------- */
 
 const cli_eval_values *cli_eval_values_of(const cli_eval_report *report, size_t model,
                                           size_t channel);
@@ -63,11 +74,16 @@ double cli_eval_numerical_error(const cli_eval_values *values, double r_mm);
 /* The largest finite radius of the report; 0 when there is none. */
 double cli_eval_radius_max(const cli_eval_report *report);
 
+/* True when a model's notes hold this one of the daemon's. */
+bool cli_eval_is_noted(const cli_eval_model *model, const dipole_choice *note);
+
+void cli_eval_report_free(cli_eval_report *report);
+
 /* ---- eval_ask.c: fills a zeroed report; says what is wrong and returns an exit status ------ */
 
+/* Of all models those are left out, with a line each on standard error, that refuse the query. */
 int cli_eval_ask(const cli_command *command, const cli_eval_settings *settings,
                  dipole_client *client, cli_eval_report *report);
-void cli_eval_report_free(cli_eval_report *report);
 
 /* ---- eval_media.c: the channels of the report, from the options ---------------------------- */
 

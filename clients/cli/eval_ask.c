@@ -15,27 +15,28 @@
 
 /* ---- names --------------------------------------------------------------------------------- */
 
-static void add_model(cli_eval_report *report, const dipole_choice *model) {
+static void add_model(cli_eval_report *report, const dipole_choice *model, bool named) {
   for (size_t i = 0; i < report->model_count; i++) {
-    if (report->models[i] == model) {
+    if (report->models[i].choice == model) {
+      report->models[i].named |= named;
       return;
     }
   }
   report->models = cli_resize(report->models, report->model_count + 1, sizeof *report->models);
-  report->models[report->model_count++] = model;
+  report->models[report->model_count++] = (cli_eval_model){.choice = model, .named = named};
 }
 
 static void add_all_models(cli_eval_report *report) {
   const dipole_choice *model;
   for (size_t from = 0; (model = cli_next_choice(report->info, DIPOLE_MODEL, &from)) != NULL;) {
-    add_model(report, model);
+    add_model(report, model, false);
   }
 }
 
 static bool choose_model(const cli_command *command, const char *name, cli_eval_report *report) {
   const dipole_choice *model = cli_named(command, report->info, DIPOLE_MODEL, "model", name);
   if (model != NULL) {
-    add_model(report, model);
+    add_model(report, model, true);
   }
   return model != NULL;
 }
@@ -146,6 +147,7 @@ typedef struct asking {
   const dipole_medium *media;
   const asked_radii *radii;
   unsigned too_large; /* the daemon's status for a request beyond its limits */
+  unsigned bad_value; /* and for one that it, or the model, does not take */
 } asking;
 
 static void copy_values(double *to, const double *f64, const float *f32, size_t count) {
@@ -159,16 +161,17 @@ static double *make_room(double *values, size_t count) {
   return values != NULL ? values : cli_allocate(count, sizeof *values);
 }
 
-/* Keeps the answer for one model and the radii from `first` on. */
-static void keep(const asking *ask, size_t model, size_t first, const dipole_result *result) {
+/* Keeps the answer for the model at a place and the radii from `first` on. */
+static void keep(const asking *ask, size_t place, size_t first, const dipole_result *result) {
   cli_eval_report *report = ask->report;
   const size_t count = (size_t)result->radius_count;
   report->radius_count = (size_t)ask->radii->count;
   report->radii = make_room(report->radii, report->radius_count);
   copy_values(report->radii + first, result->radius_f64, result->radius_f32, count);
+  report->models[place].notes |= result->notes;
   for (size_t i = 0; i < report->channel_count; i++) {
     const dipole_channel *channel = &result->channels[i];
-    cli_eval_values *values = &report->values[model * report->channel_count + i];
+    cli_eval_values *values = &report->values[place * report->channel_count + i];
     values->albedo = channel->albedo;
     values->numerical_error = channel->numerical_error;
     values->numerical_error_per_mm = channel->numerical_error_per_mm;
@@ -182,13 +185,13 @@ static void keep(const asking *ask, size_t model, size_t first, const dipole_res
   }
 }
 
-/* Asks for the radii first, first + 1, ..., first + count - 1 of a list, or for the whole grid. A
- * list that is too long for the daemon is asked for in halves. */
-static bool ask_part(const asking *ask, size_t model, size_t first, uint64_t count,
-                     dipole_error *error) {
+/* Asks the model at a place for the radii first, first + 1, ..., first + count - 1 of a list, or
+ * for the whole grid. A list that is too long for the daemon is asked for in halves. */
+static bool ask_part(const asking *ask, size_t place, const cli_parameters *parameters,
+                     size_t first, uint64_t count, dipole_error *error) {
   const asked_radii *radii = ask->radii;
   const cli_eval_report *report = ask->report;
-  dipole_query query = {.model = report->models[model]->id,
+  dipole_query query = {.model = report->models[place].choice->id,
                         .evaluator = report->evaluator->id,
                         .moments = report->moments->id,
                         .wanted = report->wanted | DIPOLE_RADIUS,
@@ -197,7 +200,9 @@ static bool ask_part(const asking *ask, size_t model, size_t first, uint64_t cou
                         .spacing = radii->spacing,
                         .radius_count = count,
                         .radius_start_mm = radii->start_mm,
-                        .radius_stop_mm = radii->stop_mm};
+                        .radius_stop_mm = radii->stop_mm,
+                        .parameters = parameters->items,
+                        .parameter_count = parameters->count};
   dipole_result *result;
   if (radii->f64 != NULL) {
     query.radii = radii->f64 + first;
@@ -205,121 +210,146 @@ static bool ask_part(const asking *ask, size_t model, size_t first, uint64_t cou
     query.radii = radii->f32 + first;
   }
   if (cli_eval(ask->client, ask->common, &query, &result, error)) {
-    keep(ask, model, first, result);
+    keep(ask, place, first, result);
     dipole_result_free(result);
     return true;
   }
   if (error->kind == DIPOLE_ERROR_REFUSED && error->status == ask->too_large &&
       radii->spacing == DIPOLE_LIST && count > 1) {
     const uint64_t half = count / 2;
-    return ask_part(ask, model, first, half, error) &&
-           ask_part(ask, model, first + (size_t)half, count - half, error);
+    return ask_part(ask, place, parameters, first, half, error) &&
+           ask_part(ask, place, parameters, first + (size_t)half, count - half, error);
   }
   return false;
 }
 
-/* What a person wrote to give a field of a request its value. */
-static const char *option_of(const char *field) {
-  static const struct {
-    const char *field, *option;
-  } pairs[] = {{"radius_start", " (--from)"},
-               {"radius_stop", " (--to)"},
-               {"radius_count", " (--count)"},
-               {"r", " (--r)"},
-               {"sigma_a", " (--sigma-a)"},
-               {"sigma_s", " (--sigma-s)"},
-               {"g", " (--g)"},
-               {"eta", " (--eta)"}};
-  for (size_t i = 0; i < sizeof pairs / sizeof pairs[0]; i++) {
-    if (strcmp(pairs[i].field, field) == 0) {
-      return pairs[i].option;
-    }
-  }
-  return "";
+/* A parameter that a model does not take is refused in this way, whatever its value. */
+static bool is_not_taken(const dipole_error *error) {
+  return strncmp(error->allowed, "nothing", strlen("nothing")) == 0;
 }
 
-static int ask_all(const cli_command *command, const asking *ask) {
-  dipole_error error;
-  for (size_t model = 0; model < ask->report->model_count; model++) {
-    if (!ask_part(ask, model, 0, ask->radii->count, &error)) {
-      return cli_fail(command, "%s%s", error.text, option_of(error.field));
+/* Asks the model at a place; one of all models is asked without the parameters that it does not
+ * take, a named one is not. */
+static bool ask_model(const asking *ask, size_t place, dipole_error *error) {
+  const cli_eval_report *report = ask->report;
+  cli_parameters parameters = report->parameters;
+  for (;;) {
+    if (ask_part(ask, place, &parameters, 0, ask->radii->count, error)) {
+      return true;
+    }
+    const dipole_choice *refused = cli_choice(report->info, DIPOLE_PARAMETER, error->field);
+    if (report->models[place].named || error->kind != DIPOLE_ERROR_REFUSED ||
+        error->status != ask->bad_value || refused == NULL || !is_not_taken(error) ||
+        !cli_parameters_remove(&parameters, refused->id)) {
+      return false;
     }
   }
-  return CLI_OK;
+}
+
+/* What a person wrote to give a field of a request its value: " (--from)". */
+static const char *option_of(const cli_command *command, const char *field, char *text,
+                             size_t bytes) {
+  static const struct {
+    const char *field, *option;
+  } others[] = {{"radius_start", "from"}, {"radius_stop", "to"}, {"radius_count", "count"}};
+  for (size_t i = 0; i < sizeof others / sizeof others[0]; i++) {
+    if (strcmp(others[i].field, field) == 0) {
+      field = others[i].option;
+    }
+  }
+  const cli_option *option = cli_options_find(command, field);
+  text[0] = '\0';
+  if (option != NULL) {
+    snprintf(text, bytes, " (--%s)", option->name);
+  }
+  return text;
+}
+
+/* A model of all that is left out. */
+typedef struct left_out {
+  const char *model;
+  dipole_error error;
+} left_out;
+
+/* One line for each model that is left out. When that is every one, what is wrong is hardly theirs:
+ * each reason is given once. */
+static int tell_left_out(const cli_command *command, const left_out *models, size_t count,
+                         bool all) {
+  char option[64];
+  for (size_t i = 0; i < count; i++) {
+    const dipole_error *error = &models[i].error;
+    option_of(command, error->field, option, sizeof option);
+    bool told = false;
+    for (size_t k = 0; k < i; k++) {
+      told = told || strcmp(models[k].error.text, error->text) == 0;
+    }
+    if (!all) {
+      cli_fail(command, "%s is left out: %s%s", models[i].model, error->text, option);
+    } else if (!told) {
+      cli_fail(command, "%s%s", error->text, option);
+    }
+  }
+  return all ? CLI_FAILED : CLI_OK;
+}
+
+/* Asks model by model; those that answer move up in the report to fill the gaps. */
+static int ask_all(const cli_command *command, const asking *ask) {
+  cli_eval_report *report = ask->report;
+  const size_t count = report->model_count;
+  left_out *out = cli_allocate(count, sizeof *out);
+  size_t answered = 0, out_count = 0;
+  char option[64];
+  int status = CLI_OK;
+  for (size_t model = 0; status == CLI_OK && model < count; model++) {
+    dipole_error error;
+    report->models[answered] = report->models[model];
+    const cli_eval_model *asked = &report->models[answered];
+    if (ask_model(ask, answered, &error)) {
+      answered++;
+    } else if (!asked->named && error.kind == DIPOLE_ERROR_REFUSED &&
+               error.status == ask->bad_value) {
+      out[out_count++] = (left_out){asked->choice->name, error};
+    } else {
+      status = cli_fail(command, "%s%s", error.text,
+                        option_of(command, error.field, option, sizeof option));
+    }
+  }
+  report->model_count = answered;
+  if (status == CLI_OK) {
+    status = tell_left_out(command, out, out_count, answered == 0);
+  }
+  free(out);
+  return status;
 }
 
 int cli_eval_ask(const cli_command *command, const cli_eval_settings *settings,
                  dipole_client *client, cli_eval_report *report) {
   asked_radii radii;
   report->info = dipole_get_info(client);
-  if (!choose(command, settings, report)) {
+  if (!choose(command, settings, report) ||
+      !cli_parameters_take(command, report->info, &settings->profile, &report->parameters)) {
     return CLI_USAGE;
   }
   const int status = cli_eval_media(command, settings, client, report);
   if (status != CLI_OK) {
     return status;
   }
-  report->values =
-      cli_allocate(report->model_count * report->channel_count, sizeof *report->values);
+  report->values_capacity = report->model_count * report->channel_count;
+  report->values = cli_allocate(report->values_capacity, sizeof *report->values);
   dipole_medium *media = cli_allocate(report->channel_count, sizeof *media);
   for (size_t i = 0; i < report->channel_count; i++) {
     media[i] = report->channels[i].medium;
   }
   make_radii(settings, report, &radii);
-  const asking ask = {.common = &settings->common,
+  const asking ask = {.common = &settings->profile.common,
                       .client = client,
                       .report = report,
                       .media = media,
                       .radii = &radii,
-                      .too_large = dipole_id(client, DIPOLE_STATUS, "too-large")};
+                      .too_large = dipole_id(client, DIPOLE_STATUS, "too-large"),
+                      .bad_value = dipole_id(client, DIPOLE_STATUS, "bad-value")};
   const int asked = ask_all(command, &ask);
   free(radii.f32);
   free(media);
   return asked;
-}
-
-/* ---- the report ---------------------------------------------------------------------------- */
-
-const cli_eval_values *cli_eval_values_of(const cli_eval_report *report, size_t model,
-                                          size_t channel) {
-  return &report->values[model * report->channel_count + channel];
-}
-
-const double *cli_eval_array(const cli_eval_report *report, const cli_eval_values *values,
-                             unsigned quantity) {
-  for (size_t q = 0; q < report->quantity_count; q++) {
-    if (report->quantities[q]->id == quantity) {
-      return values->arrays[q];
-    }
-  }
-  return NULL;
-}
-
-double cli_eval_numerical_error(const cli_eval_values *values, double r_mm) {
-  /* 0 times infinity is not a number, but a rate of 0 adds nothing at any radius. */
-  return values->numerical_error +
-         (values->numerical_error_per_mm > 0 ? values->numerical_error_per_mm * r_mm : 0);
-}
-
-double cli_eval_radius_max(const cli_eval_report *report) {
-  double max = 0;
-  for (size_t i = 0; i < report->radius_count; i++) {
-    if (isfinite(report->radii[i]) && report->radii[i] > max) {
-      max = report->radii[i];
-    }
-  }
-  return max;
-}
-
-void cli_eval_report_free(cli_eval_report *report) {
-  for (size_t i = 0; report->values != NULL && i < report->model_count * report->channel_count;
-       i++) {
-    for (size_t q = 0; q < report->quantity_count; q++) {
-      free(report->values[i].arrays[q]);
-    }
-  }
-  free(report->values);
-  free(report->radii);
-  free(report->models);
-  free(report->channels);
 }

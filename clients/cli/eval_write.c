@@ -16,19 +16,46 @@ static const char *unit_of(const cli_eval_report *report, unsigned quantity) {
   return "";
 }
 
+static const char *parameter_name(const cli_eval_report *report, unsigned id) {
+  const dipole_choice *choice;
+  for (size_t from = 0;
+       (choice = cli_next_choice(report->info, DIPOLE_PARAMETER, &from)) != NULL;) {
+    if (choice->id == id) {
+      return choice->name;
+    }
+  }
+  return "";
+}
+
 /* ---- for people ---------------------------------------------------------------------------- */
 
+/* Some of the models, which share a table. */
+typedef struct block {
+  size_t first, count; /* of models */
+} block;
+
+enum { BLOCK_COLUMNS = 12 };
+
+/* As many models from `first` on as make a table that people can read. */
+static block block_from(const cli_eval_report *report, size_t first) {
+  const size_t columns = report->quantity_count * report->channel_count;
+  const size_t count = columns < BLOCK_COLUMNS ? BLOCK_COLUMNS / columns : 1;
+  const size_t left = report->model_count - first;
+  return (block){first, left < count ? left : count};
+}
+
 /* Three header rows: the model, the quantity and channel, the unit. */
-static void add_profile_header(const cli_eval_report *report, cli_table *table) {
+static void add_profile_header(const cli_eval_report *report, block models, cli_table *table) {
   const char *const first[] = {"", "r", unit_of(report, DIPOLE_RADIUS)};
-  const size_t profiles = report->model_count * report->channel_count;
+  const size_t profiles = models.count * report->channel_count;
   for (size_t row = 0; row < sizeof first / sizeof first[0]; row++) {
     cli_table_add(table, "%s", first[row]);
     for (size_t column = 0; column < report->quantity_count * profiles; column++) {
       const dipole_choice *quantity = report->quantities[column / profiles];
       const size_t profile = column % profiles;
       if (row == 0) {
-        cli_table_add(table, "%s", report->models[profile / report->channel_count]->name);
+        const size_t model = models.first + profile / report->channel_count;
+        cli_table_add(table, "%s", report->models[model].choice->name);
       } else if (row == 1) {
         const char *channel = report->channels[profile % report->channel_count].name;
         cli_table_add(table, "%s %s", quantity->name, channel);
@@ -39,10 +66,11 @@ static void add_profile_header(const cli_eval_report *report, cli_table *table) 
   }
 }
 
-static void write_profiles(const cli_eval_report *report, FILE *file) {
-  const size_t profiles = report->model_count * report->channel_count;
+static void write_profiles(const cli_eval_report *report, block models, FILE *file) {
+  const size_t profiles = models.count * report->channel_count;
+  const cli_eval_values *values = cli_eval_values_of(report, models.first, 0);
   cli_table table = {.heads = 3, .columns = 1 + report->quantity_count * profiles};
-  add_profile_header(report, &table);
+  add_profile_header(report, models, &table);
   for (size_t i = 0; i < report->radius_count; i++) {
     cli_table_add(&table, "%.6g", report->radii[i]);
     for (size_t q = 0; q < report->quantity_count; q++) {
@@ -50,7 +78,7 @@ static void write_profiles(const cli_eval_report *report, FILE *file) {
       const unsigned id = report->quantities[q]->id;
       const char *format = id == DIPOLE_CDF || id == DIPOLE_LN_R ? "%.6g" : "%.4e";
       for (size_t p = 0; p < profiles; p++) {
-        cli_table_add(&table, format, report->values[p].arrays[q][i]);
+        cli_table_add(&table, format, values[p].arrays[q][i]);
       }
     }
   }
@@ -74,7 +102,7 @@ static void write_channels(const cli_eval_report *report, FILE *file) {
   for (size_t i = 0; i < report->model_count * report->channel_count; i++) {
     const cli_eval_values *values = &report->values[i];
     const cli_eval_channel *channel = &report->channels[i % report->channel_count];
-    cli_table_add(&table, "%s", report->models[i / report->channel_count]->name);
+    cli_table_add(&table, "%s", report->models[i / report->channel_count].choice->name);
     cli_table_add(&table, "%s", channel->name);
     cli_table_add(&table, "%.6g", channel->medium.sigma_a_per_mm);
     cli_table_add(&table, "%.6g", channel->medium.sigma_s_per_mm);
@@ -93,13 +121,60 @@ static void write_channels(const cli_eval_report *report, FILE *file) {
   cli_table_print(&table, file);
 }
 
-void cli_eval_write_table(const cli_eval_report *report, FILE *file) {
-  fprintf(file, "%s%sR in %s; evaluator %s, moments %s\n\n",
+/* " (classical, better)": the models that a note is about; " (all but single)" when those are most;
+ * nothing when those are all. */
+static void write_noted(const cli_eval_report *report, const dipole_choice *note, size_t noted,
+                        FILE *file) {
+  const bool most = noted > report->model_count / 2;
+  const char *before = most ? " (all but " : " (";
+  if (noted == report->model_count) {
+    return;
+  }
+  for (size_t i = 0; i < report->model_count; i++) {
+    if (cli_eval_is_noted(&report->models[i], note) != most) {
+      fprintf(file, "%s%s", before, report->models[i].choice->name);
+      before = ", ";
+    }
+  }
+  fputc(')', file);
+}
+
+/* "note: NAME: what it says" */
+static void write_notes(const cli_eval_report *report, FILE *file) {
+  const dipole_choice *note;
+  for (size_t from = 0; (note = cli_next_choice(report->info, DIPOLE_NOTE, &from)) != NULL;) {
+    size_t noted = 0;
+    for (size_t i = 0; i < report->model_count; i++) {
+      noted += cli_eval_is_noted(&report->models[i], note);
+    }
+    if (noted > 0) {
+      fprintf(file, "note: %s: %s", note->name, note->about);
+      write_noted(report, note, noted, file);
+      fputc('\n', file);
+    }
+  }
+}
+
+static void write_title(const cli_eval_report *report, FILE *file) {
+  char text[CLI_NUMBER_BYTES];
+  fprintf(file, "%s%sR in %s; evaluator %s, moments %s",
           report->medium != NULL ? report->medium : "", report->medium != NULL ? ": " : "",
           report->info->R_unit, report->evaluator->name, report->moments->name);
-  if (report->quantity_count > 0) {
-    write_profiles(report, file);
+  for (size_t i = 0; i < report->parameters.count; i++) {
+    const dipole_parameter *parameter = &report->parameters.items[i];
+    fprintf(file, ", %s %s", parameter_name(report, parameter->id),
+            cli_number_format(parameter->value, text));
+  }
+  fputs("\n\n", file);
+}
+
+void cli_eval_write_table(const cli_eval_report *report, FILE *file) {
+  write_title(report, file);
+  for (size_t first = 0; report->quantity_count > 0 && first < report->model_count;) {
+    const block models = block_from(report, first);
+    write_profiles(report, models, file);
     fputc('\n', file);
+    first += models.count;
   }
   write_channels(report, file);
   if (cli_eval_radius_max(report) > 0) {
@@ -107,6 +182,7 @@ void cli_eval_write_table(const cli_eval_report *report, FILE *file) {
             cli_eval_radius_max(report));
   }
   fputs("model error: of the model against radiative transport\n", file);
+  write_notes(report, file);
 }
 
 /* ---- CSV ----------------------------------------------------------------------------------- */
@@ -115,6 +191,20 @@ void cli_eval_write_table(const cli_eval_report *report, FILE *file) {
 static void write_cell(FILE *file, double value) {
   char text[CLI_NUMBER_BYTES];
   fprintf(file, ",%s", isnan(value) ? "" : cli_number_format(value, text));
+}
+
+/* The names of a model's notes, with blanks between them. */
+static void write_csv_notes(const cli_eval_report *report, const cli_eval_model *model,
+                            FILE *file) {
+  const dipole_choice *note;
+  const char *before = ",";
+  for (size_t from = 0; (note = cli_next_choice(report->info, DIPOLE_NOTE, &from)) != NULL;) {
+    if (cli_eval_is_noted(model, note)) {
+      fprintf(file, "%s%s", before, note->name);
+      before = " ";
+    }
+  }
+  fputs(before[0] == ',' ? before : "", file);
 }
 
 /* R and cdf have columns of their own whether wanted or not; other quantities follow when wanted.
@@ -133,7 +223,7 @@ static void write_csv_row(const cli_eval_report *report, size_t model, size_t ch
   const cli_eval_channel *channel = &report->channels[channel_index];
   const bool any = radius < report->radius_count;
   const double r_mm = any ? report->radii[radius] : NAN;
-  fprintf(file, "%s,%s", report->models[model]->name, channel->name);
+  fprintf(file, "%s,%s", report->models[model].choice->name, channel->name);
   write_cell(file, channel->medium.sigma_a_per_mm);
   write_cell(file, channel->medium.sigma_s_per_mm);
   write_cell(file, channel->medium.g);
@@ -144,6 +234,7 @@ static void write_csv_row(const cli_eval_report *report, size_t model, size_t ch
   write_cell(file, value_at(cli_eval_array(report, values, DIPOLE_CDF), any, radius));
   write_cell(file, cli_eval_numerical_error(values, any ? r_mm : 0));
   write_cell(file, values->model_error);
+  write_csv_notes(report, &report->models[model], file);
   for (size_t q = 0; q < report->quantity_count; q++) {
     if (is_appended(report->quantities[q])) {
       write_cell(file, value_at(values->arrays[q], any, radius));
@@ -155,7 +246,8 @@ static void write_csv_row(const cli_eval_report *report, size_t model, size_t ch
 void cli_eval_write_csv(const cli_eval_report *report, FILE *file) {
   /* Without radii (only the albedo was wanted) there is one row for each model and channel. */
   const size_t rows = report->radius_count > 0 ? report->radius_count : 1;
-  fputs("model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,cdf,numerical_error,model_error", file);
+  fputs("model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,cdf,numerical_error,model_error,notes",
+        file);
   for (size_t q = 0; q < report->quantity_count; q++) {
     if (is_appended(report->quantities[q])) {
       fprintf(file, ",%s", report->quantities[q]->name);
@@ -189,6 +281,15 @@ static void write_json_units(cli_json *json, const cli_eval_report *report) {
   cli_json_end(json, '}');
 }
 
+static void write_json_parameters(cli_json *json, const cli_eval_report *report) {
+  cli_json_begin(json, "parameters", '{');
+  for (size_t i = 0; i < report->parameters.count; i++) {
+    const dipole_parameter *parameter = &report->parameters.items[i];
+    cli_json_number(json, parameter_name(report, parameter->id), parameter->value);
+  }
+  cli_json_end(json, '}');
+}
+
 static void write_json_channel(cli_json *json, const cli_eval_report *report, size_t model,
                                size_t index) {
   const cli_eval_values *values = cli_eval_values_of(report, model, index);
@@ -211,6 +312,27 @@ static void write_json_channel(cli_json *json, const cli_eval_report *report, si
   cli_json_end(json, '}');
 }
 
+static void write_json_model(cli_json *json, const cli_eval_report *report, size_t index) {
+  const cli_eval_model *model = &report->models[index];
+  const dipole_choice *note;
+  cli_json_begin(json, NULL, '{');
+  cli_json_text(json, "model", model->choice->name);
+  cli_json_text(json, "source", model->choice->about);
+  cli_json_begin(json, "notes", '[');
+  for (size_t from = 0; (note = cli_next_choice(report->info, DIPOLE_NOTE, &from)) != NULL;) {
+    if (cli_eval_is_noted(model, note)) {
+      cli_json_text(json, NULL, note->name);
+    }
+  }
+  cli_json_end(json, ']');
+  cli_json_begin(json, "channels", '[');
+  for (size_t channel = 0; channel < report->channel_count; channel++) {
+    write_json_channel(json, report, index, channel);
+  }
+  cli_json_end(json, ']');
+  cli_json_end(json, '}');
+}
+
 void cli_eval_write_json(const cli_eval_report *report, FILE *file) {
   cli_json json = {.file = file};
   cli_json_begin(&json, NULL, '{');
@@ -221,19 +343,12 @@ void cli_eval_write_json(const cli_eval_report *report, FILE *file) {
   }
   cli_json_text(&json, "evaluator", report->evaluator->name);
   cli_json_text(&json, "moments", report->moments->name);
+  write_json_parameters(&json, report);
   write_json_units(&json, report);
   cli_json_numbers(&json, "r", report->radii, report->radius_count);
   cli_json_begin(&json, "models", '[');
   for (size_t model = 0; model < report->model_count; model++) {
-    cli_json_begin(&json, NULL, '{');
-    cli_json_text(&json, "model", report->models[model]->name);
-    cli_json_text(&json, "source", report->models[model]->about);
-    cli_json_begin(&json, "channels", '[');
-    for (size_t channel = 0; channel < report->channel_count; channel++) {
-      write_json_channel(&json, report, model, channel);
-    }
-    cli_json_end(&json, ']');
-    cli_json_end(&json, '}');
+    write_json_model(&json, report, model);
   }
   cli_json_end(&json, ']');
   cli_json_end(&json, '}');

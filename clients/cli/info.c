@@ -12,8 +12,9 @@ static const struct {
   enum dipole_kind kind;
   const char *plural;
 } lists[] = {
-    {DIPOLE_MODEL, "models"},        {DIPOLE_EVALUATOR, "evaluators"}, {DIPOLE_MOMENTS, "moments"},
-    {DIPOLE_QUANTITY, "quantities"}, {DIPOLE_SPACING, "spacings"},     {DIPOLE_STATUS, "statuses"},
+    {DIPOLE_MODEL, "models"},         {DIPOLE_EVALUATOR, "evaluators"}, {DIPOLE_MOMENTS, "moments"},
+    {DIPOLE_QUANTITY, "quantities"},  {DIPOLE_SPACING, "spacings"},     {DIPOLE_STATUS, "statuses"},
+    {DIPOLE_PARAMETER, "parameters"}, {DIPOLE_NOTE, "notes"},
 };
 
 enum { LISTS = sizeof lists / sizeof lists[0] };

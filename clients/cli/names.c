@@ -23,14 +23,18 @@ const dipole_choice *cli_choice(const dipole_info *info, enum dipole_kind kind, 
 }
 
 void cli_list_names(const dipole_info *info, enum dipole_kind kind, char *text, size_t bytes) {
+  static const char more[] = ", ...";
   const dipole_choice *choice;
   size_t length = 0;
   text[0] = '\0';
   for (size_t from = 0; (choice = cli_next_choice(info, kind, &from)) != NULL;) {
-    if (length < bytes) {
-      length += (size_t)snprintf(text + length, bytes - length, "%s%s", length > 0 ? ", " : "",
-                                 choice->name);
+    const size_t added = strlen(choice->name) + (length > 0 ? strlen(", ") : 0);
+    if (length + added + sizeof more > bytes) {
+      snprintf(text + length, bytes - length, "%s", more);
+      return;
     }
+    length += (size_t)snprintf(text + length, bytes - length, "%s%s", length > 0 ? ", " : "",
+                               choice->name);
   }
 }
 

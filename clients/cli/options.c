@@ -22,11 +22,35 @@ static const cli_option common_options[] = {
     {0},
 };
 
-enum { TABLES = 2 };
+enum { TABLES = 3 };
 
 static void get_tables(const cli_command *command, const cli_option *tables[TABLES]) {
+  static const cli_option none[] = {{0}};
   tables[0] = command->options;
-  tables[1] = common_options;
+  tables[1] = command->shared_options != NULL ? command->shared_options : none;
+  tables[2] = common_options;
+}
+
+/* `field` of a request is `option` of a command line. */
+static bool is_same_name(const char *option, const char *field) {
+  while (*option != '\0' && *option == (*field == '_' ? '-' : *field)) {
+    option++;
+    field++;
+  }
+  return *option == *field;
+}
+
+const cli_option *cli_options_find(const cli_command *command, const char *field) {
+  const cli_option *tables[TABLES];
+  get_tables(command, tables);
+  for (size_t t = 0; t < TABLES; t++) {
+    for (const cli_option *option = tables[t]; option->name != NULL; option++) {
+      if (option->kind != CLI_HEADING && is_same_name(option->name, field)) {
+        return option;
+      }
+    }
+  }
+  return NULL;
 }
 
 static bool is_format(const cli_option *option) {
@@ -102,6 +126,7 @@ static const char *take_value(const cli_option *option, const char *text, void *
     split(text, AT(settings, option, cli_texts));
     return NULL;
   case CLI_TEXTS:
+  case CLI_FILES:
     add_text(AT(settings, option, cli_texts), text, strlen(text));
     return NULL;
   case CLI_HEADING:
@@ -114,13 +139,17 @@ void cli_options_free(const cli_command *command, void *settings) {
   for (const cli_option *option = command->options; option->name != NULL; option++) {
     if (option->kind == CLI_NUMBERS) {
       free(AT(settings, option, cli_numbers)->items);
-    } else if (option->kind == CLI_NAMES || option->kind == CLI_TEXTS) {
+    } else if (option->kind == CLI_NAMES || option->kind == CLI_TEXTS ||
+               option->kind == CLI_FILES) {
       free_texts(AT(settings, option, cli_texts));
     }
   }
 }
 
 /* ---- the command line ---------------------------------------------------------------------- */
+
+/* What getopt returns for entry i of the list: more than any character. */
+enum { FIRST_RESULT = 256 };
 
 /* The tables in getopt's form. found[i] is the entry that list[i] was made from. */
 static void make_list(const cli_command *command, struct option *list, const cli_option **found) {
@@ -132,8 +161,10 @@ static void make_list(const cli_command *command, struct option *list, const cli
       if (option->kind != CLI_HEADING) {
         const bool bare = option->kind == CLI_SWITCH;
         found[count] = option;
-        list[count++] = (struct option){.name = option->name,
-                                        .has_arg = bare ? no_argument : required_argument};
+        list[count] = (struct option){.name = option->name,
+                                      .has_arg = bare ? no_argument : required_argument,
+                                      .val = FIRST_RESULT + (int)count};
+        count++;
       }
     }
   }
@@ -173,6 +204,33 @@ static bool finish(const cli_command *command, int argc, char **argv, cli_common
   return true;
 }
 
+/* The value of an option whose value may be left out: it is, when another option follows (which
+ * getopt has then taken for the value) or nothing does. */
+static const char *value_or_usual(const cli_command *command, const cli_option *option,
+                                  char **argv) {
+  if (option->kind == CLI_FILES && optarg != NULL && strncmp(optarg, "--", 2) == 0 &&
+      optarg == argv[optind - 1]) {
+    optind--;
+    return command->usual_file;
+  }
+  return option->kind == CLI_FILES && optarg == NULL ? command->usual_file : optarg;
+}
+
+/* False: the command is over. */
+static bool take_option(const cli_command *command, const cli_option *option, const char *value,
+                        void *settings, int *status) {
+  if (is_help(option)) {
+    cli_options_help(command);
+    *status = CLI_OK;
+    return false;
+  }
+  const char *expected = take_value(option, value, settings);
+  if (expected != NULL) {
+    *status = cli_fail_usage(command, "--%s: '%s' is no %s", option->name, value, expected);
+  }
+  return expected == NULL;
+}
+
 enum { OPTIONS_MAX = 64 };
 
 bool cli_options_read(const cli_command *command, int argc, char **argv, void *settings,
@@ -182,29 +240,26 @@ bool cli_options_read(const cli_command *command, int argc, char **argv, void *s
   make_list(command, list, found);
   opterr = 0;
   for (;;) {
-    int index = 0;
-    const int result = getopt_long(argc, argv, ":", list, &index);
+    int result = getopt_long(argc, argv, ":", list, NULL);
     if (result == -1) {
       return finish(command, argc, argv, settings, operand, status);
     }
-    if (result == '?' && optopt != 0) {
+    if (result == ':' && optopt >= FIRST_RESULT &&
+        found[optopt - FIRST_RESULT]->kind == CLI_FILES) {
+      result = optopt;
+      optarg = NULL;
+    }
+    if (result == '?' && optopt != 0 && optopt < FIRST_RESULT) {
       *status = cli_fail_usage(command, "-%c: no such option", optopt);
       return false;
     }
-    if (result != 0) {
+    if (result < FIRST_RESULT) {
       *status = cli_fail_usage(command, "%s: %s", argv[optind - 1],
                                result == ':' ? "a value is missing" : "no such option");
       return false;
     }
-    if (is_help(found[index])) {
-      cli_options_help(command);
-      *status = CLI_OK;
-      return false;
-    }
-    const char *expected = take_value(found[index], optarg, settings);
-    if (expected != NULL) {
-      *status =
-          cli_fail_usage(command, "--%s: '%s' is no %s", found[index]->name, optarg, expected);
+    const cli_option *option = found[result - FIRST_RESULT];
+    if (!take_option(command, option, value_or_usual(command, option, argv), settings, status)) {
       return false;
     }
   }

@@ -38,6 +38,7 @@ enum cli_option_kind {
   CLI_NUMBERS, /* cli_numbers, separated by commas */
   CLI_NAMES,   /* cli_texts, separated by commas */
   CLI_TEXTS,   /* cli_texts, one more each time that the option is given */
+  CLI_FILES,   /* likewise; the command's usual file where no value follows */
 };
 
 typedef struct cli_option {
@@ -59,6 +60,10 @@ typedef struct cli_common {
  * False: the command is over, with *status (0 after --help). *operand: NULL when there is none. */
 bool cli_options_read(const struct cli_command *command, int argc, char **argv, void *settings,
                       const char **operand, int *status);
+
+/* The command's option for a field of a request, whose name has _ where the option's has -; NULL:
+ * none. */
+const cli_option *cli_options_find(const struct cli_command *command, const char *field);
 
 /* Frees what the values hold. */
 void cli_options_free(const struct cli_command *command, void *settings);

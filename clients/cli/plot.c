@@ -5,6 +5,7 @@
 #include <fcntl.h>
 #include <math.h>
 #include <spawn.h>
+#include <stdlib.h>
 #include <string.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -16,27 +17,29 @@
 
 extern char **environ;
 
-static const struct {
+typedef struct picture_format {
   const char *suffix;
-  const char *terminal;
-} formats[] = {
-    {".svg", "svg size 900,600 dynamic background rgb 'white' font 'sans,14'"},
-    {".png", "pngcairo size 900,600 background rgb 'white' font 'sans,11'"},
+  const char *terminal; /* with the size in pixels, and fonts of about the same size */
+} picture_format;
+
+static const picture_format formats[] = {
+    {".svg", "svg size %zu,%zu dynamic background rgb 'white' font 'sans,14' noenhanced"},
+    {".png", "pngcairo size %zu,%zu background rgb 'white' font 'sans,11' noenhanced"},
 };
 
-static const char *terminal_of(const char *path) {
+static const picture_format *format_of(const char *path) {
   const size_t length = strlen(path);
   for (size_t i = 0; i < sizeof formats / sizeof formats[0]; i++) {
     const size_t suffix = strlen(formats[i].suffix);
     if (length > suffix && strcmp(path + length - suffix, formats[i].suffix) == 0) {
-      return formats[i].terminal;
+      return &formats[i];
     }
   }
   return NULL;
 }
 
 bool cli_plot_check(const cli_command *command, const char *path) {
-  if (terminal_of(path) == NULL) {
+  if (format_of(path) == NULL) {
     cli_fail_usage(command, "--plot %s: the name must end in .svg or .png", path);
     return false;
   }
@@ -57,7 +60,7 @@ static void write_quoted(FILE *file, const char *text) {
   fputc('\'', file);
 }
 
-/* A radius and value that a logarithmic axis can show. */
+/* A radius and value that a logarithmic axis can show: not where R is 0 or infinite. */
 static bool is_drawn(double r_mm, double R) {
   return isfinite(r_mm) && isfinite(R) && R > 0;
 }
@@ -89,43 +92,169 @@ static void write_data(FILE *script, const cli_eval_report *report) {
   }
 }
 
-static const char *colour_of(const cli_eval_report *report, size_t channel) {
-  static const char *const rgb[] = {"#d62728", "#2ca02c", "#1f4fd8"};
-  static const char *const others[] = {"#000000", "#e69f00", "#56b4e9", "#009e73",
-                                       "#cc79a7", "#d55e00", "#0072b2", "#999999"};
-  return report->channel_count == 3 ? rgb[channel]
-                                    : others[channel % (sizeof others / sizeof others[0])];
+static const char *const palette[] = {"#000000", "#e69f00", "#56b4e9", "#009e73",
+                                      "#cc79a7", "#d55e00", "#0072b2", "#999999"};
+
+enum { PALETTE = sizeof palette / sizeof palette[0] };
+
+/* A line or, for a single radius, its point. dash: from 1, a solid line. */
+static void write_line(FILE *script, const cli_eval_report *report, size_t profile, size_t dash,
+                       const char *colour, const char *title) {
+  fprintf(script, "$line%zu using 1:2 with ", profile);
+  fprintf(script, report->radius_count > 1 ? "lines dt %zu" : "points pt %zu", dash);
+  fprintf(script, " lw 2 lc rgb '%s' title ", colour);
+  write_quoted(script, title);
 }
 
-static void write_lines(FILE *script, const cli_eval_report *report) {
-  char title[128];
-  fputs("plot ", script);
+static void write_labels(FILE *script, const cli_eval_report *report, bool r, bool R) {
+  char label[96];
+  snprintf(label, sizeof label, "R (%s)", report->info->R_unit);
+  fprintf(script, "set xlabel '%s'\nset ylabel ", r ? "r (mm)" : "");
+  write_quoted(script, R ? label : "");
+  fputc('\n', script);
+}
+
+static void channel_title(const cli_eval_report *report, size_t channel, char *title,
+                          size_t bytes) {
+  snprintf(title, bytes, "%s%s", report->medium != NULL ? "" : "channel ",
+           report->channels[channel].name);
+}
+
+/* ---- few models: one diagram, a dash for each model and a colour for each channel ---------- */
+
+enum { FEW_MODELS = 4, WIDTH = 900, HEIGHT = 600 };
+
+static const char *colour_of(const cli_eval_report *report, size_t channel) {
+  static const char *const rgb[] = {"#d62728", "#2ca02c", "#1f4fd8"};
+  return report->channel_count == 3 ? rgb[channel] : palette[channel % PALETTE];
+}
+
+static void write_diagram(FILE *script, const cli_eval_report *report) {
+  char title[128], channel[64];
+  fputs("set key top right\nset title ", script);
+  write_quoted(script, report->medium != NULL ? report->medium : "R(r)");
+  fputc('\n', script);
+  write_labels(script, report, true, true);
   for (size_t p = 0; p < report->model_count * report->channel_count; p++) {
-    const size_t model = p / report->channel_count, channel = p % report->channel_count;
-    fprintf(script, "%s$line%zu using 1:2 with ", p > 0 ? ", " : "", p);
-    fprintf(script, report->radius_count > 1 ? "lines dt %zu" : "points pt %zu", model + 1);
-    fprintf(script, " lw 2 lc rgb '%s' title ", colour_of(report, channel));
-    snprintf(title, sizeof title, "%s, %s%s", report->models[model]->name,
-             report->medium != NULL ? "" : "channel ", report->channels[channel].name);
-    write_quoted(script, title);
+    const size_t model = p / report->channel_count, index = p % report->channel_count;
+    channel_title(report, index, channel, sizeof channel);
+    snprintf(title, sizeof title, "%s, %s", report->models[model].choice->name, channel);
+    fputs(p > 0 ? ", " : "plot ", script);
+    write_line(script, report, p, model + 1, colour_of(report, index), title);
   }
   fputc('\n', script);
 }
 
-static void write_script(FILE *script, const cli_eval_report *report, const char *terminal,
-                         bool logarithmic_r) {
-  char label[96];
-  fprintf(script, "set terminal %s noenhanced\nset encoding utf8\n", terminal);
-  fputs("set logscale y\nset format y '%.0e'\nset grid\nset key top right\n", script);
-  fputs(logarithmic_r ? "set logscale x\n" : "", script);
-  fputs("set xlabel 'r (mm)'\nset ylabel ", script);
-  snprintf(label, sizeof label, "R (%s)", report->info->R_unit);
-  write_quoted(script, label);
-  fputs("\nset title ", script);
+/* ---- many models: a panel for each channel, a colour and dash for each model, one legend --- */
+
+enum {
+  PANEL_COLUMNS = 3,
+  PANEL_WIDTH = 400,
+  PANEL_HEIGHT = 540,
+  LEGEND_WIDTH = 230,
+  LEGEND_LINE_HEIGHT = 20,
+  MARGIN_LEFT = 90,
+  MARGIN = 60,
+};
+
+typedef struct panels {
+  size_t columns, rows, width, height;
+} panels;
+
+static panels panels_of(const cli_eval_report *report) {
+  const size_t count = report->channel_count;
+  panels p = {.columns = count < PANEL_COLUMNS ? count : PANEL_COLUMNS};
+  const size_t legend = MARGIN + LEGEND_LINE_HEIGHT * (report->model_count + 2);
+  p.rows = (count + p.columns - 1) / p.columns;
+  p.width = MARGIN_LEFT + PANEL_WIDTH * p.columns + LEGEND_WIDTH;
+  p.height = 2 * MARGIN + PANEL_HEIGHT * p.rows;
+  p.height = p.height < legend ? legend : p.height;
+  return p;
+}
+
+static int compare(const void *a, const void *b) {
+  const double x = *(const double *)a, y = *(const double *)b;
+  return (x > y) - (x < y);
+}
+
+/* Decades of R below the least value of the middle line: some models fall off so much faster than
+ * others that a diagram with all of a line shows nothing of the rest. */
+enum { TAIL_DECADES = 4 };
+
+/* The same decades in every panel, so that they compare. */
+static void write_range(FILE *script, const cli_eval_report *report) {
+  const size_t lines = report->model_count * report->channel_count;
+  double *least = cli_allocate(lines, sizeof *least);
+  double most = 0;
+  size_t drawn = 0;
+  for (size_t p = 0; p < lines; p++) {
+    const double *R = cli_eval_array(report, &report->values[p], DIPOLE_R);
+    double line_least = INFINITY;
+    for (size_t i = 0; i < report->radius_count; i++) {
+      if (is_drawn(report->radii[i], R[i])) {
+        line_least = fmin(line_least, R[i]);
+        most = fmax(most, R[i]);
+      }
+    }
+    if (isfinite(line_least)) {
+      least[drawn++] = line_least;
+    }
+  }
+  qsort(least, drawn, sizeof *least, compare);
+  const double low = fmax(floor(log10(least[0])), floor(log10(least[drawn / 2])) - TAIL_DECADES);
+  fprintf(script, "set yrange [1e%.0f:1e%.0f]\n", low, fmax(ceil(log10(most)), low + 1));
+  free(least);
+}
+
+static void write_panel(FILE *script, const cli_eval_report *report, const panels *p,
+                        size_t channel) {
+  char title[64];
+  channel_title(report, channel, title, sizeof title);
+  fputs("set title ", script);
+  write_quoted(script, title);
+  fputc('\n', script);
+  write_labels(script, report, channel + p->columns >= report->channel_count,
+               channel % p->columns == 0);
+  fputs(channel == 0 ? "set key at screen 0.99,0.94 top right vertical maxcols 1 Left reverse\n"
+                     : "unset key\n",
+        script);
+  for (size_t model = 0; model < report->model_count; model++) {
+    fputs(model > 0 ? ", " : "plot ", script);
+    write_line(script, report, model * report->channel_count + channel, 1 + model / PALETTE,
+               palette[model % PALETTE], report->models[model].choice->name);
+  }
+  fputc('\n', script);
+}
+
+static void write_panels(FILE *script, const cli_eval_report *report, const panels *p) {
+  const double width = (double)p->width, height = (double)p->height;
+  fprintf(script, "set multiplot layout %zu,%zu margins %.4f,%.4f,%.4f,%.4f spacing %.4f,%.4f",
+          p->rows, p->columns, MARGIN_LEFT / width, 1 - LEGEND_WIDTH / width, MARGIN / height,
+          1 - MARGIN / height, MARGIN / width, 1.5 * MARGIN / height);
+  fputs(" title ", script);
   write_quoted(script, report->medium != NULL ? report->medium : "R(r)");
   fputc('\n', script);
+  write_range(script, report);
+  for (size_t channel = 0; channel < report->channel_count; channel++) {
+    write_panel(script, report, p, channel);
+  }
+  fputs("unset multiplot\n", script);
+}
+
+static void write_script(FILE *script, const cli_eval_report *report, const picture_format *format,
+                         bool logarithmic_r) {
+  const bool many = report->model_count > FEW_MODELS;
+  const panels p = panels_of(report);
+  fputs("set terminal ", script);
+  fprintf(script, format->terminal, many ? p.width : WIDTH, many ? p.height : HEIGHT);
+  fputs("\nset encoding utf8\nset logscale y\nset format y '%.0e'\nset grid\n", script);
+  fputs(logarithmic_r ? "set logscale x\n" : "", script);
   write_data(script, report);
-  write_lines(script, report);
+  if (many) {
+    write_panels(script, report, &p);
+  } else {
+    write_diagram(script, report);
+  }
 }
 
 /* ---- drawing ------------------------------------------------------------------------------- */
@@ -213,8 +342,9 @@ int cli_plot(const cli_command *command, const cli_eval_report *report, const ch
   FILE *files[FILES] = {NULL};
   int status = CLI_OK;
   if (count_drawn(report) == 0) {
-    return cli_fail(command, "--plot %s: R is 0 at every radius: a logarithmic axis shows nothing",
-                    path);
+    return cli_fail(
+        command, "--plot %s: R is 0 or infinite at every radius: a logarithmic axis shows nothing",
+        path);
   }
   for (int i = 0; status == CLI_OK && i < FILES; i++) {
     files[i] = tmpfile();
@@ -224,7 +354,7 @@ int cli_plot(const cli_command *command, const cli_eval_report *report, const ch
     }
   }
   if (status == CLI_OK) {
-    write_script(files[SCRIPT], report, terminal_of(path), has_equal_ratios(report));
+    write_script(files[SCRIPT], report, format_of(path), has_equal_ratios(report));
     fflush(files[SCRIPT]);
     rewind(files[SCRIPT]);
     status = draw(command, files, path);

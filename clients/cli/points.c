@@ -21,7 +21,7 @@ enum { WINDOW_ROWS = 512 };
 #define WINDOW_BYTES ((size_t)4 << 20)
 
 typedef struct points_settings {
-  cli_common common;
+  cli_profile_settings profile;
   const char *evaluator;
 } points_settings;
 
@@ -31,6 +31,7 @@ typedef struct points_run {
   const char *source; /* name of the input, for messages */
   dipole_client *client;
   unsigned evaluator;
+  cli_parameters parameters; /* of every row, unless its cells say otherwise */
   cli_csv_reader reader;
   cli_points_columns columns;
   cli_progress progress;
@@ -83,7 +84,7 @@ static bool submit(points_run *points, cli_points_row *row) {
 /* A busy daemon is asked again; a refusal that names a field is the row's own fault; anything else
  * ends the command. */
 static bool take_refusal(points_run *points, uint64_t id, const dipole_error *error) {
-  const uint64_t timeout_ms = points->settings->common.timeout_ms.value;
+  const uint64_t timeout_ms = points->settings->profile.common.timeout_ms.value;
   cli_points_row *row = error->kind == DIPOLE_ERROR_REFUSED ? find_row(points, id) : NULL;
   if (row == NULL || (error->retry_after_ms == 0 && error->field[0] == '\0')) {
     return fail(points, "%s", error->text);
@@ -196,13 +197,14 @@ static bool read_header(points_run *points) {
     fwrite(header.bytes, 1, header.length, stdout);
   }
   if (good) {
-    good = cli_points_find_columns(points->command, points->source, &header, &points->columns);
+    good = cli_points_find_columns(points->command, points->source, dipole_get_info(points->client),
+                                   &header, &points->columns);
     if (good) {
       cli_points_write_header(&points->columns, &header, stdout);
     }
   } else if (!points->failed) {
     fail(points, "there is no header line; it names the columns: sigma_a, sigma_s, g, eta, r, if "
-                 "need be model and moments");
+                 "need be model, moments and parameters");
   }
   cli_csv_record_free(&header);
   return good;
@@ -226,7 +228,8 @@ static bool read_rows(points_run *points) {
     points->window_bytes += row->record.length;
     if (kind == CLI_CSV_COMMENT) {
       row->state = CLI_POINTS_COPIED;
-    } else if (cli_points_parse(&points->columns, info, row) && !submit(points, row)) {
+    } else if (cli_points_parse(&points->columns, info, &points->parameters, row) &&
+               !submit(points, row)) {
       return false;
     }
   }
@@ -253,11 +256,12 @@ static bool open_input(points_run *points, const char *operand) {
 }
 
 static int work(points_run *points) {
+  const dipole_info *info = dipole_get_info(points->client);
   const char *name = points->settings->evaluator;
-  const dipole_choice *evaluator =
-      cli_named(points->command, dipole_get_info(points->client), DIPOLE_EVALUATOR, "evaluator",
-                name != NULL ? name : EVALUATOR_DEFAULT);
-  if (evaluator == NULL) {
+  const dipole_choice *evaluator = cli_named(points->command, info, DIPOLE_EVALUATOR, "evaluator",
+                                             name != NULL ? name : EVALUATOR_DEFAULT);
+  if (evaluator == NULL || !cli_parameters_take(points->command, info, &points->settings->profile,
+                                                &points->parameters)) {
     return CLI_USAGE;
   }
   points->evaluator = evaluator->id;
@@ -289,7 +293,7 @@ static int run(const cli_command *command, int argc, char **argv) {
   points->settings = &settings;
   status = CLI_FAILED;
   if (open_input(points, operand)) {
-    if (cli_open(command, &settings.common, &points->client)) {
+    if (cli_open(command, &settings.profile.common, &points->client)) {
       status = work(points);
       dipole_close(points->client);
     }
@@ -319,12 +323,16 @@ const cli_command cli_command_points = {
         "\n"
         "The header names the columns, in any order: sigma_a, sigma_s (1/mm), g, eta and r (mm)\n"
         "are needed; model (default: better) and moments (default: exact) may be absent or\n"
-        "empty. The rows come out as they are, with R (1/mm^2 per unit of power that entered),\n"
-        "albedo, cdf (the share of the albedo within r) and status appended, or replaced where\n"
-        "such a column exists. status is ok, or says what is wrong with the row; the other rows\n"
-        "go on, and the exit status is 3. Lines that start with # are copied.\n",
+        "empty. So may the parameters below, whose columns have _ where the options have -; an\n"
+        "option holds for the rows whose cell is empty, and a row without either is asked for\n"
+        "without that parameter. The rows come out as they are, with R (1/mm^2 per unit of power\n"
+        "that entered; inf where it is infinite), albedo, cdf (the share of the albedo within r)\n"
+        "and status appended, or replaced where such a column exists. status is ok, or says what\n"
+        "is wrong with the row; the other rows go on, and the exit status is 3. Lines that start\n"
+        "with # are copied.\n",
     .formats = "csv",
     .options = options,
+    .shared_options = cli_parameter_options,
     .examples = "  dipole points media.csv > profiles.csv\n"
                 "  printf 'sigma_a,sigma_s,g,eta,r\\n0.01,1,0,1.4,2\\n' | dipole points\n",
     .run = run,

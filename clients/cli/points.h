@@ -4,6 +4,7 @@
 
 #include "clients/cli/cli.h"
 #include "clients/cli/csv.h"
+#include "clients/cli/parameters.h"
 
 enum cli_points_input {
   CLI_POINTS_MODEL,
@@ -31,6 +32,9 @@ typedef struct cli_points_columns {
   size_t count; /* cells of the header */
   size_t input_at[CLI_POINTS_INPUTS];
   size_t output_at[CLI_POINTS_OUTPUTS];
+  size_t parameter_count; /* columns that have the name of a parameter of the daemon */
+  const dipole_choice *parameters[CLI_PARAMETERS_MAX];
+  size_t parameter_at[CLI_PARAMETERS_MAX];
 } cli_points_columns;
 
 enum cli_points_state {
@@ -48,6 +52,7 @@ typedef struct cli_points_row {
   unsigned model, moments;
   dipole_medium medium;
   double r_mm;
+  cli_parameters parameters;
   uint64_t id;
   double R, albedo, cdf;
   char status[CLI_POINTS_STATUS_BYTES]; /* what is wrong with a bad row */
@@ -57,7 +62,8 @@ typedef struct cli_points_row {
 
 /* Finds the columns in the header; says what is wrong when they do not do. */
 bool cli_points_find_columns(const cli_command *command, const char *source,
-                             const cli_csv_record *header, cli_points_columns *columns);
+                             const dipole_info *info, const cli_csv_record *header,
+                             cli_points_columns *columns);
 
 /* Writes the header with the columns that are missing. */
 void cli_points_write_header(const cli_points_columns *columns, const cli_csv_record *header,
@@ -70,9 +76,10 @@ const char *cli_points_input_name(enum cli_points_input input);
 
 /* ---- points_row.c -------------------------------------------------------------------------- */
 
-/* Reads the row's cells. False: the row is BAD, and its status says why. */
+/* Reads the row's cells; usual: the parameters of a row that does not say otherwise. False: the row
+ * is BAD, and its status says why. */
 bool cli_points_parse(const cli_points_columns *columns, const dipole_info *info,
-                      cli_points_row *row);
+                      const cli_parameters *usual, cli_points_row *row);
 
 /* Sends the row's query and makes it WAITING. */
 bool cli_points_submit(dipole_client *client, unsigned evaluator, cli_points_row *row,

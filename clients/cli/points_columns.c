@@ -31,8 +31,25 @@ const char *cli_points_input_name(enum cli_points_input input) {
 
 /* ---- the header ---------------------------------------------------------------------------- */
 
+/* The place for the position of a parameter's column, which is added when there is none. */
+static size_t *parameter_place(cli_points_columns *columns, const dipole_choice *parameter) {
+  size_t i = 0;
+  while (i < columns->parameter_count && columns->parameters[i] != parameter) {
+    i++;
+  }
+  if (i == CLI_PARAMETERS_MAX) {
+    return NULL;
+  }
+  if (i == columns->parameter_count) {
+    columns->parameters[i] = parameter;
+    columns->parameter_at[i] = CLI_POINTS_ABSENT;
+    columns->parameter_count++;
+  }
+  return &columns->parameter_at[i];
+}
+
 /* The place for the position of a column of this name; NULL: the column is not one of ours. */
-static size_t *place_of(cli_points_columns *columns, const char *name) {
+static size_t *place_of(cli_points_columns *columns, const dipole_info *info, const char *name) {
   for (size_t i = 0; i < CLI_POINTS_INPUTS; i++) {
     if (strcmp(inputs[i].name, name) == 0) {
       return &columns->input_at[i];
@@ -43,7 +60,8 @@ static size_t *place_of(cli_points_columns *columns, const char *name) {
       return &columns->output_at[i];
     }
   }
-  return NULL;
+  const dipole_choice *parameter = cli_choice(info, DIPOLE_PARAMETER, name);
+  return parameter != NULL ? parameter_place(columns, parameter) : NULL;
 }
 
 static void fail_missing(const cli_command *command, const char *source, const char *missing,
@@ -61,19 +79,21 @@ static void fail_missing(const cli_command *command, const char *source, const c
   }
   cli_fail(command,
            "%s: the column %s is missing; the header has %s; it needs sigma_a, sigma_s, g, eta "
-           "and r, and may have model and moments",
+           "and r, and may have model, moments and parameters",
            source, missing, text != NULL ? text : "others");
   free(text);
 }
 
 bool cli_points_find_columns(const cli_command *command, const char *source,
-                             const cli_csv_record *header, cli_points_columns *columns) {
+                             const dipole_info *info, const cli_csv_record *header,
+                             cli_points_columns *columns) {
   size_t length;
   memset(columns, 0xff, sizeof *columns); /* CLI_POINTS_ABSENT everywhere */
   columns->count = header->cell_count;
+  columns->parameter_count = 0;
   for (size_t i = 0; i < header->cell_count; i++) {
     char *name = cli_csv_cell_text(header, i, &length);
-    size_t *place = place_of(columns, name);
+    size_t *place = place_of(columns, info, name);
     const bool twice = place != NULL && *place != CLI_POINTS_ABSENT;
     if (twice) {
       cli_fail(command, "%s: the header has the column %s twice", source, name);

@@ -64,8 +64,31 @@ static bool parse_name(const cli_points_columns *columns, const dipole_info *inf
   return choice != NULL;
 }
 
+/* The parameters of the row: the usual ones, and what its cells say. */
+static bool parse_parameters(const cli_points_columns *columns, const dipole_info *info,
+                             const cli_parameters *usual, cli_points_row *row) {
+  bool good = true;
+  row->parameters = *usual;
+  for (size_t i = 0; good && i < columns->parameter_count; i++) {
+    const dipole_choice *parameter = columns->parameters[i];
+    size_t length;
+    double value;
+    char *text = cli_csv_cell_text(&row->record, columns->parameter_at[i], &length);
+    good = length == 0 ||
+           (strlen(text) == length && cli_parameter_parse(info, parameter, text, &value));
+    if (!good) {
+      make_bad(row, "%s: '%.*s' is no value: allowed: %s", parameter->name, SHOWN_BYTES, text,
+               parameter->about);
+    } else if (length > 0) {
+      cli_parameters_set(&row->parameters, parameter->id, value);
+    }
+    free(text);
+  }
+  return good;
+}
+
 bool cli_points_parse(const cli_points_columns *columns, const dipole_info *info,
-                      cli_points_row *row) {
+                      const cli_parameters *usual, cli_points_row *row) {
   if (row->record.malformed) {
     return make_bad(row, "the row: text after a closing quote: allowed: quotes around whole cells, "
                          "doubled within");
@@ -82,7 +105,8 @@ bool cli_points_parse(const cli_points_columns *columns, const dipole_info *info
          parse_number(columns, row, CLI_POINTS_SIGMA_S, &row->medium.sigma_s_per_mm) &&
          parse_number(columns, row, CLI_POINTS_G, &row->medium.g) &&
          parse_number(columns, row, CLI_POINTS_ETA, &row->medium.eta) &&
-         parse_number(columns, row, CLI_POINTS_RADIUS, &row->r_mm);
+         parse_number(columns, row, CLI_POINTS_RADIUS, &row->r_mm) &&
+         parse_parameters(columns, info, usual, row);
 }
 
 bool cli_points_submit(dipole_client *client, unsigned evaluator, cli_points_row *row,
@@ -97,7 +121,9 @@ bool cli_points_submit(dipole_client *client, unsigned evaluator, cli_points_row
                               .spacing = DIPOLE_LIST,
                               .radii = evaluator == DIPOLE_F32 ? (const void *)&r_f32_mm
                                                                : (const void *)&row->r_mm,
-                              .radius_count = 1};
+                              .radius_count = 1,
+                              .parameters = row->parameters.items,
+                              .parameter_count = row->parameters.count};
   row->state = CLI_POINTS_WAITING;
   return dipole_submit(client, &query, &row->id, error);
 }

@@ -58,6 +58,10 @@ enum coefficient {
   PDF_FLUX_1,
   PDF_FLUX_2,
   PDF_EXPONENT,
+  RING_PHI, /* and in 2 pi r R, in 1/mm */
+  RING_FLUX_1,
+  RING_FLUX_2,
+  RING_EXPONENT,
   CDF_FLUX_1,   /* shares of the energy, over the albedo: flux of the real source, */
   CDF_FLUX_2,   /* of the mirror source, */
   CDF_PHI_FAR,  /* fluence, by the attenuation of the sources' own depths */
@@ -152,6 +156,12 @@ static inline real dipole_pdf(const real *c, real r) {
   const struct view v = look_from(c, r);
   const real sum = bracket(v, c[MU], c[PDF_PHI], c[PDF_FLUX_1], c[PDF_FLUX_2]);
   return real_times_exp(v.x * sum, -c[MU] * v.d1, c[PDF_EXPONENT]);
+}
+
+static inline real dipole_ring(const real *c, real r) {
+  const struct view v = look_from(c, r);
+  const real sum = bracket(v, c[MU], c[RING_PHI], c[RING_FLUX_1], c[RING_FLUX_2]);
+  return real_times_exp(v.x * sum, -c[MU] * v.d1, c[RING_EXPONENT]);
 }
 
 static inline real dipole_ln_R(const real *c, real r) {
@@ -267,6 +277,7 @@ CORE_KERNEL(eval_cdf, dipole_cdf)
 CORE_KERNEL(eval_slope, dipole_slope)
 CORE_KERNEL(eval_ln_R, dipole_ln_R)
 CORE_KERNEL(eval_pdf, dipole_pdf)
+CORE_KERNEL(eval_ring, dipole_ring)
 CORE_KERNEL(sample, dipole_sample)
 
 CORE_KERNEL_TABLE(dipole, .sample = sample,
@@ -276,6 +287,7 @@ CORE_KERNEL_TABLE(dipole, .sample = sample,
                       [CORE_ELEMENTWISE_SLOPE] = eval_slope,
                       [CORE_ELEMENTWISE_LN_R] = eval_ln_R,
                       [CORE_ELEMENTWISE_PDF] = eval_pdf,
+                      [CORE_ELEMENTWISE_RING] = eval_ring,
                   });
 
 #else /* preparation, compiled once */
@@ -381,8 +393,13 @@ static double set_energy(const struct dipole *dipole, double *c) {
   c[CDF_PHI_NEAR] = scatters ? dd_round(dd_div(dd_mul(phi, real_share), sum)) / Z1 : 0;
   if (scatters) {
     set_weights(dipole, dd_div(dipole->sigma_t_prime, sum), 60, 80, &c[PDF_PHI], &c[PDF_EXPONENT]);
+    const dd half_p = dd_scale(dipole->albedo_prime_power, 0.5);
+    set_weights(dipole, dd_mul(dipole->sigma_t_prime, half_p), 60, 80, &c[RING_PHI],
+                &c[RING_EXPONENT]);
     c[PDF_FLUX_1] *= Z1 * Z1;
     c[PDF_FLUX_2] *= Z1 * Z1;
+    c[RING_FLUX_1] *= Z1 * Z1;
+    c[RING_FLUX_2] *= Z1 * Z1;
   }
   return dd_round(albedo);
 }
@@ -400,11 +417,18 @@ static void set_bracket(double *c) {
   c[INVERSE_MU] = fmin(1 / c[MU], 1e30);
 }
 
+core_check_function core_dipole_check;
 core_prepare_function core_dipole_prepare;
 
-void core_dipole_prepare(int variant, enum core_moments moments, const core_medium *medium,
-                         core_preparation *preparation) {
-  const struct dipole dipole = table_2(variant, moments, medium);
+core_fault core_dipole_check(const core_inputs *inputs, core_radii_range *radii) {
+  (void)inputs;
+  (void)radii;
+  return (core_fault){0};
+}
+
+core_fault core_dipole_prepare(const core_inputs *inputs, core_preparation *preparation) {
+  preparation->notes = core_similarity_note(inputs);
+  const struct dipole dipole = table_2(inputs->variant, inputs->moments, inputs->medium);
   const dd z2_plus_1 = dd_add(TWO, dipole.z2_less_1);
   const dd z2 = dd_add(ONE, dipole.z2_less_1);
   double *c = preparation->coefficients;
@@ -420,6 +444,7 @@ void core_dipole_prepare(int variant, enum core_moments moments, const core_medi
   /* 1 + mu_tr d1 <= 1 + mu_tr (z1 + r) */
   preparation->error_epsilons = DIPOLE_ERROR_EPSILONS * (1 + dd_round(dipole.mu));
   preparation->error_epsilons_per_mm = DIPOLE_ERROR_EPSILONS * c[MU] * c[UNITS_PER_MM];
+  return (core_fault){0};
 }
 
 #endif

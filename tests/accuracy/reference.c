@@ -304,10 +304,11 @@ void reference_dipole_evaluate(const reference_dipole *dipole, double r_mm,
   mpfr_div(slope, slope, two_pi, MPFR_RNDN);
   mpfr_mul_d(slope, slope, r_mm, MPFR_RNDN);
 
+  mpfr_ptr ring = values->of[CORE_ELEMENTWISE_RING];
+  mpfr_mul(ring, R, two_pi, MPFR_RNDN);
+  mpfr_mul_d(ring, ring, r_mm, MPFR_RNDN);
   mpfr_ptr pdf = values->of[CORE_ELEMENTWISE_PDF];
-  mpfr_mul(pdf, R, two_pi, MPFR_RNDN);
-  mpfr_mul_d(pdf, pdf, r_mm, MPFR_RNDN);
-  mpfr_div(pdf, pdf, dipole->albedo, MPFR_RNDN);
+  mpfr_div(pdf, ring, dipole->albedo, MPFR_RNDN);
 
   mpfr_ptr cdf = values->of[CORE_ELEMENTWISE_CDF];
   sum_sources(cdf, dipole, sources, add_within);
@@ -328,11 +329,10 @@ double reference_dipole_condition(const reference_dipole *dipole, double r_mm) {
 
 int reference_switches(unsigned model) {
   switch (model) {
-#define CORE_MODEL(id, IDENT, name, family, variant, source)                                       \
+#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
   case id:                                                                                         \
-    return strcmp(#family, "dipole") == 0 ? (variant) : -1;
+    return strcmp(#formula, "dipole") == 0 ? (variant) : -1;
 #include "core/models.def"
-#undef CORE_MODEL
   default:
     return -1;
   }

@@ -229,6 +229,40 @@ static const struct term three_c2_from_1[] = {
     {2, "-568.556"}, {3, "164.798"},  {4, "-27.0181"},  {5, "1.91826"},  {0},
 };
 
+/* C1 and C2 themselves, as renderers print them: Pharr, Jakob, Humphreys, "Physically Based
+ * Rendering", 3rd edition, section 11.4.2. */
+static const struct term c1_below_1[] = {
+    {0, "0.45966"},
+    {1, "-1.73965"},
+    {2, "3.37668"},
+    {3, "-3.904945"},
+    {4, "2.49277"},
+    {5, "-0.68441"},
+    {0},
+};
+static const struct term c1_from_1[] = {
+    {0, "-4.61686"},
+    {1, "11.1136"},
+    {2, "-10.4646"},
+    {3, "5.11455"},
+    {4, "-1.27198"},
+    {5, "0.12746"},
+    {0},
+};
+static const struct term c2_below_1[] = {
+    {0, "0.27614"},
+    {1, "-0.87350"},
+    {2, "1.12077"},
+    {3, "-0.65095"},
+    {4, "0.07883"},
+    {5, "0.04860"},
+    {0},
+};
+static const struct term c2_from_1[] = {
+    {0, "-547.033"}, {-3, "45.3087"}, {-2, "-218.725"}, {-1, "458.843"}, {1, "404.557"},
+    {2, "-189.519"}, {3, "54.9327"},  {4, "-9.00603"},  {5, "0.63942"},  {0},
+};
+
 /* F_dr, which is 2 C1: Egan and Hilgeman 1973, as in Jensen et al. 2001; Donner and Jensen 2005
  * have both sides of 1. */
 static const struct term f_dr_below_1[] = {
@@ -251,6 +285,15 @@ static void complement_of_fit(mpfr_t complement, const struct term *terms, doubl
     mpfr_sub(complement, complement, coefficient, MPFR_RNDN);
   }
   mpfr_clears(power, coefficient, (mpfr_ptr)NULL);
+}
+
+/* 1 - factor times the sum of the terms at eta */
+static void complement_of_multiple(mpfr_t complement, unsigned long factor,
+                                   const struct term *terms, double eta) {
+  complement_of_fit(complement, terms, eta);
+  mpfr_ui_sub(complement, 1, complement, MPFR_RNDN);
+  mpfr_mul_ui(complement, complement, factor, MPFR_RNDN);
+  mpfr_ui_sub(complement, 1, complement, MPFR_RNDN);
 }
 
 /* ---- what is kept ------------------------------------------------------------------------- */
@@ -277,6 +320,10 @@ static void make_moments(enum core_moments moments, double eta, reference_fresne
   case CORE_MOMENTS_JENSEN:
     exact_moments(eta, value);
     complement_of_fit(value->one_minus_2c1, eta < 1 ? f_dr_below_1 : f_dr_from_1, eta);
+    break;
+  case CORE_MOMENTS_PBRT:
+    complement_of_multiple(value->one_minus_2c1, 2, eta < 1 ? c1_below_1 : c1_from_1, eta);
+    complement_of_multiple(value->one_minus_3c2, 3, eta < 1 ? c2_below_1 : c2_from_1, eta);
     break;
   }
 }

@@ -83,6 +83,13 @@ static void jensens_moments_hold(void **state) {
   assert_bound("jensen 1 - 3 C2", worst.second, INTEGRAL_EPSILONS);
 }
 
+static void renderers_moments_hold(void **state) {
+  (void)state;
+  const struct worst worst = measure_many(CORE_MOMENTS_PBRT, 0.195, 2.485);
+  assert_bound("pbrt 1 - 2 C1", worst.first, POLYNOMIAL_EPSILONS);
+  assert_bound("pbrt 1 - 3 C2", worst.second, POLYNOMIAL_EPSILONS);
+}
+
 /* Matched indices reflect nothing, to the last bit. */
 static void nothing_is_reflected_at_eta_1(void **state) {
   (void)state;
@@ -100,6 +107,7 @@ static void eta_is_limited_for_each_kind(void **state) {
       {CORE_MOMENTS_EXACT, CORE_ETA_MIN, CORE_ETA_MAX},
       {CORE_MOMENTS_FIT, 0.195, 2.485},
       {CORE_MOMENTS_JENSEN, 0.46, 2.2},
+      {CORE_MOMENTS_PBRT, 0.195, 2.485},
   };
   for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
     unit_assert_fault(core_fresnel_check(rows[i].moments, rows[i].min), NULL, 0);
@@ -121,6 +129,7 @@ int main(void) {
       cmocka_unit_test(exact_moments_hold),
       cmocka_unit_test(fitted_moments_hold),
       cmocka_unit_test(jensens_moments_hold),
+      cmocka_unit_test(renderers_moments_hold),
       cmocka_unit_test(nothing_is_reflected_at_eta_1),
       cmocka_unit_test(eta_is_limited_for_each_kind),
   };

@@ -291,11 +291,11 @@ static void with_profile(unsigned model, unsigned moments, const core_medium *me
     struct subject subject = {.e = e};
     const core_isa *best = core_isa_select(NULL);
     unit_assert_fault(
-        core_profile_prepare(&subject.profile, best, model, moments, evaluators[e], medium), NULL,
-        0);
-    unit_assert_fault(
-        core_profile_prepare(&subject.judge, best, model, moments, CORE_EVALUATOR_F64, medium),
+        core_profile_prepare(&subject.profile, best, model, moments, evaluators[e], medium, NULL),
         NULL, 0);
+    unit_assert_fault(core_profile_prepare(&subject.judge, best, model, moments, CORE_EVALUATOR_F64,
+                                           medium, NULL),
+                      NULL, 0);
     test(&subject, random);
   }
 }

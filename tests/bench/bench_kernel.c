@@ -86,11 +86,10 @@ static struct work *add(struct comparison *comparison, const char *name,
 /* The switches of a model of the dipole family; -1 for others, which have no plain loop. */
 static int plain_switches(unsigned model) {
   switch (model) {
-#define CORE_MODEL(id, IDENT, name, family, variant, source)                                       \
+#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
   case id:                                                                                         \
-    return strcmp(#family, "dipole") == 0 ? (variant) : -1;
+    return strcmp(#formula, "dipole") == 0 ? (variant) : -1;
 #include "core/models.def"
-#undef CORE_MODEL
   default:
     return -1;
   }
@@ -106,8 +105,8 @@ static void make_comparison(struct comparison *comparison, unsigned model, unsig
     if (isa == NULL) {
       continue;
     }
-    if (core_profile_prepare(&profile, isa, model, CORE_MOMENTS_EXACT, evaluator, medium).field !=
-        NULL) {
+    if (core_profile_prepare(&profile, isa, model, CORE_MOMENTS_EXACT, evaluator, medium, NULL)
+            .field != NULL) {
       bench_fail("a measured medium was refused");
     }
     add(comparison, core_isa_listed(i), run_kernel, &profile, arrays);

@@ -26,8 +26,11 @@ def dipole(
     stdin: str | bytes = b"",
     env: dict[str, str] | None = None,
     status: int = OK,
+    quiet: bool = True,
+    cwd: Path | None = None,
 ) -> subprocess.CompletedProcess[str]:
-    """Runs a command, with a private daemon unless told otherwise, and checks its exit status."""
+    """Runs a command, with a private daemon unless told otherwise, and checks its exit status.
+    quiet: when all is well it says nothing on standard error."""
     run = subprocess.run(
         [str(PROGRAM), *arguments],
         input=stdin.encode() if isinstance(stdin, str) else stdin,
@@ -35,25 +38,26 @@ def dipole(
         env=environment(**(env or {})),
         timeout=TIMEOUT_S,
         check=False,
+        cwd=cwd,
     )
     text = subprocess.CompletedProcess(
         run.args, run.returncode, run.stdout.decode(), run.stderr.decode()
     )
     assert "Sanitizer" not in text.stderr and "runtime error:" not in text.stderr, text.stderr
     assert text.returncode == status, f"{arguments}: {text.returncode}: {text.stderr}"
-    if status == OK:
+    if status == OK and quiet:
         assert text.stderr == ""
     return text
 
 
-def eval_rows(*arguments: str) -> list[dict[str, str]]:
+def eval_rows(*arguments: str, quiet: bool = True) -> list[dict[str, str]]:
     """The rows of `dipole eval --format csv`."""
-    return read_csv(dipole("eval", "--format", "csv", *arguments).stdout)
+    return read_csv(dipole("eval", "--format", "csv", *arguments, quiet=quiet).stdout)
 
 
-def eval_json(*arguments: str) -> dict:
+def eval_json(*arguments: str, quiet: bool = True) -> dict:
     """The object of `dipole eval --format json`."""
-    return json.loads(dipole("eval", "--format", "json", *arguments).stdout)
+    return json.loads(dipole("eval", "--format", "json", *arguments, quiet=quiet).stdout)
 
 
 def points(text: str | bytes, *arguments: str, status: int = OK) -> str:

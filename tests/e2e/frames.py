@@ -50,9 +50,19 @@ def radii_bytes(radii, evaluator: int = F64) -> bytes:
     return listed + bytes(wire.padded(len(listed)) - len(listed))
 
 
-def eval_payload(media=(SKIN,), radii=(0.5, 1.0), **fixed: float) -> bytes:
+def parameters_bytes(parameters) -> bytes:
+    """Parameter structures, from pairs of id and value."""
+    return b"".join(wire.PARAMETER.pack(parameter=id, value=value) for id, value in parameters)
+
+
+def eval_payload(media=(SKIN,), radii=(0.5, 1.0), parameters=(), **fixed: float) -> bytes:
     """The payload of an eval request: counts that fit and a list, unless told otherwise. radii:
-    None for a grid."""
+    None for a grid. parameters: pairs of id and value, or bytes in their place."""
+    parameter_count = len(parameters)
+    if isinstance(parameters, bytes):
+        parameter_count //= wire.PARAMETER.bytes
+    else:
+        parameters = parameters_bytes(parameters)
     fields = {
         "model": BETTER,
         "evaluator": F64,
@@ -60,6 +70,7 @@ def eval_payload(media=(SKIN,), radii=(0.5, 1.0), **fixed: float) -> bytes:
         "wanted": R | ALBEDO | CDF,
         "medium_count": len(media),
         "spacing": LIST if radii is not None else LINEAR,
+        "parameter_count": parameter_count,
         "radius_count": len(radii) if radii is not None else 2,
         "radius_start": 0.0,
         "radius_stop": 0.0 if radii is not None else 1.0,
@@ -67,7 +78,7 @@ def eval_payload(media=(SKIN,), radii=(0.5, 1.0), **fixed: float) -> bytes:
     fields.update(fixed)
     evaluator = fields["evaluator"] if fields["evaluator"] in wire.EVALUATOR_TYPES else F64
     listed = b"" if radii is None else radii_bytes(radii, evaluator)
-    return wire.EVAL_REQUEST.pack(**fields) + media_bytes(media) + listed
+    return wire.EVAL_REQUEST.pack(**fields) + media_bytes(media) + parameters + listed
 
 
 def ask(connection: Connection, type: int, payload: bytes = b"", request_id: int = 77) -> Frame:

@@ -1,12 +1,17 @@
 """The lists of X macros that the daemon is made from, read for comparison: what is added there is
-tested without another line here."""
+tested without another line here. What the lists do not say of a model, a daemon is asked."""
 
 from __future__ import annotations
 
+import atexit
+import functools
+import math
 import re
 from typing import NamedTuple
 
-from daemons import REPOSITORY
+import dipole
+from daemons import REPOSITORY, Daemon
+from frames import SKIN
 
 
 def read_list(path: str) -> str:
@@ -22,6 +27,14 @@ def choices(macro: str, path: str = "core/choices.def") -> dict[str, int]:
     return {name: int(number) for number, name in entries}
 
 
+class Parameter(NamedTuple):
+    """An optional number of a request: its id and what it may be."""
+
+    id: int
+    least: float
+    most: float
+
+
 class Moments(NamedTuple):
     """A kind of Fresnel moments, and the eta that it holds for."""
 
@@ -30,7 +43,17 @@ class Moments(NamedTuple):
     eta_max: float
 
 
-MODELS = choices("CORE_MODEL", "core/models.def")
+# Those whose radii cost next to nothing.
+DIPOLES = {
+    name: int(number)
+    for number, name in re.findall(
+        r'^CORE_MODEL\((\d+), \w+, "(.*?)", dipole, dipole,', read_list("core/models.def"), re.M
+    )
+}
+MODELS = {
+    **choices("CORE_MODEL", "core/models.def"),
+    **choices("CORE_SUM", "core/models.def"),
+}
 MOMENTS = {
     name: Moments(int(number), float(low), float(high))
     for number, name, low, high in re.findall(
@@ -40,3 +63,87 @@ MOMENTS = {
     )
 }
 EVALUATORS = choices("CORE_EVALUATOR")
+PARAMETERS = {
+    name: Parameter(int(number), float(least), float(most))
+    for number, name, least, most in re.findall(
+        r'^CORE_PARAMETER\((\d+), \w+, "(.*?)", ".*?", ([^,]+), ([^,]+),',
+        read_list("core/choices.def"),
+        re.M,
+    )
+}
+NOTES = choices("CORE_NOTE")
+QUANTITIES = choices("CORE_QUANTITY")
+
+
+# ---- what only a daemon can tell -----------------------------------------------------------------
+
+
+@functools.cache
+def asked() -> dipole.Client:
+    """A client of a daemon of our own, to ask about models."""
+    daemon = Daemon()
+    atexit.register(daemon.close)
+    client = daemon.client()
+    atexit.register(client.close)
+    return client
+
+
+def some_value(name: str) -> float:
+    """A value within a parameter's range."""
+    parameter = PARAMETERS[name]
+    return min(max(0.5 if parameter.most <= 1 else 2.0, parameter.least), parameter.most)
+
+
+@functools.cache
+def needs(model: str) -> dict[str, float]:
+    """The parameters without which a model answers nothing, and values that will do."""
+    parameters: dict[str, float] = {}
+    while True:
+        try:
+            asked().eval(model, SKIN, wanted=["albedo"], parameters=parameters)
+            return parameters
+        except dipole.Refused as refusal:
+            assert refusal.field in PARAMETERS and refusal.field not in parameters, refusal
+            parameters[refusal.field] = some_value(refusal.field)
+
+
+@functools.cache
+def takes(model: str) -> tuple[str, ...]:
+    """The parameters that a model takes."""
+    taken = []
+    for name in PARAMETERS:
+        parameters = {**needs(model), name: some_value(name)}
+        try:
+            asked().eval(model, SKIN, wanted=["albedo"], parameters=parameters)
+        except dipole.Refused as refusal:
+            if refusal.field == name and refusal.allowed.startswith("nothing"):
+                continue
+        taken.append(name)
+    return tuple(taken)
+
+
+@functools.cache
+def covers(model: str, r: float) -> bool:
+    """Whether a model may be evaluated at a radius, in SKIN."""
+    try:
+        asked().eval(model, SKIN, [r], parameters=needs(model))
+    except dipole.Refused as refusal:
+        assert refusal.field == "r", refusal
+        return False
+    return True
+
+
+def takes_media(model: str, media, moments: int, parameters: dict[str, float]) -> bool:
+    """Whether all of these media are in a model's domain."""
+    try:
+        asked().eval(model, media, moments=moments, parameters=parameters, wanted=["albedo"])
+    except dipole.Refused as refusal:
+        assert refusal.field in ("sigma_a", "sigma_s", "g", "eta"), refusal
+        return False
+    return True
+
+
+@functools.cache
+def everywhere() -> tuple[str, ...]:
+    """The models that need no parameter and may be evaluated at every radius."""
+    return tuple(m for m in MODELS if not needs(m) and covers(m, 0.0) and covers(m, math.inf))

@@ -12,9 +12,21 @@ from frames import (
     LOGARITHMIC,
     eval_payload,
 )
-from lists import MODELS, MOMENTS, Moments, choices
+from lists import (
+    DIPOLES,
+    MODELS,
+    MOMENTS,
+    PARAMETERS,
+    QUANTITIES,
+    Moments,
+    everywhere,
+    needs,
+    takes_media,
+)
 
-ALL_QUANTITIES = sum(choices("CORE_QUANTITY").values())
+ALL_QUANTITIES = sum(QUANTITIES.values())
+# So many are asked of the cheapest models only: what is tested with them is not the models.
+MANY_RADII = 2000
 EDGE_RADII = [0.0, -0.0, 5e-324, 1e-300, 1e-45, 1e30, 1e300, np.inf]
 
 
@@ -37,26 +49,50 @@ def random_radii(rng: random.Random, count: int) -> np.ndarray:
     return radii
 
 
-def random_payload(rng: random.Random, counts) -> bytes:
-    """The payload of a valid eval request with one of these numbers of radii."""
+def random_parameters(rng: random.Random, model: str) -> dict[str, float]:
+    """What the model needs and, now and then, angles."""
+    given = dict(needs(model))
+    if rng.random() < 0.3:
+        given |= {"cos_in": rng.random(), "cos_out": rng.random()}
+    return given
+
+
+def tame_payload(rng: random.Random, parameters, count: int, **fields) -> bytes:
+    """A request from the middle of what any model takes."""
+    media = [
+        (rng.uniform(0.01, 0.2), rng.uniform(0.8, 1.2), 0.0, rng.uniform(1.2, 1.5))
+        for _ in range(rng.randint(1, 4))
+    ]
+    radii = np.random.default_rng(rng.getrandbits(32)).uniform(0.5, 4.0, count)
+    return eval_payload(media, radii, parameters, **fields)
+
+
+def random_payload(rng: random.Random, count: int) -> bytes:
+    """The payload of a valid eval request with this number of radii. Models that do not take the
+    medium or any radius get those of the middle."""
     moments = rng.choice(list(MOMENTS.values()))
+    model = rng.choice(list(MODELS if count < MANY_RADII else DIPOLES))
     fields = {
-        "model": rng.choice(list(MODELS.values())),
+        "model": MODELS[model],
         "evaluator": rng.choice([F64, F32]),
         "moments": moments.id,
         "wanted": rng.randint(1, ALL_QUANTITIES),
     }
-    count = rng.choice(counts)
+    given = random_parameters(rng, model)
+    parameters = [(PARAMETERS[name].id, value) for name, value in given.items()]
     media = [random_medium(rng, moments) for _ in range(rng.randint(1, 4))]
+    if model not in everywhere() or not takes_media(model, media, moments.id, given):
+        return tame_payload(rng, parameters, count, **fields)
     if count == 0 or rng.random() < 0.6:
         with np.errstate(over="ignore"):
             radii = random_radii(rng, count)
             if fields["evaluator"] == F32:
                 radii = radii.astype(np.float32)
-        return eval_payload(media, radii, **fields)
+        return eval_payload(media, radii, parameters, **fields)
     return eval_payload(
         media,
         None,
+        parameters,
         spacing=rng.choice([LINEAR, LOGARITHMIC]),
         radius_count=count,
         radius_start=rng.uniform(1e-3, 1.0),
@@ -68,7 +104,7 @@ def random_payload(rng: random.Random, counts) -> bytes:
 def broad_mix(seed: int, sizes: dict[int, int] | None = None) -> list[bytes]:
     """Payloads: short lists of every length, and as many of each longer size as sizes says."""
     rng = random.Random(seed)
-    payloads = [random_payload(rng, [length]) for length in range(68) for _ in range(3)]
+    payloads = [random_payload(rng, length) for length in range(68) for _ in range(3)]
     for size, times in (sizes or {}).items():
-        payloads += [random_payload(rng, [size]) for _ in range(times)]
+        payloads += [random_payload(rng, size) for _ in range(times)]
     return payloads

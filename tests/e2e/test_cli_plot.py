@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import struct
 import subprocess
@@ -10,8 +11,9 @@ import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import pytest
-from command_line import FAILED, TIMEOUT_S, dipole
+from command_line import FAILED, TIMEOUT_S, USAGE, dipole, read_csv
 from daemons import BUILD, REPOSITORY, environment
+from lists import MODELS, everywhere
 
 SVG = "{http://www.w3.org/2000/svg}"
 SKIN = ["eval", "--medium", "skin1", "--model", "classical,better", "--count", "50"]
@@ -92,7 +94,7 @@ def test_what_can_be_drawn(tmp_path, arguments):
 def test_nothing_to_draw(tmp_path):
     svg = tmp_path / "r.svg"
     run = dipole("eval", "--sigma-a", "1", "--sigma-s", "0", "--plot", str(svg), status=FAILED)
-    assert "R is 0 at every radius" in run.stderr
+    assert "R is 0 or infinite at every radius" in run.stderr
     assert not svg.exists()
 
 
@@ -132,6 +134,123 @@ def test_a_gnuplot_that_fails(tmp_path):
 def test_a_picture_that_cannot_be_written(tmp_path):
     run = dipole(*SKIN, "--plot", str(tmp_path / "none" / "r.svg"), status=FAILED)
     assert "cannot write it: No such file or directory" in run.stderr
+
+
+# ---- without a file's name -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--plot"],
+        ["--plot", "--count", "20"],
+        ["--count", "20", "--plot"],
+        ["--plot", "--plot", "--format", "csv"],
+    ],
+)
+def test_a_picture_without_a_name(tmp_path, arguments):
+    run = dipole(*SKIN, *arguments, cwd=tmp_path, quiet=False)
+    assert "the picture is dipole.svg" in run.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["dipole.svg"]
+    assert len(svg_lines(ElementTree.parse(tmp_path / "dipole.svg").getroot())) == 6
+    options = [word for word in arguments if word != "--plot"]
+    assert run.stdout == dipole(*SKIN, *options).stdout
+
+
+def test_pictures_with_and_without_a_name(tmp_path):
+    run = dipole(*SKIN, "--plot", "--plot=a.png", "--plot", "b.svg", cwd=tmp_path, quiet=False)
+    assert run.stderr == "dipole eval: the picture is dipole.svg\n"
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["a.png", "b.svg", "dipole.svg"]
+
+
+def test_other_options_still_need_their_values():
+    run = dipole("eval", "--medium", status=USAGE)
+    assert "--medium: a value is missing" in run.stderr
+    run = dipole("eval", "--plot", "--nonsense", status=USAGE)
+    assert "--nonsense: no such option" in run.stderr
+
+
+# ---- many models ---------------------------------------------------------------------------------
+
+
+def test_all_models_together(tmp_path):
+    """A panel for each channel, each with a line for each model that answers, and one legend."""
+    arguments = ["eval", "--medium", "skin1", "--model", "all"]
+    run = dipole(*arguments, "--format", "csv", "--plot", cwd=tmp_path, quiet=False)
+    answered = list(dict.fromkeys(row["model"] for row in read_csv(run.stdout)))
+    assert set(answered) == set(everywhere()) and len(answered) > 8
+    root = ElementTree.parse(tmp_path / "dipole.svg").getroot()
+    groups = svg_lines(root)
+    assert len(groups) == 3 * len(answered)
+    texts = svg_texts(root)
+    for text in ("skin1", "red", "green", "blue"):
+        assert texts.count(text) == 1
+    assert texts.count("r (mm)") == 3
+    legend = [text for text in texts if text in MODELS]
+    assert legend == answered
+    lowest = max(float(key[1]) for key in places(root, MODELS))
+    assert lowest < float(root.get("viewBox").split()[3])  # nothing is cut off
+    # No two models look the same, and each looks the same in every panel.
+    styles = [style(group) for group in groups]
+    assert len(set(styles)) == len(answered)
+    assert styles[: len(answered)] == styles[len(answered) : 2 * len(answered)]
+
+
+def places(root: ElementTree.Element, words) -> list[tuple[str, str]]:
+    """Where the texts stand that are among these words: x and y."""
+    found = []
+    for group in root.iter(f"{SVG}g"):
+        text = group.find(f"{SVG}text")
+        if text is not None and "".join(text.itertext()).strip() in words:
+            match = re.match(r"translate\(([\d.]+),([\d.]+)\)", group.get("transform", ""))
+            found.append((match[1], match[2]))
+    return found
+
+
+def style(group: ElementTree.Element) -> tuple:
+    """Colour and dashes of a line: of its longest path."""
+    paths = [one for one in group.iter(f"{SVG}path")]
+    longest = max(paths, key=lambda path: len(path.get("d", "")))
+    parents = {child: parent for parent in group.iter() for child in parent}
+    colour = longest.get("stroke")
+    at = longest
+    while colour is None and at in parents:
+        at = parents[at]
+        colour = at.get("stroke")
+    return colour, longest.get("stroke-dasharray")
+
+
+@pytest.mark.parametrize("channels", [1, 2, 4, 7])
+def test_panels_for_any_number_of_channels(tmp_path, channels):
+    sigma_a = ",".join(str((i + 1) / 10) for i in range(channels))
+    arguments = ["eval", "--sigma-a", sigma_a, "--sigma-s", "1", "--model", "all"]
+    run = dipole(*arguments, "--plot", "--plot", "p.png", cwd=tmp_path, quiet=False)
+    assert "the picture is dipole.svg" in run.stderr
+    root = ElementTree.parse(tmp_path / "dipole.svg").getroot()
+    assert len(svg_lines(root)) == channels * len(everywhere())
+    texts = svg_texts(root)
+    assert [text for text in texts if text.startswith("channel ")] == [
+        f"channel {i + 1}" for i in range(channels)
+    ]
+    check_png(tmp_path / "p.png")
+
+
+def test_infinite_values_are_left_out(tmp_path):
+    """R at r = 0 of some models: the line starts at the next radius; there is nothing to draw of it
+    when that is the only one."""
+    rows = dipole(
+        *["eval", "--medium", "skin1", "--model", "all", "--r", "0", "--format", "csv"], quiet=False
+    ).stdout
+    infinite = next(row["model"] for row in read_csv(rows) if row["R"] == "inf")
+    asked = ["eval", "--medium", "skin1", "--model", infinite]
+    run = dipole(*asked, "--r", "0", "--plot", cwd=tmp_path, status=FAILED)
+    assert "R is 0 or infinite at every radius" in run.stderr
+    dipole(*asked, "--r", "0,1,2", "--plot", "r.svg", cwd=tmp_path)
+    text = (tmp_path / "r.svg").read_text()
+    assert len(svg_lines(ElementTree.fromstring(text))) == 3
+    assert "inf" not in "".join(svg_texts(ElementTree.fromstring(text)))
+    assert "nan" not in text.lower()
 
 
 # ---- the demonstration ---------------------------------------------------------------------------

@@ -23,7 +23,7 @@ from frames import (
     eval_payload,
     frame,
 )
-from lists import EVALUATORS, MODELS
+from lists import EVALUATORS, MODELS, NOTES, PARAMETERS, needs, some_value
 from mixes import ALL_QUANTITIES
 
 SEED = int(os.environ.get("DIPOLED_FUZZ_SEED", "40009"))
@@ -56,8 +56,14 @@ def right_request(rng: random.Random) -> tuple[int, bytes]:
         return rng.choice([MEDIA, STATISTICS]), b""
     if kind < 0.22:
         return PING, rng.randbytes(8 * rng.randint(0, 10))
+    model = rng.choice(list(MODELS))
+    given = dict(needs(model))
+    if rng.random() < 0.3:  # mostly one that the model does not take
+        name = rng.choice(list(PARAMETERS))
+        given[name] = some_value(name)
     fixed = {
-        "model": rng.choice(list(MODELS.values())),
+        "model": MODELS[model],
+        "parameters": [(PARAMETERS[name].id, value) for name, value in given.items()],
         "evaluator": rng.choice(list(EVALUATORS.values())),
         "wanted": rng.randint(1, ALL_QUANTITIES),
     }
@@ -135,7 +141,10 @@ def assert_well_formed_eval(payload: bytes) -> None:
     assert len(payload) == start + len(quantities) * row_bytes
     channels = np.frombuffer(payload[wire.EVAL_REPLY.bytes : start], "<f8").reshape(-1, 4)
     if fixed.wanted & wire.QUANTITY_ALBEDO:
-        assert np.all((channels[:, 0] >= 0) & (channels[:, 0] <= 1))
+        # A published model may give out more than went in, and then says so.
+        said = bool(fixed.notes & NOTES["albedo-above-1"])
+        most = 1 + (channels[:, 3] if said else channels[:, 1])
+        assert np.all((channels[:, 0] >= 0) & (channels[:, 0] <= np.nan_to_num(most, nan=1)))
     for row, quantity in enumerate(quantities):
         values = np.frombuffer(payload, value_type, fixed.radius_count, start + row * row_bytes)
         least, most = RANGES.get(quantity, (0, np.inf))

@@ -19,7 +19,7 @@ from frames import (
     eval_payload,
     frame,
 )
-from lists import choices
+from lists import MODELS, NOTES, PARAMETERS, choices
 
 
 def versions(low: int, high: int) -> bytes:
@@ -52,11 +52,13 @@ def test_hello_is_optional_and_may_come_late_and_twice(connection):
 def test_the_lists(client):
     listed = client.info.choices
     ids = {kind: {name: one.id for name, one in some.items()} for kind, some in listed.items()}
-    assert ids["model"] == choices("CORE_MODEL", "core/models.def")
+    assert ids["model"] == MODELS
     assert ids["evaluator"] == choices("CORE_EVALUATOR")
     assert ids["moments"] == choices("CORE_MOMENTS")
     assert ids["quantity"] == choices("CORE_QUANTITY")
     assert ids["spacing"] == choices("CORE_SPACING")
+    assert ids["parameter"] == {name: one.id for name, one in PARAMETERS.items()}
+    assert ids["note"] == NOTES
     assert ids["status"] == {name: code for code, name in wire.STATUSES.items()}
     assert "d'Eon" in listed["model"]["better"].about
     assert listed["quantity"]["R"].about == "1/mm^2"

@@ -12,6 +12,7 @@ import pytest
 from daemons import PROGRAM
 from dipole import Grid, Medium, wire
 from frames import PING, SKIN, frame
+from lists import MODELS, takes
 
 THREE = [Medium(0.032, 0.74), Medium(0.17, 0.88), Medium(0.48, 1.01)]
 
@@ -101,6 +102,64 @@ def test_ids_are_left_to_the_daemon(client):
         client.eval(999, SKIN, [1.0])
     assert caught.value.field == "model"
     assert client.eval(2, SKIN, [1.0]).model == "better"
+
+
+def test_parameters(client):
+    angles = {"cos_in": 0.5, "cos_out": 0.25}
+    answer = client.eval("better", THREE, [1.0], wanted=["S", "2_pi_r_R"], parameters=angles)
+    assert answer.S.shape == answer.two_pi_r_R.shape == (3, 1)
+    assert set(answer.values) == {"S", "2_pi_r_R"}
+    np.testing.assert_array_equal(answer.values["S"], answer.S)
+    np.testing.assert_array_equal(answer.values["2_pi_r_R"], answer.two_pi_r_R)
+    assert answer.R is None and answer.albedo is None
+    again = client.submit("better", THREE, [1.0], wanted=["S"], parameters=angles)
+    assert dict([client.collect()])[again].S.tobytes() == answer.S.tobytes()
+    as_text = {"cos_in": "0.5", "cos_out": np.float32(0.25)}
+    np.testing.assert_array_equal(
+        client.eval("better", THREE, [1.0], wanted=["S"], parameters=as_text).S, answer.S
+    )
+    assert client.eval("better", SKIN, [1.0], parameters={}).S is None
+
+
+def test_a_fit_model_by_name(client):
+    model = next(model for model in MODELS if "fit_model" in takes(model))
+    by_name = client.eval(model, SKIN, [1.0], parameters={"fit_model": "classical"})
+    by_id = client.eval(model, SKIN, [1.0], parameters={"fit_model": MODELS["classical"]})
+    assert by_name.R == by_id.R != client.eval(model, SKIN, [1.0]).R
+
+
+@pytest.mark.parametrize(
+    "parameters, text",
+    [
+        ({"cosine": 1}, "parameter cosine: not one of tolerance, cos_in"),
+        ({"cos_in": "steep"}, "parameter cos_in: 'steep' is no number"),
+        ({"cos_in": None}, "parameter cos_in: None is no number"),
+        ({"fit_model": "best"}, "model best: not one of classical, better"),
+        ({70000: 1.0}, "parameter:"),
+    ],
+)
+def test_parameters_that_do_not_fit(client, parameters, text):
+    with pytest.raises(dipole.ArgumentError) as caught:
+        client.eval("better", SKIN, [1.0], parameters=parameters)
+    assert text in str(caught.value)
+    assert client.eval("better", SKIN, [1.0]).R.shape == (1, 1)
+
+
+def test_parameters_are_the_daemons_to_judge(client):
+    for parameters, field in [
+        ({"cos_in": 2}, "cos_in"),
+        ({"cos_in": math.nan}, "cos_in"),
+        ({"thickness": 1}, "thickness"),
+        ({999: 1}, "parameter"),
+    ]:
+        with pytest.raises(dipole.Refused) as caught:
+            client.eval("better", SKIN, [1.0], parameters=parameters)
+        assert caught.value.field == field
+
+
+def test_notes(client):
+    assert client.eval("better", SKIN, [1.0]).notes == ()
+    assert client.eval("better", Medium(0.1, 1.0, 0.5), [1.0]).notes == ("similarity",)
 
 
 def test_submit_and_collect(client):

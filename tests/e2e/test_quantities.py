@@ -71,7 +71,7 @@ def test_the_command_line_appends_columns(client):
     arguments = ["--sigma-a", "0.1", "--sigma-s", "1", "--r", "0.5,2", "--format", "csv"]
     out = dipole("eval", *arguments, "--want", "pdf,R,ln_R").stdout
     rows = list(csv.DictReader(io.StringIO(out)))
-    assert list(rows[0])[-3:] == ["model_error", "ln_R", "pdf"]
+    assert list(rows[0])[-4:] == ["model_error", "notes", "ln_R", "pdf"]
     answer = client.eval("better", Medium(0.1, 1.0), [0.5, 2.0], wanted=WANTED)
     for name in ("R", "ln_R", "pdf"):
         assert [float(row[name]) for row in rows] == list(getattr(answer, name)[0])

@@ -3,6 +3,7 @@ whatever else the daemon is asked at the time."""
 
 from __future__ import annotations
 
+import functools
 import random
 import threading
 from pathlib import Path
@@ -32,7 +33,10 @@ def machine_flags() -> set[str]:
 HAS = [name for name, flags in LEVELS.items() if flags <= machine_flags()]
 LACKS = [name for name in LEVELS if name not in HAS]
 
-MIX = broad_mix(seed=1, sizes={1000: 20, 5003: 5, 70_001: 4})
+
+@functools.cache
+def mix() -> list[bytes]:
+    return broad_mix(seed=1, sizes={1000: 20, 5003: 5, 70_001: 4})
 
 
 def answers(daemon: Daemon, payloads: list[bytes]) -> list[bytes]:
@@ -46,7 +50,7 @@ def answers(daemon: Daemon, payloads: list[bytes]) -> list[bytes]:
 @pytest.fixture(scope="module")
 def expected(shared) -> list[bytes]:
     """The answers of the shared daemon."""
-    return answers(shared, MIX)
+    return answers(shared, mix())
 
 
 @pytest.mark.parametrize("isa", HAS)
@@ -54,8 +58,8 @@ def test_instruction_set(daemon, expected, isa):
     one = daemon("--isa", isa)
     with one.client() as client:
         assert client.info.instruction_set == isa
-    for i, answer in enumerate(answers(one, MIX)):
-        assert answer == expected[i], f"request {i} of the mix: {MIX[i][:40].hex()}"
+    for i, answer in enumerate(answers(one, mix())):
+        assert answer == expected[i], f"request {i} of the mix: {mix()[i][:40].hex()}"
 
 
 def test_best_instruction_set_is_the_default(shared):
@@ -75,7 +79,7 @@ def test_number_of_workers(daemon, expected, workers):
     one = daemon("--workers", str(workers))
     with one.client() as client:
         assert client.info.workers == workers
-    assert answers(one, MIX) == expected
+    assert answers(one, mix()) == expected
 
 
 def ask_all(connection: Connection, payloads: list[bytes], order: list[int], window: int) -> str:
@@ -95,25 +99,25 @@ def ask_all(connection: Connection, payloads: list[bytes], order: list[int], win
     return ""
 
 
-CROWD_MIX = broad_mix(seed=2, sizes={3000: 10, 20_000: 6, 200_000: 3})
 ALONE: list[bytes] = []
 
 
 def test_thirty_two_clients_at_once(shared):
-    ALONE[:] = answers(shared, CROWD_MIX)
+    crowd_mix = broad_mix(seed=2, sizes={3000: 10, 20_000: 6, 200_000: 3})
+    ALONE[:] = answers(shared, crowd_mix)
     assert max(map(len, ALONE)) >= 200_000 * 4
     outcomes: dict[int, str] = {}
     start = threading.Barrier(32)
 
     def client(number: int) -> None:
         rng = random.Random(number)
-        large = len(CROWD_MIX) - 1 - number % 9
-        order = [*rng.sample(range(len(CROWD_MIX) - 9), 60), large]
+        large = len(crowd_mix) - 1 - number % 9
+        order = [*rng.sample(range(len(crowd_mix) - 9), 60), large]
         rng.shuffle(order)
         try:
             with shared.connect("unix" if number % 2 else "tcp") as connection:
                 start.wait(30)
-                outcomes[number] = ask_all(connection, CROWD_MIX, order, 1 + number % 8)
+                outcomes[number] = ask_all(connection, crowd_mix, order, 1 + number % 8)
         except Exception as error:  # a thread's exception would be lost
             outcomes[number] = repr(error)
 

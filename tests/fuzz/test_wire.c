@@ -1,6 +1,7 @@
 /* Feeds the decoders of proto/ bytes that nobody should send. Each input lies in a heap buffer of
  * exactly its size, so that the address sanitizer sees a read past its end. The same seed gives the
  * same inputs; DIPOLED_FUZZ_SEED in the environment chooses another. */
+#include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
@@ -14,7 +15,7 @@
 #include "proto/eval.h"
 #include "proto/wire.h"
 
-enum { ROUNDS = 300000, MEDIA_MAX = 5, RADII_MAX = 9, PAYLOAD_MAX = 2560 };
+enum { ROUNDS = 300000, MEDIA_MAX = 5, PARAMETERS_MAX = 4, RADII_MAX = 9, PAYLOAD_MAX = 4096 };
 
 /* ---- pseudo-random numbers --------------------------------------------------------------------
  */
@@ -56,30 +57,57 @@ static uint16_t random_id(const core_choice *list) {
   return (uint16_t)list[random_below(length)].id;
 }
 
-/* A payload that is right: some media, and radii by list or by rule. */
+/* All quantities, and those that have an array for each channel. */
+static unsigned quantity_bits(bool elementwise) {
+  unsigned bits = 0;
+  for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
+    bits |= !elementwise || core_quantity_elementwise(quantity->id) ? quantity->id : 0;
+  }
+  return bits;
+}
+
+/* Some parameters, each once: `count` of the list from a random one on. */
+static void put_parameters(uint8_t *to, size_t count) {
+  size_t length = 0;
+  while (core_parameter_list[length].name != NULL) {
+    length++;
+  }
+  const size_t first = random_below(length);
+  assert_true(count <= length);
+  for (size_t i = 0; i < count; i++) {
+    const wire_parameter parameter = {
+        .parameter = (uint16_t)core_parameter_list[(first + i) % length].id, .value = 0.5};
+    wire_put_parameter(to + i * WIRE_BYTES_parameter, &parameter);
+  }
+}
+
+/* A payload that is right: some media, parameters, and radii by list or by rule. */
 static void make_request(struct bytes *to) {
   const uint32_t medium_count = (uint32_t)(1 + random_below(MEDIA_MAX));
+  const uint32_t parameter_count = (uint32_t)random_below(PARAMETERS_MAX + 1);
   const bool list = random_below(3) != 0;
   wire_eval_request fixed = {
       .model = random_id(core_models),
       .evaluator = random_id(core_evaluators),
       .moments = random_id(core_moments_list),
-      .wanted = (uint16_t)(1 + random_below(127)),
+      .wanted = (uint16_t)(1 + random_below(quantity_bits(false))),
       .medium_count = medium_count,
       .spacing = list ? CORE_SPACING_LIST : CORE_SPACING_LINEAR,
+      .parameter_count = (uint16_t)parameter_count,
       .radius_count = random_below(RADII_MAX + 1),
       .radius_stop = list ? 0 : 1,
   };
   const size_t radii_bytes =
       list ? (size_t)fixed.radius_count * eval_value_bytes(fixed.evaluator) : 0;
   memset(to, 0, sizeof *to);
-  to->length = (size_t)eval_request_bytes(medium_count, radii_bytes);
+  to->length = (size_t)eval_request_bytes(medium_count, parameter_count, radii_bytes);
   wire_put_eval_request(to->at, &fixed);
   for (uint32_t i = 0; i < medium_count; i++) {
     const wire_medium medium = {.sigma_a = 0.1, .sigma_s = 1, .g = 0, .eta = 1.3};
     wire_put_medium(to->at + WIRE_BYTES_eval_request + i * WIRE_BYTES_medium, &medium);
   }
-  memset(to->at + eval_request_bytes(medium_count, 0), 0x3f, radii_bytes);
+  put_parameters(to->at + eval_request_bytes(medium_count, 0, 0), parameter_count);
+  memset(to->at + eval_request_bytes(medium_count, parameter_count, 0), 0x3f, radii_bytes);
 }
 
 /* A reply that is right; its values are any bytes. */
@@ -88,7 +116,7 @@ static void make_reply(struct bytes *to) {
       .model = 1,
       .evaluator = random_id(core_evaluators),
       .moments = 1,
-      .wanted = (uint16_t)random_below(128),
+      .wanted = (uint16_t)random_below(quantity_bits(false) + 1),
       .channel_count = (uint32_t)random_below(MEDIA_MAX + 1),
       .radius_count = random_below(RADII_MAX + 1),
   };
@@ -168,6 +196,11 @@ static void check_taken(const eval_request *request, const uint8_t *payload, siz
     wire_medium medium;
     wire_get_medium(request->media + (size_t)i * WIRE_BYTES_medium, &medium);
   }
+  size_t given = 0;
+  for (const core_choice *entry = core_parameter_list; entry->name != NULL; entry++) {
+    given += !isnan(request->parameters.value[entry->id]);
+  }
+  assert_int_equal(given, fixed->parameter_count);
   size_t radii_bytes = 0;
   if (fixed->spacing == CORE_SPACING_LIST) {
     assert_true(fixed->radius_count <= payload_bytes / value_bytes);
@@ -177,7 +210,8 @@ static void check_taken(const eval_request *request, const uint8_t *payload, siz
   } else {
     assert_null(request->radii);
   }
-  assert_int_equal(eval_request_bytes(fixed->medium_count, radii_bytes), payload_bytes);
+  assert_int_equal(eval_request_bytes(fixed->medium_count, fixed->parameter_count, radii_bytes),
+                   payload_bytes);
 }
 
 static void requests_are_refused_or_whole(void **unused) {
@@ -255,11 +289,11 @@ static void layouts_do_not_wrap(void **unused) {
   (void)unused;
   for (size_t round = 0; round < ROUNDS; round++) {
     const unsigned evaluator = random_id(core_evaluators);
-    const unsigned wanted = (unsigned)random_below(128);
+    const unsigned wanted = (unsigned)random_below(quantity_bits(false) + 1);
     const uint32_t channels = (uint32_t)interesting();
     const uint64_t radii = interesting();
     const uint64_t most = random_below(2) ? interesting() : 67108864;
-    const unsigned per_channel = (unsigned)__builtin_popcount(wanted & (1 | 4 | 16 | 32 | 64));
+    const unsigned per_channel = (unsigned)__builtin_popcount(wanted & quantity_bits(true));
     const unsigned __int128 values = (unsigned __int128)radii * eval_value_bytes(evaluator);
     const unsigned __int128 arrays =
         (unsigned __int128)channels * per_channel + ((wanted & 8) >> 3);

@@ -135,6 +135,7 @@ size_t peer_evaluate(const peer_frame *frame, uint8_t **payload) {
                                  .evaluator = fixed->evaluator,
                                  .moments = fixed->moments,
                                  .wanted = fixed->wanted,
+                                 .notes = fixed->parameter_count,
                                  .channel_count = fixed->medium_count,
                                  .radius_count = fixed->radius_count};
   uint8_t *at = calloc(1, layout.payload_bytes);
@@ -149,7 +150,9 @@ size_t peer_evaluate(const peer_frame *frame, uint8_t **payload) {
   for (uint32_t i = 0; i < fixed->medium_count; i++) {
     wire_medium medium;
     wire_get_medium(request.media + (size_t)i * WIRE_BYTES_medium, &medium);
-    const wire_channel channel = {.albedo = medium.sigma_a, .numerical_error = 1e-15};
+    const double cos_in = request.parameters.value[CORE_PARAMETER_COS_IN];
+    const wire_channel channel = {
+        .albedo = medium.sigma_a, .numerical_error = 1e-15, .model_error = cos_in};
     wire_put_channel(at + layout.channels_offset + (size_t)i * WIRE_BYTES_channel, &channel);
     if ((fixed->wanted & CORE_QUANTITY_R) != 0) {
       put_values(at + eval_array_offset(&layout, fixed->wanted, i, CORE_QUANTITY_R), &request, 2);
@@ -157,6 +160,9 @@ size_t peer_evaluate(const peer_frame *frame, uint8_t **payload) {
     if ((fixed->wanted & CORE_QUANTITY_CDF) != 0) {
       put_values(at + eval_array_offset(&layout, fixed->wanted, i, CORE_QUANTITY_CDF), &request,
                  0.25);
+    }
+    if ((fixed->wanted & CORE_QUANTITY_S) != 0) {
+      put_values(at + eval_array_offset(&layout, fixed->wanted, i, CORE_QUANTITY_S), &request, 3);
     }
   }
   return layout.payload_bytes;

@@ -36,8 +36,9 @@ bool peer_send_bytes(int fd, const void *bytes, size_t count);
 /* Answers hello with a model "better" and a status "bad-value". */
 bool peer_say_hello(int fd);
 
-/* The honest answer to an eval request with listed radii: R = 2 r, cdf = r / 4, albedo = the
- * medium's sigma_a. *payload: to be freed. Returns its length. */
+/* The honest answer to an eval request with listed radii: R = 2 r, cdf = r / 4, S = 3 r, albedo =
+ * the medium's sigma_a, model error = cos_in, notes = the number of parameters. *payload: to be
+ * freed. Returns its length. */
 size_t peer_evaluate(const peer_frame *request, uint8_t **payload);
 
 /* Hello and then honest answers until the client is gone: a script. */

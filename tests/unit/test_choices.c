@@ -2,7 +2,8 @@
 #include "tests/unit/unit.h"
 
 static const core_choice *const lists[] = {
-    core_models, core_evaluators, core_moments_list, core_quantities, core_spacings,
+    core_models,   core_evaluators,     core_moments_list, core_quantities,
+    core_spacings, core_parameter_list, core_notes,
 };
 enum { LISTS = sizeof lists / sizeof lists[0] };
 
@@ -45,13 +46,29 @@ static void entries_fit_the_wire(void **state) {
   }
 }
 
-static void quantities_are_separate_bits(void **state) {
-  (void)state;
+static void assert_separate_bits(const core_choice *list) {
   unsigned seen = 0;
-  for (const core_choice *entry = core_quantities; entry->name != NULL; entry++) {
+  for (const core_choice *entry = list; entry->name != NULL; entry++) {
     assert_int_equal(entry->id & (entry->id - 1), 0);
     assert_int_equal(seen & entry->id, 0);
     seen |= entry->id;
+  }
+}
+
+static void quantities_and_notes_are_separate_bits(void **state) {
+  (void)state;
+  assert_separate_bits(core_quantities);
+  assert_separate_bits(core_notes);
+}
+
+/* Ids below CORE_PARAMETERS_END index core_parameters and the bits of a model's parameters. */
+static void parameters_are_few(void **state) {
+  (void)state;
+  const core_parameters none = core_parameters_none();
+  assert_true(CORE_PARAMETERS_END <= 32);
+  for (const core_choice *entry = core_parameter_list; entry->name != NULL; entry++) {
+    assert_in_range(entry->id, 1, CORE_PARAMETERS_END - 1);
+    assert_true(none.value[entry->id] != none.value[entry->id]);
   }
 }
 
@@ -63,12 +80,26 @@ static void ids_are_permanent(void **state) {
     const char *name;
     unsigned id;
   } published[] = {
-      {core_models, "classical", 1},     {core_models, "better", 2},
-      {core_evaluators, "f64", 1},       {core_evaluators, "f32", 2},
-      {core_moments_list, "exact", 1},   {core_moments_list, "fit", 2},
-      {core_quantities, "R", 1},         {core_quantities, "albedo", 2},
-      {core_quantities, "cdf", 4},       {core_quantities, "r", 8},
-      {core_spacings, "list", 1},        {core_spacings, "linear", 2},
+      {core_models, "classical", 1},
+      {core_models, "better", 2},
+      {core_evaluators, "f64", 1},
+      {core_evaluators, "f32", 2},
+      {core_moments_list, "exact", 1},
+      {core_moments_list, "fit", 2},
+      {core_quantities, "R", 1},
+      {core_quantities, "albedo", 2},
+      {core_quantities, "cdf", 4},
+      {core_quantities, "r", 8},
+      {core_quantities, "S", 256},
+      {core_quantities, "2_pi_r_R", 128},
+      {core_parameter_list, "cos_in", 2},
+      {core_parameter_list, "cos_out", 3},
+      {core_parameter_list, "tolerance", 1},
+      {core_parameter_list, "thickness", 4},
+      {core_notes, "similarity", 1},
+      {core_notes, "albedo-above-1", 2},
+      {core_spacings, "list", 1},
+      {core_spacings, "linear", 2},
       {core_spacings, "logarithmic", 3},
   };
   for (size_t i = 0; i < sizeof published / sizeof published[0]; i++) {
@@ -83,7 +114,8 @@ int main(void) {
       cmocka_unit_test(entries_are_found_by_id_and_by_name),
       cmocka_unit_test(unknown_ones_are_not_found),
       cmocka_unit_test(entries_fit_the_wire),
-      cmocka_unit_test(quantities_are_separate_bits),
+      cmocka_unit_test(quantities_and_notes_are_separate_bits),
+      cmocka_unit_test(parameters_are_few),
       cmocka_unit_test(ids_are_permanent),
   };
   return cmocka_run_group_tests(tests, NULL, NULL);

@@ -9,6 +9,7 @@
 
 #include <cmocka.h>
 
+#include "core/core.h"
 #include "tests/unit/scripted_peer.h"
 
 #define TIMEOUT_MS 20000 /* a test that would hang fails after this */
@@ -96,6 +97,41 @@ static void test_eval_f32(void **state) {
     assert_true(result->radius_f32[i] == r[i]);
     assert_true(result->channels[1].R_f32[i] == 2 * r[i]);
   }
+  dipole_result_free(result);
+  dipole_close(client);
+  peer_end(&peer);
+}
+
+/* A list of five floats needs padding, and the parameters stand before it. */
+static void test_parameters_and_notes(void **state) {
+  (void)state;
+  static const float r[5] = {1, 2, 3, 4, 5};
+  static const dipole_parameter parameters[2] = {{CORE_PARAMETER_COS_OUT, 0.25},
+                                                 {CORE_PARAMETER_COS_IN, 0.75}};
+  scripted_peer peer;
+  dipole_error error;
+  dipole_result *result;
+  dipole_query query = simple_query;
+  query.evaluator = DIPOLE_F32;
+  query.wanted = DIPOLE_S;
+  query.radii = r;
+  query.radius_count = 5;
+  query.parameters = parameters;
+  query.parameter_count = 2;
+  peer_start(&peer, peer_serve, NULL);
+  dipole_client *client = open_client(&peer);
+  assert_true(dipole_eval(client, &query, &result, &error));
+  assert_int_equal(result->notes, 2);
+  for (uint32_t i = 0; i < 2; i++) {
+    assert_true(result->channels[i].model_error == 0.75);
+    assert_null(dipole_values_f32(result, i, DIPOLE_RING));
+    assert_null(dipole_values_f64(result, i, DIPOLE_S));
+    assert_true(dipole_values_f32(result, i, DIPOLE_S)[4] == 15);
+  }
+  dipole_result_free(result);
+  assert_true(dipole_eval(client, &simple_query, &result, &error)); /* none is given */
+  assert_int_equal(result->notes, 0);
+  assert_true(isnan(result->channels[0].model_error));
   dipole_result_free(result);
   dipole_close(client);
   peer_end(&peer);
@@ -513,12 +549,20 @@ static void test_arguments(void **state) {
   dipole_result *result;
   peer_start(&peer, peer_serve, NULL);
   dipole_client *client = open_client(&peer);
-  dipole_query queries[] = {simple_query, simple_query, simple_query, simple_query, simple_query};
+  static const dipole_parameter beyond_the_wire = {65536 + CORE_PARAMETER_COS_IN, 0.5};
+  dipole_query queries[] = {simple_query, simple_query, simple_query, simple_query, simple_query,
+                            simple_query, simple_query, simple_query, simple_query};
   queries[0].media = NULL;
   queries[1].radii = NULL;
   queries[2].evaluator = 99;
   queries[3].radius_count = UINT64_MAX;
   queries[4].model = 65536 + 2;
+  queries[5].spacing = 65536 + DIPOLE_LIST;
+  queries[6].parameter_count = 1;
+  queries[7].parameters = &beyond_the_wire;
+  queries[7].parameter_count = 1;
+  queries[8].parameters = &beyond_the_wire;
+  queries[8].parameter_count = 65536 + 1;
   for (size_t i = 0; i < sizeof queries / sizeof queries[0]; i++) {
     assert_false(dipole_eval(client, &queries[i], &result, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
@@ -536,6 +580,7 @@ int main(void) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test(test_eval),
       cmocka_unit_test(test_eval_f32),
+      cmocka_unit_test(test_parameters_and_notes),
       cmocka_unit_test(test_answers_in_any_order),
       cmocka_unit_test(test_long_pipeline_does_not_deadlock),
       cmocka_unit_test(test_refusals_say_what_is_allowed),

@@ -23,7 +23,7 @@ static wire_eval_request request_of(unsigned evaluator, uint32_t medium_count, u
       .moments = CORE_MOMENTS_EXACT,
       .wanted = CORE_QUANTITY_R | CORE_QUANTITY_CDF,
       .medium_count = medium_count,
-      .spacing = spacing,
+      .spacing = (uint16_t)spacing,
       .radius_count = radius_count,
       .radius_start = spacing == CORE_SPACING_LIST ? 0 : 0.5,
       .radius_stop = spacing == CORE_SPACING_LIST ? 0 : 8,
@@ -82,7 +82,8 @@ static void assert_list_parsed(unsigned evaluator, uint32_t media, size_t count)
   const wire_eval_request fixed = request_of(evaluator, media, CORE_SPACING_LIST, count);
   build(&payload, &fixed, media, count);
   assert_int_equal(parse(&payload, &request).status, WIRE_STATUS_OK);
-  assert_int_equal(payload.length, eval_request_bytes(media, count * eval_value_bytes(evaluator)));
+  assert_int_equal(payload.length,
+                   eval_request_bytes(media, 0, count * eval_value_bytes(evaluator)));
   assert_memory_equal(&request.fixed, &fixed, sizeof fixed);
   for (uint32_t i = 0; i < media; i++) {
     wire_medium medium;
@@ -120,7 +121,7 @@ static void grids_are_taken_apart(void **state) {
     assert_null(request.radii);
     assert_ptr_equal(request.media, payload.bytes + WIRE_BYTES_eval_request);
     assert_true(request.fixed.radius_count == UINT64_MAX);
-    assert_int_equal(payload.length, eval_request_bytes(3, 0));
+    assert_int_equal(payload.length, eval_request_bytes(3, 0, 0));
   }
 }
 
@@ -204,7 +205,7 @@ static void choices_are_checked(void **state) {
     fixed.spacing = unknown[i];
     assert_fixed_refused(fixed, 2, 0, WIRE_STATUS_BAD_VALUE, "spacing");
     fixed = good;
-    fixed.spacing = CORE_SPACING_LIST + (1u << 16); /* the upper half counts too */
+    fixed.spacing = CORE_SPACING_LIST + (1u << 8); /* the upper half counts too */
     assert_fixed_refused(fixed, 2, 0, WIRE_STATUS_BAD_VALUE, "spacing");
     fixed = good;
     fixed.wanted = i == 0 ? 0 : (uint16_t)(unknown[i] | 0x4000);
@@ -220,6 +221,36 @@ static void a_refused_choice_is_told_what_there_is(void **state) {
   wire_eval_request fixed = request_of(9, 1, CORE_SPACING_LINEAR, 5);
   build(&payload, &fixed, 1, 0);
   assert_string_equal(parse(&payload, &request).allowed, "one of 1 (f64), 2 (f32)");
+}
+
+static size_t count_of(char character, const char *text) {
+  size_t count = 0;
+  for (; *text != '\0'; text++) {
+    count += *text == character;
+  }
+  return count;
+}
+
+/* A long list is cut between its entries, and the text says that there are more. */
+static void a_long_list_is_cut_between_entries(void **state) {
+  (void)state;
+  struct payload payload;
+  eval_request request;
+  wire_eval_request fixed = request_of(CORE_EVALUATOR_F64, 1, CORE_SPACING_LINEAR, 5);
+  fixed.model = UINT16_MAX;
+  build(&payload, &fixed, 1, 0);
+  const wire_error error = parse(&payload, &request);
+  size_t models = 0, named = 0;
+  for (const core_choice *model = core_models; model->name != NULL; model++) {
+    char entry[64];
+    snprintf(entry, sizeof entry, "%u (%s)", model->id, model->name);
+    models++;
+    named += strstr(error.allowed, entry) != NULL;
+  }
+  assert_in_range(named, 1, models);
+  assert_int_equal(count_of('(', error.allowed), named);
+  assert_int_equal(count_of(')', error.allowed), named);
+  assert_int_equal(strstr(error.allowed, "hello") != NULL, named < models);
 }
 
 static void a_list_has_no_start_and_stop(void **state) {
@@ -245,13 +276,137 @@ static void padding_is_zero(void **state) {
   }
 }
 
+/* ---- parameters --------------------------------------------------------------------------- */
+
+enum { PARAMETERS_MAX = CORE_PARAMETERS_END };
+
+/* A request with two media, these parameters and a list of three radii. */
+static void build_with_parameters(struct payload *payload, const wire_parameter *parameters,
+                                  size_t count) {
+  wire_eval_request fixed = request_of(CORE_EVALUATOR_F32, 2, CORE_SPACING_LIST, 3);
+  struct payload without;
+  fixed.parameter_count = (uint16_t)count;
+  build(&without, &fixed, 2, 3);
+  const size_t before = WIRE_BYTES_eval_request + 2 * WIRE_BYTES_medium;
+  memset(payload, 0, sizeof *payload);
+  memcpy(payload->bytes, without.bytes, before);
+  for (size_t i = 0; i < count; i++) {
+    wire_put_parameter(payload->bytes + before + i * WIRE_BYTES_parameter, &parameters[i]);
+  }
+  memcpy(payload->bytes + before + count * WIRE_BYTES_parameter, without.bytes + before,
+         without.length - before);
+  payload->length = without.length + count * WIRE_BYTES_parameter;
+}
+
+static size_t parameter_list_length(void) {
+  size_t length = 0;
+  while (core_parameter_list[length].name != NULL) {
+    length++;
+  }
+  return length;
+}
+
+/* Any number of them, from the end of the list so that their order counts for nothing; what is not
+ * given is NaN, and the radii are found behind them. */
+static void parameters_are_taken_apart(void **state) {
+  (void)state;
+  const size_t all = parameter_list_length();
+  assert_in_range(all, 1, PARAMETERS_MAX);
+  for (size_t count = 0; count <= all; count++) {
+    wire_parameter parameters[PARAMETERS_MAX];
+    struct payload payload;
+    eval_request request;
+    for (size_t i = 0; i < count; i++) {
+      parameters[i] = (wire_parameter){.parameter = (uint16_t)core_parameter_list[all - 1 - i].id,
+                                       .value = i == 0 ? INFINITY : -0.25 * (double)i};
+    }
+    build_with_parameters(&payload, parameters, count);
+    assert_int_equal(payload.length, eval_request_bytes(2, (uint32_t)count, 3 * sizeof(float)));
+    assert_int_equal(parse(&payload, &request).status, WIRE_STATUS_OK);
+    for (size_t i = 0; i < all; i++) {
+      const double value = request.parameters.value[core_parameter_list[all - 1 - i].id];
+      assert_true(i < count ? value == parameters[i].value : isnan(value));
+    }
+    assert_true((uintptr_t)request.radii % 8 == 0);
+    assert_true(((const float *)request.radii)[2] == 3);
+  }
+}
+
+static void assert_parameter_refused(wire_parameter second, const char *field,
+                                     const char *allowed) {
+  const wire_parameter parameters[2] = {
+      {.parameter = CORE_PARAMETER_COS_OUT, .value = 0.5},
+      second,
+  };
+  struct payload payload;
+  eval_request request;
+  build_with_parameters(&payload, parameters, 2);
+  const wire_error error = parse(&payload, &request);
+  assert_int_equal(error.status, WIRE_STATUS_BAD_VALUE);
+  assert_string_equal(error.field, field);
+  assert_non_null(strstr(error.allowed, allowed));
+  assert_int_equal(error.index, 1);
+}
+
+static void parameters_are_checked(void **state) {
+  (void)state;
+  static const uint16_t unknown[] = {0, CORE_PARAMETERS_END, 256 + CORE_PARAMETER_COS_IN,
+                                     UINT16_MAX};
+  for (size_t i = 0; i < sizeof unknown / sizeof unknown[0]; i++) {
+    assert_null(core_choice_by_id(core_parameter_list, unknown[i]));
+    assert_parameter_refused((wire_parameter){.parameter = unknown[i], .value = 0.5}, "parameter",
+                             "one of 1 (tolerance)");
+  }
+  assert_parameter_refused((wire_parameter){.parameter = CORE_PARAMETER_COS_OUT, .value = 0.5},
+                           "parameter", "at most once");
+  for (const core_choice *entry = core_parameter_list; entry->name != NULL; entry++) {
+    if (entry->id != CORE_PARAMETER_COS_OUT) {
+      assert_parameter_refused(
+          (wire_parameter){.parameter = (uint16_t)entry->id, .value = (double)NAN}, entry->name,
+          "a number");
+    }
+  }
+  assert_parameter_refused(
+      (wire_parameter){.parameter = CORE_PARAMETER_COS_IN, .zero = 0x100, .value = 0.5}, "zero",
+      "0");
+  assert_parameter_refused(
+      (wire_parameter){.parameter = CORE_PARAMETER_COS_IN, .zero_too = 0x1000000, .value = 0.5},
+      "zero_too", "0");
+}
+
+/* The payload ends after the media, within a parameter, or where the radii should be. */
+static void parameter_counts_must_fit_the_payload(void **state) {
+  (void)state;
+  const wire_parameter parameter = {.parameter = CORE_PARAMETER_COS_IN, .value = 0.5};
+  static const uint16_t counts[] = {2, 3, 0x1000, 0x8001, UINT16_MAX};
+  struct payload payload;
+  build_with_parameters(&payload, &parameter, 1);
+  const size_t whole = payload.length;
+  for (size_t i = 0; i < sizeof counts / sizeof counts[0]; i++) {
+    /* Two count the radii as the second: the id that their bits make is unknown. */
+    wire_eval_request fixed = request_of(CORE_EVALUATOR_F32, 2, CORE_SPACING_LIST, 3);
+    fixed.parameter_count = counts[i];
+    wire_put_eval_request(payload.bytes, &fixed);
+    const bool fits = counts[i] == 2;
+    assert_refused(&payload, fits ? WIRE_STATUS_BAD_VALUE : WIRE_STATUS_BAD_COUNT,
+                   fits ? "parameter" : "parameter_count");
+  }
+  build_with_parameters(&payload, &parameter, 1);
+  for (payload.length = whole - 8; payload.length >= whole - 32; payload.length -= 8) {
+    const bool radii_are_cut = payload.length >= whole - 16;
+    assert_refused(&payload, WIRE_STATUS_BAD_COUNT,
+                   radii_are_cut ? "radius_count" : "parameter_count");
+  }
+}
+
 /* ---- replies ------------------------------------------------------------------------------ */
 
-enum { ALL_QUANTITIES = 127 };
+enum { ALL_QUANTITIES = 511 };
 
 /* Those with an array for each channel, in the order of their arrays. */
-static const enum core_quantity order[] = {CORE_QUANTITY_R, CORE_QUANTITY_CDF, CORE_QUANTITY_SLOPE,
-                                           CORE_QUANTITY_LN_R, CORE_QUANTITY_PDF};
+static const enum core_quantity order[] = {
+    CORE_QUANTITY_R,   CORE_QUANTITY_CDF,  CORE_QUANTITY_SLOPE, CORE_QUANTITY_LN_R,
+    CORE_QUANTITY_PDF, CORE_QUANTITY_RING, CORE_QUANTITY_S};
 enum { ORDER = sizeof order / sizeof order[0] };
 
 static bool has(unsigned wanted, enum core_quantity quantity) {
@@ -295,6 +450,18 @@ static void assert_layout(unsigned evaluator, unsigned wanted, uint32_t channels
   assert_int_equal(at, bytes);
   assert_false(eval_reply_layout(evaluator, wanted, channels, count, bytes - 1, &layout));
   assert_false(eval_reply_layout(evaluator, wanted, channels, count, 0, &layout));
+}
+
+/* The lists above are those of the core. */
+static void the_layout_covers_all_quantities(void **state) {
+  (void)state;
+  unsigned all = 0, elementwise = 0;
+  for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
+    all |= quantity->id;
+    elementwise += core_quantity_elementwise(quantity->id);
+  }
+  assert_int_equal(all, ALL_QUANTITIES);
+  assert_int_equal(elementwise, ORDER);
 }
 
 static void arrays_lie_where_the_protocol_says(void **state) {
@@ -370,6 +537,7 @@ static const wire_eval_reply good_reply = {
     .moments = CORE_MOMENTS_EXACT,
     .wanted = CORE_QUANTITY_R | CORE_QUANTITY_CDF | CORE_QUANTITY_RADIUS,
     .channel_count = 3,
+    .notes = CORE_NOTE_SIMILARITY,
     .radius_count = 7,
 };
 
@@ -443,8 +611,13 @@ int main(void) {
       cmocka_unit_test(radius_counts_do_not_wrap),
       cmocka_unit_test(choices_are_checked),
       cmocka_unit_test(a_refused_choice_is_told_what_there_is),
+      cmocka_unit_test(a_long_list_is_cut_between_entries),
       cmocka_unit_test(a_list_has_no_start_and_stop),
       cmocka_unit_test(padding_is_zero),
+      cmocka_unit_test(parameters_are_taken_apart),
+      cmocka_unit_test(parameters_are_checked),
+      cmocka_unit_test(parameter_counts_must_fit_the_payload),
+      cmocka_unit_test(the_layout_covers_all_quantities),
       cmocka_unit_test(arrays_lie_where_the_protocol_says),
       cmocka_unit_test(layouts_do_not_wrap),
       cmocka_unit_test(replies_are_taken_apart),

@@ -13,7 +13,7 @@ static const double paths_mm[] = {1e-6, 1e-3, .7, 1, 30, 1e6};
 static double albedo_of(unsigned model, unsigned moments, const core_medium *medium) {
   core_profile profile;
   unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model, moments,
-                                         CORE_EVALUATOR_F64, medium),
+                                         CORE_EVALUATOR_F64, medium, NULL),
                     NULL, 0);
   return profile.albedo;
 }
@@ -56,9 +56,10 @@ static bool round_trip(unsigned model, unsigned moments, double albedo, double m
 /* Every model, with the moments that hold, and every eta. */
 typedef void member_test(unsigned model, unsigned moments, double eta, uint64_t *random);
 
+/* The two members that people invert: the first of the list. */
 static void with_every_member(member_test *test) {
   uint64_t random = unit_seed();
-  for (const core_choice *model = core_models; model->name != NULL; model++) {
+  for (const core_choice *model = core_models; model->id <= CORE_MODEL_BETTER; model++) {
     for (const core_choice *moments = core_moments_list; moments->name != NULL; moments++) {
       for (size_t e = 0; e < sizeof etas / sizeof etas[0]; e++) {
         if (core_fresnel_check(moments->id, etas[e]).field == NULL) {
@@ -125,7 +126,7 @@ static void extreme_mean_free_paths_are_taken(void **state) {
   (void)state;
   static const double ends_mm[] = {CORE_MEAN_FREE_PATH_MIN_MM, CORE_MEAN_FREE_PATH_MAX_MM};
   for (size_t i = 0; i < sizeof ends_mm / sizeof ends_mm[0]; i++) {
-    for (const core_choice *model = core_models; model->name != NULL; model++) {
+    for (const core_choice *model = core_models; model->id <= CORE_MODEL_BETTER; model++) {
       assert_true(round_trip(model->id, CORE_MOMENTS_EXACT, .5, ends_mm[i], 1.3));
       assert_true(round_trip(model->id, CORE_MOMENTS_EXACT, 1e-8, ends_mm[i], 1.3));
     }

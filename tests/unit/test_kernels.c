@@ -81,12 +81,20 @@ typedef struct kernel_pair {
 } kernel_pair;
 
 typedef void pair_test(const kernel_pair *pair, uint64_t *random);
+static pair_test compare_edges;
 
-static void prepare(core_profile *profile, const char *isa, unsigned model, unsigned evaluator,
+/* False: the medium lies outside the model's domain, and the fault says which of its fields does. */
+static bool prepare(core_profile *profile, const char *isa, unsigned model, unsigned evaluator,
                     const core_medium *medium) {
-  unit_assert_fault(core_profile_prepare(profile, core_isa_select(isa), model, CORE_MOMENTS_EXACT,
-                                         evaluator, medium),
-                    NULL, 0);
+  const core_parameters parameters = unit_parameters(model, medium);
+  const core_fault fault = core_profile_prepare(profile, core_isa_select(isa), model,
+                                                CORE_MOMENTS_EXACT, evaluator, medium, &parameters);
+  if (fault.field == NULL) {
+    return true;
+  }
+  assert_true(strcmp(fault.field, "eta") == 0 || strcmp(fault.field, "sigma_a") == 0 ||
+              strcmp(fault.field, "fit_from") == 0);
+  return false;
 }
 
 static void with_every_operation(kernel_pair *pair, pair_test *test, uint64_t *random) {
@@ -100,29 +108,80 @@ static void with_every_operation(kernel_pair *pair, pair_test *test, uint64_t *r
   test(pair, random);
 }
 
+enum { COSTLY_MEDIA = 2 };
+
+static bool is_costly(const core_profile *profile) {
+  return profile->cost > 2;
+}
+
 static void with_every_medium(const char *isa, unsigned model, unsigned evaluator, pair_test *test,
                               uint64_t *random) {
   for (size_t i = 0; i < MEDIA; i++) {
     kernel_pair pair;
-    prepare(&pair.portable, "portable", model, evaluator, &media[i]);
-    prepare(&pair.other, isa, model, evaluator, &media[i]);
-    with_every_operation(&pair, test, random);
+    if (!prepare(&pair.portable, "portable", model, evaluator, &media[i])) {
+      continue;
+    }
+    assert_true(prepare(&pair.other, isa, model, evaluator, &media[i]));
+    if (!is_costly(&pair.portable) || i < COSTLY_MEDIA || test == compare_edges) {
+      with_every_operation(&pair, test, random);
+    }
+    core_profile_free(&pair.portable);
+    core_profile_free(&pair.other);
   }
 }
 
+/* Models whose radii cost many times a dipole's are tried at fewer lengths and places, around the
+ * lengths of the blocks they are evaluated in; drawing radii from them costs yet more. */
+static size_t stride(const kernel_pair *pair, size_t n) {
+  const bool sampling = pair->todo.quantity == 0;
+  return !is_costly(&pair->portable) ? 1 : sampling ? 67 : n == 31 || n == 32 ? 1 : 11;
+}
+
+/* What a model is evaluated by. */
+static const struct {
+  unsigned model;
+  const char *kernels;
+} kernels_of[] = {
+#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source) {id, #kernels},
+#define CORE_SUM(id, IDENT, name, FIRST, SECOND, source) {id, "sum"},
+#include "core/models.def"
+};
+
+static bool same_way(size_t a, size_t b) {
+  core_profile first, second;
+  prepare(&first, "portable", kernels_of[a].model, CORE_EVALUATOR_F64, &media[0]);
+  prepare(&second, "portable", kernels_of[b].model, CORE_EVALUATOR_F64, &media[0]);
+  const bool same = strcmp(kernels_of[a].kernels, kernels_of[b].kernels) == 0 &&
+                    (first.table == NULL) == (second.table == NULL);
+  core_profile_free(&first);
+  core_profile_free(&second);
+  return same;
+}
+
+/* Models that differ in their coefficients alone: one of them is enough. */
+static bool is_like_an_earlier_one(size_t model) {
+  for (size_t i = 0; i < model; i++) {
+    if (same_way(i, model)) {
+      return true;
+    }
+  }
+  return false;
+}
+
 /* Every instruction set of this machine (portable included, which must agree with itself whatever
- * the length), model, evaluator and medium. */
+ * the length), way of evaluating, evaluator and medium. */
 static void with_every_pair(pair_test *test) {
   uint64_t random = unit_seed();
-  for (size_t i = 0; core_isa_listed(i) != NULL; i++) {
-    const char *isa = core_isa_listed(i);
-    if (core_isa_select(isa) == NULL) {
-      printf("not tested: this machine cannot run %s\n", isa);
+  for (size_t model = 0; model < sizeof kernels_of / sizeof kernels_of[0]; model++) {
+    if (is_like_an_earlier_one(model)) {
       continue;
     }
-    for (const core_choice *model = core_models; model->name != NULL; model++) {
+    for (size_t i = 0; core_isa_listed(i) != NULL; i++) {
+      const char *isa = core_isa_listed(i);
       for (const core_choice *e = core_evaluators; e->name != NULL; e++) {
-        with_every_medium(isa, model->id, e->id, test, &random);
+        if (core_isa_select(isa) != NULL) {
+          with_every_medium(isa, kernels_of[model].model, e->id, test, &random);
+        }
       }
     }
   }
@@ -238,8 +297,8 @@ static void compare_lengths_and_offsets(const kernel_pair *pair, uint64_t *rando
   unit_random_bytes(random, &noise, sizeof noise);
   fill_inputs(inputs.storage, pair, LENGTH_MAX, random);
   apply(&pair->portable, pair->todo, LENGTH_MAX, inputs.storage, expected.storage);
-  for (size_t n = 0; n <= LENGTH_MAX; n++) {
-    for (size_t offset = 0; offset < OFFSETS; offset++) {
+  for (size_t n = 0; n <= LENGTH_MAX; n += stride(pair, n)) {
+    for (size_t offset = 0; offset < OFFSETS; offset += stride(pair, offset)) {
       const size_t out_offset = (offset * 7 + n + 3) % OFFSETS;
       values output, input = noise;
       memcpy(at(&input, evaluator, offset), inputs.storage, n * value_bytes(evaluator));
@@ -262,12 +321,13 @@ static void every_length_and_offset_gives_the_same_bits(void **state) {
 static void compare_lanes(const kernel_pair *pair, uint64_t *random) {
   enum { LANES = 2 * OFFSETS };
   const unsigned evaluator = pair->portable.evaluator;
-  for (size_t i = 0; i < edge_count(pair) + 10; i++) {
+  const size_t step = !is_costly(&pair->portable) ? 1 : pair->todo.quantity == 0 ? 11 : 3;
+  for (size_t i = 0; i < edge_count(pair) + 10; i += step) {
     const double value = i < edge_count(pair) ? edge(pair, i) : random_input(random, pair);
     values alone, expected;
     put(alone.storage, evaluator, 0, value);
     apply(&pair->portable, pair->todo, 1, alone.storage, expected.storage);
-    for (size_t lane = 0; lane < LANES; lane++) {
+    for (size_t lane = 0; lane < LANES; lane += stride(pair, lane)) {
       values input, output;
       for (size_t j = 0; j < LANES; j++) {
         put(input.storage, evaluator, j, j == lane ? value : garbage(random));
@@ -286,21 +346,23 @@ static void a_lane_does_not_see_its_neighbours(void **state) {
 /* Arrays of exactly the size that is asked for, so that a sanitizer sees every access beyond. */
 static void compare_slicing(const kernel_pair *pair, uint64_t *random) {
   enum { COUNT = 1000 };
+  const int repeats = is_costly(&pair->portable) ? 1 : 10;
+  const size_t used = !is_costly(&pair->portable) ? COUNT : pair->todo.quantity == 0 ? 40 : 300;
   const size_t bytes = value_bytes(pair->portable.evaluator);
   char *in = malloc(COUNT * bytes);
   char *expected = malloc(COUNT * bytes);
   char *out = malloc(COUNT * bytes);
   assert_true(in != NULL && expected != NULL && out != NULL);
-  fill_inputs(in, pair, COUNT, random);
-  apply(&pair->portable, pair->todo, COUNT, in, expected);
-  for (int repeat = 0; repeat < 10; repeat++) {
+  fill_inputs(in, pair, used, random);
+  apply(&pair->portable, pair->todo, used, in, expected);
+  for (int repeat = 0; repeat < repeats; repeat++) {
     memset(out, GUARD, COUNT * bytes);
-    for (size_t first = 0, n = 0; first < COUNT; first += n) {
+    for (size_t first = 0, n = 0; first < used; first += n) {
       n = 1 + unit_random_below(random, repeat % 2 ? 20 : 300);
-      n = n < COUNT - first ? n : COUNT - first;
+      n = n < used - first ? n : used - first;
       apply(&pair->other, pair->todo, n, in + first * bytes, out + first * bytes);
     }
-    assert_same_bits(pair, expected, out, COUNT, "in slices");
+    assert_same_bits(pair, expected, out, used, "in slices");
   }
   free(in);
   free(expected);
@@ -314,67 +376,72 @@ static void slicing_gives_the_same_bits(void **state) {
 
 /* ---- edges -------------------------------------------------------------------------------- */
 
-static void check_R(double r, double value, bool scatters) {
-  assert_true(value >= 0 && isfinite(value) && !signbit(value));
-  assert_true(r != 0 || (value > 0) == scatters);
-  assert_true(!isinf(r) || value == 0);
+/* Nearer to the source some models are infinite in the limit, and the largest numbers overflow. */
+#define NEAR_MM 1e-7
+
+static bool good_R(double r, double value, bool scatters) {
+  return value >= 0 && !signbit(value) && (isfinite(value) || (r < NEAR_MM && scatters)) &&
+         (r != 0 || (value > 0) == scatters) && (!isinf(r) || value == 0);
 }
 
-static void check_cdf(double r, double value, bool scatters) {
-  assert_true(value >= 0 && value <= 1 && !signbit(value));
-  assert_true(r != 0 || value == 0);
-  assert_true(!isinf(r) || value == (scatters ? 1 : 0));
+static bool good_cdf(double r, double value, bool scatters) {
+  return value >= 0 && value <= (scatters ? 1 : 0) && !signbit(value) && (r != 0 || value == 0) &&
+         (!isinf(r) || value >= (scatters ? 1 - 1e-12 : 0));
 }
 
-static void check_slope(double r, double value, bool scatters) {
-  assert_true(value <= 0);
-  assert_true((r > 0 && !isinf(r) && scatters) || value == 0);
+static bool good_slope(double r, double value, bool scatters) {
+  return value <= 0 && (isfinite(value) || (r < NEAR_MM && scatters)) &&
+         ((!isinf(r) && scatters) || value == 0);
 }
 
-static void check_ln_R(double r, double value, bool scatters) {
-  assert_false(isnan(value) || value > 1000);
-  assert_true(!isinf(r) || value == -INFINITY);
-  assert_true(r > 1e-7 || isfinite(value) == scatters);
+static bool good_ln_R(double r, double value, bool scatters) {
+  return !isnan(value) && (value < 1000 || (isinf(value) && r < NEAR_MM && scatters)) &&
+         (!isinf(r) || value == -INFINITY) && (r > NEAR_MM || (value > -INFINITY) == scatters);
 }
 
-static void check_pdf(double r, double value, bool scatters) {
-  assert_true(value >= 0);
-  assert_true((r > 0 && !isinf(r) && scatters) || value == 0);
+static bool good_pdf(double r, double value, bool scatters) {
+  return value >= 0 && isfinite(value) && ((!isinf(r) && scatters) || value == 0);
 }
 
-static void check_sample(double u, double value, bool scatters) {
-  assert_true(value >= 0 && !signbit(value));
-  assert_true((u > 0 && scatters) || value == 0);
-  assert_true(u < 1 || !scatters || isinf(value));
+static bool good_sample(double u, double value, bool scatters) {
+  return value >= 0 && !signbit(value) && ((u > 0 && scatters) || value == 0) &&
+         (u < 1 || !scatters || isinf(value));
 }
 
 /* Whatever the input: no NaN, the sign of the quantity, and its limits. */
-static void check_edge(operation todo, double input, double value, bool scatters) {
-  typedef void edge_check(double input, double value, bool scatters);
+static void check_edge(const kernel_pair *pair, double input, double value, bool scatters) {
+  typedef bool good_value(double input, double value, bool scatters);
   static const struct {
     unsigned quantity;
-    edge_check *check;
+    good_value *good;
   } checks[] = {
-      {0, check_sample},
-      {CORE_QUANTITY_R, check_R},
-      {CORE_QUANTITY_CDF, check_cdf},
-      {CORE_QUANTITY_SLOPE, check_slope},
-      {CORE_QUANTITY_LN_R, check_ln_R},
-      {CORE_QUANTITY_PDF, check_pdf},
+      {0, good_sample},
+      {CORE_QUANTITY_R, good_R},
+      {CORE_QUANTITY_CDF, good_cdf},
+      {CORE_QUANTITY_SLOPE, good_slope},
+      {CORE_QUANTITY_LN_R, good_ln_R},
+      {CORE_QUANTITY_PDF, good_pdf},
+      {CORE_QUANTITY_RING, good_pdf},
+      {CORE_QUANTITY_S, good_R},
   };
   for (size_t i = 0; i < sizeof checks / sizeof checks[0]; i++) {
-    if (checks[i].quantity == todo.quantity) {
-      checks[i].check(input, value, scatters);
+    if (checks[i].quantity == pair->todo.quantity) {
+      if (!checks[i].good(input, value, scatters)) {
+        fail_msg("%s of %s %s, sigma_t' %g, eta %g, at %g is %.17g", pair->todo.name,
+                 core_choice_by_id(core_models, pair->other.model)->name,
+                 core_choice_by_id(core_evaluators, pair->other.evaluator)->name,
+                 1 / mfp_of(&pair->other), pair->other.medium.eta, input, value);
+      }
       return;
     }
   }
-  fail_msg("the edges of %s are not checked", todo.name);
+  fail_msg("the edges of %s are not checked", pair->todo.name);
 }
 
 static void compare_edges(const kernel_pair *pair, uint64_t *random) {
   (void)random;
   const unsigned evaluator = pair->portable.evaluator;
-  const bool scatters = pair->portable.medium.sigma_s_per_mm > 0;
+  const bool scatters = pair->portable.albedo > 0;
   values in, expected, out;
   for (size_t i = 0; i < edge_count(pair); i++) {
     put(in.storage, evaluator, i, edge(pair, i));
@@ -383,7 +450,7 @@ static void compare_edges(const kernel_pair *pair, uint64_t *random) {
   apply(&pair->other, pair->todo, edge_count(pair), in.storage, out.storage);
   assert_same_bits(pair, expected.storage, out.storage, edge_count(pair), "at an edge");
   for (size_t i = 0; i < edge_count(pair); i++) {
-    check_edge(pair->todo, get(in.storage, evaluator, i), get(out.storage, evaluator, i), scatters);
+    check_edge(pair, get(in.storage, evaluator, i), get(out.storage, evaluator, i), scatters);
   }
 }
 

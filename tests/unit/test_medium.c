@@ -79,13 +79,13 @@ static void preparing_refuses_what_is_not_in_the_lists(void **state) {
   static const unsigned unknown[] = {0, 4711, 65535, UINT32_MAX};
   for (size_t i = 0; i < sizeof unknown / sizeof unknown[0]; i++) {
     unit_assert_fault(core_profile_prepare(&profile, isa, unknown[i], CORE_MOMENTS_EXACT,
-                                           CORE_EVALUATOR_F64, &good),
+                                           CORE_EVALUATOR_F64, &good, NULL),
                       "model", 0);
     unit_assert_fault(core_profile_prepare(&profile, isa, CORE_MODEL_BETTER, unknown[i],
-                                           CORE_EVALUATOR_F64, &good),
+                                           CORE_EVALUATOR_F64, &good, NULL),
                       "moments", 0);
     unit_assert_fault(core_profile_prepare(&profile, isa, CORE_MODEL_BETTER, CORE_MOMENTS_EXACT,
-                                           unknown[i], &good),
+                                           unknown[i], &good, NULL),
                       "evaluator", 0);
   }
 }
@@ -97,13 +97,13 @@ static void preparing_refuses_bad_media(void **state) {
   core_profile profile;
   const core_isa *isa = core_isa_select("portable");
   unit_assert_fault(core_profile_prepare(&profile, isa, CORE_MODEL_CLASSICAL, CORE_MOMENTS_EXACT,
-                                         CORE_EVALUATOR_F32, &bad),
+                                         CORE_EVALUATOR_F32, &bad, NULL),
                     "g", 0);
   unit_assert_fault(core_profile_prepare(&profile, isa, CORE_MODEL_CLASSICAL, CORE_MOMENTS_FIT,
-                                         CORE_EVALUATOR_F64, &beyond_the_fit),
+                                         CORE_EVALUATOR_F64, &beyond_the_fit, NULL),
                     "eta", 0);
   unit_assert_fault(core_profile_prepare(&profile, isa, CORE_MODEL_CLASSICAL, CORE_MOMENTS_EXACT,
-                                         CORE_EVALUATOR_F64, &beyond_the_fit),
+                                         CORE_EVALUATOR_F64, &beyond_the_fit, NULL),
                     NULL, 0);
 }
 
@@ -112,16 +112,19 @@ static void a_profile_says_what_it_was_made_from(void **state) {
   for (const core_choice *model = core_models; model->name != NULL; model++) {
     for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
       core_profile profile;
+      const core_parameters parameters = unit_parameters(model->id, &good);
       unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model->id,
-                                             CORE_MOMENTS_EXACT, evaluator->id, &good),
+                                             CORE_MOMENTS_EXACT, evaluator->id, &good, &parameters),
                         NULL, 0);
       assert_int_equal(profile.model, model->id);
       assert_int_equal(profile.evaluator, evaluator->id);
       assert_int_equal(profile.moments, CORE_MOMENTS_EXACT);
       assert_memory_equal(&profile.medium, &good, sizeof good);
-      assert_true(profile.albedo > 0 && profile.albedo < 1);
-      assert_true(profile.numerical_error > 0 && profile.numerical_error < 1e-4);
+      assert_true(profile.albedo > 0 && profile.albedo < 1 + 1e-15);
+      assert_true(profile.numerical_error > 0 && profile.numerical_error < 0.1);
       assert_true(profile.numerical_error_per_mm >= 0 && profile.numerical_error_per_mm < 1e-4);
+      assert_true(profile.cost >= 1 && profile.scale_mm > 0);
+      core_profile_free(&profile);
     }
   }
 }
@@ -134,15 +137,26 @@ static void without_scattering_everything_is_zero(void **state) {
   for (const core_choice *model = core_models; model->name != NULL; model++) {
     core_profile profile;
     double R[5], cdf[5];
-    unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model->id,
-                                           CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &absorbing),
-                      NULL, 0);
+    const core_parameters parameters = unit_parameters(model->id, &absorbing);
+    const core_fault fault =
+        core_profile_prepare(&profile, core_isa_select(NULL), model->id, CORE_MOMENTS_EXACT,
+                             CORE_EVALUATOR_F64, &absorbing, &parameters);
+    if (model->id == CORE_MODEL_GAUSSIANS) { /* there is nothing to fit to */
+      unit_assert_fault(fault, "fit_from", 0);
+      continue;
+    }
+    unit_assert_fault(fault, NULL, 0);
+    if ((profile.notes & CORE_NOTE_MEDIUM_UNUSED) != 0) {
+      core_profile_free(&profile);
+      continue;
+    }
     assert_true(profile.albedo == 0);
     core_eval_f64(&profile, CORE_QUANTITY_R, 5, radii, R);
     core_eval_f64(&profile, CORE_QUANTITY_CDF, 5, radii, cdf);
     for (size_t i = 0; i < 5; i++) {
       assert_true(R[i] == 0 && cdf[i] == 0);
     }
+    core_profile_free(&profile);
   }
 }
 

@@ -185,30 +185,48 @@ static void eval_request_asks_for_skin(void **state) {
   assert_true(medium.g == skin->g && medium.eta == skin->eta);
 }
 
+/* The same medium, and parameters for both angles of S. */
+static void parameter_request_asks_for_S(void **state) {
+  (void)state;
+  const struct example *example = example_named("parameter-request");
+  eval_request request;
+  assert_int_equal(
+      eval_request_parse(payload_of(example), example->header.payload_bytes, &request).status,
+      WIRE_STATUS_OK);
+  assert_int_equal(request.fixed.wanted, CORE_QUANTITY_S);
+  assert_int_equal(request.fixed.parameter_count, 2);
+  const double cos_in = request.parameters.value[CORE_PARAMETER_COS_IN];
+  const double cos_out = request.parameters.value[CORE_PARAMETER_COS_OUT];
+  assert_true(cos_in > 0 && cos_in < 1 && cos_out > 0 && cos_out < 1 && cos_in != cos_out);
+}
+
 /* Every bit of the reply is what the core computes for the request. */
-static void assert_channel(const wire_channel *channel, const core_profile *profile) {
-  assert_memory_equal(&channel->albedo, &profile->albedo, sizeof profile->albedo);
+static void assert_channel(const wire_channel *channel, const core_profile *profile,
+                           unsigned wanted) {
+  const bool albedo = (wanted & CORE_QUANTITY_ALBEDO) != 0;
+  assert_true(albedo ? channel->albedo == profile->albedo : isnan(channel->albedo));
   assert_true(channel->numerical_error == profile->numerical_error);
   assert_true(channel->numerical_error_per_mm == profile->numerical_error_per_mm);
   assert_true(isnan(channel->model_error) == isnan(profile->model_error));
 }
 
-static void eval_reply_holds_the_cores_values(void **state) {
-  (void)state;
+/* One medium, in double precision. */
+static void assert_holds_the_cores_values(const char *request_name, const char *reply_name) {
   enum { RADII_MAX = 64 };
-  const struct example *example = example_named("eval-request");
-  const struct example *answer = example_named("eval-reply");
+  const struct example *example = example_named(request_name);
+  const struct example *answer = example_named(reply_name);
+  const uint8_t *payload = payload_of(answer);
   eval_request request;
   wire_eval_reply reply;
   eval_layout layout;
   wire_channel channel;
   wire_medium wire;
   core_profile profile;
-  double R[RADII_MAX], cdf[RADII_MAX];
+  double values[RADII_MAX];
   eval_request_parse(payload_of(example), example->header.payload_bytes, &request);
   const size_t n = (size_t)request.fixed.radius_count;
   assert_true(n <= RADII_MAX);
-  assert_true(eval_reply_parse(payload_of(answer), answer->header.payload_bytes, &reply, &layout));
+  assert_true(eval_reply_parse(payload, answer->header.payload_bytes, &reply, &layout));
   assert_int_equal(reply.model, request.fixed.model);
   assert_int_equal(reply.wanted, request.fixed.wanted);
   assert_int_equal(reply.channel_count, request.fixed.medium_count);
@@ -217,17 +235,26 @@ static void eval_reply_holds_the_cores_values(void **state) {
   wire_get_medium(request.media, &wire);
   const core_medium medium = {wire.sigma_a, wire.sigma_s, wire.g, wire.eta};
   unit_assert_fault(core_profile_prepare(&profile, core_isa_select("portable"), request.fixed.model,
-                                         request.fixed.moments, request.fixed.evaluator, &medium),
+                                         request.fixed.moments, request.fixed.evaluator, &medium,
+                                         &request.parameters),
                     NULL, 0);
-  core_eval_f64(&profile, CORE_QUANTITY_R, n, request.radii, R);
-  core_eval_f64(&profile, CORE_QUANTITY_CDF, n, request.radii, cdf);
-  wire_get_channel(payload_of(answer) + layout.channels_offset, &channel);
-  assert_channel(&channel, &profile);
-  const uint8_t *payload = payload_of(answer);
-  assert_memory_equal(payload + eval_array_offset(&layout, reply.wanted, 0, CORE_QUANTITY_R), R,
-                      n * sizeof *R);
-  assert_memory_equal(payload + eval_array_offset(&layout, reply.wanted, 0, CORE_QUANTITY_CDF), cdf,
-                      n * sizeof *cdf);
+  wire_get_channel(payload + layout.channels_offset, &channel);
+  assert_channel(&channel, &profile, reply.wanted);
+  assert_int_equal(reply.notes, profile.notes);
+  for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
+    if (eval_is_array(reply.wanted, quantity->id)) {
+      core_eval_f64(&profile, quantity->id, n, request.radii, values);
+      assert_memory_equal(payload + eval_array_offset(&layout, reply.wanted, 0, quantity->id),
+                          values, n * sizeof *values);
+    }
+  }
+  core_profile_free(&profile);
+}
+
+static void eval_replies_hold_the_cores_values(void **state) {
+  (void)state;
+  assert_holds_the_cores_values("eval-request", "eval-reply");
+  assert_holds_the_cores_values("parameter-request", "parameter-reply");
 }
 
 /* The request has the right shape; it is the core that refuses its medium, as the reply says. */
@@ -265,7 +292,8 @@ int main(void) {
       cmocka_unit_test(empty_requests_are_empty),
       cmocka_unit_test(ping_comes_back),
       cmocka_unit_test(eval_request_asks_for_skin),
-      cmocka_unit_test(eval_reply_holds_the_cores_values),
+      cmocka_unit_test(parameter_request_asks_for_S),
+      cmocka_unit_test(eval_replies_hold_the_cores_values),
       cmocka_unit_test(the_error_is_the_cores),
   };
   return cmocka_run_group_tests(tests, read_examples, NULL);

@@ -284,6 +284,8 @@ static void choices_hold_every_list(void **state) {
   assert_choices_hold(WIRE_CHOICE_QUANTITY, core_quantities, &index);
   assert_choices_hold(WIRE_CHOICE_SPACING, core_spacings, &index);
   assert_choices_hold(WIRE_CHOICE_STATUS, statuses, &index);
+  assert_choices_hold(WIRE_CHOICE_PARAMETER, core_parameter_list, &index);
+  assert_choices_hold(WIRE_CHOICE_NOTE, core_notes, &index);
   assert_int_equal(index, wire_choice_count());
 }
 

@@ -49,6 +49,17 @@ void unit_assert_fault(core_fault fault, const char *field, size_t index) {
   assert_int_equal(fault.index, index);
 }
 
+core_parameters unit_parameters(unsigned model, const core_medium *medium) {
+  core_parameters parameters = core_parameters_none();
+  const core_fault fault =
+      core_profile_check(model, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, medium, NULL, NULL);
+  if (fault.field != NULL && strcmp(fault.field, "thickness") == 0) {
+    const double sigma_s_prime = medium->sigma_s_per_mm * (1 - medium->g);
+    parameters.value[CORE_PARAMETER_THICKNESS] = 3 / (medium->sigma_a_per_mm + sigma_s_prime);
+  }
+  return parameters;
+}
+
 char *unit_read_file(const char *path) {
   FILE *file = fopen(path, "rb");
   if (file == NULL) {

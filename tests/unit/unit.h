@@ -32,6 +32,10 @@ void unit_random_bytes(uint64_t *state, void *to, size_t bytes);
  */
 void unit_assert_fault(core_fault fault, const char *field, size_t index);
 
+/* The parameters that a model needs for this medium (a slab: a thickness of 3 mean free paths), and
+ * no others. */
+core_parameters unit_parameters(unsigned model, const core_medium *medium);
+
 /* Reads a whole file as text, to be freed; NULL when there is none. */
 char *unit_read_file(const char *path);
 

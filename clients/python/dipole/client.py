@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -67,6 +67,7 @@ class Client:
         evaluator: str | int = "f64",
         moments: str | int = "exact",
         wanted: Iterable[str] | None = None,
+        parameters: Mapping[str, float | str] | None = None,
     ) -> Result:
         """Evaluates a model for one or more media and waits for the answer.
 
@@ -75,11 +76,21 @@ class Client:
         evaluator: "f64", or "f32" for radii and values in single precision.
         moments: "exact", or "fit" for the polynomials.
         wanted: names of quantities; by default R, albedo, cdf and, for a grid, r.
+        parameters: optional numbers by name, such as {"cos_in": 0.8}: see info.choices["parameter"]
+        for their units and ranges. fit_model may also be the name of a model. A model refuses a
+        parameter that it does not take.
 
         Raises Refused when the daemon does not take the query, with the field at fault.
         """
         request_id = self.submit(
-            model, media, r, grid=grid, evaluator=evaluator, moments=moments, wanted=wanted
+            model,
+            media,
+            r,
+            grid=grid,
+            evaluator=evaluator,
+            moments=moments,
+            wanted=wanted,
+            parameters=parameters,
         )
         query = self._outstanding.pop(request_id)
         return self._result(self._answer(request_id, "eval"), query)
@@ -94,6 +105,7 @@ class Client:
         evaluator: str | int = "f64",
         moments: str | int = "exact",
         wanted: Iterable[str] | None = None,
+        parameters: Mapping[str, float | str] | None = None,
     ) -> int:
         """Sends a query like eval() without waiting; returns its id, for collect()."""
         if wanted is None:
@@ -102,6 +114,7 @@ class Client:
         media_array = _media_array(media)
         radii = _radii_array(r, grid, evaluator_id)
         radius_count = grid.count if radii is None else len(radii)
+        listed_parameters = self._parameters(parameters or {})
         fixed = wire.EVAL_REQUEST.pack(
             model=self._id("model", model),
             evaluator=evaluator_id,
@@ -109,13 +122,15 @@ class Client:
             wanted=sum({self._id("quantity", name) for name in wanted}),
             medium_count=len(media_array),
             spacing=wire.SPACING_LIST if grid is None else self._id("spacing", grid.spacing),
+            parameter_count=len(listed_parameters),
             radius_count=radius_count,
             radius_start=0.0 if grid is None else grid.start_mm,
             radius_stop=0.0 if grid is None else grid.stop_mm,
         )
         listed = b"" if radii is None else radii.tobytes()
         listed += bytes(wire.padded(len(listed)) - len(listed))
-        request_id = self._send("eval", fixed + media_array.tobytes() + listed)
+        payload = [fixed, media_array.tobytes(), *listed_parameters, listed]
+        request_id = self._send("eval", b"".join(payload))
         self._outstanding[request_id] = _Query(radii, len(media_array), radius_count)
         return request_id
 
@@ -175,6 +190,19 @@ class Client:
         if name not in choices:
             raise ArgumentError(f"{kind} {name}: not one of {', '.join(choices)}")
         return choices[name].id
+
+    def _parameters(self, parameters: Mapping[str, float | str]) -> list[bytes]:
+        """Parameter structures; their values are the daemon's to judge."""
+        structures = []
+        for name, given in parameters.items():
+            value = self._id("model", given) if name == "fit_model" else given
+            try:
+                number = float(value)
+            except (TypeError, ValueError) as error:
+                raise ArgumentError(f"parameter {name}: {value!r} is no number") from error
+            parameter = self._id("parameter", name)
+            structures.append(wire.PARAMETER.pack(parameter=parameter, value=number))
+        return structures
 
     def _send(self, message: str, payload: bytes = b"") -> int:
         self._last_id += 1
@@ -267,6 +295,9 @@ class Client:
             raise ProtocolError("an eval reply that does not answer the query")
         channels, arrays = _reply_arrays(payload, fixed)
         wanted_r = fixed.wanted & wire.QUANTITY_RADIUS
+        quantities = self.info.choices["quantity"].values()
+        elementwise = arrays.keys() - {wire.QUANTITY_RADIUS}
+        notes = self.info.choices["note"].values()
         return Result(
             model=self._name("model", fixed.model),
             evaluator=self._name("evaluator", fixed.evaluator),
@@ -277,10 +308,14 @@ class Client:
             dR_dr=arrays.get(wire.QUANTITY_SLOPE),
             ln_R=arrays.get(wire.QUANTITY_LN_R),
             pdf=arrays.get(wire.QUANTITY_PDF),
+            two_pi_r_R=arrays.get(wire.QUANTITY_RING),
+            S=arrays.get(wire.QUANTITY_S),
             albedo=channels[:, 0] if fixed.wanted & wire.QUANTITY_ALBEDO else None,
             numerical_error_constant=channels[:, 1],
             numerical_error_per_mm=channels[:, 2],
             model_error=channels[:, 3],
+            notes=tuple(note.name for note in notes if note.id and fixed.notes & note.id),
+            values={one.name: arrays[one.id] for one in quantities if one.id in elementwise},
         )
 
 

@@ -31,7 +31,8 @@ class Choice(NamedTuple):
 
     id: int
     name: str
-    about: str  # source of a model, unit of a quantity, meaning of anything else
+    about: str  # source of a model, unit of a quantity, meaning of anything else (of a parameter:
+    # unit, meaning and range)
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,8 @@ class Result:
     """The answer to one evaluation, for C channels (media) and N radii.
 
     Arrays have the precision of the evaluator, float64 or float32; those that were not wanted are
-    None. The arrays are views of one read-only buffer.
+    None. The arrays are views of one read-only buffer. values holds those that have a value for
+    each radius and channel by the daemon's names of the quantities, such as "2_pi_r_R".
     """
 
     model: str
@@ -65,10 +67,14 @@ class Result:
     dR_dr: np.ndarray | None  # [C, N] 1/mm^3
     ln_R: np.ndarray | None  # [C, N] goes on where R has underflowed; its error is absolute
     pdf: np.ndarray | None  # [C, N] 1/mm: density of radii, 2 pi r R over the albedo
+    two_pi_r_R: np.ndarray | None  # [C, N] 1/mm, finite at r = 0 where R of some models is inf
+    S: np.ndarray | None  # [C, N] 1/(mm^2 sr): the BSSRDF for the parameters cos_in and cos_out
     albedo: np.ndarray | None  # [C] float64, integral of 2 pi r R(r)
     numerical_error_constant: np.ndarray  # [C] see numerical_error()
     numerical_error_per_mm: np.ndarray  # [C] 1/mm
     model_error: np.ndarray  # [C] relative, of the model against transport; NaN: not measured
+    notes: tuple[str, ...]  # names of remarks that hold for a channel or more, see Info.choices
+    values: dict[str, np.ndarray]  # [C, N] each, by name
 
     def numerical_error(self, r: np.ndarray | float | None = None) -> np.ndarray:
         """How far a value at radius r (mm, [N]; the result's own by default) may be from the

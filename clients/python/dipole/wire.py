@@ -39,7 +39,16 @@ STATUSES = {
 }
 
 # Kinds of choices by number.
-KINDS = {1: "model", 2: "evaluator", 3: "moments", 4: "quantity", 5: "spacing", 6: "status"}
+KINDS = {
+    1: "model",
+    2: "evaluator",
+    3: "moments",
+    4: "quantity",
+    5: "spacing",
+    6: "status",
+    7: "parameter",
+    8: "note",
+}
 
 # Ids that are permanent and that the layout of a payload depends on.
 EVALUATOR_TYPES = {1: "<f8", 2: "<f4"}  # numpy's type of radii and values
@@ -50,8 +59,18 @@ QUANTITY_RADIUS = 8
 QUANTITY_SLOPE = 16
 QUANTITY_LN_R = 32
 QUANTITY_PDF = 64
+QUANTITY_RING = 128
+QUANTITY_S = 256
 # Those with a value for each radius and channel, in the order of their arrays in a reply.
-ELEMENTWISE = (QUANTITY_R, QUANTITY_CDF, QUANTITY_SLOPE, QUANTITY_LN_R, QUANTITY_PDF)
+ELEMENTWISE = (
+    QUANTITY_R,
+    QUANTITY_CDF,
+    QUANTITY_SLOPE,
+    QUANTITY_LN_R,
+    QUANTITY_PDF,
+    QUANTITY_RING,
+    QUANTITY_S,
+)
 SPACING_LIST = 1
 
 _FORMATS = {"u16": "H", "u32": "I", "u64": "Q", "f64": "d", "text": "s"}
@@ -69,6 +88,11 @@ class Field(NamedTuple):
         """The field in the struct module's notation."""
         return f"{self.count if self.count > 1 else ''}{_FORMATS[self.kind]}"
 
+    @property
+    def is_zero(self) -> bool:
+        """Whether it fills a gap and must be 0."""
+        return self.name in ("zero", "zero_too")
+
 
 class Structure:
     """A fixed-size structure, from declarations like "f64 eta", "f64 g[3]", "text name[16]"."""
@@ -85,10 +109,10 @@ class Structure:
         return self._struct.size
 
     def pack(self, **values: Any) -> bytes:
-        """The structure's bytes; every field must be given, those named zero apart."""
+        """The structure's bytes; every field must be given, those that are to be zero apart."""
         flat: list[Any] = []
         for field in self.fields:
-            value = values.pop(field.name) if field.name != "zero" else values.pop("zero", 0)
+            value = values.pop(field.name, 0) if field.is_zero else values.pop(field.name)
             if field.kind == "text":
                 flat.append(value.encode())
             elif field.count > 1:
@@ -163,13 +187,16 @@ EVAL_REQUEST = Structure(
     "u16 moments",
     "u16 wanted",
     "u32 medium_count",
-    "u32 spacing",
+    "u16 spacing",
+    "u16 parameter_count",
     "u64 radius_count",
     "f64 radius_start",
     "f64 radius_stop",
 )
 
 MEDIUM = Structure("medium", "f64 sigma_a", "f64 sigma_s", "f64 g", "f64 eta")
+
+PARAMETER = Structure("parameter", "u16 parameter", "u16 zero", "u32 zero_too", "f64 value")
 
 EVAL_REPLY = Structure(
     "eval_reply",
@@ -178,7 +205,7 @@ EVAL_REPLY = Structure(
     "u16 moments",
     "u16 wanted",
     "u32 channel_count",
-    "u32 zero",
+    "u32 notes",
     "u64 radius_count",
 )
 
@@ -221,6 +248,7 @@ STRUCTURES = {
         VALUE,
         EVAL_REQUEST,
         MEDIUM,
+        PARAMETER,
         EVAL_REPLY,
         CHANNEL,
         LIST_REPLY,

@@ -1,0 +1,98 @@
+#include "core/energy.h"
+
+#include <math.h>
+
+#define CORE_REAL 64
+#include "core/gauss.h"
+#include "core/kernel.h"
+
+/* So wide that the series of a profile that falls like e^(-mu r) is still exact where that matters.
+ */
+#define WIDTH 0.5
+
+enum { NODES = 2 * CORE_GAUSS_HALF };
+
+static size_t panels_between(double first_mm, double last_mm) {
+  return (size_t)ceil(real_log(last_mm / first_mm, 0) / WIDTH);
+}
+
+size_t core_energy_length(double first_mm, double last_mm) {
+  return CORE_ENERGY_SERIES + panels_between(first_mm, last_mm) * CORE_ENERGY_TERMS;
+}
+
+/* The Legendre polynomials P_0(s) to P_NODES(s). */
+static void legendre(double s, double *p) {
+  p[0] = 1;
+  p[1] = s;
+  for (int k = 1; k < NODES; k++) {
+    p[k + 1] = ((2 * k + 1) * s * p[k] - k * p[k - 1]) / (k + 1);
+  }
+}
+
+/* e^x for x up to a few hundred. */
+static double exponential(double x) {
+  const double e = real_exp(-fabs(x)).exp;
+  return x > 0 ? 1 / e : e;
+}
+
+/* The series of the integral from s = -1 of a function given at the nodes:
+ * int P_k = (P_(k+1) - P_(k-1)) / (2 k + 1). */
+static void integrate_series(const double *g, double half_width, double *series) {
+  double coefficients[NODES] = {0};
+  double p[NODES + 1];
+  for (int i = 0; i < NODES; i++) {
+    legendre(2 * core_gauss_node(i) - 1, p);
+    for (int k = 0; k < NODES; k++) {
+      coefficients[k] += (2 * k + 1) * core_gauss_weight(i) * g[i] * p[k];
+    }
+  }
+  for (int k = 0; k < CORE_ENERGY_TERMS; k++) {
+    const double above = k > 0 ? coefficients[k - 1] / (2 * k - 1) : coefficients[0];
+    const double below = k + 1 < NODES ? coefficients[k + 1] / (2 * k + 3) : 0;
+    series[k] = half_width * (above - below);
+  }
+}
+
+/* The energy of one panel, which begins at y = ln(r / first); its series is left in `series`. */
+static double build_panel(core_kernel_f64 *ring, const double *c, double first_mm, double y,
+                          double *series) {
+  double r[NODES];
+  double g[NODES];
+  double energy = 0;
+  for (int i = 0; i < NODES; i++) {
+    r[i] = first_mm * exponential(y + WIDTH * core_gauss_node(i));
+  }
+  ring(c, NODES, r, g);
+  for (int i = 0; i < NODES; i++) {
+    g[i] *= r[i];
+    energy = fma(core_gauss_weight(i), g[i], energy);
+  }
+  integrate_series(g, 0.5 * WIDTH, series);
+  return WIDTH * energy;
+}
+
+double core_energy_build(core_kernel_f64 *ring, const double *c, double first_mm, double last_mm,
+                         double *table) {
+  const size_t panels = panels_between(first_mm, last_mm);
+  double ends[2] = {first_mm, first_mm * 1.0625};
+  double density[2];
+  ring(c, 2, ends, density);
+  /* 2 pi r R ~ r^(power - 1) near the source */
+  const double power =
+      density[0] > 0 ? 1 + real_log(density[1] / density[0], 0) / real_log(1.0625, 0) : 1;
+  double energy = density[0] * first_mm / power;
+  for (size_t i = 0; i < panels; i++) {
+    double *series = table + CORE_ENERGY_SERIES + i * CORE_ENERGY_TERMS;
+    const double gained = build_panel(ring, c, first_mm, (double)i * WIDTH, series);
+    series[0] += energy;
+    energy += gained;
+  }
+  for (size_t i = 0; energy > 0 && i < panels * CORE_ENERGY_TERMS; i++) {
+    table[CORE_ENERGY_SERIES + i] /= energy;
+  }
+  table[CORE_ENERGY_PANELS] = (double)panels;
+  table[CORE_ENERGY_FIRST_MM] = first_mm;
+  table[CORE_ENERGY_PER_PANEL] = 1 / WIDTH;
+  table[CORE_ENERGY_POWER] = power;
+  return energy;
+}

@@ -1,0 +1,168 @@
+/* Evaluating prepared profiles: straight through the kernels where a model has them, and the ways
+ * that hold for all models: S from R, sums of two models, single precision by way of double.
+ *
+ * Arrays are gone through in chunks that stay in the nearest cache; no value depends on where the
+ * chunks are cut.
+ */
+#include <assert.h>
+#include <math.h>
+
+#include "core/kernels.h"
+
+#define CORE_REAL 64
+#include "core/kernel.h"
+
+enum { CHUNK = 256 };
+
+static enum core_elementwise position(enum core_quantity quantity) {
+  switch (quantity) {
+#define CORE_QUANTITY(bit, IDENT, name, unit, SHAPE)                                               \
+  CORE_IF_##SHAPE(case CORE_QUANTITY_##IDENT : return CORE_ELEMENTWISE_##IDENT;)
+#include "core/choices.def"
+  default:
+    assert(!"an elementwise quantity");
+    return CORE_ELEMENTWISE_COUNT;
+  }
+}
+
+static size_t smaller(size_t a, size_t b) {
+  return a < b ? a : b;
+}
+
+/* ---- double precision -------------------------------------------------------------------------
+ */
+
+/* ln(e^a + e^b); either may be -infinity. */
+static double ln_of_sum(double a, double b) {
+  const double more = real_max(a, b);
+  const double less = real_min(a, b);
+  const double apart = more > -(double)INFINITY && less > -(double)INFINITY ? less - more : -1e3;
+  return apart > -700 ? more + real_log(1 + real_exp(apart).exp, 0) : more;
+}
+
+static void add_chunk(const core_profile *profile, enum core_quantity quantity, size_t n,
+                      const double *r, double *out) {
+  double second[CHUNK];
+  core_evaluate(&profile->parts[0], quantity, n, r, out);
+  core_evaluate(&profile->parts[1], quantity, n, r, second);
+  const bool shares = quantity == CORE_QUANTITY_CDF || quantity == CORE_QUANTITY_PDF;
+  const double share0 = shares ? profile->part_shares[0] : 1;
+  const double share1 = shares ? profile->part_shares[1] : 1;
+  for (size_t i = 0; i < n; i++) {
+    const double sum = fma(share0, out[i], share1 * second[i]);
+    out[i] = quantity == CORE_QUANTITY_LN_R  ? ln_of_sum(out[i], second[i])
+             : quantity == CORE_QUANTITY_CDF ? real_min(sum, 1)
+                                             : sum;
+  }
+}
+
+void core_evaluate(const core_profile *profile, enum core_quantity quantity, size_t n,
+                   const double *r, double *out) {
+  if (profile->parts == NULL) {
+    const double *coefficients =
+        profile->table != NULL ? profile->table : profile->coefficients.f64;
+    profile->kernels->f64->evaluate[position(quantity)](coefficients, n, r, out);
+    return;
+  }
+  for (size_t done = 0; done < n; done += CHUNK) {
+    add_chunk(profile, quantity, smaller(n - done, CHUNK), r + done, out + done);
+  }
+}
+
+/* F_t(cos_in) F_t(cos_out) / (pi (1 - 2 C1(1 / eta))); made only for requests that want it. */
+static double S_per_R(const core_profile *profile) {
+  const double eta = profile->medium.eta;
+  const double lost = core_fresnel_moments(CORE_MOMENTS_EXACT, 1 / eta).one_minus_2c1;
+  return core_fresnel_transmittance(eta, profile->cos_in) *
+         core_fresnel_transmittance(eta, profile->cos_out) / (3.14159265358979323846 * lost);
+}
+
+void core_eval_f64(const core_profile *profile, enum core_quantity quantity, size_t n,
+                   const double *r, double *out) {
+  assert(profile->evaluator == CORE_EVALUATOR_F64);
+  if (quantity != CORE_QUANTITY_S) {
+    core_evaluate(profile, quantity, n, r, out);
+    return;
+  }
+  core_evaluate(profile, CORE_QUANTITY_R, n, r, out);
+  const double factor = S_per_R(profile);
+  for (size_t i = 0; i < n; i++) {
+    out[i] = factor > 0 ? out[i] * factor : 0; /* R may be infinite */
+  }
+}
+
+static void sample(const core_profile *profile, size_t n, const double *u, double *r) {
+  if (profile->parts == NULL && profile->kernels->f64->sample != NULL) {
+    profile->kernels->f64->sample(
+        profile->table != NULL ? profile->table : profile->coefficients.f64, n, u, r);
+  } else {
+    core_invert_cdf(profile, n, u, r);
+  }
+}
+
+void core_sample_f64(const core_profile *profile, size_t n, const double *u, double *r) {
+  assert(profile->evaluator == CORE_EVALUATOR_F64);
+  sample(profile, n, u, r);
+}
+
+/* ---- single precision -------------------------------------------------------------------------
+ */
+
+/* Whether the profile has kernels and coefficients of its own in single precision. */
+static bool is_narrow(const core_profile *profile) {
+  return profile->parts == NULL && profile->kernels->f32->evaluate[0] != NULL;
+}
+
+/* quantity 0: samples. */
+static void widely(const core_profile *profile, unsigned quantity, size_t n, const float *in,
+                   float *out) {
+  /* A sum and a table hold doubles whichever evaluator was asked for. */
+  double wide_in[CHUNK];
+  double wide_out[CHUNK];
+  for (size_t done = 0; done < n; done += CHUNK) {
+    const size_t count = smaller(n - done, CHUNK);
+    for (size_t i = 0; i < count; i++) {
+      wide_in[i] = (double)in[done + i];
+    }
+    if (quantity == 0) {
+      sample(profile, count, wide_in, wide_out);
+    } else {
+      core_evaluate(profile, quantity, count, wide_in, wide_out);
+    }
+    for (size_t i = 0; i < count; i++) {
+      out[done + i] = (float)wide_out[i];
+    }
+  }
+}
+
+static void evaluate_f32(const core_profile *profile, enum core_quantity quantity, size_t n,
+                         const float *r, float *out) {
+  if (is_narrow(profile)) {
+    profile->kernels->f32->evaluate[position(quantity)](profile->coefficients.f32, n, r, out);
+  } else {
+    widely(profile, quantity, n, r, out);
+  }
+}
+
+void core_eval_f32(const core_profile *profile, enum core_quantity quantity, size_t n,
+                   const float *r, float *out) {
+  assert(profile->evaluator == CORE_EVALUATOR_F32);
+  if (quantity != CORE_QUANTITY_S) {
+    evaluate_f32(profile, quantity, n, r, out);
+    return;
+  }
+  evaluate_f32(profile, CORE_QUANTITY_R, n, r, out);
+  const float factor = (float)S_per_R(profile);
+  for (size_t i = 0; i < n; i++) {
+    out[i] = factor > 0 ? out[i] * factor : 0; /* R may be infinite */
+  }
+}
+
+void core_sample_f32(const core_profile *profile, size_t n, const float *u, float *r) {
+  assert(profile->evaluator == CORE_EVALUATOR_F32);
+  if (is_narrow(profile)) {
+    profile->kernels->f32->sample(profile->coefficients.f32, n, u, r);
+  } else {
+    widely(profile, 0, n, u, r);
+  }
+}

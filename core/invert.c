@@ -1,0 +1,98 @@
+/* Radii with given cdf for models without a closed form or a kernel for it: Newton's method on
+ * ln(cdf / (1 - cdf)) over ln r, kept inside a bracket that shrinks with every step.
+ *
+ * Each number goes its own way whatever stands beside it, so that the bits do not depend on how an
+ * array is cut; a chunk is evaluated together until all of it has arrived.
+ */
+#include <math.h>
+
+#include "core/kernels.h"
+
+#define CORE_REAL 64
+#include "core/kernel.h"
+
+enum {
+  CHUNK = 64,
+  STEPS_MAX = 400, /* more than halving ln r over all doubles takes */
+};
+
+/* Smaller u are taken for it: the radius is then next to 0 for every model. */
+#define SMALL_U 1e-300
+
+/* A step in ln r that is the last: Newton's method squares what is left. */
+#define LAST_STEP 1e-8
+
+struct search {
+  double u;
+  double x;    /* where it has come to */
+  double low;  /* cdf(low) < u */
+  double high; /* u <= cdf(high) */
+  bool arrived;
+};
+
+static double logit(double u) {
+  return real_log(u / real_max(1 - u, 0x1p-53), 0);
+}
+
+/* One step from x, where the cdf and its density are known. */
+static void step(struct search *s, double cdf, double density) {
+  const double excess = cdf > 0 ? logit(cdf) - logit(s->u) : -700;
+  s->low = cdf < s->u ? s->x : s->low;
+  s->high = cdf < s->u ? s->high : s->x;
+  const double outside = real_max(1 - cdf, 0x1p-53);
+  const double newton = -excess * (cdf * outside) / (s->x * density);
+  const double bounded = newton > -6 && newton < 6 ? newton : excess < 0 ? 6.0 : -6.0;
+  const real_exp_values factor = real_exp(-fabs(bounded));
+  double next = bounded < 0 ? s->x * factor.exp : s->x / factor.exp;
+  const bool last = fabs(newton) <= LAST_STEP && fabs(excess) <= sqrt(LAST_STEP);
+  /* At the root rounding decides which side x is taken for; that must not throw it out. */
+  if (!last && !(next > s->low && next < s->high)) {
+    const bool bracketed = s->low > 0 && s->high < (double)INFINITY;
+    next = bracketed ? sqrt(s->low) * sqrt(s->high) : next;
+  }
+  const bool narrow = s->high <= s->low * (1 + 4 * 0x1p-52);
+  s->arrived = last || narrow || next > 1e300 || next < 1e-300;
+  s->x = next;
+}
+
+static void invert_chunk(const core_profile *profile, size_t n, const double *u, double *r) {
+  struct search search[CHUNK];
+  double cdf[CHUNK];
+  double pdf[CHUNK];
+  for (size_t i = 0; i < n; i++) {
+    search[i] = (struct search){.u = real_max(u[i], SMALL_U),
+                                .x = profile->scale_mm,
+                                .high = (double)INFINITY,
+                                .arrived = !(u[i] > 0 && u[i] < 1)};
+  }
+  bool all = false;
+  for (int count = 0; count < STEPS_MAX && !all; count++) {
+    for (size_t i = 0; i < n; i++) {
+      r[i] = search[i].x;
+    }
+    core_evaluate(profile, CORE_QUANTITY_CDF, n, r, cdf);
+    core_evaluate(profile, CORE_QUANTITY_PDF, n, r, pdf);
+    all = true;
+    for (size_t i = 0; i < n; i++) {
+      if (!search[i].arrived) {
+        step(&search[i], cdf[i], pdf[i]);
+        all = all && search[i].arrived;
+      }
+    }
+  }
+  for (size_t i = 0; i < n; i++) {
+    r[i] = u[i] > 0 ? (u[i] < 1 ? search[i].x : (double)INFINITY) : 0;
+  }
+}
+
+void core_invert_cdf(const core_profile *profile, size_t n, const double *u, double *r) {
+  for (size_t done = 0; done < n; done += CHUNK) {
+    const size_t count = n - done < CHUNK ? n - done : CHUNK;
+    if (profile->albedo > 0) {
+      invert_chunk(profile, count, u + done, r + done);
+    }
+    for (size_t i = 0; i < count && !(profile->albedo > 0); i++) {
+      r[done + i] = 0;
+    }
+  }
+}

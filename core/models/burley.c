@@ -1,0 +1,234 @@
+/* Burley's normalized diffusion: two exponentials fitted to Monte Carlo results.
+ *
+ * Sources: Christensen, Burley 2015, "Approximate reflectance profiles for efficient subsurface
+ * scattering" (profile and fits); Golubev 2018, "Efficient screen-space subsurface scattering using
+ * Burley's normalized diffusion in real-time" (inverse of the cdf).
+ *
+ *   R(r) = A (e^(-r/d) + e^(-r/(3d))) / (8 pi d r),  cdf = 1 - e^(-r/d) / 4 - 3 e^(-r/(3d)) / 4
+ *
+ * A is the surface albedo: the parameter, or the better dipole's albedo for the medium. With the
+ * mean free path l = 1 / sigma_t' (for variant DMFP the diffuse one, 1 / mu_tr), d = l / s and
+ *
+ *   SEARCHLIGHT  s = 1.85 - A + 7 |A - 0.8|^3
+ *   DIFFUSE      s = 1.9 - A + 3.5 (A - 0.8)^2
+ *   DMFP         s = 3.5 + 100 (A - 0.33)^4
+ *
+ * R is infinite at r = 0, where 2 pi r R is A / (2 d).
+ *
+ * Domain: every medium that core_medium_check() accepts; DMFP: sigma_a > 0. Radii to FAR widths.
+ * Error: 8 epsilon (1 + r / d), relative; sampling: 4 epsilon of the cdf, at both of its ends.
+ */
+#include "core/kernels.h"
+
+enum coefficient {
+  PER_D,      /* 1/mm */
+  D,          /* mm */
+  RING_SCALE, /* A / (4 d), in 1/mm */
+  PDF_SCALE,  /* 1 / (4 d) */
+  R_SCALE,    /* A / (8 pi d), in 1/mm; over r it is R's */
+  LIMIT,      /* of the cdf: 1, or 0 when A is 0 */
+};
+
+#ifdef CORE_ISA
+
+#include "core/kernel.h"
+
+#if CORE_REAL == 64
+
+#define FAR 1e100
+
+/* Everything is a polynomial of q = e^(-x / 3): e^(-x) + e^(-x/3) = q (1 + q^2). */
+static inline double burley_x(const double *c, double r) {
+  return real_min(r * c[PER_D], FAR);
+}
+
+static inline double exponentials(double scale, double x) {
+  const double third = x * (1.0 / 3);
+  const double q = real_exp(-third).exp;
+  return real_times_exp(scale * real_fma(q, q, 1), -third, 0);
+}
+
+static inline double burley_R(const double *c, double r) {
+  const double R = exponentials(c[R_SCALE], burley_x(c, r)) / r;
+  return c[LIMIT] > 0 ? R : 0;
+}
+
+static inline double burley_ring(const double *c, double r) {
+  return exponentials(c[RING_SCALE], burley_x(c, r));
+}
+
+static inline double burley_pdf(const double *c, double r) {
+  return exponentials(c[PDF_SCALE], burley_x(c, r));
+}
+
+/* -R' = A / (8 pi d r) [(1 + q^2) q / r + (1/3 + q^2) q / d] */
+static inline double burley_slope(const double *c, double r) {
+  const double x = burley_x(c, r);
+  const double third = x * (1.0 / 3);
+  const double q2 = real_exp(-2 * third).exp;
+  const double sum = real_fma(x, q2 + 1.0 / 3, 1 + q2);
+  const double slope = -(real_times_exp(c[R_SCALE] * sum, -third, 0) / r) / r;
+  return c[LIMIT] > 0 ? slope : 0;
+}
+
+static inline double burley_ln_R(const double *c, double r) {
+  const double x = burley_x(c, r);
+  const double third = x * (1.0 / 3);
+  const double q2 = real_exp(-2 * third).exp;
+  const double kept = real_min(real_max(r, 1e-300), 1e300);
+  const double ln_R = real_log(c[R_SCALE] * (1 + q2), 0) - third - real_log(kept, 0);
+  const double bounded = x < FAR ? ln_R : -(double)INFINITY;
+  return c[LIMIT] > 0 ? (r > 0 ? bounded : (double)INFINITY) : -(double)INFINITY;
+}
+
+/* 1/4 (1 - e^(-x)) + 3/4 (1 - e^(-x/3)), with 1 - q^3 = (1 - q) (1 + q + q^2) */
+static inline double share(double x) {
+  const real_exp_values e = real_exp(-x * (1.0 / 3));
+  const double more = real_fma(e.exp, e.exp, e.exp) + 4;
+  return 0.25 * e.one_minus_exp * more;
+}
+
+static inline double burley_cdf(const double *c, double r) {
+  return real_min(share(burley_x(c, r)), c[LIMIT]);
+}
+
+/* With w = 1 - q the cdf is w (6 - 3 w + w^2) / 4 = (1 + w^3 - (1 - w)^3 ... ) / 4: a cubic whose
+ * root in closed form (Golubev 2018) cancels at small u. Newton's method on it, from u (2/3 + 0.33 u^2),
+ * which is within 1.5 % of the root everywhere, gains digits by squares: three steps are enough;
+ * x = -3 ln(1 - w) then keeps the digits of small w, and for u near 1 those of 1 - w come from
+ * q: 4 (1 - u) = q (3 + q^2). */
+static inline double burley_sample(const double *c, double u) {
+  const double outside = 1 - u;
+  double w = u * real_fma(0.33, u * u, 2.0 / 3);
+  double q = outside * real_fma(-0.3, outside * outside, 4.0 / 3);
+  for (int i = 0; i < 5; i++) {
+    const double value = w * real_fma(w, w - 3, 6);
+    w -= (value - 4 * u) / real_fma(3 * w, w - 2, 6);
+    const double beyond = q * real_fma(q, q, 3);
+    q -= (beyond - 4 * outside) / real_fma(3 * q, q, 3);
+  }
+  /* -ln(1 - w) for small w: 2 artanh(w / (2 - w)) */
+  const double s = w / (2 - w);
+  const double t = s * s;
+  double series = 1.0 / 23;
+  series = real_fma(series, t, 1.0 / 21);
+  series = real_fma(series, t, 1.0 / 19);
+  series = real_fma(series, t, 1.0 / 17);
+  series = real_fma(series, t, 1.0 / 15);
+  series = real_fma(series, t, 1.0 / 13);
+  series = real_fma(series, t, 1.0 / 11);
+  series = real_fma(series, t, 1.0 / 9);
+  series = real_fma(series, t, 1.0 / 7);
+  series = real_fma(series, t, 1.0 / 5);
+  series = real_fma(series, t, 1.0 / 3);
+  const double near = 2 * real_fma(s * t, series, s);
+  const double far = -real_log(real_max(q, 1e-300), 0);
+  const double x = 3 * (u < 0.5 ? near : far);
+  const double r = u < 1 ? x * c[D] : (double)INFINITY;
+  return c[LIMIT] > 0 && u > 0 ? r : 0;
+}
+
+/* Adding 0 makes 0 of -0. */
+static inline double zero_R(const double *c, double r) {
+  return burley_R(c, r + 0);
+}
+
+static inline double zero_slope(const double *c, double r) {
+  return burley_slope(c, r + 0);
+}
+
+static inline double zero_cdf(const double *c, double r) {
+  return burley_cdf(c, r + 0);
+}
+
+CORE_KERNEL(eval_R, zero_R)
+CORE_KERNEL(eval_cdf, zero_cdf)
+CORE_KERNEL(eval_slope, zero_slope)
+CORE_KERNEL(eval_ln_R, burley_ln_R)
+CORE_KERNEL(eval_pdf, burley_pdf)
+CORE_KERNEL(eval_ring, burley_ring)
+CORE_KERNEL(sample, burley_sample)
+
+CORE_KERNEL_TABLE(burley, .sample = sample,
+                  .evaluate = {
+                      [CORE_ELEMENTWISE_R] = eval_R,
+                      [CORE_ELEMENTWISE_CDF] = eval_cdf,
+                      [CORE_ELEMENTWISE_SLOPE] = eval_slope,
+                      [CORE_ELEMENTWISE_LN_R] = eval_ln_R,
+                      [CORE_ELEMENTWISE_PDF] = eval_pdf,
+                      [CORE_ELEMENTWISE_RING] = eval_ring,
+                  });
+
+#else
+CORE_KERNEL_TABLE_NONE(burley);
+#endif
+
+#else /* preparation, compiled once */
+
+#include <math.h>
+
+/* A smaller one is as good as nothing. */
+#define ALBEDO_LEAST 1e-250
+
+core_check_function core_burley_check;
+core_prepare_function core_burley_prepare;
+
+core_fault core_burley_check(const core_inputs *inputs, core_radii_range *radii) {
+  (void)radii;
+  if (inputs->variant == CORE_BURLEY_DMFP && !(inputs->medium->sigma_a_per_mm > 0)) {
+    return (core_fault){"sigma_a", "more than 0: a diffuse mean free path is 1 / mu_tr", 0};
+  }
+  return (core_fault){0};
+}
+
+static double better_albedo(const core_inputs *inputs) {
+  core_profile better;
+  const core_fault fault =
+      core_profile_prepare(&better, inputs->isa, CORE_MODEL_BETTER, inputs->moments,
+                           CORE_EVALUATOR_F64, inputs->medium, NULL);
+  return fault.field == NULL ? fmin(better.albedo, 1) : 0;
+}
+
+static double width_ratio(int variant, double albedo) {
+  switch (variant) {
+  case CORE_BURLEY_SEARCHLIGHT: {
+    const double away = fabs(albedo - 0.8);
+    return 1.85 - albedo + 7 * away * away * away;
+  }
+  case CORE_BURLEY_DIFFUSE: {
+    const double away = albedo - 0.8;
+    return 1.9 - albedo + 3.5 * away * away;
+  }
+  default: {
+    const double away = (albedo - 0.33) * (albedo - 0.33);
+    return 3.5 + 100 * away * away;
+  }
+  }
+}
+
+core_fault core_burley_prepare(const core_inputs *inputs, core_preparation *preparation) {
+  preparation->notes = core_similarity_note(inputs);
+  const core_medium *medium = inputs->medium;
+  const double given = inputs->parameters->value[CORE_PARAMETER_SURFACE_ALBEDO];
+  const double asked = isnan(given) ? better_albedo(inputs) : given;
+  const double albedo = asked >= ALBEDO_LEAST ? asked : 0;
+  const double sigma_t_prime = medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g);
+  const double absorbed = medium->sigma_a_per_mm / sigma_t_prime;
+  /* mu_tr with Grosjean's diffusion coefficient, which holds at every albedo */
+  const double mu_tr = sigma_t_prime * sqrt(3 * absorbed / (1 + absorbed));
+  const double per_length = inputs->variant == CORE_BURLEY_DMFP ? mu_tr : sigma_t_prime;
+  double *c = preparation->coefficients;
+  c[PER_D] = per_length * width_ratio(inputs->variant, albedo);
+  c[D] = 1 / c[PER_D];
+  c[PDF_SCALE] = albedo > 0 ? 0.25 * c[PER_D] : 0;
+  c[RING_SCALE] = albedo * 0.25 * c[PER_D];
+  c[R_SCALE] = albedo * c[PER_D] / 25.1327412287183459077;
+  c[LIMIT] = albedo > 0;
+  preparation->albedo = albedo;
+  preparation->error_epsilons = 8;
+  preparation->error_epsilons_per_mm = 8 * c[PER_D];
+  preparation->scale_mm = c[D];
+  return (core_fault){0};
+}
+
+#endif

@@ -1,0 +1,34 @@
+/* energy: how kernels read the tables of core/energy.h. */
+#ifndef DIPOLED_CORE_MODELS_ENERGY_H
+#define DIPOLED_CORE_MODELS_ENERGY_H
+
+#include "core/energy.h"
+#include "core/kernel.h"
+
+/* Clenshaw's sum of a Legendre series. */
+static inline double energy_series(const double *series, double s) {
+  double next = 0;
+  double after = 0;
+  for (int k = CORE_ENERGY_TERMS - 1; k >= 1; k--) {
+    const double sum = series[k] + (2 * k + 1) * s / (k + 1) * next - (k + 1.0) / (k + 2) * after;
+    after = next;
+    next = sum;
+  }
+  return series[0] + s * next - 0.5 * after;
+}
+
+/* The cdf at r mm, from 0 to infinity. */
+static inline double energy_cdf(const double *table, double r) {
+  const double first = table[CORE_ENERGY_FIRST_MM];
+  const double panels = table[CORE_ENERGY_PANELS];
+  const double ratio = real_max(r / first, 1);
+  const double y = real_log(real_min(ratio, 1e300), 0) * table[CORE_ENERGY_PER_PANEL];
+  const double panel = real_min((double)(int64_t)real_min(y, panels), panels - 1);
+  const double *series = table + CORE_ENERGY_SERIES + (size_t)panel * CORE_ENERGY_TERMS;
+  const double inside = energy_series(series, real_min(2 * (y - panel) - 1, 1));
+  const double shrunk = real_log(real_max(r / first, 1e-300), 0) * table[CORE_ENERGY_POWER];
+  const double below = r < first ? real_exp(real_min(shrunk, 0)).exp : 1;
+  return r > 0 ? real_min(real_max(inside * below, 0), 1) : 0;
+}
+
+#endif

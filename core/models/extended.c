@@ -1,0 +1,402 @@
+/* The extended source: every depth of the entering beam is a dipole.
+ *
+ * Sources: d'Eon and Irving 2011, "A quantized-diffusion model for rendering translucent
+ * materials", whose sum over time has this limit; Habel, Christensen, Jarosz 2013, "Photon beam
+ * diffusion", for the same integral with the factor kappa. In units of the mean free path
+ * 1 / sigma_t', with d1 and d2 the distances from the source at depth z and from its mirror image
+ * at height z2 = z + 2 z_b:
+ *
+ *   R(x) = alpha'^2 / (4 pi) int_0^inf e^(-z) kappa { C_phi / D (e^(-mu d1) / d1 - e^(-mu d2) / d2)
+ *        + C_E (z (1 + mu d1) e^(-mu d1) / d1^3 + z2 (1 + mu d2) e^(-mu d2) / d2^3) } dz
+ *
+ * with D, z_b, C_phi and C_E of the better dipole (d'Eon 2012, Table 2), and
+ *
+ *   variant 0: kappa = 1
+ *   variant 1: kappa = 1 - e^(-2 (d1 + z)), Habel et al. 2013, section 5.2, as Pharr, Jakob,
+ *              Humphreys, "Physically Based Rendering", 3rd edition, section 15.5.5, writes it
+ *
+ * With z = x sinh(t) the integrand is smooth in t, however small or large x is: it varies near
+ * t = 0, is nearly a straight line from there on, and ends like e^(-x e^t / 2) at z = DEPTH. Five
+ * panels of a Gauss rule follow that shape.
+ *
+ * R is infinite at x = 0: like 1 / x (variant 0) or ln(1 / x) (variant 1).
+ *
+ * Domain: every medium that core_medium_check() accepts, with alpha'^2 below SOURCE_LEAST as good as
+ * nothing; radii from LEAST mean free paths (smaller ones are continued by the limit; for variant 1
+ * they are taken for LEAST, unless they are 0) to FAR ones (from where R falls like 1 / x^3 or has
+ * underflowed).
+ * Error: EXTENDED_ERROR + 8 epsilon (1 + mu x), relative.
+ *
+ * Every difference is written as a sum of positive terms, as in dipole.c.
+ */
+#include "core/kernels.h"
+
+#define EXTENDED_ERROR 1e-13
+#define SOURCE_LEAST 1e-250
+
+/* The coefficients; lengths in mean free paths. Variant 1 has a table of them, which goes on with
+ * the energy within r; see energy.h. */
+enum coefficient {
+  MFP_PER_MM,
+  MU,
+  TWO_ZB,
+  PHI,          /* C_phi / D */
+  FLUX,         /* C_E */
+  KAPPA,        /* 1 when there is a factor kappa */
+  R_SCALE,      /* alpha'^2 / (4 pi) in 1/mm^2 */
+  RING_SCALE,   /* 2 pi of it, in 1/mm */
+  PDF_SCALE,    /* over the albedo */
+  SLOPE_SCALE,  /* in 1/mm^3 */
+  CDF_SCALE,    /* alpha'^2 / 2 over the albedo */
+  MIRROR_SHARE, /* e^(-2 mu z_b) */
+  PHI_SHARE,    /* (1 - e^(-2 mu z_b)) / mu */
+  CDF_LIMIT,    /* 1, or 0 when nothing scatters */
+  ENERGY,       /* the table of variant 1 begins here */
+};
+
+#ifdef CORE_ISA
+
+#include "core/kernel.h"
+
+#if CORE_REAL == 64
+
+#include "core/gauss.h"
+#include "core/models/energy.h"
+
+#define DEPTH 38.0 /* what is deeper is less than a rounding error */
+#define LEAST 1e-30
+#define FAR 1e100
+
+enum { LANES = 32, PANELS = 5 };
+
+/* A block of radii, and where their panels end. */
+struct block {
+  double x[LANES]; /* kept between LEAST and FAR */
+  double edge[PANELS + 1][LANES];
+};
+
+static void set_block(const double *c, size_t n, const double *r, struct block *b) {
+  for (size_t i = 0; i < n; i++) {
+    const double x = real_min(real_max(r[i] * c[MFP_PER_MM], LEAST), FAR);
+    const double y = DEPTH / x;
+    /* asinh(y) is less than both */
+    const double end = real_min(y, real_log(1 + 2 * y, 0));
+    const double fifth = 0.2 * end;
+    b->x[i] = x;
+    b->edge[0][i] = 0;
+    b->edge[1][i] = real_min(fifth, 2.5);
+    b->edge[2][i] = real_min(2 * fifth, 7);
+    b->edge[3][i] = end - real_min(2 * fifth, 6);
+    b->edge[4][i] = end - real_min(fifth, 3);
+    b->edge[5][i] = end;
+  }
+}
+
+/* A depth as seen from a radius. */
+struct view {
+  double e;    /* e^(-t) */
+  double sine; /* x / d1 */
+  double z;
+  double d1;
+  double z2;
+  double d2;
+  double apart; /* d2 - d1 */
+};
+
+static inline struct view look(const double *c, double x, double t) {
+  struct view v;
+  const real_exp_values exp = real_exp(-t);
+  const double half = 0.5 / exp.exp;
+  const double cosh = half * real_fma(exp.exp, exp.exp, 1);
+  v.e = exp.exp;
+  v.sine = 1 / cosh;
+  v.z = x * (half * exp.one_minus_exp * (1 + exp.exp));
+  v.d1 = x * cosh;
+  v.z2 = v.z + c[TWO_ZB];
+  v.d2 = real_sqrt(real_fma(x, x, v.z2 * v.z2));
+  v.apart = c[TWO_ZB] * (v.z + v.z2) / (v.d1 + v.d2);
+  return v;
+}
+
+/* e^(-z - mu (d1 - x)), with d1 - x = x (1 - e)^2 / (2 e) */
+static inline double attenuation(const double *c, double x, struct view v) {
+  const double further = x * ((1 - v.e) * (1 - v.e) * (0.5 / v.e));
+  return real_exp(-real_fma(c[MU], further, v.z)).exp;
+}
+
+/* kappa = 1 - e^(-2 (d1 + z)), with d1 + z = x / e */
+static inline double kappa_of(const double *c, real_exp_values out) {
+  return c[KAPPA] > 0 ? out.one_minus_exp : 1;
+}
+
+/* The braces times d1 e^(mu d1), and those of -dR/dx. */
+static inline double braces(const double *c, struct view v, real_exp_values mirror) {
+  const double i1 = 1 / v.d1;
+  const double i2 = 1 / v.d2;
+  const double phi = real_fma(v.d1, mirror.one_minus_exp, v.apart) * i2;
+  const double flux1 = (v.z * i1) * (i1 + c[MU]);
+  const double flux2 = (v.z2 * i2) * (i2 + c[MU]) * (v.d1 * i2) * mirror.exp;
+  return real_fma(c[PHI], phi, c[FLUX] * (flux1 + flux2));
+}
+
+static inline double steepness(const double *c, struct view v, real_exp_values mirror) {
+  const double mu = c[MU];
+  const double i1 = 1 / v.d1;
+  const double i2 = 1 / v.d2;
+  const double q = v.d1 * i2;
+  const double cubes = v.apart * i1 * i2 * real_fma(q, q, q + 1);
+  const double squares = mu * v.apart * i2 * (q + 1);
+  const double gone = q * q * (i2 + mu) * mirror.one_minus_exp;
+  const double bend1 = real_fma(3 * i1, i1 + mu, mu * mu);
+  const double bend2 = real_fma(3 * i2, i2 + mu, mu * mu);
+  const double flux1 = v.z * i1 * bend1;
+  const double flux2 = q * q * (v.z2 * i2) * bend2 * mirror.exp;
+  return v.sine * real_fma(c[PHI], cubes + squares + gone, c[FLUX] * (flux1 + flux2));
+}
+
+static inline double R_integrand(const double *c, double x, double t) {
+  const struct view v = look(c, x, t);
+  const double kappa = kappa_of(c, real_exp(-2 * x / v.e));
+  return attenuation(c, x, v) * kappa * braces(c, v, real_exp(-c[MU] * v.apart));
+}
+
+static inline double slope_integrand(const double *c, double x, double t) {
+  const struct view v = look(c, x, t);
+  const real_exp_values mirror = real_exp(-c[MU] * v.apart);
+  const real_exp_values out = real_exp(-2 * x / v.e);
+  const double falls = kappa_of(c, out) * steepness(c, v, mirror);
+  const double rises = 2 * v.sine * (c[KAPPA] * out.exp) * braces(c, v, mirror);
+  return attenuation(c, x, v) * (falls - rises);
+}
+
+/* The energy within x of the dipole at depth z (d'Eon 2012, integrated), times e^(-z) d1. */
+static inline double energy_integrand(const double *c, double x, double t) {
+  const struct view v = look(c, x, t);
+  const double a1 = x * v.e; /* d1 - z */
+  const double a2 = x * (x / (v.d2 + v.z2));
+  const double nearer = a1 * (v.apart + c[TWO_ZB]) / (v.d2 + v.z2); /* a1 - a2 */
+  const real_exp_values far = real_exp(-c[MU] * a2);
+  const real_exp_values near = real_exp(-c[MU] * nearer);
+  const double gone2 = far.one_minus_exp;
+  const double near_share = nearer * near.quotient * far.exp;
+  const double gone1 = real_fma(c[MU], near_share, gone2);
+  const double flux1 = real_fma(v.z, gone1, a1); /* times d1 */
+  const double flux2 = c[MIRROR_SHARE] * real_fma(v.z2, gone2, a2) * (v.d1 / v.d2);
+  const double phi = real_fma(c[PHI_SHARE], gone2, near_share) * v.d1;
+  const double sum = real_fma(c[PHI], phi, c[FLUX] * (flux1 + flux2));
+  return real_exp(-real_fma(c[MU], v.z, v.z)).exp * sum;
+}
+
+/* INTEGRATE(name, integrand): a function that integrates over t for a block of radii. The loop over
+ * radii is innermost, so that it is vectorized. */
+#define INTEGRATE(name, integrand)                                                                 \
+  static void name(const double *c, size_t n, const struct block *b, double *sum) {                \
+    for (size_t i = 0; i < n; i++) {                                                               \
+      sum[i] = 0;                                                                                  \
+    }                                                                                              \
+    for (int panel = 0; panel < PANELS; panel++) {                                                 \
+      const double *from = b->edge[panel];                                                         \
+      const double *to = b->edge[panel + 1];                                                       \
+      for (int k = 0; k < 2 * CORE_GAUSS_HALF; k++) {                                              \
+        const double node = core_gauss_node(k);                                                    \
+        const double weight = core_gauss_weight(k);                                                \
+        for (size_t i = 0; i < n; i++) {                                                           \
+          const double width = to[i] - from[i];                                                    \
+          const double t = real_fma(width, node, from[i]);                                         \
+          sum[i] = real_fma(weight * width, integrand(c, b->x[i], t), sum[i]);                     \
+        }                                                                                          \
+      }                                                                                            \
+    }                                                                                              \
+  }
+
+INTEGRATE(integrate_R, R_integrand)
+INTEGRATE(integrate_slope, slope_integrand)
+INTEGRATE(integrate_energy, energy_integrand)
+
+/* FINISH: what a quantity is of the sum at x, the radius r in mm and the same in mean free paths;
+ * `far` is how much x is less than that. */
+#define KERNEL(name, integrate, finish)                                                            \
+  static void name(const double *restrict c, size_t n, const double *restrict r,                   \
+                   double *restrict out) {                                                         \
+    for (size_t done = 0; done < n; done += LANES) {                                               \
+      const size_t count = n - done < LANES ? n - done : LANES;                                    \
+      struct block b;                                                                              \
+      double sum[LANES];                                                                           \
+      set_block(c, count, r + done, &b);                                                           \
+      integrate(c, count, &b, sum);                                                                \
+      for (size_t i = 0; i < count; i++) {                                                         \
+        /* adding 0 makes 0 of -0 */                                                               \
+        out[done + i] = finish(c, b.x[i], r[done + i] * c[MFP_PER_MM] + 0, sum[i]);                \
+      }                                                                                            \
+    }                                                                                              \
+  }
+
+/* x sum is finite at x = 0 for kappa = 1; so R is x sum over the radius. */
+static inline double finish_R(const double *c, double x, double radius, double sum) {
+  const double far = real_min(x / radius, 1);
+  const double near = c[KAPPA] > 0 && radius > 0 ? 1 : real_max(x / radius, 1);
+  const double R = real_times_exp(c[R_SCALE] * sum, -c[MU] * x, 0) * (far * far * far) * near;
+  return c[CDF_LIMIT] > 0 ? R : 0;
+}
+
+static inline double finish_ring(const double *c, double x, double radius, double sum) {
+  const double far = radius > 0 ? real_min(x / radius, 1) : 1;
+  const double near = c[KAPPA] > 0 ? real_min(radius / x, 1) : 1;
+  return real_times_exp(c[RING_SCALE] * (x * sum), -c[MU] * x, 0) * (far * far) * near;
+}
+
+static inline double finish_pdf(const double *c, double x, double radius, double sum) {
+  const double far = radius > 0 ? real_min(x / radius, 1) : 1;
+  const double near = c[KAPPA] > 0 ? real_min(radius / x, 1) : 1;
+  return real_times_exp(c[PDF_SCALE] * (x * sum), -c[MU] * x, 0) * (far * far) * near;
+}
+
+static inline double finish_slope(const double *c, double x, double radius, double sum) {
+  const double apart = x / radius;
+  const double near = c[KAPPA] > 0 ? apart : apart * apart;
+  const double factor = radius > x ? (apart * apart) * (apart * apart) : near;
+  const double slope = -real_times_exp(c[SLOPE_SCALE] * sum, -c[MU] * x, 0) * factor;
+  return c[CDF_LIMIT] > 0 ? slope : 0;
+}
+
+static inline double finish_ln_R(const double *c, double x, double radius, double sum) {
+  const double near = c[KAPPA] > 0 ? 1 : real_min(radius / x, 1);
+  const double inside = real_log(c[R_SCALE] * sum, 0) - c[MU] * x;
+  const double ln_R = near < 1 ? inside - real_log(real_max(near, 1e-300), 0) : inside;
+  const double bounded = radius > x ? -(double)INFINITY : ln_R;
+  return c[CDF_LIMIT] > 0 ? (radius > 0 ? bounded : (double)INFINITY) : -(double)INFINITY;
+}
+
+static inline double finish_cdf(const double *c, double x, double radius, double sum) {
+  const double inside = real_min(c[CDF_SCALE] * sum, c[CDF_LIMIT]);
+  return radius > x ? c[CDF_LIMIT] : inside * real_min(radius / x, 1);
+}
+
+KERNEL(eval_R, integrate_R, finish_R)
+KERNEL(eval_ring, integrate_R, finish_ring)
+KERNEL(eval_pdf, integrate_R, finish_pdf)
+KERNEL(eval_slope, integrate_slope, finish_slope)
+KERNEL(eval_ln_R, integrate_R, finish_ln_R)
+KERNEL(eval_cdf_closed, integrate_energy, finish_cdf)
+
+static void eval_cdf(const double *restrict c, size_t n, const double *restrict r,
+                     double *restrict out) {
+  if (c[KAPPA] > 0) {
+    for (size_t i = 0; i < n; i++) {
+      out[i] = energy_cdf(&c[ENERGY], r[i]);
+    }
+  } else {
+    eval_cdf_closed(c, n, r, out);
+  }
+}
+
+CORE_KERNEL_TABLE(extended, .evaluate = {
+                                [CORE_ELEMENTWISE_R] = eval_R,
+                                [CORE_ELEMENTWISE_CDF] = eval_cdf,
+                                [CORE_ELEMENTWISE_SLOPE] = eval_slope,
+                                [CORE_ELEMENTWISE_LN_R] = eval_ln_R,
+                                [CORE_ELEMENTWISE_PDF] = eval_pdf,
+                                [CORE_ELEMENTWISE_RING] = eval_ring,
+                            });
+
+#else
+CORE_KERNEL_TABLE_NONE(extended);
+#endif
+
+#else /* preparation, compiled once */
+
+#include <stdlib.h>
+#include <string.h>
+
+#define CORE_REAL 64
+#include "core/energy.h"
+#include "core/kernel.h"
+
+/* Of a kernel evaluation of a dipole, measured with build/bench kernel. */
+#define COST 130
+
+/* Between these, in mean free paths, the table of variant 1 holds the energy; what is nearer is
+ * less than 1e-13 of it, and so is what is further. */
+#define TABLE_FIRST 1e-7
+#define TABLE_LAST 1e13
+#define TABLE_EXPONENT 45.0
+
+core_check_function core_extended_check;
+core_prepare_function core_extended_prepare;
+
+core_fault core_extended_check(const core_inputs *inputs, core_radii_range *radii) {
+  (void)inputs;
+  (void)radii;
+  return (core_fault){0};
+}
+
+/* The better dipole's quantities in mean free paths; returns the albedo for kappa = 1:
+ * alpha'^2 / 2 / (1 + mu) [C_E (1 + e^(-2 mu z_b)) + C_phi / D (1 - e^(-2 mu z_b)) / mu]. */
+static double set_coefficients(const core_inputs *inputs, double *c) {
+  const core_medium *medium = inputs->medium;
+  const double sigma_s_prime = medium->sigma_s_per_mm * (1 - medium->g);
+  const double sigma_t_prime = medium->sigma_a_per_mm + sigma_s_prime;
+  const double absorbed = medium->sigma_a_per_mm / sigma_t_prime;
+  const double albedo_prime = sigma_s_prime / sigma_t_prime;
+  const core_fresnel fresnel = core_fresnel_moments(inputs->moments, medium->eta);
+  const double diffusion = (1 + absorbed) / 3;
+  const double boundary = (2 - fresnel.one_minus_3c2) / fresnel.one_minus_2c1;
+  c[MFP_PER_MM] = sigma_t_prime;
+  c[MU] = sqrt(absorbed / diffusion);
+  c[TWO_ZB] = 4 * boundary * diffusion;
+  c[PHI] = 0.25 * fresnel.one_minus_2c1 / diffusion;
+  c[FLUX] = 0.5 * fresnel.one_minus_3c2;
+  const real_exp_values mirror = real_exp(-c[MU] * c[TWO_ZB]);
+  c[MIRROR_SHARE] = mirror.exp;
+  c[PHI_SHARE] = c[TWO_ZB] * mirror.quotient;
+  const double squared = albedo_prime * albedo_prime;
+  const double source = squared >= SOURCE_LEAST ? 0.5 * squared : 0;
+  const double two_pi = 6.28318530717958647693;
+  c[R_SCALE] = source / two_pi * sigma_t_prime * sigma_t_prime;
+  c[RING_SCALE] = source * sigma_t_prime;
+  c[SLOPE_SCALE] = c[R_SCALE] * sigma_t_prime;
+  c[CDF_LIMIT] = source > 0;
+  const double bracket = c[FLUX] * (1 + mirror.exp) + c[PHI] * c[PHI_SHARE];
+  c[CDF_SCALE] = (1 + c[MU]) / bracket;
+  return source * bracket / (1 + c[MU]);
+}
+
+/* Variant 1 goes on with a table of the energy within r; its albedo is the table's end. */
+static bool add_energy(const core_inputs *inputs, core_preparation *preparation) {
+  const double *c = preparation->coefficients;
+  const double mfp_mm = 1 / c[MFP_PER_MM];
+  const double reach = c[MU] * TABLE_LAST > TABLE_EXPONENT ? TABLE_EXPONENT / c[MU] : TABLE_LAST;
+  const double first_mm = TABLE_FIRST * mfp_mm;
+  const double last_mm = reach * mfp_mm;
+  double *table = malloc((ENERGY + core_energy_length(first_mm, last_mm)) * sizeof *table);
+  if (table == NULL) {
+    return false;
+  }
+  memcpy(table, c, ENERGY * sizeof *table);
+  core_kernel_f64 *ring =
+      core_isa_kernels(inputs->isa, CORE_MODEL_BEAM)->f64->evaluate[CORE_ELEMENTWISE_RING];
+  preparation->albedo = core_energy_build(ring, table, first_mm, last_mm, &table[ENERGY]);
+  preparation->table = table;
+  return true;
+}
+
+core_fault core_extended_prepare(const core_inputs *inputs, core_preparation *preparation) {
+  preparation->notes = core_similarity_note(inputs);
+  double *c = preparation->coefficients;
+  preparation->albedo = set_coefficients(inputs, c);
+  preparation->error = EXTENDED_ERROR;
+  preparation->error_epsilons = 8 * (1 + c[MU]);
+  preparation->error_epsilons_per_mm = 8 * c[MU] * c[MFP_PER_MM];
+  preparation->cost = COST;
+  if (inputs->variant == 1) {
+    c[KAPPA] = 1;
+    if (!add_energy(inputs, preparation)) {
+      return CORE_OUT_OF_MEMORY;
+    }
+    c = preparation->table;
+  }
+  c[PDF_SCALE] = c[CDF_LIMIT] > 0 ? c[RING_SCALE] / preparation->albedo : 0;
+  return (core_fault){0};
+}
+
+#endif

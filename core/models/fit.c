@@ -1,0 +1,304 @@
+/* A few Gaussians fitted to another model on a range of radii, for renderers that blur with them.
+ *
+ * The relative error (sum w_i e^(-b_i r^2)) / R(r) - 1 at POINTS radii in equal ratios is minimized
+ * in the least squares sense over ln w_i and ln b_i, which keeps both positive, by GSL's
+ * Levenberg-Marquardt (gsl_multifit_nlinear), from several starts: widths in equal ratios over
+ * parts of the range. The best is rounded to single precision, so that the last digits of a
+ * machine's linear algebra do not matter, and then measured: the numerical error is the largest
+ * relative deviation from the model found at CHECKS radii, and MARGIN more for what lies between.
+ *
+ * With a tolerance, the smallest number of Gaussians up to the one asked for (or the most there
+ * may be) that meets it is taken; when none does, that is the answer.
+ *
+ * A build without GSL (make GSL=no) refuses the model and says so.
+ *
+ * Domain: that of the model, and radii from fit_from to fit_to (FROM to TO mean free paths
+ * 1 / sigma_t' when not given).
+ */
+#include "core/models/gaussians.h"
+
+#ifndef CORE_WITHOUT_GSL
+#include <gsl/gsl_errno.h>
+#include <gsl/gsl_multifit_nlinear.h>
+#endif
+#include <math.h>
+#include <stdlib.h>
+#include <threads.h>
+
+#define CORE_REAL 64
+#include "core/kernel.h"
+
+#define FROM 0.1
+#define TO 10.0
+#define MARGIN 1.02
+#define GAUSSIANS 6
+#define GAUSSIANS_MOST 12 /* of the parameter's range */
+
+enum { POINTS = 100, CHECKS = 1000, STARTS = 2, STEPS_MAX = 100 };
+
+core_check_function core_fit_check;
+core_prepare_function core_fit_prepare;
+
+#ifdef CORE_WITHOUT_GSL
+
+static const core_fault without_gsl = {"model", "another one: this build has no GSL to fit with",
+                                       0};
+
+core_fault core_fit_check(const core_inputs *inputs, core_radii_range *radii) {
+  (void)inputs;
+  (void)radii;
+  return without_gsl;
+}
+
+core_fault core_fit_prepare(const core_inputs *inputs, core_preparation *preparation) {
+  (void)inputs;
+  (void)preparation;
+  return without_gsl;
+}
+
+#else
+
+/* ---- what is asked for ------------------------------------------------------------------------
+ */
+
+struct asked {
+  unsigned model;
+  core_parameters parameters; /* of that model */
+  double from_mm;
+  double to_mm;
+};
+
+static struct asked asked_of(const core_inputs *inputs) {
+  const core_medium *medium = inputs->medium;
+  const double mfp_mm = 1 / (medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g));
+  struct asked asked = {
+      .model = (unsigned)core_parameter_or(inputs, CORE_PARAMETER_FIT_MODEL, CORE_MODEL_BETTER),
+      .parameters = *inputs->parameters,
+      .from_mm = core_parameter_or(inputs, CORE_PARAMETER_FIT_FROM, FROM * mfp_mm),
+      .to_mm = core_parameter_or(inputs, CORE_PARAMETER_FIT_TO, TO * mfp_mm),
+  };
+  static const enum core_parameter own[] = {CORE_PARAMETER_TOLERANCE, CORE_PARAMETER_GAUSSIANS,
+                                            CORE_PARAMETER_FIT_MODEL, CORE_PARAMETER_FIT_FROM,
+                                            CORE_PARAMETER_FIT_TO};
+  for (size_t i = 0; i < sizeof own / sizeof own[0]; i++) {
+    asked.parameters.value[own[i]] = (double)NAN;
+  }
+  return asked;
+}
+
+static bool is_whole(double value) {
+  return isnan(value) || value == floor(value);
+}
+
+core_fault core_fit_check(const core_inputs *inputs, core_radii_range *radii) {
+  const struct asked asked = asked_of(inputs);
+  if (!is_whole(inputs->parameters->value[CORE_PARAMETER_GAUSSIANS])) {
+    return (core_fault){"gaussians", "an integer from 1 to 12", 0};
+  }
+  if (!is_whole(inputs->parameters->value[CORE_PARAMETER_FIT_MODEL]) ||
+      asked.model == CORE_MODEL_GAUSSIANS || core_choice_by_id(core_models, asked.model) == NULL) {
+    return (core_fault){"fit_model", "the id of another model of the list", 0};
+  }
+  if (!(asked.from_mm < asked.to_mm)) {
+    return (core_fault){"fit_from", "less than fit_to", 0};
+  }
+  *radii = (core_radii_range){asked.from_mm, asked.to_mm};
+  return core_profile_check(asked.model, inputs->moments, CORE_EVALUATOR_F64, inputs->medium,
+                            &asked.parameters, NULL);
+}
+
+/* ---- the model's values -----------------------------------------------------------------------
+ */
+
+struct samples {
+  double r[CHECKS];
+  double R[CHECKS];
+  size_t count;
+};
+
+/* In equal ratios; a range that begins at 0 has its first radius there and the others in equal
+ * ratios over three decades. False: the model is 0 or infinite somewhere. */
+static bool sample_model(const core_profile *profile, const struct asked *asked, size_t count,
+                         struct samples *samples) {
+  const bool from_zero = !(asked->from_mm > 0);
+  const double start = from_zero ? asked->to_mm * 1e-3 : asked->from_mm;
+  const core_grid grid = {CORE_SPACING_LOGARITHMIC, count, start, asked->to_mm};
+  core_grid_radii_f64(&grid, 0, count, samples->r);
+  samples->r[0] = asked->from_mm;
+  samples->count = count;
+  core_eval_f64(profile, CORE_QUANTITY_R, count, samples->r, samples->R);
+  for (size_t i = 0; i < count; i++) {
+    if (!(samples->R[i] > 1e-290 && samples->R[i] < 1e290)) {
+      return false;
+    }
+  }
+  return true;
+}
+
+static double deviation(const core_gaussian *gaussians, size_t count, const struct samples *to) {
+  double worst = 0;
+  for (size_t j = 0; j < to->count; j++) {
+    double sum = 0;
+    for (size_t i = 0; i < count; i++) {
+      const double exponent = -gaussians[i].rate * to->r[j] * to->r[j];
+      sum += real_times_exp(gaussians[i].weight, exponent, 0);
+    }
+    worst = fmax(worst, fabs(sum / to->R[j] - 1));
+  }
+  return worst;
+}
+
+/* ---- fitting ----------------------------------------------------------------------------------
+ */
+
+/* GSL takes ln w_0, ln b_0, ln w_1, ...; they are kept where nothing overflows. */
+static double bounded_exp(double x) {
+  const double bounded = fmin(fmax(x, -600), 600);
+  const double e = real_exp(-fabs(bounded)).exp;
+  return bounded > 0 ? 1 / e : e;
+}
+
+static int residuals(const gsl_vector *x, void *context, gsl_vector *f) {
+  const struct samples *samples = context;
+  for (size_t j = 0; j < samples->count; j++) {
+    double sum = 0;
+    for (size_t i = 0; i < x->size / 2; i++) {
+      const double rate = bounded_exp(gsl_vector_get(x, 2 * i + 1));
+      const double exponent = gsl_vector_get(x, 2 * i) - rate * samples->r[j] * samples->r[j];
+      sum += bounded_exp(exponent) / samples->R[j];
+    }
+    gsl_vector_set(f, j, sum - 1);
+  }
+  return GSL_SUCCESS;
+}
+
+static int derivatives(const gsl_vector *x, void *context, gsl_matrix *J) {
+  const struct samples *samples = context;
+  for (size_t j = 0; j < samples->count; j++) {
+    for (size_t i = 0; i < x->size / 2; i++) {
+      const double rate = bounded_exp(gsl_vector_get(x, 2 * i + 1));
+      const double slope = rate * samples->r[j] * samples->r[j];
+      const double value = bounded_exp(gsl_vector_get(x, 2 * i) - slope) / samples->R[j];
+      gsl_matrix_set(J, j, 2 * i, value);
+      gsl_matrix_set(J, j, 2 * i + 1, -value * slope);
+    }
+  }
+  return GSL_SUCCESS;
+}
+
+/* Widths in equal ratios over a part of the range; each Gaussian carries its share of R where it
+ * bends. */
+static void start_at(gsl_vector *x, const struct samples *samples, int start) {
+  static const double parts[STARTS][2] = {{0.05, 0.75}, {0, 0.9}};
+  const size_t count = x->size / 2;
+  for (size_t i = 0; i < count; i++) {
+    const double along = count > 1 ? (double)i / (double)(count - 1) : 0.5;
+    const double part = parts[start][0] + along * (parts[start][1] - parts[start][0]);
+    const size_t at = 1 + (size_t)(part * (double)(samples->count - 2));
+    const double width = samples->r[at] / 1.5;
+    gsl_vector_set(x, 2 * i, real_log(samples->R[at], 0));
+    gsl_vector_set(x, 2 * i + 1, -real_log(2 * width * width, 0));
+  }
+}
+
+static void take(const gsl_vector *x, core_gaussian *gaussians) {
+  for (size_t i = 0; i < x->size / 2; i++) {
+    gaussians[i].weight = bounded_exp(gsl_vector_get(x, 2 * i));
+    gaussians[i].rate = bounded_exp(gsl_vector_get(x, 2 * i + 1));
+    /* to 24 bits */
+    const double huge = gaussians[i].weight * 0x1p29;
+    gaussians[i].weight = (gaussians[i].weight + huge) - huge;
+    const double fast = gaussians[i].rate * 0x1p29;
+    gaussians[i].rate = (gaussians[i].rate + fast) - fast;
+  }
+}
+
+/* GSL's own handler ends the program; here its functions return what is wrong. */
+static once_flag handler_once = ONCE_FLAG_INIT;
+
+static void turn_handler_off(void) {
+  gsl_set_error_handler_off();
+}
+
+/* The best of all starts for so many Gaussians; its largest deviation, INFINITY when memory has run
+ * out. */
+static double fit(struct samples *points, const struct samples *checks, size_t count,
+                  core_gaussian *best) {
+  call_once(&handler_once, turn_handler_off);
+  const gsl_multifit_nlinear_parameters settings = gsl_multifit_nlinear_default_parameters();
+  gsl_multifit_nlinear_workspace *work =
+      gsl_multifit_nlinear_alloc(gsl_multifit_nlinear_trust, &settings, points->count, 2 * count);
+  gsl_vector *x = gsl_vector_alloc(2 * count);
+  double least = (double)INFINITY;
+  for (int start = 0; start < STARTS && work != NULL && x != NULL; start++) {
+    gsl_multifit_nlinear_fdf problem = {
+        .f = residuals, .df = derivatives, .n = points->count, .p = 2 * count, .params = points};
+    core_gaussian gaussians[GAUSSIANS_MOST];
+    int info;
+    start_at(x, points, start);
+    gsl_multifit_nlinear_init(x, &problem, work);
+    gsl_multifit_nlinear_driver(STEPS_MAX, 1e-10, 1e-10, 1e-12, NULL, NULL, &info, work);
+    take(gsl_multifit_nlinear_position(work), gaussians);
+    const double worst = deviation(gaussians, count, checks);
+    if (worst < least) {
+      least = worst;
+      for (size_t i = 0; i < count; i++) {
+        best[i] = gaussians[i];
+      }
+    }
+  }
+  if (x != NULL) {
+    gsl_vector_free(x);
+  }
+  if (work != NULL) {
+    gsl_multifit_nlinear_free(work);
+  }
+  return least;
+}
+
+static core_fault fit_profile(const core_inputs *inputs, const core_profile *profile,
+                              const struct asked *asked, core_preparation *preparation) {
+  struct samples points;
+  struct samples checks;
+  if (!sample_model(profile, asked, POINTS, &points) ||
+      !sample_model(profile, asked, CHECKS, &checks)) {
+    return (core_fault){"fit_from", "a range where the model is neither 0 nor infinite", 0};
+  }
+  const double tolerance = inputs->parameters->value[CORE_PARAMETER_TOLERANCE];
+  const bool asks = !isnan(tolerance);
+  const size_t most = (size_t)core_parameter_or(inputs, CORE_PARAMETER_GAUSSIANS,
+                                                asks ? GAUSSIANS_MOST : GAUSSIANS);
+  core_gaussian gaussians[GAUSSIANS_MOST];
+  size_t count = asks ? 1 : most;
+  double error = MARGIN * fit(&points, &checks, count, gaussians);
+  while (asks && error > tolerance && count < most) {
+    count++;
+    error = MARGIN * fit(&points, &checks, count, gaussians);
+  }
+  if (!(error < (double)INFINITY)) {
+    return CORE_OUT_OF_MEMORY;
+  }
+  if (asks && error > tolerance) {
+    return (core_fault){"tolerance", "what a fit reaches: more gaussians or a shorter range", 0};
+  }
+  const core_fault fault = core_gaussians_table(gaussians, count, 0, preparation);
+  preparation->error = error;
+  return fault;
+}
+
+core_fault core_fit_prepare(const core_inputs *inputs, core_preparation *preparation) {
+  const struct asked asked = asked_of(inputs);
+  core_profile profile;
+  core_fault fault = core_profile_prepare(&profile, inputs->isa, asked.model, inputs->moments,
+                                          CORE_EVALUATOR_F64, inputs->medium, &asked.parameters);
+  if (fault.field != NULL) {
+    return fault;
+  }
+  fault = fit_profile(inputs, &profile, &asked, preparation);
+  preparation->scale_mm = profile.scale_mm;
+  preparation->notes = profile.notes & ~(unsigned)CORE_NOTE_ALBEDO_ABOVE_1;
+  core_profile_free(&profile);
+  return fault;
+}
+
+#endif

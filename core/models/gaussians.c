@@ -1,0 +1,235 @@
+/* Sums of Gaussians: the kernels of every model that is one, and the published skin.
+ *
+ *   R(r) = sum w_i e^(-b_i r^2),  w_i >= 0
+ *   energy within r = sum pi w_i / b_i (1 - e^(-b_i r^2))
+ *
+ * Domain: radii from 0 to infinity. Where a sum stands for a profile that diverges like 1 / r at the
+ * source, it ends at a least radius, from where R is continued like 1 / r.
+ * Error: 4 epsilon (1 + b r^2) with the smallest b, on top of that of the weights.
+ *
+ * Skin: d'Eon, Luebke 2007, "Advanced techniques for realistic real-time skin rendering" (GPU Gems
+ * 3, chapter 14): six Gaussians with given variances v, w e^(-r^2 / (2 v)) / (2 pi v), fitted to a
+ * three-layer model; one of the variants 0, 1, 2 for red, green, blue. It does not depend on the
+ * medium.
+ */
+#include "core/models/gaussians.h"
+
+#ifdef CORE_ISA
+
+#include "core/kernel.h"
+
+#if CORE_REAL == 64
+
+#include "core/models/blocks.h"
+
+static inline size_t term_count(const double *c) {
+  return (size_t)c[GAUSSIANS_COUNT];
+}
+
+static inline double term(const double *c, size_t k, int field) {
+  return c[GAUSSIANS_TERMS + k * GAUSSIANS_FIELDS + (size_t)field];
+}
+
+/* Kept where the squares of radii do not overflow; all has underflowed long before. */
+static inline double begin(const double *c, double r) {
+  return real_min(real_max(r, c[GAUSSIANS_LEAST_MM]), 1e150);
+}
+
+static inline double R_term(const double *c, size_t k, double x) {
+  return term(c, k, GAUSSIANS_WEIGHT) * real_exp(-(x * x) * term(c, k, GAUSSIANS_FASTER)).exp;
+}
+
+static inline double slope_term(const double *c, size_t k, double x) {
+  const double rate = c[GAUSSIANS_SLOWEST] + term(c, k, GAUSSIANS_FASTER);
+  return rate * R_term(c, k, x);
+}
+
+static inline double energy_term(const double *c, size_t k, double x) {
+  const double rate = c[GAUSSIANS_SLOWEST] + term(c, k, GAUSSIANS_FASTER);
+  const double least = c[GAUSSIANS_LEAST_MM];
+  const double squares = (x - least) * (x + least);
+  return term(c, k, GAUSSIANS_SHARE) * real_exp(-rate * squares).one_minus_exp;
+}
+
+BLOCK_SUM(sum_R, term_count, R_term)
+BLOCK_SUM(sum_slope, term_count, slope_term)
+BLOCK_SUM(sum_energy, term_count, energy_term)
+
+/* The slowest Gaussian, which all terms share. */
+static inline double shared(const double *c, double x, double sum) {
+  return real_times_exp(sum, -(x * x) * c[GAUSSIANS_SLOWEST], 0);
+}
+
+/* 1 but below the least radius. */
+static inline double continued(double r, double x) {
+  return r < x ? x / r : 1;
+}
+
+static inline double finish_R(const double *c, double r, double x, double sum) {
+  const double R = shared(c, x, sum);
+  return R > 0 ? R * real_max(continued(r, x), 1) : 0;
+}
+
+static inline double finish_ring(const double *c, double r, double x, double sum) {
+  (void)r;
+  return 6.28318530717958647693 * (x * shared(c, x, sum));
+}
+
+static inline double finish_pdf(const double *c, double r, double x, double sum) {
+  return finish_ring(c, r, x, sum) * c[GAUSSIANS_PER_ALBEDO];
+}
+
+static inline double finish_slope(const double *c, double r, double x, double sum) {
+  (void)r;
+  return -2 * (x * shared(c, x, sum));
+}
+
+static inline double finish_ln_R(const double *c, double r, double x, double sum) {
+  const double ln_R = real_fma(-(x * x), c[GAUSSIANS_SLOWEST], real_log(real_max(sum, 1e-300), 0));
+  const double nearer = r < x ? real_log(x / real_max(r, 1e-300), 0) : 0;
+  const double bounded = x < 1e150 ? ln_R + nearer : -(double)INFINITY;
+  const double limited = r > 0 || c[GAUSSIANS_LEAST_MM] <= 0 ? bounded : (double)INFINITY;
+  return c[GAUSSIANS_LIMIT] > 0 ? limited : -(double)INFINITY;
+}
+
+static inline double finish_cdf(const double *c, double r, double x, double sum) {
+  const double inside = c[GAUSSIANS_LEAST_CDF] * (r < x ? r / x : 1);
+  return real_min(inside + sum, c[GAUSSIANS_LIMIT]);
+}
+
+/* Below the least radius -dR/dr is R / r, not the sum's. */
+static inline double finish_steep(const double *c, double r, double x, double sum) {
+  const double R = finish_R(c, r, x, sum);
+  return R > 0 ? -R / r : 0;
+}
+
+BLOCK_KERNEL(eval_R, begin, sum_R, finish_R)
+BLOCK_KERNEL(eval_ring, begin, sum_R, finish_ring)
+BLOCK_KERNEL(eval_pdf, begin, sum_R, finish_pdf)
+BLOCK_KERNEL(eval_ln_R, begin, sum_R, finish_ln_R)
+BLOCK_KERNEL(eval_cdf, begin, sum_energy, finish_cdf)
+BLOCK_KERNEL(eval_sum_slope, begin, sum_slope, finish_slope)
+BLOCK_KERNEL(eval_steep, begin, sum_R, finish_steep)
+
+static void eval_slope(const double *restrict c, size_t n, const double *restrict r,
+                       double *restrict out) {
+  double steep[BLOCK_LANES];
+  eval_sum_slope(c, n, r, out);
+  for (size_t done = 0; c[GAUSSIANS_LEAST_MM] > 0 && done < n; done += BLOCK_LANES) {
+    const size_t count = n - done < BLOCK_LANES ? n - done : BLOCK_LANES;
+    eval_steep(c, count, r + done, steep);
+    for (size_t i = 0; i < count; i++) {
+      const bool below = r[done + i] < c[GAUSSIANS_LEAST_MM] && c[GAUSSIANS_LIMIT] > 0;
+      out[done + i] = below ? steep[i] : out[done + i];
+    }
+  }
+}
+
+CORE_KERNEL_TABLE(gaussians, .evaluate = {
+                                 [CORE_ELEMENTWISE_R] = eval_R,
+                                 [CORE_ELEMENTWISE_CDF] = eval_cdf,
+                                 [CORE_ELEMENTWISE_SLOPE] = eval_slope,
+                                 [CORE_ELEMENTWISE_LN_R] = eval_ln_R,
+                                 [CORE_ELEMENTWISE_PDF] = eval_pdf,
+                                 [CORE_ELEMENTWISE_RING] = eval_ring,
+                             });
+
+#else
+CORE_KERNEL_TABLE_NONE(gaussians);
+#endif
+
+#else /* preparation, compiled once */
+
+#include <stdlib.h>
+
+#define CORE_REAL 64
+#include "core/kernel.h"
+
+/* Of a term, in kernel evaluations of a dipole; measured with build/bench kernel. */
+#define COST_PER_TERM 0.25
+
+/* A smaller one is as good as nothing. */
+#define ALBEDO_LEAST 1e-250
+
+core_check_function core_gaussians_check;
+core_prepare_function core_gaussians_prepare;
+
+static double slowest_of(const core_gaussian *gaussians, size_t count) {
+  double slowest = gaussians[0].rate;
+  for (size_t i = 1; i < count; i++) {
+    slowest = fmin(slowest, gaussians[i].rate);
+  }
+  return slowest;
+}
+
+core_fault core_gaussians_table(const core_gaussian *gaussians, size_t count, double least_mm,
+                                core_preparation *preparation) {
+  const double pi = 3.14159265358979323846;
+  double *c = malloc((GAUSSIANS_TERMS + count * GAUSSIANS_FIELDS) * sizeof *c);
+  if (c == NULL) {
+    return CORE_OUT_OF_MEMORY;
+  }
+  const double slowest = slowest_of(gaussians, count);
+  double at_least = 0; /* R at the least radius */
+  double energy = 0;   /* beyond it */
+  for (size_t i = 0; i < count; i++) {
+    double *to = &c[GAUSSIANS_TERMS + i * GAUSSIANS_FIELDS];
+    const double left =
+        gaussians[i].weight * real_exp(-gaussians[i].rate * least_mm * least_mm).exp;
+    to[GAUSSIANS_WEIGHT] = gaussians[i].weight;
+    to[GAUSSIANS_FASTER] = gaussians[i].rate - slowest;
+    to[GAUSSIANS_SHARE] = pi * left / gaussians[i].rate;
+    at_least += left;
+    energy += to[GAUSSIANS_SHARE];
+  }
+  const double near_energy = 2 * pi * least_mm * least_mm * at_least;
+  const bool scatters = near_energy + energy >= ALBEDO_LEAST;
+  const double albedo = scatters ? near_energy + energy : 0;
+  const double per_albedo = scatters ? 1 / albedo : 0;
+  for (size_t i = 0; i < count; i++) {
+    double *to = &c[GAUSSIANS_TERMS + i * GAUSSIANS_FIELDS];
+    to[GAUSSIANS_WEIGHT] = scatters ? to[GAUSSIANS_WEIGHT] : 0;
+    to[GAUSSIANS_SHARE] *= per_albedo;
+  }
+  c[GAUSSIANS_COUNT] = (double)count;
+  c[GAUSSIANS_SLOWEST] = slowest;
+  c[GAUSSIANS_LEAST_MM] = least_mm;
+  c[GAUSSIANS_LEAST_CDF] = near_energy * per_albedo;
+  c[GAUSSIANS_LIMIT] = scatters;
+  c[GAUSSIANS_PER_ALBEDO] = per_albedo;
+  preparation->table = c;
+  preparation->albedo = albedo;
+  preparation->cost = 1 + COST_PER_TERM * (double)count;
+  preparation->error_epsilons = 16;
+  return (core_fault){0};
+}
+
+enum { SKIN_GAUSSIANS = 6 };
+
+static const struct {
+  double variance_mm2;
+  double weight[3]; /* red, green, blue */
+} skin[SKIN_GAUSSIANS] = {
+    {0.0064, {0.233, 0.455, 0.649}}, {0.0484, {0.100, 0.336, 0.344}}, {0.187, {0.118, 0.198, 0}},
+    {0.567, {0.113, 0.007, 0.007}},  {1.99, {0.358, 0.004, 0}},       {7.41, {0.078, 0, 0}},
+};
+
+core_fault core_gaussians_check(const core_inputs *inputs, core_radii_range *radii) {
+  (void)inputs;
+  (void)radii;
+  return (core_fault){0};
+}
+
+core_fault core_gaussians_prepare(const core_inputs *inputs, core_preparation *preparation) {
+  core_gaussian gaussians[SKIN_GAUSSIANS];
+  for (int i = 0; i < SKIN_GAUSSIANS; i++) {
+    const double twice = 2 * skin[i].variance_mm2;
+    gaussians[i].weight = skin[i].weight[inputs->variant] / (3.14159265358979323846 * twice);
+    gaussians[i].rate = 1 / twice;
+  }
+  preparation->notes = CORE_NOTE_MEDIUM_UNUSED;
+  preparation->scale_mm = 0.5;
+  return core_gaussians_table(gaussians, SKIN_GAUSSIANS, 0, preparation);
+}
+
+#endif

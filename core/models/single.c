@@ -1,0 +1,319 @@
+/* Single scattering of a normally incident beam, exactly.
+ *
+ * Source: the radiative transfer equation's first order; e.g. Habel, Christensen, Jarosz 2013,
+ * section 5.3. A photon goes down to depth t, scatters towards the surface at distance r and
+ * leaves: with d = sqrt(r^2 + t^2) and mu = t / d the cosine at which it strikes the surface,
+ *
+ *   R(r) = int_t sigma_s e^(-sigma_t t) p(-mu) e^(-sigma_t d) T(mu) mu / d^2 dt
+ *
+ * where T = 1 - F is the Fresnel transmittance from inside (0 beyond the critical angle) and p the
+ * phase function of Henyey and Greenstein 1941, (1 - g^2) / (4 pi (1 + g^2 - 2 g cos)^(3/2)).
+ * Substituting t = r sinh(u), so that mu = tanh(u) and t + d = r e^u,
+ *
+ *   R(r) = sigma_s / r  int_(u_c)^inf e^(-sigma_t r e^u) p T tanh(u) / cosh(u) du
+ *
+ * with cosh(u_c) = eta for eta > 1 and u_c = 0 else. All but the exponential does not depend on r:
+ * a quadrature rule makes R(r) a sum over nodes, sigma_s / r sum w e^(-sigma_t r E) with E = e^u,
+ * whose energy within r is 2 pi sigma_s / sigma_t sum w / E (1 - e^(-sigma_t r E)).
+ *
+ * T has square roots at the critical angle (and for eta < 1 close to grazing incidence). They are
+ * removed by s = sqrt(|1 - eta^2|) / eta and
+ *
+ *   eta > 1: mu = s cosh(v), cosine outside = eta s sinh(v)
+ *   eta < 1: mu = s sinh(v), cosine outside = eta s cosh(v)
+ *
+ * in the zone from u_c to u_c + ZONE, whose panels shrink towards u_c, where the tail at large r
+ * comes from. No similarity relation: sigma_s and g are the medium's own.
+ *
+ * R is infinite at r = 0, where 2 pi r R is not.
+ *
+ * Domain: eta from SINGLE_ETA_MIN to SINGLE_ETA_MAX, an albedo below ALBEDO_LEAST is as good as
+ * nothing; ln R up to FAR mean free paths 1 / sigma_t.
+ * Error: SINGLE_ERROR + 4 epsilon (1 + sigma_t r e^(u_c)), relative.
+ */
+#include "core/kernels.h"
+
+#define SINGLE_ERROR 1e-13
+
+/* What the table holds. */
+enum coefficient {
+  SIGMA_T,          /* 1/mm */
+  EXPONENT,         /* e^(u_c) */
+  R_SCALE,          /* sigma_s; over r it is R's */
+  RING_SCALE,       /* 2 pi sigma_s */
+  PDF_SCALE,        /* 2 pi sigma_s / albedo */
+  CDF_SCALE,        /* 2 pi sigma_s / (sigma_t albedo) */
+  CDF_LIMIT,        /* 1, or 0 when nothing scatters */
+  NODES_BEGIN,      /* for each node: */
+  NODE_FURTHER = 0, /* E - e^(u_c) */
+  NODE_WEIGHT,      /* w */
+  NODE_ENERGY,      /* w / E */
+  NODE_FIELDS
+};
+
+enum { ZONE_PANELS = 18, TAIL_PANELS = 9, NODES = 16 * (ZONE_PANELS + TAIL_PANELS) };
+
+#ifdef CORE_ISA
+
+#include "core/kernel.h"
+
+#if CORE_REAL == 64
+
+#include "core/models/blocks.h"
+
+#define FAR 1e9
+
+static inline size_t node_count(const double *c) {
+  (void)c;
+  return NODES;
+}
+
+static inline double node(const double *c, size_t k, int field) {
+  return c[NODES_BEGIN + k * NODE_FIELDS + (size_t)field];
+}
+
+/* Terms of the sums over the nodes, for tau = sigma_t r; the first two times e^(tau e^(u_c)). */
+static inline double R_term(const double *c, size_t k, double tau) {
+  return node(c, k, NODE_WEIGHT) * real_exp(-tau * node(c, k, NODE_FURTHER)).exp;
+}
+
+/* (1 + tau E) w e^(-tau E): what -dR/dr is made of */
+static inline double slope_term(const double *c, size_t k, double tau) {
+  const double further = node(c, k, NODE_FURTHER);
+  const double falls = real_fma(tau, further + c[EXPONENT], 1);
+  return node(c, k, NODE_WEIGHT) * (falls * real_exp(-tau * further).exp);
+}
+
+static inline double energy_term(const double *c, size_t k, double tau) {
+  const double further = node(c, k, NODE_FURTHER);
+  return node(c, k, NODE_ENERGY) * real_exp(-tau * (further + c[EXPONENT])).one_minus_exp;
+}
+
+BLOCK_SUM(sum_R, node_count, R_term)
+BLOCK_SUM(sum_slope, node_count, slope_term)
+BLOCK_SUM(sum_energy, node_count, energy_term)
+
+/* So far away that all has underflowed, but no product overflows. */
+static inline double begin(const double *c, double r) {
+  return real_min(r * c[SIGMA_T], 1e100);
+}
+
+static inline double finish_R(const double *c, double r, double tau, double sum) {
+  const double ring = real_times_exp(c[R_SCALE] * sum, -c[EXPONENT] * tau, 0);
+  return c[CDF_LIMIT] > 0 ? ring / r : 0;
+}
+
+static inline double finish_slope(const double *c, double r, double tau, double sum) {
+  const double ring = real_times_exp(c[R_SCALE] * sum, -c[EXPONENT] * tau, 0);
+  return c[CDF_LIMIT] > 0 ? -(ring / r) / r : 0;
+}
+
+static inline double finish_ring(const double *c, double r, double tau, double sum) {
+  (void)r;
+  return real_times_exp(c[RING_SCALE] * sum, -c[EXPONENT] * tau, 0);
+}
+
+static inline double finish_pdf(const double *c, double r, double tau, double sum) {
+  (void)r;
+  return real_times_exp(c[PDF_SCALE] * sum, -c[EXPONENT] * tau, 0);
+}
+
+static inline double finish_ln_R(const double *c, double r, double tau, double sum) {
+  const double positive = real_max(c[R_SCALE] * sum, 1e-300);
+  const double ln_ring = real_fma(-c[EXPONENT], tau, real_log(positive, 0));
+  const double ln_R = ln_ring - real_log(real_min(real_max(r, 1e-300), 1e300), 0);
+  const double bounded = tau <= FAR ? ln_R : -(double)INFINITY;
+  return c[CDF_LIMIT] > 0 ? (r > 0 ? bounded : (double)INFINITY) : -(double)INFINITY;
+}
+
+static inline double finish_cdf(const double *c, double r, double tau, double sum) {
+  (void)r;
+  (void)tau;
+  return real_min(c[CDF_SCALE] * sum, c[CDF_LIMIT]);
+}
+
+BLOCK_KERNEL(eval_R, begin, sum_R, finish_R)
+BLOCK_KERNEL(eval_slope, begin, sum_slope, finish_slope)
+BLOCK_KERNEL(eval_ring, begin, sum_R, finish_ring)
+BLOCK_KERNEL(eval_pdf, begin, sum_R, finish_pdf)
+BLOCK_KERNEL(eval_ln_R, begin, sum_R, finish_ln_R)
+BLOCK_KERNEL(eval_cdf, begin, sum_energy, finish_cdf)
+
+CORE_KERNEL_TABLE(single, .evaluate = {
+                              [CORE_ELEMENTWISE_R] = eval_R,
+                              [CORE_ELEMENTWISE_CDF] = eval_cdf,
+                              [CORE_ELEMENTWISE_SLOPE] = eval_slope,
+                              [CORE_ELEMENTWISE_LN_R] = eval_ln_R,
+                              [CORE_ELEMENTWISE_PDF] = eval_pdf,
+                              [CORE_ELEMENTWISE_RING] = eval_ring,
+                          });
+
+#else
+CORE_KERNEL_TABLE_NONE(single);
+#endif
+
+#else /* preparation, compiled once */
+
+#include <stdlib.h>
+
+#define CORE_REAL 64
+#include "core/gauss.h"
+#include "core/kernel.h"
+
+#define SINGLE_ETA_MIN 0.1
+#define SINGLE_ETA_MAX 10
+#define ALBEDO_LEAST 1e-250
+#define ZONE 0.5
+#define ZONE_SHRINK 0.25 /* of the panels' ends towards u_c, in mu */
+#define COST 110         /* of a kernel evaluation of a dipole, measured with build/bench kernel */
+
+core_check_function core_single_check;
+core_prepare_function core_single_prepare;
+
+#define TEXT_(x) #x
+#define TEXT(x) TEXT_(x)
+
+core_fault core_single_check(const core_inputs *inputs, core_radii_range *radii) {
+  (void)radii;
+  const double eta = inputs->medium->eta;
+  if (!(eta >= SINGLE_ETA_MIN && eta <= SINGLE_ETA_MAX)) {
+    return (core_fault){
+        "eta", TEXT(SINGLE_ETA_MIN) " to " TEXT(SINGLE_ETA_MAX) " with single scattering", 0};
+  }
+  return (core_fault){0};
+}
+
+/* e^x for x from 0 to 700. */
+static double exponential(double x) {
+  return 1 / real_exp(-x).exp;
+}
+
+static double inverse_sinh(double y) {
+  return real_log(y + sqrt(fma(y, y, 1)), 0);
+}
+
+struct rule {
+  double eta;
+  double g;
+  double least; /* e^(u_c) */
+  double *next; /* where the next node is put */
+};
+
+/* A node at the cosines inside and outside, with q = 1 / cosh(u) and the weight of du. */
+static void add_node(struct rule *rule, double mu, double outside, double q, double E,
+                     double weight) {
+  const double eta = rule->eta;
+  const double s = fma(eta, mu, outside);
+  const double p = fma(eta, outside, mu);
+  /* (T_s + T_p) / 2 */
+  const double transmitted = 2 * eta * mu * outside * (1 / (s * s) + 1 / (p * p));
+  /* 1 + g^2 + 2 g mu, with 1 - mu = 2 / (1 + E^2) where it would cancel */
+  const double g = rule->g;
+  const double backward = (1 + g) * (1 + g) - 4 * g / fma(E, E, 1);
+  const double forward = fma(g, g, 1) + 2 * g * mu;
+  const double squared = g < 0 ? backward : forward;
+  const double phase = (1 - g) * (1 + g) / (12.5663706143591729539 * squared * sqrt(squared));
+  const double w = weight * phase * transmitted * mu * q;
+  rule->next[NODE_FURTHER] = E - rule->least;
+  rule->next[NODE_WEIGHT] = w;
+  rule->next[NODE_ENERGY] = w / E;
+  rule->next += NODE_FIELDS;
+}
+
+/* A panel of the zone next to the critical angle, in v. */
+static void add_zone_panel(struct rule *rule, double from, double to) {
+  const double eta = rule->eta;
+  const double root = sqrt(fabs((1 - eta) * (1 + eta)));
+  const double s = root / eta;
+  for (int i = 0; i < 2 * CORE_GAUSS_HALF; i++) {
+    const double v = fma(to - from, core_gauss_node(i), from);
+    const double weight = (to - from) * core_gauss_weight(i);
+    const real_exp_values e = real_exp(-v);
+    const double sinh = e.one_minus_exp * (1 + e.exp) / (2 * e.exp);
+    const double cosh = fma(e.exp, e.exp, 1) / (2 * e.exp);
+    const double mu = eta > 1 ? s * cosh : eta < 1 ? s * sinh : v;
+    const double outside = eta > 1 ? root * sinh : eta < 1 ? root * cosh : v;
+    const double dmu = eta > 1 ? s * sinh : eta < 1 ? s * cosh : 1;
+    const double q =
+        eta > 1 ? sqrt((1 - outside) * (1 + outside)) / eta : sqrt((1 - mu) * (1 + mu));
+    /* du = dmu / (1 - mu^2) */
+    add_node(rule, mu, outside, q, (1 + mu) / q, weight * dmu / (q * q));
+  }
+}
+
+/* mu_c to the mu of u_c + ZONE, in panels whose ends come ever nearer to mu_c. */
+static void add_zone(struct rule *rule, double end_of_zone) {
+  const double eta = rule->eta;
+  const double s = sqrt(fabs((1 - eta) * (1 + eta))) / eta;
+  const double e = end_of_zone / rule->least;
+  const double cosh_c = eta > 1 ? eta : 1;
+  const double cosh_end = 0.5 * (end_of_zone + 1 / end_of_zone);
+  /* tanh(b) - tanh(a) = sinh(b - a) / (cosh(a) cosh(b)) */
+  double beyond = 0.5 * (e - 1 / e) / (cosh_c * cosh_end);
+  double ends[ZONE_PANELS + 1];
+  for (int i = 0; i < ZONE_PANELS; i++) {
+    ends[i] = eta > 1   ? inverse_sinh(sqrt(beyond * fma(2, s, beyond)) / s)
+              : eta < 1 ? inverse_sinh(beyond / s)
+                        : beyond;
+    beyond *= ZONE_SHRINK;
+  }
+  ends[ZONE_PANELS] = 0;
+  for (int i = 0; i < ZONE_PANELS; i++) {
+    add_zone_panel(rule, ends[i + 1], ends[i]);
+  }
+}
+
+/* From there on, in u: panels that grow as the integrand falls like e^(-u). */
+static void add_tail(struct rule *rule) {
+  static const double ends[TAIL_PANELS + 1] = {ZONE, 1.5, 3, 5, 7.5, 10.5, 14, 19, 27, 40};
+  const double eta = rule->eta;
+  for (int panel = 0; panel < TAIL_PANELS; panel++) {
+    const double width = ends[panel + 1] - ends[panel];
+    for (int i = 0; i < 2 * CORE_GAUSS_HALF; i++) {
+      const double E = rule->least * exponential(fma(width, core_gauss_node(i), ends[panel]));
+      const double q = 2 / (E + 1 / E);
+      const double mu = (E - 1 / E) / (E + 1 / E);
+      const double outside = sqrt((1 - eta * q) * (1 + eta * q));
+      add_node(rule, mu, outside, q, E, width * core_gauss_weight(i));
+    }
+  }
+}
+
+core_fault core_single_prepare(const core_inputs *inputs, core_preparation *preparation) {
+  const core_medium *medium = inputs->medium;
+  const double eta = medium->eta;
+  const double sigma_s = medium->sigma_s_per_mm;
+  const double sigma_t = medium->sigma_a_per_mm + sigma_s;
+  double *c = malloc((NODES_BEGIN + NODES * NODE_FIELDS) * sizeof *c);
+  if (c == NULL) {
+    return CORE_OUT_OF_MEMORY;
+  }
+  struct rule rule = {eta, medium->g, eta > 1 ? eta + sqrt((eta - 1) * (eta + 1)) : 1,
+                      &c[NODES_BEGIN]};
+  add_zone(&rule, rule.least * exponential(ZONE));
+  add_tail(&rule);
+  double energy = 0;
+  for (size_t k = 0; k < NODES; k++) {
+    energy += c[NODES_BEGIN + k * NODE_FIELDS + NODE_ENERGY];
+  }
+  const double two_pi = 6.28318530717958647693;
+  const double albedo = two_pi * (sigma_s / sigma_t) * energy;
+  const bool scatters = albedo >= ALBEDO_LEAST;
+  preparation->albedo = scatters ? albedo : 0;
+  c[SIGMA_T] = sigma_t;
+  c[EXPONENT] = rule.least;
+  c[R_SCALE] = scatters ? sigma_s : 0;
+  c[RING_SCALE] = two_pi * c[R_SCALE];
+  c[PDF_SCALE] = scatters ? c[RING_SCALE] / preparation->albedo : 0;
+  c[CDF_SCALE] = 1 / energy;
+  c[CDF_LIMIT] = scatters;
+  preparation->table = c;
+  preparation->error = SINGLE_ERROR;
+  preparation->error_epsilons = 4;
+  preparation->error_epsilons_per_mm = 4 * sigma_t * rule.least;
+  preparation->scale_mm = 1 / sigma_t;
+  preparation->cost = COST;
+  return (core_fault){0};
+}
+
+#endif

@@ -1,0 +1,248 @@
+/* Batches: lanes are refilled as photons end, and what they leave behind is put down.
+ *
+ * The order of all sums is the order of the lanes at each step; it does not depend on the
+ * instruction set, nor on the slices in which a batch is walked.
+ */
+#include "core/montecarlo/batch.h"
+
+#include <assert.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core/kernels.h"
+
+/* ---- instruction sets -------------------------------------------------------------------------
+ */
+
+#define DECLARE(level, unused) extern const walk_functions walk_functions_##level;
+CORE_ISA_LEVELS(DECLARE, )
+
+static const struct {
+  const char *isa;
+  const walk_functions *functions;
+} levels[] = {
+#define LEVEL(level, unused) {#level, &walk_functions_##level},
+    CORE_ISA_LEVELS(LEVEL, )};
+enum { LEVELS = sizeof levels / sizeof levels[0] };
+
+static const walk_functions *functions_for(const core_isa *isa) {
+  size_t i = 0;
+  while (i < LEVELS && strcmp(levels[i].isa, core_isa_name(isa)) != 0) {
+    i++;
+  }
+  assert(i < LEVELS);
+  return levels[i].functions;
+}
+
+/* ---- the tally --------------------------------------------------------------------------------
+ */
+
+/* A photon at the end of its walk: the weights that it has there, for each albedo, and what it has
+ * left on its way. */
+struct ended {
+  const core_mc_plan *plan;
+  double *tally;
+  size_t stage;
+  double gain;
+  double power[CORE_MC_ALBEDOS_MAX];
+};
+
+static struct ended end_of(core_mc_batch *batch, uint32_t collisions, size_t stage) {
+  struct ended ended = {.plan = batch->plan, .tally = batch->tally, .stage = stage};
+  ended.gain = batch->plan->stage[stage].gain;
+  mc_powers(batch->plan, collisions, ended.power);
+  return ended;
+}
+
+/* All of it: what was absorbed up to here, what roulette has added, and what is left, to a row: 1
+ * time, or -1 where it is taken away. */
+static void put_down(const struct ended *ended, enum mc_row row, double times) {
+  const size_t albedos = ended->plan->albedos;
+  const mc_stage_energy *at_stage = ended->plan->stage_energy[ended->stage];
+  for (size_t k = 0; k < albedos; k++) {
+    const double absorbed_since = ended->gain * (at_stage[k].weight - ended->power[k]);
+    ended->tally[MC_ROW_ABSORBED * albedos + k] += at_stage[k].absorbed + absorbed_since;
+    ended->tally[MC_ROW_ROULETTE * albedos + k] += at_stage[k].added;
+    ended->tally[row * albedos + k] += times * (ended->gain * ended->power[k]);
+  }
+}
+
+/* Where it left, in squared mean free paths from the axis. */
+static double exit_r_squared(const walk_lanes *lanes, size_t lane) {
+  const double way = lanes->way[lane];
+  const double x = lanes->x[lane] + lanes->ux[lane] * way;
+  const double y = lanes->y[lane] + lanes->uy[lane] * way;
+  return x * x + y * y;
+}
+
+static void score_exit(core_mc_batch *batch, size_t lane, size_t side) {
+  const core_mc_plan *plan = batch->plan;
+  const uint32_t collisions = batch->lanes.collisions[lane];
+  const struct ended ended = end_of(batch, collisions, mc_stage_of(plan, collisions));
+  put_down(&ended, (enum mc_row)side, 1);
+  const size_t slot = mc_slot_of(plan, exit_r_squared(&batch->lanes, lane));
+  double *row = batch->tally + mc_slot_row(plan, side, slot) * plan->albedos;
+  for (size_t k = 0; k < plan->albedos; k++) {
+    row[k] += ended.gain * ended.power[k];
+  }
+  batch->photons[side * plan->slots + slot]++;
+}
+
+/* Roulette ends a walk when it would begin a stage, before the stage's gain. */
+static void score_inside(core_mc_batch *batch, size_t lane) {
+  const core_mc_plan *plan = batch->plan;
+  const uint32_t collisions = batch->lanes.collisions[lane];
+  const size_t stage = mc_stage_of(plan, collisions);
+  const bool unfinished = collisions == plan->request.scatterings_max;
+  const struct ended ended = end_of(batch, collisions, unfinished ? stage : stage - 1);
+  put_down(&ended, unfinished ? MC_ROW_UNFINISHED : MC_ROW_ROULETTE, unfinished ? 1 : -1);
+}
+
+static void score(core_mc_batch *batch, size_t lane) {
+  switch ((enum walk_fate)batch->lanes.fate[lane]) {
+  case WALK_REFLECTED:
+    score_exit(batch, lane, CORE_MC_REFLECTED);
+    return;
+  case WALK_TRANSMITTED:
+    score_exit(batch, lane, CORE_MC_TRANSMITTED);
+    return;
+  case WALK_ENDED:
+    score_inside(batch, lane);
+    return;
+  case WALK_GOES_ON:
+    break;
+  }
+  assert(!"a photon that has ended");
+}
+
+/* ---- lanes ------------------------------------------------------------------------------------
+ */
+
+static void launch_into(core_mc_batch *batch, const walk_functions *functions, size_t lane) {
+  const core_mc_plan *plan = batch->plan;
+  const uint64_t photon = batch->index * CORE_MC_BATCH_PHOTONS + batch->launched;
+  const size_t at = batch->launched % WALK_LANES;
+  if (at == 0) {
+    functions->launch(&plan->walk, photon, &batch->launch);
+  }
+  walk_lanes *lanes = &batch->lanes;
+  lanes->x[lane] = 0;
+  lanes->y[lane] = 0;
+  lanes->z[lane] = batch->launch.z[at];
+  lanes->ux[lane] = 0;
+  lanes->uy[lane] = 0;
+  lanes->uz[lane] = batch->launch.uz[at];
+  lanes->collisions[lane] = 1;
+  lanes->last[lane] = mc_last_collision(plan, batch->launch.chance[at]);
+  lanes->photon[lane] = (uint32_t)photon;
+  lanes->fate[lane] = WALK_GOES_ON;
+  batch->launched++;
+}
+
+static void move_lane(walk_lanes *lanes, size_t to, size_t from) {
+  lanes->x[to] = lanes->x[from];
+  lanes->y[to] = lanes->y[from];
+  lanes->z[to] = lanes->z[from];
+  lanes->ux[to] = lanes->ux[from];
+  lanes->uy[to] = lanes->uy[from];
+  lanes->uz[to] = lanes->uz[from];
+  lanes->collisions[to] = lanes->collisions[from];
+  lanes->last[to] = lanes->last[from];
+  lanes->photon[to] = lanes->photon[from];
+  lanes->fate[to] = lanes->fate[from];
+}
+
+/* When no photons are left to launch, the lanes still in use close ranks, so that the last and
+ * longest walks do not carry empty lanes along. */
+static void close_ranks(core_mc_batch *batch) {
+  size_t kept = 0;
+  for (size_t lane = 0; lane < batch->active; lane++) {
+    if (batch->lanes.fate[lane] == WALK_GOES_ON) {
+      move_lane(&batch->lanes, kept++, lane);
+    }
+  }
+  batch->active = kept;
+}
+
+static void settle(core_mc_batch *batch, const walk_functions *functions) {
+  bool emptied = false;
+  for (size_t lane = 0; lane < batch->active; lane++) {
+    if (batch->lanes.fate[lane] == WALK_GOES_ON) {
+      continue;
+    }
+    score(batch, lane);
+    if (batch->launched < CORE_MC_BATCH_PHOTONS) {
+      launch_into(batch, functions, lane);
+    } else {
+      emptied = true;
+    }
+  }
+  if (emptied) {
+    close_ranks(batch);
+  }
+}
+
+/* ---- batches ----------------------------------------------------------------------------------
+ */
+
+core_mc_batch *core_mc_batch_create(const core_mc_plan *plan) {
+  core_mc_batch *batch = calloc(1, sizeof *batch);
+  if (batch == NULL) {
+    return NULL;
+  }
+  batch->plan = plan;
+  batch->photons = calloc(CORE_MC_SIDES * plan->slots, sizeof *batch->photons);
+  batch->tally = calloc(mc_rows(plan) * plan->albedos, sizeof *batch->tally);
+  if (batch->photons == NULL || batch->tally == NULL) {
+    core_mc_batch_free(batch);
+    return NULL;
+  }
+  return batch;
+}
+
+void core_mc_batch_free(core_mc_batch *batch) {
+  if (batch != NULL) {
+    free(batch->photons);
+    free(batch->tally);
+    free(batch);
+  }
+}
+
+void core_mc_batch_start(core_mc_batch *batch, uint64_t index) {
+  const core_mc_plan *plan = batch->plan;
+  assert(index < UINT64_MAX / CORE_MC_BATCH_PHOTONS);
+  batch->index = index;
+  batch->launched = 0;
+  batch->active = 0;
+  memset(&batch->lanes, 0, sizeof batch->lanes);
+  memset(batch->photons, 0, CORE_MC_SIDES * plan->slots * sizeof *batch->photons);
+  memset(batch->tally, 0, mc_rows(plan) * plan->albedos * sizeof *batch->tally);
+}
+
+/* Nothing is scattered: each photon is absorbed where it first collides. */
+static void absorb_all(core_mc_batch *batch) {
+  double *absorbed = batch->tally + MC_ROW_ABSORBED * batch->plan->albedos;
+  for (size_t k = 0; k < batch->plan->albedos; k++) {
+    absorbed[k] = CORE_MC_BATCH_PHOTONS;
+  }
+  batch->launched = CORE_MC_BATCH_PHOTONS;
+}
+
+bool core_mc_batch_walk(core_mc_batch *batch, const core_isa *isa, uint64_t scatterings) {
+  const walk_functions *functions = functions_for(isa);
+  const walk_medium *medium = &batch->plan->walk;
+  if (batch->launched == 0 && !batch->plan->walks) {
+    absorb_all(batch);
+  }
+  while (batch->active < WALK_LANES && batch->launched < CORE_MC_BATCH_PHOTONS) {
+    launch_into(batch, functions, batch->active++);
+  }
+  const uint32_t high = (uint32_t)(batch->index * CORE_MC_BATCH_PHOTONS >> 32);
+  for (uint64_t done = 0; done < scatterings && batch->active > 0;) {
+    const size_t lanes = (batch->active + WALK_GROUP - 1) / WALK_GROUP * WALK_GROUP;
+    functions->step(medium, high, lanes, &batch->lanes);
+    settle(batch, functions);
+    done += lanes;
+  }
+  return batch->active == 0;
+}

@@ -1,0 +1,140 @@
+/* lane_math: random numbers and elementary functions for photons that are walked in lanes.
+ *
+ * Elementwise and without branches, so that compilers vectorize the loops around them, and of
+ * additions, multiplications, divisions and square roots alone, so that every instruction set gives
+ * the same bits. Fused multiply-adds are left out: instruction sets without them would have to call
+ * the C library in the walk's inner loop, and a random walk gains nothing from their last half ulp.
+ */
+#ifndef DIPOLED_CORE_MONTECARLO_LANE_MATH_H
+#define DIPOLED_CORE_MONTECARLO_LANE_MATH_H
+
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
+
+static inline uint32_t lane_bits(float x) {
+  uint32_t bits;
+  memcpy(&bits, &x, sizeof bits);
+  return bits;
+}
+
+static inline float lane_float(uint32_t bits) {
+  float x;
+  memcpy(&x, &bits, sizeof x);
+  return x;
+}
+
+/* All bits of a mask are set where a condition holds. Conditions are kept so, and not as truth
+ * values, because compilers vectorize the former in every case. */
+typedef uint32_t lane_mask;
+
+static inline lane_mask lane_mask_if(int condition) {
+  return condition ? ~UINT32_C(0) : 0;
+}
+
+static inline uint32_t lane_choose(lane_mask mask, uint32_t yes, uint32_t no) {
+  return (mask & yes) | (~mask & no);
+}
+
+static inline float lane_select(lane_mask mask, float yes, float no) {
+  return lane_float(lane_choose(mask, lane_bits(yes), lane_bits(no)));
+}
+
+/* ---- random numbers ---------------------------------------------------------------------------
+ */
+
+typedef struct lane_random {
+  uint32_t word[4];
+} lane_random;
+
+/* What Philox keeps a word of 32 bits in: where there are products of 64 bits, in as many, so that
+ * nothing is shuffled between lanes; elsewhere in 32. */
+#ifdef __AVX512DQ__
+typedef uint64_t lane_word;
+#else
+typedef uint32_t lane_word;
+#endif
+
+/* Philox4x32-10: J. Salmon, M. Moraes, R. Dror, D. Shaw, "Parallel Random Numbers: As Easy as 1, 2,
+ * 3", 2011. A bijection of the counter for each key: what a photon draws depends on its own counter
+ * alone. If words are wider, the upper halves of c1 and c3 are garbage. */
+static inline lane_random lane_philox(const uint32_t counter[4], const uint32_t key[2]) {
+  lane_word c0 = counter[0];
+  lane_word c1 = counter[1];
+  lane_word c2 = counter[2];
+  lane_word c3 = counter[3];
+  uint32_t k0 = key[0];
+  uint32_t k1 = key[1];
+  for (int round = 0; round < 10; round++) {
+    const uint64_t product0 = (uint64_t)c0 * UINT32_C(0xd2511f53);
+    const uint64_t product1 = (uint64_t)c2 * UINT32_C(0xcd9e8d57);
+    c0 = ((lane_word)(product1 >> 32) ^ c1 ^ k0) & UINT32_MAX;
+    c1 = (lane_word)product1;
+    c2 = ((lane_word)(product0 >> 32) ^ c3 ^ k1) & UINT32_MAX;
+    c3 = (lane_word)product0;
+    k0 += UINT32_C(0x9e3779b9);
+    k1 += UINT32_C(0xbb67ae85);
+  }
+  return (lane_random){{(uint32_t)c0, (uint32_t)c1, (uint32_t)c2, (uint32_t)c3}};
+}
+
+/* A number v from (0, 1) and w = 1 - v, each with the relative precision of its own: of the 2^31
+ * equally likely points (i + 1/2) / 2^31. */
+typedef struct lane_uniform {
+  float v;
+  float w;
+} lane_uniform;
+
+static inline lane_uniform lane_uniform_from(uint32_t bits) {
+  const int32_t i = (int32_t)(bits >> 1);
+  const int32_t complement = INT32_MAX - i;
+  return (lane_uniform){((float)i + 0.5f) * 0x1p-31f, ((float)complement + 0.5f) * 0x1p-31f};
+}
+
+/* ---- functions --------------------------------------------------------------------------------
+ */
+
+/* -ln(w) for w from 2^-100 to 1, given v = 1 - w as well, so that small results keep their digits.
+ * With m = 2^k (1 + f): ln(1 + f) = 2 artanh(f / (2 + f)). Error: 2.5e-7, relative. */
+static inline float lane_minus_log(float v, float w) {
+  const uint32_t one = UINT32_C(0x3f800000);
+  const uint32_t sqrt_half = UINT32_C(0x3f3504f3);
+  const uint32_t bits = lane_bits(w);
+  const uint32_t biased = (bits + (one - sqrt_half)) >> 23;
+  const float mantissa = lane_float(bits - (biased << 23) + one);
+  const float k = (float)((int32_t)biased - 127);
+  const float f = lane_select(lane_mask_if(k == 0.0f), -v, mantissa - 1.0f);
+  const float s = f / (2.0f + f);
+  const float t = s * s;
+  float series = 1.0f / 9;
+  series = series * t + 1.0f / 7;
+  series = series * t + 1.0f / 5;
+  series = series * t + 1.0f / 3;
+  return -(k * 0x1.62e430p-1f + (2.0f * s + 2.0f * s * t * series));
+}
+
+/* cos and sin of an angle from 0 to 2 pi: an eighth of the circle, whose functions are polynomials
+ * that interpolate them at Chebyshev points (error: 1.5e-7), and three bits that put it in its
+ * place. */
+typedef struct lane_direction {
+  float cosine;
+  float sine;
+} lane_direction;
+
+static inline lane_direction lane_azimuth(uint32_t bits) {
+  const float share = ((float)(int32_t)(bits >> 9) + 0.5f) * 0x1p-23f;
+  const float t = share * 0x1.921fb6p-1f;
+  const float x = t * t;
+  const float sine =
+      t * (1.0f + x * (-0x1.55554p-3f + x * (0x1.11062ep-7f + x * -0x1.9906cap-13f)));
+  const float cosine = 1.0f + x * (-0x1.ffffap-2f + x * (0x1.553ce6p-5f + x * -0x1.6424ap-10f));
+  const lane_mask swapped = -((bits >> 2) & 1);
+  const float first = lane_select(swapped, sine, cosine);
+  const float second = lane_select(swapped, cosine, sine);
+  return (lane_direction){
+      .cosine = lane_float(lane_bits(first) ^ ((bits & 1) << 31)),
+      .sine = lane_float(lane_bits(second) ^ ((bits & 2) << 30)),
+  };
+}
+
+#endif

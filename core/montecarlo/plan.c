@@ -1,0 +1,249 @@
+/* Plans: the unscattered light, the schedule of roulette, and tables for scoring. */
+#include "core/montecarlo/plan.h"
+
+#include <assert.h>
+#include <math.h>
+#include <stdlib.h>
+
+#define CORE_REAL 64
+#include "core/kernel.h"
+
+/* ---- the unscattered light --------------------------------------------------------------------
+ */
+
+/* Straight down a slab of optical thickness tau, light is weakened by e^-tau on each way and
+ * reflected with F at each end, without end:
+ *
+ *   transmitted  (1 - F) e^-tau / (1 - q^2),  q = F e^-tau
+ *   reflected    (1 - F) F e^-2tau / (1 - q^2)
+ *   collides     (1 - e^-tau) / (1 - q), of this q / (1 + q) on ways up
+ *
+ * which are exact; what is walked begins at the first collision. In a half space all collides. */
+static void prepare_first_flight(core_mc_plan *plan, double tau) {
+  const double eta = plan->request.eta;
+  const double amplitude = (eta - 1) / (eta + 1);
+  const double F = amplitude * amplitude;
+  const real_exp_values decay = real_exp(-tau);
+  const double left = plan->walk.slab ? decay.exp : 0;
+  const double gone = plan->walk.slab ? decay.one_minus_exp : 1;
+  const double q = F * left;
+  const double leaves = (1 - F) * left / (1 - q * q);
+  plan->unscattered[CORE_MC_TRANSMITTED] = leaves;
+  plan->unscattered[CORE_MC_REFLECTED] = leaves * q;
+  plan->scattered_or_absorbed = gone / (1 - q);
+  plan->walk.first_share = (float)gone;
+  plan->walk.first_rest = (float)left;
+  plan->walk.first_turned = (float)(q / (1 + q));
+}
+
+/* Thicker than this is as good as infinite: no photon of single precision comes so deep. */
+#define THICKNESS_MAX_MFP 1e30
+
+static void prepare_walk(core_mc_plan *plan) {
+  const core_mc_request *request = &plan->request;
+  walk_medium *walk = &plan->walk;
+  const double g = request->g;
+  const double eta_squared = request->eta * request->eta;
+  const double tau = request->thickness_mm * request->sigma_t_per_mm;
+  /* From Snell's law, ct^2 = 1 - eta^2 (1 - ci^2); near eta = 1 grazing light loses digits in the
+   * one form, with a large eta light near the normal in the other. */
+  const bool by_sine = request->eta > 1.2;
+  *walk = (walk_medium){
+      .isotropic = g == 0,
+      .slab = tau < THICKNESS_MAX_MFP,
+      .key = {(uint32_t)request->seed, (uint32_t)(request->seed >> 32)},
+      .g_sign = g < 0 ? -1.0f : 1.0f,
+      .g_size = (float)fabs(g),
+      .one_minus_g = (float)(1 - fabs(g)),
+      .one_plus_g = (float)(1 + fabs(g)),
+      .thickness = (float)tau,
+      .eta = (float)request->eta,
+      .by_sine = by_sine ? ~UINT32_C(0) : 0,
+      .cosine_constant = (float)(by_sine ? 1 : 1 - eta_squared),
+      .cosine_factor = (float)(by_sine ? -eta_squared : eta_squared),
+  };
+  prepare_first_flight(plan, walk->slab ? tau : 0);
+}
+
+/* ---- roulette ---------------------------------------------------------------------------------
+ */
+
+#define ROULETTE_WEIGHT_DEFAULT 0.2
+#define SCATTERINGS_MAX_DEFAULT 1048576.0
+#define SURVIVAL_MIN 0x1p-20 /* those few who come so far are left alone */
+
+/* Beyond so many collisions (for g > 0: over 1 - g) a path is long even without absorption. */
+#define LONG_PATH 1024.0
+
+static double forward_scatterings(const core_mc_request *request) {
+  return request->g > 0 ? 1 / (1 - request->g) : 1;
+}
+
+static void fill_in_defaults(core_mc_request *request) {
+  if (request->roulette_weight == 0) {
+    request->roulette_weight = ROULETTE_WEIGHT_DEFAULT;
+  }
+  if (request->scatterings_max == 0) {
+    const double scatterings = SCATTERINGS_MAX_DEFAULT * forward_scatterings(request);
+    request->scatterings_max = (uint32_t)real_min(scatterings, (double)CORE_MC_SCATTERINGS_MAX);
+  }
+}
+
+/* Once a path's weight has fallen to the roulette weight, it is kept there. Paths without
+ * absorption come back to the boundary of a half space with a probability of 1, but after n
+ * collisions a share of 1 / sqrt(n) is still on its way: their mean length is infinite. With S
+ * proportional to 1 / sqrt(n), each octave of n costs the same, and brings the same variance. */
+static double wanted_survival(const core_mc_request *request, double weight, double n) {
+  const double by_weight = weight / request->roulette_weight;
+  const double by_length = sqrt(LONG_PATH * forward_scatterings(request) / n);
+  return real_max(real_min(by_weight, 1) * real_min(by_length, 1), SURVIVAL_MIN);
+}
+
+static double largest_albedo(const core_mc_plan *plan, const double *values) {
+  size_t largest = 0;
+  for (size_t k = 1; k < plan->albedos; k++) {
+    largest = plan->request.albedo[k] > plan->request.albedo[largest] ? k : largest;
+  }
+  return values[largest];
+}
+
+/* Each collision of the first ones begins a stage, later every 32nd part of a path so far. */
+static uint32_t next_stage(uint32_t first) {
+  return first + (first < 64 ? 1 : first / 32);
+}
+
+static void prepare_stages(core_mc_plan *plan) {
+  double power[CORE_MC_ALBEDOS_MAX];
+  plan->stage[0] = (mc_stage){1, MC_SURVIVAL_ONE, 1};
+  plan->stages = 1;
+  for (uint32_t n = 2; n < plan->request.scatterings_max; n = next_stage(n)) {
+    assert(plan->stages < MC_STAGES_MAX);
+    mc_powers(plan, n - 1, power);
+    const double S = wanted_survival(&plan->request, largest_albedo(plan, power), n);
+    const uint32_t survival = (uint32_t)(S * MC_SURVIVAL_ONE);
+    plan->stage[plan->stages++] = (mc_stage){n, survival, (double)MC_SURVIVAL_ONE / survival};
+  }
+}
+
+static void prepare_stage_energies(core_mc_plan *plan, size_t k) {
+  const double albedo = plan->request.albedo[k];
+  mc_stage_energy now = {.weight = albedo, .absorbed = 1 - albedo, .added = 0};
+  double weight_max = now.weight;
+  plan->stage_energy[0][k] = now;
+  for (size_t j = 1; j < plan->stages; j++) {
+    double power[CORE_MC_ALBEDOS_MAX];
+    mc_powers(plan, plan->stage[j].first, power);
+    const double gain_before = plan->stage[j - 1].gain;
+    now.absorbed += gain_before * (now.weight - power[k]);
+    now.weight = power[k];
+    now.added += now.weight * (plan->stage[j].gain - gain_before);
+    weight_max = real_max(weight_max, now.weight * plan->stage[j].gain);
+    plan->stage_energy[j][k] = now;
+  }
+  plan->weight_max[k] = weight_max;
+}
+
+/* ---- tables -----------------------------------------------------------------------------------
+ */
+
+static void prepare_powers(core_mc_plan *plan, size_t k) {
+  double base = plan->request.albedo[k];
+  for (int digit = 0; digit < MC_DIGITS; digit++) {
+    double power = 1;
+    for (int value = 0; value < MC_DIGIT_VALUES; value++) {
+      plan->power[digit][value][k] = power;
+      power *= base;
+    }
+    base = power;
+  }
+}
+
+static void prepare_stage_table(core_mc_plan *plan) {
+  size_t stage = 0;
+  for (uint32_t n = 1; n < MC_STAGE_TABLE; n++) {
+    while (stage + 1 < plan->stages && plan->stage[stage + 1].first <= n) {
+      stage++;
+    }
+    plan->stage_table[n] = (uint16_t)stage;
+  }
+}
+
+static void prepare_edges(core_mc_plan *plan) {
+  double *edges = plan->edges_squared_mfp2;
+  const size_t count = (size_t)plan->request.edges.count;
+  core_grid_radii_f64(&plan->request.edges, 0, count, edges);
+  for (size_t i = 0; i < count; i++) {
+    edges[i] *= plan->request.sigma_t_per_mm;
+    edges[i] *= edges[i];
+  }
+}
+
+size_t mc_stage_of(const core_mc_plan *plan, uint32_t collisions) {
+  if (collisions < MC_STAGE_TABLE) {
+    return plan->stage_table[collisions];
+  }
+  size_t low = 0;
+  for (size_t n = plan->stages; n > 1;) {
+    const size_t half = n / 2;
+    low = plan->stage[low + half].first <= collisions ? low + half : low;
+    n -= half;
+  }
+  return low;
+}
+
+uint32_t mc_last_collision(const core_mc_plan *plan, uint32_t chance) {
+  /* The last stage that it lives to see; the first one's survival is never drawn. */
+  size_t low = 0;
+  for (size_t n = plan->stages; n > 1;) {
+    const size_t half = n / 2;
+    low = plan->stage[low + half].survival > chance ? low + half : low;
+    n -= half;
+  }
+  return low + 1 < plan->stages ? plan->stage[low + 1].first : plan->request.scatterings_max;
+}
+
+size_t mc_slot_of(const core_mc_plan *plan, double r_squared_mfp2) {
+  const double *edges = plan->edges_squared_mfp2;
+  size_t below = 0; /* edges */
+  for (size_t n = plan->slots - 1; n > 0;) {
+    const size_t half = n - n / 2;
+    below = edges[below + half - 1] <= r_squared_mfp2 ? below + half : below;
+    n -= half;
+  }
+  return below;
+}
+
+/* ---- plans ------------------------------------------------------------------------------------
+ */
+
+core_mc_plan *core_mc_plan_create(const core_mc_request *request) {
+  assert(core_mc_check(request).field == NULL);
+  core_mc_plan *plan = calloc(1, sizeof *plan);
+  if (plan == NULL) {
+    return NULL;
+  }
+  plan->request = *request;
+  fill_in_defaults(&plan->request);
+  plan->albedos = request->albedo_count;
+  plan->slots = (size_t)request->edges.count + 1;
+  prepare_walk(plan);
+  for (size_t k = 0; k < plan->albedos; k++) {
+    prepare_powers(plan, k);
+  }
+  prepare_stages(plan);
+  for (size_t k = 0; k < plan->albedos; k++) {
+    prepare_stage_energies(plan, k);
+  }
+  prepare_stage_table(plan);
+  prepare_edges(plan);
+  plan->walks = plan->scattered_or_absorbed > 0 && largest_albedo(plan, plan->request.albedo) > 0;
+  return plan;
+}
+
+void core_mc_plan_free(core_mc_plan *plan) {
+  free(plan);
+}
+
+const core_mc_request *core_mc_plan_request(const core_mc_plan *plan) {
+  return &plan->request;
+}

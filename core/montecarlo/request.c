@@ -1,0 +1,104 @@
+/* Monte Carlo requests, checked. */
+#include <assert.h>
+#include <math.h>
+
+#include "core/montecarlo/montecarlo.h"
+
+/* Written so that NaN is out of every range. */
+static bool in_range(double value, double low, double high) {
+  return value >= low && value <= high;
+}
+
+void core_mc_request_medium(core_mc_request *request, const core_medium *medium) {
+  assert(core_medium_check(medium).field == NULL);
+  request->sigma_t_per_mm = medium->sigma_a_per_mm + medium->sigma_s_per_mm;
+  request->g = medium->g;
+  request->eta = medium->eta;
+  request->albedo_count = 1;
+  request->albedo[0] = medium->sigma_s_per_mm / request->sigma_t_per_mm;
+}
+
+static core_fault check_medium(const core_mc_request *request) {
+  if (!in_range(request->sigma_t_per_mm, CORE_SIGMA_T_PRIME_MIN_PER_MM,
+                2 * CORE_SIGMA_MAX_PER_MM)) {
+    return (core_fault){"sigma_t", "1e-15 to 2e15 per mm", 0};
+  }
+  if (!in_range(request->g, -CORE_MC_G_MAX, CORE_MC_G_MAX)) {
+    return (core_fault){"g", "-0.9999 to 0.9999: directions are in single precision", 0};
+  }
+  if (!in_range(request->eta, CORE_ETA_MIN, CORE_ETA_MAX)) {
+    return (core_fault){"eta", "0.001 to 1000", 0};
+  }
+  const double thickness_mfp = request->thickness_mm * request->sigma_t_per_mm;
+  if (!(request->thickness_mm == 0 || thickness_mfp >= CORE_MC_THICKNESS_MIN_MFP)) {
+    return (core_fault){"thickness", "0, at least 1e-6 mean free paths, or infinity", 0};
+  }
+  if (request->albedo_count < 1 || request->albedo_count > CORE_MC_ALBEDOS_MAX) {
+    return (core_fault){"albedo_count", "1 to 16", 0};
+  }
+  for (size_t i = 0; i < request->albedo_count; i++) {
+    if (!in_range(request->albedo[i], 0, 1)) {
+      return (core_fault){"albedo", "0 to 1", i};
+    }
+  }
+  return (core_fault){0};
+}
+
+/* Each ring is looked at, in the edges' own rounding, so that none is empty. */
+static core_fault check_ring_widths(const core_grid *edges) {
+  enum { SLICE = 64 };
+  double r_mm[SLICE + 1];
+  for (uint64_t first = 0; first + 1 < edges->count; first += SLICE) {
+    const uint64_t left = edges->count - first;
+    const size_t n = left < SLICE + 1 ? (size_t)left : SLICE + 1;
+    core_grid_radii_f64(edges, first, n, r_mm);
+    for (size_t i = 0; i + 1 < n; i++) {
+      if (!(r_mm[i + 1] - r_mm[i] > CORE_MC_RING_WIDTH_MIN * r_mm[i])) {
+        return (core_fault){"radius_stop", "rings wider than 1e-6 of their radius", 0};
+      }
+    }
+  }
+  return (core_fault){0};
+}
+
+static core_fault check_edges(const core_mc_request *request) {
+  const core_grid *edges = &request->edges;
+  const bool logarithmic = edges->spacing == CORE_SPACING_LOGARITHMIC;
+  if (!logarithmic && edges->spacing != CORE_SPACING_LINEAR) {
+    return (core_fault){"radius_spacing", "linear or logarithmic", 0};
+  }
+  if (edges->count < 2 || edges->count > CORE_MC_RINGS_MAX + 1) {
+    return (core_fault){"radius_count", "2 to 4097 edges of rings", 0};
+  }
+  const core_fault fault = core_grid_check(edges);
+  if (fault.field != NULL) {
+    return fault;
+  }
+  if (logarithmic && !(edges->start_mm * request->sigma_t_per_mm >= CORE_MC_RADIUS_MIN_MFP)) {
+    return (core_fault){"radius_start", "at least 1e-8 mean free paths (logarithmic)", 0};
+  }
+  if (!(edges->stop_mm * request->sigma_t_per_mm <= CORE_MC_RADIUS_MAX_MFP &&
+        edges->stop_mm * request->sigma_t_per_mm >= CORE_MC_RADIUS_MIN_MFP)) {
+    return (core_fault){"radius_stop", "1e-8 to 1e12 mean free paths", 0};
+  }
+  return check_ring_widths(edges);
+}
+
+core_fault core_mc_check(const core_mc_request *request) {
+  core_fault fault = check_medium(request);
+  if (fault.field == NULL) {
+    fault = check_edges(request);
+  }
+  if (fault.field != NULL) {
+    return fault;
+  }
+  if (request->roulette_weight != 0 &&
+      !in_range(request->roulette_weight, CORE_MC_ROULETTE_WEIGHT_MIN, 1)) {
+    return (core_fault){"roulette_weight", "1e-6 to 1, or 0 for the default", 0};
+  }
+  if (request->scatterings_max != 0 &&
+      (request->scatterings_max < 2 || request->scatterings_max > CORE_MC_SCATTERINGS_MAX)) {
+    return (core_fault){"scatterings_max", "2 to 2^30, or 0 for the default", 0};
+  }
+  return (core_fault){0};
+}

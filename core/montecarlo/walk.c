@@ -1,0 +1,295 @@
+/* The walk, compiled for each instruction set: one scattering and one flight of every lane.
+ *
+ * A flight is a whole event in one go, whatever boundaries it meets. Under a plane boundary, a
+ * photon that is reflected flies on as its mirror image, and in a half space it cannot come back in
+ * the same flight. In a slab all reflections of one flight are at the same angle, so the number of
+ * those that it survives is drawn at once, from the geometric distribution, and the path unfolds
+ * into a straight line. So no lane ever waits for another.
+ *
+ * Each event draws four words from Philox, with the counter (collisions, photon, kind of event):
+ * deflection, azimuth, path, reflection.
+ */
+#include "core/montecarlo/walk.h"
+
+#include "core/kernels.h"
+#include "core/montecarlo/lane_math.h"
+
+/* The last word of the counter. */
+enum { EVENT_SCATTERING = 0, EVENT_LAUNCH = 1 };
+
+struct vector {
+  float x;
+  float y;
+  float z;
+};
+
+/* ---- scattering -------------------------------------------------------------------------------
+ */
+
+/* Henyey and Greenstein 1941. With u uniform from (-1, 1), the mean cosine is g when
+ *
+ *   cos(theta) = [1 + g^2 - ((1 - g^2) / (1 + g u))^2] / (2 g)
+ *
+ * which cancels for small g and for g near 1. With w = (1 + u) / 2, v = 1 - w, D = 1 - g + 2 g w:
+ *
+ *   1 - cos = 2 (1 - g)^2 v (1 + g w) / D^2
+ *   1 + cos = 2 (1 + g)^2 w (1 - g + g w) / D^2
+ *
+ * sums of positive terms for g >= 0; g < 0 is the mirror image. */
+struct deflection {
+  float cosine;
+  float sine;
+};
+
+static inline struct deflection deflect(const walk_medium *m, lane_uniform u) {
+  const float inverse = 1.0f / (m->one_minus_g + 2.0f * m->g_size * u.w);
+  const float near = m->one_minus_g * inverse;
+  const float far = m->one_plus_g * inverse;
+  const float one_minus = 2.0f * near * near * u.v * (1.0f + m->g_size * u.w);
+  const float one_plus = 2.0f * far * far * u.w * (m->one_minus_g + m->g_size * u.w);
+  return (struct deflection){
+      .cosine = m->g_sign * (0.5f * (one_plus - one_minus)),
+      .sine = sqrtf(one_plus * one_minus),
+  };
+}
+
+static inline struct vector isotropic(lane_uniform u, lane_direction azimuth) {
+  const float sine = 2.0f * sqrtf(u.v * u.w);
+  return (struct vector){sine * azimuth.cosine, sine * azimuth.sine, u.w - u.v};
+}
+
+/* The direction turned by the deflection, in the frame of T. Duff et al., "Building an Orthonormal
+ * Basis, Revisited", 2017. Its length is brought back to 1 by a step of Newton's method, so that
+ * rounding does not add up over the walk. */
+static inline struct vector turn(struct vector u, struct deflection by, lane_direction azimuth) {
+  const float sign = lane_float((lane_bits(u.z) & UINT32_C(0x80000000)) | lane_bits(1.0f));
+  const float a = -1.0f / (sign + u.z);
+  const float b = u.x * u.y * a;
+  const float p = by.sine * azimuth.cosine;
+  const float q = by.sine * azimuth.sine;
+  const float x = p * (1.0f + sign * u.x * u.x * a) + q * b + by.cosine * u.x;
+  const float y = p * (sign * b) + q * (sign + u.y * u.y * a) + by.cosine * u.y;
+  const float z = by.cosine * u.z - (p * sign * u.x + q * u.y);
+  const float scale = 1.5f - 0.5f * (x * x + y * y + z * z);
+  return (struct vector){x * scale, y * scale, z * scale};
+}
+
+/* ---- the boundary -----------------------------------------------------------------------------
+ */
+
+/* Fresnel's equations for unpolarized light, with the cosines ci inside and ct outside:
+ *
+ *   F = [((eta ci - ct) / (eta ci + ct))^2 + ((eta ct - ci) / (eta ct + ci))^2] / 2
+ */
+struct fresnel {
+  float s_difference;
+  float s_sum;
+  float p_difference;
+  float p_sum;
+  lane_mask total; /* reflection */
+};
+
+static inline struct fresnel fresnel_amplitudes(const walk_medium *m, struct vector u) {
+  const float sine_squared = u.x * u.x + u.y * u.y;
+  const float measured = lane_select(m->by_sine, sine_squared, u.z * u.z);
+  const float ct_squared = m->cosine_constant + m->cosine_factor * measured;
+  const lane_mask total = lane_mask_if(ct_squared <= 0.0f);
+  const float ct = sqrtf(lane_select(total, 0.0f, ct_squared));
+  const float ci = fabsf(u.z);
+  return (struct fresnel){
+      .s_difference = m->eta * ci - ct,
+      .s_sum = m->eta * ci + ct,
+      .p_difference = m->eta * ct - ci,
+      .p_sum = m->eta * ct + ci,
+      .total = total,
+  };
+}
+
+/* chance < F, without a division. */
+static inline lane_mask is_reflected(struct fresnel f, float chance) {
+  const float s = f.s_difference * f.p_sum;
+  const float p = f.p_difference * f.s_sum;
+  const float both = f.s_sum * f.p_sum;
+  return f.total | lane_mask_if(2.0f * chance * (both * both) < s * s + p * p);
+}
+
+/* -ln(F), at most 60; 0 for total reflection. */
+static inline float minus_log_reflectance(struct fresnel f) {
+  const float s = f.s_difference / f.s_sum;
+  const float p = f.p_difference / f.p_sum;
+  const float reflectance = 0.5f * (s * s + p * p);
+  const lane_mask visible = lane_mask_if(reflectance > 0x1p-86f);
+  const float bounded = lane_select(visible, reflectance, 0x1p-86f);
+  const float log = lane_minus_log(1.0f - bounded, bounded);
+  return lane_select(f.total, 0.0f, log);
+}
+
+/* ---- flights ----------------------------------------------------------------------------------
+ */
+
+/* How a flight ends. */
+struct landing {
+  float z;
+  float uz;
+  float way; /* to the boundary, when it leaves */
+  lane_mask leaves;
+  uint32_t fate; /* when it leaves */
+};
+
+#define REFLECTIONS_MAX 0x1p30f /* more than any flight meets */
+
+static inline struct landing land_in_half_space(const walk_medium *m, float z, struct vector u,
+                                                float path, lane_uniform chance) {
+  const float below = z + u.z * path;
+  const lane_mask crosses = lane_mask_if(below < 0.0f);
+  const lane_mask reflected = is_reflected(fresnel_amplitudes(m, u), chance.v);
+  const lane_mask leaves = crosses & ~reflected;
+  return (struct landing){
+      .z = lane_select(leaves, z, fabsf(below)),
+      .uz = lane_select(crosses, fabsf(u.z), u.z),
+      .way = -z / u.z,
+      .leaves = leaves,
+      .fate = WALK_REFLECTED,
+  };
+}
+
+/* How many times a photon that meets the boundaries at this angle is reflected until it leaves: n
+ * or more with the probability F^n. */
+static inline int32_t reflections(const walk_medium *m, struct vector u, lane_uniform chance) {
+  const float log_chance = lane_minus_log(chance.w, chance.v);
+  const float log_reflectance = minus_log_reflectance(fresnel_amplitudes(m, u));
+  const lane_mask endless = lane_mask_if(log_chance >= REFLECTIONS_MAX * log_reflectance);
+  return (int32_t)lane_select(endless, REFLECTIONS_MAX, log_chance / log_reflectance);
+}
+
+/* The first boundary is `ahead` away, measured along z; the path goes `beyond` it, and meets it
+ * and, in turn, the opposite one, `turns` times more. */
+static inline struct landing land_in_slab(const walk_medium *m, float z, struct vector u,
+                                          float path, lane_uniform chance) {
+  const float speed = fabsf(u.z);
+  const lane_mask up = lane_mask_if(u.z < 0.0f);
+  const float ahead = lane_select(up, z, m->thickness - z);
+  const float beyond = speed * path - ahead;
+  const lane_mask crosses = lane_mask_if(beyond > 0.0f);
+  const float beyond_it = lane_select(crosses, beyond, 0.0f);
+  const uint32_t turns = (uint32_t)(int32_t)(beyond_it / m->thickness);
+  const uint32_t survived = (uint32_t)reflections(m, u, chance);
+  const lane_mask leaves = crosses & lane_mask_if((int32_t)survived <= (int32_t)turns);
+
+  const lane_mask even_turns = (turns & 1) - 1;
+  const lane_mask last_above = up ^ ~even_turns;
+  const lane_mask leaves_above = up ^ -(survived & 1);
+  const float rest = beyond_it - (float)(int32_t)turns * m->thickness;
+  const float least = lane_select(lane_mask_if(rest > 0.0f), rest, 0.0f);
+  const float inside = lane_select(lane_mask_if(least < m->thickness), least, m->thickness);
+  const float folded = lane_select(last_above, inside, m->thickness - inside);
+  const float landed = lane_select(crosses, folded, z + u.z * path);
+  return (struct landing){
+      .z = lane_select(leaves, z, landed),
+      .uz = lane_select(crosses & even_turns, -u.z, u.z),
+      .way = (ahead + (float)(int32_t)survived * m->thickness) / speed,
+      .leaves = leaves,
+      .fate = lane_choose(leaves_above, WALK_REFLECTED, WALK_TRANSMITTED),
+  };
+}
+
+/* ---- all lanes --------------------------------------------------------------------------------
+ */
+
+/* Four random words for each lane. A loop of its own: its numbers are twice as wide as those of the
+ * walk. */
+typedef struct random_words {
+  uint32_t word[4][WALK_LANES];
+} random_words;
+
+static inline void draw(const walk_medium *m, size_t lanes, const uint32_t *restrict c0,
+                        const uint32_t *restrict c1, uint32_t c2, uint32_t c3,
+                        random_words *restrict random) {
+  const uint32_t key[2] = {m->key[0], m->key[1]};
+  for (size_t i = 0; i < lanes; i++) {
+    const uint32_t counter[4] = {c0[i], c1[i], c2, c3};
+    const lane_random drawn = lane_philox(counter, key);
+    random->word[0][i] = drawn.word[0];
+    random->word[1][i] = drawn.word[1];
+    random->word[2][i] = drawn.word[2];
+    random->word[3][i] = drawn.word[3];
+  }
+}
+
+/* is_isotropic and is_slab repeat the medium's, as constants: each combination is a loop of its
+ * own. */
+static inline __attribute__((always_inline)) void step(const walk_medium *medium, uint32_t high,
+                                                       size_t lanes, walk_lanes *restrict w,
+                                                       bool is_isotropic, bool is_slab) {
+  const walk_medium m = *medium;
+  const size_t whole_groups = lanes & ~(size_t)(WALK_GROUP - 1);
+  random_words random;
+  draw(&m, whole_groups, w->collisions, w->photon, high, EVENT_SCATTERING, &random);
+  for (size_t i = 0; i < whole_groups; i++) {
+    const lane_uniform deflection = lane_uniform_from(random.word[0][i]);
+    const lane_direction azimuth = lane_azimuth(random.word[1][i]);
+    const lane_uniform flight = lane_uniform_from(random.word[2][i]);
+    const lane_uniform chance = lane_uniform_from(random.word[3][i]);
+
+    const struct vector before = {w->ux[i], w->uy[i], w->uz[i]};
+    const struct vector u = is_isotropic ? isotropic(deflection, azimuth)
+                                         : turn(before, deflect(&m, deflection), azimuth);
+    const float path = lane_minus_log(flight.v, flight.w);
+    const struct landing landing = is_slab ? land_in_slab(&m, w->z[i], u, path, chance)
+                                           : land_in_half_space(&m, w->z[i], u, path, chance);
+    const float flown = lane_select(landing.leaves, 0.0f, path);
+    const uint32_t collisions = w->collisions[i] + (~landing.leaves & 1);
+    const lane_mask ended = lane_mask_if(collisions == w->last[i]);
+    w->x[i] += u.x * flown;
+    w->y[i] += u.y * flown;
+    w->z[i] = landing.z;
+    w->ux[i] = u.x;
+    w->uy[i] = u.y;
+    w->uz[i] = landing.uz;
+    w->way[i] = landing.way;
+    w->collisions[i] = collisions;
+    w->fate[i] = lane_choose(landing.leaves, landing.fate, ended & WALK_ENDED);
+  }
+}
+
+static void step_any(const walk_medium *medium, uint32_t high, size_t lanes, walk_lanes *walk) {
+  if (medium->isotropic) {
+    if (medium->slab) {
+      step(medium, high, lanes, walk, true, true);
+    } else {
+      step(medium, high, lanes, walk, true, false);
+    }
+  } else if (medium->slab) {
+    step(medium, high, lanes, walk, false, true);
+  } else {
+    step(medium, high, lanes, walk, false, false);
+  }
+}
+
+static void launch(const walk_medium *medium, uint64_t first, walk_launch *restrict launched) {
+  const walk_medium m = *medium;
+  uint32_t photon[WALK_LANES];
+  uint32_t collisions[WALK_LANES];
+  random_words random;
+  for (uint32_t i = 0; i < WALK_LANES; i++) {
+    photon[i] = (uint32_t)first + i;
+    collisions[i] = 0;
+  }
+  draw(&m, WALK_LANES, collisions, photon, (uint32_t)(first >> 32), EVENT_LAUNCH, &random);
+  for (size_t i = 0; i < WALK_LANES; i++) {
+    const lane_uniform depth = lane_uniform_from(random.word[0][i]);
+    const lane_uniform side = lane_uniform_from(random.word[1][i]);
+    const float z = lane_minus_log(depth.v * m.first_share, m.first_rest + depth.w * m.first_share);
+    const lane_mask turned = lane_mask_if(side.v < m.first_turned);
+    launched->z[i] = lane_select(turned, m.thickness - z, z);
+    launched->uz[i] = lane_select(turned, -1.0f, 1.0f);
+    launched->chance[i] = random.word[2][i] >> 1;
+  }
+}
+
+#define WALK_PASTE_(a, b) a##b
+#define WALK_PASTE(a, b) WALK_PASTE_(a, b)
+
+/* The one symbol that this object exports. */
+extern const walk_functions WALK_PASTE(walk_functions_, CORE_ISA);
+const walk_functions WALK_PASTE(walk_functions_, CORE_ISA) = {launch, step_any};

@@ -1,0 +1,587 @@
+/* Models against numbers that other programs published, against independent ways to the same number
+ * (adaptive quadrature of the formulas as papers print them, sums over poles), and against each
+ * other. The dipole family has its own test, test_dipole.c.
+ */
+#include <gsl/gsl_errno.h>
+#include <gsl/gsl_integration.h>
+#include <math.h>
+
+#include "tests/unit/unit.h"
+
+static const double pi = 3.14159265358979323846;
+
+/* ---- evaluating ------------------------------------------------------------------------------ */
+
+static core_parameters with(enum core_parameter parameter, double value) {
+  core_parameters parameters = core_parameters_none();
+  parameters.value[parameter] = value;
+  return parameters;
+}
+
+static core_profile prepared(unsigned model, unsigned moments, core_medium medium,
+                             const core_parameters *parameters) {
+  core_profile profile;
+  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model, moments,
+                                         CORE_EVALUATOR_F64, &medium, parameters),
+                    NULL, 0);
+  return profile;
+}
+
+static double value_of(const core_profile *profile, enum core_quantity quantity, double r) {
+  double value;
+  core_eval_f64(profile, quantity, 1, &r, &value);
+  return value;
+}
+
+static double R_of(unsigned model, unsigned moments, core_medium medium, double r) {
+  core_profile profile = prepared(model, moments, medium, NULL);
+  const double R = value_of(&profile, CORE_QUANTITY_R, r);
+  core_profile_free(&profile);
+  return R;
+}
+
+static double albedo_of(unsigned model, core_medium medium, const core_parameters *parameters) {
+  core_profile profile = prepared(model, CORE_MOMENTS_EXACT, medium, parameters);
+  const double albedo = profile.albedo;
+  core_profile_free(&profile);
+  return albedo;
+}
+
+static void assert_near(double value, double truth, double relative, const char *what) {
+  if (!(fabs(value - truth) <= relative * fabs(truth))) {
+    fail_msg("%s is %.12g, not %.12g: off by %.3g", what, value, truth, value / truth - 1);
+  }
+}
+
+/* sigma_t' = 1 per mm. */
+static core_medium medium_of_ratio(double ratio, double eta) {
+  return (core_medium){ratio / (1 + ratio), 1 / (1 + ratio), 0, eta};
+}
+
+/* ---- published numbers ----------------------------------------------------------------------- */
+
+/* A renderer's source converged, with that renderer's moments; seven digits. */
+static void the_extended_source_has_its_converged_values(void **state) {
+  (void)state;
+  static const struct {
+    double albedo;
+    double extended;
+    double beam;
+  } rows[] = {{0.2, 2.697834e-4, 2.569131e-4},
+              {0.9, 1.329963e-2, 1.266623e-2},
+              {0.99, 2.248571e-2, 2.145104e-2}};
+  for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
+    const core_medium medium = {1 - rows[i].albedo, rows[i].albedo, 0, 1.33};
+    assert_near(R_of(CORE_MODEL_EXTENDED, CORE_MOMENTS_PBRT, medium, 1), rows[i].extended, 4e-7,
+                "extended");
+    assert_near(R_of(CORE_MODEL_BEAM, CORE_MOMENTS_PBRT, medium, 1), rows[i].beam, 4e-7, "beam");
+  }
+}
+
+static void burley_has_its_published_points(void **state) {
+  (void)state;
+  static const struct {
+    int i;
+    double x;
+  } rows[] = {{1, 0.00195631}, {2, 0.00391517}, {10, 0.0196787}, {100, 0.209296}};
+  core_profile profile =
+      prepared(CORE_MODEL_BURLEY, CORE_MOMENTS_EXACT, (core_medium){0.02, 0.8, 0, 1.3}, NULL);
+  const double d = 1 / (2 * value_of(&profile, CORE_QUANTITY_PDF, 0));
+  for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
+    const double u = rows[i].i / 1023.0;
+    double r;
+    core_sample_f64(&profile, 1, &u, &r);
+    assert_near(r / d, rows[i].x, 3e-6, "Burley's inverse");
+  }
+}
+
+/* R, A and d in the published formulas. */
+static void burley_follows_its_formulas(void **state) {
+  (void)state;
+  const core_medium medium = {0.02, 0.8, 0, 1.3};
+  const double mfp = 1 / 0.82;
+  const double mu = 0.82 * sqrt(3 * (0.02 / 0.82) / (1 + 0.02 / 0.82));
+  for (double A = 0.05; A < 1; A += 0.1) {
+    const double d[3] = {mfp / (1.85 - A + 7 * pow(fabs(A - 0.8), 3)),
+                         mfp / (1.9 - A + 3.5 * (A - 0.8) * (A - 0.8)),
+                         1 / (mu * (3.5 + 100 * pow(A - 0.33, 4)))};
+    const core_parameters parameters = with(CORE_PARAMETER_SURFACE_ALBEDO, A);
+    for (unsigned variant = 0; variant < 3; variant++) {
+      core_profile profile =
+          prepared(CORE_MODEL_BURLEY + variant, CORE_MOMENTS_EXACT, medium, &parameters);
+      const double r = 0.7;
+      const double x = r / d[variant];
+      assert_near(value_of(&profile, CORE_QUANTITY_R, r),
+                  A * (exp(-x) + exp(-x / 3)) / (8 * pi * d[variant] * r), 1e-13, "Burley's R");
+      assert_near(value_of(&profile, CORE_QUANTITY_CDF, r), 1 - exp(-x) / 4 - 3 * exp(-x / 3) / 4,
+                  1e-12, "Burley's cdf");
+      assert_true(profile.albedo == A);
+    }
+  }
+}
+
+static void skin_is_the_published_sum(void **state) {
+  (void)state;
+  core_profile red =
+      prepared(CORE_MODEL_SKIN_RED, CORE_MOMENTS_EXACT, (core_medium){1, 1, 0, 1.3}, NULL);
+  assert_near(red.albedo, 1, 1e-15, "the sum of the weights");
+  static const double v[] = {0.0064, 0.0484, 0.187, 0.567, 1.99, 7.41};
+  static const double w[] = {0.233, 0.100, 0.118, 0.113, 0.358, 0.078};
+  for (double r = 0; r < 8; r += 0.37) {
+    double sum = 0;
+    for (int i = 0; i < 6; i++) {
+      sum += w[i] * exp(-r * r / (2 * v[i])) / (2 * pi * v[i]);
+    }
+    assert_near(value_of(&red, CORE_QUANTITY_R, r), sum, 1e-14, "skin");
+  }
+  core_profile_free(&red);
+}
+
+/* Index matched, a = 0.9, in mean free paths; exact. */
+static void single_scattering_has_its_published_values(void **state) {
+  (void)state;
+  static const double rows[][2] = {{0.1, .42742248}, {1, 4.7113124e-3}, {10, 2.4556137e-9}};
+  for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
+    assert_near(
+        R_of(CORE_MODEL_SINGLE, CORE_MOMENTS_EXACT, (core_medium){0.1, 0.9, 0, 1}, rows[i][0]),
+        rows[i][1], 2e-8, "single scattering");
+  }
+}
+
+/* The column `single` of ../shared/vectors/transport.csv, where it is there. */
+static void single_scattering_agrees_with_transport(void **state) {
+  (void)state;
+  char *text = unit_read_file("../shared/vectors/transport.csv");
+  if (text == NULL) {
+    printf("skipped: ../shared/vectors/transport.csv is not there\n");
+    return;
+  }
+  size_t rows = 0;
+  double worst = 0;
+  for (char *line = strtok(text, "\n"); line != NULL; line = strtok(NULL, "\n")) {
+    double ratio, eta, a, total, r, R, single;
+    if (sscanf(line, "%lf,%lf,%lf,%lf,%lf,%lf,%lf", &ratio, &eta, &a, &total, &r, &R, &single) ==
+        7) {
+      const double value =
+          R_of(CORE_MODEL_SINGLE, CORE_MOMENTS_EXACT, (core_medium){1 - a, a, 0, eta}, r);
+      worst = fmax(worst, fabs(value / single - 1));
+      assert_near(value, single, 1e-7, "single scattering");
+      rows++;
+    }
+  }
+  free(text);
+  printf("%zu rows of transport.csv, worst %.2g\n", rows, worst);
+  assert_true(rows >= 1000);
+}
+
+/* ---- adaptive quadrature of the formulas as they are printed --------------------------------- */
+
+struct source {
+  double x;
+  double mu, zb, diffusion, c_phi, c_flux;
+  bool kappa;
+};
+
+static double source_at(double t, void *context) {
+  const struct source *s = context;
+  const double z = s->x * sinh(t);
+  const double zv = z + 2 * s->zb;
+  const double dr = s->x * cosh(t);
+  const double dv = hypot(s->x, zv);
+  const double phi = (exp(-s->mu * dr) / dr - exp(-s->mu * dv) / dv) / s->diffusion;
+  const double flux = z * (1 + s->mu * dr) * exp(-s->mu * dr) / (dr * dr * dr) +
+                      zv * (1 + s->mu * dv) * exp(-s->mu * dv) / (dv * dv * dv);
+  const double kappa = s->kappa ? -expm1(-2 * (dr + z)) : 1;
+  return exp(-z) * kappa * (s->c_phi * phi + s->c_flux * flux) * dr;
+}
+
+/* R at x mean free paths, sigma_t' = 1. */
+static double quadrature(core_medium medium, double x, bool kappa,
+                         gsl_integration_workspace *work) {
+  const core_fresnel fresnel = core_fresnel_moments(CORE_MOMENTS_EXACT, medium.eta);
+  const double sigma_a = medium.sigma_a_per_mm;
+  const double diffusion = (2 * sigma_a + medium.sigma_s_per_mm) / 3;
+  struct source source = {
+      .x = x,
+      .mu = sqrt(sigma_a / diffusion),
+      .zb = 2 * (2 - fresnel.one_minus_3c2) / fresnel.one_minus_2c1 * diffusion,
+      .diffusion = diffusion,
+      .c_phi = fresnel.one_minus_2c1 / 4,
+      .c_flux = fresnel.one_minus_3c2 / 2,
+      .kappa = kappa,
+  };
+  gsl_function f = {source_at, &source};
+  double integral, error;
+  gsl_integration_qag(&f, 0, asinh(50 / x), 0, 1e-11, 2000, GSL_INTEG_GAUSS31, work, &integral,
+                      &error);
+  return medium.sigma_s_per_mm * medium.sigma_s_per_mm * integral / (4 * pi);
+}
+
+static void extended_and_beam_agree_with_adaptive_quadrature(void **state) {
+  (void)state;
+  static const double ratios[] = {0, 1e-4, 1e-2, 1, 10};
+  static const double etas[] = {0.3, 0.75, 1, 1.3, 2, 5};
+  gsl_integration_workspace *work = gsl_integration_workspace_alloc(2000);
+  double worst = 0;
+  for (size_t i = 0; i < sizeof ratios / sizeof ratios[0]; i++) {
+    for (size_t e = 0; e < sizeof etas / sizeof etas[0]; e++) {
+      const core_medium medium = medium_of_ratio(ratios[i], etas[e]);
+      for (double x = 1e-4; x < 40; x *= 3) {
+        for (int kappa = 0; kappa < 2; kappa++) {
+          const double truth = quadrature(medium, x, kappa, work);
+          const double value =
+              R_of(kappa ? CORE_MODEL_BEAM : CORE_MODEL_EXTENDED, CORE_MOMENTS_EXACT, medium, x);
+          worst = fmax(worst, fabs(value / truth - 1));
+          assert_near(value, truth, 1e-10, kappa ? "beam" : "extended");
+        }
+      }
+    }
+  }
+  gsl_integration_workspace_free(work);
+  printf("worst difference to adaptive quadrature %.2g\n", worst);
+}
+
+/* The integral over depth as it is printed, with the Fresnel reflectance from its definition. */
+struct beam {
+  core_medium medium;
+  double r;
+};
+
+static double depth_integrand(double t, void *context) {
+  const struct beam *beam = context;
+  const double eta = beam->medium.eta;
+  const double g = beam->medium.g;
+  const double sigma_t = beam->medium.sigma_a_per_mm + beam->medium.sigma_s_per_mm;
+  const double d = hypot(beam->r, t);
+  const double cosine = t / d;
+  const double sine_outside_squared = eta * eta * (1 - cosine * cosine);
+  if (sine_outside_squared >= 1) {
+    return 0;
+  }
+  const double outside = sqrt(1 - sine_outside_squared);
+  const double s = (eta * cosine - outside) / (eta * cosine + outside);
+  const double p = (cosine - eta * outside) / (cosine + eta * outside);
+  const double phase = (1 - g * g) / (4 * pi * pow(1 + g * g + 2 * g * cosine, 1.5));
+  return beam->medium.sigma_s_per_mm * exp(-sigma_t * (t + d)) * phase *
+         (1 - 0.5 * (s * s + p * p)) * cosine / (d * d);
+}
+
+static void single_scattering_agrees_with_adaptive_quadrature(void **state) {
+  (void)state;
+  static const core_medium media[] = {{.1, .9, 0, 1.33},   {.1, .9, .9, 1.5},  {1, 9, -.8, .75},
+                                      {0, 1, .5, 5},       {0, 1, .5, .2},     {2, 3, .3, 1.001},
+                                      {.5, .5, .99, .999}, {1, 1e-3, -.5, 10}, {1, 1, .7, .1}};
+  gsl_integration_workspace *work = gsl_integration_workspace_alloc(4000);
+  for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
+    const double sigma_t = media[i].sigma_a_per_mm + media[i].sigma_s_per_mm;
+    for (double x = 1e-3; x < 20; x *= 4) {
+      struct beam beam = {media[i], x / sigma_t};
+      gsl_function f = {depth_integrand, &beam};
+      const double eta = media[i].eta;
+      const double from = eta > 1 ? beam.r * sqrt(eta * eta - 1) : 0;
+      /* panels in equal ratios from the critical depth */
+      double sum = 0, low = from;
+      for (double width = 1e-9 * beam.r; width < 60 / sigma_t; width *= 4) {
+        double part, error;
+        gsl_integration_qag(&f, low, from + width, 0, 1e-10, 4000, GSL_INTEG_GAUSS31, work, &part,
+                            &error);
+        sum += part;
+        low = from + width;
+      }
+      assert_near(R_of(CORE_MODEL_SINGLE, CORE_MOMENTS_EXACT, media[i], beam.r), sum, 1e-8,
+                  "single scattering");
+    }
+  }
+  gsl_integration_workspace_free(work);
+}
+
+/* ---- two roads to one number ----------------------------------------------------------------- */
+
+static double quantized_error(const core_medium *medium, double tolerance) {
+  const core_parameters parameters = with(CORE_PARAMETER_TOLERANCE, tolerance);
+  core_profile limit = prepared(CORE_MODEL_EXTENDED, CORE_MOMENTS_EXACT, *medium, NULL);
+  core_profile sum = prepared(CORE_MODEL_QUANTIZED, CORE_MOMENTS_EXACT, *medium, &parameters);
+  const double least = 1e-12 * value_of(&limit, CORE_QUANTITY_R, 0.01);
+  double worst = fabs(sum.albedo / limit.albedo - 1);
+  assert_true(sum.numerical_error >= tolerance && sum.numerical_error < 1.01 * tolerance + 1e-13);
+  for (double r = 1e-3; r < 20.1; r *= 1.11) {
+    const double truth = value_of(&limit, CORE_QUANTITY_R, r);
+    if (truth > least) {
+      worst = fmax(worst, fabs(value_of(&sum, CORE_QUANTITY_R, r) / truth - 1));
+      const double cdf = value_of(&limit, CORE_QUANTITY_CDF, r);
+      worst = fmax(worst, fabs(value_of(&sum, CORE_QUANTITY_CDF, r) / cdf - 1));
+    }
+  }
+  core_profile_free(&limit);
+  core_profile_free(&sum);
+  return worst;
+}
+
+static void quantized_diffusion_keeps_its_tolerance(void **state) {
+  (void)state;
+  static const double ratios[] = {0, 1e-4, 1e-2, 1, 10};
+  static const double etas[] = {0.75, 1, 1.3, 2};
+  static const double tolerances[] = {0.1, 1e-2, 1e-3, 1e-4, 1e-7, 1e-10, 1e-12};
+  for (size_t t = 0; t < sizeof tolerances / sizeof tolerances[0]; t++) {
+    double worst = 0;
+    for (size_t i = 0; i < sizeof ratios / sizeof ratios[0]; i++) {
+      for (size_t e = 0; e < sizeof etas / sizeof etas[0]; e++) {
+        const core_medium medium = medium_of_ratio(ratios[i], etas[e]);
+        worst = fmax(worst, quantized_error(&medium, tolerances[t]));
+      }
+    }
+    printf("quantized at %.0e: worst %.2g of its limit\n", tolerances[t], worst);
+    assert_true(worst <= tolerances[t]);
+  }
+}
+
+/* The multipole as it is printed, with poles from -count to count. */
+static double pole_sum(core_medium medium, double thickness, double r, bool transmitted) {
+  enum { COUNT = 2000 };
+  const core_fresnel fresnel = core_fresnel_moments(CORE_MOMENTS_EXACT, medium.eta);
+  const double diffusion = 1.0 / 3;
+  const double mu = sqrt(medium.sigma_a_per_mm / diffusion);
+  const double zb = 2 * (2 - fresnel.one_minus_2c1) / fresnel.one_minus_2c1 * diffusion;
+  double sum = 0;
+  for (int i = COUNT; i >= -COUNT; i--) {
+    for (int sign = -1; sign <= 1; sign += 2) {
+      const double pole = 2 * i * (thickness + 2 * zb) + (sign > 0 ? 1 : -1 - 2 * zb);
+      const double z = transmitted ? thickness - pole : pole;
+      const double d = hypot(r, z);
+      sum += sign * z * (1 + mu * d) * exp(-mu * d) / (d * d * d);
+    }
+  }
+  return medium.sigma_s_per_mm * sum / (4 * pi);
+}
+
+static void slabs_agree_with_the_sum_over_poles(void **state) {
+  (void)state;
+  static const double etas[] = {0.8, 1, 1.4};
+  static const double thicknesses[] = {1.2, 3, 12};
+  for (size_t e = 0; e < 3; e++) {
+    for (size_t d = 0; d < 3; d++) {
+      const core_medium medium = medium_of_ratio(0.03, etas[e]);
+      const core_parameters parameters = with(CORE_PARAMETER_THICKNESS, thicknesses[d]);
+      for (unsigned side = 0; side < 2; side++) {
+        core_profile slab =
+            prepared(CORE_MODEL_MULTIPOLE + side, CORE_MOMENTS_EXACT, medium, &parameters);
+        for (double r = 0; r < 3 * thicknesses[d]; r += 0.31) {
+          assert_near(value_of(&slab, CORE_QUANTITY_R, r),
+                      pole_sum(medium, thicknesses[d], r, side == 1), 1e-9, "slab");
+        }
+        core_profile_free(&slab);
+      }
+    }
+  }
+}
+
+static void a_thick_slab_is_a_half_space(void **state) {
+  (void)state;
+  static const unsigned pairs[][2] = {{CORE_MODEL_MULTIPOLE, CORE_MODEL_CLASSICAL},
+                                      {CORE_MODEL_BETTER_MULTIPOLE, CORE_MODEL_BETTER}};
+  const core_parameters thick = with(CORE_PARAMETER_THICKNESS, 9.9e5);
+  for (size_t i = 0; i < 2; i++) {
+    for (double ratio = 0; ratio<20; ratio = ratio> 0 ? ratio * 100 : 1e-3) {
+      const core_medium medium = medium_of_ratio(ratio, 1.3);
+      core_profile slab = prepared(pairs[i][0], CORE_MOMENTS_EXACT, medium, &thick);
+      core_profile half = prepared(pairs[i][1], CORE_MOMENTS_EXACT, medium, NULL);
+      for (double r = 0; r < 100; r = 1.5 * r + 0.01) {
+        assert_near(value_of(&slab, CORE_QUANTITY_R, r), value_of(&half, CORE_QUANTITY_R, r),
+                    3e-12 * (1 + r), "a thick slab");
+      }
+      assert_near(slab.albedo, half.albedo, ratio > 0 ? 1e-11 : 1e-5, "its albedo");
+      core_profile_free(&slab);
+      core_profile_free(&half);
+    }
+  }
+}
+
+/* What is absorbed, from the diffusion equation across the slab, solved independently:
+ * sigma_a int phi dz with phi = alpha' sinh(mu z<) sinh(mu (L - z>)) / (D mu sinh(mu L)). */
+static double absorbed_in_slab(core_medium medium, double thickness) {
+  const core_fresnel fresnel = core_fresnel_moments(CORE_MOMENTS_EXACT, medium.eta);
+  const double mu = sqrt(3 * medium.sigma_a_per_mm);
+  const double zb = 2 * (2 - fresnel.one_minus_2c1) / fresnel.one_minus_2c1 / 3;
+  const double length = thickness + 2 * zb;
+  const double at = 1 + zb;
+  const double front = cosh(mu * at) - cosh(mu * zb);
+  const double back = cosh(mu * (length - at)) - cosh(mu * zb);
+  return medium.sigma_s_per_mm * (sinh(mu * (length - at)) * front + sinh(mu * at) * back) /
+         sinh(mu * length);
+}
+
+static void a_slab_balances(void **state) {
+  (void)state;
+  for (double ratio = 1e-4; ratio < 20; ratio *= 10) {
+    for (double thickness = 1.1; thickness < 40; thickness *= 2.3) {
+      for (double eta = 0.7; eta < 2.1; eta += 0.35) {
+        const core_medium medium = medium_of_ratio(ratio, eta);
+        const core_parameters parameters = with(CORE_PARAMETER_THICKNESS, thickness);
+        const double reflected = albedo_of(CORE_MODEL_MULTIPOLE, medium, &parameters);
+        const double transmitted = albedo_of(CORE_MODEL_MULTIPOLE_TRANSMITTED, medium, &parameters);
+        assert_near(reflected + transmitted + absorbed_in_slab(medium, thickness),
+                    medium.sigma_s_per_mm, 1e-11, "what leaves and is absorbed");
+      }
+    }
+  }
+}
+
+static void a_slab_names_its_domain(void **state) {
+  (void)state;
+  const core_medium medium = {0.1, 0.9, 0, 1.3};
+  core_parameters parameters = core_parameters_none();
+  static const double bad[] = {(double)NAN, 1.0999, 1.0001e6, 0, -1, INFINITY};
+  for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
+    parameters.value[CORE_PARAMETER_THICKNESS] = bad[i];
+    unit_assert_fault(core_profile_check(CORE_MODEL_MULTIPOLE, CORE_MOMENTS_EXACT,
+                                         CORE_EVALUATOR_F64, &medium, &parameters, NULL),
+                      "thickness", 0);
+  }
+}
+
+/* ---- sums, fits, the BSSRDF, energy ----------------------------------------------------------- */
+
+static void a_sum_is_the_sum_of_its_parts(void **state) {
+  (void)state;
+  const core_medium medium = {0.032, 0.74, 0.3, 1.3};
+  core_profile sum = prepared(CORE_MODEL_BETTER_SINGLE, CORE_MOMENTS_EXACT, medium, NULL);
+  core_profile a = prepared(CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, medium, NULL);
+  core_profile b = prepared(CORE_MODEL_SINGLE, CORE_MOMENTS_EXACT, medium, NULL);
+  assert_near(sum.albedo, a.albedo + b.albedo, 1e-15, "the albedo of a sum");
+  assert_int_equal(sum.notes, CORE_NOTE_SIMILARITY);
+  assert_int_equal(b.notes, 0);
+  for (double r = 1e-3; r < 1e3; r *= 2) {
+    const double R = value_of(&a, CORE_QUANTITY_R, r) + value_of(&b, CORE_QUANTITY_R, r);
+    assert_near(value_of(&sum, CORE_QUANTITY_R, r), R, 1e-15, "R of a sum");
+    assert_near(value_of(&sum, CORE_QUANTITY_CDF, r),
+                (a.albedo * value_of(&a, CORE_QUANTITY_CDF, r) +
+                 b.albedo * value_of(&b, CORE_QUANTITY_CDF, r)) /
+                    sum.albedo,
+                1e-14, "cdf of a sum");
+    if (R > 1e-300) {
+      assert_near(value_of(&sum, CORE_QUANTITY_LN_R, r), log(R), 1e-12, "ln R of a sum");
+    }
+  }
+  core_profile_free(&sum);
+  core_profile_free(&b);
+}
+
+/* The deviation that a fit states holds between the radii that it was measured at. */
+static void a_fit_keeps_its_stated_error(void **state) {
+  (void)state;
+  static const unsigned models[] = {CORE_MODEL_BETTER, CORE_MODEL_EXTENDED, CORE_MODEL_BURLEY,
+                                    CORE_MODEL_BETTER_SINGLE};
+  const core_medium medium = {0.032, 0.74, 0, 1.3};
+  uint64_t random = unit_seed();
+  for (size_t m = 0; m < sizeof models / sizeof models[0]; m++) {
+    for (int count = 1; count <= 12; count += 3) {
+      core_parameters parameters = with(CORE_PARAMETER_FIT_MODEL, models[m]);
+      parameters.value[CORE_PARAMETER_GAUSSIANS] = count;
+      parameters.value[CORE_PARAMETER_FIT_FROM] = 0.05;
+      parameters.value[CORE_PARAMETER_FIT_TO] = 8;
+      core_profile fit = prepared(CORE_MODEL_GAUSSIANS, CORE_MOMENTS_EXACT, medium, &parameters);
+      core_profile model = prepared(models[m], CORE_MOMENTS_EXACT, medium, NULL);
+      assert_true(fit.radii.least_mm == 0.05 && fit.radii.most_mm == 8);
+      assert_true(count < 10 || fit.numerical_error < 0.02);
+      for (int i = 0; i < 2000; i++) {
+        const double r = unit_random_log(&random, 0.05, 8);
+        assert_near(value_of(&fit, CORE_QUANTITY_R, r), value_of(&model, CORE_QUANTITY_R, r),
+                    fit.numerical_error, "a fit");
+      }
+      core_profile_free(&fit);
+      core_profile_free(&model);
+    }
+  }
+}
+
+static void a_fit_meets_a_tolerance_or_says_so(void **state) {
+  (void)state;
+  const core_medium medium = {0.032, 0.74, 0, 1.3};
+  core_parameters parameters = with(CORE_PARAMETER_TOLERANCE, 0.01);
+  core_profile fit = prepared(CORE_MODEL_GAUSSIANS, CORE_MOMENTS_EXACT, medium, &parameters);
+  assert_true(fit.numerical_error <= 0.01 + 1e-13);
+  core_profile_free(&fit);
+  parameters.value[CORE_PARAMETER_TOLERANCE] = 1e-10;
+  unit_assert_fault(core_profile_prepare(&fit, core_isa_select(NULL), CORE_MODEL_GAUSSIANS,
+                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium,
+                                         &parameters),
+                    "tolerance", 0);
+}
+
+/* What leaves in all directions is what R says: int S cos dw = F_t(cos_in) R, for eta on both sides
+ * of 1. */
+static void the_bssrdf_gives_out_what_R_says(void **state) {
+  (void)state;
+  enum { STEPS = 2000 };
+  for (double eta = 0.7; eta < 2; eta += 0.3) {
+    const core_medium medium = {0.1, 1, 0, eta};
+    core_parameters parameters = with(CORE_PARAMETER_COS_IN, 0.9);
+    double sum = 0, R = 0;
+    for (int i = 0; i < STEPS; i++) {
+      /* cos = s^2: the transmittance has a square root at grazing incidence */
+      const double s = (i + 0.5) / STEPS;
+      parameters.value[CORE_PARAMETER_COS_OUT] = s * s;
+      core_profile profile = prepared(CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, medium, &parameters);
+      R = value_of(&profile, CORE_QUANTITY_R, 0.5);
+      sum += value_of(&profile, CORE_QUANTITY_S, 0.5) * 2 * pi * s * s * 2 * s / STEPS;
+    }
+    assert_near(sum, core_fresnel_transmittance(eta, 0.9) * R, 3e-4, "the light that leaves");
+  }
+  assert_near(core_fresnel_transmittance(1.5, 1), 0.96, 1e-15, "normal transmittance");
+  assert_true(core_fresnel_transmittance(0.5, 0.8) == 0); /* beyond the critical angle */
+  assert_near(core_fresnel_transmittance(1, 1e-9), 1, 1e-15, "no boundary");
+}
+
+/* No model gives out more than went in without saying so. */
+static void an_albedo_above_1_is_confessed(void **state) {
+  (void)state;
+  size_t above = 0;
+  for (const core_choice *model = core_models; model->name != NULL; model++) {
+    for (double ratio = 0; ratio<20; ratio = ratio> 0 ? ratio * 30 : 1e-6) {
+      for (double eta = 0.5; eta < 2.5; eta += 0.25) {
+        const core_medium medium = medium_of_ratio(ratio, eta);
+        const core_parameters parameters = unit_parameters(model->id, &medium);
+        core_profile profile;
+        const core_fault fault =
+            core_profile_prepare(&profile, core_isa_select(NULL), model->id, CORE_MOMENTS_EXACT,
+                                 CORE_EVALUATOR_F64, &medium, &parameters);
+        if (fault.field != NULL) {
+          assert_string_equal(fault.field, "sigma_a"); /* Burley's diffuse mean free path */
+          continue;
+        }
+        const bool confessed = (profile.notes & CORE_NOTE_ALBEDO_ABOVE_1) != 0;
+        assert_int_equal(confessed, profile.albedo > 1 + profile.numerical_error);
+        assert_true(!confessed || profile.model_error >= profile.albedo - 1);
+        above += confessed;
+        core_profile_free(&profile);
+      }
+    }
+  }
+  printf("%zu profiles give out more than went in, and say so\n", above);
+  assert_true(above > 0);
+}
+
+int main(void) {
+  gsl_set_error_handler_off();
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(the_extended_source_has_its_converged_values),
+      cmocka_unit_test(burley_has_its_published_points),
+      cmocka_unit_test(burley_follows_its_formulas),
+      cmocka_unit_test(skin_is_the_published_sum),
+      cmocka_unit_test(single_scattering_has_its_published_values),
+      cmocka_unit_test(single_scattering_agrees_with_transport),
+      cmocka_unit_test(extended_and_beam_agree_with_adaptive_quadrature),
+      cmocka_unit_test(single_scattering_agrees_with_adaptive_quadrature),
+      cmocka_unit_test(quantized_diffusion_keeps_its_tolerance),
+      cmocka_unit_test(slabs_agree_with_the_sum_over_poles),
+      cmocka_unit_test(a_thick_slab_is_a_half_space),
+      cmocka_unit_test(a_slab_balances),
+      cmocka_unit_test(a_slab_names_its_domain),
+      cmocka_unit_test(a_sum_is_the_sum_of_its_parts),
+      cmocka_unit_test(a_fit_keeps_its_stated_error),
+      cmocka_unit_test(a_fit_meets_a_tolerance_or_says_so),
+      cmocka_unit_test(the_bssrdf_gives_out_what_R_says),
+      cmocka_unit_test(an_albedo_above_1_is_confessed),
+  };
+  return cmocka_run_group_tests(tests, NULL, NULL);
+}

@@ -1,0 +1,582 @@
+/* Monte Carlo against what this project did not make: MCML's tables, exact solutions of radiative
+ * transport, and a plain walk in double precision; and its standard errors against the scatter of
+ * its results.
+ *
+ * Seeds are fixed. A bound of 4 standard errors is exceeded by chance once in 16,000 comparisons,
+ * and here are some 3,500: of seeds chosen anew, one in five would fail.
+ */
+#include <math.h>
+
+#include "tests/accuracy/montecarlo_run.h"
+#include "tests/bench/plain_walk.h"
+#include "tests/unit/unit.h"
+
+#define DEVIATIONS_MAX 4.0
+
+static double square(double x) {
+  return x * x;
+}
+
+static double specular(double eta) {
+  return square((eta - 1) / (eta + 1));
+}
+
+/* ---- MCML's tables ------------------------------------------------------------------------ */
+
+#define MCML_FOLDER "../shared/mcml/"
+
+/* Its own error, beyond that of chance: binning, single runs' bias. */
+#define MCML_SYSTEMATIC 0.003
+#define MCML_SIGMA_MAX 0.05
+
+static const struct mcml_table {
+  const char *file;
+  double ratio; /* sigma_a / sigma_s' */
+  double g;
+  double eta;
+  uint64_t batches;
+} mcml_tables[] = {
+    {"r0.0001_n1.4_g0.0.csv", 0.0001, 0, 1.4, 100}, {"r0.001_n1.3_g0.0.csv", 0.001, 0, 1.3, 150},
+    {"r0.001_n2.0_g0.0.csv", 0.001, 0, 2, 100},     {"r0.01_n1.0_g0.0.csv", 0.01, 0, 1, 250},
+    {"r0.01_n1.5_g0.0.csv", 0.01, 0, 1.5, 250},     {"r0.05_n1.4_g0.9.csv", 0.05, 0.9, 1.4, 150},
+    {"r0.1_n1.0_g0.0.csv", 0.1, 0, 1, 300},         {"r0.1_n1.4_g0.0.csv", 0.1, 0, 1.4, 300},
+    {"r0.2_n1.7_g0.0.csv", 0.2, 0, 1.7, 300},       {"r1_n1.3_g0.0.csv", 1, 0, 1.3, 300},
+    {"r10_n1.5_g0.0.csv", 10, 0, 1.5, 300},
+};
+
+struct ring {
+  double from;
+  double to;
+  double R;
+  double sigma; /* relative */
+};
+
+enum { MCML_RINGS_MAX = 1000 };
+
+/* The rings of a table; lines that begin with # and the names of columns are passed over. */
+static size_t read_mcml(char *text, struct ring *rings) {
+  size_t count = 0;
+  for (char *line = strtok(text, "\n"); line != NULL; line = strtok(NULL, "\n")) {
+    struct ring ring;
+    if (sscanf(line, "%lf,%lf,%lf,%lf", &ring.from, &ring.to, &ring.R, &ring.sigma) == 4) {
+      assert_true(count < MCML_RINGS_MAX);
+      rings[count++] = ring;
+    }
+  }
+  assert_true(count > 100);
+  return count;
+}
+
+/* Rings joined into one: sums over them. */
+struct joined {
+  double area;
+  double ours; /* light */
+  double ours_variance;
+  double theirs;
+  double theirs_variance;
+  uint64_t photons;
+};
+
+static void join(struct joined *sum, const core_mc_ring *ours, const struct ring *theirs) {
+  const double area = square(theirs->to) - square(theirs->from);
+  sum->area += area;
+  sum->ours += area * ours->R_per_mm2;
+  sum->ours_variance += square(area * ours->error_per_mm2);
+  sum->theirs += area * theirs->R;
+  sum->theirs_variance += square(area * theirs->R * theirs->sigma);
+  sum->photons += ours->photons;
+}
+
+/* Returns the squared deviation. */
+static double compare_joined(const struct mcml_table *table, double r, const struct joined *sum) {
+  const double difference = fabs(sum->ours - sum->theirs);
+  const double chance = sqrt(sum->ours_variance + sum->theirs_variance);
+  if (!(difference <= DEVIATIONS_MAX * chance + MCML_SYSTEMATIC * sum->theirs)) {
+    fail_msg("%s, up to %g: %g +- %g, MCML %g +- %g", table->file, r, sum->ours / sum->area,
+             sqrt(sum->ours_variance) / sum->area, sum->theirs / sum->area,
+             sqrt(sum->theirs_variance) / sum->area);
+  }
+  return square(difference / chance);
+}
+
+/* Every ring that MCML knows to 5 %; where few of our photons have left, and their standard error
+ * is not well known, with the rings that follow. */
+static void compare_rings(const struct mcml_table *table, const core_mc_ring *ours,
+                          const struct ring *theirs, size_t count) {
+  enum { PHOTONS_MIN = 1000 };
+  struct joined sum = {0};
+  size_t rings = 0;
+  size_t compared = 0;
+  double squares = 0;
+  for (size_t i = 0; i < count; i++) {
+    assert_true(fabs(ours[i].from_mm - theirs[i].from) < 1e-9);
+    if (!(theirs[i].sigma < MCML_SIGMA_MAX)) {
+      continue;
+    }
+    rings++;
+    join(&sum, &ours[i], &theirs[i]);
+    if (sum.photons >= PHOTONS_MIN) {
+      squares += compare_joined(table, theirs[i].to, &sum);
+      compared++;
+      sum = (struct joined){0};
+    }
+  }
+  assert_true(compared > 10);
+  printf("MCML %-24s %3zu rings in %3zu, mean squared deviation %.2f\n", table->file, rings,
+         compared, squares / (double)compared);
+}
+
+static void compare_with_mcml(const struct mcml_table *table, const struct ring *theirs,
+                              size_t count) {
+  static core_mc_ring ours[MCML_RINGS_MAX];
+  const double sigma_s_prime = 1 / (1 + table->ratio);
+  const core_medium medium = {table->ratio * sigma_s_prime, sigma_s_prime / (1 - table->g),
+                              table->g, table->eta};
+  core_mc_request request = montecarlo_request(1, 0, 1);
+  core_mc_request_medium(&request, &medium);
+  request.edges = (core_grid){CORE_SPACING_LINEAR, count + 1, 0, theirs[count - 1].to};
+  montecarlo_run run = montecarlo_run_batches(&request, table->batches);
+  core_mc_total_rings(run.total, 0, CORE_MC_REFLECTED, ours);
+  montecarlo_run_free(&run);
+  compare_rings(table, ours, theirs, count);
+}
+
+static void mcmls_tables_are_met(void **state) {
+  (void)state;
+  static struct ring rings[MCML_RINGS_MAX];
+  for (size_t i = 0; i < sizeof mcml_tables / sizeof mcml_tables[0]; i++) {
+    char path[128];
+    snprintf(path, sizeof path, MCML_FOLDER "%s", mcml_tables[i].file);
+    char *text = unit_read_file(path);
+    if (text == NULL) {
+      printf("skipped: %s is not there\n", path);
+      skip();
+    }
+    const size_t count = read_mcml(text, rings);
+    free(text);
+    compare_with_mcml(&mcml_tables[i], rings, count);
+  }
+}
+
+/* ---- exact totals ------------------------------------------------------------------------- */
+
+/* Total reflectance with the specular, per launched power, of half spaces with isotropic
+ * scattering: H functions with the Fresnel feedback, 10 digits. */
+static const double exact_albedos[] = {0.1, 0.3, 0.5, 0.7, 0.9, 0.95, 0.99, 0.999};
+enum { EXACT_ALBEDOS = sizeof exact_albedos / sizeof exact_albedos[0] };
+static const struct {
+  double eta;
+  double total[EXACT_ALBEDOS];
+} exact_totals[] = {
+    {1,
+     {.01639034215, .05721435060, .11522587771, .20867995212, .41494747913, .53554098917,
+      .75272071716, .91284533480}},
+    {1.33,
+     {.02768625739, .04780882670, .07918033337, .13665860713, .29479138060, .40803585632,
+      .65295790940, .86908178965}},
+    {1.5,
+     {.04560923231, .06055011684, .08424589385, .12890516220, .25991856992, .36111781836,
+      .60198078570, .84145847579}},
+};
+
+/* All albedos of an eta from one walk. */
+static void exact_totals_are_met(void **state) {
+  (void)state;
+  for (size_t i = 0; i < sizeof exact_totals / sizeof exact_totals[0]; i++) {
+    const double R_sp = specular(exact_totals[i].eta);
+    core_mc_request request = montecarlo_request(1, 0, exact_totals[i].eta);
+    request.albedo_count = EXACT_ALBEDOS;
+    memcpy(request.albedo, exact_albedos, sizeof exact_albedos);
+    montecarlo_run run = montecarlo_run_batches(&request, 200);
+    for (size_t k = 0; k < EXACT_ALBEDOS; k++) {
+      const core_mc_energy energy = montecarlo_energy(&run, k);
+      const double entered = (exact_totals[i].total[k] - R_sp) / (1 - R_sp);
+      const double deviation = montecarlo_deviation(energy.left[CORE_MC_REFLECTED], entered);
+      if (!(fabs(deviation) <= DEVIATIONS_MAX)) {
+        fail_msg("eta %g albedo %g: %g standard errors off", exact_totals[i].eta, exact_albedos[k],
+                 deviation);
+      }
+    }
+    montecarlo_run_free(&run);
+  }
+}
+
+/* Adding-doubling, five digits (Wang, Jacques, Zheng 1995; Prahl). */
+static void adding_doubling_is_met(void **state) {
+  (void)state;
+  static const struct {
+    double albedo, g, eta, thickness, reflected, transmitted;
+    uint64_t batches;
+  } rows[] = {
+      {0.9, 0.75, 1, 2, 0.09739, 0.66096, 500},
+      {50 / 50.1, 0.8, 1.4, (double)INFINITY, 0.63166, 0, 60},
+      {0.99, 0.8, 1.4, (double)INFINITY, 0.38586, 0, 100},
+  };
+  const double half_a_digit = 5e-6;
+  for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
+    core_mc_request request = montecarlo_request(rows[i].albedo, rows[i].g, rows[i].eta);
+    request.thickness_mm = rows[i].thickness;
+    montecarlo_run run = montecarlo_run_batches(&request, rows[i].batches);
+    const core_mc_energy energy = montecarlo_energy(&run, 0);
+    const double R_sp = specular(rows[i].eta);
+    const core_mc_value R = energy.left[CORE_MC_REFLECTED];
+    const core_mc_value T = energy.left[CORE_MC_TRANSMITTED];
+    assert_true(fabs(R_sp + (1 - R_sp) * R.value - rows[i].reflected) <=
+                DEVIATIONS_MAX * R.error + half_a_digit);
+    assert_true(fabs((1 - R_sp) * T.value - rows[i].transmitted) <=
+                DEVIATIONS_MAX * T.error + half_a_digit);
+    montecarlo_run_free(&run);
+  }
+}
+
+/* ---- exact profiles ----------------------------------------------------------------------- */
+
+#define TRANSPORT_FILE "../shared/vectors/transport.csv"
+
+enum { TRANSPORT_RADII = 18, TRANSPORT_RATIOS = 16 };
+
+struct transport_medium {
+  double eta;
+  double albedo;
+  double total; /* per entered power */
+  double r[TRANSPORT_RADII];
+  double R[TRANSPORT_RADII];
+};
+
+/* The media of a file; their rows follow each other. */
+static size_t read_transport(char *text, struct transport_medium *media, size_t media_max) {
+  size_t rows = 0;
+  for (char *line = strtok(text, "\n"); line != NULL; line = strtok(NULL, "\n")) {
+    double ratio, eta, albedo, total, r, R;
+    if (sscanf(line, "%lf,%lf,%lf,%lf,%lf,%lf", &ratio, &eta, &albedo, &total, &r, &R) != 6) {
+      continue;
+    }
+    assert_true(rows / TRANSPORT_RADII < media_max);
+    struct transport_medium *medium = &media[rows / TRANSPORT_RADII];
+    medium->eta = eta;
+    medium->albedo = albedo;
+    medium->total = total;
+    medium->r[rows % TRANSPORT_RADII] = r;
+    medium->R[rows % TRANSPORT_RADII] = R;
+    rows++;
+  }
+  assert_int_equal(rows % TRANSPORT_RADII, 0);
+  return rows / TRANSPORT_RADII;
+}
+
+enum { TERMS = 4 };
+
+/* Powers of r and an exponential: near the source and far from it, R is nearly that. */
+static void evaluate_terms(double r, double terms[TERMS]) {
+  const double x = log(r);
+  terms[0] = 1;
+  terms[1] = x;
+  terms[2] = r;
+  terms[3] = x * x;
+}
+
+/* ln R through the four radii around the i-th: its terms' coefficients, by elimination with
+ * pivots. */
+static void interpolate(const struct transport_medium *medium, int i, double coefficients[TERMS]) {
+  const int first = i < 1 ? 0 : i > TRANSPORT_RADII - 3 ? TRANSPORT_RADII - 4 : i - 1;
+  double rows[TERMS][TERMS + 1];
+  for (int j = 0; j < TERMS; j++) {
+    evaluate_terms(medium->r[first + j], rows[j]);
+    rows[j][TERMS] = log(medium->R[first + j]);
+  }
+  for (int column = 0; column < TERMS; column++) {
+    int pivot = column;
+    for (int j = column; j < TERMS; j++) {
+      pivot = fabs(rows[j][column]) > fabs(rows[pivot][column]) ? j : pivot;
+    }
+    for (int k = 0; k <= TERMS; k++) {
+      const double kept = rows[column][k];
+      rows[column][k] = rows[pivot][k];
+      rows[pivot][k] = kept;
+    }
+    for (int j = 0; j < TERMS; j++) {
+      const double factor = rows[j][column] / rows[column][column];
+      for (int k = 0; k <= TERMS && j != column; k++) {
+        rows[j][k] -= factor * rows[column][k];
+      }
+    }
+  }
+  for (int j = 0; j < TERMS; j++) {
+    coefficients[j] = rows[j][TERMS] / rows[j][j];
+  }
+}
+
+/* The mean of R over a narrow ring around the i-th radius. */
+static double ring_mean(const struct transport_medium *medium, int i, double from, double to) {
+  enum { STEPS = 32 };
+  double coefficients[TERMS];
+  interpolate(medium, i, coefficients);
+  double light = 0;
+  double area = 0;
+  for (int step = 0; step < STEPS; step++) {
+    const double r = from + (to - from) * (step + 0.5) / STEPS;
+    double terms[TERMS];
+    evaluate_terms(r, terms);
+    double ln_R = 0;
+    for (int j = 0; j < TERMS; j++) {
+      ln_R += coefficients[j] * terms[j];
+    }
+    light += r * exp(ln_R);
+    area += r;
+  }
+  return light / area;
+}
+
+/* What the interpolation may be off by, within a ring around a radius where it is exact. */
+#define INTERPOLATION_ERROR 0.001
+
+/* Larger standard errors are not well known themselves: far out, most light of a small albedo comes
+ * by few and long flights, and hardly any photon flies so. */
+#define KNOWN_ERROR 0.07
+
+static size_t compare_profile(const struct transport_medium *medium, const core_mc_ring *rings,
+                              size_t count, double *squares) {
+  size_t compared = 0;
+  size_t ring = 0;
+  for (int i = 0; i < TRANSPORT_RADII; i++) {
+    while (ring < count && rings[ring].to_mm <= medium->r[i]) {
+      ring++;
+    }
+    assert_true(ring < count);
+    const core_mc_ring *at = &rings[ring];
+    if (!(at->error_per_mm2 <= KNOWN_ERROR * at->R_per_mm2)) {
+      continue;
+    }
+    const double truth = ring_mean(medium, i, at->from_mm, at->to_mm);
+    const double difference = fabs(at->R_per_mm2 - truth);
+    if (!(difference <= DEVIATIONS_MAX * at->error_per_mm2 + INTERPOLATION_ERROR * truth)) {
+      fail_msg("eta %g albedo %.6g r %g: %g +- %g, transport %g", medium->eta, medium->albedo,
+               medium->r[i], at->R_per_mm2, at->error_per_mm2, truth);
+    }
+    *squares += square(difference / at->error_per_mm2);
+    compared++;
+  }
+  return compared;
+}
+
+/* All ratios of an eta from one walk. */
+static void compare_with_transport(const struct transport_medium *media, uint64_t seed) {
+  enum { RINGS = 80, BATCHES = 100 };
+  core_mc_ring rings[RINGS];
+  core_mc_request request = montecarlo_request(1, 0, media[0].eta);
+  montecarlo_rings(&request, RINGS, 0.0095, 21);
+  request.seed = seed;
+  request.albedo_count = TRANSPORT_RATIOS;
+  for (size_t k = 0; k < TRANSPORT_RATIOS; k++) {
+    assert_true(media[k].eta == media[0].eta);
+    request.albedo[k] = media[k].albedo;
+  }
+  montecarlo_run run = montecarlo_run_batches(&request, BATCHES);
+  size_t compared = 0;
+  double squares = 0;
+  for (size_t k = 0; k < TRANSPORT_RATIOS; k++) {
+    const core_mc_energy energy = montecarlo_energy(&run, k);
+    const double deviation = montecarlo_deviation(energy.left[CORE_MC_REFLECTED], media[k].total);
+    if (!(fabs(deviation) <= DEVIATIONS_MAX)) {
+      fail_msg("eta %g albedo %.6g: total %g standard errors off", media[k].eta, media[k].albedo,
+               deviation);
+    }
+    core_mc_total_rings(run.total, k, CORE_MC_REFLECTED, rings);
+    compared += compare_profile(&media[k], rings, RINGS, &squares);
+  }
+  montecarlo_run_free(&run);
+  assert_true(compared > 200);
+  printf("transport, eta %.1f: %3zu rings, mean squared deviation %.2f\n", media[0].eta, compared,
+         squares / (double)compared);
+}
+
+static void exact_profiles_are_met(void **state) {
+  (void)state;
+  enum { ETAS = 4 };
+  static struct transport_medium media[ETAS * TRANSPORT_RATIOS];
+  static struct transport_medium by_eta[ETAS][TRANSPORT_RATIOS];
+  char *text = unit_read_file(TRANSPORT_FILE);
+  if (text == NULL) {
+    printf("skipped: %s is not there\n", TRANSPORT_FILE);
+    skip();
+  }
+  assert_int_equal(read_transport(text, media, ETAS * TRANSPORT_RATIOS), ETAS * TRANSPORT_RATIOS);
+  free(text);
+  for (size_t i = 0; i < ETAS * TRANSPORT_RATIOS; i++) {
+    by_eta[i % ETAS][i / ETAS] = media[i];
+  }
+  for (size_t i = 0; i < ETAS; i++) {
+    compare_with_transport(by_eta[i], MONTECARLO_SEED + i);
+  }
+}
+
+/* ---- a plain walk ------------------------------------------------------------------------- */
+
+enum { PLAIN_RINGS = 30, PLAIN_SLOTS = PLAIN_RINGS + 2 };
+
+struct plain_sums {
+  double light;
+  double squares;
+};
+
+/* Scattered light that the plain walk sees leave, by side and slot; the slots are the rings, what
+ * is under them and what is over them. */
+static void walk_plainly(const plain_medium *medium, int photons, const double *edges,
+                         struct plain_sums sums[CORE_MC_SIDES][PLAIN_SLOTS]) {
+  uint64_t random = 1905;
+  memset(sums, 0, sizeof(struct plain_sums[CORE_MC_SIDES][PLAIN_SLOTS]));
+  for (int i = 0; i < photons; i++) {
+    const plain_photon p = plain_walk(medium, &random);
+    if (p.fate == PLAIN_INSIDE || !p.scattered) {
+      continue;
+    }
+    const double r = hypot(p.x, p.y);
+    size_t slot = 0;
+    while (slot <= PLAIN_RINGS && edges[slot] <= r) {
+      slot++;
+    }
+    sums[p.fate][slot].light += p.weight / photons;
+    sums[p.fate][slot].squares += square(p.weight / photons);
+  }
+}
+
+/* The same slots of a run. */
+static void gather_slots(const montecarlo_run *run, size_t side, core_mc_value slots[PLAIN_SLOTS],
+                         uint64_t photons[PLAIN_SLOTS]) {
+  core_mc_ring rings[PLAIN_RINGS];
+  const core_mc_energy energy = montecarlo_energy(run, 0);
+  core_mc_total_rings(run->total, 0, side, rings);
+  slots[0] = energy.under[side];
+  slots[PLAIN_SLOTS - 1] = energy.over[side];
+  photons[0] = photons[PLAIN_SLOTS - 1] = UINT64_MAX;
+  for (size_t i = 0; i < PLAIN_RINGS; i++) {
+    const double area = acos(-1) * (square(rings[i].to_mm) - square(rings[i].from_mm));
+    slots[i + 1].value = rings[i].R_per_mm2 * area;
+    slots[i + 1].error = rings[i].error_per_mm2 * area;
+    photons[i + 1] = rings[i].photons;
+  }
+}
+
+static void compare_with_plain(const plain_medium *medium, int plain_photons) {
+  enum { PHOTONS_MIN = 50 };
+  struct plain_sums theirs[CORE_MC_SIDES][PLAIN_SLOTS];
+  core_mc_request request = montecarlo_request(medium->albedo, medium->g, medium->eta);
+  request.thickness_mm = medium->thickness;
+  double edges[PLAIN_RINGS + 1];
+  montecarlo_rings(&request, PLAIN_RINGS, 0.01, 30);
+  core_grid_radii_f64(&request.edges, 0, PLAIN_RINGS + 1, edges);
+  walk_plainly(medium, plain_photons, edges, theirs);
+  montecarlo_run run = montecarlo_run_batches(&request, 60);
+  size_t compared = 0;
+  double squares = 0;
+  for (size_t side = 0; side < CORE_MC_SIDES; side++) {
+    core_mc_value ours[PLAIN_SLOTS];
+    uint64_t photons[PLAIN_SLOTS];
+    gather_slots(&run, side, ours, photons);
+    for (size_t i = 0; i < PLAIN_SLOTS; i++) {
+      const struct plain_sums *plain = &theirs[side][i];
+      const bool many = square(plain->light) > PHOTONS_MIN * plain->squares;
+      if (photons[i] < PHOTONS_MIN || !many) {
+        continue;
+      }
+      const double deviation =
+          (ours[i].value - plain->light) / sqrt(square(ours[i].error) + plain->squares);
+      if (!(fabs(deviation) <= 1.1 * DEVIATIONS_MAX)) {
+        fail_msg("albedo %g g %g eta %g thickness %g side %zu slot %zu: %g +- %g, plainly %g +- %g",
+                 medium->albedo, medium->g, medium->eta, medium->thickness, side, i, ours[i].value,
+                 ours[i].error, plain->light, sqrt(plain->squares));
+      }
+      squares += square(deviation);
+      compared++;
+    }
+  }
+  montecarlo_run_free(&run);
+  printf("plain walk, albedo %-5g g %-6g eta %-4g thickness %-5g %2zu slots, chi-squared %.1f\n",
+         medium->albedo, medium->g, medium->eta, medium->thickness, compared, squares);
+  assert_true(compared >= 10);
+  assert_true(squares <= (double)compared + DEVIATIONS_MAX * sqrt(2 * (double)compared));
+}
+
+/* Thin slabs with many reflections in a flight, both ends of g, an outside that is denser, and an
+ * escape cone of next to nothing. */
+static void a_plain_walk_is_met(void **state) {
+  (void)state;
+  static const struct {
+    plain_medium medium;
+    int photons; /* more where few of them are ever scattered */
+  } rows[] = {
+      {{0.9, 0, 1.5, 0.1}, 300000},
+      {{0.95, 0.5, 1.7, 3}, 100000},
+      {{0.8, -0.5, 1.33, 1}, 200000},
+      {{0.999, 0, 1, 0.01}, 3000000},
+      {{0.99, 0.999, 1.4, 20}, 200000},
+      {{0.9, -0.999, 1.3, 2}, 200000},
+      {{0.9, 0.9, 0.5, 1}, 200000},
+      {{0.7, 0.3, 3, (double)INFINITY}, 200000},
+      {{0.97, 0.8, 0.7, (double)INFINITY}, 100000},
+      {{1, 0, 1.5, 2}, 100000},
+      {{0.999, 0, 10, 2}, 20000},
+      {{0.9, 0.2, 1.1, 0.001}, 5000000},
+  };
+  for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
+    compare_with_plain(&rows[i].medium, rows[i].photons);
+  }
+}
+
+/* ---- standard errors ---------------------------------------------------------------------- */
+
+/* Over many seeds: the variance of a ring's R among them, over the mean of its squared errors, is 1
+ * on the average, within what so few seeds and batches leave open (Fisher's F); and the deviations
+ * of total R from the exact one are normal. */
+static void standard_errors_are_right(void **state) {
+  (void)state;
+  enum { SEEDS = 64, BATCHES = 16, RINGS = 24 };
+  static core_mc_ring rings[SEEDS][RINGS];
+  const double exact = (.25991856992 - specular(1.5)) / (1 - specular(1.5));
+  double sum = 0;
+  double squares = 0;
+  for (int seed = 0; seed < SEEDS; seed++) {
+    core_mc_request request = montecarlo_request(0.9, 0, 1.5);
+    request.seed = (uint64_t)seed;
+    montecarlo_rings(&request, RINGS, 0.02, 5);
+    montecarlo_run run = montecarlo_run_batches(&request, BATCHES);
+    core_mc_total_rings(run.total, 0, CORE_MC_REFLECTED, rings[seed]);
+    const core_mc_energy energy = montecarlo_energy(&run, 0);
+    const double deviation = montecarlo_deviation(energy.left[CORE_MC_REFLECTED], exact);
+    montecarlo_run_free(&run);
+    sum += deviation;
+    squares += square(deviation);
+  }
+  /* Student's t with BATCHES - 1 degrees of freedom has the variance n / (n - 2). */
+  const double t_variance = (BATCHES - 1.0) / (BATCHES - 3);
+  printf("total R, %d seeds: mean deviation %.2f, variance %.2f (expected %.2f)\n", SEEDS,
+         sum / SEEDS, squares / SEEDS, t_variance);
+  assert_true(fabs(sum) <= DEVIATIONS_MAX * sqrt(SEEDS * t_variance));
+  assert_true(fabs(squares / SEEDS - t_variance) <= DEVIATIONS_MAX * sqrt(3.0 / SEEDS));
+
+  double ratios = 0;
+  for (int i = 0; i < RINGS; i++) {
+    double mean = 0, variance = 0, stated = 0;
+    for (int seed = 0; seed < SEEDS; seed++) {
+      mean += rings[seed][i].R_per_mm2 / SEEDS;
+      stated += square(rings[seed][i].error_per_mm2) / SEEDS;
+    }
+    for (int seed = 0; seed < SEEDS; seed++) {
+      variance += square(rings[seed][i].R_per_mm2 - mean) / (SEEDS - 1);
+    }
+    ratios += variance / stated / RINGS;
+  }
+  const double spread = sqrt((2.0 / (SEEDS - 1) + 2.0 / (BATCHES - 1) / SEEDS) / RINGS);
+  printf("%d rings, %d seeds: variance over squared error %.3f (expected 1 +- %.3f)\n", RINGS,
+         SEEDS, ratios, spread);
+  assert_true(fabs(ratios - 1) <= DEVIATIONS_MAX * spread);
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(mcmls_tables_are_met),   cmocka_unit_test(exact_totals_are_met),
+      cmocka_unit_test(adding_doubling_is_met), cmocka_unit_test(exact_profiles_are_met),
+      cmocka_unit_test(a_plain_walk_is_met),    cmocka_unit_test(standard_errors_are_right),
+  };
+  return cmocka_run_group_tests(tests, NULL, NULL);
+}

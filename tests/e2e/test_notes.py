@@ -1,0 +1,65 @@
+"""What replies remark: each note is there exactly when it holds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from dipole import Medium, Refused
+from frames import SKIN, SPECTRALON
+from lists import MODELS, NOTES, needs
+
+RADII = [0.5, 1.0, 2.0]
+
+
+def answers(client, model: str, medium: Medium):
+    return client.eval(model, medium, RADII, wanted=["R", "albedo"], parameters=needs(model))
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_similarity(client, model):
+    """A model that sees anisotropic scattering as isotropic says so, and only then."""
+    isotropic = answers(client, model, Medium(0.05, 1.0, 0.0, 1.3))
+    anisotropic = answers(client, model, Medium(0.05, 2.0, 0.5, 1.3))
+    assert "similarity" not in isotropic.notes
+    same = np.allclose(anisotropic.R, isotropic.R, rtol=1e-12)
+    if same:
+        assert ("similarity" in anisotropic.notes) != ("medium-unused" in anisotropic.notes)
+    backwards = answers(client, model, Medium(0.05, 1.0, -0.2, 1.3))
+    assert backwards.notes == anisotropic.notes
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_medium_unused(client, model):
+    one = answers(client, model, Medium(*SKIN))
+    other = answers(client, model, Medium(0.3, 1.1, 0.0, 1.4))
+    unused = np.array_equal(one.R, other.R) and np.array_equal(one.albedo, other.albedo)
+    assert ("medium-unused" in one.notes) == unused
+    assert ("medium-unused" in other.notes) == unused
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_albedo_above_1(client, model):
+    """More comes out than went in only where the published model has it so, and it is said."""
+    for medium in (SKIN, SPECTRALON, (1e-4, 1.0, 0.0, 1.0), (0.0, 1.0, 0.0, 0.75), (1e-6, 5, 0, 2)):
+        try:
+            answer = answers(client, model, Medium(*medium))
+        except Refused as refusal:  # a medium or its slab is outside of the model's domain
+            assert refusal.field in ("sigma_a", "eta", "thickness", "r"), refusal
+            continue
+        above = answer.albedo[0] - 1
+        numerical = answer.numerical_error_constant[0]
+        said = "albedo-above-1" in answer.notes
+        assert said == (above > numerical), (model, medium, above)
+        if said:
+            assert answer.model_error[0] >= above - numerical
+
+
+def test_notes_of_any_channel(client):
+    both = client.eval("better", [Medium(0.1, 1.0), Medium(0.1, 1.0, 0.5)], [1.0])
+    assert both.notes == ("similarity",)
+    assert client.eval("better", [Medium(0.1, 1.0)] * 2, [1.0]).notes == ()
+
+
+def test_notes_are_separate_bits(client):
+    assert {name: note.id for name, note in client.info.choices["note"].items()} == NOTES
+    assert sum(NOTES.values()) == 2 ** len(NOTES) - 1

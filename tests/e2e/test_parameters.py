@@ -1,0 +1,334 @@
+"""Optional numbers of a request: what is refused, and what those do that are taken."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from dipole import Medium, Refused, wire
+from frames import (
+    BETTER,
+    EVAL,
+    SKIN,
+    ask,
+    assert_daemon_serves,
+    assert_error,
+    assert_serves,
+    eval_payload,
+    parameters_bytes,
+)
+from lists import MODELS, PARAMETERS, everywhere, needs, some_value, takes
+
+INF, NAN = math.inf, math.nan
+COS_IN, COS_OUT = PARAMETERS["cos_in"].id, PARAMETERS["cos_out"].id
+
+
+# ---- what is refused -----------------------------------------------------------------------------
+
+
+def padded(**changes: int) -> bytes:
+    """Two parameters, the second with something in its padding."""
+    fields = {"parameter": COS_IN, "value": 0.5, **changes}
+    return parameters_bytes([(COS_OUT, 0.5)]) + wire.PARAMETER.pack(**fields)
+
+
+# name: (payload, status, field, allowed, index)
+SHAPES = {
+    "id 0": (eval_payload(parameters=[(0, 0.5)]), "bad-value", "parameter", "one of 1 (tolerance)"),
+    "id unknown": (
+        eval_payload(parameters=[(COS_IN, 0.5), (999, 0.5)]),
+        "bad-value",
+        "parameter",
+        "one of 1 (tolerance), 2 (cos_in)",
+        1,
+    ),
+    "id wraps in 8 bits": (
+        eval_payload(parameters=[(256 + COS_IN, 0.5)]),
+        "bad-value",
+        "parameter",
+        "1 (tolerance)",
+    ),
+    "twice": (
+        eval_payload(parameters=[(COS_IN, 0.5), (COS_OUT, 0.5), (COS_IN, 0.5)]),
+        "bad-value",
+        "parameter",
+        "at most once",
+        2,
+    ),
+    "NaN": (eval_payload(parameters=[(COS_IN, NAN)]), "bad-value", "cos_in", "a number"),
+    "zero": (eval_payload(parameters=padded(zero=1)), "bad-value", "zero", "0", 1),
+    "zero_too": (eval_payload(parameters=padded(zero_too=2**31)), "bad-value", "zero_too", "0", 1),
+    **{
+        f"{count} parameters": (
+            eval_payload(parameter_count=count),
+            "bad-count",
+            "parameter_count",
+            "no more parameters than the payload holds",
+        )
+        for count in [2, 3, 2**12, 2**15, 2**16 - 1]  # there are 16 bytes of radii behind the media
+    },
+    "radii for a parameter": (
+        eval_payload(parameter_count=1),
+        "bad-value",
+        "parameter",
+        "1 (tolerance)",
+    ),
+    "not counted": (
+        eval_payload(parameters=[(COS_IN, 0.5)], parameter_count=0),
+        "bad-length",
+        "payload_bytes",
+        "nothing after the listed radii",
+    ),
+    "not counted, grid": (
+        eval_payload(radii=None, parameters=[(COS_IN, 0.5)], parameter_count=0),
+        "bad-length",
+        "payload_bytes",
+        "nothing after media and parameters",
+    ),
+    "cut, with a grid": (
+        eval_payload(radii=None, parameters=[(COS_IN, 0.5)])[:-8],
+        "bad-count",
+        "parameter_count",
+        "no more parameters",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_shape(shared, name):
+    payload, status, field, allowed, *index = SHAPES[name]
+    with shared.connect() as connection:
+        assert_error(ask(connection, EVAL, payload), status, field, allowed, *index)
+        assert_serves(connection)
+    assert_daemon_serves(shared)
+
+
+def model_that_takes(name: str) -> str:
+    return next(model for model in MODELS if name in takes(model))
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_range(client, name):
+    """Both ends are refused by a model that takes the parameter, with the range."""
+    model = model_that_takes(name)
+    parameter = PARAMETERS[name]
+    for value in (
+        math.nextafter(parameter.least, -INF),
+        math.nextafter(parameter.most, INF),
+        -INF,
+        INF,
+    ):
+        with pytest.raises(Refused) as caught:
+            client.eval(model, SKIN, [1.0], parameters={**needs(model), name: value})
+        refusal = caught.value
+        assert (refusal.status, refusal.field) == ("bad-value", name)
+        words = refusal.allowed.split()
+        assert [float(words[0]), float(words[2])] == [parameter.least, parameter.most]
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_parameters_that_a_model_does_not_take(client, model):
+    """They are refused in a way that a program can tell from others."""
+    for name in set(PARAMETERS) - set(takes(model)):
+        with pytest.raises(Refused) as caught:
+            client.eval(model, SKIN, [1.0], parameters={**needs(model), name: some_value(name)})
+        assert (caught.value.status, caught.value.field) == ("bad-value", name)
+        assert caught.value.allowed.startswith("nothing")
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_parameters_that_a_model_needs(client, model):
+    assert set(needs(model)) <= set(takes(model))
+    for name in needs(model):
+        others = {key: value for key, value in needs(model).items() if key != name}
+        with pytest.raises(Refused) as caught:
+            client.eval(model, SKIN, [1.0], parameters=others)
+        assert (caught.value.status, caught.value.field) == ("bad-value", name)
+        assert not caught.value.allowed.startswith("nothing")
+    assert client.eval(model, SKIN, wanted=["albedo"], parameters=needs(model)).albedo.shape == (1,)
+
+
+def test_all_models_take_angles_and_a_tolerance():
+    for model in MODELS:
+        assert {"tolerance", "cos_in", "cos_out"} <= set(takes(model))
+
+
+def test_parameters_are_judged_after_the_media(connection):
+    payload = eval_payload([(-1.0, 1.0, 0.0, 1.3)], parameters=[(COS_IN, 2.0)])
+    assert_error(ask(connection, EVAL, payload), "bad-value", "sigma_a", "0 to 1e15")
+    payload = eval_payload(radii=[-1.0], parameters=[(COS_IN, 2.0)])
+    assert_error(ask(connection, EVAL, payload), "bad-value", "cos_in", "0 to 1")
+
+
+def test_their_order_counts_for_nothing(connection):
+    given = [(COS_IN, 0.25), (COS_OUT, 0.75), (PARAMETERS["tolerance"].id, 1e-3)]
+    replies = {
+        ask(connection, EVAL, eval_payload(parameters=order, wanted=511, model=BETTER)).payload
+        for order in (given, given[::-1], given[1:] + given[:1])
+    }
+    assert len(replies) == 1 and len(next(iter(replies))) > wire.ERROR.bytes
+
+
+# ---- S -------------------------------------------------------------------------------------------
+
+
+def transmittance(eta: float, cos_outside):
+    """Fresnel's, unpolarized, from outside to inside: one minus the squares of the amplitudes of
+    reflection, put so that nothing cancels."""
+    cos_outside = np.asarray(cos_outside, dtype=float)
+    squared = ((eta - 1) * (eta + 1) + cos_outside**2) / eta**2
+    inside = np.sqrt(np.maximum(squared, 0))
+    with np.errstate(invalid="ignore"):
+        s = 4 * eta * cos_outside * inside / (cos_outside + eta * inside) ** 2
+        p = 4 * eta * cos_outside * inside / (eta * cos_outside + inside) ** 2
+    return np.where((squared > 0) & (cos_outside > 0), (s + p) / 2, 0.0)
+
+
+def transmitted_flux(eta: float) -> float:
+    """1 - 2 C1(1 / eta): the integral of 2 mu F_t over the cosines outside. From the critical angle
+    on, where the integrand starts like a square root, in that root."""
+    nodes, weights = np.polynomial.legendre.leggauss(200)
+    start = math.sqrt(1 - eta**2) if eta < 1 else 0.0
+    root = (nodes + 1) / 2
+    mu = start + (1 - start) * root**2
+    return float(np.sum(weights * (1 - start) * root * 2 * mu * transmittance(eta, mu)))
+
+
+def expected_factor(eta: float, cos_in: float, cos_out: float) -> float:
+    """S over R: d'Eon 2012, Eq. 1; Jensen et al. 2001, Eq. 5."""
+    ends = float(transmittance(eta, cos_in) * transmittance(eta, cos_out))
+    return ends / (math.pi * transmitted_flux(eta))
+
+
+ANGLES = [(1.0, 1.0), (0.8, 0.3), (0.05, 1.0), (1e-9, 0.5), (0.0, 0.5), (1.0, 0.0), (0.0, 0.0)]
+ETAS = [0.4, 0.75, 1.0, 1.3, 2.2]
+
+
+@pytest.mark.parametrize("eta", ETAS)
+def test_S_follows_R(client, eta):
+    r = [0.0, 0.1, 1.0, 4.0, INF]
+    for cos_in, cos_out in ANGLES:
+        angles = {"cos_in": cos_in, "cos_out": cos_out}
+        answer = client.eval(
+            "better", Medium(0.1, 1.0, 0.0, eta), r, wanted=["R", "S"], parameters=angles
+        )
+        factor = expected_factor(eta, cos_in, cos_out)
+        np.testing.assert_allclose(answer.S, factor * answer.R, rtol=1e-12)
+        assert (factor == 0) == (
+            min(cos_in, cos_out) == 0
+            or (eta < 1 and min(cos_in, cos_out) <= math.sqrt(1 - eta**2))
+        )
+
+
+@pytest.mark.parametrize("evaluator, bound", [("f64", 1e-12), ("f32", 1e-6)])
+@pytest.mark.parametrize("model", MODELS)
+def test_S_of_every_model(client, model, evaluator, bound):
+    for angles in ({}, {"cos_in": 0.7}, {"cos_in": 0.7, "cos_out": 0.2}):
+        answer = client.eval(
+            model,
+            SKIN,
+            [0.5, 1.0, 2.0],
+            evaluator=evaluator,
+            wanted=["R", "S"],
+            parameters={**needs(model), **angles},
+        )
+        factor = expected_factor(SKIN[3], angles.get("cos_in", 1), angles.get("cos_out", 1))
+        np.testing.assert_allclose(answer.S, factor * answer.R, rtol=bound)
+
+
+@pytest.mark.parametrize("evaluator", ["f64", "f32"])
+def test_S_at_the_ends(client, evaluator):
+    """Where R is infinite so is S, but not along the surface, where nothing goes in or out."""
+    for model in everywhere():
+        for cos in (0.0, 0.6, 1.0):
+            answer = client.eval(
+                model,
+                SKIN,
+                [0.0, INF],
+                evaluator=evaluator,
+                wanted=["R", "S"],
+                parameters={"cos_in": cos},
+            )
+            assert answer.S[0, 1] == 0, (model, cos)
+            if cos == 0:
+                assert answer.S[0, 0] == 0, (model, cos)
+            else:
+                assert np.isinf(answer.S[0, 0]) == np.isinf(answer.R[0, 0]), (model, cos)
+
+
+def test_S_adds_up_to_what_is_transmitted(client):
+    """Over all angles of exit S times the cosine is F_t(cos_in) R."""
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    root = (nodes + 1) / 2
+    medium = Medium(0.1, 1.0, 0.3, 1.4)
+    total = 0.0
+    for x, weight in zip(root, weights):
+        answer = client.eval(
+            "better",
+            medium,
+            [1.0],
+            wanted=["R", "S"],
+            parameters={"cos_in": 0.6, "cos_out": x**2},
+        )
+        total += weight * x * 2 * math.pi * x**2 * answer.S[0, 0]
+    assert total == pytest.approx(transmittance(1.4, 0.6) * answer.R[0, 0], rel=1e-10)
+
+
+def test_angles_change_nothing_but_S(client):
+    wanted = ["R", "albedo", "cdf", "ln_R", "pdf", "dR_dr", "2_pi_r_R"]
+    for model in MODELS:
+        plain = client.eval(model, SKIN, [0.5, 2.0], wanted=wanted, parameters=needs(model))
+        given = {**needs(model), "cos_in": 0.1, "cos_out": 0.9}
+        answer = client.eval(model, SKIN, [0.5, 2.0], wanted=wanted, parameters=given)
+        for name, values in plain.values.items():
+            np.testing.assert_array_equal(values, answer.values[name])
+        np.testing.assert_array_equal(plain.albedo, answer.albedo)
+
+
+# ---- 2 pi r R ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("evaluator, epsilon", [("f64", 2.0**-52), ("f32", 2.0**-23)])
+@pytest.mark.parametrize("model", MODELS)
+def test_ring_follows_R(client, model, evaluator, epsilon):
+    answer = client.eval(
+        model,
+        SKIN,
+        [0.5, 1.0, 3.0],
+        evaluator=evaluator,
+        wanted=["R", "2_pi_r_R"],
+        parameters=needs(model),
+    )
+    expected = 2 * np.pi * answer.r * answer.R.astype(float)
+    bound = 2.1 * answer.numerical_error() + 8 * epsilon
+    assert np.all(np.abs(answer.two_pi_r_R - expected) <= bound * np.abs(expected))
+
+
+@pytest.mark.parametrize("evaluator", ["f64", "f32"])
+def test_ring_is_finite_where_R_is_not(client, evaluator):
+    infinite = 0
+    for model in everywhere():
+        answer = client.eval(
+            model, SKIN, [0.0, 1e-9, INF], evaluator=evaluator, wanted=["R", "2_pi_r_R"]
+        )
+        assert np.all(np.isfinite(answer.two_pi_r_R)) and np.all(answer.two_pi_r_R >= 0), model
+        assert answer.two_pi_r_R[0, 2] == 0
+        infinite += np.isinf(answer.R[0, 0])
+        if np.isfinite(answer.R[0, 0]):
+            assert answer.two_pi_r_R[0, 0] == 0, model
+    assert infinite > 0
+
+
+# ---- the others ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-4])
+def test_tolerance_bounds_the_error(client, tolerance):
+    """Whoever asks for a tolerance gets an error within it and some roundings; but a fit with a
+    given number of Gaussians has the error that it has."""
+    for model in MODELS:
+        if "gaussians" not in takes(model):
+            given = {**needs(model), "tolerance": tolerance}
+            answer = client.eval(model, SKIN, [1.0], parameters=given)
+            assert answer.numerical_error_constant[0] <= tolerance + 1e-12, model

@@ -1,0 +1,580 @@
+/* Monte Carlo requests: what is refused, what is answered at the extremes, the same bits from every
+ * instruction set, slicing and number of threads. */
+#include <math.h>
+#include <pthread.h>
+
+#include "core/montecarlo/lane_math.h"
+#include "tests/accuracy/montecarlo_run.h"
+#include "tests/unit/unit.h"
+
+/* ---- what a request may be ---------------------------------------------------------------- */
+
+static void assert_request(const core_mc_request *request, const char *field, size_t index) {
+  unit_assert_fault(core_mc_check(request), field, index);
+}
+
+#define REFUSED(member, value, field)                                                              \
+  do {                                                                                             \
+    core_mc_request changed = montecarlo_request(0.9, 0, 1.4);                                     \
+    changed.member = (value);                                                                      \
+    assert_request(&changed, (field), 0);                                                          \
+  } while (0)
+
+static void media_are_checked(void **state) {
+  (void)state;
+  REFUSED(sigma_t_per_mm, 1, NULL);
+  REFUSED(sigma_t_per_mm, 0, "sigma_t");
+  REFUSED(sigma_t_per_mm, -1, "sigma_t");
+  REFUSED(sigma_t_per_mm, 2.1e15, "sigma_t");
+  REFUSED(sigma_t_per_mm, (double)NAN, "sigma_t");
+  REFUSED(g, CORE_MC_G_MAX, NULL);
+  REFUSED(g, -CORE_MC_G_MAX, NULL);
+  REFUSED(g, 0.99991, "g");
+  REFUSED(g, -1, "g");
+  REFUSED(g, (double)NAN, "g");
+  REFUSED(eta, CORE_ETA_MIN, NULL);
+  REFUSED(eta, CORE_ETA_MAX, NULL);
+  REFUSED(eta, 0, "eta");
+  REFUSED(eta, 1001, "eta");
+  REFUSED(eta, (double)NAN, "eta");
+  REFUSED(thickness_mm, 0, NULL);
+  REFUSED(thickness_mm, CORE_MC_THICKNESS_MIN_MFP, NULL);
+  REFUSED(thickness_mm, 0.9 * CORE_MC_THICKNESS_MIN_MFP, "thickness");
+  REFUSED(thickness_mm, -1, "thickness");
+  REFUSED(thickness_mm, -(double)INFINITY, "thickness");
+  REFUSED(thickness_mm, (double)NAN, "thickness");
+  REFUSED(roulette_weight, CORE_MC_ROULETTE_WEIGHT_MIN, NULL);
+  REFUSED(roulette_weight, 1, NULL);
+  REFUSED(roulette_weight, 1e-7, "roulette_weight");
+  REFUSED(roulette_weight, 1.1, "roulette_weight");
+  REFUSED(roulette_weight, (double)NAN, "roulette_weight");
+  REFUSED(scatterings_max, 2, NULL);
+  REFUSED(scatterings_max, CORE_MC_SCATTERINGS_MAX, NULL);
+  REFUSED(scatterings_max, 1, "scatterings_max");
+  REFUSED(scatterings_max, CORE_MC_SCATTERINGS_MAX + 1, "scatterings_max");
+}
+
+static void every_albedo_is_checked(void **state) {
+  (void)state;
+  static const double bad[] = {-1e-300, 1.0000001, NAN, INFINITY};
+  core_mc_request request = montecarlo_request(0.9, 0, 1.4);
+  request.albedo_count = 0;
+  assert_request(&request, "albedo_count", 0);
+  request.albedo_count = CORE_MC_ALBEDOS_MAX + 1;
+  assert_request(&request, "albedo_count", 0);
+  request.albedo_count = CORE_MC_ALBEDOS_MAX;
+  assert_request(&request, NULL, 0);
+  for (size_t i = 0; i < CORE_MC_ALBEDOS_MAX; i++) {
+    const double kept = request.albedo[i];
+    request.albedo[i] = bad[i % (sizeof bad / sizeof bad[0])];
+    assert_request(&request, "albedo", i);
+    request.albedo[i] = kept;
+  }
+}
+
+static void assert_edges(enum core_spacing spacing, uint64_t count, double start, double stop,
+                         const char *field) {
+  core_mc_request request = montecarlo_request(0.9, 0, 1.4);
+  request.edges = (core_grid){spacing, count, start, stop};
+  assert_request(&request, field, 0);
+}
+
+static void edges_are_checked(void **state) {
+  (void)state;
+  static const enum core_spacing spacings[] = {CORE_SPACING_LINEAR, CORE_SPACING_LOGARITHMIC};
+  for (size_t i = 0; i < 2; i++) {
+    const enum core_spacing s = spacings[i];
+    assert_edges(s, 2, 1, 2, NULL);
+    assert_edges(s, CORE_MC_RINGS_MAX + 1, 1, 2, NULL);
+    assert_edges(s, 2, 1, CORE_MC_RADIUS_MAX_MFP, NULL);
+    assert_edges(s, 1, 1, 2, "radius_count");
+    assert_edges(s, CORE_MC_RINGS_MAX + 2, 1, 2, "radius_count");
+    assert_edges(s, UINT64_MAX, 1, 2, "radius_count");
+    assert_edges(s, 2, -1, 2, "radius_start");
+    assert_edges(s, 2, (double)NAN, 2, "radius_start");
+    assert_edges(s, 2, 1, 1, "radius_stop");
+    assert_edges(s, 101, 1, 1.00005, "radius_stop");
+    assert_edges(s, 2, 2, 1, "radius_stop");
+    assert_edges(s, 2, 1, 2 * CORE_MC_RADIUS_MAX_MFP, "radius_stop");
+    assert_edges(s, 2, 1, (double)INFINITY, "radius_stop");
+  }
+  assert_edges(CORE_SPACING_LIST, 2, 1, 2, "radius_spacing");
+  assert_edges(CORE_SPACING_LINEAR, 4097, 0, 1e-8, NULL);
+  assert_edges(CORE_SPACING_LINEAR, 2, 0, 0.9e-8, "radius_stop");
+  assert_edges(CORE_SPACING_LOGARITHMIC, 2, CORE_MC_RADIUS_MIN_MFP, 1, NULL);
+  assert_edges(CORE_SPACING_LOGARITHMIC, 2, 0.9e-8, 1, "radius_start");
+  assert_edges(CORE_SPACING_LOGARITHMIC, 2, 0, 1, "radius_start");
+}
+
+static void media_become_requests(void **state) {
+  (void)state;
+  const core_medium medium = {0.5, 1.5, 0.25, 1.3};
+  core_mc_request request = montecarlo_request(0.9, 0, 1);
+  request.albedo_count = 7;
+  core_mc_request_medium(&request, &medium);
+  assert_true(request.sigma_t_per_mm == 2 && request.g == 0.25 && request.eta == 1.3);
+  assert_true(request.albedo_count == 1 && request.albedo[0] == 0.75);
+}
+
+/* ---- random numbers and functions of lanes ------------------------------------------------ */
+
+/* The known answers that the authors of Philox publish with their code. */
+static void philox_gives_its_known_answers(void **state) {
+  (void)state;
+  static const struct {
+    uint32_t counter[4], key[2], expected[4];
+  } rows[] = {
+      {{0, 0, 0, 0}, {0, 0}, {0x6627e8d5, 0xe169c58d, 0xbc57ac4c, 0x9b00dbd8}},
+      {{0xffffffff, 0xffffffff, 0xffffffff, 0xffffffff},
+       {0xffffffff, 0xffffffff},
+       {0x408f276d, 0x41c83b0e, 0xa20bc7c6, 0x6d5451fd}},
+      {{0x243f6a88, 0x85a308d3, 0x13198a2e, 0x03707344},
+       {0xa4093822, 0x299f31d0},
+       {0xd16cfe09, 0x94fdcceb, 0x5001e420, 0x24126ea1}},
+  };
+  for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
+    const lane_random random = lane_philox(rows[i].counter, rows[i].key);
+    assert_memory_equal(random.word, rows[i].expected, sizeof random.word);
+  }
+}
+
+static void lane_functions_are_accurate(void **state) {
+  (void)state;
+  uint64_t random = unit_seed();
+  double worst_log = 0;
+  double worst_azimuth = 0;
+  for (int i = 0; i < 200000; i++) {
+    /* At both ends too, where few random bits are set. */
+    uint32_t bits = (uint32_t)unit_random(&random) >> (i % 32);
+    bits = i & 32 ? ~bits : bits;
+    const lane_uniform u = lane_uniform_from(bits);
+    const double v = ((bits >> 1) + 0.5) * 0x1p-31;
+    assert_true(u.v > 0 && u.w > 0 && u.v <= 1 && u.w <= 1);
+    assert_true(fabs((double)u.v - v) <= 1.2e-7 * v);
+    assert_true(fabs((double)u.w - (1 - v)) <= 1.2e-7 * (1 - v));
+    const double path = -log1p(-v);
+    worst_log = fmax(worst_log, fabs((double)lane_minus_log(u.v, u.w) - path) / path);
+
+    const lane_direction azimuth = lane_azimuth(bits);
+    const double length = hypot((double)azimuth.cosine, (double)azimuth.sine);
+    const double eighth = ((bits >> 9) + 0.5) * 0x1p-23 * acos(-1) / 4;
+    const double smaller = fmin(fabs((double)azimuth.cosine), fabs((double)azimuth.sine));
+    worst_azimuth = fmax(worst_azimuth, fabs(length - 1));
+    worst_azimuth = fmax(worst_azimuth, fabs(smaller - sin(eighth)));
+  }
+  printf("-ln: %.1e relative, directions: %.1e\n", worst_log, worst_azimuth);
+  assert_true(worst_log <= 2.5e-7);
+  assert_true(worst_azimuth <= 1.5e-7);
+}
+
+/* Each eighth of the circle is chosen by three bits. */
+static void azimuths_cover_the_circle(void **state) {
+  (void)state;
+  unsigned seen = 0;
+  for (uint32_t bits = 0; bits < 8; bits++) {
+    const lane_direction azimuth = lane_azimuth(bits | UINT32_C(1) << 31);
+    const double angle = atan2((double)azimuth.sine, (double)azimuth.cosine) + acos(-1);
+    seen |= 1u << (unsigned)(angle / (acos(-1) / 4));
+  }
+  assert_int_equal(seen, 0xff);
+}
+
+/* ---- the same bits ------------------------------------------------------------------------ */
+
+enum { RINGS = 30, BIT_BATCHES = 3 };
+
+/* All that a run has to say about an albedo. */
+struct answer {
+  core_mc_energy energy;
+  core_mc_ring rings[CORE_MC_SIDES][RINGS];
+};
+
+static struct answer answer_of(const core_mc_total *total, size_t albedo) {
+  struct answer answer;
+  memset(&answer, 0, sizeof answer);
+  core_mc_total_energy(total, albedo, &answer.energy);
+  for (size_t side = 0; side < CORE_MC_SIDES; side++) {
+    core_mc_total_rings(total, albedo, side, answer.rings[side]);
+  }
+  return answer;
+}
+
+static void assert_same(const core_mc_request *request, const core_mc_total *a,
+                        const core_mc_total *b) {
+  for (size_t k = 0; k < request->albedo_count; k++) {
+    const struct answer answer_a = answer_of(a, k);
+    const struct answer answer_b = answer_of(b, k);
+    assert_memory_equal(&answer_a, &answer_b, sizeof answer_a);
+  }
+}
+
+/* Every loop of the walk: isotropic or not, half space or slab. */
+static core_mc_request bit_request(size_t i) {
+  static const double g[] = {0, 0.85, -0.4};
+  static const double thickness_mm[] = {(double)INFINITY, 1.5, 0.001};
+  static const double eta[] = {1.4, 0.8};
+  core_mc_request request = montecarlo_request(0.95, g[i % 3], eta[i % 2]);
+  request.thickness_mm = thickness_mm[i / 3 % 3];
+  request.albedo_count = 1 + i % 5;
+  for (size_t k = 1; k < request.albedo_count; k++) {
+    request.albedo[k] = 0.2 * (double)k;
+  }
+  request.seed = UINT64_C(0x123456789abcdef0) + i;
+  return request;
+}
+enum { BIT_REQUESTS = 18 };
+
+static void instruction_sets_and_slices_give_the_same_bits(void **state) {
+  (void)state;
+  static const uint64_t slices[] = {1, 1000, 12345, UINT64_MAX};
+  const core_isa *portable = core_isa_select("portable");
+  for (size_t i = 0; i < BIT_REQUESTS; i++) {
+    const core_mc_request request = bit_request(i);
+    montecarlo_run expected = montecarlo_run_sliced(&request, BIT_BATCHES, portable, UINT64_MAX);
+    for (size_t level = 0; core_isa_listed(level) != NULL; level++) {
+      const core_isa *isa = core_isa_select(core_isa_listed(level));
+      if (isa == NULL) {
+        continue;
+      }
+      const uint64_t slice = slices[(i + level) % 4];
+      montecarlo_run run = montecarlo_run_sliced(&request, BIT_BATCHES, isa, slice);
+      assert_same(&request, run.total, expected.total);
+      montecarlo_run_free(&run);
+    }
+    montecarlo_run_free(&expected);
+  }
+}
+
+/* Workers take the next index and merge when it is their turn. */
+struct pool {
+  pthread_mutex_t lock;
+  pthread_cond_t merged;
+  const core_mc_plan *plan;
+  core_mc_total *total;
+  uint64_t next;
+};
+
+enum { POOL_BATCHES = 20, POOL_SLICE = 3000 };
+
+static void *work(void *context) {
+  struct pool *pool = context;
+  const core_isa *isa = core_isa_select(NULL);
+  core_mc_batch *batch = core_mc_batch_create(pool->plan);
+  for (;;) {
+    pthread_mutex_lock(&pool->lock);
+    const uint64_t index = pool->next++;
+    pthread_mutex_unlock(&pool->lock);
+    if (index >= POOL_BATCHES || batch == NULL) {
+      break;
+    }
+    core_mc_batch_start(batch, index);
+    while (!core_mc_batch_walk(batch, isa, POOL_SLICE)) {
+    }
+    pthread_mutex_lock(&pool->lock);
+    while (core_mc_total_batches(pool->total) != index) {
+      pthread_cond_wait(&pool->merged, &pool->lock);
+    }
+    core_mc_total_merge(pool->total, batch);
+    pthread_cond_broadcast(&pool->merged);
+    pthread_mutex_unlock(&pool->lock);
+  }
+  core_mc_batch_free(batch);
+  return NULL;
+}
+
+static void threads_give_the_same_bits(void **state) {
+  (void)state;
+  enum { THREADS = 2 };
+  for (size_t i = 0; i < BIT_REQUESTS; i += 5) {
+    const core_mc_request request = bit_request(i);
+    montecarlo_run alone = montecarlo_run_batches(&request, POOL_BATCHES);
+    struct pool pool = {.lock = PTHREAD_MUTEX_INITIALIZER,
+                        .merged = PTHREAD_COND_INITIALIZER,
+                        .plan = alone.plan,
+                        .total = core_mc_total_create(alone.plan)};
+    assert_non_null(pool.total);
+    pthread_t threads[THREADS];
+    for (int j = 0; j < THREADS; j++) {
+      assert_int_equal(pthread_create(&threads[j], NULL, work, &pool), 0);
+    }
+    for (int j = 0; j < THREADS; j++) {
+      pthread_join(threads[j], NULL);
+    }
+    assert_int_equal(core_mc_total_batches(pool.total), POOL_BATCHES);
+    assert_same(&request, pool.total, alone.total);
+    core_mc_total_free(pool.total);
+    montecarlo_run_free(&alone);
+  }
+}
+
+/* Another seed, and the upper half of the seed, give other walks; an abandoned batch leaves nothing
+ * behind. */
+static void seeds_differ_and_batches_start_afresh(void **state) {
+  (void)state;
+  core_mc_request request = bit_request(0);
+  montecarlo_run first = montecarlo_run_batches(&request, 1);
+  const double R = montecarlo_energy(&first, 0).left[CORE_MC_REFLECTED].value;
+  for (int bit = 0; bit < 64; bit += 9) {
+    core_mc_request other = request;
+    other.seed ^= UINT64_C(1) << bit;
+    montecarlo_run run = montecarlo_run_batches(&other, 1);
+    assert_true(montecarlo_energy(&run, 0).left[CORE_MC_REFLECTED].value != R);
+    montecarlo_run_free(&run);
+  }
+  core_mc_batch *batch = core_mc_batch_create(first.plan);
+  core_mc_total *total = core_mc_total_create(first.plan);
+  assert_true(batch != NULL && total != NULL);
+  core_mc_batch_start(batch, 3);
+  assert_false(core_mc_batch_walk(batch, core_isa_select(NULL), 1000));
+  core_mc_batch_start(batch, 0);
+  while (!core_mc_batch_walk(batch, core_isa_select(NULL), 1000)) {
+  }
+  core_mc_total_merge(total, batch);
+  assert_same(&request, total, first.total);
+  core_mc_total_free(total);
+  core_mc_batch_free(batch);
+  montecarlo_run_free(&first);
+}
+
+/* ---- extremes ----------------------------------------------------------------------------- */
+
+static void nothing_is_known_before_the_second_batch(void **state) {
+  (void)state;
+  const core_mc_request request = montecarlo_request(0.9, 0, 1.4);
+  for (uint64_t batches = 0; batches < 3; batches++) {
+    montecarlo_run run = montecarlo_run_batches(&request, batches);
+    const struct answer answer = answer_of(run.total, 0);
+    const core_mc_value R = answer.energy.left[CORE_MC_REFLECTED];
+    assert_true(batches < 2 ? isinf(R.error) : R.error > 0 && R.error < 0.1);
+    assert_true(batches == 0 ? R.value == 0 : R.value > 0.1);
+    for (size_t i = 0; i < RINGS; i++) {
+      const core_mc_ring *ring = &answer.rings[CORE_MC_REFLECTED][i];
+      assert_true(batches < 2 ? isinf(ring->error_per_mm2) : ring->error_per_mm2 > 0);
+    }
+    montecarlo_run_free(&run);
+  }
+}
+
+/* A ring that no photon reaches has an error all the same. */
+static void empty_rings_have_errors(void **state) {
+  (void)state;
+  core_mc_request request = montecarlo_request(0.5, 0, 1.4);
+  montecarlo_rings(&request, RINGS, 1000, 2000);
+  montecarlo_run run = montecarlo_run_batches(&request, 2);
+  const struct answer answer = answer_of(run.total, 0);
+  for (size_t i = 0; i < RINGS; i++) {
+    const core_mc_ring *ring = &answer.rings[CORE_MC_REFLECTED][i];
+    const double area = acos(-1) * (ring->to_mm - ring->from_mm) * (ring->to_mm + ring->from_mm);
+    const double heaviest = 0.5 / (2 * CORE_MC_BATCH_PHOTONS);
+    assert_true(ring->photons == 0 && ring->R_per_mm2 == 0);
+    assert_true(fabs(ring->error_per_mm2 * area - heaviest) <= 1e-12 * heaviest);
+  }
+  assert_true(answer.energy.under[CORE_MC_REFLECTED].value > 0.05);
+  assert_true(answer.energy.over[CORE_MC_REFLECTED].value == 0);
+  montecarlo_run_free(&run);
+}
+
+/* What leaves is in a ring, under or over, or unscattered. */
+static void rings_add_up_to_the_total(void **state) {
+  (void)state;
+  for (size_t i = 0; i < BIT_REQUESTS; i++) {
+    core_mc_request request = bit_request(i);
+    montecarlo_rings(&request, RINGS, 0.3, 2);
+    montecarlo_run run = montecarlo_run_batches(&request, 2);
+    for (size_t k = 0; k < request.albedo_count; k++) {
+      const struct answer answer = answer_of(run.total, k);
+      for (size_t side = 0; side < CORE_MC_SIDES; side++) {
+        double sum = answer.energy.unscattered[side] + answer.energy.under[side].value +
+                     answer.energy.over[side].value;
+        for (size_t j = 0; j < RINGS; j++) {
+          const core_mc_ring *ring = &answer.rings[side][j];
+          sum += ring->R_per_mm2 * acos(-1) *
+                 (ring->to_mm * ring->to_mm - ring->from_mm * ring->from_mm);
+        }
+        assert_true(fabs(sum - answer.energy.left[side].value) <= 1e-12);
+      }
+    }
+    montecarlo_run_free(&run);
+  }
+}
+
+/* Nothing scatters: Beer and Lambert between two mirrors, without an error. */
+static void without_scattering_the_answer_is_exact(void **state) {
+  (void)state;
+  static const double etas[] = {1, 1.5, 0.7, 30};
+  static const double thicknesses_mm[] = {0, 1e-6, 0.3, 2, 50, 1e6, 1e300, (double)INFINITY};
+  for (size_t i = 0; i < sizeof etas / sizeof etas[0]; i++) {
+    for (size_t j = 0; j < sizeof thicknesses_mm / sizeof thicknesses_mm[0]; j++) {
+      core_mc_request request = montecarlo_request(0, 0.3, etas[i]);
+      request.thickness_mm = thicknesses_mm[j];
+      montecarlo_run run = montecarlo_run_batches(&request, 2);
+      const core_mc_energy energy = montecarlo_energy(&run, 0);
+      const double F = pow((etas[i] - 1) / (etas[i] + 1), 2);
+      const double passed = exp(-thicknesses_mm[j]);
+      const double q = F * passed;
+      const double T = (1 - F) * passed / (1 - q * q);
+      assert_true(fabs(energy.left[CORE_MC_TRANSMITTED].value - T) <= 1e-15 + 1e-14 * T);
+      assert_true(fabs(energy.left[CORE_MC_REFLECTED].value - T * q) <= 1e-15);
+      assert_true(energy.left[CORE_MC_TRANSMITTED].error == 0);
+      assert_true(energy.left[CORE_MC_REFLECTED].error == 0);
+      assert_true(fabs(energy.absorbed.value - (1 - T * (1 + q))) <= 1e-15);
+      assert_true(energy.unfinished.value == 0 && energy.roulette.value == 0);
+      montecarlo_run_free(&run);
+    }
+  }
+}
+
+/* An empty slab is two mirrors and no medium, whatever its albedo. */
+static void empty_slabs_let_everything_through(void **state) {
+  (void)state;
+  static const double albedos[] = {0, 0.5, 1};
+  for (size_t i = 0; i < sizeof albedos / sizeof albedos[0]; i++) {
+    core_mc_request request = montecarlo_request(albedos[i], 0.9, 1.5);
+    request.thickness_mm = 0;
+    montecarlo_run run = montecarlo_run_batches(&request, 2);
+    const struct answer answer = answer_of(run.total, 0);
+    const double F = 0.04;
+    assert_true(fabs(answer.energy.left[CORE_MC_TRANSMITTED].value - 1 / (1 + F)) <= 1e-15);
+    assert_true(fabs(answer.energy.left[CORE_MC_REFLECTED].value - F / (1 + F)) <= 1e-15);
+    assert_true(answer.energy.absorbed.value == 0);
+    for (size_t j = 0; j < RINGS; j++) {
+      assert_true(answer.rings[CORE_MC_REFLECTED][j].R_per_mm2 == 0);
+      assert_true(answer.rings[CORE_MC_TRANSMITTED][j].R_per_mm2 == 0);
+    }
+    montecarlo_run_free(&run);
+  }
+}
+
+/* Nothing is absorbed, and all comes back: what has not by then is unfinished, and said to be. */
+static void without_absorption_all_comes_back(void **state) {
+  (void)state;
+  static const struct {
+    double g, eta, thickness_mm;
+    uint32_t scatterings_max;
+  } rows[] = {
+      {0, 1, (double)INFINITY, 0},
+      {0, 1.5, (double)INFINITY, 20000},
+      {0.9, 1.3, (double)INFINITY, 20000},
+      {0, 1.4, (double)INFINITY, 100},
+      {0.999, 1.4, 5, 0},
+      {0, 1.5, 3, 0},
+      {-0.999, 0.7, 5, 0},
+      {0.5, 1.5, (double)INFINITY, 2},
+  };
+  for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
+    core_mc_request request = montecarlo_request(1, rows[i].g, rows[i].eta);
+    request.thickness_mm = rows[i].thickness_mm;
+    request.scatterings_max = rows[i].scatterings_max;
+    montecarlo_run run = montecarlo_run_batches(&request, 4);
+    const core_mc_energy energy = montecarlo_energy(&run, 0);
+    const core_mc_value R = energy.left[CORE_MC_REFLECTED];
+    const core_mc_value T = energy.left[CORE_MC_TRANSMITTED];
+    assert_true(energy.absorbed.value == 0);
+    assert_true(fabs(R.value + T.value + energy.unfinished.value - 1) <=
+                6 * energy.roulette.error + 1e-12);
+    assert_true(isinf(rows[i].thickness_mm) == (T.value == 0));
+    assert_true((energy.unfinished.value > 0) == isinf(rows[i].thickness_mm));
+    assert_true(rows[i].scatterings_max != 0 || energy.unfinished.value < 0.03);
+    montecarlo_run_free(&run);
+  }
+}
+
+/* Roulette changes the work, not what comes out. */
+static void roulette_is_unbiased(void **state) {
+  (void)state;
+  static const double weights[] = {CORE_MC_ROULETTE_WEIGHT_MIN, 0.01, 1};
+  enum { WEIGHTS = 3, BATCHES = 100 };
+  struct answer answers[WEIGHTS];
+  for (size_t i = 0; i < WEIGHTS; i++) {
+    core_mc_request request = montecarlo_request(0.8, 0.3, 1.3);
+    montecarlo_rings(&request, RINGS, 0.05, 3);
+    request.roulette_weight = weights[i];
+    request.seed = i;
+    montecarlo_run run = montecarlo_run_batches(&request, BATCHES);
+    answers[i] = answer_of(run.total, 0);
+    montecarlo_run_free(&run);
+    const core_mc_value roulette = answers[i].energy.roulette;
+    assert_true(fabs(roulette.value) <= 4 * roulette.error);
+  }
+  for (size_t i = 1; i < WEIGHTS; i++) {
+    double squares = 0;
+    for (size_t j = 0; j < RINGS; j++) {
+      const core_mc_ring *a = &answers[0].rings[CORE_MC_REFLECTED][j];
+      const core_mc_ring *b = &answers[i].rings[CORE_MC_REFLECTED][j];
+      squares += pow((a->R_per_mm2 - b->R_per_mm2) / hypot(a->error_per_mm2, b->error_per_mm2), 2);
+    }
+    assert_true(fabs(squares - RINGS) <= 4 * sqrt(2.0 * RINGS));
+  }
+}
+
+/* An albedo's results do not depend on what else was asked for, but for roulette, which goes by the
+ * largest. */
+static void albedos_are_independent(void **state) {
+  (void)state;
+  enum { BATCHES = 5 };
+  core_mc_request many = montecarlo_request(0.9, 0, 1.4);
+  many.albedo_count = CORE_MC_ALBEDOS_MAX;
+  for (size_t k = 1; k < CORE_MC_ALBEDOS_MAX; k++) {
+    many.albedo[k] = k == 7 ? 0 : 0.9 / (double)k;
+  }
+  const core_mc_request one = montecarlo_request(0.9, 0, 1.4);
+  montecarlo_run many_run = montecarlo_run_batches(&many, BATCHES);
+  montecarlo_run one_run = montecarlo_run_batches(&one, BATCHES);
+  assert_same(&one, many_run.total, one_run.total);
+  const struct answer same = answer_of(many_run.total, 1);
+  const struct answer first = answer_of(many_run.total, 0);
+  assert_memory_equal(&same, &first, sizeof same);
+  const core_mc_energy none = montecarlo_energy(&many_run, 7);
+  assert_true(none.absorbed.value == 1 && none.left[CORE_MC_REFLECTED].value == 0);
+  for (size_t k = 8; k + 1 < CORE_MC_ALBEDOS_MAX; k++) {
+    assert_true(montecarlo_energy(&many_run, k).left[CORE_MC_REFLECTED].value >
+                montecarlo_energy(&many_run, k + 1).left[CORE_MC_REFLECTED].value);
+  }
+  montecarlo_run_free(&many_run);
+  montecarlo_run_free(&one_run);
+}
+
+/* Media that strain single precision end, and keep their energy. */
+static void corners_end(void **state) {
+  (void)state;
+  static const double g[] = {-CORE_MC_G_MAX, -1e-9, 1e-300, CORE_MC_G_MAX};
+  static const double eta[] = {CORE_ETA_MIN, 0.999999, 1.0000001, CORE_ETA_MAX};
+  static const double thickness_mm[] = {CORE_MC_THICKNESS_MIN_MFP, 1, 1e25, (double)INFINITY};
+  for (size_t i = 0; i < 64; i++) {
+    core_mc_request request = montecarlo_request(0.9, g[i % 4], eta[i / 4 % 4]);
+    request.thickness_mm = thickness_mm[i / 16];
+    request.edges = (core_grid){CORE_SPACING_LOGARITHMIC, RINGS + 1, 1e-8, 1e12};
+    montecarlo_run run = montecarlo_run_batches(&request, 2);
+    const struct answer answer = answer_of(run.total, 0);
+    for (size_t side = 0; side < CORE_MC_SIDES; side++) {
+      assert_true(answer.energy.left[side].value >= 0 && answer.energy.left[side].value <= 1);
+      assert_true(answer.energy.over[side].value == 0);
+    }
+    montecarlo_run_free(&run);
+  }
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(media_are_checked),
+      cmocka_unit_test(every_albedo_is_checked),
+      cmocka_unit_test(edges_are_checked),
+      cmocka_unit_test(media_become_requests),
+      cmocka_unit_test(philox_gives_its_known_answers),
+      cmocka_unit_test(lane_functions_are_accurate),
+      cmocka_unit_test(azimuths_cover_the_circle),
+      cmocka_unit_test(instruction_sets_and_slices_give_the_same_bits),
+      cmocka_unit_test(threads_give_the_same_bits),
+      cmocka_unit_test(seeds_differ_and_batches_start_afresh),
+      cmocka_unit_test(nothing_is_known_before_the_second_batch),
+      cmocka_unit_test(empty_rings_have_errors),
+      cmocka_unit_test(rings_add_up_to_the_total),
+      cmocka_unit_test(without_scattering_the_answer_is_exact),
+      cmocka_unit_test(empty_slabs_let_everything_through),
+      cmocka_unit_test(without_absorption_all_comes_back),
+      cmocka_unit_test(roulette_is_unbiased),
+      cmocka_unit_test(albedos_are_independent),
+      cmocka_unit_test(corners_end),
+  };
+  return cmocka_run_group_tests(tests, NULL, NULL);
+}
