@@ -5,6 +5,8 @@
 #   make check      all tests; check-asan and check-tsan run them under sanitizers
 #   make bench      every benchmark; build/bench GROUP runs one
 #   make docs       the byte tables of proto/PROTOCOL.md, from proto/messages.def
+#   make model-errors  core/model_errors.def, measured anew against exact solutions
+#   make figures    Figures 1 to 17 of d'Eon 2012, in build/figures (ten minutes; resumes)
 #   make install    to $(DESTDIR)$(PREFIX); make uninstall takes it away again
 #   make setup      installs the packages of .ci/packages, nothing else
 #   make clean     (V=1 shows the commands of any of these)
@@ -81,13 +83,14 @@ SERVER := $(call objects,$(wildcard server/*.c))
 LIBRARY := $(call objects,$(wildcard clients/c/*.c))
 CLI := $(call objects,$(wildcard clients/cli/*.c))
 BENCH := $(call objects,$(wildcard tests/bench/*.c))
+FIGURES := $(call objects,$(wildcard tests/figures/*.c))
 TESTS := $(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/unit/test_*.c tests/accuracy/test_*.c tests/fuzz/test_*.c))
-TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/bench/*.c tests/bits/*.c),$(wildcard tests/*/*.c)))
+TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/bench/*.c tests/bits/*.c tests/figures/*.c),$(wildcard tests/*/*.c)))
 
 PROGRAMS := $(BUILD)/dipoled $(BUILD)/dipole $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-unit check-bits check-e2e check-asan check-tsan bench docs install uninstall clean
+.PHONY: all setup demo check check-unit check-bits check-e2e check-asan check-tsan bench docs model-errors figures install uninstall clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -117,8 +120,6 @@ endef
 $(foreach isa,$(ISAS),$(eval $(call walk_rule,$(isa))))
 
 $(SERVER): EXTRA_CPPFLAGS = $(UV_CFLAGS)
-# Complex products and quotients as they stand in textbooks: in line, the same from every compiler.
-$(call objects,$(wildcard core/transport/*.c)): EXTRA_CPPFLAGS = -fcx-limited-range
 
 $(BUILD)/libcore.a: $(CORE)
 $(BUILD)/libproto.a: $(PROTO)
@@ -204,6 +205,26 @@ check-tsan:
 
 bench: $(BUILD)/bench
 	$(BUILD)/bench
+
+$(BUILD)/model-errors: $(OBJ)/core/tools/model_errors.o $(BUILD)/libcore.a
+	$(call SAY,LD,$@)
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
+
+# Minutes; EXACT names a file of exact solutions, see core/tools/model_errors.c.
+EXACT ?= ../shared/vectors/transport.csv
+model-errors: $(BUILD)/model-errors
+	$(BUILD)/model-errors $(EXACT) > $(BUILD)/model_errors.def
+	cp $(BUILD)/model_errors.def core/model_errors.def
+
+# The folder has the name build/figures, so the program has another.
+$(BUILD)/draw-figures: $(FIGURES) $(BUILD)/libcore.a
+	$(call SAY,LD,$@)
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
+
+figures:
+	@sh .ci/install-packages demo
+	@$(MAKE) --no-print-directory -j2 $(BUILD)/draw-figures
+	$(BUILD)/draw-figures --output $(BUILD)/figures $(FIGURES_OPTIONS)
 
 docs: $(BUILD)/wire-tables
 	$(BUILD)/wire-tables proto/PROTOCOL.md

@@ -242,6 +242,10 @@ core_fault core_profile_check(unsigned model, unsigned moments, unsigned evaluat
                               const core_medium *medium, const core_parameters *parameters,
                               core_radii_range *radii);
 
+/* Whether preparing a model may take longer than a millisecond, so that who serves others does it on
+ * a thread apart. */
+bool core_model_prepares_slowly(unsigned model);
+
 /* Prepares *profile for the kernels of isa. model, moments and evaluator are any integers (a peer
  * may have sent them); parameters may be NULL (none is given). On a fault *profile is unspecified,
  * else it is to be freed with core_profile_free(). */

@@ -5,6 +5,7 @@
 #include <stdlib.h>
 
 #include "core/kernels.h"
+#include "core/model_error.h"
 
 #define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
   extern core_check_function core_##formula##_check;                                               \
@@ -23,6 +24,7 @@ struct model {
   unsigned parts[2];   /* of a sum */
 };
 
+#define SLOW 1u /* no parameter has the id 0 */
 #define BIT(IDENT) (1u << CORE_PARAMETER_##IDENT)
 #define TAKEN_BY_ALL (BIT(TOLERANCE) | BIT(COS_IN) | BIT(COS_OUT))
 
@@ -49,6 +51,11 @@ static unsigned parameters_of(const struct model *model) {
   return model->check != NULL
              ? model->parameters | TAKEN_BY_ALL
              : parameters_of(find(model->parts[0])) | parameters_of(find(model->parts[1]));
+}
+
+bool core_model_prepares_slowly(unsigned model) {
+  const struct model *found = find(model);
+  return found != NULL && (parameters_of(found) & SLOW) != 0;
 }
 
 /* ---- checking ---------------------------------------------------------------------------------
@@ -136,10 +143,13 @@ core_fault core_profile_check(unsigned model, unsigned moments, unsigned evaluat
 /* ---- preparing --------------------------------------------------------------------------------
  */
 
-static void set_notes(core_profile *profile) {
+/* What goes beyond the energy there is is wrong by at least that, measured or not. */
+static void set_model_error(core_profile *profile) {
+  const bool similarity = (profile->notes & CORE_NOTE_SIMILARITY) != 0;
+  profile->model_error = core_model_error(profile->model, &profile->medium, similarity);
   if (profile->albedo > 1 + profile->numerical_error) {
     profile->notes |= CORE_NOTE_ALBEDO_ABOVE_1;
-    profile->model_error = profile->albedo - 1;
+    profile->model_error = fmax(profile->model_error, profile->albedo - 1); /* not NAN */
   }
 }
 
@@ -228,7 +238,7 @@ static core_fault prepare(core_profile *profile, const struct model *model, core
   const core_fault fault = model->check != NULL ? prepare_model(profile, model, &inputs)
                                                 : prepare_sum(profile, model, &inputs, radii);
   if (fault.field == NULL) {
-    set_notes(profile);
+    set_model_error(profile);
   }
   return fault;
 }

@@ -33,8 +33,8 @@ struct connection *connection_new(struct server *server, int fd, enum connection
   return c;
 }
 
-static void on_closed(uv_handle_t *handle) {
-  struct connection *c = handle->data;
+/* When nothing refers to it any more. */
+static void dispose(struct connection *c) {
   struct server *server = c->server;
   const enum connection_purpose purpose = c->purpose;
   input_free(&c->input);
@@ -50,10 +50,21 @@ static void on_closed(uv_handle_t *handle) {
   }
 }
 
+static void on_closed(uv_handle_t *handle) {
+  struct connection *c = handle->data;
+  c->closed = true;
+  if (!c->preparing) {
+    dispose(c);
+  }
+}
+
 void connection_abort(struct connection *c) {
   if (!c->closing) {
     c->closing = true;
     uv_close(&c->uv.handle, on_closed);
+    if (c->preparing) {
+      uv_cancel((uv_req_t *)&c->preparing_work); /* which calls back in any case */
+    }
   }
 }
 
@@ -243,9 +254,40 @@ static bool take_frame(struct connection *c) {
   return !c->closing;
 }
 
+/* ---- profiles that take long to prepare: on a thread of libuv's pool, so that neither this
+ * connection's worker nor anybody's cheap request waits ---------------------------------------- */
+
+static void prepare(uv_work_t *work) {
+  struct connection *c = work->data;
+  job_prepare(&c->job, c->server);
+}
+
+static void on_prepared(uv_work_t *work, int status) {
+  struct connection *c = work->data;
+  (void)status; /* cancelled only when the connection is closing */
+  c->preparing = false;
+  if (c->closed) {
+    dispose(c);
+  } else if (!c->closing) {
+    worker_run_later(c->worker, c);
+  }
+}
+
+static void start_preparing(struct connection *c) {
+  c->preparing_work.data = c;
+  c->preparing =
+      uv_queue_work(worker_loop(c->worker), &c->preparing_work, prepare, on_prepared) == 0;
+  if (!c->preparing) {
+    prepare(&c->preparing_work);
+  }
+}
+
 static void run_job(struct connection *c, uint64_t *budget) {
   switch (job_slice(&c->job, c->server, worker_scratch(c->worker), budget)) {
   case JOB_GOES_ON:
+    return;
+  case JOB_WAITS:
+    start_preparing(c);
     return;
   case JOB_DONE:
     output_commit(&c->output);
@@ -272,6 +314,9 @@ static bool blocked(const struct connection *c) {
 
 /* One step of the work at hand; false: there is none. */
 static bool step(struct connection *c, uint64_t *budget) {
+  if (c->preparing) {
+    return false;
+  }
   if (c->in_job) {
     run_job(c, budget);
     return true;
@@ -311,6 +356,10 @@ static void end_if_done(struct connection *c) {
 
 /* Nothing is left to do with what has arrived: read on, or come to an end. */
 static void settle(struct connection *c) {
+  if (c->preparing) {
+    set_reading(c, false);
+    return;
+  }
   end_if_done(c);
   if (c->closing || c->lingering) {
     return;

@@ -133,6 +133,7 @@ void job_start(struct job *job, uint8_t *reply) {
   job->reply = reply;
   job->notes = 0;
   job->profile_ready = false;
+  job->profile_prepared = false;
   job->channel = 0;
   job->index = 0;
   job->radii_done = (fixed->wanted & CORE_QUANTITY_RADIUS) == 0;
@@ -180,10 +181,11 @@ static const void *slice_radii(const struct job *job, struct job_scratch *scratc
 }
 
 void job_end(struct job *job) {
-  if (job->profile_ready) {
+  if (job->profile_ready || (job->profile_prepared && job->fault.field == NULL)) {
     core_profile_free(&job->profile);
-    job->profile_ready = false;
   }
+  job->profile_ready = false;
+  job->profile_prepared = false;
 }
 
 /* What job_check() could not find. */
@@ -197,16 +199,19 @@ static wire_error from_preparing(core_fault fault, uint32_t channel) {
   return error;
 }
 
-/* False: refused, with the reason. */
-static bool start_channel(struct job *job, const struct server *server) {
+void job_prepare(struct job *job, const struct server *server) {
   const wire_eval_request *fixed = &job->request.fixed;
-  const core_medium medium = medium_at(job, job->channel);
-  job_end(job);
-  const core_fault fault =
-      core_profile_prepare(&job->profile, server->isa, fixed->model, fixed->moments,
-                           fixed->evaluator, &medium, &job->request.parameters);
-  if (fault.field != NULL) {
-    job->refusal = from_preparing(fault, job->channel);
+  job->fault = core_profile_prepare(&job->profile, server->isa, fixed->model, fixed->moments,
+                                    fixed->evaluator, &job->medium, &job->request.parameters);
+  job->profile_prepared = true;
+}
+
+/* Writes what holds for all values of the channel; false: refused, with the reason. */
+static bool start_channel(struct job *job) {
+  const wire_eval_request *fixed = &job->request.fixed;
+  job->profile_prepared = false;
+  if (job->fault.field != NULL) {
+    job->refusal = from_preparing(job->fault, job->channel);
     return false;
   }
   job->profile_ready = true;
@@ -222,6 +227,18 @@ static bool start_channel(struct job *job, const struct server *server) {
                        (size_t)job->channel * WIRE_BYTES_channel,
                    &channel);
   return true;
+}
+
+/* The profile of a channel that has none yet: made at once, or left to job_prepare(). */
+static enum job_state get_profile(struct job *job, const struct server *server) {
+  if (!job->profile_prepared) {
+    job->medium = medium_at(job, job->channel);
+    if (core_model_prepares_slowly(job->request.fixed.model)) {
+      return JOB_WAITS;
+    }
+    job_prepare(job, server);
+  }
+  return start_channel(job) ? JOB_GOES_ON : JOB_REFUSED;
 }
 
 /* Evaluates the n radii of a slice for every array that is wanted. */
@@ -310,8 +327,9 @@ enum job_state job_slice(struct job *job, struct server *server, struct job_scra
     n = slice_length(job, cost);
     radii_step(job, n);
   } else {
-    if (!job->profile_ready && !start_channel(job, server)) {
-      return JOB_REFUSED;
+    const enum job_state state = job->profile_ready ? JOB_GOES_ON : get_profile(job, server);
+    if (state != JOB_GOES_ON) {
+      return state;
     }
     cost = job->profile.cost;
     n = slice_length(job, cost);

@@ -25,8 +25,11 @@ struct job {
   uint32_t channel;
   uint64_t index; /* the next radius of that channel */
   bool radii_done;
-  bool profile_ready; /* and to be freed */
-  unsigned notes;     /* of the channels so far */
+  core_medium medium;    /* of that channel */
+  core_fault fault;      /* of preparing it */
+  bool profile_prepared; /* or found to be at fault */
+  bool profile_ready;    /* and to be freed */
+  unsigned notes;        /* of the channels so far */
   wire_error refusal;
 };
 
@@ -38,6 +41,10 @@ wire_error job_check(struct job *job, const struct server *server, const uint8_t
 /* Starts to fill in the reply, which starts at a multiple of 8. */
 void job_start(struct job *job, uint8_t *reply);
 
+/* Prepares the profile of the channel that JOB_WAITS was returned for. Meanwhile nobody else may
+ * touch the job; then job_slice() goes on with it. */
+void job_prepare(struct job *job, const struct server *server);
+
 /* Frees what a job holds that is given up before its reply is complete, or that is. */
 void job_end(struct job *job);
 
@@ -48,6 +55,7 @@ struct job_scratch {
 
 enum job_state {
   JOB_GOES_ON,
+  JOB_WAITS, /* for job_prepare(), which takes long: to be called on any thread */
   JOB_DONE,    /* the reply is complete */
   JOB_REFUSED, /* there will be no reply; job->refusal says why */
 };

@@ -174,6 +174,81 @@ static void single_scattering_agrees_with_transport(void **state) {
   assert_true(rows >= 1000);
 }
 
+/* R(r) and the totals, index matched and with a boundary; exact, nine digits of them. */
+static void transport_has_its_published_values(void **state) {
+  (void)state;
+  static const double radii[] = {.1, .5, 1, 2, 5, 10};
+  static const struct {
+    double a;
+    double R[6];
+  } rows[] = {
+      {.5, {2.7160357e-1, 2.3164264e-2, 5.2531991e-3, 7.0457166e-4, 9.8241658e-6, 2.8957658e-8}},
+      {.9, {5.6107803e-1, 6.7096093e-2, 2.1217650e-2, 4.9406107e-3, 2.6224896e-4, 5.7670504e-6}},
+      {.99, {6.4361447e-1, 8.6855766e-2, 3.1387826e-2, 9.4042074e-3, 1.0995469e-3, 1.1009614e-4}}};
+  static const struct {
+    double a, n, total;
+  } totals[] = {{.1, 1, .01639034215},      {.1, 1.33, .02768625739}, {.1, 1.5, .04560923231},
+                {.7, 1, .20867995212},      {.7, 1.5, .12890516220},  {.999, 1, .91284533480},
+                {.999, 1.33, .86908178965}, {.999, 1.5, .84145847579}};
+  const core_parameters fine = with(CORE_PARAMETER_TOLERANCE, 1e-8);
+  for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
+    core_profile profile = prepared(CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
+                                    (core_medium){1 - rows[i].a, rows[i].a, 0, 1}, &fine);
+    for (size_t j = 0; j < 6; j++) {
+      assert_near(value_of(&profile, CORE_QUANTITY_R, radii[j]), rows[i].R[j], 6e-8, "transport");
+    }
+    core_profile_free(&profile);
+  }
+  for (size_t i = 0; i < sizeof totals / sizeof totals[0]; i++) {
+    const double n = totals[i].n;
+    const double specular = (n - 1) * (n - 1) / ((n + 1) * (n + 1));
+    const core_medium medium = {1 - totals[i].a, totals[i].a, 0, n};
+    assert_near(specular + (1 - specular) * albedo_of(CORE_MODEL_TRANSPORT, medium, NULL),
+                totals[i].total, 1e-9, "the total of transport");
+  }
+}
+
+/* The columns R and total of ../shared/vectors/transport.csv: every eighth medium, at two tolerances
+ * in turn. */
+static void transport_agrees_with_exact_solutions(void **state) {
+  (void)state;
+  char *text = unit_read_file("../shared/vectors/transport.csv");
+  if (text == NULL) {
+    printf("skipped: ../shared/vectors/transport.csv is not there\n");
+    return;
+  }
+  core_profile profile = {0};
+  double solved = -1, worst = 0;
+  size_t media = 0, rows = 0;
+  for (char *line = strtok(text, "\n"); line != NULL; line = strtok(NULL, "\n")) {
+    double ratio, eta, a, total, r, R;
+    if (sscanf(line, "%lf,%lf,%lf,%lf,%lf,%lf", &ratio, &eta, &a, &total, &r, &R) != 6) {
+      continue;
+    }
+    if (a * 10 + eta != solved) {
+      solved = a * 10 + eta;
+      core_profile_free(&profile);
+      profile = (core_profile){0};
+      if (media++ % 8 == 3) {
+        const core_parameters fine = with(CORE_PARAMETER_TOLERANCE, media % 16 == 4 ? 1e-8 : 1e-4);
+        profile = prepared(CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
+                           (core_medium){1 - a, a, 0, eta}, &fine);
+        assert_near(profile.albedo, total, 1e-9, "the total of transport");
+      }
+    }
+    if (profile.table != NULL) {
+      const double value = value_of(&profile, CORE_QUANTITY_R, r);
+      worst = fmax(worst, fabs(value / R - 1));
+      assert_near(value, R, profile.numerical_error, "transport");
+      rows++;
+    }
+  }
+  core_profile_free(&profile);
+  free(text);
+  printf("%zu rows of transport.csv, worst %.2g\n", rows, worst);
+  assert_true(rows >= 100);
+}
+
 /* ---- adaptive quadrature of the formulas as they are printed --------------------------------- */
 
 struct source {
@@ -570,6 +645,8 @@ int main(void) {
       cmocka_unit_test(skin_is_the_published_sum),
       cmocka_unit_test(single_scattering_has_its_published_values),
       cmocka_unit_test(single_scattering_agrees_with_transport),
+      cmocka_unit_test(transport_has_its_published_values),
+      cmocka_unit_test(transport_agrees_with_exact_solutions),
       cmocka_unit_test(extended_and_beam_agree_with_adaptive_quadrature),
       cmocka_unit_test(single_scattering_agrees_with_adaptive_quadrature),
       cmocka_unit_test(quantized_diffusion_keeps_its_tolerance),

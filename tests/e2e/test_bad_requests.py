@@ -376,7 +376,7 @@ OTHERS = {
     "statistics with a payload": (STATISTICS, bytes(16), "bad-length", "payload_bytes", "0"),
     "ping too long": (PING, bytes(1032), "bad-length", "payload_bytes", "1024"),
     "type 0": (0, b"", "bad-type", "type", "message"),
-    "type after the last": (6, b"", "bad-type", "type", "message"),
+    "type after the last": (8, b"", "bad-type", "type", "message"),
     "type with a payload": (0x7FFF, bytes(64), "bad-type", "type", "message"),
     "type of a reply": (PING | wire.REPLY, b"", "bad-type", "type", "message"),
     "type of an error": (wire.TYPE_ERROR, bytes(128), "bad-type", "type", "message"),

@@ -7,9 +7,10 @@ import re
 import pytest
 from daemons import REPOSITORY
 from dipole import Frame, wire
+from dipole.mc import unpack_result
 from frames import assert_serves
 
-DETERMINISTIC = ["eval", "parameter", "media", "ping", "error"]
+DETERMINISTIC = ["eval", "parameter", "media", "ping", "mc", "cancel", "error"]
 NAMES = {
     "hello-request",
     "eval-request",
@@ -19,6 +20,10 @@ NAMES = {
     "media-request",
     "ping-request",
     "ping-reply",
+    "mc-request",
+    "mc-reply",
+    "cancel-request",
+    "cancel-reply",
     "error-request",
     "error-reply",
     "statistics-request",
@@ -75,11 +80,20 @@ def frame_bytes(reply: Frame) -> bytes:
     return header + reply.payload
 
 
+def is_progress(reply: Frame) -> bool:
+    """Whether more replies to the same request follow."""
+    if reply.type != wire.MESSAGES["mc"] | wire.REPLY:
+        return False
+    return wire.MC_REPLY.unpack(reply.payload).state == wire.MC_UNDER_WAY
+
+
 @pytest.mark.parametrize("name", REQUESTS)
 def test_request_is_answered_as_documented(connection, name):
     message = name.removesuffix("-request")
     connection.send_bytes(EXAMPLES[name])
     reply = connection.receive_frame()
+    while is_progress(reply):
+        reply = connection.receive_frame()
     assert reply.request_id == wire.HEADER.unpack(EXAMPLES[name]).request_id
     if message == "error":
         assert reply.type == wire.TYPE_ERROR
@@ -121,6 +135,15 @@ def check_ping(payload: bytes) -> None:
     assert len(payload) % wire.ALIGNMENT == 0
 
 
+def check_mc(payload: bytes) -> None:
+    result = unpack_result(payload)
+    assert result.state == "photons" and len(result.energies) == len(result.values) == 1
+
+
+def check_cancel(payload: bytes) -> None:
+    assert wire.CANCEL_REPLY.unpack(payload) == (0, 0)
+
+
 def check_error(payload: bytes) -> None:
     assert len(payload) == wire.ERROR.bytes
     error = wire.ERROR.unpack(payload)
@@ -134,5 +157,7 @@ STRUCTURE = {
     "media": check_list(wire.MEASURED_MEDIUM),
     "statistics": check_list(wire.VALUE),
     "ping": check_ping,
+    "mc": check_mc,
+    "cancel": check_cancel,
     "error": check_error,
 }

@@ -234,7 +234,7 @@ def test_errors_are_stated(client):
         assert error.shape == (2, 3)
         assert np.all(error >= at_least) and np.all(error < at_least * 2**10)
         assert error[0, 2] > error[0, 0]  # the condition of the problem grows with r
-        assert np.all(np.isnan(result.model_error) | (result.model_error > 0))
+        assert np.all(np.isnan(result.model_error) | (result.model_error >= 0))
 
 
 def test_f32_is_within_its_stated_error(client):

@@ -126,6 +126,11 @@ static void structures_have_their_sizes(void **state) {
   assert_int_equal(WIRE_BYTES_channel, 32);
   assert_int_equal(WIRE_BYTES_list_reply, 8);
   assert_int_equal(WIRE_BYTES_measured_medium, 80);
+  assert_int_equal(WIRE_BYTES_mc_request, 64);
+  assert_int_equal(WIRE_BYTES_mc_reply, 72);
+  assert_int_equal(WIRE_BYTES_mc_energy, 176);
+  assert_int_equal(WIRE_BYTES_cancel_request, 8);
+  assert_int_equal(WIRE_BYTES_cancel_reply, 8);
   assert_int_equal(WIRE_BYTES_error, 128);
 }
 

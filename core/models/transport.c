@@ -1,0 +1,338 @@
+/* Radiative transport itself, for isotropic scattering: the deterministic solution of
+ * core/transport/, which is where the equations are.
+ *
+ * A profile is solved once, at points of ln x (x in mean free paths 1 / sigma_t'), and evaluated
+ * from Legendre series of
+ *
+ *   L(ln x) = ln(x R(x)) + kappa x
+ *
+ * in panels of ln x: with 1 / x at the source and e^(-kappa x) far away divided out, a series of 16
+ * terms is exact to half of TOLERANCE_LEAST. R stays positive whatever is between the points. The energy
+ * within r is gathered from the same series (core/energy.h); the albedo is the solver's own total.
+ *
+ * Anisotropic scattering goes through the similarity relation.
+ *
+ * Domain: eta from 0.25 to 4. Radii below FIRST mean free paths are continued like 1 / x; beyond
+ * LAST_EXPONENT / kappa, or LAST mean free paths where that is less, or where the solver's own
+ * estimate exceeds the tolerance, like the diffusion of a dipole, (1 + kappa x) e^(-kappa x) / x^3.
+ * Error: the tolerance (TOLERANCE when none is asked for; at least TOLERANCE_LEAST, half of which is
+ * the series'), relative.
+ */
+#include "core/kernels.h"
+
+/* The table; lengths in mean free paths. */
+enum coefficient {
+  MFP_PER_MM,
+  KAPPA,
+  PANELS,
+  R_SCALE,    /* sigma_t'^2 */
+  RING_SCALE, /* 2 pi sigma_t' */
+  PDF_SCALE,  /* over the whole energy */
+  SLOPE_SCALE,
+  LIMIT, /* of the cdf: 1, or 0 when nothing scatters */
+  FIRST_X,
+  LAST_X,
+  LN_FIRST,
+  SERIES, /* TERMS coefficients for each panel, then the table of the energy */
+};
+
+enum { TERMS = 16 };
+
+#define PANEL_WIDTH 0.75 /* in ln x */
+
+#ifdef CORE_ISA
+
+#include "core/kernel.h"
+
+#if CORE_REAL == 64
+
+#include "core/models/energy.h"
+
+/* The Legendre series of a panel and of its derivative, by Clenshaw's recurrence. */
+struct series {
+  double value;
+  double slope; /* d / ds */
+};
+
+static inline struct series sum_series(const double *a, double s) {
+  double next = 0, after = 0, next_slope = 0, after_slope = 0;
+  for (int k = TERMS - 1; k >= 1; k--) {
+    const double up = (2 * k + 1) / (k + 1.0);
+    const double down = (k + 1.0) / (k + 2);
+    const double value = a[k] + up * s * next - down * after;
+    const double slope = up * real_fma(s, next_slope, next) - down * after_slope;
+    after = next;
+    next = value;
+    after_slope = next_slope;
+    next_slope = slope;
+  }
+  return (struct series){real_fma(s, next, real_fma(-0.5, after, a[0])),
+                         real_fma(s, next_slope, real_fma(-0.5, after_slope, next))};
+}
+
+/* ln(x R) + kappa x at a radius, and its derivative by ln x. */
+struct profile {
+  double x;   /* kept below infinity */
+  double far; /* how much less it is than the true one */
+  double value;
+  double slope;
+};
+
+static inline struct profile look(const double *c, double r) {
+  const double true_x = r * c[MFP_PER_MM] + 0; /* adding 0 makes 0 of -0 */
+  const double x = real_min(true_x, 1e100);
+  const double kept = real_min(real_max(x, c[FIRST_X]), c[LAST_X]);
+  const double y = (real_log(kept, 0) - c[LN_FIRST]) * (1 / PANEL_WIDTH);
+  const double panel = real_max(real_min((double)(int64_t)y, c[PANELS] - 1), 0);
+  const double s = real_max(real_min(2 * (y - panel) - 1, 1), -1);
+  const struct series sum = sum_series(&c[SERIES + (size_t)panel * TERMS], s);
+  const double kx = c[KAPPA] * x;
+  const double kl = c[KAPPA] * c[LAST_X];
+  const double beyond =
+      real_log((1 + kx) / (1 + kl), 0) - 2 * real_log(real_max(x / c[LAST_X], 1), 0);
+  const bool inside = x >= c[FIRST_X] && x <= c[LAST_X];
+  return (struct profile){
+      .x = x,
+      .far = x < true_x ? x / true_x : 1,
+      .value = x > c[LAST_X] ? sum.value + beyond : sum.value,
+      .slope = inside          ? sum.slope * (2 / PANEL_WIDTH)
+               : x > c[LAST_X] ? kx / (1 + kx) - 2
+                               : 0,
+  };
+}
+
+/* scale e^(L - kappa x), which may underflow, not overflow. */
+static inline double exponential(double scale, const double *c, struct profile p) {
+  const double shift = real_max(p.value, 0);
+  const double up = 1 / real_exp(-shift).exp;
+  return real_times_exp(scale * up, real_min(p.value, 0) - c[KAPPA] * p.x, 0) * (p.far * p.far);
+}
+
+static inline double transport_ring(const double *c, double r) {
+  return exponential(c[RING_SCALE], c, look(c, r));
+}
+
+static inline double transport_pdf(const double *c, double r) {
+  return exponential(c[PDF_SCALE], c, look(c, r));
+}
+
+static inline double transport_R(const double *c, double r) {
+  const struct profile p = look(c, r);
+  const double R = exponential(c[R_SCALE], c, p) / p.x * p.far;
+  return c[LIMIT] > 0 ? R : 0;
+}
+
+/* dR/dx = R / x (d ln(x R) / d ln x - 1) */
+static inline double transport_slope(const double *c, double r) {
+  const struct profile p = look(c, r);
+  const double steepness = 1 + c[KAPPA] * p.x - p.slope;
+  const double slope = -(exponential(c[SLOPE_SCALE], c, p) * steepness / p.x) / p.x * p.far;
+  return c[LIMIT] > 0 ? slope : 0;
+}
+
+static inline double transport_ln_R(const double *c, double r) {
+  const struct profile p = look(c, r);
+  const double ln_R = p.value - c[KAPPA] * p.x + real_log(c[R_SCALE], 0);
+  const double near = real_log(real_max(p.x, 1e-300), 0);
+  const double bounded = p.x < 1e100 ? ln_R - near : -(double)INFINITY;
+  return c[LIMIT] > 0 ? (p.x > 0 ? bounded : (double)INFINITY) : -(double)INFINITY;
+}
+
+static inline double transport_cdf(const double *c, double r) {
+  const double cdf = energy_cdf(&c[SERIES + (size_t)c[PANELS] * TERMS], r);
+  return c[LIMIT] > 0 ? cdf : 0;
+}
+
+CORE_KERNEL(eval_R, transport_R)
+CORE_KERNEL(eval_cdf, transport_cdf)
+CORE_KERNEL(eval_slope, transport_slope)
+CORE_KERNEL(eval_ln_R, transport_ln_R)
+CORE_KERNEL(eval_pdf, transport_pdf)
+CORE_KERNEL(eval_ring, transport_ring)
+
+CORE_KERNEL_TABLE(transport, .evaluate = {
+                                 [CORE_ELEMENTWISE_R] = eval_R,
+                                 [CORE_ELEMENTWISE_CDF] = eval_cdf,
+                                 [CORE_ELEMENTWISE_SLOPE] = eval_slope,
+                                 [CORE_ELEMENTWISE_LN_R] = eval_ln_R,
+                                 [CORE_ELEMENTWISE_PDF] = eval_pdf,
+                                 [CORE_ELEMENTWISE_RING] = eval_ring,
+                             });
+
+#else
+CORE_KERNEL_TABLE_NONE(transport);
+#endif
+
+#else /* preparation, compiled once */
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define CORE_REAL 64
+#include "core/energy.h"
+#include "core/gauss.h"
+#include "core/kernel.h"
+#include "core/transport/transport.h"
+
+#define TOLERANCE 1e-5
+#define TOLERANCE_LEAST 1e-8
+#define FIRST 1e-10
+#define LAST 1e4
+#define LAST_EXPONENT 28.0
+#define COST 8 /* of a kernel evaluation of a dipole, measured with build/bench kernel */
+
+/* Nothing worth solving is left of a smaller one. */
+#define ALBEDO_LEAST 1e-12
+
+core_check_function core_transport_check;
+core_prepare_function core_transport_prepare;
+
+core_fault core_transport_check(const core_inputs *inputs, core_radii_range *radii) {
+  (void)radii;
+  const double eta = inputs->medium->eta;
+  if (!(eta >= TRANSPORT_ETA_MIN && eta <= TRANSPORT_ETA_MAX)) {
+    return (core_fault){"eta", "0.25 to 4 with transport", 0};
+  }
+  if (core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, TOLERANCE) < TOLERANCE_LEAST) {
+    return (core_fault){"tolerance", "1e-8 to 0.1 with transport", 0};
+  }
+  return (core_fault){0};
+}
+
+static core_fault solve(const core_inputs *inputs, double albedo, double tolerance,
+                        transport_solution **solution) {
+  transport_boundary *boundary;
+  core_fault fault = transport_boundary_create(&boundary, inputs->medium->eta, tolerance);
+  if (fault.field == NULL) {
+    fault = transport_solve(solution, boundary, albedo);
+  }
+  transport_boundary_free(boundary);
+  return fault;
+}
+
+/* e^x for x from -700 to 700. */
+static double exponential(double x) {
+  const double e = real_exp(-fabs(x)).exp;
+  return x > 0 ? 1 / e : e;
+}
+
+/* The Legendre series through the Gauss points of a panel from ln x = y. */
+static void fit_panel(const transport_solution *solution, double kappa, double y, double *series) {
+  memset(series, 0, TERMS * sizeof *series);
+  for (int i = 0; i < 2 * CORE_GAUSS_HALF; i++) {
+    const double s = 2 * core_gauss_node(i) - 1;
+    const double x = exponential(fma(PANEL_WIDTH, core_gauss_node(i), y));
+    const double R = transport_at(solution, x).R.value;
+    const double value = real_log(fmax(x * R, 1e-300), 0) + kappa * x;
+    double p = 1, before = 0;
+    for (int k = 0; k < TERMS; k++) {
+      series[k] += (2 * k + 1) * core_gauss_weight(i) * value * p;
+      const double next = ((2 * k + 1) * s * p - k * before) / (k + 1);
+      before = p;
+      p = next;
+    }
+  }
+}
+
+static void set_scales(double *c, double sigma_t_prime, bool scatters) {
+  c[MFP_PER_MM] = sigma_t_prime;
+  c[LIMIT] = scatters;
+  c[R_SCALE] = scatters ? sigma_t_prime * sigma_t_prime : 0;
+  c[RING_SCALE] = scatters ? 6.28318530717958647693 * sigma_t_prime : 0;
+  c[SLOPE_SCALE] = c[R_SCALE] * sigma_t_prime;
+}
+
+/* How many panels, of at most `most`, the solution fills with values that keep the tolerance: far
+ * enough away noise is what is left of R. */
+static double solved_panels(const transport_solution *solution, double ln_first, double most,
+                            double tolerance) {
+  double panels = 1;
+  while (panels < most) {
+    const double x = exponential(ln_first + (panels + 1) * PANEL_WIDTH);
+    const transport_number R = transport_at(solution, x).R;
+    if (!(R.error <= tolerance * R.value)) {
+      break;
+    }
+    panels++;
+  }
+  return panels;
+}
+
+/* The table of a solution. */
+static core_fault fill(const core_inputs *inputs, const transport_solution *solution, double albedo,
+                       double sigma_t_prime, double tolerance, core_preparation *preparation) {
+  const double kappa = transport_kappa(albedo);
+  const double ln_first = real_log(FIRST, 0);
+  const double reach = kappa * LAST > LAST_EXPONENT ? LAST_EXPONENT / kappa : LAST;
+  const double most = ceil((real_log(reach, 0) - ln_first) / PANEL_WIDTH);
+  const double panels = solved_panels(solution, ln_first, most, tolerance);
+  const double last = exponential(ln_first + panels * PANEL_WIDTH);
+  const double mfp_mm = 1 / sigma_t_prime;
+  /* Further than 40 decay lengths, or 1e12 mean free paths, there is less than 1e-12 of it. */
+  const double energy_last = kappa * 1e12 > 40 ? fmax(40 / kappa, last) : 1e12;
+  const size_t before_energy = SERIES + (size_t)panels * TERMS;
+  const size_t energy_length = core_energy_length(FIRST * mfp_mm, energy_last * mfp_mm);
+  double *c = malloc((before_energy + energy_length) * sizeof *c);
+  if (c == NULL) {
+    return CORE_OUT_OF_MEMORY;
+  }
+  set_scales(c, sigma_t_prime, true);
+  c[KAPPA] = kappa;
+  c[PANELS] = panels;
+  c[FIRST_X] = FIRST;
+  c[LAST_X] = last;
+  c[LN_FIRST] = ln_first;
+  for (size_t i = 0; i < (size_t)panels; i++) {
+    fit_panel(solution, kappa, ln_first + (double)i * PANEL_WIDTH, &c[SERIES + i * TERMS]);
+  }
+  core_kernel_f64 *ring =
+      core_isa_kernels(inputs->isa, CORE_MODEL_TRANSPORT)->f64->evaluate[CORE_ELEMENTWISE_RING];
+  const double energy =
+      core_energy_build(ring, c, FIRST * mfp_mm, energy_last * mfp_mm, &c[before_energy]);
+  c[PDF_SCALE] = c[RING_SCALE] / energy;
+  preparation->table = c;
+  preparation->albedo = transport_total(solution).value;
+  return (core_fault){0};
+}
+
+static core_fault fill_nothing(double sigma_t_prime, core_preparation *preparation) {
+  double *c = calloc(SERIES + TERMS + CORE_ENERGY_SERIES + CORE_ENERGY_TERMS, sizeof *c);
+  if (c == NULL) {
+    return CORE_OUT_OF_MEMORY;
+  }
+  set_scales(c, sigma_t_prime, false);
+  c[PANELS] = 1;
+  c[FIRST_X] = FIRST;
+  c[LAST_X] = LAST;
+  double *energy = &c[SERIES + TERMS];
+  energy[CORE_ENERGY_PANELS] = 1;
+  energy[CORE_ENERGY_FIRST_MM] = 1;
+  energy[CORE_ENERGY_PER_PANEL] = 1;
+  preparation->table = c;
+  return (core_fault){0};
+}
+
+core_fault core_transport_prepare(const core_inputs *inputs, core_preparation *preparation) {
+  const core_medium *medium = inputs->medium;
+  const double sigma_s_prime = medium->sigma_s_per_mm * (1 - medium->g);
+  const double sigma_t_prime = medium->sigma_a_per_mm + sigma_s_prime;
+  const double albedo = sigma_s_prime / sigma_t_prime;
+  const double asked = core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, TOLERANCE);
+  const double tolerance = fmin(0.5 * asked, TRANSPORT_TOLERANCE_MAX);
+  preparation->notes = core_similarity_note(inputs);
+  preparation->error = asked;
+  preparation->cost = COST;
+  if (albedo < ALBEDO_LEAST) {
+    return fill_nothing(sigma_t_prime, preparation);
+  }
+  transport_solution *solution = NULL;
+  core_fault fault = solve(inputs, albedo, tolerance, &solution);
+  if (fault.field == NULL) {
+    fault = fill(inputs, solution, albedo, sigma_t_prime, tolerance, preparation);
+  }
+  transport_solution_free(solution);
+  return fault;
+}
+
+#endif

@@ -1,0 +1,19 @@
+/* gauss: Gauss-Legendre rules of any order. */
+#ifndef DIPOLED_CORE_TRANSPORT_GAUSS_H
+#define DIPOLED_CORE_TRANSPORT_GAUSS_H
+
+#include <stddef.h>
+
+enum { GAUSS_MAX = 256 };
+
+/* Nodes in (0, 1), ascending, and their weights, which add up to 1; within a few epsilon. */
+typedef struct gauss_rule {
+  size_t n;
+  double x[GAUSS_MAX];
+  double weight[GAUSS_MAX];
+} gauss_rule;
+
+/* n: 1 to GAUSS_MAX (asserted). */
+void transport_gauss(gauss_rule *rule, size_t n);
+
+#endif

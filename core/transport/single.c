@@ -1,0 +1,71 @@
+/* The beam goes down to the depth t, scatters into the angle whose tangent is x = r / t and leaves:
+ *
+ *   R1(r) = a / (4 pi r) int_0^X (1 + x^2)^(-3/2) T(x) e^(-(r / x) (1 + sqrt(1 + x^2))) dx,
+ *
+ * X the critical angle's tangent. The exponent is -r E with E = coth(u / 2), x = sinh u, and
+ * mu = 1 / cosh u = (E^2 - 1) / (E^2 + 1):
+ *
+ *   R1(r) = a / (4 pi r) int_E0^inf w(E) e^(-rE) dE,   w(E) = 2 (E^2 - 1) / (E^2 + 1)^2 T,
+ *   within r: a / 2 int_E0^inf w(E) (1 - e^(-rE)) / E dE,
+ *
+ * with E0 = eta + sqrt(eta^2 - 1), or 1 if eta < 1. In y = ln(E - E0) the trapezoidal rule
+ * converges exponentially, for every r: the root of T at E0 and the scale 1 / r are both smooth on
+ * that axis.
+ */
+#include "core/transport/single.h"
+
+#include <math.h>
+
+#include "core/transport/functions.h"
+
+/* The ends: what is cut off is below 1e-13 for r up to 1e8, and for r = 0. */
+#define Y_MIN (-40.0)
+#define Y_MAX 32.0
+
+/* The transmittance at E = E0 + distance. */
+static double transmittance(double eta, double e0, double distance, double mu) {
+  const double e = e0 + distance;
+  double mu_t;
+  if (eta > 1) {
+    /* mu - mu_c = 2 (E^2 - E0^2) / ((E^2 + 1) (E0^2 + 1)) */
+    const double mu_c = sqrt((eta - 1) * (eta + 1)) / eta;
+    const double beyond = 2 * distance * (e + e0) / ((e * e + 1) * (e0 * e0 + 1));
+    mu_t = eta * sqrt(beyond * (mu + mu_c));
+  } else {
+    mu_t = sqrt((1 - eta) * (1 + eta) + eta * eta * mu * mu);
+  }
+  const double s = eta * mu + mu_t;
+  const double p = mu + eta * mu_t;
+  return 2 * eta * mu * mu_t * (1 / (s * s) + 1 / (p * p));
+}
+
+void transport_single_rule(single_rule *rule, double eta, double step) {
+  const double root = eta > 1 ? sqrt((eta - 1) * (eta + 1)) : 0;
+  const double e0 = eta > 1 ? eta + root : 1;
+  rule->n = 0;
+  for (double y = Y_MIN; y <= Y_MAX && rule->n < SINGLE_MAX; y += step) {
+    const double distance = fn_exp(y);
+    const double e = e0 + distance;
+    /* E^2 - 1 = (E0^2 - 1) + (E^2 - E0^2), and E0^2 - 1 = 2 root E0 */
+    const double above_one = 2 * root * e0 + distance * (e + e0);
+    const double sum = e * e + 1;
+    const double t = eta == 1 ? 1 : transmittance(eta, e0, distance, above_one / sum);
+    rule->rate[rule->n] = e;
+    rule->weight[rule->n] = 2 * above_one / (sum * sum) * t * distance * step;
+    rule->n++;
+  }
+}
+
+single_values transport_single_at(const single_rule *rule, double r) {
+  single_values sum = {0, 0};
+  for (size_t i = 0; i < rule->n; i++) {
+    const double exponent = r * rule->rate[i];
+    const double left = fn_exp(-exponent);
+    const double absorbed = exponent < 0.5 ? -creal(fn_cexpm1(-exponent)) : 1 - left;
+    sum.r += rule->weight[i] * left;
+    sum.within += rule->weight[i] * absorbed / rule->rate[i];
+  }
+  sum.within *= 0.5;
+  sum.r = sum.r / (4 * FN_PI * r);
+  return sum;
+}

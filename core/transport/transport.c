@@ -1,0 +1,350 @@
+/* Every number is computed twice, on two contours with two sets of nodes; the finer one is the
+ * answer, and SAFETY times what they differ by is the error estimate. */
+#include "core/transport/transport.h"
+
+#include <assert.h>
+#include <math.h>
+#include <pthread.h>
+#include <stdlib.h>
+
+#include "core/transport/equation.h"
+#include "core/transport/functions.h"
+#include "core/transport/nodes.h"
+#include "core/transport/single.h"
+#include "core/transport/spectrum.h"
+
+#define ETA_ALLOWED "from 0.25 to 4"
+#define TOLERANCE_ALLOWED "from 1e-9 to 1e-3"
+#define ALBEDO_ALLOWED "from 0 to 1"
+#define MEMORY_ALLOWED "enough of it"
+
+enum { FINE, COARSE, BOTH };
+
+/* How much more accurate than the tolerance the rules are: the estimate is to be below it too. */
+static const double finer[BOTH] = {200, 12};
+static const double shrink[BOTH] = {1, 0.97}; /* of the contour */
+static const double single_step[BOTH] = {0.27, 0.33};
+/* The total needs one wavenumber only, as good as 0. */
+static const double total_accuracy[BOTH] = {1e-14, 1e-12};
+#define K_TOTAL 1e-15
+#define TOTAL_ROUNDING 1e-13
+#define SAFETY 3.0
+
+/* ---- boundaries ----------------------------------------------------------------------------- */
+
+struct transport_boundary {
+  spectrum_rules rules[BOTH];
+  nodes_rules total_rules[BOTH];
+  equation total[BOTH];
+  single_rule single[BOTH];
+  pthread_mutex_t lock; /* of what follows */
+  spectrum_grid *grids[SPECTRUM_LEVEL_MAX + 1][BOTH];
+};
+
+static const core_fault no_fault = {NULL, NULL, 0};
+static const core_fault memory_fault = {"memory", MEMORY_ALLOWED, 0};
+
+static core_fault check_boundary(double eta, double tolerance) {
+  if (!(eta >= TRANSPORT_ETA_MIN && eta <= TRANSPORT_ETA_MAX)) {
+    return (core_fault){"eta", ETA_ALLOWED, 0};
+  }
+  if (!(tolerance >= TRANSPORT_TOLERANCE_MIN && tolerance <= TRANSPORT_TOLERANCE_MAX)) {
+    return (core_fault){"tolerance", TOLERANCE_ALLOWED, 0};
+  }
+  return no_fault;
+}
+
+core_fault transport_boundary_create(transport_boundary **boundary, double eta, double tolerance) {
+  *boundary = NULL;
+  const core_fault fault = check_boundary(eta, tolerance);
+  if (fault.field != NULL) {
+    return fault;
+  }
+  transport_boundary *made = calloc(1, sizeof *made);
+  if (made == NULL) {
+    return memory_fault;
+  }
+  pthread_mutex_init(&made->lock, NULL);
+  for (size_t i = 0; i < BOTH; i++) {
+    transport_spectrum_rules(&made->rules[i], eta, tolerance / finer[i]);
+    transport_nodes_rules(&made->total_rules[i], eta, total_accuracy[i]);
+    transport_single_rule(&made->single[i], eta, single_step[i]);
+    if (!transport_equation_make(&made->total[i], &made->total_rules[i], K_TOTAL)) {
+      transport_boundary_free(made);
+      return memory_fault;
+    }
+  }
+  *boundary = made;
+  return no_fault;
+}
+
+void transport_boundary_free(transport_boundary *boundary) {
+  if (boundary == NULL) {
+    return;
+  }
+  for (size_t i = 0; i < BOTH; i++) {
+    transport_equation_free(&boundary->total[i]);
+    for (size_t level = 0; level <= SPECTRUM_LEVEL_MAX; level++) {
+      transport_grid_free(boundary->grids[level][i]);
+    }
+  }
+  pthread_mutex_destroy(&boundary->lock);
+  free(boundary);
+}
+
+/* The grid of a level, made when it is first asked for. NULL: no memory. */
+static const spectrum_grid *grid_of(transport_boundary *boundary, size_t level, size_t i) {
+  pthread_mutex_lock(&boundary->lock);
+  if (boundary->grids[level][i] == NULL) {
+    boundary->grids[level][i] = transport_grid_new(&boundary->rules[i], level, shrink[i]);
+  }
+  const spectrum_grid *grid = boundary->grids[level][i];
+  pthread_mutex_unlock(&boundary->lock);
+  return grid;
+}
+
+/* ---- decay ---------------------------------------------------------------------------------- */
+
+/* x = atanh(kappa) solves tanh(x) / x = a. For weak absorption that is a series in 1 - a; else
+ * Newton's method from x = 1 / a, from where it converges from one side. */
+double transport_kappa(double albedo) {
+  if (albedo > 0.999) {
+    return sqrt(3 * (1 - albedo)) * (1 - 0.4 * (1 - albedo));
+  }
+  if (albedo < 0.04) {
+    return 1; /* within 1e-20 */
+  }
+  double x = 1 / albedo;
+  double tanh_x = 1;
+  for (int i = 0; i < 60; i++) {
+    const double e = fn_exp(-2 * x);
+    tanh_x = (1 - e) / (1 + e);
+    x -= (albedo * x - tanh_x) / (albedo - (1 - tanh_x * tanh_x));
+  }
+  return tanh_x;
+}
+
+/* ---- solutions ------------------------------------------------------------------------------ */
+
+/* Relative errors of light scattered more than once, at radii FIRST e^(i STEP); between two of them
+ * the largest around is taken, because differences have zeros that errors have not. */
+#define TABLE_FIRST 1e-7
+#define TABLE_STEP 0.2
+#define TABLE_DECAYS 45.0 /* the last radius is so many 1 / kappa, ... */
+#define TABLE_LAST 1e7    /* ... or that */
+enum { TABLE_MAX = 164 };
+
+struct errors {
+  double R;
+  double within;
+  double beyond;
+};
+
+struct transport_solution {
+  double albedo;
+  double kappa;
+  double least_error; /* relative, of light scattered more than once: what its rules are made for */
+  transport_number total;
+  double multiple_total;
+  single_rule single[BOTH];
+  spectrum spectra[BOTH];
+  size_t table_count;
+  struct errors table[TABLE_MAX];
+  spectrum_values last; /* at the table's last radius */
+};
+
+static double table_radius(size_t i) {
+  return TABLE_FIRST * fn_exp(TABLE_STEP * (double)i);
+}
+
+static double relative(double fine, double coarse) {
+  return fine == coarse ? 0 : fmin(1, SAFETY * fabs(fine - coarse) / fabs(fine));
+}
+
+static void fill_table(transport_solution *solution) {
+  const double last = fmin(TABLE_LAST, TABLE_DECAYS / fmax(solution->kappa, 1e-30));
+  for (size_t i = 0; i < TABLE_MAX && table_radius(i) <= last; i++) {
+    const spectrum_values fine = transport_spectrum_at(&solution->spectra[FINE], table_radius(i));
+    const spectrum_values coarse =
+        transport_spectrum_at(&solution->spectra[COARSE], table_radius(i));
+    solution->table[i] =
+        (struct errors){relative(fine.r, coarse.r), relative(fine.within, coarse.within),
+                        relative(fine.beyond, coarse.beyond)};
+    solution->last = fine;
+    solution->table_count = i + 1;
+  }
+}
+
+static bool solve_total(transport_solution *solution, const transport_boundary *boundary,
+                        transport_work *work) {
+  double multiple[BOTH];
+  for (size_t i = 0; i < BOTH; i++) {
+    double complex exitance;
+    if (!transport_equation_solve(&boundary->total[i], work, solution->albedo, solution->kappa,
+                                  &exitance)) {
+      return false;
+    }
+    multiple[i] = creal(exitance);
+  }
+  const double single = transport_single_at(&solution->single[FINE], INFINITY).within;
+  const double single_coarse = transport_single_at(&solution->single[COARSE], INFINITY).within;
+  solution->multiple_total = multiple[FINE];
+  solution->total.value = multiple[FINE] + solution->albedo * single;
+  solution->total.error = fabs(multiple[FINE] - multiple[COARSE]) +
+                          solution->albedo * fabs(single - single_coarse) +
+                          TOTAL_ROUNDING * solution->total.value;
+  return true;
+}
+
+static bool solve(transport_solution *solution, transport_boundary *boundary,
+                  transport_work *work) {
+  const size_t level = transport_spectrum_level(solution->kappa);
+  for (size_t i = 0; i < BOTH; i++) {
+    const spectrum_grid *grid = grid_of(boundary, level, i);
+    if (grid == NULL || !transport_spectrum_make(&solution->spectra[i], grid, work,
+                                                 solution->albedo, solution->kappa)) {
+      return false;
+    }
+  }
+  if (!solve_total(solution, boundary, work)) {
+    return false;
+  }
+  fill_table(solution);
+  return true;
+}
+
+core_fault transport_solve(transport_solution **solution, transport_boundary *boundary,
+                           double albedo) {
+  *solution = NULL;
+  if (!(albedo >= 0 && albedo <= 1)) {
+    return (core_fault){"albedo", ALBEDO_ALLOWED, 0};
+  }
+  transport_solution *made = calloc(1, sizeof *made);
+  transport_work *work = transport_work_new();
+  bool solved = made != NULL && work != NULL;
+  if (solved && albedo > 0) {
+    made->albedo = albedo;
+    made->kappa = transport_kappa(albedo);
+    made->least_error = boundary->rules[FINE].accuracy;
+    made->single[FINE] = boundary->single[FINE];
+    made->single[COARSE] = boundary->single[COARSE];
+    solved = solve(made, boundary, work);
+  }
+  transport_work_free(work);
+  if (!solved) {
+    free(made);
+    return memory_fault;
+  }
+  *solution = made;
+  return no_fault;
+}
+
+void transport_solution_free(transport_solution *solution) {
+  free(solution);
+}
+
+transport_number transport_total(const transport_solution *solution) {
+  return solution->total;
+}
+
+/* ---- values --------------------------------------------------------------------------------- */
+
+/* Radii beyond are as good as 0 and infinity, and R or its products might overflow. */
+#define R_SMALLEST 1e-290
+#define R_LARGEST 1e60
+
+static double off_by(double value, double fraction, double absolute) {
+  return fabs(value) * fraction + absolute;
+}
+
+/* The largest relative errors of the table around r. */
+static struct errors errors_around(const transport_solution *solution, double r) {
+  const double place = (fn_log(fmax(r, TABLE_FIRST)) - fn_log(TABLE_FIRST)) / TABLE_STEP;
+  const size_t before = (size_t)place;
+  struct errors most = {0, 0, 0};
+  for (size_t i = before > 0 ? before - 1 : 0; i <= before + 1 && i < solution->table_count; i++) {
+    most.R = fmax(most.R, solution->table[i].R);
+    most.within = fmax(most.within, solution->table[i].within);
+    most.beyond = fmax(most.beyond, solution->table[i].beyond);
+  }
+  return most;
+}
+
+/* Absolute errors of these values at r. Beyond the table, where nothing is known but that light
+ * decays at least as fast as e^(-kappa r), they are the values themselves and that bound. */
+static struct errors errors_at(const transport_solution *solution, double r,
+                               const spectrum_values *values) {
+  const double least = solution->least_error;
+  const double last_r = table_radius(solution->table_count - 1);
+  if (r > last_r) {
+    const double decay = fn_exp(fmax(-700, -solution->kappa * (r - last_r)));
+    return (struct errors){off_by(values->r, 1, decay * fabs(solution->last.r)),
+                           off_by(values->within, least, off_by(solution->last.beyond, decay, 0)),
+                           off_by(values->beyond, 1, decay * fabs(solution->last.beyond))};
+  }
+  /* The smallest level's path leaves out what is nearer to 0 than its lambda; see spectrum.c. */
+  const double lambda = solution->spectra[FINE].lambda;
+  const double missing = solution->kappa < lambda ? lambda * r : 0;
+  const struct errors around = errors_around(solution, r);
+  return (struct errors){off_by(values->r, around.R + missing + least, values->r_rounding),
+                         off_by(values->within, around.within + missing + least, 0),
+                         off_by(values->beyond, around.beyond + missing + least, 0)};
+}
+
+/* The energy within r, of light scattered more than once. What is beyond is small, and then better
+ * known, far away. */
+static transport_number multiple_within(const transport_solution *solution,
+                                        const spectrum_values *values,
+                                        const struct errors *errors) {
+  if (values->beyond < values->within) {
+    return (transport_number){solution->multiple_total - values->beyond,
+                              errors->beyond + solution->total.error};
+  }
+  return (transport_number){values->within, errors->within};
+}
+
+static transport_number single_number(double albedo, double fine, double coarse) {
+  return (transport_number){albedo * fine, albedo * (fabs(fine - coarse) + 1e-13 * fine)};
+}
+
+static transport_number sum_of(transport_number one, transport_number other) {
+  return (transport_number){one.value + other.value, one.error + other.error};
+}
+
+/* Where noise has made a value negative, 0 is nearer to the truth. */
+static transport_number not_negative(transport_number number) {
+  return (transport_number){number.value < 0 ? 0 : number.value, number.error};
+}
+
+static transport_values finite_values(const transport_solution *solution, double r) {
+  const single_values single = transport_single_at(&solution->single[FINE], r);
+  const single_values coarse = transport_single_at(&solution->single[COARSE], r);
+  const spectrum_values multiple = transport_spectrum_at(&solution->spectra[FINE], r);
+  const struct errors errors = errors_at(solution, r, &multiple);
+  const double albedo = solution->albedo;
+  transport_values values;
+  values.single = single_number(albedo, single.r, coarse.r);
+  values.multiple = not_negative((transport_number){multiple.r, errors.R});
+  values.R = sum_of(values.single, values.multiple);
+  values.within = sum_of(single_number(albedo, single.within, coarse.within),
+                         not_negative(multiple_within(solution, &multiple, &errors)));
+  return values;
+}
+
+transport_values transport_at(const transport_solution *solution, double r) {
+  assert(r >= 0);
+  const transport_number none = {0, 0};
+  if (solution->albedo == 0) {
+    return (transport_values){none, none, none, none};
+  }
+  if (r < R_SMALLEST) {
+    const transport_number infinite = {INFINITY, 0};
+    return (transport_values){infinite, infinite, infinite, none};
+  }
+  if (r > R_LARGEST) {
+    /* No more than all the energy leaves beyond r / 2, and R decreases. */
+    const transport_number next_to_none = {0, 2 * solution->total.value / (r * r)};
+    return (transport_values){next_to_none, next_to_none, next_to_none, solution->total};
+  }
+  return finite_values(solution, r);
+}

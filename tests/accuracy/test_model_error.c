@@ -1,0 +1,165 @@
+/* The model error that profiles state, against exact solutions and an independent Monte Carlo
+ * program's rings, where ../shared is there.
+ */
+#include <math.h>
+
+#include "tests/unit/unit.h"
+
+static core_profile prepared(unsigned model, core_medium medium, bool *refused) {
+  core_profile profile = {0};
+  *refused = core_profile_prepare(&profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT,
+                                  CORE_EVALUATOR_F64, &medium, NULL)
+                 .field != NULL;
+  return profile;
+}
+
+static double error_of(unsigned model, core_medium medium) {
+  bool refused;
+  core_profile profile = prepared(model, medium, &refused);
+  assert_false(refused);
+  core_profile_free(&profile);
+  return profile.model_error;
+}
+
+/* sigma_t' = 1 per mm. */
+static core_medium medium_of(double ratio, double g, double eta) {
+  return (core_medium){ratio / (1 + ratio), 1 / (1 + ratio) / (1 - g), g, eta};
+}
+
+/* ---- exact solutions ------------------------------------------------------------------------- */
+
+/* One radius of one medium: no model that states an error is further off. */
+static void check_row(double a, double eta, double r, double exact, size_t *checked) {
+  for (const core_choice *model = core_models; model->name != NULL; model++) {
+    bool refused;
+    core_profile profile = prepared(model->id, (core_medium){1 - a, a, 0, eta}, &refused);
+    if (refused || model->id == CORE_MODEL_GAUSSIANS) {
+      core_profile_free(&profile);
+      continue;
+    }
+    double R;
+    core_eval_f64(&profile, CORE_QUANTITY_R, 1, &r, &R);
+    const bool stated = !isnan(profile.model_error);
+    if (stated && !(fabs(R / exact - 1) <= profile.model_error + profile.numerical_error)) {
+      fail_msg("%s at eta %g, r %g is off by %.4g, stated %.4g", model->name, eta, r,
+               fabs(R / exact - 1), profile.model_error);
+    }
+    assert_true(stated || (profile.notes & CORE_NOTE_MEDIUM_UNUSED) != 0);
+    *checked += stated;
+    core_profile_free(&profile);
+  }
+}
+
+static void no_model_is_further_from_transport_than_it_says(void **state) {
+  (void)state;
+  char *text = unit_read_file("../shared/vectors/transport.csv");
+  size_t checked = 0;
+  if (text == NULL) {
+    printf("skipped: ../shared/vectors/transport.csv is not there\n");
+    return;
+  }
+  for (char *line = strtok(text, "\n"); line != NULL; line = strtok(NULL, "\n")) {
+    double ratio, eta, a, total, r, R;
+    if (sscanf(line, "%lf,%lf,%lf,%lf,%lf,%lf", &ratio, &eta, &a, &total, &r, &R) == 6 &&
+        r >= 0.1 && r <= 20) {
+      check_row(a, eta, r, R, &checked);
+    }
+  }
+  free(text);
+  printf("%zu values of models against exact solutions\n", checked);
+  assert_true(checked > 10000);
+}
+
+/* ---- anisotropic scattering ------------------------------------------------------------------ */
+
+/* The mean of R over a ring, from the energy within its edges. */
+static double ring_mean(const core_profile *profile, double from, double to) {
+  const double edges[2] = {from, to};
+  double cdf[2];
+  core_eval_f64(profile, CORE_QUANTITY_CDF, 2, edges, cdf);
+  return profile->albedo * (cdf[1] - cdf[0]) / (3.14159265358979323846 * (to * to - from * from));
+}
+
+static void check_ring(double from, double to, double R, double sigma) {
+  for (const core_choice *model = core_models; model->name != NULL; model++) {
+    bool refused;
+    core_profile profile = prepared(model->id, medium_of(0.05, 0.9, 1.4), &refused);
+    if (!refused && !isnan(profile.model_error) && model->id != CORE_MODEL_GAUSSIANS) {
+      const double off = fabs(ring_mean(&profile, from, to) / R - 1);
+      if (!(off <= profile.model_error + 4 * sigma + 0.003)) {
+        fail_msg("%s at g 0.9, ring %g to %g: off by %.3g, stated %.3g", model->name, from, to, off,
+                 profile.model_error);
+      }
+    }
+    core_profile_free(&profile);
+  }
+}
+
+/* MCML's rings for g = 0.9, in mean free paths 1 / sigma_t'. */
+static void anisotropy_is_within_what_is_said(void **state) {
+  (void)state;
+  char *text = unit_read_file("../shared/mcml/r0.05_n1.4_g0.9.csv");
+  size_t rings = 0;
+  if (text == NULL) {
+    printf("skipped: ../shared/mcml is not there\n");
+    return;
+  }
+  for (char *line = strtok(text, "\n"); line != NULL; line = strtok(NULL, "\n")) {
+    double from, to, R, sigma;
+    if (sscanf(line, "%lf,%lf,%lf,%lf", &from, &to, &R, &sigma) == 4 && from >= 0.1 && to <= 20 &&
+        sigma < 0.05) {
+      check_ring(from, to, R, sigma);
+      rings++;
+    }
+  }
+  free(text);
+  printf("%zu rings at g = 0.9\n", rings);
+  assert_true(rings > 5);
+}
+
+/* ---- where it is stated ---------------------------------------------------------------------- */
+
+static void it_is_stated_where_it_was_measured(void **state) {
+  (void)state;
+  assert_true(error_of(CORE_MODEL_BETTER, medium_of(1e-3, 0, 1.4)) > 0);
+  assert_true(error_of(CORE_MODEL_BETTER, medium_of(1e-4, 0, 1)) > 0);
+  assert_true(error_of(CORE_MODEL_BETTER, medium_of(10, 0, 2)) > 0);
+  assert_true(isnan(error_of(CORE_MODEL_BETTER, medium_of(0.99e-4, 0, 1.4))));
+  assert_true(isnan(error_of(CORE_MODEL_BETTER, medium_of(10.1, 0, 1.4))));
+  assert_true(isnan(error_of(CORE_MODEL_BETTER, medium_of(0.1, 0, 0.99))));
+  assert_true(isnan(error_of(CORE_MODEL_BETTER, medium_of(0.1, 0, 2.01))));
+  assert_true(isnan(error_of(CORE_MODEL_BETTER, medium_of(0.1, 0.99, 1.4))));
+  assert_true(isnan(error_of(CORE_MODEL_BETTER, medium_of(0.1, -0.6, 1.4))));
+  assert_true(isnan(error_of(CORE_MODEL_SINGLE, medium_of(0.1, 0.5, 1.4))));
+  assert_true(isnan(error_of(CORE_MODEL_SKIN_RED, medium_of(0.1, 0, 1.4))));
+}
+
+/* Between the media that were measured the larger error of the neighbours holds. */
+static void between_measured_media_the_larger_error_is_stated(void **state) {
+  (void)state;
+  const double low = error_of(CORE_MODEL_CLASSICAL, medium_of(0.5, 0, 1.3));
+  const double high = error_of(CORE_MODEL_CLASSICAL, medium_of(1, 0, 1.3));
+  const double between = error_of(CORE_MODEL_CLASSICAL, medium_of(0.7, 0, 1.3));
+  assert_true(between == fmax(low, high));
+}
+
+/* Anisotropy is never free, and the more the dearer between neighbours that were measured. */
+static void anisotropy_makes_the_error_larger(void **state) {
+  (void)state;
+  for (double g = -0.5; g < 0.98; g += 0.037) {
+    const double isotropic = error_of(CORE_MODEL_BETTER, medium_of(0.01, 0, 1.4));
+    const double error = error_of(CORE_MODEL_BETTER, medium_of(0.01, g, 1.4));
+    assert_true(error > isotropic * 1.05);
+  }
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(no_model_is_further_from_transport_than_it_says),
+      cmocka_unit_test(anisotropy_is_within_what_is_said),
+      cmocka_unit_test(it_is_stated_where_it_was_measured),
+      cmocka_unit_test(between_measured_media_the_larger_error_is_stated),
+      cmocka_unit_test(anisotropy_makes_the_error_larger),
+  };
+  return cmocka_run_group_tests(tests, NULL, NULL);
+}

@@ -1,0 +1,202 @@
+"""`dipole mc`: its table for people and for programs, its progress, and Ctrl-C."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import pty
+import signal
+import subprocess
+import time
+
+import pytest
+from command_line import FAILED, PROGRAM, TIMEOUT_S, USAGE, dipole, read_csv
+from daemons import environment
+
+MEDIUM = ["--sigma-a", "0.1", "--sigma-s", "0.9", "--eta", "1.3"]
+SHORT = [*MEDIUM, "--photons", "2e4", "--to", "4", "--rings", "4"]
+ENDLESS = ["--sigma-a", "1e-4", "--sigma-s", "10", "--g", "0.9", "--photons", "1e10"]
+
+
+def mc_json(*arguments: str) -> dict:
+    """The object of `dipole mc --format json`."""
+    return json.loads(dipole("mc", "--format", "json", *arguments).stdout)
+
+
+def test_table_for_people():
+    text = dipole("mc", "--medium", "skin1", "--channel", "red", "--photons", "2e4").stdout
+    assert text.startswith("skin1 red: Monte Carlo, R in 1/mm^2 per unit of power that entered\n")
+    assert "sigma_a 0.032 1/mm, sigma_s 0.74 1/mm, g 0, eta 1.3, half space" in text
+    assert "20480 photons, seed 1" in text
+    assert "standard error" in text and "per unit of power that entered" in text
+    for share in ("R, total", "beyond the last ring", "absorbed", "unfinished walks"):
+        assert share in text
+    assert "T, total" not in text and "CANCELLED" not in text
+    assert len([line for line in text.splitlines() if "e-" in line and "%" in line]) == 20
+
+
+def test_slabs_have_two_sides():
+    text = dipole("mc", *SHORT, "--thickness", "2").stdout
+    assert "slab of 2 mm" in text and "T, total" in text
+    rows = read_csv(dipole("mc", *SHORT, "--thickness", "2", "--format", "csv").stdout)
+    assert [row["quantity"] for row in rows[:8]] == ["R"] * 4 + ["T"] * 4
+
+
+def test_csv_and_json_say_the_same():
+    rows = read_csv(dipole("mc", *SHORT, "--format", "csv").stdout)
+    report = mc_json(*SHORT)
+    assert report["ended_by"] == "photons" and report["photons"] == 20480
+    assert report["units"]["R"] == "1/mm^2 per unit of power that entered"
+    assert report["edges"] == [0, 1, 2, 3, 4]
+    (albedo,) = report["albedos"]
+    rings = [row for row in rows if row["quantity"] == "R"]
+    assert [float(row["value"]) for row in rings] == albedo["R"]
+    assert [float(row["error"]) for row in rings] == albedo["R_error"]
+    assert [int(row["photons"]) for row in rings] == report["R_photons"]
+    assert [float(row["from"]) for row in rings] == report["edges"][:4]
+    shares = {row["quantity"]: row for row in rows if row["quantity"] != "R"}
+    assert set(shares) <= set(albedo["shares"])
+    for name, row in shares.items():
+        assert row["from"] == row["photons"] == ""
+        assert float(row["value"]) == albedo["shares"][name]["value"]
+        assert float(row["error"]) == albedo["shares"][name]["error"]
+    area = [math.pi * (b * b - a * a) for a, b in zip(report["edges"], report["edges"][1:])]
+    total = sum(a * R for a, R in zip(area, albedo["R"]))
+    total += albedo["shares"]["R_over"]["value"]
+    assert abs(total - albedo["shares"]["R_total"]["value"]) < 1e-12
+
+
+def test_same_seed_same_output_whatever_the_daemon():
+    text = dipole("mc", *SHORT, "--seed", "5", "--format", "json").stdout
+    env = {"DIPOLED_MC_THREADS": "1", "DIPOLED_ISA": "portable"}
+    assert dipole("mc", *SHORT, "--seed", "5", "--format", "json", env=env).stdout == text
+    assert dipole("mc", *SHORT, "--seed", "6", "--format", "json").stdout != text
+
+
+def test_many_albedos():
+    report = mc_json(*SHORT, "--albedo", "0.5,0.9")
+    assert [one["albedo"] for one in report["albedos"]] == [0.5, 0.9]
+    assert report["albedos"][1]["R"] == mc_json(*SHORT)["albedos"][0]["R"]
+    text = dipole("mc", *SHORT, "--albedo", "0.5,0.9").stdout
+    assert "albedo 0.5\n" in text and "albedo 0.9\n" in text and "sigma_a + sigma_s 1 1/mm" in text
+
+
+def test_a_measured_medium_with_another_g():
+    report = mc_json("--medium", "skin1", "--channel", "blue", "--g", "0.8", "--photons", "5000")
+    assert report["medium"] == "skin1" and report["channel"] == "blue"
+    assert report["sigma_a"] == 0.48 and report["g"] == 0.8
+    assert abs(report["sigma_s"] - 1.01 / 0.2) < 1e-12
+
+
+def test_error_targets():
+    rings = mc_json(*MEDIUM, "--to", "3", "--error", "0.05")
+    assert rings["ended_by"] == "errors" and rings["error_rings"] <= 0.05
+    total = mc_json(*MEDIUM, "--total-error", "0.01")
+    assert total["ended_by"] == "errors" and total["error_total"] <= 0.01
+    missed = dipole("mc", *SHORT, "--error", "0.001", status=FAILED)
+    assert "not enough for the error asked for: the worst ring has" in missed.stderr
+    assert "standard error" in missed.stdout
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        ([], "give --medium NAME and --channel, or --sigma-a and --sigma-s"),
+        (["--sigma-a", "1"], "give --medium NAME and --channel, or --sigma-a and --sigma-s"),
+        (["--medium", "skin1"], "--medium NAME needs --channel red, green or blue"),
+        (["--medium", "skin1", "--channel", "pink"], "--medium NAME needs --channel red, green"),
+        (["--medium", "skin", "--channel", "red"], "--medium: 'skin' is unknown; this daemon has"),
+        ([*MEDIUM, "--medium", "skin1"], "--medium NAME stands for --sigma-a and --sigma-s"),
+        ([*MEDIUM, "--channel", "red"], "--channel goes with --medium NAME"),
+        ([*MEDIUM, "--log"], "--log needs --from, above 0"),
+        ([*MEDIUM, "--photons", "1.5"], "--photons: a whole number, such as 2000000 or 2e6"),
+        ([*MEDIUM, "--photons", "0"], "--photons: a whole number"),
+        ([*MEDIUM, "--rings", "99999999999"], "--rings: at most"),
+    ],
+)
+def test_wrong_command_lines_say_what_to_do(arguments, said):
+    run = dipole("mc", *arguments, status=USAGE)
+    assert said in run.stderr and run.stdout == ""
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (["--g", "1"], "bad-value: g: allowed: between -1 and 1, exclusive (--g)"),
+        (["--thickness", "-1"], "bad-value: thickness: allowed: 0, at least"),
+        (["--albedo", "0.5,2"], "bad-value: albedo: allowed: 0 to 1 (--albedo)"),
+        (["--rings", "4097"], "bad-count: ring_count: allowed: 1 to 4096 (--rings)"),
+        (["--from", "-1"], "(--from)"),
+        (["--error", "2"], "bad-value: error_rings: allowed: 0 (none), or 1e-9 to 1 (--error)"),
+        (["--total-error", "-1"], "(--total-error)"),
+        (["--photons", "1e12"], "too-large: photons: allowed: at most 10000000000 (--photons)"),
+    ],
+)
+def test_what_the_daemon_refuses(arguments, said):
+    run = dipole("mc", *MEDIUM, *arguments, status=FAILED)
+    assert said in run.stderr and run.stdout == ""
+
+
+def test_too_many_albedos():
+    albedos = ",".join(["0.5"] * 17)
+    assert "at most 16" in dipole("mc", *MEDIUM, "--albedo", albedos, status=FAILED).stderr
+
+
+class OnTerminal:
+    """A command whose standard error is a terminal."""
+
+    def __init__(self, *arguments: str):
+        self.terminal, other = pty.openpty()
+        self.seen = ""
+        self.process = subprocess.Popen(
+            [str(PROGRAM), *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=other,
+            env=environment(),
+            text=True,
+        )
+        os.close(other)
+
+    def read_until(self, text: str) -> None:
+        """Reads the terminal until a text has appeared."""
+        deadline = time.monotonic() + TIMEOUT_S
+        while text not in self.seen and time.monotonic() < deadline:
+            self.seen += os.read(self.terminal, 4096).decode()
+        assert text in self.seen
+
+    def read_rest(self) -> None:
+        """Reads the terminal until nobody writes to it any more."""
+        try:
+            while text := os.read(self.terminal, 4096).decode():
+                self.seen += text
+        except OSError:  # what Linux says when the other end has been closed
+            pass
+
+    def end(self) -> tuple[int, str]:
+        """Its exit status and standard output."""
+        output = self.process.communicate(timeout=TIMEOUT_S)[0]
+        self.read_rest()
+        os.close(self.terminal)
+        return self.process.returncode, output
+
+
+def test_progress_and_ctrl_c():
+    run = OnTerminal("mc", *ENDLESS)
+    run.read_until("worst ring")
+    assert "photons" in run.seen and " left" in run.seen and run.seen.startswith("\r[")
+    run.process.send_signal(signal.SIGINT)
+    run.read_until("cancelled after")
+    status, output = run.end()
+    assert status == FAILED
+    assert "CANCELLED: this is what had been walked by then" in output
+    assert "R, total" in output
+
+
+@pytest.mark.parametrize("photons", ["1", "4e6"])
+def test_no_bar_is_left_behind(photons):
+    run = OnTerminal("mc", *MEDIUM, "--photons", photons)
+    status, output = run.end()
+    assert status == 0 and "R, total" in output
+    assert run.seen == "" or run.seen.endswith("\r\033[K")

@@ -1,0 +1,151 @@
+/* The payloads of mc requests and replies: what is refused and with which status, and where things
+ * lie. */
+#include <math.h>
+
+#include "proto/mc.h"
+#include "tests/unit/unit.h"
+
+enum { PAYLOAD_MAX = 1024 };
+
+static size_t build(uint8_t *payload, uint32_t albedo_count) {
+  const wire_mc_request fixed = {.spacing = CORE_SPACING_LINEAR,
+                                 .albedo_count = (uint16_t)albedo_count,
+                                 .ring_count = 3,
+                                 .radius_stop = 2,
+                                 .thickness = (double)INFINITY,
+                                 .seed = 5,
+                                 .photons = 6};
+  const wire_medium medium = {0.1, 1, 0.5, 1.3};
+  wire_put_mc_request(payload, &fixed);
+  wire_put_medium(payload + WIRE_BYTES_mc_request, &medium);
+  uint8_t *at = payload + WIRE_BYTES_mc_request + WIRE_BYTES_medium;
+  for (uint32_t i = 0; i < albedo_count; i++) {
+    const double albedo = 1.0 / (i + 1);
+    memcpy(at + i * sizeof albedo, &albedo, sizeof albedo);
+  }
+  return mc_request_bytes(albedo_count);
+}
+
+static void requests_are_taken_apart(void **state) {
+  (void)state;
+  for (uint32_t albedos = 0; albedos <= CORE_MC_ALBEDOS_MAX; albedos++) {
+    uint8_t payload[PAYLOAD_MAX];
+    mc_request request;
+    const size_t bytes = build(payload, albedos);
+    assert_int_equal(bytes, 96 + 8 * albedos);
+    assert_int_equal(mc_request_parse(payload, bytes, &request).status, WIRE_STATUS_OK);
+    assert_int_equal(request.fixed.seed, 5);
+    assert_int_equal(request.fixed.photons, 6);
+    assert_true(request.medium.g == 0.5 && isinf(request.fixed.thickness));
+    for (uint32_t i = 0; i < albedos; i++) {
+      assert_true(request.albedo[i] == 1.0 / (i + 1));
+    }
+  }
+}
+
+static void assert_refused(const uint8_t *payload, size_t bytes, enum wire_status status,
+                           const char *field) {
+  mc_request request;
+  const wire_error error = mc_request_parse(payload, bytes, &request);
+  assert_int_equal(error.status, status);
+  assert_string_equal(error.field, field);
+  assert_true(strlen(error.allowed) > 0);
+}
+
+/* Every length but one is wrong; the bytes are allocated, so that a sanitizer sees what is read. */
+static void other_lengths_are_refused(void **state) {
+  (void)state;
+  uint8_t payload[PAYLOAD_MAX] = {0};
+  const size_t right = build(payload, 2);
+  for (size_t bytes = 0; bytes < right + 64; bytes++) {
+    uint8_t *copy = malloc(bytes + 1);
+    assert_non_null(copy);
+    memcpy(copy, payload, bytes);
+    if (bytes != right) {
+      assert_refused(copy, bytes, WIRE_STATUS_BAD_LENGTH, "payload_bytes");
+    }
+    free(copy);
+  }
+}
+
+static void too_many_albedos_are_refused(void **state) {
+  (void)state;
+  uint8_t payload[PAYLOAD_MAX] = {0};
+  assert_refused(payload, build(payload, CORE_MC_ALBEDOS_MAX + 1), WIRE_STATUS_BAD_COUNT,
+                 "albedo_count");
+  const size_t bytes = build(payload, 0);
+  memset(payload + 2, 0xff, 2);
+  assert_refused(payload, bytes, WIRE_STATUS_BAD_COUNT, "albedo_count");
+}
+
+/* The arrays lie one behind the other, and fill the payload. */
+static void tables_are_laid_out_without_gaps(void **state) {
+  (void)state;
+  for (uint32_t i = 0; i < 64; i++) {
+    const uint32_t sides = 1 + i % 2, albedos = 1 + i / 2 % 16, rings = 1 + i * 65;
+    mc_layout layout;
+    assert_true(mc_reply_layout(sides, albedos, rings, &layout));
+    assert_int_equal(layout.edges_offset, WIRE_BYTES_mc_reply);
+    size_t at = layout.edges_offset + 8 * (rings + 1);
+    assert_int_equal(layout.energies_offset, at);
+    at += (size_t)albedos * WIRE_BYTES_mc_energy;
+    for (uint32_t side = 0; side < sides; side++, at += 8 * rings) {
+      assert_int_equal(mc_photons_offset(&layout, rings, side), at);
+    }
+    for (uint32_t albedo = 0; albedo < albedos; albedo++) {
+      for (uint32_t side = 0; side < sides; side++, at += 16 * rings) {
+        assert_int_equal(mc_rings_offset(&layout, sides, rings, albedo, side, false), at);
+        assert_int_equal(mc_rings_offset(&layout, sides, rings, albedo, side, true),
+                         at + 8 * rings);
+      }
+    }
+    assert_int_equal(layout.payload_bytes, at);
+  }
+}
+
+static void counts_out_of_range_have_no_layout(void **state) {
+  (void)state;
+  mc_layout layout;
+  assert_true(mc_reply_layout(2, CORE_MC_ALBEDOS_MAX, CORE_MC_RINGS_MAX, &layout));
+  assert_false(mc_reply_layout(0, 1, 1, &layout));
+  assert_false(mc_reply_layout(3, 1, 1, &layout));
+  assert_false(mc_reply_layout(1, 0, 1, &layout));
+  assert_false(mc_reply_layout(1, CORE_MC_ALBEDOS_MAX + 1, 1, &layout));
+  assert_false(mc_reply_layout(1, 1, 0, &layout));
+  assert_false(mc_reply_layout(1, 1, CORE_MC_RINGS_MAX + 1, &layout));
+  assert_false(mc_reply_layout(UINT32_MAX, UINT32_MAX, UINT32_MAX, &layout));
+}
+
+static void replies_have_the_shape_that_they_announce(void **state) {
+  (void)state;
+  uint8_t payload[PAYLOAD_MAX] = {0};
+  wire_mc_reply fixed = {.state = MC_UNDER_WAY, .side_count = 1, .number = 3}, parsed;
+  mc_layout layout;
+  wire_put_mc_reply(payload, &fixed);
+  assert_true(mc_reply_parse(payload, WIRE_BYTES_mc_reply, &parsed, &layout));
+  assert_int_equal(parsed.number, 3);
+  assert_false(mc_reply_parse(payload, WIRE_BYTES_mc_reply - 8, &parsed, &layout));
+  assert_false(mc_reply_parse(payload, WIRE_BYTES_mc_reply + 8, &parsed, &layout));
+  fixed.state = MC_CANCELLED;
+  wire_put_mc_reply(payload, &fixed);
+  assert_false(mc_reply_parse(payload, WIRE_BYTES_mc_reply, &parsed, &layout));
+  fixed.albedo_count = 1;
+  fixed.ring_count = 2;
+  wire_put_mc_reply(payload, &fixed);
+  const size_t right = WIRE_BYTES_mc_reply + 3 * 8 + WIRE_BYTES_mc_energy + 2 * 8 + 4 * 8;
+  for (size_t bytes = 0; bytes <= PAYLOAD_MAX; bytes += 8) {
+    assert_int_equal(mc_reply_parse(payload, bytes, &parsed, &layout), bytes == right);
+  }
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(requests_are_taken_apart),
+      cmocka_unit_test(other_lengths_are_refused),
+      cmocka_unit_test(too_many_albedos_are_refused),
+      cmocka_unit_test(tables_are_laid_out_without_gaps),
+      cmocka_unit_test(counts_out_of_range_have_no_layout),
+      cmocka_unit_test(replies_have_the_shape_that_they_announce),
+  };
+  return cmocka_run_group_tests(tests, NULL, NULL);
+}
