@@ -192,7 +192,7 @@ check-unit: $(TESTS)
 check-bits: $(BUILD)/tests/bits
 	@sh tests/run-bits.sh $(BUILD)
 
-check-e2e: all
+check-e2e: all $(BUILD)/draw-figures
 	DIPOLED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python PYTHONDONTWRITEBYTECODE=1 $(PYTHON) -m pytest -q -rs -p no:cacheprovider tests/e2e
 
 check-asan:
