@@ -58,10 +58,16 @@ static void on_closed(uv_handle_t *handle) {
   }
 }
 
+static void close_desk(struct connection *c) {
+  mc_desk_close(c->mc);
+  c->mc = NULL;
+}
+
 void connection_abort(struct connection *c) {
   if (!c->closing) {
     c->closing = true;
     uv_close(&c->uv.handle, on_closed);
+    close_desk(c);
     if (c->preparing) {
       uv_cancel((uv_req_t *)&c->preparing_work); /* which calls back in any case */
     }
@@ -88,11 +94,13 @@ static void linger(struct connection *c) {
   input_discard(&c->input);
 }
 
-/* Says why, if there is room to say it, and takes no more frames. */
+/* Says why, if there is room to say it, and takes no more frames. Monte Carlo jobs that have not
+ * answered by now never will. */
 static void end(struct connection *c, uint64_t request_id, wire_error error) {
   log_peer_line(LOG_LEVEL_INFO, "event=connection-ended status=%s field=%s",
                 wire_status_name(error.status), error.field);
   request_refuse(c->server, request_id, &error, &c->output);
+  close_desk(c);
   c->ending = true;
 }
 
@@ -213,8 +221,14 @@ static void write_more(struct connection *c) {
 /* ---- answering --------------------------------------------------------------------------------
  */
 
+static void on_mc_news(void *context) {
+  struct connection *c = context;
+  worker_run_later(c->worker, c);
+}
+
 static void answer_frame(struct connection *c, const wire_header *header, const uint8_t *payload) {
-  switch (request_begin(c->server, header, payload, &c->output, &c->job)) {
+  const struct mc_caller mc = {c->server, worker_loop(c->worker), on_mc_news, c, &c->mc};
+  switch (request_begin(c->server, header, payload, &c->output, &c->job, &mc)) {
   case REQUEST_ANSWERED:
     input_next(&c->input, header);
     break;
@@ -337,9 +351,16 @@ static void note_partial_frame(struct connection *c) {
   }
 }
 
+/* When nobody can cancel them any more, Monte Carlo jobs end with what they have; true: their
+ * tables are still to come. */
+static bool end_mc_jobs(struct connection *c) {
+  return (c->peer_done || c->stopping) &&
+         mc_desk_end_all(c->mc, c->peer_done ? MC_CANCELLED : MC_STOPPED);
+}
+
 /* All that has arrived is answered, and no more will be taken: the last words. */
 static void end_if_done(struct connection *c) {
-  if (c->ending || blocked(c)) {
+  if (c->ending || blocked(c) || end_mc_jobs(c)) {
     return;
   }
   if (c->peer_done && input_partial(&c->input)) {
@@ -375,7 +396,7 @@ static void settle(struct connection *c) {
     return;
   }
   note_partial_frame(c);
-  set_reading(c, !blocked(c));
+  set_reading(c, !blocked(c) && !c->peer_done); /* the end would be read again and again */
 }
 
 void connection_run(struct connection *c) {
@@ -383,6 +404,9 @@ void connection_run(struct connection *c) {
   bool more = true;
   while (more && budget > 0 && !c->closing) {
     more = step(c, &budget);
+  }
+  if (!c->closing && !c->in_job) { /* a job has reserved the output */
+    mc_desk_answer(c->mc, &c->output);
   }
   /* Frames that waited for the reader have to be taken up if writing has just unblocked them. */
   const bool was_blocked = blocked(c);
@@ -469,6 +493,8 @@ void connection_tick(struct connection *c, uint64_t now_ms) {
   if (c->frame_started_ms != 0 && now_ms - c->frame_started_ms > options->frame_timeout_ms) {
     end(c, 0,
         wire_error_make(WIRE_STATUS_TIMEOUT, "payload_bytes", "frames within frame_timeout_ms"));
+    worker_run_later(c->worker, c);
+  } else if (mc_desk_open(c->mc)) { /* whose table there may be room for now */
     worker_run_later(c->worker, c);
   } else if (now_ms - c->active_ms > options->idle_timeout_ms) {
     end(c, 0, wire_error_make(WIRE_STATUS_TIMEOUT, "", "no silence longer than idle_timeout_ms"));

@@ -10,6 +10,7 @@
 
 #include "server/input.h"
 #include "server/job.h"
+#include "server/mc.h"
 #include "server/output.h"
 
 enum connection_purpose {
@@ -42,6 +43,7 @@ struct connection {
   struct job job;
   wire_header job_header;
   uv_work_t preparing_work;
+  struct mc_desk *mc; /* its Monte Carlo jobs; NULL: it has had none */
 
   bool to_run; /* in the run queue */
   bool in_job; /* job is under way; its frame stays in the input */

@@ -55,7 +55,7 @@ struct job_scratch {
 
 enum job_state {
   JOB_GOES_ON,
-  JOB_WAITS, /* for job_prepare(), which takes long: to be called on any thread */
+  JOB_WAITS,   /* for job_prepare(), which takes long: to be called on any thread */
   JOB_DONE,    /* the reply is complete */
   JOB_REFUSED, /* there will be no reply; job->refusal says why */
 };

@@ -11,6 +11,7 @@
 
 #include "server/listener.h"
 #include "server/log.h"
+#include "server/mc_pool.h"
 #include "server/worker.h"
 
 #define DEFAULT_TCP "tcp:127.0.0.1:4817"
@@ -87,7 +88,8 @@ static bool choose_isa(struct server *server) {
 static bool start_workers(struct daemon *daemon) {
   struct server *server = &daemon->server;
   server->workers = calloc(server->options.workers, sizeof *server->workers);
-  if (server->workers == NULL) {
+  server->mc = mc_pool_new(server);
+  if (server->workers == NULL || server->mc == NULL) {
     return complain("workers", "out of memory");
   }
   for (; daemon->workers_started < server->options.workers; daemon->workers_started++) {
@@ -209,6 +211,7 @@ static int run(struct daemon *daemon) {
   uv_run(&daemon->loop, UV_RUN_DEFAULT);
   uv_loop_close(&daemon->loop);
   free(server->workers);
+  mc_pool_free(server->mc);
   if (ready) {
     log_line(LOG_LEVEL_INFO, "event=stopped");
   }

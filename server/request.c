@@ -9,25 +9,27 @@ struct question {
   const uint8_t *payload;
   struct output *output;
   struct job *job;
+  const struct mc_caller *mc;
 };
 
-/* What a handler made of it: OK and answered, OK and a job started, or an error to be sent. */
+/* What a handler made of it: OK and answered, OK and a job or a Monte Carlo job started, or an
+ * error to be sent. */
 struct outcome {
   wire_error error;
   bool started;
+  bool mc_started;
 };
 
 static struct outcome answered(void) {
-  return (struct outcome){wire_error_none(), false};
+  return (struct outcome){.error = wire_error_none()};
 }
 
 static struct outcome refused(wire_error error) {
-  return (struct outcome){error, false};
+  return (struct outcome){.error = error};
 }
 
-/* Room for a frame; its header is written, its payload is returned. */
-static uint8_t *begin_frame(struct output *output, unsigned type, uint64_t request_id,
-                            size_t payload_bytes) {
+uint8_t *request_begin_frame(struct output *output, unsigned type, uint64_t request_id,
+                             size_t payload_bytes) {
   uint8_t *frame = output_reserve(output, WIRE_BYTES_header + payload_bytes);
   if (frame == NULL) {
     return NULL;
@@ -44,8 +46,8 @@ static uint8_t *begin_frame(struct output *output, unsigned type, uint64_t reque
 }
 
 static uint8_t *begin_reply(struct question *question, size_t payload_bytes) {
-  return begin_frame(question->output, question->header->type | WIRE_REPLY,
-                     question->header->request_id, payload_bytes);
+  return request_begin_frame(question->output, question->header->type | WIRE_REPLY,
+                             question->header->request_id, payload_bytes);
 }
 
 static struct outcome busy(void) {
@@ -142,7 +144,7 @@ static struct outcome answer_EVAL(struct question *question) {
     return busy();
   }
   job_start(job, reply);
-  return (struct outcome){wire_error_none(), true};
+  return (struct outcome){.error = wire_error_none(), .started = true};
 }
 
 /* Room for a list reply with count entries; NULL: none. */
@@ -214,6 +216,29 @@ static struct outcome answer_PING(struct question *question) {
   return answered();
 }
 
+static struct outcome answer_MC(struct question *question) {
+  const wire_error error = mc_desk_start(question->mc, question->header->request_id,
+                                         question->payload, question->header->payload_bytes);
+  return (struct outcome){.error = error, .mc_started = error.status == WIRE_STATUS_OK};
+}
+
+static struct outcome answer_CANCEL(struct question *question) {
+  if (question->header->payload_bytes != WIRE_BYTES_cancel_request) {
+    return bad_length("8");
+  }
+  uint8_t *at = begin_reply(question, WIRE_BYTES_cancel_reply);
+  if (at == NULL) {
+    return busy();
+  }
+  wire_cancel_request request;
+  wire_get_cancel_request(question->payload, &request);
+  const wire_cancel_reply reply = {
+      .found = mc_desk_end(*question->mc->desk, request.job_id, MC_CANCELLED)};
+  wire_put_cancel_reply(at, &reply);
+  output_commit(question->output);
+  return answered();
+}
+
 static struct outcome answer(struct question *question) {
   switch (question->header->type) {
 #define WIRE_MESSAGE(type, IDENT, name)                                                            \
@@ -231,7 +256,7 @@ static struct outcome answer(struct question *question) {
 bool request_refuse(struct server *server, uint64_t request_id, const wire_error *error,
                     struct output *output) {
   stats_count_answer(&server->stats, error->status);
-  uint8_t *at = begin_frame(output, WIRE_TYPE_ERROR, request_id, WIRE_BYTES_error);
+  uint8_t *at = request_begin_frame(output, WIRE_TYPE_ERROR, request_id, WIRE_BYTES_error);
   if (at == NULL) {
     return false;
   }
@@ -241,12 +266,16 @@ bool request_refuse(struct server *server, uint64_t request_id, const wire_error
 }
 
 enum request_outcome request_begin(struct server *server, const wire_header *header,
-                                   const uint8_t *payload, struct output *output, struct job *job) {
-  struct question question = {server, header, payload, output, job};
+                                   const uint8_t *payload, struct output *output, struct job *job,
+                                   const struct mc_caller *mc) {
+  struct question question = {server, header, payload, output, job, mc};
   stats_count_request(&server->stats, header->type);
   const struct outcome outcome = answer(&question);
   if (outcome.started) {
     return REQUEST_STARTED;
+  }
+  if (outcome.mc_started) {
+    return REQUEST_ANSWERED;
   }
   if (outcome.error.status == WIRE_STATUS_OK) {
     stats_count_answer(&server->stats, WIRE_STATUS_OK);

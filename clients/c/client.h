@@ -145,7 +145,8 @@ bool libdipole_request_begin(dipole_client *client, libdipole_pending *pending,
 bool libdipole_request_send(dipole_client *client, dipole_error *error);
 
 /* Waits for the answer to request id, or to any request when id is 0, and hands it out: frame, to
- * be freed by the caller, is then in *pending. */
+ * be freed by the caller, is then in *pending. An mc request is answered in parts: the latest is
+ * handed out, and until that is the last one the request goes on. */
 bool libdipole_request_wait(dipole_client *client, uint64_t id, libdipole_pending *pending,
                             dipole_error *error);
 

@@ -230,6 +230,94 @@ bool dipole_submit(dipole_client *client, const dipole_query *query, uint64_t *i
 bool dipole_collect(dipole_client *client, uint64_t *id, dipole_result **result,
                     dipole_error *error);
 
+/* ---- Monte Carlo --------------------------------------------------------------------------- */
+
+/* A job for the daemon: photons that walk through a medium, until so many have been walked or the
+ * errors are small enough. The same query gives the same bits, unless it is ended early. */
+typedef struct dipole_mc_query {
+  dipole_medium medium;
+  const double *albedos; /* [albedo_count] of single scattering, 0 to 1, in place of the medium's;
+                            one walk serves all */
+  unsigned albedo_count; /* up to 16; 0: the medium's own */
+  double thickness_mm;   /* of a slab; INFINITY: half space */
+  unsigned spacing;      /* of the rings' edges: DIPOLE_LINEAR or DIPOLE_LOGARITHMIC */
+  uint32_t ring_count;   /* 1 to 4096 */
+  double radius_start_mm; /* inner edge of the first ring */
+  double radius_stop_mm;  /* outer edge of the last */
+  uint64_t seed;
+  uint64_t photons;   /* at least 1, at most the daemon's limit max_mc_photons */
+  double error_total; /* relative standard error of R that is small enough; 0: none is */
+  double error_rings; /* likewise of each ring with light; with both, both must hold */
+} dipole_mc_query;
+
+enum dipole_mc_side { DIPOLE_MC_REFLECTED, DIPOLE_MC_TRANSMITTED, DIPOLE_MC_SIDES };
+
+typedef struct dipole_mc_progress {
+  uint64_t photons;          /* walked */
+  uint64_t photons_expected; /* what it will take in all, as far as is known */
+  double error_total;        /* relative standard error of R, the largest of all albedos */
+  double error_rings;        /* likewise of a ring with light; INFINITY: not known yet */
+  double worst_from_mm;      /* the edges of that ring, both 0: there is none; */
+  double worst_to_mm;
+  unsigned worst_side; /* where it lies, and for which albedo */
+  unsigned worst_albedo;
+} dipole_mc_progress;
+
+/* A share of the power that entered the medium, and its standard error. */
+typedef struct dipole_mc_value {
+  double value;
+  double error;
+} dipole_mc_value;
+
+/* Where the power went, for one albedo. Arrays: by side. */
+typedef struct dipole_mc_energy {
+  double albedo;
+  dipole_mc_value R;          /* leaves where light enters: unscattered, under, rings and over */
+  dipole_mc_value T;          /* leaves on the other side of a slab, likewise */
+  dipole_mc_value absorbed;
+  dipole_mc_value unfinished; /* was still inside when its walk was given up */
+  dipole_mc_value roulette;   /* what roulette has added less what it has taken; 0 is expected */
+  double unscattered[DIPOLE_MC_SIDES];    /* at r = 0, in no ring; exact */
+  dipole_mc_value under[DIPOLE_MC_SIDES]; /* within the inner edge of the first ring */
+  dipole_mc_value over[DIPOLE_MC_SIDES];  /* beyond the outer edge of the last */
+  double imbalance; /* R + T + absorbed + unfinished - roulette - 1: 0 but for rounding */
+} dipole_mc_energy;
+
+enum dipole_mc_end {
+  DIPOLE_MC_PHOTONS = 1, /* all photons are walked */
+  DIPOLE_MC_ERRORS,      /* the errors are small enough */
+  DIPOLE_MC_CANCELLED,   /* these two: the table of what had been walked */
+  DIPOLE_MC_STOPPED,     /* with the daemon */
+};
+
+typedef struct dipole_mc_result {
+  enum dipole_mc_end end;
+  dipole_mc_progress last;
+  uint32_t side_count; /* 1 for a half space, 2 for a slab */
+  uint32_t albedo_count;
+  uint32_t ring_count;
+  const double *edges_mm;           /* [ring_count + 1] */
+  const dipole_mc_energy *energies; /* [albedo_count] */
+} dipole_mc_result;
+
+/* Starts a job and waits for its table. progress: NULL, or called a few times a second; when it
+ * returns false the job is cancelled, and ends with the table so far. It must not use the client.
+ * *result is the caller's, to be freed with dipole_mc_result_free(). */
+bool dipole_mc(dipole_client *client, const dipole_mc_query *query,
+               bool (*progress)(void *context, const dipole_mc_progress *now), void *context,
+               dipole_mc_result **result, dipole_error *error);
+
+void dipole_mc_result_free(dipole_mc_result *result); /* NULL is fine */
+
+/* [ring_count] each, owned by the result; NULL when there is no such albedo or side: the means of
+ * R (or its like on the other side) over the rings, 1/mm^2 per unit of power that entered, their
+ * standard errors, and how many photons left there, whatever their weight. */
+const double *dipole_mc_values(const dipole_mc_result *result, uint32_t albedo,
+                               enum dipole_mc_side side);
+const double *dipole_mc_errors(const dipole_mc_result *result, uint32_t albedo,
+                               enum dipole_mc_side side);
+const uint64_t *dipole_mc_photons(const dipole_mc_result *result, enum dipole_mc_side side);
+
 /* ---- the rest ------------------------------------------------------------------------------ */
 
 /* A measured medium: three channels, red, green, blue. */

@@ -2,6 +2,7 @@
 #include <string.h>
 
 #include "clients/c/client.h"
+#include "proto/mc.h"
 
 /* Unsent bytes up to which a request is left to be sent later. */
 #define BACKLOG_MAX_BYTES ((size_t)1 << 20)
@@ -48,10 +49,26 @@ static bool pending_reserve(dipole_client *client, dipole_error *error) {
   return true;
 }
 
-/* Hands an entry out. Those before it, usually none, move up. */
+/* Whether more frames of this answer follow. */
+static bool is_part(const libdipole_frame *frame) {
+  wire_mc_reply reply;
+  if (frame->header.type != (WIRE_TYPE_MC | WIRE_REPLY)) {
+    return false;
+  }
+  wire_get_mc_reply(frame->payload, &reply); /* no shorter: see check_header() */
+  return reply.state == MC_UNDER_WAY;
+}
+
+/* Hands an entry out. Those before it, usually none, move up; after a part of an answer it stays.
+ */
 static void pending_take(dipole_client *client, libdipole_pending *entry, libdipole_pending *out) {
   libdipole_pending *first = client->pending + client->pending_begin;
   *out = *entry;
+  if (is_part(entry->frame)) {
+    entry->frame = NULL;
+    client->arrived_count--;
+    return;
+  }
   memmove(first + 1, first, (size_t)(entry - first) * sizeof *first);
   client->pending_begin++;
   client->pending_count--;
@@ -88,7 +105,7 @@ static bool check_header(const wire_header *header, const libdipole_pending *pen
   if (is_error(header) && header->payload_bytes == WIRE_BYTES_error) {
     return true;
   }
-  if (pending == NULL || pending->frame != NULL) {
+  if (pending == NULL || (pending->frame != NULL && !is_part(pending->frame))) {
     return libdipole_fail(error, DIPOLE_ERROR_PROTOCOL,
                           "the peer does not speak this protocol: it answered a request that was "
                           "not sent");
@@ -129,7 +146,7 @@ static bool begin_frame(dipole_client *client, dipole_error *error) {
   return true;
 }
 
-/* Gives a complete frame to its request. */
+/* Gives a complete frame to its request. Of an answer in parts the latest is kept. */
 static bool end_frame(dipole_client *client, dipole_error *error) {
   libdipole_frame *frame = client->frame;
   libdipole_pending *pending = pending_find(client, frame->header.request_id);
@@ -137,6 +154,11 @@ static bool end_frame(dipole_client *client, dipole_error *error) {
   if (pending != NULL && pending->frame == NULL) {
     pending->frame = frame;
     client->arrived_count++;
+    return true;
+  }
+  if (pending != NULL && is_part(pending->frame)) {
+    free(pending->frame);
+    pending->frame = frame;
     return true;
   }
   libdipole_refused(client, NULL, frame, error);

@@ -30,6 +30,7 @@ extern const cli_command *const cli_commands[];
 
 extern const cli_command cli_command_eval;
 extern const cli_command cli_command_points;
+extern const cli_command cli_command_mc;
 extern const cli_command cli_command_media;
 extern const cli_command cli_command_info;
 

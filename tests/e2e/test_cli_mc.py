@@ -194,7 +194,7 @@ def test_progress_and_ctrl_c():
     assert "R, total" in output
 
 
-@pytest.mark.parametrize("photons", ["1", "4e6"])
+@pytest.mark.parametrize("photons", ["1", "2e6"])
 def test_no_bar_is_left_behind(photons):
     run = OnTerminal("mc", *MEDIUM, "--photons", photons)
     status, output = run.end()

@@ -20,6 +20,7 @@ from .errors import (
     ProtocolError,
     Refused,
 )
+from .mc import McEnergy, McProgress, McResult, McValue
 from .values import Choice, Grid, Info, Medium, Result
 
 __all__ = [
@@ -34,6 +35,10 @@ __all__ = [
     "Frame",
     "Grid",
     "Info",
+    "McEnergy",
+    "McProgress",
+    "McResult",
+    "McValue",
     "Medium",
     "ProtocolError",
     "Refused",

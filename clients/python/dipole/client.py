@@ -8,14 +8,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from . import wire
+from . import mc, wire
 from .connection import Connection, Frame
-from .errors import ArgumentError, ProtocolError, Refused
+from .errors import ArgumentError, DipoleError, ProtocolError, Refused
 from .values import Choice, Grid, Info, Medium, Result
 
 
@@ -37,6 +37,7 @@ class Client:
     def __init__(self, address: str | None = None, timeout_s: float | None = 30.0):
         self._last_id = 0
         self._outstanding: dict[int, _Query] = {}
+        self._ignored: set[int] = set()  # requests whose replies say nothing that is wanted
         self._arrived: dict[int, Frame] = {}  # answers to submitted queries, in order of arrival
         self._connection = Connection(address, timeout_s)
         try:
@@ -146,6 +147,66 @@ class Client:
         frame = self._arrived.pop(request_id)
         return request_id, self._result(self._payload(frame, "eval"), query)
 
+    # ---- Monte Carlo -----------------------------------------------------------------------------
+
+    def mc(
+        self,
+        medium: Medium | Sequence[float],
+        edges: Grid,
+        *,
+        photons: int | None = None,
+        error_total: float = 0.0,
+        error_rings: float = 0.0,
+        thickness: float | None = None,
+        albedos: Iterable[float] = (),
+        seed: int = 1,
+        progress: Callable[[mc.McProgress], bool | None] | None = None,
+    ) -> mc.McResult:
+        """Walks photons through a medium on the daemon and waits for the table.
+
+        edges: of the rings, of which there is one less. photons: how many to walk; by default as
+        many as the daemon allows where an error is given, else a million. error_total,
+        error_rings: it ends earlier when the relative standard error of R, that of every ring with
+        light, or both, are so small. thickness: of a slab, mm; None: half space. albedos: up to 16
+        in place of the medium's own; one walk serves all. progress: called a few times a second;
+        when it returns False the job is cancelled, and the table is what there is by then. An
+        exception, such as KeyboardInterrupt, cancels it too.
+        """
+        if photons is None:
+            wishes = error_total or error_rings
+            photons = self.info.limits["max_mc_photons"] if wishes else 1_000_000
+        spacing = self._id("spacing", edges.spacing)
+        payload = mc.pack_request(
+            medium, edges, spacing, photons, error_total, error_rings, thickness, albedos, seed
+        )
+        request_id = self._send("mc", payload)
+        try:
+            return self._mc_result(request_id, progress)
+        except (DipoleError, OSError):
+            raise
+        except BaseException:
+            self._cancel(request_id)
+            self._mc_result(request_id, None)
+            raise
+
+    def _cancel(self, request_id: int) -> None:
+        """Cancels a job whose last reply has not been received."""
+        job_id = wire.CANCEL_REQUEST.pack(job_id=request_id)
+        self._ignored.add(self._send("cancel", job_id))
+
+    def _mc_result(
+        self, request_id: int, progress: Callable[[mc.McProgress], bool | None] | None
+    ) -> mc.McResult:
+        cancelled = False
+        while True:
+            payload = self._answer(request_id, "mc")
+            fixed = mc.unpack_fixed(payload)
+            if fixed.state != wire.MC_UNDER_WAY:
+                return mc.unpack_result(payload)
+            if progress is not None and progress(mc.progress_of(fixed)) is False and not cancelled:
+                self._cancel(request_id)
+                cancelled = True
+
     # ---- the rest --------------------------------------------------------------------------------
 
     def media(self) -> dict[str, tuple[Medium, Medium, Medium]]:
@@ -213,6 +274,9 @@ class Client:
         """The next frame when it answers this request. One that answers a submitted query is kept
         in _arrived; one that answers nothing is the daemon's word on the connection as a whole."""
         frame = self._connection.receive_frame()
+        if frame.request_id in self._ignored:
+            self._ignored.remove(frame.request_id)
+            return None
         if frame.request_id in self._outstanding:
             self._arrived[frame.request_id] = frame
             return None

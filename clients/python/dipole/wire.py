@@ -20,7 +20,15 @@ ALIGNMENT = 8  # of payloads, structures and arrays within a frame
 PING_MAX_BYTES = 1024
 
 # Types of requests by name.
-MESSAGES = {"hello": 1, "eval": 2, "media": 3, "statistics": 4, "ping": 5}
+MESSAGES = {
+    "hello": 1,
+    "eval": 2,
+    "media": 3,
+    "statistics": 4,
+    "ping": 5,
+    "mc": 6,
+    "cancel": 7,
+}
 
 # Names of statuses by code.
 STATUSES = {
@@ -72,6 +80,10 @@ ELEMENTWISE = (
     QUANTITY_S,
 )
 SPACING_LIST = 1
+
+# States of an mc job: under way, and why it ended.
+MC_UNDER_WAY = 0
+MC_STATES = {1: "photons", 2: "errors", 3: "cancelled", 4: "stopped"}
 
 _FORMATS = {"u16": "H", "u32": "I", "u64": "Q", "f64": "d", "text": "s"}
 
@@ -228,6 +240,63 @@ MEASURED_MEDIUM = Structure(
     "f64 eta",
 )
 
+MC_REQUEST = Structure(
+    "mc_request",
+    "u16 spacing",
+    "u16 albedo_count",
+    "u32 ring_count",
+    "f64 radius_start",
+    "f64 radius_stop",
+    "f64 thickness",
+    "u64 seed",
+    "u64 photons",
+    "f64 error_total",
+    "f64 error_rings",
+)
+
+MC_REPLY = Structure(
+    "mc_reply",
+    "u16 state",
+    "u16 side_count",
+    "u16 albedo_count",
+    "u16 worst_side",
+    "u32 ring_count",
+    "u16 worst_albedo",
+    "u16 zero",
+    "f64 worst_from",
+    "f64 worst_to",
+    "f64 error_total",
+    "f64 error_rings",
+    "u64 number",
+    "u64 photons",
+    "u64 photons_expected",
+)
+
+MC_ENERGY = Structure(
+    "mc_energy",
+    "f64 albedo",
+    "f64 reflected",
+    "f64 reflected_error",
+    "f64 transmitted",
+    "f64 transmitted_error",
+    "f64 absorbed",
+    "f64 absorbed_error",
+    "f64 unfinished",
+    "f64 unfinished_error",
+    "f64 roulette",
+    "f64 roulette_error",
+    "f64 unscattered[2]",
+    "f64 under[2]",
+    "f64 under_error[2]",
+    "f64 over[2]",
+    "f64 over_error[2]",
+    "f64 imbalance",
+)
+
+CANCEL_REQUEST = Structure("cancel_request", "u64 job_id")
+
+CANCEL_REPLY = Structure("cancel_reply", "u32 found", "u32 zero")
+
 ERROR = Structure(
     "error",
     "u16 status",
@@ -253,6 +322,11 @@ STRUCTURES = {
         CHANNEL,
         LIST_REPLY,
         MEASURED_MEDIUM,
+        MC_REQUEST,
+        MC_REPLY,
+        MC_ENERGY,
+        CANCEL_REQUEST,
+        CANCEL_REPLY,
         ERROR,
     )
 }

@@ -1,0 +1,290 @@
+/* Monte Carlo jobs: started, followed, cancelled, and their tables. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "clients/c/client.h"
+#include "proto/mc.h"
+
+/* The table's arrays are used where they lie. */
+_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's arrays need swapping");
+_Static_assert((int)DIPOLE_MC_REFLECTED == (int)CORE_MC_REFLECTED &&
+                   (int)DIPOLE_MC_SIDES == (int)CORE_MC_SIDES,
+               "sides");
+_Static_assert((int)DIPOLE_MC_PHOTONS == (int)MC_PHOTONS_WALKED &&
+                   (int)DIPOLE_MC_STOPPED == (int)MC_STOPPED,
+               "ends");
+
+/* What the caller sees comes first. */
+typedef struct mc_table {
+  dipole_mc_result result;
+  mc_layout layout;
+  libdipole_frame *frame;
+  dipole_mc_energy energies[];
+} mc_table;
+
+/* ---- asking -------------------------------------------------------------------------------- */
+
+/* Only what the frame's layout depends on. */
+static bool check_query(const dipole_mc_query *query, dipole_error *error) {
+  if (query->albedo_count > CORE_MC_ALBEDOS_MAX) {
+    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "albedo_count is at most %d",
+                          CORE_MC_ALBEDOS_MAX);
+  }
+  if (query->albedos == NULL && query->albedo_count > 0) {
+    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "albedos is NULL, albedo_count is not 0");
+  }
+  if (query->spacing > UINT16_MAX) {
+    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "spacing is at most 65535");
+  }
+  return true;
+}
+
+static void put_query(uint8_t *at, const dipole_mc_query *query) {
+  const wire_mc_request fixed = {.spacing = (uint16_t)query->spacing,
+                                 .albedo_count = (uint16_t)query->albedo_count,
+                                 .ring_count = query->ring_count,
+                                 .radius_start = query->radius_start_mm,
+                                 .radius_stop = query->radius_stop_mm,
+                                 .thickness = query->thickness_mm,
+                                 .seed = query->seed,
+                                 .photons = query->photons,
+                                 .error_total = query->error_total,
+                                 .error_rings = query->error_rings};
+  const wire_medium medium = {.sigma_a = query->medium.sigma_a_per_mm,
+                              .sigma_s = query->medium.sigma_s_per_mm,
+                              .g = query->medium.g,
+                              .eta = query->medium.eta};
+  wire_put_mc_request(at, &fixed);
+  at += WIRE_BYTES_mc_request;
+  wire_put_medium(at, &medium);
+  at += WIRE_BYTES_medium;
+  if (query->albedo_count > 0) {
+    memcpy(at, query->albedos, query->albedo_count * sizeof *query->albedos);
+  }
+}
+
+/* The sides and albedos that the answer has. */
+static uint32_t sides_of(const dipole_mc_query *query) {
+  return isinf(query->thickness_mm) ? 1 : DIPOLE_MC_SIDES;
+}
+
+static uint32_t albedos_of(const dipole_mc_query *query) {
+  return query->albedo_count > 0 ? query->albedo_count : 1;
+}
+
+static bool start(dipole_client *client, const dipole_mc_query *query, libdipole_pending *pending,
+                  dipole_error *error) {
+  mc_layout layout;
+  uint8_t *payload;
+  *pending = (libdipole_pending){.type = WIRE_TYPE_MC,
+                                 .reply_bytes_min = WIRE_BYTES_mc_reply,
+                                 .reply_bytes_max = WIRE_BYTES_mc_reply};
+  /* Where no table can be, the daemon will refuse, and say why. */
+  if (mc_reply_layout(sides_of(query), albedos_of(query), query->ring_count, &layout)) {
+    pending->reply_bytes_max = layout.payload_bytes;
+  }
+  if (!libdipole_request_begin(client, pending, mc_request_bytes(query->albedo_count), &payload,
+                               error)) {
+    return false;
+  }
+  put_query(payload, query);
+  return libdipole_request_send(client, error);
+}
+
+static bool cancel(dipole_client *client, uint64_t job_id, uint64_t *cancel_id,
+                   dipole_error *error) {
+  const wire_cancel_request request = {.job_id = job_id};
+  libdipole_pending pending = {.type = WIRE_TYPE_CANCEL,
+                               .reply_bytes_min = WIRE_BYTES_cancel_reply,
+                               .reply_bytes_max = WIRE_BYTES_cancel_reply};
+  uint8_t *payload;
+  if (!libdipole_request_begin(client, &pending, WIRE_BYTES_cancel_request, &payload, error)) {
+    return false;
+  }
+  wire_put_cancel_request(payload, &request);
+  *cancel_id = pending.id;
+  return libdipole_request_send(client, error);
+}
+
+/* ---- answers ------------------------------------------------------------------------------- */
+
+static bool bad_answer(dipole_client *client, dipole_error *error) {
+  libdipole_fail(error, DIPOLE_ERROR_PROTOCOL,
+                 "the peer does not speak this protocol: it answered an mc request with another "
+                 "shape than was asked for");
+  client->broken = *error;
+  return false;
+}
+
+static dipole_mc_progress progress_of(const wire_mc_reply *from) {
+  return (dipole_mc_progress){.photons = from->photons,
+                              .photons_expected = from->photons_expected,
+                              .error_total = from->error_total,
+                              .error_rings = from->error_rings,
+                              .worst_from_mm = from->worst_from,
+                              .worst_to_mm = from->worst_to,
+                              .worst_side = from->worst_side,
+                              .worst_albedo = from->worst_albedo};
+}
+
+static dipole_mc_energy get_energy(const uint8_t *at) {
+  wire_mc_energy from;
+  wire_get_mc_energy(at, &from);
+  dipole_mc_energy to = {.albedo = from.albedo,
+                         .R = {from.reflected, from.reflected_error},
+                         .T = {from.transmitted, from.transmitted_error},
+                         .absorbed = {from.absorbed, from.absorbed_error},
+                         .unfinished = {from.unfinished, from.unfinished_error},
+                         .roulette = {from.roulette, from.roulette_error},
+                         .imbalance = from.imbalance};
+  for (size_t side = 0; side < DIPOLE_MC_SIDES; side++) {
+    to.unscattered[side] = from.unscattered[side];
+    to.under[side] = (dipole_mc_value){from.under[side], from.under_error[side]};
+    to.over[side] = (dipole_mc_value){from.over[side], from.over_error[side]};
+  }
+  return to;
+}
+
+/* Takes the frame over. */
+static bool take_table(dipole_client *client, libdipole_frame *frame, const wire_mc_reply *fixed,
+                       const mc_layout *layout, dipole_mc_result **result, dipole_error *error) {
+  mc_table *table = malloc(sizeof *table + fixed->albedo_count * sizeof table->energies[0]);
+  if (table == NULL) {
+    free(frame);
+    libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory");
+    client->broken = *error;
+    return false;
+  }
+  table->layout = *layout;
+  table->frame = frame;
+  for (uint32_t i = 0; i < fixed->albedo_count; i++) {
+    table->energies[i] =
+        get_energy(frame->payload + layout->energies_offset + (size_t)i * WIRE_BYTES_mc_energy);
+  }
+  table->result = (dipole_mc_result){
+      .end = (enum dipole_mc_end)fixed->state,
+      .last = progress_of(fixed),
+      .side_count = fixed->side_count,
+      .albedo_count = fixed->albedo_count,
+      .ring_count = fixed->ring_count,
+      .edges_mm = (const double *)(const void *)(frame->payload + layout->edges_offset),
+      .energies = table->energies};
+  *result = &table->result;
+  return true;
+}
+
+/* What came of waiting for the next part. */
+enum part { PART_FAILED, PART_PROGRESS, PART_LAST };
+
+static bool is_asked_for(const dipole_mc_query *query, const wire_mc_reply *fixed) {
+  return fixed->state <= MC_STOPPED && fixed->side_count == sides_of(query) &&
+         fixed->albedo_count == albedos_of(query) && fixed->ring_count == query->ring_count;
+}
+
+static enum part next_part(dipole_client *client, const dipole_mc_query *query, uint64_t id,
+                           dipole_mc_progress *progress, dipole_mc_result **result,
+                           dipole_error *error) {
+  libdipole_pending pending;
+  wire_mc_reply fixed;
+  mc_layout layout;
+  if (!libdipole_request_wait(client, id, &pending, error)) {
+    return PART_FAILED;
+  }
+  libdipole_frame *frame = pending.frame;
+  if (frame->header.type == WIRE_TYPE_ERROR) {
+    libdipole_refused(client, &pending, frame, error);
+    free(frame);
+    return PART_FAILED;
+  }
+  const bool shaped = mc_reply_parse(frame->payload, frame->header.payload_bytes, &fixed, &layout);
+  if (shaped && fixed.state == MC_UNDER_WAY) {
+    *progress = progress_of(&fixed);
+    free(frame);
+    return PART_PROGRESS;
+  }
+  if (!shaped || !is_asked_for(query, &fixed)) {
+    free(frame);
+    bad_answer(client, error);
+    return PART_FAILED;
+  }
+  return take_table(client, frame, &fixed, &layout, result, error) ? PART_LAST : PART_FAILED;
+}
+
+/* ---- the public calls ---------------------------------------------------------------------- */
+
+/* The answer to a cancel request, if one was sent, says nothing that the table does not. It need
+ * not come: a daemon that stops has sent the table, and closes. */
+static void finish(dipole_client *client, uint64_t cancel_id) {
+  libdipole_pending pending;
+  dipole_error unwanted;
+  if (cancel_id != 0 && libdipole_request_wait(client, cancel_id, &pending, &unwanted)) {
+    free(pending.frame);
+  }
+}
+
+bool dipole_mc(dipole_client *client, const dipole_mc_query *query,
+               bool (*progress)(void *context, const dipole_mc_progress *now), void *context,
+               dipole_mc_result **result, dipole_error *error) {
+  dipole_error unwanted;
+  libdipole_pending job;
+  dipole_mc_progress now;
+  uint64_t cancel_id = 0;
+  error = error != NULL ? error : &unwanted;
+  if (!check_query(query, error) || !start(client, query, &job, error)) {
+    return false;
+  }
+  for (;;) {
+    switch (next_part(client, query, job.id, &now, result, error)) {
+    case PART_FAILED:
+      return false;
+    case PART_LAST:
+      finish(client, cancel_id);
+      return true;
+    case PART_PROGRESS:
+      break;
+    }
+    const bool goes_on = progress == NULL || progress(context, &now);
+    if (!goes_on && cancel_id == 0 && !cancel(client, job.id, &cancel_id, error)) {
+      return false;
+    }
+  }
+}
+
+void dipole_mc_result_free(dipole_mc_result *result) {
+  mc_table *table = (mc_table *)(void *)result; /* whose first member it is */
+  if (table != NULL) {
+    free(table->frame);
+    free(table);
+  }
+}
+
+static const void *array(const dipole_mc_result *result, uint32_t albedo, enum dipole_mc_side side,
+                         bool error) {
+  const mc_table *table = (const mc_table *)(const void *)result;
+  if (albedo >= result->albedo_count || (uint32_t)side >= result->side_count) {
+    return NULL;
+  }
+  return table->frame->payload + mc_rings_offset(&table->layout, result->side_count,
+                                                 result->ring_count, albedo, side, error);
+}
+
+const double *dipole_mc_values(const dipole_mc_result *result, uint32_t albedo,
+                               enum dipole_mc_side side) {
+  return array(result, albedo, side, false);
+}
+
+const double *dipole_mc_errors(const dipole_mc_result *result, uint32_t albedo,
+                               enum dipole_mc_side side) {
+  return array(result, albedo, side, true);
+}
+
+const uint64_t *dipole_mc_photons(const dipole_mc_result *result, enum dipole_mc_side side) {
+  const mc_table *table = (const mc_table *)(const void *)result;
+  if ((uint32_t)side >= result->side_count) {
+    return NULL;
+  }
+  return (
+      const uint64_t *)(const void *)(table->frame->payload +
+                                      mc_photons_offset(&table->layout, result->ring_count, side));
+}

@@ -1,0 +1,80 @@
+#include "proto/mc.h"
+
+#include <string.h>
+
+enum { ALBEDO_BYTES = 8 };
+
+size_t mc_request_bytes(uint32_t albedo_count) {
+  return WIRE_BYTES_mc_request + WIRE_BYTES_medium + (size_t)albedo_count * ALBEDO_BYTES;
+}
+
+/* A double where it lies, little-endian. */
+static double get_f64(const uint8_t *at) {
+  uint64_t bits = 0;
+  double value;
+  for (unsigned i = 0; i < sizeof bits; i++) {
+    bits |= (uint64_t)at[i] << (8 * i);
+  }
+  memcpy(&value, &bits, sizeof value);
+  return value;
+}
+
+wire_error mc_request_parse(const uint8_t *payload, size_t payload_bytes, mc_request *request) {
+  if (payload_bytes < mc_request_bytes(0)) {
+    return wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes",
+                           "at least 96: an mc_request and a medium");
+  }
+  wire_get_mc_request(payload, &request->fixed);
+  wire_get_medium(payload + WIRE_BYTES_mc_request, &request->medium);
+  if (request->fixed.albedo_count > CORE_MC_ALBEDOS_MAX) {
+    return wire_error_make(WIRE_STATUS_BAD_COUNT, "albedo_count", "0 to 16");
+  }
+  if (payload_bytes != mc_request_bytes(request->fixed.albedo_count)) {
+    return wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes",
+                           "nothing after the medium but albedo_count albedos");
+  }
+  const uint8_t *at = payload + mc_request_bytes(0);
+  for (uint32_t i = 0; i < request->fixed.albedo_count; i++) {
+    request->albedo[i] = get_f64(at + (size_t)i * ALBEDO_BYTES);
+  }
+  return wire_error_none();
+}
+
+bool mc_reply_layout(uint32_t side_count, uint32_t albedo_count, uint32_t ring_count,
+                     mc_layout *layout) {
+  if (side_count < 1 || side_count > CORE_MC_SIDES || albedo_count < 1 ||
+      albedo_count > CORE_MC_ALBEDOS_MAX || ring_count < 1 || ring_count > CORE_MC_RINGS_MAX) {
+    return false;
+  }
+  const size_t sides = side_count, albedos = albedo_count, rings = ring_count;
+  layout->edges_offset = WIRE_BYTES_mc_reply;
+  layout->energies_offset = layout->edges_offset + (rings + 1) * sizeof(double);
+  layout->photons_offset = layout->energies_offset + albedos * WIRE_BYTES_mc_energy;
+  layout->rings_offset = layout->photons_offset + sides * rings * sizeof(uint64_t);
+  layout->payload_bytes = layout->rings_offset + albedos * sides * 2 * rings * sizeof(double);
+  return true;
+}
+
+size_t mc_photons_offset(const mc_layout *layout, uint32_t ring_count, uint32_t side) {
+  return layout->photons_offset + (size_t)side * ring_count * sizeof(uint64_t);
+}
+
+size_t mc_rings_offset(const mc_layout *layout, uint32_t side_count, uint32_t ring_count,
+                       uint32_t albedo, uint32_t side, bool error) {
+  const size_t array = ((size_t)albedo * side_count + side) * 2 + (error ? 1 : 0);
+  return layout->rings_offset + array * ring_count * sizeof(double);
+}
+
+bool mc_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_mc_reply *fixed,
+                    mc_layout *layout) {
+  if (payload_bytes < WIRE_BYTES_mc_reply) {
+    return false;
+  }
+  wire_get_mc_reply(payload, fixed);
+  if (fixed->state == MC_UNDER_WAY) {
+    return payload_bytes == WIRE_BYTES_mc_reply && fixed->albedo_count == 0 &&
+           fixed->ring_count == 0;
+  }
+  return mc_reply_layout(fixed->side_count, fixed->albedo_count, fixed->ring_count, layout) &&
+         payload_bytes == layout->payload_bytes;
+}

@@ -1,0 +1,559 @@
+"""Monte Carlo jobs: their tables, their progress, their end, and what they leave alone."""
+
+from __future__ import annotations
+
+import math
+import re
+import signal
+import threading
+from pathlib import Path
+
+import dipole
+import numpy as np
+import pytest
+from daemons import REPOSITORY, eventually
+from dipole import Grid, Medium, wire
+from dipole.mc import McResult, pack_request, progress_of, unpack_fixed, unpack_result
+from frames import (
+    LINEAR,
+    LOGARITHMIC,
+    PING,
+    R,
+    SKIN,
+    ask,
+    assert_closed,
+    assert_error,
+    assert_serves,
+    eval_payload,
+    frame,
+)
+
+MC, CANCEL = wire.MESSAGES["mc"], wire.MESSAGES["cancel"]
+BATCH = 4096
+EDGES = Grid(0.0, 5.0, 11)
+TISSUE = Medium(sigma_a=0.1, sigma_s=0.9, g=0.3, eta=1.3)
+# Hours of work: for what has to be under way while something else happens.
+ENDLESS = {"medium": Medium(1e-4, 10.0, 0.9, 1.4), "photons": 10**10}
+
+
+def mc_payload(
+    medium=TISSUE,
+    edges=EDGES,
+    spacing=LINEAR,
+    photons=2 * BATCH,
+    error_total=0.0,
+    error_rings=0.0,
+    thickness=math.inf,
+    albedos=(),
+    seed=1,
+) -> bytes:
+    """The payload of an mc request."""
+    return pack_request(
+        medium, edges, spacing, photons, error_total, error_rings, thickness, albedos, seed
+    )
+
+
+def receive_table(connection: dipole.Connection, request_id: int = 77) -> McResult:
+    """The last reply to an mc request, after any progress."""
+    while True:
+        reply = connection.receive_frame()
+        assert (reply.type, reply.request_id) == (MC | wire.REPLY, request_id)
+        if unpack_fixed(reply.payload).state != wire.MC_UNDER_WAY:
+            return unpack_result(reply.payload)
+
+
+def start_endless(connection: dipole.Connection, request_id: int = 77) -> None:
+    """Starts a job and waits for a sign of life."""
+    connection.send_bytes(frame(MC, request_id, mc_payload(**ENDLESS)))
+    reply = connection.receive_frame()
+    assert (reply.type, reply.request_id) == (MC | wire.REPLY, request_id)
+    assert unpack_fixed(reply.payload).state == wire.MC_UNDER_WAY
+
+
+def cancel(connection: dipole.Connection, job_id: int, request_id: int = 500) -> int:
+    """Sends a cancel request; what was found, after any progress of jobs."""
+    connection.send_bytes(frame(CANCEL, request_id, wire.CANCEL_REQUEST.pack(job_id=job_id)))
+    while True:
+        reply = connection.receive_frame()
+        if reply.request_id == request_id:
+            assert reply.type == CANCEL | wire.REPLY
+            return wire.CANCEL_REPLY.unpack(reply.payload).found
+        assert unpack_fixed(reply.payload).state == wire.MC_UNDER_WAY
+
+
+# ---- tables --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "how", [{}, {"error_rings": 0.6}, {"error_total": 0.015}, {"thickness": 0.7}]
+)
+def test_same_bits_whoever_walks(daemon, how):
+    how = {"photons": 300_000, "seed": 7, "albedos": [0.2, 0.95], **how}
+    tables = []
+    for options in (["--mc-threads", "1"], ["--mc-threads", "3"], ["--isa", "portable"]):
+        with daemon(*options).client() as client:
+            tables += [client.mc(TISSUE, EDGES, **how) for _ in range(2)]
+    assert all(table.payload == tables[0].payload for table in tables)
+    expected = "errors" if "error_rings" in how or "error_total" in how else "photons"
+    assert tables[0].state == expected
+    assert expected == "errors" or tables[0].photons == 74 * BATCH  # 300,000, rounded up
+
+
+def test_seeds_differ(client):
+    one, other = (client.mc(TISSUE, EDGES, photons=BATCH, seed=seed) for seed in (1, 2**63))
+    assert one.payload != other.payload
+
+
+def truth() -> dict[tuple[float, float], float]:
+    """(albedo, eta): total reflectance per launched power, where the reference is there."""
+    path = REPOSITORY.parent / "shared/reference/truth.md"
+    if not path.exists():
+        return {}
+    rows = re.findall(r"^\| (\.\d+) \| (\.\d{9,}) \| (\.\d{9,}) \| (\.\d{9,}) \|", path.read_text(), re.M)
+    return {
+        (float(row[0]), eta): float(total)
+        for row in rows
+        for eta, total in zip((1.0, 1.33, 1.5), row[1:])
+    }
+
+
+def test_totals_are_those_of_transport(client):
+    totals = truth()
+    if not totals:
+        pytest.skip("../shared/reference/truth.md is not there")
+    albedos = sorted({albedo for albedo, _ in totals})
+    assert len(albedos) >= 8
+    for eta in (1.0, 1.33, 1.5):
+        medium = Medium(0.5, 0.5, 0.0, eta)
+        result = client.mc(medium, EDGES, photons=150_000, albedos=albedos, seed=3)
+        specular = ((eta - 1) / (eta + 1)) ** 2
+        for energy in result.energies:
+            expected = (totals[energy.albedo, eta] - specular) / (1 - specular)
+            assert abs(energy.R.value - expected) < 4 * energy.R.error
+            assert energy.R.error < 0.03 * expected
+
+
+def test_rings_and_shares_add_up(client):
+    result = client.mc(TISSUE, Grid(0.1, 3.0, 8), thickness=1.0, photons=50_000, albedos=[1, 0.5])
+    areas = math.pi * np.diff(result.edges**2)
+    assert result.values.shape == result.errors.shape == (2, 2, 7)
+    assert result.ring_photons.shape == (2, 7) and (result.ring_photons > 0).all()
+    np.testing.assert_array_equal(result.edges[[0, -1]], [0.1, 3.0])
+    for i, energy in enumerate(result.energies):
+        whole = energy.R.value + energy.T.value + energy.absorbed.value + energy.unfinished.value
+        assert abs(whole - energy.roulette.value - 1 - energy.imbalance) < 1e-12
+        assert abs(energy.imbalance) < 1e-11
+        for side, total in enumerate((energy.R, energy.T)):
+            parts = energy.unscattered[side] + energy.under[side].value + energy.over[side].value
+            parts += areas @ result.values[i, side]
+            assert abs(parts - total.value) < 1e-12
+    assert result.energies[0].absorbed.value == 0
+
+
+def test_own_albedo_is_the_default(client):
+    own = client.mc(TISSUE, EDGES, photons=20_000)
+    given = client.mc(TISSUE, EDGES, photons=20_000, albedos=[0.9])
+    assert own.payload == given.payload
+    assert own.energies[0].albedo == 0.9 and own.values.shape == (1, 1, 10)
+
+
+@pytest.mark.parametrize(
+    "medium, how, check",
+    [
+        (Medium(1, 0, 0, 1.5), {}, lambda e: e.absorbed.value == 1 and e.R.value == 0),
+        (Medium(1, 0, 0, 1.5), {"error_rings": 0.1}, lambda e: e.absorbed.value == 1),
+        (Medium(0, 1, 0, 1.0), {}, lambda e: e.R.value > 0.9 and e.absorbed.value == 0),
+        (TISSUE, {"thickness": 0.0}, lambda e: abs(e.T.value + e.R.value - 1) < 1e-12),
+        (Medium(0.1, 10, 0.999, 1.3), {"thickness": 0.5}, lambda e: e.T.value > 0.8),
+        (Medium(0.1, 10, -0.999, 1.3), {}, lambda e: 0.3 < e.R.value < 1),
+    ],
+)
+def test_extremes_end(client, medium, how, check):
+    result = client.mc(medium, EDGES, **{"photons": 2 * BATCH, **how})
+    assert check(result.energies[0]), result.energies[0]
+
+
+def test_errors_end_it_early(client):
+    total = client.mc(TISSUE, EDGES, error_total=0.01)
+    assert total.state == "errors" and total.photons == 32 * BATCH  # fewer are not believed
+    assert 0 < total.error_total <= 0.01 < total.error_rings
+    rings = client.mc(TISSUE, EDGES, error_rings=0.05)
+    assert rings.state == "errors" and rings.error_rings <= 0.05
+    worst = np.nanmax(rings.R_error / rings.R)
+    assert rings.error_rings == worst
+    at = int(np.nanargmax(rings.R_error / rings.R))
+    assert rings.worst_ring_mm == (rings.edges[at], rings.edges[at + 1])
+    both = client.mc(TISSUE, EDGES, error_rings=0.05, error_total=0.5)
+    assert both.payload == rings.payload
+    short = client.mc(TISSUE, EDGES, error_rings=1e-6, photons=50_000)
+    assert short.state == "photons" and short.photons == 13 * BATCH
+
+
+def test_one_batch_knows_no_error(client):
+    result = client.mc(TISSUE, EDGES, photons=1)
+    assert result.photons == BATCH and np.isinf(result.errors).all()
+    assert math.isinf(result.error_total) and math.isinf(result.energies[0].R.error)
+
+
+# ---- progress and the end ------------------------------------------------------------------------
+
+
+def test_progress_is_numbered_and_grows(client):
+    seen: list[dipole.McProgress] = []
+
+    def follow(now: dipole.McProgress) -> bool:
+        seen.append(now)
+        return len(seen) < 6
+
+    result = client.mc(ENDLESS["medium"], EDGES, error_rings=0.001, progress=follow)
+    assert [one.number for one in seen[:6]] == [1, 2, 3, 4, 5, 6]
+    photons = [one.photons for one in seen]
+    assert photons == sorted(photons) and photons[-1] <= result.photons
+    assert result.state == "cancelled"
+    assert all(one.photons_expected >= one.photons for one in seen)
+    assert all(one.worst_ring_mm[1] <= 5.0 for one in seen)
+    assert client.ping() >= 0
+
+
+@pytest.mark.parametrize("threads", ["1", "2"])
+def test_cancelled_jobs_have_a_table(daemon, threads):
+    one = daemon("--mc-threads", threads)
+    with one.connect() as connection:
+        start_endless(connection)
+        assert cancel(connection, 77) == 1
+        result = receive_table(connection)
+        assert result.state == "cancelled" and result.photons < 10**9
+        energy = result.energies[0]
+        whole = energy.R.value + energy.absorbed.value + energy.unfinished.value
+        assert result.photons == 0 or abs(whole - energy.roulette.value - 1) < 1e-9
+        assert_serves(connection)
+        assert cancel(connection, 77) == 0
+
+
+def test_only_the_named_job_is_cancelled(daemon):
+    with daemon().connect() as connection:
+        start_endless(connection, 1)
+        connection.send_bytes(frame(MC, 2, mc_payload(**ENDLESS)))
+        assert cancel(connection, 3) == 0
+        assert cancel(connection, 2) == 1
+        last: dict[int, int] = {}
+        while last.get(2, 0) == 0:
+            reply = connection.receive_frame()
+            last[reply.request_id] = unpack_fixed(reply.payload).state
+        assert last[2] == 3 and last.get(1, 0) == 0
+        assert cancel(connection, 1) == 1
+        assert receive_table(connection, 1).state == "cancelled"
+
+
+def test_jobs_of_others_cannot_be_cancelled(daemon):
+    one = daemon()
+    with one.connect() as mine, one.connect() as other:
+        start_endless(mine)
+        assert cancel(other, 77) == 0
+        assert one_job_open(one)
+
+
+def statistic(one, name: str) -> int:
+    """A statistic of a daemon, over a connection of its own."""
+    with one.client() as client:
+        return client.statistics()[name]
+
+
+def one_job_open(one) -> bool:
+    return statistic(one, "mc_jobs_open") == 1
+
+
+def no_job_open(one) -> bool:
+    return statistic(one, "mc_jobs_open") == 0
+
+
+@pytest.mark.parametrize("scheme", ["unix", "tcp"])
+def test_closing_ends_the_job(daemon, scheme):
+    one = daemon()
+    before = statistic(one, "buffer_bytes")
+    with one.connect(scheme) as connection:
+        start_endless(connection)
+        assert one_job_open(one)
+    assert eventually(lambda: no_job_open(one))
+    assert eventually(lambda: statistic(one, "buffer_bytes") == before)
+
+
+def test_who_stops_sending_gets_what_there_is(daemon):
+    with daemon().connect() as connection:
+        start_endless(connection)
+        connection.half_close()
+        assert receive_table(connection).state == "cancelled"
+        assert_closed(connection)
+
+
+def test_a_lost_frame_drops_the_job(daemon):
+    one = daemon()
+    with one.connect() as connection:
+        start_endless(connection)
+        connection.send_bytes(bytes(24))
+        while (reply := connection.receive_frame()).type != wire.TYPE_ERROR:
+            assert unpack_fixed(reply.payload).state == wire.MC_UNDER_WAY
+        assert_error(reply, "bad-magic", "magic", "", request_id=0)
+        assert_closed(connection)
+    assert eventually(lambda: no_job_open(one))
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
+def test_stopping_ends_jobs_with_what_there_is(daemon, how):
+    one = daemon("--max-mc-jobs", "6", "--drain-timeout-ms", "5000")
+    connections = [one.connect(scheme) for scheme in ("unix", "tcp") * 3]
+    for connection in connections:
+        start_endless(connection)
+    one.terminate(how)
+    for connection in connections:
+        assert receive_table(connection).state == "stopped"
+        assert_error(connection.receive_frame(), "shutting-down", "", "", request_id=0)
+        assert_closed(connection)
+        connection.close()
+    assert one.wait() == 0
+
+
+def test_stopping_does_not_wait_for_who_does_not_read(daemon):
+    one = daemon("--drain-timeout-ms", "300")
+    large = mc_payload(**{**ENDLESS, "edges": Grid(0.0, 5.0, 4097), "albedos": [0.5] * 16})
+    with one.connect() as stuck:
+        stuck.send_bytes(frame(MC, 1, large))
+        assert eventually(lambda: one_job_open(one))
+        one.terminate()
+        assert one.wait() == 0
+
+
+# ---- beside other work ---------------------------------------------------------------------------
+
+
+def test_others_are_served_meanwhile(daemon):
+    one = daemon()
+    with one.connect() as busy, one.client() as client:
+        start_endless(busy)
+        expected = client.eval("better", SKIN, [0.5, 1.0])
+        for _ in range(200):
+            assert client.ping() < 5
+            assert (client.eval("better", SKIN, [0.5, 1.0]).R == expected.R).all()
+        assert client.statistics()["mc_jobs_open"] == 1
+        # And on the connection that has the job.
+        answered = 0
+        payload = eval_payload(wanted=R)
+        busy.send_bytes(b"".join(frame(wire.MESSAGES["eval"], 1000 + i, payload) for i in range(50)))
+        while answered < 50:
+            reply = busy.receive_frame()
+            if reply.request_id != 77:
+                assert reply.type == wire.MESSAGES["eval"] | wire.REPLY
+                assert reply.request_id == 1000 + answered
+                answered += 1
+
+
+def test_jobs_take_turns(daemon):
+    """A short job ends while long ones go on, even with a single thread."""
+    with daemon("--mc-threads", "1").connect() as connection:
+        for request_id in (1, 2, 3):
+            connection.send_bytes(frame(MC, request_id, mc_payload(**ENDLESS)))
+        connection.send_bytes(frame(MC, 4, mc_payload()))
+        while True:
+            reply = connection.receive_frame()
+            if unpack_fixed(reply.payload).state != wire.MC_UNDER_WAY:
+                break
+        assert reply.request_id == 4 and unpack_result(reply.payload).state == "photons"
+
+
+def test_many_clients_at_a_time(daemon):
+    one = daemon("--max-mc-jobs", "8", "--mc-threads", "3")
+    tables: list[bytes] = []
+
+    def work() -> None:
+        with one.client() as client:
+            for _ in range(4):
+                tables.append(client.mc(TISSUE, EDGES, photons=10 * BATCH).payload)
+
+    threads = [threading.Thread(target=work) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(tables) == 32 and len(set(tables)) == 1
+    assert no_job_open(one) and statistic(one, "mc_photons_walked") == 320 * BATCH
+
+
+def niceness(one) -> list[int]:
+    """That of each thread of a daemon."""
+    tasks = Path(f"/proc/{one.process.pid}/task").iterdir()
+    stats = [(task / "stat").read_text().rpartition(")")[2].split() for task in tasks]
+    return sorted(int(stat[16]) for stat in stats)
+
+
+def test_threads_have_a_low_priority_and_start_with_the_first_job(daemon):
+    one = daemon("--mc-threads", "3")
+    before = niceness(one)
+    with one.connect() as connection:
+        start_endless(connection)
+        assert eventually(lambda: niceness(one) == sorted([*before, 10, 10, 10]))
+
+
+def test_a_slow_reader_gets_the_table_and_little_else(daemon):
+    one = daemon()
+    with one.connect() as slow:
+        slow.send_bytes(frame(MC, 77, mc_payload(photons=10**6)))
+        assert eventually(lambda: statistic(one, "requests_mc") == 1)
+        assert eventually(lambda: no_job_open(one), timeout_s=60)
+        assert receive_table(slow).state == "photons"
+        assert_serves(slow)
+
+
+def test_a_job_is_no_silence(daemon):
+    one = daemon("--idle-timeout-ms", "100")
+    with one.connect() as connection:
+        start_endless(connection)
+        for _ in range(3):
+            reply = connection.receive_frame()
+            assert progress_of(unpack_fixed(reply.payload)).number > 1
+
+
+# ---- limits and faults ---------------------------------------------------------------------------
+
+
+def test_max_mc_jobs(daemon):
+    with daemon("--max-mc-jobs", "2").connect() as connection:
+        start_endless(connection, 1)
+        connection.send_bytes(frame(MC, 2, mc_payload(**ENDLESS)))
+        connection.send_bytes(frame(MC, 3, mc_payload()))
+        while (reply := connection.receive_frame()).request_id != 3:
+            assert unpack_fixed(reply.payload).state == wire.MC_UNDER_WAY
+        assert_error(reply, "busy", "", "max_mc_jobs", request_id=3)
+        assert cancel(connection, 2) == 1
+        while (reply := connection.receive_frame()).request_id != 2 or (
+            unpack_fixed(reply.payload).state == wire.MC_UNDER_WAY
+        ):
+            pass
+        connection.send_bytes(frame(MC, 3, mc_payload()))
+        while (reply := connection.receive_frame()).request_id != 3:
+            pass
+        assert reply.type == MC | wire.REPLY
+
+
+def test_one_job_after_the_other(daemon):
+    """The room of a job that has answered is there at once."""
+    with daemon("--max-mc-jobs", "1", "--mc-threads", "4").client() as client:
+        for photons in [BATCH, 20 * BATCH, 3 * BATCH] * 10:
+            assert client.mc(TISSUE, EDGES, photons=photons).photons == photons
+
+
+def test_max_mc_photons(daemon):
+    with daemon("--max-mc-photons", "10000").connect() as connection:
+        connection.send_bytes(frame(MC, 77, mc_payload(photons=10_000)))
+        assert receive_table(connection).photons == 3 * BATCH
+        reply = ask(connection, MC, mc_payload(photons=10_001))
+        assert_error(reply, "too-large", "photons", "at most 10000")
+
+
+def test_tables_larger_than_a_frame(daemon):
+    with daemon("--max-frame-bytes", "4096").connect() as connection:
+        # 72 + 8 (n + 1) + 176 + 24 n bytes
+        connection.send_bytes(frame(MC, 77, mc_payload(edges=Grid(0.0, 5.0, 121))))
+        assert len(receive_table(connection).payload) == 4096
+        reply = ask(connection, MC, mc_payload(edges=Grid(0.0, 5.0, 122)))
+        assert_error(reply, "too-large", "ring_count", "at most 4096 bytes")
+
+
+def test_memory_is_from_the_budget(daemon):
+    with daemon("--max-total-bytes", "1048576").connect() as connection:
+        large = mc_payload(edges=Grid(0.0, 5.0, 4097), albedos=[0.5] * 16)
+        reply = ask(connection, MC, large)
+        assert_error(reply, "busy", "", "max_total_bytes")
+        connection.send_bytes(frame(MC, 77, mc_payload()))
+        assert receive_table(connection).state == "photons"
+        assert_serves(connection)
+
+
+def test_the_largest_job(connection):
+    edges = Grid(1e-3, 5.0, 4097)
+    payload = mc_payload(edges=edges, spacing=LOGARITHMIC, albedos=[0.5] * 16, thickness=1.0)
+    connection.send_bytes(frame(MC, 77, payload))
+    result = receive_table(connection)
+    assert result.values.shape == (16, 2, 4096)
+    assert (result.values[0] == result.values[15]).all()
+
+
+def changed(**how) -> bytes:
+    return mc_payload(**how)
+
+
+def counts(ring_count=10, albedo_count=0) -> bytes:
+    """A payload whose counts are these, whatever follows."""
+    payload = mc_payload()
+    fields = wire.MC_REQUEST.unpack(payload)._asdict()
+    fields.update(ring_count=ring_count, albedo_count=albedo_count)
+    return wire.MC_REQUEST.pack(**fields) + payload[wire.MC_REQUEST.bytes :]
+
+
+WRONG = {
+    "sigma_a": (changed(medium=(-1, 1, 0, 1.3)), "bad-value", "sigma_a", "1e15", 0),
+    "sigma_s": (changed(medium=(1, math.nan, 0, 1.3)), "bad-value", "sigma_s", "1e15", 0),
+    "no medium": (changed(medium=(0, 0, 0, 1.3)), "bad-value", "sigma_s", "1e-15", 0),
+    "g": (changed(medium=(1, 1, 0.99999, 1.3)), "bad-value", "g", "0.9999", 0),
+    "eta": (changed(medium=(1, 1, 0, 0)), "bad-value", "eta", "0.001 to 1000", 0),
+    "thickness": (changed(thickness=-1.0), "bad-value", "thickness", "0, at least", 0),
+    "no thickness": (changed(thickness=math.nan), "bad-value", "thickness", "0, at least", 0),
+    "less than none": (changed(thickness=-math.inf), "bad-value", "thickness", "0, at least", 0),
+    "albedo": (changed(albedos=[0.5, 1.1]), "bad-value", "albedo", "0 to 1", 1),
+    "17 albedos": (changed(albedos=[0.5] * 17), "bad-count", "albedo_count", "0 to 16", 0),
+    "no ring": (counts(ring_count=0), "bad-count", "ring_count", "1 to 4096", 0),
+    "4097 rings": (counts(ring_count=4097), "bad-count", "ring_count", "1 to 4096", 0),
+    "2^32 - 1 rings": (counts(ring_count=2**32 - 1), "bad-count", "ring_count", "1 to 4096", 0),
+    "list": (changed(spacing=1), "bad-value", "spacing", "linear or logarithmic", 0),
+    "spacing": (changed(spacing=9), "bad-value", "spacing", "linear or logarithmic", 0),
+    "start": (changed(edges=Grid(-1.0, 5.0, 11)), "bad-value", "radius_start", "", 0),
+    "log of 0": (changed(spacing=LOGARITHMIC), "bad-value", "radius_start", "", 0),
+    "stop": (changed(edges=Grid(5.0, 1.0, 11)), "bad-value", "radius_stop", "", 0),
+    "empty rings": (changed(edges=Grid(1.0, 1.0, 11)), "bad-value", "radius_stop", "wider", 0),
+    "no photons": (changed(photons=0), "bad-value", "photons", "at least 1", 0),
+    "photons": (changed(photons=2**64 - 1), "too-large", "photons", "at most 10000000000", 0),
+    "total": (changed(error_total=-0.1), "bad-value", "error_total", "0 (none)", 0),
+    "total > 1": (changed(error_total=1.1), "bad-value", "error_total", "0 (none)", 0),
+    "rings": (changed(error_rings=math.nan), "bad-value", "error_rings", "0 (none)", 0),
+    "short": (mc_payload()[:-8], "bad-length", "payload_bytes", "at least 96", 0),
+    "empty": (b"", "bad-length", "payload_bytes", "at least 96", 0),
+    "long": (mc_payload() + bytes(8), "bad-length", "payload_bytes", "nothing after", 0),
+    "albedos missing": (counts(albedo_count=2), "bad-length", "payload_bytes", "nothing after", 0),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_bad_requests_name_the_field(connection, name):
+    payload, status, field, allowed, index = WRONG[name]
+    assert_error(ask(connection, MC, payload), status, field, allowed, index=index)
+    assert_serves(connection)
+
+
+@pytest.mark.parametrize("payload", [b"", bytes(16)])
+def test_bad_cancel_requests(connection, payload):
+    assert_error(ask(connection, CANCEL, payload), "bad-length", "payload_bytes", "8")
+    assert ask(connection, PING).type == PING | wire.REPLY
+
+
+# ---- the Python client ---------------------------------------------------------------------------
+
+
+def test_interrupting_the_python_client_cancels(daemon):
+    one = daemon()
+    with one.client() as client:
+
+        def interrupt(now: dipole.McProgress) -> bool:
+            raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            client.mc(ENDLESS["medium"], EDGES, photons=ENDLESS["photons"], progress=interrupt)
+        assert client.statistics()["mc_jobs_open"] == 0
+        assert client.eval("better", SKIN, [1.0]).R.shape == (1, 1)
+
+
+def test_a_refusal_in_the_python_client(client):
+    with pytest.raises(dipole.Refused) as refusal:
+        client.mc(TISSUE, EDGES, albedos=[2.0])
+    assert (refusal.value.status, refusal.value.field) == ("bad-value", "albedo")
+    submitted = client.submit("better", SKIN, [1.0])
+    client.mc(TISSUE, EDGES, photons=BATCH)
+    assert client.collect()[0] == submitted
