@@ -236,12 +236,12 @@ bool dipole_collect(dipole_client *client, uint64_t *id, dipole_result **result,
  * errors are small enough. The same query gives the same bits, unless it is ended early. */
 typedef struct dipole_mc_query {
   dipole_medium medium;
-  const double *albedos; /* [albedo_count] of single scattering, 0 to 1, in place of the medium's;
+  const double *albedos;  /* [albedo_count] of single scattering, 0 to 1, in place of the medium's;
                             one walk serves all */
-  unsigned albedo_count; /* up to 16; 0: the medium's own */
-  double thickness_mm;   /* of a slab; INFINITY: half space */
-  unsigned spacing;      /* of the rings' edges: DIPOLE_LINEAR or DIPOLE_LOGARITHMIC */
-  uint32_t ring_count;   /* 1 to 4096 */
+  unsigned albedo_count;  /* up to 16; 0: the medium's own */
+  double thickness_mm;    /* of a slab; INFINITY: half space */
+  unsigned spacing;       /* of the rings' edges: DIPOLE_LINEAR or DIPOLE_LOGARITHMIC */
+  uint32_t ring_count;    /* 1 to 4096 */
   double radius_start_mm; /* inner edge of the first ring */
   double radius_stop_mm;  /* outer edge of the last */
   uint64_t seed;
@@ -272,8 +272,8 @@ typedef struct dipole_mc_value {
 /* Where the power went, for one albedo. Arrays: by side. */
 typedef struct dipole_mc_energy {
   double albedo;
-  dipole_mc_value R;          /* leaves where light enters: unscattered, under, rings and over */
-  dipole_mc_value T;          /* leaves on the other side of a slab, likewise */
+  dipole_mc_value R; /* leaves where light enters: unscattered, under, rings and over */
+  dipole_mc_value T; /* leaves on the other side of a slab, likewise */
   dipole_mc_value absorbed;
   dipole_mc_value unfinished; /* was still inside when its walk was given up */
   dipole_mc_value roulette;   /* what roulette has added less what it has taken; 0 is expected */

@@ -15,6 +15,7 @@ from daemons import REPOSITORY, eventually
 from dipole import Grid, Medium, wire
 from dipole.mc import McResult, pack_request, progress_of, unpack_fixed, unpack_result
 from frames import (
+    EVAL,
     LINEAR,
     LOGARITHMIC,
     PING,
@@ -109,11 +110,12 @@ def truth() -> dict[tuple[float, float], float]:
     path = REPOSITORY.parent / "shared/reference/truth.md"
     if not path.exists():
         return {}
-    rows = re.findall(r"^\| (\.\d+) \| (\.\d{9,}) \| (\.\d{9,}) \| (\.\d{9,}) \|", path.read_text(), re.M)
+    row = r"^\| (\.\d+) \| (\.\d{9,}) \| (\.\d{9,}) \| (\.\d{9,}) \|"
+    rows = re.findall(row, path.read_text(), re.M)
     return {
-        (float(row[0]), eta): float(total)
-        for row in rows
-        for eta, total in zip((1.0, 1.33, 1.5), row[1:])
+        (float(albedo), eta): float(total)
+        for albedo, *totals in rows
+        for eta, total in zip((1.0, 1.33, 1.5), totals)
     }
 
 
@@ -338,11 +340,11 @@ def test_others_are_served_meanwhile(daemon):
         # And on the connection that has the job.
         answered = 0
         payload = eval_payload(wanted=R)
-        busy.send_bytes(b"".join(frame(wire.MESSAGES["eval"], 1000 + i, payload) for i in range(50)))
+        busy.send_bytes(b"".join(frame(EVAL, 1000 + i, payload) for i in range(50)))
         while answered < 50:
             reply = busy.receive_frame()
             if reply.request_id != 77:
-                assert reply.type == wire.MESSAGES["eval"] | wire.REPLY
+                assert reply.type == EVAL | wire.REPLY
                 assert reply.request_id == 1000 + answered
                 answered += 1
 
@@ -477,10 +479,6 @@ def test_the_largest_job(connection):
     assert (result.values[0] == result.values[15]).all()
 
 
-def changed(**how) -> bytes:
-    return mc_payload(**how)
-
-
 def counts(ring_count=10, albedo_count=0) -> bytes:
     """A payload whose counts are these, whatever follows."""
     payload = mc_payload()
@@ -490,30 +488,30 @@ def counts(ring_count=10, albedo_count=0) -> bytes:
 
 
 WRONG = {
-    "sigma_a": (changed(medium=(-1, 1, 0, 1.3)), "bad-value", "sigma_a", "1e15", 0),
-    "sigma_s": (changed(medium=(1, math.nan, 0, 1.3)), "bad-value", "sigma_s", "1e15", 0),
-    "no medium": (changed(medium=(0, 0, 0, 1.3)), "bad-value", "sigma_s", "1e-15", 0),
-    "g": (changed(medium=(1, 1, 0.99999, 1.3)), "bad-value", "g", "0.9999", 0),
-    "eta": (changed(medium=(1, 1, 0, 0)), "bad-value", "eta", "0.001 to 1000", 0),
-    "thickness": (changed(thickness=-1.0), "bad-value", "thickness", "0, at least", 0),
-    "no thickness": (changed(thickness=math.nan), "bad-value", "thickness", "0, at least", 0),
-    "less than none": (changed(thickness=-math.inf), "bad-value", "thickness", "0, at least", 0),
-    "albedo": (changed(albedos=[0.5, 1.1]), "bad-value", "albedo", "0 to 1", 1),
-    "17 albedos": (changed(albedos=[0.5] * 17), "bad-count", "albedo_count", "0 to 16", 0),
+    "sigma_a": (mc_payload(medium=(-1, 1, 0, 1.3)), "bad-value", "sigma_a", "1e15", 0),
+    "sigma_s": (mc_payload(medium=(1, math.nan, 0, 1.3)), "bad-value", "sigma_s", "1e15", 0),
+    "no medium": (mc_payload(medium=(0, 0, 0, 1.3)), "bad-value", "sigma_s", "1e-15", 0),
+    "g": (mc_payload(medium=(1, 1, 0.99999, 1.3)), "bad-value", "g", "0.9999", 0),
+    "eta": (mc_payload(medium=(1, 1, 0, 0)), "bad-value", "eta", "0.001 to 1000", 0),
+    "thickness": (mc_payload(thickness=-1.0), "bad-value", "thickness", "0, at least", 0),
+    "no thickness": (mc_payload(thickness=math.nan), "bad-value", "thickness", "0, at least", 0),
+    "less than none": (mc_payload(thickness=-math.inf), "bad-value", "thickness", "0, at least", 0),
+    "albedo": (mc_payload(albedos=[0.5, 1.1]), "bad-value", "albedo", "0 to 1", 1),
+    "17 albedos": (mc_payload(albedos=[0.5] * 17), "bad-count", "albedo_count", "0 to 16", 0),
     "no ring": (counts(ring_count=0), "bad-count", "ring_count", "1 to 4096", 0),
     "4097 rings": (counts(ring_count=4097), "bad-count", "ring_count", "1 to 4096", 0),
     "2^32 - 1 rings": (counts(ring_count=2**32 - 1), "bad-count", "ring_count", "1 to 4096", 0),
-    "list": (changed(spacing=1), "bad-value", "spacing", "linear or logarithmic", 0),
-    "spacing": (changed(spacing=9), "bad-value", "spacing", "linear or logarithmic", 0),
-    "start": (changed(edges=Grid(-1.0, 5.0, 11)), "bad-value", "radius_start", "", 0),
-    "log of 0": (changed(spacing=LOGARITHMIC), "bad-value", "radius_start", "", 0),
-    "stop": (changed(edges=Grid(5.0, 1.0, 11)), "bad-value", "radius_stop", "", 0),
-    "empty rings": (changed(edges=Grid(1.0, 1.0, 11)), "bad-value", "radius_stop", "wider", 0),
-    "no photons": (changed(photons=0), "bad-value", "photons", "at least 1", 0),
-    "photons": (changed(photons=2**64 - 1), "too-large", "photons", "at most 10000000000", 0),
-    "total": (changed(error_total=-0.1), "bad-value", "error_total", "0 (none)", 0),
-    "total > 1": (changed(error_total=1.1), "bad-value", "error_total", "0 (none)", 0),
-    "rings": (changed(error_rings=math.nan), "bad-value", "error_rings", "0 (none)", 0),
+    "list": (mc_payload(spacing=1), "bad-value", "spacing", "linear or logarithmic", 0),
+    "spacing": (mc_payload(spacing=9), "bad-value", "spacing", "linear or logarithmic", 0),
+    "start": (mc_payload(edges=Grid(-1.0, 5.0, 11)), "bad-value", "radius_start", "", 0),
+    "log of 0": (mc_payload(spacing=LOGARITHMIC), "bad-value", "radius_start", "", 0),
+    "stop": (mc_payload(edges=Grid(5.0, 1.0, 11)), "bad-value", "radius_stop", "", 0),
+    "empty rings": (mc_payload(edges=Grid(1.0, 1.0, 11)), "bad-value", "radius_stop", "wider", 0),
+    "no photons": (mc_payload(photons=0), "bad-value", "photons", "at least 1", 0),
+    "photons": (mc_payload(photons=2**64 - 1), "too-large", "photons", "at most 10000000000", 0),
+    "total": (mc_payload(error_total=-0.1), "bad-value", "error_total", "0 (none)", 0),
+    "total > 1": (mc_payload(error_total=1.1), "bad-value", "error_total", "0 (none)", 0),
+    "rings": (mc_payload(error_rings=math.nan), "bad-value", "error_rings", "0 (none)", 0),
     "short": (mc_payload()[:-8], "bad-length", "payload_bytes", "at least 96", 0),
     "empty": (b"", "bad-length", "payload_bytes", "at least 96", 0),
     "long": (mc_payload() + bytes(8), "bad-length", "payload_bytes", "nothing after", 0),
