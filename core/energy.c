@@ -29,12 +29,6 @@ static void legendre(double s, double *p) {
   }
 }
 
-/* e^x for x up to a few hundred. */
-static double exponential(double x) {
-  const double e = real_exp(-fabs(x)).exp;
-  return x > 0 ? 1 / e : e;
-}
-
 /* The series of the integral from s = -1 of a function given at the nodes:
  * int P_k = (P_(k+1) - P_(k-1)) / (2 k + 1). */
 static void integrate_series(const double *g, double half_width, double *series) {
@@ -60,7 +54,7 @@ static double build_panel(core_kernel_f64 *ring, const double *c, double first_m
   double g[NODES];
   double energy = 0;
   for (int i = 0; i < NODES; i++) {
-    r[i] = first_mm * exponential(y + WIDTH * core_gauss_node(i));
+    r[i] = first_mm * real_exp_signed(y + WIDTH * core_gauss_node(i));
   }
   ring(c, NODES, r, g);
   for (int i = 0; i < NODES; i++) {

@@ -171,6 +171,12 @@ static inline real_exp_values real_exp(real x) {
   return values;
 }
 
+/* e^x where neither it nor its inverse overflows. */
+static inline real real_exp_signed(real x) {
+  const real e = real_exp(x < 0 ? x : -x).exp;
+  return x > 0 ? 1 / e : e;
+}
+
 /* ln(x 2^exponent) for a positive, normal x and an integral exponent. With x = 2^k m, m within
  * sqrt(2) of 1, ln(m) = 2 artanh(s), s = (m - 1) / (m + 1); the series' first neglected term is,
  * relative to it, below 1e-17 in double and 4e-9 in single precision. Error: 2 ulp of the largest

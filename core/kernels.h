@@ -86,6 +86,11 @@ static inline double core_parameter_or(const core_inputs *inputs, enum core_para
   return value == value ? value : otherwise;
 }
 
+/* sigma_a + sigma_s (1 - g) */
+static inline double core_sigma_t_prime(const core_medium *medium) {
+  return medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g);
+}
+
 /* For models that see isotropic scattering of sigma_s (1 - g). */
 static inline unsigned core_similarity_note(const core_inputs *inputs) {
   return inputs->medium->g < 0 || inputs->medium->g > 0 ? CORE_NOTE_SIMILARITY : 0;

@@ -155,9 +155,7 @@ static void set_model_error(core_profile *profile) {
 
 static core_fault prepare_model(core_profile *profile, const struct model *model,
                                 const core_inputs *inputs) {
-  const double sigma_t_prime =
-      inputs->medium->sigma_a_per_mm + inputs->medium->sigma_s_per_mm * (1 - inputs->medium->g);
-  core_preparation preparation = {.cost = 1, .scale_mm = 1 / sigma_t_prime};
+  core_preparation preparation = {.cost = 1, .scale_mm = 1 / core_sigma_t_prime(inputs->medium)};
   const core_fault fault = model->prepare(inputs, &preparation);
   if (fault.field != NULL) {
     return fault;

@@ -212,7 +212,7 @@ core_fault core_burley_prepare(const core_inputs *inputs, core_preparation *prep
   const double given = inputs->parameters->value[CORE_PARAMETER_SURFACE_ALBEDO];
   const double asked = isnan(given) ? better_albedo(inputs) : given;
   const double albedo = asked >= ALBEDO_LEAST ? asked : 0;
-  const double sigma_t_prime = medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g);
+  const double sigma_t_prime = core_sigma_t_prime(medium);
   const double absorbed = medium->sigma_a_per_mm / sigma_t_prime;
   /* mu_tr with Grosjean's diffusion coefficient, which holds at every albedo */
   const double mu_tr = sigma_t_prime * sqrt(3 * absorbed / (1 + absorbed));

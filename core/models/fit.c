@@ -70,7 +70,7 @@ struct asked {
 
 static struct asked asked_of(const core_inputs *inputs) {
   const core_medium *medium = inputs->medium;
-  const double mfp_mm = 1 / (medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g));
+  const double mfp_mm = 1 / core_sigma_t_prime(medium);
   struct asked asked = {
       .model = (unsigned)core_parameter_or(inputs, CORE_PARAMETER_FIT_MODEL, CORE_MODEL_BETTER),
       .parameters = *inputs->parameters,
@@ -153,9 +153,7 @@ static double deviation(const core_gaussian *gaussians, size_t count, const stru
 
 /* GSL takes ln w_0, ln b_0, ln w_1, ...; they are kept where nothing overflows. */
 static double bounded_exp(double x) {
-  const double bounded = fmin(fmax(x, -600), 600);
-  const double e = real_exp(-fabs(bounded)).exp;
-  return bounded > 0 ? 1 / e : e;
+  return real_exp_signed(fmin(fmax(x, -600), 600));
 }
 
 static int residuals(const gsl_vector *x, void *context, gsl_vector *f) {

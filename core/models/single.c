@@ -183,11 +183,6 @@ core_fault core_single_check(const core_inputs *inputs, core_radii_range *radii)
   return (core_fault){0};
 }
 
-/* e^x for x from 0 to 700. */
-static double exponential(double x) {
-  return 1 / real_exp(-x).exp;
-}
-
 static double inverse_sinh(double y) {
   return real_log(y + sqrt(fma(y, y, 1)), 0);
 }
@@ -270,7 +265,7 @@ static void add_tail(struct rule *rule) {
   for (int panel = 0; panel < TAIL_PANELS; panel++) {
     const double width = ends[panel + 1] - ends[panel];
     for (int i = 0; i < 2 * CORE_GAUSS_HALF; i++) {
-      const double E = rule->least * exponential(fma(width, core_gauss_node(i), ends[panel]));
+      const double E = rule->least * real_exp_signed(fma(width, core_gauss_node(i), ends[panel]));
       const double q = 2 / (E + 1 / E);
       const double mu = (E - 1 / E) / (E + 1 / E);
       const double outside = sqrt((1 - eta * q) * (1 + eta * q));
@@ -290,7 +285,7 @@ core_fault core_single_prepare(const core_inputs *inputs, core_preparation *prep
   }
   struct rule rule = {eta, medium->g, eta > 1 ? eta + sqrt((eta - 1) * (eta + 1)) : 1,
                       &c[NODES_BEGIN]};
-  add_zone(&rule, rule.least * exponential(ZONE));
+  add_zone(&rule, rule.least * real_exp_signed(ZONE));
   add_tail(&rule);
   double energy = 0;
   for (size_t k = 0; k < NODES; k++) {

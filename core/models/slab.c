@@ -41,14 +41,10 @@
 core_check_function core_slab_check;
 core_prepare_function core_slab_prepare;
 
-static double sigma_t_prime_of(const core_medium *medium) {
-  return medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g);
-}
-
 core_fault core_slab_check(const core_inputs *inputs, core_radii_range *radii) {
   (void)radii;
   const double mm = core_parameter_or(inputs, CORE_PARAMETER_THICKNESS, (double)NAN);
-  const double thickness = mm * sigma_t_prime_of(inputs->medium);
+  const double thickness = mm * core_sigma_t_prime(inputs->medium);
   if (isnan(mm)) {
     return (core_fault){"thickness", "a thickness in mm: a slab needs it", 0};
   }
@@ -78,7 +74,7 @@ static struct slab make_slab(const core_inputs *inputs) {
   const bool grosjean = (inputs->variant & CORE_DIPOLE_GROSJEAN) != 0;
   const bool boundary = (inputs->variant & CORE_DIPOLE_BOUNDARY) != 0;
   const bool exitance = (inputs->variant & CORE_DIPOLE_EXITANCE) != 0;
-  struct slab slab = {.sigma_t_prime = sigma_t_prime_of(medium)};
+  struct slab slab = {.sigma_t_prime = core_sigma_t_prime(medium)};
   const double scattered = medium->sigma_s_per_mm * (1 - medium->g) / slab.sigma_t_prime;
   slab.absorbed = medium->sigma_a_per_mm / slab.sigma_t_prime;
   slab.diffusion = grosjean ? (1 + slab.absorbed) / 3 : 1.0 / 3;

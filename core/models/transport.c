@@ -211,18 +211,12 @@ static core_fault solve(const core_inputs *inputs, double albedo, double toleran
   return fault;
 }
 
-/* e^x for x from -700 to 700. */
-static double exponential(double x) {
-  const double e = real_exp(-fabs(x)).exp;
-  return x > 0 ? 1 / e : e;
-}
-
 /* The Legendre series through the Gauss points of a panel from ln x = y. */
 static void fit_panel(const transport_solution *solution, double kappa, double y, double *series) {
   memset(series, 0, TERMS * sizeof *series);
   for (int i = 0; i < 2 * CORE_GAUSS_HALF; i++) {
     const double s = 2 * core_gauss_node(i) - 1;
-    const double x = exponential(fma(PANEL_WIDTH, core_gauss_node(i), y));
+    const double x = real_exp_signed(fma(PANEL_WIDTH, core_gauss_node(i), y));
     const double R = transport_at(solution, x).R.value;
     const double value = real_log(fmax(x * R, 1e-300), 0) + kappa * x;
     double p = 1, before = 0;
@@ -249,7 +243,7 @@ static double solved_panels(const transport_solution *solution, double ln_first,
                             double tolerance) {
   double panels = 1;
   while (panels < most) {
-    const double x = exponential(ln_first + (panels + 1) * PANEL_WIDTH);
+    const double x = real_exp_signed(ln_first + (panels + 1) * PANEL_WIDTH);
     const transport_number R = transport_at(solution, x).R;
     if (!(R.error <= tolerance * R.value)) {
       break;
@@ -267,7 +261,7 @@ static core_fault fill(const core_inputs *inputs, const transport_solution *solu
   const double reach = kappa * LAST > LAST_EXPONENT ? LAST_EXPONENT / kappa : LAST;
   const double most = ceil((real_log(reach, 0) - ln_first) / PANEL_WIDTH);
   const double panels = solved_panels(solution, ln_first, most, tolerance);
-  const double last = exponential(ln_first + panels * PANEL_WIDTH);
+  const double last = real_exp_signed(ln_first + panels * PANEL_WIDTH);
   const double mfp_mm = 1 / sigma_t_prime;
   /* Further than 40 decay lengths, or 1e12 mean free paths, there is less than 1e-12 of it. */
   const double energy_last = kappa * 1e12 > 40 ? fmax(40 / kappa, last) : 1e12;
