@@ -225,6 +225,7 @@ typedef struct core_profile {
   const struct core_kernels *kernels; /* NULL: a sum of parts */
   struct core_profile *parts;         /* [2], of a sum; owned */
   double *table;                      /* instead of the coefficients below; owned */
+  size_t table_bytes;
   double scale_mm;                    /* the order of the radii that matter */
   double cos_in;                      /* angles of S */
   double cos_out;
@@ -255,6 +256,9 @@ core_fault core_profile_prepare(core_profile *profile, const core_isa *isa, unsi
 
 /* Frees what the profile owns; its copies are then dead, too. */
 void core_profile_free(core_profile *profile);
+
+/* What a profile owns, in bytes; itself not counted. */
+size_t core_profile_bytes(const core_profile *profile);
 
 /* Evaluates one elementwise quantity of a profile prepared with evaluator f64 (both asserted) at n
  * radii: r[n] in mm, from 0 to infinity inclusive; out[n] in the quantity's unit:

@@ -62,6 +62,7 @@ typedef struct core_inputs {
 typedef struct core_preparation {
   double coefficients[CORE_COEFFICIENTS_MAX];
   double *table; /* malloc(), instead of the coefficients when they need more room; NULL: not */
+  size_t table_bytes;
   double albedo;
   double error;                 /* numerical, relative, of all values */
   double error_epsilons;        /* and in units of the evaluator's epsilon: at r = 0 */

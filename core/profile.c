@@ -172,6 +172,7 @@ static core_fault prepare_model(core_profile *profile, const struct model *model
   profile->cost = preparation.cost;
   profile->scale_mm = preparation.scale_mm;
   profile->table = preparation.table;
+  profile->table_bytes = preparation.table_bytes;
   for (int i = 0; i < CORE_COEFFICIENTS_MAX; i++) {
     if (single && !wide) {
       profile->coefficients.f32[i] = (float)preparation.coefficients[i];
@@ -259,6 +260,14 @@ core_fault core_profile_prepare(core_profile *profile, const core_isa *isa, unsi
   }
   profile->evaluator = evaluator;
   return prepare(profile, found, inputs, radii);
+}
+
+size_t core_profile_bytes(const core_profile *profile) {
+  size_t bytes = profile->table_bytes;
+  for (int i = 0; i < 2 && profile->parts != NULL; i++) {
+    bytes += sizeof profile->parts[i] + core_profile_bytes(&profile->parts[i]);
+  }
+  return bytes;
 }
 
 void core_profile_free(core_profile *profile) {

@@ -368,7 +368,8 @@ static bool add_energy(const core_inputs *inputs, core_preparation *preparation)
   const double reach = c[MU] * TABLE_LAST > TABLE_EXPONENT ? TABLE_EXPONENT / c[MU] : TABLE_LAST;
   const double first_mm = TABLE_FIRST * mfp_mm;
   const double last_mm = reach * mfp_mm;
-  double *table = malloc((ENERGY + core_energy_length(first_mm, last_mm)) * sizeof *table);
+  preparation->table_bytes = (ENERGY + core_energy_length(first_mm, last_mm)) * sizeof(double);
+  double *table = malloc(preparation->table_bytes);
   if (table == NULL) {
     return false;
   }

@@ -165,7 +165,8 @@ static double slowest_of(const core_gaussian *gaussians, size_t count) {
 core_fault core_gaussians_table(const core_gaussian *gaussians, size_t count, double least_mm,
                                 core_preparation *preparation) {
   const double pi = 3.14159265358979323846;
-  double *c = malloc((GAUSSIANS_TERMS + count * GAUSSIANS_FIELDS) * sizeof *c);
+  preparation->table_bytes = (GAUSSIANS_TERMS + count * GAUSSIANS_FIELDS) * sizeof(double);
+  double *c = malloc(preparation->table_bytes);
   if (c == NULL) {
     return CORE_OUT_OF_MEMORY;
   }

@@ -279,7 +279,8 @@ core_fault core_single_prepare(const core_inputs *inputs, core_preparation *prep
   const double eta = medium->eta;
   const double sigma_s = medium->sigma_s_per_mm;
   const double sigma_t = medium->sigma_a_per_mm + sigma_s;
-  double *c = malloc((NODES_BEGIN + NODES * NODE_FIELDS) * sizeof *c);
+  preparation->table_bytes = (NODES_BEGIN + NODES * NODE_FIELDS) * sizeof(double);
+  double *c = malloc(preparation->table_bytes);
   if (c == NULL) {
     return CORE_OUT_OF_MEMORY;
   }

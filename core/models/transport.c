@@ -267,7 +267,8 @@ static core_fault fill(const core_inputs *inputs, const transport_solution *solu
   const double energy_last = kappa * 1e12 > 40 ? fmax(40 / kappa, last) : 1e12;
   const size_t before_energy = SERIES + (size_t)panels * TERMS;
   const size_t energy_length = core_energy_length(FIRST * mfp_mm, energy_last * mfp_mm);
-  double *c = malloc((before_energy + energy_length) * sizeof *c);
+  preparation->table_bytes = (before_energy + energy_length) * sizeof(double);
+  double *c = malloc(preparation->table_bytes);
   if (c == NULL) {
     return CORE_OUT_OF_MEMORY;
   }
@@ -291,7 +292,9 @@ static core_fault fill(const core_inputs *inputs, const transport_solution *solu
 }
 
 static core_fault fill_nothing(double sigma_t_prime, core_preparation *preparation) {
-  double *c = calloc(SERIES + TERMS + CORE_ENERGY_SERIES + CORE_ENERGY_TERMS, sizeof *c);
+  preparation->table_bytes =
+      (SERIES + TERMS + CORE_ENERGY_SERIES + CORE_ENERGY_TERMS) * sizeof(double);
+  double *c = calloc(1, preparation->table_bytes);
   if (c == NULL) {
     return CORE_OUT_OF_MEMORY;
   }
