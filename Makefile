@@ -77,7 +77,7 @@ KERNELS := $(foreach isa,$(ISAS),$(foreach real,32 64,$(MODELS:%=$(OBJ)/core/mod
 # The walk of Monte Carlo: once for each instruction set.
 WALKS := $(ISAS:%=$(OBJ)/core/montecarlo/walk.%.o)
 
-CORE := $(call objects,$(filter-out core/montecarlo/walk.c,$(wildcard core/*.c core/models/*.c core/montecarlo/*.c core/transport/*.c))) $(KERNELS) $(WALKS)
+CORE := $(call objects,$(filter-out core/montecarlo/walk.c,$(wildcard core/*.c core/models/*.c core/montecarlo/*.c core/transport/*.c core/lut/*.c))) $(KERNELS) $(WALKS)
 PROTO := $(call objects,$(wildcard proto/*.c))
 SERVER := $(call objects,$(wildcard server/*.c))
 LIBRARY := $(call objects,$(wildcard clients/c/*.c))

@@ -14,7 +14,7 @@ const core_choice core_models[] = {
     END,
 };
 
-#define CORE_EVALUATOR(id, IDENT, name, about) {id, name, about},
+#define CORE_EVALUATOR(id, IDENT, name, number, about) {id, name, about},
 const core_choice core_evaluators[] = {
 #include "core/choices.def"
     END,
@@ -62,6 +62,17 @@ bool core_quantity_elementwise(unsigned bit) {
 #include "core/choices.def"
   default:
     return false;
+  }
+}
+
+size_t core_evaluator_bytes(unsigned evaluator) {
+  switch (evaluator) {
+#define CORE_EVALUATOR(id, IDENT, name, number, about)                                             \
+  case id:                                                                                         \
+    return sizeof(number);
+#include "core/choices.def"
+  default:
+    return 0;
   }
 }
 

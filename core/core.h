@@ -40,7 +40,7 @@ enum core_model {
 #include "core/models.def"
 };
 
-#define CORE_EVALUATOR(id, IDENT, name, about) CORE_EVALUATOR_##IDENT = (id),
+#define CORE_EVALUATOR(id, IDENT, name, number, about) CORE_EVALUATOR_##IDENT = (id),
 enum core_evaluator {
 #include "core/choices.def"
 };
@@ -94,6 +94,9 @@ const core_choice *core_choice_by_name(const core_choice *list, const char *name
 
 /* True for quantities with one value for each radius and channel. bit: of the list. */
 bool core_quantity_elementwise(unsigned bit);
+
+/* Bytes of a radius or value of an evaluator: 8 or 4; 0 for one that is not in the list. */
+size_t core_evaluator_bytes(unsigned evaluator);
 
 /* ---- faults -----------------------------------------------------------------------------------
  */
@@ -226,8 +229,11 @@ typedef struct core_profile {
   struct core_profile *parts;         /* [2], of a sum; owned */
   double *table;                      /* instead of the coefficients below; owned */
   size_t table_bytes;
-  double scale_mm;                    /* the order of the radii that matter */
-  double cos_in;                      /* angles of S */
+  float *lut;                  /* of evaluator lut: core/lut/lut.h; owned */
+  size_t lut_count;            /* its words */
+  struct core_profile *source; /* that it was made from; NULL: it was downloaded; owned */
+  double scale_mm;             /* the order of the radii that matter */
+  double cos_in;               /* angles of S */
   double cos_out;
   double part_shares[2]; /* of the albedo */
   union {
@@ -243,9 +249,9 @@ core_fault core_profile_check(unsigned model, unsigned moments, unsigned evaluat
                               const core_medium *medium, const core_parameters *parameters,
                               core_radii_range *radii);
 
-/* Whether preparing a model may take longer than a millisecond, so that who serves others does it on
- * a thread apart. */
-bool core_model_prepares_slowly(unsigned model);
+/* Whether preparing may take longer than a millisecond, so that who serves others does it on a thread
+ * apart. */
+bool core_prepares_slowly(unsigned model, unsigned evaluator);
 
 /* Prepares *profile for the kernels of isa. model, moments and evaluator are any integers (a peer
  * may have sent them); parameters may be NULL (none is given). On a fault *profile is unspecified,
@@ -278,7 +284,7 @@ size_t core_profile_bytes(const core_profile *profile);
 void core_eval_f64(const core_profile *profile, enum core_quantity quantity, size_t n,
                    const double *r, double *out);
 
-/* The same for evaluator f32. */
+/* The same for evaluators f32 and lut. */
 void core_eval_f32(const core_profile *profile, enum core_quantity quantity, size_t n,
                    const float *r, float *out);
 
@@ -288,6 +294,8 @@ void core_eval_f32(const core_profile *profile, enum core_quantity quantity, siz
  * to 1 - 1e-7. A profile that scatters nothing has no distribution: r is 0. */
 void core_sample_f64(const core_profile *profile, size_t n, const double *u, double *r);
 void core_sample_f32(const core_profile *profile, size_t n, const float *u, float *r);
+
+/* For evaluator lut: the radius is within the numerical error of the one that has the cdf u. */
 
 #define CORE_SAMPLE_ERROR_F64 1e-14
 #define CORE_SAMPLE_ERROR_F32 4e-7

@@ -71,10 +71,12 @@ double core_energy_build(core_kernel_f64 *ring, const double *c, double first_mm
   double ends[2] = {first_mm, first_mm * 1.0625};
   double density[2];
   ring(c, 2, ends, density);
-  /* 2 pi r R ~ r^(power - 1) near the source */
-  const double power =
-      density[0] > 0 ? 1 + real_log(density[1] / density[0], 0) / real_log(1.0625, 0) : 1;
-  double energy = density[0] * first_mm / power;
+  /* Near the source R is like 1 / r, or like R0 + R1 ln(first / r), whose energy is
+   * pi r^2 (R0 + R1 / 2 + R1 ln(first / r)). */
+  const bool steep = !(density[1] > 1.03 * density[0]);
+  const double rise = (1 - density[1] / density[0] / 1.0625) / real_log(1.0625, 0); /* R1 / R0 */
+  const bool rises = !steep && rise > 0;
+  double energy = density[0] * first_mm * (steep ? 1 : rises ? 0.5 + 0.25 * rise : 0.5);
   for (size_t i = 0; i < panels; i++) {
     double *series = table + CORE_ENERGY_SERIES + i * CORE_ENERGY_TERMS;
     const double gained = build_panel(ring, c, first_mm, (double)i * WIDTH, series);
@@ -87,6 +89,7 @@ double core_energy_build(core_kernel_f64 *ring, const double *c, double first_mm
   table[CORE_ENERGY_PANELS] = (double)panels;
   table[CORE_ENERGY_FIRST_MM] = first_mm;
   table[CORE_ENERGY_PER_PANEL] = 1 / WIDTH;
-  table[CORE_ENERGY_POWER] = power;
+  table[CORE_ENERGY_POWER] = steep ? 1 : 2;
+  table[CORE_ENERGY_RISE] = rises ? rise / (1 + 0.5 * rise) : 0;
   return energy;
 }

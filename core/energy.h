@@ -15,8 +15,9 @@ enum core_energy_field {
   CORE_ENERGY_PANELS,    /* how many */
   CORE_ENERGY_FIRST_MM,  /* the radius where they begin */
   CORE_ENERGY_PER_PANEL, /* ln r in units of a panel's width: 1 / width */
-  CORE_ENERGY_POWER,     /* below the first radius the energy is that power of r */
-  CORE_ENERGY_SERIES,    /* CORE_ENERGY_TERMS Legendre coefficients for each panel follow */
+  CORE_ENERGY_POWER,     /* below the first radius the energy is that power of r, */
+  CORE_ENERGY_RISE,   /* times 1 + RISE ln(first / r), where R rises towards the source like that */
+  CORE_ENERGY_SERIES, /* CORE_ENERGY_TERMS Legendre coefficients for each panel follow */
   CORE_ENERGY_TERMS = 17
 };
 

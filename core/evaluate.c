@@ -113,6 +113,11 @@ static bool is_narrow(const core_profile *profile) {
   return profile->parts == NULL && profile->kernels->f32->evaluate[0] != NULL;
 }
 
+/* What its kernels read. */
+static const float *coefficients_f32(const core_profile *profile) {
+  return profile->lut != NULL ? profile->lut : profile->coefficients.f32;
+}
+
 /* quantity 0: samples. */
 static void widely(const core_profile *profile, unsigned quantity, size_t n, const float *in,
                    float *out) {
@@ -137,16 +142,19 @@ static void widely(const core_profile *profile, unsigned quantity, size_t n, con
 
 static void evaluate_f32(const core_profile *profile, enum core_quantity quantity, size_t n,
                          const float *r, float *out) {
-  if (is_narrow(profile)) {
-    profile->kernels->f32->evaluate[position(quantity)](profile->coefficients.f32, n, r, out);
+  core_kernel_f32 *kernel =
+      is_narrow(profile) ? profile->kernels->f32->evaluate[position(quantity)] : NULL;
+  if (kernel != NULL) {
+    kernel(coefficients_f32(profile), n, r, out);
   } else {
-    widely(profile, quantity, n, r, out);
+    /* What a table does not hold comes from its source. */
+    widely(profile->lut != NULL ? profile->source : profile, quantity, n, r, out);
   }
 }
 
 void core_eval_f32(const core_profile *profile, enum core_quantity quantity, size_t n,
                    const float *r, float *out) {
-  assert(profile->evaluator == CORE_EVALUATOR_F32);
+  assert(profile->evaluator != CORE_EVALUATOR_F64);
   if (quantity != CORE_QUANTITY_S) {
     evaluate_f32(profile, quantity, n, r, out);
     return;
@@ -159,9 +167,9 @@ void core_eval_f32(const core_profile *profile, enum core_quantity quantity, siz
 }
 
 void core_sample_f32(const core_profile *profile, size_t n, const float *u, float *r) {
-  assert(profile->evaluator == CORE_EVALUATOR_F32);
+  assert(profile->evaluator != CORE_EVALUATOR_F64);
   if (is_narrow(profile)) {
-    profile->kernels->f32->sample(profile->coefficients.f32, n, u, r);
+    profile->kernels->f32->sample(coefficients_f32(profile), n, u, r);
   } else {
     widely(profile, 0, n, u, r);
   }

@@ -21,6 +21,8 @@ enum level_index { CORE_ISA_LEVELS(INDEX, ) LEVELS };
   CORE_ISA_LEVELS(DECLARE, kernels)
 #include "core/models.def"
 
+CORE_ISA_LEVELS(DECLARE, lut)
+
 #define KERNELS(level, family)                                                                     \
   [INDEX_##                                                                                        \
       level] = {&core_kernels_##family##_##level##_f64, &core_kernels_##family##_##level##_f32},
@@ -29,6 +31,8 @@ static const struct core_kernels kernels[MODELS][LEVELS] = {
   [INDEX_##IDENT] = {CORE_ISA_LEVELS(KERNELS, kernels)},
 #include "core/models.def"
 };
+
+static const struct core_kernels lut_kernels[LEVELS] = {CORE_ISA_LEVELS(KERNELS, lut)};
 
 struct core_isa {
   const char *name;
@@ -86,4 +90,8 @@ const struct core_kernels *core_isa_kernels(const core_isa *isa, enum core_model
   }
   assert(!"a model of the list, not a sum");
   return NULL;
+}
+
+const struct core_kernels *core_isa_lut_kernels(const core_isa *isa) {
+  return &lut_kernels[isa - levels];
 }

@@ -48,6 +48,9 @@ struct core_kernels {
 /* The kernels of a model (by id, in the list, not a sum) for an instruction set. */
 const struct core_kernels *core_isa_kernels(const core_isa *isa, enum core_model model);
 
+/* The kernels of tables (core/models/lut.c), which have no f64. */
+const struct core_kernels *core_isa_lut_kernels(const core_isa *isa);
+
 /* What a model is prepared from; the medium, the moments and the parameters' ranges have been
  * checked. */
 typedef struct core_inputs {
@@ -56,6 +59,7 @@ typedef struct core_inputs {
   const core_medium *medium;
   const core_parameters *parameters;
   const core_isa *isa;
+  bool tabulated; /* for a table: a shipped one will do where it keeps the tolerance */
 } core_inputs;
 
 /* What a formula's preparation fills in; it finds zeros, and 1 for cost. */

@@ -5,6 +5,7 @@
 #include <stdlib.h>
 
 #include "core/kernels.h"
+#include "core/lut/lut.h"
 #include "core/model_error.h"
 
 #define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
@@ -53,9 +54,9 @@ static unsigned parameters_of(const struct model *model) {
              : parameters_of(find(model->parts[0])) | parameters_of(find(model->parts[1]));
 }
 
-bool core_model_prepares_slowly(unsigned model) {
+bool core_prepares_slowly(unsigned model, unsigned evaluator) {
   const struct model *found = find(model);
-  return found != NULL && (parameters_of(found) & SLOW) != 0;
+  return found != NULL && (evaluator == CORE_EVALUATOR_LUT || (parameters_of(found) & SLOW) != 0);
 }
 
 /* ---- checking ---------------------------------------------------------------------------------
@@ -121,6 +122,10 @@ static core_fault check(const struct model *model, unsigned moments, unsigned ev
   }
   if (fault.field == NULL) {
     fault = check_parameters(model, inputs->parameters);
+  }
+  if (fault.field == NULL && evaluator == CORE_EVALUATOR_LUT &&
+      inputs->parameters->value[CORE_PARAMETER_TOLERANCE] < CORE_LUT_TOLERANCE_MIN) {
+    fault = (core_fault){"tolerance", "1e-6 to 0.1 with lut", 0};
   }
   *radii = (core_radii_range){0, (double)INFINITY};
   return fault.field == NULL ? check_domain(model, *inputs, radii) : fault;
@@ -220,6 +225,65 @@ static core_fault prepare_sum(core_profile *profile, const struct model *model,
   return (core_fault){0};
 }
 
+/* What the source has to keep, as a share of what the table is asked for. */
+#define SOURCE_SHARE 0.0625
+
+/* What is said beyond what was found between the nodes. */
+#define FOUND_MARGIN 1.1
+
+/* The tolerance of a fit is not the table's. */
+static bool fits(const struct model *model) {
+  return (model->parameters & BIT(GAUSSIANS)) != 0;
+}
+
+static core_fault build_table(core_profile *profile, const struct model *model, double asked) {
+  /* The table's arithmetic is counted there, but for the factors of 2 pi r R and the pdf. */
+  const double rounding = 2 * (double)FLT_EPSILON;
+  const core_profile *source = profile->source;
+  const double spent = rounding + (fits(model) ? 0 : source->numerical_error);
+  core_lut lut;
+  const core_fault fault = core_lut_build(&lut, source, (asked - spent) / FOUND_MARGIN);
+  if (fault.field == NULL) {
+    profile->lut = lut.words;
+    profile->lut_count = lut.count;
+    profile->numerical_error = FOUND_MARGIN * lut.error + rounding + source->numerical_error;
+    profile->numerical_error_per_mm = source->numerical_error_per_mm;
+  }
+  return fault;
+}
+
+/* A table of the model in double precision, which stays for what the table does not hold. */
+static core_fault prepare_table(core_profile *profile, const struct model *model,
+                                core_inputs inputs, core_radii_range radii) {
+  core_parameters parameters = *inputs.parameters;
+  const double asked = core_parameter_or(&inputs, CORE_PARAMETER_TOLERANCE, CORE_LUT_TOLERANCE);
+  parameters.value[CORE_PARAMETER_TOLERANCE] =
+      fits(model) ? (double)NAN : fmin(SOURCE_SHARE * asked, CORE_LUT_TOLERANCE);
+  inputs.parameters = &parameters;
+  inputs.tabulated = true;
+  core_profile *source = malloc(sizeof *source);
+  if (source == NULL) {
+    return CORE_OUT_OF_MEMORY;
+  }
+  *source = (core_profile){.evaluator = CORE_EVALUATOR_F64};
+  core_fault fault = prepare(source, model, inputs, radii);
+  if (fault.field != NULL) {
+    free(source);
+    return fault;
+  }
+  profile->source = source;
+  profile->kernels = core_isa_lut_kernels(inputs.isa);
+  profile->albedo = source->albedo;
+  profile->notes = source->notes & ~(unsigned)CORE_NOTE_ALBEDO_ABOVE_1;
+  profile->cost = 1;
+  profile->scale_mm = source->scale_mm;
+  fault = build_table(profile, model, asked);
+  if (fault.field != NULL) {
+    core_profile_free(profile);
+  }
+  return fault;
+}
+
 static core_fault prepare(core_profile *profile, const struct model *model, core_inputs inputs,
                           core_radii_range radii) {
   const enum core_evaluator evaluator = profile->evaluator;
@@ -234,8 +298,10 @@ static core_fault prepare(core_profile *profile, const struct model *model, core
       .cos_out = core_parameter_or(&inputs, CORE_PARAMETER_COS_OUT, 1),
   };
   inputs.variant = model->variant;
-  const core_fault fault = model->check != NULL ? prepare_model(profile, model, &inputs)
-                                                : prepare_sum(profile, model, &inputs, radii);
+  const core_fault fault = evaluator == CORE_EVALUATOR_LUT
+                               ? prepare_table(profile, model, inputs, radii)
+                           : model->check != NULL ? prepare_model(profile, model, &inputs)
+                                                  : prepare_sum(profile, model, &inputs, radii);
   if (fault.field == NULL) {
     set_model_error(profile);
   }
@@ -263,7 +329,10 @@ core_fault core_profile_prepare(core_profile *profile, const core_isa *isa, unsi
 }
 
 size_t core_profile_bytes(const core_profile *profile) {
-  size_t bytes = profile->table_bytes;
+  size_t bytes = profile->table_bytes + profile->lut_count * sizeof *profile->lut;
+  if (profile->source != NULL) {
+    bytes += sizeof *profile->source + core_profile_bytes(profile->source);
+  }
   for (int i = 0; i < 2 && profile->parts != NULL; i++) {
     bytes += sizeof profile->parts[i] + core_profile_bytes(&profile->parts[i]);
   }
@@ -273,6 +342,13 @@ size_t core_profile_bytes(const core_profile *profile) {
 void core_profile_free(core_profile *profile) {
   free(profile->table);
   profile->table = NULL;
+  free(profile->lut);
+  profile->lut = NULL;
+  if (profile->source != NULL) {
+    core_profile_free(profile->source);
+    free(profile->source);
+    profile->source = NULL;
+  }
   if (profile->parts != NULL) {
     core_profile_free(&profile->parts[0]);
     core_profile_free(&profile->parts[1]);

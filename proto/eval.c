@@ -12,14 +12,7 @@ static unsigned all_quantities(void) {
 }
 
 size_t eval_value_bytes(unsigned evaluator) {
-  switch (evaluator) {
-  case CORE_EVALUATOR_F64:
-    return sizeof(double);
-  case CORE_EVALUATOR_F32:
-    return sizeof(float);
-  default:
-    return 0;
-  }
+  return core_evaluator_bytes(evaluator);
 }
 
 bool eval_is_array(unsigned wanted, unsigned quantity) {

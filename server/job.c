@@ -43,7 +43,7 @@ static wire_error check_range(const struct job *job, const core_radii_range *ran
   const wire_eval_request *fixed = &job->request.fixed;
   if (fixed->spacing == CORE_SPACING_LIST) {
     const core_fault fault =
-        fixed->evaluator == CORE_EVALUATOR_F32
+        eval_value_bytes(fixed->evaluator) == sizeof(float)
             ? core_radii_range_check_f32(range, fixed->radius_count, job->request.radii)
             : core_radii_range_check_f64(range, fixed->radius_count, job->request.radii);
     return fault.field == NULL ? wire_error_none() : from_fault(fault);
@@ -73,7 +73,7 @@ static wire_error check_radii(const struct job *job) {
     if (fault.field != NULL && strcmp(fault.field, "radius_count") == 0) {
       return wire_error_make(WIRE_STATUS_BAD_COUNT, fault.field, fault.allowed);
     }
-  } else if (fixed->evaluator == CORE_EVALUATOR_F32) {
+  } else if (eval_value_bytes(fixed->evaluator) == sizeof(float)) {
     fault = core_radii_check_f32(fixed->radius_count, job->request.radii);
   } else {
     fault = core_radii_check_f64(fixed->radius_count, job->request.radii);
@@ -150,7 +150,7 @@ static void pad(const struct job *job, uint64_t array_offset) {
 }
 
 static void expand_grid(const struct job *job, size_t n, void *radii) {
-  if (job->request.fixed.evaluator == CORE_EVALUATOR_F32) {
+  if (value_bytes(job) == sizeof(float)) {
     core_grid_radii_f32(&job->grid, job->index, n, radii);
   } else {
     core_grid_radii_f64(&job->grid, job->index, n, radii);
@@ -233,7 +233,7 @@ static bool start_channel(struct job *job) {
 static enum job_state get_profile(struct job *job, const struct server *server) {
   if (!job->profile_prepared) {
     job->medium = medium_at(job, job->channel);
-    if (core_model_prepares_slowly(job->request.fixed.model)) {
+    if (core_prepares_slowly(job->request.fixed.model, job->request.fixed.evaluator)) {
       return JOB_WAITS;
     }
     job_prepare(job, server);
@@ -252,7 +252,7 @@ static void evaluate(struct job *job, struct job_scratch *scratch, size_t n) {
     }
     void *to =
         job->reply + eval_array_offset(&job->layout, wanted, job->channel, quantity->id) + done;
-    if (job->request.fixed.evaluator == CORE_EVALUATOR_F32) {
+    if (value_bytes(job) == sizeof(float)) {
       core_eval_f32(&job->profile, quantity->id, n, r, to);
     } else {
       core_eval_f64(&job->profile, quantity->id, n, r, to);

@@ -26,8 +26,9 @@ static inline double energy_cdf(const double *table, double r) {
   const double panel = real_min((double)(int64_t)real_min(y, panels), panels - 1);
   const double *series = table + CORE_ENERGY_SERIES + (size_t)panel * CORE_ENERGY_TERMS;
   const double inside = energy_series(series, real_min(2 * (y - panel) - 1, 1));
-  const double shrunk = real_log(real_max(r / first, 1e-300), 0) * table[CORE_ENERGY_POWER];
-  const double below = r < first ? real_exp(real_min(shrunk, 0)).exp : 1;
+  const double shrunk = real_min(real_log(real_max(r / first, 1e-300), 0), 0);
+  const double fallen = real_exp(shrunk * table[CORE_ENERGY_POWER]).exp;
+  const double below = r < first ? fallen * (1 - table[CORE_ENERGY_RISE] * shrunk) : 1;
   return r > 0 ? real_min(real_max(inside * below, 0), 1) : 0;
 }
 

@@ -79,8 +79,8 @@ static void set_block(const double *c, size_t n, const double *r, struct block *
   for (size_t i = 0; i < n; i++) {
     const double x = real_min(real_max(r[i] * c[MFP_PER_MM], LEAST), FAR);
     const double y = DEPTH / x;
-    /* asinh(y) is less than both */
-    const double end = real_min(y, real_log(1 + 2 * y, 0));
+    /* asinh(y) is less than both; the logarithm of next to 1 would round to 0 */
+    const double end = y < 1 ? y : real_min(y, real_log(1 + 2 * y, 0));
     const double fifth = 0.2 * end;
     b->x[i] = x;
     b->edge[0][i] = 0;

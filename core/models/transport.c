@@ -13,10 +13,13 @@
  * Anisotropic scattering goes through the similarity relation.
  *
  * Domain: eta from 0.25 to 4. Radii below FIRST mean free paths are continued like 1 / x; beyond
- * LAST_EXPONENT / kappa, or LAST mean free paths where that is less, or where the solver's own
- * estimate exceeds the tolerance, like the diffusion of a dipole, (1 + kappa x) e^(-kappa x) / x^3.
+ * LAST_EXPONENT / kappa, or LAST mean free paths where that is less, like the diffusion of a dipole,
+ * (1 + kappa x) e^(-kappa x) / x^3, times the power of x that goes on with the slope there. Little
+ * absorption brings that power to 0, and it is then as good as the solution.
  * Error: the tolerance (TOLERANCE when none is asked for; at least TOLERANCE_LEAST, half of which is
- * the series'), relative.
+ * the series'), relative, or the solver's own estimate where that is more, which an albedo below
+ * 1e-6 or so may cause; up to the last radius. Beyond it, where R is 1e-13 of what it is at one mean
+ * free path, and kappa is next to 1, R is off by some hundredths in the next decade.
  */
 #include "core/kernels.h"
 
@@ -33,7 +36,8 @@ enum coefficient {
   FIRST_X,
   LAST_X,
   LN_FIRST,
-  SERIES, /* TERMS coefficients for each panel, then the table of the energy */
+  STEEPER, /* the power of 1 / x that R falls by beyond the last radius, more than a dipole's */
+  SERIES,  /* TERMS coefficients for each panel, then the table of the energy */
 };
 
 enum { TERMS = 16 };
@@ -88,15 +92,16 @@ static inline struct profile look(const double *c, double r) {
   const struct series sum = sum_series(&c[SERIES + (size_t)panel * TERMS], s);
   const double kx = c[KAPPA] * x;
   const double kl = c[KAPPA] * c[LAST_X];
+  const double power = 2 + c[STEEPER];
   const double beyond =
-      real_log((1 + kx) / (1 + kl), 0) - 2 * real_log(real_max(x / c[LAST_X], 1), 0);
+      real_log((1 + kx) / (1 + kl), 0) - power * real_log(real_max(x / c[LAST_X], 1), 0);
   const bool inside = x >= c[FIRST_X] && x <= c[LAST_X];
   return (struct profile){
       .x = x,
       .far = x < true_x ? x / true_x : 1,
       .value = x > c[LAST_X] ? sum.value + beyond : sum.value,
       .slope = inside          ? sum.slope * (2 / PANEL_WIDTH)
-               : x > c[LAST_X] ? kx / (1 + kx) - 2
+               : x > c[LAST_X] ? kx / (1 + kx) - power
                                : 0,
   };
 }
@@ -179,7 +184,7 @@ CORE_KERNEL_TABLE_NONE(transport);
 #define TOLERANCE_LEAST 1e-8
 #define FIRST 1e-10
 #define LAST 1e4
-#define LAST_EXPONENT 28.0
+#define LAST_EXPONENT 30.0
 #define COST 8 /* of a kernel evaluation of a dipole, measured with build/bench kernel */
 
 /* Nothing worth solving is left of a smaller one. */
@@ -211,14 +216,38 @@ static core_fault solve(const core_inputs *inputs, double albedo, double toleran
   return fault;
 }
 
+/* A solution, and where its panels lie. */
+struct solved {
+  const transport_solution *solution;
+  double kappa;       /* of the medium */
+  double extra_kappa; /* of the solution, where it has more: see solvable_albedo() */
+  double ln_first;
+  size_t panels;
+  double error; /* the largest of the solver's own estimates */
+};
+
+/* An albedo of 1 is solved next to it, since the solver's bounds need some decay; what that changes,
+ * a factor (1 + kappa x) e^(-kappa x) with kappa = 1.8e-8, is taken out again. */
+static double solvable_albedo(double albedo) {
+  return fmin(albedo, 1 - 0x1p-53);
+}
+
+/* ln(x R) + kappa x */
+static double logarithm_at(struct solved *solved, double x) {
+  const transport_number R = transport_at(solved->solution, x).R;
+  const double extra = solved->extra_kappa * x;
+  solved->error = fmax(solved->error, R.error / fmax(R.value, 1e-300));
+  return real_log(fmax(x * R.value, 1e-300), 0) + solved->kappa * x +
+         (extra - real_log(1 + extra, 0));
+}
+
 /* The Legendre series through the Gauss points of a panel from ln x = y. */
-static void fit_panel(const transport_solution *solution, double kappa, double y, double *series) {
+static void fit_panel(struct solved *solved, double y, double *series) {
   memset(series, 0, TERMS * sizeof *series);
   for (int i = 0; i < 2 * CORE_GAUSS_HALF; i++) {
     const double s = 2 * core_gauss_node(i) - 1;
-    const double x = real_exp_signed(fma(PANEL_WIDTH, core_gauss_node(i), y));
-    const double R = transport_at(solution, x).R.value;
-    const double value = real_log(fmax(x * R, 1e-300), 0) + kappa * x;
+    const double value =
+        logarithm_at(solved, real_exp_signed(fma(PANEL_WIDTH, core_gauss_node(i), y)));
     double p = 1, before = 0;
     for (int k = 0; k < TERMS; k++) {
       series[k] += (2 * k + 1) * core_gauss_weight(i) * value * p;
@@ -237,57 +266,64 @@ static void set_scales(double *c, double sigma_t_prime, bool scatters) {
   c[SLOPE_SCALE] = c[R_SCALE] * sigma_t_prime;
 }
 
-/* How many panels, of at most `most`, the solution fills with values that keep the tolerance: far
- * enough away noise is what is left of R. */
-static double solved_panels(const transport_solution *solution, double ln_first, double most,
-                            double tolerance) {
-  double panels = 1;
-  while (panels < most) {
-    const double x = real_exp_signed(ln_first + (panels + 1) * PANEL_WIDTH);
-    const transport_number R = transport_at(solution, x).R;
-    if (!(R.error <= tolerance * R.value)) {
-      break;
-    }
-    panels++;
+/* The slope by ln x at the end of a panel, less than that of a dipole's diffusion there. */
+static double steeper(const double *series, double kappa_last) {
+  double slope = 0; /* of P_k at 1: k (k + 1) / 2 */
+  for (int k = TERMS - 1; k > 0; k--) {
+    slope = fma(0.5 * k * (k + 1), series[k], slope);
   }
-  return panels;
+  return kappa_last / (1 + kappa_last) - 2 - slope * (2 / PANEL_WIDTH);
+}
+
+static void set_series(struct solved *solved, double *c) {
+  const double last = real_exp_signed(solved->ln_first + (double)solved->panels * PANEL_WIDTH);
+  c[KAPPA] = solved->kappa;
+  c[PANELS] = (double)solved->panels;
+  c[FIRST_X] = real_exp_signed(solved->ln_first);
+  c[LAST_X] = last;
+  c[LN_FIRST] = solved->ln_first;
+  for (size_t i = 0; i < solved->panels; i++) {
+    fit_panel(solved, solved->ln_first + (double)i * PANEL_WIDTH, &c[SERIES + i * TERMS]);
+  }
+  c[STEEPER] = steeper(&c[SERIES + (solved->panels - 1) * TERMS], solved->kappa * last);
+}
+
+/* The panels end where the solution does. */
+static struct solved lay_panels(const transport_solution *solution, double kappa,
+                                double extra_kappa) {
+  const double reach = kappa * LAST > LAST_EXPONENT ? LAST_EXPONENT / kappa : LAST;
+  const double panels = ceil((real_log(reach, 0) - real_log(FIRST, 0)) / PANEL_WIDTH);
+  return (struct solved){.solution = solution,
+                         .kappa = kappa,
+                         .extra_kappa = extra_kappa,
+                         .ln_first = real_log(reach, 0) - panels * PANEL_WIDTH,
+                         .panels = (size_t)panels};
 }
 
 /* The table of a solution. */
-static core_fault fill(const core_inputs *inputs, const transport_solution *solution, double albedo,
-                       double sigma_t_prime, double tolerance, core_preparation *preparation) {
-  const double kappa = transport_kappa(albedo);
-  const double ln_first = real_log(FIRST, 0);
-  const double reach = kappa * LAST > LAST_EXPONENT ? LAST_EXPONENT / kappa : LAST;
-  const double most = ceil((real_log(reach, 0) - ln_first) / PANEL_WIDTH);
-  const double panels = solved_panels(solution, ln_first, most, tolerance);
-  const double last = real_exp_signed(ln_first + panels * PANEL_WIDTH);
+static core_fault fill(const core_inputs *inputs, struct solved *solved, double sigma_t_prime,
+                       core_preparation *preparation) {
   const double mfp_mm = 1 / sigma_t_prime;
+  const double first = real_exp_signed(solved->ln_first);
+  const double last = real_exp_signed(solved->ln_first + (double)solved->panels * PANEL_WIDTH);
   /* Further than 40 decay lengths, or 1e12 mean free paths, there is less than 1e-12 of it. */
-  const double energy_last = kappa * 1e12 > 40 ? fmax(40 / kappa, last) : 1e12;
-  const size_t before_energy = SERIES + (size_t)panels * TERMS;
-  const size_t energy_length = core_energy_length(FIRST * mfp_mm, energy_last * mfp_mm);
+  const double energy_last = solved->kappa * 1e12 > 40 ? fmax(40 / solved->kappa, last) : 1e12;
+  const size_t before_energy = SERIES + solved->panels * TERMS;
+  const size_t energy_length = core_energy_length(first * mfp_mm, energy_last * mfp_mm);
   preparation->table_bytes = (before_energy + energy_length) * sizeof(double);
   double *c = malloc(preparation->table_bytes);
   if (c == NULL) {
     return CORE_OUT_OF_MEMORY;
   }
   set_scales(c, sigma_t_prime, true);
-  c[KAPPA] = kappa;
-  c[PANELS] = panels;
-  c[FIRST_X] = FIRST;
-  c[LAST_X] = last;
-  c[LN_FIRST] = ln_first;
-  for (size_t i = 0; i < (size_t)panels; i++) {
-    fit_panel(solution, kappa, ln_first + (double)i * PANEL_WIDTH, &c[SERIES + i * TERMS]);
-  }
+  set_series(solved, c);
   core_kernel_f64 *ring =
       core_isa_kernels(inputs->isa, CORE_MODEL_TRANSPORT)->f64->evaluate[CORE_ELEMENTWISE_RING];
   const double energy =
-      core_energy_build(ring, c, FIRST * mfp_mm, energy_last * mfp_mm, &c[before_energy]);
+      core_energy_build(ring, c, first * mfp_mm, energy_last * mfp_mm, &c[before_energy]);
   c[PDF_SCALE] = c[RING_SCALE] / energy;
   preparation->table = c;
-  preparation->albedo = transport_total(solution).value;
+  preparation->error = fmax(preparation->error, solved->error);
   return (core_fault){0};
 }
 
@@ -324,9 +360,17 @@ core_fault core_transport_prepare(const core_inputs *inputs, core_preparation *p
     return fill_nothing(sigma_t_prime, preparation);
   }
   transport_solution *solution = NULL;
-  core_fault fault = solve(inputs, albedo, tolerance, &solution);
+  const double solvable = solvable_albedo(albedo);
+  core_fault fault = solve(inputs, solvable, tolerance, &solution);
   if (fault.field == NULL) {
-    fault = fill(inputs, solution, albedo, sigma_t_prime, tolerance, preparation);
+    /* Absorption that is too little for the albedo to show is left to the decay. */
+    const bool shows = albedo <= solvable;
+    const double kappa =
+        shows ? transport_kappa(albedo) : sqrt(3 * (medium->sigma_a_per_mm / sigma_t_prime));
+    const double extra = shows ? 0 : transport_kappa(solvable);
+    struct solved solved = lay_panels(solution, kappa, extra);
+    preparation->albedo = transport_total(solution).value;
+    fault = fill(inputs, &solved, sigma_t_prime, preparation);
   }
   transport_solution_free(solution);
   return fault;

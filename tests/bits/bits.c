@@ -119,7 +119,7 @@ static void print_group(const core_isa *isa, const core_choice *model, const cor
                         const core_choice *moments, const core_choice *quantity) {
   uint64_t state = 2012;
   uint64_t sum = CHECKSUM_START;
-  int media = core_model_prepares_slowly(model->id) ? SLOW_MEDIA : MEDIA;
+  int media = core_prepares_slowly(model->id, CORE_EVALUATOR_F64) ? SLOW_MEDIA : MEDIA;
   for (int i = 0; i < media; i++) {
     const core_medium medium = random_medium(&state);
     core_profile profile;
@@ -169,7 +169,8 @@ static bool is_due(const core_choice *model, const core_choice *evaluator,
                    const core_choice *quantity) {
   const bool needed =
       quantity != NULL && (quantity->id == CORE_QUANTITY_R || quantity->id == CORE_QUANTITY_CDF);
-  return !core_model_prepares_slowly(model->id) || (evaluator->id == CORE_EVALUATOR_F64 && needed);
+  return !core_prepares_slowly(model->id, CORE_EVALUATOR_F64) ||
+         (evaluator->id == CORE_EVALUATOR_F64 && needed);
 }
 
 int main(int argc, char **argv) {

@@ -116,7 +116,7 @@ static bool is_costly(const core_profile *profile) {
 
 static void with_every_medium(const char *isa, unsigned model, unsigned evaluator, pair_test *test,
                               uint64_t *random) {
-  const size_t count = core_model_prepares_slowly(model) ? COSTLY_MEDIA : MEDIA;
+  const size_t count = core_prepares_slowly(model, CORE_EVALUATOR_F64) ? COSTLY_MEDIA : MEDIA;
   for (size_t i = 0; i < count; i++) {
     kernel_pair pair;
     if (!prepare(&pair.portable, "portable", model, evaluator, &media[i])) {

@@ -1,0 +1,22 @@
+/* A table that a peer or a file has given is not trusted: every entry has to lie within it. */
+#include <math.h>
+
+#include "core/lut/piece.h"
+
+core_fault core_lut_check(const float *words, size_t count) {
+  const core_fault fault = {"table", "an intact table", 0};
+  if (count < CORE_LUT_PIECES + CORE_LUT_TERMS || count % CORE_LUT_TERMS != 0 ||
+      count > CORE_LUT_PIECES + CORE_LUT_TERMS * (size_t)CORE_LUT_PIECES_MAX) {
+    return fault;
+  }
+  const size_t pieces = (count - CORE_LUT_PIECES) / CORE_LUT_TERMS;
+  for (size_t i = CORE_LUT_R_OCTAVES; i < CORE_LUT_PIECES; i++) {
+    const uint32_t entry = core_lut_bits(words[i]);
+    const uint32_t shift = CORE_LUT_ENTRY_SHIFT(entry);
+    if (shift > CORE_LUT_MANTISSA_BITS || shift < CORE_LUT_MANTISSA_BITS - CORE_LUT_CUTS_MAX ||
+        CORE_LUT_ENTRY_PIECE(entry) + (UINT32_C(1) << (CORE_LUT_MANTISSA_BITS - shift)) > pieces) {
+      return fault;
+    }
+  }
+  return (core_fault){0};
+}

@@ -1,0 +1,235 @@
+/* A piece is a polynomial through the function's values at both ends and in between. Written from
+ * the end where its terms have one sign, it is rounded to its last digit or two, and rounding is
+ * monotone: sums and products of numbers that do not fall do not fall. */
+#include "core/lut/fit.h"
+
+#include <math.h>
+#include <stdlib.h>
+
+/* Where in a piece, in 1/64: so all are exact in single precision. */
+enum { PLACES = 11, STEP = 64, FOUND_PER_PIECE = 5 };
+
+static const int places[PLACES] = {0, 3, 9, 16, 24, 32, 40, 48, 55, 61, 64};
+
+/* Places of the points of polynomials of degree 1, 2 and 3. */
+static const int points[3][4] = {{0, 10}, {0, 5, 10}, {0, 3, 7, 10}};
+
+/* Terms of the wrong sign that are as good as none. */
+#define ALMOST_NONE 1e-9
+
+/* ---- candidates ------------------------------------------------------------------------------- */
+
+/* Coefficients of the polynomial of a degree through the values y at its points, in w, by divided
+ * differences. */
+static void interpolate(int degree, bool from_right, const double *y, double *c) {
+  double w[4];
+  double d[4];
+  for (int i = 0; i <= degree; i++) {
+    const double t = (double)places[points[degree - 1][i]] / STEP;
+    w[i] = from_right ? 1 - t : t;
+    d[i] = y[points[degree - 1][i]];
+  }
+  for (int level = 1; level <= degree; level++) {
+    for (int i = degree; i >= level; i--) {
+      d[i] = (d[i] - d[i - 1]) / (w[i] - w[i - level]);
+    }
+  }
+  for (int i = 0; i < CORE_LUT_TERMS; i++) {
+    c[i] = 0;
+  }
+  c[0] = d[degree];
+  for (int i = degree - 1; i >= 0; i--) {
+    for (int k = degree; k > 0; k--) {
+      c[k] = c[k - 1] - w[i] * c[k];
+    }
+    c[0] = d[i] - w[i] * c[0];
+  }
+}
+
+/* Makes all terms agree in sign with the whole change; false: they differ by more than rounding. */
+static bool one_sign(double *c) {
+  const double change = c[1] + c[2] + c[3];
+  for (int k = 1; k < CORE_LUT_TERMS; k++) {
+    if (change > 0 ? c[k] < 0 : c[k] > 0) {
+      if (fabs(c[k]) > ALMOST_NONE * fabs(c[0])) {
+        return false;
+      }
+      c[k] = 0;
+    }
+  }
+  return true;
+}
+
+/* Whether a polynomial stays positive on [0, 1]: all of its Bernstein coefficients are. */
+static bool positive(const double *c) {
+  return c[0] > 0 && c[0] + c[1] / 3 > 0 && c[0] + 2 * c[1] / 3 + c[2] / 3 > 0 &&
+         c[0] + c[1] + c[2] + c[3] > 0;
+}
+
+static void round_piece(const double *c, bool from_right, float *piece) {
+  piece[0] = (float)c[0];
+  for (int k = 1; k < CORE_LUT_TERMS; k++) {
+    piece[k] = (float)c[k];
+  }
+  if (from_right) {
+    piece[0] = core_lut_float(core_lut_bits(piece[0]) | UINT32_C(0x80000000));
+  }
+}
+
+/* The far end of a piece of one sign is kept from going beyond the function's own value there, which
+ * is where the next piece begins or ends: so the steps between pieces have the same direction. */
+static void stop_at(float *piece, bool from_right, double far_end) {
+  const float limit = (float)far_end;
+  const float t = from_right ? 0 : 1;
+  const float near_end = fabsf(piece[0]);
+  if (!(limit > near_end || limit < near_end)) {
+    piece[1] = piece[2] = piece[3] = 0;
+  }
+  for (float end = core_lut_piece(piece, 0, t); limit > near_end ? end > limit : end < limit;
+       end = core_lut_piece(piece, 0, t)) {
+    float *largest = &piece[1];
+    for (int k = 2; k < CORE_LUT_TERMS; k++) {
+      largest = fabsf(piece[k]) > fabsf(*largest) ? &piece[k] : largest;
+    }
+    /* towards 0, by at least the last place of either */
+    const float less = fmaxf(fabsf(end - limit), fabsf(*largest) * 0x1p-23f);
+    *largest = copysignf(fmaxf(fabsf(*largest) - less, 0), *largest);
+  }
+}
+
+/* ---- errors ----------------------------------------------------------------------------------- */
+
+/* The relative error of a value, less what is negligible. */
+static double error_of(const struct lut_subject *subject, float value, double truth) {
+  const double off = fabs((double)value - truth);
+  return off <= subject->negligible ? 0 : truth > 0 ? off / truth : (double)INFINITY;
+}
+
+static double worst_of(const struct lut_subject *subject, const float *piece, const double *y) {
+  double worst = 0;
+  for (int i = 0; i < PLACES; i++) {
+    const double error = error_of(subject, core_lut_piece(piece, 0, (float)places[i] / STEP), y[i]);
+    worst = error > worst || isnan(error) ? error : worst;
+  }
+  return worst;
+}
+
+/* The best piece for the values y at the places; false: none is good enough. */
+static bool fit_piece(const struct lut_subject *subject, const double *y, float *best) {
+  double least = (double)INFINITY;
+  for (int degree = 3; degree >= 1; degree--) {
+    for (int side = 0; side < 2; side++) {
+      double c[CORE_LUT_TERMS];
+      float piece[CORE_LUT_TERMS];
+      interpolate(degree, side == 1, y, c);
+      const bool turns = !one_sign(c);
+      const bool usable = turns ? !subject->monotone && positive(c) : c[0] >= 0;
+      round_piece(c, side == 1, piece);
+      if (usable && !turns) {
+        stop_at(piece, side == 1, y[side == 1 ? 0 : PLACES - 1]);
+      }
+      const double worst = usable ? worst_of(subject, piece, y) : (double)INFINITY;
+      if (worst < least) {
+        least = worst;
+        memcpy(best, piece, sizeof piece);
+      }
+    }
+  }
+  return least <= subject->tolerance;
+}
+
+/* ---- octaves ---------------------------------------------------------------------------------- */
+
+static bool make_room(struct lut_pieces *pieces, size_t more) {
+  if (pieces->count + more <= pieces->room) {
+    return true;
+  }
+  const size_t room = 2 * pieces->room + more;
+  float(*c)[CORE_LUT_TERMS] = realloc(pieces->c, room * sizeof *c);
+  if (c != NULL) {
+    pieces->c = c;
+    pieces->room = room;
+  }
+  return c != NULL;
+}
+
+/* The values at the places of one of 2^cuts pieces. */
+static void sample_piece(const struct lut_subject *subject, int exponent, unsigned cuts,
+                         uint32_t index, double *y) {
+  double x[PLACES];
+  for (int i = 0; i < PLACES; i++) {
+    const double at = (double)index + (double)places[i] / STEP;
+    x[i] = ldexp(1 + ldexp(at, -(int)cuts), exponent);
+  }
+  subject->function(subject->context, PLACES, x, y);
+}
+
+/* With that many cuts; false: too few. */
+static bool fit_all(const struct lut_subject *subject, int exponent, unsigned cuts,
+                    float (*c)[CORE_LUT_TERMS]) {
+  for (uint32_t i = 0; i < UINT32_C(1) << cuts; i++) {
+    double y[PLACES];
+    sample_piece(subject, exponent, cuts, i, y);
+    if (!fit_piece(subject, y, c[i])) {
+      return false;
+    }
+  }
+  return true;
+}
+
+enum lut_fit lut_fit_octave(const struct lut_subject *subject, int exponent, unsigned *cuts,
+                            struct lut_pieces *pieces, uint32_t *entry) {
+  for (; *cuts <= CORE_LUT_CUTS_MAX; ++*cuts) {
+    const size_t more = (size_t)1 << *cuts;
+    if (pieces->count + more > CORE_LUT_PIECES_MAX) {
+      break;
+    }
+    if (!make_room(pieces, more)) {
+      return LUT_NO_MEMORY;
+    }
+    *entry = CORE_LUT_ENTRY(pieces->count, CORE_LUT_MANTISSA_BITS - *cuts);
+    if (fit_all(subject, exponent, *cuts, &pieces->c[pieces->count]) &&
+        lut_fit_error(subject, exponent, *entry, pieces) <= subject->tolerance) {
+      pieces->count += more;
+      return LUT_FITTED;
+    }
+  }
+  return LUT_TOO_ROUGH;
+}
+
+enum lut_fit lut_fit_constant(float value, struct lut_pieces *pieces, uint32_t *entry) {
+  if (pieces->count == CORE_LUT_PIECES_MAX) {
+    return LUT_TOO_ROUGH;
+  }
+  if (!make_room(pieces, 1)) {
+    return LUT_NO_MEMORY;
+  }
+  const float piece[CORE_LUT_TERMS] = {value, 0, 0, 0};
+  memcpy(pieces->c[pieces->count], piece, sizeof piece);
+  *entry = CORE_LUT_ENTRY(pieces->count, CORE_LUT_MANTISSA_BITS);
+  pieces->count++;
+  return LUT_FITTED;
+}
+
+double lut_fit_error(const struct lut_subject *subject, int exponent, uint32_t entry,
+                     const struct lut_pieces *pieces) {
+  /* Next to where the error of a polynomial through the places is largest, off the places. */
+  static const double between[FOUND_PER_PIECE] = {6.5 / 64, 27.5 / 64, 36.5 / 64, 51.5 / 64,
+                                                  57.5 / 64};
+  const unsigned cuts = CORE_LUT_MANTISSA_BITS - CORE_LUT_ENTRY_SHIFT(entry);
+  double worst = 0;
+  for (uint32_t i = 0; i < UINT32_C(1) << cuts; i++) {
+    double x[FOUND_PER_PIECE];
+    double y[FOUND_PER_PIECE];
+    for (int k = 0; k < FOUND_PER_PIECE; k++) {
+      x[k] = ldexp(1 + ldexp((double)i + between[k], -(int)cuts), exponent);
+    }
+    subject->function(subject->context, FOUND_PER_PIECE, x, y);
+    for (int k = 0; k < FOUND_PER_PIECE; k++) {
+      const float *piece = pieces->c[CORE_LUT_ENTRY_PIECE(entry) + i];
+      const double error = error_of(subject, core_lut_piece(piece, 0, (float)between[k]), y[k]);
+      worst = error > worst || isnan(error) ? error : worst;
+    }
+  }
+  return worst;
+}
