@@ -300,6 +300,22 @@ void core_sample_f32(const core_profile *profile, size_t n, const float *u, floa
 #define CORE_SAMPLE_ERROR_F64 1e-14
 #define CORE_SAMPLE_ERROR_F32 4e-7
 
+/* ---- tables -----------------------------------------------------------------------------------
+ */
+
+/* The radii between which a profile of evaluator lut has pieces, in mm; outside, asymptotes go on. */
+core_radii_range core_table_pieces(const core_profile *profile);
+
+/* A profile from a table that was made elsewhere: lut_count words, which are copied, and the public
+ * part of *profile, which the caller has filled in; the rest is set here. It evaluates what
+ * core_table_has() and samples; with the same bits as the profile that the words are from. Faults:
+ * `table`, when the words are not a table; `memory`. */
+core_fault core_profile_from_table(core_profile *profile, const core_isa *isa, const float *words,
+                                   size_t count);
+
+/* Whether a table alone, without the profile that it was made from, holds a quantity. */
+bool core_table_has(enum core_quantity quantity);
+
 /* ---- from albedo to coefficients ---------------------------------------------------------------
  */
 

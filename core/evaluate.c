@@ -148,6 +148,7 @@ static void evaluate_f32(const core_profile *profile, enum core_quantity quantit
     kernel(coefficients_f32(profile), n, r, out);
   } else {
     /* What a table does not hold comes from its source. */
+    assert(profile->lut == NULL || profile->source != NULL);
     widely(profile->lut != NULL ? profile->source : profile, quantity, n, r, out);
   }
 }

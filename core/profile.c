@@ -125,7 +125,7 @@ static core_fault check(const struct model *model, unsigned moments, unsigned ev
   }
   if (fault.field == NULL && evaluator == CORE_EVALUATOR_LUT &&
       inputs->parameters->value[CORE_PARAMETER_TOLERANCE] < CORE_LUT_TOLERANCE_MIN) {
-    fault = (core_fault){"tolerance", "1e-6 to 0.1 with lut", 0};
+    fault = (core_fault){"tolerance", "1e-6 to 1 with lut", 0};
   }
   *radii = (core_radii_range){0, (double)INFINITY};
   return fault.field == NULL ? check_domain(model, *inputs, radii) : fault;
@@ -256,7 +256,9 @@ static core_fault build_table(core_profile *profile, const struct model *model, 
 static core_fault prepare_table(core_profile *profile, const struct model *model,
                                 core_inputs inputs, core_radii_range radii) {
   core_parameters parameters = *inputs.parameters;
-  const double asked = core_parameter_or(&inputs, CORE_PARAMETER_TOLERANCE, CORE_LUT_TOLERANCE);
+  const double asked =
+      fmin(core_parameter_or(&inputs, CORE_PARAMETER_TOLERANCE, CORE_LUT_TOLERANCE),
+           CORE_LUT_TOLERANCE_MAX);
   parameters.value[CORE_PARAMETER_TOLERANCE] =
       fits(model) ? (double)NAN : fmin(SOURCE_SHARE * asked, CORE_LUT_TOLERANCE);
   inputs.parameters = &parameters;

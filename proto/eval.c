@@ -1,7 +1,8 @@
 #include "proto/eval.h"
 
-#include <math.h>
 #include <stdio.h>
+
+#include "proto/parameters.h"
 
 static unsigned all_quantities(void) {
   unsigned all = 0;
@@ -24,41 +25,21 @@ uint64_t eval_request_bytes(uint32_t medium_count, uint32_t parameter_count, uin
          (uint64_t)parameter_count * WIRE_BYTES_parameter + wire_padded(radii_bytes);
 }
 
-/* "one of 1 (f64), 2 (f32)", so that the reader of an error need not look the list up unless it is
- * long. */
-static wire_error not_in_list(const char *field, const core_choice *list, const char *how) {
-  static const char more[] = " ... of the list in hello";
-  char allowed[81];
-  size_t length = (size_t)snprintf(allowed, sizeof allowed, "%s", how);
-  for (const core_choice *entry = list; entry->name != NULL; entry++) {
-    char item[64];
-    const int bytes = snprintf(item, sizeof item, "%s%u (%s)", entry == list ? " " : ", ",
-                               entry->id, entry->name);
-    const size_t room = sizeof allowed - (entry[1].name != NULL ? sizeof more : 1);
-    if (length + (size_t)bytes > room) {
-      snprintf(allowed + length, sizeof allowed - length, "%s", more);
-      break;
-    }
-    length += (size_t)snprintf(allowed + length, sizeof allowed - length, "%s", item);
-  }
-  return wire_error_make(WIRE_STATUS_BAD_VALUE, field, allowed);
-}
-
 static wire_error check_choices(const wire_eval_request *fixed) {
-  if (core_choice_by_id(core_models, fixed->model) == NULL) {
-    return not_in_list("model", core_models, "one of");
+  if (fixed->model != EVAL_ANY_MODEL && core_choice_by_id(core_models, fixed->model) == NULL) {
+    return wire_error_not_in_list("model", core_models, "one of");
   }
   if (core_choice_by_id(core_evaluators, fixed->evaluator) == NULL) {
-    return not_in_list("evaluator", core_evaluators, "one of");
+    return wire_error_not_in_list("evaluator", core_evaluators, "one of");
   }
   if (core_choice_by_id(core_moments_list, fixed->moments) == NULL) {
-    return not_in_list("moments", core_moments_list, "one of");
+    return wire_error_not_in_list("moments", core_moments_list, "one of");
   }
   if (core_choice_by_id(core_spacings, fixed->spacing) == NULL) {
-    return not_in_list("spacing", core_spacings, "one of");
+    return wire_error_not_in_list("spacing", core_spacings, "one of");
   }
   if (fixed->wanted == 0 || (fixed->wanted & ~all_quantities()) != 0) {
-    return not_in_list("wanted", core_quantities, "a sum of");
+    return wire_error_not_in_list("wanted", core_quantities, "a sum of");
   }
   return wire_error_none();
 }
@@ -102,41 +83,12 @@ static wire_error parse_radii(const uint8_t *at, size_t remaining, eval_request 
   return check_padding(at + list_bytes, remaining - list_bytes);
 }
 
-static wire_error parse_parameter(const uint8_t *at, core_parameters *parameters) {
-  wire_parameter parameter;
-  wire_get_parameter(at, &parameter);
-  if (core_choice_by_id(core_parameter_list, parameter.parameter) == NULL) {
-    return not_in_list("parameter", core_parameter_list, "one of");
-  }
-  if (parameter.zero != 0 || parameter.zero_too != 0) {
-    return wire_error_make(WIRE_STATUS_BAD_VALUE, parameter.zero != 0 ? "zero" : "zero_too", "0");
-  }
-  if (!isnan(parameters->value[parameter.parameter])) {
-    return wire_error_make(WIRE_STATUS_BAD_VALUE, "parameter", "each at most once");
-  }
-  if (isnan(parameter.value)) {
-    return wire_error_make(WIRE_STATUS_BAD_VALUE,
-                           core_choice_by_id(core_parameter_list, parameter.parameter)->name,
-                           "a number; a parameter that is not wanted is left out");
-  }
-  parameters->value[parameter.parameter] = parameter.value;
-  return wire_error_none();
-}
-
 static wire_error parse_parameters(const uint8_t *at, size_t remaining, eval_request *request) {
-  request->parameters = core_parameters_none();
   if (request->fixed.parameter_count > remaining / WIRE_BYTES_parameter) {
     return wire_error_make(WIRE_STATUS_BAD_COUNT, "parameter_count",
                            "no more parameters than the payload holds after the media");
   }
-  for (uint32_t i = 0; i < request->fixed.parameter_count; i++) {
-    wire_error error = parse_parameter(at + i * WIRE_BYTES_parameter, &request->parameters);
-    if (error.status != WIRE_STATUS_OK) {
-      error.index = i;
-      return error;
-    }
-  }
-  return wire_error_none();
+  return parameters_parse(at, request->fixed.parameter_count, &request->parameters);
 }
 
 wire_error eval_request_parse(const uint8_t *payload, size_t payload_bytes, eval_request *request) {

@@ -9,6 +9,9 @@
 #include "core/core.h"
 #include "proto/wire.h"
 
+/* The model of a request that asks for a tolerance instead. */
+#define EVAL_ANY_MODEL 0
+
 /* An eval request, taken apart. The pointers point into the payload. */
 typedef struct eval_request {
   wire_eval_request fixed;

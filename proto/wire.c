@@ -175,6 +175,24 @@ const char *wire_type_name(unsigned type) {
   }
 }
 
+wire_error wire_error_not_in_list(const char *field, const core_choice *list, const char *how) {
+  static const char more[] = " ... of the list in hello";
+  char allowed[81];
+  size_t length = (size_t)snprintf(allowed, sizeof allowed, "%s", how);
+  for (const core_choice *entry = list; entry->name != NULL; entry++) {
+    char item[64];
+    const int bytes = snprintf(item, sizeof item, "%s%u (%s)", entry == list ? " " : ", ",
+                               entry->id, entry->name);
+    const size_t room = sizeof allowed - (entry[1].name != NULL ? sizeof more : 1);
+    if (length + (size_t)bytes > room) {
+      snprintf(allowed + length, sizeof allowed - length, "%s", more);
+      break;
+    }
+    length += (size_t)snprintf(allowed + length, sizeof allowed - length, "%s", item);
+  }
+  return wire_error_make(WIRE_STATUS_BAD_VALUE, field, allowed);
+}
+
 /* ---- the list of choices ----------------------------------------------------------------------
  */
 

@@ -10,6 +10,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
+struct core_choice; /* of core.h */
+
 #define WIRE_MAGIC UINT32_C(0x4c504944)
 #define WIRE_VERSION 1
 #define WIRE_REPLY 0x8000      /* added to the type of a request */
@@ -102,6 +104,11 @@ static inline uint64_t wire_padded(uint64_t bytes) {
 /* An error as a value; status == WIRE_STATUS_OK: none. */
 wire_error wire_error_none(void);
 wire_error wire_error_make(enum wire_status status, const char *field, const char *allowed);
+
+/* BAD_VALUE: "one of 1 (f64), 2 (f32)", so that the reader of an error need not look the list up
+ * unless it is long. how: "one of", "a sum of". list: one of core's. */
+wire_error wire_error_not_in_list(const char *field, const struct core_choice *list,
+                                  const char *how);
 
 /* What a header alone shows to be wrong. max_payload_bytes: the receiver's limit. After BAD_MAGIC
  * the framing is lost; after any other error the next frame begins payload_bytes further on. */

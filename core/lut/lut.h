@@ -48,6 +48,7 @@ enum core_lut_word {
 #define CORE_LUT_PIECES_MAX 65536
 #define CORE_LUT_TOLERANCE 1e-4 /* when none is asked for */
 #define CORE_LUT_TOLERANCE_MIN 1e-6
+#define CORE_LUT_TOLERANCE_MAX 0.1 /* more is taken for it */
 
 /* An entry: the number of its octave's first piece, and by how many bits the mantissa is shifted
  * to count from there. */

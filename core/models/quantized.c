@@ -29,6 +29,7 @@
 #include "core/kernel.h"
 
 #define TOLERANCE 1e-4
+#define TOLERANCE_MOST 0.1
 #define LEAST 1e-2
 #define MOST 1e13
 #define ABSORBED_LEAST 1e-28
@@ -98,7 +99,8 @@ static core_gaussian gaussian_at(const struct cloud *cloud, double time, double 
 core_fault core_quantized_prepare(const core_inputs *inputs, core_preparation *preparation) {
   preparation->notes = core_similarity_note(inputs);
   const struct cloud cloud = make_cloud(inputs);
-  const double tolerance = core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, TOLERANCE);
+  const double tolerance =
+      fmin(core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, TOLERANCE), TOLERANCE_MOST);
   const double least = LEAST * tolerance;
   /* e^(-x^2 / (4 D t)) leaves nothing at the least radius before, and all of it at the largest
    * after */

@@ -33,6 +33,7 @@
 #include "core/kernel.h"
 
 #define TOLERANCE 1e-12
+#define TOLERANCE_MOST 0.1
 #define THICKNESS_LEAST 1.1
 #define THICKNESS_MOST 1e6
 
@@ -174,7 +175,8 @@ static core_gaussian gaussian_at(const struct slab *slab, double y, double time,
 core_fault core_slab_prepare(const core_inputs *inputs, core_preparation *preparation) {
   preparation->notes = core_similarity_note(inputs);
   const struct slab slab = make_slab(inputs);
-  const double tolerance = core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, TOLERANCE);
+  const double tolerance =
+      fmin(core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, TOLERANCE), TOLERANCE_MOST);
   const double y = slab.transmitted ? slab.thickness - 1 : 1;
   const double lowest = PI / slab.period;
   const double rate = slab.absorbed + slab.diffusion * lowest * lowest;

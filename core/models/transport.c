@@ -200,7 +200,7 @@ core_fault core_transport_check(const core_inputs *inputs, core_radii_range *rad
     return (core_fault){"eta", "0.25 to 4 with transport", 0};
   }
   if (core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, TOLERANCE) < TOLERANCE_LEAST) {
-    return (core_fault){"tolerance", "1e-8 to 0.1 with transport", 0};
+    return (core_fault){"tolerance", "1e-8 to 1 with transport", 0};
   }
   return (core_fault){0};
 }

@@ -1,0 +1,100 @@
+#include "proto/table.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "proto/parameters.h"
+
+/* CRC-32 (ISO 3309, the one of Ethernet and gzip): reflected, polynomial 0x04c11db7. */
+static uint32_t checksum(const uint8_t *bytes, size_t count) {
+  uint32_t crc = UINT32_MAX;
+  for (size_t i = 0; i < count; i++) {
+    crc ^= bytes[i];
+    for (int bit = 0; bit < 8; bit++) {
+      crc = crc >> 1 ^ (crc & 1 ? UINT32_C(0xedb88320) : 0);
+    }
+  }
+  return ~crc;
+}
+
+size_t table_request_bytes(uint32_t parameter_count) {
+  return WIRE_BYTES_table_request + WIRE_BYTES_medium +
+         (size_t)parameter_count * WIRE_BYTES_parameter;
+}
+
+size_t table_reply_bytes(uint32_t parameter_count, size_t word_count) {
+  return WIRE_BYTES_table_reply + (size_t)parameter_count * WIRE_BYTES_parameter +
+         word_count * sizeof(float);
+}
+
+wire_error table_request_parse(const uint8_t *payload, size_t payload_bytes,
+                               table_request *request) {
+  if (payload_bytes < table_request_bytes(0)) {
+    return wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes",
+                           "at least 40: a table_request and a medium");
+  }
+  wire_get_table_request(payload, &request->fixed);
+  if (request->fixed.zero != 0) {
+    return wire_error_make(WIRE_STATUS_BAD_VALUE, "zero", "0");
+  }
+  if (payload_bytes - table_request_bytes(0) !=
+      (size_t)request->fixed.parameter_count * WIRE_BYTES_parameter) {
+    return wire_error_make(WIRE_STATUS_BAD_COUNT, "parameter_count",
+                           "as many parameters as the payload holds after the medium");
+  }
+  wire_medium medium;
+  wire_get_medium(payload + WIRE_BYTES_table_request, &medium);
+  request->medium = (core_medium){medium.sigma_a, medium.sigma_s, medium.g, medium.eta};
+  return parameters_parse(payload + table_request_bytes(0), request->fixed.parameter_count,
+                          &request->parameters);
+}
+
+void table_reply_put(uint8_t *at, const core_profile *profile, const core_parameters *parameters) {
+  const uint8_t *words = (const uint8_t *)profile->lut;
+  const size_t word_bytes = profile->lut_count * sizeof *profile->lut;
+  const core_radii_range pieces = core_table_pieces(profile);
+  const wire_table_reply fixed = {
+      .layout = TABLE_LAYOUT,
+      .model = (uint16_t)profile->model,
+      .moments = (uint16_t)profile->moments,
+      .parameter_count = (uint16_t)parameters_count(parameters),
+      .word_count = (uint32_t)profile->lut_count,
+      .checksum = checksum(words, word_bytes),
+      .notes = profile->notes,
+      .sigma_a = profile->medium.sigma_a_per_mm,
+      .sigma_s = profile->medium.sigma_s_per_mm,
+      .g = profile->medium.g,
+      .eta = profile->medium.eta,
+      .albedo = profile->albedo,
+      .numerical_error = profile->numerical_error,
+      .numerical_error_per_mm = profile->numerical_error_per_mm,
+      .model_error = profile->model_error,
+      .pieces_from = pieces.least_mm,
+      .pieces_to = pieces.most_mm,
+      .radius_least = profile->radii.least_mm,
+      .radius_most = profile->radii.most_mm,
+  };
+  wire_put_table_reply(at, &fixed);
+  at += WIRE_BYTES_table_reply;
+  at += parameters_put(at, parameters);
+  memcpy(at, words, word_bytes);
+}
+
+bool table_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_table_reply *fixed,
+                       core_parameters *parameters, const float **words) {
+  if (payload_bytes < WIRE_BYTES_table_reply) {
+    return false;
+  }
+  wire_get_table_reply(payload, fixed);
+  if (fixed->layout != TABLE_LAYOUT || fixed->word_count % 4 != 0 ||
+      payload_bytes != table_reply_bytes(fixed->parameter_count, fixed->word_count)) {
+    return false;
+  }
+  const uint8_t *at = payload + WIRE_BYTES_table_reply;
+  if (parameters_parse(at, fixed->parameter_count, parameters).status != WIRE_STATUS_OK) {
+    return false;
+  }
+  at += (size_t)fixed->parameter_count * WIRE_BYTES_parameter;
+  *words = (const float *)(const void *)at;
+  return checksum(at, fixed->word_count * sizeof(float)) == fixed->checksum;
+}
