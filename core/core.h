@@ -253,12 +253,20 @@ core_fault core_profile_check(unsigned model, unsigned moments, unsigned evaluat
  * apart. */
 bool core_prepares_slowly(unsigned model, unsigned evaluator);
 
+/* Whether preparing takes longer than some ten microseconds, so that who is asked for the same medium
+ * again keeps the profile. True for all that prepare slowly. */
+bool core_worth_keeping(unsigned model, unsigned evaluator);
+
 /* Prepares *profile for the kernels of isa. model, moments and evaluator are any integers (a peer
  * may have sent them); parameters may be NULL (none is given). On a fault *profile is unspecified,
  * else it is to be freed with core_profile_free(). */
 core_fault core_profile_prepare(core_profile *profile, const core_isa *isa, unsigned model,
                                 unsigned moments, unsigned evaluator, const core_medium *medium,
                                 const core_parameters *parameters);
+
+/* Sets the angles of S to those of the parameters (normal when not given), as preparing with them
+ * would; nothing else depends on them, so that one preparation serves all angles. */
+void core_profile_set_angles(core_profile *profile, const core_parameters *parameters);
 
 /* Frees what the profile owns; its copies are then dead, too. */
 void core_profile_free(core_profile *profile);

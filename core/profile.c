@@ -25,7 +25,8 @@ struct model {
   unsigned parts[2];   /* of a sum */
 };
 
-#define SLOW 1u /* no parameter has the id 0 */
+#define SLOW 1u           /* no parameter has the id 0, */
+#define COSTLY (1u << 31) /* nor 31 */
 #define BIT(IDENT) (1u << CORE_PARAMETER_##IDENT)
 #define TAKEN_BY_ALL (BIT(TOLERANCE) | BIT(COS_IN) | BIT(COS_OUT))
 
@@ -57,6 +58,12 @@ static unsigned parameters_of(const struct model *model) {
 bool core_prepares_slowly(unsigned model, unsigned evaluator) {
   const struct model *found = find(model);
   return found != NULL && (evaluator == CORE_EVALUATOR_LUT || (parameters_of(found) & SLOW) != 0);
+}
+
+bool core_worth_keeping(unsigned model, unsigned evaluator) {
+  const struct model *found = find(model);
+  return found != NULL &&
+         (evaluator == CORE_EVALUATOR_LUT || (parameters_of(found) & (SLOW | COSTLY)) != 0);
 }
 
 /* ---- checking ---------------------------------------------------------------------------------
@@ -286,6 +293,15 @@ static core_fault prepare_table(core_profile *profile, const struct model *model
   return fault;
 }
 
+static double given_or_1(double value) {
+  return isnan(value) ? 1 : value;
+}
+
+void core_profile_set_angles(core_profile *profile, const core_parameters *parameters) {
+  profile->cos_in = given_or_1(parameters->value[CORE_PARAMETER_COS_IN]);
+  profile->cos_out = given_or_1(parameters->value[CORE_PARAMETER_COS_OUT]);
+}
+
 static core_fault prepare(core_profile *profile, const struct model *model, core_inputs inputs,
                           core_radii_range radii) {
   const enum core_evaluator evaluator = profile->evaluator;
@@ -296,9 +312,8 @@ static core_fault prepare(core_profile *profile, const struct model *model, core
       .evaluator = evaluator,
       .model_error = (double)NAN,
       .radii = radii,
-      .cos_in = core_parameter_or(&inputs, CORE_PARAMETER_COS_IN, 1),
-      .cos_out = core_parameter_or(&inputs, CORE_PARAMETER_COS_OUT, 1),
   };
+  core_profile_set_angles(profile, inputs.parameters);
   inputs.variant = model->variant;
   const core_fault fault = evaluator == CORE_EVALUATOR_LUT
                                ? prepare_table(profile, model, inputs, radii)

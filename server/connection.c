@@ -16,6 +16,7 @@ enum {
 };
 
 static void write_more(struct connection *c);
+static void on_profile(void *context);
 
 /* ---- beginning and end ------------------------------------------------------------------------
  */
@@ -28,6 +29,8 @@ struct connection *connection_new(struct server *server, int fd, enum connection
   c->server = server;
   c->fd = fd;
   c->purpose = purpose;
+  c->job.order.on_ready = on_profile;
+  c->job.order.context = c;
   input_init(&c->input, server);
   output_init(&c->output, server);
   return c;
@@ -51,11 +54,7 @@ static void dispose(struct connection *c) {
 }
 
 static void on_closed(uv_handle_t *handle) {
-  struct connection *c = handle->data;
-  c->closed = true;
-  if (!c->preparing) {
-    dispose(c);
-  }
+  dispose(handle->data);
 }
 
 static void close_desk(struct connection *c) {
@@ -68,9 +67,7 @@ void connection_abort(struct connection *c) {
     c->closing = true;
     uv_close(&c->uv.handle, on_closed);
     close_desk(c);
-    if (c->preparing) {
-      uv_cancel((uv_req_t *)&c->preparing_work); /* which calls back in any case */
-    }
+    job_end(&c->job); /* nobody wakes it any more */
   }
 }
 
@@ -268,40 +265,19 @@ static bool take_frame(struct connection *c) {
   return !c->closing;
 }
 
-/* ---- profiles that take long to prepare: on a thread of libuv's pool, so that neither this
- * connection's worker nor anybody's cheap request waits ---------------------------------------- */
-
-static void prepare(uv_work_t *work) {
-  struct connection *c = work->data;
-  job_prepare(&c->job, c->server);
-}
-
-static void on_prepared(uv_work_t *work, int status) {
-  struct connection *c = work->data;
-  (void)status; /* cancelled only when the connection is closing */
-  c->preparing = false;
-  if (c->closed) {
-    dispose(c);
-  } else if (!c->closing) {
-    worker_run_later(c->worker, c);
-  }
-}
-
-static void start_preparing(struct connection *c) {
-  c->preparing_work.data = c;
-  c->preparing =
-      uv_queue_work(worker_loop(c->worker), &c->preparing_work, prepare, on_prepared) == 0;
-  if (!c->preparing) {
-    prepare(&c->preparing_work);
-  }
+static void on_profile(void *context) {
+  struct connection *c = context;
+  c->waiting = false;
+  worker_run_later(c->worker, c);
 }
 
 static void run_job(struct connection *c, uint64_t *budget) {
-  switch (job_slice(&c->job, c->server, worker_scratch(c->worker), budget)) {
+  switch (job_slice(&c->job, c->server, worker_profiles(c->worker), worker_scratch(c->worker),
+                    budget)) {
   case JOB_GOES_ON:
     return;
   case JOB_WAITS:
-    start_preparing(c);
+    c->waiting = true;
     return;
   case JOB_DONE:
     output_commit(&c->output);
@@ -328,7 +304,7 @@ static bool blocked(const struct connection *c) {
 
 /* One step of the work at hand; false: there is none. */
 static bool step(struct connection *c, uint64_t *budget) {
-  if (c->preparing) {
+  if (c->waiting) {
     return false;
   }
   if (c->in_job) {
@@ -377,7 +353,7 @@ static void end_if_done(struct connection *c) {
 
 /* Nothing is left to do with what has arrived: read on, or come to an end. */
 static void settle(struct connection *c) {
-  if (c->preparing) {
+  if (c->waiting) {
     set_reading(c, false);
     return;
   }

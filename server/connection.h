@@ -42,7 +42,6 @@ struct connection {
   struct output output;
   struct job job;
   wire_header job_header;
-  uv_work_t preparing_work;
   struct mc_desk *mc; /* its Monte Carlo jobs; NULL: it has had none */
 
   bool to_run; /* in the run queue */
@@ -53,8 +52,7 @@ struct connection {
   bool ending;    /* no more frames are taken; closes when all is written */
   bool lingering; /* shut down; waits for the peer to close, so that it can read the last answer */
   bool closing;   /* uv_close() has been called */
-  bool closed;    /* and has called back */
-  bool preparing; /* job_prepare() is under way on another thread */
+  bool waiting;   /* the job waits for a profile */
 
   uint64_t active_ms;        /* when bytes last arrived or left */
   uint64_t frame_started_ms; /* when the unfinished frame began to arrive; 0: there is none */

@@ -132,8 +132,8 @@ void job_start(struct job *job, uint8_t *reply) {
   wire_put_eval_reply(reply, &start);
   job->reply = reply;
   job->notes = 0;
-  job->profile_ready = false;
-  job->profile_prepared = false;
+  profiles_start(&job->order, fixed->model, fixed->moments, fixed->evaluator,
+                 &job->request.parameters);
   job->channel = 0;
   job->index = 0;
   job->radii_done = (fixed->wanted & CORE_QUANTITY_RADIUS) == 0;
@@ -181,11 +181,7 @@ static const void *slice_radii(const struct job *job, struct job_scratch *scratc
 }
 
 void job_end(struct job *job) {
-  if (job->profile_ready || (job->profile_prepared && job->fault.field == NULL)) {
-    core_profile_free(&job->profile);
-  }
-  job->profile_ready = false;
-  job->profile_prepared = false;
+  profiles_return(&job->order);
 }
 
 /* What job_check() could not find. */
@@ -199,46 +195,36 @@ static wire_error from_preparing(core_fault fault, uint32_t channel) {
   return error;
 }
 
-void job_prepare(struct job *job, const struct server *server) {
-  const wire_eval_request *fixed = &job->request.fixed;
-  job->fault = core_profile_prepare(&job->profile, server->isa, fixed->model, fixed->moments,
-                                    fixed->evaluator, &job->medium, &job->request.parameters);
-  job->profile_prepared = true;
-}
-
-/* Writes what holds for all values of the channel; false: refused, with the reason. */
-static bool start_channel(struct job *job) {
-  const wire_eval_request *fixed = &job->request.fixed;
-  job->profile_prepared = false;
-  if (job->fault.field != NULL) {
-    job->refusal = from_preparing(job->fault, job->channel);
-    return false;
-  }
-  job->profile_ready = true;
-  job->notes |= job->profile.notes;
-  const bool albedo_wanted = (fixed->wanted & CORE_QUANTITY_ALBEDO) != 0;
+/* Writes what holds for all values of the channel. */
+static void start_channel(struct job *job) {
+  const core_profile *profile = &job->order.profile;
+  job->notes |= profile->notes;
+  const bool albedo_wanted = (job->request.fixed.wanted & CORE_QUANTITY_ALBEDO) != 0;
   const wire_channel channel = {
-      .albedo = albedo_wanted ? job->profile.albedo : (double)NAN,
-      .numerical_error = job->profile.numerical_error,
-      .numerical_error_per_mm = job->profile.numerical_error_per_mm,
-      .model_error = job->profile.model_error,
+      .albedo = albedo_wanted ? profile->albedo : (double)NAN,
+      .numerical_error = profile->numerical_error,
+      .numerical_error_per_mm = profile->numerical_error_per_mm,
+      .model_error = profile->model_error,
   };
   wire_put_channel(job->reply + job->layout.channels_offset +
                        (size_t)job->channel * WIRE_BYTES_channel,
                    &channel);
-  return true;
 }
 
-/* The profile of a channel that has none yet: made at once, or left to job_prepare(). */
-static enum job_state get_profile(struct job *job, const struct server *server) {
-  if (!job->profile_prepared) {
-    job->medium = medium_at(job, job->channel);
-    if (core_prepares_slowly(job->request.fixed.model, job->request.fixed.evaluator)) {
-      return JOB_WAITS;
-    }
-    job_prepare(job, server);
+/* The profile of a channel that has none yet. */
+static enum job_state get_profile(struct job *job, struct profiles *profiles) {
+  const core_medium medium = medium_at(job, job->channel);
+  switch (profiles_get(profiles, &job->order, &medium)) {
+  case PROFILES_WAIT:
+    return JOB_WAITS;
+  case PROFILES_FAULT:
+    job->refusal = from_preparing(job->order.fault, job->channel);
+    return JOB_REFUSED;
+  case PROFILES_READY:
+    break;
   }
-  return start_channel(job) ? JOB_GOES_ON : JOB_REFUSED;
+  start_channel(job);
+  return JOB_GOES_ON;
 }
 
 /* Evaluates the n radii of a slice for every array that is wanted. */
@@ -252,10 +238,10 @@ static void evaluate(struct job *job, struct job_scratch *scratch, size_t n) {
     }
     void *to =
         job->reply + eval_array_offset(&job->layout, wanted, job->channel, quantity->id) + done;
-    if (value_bytes(job) == sizeof(float)) {
-      core_eval_f32(&job->profile, quantity->id, n, r, to);
+    if (job->request.fixed.evaluator == CORE_EVALUATOR_F32) {
+      core_eval_f32(&job->order.profile, quantity->id, n, r, to);
     } else {
-      core_eval_f64(&job->profile, quantity->id, n, r, to);
+      core_eval_f64(&job->order.profile, quantity->id, n, r, to);
     }
   }
 }
@@ -319,19 +305,19 @@ static size_t slice_length(const struct job *job, double cost) {
   return left < most ? (size_t)left : most;
 }
 
-enum job_state job_slice(struct job *job, struct server *server, struct job_scratch *scratch,
-                         uint64_t *budget) {
+enum job_state job_slice(struct job *job, struct server *server, struct profiles *profiles,
+                         struct job_scratch *scratch, uint64_t *budget) {
   size_t n;
   double cost = 1;
   if (!job->radii_done) {
     n = slice_length(job, cost);
     radii_step(job, n);
   } else {
-    const enum job_state state = job->profile_ready ? JOB_GOES_ON : get_profile(job, server);
+    const enum job_state state = job->order.ready ? JOB_GOES_ON : get_profile(job, profiles);
     if (state != JOB_GOES_ON) {
       return state;
     }
-    cost = job->profile.cost;
+    cost = job->order.profile.cost;
     n = slice_length(job, cost);
     channel_step(job, server, scratch, n);
   }

@@ -3,7 +3,7 @@
 #define DIPOLED_JOB_H
 
 #include "proto/eval.h"
-#include "server/server.h"
+#include "server/profiles.h"
 
 /* A slice's evaluations of a dipole: about 50 to 200 microseconds, which is what a small request may
  * have to wait for when a large one is being evaluated on its worker. Costlier profiles get slices
@@ -20,16 +20,12 @@ struct job {
   eval_request request;
   core_grid grid;
   eval_layout layout;
-  uint8_t *reply;       /* payload of the reply, layout.payload_bytes */
-  core_profile profile; /* of the channel being evaluated */
+  uint8_t *reply;              /* payload of the reply, layout.payload_bytes */
+  struct profiles_order order; /* for the profile of the channel being evaluated */
   uint32_t channel;
   uint64_t index; /* the next radius of that channel */
   bool radii_done;
-  core_medium medium;    /* of that channel */
-  core_fault fault;      /* of preparing it */
-  bool profile_prepared; /* or found to be at fault */
-  bool profile_ready;    /* and to be freed */
-  unsigned notes;        /* of the channels so far */
+  unsigned notes; /* of the channels so far */
   wire_error refusal;
 };
 
@@ -41,11 +37,8 @@ wire_error job_check(struct job *job, const struct server *server, const uint8_t
 /* Starts to fill in the reply, which starts at a multiple of 8. */
 void job_start(struct job *job, uint8_t *reply);
 
-/* Prepares the profile of the channel that JOB_WAITS was returned for. Meanwhile nobody else may
- * touch the job; then job_slice() goes on with it. */
-void job_prepare(struct job *job, const struct server *server);
-
-/* Frees what a job holds that is given up before its reply is complete, or that is. */
+/* Lets go of what a job holds or waits for that is given up before its reply is complete, or that
+ * is. A job that has not been started is all 0, but for who is told: order.on_ready. */
 void job_end(struct job *job);
 
 /* Room for a slice's radii, for grids whose radii are not wanted. */
@@ -55,14 +48,14 @@ struct job_scratch {
 
 enum job_state {
   JOB_GOES_ON,
-  JOB_WAITS,   /* for job_prepare(), which takes long: to be called on any thread */
+  JOB_WAITS,   /* for a profile: goes on when order.on_ready() has been called */
   JOB_DONE,    /* the reply is complete */
   JOB_REFUSED, /* there will be no reply; job->refusal says why */
 };
 
 /* Evaluates one slice and subtracts what it cost, in radii of a dipole, from *budget (down to 0).
  */
-enum job_state job_slice(struct job *job, struct server *server, struct job_scratch *scratch,
-                         uint64_t *budget);
+enum job_state job_slice(struct job *job, struct server *server, struct profiles *profiles,
+                         struct job_scratch *scratch, uint64_t *budget);
 
 #endif

@@ -9,6 +9,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "server/cache.h"
 #include "server/listener.h"
 #include "server/log.h"
 #include "server/mc_pool.h"
@@ -88,8 +89,9 @@ static bool choose_isa(struct server *server) {
 static bool start_workers(struct daemon *daemon) {
   struct server *server = &daemon->server;
   server->workers = calloc(server->options.workers, sizeof *server->workers);
+  server->cache = cache_new(server->isa, server->options.cache_bytes, &server->stats);
   server->mc = mc_pool_new(server);
-  if (server->workers == NULL || server->mc == NULL) {
+  if (server->workers == NULL || server->cache == NULL || server->mc == NULL) {
     return complain("workers", "out of memory");
   }
   for (; daemon->workers_started < server->options.workers; daemon->workers_started++) {
@@ -211,6 +213,7 @@ static int run(struct daemon *daemon) {
   uv_run(&daemon->loop, UV_RUN_DEFAULT);
   uv_loop_close(&daemon->loop);
   free(server->workers);
+  cache_free(server->cache);
   mc_pool_free(server->mc);
   if (ready) {
     log_line(LOG_LEVEL_INFO, "event=stopped");

@@ -9,6 +9,7 @@
 #include "server/options.h"
 #include "server/stats.h"
 
+struct cache;
 struct mc_pool;
 struct worker;
 
@@ -18,6 +19,7 @@ struct server {
   struct stats stats;
   uint64_t started_ns;
   struct worker *workers;      /* [options.workers] */
+  struct cache *cache;         /* prepared profiles */
   struct mc_pool *mc;          /* Monte Carlo jobs */
   uv_async_t inherited_closed; /* on main's loop: the connection of --fd is gone */
 };

@@ -137,7 +137,14 @@ static void take_from_inbox(struct worker *worker) {
 }
 
 static void on_wake(uv_async_t *handle) {
-  take_from_inbox(handle->data);
+  struct worker *worker = handle->data;
+  take_from_inbox(worker);
+  profiles_wake(&worker->profiles);
+}
+
+static void wake(void *context) {
+  struct worker *worker = context;
+  uv_async_send(&worker->wake);
 }
 
 static void after_poll(uv_check_t *handle) {
@@ -160,6 +167,7 @@ static void on_clock(uv_timer_t *timer) {
     next = c->next;
     connection_tick(c, now_ms);
   }
+  profiles_sweep(&worker->profiles);
 }
 
 /* Timeouts are looked at so often that they are kept to a quarter. */
@@ -183,7 +191,8 @@ static void thread_main(void *argument) {
   uv_run(&worker->loop, UV_RUN_DEFAULT);
   assert(worker->connections == NULL);
   uv_walk(&worker->loop, close_handle, NULL);
-  uv_run(&worker->loop, UV_RUN_DEFAULT);
+  uv_run(&worker->loop, UV_RUN_DEFAULT); /* to the end of what it has had prepared, too */
+  profiles_end(&worker->profiles);
   const int closed = uv_loop_close(&worker->loop);
   assert(closed == 0);
 }
@@ -201,6 +210,7 @@ static int set_up_handles(struct worker *worker) {
 int worker_start(struct worker *worker, struct server *server) {
   memset(worker, 0, sizeof *worker);
   worker->server = server;
+  profiles_init(&worker->profiles, server, &worker->loop, wake, worker);
   int error = uv_mutex_init(&worker->mutex);
   error = error != 0 ? error : uv_loop_init(&worker->loop);
   error = error != 0 ? error : uv_async_init(&worker->loop, &worker->wake, on_wake);
@@ -235,4 +245,8 @@ uv_loop_t *worker_loop(struct worker *worker) {
 
 struct job_scratch *worker_scratch(struct worker *worker) {
   return &worker->scratch;
+}
+
+struct profiles *worker_profiles(struct worker *worker) {
+  return &worker->profiles;
 }

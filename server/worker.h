@@ -30,6 +30,7 @@ struct worker {
   unsigned stop_rounds; /* rounds of the loop since the stop was wanted; 0: it is not */
   uint64_t stop_began_ms;
   _Atomic uint64_t connection_count; /* given to it and not yet closed */
+  struct profiles profiles;
   struct job_scratch scratch;
 };
 
@@ -44,6 +45,7 @@ void worker_join(struct worker *worker);
 /* For connections, on the worker's thread. */
 uv_loop_t *worker_loop(struct worker *worker);
 struct job_scratch *worker_scratch(struct worker *worker);
+struct profiles *worker_profiles(struct worker *worker);
 void worker_remember(struct worker *worker, struct connection *connection);
 void worker_forget(struct worker *worker, struct connection *connection);
 void worker_run_later(struct worker *worker, struct connection *connection);
