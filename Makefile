@@ -165,7 +165,12 @@ $(BUILD)/tests/bits: $(OBJ)/tests/bits/bits.o $(BUILD)/libcore.a
 $(BUILD)/tests/%: $(OBJ)/tests/%.o $(TEST_SUPPORT) $(BUILD)/libdipole.a
 	@mkdir -p $(@D)
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lcmocka -lmpfr -lgmp $(CORE_LIBS) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $(filter %.o,$^) $(filter %.a,$^) -lcmocka -lmpfr -lgmp $(CORE_LIBS) $(TEST_LIBS) -lm
+
+# The daemon's cache, tested without a daemon.
+$(BUILD)/tests/unit/test_cache: $(call objects,server/cache.c server/cache_key.c server/profiles.c server/stats.c)
+$(BUILD)/tests/unit/test_cache: TEST_LIBS = $(UV_LIBS)
+$(OBJ)/tests/unit/test_cache.o: EXTRA_CPPFLAGS = $(UV_CFLAGS)
 
 -include $(shell find $(OBJ) -name '*.d' 2>/dev/null)
 

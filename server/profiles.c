@@ -41,8 +41,28 @@ static void start_preparing(struct profiles *profiles, struct cache_entry *entry
 /* ---- at hand ----------------------------------------------------------------------------------
  */
 
-static struct cache_entry **slot_of(struct profiles *profiles, const struct cache_key *key) {
-  return &profiles->at_hand[key->hash % PROFILES_SLOTS];
+static size_t set_of(const struct cache_key *key) {
+  return key->hash % PROFILES_SETS;
+}
+
+/* The way of a set that this hash is in, PROFILES_WAYS: none. */
+static size_t find(const struct profiles_set *set, uint64_t hash) {
+  size_t way = 0;
+  while (way < PROFILES_WAYS && set->hashes[way] != hash) {
+    way++;
+  }
+  return way;
+}
+
+/* A way for this hash, in the place of another; at most one for each hash. */
+static size_t place(struct profiles_set *set, uint64_t hash) {
+  size_t way = find(set, hash);
+  if (way == PROFILES_WAYS) {
+    way = set->next;
+    set->next = (set->next + 1) % PROFILES_WAYS;
+    set->hashes[way] = hash;
+  }
+  return way;
 }
 
 static void let_go(struct cache_entry **slot) {
@@ -54,35 +74,67 @@ static void let_go(struct cache_entry **slot) {
 
 /* A reference; NULL: it is not at hand. */
 static struct cache_entry *take_at_hand(struct profiles *profiles, const struct cache_key *key) {
-  struct cache_entry **slot = slot_of(profiles, key);
-  if (*slot == NULL || !cache_is(*slot, key)) {
+  const size_t set = set_of(key);
+  const size_t way = find(&profiles->entry_sets[set], key->hash);
+  struct cache_entry *entry = way < PROFILES_WAYS ? profiles->entries[set][way] : NULL;
+  if (entry == NULL || !cache_is(entry, key)) {
     return NULL;
   }
-  if (!cache_keeps(*slot)) {
-    let_go(slot);
+  if (!cache_keeps(entry)) {
+    let_go(&profiles->entries[set][way]);
     return NULL;
   }
-  cache_used(*slot);
-  cache_hold(*slot);
-  return *slot;
+  cache_used(entry);
+  cache_hold(entry);
+  return entry;
 }
 
-static void put_at_hand(struct profiles *profiles, struct cache_entry *entry,
-                        const struct cache_key *key) {
-  struct cache_entry **slot = slot_of(profiles, key);
-  if (*slot != entry && cache_keeps(entry)) {
+static void put_at_hand(struct profiles *profiles, const struct cache_key *key,
+                        struct cache_entry *entry) {
+  if (!cache_keeps(entry)) {
+    return;
+  }
+  const size_t set = set_of(key);
+  struct cache_entry **slot = &profiles->entries[set][place(&profiles->entry_sets[set], key->hash)];
+  if (*slot != entry) {
     let_go(slot);
     cache_hold(entry);
     *slot = entry;
   }
 }
 
-void profiles_sweep(struct profiles *profiles) {
-  for (size_t i = 0; i < PROFILES_SLOTS; i++) {
-    struct cache_entry **slot = &profiles->at_hand[i];
-    if (*slot != NULL && !cache_keeps(*slot)) {
-      let_go(slot);
+static void let_go_of(struct profiles *profiles, bool all) {
+  for (size_t set = 0; set < PROFILES_SETS; set++) {
+    for (size_t way = 0; way < PROFILES_WAYS; way++) {
+      struct cache_entry **slot = &profiles->entries[set][way];
+      if (all || (*slot != NULL && !cache_keeps(*slot))) {
+        let_go(slot);
+      }
     }
+  }
+}
+
+void profiles_sweep(struct profiles *profiles) {
+  let_go_of(profiles, false);
+}
+
+static bool take_copy(const struct profiles *profiles, const struct cache_key *key,
+                      core_profile *profile) {
+  const size_t set = set_of(key);
+  const size_t way = find(&profiles->copy_sets[set], key->hash);
+  if (way == PROFILES_WAYS || !cache_key_equal(&profiles->copies[set][way].key, key)) {
+    return false;
+  }
+  *profile = profiles->copies[set][way].profile;
+  return true;
+}
+
+static void put_copy(struct profiles *profiles, const struct cache_key *key,
+                     const core_profile *profile) {
+  if (profiles->keeps && core_profile_bytes(profile) == 0) {
+    const size_t set = set_of(key);
+    const size_t way = place(&profiles->copy_sets[set], key->hash);
+    profiles->copies[set][way] = (struct profiles_copy){*key, *profile};
   }
 }
 
@@ -95,11 +147,9 @@ static void count(const struct profiles *profiles, bool hit) {
 
 /* A profile that takes little to prepare: a copy, or prepared now. */
 static enum profiles_answer get_copy(struct profiles *profiles, struct profiles_order *order) {
-  struct profiles_copy *copy = &profiles->copies[order->key.hash % PROFILES_SLOTS];
-  const bool hit = cache_key_equal(&copy->key, &order->key);
+  const bool hit = take_copy(profiles, &order->key, &order->profile);
   count(profiles, hit);
   if (hit) {
-    order->profile = copy->profile;
     return PROFILES_READY;
   }
   stats_add(&profiles->server->stats, STATS_CACHE_BUILDS, 1);
@@ -107,10 +157,7 @@ static enum profiles_answer get_copy(struct profiles *profiles, struct profiles_
   if (order->fault.field != NULL) {
     return PROFILES_FAULT;
   }
-  if (profiles->keeps && core_profile_bytes(&order->profile) == 0) {
-    copy->key = order->key;
-    copy->profile = order->profile;
-  }
+  put_copy(profiles, &order->key, &order->profile);
   return PROFILES_READY;
 }
 
@@ -122,7 +169,7 @@ static enum profiles_answer take(struct profiles *profiles, struct profiles_orde
     cache_release(entry);
     return PROFILES_FAULT;
   }
-  put_at_hand(profiles, entry, &order->key);
+  put_at_hand(profiles, &order->key, entry);
   order->entry = entry;
   order->profile = *cache_profile(entry);
   return PROFILES_READY;
@@ -233,7 +280,5 @@ void profiles_init(struct profiles *profiles, struct server *server, uv_loop_t *
 
 void profiles_end(struct profiles *profiles) {
   assert(profiles->queue.woken == NULL);
-  for (size_t i = 0; i < PROFILES_SLOTS; i++) {
-    let_go(&profiles->at_hand[i]);
-  }
+  let_go_of(profiles, true);
 }

@@ -1,0 +1,338 @@
+"""Prepared profiles are kept by content: made once for all who ask, in bounded memory, and never to
+be seen in an answer."""
+
+from __future__ import annotations
+
+import resource
+import time
+
+import pytest
+from daemons import eventually
+from dipole import wire
+from frames import (
+    ALBEDO,
+    EVAL,
+    F32,
+    LOGARITHMIC,
+    R,
+    ask,
+    assert_closed,
+    assert_daemon_serves,
+    assert_error,
+    eval_payload,
+    frame,
+)
+from lists import MODELS, PARAMETERS, QUANTITIES
+
+REPLY = EVAL | wire.REPLY
+MEDIA = [(0.032, 0.74, 0, 1.3), (0.17, 0.88, 0, 1.3), (0.48, 1.01, 0.3, 1.4)]
+KINDS = ["better", "single", "quantized", "beam+single", "gaussians", "transport"]
+CLIENTS = 1000
+S = QUANTITIES["S"]
+
+
+def payload(model: str, media=MEDIA[:1], **fixed) -> bytes:
+    """An eval request for a model of the list."""
+    return eval_payload(media, model=MODELS[model], **fixed)
+
+
+def media(count: int) -> list[tuple[float, ...]]:
+    """So many different ones."""
+    return [(0.01 + 0.001 * i, 1.0, 0.0, 1.3) for i in range(count)]
+
+
+class Counted:
+    """How the statistics of the cache change meanwhile."""
+
+    def __init__(self, daemon):
+        self.daemon = daemon
+        self.before = self._read()
+
+    def _read(self) -> dict[str, int]:
+        with self.daemon.client() as client:
+            return client.statistics()
+
+    def __getitem__(self, name: str) -> int:
+        name = "cache_" + name
+        return self._read()[name] - self.before[name]
+
+
+# ---- what is kept --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", KINDS)
+def test_the_same_twice_is_one_build(daemon, model):
+    one = daemon()
+    counted = Counted(one)
+    with one.connect() as connection:
+        first = ask(connection, EVAL, payload(model))
+        assert first.type == REPLY
+        assert (counted["hits"], counted["misses"], counted["builds"]) == (0, 1, 1)
+        for times in range(1, 4):
+            assert ask(connection, EVAL, payload(model)) == first
+            assert (counted["hits"], counted["misses"], counted["builds"]) == (times, 1, 1)
+    kept = 0 if model == "better" else 1
+    assert counted["entries"] == kept
+    assert (counted["bytes"] > 0) == (kept > 0)
+
+
+def test_every_channel_is_a_hit_or_a_miss(daemon):
+    one = daemon()
+    counted = Counted(one)
+    with one.connect() as connection:
+        ask(connection, EVAL, payload("beam", MEDIA))
+        ask(connection, EVAL, payload("beam", [MEDIA[0], MEDIA[1], media(1)[0], MEDIA[1]]))
+        ask(connection, EVAL, payload("better", MEDIA * 2))
+    assert (counted["hits"], counted["misses"]) == (3 + 3, 4 + 3)
+    assert (counted["builds"], counted["entries"]) == (7, 4)
+
+
+def test_what_differs_is_not_the_same(daemon):
+    """In any part of what a profile is made from; what is only evaluated differently is the same."""
+    one = daemon()
+    counted = Counted(one)
+    tolerance = PARAMETERS["tolerance"].id
+    with one.connect() as connection:
+        for different in (
+            payload("beam"),
+            payload("beam+single"),
+            payload("beam", moments=2),
+            payload("beam", radii=[1.0, 2.0], evaluator=F32),
+            payload("beam", [(0.032, 0.74, 0, 1.31)]),
+            payload("beam", [(0.032, 0.74, 0.1, 1.3)]),
+            payload("beam", parameters=[(tolerance, 1e-3)]),
+            payload("beam", parameters=[(tolerance, 1e-4)]),
+        ):
+            assert ask(connection, EVAL, different).type == REPLY
+        assert counted["builds"] == counted["entries"] == 8
+        for same in (
+            payload("beam", radii=[7.0]),
+            payload("beam", wanted=ALBEDO),
+            payload("beam", radii=None, spacing=LOGARITHMIC, radius_start=0.1),
+            payload("beam", [(0.032, 0.74, -0.0, 1.3)]),
+            payload("beam", parameters=[(PARAMETERS["cos_in"].id, 0.5)], wanted=R),
+        ):
+            assert ask(connection, EVAL, same).type == REPLY
+    assert (counted["builds"], counted["hits"]) == (8, 5)
+
+
+def test_the_bound_is_kept(daemon):
+    """A small cache, many profiles: those that were asked for last are there."""
+    one = daemon("--cache-bytes", "60000")
+    counted = Counted(one)
+    many = media(60)
+    with one.connect() as connection:
+        for medium in many:
+            assert ask(connection, EVAL, payload("beam", [medium])).type == REPLY
+            assert counted["bytes"] <= 60000
+        kept = counted["entries"]
+        assert 5 <= kept < 15
+        assert counted["evictions"] == 60 - kept
+        for medium in many[-kept:]:
+            ask(connection, EVAL, payload("beam", [medium]))
+        assert (counted["hits"], counted["builds"]) == (kept, 60)
+        ask(connection, EVAL, payload("beam", many[:1]))
+        assert counted["builds"] == 61
+
+
+def test_streams_of_cheap_media_evict_nothing(daemon):
+    one = daemon("--cache-bytes", "100000", "--max-media", "4096")
+    counted = Counted(one)
+    with one.connect() as connection:
+        first = ask(connection, EVAL, payload("transport"))
+        assert ask(connection, EVAL, payload("better", media(4096), radii=[1.0])).type == REPLY
+        assert counted["entries"] == 1
+        assert ask(connection, EVAL, payload("single", media(400), radii=[1.0])).type == REPLY
+        assert counted["bytes"] <= 100000
+        builds = counted["builds"]
+        assert ask(connection, EVAL, payload("transport")) == first
+        assert counted["builds"] == builds
+
+
+def test_memory_is_returned(daemon):
+    """What has been evicted is freed, even if a worker had it at hand: 4000 profiles of 17 KiB."""
+    one = daemon("--cache-bytes", "200000")
+    with one.connect() as connection:
+        ask(connection, EVAL, payload("better+single", media(64), radii=[1.0]))
+        before = one.resident_bytes()
+        for i in range(60):
+            some = [(0.2 + 0.001 * i, 1 + 0.01 * j, 0, 1.3) for j in range(64)]
+            assert ask(connection, EVAL, payload("better+single", some, radii=[1.0])).type == REPLY
+        assert one.resident_bytes() - before < 20e6
+
+
+# ---- what is not to be seen ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", KINDS)
+def test_answers_do_not_depend_on_the_cache(daemon, model):
+    """The first answer, the second, one after eviction, without a cache, with more workers."""
+    some = MEDIA[:1] if model == "transport" else MEDIA  # it takes a tenth of a second each time
+    requests = [
+        payload(model, some, wanted=sum(QUANTITIES.values())),
+        payload(model, some[::-1], wanted=R, evaluator=F32),
+        payload(model, [(0.1, 1.0, -0.0, 1.3), (0.1, 1.0, 0.0, 1.3)]),
+    ]
+    answers = []
+    for options in (
+        [],
+        ["--cache-bytes", "0"],
+        ["--cache-bytes", "20000"],
+        ["--workers", "1"],
+        ["--workers", "5"],
+    ):
+        one = daemon(*options)
+        for _ in range(2):
+            with one.connect() as connection:
+                answers.append([ask(connection, EVAL, request) for request in requests])
+    assert all(reply.type == REPLY for reply in answers[0])
+    assert all(answer == answers[0] for answer in answers)
+
+
+def test_angles_share_a_profile(daemon):
+    one = daemon()
+    cos_in = PARAMETERS["cos_in"].id
+    requests = [payload("beam", parameters=[(cos_in, c)], wanted=S) for c in (0.2, 0.9, 1.0)]
+    with one.connect() as connection, daemon("--cache-bytes", "0").connect() as fresh:
+        counted = Counted(one)
+        shared = [ask(connection, EVAL, request) for request in requests]
+        assert shared == [ask(fresh, EVAL, request) for request in requests]
+        assert ask(connection, EVAL, payload("beam", wanted=S)).payload == shared[2].payload
+        assert counted["builds"] == 1
+    assert len({reply.payload for reply in shared}) == 3
+
+
+# ---- many at once --------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def connections():
+    """Opens so many connections to a daemon; file descriptors are no limit."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+    opened = []
+
+    def open_many(one, count: int):
+        opened.extend(one.connect() for _ in range(count))
+        return opened[-count:]
+
+    yield open_many
+    for connection in opened:
+        connection.close()
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+@pytest.mark.parametrize("workers", ["1", "4"])
+def test_a_thousand_clients_cause_one_build(daemon, connections, workers):
+    with daemon("--cache-bytes", "0").connect() as fresh:
+        expected = ask(fresh, EVAL, payload("transport", MEDIA[:1]))
+    assert expected.type == REPLY
+    one = daemon("--workers", workers)
+    counted = Counted(one)
+    clients = connections(one, CLIENTS)
+    request = frame(EVAL, 77, payload("transport", MEDIA[:1]))
+    for client in clients:
+        client.send_bytes(request)
+    for client in clients:
+        assert client.receive_frame() == expected
+    assert counted["builds"] == 1
+    assert counted["hits"] + counted["misses"] == CLIENTS
+    assert counted["misses"] > 1  # some did wait
+
+
+def test_simultaneous_askers_share_even_what_is_not_kept(daemon, connections):
+    one = daemon("--cache-bytes", "0")
+    counted = Counted(one)
+    clients = connections(one, 50)
+    request = frame(EVAL, 77, payload("transport", MEDIA[:1]))
+    for client in clients:
+        client.send_bytes(request)
+    replies = [client.receive_frame() for client in clients]
+    assert replies == replies[:1] * 50 and replies[0].type == REPLY
+    assert counted["builds"] < 25  # one, or some more if sending took longer than preparing
+    assert (counted["entries"], counted["bytes"], counted["hits"]) == (0, 0, 0)
+
+
+def test_a_fault_goes_to_all_who_wait(daemon, connections):
+    one = daemon()
+    tolerance = PARAMETERS["tolerance"].id
+    request = payload("gaussians", parameters=[(tolerance, 1e-11)])
+    clients = connections(one, 50)
+    for client in clients:
+        client.send_bytes(frame(EVAL, 77, request))
+    for client in clients:
+        assert_error(client.receive_frame(), "bad-value", "tolerance", "")
+    counted = Counted(one)
+    assert_error(ask(clients[0], EVAL, request), "bad-value", "tolerance", "")
+    assert counted["builds"] == 1  # tried anew
+    assert counted["entries"] == 0
+    assert_daemon_serves(one)
+
+
+# ---- leaving and stopping ------------------------------------------------------------------------
+
+
+def under_way(counted: Counted, builds: int = 1) -> bool:
+    """Whether so many preparations begin in time."""
+    return eventually(lambda: counted["builds"] == builds)
+
+
+def test_who_leaves_takes_nothing_along(daemon):
+    """The preparation goes on for those who stay, and for who comes later."""
+    one = daemon()
+    counted = Counted(one)
+    request = frame(EVAL, 77, payload("transport"))
+    leaving, staying = one.connect(), one.connect()
+    leaving.send_bytes(request)
+    assert under_way(counted)
+    staying.send_bytes(request)
+    leaving.close()
+    assert staying.receive_frame().type == REPLY
+    staying.close()
+    with one.connect() as later:
+        assert ask(later, EVAL, payload("transport")).type == REPLY
+    assert counted["builds"] == 1
+    with one.connect() as alone:
+        alone.send_bytes(frame(EVAL, 77, payload("transport", MEDIA[1:2])))
+        assert under_way(counted, 2)
+    assert eventually(lambda: counted["entries"] == 2)
+    assert_daemon_serves(one)
+
+
+def test_stopping_answers_who_waits(daemon):
+    one = daemon()
+    counted = Counted(one)
+    request = frame(EVAL, 77, payload("transport"))
+    with one.connect() as first, one.connect() as second:
+        first.send_bytes(request)
+        second.send_bytes(request)
+        assert under_way(counted)
+        one.terminate()
+        for connection in (first, second):
+            assert connection.receive_frame().type == REPLY
+            assert_error(connection.receive_frame(), "shutting-down", "", "", request_id=0)
+            assert_closed(connection)
+    assert one.wait() == 0
+
+
+def test_stopping_while_nobody_waits(daemon):
+    one = daemon()
+    counted = Counted(one)
+    with one.connect() as connection:
+        connection.send_bytes(frame(EVAL, 77, payload("transport")))
+        assert under_way(counted)
+    one.terminate()
+    assert one.wait() == 0
+
+
+def test_stopping_waits_for_what_has_begun_alone(daemon, connections):
+    """Minutes of preparations are asked for; those that have not begun when time is up never do."""
+    one = daemon("--drain-timeout-ms", "100")
+    counted = Counted(one)
+    for client, medium in zip(connections(one, 400), media(400), strict=True):
+        client.send_bytes(frame(EVAL, 77, payload("transport", [medium])))
+    assert eventually(lambda: counted["builds"] >= 4)
+    one.terminate()
+    start = time.monotonic()
+    assert one.wait() == 0
+    assert time.monotonic() - start < 8

@@ -1,0 +1,666 @@
+/* The daemon's cache of prepared profiles, without a daemon: what is the same, what is kept and for
+ * how long, and that many who ask at the same time cause one preparation. */
+#include <math.h>
+#include <uv.h>
+
+#include "server/cache.h"
+#include "server/profiles.h"
+#include "tests/unit/unit.h"
+
+static const core_medium SKIN = {0.032, 0.74, 0, 1.3};
+
+/* Single scattering: a table whose size is the same for all media, quickly made. */
+static struct cache_key key_number(unsigned i) {
+  const core_parameters none = core_parameters_none();
+  const core_medium medium = {0.01 + 0.001 * i, 0.74, 0, 1.3};
+  struct cache_key key;
+  cache_key_start(&key, CORE_MODEL_SINGLE, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &none);
+  cache_key_set_medium(&key, &medium);
+  return key;
+}
+
+static void not_woken(void *context) {
+  (void)context;
+}
+
+/* A cache and one who asks. */
+struct fixture {
+  struct stats stats;
+  struct cache *cache;
+  struct cache_queue queue;
+};
+
+static void open_cache(struct fixture *f, uint64_t limit_bytes) {
+  *f = (struct fixture){.queue = {.wake = not_woken}};
+  f->cache = cache_new(core_isa_select(NULL), limit_bytes, &f->stats);
+  assert_non_null(f->cache);
+}
+
+static uint64_t count(const struct fixture *f, enum stats_index index) {
+  return stats_get(&f->stats, index);
+}
+
+/* A reference to an entry that is prepared, on this thread; whether it was there. */
+static struct cache_entry *ask(struct fixture *f, const struct cache_key *key, bool slow,
+                               bool *was_there) {
+  struct cache_waiter waiter = {0};
+  struct cache_entry *entry = NULL;
+  const enum cache_answer answer = cache_look(f->cache, key, slow, &f->queue, &waiter, &entry);
+  assert_true(answer == CACHE_KEPT || answer == CACHE_NEW);
+  *was_there = answer == CACHE_KEPT;
+  if (answer == CACHE_NEW) {
+    cache_prepare(entry);
+    assert_ptr_equal(cache_next_woken(f->cache, &f->queue), slow ? &waiter : NULL);
+    cache_leave(&waiter);
+  }
+  assert_null(cache_fault(entry).field);
+  assert_true(cache_is(entry, key));
+  return entry;
+}
+
+/* Asks and lets go; whether it was there. */
+static bool visit_as(struct fixture *f, unsigned i, bool slow) {
+  const struct cache_key key = key_number(i);
+  bool was_there;
+  cache_release(ask(f, &key, slow, &was_there));
+  return was_there;
+}
+
+static bool visit(struct fixture *f, unsigned i) {
+  return visit_as(f, i, true);
+}
+
+/* What one of these entries takes. */
+static uint64_t entry_bytes(void) {
+  struct fixture f;
+  open_cache(&f, 1 << 20);
+  visit(&f, 0);
+  const uint64_t bytes = count(&f, STATS_CACHE_BYTES);
+  cache_free(f.cache);
+  assert_true(bytes > sizeof(core_profile) && bytes < 1 << 20);
+  return bytes;
+}
+
+/* ---- keys --------------------------------------------------------------------------------------
+ */
+
+static struct cache_key key_of(unsigned model, unsigned moments, unsigned evaluator,
+                               core_medium medium, core_parameters parameters) {
+  struct cache_key key;
+  memset(&key, 0xa5, sizeof key);
+  cache_key_start(&key, model, moments, evaluator, &parameters);
+  cache_key_set_medium(&key, &medium);
+  return key;
+}
+
+static void keys_that_mean_the_same_are_equal(void **state) {
+  (void)state;
+  const core_parameters none = core_parameters_none();
+  core_parameters other = none;
+  const struct cache_key key = key_of(1, 2, 1, (core_medium){0, 1, 0, 1.3}, none);
+  struct cache_key same = key_of(1, 2, 1, (core_medium){-0.0, 1, -0.0, 1.3}, none);
+  assert_true(cache_key_equal(&key, &same));
+  for (size_t i = 0; i < CORE_PARAMETERS_END; i++) {
+    other.value[i] = -(double)NAN;
+  }
+  other.value[CORE_PARAMETER_COS_IN] = 0.5; /* set in copies, not prepared */
+  other.value[CORE_PARAMETER_COS_OUT] = 0.25;
+  same = key_of(1, 2, 1, (core_medium){0, 1, 0, 1.3}, other);
+  assert_true(cache_key_equal(&key, &same));
+}
+
+static void keys_that_differ_anywhere_are_not(void **state) {
+  (void)state;
+  const core_parameters none = core_parameters_none();
+  enum { KEYS = 8 + CORE_PARAMETERS_END };
+  struct cache_key keys[KEYS];
+  size_t n = 0;
+  keys[n++] = key_of(1, 1, 1, SKIN, none);
+  keys[n++] = key_of(2, 1, 1, SKIN, none);
+  keys[n++] = key_of(1, 2, 1, SKIN, none);
+  keys[n++] = key_of(1, 1, 2, SKIN, none);
+  keys[n++] = key_of(1, 1, 1, (core_medium){nextafter(0.032, 1), 0.74, 0, 1.3}, none);
+  keys[n++] = key_of(1, 1, 1, (core_medium){0.032, nextafter(0.74, 1), 0, 1.3}, none);
+  keys[n++] = key_of(1, 1, 1, (core_medium){0.032, 0.74, 5e-324, 1.3}, none);
+  keys[n++] = key_of(1, 1, 1, (core_medium){0.032, 0.74, 0, nextafter(1.3, 1)}, none);
+  for (size_t i = 1; i < CORE_PARAMETERS_END; i++) {
+    if (i != CORE_PARAMETER_COS_IN && i != CORE_PARAMETER_COS_OUT) {
+      core_parameters given = none;
+      given.value[i] = 0;
+      keys[n++] = key_of(1, 1, 1, SKIN, given);
+    }
+  }
+  for (size_t i = 0; i < n; i++) {
+    for (size_t j = 0; j < n; j++) {
+      assert_true(cache_key_equal(&keys[i], &keys[j]) == (i == j));
+    }
+  }
+}
+
+static void kept_profiles_are_those_that_core_prepares(void **state) {
+  (void)state;
+  struct fixture f;
+  open_cache(&f, 1 << 20);
+  core_profile direct;
+  const double r[] = {0, 0.1, 1, 10, INFINITY};
+  double expected[5];
+  double values[5];
+  const core_parameters none = core_parameters_none();
+  for (unsigned i = 0; i < 3; i++) {
+    const struct cache_key key = key_number(i);
+    const core_medium medium = {key.medium[0], key.medium[1], key.medium[2], key.medium[3]};
+    unit_assert_fault(core_profile_prepare(&direct, core_isa_select(NULL), CORE_MODEL_SINGLE,
+                                           CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium, &none),
+                      NULL, 0);
+    core_eval_f64(&direct, CORE_QUANTITY_R, 5, r, expected);
+    for (int time = 0; time < 2; time++) {
+      bool was_there;
+      struct cache_entry *entry = ask(&f, &key, true, &was_there);
+      assert_true(was_there == (time == 1));
+      core_eval_f64(cache_profile(entry), CORE_QUANTITY_R, 5, r, values);
+      assert_memory_equal(values, expected, sizeof values);
+      cache_release(entry);
+    }
+    core_profile_free(&direct);
+  }
+  cache_free(f.cache);
+}
+
+/* ---- what is kept ------------------------------------------------------------------------------
+ */
+
+static void the_least_recently_used_goes_first(void **state) {
+  (void)state;
+  struct fixture f;
+  open_cache(&f, 3 * entry_bytes());
+  assert_false(visit(&f, 0) || visit(&f, 1) || visit(&f, 2));
+  assert_true(visit(&f, 0) && visit(&f, 1) && visit(&f, 2) && visit(&f, 0));
+  assert_false(visit(&f, 3)); /* for 1 */
+  assert_true(visit(&f, 2) && visit(&f, 0) && visit(&f, 3));
+  assert_false(visit(&f, 1)); /* for 2 */
+  assert_true(visit(&f, 1) && visit(&f, 3) && visit(&f, 0));
+  assert_int_equal(count(&f, STATS_CACHE_EVICTIONS), 2);
+  assert_int_equal(count(&f, STATS_CACHE_BUILDS), 5);
+  assert_int_equal(count(&f, STATS_CACHE_ENTRIES), 3);
+  cache_free(f.cache);
+}
+
+static void a_use_that_the_cache_did_not_see_counts_once(void **state) {
+  (void)state;
+  struct fixture f;
+  open_cache(&f, 2 * entry_bytes());
+  const struct cache_key key = key_number(0);
+  bool was_there;
+  struct cache_entry *entry = ask(&f, &key, true, &was_there);
+  visit(&f, 1);
+  cache_used(entry);
+  visit(&f, 2); /* for 1 */
+  assert_true(cache_keeps(entry));
+  visit(&f, 3); /* for 2, which came before 0 was moved up: not for 0 */
+  assert_int_equal(count(&f, STATS_CACHE_ENTRIES), 2);
+  visit(&f, 4);
+  visit(&f, 5);
+  assert_false(cache_keeps(entry));
+  cache_release(entry);
+  cache_free(f.cache);
+}
+
+static void the_bound_holds_to_the_byte(void **state) {
+  (void)state;
+  const uint64_t bytes = entry_bytes();
+  const struct {
+    uint64_t limit_bytes;
+    uint64_t kept;
+  } cases[] = {{0, 0},
+               {1, 0},
+               {bytes - 1, 0},
+               {bytes, 1},
+               {2 * bytes - 1, 1},
+               {2 * bytes, 2},
+               {5 * bytes - 1, 4},
+               {5 * bytes, 5}};
+  for (size_t c = 0; c < sizeof cases / sizeof cases[0]; c++) {
+    struct fixture f;
+    open_cache(&f, cases[c].limit_bytes);
+    for (unsigned i = 0; i < 20; i++) {
+      assert_false(visit(&f, i));
+      assert_true(count(&f, STATS_CACHE_BYTES) <= cases[c].limit_bytes);
+    }
+    assert_int_equal(count(&f, STATS_CACHE_ENTRIES), cases[c].kept);
+    assert_int_equal(count(&f, STATS_CACHE_BYTES), cases[c].kept * bytes);
+    assert_int_equal(count(&f, STATS_CACHE_EVICTIONS), cases[c].kept > 0 ? 20 - cases[c].kept : 0);
+    cache_free(f.cache);
+  }
+}
+
+static void what_is_in_use_survives_its_eviction(void **state) {
+  (void)state;
+  struct fixture f;
+  open_cache(&f, entry_bytes());
+  const struct cache_key key = key_number(0);
+  const double r[] = {0.1, 1, 10};
+  double before[3];
+  double after[3];
+  bool was_there;
+  struct cache_entry *entry = ask(&f, &key, true, &was_there);
+  core_eval_f64(cache_profile(entry), CORE_QUANTITY_R, 3, r, before);
+  visit(&f, 1);
+  assert_false(cache_keeps(entry));
+  core_eval_f64(cache_profile(entry), CORE_QUANTITY_R, 3, r, after);
+  assert_memory_equal(before, after, sizeof before);
+  assert_false(visit(&f, 0)); /* another entry, with the same content */
+  cache_release(entry);
+  assert_true(visit(&f, 0));
+  cache_free(f.cache);
+}
+
+static void a_stream_of_fast_ones_leaves_the_slow_ones(void **state) {
+  (void)state;
+  enum { ROOM = 40, SLOW = 3 * ROOM / 4, STREAM = 1000 };
+  struct fixture f;
+  open_cache(&f, ROOM * entry_bytes());
+  for (unsigned i = 0; i < SLOW; i++) {
+    visit(&f, i);
+  }
+  for (unsigned i = 0; i < STREAM; i++) {
+    assert_false(visit_as(&f, SLOW + i, false));
+  }
+  assert_int_equal(count(&f, STATS_CACHE_ENTRIES), ROOM);
+  for (unsigned i = 0; i < SLOW; i++) {
+    assert_true(visit(&f, i));
+  }
+  for (unsigned i = STREAM - ROOM / 4; i < STREAM; i++) {
+    assert_true(visit_as(&f, SLOW + i, false));
+  }
+  for (unsigned i = 0; i < ROOM;
+       i++) { /* slow ones take turns among themselves until they are in */
+    visit(&f, 2000 + i);
+  }
+  assert_true(count(&f, STATS_CACHE_BYTES) <= ROOM * entry_bytes());
+  cache_free(f.cache);
+}
+
+/* More entries than the table has buckets at first. */
+static void many_entries_are_all_found(void **state) {
+  (void)state;
+  enum { ENTRIES = 1500 };
+  struct fixture f;
+  open_cache(&f, UINT64_C(1) << 40);
+  for (int time = 0; time < 2; time++) {
+    for (unsigned i = 0; i < ENTRIES; i++) {
+      assert_true(visit(&f, i) == (time == 1));
+    }
+  }
+  assert_int_equal(count(&f, STATS_CACHE_ENTRIES), ENTRIES);
+  assert_int_equal(count(&f, STATS_CACHE_BUILDS), ENTRIES);
+  cache_free(f.cache);
+}
+
+/* ---- waiting -----------------------------------------------------------------------------------
+ */
+
+static void all_wait_for_one(void **state) {
+  (void)state;
+  enum { WAITERS = 100 };
+  struct fixture f;
+  open_cache(&f, 0); /* nothing is kept: those that wait have it all the same */
+  const struct cache_key key = key_number(0);
+  struct cache_waiter waiters[WAITERS] = {{0}};
+  struct cache_entry *entry = NULL;
+  assert_true(cache_look(f.cache, &key, true, &f.queue, &waiters[0], &entry) == CACHE_NEW);
+  struct cache_entry *none = NULL;
+  for (size_t i = 1; i < WAITERS; i++) {
+    assert_true(cache_look(f.cache, &key, true, &f.queue, &waiters[i], &none) == CACHE_AWAITED);
+  }
+  assert_null(cache_next_woken(f.cache, &f.queue));
+  cache_leave(&waiters[0]); /* who asked first goes; the others still want it */
+  cache_leave(&waiters[50]);
+  cache_prepare(entry);
+  assert_false(cache_keeps(entry));
+  cache_release(entry);
+  cache_leave(&waiters[99]); /* woken, and not told yet */
+  size_t woken = 0;
+  struct cache_waiter *waiter;
+  while ((waiter = cache_next_woken(f.cache, &f.queue)) != NULL) {
+    assert_ptr_equal(waiter->entry, entry);
+    assert_null(cache_fault(waiter->entry).field);
+    assert_true(cache_profile(waiter->entry)->albedo > 0);
+    cache_leave(waiter);
+    assert_null(waiter->entry);
+    woken++;
+  }
+  assert_int_equal(woken, WAITERS - 3);
+  assert_int_equal(count(&f, STATS_CACHE_BUILDS), 1);
+  cache_free(f.cache);
+}
+
+static void what_nobody_waits_for_is_not_prepared(void **state) {
+  (void)state;
+  struct fixture f;
+  open_cache(&f, 1 << 20);
+  const struct cache_key key = key_number(0);
+  struct cache_waiter waiter = {0};
+  struct cache_entry *entry = NULL;
+  assert_true(cache_look(f.cache, &key, true, &f.queue, &waiter, &entry) == CACHE_NEW);
+  cache_leave(&waiter);
+  cache_prepare(entry);
+  cache_release(entry);
+  assert_int_equal(count(&f, STATS_CACHE_BUILDS), 0);
+  assert_false(visit(&f, 0));
+  assert_int_equal(count(&f, STATS_CACHE_BUILDS), 1);
+  cache_free(f.cache);
+}
+
+static void a_fault_goes_to_all_and_is_not_kept(void **state) {
+  (void)state;
+  struct fixture f;
+  open_cache(&f, 1 << 20);
+  core_parameters parameters = core_parameters_none();
+  parameters.value[CORE_PARAMETER_TOLERANCE] = 1e-11; /* no fit of Gaussians reaches it */
+  const struct cache_key key =
+      key_of(CORE_MODEL_GAUSSIANS, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, SKIN, parameters);
+  for (uint64_t time = 1; time <= 2; time++) {
+    struct cache_waiter waiters[2] = {{0}};
+    struct cache_entry *entry = NULL;
+    struct cache_entry *none = NULL;
+    assert_true(cache_look(f.cache, &key, true, &f.queue, &waiters[0], &entry) == CACHE_NEW);
+    assert_true(cache_look(f.cache, &key, true, &f.queue, &waiters[1], &none) == CACHE_AWAITED);
+    cache_prepare(entry);
+    cache_release(entry);
+    for (int i = 0; i < 2; i++) {
+      struct cache_waiter *waiter = cache_next_woken(f.cache, &f.queue);
+      assert_non_null(waiter);
+      unit_assert_fault(cache_fault(waiter->entry), "tolerance", 0);
+      cache_leave(waiter);
+    }
+    assert_int_equal(count(&f, STATS_CACHE_BUILDS), time);
+    assert_int_equal(count(&f, STATS_CACHE_ENTRIES), 0);
+  }
+  cache_free(f.cache);
+}
+
+/* ---- threads -----------------------------------------------------------------------------------
+ */
+
+enum { THREADS = 4, ROUNDS = 3000, KEYS = 40 };
+
+struct thread {
+  uv_thread_t id;
+  struct fixture *f;
+  uv_sem_t woken;
+  struct cache_queue queue;
+  uint64_t seed;
+  uint64_t found;
+  uint64_t wrong; /* another profile than was asked for */
+};
+
+static void on_woken(void *context) {
+  struct thread *thread = context;
+  uv_sem_post(&thread->woken);
+}
+
+static void judge(struct thread *thread, const struct cache_entry *entry,
+                  const struct cache_key *key) {
+  const double sigma_a = cache_profile(entry)->medium.sigma_a_per_mm;
+  thread->wrong += !cache_is(entry, key) || sigma_a != key->medium[0];
+}
+
+/* Prepares what is new itself, as a worker does with fast ones and libuv's pool with slow ones;
+ * waits for what is not, or goes. */
+static void ask_at_random(struct thread *thread) {
+  const unsigned i = (unsigned)unit_random_below(&thread->seed, KEYS);
+  const bool slow = i % 2 == 0;
+  const struct cache_key key = key_number(i);
+  struct cache_waiter waiter = {0};
+  struct cache_entry *entry = NULL;
+  const enum cache_answer answer =
+      cache_look(thread->f->cache, &key, slow, &thread->queue, &waiter, &entry);
+  if (unit_random_below(&thread->seed, 8) == 0) {
+    cache_leave(&waiter);
+  }
+  if (answer == CACHE_NEW) {
+    cache_prepare(entry);
+  }
+  if (waiter.entry != NULL) {
+    while (cache_next_woken(thread->f->cache, &thread->queue) == NULL) {
+      uv_sem_wait(&thread->woken);
+    }
+    judge(thread, waiter.entry, &key);
+    cache_leave(&waiter);
+  }
+  if (answer == CACHE_KEPT) {
+    cache_used(entry);
+    judge(thread, entry, &key);
+    thread->found++;
+  }
+  if (entry != NULL) {
+    cache_release(entry);
+  }
+}
+
+static void thread_main(void *argument) {
+  struct thread *thread = argument;
+  for (int round = 0; round < ROUNDS; round++) {
+    ask_at_random(thread);
+  }
+}
+
+/* Under the thread sanitizer this shows what is not guarded; under the address sanitizer what is
+ * freed too early or never. */
+static void threads_share_it(void **state) {
+  (void)state;
+  const uint64_t seed = unit_seed();
+  const uint64_t limits[] = {0, KEYS / 3 * entry_bytes(), 1 << 24};
+  for (size_t l = 0; l < sizeof limits / sizeof limits[0]; l++) {
+    struct fixture f;
+    open_cache(&f, limits[l]);
+    struct thread threads[THREADS];
+    for (size_t t = 0; t < THREADS; t++) {
+      threads[t] = (struct thread){
+          .f = &f, .queue = {.wake = on_woken, .context = &threads[t]}, .seed = seed + t};
+      assert_int_equal(uv_sem_init(&threads[t].woken, 0), 0);
+    }
+    for (size_t t = 0; t < THREADS; t++) {
+      assert_int_equal(uv_thread_create(&threads[t].id, thread_main, &threads[t]), 0);
+    }
+    uint64_t found = 0;
+    for (size_t t = 0; t < THREADS; t++) {
+      uv_thread_join(&threads[t].id);
+      uv_sem_destroy(&threads[t].woken);
+      found += threads[t].found;
+      assert_int_equal(threads[t].wrong, 0);
+    }
+    assert_true(count(&f, STATS_CACHE_BYTES) <= limits[l]);
+    if (l == 0) {
+      assert_int_equal(found, 0);
+    } else if (l == 2) {
+      assert_int_equal(count(&f, STATS_CACHE_BUILDS), KEYS);
+      assert_true(found > THREADS * ROUNDS / 2);
+    }
+    cache_free(f.cache);
+  }
+}
+
+/* ---- a worker's side ---------------------------------------------------------------------------
+ */
+
+struct desk {
+  struct server server;
+  uv_loop_t loop;
+  struct profiles profiles;
+};
+
+static void open_desk(struct desk *desk, uint64_t cache_bytes) {
+  memset(desk, 0, sizeof *desk);
+  desk->server.isa = core_isa_select(NULL);
+  desk->server.options.cache_bytes = cache_bytes;
+  desk->server.cache = cache_new(desk->server.isa, cache_bytes, &desk->server.stats);
+  assert_non_null(desk->server.cache);
+  assert_int_equal(uv_loop_init(&desk->loop), 0);
+  profiles_init(&desk->profiles, &desk->server, &desk->loop, not_woken, NULL);
+}
+
+static void close_desk(struct desk *desk) {
+  uv_run(&desk->loop, UV_RUN_DEFAULT);
+  profiles_end(&desk->profiles);
+  assert_int_equal(uv_loop_close(&desk->loop), 0);
+  cache_free(desk->server.cache);
+}
+
+static uint64_t desk_count(const struct desk *desk, enum stats_index index) {
+  return stats_get(&desk->server.stats, index);
+}
+
+static void set_woken(void *context) {
+  *(bool *)context = true;
+}
+
+/* Gets a profile, waiting for it if need be, and its albedo. */
+static double get_albedo(struct desk *desk, unsigned model, core_medium medium,
+                         const core_parameters *parameters, double *cos_in) {
+  bool woken = false;
+  struct profiles_order order = {.on_ready = set_woken, .context = &woken};
+  profiles_start(&order, model, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, parameters);
+  enum profiles_answer answer = profiles_get(&desk->profiles, &order, &medium);
+  if (answer == PROFILES_WAIT) {
+    uv_run(&desk->loop, UV_RUN_DEFAULT);
+    profiles_wake(&desk->profiles);
+    assert_true(woken);
+    answer = profiles_get(&desk->profiles, &order, &medium);
+  }
+  assert_int_equal(answer, PROFILES_READY);
+  const double albedo = order.profile.albedo;
+  *cos_in = order.profile.cos_in;
+  profiles_return(&order);
+  return albedo;
+}
+
+static void little_ones_never_come_near_the_cache(void **state) {
+  (void)state;
+  const core_parameters none = core_parameters_none();
+  static struct desk desk;
+  open_desk(&desk, 1 << 20);
+  double cos_in;
+  get_albedo(&desk, CORE_MODEL_SINGLE, SKIN, &none, &cos_in);
+  for (unsigned i = 0; i < 10000; i++) {
+    get_albedo(&desk, CORE_MODEL_BETTER, (core_medium){1e-4 * i, 1, 0, 1.3}, &none, &cos_in);
+  }
+  assert_int_equal(desk_count(&desk, STATS_CACHE_ENTRIES), 1);
+  assert_int_equal(desk_count(&desk, STATS_CACHE_MISSES), 10001);
+  const double albedo = get_albedo(&desk, CORE_MODEL_BETTER, SKIN, &none, &cos_in);
+  assert_true(get_albedo(&desk, CORE_MODEL_BETTER, SKIN, &none, &cos_in) == albedo);
+  get_albedo(&desk, CORE_MODEL_SINGLE, SKIN, &none, &cos_in);
+  assert_int_equal(desk_count(&desk, STATS_CACHE_HITS), 2);
+  assert_int_equal(desk_count(&desk, STATS_CACHE_BUILDS), 10002);
+  close_desk(&desk);
+}
+
+static void nothing_is_kept_without_bytes(void **state) {
+  (void)state;
+  const core_parameters none = core_parameters_none();
+  static const unsigned models[] = {CORE_MODEL_BETTER, CORE_MODEL_SINGLE, CORE_MODEL_BEAM};
+  static struct desk desk;
+  open_desk(&desk, 0);
+  double cos_in;
+  for (size_t m = 0; m < sizeof models / sizeof models[0]; m++) {
+    const double albedo = get_albedo(&desk, models[m], SKIN, &none, &cos_in);
+    assert_true(get_albedo(&desk, models[m], SKIN, &none, &cos_in) == albedo);
+  }
+  assert_int_equal(desk_count(&desk, STATS_CACHE_HITS), 0);
+  assert_int_equal(desk_count(&desk, STATS_CACHE_BUILDS), 6);
+  assert_int_equal(desk_count(&desk, STATS_CACHE_ENTRIES), 0);
+  assert_int_equal(desk_count(&desk, STATS_CACHE_EVICTIONS), 0);
+  close_desk(&desk);
+}
+
+static void one_preparation_serves_all_angles(void **state) {
+  (void)state;
+  static const unsigned models[] = {CORE_MODEL_BETTER, CORE_MODEL_SINGLE, CORE_MODEL_BEAM};
+  static struct desk desk;
+  open_desk(&desk, 1 << 20);
+  for (size_t m = 0; m < sizeof models / sizeof models[0]; m++) {
+    for (unsigned i = 0; i < 5; i++) {
+      core_parameters parameters = core_parameters_none();
+      parameters.value[CORE_PARAMETER_COS_IN] = 0.2 * i;
+      double cos_in;
+      get_albedo(&desk, models[m], SKIN, &parameters, &cos_in);
+      assert_true(cos_in == 0.2 * i);
+      parameters = core_parameters_none();
+      get_albedo(&desk, models[m], SKIN, &parameters, &cos_in);
+      assert_true(cos_in == 1);
+    }
+  }
+  assert_int_equal(desk_count(&desk, STATS_CACHE_BUILDS), 3);
+  close_desk(&desk);
+}
+
+/* What is at hand of a worker and has been evicted is freed at its next look at the time. */
+static void what_has_been_evicted_is_not_held(void **state) {
+  (void)state;
+  const core_parameters none = core_parameters_none();
+  static struct desk desk;
+  open_desk(&desk, 4 * 20000); /* a quarter of it: one of these, and no second */
+  const struct cache_key key = key_number(0);
+  double cos_in;
+  const core_medium first = {key.medium[0], key.medium[1], key.medium[2], key.medium[3]};
+  get_albedo(&desk, CORE_MODEL_SINGLE, first, &none, &cos_in);
+  struct cache_queue queue = {.wake = not_woken};
+  struct cache_waiter waiter = {0};
+  struct cache_entry *entry = NULL;
+  assert_true(cache_look(desk.server.cache, &key, false, &queue, &waiter, &entry) == CACHE_KEPT);
+  get_albedo(&desk, CORE_MODEL_SINGLE, SKIN, &none, &cos_in);
+  assert_false(cache_keeps(entry));
+  cache_release(entry);
+  profiles_sweep(&desk.profiles);
+  size_t held = 0;
+  for (size_t i = 0; i < PROFILES_SETS * PROFILES_WAYS; i++) {
+    held += desk.profiles.entries[i / PROFILES_WAYS][i % PROFILES_WAYS] != NULL;
+  }
+  assert_int_equal(held, 1);
+  close_desk(&desk);
+}
+
+/* The list says which models are worth keeping: all that are slow, and of the others those that own
+ * a table that is worth the name. */
+static void the_list_knows_what_is_worth_keeping(void **state) {
+  (void)state;
+  for (const core_choice *model = core_models; model->name != NULL; model++) {
+    if (core_model_prepares_slowly(model->id)) {
+      assert_true(core_model_worth_keeping(model->id));
+      continue;
+    }
+    const core_parameters parameters = unit_parameters(model->id, &SKIN);
+    core_profile profile;
+    unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model->id,
+                                           CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &SKIN,
+                                           &parameters),
+                      NULL, 0);
+    assert_true(core_model_worth_keeping(model->id) == (core_profile_bytes(&profile) > 1024));
+    core_profile_free(&profile);
+  }
+  assert_false(core_model_worth_keeping(0));
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(keys_that_mean_the_same_are_equal),
+      cmocka_unit_test(keys_that_differ_anywhere_are_not),
+      cmocka_unit_test(kept_profiles_are_those_that_core_prepares),
+      cmocka_unit_test(the_least_recently_used_goes_first),
+      cmocka_unit_test(a_use_that_the_cache_did_not_see_counts_once),
+      cmocka_unit_test(the_bound_holds_to_the_byte),
+      cmocka_unit_test(what_is_in_use_survives_its_eviction),
+      cmocka_unit_test(a_stream_of_fast_ones_leaves_the_slow_ones),
+      cmocka_unit_test(many_entries_are_all_found),
+      cmocka_unit_test(all_wait_for_one),
+      cmocka_unit_test(what_nobody_waits_for_is_not_prepared),
+      cmocka_unit_test(a_fault_goes_to_all_and_is_not_kept),
+      cmocka_unit_test(threads_share_it),
+      cmocka_unit_test(little_ones_never_come_near_the_cache),
+      cmocka_unit_test(nothing_is_kept_without_bytes),
+      cmocka_unit_test(one_preparation_serves_all_angles),
+      cmocka_unit_test(what_has_been_evicted_is_not_held),
+      cmocka_unit_test(the_list_knows_what_is_worth_keeping),
+  };
+  return cmocka_run_group_tests(tests, NULL, NULL);
+}
