@@ -1,38 +1,10 @@
-/* Which kernels a machine runs. The tables are immutable; choosing one is choosing a pointer. */
-#include <assert.h>
+/* Which instruction sets there are and which a machine runs. */
 #include <string.h>
 
 #include "core/kernels.h"
 
-/* Positions of the models in the tables below. */
-enum model_index {
-#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source) INDEX_##IDENT,
-#include "core/models.def"
-  MODELS
-};
-
-#define INDEX(level, unused) INDEX_##level,
-enum level_index { CORE_ISA_LEVELS(INDEX, ) LEVELS };
-
-#define DECLARE(level, family)                                                                     \
-  extern const core_kernels_f64 core_kernels_##family##_##level##_f64;                             \
-  extern const core_kernels_f32 core_kernels_##family##_##level##_f32;
-#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
-  CORE_ISA_LEVELS(DECLARE, kernels)
-#include "core/models.def"
-
-CORE_ISA_LEVELS(DECLARE, lut)
-
-#define KERNELS(level, family)                                                                     \
-  [INDEX_##                                                                                        \
-      level] = {&core_kernels_##family##_##level##_f64, &core_kernels_##family##_##level##_f32},
-static const struct core_kernels kernels[MODELS][LEVELS] = {
-#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
-  [INDEX_##IDENT] = {CORE_ISA_LEVELS(KERNELS, kernels)},
-#include "core/models.def"
-};
-
-static const struct core_kernels lut_kernels[LEVELS] = {CORE_ISA_LEVELS(KERNELS, lut)};
+#define COUNT(level, unused) +1
+enum { LEVELS = CORE_ISA_LEVELS(COUNT, ) };
 
 struct core_isa {
   const char *name;
@@ -79,19 +51,6 @@ const char *core_isa_listed(size_t index) {
   return index < LEVELS ? levels[index].name : NULL;
 }
 
-const struct core_kernels *core_isa_kernels(const core_isa *isa, enum core_model model) {
-  switch (model) {
-#define CORE_MODEL(id, IDENT, name, formula, family, variant, parameters, source)                  \
-  case CORE_MODEL_##IDENT:                                                                         \
-    return &kernels[INDEX_##IDENT][isa - levels];
-#include "core/models.def"
-  default:
-    break;
-  }
-  assert(!"a model of the list, not a sum");
-  return NULL;
-}
-
-const struct core_kernels *core_isa_lut_kernels(const core_isa *isa) {
-  return &lut_kernels[isa - levels];
+size_t core_isa_index(const core_isa *isa) {
+  return (size_t)(isa - levels);
 }

@@ -1,0 +1,44 @@
+/* The kernels of the models by instruction set. The tables are immutable; choosing kernels is
+ * choosing a pointer. */
+#include <assert.h>
+
+#include "core/kernels.h"
+
+/* Positions of the models in the tables below. */
+enum model_index {
+#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source) INDEX_##IDENT,
+#include "core/models.def"
+  MODELS
+};
+
+#define INDEX(level, unused) INDEX_##level,
+enum level_index { CORE_ISA_LEVELS(INDEX, ) LEVELS };
+
+#define DECLARE(level, family)                                                                     \
+  extern const core_kernels_f64 core_kernels_##family##_##level##_f64;                             \
+  extern const core_kernels_f32 core_kernels_##family##_##level##_f32;
+#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
+  CORE_ISA_LEVELS(DECLARE, kernels)
+#include "core/models.def"
+
+#define KERNELS(level, family)                                                                     \
+  [INDEX_##                                                                                        \
+      level] = {&core_kernels_##family##_##level##_f64, &core_kernels_##family##_##level##_f32},
+static const struct core_kernels kernels[MODELS][LEVELS] = {
+#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
+  [INDEX_##IDENT] = {CORE_ISA_LEVELS(KERNELS, kernels)},
+#include "core/models.def"
+};
+
+const struct core_kernels *core_isa_kernels(const core_isa *isa, enum core_model model) {
+  switch (model) {
+#define CORE_MODEL(id, IDENT, name, formula, family, variant, parameters, source)                  \
+  case CORE_MODEL_##IDENT:                                                                         \
+    return &kernels[INDEX_##IDENT][core_isa_index(isa)];
+#include "core/models.def"
+  default:
+    break;
+  }
+  assert(!"a model of the list, not a sum");
+  return NULL;
+}

@@ -1,0 +1,34 @@
+/* What a profile owns: apart from preparing, so that a program that only evaluates tables does
+ * without all that prepares. */
+#include <stdlib.h>
+
+#include "core/core.h"
+
+size_t core_profile_bytes(const core_profile *profile) {
+  size_t bytes = profile->table_bytes + profile->lut_count * sizeof *profile->lut;
+  if (profile->source != NULL) {
+    bytes += sizeof *profile->source + core_profile_bytes(profile->source);
+  }
+  for (int i = 0; i < 2 && profile->parts != NULL; i++) {
+    bytes += sizeof profile->parts[i] + core_profile_bytes(&profile->parts[i]);
+  }
+  return bytes;
+}
+
+void core_profile_free(core_profile *profile) {
+  free(profile->table);
+  profile->table = NULL;
+  free(profile->lut);
+  profile->lut = NULL;
+  if (profile->source != NULL) {
+    core_profile_free(profile->source);
+    free(profile->source);
+    profile->source = NULL;
+  }
+  if (profile->parts != NULL) {
+    core_profile_free(&profile->parts[0]);
+    core_profile_free(&profile->parts[1]);
+    free(profile->parts);
+    profile->parts = NULL;
+  }
+}
