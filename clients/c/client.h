@@ -108,8 +108,8 @@ typedef struct libdipole_pending {
   uint64_t id;
   uint16_t type;
   uint64_t reply_bytes_min, reply_bytes_max; /* of the payload */
-  uint16_t evaluator, wanted;                /* these four: eval only */
-  uint32_t medium_count;
+  uint16_t model, evaluator, wanted;         /* these three: eval only */
+  uint32_t medium_count;                     /* these two: 0 where there is no list of them */
   uint64_t radius_count;
   libdipole_frame *frame; /* the answer; NULL: not here yet */
 } libdipole_pending;
@@ -150,6 +150,11 @@ bool libdipole_request_send(dipole_client *client, dipole_error *error);
 bool libdipole_request_wait(dipole_client *client, uint64_t id, libdipole_pending *pending,
                             dipole_error *error);
 
+/* Waits for the answer to the request pending->id, which has one part; NULL when that is an error
+ * frame; to be freed. */
+libdipole_frame *libdipole_reply(dipole_client *client, libdipole_pending *pending,
+                                 dipole_error *error);
+
 /* A request with this payload and its answer, which is no error frame; to be freed. */
 libdipole_frame *libdipole_ask(dipole_client *client, libdipole_pending *pending,
                                const uint8_t *payload, size_t payload_bytes, dipole_error *error);
@@ -159,6 +164,21 @@ bool libdipole_refused(const dipole_client *client, const libdipole_pending *pen
                        const libdipole_frame *frame, dipole_error *error);
 
 void libdipole_pending_free(dipole_client *client);
+
+/* ---- query.c ------------------------------------------------------------------------------- */
+
+/* What a frame's layout depends on. */
+bool libdipole_parameters_check(const dipole_parameter *parameters, size_t count,
+                                dipole_error *error);
+
+/* These return what follows the bytes that they write. */
+uint8_t *libdipole_parameters_put(uint8_t *at, const dipole_parameter *parameters, size_t count);
+uint8_t *libdipole_medium_put(uint8_t *at, const dipole_medium *medium);
+
+/* Checks a query, as far as the frame's layout depends on it, and sends it. *pending: its type and
+ * what the answer may look like are given, the counts and the id are set. */
+bool libdipole_query_send(dipole_client *client, const dipole_query *query,
+                          libdipole_pending *pending, dipole_error *error);
 
 /* ---- result.c ------------------------------------------------------------------------------ */
 

@@ -47,6 +47,7 @@ enum dipole_error_kind {
   DIPOLE_ERROR_MEMORY,     /* out of memory; within an answer: the client can only be closed */
   DIPOLE_ERROR_ARGUMENT,   /* the call's arguments do not fit together */
   DIPOLE_ERROR_REFUSED,    /* the daemon refused the request; the client goes on working */
+  DIPOLE_ERROR_TABLE,      /* the bytes are not an intact table of a layout that is known here */
 };
 
 typedef struct dipole_error {
@@ -134,7 +135,13 @@ unsigned dipole_id(const dipole_client *client, enum dipole_kind kind, const cha
 /* ---- evaluating ---------------------------------------------------------------------------- */
 
 /* Ids that are permanent; models are asked for by name, see dipole_id(). */
-enum dipole_evaluator { DIPOLE_F64 = 1, DIPOLE_F32 = 2 };
+enum { DIPOLE_ANY_MODEL = 0 }; /* see dipole_query.model */
+enum dipole_evaluator {
+  DIPOLE_F64 = 1, /* computes, in double precision */
+  DIPOLE_F32 = 2, /* in single precision */
+  DIPOLE_LUT = 3  /* looks up in a table, in single precision; the parameter tolerance is what the
+                     table is built to, from 1e-6; 1e-4 if not given */
+};
 enum dipole_moments { DIPOLE_EXACT = 1, DIPOLE_FIT = 2, DIPOLE_JENSEN = 3 };
 enum dipole_quantity {
   DIPOLE_R = 1,      /* 1/mm^2 per unit of power that entered */
@@ -167,14 +174,18 @@ typedef struct dipole_parameter {
 } dipole_parameter;
 
 typedef struct dipole_query {
-  unsigned model;     /* dipole_id(client, DIPOLE_MODEL, name) */
-  unsigned evaluator; /* enum dipole_evaluator: also the type of radii and values */
+  /* dipole_id(client, DIPOLE_MODEL, name), or DIPOLE_ANY_MODEL: the cheapest model and evaluator
+   * that are measured to be within the parameter `tolerance` of radiative transport, for all media,
+   * from the smallest to the largest radius asked for. The result names what was taken. */
+  unsigned model;
+  unsigned evaluator; /* enum dipole_evaluator: also the type of radii and values; of any model no
+                         more than that: DIPOLE_F32 and DIPOLE_LUT then mean the same */
   unsigned moments;   /* enum dipole_moments */
   unsigned wanted;    /* sum of enum dipole_quantity; DIPOLE_RADIUS returns a grid's radii */
   const dipole_medium *media; /* [medium_count], one for each channel */
   uint32_t medium_count;
   unsigned spacing;  /* enum dipole_spacing */
-  const void *radii; /* list: [radius_count] of double (f64) or float (f32), mm, 0 to infinity */
+  const void *radii; /* list: [radius_count] of double (f64) or float, mm, 0 to infinity */
   uint64_t radius_count;
   double radius_start_mm;             /* linear, logarithmic: the first radius */
   double radius_stop_mm;              /* and the last */
@@ -182,15 +193,16 @@ typedef struct dipole_query {
   size_t parameter_count;
 } dipole_query;
 
-/* The answer for one medium. An array is NULL when its quantity was not wanted or when the other
- * evaluator was taken. */
+/* The answer for one medium. An array is NULL when its quantity was not wanted or when the evaluator
+ * has the other type: *_f64 are of DIPOLE_F64, *_f32 of the others. */
 typedef struct dipole_channel {
   double albedo; /* NaN when not wanted */
   /* A value at radius r is off from the model's formula by at most
    * numerical_error + numerical_error_per_mm * r, relative. */
   double numerical_error;
   double numerical_error_per_mm;
-  double model_error;    /* of the model against radiative transport, relative; NaN: not measured */
+  double model_error;    /* of the model against radiative transport, relative; NaN: not measured;
+                            of DIPOLE_ANY_MODEL: for the radii asked for */
   const double *R_f64;   /* [radius_count], 1/mm^2 */
   const double *cdf_f64; /* [radius_count] */
   const float *R_f32;
@@ -215,8 +227,8 @@ bool dipole_eval(dipole_client *client, const dipole_query *query, dipole_result
 void dipole_result_free(dipole_result *result); /* NULL is fine */
 
 /* The array of any quantity that has a value for each radius (all but albedo and radius):
- * [radius_count], owned by the result. NULL when it was not wanted, when the other evaluator was
- * taken, or when there is no such channel. For R and cdf the channel's own fields say the same. */
+ * [radius_count], owned by the result. NULL when it was not wanted, when the evaluator has the other
+ * type, or when there is no such channel. For R and cdf the channel's own fields say the same. */
 const double *dipole_values_f64(const dipole_result *result, uint32_t channel, unsigned quantity);
 const float *dipole_values_f32(const dipole_result *result, uint32_t channel, unsigned quantity);
 
@@ -229,6 +241,103 @@ bool dipole_submit(dipole_client *client, const dipole_query *query, uint64_t *i
  * query *id was refused, others go on. False with kind ARGUMENT: nothing is outstanding. */
 bool dipole_collect(dipole_client *client, uint64_t *id, dipole_result **result,
                     dipole_error *error);
+
+/* ---- the trade between speed and accuracy -------------------------------------------------- */
+
+/* A model and evaluator that could answer a query. */
+typedef struct dipole_offer {
+  unsigned model;     /* id of the daemon's list */
+  unsigned evaluator; /* enum dipole_evaluator */
+  bool meets;         /* the parameter tolerance; false: not, or not known to */
+  double error;       /* relative, against radiative transport, for the query's radii, all of its
+                         media and all that is wanted; INFINITY: not known */
+  double numerical_error; /* the share of that which is the evaluator's; of a table: asked of it */
+  double cost_ns;         /* of a value, as measured once, on one machine */
+  double prepare_ns;      /* of a medium, likewise */
+} dipole_offer;
+
+/* What could answer a query whose model is DIPOLE_ANY_MODEL, cheapest first: *offers is an array for
+ * the caller to free(). Of listed radii only the range matters. *taken (which may be NULL) is the
+ * position of the one that dipole_eval() would take; *count: none. */
+bool dipole_offers(dipole_client *client, const dipole_query *query, dipole_offer **offers,
+                   size_t *count, size_t *taken, dipole_error *error);
+
+/* ---- tables -------------------------------------------------------------------------------- */
+
+/* The table of one medium by which the evaluator DIPOLE_LUT works, to be evaluated here: without a
+ * daemon, and with the same bits. Nothing changes a table once it is there: any number of threads
+ * may evaluate it at the same time. */
+typedef struct dipole_table dipole_table;
+
+typedef struct dipole_table_query {
+  unsigned model;   /* dipole_id(client, DIPOLE_MODEL, name) */
+  unsigned moments; /* enum dipole_moments */
+  dipole_medium medium;
+  const dipole_parameter *parameters; /* [parameter_count], as of an eval: tolerance, ... */
+  size_t parameter_count;
+} dipole_table_query;
+
+/* What holds for all values of a table; owned by the table and valid until it is freed. */
+typedef struct dipole_table_info {
+  unsigned layout; /* of the words: proto/PROTOCOL.md, "table" */
+  unsigned model, moments;
+  unsigned notes; /* sum of the ids of the choices of kind DIPOLE_NOTE that hold */
+  dipole_medium medium;
+  const dipole_parameter *parameters; /* [parameter_count]: those of the query */
+  size_t parameter_count;
+  double albedo; /* integral of 2 pi r R(r) over all radii */
+  /* A value at radius r is off from the model's formula by at most
+   * numerical_error + numerical_error_per_mm * r, relative, as measured between all nodes. */
+  double numerical_error;
+  double numerical_error_per_mm;
+  double model_error;    /* of the model against radiative transport, relative; NaN: not measured */
+  double pieces_from_mm; /* between these two radii there are pieces; outside, known asymptotes */
+  double pieces_to_mm;
+  double radius_least_mm; /* the radii that the model covers, both included */
+  double radius_most_mm;
+  const uint32_t *words; /* [word_count]: single precision numbers and entries, as bits */
+  size_t word_count;
+} dipole_table_info;
+
+/* Fetches a table from a daemon. *table is the caller's, to be freed with dipole_table_free(). */
+bool dipole_table_fetch(dipole_client *client, const dipole_table_query *query,
+                        dipole_table **table, dipole_error *error);
+
+/* A table from bytes that dipole_table_bytes() gave, at any alignment; they are copied. What stands
+ * behind the table's own bytes is not looked at: so a file may hold several, one behind the other.
+ * Damaged bytes, and those of another layout, are errors of kind TABLE: whatever they say, nothing
+ * outside of the table will be read. *table is the caller's, to be freed with
+ * dipole_table_free(). */
+bool dipole_table_load(const void *bytes, size_t count, dipole_table **table, dipole_error *error);
+
+/* The table as bytes, to be saved: count of them, owned by the table. It is the daemon's reply, a
+ * whole frame, the same on every machine. */
+const void *dipole_table_bytes(const dipole_table *table, size_t *count);
+
+const dipole_table_info *dipole_table_get_info(const dipole_table *table);
+
+/* Evaluates one of DIPOLE_R, DIPOLE_CDF, DIPOLE_PDF, DIPOLE_RING and, for the parameters cos_in and
+ * cos_out of the query, DIPOLE_S: r[n] in mm, from 0 to infinity; out[n] in the quantity's unit; the
+ * arrays do not overlap. False, with out as it was: the table does not hold that quantity, or a
+ * radius is NaN, negative or not covered by the model. */
+bool dipole_table_values(const dipole_table *table, enum dipole_quantity quantity, size_t n,
+                         const float *r, float *out);
+
+/* Radii for drawing: r[n] in mm such that cdf(r) = u, for u[n] from 0 to 1 (infinity), both
+ * included; the arrays do not overlap. 0 where nothing scatters. False, with r as it was: a u is
+ * none of those. */
+bool dipole_table_radii(const dipole_table *table, size_t n, const float *u, float *r);
+
+void dipole_table_free(dipole_table *table); /* NULL is fine */
+
+/* The radii r[count], mm, of a linear or logarithmic grid, as a daemon takes them in single
+ * precision: for evaluating a table where a query would have a grid. */
+bool dipole_grid_radii(enum dipole_spacing spacing, double start_mm, double stop_mm, uint64_t count,
+                       float *r, dipole_error *error);
+
+/* What this library knows by itself, without a daemon: the lists and instruction set by which it
+ * evaluates tables. address is "". One block for the caller to free(). */
+bool dipole_local_info(dipole_info **info, dipole_error *error);
 
 /* ---- Monte Carlo --------------------------------------------------------------------------- */
 

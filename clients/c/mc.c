@@ -51,14 +51,8 @@ static void put_query(uint8_t *at, const dipole_mc_query *query) {
                                  .photons = query->photons,
                                  .error_total = query->error_total,
                                  .error_rings = query->error_rings};
-  const wire_medium medium = {.sigma_a = query->medium.sigma_a_per_mm,
-                              .sigma_s = query->medium.sigma_s_per_mm,
-                              .g = query->medium.g,
-                              .eta = query->medium.eta};
   wire_put_mc_request(at, &fixed);
-  at += WIRE_BYTES_mc_request;
-  wire_put_medium(at, &medium);
-  at += WIRE_BYTES_medium;
+  at = libdipole_medium_put(at + WIRE_BYTES_mc_request, &query->medium);
   if (query->albedo_count > 0) {
     memcpy(at, query->albedos, query->albedo_count * sizeof *query->albedos);
   }

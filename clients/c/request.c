@@ -274,6 +274,19 @@ bool libdipole_request_wait(dipole_client *client, uint64_t id, libdipole_pendin
   }
 }
 
+libdipole_frame *libdipole_reply(dipole_client *client, libdipole_pending *pending,
+                                 dipole_error *error) {
+  if (!libdipole_request_wait(client, pending->id, pending, error)) {
+    return NULL;
+  }
+  if (is_error(&pending->frame->header)) {
+    libdipole_refused(client, pending, pending->frame, error);
+    free(pending->frame);
+    return NULL;
+  }
+  return pending->frame;
+}
+
 libdipole_frame *libdipole_ask(dipole_client *client, libdipole_pending *pending,
                                const uint8_t *payload, size_t payload_bytes, dipole_error *error) {
   uint8_t *at;
@@ -283,14 +296,5 @@ libdipole_frame *libdipole_ask(dipole_client *client, libdipole_pending *pending
   if (payload_bytes > 0) {
     memcpy(at, payload, payload_bytes);
   }
-  if (!libdipole_request_send(client, error) ||
-      !libdipole_request_wait(client, pending->id, pending, error)) {
-    return NULL;
-  }
-  if (is_error(&pending->frame->header)) {
-    libdipole_refused(client, pending, pending->frame, error);
-    free(pending->frame);
-    return NULL;
-  }
-  return pending->frame;
+  return libdipole_request_send(client, error) ? libdipole_reply(client, pending, error) : NULL;
 }

@@ -1,129 +1,36 @@
-/* Queries into eval requests, and the answers into results. */
+/* Eval requests, and their answers into results. */
 #include <stdlib.h>
 #include <string.h>
 
 #include "clients/c/client.h"
 #include "proto/eval.h"
 
-/* Radii and values are used where they lie in the frames, which are little-endian. */
+/* Values are used where they lie in the frames, which are little-endian. */
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's arrays need swapping");
 
 /* ---- asking -------------------------------------------------------------------------------- */
 
-static bool check_parameters(const dipole_query *query, dipole_error *error) {
-  if (query->parameters == NULL && query->parameter_count > 0) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                          "parameters is NULL, parameter_count is not 0");
-  }
-  for (size_t i = 0; i < query->parameter_count; i++) {
-    if (query->parameters[i].id > UINT16_MAX) {
-      return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "the id of a parameter is at most 65535");
-    }
-  }
-  return true;
-}
-
-/* Only what the frame's layout depends on: everything else is the daemon's to judge. */
-static bool check_query(const dipole_query *query, uint64_t *radii_bytes, dipole_error *error) {
-  *radii_bytes = 0;
-  if ((query->model | query->evaluator | query->moments | query->wanted) > UINT16_MAX) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                          "model, evaluator, moments and wanted are at most 65535");
-  }
-  if (query->spacing > UINT16_MAX || query->parameter_count > UINT16_MAX) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                          "spacing and parameter_count are at most 65535");
-  }
-  if (!check_parameters(query, error)) {
-    return false;
-  }
-  if (query->media == NULL && query->medium_count > 0) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "media is NULL, medium_count is not 0");
-  }
-  const size_t value_bytes = eval_value_bytes(query->evaluator);
-  if (value_bytes == 0) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                          "evaluator is %u: this library knows DIPOLE_F64 and DIPOLE_F32",
-                          query->evaluator);
-  }
-  if (query->spacing != DIPOLE_LIST) {
-    return true;
-  }
-  if (query->radii == NULL && query->radius_count > 0) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "radii is NULL, radius_count is not 0");
-  }
-  if (query->radius_count > UINT32_MAX / value_bytes) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                          "%llu radii are more than a frame holds: ask for fewer at a time",
-                          (unsigned long long)query->radius_count);
-  }
-  *radii_bytes = query->radius_count * value_bytes;
-  return true;
-}
-
-static void put_query(uint8_t *at, const dipole_query *query, size_t radii_bytes) {
-  const bool list = query->spacing == DIPOLE_LIST;
-  const wire_eval_request fixed = {.model = (uint16_t)query->model,
-                                   .evaluator = (uint16_t)query->evaluator,
-                                   .moments = (uint16_t)query->moments,
-                                   .wanted = (uint16_t)query->wanted,
-                                   .medium_count = query->medium_count,
-                                   .spacing = (uint16_t)query->spacing,
-                                   .parameter_count = (uint16_t)query->parameter_count,
-                                   .radius_count = query->radius_count,
-                                   .radius_start = list ? 0 : query->radius_start_mm,
-                                   .radius_stop = list ? 0 : query->radius_stop_mm};
-  wire_put_eval_request(at, &fixed);
-  at += WIRE_BYTES_eval_request;
-  for (uint32_t i = 0; i < query->medium_count; i++) {
-    const wire_medium medium = {.sigma_a = query->media[i].sigma_a_per_mm,
-                                .sigma_s = query->media[i].sigma_s_per_mm,
-                                .g = query->media[i].g,
-                                .eta = query->media[i].eta};
-    wire_put_medium(at, &medium);
-    at += WIRE_BYTES_medium;
-  }
-  for (size_t i = 0; i < query->parameter_count; i++) {
-    const wire_parameter parameter = {.parameter = (uint16_t)query->parameters[i].id,
-                                      .value = query->parameters[i].value};
-    wire_put_parameter(at, &parameter);
-    at += WIRE_BYTES_parameter;
-  }
-  if (radii_bytes > 0) {
-    memcpy(at, query->radii, radii_bytes);
-    memset(at + radii_bytes, 0, (size_t)wire_padded(radii_bytes) - radii_bytes);
-  }
-}
-
 static bool submit(dipole_client *client, const dipole_query *query, uint64_t *id,
                    dipole_error *error) {
-  uint64_t radii_bytes;
-  uint8_t *payload;
   eval_layout layout;
-  if (!check_query(query, &radii_bytes, error)) {
-    return false;
-  }
   libdipole_pending pending = {.type = WIRE_TYPE_EVAL,
+                               .model = (uint16_t)query->model,
                                .evaluator = (uint16_t)query->evaluator,
-                               .wanted = (uint16_t)query->wanted,
-                               .medium_count = query->medium_count,
-                               .radius_count = query->radius_count};
+                               .wanted = (uint16_t)query->wanted};
   /* A reply that would not fit into a frame is one that the daemon will refuse; it is asked all the
    * same, because its refusal says what the limit is. */
-  if (eval_reply_layout(query->evaluator, query->wanted, query->medium_count, query->radius_count,
+  if (eval_value_bytes(query->evaluator) > 0 &&
+      eval_reply_layout(query->evaluator, query->wanted, query->medium_count, query->radius_count,
                         UINT32_MAX, &layout)) {
     pending.reply_bytes_min = pending.reply_bytes_max = layout.payload_bytes;
   } else {
     pending.reply_bytes_min = UINT64_MAX;
   }
-  const uint64_t bytes =
-      eval_request_bytes(query->medium_count, (uint32_t)query->parameter_count, radii_bytes);
-  if (!libdipole_request_begin(client, &pending, bytes, &payload, error)) {
+  if (!libdipole_query_send(client, query, &pending, error)) {
     return false;
   }
   *id = pending.id;
-  put_query(payload, query, (size_t)radii_bytes);
-  return libdipole_request_send(client, error);
+  return true;
 }
 
 /* ---- answers ------------------------------------------------------------------------------- */
@@ -155,13 +62,20 @@ static void get_channel(const libdipole_frame *frame, const eval_layout *layout,
   }
 }
 
+/* Of any model the daemon chooses the evaluator, but not the type of the values. */
+static bool is_asked_for(const libdipole_pending *pending, const wire_eval_reply *fixed) {
+  return pending->model == DIPOLE_ANY_MODEL
+             ? eval_value_bytes(fixed->evaluator) == eval_value_bytes(pending->evaluator)
+             : fixed->evaluator == pending->evaluator;
+}
+
 /* The answer must have the shape that was asked for, so that a caller who indexes with its own
  * counts stays inside the arrays. */
 static bool parse_answer(const libdipole_pending *pending, wire_eval_reply *fixed,
                          eval_layout *layout, dipole_error *error) {
   const libdipole_frame *frame = pending->frame;
   if (eval_reply_parse(frame->payload, frame->header.payload_bytes, fixed, layout) &&
-      fixed->evaluator == pending->evaluator && fixed->wanted == pending->wanted &&
+      is_asked_for(pending, fixed) && fixed->wanted == pending->wanted &&
       fixed->channel_count == pending->medium_count &&
       fixed->radius_count == pending->radius_count) {
     return true;
@@ -238,24 +152,24 @@ bool dipole_eval(dipole_client *client, const dipole_query *query, dipole_result
 
 /* The layout follows from the result's own counts, as it did when the answer was parsed. */
 static const void *values(const dipole_result *result, uint32_t channel, unsigned quantity,
-                          unsigned evaluator) {
+                          size_t value_bytes) {
   const libdipole_frame *frame = (const libdipole_frame *)(const void *)result;
   eval_layout layout;
-  if (result->evaluator != evaluator || channel >= result->channel_count ||
+  if (eval_value_bytes(result->evaluator) != value_bytes || channel >= result->channel_count ||
       !eval_is_array(result->wanted, quantity) ||
-      !eval_reply_layout(evaluator, result->wanted, result->channel_count, result->radius_count,
-                         frame->header.payload_bytes, &layout)) {
+      !eval_reply_layout(result->evaluator, result->wanted, result->channel_count,
+                         result->radius_count, frame->header.payload_bytes, &layout)) {
     return NULL;
   }
   return array_at(frame, &layout, result->wanted, channel, quantity);
 }
 
 const double *dipole_values_f64(const dipole_result *result, uint32_t channel, unsigned quantity) {
-  return values(result, channel, quantity, DIPOLE_F64);
+  return values(result, channel, quantity, sizeof(double));
 }
 
 const float *dipole_values_f32(const dipole_result *result, uint32_t channel, unsigned quantity) {
-  return values(result, channel, quantity, DIPOLE_F32);
+  return values(result, channel, quantity, sizeof(float));
 }
 
 void dipole_result_free(dipole_result *result) {

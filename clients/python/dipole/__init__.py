@@ -19,9 +19,11 @@ from .errors import (
     DipoleError,
     ProtocolError,
     Refused,
+    TableError,
 )
 from .mc import McEnergy, McProgress, McResult, McValue
-from .values import Choice, Grid, Info, Medium, Result
+from .table import Table
+from .values import Choice, Grid, Info, Medium, Offer, Offers, Result
 
 __all__ = [
     "AddressError",
@@ -40,7 +42,11 @@ __all__ = [
     "McResult",
     "McValue",
     "Medium",
+    "Offer",
+    "Offers",
     "ProtocolError",
     "Refused",
     "Result",
+    "Table",
+    "TableError",
 ]

@@ -14,15 +14,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from . import mc, wire
-from .connection import Connection, Frame
-from .errors import ArgumentError, DipoleError, ProtocolError, Refused
-from .values import Choice, Grid, Info, Medium, Result
+from .connection import Connection, Frame, frame_bytes
+from .errors import ArgumentError, DipoleError, ProtocolError, Refused, TableError
+from .table import Table
+from .values import Choice, Grid, Info, Medium, Offer, Offers, Result
 
 
 class _Query(NamedTuple):
     """What a reply does not repeat and its decoding needs."""
 
     radii: np.ndarray | None  # as listed; None for a grid
+    value_type: str | None  # numpy's, of radii and values; None: not known here
     medium_count: int
     radius_count: int
 
@@ -60,26 +62,34 @@ class Client:
 
     def eval(
         self,
-        model: str | int,
+        model: str | int | None,
         media: Medium | Iterable[Sequence[float]] | np.ndarray,
         r: Any = None,
         *,
         grid: Grid | None = None,
-        evaluator: str | int = "f64",
+        evaluator: str | int | None = None,
         moments: str | int = "exact",
         wanted: Iterable[str] | None = None,
         parameters: Mapping[str, float | str] | None = None,
+        tolerance: float | None = None,
     ) -> Result:
         """Evaluates a model for one or more media and waits for the answer.
 
+        model: None: the cheapest model and evaluator that are measured to be within `tolerance` of
+        radiative transport, for all media, from the smallest to the largest radius; the result
+        says what was taken. Refused when nothing is known to be.
         media: one Medium, or C of them, or an array [C, 4] of sigma_a, sigma_s (1/mm), g, eta.
         r: N radii in mm, from 0 to infinity; or grid: the radii by rule, which cost no bytes.
-        evaluator: "f64", or "f32" for radii and values in single precision.
+        evaluator: "f64" (the default of a model), or for radii and values in single precision "f32",
+        or "lut", which looks up in a table. Of any model it says no more than the precision, which
+        then is single by default.
         moments: "exact", or "fit" for the polynomials.
         wanted: names of quantities; by default R, albedo, cdf and, for a grid, r.
         parameters: optional numbers by name, such as {"cos_in": 0.8}: see info.choices["parameter"]
         for their units and ranges. fit_model may also be the name of a model. A model refuses a
         parameter that it does not take.
+        tolerance: that parameter: of a model its numerical error, relative, where it can choose; of
+        the evaluator "lut" what its table is built to.
 
         Raises Refused when the daemon does not take the query, with the field at fault.
         """
@@ -92,48 +102,94 @@ class Client:
             moments=moments,
             wanted=wanted,
             parameters=parameters,
+            tolerance=tolerance,
         )
         query = self._outstanding.pop(request_id)
         return self._result(self._answer(request_id, "eval"), query)
 
     def submit(
         self,
-        model: str | int,
+        model: str | int | None,
         media: Medium | Iterable[Sequence[float]] | np.ndarray,
         r: Any = None,
         *,
         grid: Grid | None = None,
-        evaluator: str | int = "f64",
+        evaluator: str | int | None = None,
         moments: str | int = "exact",
         wanted: Iterable[str] | None = None,
         parameters: Mapping[str, float | str] | None = None,
+        tolerance: float | None = None,
     ) -> int:
         """Sends a query like eval() without waiting; returns its id, for collect()."""
-        if wanted is None:
-            wanted = ("R", "albedo", "cdf") if grid is None else ("R", "albedo", "cdf", "r")
-        evaluator_id = self._id("evaluator", evaluator)
-        media_array = _media_array(media)
-        radii = _radii_array(r, grid, evaluator_id)
-        radius_count = grid.count if radii is None else len(radii)
-        listed_parameters = self._parameters(parameters or {})
-        fixed = wire.EVAL_REQUEST.pack(
-            model=self._id("model", model),
-            evaluator=evaluator_id,
-            moments=self._id("moments", moments),
-            wanted=sum({self._id("quantity", name) for name in wanted}),
-            medium_count=len(media_array),
-            spacing=wire.SPACING_LIST if grid is None else self._id("spacing", grid.spacing),
-            parameter_count=len(listed_parameters),
-            radius_count=radius_count,
-            radius_start=0.0 if grid is None else grid.start_mm,
-            radius_stop=0.0 if grid is None else grid.stop_mm,
+        payload, query = self._pack_query(
+            model, media, r, grid, evaluator, moments, wanted, parameters, tolerance
         )
-        listed = b"" if radii is None else radii.tobytes()
-        listed += bytes(wire.padded(len(listed)) - len(listed))
-        payload = [fixed, media_array.tobytes(), *listed_parameters, listed]
-        request_id = self._send("eval", b"".join(payload))
-        self._outstanding[request_id] = _Query(radii, len(media_array), radius_count)
+        request_id = self._send("eval", payload)
+        self._outstanding[request_id] = query
         return request_id
+
+    def offers(
+        self,
+        media: Medium | Iterable[Sequence[float]] | np.ndarray,
+        r: Any = None,
+        *,
+        grid: Grid | None = None,
+        evaluator: str | int | None = None,
+        wanted: Iterable[str] | None = None,
+        parameters: Mapping[str, float | str] | None = None,
+        tolerance: float | None = None,
+    ) -> Offers:
+        """What could answer eval(None, ...) with the same arguments: how exact each model and
+        evaluator are measured to be, and how fast; cheapest first."""
+        payload, _ = self._pack_query(
+            None, media, r, grid, evaluator, "exact", wanted, parameters, tolerance
+        )
+        answer = self._answer(self._send("offers", payload), "offers")
+        fixed, (entries,) = _unpack_list(answer, wire.OFFERS_REPLY, [("count", wire.OFFER)])
+        if fixed.taken > fixed.count:
+            raise ProtocolError("an offers reply that takes what it does not offer")
+        offers = tuple(
+            Offer(
+                model=self._name("model", entry.model),
+                evaluator=self._name("evaluator", entry.evaluator),
+                meets=entry.meets != 0,
+                error=entry.error,
+                numerical_error=entry.numerical_error,
+                cost_ns=entry.cost,
+                prepare_ns=entry.prepare_cost,
+            )
+            for entry in entries
+        )
+        return Offers(offers, offers[fixed.taken] if fixed.taken < fixed.count else None)
+
+    def table(
+        self,
+        model: str | int,
+        medium: Medium | Sequence[float],
+        *,
+        moments: str | int = "exact",
+        parameters: Mapping[str, float | str] | None = None,
+        tolerance: float | None = None,
+    ) -> Table:
+        """Fetches the table by which the evaluator "lut" answers for a medium, to be evaluated
+        here: without a daemon, and with the same bits. tolerance: what it is built to, relative,
+        from 1e-6 (by default 1e-4)."""
+        media = _media_array(medium)
+        if len(media) != 1:
+            raise ArgumentError("medium: one Medium")
+        listed_parameters = self._parameters(parameters, tolerance)
+        fixed = wire.TABLE_REQUEST.pack(
+            model=self._id("model", model),
+            moments=self._id("moments", moments),
+            parameter_count=len(listed_parameters),
+        )
+        request_id = self._send("table", b"".join([fixed, media.tobytes(), *listed_parameters]))
+        payload = self._answer(request_id, "table")
+        frame = frame_bytes(wire.MESSAGES["table"] | wire.REPLY, request_id, payload)
+        try:
+            return Table(frame, self.info)
+        except TableError as error:
+            raise ProtocolError(f"a table reply that is none: {error}") from error
 
     def collect(self) -> tuple[int, Result]:
         """Waits for the answer to any outstanding query; returns its id and the result. A refusal
@@ -252,10 +308,57 @@ class Client:
             raise ArgumentError(f"{kind} {name}: not one of {', '.join(choices)}")
         return choices[name].id
 
-    def _parameters(self, parameters: Mapping[str, float | str]) -> list[bytes]:
+    def _pack_query(
+        self,
+        model: str | int | None,
+        media: Medium | Iterable[Sequence[float]] | np.ndarray,
+        r: Any,
+        grid: Grid | None,
+        evaluator: str | int | None,
+        moments: str | int,
+        wanted: Iterable[str] | None,
+        parameters: Mapping[str, float | str] | None,
+        tolerance: float | None,
+    ) -> tuple[bytes, _Query]:
+        """The payload of an eval request, see eval()."""
+        if wanted is None:
+            wanted = ("R", "albedo", "cdf") if grid is None else ("R", "albedo", "cdf", "r")
+        if evaluator is None:
+            evaluator = "f64" if model is not None else "lut"
+        evaluator_id = self._id("evaluator", evaluator)
+        media_array = _media_array(media)
+        radii = _radii_array(r, grid, evaluator_id)
+        radius_count = grid.count if radii is None else len(radii)
+        listed_parameters = self._parameters(parameters, tolerance)
+        fixed = wire.EVAL_REQUEST.pack(
+            model=wire.ANY_MODEL if model is None else self._id("model", model),
+            evaluator=evaluator_id,
+            moments=self._id("moments", moments),
+            wanted=sum({self._id("quantity", name) for name in wanted}),
+            medium_count=len(media_array),
+            spacing=wire.SPACING_LIST if grid is None else self._id("spacing", grid.spacing),
+            parameter_count=len(listed_parameters),
+            radius_count=radius_count,
+            radius_start=0.0 if grid is None else grid.start_mm,
+            radius_stop=0.0 if grid is None else grid.stop_mm,
+        )
+        listed = b"" if radii is None else radii.tobytes()
+        listed += bytes(wire.padded(len(listed)) - len(listed))
+        payload = b"".join([fixed, media_array.tobytes(), *listed_parameters, listed])
+        value_type = wire.EVALUATOR_TYPES.get(evaluator_id)
+        return payload, _Query(radii, value_type, len(media_array), radius_count)
+
+    def _parameters(
+        self, parameters: Mapping[str, float | str] | None, tolerance: float | None
+    ) -> list[bytes]:
         """Parameter structures; their values are the daemon's to judge."""
         structures = []
-        for name, given in parameters.items():
+        all_parameters = dict(parameters or {})
+        if tolerance is not None:
+            if "tolerance" in all_parameters:
+                raise ArgumentError("tolerance: as an argument or in parameters, not both")
+            all_parameters["tolerance"] = tolerance
+        for name, given in all_parameters.items():
             value = self._id("model", given) if name == "fit_model" else given
             try:
                 number = float(value)
@@ -354,8 +457,9 @@ class Client:
             raise ProtocolError("an eval reply that is too short")
         fixed = wire.EVAL_REPLY.unpack(payload)
         counts = (fixed.channel_count, fixed.radius_count)
-        known = fixed.evaluator in wire.EVALUATOR_TYPES
-        if not known or counts != (query.medium_count, query.radius_count):
+        value_type = wire.EVALUATOR_TYPES.get(fixed.evaluator)
+        asked_for = value_type is not None and value_type == query.value_type
+        if not asked_for or counts != (query.medium_count, query.radius_count):
             raise ProtocolError("an eval reply that does not answer the query")
         channels, arrays = _reply_arrays(payload, fixed)
         wanted_r = fixed.wanted & wire.QUANTITY_RADIUS

@@ -27,6 +27,10 @@ class ArgumentError(DipoleError, ValueError):
     """The arguments of a call do not fit together; nothing was sent."""
 
 
+class TableError(DipoleError, ValueError):
+    """The bytes are not an intact table of a layout that is known here."""
+
+
 class Refused(DipoleError):
     """The daemon refused a request; the client goes on working."""
 

@@ -49,6 +49,25 @@ class Info:
     limits: dict[str, int]  # by name, whose end is the unit: max_frame_bytes
 
 
+class Offer(NamedTuple):
+    """A model and evaluator that could answer a query, how exact and how fast."""
+
+    model: str
+    evaluator: str
+    meets: bool  # the tolerance; False: not, or not known to
+    error: float  # relative, against transport, of all that was asked about; inf: not known
+    numerical_error: float  # the share of that which is the evaluator's; of a table: asked of it
+    cost_ns: float  # of a value, as measured once, on one machine
+    prepare_ns: float  # of a medium, likewise
+
+
+class Offers(NamedTuple):
+    """What could answer a query, cheapest first."""
+
+    offers: tuple[Offer, ...]
+    taken: Offer | None  # the one that eval() would take; None: none keeps the tolerance
+
+
 @dataclass(frozen=True)
 class Result:
     """The answer to one evaluation, for C channels (media) and N radii.
@@ -72,7 +91,8 @@ class Result:
     albedo: np.ndarray | None  # [C] float64, integral of 2 pi r R(r)
     numerical_error_constant: np.ndarray  # [C] see numerical_error()
     numerical_error_per_mm: np.ndarray  # [C] 1/mm
-    model_error: np.ndarray  # [C] relative, of the model against transport; NaN: not measured
+    model_error: np.ndarray  # [C] relative, of the model against transport; NaN: not measured;
+    # of a model that a tolerance has chosen: for the radii asked for
     notes: tuple[str, ...]  # names of remarks that hold for a channel or more, see Info.choices
     values: dict[str, np.ndarray]  # [C, N] each, by name
 

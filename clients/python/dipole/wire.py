@@ -28,6 +28,8 @@ MESSAGES = {
     "ping": 5,
     "mc": 6,
     "cancel": 7,
+    "table": 8,
+    "offers": 9,
 }
 
 # Names of statuses by code.
@@ -59,7 +61,7 @@ KINDS = {
 }
 
 # Ids that are permanent and that the layout of a payload depends on.
-EVALUATOR_TYPES = {1: "<f8", 2: "<f4"}  # numpy's type of radii and values
+EVALUATOR_TYPES = {1: "<f8", 2: "<f4", 3: "<f4"}  # numpy's type of radii and values
 QUANTITY_R = 1
 QUANTITY_ALBEDO = 2
 QUANTITY_CDF = 4
@@ -80,6 +82,7 @@ ELEMENTWISE = (
     QUANTITY_S,
 )
 SPACING_LIST = 1
+ANY_MODEL = 0  # in place of a model: any that keeps the parameter tolerance
 
 # States of an mc job: under way, and why it ended.
 MC_UNDER_WAY = 0
@@ -297,6 +300,47 @@ CANCEL_REQUEST = Structure("cancel_request", "u64 job_id")
 
 CANCEL_REPLY = Structure("cancel_reply", "u32 found", "u32 zero")
 
+TABLE_REQUEST = Structure(
+    "table_request", "u16 model", "u16 moments", "u16 parameter_count", "u16 zero"
+)
+
+TABLE_REPLY = Structure(
+    "table_reply",
+    "u16 layout",
+    "u16 model",
+    "u16 moments",
+    "u16 parameter_count",
+    "u32 word_count",
+    "u32 checksum",
+    "u32 notes",
+    "u32 zero",
+    "f64 sigma_a",
+    "f64 sigma_s",
+    "f64 g",
+    "f64 eta",
+    "f64 albedo",
+    "f64 numerical_error",
+    "f64 numerical_error_per_mm",
+    "f64 model_error",
+    "f64 pieces_from",
+    "f64 pieces_to",
+    "f64 radius_least",
+    "f64 radius_most",
+)
+
+OFFERS_REPLY = Structure("offers_reply", "u32 count", "u32 taken")
+
+OFFER = Structure(
+    "offer",
+    "u16 model",
+    "u16 evaluator",
+    "u32 meets",
+    "f64 error",
+    "f64 numerical_error",
+    "f64 cost",
+    "f64 prepare_cost",
+)
+
 ERROR = Structure(
     "error",
     "u16 status",
@@ -327,6 +371,10 @@ STRUCTURES = {
         MC_ENERGY,
         CANCEL_REQUEST,
         CANCEL_REPLY,
+        TABLE_REQUEST,
+        TABLE_REPLY,
+        OFFERS_REPLY,
+        OFFER,
         ERROR,
     )
 }

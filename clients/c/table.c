@@ -1,0 +1,289 @@
+/* Tables: fetched, loaded, saved and evaluated here, by the daemon's own code. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "clients/c/client.h"
+#include "core/lut/lut.h"
+#include "proto/table.h"
+
+/* The words are used where they lie in the frame, which is little-endian. */
+_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's arrays need swapping");
+
+struct dipole_table {
+  dipole_table_info info;
+  core_profile profile;
+  dipole_parameter parameters[CORE_PARAMETERS_END];
+  size_t frame_bytes;
+  _Alignas(8) uint8_t frame[]; /* header and payload */
+};
+
+/* ---- from bytes ---------------------------------------------------------------------------- */
+
+static bool damaged(dipole_error *error, const char *what) {
+  return libdipole_fail(error, DIPOLE_ERROR_TABLE, "this is not an intact table: %s", what);
+}
+
+/* Finds the length of the frame at the start of the bytes. */
+static bool check_frame(const uint8_t *bytes, size_t count, size_t *frame_bytes,
+                        dipole_error *error) {
+  wire_header header;
+  wire_table_reply fixed;
+  *frame_bytes = 0;
+  if (count < WIRE_BYTES_header + WIRE_BYTES_table_reply) {
+    return damaged(error, "it is too short");
+  }
+  wire_get_header(bytes, &header);
+  if (wire_header_check(&header, UINT32_MAX).status != WIRE_STATUS_OK ||
+      header.type != (WIRE_TYPE_TABLE | WIRE_REPLY)) {
+    return damaged(error, "it does not start as one");
+  }
+  if (header.payload_bytes > count - WIRE_BYTES_header) {
+    return damaged(error, "its end is missing");
+  }
+  wire_get_table_reply(bytes + WIRE_BYTES_header, &fixed);
+  if (fixed.layout != TABLE_LAYOUT) {
+    return libdipole_fail(error, DIPOLE_ERROR_TABLE,
+                          "this table has layout %u; this library knows layout %d", fixed.layout,
+                          TABLE_LAYOUT);
+  }
+  *frame_bytes = WIRE_BYTES_header + header.payload_bytes;
+  return true;
+}
+
+/* Room for a table whose frame has that many bytes, which are to be filled in. */
+static dipole_table *make_room(size_t frame_bytes, dipole_error *error) {
+  dipole_table *table = malloc(sizeof *table + frame_bytes);
+  if (table == NULL) {
+    libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory");
+    return NULL;
+  }
+  table->frame_bytes = frame_bytes;
+  table->profile = (core_profile){0};
+  return table;
+}
+
+static void set_info(dipole_table *table, const wire_table_reply *fixed, const float *words) {
+  const uint8_t *at = table->frame + WIRE_BYTES_header + WIRE_BYTES_table_reply;
+  for (size_t i = 0; i < fixed->parameter_count; i++) { /* each of those known, at most once */
+    wire_parameter parameter;
+    wire_get_parameter(at + i * WIRE_BYTES_parameter, &parameter);
+    table->parameters[i] = (dipole_parameter){parameter.parameter, parameter.value};
+  }
+  table->info = (dipole_table_info){
+      .layout = fixed->layout,
+      .model = fixed->model,
+      .moments = fixed->moments,
+      .notes = fixed->notes,
+      .medium = {fixed->sigma_a, fixed->sigma_s, fixed->g, fixed->eta},
+      .parameters = table->parameters,
+      .parameter_count = fixed->parameter_count,
+      .albedo = fixed->albedo,
+      .numerical_error = fixed->numerical_error,
+      .numerical_error_per_mm = fixed->numerical_error_per_mm,
+      .model_error = fixed->model_error,
+      .pieces_from_mm = fixed->pieces_from,
+      .pieces_to_mm = fixed->pieces_to,
+      .radius_least_mm = fixed->radius_least,
+      .radius_most_mm = fixed->radius_most,
+      .words = (const uint32_t *)(const void *)words,
+      .word_count = fixed->word_count,
+  };
+}
+
+/* False: outside of its range; 1 when it is not given. */
+static bool get_cosine(const core_parameters *parameters, enum core_parameter id, double *cosine) {
+  const double value = parameters->value[id];
+  *cosine = value == value ? value : 1;
+  return *cosine >= 0 && *cosine <= 1;
+}
+
+/* Makes the profile, which owns a copy of the words. */
+static bool set_profile(dipole_table *table, const wire_table_reply *fixed,
+                        const core_parameters *parameters, const float *words,
+                        dipole_error *error) {
+  core_profile *profile = &table->profile;
+  double cos_in, cos_out;
+  *profile = (core_profile){
+      .medium = {fixed->sigma_a, fixed->sigma_s, fixed->g, fixed->eta},
+      .model = (enum core_model)fixed->model,
+      .moments = (enum core_moments)fixed->moments,
+      .albedo = fixed->albedo,
+      .numerical_error = fixed->numerical_error,
+      .numerical_error_per_mm = fixed->numerical_error_per_mm,
+      .model_error = fixed->model_error,
+      .notes = fixed->notes,
+      .radii = {fixed->radius_least, fixed->radius_most},
+  };
+  if (core_medium_check(&profile->medium).field != NULL ||
+      !get_cosine(parameters, CORE_PARAMETER_COS_IN, &cos_in) ||
+      !get_cosine(parameters, CORE_PARAMETER_COS_OUT, &cos_out)) {
+    return damaged(error, "its medium or a parameter is none");
+  }
+  const core_fault fault =
+      core_profile_from_table(profile, core_isa_select(NULL), words, fixed->word_count);
+  if (fault.field != NULL && strcmp(fault.field, CORE_FIELD_MEMORY) == 0) {
+    return libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory");
+  }
+  if (fault.field != NULL) {
+    return damaged(error, "an entry points outside of it");
+  }
+  profile->cos_in = cos_in;
+  profile->cos_out = cos_out;
+  const core_radii_range pieces = core_table_pieces(profile);
+  return (pieces.least_mm == fixed->pieces_from && pieces.most_mm == fixed->pieces_to) ||
+         damaged(error, "its pieces are not where it says");
+}
+
+/* Takes the frame that has been filled in apart. */
+static bool parse(dipole_table *table, dipole_error *error) {
+  wire_table_reply fixed;
+  core_parameters parameters;
+  const float *words;
+  if (!table_reply_parse(table->frame + WIRE_BYTES_header, table->frame_bytes - WIRE_BYTES_header,
+                         &fixed, &parameters, &words)) {
+    return damaged(error, "its counts or its checksum are wrong");
+  }
+  set_info(table, &fixed, words);
+  return set_profile(table, &fixed, &parameters, words, error);
+}
+
+/* Takes the table over: frees it when it is not intact. */
+static bool hand_out(dipole_table *made, dipole_table **table, dipole_error *error) {
+  if (!parse(made, error)) {
+    dipole_table_free(made);
+    return false;
+  }
+  *table = made;
+  return true;
+}
+
+bool dipole_table_load(const void *bytes, size_t count, dipole_table **table, dipole_error *error) {
+  dipole_error unwanted;
+  size_t frame_bytes;
+  error = error != NULL ? error : &unwanted;
+  if (!check_frame(bytes, count, &frame_bytes, error)) {
+    return false;
+  }
+  dipole_table *made = make_room(frame_bytes, error);
+  if (made == NULL) {
+    return false;
+  }
+  memcpy(made->frame, bytes, frame_bytes);
+  return hand_out(made, table, error);
+}
+
+/* ---- from a daemon ------------------------------------------------------------------------- */
+
+static bool is_asked_for(const dipole_table *table, const dipole_table_query *query) {
+  const dipole_table_info *info = &table->info;
+  return info->model == query->model && info->moments == query->moments &&
+         info->medium.sigma_a_per_mm == query->medium.sigma_a_per_mm &&
+         info->medium.sigma_s_per_mm == query->medium.sigma_s_per_mm &&
+         info->medium.g == query->medium.g && info->medium.eta == query->medium.eta &&
+         info->parameter_count == query->parameter_count;
+}
+
+static libdipole_frame *ask(dipole_client *client, const dipole_table_query *query,
+                            dipole_error *error) {
+  const uint32_t parameters = (uint32_t)query->parameter_count;
+  const size_t words_max = CORE_LUT_PIECES + CORE_LUT_TERMS * (size_t)CORE_LUT_PIECES_MAX;
+  const wire_table_request fixed = {.model = (uint16_t)query->model,
+                                    .moments = (uint16_t)query->moments,
+                                    .parameter_count = (uint16_t)parameters};
+  libdipole_pending pending = {.type = WIRE_TYPE_TABLE,
+                               .medium_count = 1,
+                               .reply_bytes_min = WIRE_BYTES_table_reply,
+                               .reply_bytes_max = table_reply_bytes(parameters, words_max)};
+  uint8_t *at;
+  if (!libdipole_request_begin(client, &pending, table_request_bytes(parameters), &at, error)) {
+    return NULL;
+  }
+  wire_put_table_request(at, &fixed);
+  at = libdipole_medium_put(at + WIRE_BYTES_table_request, &query->medium);
+  libdipole_parameters_put(at, query->parameters, query->parameter_count);
+  return libdipole_request_send(client, error) ? libdipole_reply(client, &pending, error) : NULL;
+}
+
+/* The reply as a table, with its frame as it came. */
+static bool take(const libdipole_frame *frame, dipole_table **table, dipole_error *error) {
+  uint8_t header[WIRE_BYTES_header];
+  const size_t payload_bytes = frame->header.payload_bytes;
+  dipole_table *made = make_room(sizeof header + payload_bytes, error);
+  if (made == NULL) {
+    return false;
+  }
+  wire_put_header(made->frame, &frame->header);
+  memcpy(made->frame + sizeof header, frame->payload, payload_bytes);
+  return hand_out(made, table, error);
+}
+
+bool dipole_table_fetch(dipole_client *client, const dipole_table_query *query,
+                        dipole_table **table, dipole_error *error) {
+  dipole_error unwanted;
+  dipole_table *fetched = NULL;
+  error = error != NULL ? error : &unwanted;
+  if ((query->model | query->moments) > UINT16_MAX) {
+    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "model and moments are at most 65535");
+  }
+  if (!libdipole_parameters_check(query->parameters, query->parameter_count, error)) {
+    return false;
+  }
+  libdipole_frame *frame = ask(client, query, error);
+  if (frame == NULL) {
+    return false;
+  }
+  const bool intact = take(frame, &fetched, error);
+  free(frame);
+  if (intact && is_asked_for(fetched, query)) {
+    *table = fetched;
+    return true;
+  }
+  dipole_table_free(fetched);
+  if (intact || error->kind == DIPOLE_ERROR_TABLE) {
+    libdipole_fail(error, DIPOLE_ERROR_PROTOCOL,
+                   "the peer does not speak this protocol: it answered a table request with %s",
+                   intact ? "the table of something else" : "what is no table");
+    client->broken = *error;
+  }
+  return false;
+}
+
+/* ---- what it says -------------------------------------------------------------------------- */
+
+const void *dipole_table_bytes(const dipole_table *table, size_t *count) {
+  *count = table->frame_bytes;
+  return table->frame;
+}
+
+const dipole_table_info *dipole_table_get_info(const dipole_table *table) {
+  return &table->info;
+}
+
+bool dipole_table_values(const dipole_table *table, enum dipole_quantity quantity, size_t n,
+                         const float *r, float *out) {
+  const core_profile *profile = &table->profile;
+  if (!core_table_has((enum core_quantity)quantity) || core_radii_check_f32(n, r).field != NULL ||
+      core_radii_range_check_f32(&profile->radii, n, r).field != NULL) {
+    return false;
+  }
+  core_eval_f32(profile, (enum core_quantity)quantity, n, r, out);
+  return true;
+}
+
+bool dipole_table_radii(const dipole_table *table, size_t n, const float *u, float *r) {
+  bool good = true;
+  for (size_t i = 0; i < n; i++) {
+    good = good && u[i] >= 0 && u[i] <= 1;
+  }
+  if (good) {
+    core_sample_f32(&table->profile, n, u, r);
+  }
+  return good;
+}
+
+void dipole_table_free(dipole_table *table) {
+  if (table != NULL) {
+    core_profile_free(&table->profile);
+    free(table);
+  }
+}

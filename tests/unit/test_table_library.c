@@ -1,0 +1,575 @@
+/* libdipole's tables: loaded, saved and evaluated with the bits of the profile that they are from,
+ * whatever the bytes say; and fetched from a peer that does not always tell the truth. */
+#include <math.h>
+
+#include "core/lut/lut.h"
+#include "proto/parameters.h"
+#include "proto/table.h"
+#include "tests/unit/scripted_peer.h"
+#include "tests/unit/unit.h"
+
+#define TIMEOUT_MS 20000 /* a test that would hang fails after this */
+
+static const core_medium skin = {0.032, 0.74, 0, 1.3};
+
+/* ---- frames -------------------------------------------------------------------------------- */
+
+/* A whole reply, to be freed, and the profile that it is from, likewise. */
+typedef struct made_table {
+  core_profile profile;
+  uint8_t *bytes;
+  size_t count;
+} made_table;
+
+static made_table make_with(const char *model, core_medium medium,
+                            const core_parameters *parameters) {
+  made_table made;
+  const unsigned id = core_choice_by_name(core_models, model)->id;
+  const core_fault fault =
+      core_profile_prepare(&made.profile, core_isa_select(NULL), id, CORE_MOMENTS_EXACT,
+                           CORE_EVALUATOR_LUT, &medium, parameters);
+  unit_assert_fault(fault, NULL, 0);
+  const size_t payload_bytes =
+      table_reply_bytes(parameters_count(parameters), made.profile.lut_count);
+  const wire_header header = {.magic = WIRE_MAGIC,
+                              .version = WIRE_VERSION,
+                              .type = WIRE_TYPE_TABLE | WIRE_REPLY,
+                              .request_id = 9,
+                              .payload_bytes = (uint32_t)payload_bytes};
+  made.count = WIRE_BYTES_header + payload_bytes;
+  made.bytes = malloc(made.count);
+  assert_non_null(made.bytes);
+  wire_put_header(made.bytes, &header);
+  table_reply_put(made.bytes + WIRE_BYTES_header, &made.profile, parameters);
+  return made;
+}
+
+static made_table make(const char *model, core_medium medium) {
+  const core_parameters none = core_parameters_none();
+  return make_with(model, medium, &none);
+}
+
+static void unmake(made_table *made) {
+  core_profile_free(&made->profile);
+  free(made->bytes);
+}
+
+static dipole_table *load(const made_table *made) {
+  dipole_table *table;
+  dipole_error error;
+  if (!dipole_table_load(made->bytes, made->count, &table, &error)) {
+    fail_msg("%s", error.text);
+  }
+  return table;
+}
+
+/* ---- the same bits ------------------------------------------------------------------------- */
+
+enum { RADII = 6000 };
+
+/* Over all magnitudes, and the places where the ways to evaluate meet. */
+static void choose_radii(const core_profile *profile, float *r) {
+  uint64_t random = unit_seed();
+  const core_radii_range pieces = core_table_pieces(profile);
+  const float edges[] = {0,
+                         -0.0f,
+                         (float)INFINITY,
+                         0x1p-149f,
+                         0x1p-126f,
+                         0x1.fffffep127f,
+                         (float)pieces.least_mm,
+                         nextafterf((float)pieces.least_mm, 0),
+                         (float)pieces.most_mm,
+                         nextafterf((float)pieces.most_mm, 0)};
+  for (size_t i = 0; i < RADII; i++) {
+    const double low = i % 2 == 0 ? 1e-45 : 1e-4, high = i % 2 == 0 ? 3e38 : 1e3;
+    r[i] = (float)unit_random_log(&random, low, high);
+  }
+  memcpy(r, edges, sizeof edges);
+}
+
+static void assert_same_values(const dipole_table *table, const core_profile *profile) {
+  static const struct {
+    enum dipole_quantity asked;
+    enum core_quantity quantity;
+  } held[] = {{DIPOLE_R, CORE_QUANTITY_R},
+              {DIPOLE_CDF, CORE_QUANTITY_CDF},
+              {DIPOLE_PDF, CORE_QUANTITY_PDF},
+              {DIPOLE_RING, CORE_QUANTITY_RING},
+              {DIPOLE_S, CORE_QUANTITY_S}};
+  static float in[RADII], expected[RADII], found[RADII];
+  choose_radii(profile, in);
+  for (size_t i = 0; i < sizeof held / sizeof held[0]; i++) {
+    core_eval_f32(profile, held[i].quantity, RADII, in, expected);
+    assert_true(dipole_table_values(table, held[i].asked, RADII, in, found));
+    assert_memory_equal(found, expected, sizeof found);
+  }
+  for (size_t i = 0; i < RADII; i++) {
+    in[i] = i < RADII / 2 ? (float)i / (RADII / 2 - 1) : 0x1p-149f * (float)(1u << i % 24);
+  }
+  core_sample_f32(profile, RADII, in, expected);
+  assert_true(dipole_table_radii(table, RADII, in, found));
+  assert_memory_equal(found, expected, sizeof found);
+}
+
+static void tables_have_the_bits_of_their_profiles(void **state) {
+  (void)state;
+  /* R constant, like -ln r and like 1 / r towards the source; 1 / r^3 far away; nothing at all. */
+  static const struct {
+    const char *model;
+    core_medium medium;
+  } cases[] = {{"better", {0.032, 0.74, 0, 1.3}},   {"extended", {0.1, 5, 0.7, 1.4}},
+               {"better+single", {1, 1, 0.5, 1.5}}, {"burley", {0.01, 1, 0, 1.3}},
+               {"classical", {0, 1, 0, 1.3}},       {"better", {1, 0, 0, 1.3}}};
+  for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+    made_table made = make(cases[i].model, cases[i].medium);
+    dipole_table *table = load(&made);
+    assert_same_values(table, &made.profile);
+    dipole_table_free(table);
+    unmake(&made);
+  }
+}
+
+static void angles_of_S_are_those_of_the_request(void **state) {
+  (void)state;
+  core_parameters parameters = core_parameters_none();
+  parameters.value[CORE_PARAMETER_COS_IN] = 0.8;
+  parameters.value[CORE_PARAMETER_COS_OUT] = 0;
+  made_table made = make_with("better", skin, &parameters);
+  dipole_table *table = load(&made);
+  assert_same_values(table, &made.profile);
+  const dipole_table_info *info = dipole_table_get_info(table);
+  assert_int_equal(info->parameter_count, 2);
+  assert_int_equal(info->parameters[0].id, CORE_PARAMETER_COS_IN);
+  assert_true(info->parameters[0].value == 0.8 && info->parameters[1].value == 0);
+  dipole_table_free(table);
+  unmake(&made);
+}
+
+/* ---- facts, files -------------------------------------------------------------------------- */
+
+static void tables_tell_what_they_are(void **state) {
+  (void)state;
+  made_table made = make("better", (core_medium){0.1, 2, 0.5, 1.4});
+  dipole_table *table = load(&made);
+  const dipole_table_info *info = dipole_table_get_info(table);
+  const core_profile *profile = &made.profile;
+  assert_int_equal(info->layout, TABLE_LAYOUT);
+  assert_int_equal(info->model, profile->model);
+  assert_int_equal(info->moments, CORE_MOMENTS_EXACT);
+  assert_int_equal(info->notes, CORE_NOTE_SIMILARITY);
+  assert_true(info->medium.sigma_a_per_mm == 0.1 && info->medium.sigma_s_per_mm == 2 &&
+              info->medium.g == 0.5 && info->medium.eta == 1.4);
+  assert_int_equal(info->parameter_count, 0);
+  assert_true(info->albedo == profile->albedo);
+  assert_true(info->numerical_error == profile->numerical_error);
+  assert_true(info->numerical_error > 0 && info->numerical_error <= CORE_LUT_TOLERANCE);
+  assert_true(info->pieces_from_mm == core_table_pieces(profile).least_mm);
+  assert_true(info->pieces_to_mm == core_table_pieces(profile).most_mm);
+  assert_true(info->radius_least_mm == 0 && info->radius_most_mm == (double)INFINITY);
+  assert_int_equal(info->word_count, profile->lut_count);
+  assert_memory_equal(info->words, profile->lut, profile->lut_count * sizeof(float));
+  dipole_table_free(table);
+  unmake(&made);
+}
+
+static void saved_tables_are_loaded_one_behind_the_other(void **state) {
+  (void)state;
+  made_table first = make("better", skin), second = make("burley", skin);
+  uint8_t *file = malloc(1 + first.count + second.count);
+  size_t count;
+  dipole_error error;
+  dipole_table *table;
+  assert_non_null(file);
+  uint8_t *at = file + 1; /* not aligned */
+  memcpy(at, first.bytes, first.count);
+  memcpy(at + first.count, second.bytes, second.count);
+  assert_true(dipole_table_load(at, first.count + second.count, &table, &error));
+  assert_memory_equal(dipole_table_bytes(table, &count), first.bytes, first.count);
+  assert_int_equal(count, first.count);
+  assert_same_values(table, &first.profile);
+  dipole_table_free(table);
+  assert_true(dipole_table_load(at + count, second.count, &table, NULL));
+  assert_same_values(table, &second.profile);
+  dipole_table_free(table);
+  dipole_table_free(NULL);
+  free(file);
+  unmake(&first);
+  unmake(&second);
+}
+
+static void what_a_table_does_not_hold_is_refused(void **state) {
+  (void)state;
+  static const float bad[] = {-1, (float)NAN, -0x1p-149f};
+  static const float bad_shares[] = {-0x1p-149f, (float)NAN, 0x1.000002p0f};
+  static const unsigned others[] = {
+      0, DIPOLE_ALBEDO, DIPOLE_RADIUS, DIPOLE_SLOPE, DIPOLE_LN_R, DIPOLE_R | DIPOLE_CDF, 512};
+  made_table made = make("better", skin);
+  dipole_table *table = load(&made);
+  float in[2] = {1, 1}, out[2] = {77, 77};
+  for (size_t i = 0; i < sizeof others / sizeof others[0]; i++) {
+    assert_false(dipole_table_values(table, (enum dipole_quantity)others[i], 2, in, out));
+  }
+  for (size_t i = 0; i < 3; i++) {
+    in[1] = bad[i];
+    assert_false(dipole_table_values(table, DIPOLE_R, 2, in, out));
+    in[1] = bad_shares[i];
+    assert_false(dipole_table_radii(table, 2, in, out));
+  }
+  assert_true(out[0] == 77 && out[1] == 77);
+  assert_true(dipole_table_values(table, DIPOLE_R, 0, in, out));
+  assert_true(dipole_table_radii(table, 0, in, out));
+  dipole_table_free(table);
+  unmake(&made);
+}
+
+static void radii_that_a_model_does_not_cover_are_refused(void **state) {
+  (void)state;
+  core_parameters parameters = core_parameters_none();
+  parameters.value[CORE_PARAMETER_FIT_FROM] = 0.5;
+  parameters.value[CORE_PARAMETER_FIT_TO] = 8;
+  if (core_choice_by_name(core_models, "gaussians") == NULL) {
+    skip(); /* built without GSL */
+  }
+  made_table made = make_with("gaussians", skin, &parameters);
+  dipole_table *table = load(&made);
+  const dipole_table_info *info = dipole_table_get_info(table);
+  const float least = (float)info->radius_least_mm, most = (float)info->radius_most_mm;
+  float out;
+  assert_true(info->radius_most_mm < (double)INFINITY);
+  assert_true(dipole_table_values(table, DIPOLE_R, 1, &most, &out));
+  assert_true(dipole_table_values(table, DIPOLE_R, 1, &least, &out));
+  const float beyond = nextafterf(most, (float)INFINITY);
+  assert_false(dipole_table_values(table, DIPOLE_R, 1, &beyond, &out));
+  dipole_table_free(table);
+  unmake(&made);
+}
+
+/* ---- damage -------------------------------------------------------------------------------- */
+
+static void put_checksum(made_table *made) {
+  /* The table itself is not changed: what it says of itself is made right. */
+  core_profile changed = made->profile;
+  wire_table_reply fixed;
+  wire_get_table_reply(made->bytes + WIRE_BYTES_header, &fixed);
+  changed.lut = (float *)(void *)(made->bytes + made->count - 4 * (size_t)fixed.word_count);
+  const core_parameters none = core_parameters_none();
+  uint8_t *payload = malloc(made->count);
+  assert_non_null(payload);
+  table_reply_put(payload, &changed, &none);
+  wire_table_reply right;
+  wire_get_table_reply(payload, &right);
+  fixed.checksum = right.checksum;
+  wire_put_table_reply(made->bytes + WIRE_BYTES_header, &fixed);
+  free(payload);
+}
+
+static void assert_damaged(const made_table *made, size_t count) {
+  dipole_table *table = NULL;
+  dipole_error error = {0};
+  assert_false(dipole_table_load(made->bytes, count, &table, &error));
+  assert_int_equal(error.kind, DIPOLE_ERROR_TABLE);
+  assert_string_not_equal(error.text, "");
+  assert_null(table);
+}
+
+/* Every bit of the words is under the checksum; every length but the right one is wrong. */
+static void damaged_bytes_are_found(void **state) {
+  (void)state;
+  made_table made = make("better", skin);
+  uint64_t random = unit_seed();
+  for (size_t count = 0; count < made.count; count += 1 + unit_random_below(&random, 64)) {
+    assert_damaged(&made, count);
+  }
+  for (int i = 0; i < 200; i++) {
+    const size_t at =
+        WIRE_BYTES_header + WIRE_BYTES_table_reply +
+        unit_random_below(&random, made.count - WIRE_BYTES_header - WIRE_BYTES_table_reply);
+    const uint8_t bit = (uint8_t)(1u << unit_random_below(&random, 8));
+    made.bytes[at] ^= bit;
+    assert_damaged(&made, made.count);
+    made.bytes[at] ^= bit;
+  }
+  dipole_table_free(load(&made));
+  unmake(&made);
+}
+
+/* What must not be in the fixed part. */
+static void impossible_facts_are_found(void **state) {
+  (void)state;
+  made_table made = make("better", skin);
+  wire_table_reply right, wrong;
+  wire_header header;
+  wire_get_table_reply(made.bytes + WIRE_BYTES_header, &right);
+#define WITH(field, value)                                                                         \
+  do {                                                                                             \
+    wrong = right;                                                                                 \
+    wrong.field = (value);                                                                         \
+    wire_put_table_reply(made.bytes + WIRE_BYTES_header, &wrong);                                  \
+    assert_damaged(&made, made.count);                                                             \
+  } while (0)
+  WITH(layout, 2);
+  WITH(word_count, right.word_count - 4);
+  WITH(word_count, 0);
+  WITH(word_count, UINT32_MAX);
+  WITH(parameter_count, 1);
+  WITH(parameter_count, 65535);
+  WITH(checksum, right.checksum + 1);
+  WITH(eta, (double)NAN);
+  WITH(eta, 0);
+  WITH(g, 1);
+  WITH(sigma_s, -1);
+  WITH(pieces_from, 2 * right.pieces_from);
+  WITH(pieces_to, (double)NAN);
+#undef WITH
+  wire_put_table_reply(made.bytes + WIRE_BYTES_header, &right);
+  wire_get_header(made.bytes, &header);
+  for (int i = 0; i < 4; i++) {
+    wire_header other = header;
+    other.magic += i == 0;
+    other.version += i == 1;
+    other.type = (uint16_t)(other.type + (i == 2));
+    other.payload_bytes += i == 3 ? 8 : 0;
+    wire_put_header(made.bytes, &other);
+    assert_damaged(&made, made.count);
+  }
+  wire_put_header(made.bytes, &header);
+  dipole_table_free(load(&made));
+  unmake(&made);
+}
+
+/* Entries that point outside are found although the checksum is right; whatever else the words say
+ * evaluates to something, without a word outside being read. */
+static void entries_outside_are_found(void **state) {
+  (void)state;
+  made_table made = make("better", skin);
+  uint64_t random = unit_seed();
+  uint32_t *words = (uint32_t *)(void *)(made.bytes + WIRE_BYTES_header + WIRE_BYTES_table_reply);
+  const size_t count = made.profile.lut_count;
+  const uint32_t pieces = (uint32_t)(count - CORE_LUT_PIECES) / CORE_LUT_TERMS;
+  const uint32_t outside[] = {CORE_LUT_ENTRY(pieces, 23),
+                              CORE_LUT_ENTRY(pieces - 1, 22),
+                              CORE_LUT_ENTRY(pieces - 8191, 10) + 32,
+                              CORE_LUT_ENTRY(0, 24),
+                              CORE_LUT_ENTRY(0, 9),
+                              UINT32_MAX};
+  for (size_t i = 0; i < sizeof outside / sizeof outside[0]; i++) {
+    const size_t at = CORE_LUT_R_OCTAVES + unit_random_below(&random, CORE_LUT_PIECES - 16);
+    const uint32_t before = words[at];
+    words[at] = outside[i];
+    put_checksum(&made);
+    assert_damaged(&made, made.count);
+    words[at] = before;
+  }
+  for (int round = 0; round < 50; round++) {
+    for (size_t i = 2; i < 16; i++) { /* all but the two that the fixed part repeats */
+      words[i] = (uint32_t)unit_random(&random);
+    }
+    for (size_t i = CORE_LUT_R_OCTAVES; i < CORE_LUT_PIECES; i++) {
+      words[i] = CORE_LUT_ENTRY(unit_random_below(&random, pieces), 23);
+    }
+    put_checksum(&made);
+    dipole_table *table = load(&made);
+    float r[] = {0, 1e-30f, 1e-3f, 1, 100, (float)INFINITY}, out[6];
+    assert_true(dipole_table_values(table, DIPOLE_R, 6, r, out));
+    assert_true(dipole_table_values(table, DIPOLE_CDF, 6, r, out));
+    float u[] = {0, 1e-30f, 0.25f, 0.5f, 0.75f, 1};
+    assert_true(dipole_table_radii(table, 6, u, out));
+    dipole_table_free(table);
+  }
+  unmake(&made);
+}
+
+/* ---- fetching ------------------------------------------------------------------------------ */
+
+/* Answers table requests with these bytes, pings with a ping. */
+typedef struct answer {
+  const uint8_t *payload;
+  size_t payload_bytes;
+} answer;
+
+static void answer_requests(int fd, void *context) {
+  const answer *with = context;
+  peer_frame request;
+  bool good = peer_say_hello(fd);
+  while (good && peer_receive(fd, &request)) {
+    table_request parsed;
+    const bool ping = request.header.type == WIRE_TYPE_PING;
+    if (!ping &&
+        table_request_parse(request.payload, request.header.payload_bytes, &parsed).status !=
+            WIRE_STATUS_OK) {
+      abort(); /* the library makes well-formed requests */
+    }
+    good = peer_send(fd, (uint16_t)(request.header.type | WIRE_REPLY), request.header.request_id,
+                     ping ? request.payload : with->payload,
+                     ping ? request.header.payload_bytes : with->payload_bytes);
+    free(request.payload);
+  }
+}
+
+static const dipole_table_query skin_query = {
+    .model = CORE_MODEL_BETTER, .moments = DIPOLE_EXACT, .medium = {0.032, 0.74, 0, 1.3}};
+
+/* The table, or NULL after an error of kind PROTOCOL. */
+static dipole_table *fetch(const dipole_table_query *query, const uint8_t *payload,
+                           size_t payload_bytes) {
+  answer with = {payload, payload_bytes};
+  scripted_peer peer;
+  dipole_client *client;
+  dipole_table *table = NULL;
+  dipole_error error = {0};
+  peer_start(&peer, answer_requests, &with);
+  assert_true(dipole_open_within(peer.address, TIMEOUT_MS, &client, &error));
+  const bool good = dipole_table_fetch(client, query, &table, &error);
+  assert_int_equal(good, table != NULL);
+  assert_int_equal(dipole_ping(client, NULL), good);
+  assert_int_equal(error.kind, good ? DIPOLE_ERROR_NONE : DIPOLE_ERROR_PROTOCOL);
+  dipole_close(client);
+  peer_end(&peer);
+  return table;
+}
+
+static void tables_are_fetched(void **state) {
+  (void)state;
+  made_table made = make("better", skin);
+  dipole_table *table =
+      fetch(&skin_query, made.bytes + WIRE_BYTES_header, made.count - WIRE_BYTES_header);
+  size_t count;
+  assert_non_null(table);
+  assert_same_values(table, &made.profile);
+  dipole_table *again;
+  assert_true(dipole_table_load(dipole_table_bytes(table, &count), made.count, &again, NULL));
+  assert_same_values(again, &made.profile);
+  assert_int_equal(count, made.count);
+  dipole_table_free(again);
+  dipole_table_free(table);
+  unmake(&made);
+}
+
+static void other_answers_are_refused(void **state) {
+  (void)state;
+  made_table made = make("better", skin);
+  uint8_t *payload = made.bytes + WIRE_BYTES_header;
+  const size_t bytes = made.count - WIRE_BYTES_header;
+  const dipole_parameter tolerance = {CORE_PARAMETER_TOLERANCE, 1e-3};
+  dipole_table_query others[6];
+  for (size_t i = 0; i < 6; i++) {
+    others[i] = skin_query;
+  }
+  others[0].model++;
+  others[1].moments++;
+  others[2].medium.sigma_a_per_mm *= 2;
+  others[3].medium.g = 0.5;
+  others[4].medium.eta = 1.4;
+  others[5].parameters = &tolerance;
+  others[5].parameter_count = 1;
+  for (size_t i = 0; i < 6; i++) {
+    assert_null(fetch(&others[i], payload, bytes));
+  }
+  assert_null(fetch(&skin_query, payload, bytes - 8));
+  assert_null(fetch(&skin_query, payload, 8));
+  assert_null(fetch(&skin_query, payload, 0));
+  payload[bytes - 1] ^= 1;
+  assert_null(fetch(&skin_query, payload, bytes));
+  unmake(&made);
+}
+
+static void wrong_arguments_are_not_sent(void **state) {
+  (void)state;
+  made_table made = make("better", skin);
+  answer with = {made.bytes + WIRE_BYTES_header, made.count - WIRE_BYTES_header};
+  const dipole_parameter none_such = {65536, 1};
+  scripted_peer peer;
+  dipole_client *client;
+  dipole_table *table = NULL;
+  dipole_error error;
+  dipole_table_query wrong[5];
+  for (size_t i = 0; i < 5; i++) {
+    wrong[i] = skin_query;
+  }
+  wrong[0].model = 65536;
+  wrong[1].moments = 65536;
+  wrong[2].parameter_count = 1;
+  wrong[3].parameters = &none_such;
+  wrong[3].parameter_count = 1;
+  wrong[4].parameters = &none_such;
+  wrong[4].parameter_count = 65536;
+  peer_start(&peer, answer_requests, &with);
+  assert_true(dipole_open_within(peer.address, TIMEOUT_MS, &client, &error));
+  for (size_t i = 0; i < 5; i++) {
+    assert_false(dipole_table_fetch(client, &wrong[i], &table, &error));
+    assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
+    assert_null(table);
+  }
+  assert_true(dipole_table_fetch(client, &skin_query, &table, NULL));
+  dipole_table_free(table);
+  dipole_close(client);
+  peer_end(&peer);
+  unmake(&made);
+}
+
+/* ---- without a daemon ---------------------------------------------------------------------- */
+
+static void the_library_knows_its_lists(void **state) {
+  (void)state;
+  dipole_info *info;
+  size_t models = 0;
+  assert_true(dipole_local_info(&info, NULL));
+  for (size_t i = 0; i < info->choice_count; i++) {
+    const dipole_choice *choice = &info->choices[i];
+    assert_true(choice->name[0] != '\0' && choice->about[0] != '\0');
+    if (choice->kind == DIPOLE_MODEL) {
+      assert_string_equal(choice->name, core_choice_by_id(core_models, choice->id)->name);
+      models++;
+    }
+  }
+  assert_true(models > 2);
+  assert_string_equal(info->instruction_set, core_isa_name(core_isa_select(NULL)));
+  assert_int_equal(info->limit_count, 0);
+  free(info);
+}
+
+static void grids_are_the_daemons(void **state) {
+  (void)state;
+  const core_grid grid = {CORE_SPACING_LOGARITHMIC, 7, 0.01, 100};
+  float expected[7], found[7];
+  dipole_error error;
+  core_grid_radii_f32(&grid, 0, 7, expected);
+  assert_true(dipole_grid_radii(DIPOLE_LOGARITHMIC, 0.01, 100, 7, found, &error));
+  assert_memory_equal(found, expected, sizeof found);
+  assert_true(dipole_grid_radii(DIPOLE_LINEAR, 0, 6, 7, found, NULL));
+  assert_true(found[0] == 0 && found[1] == 1 && found[6] == 6);
+  const struct {
+    enum dipole_spacing spacing;
+    double start, stop;
+    uint64_t count;
+  } wrong[] = {{DIPOLE_LIST, 0, 1, 2},       {(enum dipole_spacing)9, 0, 1, 2},
+               {DIPOLE_LINEAR, -1, 1, 2},    {DIPOLE_LINEAR, 0, (double)INFINITY, 2},
+               {DIPOLE_LINEAR, 2, 1, 2},     {DIPOLE_LINEAR, 0, 1, 0},
+               {DIPOLE_LOGARITHMIC, 0, 1, 2}};
+  for (size_t i = 0; i < sizeof wrong / sizeof wrong[0]; i++) {
+    assert_false(dipole_grid_radii(wrong[i].spacing, wrong[i].start, wrong[i].stop, wrong[i].count,
+                                   found, &error));
+    assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
+  }
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(tables_have_the_bits_of_their_profiles),
+      cmocka_unit_test(angles_of_S_are_those_of_the_request),
+      cmocka_unit_test(tables_tell_what_they_are),
+      cmocka_unit_test(saved_tables_are_loaded_one_behind_the_other),
+      cmocka_unit_test(what_a_table_does_not_hold_is_refused),
+      cmocka_unit_test(radii_that_a_model_does_not_cover_are_refused),
+      cmocka_unit_test(damaged_bytes_are_found),
+      cmocka_unit_test(impossible_facts_are_found),
+      cmocka_unit_test(entries_outside_are_found),
+      cmocka_unit_test(tables_are_fetched),
+      cmocka_unit_test(other_answers_are_refused),
+      cmocka_unit_test(wrong_arguments_are_not_sent),
+      cmocka_unit_test(the_library_knows_its_lists),
+      cmocka_unit_test(grids_are_the_daemons),
+  };
+  return cmocka_run_group_tests(tests, NULL, NULL);
+}
