@@ -322,7 +322,7 @@ static void evaluate(struct job *job, struct job_scratch *scratch, size_t n) {
     }
     void *to =
         job->reply + eval_array_offset(&job->layout, wanted, job->channel, quantity->id) + done;
-    if (job->request.fixed.evaluator == CORE_EVALUATOR_F32) {
+    if (value_bytes(job) == sizeof(float)) {
       core_eval_f32(&job->order.profile, quantity->id, n, r, to);
     } else {
       core_eval_f64(&job->order.profile, quantity->id, n, r, to);
