@@ -155,6 +155,9 @@ typedef struct core_parameters {
 /* None given. */
 core_parameters core_parameters_none(void);
 
+/* The fault of a value that is out of its range, whatever the model. */
+core_fault core_parameter_check(enum core_parameter parameter, double value);
+
 /* ---- Fresnel moments --------------------------------------------------------------------------
  */
 

@@ -81,6 +81,16 @@ static const struct {
 #include "core/choices.def"
 };
 
+core_fault core_parameter_check(enum core_parameter parameter, double value) {
+  for (size_t i = 0; i < sizeof parameter_ranges / sizeof parameter_ranges[0]; i++) {
+    if (parameter_ranges[i].id == (unsigned)parameter &&
+        !(value >= parameter_ranges[i].least && value <= parameter_ranges[i].most)) {
+      return (core_fault){parameter_ranges[i].name, parameter_ranges[i].range, 0};
+    }
+  }
+  return (core_fault){0};
+}
+
 static core_fault check_parameters(const struct model *model, const core_parameters *parameters) {
   const unsigned taken = parameters_of(model);
   for (size_t i = 0; i < sizeof parameter_ranges / sizeof parameter_ranges[0]; i++) {
@@ -91,8 +101,9 @@ static core_fault check_parameters(const struct model *model, const core_paramet
     if ((taken & 1u << parameter_ranges[i].id) == 0) {
       return (core_fault){parameter_ranges[i].name, "nothing: this model does not take it", 0};
     }
-    if (!(value >= parameter_ranges[i].least && value <= parameter_ranges[i].most)) {
-      return (core_fault){parameter_ranges[i].name, parameter_ranges[i].range, 0};
+    const core_fault fault = core_parameter_check(parameter_ranges[i].id, value);
+    if (fault.field != NULL) {
+      return fault;
     }
   }
   return (core_fault){0};

@@ -31,6 +31,8 @@ struct connection *connection_new(struct server *server, int fd, enum connection
   c->purpose = purpose;
   c->job.order.on_ready = on_profile;
   c->job.order.context = c;
+  c->table.order.on_ready = on_profile;
+  c->table.order.context = c;
   input_init(&c->input, server);
   output_init(&c->output, server);
   return c;
@@ -67,7 +69,8 @@ void connection_abort(struct connection *c) {
     c->closing = true;
     uv_close(&c->uv.handle, on_closed);
     close_desk(c);
-    job_end(&c->job); /* nobody wakes it any more */
+    job_end(&c->job); /* nobody wakes them any more */
+    table_job_end(&c->table);
   }
 }
 
@@ -225,12 +228,17 @@ static void on_mc_news(void *context) {
 
 static void answer_frame(struct connection *c, const wire_header *header, const uint8_t *payload) {
   const struct mc_caller mc = {c->server, worker_loop(c->worker), on_mc_news, c, &c->mc};
-  switch (request_begin(c->server, header, payload, &c->output, &c->job, &mc)) {
+  const struct request_place place = {&c->job, &c->table, &mc};
+  switch (request_begin(c->server, header, payload, &c->output, &place)) {
   case REQUEST_ANSWERED:
     input_next(&c->input, header);
     break;
   case REQUEST_STARTED:
     c->in_job = true;
+    c->job_header = *header;
+    break;
+  case REQUEST_TABLE_STARTED:
+    c->in_table = true;
     c->job_header = *header;
     break;
   case REQUEST_NO_ROOM:
@@ -271,6 +279,19 @@ static void on_profile(void *context) {
   worker_run_later(c->worker, c);
 }
 
+/* The answer, which is in the output, or the error that is sent in its place, is the last of it. */
+static void end_job(struct connection *c, const wire_error *refusal) {
+  c->in_job = false;
+  c->in_table = false;
+  if (refusal == NULL) {
+    stats_count_answer(&c->server->stats, WIRE_STATUS_OK);
+  } else if (!request_refuse(c->server, c->job_header.request_id, refusal, &c->output)) {
+    connection_abort(c);
+    return;
+  }
+  input_next(&c->input, &c->job_header);
+}
+
 static void run_job(struct connection *c, uint64_t *budget) {
   switch (job_slice(&c->job, c->server, worker_profiles(c->worker), worker_scratch(c->worker),
                     budget)) {
@@ -281,18 +302,27 @@ static void run_job(struct connection *c, uint64_t *budget) {
     return;
   case JOB_DONE:
     output_commit(&c->output);
-    stats_count_answer(&c->server->stats, WIRE_STATUS_OK);
-    input_next(&c->input, &c->job_header);
-    c->in_job = false;
+    end_job(c, NULL);
     return;
   case JOB_REFUSED:
     output_cancel(&c->output);
-    c->in_job = false;
-    if (request_refuse(c->server, c->job_header.request_id, &c->job.refusal, &c->output)) {
-      input_next(&c->input, &c->job_header);
-    } else {
-      connection_abort(c);
-    }
+    end_job(c, &c->job.refusal);
+    return;
+  }
+}
+
+static void run_table_job(struct connection *c, uint64_t *budget) {
+  *budget -= *budget < JOB_STEP_RADII ? *budget : JOB_STEP_RADII;
+  switch (
+      table_job_run(&c->table, worker_profiles(c->worker), c->job_header.request_id, &c->output)) {
+  case TABLE_JOB_WAITS:
+    c->waiting = true;
+    return;
+  case TABLE_JOB_DONE:
+    end_job(c, NULL);
+    return;
+  case TABLE_JOB_REFUSED:
+    end_job(c, &c->table.refusal);
     return;
   }
 }
@@ -309,6 +339,10 @@ static bool step(struct connection *c, uint64_t *budget) {
   }
   if (c->in_job) {
     run_job(c, budget);
+    return true;
+  }
+  if (c->in_table) {
+    run_table_job(c, budget);
     return true;
   }
   if (c->ending || blocked(c)) {
@@ -463,7 +497,7 @@ void connection_tick(struct connection *c, uint64_t now_ms) {
     }
     return;
   }
-  if (c->in_job || c->to_run) {
+  if (c->in_job || c->in_table || c->to_run) {
     return;
   }
   if (c->frame_started_ms != 0 && now_ms - c->frame_started_ms > options->frame_timeout_ms) {

@@ -12,6 +12,7 @@
 #include "server/job.h"
 #include "server/mc.h"
 #include "server/output.h"
+#include "server/table_job.h"
 
 enum connection_purpose {
   CONNECTION_SERVE,
@@ -41,11 +42,13 @@ struct connection {
   struct input input;
   struct output output;
   struct job job;
+  struct table_job table;
   wire_header job_header;
   struct mc_desk *mc; /* its Monte Carlo jobs; NULL: it has had none */
 
-  bool to_run; /* in the run queue */
-  bool in_job; /* job is under way; its frame stays in the input */
+  bool to_run;   /* in the run queue */
+  bool in_job;   /* job is under way; its frame stays in the input */
+  bool in_table; /* table is, likewise */
   bool reading;
   bool stopping;  /* the daemon stops: ends when what has arrived is answered */
   bool peer_done; /* nothing more will arrive */

@@ -4,6 +4,8 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "server/choice.h"
+
 /* ---- checking ---------------------------------------------------------------------------------
  */
 
@@ -87,20 +89,92 @@ static wire_error too_large(const char *field, uint64_t most, const char *what) 
   return wire_error_make(WIRE_STATUS_TOO_LARGE, field, allowed);
 }
 
-wire_error job_check(struct job *job, const struct server *server, const uint8_t *payload,
-                     size_t payload_bytes) {
-  wire_error error = eval_request_parse(payload, payload_bytes, &job->request);
+/* Takes the candidate after those that have been tried; false: none is left that keeps the
+ * tolerance. */
+static bool take_next(struct job *job, const struct choice *choice) {
+  if (job->choice >= choice->count || !choice->candidates[job->choice].meets) {
+    return false;
+  }
+  const core_candidate *candidate = &choice->candidates[job->choice++];
+  job->model_error = candidate->model_error;
+  choice_take(candidate, &job->request);
+  return true;
+}
+
+/* A model and evaluator for a request that names none. */
+static wire_error choose(struct job *job) {
+  wire_error error = choice_check(&job->request);
+  if (error.status == WIRE_STATUS_OK) {
+    error = check_radii(job);
+  }
+  if (error.status != WIRE_STATUS_OK) {
+    return error;
+  }
+  struct choice choice;
+  job->tolerance = job->request.parameters.value[CORE_PARAMETER_TOLERANCE];
+  choice_list(&job->request, &choice);
+  return take_next(job, &choice) ? wire_error_none() : choice_none(&choice);
+}
+
+/* When what was chosen cannot be prepared after all, the next best; false: there is none. A lack of
+ * memory decides nothing: the same request gets the same model. */
+static bool choose_again(struct job *job) {
+  if (isnan(job->tolerance) || strcmp(job->order.fault.field, CORE_FIELD_MEMORY) == 0) {
+    return false;
+  }
+  struct choice choice;
+  job->request.parameters.value[CORE_PARAMETER_TOLERANCE] = job->tolerance;
+  choice_list(&job->request, &choice);
+  return take_next(job, &choice);
+}
+
+/* Takes a request apart; what it says of the layout is right. */
+static wire_error parse(struct job *job, const struct server *server, const uint8_t *payload,
+                        size_t payload_bytes) {
+  const wire_error error = eval_request_parse(payload, payload_bytes, &job->request);
   if (error.status != WIRE_STATUS_OK) {
     return error;
   }
   const wire_eval_request *fixed = &job->request.fixed;
+  job->tolerance = (double)NAN;
+  job->choice = 0;
   job->grid =
       (core_grid){fixed->spacing, fixed->radius_count, fixed->radius_start, fixed->radius_stop};
-  if (fixed->medium_count > server->options.max_media) {
-    return too_large("medium_count", server->options.max_media, "media");
+  return fixed->medium_count > server->options.max_media
+             ? too_large("medium_count", server->options.max_media, "media")
+             : wire_error_none();
+}
+
+wire_error job_offers(const struct server *server, const uint8_t *payload, size_t payload_bytes,
+                      struct choice *choice) {
+  struct job job;
+  wire_error error = parse(&job, server, payload, payload_bytes);
+  if (error.status == WIRE_STATUS_OK && job.request.fixed.model != EVAL_ANY_MODEL) {
+    error = wire_error_make(WIRE_STATUS_BAD_VALUE, "model", "0: any");
+  }
+  if (error.status == WIRE_STATUS_OK) {
+    error = choice_check(&job.request);
+  }
+  if (error.status == WIRE_STATUS_OK) {
+    error = check_radii(&job);
+  }
+  if (error.status == WIRE_STATUS_OK) {
+    choice_list(&job.request, choice);
+  }
+  return error;
+}
+
+wire_error job_check(struct job *job, const struct server *server, const uint8_t *payload,
+                     size_t payload_bytes) {
+  wire_error error = parse(job, server, payload, payload_bytes);
+  const wire_eval_request *fixed = &job->request.fixed;
+  if (error.status == WIRE_STATUS_OK && fixed->model == EVAL_ANY_MODEL) {
+    error = choose(job);
   }
   core_radii_range range;
-  error = check_media(job, &range);
+  if (error.status == WIRE_STATUS_OK) {
+    error = check_media(job, &range);
+  }
   if (error.status == WIRE_STATUS_OK) {
     error = check_radii(job);
   }
@@ -184,8 +258,14 @@ void job_end(struct job *job) {
   profiles_return(&job->order);
 }
 
-/* What job_check() could not find. */
-static wire_error from_preparing(core_fault fault, uint32_t channel) {
+wire_error job_busy(void) {
+  wire_error error =
+      wire_error_make(WIRE_STATUS_BUSY, "", "less at a time: max_total_bytes is in use");
+  error.retry_after_ms = JOB_RETRY_AFTER_MS;
+  return error;
+}
+
+wire_error job_fault(core_fault fault, uint32_t channel) {
   fault.index = channel;
   wire_error error = from_fault(fault);
   if (strcmp(fault.field, CORE_FIELD_MEMORY) == 0) {
@@ -204,7 +284,7 @@ static void start_channel(struct job *job) {
       .albedo = albedo_wanted ? profile->albedo : (double)NAN,
       .numerical_error = profile->numerical_error,
       .numerical_error_per_mm = profile->numerical_error_per_mm,
-      .model_error = profile->model_error,
+      .model_error = isnan(job->tolerance) ? profile->model_error : job->model_error,
   };
   wire_put_channel(job->reply + job->layout.channels_offset +
                        (size_t)job->channel * WIRE_BYTES_channel,
@@ -218,7 +298,11 @@ static enum job_state get_profile(struct job *job, struct profiles *profiles) {
   case PROFILES_WAIT:
     return JOB_WAITS;
   case PROFILES_FAULT:
-    job->refusal = from_preparing(job->order.fault, job->channel);
+    if (choose_again(job)) {
+      job_start(job, job->reply);
+      return JOB_GOES_ON;
+    }
+    job->refusal = job_fault(job->order.fault, job->channel);
     return JOB_REFUSED;
   case PROFILES_READY:
     break;
@@ -238,7 +322,7 @@ static void evaluate(struct job *job, struct job_scratch *scratch, size_t n) {
     }
     void *to =
         job->reply + eval_array_offset(&job->layout, wanted, job->channel, quantity->id) + done;
-    if (job->request.fixed.evaluator == CORE_EVALUATOR_F32) {
+    if (value_bytes(job) == sizeof(float)) {
       core_eval_f32(&job->order.profile, quantity->id, n, r, to);
     } else {
       core_eval_f64(&job->order.profile, quantity->id, n, r, to);
@@ -314,7 +398,7 @@ enum job_state job_slice(struct job *job, struct server *server, struct profiles
     radii_step(job, n);
   } else {
     const enum job_state state = job->order.ready ? JOB_GOES_ON : get_profile(job, profiles);
-    if (state != JOB_GOES_ON) {
+    if (state != JOB_GOES_ON || !job->order.ready) {
       return state;
     }
     cost = job->order.profile.cost;

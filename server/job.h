@@ -25,7 +25,10 @@ struct job {
   uint32_t channel;
   uint64_t index; /* the next radius of that channel */
   bool radii_done;
-  unsigned notes; /* of the channels so far */
+  unsigned notes;     /* of the channels so far */
+  double tolerance;   /* that was asked for instead of a model; NAN: a model was */
+  double model_error; /* of what was chosen for it */
+  size_t choice;      /* how many candidates have been tried */
   wire_error refusal;
 };
 
@@ -33,6 +36,11 @@ struct job {
  * runs. OK: layout.payload_bytes says what the reply needs. */
 wire_error job_check(struct job *job, const struct server *server, const uint8_t *payload,
                      size_t payload_bytes);
+
+/* What could answer a request of model EVAL_ANY_MODEL. */
+struct choice;
+wire_error job_offers(const struct server *server, const uint8_t *payload, size_t payload_bytes,
+                      struct choice *choice);
 
 /* Starts to fill in the reply, which starts at a multiple of 8. */
 void job_start(struct job *job, uint8_t *reply);
@@ -45,6 +53,10 @@ void job_end(struct job *job);
 struct job_scratch {
   double radii[JOB_SLICE_RADII];
 };
+
+/* BUSY, for what there are no bytes for now; and the error of a fault in preparing a channel. */
+wire_error job_busy(void);
+wire_error job_fault(core_fault fault, uint32_t channel);
 
 enum job_state {
   JOB_GOES_ON,

@@ -2,6 +2,8 @@
 
 #include <string.h>
 
+#include "server/choice.h"
+
 /* A message being answered. */
 struct question {
   struct server *server;
@@ -9,15 +11,16 @@ struct question {
   const uint8_t *payload;
   struct output *output;
   struct job *job;
+  struct table_job *table;
   const struct mc_caller *mc;
 };
 
-/* What a handler made of it: OK and answered, OK and a job or a Monte Carlo job started, or an
- * error to be sent. */
+/* What a handler made of it: OK and answered, OK and started, or an error to be sent. */
+enum started { STARTED_NOTHING, STARTED_JOB, STARTED_TABLE, STARTED_MC };
+
 struct outcome {
   wire_error error;
-  bool started;
-  bool mc_started;
+  enum started started;
 };
 
 static struct outcome answered(void) {
@@ -51,10 +54,7 @@ static uint8_t *begin_reply(struct question *question, size_t payload_bytes) {
 }
 
 static struct outcome busy(void) {
-  wire_error error =
-      wire_error_make(WIRE_STATUS_BUSY, "", "less at a time: max_total_bytes is in use");
-  error.retry_after_ms = JOB_RETRY_AFTER_MS;
-  return refused(error);
+  return refused(job_busy());
 }
 
 static struct outcome bad_length(const char *allowed) {
@@ -144,7 +144,7 @@ static struct outcome answer_EVAL(struct question *question) {
     return busy();
   }
   job_start(job, reply);
-  return (struct outcome){.error = wire_error_none(), .started = true};
+  return (struct outcome){.error = wire_error_none(), .started = STARTED_JOB};
 }
 
 /* Room for a list reply with count entries; NULL: none. */
@@ -219,7 +219,7 @@ static struct outcome answer_PING(struct question *question) {
 static struct outcome answer_MC(struct question *question) {
   const wire_error error = mc_desk_start(question->mc, question->header->request_id,
                                          question->payload, question->header->payload_bytes);
-  return (struct outcome){.error = error, .mc_started = error.status == WIRE_STATUS_OK};
+  return (struct outcome){error, error.status == WIRE_STATUS_OK ? STARTED_MC : STARTED_NOTHING};
 }
 
 static struct outcome answer_CANCEL(struct question *question) {
@@ -235,6 +235,50 @@ static struct outcome answer_CANCEL(struct question *question) {
   const wire_cancel_reply reply = {
       .found = mc_desk_end(*question->mc->desk, request.job_id, MC_CANCELLED)};
   wire_put_cancel_reply(at, &reply);
+  output_commit(question->output);
+  return answered();
+}
+
+static struct outcome answer_TABLE(struct question *question) {
+  const wire_error error =
+      table_job_start(question->table, question->payload, question->header->payload_bytes);
+  return (struct outcome){error, error.status == WIRE_STATUS_OK ? STARTED_TABLE : STARTED_NOTHING};
+}
+
+static void put_offers(uint8_t *at, const struct choice *choice, size_t taken) {
+  const wire_offers_reply reply = {.count = (uint32_t)choice->count, .taken = (uint32_t)taken};
+  wire_put_offers_reply(at, &reply);
+  at += WIRE_BYTES_offers_reply;
+  for (size_t i = 0; i < choice->count; i++) {
+    const core_candidate *candidate = &choice->candidates[i];
+    const wire_offer offer = {
+        .model = (uint16_t)candidate->model,
+        .evaluator = (uint16_t)candidate->evaluator,
+        .meets = candidate->meets,
+        .error = candidate->error,
+        .numerical_error = candidate->numerical_error,
+        .cost = candidate->cost_ns,
+        .prepare_cost = candidate->prepare_ns,
+    };
+    wire_put_offer(at, &offer);
+    at += WIRE_BYTES_offer;
+  }
+}
+
+static struct outcome answer_OFFERS(struct question *question) {
+  struct choice choice;
+  const wire_error error =
+      job_offers(question->server, question->payload, question->header->payload_bytes, &choice);
+  if (error.status != WIRE_STATUS_OK) {
+    return refused(error);
+  }
+  uint8_t *at =
+      begin_reply(question, WIRE_BYTES_offers_reply + choice.count * (size_t)WIRE_BYTES_offer);
+  if (at == NULL) {
+    return busy();
+  }
+  const size_t taken = choice_sort_by_cost(&choice);
+  put_offers(at, &choice, taken);
   output_commit(question->output);
   return answered();
 }
@@ -266,16 +310,20 @@ bool request_refuse(struct server *server, uint64_t request_id, const wire_error
 }
 
 enum request_outcome request_begin(struct server *server, const wire_header *header,
-                                   const uint8_t *payload, struct output *output, struct job *job,
-                                   const struct mc_caller *mc) {
-  struct question question = {server, header, payload, output, job, mc};
+                                   const uint8_t *payload, struct output *output,
+                                   const struct request_place *place) {
+  struct question question = {server, header, payload, output, place->job, place->table, place->mc};
   stats_count_request(&server->stats, header->type);
   const struct outcome outcome = answer(&question);
-  if (outcome.started) {
+  switch (outcome.started) {
+  case STARTED_JOB:
     return REQUEST_STARTED;
-  }
-  if (outcome.mc_started) {
+  case STARTED_TABLE:
+    return REQUEST_TABLE_STARTED;
+  case STARTED_MC:
     return REQUEST_ANSWERED;
+  case STARTED_NOTHING:
+    break;
   }
   if (outcome.error.status == WIRE_STATUS_OK) {
     stats_count_answer(&server->stats, WIRE_STATUS_OK);

@@ -5,19 +5,28 @@
 #include "server/job.h"
 #include "server/mc.h"
 #include "server/output.h"
+#include "server/table_job.h"
 
 enum request_outcome {
   REQUEST_ANSWERED, /* the answer, or an error, has been committed to the output, or a Monte Carlo
                        job will answer */
-  REQUEST_STARTED,  /* *job is to be run; its reply has been reserved */
-  REQUEST_NO_ROOM,  /* not even an error could be put into the output */
+  REQUEST_STARTED,  /* the job is to be run; its reply has been reserved */
+  REQUEST_TABLE_STARTED, /* the table job is to be run */
+  REQUEST_NO_ROOM,       /* not even an error could be put into the output */
 };
 
-/* Answers a frame, or starts the job that will. The payload has to stay while *job runs; Monte
- * Carlo jobs are started for the caller `mc` and need it no more. */
+/* Where what a request starts has its place. */
+struct request_place {
+  struct job *job;
+  struct table_job *table;
+  const struct mc_caller *mc; /* for whom Monte Carlo jobs are started */
+};
+
+/* Answers a frame, or starts the job that will. The payload has to stay while *job runs; the others
+ * need it no more. */
 enum request_outcome request_begin(struct server *server, const wire_header *header,
-                                   const uint8_t *payload, struct output *output, struct job *job,
-                                   const struct mc_caller *mc);
+                                   const uint8_t *payload, struct output *output,
+                                   const struct request_place *place);
 
 /* Room for a frame in the output, to be committed: its header is written, its payload returned.
  * NULL: there is none. */
