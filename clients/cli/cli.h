@@ -30,6 +30,7 @@ extern const cli_command *const cli_commands[];
 
 extern const cli_command cli_command_eval;
 extern const cli_command cli_command_points;
+extern const cli_command cli_command_table;
 extern const cli_command cli_command_mc;
 extern const cli_command cli_command_media;
 extern const cli_command cli_command_info;
@@ -62,6 +63,12 @@ int cli_run_plain(const cli_command *command, int argc, char **argv,
 bool cli_eval(dipole_client *client, const cli_common *common, const dipole_query *query,
               dipole_result **result, dipole_error *error);
 
+/* Likewise dipole_offers() and dipole_table_fetch(). */
+bool cli_offers(dipole_client *client, const cli_common *common, const dipole_query *query,
+                dipole_offer **offers, size_t *count, size_t *taken, dipole_error *error);
+bool cli_table_fetch(dipole_client *client, const cli_common *common,
+                     const dipole_table_query *query, dipole_table **table, dipole_error *error);
+
 /* Waits as long as a busy daemon asks for, within reason. */
 void cli_nap(const dipole_error *busy);
 
@@ -75,6 +82,15 @@ const dipole_choice *cli_next_choice(const dipole_info *info, enum dipole_kind k
 
 /* The choice of a kind with this name; NULL: none. */
 const dipole_choice *cli_choice(const dipole_info *info, enum dipole_kind kind, const char *name);
+
+/* The choice of a kind with this id; NULL: none. */
+const dipole_choice *cli_choice_of_id(const dipole_info *info, enum dipole_kind kind, unsigned id);
+
+/* Whether the sum of notes holds one of the daemon's. */
+bool cli_is_noted(unsigned notes, const dipole_choice *note);
+
+/* " (--sigma-a)": the option that a field of a request is given by; "" when there is none. */
+const char *cli_option_of(const cli_command *command, const char *field, char *text, size_t bytes);
 
 /* The same, saying which names there are when it is none of them. */
 const dipole_choice *cli_named(const cli_command *command, const dipole_info *info,

@@ -23,16 +23,47 @@ void cli_nap(const dipole_error *busy) {
   nanosleep(&nap, NULL);
 }
 
+/* After an error of a call that began at start_ms: whether it is to be made again, when the nap that
+ * the daemon asked for is over. */
+static bool nap_while_busy(const cli_common *common, int64_t start_ms, const dipole_error *error) {
+  const bool patient =
+      common->timeout_ms.value == 0 || cli_now_ms() - start_ms < (int64_t)common->timeout_ms.value;
+  if (error->retry_after_ms == 0 || !patient) {
+    return false;
+  }
+  cli_nap(error);
+  return true;
+}
+
 bool cli_eval(dipole_client *client, const cli_common *common, const dipole_query *query,
               dipole_result **result, dipole_error *error) {
   const int64_t start_ms = cli_now_ms();
   while (!dipole_eval(client, query, result, error)) {
-    const bool patient = common->timeout_ms.value == 0 ||
-                         cli_now_ms() - start_ms < (int64_t)common->timeout_ms.value;
-    if (error->retry_after_ms == 0 || !patient) {
+    if (!nap_while_busy(common, start_ms, error)) {
       return false;
     }
-    cli_nap(error);
+  }
+  return true;
+}
+
+bool cli_offers(dipole_client *client, const cli_common *common, const dipole_query *query,
+                dipole_offer **offers, size_t *count, size_t *taken, dipole_error *error) {
+  const int64_t start_ms = cli_now_ms();
+  while (!dipole_offers(client, query, offers, count, taken, error)) {
+    if (!nap_while_busy(common, start_ms, error)) {
+      return false;
+    }
+  }
+  return true;
+}
+
+bool cli_table_fetch(dipole_client *client, const cli_common *common,
+                     const dipole_table_query *query, dipole_table **table, dipole_error *error) {
+  const int64_t start_ms = cli_now_ms();
+  while (!dipole_table_fetch(client, query, table, error)) {
+    if (!nap_while_busy(common, start_ms, error)) {
+      return false;
+    }
   }
   return true;
 }

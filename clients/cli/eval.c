@@ -1,6 +1,7 @@
 /* dipole eval: profiles of a medium over a range of radii. */
 #include "clients/cli/eval.h"
 
+#include <stdlib.h>
 #include <string.h>
 
 #define PLOT_FILE "dipole.svg"
@@ -8,17 +9,11 @@
 #define FIELD(name) offsetof(cli_eval_settings, name)
 
 static const cli_option options[] = {
-    {"Medium", NULL, NULL, CLI_HEADING, 0},
-    {"medium", "NAME", "a measured medium, see `dipole media`: red, green and blue", CLI_TEXT,
-     FIELD(medium)},
-    {"sigma-a", "X[,X...]", "absorption coefficient, 1/mm; one value for each channel", CLI_NUMBERS,
-     FIELD(sigma_a)},
-    {"sigma-s", "X[,X...]", "scattering coefficient, 1/mm; a single value holds for all channels",
-     CLI_NUMBERS, FIELD(sigma_s)},
-    {"g", "X[,X...]", "mean cosine of the scattering angle (default: 0)", CLI_NUMBERS, FIELD(g)},
-    {"eta", "X[,X...]",
-     "refractive index inside over outside (default: the measured\nmedium's, else 1.3)",
-     CLI_NUMBERS, FIELD(eta)},
+    CLI_MEDIUM_OPTIONS(cli_eval_settings),
+    {"table", "FILE",
+     "evaluate the tables in a file of `dipole table`, without a daemon; -: standard\n"
+     "input",
+     CLI_TEXT, FIELD(table)},
     {"Radii", NULL, NULL, CLI_HEADING, 0},
     {"r", "X[,X...]", "these radii, mm; inf is one too", CLI_NUMBERS, FIELD(r)},
     {"from", "X", "the first radius of a grid, mm (default: 0)", CLI_NUMBER, FIELD(from)},
@@ -29,12 +24,15 @@ static const cli_option options[] = {
     {"Evaluation", NULL, NULL, CLI_HEADING, 0},
     {"model", "NAME[,NAME...]",
      "see `dipole info`; all: every model that takes what is asked, those that\n"
-     "refuse it are named on standard error (default: better)",
+     "refuse it are named on standard error (default: with --tolerance the cheapest\n"
+     "that is measured to be so near to radiative transport, else better)",
      CLI_NAMES, FIELD(model)},
     {"moments", "NAME", "Fresnel moments, see `dipole info` (default: exact)", CLI_TEXT,
      FIELD(moments)},
-    {"evaluator", "NAME", "f64 or f32: double or single precision (default: f64)", CLI_TEXT,
-     FIELD(evaluator)},
+    {"evaluator", "NAME",
+     "f64 or f32: double or single precision; lut: single, by a table (default: f64;\n"
+     "with --tolerance alone the cheapest)",
+     CLI_TEXT, FIELD(evaluator)},
     {"want", "NAME[,NAME...]",
      "R: 1/mm^2 per unit of power that entered; albedo; cdf: the share of\n"
      "the albedo within r; S: 1/(mm^2 sr); others: see `dipole info`\n"
@@ -57,15 +55,24 @@ static const struct {
     {"json", cli_eval_write_json},
 };
 
+/* Everything about the profile is in the file. */
+static int check_table(const cli_command *command, const cli_eval_settings *settings) {
+  const cli_option *parameter = cli_parameters_given(&settings->profile);
+  if (cli_channels_given(&settings->medium) || settings->model.count > 0 ||
+      settings->moments != NULL || settings->evaluator != NULL || parameter != NULL ||
+      settings->profile.common.connect != NULL) {
+    return cli_fail_usage(command, "--table FILE says what is evaluated, and needs no daemon: of "
+                                   "the options leave all out but radii, --want and output");
+  }
+  return CLI_OK;
+}
+
 /* What can be seen to be wrong without a daemon. */
 static int check(const cli_command *command, const cli_eval_settings *settings) {
-  const bool coefficients = settings->sigma_a.count > 0 || settings->sigma_s.count > 0;
-  if (settings->medium == NULL && (settings->sigma_a.count == 0 || settings->sigma_s.count == 0)) {
-    return cli_fail_usage(command, "give --medium NAME, or --sigma-a and --sigma-s");
-  }
-  if (settings->medium != NULL && (coefficients || settings->g.count > 0)) {
-    return cli_fail_usage(command, "--medium NAME stands for --sigma-a, --sigma-s and --g: leave "
-                                   "these out; --eta may stay");
+  const int status = settings->table != NULL ? check_table(command, settings)
+                                             : cli_channels_check(command, &settings->medium);
+  if (status != CLI_OK) {
+    return status;
   }
   if (settings->r.count > 0 && (settings->from.given || settings->to.given ||
                                 settings->count.given || settings->logarithmic)) {
@@ -93,39 +100,63 @@ static void write_report(const cli_eval_settings *settings, const cli_eval_repor
   }
 }
 
-static int ask_and_write(const cli_command *command, const cli_eval_settings *settings,
-                         dipole_client *client) {
-  cli_eval_report report = {0};
-  int status = cli_eval_ask(command, settings, client, &report);
-  if (status == CLI_OK && settings->plot.count > 0 && (report.wanted & DIPOLE_R) == 0) {
-    status = cli_fail_usage(command, "--plot draws R: add R to --want");
-  }
-  if (status == CLI_OK) {
-    write_report(settings, &report);
-  }
+static int draw(const cli_command *command, const cli_eval_settings *settings,
+                const cli_eval_report *report) {
+  int status = CLI_OK;
   for (size_t i = 0; status == CLI_OK && i < settings->plot.count; i++) {
     const char *file = settings->plot.items[i];
-    status = cli_plot(command, &report, file);
+    status = cli_plot(command, report, file);
     if (status == CLI_OK && strcmp(file, PLOT_FILE) == 0) { /* which may not have been named */
       fprintf(stderr, "dipole %s: the picture is %s\n", command->name, file);
     }
   }
-  cli_eval_report_free(&report);
+  return status;
+}
+
+/* Takes the report over, and the exit status of what has filled it. */
+static int write_and_free(const cli_command *command, const cli_eval_settings *settings,
+                          cli_eval_report *report, int status) {
+  if (status == CLI_OK && settings->plot.count > 0 && (report->wanted & DIPOLE_R) == 0) {
+    status = cli_fail_usage(command, "--plot draws R: add R to --want");
+  }
+  if (status == CLI_OK) {
+    write_report(settings, report);
+    status = draw(command, settings, report);
+  }
+  cli_eval_report_free(report);
+  return status;
+}
+
+static int run_with_daemon(const cli_command *command, const cli_eval_settings *settings) {
+  cli_eval_report report = {0};
+  dipole_client *client;
+  if (!cli_open(command, &settings->profile.common, &client)) {
+    return CLI_FAILED;
+  }
+  const int asked = cli_eval_ask(command, settings, client, &report);
+  const int status = write_and_free(command, settings, &report, asked);
+  dipole_close(client);
+  return status;
+}
+
+static int run_with_table(const cli_command *command, const cli_eval_settings *settings) {
+  cli_eval_report report = {0};
+  dipole_info *info = NULL;
+  const int evaluated = cli_eval_table(command, settings, &report, &info);
+  const int status = write_and_free(command, settings, &report, evaluated);
+  free(info);
   return status;
 }
 
 static int run(const cli_command *command, int argc, char **argv) {
   cli_eval_settings settings = {0};
-  dipole_client *client;
   const char *operand;
   int status;
   if (cli_options_read(command, argc, argv, &settings, &operand, &status)) {
     status = check(command, &settings);
-    if (status == CLI_OK && !cli_open(command, &settings.profile.common, &client)) {
-      status = CLI_FAILED;
-    } else if (status == CLI_OK) {
-      status = ask_and_write(command, &settings, client);
-      dipole_close(client);
+    if (status == CLI_OK) {
+      status = settings.table != NULL ? run_with_table(command, &settings)
+                                      : run_with_daemon(command, &settings);
     }
   }
   cli_options_free(command, &settings);
@@ -139,7 +170,11 @@ const cli_command cli_command_eval = {
         "\n"
         "Beside the values stand their numerical error, the model's own error where it has been\n"
         "measured, and notes on what the model does not do. Where R is infinite, at r = 0 of\n"
-        "some models, tables and CSV say inf, JSON \"inf\"; NaN is an empty cell or null.\n",
+        "some models, tables and CSV say inf, JSON \"inf\"; NaN is an empty cell or null.\n"
+        "\n"
+        "With --tolerance and without --model the daemon takes the cheapest model and evaluator\n"
+        "that are measured to be within it of radiative transport, for all channels and radii;\n"
+        "below the table it says which and why. With --model, --tolerance is numerical.\n",
     .formats = "table,csv,json",
     .options = options,
     .shared_options = cli_parameter_options,
@@ -149,6 +184,8 @@ const cli_command cli_command_eval = {
                 "  dipole eval --medium marble --from 0.01 --to 100 --count 41 --log --format csv\n"
                 "  dipole eval --medium skin2 --eta 1 --moments fit --want albedo\n"
                 "  dipole eval --medium skin1 --want S --cos-in 0.8 --cos-out 0.5 --r 0.5,1,2\n"
+                "  dipole eval --medium skin1 --tolerance 0.01\n"
+                "  dipole eval --medium skin1 --model transport --evaluator lut --want R,cdf\n"
                 "  dipole eval --medium skin1 --model all --plot\n",
     .run = run,
 };

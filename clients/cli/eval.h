@@ -2,13 +2,15 @@
 #ifndef DIPOLE_CLI_EVAL_H
 #define DIPOLE_CLI_EVAL_H
 
+#include "clients/cli/channels.h"
 #include "clients/cli/cli.h"
+#include "clients/cli/json.h"
 #include "clients/cli/parameters.h"
 
 typedef struct cli_eval_settings {
   cli_profile_settings profile;
-  const char *medium;
-  cli_numbers sigma_a, sigma_s, g, eta;
+  cli_medium_settings medium;
+  const char *table; /* a file, instead of a daemon */
   cli_texts model;
   const char *moments, *evaluator;
   cli_numbers r;
@@ -18,11 +20,6 @@ typedef struct cli_eval_settings {
   cli_texts want;
   cli_texts plot;
 } cli_eval_settings;
-
-typedef struct cli_eval_channel {
-  char name[24];
-  dipole_medium medium;
-} cli_eval_channel;
 
 enum { CLI_EVAL_QUANTITIES_MAX = 32 };
 
@@ -36,10 +33,17 @@ typedef struct cli_eval_values {
 } cli_eval_values;
 
 typedef struct cli_eval_model {
-  const dipole_choice *choice;
+  const dipole_choice *choice; /* NULL: the daemon's to choose, until it has answered */
   bool named;     /* by itself, and not only as one of all: then its refusal is a failure */
   unsigned notes; /* ids of the daemon's notes */
 } cli_eval_model;
+
+/* What a tolerance has chosen from; nothing where a model was named. */
+typedef struct cli_eval_offers {
+  double tolerance;
+  size_t count;
+  dipole_offer *offers; /* cheapest first */
+} cli_eval_offers;
 
 typedef struct cli_eval_report {
   const dipole_info *info;
@@ -48,9 +52,10 @@ typedef struct cli_eval_report {
   cli_parameters parameters; /* as given; of all models each takes what it can */
   unsigned wanted;
   size_t channel_count;
-  cli_eval_channel *channels;
+  cli_channel *channels;
   size_t model_count; /* of those that answered */
   cli_eval_model *models;
+  cli_eval_offers chosen_from;
   size_t quantity_count; /* of those wanted that have a value for each radius */
   const dipole_choice *quantities[CLI_EVAL_QUANTITIES_MAX]; /* in the daemon's order */
   size_t radius_count;
@@ -85,10 +90,36 @@ void cli_eval_report_free(cli_eval_report *report);
 int cli_eval_ask(const cli_command *command, const cli_eval_settings *settings,
                  dipole_client *client, cli_eval_report *report);
 
-/* ---- eval_media.c: the channels of the report, from the options ---------------------------- */
+/* The wanted quantities, from the names of --want; false, saying so, when the daemon lacks one. */
+bool cli_eval_choose_quantities(const cli_command *command, const cli_texts *names,
+                                cli_eval_report *report);
 
-int cli_eval_media(const cli_command *command, const cli_eval_settings *settings,
-                   dipole_client *client, cli_eval_report *report);
+/* The radii of one query. */
+typedef struct cli_eval_radii {
+  unsigned spacing;
+  uint64_t count;
+  double start_mm, stop_mm;
+  const double *f64; /* a list, in either precision; NULL: none */
+  float *f32;        /* to be freed */
+} cli_eval_radii;
+
+/* None, when nothing that is wanted needs any. */
+cli_eval_radii cli_eval_make_radii(const cli_eval_settings *settings,
+                                   const cli_eval_report *report);
+
+/* ---- eval_chosen.c: a tolerance instead of a model ----------------------------------------- */
+
+bool cli_eval_is_chosen(const cli_eval_report *report);
+
+/* "took transport by table (lut): ..."; nothing where a model was named. */
+void cli_eval_write_chosen(const cli_eval_report *report, FILE *file);
+void cli_eval_write_chosen_json(const cli_eval_report *report, cli_json *json);
+
+/* ---- eval_table.c: instead of eval_ask.c, from a file and without a daemon ----------------- */
+
+/* *info, which the report refers to, is to be freed after it. */
+int cli_eval_table(const cli_command *command, const cli_eval_settings *settings,
+                   cli_eval_report *report, dipole_info **info);
 
 /* ---- eval_write.c -------------------------------------------------------------------------- */
 

@@ -41,8 +41,20 @@ static bool choose_model(const cli_command *command, const char *name, cli_eval_
   return model != NULL;
 }
 
-static bool choose_models(const cli_command *command, const cli_texts *names,
+/* The model is the daemon's to choose. */
+static void leave_model_open(cli_eval_report *report) {
+  report->models = cli_resize(report->models, 1, sizeof *report->models);
+  report->models[0] = (cli_eval_model){.named = true};
+  report->model_count = 1;
+}
+
+static bool choose_models(const cli_command *command, const cli_eval_settings *settings,
                           cli_eval_report *report) {
+  const cli_texts *names = &settings->model;
+  if (names->count == 0 && settings->profile.tolerance.given) {
+    leave_model_open(report);
+    return true;
+  }
   for (size_t i = 0; i < names->count; i++) {
     if (strcmp(names->items[i], MODEL_ALL) == 0) {
       add_all_models(report);
@@ -72,8 +84,8 @@ static void list_arrays(cli_eval_report *report) {
   }
 }
 
-static bool choose_quantities(const cli_command *command, const cli_texts *names,
-                              cli_eval_report *report) {
+bool cli_eval_choose_quantities(const cli_command *command, const cli_texts *names,
+                                cli_eval_report *report) {
   for (size_t i = 0; i < names->count; i++) {
     const dipole_choice *quantity =
         cli_named(command, report->info, DIPOLE_QUANTITY, "want", names->items[i]);
@@ -98,44 +110,32 @@ static bool choose(const cli_command *command, const cli_eval_settings *settings
     return false;
   }
   report->evaluator = cli_named(command, report->info, DIPOLE_EVALUATOR, "evaluator", evaluator);
-  return report->evaluator != NULL && choose_models(command, &settings->model, report) &&
-         choose_quantities(command, &settings->want, report);
+  return report->evaluator != NULL && choose_models(command, settings, report) &&
+         cli_eval_choose_quantities(command, &settings->want, report);
 }
 
 /* ---- radii --------------------------------------------------------------------------------- */
 
-/* The radii of one query. */
-typedef struct asked_radii {
-  unsigned spacing;
-  uint64_t count;
-  double start_mm, stop_mm;
-  double *f64; /* a list in the evaluator's precision: one of these two */
-  float *f32;
-} asked_radii;
-
-static void make_radii(const cli_eval_settings *settings, const cli_eval_report *report,
-                       asked_radii *radii) {
-  const bool elementwise = report->quantity_count > 0;
-  *radii = (asked_radii){.spacing = DIPOLE_LIST};
-  if (!elementwise) {
-    return;
+cli_eval_radii cli_eval_make_radii(const cli_eval_settings *settings,
+                                   const cli_eval_report *report) {
+  cli_eval_radii radii = {.spacing = DIPOLE_LIST};
+  if (report->quantity_count == 0) {
+    return radii;
   }
   if (settings->r.count == 0) {
-    radii->spacing = settings->logarithmic ? DIPOLE_LOGARITHMIC : DIPOLE_LINEAR;
-    radii->count = settings->count.given ? settings->count.value : COUNT_DEFAULT;
-    radii->start_mm = settings->from.given ? settings->from.value : FROM_DEFAULT_MM;
-    radii->stop_mm = settings->to.given ? settings->to.value : TO_DEFAULT_MM;
-    return;
+    radii.spacing = settings->logarithmic ? DIPOLE_LOGARITHMIC : DIPOLE_LINEAR;
+    radii.count = settings->count.given ? settings->count.value : COUNT_DEFAULT;
+    radii.start_mm = settings->from.given ? settings->from.value : FROM_DEFAULT_MM;
+    radii.stop_mm = settings->to.given ? settings->to.value : TO_DEFAULT_MM;
+    return radii;
   }
-  radii->count = settings->r.count;
-  if (report->evaluator->id == DIPOLE_F32) {
-    radii->f32 = cli_allocate(settings->r.count, sizeof *radii->f32);
-    for (size_t i = 0; i < settings->r.count; i++) {
-      radii->f32[i] = (float)settings->r.items[i];
-    }
-  } else {
-    radii->f64 = settings->r.items;
+  radii.count = settings->r.count;
+  radii.f64 = settings->r.items;
+  radii.f32 = cli_allocate(settings->r.count, sizeof *radii.f32);
+  for (size_t i = 0; i < settings->r.count; i++) {
+    radii.f32[i] = (float)settings->r.items[i];
   }
+  return radii;
 }
 
 /* ---- asking -------------------------------------------------------------------------------- */
@@ -145,7 +145,7 @@ typedef struct asking {
   dipole_client *client;
   cli_eval_report *report;
   const dipole_medium *media;
-  const asked_radii *radii;
+  const cli_eval_radii *radii;
   unsigned too_large; /* the daemon's status for a request beyond its limits */
   unsigned bad_value; /* and for one that it, or the model, does not take */
 } asking;
@@ -185,13 +185,14 @@ static void keep(const asking *ask, size_t place, size_t first, const dipole_res
   }
 }
 
-/* Asks the model at a place for the radii first, first + 1, ..., first + count - 1 of a list, or
- * for the whole grid. A list that is too long for the daemon is asked for in halves. */
-static bool ask_part(const asking *ask, size_t place, const cli_parameters *parameters,
-                     size_t first, uint64_t count, dipole_error *error) {
-  const asked_radii *radii = ask->radii;
+/* What the model at a place is asked for the radii first, first + 1, ..., first + count - 1 of a
+ * list, or for the whole grid. */
+static dipole_query make_query(const asking *ask, size_t place, const cli_parameters *parameters,
+                               size_t first, uint64_t count) {
+  const cli_eval_radii *radii = ask->radii;
   const cli_eval_report *report = ask->report;
-  dipole_query query = {.model = report->models[place].choice->id,
+  const dipole_choice *model = report->models[place].choice;
+  dipole_query query = {.model = model != NULL ? model->id : DIPOLE_ANY_MODEL,
                         .evaluator = report->evaluator->id,
                         .moments = report->moments->id,
                         .wanted = report->wanted | DIPOLE_RADIUS,
@@ -203,19 +204,48 @@ static bool ask_part(const asking *ask, size_t place, const cli_parameters *para
                         .radius_stop_mm = radii->stop_mm,
                         .parameters = parameters->items,
                         .parameter_count = parameters->count};
-  dipole_result *result;
-  if (radii->f64 != NULL) {
+  if (radii->f64 != NULL && query.evaluator == DIPOLE_F64) {
     query.radii = radii->f64 + first;
   } else if (radii->f32 != NULL) {
     query.radii = radii->f32 + first;
   }
-  if (cli_eval(ask->client, ask->common, &query, &result, error)) {
-    keep(ask, place, first, result);
-    dipole_result_free(result);
+  return query;
+}
+
+/* Notes what the daemon has chosen where no model was named. */
+static bool take_choice(cli_eval_report *report, const dipole_result *result, dipole_error *error) {
+  cli_eval_model *model = &report->models[0];
+  if (model->choice != NULL) {
     return true;
   }
+  const dipole_choice *evaluator =
+      cli_choice_of_id(report->info, DIPOLE_EVALUATOR, result->evaluator);
+  model->choice = cli_choice_of_id(report->info, DIPOLE_MODEL, result->model);
+  if (model->choice == NULL || evaluator == NULL) {
+    *error = (dipole_error){.kind = DIPOLE_ERROR_PROTOCOL,
+                            .text = "the daemon chose a model or evaluator that it does not list"};
+    return false;
+  }
+  report->evaluator = evaluator;
+  return true;
+}
+
+/* A list that is too long for the daemon is asked for in halves; but each half could get another
+ * model where that is the daemon's to choose. */
+static bool ask_part(const asking *ask, size_t place, const cli_parameters *parameters,
+                     size_t first, uint64_t count, dipole_error *error) {
+  const dipole_query query = make_query(ask, place, parameters, first, count);
+  dipole_result *result;
+  if (cli_eval(ask->client, ask->common, &query, &result, error)) {
+    const bool good = take_choice(ask->report, result, error);
+    if (good) {
+      keep(ask, place, first, result);
+    }
+    dipole_result_free(result);
+    return good;
+  }
   if (error->kind == DIPOLE_ERROR_REFUSED && error->status == ask->too_large &&
-      radii->spacing == DIPOLE_LIST && count > 1) {
+      query.spacing == DIPOLE_LIST && query.model != DIPOLE_ANY_MODEL && count > 1) {
     const uint64_t half = count / 2;
     return ask_part(ask, place, parameters, first, half, error) &&
            ask_part(ask, place, parameters, first + (size_t)half, count - half, error);
@@ -246,25 +276,6 @@ static bool ask_model(const asking *ask, size_t place, dipole_error *error) {
   }
 }
 
-/* What a person wrote to give a field of a request its value: " (--from)". */
-static const char *option_of(const cli_command *command, const char *field, char *text,
-                             size_t bytes) {
-  static const struct {
-    const char *field, *option;
-  } others[] = {{"radius_start", "from"}, {"radius_stop", "to"}, {"radius_count", "count"}};
-  for (size_t i = 0; i < sizeof others / sizeof others[0]; i++) {
-    if (strcmp(others[i].field, field) == 0) {
-      field = others[i].option;
-    }
-  }
-  const cli_option *option = cli_options_find(command, field);
-  text[0] = '\0';
-  if (option != NULL) {
-    snprintf(text, bytes, " (--%s)", option->name);
-  }
-  return text;
-}
-
 /* A model of all that is left out. */
 typedef struct left_out {
   const char *model;
@@ -278,7 +289,7 @@ static int tell_left_out(const cli_command *command, const left_out *models, siz
   char option[64];
   for (size_t i = 0; i < count; i++) {
     const dipole_error *error = &models[i].error;
-    option_of(command, error->field, option, sizeof option);
+    cli_option_of(command, error->field, option, sizeof option);
     bool told = false;
     for (size_t k = 0; k < i; k++) {
       told = told || strcmp(models[k].error.text, error->text) == 0;
@@ -311,7 +322,7 @@ static int ask_all(const cli_command *command, const asking *ask) {
       out[out_count++] = (left_out){asked->choice->name, error};
     } else {
       status = cli_fail(command, "%s%s", error.text,
-                        option_of(command, error.field, option, sizeof option));
+                        cli_option_of(command, error.field, option, sizeof option));
     }
   }
   report->model_count = answered;
@@ -322,25 +333,53 @@ static int ask_all(const cli_command *command, const asking *ask) {
   return status;
 }
 
-int cli_eval_ask(const cli_command *command, const cli_eval_settings *settings,
-                 dipole_client *client, cli_eval_report *report) {
-  asked_radii radii;
-  report->info = dipole_get_info(client);
-  if (!choose(command, settings, report) ||
-      !cli_parameters_take(command, report->info, &settings->profile, &report->parameters)) {
-    return CLI_USAGE;
+/* ---- a tolerance instead of a model -------------------------------------------------------- */
+
+/* Asks what could answer with the report's evaluator; *taken: one keeps the tolerance. */
+static bool ask_offers(const asking *ask, bool *taken, dipole_error *error) {
+  cli_eval_offers *offers = &ask->report->chosen_from;
+  const dipole_query query = make_query(ask, 0, &ask->report->parameters, 0, ask->radii->count);
+  size_t at;
+  free(offers->offers);
+  offers->offers = NULL;
+  const bool good =
+      cli_offers(ask->client, ask->common, &query, &offers->offers, &offers->count, &at, error);
+  *taken = good && at < offers->count;
+  return good;
+}
+
+/* Without --evaluator single precision, which is cheaper, unless only double precision keeps the
+ * tolerance. If neither does, the query is left to the daemon to refuse. */
+static int choose_precision(const cli_command *command, const cli_eval_settings *settings,
+                            const asking *ask) {
+  static const unsigned either[] = {DIPOLE_LUT, DIPOLE_F64};
+  cli_eval_report *report = ask->report;
+  dipole_error error;
+  char option[64];
+  bool taken = false;
+  report->chosen_from.tolerance = settings->profile.tolerance.value;
+  for (size_t i = 0; !taken && i < sizeof either / sizeof either[0]; i++) {
+    const dipole_choice *evaluator = cli_choice_of_id(report->info, DIPOLE_EVALUATOR, either[i]);
+    if (settings->evaluator == NULL && evaluator != NULL) {
+      report->evaluator = evaluator;
+    }
+    if (!ask_offers(ask, &taken, &error)) {
+      return cli_fail(command, "%s%s", error.text,
+                      cli_option_of(command, error.field, option, sizeof option));
+    }
   }
-  const int status = cli_eval_media(command, settings, client, report);
-  if (status != CLI_OK) {
-    return status;
-  }
-  report->values_capacity = report->model_count * report->channel_count;
-  report->values = cli_allocate(report->values_capacity, sizeof *report->values);
+  return CLI_OK;
+}
+
+/* ---- all of it ----------------------------------------------------------------------------- */
+
+static int ask_with(const cli_command *command, const cli_eval_settings *settings,
+                    dipole_client *client, cli_eval_report *report) {
   dipole_medium *media = cli_allocate(report->channel_count, sizeof *media);
   for (size_t i = 0; i < report->channel_count; i++) {
     media[i] = report->channels[i].medium;
   }
-  make_radii(settings, report, &radii);
+  cli_eval_radii radii = cli_eval_make_radii(settings, report);
   const asking ask = {.common = &settings->profile.common,
                       .client = client,
                       .report = report,
@@ -348,8 +387,34 @@ int cli_eval_ask(const cli_command *command, const cli_eval_settings *settings,
                       .radii = &radii,
                       .too_large = dipole_id(client, DIPOLE_STATUS, "too-large"),
                       .bad_value = dipole_id(client, DIPOLE_STATUS, "bad-value")};
-  const int asked = ask_all(command, &ask);
+  int status = CLI_OK;
+  if (report->models[0].choice == NULL) {
+    status = choose_precision(command, settings, &ask);
+  }
+  if (status == CLI_OK) {
+    status = ask_all(command, &ask);
+  }
   free(radii.f32);
   free(media);
-  return asked;
+  return status;
+}
+
+int cli_eval_ask(const cli_command *command, const cli_eval_settings *settings,
+                 dipole_client *client, cli_eval_report *report) {
+  cli_channels channels = {0};
+  report->info = dipole_get_info(client);
+  if (!choose(command, settings, report) ||
+      !cli_parameters_take(command, report->info, &settings->profile, &report->parameters)) {
+    return CLI_USAGE;
+  }
+  const int status = cli_channels_take(command, &settings->medium, client, &channels);
+  if (status != CLI_OK) {
+    return status;
+  }
+  report->medium = channels.medium;
+  report->channel_count = channels.count;
+  report->channels = channels.items;
+  report->values_capacity = report->model_count * report->channel_count;
+  report->values = cli_allocate(report->values_capacity, sizeof *report->values);
+  return ask_with(command, settings, client, report);
 }

@@ -36,7 +36,7 @@ double cli_eval_radius_max(const cli_eval_report *report) {
 }
 
 bool cli_eval_is_noted(const cli_eval_model *model, const dipole_choice *note) {
-  return note->id != 0 && (model->notes & note->id) == note->id;
+  return cli_is_noted(model->notes, note);
 }
 
 void cli_eval_report_free(cli_eval_report *report) {
@@ -46,6 +46,7 @@ void cli_eval_report_free(cli_eval_report *report) {
     }
   }
   free(report->values);
+  free(report->chosen_from.offers);
   free(report->radii);
   free(report->models);
   free(report->channels);

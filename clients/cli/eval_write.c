@@ -7,24 +7,13 @@
 #include "clients/cli/table.h"
 
 static const char *unit_of(const cli_eval_report *report, unsigned quantity) {
-  const dipole_choice *choice;
-  for (size_t from = 0; (choice = cli_next_choice(report->info, DIPOLE_QUANTITY, &from)) != NULL;) {
-    if (choice->id == quantity) {
-      return choice->about;
-    }
-  }
-  return "";
+  const dipole_choice *choice = cli_choice_of_id(report->info, DIPOLE_QUANTITY, quantity);
+  return choice != NULL ? choice->about : "";
 }
 
 static const char *parameter_name(const cli_eval_report *report, unsigned id) {
-  const dipole_choice *choice;
-  for (size_t from = 0;
-       (choice = cli_next_choice(report->info, DIPOLE_PARAMETER, &from)) != NULL;) {
-    if (choice->id == id) {
-      return choice->name;
-    }
-  }
-  return "";
+  const dipole_choice *choice = cli_choice_of_id(report->info, DIPOLE_PARAMETER, id);
+  return choice != NULL ? choice->name : "";
 }
 
 /* ---- for people ---------------------------------------------------------------------------- */
@@ -101,7 +90,7 @@ static void write_channels(const cli_eval_report *report, FILE *file) {
   }
   for (size_t i = 0; i < report->model_count * report->channel_count; i++) {
     const cli_eval_values *values = &report->values[i];
-    const cli_eval_channel *channel = &report->channels[i % report->channel_count];
+    const cli_channel *channel = &report->channels[i % report->channel_count];
     cli_table_add(&table, "%s", report->models[i / report->channel_count].choice->name);
     cli_table_add(&table, "%s", channel->name);
     cli_table_add(&table, "%.6g", channel->medium.sigma_a_per_mm);
@@ -183,6 +172,7 @@ void cli_eval_write_table(const cli_eval_report *report, FILE *file) {
   }
   fputs("model error: of the model against radiative transport\n", file);
   write_notes(report, file);
+  cli_eval_write_chosen(report, file);
 }
 
 /* ---- CSV ----------------------------------------------------------------------------------- */
@@ -220,7 +210,7 @@ static double value_at(const double *array, bool any, size_t radius) {
 static void write_csv_row(const cli_eval_report *report, size_t model, size_t channel_index,
                           size_t radius, FILE *file) {
   const cli_eval_values *values = cli_eval_values_of(report, model, channel_index);
-  const cli_eval_channel *channel = &report->channels[channel_index];
+  const cli_channel *channel = &report->channels[channel_index];
   const bool any = radius < report->radius_count;
   const double r_mm = any ? report->radii[radius] : NAN;
   fprintf(file, "%s,%s", report->models[model].choice->name, channel->name);
@@ -240,6 +230,9 @@ static void write_csv_row(const cli_eval_report *report, size_t model, size_t ch
       write_cell(file, value_at(values->arrays[q], any, radius));
     }
   }
+  if (cli_eval_is_chosen(report)) {
+    fprintf(file, ",%s", report->evaluator->name);
+  }
   fputc('\n', file);
 }
 
@@ -253,7 +246,8 @@ void cli_eval_write_csv(const cli_eval_report *report, FILE *file) {
       fprintf(file, ",%s", report->quantities[q]->name);
     }
   }
-  fputc('\n', file);
+  /* Where it was chosen, it is not known beforehand. */
+  fputs(cli_eval_is_chosen(report) ? ",evaluator\n" : "\n", file);
   for (size_t model = 0; model < report->model_count; model++) {
     for (size_t channel = 0; channel < report->channel_count; channel++) {
       for (size_t radius = 0; radius < rows; radius++) {
@@ -293,7 +287,7 @@ static void write_json_parameters(cli_json *json, const cli_eval_report *report)
 static void write_json_channel(cli_json *json, const cli_eval_report *report, size_t model,
                                size_t index) {
   const cli_eval_values *values = cli_eval_values_of(report, model, index);
-  const cli_eval_channel *channel = &report->channels[index];
+  const cli_channel *channel = &report->channels[index];
   cli_json_begin(json, NULL, '{');
   cli_json_text(json, "channel", channel->name);
   cli_json_number(json, "sigma_a", channel->medium.sigma_a_per_mm);
@@ -344,6 +338,7 @@ void cli_eval_write_json(const cli_eval_report *report, FILE *file) {
   cli_json_text(&json, "evaluator", report->evaluator->name);
   cli_json_text(&json, "moments", report->moments->name);
   write_json_parameters(&json, report);
+  cli_eval_write_chosen_json(report, &json);
   write_json_units(&json, report);
   cli_json_numbers(&json, "r", report->radii, report->radius_count);
   cli_json_begin(&json, "models", '[');

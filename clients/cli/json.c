@@ -90,3 +90,12 @@ void cli_json_numbers(cli_json *json, const char *key, const double *values, siz
   }
   fputc(']', json->file);
 }
+
+void cli_json_counts(cli_json *json, const char *key, const uint32_t *values, size_t count) {
+  start_value(json, key);
+  fputc('[', json->file);
+  for (size_t i = 0; i < count; i++) {
+    fprintf(json->file, "%s%lu", i > 0 ? ", " : "", (unsigned long)values[i]);
+  }
+  fputc(']', json->file);
+}

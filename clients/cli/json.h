@@ -19,6 +19,7 @@ void cli_json_begin(cli_json *json, const char *key, char bracket); /* { or [ */
 void cli_json_end(cli_json *json, char bracket);                    /* } or ] */
 void cli_json_text(cli_json *json, const char *key, const char *text);
 void cli_json_count(cli_json *json, const char *key, uint64_t value);
+void cli_json_counts(cli_json *json, const char *key, const uint32_t *values, size_t count);
 
 /* NaN, which JSON cannot say, is null; infinities are the texts "inf" and "-inf". */
 void cli_json_number(cli_json *json, const char *key, double value);

@@ -22,6 +22,20 @@ const dipole_choice *cli_choice(const dipole_info *info, enum dipole_kind kind, 
   return NULL;
 }
 
+const dipole_choice *cli_choice_of_id(const dipole_info *info, enum dipole_kind kind, unsigned id) {
+  const dipole_choice *choice;
+  for (size_t from = 0; (choice = cli_next_choice(info, kind, &from)) != NULL;) {
+    if (choice->id == id) {
+      return choice;
+    }
+  }
+  return NULL;
+}
+
+bool cli_is_noted(unsigned notes, const dipole_choice *note) {
+  return note->id != 0 && (notes & note->id) == note->id;
+}
+
 void cli_list_names(const dipole_info *info, enum dipole_kind kind, char *text, size_t bytes) {
   static const char more[] = ", ...";
   const dipole_choice *choice;
@@ -47,4 +61,21 @@ const dipole_choice *cli_named(const cli_command *command, const dipole_info *in
     cli_fail_usage(command, "--%s: '%s' is unknown; this daemon has %s", option, name, known);
   }
   return choice;
+}
+
+const char *cli_option_of(const cli_command *command, const char *field, char *text, size_t bytes) {
+  static const struct {
+    const char *field, *option;
+  } others[] = {{"radius_start", "from"}, {"radius_stop", "to"}, {"radius_count", "count"}};
+  for (size_t i = 0; i < sizeof others / sizeof others[0]; i++) {
+    if (strcmp(others[i].field, field) == 0) {
+      field = others[i].option;
+    }
+  }
+  const cli_option *option = cli_options_find(command, field);
+  text[0] = '\0';
+  if (option != NULL) {
+    snprintf(text, bytes, " (--%s)", option->name);
+  }
+  return text;
 }

@@ -8,8 +8,10 @@
 
 const cli_option cli_parameter_options[] = {
     {"Parameters, for the models that take them", NULL, NULL, CLI_HEADING, 0},
-    {"tolerance", "X", "numerical error asked for, relative, where a model can choose", CLI_NUMBER,
-     FIELD(tolerance)},
+    {"tolerance", "X",
+     "numerical error asked for, relative, where a model can choose; of tables, what\n"
+     "they are built to",
+     CLI_NUMBER, FIELD(tolerance)},
     {"cos-in", "X", "cosine of the angle of incidence, for S (default: 1)", CLI_NUMBER,
      FIELD(cos_in)},
     {"cos-out", "X", "cosine of the angle of exit, for S (default: 1)", CLI_NUMBER, FIELD(cos_out)},
@@ -84,6 +86,20 @@ static bool get_value(const dipole_info *info, const cli_profile_settings *setti
   const cli_number *number = (const cli_number *)(const void *)at;
   *value = number->value;
   return number->given;
+}
+
+const cli_option *cli_parameters_given(const cli_profile_settings *settings) {
+  for (const cli_option *option = cli_parameter_options; option->name != NULL; option++) {
+    const char *at = (const char *)settings + option->offset;
+    if (option->kind == CLI_HEADING) {
+      continue;
+    }
+    if (option->kind == CLI_TEXT ? *(const char *const *)(const void *)at != NULL
+                                 : ((const cli_number *)(const void *)at)->given) {
+      return option;
+    }
+  }
+  return NULL;
 }
 
 bool cli_parameters_take(const cli_command *command, const dipole_info *info,

@@ -34,6 +34,9 @@ bool cli_parameters_remove(cli_parameters *parameters, unsigned id);
 bool cli_parameters_take(const cli_command *command, const dipole_info *info,
                          const cli_profile_settings *settings, cli_parameters *parameters);
 
+/* The first of the options that is given; NULL: none. */
+const cli_option *cli_parameters_given(const cli_profile_settings *settings);
+
 /* Reads the value of a parameter of the daemon's list: a number, or the name or id of a model. */
 bool cli_parameter_parse(const dipole_info *info, const dipole_choice *parameter, const char *text,
                          double *value);

@@ -310,8 +310,10 @@ static int run(const cli_command *command, int argc, char **argv) {
 
 static const cli_option options[] = {
     {"Evaluation", NULL, NULL, CLI_HEADING, 0},
-    {"evaluator", "NAME", "f64 or f32: double or single precision (default: f64)", CLI_TEXT,
-     offsetof(points_settings, evaluator)},
+    {"evaluator", "NAME",
+     "f64 or f32: double or single precision; lut: single, by a table, which pays\n"
+     "where many rows have the same medium (default: f64)",
+     CLI_TEXT, offsetof(points_settings, evaluator)},
     {0},
 };
 

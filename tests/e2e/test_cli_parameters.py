@@ -80,7 +80,7 @@ def test_a_fit_model_by_name_and_by_id():
         (["--cos-in", "1.5"], FAILED, "bad-value: cos_in: allowed: 0 to 1 (--cos-in)"),
         (["--cos-out", "nan"], FAILED, "bad-value: cos_out: allowed: a number"),
         (["--thickness", "3"], FAILED, "bad-value: thickness: allowed: nothing"),
-        (["--tolerance", "1"], FAILED, "(--tolerance)"),
+        (["--tolerance", "2"], FAILED, "(--tolerance)"),
     ],
 )
 def test_wrong_parameters(arguments, status, said):

@@ -2,12 +2,29 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "clients/cli/eval.h"
+#include "clients/cli/channels.h"
 
 #define G_DEFAULT 0.0
 #define ETA_DEFAULT 1.3
 
 enum { MEASURED_CHANNELS = 3 };
+
+bool cli_channels_given(const cli_medium_settings *settings) {
+  return settings->medium != NULL || settings->sigma_a.count > 0 || settings->sigma_s.count > 0 ||
+         settings->g.count > 0 || settings->eta.count > 0;
+}
+
+int cli_channels_check(const cli_command *command, const cli_medium_settings *settings) {
+  const bool coefficients = settings->sigma_a.count > 0 || settings->sigma_s.count > 0;
+  if (settings->medium == NULL && (settings->sigma_a.count == 0 || settings->sigma_s.count == 0)) {
+    return cli_fail_usage(command, "give --medium NAME, or --sigma-a and --sigma-s");
+  }
+  if (settings->medium != NULL && (coefficients || settings->g.count > 0)) {
+    return cli_fail_usage(command, "--medium NAME stands for --sigma-a, --sigma-s and --g: leave "
+                                   "these out; --eta may stay");
+  }
+  return CLI_OK;
+}
 
 static const dipole_measured_medium *find_medium(const dipole_measured_medium *media, size_t count,
                                                  const char *name) {
@@ -35,8 +52,8 @@ static double pick(const cli_numbers *numbers, size_t channel, double otherwise)
   return numbers->count == 0 ? otherwise : numbers->items[numbers->count == 1 ? 0 : channel];
 }
 
-static int measured(const cli_command *command, const cli_eval_settings *settings,
-                    dipole_client *client, cli_eval_report *report) {
+static int measured(const cli_command *command, const cli_medium_settings *settings,
+                    dipole_client *client, cli_channels *channels) {
   static const char *const colours[MEASURED_CHANNELS] = {"red", "green", "blue"};
   dipole_measured_medium *media;
   dipole_error error;
@@ -50,11 +67,11 @@ static int measured(const cli_command *command, const cli_eval_settings *setting
     free(media);
     return status;
   }
-  report->medium = settings->medium;
-  report->channel_count = MEASURED_CHANNELS;
-  report->channels = cli_allocate(MEASURED_CHANNELS, sizeof *report->channels);
+  channels->medium = settings->medium;
+  channels->count = MEASURED_CHANNELS;
+  channels->items = cli_allocate(MEASURED_CHANNELS, sizeof *channels->items);
   for (size_t i = 0; i < MEASURED_CHANNELS; i++) {
-    cli_eval_channel *channel = &report->channels[i];
+    cli_channel *channel = &channels->items[i];
     snprintf(channel->name, sizeof channel->name, "%s", colours[i]);
     channel->medium = medium->channel[i];
     channel->medium.eta = pick(&settings->eta, i, channel->medium.eta);
@@ -63,11 +80,11 @@ static int measured(const cli_command *command, const cli_eval_settings *setting
   return CLI_OK;
 }
 
-static void given(const cli_eval_settings *settings, size_t count, cli_eval_report *report) {
-  report->channel_count = count;
-  report->channels = cli_allocate(count, sizeof *report->channels);
+static void given(const cli_medium_settings *settings, size_t count, cli_channels *channels) {
+  channels->count = count;
+  channels->items = cli_allocate(count, sizeof *channels->items);
   for (size_t i = 0; i < count; i++) {
-    cli_eval_channel *channel = &report->channels[i];
+    cli_channel *channel = &channels->items[i];
     snprintf(channel->name, sizeof channel->name, "%zu", i + 1);
     channel->medium = (dipole_medium){.sigma_a_per_mm = pick(&settings->sigma_a, i, 0),
                                       .sigma_s_per_mm = pick(&settings->sigma_s, i, 0),
@@ -77,7 +94,7 @@ static void given(const cli_eval_settings *settings, size_t count, cli_eval_repo
 }
 
 /* The number of channels: that of the options with more than one value, which must agree. */
-static bool count_channels(const cli_command *command, const cli_eval_settings *settings,
+static bool count_channels(const cli_command *command, const cli_medium_settings *settings,
                            size_t *count) {
   const struct {
     const char *name;
@@ -107,15 +124,15 @@ static bool count_channels(const cli_command *command, const cli_eval_settings *
   return true;
 }
 
-int cli_eval_media(const cli_command *command, const cli_eval_settings *settings,
-                   dipole_client *client, cli_eval_report *report) {
+int cli_channels_take(const cli_command *command, const cli_medium_settings *settings,
+                      dipole_client *client, cli_channels *channels) {
   size_t count;
   if (!count_channels(command, settings, &count)) {
     return CLI_USAGE;
   }
   if (settings->medium != NULL) {
-    return measured(command, settings, client, report);
+    return measured(command, settings, client, channels);
   }
-  given(settings, count, report);
+  given(settings, count, channels);
   return CLI_OK;
 }
