@@ -11,8 +11,8 @@
 static const cli_option options[] = {
     CLI_MEDIUM_OPTIONS(cli_eval_settings),
     {"table", "FILE",
-     "evaluate the tables in a file of `dipole table`, without a daemon; -: standard\n"
-     "input",
+     "evaluate the tables in a file of `dipole table`, without a daemon;\n"
+     "-: standard input",
      CLI_TEXT, FIELD(table)},
     {"Radii", NULL, NULL, CLI_HEADING, 0},
     {"r", "X[,X...]", "these radii, mm; inf is one too", CLI_NUMBERS, FIELD(r)},
@@ -24,14 +24,14 @@ static const cli_option options[] = {
     {"Evaluation", NULL, NULL, CLI_HEADING, 0},
     {"model", "NAME[,NAME...]",
      "see `dipole info`; all: every model that takes what is asked, those that\n"
-     "refuse it are named on standard error (default: with --tolerance the cheapest\n"
-     "that is measured to be so near to radiative transport, else better)",
+     "refuse it are named on standard error (default: with --tolerance the\n"
+     "cheapest that is so near to radiative transport, else better)",
      CLI_NAMES, FIELD(model)},
     {"moments", "NAME", "Fresnel moments, see `dipole info` (default: exact)", CLI_TEXT,
      FIELD(moments)},
     {"evaluator", "NAME",
-     "f64 or f32: double or single precision; lut: single, by a table (default: f64;\n"
-     "with --tolerance alone the cheapest)",
+     "f64 or f32: double or single precision; lut: single, by a table\n"
+     "(default: f64; where the tolerance decides, the cheapest)",
      CLI_TEXT, FIELD(evaluator)},
     {"want", "NAME[,NAME...]",
      "R: 1/mm^2 per unit of power that entered; albedo; cdf: the share of\n"

@@ -9,8 +9,8 @@
 const cli_option cli_parameter_options[] = {
     {"Parameters, for the models that take them", NULL, NULL, CLI_HEADING, 0},
     {"tolerance", "X",
-     "numerical error asked for, relative, where a model can choose; of tables, what\n"
-     "they are built to",
+     "numerical error asked for, relative, where a model can choose; what\n"
+     "tables are built to",
      CLI_NUMBER, FIELD(tolerance)},
     {"cos-in", "X", "cosine of the angle of incidence, for S (default: 1)", CLI_NUMBER,
      FIELD(cos_in)},
