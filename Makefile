@@ -189,7 +189,7 @@ demo:
 
 check:
 	@sh .ci/install-packages
-	@$(MAKE) --no-print-directory -j2 all $(TESTS) $(BUILD)/tests/bits $(BUILD)/wire-tables $(BUILD)/draw-figures
+	@$(MAKE) --no-print-directory -j2 all $(TESTS) $(BUILD)/tests/bits $(BUILD)/wire-tables $(BUILD)/draw-figures $(BUILD)/trade-speed
 	@$(MAKE) --no-print-directory -j2 --output-sync=target check-unit check-bits check-e2e
 
 # Each test program by itself, so that one that crashes takes no other with it.

@@ -9,7 +9,6 @@
 #include "tests/figures/fail.h"
 #include "tests/figures/workers.h"
 
-#define TRANSPORT_TOLERANCE 1e-7
 #define NODE_COST_US 110000.0  /* estimates, for the progress alone */
 #define PAPER_COST_US 150000.0 /* more for the nodes of the paper */
 
@@ -186,8 +185,7 @@ void errors_measure(errors_table *table, const subjects *of, size_t threads,
     struct eta_nodes all = {.table = table, .eta = eta, .progress = progress};
     snprintf(stage, sizeof stage, "errors, eta %g", nodes_eta(eta));
     progress_stage(progress, stage);
-    check(transport_boundary_create(&all.boundary, nodes_eta(eta), TRANSPORT_TOLERANCE),
-          "transport");
+    check(transport_boundary_create(&all.boundary, nodes_eta(eta), ERRORS_LEAST), "transport");
     workers_each(threads, NODES_RATIOS, measure, &all);
     transport_boundary_free(all.boundary);
   }

@@ -21,7 +21,8 @@ typedef struct errors_row {
   double numerical; /* what the profile states, at the largest radius */
 } errors_row;
 
-#define ERRORS_FAR 1.0 /* mean free paths */
+#define ERRORS_FAR 1.0    /* mean free paths */
+#define ERRORS_LEAST 1e-7 /* the tolerance of transport: smaller errors are not known */
 
 typedef struct errors_table {
   const subjects *of;

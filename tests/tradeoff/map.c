@@ -6,7 +6,7 @@
 #include "tests/tradeoff/picture.h"
 
 enum { COLUMNS = 3, ROWS = 2, PANELS = COLUMNS * ROWS, NONE = SUBJECTS_MAX };
-enum { WIDTH = 1500, HEIGHT = 900, TOP = 84, LEGEND = 300, LEFT = 64, GAP_X = 62, GAP_Y = 92 };
+enum { WIDTH = 1500, HEIGHT = 900, TOP = 84, LEGEND = 220, LEFT = 64, GAP_X = 62, GAP_Y = 92 };
 
 static const double within[COLUMNS] = {0.01, 0.03, 0.1};
 

@@ -51,7 +51,7 @@ void write_csv(const char *path, const errors_table *errors, const costs_of *cos
 static void put_list(FILE *file, const char *name, const double *values, size_t count) {
   for (size_t i = 0; i < count; i++) {
     fprintf(file, "CORE_TRADE_%s(%g)%s", name, values[i],
-            i % 5 == 4 || i + 1 == count ? "\n" : " ");
+            i % 3 == 2 || i + 1 == count ? "\n" : " ");
   }
 }
 
