@@ -18,7 +18,7 @@ enum { ETAS = 8, MEDIA_AN_ETA = 10, REQUESTS_A_MEDIUM = 25, RADII = 200 };
 
 /* So that this says something of what was measured: so many choices, and so many promises of all
  * candidates, are another model's than transport, at least. */
-#define OTHER_CHOICES 100
+#define OTHER_CHOICES 60
 #define OTHER_PROMISES 2000
 
 /* A medium, what transport says of it, and the profiles that it has been asked for. */

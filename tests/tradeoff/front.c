@@ -3,6 +3,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "core/choose.h"
 #include "tests/tradeoff/picture.h"
 
 enum { WIDTH = 1640, HEIGHT = 860, TOP = 84, BOTTOM = 64, LEFT = 84, RIGHT = 16, GAP = 96 };
@@ -42,6 +43,13 @@ static point make_point(const errors_table *errors, const costs_of *costs, size_
   return (point){costs[s].evaluate_ns, fmax(costs_median(values, count), ERRORS_LEAST), false};
 }
 
+/* Cheaper or nearer, and not worse in the other, but for what measuring varies by. */
+static bool beats(const point *a, const point *b) {
+  const double ns = CORE_CHOOSE_COST_ALIKE, error = 1.01;
+  return a->ns <= b->ns * ns && a->error <= b->error * error &&
+         (a->ns * ns < b->ns || a->error * error < b->error);
+}
+
 static void make(fronts *all, const errors_table *errors, const costs_of *costs) {
   all->of = errors->of;
   for (size_t panel = 0; panel < PANELS; panel++) {
@@ -52,9 +60,7 @@ static void make(fronts *all, const errors_table *errors, const costs_of *costs)
     for (size_t s = 0; s < all->of->count; s++) {
       points[s].front = !isnan(points[s].ns);
       for (size_t other = 0; other < all->of->count && points[s].front; other++) {
-        const point *p = &points[other];
-        points[s].front = !(p->ns <= points[s].ns && p->error <= points[s].error &&
-                            (p->ns < points[s].ns || p->error < points[s].error));
+        points[s].front = !beats(&points[other], &points[s]);
       }
     }
   }

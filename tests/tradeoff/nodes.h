@@ -1,7 +1,7 @@
 /* nodes: the media and the radii at which models are measured against transport.
  *
- * Scattering is isotropic and sigma_t' = 1 per mm, so that radii in mm are radii in mean free paths.
- * The media are all pairs of a ratio sigma_a / sigma_s' and an eta. Some of them are the panels of
+ * Scattering is isotropic and sigma_t' = 1 per mm, so that radii in mm are in mean free paths. The
+ * media are all pairs of a ratio sigma_a / sigma_s' and an eta. Some of them are the panels of
  * Figures 1 to 16 of d'Eon 2012 for eta 1.0, 1.1, ..., 2.0; the others lie between, so that what is
  * measured may be interpolated, and below, down to no absorption at all. */
 #ifndef TRADEOFF_NODES_H

@@ -1,5 +1,5 @@
-/* trade-speed [--output DIR] [--table FILE] [--threads N]: measures speed against accuracy for every
- * model of a half space that needs nothing but a medium, and every evaluator:
+/* trade-speed [--output DIR] [--table FILE] [--threads N]: measures speed against accuracy for
+ * every model of a half space that needs nothing but a medium, and every evaluator:
  *
  *   DIR/tradeoff.csv           see write.h
  *   DIR/front.svg, front.png   see front.h
@@ -28,7 +28,7 @@ static const char help[] =
     "Measures what models and evaluators cost and how far they are from radiative transport.\n\n"
     "  --output DIR   of the table and the pictures, default build/tradeoff\n"
     "  --table FILE   default DIR/tradeoff.def; `make tradeoff` copies it to core/\n"
-    "  --threads N    of what is not timed, default: as many as there are processors\n"
+    "  --threads N    of comparing, which is not timed, default: as many as there are processors\n"
     "  --help\n";
 
 typedef struct options {
