@@ -7,6 +7,7 @@
 #   make docs       the byte tables of proto/PROTOCOL.md, from proto/messages.def
 #   make model-errors  core/model_errors.def, measured anew against exact solutions
 #   make tradeoff   speed against accuracy, in build/tradeoff, and core/tradeoff.def (minutes)
+#   make tables     core/transport/transport.table, solved anew (minutes; resumes)
 #   make figures    Figures 1 to 17 of d'Eon 2012, in build/figures (ten minutes; resumes)
 #   make install    to $(DESTDIR)$(PREFIX); make uninstall takes it away again
 #   make setup      installs the packages of .ci/packages, nothing else
@@ -92,7 +93,7 @@ TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildc
 PROGRAMS := $(BUILD)/dipoled $(BUILD)/dipole $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-unit check-bits check-e2e check-asan check-tsan bench docs model-errors tradeoff figures install uninstall clean
+.PHONY: all setup demo check check-unit check-bits check-e2e check-asan check-tsan bench docs model-errors tables tradeoff figures install uninstall clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -122,6 +123,9 @@ endef
 $(foreach isa,$(ISAS),$(eval $(call walk_rule,$(isa))))
 
 $(SERVER): EXTRA_CPPFLAGS = $(UV_CFLAGS)
+
+# Taken up by the assembler.
+$(OBJ)/core/transport/table_data.o: core/transport/transport.table
 
 $(BUILD)/libcore.a: $(CORE)
 $(BUILD)/libproto.a: $(PROTO)
@@ -233,6 +237,14 @@ tradeoff:
 	@$(MAKE) --no-print-directory -j2 $(BUILD)/trade-speed
 	$(BUILD)/trade-speed --output $(BUILD)/tradeoff
 	cp $(BUILD)/tradeoff/tradeoff.def core/tradeoff.def
+
+$(BUILD)/transport-table: $(call objects,$(wildcard core/tools/transport_table/*.c)) $(BUILD)/libcore.a
+	$(call SAY,LD,$@)
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
+
+# Minutes, on all cores; after an interruption it goes on where it was.
+tables: $(BUILD)/transport-table
+	$(BUILD)/transport-table $(BUILD)/tables core/transport/transport.table
 
 # The folder has the name build/figures, so the program has another.
 $(BUILD)/draw-figures: $(FIGURES) $(BUILD)/libcore.a
