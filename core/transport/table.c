@@ -120,13 +120,14 @@ static size_t read_count(struct reader *reader, size_t least) {
   return count;
 }
 
-static int32_t read_integer(struct reader *reader) {
-  uint32_t zigzag = 0;
-  for (int shift = 0; shift < 35; shift += 7) {
+/* Of at most 49 bits: a double holds it exactly. */
+static int64_t read_integer(struct reader *reader) {
+  uint64_t zigzag = 0;
+  for (int shift = 0; shift < 49; shift += 7) {
     const uint8_t byte = read_byte(reader);
-    zigzag |= (uint32_t)(byte & 0x7f) << shift;
+    zigzag |= (uint64_t)(byte & 0x7f) << shift;
     if (byte < 0x80) {
-      return (int32_t)(zigzag >> 1) ^ -(int32_t)(zigzag & 1);
+      return (int64_t)(zigzag >> 1) ^ -(int64_t)(zigzag & 1);
     }
   }
   reader->good = false;
@@ -144,7 +145,7 @@ static size_t read_series(struct reader *reader, const double *t, const double *
       double sum = 0;
       const size_t columns = read_count(reader, 0);
       for (size_t j = 0; j < columns; j++) {
-        sum += read_integer(reader) * v[j];
+        sum += (double)read_integer(reader) * v[j];
       }
       terms[k] += sum * t[i];
     }

@@ -22,7 +22,8 @@ static double between(uint64_t *state, double low, double high) {
   return low + (high - low) * next_random(state);
 }
 
-static const double etas[] = {0.7, 0.9999, 1, 1.0001, 2.2, 0.99, 1.01, 1.4};
+/* Each time with other albedos. */
+static const double etas[] = {0.7, 0.7, 0.9999, 1, 1, 1, 1, 1.0001, 2.2, 2.2, 0.99, 1.01, 1.4};
 
 static double eta_of(const double *field, size_t i, uint64_t *random) {
   if (i < sizeof etas / sizeof etas[0]) {

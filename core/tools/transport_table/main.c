@@ -9,12 +9,12 @@
 #include "core/tools/transport_table/checks.h"
 #include "core/tools/transport_table/nodes.h"
 
-#define SOLVER_TOLERANCE 1e-8
+#define SOLVER_TOLERANCE 1e-7
 
 /* A little more than is promised, so that rounding leaves no medium at an end out. The reach is
  * where R is far below TRANSPORT_TABLE_R_LEAST. */
 static const double fields[TRANSPORT_TABLE_FIELDS] = {
-    [TRANSPORT_TABLE_QUANTUM] = 0x1p-25,        [TRANSPORT_TABLE_ALBEDO_LEAST] = 0.0099,
+    [TRANSPORT_TABLE_QUANTUM] = 0x1p-26,        [TRANSPORT_TABLE_ALBEDO_LEAST] = 0.0099,
     [TRANSPORT_TABLE_ALBEDO_MOST] = 1 - 9.9e-7, [TRANSPORT_TABLE_ETA_LEAST] = 0.699,
     [TRANSPORT_TABLE_ETA_MOST] = 2.202,         [TRANSPORT_TABLE_REACH_DECAYS] = 25,
     [TRANSPORT_TABLE_REACH_MOST] = 1e4,         [TRANSPORT_TABLE_EDGES] = 1e-10,

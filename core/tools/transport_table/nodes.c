@@ -10,7 +10,7 @@
 #include "core/transport/transport.h"
 
 /* Points in each direction; the smallest coefficients left are below the quantum. */
-enum { NODES_T = 72, NODES_X = 32, NODES_V_MAX = 32, PANELS = TRANSPORT_TABLE_PANELS };
+enum { NODES_T = 80, NODES_X = 32, NODES_V_MAX = NODES_FROM_1, PANELS = TRANSPORT_TABLE_PANELS };
 
 enum { BYTES_MAX = 1 << 22 };
 
@@ -119,10 +119,7 @@ static void put_byte(struct writer *writer, size_t byte) {
 }
 
 static void put_integer(struct writer *writer, int64_t value) {
-  if (value > INT32_MAX / 2 || value < INT32_MIN / 2) {
-    fail("a coefficient is too large: is there one that is not a number?");
-  }
-  uint32_t zigzag = value < 0 ? (uint32_t)(-2 * value - 1) : (uint32_t)(2 * value);
+  uint64_t zigzag = value < 0 ? (uint64_t)(-2 * value - 1) : (uint64_t)(2 * value);
   for (; zigzag >= 0x80; zigzag >>= 7) {
     put_byte(writer, (zigzag & 0x7f) | 0x80);
   }
@@ -159,7 +156,7 @@ static void put_series(struct writer *writer, double quantum, double *values, si
   }
   for (size_t i = 0; i < nx * nt * nv; i++) {
     const double value = values[i] / quantum;
-    if (!(fabs(value) < INT32_MAX)) {
+    if (!(fabs(value) < 0x1p47)) {
       fail("a coefficient is too large, or not a number");
     }
     rounded[i] = llrint(value);
