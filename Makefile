@@ -6,6 +6,8 @@
 #   make bench      every benchmark; build/bench GROUP runs one
 #   make docs       the byte tables of proto/PROTOCOL.md, from proto/messages.def
 #   make model-errors  core/model_errors.def, measured anew against exact solutions
+#   make tradeoff   speed against accuracy, in build/tradeoff, and core/tradeoff.def (minutes)
+#   make tables     core/transport/transport.table, solved anew (minutes; resumes)
 #   make figures    Figures 1 to 17 of d'Eon 2012, in build/figures (ten minutes; resumes)
 #   make install    to $(DESTDIR)$(PREFIX); make uninstall takes it away again
 #   make setup      installs the packages of .ci/packages, nothing else
@@ -84,13 +86,14 @@ LIBRARY := $(call objects,$(wildcard clients/c/*.c))
 CLI := $(call objects,$(wildcard clients/cli/*.c))
 BENCH := $(call objects,$(wildcard tests/bench/*.c))
 FIGURES := $(call objects,$(wildcard tests/figures/*.c))
+TRADEOFF := $(call objects,$(wildcard tests/tradeoff/*.c) $(addprefix tests/figures/,fail.c gnuplot.c panel.c progress.c table.c workers.c))
 TESTS := $(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/unit/test_*.c tests/accuracy/test_*.c tests/fuzz/test_*.c))
-TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/bench/*.c tests/bits/*.c tests/figures/*.c),$(wildcard tests/*/*.c)))
+TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/bench/*.c tests/bits/*.c tests/figures/*.c tests/tradeoff/*.c),$(wildcard tests/*/*.c)))
 
 PROGRAMS := $(BUILD)/dipoled $(BUILD)/dipole $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-unit check-bits check-e2e check-asan check-tsan bench docs model-errors figures install uninstall clean
+.PHONY: all setup demo check check-unit check-bits check-e2e check-asan check-tsan bench docs model-errors tables tradeoff figures install uninstall clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -120,6 +123,9 @@ endef
 $(foreach isa,$(ISAS),$(eval $(call walk_rule,$(isa))))
 
 $(SERVER): EXTRA_CPPFLAGS = $(UV_CFLAGS)
+
+# Taken up by the assembler.
+$(OBJ)/core/transport/table_data.o: core/transport/transport.table
 
 $(BUILD)/libcore.a: $(CORE)
 $(BUILD)/libproto.a: $(PROTO)
@@ -187,7 +193,7 @@ demo:
 
 check:
 	@sh .ci/install-packages
-	@$(MAKE) --no-print-directory -j2 all $(TESTS) $(BUILD)/tests/bits $(BUILD)/wire-tables $(BUILD)/draw-figures
+	@$(MAKE) --no-print-directory -j2 all $(TESTS) $(BUILD)/tests/bits $(BUILD)/wire-tables $(BUILD)/draw-figures $(BUILD)/trade-speed
 	@$(MAKE) --no-print-directory -j2 --output-sync=target check-unit check-bits check-e2e
 
 # Each test program by itself, so that one that crashes takes no other with it.
@@ -220,6 +226,25 @@ EXACT ?= ../shared/vectors/transport.csv
 model-errors: $(BUILD)/model-errors
 	$(BUILD)/model-errors $(EXACT) > $(BUILD)/model_errors.def
 	cp $(BUILD)/model_errors.def core/model_errors.def
+
+$(BUILD)/trade-speed: $(TRADEOFF) $(BUILD)/libcore.a
+	$(call SAY,LD,$@)
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
+
+# On a machine that does little else: it times what is chosen by cost.
+tradeoff:
+	@sh .ci/install-packages demo
+	@$(MAKE) --no-print-directory -j2 $(BUILD)/trade-speed
+	$(BUILD)/trade-speed --output $(BUILD)/tradeoff
+	cp $(BUILD)/tradeoff/tradeoff.def core/tradeoff.def
+
+$(BUILD)/transport-table: $(call objects,$(wildcard core/tools/transport_table/*.c)) $(BUILD)/libcore.a
+	$(call SAY,LD,$@)
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
+
+# Minutes, on all cores; after an interruption it goes on where it was.
+tables: $(BUILD)/transport-table
+	$(BUILD)/transport-table $(BUILD)/tables core/transport/transport.table
 
 # The folder has the name build/figures, so the program has another.
 $(BUILD)/draw-figures: $(FIGURES) $(BUILD)/libcore.a

@@ -239,11 +239,11 @@ static double model_error(const struct cost *cost, const core_choose_request *re
   }
   for (size_t i = 0; i < request->media_count && error < (double)INFINITY; i++) {
     const core_medium *medium = &request->media[i];
-    if (!accepts(cost, request, medium)) {
-      return (double)INFINITY;
-    }
     const struct errors of = model_errors(cost->model, medium, request->radii);
     error = fmax(error, wanted_error(request->wanted, cost->model, of));
+    if (error < (double)INFINITY && !accepts(cost, request, medium)) {
+      error = (double)INFINITY;
+    }
   }
   return error;
 }

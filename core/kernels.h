@@ -62,7 +62,7 @@ typedef struct core_inputs {
   const core_medium *medium;
   const core_parameters *parameters;
   const core_isa *isa;
-  bool tabulated; /* for a table: a shipped one will do where it keeps the tolerance */
+  double tabulated; /* how far a table of solutions may be off that is taken instead; 0: none is */
 } core_inputs;
 
 /* What a formula's preparation fills in; it finds zeros, and 1 for cost. */

@@ -246,6 +246,9 @@ static core_fault prepare_sum(core_profile *profile, const struct model *model,
 /* What the source has to keep, as a share of what the table is asked for. */
 #define SOURCE_SHARE 0.0625
 
+/* The same of a table of solutions, which costs nothing. */
+#define TABULATED_SHARE 0.5
+
 /* What is said beyond what was found between the nodes. */
 #define FOUND_MARGIN 1.1
 
@@ -280,7 +283,7 @@ static core_fault prepare_table(core_profile *profile, const struct model *model
   parameters.value[CORE_PARAMETER_TOLERANCE] =
       fits(model) ? (double)NAN : fmin(SOURCE_SHARE * asked, CORE_LUT_TOLERANCE);
   inputs.parameters = &parameters;
-  inputs.tabulated = true;
+  inputs.tabulated = TABULATED_SHARE * asked;
   core_profile *source = malloc(sizeof *source);
   if (source == NULL) {
     return CORE_OUT_OF_MEMORY;

@@ -10,6 +10,9 @@
  * terms is exact to half of TOLERANCE_LEAST. R stays positive whatever is between the points. The energy
  * within r is gathered from the same series (core/energy.h); the albedo is the solver's own total.
  *
+ * Who is content with it gets the medium from a table of solutions instead (core/transport/table.h),
+ * where that covers the medium and is as accurate as asked; all else is the same.
+ *
  * Anisotropic scattering goes through the similarity relation.
  *
  * Domain: eta from 0.25 to 4. Radii below FIRST mean free paths are continued like 1 / x; beyond
@@ -19,7 +22,8 @@
  * Error: the tolerance (TOLERANCE when none is asked for; at least TOLERANCE_LEAST, half of which is
  * the series'), relative, or the solver's own estimate where that is more, which an albedo below
  * 1e-6 or so may cause; up to the last radius. Beyond it, where R is 1e-13 of what it is at one mean
- * free path, and kappa is next to 1, R is off by some hundredths in the next decade.
+ * free path, and kappa is next to 1, R is off by some hundredths in the next decade. From the table:
+ * the error that was measured of it and TOLERANCE_LEAST, where R is above TRANSPORT_TABLE_R_LEAST.
  */
 #include "core/kernels.h"
 
@@ -36,13 +40,12 @@ enum coefficient {
   FIRST_X,
   LAST_X,
   LN_FIRST,
-  STEEPER, /* the power of 1 / x that R falls by beyond the last radius, more than a dipole's */
-  SERIES,  /* TERMS coefficients for each panel, then the table of the energy */
+  PER_PANEL, /* ln x in units of a panel's width: 1 / width */
+  STEEPER,   /* the power of 1 / x that R falls by beyond the last radius, more than a dipole's */
+  SERIES,    /* TERMS coefficients for each panel, then the table of the energy */
 };
 
 enum { TERMS = 16 };
-
-#define PANEL_WIDTH 0.75 /* in ln x */
 
 #ifdef CORE_ISA
 
@@ -86,7 +89,7 @@ static inline struct profile look(const double *c, double r) {
   const double true_x = r * c[MFP_PER_MM] + 0; /* adding 0 makes 0 of -0 */
   const double x = real_min(true_x, 1e100);
   const double kept = real_min(real_max(x, c[FIRST_X]), c[LAST_X]);
-  const double y = (real_log(kept, 0) - c[LN_FIRST]) * (1 / PANEL_WIDTH);
+  const double y = (real_log(kept, 0) - c[LN_FIRST]) * c[PER_PANEL];
   const double panel = real_max(real_min((double)(int64_t)y, c[PANELS] - 1), 0);
   const double s = real_max(real_min(2 * (y - panel) - 1, 1), -1);
   const struct series sum = sum_series(&c[SERIES + (size_t)panel * TERMS], s);
@@ -100,7 +103,7 @@ static inline struct profile look(const double *c, double r) {
       .x = x,
       .far = x < true_x ? x / true_x : 1,
       .value = x > c[LAST_X] ? sum.value + beyond : sum.value,
-      .slope = inside          ? sum.slope * (2 / PANEL_WIDTH)
+      .slope = inside          ? sum.slope * (2 * c[PER_PANEL])
                : x > c[LAST_X] ? kx / (1 + kx) - power
                                : 0,
   };
@@ -178,6 +181,7 @@ CORE_KERNEL_TABLE_NONE(transport);
 #include "core/energy.h"
 #include "core/gauss.h"
 #include "core/kernel.h"
+#include "core/transport/table.h"
 #include "core/transport/transport.h"
 
 #define TOLERANCE 1e-5
@@ -185,7 +189,8 @@ CORE_KERNEL_TABLE_NONE(transport);
 #define FIRST 1e-10
 #define LAST 1e4
 #define LAST_EXPONENT 30.0
-#define COST 8 /* of a kernel evaluation of a dipole, measured with build/bench kernel */
+#define PANEL_WIDTH 0.75 /* in ln x, at most */
+#define COST 8           /* of a kernel evaluation of a dipole, measured with build/bench kernel */
 
 /* Nothing worth solving is left of a smaller one. */
 #define ALBEDO_LEAST 1e-12
@@ -216,12 +221,14 @@ static core_fault solve(const core_inputs *inputs, double albedo, double toleran
   return fault;
 }
 
-/* A solution, and where its panels lie. */
-struct solved {
-  const transport_solution *solution;
+/* Where a profile comes from, a solution or a table's series, and where its panels lie. */
+struct source {
+  const transport_solution *solution; /* one of both */
+  const transport_series *series;
   double kappa;       /* of the medium */
   double extra_kappa; /* of the solution, where it has more: see solvable_albedo() */
   double ln_first;
+  double width; /* of a panel, in ln x */
   size_t panels;
   double error; /* the largest of the solver's own estimates */
 };
@@ -232,22 +239,25 @@ static double solvable_albedo(double albedo) {
   return fmin(albedo, 1 - 0x1p-53);
 }
 
-/* ln(x R) + kappa x */
-static double logarithm_at(struct solved *solved, double x) {
-  const transport_number R = transport_at(solved->solution, x).R;
-  const double extra = solved->extra_kappa * x;
-  solved->error = fmax(solved->error, R.error / fmax(R.value, 1e-300));
-  return real_log(fmax(x * R.value, 1e-300), 0) + solved->kappa * x +
+/* ln(x R) + kappa x at y = ln x */
+static double logarithm_at(struct source *source, double y) {
+  if (source->series != NULL) {
+    return transport_series_at(source->series, y);
+  }
+  const double x = real_exp_signed(y);
+  const transport_number R = transport_at(source->solution, x).R;
+  const double extra = source->extra_kappa * x;
+  source->error = fmax(source->error, R.error / fmax(R.value, 1e-300));
+  return real_log(fmax(x * R.value, 1e-300), 0) + source->kappa * x +
          (extra - real_log(1 + extra, 0));
 }
 
 /* The Legendre series through the Gauss points of a panel from ln x = y. */
-static void fit_panel(struct solved *solved, double y, double *series) {
+static void fit_panel(struct source *source, double y, double *series) {
   memset(series, 0, TERMS * sizeof *series);
   for (int i = 0; i < 2 * CORE_GAUSS_HALF; i++) {
     const double s = 2 * core_gauss_node(i) - 1;
-    const double value =
-        logarithm_at(solved, real_exp_signed(fma(PANEL_WIDTH, core_gauss_node(i), y)));
+    const double value = logarithm_at(source, fma(source->width, core_gauss_node(i), y));
     double p = 1, before = 0;
     for (int k = 0; k < TERMS; k++) {
       series[k] += (2 * k + 1) * core_gauss_weight(i) * value * p;
@@ -267,48 +277,51 @@ static void set_scales(double *c, double sigma_t_prime, bool scatters) {
 }
 
 /* The slope by ln x at the end of a panel, less than that of a dipole's diffusion there. */
-static double steeper(const double *series, double kappa_last) {
+static double steeper(const double *series, double width, double kappa_last) {
   double slope = 0; /* of P_k at 1: k (k + 1) / 2 */
   for (int k = TERMS - 1; k > 0; k--) {
     slope = fma(0.5 * k * (k + 1), series[k], slope);
   }
-  return kappa_last / (1 + kappa_last) - 2 - slope * (2 / PANEL_WIDTH);
+  return kappa_last / (1 + kappa_last) - 2 - slope * (2 / width);
 }
 
-static void set_series(struct solved *solved, double *c) {
-  const double last = real_exp_signed(solved->ln_first + (double)solved->panels * PANEL_WIDTH);
-  c[KAPPA] = solved->kappa;
-  c[PANELS] = (double)solved->panels;
-  c[FIRST_X] = real_exp_signed(solved->ln_first);
+static double last_of(const struct source *source) {
+  return real_exp_signed(fma((double)source->panels, source->width, source->ln_first));
+}
+
+static void set_series(struct source *source, double *c) {
+  const double last = last_of(source);
+  c[KAPPA] = source->kappa;
+  c[PANELS] = (double)source->panels;
+  c[FIRST_X] = real_exp_signed(source->ln_first);
   c[LAST_X] = last;
-  c[LN_FIRST] = solved->ln_first;
-  for (size_t i = 0; i < solved->panels; i++) {
-    fit_panel(solved, solved->ln_first + (double)i * PANEL_WIDTH, &c[SERIES + i * TERMS]);
+  c[LN_FIRST] = source->ln_first;
+  c[PER_PANEL] = 1 / source->width;
+  for (size_t i = 0; i < source->panels; i++) {
+    fit_panel(source, fma((double)i, source->width, source->ln_first), &c[SERIES + i * TERMS]);
   }
-  c[STEEPER] = steeper(&c[SERIES + (solved->panels - 1) * TERMS], solved->kappa * last);
+  c[STEEPER] =
+      steeper(&c[SERIES + (source->panels - 1) * TERMS], source->width, source->kappa * last);
 }
 
-/* The panels end where the solution does. */
-static struct solved lay_panels(const transport_solution *solution, double kappa,
-                                double extra_kappa) {
-  const double reach = kappa * LAST > LAST_EXPONENT ? LAST_EXPONENT / kappa : LAST;
-  const double panels = ceil((real_log(reach, 0) - real_log(FIRST, 0)) / PANEL_WIDTH);
-  return (struct solved){.solution = solution,
-                         .kappa = kappa,
-                         .extra_kappa = extra_kappa,
-                         .ln_first = real_log(reach, 0) - panels * PANEL_WIDTH,
-                         .panels = (size_t)panels};
+/* Panels from one logarithm to another, PANEL_WIDTH or less wide. */
+static void lay_panels(struct source *source, double ln_first, double ln_last) {
+  const double panels = ceil((ln_last - ln_first) / PANEL_WIDTH);
+  source->ln_first = ln_first;
+  source->width = (ln_last - ln_first) / panels;
+  source->panels = (size_t)panels;
 }
 
-/* The table of a solution. */
-static core_fault fill(const core_inputs *inputs, struct solved *solved, double sigma_t_prime,
+/* The table of a profile. */
+static core_fault fill(const core_inputs *inputs, struct source *source,
                        core_preparation *preparation) {
+  const double sigma_t_prime = core_sigma_t_prime(inputs->medium);
   const double mfp_mm = 1 / sigma_t_prime;
-  const double first = real_exp_signed(solved->ln_first);
-  const double last = real_exp_signed(solved->ln_first + (double)solved->panels * PANEL_WIDTH);
+  const double first = real_exp_signed(source->ln_first);
   /* Further than 40 decay lengths, or 1e12 mean free paths, there is less than 1e-12 of it. */
-  const double energy_last = solved->kappa * 1e12 > 40 ? fmax(40 / solved->kappa, last) : 1e12;
-  const size_t before_energy = SERIES + solved->panels * TERMS;
+  const double energy_last =
+      source->kappa * 1e12 > 40 ? fmax(40 / source->kappa, last_of(source)) : 1e12;
+  const size_t before_energy = SERIES + source->panels * TERMS;
   const size_t energy_length = core_energy_length(first * mfp_mm, energy_last * mfp_mm);
   preparation->table_bytes = (before_energy + energy_length) * sizeof(double);
   double *c = malloc(preparation->table_bytes);
@@ -316,14 +329,13 @@ static core_fault fill(const core_inputs *inputs, struct solved *solved, double 
     return CORE_OUT_OF_MEMORY;
   }
   set_scales(c, sigma_t_prime, true);
-  set_series(solved, c);
+  set_series(source, c);
   core_kernel_f64 *ring =
       core_isa_kernels(inputs->isa, CORE_MODEL_TRANSPORT)->f64->evaluate[CORE_ELEMENTWISE_RING];
   const double energy =
       core_energy_build(ring, c, first * mfp_mm, energy_last * mfp_mm, &c[before_energy]);
   c[PDF_SCALE] = c[RING_SCALE] / energy;
   preparation->table = c;
-  preparation->error = fmax(preparation->error, solved->error);
   return (core_fault){0};
 }
 
@@ -338,6 +350,7 @@ static core_fault fill_nothing(double sigma_t_prime, core_preparation *preparati
   c[PANELS] = 1;
   c[FIRST_X] = FIRST;
   c[LAST_X] = LAST;
+  c[PER_PANEL] = 1 / PANEL_WIDTH;
   double *energy = &c[SERIES + TERMS];
   energy[CORE_ENERGY_PANELS] = 1;
   energy[CORE_ENERGY_FIRST_MM] = 1;
@@ -346,34 +359,62 @@ static core_fault fill_nothing(double sigma_t_prime, core_preparation *preparati
   return (core_fault){0};
 }
 
-core_fault core_transport_prepare(const core_inputs *inputs, core_preparation *preparation) {
+static core_fault solve_and_fill(const core_inputs *inputs, double albedo, double asked,
+                                 core_preparation *preparation) {
   const core_medium *medium = inputs->medium;
-  const double sigma_s_prime = medium->sigma_s_per_mm * (1 - medium->g);
-  const double sigma_t_prime = medium->sigma_a_per_mm + sigma_s_prime;
-  const double albedo = sigma_s_prime / sigma_t_prime;
-  const double asked = core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, TOLERANCE);
   const double tolerance = fmin(0.5 * asked, TRANSPORT_TOLERANCE_MAX);
+  const double solvable = solvable_albedo(albedo);
+  transport_solution *solution = NULL;
+  core_fault fault = solve(inputs, solvable, tolerance, &solution);
+  if (fault.field == NULL) {
+    /* Absorption that is too little for the albedo to show is left to the decay. */
+    const bool shows = albedo <= solvable;
+    const double absorbed = medium->sigma_a_per_mm / core_sigma_t_prime(medium);
+    const double kappa = shows ? transport_kappa(albedo) : sqrt(3 * absorbed);
+    const double reach = kappa * LAST > LAST_EXPONENT ? LAST_EXPONENT / kappa : LAST;
+    struct source source = {
+        .solution = solution, .kappa = kappa, .extra_kappa = shows ? 0 : transport_kappa(solvable)};
+    lay_panels(&source, real_log(FIRST, 0), real_log(reach, 0));
+    fault = fill(inputs, &source, preparation);
+    preparation->albedo = transport_total(solution).value;
+    preparation->error = fmax(asked, source.error);
+  }
+  transport_solution_free(solution);
+  return fault;
+}
+
+static core_fault look_up(const core_inputs *inputs, double albedo, const transport_table *table,
+                          core_preparation *preparation) {
+  transport_series series;
+  transport_table_look_up(table, albedo, inputs->medium->eta, &series);
+  struct source source = {.series = &series, .kappa = series.kappa};
+  lay_panels(&source, series.edge[0], series.edge[TRANSPORT_TABLE_PANELS]);
+  preparation->albedo = series.total;
+  preparation->error = transport_table_error(table) + TOLERANCE_LEAST;
+  return fill(inputs, &source, preparation);
+}
+
+/* The table, if it will do for this medium; NULL: it will not. */
+static const transport_table *table_for(const core_inputs *inputs, double albedo) {
+  const transport_table *table = inputs->tabulated > 0 ? transport_table_shipped() : NULL;
+  const bool serves = table != NULL && transport_table_covers(table, albedo, inputs->medium->eta) &&
+                      transport_table_error(table) + TOLERANCE_LEAST <= inputs->tabulated;
+  return serves ? table : NULL;
+}
+
+core_fault core_transport_prepare(const core_inputs *inputs, core_preparation *preparation) {
+  const double sigma_t_prime = core_sigma_t_prime(inputs->medium);
+  const double albedo = inputs->medium->sigma_s_per_mm * (1 - inputs->medium->g) / sigma_t_prime;
+  const double asked = core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, TOLERANCE);
   preparation->notes = core_similarity_note(inputs);
   preparation->error = asked;
   preparation->cost = COST;
   if (albedo < ALBEDO_LEAST) {
     return fill_nothing(sigma_t_prime, preparation);
   }
-  transport_solution *solution = NULL;
-  const double solvable = solvable_albedo(albedo);
-  core_fault fault = solve(inputs, solvable, tolerance, &solution);
-  if (fault.field == NULL) {
-    /* Absorption that is too little for the albedo to show is left to the decay. */
-    const bool shows = albedo <= solvable;
-    const double kappa =
-        shows ? transport_kappa(albedo) : sqrt(3 * (medium->sigma_a_per_mm / sigma_t_prime));
-    const double extra = shows ? 0 : transport_kappa(solvable);
-    struct solved solved = lay_panels(solution, kappa, extra);
-    preparation->albedo = transport_total(solution).value;
-    fault = fill(inputs, &solved, sigma_t_prime, preparation);
-  }
-  transport_solution_free(solution);
-  return fault;
+  const transport_table *table = table_for(inputs, albedo);
+  return table != NULL ? look_up(inputs, albedo, table, preparation)
+                       : solve_and_fill(inputs, albedo, asked, preparation);
 }
 
 #endif

@@ -105,11 +105,18 @@ static const spectrum_grid *grid_of(transport_boundary *boundary, size_t level, 
 
 /* ---- decay ---------------------------------------------------------------------------------- */
 
-/* x = atanh(kappa) solves tanh(x) / x = a. For weak absorption that is a series in 1 - a; else
- * Newton's method from x = 1 / a, from where it converges from one side. */
+/* x = atanh(kappa) solves tanh(x) / x = a: Newton's method from x = 1 / a, from where it converges
+ * from one side. For weak absorption digits would be lost, and kappa is the root of
+ *
+ *   atanh(kappa) / kappa = 1 + kappa^2 / 3 + kappa^4 / 5 + ... = 1 / a. */
 double transport_kappa(double albedo) {
   if (albedo > 0.999) {
-    return sqrt(3 * (1 - albedo)) * (1 - 0.4 * (1 - albedo));
+    const double excess = (1 - albedo) / albedo;
+    double square = 0;
+    for (int i = 0; i < 6; i++) {
+      square = excess / (1.0 / 3 + square * (1.0 / 5 + square * (1.0 / 7 + square / 9)));
+    }
+    return sqrt(square);
   }
   if (albedo < 0.04) {
     return 1; /* within 1e-20 */

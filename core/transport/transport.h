@@ -69,7 +69,7 @@ transport_values transport_at(const transport_solution *solution, double r);
 transport_number transport_total(const transport_solution *solution);
 
 /* kappa, the rate at which diffuse light decays far away, per mean free path: 0 for albedo 1 to 1
- * for albedo 0, within 1e-6, relative. albedo: 0 to 1. */
+ * for albedo 0, within 1e-11, relative. albedo: 0 to 1. */
 double transport_kappa(double albedo);
 
 #endif

@@ -1,8 +1,6 @@
-/* fail: how the program ends when it cannot go on. */
+/* fail: how a program ends when it cannot go on. */
 #ifndef FIGURES_FAIL_H
 #define FIGURES_FAIL_H
-
-#define FIGURES_PROGRAM "draw-figures"
 
 /* Prints the program's name and a message to standard error, and exits with EXIT_FAILURE. */
 _Noreturn void fail(const char *format, ...) __attribute__((format(printf, 1, 2)));

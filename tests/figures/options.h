@@ -7,6 +7,8 @@
 
 #include "tests/figures/panel.h"
 
+#define FIGURES_PROGRAM "draw-figures"
+
 typedef struct options {
   const char *output;
   uint64_t photons; /* for each eta; 0: no Monte Carlo */

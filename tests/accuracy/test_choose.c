@@ -1,0 +1,516 @@
+/* The choice of a model by tolerance: what is promised is held against transport, at media, radii
+ * and tolerances that were drawn, not measured; and its edges.
+ */
+#include <math.h>
+
+#include "core/choose.h"
+#include "core/transport/transport.h"
+#include "tests/unit/unit.h"
+
+#define PI 3.14159265358979323846
+
+/* ---- promises against transport -------------------------------------------------------------- */
+
+enum { ETAS = 8, MEDIA_AN_ETA = 10, REQUESTS_A_MEDIUM = 25, RADII = 200 };
+
+#define KEPT_SHARE 0.995
+#define MISSED_BY_AT_MOST 2.0
+
+/* So that this says something of what was measured: so many choices, and so many promises of all
+ * candidates, are another model's than transport, at least. */
+#define OTHER_CHOICES 60
+#define OTHER_PROMISES 2000
+
+/* A medium, what transport says of it, and the profiles that it has been asked for. */
+struct truth {
+  core_medium medium;
+  bool single; /* the precision of the requests */
+  double r[RADII];
+  double R[RADII];
+  double albedo;
+  core_profile profiles[CORE_CANDIDATES_MAX];
+  size_t profile_count;
+};
+
+static int compare(const void *a, const void *b) {
+  const double x = *(const double *)a, y = *(const double *)b;
+  return (x > y) - (x < y);
+}
+
+/* A radius in mean free paths: equal chances per decade, or per length. */
+static double draw_mfp(bool logarithmic, uint64_t *random) {
+  return logarithmic ? unit_random_log(random, 0.010001, 19.999)
+                     : unit_random_between(random, 0.010001, 19.999);
+}
+
+/* sigma_t' over four decades; the radii are exact in both precisions. */
+static void draw_truth(struct truth *truth, transport_boundary *boundary, double eta, bool little,
+                       uint64_t *random) {
+  const double ratio =
+      little ? unit_random_log(random, 1e-7, 1e-4) : unit_random_log(random, 1e-4, 10);
+  const double scale = unit_random_log(random, 1e-2, 1e2);
+  transport_solution *solution;
+  *truth = (struct truth){
+      .medium = {scale * ratio / (1 + ratio), scale / (1 + ratio), 0, eta},
+      .single = unit_random_below(random, 2) == 1,
+  };
+  const double sigma_t = truth->medium.sigma_a_per_mm + truth->medium.sigma_s_per_mm;
+  unit_assert_fault(transport_solve(&solution, boundary, truth->medium.sigma_s_per_mm / sigma_t),
+                    NULL, 0);
+  for (size_t i = 0; i < RADII; i++) {
+    truth->r[i] = (double)(float)(draw_mfp(i % 2 == 0, random) / sigma_t);
+  }
+  qsort(truth->r, RADII, sizeof truth->r[0], compare);
+  for (size_t i = 0; i < RADII; i++) {
+    truth->R[i] = sigma_t * sigma_t * transport_at(solution, truth->r[i] * sigma_t).R.value;
+  }
+  truth->albedo = transport_total(solution).value;
+  transport_solution_free(solution);
+}
+
+/* Profiles with the default tolerance are kept: transport takes its time. */
+static const core_profile *profile_of(struct truth *truth, const core_candidate *candidate) {
+  core_parameters parameters = core_parameters_none();
+  parameters.value[CORE_PARAMETER_TOLERANCE] = candidate->numerical_tolerance;
+  for (size_t i = 0; i < truth->profile_count && isnan(candidate->numerical_tolerance); i++) {
+    const core_profile *kept = &truth->profiles[i];
+    if (kept->model == candidate->model && kept->evaluator == candidate->evaluator) {
+      return kept;
+    }
+  }
+  assert_true(truth->profile_count < CORE_CANDIDATES_MAX);
+  core_profile *profile = &truth->profiles[truth->profile_count++];
+  unit_assert_fault(core_profile_prepare(profile, core_isa_select(NULL), candidate->model,
+                                         CORE_MOMENTS_EXACT, candidate->evaluator, &truth->medium,
+                                         &parameters),
+                    NULL, 0);
+  return profile;
+}
+
+static double value_at(const core_profile *profile, enum core_quantity quantity, double r) {
+  if (profile->evaluator == CORE_EVALUATOR_F64) {
+    double out;
+    core_eval_f64(profile, quantity, 1, &r, &out);
+    return out;
+  }
+  const float single = (float)r;
+  float out;
+  core_eval_f32(profile, quantity, 1, &single, &out);
+  return (double)out;
+}
+
+/* How far the wanted quantities are off from transport at radii[first..last]. */
+static double deviation(const core_profile *profile, const struct truth *truth, unsigned wanted,
+                        size_t first, size_t last) {
+  double worst =
+      (wanted & CORE_QUANTITY_ALBEDO) != 0 ? fabs(profile->albedo / truth->albedo - 1) : 0;
+  for (size_t i = first; i <= last; i++) {
+    const double r = truth->r[i], R = truth->R[i];
+    const struct {
+      enum core_quantity quantity;
+      double value;
+    } truths[] = {{CORE_QUANTITY_R, R},
+                  {CORE_QUANTITY_RING, 2 * PI * r * R},
+                  {CORE_QUANTITY_PDF, 2 * PI * r * R / truth->albedo}};
+    for (size_t k = 0; k < sizeof truths / sizeof truths[0]; k++) {
+      if ((wanted & truths[k].quantity) != 0) {
+        const double value = value_at(profile, truths[k].quantity, r);
+        worst = fmax(worst, fabs(value / truths[k].value - 1));
+      }
+    }
+    if ((wanted & CORE_QUANTITY_LN_R) != 0) {
+      worst = fmax(worst, fabs(value_at(profile, CORE_QUANTITY_LN_R, r) - log(R)));
+    }
+  }
+  return worst;
+}
+
+/* How promises were kept. */
+struct tally {
+  size_t promises;
+  size_t kept;
+  size_t transport;
+  double most; /* the largest deviation, in tolerances */
+};
+
+static void count(struct tally *tally, const core_candidate *candidate, double off,
+                  double tolerance) {
+  tally->promises++;
+  tally->kept += off <= tolerance;
+  tally->transport += candidate->model == CORE_MODEL_TRANSPORT;
+  tally->most = fmax(tally->most, off / tolerance);
+}
+
+/* One of the medium's radii. */
+static size_t draw_radius(const struct truth *truth, bool logarithmic, uint64_t *random) {
+  const double sigma_t = truth->medium.sigma_a_per_mm + truth->medium.sigma_s_per_mm;
+  const double r = draw_mfp(logarithmic, random) / sigma_t;
+  size_t i = 0;
+  while (i + 1 < RADII && truth->r[i] < r) {
+    i++;
+  }
+  return i;
+}
+
+static void ask(struct truth *truth, struct tally *chosen, struct tally *all, uint64_t *random) {
+  static const unsigned wants[] = {
+      CORE_QUANTITY_R,
+      CORE_QUANTITY_R,
+      CORE_QUANTITY_R | CORE_QUANTITY_RADIUS | CORE_QUANTITY_ALBEDO,
+      CORE_QUANTITY_RING,
+      CORE_QUANTITY_PDF,
+      CORE_QUANTITY_LN_R,
+  };
+  core_candidate candidates[CORE_CANDIDATES_MAX];
+  const bool logarithmic = unit_random_below(random, 2) == 1;
+  const size_t a = draw_radius(truth, logarithmic, random);
+  const size_t b = draw_radius(truth, logarithmic, random);
+  const size_t first = a < b ? a : b, last = a < b ? b : a;
+  const core_choose_request request = {
+      .media = &truth->medium,
+      .media_count = 1,
+      .moments = CORE_MOMENTS_EXACT,
+      .wanted = wants[unit_random_below(random, sizeof wants / sizeof wants[0])],
+      .radii = {truth->r[first], truth->r[last]},
+      .single = truth->single,
+      .tolerance = unit_random_log(random, 1e-3, 0.5),
+  };
+  const size_t candidate_count = core_choose(&request, candidates);
+  for (size_t i = 0; i < candidate_count && candidates[i].meets; i++) {
+    const core_profile *profile = profile_of(truth, &candidates[i]);
+    const double off = deviation(profile, truth, request.wanted, first, last);
+    count(all, &candidates[i], off, request.tolerance);
+    if (i == 0) {
+      count(chosen, &candidates[i], off, request.tolerance);
+    }
+    if (off > request.tolerance) {
+      printf("ratio %.4g, eta %.4g, r %.4g to %.4g mfp, wanted %u: %s is off by %.4g, not %.4g\n",
+             truth->medium.sigma_a_per_mm / truth->medium.sigma_s_per_mm, truth->medium.eta,
+             request.radii.least_mm * (truth->medium.sigma_a_per_mm + truth->medium.sigma_s_per_mm),
+             request.radii.most_mm * (truth->medium.sigma_a_per_mm + truth->medium.sigma_s_per_mm),
+             request.wanted, core_choice_by_id(core_models, candidates[i].model)->name, off,
+             request.tolerance);
+    }
+  }
+}
+
+static void report(const struct tally *tally, const char *what) {
+  printf("%s: %zu promises, kept %zu (%.2f %%), largest error %.3f tolerances, %zu other than "
+         "transport (%.1f %%)\n",
+         what, tally->promises, tally->kept, 100.0 * (double)tally->kept / (double)tally->promises,
+         tally->most, tally->promises - tally->transport,
+         100.0 * (double)(tally->promises - tally->transport) / (double)tally->promises);
+  assert_true((double)tally->kept >= KEPT_SHARE * (double)tally->promises);
+  assert_true(tally->most <= MISSED_BY_AT_MOST);
+}
+
+/* Of the choices, and of all candidates that say that they would meet the tolerance. */
+static void promises_are_kept(void **state) {
+  (void)state;
+  static struct truth truth;
+  struct tally chosen = {0}, all = {0};
+  uint64_t random = unit_seed();
+  for (size_t e = 0; e < ETAS; e++) {
+    transport_boundary *boundary;
+    const double eta = unit_random_between(&random, 1, 2);
+    unit_assert_fault(transport_boundary_create(&boundary, eta, 1e-6), NULL, 0);
+    for (size_t m = 0; m < MEDIA_AN_ETA; m++) {
+      draw_truth(&truth, boundary, eta, m == 0, &random);
+      for (size_t i = 0; i < REQUESTS_A_MEDIUM; i++) {
+        ask(&truth, &chosen, &all, &random);
+      }
+      for (size_t i = 0; i < truth.profile_count; i++) {
+        core_profile_free(&truth.profiles[i]);
+      }
+    }
+    transport_boundary_free(boundary);
+  }
+  report(&chosen, "choices");
+  report(&all, "all candidates that meet");
+  assert_int_equal(chosen.promises, ETAS * MEDIA_AN_ETA * REQUESTS_A_MEDIUM);
+  assert_true(chosen.promises - chosen.transport >= OTHER_CHOICES);
+  assert_true(all.promises - all.transport >= OTHER_PROMISES);
+}
+
+/* ---- edges ----------------------------------------------------------------------------------- */
+
+static const core_medium ordinary = {0.05, 1, 0, 1.4};
+
+/* 30 % of R from 5 to 10 mm, which other models than transport can do. */
+static core_choose_request easy(const core_medium *media, size_t media_count) {
+  return (core_choose_request){
+      .media = media,
+      .media_count = media_count,
+      .moments = CORE_MOMENTS_EXACT,
+      .wanted = CORE_QUANTITY_R,
+      .radii = {5, 10},
+      .tolerance = 0.3,
+  };
+}
+
+static core_candidate choose(const core_choose_request *request) {
+  core_candidate candidates[CORE_CANDIDATES_MAX];
+  assert_true(core_choose(request, candidates) > 0);
+  return candidates[0];
+}
+
+/* Whether any other model than transport can promise anything. */
+static bool others_promise(const core_choose_request *request) {
+  core_candidate candidates[CORE_CANDIDATES_MAX];
+  const size_t n = core_choose(request, candidates);
+  for (size_t i = 0; i < n; i++) {
+    if (candidates[i].model != CORE_MODEL_TRANSPORT && candidates[i].error < (double)INFINITY) {
+      return true;
+    }
+  }
+  return false;
+}
+
+static void only_transport_promises(core_choose_request request) {
+  assert_false(others_promise(&request));
+  const core_candidate choice = choose(&request);
+  assert_int_equal(choice.model, CORE_MODEL_TRANSPORT);
+  assert_true(choice.meets);
+  assert_true(choice.model_error == 0);
+}
+
+static void a_tolerance_that_is_loose_takes_another_model(void **state) {
+  (void)state;
+  const core_choose_request request = easy(&ordinary, 1);
+  const core_candidate choice = choose(&request);
+  assert_true(choice.meets);
+  assert_int_not_equal(choice.model, CORE_MODEL_TRANSPORT);
+  assert_true(choice.error <= request.tolerance);
+  assert_true(choice.model_error > 0 && choice.model_error <= choice.error);
+  assert_true(choice.numerical_error > 0 && choice.numerical_error < 1e-3);
+  assert_true(choice.cost_ns > 0 && choice.prepare_ns > 0);
+}
+
+/* Nothing that meets the tolerance is cheaper than the choice by more than what is alike, and the
+ * rest of the list is in the order in which it is to be taken. */
+static void the_list_is_in_order(void **state) {
+  (void)state;
+  for (int single = 0; single < 2; single++) {
+    core_choose_request request = easy(&ordinary, 1);
+    core_candidate candidates[CORE_CANDIDATES_MAX];
+    request.single = single;
+    const size_t n = core_choose(&request, candidates);
+    size_t meeting = 0;
+    assert_true(n > 1);
+    for (size_t i = 0; i < n; i++) {
+      assert_true(single == (candidates[i].evaluator != CORE_EVALUATOR_F64));
+      assert_true(candidates[i].meets == (candidates[i].error <= request.tolerance));
+      assert_true(i == 0 || candidates[i - 1].meets >= candidates[i].meets);
+      meeting += candidates[i].meets;
+    }
+    for (size_t i = 1; i < n; i++) {
+      const core_candidate *a = &candidates[i - 1], *b = &candidates[i];
+      if (i < meeting) {
+        assert_true(a->cost_ns <= b->cost_ns * CORE_CHOOSE_COST_ALIKE);
+        assert_true(a->cost_ns * CORE_CHOOSE_COST_ALIKE < b->cost_ns || a->error <= b->error ||
+                    a->cost_ns < b->cost_ns);
+      } else if (i > meeting) {
+        assert_true(a->error <= b->error);
+      }
+    }
+  }
+}
+
+static void outside_of_what_was_measured_only_transport_promises(void **state) {
+  (void)state;
+  core_choose_request request = easy(&ordinary, 1);
+  request.radii.least_mm = 0;
+  only_transport_promises(request);
+  request.radii.least_mm = 0.0094; /* 0.00987 mean free paths */
+  only_transport_promises(request);
+  request.radii.least_mm = 0.0096;
+  assert_true(others_promise(&request));
+  request.radii.most_mm = 20 / 1.05;
+  assert_true(others_promise(&request));
+  request.radii.most_mm = 19.1;
+  only_transport_promises(request);
+  request.radii.most_mm = (double)INFINITY;
+  only_transport_promises(request);
+  static const core_medium media[] = {{10.1, 1, 0, 1.4}, {0.05, 1, 0, 0.99}, {0.05, 1, 0, 2.01}};
+  for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
+    request = easy(&media[i], 1);
+    request.radii = (core_radii_range){0.5, 1};
+    only_transport_promises(request);
+  }
+}
+
+static void the_ends_of_what_was_measured_belong_to_it(void **state) {
+  (void)state;
+  static const core_medium media[] = {
+      {0, 1, 0, 1.4}, {10, 1, 0, 1.4}, {0.05, 1, 0, 1}, {0.05, 1, 0, 2}, {0.3, 0.03, 0, 1.1}};
+  for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
+    core_choose_request request = easy(&media[i], 1);
+    const double mfp_mm = 1 / (media[i].sigma_a_per_mm + media[i].sigma_s_per_mm);
+    request.radii = (core_radii_range){0.01 * mfp_mm, 20 * mfp_mm};
+    assert_true(others_promise(&request));
+  }
+}
+
+static void what_was_not_measured_is_not_promised(void **state) {
+  (void)state;
+  core_choose_request request = easy(&ordinary, 1);
+  request.wanted = CORE_QUANTITY_R | CORE_QUANTITY_CDF;
+  only_transport_promises(request);
+  request.wanted = CORE_QUANTITY_SLOPE;
+  only_transport_promises(request);
+  request.wanted = CORE_QUANTITY_R;
+  request.moments = CORE_MOMENTS_FIT;
+  only_transport_promises(request);
+}
+
+/* The albedo alone needs no radii. */
+static void the_albedo_needs_no_radii(void **state) {
+  (void)state;
+  core_choose_request request = easy(&ordinary, 1);
+  request.wanted = CORE_QUANTITY_ALBEDO | CORE_QUANTITY_RADIUS;
+  request.radii = (core_radii_range){0, (double)INFINITY};
+  assert_int_not_equal(choose(&request).model, CORE_MODEL_TRANSPORT);
+}
+
+/* A quantity more is never nearer. */
+static void what_is_wanted_has_to_be_met_together(void **state) {
+  (void)state;
+  core_choose_request request = easy(&ordinary, 1);
+  request.tolerance = 10;
+  const double R = choose(&request).error;
+  core_candidate of_R[CORE_CANDIDATES_MAX], of_all[CORE_CANDIDATES_MAX];
+  assert_true(R < 10);
+  const size_t n = core_choose(&request, of_R);
+  request.wanted |= CORE_QUANTITY_ALBEDO | CORE_QUANTITY_LN_R | CORE_QUANTITY_PDF;
+  assert_int_equal(core_choose(&request, of_all), n);
+  for (size_t i = 0; i < n; i++) {
+    for (size_t j = 0; j < n; j++) {
+      if (of_R[i].model == of_all[j].model && of_R[i].evaluator == of_all[j].evaluator) {
+        assert_true(of_all[j].error >= of_R[i].error);
+      }
+    }
+  }
+}
+
+/* Nothing can do it: the nearest that there is comes first, and says how near. */
+static void a_tolerance_that_nothing_meets(void **state) {
+  (void)state;
+  core_choose_request request = easy(&ordinary, 1);
+  request.tolerance = 1e-9;
+  core_candidate choice = choose(&request);
+  assert_false(choice.meets);
+  assert_int_equal(choice.model, CORE_MODEL_TRANSPORT);
+  assert_true(choice.error > 1e-9 && choice.error < 1e-7);
+  request.tolerance = (double)NAN;
+  assert_false(choose(&request).meets);
+  static const core_medium out_of_all = {0.05, 1, 0, 5};
+  request = easy(&out_of_all, 1);
+  choice = choose(&request);
+  assert_false(choice.meets);
+  assert_true(isinf(choice.error));
+}
+
+/* The tighter the tolerance, the tighter transport is solved; and no tighter than it is asked. */
+static void the_numerical_tolerance_follows(void **state) {
+  (void)state;
+  core_choose_request request = easy(&ordinary, 1);
+  request.tolerance = 1e-4;
+  core_candidate choice = choose(&request);
+  assert_true(choice.meets && isnan(choice.numerical_tolerance));
+  request.tolerance = 1e-6;
+  choice = choose(&request);
+  assert_true(choice.meets && choice.numerical_tolerance <= 0.25e-6 * 1.0001 &&
+              choice.numerical_tolerance > 0.2e-6);
+  core_parameters parameters = core_parameters_none();
+  parameters.value[CORE_PARAMETER_TOLERANCE] = choice.numerical_tolerance;
+  core_profile profile;
+  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), choice.model,
+                                         CORE_MOMENTS_EXACT, choice.evaluator, &ordinary,
+                                         &parameters),
+                    NULL, 0);
+  assert_true(profile.numerical_error <= choice.numerical_error * 1.0001);
+  core_profile_free(&profile);
+}
+
+/* One channel that needs transport takes all of them there. */
+static void the_choice_holds_for_all_channels(void **state) {
+  (void)state;
+  const core_medium media[3] = {ordinary, {0.06, 1, 0, 1.4}, {0.05, 0.0001, 0, 1.4}};
+  core_choose_request request = easy(media, 2);
+  const double two = choose(&request).model_error;
+  assert_true(two > 0);
+  for (size_t i = 0; i < 2; i++) {
+    request = easy(&media[i], 1);
+    request.tolerance = two;
+    assert_true(choose(&request).model_error <= two);
+  }
+  request = easy(media, 3);
+  only_transport_promises(request);
+  core_candidate candidates[CORE_CANDIDATES_MAX];
+  request.media_count = 0;
+  assert_int_equal(core_choose(&request, candidates), 0);
+}
+
+/* sigma_s' is all that the models see, so the similarity relation's error comes on top, where it is
+ * known; single scattering sees g, and nothing is known of it. */
+static void anisotropy_costs(void **state) {
+  (void)state;
+  const core_medium forward = {0.05, 10, 0.9, 1.4};
+  core_choose_request isotropic = easy(&ordinary, 1), request = easy(&forward, 1);
+  core_candidate candidates[CORE_CANDIDATES_MAX], isotropic_candidates[CORE_CANDIDATES_MAX];
+  isotropic.tolerance = request.tolerance = 10;
+  const size_t n = core_choose(&request, candidates);
+  core_choose(&isotropic, isotropic_candidates);
+  size_t known = 0;
+  for (size_t i = 0; i < n; i++) {
+    for (size_t j = 0; j < n; j++) {
+      if (isotropic_candidates[j].model == candidates[i].model) {
+        assert_true(candidates[i].error > isotropic_candidates[j].error);
+      }
+    }
+    known += candidates[i].error < (double)INFINITY;
+    assert_true(candidates[i].model != CORE_MODEL_SINGLE || isinf(candidates[i].error));
+    assert_true(candidates[i].model != CORE_MODEL_BETTER_SINGLE || isinf(candidates[i].error));
+  }
+  assert_true(known > 0);
+  request.radii.least_mm = 0.09; /* below 0.1 mean free paths */
+  assert_true(isinf(choose(&request).error));
+  request = easy(&forward, 1);
+  request.wanted |= CORE_QUANTITY_ALBEDO;
+  assert_true(isinf(choose(&request).error));
+  request = easy(&forward, 1);
+  request.wanted = CORE_QUANTITY_CDF;
+  assert_true(isinf(choose(&request).error));
+}
+
+/* The same in other units of length, for the radii are relative to the medium. */
+static void lengths_do_not_matter(void **state) {
+  (void)state;
+  const core_medium dense = {50, 1000, 0, 1.4};
+  core_choose_request request = easy(&ordinary, 1);
+  const core_candidate choice = choose(&request);
+  request = easy(&dense, 1);
+  request.radii = (core_radii_range){5e-3, 10e-3};
+  const core_candidate other = choose(&request);
+  assert_int_equal(choice.model, other.model);
+  assert_true(choice.error == other.error);
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(promises_are_kept),
+      cmocka_unit_test(a_tolerance_that_is_loose_takes_another_model),
+      cmocka_unit_test(the_list_is_in_order),
+      cmocka_unit_test(outside_of_what_was_measured_only_transport_promises),
+      cmocka_unit_test(the_ends_of_what_was_measured_belong_to_it),
+      cmocka_unit_test(what_was_not_measured_is_not_promised),
+      cmocka_unit_test(the_albedo_needs_no_radii),
+      cmocka_unit_test(what_is_wanted_has_to_be_met_together),
+      cmocka_unit_test(a_tolerance_that_nothing_meets),
+      cmocka_unit_test(the_numerical_tolerance_follows),
+      cmocka_unit_test(the_choice_holds_for_all_channels),
+      cmocka_unit_test(anisotropy_costs),
+      cmocka_unit_test(lengths_do_not_matter),
+  };
+  return cmocka_run_group_tests(tests, NULL, NULL);
+}
