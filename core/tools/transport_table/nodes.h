@@ -4,7 +4,7 @@
 
 #include "core/tools/transport_table/samples.h"
 
-enum { NODES_BELOW_1 = 28, NODES_FROM_1 = 40, NODES = NODES_BELOW_1 + NODES_FROM_1 };
+enum { NODES_BELOW_1 = 24, NODES_FROM_1 = 32, NODES = NODES_BELOW_1 + NODES_FROM_1 };
 
 /* Chebyshev's points in all coordinates: a sample for each v of both sides. */
 void nodes_make(const double *field, table_sample samples[NODES]);
