@@ -26,9 +26,9 @@ enum core_lut_word {
   CORE_LUT_SCALE,        /* 1/mm^2: R is that times its piece; a power of two */
   CORE_LUT_RING_SCALE,   /* 2 pi times that */
   CORE_LUT_PDF_SCALE,    /* and over the albedo */
-  CORE_LUT_NEAR_POWER,   /* below the first radius R is, if 1: NEAR_R / r, */
-  CORE_LUT_NEAR_R,       /*   if 0: NEAR_R + NEAR_LOG log2(FIRST_MM / r); 1/mm or 1/mm^2 */
-  CORE_LUT_NEAR_LOG,     /* 1/mm^2 */
+  CORE_LUT_NEAR_POWER,   /* below the first radius R is SCALE times, if 1: NEAR_R / r (mm), */
+  CORE_LUT_NEAR_R,       /*   if 0: NEAR_R + NEAR_LOG log2(FIRST_MM / r) */
+  CORE_LUT_NEAR_LOG,
   CORE_LUT_NEAR_CDF,     /* the cdf of that is NEAR_CDF r, 1/mm, or */
   CORE_LUT_NEAR_CDF_LOG, /* (NEAR_CDF + NEAR_CDF_LOG log2(FIRST_MM / r)) r^2, 1/mm^2 */
   CORE_LUT_FAR,         /* from the last radius on, R is SCALE FAR (LAST_MM / r)^3, and the cdf 1 */
