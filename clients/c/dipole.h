@@ -134,7 +134,7 @@ unsigned dipole_id(const dipole_client *client, enum dipole_kind kind, const cha
 /* ---- evaluating ---------------------------------------------------------------------------- */
 
 /* Ids that are permanent; models are asked for by name, see dipole_id(). */
-enum dipole_evaluator { DIPOLE_F64 = 1, DIPOLE_F32 = 2 };
+enum dipole_evaluator { DIPOLE_F64 = 1, DIPOLE_F32 = 2, DIPOLE_LUT = 3 };
 enum dipole_moments { DIPOLE_EXACT = 1, DIPOLE_FIT = 2, DIPOLE_JENSEN = 3 };
 enum dipole_quantity {
   DIPOLE_R = 1,      /* 1/mm^2 per unit of power that entered */
@@ -174,7 +174,7 @@ typedef struct dipole_query {
   const dipole_medium *media; /* [medium_count], one for each channel */
   uint32_t medium_count;
   unsigned spacing;  /* enum dipole_spacing */
-  const void *radii; /* list: [radius_count] of double (f64) or float (f32), mm, 0 to infinity */
+  const void *radii; /* list: [radius_count] of double (f64) or float (others), mm, 0 to infinity */
   uint64_t radius_count;
   double radius_start_mm;             /* linear, logarithmic: the first radius */
   double radius_stop_mm;              /* and the last */
@@ -182,8 +182,8 @@ typedef struct dipole_query {
   size_t parameter_count;
 } dipole_query;
 
-/* The answer for one medium. An array is NULL when its quantity was not wanted or when the other
- * evaluator was taken. */
+/* The answer for one medium. An array is NULL when its quantity was not wanted or when the
+ * evaluator's values have the other type: f64's are double, all others' are float. */
 typedef struct dipole_channel {
   double albedo; /* NaN when not wanted */
   /* A value at radius r is off from the model's formula by at most
@@ -215,8 +215,8 @@ bool dipole_eval(dipole_client *client, const dipole_query *query, dipole_result
 void dipole_result_free(dipole_result *result); /* NULL is fine */
 
 /* The array of any quantity that has a value for each radius (all but albedo and radius):
- * [radius_count], owned by the result. NULL when it was not wanted, when the other evaluator was
- * taken, or when there is no such channel. For R and cdf the channel's own fields say the same. */
+ * [radius_count], owned by the result. NULL when it was not wanted, when the evaluator's values
+ * have the other type, or when there is no such channel. For R and cdf the channel's own fields say the same. */
 const double *dipole_values_f64(const dipole_result *result, uint32_t channel, unsigned quantity);
 const float *dipole_values_f32(const dipole_result *result, uint32_t channel, unsigned quantity);
 

@@ -43,7 +43,7 @@ static bool check_query(const dipole_query *query, uint64_t *radii_bytes, dipole
   const size_t value_bytes = eval_value_bytes(query->evaluator);
   if (value_bytes == 0) {
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                          "evaluator is %u: this library knows DIPOLE_F64 and DIPOLE_F32",
+                          "evaluator is %u: this library knows DIPOLE_F64, DIPOLE_F32 and DIPOLE_LUT",
                           query->evaluator);
   }
   if (query->spacing != DIPOLE_LIST) {
@@ -146,7 +146,7 @@ static void get_channel(const libdipole_frame *frame, const eval_layout *layout,
                               .model_error = from.model_error};
   const void *R = array_at(frame, layout, fixed->wanted, index, CORE_QUANTITY_R);
   const void *cdf = array_at(frame, layout, fixed->wanted, index, CORE_QUANTITY_CDF);
-  if (fixed->evaluator == DIPOLE_F64) {
+  if (eval_value_bytes(fixed->evaluator) == sizeof(double)) {
     channel->R_f64 = R;
     channel->cdf_f64 = cdf;
   } else {
@@ -189,6 +189,7 @@ bool libdipole_result_take(dipole_client *client, libdipole_pending *pending,
   const void *radii =
       (fixed.wanted & CORE_QUANTITY_RADIUS) != 0 ? frame->payload + layout.radius_offset : NULL;
   dipole_channel *channels = (dipole_channel *)(frame->payload + frame->header.payload_bytes);
+  const bool wide = eval_value_bytes(fixed.evaluator) == sizeof(double);
   for (uint32_t i = 0; i < fixed.channel_count; i++) {
     get_channel(frame, &layout, &fixed, i, &channels[i]);
   }
@@ -198,8 +199,8 @@ bool libdipole_result_take(dipole_client *client, libdipole_pending *pending,
                                   .wanted = fixed.wanted,
                                   .notes = fixed.notes,
                                   .radius_count = fixed.radius_count,
-                                  .radius_f64 = fixed.evaluator == DIPOLE_F64 ? radii : NULL,
-                                  .radius_f32 = fixed.evaluator == DIPOLE_F64 ? NULL : radii,
+                                  .radius_f64 = wide ? radii : NULL,
+                                  .radius_f32 = wide ? NULL : radii,
                                   .channel_count = fixed.channel_count,
                                   .channels = channels};
   *result = &frame->result;
@@ -238,12 +239,12 @@ bool dipole_eval(dipole_client *client, const dipole_query *query, dipole_result
 
 /* The layout follows from the result's own counts, as it did when the answer was parsed. */
 static const void *values(const dipole_result *result, uint32_t channel, unsigned quantity,
-                          unsigned evaluator) {
+                          size_t value_bytes) {
   const libdipole_frame *frame = (const libdipole_frame *)(const void *)result;
   eval_layout layout;
-  if (result->evaluator != evaluator || channel >= result->channel_count ||
+  if (eval_value_bytes(result->evaluator) != value_bytes || channel >= result->channel_count ||
       !eval_is_array(result->wanted, quantity) ||
-      !eval_reply_layout(evaluator, result->wanted, result->channel_count, result->radius_count,
+      !eval_reply_layout(result->evaluator, result->wanted, result->channel_count, result->radius_count,
                          frame->header.payload_bytes, &layout)) {
     return NULL;
   }
@@ -251,11 +252,11 @@ static const void *values(const dipole_result *result, uint32_t channel, unsigne
 }
 
 const double *dipole_values_f64(const dipole_result *result, uint32_t channel, unsigned quantity) {
-  return values(result, channel, quantity, DIPOLE_F64);
+  return values(result, channel, quantity, sizeof(double));
 }
 
 const float *dipole_values_f32(const dipole_result *result, uint32_t channel, unsigned quantity) {
-  return values(result, channel, quantity, DIPOLE_F32);
+  return values(result, channel, quantity, sizeof(float));
 }
 
 void dipole_result_free(dipole_result *result) {

@@ -33,7 +33,7 @@ static const cli_option options[] = {
      CLI_NAMES, FIELD(model)},
     {"moments", "NAME", "Fresnel moments, see `dipole info` (default: exact)", CLI_TEXT,
      FIELD(moments)},
-    {"evaluator", "NAME", "f64 or f32: double or single precision (default: f64)", CLI_TEXT,
+    {"evaluator", "NAME", "f64, f32 (single precision) or lut (a table; default: f64)", CLI_TEXT,
      FIELD(evaluator)},
     {"want", "NAME[,NAME...]",
      "R: 1/mm^2 per unit of power that entered; albedo; cdf: the share of\n"

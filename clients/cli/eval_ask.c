@@ -128,7 +128,7 @@ static void make_radii(const cli_eval_settings *settings, const cli_eval_report 
     return;
   }
   radii->count = settings->r.count;
-  if (report->evaluator->id == DIPOLE_F32) {
+  if (report->evaluator->id != DIPOLE_F64) {
     radii->f32 = cli_allocate(settings->r.count, sizeof *radii->f32);
     for (size_t i = 0; i < settings->r.count; i++) {
       radii->f32[i] = (float)settings->r.items[i];

@@ -310,7 +310,7 @@ static int run(const cli_command *command, int argc, char **argv) {
 
 static const cli_option options[] = {
     {"Evaluation", NULL, NULL, CLI_HEADING, 0},
-    {"evaluator", "NAME", "f64 or f32: double or single precision (default: f64)", CLI_TEXT,
+    {"evaluator", "NAME", "f64, f32 (single precision) or lut (a table; default: f64)", CLI_TEXT,
      offsetof(points_settings, evaluator)},
     {0},
 };

@@ -119,8 +119,8 @@ bool cli_points_submit(dipole_client *client, unsigned evaluator, cli_points_row
                               .media = &row->medium,
                               .medium_count = 1,
                               .spacing = DIPOLE_LIST,
-                              .radii = evaluator == DIPOLE_F32 ? (const void *)&r_f32_mm
-                                                               : (const void *)&row->r_mm,
+                              .radii = evaluator == DIPOLE_F64 ? (const void *)&row->r_mm
+                                                               : (const void *)&r_f32_mm,
                               .radius_count = 1,
                               .parameters = row->parameters.items,
                               .parameter_count = row->parameters.count};

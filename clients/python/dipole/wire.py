@@ -59,7 +59,7 @@ KINDS = {
 }
 
 # Ids that are permanent and that the layout of a payload depends on.
-EVALUATOR_TYPES = {1: "<f8", 2: "<f4"}  # numpy's type of radii and values
+EVALUATOR_TYPES = {1: "<f8", 2: "<f4", 3: "<f4"}  # numpy's type of radii and values
 QUANTITY_R = 1
 QUANTITY_ALBEDO = 2
 QUANTITY_CDF = 4
