@@ -124,11 +124,12 @@ static inline float outside_cdf(const float *c, float r) {
   return r < c[CORE_LUT_FIRST_MM] ? near_cdf(c, r) : c[CORE_LUT_LIMIT];
 }
 
-/* Both halves are looked up by what is next to their end: u, or 1 - u, which is exact. */
+/* Both halves are looked up by what is next to their end: u, or 1 - u, which is exact. What is no
+ * cdf at all must not be looked up beyond their octaves. */
 static inline float inside_radius(const float *c, float u) {
   const float near = u <= 0.5f ? u : 1 - u;
   const int32_t octaves = u <= 0.5f ? CORE_LUT_RADIUS_OCTAVES : CORE_LUT_COMPLEMENT_OCTAVES;
-  return core_lut_look(c, octaves, near <= 0.5f ? near : 0.5f);
+  return core_lut_look(c, octaves, near > 0 ? near : 0);
 }
 
 static inline float outside_radius(const float *c, float u) {
