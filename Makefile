@@ -113,6 +113,9 @@ $(OBJ)/core/models/%.$(1).f$(2).o: core/models/%.c Makefile
 endef
 $(foreach isa,$(ISAS),$(foreach real,32 64,$(eval $(call kernel_rule,$(isa),$(real)))))
 
+# A table's lookups gather: 16 at a time take longer than twice 8.
+$(OBJ)/core/models/lut.avx512.f32.o: ISA_FLAGS_avx512 += -mprefer-vector-width=256
+
 # core/montecarlo/walk.ISA.o
 define walk_rule
 $(OBJ)/core/montecarlo/walk.$(1).o: core/montecarlo/walk.c Makefile

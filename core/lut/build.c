@@ -122,6 +122,8 @@ static bool set_scale(struct build *b) {
   const int size = ilogb(value(b, CORE_QUANTITY_R, ldexp(1, b->first)));
   const int up = size > 120 ? 0 : 120 - size;
   b->scale = ldexp(1, up > 126 ? -126 : -up);
+  b->word[CORE_LUT_NEAR_R] /= b->scale;
+  b->word[CORE_LUT_NEAR_LOG] /= b->scale;
   return true;
 }
 

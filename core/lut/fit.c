@@ -213,8 +213,9 @@ enum lut_fit lut_fit_constant(float value, struct lut_pieces *pieces, uint32_t *
 
 double lut_fit_error(const struct lut_subject *subject, int exponent, uint32_t entry,
                      const struct lut_pieces *pieces) {
-  /* Next to where the error of a polynomial through the places is largest, off the places. */
-  static const double between[FOUND_PER_PIECE] = {6.5 / 64, 27.5 / 64, 36.5 / 64, 51.5 / 64,
+  /* Next to where polynomials through the points of degrees 3, 2 and 1 are off by most, off the
+   * places. */
+  static const double between[FOUND_PER_PIECE] = {6.5 / 64, 13.5 / 64, 31.5 / 64, 50.5 / 64,
                                                   57.5 / 64};
   const unsigned cuts = CORE_LUT_MANTISSA_BITS - CORE_LUT_ENTRY_SHIFT(entry);
   double worst = 0;

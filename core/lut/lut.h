@@ -11,6 +11,15 @@
  * (of the cdf and the radius always, of R where that serves): so rounding cannot make it turn back,
  * and it is rounded to its last digit or two everywhere.
  *
+ * A piece is |c0| + w (c1 + w (c2 + w c3)). The argument's mantissa (23 bits), shifted right by an
+ * entry's shift, counts the piece from the entry's; the bits shifted out, over 2^shift, are t, and w
+ * is t, or 1 - t where c0 has a minus sign. Then, factors taken from left to right:
+ *   R         piece SCALE
+ *   2 pi r R  piece r RING_SCALE, or piece (r RING_SCALE) where RING_SCALE is more than 1
+ *   pdf       likewise, with PDF_SCALE
+ *   cdf       the smaller of the piece and 1
+ *   radius    piece; of u up to 1/2, else of 1 - u
+ *
  * Outside of the octaves the known asymptotics go on: R is constant, or grows like 1 / r or like
  * -ln r towards the source; far away it falls like 1 / r^3 where nothing absorbs, or has underflowed.
  */
@@ -26,9 +35,9 @@ enum core_lut_word {
   CORE_LUT_SCALE,        /* 1/mm^2: R is that times its piece; a power of two */
   CORE_LUT_RING_SCALE,   /* 2 pi times that */
   CORE_LUT_PDF_SCALE,    /* and over the albedo */
-  CORE_LUT_NEAR_POWER,   /* below the first radius R is, if 1: NEAR_R / r, */
-  CORE_LUT_NEAR_R,       /*   if 0: NEAR_R + NEAR_LOG log2(FIRST_MM / r); 1/mm or 1/mm^2 */
-  CORE_LUT_NEAR_LOG,     /* 1/mm^2 */
+  CORE_LUT_NEAR_POWER,   /* below the first radius R is SCALE times, if 1: NEAR_R / r (mm), */
+  CORE_LUT_NEAR_R,       /*   if 0: NEAR_R + NEAR_LOG log2(FIRST_MM / r) */
+  CORE_LUT_NEAR_LOG,
   CORE_LUT_NEAR_CDF,     /* the cdf of that is NEAR_CDF r, 1/mm, or */
   CORE_LUT_NEAR_CDF_LOG, /* (NEAR_CDF + NEAR_CDF_LOG log2(FIRST_MM / r)) r^2, 1/mm^2 */
   CORE_LUT_FAR,         /* from the last radius on, R is SCALE FAR (LAST_MM / r)^3, and the cdf 1 */

@@ -40,17 +40,31 @@ static inline float octaves_below(const float *c, float r) {
 
 /* ---- outside: below the first radius, from the last one on ------------------------------------ */
 
-static inline float near_R(const float *c, float r) {
-  const float steep = c[CORE_LUT_NEAR_R] / r;
+/* R over SCALE, of a profile that is not steep. */
+static inline float near_flat(const float *c, float r) {
   const float log = c[CORE_LUT_NEAR_LOG];
   const float rising = r > 0 ? octaves_below(c, r) : (float)INFINITY;
-  const float flat = log > 0 ? c[CORE_LUT_NEAR_R] + log * rising : c[CORE_LUT_NEAR_R];
-  return c[CORE_LUT_NEAR_POWER] > 0 ? (c[CORE_LUT_LIMIT] > 0 ? steep : 0) : flat;
+  return log > 0 ? c[CORE_LUT_NEAR_R] + log * rising : c[CORE_LUT_NEAR_R];
 }
 
-/* r R */
-static inline float near_ring(const float *c, float r) {
-  return c[CORE_LUT_NEAR_POWER] > 0 ? c[CORE_LUT_NEAR_R] : r > 0 ? near_R(c, r) * r : 0;
+/* The factors in the order in which none overflows or underflows before the product does. */
+static inline float near_R(const float *c, float r) {
+  const float steep = r < 0x1p-40f ? c[CORE_LUT_NEAR_R] * (c[CORE_LUT_SCALE] / r)
+                                   : c[CORE_LUT_NEAR_R] / r * c[CORE_LUT_SCALE];
+  return c[CORE_LUT_NEAR_POWER] > 0 ? (c[CORE_LUT_LIMIT] > 0 ? steep : 0)
+                                    : near_flat(c, r) * c[CORE_LUT_SCALE];
+}
+
+/* The factors in the order in which nothing underflows before the product does. */
+static inline float times_radius(float piece, float r, float scale) {
+  return scale > 1 ? piece * (r * scale) : piece * r * scale;
+}
+
+/* r R times what `scale` is over SCALE */
+static inline float near_ring(const float *c, float r, float scale) {
+  return c[CORE_LUT_NEAR_POWER] > 0 ? c[CORE_LUT_NEAR_R] * scale
+         : r > 0                    ? times_radius(near_flat(c, r), r, scale)
+                                    : 0;
 }
 
 static inline float near_cdf(const float *c, float r) {
@@ -84,17 +98,12 @@ static inline float outside_R(const float *c, float r) {
   return r < c[CORE_LUT_FIRST_MM] ? near_R(c, r) : far_R(c, r) * c[CORE_LUT_SCALE];
 }
 
-/* The factors in the order in which nothing underflows before the product does. */
-static inline float times_radius(float piece, float r, float scale) {
-  return scale > 1 ? piece * (r * scale) : piece * r * scale;
-}
-
 static inline float inside_ring(const float *c, float r) {
   return times_radius(look_R(c, r), r, c[CORE_LUT_RING_SCALE]);
 }
 
 static inline float outside_ring(const float *c, float r) {
-  return r < c[CORE_LUT_FIRST_MM] ? near_ring(c, r) * (c[CORE_LUT_RING_SCALE] / c[CORE_LUT_SCALE])
+  return r < c[CORE_LUT_FIRST_MM] ? near_ring(c, r, c[CORE_LUT_RING_SCALE])
                                   : far_ring(c, r) * c[CORE_LUT_RING_SCALE];
 }
 
@@ -103,7 +112,7 @@ static inline float inside_pdf(const float *c, float r) {
 }
 
 static inline float outside_pdf(const float *c, float r) {
-  return r < c[CORE_LUT_FIRST_MM] ? near_ring(c, r) * (c[CORE_LUT_PDF_SCALE] / c[CORE_LUT_SCALE])
+  return r < c[CORE_LUT_FIRST_MM] ? near_ring(c, r, c[CORE_LUT_PDF_SCALE])
                                   : far_ring(c, r) * c[CORE_LUT_PDF_SCALE];
 }
 
@@ -115,11 +124,12 @@ static inline float outside_cdf(const float *c, float r) {
   return r < c[CORE_LUT_FIRST_MM] ? near_cdf(c, r) : c[CORE_LUT_LIMIT];
 }
 
-/* Both halves are looked up by what is next to their end: u, or 1 - u, which is exact. */
+/* Both halves are looked up by what is next to their end: u, or 1 - u, which is exact. What is no
+ * cdf at all must not be looked up beyond their octaves. */
 static inline float inside_radius(const float *c, float u) {
   const float near = u <= 0.5f ? u : 1 - u;
   const int32_t octaves = u <= 0.5f ? CORE_LUT_RADIUS_OCTAVES : CORE_LUT_COMPLEMENT_OCTAVES;
-  return core_lut_look(c, octaves, near <= 0.5f ? near : 0.5f);
+  return core_lut_look(c, octaves, near > 0 ? near : 0);
 }
 
 static inline float outside_radius(const float *c, float u) {

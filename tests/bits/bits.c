@@ -12,7 +12,7 @@
 enum { MEDIA = 61, RADII = 257 };
 
 /* For models whose radii or preparation cost many times a dipole's, and one kind of moments. */
-enum { COSTLY = 4, COSTLY_MEDIA = 8, SLOW_MEDIA = 1, COSTLY_RADII = 37 };
+enum { COSTLY = 4, COSTLY_MEDIA = 8, SLOW_MEDIA = 1, TABLES = 2, COSTLY_RADII = 37 };
 
 /* FNV-1a, 64 bits. */
 static uint64_t checksum(uint64_t sum, const void *bytes, size_t n) {
@@ -72,7 +72,7 @@ static uint64_t add_quantity(uint64_t sum, const core_profile *profile, unsigned
     r[i] = i == 0 ? 0 : spread(state, -40, 30);
     r32[i] = (float)r[i];
   }
-  if (profile->evaluator == CORE_EVALUATOR_F32) {
+  if (profile->evaluator != CORE_EVALUATOR_F64) {
     core_eval_f32(profile, quantity, (size_t)radii, r32, out32);
     return checksum(sum, out32, (size_t)radii * sizeof *out32);
   }
@@ -90,12 +90,19 @@ static uint64_t add_samples(uint64_t sum, const core_profile *profile, uint64_t 
     u[i] = uniform(state);
     u32[i] = (float)u[i];
   }
-  if (profile->evaluator == CORE_EVALUATOR_F32) {
+  if (profile->evaluator != CORE_EVALUATOR_F64) {
     core_sample_f32(profile, (size_t)radii, u32, r32);
     return checksum(sum, r32, (size_t)radii * sizeof *r32);
   }
   core_sample_f64(profile, (size_t)radii, u, r);
   return checksum(sum, r, (size_t)radii * sizeof *r);
+}
+
+/* How many media a model is tried at; fewer of those that cost more. */
+static int media_of(const core_choice *model, const core_choice *evaluator) {
+  return core_prepares_slowly(model->id, CORE_EVALUATOR_F64) ? SLOW_MEDIA
+         : evaluator->id == CORE_EVALUATOR_LUT               ? TABLES
+                                                             : MEDIA;
 }
 
 /* Prepares a profile, with a thickness if the model needs one; a medium outside the model's domain
@@ -119,7 +126,7 @@ static void print_group(const core_isa *isa, const core_choice *model, const cor
                         const core_choice *moments, const core_choice *quantity) {
   uint64_t state = 2012;
   uint64_t sum = CHECKSUM_START;
-  int media = core_prepares_slowly(model->id, CORE_EVALUATOR_F64) ? SLOW_MEDIA : MEDIA;
+  int media = media_of(model, evaluator);
   for (int i = 0; i < media; i++) {
     const core_medium medium = random_medium(&state);
     core_profile profile;
@@ -130,6 +137,7 @@ static void print_group(const core_isa *isa, const core_choice *model, const cor
     }
     media = profile.cost > COSTLY && media > COSTLY_MEDIA ? COSTLY_MEDIA : media;
     sum = checksum(sum, &profile.albedo, sizeof profile.albedo);
+    sum = checksum(sum, profile.lut, profile.lut_count * sizeof *profile.lut);
     sum = quantity != NULL ? add_quantity(sum, &profile, quantity->id, &state)
                            : add_samples(sum, &profile, &state);
     core_profile_free(&profile);
@@ -164,11 +172,21 @@ static void print_inversions(const core_choice *model) {
   printf("%s inversions %016" PRIx64 "\n", model->name, sum);
 }
 
+/* Tables are built and evaluated alike whatever the model: three of different shapes will do. */
+static bool is_tabulated(const core_choice *model) {
+  return model->id == CORE_MODEL_BETTER || model->id == CORE_MODEL_BURLEY ||
+         model->id == CORE_MODEL_SKIN_RED;
+}
+
 /* What takes long to prepare, under an emulator minutes, is prepared twice: for R and its cdf. */
 static bool is_due(const core_choice *model, const core_choice *evaluator,
                    const core_choice *quantity) {
   const bool needed =
       quantity != NULL && (quantity->id == CORE_QUANTITY_R || quantity->id == CORE_QUANTITY_CDF);
+  if (evaluator->id == CORE_EVALUATOR_LUT) {
+    return is_tabulated(model) &&
+           (quantity == NULL || needed || quantity->id == CORE_QUANTITY_PDF);
+  }
   return !core_prepares_slowly(model->id, CORE_EVALUATOR_F64) ||
          (evaluator->id == CORE_EVALUATOR_F64 && needed);
 }
@@ -183,7 +201,8 @@ int main(int argc, char **argv) {
     const bool all_moments = model->id == CORE_MODEL_CLASSICAL || model->id == CORE_MODEL_BETTER;
     for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
       for (const core_choice *moments = core_moments_list; moments->name != NULL; moments++) {
-        if (!all_moments && moments->id != CORE_MOMENTS_EXACT) {
+        const bool one_kind = !all_moments || evaluator->id == CORE_EVALUATOR_LUT;
+        if (one_kind && moments->id != CORE_MOMENTS_EXACT) {
           continue;
         }
         for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {

@@ -29,7 +29,7 @@ def test_published_albedo_of_skin2(channel, albedo):
     assert abs(float(rows[channel]["albedo"]) - albedo) <= 5e-8
 
 
-@pytest.mark.parametrize("evaluator", ["f64", "f32"])
+@pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
 @pytest.mark.parametrize("moments", ["exact", "fit"])
 def test_points_says_the_same_as_eval(evaluator, moments):
     rows = eval_rows(

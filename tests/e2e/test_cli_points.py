@@ -93,15 +93,16 @@ def test_extremes():
     assert columns(rows[3], "R", "cdf") == ["0", "1"]
 
 
-def test_single_precision():
+@pytest.mark.parametrize("evaluator, within", [("f32", 1e-5), ("lut", 1e-4)])
+def test_single_precision(evaluator, within):
     text = f"{HEADER}\n{ROW}\n0.01,1,0,1.4,0.1\n"
     double = read_csv(points(text))
-    single = read_csv(points(text, "--evaluator", "f32"))
+    single = read_csv(points(text, "--evaluator", evaluator))
     for one, other in zip(double, single, strict=True):
         assert one["r"] == other["r"] and one["albedo"] == other["albedo"]
         for column in ("R", "cdf"):
             assert one[column] != other[column]
-            assert float(one[column]) == pytest.approx(float(other[column]), rel=1e-5)
+            assert float(one[column]) == pytest.approx(float(other[column]), rel=within)
 
 
 def test_no_rows():

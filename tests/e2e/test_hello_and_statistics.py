@@ -68,7 +68,7 @@ def test_the_lists(client):
 def test_permanent_ids(client):
     permanent = {
         "model": {"classical": 1, "better": 2},
-        "evaluator": {"f64": 1, "f32": 2},
+        "evaluator": {"f64": 1, "f32": 2, "lut": 3},
         "moments": {"exact": 1, "fit": 2, "jensen": 3},
         "quantity": {"R": 1, "albedo": 2, "cdf": 4, "r": 8},
         "spacing": {"list": 1, "linear": 2, "logarithmic": 3},

@@ -248,6 +248,19 @@ def test_f32_is_within_its_stated_error(client):
     np.testing.assert_array_equal(single.albedo, double.albedo)
 
 
+@pytest.mark.parametrize("tolerance", [None, 1e-3, 1e-6])
+def test_a_table_is_within_its_stated_error(client, tolerance):
+    r = np.geomspace(1e-6, 20, 500, dtype=np.float32)
+    asked = {} if tolerance is None else {"tolerance": tolerance}
+    table = client.eval("better", CHANNELS, r, evaluator="lut", parameters=asked)
+    double = client.eval("better", CHANNELS, r.astype(np.float64))
+    allowed = table.numerical_error()
+    assert np.all(allowed <= (tolerance or 1e-4))
+    assert np.all(np.abs(table.R - double.R) <= allowed * double.R)
+    assert np.all(np.abs(table.cdf - double.cdf) <= allowed * double.cdf)
+    np.testing.assert_array_equal(table.albedo, double.albedo)
+
+
 def test_media_are_the_published_ones(client):
     media = client.media()
     assert list(media) == sorted(media) and len(media) == 12

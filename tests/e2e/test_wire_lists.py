@@ -80,4 +80,8 @@ def test_ids_that_layouts_depend_on():
     assert per_radius == list(wire.ELEMENTWISE)
     assert choices("CORE_SPACING")["list"] == wire.SPACING_LIST
     evaluators = choices("CORE_EVALUATOR")
-    assert wire.EVALUATOR_TYPES == {evaluators["f64"]: "<f8", evaluators["f32"]: "<f4"}
+    assert wire.EVALUATOR_TYPES == {
+        evaluators["f64"]: "<f8",
+        evaluators["f32"]: "<f4",
+        evaluators["lut"]: "<f4",
+    }

@@ -76,14 +76,13 @@ static void test_eval(void **state) {
   peer_end(&peer);
 }
 
-static void test_eval_f32(void **state) {
-  (void)state;
+static void assert_single_values(unsigned evaluator) {
   static const float r[5] = {1, 2, 3, 4, 5};
   scripted_peer peer;
   dipole_error error;
   dipole_result *result;
   dipole_query query = simple_query;
-  query.evaluator = DIPOLE_F32;
+  query.evaluator = evaluator;
   query.wanted = DIPOLE_R | DIPOLE_RADIUS;
   query.radii = r;
   query.radius_count = 5;
@@ -96,10 +95,18 @@ static void test_eval_f32(void **state) {
   for (size_t i = 0; i < 5; i++) {
     assert_true(result->radius_f32[i] == r[i]);
     assert_true(result->channels[1].R_f32[i] == 2 * r[i]);
+    assert_true(dipole_values_f32(result, 1, DIPOLE_R)[i] == 2 * r[i]);
   }
+  assert_null(dipole_values_f64(result, 1, DIPOLE_R));
   dipole_result_free(result);
   dipole_close(client);
   peer_end(&peer);
+}
+
+static void test_eval_single(void **state) {
+  (void)state;
+  assert_single_values(DIPOLE_F32);
+  assert_single_values(DIPOLE_LUT);
 }
 
 /* A list of five floats needs padding, and the parameters stand before it. */
@@ -579,7 +586,7 @@ static void test_arguments(void **state) {
 int main(void) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test(test_eval),
-      cmocka_unit_test(test_eval_f32),
+      cmocka_unit_test(test_eval_single),
       cmocka_unit_test(test_parameters_and_notes),
       cmocka_unit_test(test_answers_in_any_order),
       cmocka_unit_test(test_long_pipeline_does_not_deadlock),

@@ -15,6 +15,10 @@ struct payload {
   size_t length;
 };
 
+static bool is_single(unsigned evaluator) {
+  return evaluator == CORE_EVALUATOR_F32 || evaluator == CORE_EVALUATOR_LUT;
+}
+
 static wire_eval_request request_of(unsigned evaluator, uint32_t medium_count, unsigned spacing,
                                     uint64_t radius_count) {
   return (wire_eval_request){
@@ -43,7 +47,7 @@ static void build(struct payload *payload, const wire_eval_request *fixed, size_
   }
   for (size_t i = 0; i < count; i++) {
     uint8_t *to = payload->bytes + payload->length;
-    if (fixed->evaluator == CORE_EVALUATOR_F32) {
+    if (is_single(fixed->evaluator)) {
       const float r = (float)(i + 1);
       memcpy(to + i * sizeof r, &r, sizeof r);
     } else {
@@ -52,7 +56,7 @@ static void build(struct payload *payload, const wire_eval_request *fixed, size_
     }
   }
   payload->length += wire_padded(
-      count * (fixed->evaluator == CORE_EVALUATOR_F32 ? sizeof(float) : sizeof(double)));
+      count * (is_single(fixed->evaluator) ? sizeof(float) : sizeof(double)));
 }
 
 static wire_error parse(const struct payload *payload, eval_request *request) {
@@ -176,7 +180,7 @@ static void radius_counts_do_not_wrap(void **state) {
                                     UINT64_C(1) << 32};
   for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
     for (size_t i = 0; i < sizeof counts / sizeof counts[0]; i++) {
-      const size_t sent = evaluator->id == CORE_EVALUATOR_F32 && counts[i] == 6 ? 4 : 5;
+      const size_t sent = is_single(evaluator->id) && counts[i] == 6 ? 4 : 5;
       assert_fixed_refused(request_of(evaluator->id, 2, CORE_SPACING_LIST, counts[i]), 2, sent,
                            WIRE_STATUS_BAD_COUNT, "radius_count");
     }
@@ -220,7 +224,7 @@ static void a_refused_choice_is_told_what_there_is(void **state) {
   eval_request request;
   wire_eval_request fixed = request_of(9, 1, CORE_SPACING_LINEAR, 5);
   build(&payload, &fixed, 1, 0);
-  assert_string_equal(parse(&payload, &request).allowed, "one of 1 (f64), 2 (f32)");
+  assert_string_equal(parse(&payload, &request).allowed, "one of 1 (f64), 2 (f32), 3 (lut)");
 }
 
 static size_t count_of(char character, const char *text) {
@@ -594,6 +598,7 @@ static void values_have_their_sizes(void **state) {
   (void)state;
   assert_int_equal(eval_value_bytes(CORE_EVALUATOR_F64), 8);
   assert_int_equal(eval_value_bytes(CORE_EVALUATOR_F32), 4);
+  assert_int_equal(eval_value_bytes(CORE_EVALUATOR_LUT), 4);
   assert_int_equal(eval_value_bytes(0), 0);
   assert_int_equal(eval_value_bytes(UINT32_MAX), 0);
   assert_int_equal(wire_padded(0), 0);

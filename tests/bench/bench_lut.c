@@ -1,0 +1,108 @@
+/* Tables of one medium (the red channel of skin1, the default tolerance) beside direct evaluation in
+ * single precision: R at 4096 radii, on the best instruction set, one after another in the same run.
+ *
+ *   lut.<model>.table, lut.<model>.f32    values/s
+ *   lut.<model>.prepare                   s, to build the table
+ *   lut.<model>.bytes                     of the table
+ *   ratio.lut.<model>                     the table over the model itself
+ *   ratio.lut.quantized_diffusion         the same of the model `quantized`
+ *   ratio.lut.transport_over_better_dipole   the table of transport over the better dipole itself
+ */
+#include <stdio.h>
+#include <stdlib.h>
+
+#include "core/core.h"
+#include "tests/bench/bench.h"
+
+enum { RADII = 4096, PREPARATIONS = 5, CONTENDERS = 2 };
+
+static float radii[RADII];
+static float values[RADII];
+
+static void run_R(const void *context) {
+  core_eval_f32(context, CORE_QUANTITY_R, RADII, radii, values);
+}
+
+/* 0.01 to 10 mm, in an order that no branch predictor learns. */
+static void fill_radii(void) {
+  uint32_t random = 1;
+  for (size_t i = 0; i < RADII; i++) {
+    random = random * 1664525u + 1013904223u;
+    radii[i] = (float)(0.01 + 9.99 * (random >> 8) * 0x1p-24);
+  }
+}
+
+static core_profile prepare(unsigned model, unsigned evaluator) {
+  const core_medium *medium = &core_measured_medium_by_name("skin1")->channel[0];
+  core_parameters parameters = core_parameters_none();
+  const core_fault needs =
+      core_profile_check(model, CORE_MOMENTS_EXACT, evaluator, medium, NULL, NULL);
+  if (needs.field != NULL) { /* a slab's thickness */
+    parameters.value[CORE_PARAMETER_THICKNESS] = 4;
+  }
+  core_profile profile;
+  if (core_profile_prepare(&profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT, evaluator,
+                           medium, &parameters)
+          .field != NULL) {
+    bench_fail("a measured medium was refused");
+  }
+  return profile;
+}
+
+static double median_s_to_prepare(unsigned model) {
+  double seconds[PREPARATIONS];
+  for (int i = 0; i < PREPARATIONS; i++) {
+    const uint64_t start = bench_now_ns();
+    core_profile profile = prepare(model, CORE_EVALUATOR_LUT);
+    seconds[i] = (double)(bench_now_ns() - start) * 1e-9;
+    core_profile_free(&profile);
+  }
+  return bench_median(seconds, PREPARATIONS);
+}
+
+/* How many times faster the table of one model is than another one itself. */
+static double compare(const char *what, const core_profile *table, const core_profile *direct,
+                      bench_contender contenders[CONTENDERS]) {
+  char progress[128];
+  snprintf(progress, sizeof progress, "lut: %s", what);
+  bench_progress(progress);
+  contenders[0] = (bench_contender){.run = run_R, .context = table};
+  contenders[1] = (bench_contender){.run = run_R, .context = direct};
+  bench_compare(contenders, CONTENDERS);
+  return contenders[1].ns / contenders[0].ns;
+}
+
+static void measure_model(const core_choice *model) {
+  bench_contender contenders[CONTENDERS];
+  core_profile table = prepare(model->id, CORE_EVALUATOR_LUT);
+  core_profile direct = prepare(model->id, CORE_EVALUATOR_F32);
+  const double ratio = compare(model->name, &table, &direct, contenders);
+  bench_figure(RADII / contenders[0].ns * 1e9, "values/s", "lut.%s.table", model->name);
+  bench_figure(RADII / contenders[1].ns * 1e9, "values/s", "lut.%s.f32", model->name);
+  bench_figure(median_s_to_prepare(model->id), "s", "lut.%s.prepare", model->name);
+  bench_figure((double)(table.lut_count * sizeof *table.lut), "bytes", "lut.%s.bytes", model->name);
+  bench_figure(ratio, "times", "ratio.lut.%s", model->name);
+  if (model->id == CORE_MODEL_QUANTIZED) {
+    bench_figure(ratio, "times", "ratio.lut.quantized_diffusion");
+  }
+  core_profile_free(&table);
+  core_profile_free(&direct);
+}
+
+static void measure_transport(void) {
+  bench_contender contenders[CONTENDERS];
+  core_profile table = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_LUT);
+  core_profile direct = prepare(CORE_MODEL_BETTER, CORE_EVALUATOR_F32);
+  const double ratio = compare("transport over better", &table, &direct, contenders);
+  bench_figure(ratio, "times", "ratio.lut.transport_over_better_dipole");
+  core_profile_free(&table);
+  core_profile_free(&direct);
+}
+
+void bench_lut(void) {
+  fill_radii();
+  for (const core_choice *model = core_models; model->name != NULL; model++) {
+    measure_model(model);
+  }
+  measure_transport();
+}

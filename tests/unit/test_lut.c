@@ -1,0 +1,293 @@
+/* Tables as they are in memory: what is not one is refused, nothing that is not refused reads outside
+ * of itself, and the description in core/lut/lut.h is what the kernels do, bit for bit. */
+#include <float.h>
+#include <math.h>
+
+#include "core/lut/lut.h"
+#include "tests/unit/unit.h"
+
+static const enum core_quantity held[] = {CORE_QUANTITY_R, CORE_QUANTITY_CDF, CORE_QUANTITY_PDF,
+                                          CORE_QUANTITY_RING};
+enum { HELD = sizeof held / sizeof held[0] };
+
+static const core_medium skin = {0.032, 0.74, 0, 1.3};
+static const core_medium no_absorption = {0, 1, 0, 1.3};
+static const core_medium dense = {1e10, 1e12, 0, 1.3};
+static const core_medium nothing_scatters = {0.3, 0, 0, 1.3};
+
+/* Steep, rising and flat towards the source; without an end, and with one. */
+static const struct subject {
+  unsigned model;
+  const core_medium *medium;
+} subjects[] = {
+    {CORE_MODEL_BETTER, &skin},          {CORE_MODEL_BETTER, &no_absorption},
+    {CORE_MODEL_BETTER, &dense},         {CORE_MODEL_BURLEY, &skin},
+    {CORE_MODEL_BEAM, &skin},            {CORE_MODEL_SKIN_RED, &skin},
+    {CORE_MODEL_SINGLE, &no_absorption}, {CORE_MODEL_BETTER, &nothing_scatters},
+};
+enum { SUBJECTS = sizeof subjects / sizeof subjects[0] };
+
+static core_profile prepared(const struct subject *subject, const char *isa, double tolerance) {
+  core_parameters parameters = core_parameters_none();
+  parameters.value[CORE_PARAMETER_TOLERANCE] = tolerance;
+  core_profile profile;
+  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(isa), subject->model,
+                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_LUT, subject->medium,
+                                         &parameters),
+                    NULL, 0);
+  return profile;
+}
+
+/* ---- the description, as a plain loop --------------------------------------------------------- */
+
+static uint32_t bits_of(float x) {
+  uint32_t bits;
+  memcpy(&bits, &x, sizeof bits);
+  return bits;
+}
+
+static float plain_piece(const float *words, size_t octaves, float x) {
+  const uint32_t bits = bits_of(x);
+  const uint32_t entry = bits_of(words[octaves + (bits >> 23 & 255)]);
+  const uint32_t shift = entry % 32;
+  const uint32_t mantissa = bits % (1u << 23);
+  const uint32_t piece = entry / 32 + mantissa / (1u << shift);
+  const float *c = &words[CORE_LUT_PIECES + CORE_LUT_TERMS * piece];
+  const float t = (float)ldexp(mantissa % (1u << shift), -(int)shift);
+  const float w = signbit(c[0]) ? 1 - t : t;
+  return fabsf(c[0]) + w * (c[1] + w * (c[2] + w * c[3]));
+}
+
+static float plain_scaled(float piece, float r, float scale) {
+  return scale > 1 ? piece * (r * scale) : piece * r * scale;
+}
+
+static float plain_value(const float *words, enum core_quantity quantity, float r) {
+  const float R = plain_piece(words, CORE_LUT_R_OCTAVES, r);
+  return quantity == CORE_QUANTITY_R     ? R * words[CORE_LUT_SCALE]
+         : quantity == CORE_QUANTITY_PDF ? plain_scaled(R, r, words[CORE_LUT_PDF_SCALE])
+         : quantity == CORE_QUANTITY_RING
+             ? plain_scaled(R, r, words[CORE_LUT_RING_SCALE])
+             : fminf(plain_piece(words, CORE_LUT_CDF_OCTAVES, r), 1);
+}
+
+static float plain_radius(const float *words, float u) {
+  return u <= 0.5f ? plain_piece(words, CORE_LUT_RADIUS_OCTAVES, u)
+                   : plain_piece(words, CORE_LUT_COMPLEMENT_OCTAVES, 1 - u);
+}
+
+/* Inside of the octaves: the asymptotics outside are another test's. */
+static float random_argument(uint64_t *random, float from, float to) {
+  const uint32_t first = bits_of(from);
+  const uint32_t bits = first + (uint32_t)unit_random_below(random, bits_of(to) - first);
+  float x;
+  memcpy(&x, &bits, sizeof x);
+  return x;
+}
+
+enum { ARGUMENTS = 20000 };
+
+static void assert_plain_bits(const core_profile *profile, uint64_t *random) {
+  static float in[ARGUMENTS], out[ARGUMENTS];
+  const float *words = profile->lut;
+  for (size_t i = 0; i < ARGUMENTS; i++) {
+    in[i] = random_argument(random, words[CORE_LUT_FIRST_MM], words[CORE_LUT_LAST_MM]);
+  }
+  for (size_t q = 0; q < HELD; q++) {
+    core_eval_f32(profile, held[q], ARGUMENTS, in, out);
+    for (size_t i = 0; i < ARGUMENTS; i++) {
+      assert_int_equal(bits_of(out[i]), bits_of(plain_value(words, held[q], in[i])));
+    }
+  }
+  for (size_t i = 0; i < ARGUMENTS; i++) {
+    in[i] = i % 2 ? random_argument(random, words[CORE_LUT_FIRST_U], 1)
+                  : random_argument(random, 0.25f, 1);
+  }
+  core_sample_f32(profile, ARGUMENTS, in, out);
+  for (size_t i = 0; i < ARGUMENTS; i++) {
+    assert_int_equal(bits_of(out[i]), bits_of(plain_radius(words, in[i])));
+  }
+}
+
+static void the_description_gives_the_kernels_bits(void **state) {
+  (void)state;
+  uint64_t random = unit_seed();
+  for (size_t i = 0; i < SUBJECTS; i++) {
+    if (subjects[i].medium == &nothing_scatters) {
+      continue;
+    }
+    core_profile profile = prepared(&subjects[i], NULL, i % 2 ? 1e-3 : 1e-5);
+    assert_plain_bits(&profile, &random);
+    core_profile_free(&profile);
+  }
+}
+
+/* ---- damage ------------------------------------------------------------------------------------ */
+
+static float *copy_of(const float *words, size_t count) {
+  float *copy = malloc(count * sizeof *copy);
+  assert_non_null(copy);
+  memcpy(copy, words, count * sizeof *copy);
+  return copy;
+}
+
+static void put_entry(float *words, size_t at, uint32_t entry) {
+  memcpy(&words[at], &entry, sizeof entry);
+}
+
+static void assert_count_refused(size_t count) {
+  float *words = calloc(count > 0 ? count : 1, sizeof *words);
+  assert_non_null(words);
+  for (size_t i = CORE_LUT_R_OCTAVES; i < CORE_LUT_PIECES && i < count; i++) {
+    put_entry(words, i, CORE_LUT_ENTRY(0, CORE_LUT_MANTISSA_BITS));
+  }
+  unit_assert_fault(core_lut_check(words, count), "table", 0);
+  free(words);
+}
+
+static void wrong_counts_are_refused(void **state) {
+  (void)state;
+  const size_t most = CORE_LUT_PIECES + (size_t)CORE_LUT_TERMS * CORE_LUT_PIECES_MAX;
+  const size_t counts[] = {0,
+                           1,
+                           4,
+                           CORE_LUT_R_OCTAVES,
+                           CORE_LUT_PIECES - 4,
+                           CORE_LUT_PIECES,
+                           CORE_LUT_PIECES + 1,
+                           CORE_LUT_PIECES + 5,
+                           CORE_LUT_PIECES + 6,
+                           CORE_LUT_PIECES + 7,
+                           most + 1,
+                           most + 4};
+  for (size_t i = 0; i < sizeof counts / sizeof counts[0]; i++) {
+    assert_count_refused(counts[i]);
+  }
+  unit_assert_fault(core_lut_check(NULL, SIZE_MAX), "table", 0);
+  unit_assert_fault(core_lut_check(NULL, SIZE_MAX - 3), "table", 0);
+}
+
+static void whole_tables_are_not_refused(void **state) {
+  (void)state;
+  for (size_t i = 0; i < SUBJECTS; i++) {
+    core_profile profile = prepared(&subjects[i], NULL, 1e-3);
+    unit_assert_fault(core_lut_check(profile.lut, profile.lut_count), NULL, 0);
+    core_profile_free(&profile);
+  }
+}
+
+/* Each entry in turn, and every shift. */
+static void entries_that_point_outside_are_refused(void **state) {
+  (void)state;
+  core_profile profile = prepared(&subjects[0], NULL, 1e-3);
+  const size_t count = profile.lut_count;
+  const uint32_t pieces = (uint32_t)((count - CORE_LUT_PIECES) / CORE_LUT_TERMS);
+  float *words = copy_of(profile.lut, count);
+  for (size_t at = CORE_LUT_R_OCTAVES; at < CORE_LUT_PIECES; at++) {
+    for (uint32_t shift = 0; shift < 32; shift++) {
+      const bool possible = shift <= 23 && shift >= 23 - CORE_LUT_CUTS_MAX;
+      const uint32_t cuts = possible ? UINT32_C(1) << (23 - shift) : 1;
+      const uint32_t last = pieces >= cuts ? pieces - cuts : 0;
+      put_entry(words, at, CORE_LUT_ENTRY(last, shift));
+      unit_assert_fault(core_lut_check(words, count),
+                        possible && pieces >= cuts ? NULL : "table", 0);
+      put_entry(words, at, CORE_LUT_ENTRY(last + 1, shift));
+      unit_assert_fault(core_lut_check(words, count), "table", 0);
+      put_entry(words, at, CORE_LUT_ENTRY(UINT32_MAX / 32, shift));
+      unit_assert_fault(core_lut_check(words, count), "table", 0);
+    }
+    memcpy(&words[at], &profile.lut[at], sizeof words[at]);
+  }
+  unit_assert_fault(core_lut_check(words, count), NULL, 0);
+  free(words);
+  core_profile_free(&profile);
+}
+
+/* Any numbers, and entries that lie within: a table as a malicious peer would send it. */
+static float *random_table(uint64_t *random, size_t pieces, size_t *count) {
+  *count = CORE_LUT_PIECES + pieces * CORE_LUT_TERMS;
+  float *words = malloc(*count * sizeof *words);
+  assert_non_null(words);
+  unit_random_bytes(random, words, *count * sizeof *words);
+  for (size_t i = CORE_LUT_R_OCTAVES; i < CORE_LUT_PIECES; i++) {
+    uint32_t cuts = (uint32_t)unit_random_below(random, CORE_LUT_CUTS_MAX + 1);
+    while (UINT32_C(1) << cuts > pieces) {
+      cuts--;
+    }
+    const size_t most = pieces - ((size_t)1 << cuts);
+    const size_t piece = unit_random_below(random, 4) == 0 ? most
+                                                           : unit_random_below(random, most + 1);
+    put_entry(words, i, CORE_LUT_ENTRY(piece, 23 - cuts));
+  }
+  return words;
+}
+
+static float any_bits(uint64_t *random) {
+  static const float edges[] = {0,       -0.0f, NAN,      -NAN,     INFINITY, -INFINITY,
+                                FLT_MAX, 1,     -1,       0.5f,     -FLT_MAX, 1e-45f,
+                                -1e-45f, 2,     FLT_MIN,  0x1p-24f, 1e30f,    -1e30f};
+  const size_t kind = unit_random_below(random, 4 * sizeof edges / sizeof edges[0]);
+  if (kind < sizeof edges / sizeof edges[0]) {
+    return edges[kind];
+  }
+  const uint32_t bits = (uint32_t)unit_random(random);
+  float x;
+  memcpy(&x, &bits, sizeof x);
+  return x;
+}
+
+/* Arrays and tables of exactly their size, so that a sanitizer sees every access beyond. */
+static void evaluate_anything(core_profile *profile, float *words, size_t count,
+                              uint64_t *random) {
+  enum { ANYTHING = 500 };
+  float *in = malloc(ANYTHING * sizeof *in);
+  float *out = malloc(ANYTHING * sizeof *out);
+  assert_true(in != NULL && out != NULL);
+  float *own = profile->lut;
+  profile->lut = words;
+  profile->lut_count = count;
+  for (size_t i = 0; i < ANYTHING; i++) {
+    in[i] = any_bits(random);
+  }
+  for (size_t q = 0; q < HELD; q++) {
+    core_eval_f32(profile, held[q], ANYTHING, in, out);
+  }
+  core_sample_f32(profile, ANYTHING, in, out);
+  profile->lut = own;
+  free(in);
+  free(out);
+}
+
+static void nothing_that_passes_is_read_outside(void **state) {
+  (void)state;
+  uint64_t random = unit_seed();
+  for (size_t isa = 0; core_isa_listed(isa) != NULL; isa++) {
+    if (core_isa_select(core_isa_listed(isa)) == NULL) {
+      continue;
+    }
+    core_profile profile = prepared(&subjects[SUBJECTS - 1], core_isa_listed(isa), 1e-3);
+    const size_t own_count = profile.lut_count;
+    for (int repeat = 0; repeat < 60; repeat++) {
+      const size_t pieces = repeat == 0 ? CORE_LUT_PIECES_MAX
+                                        : 1 + unit_random_below(&random, repeat % 2 ? 40 : 9000);
+      size_t count;
+      float *words = random_table(&random, pieces, &count);
+      unit_assert_fault(core_lut_check(words, count), NULL, 0);
+      evaluate_anything(&profile, words, count, &random);
+      free(words);
+    }
+    profile.lut_count = own_count;
+    core_profile_free(&profile);
+  }
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(the_description_gives_the_kernels_bits),
+      cmocka_unit_test(wrong_counts_are_refused),
+      cmocka_unit_test(whole_tables_are_not_refused),
+      cmocka_unit_test(entries_that_point_outside_are_refused),
+      cmocka_unit_test(nothing_that_passes_is_read_outside),
+  };
+  return cmocka_run_group_tests(tests, NULL, NULL);
+}
