@@ -46,7 +46,8 @@ def save(tmp_path, *arguments: str) -> str:
 
 
 def test_table_for_people():
-    text = dipole("table", "--medium", "skin1", "--model", "transport", "--tolerance", "1e-3").stdout
+    asked = ["--medium", "skin1", "--model", "transport", "--tolerance", "1e-3"]
+    text = dipole("table", *asked).stdout
     assert text.startswith("skin1: tables of transport, moments exact, tolerance 1e-3\n\n")
     lines = [line.split() for line in text.splitlines()]
     red, green, blue = (next(line for line in lines if line[:1] == [name])
@@ -96,7 +97,7 @@ def entries_of(words: np.ndarray) -> list[tuple[str, int, int]]:
 
 @pytest.mark.parametrize("model", ["better", "extended", "better+single"])
 def test_csv_has_the_words_of_json(model):
-    """Every number comes back bit by bit from nine digits, and every piece stands where it holds."""
+    """Every number comes back bit by bit from nine digits; pieces stand where they hold."""
     words = np.array(table_json(*MEDIUM, "--model", model)["tables"][0]["words"], np.uint32)
     rows = table_rows(*MEDIUM, "--model", model)
     numbers = words.view(np.float32)
