@@ -15,8 +15,8 @@
  *       sqrt(1 - eta^2)     for eta < 1:    sides, each a table of its own;
  *   y = ln x, in panels: from each edge below to the next. The last edge, the reach, is
  *       x = 1 / (kappa / decays + 1 / most), so that panels end where R does, and Q with them is a
- *       smooth function of kappa. The panels between the last fixed edge and the reach have the same
- *       width in y.
+ *       smooth function of kappa. The panels between the last fixed edge and the reach have the
+ *       same width in y.
  *
  * The total (the energy that leaves per power that has entered) is tabulated as ln(total / a).
  *
@@ -30,11 +30,11 @@
  *   24-...   TRANSPORT_TABLE_FIELDS numbers, f64, see transport_table_field
  *   ...      eta < 1, then eta >= 1: the total, then each panel from the source outwards, as series
  *
- * A series is a sum of c_kij T_k T_i T_j, Chebyshev polynomials of y (of the panel), t and v (of the
- * range of the table), each mapped to -1 to 1. It is written as the number of k (one byte; 1 for the
- * total), for each k the number of i (one byte), for each i the number of j (one byte), for each j
- * the integer c / quantum: zigzag (0, -1, 1, -2, ... are 0, 1, 2, 3, ...), seven bits to a byte, the
- * lowest first, the eighth bit says that more follow.
+ * A series is a sum of c_kij T_k T_i T_j, Chebyshev polynomials of y (of the panel), t and v (of
+ * the range of the table), each mapped to -1 to 1. It is written as the number of k (one byte; 1
+ * for the total), for each k the number of i (one byte), for each i the number of j (one byte), for
+ * each j the integer c / quantum: zigzag (0, -1, 1, -2, ... are 0, 1, 2, 3, ...), seven bits to a
+ * byte, the lowest first; the eighth bit says that more follow.
  *
  * ERROR: the table was compared with the solver, at media and radii that were not used for making
  * it; the field ERROR is TRANSPORT_TABLE_MARGIN times the worst that was seen of R where R is above

@@ -22,12 +22,15 @@ static double between(uint64_t *state, double low, double high) {
   return low + (high - low) * next_random(state);
 }
 
-/* Each time with other albedos. */
-static const double etas[] = {0.7, 0.7, 0.9999, 1, 1, 1, 1, 1.0001, 2.2, 2.2, 0.99, 1.01, 1.4};
+/* The ends and around 1, before random ones; and what is worst once more, with other albedos. */
+static const double etas[] = {0.7, 0.9999, 1, 1.0001, 2.2, 0.99, 1.01, 1.4};
+static const double etas_again[] = {1, 1, 1, 1, 1, 1, 2.2, 0.7};
+
+enum { ETAS = sizeof etas / sizeof etas[0], AGAIN = sizeof etas_again / sizeof etas_again[0] };
 
 static double eta_of(const double *field, size_t i, uint64_t *random) {
-  if (i < sizeof etas / sizeof etas[0]) {
-    return etas[i];
+  if (i < ETAS || i >= CHECKS - AGAIN) {
+    return i < ETAS ? etas[i] : etas_again[i - (CHECKS - AGAIN)];
   }
   const enum transport_table_side side =
       i % 2 == 0 ? TRANSPORT_TABLE_BELOW_1 : TRANSPORT_TABLE_FROM_1;

@@ -5,7 +5,7 @@
 #include "core/tools/transport_table/samples.h"
 #include "core/transport/table.h"
 
-enum { CHECKS = 64 };
+enum { CHECKS = 72 };
 
 /* The ends of what is covered, and what is around eta = 1, and random ones: always the same. */
 void checks_make(const double *field, table_sample samples[CHECKS]);

@@ -9,7 +9,7 @@
 #include "core/tools/transport_table/checks.h"
 #include "core/tools/transport_table/nodes.h"
 
-#define SOLVER_TOLERANCE 1e-7
+#define SOLVER_TOLERANCE 1e-8
 
 /* A little more than is promised, so that rounding leaves no medium at an end out. The reach is
  * where R is far below TRANSPORT_TABLE_R_LEAST. */

@@ -10,7 +10,7 @@
 #include "core/transport/transport.h"
 
 /* Points in each direction; the smallest coefficients left are below the quantum. */
-enum { NODES_T = 80, NODES_X = 32, NODES_V_MAX = NODES_FROM_1, PANELS = TRANSPORT_TABLE_PANELS };
+enum { NODES_T = 72, NODES_X = 32, NODES_V_MAX = NODES_FROM_1, PANELS = TRANSPORT_TABLE_PANELS };
 
 enum { BYTES_MAX = 1 << 22 };
 

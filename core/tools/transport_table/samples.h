@@ -1,5 +1,5 @@
-/* samples: media solved at many radii, on all cores, and kept in files: what has been solved once is
- * read the next time, so that an interrupted run goes on where it was.
+/* samples: media solved at many radii, on all cores, and kept in files: what has been solved once
+ * is read the next time, so that an interrupted run goes on where it was.
  */
 #ifndef DIPOLED_TOOLS_SAMPLES_H
 #define DIPOLED_TOOLS_SAMPLES_H
