@@ -193,8 +193,8 @@ typedef struct dipole_query {
   size_t parameter_count;
 } dipole_query;
 
-/* The answer for one medium. An array is NULL when its quantity was not wanted or when the evaluator
- * has the other type: *_f64 are of DIPOLE_F64, *_f32 of the others. */
+/* The answer for one medium. An array is NULL when its quantity was not wanted or when the
+ * evaluator has the other type: *_f64 are of DIPOLE_F64, *_f32 of the others. */
 typedef struct dipole_channel {
   double albedo; /* NaN when not wanted */
   /* A value at radius r is off from the model's formula by at most
@@ -227,8 +227,8 @@ bool dipole_eval(dipole_client *client, const dipole_query *query, dipole_result
 void dipole_result_free(dipole_result *result); /* NULL is fine */
 
 /* The array of any quantity that has a value for each radius (all but albedo and radius):
- * [radius_count], owned by the result. NULL when it was not wanted, when the evaluator has the other
- * type, or when there is no such channel. For R and cdf the channel's own fields say the same. */
+ * [radius_count], owned by the result. NULL when it was not wanted, when the evaluator has the
+ * other type, or when there is no such channel. For R and cdf the channel's own fields say the same. */
 const double *dipole_values_f64(const dipole_result *result, uint32_t channel, unsigned quantity);
 const float *dipole_values_f32(const dipole_result *result, uint32_t channel, unsigned quantity);
 
@@ -256,9 +256,9 @@ typedef struct dipole_offer {
   double prepare_ns;      /* of a medium, likewise */
 } dipole_offer;
 
-/* What could answer a query whose model is DIPOLE_ANY_MODEL, cheapest first: *offers is an array for
- * the caller to free(). Of listed radii only the range matters. *taken (which may be NULL) is the
- * position of the one that dipole_eval() would take; *count: none. */
+/* What could answer a query whose model is DIPOLE_ANY_MODEL, cheapest first: *offers is an array
+ * for the caller to free(). Of listed radii only the range matters. *taken (which may be NULL) is
+ * the position of the one that dipole_eval() would take; *count: none. */
 bool dipole_offers(dipole_client *client, const dipole_query *query, dipole_offer **offers,
                    size_t *count, size_t *taken, dipole_error *error);
 
@@ -317,8 +317,8 @@ const void *dipole_table_bytes(const dipole_table *table, size_t *count);
 const dipole_table_info *dipole_table_get_info(const dipole_table *table);
 
 /* Evaluates one of DIPOLE_R, DIPOLE_CDF, DIPOLE_PDF, DIPOLE_RING and, for the parameters cos_in and
- * cos_out of the query, DIPOLE_S: r[n] in mm, from 0 to infinity; out[n] in the quantity's unit; the
- * arrays do not overlap. False, with out as it was: the table does not hold that quantity, or a
+ * cos_out of the query, DIPOLE_S: r[n] in mm, from 0 to infinity; out[n] in the quantity's unit;
+ * the arrays do not overlap. False, with out as it was: the table does not hold that quantity, or a
  * radius is NaN, negative or not covered by the model. */
 bool dipole_table_values(const dipole_table *table, enum dipole_quantity quantity, size_t n,
                          const float *r, float *out);

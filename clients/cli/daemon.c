@@ -23,8 +23,8 @@ void cli_nap(const dipole_error *busy) {
   nanosleep(&nap, NULL);
 }
 
-/* After an error of a call that began at start_ms: whether it is to be made again, when the nap that
- * the daemon asked for is over. */
+/* After an error of a call that began at start_ms: whether it is to be made again, when the nap
+ * that the daemon asked for is over. */
 static bool nap_while_busy(const cli_common *common, int64_t start_ms, const dipole_error *error) {
   const bool patient =
       common->timeout_ms.value == 0 || cli_now_ms() - start_ms < (int64_t)common->timeout_ms.value;

@@ -58,7 +58,8 @@ static bool is_nearer(const dipole_offer *a, const dipole_offer *b) {
   return a->error < b->error || (!(b->error < a->error) && a < b);
 }
 
-/* The nearest of the cheaper ones beyond the last that was told; NULL: none whose error is known. */
+/* The nearest of the cheaper ones beyond the last that was told; NULL: none whose error is known.
+ */
 static const dipole_offer *next_nearest(const cli_eval_offers *from, const dipole_offer *taken,
                                         const dipole_offer *last) {
   const dipole_offer *next = NULL;

@@ -6,7 +6,7 @@ import re
 
 import pytest
 from daemons import REPOSITORY
-from dipole import Frame, wire
+from dipole import Frame, Table, wire
 from dipole.mc import unpack_result
 from frames import assert_serves
 
@@ -24,6 +24,8 @@ NAMES = {
     "mc-reply",
     "cancel-request",
     "cancel-reply",
+    "table-request",
+    "offers-request",
     "error-request",
     "error-reply",
     "statistics-request",
@@ -144,6 +146,25 @@ def check_cancel(payload: bytes) -> None:
     assert wire.CANCEL_REPLY.unpack(payload) == (0, 0)
 
 
+def check_table(payload: bytes) -> None:
+    header = wire.HEADER.pack(
+        magic=wire.MAGIC,
+        version=wire.VERSION,
+        type=TYPES["table"] | wire.REPLY,
+        request_id=0,
+        payload_bytes=len(payload),
+        flags=0,
+    )
+    table = Table(header + payload)
+    assert table.medium == (0.032, 0.74, 0.0, 1.3) and table.numerical_error_constant <= 1e-3
+
+
+def check_offers(payload: bytes) -> None:
+    fixed = wire.OFFERS_REPLY.unpack(payload)
+    assert len(payload) == wire.OFFERS_REPLY.bytes + fixed.count * wire.OFFER.bytes
+    assert fixed.taken < fixed.count
+
+
 def check_error(payload: bytes) -> None:
     assert len(payload) == wire.ERROR.bytes
     error = wire.ERROR.unpack(payload)
@@ -159,5 +180,7 @@ STRUCTURE = {
     "ping": check_ping,
     "mc": check_mc,
     "cancel": check_cancel,
+    "table": check_table,
+    "offers": check_offers,
     "error": check_error,
 }

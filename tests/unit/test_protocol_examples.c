@@ -3,7 +3,9 @@
 #include <ctype.h>
 #include <math.h>
 
+#include "core/lut/lut.h"
 #include "proto/eval.h"
+#include "proto/table.h"
 #include "tests/unit/unit.h"
 
 enum { EXAMPLES_MAX = 64, FRAME_MAX = 4096, NAME_MAX_BYTES = 64, LIMIT_BYTES = 1 << 20 };
@@ -200,6 +202,32 @@ static void parameter_request_asks_for_S(void **state) {
   assert_true(cos_in > 0 && cos_in < 1 && cos_out > 0 && cos_out < 1 && cos_in != cos_out);
 }
 
+/* Of a medium that tables can be made of, to a tolerance that they keep. */
+static void table_request_asks_for_a_tolerance(void **state) {
+  (void)state;
+  const struct example *example = example_named("table-request");
+  table_request request;
+  assert_int_equal(
+      table_request_parse(payload_of(example), example->header.payload_bytes, &request).status,
+      WIRE_STATUS_OK);
+  unit_assert_fault(core_profile_check(request.fixed.model, request.fixed.moments,
+                                       CORE_EVALUATOR_LUT, &request.medium, &request.parameters,
+                                       NULL),
+                    NULL, 0);
+  assert_true(request.parameters.value[CORE_PARAMETER_TOLERANCE] >= CORE_LUT_TOLERANCE_MIN);
+}
+
+static void offers_request_names_no_model(void **state) {
+  (void)state;
+  const struct example *example = example_named("offers-request");
+  eval_request request;
+  assert_int_equal(
+      eval_request_parse(payload_of(example), example->header.payload_bytes, &request).status,
+      WIRE_STATUS_OK);
+  assert_int_equal(request.fixed.model, EVAL_ANY_MODEL);
+  assert_true(request.parameters.value[CORE_PARAMETER_TOLERANCE] > 0);
+}
+
 /* Every bit of the reply is what the core computes for the request. */
 static void assert_channel(const wire_channel *channel, const core_profile *profile,
                            unsigned wanted) {
@@ -293,6 +321,8 @@ int main(void) {
       cmocka_unit_test(ping_comes_back),
       cmocka_unit_test(eval_request_asks_for_skin),
       cmocka_unit_test(parameter_request_asks_for_S),
+      cmocka_unit_test(table_request_asks_for_a_tolerance),
+      cmocka_unit_test(offers_request_names_no_model),
       cmocka_unit_test(eval_replies_hold_the_cores_values),
       cmocka_unit_test(the_error_is_the_cores),
   };

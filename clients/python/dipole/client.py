@@ -80,9 +80,9 @@ class Client:
         says what was taken. Refused when nothing is known to be.
         media: one Medium, or C of them, or an array [C, 4] of sigma_a, sigma_s (1/mm), g, eta.
         r: N radii in mm, from 0 to infinity; or grid: the radii by rule, which cost no bytes.
-        evaluator: "f64" (the default of a model), or for radii and values in single precision "f32",
-        or "lut", which looks up in a table. Of any model it says no more than the precision, which
-        then is single by default.
+        evaluator: "f64" (the default of a model); or for radii and values in single precision
+        "f32", or "lut", which looks up in a table. Of any model it says no more than the
+        precision, which then is single by default.
         moments: "exact", or "fit" for the polynomials.
         wanted: names of quantities; by default R, albedo, cdf and, for a grid, r.
         parameters: optional numbers by name, such as {"cos_in": 0.8}: see info.choices["parameter"]

@@ -179,9 +179,11 @@ class Table:
     def numerical_error(self, r: Any) -> np.ndarray:
         """How far a value at r (mm) may be from the model's exact formula, relative; as measured
         between all nodes."""
-        rate = self.numerical_error_per_mm
         radii = np.asarray(r, np.float64)
-        return self.numerical_error_constant + (rate * radii if rate > 0 else 0 * np.ones_like(radii))
+        growth = np.zeros_like(radii)  # at infinity too, where 0 times infinity would be no number
+        if self.numerical_error_per_mm > 0:
+            growth = self.numerical_error_per_mm * radii
+        return self.numerical_error_constant + growth
 
     def _evaluate(
         self,

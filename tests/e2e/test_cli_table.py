@@ -1,0 +1,297 @@
+"""`dipole table`, and `dipole eval` by table: from a daemon, and from a file without one."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import pty
+import subprocess
+
+import dipole as python_client
+import numpy as np
+import pytest
+from command_line import FAILED, PROGRAM, TIMEOUT_S, USAGE, dipole, eval_json, eval_rows
+from command_line import points, read_csv, scratch
+from daemons import environment
+
+MEDIUM = ["--sigma-a", "0.032", "--sigma-s", "0.74"]  # SKIN
+MEDIA = ["--sigma-a", "0.032,0.17,0.48", "--sigma-s", "0.74,0.88,1.01"]
+RADII = ["--r", "0,1e-40,1e-12,0.001,0.1,1,2.5,30,1e4,1e30,inf"]
+PIECES = 784
+
+# In the order of the words.
+CONSTANTS = ["pieces_from", "pieces_to", "scale", "ring_scale", "pdf_scale", "near_power", "near_R"]
+CONSTANTS += ["near_log", "near_cdf", "near_cdf_log", "far", "limit", "first_u", "near_radius"]
+
+
+def table_json(*arguments: str) -> dict:
+    """The object of `dipole table --format json`."""
+    return json.loads(dipole("table", "--format", "json", *arguments).stdout)
+
+
+def table_rows(*arguments: str) -> list[dict[str, str]]:
+    """The rows of `dipole table --format csv`."""
+    return read_csv(dipole("table", "--format", "csv", *arguments).stdout)
+
+
+def save(tmp_path, *arguments: str) -> str:
+    """A file of `dipole table --output`."""
+    path = str(tmp_path / "file.table")
+    dipole("table", *arguments, "--output", path)
+    return path
+
+
+# ---- dipole table --------------------------------------------------------------------------------
+
+
+def test_table_for_people():
+    asked = ["--medium", "skin1", "--model", "transport", "--tolerance", "1e-3"]
+    text = dipole("table", *asked).stdout
+    assert text.startswith("skin1: tables of transport, moments exact, tolerance 1e-3\n\n")
+    lines = [line.split() for line in text.splitlines()]
+    red, green, blue = (next(line for line in lines if line[:1] == [name])
+                        for name in ("red", "green", "blue"))
+    assert red[1:5] == ["0.032", "0.74", "0", "1.3"] and blue[1:3] == ["0.48", "1.01"]
+    for row in (red, green, blue):
+        pieces, size, error = int(row[8]), int(row[9]), float(row[10])
+        assert 100 < pieces < 2000 and size > 16 * pieces and 0 < error <= 1e-3
+    assert "numerical error: of R and cdf against the model's formula" in text
+
+
+def test_notes_are_told():
+    text = dipole("table", *MEDIUM, "--g", "0.5").stdout
+    assert "note: similarity: " in text
+    assert table_json(*MEDIUM, "--g", "0.5")["tables"][0]["notes"] == ["similarity"]
+
+
+def test_json_says_what_the_daemon_says(client):
+    report = table_json(*MEDIA, "--model", "burley", "--tolerance", "1e-3", "--moments", "fit")
+    assert (report["model"], report["moments"]) == ("burley", "fit")
+    assert report["parameters"] == {"tolerance": 1e-3}
+    assert [one["channel"] for one in report["tables"]] == ["1", "2", "3"]
+    for one in report["tables"]:
+        medium = (one["sigma_a"], one["sigma_s"], one["g"], one["eta"])
+        table = client.table("burley", medium, moments="fit", tolerance=1e-3)
+        assert one["words"] == table.words.tolist()
+        assert one["albedo"] == table.albedo
+        assert one["numerical_error"] == table.numerical_error_constant
+        assert one["numerical_error_per_mm"] == table.numerical_error_per_mm
+        assert (one["pieces_from"], one["pieces_to"]) == (table.pieces_from_mm, table.pieces_to_mm)
+        assert (one["radius_least"], one["radius_most"]) == (0, "inf")
+        assert one["layout"] == 1 and one["pieces"] == (len(table.words) - PIECES) // 4
+    assert report["units"]["pieces_from"] == "mm"
+
+
+def entries_of(words: np.ndarray) -> list[tuple[str, int, int]]:
+    """The octaves that have pieces: function, exponent, entry."""
+    functions = [("R", 16, 272), ("cdf", 272, 528), ("radius_of_u", 528, 656)]
+    functions.append(("radius_of_1_minus_u", 656, 784))
+    return [
+        (name, at - first - 127, int(words[at]))
+        for name, first, last in functions
+        for at in range(first, last)
+        if words[at] != 23
+    ]
+
+
+@pytest.mark.parametrize("model", ["better", "extended", "better+single"])
+def test_csv_has_the_words_of_json(model):
+    """Every number comes back bit by bit from nine digits; pieces stand where they hold."""
+    words = np.array(table_json(*MEDIUM, "--model", model)["tables"][0]["words"], np.uint32)
+    rows = table_rows(*MEDIUM, "--model", model)
+    numbers = words.view(np.float32)
+    assert [row["function"] for row in rows[:14]] == CONSTANTS
+    found = np.float32([row["c0"] for row in rows[:14]])
+    assert found.tobytes() == numbers[:14].tobytes()
+    assert all(row["from"] == row["written_from"] == row["c1"] == "" for row in rows[:14])
+    at = 14
+    for function, exponent, entry in entries_of(words):
+        count = 1 << (23 - (entry & 31))
+        for i in range(count):
+            row = rows[at]
+            at += 1
+            assert (row["channel"], row["function"]) == ("1", function)
+            assert float(np.float32(row["from"])) == math.ldexp(1 + i / count, exponent)
+            assert float(np.float32(row["to"])) == math.ldexp(1 + (i + 1) / count, exponent)
+            piece = np.float32([row[f"c{k}"] for k in range(4)])
+            if row["written_from"] == "right":
+                piece[0] = -piece[0]
+            else:
+                assert row["written_from"] == "left"
+            first = PIECES + 4 * ((entry >> 5) + i)
+            assert piece.tobytes() == numbers[first : first + 4].tobytes()
+    assert at == len(rows) > 100
+
+
+def test_output_is_what_python_reads(client, tmp_path):
+    path = save(tmp_path, *MEDIA)
+    tables = python_client.Table.load_all(path, client.info)
+    assert [table.medium.sigma_a for table in tables] == [0.032, 0.17, 0.48]
+    for table in tables:
+        assert table.words.tolist() == client.table("better", table.medium).words.tolist()
+    run = subprocess.run(
+        [str(PROGRAM), "table", *MEDIA, "--output", "-"],
+        capture_output=True,
+        env=environment(),
+        timeout=TIMEOUT_S,
+        check=True,
+    )
+    with open(path, "rb") as file:
+        assert run.stdout == file.read()
+
+
+def test_binary_does_not_go_to_a_terminal():
+    terminal, other = pty.openpty()
+    try:
+        run = subprocess.run(
+            [str(PROGRAM), "table", *MEDIUM, "--output", "-"],
+            stdout=other,
+            stderr=subprocess.PIPE,
+            env=environment(),
+            timeout=TIMEOUT_S,
+            check=False,
+        )
+    finally:
+        os.close(other)
+        os.close(terminal)
+    assert run.returncode == FAILED
+    assert b"a terminal cannot show binary tables; name a file" in run.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments, status, said",
+    [
+        ([], USAGE, "give --medium NAME, or --sigma-a and --sigma-s"),
+        (["--medium", "skin"], USAGE, "--medium: 'skin' is unknown; this daemon has"),
+        ([*MEDIUM, "--model", "best"], USAGE, "--model: 'best' is unknown"),
+        ([*MEDIUM, "--model", "better,burley"], USAGE, "--model: 'better,burley' is unknown"),
+        ([*MEDIUM, "--moments", "none"], USAGE, "--moments: 'none' is unknown"),
+        ([*MEDIUM, "--output", "-", "--format", "csv"], USAGE, "--output - writes binary"),
+        ([*MEDIUM, "--output", "/nonexistent/file"], FAILED, "cannot write /nonexistent/file: No"),
+        ([*MEDIUM, "--output", "/dev/full"], FAILED, "cannot write /dev/full: No space left"),
+        ([*MEDIUM, "--tolerance", "1e-9"], FAILED, "bad-value: tolerance: allowed: "),
+        ([*MEDIUM, "--tolerance", "1e-9"], FAILED, "(--tolerance)"),
+        ([*MEDIUM, "--eta", "0"], FAILED, "bad-value: eta: allowed: "),
+        ([*MEDIUM, "--g", "0,1"], FAILED, "channel 2: bad-value: g: allowed: "),
+        ([*MEDIUM, "--thickness", "1"], FAILED, "thickness: allowed: nothing"),
+        ([*MEDIUM, "--model", "multipole"], FAILED, "thickness: allowed: "),
+    ],
+)
+def test_what_is_wrong_is_said(arguments, status, said):
+    run = dipole("table", *arguments, status=status)
+    assert said in run.stderr and run.stdout == ""
+
+
+# ---- dipole eval ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", ["better", "better+single", "transport"])
+def test_a_file_says_the_same_as_the_daemon(tmp_path, model):
+    path = save(tmp_path, *MEDIA, "--model", model)
+    wanted = ["--want", "R,cdf,pdf,2_pi_r_R,S,albedo"]
+    here = eval_rows("--table", path, *RADII, *wanted)
+    there = eval_rows(*MEDIA, "--model", model, "--evaluator", "lut", *RADII, *wanted)
+    assert here == there
+    assert {row["channel"] for row in here} == {"1", "2", "3"}
+
+
+def test_grids_from_a_file(tmp_path):
+    path = save(tmp_path, *MEDIUM)
+    for grid in (
+        [],
+        ["--from", "0.1", "--to", "3", "--count", "7"],
+        ["--from", "0.01", "--to", "100", "--count", "9", "--log"],
+        ["--want", "albedo"],
+    ):
+        assert eval_rows("--table", path, *grid) == eval_rows(*MEDIUM, "--evaluator", "lut", *grid)
+
+
+def test_angles_of_a_file(tmp_path):
+    angles = ["--cos-in", "0.8", "--cos-out", "0.3"]
+    path = save(tmp_path, *MEDIUM, *angles)
+    want = ["--r", "0.5,1", "--want", "S,R"]
+    here = eval_json("--table", path, *want)
+    there = eval_json(*MEDIUM, *angles, "--evaluator", "lut", *want)
+    assert here["models"] == there["models"] and here["r"] == there["r"]
+    assert here["parameters"] == there["parameters"] == {"cos_in": 0.8, "cos_out": 0.3}
+    assert here["software"].startswith("libdipole ") and here["evaluator"] == "lut"
+    assert here["units"] == there["units"]
+
+
+def test_a_file_needs_no_daemon(tmp_path):
+    path = save(tmp_path, *MEDIUM)
+    text = dipole("eval", "--table", path, "--r", "1", env={"DIPOLED": "unix:/nonexistent"}).stdout
+    assert "evaluator lut" in text
+    with open(path, "rb") as file:
+        assert dipole("eval", "--table", "-", "--r", "1", stdin=file.read()).stdout == text
+    picture = tmp_path / "picture.svg"
+    dipole("eval", "--table", path, "--plot", str(picture))
+    assert picture.read_text().startswith("<?xml")
+
+
+def test_what_a_file_cannot_do(tmp_path):
+    path = save(tmp_path, *MEDIUM)
+    for option in (MEDIUM, ["--model", "better"], ["--moments", "fit"], ["--evaluator", "lut"],
+                   ["--tolerance", "0.1"], ["--fit-model", "better"], ["--connect", "private:"]):
+        run = dipole("eval", "--table", path, *option, status=USAGE)
+        assert "--table FILE says what is evaluated" in run.stderr
+    for arguments, said in [
+        (["--want", "dR_dr"], "--want dR_dr: a table does not hold it; it holds R, albedo, cdf"),
+        (["--want", "ln_R,R"], "--want ln_R: a table does not hold it"),
+        (["--r", "1,-1"], "r number 2 of 2: allowed: 0 to inf mm"),
+        (["--r", "nan"], "r number 1 of 1: allowed: 0 to inf mm"),
+        (["--from", "2", "--to", "1"], "radius_stop: allowed: at least radius_start"),
+    ]:
+        run = dipole("eval", "--table", path, *arguments, status=FAILED)
+        assert said in run.stderr and run.stdout == ""
+    assert "'colour' is unknown" in dipole(
+        "eval", "--table", path, "--want", "colour", status=USAGE
+    ).stderr
+
+
+def test_files_that_are_none(tmp_path):
+    path = save(tmp_path, *MEDIUM)
+    with open(path, "rb") as file:
+        data = file.read()
+    damaged = data[:-1] + bytes([data[-1] ^ 1])
+    for content, said in [
+        (b"", "table 1: this is not an intact table: it is too short"),
+        (b"sigma_a,sigma_s\n" * 20, "table 1: this is not an intact table: it does not start as"),
+        (data[:-8], "table 1: this is not an intact table: its end is missing"),
+        (damaged, "table 1: this is not an intact table: its counts or its checksum are wrong"),
+        (data + damaged, "table 2: this is not an intact table"),
+        (data + b"\n", "table 2: this is not an intact table: it is too short"),
+        (data[:24] + b"\2" + data[25:], "this table has layout 2; this library knows layout 1"),
+    ]:
+        bad = scratch(tmp_path, "bad", content)
+        run = dipole("eval", "--table", bad, "--r", "1", status=FAILED)
+        assert said in run.stderr and run.stdout == ""
+    run = dipole("eval", "--table", "/nonexistent", status=FAILED)
+    assert "cannot read /nonexistent: No such file" in run.stderr
+
+
+def test_files_of_several_models(client, tmp_path):
+    both = client.table("better", (1, 1, 0, 1.3)).data + client.table("burley", (1, 1, 0, 1.3)).data
+    path = scratch(tmp_path, "both", both)
+    run = dipole("eval", "--table", path, status=FAILED)
+    assert "tables 1 and 2 differ in model, moments or parameters" in run.stderr
+
+
+# ---- evaluator lut -------------------------------------------------------------------------------
+
+
+def test_evaluator_lut_is_like_any_other(client):
+    rows = eval_rows(*MEDIUM, "--evaluator", "lut", "--tolerance", "1e-3", "--model", "better",
+                     "--r", "0.5,1,7", "--want", "R,cdf,ln_R,dR_dr,pdf")
+    r = np.float32([0.5, 1, 7])
+    answer = client.eval(
+        "better", (0.032, 0.74, 0, 1.3), r, evaluator="lut", tolerance=1e-3,
+        wanted=["R", "cdf", "ln_R", "dR_dr", "pdf"],
+    )
+    for name in ("R", "cdf", "ln_R", "dR_dr", "pdf"):
+        assert [float(row[name]) for row in rows] == answer.values[name][0].tolist()
+    assert 1e-5 < float(rows[0]["numerical_error"]) <= 1e-3
+    text = "sigma_a,sigma_s,g,eta,r\n0.032,0.74,0,1.3,0.5\n0.032,0.74,0,1.3,1\n"
+    again = read_csv(points(text, "--evaluator", "lut", "--tolerance", "1e-3"))
+    assert [float(row["R"]) for row in again] == answer.R[0, :2].tolist()

@@ -1,0 +1,305 @@
+"""Tables that are fetched and evaluated at home: the daemon's bits, whatever the radius."""
+
+from __future__ import annotations
+
+import functools
+import math
+import zlib
+
+import dipole
+import numpy as np
+import pytest
+from dipole import Medium, Table, wire
+from frames import BETTER, EXACT, SKIN, ask, assert_error, assert_serves
+from frames import media_bytes, parameters_bytes
+from lists import MODELS, NOTES, PARAMETERS, needs
+
+TABLE = wire.MESSAGES["table"]
+TOLERANCE = PARAMETERS["tolerance"].id
+WORDS = 784  # before the pieces
+
+# R towards the source is constant, like -ln r, like 1 / r; far away like 1 / r^3; or nothing.
+CASES = {
+    "constant": ("better", Medium(*SKIN)),
+    "logarithm": ("extended", Medium(0.1, 5.0, 0.7, 1.4)),
+    "one over r": ("better+single", Medium(1.0, 1.0, 0.5, 1.5)),
+    "burley": ("burley", Medium(0.01, 1.0)),
+    "no absorption": ("classical", Medium(0.0, 1.0)),
+    "no scattering": ("better", Medium(1.0, 0.0)),
+    "transport": ("transport", Medium(*SKIN)),
+    "large unit": ("better", Medium(1e9, 1e12)),
+    "small unit": ("better", Medium(1e-12, 1e-9)),
+    "no medium": ("skin-green", Medium(1.0, 1.0)),
+}
+
+
+@pytest.fixture(params=CASES)
+def case(request) -> tuple[str, Medium]:
+    return CASES[request.param]
+
+
+@functools.cache
+def radii(first: float, last: float) -> np.ndarray:
+    """Thousands of radii of all magnitudes, and those where ways to evaluate meet."""
+    random = np.random.default_rng(20120101)
+    first_mm, last_mm = np.float32(first), np.float32(last)
+    edges = [0.0, -0.0, math.inf, 2.0**-149, 3e-42, 2.0**-126, 3.4028235e38]
+    edges += [first_mm, np.nextafter(first_mm, np.float32(0)), last_mm]
+    edges += [np.nextafter(last_mm, np.float32(0)), np.nextafter(last_mm, np.float32(np.inf))]
+    drawn = [10 ** random.uniform(-45, 38.5, 3000), 10 ** random.uniform(-5, 3, 3000)]
+    octaves = 2.0 ** np.arange(-149, 128)
+    return np.concatenate([edges, *drawn, octaves]).astype(np.float32)
+
+
+def assert_same_bits(table: Table, client: dipole.Client, model: str, medium: Medium, **how):
+    r = radii(table.pieces_from_mm, table.pieces_to_mm)
+    wanted = ["R", "cdf", "pdf", "2_pi_r_R"]
+    answer = client.eval(model, medium, r, evaluator="lut", wanted=wanted, **how)
+    for name, found in [
+        ("R", table.R(r)),
+        ("cdf", table.cdf(r)),
+        ("pdf", table.pdf(r)),
+        ("2_pi_r_R", table.ring(r)),
+    ]:
+        assert found.dtype == np.float32
+        different = found.view(np.uint32) != answer.values[name][0].view(np.uint32)
+        assert not different.any(), (name, r[different][:5])
+
+
+# ---- the same bits -------------------------------------------------------------------------------
+
+
+def test_same_bits_as_the_daemon(client, case):
+    model, medium = case
+    assert_same_bits(client.table(model, medium), client, model, medium)
+
+
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-3, 0.1])
+def test_same_bits_at_other_tolerances(client, tolerance):
+    table = client.table("better", SKIN, tolerance=tolerance)
+    assert table.parameters == {"tolerance": tolerance}
+    assert table.numerical_error_constant <= tolerance
+    assert_same_bits(table, client, "better", SKIN, tolerance=tolerance)
+
+
+@pytest.mark.parametrize("model", sorted(set(MODELS) - {"gaussians"}))
+def test_every_model_has_tables(client, model):
+    table = client.table(model, SKIN, parameters=needs(model), tolerance=1e-3)
+    assert table.model == model and table.model_id == MODELS[model]
+    r = np.float32([0.0, 0.01, 0.5, 1.0, 3.0, 50.0, math.inf])
+    answer = client.eval(
+        model, SKIN, r, evaluator="lut", parameters={**needs(model), "tolerance": 1e-3}
+    )
+    np.testing.assert_array_equal(table.R(r).view(np.uint32), answer.R[0].view(np.uint32))
+    np.testing.assert_array_equal(table.cdf(r).view(np.uint32), answer.cdf[0].view(np.uint32))
+    assert table.albedo == answer.albedo[0]
+    assert table.numerical_error_constant == answer.numerical_error_constant[0]
+    np.testing.assert_array_equal(table.model_error, answer.model_error[0])
+
+
+@pytest.mark.skipif("gaussians" not in MODELS, reason="built without the model")
+def test_radii_that_a_model_does_not_cover(client):
+    range_of = {"fit_from": 0.5, "fit_to": 8.0}
+    table = client.table("gaussians", SKIN, parameters=range_of)
+    assert table.radius_most_mm < math.inf
+    r = np.float32([table.radius_least_mm, 1.0, table.radius_most_mm])
+    answer = client.eval("gaussians", SKIN, r, evaluator="lut", parameters=range_of)
+    assert table.R(r).tobytes() == answer.R[0].tobytes()
+    with pytest.raises(dipole.ArgumentError) as caught:
+        table.R(9.0)
+    assert "to 8 mm" in str(caught.value)
+
+
+def test_radii_for_given_cdf(client, case):
+    """Of all shares, also the smallest, and those beside the ends of octaves; and back."""
+    table = client.table(*case)
+    u = np.linspace(0, 1, 4001, dtype=np.float32)
+    ends = 2.0 ** np.arange(-149.0, 0.0)
+    u = np.concatenate([u, ends, 1 - ends[-30:], [np.nextafter(np.float32(1), np.float32(0))]])
+    u = u.astype(np.float32)
+    r = table.radius(u)
+    assert r.dtype == np.float32
+    if table.albedo == 0:
+        assert not r.any()
+        return
+    order = np.argsort(u)
+    assert np.all(np.diff(r[order][np.isfinite(r[order])]) >= 0)
+    assert r[u == 0][0] == 0 and np.isposinf(r[u == 1][0])
+    middle = (u > 1e-6) & (u < 1 - 1e-5)
+    back = table.cdf(r[middle])
+    np.testing.assert_allclose(back, u[middle], rtol=5e-4)
+
+
+def test_shapes(client):
+    table = client.table("better", SKIN)
+    assert table.R(1.0).shape == () and table.R([[1.0, 2.0]]).shape == (1, 2)
+    assert table.cdf([]).shape == (0,) and table.radius(0.5).shape == ()
+    assert table.R(1).dtype == np.float32
+    r = np.linspace(0, 5, 7)  # other types are rounded first
+    assert table.R(r).tobytes() == table.R(r.astype(np.float32)).tobytes()
+    strided = np.linspace(0, 5, 14, dtype=np.float32)[::2]
+    assert table.pdf(strided).tobytes() == table.pdf(strided.copy()).tobytes()
+    assert table.numerical_error([0.0, math.inf]).shape == (2,)
+    for wrong in (-1.0, math.nan, [1.0, -1e-40]):
+        with pytest.raises(dipole.ArgumentError):
+            table.R(wrong)
+    for wrong in (-1e-40, 1.0000001, math.nan):
+        with pytest.raises(dipole.ArgumentError):
+            table.radius(wrong)
+
+
+# ---- facts and files -----------------------------------------------------------------------------
+
+
+def test_facts(client):
+    medium = Medium(0.1, 2.0, 0.5, 1.4)
+    table = client.table("better", medium, moments="fit", parameters={"cos_in": 0.5})
+    assert (table.layout, table.model, table.moments) == (1, "better", "fit")
+    assert (table.model_id, table.moments_id) == (MODELS["better"], 2)
+    assert table.medium == medium and table.parameters == {"cos_in": 0.5}
+    assert table.notes == ("similarity",) and NOTES["similarity"] == 1
+    assert 0 < table.numerical_error_constant <= 1e-4
+    assert 0 < table.pieces_from_mm < 1e-6 and 20 < table.pieces_to_mm < 1e4
+    assert (table.radius_least_mm, table.radius_most_mm) == (0, math.inf)
+    assert len(table.words) % 4 == 0 and table.words.dtype == np.uint32
+    assert zlib.crc32(table.words.tobytes()) == wire.TABLE_REPLY.unpack(table.data[24:]).checksum
+
+
+def test_save_and_load(client, tmp_path):
+    first, second = client.table("better", SKIN), client.table("burley", SKIN)
+    first.save(tmp_path / "one")
+    again = Table.load(tmp_path / "one")
+    assert again.data == first.data == (tmp_path / "one").read_bytes()
+    assert again.model == MODELS["better"]  # no lists, no names
+    assert Table.load(str(tmp_path / "one"), client.info).model == "better"
+    assert Table.load(first.data).R(1.0) == first.R(1.0)
+    both = first.data + second.data
+    assert [one.model_id for one in Table.load_all(both)] == [first.model_id, second.model_id]
+    with pytest.raises(dipole.TableError):
+        Table.load(both)
+    with pytest.raises(dipole.TableError):
+        Table.load_all(b"")
+    with pytest.raises(FileNotFoundError):
+        Table.load(tmp_path / "none")
+
+
+def with_words(data: bytes, change) -> bytes:
+    """A table whose words are changed, with the right checksum."""
+    fixed = wire.TABLE_REPLY.unpack(data, wire.HEADER.bytes)
+    words_at = len(data) - 4 * fixed.word_count
+    words = np.frombuffer(data, "<u4", -1, words_at).copy()
+    change(words)
+    checksum = zlib.crc32(words.tobytes())
+    fixed_bytes = wire.TABLE_REPLY.pack(**fixed._replace(checksum=checksum)._asdict())
+    between = data[wire.HEADER.bytes + wire.TABLE_REPLY.bytes : words_at]
+    return data[: wire.HEADER.bytes] + fixed_bytes + between + words.tobytes()
+
+
+def test_damage_is_found(client):
+    data = client.table("better", SKIN).data
+    random = np.random.default_rng(1)
+    assert Table.load(with_words(data, lambda words: None)).data == data
+    for end in random.integers(0, len(data), 50):
+        with pytest.raises(dipole.TableError):
+            Table.load(data[:end])
+    for at in random.integers(wire.HEADER.bytes + wire.TABLE_REPLY.bytes, len(data), 50):
+        damaged = bytearray(data)
+        damaged[at] ^= 1 << int(random.integers(8))
+        with pytest.raises(dipole.TableError) as caught:
+            Table.load(bytes(damaged))
+        assert "checksum" in str(caught.value)
+
+
+@pytest.mark.parametrize("entry", [0xFFFFFFFF, 24, 9, (5000 << 5) | 23, (4 << 5) | 10])
+@pytest.mark.parametrize("at", [16, 272, 528, 783])
+def test_entries_outside_are_found(client, entry, at):
+    def change(words):
+        words[at] = entry
+
+    data = with_words(client.table("better", SKIN).data, change)
+    with pytest.raises(dipole.TableError) as caught:
+        Table.load(data)
+    assert "points outside" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "field, value",
+    [("layout", 2), ("word_count", 0), ("parameter_count", 1), ("pieces_from", 1.0)],
+)
+def test_facts_that_do_not_fit(client, field, value):
+    data = client.table("better", SKIN).data
+    fixed = wire.TABLE_REPLY.unpack(data, wire.HEADER.bytes)._replace(**{field: value})
+    start, end = wire.HEADER.bytes, wire.HEADER.bytes + wire.TABLE_REPLY.bytes
+    with pytest.raises(dipole.TableError):
+        Table.load(data[:start] + wire.TABLE_REPLY.pack(**fixed._asdict()) + data[end:])
+
+
+# ---- requests ------------------------------------------------------------------------------------
+
+
+def table_payload(medium=SKIN, parameters=(), **fixed: int) -> bytes:
+    """The payload of a table request."""
+    fields = {"model": BETTER, "moments": EXACT, "parameter_count": len(parameters), "zero": 0}
+    fields.update(fixed)
+    return (
+        wire.TABLE_REQUEST.pack(**fields) + media_bytes([medium]) + parameters_bytes(parameters)
+    )
+
+
+REFUSED = {
+    "model 0": (table_payload(model=0), "bad-value", "model"),
+    "unknown model": (table_payload(model=999), "bad-value", "model"),
+    "unknown moments": (table_payload(moments=99), "bad-value", "moments"),
+    "zero": (table_payload(zero=1), "bad-value", "zero"),
+    "sigma_a": (table_payload((-1.0, 1.0, 0.0, 1.3)), "bad-value", "sigma_a"),
+    "eta": (table_payload((1.0, 1.0, 0.0, 3.0), moments=2), "bad-value", "eta"),
+    "too exact": (table_payload(parameters=[(TOLERANCE, 1e-9)]), "bad-value", "tolerance"),
+    "unknown parameter": (table_payload(parameters=[(999, 1.0)]), "bad-value", "parameter"),
+    "not taken": (
+        table_payload(parameters=[(PARAMETERS["thickness"].id, 1.0)]),
+        "bad-value",
+        "thickness",
+    ),
+    "count": (table_payload(parameter_count=1), "bad-count", "parameter_count"),
+    "short": (table_payload()[:-8], "bad-length", "payload_bytes"),
+    "empty": (b"", "bad-length", "payload_bytes"),
+    "long": (table_payload() + bytes(8), "bad-count", "parameter_count"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_refused(connection, name):
+    payload, status, field = REFUSED[name]
+    assert_error(ask(connection, TABLE, payload), status, field, "")
+    assert_serves(connection)
+
+
+def test_the_same_request_has_the_same_bytes(shared, connection):
+    reply = ask(connection, TABLE, table_payload())
+    with shared.connect() as other:
+        assert ask(other, TABLE, table_payload()) == reply
+    assert reply.type == TABLE | wire.REPLY
+
+
+def test_the_same_bytes_from_every_instruction_set(daemon):
+    frames = set()
+    for isa in ("portable", "sse2"):
+        with daemon("--isa", isa).client() as client:
+            frames.add(client.table("better", SKIN).data)
+    with daemon().client() as client:
+        frames.add(client.table("better", SKIN).data)
+    assert len(frames) == 1
+
+
+def test_refusals_in_python(client):
+    with pytest.raises(dipole.Refused) as caught:
+        client.table("better", SKIN, tolerance=1e-9)
+    assert caught.value.field == "tolerance"
+    for wrong in ([SKIN, SKIN], [1.0]):
+        with pytest.raises(dipole.ArgumentError):
+            client.table("better", wrong)
+    with pytest.raises(dipole.ArgumentError):
+        client.table("better", SKIN, parameters={"tolerance": 1e-3}, tolerance=1e-3)
+    with pytest.raises(dipole.ArgumentError):
+        client.table("best", SKIN)
+    assert client.table("better", SKIN).R(1.0) > 0

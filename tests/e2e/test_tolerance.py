@@ -1,0 +1,249 @@
+"""A tolerance instead of a model, from the clients: what is taken, what is said of it."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import dipole as python_client
+import numpy as np
+import pytest
+from command_line import FAILED, dipole, eval_json, eval_rows
+from dipole import Grid, Medium, wire
+from frames import ALBEDO, CDF, EVAL, F32, F64, R, SKIN, ask, assert_error, assert_serves
+from frames import eval_payload
+from lists import EVALUATORS, MODELS, PARAMETERS
+
+OFFERS = wire.MESSAGES["offers"]
+TOLERANCE = PARAMETERS["tolerance"].id
+MEDIUM = ["--sigma-a", "0.032", "--sigma-s", "0.74"]  # SKIN
+RANGE = ["--from", "0.5", "--to", "8", "--count", "3"]
+
+
+def error_of(answer: python_client.Result) -> float:
+    """What the answer says that it may be off from transport."""
+    return float(np.max(answer.model_error[:, np.newaxis] + answer.numerical_error()))
+
+
+# ---- Python --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("tolerance", [0.5, 0.1, 0.01, 1e-3, 1e-5])
+@pytest.mark.parametrize("evaluator", ["f64", "f32", None])
+def test_the_answer_keeps_the_tolerance(client, tolerance, evaluator):
+    media = [SKIN, (0.17, 0.88, 0.0, 1.3)]
+    how = {"evaluator": evaluator, "tolerance": tolerance, "wanted": ["R", "albedo"]}
+    answer = client.eval(None, media, [0.5, 2.0, 6.0], **how)
+    assert error_of(answer) <= tolerance * (1 + 1e-6)
+    assert answer.R.dtype == (np.float64 if evaluator == "f64" else np.float32)
+    assert (answer.evaluator == "f64") == (evaluator == "f64")
+    exact = client.eval("transport", media, [0.5, 2.0, 6.0], tolerance=1e-8)
+    np.testing.assert_allclose(answer.R, exact.R, rtol=tolerance)
+    np.testing.assert_allclose(answer.albedo, exact.albedo, rtol=tolerance)
+
+
+def test_the_choice_is_that_of_the_offers(client):
+    for tolerance in (0.5, 0.05, 1e-3):
+        how = {"tolerance": tolerance, "wanted": ["R"], "evaluator": "f32"}
+        offers, taken = client.offers(SKIN, [0.5, 8.0], **how)
+        answer = client.eval(None, SKIN, [0.5, 3.0, 8.0], **how)
+        assert (taken.model, taken.evaluator) == (answer.model, answer.evaluator)
+        assert taken.meets and taken.error <= tolerance and taken in offers
+        assert error_of(answer) <= taken.error * (1 + 1e-6)
+        costs = [offer.cost_ns for offer in offers]
+        assert costs == sorted(costs) and costs[0] > 0
+        assert all(offer.meets == (offer.error <= tolerance) for offer in offers)
+        assert all(offer.prepare_ns > 0 for offer in offers)
+        assert not any(o.meets and o.cost_ns < taken.cost_ns / 1.2 for o in offers)
+
+
+def test_offers_where_nothing_keeps_the_tolerance(client):
+    offers, taken = client.offers(SKIN, [1.0], tolerance=1e-9, wanted=["R"])
+    assert taken is None and offers and not any(offer.meets for offer in offers)
+    with pytest.raises(python_client.Refused) as caught:
+        client.eval(None, SKIN, [1.0], tolerance=1e-9, wanted=["R"])
+    assert caught.value.field == "tolerance" and "the best there is" in caught.value.allowed
+
+
+def test_grids_and_submitted_queries(client):
+    grid = Grid(0.5, 8.0, 5)
+    how = {"grid": grid, "tolerance": 0.01, "wanted": ["R", "r"]}
+    answer = client.eval(None, SKIN, **how)
+    assert answer.r.tolist() == [0.5, 2.375, 4.25, 6.125, 8.0]
+    request_id = client.submit(None, SKIN, **how)
+    found, again = client.collect()
+    assert found == request_id and again.model == answer.model
+    assert again.R.tobytes() == answer.R.tobytes()
+    assert client.offers(SKIN, grid=grid, tolerance=0.01, wanted=["R"]).taken is not None
+
+
+def test_wrong_arguments(client):
+    with pytest.raises(python_client.Refused) as caught:
+        client.eval(None, SKIN, [1.0])
+    assert caught.value.field == "model"
+    for tolerance in (0.0, 2.0, -1.0):
+        with pytest.raises(python_client.Refused) as caught:
+            client.eval(None, SKIN, [1.0], tolerance=tolerance)
+        assert caught.value.field == "tolerance"
+    with pytest.raises(python_client.Refused) as caught:
+        client.offers(Medium(-1.0, 1.0), [1.0], tolerance=0.1)
+    assert caught.value.field == "sigma_a"
+    with pytest.raises(python_client.Refused) as caught:
+        client.offers(SKIN, [-1.0], tolerance=0.1)
+    assert caught.value.field == "r"
+    with pytest.raises(python_client.ArgumentError):
+        client.eval(None, SKIN, [1.0], tolerance=0.1, parameters={"tolerance": 0.1})
+
+
+def test_a_model_keeps_its_numerical_tolerance(client):
+    answer = client.eval("quantized", SKIN, [1.0], tolerance=1e-3)
+    assert answer.model == "quantized" and answer.evaluator == "f64"
+    same = client.eval("quantized", SKIN, [1.0], parameters={"tolerance": 1e-3})
+    assert answer.R == same.R != client.eval("quantized", SKIN, [1.0]).R
+
+
+# ---- the wire ------------------------------------------------------------------------------------
+
+
+def any_model(tolerance=0.01, **fixed) -> bytes:
+    """The payload of an eval or offers request."""
+    parameters = [(TOLERANCE, tolerance)] if tolerance is not None else []
+    fields = {"model": 0, "wanted": R | ALBEDO, **fixed}
+    return eval_payload(parameters=parameters, **fields)
+
+
+def test_offers_on_the_wire(connection):
+    reply = ask(connection, OFFERS, any_model())
+    assert reply.type == OFFERS | wire.REPLY
+    fixed = wire.OFFERS_REPLY.unpack(reply.payload)
+    assert len(reply.payload) == wire.OFFERS_REPLY.bytes + fixed.count * wire.OFFER.bytes
+    assert fixed.taken < fixed.count
+    for i in range(fixed.count):
+        at = wire.OFFERS_REPLY.bytes + i * wire.OFFER.bytes
+        offer = wire.OFFER.unpack(reply.payload, at)
+        assert offer.model in MODELS.values() and offer.evaluator == EVALUATORS["f64"]
+        assert offer.meets in (0, 1) and offer.error >= offer.numerical_error > 0
+    assert_serves(connection)
+
+
+REFUSED = {
+    "a model": (any_model(model=1), "bad-value", "model"),
+    "no tolerance": (any_model(None), "bad-value", "model"),
+    "tolerance": (any_model(2.0), "bad-value", "tolerance"),
+    "evaluator": (any_model(evaluator=9), "bad-value", "evaluator"),
+    "medium": (any_model(media=[(1.0, 1.0, 0.0, 0.0)]), "bad-value", "eta"),
+    "media": (any_model(media=[]), "bad-count", "medium_count"),
+    "short": (any_model()[:-8], "bad-count", "radius_count"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_offers_that_are_refused(connection, name):
+    payload, status, field = REFUSED[name]
+    assert_error(ask(connection, OFFERS, payload), status, field, "")
+    assert_serves(connection)
+
+
+def test_the_number_of_radii_does_not_matter(connection):
+    few = any_model(radii=(0.5, 5.0), evaluator=F32)
+    many = any_model(radii=tuple(np.linspace(0.5, 5, 999)), evaluator=F32)
+    assert ask(connection, OFFERS, few).payload == ask(connection, OFFERS, many).payload
+    one, other = ask(connection, EVAL, few), ask(connection, EVAL, many)
+    assert one.payload[:4] == other.payload[:4]  # model and evaluator
+
+
+def test_evaluators_of_a_precision_mean_the_same(connection):
+    same = {ask(connection, EVAL, any_model(evaluator=e)).payload for e in (F32, 3)}
+    assert len(same) == 1
+    assert ask(connection, EVAL, any_model(evaluator=F64)).payload not in same
+
+
+def test_what_was_not_measured_is_not_promised(connection):
+    """The cdf of none but transport was measured."""
+    reply = ask(connection, OFFERS, any_model(0.9, wanted=CDF))
+    fixed = wire.OFFERS_REPLY.unpack(reply.payload)
+    offers = [
+        wire.OFFER.unpack(reply.payload, wire.OFFERS_REPLY.bytes + i * wire.OFFER.bytes)
+        for i in range(fixed.count)
+    ]
+    known = {offer.model for offer in offers if offer.error < math.inf}
+    assert known == {MODELS["transport"]}
+
+
+# ---- dipole eval ---------------------------------------------------------------------------------
+
+
+def test_people_are_told_what_was_taken_and_why(client):
+    text = dipole("eval", "--medium", "skin1", "--tolerance", "0.1", *RANGE).stdout
+    media = client.media()["skin1"]
+    how = {"grid": Grid(0.5, 8.0, 3), "tolerance": 0.1, "wanted": ["R", "albedo"]}
+    offers, taken = client.offers(media, **how)
+    by_table = " by table" if taken.evaluator == "lut" else ""
+    said = re.search(
+        rf"^took {re.escape(taken.model)}{by_table} \({taken.evaluator}\): within (\S+) of "
+        r"transport from 0\.5 to 8 mm, (\S+) ns a value; cheaper and not within 0\.1: (.*)$",
+        text,
+        re.M,
+    )
+    assert said, text
+    assert taken.error <= float(said[1]) <= taken.error * 1.1
+    assert float(said[2]) == pytest.approx(taken.cost_ns, rel=0.05)
+    cheaper = [o for o in offers if not o.meets and o.cost_ns < taken.cost_ns]
+    nearest = min(cheaper, key=lambda offer: offer.error)
+    assert f"{nearest.model} ({nearest.evaluator}) {nearest.error:.2g}" in said[3]
+    assert f"evaluator {taken.evaluator}, moments exact, tolerance 0.1" in text
+
+
+def test_a_single_radius():
+    text = dipole("eval", *MEDIUM, "--tolerance", "0.1", "--r", "2", "--want", "R").stdout
+    assert " of transport at 2 mm, " in text
+
+
+def test_all_formats_name_what_was_taken(client):
+    asked = [*MEDIUM, "--tolerance", "0.1", *RANGE]
+    rows, report = eval_rows(*asked), eval_json(*asked)
+    chosen = report["chosen"]
+    how = {"grid": Grid(0.5, 8.0, 3), "tolerance": 0.1, "wanted": ["R", "albedo"]}
+    taken = client.offers(SKIN, **how).taken
+    assert (chosen["model"], chosen["evaluator"]) == (taken.model, taken.evaluator)
+    assert chosen["tolerance"] == 0.1 and chosen["error"] == taken.error
+    assert chosen["cost_ns"] == taken.cost_ns and chosen["prepare_ns"] == taken.prepare_ns
+    assert all(one["cost_ns"] < taken.cost_ns for one in chosen["cheaper"])
+    assert report["evaluator"] == taken.evaluator
+    (model,) = report["models"]
+    assert model["model"] == taken.model and model["channels"][0]["model_error"] <= 0.1
+    answer = client.eval(None, SKIN, **how)
+    assert [float(row["R"]) for row in rows] == model["channels"][0]["R"] == answer.R[0].tolist()
+    for row in rows:
+        assert (row["model"], row["evaluator"]) == (taken.model, taken.evaluator)
+        assert float(row["model_error"]) == answer.model_error[0]
+
+
+def test_columns_are_added_by_a_choice_alone():
+    usual = eval_rows(*MEDIUM, "--model", "better", "--tolerance", "0.1", "--r", "1")
+    assert "evaluator" not in usual[0] and usual[0]["model"] == "better"
+    assert "chosen" not in eval_json(*MEDIUM, "--r", "1")
+    assert "took" not in dipole("eval", *MEDIUM, "--r", "1").stdout
+
+
+def test_double_precision_where_only_that_will_do():
+    report = eval_json(*MEDIUM, "--tolerance", "3e-8", "--r", "1", "--want", "R")
+    assert report["evaluator"] == "f64" and report["chosen"]["error"] <= 3e-8
+    asked = [*MEDIUM, "--tolerance", "0.01", "--r", "1", "--want", "R", "--evaluator", "f64"]
+    assert eval_json(*asked)["chosen"]["evaluator"] == "f64"
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (["--tolerance", "1e-9"], "the best there is (--tolerance)"),
+        (["--tolerance", "2"], "bad-value: tolerance: allowed: 1e-12 to 1 (--tolerance)"),
+        (["--tolerance", "0.1", "--eta", "0"], "bad-value: eta: allowed: "),
+        (["--tolerance", "0.1", "--r", "1,-1"], "bad-value: r number 2 of 2: allowed: "),
+        (["--tolerance", "0.1", "--from", "3", "--to", "1"], "(--to)"),
+        (["--tolerance", "1e-3", "--want", "ln_R", "--g", "0.9"], "bad-value: tolerance"),
+    ],
+)
+def test_refusals_have_the_daemons_words(arguments, said):
+    run = dipole("eval", *MEDIUM, *arguments, status=FAILED)
+    assert said in run.stderr and run.stdout == ""
