@@ -177,9 +177,10 @@ $(BUILD)/tests/%: $(OBJ)/tests/%.o $(TEST_SUPPORT) $(BUILD)/libdipole.a
 	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $(filter %.o,$^) $(filter %.a,$^) -lcmocka -lmpfr -lgmp $(CORE_LIBS) $(TEST_LIBS) -lm
 
 # The daemon's cache, tested without a daemon.
-$(BUILD)/tests/unit/test_cache: $(call objects,server/cache.c server/cache_key.c server/profiles.c server/stats.c)
-$(BUILD)/tests/unit/test_cache: TEST_LIBS = $(UV_LIBS)
-$(OBJ)/tests/unit/test_cache.o: EXTRA_CPPFLAGS = $(UV_CFLAGS)
+CACHE_TESTS := test_cache test_profiles
+$(CACHE_TESTS:%=$(BUILD)/tests/unit/%): $(call objects,server/cache.c server/cache_key.c server/profiles.c server/stats.c)
+$(CACHE_TESTS:%=$(BUILD)/tests/unit/%): TEST_LIBS = $(UV_LIBS)
+$(CACHE_TESTS:%=$(OBJ)/tests/unit/%.o): EXTRA_CPPFLAGS = $(UV_CFLAGS)
 
 -include $(shell find $(OBJ) -name '*.d' 2>/dev/null)
 

@@ -87,7 +87,7 @@ def test_every_channel_is_a_hit_or_a_miss(daemon):
 
 
 def test_what_differs_is_not_the_same(daemon):
-    """In any part of what a profile is made from; what is only evaluated differently is the same."""
+    """In any part of what a profile is made from. What is only evaluated differently is the same."""
     one = daemon()
     counted = Counted(one)
     tolerance = PARAMETERS["tolerance"].id
@@ -326,8 +326,8 @@ def test_stopping_while_nobody_waits(daemon):
 
 
 def test_stopping_waits_for_what_has_begun_alone(daemon, connections):
-    """Twenty seconds of preparations are asked for, twice as many as it has for stopping; those that
-    have not begun when time is up never do."""
+    """Twenty seconds of preparations are asked for, twice as many as it has for stopping; those
+    that have not begun when time is up never do."""
     one = daemon("--drain-timeout-ms", "100")
     counted = Counted(one)
     for client, medium in zip(connections(one, 400), media(400), strict=True):
