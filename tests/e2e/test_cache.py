@@ -87,7 +87,7 @@ def test_every_channel_is_a_hit_or_a_miss(daemon):
 
 
 def test_what_differs_is_not_the_same(daemon):
-    """In any part of what a profile is made from. What is only evaluated differently is the same."""
+    """In any part of what a profile is made from. What is evaluated differently is the same."""
     one = daemon()
     counted = Counted(one)
     tolerance = PARAMETERS["tolerance"].id
