@@ -152,8 +152,8 @@ static void what_has_been_evicted_is_not_held(void **state) {
 static void the_list_knows_what_is_worth_keeping(void **state) {
   (void)state;
   for (const core_choice *model = core_models; model->name != NULL; model++) {
-    if (core_model_prepares_slowly(model->id)) {
-      assert_true(core_model_worth_keeping(model->id));
+    if (core_prepares_slowly(model->id, CORE_EVALUATOR_F64)) {
+      assert_true(core_worth_keeping(model->id, CORE_EVALUATOR_F64));
       continue;
     }
     const core_parameters parameters = unit_parameters(model->id, &SKIN);
@@ -162,10 +162,11 @@ static void the_list_knows_what_is_worth_keeping(void **state) {
                                            CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &SKIN,
                                            &parameters),
                       NULL, 0);
-    assert_true(core_model_worth_keeping(model->id) == (core_profile_bytes(&profile) > 1024));
+    assert_true(core_worth_keeping(model->id, CORE_EVALUATOR_F64) ==
+                (core_profile_bytes(&profile) > 1024));
     core_profile_free(&profile);
   }
-  assert_false(core_model_worth_keeping(0));
+  assert_false(core_worth_keeping(0, CORE_EVALUATOR_LUT));
 }
 
 int main(void) {
