@@ -49,8 +49,8 @@ static inline float near_flat(const float *c, float r) {
 
 /* The factors in the order in which none overflows or underflows before the product does. */
 static inline float near_R(const float *c, float r) {
-  const float steep = r < 0x1p-40f ? c[CORE_LUT_NEAR_R] * (c[CORE_LUT_SCALE] / r)
-                                   : c[CORE_LUT_NEAR_R] / r * c[CORE_LUT_SCALE];
+  const float steep = r < 1 ? c[CORE_LUT_NEAR_R] * (c[CORE_LUT_SCALE] / r)
+                            : c[CORE_LUT_NEAR_R] / r * c[CORE_LUT_SCALE];
   return c[CORE_LUT_NEAR_POWER] > 0 ? (c[CORE_LUT_LIMIT] > 0 ? steep : 0)
                                     : near_flat(c, r) * c[CORE_LUT_SCALE];
 }
