@@ -21,7 +21,7 @@
  *   radius    piece; of u up to 1/2, else of 1 - u
  *
  * Outside of the octaves the known asymptotics go on: R is constant, or grows like 1 / r or like
- * -ln r towards the source; far away it falls like 1 / r^3 where nothing absorbs, or has underflowed.
+ * -ln r towards the source (with log2 as in core/models/lut.c); far away it falls like 1 / r^3 where nothing absorbs, or has underflowed.
  */
 #ifndef DIPOLED_CORE_LUT_H
 #define DIPOLED_CORE_LUT_H
