@@ -100,11 +100,26 @@ static bool set_near(struct build *b) {
   return rise >= 0 && fabs(R + 20 * rise - deep) <= allowed * deep;
 }
 
+/* Logarithms round too coarsely for a cdf that must not turn back: where R rises like one, the pieces
+ * go on to where nothing is left of the cdf. */
+static void lower_first(struct build *b) {
+  while (b->word[CORE_LUT_NEAR_LOG] > 0 && b->first - 4 >= EXPONENT_MIN &&
+         value(b, CORE_QUANTITY_CDF, ldexp(1, b->first)) >= 0x1p-150) {
+    b->first -= 4;
+    if (!set_near(b)) {
+      b->first += 4;
+      set_near(b);
+      return;
+    }
+  }
+}
+
 /* Further in when what is near the source is smaller than the profile's scale. */
 static bool find_first(struct build *b) {
   b->first = ilogb(b->source->scale_mm) - OCTAVES_BELOW;
   for (; b->first >= EXPONENT_MIN; b->first -= 8) {
     if (set_near(b)) {
+      lower_first(b);
       return true;
     }
   }
@@ -210,7 +225,12 @@ static core_fault gather_R(struct build *b) {
 
 static core_fault gather_cdf(struct build *b) {
   const struct lut_subject subject = {
-      .function = cdf, .context = b, .tolerance = b->tolerance, .monotone = true};
+      .function = cdf,
+      .context = b,
+      .tolerance = b->tolerance,
+      .negligible = 0x1p-146, /* eight of the smallest numbers */
+      .monotone = true,
+  };
   core_fault fault = gather(b, &subject, CORE_LUT_CDF_OCTAVES, b->first, b->last);
   if (fault.field == NULL) {
     fault = measure(b, &subject, CORE_LUT_CDF_OCTAVES, b->first, b->last);

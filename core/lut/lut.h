@@ -21,7 +21,7 @@
  *   radius    piece; of u up to 1/2, else of 1 - u
  *
  * Outside of the octaves the known asymptotics go on: R is constant, or grows like 1 / r or like
- * -ln r towards the source; far away it falls like 1 / r^3 where nothing absorbs, or has underflowed.
+ * -ln r towards the source (with log2 as in core/models/lut.c); far away it falls like 1 / r^3 where nothing absorbs, or has underflowed.
  */
 #ifndef DIPOLED_CORE_LUT_H
 #define DIPOLED_CORE_LUT_H
@@ -43,8 +43,8 @@ enum core_lut_word {
   CORE_LUT_FAR,         /* from the last radius on, R is SCALE FAR (LAST_MM / r)^3, and the cdf 1 */
   CORE_LUT_LIMIT,       /* of the cdf: 1, or 0 when nothing scatters */
   CORE_LUT_FIRST_U,     /* where the pieces of the radius begin, a power of two */
-  CORE_LUT_NEAR_RADIUS, /* below, the radius is, with NEAR_POWER: NEAR_RADIUS u, else that times
-                           sqrt(u); mm */
+  CORE_LUT_NEAR_RADIUS, /* below, the radius is, with NEAR_POWER: NEAR_RADIUS u, mm, else from
+                           NEAR_RADIUS sqrt(u) on solved for by that formula of the cdf */
   CORE_LUT_SPARE,       /* 0, as are the next */
   CORE_LUT_R_OCTAVES = 16,                                     /* an entry for each exponent */
   CORE_LUT_CDF_OCTAVES = CORE_LUT_R_OCTAVES + 256,             /* likewise */
@@ -64,7 +64,7 @@ enum core_lut_word {
 #define CORE_LUT_ENTRY(piece, shift) ((uint32_t)(piece) << 5 | (uint32_t)(shift))
 #define CORE_LUT_ENTRY_PIECE(entry) ((entry) >> 5)
 #define CORE_LUT_ENTRY_SHIFT(entry) ((entry)&31)
-enum { CORE_LUT_MANTISSA_BITS = 23, CORE_LUT_CUTS_MAX = 13 };
+enum { CORE_LUT_MANTISSA_BITS = 23, CORE_LUT_CUTS_MAX = 11 };
 
 /* A table in memory; words is malloc()ed. */
 typedef struct core_lut {

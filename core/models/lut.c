@@ -49,8 +49,8 @@ static inline float near_flat(const float *c, float r) {
 
 /* The factors in the order in which none overflows or underflows before the product does. */
 static inline float near_R(const float *c, float r) {
-  const float steep = r < 0x1p-40f ? c[CORE_LUT_NEAR_R] * (c[CORE_LUT_SCALE] / r)
-                                   : c[CORE_LUT_NEAR_R] / r * c[CORE_LUT_SCALE];
+  const float steep = r < 1 ? c[CORE_LUT_NEAR_R] * (c[CORE_LUT_SCALE] / r)
+                            : c[CORE_LUT_NEAR_R] / r * c[CORE_LUT_SCALE];
   return c[CORE_LUT_NEAR_POWER] > 0 ? (c[CORE_LUT_LIMIT] > 0 ? steep : 0)
                                     : near_flat(c, r) * c[CORE_LUT_SCALE];
 }
@@ -67,10 +67,14 @@ static inline float near_ring(const float *c, float r, float scale) {
                                     : 0;
 }
 
-static inline float near_cdf(const float *c, float r) {
+/* The cdf over r^2, of a profile that is not steep. */
+static inline float near_cdf_factor(const float *c, float r) {
   const float rising = r > 0 ? octaves_below(c, r) : 0;
-  const float factor = c[CORE_LUT_NEAR_CDF] + c[CORE_LUT_NEAR_CDF_LOG] * rising;
-  return c[CORE_LUT_NEAR_POWER] > 0 ? c[CORE_LUT_NEAR_CDF] * r : factor * r * r;
+  return c[CORE_LUT_NEAR_CDF] + c[CORE_LUT_NEAR_CDF_LOG] * rising;
+}
+
+static inline float near_cdf(const float *c, float r) {
+  return c[CORE_LUT_NEAR_POWER] > 0 ? c[CORE_LUT_NEAR_CDF] * r : near_cdf_factor(c, r) * r * r;
 }
 
 /* R over SCALE, and r R over it */
@@ -132,9 +136,19 @@ static inline float inside_radius(const float *c, float u) {
   return core_lut_look(c, octaves, near > 0 ? near : 0);
 }
 
+/* Where the cdf is factor r^2 and the factor depends on ln r, which hardly moves it: each round
+ * brings the radius nearer by more than a factor of 30. */
+static inline float near_radius(const float *c, float u) {
+  const float root = real_sqrt(u);
+  float r = c[CORE_LUT_NEAR_RADIUS] * root;
+  for (int round = 0; round < 4; round++) {
+    r = root / real_sqrt(near_cdf_factor(c, r));
+  }
+  return r;
+}
+
 static inline float outside_radius(const float *c, float u) {
-  const float share = c[CORE_LUT_NEAR_POWER] > 0 ? u : real_sqrt(u);
-  const float near = c[CORE_LUT_NEAR_RADIUS] * share;
+  const float near = c[CORE_LUT_NEAR_POWER] > 0 ? c[CORE_LUT_NEAR_RADIUS] * u : near_radius(c, u);
   return u < 1 ? near : c[CORE_LUT_LIMIT] > 0 ? (float)INFINITY : 0;
 }
 

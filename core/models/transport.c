@@ -17,8 +17,8 @@
  *
  * Domain: eta from 0.25 to 4. Radii below FIRST mean free paths are continued like 1 / x; beyond
  * LAST_EXPONENT / kappa, or LAST mean free paths where that is less, like the diffusion of a dipole,
- * (1 + kappa x) e^(-kappa x) / x^3, times the power of x that goes on with the slope there. Little
- * absorption brings that power to 0, and it is then as good as the solution.
+ * (1 + kappa x) e^(-kappa x) / x^3, times what goes on with the slope there: a power of x, or, beyond
+ * LAST, the next term of that diffusion, in 1 / x^2, which makes it as good as the solution.
  * Error: the tolerance (TOLERANCE when none is asked for; at least TOLERANCE_LEAST, half of which is
  * the series'), relative, or the solver's own estimate where that is more, which an albedo below
  * 1e-6 or so may cause; up to the last radius. Beyond it, where R is 1e-13 of what it is at one mean
@@ -41,7 +41,8 @@ enum coefficient {
   LAST_X,
   LN_FIRST,
   PER_PANEL, /* ln x in units of a panel's width: 1 / width */
-  STEEPER,   /* the power of 1 / x that R falls by beyond the last radius, more than a dipole's */
+  STEEPER,   /* the power of 1 / x that R falls by beyond the last radius, more than a dipole's, */
+  FADING,    /* or, of (1 - (LAST_X / x)^2) / 2, the factor by which its logarithm falls more */
   SERIES,    /* TERMS coefficients for each panel, then the table of the energy */
 };
 
@@ -96,15 +97,18 @@ static inline struct profile look(const double *c, double r) {
   const double kx = c[KAPPA] * x;
   const double kl = c[KAPPA] * c[LAST_X];
   const double power = 2 + c[STEEPER];
-  const double beyond =
-      real_log((1 + kx) / (1 + kl), 0) - power * real_log(real_max(x / c[LAST_X], 1), 0);
+  const double nearness = c[LAST_X] / real_max(x, c[LAST_X]);
+  const double faded = nearness * nearness;
+  const double beyond = real_log((1 + kx) / (1 + kl), 0) -
+                        power * real_log(real_max(x / c[LAST_X], 1), 0) -
+                        0.5 * c[FADING] * (1 - faded);
   const bool inside = x >= c[FIRST_X] && x <= c[LAST_X];
   return (struct profile){
       .x = x,
       .far = x < true_x ? x / true_x : 1,
       .value = x > c[LAST_X] ? sum.value + beyond : sum.value,
       .slope = inside          ? sum.slope * (2 * c[PER_PANEL])
-               : x > c[LAST_X] ? kx / (1 + kx) - power
+               : x > c[LAST_X] ? kx / (1 + kx) - power - c[FADING] * faded
                                : 0,
   };
 }
@@ -300,8 +304,11 @@ static void set_series(struct source *source, double *c) {
   for (size_t i = 0; i < source->panels; i++) {
     fit_panel(source, fma((double)i, source->width, source->ln_first), &c[SERIES + i * TERMS]);
   }
-  c[STEEPER] =
+  const double more =
       steeper(&c[SERIES + (source->panels - 1) * TERMS], source->width, source->kappa * last);
+  const bool fades = last > 0.5 * LAST;
+  c[STEEPER] = fades ? 0 : more;
+  c[FADING] = fades ? more : 0;
 }
 
 /* Panels from one logarithm to another, PANEL_WIDTH or less wide. */

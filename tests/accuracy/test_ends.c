@@ -1,0 +1,130 @@
+/* Models next to the source and far away from it, where what they become is known, and in media next
+ * to which a solver has nothing to hold on to. */
+#include <math.h>
+
+#include "core/transport/transport.h"
+#include "tests/unit/unit.h"
+
+static core_profile prepared(unsigned model, core_medium medium, double tolerance) {
+  core_parameters parameters = core_parameters_none();
+  parameters.value[CORE_PARAMETER_TOLERANCE] = tolerance;
+  core_profile profile;
+  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model,
+                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium,
+                                         &parameters),
+                    NULL, 0);
+  return profile;
+}
+
+static double value_of(const core_profile *profile, enum core_quantity quantity, double r) {
+  double value;
+  core_eval_f64(profile, quantity, 1, &r, &value);
+  return value;
+}
+
+static void assert_near(double value, double truth, double relative, const char *what, double r) {
+  if (!(fabs(value - truth) <= relative * fabs(truth))) {
+    fail_msg("%s at %g is %.12g, not %.12g: off by %.3g", what, r, value, truth,
+             value / truth - 1);
+  }
+}
+
+/* ---- transport ---------------------------------------------------------------------------- */
+
+/* The same R whatever the tolerance, where nothing or next to nothing is absorbed, or scattered; up to
+ * where the solver has digits. */
+static void transport_is_the_same_for_every_tolerance(void **state) {
+  (void)state;
+  static const core_medium media[] = {
+      {0, 1, 0, 1.3}, {1e-20, 1, 0, 1.3}, {1e-8, 1, 0, 1.3}, {0, 1, 0, 0.8}, {1, 1e-8, 0, 1.3}};
+  static const double tolerances[] = {1e-4, 1e-5, 1e-7};
+  double worst = 0;
+  for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
+    core_profile fine = prepared(CORE_MODEL_TRANSPORT, media[i], 1e-8);
+    for (size_t t = 0; t < sizeof tolerances / sizeof tolerances[0]; t++) {
+      core_profile coarse = prepared(CORE_MODEL_TRANSPORT, media[i], tolerances[t]);
+      const double sigma_t = media[i].sigma_a_per_mm + media[i].sigma_s_per_mm;
+      const double allowed = coarse.numerical_error + fine.numerical_error;
+      /* only an albedo of next to nothing may be worse than was asked for */
+      assert_true(media[i].sigma_s_per_mm < 1e-6 || allowed <= 1.001 * tolerances[t] + 1e-8);
+      assert_true(allowed < 2e-3);
+      const double most = fmin(30 / transport_kappa(media[i].sigma_s_per_mm / sigma_t), 1e4);
+      for (double x = 1e-6; x < most; x *= 1.3) {
+        const double truth = value_of(&fine, CORE_QUANTITY_R, x / sigma_t);
+        const double value = value_of(&coarse, CORE_QUANTITY_R, x / sigma_t);
+        if (truth > 1e-300) {
+          assert_near(value, truth, allowed, "transport", x);
+          worst = fmax(worst, fabs(value / truth - 1) / allowed);
+        }
+      }
+      core_profile_free(&coarse);
+    }
+    core_profile_free(&fine);
+  }
+  printf("transport differs between tolerances by at most %.2g of them\n", worst);
+}
+
+static void transport_without_absorption_falls_like_diffusion(void **state) {
+  (void)state;
+  static const double tolerances[] = {1e-4, 1e-7};
+  for (size_t t = 0; t < sizeof tolerances / sizeof tolerances[0]; t++) {
+    core_profile profile = prepared(CORE_MODEL_TRANSPORT, (core_medium){0, 1, 0, 1.3},
+                                    tolerances[t]);
+    const double first = 1e12 * value_of(&profile, CORE_QUANTITY_R, 1e4);
+    for (double x = 1e4; x < 1e12; x *= 10) {
+      assert_near(x * x * x * value_of(&profile, CORE_QUANTITY_R, x), first, 1e-6, "x^3 R", x);
+    }
+    core_profile_free(&profile);
+  }
+}
+
+/* ---- beam --------------------------------------------------------------------------------- */
+
+/* Simpson's rule for r pdf over ln r, from where nothing is left. */
+static double integral_of_pdf(const core_profile *profile, double r) {
+  enum { STEPS = 2000 };
+  const double step = 20.0 / STEPS;
+  double sum = 0;
+  for (int i = 0; i <= STEPS; i++) {
+    const double at = r * exp(-step * i);
+    const double weight = i == 0 || i == STEPS ? 1 : i % 2 ? 4 : 2;
+    sum += weight * at * value_of(profile, CORE_QUANTITY_PDF, at);
+  }
+  return sum * step / 3;
+}
+
+static void the_cdf_of_beam_is_the_integral_of_its_pdf(void **state) {
+  (void)state;
+  static const core_medium media[] = {{0.1, 0.9, 0, 1.3}, {0, 1, 0, 1.3}, {0.9, 0.1, 0, 0.7}};
+  for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
+    core_profile profile = prepared(CORE_MODEL_BEAM, media[i], (double)NAN);
+    for (double x = 1e-12; x < 3e-7; x *= 2.7) {
+      assert_near(value_of(&profile, CORE_QUANTITY_CDF, x), integral_of_pdf(&profile, x), 1e-6,
+                  "the cdf of beam", x);
+    }
+    core_profile_free(&profile);
+  }
+}
+
+/* ---- extended ----------------------------------------------------------------------------- */
+
+static void extended_without_absorption_goes_on_falling(void **state) {
+  (void)state;
+  core_profile profile = prepared(CORE_MODEL_EXTENDED, (core_medium){0, 1, 0, 1.3}, (double)NAN);
+  const double first = 1e36 * value_of(&profile, CORE_QUANTITY_R, 1e12);
+  assert_true(first > 0);
+  for (double x = 1e12; x < 2e25; x *= 3) {
+    assert_near(x * x * x * value_of(&profile, CORE_QUANTITY_R, x), first, 1e-9, "x^3 R", x);
+  }
+  core_profile_free(&profile);
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(transport_is_the_same_for_every_tolerance),
+      cmocka_unit_test(transport_without_absorption_falls_like_diffusion),
+      cmocka_unit_test(the_cdf_of_beam_is_the_integral_of_its_pdf),
+      cmocka_unit_test(extended_without_absorption_goes_on_falling),
+  };
+  return cmocka_run_group_tests(tests, NULL, NULL);
+}
