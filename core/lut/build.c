@@ -126,7 +126,8 @@ static bool find_first(struct build *b) {
   return false;
 }
 
-/* So that the largest R fits into pieces and the smallest is kept as far down as can be. */
+/* So that the largest R fits into pieces and the smallest is kept as far down as can be. False where
+ * R has underflowed even in double precision, although something comes back. */
 static bool set_scale(struct build *b) {
   while (value(b, CORE_QUANTITY_R, ldexp(1, b->first)) > 0x1p120) {
     b->first++;
@@ -134,7 +135,11 @@ static bool set_scale(struct build *b) {
   if (!set_near(b)) {
     return false;
   }
-  const int size = ilogb(value(b, CORE_QUANTITY_R, ldexp(1, b->first)));
+  const double largest = value(b, CORE_QUANTITY_R, ldexp(1, b->first));
+  if (!(largest > 0)) {
+    return false;
+  }
+  const int size = ilogb(largest);
   const int up = size > 120 ? 0 : 120 - size;
   b->scale = ldexp(1, up > 126 ? -126 : -up);
   b->word[CORE_LUT_NEAR_R] /= b->scale;

@@ -48,7 +48,7 @@ def with_bad(bad, at: int = 1) -> list:
 
 # name: (payload, status, field, allowed, index)
 CHOICES = {
-    "model 0": (eval_payload(model=0), "bad-value", "model", "1 (classical), 2 (better)"),
+    "model 0": (eval_payload(model=0), "bad-value", "model", "0 with the parameter tolerance"),
     "model unknown": (eval_payload(model=999), "bad-value", "model", "1 (classical)"),
     "evaluator 0": (eval_payload(evaluator=0), "bad-value", "evaluator", "1 (f64), 2 (f32), 3 (lut)"),
     "evaluator unknown": (eval_payload(evaluator=65535), "bad-value", "evaluator", "1 (f64)"),
@@ -352,7 +352,7 @@ def test_faults_are_named_in_the_order_of_the_tables(connection):
     media = [SKIN, medium(g=1.0, eta=0.0), medium(sigma_a=-1.0)]
     both = eval_payload(media, radii=[-1.0])
     assert_error(ask(connection, EVAL, both), "bad-value", "g", "exclusive", 1)
-    all_ids = eval_payload(media, model=0, evaluator=0, moments=0)
+    all_ids = eval_payload(media, model=999, evaluator=0, moments=0)
     assert_error(ask(connection, EVAL, all_ids), "bad-value", "model", "1 (classical)")
     media_before_radii = eval_payload([medium(eta=0.0)], radii=[NAN])
     assert_error(ask(connection, EVAL, media_before_radii), "bad-value", "eta", "0.001")
@@ -376,7 +376,7 @@ OTHERS = {
     "statistics with a payload": (STATISTICS, bytes(16), "bad-length", "payload_bytes", "0"),
     "ping too long": (PING, bytes(1032), "bad-length", "payload_bytes", "1024"),
     "type 0": (0, b"", "bad-type", "type", "message"),
-    "type after the last": (8, b"", "bad-type", "type", "message"),
+    "type after the last": (max(wire.MESSAGES.values()) + 1, b"", "bad-type", "type", "message"),
     "type with a payload": (0x7FFF, bytes(64), "bad-type", "type", "message"),
     "type of a reply": (PING | wire.REPLY, b"", "bad-type", "type", "message"),
     "type of an error": (wire.TYPE_ERROR, bytes(128), "bad-type", "type", "message"),

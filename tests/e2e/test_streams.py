@@ -41,7 +41,8 @@ def test_frames_cut_anywhere(connection, cut):
 
 def test_several_requests_in_one_write(connection):
     alone = ask(connection, EVAL, eval_payload()).payload
-    requests = [frame(PING, 1, b"one     "), frame(EVAL, 2, eval_payload()), frame(9, 3)]
+    unknown = max(wire.MESSAGES.values()) + 1
+    requests = [frame(PING, 1, b"one     "), frame(EVAL, 2, eval_payload()), frame(unknown, 3)]
     connection.send_bytes(b"".join(requests))
     replies = {reply.request_id: reply for reply in (connection.receive_frame() for _ in requests)}
     assert replies[1] == Frame(PONG, 1, b"one     ")

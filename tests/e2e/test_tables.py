@@ -21,7 +21,7 @@ WORDS = 784  # before the pieces
 # R towards the source is constant, like -ln r, like 1 / r; far away like 1 / r^3; or nothing.
 CASES = {
     "constant": ("better", Medium(*SKIN)),
-    "logarithm": ("extended", Medium(0.1, 5.0, 0.7, 1.4)),
+    "logarithm": ("beam", Medium(0.1, 5.0, 0.7, 1.4)),
     "one over r": ("better+single", Medium(1.0, 1.0, 0.5, 1.5)),
     "burley": ("burley", Medium(0.01, 1.0)),
     "no absorption": ("classical", Medium(0.0, 1.0)),

@@ -118,7 +118,7 @@ static void tables_have_the_bits_of_their_profiles(void **state) {
   static const struct {
     const char *model;
     core_medium medium;
-  } cases[] = {{"better", {0.032, 0.74, 0, 1.3}},   {"extended", {0.1, 5, 0.7, 1.4}},
+  } cases[] = {{"better", {0.032, 0.74, 0, 1.3}},   {"beam", {0.1, 5, 0.7, 1.4}},
                {"better+single", {1, 1, 0.5, 1.5}}, {"burley", {0.01, 1, 0, 1.3}},
                {"classical", {0, 1, 0, 1.3}},       {"better", {1, 0, 0, 1.3}}};
   for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {

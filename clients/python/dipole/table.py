@@ -38,6 +38,7 @@ _HALF = np.float32(0.5)
 _INFINITY = np.float32(np.inf)
 _TWO_OVER_LN_2 = np.float32(2.88539008)
 _2_TO_THE_24 = np.float32(2.0**24)
+_2_TO_THE_MINUS_40 = np.float32(2.0**-40)
 
 
 class Table:
@@ -147,7 +148,7 @@ class Table:
         """The density of radii, 2 pi r R over the albedo, 1/mm."""
 
         def inside(x: np.ndarray) -> np.ndarray:
-            return self._times_radius(x, self._pdf_scale)
+            return self._inside_ring(x, self._pdf_scale)
 
         def outside(x: np.ndarray) -> np.ndarray:
             return self._outside_ring(x, self._pdf_scale)
@@ -159,7 +160,7 @@ class Table:
         models is infinite."""
 
         def inside(x: np.ndarray) -> np.ndarray:
-            return self._times_radius(x, self._ring_scale)
+            return self._inside_ring(x, self._ring_scale)
 
         def outside(x: np.ndarray) -> np.ndarray:
             return self._outside_ring(x, self._ring_scale)
@@ -238,10 +239,8 @@ class Table:
     def _inside_R(self, r: np.ndarray) -> np.ndarray:
         return self._piece(_R_OCTAVES, r) * self._scale
 
-    def _times_radius(self, r: np.ndarray, scale: np.float32) -> np.ndarray:
-        """In the order in which nothing underflows before the product does."""
-        piece = self._piece(_R_OCTAVES, r)
-        return piece * (r * scale) if scale > 1 else piece * r * scale
+    def _inside_ring(self, r: np.ndarray, scale: np.float32) -> np.ndarray:
+        return _times_radius(self._piece(_R_OCTAVES, r), r, scale)
 
     def _inside_cdf(self, r: np.ndarray) -> np.ndarray:
         value = self._piece(_CDF_OCTAVES, r)
@@ -259,19 +258,27 @@ class Table:
         """log2(first_mm / r)"""
         return _log2(self._first_mm.reshape(1)) - (_log2(r * _2_TO_THE_24) - np.float32(24))
 
-    def _near_R_at(self, r: np.ndarray) -> np.ndarray:
-        if self._near_power > 0:
-            return self._near_R / r if self._limit > 0 else np.zeros_like(r)
+    def _near_flat(self, r: np.ndarray) -> np.ndarray:
+        """R over the scale, of a profile that is not steep."""
         if not self._near_log > 0:
             return np.full_like(r, self._near_R)
         rising = np.where(r > 0, self._octaves_below(r), _INFINITY)
         return self._near_R + self._near_log * rising
 
-    def _near_ring(self, r: np.ndarray) -> np.ndarray:
-        """r R"""
+    def _near_R_at(self, r: np.ndarray) -> np.ndarray:
+        """In the order in which nothing overflows or underflows before the product does."""
+        if not self._near_power > 0:
+            return self._near_flat(r) * self._scale
+        if not self._limit > 0:
+            return np.zeros_like(r)
+        nearest = self._near_R * (self._scale / r)
+        return np.where(r < _2_TO_THE_MINUS_40, nearest, self._near_R / r * self._scale)
+
+    def _near_ring(self, r: np.ndarray, scale: np.float32) -> np.ndarray:
+        """r R times what scale is over the scale of R."""
         if self._near_power > 0:
-            return np.full_like(r, self._near_R)
-        return np.where(r > 0, self._near_R_at(r) * r, _ZERO)
+            return np.full_like(r, self._near_R * scale)
+        return np.where(r > 0, _times_radius(self._near_flat(r), r, scale), _ZERO)
 
     def _near_cdf_at(self, r: np.ndarray) -> np.ndarray:
         if self._near_power > 0:
@@ -287,8 +294,7 @@ class Table:
     def _outside_ring(self, r: np.ndarray, scale: np.float32) -> np.ndarray:
         ratio = self._last_mm / r
         far = self._far * self._last_mm * ratio * ratio
-        near = self._near_ring(r) * (scale / self._scale)
-        return np.where(r < self._first_mm, near, far * scale)
+        return np.where(r < self._first_mm, self._near_ring(r, scale), far * scale)
 
     def _outside_cdf(self, r: np.ndarray) -> np.ndarray:
         return np.where(r < self._first_mm, self._near_cdf_at(r), self._limit)
@@ -301,6 +307,11 @@ class Table:
 def _floats(values: Any) -> np.ndarray:
     """A flat copy in single precision, in which -0 is 0."""
     return np.array(values, np.float32).reshape(-1) + _ZERO
+
+
+def _times_radius(piece: np.ndarray, r: np.ndarray, scale: np.float32) -> np.ndarray:
+    """In the order in which nothing underflows before the product does."""
+    return piece * (r * scale) if scale > 1 else piece * r * scale
 
 
 def _log2(x: np.ndarray) -> np.ndarray:
