@@ -177,6 +177,24 @@ static void put_name(FILE *script, const axes *a, const fronts *all, size_t pane
           p->front ? "11" : "9");
 }
 
+/* Tables all cost the same and stand in one column below their models' own errors, and most models
+ * cost the same in both precisions: one name is enough for those. */
+static bool has_name(const fronts *all, size_t panel, size_t s) {
+  const point *p = &all->points[panel][s];
+  if (isnan(p->ns) || p->front) {
+    return !isnan(p->ns);
+  }
+  for (size_t other = 0; other < s; other++) {
+    const point *q = &all->points[panel][other];
+    const bool same_model = all->of->all[other].model == all->of->all[s].model;
+    if (same_model && q->ns < p->ns * CORE_CHOOSE_COST_ALIKE &&
+        p->ns < q->ns * CORE_CHOOSE_COST_ALIKE) {
+      return false;
+    }
+  }
+  return all->of->all[s].evaluator->id != CORE_EVALUATOR_LUT;
+}
+
 static void put_names(FILE *script, const axes *a, const fronts *all, size_t panel) {
   static box boxes[2 * SUBJECTS_MAX];
   size_t count = 0;
@@ -189,7 +207,7 @@ static void put_names(FILE *script, const axes *a, const fronts *all, size_t pan
   }
   for (int front = 1; front >= 0; front--) {
     for (size_t s = 0; s < all->of->count; s++) {
-      if (!isnan(all->points[panel][s].ns) && all->points[panel][s].front == front) {
+      if (has_name(all, panel, s) && all->points[panel][s].front == front) {
         put_name(script, a, all, panel, s, boxes, &count);
       }
     }
