@@ -123,32 +123,54 @@ wire_error eval_request_parse(const uint8_t *payload, size_t payload_bytes, eval
   return parse_radii(at + before_radii, remaining - before_radii, request);
 }
 
-bool eval_reply_layout(unsigned evaluator, unsigned wanted, uint32_t channel_count,
-                       uint64_t radius_count, uint64_t max_payload_bytes, eval_layout *layout) {
-  const size_t value_bytes = eval_value_bytes(evaluator);
+/* What the arrays of a reply may take each, rounded down to whole padding, so that padding one that
+ * fits does not make it too large; `arrays` and the bytes before them. False: not even those fit. */
+static bool array_room(unsigned wanted, uint32_t channel_count, uint64_t max_payload_bytes,
+                       eval_layout *layout, uint64_t *arrays, uint64_t *room) {
   *layout = (eval_layout){.channels_offset = WIRE_BYTES_eval_reply};
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
     layout->arrays_per_channel += eval_is_array(wanted, quantity->id);
   }
-  const bool radii_wanted = (wanted & CORE_QUANTITY_RADIUS) != 0;
   /* At most 2^32 channels of 32 bytes and a few arrays each: nothing here can wrap before the
    * arrays' own length is multiplied, and that is checked by division. */
-  const uint64_t arrays = (uint64_t)channel_count * layout->arrays_per_channel + radii_wanted;
-  const uint64_t before = WIRE_BYTES_eval_reply + (uint64_t)channel_count * WIRE_BYTES_channel;
-  if (before > max_payload_bytes) {
+  const bool radii_wanted = (wanted & CORE_QUANTITY_RADIUS) != 0;
+  *arrays = (uint64_t)channel_count * layout->arrays_per_channel + radii_wanted;
+  layout->radius_offset = WIRE_BYTES_eval_reply + (uint64_t)channel_count * WIRE_BYTES_channel;
+  if (layout->radius_offset > max_payload_bytes) {
     return false;
   }
-  /* Rounded down to whole padding, so that padding an array that fits does not make it too large.
-   */
-  const uint64_t array_room = arrays > 0 ? (max_payload_bytes - before) / arrays & ~UINT64_C(7) : 0;
-  if (arrays > 0 && radius_count > array_room / value_bytes) {
+  const uint64_t left = max_payload_bytes - layout->radius_offset;
+  *room = *arrays > 0 ? left / *arrays & ~UINT64_C(7) : 0;
+  return true;
+}
+
+bool eval_reply_layout(unsigned evaluator, unsigned wanted, uint32_t channel_count,
+                       uint64_t radius_count, uint64_t max_payload_bytes, eval_layout *layout) {
+  const size_t value_bytes = eval_value_bytes(evaluator);
+  uint64_t arrays;
+  uint64_t room;
+  if (!array_room(wanted, channel_count, max_payload_bytes, layout, &arrays, &room) ||
+      (arrays > 0 && radius_count > room / value_bytes)) {
     return false;
   }
+  const uint64_t before = layout->radius_offset;
+  const bool radii_wanted = (wanted & CORE_QUANTITY_RADIUS) != 0;
   layout->array_bytes = arrays > 0 ? wire_padded(radius_count * value_bytes) : 0;
-  layout->radius_offset = before;
   layout->arrays_offset = before + (radii_wanted ? layout->array_bytes : 0);
   layout->payload_bytes = before + arrays * layout->array_bytes;
   return layout->payload_bytes <= max_payload_bytes;
+}
+
+uint64_t eval_part_radii(unsigned evaluator, unsigned wanted, uint32_t channel_count,
+                         uint64_t max_payload_bytes) {
+  eval_layout layout;
+  uint64_t arrays;
+  uint64_t room;
+  if (!array_room(wanted, channel_count, max_payload_bytes, &layout, &arrays, &room)) {
+    return 0;
+  }
+  return arrays > 0 ? room / eval_value_bytes(evaluator) / EVAL_PART_RADII * EVAL_PART_RADII
+                    : UINT64_MAX;
 }
 
 uint64_t eval_array_offset(const eval_layout *layout, unsigned wanted, uint32_t channel,
@@ -169,7 +191,8 @@ bool eval_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_eval_re
   if (eval_value_bytes(fixed->evaluator) == 0 || (fixed->wanted & ~all_quantities()) != 0) {
     return false;
   }
-  return eval_reply_layout(fixed->evaluator, fixed->wanted, fixed->channel_count,
+  return fixed->part < fixed->part_count &&
+         eval_reply_layout(fixed->evaluator, fixed->wanted, fixed->channel_count,
                            fixed->radius_count, payload_bytes, layout) &&
          layout->payload_bytes == payload_bytes;
 }

@@ -47,6 +47,14 @@ typedef struct eval_layout {
 bool eval_reply_layout(unsigned evaluator, unsigned wanted, uint32_t channel_count,
                        uint64_t radius_count, uint64_t max_payload_bytes, eval_layout *layout);
 
+/* The most radii that a reply of max_payload_bytes has room for, rounded down to a multiple of
+ * EVAL_PART_RADII; 0: not even that many. Of a reply with no arrays: UINT64_MAX. */
+uint64_t eval_part_radii(unsigned evaluator, unsigned wanted, uint32_t channel_count,
+                         uint64_t max_payload_bytes);
+
+/* Parts are cut at multiples of this, so that kernels find whole vectors in each. */
+#define EVAL_PART_RADII 256
+
 /* True when a reply has an array of this quantity for each channel. */
 bool eval_is_array(unsigned wanted, unsigned quantity);
 

@@ -124,9 +124,6 @@ wire_error wire_header_check(const wire_header *header, uint64_t max_payload_byt
     snprintf(allowed, sizeof allowed, "%d", WIRE_VERSION);
     return wire_error_make(WIRE_STATUS_BAD_VERSION, "version", allowed);
   }
-  if (header->flags != 0) {
-    return wire_error_make(WIRE_STATUS_BAD_VALUE, "flags", "0");
-  }
   if (header->payload_bytes > max_payload_bytes) {
     snprintf(allowed, sizeof allowed, "at most %llu", (unsigned long long)max_payload_bytes);
     return wire_error_make(WIRE_STATUS_TOO_LARGE, "payload_bytes", allowed);

@@ -139,7 +139,7 @@ static void on_read(uv_stream_t *stream, ssize_t bytes, const uv_buf_t *buffer) 
   if (bytes > 0) {
     stats_add(&c->server->stats, STATS_RECEIVED_BYTES, (uint64_t)bytes);
     c->active_ms = uv_now(stream->loop);
-    input_arrived(&c->input, (size_t)bytes);
+    input_arrived(&c->input, (size_t)bytes, c->active_ms);
     if (c->lingering) {
       input_discard(&c->input);
       return;
@@ -226,7 +226,27 @@ static void on_mc_news(void *context) {
   worker_run_later(c->worker, c);
 }
 
+static bool is_late(const struct connection *c) {
+  return c->deadline_ms != 0 && uv_now(worker_loop(c->worker)) >= c->deadline_ms;
+}
+
+static wire_error late(void) {
+  return wire_error_make(WIRE_STATUS_DEADLINE, "deadline_ms", "more: the answer takes longer");
+}
+
 static void answer_frame(struct connection *c, const wire_header *header, const uint8_t *payload) {
+  c->deadline_ms =
+      header->deadline_ms > 0 ? input_arrival_ms(&c->input, header) + header->deadline_ms : 0;
+  if (is_late(c)) {
+    const wire_error error = late();
+    stats_count_request(&c->server->stats, header->type);
+    if (request_refuse(c->server, header->request_id, &error, &c->output)) {
+      input_next(&c->input, header);
+    } else {
+      connection_abort(c);
+    }
+    return;
+  }
   const struct mc_caller mc = {c->server, worker_loop(c->worker), on_mc_news, c, &c->mc};
   const struct request_place place = {&c->job, &c->table, &mc};
   switch (request_begin(c->server, header, payload, &c->output, &place)) {
@@ -283,6 +303,7 @@ static void on_profile(void *context) {
 static void end_job(struct connection *c, const wire_error *refusal) {
   c->in_job = false;
   c->in_table = false;
+  c->between_parts = false;
   if (refusal == NULL) {
     stats_count_answer(&c->server->stats, WIRE_STATUS_OK);
   } else if (!request_refuse(c->server, c->job_header.request_id, refusal, &c->output)) {
@@ -292,22 +313,81 @@ static void end_job(struct connection *c, const wire_error *refusal) {
   input_next(&c->input, &c->job_header);
 }
 
+/* What has been gathered for the reply may not be written to its place any more. */
+static void cancel_output(struct connection *c) {
+  batch_finish(&worker_scratch(c->worker)->batch, &c->server->stats);
+  output_cancel(&c->output);
+}
+
+/* The deadline has passed: what has been filled in so far is given up. */
+static void give_up(struct connection *c) {
+  const wire_error error = late();
+  if (c->in_job && !c->between_parts) {
+    cancel_output(c);
+  }
+  c->waiting = false;
+  job_end(&c->job);
+  table_job_end(&c->table);
+  end_job(c, &error);
+}
+
+/* While the job waits its worker's clock watches the deadline. */
+static void wait_for_profile(struct connection *c) {
+  c->waiting = true;
+  if (c->deadline_ms != 0) {
+    worker_wake_at(c->worker, c->deadline_ms);
+  }
+}
+
+void connection_deadline(struct connection *c) {
+  if (!c->closing && (c->waiting || c->between_parts)) {
+    if (is_late(c)) {
+      give_up(c);
+      worker_run_later(c->worker, c);
+    } else if (c->deadline_ms != 0) {
+      worker_wake_at(c->worker, c->deadline_ms);
+    }
+  }
+}
+
 static void run_job(struct connection *c, uint64_t *budget) {
   switch (job_slice(&c->job, c->server, worker_profiles(c->worker), worker_scratch(c->worker),
                     budget)) {
   case JOB_GOES_ON:
     return;
   case JOB_WAITS:
-    c->waiting = true;
+    wait_for_profile(c);
+    return;
+  case JOB_PART_DONE:
+    output_commit(&c->output);
+    job_next_part(&c->job);
+    c->between_parts = true;
+    if (c->deadline_ms != 0) {
+      worker_wake_at(c->worker, c->deadline_ms);
+    }
     return;
   case JOB_DONE:
     output_commit(&c->output);
     end_job(c, NULL);
     return;
   case JOB_REFUSED:
-    output_cancel(&c->output);
+    cancel_output(c);
     end_job(c, &c->job.refusal);
     return;
+  }
+}
+
+/* Room for the next part; without, what has been sent is all there will be, and the error says so. */
+static void begin_part(struct connection *c) {
+  c->between_parts = false;
+  uint8_t *reply =
+      request_begin_frame(&c->output, c->job_header.type | WIRE_REPLY, c->job_header.request_id,
+                          (size_t)c->job.layout.payload_bytes);
+  if (reply != NULL) {
+    job_start_part(&c->job, reply);
+  } else {
+    const wire_error busy = job_busy();
+    end_job(c, &busy);
   }
 }
 
@@ -316,7 +396,7 @@ static void run_table_job(struct connection *c, uint64_t *budget) {
   switch (
       table_job_run(&c->table, worker_profiles(c->worker), c->job_header.request_id, &c->output)) {
   case TABLE_JOB_WAITS:
-    c->waiting = true;
+    wait_for_profile(c);
     return;
   case TABLE_JOB_DONE:
     end_job(c, NULL);
@@ -336,6 +416,17 @@ static bool blocked(const struct connection *c) {
 static bool step(struct connection *c, uint64_t *budget) {
   if (c->waiting) {
     return false;
+  }
+  if ((c->in_job || c->in_table) && is_late(c)) {
+    give_up(c);
+    return !c->closing;
+  }
+  if (c->in_job && c->between_parts) {
+    if (blocked(c)) {
+      return false;
+    }
+    begin_part(c);
+    return true;
   }
   if (c->in_job) {
     run_job(c, budget);
@@ -411,13 +502,19 @@ static void settle(struct connection *c) {
 
 void connection_run(struct connection *c) {
   uint64_t budget = TURN_RADII;
+  unsigned taken = 0; /* requests: a connection has no more under way than max_in_flight */
   bool more = true;
-  while (more && budget > 0 && !c->closing) {
+  while (more && budget > 0 && taken < c->server->options.max_in_flight && !c->closing) {
+    taken += !c->in_job && !c->in_table;
     more = step(c, &budget);
   }
   if (!c->closing && !c->in_job) { /* a job has reserved the output */
     mc_desk_answer(c->mc, &c->output);
   }
+  c->more_to_do = more;
+}
+
+void connection_finish(struct connection *c) {
   /* Frames that waited for the reader have to be taken up if writing has just unblocked them. */
   const bool was_blocked = blocked(c);
   if (!c->closing) {
@@ -426,7 +523,7 @@ void connection_run(struct connection *c) {
   if (c->closing) {
     return;
   }
-  if (more || (was_blocked && !blocked(c))) {
+  if (c->more_to_do || (was_blocked && !blocked(c))) {
     worker_run_later(c->worker, c);
   } else {
     settle(c);

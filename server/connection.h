@@ -23,7 +23,8 @@ enum connection_purpose {
 struct connection {
   struct connection *next; /* in the worker's list of all */
   struct connection *previous;
-  struct connection *next_to_run; /* in the run queue, or in the inbox of a worker */
+  struct connection *next_to_run;    /* in the run queue, or in the inbox of a worker */
+  struct connection *next_to_finish; /* in a round */
   struct worker *worker;
   struct server *server;
   int fd;
@@ -46,9 +47,11 @@ struct connection {
   wire_header job_header;
   struct mc_desk *mc; /* its Monte Carlo jobs; NULL: it has had none */
 
-  bool to_run;   /* in the run queue */
-  bool in_job;   /* job is under way; its frame stays in the input */
-  bool in_table; /* table is, likewise */
+  bool to_run;        /* in the run queue */
+  bool more_to_do;    /* after its turn */
+  bool in_job;        /* job is under way; its frame stays in the input */
+  bool between_parts; /* of its reply; the next waits until there is room */
+  bool in_table;      /* table is, likewise */
   bool reading;
   bool stopping;  /* the daemon stops: ends when what has arrived is answered */
   bool peer_done; /* nothing more will arrive */
@@ -57,7 +60,8 @@ struct connection {
   bool closing;   /* uv_close() has been called */
   bool waiting;   /* the job waits for a profile */
 
-  uint64_t active_ms;        /* when bytes last arrived or left */
+  uint64_t deadline_ms; /* of the request that is being answered, on the loop's clock; 0: none */
+  uint64_t active_ms;   /* when bytes last arrived or left */
   uint64_t frame_started_ms; /* when the unfinished frame began to arrive; 0: there is none */
   uint64_t lingering_ms;
 };
@@ -69,8 +73,13 @@ struct connection *connection_new(struct server *server, int fd, enum connection
 /* On the worker's thread, all of them. */
 void connection_start(struct connection *connection, struct worker *worker);
 
-/* Its turn in the run queue. */
+/* Its turn in the run queue: takes up what has arrived. Then, when what was gathered has been
+ * evaluated, connection_finish() writes the answers, and reads on or comes back to the queue. */
 void connection_run(struct connection *connection);
+void connection_finish(struct connection *connection);
+
+/* A deadline may have passed: what waits for something is answered with DEADLINE. */
+void connection_deadline(struct connection *connection);
 
 /* Time has passed: closes what has taken too long. */
 void connection_tick(struct connection *connection, uint64_t now_ms);

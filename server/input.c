@@ -79,9 +79,44 @@ static void take_skipped(struct input *input) {
   input->skip_bytes -= skipped;
 }
 
-void input_arrived(struct input *input, size_t bytes) {
+/* Forgets the marks of what has been dealt with. */
+static void drop_marks(struct input *input) {
+  const uint64_t done = input->total_bytes - held(input);
+  unsigned gone = 0;
+  while (gone < input->mark_count && input->marks[gone].total_bytes <= done) {
+    gone++;
+  }
+  input->mark_count -= gone;
+  memmove(input->marks, input->marks + gone, input->mark_count * sizeof input->marks[0]);
+}
+
+/* Without room for another mark the last one stands for more: its time is then too early, so that a
+ * deadline is kept rather than missed. */
+static void mark(struct input *input, uint64_t now_ms) {
+  drop_marks(input);
+  struct input_mark *last = &input->marks[input->mark_count > 0 ? input->mark_count - 1 : 0];
+  if (input->mark_count > 0 && (last->ms == now_ms || input->mark_count == INPUT_MARKS)) {
+    last->total_bytes = input->total_bytes;
+  } else {
+    input->marks[input->mark_count++] = (struct input_mark){input->total_bytes, now_ms};
+  }
+}
+
+void input_arrived(struct input *input, size_t bytes, uint64_t now_ms) {
   input->end += bytes;
+  input->total_bytes += bytes;
+  mark(input, now_ms);
   take_skipped(input);
+}
+
+uint64_t input_arrival_ms(const struct input *input, const wire_header *header) {
+  const uint64_t done = input->total_bytes - held(input);
+  const uint64_t end = done + WIRE_BYTES_header + header->payload_bytes;
+  unsigned i = 0;
+  while (i + 1 < input->mark_count && input->marks[i].total_bytes < end) {
+    i++;
+  }
+  return input->mark_count > 0 ? input->marks[i].ms : 0;
 }
 
 enum input_outcome input_frame(struct input *input, wire_header *header, const uint8_t **payload,

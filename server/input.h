@@ -6,13 +6,24 @@
 #include "proto/wire.h"
 #include "server/server.h"
 
+/* Up to which byte, counted from the first, what came had come at a time. */
+struct input_mark {
+  uint64_t total_bytes;
+  uint64_t ms;
+};
+
+enum { INPUT_MARKS = 16 };
+
 struct input {
   struct server *server;
   uint8_t *bytes;
   size_t capacity;
-  size_t begin;        /* of the first frame that has not been dealt with */
-  size_t end;          /* of what has arrived */
-  uint64_t skip_bytes; /* of a refused payload, still to arrive */
+  size_t begin;                         /* of the first frame that has not been dealt with */
+  size_t end;                           /* of what has arrived */
+  uint64_t skip_bytes;                  /* of a refused payload, still to arrive */
+  uint64_t total_bytes;                 /* that have arrived, ever */
+  struct input_mark marks[INPUT_MARKS]; /* of what has not been dealt with, rising */
+  unsigned mark_count;
 };
 
 enum input_outcome {
@@ -29,8 +40,11 @@ void input_free(struct input *input);
  * so no frame may be in use. */
 size_t input_room(struct input *input, uint8_t **room);
 
-/* bytes have been read to the room. */
-void input_arrived(struct input *input, size_t bytes);
+/* bytes have been read to the room, at a time. */
+void input_arrived(struct input *input, size_t bytes, uint64_t now_ms);
+
+/* When the last byte of the frame that was looked at had arrived, or somewhat earlier. */
+uint64_t input_arrival_ms(const struct input *input, const wire_header *header);
 
 /* Looks at the first frame. FRAME: *payload is aligned to 8 and stays until input_next(). REFUSED
  * and LOST: *error says why. *header is the frame's in all cases but INCOMPLETE. */

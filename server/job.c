@@ -1,5 +1,6 @@
 #include "server/job.h"
 
+#include <assert.h>
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -164,6 +165,46 @@ wire_error job_offers(const struct server *server, const uint8_t *payload, size_
   return error;
 }
 
+/* The layout of the part that begins at job->first. */
+static bool lay_out_part(struct job *job, uint64_t max_bytes) {
+  const wire_eval_request *fixed = &job->request.fixed;
+  const uint64_t left = fixed->radius_count - job->first;
+  job->count = left < job->part_radii ? left : job->part_radii;
+  return eval_reply_layout(fixed->evaluator, fixed->wanted, fixed->medium_count, job->count,
+                           max_bytes, &job->layout);
+}
+
+/* A reply that fits into a frame is one part; a larger one comes in parts of max_part_bytes, so that
+ * what it takes in memory does not depend on its size. */
+static wire_error cut(struct job *job, const struct server *server) {
+  const wire_eval_request *fixed = &job->request.fixed;
+  const struct options *options = &server->options;
+  if (fixed->radius_count > options->max_radii) {
+    return too_large("radius_count", options->max_radii, "radii");
+  }
+  job->first = 0;
+  job->part = 0;
+  job->part_count = 1;
+  job->part_radii = fixed->radius_count;
+  if (lay_out_part(job, options->max_frame_bytes)) {
+    return wire_error_none();
+  }
+  const uint64_t most_bytes = options->max_part_bytes < options->max_frame_bytes
+                                  ? options->max_part_bytes
+                                  : options->max_frame_bytes;
+  job->part_radii =
+      eval_part_radii(fixed->evaluator, fixed->wanted, fixed->medium_count, most_bytes);
+  if (job->part_radii == 0) {
+    return wire_error_make(WIRE_STATUS_TOO_LARGE, "medium_count",
+                           "fewer: a part of max_part_bytes has no room for them");
+  }
+  const uint64_t parts = (fixed->radius_count - 1) / job->part_radii + 1;
+  job->part_count = (uint32_t)parts; /* max_radii is at most 2^40, and a part has 256 or more */
+  const bool fits = lay_out_part(job, most_bytes);
+  assert(fits);
+  return wire_error_none();
+}
+
 wire_error job_check(struct job *job, const struct server *server, const uint8_t *payload,
                      size_t payload_bytes) {
   wire_error error = parse(job, server, payload, payload_bytes);
@@ -181,18 +222,13 @@ wire_error job_check(struct job *job, const struct server *server, const uint8_t
   if (error.status == WIRE_STATUS_OK) {
     error = check_range(job, &range);
   }
-  if (error.status == WIRE_STATUS_OK &&
-      !eval_reply_layout(fixed->evaluator, fixed->wanted, fixed->medium_count, fixed->radius_count,
-                         server->options.max_frame_bytes, &job->layout)) {
-    error = too_large("radius_count", server->options.max_frame_bytes, "bytes of reply");
-  }
-  return error;
+  return error.status == WIRE_STATUS_OK ? cut(job, server) : error;
 }
 
 /* ---- evaluating -------------------------------------------------------------------------------
  */
 
-void job_start(struct job *job, uint8_t *reply) {
+void job_start_part(struct job *job, uint8_t *reply) {
   const wire_eval_request *fixed = &job->request.fixed;
   /* The notes are known when all channels have been prepared. */
   const wire_eval_reply start = {
@@ -201,16 +237,31 @@ void job_start(struct job *job, uint8_t *reply) {
       .moments = fixed->moments,
       .wanted = fixed->wanted,
       .channel_count = fixed->medium_count,
-      .radius_count = fixed->radius_count,
+      .radius_count = job->count,
+      .radius_first = job->first,
+      .part = job->part,
+      .part_count = job->part_count,
   };
   wire_put_eval_reply(reply, &start);
   job->reply = reply;
   job->notes = 0;
-  profiles_start(&job->order, fixed->model, fixed->moments, fixed->evaluator,
-                 &job->request.parameters);
   job->channel = 0;
   job->index = 0;
   job->radii_done = (fixed->wanted & CORE_QUANTITY_RADIUS) == 0;
+}
+
+void job_start(struct job *job, uint8_t *reply) {
+  const wire_eval_request *fixed = &job->request.fixed;
+  profiles_start(&job->order, fixed->model, fixed->moments, fixed->evaluator,
+                 &job->request.parameters);
+  job_start_part(job, reply);
+}
+
+void job_next_part(struct job *job) {
+  job->first += job->count;
+  job->part++;
+  const bool fits = lay_out_part(job, UINT64_MAX);
+  assert(fits);
 }
 
 static size_t value_bytes(const struct job *job) {
@@ -219,23 +270,28 @@ static size_t value_bytes(const struct job *job) {
 
 /* Arrays are padded with zero bytes; called when the last value of an array has been written. */
 static void pad(const struct job *job, uint64_t array_offset) {
-  const size_t used = (size_t)job->request.fixed.radius_count * value_bytes(job);
+  const size_t used = (size_t)job->count * value_bytes(job);
   memset(job->reply + array_offset + used, 0, (size_t)job->layout.array_bytes - used);
 }
 
 static void expand_grid(const struct job *job, size_t n, void *radii) {
   if (value_bytes(job) == sizeof(float)) {
-    core_grid_radii_f32(&job->grid, job->index, n, radii);
+    core_grid_radii_f32(&job->grid, job->first + job->index, n, radii);
   } else {
-    core_grid_radii_f64(&job->grid, job->index, n, radii);
+    core_grid_radii_f64(&job->grid, job->first + job->index, n, radii);
   }
+}
+
+/* The listed radii from the next one on. */
+static const uint8_t *listed(const struct job *job) {
+  return (const uint8_t *)job->request.radii + (size_t)(job->first + job->index) * value_bytes(job);
 }
 
 static void copy_radii(const struct job *job, size_t n) {
   const size_t offset = (size_t)job->index * value_bytes(job);
   uint8_t *to = job->reply + job->layout.radius_offset + offset;
   if (job->request.radii != NULL) {
-    memcpy(to, (const uint8_t *)job->request.radii + offset, n * value_bytes(job));
+    memcpy(to, listed(job), n * value_bytes(job));
   } else {
     expand_grid(job, n, to);
   }
@@ -245,7 +301,7 @@ static void copy_radii(const struct job *job, size_t n) {
 static const void *slice_radii(const struct job *job, struct job_scratch *scratch, size_t n) {
   const size_t offset = (size_t)job->index * value_bytes(job);
   if (job->request.radii != NULL) {
-    return (const uint8_t *)job->request.radii + offset;
+    return listed(job);
   }
   if (job->request.fixed.wanted & CORE_QUANTITY_RADIUS) {
     return job->reply + job->layout.radius_offset + offset;
@@ -311,8 +367,11 @@ static enum job_state get_profile(struct job *job, struct profiles *profiles) {
   return JOB_GOES_ON;
 }
 
-/* Evaluates the n radii of a slice for every array that is wanted. */
-static void evaluate(struct job *job, struct job_scratch *scratch, size_t n) {
+/* Evaluates the n radii of a slice for every array that is wanted, or leaves it to the batch: of
+ * a request that is short as a whole. */
+static void evaluate(struct job *job, struct server *server, struct job_scratch *scratch,
+                     size_t n) {
+  const bool is_short = job->count == n && n <= BATCH_SHORT_RADII && n > 0;
   const void *r = slice_radii(job, scratch, n);
   const unsigned wanted = job->request.fixed.wanted;
   const size_t done = (size_t)job->index * value_bytes(job);
@@ -322,6 +381,10 @@ static void evaluate(struct job *job, struct job_scratch *scratch, size_t n) {
     }
     void *to =
         job->reply + eval_array_offset(&job->layout, wanted, job->channel, quantity->id) + done;
+    if (is_short &&
+        batch_take(&scratch->batch, &server->stats, &job->order, quantity->id, n, r, to)) {
+      continue;
+    }
     if (value_bytes(job) == sizeof(float)) {
       core_eval_f32(&job->order.profile, quantity->id, n, r, to);
     } else {
@@ -343,7 +406,7 @@ static void pad_channel(const struct job *job) {
 /* Steps to the radii behind a slice of n; true when it was the last of its array. */
 static bool advance(struct job *job, size_t n) {
   job->index += n;
-  if (job->index < job->request.fixed.radius_count) {
+  if (job->index < job->count) {
     return false;
   }
   job->index = 0;
@@ -369,7 +432,7 @@ static void put_notes(const struct job *job) {
 static void channel_step(struct job *job, struct server *server, struct job_scratch *scratch,
                          size_t n) {
   if (job->layout.arrays_per_channel > 0) {
-    evaluate(job, scratch, n);
+    evaluate(job, server, scratch, n);
     stats_add(&server->stats, STATS_RADII_EVALUATED, n);
     stats_add(&server->stats, STATS_SLICES_EVALUATED, 1);
   }
@@ -384,7 +447,7 @@ static void channel_step(struct job *job, struct server *server, struct job_scra
 }
 
 static size_t slice_length(const struct job *job, double cost) {
-  const uint64_t left = job->request.fixed.radius_count - job->index;
+  const uint64_t left = job->count - job->index;
   const size_t most = (size_t)fmax(JOB_SLICE_RADII / cost, 1);
   return left < most ? (size_t)left : most;
 }
@@ -407,5 +470,8 @@ enum job_state job_slice(struct job *job, struct server *server, struct profiles
   }
   const uint64_t spent = (uint64_t)((double)n * cost) + JOB_STEP_RADII;
   *budget -= spent < *budget ? spent : *budget;
-  return job->channel < job->request.fixed.medium_count ? JOB_GOES_ON : JOB_DONE;
+  if (job->channel < job->request.fixed.medium_count) {
+    return JOB_GOES_ON;
+  }
+  return job->part + 1 < job->part_count ? JOB_PART_DONE : JOB_DONE;
 }

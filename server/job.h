@@ -3,6 +3,7 @@
 #define DIPOLED_JOB_H
 
 #include "proto/eval.h"
+#include "server/batch.h"
 #include "server/profiles.h"
 
 /* A slice's evaluations of a dipole: about 50 to 200 microseconds, which is what a small request may
@@ -20,10 +21,15 @@ struct job {
   eval_request request;
   core_grid grid;
   eval_layout layout;
-  uint8_t *reply;              /* payload of the reply, layout.payload_bytes */
+  uint8_t *reply;              /* payload of the part, layout.payload_bytes */
   struct profiles_order order; /* for the profile of the channel being evaluated */
+  uint64_t part_radii;         /* in each part of the reply but the last */
+  uint64_t first;              /* radius of the part that is being filled in */
+  uint64_t count;              /* of its radii */
+  uint32_t part;               /* its number, */
+  uint32_t part_count;         /* and how many there are */
   uint32_t channel;
-  uint64_t index; /* the next radius of that channel */
+  uint64_t index; /* the next radius of that channel in the part */
   bool radii_done;
   unsigned notes;     /* of the channels so far */
   double tolerance;   /* that was asked for instead of a model; NAN: a model was */
@@ -33,7 +39,7 @@ struct job {
 };
 
 /* Checks all of a request before any of it is evaluated; the payload has to stay while the job
- * runs. OK: layout.payload_bytes says what the reply needs. */
+ * runs. OK: layout.payload_bytes says what the reply, or its first part, needs. */
 wire_error job_check(struct job *job, const struct server *server, const uint8_t *payload,
                      size_t payload_bytes);
 
@@ -42,16 +48,22 @@ struct choice;
 wire_error job_offers(const struct server *server, const uint8_t *payload, size_t payload_bytes,
                       struct choice *choice);
 
-/* Starts to fill in the reply, which starts at a multiple of 8. */
+/* Starts to fill in the reply, or its first part, which starts at a multiple of 8. */
 void job_start(struct job *job, uint8_t *reply);
+
+/* After JOB_PART_DONE: layout says what the next part needs; then it is begun there. */
+void job_next_part(struct job *job);
+void job_start_part(struct job *job, uint8_t *reply);
 
 /* Lets go of what a job holds or waits for that is given up before its reply is complete, or that
  * is. A job that has not been started is all 0, but for who is told: order.on_ready. */
 void job_end(struct job *job);
 
-/* Room for a slice's radii, for grids whose radii are not wanted. */
+/* What the jobs of a worker share: room for a slice's radii, for grids whose radii are not wanted; and
+ * what is short is gathered, and is in the replies after batch_finish(). */
 struct job_scratch {
   double radii[JOB_SLICE_RADII];
+  struct batch batch;
 };
 
 /* BUSY, for what there are no bytes for now; and the error of a fault in preparing a channel. */
@@ -60,9 +72,10 @@ wire_error job_fault(core_fault fault, uint32_t channel);
 
 enum job_state {
   JOB_GOES_ON,
-  JOB_WAITS,   /* for a profile: goes on when order.on_ready() has been called */
-  JOB_DONE,    /* the reply is complete */
-  JOB_REFUSED, /* there will be no reply; job->refusal says why */
+  JOB_WAITS,     /* for a profile: goes on when order.on_ready() has been called */
+  JOB_PART_DONE, /* the part is complete, and not the last */
+  JOB_DONE,      /* the reply is complete */
+  JOB_REFUSED,   /* there will be no reply; job->refusal says why */
 };
 
 /* Evaluates one slice and subtracts what it cost, in radii of a dipole, from *budget (down to 0).

@@ -50,13 +50,23 @@ static void remove_from_run_queue(struct worker *worker, struct connection *conn
 }
 
 /* One turn for each connection that is in the queue now; those that come back have their next turn
- * after new requests have been read. */
+ * after new requests have been read. What is short is evaluated together at the end of all turns,
+ * and then written. No connection is freed meanwhile: that takes another round of the loop. */
 static void run_round(struct worker *worker) {
   struct connection *last = worker->run_last;
+  struct connection *ran = NULL;
+  struct connection **end = &ran;
   for (bool more = last != NULL; more;) {
     struct connection *connection = next_to_run(worker);
     more = connection != last;
     connection_run(connection);
+    connection->next_to_finish = NULL;
+    *end = connection;
+    end = &connection->next_to_finish;
+  }
+  batch_finish(&worker->scratch.batch, &worker->server->stats);
+  for (; ran != NULL; ran = ran->next_to_finish) {
+    connection_finish(ran);
   }
 }
 
@@ -170,6 +180,21 @@ static void on_clock(uv_timer_t *timer) {
   profiles_sweep(&worker->profiles);
 }
 
+static void on_deadline(uv_timer_t *timer) {
+  struct worker *worker = timer->data;
+  worker->wake_ms = 0;
+  for_each(worker, connection_deadline);
+}
+
+void worker_wake_at(struct worker *worker, uint64_t at_ms) {
+  if (worker->wake_ms != 0 && worker->wake_ms <= at_ms) {
+    return;
+  }
+  const uint64_t now_ms = uv_now(&worker->loop);
+  worker->wake_ms = at_ms;
+  uv_timer_start(&worker->deadline, on_deadline, at_ms > now_ms ? at_ms - now_ms : 0, 0);
+}
+
 /* Timeouts are looked at so often that they are kept to a quarter. */
 static uint64_t clock_period_ms(const struct options *options) {
   uint64_t shortest = options->frame_timeout_ms;
@@ -202,7 +227,9 @@ static int set_up_handles(struct worker *worker) {
   uv_check_init(&worker->loop, &worker->after_poll);
   uv_idle_init(&worker->loop, &worker->stay_awake);
   uv_timer_init(&worker->loop, &worker->clock);
+  uv_timer_init(&worker->loop, &worker->deadline);
   worker->wake.data = worker->after_poll.data = worker->clock.data = worker;
+  worker->deadline.data = worker;
   uv_check_start(&worker->after_poll, after_poll);
   return uv_timer_start(&worker->clock, on_clock, period_ms, period_ms);
 }

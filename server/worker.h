@@ -19,6 +19,8 @@ struct worker {
   uv_check_t after_poll;
   uv_idle_t stay_awake; /* active while the run queue is not empty */
   uv_timer_t clock;
+  uv_timer_t deadline; /* the next that somebody who waits has */
+  uint64_t wake_ms;    /* when it is; 0: nobody has one */
 
   uv_mutex_t mutex; /* guards the inbox and stop_wanted */
   struct connection *inbox;
@@ -48,6 +50,8 @@ struct job_scratch *worker_scratch(struct worker *worker);
 struct profiles *worker_profiles(struct worker *worker);
 void worker_remember(struct worker *worker, struct connection *connection);
 void worker_forget(struct worker *worker, struct connection *connection);
+/* connection_deadline() is called for all connections at that time of the loop, or a little later. */
+void worker_wake_at(struct worker *worker, uint64_t at_ms);
 void worker_run_later(struct worker *worker, struct connection *connection);
 
 #endif
