@@ -13,6 +13,7 @@
 #include "server/listener.h"
 #include "server/log.h"
 #include "server/mc_pool.h"
+#include "server/memory.h"
 #include "server/worker.h"
 
 #define DEFAULT_TCP "tcp:127.0.0.1:4817"
@@ -223,6 +224,7 @@ static int run(struct daemon *daemon) {
 
 int main(int argc, char **argv) {
   static struct daemon daemon;
+  memory_count();
   daemon.server.started_ns = uv_hrtime();
   int status = EXIT_SUCCESS;
   switch (options_read(argc, argv, &daemon.server.options)) {

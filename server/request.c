@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "server/choice.h"
+#include "server/memory.h"
 
 /* A message being answered. */
 struct question {
@@ -194,6 +195,8 @@ static struct outcome answer_STATS(struct question *question) {
     wire_value value = stats_value(&server->stats, i);
     if (i == STATS_UPTIME_MS) {
       value.value = (uv_hrtime() - server->started_ns) / 1000000;
+    } else if (i == STATS_ALLOCATIONS) {
+      value.value = memory_allocations();
     }
     wire_put_value(at, &value);
     at += WIRE_BYTES_value;
