@@ -70,6 +70,7 @@ void connection_abort(struct connection *c) {
     uv_close(&c->uv.handle, on_closed);
     close_desk(c);
     job_end(&c->job); /* nobody wakes them any more */
+    job_forgive(&c->job, worker_scratch(c->worker));
     table_job_end(&c->table);
   }
 }
@@ -248,7 +249,7 @@ static void answer_frame(struct connection *c, const wire_header *header, const 
     return;
   }
   const struct mc_caller mc = {c->server, worker_loop(c->worker), on_mc_news, c, &c->mc};
-  const struct request_place place = {&c->job, &c->table, &mc};
+  const struct request_place place = {&c->job, &c->table, worker_scratch(c->worker), &mc};
   switch (request_begin(c->server, header, payload, &c->output, &place)) {
   case REQUEST_ANSWERED:
     input_next(&c->input, header);
@@ -301,6 +302,7 @@ static void on_profile(void *context) {
 
 /* The answer, which is in the output, or the error that is sent in its place, is the last of it. */
 static void end_job(struct connection *c, const wire_error *refusal) {
+  job_forgive(&c->job, worker_scratch(c->worker));
   c->in_job = false;
   c->in_table = false;
   c->between_parts = false;

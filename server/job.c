@@ -331,6 +331,37 @@ wire_error job_fault(core_fault fault, uint32_t channel) {
   return error;
 }
 
+/* About what a radius takes, ns: of a dipole on a slow machine. */
+#define RADIUS_NS 2
+
+wire_error job_admit(struct job *job, const struct server *server, struct job_scratch *scratch) {
+  const wire_eval_request *fixed = &job->request.fixed;
+  const uint64_t backlog_ms = scratch->owed_radii * RADIUS_NS / 1000000;
+  const uint64_t arrays = job->layout.arrays_per_channel * (uint64_t)fixed->medium_count;
+  /* within max_radii 2^40, and a frame's 2^25 media and eight arrays, for a part of 256 radii */
+  const double owed = (double)fixed->radius_count * (double)arrays;
+  job->owed_radii = owed < 1e18 ? (uint64_t)owed : (uint64_t)1000000000000000000;
+  if (job->owed_radii > JOB_SLICE_RADII && backlog_ms >= server->options.max_backlog_ms) {
+    job->owed_radii = 0;
+    wire_error error = wire_error_make(WIRE_STATUS_BUSY, "radius_count",
+                                       "fewer, or later: max_backlog_ms is to do");
+    error.retry_after_ms = backlog_ms < 60000 ? (uint32_t)backlog_ms : 60000;
+    return error;
+  }
+  scratch->owed_radii += job->owed_radii;
+  return wire_error_none();
+}
+
+static void pay(struct job *job, struct job_scratch *scratch, uint64_t radii) {
+  const uint64_t paid = radii < job->owed_radii ? radii : job->owed_radii;
+  job->owed_radii -= paid;
+  scratch->owed_radii -= paid;
+}
+
+void job_forgive(struct job *job, struct job_scratch *scratch) {
+  pay(job, scratch, job->owed_radii);
+}
+
 /* Writes what holds for all values of the channel. */
 static void start_channel(struct job *job) {
   const core_profile *profile = &job->order.profile;
@@ -433,6 +464,7 @@ static void channel_step(struct job *job, struct server *server, struct job_scra
                          size_t n) {
   if (job->layout.arrays_per_channel > 0) {
     evaluate(job, server, scratch, n);
+    pay(job, scratch, n * (uint64_t)job->layout.arrays_per_channel);
     stats_add(&server->stats, STATS_RADII_EVALUATED, n);
     stats_add(&server->stats, STATS_SLICES_EVALUATED, 1);
   }

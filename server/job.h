@@ -17,6 +17,8 @@ enum { JOB_STEP_RADII = 64 };
 /* What a client that is told BUSY should wait: long enough for a worker to finish what it has. */
 enum { JOB_RETRY_AFTER_MS = 20 };
 
+struct job_scratch;
+
 struct job {
   eval_request request;
   core_grid grid;
@@ -29,7 +31,8 @@ struct job {
   uint32_t part;               /* its number, */
   uint32_t part_count;         /* and how many there are */
   uint32_t channel;
-  uint64_t index; /* the next radius of that channel in the part */
+  uint64_t index;      /* the next radius of that channel in the part */
+  uint64_t owed_radii; /* its share of the worker's */
   bool radii_done;
   unsigned notes;     /* of the channels so far */
   double tolerance;   /* that was asked for instead of a model; NAN: a model was */
@@ -55,6 +58,13 @@ void job_start(struct job *job, uint8_t *reply);
 void job_next_part(struct job *job);
 void job_start_part(struct job *job, uint8_t *reply);
 
+/* BUSY for a large job while the worker has more to do than max_backlog_ms; small ones are always
+ * taken: they take turns with the large ones. Otherwise what the job owes is noted. */
+wire_error job_admit(struct job *job, const struct server *server, struct job_scratch *scratch);
+
+/* It owes nothing any more. */
+void job_forgive(struct job *job, struct job_scratch *scratch);
+
 /* Lets go of what a job holds or waits for that is given up before its reply is complete, or that
  * is. A job that has not been started is all 0, but for who is told: order.on_ready. */
 void job_end(struct job *job);
@@ -64,6 +74,7 @@ void job_end(struct job *job);
 struct job_scratch {
   double radii[JOB_SLICE_RADII];
   struct batch batch;
+  uint64_t owed_radii; /* that jobs under way have still to evaluate, once for each array */
 };
 
 /* BUSY, for what there are no bytes for now; and the error of a fault in preparing a channel. */

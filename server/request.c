@@ -11,9 +11,7 @@ struct question {
   const wire_header *header;
   const uint8_t *payload;
   struct output *output;
-  struct job *job;
-  struct table_job *table;
-  const struct mc_caller *mc;
+  const struct request_place *place;
 };
 
 /* What a handler made of it: OK and answered, OK and started, or an error to be sent. */
@@ -134,14 +132,19 @@ static struct outcome answer_HELLO(struct question *question) {
 }
 
 static struct outcome answer_EVAL(struct question *question) {
-  struct job *job = question->job;
+  struct job *job = question->place->job;
   const wire_error error =
       job_check(job, question->server, question->payload, question->header->payload_bytes);
   if (error.status != WIRE_STATUS_OK) {
     return refused(error);
   }
+  const wire_error admitted = job_admit(job, question->server, question->place->scratch);
+  if (admitted.status != WIRE_STATUS_OK) {
+    return refused(admitted);
+  }
   uint8_t *reply = begin_reply(question, (size_t)job->layout.payload_bytes);
   if (reply == NULL) {
+    job_forgive(job, question->place->scratch);
     return busy();
   }
   job_start(job, reply);
@@ -220,7 +223,7 @@ static struct outcome answer_PING(struct question *question) {
 }
 
 static struct outcome answer_MC(struct question *question) {
-  const wire_error error = mc_desk_start(question->mc, question->header->request_id,
+  const wire_error error = mc_desk_start(question->place->mc, question->header->request_id,
                                          question->payload, question->header->payload_bytes);
   return (struct outcome){error, error.status == WIRE_STATUS_OK ? STARTED_MC : STARTED_NOTHING};
 }
@@ -236,7 +239,7 @@ static struct outcome answer_CANCEL(struct question *question) {
   wire_cancel_request request;
   wire_get_cancel_request(question->payload, &request);
   const wire_cancel_reply reply = {
-      .found = mc_desk_end(*question->mc->desk, request.job_id, MC_CANCELLED)};
+      .found = mc_desk_end(*question->place->mc->desk, request.job_id, MC_CANCELLED)};
   wire_put_cancel_reply(at, &reply);
   output_commit(question->output);
   return answered();
@@ -244,7 +247,7 @@ static struct outcome answer_CANCEL(struct question *question) {
 
 static struct outcome answer_TABLE(struct question *question) {
   const wire_error error =
-      table_job_start(question->table, question->payload, question->header->payload_bytes);
+      table_job_start(question->place->table, question->payload, question->header->payload_bytes);
   return (struct outcome){error, error.status == WIRE_STATUS_OK ? STARTED_TABLE : STARTED_NOTHING};
 }
 
@@ -315,7 +318,7 @@ bool request_refuse(struct server *server, uint64_t request_id, const wire_error
 enum request_outcome request_begin(struct server *server, const wire_header *header,
                                    const uint8_t *payload, struct output *output,
                                    const struct request_place *place) {
-  struct question question = {server, header, payload, output, place->job, place->table, place->mc};
+  struct question question = {server, header, payload, output, place};
   stats_count_request(&server->stats, header->type);
   const struct outcome outcome = answer(&question);
   switch (outcome.started) {

@@ -19,7 +19,8 @@ enum request_outcome {
 struct request_place {
   struct job *job;
   struct table_job *table;
-  const struct mc_caller *mc; /* for whom Monte Carlo jobs are started */
+  struct job_scratch *scratch; /* of the worker */
+  const struct mc_caller *mc;  /* for whom Monte Carlo jobs are started */
 };
 
 /* Answers a frame, or starts the job that will. The payload has to stay while *job runs; the others
