@@ -1,0 +1,387 @@
+/* dipoled as a service, beside an echo server that does nothing else and, if it is installed,
+ * redis-server. Servers run on one core and clients on another (service/child.h), each server in
+ * its own process, and dipoled with one worker, as it has one core (with two on that core it takes
+ * as much processor time for a request, within 2 %). All sides take turns, a fraction of a second
+ * each; a figure is the median over the rounds, a ratio the median of the rounds' ratios. Requests
+ * are evaluations of R, better dipole, single precision, listed radii, over a Unix socket unless
+ * it says tcp. Answers are checked: their headers, and all values (of large ones, in every 16th).
+ *
+ *   service.bulk[.tcp].<side>          round trip of 65,536 radii, one at a time; kernel: of the
+ *                                      evaluation alone, in this process                      us
+ *   service.bulk[.tcp].<side>.rate     bytes both ways in that time                         MB/s
+ *   ratio.service.bulk[.tcp]           dipoled over the sum of echo and kernel
+ *   service.rtt.<side>.p50 ...         round trip of 16 radii, one at a time                  us
+ *   ratio.service.rtt[.p99]            dipoled over echo
+ *   service.redis.<side>.rate          requests of 16 radii, or GETs of 64 bytes that exist, over
+ *                                      32 connections with 16 in flight on each       requests/s
+ *   service.redis.<side>.p50 ...       their latency                                          us
+ *   service.redis.<side>.cpu           processor time of the server for one                   us
+ *   ratio.service.redis                dipoled's rate over redis's
+ *   service.fair.<idle or streaming>.p50 ...   round trip of 16 radii beside two other clients that
+ *                                      are silent, or stream the largest requests there are   us
+ *   service.fair.streamed              what those get                                       MB/s
+ *   ratio.service.fair                 the 99th percentile beside streaming over beside silent ones
+ *   service.open.<n>.rate, .p50 ...    requests of 16 radii that are due at n % of the rate of
+ *                                      service.redis.dipoled: rate, latency from when they were due
+ *
+ * One more of bulk and rtt each, with .onecore: clients are on the servers' core, too. Then nothing
+ * is done at the same time, and no core has to be woken: what is left is the work, the client's
+ * included, and the figures hardly depend on the machine's mood.
+ */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core/core.h"
+#include "tests/bench/bench.h"
+#include "tests/bench/service/child.h"
+#include "tests/bench/service/daemon.h"
+#include "tests/bench/service/echo.h"
+#include "tests/bench/service/load.h"
+#include "tests/bench/service/ping.h"
+#include "tests/bench/service/redis.h"
+#include "tests/bench/service/stream.h"
+
+enum {
+  SMALL_RADII = 16,
+  BULK_RADII = 65536,
+  ROUNDS = 15,
+  CONNECTIONS = 32,
+  IN_FLIGHT = 16,
+  OPEN_IN_FLIGHT = 256,
+  STREAMERS = 2,
+  FAIR_ROUNDS_MIN = 3,
+  LIMIT_S = 300, /* it takes a fifth of that, if the machine does nothing else */
+};
+#define MS UINT64_C(1000000)
+#define ROUND_NS (150 * MS)
+#define WARM_UP_NS (20 * MS)
+#define KERNEL_NS (20 * MS)
+#define OPEN_NS (1000 * MS)
+#define FAIR_NS (15000 * MS) /* no new round after that: answers are read to their ends */
+
+/* All servers, and what is asked. */
+struct setting {
+  struct daemon daemon;
+  struct target eval;
+  struct target echo;
+  struct target bulk;
+  struct target bulk_echo;
+  struct target redis;
+  bool has_redis;
+};
+
+static struct samples samples;
+
+/* ---- sides -------------------------------------------------------------------------------- */
+
+/* One of those that take turns: its target, and a figure of each round. */
+struct side {
+  const char *name;
+  const struct target *target;
+  struct ping ping;
+  struct load *load;
+  size_t rounds; /* so far */
+  double p50_us[ROUNDS];
+  double p99_us[ROUNDS];
+  double p999_us[ROUNDS];
+  double rate_per_s[ROUNDS];
+  double cpu_us[ROUNDS];
+};
+
+static struct side side_of(const struct target *target) {
+  return (struct side){.name = target->name, .target = target};
+}
+
+static void note_percentiles(struct side *side) {
+  const size_t round = side->rounds++;
+  side->p50_us[round] = samples_us(&samples, 0.5);
+  side->p99_us[round] = samples_us(&samples, 0.99);
+  side->p999_us[round] = samples_us(&samples, 0.999);
+}
+
+static double median(const double *figures, size_t rounds) {
+  double sorted[ROUNDS];
+  memcpy(sorted, figures, rounds * sizeof *sorted);
+  return bench_median(sorted, rounds);
+}
+
+static double median_ratio(const double *over, const double *under, size_t rounds) {
+  double ratios[ROUNDS];
+  for (size_t i = 0; i < rounds; i++) {
+    ratios[i] = over[i] / under[i];
+  }
+  return bench_median(ratios, rounds);
+}
+
+static void report_percentiles(const struct side *side, const char *what, const char *where) {
+  bench_figure(median(side->p50_us, side->rounds), "us", "service.%s%s.%s.p50", what, where,
+               side->name);
+  bench_figure(median(side->p99_us, side->rounds), "us", "service.%s%s.%s.p99", what, where,
+               side->name);
+  bench_figure(median(side->p999_us, side->rounds), "us", "service.%s%s.%s.p99.9", what, where,
+               side->name);
+}
+
+static void open_pings(struct side *sides, size_t count) {
+  for (size_t i = 0; i < count; i++) {
+    ping_open(&sides[i].ping, sides[i].target);
+    ping_run(&sides[i].ping, WARM_UP_NS, &samples);
+  }
+}
+
+static void close_pings(struct side *sides, size_t count) {
+  for (size_t i = 0; i < count; i++) {
+    ping_close(&sides[i].ping);
+  }
+}
+
+static void ping_round(struct side *sides, size_t count) {
+  for (size_t i = 0; i < count; i++) {
+    ping_run(&sides[i].ping, ROUND_NS, &samples);
+    note_percentiles(&sides[i]);
+  }
+}
+
+/* ---- bulk --------------------------------------------------------------------------------- */
+
+/* The evaluation of what a bulk request holds. */
+struct kernel {
+  core_profile profile;
+  const float *r;
+  float *R;
+};
+
+static struct kernel make_kernel(const struct target *bulk) {
+  struct kernel kernel;
+  const core_medium *medium = &core_measured_medium_by_name("skin1")->channel[0];
+  const core_fault fault =
+      core_profile_prepare(&kernel.profile, core_isa_select(NULL), CORE_MODEL_BETTER,
+                           CORE_MOMENTS_EXACT, CORE_EVALUATOR_F32, medium, NULL);
+  kernel.r = (const float *)(bulk->requests + bulk->request_bytes - BULK_RADII * sizeof *kernel.r);
+  kernel.R = malloc(BULK_RADII * sizeof *kernel.R);
+  if (fault.field != NULL || kernel.R == NULL) {
+    bench_fail("a measured medium was refused, or out of memory");
+  }
+  return kernel;
+}
+
+static double kernel_us(const struct kernel *kernel) {
+  const uint64_t end_ns = bench_now_ns() + KERNEL_NS;
+  samples_clear(&samples);
+  for (uint64_t start_ns = bench_now_ns(); start_ns < end_ns;) {
+    core_eval_f32(&kernel->profile, CORE_QUANTITY_R, BULK_RADII, kernel->r, kernel->R);
+    const uint64_t now_ns = bench_now_ns();
+    samples_add(&samples, now_ns - start_ns);
+    start_ns = now_ns;
+  }
+  samples_sort(&samples);
+  return samples_us(&samples, 0.5);
+}
+
+static void report_bulk(const struct side *side, const char *where) {
+  const double us = median(side->p50_us, side->rounds);
+  const double bytes = (double)(side->target->request_bytes + side->target->reply_bytes);
+  bench_figure(us, "us", "service.bulk%s.%s", where, side->name);
+  bench_figure(bytes / us, "MB/s", "service.bulk%s.%s.rate", where, side->name);
+}
+
+static void measure_bulk(const struct target *bulk, const struct target *echo, const char *where) {
+  bench_progress("service: bulk");
+  struct side sides[] = {side_of(bulk), side_of(echo)};
+  struct kernel kernel = make_kernel(bulk);
+  double kernels_us[ROUNDS], floor_us[ROUNDS];
+  open_pings(sides, 2);
+  kernel_us(&kernel);
+  for (size_t round = 0; round < ROUNDS; round++) {
+    ping_round(sides, 2);
+    kernels_us[round] = kernel_us(&kernel);
+    floor_us[round] = sides[1].p50_us[round] + kernels_us[round];
+  }
+  close_pings(sides, 2);
+  report_bulk(&sides[0], where);
+  report_bulk(&sides[1], where);
+  bench_figure(median(kernels_us, ROUNDS), "us", "service.bulk%s.kernel", where);
+  bench_figure(median_ratio(sides[0].p50_us, floor_us, ROUNDS), "times", "ratio.service.bulk%s",
+               where);
+  core_profile_free(&kernel.profile);
+  free(kernel.R);
+}
+
+static void measure_bulk_tcp(const struct setting *setting) {
+  struct target bulk = setting->bulk;
+  struct target echo = setting->bulk_echo;
+  bulk.address = setting->daemon.at_tcp;
+  echo.address = target_tcp(0);
+  echo_start(&echo);
+  measure_bulk(&bulk, &echo, ".tcp");
+  child_end(echo.server);
+}
+
+/* ---- round trips -------------------------------------------------------------------------- */
+
+static void measure_rtt(const struct setting *setting, const char *where) {
+  bench_progress("service: round trips");
+  struct side sides[] = {side_of(&setting->eval), side_of(&setting->echo)};
+  open_pings(sides, 2);
+  for (size_t round = 0; round < ROUNDS; round++) {
+    ping_round(sides, 2);
+  }
+  close_pings(sides, 2);
+  report_percentiles(&sides[0], "rtt", where);
+  report_percentiles(&sides[1], "rtt", where);
+  bench_figure(median_ratio(sides[0].p50_us, sides[1].p50_us, ROUNDS), "times",
+               "ratio.service.rtt%s", where);
+  bench_figure(median_ratio(sides[0].p99_us, sides[1].p99_us, ROUNDS), "times",
+               "ratio.service.rtt%s.p99", where);
+}
+
+/* ---- many requests ------------------------------------------------------------------------ */
+
+static void load_round(struct side *side) {
+  const size_t round = side->rounds;
+  const uint64_t cpu_ns = child_cpu_ns(side->target->server);
+  side->rate_per_s[round] = load_closed(side->load, ROUND_NS, &samples);
+  side->cpu_us[round] =
+      (double)(child_cpu_ns(side->target->server) - cpu_ns) * 1e-3 / (double)samples.count;
+  note_percentiles(side);
+}
+
+/* dipoled's rate. */
+static double measure_redis(const struct setting *setting) {
+  bench_progress("service: many requests");
+  struct side sides[] = {side_of(&setting->eval), side_of(&setting->echo),
+                         side_of(&setting->redis)};
+  const size_t count = setting->has_redis ? 3 : 2;
+  for (size_t i = 0; i < count; i++) {
+    sides[i].load = load_new(sides[i].target, CONNECTIONS, IN_FLIGHT);
+    load_closed(sides[i].load, WARM_UP_NS, &samples);
+  }
+  for (size_t round = 0; round < ROUNDS; round++) {
+    for (size_t i = 0; i < count; i++) {
+      load_round(&sides[i]);
+    }
+  }
+  for (size_t i = 0; i < count; i++) {
+    load_free(sides[i].load);
+    bench_figure(median(sides[i].rate_per_s, ROUNDS), "requests/s", "service.redis.%s.rate",
+                 sides[i].name);
+    report_percentiles(&sides[i], "redis", "");
+    bench_figure(median(sides[i].cpu_us, ROUNDS), "us", "service.redis.%s.cpu", sides[i].name);
+  }
+  if (setting->has_redis) {
+    bench_figure(median_ratio(sides[0].rate_per_s, sides[2].rate_per_s, ROUNDS), "times",
+                 "ratio.service.redis");
+  }
+  return median(sides[0].rate_per_s, ROUNDS);
+}
+
+static void measure_open(const struct setting *setting, double most_per_s) {
+  static const int percents[] = {25, 50, 75};
+  bench_progress("service: requests at fixed rates");
+  struct load *load = load_new(&setting->eval, CONNECTIONS, OPEN_IN_FLIGHT);
+  for (size_t i = 0; i < sizeof percents / sizeof percents[0]; i++) {
+    const double rate_per_s = most_per_s * percents[i] / 100;
+    load_open(load, rate_per_s, OPEN_NS, &samples);
+    bench_figure(rate_per_s, "requests/s", "service.open.%d.rate", percents[i]);
+    bench_figure(samples_us(&samples, 0.5), "us", "service.open.%d.p50", percents[i]);
+    bench_figure(samples_us(&samples, 0.99), "us", "service.open.%d.p99", percents[i]);
+    bench_figure(samples_us(&samples, 0.999), "us", "service.open.%d.p99.9", percents[i]);
+  }
+  load_free(load);
+}
+
+/* ---- fairness ----------------------------------------------------------------------------- */
+
+static uint64_t all_streamed(const struct streamer *streamers) {
+  uint64_t bytes = 0;
+  for (size_t i = 0; i < STREAMERS; i++) {
+    bytes += stream_bytes(&streamers[i]);
+  }
+  return bytes;
+}
+
+/* A round beside streaming clients; the megabytes per second that they got. */
+static double streaming_round(struct side *side, struct streamer *streamers) {
+  for (size_t i = 0; i < STREAMERS; i++) {
+    stream_begin(&streamers[i]);
+  }
+  const uint64_t start_ns = bench_now_ns();
+  const uint64_t start_bytes = all_streamed(streamers);
+  ping_round(side, 1);
+  const double bytes = (double)(all_streamed(streamers) - start_bytes);
+  const double taken_us = (double)(bench_now_ns() - start_ns) * 1e-3;
+  for (size_t i = 0; i < STREAMERS; i++) {
+    stream_pause(&streamers[i]);
+  }
+  return bytes / taken_us;
+}
+
+static void measure_fairness(const struct setting *setting) {
+  bench_progress("service: fairness");
+  struct side idle = side_of(&setting->eval);
+  struct side streaming = side_of(&setting->eval);
+  struct streamer streamers[STREAMERS];
+  double streamed[ROUNDS];
+  idle.name = "idle";
+  streaming.name = "streaming";
+  for (size_t i = 0; i < STREAMERS; i++) {
+    stream_start(&streamers[i], &setting->eval.address);
+  }
+  open_pings(&idle, 1);
+  streaming.ping = idle.ping;
+  const uint64_t end_ns = bench_now_ns() + FAIR_NS;
+  size_t rounds = 0;
+  while (rounds < FAIR_ROUNDS_MIN || (rounds < ROUNDS && bench_now_ns() < end_ns)) {
+    ping_round(&idle, 1);
+    streaming.ping.count = idle.ping.count; /* they share a connection, and its ids */
+    streamed[rounds++] = streaming_round(&streaming, streamers);
+    idle.ping.count = streaming.ping.count;
+  }
+  close_pings(&idle, 1);
+  report_percentiles(&idle, "fair", "");
+  report_percentiles(&streaming, "fair", "");
+  bench_figure(median(streamed, rounds), "MB/s", "service.fair.streamed");
+  bench_figure(median_ratio(streaming.p99_us, idle.p99_us, rounds), "times", "ratio.service.fair");
+}
+
+/* ---- all of them -------------------------------------------------------------------------- */
+
+static void start_servers(struct setting *setting) {
+  target_make_eval(&setting->eval, SMALL_RADII);
+  target_make_eval(&setting->bulk, BULK_RADII);
+  target_make_echo(&setting->echo, &setting->eval);
+  target_make_echo(&setting->bulk_echo, &setting->bulk);
+  daemon_start(&setting->daemon, "dipoled", 1);
+  setting->eval.address = setting->bulk.address = setting->daemon.at_unix;
+  setting->eval.server = setting->bulk.server = setting->daemon.child;
+  setting->echo.address = target_unix(child_path("echo"));
+  setting->bulk_echo.address = target_unix(child_path("bulk-echo"));
+  echo_start(&setting->echo);
+  echo_start(&setting->bulk_echo);
+  setting->has_redis = redis_start(&setting->redis);
+}
+
+void bench_service(void) {
+  static struct setting setting;
+  child_begin(LIMIT_S);
+  start_servers(&setting);
+  child_pin(CHILD_CLIENT);
+  measure_bulk(&setting.bulk, &setting.bulk_echo, "");
+  measure_bulk_tcp(&setting);
+  measure_rtt(&setting, "");
+  measure_open(&setting, measure_redis(&setting));
+  measure_fairness(&setting);
+  child_pin(CHILD_SERVER);
+  measure_bulk(&setting.bulk, &setting.bulk_echo, ".onecore");
+  measure_rtt(&setting, ".onecore");
+  daemon_end(&setting.daemon);
+  child_end_all();
+  target_free(&setting.eval);
+  target_free(&setting.echo);
+  target_free(&setting.bulk);
+  target_free(&setting.bulk_echo);
+  target_free(&setting.redis);
+  samples_free(&samples);
+}

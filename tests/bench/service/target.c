@@ -1,0 +1,228 @@
+#include "tests/bench/service/target.h"
+
+#include <arpa/inet.h>
+#include <errno.h>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/time.h>
+#include <sys/un.h>
+#include <unistd.h>
+
+#include "core/core.h"
+#include "proto/eval.h"
+#include "tests/bench/bench.h"
+
+/* ---- addresses ---------------------------------------------------------------------------- */
+
+struct target_address target_unix(const char *path) {
+  struct target_address address = {.bytes = sizeof(struct sockaddr_un)};
+  struct sockaddr_un name = {.sun_family = AF_UNIX};
+  snprintf(name.sun_path, sizeof name.sun_path, "%s", path);
+  memcpy(&address.name, &name, sizeof name);
+  return address;
+}
+
+struct target_address target_tcp(unsigned port) {
+  struct target_address address = {.bytes = sizeof(struct sockaddr_in)};
+  const struct sockaddr_in name = {.sin_family = AF_INET,
+                                   .sin_port = htons((uint16_t)port),
+                                   .sin_addr.s_addr = htonl(INADDR_LOOPBACK)};
+  memcpy(&address.name, &name, sizeof name);
+  return address;
+}
+
+int target_listen(struct target_address *address) {
+  enum { BACKLOG = 128 };
+  const int fd = socket(address->name.ss_family, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  if (fd < 0 || bind(fd, (const struct sockaddr *)&address->name, address->bytes) != 0 ||
+      listen(fd, BACKLOG) != 0 ||
+      getsockname(fd, (struct sockaddr *)&address->name, &address->bytes) != 0) {
+    bench_fail("cannot listen");
+  }
+  return fd;
+}
+
+int target_connect(const struct target_address *address) {
+  const int on = 1;
+  const struct timeval silence = {.tv_sec = TARGET_SILENCE_S};
+  const int fd = socket(address->name.ss_family, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  if (fd < 0 || connect(fd, (const struct sockaddr *)&address->name, address->bytes) != 0 ||
+      setsockopt(fd, SOL_SOCKET, SO_RCVTIMEO, &silence, sizeof silence) != 0 ||
+      setsockopt(fd, SOL_SOCKET, SO_SNDTIMEO, &silence, sizeof silence) != 0) {
+    bench_fail("cannot connect to a server");
+  }
+  if (address->name.ss_family == AF_INET &&
+      setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on) != 0) {
+    bench_fail("cannot set TCP_NODELAY");
+  }
+  return fd;
+}
+
+/* ---- evaluations -------------------------------------------------------------------------- */
+
+enum {
+  SMALL_VARIANTS = 64,
+  SMALL_BYTES = 4096,
+  CHECK_LARGE_EVERY = 16, /* comparing one takes a good part of the time that is measured */
+};
+static const enum core_model model = CORE_MODEL_BETTER;
+
+/* 0.01 to 10 mm, in no order. */
+static void fill_radii(float *r, size_t n, uint32_t *random) {
+  for (size_t i = 0; i < n; i++) {
+    *random = *random * 1664525u + 1013904223u;
+    r[i] = 0.01f + 9.99f * (float)(*random >> 8) * 0x1p-24f;
+  }
+}
+
+/* A channel of skin1 for each variant, in turn. */
+static const core_medium *medium_of(size_t variant) {
+  return &core_measured_medium_by_name("skin1")->channel[variant % 3];
+}
+
+static void put_request(const struct target *target, size_t variant, size_t n, const float *r) {
+  uint8_t *at = target->requests + variant * target->request_bytes;
+  const core_medium *medium = medium_of(variant);
+  const wire_header header = {
+      .magic = WIRE_MAGIC,
+      .version = WIRE_VERSION,
+      .type = WIRE_TYPE_EVAL,
+      .payload_bytes = (uint32_t)(target->request_bytes - WIRE_BYTES_header),
+  };
+  const wire_eval_request fixed = {
+      .model = model,
+      .evaluator = CORE_EVALUATOR_F32,
+      .moments = CORE_MOMENTS_EXACT,
+      .wanted = CORE_QUANTITY_R,
+      .medium_count = 1,
+      .spacing = CORE_SPACING_LIST,
+      .radius_count = n,
+  };
+  const wire_medium channel = {medium->sigma_a_per_mm, medium->sigma_s_per_mm, medium->g,
+                               medium->eta};
+  wire_put_header(at, &header);
+  wire_put_eval_request(at + WIRE_BYTES_header, &fixed);
+  wire_put_medium(at + WIRE_BYTES_header + WIRE_BYTES_eval_request, &channel);
+  memcpy(at + WIRE_BYTES_header + eval_request_bytes(1, 0, 0), r, n * sizeof *r);
+}
+
+static void put_reply(const struct target *target, size_t variant, size_t n, const float *r) {
+  uint8_t *at = target->replies + variant * target->reply_bytes;
+  const wire_header header = {
+      .magic = WIRE_MAGIC,
+      .version = WIRE_VERSION,
+      .type = WIRE_TYPE_EVAL | WIRE_REPLY,
+      .payload_bytes = (uint32_t)(target->reply_bytes - WIRE_BYTES_header),
+  };
+  core_profile profile;
+  if (core_profile_prepare(&profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT,
+                           CORE_EVALUATOR_F32, medium_of(variant), NULL)
+          .field != NULL) {
+    bench_fail("a measured medium was refused");
+  }
+  wire_put_header(at, &header);
+  core_eval_f32(&profile, CORE_QUANTITY_R, n, r, (float *)(at + target->values_from));
+  core_profile_free(&profile);
+}
+
+static void allocate(struct target *target) {
+  target->requests = calloc(target->variants, target->request_bytes);
+  target->replies = calloc(target->variants, target->reply_bytes);
+  if (target->requests == NULL || target->replies == NULL) {
+    bench_fail("out of memory");
+  }
+}
+
+void target_make_eval(struct target *target, size_t n) {
+  const uint64_t bytes = n * sizeof(float);
+  eval_layout layout;
+  if (!eval_reply_layout(CORE_EVALUATOR_F32, CORE_QUANTITY_R, 1, n, UINT32_MAX, &layout)) {
+    bench_fail("too many radii");
+  }
+  const bool small = bytes <= SMALL_BYTES;
+  *target = (struct target){
+      .name = "dipoled",
+      .framed = true,
+      .variants = small ? SMALL_VARIANTS : 1,
+      .request_bytes = WIRE_BYTES_header + (size_t)eval_request_bytes(1, 0, bytes),
+      .reply_bytes = WIRE_BYTES_header + (size_t)layout.payload_bytes,
+      .values_from = WIRE_BYTES_header + (size_t)layout.arrays_offset,
+      .check_every = small ? 1 : CHECK_LARGE_EVERY,
+  };
+  allocate(target);
+  float *r = malloc(bytes);
+  if (r == NULL) {
+    bench_fail("out of memory");
+  }
+  uint32_t random = 1;
+  for (size_t variant = 0; variant < target->variants; variant++) {
+    fill_radii(r, n, &random);
+    put_request(target, variant, n, r);
+    put_reply(target, variant, n, r);
+  }
+  free(r);
+}
+
+void target_make_echo(struct target *target, const struct target *eval) {
+  *target = *eval;
+  target->name = "echo";
+  allocate(target);
+  memcpy(target->requests, eval->requests, target->variants * target->request_bytes);
+  for (size_t variant = 0; variant < target->variants; variant++) {
+    memcpy(target->replies + variant * target->reply_bytes, eval->replies, target->reply_bytes);
+  }
+}
+
+void target_free(struct target *target) {
+  free(target->requests);
+  free(target->replies);
+}
+
+/* ---- frames ------------------------------------------------------------------------------- */
+
+/* Where a header has its request id (proto/PROTOCOL.md). Little-endian, as is every machine that
+ * this runs on; were it not, an id would still come back as it was sent. */
+enum { ID_OFFSET = 8, ID_END = 16 };
+
+void target_set_id(uint8_t *request, uint64_t id) {
+  memcpy(request + ID_OFFSET, &id, sizeof id);
+}
+
+uint64_t target_id(const uint8_t *reply) {
+  uint64_t id;
+  memcpy(&id, reply + ID_OFFSET, sizeof id);
+  return id;
+}
+
+static _Noreturn void wrong(const struct target *target, const uint8_t *reply, const char *why) {
+  wire_header header;
+  wire_get_header(reply, &header);
+  fprintf(stderr, "bench: %s: %s\n", target->name, why);
+  if (target->framed && header.magic == WIRE_MAGIC && header.type == WIRE_TYPE_ERROR) {
+    wire_error error;
+    wire_get_error(reply + WIRE_BYTES_header, &error);
+    fprintf(stderr, "bench: it says %s, field %s: %s\n", wire_status_name(error.status),
+            error.field, error.allowed);
+  }
+  bench_fail("a wrong answer");
+}
+
+static bool header_is_right(const uint8_t *expected, uint64_t id, const uint8_t *reply) {
+  return memcmp(reply, expected, ID_OFFSET) == 0 && target_id(reply) == id &&
+         memcmp(reply + ID_END, expected + ID_END, WIRE_BYTES_header - ID_END) == 0;
+}
+
+void target_check(const struct target *target, size_t variant, uint64_t id, const uint8_t *reply,
+                  bool values) {
+  const uint8_t *expected = target->replies + variant * target->reply_bytes;
+  if (target->framed && !header_is_right(expected, id, reply)) {
+    wrong(target, reply, "a reply has another header than it should have");
+  }
+  if (values && memcmp(reply + target->values_from, expected + target->values_from,
+                       target->reply_bytes - target->values_from) != 0) {
+    wrong(target, reply, "a reply has other values than it should have");
+  }
+}
