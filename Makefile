@@ -104,6 +104,9 @@ $(OBJ)/%.o: %.c Makefile
 	$(call SAY,CC,$<)
 	$(Q)$(CC) $(ALL_CPPFLAGS) $(EXTRA_CPPFLAGS) $(ALL_CFLAGS) -c -o $@ $<
 
+# Whose loop over listed radii is to be vectorized.
+$(OBJ)/core/radii.o: CFLAGS := $(CFLAGS) -O3
+
 # core/models/NAME.ISA.fREAL.o
 define kernel_rule
 $(OBJ)/core/models/%.$(1).f$(2).o: core/models/%.c Makefile

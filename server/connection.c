@@ -9,7 +9,7 @@
 #include "server/worker.h"
 
 enum {
-  TURN_RADII = JOB_SLICE_RADII, /* what a turn may cost; a frame costs JOB_STEP_RADII besides */
+  TURN_RADII = 2 * JOB_SLICE_RADII, /* what a turn may cost, JOB_STEP_RADII for a frame included */
   WRITE_BUFFERS = 16,
   REST_MS = 1000,   /* of silence, after which a connection's memory is given back */
   LINGER_MS = 1000, /* for a peer that does not close after the last answer */
@@ -129,8 +129,8 @@ static void refuse_for_memory(struct connection *c) {
   }
 }
 
-/* Stops reading each time: what has arrived is dealt with before more is read, in the same round of
- * the loop, and without a system call for stopping and starting. */
+/* What has arrived is dealt with in the same round of the loop. Reading goes on unless something is
+ * left to do then, so that a client that asks and waits costs no calls for stopping and starting. */
 static void on_read(uv_stream_t *stream, ssize_t bytes, const uv_buf_t *buffer) {
   (void)buffer;
   struct connection *c = stream->data;
@@ -145,16 +145,18 @@ static void on_read(uv_stream_t *stream, ssize_t bytes, const uv_buf_t *buffer) 
       input_discard(&c->input);
       return;
     }
-  } else if (bytes == UV_ENOBUFS) {
-    refuse_for_memory(c);
-  } else if (bytes == UV_EOF && !c->lingering) {
-    c->peer_done = true;
   } else {
-    connection_abort(c);
-  }
-  if (!c->closing) {
     uv_read_stop(stream);
     c->reading = false;
+    if (bytes == UV_ENOBUFS) {
+      refuse_for_memory(c);
+    } else if (bytes == UV_EOF && !c->lingering) {
+      c->peer_done = true;
+    } else {
+      connection_abort(c);
+    }
+  }
+  if (!c->closing) {
     worker_run_later(c->worker, c);
   }
 }
@@ -526,6 +528,7 @@ void connection_finish(struct connection *c) {
     return;
   }
   if (c->more_to_do || (was_blocked && !blocked(c))) {
+    set_reading(c, false); /* the input may not move under a job, nor grow without end */
     worker_run_later(c->worker, c);
   } else {
     settle(c);
@@ -590,6 +593,10 @@ void connection_tick(struct connection *c, uint64_t now_ms) {
     }
     return;
   }
+  if (!c->in_job && !c->in_table) {
+    input_settle(&c->input);
+  }
+  output_settle(&c->output);
   if (c->ending || c->output.ready_bytes > 0) {
     if (now_ms - c->active_ms > options->idle_timeout_ms) {
       connection_abort(c);

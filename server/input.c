@@ -3,8 +3,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* What every open connection costs; larger frames grow the buffer and give it back. */
-enum { BASE_BYTES = 65536 };
+/* What every open connection costs; larger frames grow the buffer. */
+enum { BASE_BYTES = 65536, GROWTH = 8 };
 
 void input_init(struct input *input, struct server *server) {
   *input = (struct input){.server = server};
@@ -53,22 +53,31 @@ static void move_to_front(struct input *input) {
   }
 }
 
+/* The size that the frame needs which has begun to arrive, but no more than GROWTH times what there
+ * is: as the bytes come, so that a header alone, whatever length it claims, costs nothing. */
+static size_t larger(const struct input *input) {
+  wire_header header = {0};
+  if (input->capacity == 0) {
+    return BASE_BYTES;
+  }
+  wire_get_header(input->bytes + input->begin, &header);
+  const size_t needed = WIRE_BYTES_header + (size_t)header.payload_bytes;
+  const size_t most = GROWTH * input->capacity;
+  const size_t least = 2 * input->capacity;
+  return input->skip_bytes > 0 || needed < least ? least : needed < most ? needed : most;
+}
+
 size_t input_room(struct input *input, uint8_t **room) {
   if (held(input) == 0) {
     input->begin = input->end = 0;
   }
-  if (input->capacity > BASE_BYTES && held(input) <= BASE_BYTES / 2) {
-    move_to_front(input);
-    resize(input, BASE_BYTES);
-  }
   if (input->end == input->capacity) {
     move_to_front(input);
   }
-  /* Doubling, as the bytes come: a header alone, whatever length it claims, costs nothing. */
-  if (input->end == input->capacity &&
-      !resize(input, input->capacity == 0 ? BASE_BYTES : 2 * input->capacity)) {
+  if (input->end == input->capacity && !resize(input, larger(input))) {
     return 0;
   }
+  input->large |= held(input) > BASE_BYTES / 2;
   *room = input->bytes + input->end;
   return input->capacity - input->end;
 }
@@ -160,6 +169,14 @@ void input_rest(struct input *input) {
   if (held(input) == 0) {
     input_free(input);
   }
+}
+
+void input_settle(struct input *input) {
+  if (input->capacity > BASE_BYTES && !input->large && held(input) <= BASE_BYTES) {
+    move_to_front(input);
+    resize(input, BASE_BYTES);
+  }
+  input->large = false;
 }
 
 void input_discard(struct input *input) {

@@ -20,6 +20,7 @@ struct input {
   size_t capacity;
   size_t begin;                         /* of the first frame that has not been dealt with */
   size_t end;                           /* of what has arrived */
+  bool large;                           /* it held more than its first size can, lately */
   uint64_t skip_bytes;                  /* of a refused payload, still to arrive */
   uint64_t total_bytes;                 /* that have arrived, ever */
   struct input_mark marks[INPUT_MARKS]; /* of what has not been dealt with, rising */
@@ -60,6 +61,10 @@ bool input_refuse(struct input *input, wire_header *header);
 
 /* Gives its memory back when nothing is held. */
 void input_rest(struct input *input);
+
+/* From time to time, while no frame is in use: gives back what it has grown by, unless it has needed
+ * that since it was last asked. */
+void input_settle(struct input *input);
 
 /* Drops everything that has arrived. */
 void input_discard(struct input *input);

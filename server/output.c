@@ -4,7 +4,7 @@
 #include <stdlib.h>
 
 /* Holds a few hundred small answers, and makes one system call of them. */
-enum { CHUNK_BYTES = 65536 };
+enum { CHUNK_BYTES = 65536, SPARE_BYTES = 4194304 };
 
 struct output_chunk {
   struct output_chunk *next;
@@ -18,23 +18,61 @@ void output_init(struct output *output, struct server *server) {
   *output = (struct output){.server = server};
 }
 
-static void free_first(struct output *output) {
+static void free_chunk(struct output *output, struct output_chunk *chunk) {
+  server_return_bytes(output->server, chunk->capacity);
+  free(chunk);
+}
+
+/* A large chunk that is not too large is kept for the next large answer: its memory has been touched
+ * and need not be asked for again. */
+static void release_first(struct output *output) {
   struct output_chunk *chunk = output->first;
   output->first = chunk->next;
   if (output->first == NULL) {
     output->last = NULL;
   }
-  server_return_bytes(output->server, chunk->capacity);
-  free(chunk);
+  if (output->spare == NULL && chunk->capacity > CHUNK_BYTES && chunk->capacity <= SPARE_BYTES) {
+    output->spare = chunk;
+    output->spare_used = true;
+  } else {
+    free_chunk(output, chunk);
+  }
+}
+
+static void free_spare(struct output *output) {
+  if (output->spare != NULL) {
+    free_chunk(output, output->spare);
+    output->spare = NULL;
+  }
 }
 
 void output_free(struct output *output) {
   while (output->first != NULL) {
-    free_first(output);
+    release_first(output);
   }
+  free_spare(output);
 }
 
-static struct output_chunk *add_chunk(struct output *output, size_t bytes) {
+void output_settle(struct output *output) {
+  if (!output->spare_used) {
+    free_spare(output);
+  }
+  output->spare_used = false;
+}
+
+/* The spare, if it is large enough; else it is given back. NULL: there is none. */
+static struct output_chunk *take_spare(struct output *output, size_t bytes) {
+  struct output_chunk *chunk = output->spare;
+  if (chunk != NULL && chunk->capacity >= bytes) {
+    output->spare = NULL;
+    *chunk = (struct output_chunk){.capacity = chunk->capacity};
+    return chunk;
+  }
+  free_spare(output);
+  return NULL;
+}
+
+static struct output_chunk *new_chunk(struct output *output, size_t bytes) {
   const size_t capacity = bytes > CHUNK_BYTES ? bytes : CHUNK_BYTES;
   if (output->first == NULL && capacity == CHUNK_BYTES) {
     server_take_base_bytes(output->server, capacity);
@@ -47,6 +85,15 @@ static struct output_chunk *add_chunk(struct output *output, size_t bytes) {
     return NULL;
   }
   *chunk = (struct output_chunk){.capacity = capacity};
+  return chunk;
+}
+
+static struct output_chunk *add_chunk(struct output *output, size_t bytes) {
+  struct output_chunk *spare = bytes > CHUNK_BYTES ? take_spare(output, bytes) : NULL;
+  struct output_chunk *chunk = spare != NULL ? spare : new_chunk(output, bytes);
+  if (chunk == NULL) {
+    return NULL;
+  }
   if (output->last == NULL) {
     output->first = chunk;
   } else {
@@ -102,14 +149,14 @@ size_t output_buffers(struct output *output, uv_buf_t *buffers, size_t count) {
 static bool finish_first(struct output *output) {
   struct output_chunk *chunk = output->first;
   if (chunk != output->last) {
-    free_first(output);
+    release_first(output);
     return true;
   }
   if (output->reserved_bytes == 0) {
     if (chunk->capacity == CHUNK_BYTES) {
       chunk->committed = chunk->consumed = 0;
     } else {
-      free_first(output);
+      release_first(output);
     }
   }
   return false;
