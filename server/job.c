@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "server/choice.h"
+#include "server/repeat.h"
 
 /* ---- checking ---------------------------------------------------------------------------------
  */
@@ -207,6 +208,7 @@ static wire_error cut(struct job *job, const struct server *server) {
 
 wire_error job_check(struct job *job, const struct server *server, const uint8_t *payload,
                      size_t payload_bytes) {
+  repeat_forget(job);
   wire_error error = parse(job, server, payload, payload_bytes);
   const wire_eval_request *fixed = &job->request.fixed;
   if (error.status == WIRE_STATUS_OK && fixed->model == EVAL_ANY_MODEL) {
@@ -220,6 +222,7 @@ wire_error job_check(struct job *job, const struct server *server, const uint8_t
     error = check_radii(job);
   }
   if (error.status == WIRE_STATUS_OK) {
+    job->covers_all = range.least_mm <= 0 && range.most_mm >= (double)INFINITY;
     error = check_range(job, &range);
   }
   return error.status == WIRE_STATUS_OK ? cut(job, server) : error;
@@ -274,7 +277,7 @@ static void pad(const struct job *job, uint64_t array_offset) {
   memset(job->reply + array_offset + used, 0, (size_t)job->layout.array_bytes - used);
 }
 
-static void expand_grid(const struct job *job, size_t n, void *radii) {
+void job_expand_grid(const struct job *job, size_t n, void *radii) {
   if (value_bytes(job) == sizeof(float)) {
     core_grid_radii_f32(&job->grid, job->first + job->index, n, radii);
   } else {
@@ -293,7 +296,7 @@ static void copy_radii(const struct job *job, size_t n) {
   if (job->request.radii != NULL) {
     memcpy(to, listed(job), n * value_bytes(job));
   } else {
-    expand_grid(job, n, to);
+    job_expand_grid(job, n, to);
   }
 }
 
@@ -306,11 +309,12 @@ static const void *slice_radii(const struct job *job, struct job_scratch *scratc
   if (job->request.fixed.wanted & CORE_QUANTITY_RADIUS) {
     return job->reply + job->layout.radius_offset + offset;
   }
-  expand_grid(job, n, scratch->radii);
+  job_expand_grid(job, n, scratch->radii);
   return scratch->radii;
 }
 
 void job_end(struct job *job) {
+  job->repeat.request_bytes = 0;
   profiles_return(&job->order);
 }
 
@@ -471,10 +475,12 @@ static void channel_step(struct job *job, struct server *server, struct job_scra
   if (job->layout.arrays_per_channel == 0 || advance(job, n)) {
     pad_channel(job);
     job->channel++;
-    job_end(job);
-  }
-  if (job->channel == job->request.fixed.medium_count) {
-    put_notes(job);
+    if (job->channel == job->request.fixed.medium_count) {
+      put_notes(job);
+    }
+    if (!repeat_learn(job)) {
+      job_end(job);
+    }
   }
 }
 

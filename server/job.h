@@ -19,6 +19,16 @@ enum { JOB_RETRY_AFTER_MS = 20 };
 
 struct job_scratch;
 
+/* A short request and the start of its reply, for those that repeat it: server/repeat.h. */
+enum { JOB_REPEAT_REQUEST_BYTES = 256, JOB_REPEAT_REPLY_BYTES = 72 };
+
+struct job_repeat {
+  size_t request_bytes; /* before the radii; 0: there is none */
+  size_t payload_bytes; /* and with them */
+  uint8_t request[JOB_REPEAT_REQUEST_BYTES];
+  uint8_t reply[JOB_REPEAT_REPLY_BYTES];
+};
+
 struct job {
   eval_request request;
   core_grid grid;
@@ -38,6 +48,8 @@ struct job {
   double tolerance;   /* that was asked for instead of a model; NAN: a model was */
   double model_error; /* of what was chosen for it */
   size_t choice;      /* how many candidates have been tried */
+  bool covers_all;    /* radii: the model does */
+  struct job_repeat repeat;
   wire_error refusal;
 };
 
@@ -45,6 +57,9 @@ struct job {
  * runs. OK: layout.payload_bytes says what the reply, or its first part, needs. */
 wire_error job_check(struct job *job, const struct server *server, const uint8_t *payload,
                      size_t payload_bytes);
+
+/* The n radii of a grid from the job's next one on. */
+void job_expand_grid(const struct job *job, size_t n, void *radii);
 
 /* What could answer a request of model EVAL_ANY_MODEL. */
 struct choice;

@@ -4,6 +4,7 @@
 
 #include "server/choice.h"
 #include "server/memory.h"
+#include "server/repeat.h"
 
 /* A message being answered. */
 struct question {
@@ -131,7 +132,21 @@ static struct outcome answer_HELLO(struct question *question) {
   return answered();
 }
 
+static struct outcome answer_again(struct question *question) {
+  struct job *job = question->place->job;
+  uint8_t *reply = begin_reply(question, (size_t)job->layout.payload_bytes);
+  if (reply == NULL) {
+    return busy();
+  }
+  repeat_answer(job, question->server, question->place->scratch, question->payload, reply);
+  output_commit(question->output);
+  return answered();
+}
+
 static struct outcome answer_EVAL(struct question *question) {
+  if (repeat_matches(question->place->job, question->payload, question->header->payload_bytes)) {
+    return answer_again(question);
+  }
   struct job *job = question->place->job;
   const wire_error error =
       job_check(job, question->server, question->payload, question->header->payload_bytes);
