@@ -5,7 +5,6 @@
 #include <unistd.h>
 
 #include "server/log.h"
-#include "server/repeat.h"
 #include "server/request.h"
 #include "server/worker.h"
 
@@ -596,7 +595,6 @@ void connection_tick(struct connection *c, uint64_t now_ms) {
   }
   if (!c->in_job && !c->in_table) {
     input_settle(&c->input);
-    repeat_forget(&c->job); /* so that what is evicted meanwhile is freed */
   }
   output_settle(&c->output);
   if (c->ending || c->output.ready_bytes > 0) {

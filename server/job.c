@@ -6,7 +6,6 @@
 #include <string.h>
 
 #include "server/choice.h"
-#include "server/repeat.h"
 
 /* ---- checking ---------------------------------------------------------------------------------
  */
@@ -208,7 +207,6 @@ static wire_error cut(struct job *job, const struct server *server) {
 
 wire_error job_check(struct job *job, const struct server *server, const uint8_t *payload,
                      size_t payload_bytes) {
-  repeat_forget(job);
   wire_error error = parse(job, server, payload, payload_bytes);
   const wire_eval_request *fixed = &job->request.fixed;
   if (error.status == WIRE_STATUS_OK && fixed->model == EVAL_ANY_MODEL) {
@@ -277,7 +275,7 @@ static void pad(const struct job *job, uint64_t array_offset) {
   memset(job->reply + array_offset + used, 0, (size_t)job->layout.array_bytes - used);
 }
 
-void job_expand_grid(const struct job *job, size_t n, void *radii) {
+static void expand_grid(const struct job *job, size_t n, void *radii) {
   if (value_bytes(job) == sizeof(float)) {
     core_grid_radii_f32(&job->grid, job->first + job->index, n, radii);
   } else {
@@ -296,7 +294,7 @@ static void copy_radii(const struct job *job, size_t n) {
   if (job->request.radii != NULL) {
     memcpy(to, listed(job), n * value_bytes(job));
   } else {
-    job_expand_grid(job, n, to);
+    expand_grid(job, n, to);
   }
 }
 
@@ -309,12 +307,11 @@ static const void *slice_radii(const struct job *job, struct job_scratch *scratc
   if (job->request.fixed.wanted & CORE_QUANTITY_RADIUS) {
     return job->reply + job->layout.radius_offset + offset;
   }
-  job_expand_grid(job, n, scratch->radii);
+  expand_grid(job, n, scratch->radii);
   return scratch->radii;
 }
 
 void job_end(struct job *job) {
-  job->repeat.request_bytes = 0;
   profiles_return(&job->order);
 }
 
@@ -477,10 +474,9 @@ static void channel_step(struct job *job, struct server *server, struct job_scra
     job->channel++;
     if (job->channel == job->request.fixed.medium_count) {
       put_notes(job);
+      repeat_learn(&scratch->repeat, job);
     }
-    if (!repeat_learn(job)) {
-      job_end(job);
-    }
+    job_end(job);
   }
 }
 

@@ -3,8 +3,8 @@
 #define DIPOLED_JOB_H
 
 #include "proto/eval.h"
-#include "server/batch.h"
 #include "server/profiles.h"
+#include "server/repeat.h"
 
 /* A slice's evaluations of a dipole: about 50 to 200 microseconds, which is what a small request may
  * have to wait for when a large one is being evaluated on its worker. Costlier profiles get slices
@@ -18,16 +18,6 @@ enum { JOB_STEP_RADII = 64 };
 enum { JOB_RETRY_AFTER_MS = 20 };
 
 struct job_scratch;
-
-/* A short request and the start of its reply, for those that repeat it: server/repeat.h. */
-enum { JOB_REPEAT_REQUEST_BYTES = 256, JOB_REPEAT_REPLY_BYTES = 72 };
-
-struct job_repeat {
-  size_t request_bytes; /* before the radii; 0: there is none */
-  size_t payload_bytes; /* and with them */
-  uint8_t request[JOB_REPEAT_REQUEST_BYTES];
-  uint8_t reply[JOB_REPEAT_REPLY_BYTES];
-};
 
 struct job {
   eval_request request;
@@ -49,7 +39,6 @@ struct job {
   double model_error; /* of what was chosen for it */
   size_t choice;      /* how many candidates have been tried */
   bool covers_all;    /* radii: the model does */
-  struct job_repeat repeat;
   wire_error refusal;
 };
 
@@ -57,9 +46,6 @@ struct job {
  * runs. OK: layout.payload_bytes says what the reply, or its first part, needs. */
 wire_error job_check(struct job *job, const struct server *server, const uint8_t *payload,
                      size_t payload_bytes);
-
-/* The n radii of a grid from the job's next one on. */
-void job_expand_grid(const struct job *job, size_t n, void *radii);
 
 /* What could answer a request of model EVAL_ANY_MODEL. */
 struct choice;
@@ -89,6 +75,7 @@ void job_end(struct job *job);
 struct job_scratch {
   double radii[JOB_SLICE_RADII];
   struct batch batch;
+  struct repeat repeat;
   uint64_t owed_radii; /* that jobs under way have still to evaluate, once for each array */
 };
 

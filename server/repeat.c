@@ -3,94 +3,158 @@
 #include <math.h>
 #include <string.h>
 
-/* What stands before the arrays of a reply with one channel. */
-enum { REPLY_BYTES = WIRE_BYTES_eval_reply + WIRE_BYTES_channel };
+#include "server/job.h"
 
-_Static_assert((int)REPLY_BYTES == (int)JOB_REPEAT_REPLY_BYTES, "as much is kept");
+_Static_assert((int)REPEAT_REPLY_BYTES == (int)WIRE_BYTES_eval_reply + (int)WIRE_BYTES_channel,
+               "what stands before the arrays");
 
-static size_t value_bytes(const struct job *job) {
-  return eval_value_bytes(job->request.fixed.evaluator);
-}
+/* ---- finding ---------------------------------------------------------------------------------- */
 
-/* Bytes of a request before its radii. */
-static size_t start_bytes(const struct job *job) {
-  const wire_eval_request *fixed = &job->request.fixed;
-  return (size_t)eval_request_bytes(fixed->medium_count, fixed->parameter_count, 0);
-}
-
-/* One medium, one part, short, and nothing that looks at the radii but the kernels; and S, whose angles
- * are not the profile's own. */
-static bool may_repeat(const struct job *job) {
-  const wire_eval_request *fixed = &job->request.fixed;
-  return fixed->medium_count == 1 && job->part_count == 1 && job->count > 0 &&
-         job->count <= BATCH_SHORT_RADII && job->covers_all && isnan(job->tolerance) &&
-         (fixed->wanted & (CORE_QUANTITY_RADIUS | CORE_QUANTITY_S)) == 0 &&
-         start_bytes(job) <= sizeof job->repeat.request &&
-         (job->order.entry != NULL || core_profile_bytes(&job->order.profile) == 0);
-}
-
-bool repeat_learn(struct job *job) {
-  if (!may_repeat(job)) {
-    return false;
+/* The bytes of a request before its radii; 0: it is none that may be repeated. */
+static size_t start_bytes(const uint8_t *payload, size_t payload_bytes) {
+  if (payload_bytes < WIRE_BYTES_eval_request) {
+    return 0;
   }
-  const uint8_t *payload = job->request.media - WIRE_BYTES_eval_request;
-  const uint64_t listed = job->request.radii != NULL ? job->count * value_bytes(job) : 0;
-  job->repeat.request_bytes = start_bytes(job);
-  job->repeat.payload_bytes = job->repeat.request_bytes + (size_t)wire_padded(listed);
-  memcpy(job->repeat.request, payload, job->repeat.request_bytes);
-  memcpy(job->repeat.reply, job->reply, REPLY_BYTES);
-  return true;
+  wire_eval_request fixed;
+  wire_get_eval_request(payload, &fixed);
+  const uint64_t bytes = eval_request_bytes(fixed.medium_count, fixed.parameter_count, 0);
+  return fixed.medium_count == 1 && bytes <= REPEAT_REQUEST_BYTES && bytes <= payload_bytes
+             ? (size_t)bytes
+             : 0;
 }
 
-void repeat_forget(struct job *job) {
-  if (job->repeat.request_bytes > 0) {
-    job->repeat.request_bytes = 0;
-    profiles_return(&job->order);
+/* Words of 8 bytes, mixed as cache_key.c does. */
+static size_t place_of(const uint8_t *request, size_t bytes) {
+  uint64_t hash = 0;
+  for (size_t i = 0; i < bytes; i += 8) {
+    uint64_t word;
+    memcpy(&word, request + i, sizeof word);
+    hash = (hash ^ word) * UINT64_C(0x9e3779b97f4a7c15);
+    hash ^= hash >> 32;
   }
+  return (size_t)(hash % REPEAT_ENTRIES);
 }
 
-static bool radii_are_right(const struct job *job, const uint8_t *radii) {
+static bool radii_are_right(const struct repeat_entry *entry, const uint8_t *radii) {
   static const uint8_t zeros[WIRE_ALIGNMENT];
-  const size_t bytes = (size_t)job->count * value_bytes(job);
+  const size_t bytes = entry->count * entry->value_bytes;
   const core_fault fault =
-      value_bytes(job) == sizeof(float)
-          ? core_radii_check_f32((size_t)job->count, (const float *)(const void *)radii)
-          : core_radii_check_f64((size_t)job->count, (const double *)(const void *)radii);
+      entry->value_bytes == sizeof(float)
+          ? core_radii_check_f32(entry->count, (const float *)(const void *)radii)
+          : core_radii_check_f64(entry->count, (const double *)(const void *)radii);
   return fault.field == NULL &&
          memcmp(radii + bytes, zeros, (size_t)wire_padded(bytes) - bytes) == 0;
 }
 
-bool repeat_matches(const struct job *job, const uint8_t *payload, size_t payload_bytes) {
-  const struct job_repeat *repeat = &job->repeat;
-  if (repeat->request_bytes == 0 || payload_bytes != repeat->payload_bytes ||
-      memcmp(payload, repeat->request, repeat->request_bytes) != 0) {
-    return false;
-  }
-  return payload_bytes == repeat->request_bytes ||
-         radii_are_right(job, payload + repeat->request_bytes);
+static bool is_listed(const struct repeat_entry *entry) {
+  return entry->payload_bytes > entry->request_bytes;
 }
 
-void repeat_answer(struct job *job, struct server *server, struct job_scratch *scratch,
-                   const uint8_t *payload, uint8_t *reply) {
-  const struct job_repeat *repeat = &job->repeat;
-  const size_t n = (size_t)job->count;
-  const size_t used = n * value_bytes(job);
-  const void *radii = payload + repeat->request_bytes;
-  if (repeat->payload_bytes == repeat->request_bytes) {
-    job->first = job->index = 0;
-    job_expand_grid(job, n, scratch->radii);
-    radii = scratch->radii;
+const struct repeat_entry *repeat_find(const struct repeat *repeat, const uint8_t *payload,
+                                       size_t payload_bytes) {
+  const size_t bytes = start_bytes(payload, payload_bytes);
+  if (bytes == 0) {
+    return NULL;
   }
-  memcpy(reply, repeat->reply, REPLY_BYTES);
-  uint8_t *to = reply + REPLY_BYTES;
+  const struct repeat_entry *entry = &repeat->entries[place_of(payload, bytes)];
+  const bool same = entry->request_bytes == bytes && entry->payload_bytes == payload_bytes &&
+                    memcmp(entry->request, payload, bytes) == 0;
+  return same && (!is_listed(entry) || radii_are_right(entry, payload + bytes)) ? entry : NULL;
+}
+
+/* ---- answering -------------------------------------------------------------------------------- */
+
+static const void *radii_of(const struct repeat_entry *entry, const uint8_t *payload,
+                            double *radii) {
+  if (is_listed(entry)) {
+    return payload + entry->request_bytes;
+  }
+  if (entry->value_bytes == sizeof(float)) {
+    core_grid_radii_f32(&entry->grid, 0, entry->count, (float *)(void *)radii);
+  } else {
+    core_grid_radii_f64(&entry->grid, 0, entry->count, radii);
+  }
+  return radii;
+}
+
+void repeat_answer(const struct repeat_entry *entry, struct batch *batch, struct stats *stats,
+                   const uint8_t *payload, double *radii, uint8_t *reply) {
+  const size_t used = entry->count * entry->value_bytes;
+  const void *r = radii_of(entry, payload, radii);
+  memcpy(reply, entry->reply, REPEAT_REPLY_BYTES);
+  uint8_t *to = reply + REPEAT_REPLY_BYTES;
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
-    if (eval_is_array(job->request.fixed.wanted, quantity->id)) {
-      batch_take(&scratch->batch, &server->stats, &job->order, quantity->id, n, radii, to);
-      memset(to + used, 0, (size_t)job->layout.array_bytes - used);
-      to += job->layout.array_bytes;
+    if (eval_is_array(entry->wanted, quantity->id)) {
+      batch_take(batch, stats, &entry->order, quantity->id, entry->count, r, to);
+      memset(to + used, 0, entry->array_bytes - used);
+      to += entry->array_bytes;
     }
   }
-  stats_add(&server->stats, STATS_CACHE_HITS, 1);
-  stats_add(&server->stats, STATS_RADII_EVALUATED, n);
-  stats_add(&server->stats, STATS_SLICES_EVALUATED, 1);
+  stats_add(stats, STATS_CACHE_HITS, 1);
+  stats_add(stats, STATS_RADII_EVALUATED, entry->count);
+  stats_add(stats, STATS_SLICES_EVALUATED, 1);
+}
+
+/* ---- keeping in mind -------------------------------------------------------------------------- */
+
+static void forget(struct repeat_entry *entry) {
+  if (entry->request_bytes > 0 && entry->order.entry != NULL) {
+    cache_release(entry->order.entry);
+  }
+  entry->request_bytes = 0;
+}
+
+/* One medium, one part, short, and nothing that looks at the radii but the kernels; and not S, whose
+ * angles are not the profile's own. */
+static bool may_repeat(const struct job *job) {
+  const wire_eval_request *fixed = &job->request.fixed;
+  return fixed->medium_count == 1 && job->part_count == 1 && job->count > 0 &&
+         job->count <= BATCH_SHORT_RADII && job->covers_all && isnan(job->tolerance) &&
+         job->layout.arrays_per_channel > 0 &&
+         (fixed->wanted & (CORE_QUANTITY_RADIUS | CORE_QUANTITY_S)) == 0 &&
+         eval_request_bytes(1, fixed->parameter_count, 0) <= REPEAT_REQUEST_BYTES &&
+         (job->order.entry != NULL || core_profile_bytes(&job->order.profile) == 0);
+}
+
+void repeat_learn(struct repeat *repeat, const struct job *job) {
+  if (!may_repeat(job)) {
+    return;
+  }
+  const wire_eval_request *fixed = &job->request.fixed;
+  const uint8_t *payload = job->request.media - WIRE_BYTES_eval_request;
+  const size_t bytes = (size_t)eval_request_bytes(1, fixed->parameter_count, 0);
+  const size_t value_bytes = eval_value_bytes(fixed->evaluator);
+  const size_t listed = job->request.radii != NULL ? (size_t)job->count * value_bytes : 0;
+  struct repeat_entry *entry = &repeat->entries[place_of(payload, bytes)];
+  forget(entry);
+  entry->request_bytes = bytes;
+  entry->payload_bytes = bytes + (size_t)wire_padded(listed);
+  entry->reply_bytes = (size_t)job->layout.payload_bytes;
+  entry->array_bytes = (size_t)job->layout.array_bytes;
+  entry->value_bytes = value_bytes;
+  entry->count = (size_t)job->count;
+  entry->wanted = fixed->wanted;
+  entry->grid = job->grid;
+  memcpy(entry->request, payload, bytes);
+  memcpy(entry->reply, job->reply, REPEAT_REPLY_BYTES);
+  entry->order = job->order;
+  if (entry->order.entry != NULL) {
+    cache_hold(entry->order.entry);
+  }
+}
+
+void repeat_sweep(struct repeat *repeat) {
+  for (size_t i = 0; i < REPEAT_ENTRIES; i++) {
+    struct repeat_entry *entry = &repeat->entries[i];
+    if (entry->request_bytes > 0 && entry->order.entry != NULL &&
+        !cache_keeps(entry->order.entry)) {
+      forget(entry);
+    }
+  }
+}
+
+void repeat_end(struct repeat *repeat) {
+  for (size_t i = 0; i < REPEAT_ENTRIES; i++) {
+    forget(&repeat->entries[i]);
+  }
 }

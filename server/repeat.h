@@ -1,25 +1,59 @@
-/* repeat: a short request that is the one before it but for its radii, as farms send them by the
- * million: it is answered from what is known of that one, with the same bytes as otherwise.
+/* repeat: short requests that are like earlier ones but for their radii, as farms send them by the
+ * million: they are answered from what is known of those, with the same bytes as otherwise.
  *
  * What counts as the same is the payload before the radii, byte for byte.
  */
 #ifndef DIPOLED_REPEAT_H
 #define DIPOLED_REPEAT_H
 
-#include "server/job.h"
+#include "server/batch.h"
 
-/* Keeps a job's request and the start of its reply in mind, with its profile, if it is one that may
- * be repeated; called when the reply is complete. True: it does, and the job keeps its profile. */
-bool repeat_learn(struct job *job);
+struct job;
 
-/* Lets go of all that. */
-void repeat_forget(struct job *job);
+enum {
+  REPEAT_ENTRIES = 64,
+  REPEAT_REQUEST_BYTES = 256, /* before the radii, at most */
+  REPEAT_REPLY_BYTES = 72,    /* before the arrays, of a reply with one channel */
+};
 
-/* Whether a request is a repetition, with nothing wrong. Its reply takes job->layout.payload_bytes. */
-bool repeat_matches(const struct job *job, const uint8_t *payload, size_t payload_bytes);
+/* A request that has been answered. */
+struct repeat_entry {
+  size_t request_bytes; /* before the radii; 0: the entry is empty */
+  size_t payload_bytes; /* and with them */
+  size_t reply_bytes;
+  size_t array_bytes;
+  size_t value_bytes;
+  size_t count; /* of radii */
+  unsigned wanted;
+  core_grid grid; /* where the radii are not listed */
+  uint8_t request[REPEAT_REQUEST_BYTES];
+  uint8_t reply[REPEAT_REPLY_BYTES];
+  struct profiles_order order; /* ready, with a reference of its own */
+};
 
-/* Fills in the reply; the values are there after batch_finish(). */
-void repeat_answer(struct job *job, struct server *server, struct job_scratch *scratch,
-                   const uint8_t *payload, uint8_t *reply);
+/* Of one worker, on its thread; starts all 0. Each request has one place that it may be in. */
+struct repeat {
+  struct repeat_entry entries[REPEAT_ENTRIES];
+};
+
+/* Keeps a job in mind whose reply is complete and whose profile it still has, if it is one that may
+ * be repeated. */
+void repeat_learn(struct repeat *repeat, const struct job *job);
+
+/* What a request repeats, if there is nothing wrong with its radii; NULL: nothing is known, or it is
+ * to be looked at closely. */
+const struct repeat_entry *repeat_find(const struct repeat *repeat, const uint8_t *payload,
+                                       size_t payload_bytes);
+
+/* Fills in the reply, reply_bytes; the values are there after batch_finish(). `radii` has room for
+ * BATCH_SHORT_RADII numbers. */
+void repeat_answer(const struct repeat_entry *entry, struct batch *batch, struct stats *stats,
+                   const uint8_t *payload, double *radii, uint8_t *reply);
+
+/* From time to time: forgets what the cache does not keep any more. */
+void repeat_sweep(struct repeat *repeat);
+
+/* Forgets all. */
+void repeat_end(struct repeat *repeat);
 
 #endif

@@ -4,7 +4,6 @@
 
 #include "server/choice.h"
 #include "server/memory.h"
-#include "server/repeat.h"
 
 /* A message being answered. */
 struct question {
@@ -132,20 +131,23 @@ static struct outcome answer_HELLO(struct question *question) {
   return answered();
 }
 
-static struct outcome answer_again(struct question *question) {
-  struct job *job = question->place->job;
-  uint8_t *reply = begin_reply(question, (size_t)job->layout.payload_bytes);
+static struct outcome answer_again(struct question *question, const struct repeat_entry *entry) {
+  struct job_scratch *scratch = question->place->scratch;
+  uint8_t *reply = begin_reply(question, entry->reply_bytes);
   if (reply == NULL) {
     return busy();
   }
-  repeat_answer(job, question->server, question->place->scratch, question->payload, reply);
+  repeat_answer(entry, &scratch->batch, &question->server->stats, question->payload, scratch->radii,
+                reply);
   output_commit(question->output);
   return answered();
 }
 
 static struct outcome answer_EVAL(struct question *question) {
-  if (repeat_matches(question->place->job, question->payload, question->header->payload_bytes)) {
-    return answer_again(question);
+  const struct repeat_entry *entry = repeat_find(
+      &question->place->scratch->repeat, question->payload, question->header->payload_bytes);
+  if (entry != NULL) {
+    return answer_again(question, entry);
   }
   struct job *job = question->place->job;
   const wire_error error =

@@ -178,6 +178,7 @@ static void on_clock(uv_timer_t *timer) {
     connection_tick(c, now_ms);
   }
   profiles_sweep(&worker->profiles);
+  repeat_sweep(&worker->scratch.repeat);
 }
 
 static void on_deadline(uv_timer_t *timer) {
@@ -217,6 +218,7 @@ static void thread_main(void *argument) {
   assert(worker->connections == NULL);
   uv_walk(&worker->loop, close_handle, NULL);
   uv_run(&worker->loop, UV_RUN_DEFAULT); /* to the end of what it has had prepared, too */
+  repeat_end(&worker->scratch.repeat);
   profiles_end(&worker->profiles);
   const int closed = uv_loop_close(&worker->loop);
   assert(closed == 0);
