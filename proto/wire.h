@@ -110,6 +110,12 @@ wire_error wire_error_make(enum wire_status status, const char *field, const cha
 wire_error wire_error_not_in_list(const char *field, const struct core_choice *list,
                                   const char *how);
 
+/* Whether wire_header_check() would find nothing wrong. */
+static inline bool wire_header_is_good(const wire_header *header, uint64_t max_payload_bytes) {
+  return header->magic == WIRE_MAGIC && header->version == WIRE_VERSION &&
+         header->payload_bytes <= max_payload_bytes && header->payload_bytes % WIRE_ALIGNMENT == 0;
+}
+
 /* What a header alone shows to be wrong. max_payload_bytes: the receiver's limit. After BAD_MAGIC
  * the framing is lost; after any other error the next frame begins payload_bytes further on. */
 wire_error wire_header_check(const wire_header *header, uint64_t max_payload_bytes);

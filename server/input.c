@@ -137,12 +137,10 @@ enum input_outcome input_frame(struct input *input, wire_header *header, const u
     move_to_front(input);
   }
   wire_get_header(input->bytes + input->begin, header);
-  *error = wire_header_check(header, input->server->options.max_frame_bytes);
-  if (error->status == WIRE_STATUS_BAD_MAGIC) {
-    return INPUT_LOST;
-  }
-  if (error->status != WIRE_STATUS_OK) {
-    return INPUT_REFUSED;
+  const uint64_t most = input->server->options.max_frame_bytes;
+  if (!wire_header_is_good(header, most)) {
+    *error = wire_header_check(header, most);
+    return error->status == WIRE_STATUS_BAD_MAGIC ? INPUT_LOST : INPUT_REFUSED;
   }
   if (held(input) - WIRE_BYTES_header < header->payload_bytes) {
     return INPUT_INCOMPLETE;

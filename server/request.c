@@ -12,22 +12,20 @@ struct question {
   const uint8_t *payload;
   struct output *output;
   const struct request_place *place;
+  wire_error error; /* REFUSED: why */
 };
 
-/* What a handler made of it: OK and answered, OK and started, or an error to be sent. */
-enum started { STARTED_NOTHING, STARTED_JOB, STARTED_TABLE, STARTED_MC };
+/* What a handler made of it. */
+enum outcome { ANSWERED, REFUSED, STARTED_JOB, STARTED_TABLE, STARTED_MC };
 
-struct outcome {
-  wire_error error;
-  enum started started;
-};
-
-static struct outcome answered(void) {
-  return (struct outcome){.error = wire_error_none()};
+static enum outcome refused(struct question *question, wire_error error) {
+  question->error = error;
+  return REFUSED;
 }
 
-static struct outcome refused(wire_error error) {
-  return (struct outcome){.error = error};
+/* Started, unless there is an error. */
+static enum outcome started(struct question *question, wire_error error, enum outcome what) {
+  return error.status == WIRE_STATUS_OK ? what : refused(question, error);
 }
 
 uint8_t *request_begin_frame(struct output *output, unsigned type, uint64_t request_id,
@@ -52,12 +50,12 @@ static uint8_t *begin_reply(struct question *question, size_t payload_bytes) {
                              question->header->request_id, payload_bytes);
 }
 
-static struct outcome busy(void) {
-  return refused(job_busy());
+static enum outcome busy(struct question *question) {
+  return refused(question, job_busy());
 }
 
-static struct outcome bad_length(const char *allowed) {
-  return refused(wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes", allowed));
+static enum outcome bad_length(struct question *question, const char *allowed) {
+  return refused(question, wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes", allowed));
 }
 
 /* ---- messages: answer_<IDENT> for each of the list ---------------------------------------------
@@ -96,27 +94,29 @@ static wire_hello_reply describe_daemon(const struct server *server) {
   return reply;
 }
 
-static struct outcome answer_HELLO(struct question *question) {
+static enum outcome answer_HELLO(struct question *question) {
   if (question->header->payload_bytes != WIRE_BYTES_hello_request) {
-    return bad_length("8");
+    return bad_length(question, "8");
   }
   wire_hello_request request;
   wire_get_hello_request(question->payload, &request);
   if (request.zero != 0) {
-    return refused(wire_error_make(WIRE_STATUS_BAD_VALUE, "zero", "0"));
+    return refused(question, wire_error_make(WIRE_STATUS_BAD_VALUE, "zero", "0"));
   }
   if (request.version_min > request.version_max) {
-    return refused(wire_error_make(WIRE_STATUS_BAD_VALUE, "version_min", "at most version_max"));
+    return refused(question,
+                   wire_error_make(WIRE_STATUS_BAD_VALUE, "version_min", "at most version_max"));
   }
   if (request.version_min > WIRE_VERSION || request.version_max < WIRE_VERSION) {
-    return refused(wire_error_make(WIRE_STATUS_BAD_VERSION, "version_max", "a range with 1 in it"));
+    return refused(question,
+                   wire_error_make(WIRE_STATUS_BAD_VERSION, "version_max", "a range with 1 in it"));
   }
   const wire_hello_reply reply = describe_daemon(question->server);
   uint8_t *at = begin_reply(question, WIRE_BYTES_hello_reply +
                                           reply.choice_count * (size_t)WIRE_BYTES_choice +
                                           reply.limit_count * (size_t)WIRE_BYTES_value);
   if (at == NULL) {
-    return busy();
+    return busy(question);
   }
   wire_put_hello_reply(at, &reply);
   at += WIRE_BYTES_hello_reply;
@@ -128,22 +128,22 @@ static struct outcome answer_HELLO(struct question *question) {
   struct value_cursor limits = {at, 0};
   options_each_number(&question->server->options, put_value, &limits);
   output_commit(question->output);
-  return answered();
+  return ANSWERED;
 }
 
-static struct outcome answer_again(struct question *question, const struct repeat_entry *entry) {
+static enum outcome answer_again(struct question *question, const struct repeat_entry *entry) {
   struct job_scratch *scratch = question->place->scratch;
   uint8_t *reply = begin_reply(question, entry->reply_bytes);
   if (reply == NULL) {
-    return busy();
+    return busy(question);
   }
   repeat_answer(entry, &scratch->batch, &question->server->stats, question->payload, scratch->radii,
                 reply);
   output_commit(question->output);
-  return answered();
+  return ANSWERED;
 }
 
-static struct outcome answer_EVAL(struct question *question) {
+static enum outcome answer_EVAL(struct question *question) {
   const struct repeat_entry *entry = repeat_find(
       &question->place->scratch->repeat, question->payload, question->header->payload_bytes);
   if (entry != NULL) {
@@ -153,19 +153,19 @@ static struct outcome answer_EVAL(struct question *question) {
   const wire_error error =
       job_check(job, question->server, question->payload, question->header->payload_bytes);
   if (error.status != WIRE_STATUS_OK) {
-    return refused(error);
+    return refused(question, error);
   }
   const wire_error admitted = job_admit(job, question->server, question->place->scratch);
   if (admitted.status != WIRE_STATUS_OK) {
-    return refused(admitted);
+    return refused(question, admitted);
   }
   uint8_t *reply = begin_reply(question, (size_t)job->layout.payload_bytes);
   if (reply == NULL) {
     job_forgive(job, question->place->scratch);
-    return busy();
+    return busy(question);
   }
   job_start(job, reply);
-  return (struct outcome){.error = wire_error_none(), .started = STARTED_JOB};
+  return STARTED_JOB;
 }
 
 /* Room for a list reply with count entries; NULL: none. */
@@ -179,13 +179,13 @@ static uint8_t *begin_list(struct question *question, size_t count, size_t entry
   return at;
 }
 
-static struct outcome answer_MEDIA(struct question *question) {
+static enum outcome answer_MEDIA(struct question *question) {
   if (question->header->payload_bytes != 0) {
-    return bad_length("0");
+    return bad_length(question, "0");
   }
   uint8_t *at = begin_list(question, core_measured_media_count, WIRE_BYTES_measured_medium);
   if (at == NULL) {
-    return busy();
+    return busy(question);
   }
   for (size_t i = 0; i < core_measured_media_count; i++) {
     const core_measured_medium *medium = &core_measured_media[i];
@@ -199,59 +199,67 @@ static struct outcome answer_MEDIA(struct question *question) {
     at += WIRE_BYTES_measured_medium;
   }
   output_commit(question->output);
-  return answered();
+  return ANSWERED;
 }
 
-static struct outcome answer_STATS(struct question *question) {
+static enum outcome answer_STATS(struct question *question) {
   if (question->header->payload_bytes != 0) {
-    return bad_length("0");
+    return bad_length(question, "0");
   }
   uint8_t *at = begin_list(question, STATS_COUNT, WIRE_BYTES_value);
   if (at == NULL) {
-    return busy();
+    return busy(question);
   }
   struct server *server = question->server;
   for (size_t i = 0; i < STATS_COUNT; i++) {
     wire_value value = stats_value(&server->stats, i);
-    if (i == STATS_UPTIME_MS) {
+    switch (i) { /* those that are not counted */
+    case STATS_UPTIME_MS:
       value.value = (uv_hrtime() - server->started_ns) / 1000000;
-    } else if (i == STATS_ALLOCATIONS) {
+      break;
+    case STATS_ALLOCATIONS:
       value.value = memory_allocations();
+      break;
+    case STATS_BUFFER_BYTES:
+      value.value = atomic_load(&server->buffer_bytes);
+      break;
+    default:
+      break;
     }
     wire_put_value(at, &value);
     at += WIRE_BYTES_value;
   }
   output_commit(question->output);
-  return answered();
+  return ANSWERED;
 }
 
-static struct outcome answer_PING(struct question *question) {
+static enum outcome answer_PING(struct question *question) {
   const size_t bytes = question->header->payload_bytes;
   if (bytes > WIRE_PING_MAX_BYTES) {
-    return bad_length("at most 1024");
+    return bad_length(question, "at most 1024");
   }
   uint8_t *at = begin_reply(question, bytes);
   if (at == NULL) {
-    return busy();
+    return busy(question);
   }
   memcpy(at, question->payload, bytes);
   output_commit(question->output);
-  return answered();
+  return ANSWERED;
 }
 
-static struct outcome answer_MC(struct question *question) {
+static enum outcome answer_MC(struct question *question) {
   const wire_error error = mc_desk_start(question->place->mc, question->header->request_id,
                                          question->payload, question->header->payload_bytes);
-  return (struct outcome){error, error.status == WIRE_STATUS_OK ? STARTED_MC : STARTED_NOTHING};
+  return started(question, error, STARTED_MC);
 }
 
-static struct outcome answer_CANCEL(struct question *question) {
+static enum outcome answer_CANCEL(struct question *question) {
   if (question->header->payload_bytes != WIRE_BYTES_cancel_request) {
-    return bad_length("8");
+    return bad_length(question, "8");
   }
   uint8_t *at = begin_reply(question, WIRE_BYTES_cancel_reply);
   if (at == NULL) {
-    return busy();
+    return busy(question);
   }
   wire_cancel_request request;
   wire_get_cancel_request(question->payload, &request);
@@ -259,13 +267,13 @@ static struct outcome answer_CANCEL(struct question *question) {
       .found = mc_desk_end(*question->place->mc->desk, request.job_id, MC_CANCELLED)};
   wire_put_cancel_reply(at, &reply);
   output_commit(question->output);
-  return answered();
+  return ANSWERED;
 }
 
-static struct outcome answer_TABLE(struct question *question) {
+static enum outcome answer_TABLE(struct question *question) {
   const wire_error error =
       table_job_start(question->place->table, question->payload, question->header->payload_bytes);
-  return (struct outcome){error, error.status == WIRE_STATUS_OK ? STARTED_TABLE : STARTED_NOTHING};
+  return started(question, error, STARTED_TABLE);
 }
 
 static void put_offers(uint8_t *at, const struct choice *choice, size_t taken) {
@@ -288,32 +296,33 @@ static void put_offers(uint8_t *at, const struct choice *choice, size_t taken) {
   }
 }
 
-static struct outcome answer_OFFERS(struct question *question) {
+static enum outcome answer_OFFERS(struct question *question) {
   struct choice choice;
   const wire_error error =
       job_offers(question->server, question->payload, question->header->payload_bytes, &choice);
   if (error.status != WIRE_STATUS_OK) {
-    return refused(error);
+    return refused(question, error);
   }
   uint8_t *at =
       begin_reply(question, WIRE_BYTES_offers_reply + choice.count * (size_t)WIRE_BYTES_offer);
   if (at == NULL) {
-    return busy();
+    return busy(question);
   }
   const size_t taken = choice_sort_by_cost(&choice);
   put_offers(at, &choice, taken);
   output_commit(question->output);
-  return answered();
+  return ANSWERED;
 }
 
-static struct outcome answer(struct question *question) {
+static enum outcome answer(struct question *question) {
   switch (question->header->type) {
 #define WIRE_MESSAGE(type, IDENT, name)                                                            \
   case type:                                                                                       \
     return answer_##IDENT(question);
 #include "proto/messages.def"
   default:
-    return refused(wire_error_make(WIRE_STATUS_BAD_TYPE, "type", "a message of the protocol"));
+    return refused(question,
+                   wire_error_make(WIRE_STATUS_BAD_TYPE, "type", "a message of the protocol"));
   }
 }
 
@@ -335,23 +344,26 @@ bool request_refuse(struct server *server, uint64_t request_id, const wire_error
 enum request_outcome request_begin(struct server *server, const wire_header *header,
                                    const uint8_t *payload, struct output *output,
                                    const struct request_place *place) {
-  struct question question = {server, header, payload, output, place};
+  struct question question;
+  question.server = server; /* not its error, which is large and hardly ever used */
+  question.header = header;
+  question.payload = payload;
+  question.output = output;
+  question.place = place;
   stats_count_request(&server->stats, header->type);
-  const struct outcome outcome = answer(&question);
-  switch (outcome.started) {
+  switch (answer(&question)) {
   case STARTED_JOB:
     return REQUEST_STARTED;
   case STARTED_TABLE:
     return REQUEST_TABLE_STARTED;
-  case STARTED_MC:
-    return REQUEST_ANSWERED;
-  case STARTED_NOTHING:
-    break;
-  }
-  if (outcome.error.status == WIRE_STATUS_OK) {
+  case ANSWERED:
     stats_count_answer(&server->stats, WIRE_STATUS_OK);
     return REQUEST_ANSWERED;
+  case STARTED_MC:
+    return REQUEST_ANSWERED;
+  case REFUSED:
+    break;
   }
-  return request_refuse(server, header->request_id, &outcome.error, output) ? REQUEST_ANSWERED
-                                                                            : REQUEST_NO_ROOM;
+  return request_refuse(server, header->request_id, &question.error, output) ? REQUEST_ANSWERED
+                                                                             : REQUEST_NO_ROOM;
 }

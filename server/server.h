@@ -17,6 +17,7 @@ struct server {
   struct options options;
   const core_isa *isa;
   struct stats stats;
+  _Atomic uint64_t buffer_bytes; /* of all connections */
   uint64_t started_ns;
   struct worker *workers;      /* [options.workers] */
   struct cache *cache;         /* prepared profiles */
@@ -27,22 +28,21 @@ struct server {
 /* Takes bytes from the budget of all buffers (--max-total-bytes); false, and nothing is taken, when
  * they are not there. */
 static inline bool server_take_bytes(struct server *server, uint64_t bytes) {
-  stats_add(&server->stats, STATS_BUFFER_BYTES, bytes);
-  if (stats_get(&server->stats, STATS_BUFFER_BYTES) <= server->options.max_total_bytes) {
+  if (atomic_fetch_add(&server->buffer_bytes, bytes) + bytes <= server->options.max_total_bytes) {
     return true;
   }
-  stats_subtract(&server->stats, STATS_BUFFER_BYTES, bytes);
+  atomic_fetch_sub(&server->buffer_bytes, bytes);
   return false;
 }
 
 /* The same without asking, for the first buffers of a connection: their number is bounded already,
  * and with them small requests and errors are answered whatever large ones hold. */
 static inline void server_take_base_bytes(struct server *server, uint64_t bytes) {
-  stats_add(&server->stats, STATS_BUFFER_BYTES, bytes);
+  atomic_fetch_add(&server->buffer_bytes, bytes);
 }
 
 static inline void server_return_bytes(struct server *server, uint64_t bytes) {
-  stats_subtract(&server->stats, STATS_BUFFER_BYTES, bytes);
+  atomic_fetch_sub(&server->buffer_bytes, bytes);
 }
 
 #endif

@@ -1,5 +1,7 @@
 #include "server/stats.h"
 
+_Thread_local unsigned stats_shard;
+
 static const char *const names[STATS_COUNT] = {
 #define SERVER_STATISTIC(IDENT, name) name,
 #include "server/stats.def"

@@ -20,20 +20,46 @@ enum stats_index {
   STATS_COUNT
 };
 
-struct stats {
-  _Atomic uint64_t values[STATS_COUNT];
+/* Each worker counts in a shard of its own, which no other thread writes; all others share the first.
+ * A value is the sum of all shards. */
+enum { STATS_SHARDS = 65 };
+
+struct stats_shard {
+  _Alignas(64) _Atomic uint64_t values[STATS_COUNT];
 };
 
+struct stats {
+  struct stats_shard shards[STATS_SHARDS];
+};
+
+/* The shard of this thread: 0 unless stats_claim() has been called. */
+extern _Thread_local unsigned stats_shard;
+
+/* number: 1 to STATS_SHARDS - 1; no other thread has it. */
+static inline void stats_claim(unsigned number) {
+  stats_shard = number;
+}
+
 static inline void stats_add(struct stats *stats, enum stats_index index, uint64_t amount) {
-  atomic_fetch_add_explicit(&stats->values[index], amount, memory_order_relaxed);
+  _Atomic uint64_t *value = &stats->shards[stats_shard].values[index];
+  if (stats_shard == 0) {
+    atomic_fetch_add_explicit(value, amount, memory_order_relaxed);
+  } else {
+    atomic_store_explicit(value, atomic_load_explicit(value, memory_order_relaxed) + amount,
+                          memory_order_relaxed);
+  }
 }
 
 static inline void stats_subtract(struct stats *stats, enum stats_index index, uint64_t amount) {
-  atomic_fetch_sub_explicit(&stats->values[index], amount, memory_order_relaxed);
+  stats_add(stats, index, UINT64_C(0) - amount);
 }
 
 static inline uint64_t stats_get(const struct stats *stats, enum stats_index index) {
-  return atomic_load_explicit(&stats->values[index], memory_order_relaxed);
+  uint64_t sum = 0;
+  for (size_t i = 0; i < STATS_SHARDS; i++) {
+    sum += atomic_load_explicit(&stats->shards[i].values[index], memory_order_relaxed);
+  }
+  return sum;
 }
 
 void stats_count_request(struct stats *stats, unsigned type);  /* a type of the list */

@@ -214,6 +214,7 @@ static void close_handle(uv_handle_t *handle, void *unused) {
 
 static void thread_main(void *argument) {
   struct worker *worker = argument;
+  stats_claim((unsigned)(worker - worker->server->workers) + 1);
   uv_run(&worker->loop, UV_RUN_DEFAULT);
   assert(worker->connections == NULL);
   uv_walk(&worker->loop, close_handle, NULL);
