@@ -3,8 +3,21 @@
  * Threading: main accepts and gives each connection to the worker that has the fewest; from then on
  * the worker reads, evaluates and writes on its own thread, so that a request crosses no threads.
  * In each round of its loop a worker reads what has arrived on all of its connections, then gives
- * each that has work one turn of bounded length, and goes round again; so requests that arrive
- * together are evaluated together, and a large one is taken in slices between the others' turns.
+ * each that has work one turn of bounded length, evaluates together what is short (server/batch.h),
+ * writes, and goes round again; a large request is taken in slices between the others' turns.
+ *
+ * The other scheme, an I/O thread in front that hands requests to workers and takes answers back,
+ * was measured with bare prototypes of both (build/bench threads, two cores; owners / front):
+ *
+ *   request and in flight          requests/s     CPU, us      median round trip, us
+ *   16 radii, one                  73k / 12k      5.9 / 33     11 / 48
+ *   16 radii, 32 connections x 16  932k / 799k    0.28 / 0.35  265 / 305
+ *   65,536 radii, one              3059 / 2898    89 / 113     164 / 177
+ *   65,536 radii, 4 x 2            6968 / 6998    93 / 125     1120 / 1123
+ *   65,536 radii, 1 x 4            3389 / 3437    78 / 89      612 / 605
+ *
+ * The hop there and back costs more than a small request, and large ones gain nothing that two
+ * connections do not: so connections have owners.
  */
 #ifndef DIPOLED_WORKER_H
 #define DIPOLED_WORKER_H

@@ -9,8 +9,8 @@
 
 #include "tests/bench/service/target.h"
 
-/* Radii of a streamed request, a grid: what a frame of the default max_frame_bytes has room for. */
-enum { STREAM_RADII = 16 * 1024 * 1024 - 16 };
+/* Radii of a streamed request, a grid, whose answer comes in parts. */
+enum { STREAM_RADII = 64000000 };
 
 struct streamer {
   int control; /* of a socket pair, to the process */
