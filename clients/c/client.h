@@ -8,6 +8,7 @@
 #include <sys/types.h>
 
 #include "clients/c/dipole.h"
+#include "proto/eval.h"
 #include "proto/wire.h"
 
 /* ---- error.c ------------------------------------------------------------------------------- */
@@ -95,23 +96,40 @@ bool libdipole_stream_step(libdipole_stream *stream, unsigned timeout_ms, dipole
 
 /* ---- request.c ----------------------------------------------------------------------------- */
 
-/* A frame that has arrived. The result comes first, so that the caller's result is the block that
- * holds the payload; after the payload there is room for the result's channels. */
+/* A frame that has arrived, or an answer that was put together of several. The result comes first, so
+ * that the caller's result is the block that holds the payload; after the payload there is room for
+ * the result's channels. */
 typedef struct libdipole_frame {
   dipole_result result;
   wire_header header;
+  uint64_t payload_bytes; /* that are here: of several parts more than a header can say */
   _Alignas(8) uint8_t payload[];
 } libdipole_frame;
+
+/* Who is handed the parts of an answer as they come. */
+typedef struct libdipole_reader {
+  bool (*part)(void *context, const dipole_result *part, uint64_t radius_first);
+  void *context;
+  bool stopped; /* wants no more */
+} libdipole_reader;
 
 /* A request whose answer has not been handed out, and what the answer may look like. */
 typedef struct libdipole_pending {
   uint64_t id;
   uint16_t type;
-  uint64_t reply_bytes_min, reply_bytes_max; /* of the payload */
+  uint32_t deadline_ms;
+  uint64_t reply_bytes_min, reply_bytes_max; /* of the payload of one frame */
   uint16_t model, evaluator, wanted;         /* these three: eval only */
   uint32_t medium_count;                     /* these two: 0 where there is no list of them */
   uint64_t radius_count;
   libdipole_frame *frame; /* the answer; NULL: not here yet */
+
+  /* Of an eval whose answer comes in parts: what the next one has to be; */
+  uint32_t next_part;
+  uint64_t next_radius;
+  libdipole_frame *gathered; /* what has come so far; with a reader, without the arrays */
+  libdipole_reader *reader;  /* NULL: the parts are put together */
+  bool dropped;              /* nobody wants the rest any more; the reader is gone */
 } libdipole_pending;
 
 struct dipole_client {
@@ -125,6 +143,7 @@ struct dipole_client {
   libdipole_pending *pending;
   size_t pending_begin, pending_count, pending_capacity;
   size_t arrived_count;   /* of those, with an answer */
+  size_t dropped_count;   /* of those, dropped */
   libdipole_frame *frame; /* being received; NULL: a header is next */
 
   char *address;
@@ -144,9 +163,15 @@ bool libdipole_request_begin(dipole_client *client, libdipole_pending *pending,
 /* Sends it, as far as that needs no wait or the backlog has grown too long. */
 bool libdipole_request_send(dipole_client *client, dipole_error *error);
 
+/* Room for a frame with this header and payload, and for that many channels; NULL: there is none. */
+libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload_bytes,
+                                     uint32_t channel_count, dipole_error *error);
+
 /* Waits for the answer to request id, or to any request when id is 0, and hands it out: frame, to
- * be freed by the caller, is then in *pending. An mc request is answered in parts: the latest is
- * handed out, and until that is the last one the request goes on. */
+ * be freed by the caller, is then in *pending. The parts of an eval's answer are one answer, or have
+ * been handed to the reader; where that wants no more, *pending is dropped and without a frame. An mc
+ * request is answered again and again: the latest is handed out, and until that is the last one the
+ * request goes on. */
 bool libdipole_request_wait(dipole_client *client, uint64_t id, libdipole_pending *pending,
                             dipole_error *error);
 
@@ -180,7 +205,26 @@ uint8_t *libdipole_medium_put(uint8_t *at, const dipole_medium *medium);
 bool libdipole_query_send(dipole_client *client, const dipole_query *query,
                           libdipole_pending *pending, dipole_error *error);
 
+/* ---- parts.c ------------------------------------------------------------------------------- */
+
+/* Whether a frame is part of an answer to an eval that has others, or that is to be read part by
+ * part. */
+bool libdipole_part_is(const libdipole_pending *pending, const libdipole_frame *frame);
+
+/* Takes the next part over. When it was the last, pending->frame is the whole answer, of which with a
+ * reader or when dropped only the beginning is left. */
+bool libdipole_part_take(libdipole_pending *pending, libdipole_frame *frame, dipole_error *error);
+
 /* ---- result.c ------------------------------------------------------------------------------ */
+
+/* Whether a frame is the next part of the answer, or all of it, in the shape that was asked for: so
+ * that a caller who indexes with its own counts stays inside the arrays. */
+bool libdipole_answer_parse(const libdipole_pending *pending, const libdipole_frame *frame,
+                            wire_eval_reply *fixed, eval_layout *layout, dipole_error *error);
+
+/* Makes frame->result out of the frame's own payload. */
+const dipole_result *libdipole_result_make(libdipole_frame *frame, const wire_eval_reply *fixed,
+                                           const eval_layout *layout);
 
 /* Makes the result out of the answer to an eval request; takes pending->frame over. */
 bool libdipole_result_take(dipole_client *client, libdipole_pending *pending,

@@ -48,6 +48,7 @@ enum dipole_error_kind {
   DIPOLE_ERROR_ARGUMENT,   /* the call's arguments do not fit together */
   DIPOLE_ERROR_REFUSED,    /* the daemon refused the request; the client goes on working */
   DIPOLE_ERROR_TABLE,      /* the bytes are not an intact table of a layout that is known here */
+  DIPOLE_ERROR_STOPPED,    /* the caller wanted no more of an answer; the client goes on working */
 };
 
 typedef struct dipole_error {
@@ -191,6 +192,9 @@ typedef struct dipole_query {
   double radius_stop_mm;              /* and the last */
   const dipole_parameter *parameters; /* [parameter_count], each id at most once; NULL: none */
   size_t parameter_count;
+  /* After so many ms the daemon answers with an error of kind REFUSED, status `deadline`, instead of
+   * a later result; they count from the arrival of the query. 0: no matter. */
+  uint32_t deadline_ms;
 } dipole_query;
 
 /* The answer for one medium. An array is NULL when its quantity was not wanted or when the
@@ -220,9 +224,29 @@ typedef struct dipole_result {
 } dipole_result;
 
 /* Evaluates and waits for the answer. *result is the caller's, to be freed with
- * dipole_result_free(). Answers to submitted queries that arrive meanwhile are kept. */
+ * dipole_result_free(). Answers to submitted queries that arrive meanwhile are kept. An answer of any
+ * size is one result, as large as memory allows. */
 bool dipole_eval(dipole_client *client, const dipole_query *query, dipole_result **result,
                  dipole_error *error);
+
+/* Evaluates like dipole_eval(), but keeps nothing: whatever the daemon sends at a time is handed to
+ * part() as soon as it is here, so that an answer may be larger than memory. How many radii come at
+ * a time is the daemon's choice; an answer that fits into a frame (limit max_frame_bytes) is one
+ * part, of a larger one parts have up to max_part_bytes.
+ *
+ * part() is called for one part after the other. *part is a result of its own, for the
+ * part->radius_count radii that begin at position radius_first of those asked for; its arrays hold
+ * these, and all else is the same in every part. It is valid until the function returns, which must
+ * neither free it nor use the client. While it works the daemon waits.
+ *
+ * True: all parts have been there. False: an error ended the answer; what had come before is right,
+ * and part() may have been called for it. When part() returns false the error is of kind STOPPED; the
+ * client goes on working, but the next calls have to wait until the rest has come, and throw it away:
+ * where much of it is left it is better to close the client. */
+bool dipole_eval_parts(dipole_client *client, const dipole_query *query,
+                       bool (*part)(void *context, const dipole_result *part,
+                                    uint64_t radius_first),
+                       void *context, dipole_error *error);
 
 void dipole_result_free(dipole_result *result); /* NULL is fine */
 

@@ -116,6 +116,7 @@ bool libdipole_query_send(dipole_client *client, const dipole_query *query,
   if (!check_query(query, &radii_bytes, error)) {
     return false;
   }
+  pending->deadline_ms = query->deadline_ms;
   pending->medium_count = query->medium_count;
   pending->radius_count = query->radius_count;
   const uint64_t bytes =

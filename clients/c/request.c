@@ -49,8 +49,8 @@ static bool pending_reserve(dipole_client *client, dipole_error *error) {
   return true;
 }
 
-/* Whether more frames of this answer follow. */
-static bool is_part(const libdipole_frame *frame) {
+/* Whether this is progress of a job: more frames of its answer follow. */
+static bool is_progress(const libdipole_frame *frame) {
   wire_mc_reply reply;
   if (frame->header.type != (WIRE_TYPE_MC | WIRE_REPLY)) {
     return false;
@@ -59,25 +59,30 @@ static bool is_part(const libdipole_frame *frame) {
   return reply.state == MC_UNDER_WAY;
 }
 
-/* Hands an entry out. Those before it, usually none, move up; after a part of an answer it stays.
- */
-static void pending_take(dipole_client *client, libdipole_pending *entry, libdipole_pending *out) {
+/* Those before it, usually none, move up. */
+static void pending_remove(dipole_client *client, libdipole_pending *entry) {
   libdipole_pending *first = client->pending + client->pending_begin;
-  *out = *entry;
-  if (is_part(entry->frame)) {
-    entry->frame = NULL;
-    client->arrived_count--;
-    return;
-  }
   memmove(first + 1, first, (size_t)(entry - first) * sizeof *first);
   client->pending_begin++;
   client->pending_count--;
+}
+
+/* Hands an entry out that has an answer. After progress of a job it stays. */
+static void pending_take(dipole_client *client, libdipole_pending *entry, libdipole_pending *out) {
+  *out = *entry;
   client->arrived_count--;
+  if (is_progress(entry->frame)) {
+    entry->frame = NULL;
+  } else {
+    pending_remove(client, entry);
+  }
 }
 
 void libdipole_pending_free(dipole_client *client) {
   for (size_t i = 0; i < client->pending_count; i++) {
-    free(client->pending[client->pending_begin + i].frame);
+    libdipole_pending *entry = &client->pending[client->pending_begin + i];
+    free(entry->frame);
+    free(entry->gathered);
   }
   free(client->pending);
   free(client->frame);
@@ -105,7 +110,7 @@ static bool check_header(const wire_header *header, const libdipole_pending *pen
   if (is_error(header) && header->payload_bytes == WIRE_BYTES_error) {
     return true;
   }
-  if (pending == NULL || (pending->frame != NULL && !is_part(pending->frame))) {
+  if (pending == NULL || (pending->frame != NULL && !is_progress(pending->frame))) {
     return libdipole_fail(error, DIPOLE_ERROR_PROTOCOL,
                           "the peer does not speak this protocol: it answered a request that was "
                           "not sent");
@@ -122,6 +127,21 @@ static bool check_header(const wire_header *header, const libdipole_pending *pen
   return true;
 }
 
+libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload_bytes,
+                                     uint32_t channel_count, dipole_error *error) {
+  const uint64_t beside = sizeof(libdipole_frame) + channel_count * (uint64_t)sizeof(dipole_channel);
+  libdipole_frame *frame =
+      payload_bytes <= SIZE_MAX - beside ? malloc((size_t)(payload_bytes + beside)) : NULL;
+  if (frame == NULL) {
+    libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory: %llu bytes for an answer",
+                   (unsigned long long)payload_bytes);
+    return NULL;
+  }
+  frame->header = *header;
+  frame->payload_bytes = payload_bytes;
+  return frame;
+}
+
 /* Starts a frame when a whole header is in the buffer. */
 static bool begin_frame(dipole_client *client, dipole_error *error) {
   libdipole_stream *stream = &client->stream;
@@ -132,41 +152,71 @@ static bool begin_frame(dipole_client *client, dipole_error *error) {
   if (!check_header(&header, pending, error)) {
     return false;
   }
-  const uint64_t channels_bytes =
-      pending != NULL ? pending->medium_count * (uint64_t)sizeof(dipole_channel) : 0;
-  const uint64_t bytes = sizeof(libdipole_frame) + header.payload_bytes + channels_bytes;
-  client->frame = bytes <= SIZE_MAX ? malloc((size_t)bytes) : NULL;
+  client->frame = libdipole_frame_new(&header, header.payload_bytes,
+                                      pending != NULL ? pending->medium_count : 0, error);
   if (client->frame == NULL) {
-    return libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory: %llu bytes for an answer",
-                          (unsigned long long)bytes);
+    return false;
   }
-  client->frame->header = header;
   stream->target = client->frame->payload;
   stream->target_bytes = header.payload_bytes;
   return true;
 }
 
-/* Gives a complete frame to its request. Of an answer in parts the latest is kept. */
-static bool end_frame(dipole_client *client, dipole_error *error) {
-  libdipole_frame *frame = client->frame;
-  libdipole_pending *pending = pending_find(client, frame->header.request_id);
-  client->frame = NULL;
-  if (pending != NULL && pending->frame == NULL) {
-    pending->frame = frame;
-    client->arrived_count++;
-    return true;
-  }
-  if (pending != NULL && is_part(pending->frame)) {
-    free(pending->frame);
-    pending->frame = frame;
-    return true;
-  }
+/* What the daemon says of the connection as a whole. */
+static bool take_last_words(dipole_client *client, libdipole_frame *frame, dipole_error *error) {
   libdipole_refused(client, NULL, frame, error);
   free(frame);
   /* Before the lists are here, the client has nothing to lose: what the daemon says is the reason
    * why it cannot be opened. Later, it is why the connection is lost. */
   error->kind = client->info.software != NULL ? DIPOLE_ERROR_CONNECTION : DIPOLE_ERROR_REFUSED;
   return false;
+}
+
+/* The answer is whole, or an error has ended it. */
+static void end_answer(dipole_client *client, libdipole_pending *pending) {
+  free(pending->gathered); /* what came before the error */
+  pending->gathered = NULL;
+  if (pending->dropped) {
+    free(pending->frame);
+    client->dropped_count--;
+    pending_remove(client, pending);
+  } else {
+    client->arrived_count++;
+  }
+}
+
+static bool take_part(dipole_client *client, libdipole_pending *pending, libdipole_frame *frame,
+                      dipole_error *error) {
+  const bool was_dropped = pending->dropped;
+  if (!libdipole_part_take(pending, frame, error)) {
+    return false;
+  }
+  client->dropped_count += pending->dropped && !was_dropped;
+  if (pending->frame != NULL) {
+    end_answer(client, pending);
+  }
+  return true;
+}
+
+/* Gives a complete frame to its request. Of a job's progress the latest is kept. */
+static bool end_frame(dipole_client *client, dipole_error *error) {
+  libdipole_frame *frame = client->frame;
+  libdipole_pending *pending = pending_find(client, frame->header.request_id);
+  client->frame = NULL;
+  if (pending == NULL || (pending->frame != NULL && !is_progress(pending->frame))) {
+    return take_last_words(client, frame, error);
+  }
+  if (pending->frame != NULL) {
+    free(pending->frame);
+    pending->frame = frame;
+    return true;
+  }
+  if (libdipole_part_is(pending, frame)) {
+    return take_part(client, pending, frame, error);
+  }
+  pending->frame = frame;
+  end_answer(client, pending);
+  return true;
 }
 
 /* Makes frames of the bytes in the buffer. */
@@ -234,7 +284,8 @@ bool libdipole_request_begin(dipole_client *client, libdipole_pending *pending,
                               .version = WIRE_VERSION,
                               .type = pending->type,
                               .request_id = pending->id,
-                              .payload_bytes = (uint32_t)payload_bytes};
+                              .payload_bytes = (uint32_t)payload_bytes,
+                              .deadline_ms = pending->deadline_ms};
   uint8_t *at = client->stream.out + client->stream.out_end;
   wire_put_header(at, &header);
   *payload = at + WIRE_BYTES_header;
@@ -258,14 +309,18 @@ bool libdipole_request_wait(dipole_client *client, uint64_t id, libdipole_pendin
                             dipole_error *error) {
   for (;;) {
     libdipole_pending *entry = NULL;
-    if (client->arrived_count > 0) {
+    if (client->arrived_count + client->dropped_count > 0) {
       entry = id != 0 ? pending_find(client, id) : pending_first_arrived(client);
+    }
+    if (entry != NULL && entry->dropped) {
+      *pending = *entry;
+      return true;
     }
     if (entry != NULL && entry->frame != NULL) {
       pending_take(client, entry, pending);
       return true;
     }
-    if (client->pending_count == 0) {
+    if (client->pending_count == client->dropped_count) {
       return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "no query is outstanding");
     }
     if (!step(client, error)) {

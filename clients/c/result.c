@@ -3,26 +3,27 @@
 #include <string.h>
 
 #include "clients/c/client.h"
-#include "proto/eval.h"
 
 /* Values are used where they lie in the frames, which are little-endian. */
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's arrays need swapping");
 
 /* ---- asking -------------------------------------------------------------------------------- */
 
-static bool submit(dipole_client *client, const dipole_query *query, uint64_t *id,
-                   dipole_error *error) {
+static bool submit(dipole_client *client, const dipole_query *query, libdipole_reader *reader,
+                   uint64_t *id, dipole_error *error) {
   eval_layout layout;
   libdipole_pending pending = {.type = WIRE_TYPE_EVAL,
                                .model = (uint16_t)query->model,
                                .evaluator = (uint16_t)query->evaluator,
-                               .wanted = (uint16_t)query->wanted};
-  /* A reply that would not fit into a frame is one that the daemon will refuse; it is asked all the
-   * same, because its refusal says what the limit is. */
+                               .wanted = (uint16_t)query->wanted,
+                               .reader = reader};
+  /* What is so large that nothing could hold it is asked for all the same: the daemon's refusal says
+   * what the limit is. */
   if (eval_value_bytes(query->evaluator) > 0 &&
       eval_reply_layout(query->evaluator, query->wanted, query->medium_count, query->radius_count,
-                        UINT32_MAX, &layout)) {
-    pending.reply_bytes_min = pending.reply_bytes_max = layout.payload_bytes;
+                        UINT64_MAX, &layout)) {
+    pending.reply_bytes_min = layout.radius_offset; /* of a part: with its channels */
+    pending.reply_bytes_max = layout.payload_bytes;
   } else {
     pending.reply_bytes_min = UINT64_MAX;
   }
@@ -69,15 +70,21 @@ static bool is_asked_for(const libdipole_pending *pending, const wire_eval_reply
              : fixed->evaluator == pending->evaluator;
 }
 
-/* The answer must have the shape that was asked for, so that a caller who indexes with its own
- * counts stays inside the arrays. */
-static bool parse_answer(const libdipole_pending *pending, wire_eval_reply *fixed,
-                         eval_layout *layout, dipole_error *error) {
-  const libdipole_frame *frame = pending->frame;
-  if (eval_reply_parse(frame->payload, frame->header.payload_bytes, fixed, layout) &&
+/* With how many radii a part starts, and how many it has; an answer in one frame is one part, of all.
+ */
+static bool is_next_part(const libdipole_pending *pending, const wire_eval_reply *fixed) {
+  const uint64_t left = pending->radius_count - pending->next_radius;
+  const bool is_last = fixed->part + 1 == fixed->part_count;
+  return fixed->part == pending->next_part && fixed->radius_first == pending->next_radius &&
+         fixed->radius_count <= left && is_last == (fixed->radius_count == left) &&
+         (fixed->radius_count > 0 || fixed->part_count == 1);
+}
+
+bool libdipole_answer_parse(const libdipole_pending *pending, const libdipole_frame *frame,
+                            wire_eval_reply *fixed, eval_layout *layout, dipole_error *error) {
+  if (eval_reply_parse(frame->payload, (size_t)frame->payload_bytes, fixed, layout) &&
       is_asked_for(pending, fixed) && fixed->wanted == pending->wanted &&
-      fixed->channel_count == pending->medium_count &&
-      fixed->radius_count == pending->radius_count) {
+      fixed->channel_count == pending->medium_count && is_next_part(pending, fixed)) {
     return true;
   }
   return libdipole_fail(error, DIPOLE_ERROR_PROTOCOL,
@@ -85,37 +92,49 @@ static bool parse_answer(const libdipole_pending *pending, wire_eval_reply *fixe
                         "another shape than was asked for");
 }
 
+const dipole_result *libdipole_result_make(libdipole_frame *frame, const wire_eval_reply *fixed,
+                                           const eval_layout *layout) {
+  const void *radii =
+      (fixed->wanted & CORE_QUANTITY_RADIUS) != 0 ? frame->payload + layout->radius_offset : NULL;
+  dipole_channel *channels = (dipole_channel *)(void *)(frame->payload + frame->payload_bytes);
+  for (uint32_t i = 0; i < fixed->channel_count; i++) {
+    get_channel(frame, layout, fixed, i, &channels[i]);
+  }
+  frame->result = (dipole_result){.model = fixed->model,
+                                  .evaluator = fixed->evaluator,
+                                  .moments = fixed->moments,
+                                  .wanted = fixed->wanted,
+                                  .notes = fixed->notes,
+                                  .radius_count = fixed->radius_count,
+                                  .radius_f64 = fixed->evaluator == DIPOLE_F64 ? radii : NULL,
+                                  .radius_f32 = fixed->evaluator == DIPOLE_F64 ? NULL : radii,
+                                  .channel_count = fixed->channel_count,
+                                  .channels = channels};
+  return &frame->result;
+}
+
+/* An error frame in place of an answer is told; true: it is none. */
+static bool check_refusal(const dipole_client *client, const libdipole_pending *pending,
+                          dipole_error *error) {
+  return pending->frame->header.type != WIRE_TYPE_ERROR ||
+         libdipole_refused(client, pending, pending->frame, error);
+}
+
 bool libdipole_result_take(dipole_client *client, libdipole_pending *pending,
                            dipole_result **result, dipole_error *error) {
   libdipole_frame *frame = pending->frame;
   wire_eval_reply fixed;
   eval_layout layout;
-  if (frame->header.type == WIRE_TYPE_ERROR) {
-    libdipole_refused(client, pending, frame, error);
+  if (!check_refusal(client, pending, error)) {
     free(frame);
     return false;
   }
-  if (!parse_answer(pending, &fixed, &layout, error)) {
+  if (!libdipole_answer_parse(pending, frame, &fixed, &layout, error)) {
     client->broken = *error;
     free(frame);
     return false;
   }
-  const void *radii =
-      (fixed.wanted & CORE_QUANTITY_RADIUS) != 0 ? frame->payload + layout.radius_offset : NULL;
-  dipole_channel *channels = (dipole_channel *)(frame->payload + frame->header.payload_bytes);
-  for (uint32_t i = 0; i < fixed.channel_count; i++) {
-    get_channel(frame, &layout, &fixed, i, &channels[i]);
-  }
-  frame->result = (dipole_result){.model = fixed.model,
-                                  .evaluator = fixed.evaluator,
-                                  .moments = fixed.moments,
-                                  .wanted = fixed.wanted,
-                                  .notes = fixed.notes,
-                                  .radius_count = fixed.radius_count,
-                                  .radius_f64 = fixed.evaluator == DIPOLE_F64 ? radii : NULL,
-                                  .radius_f32 = fixed.evaluator == DIPOLE_F64 ? NULL : radii,
-                                  .channel_count = fixed.channel_count,
-                                  .channels = channels};
+  libdipole_result_make(frame, &fixed, &layout);
   *result = &frame->result;
   return true;
 }
@@ -125,7 +144,7 @@ bool libdipole_result_take(dipole_client *client, libdipole_pending *pending,
 bool dipole_submit(dipole_client *client, const dipole_query *query, uint64_t *id,
                    dipole_error *error) {
   dipole_error unwanted;
-  return submit(client, query, id, error != NULL ? error : &unwanted);
+  return submit(client, query, NULL, id, error != NULL ? error : &unwanted);
 }
 
 bool dipole_collect(dipole_client *client, uint64_t *id, dipole_result **result,
@@ -146,8 +165,31 @@ bool dipole_eval(dipole_client *client, const dipole_query *query, dipole_result
   libdipole_pending pending;
   uint64_t id;
   error = error != NULL ? error : &unwanted;
-  return submit(client, query, &id, error) && libdipole_request_wait(client, id, &pending, error) &&
+  return submit(client, query, NULL, &id, error) &&
+         libdipole_request_wait(client, id, &pending, error) &&
          libdipole_result_take(client, &pending, result, error);
+}
+
+bool dipole_eval_parts(dipole_client *client, const dipole_query *query,
+                       bool (*part)(void *context, const dipole_result *part,
+                                    uint64_t radius_first),
+                       void *context, dipole_error *error) {
+  dipole_error unwanted;
+  libdipole_pending pending;
+  libdipole_reader reader = {.part = part, .context = context};
+  uint64_t id;
+  error = error != NULL ? error : &unwanted;
+  if (!submit(client, query, &reader, &id, error) ||
+      !libdipole_request_wait(client, id, &pending, error)) {
+    return false;
+  }
+  if (reader.stopped) {
+    free(pending.frame);
+    return libdipole_fail(error, DIPOLE_ERROR_STOPPED, "the rest of the answer was not wanted");
+  }
+  const bool good = check_refusal(client, &pending, error);
+  free(pending.frame);
+  return good;
 }
 
 /* The layout follows from the result's own counts, as it did when the answer was parsed. */
@@ -158,7 +200,7 @@ static const void *values(const dipole_result *result, uint32_t channel, unsigne
   if (eval_value_bytes(result->evaluator) != value_bytes || channel >= result->channel_count ||
       !eval_is_array(result->wanted, quantity) ||
       !eval_reply_layout(result->evaluator, result->wanted, result->channel_count,
-                         result->radius_count, frame->header.payload_bytes, &layout)) {
+                         result->radius_count, frame->payload_bytes, &layout)) {
     return NULL;
   }
   return array_at(frame, &layout, result->wanted, channel, quantity);
