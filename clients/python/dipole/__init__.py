@@ -22,6 +22,7 @@ from .errors import (
     TableError,
 )
 from .mc import McEnergy, McProgress, McResult, McValue
+from .parts import Parts
 from .table import Table
 from .values import Choice, Grid, Info, Medium, Offer, Offers, Result
 
@@ -44,6 +45,7 @@ __all__ = [
     "Medium",
     "Offer",
     "Offers",
+    "Parts",
     "ProtocolError",
     "Refused",
     "Result",

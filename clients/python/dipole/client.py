@@ -9,24 +9,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from . import mc, wire
+from . import answers, mc, wire
+from .answers import Answer, Query
 from .connection import Connection, Frame, frame_bytes
 from .errors import ArgumentError, DipoleError, ProtocolError, Refused, TableError
+from .parts import Parts
 from .table import Table
 from .values import Choice, Grid, Info, Medium, Offer, Offers, Result
-
-
-class _Query(NamedTuple):
-    """What a reply does not repeat and its decoding needs."""
-
-    radii: np.ndarray | None  # as listed; None for a grid
-    value_type: str | None  # numpy's, of radii and values; None: not known here
-    medium_count: int
-    radius_count: int
 
 
 class Client:
@@ -38,9 +31,10 @@ class Client:
 
     def __init__(self, address: str | None = None, timeout_s: float | None = 30.0):
         self._last_id = 0
-        self._outstanding: dict[int, _Query] = {}
+        self._outstanding: dict[int, Answer] = {}  # of submitted queries
+        self._arrived: list[int] = []  # those of them that are whole, or refused, in that order
+        self._read: dict[int, Answer] = {}  # of queries that are read part by part
         self._ignored: set[int] = set()  # requests whose replies say nothing that is wanted
-        self._arrived: dict[int, Frame] = {}  # answers to submitted queries, in order of arrival
         self._connection = Connection(address, timeout_s)
         try:
             self.info: Info = self._hello()
@@ -72,6 +66,7 @@ class Client:
         wanted: Iterable[str] | None = None,
         parameters: Mapping[str, float | str] | None = None,
         tolerance: float | None = None,
+        deadline_ms: int = 0,
     ) -> Result:
         """Evaluates a model for one or more media and waits for the answer.
 
@@ -90,8 +85,10 @@ class Client:
         parameter that it does not take.
         tolerance: that parameter: of a model its numerical error, relative, where it can choose; of
         the evaluator "lut" what its table is built to.
+        deadline_ms: how long the answer may take from the arrival of the query; 0: any time.
 
-        Raises Refused when the daemon does not take the query, with the field at fault.
+        Raises Refused when the daemon does not take the query, with the field at fault, and with
+        the status "deadline" instead of an answer that would be late.
         """
         request_id = self.submit(
             model,
@@ -103,9 +100,15 @@ class Client:
             wanted=wanted,
             parameters=parameters,
             tolerance=tolerance,
+            deadline_ms=deadline_ms,
         )
-        query = self._outstanding.pop(request_id)
-        return self._result(self._answer(request_id, "eval"), query)
+        try:
+            while request_id not in self._arrived:
+                self._receive()
+        except BaseException:
+            self._forget(request_id)
+            raise
+        return self._take(request_id)
 
     def submit(
         self,
@@ -119,14 +122,41 @@ class Client:
         wanted: Iterable[str] | None = None,
         parameters: Mapping[str, float | str] | None = None,
         tolerance: float | None = None,
+        deadline_ms: int = 0,
     ) -> int:
         """Sends a query like eval() without waiting; returns its id, for collect()."""
         payload, query = self._pack_query(
             model, media, r, grid, evaluator, moments, wanted, parameters, tolerance
         )
-        request_id = self._send("eval", payload)
-        self._outstanding[request_id] = query
+        request_id = self._send("eval", payload, deadline_ms)
+        self._outstanding[request_id] = Answer(query)
         return request_id
+
+    def eval_parts(
+        self,
+        model: str | int | None,
+        media: Medium | Iterable[Sequence[float]] | np.ndarray,
+        r: Any = None,
+        *,
+        grid: Grid | None = None,
+        evaluator: str | int | None = None,
+        moments: str | int = "exact",
+        wanted: Iterable[str] | None = None,
+        parameters: Mapping[str, float | str] | None = None,
+        tolerance: float | None = None,
+        deadline_ms: int = 0,
+    ) -> Parts:
+        """Evaluates like eval() and gives the parts of the answer as they come: an iterator of
+        results, of which each holds the radii from radius_first on. So an answer may be larger than
+        memory. How many radii come at a time is the daemon's choice. Refused may be raised by any
+        step; the parts before it are right.
+        """
+        payload, query = self._pack_query(
+            model, media, r, grid, evaluator, moments, wanted, parameters, tolerance
+        )
+        request_id = self._send("eval", payload, deadline_ms)
+        self._read[request_id] = Answer(query._replace(handed_on=True))
+        return Parts(self, request_id)
 
     def offers(
         self,
@@ -150,8 +180,8 @@ class Client:
             raise ProtocolError("an offers reply that takes what it does not offer")
         offers = tuple(
             Offer(
-                model=self._name("model", entry.model),
-                evaluator=self._name("evaluator", entry.evaluator),
+                model=answers.name_of(self.info, "model", entry.model),
+                evaluator=answers.name_of(self.info, "evaluator", entry.evaluator),
                 meets=entry.meets != 0,
                 error=entry.error,
                 numerical_error=entry.numerical_error,
@@ -198,10 +228,37 @@ class Client:
             raise ArgumentError("nothing is outstanding")
         while not self._arrived:
             self._receive()
-        request_id = next(iter(self._arrived))
-        query = self._outstanding.pop(request_id)
-        frame = self._arrived.pop(request_id)
-        return request_id, self._result(self._payload(frame, "eval"), query)
+        request_id = self._arrived[0]
+        return request_id, self._take(request_id)
+
+    def _take(self, request_id: int) -> Result:
+        """The answer to a submitted query, which has arrived."""
+        self._arrived.remove(request_id)
+        answer = self._outstanding.pop(request_id)
+        return answers.result(answer, self.info)
+
+    def _forget(self, request_id: int) -> None:
+        """Nobody wants the answer to a submitted query."""
+        del self._outstanding[request_id]
+        if request_id in self._arrived:
+            self._arrived.remove(request_id)
+        else:
+            self._ignored.add(request_id)
+
+    def _next_part(self, request_id: int) -> Result | None:
+        """The next part of an answer; None: that was the last."""
+        answer = self._read[request_id]
+        while not answer.ready:
+            if answer.ended:
+                return None
+            self._receive()
+        return answers.result(answer, self.info)
+
+    def _drop(self, request_id: int) -> None:
+        """Nobody wants more of an answer that is read part by part."""
+        answer = self._read.pop(request_id, None)
+        if answer is not None and not answer.ended:
+            self._ignored.add(request_id)
 
     # ---- Monte Carlo -----------------------------------------------------------------------------
 
@@ -289,9 +346,11 @@ class Client:
             raise ProtocolError("the ping came back changed")
         return time.perf_counter() - start
 
-    def send_frame(self, type: int, request_id: int, payload: bytes = b"") -> None:
+    def send_frame(
+        self, type: int, request_id: int, payload: bytes = b"", deadline_ms: int = 0
+    ) -> None:
         """Sends a frame of any type as it is; use receive_frame() for what comes back."""
-        self._connection.send_frame(type, request_id, payload)
+        self._connection.send_frame(type, request_id, payload, deadline_ms)
 
     def receive_frame(self) -> Frame:
         """The next frame, unless another call took it; see send_frame()."""
@@ -319,7 +378,7 @@ class Client:
         wanted: Iterable[str] | None,
         parameters: Mapping[str, float | str] | None,
         tolerance: float | None,
-    ) -> tuple[bytes, _Query]:
+    ) -> tuple[bytes, Query]:
         """The payload of an eval request, see eval()."""
         if wanted is None:
             wanted = ("R", "albedo", "cdf") if grid is None else ("R", "albedo", "cdf", "r")
@@ -330,11 +389,12 @@ class Client:
         radii = _radii_array(r, grid, evaluator_id)
         radius_count = grid.count if radii is None else len(radii)
         listed_parameters = self._parameters(parameters, tolerance)
+        wanted_ids = sum({self._id("quantity", name) for name in wanted})
         fixed = wire.EVAL_REQUEST.pack(
             model=wire.ANY_MODEL if model is None else self._id("model", model),
             evaluator=evaluator_id,
             moments=self._id("moments", moments),
-            wanted=sum({self._id("quantity", name) for name in wanted}),
+            wanted=wanted_ids,
             medium_count=len(media_array),
             spacing=wire.SPACING_LIST if grid is None else self._id("spacing", grid.spacing),
             parameter_count=len(listed_parameters),
@@ -346,7 +406,7 @@ class Client:
         listed += bytes(wire.padded(len(listed)) - len(listed))
         payload = b"".join([fixed, media_array.tobytes(), *listed_parameters, listed])
         value_type = wire.EVALUATOR_TYPES.get(evaluator_id)
-        return payload, _Query(radii, value_type, len(media_array), radius_count)
+        return payload, Query(radii, value_type, wanted_ids, len(media_array), radius_count)
 
     def _parameters(
         self, parameters: Mapping[str, float | str] | None, tolerance: float | None
@@ -368,26 +428,40 @@ class Client:
             structures.append(wire.PARAMETER.pack(parameter=parameter, value=number))
         return structures
 
-    def _send(self, message: str, payload: bytes = b"") -> int:
+    def _send(self, message: str, payload: bytes = b"", deadline_ms: int = 0) -> int:
         self._last_id += 1
-        self._connection.send_frame(wire.MESSAGES[message], self._last_id, payload)
+        type = wire.MESSAGES[message]
+        self._connection.send_frame(type, self._last_id, payload, deadline_ms)
         return self._last_id
 
     def _receive(self, request_id: int = 0) -> Frame | None:
-        """The next frame when it answers this request. One that answers a submitted query is kept
-        in _arrived; one that answers nothing is the daemon's word on the connection as a whole."""
+        """The next frame when it answers this request. One that answers a query is kept with its
+        Answer; one that answers nothing is the daemon's word on the connection as a whole."""
         frame = self._connection.receive_frame()
         if frame.request_id in self._ignored:
-            self._ignored.remove(frame.request_id)
+            if frame.type != wire.MESSAGES["eval"] | wire.REPLY or answers.is_last(frame.payload):
+                self._ignored.remove(frame.request_id)
             return None
-        if frame.request_id in self._outstanding:
-            self._arrived[frame.request_id] = frame
-            return None
+        for queries in (self._outstanding, self._read):
+            answer = queries.get(frame.request_id)
+            if answer is not None:
+                self._add(answer, frame)
+                return None
         if request_id != 0 and frame.request_id == request_id:
             return frame
         if frame.type == wire.TYPE_ERROR and frame.request_id == 0:
             raise self._refused(frame)
         raise ProtocolError(f"a reply to request {frame.request_id}, which was not made")
+
+    def _add(self, answer: Answer, frame: Frame) -> None:
+        if answer.ended:
+            raise ProtocolError(f"a second reply to request {frame.request_id}")
+        try:
+            answer.add(self._payload(frame, "eval"))
+        except Refused as refusal:
+            answer.refuse(refusal)
+        if answer.ended and frame.request_id in self._outstanding:
+            self._arrived.append(frame.request_id)
 
     def _answer(self, request_id: int, message: str) -> bytes:
         """The payload of the reply to a request that is not among the submitted ones."""
@@ -446,46 +520,6 @@ class Client:
             limits={limit.name: limit.value for limit in limits},
         )
 
-    def _name(self, kind: str, number: int) -> str:
-        for choice in self.info.choices[kind].values():
-            if choice.id == number:
-                return choice.name
-        raise ProtocolError(f"a reply with {kind} {number}, which the daemon has not listed")
-
-    def _result(self, payload: bytes, query: _Query) -> Result:
-        if len(payload) < wire.EVAL_REPLY.bytes:
-            raise ProtocolError("an eval reply that is too short")
-        fixed = wire.EVAL_REPLY.unpack(payload)
-        counts = (fixed.channel_count, fixed.radius_count)
-        value_type = wire.EVALUATOR_TYPES.get(fixed.evaluator)
-        asked_for = value_type is not None and value_type == query.value_type
-        if not asked_for or counts != (query.medium_count, query.radius_count):
-            raise ProtocolError("an eval reply that does not answer the query")
-        channels, arrays = _reply_arrays(payload, fixed)
-        wanted_r = fixed.wanted & wire.QUANTITY_RADIUS
-        quantities = self.info.choices["quantity"].values()
-        elementwise = arrays.keys() - {wire.QUANTITY_RADIUS}
-        notes = self.info.choices["note"].values()
-        return Result(
-            model=self._name("model", fixed.model),
-            evaluator=self._name("evaluator", fixed.evaluator),
-            moments=self._name("moments", fixed.moments),
-            r=arrays[wire.QUANTITY_RADIUS] if wanted_r else query.radii,
-            R=arrays.get(wire.QUANTITY_R),
-            cdf=arrays.get(wire.QUANTITY_CDF),
-            dR_dr=arrays.get(wire.QUANTITY_SLOPE),
-            ln_R=arrays.get(wire.QUANTITY_LN_R),
-            pdf=arrays.get(wire.QUANTITY_PDF),
-            two_pi_r_R=arrays.get(wire.QUANTITY_RING),
-            S=arrays.get(wire.QUANTITY_S),
-            albedo=channels[:, 0] if fixed.wanted & wire.QUANTITY_ALBEDO else None,
-            numerical_error_constant=channels[:, 1],
-            numerical_error_per_mm=channels[:, 2],
-            model_error=channels[:, 3],
-            notes=tuple(note.name for note in notes if note.id and fixed.notes & note.id),
-            values={one.name: arrays[one.id] for one in quantities if one.id in elementwise},
-        )
-
 
 def _media_array(media: Medium | Iterable[Sequence[float]] | np.ndarray) -> np.ndarray:
     array = np.asarray(media if isinstance(media, (tuple, np.ndarray)) else list(media), "<f8")
@@ -528,25 +562,3 @@ def _unpack_list(
         offset += count * entry.bytes
     return fixed, unpacked
 
-
-def _reply_arrays(payload: bytes, fixed: Any) -> tuple[np.ndarray, dict[int, np.ndarray]]:
-    """The channel structures [C, 4] and, by quantity, the radii [N] and the values [C, N]: each
-    array padded to a multiple of 8 bytes, the radii first, then each channel's quantities."""
-    value_type = np.dtype(wire.EVALUATOR_TYPES[fixed.evaluator])
-    per_channel = [q for q in wire.ELEMENTWISE if fixed.wanted & q]
-    wanted_r = bool(fixed.wanted & wire.QUANTITY_RADIUS)
-    channels_bytes = fixed.channel_count * wire.CHANNEL.bytes
-    stride = wire.padded(fixed.radius_count * value_type.itemsize)
-    array_count = fixed.channel_count * len(per_channel) + wanted_r
-    at = wire.EVAL_REPLY.bytes
-    if len(payload) != at + channels_bytes + array_count * stride:
-        raise ProtocolError("an eval reply whose size does not fit its counts")
-    channels = np.frombuffer(payload, "<f8", channels_bytes // 8, at).reshape(-1, 4)
-    values = np.frombuffer(payload, value_type, -1, at + channels_bytes)
-    rows = values.reshape(array_count, -1)[:, : fixed.radius_count] if array_count else None
-    arrays: dict[int, np.ndarray] = {}
-    if wanted_r:
-        arrays[wire.QUANTITY_RADIUS] = rows[0]
-    for i, quantity in enumerate(per_channel):
-        arrays[quantity] = rows[wanted_r + i :: len(per_channel)]
-    return channels, arrays

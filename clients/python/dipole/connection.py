@@ -178,9 +178,11 @@ class Connection:
 
     # ---- frames ----------------------------------------------------------------------------------
 
-    def send_frame(self, type: int, request_id: int, payload: bytes = b"") -> None:
+    def send_frame(
+        self, type: int, request_id: int, payload: bytes = b"", deadline_ms: int = 0
+    ) -> None:
         """Sends a header and a payload, whose length must be a multiple of 8."""
-        self.send_bytes(frame_bytes(type, request_id, payload))
+        self.send_bytes(frame_bytes(type, request_id, payload, deadline_ms))
 
     def receive_frame(self) -> Frame:
         """The next frame, whatever its type."""
@@ -190,7 +192,7 @@ class Connection:
         return Frame(header.type, header.request_id, self.receive_bytes(header.payload_bytes))
 
 
-def frame_bytes(type: int, request_id: int, payload: bytes = b"") -> bytes:
+def frame_bytes(type: int, request_id: int, payload: bytes = b"", deadline_ms: int = 0) -> bytes:
     """A whole frame."""
     header = wire.HEADER.pack(
         magic=wire.MAGIC,
@@ -198,7 +200,7 @@ def frame_bytes(type: int, request_id: int, payload: bytes = b"") -> bytes:
         type=type,
         request_id=request_id,
         payload_bytes=len(payload),
-        flags=0,
+        deadline_ms=deadline_ms,
     )
     return header + payload
 

@@ -336,7 +336,7 @@ def _frame_bytes(data: bytes) -> int:
     if len(data) < wire.HEADER.bytes + wire.TABLE_REPLY.bytes:
         raise TableError("no table: too short")
     header = wire.HEADER.unpack(data)
-    known = (header.magic, header.version, header.flags) == (wire.MAGIC, wire.VERSION, 0)
+    known = (header.magic, header.version) == (wire.MAGIC, wire.VERSION)
     if not known or header.type != wire.MESSAGES["table"] | wire.REPLY:
         raise TableError("no table: it does not start as one")
     end = wire.HEADER.bytes + header.payload_bytes

@@ -70,10 +70,10 @@ class Offers(NamedTuple):
 
 @dataclass(frozen=True)
 class Result:
-    """The answer to one evaluation, for C channels (media) and N radii.
+    """The answer to one evaluation, or a part of it, for C channels (media) and N radii.
 
     Arrays have the precision of the evaluator, float64 or float32; those that were not wanted are
-    None. The arrays are views of one read-only buffer. values holds those that have a value for
+    None. The arrays are read-only and may be views of one buffer. values holds those that have a value for
     each radius and channel by the daemon's names of the quantities, such as "2_pi_r_R".
     """
 
@@ -95,6 +95,7 @@ class Result:
     # of a model that a tolerance has chosen: for the radii asked for
     notes: tuple[str, ...]  # names of remarks that hold for a channel or more, see Info.choices
     values: dict[str, np.ndarray]  # [C, N] each, by name
+    radius_first: int  # of a part: which of the radii asked for is its first; else 0
 
     def numerical_error(self, r: np.ndarray | float | None = None) -> np.ndarray:
         """How far a value at radius r (mm, [N]; the result's own by default) may be from the

@@ -46,6 +46,7 @@ STATUSES = {
     9: "timeout",
     10: "busy",
     11: "shutting-down",
+    12: "deadline",
 }
 
 # Kinds of choices by number.
@@ -173,7 +174,7 @@ HEADER = Structure(
     "u16 type",
     "u64 request_id",
     "u32 payload_bytes",
-    "u32 flags",
+    "u32 deadline_ms",
 )
 
 HELLO_REQUEST = Structure("hello_request", "u16 version_min", "u16 version_max", "u32 zero")
@@ -222,6 +223,9 @@ EVAL_REPLY = Structure(
     "u32 channel_count",
     "u32 notes",
     "u64 radius_count",
+    "u64 radius_first",
+    "u32 part",
+    "u32 part_count",
 )
 
 CHANNEL = Structure(
