@@ -10,7 +10,7 @@
 #include "clients/c/dipole.h"
 #include "clients/cli/options.h"
 
-enum cli_status { CLI_OK = 0, CLI_FAILED = 1, CLI_USAGE = 2, CLI_BAD_ROWS = 3 };
+enum cli_status { CLI_OK = 0, CLI_FAILED = 1, CLI_USAGE = 2, CLI_BAD_ROWS = 3, CLI_LATE = 4 };
 
 typedef struct cli_command {
   const char *name;
@@ -63,7 +63,11 @@ int cli_run_plain(const cli_command *command, int argc, char **argv,
 bool cli_eval(dipole_client *client, const cli_common *common, const dipole_query *query,
               dipole_result **result, dipole_error *error);
 
-/* Likewise dipole_offers() and dipole_table_fetch(). */
+/* Likewise dipole_eval_parts(), whose parts may then come again from the first on, dipole_offers() and
+ * dipole_table_fetch(). */
+bool cli_eval_parts(dipole_client *client, const cli_common *common, const dipole_query *query,
+                    bool (*part)(void *context, const dipole_result *part, uint64_t radius_first),
+                    void *context, dipole_error *error);
 bool cli_offers(dipole_client *client, const cli_common *common, const dipole_query *query,
                 dipole_offer **offers, size_t *count, size_t *taken, dipole_error *error);
 bool cli_table_fetch(dipole_client *client, const cli_common *common,

@@ -46,6 +46,18 @@ bool cli_eval(dipole_client *client, const cli_common *common, const dipole_quer
   return true;
 }
 
+bool cli_eval_parts(dipole_client *client, const cli_common *common, const dipole_query *query,
+                    bool (*part)(void *context, const dipole_result *part, uint64_t radius_first),
+                    void *context, dipole_error *error) {
+  const int64_t start_ms = cli_now_ms();
+  while (!dipole_eval_parts(client, query, part, context, error)) {
+    if (!nap_while_busy(common, start_ms, error)) {
+      return false;
+    }
+  }
+  return true;
+}
+
 bool cli_offers(dipole_client *client, const cli_common *common, const dipole_query *query,
                 dipole_offer **offers, size_t *count, size_t *taken, dipole_error *error) {
   const int64_t start_ms = cli_now_ms();

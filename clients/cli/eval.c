@@ -38,6 +38,10 @@ static const cli_option options[] = {
      "the albedo within r; S: 1/(mm^2 sr); others: see `dipole info`\n"
      "(default: R,albedo)",
      CLI_NAMES, FIELD(want)},
+    {"deadline-ms", "N",
+     "the daemon shall answer within N ms of each query, or not at all; 0: at\n"
+     "any time (default: 0)",
+     CLI_COUNT, FIELD(deadline_ms)},
     {"Output", NULL, NULL, CLI_HEADING, 0},
     {"plot", "[FILE]",
      "also draw R over r into FILE.svg or FILE.png (default: " PLOT_FILE "); may be\n"
@@ -60,7 +64,7 @@ static int check_table(const cli_command *command, const cli_eval_settings *sett
   const cli_option *parameter = cli_parameters_given(&settings->profile);
   if (cli_channels_given(&settings->medium) || settings->model.count > 0 ||
       settings->moments != NULL || settings->evaluator != NULL || parameter != NULL ||
-      settings->profile.common.connect != NULL) {
+      settings->deadline_ms.given || settings->profile.common.connect != NULL) {
     return cli_fail_usage(command, "--table FILE says what is evaluated, and needs no daemon: of "
                                    "the options leave all out but radii, --want and output");
   }
@@ -81,6 +85,9 @@ static int check(const cli_command *command, const cli_eval_settings *settings) 
   }
   if (settings->logarithmic && !settings->from.given) {
     return cli_fail_usage(command, "--log needs --from, above 0");
+  }
+  if (settings->deadline_ms.value > UINT32_MAX) {
+    return cli_fail_usage(command, "--deadline-ms: at most %lu", (unsigned long)UINT32_MAX);
   }
   for (size_t i = 0; i < settings->plot.count; i++) {
     if (!cli_plot_check(command, settings->plot.items[i])) {

@@ -18,6 +18,7 @@ typedef struct cli_eval_settings {
   cli_count count;
   bool logarithmic;
   cli_texts want;
+  cli_count deadline_ms;
   cli_texts plot;
 } cli_eval_settings;
 

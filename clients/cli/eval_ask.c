@@ -146,8 +146,10 @@ typedef struct asking {
   cli_eval_report *report;
   const dipole_medium *media;
   const cli_eval_radii *radii;
-  unsigned too_large; /* the daemon's status for a request beyond its limits */
-  unsigned bad_value; /* and for one that it, or the model, does not take */
+  uint32_t deadline_ms;
+  unsigned too_large; /* the daemon's status for a request beyond its limits, */
+  unsigned bad_value; /* for one that it, or the model, does not take, */
+  unsigned late;      /* and for one that it cannot answer in time */
 } asking;
 
 static void copy_values(double *to, const double *f64, const float *f32, size_t count) {
@@ -161,16 +163,16 @@ static double *make_room(double *values, size_t count) {
   return values != NULL ? values : cli_allocate(count, sizeof *values);
 }
 
-/* Keeps the answer for the model at a place and the radii from `first` on. */
-static void keep(const asking *ask, size_t place, size_t first, const dipole_result *result) {
+/* Keeps a part of the answer for the model at a place: the radii from `first` on. */
+static void keep(const asking *ask, size_t place, size_t first, const dipole_result *part) {
   cli_eval_report *report = ask->report;
-  const size_t count = (size_t)result->radius_count;
+  const size_t count = (size_t)part->radius_count;
   report->radius_count = (size_t)ask->radii->count;
   report->radii = make_room(report->radii, report->radius_count);
-  copy_values(report->radii + first, result->radius_f64, result->radius_f32, count);
-  report->models[place].notes |= result->notes;
+  copy_values(report->radii + first, part->radius_f64, part->radius_f32, count);
+  report->models[place].notes |= part->notes;
   for (size_t i = 0; i < report->channel_count; i++) {
-    const dipole_channel *channel = &result->channels[i];
+    const dipole_channel *channel = &part->channels[i];
     cli_eval_values *values = &report->values[place * report->channel_count + i];
     values->albedo = channel->albedo;
     values->numerical_error = channel->numerical_error;
@@ -179,8 +181,8 @@ static void keep(const asking *ask, size_t place, size_t first, const dipole_res
     for (size_t q = 0; q < report->quantity_count; q++) {
       const unsigned id = report->quantities[q]->id;
       values->arrays[q] = make_room(values->arrays[q], report->radius_count);
-      copy_values(values->arrays[q] + first, dipole_values_f64(result, (uint32_t)i, id),
-                  dipole_values_f32(result, (uint32_t)i, id), count);
+      copy_values(values->arrays[q] + first, dipole_values_f64(part, (uint32_t)i, id),
+                  dipole_values_f32(part, (uint32_t)i, id), count);
     }
   }
 }
@@ -203,7 +205,8 @@ static dipole_query make_query(const asking *ask, size_t place, const cli_parame
                         .radius_start_mm = radii->start_mm,
                         .radius_stop_mm = radii->stop_mm,
                         .parameters = parameters->items,
-                        .parameter_count = parameters->count};
+                        .parameter_count = parameters->count,
+                        .deadline_ms = ask->deadline_ms};
   if (radii->f64 != NULL && query.evaluator == DIPOLE_F64) {
     query.radii = radii->f64 + first;
   } else if (radii->f32 != NULL) {
@@ -230,25 +233,41 @@ static bool take_choice(cli_eval_report *report, const dipole_result *result, di
   return true;
 }
 
+/* Where the answer to one query goes. */
+typedef struct receiving {
+  const asking *ask;
+  size_t place, first;
+  dipole_error *error; /* when a part cannot be used */
+} receiving;
+
+static bool receive(void *context, const dipole_result *part, uint64_t radius_first) {
+  const receiving *to = context;
+  if (!take_choice(to->ask->report, part, to->error)) {
+    return false;
+  }
+  keep(to->ask, to->place, to->first + (size_t)radius_first, part);
+  return true;
+}
+
 /* A list that is too long for the daemon is asked for in halves; but each half could get another
  * model where that is the daemon's to choose. */
-static bool ask_part(const asking *ask, size_t place, const cli_parameters *parameters,
-                     size_t first, uint64_t count, dipole_error *error) {
+static bool ask_piece(const asking *ask, size_t place, const cli_parameters *parameters,
+                      size_t first, uint64_t count, dipole_error *error) {
   const dipole_query query = make_query(ask, place, parameters, first, count);
-  dipole_result *result;
-  if (cli_eval(ask->client, ask->common, &query, &result, error)) {
-    const bool good = take_choice(ask->report, result, error);
-    if (good) {
-      keep(ask, place, first, result);
-    }
-    dipole_result_free(result);
-    return good;
+  dipole_error unusable = {0};
+  receiving to = {.ask = ask, .place = place, .first = first, .error = &unusable};
+  if (cli_eval_parts(ask->client, ask->common, &query, receive, &to, error)) {
+    return true;
+  }
+  if (error->kind == DIPOLE_ERROR_STOPPED) {
+    *error = unusable;
+    return false;
   }
   if (error->kind == DIPOLE_ERROR_REFUSED && error->status == ask->too_large &&
       query.spacing == DIPOLE_LIST && query.model != DIPOLE_ANY_MODEL && count > 1) {
     const uint64_t half = count / 2;
-    return ask_part(ask, place, parameters, first, half, error) &&
-           ask_part(ask, place, parameters, first + (size_t)half, count - half, error);
+    return ask_piece(ask, place, parameters, first, half, error) &&
+           ask_piece(ask, place, parameters, first + (size_t)half, count - half, error);
   }
   return false;
 }
@@ -264,7 +283,7 @@ static bool ask_model(const asking *ask, size_t place, dipole_error *error) {
   const cli_eval_report *report = ask->report;
   cli_parameters parameters = report->parameters;
   for (;;) {
-    if (ask_part(ask, place, &parameters, 0, ask->radii->count, error)) {
+    if (ask_piece(ask, place, &parameters, 0, ask->radii->count, error)) {
       return true;
     }
     const dipole_choice *refused = cli_choice(report->info, DIPOLE_PARAMETER, error->field);
@@ -303,13 +322,21 @@ static int tell_left_out(const cli_command *command, const left_out *models, siz
   return all ? CLI_FAILED : CLI_OK;
 }
 
+/* Says what is wrong; an exit status. */
+static int fail(const cli_command *command, const asking *ask, const dipole_error *error) {
+  char option[64];
+  cli_fail(command, "%s%s", error->text,
+           cli_option_of(command, error->field, option, sizeof option));
+  const bool late = error->kind == DIPOLE_ERROR_REFUSED && error->status == ask->late;
+  return late ? CLI_LATE : CLI_FAILED;
+}
+
 /* Asks model by model; those that answer move up in the report to fill the gaps. */
 static int ask_all(const cli_command *command, const asking *ask) {
   cli_eval_report *report = ask->report;
   const size_t count = report->model_count;
   left_out *out = cli_allocate(count, sizeof *out);
   size_t answered = 0, out_count = 0;
-  char option[64];
   int status = CLI_OK;
   for (size_t model = 0; status == CLI_OK && model < count; model++) {
     dipole_error error;
@@ -321,8 +348,7 @@ static int ask_all(const cli_command *command, const asking *ask) {
                error.status == ask->bad_value) {
       out[out_count++] = (left_out){asked->choice->name, error};
     } else {
-      status = cli_fail(command, "%s%s", error.text,
-                        cli_option_of(command, error.field, option, sizeof option));
+      status = fail(command, ask, &error);
     }
   }
   report->model_count = answered;
@@ -355,7 +381,6 @@ static int choose_precision(const cli_command *command, const cli_eval_settings 
   static const unsigned either[] = {DIPOLE_LUT, DIPOLE_F64};
   cli_eval_report *report = ask->report;
   dipole_error error;
-  char option[64];
   bool taken = false;
   report->chosen_from.tolerance = settings->profile.tolerance.value;
   for (size_t i = 0; !taken && i < sizeof either / sizeof either[0]; i++) {
@@ -364,8 +389,7 @@ static int choose_precision(const cli_command *command, const cli_eval_settings 
       report->evaluator = evaluator;
     }
     if (!ask_offers(ask, &taken, &error)) {
-      return cli_fail(command, "%s%s", error.text,
-                      cli_option_of(command, error.field, option, sizeof option));
+      return fail(command, ask, &error);
     }
   }
   return CLI_OK;
@@ -385,8 +409,10 @@ static int ask_with(const cli_command *command, const cli_eval_settings *setting
                       .report = report,
                       .media = media,
                       .radii = &radii,
+                      .deadline_ms = (uint32_t)settings->deadline_ms.value,
                       .too_large = dipole_id(client, DIPOLE_STATUS, "too-large"),
-                      .bad_value = dipole_id(client, DIPOLE_STATUS, "bad-value")};
+                      .bad_value = dipole_id(client, DIPOLE_STATUS, "bad-value"),
+                      .late = dipole_id(client, DIPOLE_STATUS, "deadline")};
   int status = CLI_OK;
   if (report->models[0].choice == NULL) {
     status = choose_precision(command, settings, &ask);
