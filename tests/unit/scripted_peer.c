@@ -109,35 +109,74 @@ bool peer_say_hello(int fd) {
                    sizeof payload);
 }
 
-static void put_values(uint8_t *to, const eval_request *request, double factor) {
-  const uint64_t count = request->fixed.radius_count;
+/* Of the radii first, first + 1, ... */
+static void put_values(uint8_t *to, const eval_request *request, uint64_t first, uint64_t count,
+                       double factor) {
   for (uint64_t i = 0; i < count; i++) {
-    if (request->fixed.evaluator == CORE_EVALUATOR_F64) {
-      ((double *)to)[i] = factor * ((const double *)request->radii)[i];
+    if (request->radii == NULL && request->fixed.evaluator == CORE_EVALUATOR_F64) {
+      ((double *)to)[i] = (double)(first + i);
+    } else if (request->radii == NULL) {
+      ((float *)to)[i] = (float)(first + i);
+    } else if (request->fixed.evaluator == CORE_EVALUATOR_F64) {
+      ((double *)to)[i] = factor * ((const double *)request->radii)[first + i];
     } else {
-      ((float *)to)[i] = (float)factor * ((const float *)request->radii)[i];
+      ((float *)to)[i] = (float)factor * ((const float *)request->radii)[first + i];
     }
   }
 }
 
-size_t peer_evaluate(const peer_frame *frame, uint8_t **payload) {
+static const struct {
+  enum core_quantity quantity;
+  double factor;
+} factors[] = {{CORE_QUANTITY_R, 2}, {CORE_QUANTITY_CDF, 0.25}, {CORE_QUANTITY_S, 3}};
+
+static void put_channel(uint8_t *payload, const eval_layout *layout, const eval_request *request,
+                        const wire_eval_reply *reply, uint32_t index) {
+  wire_medium medium;
+  wire_get_medium(request->media + (size_t)index * WIRE_BYTES_medium, &medium);
+  const wire_channel channel = {.albedo = medium.sigma_a,
+                                .numerical_error = 1e-15,
+                                .model_error =
+                                    request->parameters.value[CORE_PARAMETER_COS_IN]};
+  wire_put_channel(payload + layout->channels_offset + (size_t)index * WIRE_BYTES_channel,
+                   &channel);
+  for (size_t i = 0; i < sizeof factors / sizeof factors[0]; i++) {
+    if ((reply->wanted & factors[i].quantity) != 0) {
+      const uint64_t at = eval_array_offset(layout, reply->wanted, index, factors[i].quantity);
+      put_values(payload + at, request, reply->radius_first, reply->radius_count,
+                 factors[i].factor);
+    }
+  }
+}
+
+static eval_request parse(const peer_frame *frame) {
   eval_request request;
-  eval_layout layout;
-  const wire_error fault =
-      eval_request_parse(frame->payload, frame->header.payload_bytes, &request);
-  const wire_eval_request *fixed = &request.fixed;
-  if (fault.status != WIRE_STATUS_OK ||
-      !eval_reply_layout(fixed->evaluator, fixed->wanted, fixed->medium_count, fixed->radius_count,
-                         UINT32_MAX, &layout)) {
+  if (eval_request_parse(frame->payload, frame->header.payload_bytes, &request).status !=
+      WIRE_STATUS_OK) {
     abort(); /* the library makes well-formed requests */
   }
+  return request;
+}
+
+size_t peer_evaluate_part(const peer_frame *frame, uint64_t radius_first, uint64_t radius_count,
+                          uint32_t part, uint32_t part_count, uint8_t **payload) {
+  const eval_request request = parse(frame);
+  const wire_eval_request *fixed = &request.fixed;
   const wire_eval_reply reply = {.model = fixed->model,
                                  .evaluator = fixed->evaluator,
                                  .moments = fixed->moments,
                                  .wanted = fixed->wanted,
                                  .notes = fixed->parameter_count,
                                  .channel_count = fixed->medium_count,
-                                 .radius_count = fixed->radius_count};
+                                 .radius_count = radius_count,
+                                 .radius_first = radius_first,
+                                 .part = part,
+                                 .part_count = part_count};
+  eval_layout layout;
+  if (!eval_reply_layout(fixed->evaluator, fixed->wanted, fixed->medium_count, radius_count,
+                         UINT32_MAX, &layout)) {
+    abort();
+  }
   uint8_t *at = calloc(1, layout.payload_bytes);
   if (at == NULL) {
     abort();
@@ -145,27 +184,16 @@ size_t peer_evaluate(const peer_frame *frame, uint8_t **payload) {
   *payload = at;
   wire_put_eval_reply(at, &reply);
   if ((fixed->wanted & CORE_QUANTITY_RADIUS) != 0) {
-    put_values(at + layout.radius_offset, &request, 1);
+    put_values(at + layout.radius_offset, &request, radius_first, radius_count, 1);
   }
   for (uint32_t i = 0; i < fixed->medium_count; i++) {
-    wire_medium medium;
-    wire_get_medium(request.media + (size_t)i * WIRE_BYTES_medium, &medium);
-    const double cos_in = request.parameters.value[CORE_PARAMETER_COS_IN];
-    const wire_channel channel = {
-        .albedo = medium.sigma_a, .numerical_error = 1e-15, .model_error = cos_in};
-    wire_put_channel(at + layout.channels_offset + (size_t)i * WIRE_BYTES_channel, &channel);
-    if ((fixed->wanted & CORE_QUANTITY_R) != 0) {
-      put_values(at + eval_array_offset(&layout, fixed->wanted, i, CORE_QUANTITY_R), &request, 2);
-    }
-    if ((fixed->wanted & CORE_QUANTITY_CDF) != 0) {
-      put_values(at + eval_array_offset(&layout, fixed->wanted, i, CORE_QUANTITY_CDF), &request,
-                 0.25);
-    }
-    if ((fixed->wanted & CORE_QUANTITY_S) != 0) {
-      put_values(at + eval_array_offset(&layout, fixed->wanted, i, CORE_QUANTITY_S), &request, 3);
-    }
+    put_channel(at, &layout, &request, &reply, i);
   }
   return layout.payload_bytes;
+}
+
+size_t peer_evaluate(const peer_frame *frame, uint8_t **payload) {
+  return peer_evaluate_part(frame, 0, parse(frame).fixed.radius_count, 0, 1, payload);
 }
 
 void peer_serve(int fd, void *context) {

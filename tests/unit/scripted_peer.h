@@ -41,6 +41,10 @@ bool peer_say_hello(int fd);
  * freed. Returns its length. */
 size_t peer_evaluate(const peer_frame *request, uint8_t **payload);
 
+/* The same for some of the radii: a part. Of a grid every value and radius is its position. */
+size_t peer_evaluate_part(const peer_frame *request, uint64_t radius_first, uint64_t radius_count,
+                          uint32_t part, uint32_t part_count, uint8_t **payload);
+
 /* Hello and then honest answers until the client is gone: a script. */
 void peer_serve(int fd, void *context);
 

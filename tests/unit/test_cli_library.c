@@ -382,7 +382,6 @@ static void test_lies_are_noticed(void **state) {
       {"a payload of 4 GiB", 16, 4, 0xfffffff8},
       {"an empty payload", 16, 4, 0},
       {"a payload that is not padded", 16, 4, 3},
-      {"flags", 20, 4, 1},
       {"another evaluator", IN_PAYLOAD(2), 2, DIPOLE_F32},
       {"no evaluator", IN_PAYLOAD(2), 2, 99},
       {"fewer arrays", IN_PAYLOAD(6), 2, DIPOLE_R | DIPOLE_ALBEDO},
@@ -392,6 +391,10 @@ static void test_lies_are_noticed(void **state) {
       {"fewer radii", IN_PAYLOAD(16), 8, 2},
       {"more radii", IN_PAYLOAD(16), 8, 4},
       {"so many radii that their bytes wrap", IN_PAYLOAD(16), 8, (UINT64_C(1) << 61) + 3},
+      {"other radii", IN_PAYLOAD(24), 8, 1},
+      {"a part that is not the first", IN_PAYLOAD(32), 4, 1},
+      {"a part of none", IN_PAYLOAD(36), 4, 0},
+      {"a first part with all radii", IN_PAYLOAD(36), 4, 2},
   };
   for (size_t i = 0; i < sizeof lies / sizeof lies[0]; i++) {
     scripted_peer peer;

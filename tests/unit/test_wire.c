@@ -122,7 +122,7 @@ static void structures_have_their_sizes(void **state) {
   assert_int_equal(WIRE_BYTES_value, 48);
   assert_int_equal(WIRE_BYTES_eval_request, 40);
   assert_int_equal(WIRE_BYTES_medium, 32);
-  assert_int_equal(WIRE_BYTES_eval_reply, 24);
+  assert_int_equal(WIRE_BYTES_eval_reply, 40);
   assert_int_equal(WIRE_BYTES_channel, 32);
   assert_int_equal(WIRE_BYTES_list_reply, 8);
   assert_int_equal(WIRE_BYTES_measured_medium, 80);
@@ -209,10 +209,21 @@ static void headers_of_others_are_refused(void **state) {
   header.magic = WIRE_MAGIC;
   assert_header(header, 1024, WIRE_STATUS_BAD_VERSION, "version");
   header.version = 0;
-  header.flags = 1;
   assert_header(header, 1024, WIRE_STATUS_BAD_VERSION, "version");
-  header.version = WIRE_VERSION;
-  assert_header(header, 1024, WIRE_STATUS_BAD_VALUE, "flags");
+}
+
+static void any_deadline_is_right(void **state) {
+  (void)state;
+  static const uint32_t deadlines_ms[] = {1, 1000, 0x80000000, UINT32_MAX};
+  wire_header header = good_header;
+  for (size_t i = 0; i < sizeof deadlines_ms / sizeof deadlines_ms[0]; i++) {
+    uint8_t bytes[WIRE_BYTES_header];
+    header.deadline_ms = deadlines_ms[i];
+    assert_header(header, 1024, WIRE_STATUS_OK, "");
+    wire_put_header(bytes, &header);
+    wire_get_header(bytes, &header);
+    assert_int_equal(header.deadline_ms, deadlines_ms[i]);
+  }
 }
 
 static void the_magic_reads_as_text(void **state) {
@@ -337,6 +348,7 @@ int main(void) {
       cmocka_unit_test(full_text_needs_no_zero_on_the_wire),
       cmocka_unit_test(headers_are_checked),
       cmocka_unit_test(headers_of_others_are_refused),
+      cmocka_unit_test(any_deadline_is_right),
       cmocka_unit_test(the_magic_reads_as_text),
       cmocka_unit_test(statuses_and_types_have_names),
       cmocka_unit_test(errors_are_values),
