@@ -168,12 +168,17 @@ libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload
                                      uint32_t channel_count, dipole_error *error);
 
 /* Waits for the answer to request id, or to any request when id is 0, and hands it out: frame, to
- * be freed by the caller, is then in *pending. The parts of an eval's answer are one answer, or have
- * been handed to the reader; where that wants no more, *pending is dropped and without a frame. An mc
+ * be freed by the caller, is then in *pending. The parts of an eval's answer are one answer. An mc
  * request is answered again and again: the latest is handed out, and until that is the last one the
  * request goes on. */
 bool libdipole_request_wait(dipole_client *client, uint64_t id, libdipole_pending *pending,
                             dipole_error *error);
+
+/* Waits until the answer to request id has been handed to the reader, part by part, or has ended with
+ * an error, which is then pending->frame, or the reader wants no more. The frame is to be freed, and
+ * NULL when more of the answer may come. */
+bool libdipole_request_read(dipole_client *client, uint64_t id, const libdipole_reader *reader,
+                            libdipole_pending *pending, dipole_error *error);
 
 /* Waits for the answer to the request pending->id, which has one part; NULL when that is an error
  * frame; to be freed. */

@@ -129,7 +129,8 @@ static bool check_header(const wire_header *header, const libdipole_pending *pen
 
 libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload_bytes,
                                      uint32_t channel_count, dipole_error *error) {
-  const uint64_t beside = sizeof(libdipole_frame) + channel_count * (uint64_t)sizeof(dipole_channel);
+  const uint64_t beside =
+      sizeof(libdipole_frame) + channel_count * (uint64_t)sizeof(dipole_channel);
   libdipole_frame *frame =
       payload_bytes <= SIZE_MAX - beside ? malloc((size_t)(payload_bytes + beside)) : NULL;
   if (frame == NULL) {
@@ -309,12 +310,8 @@ bool libdipole_request_wait(dipole_client *client, uint64_t id, libdipole_pendin
                             dipole_error *error) {
   for (;;) {
     libdipole_pending *entry = NULL;
-    if (client->arrived_count + client->dropped_count > 0) {
+    if (client->arrived_count > 0) {
       entry = id != 0 ? pending_find(client, id) : pending_first_arrived(client);
-    }
-    if (entry != NULL && entry->dropped) {
-      *pending = *entry;
-      return true;
     }
     if (entry != NULL && entry->frame != NULL) {
       pending_take(client, entry, pending);
@@ -322,6 +319,24 @@ bool libdipole_request_wait(dipole_client *client, uint64_t id, libdipole_pendin
     }
     if (client->pending_count == client->dropped_count) {
       return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "no query is outstanding");
+    }
+    if (!step(client, error)) {
+      return false;
+    }
+  }
+}
+
+bool libdipole_request_read(dipole_client *client, uint64_t id, const libdipole_reader *reader,
+                            libdipole_pending *pending, dipole_error *error) {
+  for (;;) {
+    libdipole_pending *entry = pending_find(client, id);
+    if (entry != NULL && entry->frame != NULL) {
+      pending_take(client, entry, pending);
+      return true;
+    }
+    if (reader->stopped) { /* in the middle; the rest may have come already, and be gone */
+      pending->frame = NULL;
+      return true;
     }
     if (!step(client, error)) {
       return false;

@@ -180,7 +180,7 @@ bool dipole_eval_parts(dipole_client *client, const dipole_query *query,
   uint64_t id;
   error = error != NULL ? error : &unwanted;
   if (!submit(client, query, &reader, &id, error) ||
-      !libdipole_request_wait(client, id, &pending, error)) {
+      !libdipole_request_read(client, id, &reader, &pending, error)) {
     return false;
   }
   if (reader.stopped) {

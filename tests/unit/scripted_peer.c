@@ -136,8 +136,7 @@ static void put_channel(uint8_t *payload, const eval_layout *layout, const eval_
   wire_get_medium(request->media + (size_t)index * WIRE_BYTES_medium, &medium);
   const wire_channel channel = {.albedo = medium.sigma_a,
                                 .numerical_error = 1e-15,
-                                .model_error =
-                                    request->parameters.value[CORE_PARAMETER_COS_IN]};
+                                .model_error = request->parameters.value[CORE_PARAMETER_COS_IN]};
   wire_put_channel(payload + layout->channels_offset + (size_t)index * WIRE_BYTES_channel,
                    &channel);
   for (size_t i = 0; i < sizeof factors / sizeof factors[0]; i++) {

@@ -1,0 +1,546 @@
+/* libdipole and answers in parts: put together, handed on, broken off, and with parts that do not
+ * belong together. */
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+#include "core/core.h"
+#include "tests/unit/scripted_peer.h"
+
+#define TIMEOUT_MS 20000 /* a test that would hang fails after this */
+
+enum { RADII = 1000 };
+
+static const dipole_medium media[2] = {{.sigma_a_per_mm = 0.25, .sigma_s_per_mm = 1, .eta = 1.3},
+                                       {.sigma_a_per_mm = 0.5, .sigma_s_per_mm = 2, .eta = 1.3}};
+static double radii_f64[RADII];
+static float radii_f32[RADII];
+
+static int make_radii(void **state) {
+  (void)state;
+  for (size_t i = 0; i < RADII; i++) {
+    radii_f32[i] = (float)i / 8;
+    radii_f64[i] = (double)radii_f32[i];
+  }
+  return 0;
+}
+
+static dipole_query query_of(unsigned evaluator, unsigned wanted, uint64_t count) {
+  return (dipole_query){.model = 2,
+                        .evaluator = evaluator,
+                        .moments = DIPOLE_EXACT,
+                        .wanted = wanted,
+                        .media = media,
+                        .medium_count = 2,
+                        .spacing = DIPOLE_LIST,
+                        .radii = evaluator == DIPOLE_F64 ? (const void *)radii_f64 : radii_f32,
+                        .radius_count = count};
+}
+
+static dipole_client *open_client(const scripted_peer *peer) {
+  dipole_client *client;
+  dipole_error error;
+  if (!dipole_open_within(peer->address, TIMEOUT_MS, &client, &error)) {
+    fail_msg("%s", error.text);
+  }
+  return client;
+}
+
+/* Checks a part against what the peer makes of the radii from `first` on. */
+static void check_values(const dipole_result *result, uint64_t first) {
+  const bool single = result->evaluator != DIPOLE_F64;
+  assert_int_equal(result->channel_count, 2);
+  for (uint32_t channel = 0; channel < 2; channel++) {
+    assert_true(result->channels[channel].albedo == media[channel].sigma_a_per_mm);
+    for (uint64_t i = 0; i < result->radius_count; i++) {
+      const double r = radii_f64[first + i];
+      if (single) {
+        assert_true((double)dipole_values_f32(result, channel, DIPOLE_R)[i] == 2 * r);
+        assert_true((double)result->radius_f32[i] == r);
+      } else {
+        assert_true(result->channels[channel].R_f64[i] == 2 * r);
+        assert_true(result->channels[channel].cdf_f64[i] == r / 4);
+        assert_true(dipole_values_f64(result, channel, DIPOLE_S)[i] == 3 * r);
+      }
+    }
+  }
+}
+
+static const unsigned wanted_f64 = DIPOLE_R | DIPOLE_ALBEDO | DIPOLE_CDF | DIPOLE_S;
+static const unsigned wanted_f32 = DIPOLE_R | DIPOLE_ALBEDO | DIPOLE_RADIUS;
+
+/* ---- honest parts -------------------------------------------------------------------------- */
+
+static void receive_or_abort(int fd, peer_frame *request) {
+  if (!peer_receive(fd, request)) {
+    abort();
+  }
+}
+
+static uint64_t count_of(const peer_frame *request) {
+  wire_eval_request fixed;
+  wire_get_eval_request(request->payload, &fixed);
+  return fixed.radius_count;
+}
+
+static uint32_t parts_of(uint64_t radii, uint64_t each) {
+  return (uint32_t)((radii + each - 1) / each);
+}
+
+static bool send_part(int fd, const peer_frame *request, uint32_t part, uint64_t each) {
+  const uint64_t all = count_of(request), first = part * each;
+  const uint64_t count = all - first < each ? all - first : each;
+  uint8_t *payload;
+  const size_t bytes =
+      peer_evaluate_part(request, first, count, part, parts_of(all, each), &payload);
+  const bool good =
+      peer_send(fd, WIRE_TYPE_EVAL | WIRE_REPLY, request->header.request_id, payload, bytes);
+  free(payload);
+  return good;
+}
+
+/* Answers every request in parts of so many radii. */
+static void serve_parts(int fd, void *context) {
+  const uint64_t each = *(const uint64_t *)context;
+  peer_frame request;
+  bool good = peer_say_hello(fd);
+  while (good && peer_receive(fd, &request)) {
+    for (uint32_t part = 0; good && part < parts_of(count_of(&request), each); part++) {
+      good = send_part(fd, &request, part, each);
+    }
+    free(request.payload);
+  }
+}
+
+static const uint64_t sizes[] = {1, 7, 256, 999, 1000, 5000};
+
+static void test_parts_are_put_together(void **state) {
+  (void)state;
+  for (size_t i = 0; i < sizeof sizes / sizeof sizes[0]; i++) {
+    for (unsigned evaluator = DIPOLE_F64; evaluator <= DIPOLE_LUT; evaluator++) {
+      const dipole_query query =
+          query_of(evaluator, evaluator == DIPOLE_F64 ? wanted_f64 : wanted_f32, RADII);
+      scripted_peer peer;
+      dipole_error error;
+      dipole_result *result;
+      peer_start(&peer, serve_parts, (void *)&sizes[i]);
+      dipole_client *client = open_client(&peer);
+      for (int again = 0; again < 2; again++) {
+        if (!dipole_eval(client, &query, &result, &error)) {
+          fail_msg("%s", error.text);
+        }
+        assert_int_equal(result->radius_count, RADII);
+        check_values(result, 0);
+        dipole_result_free(result);
+      }
+      dipole_close(client);
+      peer_end(&peer);
+    }
+  }
+}
+
+/* What has been handed on, and when to stop. */
+typedef struct reading {
+  uint64_t next;
+  unsigned parts;
+  unsigned stop_after; /* parts; 0: never */
+} reading;
+
+static bool read_part(void *context, const dipole_result *part, uint64_t radius_first) {
+  reading *so_far = context;
+  assert_int_equal(radius_first, so_far->next);
+  assert_int_equal(part->notes, 0);
+  check_values(part, radius_first);
+  so_far->next += part->radius_count;
+  so_far->parts++;
+  return so_far->parts != so_far->stop_after;
+}
+
+static void test_parts_are_handed_on(void **state) {
+  (void)state;
+  for (size_t i = 0; i < sizeof sizes / sizeof sizes[0]; i++) {
+    const dipole_query query = query_of(DIPOLE_F32, wanted_f32, RADII);
+    scripted_peer peer;
+    dipole_error error;
+    reading so_far = {0};
+    peer_start(&peer, serve_parts, (void *)&sizes[i]);
+    dipole_client *client = open_client(&peer);
+    if (!dipole_eval_parts(client, &query, read_part, &so_far, &error)) {
+      fail_msg("%s", error.text);
+    }
+    assert_int_equal(so_far.next, RADII);
+    assert_int_equal(so_far.parts, parts_of(RADII, sizes[i]));
+    dipole_close(client);
+    peer_end(&peer);
+  }
+}
+
+/* An answer without radii has one part, too. */
+static void test_nothing_is_handed_on(void **state) {
+  (void)state;
+  scripted_peer peer;
+  dipole_error error;
+  reading so_far = {0};
+  const dipole_query query = query_of(DIPOLE_F64, DIPOLE_ALBEDO, 0);
+  peer_start(&peer, peer_serve, NULL);
+  dipole_client *client = open_client(&peer);
+  assert_true(dipole_eval_parts(client, &query, read_part, &so_far, &error));
+  assert_int_equal(so_far.parts, 1);
+  assert_int_equal(so_far.next, 0);
+  dipole_close(client);
+  peer_end(&peer);
+}
+
+/* ---- other answers in between -------------------------------------------------------------- */
+
+enum { BETWEEN = 3, EACH = 300 };
+
+/* Two answers in parts and one in one frame, all mixed. */
+static void mix(int fd, void *context) {
+  peer_frame request[BETWEEN];
+  (void)context;
+  peer_say_hello(fd);
+  for (size_t i = 0; i < BETWEEN; i++) {
+    receive_or_abort(fd, &request[i]);
+  }
+  for (uint32_t part = 0; part < parts_of(RADII, EACH); part++) {
+    send_part(fd, &request[2], part, EACH);
+    send_part(fd, &request[0], part, EACH);
+    if (part == 1) {
+      send_part(fd, &request[1], 0, RADII);
+    }
+  }
+  for (size_t i = 0; i < BETWEEN; i++) {
+    free(request[i].payload);
+  }
+}
+
+static void ask_for_a_mix(bool handed_on) {
+  scripted_peer peer;
+  dipole_error error;
+  dipole_result *result;
+  reading so_far = {0};
+  uint64_t ids[2], id;
+  const dipole_query query = query_of(DIPOLE_F64, wanted_f64, RADII);
+  peer_start(&peer, mix, NULL);
+  dipole_client *client = open_client(&peer);
+  assert_true(dipole_submit(client, &query, &ids[0], &error));
+  assert_true(dipole_submit(client, &query, &ids[1], &error));
+  if (handed_on) {
+    assert_true(dipole_eval_parts(client, &query, read_part, &so_far, &error));
+    assert_int_equal(so_far.next, RADII);
+  } else {
+    assert_true(dipole_eval(client, &query, &result, &error));
+    check_values(result, 0);
+    dipole_result_free(result);
+  }
+  for (size_t i = 0; i < 2; i++) {
+    assert_true(dipole_collect(client, &id, &result, &error));
+    assert_true(id == ids[0] || id == ids[1]);
+    assert_int_equal(result->radius_count, RADII);
+    check_values(result, 0);
+    dipole_result_free(result);
+    ids[id == ids[1]] = 0;
+  }
+  assert_false(dipole_collect(client, &id, &result, &error));
+  assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
+  dipole_close(client);
+  peer_end(&peer);
+}
+
+static void test_other_answers_may_come_in_between(void **state) {
+  (void)state;
+  ask_for_a_mix(false);
+  ask_for_a_mix(true);
+}
+
+/* ---- answers that end early ---------------------------------------------------------------- */
+
+static void send_error(int fd, uint64_t id, wire_error error) {
+  uint8_t bytes[WIRE_BYTES_error];
+  wire_put_error(bytes, &error);
+  peer_send(fd, WIRE_TYPE_ERROR, id, bytes, sizeof bytes);
+}
+
+/* Two parts and an error in place of the third; then answers in parts. */
+static void be_late(int fd, void *context) {
+  static const uint64_t each = EACH;
+  peer_frame request;
+  (void)context;
+  peer_say_hello(fd);
+  for (int i = 0; i < 3; i++) {
+    receive_or_abort(fd, &request);
+    assert_int_equal(request.header.deadline_ms, 250 + i);
+    for (uint32_t part = 0; part < (i < 2 ? 2 : parts_of(RADII, EACH)); part++) {
+      send_part(fd, &request, part, each);
+    }
+    if (i < 2) {
+      send_error(fd, request.header.request_id, (wire_error){.status = WIRE_STATUS_DEADLINE});
+    }
+    free(request.payload);
+  }
+}
+
+static void test_an_error_ends_an_answer(void **state) {
+  (void)state;
+  scripted_peer peer;
+  dipole_error error;
+  dipole_result *result;
+  reading so_far = {0};
+  dipole_query query = query_of(DIPOLE_F64, wanted_f64, RADII);
+  peer_start(&peer, be_late, NULL);
+  dipole_client *client = open_client(&peer);
+  query.deadline_ms = 250;
+  assert_false(dipole_eval(client, &query, &result, &error));
+  assert_int_equal(error.kind, DIPOLE_ERROR_REFUSED);
+  assert_int_equal(error.status, WIRE_STATUS_DEADLINE);
+  query.deadline_ms = 251;
+  assert_false(dipole_eval_parts(client, &query, read_part, &so_far, &error));
+  assert_int_equal(error.kind, DIPOLE_ERROR_REFUSED);
+  assert_int_equal(so_far.next, 2 * EACH);
+  query.deadline_ms = 252;
+  assert_true(dipole_eval(client, &query, &result, &error)); /* the client goes on */
+  check_values(result, 0);
+  dipole_result_free(result);
+  dipole_close(client);
+  peer_end(&peer);
+}
+
+/* Stops after each number of parts that there is, and asks for something else. */
+static void test_a_reader_may_stop(void **state) {
+  (void)state;
+  static const uint64_t each = EACH;
+  const dipole_query query = query_of(DIPOLE_F64, wanted_f64, RADII);
+  scripted_peer peer;
+  dipole_error error;
+  dipole_result *result;
+  uint64_t id;
+  peer_start(&peer, serve_parts, (void *)&each);
+  dipole_client *client = open_client(&peer);
+  for (unsigned stop_after = 1; stop_after <= parts_of(RADII, EACH); stop_after++) {
+    reading so_far = {.stop_after = stop_after};
+    assert_false(dipole_eval_parts(client, &query, read_part, &so_far, &error));
+    assert_int_equal(error.kind, DIPOLE_ERROR_STOPPED);
+    assert_int_equal(so_far.parts, stop_after);
+    assert_false(dipole_collect(client, &id, &result, &error)); /* waits for none of the rest */
+    assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
+    if (stop_after != 2) { /* else two of them are left behind at a time */
+      assert_true(dipole_eval(client, &query, &result, &error));
+      check_values(result, 0);
+      dipole_result_free(result);
+    }
+  }
+  reading so_far = {.stop_after = 1};
+  assert_false(dipole_eval_parts(client, &query, read_part, &so_far, &error));
+  dipole_close(client);
+  peer_end(&peer);
+}
+
+/* Two parts, and the end. */
+static void break_off(int fd, void *context) {
+  peer_frame request;
+  (void)context;
+  peer_say_hello(fd);
+  receive_or_abort(fd, &request);
+  send_part(fd, &request, 0, EACH);
+  send_part(fd, &request, 1, EACH);
+  free(request.payload);
+}
+
+static void test_lost_between_parts(void **state) {
+  (void)state;
+  const dipole_query query = query_of(DIPOLE_F64, wanted_f64, RADII);
+  for (int handed_on = 0; handed_on < 2; handed_on++) {
+    scripted_peer peer;
+    dipole_error error;
+    dipole_result *result;
+    reading so_far = {0};
+    peer_start(&peer, break_off, NULL);
+    dipole_client *client = open_client(&peer);
+    assert_false(handed_on ? dipole_eval_parts(client, &query, read_part, &so_far, &error)
+                           : dipole_eval(client, &query, &result, &error));
+    assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
+    assert_int_equal(so_far.next, handed_on ? 2 * EACH : 0);
+    dipole_close(client);
+    peer_end(&peer);
+  }
+}
+
+/* The first radii of 2^40, of which no memory could hold the values, and a word why no more come. */
+static void begin_something_huge(int fd, void *context) {
+  peer_frame request;
+  uint8_t *payload;
+  (void)context;
+  peer_say_hello(fd);
+  while (peer_receive(fd, &request)) {
+    const size_t bytes = peer_evaluate_part(&request, 0, 256, 0, UINT32_MAX, &payload);
+    peer_send(fd, WIRE_TYPE_EVAL | WIRE_REPLY, request.header.request_id, payload, bytes);
+    send_error(fd, request.header.request_id, (wire_error){.status = WIRE_STATUS_BUSY});
+    free(payload);
+    free(request.payload);
+  }
+}
+
+static bool count_positions(void *context, const dipole_result *part, uint64_t radius_first) {
+  uint64_t *next = context;
+  assert_int_equal(radius_first, *next);
+  for (uint64_t i = 0; i < part->radius_count; i++) {
+    assert_true(part->radius_f64[i] == (double)(radius_first + i));
+  }
+  *next += part->radius_count;
+  return true;
+}
+
+static void test_answers_beyond_memory(void **state) {
+  (void)state;
+  scripted_peer peer;
+  dipole_error error;
+  uint64_t next = 0;
+  dipole_query query = query_of(DIPOLE_F64, wanted_f64 | DIPOLE_RADIUS, UINT64_C(1) << 40);
+  query.spacing = DIPOLE_LINEAR;
+  query.radius_stop_mm = 1;
+  peer_start(&peer, begin_something_huge, NULL);
+  dipole_client *client = open_client(&peer);
+  assert_false(dipole_eval_parts(client, &query, count_positions, &next, &error));
+  assert_int_equal(error.kind, DIPOLE_ERROR_REFUSED);
+  assert_int_equal(next, 256);
+  dipole_close(client);
+  peer_end(&peer);
+}
+
+/* ---- parts that do not belong together ----------------------------------------------------- */
+
+/* The parts of an answer to RADII radii, each of EACH but for the changes. */
+typedef struct lie {
+  const char *what;
+  uint32_t part;  /* that is changed */
+  size_t offset;  /* in its payload */
+  size_t bytes;   /* of the number that is changed; 0: the part is sent twice or left out */
+  uint64_t value; /* of the number, or how often the part is sent */
+  int64_t radii;  /* more than EACH in that part */
+} lie;
+
+#define CHANNEL_OF(index) (WIRE_BYTES_eval_reply + (index)*WIRE_BYTES_channel)
+
+static const lie lies[] = {
+    {"another model", 1, 0, 2, 3, 0},
+    {"another evaluator", 2, 2, 2, DIPOLE_F32, 0},
+    {"another evaluator of the same type", 2, 2, 2, 77, 0},
+    {"other moments", 1, 4, 2, DIPOLE_FIT, 0},
+    {"other quantities", 1, 6, 2, DIPOLE_R | DIPOLE_ALBEDO | DIPOLE_PDF | DIPOLE_S, 0},
+    {"fewer channels", 1, 8, 4, 1, 0},
+    {"other notes", 3, 12, 4, 1, 0},
+    {"fewer radii than it has", 1, 16, 8, EACH - 1, 0},
+    {"from another radius", 1, 24, 8, EACH + 1, 0},
+    {"from a radius far away", 1, 24, 8, UINT64_MAX, 0},
+    {"the first from another radius", 0, 24, 8, 1, 0},
+    {"another number", 1, 32, 4, 2, 0},
+    {"the number of the first", 1, 32, 4, 0, 0},
+    {"more parts", 1, 36, 4, 5, 0},
+    {"fewer parts", 2, 36, 4, 3, 0},
+    {"no parts", 0, 36, 4, 0, 0},
+    {"one part, of fewer radii", 0, 36, 4, 1, 0},
+    {"a later part of one", 1, 36, 4, 1, 0},
+    {"another albedo", 1, CHANNEL_OF(1), 8, 0, 0},
+    {"another error", 3, CHANNEL_OF(0) + 8, 8, 0, 0},
+    {"left out", 1, 0, 0, 0, 0},
+    {"the first left out", 0, 0, 0, 0, 0},
+    {"sent twice", 1, 0, 0, 2, 0},
+    {"the first sent twice", 0, 0, 0, 2, 0},
+    {"no radii", 1, 16, 0, 1, -EACH},
+    {"radii beyond the last", 3, 16, 0, 1, EACH},
+    {"the last but one with all the rest", 2, 16, 0, 1, RADII - 3 * EACH},
+    {"the last with fewer", 3, 16, 0, 1, -1},
+};
+
+static void tell_lie(int fd, void *context) {
+  const lie *told = context;
+  peer_frame request;
+  peer_say_hello(fd);
+  receive_or_abort(fd, &request);
+  uint64_t first = 0;
+  for (uint32_t part = 0; part < parts_of(RADII, EACH); part++) {
+    const bool is_it = part == told->part;
+    const uint64_t honest = RADII - part * EACH < EACH ? RADII - part * EACH : EACH;
+    const uint64_t count = is_it ? honest + (uint64_t)told->radii : honest;
+    const uint64_t from = first + count <= RADII ? first : 0; /* of values that there are */
+    uint8_t *payload;
+    const size_t bytes =
+        peer_evaluate_part(&request, from, count, part, parts_of(RADII, EACH), &payload);
+    wire_eval_reply fixed;
+    wire_get_eval_reply(payload, &fixed);
+    fixed.radius_first = first;
+    wire_put_eval_reply(payload, &fixed);
+    for (size_t i = 0; is_it && i < told->bytes; i++) {
+      payload[told->offset + i] = (uint8_t)(told->value >> (8 * i));
+    }
+    const uint64_t times = is_it && told->bytes == 0 ? told->value : 1;
+    for (uint64_t i = 0; i < times; i++) {
+      peer_send(fd, WIRE_TYPE_EVAL | WIRE_REPLY, request.header.request_id, payload, bytes);
+    }
+    free(payload);
+    first += count;
+  }
+  free(request.payload);
+}
+
+static bool take_all(void *context, const dipole_result *part, uint64_t radius_first) {
+  (void)context;
+  (void)part;
+  (void)radius_first;
+  return true;
+}
+
+static bool take_one(void *context, const dipole_result *part, uint64_t radius_first) {
+  take_all(context, part, radius_first);
+  return false;
+}
+
+static void test_lies_are_noticed(void **state) {
+  (void)state;
+  const dipole_query query = query_of(DIPOLE_F64, wanted_f64, RADII);
+  for (size_t i = 0; i < sizeof lies / sizeof lies[0]; i++) {
+    for (int how = 0; how < 3; how++) {
+      scripted_peer peer;
+      dipole_error error;
+      dipole_result *result;
+      peer_start(&peer, tell_lie, (void *)&lies[i]);
+      dipole_client *client = open_client(&peer);
+      bool good = how == 0   ? dipole_eval(client, &query, &result, &error)
+                  : how == 1 ? dipole_eval_parts(client, &query, take_all, NULL, &error)
+                             : dipole_eval_parts(client, &query, take_one, NULL, &error);
+      if (how == 2 && error.kind == DIPOLE_ERROR_STOPPED) {
+        good = dipole_ping(client, &error); /* what is thrown away is looked at, too */
+      }
+      if (good) {
+        fail_msg("not noticed: part %u: %s", lies[i].part, lies[i].what);
+      }
+      if (error.kind != DIPOLE_ERROR_PROTOCOL) {
+        fail_msg("part %u: %s: %s", lies[i].part, lies[i].what, error.text);
+      }
+      assert_false(dipole_ping(client, &error)); /* the client stays broken */
+      dipole_close(client);
+      peer_end(&peer);
+    }
+  }
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(test_parts_are_put_together),
+      cmocka_unit_test(test_parts_are_handed_on),
+      cmocka_unit_test(test_nothing_is_handed_on),
+      cmocka_unit_test(test_other_answers_may_come_in_between),
+      cmocka_unit_test(test_an_error_ends_an_answer),
+      cmocka_unit_test(test_a_reader_may_stop),
+      cmocka_unit_test(test_lost_between_parts),
+      cmocka_unit_test(test_answers_beyond_memory),
+      cmocka_unit_test(test_lies_are_noticed),
+  };
+  return cmocka_run_group_tests(tests, make_radii, NULL);
+}
