@@ -29,14 +29,15 @@ def header(**changes: int) -> bytes:
         "type": PING,
         "request_id": 1,
         "payload_bytes": 0,
-        "flags": 0,
+        "deadline_ms": 0,
     }
     return wire.HEADER.pack(**{**fields, **changes})
 
 
-def frame(type: int, request_id: int, payload: bytes = b"") -> bytes:
+def frame(type: int, request_id: int, payload: bytes = b"", deadline_ms: int = 0) -> bytes:
     """A whole frame."""
-    return header(type=type, request_id=request_id, payload_bytes=len(payload)) + payload
+    fields = {"request_id": request_id, "deadline_ms": deadline_ms}
+    return header(type=type, payload_bytes=len(payload), **fields) + payload
 
 
 def media_bytes(media) -> bytes:

@@ -120,7 +120,7 @@ def test_wrong_command_lines_say_what_to_do(arguments, said):
         ([*EVAL[1:], "--from", "-1"], "bad-value: radius_start: allowed: "),
         ([*EVAL[1:], "--from", "0", "--log"], "bad-value: radius_start: allowed: "),
         ([*EVAL[1:], "--to", "inf"], "bad-value: radius_stop: allowed: "),
-        ([*EVAL[1:], "--count", "99999999999"], "too-large: radius_count: allowed: "),
+        ([*EVAL[1:], "--count", "99999999999999"], "too-large: radius_count: allowed: "),
         ([*EVAL[1:], "--connect", "localhost"], "write unix:PATH, tcp:HOST:PORT or private:"),
         ([*EVAL[1:], "--connect", "unix:/nonexistent"], "cannot connect to the socket /nonexist"),
         ([*EVAL[1:], "--connect", "private:/nonexistent"], "cannot start a private daemon"),

@@ -58,7 +58,7 @@ def test_all_examples_are_there():
 def test_example_is_one_whole_frame(name):
     data = EXAMPLES[name]
     header = wire.HEADER.unpack(data)
-    assert (header.magic, header.version, header.flags) == (wire.MAGIC, wire.VERSION, 0)
+    assert (header.magic, header.version, header.deadline_ms) == (wire.MAGIC, wire.VERSION, 0)
     assert len(data) == wire.HEADER.bytes + header.payload_bytes
     message = name.split("-")[0]
     if name == "error-reply":
@@ -77,7 +77,7 @@ def frame_bytes(reply: Frame) -> bytes:
         type=reply.type,
         request_id=reply.request_id,
         payload_bytes=len(reply.payload),
-        flags=0,
+        deadline_ms=0,
     )
     return header + reply.payload
 
@@ -153,7 +153,7 @@ def check_table(payload: bytes) -> None:
         type=TYPES["table"] | wire.REPLY,
         request_id=0,
         payload_bytes=len(payload),
-        flags=0,
+        deadline_ms=0,
     )
     table = Table(header + payload)
     assert table.medium == (0.032, 0.74, 0.0, 1.3) and table.numerical_error_constant <= 1e-3
