@@ -244,6 +244,7 @@ tradeoff:
 	@$(MAKE) --no-print-directory -j2 $(BUILD)/trade-speed
 	$(BUILD)/trade-speed --output $(BUILD)/tradeoff
 	cp $(BUILD)/tradeoff/tradeoff.def core/tradeoff.def
+	cp $(BUILD)/tradeoff/front.svg $(BUILD)/tradeoff/map.svg tests/tradeoff/
 
 $(BUILD)/transport-table: $(call objects,$(wildcard core/tools/transport_table/*.c)) $(BUILD)/libcore.a
 	$(call SAY,LD,$@)

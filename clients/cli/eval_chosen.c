@@ -53,6 +53,16 @@ static double rounded_up(double bound) {
   return bound > 0 && bound < (double)INFINITY ? unit * ceil(bound / unit * (1 - 1e-12)) : bound;
 }
 
+/* Whether people are told of an offer: one that is cheaper and off, of each model the cheapest. */
+static bool is_worth_telling(const cli_eval_offers *from, const dipole_offer *offer,
+                             const dipole_offer *taken) {
+  bool worth = is_cheaper_and_off(offer, taken);
+  for (const dipole_offer *before = from->offers; before < offer; before++) {
+    worth = worth && before->model != offer->model;
+  }
+  return worth;
+}
+
 /* Whether one of the cheaper ones has a smaller error, or the same and comes first. */
 static bool is_nearer(const dipole_offer *a, const dipole_offer *b) {
   return a->error < b->error || (!(b->error < a->error) && a < b);
@@ -64,7 +74,7 @@ static const dipole_offer *next_nearest(const cli_eval_offers *from, const dipol
                                         const dipole_offer *last) {
   const dipole_offer *next = NULL;
   for (const dipole_offer *offer = from->offers; offer < from->offers + from->count; offer++) {
-    if (is_cheaper_and_off(offer, taken) && offer->error < (double)INFINITY &&
+    if (is_worth_telling(from, offer, taken) && offer->error < (double)INFINITY &&
         (last == NULL || is_nearer(last, offer)) && (next == NULL || is_nearer(offer, next))) {
       next = offer;
     }
@@ -78,7 +88,7 @@ static void write_cheaper(const cli_eval_report *report, const dipole_offer *tak
   char text[CLI_NUMBER_BYTES];
   size_t told = 0, all = 0;
   for (size_t i = 0; i < from->count; i++) {
-    all += is_cheaper_and_off(&from->offers[i], taken);
+    all += is_worth_telling(from, &from->offers[i], taken);
   }
   if (all == 0) {
     return;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import functools
 import math
 import zlib
@@ -9,10 +10,11 @@ import zlib
 import dipole
 import numpy as np
 import pytest
+from daemons import BUILD, sanitized
 from dipole import Medium, Table, wire
 from frames import BETTER, EXACT, SKIN, ask, assert_error, assert_serves
 from frames import media_bytes, parameters_bytes
-from lists import MODELS, NOTES, PARAMETERS, needs
+from lists import MODELS, NOTES, PARAMETERS, QUANTITIES, needs
 
 TABLE = wire.MESSAGES["table"]
 TOLERANCE = PARAMETERS["tolerance"].id
@@ -108,6 +110,38 @@ def test_radii_that_a_model_does_not_cover(client):
     with pytest.raises(dipole.ArgumentError) as caught:
         table.R(9.0)
     assert "to 8 mm" in str(caught.value)
+
+
+def from_library(table: Table, quantity: int, x: np.ndarray) -> np.ndarray:
+    """What libdipole makes of a saved table: values of a quantity, or radii for quantity 0."""
+    library = ctypes.CDLL(str(BUILD / "libdipole.so"))
+    handle, out = ctypes.c_void_p(), np.empty_like(x)
+    at = [array.ctypes.data_as(ctypes.POINTER(ctypes.c_float)) for array in (x, out)]
+    count = ctypes.c_size_t(len(x))
+    assert library.dipole_table_load(
+        table.data, ctypes.c_size_t(len(table.data)), ctypes.byref(handle), None
+    )
+    if quantity == 0:
+        assert library.dipole_table_radii(handle, count, *at)
+    else:
+        assert library.dipole_table_values(handle, quantity, count, *at)
+    library.dipole_table_free(handle)
+    return out
+
+
+@pytest.mark.skipif(sanitized(), reason="a sanitized library cannot be loaded here")
+def test_same_bits_as_the_library(client, case):
+    """In all that it evaluates, and in radii for given cdf, of which the daemon gives none."""
+    table = client.table(*case)
+    r = radii(table.pieces_from_mm, table.pieces_to_mm)
+    random = np.random.default_rng(20120101)
+    drawn = [random.random(3000), 10 ** random.uniform(-45, 0, 3000)]
+    ends = [2.0 ** -np.arange(150.0), 1 - 2.0 ** -np.arange(1.0, 25.0), [0, 1]]
+    u = np.concatenate([*drawn, *ends]).astype(np.float32)
+    for name, evaluate in [("R", table.R), ("cdf", table.cdf), ("pdf", table.pdf)]:
+        assert evaluate(r).tobytes() == from_library(table, QUANTITIES[name], r).tobytes()
+    assert table.ring(r).tobytes() == from_library(table, QUANTITIES["2_pi_r_R"], r).tobytes()
+    assert table.radius(u).tobytes() == from_library(table, 0, u).tobytes()
 
 
 def test_radii_for_given_cdf(client, case):

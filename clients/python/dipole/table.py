@@ -30,7 +30,7 @@ _TERMS = 4
 _PIECES_MAX = 65536
 
 _MANTISSA_BITS = 23
-_CUTS_MAX = 13
+_CUTS_MAX = 11
 
 _ZERO = np.float32(0)
 _ONE = np.float32(1)
@@ -38,7 +38,6 @@ _HALF = np.float32(0.5)
 _INFINITY = np.float32(np.inf)
 _TWO_OVER_LN_2 = np.float32(2.88539008)
 _2_TO_THE_24 = np.float32(2.0**24)
-_2_TO_THE_MINUS_40 = np.float32(2.0**-40)
 
 
 class Table:
@@ -272,7 +271,7 @@ class Table:
         if not self._limit > 0:
             return np.zeros_like(r)
         nearest = self._near_R * (self._scale / r)
-        return np.where(r < _2_TO_THE_MINUS_40, nearest, self._near_R / r * self._scale)
+        return np.where(r < 1, nearest, self._near_R / r * self._scale)
 
     def _near_ring(self, r: np.ndarray, scale: np.float32) -> np.ndarray:
         """r R times what scale is over the scale of R."""
@@ -280,11 +279,25 @@ class Table:
             return np.full_like(r, self._near_R * scale)
         return np.where(r > 0, _times_radius(self._near_flat(r), r, scale), _ZERO)
 
+    def _near_cdf_factor(self, r: np.ndarray) -> np.ndarray:
+        """The cdf over r^2, of a profile that is not steep."""
+        rising = np.where(r > 0, self._octaves_below(r), _ZERO)
+        return self._near_cdf + self._near_cdf_log * rising
+
     def _near_cdf_at(self, r: np.ndarray) -> np.ndarray:
         if self._near_power > 0:
             return self._near_cdf * r
-        rising = np.where(r > 0, self._octaves_below(r), _ZERO)
-        return (self._near_cdf + self._near_cdf_log * rising) * r * r
+        return self._near_cdf_factor(r) * r * r
+
+    def _near_radius_at(self, u: np.ndarray) -> np.ndarray:
+        """Where the cdf is factor r^2 the factor depends on ln r, which hardly moves it."""
+        if self._near_power > 0:
+            return self._near_radius * u
+        root = np.sqrt(u)
+        r = self._near_radius * root
+        for _ in range(4):
+            r = root / np.sqrt(self._near_cdf_factor(r))
+        return r
 
     def _outside_R(self, r: np.ndarray) -> np.ndarray:
         ratio = self._last_mm / r
@@ -300,8 +313,7 @@ class Table:
         return np.where(r < self._first_mm, self._near_cdf_at(r), self._limit)
 
     def _outside_radius(self, u: np.ndarray) -> np.ndarray:
-        near = self._near_radius * (u if self._near_power > 0 else np.sqrt(u))
-        return np.where(u < 1, near, _INFINITY if self._limit > 0 else _ZERO)
+        return np.where(u < 1, self._near_radius_at(u), _INFINITY if self._limit > 0 else _ZERO)
 
 
 def _floats(values: Any) -> np.ndarray:
