@@ -366,6 +366,7 @@ static void run_job(struct connection *c, uint64_t *budget) {
     output_commit(&c->output);
     job_next_part(&c->job);
     c->between_parts = true;
+    mc_desk_answer(c->mc, &c->output); /* which else would wait until the last part is there */
     if (c->deadline_ms != 0) {
       worker_wake_at(c->worker, c->deadline_ms);
     }

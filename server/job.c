@@ -199,7 +199,11 @@ static wire_error cut(struct job *job, const struct server *server) {
                            "fewer: a part of max_part_bytes has no room for them");
   }
   const uint64_t parts = (fixed->radius_count - 1) / job->part_radii + 1;
-  job->part_count = (uint32_t)parts; /* max_radii is at most 2^40, and a part has 256 or more */
+  if (parts > UINT32_MAX) { /* 2^40 radii in parts of 256 */
+    return too_large("radius_count", UINT32_MAX * job->part_radii,
+                     "radii in parts as small as these");
+  }
+  job->part_count = (uint32_t)parts;
   const bool fits = lay_out_part(job, most_bytes);
   assert(fits);
   return wire_error_none();
@@ -379,15 +383,26 @@ static void start_channel(struct job *job) {
                    &channel);
 }
 
+/* Begins again with what is the next best. */
+static bool start_again(struct job *job, struct server *server, struct job_scratch *scratch) {
+  if (!choose_again(job)) {
+    return false;
+  }
+  /* What has been gathered for earlier channels would be written over the values that come now. */
+  batch_finish(&scratch->batch, &server->stats);
+  job_start(job, job->reply);
+  return true;
+}
+
 /* The profile of a channel that has none yet. */
-static enum job_state get_profile(struct job *job, struct profiles *profiles) {
+static enum job_state get_profile(struct job *job, struct server *server, struct profiles *profiles,
+                                  struct job_scratch *scratch) {
   const core_medium medium = medium_at(job, job->channel);
   switch (profiles_get(profiles, &job->order, &medium)) {
   case PROFILES_WAIT:
     return JOB_WAITS;
   case PROFILES_FAULT:
-    if (choose_again(job)) {
-      job_start(job, job->reply);
+    if (start_again(job, server, scratch)) {
       return JOB_GOES_ON;
     }
     job->refusal = job_fault(job->order.fault, job->channel);
@@ -494,7 +509,8 @@ enum job_state job_slice(struct job *job, struct server *server, struct profiles
     n = slice_length(job, cost);
     radii_step(job, n);
   } else {
-    const enum job_state state = job->order.ready ? JOB_GOES_ON : get_profile(job, profiles);
+    const enum job_state state =
+        job->order.ready ? JOB_GOES_ON : get_profile(job, server, profiles, scratch);
     if (state != JOB_GOES_ON || !job->order.ready) {
       return state;
     }
