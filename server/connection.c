@@ -428,8 +428,10 @@ static bool step(struct connection *c, uint64_t *budget) {
   }
   if (c->in_job && c->between_parts) {
     if (blocked(c)) {
+      job_rest(&c->job, worker_scratch(c->worker));
       return false;
     }
+    job_resume(&c->job, worker_scratch(c->worker));
     begin_part(c);
     return true;
   }
