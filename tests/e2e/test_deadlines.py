@@ -103,10 +103,10 @@ def test_a_large_answer_in_time(daemon):
 
 
 def test_time_runs_from_the_last_byte_on(connection):
-    data = frame(EVAL, 77, eval_payload(), 150)
+    data = frame(EVAL, 77, eval_payload(), 300)
     for cut in (1, 24, 50, len(data) - 1):
         connection.send_bytes(data[:cut])
-        time.sleep(0.2)
+        time.sleep(0.35)
         connection.send_bytes(data[cut:])
         assert connection.receive_frame().type == EVALUATED
 
