@@ -327,10 +327,13 @@ def test_python(daemon):
         with pytest.raises(dipole.Refused) as caught:
             client.collect()
         assert (caught.value.status, caught.value.request_id) == ("deadline", request_id)
+        with pytest.raises(dipole.Refused) as caught:
+            client.table("transport", (0.123, 1.0, 0.2, 1.4), tolerance=1e-6, deadline_ms=5)
+        assert caught.value.status == "deadline"
         with pytest.raises(dipole.ArgumentError):
             client.eval("better", SKIN, [1.0], deadline_ms=-1)
         assert client.eval("better", SKIN, wanted=["albedo"]).albedo[0] > 0
-        assert client.statistics()["answers_deadline"] == 3
+        assert client.statistics()["answers_deadline"] == 4
 
 
 def test_albedo_alone(connection):

@@ -200,10 +200,11 @@ class Client:
         moments: str | int = "exact",
         parameters: Mapping[str, float | str] | None = None,
         tolerance: float | None = None,
+        deadline_ms: int = 0,
     ) -> Table:
         """Fetches the table by which the evaluator "lut" answers for a medium, to be evaluated
         here: without a daemon, and with the same bits. tolerance: what it is built to, relative,
-        from 1e-6 (by default 1e-4)."""
+        from 1e-6 (by default 1e-4). deadline_ms: as of eval()."""
         media = _media_array(medium)
         if len(media) != 1:
             raise ArgumentError("medium: one Medium")
@@ -213,7 +214,8 @@ class Client:
             moments=self._id("moments", moments),
             parameter_count=len(listed_parameters),
         )
-        request_id = self._send("table", b"".join([fixed, media.tobytes(), *listed_parameters]))
+        payload = b"".join([fixed, media.tobytes(), *listed_parameters])
+        request_id = self._send("table", payload, deadline_ms)
         payload = self._answer(request_id, "table")
         frame = frame_bytes(wire.MESSAGES["table"] | wire.REPLY, request_id, payload)
         try:
