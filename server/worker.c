@@ -157,11 +157,18 @@ static void wake(void *context) {
   uv_async_send(&worker->wake);
 }
 
+/* An active idle handle keeps the loop from sleeping in its next poll. Timers come before that, too:
+ * what they give to the run queue is not to wait for somebody else's bytes. */
+static void stay_awake_for_queue(struct worker *worker) {
+  if (worker->run_first != NULL) {
+    uv_idle_start(&worker->stay_awake, on_awake);
+  }
+}
+
 static void after_poll(uv_check_t *handle) {
   struct worker *worker = handle->data;
   run_round(worker);
   stop_round(worker);
-  /* An active idle handle keeps the loop from sleeping in its next poll. */
   if (worker->run_first != NULL || (worker->stop_rounds > 0 && worker->stop_rounds < 4)) {
     uv_idle_start(&worker->stay_awake, on_awake);
   } else {
@@ -179,12 +186,14 @@ static void on_clock(uv_timer_t *timer) {
   }
   profiles_sweep(&worker->profiles);
   repeat_sweep(&worker->scratch.repeat);
+  stay_awake_for_queue(worker);
 }
 
 static void on_deadline(uv_timer_t *timer) {
   struct worker *worker = timer->data;
   worker->wake_ms = 0;
   for_each(worker, connection_deadline);
+  stay_awake_for_queue(worker);
 }
 
 void worker_wake_at(struct worker *worker, uint64_t at_ms) {
