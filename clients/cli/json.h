@@ -10,6 +10,7 @@
 typedef struct cli_json {
   FILE *file;
   int depth;
+  bool one_line; /* for one text on each line */
   bool filled; /* something stands in the innermost object or array already */
 } cli_json;
 
