@@ -187,8 +187,10 @@ $(CACHE_TESTS:%=$(BUILD)/tests/unit/%): $(call objects,server/cache.c server/cac
 $(CACHE_TESTS:%=$(BUILD)/tests/unit/%): TEST_LIBS = $(UV_LIBS)
 $(CACHE_TESTS:%=$(OBJ)/tests/unit/%.o): EXTRA_CPPFLAGS = $(UV_CFLAGS)
 
-# Its histograms likewise.
+# Its input and histograms likewise.
 $(BUILD)/tests/unit/test_histogram: $(call objects,server/histogram.c)
+$(BUILD)/tests/unit/test_input: $(call objects,server/input.c)
+$(OBJ)/tests/unit/test_input.o: EXTRA_CPPFLAGS = $(UV_CFLAGS)
 
 -include $(shell find $(OBJ) -name '*.d' 2>/dev/null)
 
