@@ -295,6 +295,8 @@ static bool take_frame(struct connection *c) {
     answer_frame(c, &header, payload);
     break;
   case INPUT_REFUSED:
+    c->arrived_ns = input_arrival_ns(&c->input, &header);
+    note_answer(c, LATENCY_REFUSED);
     if (!request_refuse(c->server, header.request_id, &error, &c->output)) {
       connection_abort(c);
       return false;

@@ -11,8 +11,7 @@ void latency_finish(struct latency *latency) {
     const struct latency_group *group = &latency->groups[i];
     for (unsigned kind = 0; kind < LATENCY_CLASSES; kind++) {
       if (group->counts[kind] > 0) {
-        histogram_add(&latency->histograms[kind], now_ns - group->arrived_ns,
-                      group->counts[kind]);
+        histogram_add(&latency->histograms[kind], now_ns - group->arrived_ns, group->counts[kind]);
       }
     }
   }

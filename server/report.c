@@ -128,8 +128,8 @@ static void report_models(const struct reporter *to) {
 
 /* A histogram as Prometheus has them: cumulative, with sum and count. */
 static void report_batches(const struct reporter *to) {
-  static const struct report_family family = {
-      "batch_requests", REPORT_HISTOGRAM, "arrays of short evals in one pass of a kernel"};
+  static const struct report_family family = {"batch_requests", REPORT_HISTOGRAM,
+                                              "arrays of short evals in one pass of a kernel"};
   uint64_t count = 0;
   for (unsigned size = 0; size + 1 < STATS_BATCH_SIZES; size++) {
     char name[48];
@@ -137,8 +137,7 @@ static void report_batches(const struct reporter *to) {
     snprintf(name, sizeof name, "batches_up_to_%u_requests", 1U << size);
     snprintf(labels, sizeof labels, "le=\"%u\"", 1U << size);
     count += counted(to, STATS_BATCHES + size);
-    to->each(to->context,
-             &(struct report_value){name, &family, "_bucket", labels, .value = count});
+    to->each(to->context, &(struct report_value){name, &family, "_bucket", labels, .value = count});
   }
   count += counted(to, STATS_COUNT - 1);
   const uint64_t sum = counted(to, STATS_BATCHED_REQUESTS);

@@ -82,8 +82,8 @@ static const char *const latency_columns[] = {"p50_us", "p90_us", "p99_us", "p99
 enum { LATENCY_COLUMNS = sizeof latency_columns / sizeof latency_columns[0] };
 
 static void write_latencies(const top_record *record, FILE *file) {
-  static const char *const heads[] = {"us, since its start", "p50", "p90", "p99", "p99.9", "max",
-                                      "requests"};
+  static const char *const heads[] = {
+      "us, since its start", "p50", "p90", "p99", "p99.9", "max", "requests"};
   cli_table table = {.columns = LATENCY_COLUMNS + 2, .left = 1, .heads = 1};
   for (size_t i = 0; i < table.columns; i++) {
     cli_table_add(&table, "%s", heads[i]);
@@ -170,9 +170,9 @@ static void each_latency(const top_record *record, each_value *each, void *conte
 
 static void each_in(const top_record *record, each_value *each, void *context) {
   static const char *const rates[] = {"received_bytes", "sent_bytes", "cache_hits", "cache_misses"};
-  static const char *const gauges[] = {"uptime_ms",    "connections_open", "queued_connections",
-                                       "owed_radii",   "buffer_bytes",     "cache_entries",
-                                       "cache_bytes",  "mc_jobs_open"};
+  static const char *const gauges[] = {"uptime_ms",   "connections_open", "queued_connections",
+                                       "owed_radii",  "buffer_bytes",     "cache_entries",
+                                       "cache_bytes", "mc_jobs_open"};
   each(context, "interval_s", record->interval_s);
   for (size_t i = 0; i < sizeof gauges / sizeof gauges[0]; i++) {
     each(context, gauges[i], (double)top_value(record, gauges[i]));

@@ -1,4 +1,4 @@
-"""`dipole top`: tables, CSV and JSON by interval, and a terminal on which the table is shown anew."""
+"""`dipole top`: tables, CSV and JSON by interval, and a terminal where the table is shown anew."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ import time
 import pytest
 from command_line import PROGRAM, USAGE, dipole, read_csv
 from daemons import environment
-from frames import SKIN
+from frames import EVAL, SKIN, ask, eval_payload
 from lists import MODELS
 
 TIMEOUT_S = 30
@@ -32,19 +32,14 @@ def busy(daemon):
     one = daemon()
     stop = threading.Event()
 
-    def ask():
-        from dipole import DaemonError
-
-        with one.client() as client:
+    def keep_asking():
+        right, wrong = eval_payload([SKIN], [1.0] * 100), eval_payload([SKIN], [-1.0])
+        with one.connect() as connection:
             while not stop.is_set():
-                for _ in range(9):
-                    client.eval("better", SKIN, [1.0] * 100)
-                try:
-                    client.eval("better", SKIN, [-1.0])
-                except DaemonError:
-                    pass
+                for payload in [right] * 9 + [wrong]:
+                    ask(connection, EVAL, payload)
 
-    thread = threading.Thread(target=ask)
+    thread = threading.Thread(target=keep_asking)
     thread.start()
     yield one
     stop.set()
@@ -66,11 +61,13 @@ def check_record(record: dict[str, float]) -> None:
     assert errors == record["answers_bad-value_per_s"]
     assert errors == pytest.approx(evals / 10, rel=0.3, abs=20)
     radii = record["radii_better_per_s"]
-    assert radii == record["radii_evaluated_per_s"] == pytest.approx(evals * 90, rel=0.3)
+    assert radii == pytest.approx(evals * 90, rel=0.3)
+    assert record["radii_evaluated_per_s"] == pytest.approx(radii, rel=0.05)
     assert record["radii_classical_per_s"] == 0
     assert record["received_bytes_per_s"] > 0 and record["sent_bytes_per_s"] > 0
     assert record["connections_open"] == 2
-    assert record["requests_per_batch"] >= 1
+    # Numbers that rise while they are read one after the other.
+    assert record["requests_per_batch"] == pytest.approx(1, rel=0.05)
     quantiles = [record[f"latency_eval_short_{q}_us"] for q in ("p50", "p90", "p99", "p999", "max")]
     assert quantiles == sorted(quantiles) and quantiles[0] > 0
 
@@ -108,7 +105,8 @@ def test_tables(busy):
 
 
 def test_a_daemon_of_its_own():
-    record = json.loads(dipole("top", "--count", "1", "--interval", "0.1", "--format", "json").stdout)
+    text = dipole("top", "--count", "1", "--interval", "0.1", "--format", "json").stdout
+    record = json.loads(text)
     assert record["connections_open"] == 1 and record["requests_statistics_per_s"] > 0
 
 
@@ -216,7 +214,7 @@ def test_on_a_terminal(busy, colour):
     assert terminal.end() == 0
     text = terminal.text
     assert text.startswith("\033[?25l\033[2J")
-    assert "\033[?25h" in text.rpartition("\033[J")[2]  # the cursor is back, after all that is shown
+    assert "\033[?25h" in text.rpartition("\033[J")[2]  # the cursor is back, behind the table
     shown = screens(text)
     assert "Each second, since its start" in shown[0]
     for screen in shown[1:4]:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import struct
 import time
 
 import pytest
 from daemons import eventually
-from dipole import wire
+from dipole import Connection
 from frames import (
     BETTER,
+    CLASSICAL,
     EVAL,
     F32,
     HELLO,
@@ -23,6 +25,7 @@ from frames import (
 from lists import MODELS
 
 KINDS = ["eval_short", "eval_long", "other", "refused"]
+PART, PART_AT = struct.Struct("<II"), 32  # part and part_count of an eval_reply
 QUANTILES = ["p50", "p90", "p99", "p999", "max"]
 
 # What is asked, and where its latency is counted; EVAL of 128 radii is short.
@@ -58,10 +61,8 @@ def test_every_request_has_one_latency(daemon, name):
     assert latency_counts(after) == expected
 
 
-def client_connection(client):
+def client_connection(client) -> Connection:
     """Another connection to the same daemon."""
-    from dipole import Connection
-
     return Connection(client.info.address)
 
 
@@ -93,11 +94,11 @@ def test_a_slow_answer_is_slow(daemon):
         asked = time.monotonic()
         parts = 1
         while parts > 0:
-            reply = wire.EVAL_REPLY.unpack(connection.receive_frame().payload)
-            parts = reply.part_count - 1 - reply.part
+            part, part_count = PART.unpack_from(connection.receive_frame().payload, PART_AT)
+            parts = part_count - 1 - part
         waited_us = (time.monotonic() - asked) * 1e6
         now = client.statistics()
-    assert reply.part_count > 10
+    assert part_count > 10
     assert now["latency_eval_long_count"] == 1
     # The same moment at both ends, but for what lies in the socket.
     assert waited_us / 2 - 20_000 < now["latency_eval_long_p50_us"] < waited_us + 20_000
@@ -117,10 +118,10 @@ def test_the_wait_for_the_last_byte_does_not_count(daemon):
 
 
 def test_radii_by_model(daemon):
-    with daemon().client() as client:
-        client.eval("better", [SKIN] * 3, [1.0] * 1000)
+    with daemon().client() as client, client_connection(client) as connection:
+        ask(connection, EVAL, eval_payload([SKIN] * 3, [1.0] * 1000, model=BETTER))
         for _ in range(5):  # the repeated ones, too
-            client.eval("classical", SKIN, [1.0, 2.0])
+            ask(connection, EVAL, eval_payload([SKIN], [1.0, 2.0], model=CLASSICAL))
         now = client.statistics()
     radii = {name: now[f"radii_{name}"] for name in MODELS}
     assert radii.pop("better") == 3000

@@ -116,9 +116,9 @@ static void several_are_one(void **state) {
 
 int main(void) {
   const struct CMUnitTest tests[] = {
-      cmocka_unit_test(nothing_is_zero),          cmocka_unit_test(each_duration_is_known),
-      cmocka_unit_test(ends_of_octaves),          cmocka_unit_test(very_short_and_very_long),
-      cmocka_unit_test(quantiles_of_a_ramp),      cmocka_unit_test(several_are_one),
+      cmocka_unit_test(nothing_is_zero),     cmocka_unit_test(each_duration_is_known),
+      cmocka_unit_test(ends_of_octaves),     cmocka_unit_test(very_short_and_very_long),
+      cmocka_unit_test(quantiles_of_a_ramp), cmocka_unit_test(several_are_one),
   };
   return cmocka_run_group_tests(tests, NULL, NULL);
 }
