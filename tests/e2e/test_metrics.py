@@ -11,7 +11,7 @@ import urllib.error
 import urllib.request
 
 import pytest
-from daemons import read_log_line, run
+from daemons import eventually, read_log_line, run
 from frames import EVAL, SKIN, R, ask, eval_payload
 from lists import MODELS
 
@@ -89,6 +89,12 @@ def scrape(daemon) -> dict[str, float]:
     return {key: value for _, samples in families.values() for key, value in samples.items()}
 
 
+def scrape_when(daemon, metric: str, least: float) -> dict[str, float]:
+    """All samples, as soon as one has so much: latencies are counted behind the answers."""
+    assert eventually(lambda: scrape(daemon)[metric] >= least)
+    return scrape(daemon)
+
+
 def test_every_line_is_right(watched):
     with watched.connect() as connection:
         ask(connection, EVAL, eval_payload([SKIN], [1.0] * 16, wanted=R))
@@ -113,7 +119,7 @@ def test_counters_rise(watched):
             ask(connection, EVAL, eval_payload([SKIN], [1.0] * 16))
         for _ in range(3):
             ask(connection, EVAL, eval_payload(model=99))
-        after = scrape(watched)
+        after = scrape_when(watched, 'dipoled_latency_seconds_count{class="refused"}', 3)
     rises = {key: value - before[key] for key, value in after.items() if value != before[key]}
     assert rises['dipoled_requests_total{message="eval"}'] == 8
     assert rises['dipoled_answers_total{status="ok"}'] == 5
@@ -136,6 +142,7 @@ def test_the_same_as_the_statistics(watched):
     with watched.client() as client, watched.connect() as connection:
         ask(connection, EVAL, eval_payload([SKIN], [1.0] * 1000))
         client.ping()
+        scrape_when(watched, 'dipoled_latency_seconds_count{class="eval_long"}', 1)
         metrics = scrape(watched)
         statistics = client.statistics()
     moving = {"uptime_ms", "allocations", "received_bytes", "sent_bytes", "queued_connections"}
