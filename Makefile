@@ -47,6 +47,8 @@ ALL_LDFLAGS = -pthread $(LDFLAGS) $(SANITIZE)
 
 UV_CFLAGS = $(shell pkg-config --cflags libuv)
 UV_LIBS = $(shell pkg-config --libs libuv)
+HTTP_CFLAGS = $(shell pkg-config --cflags libmicrohttpd)
+HTTP_LIBS = $(shell pkg-config --libs libmicrohttpd)
 # What core's preparation uses. The archives' members are taken as needed, so that the client library
 # does without.
 # GSL=no builds without the model `gaussians`.
@@ -128,7 +130,7 @@ $(OBJ)/core/montecarlo/walk.$(1).o: core/montecarlo/walk.c Makefile
 endef
 $(foreach isa,$(ISAS),$(eval $(call walk_rule,$(isa))))
 
-$(SERVER): EXTRA_CPPFLAGS = $(UV_CFLAGS)
+$(SERVER): EXTRA_CPPFLAGS = $(UV_CFLAGS) $(HTTP_CFLAGS)
 
 # Taken up by the assembler.
 $(OBJ)/core/transport/table_data.o: core/transport/transport.table
@@ -156,7 +158,7 @@ $(BUILD)/libdipole.so: $(BUILD)/libdipole.so.$(VERSION)
 
 $(BUILD)/dipoled: $(SERVER) $(BUILD)/libproto.a $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc -o $@ $^ $(UV_LIBS) $(CORE_LIBS) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc -o $@ $^ $(UV_LIBS) $(HTTP_LIBS) $(CORE_LIBS) -lm
 
 $(BUILD)/dipole: $(CLI) $(BUILD)/libdipole.a
 	$(call SAY,LD,$@)
@@ -184,6 +186,11 @@ CACHE_TESTS := test_cache test_profiles
 $(CACHE_TESTS:%=$(BUILD)/tests/unit/%): $(call objects,server/cache.c server/cache_key.c server/profiles.c server/stats.c)
 $(CACHE_TESTS:%=$(BUILD)/tests/unit/%): TEST_LIBS = $(UV_LIBS)
 $(CACHE_TESTS:%=$(OBJ)/tests/unit/%.o): EXTRA_CPPFLAGS = $(UV_CFLAGS)
+
+# Its input and histograms likewise.
+$(BUILD)/tests/unit/test_histogram: $(call objects,server/histogram.c)
+$(BUILD)/tests/unit/test_input: $(call objects,server/input.c)
+$(OBJ)/tests/unit/test_input.o: EXTRA_CPPFLAGS = $(UV_CFLAGS)
 
 -include $(shell find $(OBJ) -name '*.d' 2>/dev/null)
 

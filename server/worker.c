@@ -22,6 +22,7 @@ void worker_run_later(struct worker *worker, struct connection *connection) {
     worker->run_last->next_to_run = connection;
   }
   worker->run_last = connection;
+  worker->run_count++;
 }
 
 static struct connection *next_to_run(struct worker *worker) {
@@ -30,6 +31,7 @@ static struct connection *next_to_run(struct worker *worker) {
   if (worker->run_first == NULL) {
     worker->run_last = NULL;
   }
+  worker->run_count--;
   connection->to_run = false;
   return connection;
 }
@@ -46,7 +48,15 @@ static void remove_from_run_queue(struct worker *worker, struct connection *conn
     }
   }
   worker->run_last = last;
+  worker->run_count--;
   connection->to_run = false;
+}
+
+/* For others to see. */
+static void publish_queue(struct worker *worker) {
+  struct stats *stats = &worker->server->stats;
+  stats_set(stats, STATS_QUEUED_CONNECTIONS, worker->run_count);
+  stats_set(stats, STATS_OWED_RADII, worker->scratch.owed_radii);
 }
 
 /* One turn for each connection that is in the queue now; those that come back have their next turn
@@ -56,6 +66,7 @@ static void run_round(struct worker *worker) {
   struct connection *last = worker->run_last;
   struct connection *ran = NULL;
   struct connection **end = &ran;
+  publish_queue(worker);
   for (bool more = last != NULL; more;) {
     struct connection *connection = next_to_run(worker);
     more = connection != last;
@@ -68,6 +79,9 @@ static void run_round(struct worker *worker) {
   for (; ran != NULL; ran = ran->next_to_finish) {
     connection_finish(ran);
   }
+  latency_finish(&worker->latency);
+  publish_queue(worker);
+  worker->round_ns = 0;
 }
 
 /* ---- all connections ---------------------------------------------------------------------------
@@ -288,4 +302,15 @@ struct job_scratch *worker_scratch(struct worker *worker) {
 
 struct profiles *worker_profiles(struct worker *worker) {
   return &worker->profiles;
+}
+
+struct latency *worker_latency(struct worker *worker) {
+  return &worker->latency;
+}
+
+uint64_t worker_round_ns(struct worker *worker) {
+  if (worker->round_ns == 0) {
+    worker->round_ns = uv_hrtime();
+  }
+  return worker->round_ns;
 }
