@@ -3,6 +3,7 @@
 #   make            the daemon, the client, the libraries, the benchmark, in build/
 #   make demo       measured skin, two models, a table and two pictures
 #   make check      all tests; check-asan and check-tsan run them under sanitizers
+#   make soak       ten minutes at full load, SOAK_S seconds if given: answers and memory
 #   make bench      every benchmark; build/bench GROUP runs one
 #   make docs       the byte tables of proto/PROTOCOL.md, from proto/messages.def
 #   make model-errors  core/model_errors.def, measured anew against exact solutions
@@ -47,6 +48,8 @@ ALL_LDFLAGS = -pthread $(LDFLAGS) $(SANITIZE)
 
 UV_CFLAGS = $(shell pkg-config --cflags libuv)
 UV_LIBS = $(shell pkg-config --libs libuv)
+HTTP_CFLAGS = $(shell pkg-config --cflags libmicrohttpd)
+HTTP_LIBS = $(shell pkg-config --libs libmicrohttpd)
 # What core's preparation uses. The archives' members are taken as needed, so that the client library
 # does without.
 # GSL=no builds without the model `gaussians`.
@@ -87,13 +90,14 @@ CLI := $(call objects,$(wildcard clients/cli/*.c))
 BENCH := $(call objects,$(wildcard tests/bench/*.c tests/bench/*/*.c))
 FIGURES := $(call objects,$(wildcard tests/figures/*.c))
 TRADEOFF := $(call objects,$(wildcard tests/tradeoff/*.c) $(addprefix tests/figures/,fail.c gnuplot.c panel.c progress.c table.c workers.c))
+SOAK := $(call objects,$(wildcard tests/soak/*.c))
 TESTS := $(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/unit/test_*.c tests/accuracy/test_*.c tests/fuzz/test_*.c))
-TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/bench/*.c tests/bits/*.c tests/figures/*.c tests/tradeoff/*.c),$(wildcard tests/*/*.c)))
+TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/bench/*.c tests/bits/*.c tests/figures/*.c tests/soak/*.c tests/tradeoff/*.c),$(wildcard tests/*/*.c)))
 
 PROGRAMS := $(BUILD)/dipoled $(BUILD)/dipole $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-unit check-bits check-e2e check-asan check-tsan bench docs model-errors tables tradeoff figures install uninstall clean
+.PHONY: all setup demo check check-unit check-bits check-e2e check-soak check-asan check-tsan soak bench docs model-errors tables tradeoff figures install uninstall clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -128,7 +132,7 @@ $(OBJ)/core/montecarlo/walk.$(1).o: core/montecarlo/walk.c Makefile
 endef
 $(foreach isa,$(ISAS),$(eval $(call walk_rule,$(isa))))
 
-$(SERVER): EXTRA_CPPFLAGS = $(UV_CFLAGS)
+$(SERVER): EXTRA_CPPFLAGS = $(UV_CFLAGS) $(HTTP_CFLAGS)
 
 # Taken up by the assembler.
 $(OBJ)/core/transport/table_data.o: core/transport/transport.table
@@ -156,13 +160,17 @@ $(BUILD)/libdipole.so: $(BUILD)/libdipole.so.$(VERSION)
 
 $(BUILD)/dipoled: $(SERVER) $(BUILD)/libproto.a $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc -o $@ $^ $(UV_LIBS) $(CORE_LIBS) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc -o $@ $^ $(UV_LIBS) $(HTTP_LIBS) $(CORE_LIBS) -lm
 
 $(BUILD)/dipole: $(CLI) $(BUILD)/libdipole.a
 	$(call SAY,LD,$@)
 	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
 
 $(BUILD)/bench: $(BENCH) $(BUILD)/libdipole.a
+	$(call SAY,LD,$@)
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
+
+$(BUILD)/soak-load: $(SOAK) $(BUILD)/libdipole.a
 	$(call SAY,LD,$@)
 	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
 
@@ -185,6 +193,11 @@ $(CACHE_TESTS:%=$(BUILD)/tests/unit/%): $(call objects,server/cache.c server/cac
 $(CACHE_TESTS:%=$(BUILD)/tests/unit/%): TEST_LIBS = $(UV_LIBS)
 $(CACHE_TESTS:%=$(OBJ)/tests/unit/%.o): EXTRA_CPPFLAGS = $(UV_CFLAGS)
 
+# Its input and histograms likewise.
+$(BUILD)/tests/unit/test_histogram: $(call objects,server/histogram.c)
+$(BUILD)/tests/unit/test_input: $(call objects,server/input.c)
+$(OBJ)/tests/unit/test_input.o: EXTRA_CPPFLAGS = $(UV_CFLAGS)
+
 -include $(shell find $(OBJ) -name '*.d' 2>/dev/null)
 
 # ---- what is run ---------------------------------------------------------------------------------
@@ -200,8 +213,8 @@ demo:
 
 check:
 	@sh .ci/install-packages
-	@$(MAKE) --no-print-directory -j2 all $(TESTS) $(BUILD)/tests/bits $(BUILD)/wire-tables $(BUILD)/draw-figures $(BUILD)/trade-speed
-	@$(MAKE) --no-print-directory -j2 --output-sync=target check-unit check-bits check-e2e
+	@$(MAKE) --no-print-directory -j2 all $(TESTS) $(BUILD)/tests/bits $(BUILD)/wire-tables $(BUILD)/draw-figures $(BUILD)/trade-speed $(BUILD)/soak-load
+	@$(MAKE) --no-print-directory -j3 --output-sync=target check-unit check-bits check-e2e check-soak
 
 # Each test program by itself, so that one that crashes takes no other with it.
 check-unit: $(TESTS)
@@ -210,8 +223,21 @@ check-unit: $(TESTS)
 check-bits: $(BUILD)/tests/bits
 	@sh tests/run-bits.sh $(BUILD)
 
-check-e2e: all $(BUILD)/draw-figures
-	DIPOLED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python PYTHONDONTWRITEBYTECODE=1 $(PYTHON) -m pytest -q -rs -p no:cacheprovider tests/e2e
+PYTEST = DIPOLED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python:tests/e2e PYTHONDONTWRITEBYTECODE=1 $(PYTHON) -m pytest -q -rs -p no:cacheprovider
+
+check-e2e: all $(BUILD)/draw-figures $(BUILD)/soak-load
+	$(PYTEST) tests/e2e
+
+# Beside the other tests, with what time of the processors they leave.
+check-soak: all $(BUILD)/soak-load
+	SOAK_S=40 nice -n 15 $(PYTEST) -s tests/soak
+
+# Full load for ten minutes.
+SOAK_S ?= 600
+soak:
+	@sh .ci/install-packages
+	@$(MAKE) --no-print-directory -j2 all $(BUILD)/soak-load
+	SOAK_S=$(SOAK_S) $(PYTEST) -s tests/soak
 
 check-asan:
 	@sh .ci/install-packages

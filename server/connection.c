@@ -140,7 +140,7 @@ static void on_read(uv_stream_t *stream, ssize_t bytes, const uv_buf_t *buffer) 
   if (bytes > 0) {
     stats_add(&c->server->stats, STATS_RECEIVED_BYTES, (uint64_t)bytes);
     c->active_ms = uv_now(stream->loop);
-    input_arrived(&c->input, (size_t)bytes, c->active_ms);
+    input_arrived(&c->input, (size_t)bytes, worker_round_ns(c->worker));
     if (c->lingering) {
       input_discard(&c->input);
       return;
@@ -237,12 +237,17 @@ static wire_error late(void) {
   return wire_error_make(WIRE_STATUS_DEADLINE, "deadline_ms", "more: the answer takes longer");
 }
 
+static void note_answer(struct connection *c, enum latency_class kind) {
+  latency_note(worker_latency(c->worker), kind, c->arrived_ns);
+}
+
 static void answer_frame(struct connection *c, const wire_header *header, const uint8_t *payload) {
-  c->deadline_ms =
-      header->deadline_ms > 0 ? input_arrival_ms(&c->input, header) + header->deadline_ms : 0;
+  c->arrived_ns = input_arrival_ns(&c->input, header);
+  c->deadline_ms = header->deadline_ms > 0 ? c->arrived_ns / 1000000 + header->deadline_ms : 0;
   if (is_late(c)) {
     const wire_error error = late();
     stats_count_request(&c->server->stats, header->type);
+    note_answer(c, LATENCY_REFUSED);
     if (request_refuse(c->server, header->request_id, &error, &c->output)) {
       input_next(&c->input, header);
     } else {
@@ -253,7 +258,15 @@ static void answer_frame(struct connection *c, const wire_header *header, const 
   const struct mc_caller mc = {c->server, worker_loop(c->worker), on_mc_news, c, &c->mc};
   const struct request_place place = {&c->job, &c->table, worker_scratch(c->worker), &mc};
   switch (request_begin(c->server, header, payload, &c->output, &place)) {
-  case REQUEST_ANSWERED:
+  case REQUEST_ANSWERED: /* an eval at once: it is short */
+    note_answer(c, header->type == WIRE_TYPE_EVAL ? LATENCY_EVAL_SHORT : LATENCY_OTHER);
+    input_next(&c->input, header);
+    break;
+  case REQUEST_REFUSED:
+    note_answer(c, LATENCY_REFUSED);
+    input_next(&c->input, header);
+    break;
+  case REQUEST_BEGUN:
     input_next(&c->input, header);
     break;
   case REQUEST_STARTED:
@@ -282,6 +295,8 @@ static bool take_frame(struct connection *c) {
     answer_frame(c, &header, payload);
     break;
   case INPUT_REFUSED:
+    c->arrived_ns = input_arrival_ns(&c->input, &header);
+    note_answer(c, LATENCY_REFUSED);
     if (!request_refuse(c->server, header.request_id, &error, &c->output)) {
       connection_abort(c);
       return false;
@@ -304,6 +319,11 @@ static void on_profile(void *context) {
 
 /* The answer, which is in the output, or the error that is sent in its place, is the last of it. */
 static void end_job(struct connection *c, const wire_error *refusal) {
+  const bool is_short = c->in_job && c->job.request.fixed.radius_count <= BATCH_SHORT_RADII;
+  note_answer(c, refusal != NULL ? LATENCY_REFUSED
+                 : c->in_table   ? LATENCY_OTHER
+                 : is_short      ? LATENCY_EVAL_SHORT
+                                 : LATENCY_EVAL_LONG);
   job_forgive(&c->job, worker_scratch(c->worker));
   c->in_job = false;
   c->in_table = false;

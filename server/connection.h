@@ -60,7 +60,8 @@ struct connection {
   bool closing;   /* uv_close() has been called */
   bool waiting;   /* the job waits for a profile */
 
-  uint64_t deadline_ms; /* of the request that is being answered, on the loop's clock; 0: none */
+  uint64_t arrived_ns;  /* the request that is being answered */
+  uint64_t deadline_ms; /* of it, on the loop's clock; 0: none */
   uint64_t active_ms;   /* when bytes last arrived or left */
   uint64_t frame_started_ms; /* when the unfinished frame began to arrive; 0: there is none */
   uint64_t lingering_ms;

@@ -88,11 +88,22 @@ static void take_skipped(struct input *input) {
   input->skip_bytes -= skipped;
 }
 
-/* Forgets the marks of what has been dealt with. */
-static void drop_marks(struct input *input) {
+/* Up to which byte marks are of no use: those within the first frame, whose end is still to come or
+ * came later; without a frame, those of what has been dealt with. */
+static uint64_t useless_bytes(const struct input *input) {
   const uint64_t done = input->total_bytes - held(input);
+  if (input->skip_bytes > 0 || held(input) < WIRE_BYTES_header) {
+    return done;
+  }
+  wire_header header;
+  wire_get_header(input->bytes + input->begin, &header);
+  return done + WIRE_BYTES_header + header.payload_bytes - 1;
+}
+
+/* Forgets the marks up to a byte. */
+static void drop_marks(struct input *input, uint64_t bytes) {
   unsigned gone = 0;
-  while (gone < input->mark_count && input->marks[gone].total_bytes <= done) {
+  while (gone < input->mark_count && input->marks[gone].total_bytes <= bytes) {
     gone++;
   }
   input->mark_count -= gone;
@@ -100,32 +111,33 @@ static void drop_marks(struct input *input) {
 }
 
 /* Without room for another mark the last one stands for more: its time is then too early, so that a
- * deadline is kept rather than missed. */
-static void mark(struct input *input, uint64_t now_ms) {
-  drop_marks(input);
+ * deadline is kept rather than missed. That takes many frames in many pieces, for within the first
+ * frame marks are not kept. */
+static void mark(struct input *input, uint64_t now_ns) {
+  drop_marks(input, useless_bytes(input));
   struct input_mark *last = &input->marks[input->mark_count > 0 ? input->mark_count - 1 : 0];
-  if (input->mark_count > 0 && (last->ms == now_ms || input->mark_count == INPUT_MARKS)) {
+  if (input->mark_count > 0 && (last->ns == now_ns || input->mark_count == INPUT_MARKS)) {
     last->total_bytes = input->total_bytes;
   } else {
-    input->marks[input->mark_count++] = (struct input_mark){input->total_bytes, now_ms};
+    input->marks[input->mark_count++] = (struct input_mark){input->total_bytes, now_ns};
   }
 }
 
-void input_arrived(struct input *input, size_t bytes, uint64_t now_ms) {
+void input_arrived(struct input *input, size_t bytes, uint64_t now_ns) {
   input->end += bytes;
   input->total_bytes += bytes;
-  mark(input, now_ms);
+  mark(input, now_ns);
   take_skipped(input);
 }
 
-uint64_t input_arrival_ms(const struct input *input, const wire_header *header) {
+uint64_t input_arrival_ns(const struct input *input, const wire_header *header) {
   const uint64_t done = input->total_bytes - held(input);
   const uint64_t end = done + WIRE_BYTES_header + header->payload_bytes;
   unsigned i = 0;
   while (i + 1 < input->mark_count && input->marks[i].total_bytes < end) {
     i++;
   }
-  return input->mark_count > 0 ? input->marks[i].ms : 0;
+  return input->mark_count > 0 ? input->marks[i].ns : 0;
 }
 
 enum input_outcome input_frame(struct input *input, wire_header *header, const uint8_t **payload,

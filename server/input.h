@@ -9,7 +9,7 @@
 /* Up to which byte, counted from the first, what came had come at a time. */
 struct input_mark {
   uint64_t total_bytes;
-  uint64_t ms;
+  uint64_t ns;
 };
 
 enum { INPUT_MARKS = 16 };
@@ -42,10 +42,10 @@ void input_free(struct input *input);
 size_t input_room(struct input *input, uint8_t **room);
 
 /* bytes have been read to the room, at a time. */
-void input_arrived(struct input *input, size_t bytes, uint64_t now_ms);
+void input_arrived(struct input *input, size_t bytes, uint64_t now_ns);
 
 /* When the last byte of the frame that was looked at had arrived, or somewhat earlier. */
-uint64_t input_arrival_ms(const struct input *input, const wire_header *header);
+uint64_t input_arrival_ns(const struct input *input, const wire_header *header);
 
 /* Looks at the first frame. FRAME: *payload is aligned to 8 and stays until input_next(). REFUSED
  * and LOST: *error says why. *header is the frame's in all cases but INCOMPLETE. */

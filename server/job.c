@@ -492,7 +492,7 @@ static void channel_step(struct job *job, struct server *server, struct job_scra
   if (job->layout.arrays_per_channel > 0) {
     evaluate(job, server, scratch, n);
     pay(job, scratch, n * (uint64_t)job->layout.arrays_per_channel);
-    stats_add(&server->stats, STATS_RADII_EVALUATED, n);
+    stats_count_radii(&server->stats, job->request.fixed.model, n);
     stats_add(&server->stats, STATS_SLICES_EVALUATED, 1);
   }
   if (job->layout.arrays_per_channel == 0 || advance(job, n)) {

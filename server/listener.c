@@ -1,7 +1,6 @@
 #include "server/listener.h"
 
 #include <errno.h>
-#include <netdb.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -11,6 +10,7 @@
 #include <unistd.h>
 
 #include "server/log.h"
+#include "server/tcp.h"
 #include "server/worker.h"
 
 enum {
@@ -142,81 +142,17 @@ static bool open_unix(struct listener *listener, const char *url, const char *pa
 /* ---- TCP ---------------------------------------------------------------------------------------
  */
 
-static void log_bound(int fd) {
-  struct sockaddr_storage address;
-  socklen_t length = sizeof address;
-  char host[128];
-  char port[16];
-  if (getsockname(fd, (struct sockaddr *)&address, &length) == 0 &&
-      getnameinfo((struct sockaddr *)&address, length, host, sizeof host, port, sizeof port,
-                  NI_NUMERICHOST | NI_NUMERICSERV) == 0) {
-    const bool bracket = address.ss_family == AF_INET6;
-    log_line(LOG_LEVEL_INFO, "event=listening url=tcp:%s%s%s:%s", bracket ? "[" : "", host,
-             bracket ? "]" : "", port);
-  }
-}
-
-static int bind_tcp(const struct addrinfo *address) {
-  const int fd =
-      socket(address->ai_family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, IPPROTO_TCP);
-  const int on = 1;
-  if (fd >= 0) {
-    setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);
-    if (bind(fd, address->ai_addr, address->ai_addrlen) == 0 && listen(fd, BACKLOG) == 0) {
-      return fd;
-    }
-    const int error = errno;
-    close(fd);
-    errno = error;
-  }
-  return -1;
-}
-
-/* HOST:PORT, the host in brackets when it has colons. */
-static bool split_host_port(const char *text, char *host, size_t room, const char **port) {
-  const char *colon = strrchr(text, ':');
-  if (colon == NULL || colon[1] == '\0') {
-    return false;
-  }
-  size_t length = (size_t)(colon - text);
-  if (length >= 2 && text[0] == '[' && text[length - 1] == ']') {
-    text++;
-    length -= 2;
-  }
-  if (length == 0 || length >= room) {
-    return false;
-  }
-  memcpy(host, text, length);
-  host[length] = '\0';
-  *port = colon + 1;
-  return true;
-}
-
 static bool open_tcp(struct listener *listener, const char *url, const char *host_port) {
-  char host[256];
-  const char *port;
-  if (!split_host_port(host_port, host, sizeof host, &port)) {
-    return complain(url, "the address has the form tcp:HOST:PORT, tcp:[::1]:PORT for IPv6");
-  }
-  char *port_end;
-  if (strtoul(port, &port_end, 10) > 65535 || *port_end != '\0') {
-    return complain(url, "the port is a number from 0 to 65535");
-  }
-  const struct addrinfo hints = {.ai_socktype = SOCK_STREAM, .ai_flags = AI_PASSIVE};
-  struct addrinfo *found = NULL;
-  const int looked_up = getaddrinfo(host, port, &hints, &found);
-  if (looked_up != 0) {
-    return complain(url, gai_strerror(looked_up));
-  }
-  listener->fd = bind_tcp(found);
-  const int error = errno;
-  freeaddrinfo(found);
+  const char *why;
+  listener->fd = tcp_listen(host_port, &why);
   if (listener->fd < 0) {
-    return complain(url, error == EADDRINUSE
+    return complain(url, errno == EADDRINUSE
                              ? "another process listens there; --listen names another address"
-                             : strerror(error));
+                             : why);
   }
-  log_bound(listener->fd);
+  char bound[TCP_TEXT_BYTES];
+  tcp_bound(listener->fd, bound);
+  log_line(LOG_LEVEL_INFO, "event=listening url=tcp:%s", bound);
   return true;
 }
 

@@ -14,6 +14,7 @@
 #include "server/log.h"
 #include "server/mc_pool.h"
 #include "server/memory.h"
+#include "server/metrics.h"
 #include "server/worker.h"
 
 #define DEFAULT_TCP "tcp:127.0.0.1:4817"
@@ -26,6 +27,7 @@ struct daemon {
   uv_signal_t interrupt;
   struct listener listeners[OPTIONS_LIST_MAX + 2];
   size_t listener_count;
+  struct metrics *metrics; /* NULL: not asked for */
   uint64_t workers_started;
   bool stopping;
 };
@@ -39,6 +41,8 @@ static void stop(struct daemon *daemon) {
   }
   daemon->stopping = true;
   log_line(LOG_LEVEL_INFO, "event=stopping");
+  metrics_close(daemon->metrics);
+  daemon->metrics = NULL;
   for (size_t i = 0; i < daemon->listener_count; i++) {
     listener_close(&daemon->listeners[i]);
   }
@@ -167,6 +171,15 @@ static bool open_addresses(struct daemon *daemon) {
   return options->listen.count > 0 || listen_by_default(daemon);
 }
 
+/* Before clients are let in, so that a daemon that is ready is one that can be watched. */
+static bool open_metrics(struct daemon *daemon) {
+  const char *address = daemon->server.options.metrics;
+  if (address != NULL) {
+    daemon->metrics = metrics_open(&daemon->server, address);
+  }
+  return address == NULL || daemon->metrics != NULL;
+}
+
 static void set_up_loop(struct daemon *daemon) {
   uv_loop_init(&daemon->loop);
   uv_async_init(&daemon->loop, &daemon->server.inherited_closed, on_inherited_closed);
@@ -204,7 +217,7 @@ static int run(struct daemon *daemon) {
   signal(SIGPIPE, SIG_IGN);
   raise_descriptor_limit();
   set_up_loop(daemon);
-  const bool ready = start_workers(daemon) && open_addresses(daemon);
+  const bool ready = start_workers(daemon) && open_metrics(daemon) && open_addresses(daemon);
   if (ready) {
     log_line(LOG_LEVEL_INFO, "event=ready workers=%llu isa=%s",
              (unsigned long long)server->options.workers, core_isa_name(server->isa));

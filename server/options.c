@@ -161,6 +161,7 @@ static void print_help(void) {
       "  dipoled                                   this machine only, at the default addresses\n"
       "  dipoled --listen unix:/run/dipoled.sock --workers 4\n"
       "  dipoled --listen tcp:0.0.0.0:4817         whoever reaches this machine\n"
+      "  dipoled --metrics 127.0.0.1:9817          numbers for Prometheus, and /healthz\n"
       "\n"
       "Stop it with SIGTERM: it answers what is in flight and exits with 0. Ask it with `dipole`.\n"
       "Each option is also read from the environment, as DIPOLED_ and its name in capitals with\n"

@@ -104,7 +104,7 @@ void repeat_answer(const struct repeat_entry *entry, struct batch *batch, struct
     }
   }
   stats_add(stats, STATS_CACHE_HITS, 1);
-  stats_add(stats, STATS_RADII_EVALUATED, entry->count);
+  stats_count_radii(stats, entry->order.key.model, entry->count);
   stats_add(stats, STATS_SLICES_EVALUATED, 1);
 }
 

@@ -3,7 +3,7 @@
 #include <string.h>
 
 #include "server/choice.h"
-#include "server/memory.h"
+#include "server/report.h"
 
 /* A message being answered. */
 struct question {
@@ -202,33 +202,23 @@ static enum outcome answer_MEDIA(struct question *question) {
   return ANSWERED;
 }
 
+static void put_reported(void *context, const struct report_value *value) {
+  if (value->name != NULL) {
+    put_value(context, value->name, report_wire_value(value));
+  }
+}
+
 static enum outcome answer_STATS(struct question *question) {
   if (question->header->payload_bytes != 0) {
     return bad_length(question, "0");
   }
-  uint8_t *at = begin_list(question, STATS_COUNT, WIRE_BYTES_value);
-  if (at == NULL) {
+  struct value_cursor cursor = {NULL, 0};
+  report_each(NULL, put_reported, &cursor);
+  cursor.at = begin_list(question, cursor.count, WIRE_BYTES_value);
+  if (cursor.at == NULL) {
     return busy(question);
   }
-  struct server *server = question->server;
-  for (size_t i = 0; i < STATS_COUNT; i++) {
-    wire_value value = stats_value(&server->stats, i);
-    switch (i) { /* those that are not counted */
-    case STATS_UPTIME_MS:
-      value.value = (uv_hrtime() - server->started_ns) / 1000000;
-      break;
-    case STATS_ALLOCATIONS:
-      value.value = memory_allocations();
-      break;
-    case STATS_BUFFER_BYTES:
-      value.value = atomic_load(&server->buffer_bytes);
-      break;
-    default:
-      break;
-    }
-    wire_put_value(at, &value);
-    at += WIRE_BYTES_value;
-  }
+  report_each(question->server, put_reported, &cursor);
   output_commit(question->output);
   return ANSWERED;
 }
@@ -360,10 +350,10 @@ enum request_outcome request_begin(struct server *server, const wire_header *hea
     stats_count_answer(&server->stats, WIRE_STATUS_OK);
     return REQUEST_ANSWERED;
   case STARTED_MC:
-    return REQUEST_ANSWERED;
+    return REQUEST_BEGUN;
   case REFUSED:
     break;
   }
-  return request_refuse(server, header->request_id, &question.error, output) ? REQUEST_ANSWERED
+  return request_refuse(server, header->request_id, &question.error, output) ? REQUEST_REFUSED
                                                                              : REQUEST_NO_ROOM;
 }

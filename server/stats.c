@@ -2,17 +2,6 @@
 
 _Thread_local unsigned stats_shard;
 
-static const char *const names[STATS_COUNT] = {
-#define SERVER_STATISTIC(IDENT, name) name,
-#include "server/stats.def"
-#undef SERVER_STATISTIC
-#define WIRE_MESSAGE(type, IDENT, name) "requests_" name,
-#include "proto/messages.def"
-#define WIRE_STATUS(code, IDENT, modbus_exception, name, text) "answers_" name,
-#include "proto/statuses.def"
-#undef WIRE_STATUS
-};
-
 void stats_count_request(struct stats *stats, unsigned type) {
   switch (type) {
 #define WIRE_MESSAGE(type, IDENT, name)                                                            \
@@ -34,8 +23,18 @@ void stats_count_answer(struct stats *stats, unsigned status) {
   }
 }
 
-wire_value stats_value(const struct stats *stats, size_t index) {
-  wire_value value = {.value = stats_get(stats, (enum stats_index)index)};
-  WIRE_SET_TEXT(value.name, names[index]);
-  return value;
+void stats_count_radii(struct stats *stats, unsigned model, uint64_t radii) {
+  static const uint16_t index_of[] = {
+#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
+  [id] = STATS_RADII_##IDENT,
+#define CORE_SUM(id, IDENT, name, FIRST, SECOND, source) [id] = STATS_RADII_##IDENT,
+#include "core/models.def"
+  };
+  stats_add(stats, (enum stats_index)index_of[model], radii);
+}
+
+void stats_count_batch(struct stats *stats, uint64_t requests) {
+  const unsigned size = requests > 1 ? 64 - (unsigned)__builtin_clzll(requests - 1) : 0;
+  const unsigned last = STATS_BATCH_SIZES - 1;
+  stats_add(stats, (enum stats_index)(STATS_BATCHES + (size < last ? size : last)), 1);
 }

@@ -1,4 +1,5 @@
-/* stats: the daemon's counters and gauges, shared by all threads. */
+/* stats: what the daemon's threads count, while it costs next to nothing. server/report.h makes
+ * names and sums of it. */
 #ifndef DIPOLED_STATS_H
 #define DIPOLED_STATS_H
 
@@ -6,18 +7,25 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "proto/wire.h"
+/* Batches are counted by size: up to 1, 2, 4, 8, ... requests; the last size has no bound. */
+enum { STATS_BATCH_SIZES = 10 };
 
 enum stats_index {
-#define SERVER_STATISTIC(IDENT, name) STATS_##IDENT,
+#define SERVER_STATISTIC(IDENT, name, type, help) STATS_##IDENT,
 #include "server/stats.def"
-#undef SERVER_STATISTIC
 #define WIRE_MESSAGE(type, IDENT, name) STATS_REQUESTS_##IDENT,
 #include "proto/messages.def"
 #define WIRE_STATUS(code, IDENT, modbus_exception, name, text) STATS_ANSWERS_##IDENT,
 #include "proto/statuses.def"
 #undef WIRE_STATUS
-  STATS_COUNT
+  STATS_RADII, /* by model */
+  STATS_RADII_BEFORE = STATS_RADII - 1,
+#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
+  STATS_RADII_##IDENT,
+#define CORE_SUM(id, IDENT, name, FIRST, SECOND, source) STATS_RADII_##IDENT,
+#include "core/models.def"
+  STATS_BATCHES, /* by size */
+  STATS_COUNT = STATS_BATCHES + STATS_BATCH_SIZES
 };
 
 /* Each worker counts in a shard of its own, which no other thread writes; all others share the first.
@@ -54,6 +62,11 @@ static inline void stats_subtract(struct stats *stats, enum stats_index index, u
   stats_add(stats, index, UINT64_C(0) - amount);
 }
 
+/* A worker's share of a gauge. */
+static inline void stats_set(struct stats *stats, enum stats_index index, uint64_t value) {
+  atomic_store_explicit(&stats->shards[stats_shard].values[index], value, memory_order_relaxed);
+}
+
 static inline uint64_t stats_get(const struct stats *stats, enum stats_index index) {
   uint64_t sum = 0;
   for (size_t i = 0; i < STATS_SHARDS; i++) {
@@ -64,8 +77,7 @@ static inline uint64_t stats_get(const struct stats *stats, enum stats_index ind
 
 void stats_count_request(struct stats *stats, unsigned type);  /* a type of the list */
 void stats_count_answer(struct stats *stats, unsigned status); /* a status of the list */
-
-/* index < STATS_COUNT: the name on the wire, and the value now. */
-wire_value stats_value(const struct stats *stats, size_t index);
+void stats_count_radii(struct stats *stats, unsigned model, uint64_t radii); /* a model's id */
+void stats_count_batch(struct stats *stats, uint64_t requests);              /* at least 1 */
 
 #endif

@@ -22,6 +22,7 @@ void worker_run_later(struct worker *worker, struct connection *connection) {
     worker->run_last->next_to_run = connection;
   }
   worker->run_last = connection;
+  worker->run_count++;
 }
 
 static struct connection *next_to_run(struct worker *worker) {
@@ -30,6 +31,7 @@ static struct connection *next_to_run(struct worker *worker) {
   if (worker->run_first == NULL) {
     worker->run_last = NULL;
   }
+  worker->run_count--;
   connection->to_run = false;
   return connection;
 }
@@ -46,7 +48,15 @@ static void remove_from_run_queue(struct worker *worker, struct connection *conn
     }
   }
   worker->run_last = last;
+  worker->run_count--;
   connection->to_run = false;
+}
+
+/* For others to see. */
+static void publish_queue(struct worker *worker) {
+  struct stats *stats = &worker->server->stats;
+  stats_set(stats, STATS_QUEUED_CONNECTIONS, worker->run_count);
+  stats_set(stats, STATS_OWED_RADII, worker->scratch.owed_radii);
 }
 
 /* One turn for each connection that is in the queue now; those that come back have their next turn
@@ -56,6 +66,7 @@ static void run_round(struct worker *worker) {
   struct connection *last = worker->run_last;
   struct connection *ran = NULL;
   struct connection **end = &ran;
+  publish_queue(worker);
   for (bool more = last != NULL; more;) {
     struct connection *connection = next_to_run(worker);
     more = connection != last;
@@ -68,6 +79,9 @@ static void run_round(struct worker *worker) {
   for (; ran != NULL; ran = ran->next_to_finish) {
     connection_finish(ran);
   }
+  latency_finish(&worker->latency);
+  publish_queue(worker);
+  worker->round_ns = 0;
 }
 
 /* ---- all connections ---------------------------------------------------------------------------
@@ -157,11 +171,18 @@ static void wake(void *context) {
   uv_async_send(&worker->wake);
 }
 
+/* An active idle handle keeps the loop from sleeping in its next poll. Timers come before that, too:
+ * what they give to the run queue is not to wait for somebody else's bytes. */
+static void stay_awake_for_queue(struct worker *worker) {
+  if (worker->run_first != NULL) {
+    uv_idle_start(&worker->stay_awake, on_awake);
+  }
+}
+
 static void after_poll(uv_check_t *handle) {
   struct worker *worker = handle->data;
   run_round(worker);
   stop_round(worker);
-  /* An active idle handle keeps the loop from sleeping in its next poll. */
   if (worker->run_first != NULL || (worker->stop_rounds > 0 && worker->stop_rounds < 4)) {
     uv_idle_start(&worker->stay_awake, on_awake);
   } else {
@@ -179,12 +200,14 @@ static void on_clock(uv_timer_t *timer) {
   }
   profiles_sweep(&worker->profiles);
   repeat_sweep(&worker->scratch.repeat);
+  stay_awake_for_queue(worker);
 }
 
 static void on_deadline(uv_timer_t *timer) {
   struct worker *worker = timer->data;
   worker->wake_ms = 0;
   for_each(worker, connection_deadline);
+  stay_awake_for_queue(worker);
 }
 
 void worker_wake_at(struct worker *worker, uint64_t at_ms) {
@@ -279,4 +302,15 @@ struct job_scratch *worker_scratch(struct worker *worker) {
 
 struct profiles *worker_profiles(struct worker *worker) {
   return &worker->profiles;
+}
+
+struct latency *worker_latency(struct worker *worker) {
+  return &worker->latency;
+}
+
+uint64_t worker_round_ns(struct worker *worker) {
+  if (worker->round_ns == 0) {
+    worker->round_ns = uv_hrtime();
+  }
+  return worker->round_ns;
 }

@@ -23,6 +23,7 @@
 #define DIPOLED_WORKER_H
 
 #include "server/connection.h"
+#include "server/latency.h"
 
 struct worker {
   struct server *server;
@@ -42,11 +43,14 @@ struct worker {
   struct connection *connections;
   struct connection *run_first;
   struct connection *run_last;
+  uint64_t run_count; /* of connections in the run queue */
+  uint64_t round_ns;  /* when this round of the loop read first; 0: it has not */
   unsigned stop_rounds; /* rounds of the loop since the stop was wanted; 0: it is not */
   uint64_t stop_began_ms;
   _Atomic uint64_t connection_count; /* given to it and not yet closed */
   struct profiles profiles;
   struct job_scratch scratch;
+  struct latency latency;
 };
 
 /* Starts the thread; a libuv error code, 0 when it runs. */
@@ -61,6 +65,9 @@ void worker_join(struct worker *worker);
 uv_loop_t *worker_loop(struct worker *worker);
 struct job_scratch *worker_scratch(struct worker *worker);
 struct profiles *worker_profiles(struct worker *worker);
+struct latency *worker_latency(struct worker *worker);
+/* When this round of the loop began to read: what all that is read in it has for its arrival. */
+uint64_t worker_round_ns(struct worker *worker);
 void worker_remember(struct worker *worker, struct connection *connection);
 void worker_forget(struct worker *worker, struct connection *connection);
 /* connection_deadline() is called for all connections at that time of the loop, or a little later. */

@@ -18,6 +18,7 @@ static bool open_stream(dipole_client *client, const char *text, dipole_error *e
                              : libdipole_connect(&address, client->timeout_ms, &fd, error);
   if (connected) {
     libdipole_stream_init(&client->stream, fd);
+    client->retry.for_ms = address.kind == LIBDIPOLE_PRIVATE ? 0 : DIPOLE_RETRY_MS;
   }
   return connected;
 }

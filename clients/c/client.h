@@ -5,6 +5,7 @@
 #define LIBDIPOLE_CLIENT_H
 
 #include <limits.h>
+#include <poll.h>
 #include <sys/types.h>
 
 #include "clients/c/dipole.h"
@@ -73,6 +74,7 @@ enum { LIBDIPOLE_INPUT_BYTES = 65536 };
 typedef struct libdipole_stream {
   int fd;
   int send_errno; /* sending has failed; what the peer still says is read before that is told */
+  bool silent;    /* a step ended because nothing moved, and not because of the peer */
   uint8_t *out;   /* unsent: out[out_begin .. out_end] */
   size_t out_begin, out_end, out_capacity;
   uint8_t *target;
@@ -130,13 +132,29 @@ typedef struct libdipole_pending {
   libdipole_frame *gathered; /* what has come so far; with a reader, without the arrays */
   libdipole_reader *reader;  /* NULL: the parts are put together */
   bool dropped;              /* nobody wants the rest any more; the reader is gone */
+
+  /* For asking again: */
+  size_t frame_bytes;
+  uint8_t *kept;      /* [frame_bytes], the request as it was sent; NULL: it cannot be asked again */
+  int64_t sent_ms;    /* with a deadline: when it was first sent */
+  int64_t trouble_ms; /* when it first got no answer; 0: has not happened */
+  int64_t again_ms;   /* when it is to be sent again; 0: it is sent */
 } libdipole_pending;
+
+/* How a client connects and asks again. */
+typedef struct libdipole_retry {
+  unsigned for_ms;    /* 0: it does not */
+  size_t kept_bytes;  /* of all outstanding requests */
+  size_t later_count; /* of them, those that wait to be sent again */
+  uint64_t random;    /* 0: not begun */
+} libdipole_retry;
 
 struct dipole_client {
   libdipole_stream stream;
   pid_t daemon; /* a private daemon; 0: none */
   unsigned timeout_ms;
   dipole_error broken; /* kind NONE while the connection works */
+  libdipole_retry retry;
 
   /* pending[pending_begin .. pending_begin + pending_count], by ascending id */
   uint64_t last_id;
@@ -194,6 +212,32 @@ bool libdipole_refused(const dipole_client *client, const libdipole_pending *pen
                        const libdipole_frame *frame, dipole_error *error);
 
 void libdipole_pending_free(dipole_client *client);
+
+/* Takes an entry out, wherever it stands. */
+void libdipole_pending_remove(dipole_client *client, libdipole_pending *entry);
+
+/* ---- retry.c ------------------------------------------------------------------------------- */
+
+/* Keeps the request that was begun last, whose frame is the end of stream.out, if it may be sent
+ * again and there is room. */
+void libdipole_retry_keep(dipole_client *client);
+
+/* Frees what is kept of it. */
+void libdipole_retry_forget(dipole_client *client, libdipole_pending *pending);
+
+/* Whether this answer says no more than that the request is to be asked later, which then will
+ * happen; frees the frame in that case. */
+bool libdipole_retry_later(dipole_client *client, libdipole_pending *pending,
+                           libdipole_frame *frame);
+
+/* With retry.later_count > 0: sends what is to be sent by now, and waits for the connection to move
+ * while that takes no longer than until the next is to be sent. *moves: there may be something to
+ * read or send. */
+bool libdipole_retry_wait(dipole_client *client, bool *moves, dipole_error *error);
+
+/* After *error: connects again and sends all that is outstanding. False: that is not possible, and
+ * *error says why the connection was lost. */
+bool libdipole_retry_restore(dipole_client *client, dipole_error *error);
 
 /* ---- query.c ------------------------------------------------------------------------------- */
 

@@ -42,7 +42,8 @@ enum dipole_error_kind {
   DIPOLE_ERROR_NONE = 0,
   DIPOLE_ERROR_ADDRESS,    /* the address cannot be understood */
   DIPOLE_ERROR_CONNECT,    /* nobody answers there */
-  DIPOLE_ERROR_CONNECTION, /* the connection was lost or timed out; the client can only be closed */
+  DIPOLE_ERROR_CONNECTION, /* the connection was lost or timed out, and see dipole_set_retry_ms();
+                              the client can only be closed */
   DIPOLE_ERROR_PROTOCOL,   /* the peer does not speak this protocol; likewise */
   DIPOLE_ERROR_MEMORY,     /* out of memory; within an answer: the client can only be closed */
   DIPOLE_ERROR_ARGUMENT,   /* the call's arguments do not fit together */
@@ -83,6 +84,31 @@ bool dipole_open_within(const char *address, unsigned timeout_ms, dipole_client 
 
 /* Changes the timeout of the calls that follow. */
 void dipole_set_timeout_ms(dipole_client *client, unsigned timeout_ms);
+
+/* How long a client of a unix: or tcp: address tries at first to get an answer nevertheless. */
+#define DIPOLE_RETRY_MS 5000
+
+/* Unanswered requests are kept, up to so many bytes in all, to be sent again. */
+#define DIPOLE_RETRY_KEPT_BYTES ((size_t)64 << 20)
+
+/* Sets how long a request that meets trouble is tried again; 0, which is the default of private:
+ * addresses, means not at all. It holds for requests from the next one on.
+ *
+ * Trouble is a connection that is lost or that the daemon ends (SHUTTING_DOWN, TIMEOUT), and the
+ * answers BUSY and SHUTTING_DOWN. The client then connects again to the same address, with pauses
+ * from 10 ms on, doubled up to 1 s, shortened at random by up to a half, and sends all that is
+ * outstanding again, with the same ids, what is left of its deadline, and not before the daemon's
+ * retry_after_ms. What has no answer retry_ms after its first trouble fails as it would have done at
+ * once: with CONNECTION, or REFUSED.
+ *
+ * Only what has the same one right answer whoever gives it is asked again: all requests but those of
+ * dipole_mc(), whose photons would be lost. No answer is wrong or comes twice. The connection is
+ * given up, and all outstanding requests with it, when it is lost while one of them cannot be asked
+ * again: one of dipole_mc(); one of dipole_eval_parts() of which parts have been handed on; one that
+ * DIPOLE_RETRY_KEPT_BYTES have no room for; likewise when the daemon that is there now does not
+ * have the same lists (see dipole_get_info(), which goes on to tell of the first one). A daemon that
+ * stays connected and silent for the timeout is not asked again. */
+void dipole_set_retry_ms(dipole_client *client, unsigned retry_ms);
 
 /* Closes the connection, ends a private daemon, frees the client. NULL is fine. */
 void dipole_close(dipole_client *client);

@@ -60,7 +60,8 @@ static bool is_progress(const libdipole_frame *frame) {
 }
 
 /* Those before it, usually none, move up. */
-static void pending_remove(dipole_client *client, libdipole_pending *entry) {
+void libdipole_pending_remove(dipole_client *client, libdipole_pending *entry) {
+  libdipole_retry_forget(client, entry);
   libdipole_pending *first = client->pending + client->pending_begin;
   memmove(first + 1, first, (size_t)(entry - first) * sizeof *first);
   client->pending_begin++;
@@ -74,7 +75,7 @@ static void pending_take(dipole_client *client, libdipole_pending *entry, libdip
   if (is_progress(entry->frame)) {
     entry->frame = NULL;
   } else {
-    pending_remove(client, entry);
+    libdipole_pending_remove(client, entry);
   }
 }
 
@@ -83,6 +84,7 @@ void libdipole_pending_free(dipole_client *client) {
     libdipole_pending *entry = &client->pending[client->pending_begin + i];
     free(entry->frame);
     free(entry->gathered);
+    free(entry->kept);
   }
   free(client->pending);
   free(client->frame);
@@ -180,7 +182,7 @@ static void end_answer(dipole_client *client, libdipole_pending *pending) {
   if (pending->dropped) {
     free(pending->frame);
     client->dropped_count--;
-    pending_remove(client, pending);
+    libdipole_pending_remove(client, pending);
   } else {
     client->arrived_count++;
   }
@@ -210,6 +212,9 @@ static bool end_frame(dipole_client *client, dipole_error *error) {
   if (pending->frame != NULL) {
     free(pending->frame);
     pending->frame = frame;
+    return true;
+  }
+  if (libdipole_retry_later(client, pending, frame)) {
     return true;
   }
   if (libdipole_part_is(pending, frame)) {
@@ -247,12 +252,20 @@ static bool take_frames(dipole_client *client, dipole_error *error) {
   }
 }
 
-/* Waits for bytes to come or go and deals with what came. After a failure the connection is in an
- * unknown state: from then on every call fails in the same way. */
+static bool advance(dipole_client *client, dipole_error *error) {
+  bool moves = true;
+  if (client->retry.later_count > 0 && !libdipole_retry_wait(client, &moves, error)) {
+    return false;
+  }
+  return !moves || (libdipole_stream_step(&client->stream, client->timeout_ms, error) &&
+                    take_frames(client, error));
+}
+
+/* Waits for bytes to come or go and deals with what came. After a failure that another connection
+ * cannot make good, every call fails in the same way. */
 static bool step(dipole_client *client, dipole_error *error) {
   if (client->broken.kind == DIPOLE_ERROR_NONE) {
-    if (libdipole_stream_step(&client->stream, client->timeout_ms, error) &&
-        take_frames(client, error)) {
+    if (advance(client, error) || libdipole_retry_restore(client, error)) {
       return true;
     }
     client->broken = *error;
@@ -281,6 +294,9 @@ bool libdipole_request_begin(dipole_client *client, libdipole_pending *pending,
   }
   pending->id = ++client->last_id;
   pending->frame = NULL;
+  pending->frame_bytes = bytes;
+  pending->kept = NULL;
+  pending->trouble_ms = pending->again_ms = 0;
   const wire_header header = {.magic = WIRE_MAGIC,
                               .version = WIRE_VERSION,
                               .type = pending->type,
@@ -297,6 +313,7 @@ bool libdipole_request_begin(dipole_client *client, libdipole_pending *pending,
 
 bool libdipole_request_send(dipole_client *client, dipole_error *error) {
   const libdipole_stream *stream = &client->stream;
+  libdipole_retry_keep(client);
   libdipole_stream_send(&client->stream);
   while (stream->out_end - stream->out_begin > BACKLOG_MAX_BYTES) {
     if (!step(client, error)) {

@@ -14,6 +14,7 @@
 void libdipole_stream_init(libdipole_stream *stream, int fd) {
   stream->fd = fd;
   stream->send_errno = 0;
+  stream->silent = false;
   stream->out = NULL;
   stream->out_begin = stream->out_end = stream->out_capacity = 0;
   stream->target = NULL;
@@ -118,7 +119,8 @@ bool libdipole_stream_step(libdipole_stream *stream, unsigned timeout_ms, dipole
   const bool sending = stream->out_end > stream->out_begin && stream->send_errno == 0;
   short ready;
   if (!libdipole_wait(stream->fd, (short)(POLLIN | (sending ? POLLOUT : 0)), timeout_ms, &ready)) {
-    return errno == ETIMEDOUT
+    stream->silent = errno == ETIMEDOUT;
+    return stream->silent
                ? libdipole_fail(error, DIPOLE_ERROR_CONNECTION,
                                 "the daemon was silent for %u ms: gave up", timeout_ms)
                : libdipole_fail_errno(error, DIPOLE_ERROR_CONNECTION, errno, "poll");

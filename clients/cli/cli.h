@@ -34,6 +34,7 @@ extern const cli_command cli_command_table;
 extern const cli_command cli_command_mc;
 extern const cli_command cli_command_media;
 extern const cli_command cli_command_info;
+extern const cli_command cli_command_top;
 
 /* Says on standard error what is wrong, after "dipole COMMAND: ". Returns CLI_FAILED. */
 int cli_fail(const cli_command *command, const char *format, ...)

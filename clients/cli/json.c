@@ -30,12 +30,15 @@ static void write_number(FILE *file, double value) {
 }
 
 static void start_line(const cli_json *json) {
+  if (json->one_line) {
+    return;
+  }
   fprintf(json->file, "\n%*s", 2 * json->depth, "");
 }
 
 static void start_value(cli_json *json, const char *key) {
   if (json->filled) {
-    fputc(',', json->file);
+    fputs(json->one_line ? ", " : ",", json->file);
   }
   if (json->depth > 0) {
     start_line(json);

@@ -10,7 +10,8 @@
 typedef struct cli_json {
   FILE *file;
   int depth;
-  bool filled; /* something stands in the innermost object or array already */
+  bool one_line; /* for one text on each line */
+  bool filled;   /* something stands in the innermost object or array already */
 } cli_json;
 
 /* Every value has a key, or NULL where it is an element of an array. The first and outermost one is

@@ -12,6 +12,7 @@ const cli_command *const cli_commands[] = {
     &cli_command_mc,
     &cli_command_media,
     &cli_command_info,
+    &cli_command_top,
     NULL,
 };
 

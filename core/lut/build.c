@@ -126,8 +126,10 @@ static bool find_first(struct build *b) {
   return false;
 }
 
-/* So that the largest R fits into pieces and the smallest is kept as far down as can be. False where
- * R has underflowed even in double precision, although something comes back. */
+/* Over the least scale that there is, R of next to no light is less than this, and has no digits. */
+#define SCALED_LEAST 0x1p-60
+
+/* So that the largest R fits into pieces and the smallest is kept as far down as can be. */
 static bool set_scale(struct build *b) {
   while (value(b, CORE_QUANTITY_R, ldexp(1, b->first)) > 0x1p120) {
     b->first++;
@@ -135,11 +137,11 @@ static bool set_scale(struct build *b) {
   if (!set_near(b)) {
     return false;
   }
-  const double largest = value(b, CORE_QUANTITY_R, ldexp(1, b->first));
-  if (!(largest > 0)) {
+  const double R = value(b, CORE_QUANTITY_R, ldexp(1, b->first));
+  if (!(R >= SCALED_LEAST * 0x1p-126)) {
     return false;
   }
-  const int size = ilogb(largest);
+  const int size = ilogb(R);
   const int up = size > 120 ? 0 : 120 - size;
   b->scale = ldexp(1, up > 126 ? -126 : -up);
   b->word[CORE_LUT_NEAR_R] /= b->scale;
@@ -323,6 +325,10 @@ static core_fault assemble(const struct build *b, core_lut *lut) {
   }
   for (int i = 0; i < CORE_LUT_R_OCTAVES; i++) {
     lut->words[i] = (float)b->word[i];
+    if (!isfinite(lut->words[i])) {
+      free(lut->words);
+      return too_rough;
+    }
   }
   memcpy(&lut->words[CORE_LUT_R_OCTAVES], b->entries, sizeof b->entries);
   memcpy(&lut->words[CORE_LUT_PIECES], b->pieces.c,

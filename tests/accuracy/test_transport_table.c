@@ -13,11 +13,10 @@ extern core_prepare_function core_transport_prepare;
 
 /* ---- profiles from the table -------------------------------------------------------------- */
 
-/* A profile in mean free paths. */
-static core_preparation prepare(double albedo, double eta, double tolerance, bool tabulated) {
+/* A profile in mean free paths; tabulated: how far a table may be off. */
+static core_preparation prepare(double albedo, double eta, double tabulated) {
   const core_medium medium = {1 - albedo, albedo, 0, eta};
-  core_parameters parameters = core_parameters_none();
-  parameters.value[CORE_PARAMETER_TOLERANCE] = tolerance;
+  const core_parameters parameters = core_parameters_none();
   const core_inputs inputs = {.moments = CORE_MOMENTS_EXACT,
                               .medium = &medium,
                               .parameters = &parameters,
@@ -79,7 +78,7 @@ static void compare_medium(struct worsts *worst, transport_boundary *boundary, d
                            double eta, uint64_t *random) {
   transport_solution *solution;
   unit_assert_fault(transport_solve(&solution, boundary, albedo), NULL, 0);
-  core_preparation preparation = prepare(albedo, eta, (double)NAN, true);
+  core_preparation preparation = prepare(albedo, eta, 1e-4);
   compare(&worst->total, preparation.albedo, transport_total(solution), albedo, eta, 0);
   for (int i = 0; i < RADII; i++) {
     const double x = i == 0 ? 0.001 : i == 1 ? 30 : unit_random_log(random, 1e-8, 1e4);
@@ -144,7 +143,7 @@ static void the_energy_is_the_albedo(void **state) {
   for (size_t i = 0; i < 60; i++) {
     const double eta = unit_random_between(&random, 0.7, 2.2);
     const double albedo = i < 2 ? fixed_albedos[i] : random_albedo(&random, i);
-    core_preparation preparation = prepare(albedo, eta, (double)NAN, true);
+    core_preparation preparation = prepare(albedo, eta, 1e-4);
     assert_true(fabs(evaluate(&preparation, CORE_ELEMENTWISE_CDF, (double)INFINITY) - 1) < 1e-12);
     assert_true(fabs(evaluate(&preparation, CORE_ELEMENTWISE_CDF, 1e6) - 1) < 1e-9);
     assert_true(evaluate(&preparation, CORE_ELEMENTWISE_CDF, 0) == 0);
@@ -158,29 +157,28 @@ static void the_energy_is_the_albedo(void **state) {
 
 /* ---- what it is used for ------------------------------------------------------------------ */
 
-static void assert_source(double albedo, double eta, double tolerance, bool tabulated,
-                          bool from_table) {
-  core_preparation preparation = prepare(albedo, eta, tolerance, tabulated);
-  const double asked = isnan(tolerance) ? (tabulated ? 1e-4 : 1e-5) : tolerance;
+static void assert_source(double albedo, double eta, double tabulated, bool from_table) {
+  core_preparation preparation = prepare(albedo, eta, tabulated);
+  const double by_default = 1e-5;
   const double quoted = shipped_error() + 1e-8;
-  assert_true(preparation.error == (from_table ? quoted : asked));
+  assert_true(preparation.error == (from_table ? quoted : by_default));
   free(preparation.table);
 }
 
 static void the_table_serves_what_it_covers(void **state) {
   (void)state;
   const double none = (double)NAN;
-  assert_source(0.9, 1.4, none, true, true);
-  assert_source(0.9, 1.4, 0.1, true, true);
-  assert_source(0.9, 1.4, 1.1e-8, true, false);
-  assert_source(0.9, 1.4, none, false, false);
-  assert_source(0.01, 0.7, none, true, true);
-  assert_source(1 - 1e-6, 2.2, none, true, true);
-  assert_source(0.005, 1.4, none, true, false);
-  assert_source(1 - 1e-7, 1.4, none, true, false);
-  assert_source(0.9, 0.6, none, true, false);
-  assert_source(0.9, 2.4, none, true, false);
-  assert_source(1, 1, none, true, false);
+  assert_source(0.9, 1.4, 1e-4, true);
+  assert_source(0.9, 1.4, 0.1, true);
+  assert_source(0.9, 1.4, shipped_error(), false);
+  assert_source(0.9, 1.4, 0, false);
+  assert_source(0.01, 0.7, 1e-4, true);
+  assert_source(1 - 1e-6, 2.2, 1e-4, true);
+  assert_source(0.005, 1.4, 1e-4, false);
+  assert_source(1 - 1e-7, 1.4, 1e-4, false);
+  assert_source(0.9, 0.6, 1e-4, false);
+  assert_source(0.9, 2.4, 1e-4, false);
+  assert_source(1, 1, 1e-4, false);
   const transport_table *table = transport_table_shipped();
   assert_false(transport_table_covers(table, none, 1.4));
   assert_false(transport_table_covers(table, 0.9, none));
@@ -190,7 +188,7 @@ static void the_table_serves_what_it_covers(void **state) {
 static void radii_outside_are_continued(void **state) {
   (void)state;
   for (int i = 0; i < 2; i++) {
-    core_preparation preparation = prepare(fixed_albedos[i], 1.4, (double)NAN, true);
+    core_preparation preparation = prepare(fixed_albedos[i], 1.4, 1e-4);
     double before = (double)INFINITY;
     for (double r = 1e-14; r < 1e6; r *= 1.1) {
       const double R = evaluate(&preparation, CORE_ELEMENTWISE_R, r);

@@ -9,7 +9,7 @@ import pytest
 from command_line import FAILED, PROGRAM, TIMEOUT_S, USAGE, dipole
 from daemons import environment
 
-COMMANDS = ["eval", "points", "table", "mc", "media", "info"]
+COMMANDS = ["eval", "points", "table", "mc", "media", "info", "top"]
 
 
 def test_help_lists_the_commands():

@@ -16,7 +16,7 @@ NUMBERS = {
         re.M,
     )
 }
-OTHERS = ["listen", "fd", "isa", "log-level", "help", "version"]
+OTHERS = ["listen", "fd", "isa", "metrics", "log-level", "help", "version"]
 NOWHERE = ["--listen", "tcp:127.0.0.1:0"]
 
 

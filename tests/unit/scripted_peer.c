@@ -12,15 +12,20 @@
 
 static void *run(void *argument) {
   scripted_peer *peer = argument;
-  const int fd = accept4(peer->listener, NULL, NULL, SOCK_CLOEXEC);
-  if (fd >= 0) {
-    peer->script(fd, peer->context);
-    close(fd);
+  bool more = true;
+  for (size_t i = 0; more; i++) {
+    void (*const script)(int, void *) = peer->scripts != NULL ? peer->scripts[i] : peer->script;
+    const int fd = script != NULL ? accept4(peer->listener, NULL, NULL, SOCK_CLOEXEC) : -1;
+    if (fd >= 0) {
+      script(fd, peer->context);
+      close(fd);
+    }
+    more = fd >= 0 && peer->scripts != NULL;
   }
   return NULL;
 }
 
-void peer_start(scripted_peer *peer, void (*script)(int fd, void *context), void *context) {
+static void start(scripted_peer *peer) {
   struct sockaddr_un name = {.sun_family = AF_UNIX};
   snprintf(peer->folder, sizeof peer->folder, "/tmp/dipole-peer-XXXXXX");
   if (mkdtemp(peer->folder) == NULL) {
@@ -28,13 +33,22 @@ void peer_start(scripted_peer *peer, void (*script)(int fd, void *context), void
   }
   snprintf(name.sun_path, sizeof name.sun_path, "%s/s", peer->folder);
   snprintf(peer->address, sizeof peer->address, "unix:%s/s", peer->folder);
-  peer->script = script;
-  peer->context = context;
   peer->listener = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
   if (bind(peer->listener, (const struct sockaddr *)&name, sizeof name) != 0 ||
       listen(peer->listener, 4) != 0 || pthread_create(&peer->thread, NULL, run, peer) != 0) {
     abort();
   }
+}
+
+void peer_start(scripted_peer *peer, void (*script)(int fd, void *context), void *context) {
+  *peer = (scripted_peer){.script = script, .context = context};
+  start(peer);
+}
+
+void peer_start_scripts(scripted_peer *peer, void (*const *scripts)(int fd, void *context),
+                        void *context) {
+  *peer = (scripted_peer){.scripts = scripts, .context = context};
+  start(peer);
 }
 
 void peer_end(scripted_peer *peer) {

@@ -1,5 +1,5 @@
 /* scripted_peer: a daemon of a few lines for tests of the client library. It accepts one connection
- * on a Unix socket and does there, in a thread of its own, what a script of the test says. */
+ * on a Unix socket, or one after the other, and does there, in a thread of its own, what a script of the test says. */
 #ifndef DIPOLED_TESTS_SCRIPTED_PEER_H
 #define DIPOLED_TESTS_SCRIPTED_PEER_H
 
@@ -17,6 +17,7 @@ typedef struct scripted_peer {
   char folder[64];
   char address[96]; /* for dipole_open() */
   int listener;
+  void (*const *scripts)(int fd, void *context); /* NULL: script alone */
   void (*script)(int fd, void *context);
   void *context;
   pthread_t thread;
@@ -24,6 +25,10 @@ typedef struct scripted_peer {
 
 /* Starts to listen; the script runs once somebody has connected. */
 void peer_start(scripted_peer *peer, void (*script)(int fd, void *context), void *context);
+
+/* The same for one connection after the other: each has the next script, up to NULL. */
+void peer_start_scripts(scripted_peer *peer, void (*const *scripts)(int fd, void *context),
+                        void *context);
 
 /* Waits for the script to end. */
 void peer_end(scripted_peer *peer);

@@ -34,6 +34,7 @@ static dipole_client *open_client(const scripted_peer *peer) {
   if (!dipole_open_within(peer->address, TIMEOUT_MS, &client, &error)) {
     fail_msg("%s", error.text);
   }
+  dipole_set_retry_ms(client, 0); /* what the peer does is to be seen as it is */
   return client;
 }
 

@@ -43,6 +43,11 @@ class Answer:
         self._next_radius = 0
         self._whole: dict[int, np.ndarray] = {}
 
+    @property
+    def is_new(self) -> bool:
+        """Whether nothing of it has come yet."""
+        return self._next_part == 0 and not self.ended
+
     def refuse(self, error: DipoleError) -> None:
         """An error takes the place of the next part; without the parts before it nothing is whole."""
         self.ended = True

@@ -13,10 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from . import answers, mc, wire
+from . import answers, mc, packing, retry, wire
 from .answers import Answer, Query
 from .connection import Connection, Frame, frame_bytes
-from .errors import ArgumentError, DipoleError, ProtocolError, Refused, TableError
+from .errors import (
+    ArgumentError,
+    ConnectionLost,
+    DipoleError,
+    ProtocolError,
+    Refused,
+    TableError,
+)
 from .parts import Parts
 from .table import Table
 from .values import Choice, Grid, Info, Medium, Offer, Offers, Result
@@ -27,20 +34,35 @@ class Client:
 
     address and timeout_s: see Connection. A client belongs to one thread at a time. Close it, or
     use it in a with statement; a private daemon ends with it.
+
+    retry_s: how long a request that meets trouble is tried again; by default 5 s at a unix: or tcp:
+    address; 0: not at all. Trouble is a lost connection, or a daemon that is busy or stops: then the
+    client connects again and sends again what is outstanding. A connection is given up when a
+    request cannot be asked again: mc(), eval_parts() of which parts have come, and what is beyond
+    64 MiB of outstanding requests. dipole_set_retry_ms() in dipole.h tells more.
     """
 
-    def __init__(self, address: str | None = None, timeout_s: float | None = 30.0):
+    def __init__(
+        self,
+        address: str | None = None,
+        timeout_s: float | None = 30.0,
+        retry_s: float | None = None,
+    ):
         self._last_id = 0
         self._outstanding: dict[int, Answer] = {}  # of submitted queries
         self._arrived: list[int] = []  # those of them that are whole, or refused, in that order
         self._read: dict[int, Answer] = {}  # of queries that are read part by part
         self._ignored: set[int] = set()  # requests whose replies say nothing that is wanted
+        self._requests = retry.Requests()
         self._connection = Connection(address, timeout_s)
         try:
             self.info: Info = self._hello()
         except BaseException:
             self._connection.close()
             raise
+        is_private = self._connection.address.startswith("private:")
+        default_s = 0.0 if is_private else retry.DEFAULT_S
+        self._requests.for_s = default_s if retry_s is None else retry_s
 
     def __enter__(self) -> Client:
         return self
@@ -125,12 +147,10 @@ class Client:
         deadline_ms: int = 0,
     ) -> int:
         """Sends a query like eval() without waiting; returns its id, for collect()."""
-        payload, query = self._pack_query(
-            model, media, r, grid, evaluator, moments, wanted, parameters, tolerance
+        payload, query = packing.query(
+            self.info, model, media, r, grid, evaluator, moments, wanted, parameters, tolerance
         )
-        request_id = self._send("eval", payload, deadline_ms)
-        self._outstanding[request_id] = Answer(query)
-        return request_id
+        return self._send("eval", payload, deadline_ms, self._outstanding, query)
 
     def eval_parts(
         self,
@@ -151,12 +171,11 @@ class Client:
         memory. How many radii come at a time is the daemon's choice. Refused may be raised by any
         step; the parts before it are right.
         """
-        payload, query = self._pack_query(
-            model, media, r, grid, evaluator, moments, wanted, parameters, tolerance
+        payload, query = packing.query(
+            self.info, model, media, r, grid, evaluator, moments, wanted, parameters, tolerance
         )
-        request_id = self._send("eval", payload, deadline_ms)
-        self._read[request_id] = Answer(query._replace(handed_on=True))
-        return Parts(self, request_id)
+        query = query._replace(handed_on=True)
+        return Parts(self, self._send("eval", payload, deadline_ms, self._read, query))
 
     def offers(
         self,
@@ -171,11 +190,11 @@ class Client:
     ) -> Offers:
         """What could answer eval(None, ...) with the same arguments: how exact each model and
         evaluator are measured to be, and how fast; cheapest first."""
-        payload, _ = self._pack_query(
-            None, media, r, grid, evaluator, "exact", wanted, parameters, tolerance
+        payload, _ = packing.query(
+            self.info, None, media, r, grid, evaluator, "exact", wanted, parameters, tolerance
         )
         answer = self._answer(self._send("offers", payload), "offers")
-        fixed, (entries,) = _unpack_list(answer, wire.OFFERS_REPLY, [("count", wire.OFFER)])
+        fixed, (entries,) = packing.unpack_list(answer, wire.OFFERS_REPLY, [("count", wire.OFFER)])
         if fixed.taken > fixed.count:
             raise ProtocolError("an offers reply that takes what it does not offer")
         offers = tuple(
@@ -205,13 +224,13 @@ class Client:
         """Fetches the table by which the evaluator "lut" answers for a medium, to be evaluated
         here: without a daemon, and with the same bits. tolerance: what it is built to, relative,
         from 1e-6 (by default 1e-4). deadline_ms: as of eval()."""
-        media = _media_array(medium)
+        media = packing.media_array(medium)
         if len(media) != 1:
             raise ArgumentError("medium: one Medium")
-        listed_parameters = self._parameters(parameters, tolerance)
+        listed_parameters = packing.parameters_list(self.info, parameters, tolerance)
         fixed = wire.TABLE_REQUEST.pack(
-            model=self._id("model", model),
-            moments=self._id("moments", moments),
+            model=packing.id_of(self.info, "model", model),
+            moments=packing.id_of(self.info, "moments", moments),
             parameter_count=len(listed_parameters),
         )
         payload = b"".join([fixed, media.tobytes(), *listed_parameters])
@@ -290,7 +309,7 @@ class Client:
         if photons is None:
             wishes = error_total or error_rings
             photons = self.info.limits["max_mc_photons"] if wishes else 1_000_000
-        spacing = self._id("spacing", edges.spacing)
+        spacing = packing.id_of(self.info, "spacing", edges.spacing)
         payload = mc.pack_request(
             medium, edges, spacing, photons, error_total, error_rings, thickness, albedos, seed
         )
@@ -360,86 +379,106 @@ class Client:
 
     # ---- requests and replies --------------------------------------------------------------------
 
-    def _id(self, kind: str, name: str | int) -> int:
-        """The id of a choice by its name; an id stays as it is, for the daemon to judge."""
-        if not isinstance(name, str):
-            return name
-        choices = self.info.choices[kind]
-        if name not in choices:
-            raise ArgumentError(f"{kind} {name}: not one of {', '.join(choices)}")
-        return choices[name].id
-
-    def _pack_query(
+    def _send(
         self,
-        model: str | int | None,
-        media: Medium | Iterable[Sequence[float]] | np.ndarray,
-        r: Any,
-        grid: Grid | None,
-        evaluator: str | int | None,
-        moments: str | int,
-        wanted: Iterable[str] | None,
-        parameters: Mapping[str, float | str] | None,
-        tolerance: float | None,
-    ) -> tuple[bytes, Query]:
-        """The payload of an eval request, see eval()."""
-        if wanted is None:
-            wanted = ("R", "albedo", "cdf") if grid is None else ("R", "albedo", "cdf", "r")
-        if evaluator is None:
-            evaluator = "f64" if model is not None else "lut"
-        evaluator_id = self._id("evaluator", evaluator)
-        media_array = _media_array(media)
-        radii = _radii_array(r, grid, evaluator_id)
-        radius_count = grid.count if radii is None else len(radii)
-        listed_parameters = self._parameters(parameters, tolerance)
-        wanted_ids = sum({self._id("quantity", name) for name in wanted})
-        fixed = wire.EVAL_REQUEST.pack(
-            model=wire.ANY_MODEL if model is None else self._id("model", model),
-            evaluator=evaluator_id,
-            moments=self._id("moments", moments),
-            wanted=wanted_ids,
-            medium_count=len(media_array),
-            spacing=wire.SPACING_LIST if grid is None else self._id("spacing", grid.spacing),
-            parameter_count=len(listed_parameters),
-            radius_count=radius_count,
-            radius_start=0.0 if grid is None else grid.start_mm,
-            radius_stop=0.0 if grid is None else grid.stop_mm,
-        )
-        listed = b"" if radii is None else radii.tobytes()
-        listed += bytes(wire.padded(len(listed)) - len(listed))
-        payload = b"".join([fixed, media_array.tobytes(), *listed_parameters, listed])
-        value_type = wire.EVALUATOR_TYPES.get(evaluator_id)
-        return payload, Query(radii, value_type, wanted_ids, len(media_array), radius_count)
-
-    def _parameters(
-        self, parameters: Mapping[str, float | str] | None, tolerance: float | None
-    ) -> list[bytes]:
-        """Parameter structures; their values are the daemon's to judge."""
-        structures = []
-        all_parameters = dict(parameters or {})
-        if tolerance is not None:
-            if "tolerance" in all_parameters:
-                raise ArgumentError("tolerance: as an argument or in parameters, not both")
-            all_parameters["tolerance"] = tolerance
-        for name, given in all_parameters.items():
-            value = self._id("model", given) if name == "fit_model" else given
-            try:
-                number = float(value)
-            except (TypeError, ValueError) as error:
-                raise ArgumentError(f"parameter {name}: {value!r} is no number") from error
-            parameter = self._id("parameter", name)
-            structures.append(wire.PARAMETER.pack(parameter=parameter, value=number))
-        return structures
-
-    def _send(self, message: str, payload: bytes = b"", deadline_ms: int = 0) -> int:
+        message: str,
+        payload: bytes = b"",
+        deadline_ms: int = 0,
+        queries: dict[int, Answer] | None = None,
+        query: Query | None = None,
+    ) -> int:
+        """Sends a request; returns its id. queries: where the answer to this query will be."""
         self._last_id += 1
-        type = wire.MESSAGES[message]
-        self._connection.send_frame(type, self._last_id, payload, deadline_ms)
-        return self._last_id
+        request_id = self._last_id
+        self._requests.add(request_id, message, payload, deadline_ms)
+        if queries is not None:
+            queries[request_id] = Answer(query)
+        try:
+            type = wire.MESSAGES[message]
+            self._connection.send_frame(type, request_id, payload, deadline_ms)
+        except ConnectionLost as lost:
+            self._restore(lost)
+        return request_id
+
+    def _send_again(self, request_ids: Iterable[int]) -> bool:
+        """Sends requests as they were, but for what is left of their deadlines; False: one has
+        none left, and has been answered by that."""
+        all_sent = True
+        for request_id in request_ids:
+            kept = self._requests.kept[request_id]
+            left_ms = retry.left_ms(kept) if kept.deadline_ms else 0
+            if kept.deadline_ms and left_ms <= 0:
+                self._end_late(request_id)
+                all_sent = False
+            else:
+                type = wire.MESSAGES[kept.message]
+                self._connection.send_frame(type, request_id, kept.payload, left_ms)
+        return all_sent
+
+    def _end_late(self, request_id: int) -> None:
+        """Gives a query the error that the daemon would send if there were one."""
+        code = next(code for code, name in wire.STATUSES.items() if name == "deadline")
+        payload = wire.ERROR.pack(
+            status=code, index=0, retry_after_ms=0, field="deadline_ms", allowed="more"
+        )
+        self._take_frame(Frame(wire.TYPE_ERROR, request_id, payload), 0)
+
+    def _restore(self, lost: DipoleError) -> None:
+        """Connects again and sends again what is outstanding; raises `lost` where it cannot."""
+        for request_id in self._ignored:
+            self._requests.remove(request_id)
+        self._ignored.clear()
+        until_s = self._requests.until_s()
+        if until_s is None or not retry.may_pass(lost):
+            raise lost
+        if any(not answer.is_new for answer in self._read.values() if not answer.ended):
+            raise lost
+        timeout_s = self._connection.timeout_s
+        address = self._connection.address
+        self._connection.close()
+
+        def connect(left_s: float) -> Client:
+            return Client(address, left_s if timeout_s is None else min(left_s, timeout_s), 0)
+
+        fresh = retry.connect_again(connect, self.info, until_s, lost)
+        self._connection = fresh._connection
+        self._connection.timeout_s = timeout_s
+        self._connection.socket.settimeout(timeout_s)
+        for request_id, answer in self._outstanding.items():
+            if not answer.ended:
+                self._outstanding[request_id] = Answer(answer.query)
+        sent = [i for i in sorted(self._requests.kept) if i not in self._requests.again_s]
+        try:
+            self._send_again(sent)
+        except ConnectionLost as again:
+            self._restore(again)
 
     def _receive(self, request_id: int = 0) -> Frame | None:
         """The next frame when it answers this request. One that answers a query is kept with its
-        Answer; one that answers nothing is the daemon's word on the connection as a whole."""
-        frame = self._connection.receive_frame()
+        Answer; one that answers nothing is the daemon's word on the connection as a whole. After
+        a loss that has been made good there is none."""
+        try:
+            if not self._send_again(self._requests.due()):
+                return None
+            next_s = min(self._requests.again_s.values(), default=None)
+            if next_s is not None and not self._connection.moves_by(next_s):
+                return None
+            frame = self._connection.receive_frame()
+        except ConnectionLost as lost:
+            self._restore(lost)
+            return None
+        return self._take_frame(frame, request_id)
+
+    def _take_frame(self, frame: Frame, request_id: int) -> Frame | None:
+        """Gives a frame to whom it belongs; returns it when it answers this request."""
+        if self._is_to_be_asked_later(frame):
+            return None
+        is_last = {
+            wire.MESSAGES["eval"] | wire.REPLY: answers.is_last,
+            wire.MESSAGES["mc"] | wire.REPLY: mc.is_last,
+        }.get(frame.type)
+        if is_last is None or is_last(frame.payload):
+            self._requests.remove(frame.request_id)
         if frame.request_id in self._ignored:
             if frame.type != wire.MESSAGES["eval"] | wire.REPLY or answers.is_last(frame.payload):
                 self._ignored.remove(frame.request_id)
@@ -452,8 +491,24 @@ class Client:
         if request_id != 0 and frame.request_id == request_id:
             return frame
         if frame.type == wire.TYPE_ERROR and frame.request_id == 0:
-            raise self._refused(frame)
+            self._restore(self._refused(frame))
+            return None
         raise ProtocolError(f"a reply to request {frame.request_id}, which was not made")
+
+    def _is_to_be_asked_later(self, frame: Frame) -> bool:
+        """Whether it is a refusal of a request that is tried again; what came before is dropped."""
+        request_id = frame.request_id
+        reader = self._read.get(request_id)
+        if frame.type != wire.TYPE_ERROR or request_id in self._ignored:
+            return False
+        refused = self._refused(frame)
+        if not isinstance(refused, Refused) or (reader is not None and not reader.is_new):
+            return False
+        if not self._requests.later(refused):
+            return False
+        if request_id in self._outstanding:
+            self._outstanding[request_id] = Answer(self._outstanding[request_id].query)
+        return True
 
     def _add(self, answer: Answer, frame: Frame) -> None:
         if answer.ended:
@@ -496,12 +551,12 @@ class Client:
 
     def _list(self, message: str, structure: wire.Structure) -> list[Any]:
         payload = self._answer(self._send(message), message)
-        return _unpack_list(payload, wire.LIST_REPLY, [("count", structure)])[1][0]
+        return packing.unpack_list(payload, wire.LIST_REPLY, [("count", structure)])[1][0]
 
     def _hello(self) -> Info:
         request = wire.HELLO_REQUEST.pack(version_min=wire.VERSION, version_max=wire.VERSION)
         payload = self._answer(self._send("hello", request), "hello")
-        reply, (choices, limits) = _unpack_list(
+        reply, (choices, limits) = packing.unpack_list(
             payload,
             wire.HELLO_REPLY,
             [("choice_count", wire.CHOICE), ("limit_count", wire.VALUE)],
@@ -521,46 +576,3 @@ class Client:
             choices=by_kind,
             limits={limit.name: limit.value for limit in limits},
         )
-
-
-def _media_array(media: Medium | Iterable[Sequence[float]] | np.ndarray) -> np.ndarray:
-    array = np.asarray(media if isinstance(media, (tuple, np.ndarray)) else list(media), "<f8")
-    if array.ndim == 1:
-        array = array[np.newaxis]
-    if array.ndim != 2 or array.shape[1] != 4:
-        raise ArgumentError("media: a Medium, or several, or an array [C, 4]")
-    return array
-
-
-def _radii_array(r: Any, grid: Grid | None, evaluator_id: int) -> np.ndarray | None:
-    if grid is not None:
-        if r is not None:
-            raise ArgumentError("r, grid: one of them, not both")
-        return None
-    if evaluator_id not in wire.EVALUATOR_TYPES:
-        raise ArgumentError(f"evaluator {evaluator_id}: the type of its radii is not known here")
-    radii = np.asarray([] if r is None else r, wire.EVALUATOR_TYPES[evaluator_id])
-    if radii.ndim > 1:
-        raise ArgumentError("r: one radius or an array [N]")
-    return radii.reshape(-1)
-
-
-def _unpack_list(
-    payload: bytes, fixed_structure: wire.Structure, lists: list[tuple[str, wire.Structure]]
-) -> tuple[Any, list[list[Any]]]:
-    """A payload that is a fixed part followed by lists, whose lengths the fixed part names."""
-    if len(payload) < fixed_structure.bytes:
-        raise ProtocolError(f"a {fixed_structure.name} that is too short")
-    fixed = fixed_structure.unpack(payload)
-    counts = [getattr(fixed, count) for count, _ in lists]
-    expected = fixed_structure.bytes
-    expected += sum(count * entry.bytes for count, (_, entry) in zip(counts, lists))
-    if len(payload) != expected:
-        raise ProtocolError(f"a {fixed_structure.name} of an unexpected size")
-    offset = fixed_structure.bytes
-    unpacked = []
-    for count, (_, entry) in zip(counts, lists):
-        unpacked.append([entry.unpack(payload, offset + i * entry.bytes) for i in range(count)])
-        offset += count * entry.bytes
-    return fixed, unpacked
-

@@ -8,6 +8,7 @@ import shutil
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import NamedTuple
 
@@ -144,20 +145,25 @@ class Connection:
             return True
         return False
 
+    def moves_by(self, time_s: float) -> bool:
+        """Whether something comes before a moment of time.monotonic()."""
+        wait_ms = max(time_s - time.monotonic(), 0) * 1000
+        return bool(self._incoming or _poll(self.socket, select.POLLIN, wait_ms))
+
     def half_close(self) -> None:
         """Says that nothing more will be sent; the peer's answers can still be read."""
         self.socket.shutdown(socket.SHUT_WR)
 
     def _wait(self, writing: bool) -> tuple[bool, bool]:
         if self.socket.fileno() < 0:
-            raise ConnectionLost(f"{self.address}: this client is closed")
-        poll = select.poll()
-        poll.register(self.socket, select.POLLIN | (select.POLLOUT if writing else 0))
-        events = poll.poll(None if self.timeout_s is None else self.timeout_s * 1000)
+            raise ConnectionLost(f"{self.address}: this client is closed", final=True)
+        wanted = select.POLLIN | (select.POLLOUT if writing else 0)
+        wait_ms = None if self.timeout_s is None else self.timeout_s * 1000
+        events = _poll(self.socket, wanted, wait_ms)
         if not events:
-            raise ConnectionLost(f"{self.address}: nothing moved for {self.timeout_s} s")
+            raise ConnectionLost(f"{self.address}: nothing moved for {self.timeout_s} s", final=True)
         readable = select.POLLIN | select.POLLHUP | select.POLLERR
-        return bool(events[0][1] & readable), bool(events[0][1] & select.POLLOUT)
+        return bool(events & readable), bool(events & select.POLLOUT)
 
     def _send_some(self, data: memoryview) -> int:
         try:
@@ -203,6 +209,14 @@ def frame_bytes(type: int, request_id: int, payload: bytes = b"", deadline_ms: i
         deadline_ms=deadline_ms,
     )
     return header + payload
+
+
+def _poll(connection: socket.socket, wanted: int, wait_ms: float | None) -> int:
+    """Waits for one socket; its events, 0 when there are none in time."""
+    poll = select.poll()
+    poll.register(connection, wanted)
+    events = poll.poll(wait_ms)
+    return events[0][1] if events else 0
 
 
 def _find_daemon() -> str:

@@ -16,7 +16,12 @@ class ConnectError(DipoleError, ConnectionError):
 
 
 class ConnectionLost(DipoleError, ConnectionError):
-    """The connection ended or timed out; the client can only be closed."""
+    """The connection ended or timed out; the client can only be closed. final: not because of the
+    peer, so that to connect again would not help."""
+
+    def __init__(self, text: str, final: bool = False):
+        self.final = final
+        super().__init__(text)
 
 
 class ProtocolError(DipoleError):

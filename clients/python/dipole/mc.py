@@ -114,6 +114,11 @@ def unpack_fixed(payload: bytes) -> Any:
     return wire.MC_REPLY.unpack(payload)
 
 
+def is_last(payload: bytes) -> bool:
+    """Whether a reply is the last one of its job."""
+    return unpack_fixed(payload).state != wire.MC_UNDER_WAY
+
+
 def progress_of(fixed: Any) -> McProgress:
     """What a reply that is not the last one says."""
     return McProgress(

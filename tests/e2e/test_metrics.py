@@ -1,0 +1,295 @@
+"""--metrics: Prometheus' text format over HTTP, and /healthz."""
+
+from __future__ import annotations
+
+import http.client
+import math
+import re
+import socket
+import time
+import urllib.error
+import urllib.request
+
+import pytest
+from daemons import eventually, read_log_line, run
+from frames import EVAL, SKIN, R, ask, eval_payload
+from lists import MODELS
+
+TIMEOUT_S = 10
+
+
+def address_of(daemon) -> str:
+    """HOST:PORT, as the daemon said itself."""
+    lines = map(read_log_line, daemon.log)
+    url = next(line["url"] for line in lines if line.get("event") == "metrics")
+    return re.fullmatch(r"http://(.+:\d+)/metrics", url)[1]
+
+
+@pytest.fixture
+def watched(daemon):
+    """A daemon with metrics at a free port."""
+    return daemon("--metrics", "127.0.0.1:0")
+
+
+def fetch(daemon, path: str, method: str = "GET", body: bytes | None = None):
+    """Status, headers and body."""
+    request = urllib.request.Request(f"http://{address_of(daemon)}{path}", body, method=method)
+    try:
+        with urllib.request.urlopen(request, timeout=TIMEOUT_S) as answer:
+            return answer.status, answer.headers, answer.read().decode()
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, error.headers, error.read().decode()
+
+
+NAME = r"[a-zA-Z_:][a-zA-Z0-9_:]*"
+LABEL = r'[a-zA-Z_][a-zA-Z0-9_]*="[^"\\\n]*"'
+SAMPLE = re.compile(rf"({NAME})(?:\{{({LABEL}(?:,{LABEL})*)\}})? ([0-9.]+(?:e[+-]?\d+)?)")
+SUFFIXES = {"summary": ["", "_sum", "_count"], "histogram": ["_bucket", "_sum", "_count"]}
+
+
+def parse(text: str) -> dict[str, tuple[str, dict[str, float]]]:
+    """Families: their types, and their samples by what stands before the value. Every line has to
+    have its place: HELP, TYPE, then nothing but the family's samples, none twice."""
+    families: dict[str, tuple[str, dict[str, float]]] = {}
+    lines = text.split("\n")
+    assert lines.pop() == ""
+    helped = current = None
+    for line in lines:
+        if helped_now := re.fullmatch(rf"# HELP ({NAME}) (\S.*)", line):
+            assert helped is None, line
+            helped = helped_now[1]
+        elif line.startswith("#"):
+            _, name, type = re.fullmatch(
+                rf"# (TYPE) ({NAME}) (counter|gauge|summary|histogram)", line
+            ).groups()
+            assert name == helped and name not in families
+            assert name.endswith("_total") == (type == "counter")
+            families[name] = (type, {})
+            helped, current = None, name
+        else:
+            name, labels, value = SAMPLE.fullmatch(line).groups()
+            type, samples = families[current]
+            assert helped is None
+            assert name in [current + suffix for suffix in SUFFIXES.get(type, [""])]
+            key = f"{name}{{{labels}}}" if labels else name
+            assert key not in samples
+            samples[key] = float(value)
+            assert math.isfinite(samples[key])
+    assert all(samples for _, samples in families.values())
+    return families
+
+
+def scrape(daemon) -> dict[str, float]:
+    """All samples."""
+    status, headers, text = fetch(daemon, "/metrics")
+    assert status == 200
+    assert headers["Content-Type"] == "text/plain; version=0.0.4; charset=utf-8"
+    families = parse(text)
+    return {key: value for _, samples in families.values() for key, value in samples.items()}
+
+
+def scrape_when(daemon, metric: str, least: float) -> dict[str, float]:
+    """All samples, as soon as one has so much: latencies are counted behind the answers."""
+    assert eventually(lambda: scrape(daemon)[metric] >= least)
+    return scrape(daemon)
+
+
+def test_every_line_is_right(watched):
+    with watched.connect() as connection:
+        ask(connection, EVAL, eval_payload([SKIN], [1.0] * 16, wanted=R))
+    families = parse(fetch(watched, "/metrics")[2])
+    assert families["dipoled_requests_total"][0] == "counter"
+    assert families["dipoled_connections_open"][0] == "gauge"
+    assert families["dipoled_latency_seconds"][0] == "summary"
+    type, batches = families["dipoled_batch_requests"]
+    assert type == "histogram"
+    buckets = [value for key, value in batches.items() if "_bucket" in key]
+    assert buckets == sorted(buckets)
+    assert buckets[-1] == batches["dipoled_batch_requests_count"] == 1
+    assert list(batches)[-3] == 'dipoled_batch_requests_bucket{le="+Inf"}'
+    models = families["dipoled_model_radii_total"][1]
+    assert set(models) == {f'dipoled_model_radii_total{{model="{name}"}}' for name in MODELS}
+
+
+def test_counters_rise(watched):
+    before = scrape(watched)
+    with watched.connect() as connection:
+        for _ in range(5):
+            ask(connection, EVAL, eval_payload([SKIN], [1.0] * 16))
+        for _ in range(3):
+            ask(connection, EVAL, eval_payload(model=99))
+        after = scrape_when(watched, 'dipoled_latency_seconds_count{class="refused"}', 3)
+    rises = {key: value - before[key] for key, value in after.items() if value != before[key]}
+    assert rises['dipoled_requests_total{message="eval"}'] == 8
+    assert rises['dipoled_answers_total{status="ok"}'] == 5
+    assert rises['dipoled_answers_total{status="bad-value"}'] == 3
+    assert rises['dipoled_model_radii_total{model="better"}'] == 80
+    assert rises["dipoled_radii_evaluated_total"] == 80
+    assert rises['dipoled_latency_seconds_count{class="eval_short"}'] == 5
+    assert rises['dipoled_latency_seconds_count{class="refused"}'] == 3
+    assert rises["dipoled_connections_open"] == 1
+    last = 0.0
+    for quantile in ("0.5", "0.9", "0.99", "0.999"):
+        value = after[f'dipoled_latency_seconds{{class="eval_short",quantile="{quantile}"}}']
+        assert last <= value and 0 < value < 1
+        last = value
+    assert last <= after['dipoled_latency_max_seconds{class="eval_short"}'] < 1
+    assert all(later >= 0 for key, later in rises.items() if "_total" in key or "_count" in key)
+
+
+def test_the_same_as_the_statistics(watched):
+    with watched.client() as client, watched.connect() as connection:
+        ask(connection, EVAL, eval_payload([SKIN], [1.0] * 1000))
+        client.ping()
+        scrape_when(watched, 'dipoled_latency_seconds_count{class="eval_long"}', 1)
+        metrics = scrape(watched)
+        statistics = client.statistics()
+    moving = {"uptime_ms", "allocations", "received_bytes", "sent_bytes", "queued_connections"}
+    for name in set(statistics) - moving:
+        for suffix in ("", "_total"):
+            if f"dipoled_{name}{suffix}" in metrics:
+                assert metrics[f"dipoled_{name}{suffix}"] == statistics[name]
+    by_name = {
+        "requests_ping": 'requests_total{message="ping"}',
+        "radii_better": 'model_radii_total{model="better"}',
+        "latency_eval_long_count": 'latency_seconds_count{class="eval_long"}',
+    }
+    for name, metric in by_name.items():
+        assert statistics[name] == metrics[f"dipoled_{metric}"] > 0
+    longest = metrics['dipoled_latency_max_seconds{class="eval_long"}']
+    assert abs(longest * 1e6 - statistics["latency_eval_long_max_us"]) <= 0.51
+
+
+def test_healthz(watched):
+    status, headers, text = fetch(watched, "/healthz")
+    assert (status, text) == (200, "ok\n")
+    assert headers["Content-Type"].startswith("text/plain")
+
+
+WRONG_PATHS = ["/", "/metric", "/metrics/", "/metrics/x", "/healthz%00", "/Metrics"]
+
+
+@pytest.mark.parametrize("path", WRONG_PATHS)
+def test_wrong_path(watched, path):
+    assert fetch(watched, path)[0] == 404
+    assert fetch(watched, path, "POST", b"x" * 100)[0] == 404
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS", "PATCH"])
+def test_wrong_method(watched, method):
+    for path in ("/metrics", "/healthz"):
+        status, headers, _ = fetch(watched, path, method, b"x" if method == "POST" else None)
+        assert status == 405
+        assert headers["Allow"] == "GET, HEAD"
+    assert fetch(watched, "/healthz")[0] == 200
+
+
+def test_head_has_no_body(watched):
+    status, headers, text = fetch(watched, "/metrics", "HEAD")
+    assert (status, text) == (200, "")
+    assert int(headers["Content-Length"]) > 1000
+
+
+def test_a_query_changes_nothing(watched):
+    assert fetch(watched, "/healthz?a=b")[2] == "ok\n"
+
+
+def raw(daemon) -> socket.socket:
+    """A connection that speaks no HTTP by itself."""
+    host, _, port = address_of(daemon).rpartition(":")
+    return socket.create_connection((host, int(port)), TIMEOUT_S)
+
+
+NONSENSE = [b"nonsense\r\n\r\n", b"\0" * 1000, b"GET /metrics HTTP/9.9\r\n\r\n"]
+
+
+@pytest.mark.parametrize("sent", NONSENSE)
+def test_nonsense_is_refused(watched, sent):
+    with raw(watched) as one:
+        one.sendall(sent)
+        one.shutdown(socket.SHUT_WR)
+        answer = b""
+        try:
+            while some := one.recv(65536):
+                answer += some
+        except ConnectionResetError:
+            pass
+    assert b" 200 " not in answer.split(b"\r\n")[0]
+    assert fetch(watched, "/healthz")[0] == 200
+
+
+def test_stop_while_scrapes_hang(watched):
+    hanging = [raw(watched) for _ in range(10)]
+    for i, one in enumerate(hanging):
+        one.sendall([b"", b"GET /met", b"GET /metrics HTTP/1.1\r\nHost: x\r\n", b"P"][i % 4])
+    assert fetch(watched, "/healthz")[0] == 200
+    start = time.monotonic()
+    watched.terminate()
+    assert watched.wait() == 0
+    assert time.monotonic() - start < 5
+    for one in hanging:
+        one.close()
+
+
+def test_many_that_hang_are_let_go(watched):
+    """As many as there is room for: the next one waits until they have been silent for too long."""
+    hanging = [raw(watched) for _ in range(20)]
+    assert fetch(watched, "/healthz")[0] == 200
+    with watched.client() as client:
+        client.ping()
+    for one in hanging:
+        one.close()
+
+
+def test_connections_are_not_clients(watched):
+    scrape(watched)
+    assert scrape(watched)["dipoled_connections_accepted_total"] == 0
+
+
+def test_loopback_without_a_host(daemon):
+    for value in ("0", ":0"):
+        assert address_of(daemon("--metrics", value)).startswith("127.0.0.1:")
+
+
+def test_ipv6(daemon):
+    try:
+        socket.create_server(("::1", 0), family=socket.AF_INET6).close()
+    except OSError:
+        pytest.skip("no IPv6 here")
+    one = daemon("--metrics", "[::1]:0")
+    assert address_of(one).startswith("[::1]:")
+    assert fetch(one, "/healthz")[2] == "ok\n"
+
+
+def test_from_the_environment(daemon):
+    one = daemon(env={"DIPOLED_METRICS": "127.0.0.1:0"})
+    assert fetch(one, "/healthz")[2] == "ok\n"
+
+
+def test_not_unless_asked_for(shared):
+    assert not any("event=metrics" in line for line in shared.log)
+
+
+def test_wrong_addresses(watched):
+    taken = address_of(watched)
+    for value, said in {
+        taken: "another process listens there",
+        "127.0.0.1:": "HOST:PORT",
+        "": "HOST:PORT",
+        "127.0.0.1:x": "port",
+        "127.0.0.1:65536": "port",
+        "no.such.host.invalid:0": "no.such.host.invalid",
+    }.items():
+        ended = run("--listen", "tcp:127.0.0.1:0", "--metrics", value)
+        assert ended.returncode == 1, value
+        assert "--metrics" in ended.stderr and said in ended.stderr, ended.stderr
+
+
+def test_connections_close(watched):
+    host, _, port = address_of(watched).rpartition(":")
+    connection = http.client.HTTPConnection(host, int(port), timeout=TIMEOUT_S)
+    for _ in range(3):  # http.client connects anew where the daemon has closed
+        connection.request("GET", "/healthz")
+        assert connection.getresponse().read() == b"ok\n"
+    connection.close()

@@ -1,0 +1,218 @@
+"""Daemons that are killed or stopped under load and come back at the same address: clients connect
+again and ask again, and every answer is the right one, once."""
+
+from __future__ import annotations
+
+import itertools
+import subprocess
+import threading
+
+import dipole
+import pytest
+from daemons import BUILD, Daemon, eventually
+from frames import EVAL, SKIN, SPECTRALON, R, eval_payload, frame
+
+RETRY_S = 60.0
+RESTARTS = 4
+
+
+class Restarted:
+    """A daemon at one address that is ended, and followed by another."""
+
+    def __init__(self, url: str):
+        self._options = ("--max-frame-bytes", "1048576", "--max-part-bytes", "65536")
+        self._daemon = Daemon(*self._options, listen=[url])
+        self.url = self._daemon.urls[0]  # with the port that it got
+
+    def kill(self) -> None:
+        """SIGKILL, and another one."""
+        self._daemon.kill()
+        self._daemon = Daemon(*self._options, listen=[self.url])
+
+    def stop(self) -> None:
+        """SIGTERM, a clean end, and another one."""
+        self._daemon.close()
+        self._daemon = Daemon(*self._options, listen=[self.url])
+
+    def close(self) -> None:
+        """Stops the last one."""
+        self._daemon.close()
+
+
+@pytest.fixture(params=["unix", "tcp"])
+def restarted(request, tmp_path):
+    """A daemon that can be restarted, over each transport."""
+    one = Restarted(f"unix:{tmp_path}/s" if request.param == "unix" else "tcp:127.0.0.1:0")
+    yield one
+    one.close()
+
+
+def result_bytes(result: dipole.Result) -> tuple:
+    """All values of a result, as bytes."""
+    return result.R.tobytes(), result.albedo.tobytes(), result.r.tobytes()
+
+
+QUESTIONS = [
+    {"model": model, "media": medium, "r": [0.1 * (i + 1) for i in range(count)]}
+    for model, medium, count in itertools.product(
+        ["better", "classical"], [SKIN, SPECTRALON], [1, 5, 700]
+    )
+] + [
+    {
+        "model": "better",
+        "media": [SKIN] * 2,
+        "grid": dipole.Grid("linear", 400_000, 0.1, 10.0),
+        "evaluator": "f32",
+    }
+]
+
+
+class Asking(threading.Thread):
+    """Asks without a pause, 16 ahead, and checks every answer."""
+
+    def __init__(self, url: str, known: list[tuple]):
+        super().__init__()
+        self.answered = 0
+        self.ends = threading.Event()
+        self.failure: BaseException | None = None
+        self._known = known
+        self._client = dipole.Client(url, retry_s=RETRY_S)
+
+    def run(self) -> None:
+        try:
+            with self._client:
+                self._ask()
+        except BaseException as failure:  # shown by the test's own thread
+            self.failure = failure
+
+    def _ask(self) -> None:
+        outstanding: dict[int, int] = {}
+        order = itertools.cycle(range(len(QUESTIONS)))
+        while outstanding or not self.ends.is_set():
+            while len(outstanding) < 16 and not self.ends.is_set():
+                which = next(order)
+                outstanding[self._client.submit(**QUESTIONS[which])] = which
+            request_id, result = self._client.collect()
+            assert result_bytes(result) == self._known[outstanding.pop(request_id)]
+            self.answered += 1
+
+
+@pytest.mark.parametrize("how", ["kill", "stop"])
+def test_python_clients_outlive_their_daemon(restarted, how):
+    with dipole.Client(restarted.url) as client:
+        known = [result_bytes(client.eval(**question)) for question in QUESTIONS]
+    threads = [Asking(restarted.url, known) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for _ in range(RESTARTS):
+        before = [thread.answered for thread in threads]
+        getattr(restarted, how)()
+        assert eventually(
+            lambda: all(t.failure or t.answered > b + 40 for t, b in zip(threads, before)), 60
+        )
+    for thread in threads:
+        thread.ends.set()
+    for thread in threads:
+        thread.join()
+        if thread.failure is not None:
+            raise thread.failure
+
+
+@pytest.mark.parametrize("how", ["kill", "stop"])
+def test_libdipole_outlives_its_daemon(restarted, how):
+    """soak-load compares each answer with what it learnt from the first daemon."""
+    loads = [
+        subprocess.Popen(
+            [str(BUILD / "soak-load"), restarted.url, str(seed), "evals"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for seed in (1, 2)
+    ]
+    try:
+        for _ in range(RESTARTS):
+            for load in loads:
+                lines = iter(load.stdout.readline, "")
+                progress = (line for line in lines if line.startswith("answered="))
+                assert list(itertools.islice(progress, 4)), load.stderr.read()
+            getattr(restarted, how)()
+        for load in loads:
+            load.stdin.close()
+            load.stdout.read()
+            assert load.wait(60) == 0, load.stderr.read()
+    finally:
+        for load in loads:
+            load.kill()
+            load.wait()
+
+
+def test_a_job_is_not_begun_again(restarted):
+    with dipole.Client(restarted.url, retry_s=RETRY_S) as client:
+
+        def kill(_: dipole.McProgress) -> None:
+            restarted.kill()
+
+        edges = dipole.Grid("linear", 5, 0.0, 4.0)
+        with pytest.raises(dipole.ConnectionLost):
+            client.mc(SKIN, edges, photons=1_000_000_000, progress=kill)
+
+
+def test_parts_are_not_handed_on_twice(restarted):
+    question = QUESTIONS[-1]
+    with dipole.Client(restarted.url, retry_s=RETRY_S) as client:
+        whole = client.eval(**question)
+        with client.eval_parts(**question) as parts:
+            first = next(parts)
+            assert (first.R == whole.R[:, : first.R.shape[1]]).all()
+            restarted.kill()
+            read = first.R.shape[1]
+            with pytest.raises(dipole.ConnectionLost):
+                for part in parts:
+                    read += part.R.shape[1]
+            assert read < whole.R.shape[1]
+
+
+def test_no_retries_where_none_are_wanted(restarted):
+    with dipole.Client(restarted.url, retry_s=0) as client:
+        client.ping()
+        restarted.kill()
+        for _ in range(2):
+            with pytest.raises(dipole.ConnectionLost):
+                client.ping()
+
+
+def test_nobody_comes_back(daemon):
+    one = daemon()
+    with dipole.Client(one.url(), retry_s=0.2) as client:
+        client.ping()
+        one.kill()
+        with pytest.raises(dipole.ConnectionLost):
+            client.eval("better", SKIN, [1.0])
+
+
+def test_busy_is_asked_again(daemon):
+    """max_mc_jobs is no matter of evals, so the budget for buffers is: it is in use, and then not."""
+    one = daemon("--max-total-bytes", "1048576")
+    grid = dipole.Grid("linear", 100_000, 0.1, 10.0)
+    with one.connect() as holder, one.client() as impatient:
+        with dipole.Client(one.url(), retry_s=RETRY_S) as client:
+            before = client.eval("better", SKIN, grid=grid, wanted=["R"])
+            holder.send_bytes(holding_frame())
+            assert eventually(lambda: client.statistics()["buffer_bytes"] > 500_000)
+            with dipole.Client(one.url(), retry_s=0) as at_once:
+                with pytest.raises(dipole.Refused):
+                    at_once.eval("better", SKIN, grid=grid, wanted=["R"])
+            request_id = client.submit("better", SKIN, grid=grid, wanted=["R"])
+            assert impatient.ping() > 0
+            holder.close()
+            collected_id, result = client.collect()
+            assert collected_id == request_id
+            assert (result.R == before.R).all()
+            assert client.statistics()["errors_busy"] >= 1
+
+
+def holding_frame() -> bytes:
+    """All but the last byte of a request of half a megabyte."""
+    return frame(EVAL, 1, eval_payload(radii=[1.0] * 70_000, wanted=R))[:-1]

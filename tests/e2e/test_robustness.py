@@ -1,0 +1,474 @@
+"""Hard times: a thousand connections, clients that die or do not read, a stop or no descriptors left
+under load. Whatever happens, who asks properly gets the one right answer, once."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import resource
+import select
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import dipole
+import pytest
+from daemons import Daemon, eventually, sanitized
+from dipole import Connection, ConnectionLost, wire
+from frames import (
+    EVAL,
+    F32,
+    PING,
+    SKIN,
+    STATISTICS,
+    R,
+    ask,
+    assert_daemon_serves,
+    assert_serves,
+    eval_payload,
+    frame,
+)
+from known import (
+    PARTS,
+    Known,
+    assert_answer,
+    every_kind,
+    known_answers,
+    receive_answer,
+    refusal,
+    short_requests,
+)
+
+
+def statistics(connection: Connection) -> dict[str, int]:
+    """The daemon's, read over this connection."""
+    payload = ask(connection, STATISTICS).payload
+    count = wire.LIST_REPLY.unpack(payload).count
+    offsets = (wire.LIST_REPLY.bytes + i * wire.VALUE.bytes for i in range(count))
+    return dict(wire.VALUE.unpack(payload, offset) for offset in offsets)
+
+
+def assert_all_right(connection: Connection, known: list[Known], order: list[int]) -> None:
+    """Sends these of the known requests at once; each is answered, once and rightly."""
+    connection.send_bytes(b"".join(known[which].frame(i) for i, which in enumerate(order)))
+    open_ones = dict(enumerate(order))
+    while open_ones:
+        first, parts = receive_answer(connection)
+        assert_answer(known[open_ones.pop(first.request_id)], first, parts)
+
+
+class Others:
+    """Connections that go on asking in threads of their own; every answer is looked at."""
+
+    def __init__(self, daemon: Daemon, known: list[Known], count: int = 2):
+        self.answered = 0
+        self._known = known
+        self._stop = threading.Event()
+        self._failures: list[BaseException] = []
+        self._connections = [daemon.connect(("unix", "tcp")[i % 2]) for i in range(count)]
+        self._threads = [
+            threading.Thread(target=self._ask, args=(one, i))
+            for i, one in enumerate(self._connections)
+        ]
+
+    def _ask(self, connection: Connection, seed: int) -> None:
+        rng = random.Random(seed)
+        try:
+            while not self._stop.is_set():
+                order = [rng.randrange(len(self._known)) for _ in range(8)]
+                assert_all_right(connection, self._known, order)
+                self.answered += len(order)
+        except BaseException as failure:  # shown by the test's own thread
+            self._failures.append(failure)
+
+    def __enter__(self) -> Others:
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        for thread in self._threads:
+            thread.join()
+        for connection in self._connections:
+            connection.close()
+        if self._failures:
+            raise self._failures[0]
+
+    def have_gone_on(self, answers: int = 16) -> None:
+        """Waits until they have been answered anew: they are not held up."""
+        until = self.answered + answers
+        assert eventually(lambda: self._failures or self.answered > until, 30)
+
+
+def reset(connection: Connection) -> None:
+    """Closes as a host does whose program has died: at once, with a reset over TCP."""
+    if connection.socket.family != socket.AF_UNIX:
+        linger = struct.pack("ii", 1, 0)
+        connection.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
+    connection.close()
+
+
+@pytest.fixture
+def descriptors():
+    """As many file descriptors as this process may have."""
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (before[1], before[1]))
+    yield before[1]
+    resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
+# ---- many ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scheme", ["unix", "tcp"])
+def test_a_thousand_connections_at_once(daemon, descriptors, scheme):
+    if descriptors < 1100:
+        pytest.skip(f"a process may have only {descriptors} file descriptors here")
+    one = daemon()
+    known = known_answers(one, short_requests(40))
+    with contextlib.ExitStack() as all_of_them:
+        connections = [all_of_them.enter_context(one.connect(scheme)) for _ in range(1000)]
+        for i, connection in enumerate(connections):
+            connection.send_bytes(b"".join(known[(i + k) % 40].frame(k) for k in range(4)))
+        for i, connection in enumerate(connections):
+            for k in range(4):  # of one worker: in their order
+                first, parts = receive_answer(connection)
+                assert first.request_id == k
+                assert_answer(known[(i + k) % 40], first, parts)
+        assert statistics(connections[0])["connections_open"] == 1000
+        assert statistics(connections[0])["connections_refused"] == 0
+    with one.connect() as watcher:
+        assert eventually(lambda: statistics(watcher)["connections_open"] == 1)
+
+
+def test_a_flood_beyond_max_connections(daemon, descriptors):
+    """A thousand more than there may be: each is told or closed, and those within go on."""
+    one = daemon("--max-connections", "8")
+    known = known_answers(one, short_requests(40))
+    watcher = one.connect()
+    before_bytes = one.resident_bytes()
+    with watcher, Others(one, known, 7) as others:
+        told = closed = 0
+        for _ in range(10):
+            flood = [one.connect(("unix", "tcp")[i % 2]) for i in range(100)]
+            for extra in flood:
+                with extra:
+                    try:
+                        told += refusal(extra.receive_frame()) == "busy"
+                    except ConnectionLost:
+                        closed += 1
+            others.have_gone_on()
+        assert told + closed == 1000 and told > 0
+        assert statistics(watcher)["connections_refused"] == 1000
+        assert statistics(watcher)["connections_open"] == 8
+        slack_bytes = (64 if sanitized() else 16) << 20
+        assert one.resident_bytes() < before_bytes + slack_bytes
+    assert eventually(lambda: serves(one))
+
+
+def serves(daemon: Daemon) -> bool:
+    """Whether a new connection gets a place and an answer."""
+    try:
+        with daemon.connect() as fresh:
+            return ask(fresh, PING).type == PING | wire.REPLY
+    except ConnectionLost:
+        return False
+
+
+def test_bytes_one_at_a_time_of_many(shared):
+    """Fifty requests that all grow by a byte in turn."""
+    known = known_answers(shared, short_requests(50))
+    with contextlib.ExitStack() as all_of_them:
+        connections = [
+            all_of_them.enter_context(shared.connect(("unix", "tcp")[i % 2])) for i in range(50)
+        ]
+        requests = [one.frame(i) for i, one in enumerate(known)]
+        for at in range(max(map(len, requests))):
+            for connection, request in zip(connections, requests):
+                connection.send_bytes(request[at : at + 1])
+        for i, connection in enumerate(connections):
+            first, parts = receive_answer(connection)
+            assert first.request_id == i
+            assert_answer(known[i], first, parts)
+
+
+@pytest.mark.parametrize("scheme", ["unix", "tcp"])
+def test_half_close_with_everything_outstanding(daemon, scheme):
+    one = daemon(*PARTS)
+    known = known_answers(one, every_kind())
+    order = list(range(len(known))) * 3
+    with one.connect(scheme) as connection:
+        connection.send_bytes(b"".join(known[which].frame(i) for i, which in enumerate(order)))
+        connection.half_close()
+        open_ones = dict(enumerate(order))
+        while open_ones:
+            first, parts = receive_answer(connection)
+            assert_answer(known[open_ones.pop(first.request_id)], first, parts)
+        assert connection.receive_eof()
+
+
+# ---- clients that die, do not read, or talk nonsense ---------------------------------------------
+
+# What of it a client sends before it dies; the answer is large and in parts.
+LARGE = frame(EVAL, 1, eval_payload(radii=None, radius_count=400_000, evaluator=F32, wanted=R))
+
+
+def all_is_given_back(daemon: Daemon, idle_bytes: int) -> bool:
+    """Whether no connection but the one asking is left, and no buffer of the others."""
+    with daemon.connect() as watcher:
+        now = statistics(watcher)
+        return now["connections_open"] == 1 and now["buffer_bytes"] <= idle_bytes
+
+
+def idle_buffer_bytes(daemon: Daemon) -> int:
+    """What the buffers take of a daemon that only tells how much they take."""
+    with daemon.connect() as watcher:
+        statistics(watcher)
+        return statistics(watcher)["buffer_bytes"]
+
+
+@pytest.mark.parametrize("scheme", ["unix", "tcp"])
+def test_connections_that_break_anywhere(daemon, scheme):
+    """In the middle of a header, of a payload, of an answer and of one of its parts."""
+    one = daemon(*PARTS)
+    known = known_answers(one, every_kind())
+    idle_bytes = idle_buffer_bytes(one)
+    with Others(one, known) as others:
+        for sent, received in [(10, 0), (60, 0), (len(LARGE), 0), (len(LARGE), 1)] * 10:
+            with one.connect(scheme) as dying:
+                dying.send_bytes(LARGE[:sent])
+                dying.receive_bytes(received)
+                reset(dying)
+        for received in (100, 70_000, 500_000):
+            dying = [one.connect(scheme) for _ in range(10)]
+            for connection in dying:
+                connection.send_bytes(LARGE * 3)
+            for connection in dying:
+                connection.receive_bytes(received)
+                reset(connection)
+        others.have_gone_on()
+    assert eventually(lambda: all_is_given_back(one, idle_bytes))
+
+
+# Sends its input over and over and reads what comes, until it is killed.
+VICTIM = """
+import select, socket, sys
+requests = sys.stdin.buffer.read()
+connection = socket.socket(socket.AF_UNIX)
+connection.connect(sys.argv[1])
+connection.setblocking(False)
+at = got = 0
+while True:
+    readable, writable, _ = select.select([connection], [connection], [])
+    if writable:
+        at = (at + connection.send(requests[at:])) % len(requests)
+    if readable:
+        got += len(connection.recv(65536))
+        if got > 1000000 and got < 2000000:
+            print("going", flush=True)
+            got = 2000000
+"""
+
+
+def test_processes_that_are_killed_at_full_speed(daemon):
+    one = daemon(*PARTS)
+    known = known_answers(one, every_kind())
+    idle_bytes = idle_buffer_bytes(one)
+    requests = b"".join(known[i].frame(i) for i in range(len(known)))
+    command = [sys.executable, "-c", VICTIM, one.url("unix").removeprefix("unix:")]
+    with Others(one, known) as others:
+        for _ in range(4):
+            victims = [
+                subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+                for _ in range(3)
+            ]
+            for victim in victims:
+                victim.stdin.write(requests)
+                victim.stdin.close()
+            for victim in victims:
+                assert victim.stdout.readline() == b"going\n"
+            for victim in victims:
+                victim.kill()
+                victim.wait()
+                victim.stdout.close()
+            others.have_gone_on()
+    assert eventually(lambda: all_is_given_back(one, idle_bytes))
+
+
+def test_twenty_clients_that_never_read(daemon):
+    """Each asks for 64 million radii, several times, and looks away."""
+    one = daemon("--max-part-bytes", "65536", "--max-queued-bytes", "65536")
+    known = known_answers(one, short_requests(40))
+    endless = eval_payload(radii=None, radius_count=64_000_000, evaluator=F32, wanted=R)
+    before_bytes = one.resident_bytes()
+    with contextlib.ExitStack() as all_of_them, Others(one, known) as others:
+        stuck = [all_of_them.enter_context(one.connect(("unix", "tcp")[i % 2])) for i in range(20)]
+        for connection in stuck:
+            connection.send_bytes(b"".join(frame(EVAL, k, endless) for k in range(4)))
+        with one.connect() as watcher:
+            for connection in stuck:  # has something to read: so its answer has begun
+                assert select.select([connection.socket], [], [], 30)[0]
+            others.have_gone_on(2000)
+            # Each: its first 128 KiB, what may be queued, a part, and what a part is rounded up to.
+            assert statistics(watcher)["buffer_bytes"] < 23 * (512 << 10)
+        slack_bytes = (64 if sanitized() else 24) << 20
+        assert one.resident_bytes() < before_bytes + slack_bytes
+    assert_daemon_serves(one)
+
+
+def test_garbage_beside_good_work(daemon):
+    one = daemon(*PARTS)
+    known = known_answers(one, every_kind())
+    rng = random.Random(20)
+    with Others(one, known) as others:
+        for i in range(200):
+            with one.connect(("unix", "tcp")[i % 2]) as noisy:
+                garbage = rng.randbytes(rng.randrange(1, 5000))
+                good = known[i % 12].frame(7) if i % 3 == 0 else b""
+                with contextlib.suppress(ConnectionLost):
+                    noisy.send_bytes(good + garbage)
+                    noisy.half_close()
+                    if good:
+                        first, parts = receive_answer(noisy)
+                        assert_answer(known[i % 12], first, parts)
+        others.have_gone_on()
+    assert_daemon_serves(one)
+
+
+# ---- stopping under load -------------------------------------------------------------------------
+
+
+class Load:
+    """Sends known requests without a pause, and keeps count of every answer."""
+
+    def __init__(self, connection: Connection, known: list[Known]):
+        self.sent = 0  # whole requests
+        self.answered = 0
+        self.refused: list[str] = []  # the status of each refusal
+        self.last_words = ""  # the status of what was said of the connection as a whole
+        self.failure: BaseException | None = None
+        self._connection = connection
+        self._known = known
+        self.thread = threading.Thread(target=self._run)
+
+    def _send_some(self) -> None:
+        """Up to 64 requests ahead."""
+        while self.sent < self.answered + len(self.refused) + 64:
+            self._connection.send_bytes(self._known[self.sent % len(self._known)].frame(self.sent))
+            self.sent += 1
+
+    def _run(self) -> None:
+        try:
+            with contextlib.suppress(ConnectionLost):
+                while not self.last_words:
+                    with contextlib.suppress(ConnectionLost):  # what it said before is to be read
+                        self._send_some()
+                    self._take(*receive_answer(self._connection))
+        except BaseException as failure:  # shown by the test's own thread
+            self.failure = failure
+
+    def _take(self, first, parts) -> None:
+        if refusal(first) and first.request_id == 0 and self.answered > 0:
+            self.last_words = refusal(first)
+            assert self._connection.receive_eof()
+            return
+        # Answers to evals come in the order of the requests: so one that is left out shows, and one
+        # that comes twice too.
+        assert first.request_id == self.answered + len(self.refused)
+        if refusal(first):
+            self.refused.append(refusal(first))
+        else:
+            assert_answer(self._known[first.request_id % len(self._known)], first, parts)
+            self.answered += 1
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
+def test_stopping_under_load(daemon, how):
+    """What was sent is answered in its order up to some request, and the rest is refused as a whole:
+    nothing is lost silently, nothing comes twice."""
+    one = daemon(*PARTS)
+    known = known_answers(one, every_kind())
+    connections = [one.connect(("unix", "tcp")[i % 2]) for i in range(8)]
+    loads = [Load(connection, known) for connection in connections]
+    for load in loads:
+        load.thread.start()
+    assert eventually(lambda: all(load.answered > 30 or load.failure for load in loads), 60)
+    sent_before = [load.sent for load in loads]
+    one.terminate(how)
+    assert one.wait(30) == 0
+    for load, before, connection in zip(loads, sent_before, connections):
+        load.thread.join()
+        connection.close()
+        if load.failure is not None:
+            raise load.failure
+        assert load.last_words == "shutting-down"
+        assert set(load.refused) <= {"shutting-down"}
+        assert load.sent >= before
+
+
+# ---- out of file descriptors ---------------------------------------------------------------------
+
+
+def processor_s(daemon: Daemon) -> float:
+    """The processor time that a daemon has used."""
+    fields = Path(f"/proc/{daemon.process.pid}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def test_out_of_file_descriptors(daemon):
+    one = daemon(prefix=["prlimit", "--nofile=48:48"])
+    known = known_answers(one, short_requests(40))
+    with contextlib.ExitStack() as all_of_them:
+        # The system completes a connection before the daemon takes it, so all of these succeed.
+        connections = [
+            all_of_them.enter_context(one.connect(("unix", "tcp")[i % 2])) for i in range(80)
+        ]
+        for i, connection in enumerate(connections):
+            connection.send_bytes(known[i % 40].frame(i))
+        assert one.has_line("event=accept-paused", 10)
+        served = wait_for_answers(connections, known)
+        assert 16 <= len(served) < 48
+        before_s = processor_s(one)
+        start_s = time.monotonic()
+        while time.monotonic() - start_s < 1.0:  # those within are served meanwhile
+            for i in served[:4]:
+                assert_all_right(connections[i], known, [i % 40])
+            time.sleep(0.05)
+        assert processor_s(one) - before_s < (0.9 if sanitized() else 0.4)
+        # As some leave, as many others come in, until all have been served.
+        waiting = set(range(80)) - set(served)
+        while waiting:
+            for i in served:
+                connections[i].close()
+            served = wait_for_answers([connections[i] for i in sorted(waiting)], known, waiting)
+            assert served
+            waiting -= set(served)
+    assert eventually(lambda: serves(one))
+    paused = [line for line in one.log if "event=accept-paused" in line]
+    assert len(paused) < 100
+
+
+def wait_for_answers(
+    connections: list[Connection], known: list[Known], names: set[int] | None = None
+) -> list[int]:
+    """Takes the answers that come, until none has for half a second; whose they are."""
+    by_socket = dict(zip((one.socket for one in connections), connections))
+    expected = names if names is not None else set(range(len(connections)))
+    answered: list[int] = []
+    while by_socket:
+        ready = select.select(list(by_socket), [], [], 5.0 if not answered else 0.5)[0]
+        if not ready:
+            break
+        for one in ready:
+            first, parts = receive_answer(by_socket.pop(one))
+            assert first.request_id in expected
+            assert_answer(known[first.request_id % 40], first, parts)
+            answered.append(first.request_id)
+    return answered

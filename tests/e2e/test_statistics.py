@@ -1,0 +1,185 @@
+"""Statistics of the service itself: latencies, radii by model, batch sizes, queues."""
+
+from __future__ import annotations
+
+import struct
+import time
+
+import pytest
+from daemons import eventually
+from dipole import Connection
+from frames import (
+    BETTER,
+    CLASSICAL,
+    EVAL,
+    F32,
+    HELLO,
+    MEDIA,
+    PING,
+    R,
+    SKIN,
+    ask,
+    eval_payload,
+    frame,
+)
+from lists import MODELS
+
+KINDS = ["eval_short", "eval_long", "other", "refused"]
+PART, PART_AT = struct.Struct("<II"), 32  # part and part_count of an eval_reply
+QUANTILES = ["p50", "p90", "p99", "p999", "max"]
+
+# What is asked, and where its latency is counted; EVAL of 128 radii is short.
+ASKED = {
+    "short list": (EVAL, eval_payload([SKIN], [1.0] * 16), "eval_short"),
+    "longest short": (EVAL, eval_payload([SKIN], [1.0] * 128), "eval_short"),
+    "no radii": (EVAL, eval_payload([SKIN], [], wanted=2), "eval_short"),
+    "shortest long": (EVAL, eval_payload([SKIN], [1.0] * 129), "eval_long"),
+    "grid": (EVAL, eval_payload([SKIN], None, radius_count=100_000), "eval_long"),
+    "ping": (PING, b"12345678", "other"),
+    "media": (MEDIA, b"", "other"),
+    "wrong eval": (EVAL, eval_payload(model=99), "refused"),
+    "wrong type": (99, b"", "refused"),
+    "wrong hello": (HELLO, bytes(3), "refused"),
+}
+
+
+def latency_counts(statistics: dict[str, int]) -> dict[str, int]:
+    """How many requests of each kind have a latency."""
+    return {kind: statistics[f"latency_{kind}_count"] for kind in KINDS}
+
+
+@pytest.mark.parametrize("name", ASKED)
+def test_every_request_has_one_latency(daemon, name):
+    type, payload, kind = ASKED[name]
+    with daemon().client() as client, client_connection(client) as connection:
+        before = client.statistics()
+        for _ in range(7):
+            ask(connection, type, payload)
+        after = look_when(client, lambda now: total(now) >= total(before) + 8)
+        looks = after["requests_statistics"] - before["requests_statistics"]
+    expected = latency_counts(before)
+    expected[kind] += 7
+    expected["other"] += looks  # but for the last, which is being answered
+    assert latency_counts(after) == expected
+
+
+def total(statistics: dict[str, int]) -> int:
+    return sum(latency_counts(statistics).values())
+
+
+def look_when(client, condition) -> dict[str, int]:
+    """The statistics as soon as a condition holds: a latency is counted when the answer has been
+    written, which its receiver may know earlier than another worker."""
+    found = []
+
+    def look() -> bool:
+        found.append(client.statistics())
+        return condition(found[-1])
+
+    assert eventually(look), found[-1]
+    return found[-1]
+
+
+def client_connection(client) -> Connection:
+    """Another connection to the same daemon."""
+    return Connection(client.info.address)
+
+
+def test_latencies_are_plausible(daemon):
+    payload = eval_payload([SKIN], [1.0] * 16)
+    with daemon().client() as client, client_connection(client) as connection:
+        start = time.monotonic()
+        slowest = 0.0
+        for _ in range(300):
+            asked = time.monotonic()
+            ask(connection, EVAL, payload)
+            slowest = max(slowest, time.monotonic() - asked)
+        taken_us = (time.monotonic() - start) * 1e6
+        now = look_when(client, lambda now: now["latency_eval_short_count"] >= 300)
+    found = [now[f"latency_eval_short_{q}_us"] for q in QUANTILES]
+    assert found == sorted(found)
+    assert now["latency_eval_short_count"] == 300
+    # What the daemon took is part of what the client waited for.
+    assert 0 < found[-1] <= slowest * 1e6 + 1
+    assert 0 < now["latency_eval_short_sum_us"] <= taken_us
+    assert now["latency_eval_long_max_us"] == now["latency_refused_max_us"] == 0
+
+
+def test_a_slow_answer_is_slow(daemon):
+    """A grid that takes long to evaluate: the time until its last part."""
+    payload = eval_payload([SKIN], None, radius_count=20_000_000, wanted=R, evaluator=F32)
+    with daemon().client() as client, client_connection(client) as connection:
+        connection.send_bytes(frame(EVAL, 1, payload))
+        asked = time.monotonic()
+        parts = 1
+        while parts > 0:
+            part, part_count = PART.unpack_from(connection.receive_frame().payload, PART_AT)
+            parts = part_count - 1 - part
+        waited_us = (time.monotonic() - asked) * 1e6
+        now = look_when(client, lambda now: now["latency_eval_long_count"] >= 1)
+    assert part_count > 10
+    assert now["latency_eval_long_count"] == 1
+    # The same moment at both ends, but for what lies in the socket.
+    assert waited_us / 2 - 20_000 < now["latency_eval_long_p50_us"] < waited_us + 20_000
+
+
+def test_the_wait_for_the_last_byte_does_not_count(daemon):
+    """A request that the client sends slowly is not slow in the daemon."""
+    request = frame(EVAL, 1, eval_payload([SKIN], [1.0] * 16))
+    with daemon().client() as client, client_connection(client) as connection:
+        for at in range(0, len(request), 10):
+            connection.send_bytes(request[at : at + 10])
+            time.sleep(0.02)
+        connection.receive_frame()
+        now = look_when(client, lambda now: now["latency_eval_short_count"] >= 1)
+    assert now["latency_eval_short_count"] == 1
+    assert now["latency_eval_short_max_us"] < 20_000 * (len(request) // 10) / 2
+
+
+def test_radii_by_model(daemon):
+    with daemon().client() as client, client_connection(client) as connection:
+        ask(connection, EVAL, eval_payload([SKIN] * 3, [1.0] * 1000, model=BETTER))
+        for _ in range(5):  # the repeated ones, too
+            ask(connection, EVAL, eval_payload([SKIN], [1.0, 2.0], model=CLASSICAL))
+        now = client.statistics()
+    radii = {name: now[f"radii_{name}"] for name in MODELS}
+    assert radii.pop("better") == 3000
+    assert radii.pop("classical") == 10
+    assert set(radii.values()) == {0}
+    assert now["radii_evaluated"] == 3010
+
+
+def test_batch_sizes(daemon):
+    sizes = [1 << i for i in range(9)]
+    request = frame(EVAL, 1, eval_payload([SKIN], [1.0] * 16, model=BETTER, wanted=R))
+    with daemon().client() as client, client_connection(client) as connection:
+        for count in (1, 1, 2, 5, 40):
+            connection.send_bytes(request * count)
+            for _ in range(count):
+                connection.receive_frame()
+        now = client.statistics()
+    upto = [now[f"batches_up_to_{size}_requests"] for size in sizes]
+    assert upto == sorted(upto)
+    assert upto[0] >= 2
+    assert upto[-1] == now["batches_evaluated"]
+    assert now["batched_requests"] == 49
+    assert 5 <= now["batches_evaluated"] <= 49
+
+
+def test_queues(daemon):
+    grid = eval_payload([SKIN], None, radius_count=1 << 36, wanted=R, evaluator=F32)
+    with daemon("--workers", "1").client() as client:
+        idle = client.statistics()
+        assert idle["owed_radii"] == 0
+        assert idle["queued_connections"] == 1  # the one that asks
+        with client_connection(client) as connection:
+            connection.send_bytes(frame(EVAL, 1, grid))
+            connection.receive_bytes(1)
+            assert 1 << 35 < client.statistics()["owed_radii"] <= 1 << 36
+        assert eventually(lambda: client.statistics()["owed_radii"] == 0)
+
+
+def test_names_fit_and_are_unique(client):
+    names = list(client.statistics())
+    assert len(names) == len(set(names)) > 80
+    assert all(0 < len(name) < 40 for name in names)

@@ -1,0 +1,176 @@
+"""Full load for SOAK_S seconds: everything that a client can ask for, and clients that are killed, do
+not read or talk nonsense beside it. Every answer is right, and memory does not grow."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import subprocess
+import threading
+import time
+
+from daemons import BUILD, Daemon, sanitized
+from dipole import DipoleError, wire
+from frames import EVAL, F32, STATISTICS, R, ask, eval_payload, frame
+
+SOAK_S = float(os.environ.get("SOAK_S") or 40)
+CACHE_BYTES = 1 << 20  # less than all profiles take
+TOTAL_BYTES = 256 << 20
+OPTIONS = (
+    *("--max-frame-bytes", str(1 << 20), "--max-part-bytes", str(1 << 16)),
+    *("--cache-bytes", str(CACHE_BYTES), "--max-total-bytes", str(TOTAL_BYTES)),
+)
+# Beyond the most that it held in the first third, when it had met everything: of what a heap that
+# is asked for blocks of all sizes does not fill, and of a sanitizer's records.
+GROWTH_BYTES = (128 if sanitized() else 24) << 20
+PATIENCE_S = 300.0  # for the beginning and the end, where nothing is measured
+ENDLESS = eval_payload(radii=None, radius_count=64_000_000, evaluator=F32, wanted=R)
+
+
+class Load:
+    """A soak-load that runs; see load.c."""
+
+    def __init__(self, url: str, seed: int):
+        self.process = subprocess.Popen(
+            [str(BUILD / "soak-load"), url, str(seed), "all"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self.last_line = ""
+        self._has_begun = threading.Event()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        for line in self.process.stdout:
+            self.last_line = line.strip()
+            if line.startswith("answered="):
+                self._has_begun.set()
+        self._has_begun.set()
+
+    def wait_until_begun(self) -> None:
+        """Until it knows all answers, and has checked some."""
+        assert self._has_begun.wait(PATIENCE_S)
+        assert self.process.poll() is None, self.process.stderr.read()
+
+    def end(self) -> dict[str, int]:
+        """Its counts, when it has been content to the end."""
+        self.process.stdin.close()
+        status = self.process.wait(PATIENCE_S)
+        self._reader.join()
+        assert status == 0, self.process.stderr.read()
+        return {k: int(v) for k, v in (pair.split("=") for pair in self.last_line.split())}
+
+    def kill(self) -> None:
+        """Ends it at once."""
+        self.process.kill()
+        self.process.wait()
+
+
+class Rude:
+    """Does to a daemon what nobody should, until it is told to stop."""
+
+    def __init__(self, daemon: Daemon):
+        self.done = 0
+        self._daemon = daemon
+        self._stop = threading.Event()
+        self._rng = random.Random(17)
+        self._thread = threading.Thread(target=self._run)
+        self.failure: BaseException | None = None
+
+    def __enter__(self) -> Rude:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+        if self.failure is not None:
+            raise self.failure
+
+    def _run(self) -> None:
+        try:
+            while not self._stop.is_set():
+                self._round()
+                self.done += 1
+        except BaseException as failure:  # shown by the test's own thread
+            self.failure = failure
+
+    def _round(self) -> None:
+        """Two that never read for a second, and meanwhile others that die or send garbage."""
+        with self._daemon.connect("unix") as one, self._daemon.connect("tcp") as other:
+            for stuck in (one, other):
+                stuck.send_bytes(frame(EVAL, 1, ENDLESS) * 8)
+            victim = Load(self._daemon.url(), 99)
+            while not self._stop.wait(0.05) and self._rng.random() < 0.95:
+                self._die_or_babble()
+            victim.kill()
+
+    def _die_or_babble(self) -> None:
+        request = frame(EVAL, 1, eval_payload(radii=None, radius_count=50_000))
+        with self._daemon.connect(self._rng.choice(["unix", "tcp"])) as rude:
+            with contextlib.suppress(DipoleError):
+                if self._rng.random() < 0.3:
+                    rude.send_bytes(self._rng.randbytes(self._rng.randrange(1, 5000)))
+                    rude.receive_frame()
+                else:
+                    rude.send_bytes(request[: self._rng.randrange(1, len(request) + 1)])
+                    if self._rng.random() < 0.5:
+                        rude.half_close()
+                        rude.receive_bytes(self._rng.randrange(1, 1000))
+
+
+def statistics(connection) -> dict[str, int]:
+    """The daemon's, read over this connection."""
+    payload = ask(connection, STATISTICS).payload
+    count = wire.LIST_REPLY.unpack(payload).count
+    offsets = (wire.LIST_REPLY.bytes + i * wire.VALUE.bytes for i in range(count))
+    return dict(wire.VALUE.unpack(payload, offset) for offset in offsets)
+
+
+def watch(daemon: Daemon) -> list[int]:
+    """Looks at the daemon twice a second; what it held each time."""
+    resident_bytes = []
+    end_s = time.monotonic() + SOAK_S
+    with daemon.connect() as watcher:
+        while time.monotonic() < end_s:
+            now = statistics(watcher)
+            # The first 128 KiB of each connection are beside the budget.
+            beside_bytes = now["connections_open"] * (128 << 10)
+            assert now["buffer_bytes"] <= TOTAL_BYTES + beside_bytes
+            assert now["cache_bytes"] <= CACHE_BYTES
+            resident_bytes.append(daemon.resident_bytes())
+            time.sleep(0.5)
+    return resident_bytes
+
+
+def test_soak():
+    daemon = Daemon(*OPTIONS)
+    try:
+        loads = [Load(daemon.url(("unix", "tcp")[i % 2]), i) for i in range(3)]
+        try:
+            for load in loads:
+                load.wait_until_begun()
+            with Rude(daemon) as rude:
+                resident_bytes = watch(daemon)
+            counts = [load.end() for load in loads]
+        finally:
+            for load in loads:
+                load.kill()
+        with daemon.connect() as watcher:
+            now = statistics(watcher)
+    finally:
+        daemon.close()
+    tenths = [resident_bytes[len(resident_bytes) * i // 10 :] for i in range(10)]
+    curve = " ".join(f"{tenth[0] / 2**20:.0f}" for tenth in tenths)
+    total = {name: sum(count[name] for count in counts) for name in counts[0]}
+    print(f"\nsoak: {SOAK_S:.0f} s, {total}, {rude.done} rounds of rudeness")
+    print(f"soak: resident MiB: {curve} {resident_bytes[-1] / 2**20:.0f}")
+    print(f"soak: cache_bytes {now['cache_bytes']}, evictions {now['cache_evictions']}")
+    assert rude.done > 0
+    assert all(count > 0 for count in total.values()), total
+    first_third = resident_bytes[: max(len(resident_bytes) // 3, 1)]
+    assert max(resident_bytes) <= max(first_third) + GROWTH_BYTES

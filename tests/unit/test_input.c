@@ -1,0 +1,97 @@
+/* When a frame had arrived: the time of the read that brought its last byte. */
+#include "server/input.h"
+#include "tests/unit/unit.h"
+
+static struct server server = {.options = {.max_frame_bytes = 1 << 20, .max_total_bytes = 1 << 24}};
+
+static void put(struct input *input, const uint8_t *bytes, size_t count, uint64_t now_ns) {
+  uint8_t *room;
+  assert_true(input_room(input, &room) >= count);
+  memcpy(room, bytes, count);
+  input_arrived(input, count, now_ns);
+}
+
+static size_t make_frame(uint8_t *to, uint32_t payload_bytes) {
+  const wire_header header = {
+      .magic = WIRE_MAGIC, .version = WIRE_VERSION, .type = 5, .payload_bytes = payload_bytes};
+  wire_put_header(to, &header);
+  memset(to + WIRE_BYTES_header, 0, payload_bytes);
+  return WIRE_BYTES_header + (size_t)payload_bytes;
+}
+
+/* The first frame's arrival; the frame is then dealt with. */
+static uint64_t take(struct input *input) {
+  wire_header header;
+  const uint8_t *payload;
+  wire_error error;
+  assert_int_equal(input_frame(input, &header, &payload, &error), INPUT_FRAME);
+  const uint64_t ns = input_arrival_ns(input, &header);
+  input_next(input, &header);
+  return ns;
+}
+
+/* In many more pieces than there are marks. */
+static void a_frame_in_pieces_arrives_with_the_last(void **state) {
+  (void)state;
+  struct input input;
+  uint8_t frame[4096];
+  const size_t bytes = make_frame(frame, 1000);
+  input_init(&input, &server);
+  for (int round = 0; round < 3; round++) {
+    for (size_t i = 0; i < bytes; i++) {
+      put(&input, frame + i, 1, 1000 * (uint64_t)(round + 1) * bytes + i);
+    }
+    assert_int_equal(take(&input), 1000 * (uint64_t)(round + 1) * bytes + bytes - 1);
+  }
+  input_free(&input);
+}
+
+static void frames_of_one_read_arrive_together_and_others_do_not(void **state) {
+  (void)state;
+  struct input input;
+  uint8_t frames[256];
+  size_t bytes = make_frame(frames, 8);
+  bytes += make_frame(frames + bytes, 0);
+  input_init(&input, &server);
+  put(&input, frames, bytes, 100);
+  put(&input, frames, bytes - 5, 200);
+  put(&input, frames + bytes - 5, 5, 300);
+  put(&input, frames, bytes, 300);
+  assert_int_equal(take(&input), 100);
+  assert_int_equal(take(&input), 100);
+  assert_int_equal(take(&input), 200);
+  assert_int_equal(take(&input), 300);
+  assert_int_equal(take(&input), 300);
+  assert_int_equal(take(&input), 300);
+  input_free(&input);
+}
+
+/* More reads than marks while frames wait: never too late, and in order. */
+static void without_marks_it_is_earlier(void **state) {
+  (void)state;
+  enum { FRAMES = 3 * INPUT_MARKS };
+  struct input input;
+  uint8_t frame[64];
+  const size_t bytes = make_frame(frame, 0);
+  input_init(&input, &server);
+  for (uint64_t i = 0; i < FRAMES; i++) {
+    put(&input, frame, bytes, 100 + i);
+  }
+  uint64_t last_ns = 0;
+  for (uint64_t i = 0; i < FRAMES; i++) {
+    const uint64_t ns = take(&input);
+    assert_true(ns >= last_ns && ns <= 100 + i);
+    assert_true(i >= INPUT_MARKS || ns == 100 + i);
+    last_ns = ns;
+  }
+  input_free(&input);
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(a_frame_in_pieces_arrives_with_the_last),
+      cmocka_unit_test(frames_of_one_read_arrive_together_and_others_do_not),
+      cmocka_unit_test(without_marks_it_is_earlier),
+  };
+  return cmocka_run_group_tests(tests, NULL, NULL);
+}
