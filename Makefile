@@ -49,7 +49,6 @@ ALL_LDFLAGS = -pthread $(LDFLAGS) $(SANITIZE)
 UV_CFLAGS = $(shell pkg-config --cflags libuv)
 UV_LIBS = $(shell pkg-config --libs libuv)
 HTTP_CFLAGS = $(shell pkg-config --cflags libmicrohttpd)
-HTTP_LIBS = $(shell pkg-config --libs libmicrohttpd)
 # What core's preparation uses. The archives' members are taken as needed, so that the client library
 # does without.
 # GSL=no builds without the model `gaussians`.
@@ -160,7 +159,7 @@ $(BUILD)/libdipole.so: $(BUILD)/libdipole.so.$(VERSION)
 
 $(BUILD)/dipoled: $(SERVER) $(BUILD)/libproto.a $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc -o $@ $^ $(UV_LIBS) $(HTTP_LIBS) $(CORE_LIBS) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc -o $@ $^ $(UV_LIBS) $(CORE_LIBS) -lm
 
 $(BUILD)/dipole: $(CLI) $(BUILD)/libdipole.a
 	$(call SAY,LD,$@)

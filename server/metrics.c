@@ -1,12 +1,12 @@
 #include "server/metrics.h"
 
 #include <errno.h>
-#include <microhttpd.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
+#include "server/http.h"
 #include "server/log.h"
 #include "server/metrics_text.h"
 #include "server/tcp.h"
@@ -22,30 +22,34 @@ enum {
 
 struct metrics {
   const struct server *server;
-  struct MHD_Daemon *http;
+  struct http library;
+  struct MHD_Daemon *daemon;
 };
 
 /* Takes the response; NULL: there was no memory for it, and the connection is closed. */
-static enum MHD_Result send_response(struct MHD_Connection *connection, unsigned status,
-                                     const char *type, struct MHD_Response *response) {
+static enum MHD_Result send_response(const struct http *http, struct MHD_Connection *connection,
+                                     unsigned status, const char *type,
+                                     struct MHD_Response *response) {
   if (response == NULL) {
     return MHD_NO;
   }
-  MHD_add_response_header(response, MHD_HTTP_HEADER_CONTENT_TYPE, type);
+  http->add_response_header(response, MHD_HTTP_HEADER_CONTENT_TYPE, type);
   if (status == MHD_HTTP_METHOD_NOT_ALLOWED) {
-    MHD_add_response_header(response, MHD_HTTP_HEADER_ALLOW, "GET, HEAD");
+    http->add_response_header(response, MHD_HTTP_HEADER_ALLOW, "GET, HEAD");
   }
-  const enum MHD_Result sent = MHD_queue_response(connection, status, response);
-  MHD_destroy_response(response);
+  const enum MHD_Result sent = http->queue_response(connection, status, response);
+  http->destroy_response(response);
   return sent;
 }
 
-static enum MHD_Result send_text(struct MHD_Connection *connection, unsigned status, char *text) {
-  return send_response(connection, status, PLAIN,
-                       MHD_create_response_from_buffer(strlen(text), text, MHD_RESPMEM_PERSISTENT));
+static enum MHD_Result send_text(const struct http *http, struct MHD_Connection *connection,
+                                 unsigned status, char *text) {
+  return send_response(
+      http, connection, status, PLAIN,
+      http->create_response_from_buffer(strlen(text), text, MHD_RESPMEM_PERSISTENT));
 }
 
-static enum MHD_Result send_metrics(struct MHD_Connection *connection,
+static enum MHD_Result send_metrics(const struct http *http, struct MHD_Connection *connection,
                                     const struct server *server) {
   size_t bytes;
   char *text = metrics_text(server, &bytes);
@@ -53,11 +57,11 @@ static enum MHD_Result send_metrics(struct MHD_Connection *connection,
     return MHD_NO;
   }
   struct MHD_Response *response =
-      MHD_create_response_from_buffer(bytes, text, MHD_RESPMEM_MUST_FREE);
+      http->create_response_from_buffer(bytes, text, MHD_RESPMEM_MUST_FREE);
   if (response == NULL) {
     free(text);
   }
-  return send_response(connection, MHD_HTTP_OK, EXPOSITION, response);
+  return send_response(http, connection, MHD_HTTP_OK, EXPOSITION, response);
 }
 
 static bool is_read(const char *method) {
@@ -72,16 +76,17 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *connecti
   static char not_found[] = "There is /metrics, and /healthz.\n";
   static char not_allowed[] = "It is only for reading: GET or HEAD.\n";
   const struct metrics *metrics = context;
+  const struct http *http = &metrics->library;
   (void)version, (void)body, (void)body_bytes, (void)state;
   const bool is_metrics = strcmp(url, "/metrics") == 0;
   if (!is_metrics && strcmp(url, "/healthz") != 0) {
-    return send_text(connection, MHD_HTTP_NOT_FOUND, not_found);
+    return send_text(http, connection, MHD_HTTP_NOT_FOUND, not_found);
   }
   if (!is_read(method)) {
-    return send_text(connection, MHD_HTTP_METHOD_NOT_ALLOWED, not_allowed);
+    return send_text(http, connection, MHD_HTTP_METHOD_NOT_ALLOWED, not_allowed);
   }
-  return is_metrics ? send_metrics(connection, metrics->server)
-                    : send_text(connection, MHD_HTTP_OK, ok);
+  return is_metrics ? send_metrics(http, connection, metrics->server)
+                    : send_text(http, connection, MHD_HTTP_OK, ok);
 }
 
 /* The paths that there are need no escapes: left alone, an escaped end cannot make one of another. */
@@ -91,12 +96,12 @@ static size_t leave_escaped(void *context, struct MHD_Connection *connection, ch
 }
 
 static struct MHD_Daemon *start(struct metrics *metrics, int fd) {
-  return MHD_start_daemon(MHD_USE_AUTO | MHD_USE_INTERNAL_POLLING_THREAD | MHD_USE_ITC, 0, NULL,
-                          NULL, on_request, metrics, MHD_OPTION_LISTEN_SOCKET, fd,
-                          MHD_OPTION_CONNECTION_LIMIT, (unsigned)MOST_CONNECTIONS,
-                          MHD_OPTION_CONNECTION_TIMEOUT, (unsigned)SILENCE_S,
-                          MHD_OPTION_CONNECTION_MEMORY_LIMIT, (size_t)CONNECTION_BYTES,
-                          MHD_OPTION_UNESCAPE_CALLBACK, leave_escaped, NULL, MHD_OPTION_END);
+  return metrics->library.start_daemon(
+      MHD_USE_AUTO | MHD_USE_INTERNAL_POLLING_THREAD | MHD_USE_ITC, 0, NULL, NULL, on_request,
+      metrics, MHD_OPTION_LISTEN_SOCKET, fd, MHD_OPTION_CONNECTION_LIMIT,
+      (unsigned)MOST_CONNECTIONS, MHD_OPTION_CONNECTION_TIMEOUT, (unsigned)SILENCE_S,
+      MHD_OPTION_CONNECTION_MEMORY_LIMIT, (size_t)CONNECTION_BYTES, MHD_OPTION_UNESCAPE_CALLBACK,
+      leave_escaped, NULL, MHD_OPTION_END);
 }
 
 static int listen_at(const char *address) {
@@ -116,23 +121,32 @@ static int listen_at(const char *address) {
   return fd;
 }
 
+static struct metrics *fail(const char *address, const char *why, int fd, struct metrics *metrics) {
+  fprintf(stderr, "dipoled: --metrics %s: %s\n", address, why);
+  close(fd);
+  free(metrics);
+  return NULL;
+}
+
 struct metrics *metrics_open(struct server *server, const char *address) {
   const int fd = listen_at(address);
   if (fd < 0) {
     return NULL;
   }
+  const char *why;
   char bound[TCP_TEXT_BYTES];
   tcp_bound(fd, bound);
   struct metrics *metrics = calloc(1, sizeof *metrics);
-  if (metrics != NULL) {
-    metrics->server = server;
-    metrics->http = start(metrics, fd); /* and has the socket from now on */
+  if (metrics == NULL) {
+    return fail(address, "out of memory", fd, metrics);
   }
-  if (metrics == NULL || metrics->http == NULL) {
-    fprintf(stderr, "dipoled: --metrics %s: the HTTP server does not start\n", address);
-    close(fd);
-    free(metrics);
-    return NULL;
+  if (!http_load(&metrics->library, &why)) {
+    return fail(address, why, fd, metrics);
+  }
+  metrics->server = server;
+  metrics->daemon = start(metrics, fd); /* and has the socket from now on */
+  if (metrics->daemon == NULL) {
+    return fail(address, "the HTTP server does not start", fd, metrics);
   }
   log_line(LOG_LEVEL_INFO, "event=metrics url=http://%s/metrics", bound);
   return metrics;
@@ -140,7 +154,7 @@ struct metrics *metrics_open(struct server *server, const char *address) {
 
 void metrics_close(struct metrics *metrics) {
   if (metrics != NULL) {
-    MHD_stop_daemon(metrics->http);
+    metrics->library.stop_daemon(metrics->daemon);
     free(metrics);
   }
 }
