@@ -61,7 +61,7 @@ QUESTIONS = [
     {
         "model": "better",
         "media": [SKIN] * 2,
-        "grid": dipole.Grid("linear", 400_000, 0.1, 10.0),
+        "grid": dipole.Grid(0.1, 10.0, 400_000),
         "evaluator": "f32",
     }
 ]
@@ -154,7 +154,7 @@ def test_a_job_is_not_begun_again(restarted):
         def kill(_: dipole.McProgress) -> None:
             restarted.kill()
 
-        edges = dipole.Grid("linear", 5, 0.0, 4.0)
+        edges = dipole.Grid(0.0, 4.0, 5)
         with pytest.raises(dipole.ConnectionLost):
             client.mc(SKIN, edges, photons=1_000_000_000, progress=kill)
 
@@ -193,9 +193,9 @@ def test_nobody_comes_back(daemon):
 
 
 def test_busy_is_asked_again(daemon):
-    """max_mc_jobs is no matter of evals, so the budget for buffers is: it is in use, and then not."""
+    """The budget for buffers is in use by somebody else, and then it is not."""
     one = daemon("--max-total-bytes", "1048576")
-    grid = dipole.Grid("linear", 100_000, 0.1, 10.0)
+    grid = dipole.Grid(0.1, 10.0, 100_000)
     with one.connect() as holder, one.client() as impatient:
         with dipole.Client(one.url(), retry_s=RETRY_S) as client:
             before = client.eval("better", SKIN, grid=grid, wanted=["R"])
@@ -210,7 +210,7 @@ def test_busy_is_asked_again(daemon):
             collected_id, result = client.collect()
             assert collected_id == request_id
             assert (result.R == before.R).all()
-            assert client.statistics()["errors_busy"] >= 1
+            assert client.statistics()["answers_busy"] >= 1
 
 
 def holding_frame() -> bytes:
