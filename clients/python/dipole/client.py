@@ -36,8 +36,8 @@ class Client:
     use it in a with statement; a private daemon ends with it.
 
     retry_s: how long a request that meets trouble is tried again; by default 5 s at a unix: or tcp:
-    address; 0: not at all. Trouble is a lost connection, or a daemon that is busy or stops: then the
-    client connects again and sends again what is outstanding. A connection is given up when a
+    address; 0: not at all. Trouble is a lost connection, or a daemon that is busy or stops: then
+    the client connects again and sends again what is outstanding. A connection is given up when a
     request cannot be asked again: mc(), eval_parts() of which parts have come, and what is beyond
     64 MiB of outstanding requests. dipole_set_retry_ms() in dipole.h tells more.
     """

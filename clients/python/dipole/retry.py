@@ -1,5 +1,5 @@
-"""Connecting again and asking again. Only what has one right answer, whoever gives it and however
-often it is asked for, is kept to be sent again; of an answer that had come in part nothing is used."""
+"""Connecting again and asking again. Only what has one right answer, whoever gives it and
+however often it is asked for, is kept to be sent again; what had come of an unfinished answer is dropped."""
 
 from __future__ import annotations
 
