@@ -417,19 +417,26 @@ static bool blocked(const struct connection *c) {
   return c->output.ready_bytes > c->server->options.max_queued_bytes;
 }
 
+/* A request has been taken up, and its answer is not complete. */
+static bool is_answering(const struct connection *c) {
+  return c->in_job || c->in_table;
+}
+
 /* One step of the work at hand; false: there is none. */
 static bool step(struct connection *c, uint64_t *budget) {
   if (c->waiting) {
     return false;
   }
-  if ((c->in_job || c->in_table) && is_late(c)) {
+  if (is_answering(c) && is_late(c)) {
     give_up(c);
     return !c->closing;
   }
   if (c->in_job && c->between_parts) {
     if (blocked(c)) {
+      job_rest(&c->job, worker_scratch(c->worker));
       return false;
     }
+    job_resume(&c->job, worker_scratch(c->worker));
     begin_part(c);
     return true;
   }
@@ -507,10 +514,12 @@ static void settle(struct connection *c) {
 
 void connection_run(struct connection *c) {
   uint64_t budget = TURN_RADII;
-  unsigned taken = 0; /* requests: a connection has no more under way than max_in_flight */
+  /* Requests whose answers have not been written: no more of them than max_in_flight. */
+  unsigned taken = is_answering(c);
   bool more = true;
-  while (more && budget > 0 && taken < c->server->options.max_in_flight && !c->closing) {
-    taken += !c->in_job && !c->in_table;
+  while (more && budget > 0 && !c->closing &&
+         (is_answering(c) || taken < c->server->options.max_in_flight)) {
+    taken += !is_answering(c);
     more = step(c, &budget);
   }
   if (!c->closing && !c->in_job) { /* a job has reserved the output */

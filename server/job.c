@@ -345,7 +345,8 @@ wire_error job_admit(struct job *job, const struct server *server, struct job_sc
   const uint64_t arrays = job->layout.arrays_per_channel * (uint64_t)fixed->medium_count;
   /* within max_radii 2^40, and a frame's 2^25 media and eight arrays, for a part of 256 radii */
   const double owed = (double)fixed->radius_count * (double)arrays;
-  job->owed_radii = owed < 1e18 ? (uint64_t)owed : (uint64_t)1000000000000000000;
+  job->owed_radii = owed < 1e15 ? (uint64_t)owed : (uint64_t)1000000000000000;
+  job->rests = false;
   if (job->owed_radii > JOB_SLICE_RADII && backlog_ms >= server->options.max_backlog_ms) {
     job->owed_radii = 0;
     wire_error error = wire_error_make(WIRE_STATUS_BUSY, "radius_count",
@@ -360,11 +361,21 @@ wire_error job_admit(struct job *job, const struct server *server, struct job_sc
 static void pay(struct job *job, struct job_scratch *scratch, uint64_t radii) {
   const uint64_t paid = radii < job->owed_radii ? radii : job->owed_radii;
   job->owed_radii -= paid;
-  scratch->owed_radii -= paid;
+  scratch->owed_radii -= job->rests ? 0 : paid;
 }
 
 void job_forgive(struct job *job, struct job_scratch *scratch) {
   pay(job, scratch, job->owed_radii);
+}
+
+void job_rest(struct job *job, struct job_scratch *scratch) {
+  scratch->owed_radii -= job->rests ? 0 : job->owed_radii;
+  job->rests = true;
+}
+
+void job_resume(struct job *job, struct job_scratch *scratch) {
+  scratch->owed_radii += job->rests ? job->owed_radii : 0;
+  job->rests = false;
 }
 
 /* Writes what holds for all values of the channel. */

@@ -32,7 +32,8 @@ struct job {
   uint32_t part_count;         /* and how many there are */
   uint32_t channel;
   uint64_t index;      /* the next radius of that channel in the part */
-  uint64_t owed_radii; /* its share of the worker's */
+  uint64_t owed_radii; /* its share of the worker's, */
+  bool rests;          /* which does not hold it at the moment */
   bool radii_done;
   unsigned notes;     /* of the channels so far */
   double tolerance;   /* that was asked for instead of a model; NAN: a model was */
@@ -65,6 +66,11 @@ wire_error job_admit(struct job *job, const struct server *server, struct job_sc
 
 /* It owes nothing any more. */
 void job_forgive(struct job *job, struct job_scratch *scratch);
+
+/* Between parts, while the reader does not keep up: what is not being worked on keeps nobody else
+ * from being admitted; and when it goes on. */
+void job_rest(struct job *job, struct job_scratch *scratch);
+void job_resume(struct job *job, struct job_scratch *scratch);
 
 /* Lets go of what a job holds or waits for that is given up before its reply is complete, or that
  * is. A job that has not been started is all 0, but for who is told: order.on_ready. */

@@ -23,53 +23,66 @@ static void free_chunk(struct output *output, struct output_chunk *chunk) {
   free(chunk);
 }
 
-/* A large chunk that is not too large is kept for the next large answer: its memory has been touched
- * and need not be asked for again. */
+/* Chunks are kept for the next answers, as far as they are not too large: their memory has been
+ * touched and need not be asked for again. */
 static void release_first(struct output *output) {
   struct output_chunk *chunk = output->first;
   output->first = chunk->next;
   if (output->first == NULL) {
     output->last = NULL;
   }
-  if (output->spare == NULL && chunk->capacity > CHUNK_BYTES && chunk->capacity <= SPARE_BYTES) {
-    output->spare = chunk;
-    output->spare_used = true;
+  if (chunk->capacity <= SPARE_BYTES - output->spare_bytes) {
+    chunk->next = output->spares;
+    output->spares = chunk;
+    output->spare_bytes += chunk->capacity;
+    output->spares_used = true;
   } else {
     free_chunk(output, chunk);
   }
 }
 
-static void free_spare(struct output *output) {
-  if (output->spare != NULL) {
-    free_chunk(output, output->spare);
-    output->spare = NULL;
+static void free_spares(struct output *output) {
+  while (output->spares != NULL) {
+    struct output_chunk *chunk = output->spares;
+    output->spares = chunk->next;
+    free_chunk(output, chunk);
   }
+  output->spare_bytes = 0;
 }
 
 void output_free(struct output *output) {
   while (output->first != NULL) {
     release_first(output);
   }
-  free_spare(output);
+  free_spares(output);
 }
 
 void output_settle(struct output *output) {
-  if (!output->spare_used) {
-    free_spare(output);
+  if (!output->spares_used) {
+    free_spares(output);
   }
-  output->spare_used = false;
+  output->spares_used = false;
 }
 
-/* The spare, if it is large enough; else it is given back. NULL: there is none. */
+/* Small answers take no large chunk, so that it is not held longer than it is needed. */
+static bool is_fit(const struct output_chunk *chunk, size_t bytes) {
+  return chunk->capacity >= bytes && (chunk->capacity == CHUNK_BYTES || bytes > CHUNK_BYTES);
+}
+
+/* The first spare that is fit; NULL: there is none. */
 static struct output_chunk *take_spare(struct output *output, size_t bytes) {
-  struct output_chunk *chunk = output->spare;
-  if (chunk != NULL && chunk->capacity >= bytes) {
-    output->spare = NULL;
-    *chunk = (struct output_chunk){.capacity = chunk->capacity};
-    return chunk;
+  struct output_chunk **link = &output->spares;
+  while (*link != NULL && !is_fit(*link, bytes)) {
+    link = &(*link)->next;
   }
-  free_spare(output);
-  return NULL;
+  struct output_chunk *chunk = *link;
+  if (chunk != NULL) {
+    *link = chunk->next;
+    output->spare_bytes -= chunk->capacity;
+    output->spares_used = true;
+    *chunk = (struct output_chunk){.capacity = chunk->capacity};
+  }
+  return chunk;
 }
 
 static struct output_chunk *new_chunk(struct output *output, size_t bytes) {
@@ -89,8 +102,14 @@ static struct output_chunk *new_chunk(struct output *output, size_t bytes) {
 }
 
 static struct output_chunk *add_chunk(struct output *output, size_t bytes) {
-  struct output_chunk *spare = bytes > CHUNK_BYTES ? take_spare(output, bytes) : NULL;
-  struct output_chunk *chunk = spare != NULL ? spare : new_chunk(output, bytes);
+  struct output_chunk *chunk = take_spare(output, bytes);
+  if (chunk == NULL) {
+    chunk = new_chunk(output, bytes);
+  }
+  if (chunk == NULL && output->spares != NULL) { /* which are too small, and in the way */
+    free_spares(output);
+    chunk = new_chunk(output, bytes);
+  }
   if (chunk == NULL) {
     return NULL;
   }

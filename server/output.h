@@ -19,10 +19,11 @@ struct output {
   struct server *server;
   struct output_chunk *first;
   struct output_chunk *last;
-  struct output_chunk *spare; /* a large one that has been written, for the next large answer */
-  bool spare_used;            /* since output_settle() */
-  uint64_t ready_bytes;       /* committed and not yet consumed */
-  size_t reserved_bytes;      /* at the end of the last chunk, being filled */
+  struct output_chunk *spares; /* that have been written, for the next answers */
+  size_t spare_bytes;
+  bool spares_used;      /* since output_settle() */
+  uint64_t ready_bytes;  /* committed and not yet consumed */
+  size_t reserved_bytes; /* at the end of the last chunk, being filled */
 };
 
 void output_init(struct output *output, struct server *server);
@@ -31,7 +32,7 @@ void output_free(struct output *output);
 /* Gives its memory back when nothing waits. */
 void output_rest(struct output *output);
 
-/* From time to time: gives the spare back, unless it has been used since it was last asked. */
+/* From time to time: gives the spares back, unless some have been used since it was last asked. */
 void output_settle(struct output *output);
 
 /* Room for bytes (a multiple of 8) at an address that is a multiple of 8, stable until it has been

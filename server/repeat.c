@@ -50,6 +50,16 @@ static bool is_listed(const struct repeat_entry *entry) {
   return entry->payload_bytes > entry->request_bytes;
 }
 
+/* What the cache has evicted is not used any more, and what is used is not to be evicted. */
+static bool is_kept(const struct repeat_entry *entry) {
+  struct cache_entry *cached = entry->order.entry;
+  if (cached == NULL) {
+    return true;
+  }
+  cache_used(cached);
+  return cache_keeps(cached);
+}
+
 const struct repeat_entry *repeat_find(const struct repeat *repeat, const uint8_t *payload,
                                        size_t payload_bytes) {
   const size_t bytes = start_bytes(payload, payload_bytes);
@@ -59,7 +69,10 @@ const struct repeat_entry *repeat_find(const struct repeat *repeat, const uint8_
   const struct repeat_entry *entry = &repeat->entries[place_of(payload, bytes)];
   const bool same = entry->request_bytes == bytes && entry->payload_bytes == payload_bytes &&
                     memcmp(entry->request, payload, bytes) == 0;
-  return same && (!is_listed(entry) || radii_are_right(entry, payload + bytes)) ? entry : NULL;
+  return same && is_kept(entry) &&
+                 (!is_listed(entry) || radii_are_right(entry, payload + bytes))
+             ? entry
+             : NULL;
 }
 
 /* ---- answering -------------------------------------------------------------------------------- */

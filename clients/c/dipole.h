@@ -220,7 +220,7 @@ typedef struct dipole_query {
   size_t parameter_count;
   /* After so many ms the daemon answers with an error of kind REFUSED, status `deadline`, instead of
    * a later result; they count from the arrival of the query. 0: no matter. */
-  uint32_t deadline_ms;
+  unsigned deadline_ms;
 } dipole_query;
 
 /* The answer for one medium. An array is NULL when its quantity was not wanted or when the
@@ -326,6 +326,7 @@ typedef struct dipole_table_query {
   dipole_medium medium;
   const dipole_parameter *parameters; /* [parameter_count], as of an eval: tolerance, ... */
   size_t parameter_count;
+  unsigned deadline_ms; /* as of an eval */
 } dipole_table_query;
 
 /* What holds for all values of a table; owned by the table and valid until it is freed. */

@@ -204,6 +204,7 @@ static libdipole_frame *ask(dipole_client *client, const dipole_table_query *que
                                     .moments = (uint16_t)query->moments,
                                     .parameter_count = (uint16_t)parameters};
   libdipole_pending pending = {.type = WIRE_TYPE_TABLE,
+                               .deadline_ms = query->deadline_ms,
                                .medium_count = 1,
                                .reply_bytes_min = WIRE_BYTES_table_reply,
                                .reply_bytes_max = table_reply_bytes(parameters, words_max)};

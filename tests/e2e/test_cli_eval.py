@@ -7,7 +7,7 @@ import re
 import struct
 
 import pytest
-from command_line import Proxy, busy, dipole, eval_json, eval_rows, points, read_csv
+from command_line import LATE, Proxy, busy, dipole, eval_json, eval_rows, points, read_csv
 from lists import everywhere
 from test_cli_numbers import many_numbers
 
@@ -203,6 +203,34 @@ def test_a_long_list_is_asked_for_in_parts(daemon):
         whole = eval_rows(*arguments, "--evaluator", evaluator)
         assert whole == eval_rows(*arguments, "--evaluator", evaluator, "--connect", small)
     assert len(whole) == 6000
+
+
+@pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
+def test_a_large_grid_comes_in_parts(daemon, evaluator):
+    small = daemon("--max-frame-bytes", "65536", "--max-part-bytes", "16384").url()
+    arguments = [*MEDIUM, "--want", "R,albedo,cdf", "--count", "20000", "--evaluator", evaluator]
+    whole = dipole("eval", "--format", "csv", *arguments).stdout
+    assert whole == dipole("eval", "--format", "csv", *arguments, "--connect", small).stdout
+    assert whole.count("\n") == 1 + 2 * 20000
+
+
+def test_several_models_and_a_choice_in_parts(daemon):
+    small = daemon("--max-frame-bytes", "65536", "--max-part-bytes", "16384").url()
+    grid = ["--from", "1", "--to", "5", "--count", "9000"]
+    for how in (["--model", "classical,beam,better"], ["--tolerance", "0.1"]):
+        arguments = ["--medium", "skin1", *grid, *how]
+        assert eval_json(*arguments) == eval_json(*arguments, "--connect", small)
+
+
+def test_a_deadline():
+    slow = [*MEDIUM, "--from", "1", "--to", "4", "--model", "transport"]
+    run = dipole("eval", *slow, "--deadline-ms", "1", status=LATE)
+    assert run.stdout == ""
+    assert run.stderr.endswith(": the answer takes longer (--deadline-ms)\n")
+    assert "deadline: " in run.stderr
+    for enough in ("0", "100000", "4294967295"):
+        arguments = [*MEDIUM, "--count", "3", "--deadline-ms", enough]
+        assert eval_rows(*arguments) == eval_rows(*MEDIUM, "--count", "3")
 
 
 def test_the_daemon_is_named_by_option_or_environment(daemon):

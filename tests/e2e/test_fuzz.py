@@ -9,6 +9,7 @@ import random
 import numpy as np
 import pytest
 from dipole import Connection, ConnectionLost, Frame, wire
+from dipole.answers import is_last
 from frames import (
     EVAL,
     HELLO,
@@ -28,9 +29,11 @@ from mixes import ALL_QUANTITIES
 
 SEED = int(os.environ.get("DIPOLED_FUZZ_SEED", "40009"))
 OPTIONS = ["--max-frame-bytes", "65536", "--max-media", "16", "--log-level", "info"]
+# So that there are answers in parts, and none that takes for ever.
+OPTIONS += ["--max-part-bytes", "32768", "--max-radii", "20000"]
 BATCH = 50
 
-COUNTS = [0, 1, 2, 7, 8, 255, 65535, 2**16, 2**27, 2**31, 2**32 - 1, 2**53, 2**61, 2**63, 2**64 - 1]
+COUNTS = [0, 1, 2, 7, 8, 255, 10_000, 65535, 2**16, 2**27, 2**31, 2**32 - 1, 2**53, 2**61, 2**63, 2**64 - 1]
 # Between which the values of a quantity are, if not between 0 and infinity.
 RANGES = {
     wire.QUANTITY_CDF: (0, 1),
@@ -70,7 +73,7 @@ def right_request(rng: random.Random) -> tuple[int, bytes]:
     media = [rng.choice([SKIN, SPECTRALON]) for _ in range(rng.randint(1, 4))]
     if rng.random() < 0.4:
         spacing = rng.choice([LINEAR, LOGARITHMIC])
-        count = rng.randint(1, 300)
+        count = rng.randint(1, 300 if rng.random() < 0.9 else 20_000)
         grid = {"spacing": spacing, "radius_count": count, "radius_start": 0.1, "radius_stop": 4.0}
         return EVAL, eval_payload(media, None, **grid, **fixed)
     radii = [rng.uniform(0, 9) for _ in range(rng.randint(0, 20))]
@@ -132,6 +135,8 @@ def assert_well_formed(reply: Frame) -> None:
 def assert_well_formed_eval(payload: bytes) -> None:
     """The arrays are there, and no value is NaN or out of its quantity's range."""
     fixed = wire.EVAL_REPLY.unpack(payload)
+    assert fixed.part < fixed.part_count
+    assert fixed.part_count == 1 or len(payload) <= 32768
     value_type = np.dtype(wire.EVALUATOR_TYPES[fixed.evaluator])
     per_channel = [q for q in wire.ELEMENTWISE if fixed.wanted & q]
     radii = bool(fixed.wanted & wire.QUANTITY_RADIUS)
@@ -151,22 +156,44 @@ def assert_well_formed_eval(payload: bytes) -> None:
         assert np.all((values >= least) & (values <= most)), (quantity, fixed)
 
 
+def receive_answers(connection: Connection, count: int) -> list[Frame]:
+    """The frames until so many answers have come to their end."""
+    frames = []
+    while count > 0:
+        frames.append(connection.receive_frame())
+        count -= frames[-1].type != EVAL | wire.REPLY or is_last(frames[-1].payload)
+    return frames
+
+
+def assert_parts_follow_each_other(replies: list[Frame]) -> int:
+    """An answer's parts are all there, in their order; how many answers have more than one."""
+    begun: dict[int, int] = {}
+    for reply in replies:
+        if reply.type == EVAL | wire.REPLY:
+            fixed = wire.EVAL_REPLY.unpack(reply.payload)
+            assert fixed.part == begun.get(reply.request_id, 0)
+            begun[reply.request_id] = fixed.part + 1
+    return sum(parts > 1 for parts in begun.values())
+
+
 def test_broken_payloads(daemon, rng):
     one = daemon(*OPTIONS)
     outcomes = {True: 0, False: 0}
+    in_parts = 0
     with one.connect() as connection:
         for batch in range(80):
             requests = [broken_request(rng) for _ in range(BATCH)]
             data = [frame(type, i, payload) for i, (type, payload) in enumerate(requests)]
             connection.send_bytes(b"".join(data))
-            replies = [connection.receive_frame() for _ in requests]
-            assert sorted(reply.request_id for reply in replies) == list(range(BATCH)), batch
+            replies = receive_answers(connection, len(requests))
+            assert sorted({reply.request_id for reply in replies}) == list(range(BATCH)), batch
+            in_parts += assert_parts_follow_each_other(replies)
             for reply in replies:
                 assert_well_formed(reply)
                 outcomes[reply.type == wire.TYPE_ERROR] += 1
             if batch % 10 == 0:
                 assert_daemon_serves(one)
-    assert min(outcomes.values()) > 500, outcomes
+    assert min(outcomes.values()) > 500 and in_parts > 10, (outcomes, in_parts)
     assert_daemon_serves(one)
 
 

@@ -87,7 +87,7 @@ def test_listed_radii_come_back_when_wanted(client):
 
 def test_a_grid_for_an_albedo_costs_nothing(client):
     # However many radii: none of them is needed for what is wanted.
-    result = client.eval("better", MEDIA, grid=Grid(0.0, 1.0, 2**53), wanted=["albedo"])
+    result = client.eval("better", MEDIA, grid=Grid(0.0, 1.0, 2**40), wanted=["albedo"])
     assert result.albedo[2] == 1.0
 
 

@@ -185,6 +185,163 @@ def test_submit_and_collect(client):
         client.collect()
 
 
+# ---- answers in parts ----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def small(daemon):
+    """A client of a daemon whose parts are small."""
+    with daemon("--max-frame-bytes", "65536", "--max-part-bytes", "32768").client() as one:
+        yield one
+
+
+def assert_same_result(one: dipole.Result, other: dipole.Result, radii=slice(None)) -> None:
+    """Bit for bit, of some of the radii of the other."""
+    for field in ("model", "evaluator", "moments", "notes"):
+        assert getattr(one, field) == getattr(other, field)
+    for field in ("albedo", "numerical_error_constant", "numerical_error_per_mm", "model_error"):
+        np.testing.assert_array_equal(getattr(one, field), getattr(other, field))
+    assert one.values.keys() == other.values.keys()
+    for name in one.values:
+        np.testing.assert_array_equal(one.values[name], other.values[name][:, radii])
+    if other.r is not None:
+        np.testing.assert_array_equal(one.r, other.r[radii])
+
+
+LARGE = {
+    "a grid": {"grid": Grid(0.0, 5.0, 20_001)},
+    "a grid without its radii": {"grid": Grid(0.0, 5.0, 20_001), "wanted": ["R", "pdf"]},
+    "single precision": {"grid": Grid(0.1, 5.0, 20_001, "logarithmic"), "evaluator": "f32"},
+    "a list": {"r": np.linspace(0, 3, 7000), "wanted": ["R", "cdf", "albedo"]},
+    "a list in single precision": {"r": np.linspace(0, 3, 9999), "evaluator": "lut"},
+}
+
+
+@pytest.mark.parametrize("name", LARGE)
+def test_parts(client, small, name):
+    whole = client.eval("better", THREE, **LARGE[name])
+    together = small.eval("better", THREE, **LARGE[name])
+    assert_same_result(together, whole)
+    assert together.radius_first == 0 and together.R.shape == whole.R.shape
+    assert together.R.dtype == whole.R.dtype
+    assert not together.R.flags.writeable
+    [only] = client.eval_parts("better", THREE, **LARGE[name])
+    assert_same_result(only, whole)
+    first = 0
+    for part in small.eval_parts("better", THREE, **LARGE[name]):
+        assert part.radius_first == first
+        end = first + part.R.shape[1]
+        assert_same_result(part, whole, slice(first, end))
+        first = end
+    assert first == whole.R.shape[1]
+
+
+def test_parts_among_others(small):
+    """Answers in parts, some of them read part by part, and short ones, all at once."""
+    grid = Grid(0.0, 5.0, 10_000)
+    expected = small.eval("better", SKIN, grid=grid)
+    ids = [small.submit("better", SKIN, grid=grid) for _ in range(3)]
+    first = small.eval_parts("better", SKIN, grid=grid)
+    second = small.eval_parts("better", SKIN, grid=grid)
+    short = small.submit("better", SKIN, [1.0])
+    parts = [next(first), next(second)]
+    assert small.eval("better", SKIN, [1.0]).R.shape == (1, 1)
+    assert small.ping() > 0
+    parts += [*second, *first]
+    assert sum(part.R.shape[1] for part in parts) == 20_000
+    collected = dict(small.collect() for _ in range(4))
+    assert sorted(collected) == sorted([*ids, short])
+    for request_id in ids:
+        assert_same_result(collected[request_id], expected)
+
+
+def test_parts_that_are_not_wanted(small):
+    grid = Grid(0.0, 5.0, 10_000)
+    with small.eval_parts("better", SKIN, grid=grid) as parts:
+        next(parts)
+    assert list(parts) == []
+    unread = small.eval_parts("better", SKIN, grid=grid)
+    del unread
+    left = small.eval_parts("better", SKIN, grid=grid)
+    left.close()
+    left.close()
+    assert len(list(small.eval_parts("better", SKIN, grid=grid))) > 3
+    with pytest.raises(dipole.ArgumentError):
+        small.collect()
+
+
+def test_parts_that_are_refused(small):
+    parts = small.eval_parts("better", SKIN, [1.0, -1.0])
+    with pytest.raises(dipole.Refused) as caught:
+        next(parts)
+    assert caught.value.field == "r"
+    assert list(parts) == []
+    assert len(list(small.eval_parts("better", SKIN, [1.0]))) == 1
+    with pytest.raises(dipole.ArgumentError):
+        small.eval_parts("worst", SKIN, [1.0])
+
+
+EVAL_REPLY = wire.MESSAGES["eval"] | wire.REPLY
+
+
+def part_payload(**changes: int) -> bytes:
+    """A part of an answer about one medium, R in double precision, 10 radii in two parts."""
+    fields = {
+        "model": 2,
+        "evaluator": 1,
+        "moments": 1,
+        "wanted": 1,
+        "channel_count": 1,
+        "notes": 0,
+        "radius_count": 5,
+        "radius_first": 0,
+        "part": 0,
+        "part_count": 2,
+    }
+    fields |= changes
+    values = np.arange(fields["radius_count"], dtype="<f8")
+    return wire.EVAL_REPLY.pack(**fields) + bytes(32) + values.tobytes()
+
+
+SECOND = {"radius_first": 5, "part": 1}
+# name: what comes instead of the two parts
+LIES = {
+    "the second first": [part_payload(**SECOND)],
+    "the first twice": [part_payload(), part_payload()],
+    "one part of fewer": [part_payload(part_count=1)],
+    "more radii": [part_payload(), part_payload(**SECOND | {"radius_count": 6})],
+    "fewer radii": [part_payload(), part_payload(**SECOND | {"radius_count": 4})],
+    "no radii": [part_payload(), part_payload(**SECOND | {"radius_count": 0, "part_count": 3})],
+    "from elsewhere": [part_payload(), part_payload(**SECOND | {"radius_first": 4})],
+    "another model": [part_payload(), part_payload(**SECOND | {"model": 1})],
+    "other notes": [part_payload(), part_payload(**SECOND | {"notes": 1})],
+    "more parts": [part_payload(), part_payload(**SECOND | {"part_count": 3})],
+    "another channel": [part_payload(), part_payload(**SECOND)[:40] + bytes(31) + b"1" + bytes(40)],
+    "other quantities": [part_payload(wanted=4)],
+    "another evaluator": [part_payload(evaluator=2)],
+    "an unknown evaluator": [part_payload(evaluator=9)],
+    "two channels": [part_payload(channel_count=2)],
+    "cut short": [part_payload()[:-8]],
+    "almost nothing": [part_payload()[:32]],
+}
+
+
+@pytest.mark.parametrize("name", LIES)
+def test_parts_that_do_not_belong_together(shared, name):
+    """In place of a daemon's answer; its hello is its own."""
+    ours, theirs = socket.socketpair()
+    with shared.client() as client, ours, theirs:
+        connection = client._connection
+        connection.socket.close()
+        connection.socket = ours
+        for how in (client.eval, lambda *query: list(client.eval_parts(*query))):
+            number = client._last_id + 1
+            theirs.sendall(b"".join(frame(EVAL_REPLY, number, payload) for payload in LIES[name]))
+            with pytest.raises(dipole.ProtocolError):
+                how("better", SKIN, np.arange(10.0))
+            connection._incoming.clear()
+
+
 def test_much_may_be_submitted_before_anything_is_collected(client):
     """Both ends have megabytes to say: neither may wait for the other for ever."""
     r = np.linspace(0, 10, 50_000)

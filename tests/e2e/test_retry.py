@@ -22,11 +22,21 @@ class Restarted:
     def __init__(self, url: str):
         self._options = ("--max-frame-bytes", "1048576", "--max-part-bytes", "65536")
         self._daemon = Daemon(*self._options, listen=[url])
+        self._late: threading.Timer | None = None
         self.url = self._daemon.urls[0]  # with the port that it got
 
     def kill(self) -> None:
         """SIGKILL, and another one."""
         self._daemon.kill()
+        self._daemon = Daemon(*self._options, listen=[self.url])
+
+    def pause_and_come_back(self) -> None:
+        """SIGKILL; another one only once clients have tried in vain."""
+        self._daemon.kill()
+        self._late = threading.Timer(0.3, self._begin)
+        self._late.start()
+
+    def _begin(self) -> None:
         self._daemon = Daemon(*self._options, listen=[self.url])
 
     def stop(self) -> None:
@@ -36,6 +46,8 @@ class Restarted:
 
     def close(self) -> None:
         """Stops the last one."""
+        if self._late is not None:
+            self._late.join()
         self._daemon.close()
 
 
@@ -181,6 +193,23 @@ def test_no_retries_where_none_are_wanted(restarted):
         for _ in range(2):
             with pytest.raises(dipole.ConnectionLost):
                 client.ping()
+
+
+@pytest.mark.parametrize("what", ["eval", "parts", "table"])
+def test_deadlines_go_on_while_nobody_is_there(restarted, what):
+    """What cannot be sent again in time is late, and nothing else is."""
+    with dipole.Client(restarted.url, retry_s=RETRY_S) as client:
+        ask = {
+            "eval": lambda: client.eval("better", SKIN, [1.0], deadline_ms=1),
+            "parts": lambda: next(client.eval_parts("better", SKIN, [1.0], deadline_ms=1)),
+            "table": lambda: client.table("better", SKIN, deadline_ms=1),
+        }[what]
+        client.ping()
+        restarted.pause_and_come_back()
+        with pytest.raises(dipole.Refused) as caught:
+            ask()
+        assert (caught.value.status, caught.value.field) == ("deadline", "deadline_ms")
+        assert client.eval("better", SKIN, [1.0]).R > 0
 
 
 def test_nobody_comes_back(daemon):

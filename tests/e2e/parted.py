@@ -1,0 +1,71 @@
+"""Answers to evals in parts, taken from a connection and put together by hand."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from dipole import Connection, wire
+from frames import EVAL
+
+EVALUATED = EVAL | wire.REPLY
+
+
+class Part(NamedTuple):
+    """A reply to an eval, taken apart."""
+
+    fixed: Any
+    channels: bytes
+    rows: list[np.ndarray]  # the radii if they are in it, then each channel's arrays; as bits
+
+
+def take_apart(payload: bytes) -> Part:
+    """A part must be a whole reply: every array is there, padded with zero bytes."""
+    fixed = wire.EVAL_REPLY.unpack(payload)
+    value_bytes = np.dtype(wire.EVALUATOR_TYPES[fixed.evaluator]).itemsize
+    arrays = fixed.channel_count * sum(1 for q in wire.ELEMENTWISE if fixed.wanted & q)
+    arrays += bool(fixed.wanted & wire.QUANTITY_RADIUS)
+    start = wire.EVAL_REPLY.bytes + fixed.channel_count * wire.CHANNEL.bytes
+    used = fixed.radius_count * value_bytes
+    stride = wire.padded(used)
+    assert len(payload) == start + arrays * stride
+    rows = []
+    for at in range(start, len(payload), stride or 1):
+        rows.append(np.frombuffer(payload, f"<u{value_bytes}", fixed.radius_count, at))
+        assert payload[at + used : at + stride] == bytes(stride - used)
+    return Part(fixed, payload[wire.EVAL_REPLY.bytes : start], rows)
+
+
+def receive_parts(connection: Connection, request_id: int = 77) -> list[Part]:
+    """The parts of the next answer, of which the first must come now."""
+    parts: list[Part] = []
+    while not parts or parts[-1].fixed.part + 1 < parts[-1].fixed.part_count:
+        reply = connection.receive_frame()
+        assert (reply.type, reply.request_id) == (EVALUATED, request_id), reply[:2]
+        parts.append(take_apart(reply.payload))
+    return parts
+
+
+def put_together(parts: list[Part]) -> Part:
+    """One reply out of the parts, which must follow each other and agree."""
+    first = parts[0]
+    radii = 0
+    for number, part in enumerate(parts):
+        assert part.fixed.part == number and part.fixed.radius_first == radii
+        radii += part.fixed.radius_count
+        alike = {"part": 0, "radius_first": 0, "radius_count": 0}
+        assert part.fixed._replace(**alike) == first.fixed._replace(**alike)
+        assert part.channels == first.channels
+        assert part.fixed.radius_count > 0 or part.fixed.part_count == 1
+    assert len(parts) == first.fixed.part_count
+    rows = [np.concatenate(row) for row in zip(*(part.rows for part in parts), strict=True)]
+    whole = {"part": 0, "part_count": 1, "radius_first": 0, "radius_count": radii}
+    return Part(first.fixed._replace(**whole), first.channels, rows)
+
+
+def assert_same(one: Part, other: Part) -> None:
+    """Bit for bit."""
+    assert one.fixed == other.fixed
+    assert one.channels == other.channels
+    for row, other_row in zip(one.rows, other.rows, strict=True):
+        np.testing.assert_array_equal(row, other_row)

@@ -1,0 +1,282 @@
+"""Short requests that arrive together are evaluated together: nobody can tell by the answers, and
+in steady state they take no memory from the heap."""
+
+from __future__ import annotations
+
+import random
+import threading
+
+import numpy as np
+import pytest
+from daemons import Daemon
+from dipole import Connection, wire
+from frames import (
+    ALBEDO,
+    CDF,
+    EVAL,
+    F32,
+    F64,
+    LINEAR,
+    LOGARITHMIC,
+    RADIUS,
+    SKIN,
+    SPECTRALON,
+    R,
+    ask,
+    assert_serves,
+    eval_payload,
+    frame,
+)
+from lists import MODELS, PARAMETERS, QUANTITIES, everywhere
+from mixes import random_payload
+from parted import EVALUATED
+from test_limits import statistics
+
+LUT = 3
+SEED = 7041
+
+
+def similar_payload(rng: random.Random) -> bytes:
+    """One of a few profiles, so that many requests are for the same one: any quantities, precision,
+    parameters and length."""
+    media = rng.choice([[SKIN], [SPECTRALON], [SKIN, SPECTRALON], [(0.5, 1.0, 0.0, 1.4)] * 3])
+    count = rng.choice([0, 1, 2, 3, 7, 8, 15, 16, 16, 16, 17, 100, 127, 128, 129, 200])
+    angles = [(PARAMETERS[name].id, rng.choice([0.25, 1.0])) for name in ("cos_in", "cos_out")]
+    model = rng.choice(["better", "better", "classical", "single", "beam", "better+single"])
+    fields = {
+        "model": MODELS[model],
+        "evaluator": rng.choice([F64, F32, LUT]),
+        "wanted": rng.choice([R, R, R | CDF | ALBEDO, R | RADIUS, rng.randint(1, 511), CDF]),
+        "parameters": angles if rng.random() < 0.3 else [],
+    }
+    if fields["evaluator"] == LUT and model in ("better", "classical"):
+        fields["parameters"] = [(PARAMETERS["tolerance"].id, rng.choice([1e-3, 1e-4]))]
+    elif fields["evaluator"] == LUT and model != "beam":  # whose tables take long
+        fields["evaluator"] = F32
+    if rng.random() < 0.6 or count == 0:
+        radii = np.random.default_rng(rng.getrandbits(32)).uniform(0.0, 5.0, count)
+        return eval_payload(media, radii, **fields)
+    return eval_payload(
+        media,
+        None,
+        spacing=rng.choice([LINEAR, LOGARITHMIC]),
+        radius_count=count,
+        radius_start=rng.choice([0.01, 0.1]),
+        radius_stop=rng.choice([1.0, 6.0]),
+        **fields,
+    )
+
+
+def random_lut(rng: random.Random) -> bytes:
+    """A table of any model that has one everywhere."""
+    model = rng.choice([name for name in everywhere() if "transport" not in name])
+    radii = np.random.default_rng(rng.getrandbits(32)).uniform(0.0, 5.0, rng.randint(0, 200))
+    fields = {"model": MODELS[model], "evaluator": LUT, "wanted": R | CDF | ALBEDO}
+    return eval_payload([SKIN], radii, **fields)
+
+
+def takes_long(payload: bytes) -> bool:
+    """Transport, a second for each medium; it is asked for elsewhere."""
+    return wire.EVAL_REQUEST.unpack(payload).model == MODELS["transport"]
+
+
+def mixed_payloads(seed: int) -> list[bytes]:
+    rng = random.Random(seed)
+    payloads = [random_payload(rng, rng.randint(0, 200)) for _ in range(200)]
+    payloads = [payload for payload in payloads if not takes_long(payload)]
+    payloads += [similar_payload(rng) for _ in range(1000)]
+    payloads += [random_lut(rng) for _ in range(8)]
+    rng.shuffle(payloads)
+    return payloads
+
+
+class Pipeline(threading.Thread):
+    """Sends requests over a connection of its own without waiting, and collects the answers."""
+
+    def __init__(self, daemon, requests: dict[int, bytes], scheme: str):
+        super().__init__()
+        self._connection = daemon.connect(scheme)
+        self._requests = requests
+        self.answers: dict[int, tuple[int, bytes]] = {}
+        self.start()
+
+    def run(self) -> None:
+        with self._connection as connection:
+            data = [frame(EVAL, i, payload) for i, payload in self._requests.items()]
+            connection.send_bytes(b"".join(data))
+            for _ in data:
+                reply = connection.receive_frame()
+                self.answers[reply.request_id] = (reply.type, reply.payload)
+
+
+def pipelined(daemon, payloads: list[bytes], connections: int) -> list[tuple[int, bytes]]:
+    """The answers to all, spread over some connections."""
+    threads = []
+    for i in range(connections):
+        share = {k: payloads[k] for k in range(i, len(payloads), connections)}
+        threads.append(Pipeline(daemon, share, ("unix", "tcp")[i % 2]))
+    answers: dict[int, tuple[int, bytes]] = {}
+    for thread in threads:
+        thread.join()
+        answers |= thread.answers
+    return [answers[i] for i in range(len(payloads))]
+
+
+# ---- the same bits -------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def alone():
+    """What each request of the mix gets from a daemon that has nothing else to do."""
+    one = Daemon("--workers", "1")
+    payloads = mixed_payloads(SEED)
+    with one.connect() as connection:
+        replies = [ask(connection, EVAL, payload) for payload in payloads]
+    one.close()
+    return payloads, [(reply.type, reply.payload) for reply in replies]
+
+
+@pytest.mark.parametrize(
+    "options, connections", [(["--workers", "1"], 6), (["--max-in-flight", "3"], 1), ([], 6)]
+)
+def test_together_as_alone(daemon, alone, options, connections):
+    payloads, expected = alone
+    one = daemon(*options)
+    for times in range(2):  # the second time all is known
+        answers = pipelined(one, payloads, connections)
+        for i, (answer, right) in enumerate(zip(answers, expected, strict=True)):
+            assert answer == right, (times, i, wire.EVAL_REQUEST.unpack(payloads[i]))
+    assert sum(type == EVALUATED for type, _ in expected) > 900
+    with one.connect() as watcher:
+        now = statistics(watcher)
+    assert 0 < now["batches_evaluated"] < now["batched_requests"]
+
+
+def test_a_fault_among_many(daemon):
+    """A refused request leaves those beside it as they are."""
+    one = daemon("--workers", "1")
+    good = [eval_payload([SKIN], [0.1 * i, 1.0], wanted=R) for i in range(1, 200)]
+    bad = [eval_payload([SKIN], [-1.0, 1.0], wanted=R), eval_payload([(-1, 1, 0, 1.3)], wanted=R)]
+    with one.connect() as connection:
+        expected = [ask(connection, EVAL, payload).payload for payload in good]
+    payloads = [payload for i in range(len(good)) for payload in (good[i], bad[i % 2])]
+    answers = pipelined(one, payloads, 3)
+    assert [payload for _, payload in answers[::2]] == expected
+    assert {type for type, _ in answers[1::2]} == {wire.TYPE_ERROR}
+
+
+def test_leaving_within_a_batch(daemon):
+    """Clients that are gone before their answers have been evaluated."""
+    one = daemon("--workers", "1")
+    payload = eval_payload([SKIN], np.linspace(0, 3, 16), wanted=R)
+    with one.connect() as staying:
+        alone = ask(staying, EVAL, payload).payload
+        for _ in range(30):
+            leaving = [one.connect() for _ in range(4)]
+            for connection in leaving:
+                connection.send_bytes(frame(EVAL, 1, payload) * 50)
+            staying.send_bytes(frame(EVAL, 2, payload) * 50)
+            for connection in leaving:
+                connection.close()
+            for _ in range(50):
+                assert staying.receive_frame() == (EVALUATED, 2, alone)
+        assert_serves(staying)
+
+
+# ---- how many go together ------------------------------------------------------------------------
+
+SIXTEEN = eval_payload([SKIN], np.linspace(0.1, 3, 16), wanted=R)
+
+
+def batch_counts(connection: Connection) -> tuple[int, int]:
+    now = statistics(connection)
+    return now["batches_evaluated"], now["batched_requests"]
+
+
+def send_and_receive(connection: Connection, payload: bytes, times: int) -> None:
+    connection.send_bytes(frame(EVAL, 1, payload) * times)
+    for _ in range(times):
+        assert connection.receive_frame().type == EVALUATED
+
+
+def test_a_pipeline_is_evaluated_in_few_passes(daemon):
+    one = daemon("--workers", "1")
+    with one.connect() as connection, one.connect() as watcher:
+        before = batch_counts(watcher)
+        send_and_receive(connection, SIXTEEN, 5000)
+        after = batch_counts(watcher)
+    assert after[1] - before[1] == 5000
+    assert after[0] - before[0] < 1000
+
+
+@pytest.mark.parametrize("most", [1, 2, 10])
+def test_max_in_flight(daemon, most):
+    """No more requests of a connection are under way at a time, so no more go together."""
+    one = daemon("--workers", "1", "--max-in-flight", str(most))
+    with one.connect() as connection, one.connect() as watcher:
+        before = batch_counts(watcher)
+        send_and_receive(connection, SIXTEEN, 1000)
+        after = batch_counts(watcher)
+        assert after[1] - before[1] == 1000
+        assert after[0] - before[0] >= 1000 / most
+        assert_serves(connection)
+
+
+def test_long_requests_are_not_gathered(daemon):
+    one = daemon("--workers", "1")
+    with one.connect() as connection, one.connect() as watcher:
+        before = batch_counts(watcher)
+        send_and_receive(connection, eval_payload([SKIN], [1.0] * 129, wanted=R), 100)
+        assert batch_counts(watcher) == before
+        send_and_receive(connection, eval_payload([SKIN], [1.0] * 128, wanted=R), 100)
+        assert batch_counts(watcher)[1] == before[1] + 100
+
+
+# ---- nothing from the heap -----------------------------------------------------------------------
+
+STEADY = {
+    "better": {"model": MODELS["better"]},
+    "better, all that there is": {
+        "model": MODELS["better"],
+        "media": [SKIN] * 3,
+        "wanted": sum(QUANTITIES.values()),
+    },
+    "better in single precision, by rule": {
+        "model": MODELS["better"],
+        "evaluator": F32,
+        "radii": None,
+        "radius_count": 16,
+    },
+    "by table": {"model": MODELS["better"], "evaluator": LUT},
+    "transport by table": {"model": MODELS["transport"], "evaluator": LUT, "radii": [0.5] * 16},
+    "single": {"model": MODELS["single"], "media": [(0.1, 1.0, 0.7, 1.3)]},
+    "single in single precision": {"model": MODELS["single"], "evaluator": F32},
+    "two hundred radii": {"model": MODELS["better"], "radii": [0.5] * 200},
+    "a tolerance": {
+        "model": 0,
+        "parameters": [(PARAMETERS["tolerance"].id, 0.02)],
+        "radii": [0.5] * 16,
+    },
+}
+
+
+@pytest.mark.parametrize("name", STEADY)
+def test_steady_requests_allocate_nothing(daemon, name):
+    """Ten thousand requests, one by one or a hundred at a time, over a connection that has had
+    some."""
+    fields = {"media": [SKIN], "radii": np.linspace(0.1, 3, 16), "wanted": R, **STEADY[name]}
+    payload = eval_payload(**fields)
+    one = daemon("--workers", "1")
+    with one.connect() as connection, one.connect("tcp") as other:
+        for each in (connection, other):
+            send_and_receive(each, payload, 100)
+            send_and_receive(each, payload, 1)
+            statistics(each)
+        before = statistics(connection)["allocations"]
+        for _ in range(45):
+            send_and_receive(connection, payload, 100)
+            send_and_receive(other, payload, 100)
+        for _ in range(500):
+            send_and_receive(connection, payload, 1)
+            send_and_receive(other, payload, 1)
+        assert statistics(connection)["allocations"] == before
