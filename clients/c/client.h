@@ -135,8 +135,8 @@ typedef struct libdipole_pending {
 
   /* For asking again: */
   size_t frame_bytes;
-  uint8_t *kept;      /* [frame_bytes], the request as it was sent; NULL: it cannot be asked again */
-  int64_t sent_ms;    /* with a deadline: when it was first sent */
+  uint8_t *kept;   /* [frame_bytes], the request as it was sent; NULL: it cannot be asked again */
+  int64_t sent_ms; /* with a deadline: when it was first sent */
   int64_t trouble_ms; /* when it first got no answer; 0: has not happened */
   int64_t again_ms;   /* when it is to be sent again; 0: it is sent */
 } libdipole_pending;

@@ -98,16 +98,16 @@ void dipole_set_timeout_ms(dipole_client *client, unsigned timeout_ms);
  * answers BUSY and SHUTTING_DOWN. The client then connects again to the same address, with pauses
  * from 10 ms on, doubled up to 1 s, shortened at random by up to a half, and sends all that is
  * outstanding again, with the same ids, what is left of its deadline, and not before the daemon's
- * retry_after_ms. What has no answer retry_ms after its first trouble fails as it would have done at
- * once: with CONNECTION, or REFUSED.
+ * retry_after_ms. What has no answer retry_ms after its first trouble fails as it would have done
+ * at once: with CONNECTION, or REFUSED.
  *
- * Only what has the same one right answer whoever gives it is asked again: all requests but those of
- * dipole_mc(), whose photons would be lost. No answer is wrong or comes twice. The connection is
- * given up, and all outstanding requests with it, when it is lost while one of them cannot be asked
- * again: one of dipole_mc(); one of dipole_eval_parts() of which parts have been handed on; one that
- * DIPOLE_RETRY_KEPT_BYTES have no room for; likewise when the daemon that is there now does not
- * have the same lists (see dipole_get_info(), which goes on to tell of the first one). A daemon that
- * stays connected and silent for the timeout is not asked again. */
+ * Only what has the same one right answer whoever gives it is asked again: all requests but those
+ * of dipole_mc(), whose photons would be lost. No answer is wrong or comes twice. The connection
+ * is given up, and all outstanding requests with it, when it is lost while one of them cannot be
+ * asked again: one of dipole_mc(); one of dipole_eval_parts() of which parts have been handed on;
+ * one that DIPOLE_RETRY_KEPT_BYTES have no room for; likewise when the daemon that is there now
+ * does not have the same lists (see dipole_get_info(), which goes on to tell of the first one). A
+ * daemon that stays connected and silent for the timeout is not asked again. */
 void dipole_set_retry_ms(dipole_client *client, unsigned retry_ms);
 
 /* Closes the connection, ends a private daemon, frees the client. NULL is fine. */

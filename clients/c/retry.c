@@ -245,7 +245,6 @@ static bool has_lists_of(const dipole_client *fresh, const dipole_client *client
 
 /* The fresh one's connection becomes the client's own; the fresh one is freed. */
 static void take_over(dipole_client *client, dipole_client *fresh) {
-  libdipole_stream_close(&client->stream);
   free(client->frame);
   client->frame = NULL;
   client->stream = fresh->stream;
@@ -311,6 +310,8 @@ bool libdipole_retry_restore(dipole_client *client, dipole_error *error) {
       !can_restore(client, &until_ms)) {
     return false;
   }
+  /* At once: a daemon that stops waits a while for its clients to close. */
+  libdipole_stream_close(&client->stream);
   dipole_client *fresh = connect_again(client, until_ms, error);
   if (fresh == NULL) {
     return false;

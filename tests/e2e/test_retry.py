@@ -22,11 +22,21 @@ class Restarted:
     def __init__(self, url: str):
         self._options = ("--max-frame-bytes", "1048576", "--max-part-bytes", "65536")
         self._daemon = Daemon(*self._options, listen=[url])
+        self._late: threading.Timer | None = None
         self.url = self._daemon.urls[0]  # with the port that it got
 
     def kill(self) -> None:
         """SIGKILL, and another one."""
         self._daemon.kill()
+        self._daemon = Daemon(*self._options, listen=[self.url])
+
+    def pause_and_come_back(self) -> None:
+        """SIGKILL; another one only once clients have tried in vain."""
+        self._daemon.kill()
+        self._late = threading.Timer(0.3, self._begin)
+        self._late.start()
+
+    def _begin(self) -> None:
         self._daemon = Daemon(*self._options, listen=[self.url])
 
     def stop(self) -> None:
@@ -36,6 +46,8 @@ class Restarted:
 
     def close(self) -> None:
         """Stops the last one."""
+        if self._late is not None:
+            self._late.join()
         self._daemon.close()
 
 
@@ -61,7 +73,7 @@ QUESTIONS = [
     {
         "model": "better",
         "media": [SKIN] * 2,
-        "grid": dipole.Grid("linear", 400_000, 0.1, 10.0),
+        "grid": dipole.Grid(0.1, 10.0, 400_000),
         "evaluator": "f32",
     }
 ]
@@ -154,7 +166,7 @@ def test_a_job_is_not_begun_again(restarted):
         def kill(_: dipole.McProgress) -> None:
             restarted.kill()
 
-        edges = dipole.Grid("linear", 5, 0.0, 4.0)
+        edges = dipole.Grid(0.0, 4.0, 5)
         with pytest.raises(dipole.ConnectionLost):
             client.mc(SKIN, edges, photons=1_000_000_000, progress=kill)
 
@@ -183,6 +195,23 @@ def test_no_retries_where_none_are_wanted(restarted):
                 client.ping()
 
 
+@pytest.mark.parametrize("what", ["eval", "parts", "table"])
+def test_deadlines_go_on_while_nobody_is_there(restarted, what):
+    """What cannot be sent again in time is late, and nothing else is."""
+    with dipole.Client(restarted.url, retry_s=RETRY_S) as client:
+        ask = {
+            "eval": lambda: client.eval("better", SKIN, [1.0], deadline_ms=1),
+            "parts": lambda: next(client.eval_parts("better", SKIN, [1.0], deadline_ms=1)),
+            "table": lambda: client.table("better", SKIN, deadline_ms=1),
+        }[what]
+        client.ping()
+        restarted.pause_and_come_back()
+        with pytest.raises(dipole.Refused) as caught:
+            ask()
+        assert (caught.value.status, caught.value.field) == ("deadline", "deadline_ms")
+        assert client.eval("better", SKIN, [1.0]).R > 0
+
+
 def test_nobody_comes_back(daemon):
     one = daemon()
     with dipole.Client(one.url(), retry_s=0.2) as client:
@@ -193,9 +222,9 @@ def test_nobody_comes_back(daemon):
 
 
 def test_busy_is_asked_again(daemon):
-    """max_mc_jobs is no matter of evals, so the budget for buffers is: it is in use, and then not."""
+    """The budget for buffers is in use by somebody else, and then it is not."""
     one = daemon("--max-total-bytes", "1048576")
-    grid = dipole.Grid("linear", 100_000, 0.1, 10.0)
+    grid = dipole.Grid(0.1, 10.0, 100_000)
     with one.connect() as holder, one.client() as impatient:
         with dipole.Client(one.url(), retry_s=RETRY_S) as client:
             before = client.eval("better", SKIN, grid=grid, wanted=["R"])
@@ -210,7 +239,7 @@ def test_busy_is_asked_again(daemon):
             collected_id, result = client.collect()
             assert collected_id == request_id
             assert (result.R == before.R).all()
-            assert client.statistics()["errors_busy"] >= 1
+            assert client.statistics()["answers_busy"] >= 1
 
 
 def holding_frame() -> bytes:

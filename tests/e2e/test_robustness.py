@@ -1,5 +1,5 @@
-"""Hard times: a thousand connections, clients that die or do not read, a stop or no descriptors left
-under load. Whatever happens, who asks properly gets the one right answer, once."""
+"""Hard times: a thousand connections, clients that die or do not read, a stop or no descriptors
+left under load. Whatever happens, who asks properly gets the one right answer, once."""
 
 from __future__ import annotations
 
@@ -391,8 +391,8 @@ class Load:
 
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
 def test_stopping_under_load(daemon, how):
-    """What was sent is answered in its order up to some request, and the rest is refused as a whole:
-    nothing is lost silently, nothing comes twice."""
+    """What was sent is answered in its order up to some request, and the rest is refused as a
+    whole: nothing is lost silently, nothing comes twice."""
     one = daemon(*PARTS)
     known = known_answers(one, every_kind())
     connections = [one.connect(("unix", "tcp")[i % 2]) for i in range(8)]

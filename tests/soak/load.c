@@ -186,8 +186,7 @@ static void learn_all(dipole_client *client, bool quick_only) {
     radii_f64[i] = 0.25 * (double)(i + 1);
   }
   for (size_t i = 0; i < info->choice_count; i++) {
-    if (info->choices[i].kind == DIPOLE_MODEL &&
-        (!quick_only || is_quick(info->choices[i].name))) {
+    if (info->choices[i].kind == DIPOLE_MODEL && (!quick_only || is_quick(info->choices[i].name))) {
       for (unsigned evaluator = DIPOLE_F64; evaluator <= DIPOLE_LUT; evaluator++) {
         learn_model(client, info->choices[i].id, evaluator);
       }

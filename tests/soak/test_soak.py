@@ -1,5 +1,5 @@
-"""Full load for SOAK_S seconds: everything that a client can ask for, and clients that are killed, do
-not read or talk nonsense beside it. Every answer is right, and memory does not grow."""
+"""Full load for SOAK_S seconds: everything that a client can ask for, and clients that are killed,
+do not read or talk nonsense beside it. Every answer is right, and memory does not grow."""
 
 from __future__ import annotations
 

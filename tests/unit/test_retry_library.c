@@ -587,8 +587,8 @@ static void test_deadlines_end(void **state) {
 static void send_parts(int fd, const peer_frame *request, uint32_t count, uint64_t each) {
   for (uint32_t part = 0; part < count; part++) {
     uint8_t *payload;
-    const size_t bytes = peer_evaluate_part(request, part * each, each, part,
-                                            (uint32_t)(RADII / each), &payload);
+    const size_t bytes =
+        peer_evaluate_part(request, part * each, each, part, (uint32_t)(RADII / each), &payload);
     peer_send(fd, WIRE_TYPE_EVAL | WIRE_REPLY, request->header.request_id, payload, bytes);
     free(payload);
   }

@@ -36,8 +36,8 @@ class Client:
     use it in a with statement; a private daemon ends with it.
 
     retry_s: how long a request that meets trouble is tried again; by default 5 s at a unix: or tcp:
-    address; 0: not at all. Trouble is a lost connection, or a daemon that is busy or stops: then the
-    client connects again and sends again what is outstanding. A connection is given up when a
+    address; 0: not at all. Trouble is a lost connection, or a daemon that is busy or stops: then
+    the client connects again and sends again what is outstanding. A connection is given up when a
     request cannot be asked again: mc(), eval_parts() of which parts have come, and what is beyond
     64 MiB of outstanding requests. dipole_set_retry_ms() in dipole.h tells more.
     """
@@ -54,6 +54,7 @@ class Client:
         self._read: dict[int, Answer] = {}  # of queries that are read part by part
         self._ignored: set[int] = set()  # requests whose replies say nothing that is wanted
         self._requests = retry.Requests()
+        self._late: list[Frame] = []  # answers to requests whose deadlines passed while lost
         self._connection = Connection(address, timeout_s)
         try:
             self.info: Info = self._hello()
@@ -400,28 +401,17 @@ class Client:
             self._restore(lost)
         return request_id
 
-    def _send_again(self, request_ids: Iterable[int]) -> bool:
-        """Sends requests as they were, but for what is left of their deadlines; False: one has
-        none left, and has been answered by that."""
-        all_sent = True
+    def _send_again(self, request_ids: Iterable[int]) -> None:
+        """Sends requests as they were, but for what is left of their deadlines. One that has none
+        left gets the error that the daemon would send if there were one."""
         for request_id in request_ids:
             kept = self._requests.kept[request_id]
             left_ms = retry.left_ms(kept) if kept.deadline_ms else 0
             if kept.deadline_ms and left_ms <= 0:
-                self._end_late(request_id)
-                all_sent = False
+                self._late.append(retry.late_frame(request_id))
             else:
                 type = wire.MESSAGES[kept.message]
                 self._connection.send_frame(type, request_id, kept.payload, left_ms)
-        return all_sent
-
-    def _end_late(self, request_id: int) -> None:
-        """Gives a query the error that the daemon would send if there were one."""
-        code = next(code for code, name in wire.STATUSES.items() if name == "deadline")
-        payload = wire.ERROR.pack(
-            status=code, index=0, retry_after_ms=0, field="deadline_ms", allowed="more"
-        )
-        self._take_frame(Frame(wire.TYPE_ERROR, request_id, payload), 0)
 
     def _restore(self, lost: DipoleError) -> None:
         """Connects again and sends again what is outstanding; raises `lost` where it cannot."""
@@ -458,8 +448,9 @@ class Client:
         Answer; one that answers nothing is the daemon's word on the connection as a whole. After
         a loss that has been made good there is none."""
         try:
-            if not self._send_again(self._requests.due()):
-                return None
+            self._send_again(self._requests.due())
+            if self._late:
+                return self._take_frame(self._late.pop(), request_id)
             next_s = min(self._requests.again_s.values(), default=None)
             if next_s is not None and not self._connection.moves_by(next_s):
                 return None

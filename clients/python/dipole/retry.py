@@ -1,5 +1,5 @@
 """Connecting again and asking again. Only what has one right answer, whoever gives it and however
-often it is asked for, is kept to be sent again; of an answer that had come in part nothing is used."""
+often it is asked for, is kept to be sent again; of an unfinished answer nothing is used."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
+from . import wire
+from .connection import Frame
 from .errors import ConnectError, ConnectionLost, DipoleError, Refused
 
 if TYPE_CHECKING:
@@ -97,6 +99,16 @@ class Requests:
 def left_ms(kept: Kept) -> int:
     """What is left of a deadline that runs since the request was first sent."""
     return kept.deadline_ms - int((time.monotonic() - kept.sent_s) * 1000)
+
+
+def late_frame(request_id: int) -> Frame:
+    """The answer to a request whose deadline has passed."""
+    code = next(code for code, name in wire.STATUSES.items() if name == "deadline")
+    allowed = "more: the connection was lost meanwhile"
+    payload = wire.ERROR.pack(
+        status=code, index=0, retry_after_ms=0, field="deadline_ms", allowed=allowed
+    )
+    return Frame(wire.TYPE_ERROR, request_id, payload)
 
 
 def may_pass(error: DipoleError) -> bool:
