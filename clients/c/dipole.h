@@ -216,7 +216,8 @@ void dipole_result_free(dipole_result *result); /* NULL is fine */
 
 /* The array of any quantity that has a value for each radius (all but albedo and radius):
  * [radius_count], owned by the result. NULL when it was not wanted, when the evaluator's values
- * have the other type, or when there is no such channel. For R and cdf the channel's own fields say the same. */
+ * have the other type, or when there is no such channel. For R and cdf the channel's own fields say
+ * the same. */
 const double *dipole_values_f64(const dipole_result *result, uint32_t channel, unsigned quantity);
 const float *dipole_values_f32(const dipole_result *result, uint32_t channel, unsigned quantity);
 
