@@ -106,8 +106,7 @@ double table_error(float value, double truth) {
     return 0;
   }
   /* What is too large for single precision is infinite in it, or next to that. */
-  const double error = fmin(truth, (double)FLT_MAX) == (double)FLT_MAX && isinf(value)
-                           ? 0
-                           : off / truth;
+  const double error =
+      fmin(truth, (double)FLT_MAX) == (double)FLT_MAX && isinf(value) ? 0 : off / truth;
   return isnan(error) ? (double)INFINITY : error;
 }

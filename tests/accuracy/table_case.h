@@ -31,7 +31,7 @@ core_fault table_truth(core_profile *truth, unsigned model, const struct table_p
 core_fault table_prepare(core_profile *table, unsigned model, const struct table_place *place,
                          double tolerance);
 
-/* Whether a model comes with a tolerance of its own, so that the one of a table's source matters. */
+/* Whether a model comes with a tolerance of its own, so that that of a table's source matters. */
 bool table_is_approximate(unsigned model);
 
 /* What is left of an error when what core.h allows for underflow is forgiven: of `value` in single

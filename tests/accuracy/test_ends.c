@@ -1,5 +1,5 @@
-/* Models next to the source and far away from it, where what they become is known, and in media next
- * to which a solver has nothing to hold on to. */
+/* Models next to the source and far away from it, where what they become is known, and in media
+ * next to which a solver has nothing to hold on to. */
 #include <math.h>
 
 #include "core/transport/transport.h"
@@ -9,9 +9,8 @@ static core_profile prepared(unsigned model, core_medium medium, double toleranc
   core_parameters parameters = core_parameters_none();
   parameters.value[CORE_PARAMETER_TOLERANCE] = tolerance;
   core_profile profile;
-  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model,
-                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium,
-                                         &parameters),
+  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT,
+                                         CORE_EVALUATOR_F64, &medium, &parameters),
                     NULL, 0);
   return profile;
 }
@@ -24,15 +23,14 @@ static double value_of(const core_profile *profile, enum core_quantity quantity,
 
 static void assert_near(double value, double truth, double relative, const char *what, double r) {
   if (!(fabs(value - truth) <= relative * fabs(truth))) {
-    fail_msg("%s at %g is %.12g, not %.12g: off by %.3g", what, r, value, truth,
-             value / truth - 1);
+    fail_msg("%s at %g is %.12g, not %.12g: off by %.3g", what, r, value, truth, value / truth - 1);
   }
 }
 
 /* ---- transport ---------------------------------------------------------------------------- */
 
-/* The same R whatever the tolerance, where nothing or next to nothing is absorbed, or scattered; up to
- * where the solver has digits. */
+/* The same R whatever the tolerance, where nothing or next to nothing is absorbed, or scattered; up
+ * to where the solver has digits. */
 static void transport_is_the_same_for_every_tolerance(void **state) {
   (void)state;
   static const core_medium media[] = {
@@ -68,8 +66,8 @@ static void transport_without_absorption_falls_like_diffusion(void **state) {
   (void)state;
   static const double tolerances[] = {1e-4, 1e-7};
   for (size_t t = 0; t < sizeof tolerances / sizeof tolerances[0]; t++) {
-    core_profile profile = prepared(CORE_MODEL_TRANSPORT, (core_medium){0, 1, 0, 1.3},
-                                    tolerances[t]);
+    core_profile profile =
+        prepared(CORE_MODEL_TRANSPORT, (core_medium){0, 1, 0, 1.3}, tolerances[t]);
     const double first = 1e12 * value_of(&profile, CORE_QUANTITY_R, 1e4);
     for (double x = 1e4; x < 1e12; x *= 10) {
       assert_near(x * x * x * value_of(&profile, CORE_QUANTITY_R, x), first, 1e-6, "x^3 R", x);

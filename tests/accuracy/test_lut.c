@@ -1,5 +1,5 @@
-/* Tables keep what they were asked for: every function that they hold, for every model, at media all
- * over the domain, against the model in double precision. Where a table cannot, it is refused.
+/* Tables keep what they were asked for: every function that they hold, for every model, at media
+ * all over the domain, against the model in double precision. Where a table cannot, it is refused.
  *
  * The default run tries a few media for each model, costly models at fewer radii; `test_lut all`
  * tries every medium at all RADII (an hour), `test_lut all MODEL` those of one model.
@@ -95,9 +95,8 @@ static double range_of(unsigned model, const core_medium *medium) {
   if (model == CORE_MODEL_TRANSPORT) {
     return 30 / transport_kappa(medium->sigma_s_per_mm * (1 - medium->g) * mfp_mm) * mfp_mm;
   }
-  return table_is_approximate(model) && medium->sigma_a_per_mm * mfp_mm < 1e-28
-             ? 1e13 * mfp_mm
-             : (double)INFINITY;
+  return table_is_approximate(model) && medium->sigma_a_per_mm * mfp_mm < 1e-28 ? 1e13 * mfp_mm
+                                                                                : (double)INFINITY;
 }
 
 /* False: the medium is outside the model's domain. */

@@ -1,6 +1,6 @@
-/* What tables are like, whatever their tolerance: the cdf never turns back, R is positive where there
- * is light, the pdf is a density, samples keep the order of their numbers, and the ends of all
- * functions are those of the model. */
+/* What tables are like, whatever their tolerance: the cdf never turns back, R is positive where
+ * there is light, the pdf is a density, samples keep the order of their numbers, and the ends of
+ * all functions are those of the model. */
 #include <float.h>
 #include <math.h>
 
@@ -115,8 +115,8 @@ static void assert_run_rises(const struct pair *pair, evaluate_function *evaluat
   }
 }
 
-/* Joints between pieces are where the mantissa's first few bits change; so most numbers tried are at
- * one of an octave with some number of cuts. */
+/* Joints between pieces are where the mantissa's first few bits change; so most numbers tried are
+ * at one of an octave with some number of cuts. */
 static float random_joint(uint64_t *random, float from, float to) {
   const uint32_t first = bits_of(from);
   const uint32_t bits = first + (uint32_t)unit_random_below(random, bits_of(to) - first);

@@ -1,5 +1,6 @@
-/* Tables of one medium (the red channel of skin1, the default tolerance) beside direct evaluation in
- * single precision: R at 4096 radii, on the best instruction set, one after another in the same run.
+/* Tables of one medium (the red channel of skin1, the default tolerance) beside direct evaluation
+ * in single precision: R at 4096 radii, on the best instruction set, one after another in the same
+ * run.
  *
  *   lut.<model>.table, lut.<model>.f32    values/s
  *   lut.<model>.prepare                   s, to build the table

@@ -184,8 +184,7 @@ static bool is_due(const core_choice *model, const core_choice *evaluator,
   const bool needed =
       quantity != NULL && (quantity->id == CORE_QUANTITY_R || quantity->id == CORE_QUANTITY_CDF);
   if (evaluator->id == CORE_EVALUATOR_LUT) {
-    return is_tabulated(model) &&
-           (quantity == NULL || needed || quantity->id == CORE_QUANTITY_PDF);
+    return is_tabulated(model) && (quantity == NULL || needed || quantity->id == CORE_QUANTITY_PDF);
   }
   return !core_prepares_slowly(model->id, CORE_EVALUATOR_F64) ||
          (evaluator->id == CORE_EVALUATOR_F64 && needed);

@@ -55,8 +55,8 @@ static void build(struct payload *payload, const wire_eval_request *fixed, size_
       memcpy(to + i * sizeof r, &r, sizeof r);
     }
   }
-  payload->length += wire_padded(
-      count * (is_single(fixed->evaluator) ? sizeof(float) : sizeof(double)));
+  payload->length +=
+      wire_padded(count * (is_single(fixed->evaluator) ? sizeof(float) : sizeof(double)));
 }
 
 static wire_error parse(const struct payload *payload, eval_request *request) {

@@ -1,5 +1,5 @@
-/* Tables as they are in memory: what is not one is refused, nothing that is not refused reads outside
- * of itself, and the description in core/lut/lut.h is what the kernels do, bit for bit. */
+/* Tables as they are in memory: what is not one is refused, nothing that is not refused reads
+ * outside of itself, and the description in core/lut/lut.h is what the kernels do, bit for bit. */
 #include <float.h>
 #include <math.h>
 
@@ -20,10 +20,14 @@ static const struct subject {
   unsigned model;
   const core_medium *medium;
 } subjects[] = {
-    {CORE_MODEL_BETTER, &skin},          {CORE_MODEL_BETTER, &no_absorption},
-    {CORE_MODEL_BETTER, &dense},         {CORE_MODEL_BURLEY, &skin},
-    {CORE_MODEL_BEAM, &skin},            {CORE_MODEL_SKIN_RED, &skin},
-    {CORE_MODEL_SINGLE, &no_absorption}, {CORE_MODEL_BETTER, &nothing_scatters},
+    {CORE_MODEL_BETTER, &skin},
+    {CORE_MODEL_BETTER, &no_absorption},
+    {CORE_MODEL_BETTER, &dense},
+    {CORE_MODEL_BURLEY, &skin},
+    {CORE_MODEL_BEAM, &skin},
+    {CORE_MODEL_SKIN_RED, &skin},
+    {CORE_MODEL_SINGLE, &no_absorption},
+    {CORE_MODEL_BETTER, &nothing_scatters},
 };
 enum { SUBJECTS = sizeof subjects / sizeof subjects[0] };
 
@@ -38,7 +42,7 @@ static core_profile prepared(const struct subject *subject, const char *isa, dou
   return profile;
 }
 
-/* ---- the description, as a plain loop --------------------------------------------------------- */
+/* ---- the description, as a plain loop ------------------------------------------------------ */
 
 static uint32_t bits_of(float x) {
   uint32_t bits;
@@ -64,11 +68,10 @@ static float plain_scaled(float piece, float r, float scale) {
 
 static float plain_value(const float *words, enum core_quantity quantity, float r) {
   const float R = plain_piece(words, CORE_LUT_R_OCTAVES, r);
-  return quantity == CORE_QUANTITY_R     ? R * words[CORE_LUT_SCALE]
-         : quantity == CORE_QUANTITY_PDF ? plain_scaled(R, r, words[CORE_LUT_PDF_SCALE])
-         : quantity == CORE_QUANTITY_RING
-             ? plain_scaled(R, r, words[CORE_LUT_RING_SCALE])
-             : fminf(plain_piece(words, CORE_LUT_CDF_OCTAVES, r), 1);
+  return quantity == CORE_QUANTITY_R      ? R * words[CORE_LUT_SCALE]
+         : quantity == CORE_QUANTITY_PDF  ? plain_scaled(R, r, words[CORE_LUT_PDF_SCALE])
+         : quantity == CORE_QUANTITY_RING ? plain_scaled(R, r, words[CORE_LUT_RING_SCALE])
+                                          : fminf(plain_piece(words, CORE_LUT_CDF_OCTAVES, r), 1);
 }
 
 static float plain_radius(const float *words, float u) {
@@ -122,7 +125,7 @@ static void the_description_gives_the_kernels_bits(void **state) {
   }
 }
 
-/* ---- damage ------------------------------------------------------------------------------------ */
+/* ---- damage --------------------------------------------------------------------------------- */
 
 static float *copy_of(const float *words, size_t count) {
   float *copy = malloc(count * sizeof *copy);
@@ -189,8 +192,8 @@ static void entries_that_point_outside_are_refused(void **state) {
       const uint32_t cuts = possible ? UINT32_C(1) << (23 - shift) : 1;
       const uint32_t last = pieces >= cuts ? pieces - cuts : 0;
       put_entry(words, at, CORE_LUT_ENTRY(last, shift));
-      unit_assert_fault(core_lut_check(words, count),
-                        possible && pieces >= cuts ? NULL : "table", 0);
+      unit_assert_fault(core_lut_check(words, count), possible && pieces >= cuts ? NULL : "table",
+                        0);
       put_entry(words, at, CORE_LUT_ENTRY(last + 1, shift));
       unit_assert_fault(core_lut_check(words, count), "table", 0);
       put_entry(words, at, CORE_LUT_ENTRY(UINT32_MAX / 32, shift));
@@ -215,17 +218,17 @@ static float *random_table(uint64_t *random, size_t pieces, size_t *count) {
       cuts--;
     }
     const size_t most = pieces - ((size_t)1 << cuts);
-    const size_t piece = unit_random_below(random, 4) == 0 ? most
-                                                           : unit_random_below(random, most + 1);
+    const size_t piece =
+        unit_random_below(random, 4) == 0 ? most : unit_random_below(random, most + 1);
     put_entry(words, i, CORE_LUT_ENTRY(piece, 23 - cuts));
   }
   return words;
 }
 
 static float any_bits(uint64_t *random) {
-  static const float edges[] = {0,       -0.0f, NAN,      -NAN,     INFINITY, -INFINITY,
-                                FLT_MAX, 1,     -1,       0.5f,     -FLT_MAX, 1e-45f,
-                                -1e-45f, 2,     FLT_MIN,  0x1p-24f, 1e30f,    -1e30f};
+  static const float edges[] = {0,       -0.0f, NAN,     -NAN,     INFINITY, -INFINITY,
+                                FLT_MAX, 1,     -1,      0.5f,     -FLT_MAX, 1e-45f,
+                                -1e-45f, 2,     FLT_MIN, 0x1p-24f, 1e30f,    -1e30f};
   const size_t kind = unit_random_below(random, 4 * sizeof edges / sizeof edges[0]);
   if (kind < sizeof edges / sizeof edges[0]) {
     return edges[kind];
@@ -237,8 +240,7 @@ static float any_bits(uint64_t *random) {
 }
 
 /* Arrays and tables of exactly their size, so that a sanitizer sees every access beyond. */
-static void evaluate_anything(core_profile *profile, float *words, size_t count,
-                              uint64_t *random) {
+static void evaluate_anything(core_profile *profile, float *words, size_t count, uint64_t *random) {
   enum { ANYTHING = 500 };
   float *in = malloc(ANYTHING * sizeof *in);
   float *out = malloc(ANYTHING * sizeof *out);
