@@ -153,6 +153,7 @@ def test_a_flood_beyond_max_connections(daemon, descriptors):
     one = daemon("--max-connections", "8")
     known = known_answers(one, short_requests(40))
     watcher = one.connect()
+    assert eventually(lambda: statistics(watcher)["connections_open"] == 1)
     before_bytes = one.resident_bytes()
     with watcher, Others(one, known, 7) as others:
         told = closed = 0
