@@ -432,14 +432,14 @@ static unsigned array_count(unsigned wanted) {
 static void assert_layout(unsigned evaluator, unsigned wanted, uint32_t channels, uint64_t count) {
   eval_layout layout;
   const uint64_t array = (count * (evaluator == CORE_EVALUATOR_F64 ? 8 : 4) + 7) / 8 * 8;
-  uint64_t at = 24 + 32 * (uint64_t)channels;
+  uint64_t at = 40 + 32 * (uint64_t)channels;
   const uint64_t radii_at = at;
   const unsigned arrays = array_count(wanted);
   const uint64_t bytes = at + array * (has(wanted, CORE_QUANTITY_RADIUS) + arrays * channels);
 
   assert_true(eval_reply_layout(evaluator, wanted, channels, count, bytes, &layout));
   assert_int_equal(layout.payload_bytes, bytes);
-  assert_int_equal(layout.channels_offset, 24);
+  assert_int_equal(layout.channels_offset, 40);
   assert_int_equal(layout.arrays_per_channel, arrays);
   if (has(wanted, CORE_QUANTITY_RADIUS)) {
     assert_int_equal(layout.radius_offset, radii_at);
@@ -491,7 +491,7 @@ static bool fits(unsigned evaluator, unsigned wanted, uint32_t channels, uint64_
   const unsigned arrays = array_count(wanted);
   /* at most 2^33 arrays of 2^67 bytes */
   const unsigned __int128 bytes =
-      24 + 32 * (unsigned __int128)channels +
+      40 + 32 * (unsigned __int128)channels +
       array * (has(wanted, CORE_QUANTITY_RADIUS) + (unsigned __int128)arrays * channels);
   return bytes <= max_bytes;
 }
@@ -545,6 +545,9 @@ static const wire_eval_reply good_reply = {
     .channel_count = 3,
     .notes = CORE_NOTE_SIMILARITY,
     .radius_count = 7,
+    .radius_first = 256,
+    .part = 1,
+    .part_count = 3,
 };
 
 static void replies_are_taken_apart(void **state) {
@@ -594,6 +597,37 @@ static void replies_of_another_shape_are_refused(void **state) {
   fixed = good_reply;
   fixed.wanted |= 0x4000;
   assert_reply_refused(fixed, right);
+  fixed = good_reply;
+  fixed.part = 3;
+  assert_reply_refused(fixed, right);
+  fixed.part = 0;
+  fixed.part_count = 0;
+  assert_reply_refused(fixed, right);
+}
+
+/* The largest part that fits, in steps: one step more does not. */
+static void parts_are_as_large_as_they_may_be(void **state) {
+  (void)state;
+  uint64_t random = unit_seed();
+  size_t none = 0;
+  for (int i = 0; i < 20000; i++) {
+    const unsigned evaluator = i % 2 ? CORE_EVALUATOR_F64 : CORE_EVALUATOR_F32;
+    const unsigned wanted = 1 + (unsigned)unit_random_below(&random, ALL_QUANTITIES);
+    const uint32_t channels = 1 + (uint32_t)unit_random_below(&random, 64);
+    const uint64_t most = 4096 + unit_random_below(&random, i % 3 ? 1 << 20 : 1 << 14);
+    const uint64_t radii = eval_part_radii(evaluator, wanted, channels, most);
+    if (wanted == CORE_QUANTITY_ALBEDO) {
+      assert_true(radii == UINT64_MAX);
+      continue;
+    }
+    assert_int_equal(radii % EVAL_PART_RADII, 0);
+    assert_true(fits(evaluator, wanted, channels, radii, most) || radii == 0);
+    assert_false(fits(evaluator, wanted, channels, radii + EVAL_PART_RADII, most));
+    none += radii == 0;
+  }
+  assert_true(none > 0);
+  assert_true(eval_part_radii(CORE_EVALUATOR_F64, CORE_QUANTITY_ALBEDO, 200, 4096) == 0);
+  assert_int_equal(eval_part_radii(CORE_EVALUATOR_F64, CORE_QUANTITY_R, 1, 4096), 256);
 }
 
 static void values_have_their_sizes(void **state) {
@@ -629,6 +663,7 @@ int main(void) {
       cmocka_unit_test(layouts_do_not_wrap),
       cmocka_unit_test(replies_are_taken_apart),
       cmocka_unit_test(replies_of_another_shape_are_refused),
+      cmocka_unit_test(parts_are_as_large_as_they_may_be),
       cmocka_unit_test(values_have_their_sizes),
   };
   return cmocka_run_group_tests(tests, NULL, NULL);
