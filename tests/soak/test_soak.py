@@ -148,7 +148,9 @@ def watch(daemon: Daemon) -> list[int]:
 
 
 def test_soak():
-    daemon = Daemon(*OPTIONS)
+    # A sanitizer that keeps what was freed would hide what is held.
+    asan = os.environ.get("ASAN_OPTIONS", "") + ":quarantine_size_mb=8"
+    daemon = Daemon(*OPTIONS, env={"ASAN_OPTIONS": asan})
     try:
         loads = [Load(daemon.url(("unix", "tcp")[i % 2]), i) for i in range(3)]
         try:
@@ -171,6 +173,7 @@ def test_soak():
     print(f"soak: resident MiB: {curve} {resident_bytes[-1] / 2**20:.0f}")
     print(f"soak: cache_bytes {now['cache_bytes']}, evictions {now['cache_evictions']}")
     assert rude.done > 0
-    assert all(count > 0 for count in total.values()), total
+    # Whether anything is late depends on the machine.
+    assert all(count > 0 for name, count in total.items() if name != "late"), total
     first_third = resident_bytes[: max(len(resident_bytes) // 3, 1)]
     assert max(resident_bytes) <= max(first_third) + GROWTH_BYTES
