@@ -229,7 +229,7 @@ check-e2e: all $(BUILD)/draw-figures $(BUILD)/soak-load
 
 # Beside the other tests, with what time of the processors they leave.
 check-soak: all $(BUILD)/soak-load
-	SOAK_S=40 nice -n 15 $(PYTEST) -s tests/soak
+	SOAK_S=40 nice -n 15 env $(PYTEST) -s tests/soak
 
 # Full load for ten minutes.
 SOAK_S ?= 600
