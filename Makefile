@@ -222,7 +222,7 @@ check-unit: $(TESTS)
 check-bits: $(BUILD)/tests/bits
 	@sh tests/run-bits.sh $(BUILD)
 
-PYTEST = DIPOLED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python:tests/e2e PYTHONDONTWRITEBYTECODE=1 $(PYTHON) -m pytest -q -rs -p no:cacheprovider
+PYTEST = env DIPOLED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python:tests/e2e PYTHONDONTWRITEBYTECODE=1 $(PYTHON) -m pytest -q -rs -p no:cacheprovider
 
 check-e2e: all $(BUILD)/draw-figures $(BUILD)/soak-load
 	$(PYTEST) tests/e2e
