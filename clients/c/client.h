@@ -98,9 +98,9 @@ bool libdipole_stream_step(libdipole_stream *stream, unsigned timeout_ms, dipole
 
 /* ---- request.c ----------------------------------------------------------------------------- */
 
-/* A frame that has arrived, or an answer that was put together of several. The result comes first, so
- * that the caller's result is the block that holds the payload; after the payload there is room for
- * the result's channels. */
+/* A frame that has arrived, or an answer that was put together of several. The result comes first,
+ * so that the caller's result is the block that holds the payload; after the payload there is room
+ * for the result's channels. */
 typedef struct libdipole_frame {
   dipole_result result;
   wire_header header;
@@ -181,7 +181,7 @@ bool libdipole_request_begin(dipole_client *client, libdipole_pending *pending,
 /* Sends it, as far as that needs no wait or the backlog has grown too long. */
 bool libdipole_request_send(dipole_client *client, dipole_error *error);
 
-/* Room for a frame with this header and payload, and for that many channels; NULL: there is none. */
+/* Room for a frame with this header, its payload and so many channels; NULL: there is none. */
 libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload_bytes,
                                      uint32_t channel_count, dipole_error *error);
 
@@ -192,9 +192,9 @@ libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload
 bool libdipole_request_wait(dipole_client *client, uint64_t id, libdipole_pending *pending,
                             dipole_error *error);
 
-/* Waits until the answer to request id has been handed to the reader, part by part, or has ended with
- * an error, which is then pending->frame, or the reader wants no more. The frame is to be freed, and
- * NULL when more of the answer may come. */
+/* Waits until the answer to request id has been handed to the reader, part by part, or has ended
+ * with an error, which is then pending->frame, or the reader wants no more. The frame is to be
+ * freed, and NULL when more of the answer may come. */
 bool libdipole_request_read(dipole_client *client, uint64_t id, const libdipole_reader *reader,
                             libdipole_pending *pending, dipole_error *error);
 
@@ -260,8 +260,8 @@ bool libdipole_query_send(dipole_client *client, const dipole_query *query,
  * part. */
 bool libdipole_part_is(const libdipole_pending *pending, const libdipole_frame *frame);
 
-/* Takes the next part over. When it was the last, pending->frame is the whole answer, of which with a
- * reader or when dropped only the beginning is left. */
+/* Takes the next part over. When it was the last, pending->frame is the whole answer, of which with
+ * a reader or when dropped only the beginning is left. */
 bool libdipole_part_take(libdipole_pending *pending, libdipole_frame *frame, dipole_error *error);
 
 /* ---- result.c ------------------------------------------------------------------------------ */

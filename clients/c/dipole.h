@@ -218,8 +218,8 @@ typedef struct dipole_query {
   double radius_stop_mm;              /* and the last */
   const dipole_parameter *parameters; /* [parameter_count], each id at most once; NULL: none */
   size_t parameter_count;
-  /* After so many ms the daemon answers with an error of kind REFUSED, status `deadline`, instead of
-   * a later result; they count from the arrival of the query. 0: no matter. */
+  /* After so many ms the daemon answers with an error of kind REFUSED, status `deadline`, instead
+   * of a later result; they count from the arrival of the query. 0: no matter. */
   unsigned deadline_ms;
 } dipole_query;
 
@@ -250,8 +250,8 @@ typedef struct dipole_result {
 } dipole_result;
 
 /* Evaluates and waits for the answer. *result is the caller's, to be freed with
- * dipole_result_free(). Answers to submitted queries that arrive meanwhile are kept. An answer of any
- * size is one result, as large as memory allows. */
+ * dipole_result_free(). Answers to submitted queries that arrive meanwhile are kept. An answer of
+ * any size is one result, as large as memory allows. */
 bool dipole_eval(dipole_client *client, const dipole_query *query, dipole_result **result,
                  dipole_error *error);
 
@@ -266,9 +266,9 @@ bool dipole_eval(dipole_client *client, const dipole_query *query, dipole_result
  * neither free it nor use the client. While it works the daemon waits.
  *
  * True: all parts have been there. False: an error ended the answer; what had come before is right,
- * and part() may have been called for it. When part() returns false the error is of kind STOPPED; the
- * client goes on working, but the next calls have to wait until the rest has come, and throw it away:
- * where much of it is left it is better to close the client. */
+ * and part() may have been called for it. When part() returns false the error is of kind STOPPED;
+ * the client goes on working, but the next calls have to wait until the rest has come, and throw it
+ * away: where much of it is left it is better to close the client. */
 bool dipole_eval_parts(dipole_client *client, const dipole_query *query,
                        bool (*part)(void *context, const dipole_result *part,
                                     uint64_t radius_first),

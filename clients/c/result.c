@@ -17,8 +17,8 @@ static bool submit(dipole_client *client, const dipole_query *query, libdipole_r
                                .evaluator = (uint16_t)query->evaluator,
                                .wanted = (uint16_t)query->wanted,
                                .reader = reader};
-  /* What is so large that nothing could hold it is asked for all the same: the daemon's refusal says
-   * what the limit is. */
+  /* What is so large that nothing could hold it is asked for all the same: the daemon's refusal
+   * says what the limit is. */
   if (eval_value_bytes(query->evaluator) > 0 &&
       eval_reply_layout(query->evaluator, query->wanted, query->medium_count, query->radius_count,
                         UINT64_MAX, &layout)) {
@@ -70,8 +70,7 @@ static bool is_asked_for(const libdipole_pending *pending, const wire_eval_reply
              : fixed->evaluator == pending->evaluator;
 }
 
-/* With how many radii a part starts, and how many it has; an answer in one frame is one part, of all.
- */
+/* Where a part starts, and how many radii it has; an answer in one frame is one part, of all. */
 static bool is_next_part(const libdipole_pending *pending, const wire_eval_reply *fixed) {
   const uint64_t left = pending->radius_count - pending->next_radius;
   const bool is_last = fixed->part + 1 == fixed->part_count;

@@ -60,15 +60,13 @@ int cli_run_plain(const cli_command *command, int argc, char **argv,
                   int (*show)(const cli_command *command, const char *format,
                               dipole_client *client));
 
-/* dipole_eval(), asked again for as long as the daemon is busy (at most the timeout). */
-bool cli_eval(dipole_client *client, const cli_common *common, const dipole_query *query,
-              dipole_result **result, dipole_error *error);
-
-/* Likewise dipole_eval_parts(), whose parts may then come again from the first on, dipole_offers() and
- * dipole_table_fetch(). */
+/* dipole_eval_parts(), asked again for as long as the daemon is busy (at most the timeout): the
+ * parts may then come again from the first on. */
 bool cli_eval_parts(dipole_client *client, const cli_common *common, const dipole_query *query,
                     bool (*part)(void *context, const dipole_result *part, uint64_t radius_first),
                     void *context, dipole_error *error);
+
+/* Likewise dipole_offers() and dipole_table_fetch(). */
 bool cli_offers(dipole_client *client, const cli_common *common, const dipole_query *query,
                 dipole_offer **offers, size_t *count, size_t *taken, dipole_error *error);
 bool cli_table_fetch(dipole_client *client, const cli_common *common,

@@ -35,17 +35,6 @@ static bool nap_while_busy(const cli_common *common, int64_t start_ms, const dip
   return true;
 }
 
-bool cli_eval(dipole_client *client, const cli_common *common, const dipole_query *query,
-              dipole_result **result, dipole_error *error) {
-  const int64_t start_ms = cli_now_ms();
-  while (!dipole_eval(client, query, result, error)) {
-    if (!nap_while_busy(common, start_ms, error)) {
-      return false;
-    }
-  }
-  return true;
-}
-
 bool cli_eval_parts(dipole_client *client, const cli_common *common, const dipole_query *query,
                     bool (*part)(void *context, const dipole_result *part, uint64_t radius_first),
                     void *context, dipole_error *error) {

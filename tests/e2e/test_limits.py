@@ -268,12 +268,16 @@ def reply_payload_that_takes(free_bytes: int) -> bytes:
 
 def test_max_total_bytes(daemon):
     with daemon("--max-total-bytes", str(TOTAL_BYTES)).connect() as connection:
-        free_bytes = TOTAL_BYTES - statistics(connection)["buffer_bytes"]
+
+        def free() -> int:
+            return TOTAL_BYTES - statistics(connection)["buffer_bytes"]
+
+        free_bytes = free()
         assert 0 < free_bytes < TOTAL_BYTES and free_bytes % 8 == 0
         assert ask(connection, EVAL, reply_payload_that_takes(free_bytes)).type == EVALUATED
         assert_serves(connection)
         # A large buffer is kept for a moment, for the next large answer.
-        assert eventually(lambda: TOTAL_BYTES - statistics(connection)["buffer_bytes"] == free_bytes)
+        assert eventually(lambda: free() == free_bytes)
         reply = ask(connection, EVAL, reply_payload_that_takes(free_bytes + 8))
         assert_error(reply, "busy", "", "max_total_bytes")
         assert_serves(connection)

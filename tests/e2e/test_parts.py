@@ -179,7 +179,8 @@ def test_answers_of_one_connection_follow_each_other(tiny):
     with tiny.connect() as connection:
         large = eval_payload(radii=None, radius_count=5000, wanted=R)
         little = eval_payload(wanted=R)
-        connection.send_bytes(b"".join(frame(EVAL, i, large if i % 2 else little) for i in range(8)))
+        requests = [frame(EVAL, i, large if i % 2 else little) for i in range(8)]
+        connection.send_bytes(b"".join(requests))
         for i in range(8):
             endings.append(put_together(receive_parts(connection, i)))
         assert_serves(connection)
@@ -265,7 +266,8 @@ def test_a_client_that_leaves_in_the_middle(daemon):
 def test_a_client_that_says_no_more_still_gets_all(tiny):
     with tiny.connect() as connection:
         count = 100_000
-        connection.send_bytes(frame(EVAL, 77, eval_payload(radii=None, radius_count=count, wanted=R)))
+        payload = eval_payload(radii=None, radius_count=count, wanted=R)
+        connection.send_bytes(frame(EVAL, 77, payload))
         connection.half_close()
         whole = put_together(receive_parts(connection))
         assert whole.fixed.radius_count == count
@@ -317,8 +319,8 @@ def test_stopping_lets_an_answer_end(daemon):
     one = daemon()
     with one.connect() as connection:
         count = 20_000_000
-        connection.send_bytes(frame(EVAL, 77, eval_payload(radii=None, radius_count=count, wanted=R)))
-        connection.receive_bytes(0)
+        payload = eval_payload(radii=None, radius_count=count, wanted=R)
+        connection.send_bytes(frame(EVAL, 77, payload))
         first = connection.receive_frame()
         one.terminate()
         parts = [wire.EVAL_REPLY.unpack(first.payload)]

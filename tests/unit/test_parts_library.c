@@ -372,7 +372,7 @@ static void test_lost_between_parts(void **state) {
   }
 }
 
-/* The first radii of 2^40, of which no memory could hold the values, and a word why no more come. */
+/* The first of 2^40 radii, whose values no memory could hold, and a word why no more come. */
 static void begin_something_huge(int fd, void *context) {
   peer_frame request;
   uint8_t *payload;

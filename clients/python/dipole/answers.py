@@ -49,7 +49,7 @@ class Answer:
         return self._next_part == 0 and not self.ended
 
     def refuse(self, error: DipoleError) -> None:
-        """An error takes the place of the next part; without the parts before it nothing is whole."""
+        """An error takes the place of the next part: there will be nothing whole."""
         self.ended = True
         self.ready.append(error)
 

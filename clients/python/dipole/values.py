@@ -72,9 +72,10 @@ class Offers(NamedTuple):
 class Result:
     """The answer to one evaluation, or a part of it, for C channels (media) and N radii.
 
-    Arrays have the precision of the evaluator, float64 or float32; those that were not wanted are
-    None. The arrays are read-only and may be views of one buffer. values holds those that have a value for
-    each radius and channel by the daemon's names of the quantities, such as "2_pi_r_R".
+    Arrays have the precision of the evaluator, float64 or float32; those that were not wanted
+    are None. The arrays are read-only and may be views of one buffer. values holds those that
+    have a value for each radius and channel by the daemon's names of the quantities, such as
+    "2_pi_r_R".
     """
 
     model: str
