@@ -9,7 +9,7 @@
 #include "server/worker.h"
 
 enum {
-  TURN_RADII = 2 * JOB_SLICE_RADII, /* what a turn may cost, JOB_STEP_RADII for a frame included */
+  TURN_RADII = JOB_SLICE_RADII, /* what a turn may cost, JOB_STEP_RADII for a frame included */
   WRITE_BUFFERS = 16,
   REST_MS = 1000,   /* of silence, after which a connection's memory is given back */
   LINGER_MS = 1000, /* for a peer that does not close after the last answer */
@@ -624,9 +624,9 @@ void connection_tick(struct connection *c, uint64_t now_ms) {
     return;
   }
   if (!c->in_job && !c->in_table) {
-    input_settle(&c->input);
+    input_settle(&c->input, now_ms);
   }
-  output_settle(&c->output);
+  output_settle(&c->output, now_ms);
   if (c->ending || c->output.ready_bytes > 0) {
     if (now_ms - c->active_ms > options->idle_timeout_ms) {
       connection_abort(c);

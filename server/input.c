@@ -4,7 +4,7 @@
 #include <string.h>
 
 /* What every open connection costs; larger frames grow the buffer. */
-enum { BASE_BYTES = 65536, GROWTH = 8 };
+enum { BASE_BYTES = 65536, GROWTH = 8, SETTLE_MS = 1000 };
 
 void input_init(struct input *input, struct server *server) {
   *input = (struct input){.server = server};
@@ -181,12 +181,15 @@ void input_rest(struct input *input) {
   }
 }
 
-void input_settle(struct input *input) {
-  if (input->capacity > BASE_BYTES && !input->large && held(input) <= BASE_BYTES) {
+void input_settle(struct input *input, uint64_t now_ms) {
+  if (input->large) {
+    input->large_ms = now_ms;
+    input->large = false;
+  } else if (input->capacity > BASE_BYTES && held(input) <= BASE_BYTES &&
+             now_ms - input->large_ms > SETTLE_MS) {
     move_to_front(input);
     resize(input, BASE_BYTES);
   }
-  input->large = false;
 }
 
 void input_discard(struct input *input) {

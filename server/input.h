@@ -20,7 +20,8 @@ struct input {
   size_t capacity;
   size_t begin;                         /* of the first frame that has not been dealt with */
   size_t end;                           /* of what has arrived */
-  bool large;                           /* it held more than its first size can, lately */
+  bool large;                           /* it held as much as its first size, or nearly, */
+  uint64_t large_ms;                    /* which input_settle() last found so then */
   uint64_t skip_bytes;                  /* of a refused payload, still to arrive */
   uint64_t total_bytes;                 /* that have arrived, ever */
   struct input_mark marks[INPUT_MARKS]; /* of what has not been dealt with, rising */
@@ -62,9 +63,9 @@ bool input_refuse(struct input *input, wire_header *header);
 /* Gives its memory back when nothing is held. */
 void input_rest(struct input *input);
 
-/* From time to time, while no frame is in use: gives back what it has grown by, unless it has needed
- * that since it was last asked. */
-void input_settle(struct input *input);
+/* From time to time, while no frame is in use: gives back what it has grown by when it has not needed
+ * that for a while. */
+void input_settle(struct input *input, uint64_t now_ms);
 
 /* Drops everything that has arrived. */
 void input_discard(struct input *input);

@@ -6,10 +6,10 @@
 #include "server/profiles.h"
 #include "server/repeat.h"
 
-/* A slice's evaluations of a dipole: about 50 to 200 microseconds, which is what a small request may
+/* A slice's evaluations of a dipole: about 25 to 100 microseconds, which is what a small request may
  * have to wait for when a large one is being evaluated on its worker. Costlier profiles get slices
  * with fewer radii. */
-enum { JOB_SLICE_RADII = 32768 };
+enum { JOB_SLICE_RADII = 16384 };
 
 /* What a step costs besides, in radii: preparing a profile, or taking a frame apart. */
 enum { JOB_STEP_RADII = 64 };

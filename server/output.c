@@ -4,7 +4,7 @@
 #include <stdlib.h>
 
 /* Holds a few hundred small answers, and makes one system call of them. */
-enum { CHUNK_BYTES = 65536, SPARE_BYTES = 4194304 };
+enum { CHUNK_BYTES = 65536, SPARE_BYTES = 4194304, SETTLE_MS = 1000 };
 
 struct output_chunk {
   struct output_chunk *next;
@@ -57,11 +57,13 @@ void output_free(struct output *output) {
   free_spares(output);
 }
 
-void output_settle(struct output *output) {
-  if (!output->spares_used) {
+void output_settle(struct output *output, uint64_t now_ms) {
+  if (output->spares_used) {
+    output->spares_ms = now_ms;
+    output->spares_used = false;
+  } else if (now_ms - output->spares_ms > SETTLE_MS) {
     free_spares(output);
   }
-  output->spares_used = false;
 }
 
 /* Small answers take no large chunk, so that it is not held longer than it is needed. */

@@ -22,6 +22,7 @@ struct output {
   struct output_chunk *spares; /* that have been written, for the next answers */
   size_t spare_bytes;
   bool spares_used;      /* since output_settle() */
+  uint64_t spares_ms;    /* when output_settle() last found so */
   uint64_t ready_bytes;  /* committed and not yet consumed */
   size_t reserved_bytes; /* at the end of the last chunk, being filled */
 };
@@ -32,8 +33,8 @@ void output_free(struct output *output);
 /* Gives its memory back when nothing waits. */
 void output_rest(struct output *output);
 
-/* From time to time: gives the spares back, unless some have been used since it was last asked. */
-void output_settle(struct output *output);
+/* From time to time: gives the spares back when none has been used for a while. */
+void output_settle(struct output *output, uint64_t now_ms);
 
 /* Room for bytes (a multiple of 8) at an address that is a multiple of 8, stable until it has been
  * consumed; NULL: the memory budget is exhausted. One reservation at a time. */

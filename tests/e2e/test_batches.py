@@ -8,7 +8,7 @@ import threading
 
 import numpy as np
 import pytest
-from daemons import Daemon
+from daemons import Daemon, eventually
 from dipole import Connection, wire
 from frames import (
     ALBEDO,
@@ -234,6 +234,8 @@ def test_long_requests_are_not_gathered(daemon):
 
 # ---- nothing from the heap -----------------------------------------------------------------------
 
+MAX_QUEUED_BYTES = 262144
+
 STEADY = {
     "better": {"model": MODELS["better"]},
     "better, all that there is": {
@@ -260,16 +262,27 @@ STEADY = {
 }
 
 
+def fill_queue(connection: Connection, watcher: Connection, payload: bytes) -> None:
+    """Leaves as much unread as a connection may, so that it has had all the buffers that it can."""
+    reply = ask(connection, EVAL, payload)
+    times = 1 + MAX_QUEUED_BYTES // (wire.HEADER.bytes + len(reply.payload))
+    expected = statistics(watcher)["requests_eval"] + times
+    connection.send_bytes(frame(EVAL, 1, payload) * times)
+    assert eventually(lambda: statistics(watcher)["requests_eval"] == expected)
+    for _ in range(times):
+        assert connection.receive_frame().type == EVALUATED
+
+
 @pytest.mark.parametrize("name", STEADY)
 def test_steady_requests_allocate_nothing(daemon, name):
     """Ten thousand requests, one by one or a hundred at a time, over a connection that has had
-    some."""
+    its buffers."""
     fields = {"media": [SKIN], "radii": np.linspace(0.1, 3, 16), "wanted": R, **STEADY[name]}
     payload = eval_payload(**fields)
-    one = daemon("--workers", "1")
-    with one.connect() as connection, one.connect("tcp") as other:
+    one = daemon("--workers", "1", "--max-queued-bytes", str(MAX_QUEUED_BYTES))
+    with one.connect() as connection, one.connect("tcp") as other, one.connect() as watcher:
         for each in (connection, other):
-            send_and_receive(each, payload, 100)
+            fill_queue(each, watcher, payload)
             send_and_receive(each, payload, 1)
             statistics(each)
         before = statistics(connection)["allocations"]

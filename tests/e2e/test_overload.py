@@ -16,8 +16,8 @@ LONG = eval_payload(model=MODELS["beam+single"], radii=None, radius_count=1_000_
 # A fraction of a millisecond.
 LARGE = eval_payload(radii=None, radius_count=100_000, wanted=R)
 # What counts as small, and one radius more.
-LARGEST_SMALL = eval_payload(radii=None, radius_count=32768, wanted=R)
-SMALLEST_LARGE = eval_payload(radii=None, radius_count=32769, wanted=R)
+LARGEST_SMALL = eval_payload(radii=None, radius_count=16384, wanted=R)
+SMALLEST_LARGE = eval_payload(radii=None, radius_count=16385, wanted=R)
 
 
 def start(connection: Connection, watcher: Connection, payload: bytes) -> None:
