@@ -9,6 +9,7 @@
 Lengths in mm, coefficients in 1/mm, R in 1/mm^2 per unit of power that entered the medium.
 """
 
+from .broadcast import Values
 from .client import Client
 from .connection import Connection, Frame
 from .errors import (
@@ -51,4 +52,5 @@ __all__ = [
     "Result",
     "Table",
     "TableError",
+    "Values",
 ]

@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from . import answers, mc, packing, retry, wire
+from . import answers, broadcast, mc, packing, retry, wire
 from .answers import Answer, Query
+from .broadcast import Values
 from .connection import Connection, Frame, frame_bytes
 from .errors import (
     ArgumentError,
@@ -50,7 +51,7 @@ class Client:
     ):
         self._last_id = 0
         self._outstanding: dict[int, Answer] = {}  # of submitted queries
-        self._arrived: list[int] = []  # those of them that are whole, or refused, in that order
+        self._arrived: dict[int, None] = {}  # those that are whole, or refused, in that order
         self._read: dict[int, Answer] = {}  # of queries that are read part by part
         self._ignored: set[int] = set()  # requests whose replies say nothing that is wanted
         self._requests = retry.Requests()
@@ -126,12 +127,40 @@ class Client:
             deadline_ms=deadline_ms,
         )
         try:
-            while request_id not in self._arrived:
-                self._receive()
-        except BaseException:
-            self._forget(request_id)
-            raise
-        return self._take(request_id)
+            return self.collect(request_id)[1]
+        finally:
+            self.forget(request_id)
+
+    def values(
+        self,
+        model: str | int | None,
+        media: Medium | Sequence[Any] | np.ndarray,
+        r: Any,
+        quantity: str = "R",
+        *,
+        evaluator: str | int | None = None,
+        moments: str | int = "exact",
+        parameters: Mapping[str, float | str] | None = None,
+        tolerance: float | None = None,
+        deadline_ms: int = 0,
+    ) -> Values:
+        """Evaluates one quantity as numpy's functions do: media and radii of any shapes, which are
+        broadcast against each other.
+
+        media: a Medium whose fields may be arrays, or an array [..., 4]. r: radii in mm, of any
+        shape. So a Medium whose sigma_a is [H, W, 1] and r [N] give values [H, W, N], and r [H, W]
+        gives every medium of an image its own radius. quantity: the name of one that has a value
+        for each radius. The rest: as of eval(). Equal media are asked for once; any number of
+        media, and of radii, goes. deadline_ms counts for each of the queries that this takes.
+        """
+        options = {
+            "evaluator": evaluator,
+            "moments": moments,
+            "parameters": parameters,
+            "tolerance": tolerance,
+            "deadline_ms": deadline_ms,
+        }
+        return broadcast.evaluate(self, model, media, r, quantity, options)
 
     def submit(
         self,
@@ -243,27 +272,27 @@ class Client:
         except TableError as error:
             raise ProtocolError(f"a table reply that is none: {error}") from error
 
-    def collect(self) -> tuple[int, Result]:
-        """Waits for the answer to any outstanding query; returns its id and the result. A refusal
-        is raised with the query's id in request_id; the others go on."""
-        if not self._outstanding:
+    def collect(self, request_id: int | None = None) -> tuple[int, Result]:
+        """Waits for the answer to any outstanding query, or to a certain one; returns its id and
+        the result. A refusal is raised with the query's id in request_id; the others go on."""
+        if request_id is None and not self._outstanding:
             raise ArgumentError("nothing is outstanding")
-        while not self._arrived:
+        if request_id is not None and request_id not in self._outstanding:
+            raise ArgumentError(f"request_id {request_id}: not outstanding")
+        while not (self._arrived if request_id is None else request_id in self._arrived):
             self._receive()
-        request_id = self._arrived[0]
-        return request_id, self._take(request_id)
+        found = next(iter(self._arrived)) if request_id is None else request_id
+        del self._arrived[found]
+        answer = self._outstanding.pop(found)
+        return found, answers.result(answer, self.info)
 
-    def _take(self, request_id: int) -> Result:
-        """The answer to a submitted query, which has arrived."""
-        self._arrived.remove(request_id)
-        answer = self._outstanding.pop(request_id)
-        return answers.result(answer, self.info)
-
-    def _forget(self, request_id: int) -> None:
-        """Nobody wants the answer to a submitted query."""
-        del self._outstanding[request_id]
+    def forget(self, request_id: int) -> None:
+        """Nobody wants the answer to a submitted query any more. One that is not outstanding is
+        fine."""
+        if self._outstanding.pop(request_id, None) is None:
+            return
         if request_id in self._arrived:
-            self._arrived.remove(request_id)
+            del self._arrived[request_id]
         else:
             self._ignored.add(request_id)
 
@@ -509,7 +538,7 @@ class Client:
         except Refused as refusal:
             answer.refuse(refusal)
         if answer.ended and frame.request_id in self._outstanding:
-            self._arrived.append(frame.request_id)
+            self._arrived[frame.request_id] = None
 
     def _answer(self, request_id: int, message: str) -> bytes:
         """The payload of the reply to a request that is not among the submitted ones."""

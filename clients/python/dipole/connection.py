@@ -9,13 +9,17 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from . import wire
 from .errors import AddressError, ConnectError, ConnectionLost, ProtocolError
 
 _RECEIVE_BYTES = 1 << 20
+_LARGE_BYTES = 1 << 18  # of a payload that is received to where it stays
 _PRIVATE_EXIT_S = 10.0
 
 
@@ -24,7 +28,7 @@ class Frame(NamedTuple):
 
     type: int
     request_id: int
-    payload: bytes
+    payload: bytes | memoryview  # a large one is a view, read-only
 
 
 class Connection:
@@ -125,14 +129,28 @@ class Connection:
             if not self._incoming:
                 raise
 
-    def receive_bytes(self, count: int) -> bytes:
+    def receive_bytes(self, count: int) -> bytes | memoryview:
         """Exactly count bytes."""
+        if count >= _LARGE_BYTES:
+            return self._receive_large(count)
         while len(self._incoming) < count:
             self._wait(writing=False)
             self._receive_some()
         data = bytes(self._incoming[:count])
         del self._incoming[:count]
         return data
+
+    def _receive_large(self, count: int) -> memoryview:
+        """Nothing of it is copied but what has come already."""
+        there = min(len(self._incoming), count)
+        buffer = np.empty(count, np.uint8)
+        buffer[:there] = memoryview(self._incoming)[:there]
+        del self._incoming[:there]
+        view = memoryview(buffer)
+        while there < count:
+            self._wait(writing=False)
+            there += self._received(self.socket.recv_into, view[there:])
+        return view.toreadonly()
 
     def receive_eof(self) -> bool:
         """Waits for the peer's next move: True when it closes, False when it sends something."""
@@ -174,13 +192,17 @@ class Connection:
             raise ConnectionLost(f"{self.address}: {error}") from error
 
     def _receive_some(self) -> None:
+        self._incoming += self._received(self.socket.recv, _RECEIVE_BYTES)
+
+    def _received(self, receive: Callable[[Any], Any], argument: Any) -> Any:
+        """What a call that receives returns, unless it is the end."""
         try:
-            data = self.socket.recv(_RECEIVE_BYTES)
+            received = receive(argument)
         except OSError as error:
             raise ConnectionLost(f"{self.address}: {error}") from error
-        if not data:
+        if not received:
             raise ConnectionLost(f"{self.address}: the daemon closed the connection")
-        self._incoming += data
+        return received
 
     # ---- frames ----------------------------------------------------------------------------------
 
@@ -188,7 +210,12 @@ class Connection:
         self, type: int, request_id: int, payload: bytes = b"", deadline_ms: int = 0
     ) -> None:
         """Sends a header and a payload, whose length must be a multiple of 8."""
-        self.send_bytes(frame_bytes(type, request_id, payload, deadline_ms))
+        header = header_bytes(type, request_id, len(payload), deadline_ms)
+        if len(payload) < _LARGE_BYTES:
+            self.send_bytes(header + payload)
+        else:
+            self.send_bytes(header)
+            self.send_bytes(payload)
 
     def receive_frame(self) -> Frame:
         """The next frame, whatever its type."""
@@ -198,17 +225,21 @@ class Connection:
         return Frame(header.type, header.request_id, self.receive_bytes(header.payload_bytes))
 
 
-def frame_bytes(type: int, request_id: int, payload: bytes = b"", deadline_ms: int = 0) -> bytes:
-    """A whole frame."""
-    header = wire.HEADER.pack(
+def header_bytes(type: int, request_id: int, payload_bytes: int, deadline_ms: int = 0) -> bytes:
+    """The header of a frame."""
+    return wire.HEADER.pack(
         magic=wire.MAGIC,
         version=wire.VERSION,
         type=type,
         request_id=request_id,
-        payload_bytes=len(payload),
+        payload_bytes=payload_bytes,
         deadline_ms=deadline_ms,
     )
-    return header + payload
+
+
+def frame_bytes(type: int, request_id: int, payload: bytes = b"", deadline_ms: int = 0) -> bytes:
+    """A whole frame."""
+    return b"".join([header_bytes(type, request_id, len(payload), deadline_ms), payload])
 
 
 def _poll(connection: socket.socket, wanted: int, wait_ms: float | None) -> int:

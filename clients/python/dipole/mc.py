@@ -173,5 +173,5 @@ def unpack_result(payload: bytes) -> McResult:
         ring_photons=photons.reshape(sides, rings),
         values=values[:, :, 0],
         errors=values[:, :, 1],
-        payload=payload,
+        payload=bytes(payload),
     )

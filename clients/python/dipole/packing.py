@@ -58,9 +58,9 @@ def query(
         radius_start=0.0 if grid is None else grid.start_mm,
         radius_stop=0.0 if grid is None else grid.stop_mm,
     )
-    listed = b"" if radii is None else radii.tobytes()
-    listed += bytes(wire.padded(len(listed)) - len(listed))
-    payload = b"".join([fixed, listed_media.tobytes(), *listed_parameters, listed])
+    listed = memoryview(b"" if radii is None else radii)
+    padding = bytes(wire.padded(listed.nbytes) - listed.nbytes)
+    payload = b"".join([fixed, listed_media.tobytes(), *listed_parameters, listed, padding])
     value_type = wire.EVALUATOR_TYPES.get(evaluator_id)
     return payload, Query(radii, value_type, wanted_ids, len(listed_media), radius_count)
 
@@ -105,7 +105,7 @@ def radii_array(r: Any, grid: Grid | None, evaluator_id: int) -> np.ndarray | No
     radii = np.asarray([] if r is None else r, wire.EVALUATOR_TYPES[evaluator_id])
     if radii.ndim > 1:
         raise ArgumentError("r: one radius or an array [N]")
-    return radii.reshape(-1)
+    return np.ascontiguousarray(radii.reshape(-1))
 
 
 def unpack_list(

@@ -1,0 +1,216 @@
+"""Evaluating as numpy's functions do: media and radii of any shapes, broadcast against each other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from . import wire
+from .errors import ArgumentError
+from .values import Medium, Result
+
+if TYPE_CHECKING:
+    from .client import Client
+
+# Queries that are under way at a time: enough to keep the daemon busy while this end reads.
+_OUTSTANDING = 64
+
+
+class Values(NamedTuple):
+    """A quantity for media and radii of some shapes; all arrays have the shape that these have
+    together."""
+
+    values: np.ndarray  # of the evaluator's precision; units as in Result
+    numerical_error: np.ndarray  # relative, of each value against the model's exact formula
+    model_error: np.ndarray  # relative, of the model against transport; NaN: not measured
+    models: tuple[str, ...]  # that were evaluated: one, unless a tolerance has chosen several
+
+
+class _Media(NamedTuple):
+    """Media without repetition."""
+
+    distinct: np.ndarray  # [C, 4]
+    index: np.ndarray  # [...] of each medium asked for, where it is in `distinct`
+
+
+def evaluate(
+    client: Client,
+    model: str | int | None,
+    media: Medium | Sequence[Any] | np.ndarray,
+    r: Any,
+    quantity: str,
+    options: Mapping[str, Any],
+) -> Values:
+    """See Client.values()."""
+    one = _media(media)
+    radii = np.asarray(r, np.float64)
+    try:
+        shape = np.broadcast_shapes(one.index.shape, radii.shape)
+    except ValueError as error:
+        shapes = f"{one.index.shape} and {radii.shape}"
+        raise ArgumentError(f"media, r: shapes {shapes} do not broadcast") from error
+    answers = _Answers(shape, quantity)
+    if radii.size == 0 or one.index.size == 0:
+        return answers.values()
+    if _is_product(one.index, radii):
+        queries = _product(client, one, radii, len(shape))
+    else:
+        queries = _groups(client, one, radii, shape)
+    _ask(client, model, queries, answers, {**options, "wanted": [quantity]})
+    return answers.values()
+
+
+# ---- what is asked -------------------------------------------------------------------------------
+
+
+class _Query(NamedTuple):
+    """One request, and where its answers belong: positions in the flattened result."""
+
+    media: np.ndarray  # [C, 4]
+    radii: np.ndarray  # [N]
+    places: tuple[tuple[int, np.ndarray], ...]  # (channel, [N]); a channel may have several
+
+
+def _media(media: Medium | Sequence[Any] | np.ndarray) -> _Media:
+    if isinstance(media, tuple):
+        fields = [np.asarray(field, np.float64) for field in media]
+    else:
+        array = np.asarray(media, np.float64)
+        fields = list(np.moveaxis(array, -1, 0)) if array.ndim else []
+    if len(fields) != 4:
+        raise ArgumentError("media: a Medium, whose fields may be arrays, or an array [..., 4]")
+    try:
+        fields = np.broadcast_arrays(*fields)
+    except ValueError as error:
+        raise ArgumentError("media: the shapes of its fields do not broadcast") from error
+    rows = np.stack([field.reshape(-1) for field in fields], axis=1)
+    if len(rows) == 1:
+        return _Media(rows, np.zeros(fields[0].shape, np.intp))
+    distinct, index = np.unique(rows, axis=0, return_inverse=True)
+    return _Media(distinct, index.reshape(fields[0].shape))
+
+
+def _most_media(client: Client) -> int:
+    """In a request: each part of an answer has to have room for 256 radii of each."""
+    limits = client.info.limits
+    part_bytes = min(limits["max_part_bytes"], limits["max_frame_bytes"]) - wire.EVAL_REPLY.bytes
+    return max(min(limits["max_media"], part_bytes // (wire.CHANNEL.bytes + 256 * 8)), 1)
+
+
+def _most_radii(client: Client) -> int:
+    """In a request that is no larger than a frame, with room for its media."""
+    return max(client.info.limits["max_frame_bytes"] // 16, 1)
+
+
+def _aligned(shape: tuple[int, ...], dimensions: int) -> tuple[int, ...]:
+    return (1,) * (dimensions - len(shape)) + shape
+
+
+def _is_product(index: np.ndarray, radii: np.ndarray) -> bool:
+    """Whether each medium meets each radius."""
+    dimensions = max(index.ndim, radii.ndim)
+    media_shape, radii_shape = _aligned(index.shape, dimensions), _aligned(radii.shape, dimensions)
+    return all(m == 1 or n == 1 for m, n in zip(media_shape, radii_shape))
+
+
+def _product(client: Client, media: _Media, radii: np.ndarray, dimensions: int) -> Iterator[_Query]:
+    """All media in as few requests as the daemon's limits allow."""
+    media_shape = _aligned(media.index.shape, dimensions)
+    radii_shape = _aligned(radii.shape, dimensions)
+    shape = tuple(m * n for m, n in zip(media_shape, radii_shape))
+    places = np.arange(media.index.size * radii.size).reshape(shape)
+    # [medium, radius]: the axes of the media first.
+    first = [i for i in range(dimensions) if media_shape[i] != 1]
+    rest = [i for i in range(dimensions) if media_shape[i] == 1]
+    places = places.transpose(first + rest).reshape(media.index.size, radii.size)
+    index, listed = media.index.reshape(-1), radii.reshape(-1)
+    most_media, most_radii = _most_media(client), _most_radii(client)
+    for begin in range(0, listed.size, most_radii):
+        end = begin + most_radii
+        for low in range(0, len(media.distinct), most_media):
+            distinct = media.distinct[low : low + most_media]
+            rows = np.flatnonzero((index >= low) & (index < low + len(distinct)))
+            yield _Query(
+                distinct,
+                listed[begin:end],
+                tuple((int(index[row]) - low, places[row, begin:end]) for row in rows),
+            )
+
+
+def _groups(
+    client: Client, media: _Media, radii: np.ndarray, shape: tuple[int, ...]
+) -> Iterator[_Query]:
+    """Each medium with its radii."""
+    most_radii = _most_radii(client)
+    index = np.broadcast_to(media.index, shape).reshape(-1)
+    listed = np.broadcast_to(radii, shape).reshape(-1)
+    order = np.argsort(index, kind="stable")
+    bounds = np.searchsorted(index[order], np.arange(len(media.distinct) + 1))
+    for i, medium in enumerate(media.distinct):
+        for begin in range(bounds[i], bounds[i + 1], most_radii):
+            places = order[begin : min(begin + most_radii, bounds[i + 1])]
+            yield _Query(medium[np.newaxis], listed[places], ((0, places),))
+
+
+# ---- what is answered ----------------------------------------------------------------------------
+
+
+class _Answers:
+    """Collects results into arrays."""
+
+    def __init__(self, shape: tuple[int, ...], quantity: str):
+        self._shape = shape
+        self._quantity = quantity
+        self._values: np.ndarray | None = None
+        self._numerical_error = np.zeros(int(np.prod(shape)))
+        self._model_error = np.full(int(np.prod(shape)), np.nan)
+        self._models: set[str] = set()
+
+    def add(self, query: _Query, result: Result) -> None:
+        found = result.values[self._quantity]
+        if self._values is None:
+            self._values = np.empty(self._numerical_error.size, found.dtype)
+        numerical_error = result.numerical_error(query.radii)
+        for channel, places in query.places:
+            self._values[places] = found[channel]
+            self._numerical_error[places] = numerical_error[channel]
+            self._model_error[places] = result.model_error[channel]
+        self._models.add(result.model)
+
+    def values(self) -> Values:
+        values = np.empty(0) if self._values is None else self._values
+        return Values(
+            values.reshape(self._shape),
+            self._numerical_error.reshape(self._shape),
+            self._model_error.reshape(self._shape),
+            tuple(sorted(self._models)),
+        )
+
+
+def _ask(
+    client: Client,
+    model: str | int | None,
+    queries: Iterator[_Query],
+    answers: _Answers,
+    options: Mapping[str, Any],
+) -> None:
+    """Pipelines the queries. After a refusal the answers to the others are waited for by nobody."""
+    under_way: dict[int, _Query] = {}
+    try:
+        for query in queries:
+            under_way[client.submit(model, query.media, query.radii, **options)] = query
+            while len(under_way) >= _OUTSTANDING:
+                _collect(client, under_way, answers)
+        while under_way:
+            _collect(client, under_way, answers)
+    finally:
+        for request_id in under_way:
+            client.forget(request_id)
+
+
+def _collect(client: Client, under_way: dict[int, _Query], answers: _Answers) -> None:
+    request_id = next(iter(under_way))
+    query = under_way.pop(request_id)
+    answers.add(query, client.collect(request_id)[1])

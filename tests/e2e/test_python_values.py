@@ -1,0 +1,145 @@
+"""The Python client's values(): media and radii of any shapes, as numpy broadcasts them."""
+
+from __future__ import annotations
+
+import dipole
+import numpy as np
+import pytest
+from dipole import Medium
+
+SKIN1 = [Medium(0.032, 0.74), Medium(0.17, 0.88), Medium(0.48, 1.01)]
+SIGMA_A = np.array([medium.sigma_a for medium in SKIN1])
+SIGMA_S = np.array([medium.sigma_s for medium in SKIN1])
+
+
+def one_by_one(client, media: np.ndarray, r: np.ndarray, quantity: str, **options) -> np.ndarray:
+    """What values() is to give, from an eval for each value. media: [..., 4]"""
+    shape = np.broadcast_shapes(media.shape[:-1], r.shape)
+    all_media = np.broadcast_to(media, (*shape, 4))
+    all_r = np.broadcast_to(r, shape)
+    found = [
+        client.eval("better", tuple(all_media[i]), [all_r[i]], wanted=[quantity], **options)
+        for i in np.ndindex(shape)
+    ]
+    return np.array([one.values[quantity][0, 0] for one in found]).reshape(shape)
+
+
+def random_media(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    """Few different ones, so that some are equal."""
+    few = np.stack([rng.choice([0.03, 0.2], shape), rng.choice([0.7, 0.9, 1.0], shape)], axis=-1)
+    return np.concatenate([few, np.zeros((*shape, 1)), np.full((*shape, 1), 1.3)], axis=-1)
+
+
+@pytest.mark.parametrize(
+    "media_shape, r_shape",
+    [
+        ((), ()),
+        ((), (5,)),
+        ((3, 1), (5,)),
+        ((3, 1, 1), (2, 5)),
+        ((3,), (5, 1)),
+        ((2, 1, 4), (3, 1)),
+        ((4, 3), (4, 3)),
+        ((4, 3, 1), (3, 2)),
+        ((6,), (1,)),
+        ((6,), ()),
+        ((1,), (2, 3)),
+        ((5,), (4, 5)),
+    ],
+)
+def test_shapes(client, media_shape, r_shape):
+    rng = np.random.default_rng(20261121)
+    media, r = random_media(rng, media_shape), rng.uniform(0, 5, r_shape)
+    for quantity, evaluator in (("R", "f64"), ("cdf", "f32")):
+        found = client.values("better", media, r, quantity, evaluator=evaluator)
+        expected = one_by_one(client, media, r, quantity, evaluator=evaluator)
+        np.testing.assert_array_equal(found.values, expected)
+        assert found.values.dtype == expected.dtype
+        assert found.models == ("better",)
+        assert found.numerical_error.shape == found.model_error.shape == expected.shape
+
+
+def test_fields_that_are_arrays(client):
+    r = np.linspace(0.1, 3, 7)
+    expected = client.eval("better", SKIN1, r)
+    found = client.values("better", Medium(SIGMA_A[:, None], SIGMA_S[:, None]), r)
+    np.testing.assert_array_equal(found.values, expected.R)
+    np.testing.assert_array_equal(found.numerical_error, expected.numerical_error(r))
+    np.testing.assert_array_equal(found.model_error, expected.model_error[:, None] + np.zeros(7))
+
+
+def test_more_media_and_radii_than_a_request_may_have(daemon):
+    options = ["--max-media", "4", "--max-frame-bytes", "4096"]
+    with daemon(*options).client() as small, daemon().client() as large:
+        media = Medium(np.linspace(0.01, 1, 11)[:, None], 1.0)
+        r = np.linspace(0, 4, 700)
+        expected = large.values("better", media, r)
+        np.testing.assert_array_equal(small.values("better", media, r).values, expected.values)
+        one = Medium(np.full(700, 0.3), 1.0)  # pairs, all of one medium
+        expected = large.values("better", one, r)
+        np.testing.assert_array_equal(small.values("better", one, r).values, expected.values)
+
+
+def test_an_image_with_a_medium_in_each_pixel(client):
+    rng = np.random.default_rng(7)
+    sigma_a, r = rng.uniform(0.01, 1, (30, 20)), rng.uniform(0, 5, (30, 20))
+    found = client.values("better", Medium(sigma_a, 1.0), r).values
+    for y, x in ((0, 0), (29, 19), (13, 7)):
+        one = client.eval("better", Medium(sigma_a[y, x], 1.0), r[y, x])
+        assert found[y, x] == one.R[0, 0]
+
+
+def test_nothing_is_asked_for(client):
+    empty = client.values("better", SKIN1[0], np.empty((3, 0)))
+    assert empty.values.shape == empty.numerical_error.shape == (3, 0)
+    assert client.values("better", np.empty((0, 4)), 1.0).values.shape == (0,)
+
+
+def test_a_tolerance_may_take_several_models(client):
+    media = Medium(np.array([0.0001, 0.1, 3.0]), 1.0)
+    r = np.array([1.0, 1.5, 2.0])
+    found = client.values(None, media, r, tolerance=0.05)
+    for i in range(3):
+        one = client.eval(None, Medium(media.sigma_a[i], 1.0), [r[i]], tolerance=0.05)
+        assert one.model in found.models
+        assert found.values[i] == one.R[0, 0]
+        assert found.model_error[i] == one.model_error[0] <= 0.05
+
+
+@pytest.mark.parametrize(
+    "media, r, text",
+    [
+        (Medium(SIGMA_A, 1.0), [1.0, 2.0], "media, r"),
+        (Medium(SIGMA_A, [1.0, 2.0]), 1.0, "shapes of its fields"),
+        (np.zeros((4, 3)), 1.0, "media"),
+        (3.0, 1.0, "media"),
+    ],
+)
+def test_what_does_not_fit_is_not_sent(client, media, r, text):
+    with pytest.raises(dipole.ArgumentError, match=text):
+        client.values("better", media, r)
+
+
+def test_a_refusal_among_many_leaves_the_client_as_it_was(client):
+    sigma_a = np.linspace(-1, 5, 100)  # the first are refused
+    with pytest.raises(dipole.Refused) as caught:
+        client.values("better", Medium(sigma_a, 1.0), np.linspace(0, 1, 100))
+    assert caught.value.field == "sigma_a"
+    assert client.eval("better", SKIN1[0], [1.0]).R.shape == (1, 1)
+    with pytest.raises(dipole.ArgumentError):
+        client.collect()
+
+
+def test_collecting_a_certain_one(client):
+    ids = [client.submit("better", SKIN1[0], [0.1 * i]) for i in range(20)]
+    expected = {i: client.eval("better", SKIN1[0], [0.1 * n]).R for n, i in enumerate(ids)}
+    for request_id in reversed(ids[5:]):
+        found, result = client.collect(request_id)
+        assert found == request_id
+        np.testing.assert_array_equal(result.R, expected[request_id])
+    client.forget(ids[0])
+    client.forget(ids[0])  # is fine
+    rest = [client.collect()[0] for _ in range(4)]
+    assert rest == ids[1:5]
+    with pytest.raises(dipole.ArgumentError, match="not outstanding"):
+        client.collect(ids[0])
