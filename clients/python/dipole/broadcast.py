@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from . import wire
 from .errors import ArgumentError
-from .values import Medium, Result
+from .values import Info, Medium, Result
 
-if TYPE_CHECKING:
-    from .client import Client
-
-# Queries that are under way at a time: enough to keep the daemon busy while this end reads.
-_OUTSTANDING = 64
+# Queries that are to be under way at a time: enough to keep the daemon busy while this end reads.
+OUTSTANDING = 64
 
 
 class Values(NamedTuple):
@@ -35,15 +32,10 @@ class _Media(NamedTuple):
     index: np.ndarray  # [...] of each medium asked for, where it is in `distinct`
 
 
-def evaluate(
-    client: Client,
-    model: str | int | None,
-    media: Medium | Sequence[Any] | np.ndarray,
-    r: Any,
-    quantity: str,
-    options: Mapping[str, Any],
-) -> Values:
-    """See Client.values()."""
+def plan(
+    info: Info, media: Medium | Sequence[Any] | np.ndarray, r: Any, quantity: str
+) -> tuple[Iterator[Query], Answers]:
+    """The queries that Client.values() has to make, and what collects their results."""
     one = _media(media)
     radii = np.asarray(r, np.float64)
     try:
@@ -51,21 +43,18 @@ def evaluate(
     except ValueError as error:
         shapes = f"{one.index.shape} and {radii.shape}"
         raise ArgumentError(f"media, r: shapes {shapes} do not broadcast") from error
-    answers = _Answers(shape, quantity)
+    collected = Answers(shape, quantity)
     if radii.size == 0 or one.index.size == 0:
-        return answers.values()
+        return iter(()), collected
     if _is_product(one.index, radii):
-        queries = _product(client, one, radii, len(shape))
-    else:
-        queries = _groups(client, one, radii, shape)
-    _ask(client, model, queries, answers, {**options, "wanted": [quantity]})
-    return answers.values()
+        return _product(info, one, radii, len(shape)), collected
+    return _groups(info, one, radii, shape), collected
 
 
 # ---- what is asked -------------------------------------------------------------------------------
 
 
-class _Query(NamedTuple):
+class Query(NamedTuple):
     """One request, and where its answers belong: positions in the flattened result."""
 
     media: np.ndarray  # [C, 4]
@@ -92,16 +81,16 @@ def _media(media: Medium | Sequence[Any] | np.ndarray) -> _Media:
     return _Media(distinct, index.reshape(fields[0].shape))
 
 
-def _most_media(client: Client) -> int:
+def _most_media(info: Info) -> int:
     """In a request: each part of an answer has to have room for 256 radii of each."""
-    limits = client.info.limits
+    limits = info.limits
     part_bytes = min(limits["max_part_bytes"], limits["max_frame_bytes"]) - wire.EVAL_REPLY.bytes
     return max(min(limits["max_media"], part_bytes // (wire.CHANNEL.bytes + 256 * 8)), 1)
 
 
-def _most_radii(client: Client) -> int:
+def _most_radii(info: Info) -> int:
     """In a request that is no larger than a frame, with room for its media."""
-    return max(client.info.limits["max_frame_bytes"] // 16, 1)
+    return max(info.limits["max_frame_bytes"] // 16, 1)
 
 
 def _aligned(shape: tuple[int, ...], dimensions: int) -> tuple[int, ...]:
@@ -115,7 +104,7 @@ def _is_product(index: np.ndarray, radii: np.ndarray) -> bool:
     return all(m == 1 or n == 1 for m, n in zip(media_shape, radii_shape))
 
 
-def _product(client: Client, media: _Media, radii: np.ndarray, dimensions: int) -> Iterator[_Query]:
+def _product(info: Info, media: _Media, radii: np.ndarray, dimensions: int) -> Iterator[Query]:
     """All media in as few requests as the daemon's limits allow."""
     media_shape = _aligned(media.index.shape, dimensions)
     radii_shape = _aligned(radii.shape, dimensions)
@@ -126,13 +115,13 @@ def _product(client: Client, media: _Media, radii: np.ndarray, dimensions: int) 
     rest = [i for i in range(dimensions) if media_shape[i] == 1]
     places = places.transpose(first + rest).reshape(media.index.size, radii.size)
     index, listed = media.index.reshape(-1), radii.reshape(-1)
-    most_media, most_radii = _most_media(client), _most_radii(client)
+    most_media, most_radii = _most_media(info), _most_radii(info)
     for begin in range(0, listed.size, most_radii):
         end = begin + most_radii
         for low in range(0, len(media.distinct), most_media):
             distinct = media.distinct[low : low + most_media]
             rows = np.flatnonzero((index >= low) & (index < low + len(distinct)))
-            yield _Query(
+            yield Query(
                 distinct,
                 listed[begin:end],
                 tuple((int(index[row]) - low, places[row, begin:end]) for row in rows),
@@ -140,10 +129,10 @@ def _product(client: Client, media: _Media, radii: np.ndarray, dimensions: int) 
 
 
 def _groups(
-    client: Client, media: _Media, radii: np.ndarray, shape: tuple[int, ...]
-) -> Iterator[_Query]:
+    info: Info, media: _Media, radii: np.ndarray, shape: tuple[int, ...]
+) -> Iterator[Query]:
     """Each medium with its radii."""
-    most_radii = _most_radii(client)
+    most_radii = _most_radii(info)
     index = np.broadcast_to(media.index, shape).reshape(-1)
     listed = np.broadcast_to(radii, shape).reshape(-1)
     order = np.argsort(index, kind="stable")
@@ -151,13 +140,13 @@ def _groups(
     for i, medium in enumerate(media.distinct):
         for begin in range(bounds[i], bounds[i + 1], most_radii):
             places = order[begin : min(begin + most_radii, bounds[i + 1])]
-            yield _Query(medium[np.newaxis], listed[places], ((0, places),))
+            yield Query(medium[np.newaxis], listed[places], ((0, places),))
 
 
 # ---- what is answered ----------------------------------------------------------------------------
 
 
-class _Answers:
+class Answers:
     """Collects results into arrays."""
 
     def __init__(self, shape: tuple[int, ...], quantity: str):
@@ -168,7 +157,7 @@ class _Answers:
         self._model_error = np.full(int(np.prod(shape)), np.nan)
         self._models: set[str] = set()
 
-    def add(self, query: _Query, result: Result) -> None:
+    def add(self, query: Query, result: Result) -> None:
         found = result.values[self._quantity]
         if self._values is None:
             self._values = np.empty(self._numerical_error.size, found.dtype)
@@ -187,30 +176,3 @@ class _Answers:
             self._model_error.reshape(self._shape),
             tuple(sorted(self._models)),
         )
-
-
-def _ask(
-    client: Client,
-    model: str | int | None,
-    queries: Iterator[_Query],
-    answers: _Answers,
-    options: Mapping[str, Any],
-) -> None:
-    """Pipelines the queries. After a refusal the answers to the others are waited for by nobody."""
-    under_way: dict[int, _Query] = {}
-    try:
-        for query in queries:
-            under_way[client.submit(model, query.media, query.radii, **options)] = query
-            while len(under_way) >= _OUTSTANDING:
-                _collect(client, under_way, answers)
-        while under_way:
-            _collect(client, under_way, answers)
-    finally:
-        for request_id in under_way:
-            client.forget(request_id)
-
-
-def _collect(client: Client, under_way: dict[int, _Query], answers: _Answers) -> None:
-    request_id = next(iter(under_way))
-    query = under_way.pop(request_id)
-    answers.add(query, client.collect(request_id)[1])

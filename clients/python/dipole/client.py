@@ -9,25 +9,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from . import answers, broadcast, mc, packing, retry, wire
+from . import answers, broadcast, calls, mc, packing, retry, wire
 from .answers import Answer, Query
 from .broadcast import Values
-from .connection import Connection, Frame, frame_bytes
-from .errors import (
-    ArgumentError,
-    ConnectionLost,
-    DipoleError,
-    ProtocolError,
-    Refused,
-    TableError,
-)
+from .connection import Connection, Frame
+from .errors import ArgumentError, ConnectionLost, DipoleError, ProtocolError, Refused
 from .parts import Parts
 from .table import Table
-from .values import Choice, Grid, Info, Medium, Offer, Offers, Result
+from .values import Grid, Info, Medium, Offers, Result
+
+T = TypeVar("T")
 
 
 class Client:
@@ -58,7 +53,7 @@ class Client:
         self._late: list[Frame] = []  # answers to requests whose deadlines passed while lost
         self._connection = Connection(address, timeout_s)
         try:
-            self.info: Info = self._hello()
+            self.info: Info = self._call(calls.hello(self._connection.address))
         except BaseException:
             self._connection.close()
             raise
@@ -153,14 +148,36 @@ class Client:
         for each radius. The rest: as of eval(). Equal media are asked for once; any number of
         media, and of radii, goes. deadline_ms counts for each of the queries that this takes.
         """
-        options = {
-            "evaluator": evaluator,
-            "moments": moments,
-            "parameters": parameters,
-            "tolerance": tolerance,
-            "deadline_ms": deadline_ms,
-        }
-        return broadcast.evaluate(self, model, media, r, quantity, options)
+        queries, collected = broadcast.plan(self.info, media, r, quantity)
+        under_way: dict[int, broadcast.Query] = {}
+
+        def collect_one() -> None:
+            request_id = next(iter(under_way))
+            query = under_way.pop(request_id)
+            collected.add(query, self.collect(request_id)[1])
+
+        try:
+            for query in queries:
+                request_id = self.submit(
+                    model,
+                    query.media,
+                    query.radii,
+                    evaluator=evaluator,
+                    moments=moments,
+                    wanted=[quantity],
+                    parameters=parameters,
+                    tolerance=tolerance,
+                    deadline_ms=deadline_ms,
+                )
+                under_way[request_id] = query
+                if len(under_way) >= broadcast.OUTSTANDING:
+                    collect_one()
+            while under_way:
+                collect_one()
+        finally:  # after a refusal nobody waits for the answers to the others
+            for request_id in under_way:
+                self.forget(request_id)
+        return collected.values()
 
     def submit(
         self,
@@ -220,26 +237,10 @@ class Client:
     ) -> Offers:
         """What could answer eval(None, ...) with the same arguments: how exact each model and
         evaluator are measured to be, and how fast; cheapest first."""
-        payload, _ = packing.query(
-            self.info, None, media, r, grid, evaluator, "exact", wanted, parameters, tolerance
+        call = calls.offers(
+            self.info, media, r, grid, evaluator, wanted, parameters, tolerance
         )
-        answer = self._answer(self._send("offers", payload), "offers")
-        fixed, (entries,) = packing.unpack_list(answer, wire.OFFERS_REPLY, [("count", wire.OFFER)])
-        if fixed.taken > fixed.count:
-            raise ProtocolError("an offers reply that takes what it does not offer")
-        offers = tuple(
-            Offer(
-                model=answers.name_of(self.info, "model", entry.model),
-                evaluator=answers.name_of(self.info, "evaluator", entry.evaluator),
-                meets=entry.meets != 0,
-                error=entry.error,
-                numerical_error=entry.numerical_error,
-                cost_ns=entry.cost,
-                prepare_ns=entry.prepare_cost,
-            )
-            for entry in entries
-        )
-        return Offers(offers, offers[fixed.taken] if fixed.taken < fixed.count else None)
+        return self._call(call)
 
     def table(
         self,
@@ -254,23 +255,8 @@ class Client:
         """Fetches the table by which the evaluator "lut" answers for a medium, to be evaluated
         here: without a daemon, and with the same bits. tolerance: what it is built to, relative,
         from 1e-6 (by default 1e-4). deadline_ms: as of eval()."""
-        media = packing.media_array(medium)
-        if len(media) != 1:
-            raise ArgumentError("medium: one Medium")
-        listed_parameters = packing.parameters_list(self.info, parameters, tolerance)
-        fixed = wire.TABLE_REQUEST.pack(
-            model=packing.id_of(self.info, "model", model),
-            moments=packing.id_of(self.info, "moments", moments),
-            parameter_count=len(listed_parameters),
-        )
-        payload = b"".join([fixed, media.tobytes(), *listed_parameters])
-        request_id = self._send("table", payload, deadline_ms)
-        payload = self._answer(request_id, "table")
-        frame = frame_bytes(wire.MESSAGES["table"] | wire.REPLY, request_id, payload)
-        try:
-            return Table(frame, self.info)
-        except TableError as error:
-            raise ProtocolError(f"a table reply that is none: {error}") from error
+        call = calls.table(self.info, model, medium, moments, parameters, tolerance)
+        return self._call(call, deadline_ms)
 
     def collect(self, request_id: int | None = None) -> tuple[int, Result]:
         """Waits for the answer to any outstanding query, or to a certain one; returns its id and
@@ -375,26 +361,18 @@ class Client:
 
     def media(self) -> dict[str, tuple[Medium, Medium, Medium]]:
         """The daemon's measured media by name: red, green, blue."""
-        entries = self._list("media", wire.MEASURED_MEDIUM)
-        return {
-            entry.name: tuple(
-                Medium(entry.sigma_a[i], entry.sigma_s[i], entry.g, entry.eta) for i in range(3)
-            )
-            for entry in entries
-        }
+        return self._call(calls.media())
 
     def statistics(self) -> dict[str, int]:
         """The daemon's statistics by name, whose end is the unit."""
-        return {entry.name: entry.value for entry in self._list("statistics", wire.VALUE)}
+        return self._call(calls.statistics())
 
     def ping(self, payload: bytes = b"") -> float:
         """A round trip that does nothing else, in seconds. payload: up to 1024 bytes, a multiple of
         8, that the daemon sends back."""
-        if len(payload) % wire.ALIGNMENT or len(payload) > wire.PING_MAX_BYTES:
-            raise ArgumentError("payload: a multiple of 8 bytes, at most 1024")
+        call = calls.ping(payload)
         start = time.perf_counter()
-        if self._answer(self._send("ping", payload), "ping") != payload:
-            raise ProtocolError("the ping came back changed")
+        self._call(call)
         return time.perf_counter() - start
 
     def send_frame(
@@ -511,7 +489,7 @@ class Client:
         if request_id != 0 and frame.request_id == request_id:
             return frame
         if frame.type == wire.TYPE_ERROR and frame.request_id == 0:
-            self._restore(self._refused(frame))
+            self._restore(calls.refused(frame))
             return None
         raise ProtocolError(f"a reply to request {frame.request_id}, which was not made")
 
@@ -521,7 +499,7 @@ class Client:
         reader = self._read.get(request_id)
         if frame.type != wire.TYPE_ERROR or request_id in self._ignored:
             return False
-        refused = self._refused(frame)
+        refused = calls.refused(frame)
         if not isinstance(refused, Refused) or (reader is not None and not reader.is_new):
             return False
         if not self._requests.later(refused):
@@ -534,7 +512,7 @@ class Client:
         if answer.ended:
             raise ProtocolError(f"a second reply to request {frame.request_id}")
         try:
-            answer.add(self._payload(frame, "eval"))
+            answer.add(calls.payload_of(frame, "eval"))
         except Refused as refusal:
             answer.refuse(refusal)
         if answer.ended and frame.request_id in self._outstanding:
@@ -545,54 +523,8 @@ class Client:
         frame = None
         while frame is None:
             frame = self._receive(request_id)
-        return self._payload(frame, message)
+        return calls.payload_of(frame, message)
 
-    def _payload(self, frame: Frame, message: str) -> bytes:
-        """The payload of a reply, or its error as an exception."""
-        if frame.type == wire.TYPE_ERROR:
-            raise self._refused(frame)
-        if frame.type != wire.MESSAGES[message] | wire.REPLY:
-            raise ProtocolError(f"a reply of type {frame.type} to a request for {message}")
-        return frame.payload
-
-    def _refused(self, frame: Frame) -> Exception:
-        if len(frame.payload) != wire.ERROR.bytes:
-            return ProtocolError("an error of an unexpected size")
-        error = wire.ERROR.unpack(frame.payload)
-        return Refused(
-            status=wire.STATUSES.get(error.status, f"status {error.status}"),
-            code=error.status,
-            field=error.field,
-            allowed=error.allowed,
-            index=error.index,
-            retry_after_ms=error.retry_after_ms,
-            request_id=frame.request_id,
-        )
-
-    def _list(self, message: str, structure: wire.Structure) -> list[Any]:
-        payload = self._answer(self._send(message), message)
-        return packing.unpack_list(payload, wire.LIST_REPLY, [("count", structure)])[1][0]
-
-    def _hello(self) -> Info:
-        request = wire.HELLO_REQUEST.pack(version_min=wire.VERSION, version_max=wire.VERSION)
-        payload = self._answer(self._send("hello", request), "hello")
-        reply, (choices, limits) = packing.unpack_list(
-            payload,
-            wire.HELLO_REPLY,
-            [("choice_count", wire.CHOICE), ("limit_count", wire.VALUE)],
-        )
-        by_kind: dict[str, dict[str, Choice]] = {kind: {} for kind in wire.KINDS.values()}
-        for choice in choices:
-            kind = wire.KINDS.get(choice.kind)
-            if kind is not None:  # a later daemon may have kinds that this client does not know
-                by_kind[kind][choice.name] = Choice(choice.id, choice.name, choice.about)
-        return Info(
-            address=self._connection.address,
-            software=reply.software,
-            instruction_set=reply.instruction_set,
-            R_unit=reply.R_unit,
-            protocol_version=reply.version,
-            workers=reply.workers,
-            choices=by_kind,
-            limits={limit.name: limit.value for limit in limits},
-        )
+    def _call(self, call: calls.Call[T], deadline_ms: int = 0) -> T:
+        request_id = self._send(call.message, call.payload, deadline_ms)
+        return call.read(self._answer(request_id, call.message))
