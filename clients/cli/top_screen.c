@@ -4,10 +4,10 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/ioctl.h>
 #include <unistd.h>
 
 #include "clients/cli/cli.h"
+#include "clients/cli/terminal.h"
 #include "clients/cli/top_write.h"
 
 #define CLEAR "\033[2J"
@@ -40,22 +40,15 @@ void top_screen_restore(void) {
   }
 }
 
-static bool is_plain(void) {
-  const char *no_color = getenv("NO_COLOR");
-  return no_color != NULL && no_color[0] != '\0';
-}
-
 /* As much of a text as the terminal has room for, from its upper left corner; the first line is
  * bold. A last line is left for the cursor. */
 static void draw(const char *text) {
-  struct winsize size = {0};
-  const bool known = ioctl(STDOUT_FILENO, TIOCGWINSZ, &size) == 0;
-  const size_t columns = known && size.ws_col > 0 ? size.ws_col : 80;
-  const size_t rows = known && size.ws_row > 1 ? size.ws_row - 1U : 23;
+  const cli_terminal terminal = cli_terminal_look();
+  const size_t columns = terminal.columns, rows = terminal.rows > 1 ? terminal.rows - 1 : 1;
   fputs(HOME, stdout);
   for (size_t row = 0; row < rows && *text != '\0'; row++) {
     const size_t length = strcspn(text, "\n");
-    const bool bold = row == 0 && !is_plain();
+    const bool bold = row == 0 && terminal.styled;
     printf("%s%.*s%s" CLEAR_LINE_REST "\n", bold ? BOLD : "",
            (int)(length < columns ? length : columns), text, bold ? NOT_BOLD : "");
     text += length + (text[length] == '\n');
