@@ -6,15 +6,19 @@
 #include "clients/cli/cli.h"
 
 typedef struct cli_medium_settings {
-  const char *medium;
+  const char *medium; /* names, separated by commas */
+  cli_texts channel;
   cli_numbers sigma_a, sigma_s, g, eta;
 } cli_medium_settings;
 
 /* The options for settings whose member `medium` is a cli_medium_settings. */
 #define CLI_MEDIUM_OPTIONS(settings)                                                               \
   {"Medium", NULL, NULL, CLI_HEADING, 0},                                                          \
-      {"medium", "NAME", "a measured medium, see `dipole media`: red, green and blue", CLI_TEXT,   \
+      {"medium", "NAME[,NAME...]",                                                                 \
+       "measured media, see `dipole media`: red, green and blue of each", CLI_TEXT,                \
        offsetof(settings, medium.medium)},                                                         \
+      {"channel", "COLOUR[,...]", "of these only red, green or blue (default: all)", CLI_NAMES,    \
+       offsetof(settings, medium.channel)},                                                        \
       {"sigma-a", "X[,X...]", "absorption coefficient, 1/mm; one value for each channel",          \
        CLI_NUMBERS, offsetof(settings, medium.sigma_a)},                                           \
       {"sigma-s", "X[,X...]",                                                                      \
@@ -29,12 +33,12 @@ typedef struct cli_medium_settings {
   }
 
 typedef struct cli_channel {
-  char name[24];
+  char name[36];
   dipole_medium medium;
 } cli_channel;
 
 typedef struct cli_channels {
-  const char *medium; /* name of a measured medium; NULL: none */
+  const char *medium; /* names of measured media, as given; NULL: none */
   size_t count;
   cli_channel *items;
 } cli_channels;
