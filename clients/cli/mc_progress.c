@@ -5,20 +5,6 @@
 
 enum { BAR_WIDTH = 20 };
 
-/* "0:07", "1:02:03"; seconds that nobody can wait for are not counted. */
-static void write_time(double seconds) {
-  if (!(seconds < 360000)) {
-    fputs("days", stderr);
-    return;
-  }
-  const long left = (long)ceil(seconds);
-  if (left >= 3600) {
-    fprintf(stderr, "%ld:%02ld:%02ld", left / 3600, left / 60 % 60, left % 60);
-  } else {
-    fprintf(stderr, "%ld:%02ld", left / 60, left % 60);
-  }
-}
-
 static void write_worst(const dipole_mc_progress *now) {
   if (now->worst_to_mm > 0 && isfinite(now->error_rings)) {
     fprintf(stderr, "  worst ring %.3g to %.3g mm%s: %.2g %%", now->worst_from_mm, now->worst_to_mm,
@@ -39,7 +25,7 @@ void cli_mc_progress(cli_progress *progress, const dipole_mc_progress *now) {
           full, 100 * share, (double)now->photons, (double)now->photons_expected);
   if (now->photons > 0) {
     fputs("  ", stderr);
-    write_time(seconds * (1 / share - 1));
+    cli_progress_write_time(seconds * (1 / share - 1));
     fputs(" left", stderr);
   }
   write_worst(now);

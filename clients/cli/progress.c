@@ -1,5 +1,6 @@
 #include "clients/cli/progress.h"
 
+#include <math.h>
 #include <stdio.h>
 #include <unistd.h>
 
@@ -14,17 +15,24 @@ void cli_progress_start(cli_progress *progress) {
   *progress = (cli_progress){.watched = isatty(STDERR_FILENO) == 1, .start_ms = cli_now_ms()};
 }
 
-void cli_progress_show(cli_progress *progress, uint64_t done, uint64_t total, uint64_t rows) {
-  static const char full[] = "########################################";
-  if (!progress->watched) {
-    return;
-  }
+static const char full[] = "########################################";
+
+/* Somebody watches, it takes long, and what is shown is not of just now. */
+static bool is_due(cli_progress *progress) {
   const int64_t now_ms = cli_now_ms();
-  if (now_ms - progress->start_ms < SHOW_AFTER_MS || now_ms - progress->last_ms < SHOW_EVERY_MS) {
-    return;
+  if (!progress->watched || now_ms - progress->start_ms < SHOW_AFTER_MS ||
+      now_ms - progress->last_ms < SHOW_EVERY_MS) {
+    return false;
   }
   progress->last_ms = now_ms;
   progress->shown = true;
+  return true;
+}
+
+void cli_progress_show(cli_progress *progress, uint64_t done, uint64_t total, uint64_t rows) {
+  if (!is_due(progress)) {
+    return;
+  }
   if (total > 0 && done <= total) {
     const double share = (double)done / (double)total;
     fprintf(stderr, "\r[%-*.*s] %3.0f %%  %llu rows\033[K", BAR_WIDTH, (int)(share * BAR_WIDTH),
@@ -32,6 +40,35 @@ void cli_progress_show(cli_progress *progress, uint64_t done, uint64_t total, ui
   } else {
     fprintf(stderr, "\r%llu rows\033[K", (unsigned long long)rows);
   }
+}
+
+void cli_progress_write_time(double seconds) {
+  if (!(seconds < 360000)) {
+    fputs("days", stderr);
+    return;
+  }
+  const long left = (long)ceil(seconds);
+  if (left >= 3600) {
+    fprintf(stderr, "%ld:%02ld:%02ld", left / 3600, left / 60 % 60, left % 60);
+  } else {
+    fprintf(stderr, "%ld:%02ld", left / 60, left % 60);
+  }
+}
+
+void cli_progress_show_rate(cli_progress *progress, double done, double total, const char *unit) {
+  if (!is_due(progress)) {
+    return;
+  }
+  const double share = fmin(done / total, 1);
+  const double seconds = (double)(progress->last_ms - progress->start_ms) / 1000;
+  fprintf(stderr, "\r[%-*.*s] %3.0f %%  %.3g %s/s", BAR_WIDTH, (int)(share * BAR_WIDTH), full,
+          share * 100, done / seconds, unit);
+  if (share > 0) {
+    fputs("  ", stderr);
+    cli_progress_write_time(seconds * (1 / share - 1));
+    fputs(" left", stderr);
+  }
+  fputs("\033[K", stderr);
 }
 
 void cli_progress_wipe(cli_progress *progress) {
