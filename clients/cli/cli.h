@@ -29,6 +29,7 @@ typedef struct cli_command {
 extern const cli_command *const cli_commands[];
 
 extern const cli_command cli_command_eval;
+extern const cli_command cli_command_plot;
 extern const cli_command cli_command_points;
 extern const cli_command cli_command_table;
 extern const cli_command cli_command_mc;

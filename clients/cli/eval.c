@@ -4,6 +4,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "clients/cli/picture.h"
+
 #define PLOT_FILE "dipole.svg"
 
 #define FIELD(name) offsetof(cli_eval_settings, name)
@@ -21,31 +23,16 @@ static const cli_option options[] = {
     {"count", "N", "how many radii it has (default: 21)", CLI_COUNT, FIELD(count)},
     {"log", NULL, "equal ratios from radius to radius instead of equal steps; needs --from",
      CLI_SWITCH, FIELD(logarithmic)},
-    {"Evaluation", NULL, NULL, CLI_HEADING, 0},
-    {"model", "NAME[,NAME...]",
-     "see `dipole info`; all: every model that takes what is asked, those that\n"
-     "refuse it are named on standard error (default: with --tolerance the\n"
-     "cheapest that is so near to radiative transport, else better)",
-     CLI_NAMES, FIELD(model)},
-    {"moments", "NAME", "Fresnel moments, see `dipole info` (default: exact)", CLI_TEXT,
-     FIELD(moments)},
-    {"evaluator", "NAME",
-     "f64 or f32: double or single precision; lut: single, by a table\n"
-     "(default: f64; where the tolerance decides, the cheapest)",
-     CLI_TEXT, FIELD(evaluator)},
+    CLI_EVAL_OPTIONS,
     {"want", "NAME[,NAME...]",
      "R: 1/mm^2 per unit of power that entered; albedo; cdf: the share of\n"
      "the albedo within r; S: 1/(mm^2 sr); others: see `dipole info`\n"
      "(default: R,albedo)",
      CLI_NAMES, FIELD(want)},
-    {"deadline-ms", "N",
-     "the daemon shall answer within N ms of each query, or not at all; 0: at\n"
-     "any time (default: 0)",
-     CLI_COUNT, FIELD(deadline_ms)},
     {"Output", NULL, NULL, CLI_HEADING, 0},
     {"plot", "[FILE]",
-     "also draw R over r into FILE.svg or FILE.png (default: " PLOT_FILE "); may be\n"
-     "repeated",
+     "also draw R over r into FILE.svg or FILE.png (default: " PLOT_FILE "), or for -\n"
+     "below the table; may be repeated; `dipole plot` draws more",
      CLI_FILES, FIELD(plot)},
     {0},
 };
@@ -71,8 +58,21 @@ static int check_table(const cli_command *command, const cli_eval_settings *sett
   return CLI_OK;
 }
 
-/* What can be seen to be wrong without a daemon. */
-static int check(const cli_command *command, const cli_eval_settings *settings) {
+static bool check_plot(const cli_command *command, const cli_eval_settings *settings,
+                       const char *path) {
+  const char *format = settings->profile.common.format;
+  if (strcmp(path, CLI_PICTURE_TERMINAL) == 0 && format != NULL &&
+      (strcmp(format, "csv") == 0 || strcmp(format, "json") == 0)) {
+    cli_fail_usage(command,
+                   "--plot - draws onto standard output, where the %s goes: name a file, or leave "
+                   "--format out",
+                   format);
+    return false;
+  }
+  return cli_picture_check(command, path);
+}
+
+int cli_eval_check(const cli_command *command, const cli_eval_settings *settings) {
   const int status = settings->table != NULL ? check_table(command, settings)
                                              : cli_channels_check(command, &settings->medium);
   if (status != CLI_OK) {
@@ -90,34 +90,19 @@ static int check(const cli_command *command, const cli_eval_settings *settings) 
     return cli_fail_usage(command, "--deadline-ms: at most %lu", (unsigned long)UINT32_MAX);
   }
   for (size_t i = 0; i < settings->plot.count; i++) {
-    if (!cli_plot_check(command, settings->plot.items[i])) {
+    if (!check_plot(command, settings, settings->plot.items[i])) {
       return CLI_USAGE;
     }
   }
   return CLI_OK;
 }
 
-static void write_report(const cli_eval_settings *settings, const cli_eval_report *report) {
-  const char *format =
-      settings->profile.common.format != NULL ? settings->profile.common.format : formats[0].name;
+void cli_eval_write(const cli_eval_report *report, const char *format) {
   for (size_t i = 0; i < sizeof formats / sizeof formats[0]; i++) {
     if (strcmp(formats[i].name, format) == 0) {
       formats[i].write(report, stdout);
     }
   }
-}
-
-static int draw(const cli_command *command, const cli_eval_settings *settings,
-                const cli_eval_report *report) {
-  int status = CLI_OK;
-  for (size_t i = 0; status == CLI_OK && i < settings->plot.count; i++) {
-    const char *file = settings->plot.items[i];
-    status = cli_plot(command, report, file);
-    if (status == CLI_OK && strcmp(file, PLOT_FILE) == 0) { /* which may not have been named */
-      fprintf(stderr, "dipole %s: the picture is %s\n", command->name, file);
-    }
-  }
-  return status;
 }
 
 /* Takes the report over, and the exit status of what has filled it. */
@@ -127,8 +112,12 @@ static int write_and_free(const cli_command *command, const cli_eval_settings *s
     status = cli_fail_usage(command, "--plot draws R: add R to --want");
   }
   if (status == CLI_OK) {
-    write_report(settings, report);
-    status = draw(command, settings, report);
+    const char *format = settings->profile.common.format;
+    cli_eval_write(report, format != NULL ? format : formats[0].name);
+  }
+  if (status == CLI_OK && settings->plot.count > 0) {
+    const cli_picture picture = cli_picture_of_R(report);
+    status = cli_picture_draw(command, &picture, &settings->plot);
   }
   cli_eval_report_free(report);
   return status;
@@ -160,7 +149,7 @@ static int run(const cli_command *command, int argc, char **argv) {
   const char *operand;
   int status;
   if (cli_options_read(command, argc, argv, &settings, &operand, &status)) {
-    status = check(command, &settings);
+    status = cli_eval_check(command, &settings);
     if (status == CLI_OK) {
       status = settings.table != NULL ? run_with_table(command, &settings)
                                       : run_with_daemon(command, &settings);

@@ -12,6 +12,7 @@ typedef struct cli_eval_settings {
   cli_medium_settings medium;
   const char *table; /* a file, instead of a daemon */
   cli_texts model;
+  const char *reference; /* a model that is asked too, with what it takes of the parameters */
   const char *moments, *evaluator;
   cli_numbers r;
   cli_number from, to;
@@ -21,6 +22,27 @@ typedef struct cli_eval_settings {
   cli_count deadline_ms;
   cli_texts plot;
 } cli_eval_settings;
+
+/* The options of all evaluations, for settings that start with a cli_eval_settings. */
+#define CLI_EVAL_OPTIONS                                                                           \
+  {"Evaluation", NULL, NULL, CLI_HEADING, 0},                                                      \
+      {"model", "NAME[,NAME...]",                                                                  \
+       "see `dipole info`; all: every model that takes what is asked, those that\n"                \
+       "refuse it are named on standard error (default: with --tolerance the\n"                    \
+       "cheapest that is so near to radiative transport, else better)",                            \
+       CLI_NAMES, offsetof(cli_eval_settings, model)},                                             \
+      {"moments", "NAME", "Fresnel moments, see `dipole info` (default: exact)", CLI_TEXT,         \
+       offsetof(cli_eval_settings, moments)},                                                      \
+      {"evaluator", "NAME",                                                                        \
+       "f64 or f32: double or single precision; lut: single, by a table\n"                         \
+       "(default: f64; where the tolerance decides, the cheapest)",                                \
+       CLI_TEXT, offsetof(cli_eval_settings, evaluator)},                                          \
+  {                                                                                                \
+    "deadline-ms", "N",                                                                            \
+        "the daemon shall answer within N ms of each query, or not at all; 0: at\n"                \
+        "any time (default: 0)",                                                                   \
+        CLI_COUNT, offsetof(cli_eval_settings, deadline_ms)                                        \
+  }
 
 enum { CLI_EVAL_QUANTITIES_MAX = 32 };
 
@@ -36,6 +58,7 @@ typedef struct cli_eval_values {
 typedef struct cli_eval_model {
   const dipole_choice *choice; /* NULL: the daemon's to choose, until it has answered */
   bool named;     /* by itself, and not only as one of all: then its refusal is a failure */
+  bool unlisted;  /* asked for as the reference only; the last of all, then */
   unsigned notes; /* ids of the daemon's notes */
 } cli_eval_model;
 
@@ -48,7 +71,7 @@ typedef struct cli_eval_offers {
 
 typedef struct cli_eval_report {
   const dipole_info *info;
-  const char *medium; /* name of a measured medium; NULL: none */
+  const char *medium; /* names of measured media; NULL: none */
   const dipole_choice *evaluator, *moments;
   cli_parameters parameters; /* as given; of all models each takes what it can */
   unsigned wanted;
@@ -85,15 +108,21 @@ bool cli_eval_is_noted(const cli_eval_model *model, const dipole_choice *note);
 
 void cli_eval_report_free(cli_eval_report *report);
 
+/* ---- eval_choose.c: names; says what is wrong and returns false when the daemon lacks one --- */
+
+/* Models, quantities, moments and evaluator. */
+bool cli_eval_choose(const cli_command *command, const cli_eval_settings *settings,
+                     cli_eval_report *report);
+
+/* The quantities, from the names of --want. */
+bool cli_eval_choose_quantities(const cli_command *command, const cli_texts *names,
+                                cli_eval_report *report);
+
 /* ---- eval_ask.c: fills a zeroed report; says what is wrong and returns an exit status ------ */
 
 /* Of all models those are left out, with a line each on standard error, that refuse the query. */
 int cli_eval_ask(const cli_command *command, const cli_eval_settings *settings,
                  dipole_client *client, cli_eval_report *report);
-
-/* The wanted quantities, from the names of --want; false, saying so, when the daemon lacks one. */
-bool cli_eval_choose_quantities(const cli_command *command, const cli_texts *names,
-                                cli_eval_report *report);
 
 /* The radii of one query. */
 typedef struct cli_eval_radii {
@@ -122,18 +151,19 @@ void cli_eval_write_chosen_json(const cli_eval_report *report, cli_json *json);
 int cli_eval_table(const cli_command *command, const cli_eval_settings *settings,
                    cli_eval_report *report, dipole_info **info);
 
+/* ---- eval.c -------------------------------------------------------------------------------- */
+
+/* What can be seen to be wrong without a daemon: an exit status. */
+int cli_eval_check(const cli_command *command, const cli_eval_settings *settings);
+
+/* Onto standard output in one of the formats of `dipole eval`, or none where this is none of them.
+ */
+void cli_eval_write(const cli_eval_report *report, const char *format);
+
 /* ---- eval_write.c -------------------------------------------------------------------------- */
 
 void cli_eval_write_table(const cli_eval_report *report, FILE *file);
 void cli_eval_write_csv(const cli_eval_report *report, FILE *file);
 void cli_eval_write_json(const cli_eval_report *report, FILE *file);
-
-/* ---- plot.c -------------------------------------------------------------------------------- */
-
-/* Whether a picture can be drawn into a file of this name; says what is wrong when it cannot. */
-bool cli_plot_check(const cli_command *command, const char *path);
-
-/* Draws R over r into a file; an exit status. */
-int cli_plot(const cli_command *command, const cli_eval_report *report, const char *path);
 
 #endif

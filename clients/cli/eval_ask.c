@@ -4,115 +4,11 @@
 #include <string.h>
 
 #include "clients/cli/eval.h"
+#include "clients/cli/progress.h"
 
-#define MODEL_DEFAULT "better"
-#define MODEL_ALL "all"
-#define MOMENTS_DEFAULT "exact"
-#define EVALUATOR_DEFAULT "f64"
 #define FROM_DEFAULT_MM 0.0
 #define TO_DEFAULT_MM 10.0
 #define COUNT_DEFAULT 21
-
-/* ---- names --------------------------------------------------------------------------------- */
-
-static void add_model(cli_eval_report *report, const dipole_choice *model, bool named) {
-  for (size_t i = 0; i < report->model_count; i++) {
-    if (report->models[i].choice == model) {
-      report->models[i].named |= named;
-      return;
-    }
-  }
-  report->models = cli_resize(report->models, report->model_count + 1, sizeof *report->models);
-  report->models[report->model_count++] = (cli_eval_model){.choice = model, .named = named};
-}
-
-static void add_all_models(cli_eval_report *report) {
-  const dipole_choice *model;
-  for (size_t from = 0; (model = cli_next_choice(report->info, DIPOLE_MODEL, &from)) != NULL;) {
-    add_model(report, model, false);
-  }
-}
-
-static bool choose_model(const cli_command *command, const char *name, cli_eval_report *report) {
-  const dipole_choice *model = cli_named(command, report->info, DIPOLE_MODEL, "model", name);
-  if (model != NULL) {
-    add_model(report, model, true);
-  }
-  return model != NULL;
-}
-
-/* The model is the daemon's to choose. */
-static void leave_model_open(cli_eval_report *report) {
-  report->models = cli_resize(report->models, 1, sizeof *report->models);
-  report->models[0] = (cli_eval_model){.named = true};
-  report->model_count = 1;
-}
-
-static bool choose_models(const cli_command *command, const cli_eval_settings *settings,
-                          cli_eval_report *report) {
-  const cli_texts *names = &settings->model;
-  if (names->count == 0 && settings->profile.tolerance.given) {
-    leave_model_open(report);
-    return true;
-  }
-  for (size_t i = 0; i < names->count; i++) {
-    if (strcmp(names->items[i], MODEL_ALL) == 0) {
-      add_all_models(report);
-    } else if (!choose_model(command, names->items[i], report)) {
-      return false;
-    }
-  }
-  return names->count > 0 || choose_model(command, MODEL_DEFAULT, report);
-}
-
-/* One quantity and not a sum of some, whatever the daemon lists: only then is there an array of it.
- */
-static bool is_one_bit(unsigned id) {
-  return id != 0 && (id & (id - 1)) == 0;
-}
-
-/* The wanted quantities that have a value for each radius: all but the albedo and the radius. */
-static void list_arrays(cli_eval_report *report) {
-  const dipole_choice *quantity;
-  for (size_t from = 0;
-       report->quantity_count < CLI_EVAL_QUANTITIES_MAX &&
-       (quantity = cli_next_choice(report->info, DIPOLE_QUANTITY, &from)) != NULL;) {
-    if (is_one_bit(quantity->id) &&
-        (report->wanted & quantity->id & ~(unsigned)(DIPOLE_ALBEDO | DIPOLE_RADIUS)) != 0) {
-      report->quantities[report->quantity_count++] = quantity;
-    }
-  }
-}
-
-bool cli_eval_choose_quantities(const cli_command *command, const cli_texts *names,
-                                cli_eval_report *report) {
-  for (size_t i = 0; i < names->count; i++) {
-    const dipole_choice *quantity =
-        cli_named(command, report->info, DIPOLE_QUANTITY, "want", names->items[i]);
-    if (quantity == NULL) {
-      return false;
-    }
-    report->wanted |= quantity->id;
-  }
-  if (names->count == 0) {
-    report->wanted = DIPOLE_R | DIPOLE_ALBEDO;
-  }
-  list_arrays(report);
-  return true;
-}
-
-static bool choose(const cli_command *command, const cli_eval_settings *settings,
-                   cli_eval_report *report) {
-  const char *moments = settings->moments != NULL ? settings->moments : MOMENTS_DEFAULT;
-  const char *evaluator = settings->evaluator != NULL ? settings->evaluator : EVALUATOR_DEFAULT;
-  report->moments = cli_named(command, report->info, DIPOLE_MOMENTS, "moments", moments);
-  if (report->moments == NULL) {
-    return false;
-  }
-  report->evaluator = cli_named(command, report->info, DIPOLE_EVALUATOR, "evaluator", evaluator);
-  return report->evaluator != NULL && choose_models(command, settings, report) &&
-         cli_eval_choose_quantities(command, &settings->want, report);
-}
 
 /* ---- radii --------------------------------------------------------------------------------- */
 
@@ -150,6 +46,8 @@ typedef struct asking {
   unsigned too_large; /* the daemon's status for a request beyond its limits, */
   unsigned bad_value; /* for one that it, or the model, does not take, */
   unsigned late;      /* and for one that it cannot answer in time */
+  cli_progress *progress;
+  size_t models_done, models_total;
 } asking;
 
 static void copy_values(double *to, const double *f64, const float *f32, size_t count) {
@@ -240,12 +138,22 @@ typedef struct receiving {
   dipole_error *error; /* when a part cannot be used */
 } receiving;
 
+/* Of the model that is asked now so many radii are there. */
+static void show_progress(const asking *ask, double radii) {
+  const double of_model = (double)ask->radii->count, channels = (double)ask->report->channel_count;
+  if (of_model > 0) {
+    cli_progress_show_rate(ask->progress, channels * ((double)ask->models_done * of_model + radii),
+                           channels * (double)ask->models_total * of_model, "values");
+  }
+}
+
 static bool receive(void *context, const dipole_result *part, uint64_t radius_first) {
   const receiving *to = context;
   if (!take_choice(to->ask->report, part, to->error)) {
     return false;
   }
   keep(to->ask, to->place, to->first + (size_t)radius_first, part);
+  show_progress(to->ask, (double)to->first + (double)radius_first + (double)part->radius_count);
   return true;
 }
 
@@ -332,9 +240,10 @@ static int fail(const cli_command *command, const asking *ask, const dipole_erro
 }
 
 /* Asks model by model; those that answer move up in the report to fill the gaps. */
-static int ask_all(const cli_command *command, const asking *ask) {
+static int ask_all(const cli_command *command, asking *ask) {
   cli_eval_report *report = ask->report;
   const size_t count = report->model_count;
+  ask->models_total = count;
   left_out *out = cli_allocate(count, sizeof *out);
   size_t answered = 0, out_count = 0;
   int status = CLI_OK;
@@ -348,9 +257,12 @@ static int ask_all(const cli_command *command, const asking *ask) {
                error.status == ask->bad_value) {
       out[out_count++] = (left_out){asked->choice->name, error};
     } else {
+      cli_progress_wipe(ask->progress);
       status = fail(command, ask, &error);
     }
+    ask->models_done++;
   }
+  cli_progress_wipe(ask->progress);
   report->model_count = answered;
   if (status == CLI_OK) {
     status = tell_left_out(command, out, out_count, answered == 0);
@@ -404,15 +316,18 @@ static int ask_with(const cli_command *command, const cli_eval_settings *setting
     media[i] = report->channels[i].medium;
   }
   cli_eval_radii radii = cli_eval_make_radii(settings, report);
-  const asking ask = {.common = &settings->profile.common,
-                      .client = client,
-                      .report = report,
-                      .media = media,
-                      .radii = &radii,
-                      .deadline_ms = (uint32_t)settings->deadline_ms.value,
-                      .too_large = dipole_id(client, DIPOLE_STATUS, "too-large"),
-                      .bad_value = dipole_id(client, DIPOLE_STATUS, "bad-value"),
-                      .late = dipole_id(client, DIPOLE_STATUS, "deadline")};
+  cli_progress progress;
+  asking ask = {.common = &settings->profile.common,
+                .client = client,
+                .report = report,
+                .media = media,
+                .radii = &radii,
+                .deadline_ms = (uint32_t)settings->deadline_ms.value,
+                .too_large = dipole_id(client, DIPOLE_STATUS, "too-large"),
+                .bad_value = dipole_id(client, DIPOLE_STATUS, "bad-value"),
+                .late = dipole_id(client, DIPOLE_STATUS, "deadline"),
+                .progress = &progress};
+  cli_progress_start(&progress);
   int status = CLI_OK;
   if (report->models[0].choice == NULL) {
     status = choose_precision(command, settings, &ask);
@@ -429,7 +344,7 @@ int cli_eval_ask(const cli_command *command, const cli_eval_settings *settings,
                  dipole_client *client, cli_eval_report *report) {
   cli_channels channels = {0};
   report->info = dipole_get_info(client);
-  if (!choose(command, settings, report) ||
+  if (!cli_eval_choose(command, settings, report) ||
       !cli_parameters_take(command, report->info, &settings->profile, &report->parameters)) {
     return CLI_USAGE;
   }

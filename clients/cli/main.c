@@ -7,6 +7,7 @@
 
 const cli_command *const cli_commands[] = {
     &cli_command_eval,
+    &cli_command_plot,
     &cli_command_points,
     &cli_command_table,
     &cli_command_mc,

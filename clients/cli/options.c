@@ -313,7 +313,7 @@ void cli_options_help(const cli_command *command) {
     print_table(command, tables[t]);
   }
   printf("\nExit status: 0 done, 1 failed, 2 wrong command line, 3 some rows were bad (points),\n"
-         "4 the deadline was missed (eval).\n"
+         "4 the deadline was missed (eval, plot).\n"
          "\nExamples\n%s",
          command->examples);
 }

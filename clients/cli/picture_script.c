@@ -1,49 +1,85 @@
-/* R over r as a picture, drawn by gnuplot. gnuplot reads its script from one nameless file and
- * writes the picture into another and its complaints into a third, so that no shell, no quoting of
- * file names and no half-written picture are involved. */
-#include <errno.h>
-#include <fcntl.h>
+#include "clients/cli/picture_script.h"
+
 #include <math.h>
-#include <spawn.h>
-#include <stdlib.h>
 #include <string.h>
-#include <sys/wait.h>
-#include <unistd.h>
 
-#include "clients/cli/eval.h"
+#include "clients/cli/picture_parts.h"
 
-#define PROGRAM "gnuplot"
-#define PACKAGE "gnuplot-nox"
+/* ---- where panels stand -------------------------------------------------------------------- */
 
-extern char **environ;
-
-typedef struct picture_format {
-  const char *suffix;
-  const char *terminal; /* with the size in pixels, and fonts of about the same size */
-} picture_format;
-
-static const picture_format formats[] = {
-    {".svg", "svg size %zu,%zu dynamic background rgb 'white' font 'sans,14' noenhanced"},
-    {".png", "pngcairo size %zu,%zu background rgb 'white' font 'sans,11' noenhanced"},
+enum {
+  COLUMNS_MAX = 3,
+  WIDE = 580, /* a panel that has its rows to itself, and the gap beside it */
+  NARROW = 400,
+  HEIGHT = 480,
+  LOW_HEIGHT = 220, /* of a deviation, which is read less closely */
+  GAP_X = 60,
+  GAP_Y = 56,
+  LEFT = 90,
+  TOP = 64,
+  BOTTOM = 60,
+  LEGEND_LINE = 20,
+  LEGEND_CHARACTER = 8,
+  LEGEND_SAMPLE = 70, /* the piece of a line, and the room around it */
 };
 
-static const picture_format *format_of(const char *path) {
-  const size_t length = strlen(path);
-  for (size_t i = 0; i < sizeof formats / sizeof formats[0]; i++) {
-    const size_t suffix = strlen(formats[i].suffix);
-    if (length > suffix && strcmp(path + length - suffix, formats[i].suffix) == 0) {
-      return &formats[i];
-    }
-  }
-  return NULL;
+/* In pixels. Rows of the picture repeat for each block of channels. */
+typedef struct grid {
+  picture_layout layout;
+  size_t columns, blocks;
+  double width, height, legend_width, legend_height;
+  double stretch; /* of the panels' heights */
+} grid;
+
+static double height_of(const cli_picture *picture, size_t row) {
+  return picture->rows[row].axes.scale == CLI_PERCENT ? LOW_HEIGHT : HEIGHT;
 }
 
-bool cli_plot_check(const cli_command *command, const char *path) {
-  if (format_of(path) == NULL) {
-    cli_fail_usage(command, "--plot %s: the name must end in .svg or .png", path);
-    return false;
+static double legend_width(const cli_picture *picture, const picture_layout *layout) {
+  size_t longest = 0;
+  for (size_t i = 0; i < layout->curves; i++) {
+    const picture_curve curve = picture_curve_of(picture->report, 0, i);
+    longest = strlen(curve.title) > longest ? strlen(curve.title) : longest;
   }
-  return true;
+  return LEGEND_SAMPLE + LEGEND_CHARACTER * (double)longest;
+}
+
+static grid make_grid(const cli_picture *picture) {
+  grid g = {.layout = picture_layout_of(picture->report)};
+  double heights = 0;
+  g.columns = g.layout.panels < COLUMNS_MAX ? g.layout.panels : COLUMNS_MAX;
+  g.blocks = (g.layout.panels + g.columns - 1) / g.columns;
+  for (size_t row = 0; row < picture->row_count; row++) {
+    heights += height_of(picture, row) * (double)g.blocks;
+  }
+  const double gaps = GAP_Y * ((double)(picture->row_count * g.blocks) - 1);
+  g.legend_width = legend_width(picture, &g.layout);
+  g.legend_height = LEGEND_LINE * (double)(g.layout.curves + 1);
+  g.width = LEFT + (double)g.columns * (g.columns > 1 ? NARROW : WIDE) + g.legend_width;
+  g.height = fmax(TOP + BOTTOM + gaps + heights, TOP + g.legend_height);
+  if (picture->width_px > 0) {
+    g.width = (double)picture->width_px;
+    g.height = (double)picture->height_px;
+  }
+  g.stretch = (g.height - TOP - BOTTOM - gaps) / heights;
+  return g;
+}
+
+/* Margins of the panel in a row of a block, and a column. */
+static void write_place(FILE *script, const cli_picture *picture, const grid *g, size_t block,
+                        size_t row, size_t column) {
+  const double pitch = (g->width - LEFT - g->legend_width) / (double)g->columns;
+  const double left = LEFT + pitch * (double)column;
+  double top = TOP;
+  for (size_t i = 0; i < block * picture->row_count + row; i++) {
+    top += height_of(picture, i % picture->row_count) * g->stretch + GAP_Y;
+  }
+  const double bottom = top + height_of(picture, row) * g->stretch;
+  fprintf(script,
+          "set lmargin at screen %.5f\nset rmargin at screen %.5f\n"
+          "set tmargin at screen %.5f\nset bmargin at screen %.5f\n",
+          left / g->width, (left + pitch - GAP_X) / g->width, 1 - top / g->height,
+          1 - bottom / g->height);
 }
 
 /* ---- the script ---------------------------------------------------------------------------- */
@@ -60,309 +96,110 @@ static void write_quoted(FILE *file, const char *text) {
   fputc('\'', file);
 }
 
-/* A radius and value that a logarithmic axis can show: not where R is 0 or infinite. */
-static bool is_drawn(double r_mm, double R) {
-  return isfinite(r_mm) && isfinite(R) && R > 0;
+/* "set WHAT 'text'" */
+static void write_set(FILE *script, const char *what, const char *text) {
+  fprintf(script, "set %s ", what);
+  write_quoted(script, text);
+  fputc('\n', script);
 }
 
-static size_t count_drawn(const cli_eval_report *report) {
-  size_t drawn = 0;
-  for (size_t p = 0; p < report->model_count * report->channel_count; p++) {
-    const double *R = cli_eval_array(report, &report->values[p], DIPOLE_R);
-    for (size_t i = 0; i < report->radius_count; i++) {
-      drawn += is_drawn(report->radii[i], R[i]);
+/* The points of a curve as a named block: the radius, and a column for each row of the picture. */
+static void write_data(FILE *script, const cli_picture *picture, size_t panel, size_t index) {
+  const picture_curve curve = picture_curve_of(picture->report, panel, index);
+  fprintf(script, "$curve%zu_%zu << END\n", panel, index);
+  for (size_t i = 0; i < picture->report->radius_count; i++) {
+    const double r_mm = picture->report->radii[i];
+    fprintf(script, isfinite(r_mm) ? "%.17g" : "NaN", r_mm);
+    for (size_t row = 0; row < picture->row_count; row++) {
+      const double shown = picture_shown(picture, row, &curve, i);
+      fprintf(script, isfinite(shown) ? " %.17g" : " NaN", shown);
+    }
+    fputc('\n', script);
+  }
+  fputs("END\n", script);
+}
+
+/* A line or, for a single radius, its point. */
+static void write_curve(FILE *script, const cli_picture *picture, size_t panel, size_t index,
+                        size_t row) {
+  const picture_curve curve = picture_curve_of(picture->report, panel, index);
+  const bool line = picture->report->radius_count > 1;
+  fprintf(script, "%s$curve%zu_%zu using 1:%zu with %s %zu lw 2 lc rgb '%s' title ",
+          index > 0 ? ", " : "plot ", panel, index, 2 + row, line ? "lines dt" : "points pt",
+          curve.dash, curve.colour);
+  write_quoted(script, curve.title);
+}
+
+static void write_axes(FILE *script, const cli_axes *axes, picture_range r, picture_range value) {
+  fputs("unset logscale\nunset xzeroaxis\n", script);
+  if (axes->logarithmic_r) {
+    fputs("set logscale x\n", script);
+  }
+  if (axes->scale == CLI_LOGARITHMIC) {
+    fputs("set logscale y\n", script);
+  }
+  if (value.low < 0 && value.high > 0) {
+    fputs("set xzeroaxis lt 1 lc rgb 'black'\n", script);
+  }
+  fprintf(script, "set format y '%s'\nset xrange [%.17g:%.17g]\nset yrange [%.17g:%.17g]\n",
+          axes->scale == CLI_LOGARITHMIC ? "%.0e" : "%g", r.low, r.high, value.low, value.high);
+}
+
+/* r is named where no panel with the same radii stands below. */
+static bool is_r_named(const cli_picture *picture, const grid *g, size_t panel, size_t row) {
+  if (row + 1 < picture->row_count) {
+    return picture->rows[row].axes.logarithmic_r != picture->rows[row + 1].axes.logarithmic_r;
+  }
+  return panel + g->columns >= g->layout.panels;
+}
+
+/* One legend for all panels, beside them. */
+static void write_legend(FILE *script, const grid *g, bool first) {
+  const double room = (g->height - TOP) / g->legend_height;
+  if (first) {
+    fprintf(script,
+            "set key at screen %.5f,%.5f top right vertical maxcols 1 Left reverse spacing %.3f\n",
+            1 - 8 / g->width, 1 - TOP / g->height, fmin(room, 1));
+  } else {
+    fputs("unset key\n", script);
+  }
+}
+
+static void write_panel(FILE *script, const cli_picture *picture, const grid *g, size_t panel,
+                        size_t row) {
+  char text[PICTURE_TEXT_BYTES];
+  picture_range r, value;
+  write_place(script, picture, g, panel / g->columns, row, panel % g->columns);
+  write_set(script, "title", row == 0 ? picture_panel_title(picture, panel, text) : "");
+  write_set(script, "xlabel", is_r_named(picture, g, panel, row) ? "r (mm)" : "");
+  write_set(script, "ylabel",
+            panel % g->columns == 0 ? picture_value_label(picture, row, text) : "");
+  write_legend(script, g, panel == 0 && row == 0);
+  if (picture_ranges(picture, row, &r, &value)) {
+    write_axes(script, &picture->rows[row].axes, r, value);
+  }
+  for (size_t index = 0; index < g->layout.curves; index++) {
+    write_curve(script, picture, panel, index, row);
+  }
+  fputc('\n', script);
+}
+
+void picture_write_script(const cli_picture *picture, const char *terminal, FILE *script) {
+  char text[PICTURE_TEXT_BYTES];
+  const grid g = make_grid(picture);
+  fputs("set terminal ", script);
+  fprintf(script, terminal, (size_t)g.width, (size_t)g.height);
+  fputs("\nset encoding utf8\nset grid\n", script);
+  for (size_t panel = 0; panel < g.layout.panels; panel++) {
+    for (size_t index = 0; index < g.layout.curves; index++) {
+      write_data(script, picture, panel, index);
     }
   }
-  return drawn;
-}
-
-/* The points of each line as a named block. A line has at least one, if only an undefined one. */
-static void write_data(FILE *script, const cli_eval_report *report) {
-  for (size_t p = 0; p < report->model_count * report->channel_count; p++) {
-    const double *R = cli_eval_array(report, &report->values[p], DIPOLE_R);
-    fprintf(script, "$line%zu << END\n", p);
-    for (size_t i = 0; i < report->radius_count; i++) {
-      if (is_drawn(report->radii[i], R[i])) {
-        fprintf(script, "%.17g %.17g\n", report->radii[i], R[i]);
-      } else {
-        fputs("NaN NaN\n", script);
-      }
+  write_set(script, "multiplot title", picture_title(picture, text));
+  for (size_t panel = 0; panel < g.layout.panels; panel++) {
+    for (size_t row = 0; row < picture->row_count; row++) {
+      write_panel(script, picture, &g, panel, row);
     }
-    fputs("END\n", script);
-  }
-}
-
-static const char *const palette[] = {"#000000", "#e69f00", "#56b4e9", "#009e73",
-                                      "#cc79a7", "#d55e00", "#0072b2", "#999999"};
-
-enum { PALETTE = sizeof palette / sizeof palette[0] };
-
-/* A line or, for a single radius, its point. dash: from 1, a solid line. */
-static void write_line(FILE *script, const cli_eval_report *report, size_t profile, size_t dash,
-                       const char *colour, const char *title) {
-  fprintf(script, "$line%zu using 1:2 with ", profile);
-  fprintf(script, report->radius_count > 1 ? "lines dt %zu" : "points pt %zu", dash);
-  fprintf(script, " lw 2 lc rgb '%s' title ", colour);
-  write_quoted(script, title);
-}
-
-static void write_labels(FILE *script, const cli_eval_report *report, bool r, bool R) {
-  char label[96];
-  snprintf(label, sizeof label, "R (%s)", report->info->R_unit);
-  fprintf(script, "set xlabel '%s'\nset ylabel ", r ? "r (mm)" : "");
-  write_quoted(script, R ? label : "");
-  fputc('\n', script);
-}
-
-static void channel_title(const cli_eval_report *report, size_t channel, char *title,
-                          size_t bytes) {
-  snprintf(title, bytes, "%s%s", report->medium != NULL ? "" : "channel ",
-           report->channels[channel].name);
-}
-
-/* ---- few models: one diagram, a dash for each model and a colour for each channel ---------- */
-
-enum { FEW_MODELS = 4, WIDTH = 900, HEIGHT = 600 };
-
-static const char *colour_of(const cli_eval_report *report, size_t channel) {
-  static const char *const rgb[] = {"#d62728", "#2ca02c", "#1f4fd8"};
-  return report->channel_count == 3 ? rgb[channel] : palette[channel % PALETTE];
-}
-
-static void write_diagram(FILE *script, const cli_eval_report *report) {
-  char title[128], channel[64];
-  fputs("set key top right\nset title ", script);
-  write_quoted(script, report->medium != NULL ? report->medium : "R(r)");
-  fputc('\n', script);
-  write_labels(script, report, true, true);
-  for (size_t p = 0; p < report->model_count * report->channel_count; p++) {
-    const size_t model = p / report->channel_count, index = p % report->channel_count;
-    channel_title(report, index, channel, sizeof channel);
-    snprintf(title, sizeof title, "%s, %s", report->models[model].choice->name, channel);
-    fputs(p > 0 ? ", " : "plot ", script);
-    write_line(script, report, p, model + 1, colour_of(report, index), title);
-  }
-  fputc('\n', script);
-}
-
-/* ---- many models: a panel for each channel, a colour and dash for each model, one legend --- */
-
-enum {
-  PANEL_COLUMNS = 3,
-  PANEL_WIDTH = 400,
-  PANEL_HEIGHT = 540,
-  LEGEND_WIDTH = 230,
-  LEGEND_LINE_HEIGHT = 20,
-  MARGIN_LEFT = 90,
-  MARGIN = 60,
-};
-
-typedef struct panels {
-  size_t columns, rows, width, height;
-} panels;
-
-static panels panels_of(const cli_eval_report *report) {
-  const size_t count = report->channel_count;
-  panels p = {.columns = count < PANEL_COLUMNS ? count : PANEL_COLUMNS};
-  const size_t legend = MARGIN + LEGEND_LINE_HEIGHT * (report->model_count + 2);
-  p.rows = (count + p.columns - 1) / p.columns;
-  p.width = MARGIN_LEFT + PANEL_WIDTH * p.columns + LEGEND_WIDTH;
-  p.height = 2 * MARGIN + PANEL_HEIGHT * p.rows;
-  p.height = p.height < legend ? legend : p.height;
-  return p;
-}
-
-static int compare(const void *a, const void *b) {
-  const double x = *(const double *)a, y = *(const double *)b;
-  return (x > y) - (x < y);
-}
-
-/* Decades of R below the least value of the middle line: some models fall off so much faster than
- * others that a diagram with all of a line shows nothing of the rest. */
-enum { TAIL_DECADES = 4 };
-
-/* The same decades in every panel, so that they compare. */
-static void write_range(FILE *script, const cli_eval_report *report) {
-  const size_t lines = report->model_count * report->channel_count;
-  double *least = cli_allocate(lines, sizeof *least);
-  double most = 0;
-  size_t drawn = 0;
-  for (size_t p = 0; p < lines; p++) {
-    const double *R = cli_eval_array(report, &report->values[p], DIPOLE_R);
-    double line_least = INFINITY;
-    for (size_t i = 0; i < report->radius_count; i++) {
-      if (is_drawn(report->radii[i], R[i])) {
-        line_least = fmin(line_least, R[i]);
-        most = fmax(most, R[i]);
-      }
-    }
-    if (isfinite(line_least)) {
-      least[drawn++] = line_least;
-    }
-  }
-  qsort(least, drawn, sizeof *least, compare);
-  const double low = fmax(floor(log10(least[0])), floor(log10(least[drawn / 2])) - TAIL_DECADES);
-  fprintf(script, "set yrange [1e%.0f:1e%.0f]\n", low, fmax(ceil(log10(most)), low + 1));
-  free(least);
-}
-
-static void write_panel(FILE *script, const cli_eval_report *report, const panels *p,
-                        size_t channel) {
-  char title[64];
-  channel_title(report, channel, title, sizeof title);
-  fputs("set title ", script);
-  write_quoted(script, title);
-  fputc('\n', script);
-  write_labels(script, report, channel + p->columns >= report->channel_count,
-               channel % p->columns == 0);
-  fputs(channel == 0 ? "set key at screen 0.99,0.94 top right vertical maxcols 1 Left reverse\n"
-                     : "unset key\n",
-        script);
-  for (size_t model = 0; model < report->model_count; model++) {
-    fputs(model > 0 ? ", " : "plot ", script);
-    write_line(script, report, model * report->channel_count + channel, 1 + model / PALETTE,
-               palette[model % PALETTE], report->models[model].choice->name);
-  }
-  fputc('\n', script);
-}
-
-static void write_panels(FILE *script, const cli_eval_report *report, const panels *p) {
-  const double width = (double)p->width, height = (double)p->height;
-  fprintf(script, "set multiplot layout %zu,%zu margins %.4f,%.4f,%.4f,%.4f spacing %.4f,%.4f",
-          p->rows, p->columns, MARGIN_LEFT / width, 1 - LEGEND_WIDTH / width, MARGIN / height,
-          1 - MARGIN / height, MARGIN / width, 1.5 * MARGIN / height);
-  fputs(" title ", script);
-  write_quoted(script, report->medium != NULL ? report->medium : "R(r)");
-  fputc('\n', script);
-  write_range(script, report);
-  for (size_t channel = 0; channel < report->channel_count; channel++) {
-    write_panel(script, report, p, channel);
   }
   fputs("unset multiplot\n", script);
-}
-
-static void write_script(FILE *script, const cli_eval_report *report, const picture_format *format,
-                         bool logarithmic_r) {
-  const bool many = report->model_count > FEW_MODELS;
-  const panels p = panels_of(report);
-  fputs("set terminal ", script);
-  fprintf(script, format->terminal, many ? p.width : WIDTH, many ? p.height : HEIGHT);
-  fputs("\nset encoding utf8\nset logscale y\nset format y '%.0e'\nset grid\n", script);
-  fputs(logarithmic_r ? "set logscale x\n" : "", script);
-  write_data(script, report);
-  if (many) {
-    write_panels(script, report, &p);
-  } else {
-    write_diagram(script, report);
-  }
-}
-
-/* ---- drawing ------------------------------------------------------------------------------- */
-
-/* The nameless files that gnuplot works with, in the order of its standard streams. */
-enum { SCRIPT, PICTURE, COMPLAINTS, FILES };
-
-/* 0, an errno, or -1 when gnuplot failed. */
-static int run_gnuplot(FILE *const files[FILES]) {
-  char *arguments[] = {PROGRAM, "-", NULL};
-  posix_spawn_file_actions_t actions;
-  pid_t pid;
-  int outcome;
-  int fault = posix_spawn_file_actions_init(&actions);
-  if (fault != 0) {
-    return fault;
-  }
-  for (int i = 0; fault == 0 && i < FILES; i++) {
-    fault = posix_spawn_file_actions_adddup2(&actions, fileno(files[i]), i);
-  }
-  if (fault == 0) {
-    fault = posix_spawnp(&pid, PROGRAM, &actions, NULL, arguments, environ);
-  }
-  posix_spawn_file_actions_destroy(&actions);
-  if (fault != 0) {
-    return fault;
-  }
-  while (waitpid(pid, &outcome, 0) < 0) {
-    if (errno != EINTR) {
-      return errno;
-    }
-  }
-  return WIFEXITED(outcome) && WEXITSTATUS(outcome) == 0 ? 0 : -1;
-}
-
-static bool copy(FILE *from, FILE *to) {
-  char bytes[8192];
-  size_t count;
-  rewind(from);
-  while ((count = fread(bytes, 1, sizeof bytes, from)) > 0) {
-    fwrite(bytes, 1, count, to);
-  }
-  return !ferror(from) && !ferror(to);
-}
-
-static bool copy_to(FILE *from, const char *path) {
-  FILE *to = fopen(path, "wbe");
-  if (to == NULL) {
-    return false;
-  }
-  const bool good = copy(from, to);
-  return fclose(to) == 0 && good;
-}
-
-static int draw(const cli_command *command, FILE *const files[FILES], const char *path) {
-  const int fault = run_gnuplot(files);
-  if (fault == ENOENT) {
-    return cli_fail(command,
-                    "--plot %s: " PROGRAM " is not installed; install the package " PACKAGE, path);
-  }
-  if (fault != 0) {
-    copy(files[COMPLAINTS], stderr);
-    return cli_fail(command, "--plot %s: " PROGRAM " failed%s%s", path, fault > 0 ? ": " : "",
-                    fault > 0 ? strerror(fault) : "");
-  }
-  fseek(files[PICTURE], 0, SEEK_END);
-  if (ftell(files[PICTURE]) <= 0) {
-    return cli_fail(command, "--plot %s: " PROGRAM " drew nothing", path);
-  }
-  if (!copy_to(files[PICTURE], path)) {
-    return cli_fail(command, "--plot %s: cannot write it: %s", path, strerror(errno));
-  }
-  return CLI_OK;
-}
-
-/* Radii in equal ratios are evenly spread on a logarithmic axis only. */
-static bool has_equal_ratios(const cli_eval_report *report) {
-  const double *r = report->radii;
-  const size_t n = report->radius_count;
-  return n > 2 && r[0] > 0 && isfinite(r[n - 1]) && r[n - 1] > r[0] &&
-         fabs(r[1] / r[0] / (r[n - 1] / r[n - 2]) - 1) < 1e-3;
-}
-
-int cli_plot(const cli_command *command, const cli_eval_report *report, const char *path) {
-  FILE *files[FILES] = {NULL};
-  int status = CLI_OK;
-  if (count_drawn(report) == 0) {
-    return cli_fail(
-        command, "--plot %s: R is 0 or infinite at every radius: a logarithmic axis shows nothing",
-        path);
-  }
-  for (int i = 0; status == CLI_OK && i < FILES; i++) {
-    files[i] = tmpfile();
-    if (files[i] == NULL || fcntl(fileno(files[i]), F_SETFD, FD_CLOEXEC) != 0) {
-      status =
-          cli_fail(command, "--plot %s: cannot make a temporary file: %s", path, strerror(errno));
-    }
-  }
-  if (status == CLI_OK) {
-    write_script(files[SCRIPT], report, format_of(path), has_equal_ratios(report));
-    fflush(files[SCRIPT]);
-    rewind(files[SCRIPT]);
-    status = draw(command, files, path);
-  }
-  for (int i = 0; i < FILES; i++) {
-    if (files[i] != NULL) {
-      fclose(files[i]);
-    }
-  }
-  return status;
 }

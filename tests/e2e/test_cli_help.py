@@ -9,7 +9,7 @@ import pytest
 from command_line import FAILED, PROGRAM, TIMEOUT_S, USAGE, dipole
 from daemons import environment
 
-COMMANDS = ["eval", "points", "table", "mc", "media", "info", "top"]
+COMMANDS = ["eval", "plot", "points", "table", "mc", "media", "info", "top"]
 
 
 def test_help_lists_the_commands():
@@ -61,7 +61,7 @@ EVAL = ["eval", "--sigma-a", "0.1", "--sigma-s", "1"]
 @pytest.mark.parametrize(
     "arguments, said",
     [
-        (["evaluate"], "there is no command 'evaluate'; the commands are eval, points, table, mc,"),
+        (["evaluate"], "there is no command 'evaluate'; the commands are eval, plot, points, table,"),
         (["help", "evaluate"], "there is no command 'evaluate'"),
         (["eval"], "give --medium NAME, or --sigma-a and --sigma-s"),
         (["eval", "--sigma-a", "1"], "give --medium NAME, or --sigma-a and --sigma-s"),
