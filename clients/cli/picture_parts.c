@@ -203,10 +203,10 @@ static picture_range linear_range(picture_range all, enum cli_scale scale) {
   return (picture_range){all.low - room, all.high + room};
 }
 
-/* Near r = 0 some quantities rise without bound: where a curve does, so that this share of the radii
- * has more than so many times what all others have, it leaves a linear axis. */
+/* Near r = 0 some quantities rise without bound: where a curve does, so that this share of the
+ * radii has more than so many times what all others have, it leaves a linear axis. */
 #define PEAK_SHARE 0.02
-#define PEAK_RATIO 2.0
+#define PEAK_RATIO 4.0
 
 /* An end of a linear axis, of the curves without their peaks and with them. */
 static double end_of(double inner, double whole) {

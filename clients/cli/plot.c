@@ -312,10 +312,10 @@ const cli_command cli_command_plot = {
         "colour for each channel); of more, and of a single channel, each channel has panels of\n"
         "its own, with a colour for each model. The axes logarithmic and gamma are those of the\n"
         "figures of d'Eon 2012. What lies beyond an axis is in the numbers only, which --format\n"
-        "gives: on a linear one peaks in the first 2 % of the radii that are more than twice the\n"
-        "rest, on a logarithmic one what is 4 decades below the least value of the middle curve,\n"
-        "and deviations beyond 200 %. Files are drawn by gnuplot; characters need nothing, have\n"
-        "colours on a terminal only, and none where NO_COLOR is set.\n",
+        "gives: on a linear one peaks in the first 2 % of the radii that are more than four\n"
+        "times the rest, on a logarithmic one what is 4 decades below the least value of the\n"
+        "middle curve, and deviations beyond 200 %. Files are drawn by gnuplot; characters need\n"
+        "nothing, have colours on a terminal only, and none where NO_COLOR is set.\n",
     .formats = FORMAT_NONE ",table,csv,json",
     .options = options,
     .shared_options = cli_parameter_options,
@@ -323,10 +323,10 @@ const cli_command cli_command_plot = {
     .examples =
         "  dipole plot --medium skin1 --model classical,better,transport\n"
         "  dipole plot --medium skin1 --channel red --model all --axes logarithmic,gamma "
-        "--error\\\n"
+        "--error \\\n"
         "    --plot skin1.svg\n"
         "  dipole plot --medium marble,wholemilk --channel green --model better,transport --plot\n"
-        "  dipole plot --sigma-a 0.01,0.1,1 --sigma-s 1 --eta 1.4 --quantity 2_pi_r_R\\\n"
+        "  dipole plot --sigma-a 0.01,0.1,1 --sigma-s 1 --eta 1.4 --quantity 2_pi_r_R \\\n"
         "    --axes linear --to 20 --size 1200x800 --plot a.png --plot a.svg\n"
         "  dipole plot --medium skin1 --quantity cdf --axes linear --format csv\n",
     .run = run,

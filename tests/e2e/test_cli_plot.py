@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-import re
 import shutil
-import struct
 import subprocess
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -14,31 +12,9 @@ import pytest
 from command_line import FAILED, TIMEOUT_S, USAGE, dipole, read_csv
 from daemons import BUILD, REPOSITORY, environment
 from lists import MODELS, everywhere
+from pictures import check_png, places, style, svg_lines, svg_texts
 
-SVG = "{http://www.w3.org/2000/svg}"
 SKIN = ["eval", "--medium", "skin1", "--model", "classical,better", "--count", "50"]
-
-
-def svg_lines(root: ElementTree.Element) -> list[ElementTree.Element]:
-    """The groups that gnuplot draws the lines of a plot in."""
-    groups = []
-    for group in root.iter(f"{SVG}g"):
-        title = group.find(f"{SVG}title")
-        if title is not None and (title.text or "").startswith("gnuplot_plot_"):
-            groups.append(group)
-    return groups
-
-
-def svg_texts(root: ElementTree.Element) -> list[str]:
-    return ["".join(text.itertext()).strip() for text in root.iter(f"{SVG}text")]
-
-
-def check_png(path: Path) -> None:
-    data = path.read_bytes()
-    assert data.startswith(b"\x89PNG\r\n\x1a\n") and data.endswith(b"IEND\xaeB`\x82")
-    width, height = struct.unpack(">II", data[16:24])
-    assert width >= 600 and height >= 400
-    assert len(data) > 5000
 
 
 def test_svg_and_png_in_one_run(tmp_path):
@@ -195,30 +171,6 @@ def test_all_models_together(tmp_path):
     styles = [style(group) for group in groups]
     assert len(set(styles)) == len(answered)
     assert styles[: len(answered)] == styles[len(answered) : 2 * len(answered)]
-
-
-def places(root: ElementTree.Element, words) -> list[tuple[str, str]]:
-    """Where the texts stand that are among these words: x and y."""
-    found = []
-    for group in root.iter(f"{SVG}g"):
-        text = group.find(f"{SVG}text")
-        if text is not None and "".join(text.itertext()).strip() in words:
-            match = re.match(r"translate\(([\d.]+),([\d.]+)\)", group.get("transform", ""))
-            found.append((match[1], match[2]))
-    return found
-
-
-def style(group: ElementTree.Element) -> tuple:
-    """Colour and dashes of a line: of its longest path."""
-    paths = [one for one in group.iter(f"{SVG}path")]
-    longest = max(paths, key=lambda path: len(path.get("d", "")))
-    parents = {child: parent for parent in group.iter() for child in parent}
-    colour = longest.get("stroke")
-    at = longest
-    while colour is None and at in parents:
-        at = parents[at]
-        colour = at.get("stroke")
-    return colour, longest.get("stroke-dasharray")
 
 
 @pytest.mark.parametrize("channels", [1, 2, 4, 7])

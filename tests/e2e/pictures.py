@@ -1,0 +1,75 @@
+"""What is in a picture that `dipole` has drawn."""
+
+from __future__ import annotations
+
+import re
+import struct
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def svg_lines(root: ElementTree.Element) -> list[ElementTree.Element]:
+    """The groups that gnuplot draws the lines of a plot in."""
+    groups = []
+    for group in root.iter(f"{SVG}g"):
+        title = group.find(f"{SVG}title")
+        if title is not None and (title.text or "").startswith("gnuplot_plot_"):
+            groups.append(group)
+    return groups
+
+
+def svg_texts(root: ElementTree.Element) -> list[str]:
+    return ["".join(text.itertext()).strip() for text in root.iter(f"{SVG}text")]
+
+
+def svg_size(root: ElementTree.Element) -> tuple[float, float]:
+    width, height = root.get("viewBox").split()[2:]
+    return float(width), float(height)
+
+
+def png_size(path: Path) -> tuple[int, int]:
+    data = path.read_bytes()
+    assert data.startswith(b"\x89PNG\r\n\x1a\n") and data.endswith(b"IEND\xaeB`\x82")
+    return struct.unpack(">II", data[16:24])
+
+
+def check_png(path: Path) -> None:
+    width, height = png_size(path)
+    assert width >= 600 and height >= 400
+    assert path.stat().st_size > 5000
+
+
+def path_points(group: ElementTree.Element) -> list[tuple[float, float]]:
+    """The corners of a line, in pixels: of its longest piece, for one is in the legend."""
+    pieces = []
+    for path in group.iter(f"{SVG}path"):
+        for letter, x, y in re.findall(r"([ML])(-?[\d.]+),(-?[\d.]+)", path.get("d", "")):
+            if letter == "M":
+                pieces.append([])
+            pieces[-1].append((float(x), float(y)))
+    return max(pieces, key=len)
+
+
+def places(root: ElementTree.Element, words) -> list[tuple[str, str]]:
+    """Where the texts stand that are among these words: x and y."""
+    found = []
+    for group in root.iter(f"{SVG}g"):
+        text = group.find(f"{SVG}text")
+        if text is not None and "".join(text.itertext()).strip() in words:
+            match = re.match(r"translate\(([\d.]+),([\d.]+)\)", group.get("transform", ""))
+            found.append((match[1], match[2]))
+    return found
+
+
+def style(group: ElementTree.Element) -> tuple:
+    """Colour and dashes of a line: of its longest path."""
+    longest = max(group.iter(f"{SVG}path"), key=lambda path: len(path.get("d", "")))
+    parents = {child: parent for parent in group.iter() for child in parent}
+    colour = longest.get("stroke")
+    at = longest
+    while colour is None and at in parents:
+        at = parents[at]
+        colour = at.get("stroke")
+    return colour, longest.get("stroke-dasharray")
