@@ -548,4 +548,5 @@ def test_examples_work(tmp_path):
         assert words[:2] == ["dipole", "plot"]
         run = dipole(*words[1:], cwd=tmp_path, quiet=False)
         assert (run.stdout == "") == ("--plot" in words)
-    assert {path.name for path in tmp_path.iterdir()} == {"skin1.svg", "dipole.svg", "a.png", "a.svg"}
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"skin1.svg", "dipole.svg", "a.png", "a.svg"}
