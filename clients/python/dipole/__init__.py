@@ -9,6 +9,7 @@
 Lengths in mm, coefficients in 1/mm, R in 1/mm^2 per unit of power that entered the medium.
 """
 
+from .aio import AsyncClient
 from .broadcast import Values
 from .client import Client
 from .connection import Connection, Frame
@@ -30,6 +31,7 @@ from .values import Choice, Grid, Info, Medium, Offer, Offers, Result
 __all__ = [
     "AddressError",
     "ArgumentError",
+    "AsyncClient",
     "Choice",
     "Client",
     "ConnectError",

@@ -322,13 +322,8 @@ class Client:
         when it returns False the job is cancelled, and the table is what there is by then. An
         exception, such as KeyboardInterrupt, cancels it too.
         """
-        if photons is None:
-            wishes = error_total or error_rings
-            photons = self.info.limits["max_mc_photons"] if wishes else 1_000_000
-        spacing = packing.id_of(self.info, "spacing", edges.spacing)
-        payload = mc.pack_request(
-            medium, edges, spacing, photons, error_total, error_rings, thickness, albedos, seed
-        )
+        walk = (photons, error_total, error_rings, thickness, albedos, seed)
+        payload = mc.request(self.info, medium, edges, *walk)
         request_id = self._send("mc", payload)
         try:
             return self._mc_result(request_id, progress)

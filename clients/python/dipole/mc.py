@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from . import wire
+from . import packing, wire
 from .errors import ProtocolError
-from .values import Grid, Medium
+from .values import Grid, Info, Medium
 
 REFLECTED, TRANSMITTED = 0, 1  # sides: where light enters, and the other one of a slab
 
@@ -79,18 +79,39 @@ class McResult:
         return self.errors[:, REFLECTED]
 
 
+def request(
+    info: Info,
+    medium: Medium | Sequence[float],
+    edges: Grid,
+    photons: int | None = None,
+    error_total: float = 0.0,
+    error_rings: float = 0.0,
+    thickness: float | None = None,
+    albedos: Iterable[float] = (),
+    seed: int = 1,
+) -> bytes:
+    """The payload of a request, see Client.mc()."""
+    if photons is None:
+        wishes = error_total or error_rings
+        photons = info.limits["max_mc_photons"] if wishes else 1_000_000
+    spacing = packing.id_of(info, "spacing", edges.spacing)
+    return pack_request(
+        medium, edges, spacing, photons, error_total, error_rings, thickness, albedos, seed
+    )
+
+
 def pack_request(
-    medium: Medium,
+    medium: Medium | Sequence[float],
     edges: Grid,
     spacing: int,
     photons: int,
     error_total: float,
     error_rings: float,
-    thickness: float,
+    thickness: float | None,
     albedos: Iterable[float],
     seed: int,
 ) -> bytes:
-    """The payload of a request; its values are the daemon's to judge."""
+    """The same of numbers alone, which are the daemon's to judge."""
     listed = np.asarray(list(albedos), "<f8")
     fixed = wire.MC_REQUEST.pack(
         spacing=spacing,

@@ -1,0 +1,68 @@
+"""Skin, in cells for a notebook or an editor that runs them (# %%), or from top to bottom:
+
+    python3 skin.py [PICTURE]
+
+Asks the dipoled in $DIPOLED, or a private one. Draws into PICTURE (skin.png) where matplotlib is
+installed, and prints the numbers in any case. Lengths in mm.
+"""
+
+# %% What there is: measured media, each with a red, a green and a blue channel.
+import sys
+
+import numpy as np
+
+import dipole
+
+client = dipole.Client()
+skin = client.media()["skin1"]
+print(f"{client.info.software} at {client.info.address}")
+for colour, medium in zip(("red", "green", "blue"), skin):
+    print(f"  skin1, {colour}: {medium}")
+
+# %% How much light leaves at a distance r, by the exact solution and by two models. The arrays are
+# [channel, radius]; each result says how far its values may be off.
+r = np.geomspace(0.15, 10, 60)
+exact = client.eval("transport", skin, r, evaluator="lut")
+models = {name: client.eval(name, skin, r) for name in ("classical", "better")}
+print("\nred, mm    transport" + "".join(f"{name:>12}" for name in models))
+for i in range(0, len(r), 12):
+    row = [exact.R[0, i], *(result.R[0, i] for result in models.values())]
+    print(f"{r[i]:7.3f}" + "".join(f"{value:12.4g}" for value in row))
+for name, result in models.items():
+    off = np.abs(result.R / exact.R - 1).max(axis=1)
+    print(f"{name}: up to {off[0]:.0%} off in red; quoted: up to {result.model_error[0]:.0%}")
+
+# %% A tolerance in place of a model: the cheapest that is measured to keep it.
+chosen = client.eval(None, skin, r, tolerance=0.01)
+off = (chosen.model_error[:, None] + chosen.numerical_error()).max()
+print(f"\nwithin 1 %: {chosen.model} by {chosen.evaluator}, at most {off:.1g} off")
+
+# %% Broadcasting: the energy within 1 mm for a range of absorption and scattering.
+sigma_a = np.geomspace(0.01, 1, 40)[:, None]
+sigma_s = np.geomspace(0.3, 10, 50)[None, :]
+within = client.values("better", dipole.Medium(sigma_a, sigma_s), 1.0, "cdf").values
+print(f"\nenergy within 1 mm: {within.min():.0%} to {within.max():.0%} of {within.shape} media")
+
+# %% Pictures.
+client.close()
+try:
+    import matplotlib
+except ImportError:
+    print("no pictures without matplotlib: the package python3-matplotlib", file=sys.stderr)
+    sys.exit()
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
+for channel, colour in enumerate(("red", "green", "blue")):
+    left.loglog(r, exact.R[channel], color=colour, label=f"{colour}: transport")
+    left.loglog(r, models["better"].R[channel], ":", color=colour, label="better dipole")
+left.set(xlabel="r, mm", ylabel="R, 1/mm²", title="skin1")
+left.legend()
+image = right.pcolormesh(sigma_s[0], sigma_a[:, 0], within, shading="nearest")
+right.set(xscale="log", yscale="log", xlabel="σs, 1/mm", ylabel="σa, 1/mm")
+right.set_title("energy that leaves within 1 mm")
+figure.colorbar(image, ax=right)
+picture = sys.argv[1] if len(sys.argv) > 1 else "skin.png"
+figure.savefig(picture)
+print(f"\ndrawn: {picture}")

@@ -1,0 +1,335 @@
+"""The Python client for asyncio: the answers of the other one, many at a time, and what happens when
+calls are given up or the daemon goes away."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import time
+
+import dipole
+import numpy as np
+import pytest
+from daemons import PROGRAM, eventually
+from dipole import AsyncClient, Grid, Medium
+from frames import SKIN
+from test_retry import QUESTIONS, RETRY_S, holding_frame, restarted, result_bytes  # noqa: F401
+
+THREE = [Medium(0.032, 0.74), Medium(0.17, 0.88), Medium(0.48, 1.01)]
+LIMIT_S = 60
+
+
+def run(coroutine):
+    """Runs a test's coroutine, with an end."""
+
+    async def limited():
+        return await asyncio.wait_for(coroutine, LIMIT_S)
+
+    return asyncio.run(limited())
+
+
+# ---- the same answers ----------------------------------------------------------------------------
+
+
+def test_every_call_answers_as_the_other_client(shared):
+    async def ask() -> None:
+        async with AsyncClient(shared.url()) as client:
+            assert client.info == known.info
+            result = await client.eval("better", THREE, [0.5, 1.0], wanted=["R", "cdf", "albedo"])
+            expected = known.eval("better", THREE, [0.5, 1.0], wanted=["R", "cdf", "albedo"])
+            np.testing.assert_array_equal(result.R, expected.R)
+            np.testing.assert_array_equal(result.cdf, expected.cdf)
+            np.testing.assert_array_equal(result.albedo, expected.albedo)
+            shape = Medium(np.linspace(0.01, 1, 5)[:, None], 1.0), np.linspace(0, 3, 4)
+            values = await client.values("better", *shape, quantity="cdf", evaluator="f32")
+            expected = known.values("better", *shape, quantity="cdf", evaluator="f32")
+            np.testing.assert_array_equal(values.values, expected.values)
+            assert await client.media() == known.media()
+            assert (await client.statistics()).keys() == known.statistics().keys()
+            assert await client.ping(b"12345678") > 0
+            offers = await client.offers(SKIN, [1.0], tolerance=0.02)
+            assert offers == known.offers(SKIN, [1.0], tolerance=0.02)
+            table = await client.table("better", SKIN, tolerance=1e-3)
+            expected = known.table("better", SKIN, tolerance=1e-3)
+            np.testing.assert_array_equal(table.words, expected.words)
+            walk = {"photons": 20000, "seed": 3}
+            result = await client.mc(SKIN, Grid(0, 4, 5), **walk)
+            expected = known.mc(SKIN, Grid(0, 4, 5), **walk)
+            np.testing.assert_array_equal(result.values, expected.values)
+
+    with shared.client() as known:
+        run(ask())
+
+
+def test_many_at_a_time_are_told_apart(shared):
+    async def ask() -> None:
+        async with AsyncClient(shared.url("tcp")) as client:
+            radii = [0.01 * (i + 1) for i in range(700)]
+            results = await asyncio.gather(*(client.eval("better", SKIN, [r]) for r in radii))
+            together = await client.eval("better", SKIN, radii)
+            np.testing.assert_array_equal([one.R[0, 0] for one in results], together.R[0])
+
+    run(ask())
+
+
+@pytest.mark.parametrize("count", [100, 3_000_000])
+def test_large_requests_and_replies(shared, count):
+    async def ask() -> None:
+        async with AsyncClient(shared.url()) as client:
+            radii = np.linspace(0.0, 9.0, count, dtype=np.float32)
+            listed, small, grid = await asyncio.gather(
+                client.eval("better", SKIN, radii, evaluator="f32"),
+                client.eval("better", SKIN, [1.0]),
+                client.eval("better", SKIN, grid=Grid(0.0, 9.0, count), evaluator="f32"),
+            )
+            assert listed.R.shape == grid.R.shape == (1, count)
+            np.testing.assert_array_equal(listed.r, radii)
+            again = await client.eval("better", SKIN, grid.r, evaluator="f32")
+            np.testing.assert_array_equal(again.R, grid.R)
+            assert small.R > 0
+
+    run(ask())
+
+
+def test_parts(daemon):
+    """With other calls between the parts, whose answers come behind the parts."""
+
+    async def ask() -> None:
+        async with AsyncClient(one.url()) as client:
+            whole = await client.eval("better", SKIN, grid=Grid(0.1, 9.0, 40_000))
+            read = []
+            async for part in client.eval_parts("better", SKIN, grid=Grid(0.1, 9.0, 40_000)):
+                assert part.radius_first == sum(len(values) for values in read)
+                read.append(part.R[0])
+                assert (await client.eval("better", SKIN, [1.0])).R > 0
+            assert len(read) > 50
+            np.testing.assert_array_equal(np.concatenate(read), whole.R[0])
+
+    one = daemon("--max-part-bytes", "16384", "--max-frame-bytes", "65536")
+    run(ask())
+
+
+def test_parts_that_nobody_wants_more_of(daemon):
+    async def ask() -> None:
+        async with AsyncClient(one.url()) as client:
+            parts = client.eval_parts("better", SKIN, grid=Grid(0.1, 9.0, 400_000))
+            await parts.__anext__()
+            await parts.aclose()
+            assert (await client.eval("better", SKIN, [1.0])).R > 0
+
+    one = daemon("--max-part-bytes", "16384", "--max-frame-bytes", "65536")
+    run(ask())
+
+
+def test_a_private_daemon(monkeypatch):
+    monkeypatch.delenv("DIPOLED", raising=False)
+
+    async def ask() -> None:
+        async with AsyncClient(f"private:{PROGRAM}") as client:
+            assert (await client.eval("better", SKIN, [1.0])).R > 0
+
+    run(ask())
+
+
+# ---- faults --------------------------------------------------------------------------------------
+
+
+def test_refusals_are_their_callers(shared):
+    async def ask() -> None:
+        async with AsyncClient(shared.url()) as client:
+            media = [SKIN, Medium(-1.0, 1.0), SKIN]
+            answers = await asyncio.gather(
+                *(client.eval("better", medium, [1.0]) for medium in media), return_exceptions=True
+            )
+            assert isinstance(answers[1], dipole.Refused) and answers[1].field == "sigma_a"
+            assert answers[0].R == answers[2].R
+            with pytest.raises(dipole.Refused):
+                await client.values("better", Medium(np.linspace(1, -1, 200), 1.0), np.ones(200))
+            with pytest.raises(dipole.ArgumentError):
+                await client.eval("no such model", SKIN, [1.0])
+            assert (await client.eval("better", SKIN, [1.0])).R == answers[0].R
+
+    run(ask())
+
+
+def test_a_call_that_is_given_up_takes_no_other_with_it(shared):
+    async def ask() -> None:
+        async with AsyncClient(shared.url()) as client:
+            radii = np.linspace(0, 9, 500_000)
+            slow = asyncio.create_task(client.eval("better", SKIN, radii))
+            quick = asyncio.create_task(client.eval("better", SKIN, [1.0]))
+            await asyncio.sleep(0)  # both are being sent
+            slow.cancel()
+            assert (await quick).R > 0
+            with pytest.raises(asyncio.CancelledError):
+                await slow
+            assert (await client.eval("better", SKIN, radii)).R.shape == (1, 500_000)
+
+    run(ask())
+
+
+def test_a_job_that_is_given_up_is_cancelled(shared):
+    async def ask() -> None:
+        async with AsyncClient(shared.url()) as client:
+            reports = []
+
+            def stop(progress: dipole.McProgress) -> bool:
+                reports.append(progress)
+                return False
+
+            edges = Grid(0.0, 4.0, 5)
+            result = await client.mc(SKIN, edges, photons=1_000_000_000, progress=stop)
+            assert len(reports) == 1 and 0 < result.photons < 1_000_000_000
+            job = asyncio.create_task(client.mc(SKIN, edges, photons=1_000_000_000))
+            while (await client.statistics())["mc_jobs_open"] == 0:
+                await asyncio.sleep(0.005)
+            job.cancel()
+            while (await client.statistics())["mc_jobs_open"] > 0:
+                await asyncio.sleep(0.005)
+
+    run(ask())
+
+
+def test_a_closed_client(shared):
+    async def ask() -> None:
+        client = AsyncClient(shared.url())
+        with pytest.raises(dipole.ArgumentError, match="not open"):
+            await client.ping()
+        await client.open()
+        waiting = asyncio.create_task(client.eval("transport", Medium(0.0123, 1.0), [1.0]))
+        await asyncio.sleep(0.01)
+        await client.close()
+        await client.close()
+        with pytest.raises(dipole.ConnectionLost, match="closed"):
+            await waiting
+        with pytest.raises(dipole.ConnectionLost, match="closed"):
+            await client.ping()
+
+    run(ask())
+
+
+def test_a_silent_daemon(shared):
+    """Everything passes through here until it is told to hold back."""
+
+    async def ask() -> None:
+        forwarding = True
+
+        async def forward(reader, writer) -> None:
+            while data := await reader.read(65536):
+                if forwarding:
+                    writer.write(data)
+            writer.close()
+
+        async def serve(reader, writer) -> None:
+            address = shared.url("tcp").removeprefix("tcp:").rpartition(":")
+            up = await asyncio.open_connection(address[0], int(address[2]))
+            await asyncio.gather(forward(reader, up[1]), forward(up[0], writer))
+
+        server = await asyncio.start_server(serve, "127.0.0.1", 0)
+        port = server.sockets[0].getsockname()[1]
+        async with AsyncClient(f"tcp:127.0.0.1:{port}", timeout_s=0.5, retry_s=0) as client:
+            await client.ping()
+            forwarding = False
+            began_s = time.monotonic()
+            with pytest.raises(dipole.ConnectionLost, match="nothing moved"):
+                await client.ping()
+            assert time.monotonic() - began_s >= 0.5
+        server.close()
+
+    run(ask())
+
+
+def test_nobody_is_there():
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.1", 0))
+        port = closed.getsockname()[1]
+
+        async def ask() -> None:
+            with pytest.raises(dipole.ConnectError):
+                await AsyncClient(f"tcp:127.0.0.1:{port}").open()
+
+        run(ask())
+
+
+# ---- a daemon that goes away ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("how", ["kill", "stop"])
+def test_it_outlives_its_daemon(restarted, how):  # noqa: F811
+    with dipole.Client(restarted.url) as known:
+        expected = [result_bytes(known.eval(**question)) for question in QUESTIONS]
+
+    async def ask() -> None:
+        answered = 0
+        ends = False
+
+        async def go_on(client: AsyncClient, first: int) -> None:
+            nonlocal answered
+            which = first
+            while not ends:
+                which = (which + 1) % len(QUESTIONS)
+                assert result_bytes(await client.eval(**QUESTIONS[which])) == expected[which]
+                answered += 1
+
+        async with AsyncClient(restarted.url, retry_s=RETRY_S) as client:
+            tasks = [asyncio.create_task(go_on(client, i)) for i in range(16)]
+            for _ in range(3):
+                before = answered
+                await asyncio.to_thread(getattr(restarted, how))
+                while answered <= before + 40 and not any(task.done() for task in tasks):
+                    await asyncio.sleep(0.005)
+            ends = True
+            await asyncio.gather(*tasks)
+
+    run(ask())
+
+
+def test_what_cannot_be_asked_again_is_lost(restarted):  # noqa: F811
+    async def ask() -> None:
+        async with AsyncClient(restarted.url, retry_s=RETRY_S) as client:
+            parts = client.eval_parts(**QUESTIONS[-1])
+            await parts.__anext__()
+            await asyncio.to_thread(restarted.kill)
+            with pytest.raises(dipole.ConnectionLost):
+                async for _ in parts:
+                    pass
+        async with AsyncClient(restarted.url, retry_s=RETRY_S) as client:
+            job = asyncio.create_task(client.mc(SKIN, Grid(0.0, 4.0, 5), photons=1_000_000_000))
+            while (await client.statistics())["mc_jobs_open"] == 0:
+                await asyncio.sleep(0.005)
+            await asyncio.to_thread(restarted.kill)
+            with pytest.raises(dipole.ConnectionLost):
+                await job
+
+    run(ask())
+
+
+def test_deadlines_go_on_while_nobody_is_there(restarted):  # noqa: F811
+    async def ask() -> None:
+        async with AsyncClient(restarted.url, retry_s=RETRY_S) as client:
+            await client.ping()
+            restarted.pause_and_come_back()
+            with pytest.raises(dipole.Refused) as caught:
+                await client.eval("better", SKIN, [1.0], deadline_ms=1)
+            assert caught.value.status == "deadline"
+            assert (await client.eval("better", SKIN, [1.0])).R > 0
+
+    run(ask())
+
+
+def test_busy_is_asked_again(daemon):
+    one = daemon("--max-total-bytes", "1048576")
+    grid = Grid(0.1, 10.0, 100_000)
+
+    async def ask() -> None:
+        async with AsyncClient(one.url(), retry_s=RETRY_S) as client:
+            before = await client.eval("better", SKIN, grid=grid, wanted=["R"])
+            with one.connect() as holder, one.client() as watcher:
+                holder.send_bytes(holding_frame())
+                assert eventually(lambda: watcher.statistics()["buffer_bytes"] > 500_000)
+                later = asyncio.create_task(client.eval("better", SKIN, grid=grid, wanted=["R"]))
+                while watcher.statistics()["answers_busy"] == 0:
+                    await asyncio.sleep(0.005)
+            assert ((await later).R == before.R).all()
+
+    run(ask())
