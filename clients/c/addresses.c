@@ -63,22 +63,23 @@ void libdipole_addresses_free(libdipole_addresses *addresses) {
   *addresses = (libdipole_addresses){0};
 }
 
-/* xorshift64 (Marsaglia 2003). */
-uint64_t libdipole_random(uint64_t *state) {
+/* xorshift64* (Vigna 2016), of whose 64 bits the upper half is good. */
+uint32_t libdipole_random(uint64_t *state) {
   uint64_t x = *state;
   if (x == 0) {
     struct timespec now;
     clock_gettime(CLOCK_MONOTONIC, &now);
     x = ((uint64_t)now.tv_nsec << 32 ^ (uint64_t)(uintptr_t)state) | 1;
   }
-  x ^= x << 13;
-  x ^= x >> 7;
-  x ^= x << 17;
-  return *state = x;
+  x ^= x >> 12;
+  x ^= x << 25;
+  x ^= x >> 27;
+  *state = x;
+  return (uint32_t)(x * UINT64_C(0x2545f4914f6cdd1d) >> 32);
 }
 
 unsigned libdipole_jitter(uint64_t *state, unsigned pause_ms) {
-  return pause_ms - (unsigned)(libdipole_random(state) % (pause_ms / 2 + 1));
+  return pause_ms - libdipole_random(state) % (pause_ms / 2 + 1);
 }
 
 unsigned libdipole_pause_twice(unsigned pause_ms) {

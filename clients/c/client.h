@@ -70,7 +70,7 @@ bool libdipole_addresses_is_private(const libdipole_addresses *addresses);
 void libdipole_addresses_free(libdipole_addresses *addresses);
 
 /* *state: 0 at first. */
-uint64_t libdipole_random(uint64_t *state);
+uint32_t libdipole_random(uint64_t *state);
 
 /* Between half and all of a pause, so that clients that lost the same daemon at the same moment do
  * not all come back at the same moment. */
