@@ -213,6 +213,7 @@ struct dipole_client {
   size_t pending_begin, pending_count, pending_capacity;
   size_t arrived_count;   /* of those, with an answer */
   size_t dropped_count;   /* of those, dropped */
+  size_t held_count;      /* begun since bytes were last sent */
   libdipole_frame *frame; /* being received; NULL: a header is next */
   libdipole_into into;
 

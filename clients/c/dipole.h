@@ -359,11 +359,15 @@ const float *dipole_values_f32(const dipole_result *result, uint32_t channel, un
  * wait for each other. It costs the memory of the answers instead, which in_flight_max bounds. A
  * program that does not call the library for a while is waited for by the daemon. */
 
-/* Sends a query and sets *id, which is never 0. The query is copied, its radii too; into_values and
+/* Submits a query and sets *id, which is never 0. The query is copied, its radii too; into_values and
  * into_radii are kept. False with kind FULL: in_flight_max queries are outstanding; with kind
  * TIMEOUT: the query was not submitted. */
 bool dipole_submit(dipole_client *client, const dipole_query *query, uint64_t *id,
                    dipole_error *error);
+
+/* Sends what has been submitted and is held back: up to a quarter of the outstanding queries, and
+ * 16 KiB, are, until a call waits. For a program that now does something else for a while. */
+void dipole_flush(dipole_client *client);
 
 /* Waits for the answer to any outstanding query, the one that comes next, and sets *id to it. False
  * with kind REFUSED: the query *id was refused, others go on. False with kind TIMEOUT: none has come

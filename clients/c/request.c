@@ -7,6 +7,11 @@
 /* Unsent bytes up to which a request is left to be sent later. */
 #define BACKLOG_MAX_BYTES ((size_t)1 << 20)
 
+/* Requests are held back up to so many bytes, and up to one in so many of those that are
+ * outstanding: a call of the system for each would cost more than the rest of it. */
+#define HELD_MAX_BYTES ((size_t)16 << 10)
+enum { HELD_SHARE = 4 };
+
 /* ---- waiting ------------------------------------------------------------------------------- */
 
 void libdipole_call_begin(dipole_client *client, uint16_t type) {
@@ -138,11 +143,20 @@ bool libdipole_request_begin(dipole_client *client, libdipole_pending *pending,
   return true;
 }
 
+void dipole_flush(dipole_client *client) {
+  libdipole_stream_send(&client->stream);
+  client->held_count = 0;
+}
+
 bool libdipole_request_send(dipole_client *client, dipole_error *error) {
   const libdipole_stream *stream = &client->stream;
   const uint64_t id = client->last_id;
   libdipole_retry_keep(client);
-  libdipole_stream_send(&client->stream);
+  client->held_count++;
+  if (client->held_count * HELD_SHARE >= dipole_outstanding(client) ||
+      stream->out_end - stream->out_begin >= HELD_MAX_BYTES) {
+    dipole_flush(client);
+  }
   while (stream->out_end - stream->out_begin > BACKLOG_MAX_BYTES) {
     if (!step(client, error)) {
       libdipole_pending_drop(client, id);

@@ -4,7 +4,7 @@
 #include <stdarg.h>
 #include <stdlib.h>
 #include <string.h>
-#include <time.h>
+#include <unistd.h>
 
 #include <cmocka.h>
 
@@ -203,6 +203,43 @@ static void test_as_many_as_one_likes(void **state) {
   peer_end(&peer);
 }
 
+/* ---- sent at once -------------------------------------------------------------------------- */
+
+enum { BURST = 30 };
+
+/* Says so on a pipe when all of a burst are here. */
+static void note_burst(int fd, void *context) {
+  const int *pipe_ends = context;
+  peer_say_hello_or_abort(fd);
+  for (unsigned i = 0; i < BURST; i++) {
+    peer_frame request;
+    peer_receive_or_abort(fd, &request);
+    free(request.payload);
+  }
+  if (write(pipe_ends[1], "!", 1) != 1) {
+    abort();
+  }
+}
+
+static void test_flush(void **state) {
+  int pipe_ends[2];
+  scripted_peer peer;
+  char byte;
+  (void)state;
+  assert_int_equal(pipe(pipe_ends), 0);
+  peer_start(&peer, note_burst, pipe_ends);
+  dipole_client *client = open_client(&peer, NULL);
+  for (unsigned i = 0; i < BURST; i++) {
+    submit(client, 1 + i);
+  }
+  dipole_flush(client);
+  assert_int_equal(read(pipe_ends[0], &byte, 1), 1); /* and nothing else is called */
+  dipole_close(client);
+  peer_end(&peer);
+  close(pipe_ends[0]);
+  close(pipe_ends[1]);
+}
+
 /* ---- calls that take too long -------------------------------------------------------------- */
 
 /* Answers a request only when the next one is there. */
@@ -350,6 +387,7 @@ int main(void) {
       cmocka_unit_test(test_both_ways),
       cmocka_unit_test(test_no_more_than_may_be_outstanding),
       cmocka_unit_test(test_as_many_as_one_likes),
+      cmocka_unit_test(test_flush),
       cmocka_unit_test(test_what_is_submitted_stays),
       cmocka_unit_test(test_what_nobody_waits_for_is_thrown_away),
       cmocka_unit_test(test_silence_counts_over_calls),
