@@ -84,7 +84,6 @@ static bool submit(points_run *points, cli_points_row *row) {
 /* A busy daemon is asked again; a refusal that names a field is the row's own fault; anything else
  * ends the command. */
 static bool take_refusal(points_run *points, uint64_t id, const dipole_error *error) {
-  const uint64_t timeout_ms = points->settings->profile.common.timeout_ms.value;
   cli_points_row *row = error->kind == DIPOLE_ERROR_REFUSED ? find_row(points, id) : NULL;
   if (row == NULL || (error->retry_after_ms == 0 && error->field[0] == '\0')) {
     return fail(points, "%s", error->text);
@@ -94,7 +93,7 @@ static bool take_refusal(points_run *points, uint64_t id, const dipole_error *er
     memcpy(row->status, error->text, sizeof row->status);
     return true;
   }
-  if (timeout_ms != 0 && cli_now_ms() - points->answer_ms > (int64_t)timeout_ms) {
+  if (!cli_is_patient(&points->settings->profile.common, points->answer_ms)) {
     return fail(points, "%s", error->text);
   }
   cli_nap(error);
@@ -266,7 +265,7 @@ static int work(points_run *points) {
   }
   points->evaluator = evaluator->id;
   points->answer_ms = cli_now_ms();
-  cli_progress_start(&points->progress);
+  cli_progress_start(&points->progress, "rows");
   const bool good = read_header(points) && read_rows(points);
   cli_progress_wipe(&points->progress);
   if (!good) {

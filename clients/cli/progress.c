@@ -10,11 +10,12 @@
 
 enum { BAR_WIDTH = 40 };
 
-void cli_progress_start(cli_progress *progress) {
-  *progress = (cli_progress){.watched = isatty(STDERR_FILENO) == 1, .start_ms = cli_now_ms()};
+void cli_progress_start(cli_progress *progress, const char *unit) {
+  *progress =
+      (cli_progress){.watched = isatty(STDERR_FILENO) == 1, .unit = unit, .start_ms = cli_now_ms()};
 }
 
-void cli_progress_show(cli_progress *progress, uint64_t done, uint64_t total, uint64_t rows) {
+void cli_progress_show(cli_progress *progress, uint64_t done, uint64_t total, uint64_t count) {
   static const char full[] = "########################################";
   if (!progress->watched) {
     return;
@@ -27,10 +28,10 @@ void cli_progress_show(cli_progress *progress, uint64_t done, uint64_t total, ui
   progress->shown = true;
   if (total > 0 && done <= total) {
     const double share = (double)done / (double)total;
-    fprintf(stderr, "\r[%-*.*s] %3.0f %%  %llu rows\033[K", BAR_WIDTH, (int)(share * BAR_WIDTH),
-            full, share * 100, (unsigned long long)rows);
+    fprintf(stderr, "\r[%-*.*s] %3.0f %%  %llu %s\033[K", BAR_WIDTH, (int)(share * BAR_WIDTH), full,
+            share * 100, (unsigned long long)count, progress->unit);
   } else {
-    fprintf(stderr, "\r%llu rows\033[K", (unsigned long long)rows);
+    fprintf(stderr, "\r%llu %s\033[K", (unsigned long long)count, progress->unit);
   }
 }
 
