@@ -78,12 +78,12 @@ static bool collect(worker *of) {
 static void *work(void *argument) {
   worker *of = argument;
   bool good = true;
-  while (good && now_ns() < of->until_ns) {
+  do {
     while (good && of->used < of->in_flight) {
       good = submit(of);
     }
     good = good && collect(of);
-  }
+  } while (good && now_ns() < of->until_ns);
   while (good && of->used > 0) {
     good = collect(of);
   }

@@ -256,6 +256,52 @@ static void test_many_in_any_order(void **state) {
   peer_end(&peer);
 }
 
+/* Far more in both directions than sockets hold, and nothing is collected before all is asked. */
+static void test_large_ones_both_ways(void **state) {
+  enum { LARGE = 40001, MANY = 24 };
+  double *radii = malloc(LARGE * sizeof *radii);
+  room places[MANY];
+  uint64_t ids[MANY];
+  scripted_peer peer;
+  dipole_result *result;
+  dipole_error error;
+  (void)state;
+  assert_non_null(radii);
+  for (size_t i = 0; i < LARGE; i++) {
+    radii[i] = (double)i;
+  }
+  peer_start(&peer, peer_serve, NULL);
+  dipole_client *client = open_client(&peer);
+  for (size_t k = 0; k < MANY; k++) {
+    const size_t count = LARGE - k;
+    places[k] = room_for(count * sizeof *radii);
+    const dipole_query query = {.model = 2,
+                                .evaluator = DIPOLE_F64,
+                                .moments = DIPOLE_EXACT,
+                                .wanted = DIPOLE_R,
+                                .media = media,
+                                .medium_count = 1,
+                                .spacing = DIPOLE_LIST,
+                                .radii = radii,
+                                .radius_count = count,
+                                .into_values = inside(&places[k])};
+    assert_true(dipole_submit(client, &query, &ids[k], &error));
+  }
+  for (size_t k = MANY; k-- > 0;) {
+    assert_true(dipole_collect_id(client, ids[k], &result, &error));
+    const double *R = inside(&places[k]);
+    assert_ptr_equal(result->channels[0].R_f64, R);
+    for (size_t i = 0; i < LARGE - k; i++) {
+      assert_true(R[i] == 2 * radii[i]);
+    }
+    dipole_result_free(result);
+    end_room(&places[k]);
+  }
+  dipole_close(client);
+  peer_end(&peer);
+  free(radii);
+}
+
 /* ---- what goes wrong ----------------------------------------------------------------------- */
 
 static void test_a_place_for_all_or_for_nothing(void **state) {
@@ -449,6 +495,7 @@ int main(void) {
       cmocka_unit_test(test_every_shape),
       cmocka_unit_test(test_parts),
       cmocka_unit_test(test_many_in_any_order),
+      cmocka_unit_test(test_large_ones_both_ways),
       cmocka_unit_test(test_a_place_for_all_or_for_nothing),
       cmocka_unit_test(test_lost_and_asked_again),
       cmocka_unit_test(test_refused),
