@@ -4,6 +4,7 @@
 #   make demo       measured skin, two models, a table and two pictures
 #   make check      all tests; check-asan and check-tsan run them under sanitizers
 #   make soak       ten minutes at full load, SOAK_S seconds if given: answers and memory
+#   make check-pipeline  10 million requests from eight threads, each answer compared
 #   make bench      every benchmark; build/bench GROUP runs one
 #   make docs       the byte tables of proto/PROTOCOL.md, from proto/messages.def
 #   make model-errors  core/model_errors.def, measured anew against exact solutions
@@ -90,13 +91,14 @@ BENCH := $(call objects,$(wildcard tests/bench/*.c tests/bench/*/*.c))
 FIGURES := $(call objects,$(wildcard tests/figures/*.c))
 TRADEOFF := $(call objects,$(wildcard tests/tradeoff/*.c) $(addprefix tests/figures/,fail.c gnuplot.c panel.c progress.c table.c workers.c))
 SOAK := $(call objects,$(wildcard tests/soak/*.c))
+PIPELINE := $(call objects,$(wildcard tests/pipeline/*.c))
 TESTS := $(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/unit/test_*.c tests/accuracy/test_*.c tests/fuzz/test_*.c))
-TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/bench/*.c tests/bits/*.c tests/figures/*.c tests/soak/*.c tests/tradeoff/*.c),$(wildcard tests/*/*.c)))
+TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/bench/*.c tests/bits/*.c tests/figures/*.c tests/pipeline/*.c tests/soak/*.c tests/tradeoff/*.c),$(wildcard tests/*/*.c)))
 
 PROGRAMS := $(BUILD)/dipoled $(BUILD)/dipole $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-unit check-bits check-e2e check-soak check-asan check-tsan soak bench docs model-errors tables tradeoff figures install uninstall clean
+.PHONY: all setup demo check check-unit check-bits check-e2e check-soak check-pipeline check-asan check-tsan soak bench docs model-errors tables tradeoff figures install uninstall clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -173,6 +175,10 @@ $(BUILD)/soak-load: $(SOAK) $(BUILD)/libdipole.a
 	$(call SAY,LD,$@)
 	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
 
+$(BUILD)/pipeline: $(PIPELINE) $(BUILD)/libdipole.a
+	$(call SAY,LD,$@)
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
+
 $(BUILD)/wire-tables: $(OBJ)/proto/tools/wire_tables.o $(BUILD)/libproto.a $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
 	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
@@ -212,7 +218,7 @@ demo:
 
 check:
 	@sh .ci/install-packages
-	@$(MAKE) --no-print-directory -j2 all $(TESTS) $(BUILD)/tests/bits $(BUILD)/wire-tables $(BUILD)/draw-figures $(BUILD)/trade-speed $(BUILD)/soak-load
+	@$(MAKE) --no-print-directory -j2 all $(TESTS) $(BUILD)/tests/bits $(BUILD)/wire-tables $(BUILD)/draw-figures $(BUILD)/trade-speed $(BUILD)/soak-load $(BUILD)/pipeline
 	@$(MAKE) --no-print-directory -j3 --output-sync=target check-unit check-bits check-e2e check-soak
 
 # Each test program by itself, so that one that crashes takes no other with it.
@@ -224,12 +230,19 @@ check-bits: $(BUILD)/tests/bits
 
 PYTEST = env DIPOLED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python:tests/e2e PYTHONDONTWRITEBYTECODE=1 $(PYTHON) -m pytest -q -rs -p no:cacheprovider
 
-check-e2e: all $(BUILD)/draw-figures $(BUILD)/soak-load
+check-e2e: all $(BUILD)/draw-figures $(BUILD)/soak-load $(BUILD)/pipeline
 	$(PYTEST) tests/e2e
 
 # Beside the other tests, with what time of the processors they leave.
 check-soak: all $(BUILD)/soak-load
 	SOAK_S=40 nice -n 15 env $(PYTEST) -s tests/soak
+
+# Eight threads, each with 256 requests under way, and each answer compared.
+PIPELINE_REQUESTS ?= 10000000
+check-pipeline:
+	@sh .ci/install-packages
+	@$(MAKE) --no-print-directory -j2 all $(BUILD)/pipeline
+	$(BUILD)/pipeline $(PIPELINE_REQUESTS)
 
 # Full load for ten minutes.
 SOAK_S ?= 600

@@ -51,9 +51,38 @@ const char *libdipole_address_default(void);
 
 bool libdipole_address_parse(const char *text, libdipole_address *address, dipole_error *error);
 
+/* ---- addresses.c --------------------------------------------------------------------------- */
+
+enum { LIBDIPOLE_PAUSE_FIRST_MS = 10, LIBDIPOLE_PAUSE_MOST_MS = 1000 };
+
+/* The addresses of a client, at least one, and which one is connected to or tried first. */
+typedef struct libdipole_addresses {
+  char *whole; /* the texts, one behind the other */
+  size_t count;
+  size_t at;
+  const char *texts[DIPOLE_ADDRESSES_MAX];
+} libdipole_addresses;
+
+/* Takes a list apart; to be freed, also after a failure. */
+bool libdipole_addresses_parse(const char *text, libdipole_addresses *addresses,
+                               dipole_error *error);
+bool libdipole_addresses_is_private(const libdipole_addresses *addresses);
+void libdipole_addresses_free(libdipole_addresses *addresses);
+
+/* *state: 0 at first. */
+uint32_t libdipole_random(uint64_t *state);
+
+/* Between half and all of a pause, so that clients that lost the same daemon at the same moment do
+ * not all come back at the same moment. */
+unsigned libdipole_jitter(uint64_t *state, unsigned pause_ms);
+
+/* The pause after this one. */
+unsigned libdipole_pause_twice(unsigned pause_ms);
+
 /* ---- connect.c ----------------------------------------------------------------------------- */
 
-/* Connects to a Unix socket or a TCP address; *fd is then non-blocking. timeout_ms 0: for ever. */
+/* Connects to a Unix socket or a TCP address; *fd is then non-blocking. timeout_ms 0: for ever; it
+ * does not hold for finding a host's addresses. */
 bool libdipole_connect(const libdipole_address *address, unsigned timeout_ms, int *fd,
                        dipole_error *error);
 
@@ -96,15 +125,19 @@ void libdipole_stream_send(libdipole_stream *stream);
  * something to send: two peers that only send would wait for each other for ever. */
 bool libdipole_stream_step(libdipole_stream *stream, unsigned timeout_ms, dipole_error *error);
 
-/* ---- request.c ----------------------------------------------------------------------------- */
+/* ---- what is asked and answered ------------------------------------------------------------ */
 
 /* A frame that has arrived, or an answer that was put together of several. The result comes first,
  * so that the caller's result is the block that holds the payload; after the payload there is room
- * for the result's channels. */
+ * for the result's channels. Of an answer into the caller's memory only the head is held, the fixed
+ * part and the channels. */
 typedef struct libdipole_frame {
   dipole_result result;
   wire_header header;
-  uint64_t payload_bytes; /* that are here: of several parts more than a header can say */
+  uint64_t payload_bytes; /* of several parts more than a header can say */
+  uint64_t stored_bytes;  /* of them, those that are in payload: all, or the head */
+  void *into_values;      /* where the rest is then; NULL in all other frames */
+  void *into_radii;
   _Alignas(8) uint8_t payload[];
 } libdipole_frame;
 
@@ -131,7 +164,9 @@ typedef struct libdipole_pending {
   uint64_t next_radius;
   libdipole_frame *gathered; /* what has come so far; with a reader, without the arrays */
   libdipole_reader *reader;  /* NULL: the parts are put together */
-  bool dropped;              /* nobody wants the rest any more; the reader is gone */
+  bool dropped;              /* nobody wants the rest any more; reader, into_* are gone */
+  void *into_values;         /* see dipole_query; both NULL: the result holds its arrays */
+  void *into_radii;
 
   /* For asking again: */
   size_t frame_bytes;
@@ -144,16 +179,32 @@ typedef struct libdipole_pending {
 /* How a client connects and asks again. */
 typedef struct libdipole_retry {
   unsigned for_ms;    /* 0: it does not */
+  unsigned pause_ms;  /* the next, while there is no connection; else 0 */
   size_t kept_bytes;  /* of all outstanding requests */
   size_t later_count; /* of them, those that wait to be sent again */
   uint64_t random;    /* 0: not begun */
 } libdipole_retry;
 
+/* The arrays of the frame that is being received into the caller's memory. */
+typedef struct libdipole_into {
+  bool begun;            /* the head is here, and good */
+  wire_eval_reply fixed; /* what it says */
+  uint64_t array_count;  /* in the frame, radii included */
+  uint64_t array_bytes;  /* of each, padding included */
+  uint64_t array;        /* the one under way, and its bytes that have a place by now */
+  uint64_t done_bytes;
+  uint8_t discarded[16384]; /* the place of what nobody wants */
+} libdipole_into;
+
 struct dipole_client {
   libdipole_stream stream;
   pid_t daemon; /* a private daemon; 0: none */
-  unsigned timeout_ms;
-  dipole_error broken; /* kind NONE while the connection works */
+  unsigned connect_timeout_ms, timeout_ms, call_timeout_ms, in_flight_max;
+  int64_t until_ms;    /* when the call under way has to end; 0: never */
+  unsigned waited_ms;  /* in vain, by calls that are over */
+  dipole_error lost;   /* why there is no connection; kind NONE: there is one */
+  dipole_error broken; /* why there never will be; kind NONE: the client works */
+  libdipole_addresses addresses;
   libdipole_retry retry;
 
   /* pending[pending_begin .. pending_begin + pending_count], by ascending id */
@@ -162,9 +213,11 @@ struct dipole_client {
   size_t pending_begin, pending_count, pending_capacity;
   size_t arrived_count;   /* of those, with an answer */
   size_t dropped_count;   /* of those, dropped */
+  size_t held_count;      /* begun since bytes were last sent */
   libdipole_frame *frame; /* being received; NULL: a header is next */
+  libdipole_into into;
 
-  char *address;
+  char *address;    /* of the connection that was there first */
   dipole_info info; /* points into the next four and hello */
   wire_hello_reply hello;
   dipole_choice *choices;
@@ -173,6 +226,66 @@ struct dipole_client {
   wire_value *limit_texts;
 };
 
+/* ---- pending.c ----------------------------------------------------------------------------- */
+
+/* The request with this id; NULL: there is none. */
+libdipole_pending *libdipole_pending_find(dipole_client *client, uint64_t id);
+
+/* The oldest one that has an answer; NULL: none has. */
+libdipole_pending *libdipole_pending_arrived(dipole_client *client);
+
+/* Room for one more. */
+bool libdipole_pending_reserve(dipole_client *client, dipole_error *error);
+
+/* Whether this is progress of a job: more frames of its answer follow. */
+bool libdipole_is_progress(const libdipole_frame *frame);
+
+/* Hands an entry out that has an answer. After progress of a job it stays. */
+void libdipole_pending_take(dipole_client *client, libdipole_pending *entry,
+                            libdipole_pending *out);
+
+/* Nobody will ask for the answer to this request, if there is such a one: it is thrown away when it
+ * comes, and until then the request counts as dropped. */
+void libdipole_pending_drop(dipole_client *client, uint64_t id);
+
+/* Takes an entry out, wherever it stands. */
+void libdipole_pending_remove(dipole_client *client, libdipole_pending *entry);
+
+void libdipole_pending_free(dipole_client *client);
+
+/* ---- receive.c ----------------------------------------------------------------------------- */
+
+/* Makes frames of the bytes in the buffer. */
+bool libdipole_receive(dipole_client *client, dipole_error *error);
+
+/* Room for a frame with this header, of whose payload so many bytes are to be stored, and so many
+ * channels; NULL: there is none. */
+libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload_bytes,
+                                     uint64_t stored_bytes, uint32_t channel_count,
+                                     dipole_error *error);
+
+/* ---- into.c -------------------------------------------------------------------------------- */
+
+/* Whether there is a place for all that is wanted, or for none of it. */
+bool libdipole_into_check(const dipole_query *query, dipole_error *error);
+
+/* Whether a frame is part of an answer that goes into the caller's memory; pending may be NULL. */
+bool libdipole_into_is(const libdipole_pending *pending, const wire_header *header);
+
+/* The stream's target is filled: sets the next one of the frame. *more: false: it is whole. */
+bool libdipole_into_next(dipole_client *client, bool *more, dipole_error *error);
+
+/* The caller's memory is not to be written any more for this request, which has been dropped. */
+void libdipole_into_discard(dipole_client *client, uint64_t id);
+
+/* ---- request.c ----------------------------------------------------------------------------- */
+
+/* A call begins, of which so much is known as what it asks: its time runs. */
+void libdipole_call_begin(dipole_client *client, uint16_t type);
+
+/* Makes *limit_ms (0: for ever) what is left of the call's time if that is less. False: nothing. */
+bool libdipole_call_left(const dipole_client *client, unsigned *limit_ms, dipole_error *error);
+
 /* Starts a request: *payload is room for payload_bytes, to be filled before request_send(). What
  * the answer may look like is taken from *pending; its id is set. */
 bool libdipole_request_begin(dipole_client *client, libdipole_pending *pending,
@@ -180,10 +293,6 @@ bool libdipole_request_begin(dipole_client *client, libdipole_pending *pending,
 
 /* Sends it, as far as that needs no wait or the backlog has grown too long. */
 bool libdipole_request_send(dipole_client *client, dipole_error *error);
-
-/* Room for a frame with this header, its payload and so many channels; NULL: there is none. */
-libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload_bytes,
-                                     uint32_t channel_count, dipole_error *error);
 
 /* Waits for the answer to request id, or to any request when id is 0, and hands it out: frame, to
  * be freed by the caller, is then in *pending. The parts of an eval's answer are one answer. An mc
@@ -211,11 +320,6 @@ libdipole_frame *libdipole_ask(dipole_client *client, libdipole_pending *pending
 bool libdipole_refused(const dipole_client *client, const libdipole_pending *pending,
                        const libdipole_frame *frame, dipole_error *error);
 
-void libdipole_pending_free(dipole_client *client);
-
-/* Takes an entry out, wherever it stands. */
-void libdipole_pending_remove(dipole_client *client, libdipole_pending *entry);
-
 /* ---- retry.c ------------------------------------------------------------------------------- */
 
 /* Keeps the request that was begun last, whose frame is the end of stream.out, if it may be sent
@@ -235,9 +339,42 @@ bool libdipole_retry_later(dipole_client *client, libdipole_pending *pending,
  * read or send. */
 bool libdipole_retry_wait(dipole_client *client, bool *moves, dipole_error *error);
 
+/* Whether the answer to this type of request is the same whoever gives it, however often. */
+bool libdipole_retry_is_safe(uint16_t type);
+
+/* Whether this request can be sent again: it is kept, and nothing has been handed on to a reader. */
+bool libdipole_retry_can(const libdipole_pending *pending);
+
+/* When it first had no answer, at the latest now: from then on its time runs. */
+int64_t libdipole_retry_trouble_ms(libdipole_pending *pending, int64_t now_ms);
+
+/* Forgets the parts of its answer that have come. */
+void libdipole_retry_drop_parts(libdipole_pending *pending);
+
+/* Sends it again, with what is left of its deadline; when nothing is, it has an answer: that. */
+bool libdipole_retry_send(dipole_client *client, libdipole_pending *pending, dipole_error *error);
+
+/* ---- open.c -------------------------------------------------------------------------------- */
+
+/* Whether what ended a connection, or kept one from being made, may be over soon. */
+bool libdipole_may_pass(const dipole_error *error);
+
+/* Tries each of the addresses once, from addresses->at on, which is then the one that it got;
+ * until_ms: all of it has to be over by then; INT64_MAX: never. like: NULL, or whose lists the
+ * daemon must have. NULL: none can be had; *may_pass: some day one may. The new client has no
+ * addresses and options yet. */
+dipole_client *libdipole_round(libdipole_addresses *addresses, unsigned connect_timeout_ms,
+                               int64_t until_ms, const dipole_client *like, bool *may_pass,
+                               dipole_error *error);
+
+void libdipole_sleep_ms(int64_t ms);
+
+/* ---- restore.c ----------------------------------------------------------------------------- */
+
 /* After *error: connects again and sends all that is outstanding. False: that is not possible, and
- * *error says why the connection was lost. */
-bool libdipole_retry_restore(dipole_client *client, dipole_error *error);
+ * *error says why the connection was lost; or, with kind TIMEOUT, the call's time is over, and the
+ * next one goes on. */
+bool libdipole_restore(dipole_client *client, dipole_error *error);
 
 /* ---- query.c ------------------------------------------------------------------------------- */
 
@@ -274,6 +411,10 @@ bool libdipole_answer_parse(const libdipole_pending *pending, const libdipole_fr
 /* Makes frame->result out of the frame's own payload. */
 const dipole_result *libdipole_result_make(libdipole_frame *frame, const wire_eval_reply *fixed,
                                            const eval_layout *layout);
+
+/* An error frame in place of an answer is told; true: it is none. */
+bool libdipole_refusal_check(const dipole_client *client, const libdipole_pending *pending,
+                             dipole_error *error);
 
 /* Makes the result out of the answer to an eval request; takes pending->frame over. */
 bool libdipole_result_take(dipole_client *client, libdipole_pending *pending,

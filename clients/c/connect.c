@@ -73,9 +73,13 @@ static bool connect_tcp(const libdipole_address *address, unsigned timeout_ms, i
     return libdipole_fail(error, DIPOLE_ERROR_CONNECT, "cannot find the host '%s': %s",
                           address->host, gai_strerror(fault));
   }
+  const int64_t until_ms = libdipole_now_ms() + timeout_ms;
   int number = EADDRNOTAVAIL;
+  unsigned left_ms = timeout_ms;
   for (const struct addrinfo *to = list; to != NULL && number != 0; to = to->ai_next) {
-    number = connect_tcp_address(to, timeout_ms, fd);
+    const int64_t now_ms = libdipole_now_ms();
+    left_ms = timeout_ms == 0 ? 0 : now_ms < until_ms ? (unsigned)(until_ms - now_ms) : 1;
+    number = connect_tcp_address(to, left_ms, fd);
   }
   freeaddrinfo(list);
   char what[sizeof address->host + 64];

@@ -19,8 +19,8 @@
  * Units: lengths in mm, coefficients in 1/mm, R in 1/mm^2 per unit of power that entered the
  * medium.
  *
- * A client belongs to one thread at a time; use one client for each thread. There is no global
- * state, and nothing here ends the program: errors are values. Functions that return bool return
+ * A client is one connection and belongs to one thread at a time; use one client for each thread.
+ * There is no global state, and nothing here ends the program: errors are values. Functions that return bool return
  * false on failure and then fill *error (which may be NULL).
  */
 #ifndef DIPOLE_H
@@ -50,6 +50,8 @@ enum dipole_error_kind {
   DIPOLE_ERROR_REFUSED,    /* the daemon refused the request; the client goes on working */
   DIPOLE_ERROR_TABLE,      /* the bytes are not an intact table of a layout that is known here */
   DIPOLE_ERROR_STOPPED,    /* the caller wanted no more of an answer; the client goes on working */
+  DIPOLE_ERROR_TIMEOUT,    /* the call took longer than call_timeout_ms; likewise */
+  DIPOLE_ERROR_FULL,       /* in_flight_max queries are outstanding; likewise */
 };
 
 typedef struct dipole_error {
@@ -71,22 +73,59 @@ typedef struct dipole_error {
  *                      beside the running one, then in $PATH
  *   private:PROGRAM    the same, with this program
  *   NULL               $DIPOLED when that is set, else private:
+ * or several of unix: and tcp:, separated by commas without blanks (a comma that none of these
+ * words follows is part of a path): see "several daemons" below.
  * *client is to be closed with dipole_close(). On failure it is NULL; kind REFUSED then means that
  * the daemon did not take the connection, for example because it has too many. */
 bool dipole_open(const char *address, dipole_client **client, dipole_error *error);
 
-/* How long a call waits at first without any byte arriving or leaving. */
+/* What dipole_options_init() sets. */
+#define DIPOLE_CONNECT_TIMEOUT_MS 10000
 #define DIPOLE_TIMEOUT_MS 30000
+#define DIPOLE_RETRY_MS 5000
+#define DIPOLE_IN_FLIGHT_MAX 4096
 
-/* dipole_open() with another timeout, which also holds for connecting; 0: for ever. */
+/* How a client connects, how long it waits, and how much it lets wait. */
+typedef struct dipole_options {
+  /* Connecting to an address until the daemon has said hello takes no longer than this; 0: no
+   * limit. Of private: addresses timeout_ms holds instead. Finding a host's addresses by its name
+   * comes before that, and has the system's own limit. Default: 10000. */
+  unsigned connect_timeout_ms;
+  /* A call waits for so long without any byte arriving or leaving; 0: for ever. Then the connection
+   * is given up. Default: 30000. */
+  unsigned timeout_ms;
+  /* No call but dipole_mc() takes longer than this, reconnecting included; 0: no limit. Then it
+   * fails with kind TIMEOUT and the client goes on working: what was submitted is still
+   * outstanding, the answer to anything else is thrown away when it comes. The daemon is not told
+   * (see deadline_ms of a query). Default: 0. */
+  unsigned call_timeout_ms;
+  /* See dipole_set_retry_ms(); of private: addresses 0 holds. Default: 5000. */
+  unsigned retry_ms;
+  /* Opening is tried again for so long while nobody answers or all are busy, with the pauses of
+   * dipole_set_retry_ms(); 0: each address is tried once. Default: 0. */
+  unsigned open_ms;
+  /* dipole_submit() fails with kind FULL when so many queries are outstanding; 0: no limit.
+   * Default: 4096. */
+  unsigned in_flight_max;
+  /* Of several addresses the first one that is tried is chosen at random, so that many clients
+   * spread over them. Default: false, the first one in the list. */
+  bool spread;
+  unsigned reserved[8]; /* 0 */
+} dipole_options;
+
+void dipole_options_init(dipole_options *options);
+
+/* dipole_open() with other options than the default ones; options may be NULL. */
+bool dipole_open_with(const char *address, const dipole_options *options, dipole_client **client,
+                      dipole_error *error);
+
+/* dipole_open() with both timeout_ms and connect_timeout_ms set to timeout_ms. */
 bool dipole_open_within(const char *address, unsigned timeout_ms, dipole_client **client,
                         dipole_error *error);
 
-/* Changes the timeout of the calls that follow. */
+/* Change an option for the calls that follow. */
 void dipole_set_timeout_ms(dipole_client *client, unsigned timeout_ms);
-
-/* How long a client of a unix: or tcp: address tries at first to get an answer nevertheless. */
-#define DIPOLE_RETRY_MS 5000
+void dipole_set_call_timeout_ms(dipole_client *client, unsigned call_timeout_ms);
 
 /* Unanswered requests are kept, up to so many bytes in all, to be sent again. */
 #define DIPOLE_RETRY_KEPT_BYTES ((size_t)64 << 20)
@@ -95,11 +134,11 @@ void dipole_set_timeout_ms(dipole_client *client, unsigned timeout_ms);
  * addresses, means not at all. It holds for requests from the next one on.
  *
  * Trouble is a connection that is lost or that the daemon ends (SHUTTING_DOWN, TIMEOUT), and the
- * answers BUSY and SHUTTING_DOWN. The client then connects again to the same address, with pauses
- * from 10 ms on, doubled up to 1 s, shortened at random by up to a half, and sends all that is
- * outstanding again, with the same ids, what is left of its deadline, and not before the daemon's
- * retry_after_ms. What has no answer retry_ms after its first trouble fails as it would have done
- * at once: with CONNECTION, or REFUSED.
+ * answers BUSY and SHUTTING_DOWN. The client then connects again, with pauses from 10 ms on,
+ * doubled up to 1 s, shortened at random by up to a half, and sends all that is outstanding again,
+ * with the same ids, what is left of its deadline, and not before the daemon's retry_after_ms. What
+ * has no answer retry_ms after its first trouble fails as it would have done at once: with
+ * CONNECTION, or REFUSED.
  *
  * Only what has the same one right answer whoever gives it is asked again: all requests but those
  * of dipole_mc(), whose photons would be lost. No answer is wrong or comes twice. The connection
@@ -107,8 +146,24 @@ void dipole_set_timeout_ms(dipole_client *client, unsigned timeout_ms);
  * asked again: one of dipole_mc(); one of dipole_eval_parts() of which parts have been handed on;
  * one that DIPOLE_RETRY_KEPT_BYTES have no room for; likewise when the daemon that is there now
  * does not have the same lists (see dipole_get_info(), which goes on to tell of the first one). A
- * daemon that stays connected and silent for the timeout is not asked again. */
+ * daemon that stays connected and silent for the timeout is not asked again.
+ *
+ * Several daemons. Of several addresses the first one that answers is connected to. When that
+ * connection is lost, or its daemon stays silent for the timeout, the next one in the list is tried,
+ * then the one after it, and after the last one the first again; the pauses above are made before
+ * each such round. An address that does not answer costs no more of retry_ms (or of open_ms) than
+ * its share, so that every address has its turn. What was outstanding is sent again to the daemon
+ * that is found: daemons of the same version give the same bits, on every machine. One with other
+ * lists is passed over. The client stays with the daemon that it has found for as long as that
+ * answers. */
 void dipole_set_retry_ms(dipole_client *client, unsigned retry_ms);
+
+/* At most so many addresses can be named. */
+#define DIPOLE_ADDRESSES_MAX 16
+
+/* The address of the daemon that the client is connected to now, or tries next; owned by the
+ * client. */
+const char *dipole_address(const dipole_client *client);
 
 /* Closes the connection, ends a private daemon, frees the client. NULL is fine. */
 void dipole_close(dipole_client *client);
@@ -141,7 +196,7 @@ typedef struct dipole_value {
 
 /* What the daemon said of itself; owned by the client and valid until it is closed. */
 typedef struct dipole_info {
-  const char *address; /* as connected to */
+  const char *address; /* as connected to; of several the one that answered first */
   const char *software;
   const char *instruction_set;
   const char *R_unit;
@@ -221,6 +276,14 @@ typedef struct dipole_query {
   /* After so many ms the daemon answers with an error of kind REFUSED, status `deadline`, instead
    * of a later result; they count from the arrival of the query. 0: no matter. */
   unsigned deadline_ms;
+  /* NULL: the result holds its arrays. Otherwise they are received where the caller wants them:
+   * into_values is [medium_count][quantities wanted that have an array][radius_count] of double or
+   * float, the quantities in the order of enum dipole_quantity, and into_radii [radius_count] if
+   * DIPOLE_RADIUS is wanted. Both are the caller's, must not be touched until the query has been
+   * collected, refused or given up or the client is closed, and hold nothing of use unless the call
+   * that hands out the result succeeds. dipole_eval_parts() does not use them. */
+  void *into_values;
+  void *into_radii;
 } dipole_query;
 
 /* The answer for one medium. An array is NULL when its quantity was not wanted or when the
@@ -283,15 +346,42 @@ void dipole_result_free(dipole_result *result); /* NULL is fine */
 const double *dipole_values_f64(const dipole_result *result, uint32_t channel, unsigned quantity);
 const float *dipole_values_f32(const dipole_result *result, uint32_t channel, unsigned quantity);
 
-/* Sends a query without waiting and sets *id. The query is copied. Keep the number of outstanding
- * queries bounded (a few hundred): the daemon stops reading from a client that does not collect. */
+/* ---- many at once -------------------------------------------------------------------------- */
+
+/* Queries can be sent without waiting for the answers to those before, and their answers collected
+ * in any order:
+ *
+ *   for (i = 0; i < n; i++) { dipole_submit(client, &queries[i], &ids[i], &error) ... }
+ *   for (i = 0; i < n; i++) { dipole_collect(client, &id, &result, &error) ... }
+ *
+ * What arrives meanwhile is received by whatever call waits, also by dipole_submit() when the
+ * daemon takes no more: so that a program that submits without collecting cannot make both sides
+ * wait for each other. It costs the memory of the answers instead, which in_flight_max bounds. A
+ * program that does not call the library for a while is waited for by the daemon. */
+
+/* Submits a query and sets *id, which is never 0. The query is copied, its radii too; into_values and
+ * into_radii are kept. False with kind FULL: in_flight_max queries are outstanding; with kind
+ * TIMEOUT: the query was not submitted. */
 bool dipole_submit(dipole_client *client, const dipole_query *query, uint64_t *id,
                    dipole_error *error);
 
-/* Waits for the answer to any outstanding query and sets *id to it. False with kind REFUSED: the
- * query *id was refused, others go on. False with kind ARGUMENT: nothing is outstanding. */
+/* Sends what has been submitted and is held back: up to a quarter of the outstanding queries, and
+ * 16 KiB, are, until a call waits. For a program that now does something else for a while. */
+void dipole_flush(dipole_client *client);
+
+/* Waits for the answer to any outstanding query, the one that comes next, and sets *id to it. False
+ * with kind REFUSED: the query *id was refused, others go on. False with kind TIMEOUT: none has come
+ * in time, all go on. False with kind ARGUMENT: nothing is outstanding. */
 bool dipole_collect(dipole_client *client, uint64_t *id, dipole_result **result,
                     dipole_error *error);
+
+/* Likewise for the answer to one outstanding query. False with kind ARGUMENT: there is none with
+ * this id. */
+bool dipole_collect_id(dipole_client *client, uint64_t id, dipole_result **result,
+                       dipole_error *error);
+
+/* How many queries have been submitted and not been collected. */
+size_t dipole_outstanding(const dipole_client *client);
 
 /* ---- the trade between speed and accuracy -------------------------------------------------- */
 

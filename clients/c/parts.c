@@ -35,22 +35,29 @@ static bool is_like_first(const libdipole_pending *pending, const libdipole_fram
                 head_bytes(pending) - WIRE_BYTES_eval_reply) == 0;
 }
 
+/* Whether the arrays went where the caller wants them: nothing but the head is in the frame. */
+static bool is_in_place(const libdipole_frame *part) {
+  return part->stored_bytes < part->payload_bytes;
+}
+
 /* Room for the whole answer, or for its beginning when the parts are handed on. */
 static bool begin(libdipole_pending *pending, const libdipole_frame *first,
                   const wire_eval_reply *fixed, dipole_error *error) {
-  eval_layout layout = {.payload_bytes = head_bytes(pending)};
+  const size_t head = head_bytes(pending);
+  eval_layout layout = {.payload_bytes = head};
   /* It has been laid out before it was asked for: what has no layout gets no answer. */
   if (pending->reader == NULL &&
       !eval_reply_layout(fixed->evaluator, fixed->wanted, fixed->channel_count,
                          pending->radius_count, UINT64_MAX, &layout)) {
     return libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory");
   }
-  pending->gathered =
-      libdipole_frame_new(&first->header, layout.payload_bytes, pending->medium_count, error);
+  pending->gathered = libdipole_frame_new(&first->header, layout.payload_bytes,
+                                          is_in_place(first) ? head : layout.payload_bytes,
+                                          pending->medium_count, error);
   if (pending->gathered == NULL) {
     return false;
   }
-  memcpy(pending->gathered->payload, first->payload, head_bytes(pending));
+  memcpy(pending->gathered->payload, first->payload, head);
   return true;
 }
 
@@ -119,9 +126,9 @@ static bool take(libdipole_pending *pending, libdipole_frame *part, dipole_error
   }
   pending->next_part++;
   pending->next_radius += fixed.radius_count;
-  if (pending->reader == NULL) {
+  if (pending->reader == NULL && !is_in_place(part)) {
     copy_part(pending, part, &fixed, &layout);
-  } else if (!pending->dropped) {
+  } else if (pending->reader != NULL && !pending->dropped) {
     hand_on(pending, part, &fixed, &layout);
   }
   if (fixed.part + 1 == fixed.part_count) {

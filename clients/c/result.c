@@ -1,4 +1,4 @@
-/* Eval requests, and their answers into results. */
+/* The answers to eval requests, into results. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -7,40 +7,22 @@
 /* Values are used where they lie in the frames, which are little-endian. */
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's arrays need swapping");
 
-/* ---- asking -------------------------------------------------------------------------------- */
-
-static bool submit(dipole_client *client, const dipole_query *query, libdipole_reader *reader,
-                   uint64_t *id, dipole_error *error) {
-  eval_layout layout;
-  libdipole_pending pending = {.type = WIRE_TYPE_EVAL,
-                               .model = (uint16_t)query->model,
-                               .evaluator = (uint16_t)query->evaluator,
-                               .wanted = (uint16_t)query->wanted,
-                               .reader = reader};
-  /* What is so large that nothing could hold it is asked for all the same: the daemon's refusal
-   * says what the limit is. */
-  if (eval_value_bytes(query->evaluator) > 0 &&
-      eval_reply_layout(query->evaluator, query->wanted, query->medium_count, query->radius_count,
-                        UINT64_MAX, &layout)) {
-    pending.reply_bytes_min = layout.radius_offset; /* of a part: with its channels */
-    pending.reply_bytes_max = layout.payload_bytes;
-  } else {
-    pending.reply_bytes_min = UINT64_MAX;
-  }
-  if (!libdipole_query_send(client, query, &pending, error)) {
-    return false;
-  }
-  *id = pending.id;
-  return true;
-}
-
 /* ---- answers ------------------------------------------------------------------------------- */
 
+/* In the caller's memory the arrays lie one behind the other, without padding; radii apart. */
 static const void *array_at(const libdipole_frame *frame, const eval_layout *layout,
-                            unsigned wanted, uint32_t channel, enum core_quantity quantity) {
-  return (wanted & quantity) != 0
-             ? frame->payload + eval_array_offset(layout, wanted, channel, quantity)
-             : NULL;
+                            unsigned wanted, uint64_t values_bytes, uint32_t channel,
+                            enum core_quantity quantity) {
+  if ((wanted & quantity) == 0) {
+    return NULL;
+  }
+  const uint64_t offset = eval_array_offset(layout, wanted, channel, quantity);
+  if (frame->into_values == NULL) {
+    return frame->payload + offset;
+  }
+  const uint64_t before =
+      layout->array_bytes > 0 ? (offset - layout->arrays_offset) / layout->array_bytes : 0;
+  return (const uint8_t *)frame->into_values + before * values_bytes;
 }
 
 static void get_channel(const libdipole_frame *frame, const eval_layout *layout,
@@ -52,8 +34,9 @@ static void get_channel(const libdipole_frame *frame, const eval_layout *layout,
                               .numerical_error = from.numerical_error,
                               .numerical_error_per_mm = from.numerical_error_per_mm,
                               .model_error = from.model_error};
-  const void *R = array_at(frame, layout, fixed->wanted, index, CORE_QUANTITY_R);
-  const void *cdf = array_at(frame, layout, fixed->wanted, index, CORE_QUANTITY_CDF);
+  const uint64_t bytes = fixed->radius_count * eval_value_bytes(fixed->evaluator);
+  const void *R = array_at(frame, layout, fixed->wanted, bytes, index, CORE_QUANTITY_R);
+  const void *cdf = array_at(frame, layout, fixed->wanted, bytes, index, CORE_QUANTITY_CDF);
   if (fixed->evaluator == DIPOLE_F64) {
     channel->R_f64 = R;
     channel->cdf_f64 = cdf;
@@ -93,9 +76,13 @@ bool libdipole_answer_parse(const libdipole_pending *pending, const libdipole_fr
 
 const dipole_result *libdipole_result_make(libdipole_frame *frame, const wire_eval_reply *fixed,
                                            const eval_layout *layout) {
-  const void *radii =
-      (fixed->wanted & CORE_QUANTITY_RADIUS) != 0 ? frame->payload + layout->radius_offset : NULL;
-  dipole_channel *channels = (dipole_channel *)(void *)(frame->payload + frame->payload_bytes);
+  const void *radii = frame->into_radii;
+  dipole_channel *channels = (dipole_channel *)(void *)(frame->payload + frame->stored_bytes);
+  if ((fixed->wanted & CORE_QUANTITY_RADIUS) == 0) {
+    radii = NULL;
+  } else if (radii == NULL) {
+    radii = frame->payload + layout->radius_offset;
+  }
   for (uint32_t i = 0; i < fixed->channel_count; i++) {
     get_channel(frame, layout, fixed, i, &channels[i]);
   }
@@ -112,9 +99,8 @@ const dipole_result *libdipole_result_make(libdipole_frame *frame, const wire_ev
   return &frame->result;
 }
 
-/* An error frame in place of an answer is told; true: it is none. */
-static bool check_refusal(const dipole_client *client, const libdipole_pending *pending,
-                          dipole_error *error) {
+bool libdipole_refusal_check(const dipole_client *client, const libdipole_pending *pending,
+                             dipole_error *error) {
   return pending->frame->header.type != WIRE_TYPE_ERROR ||
          libdipole_refused(client, pending, pending->frame, error);
 }
@@ -124,7 +110,7 @@ bool libdipole_result_take(dipole_client *client, libdipole_pending *pending,
   libdipole_frame *frame = pending->frame;
   wire_eval_reply fixed;
   eval_layout layout;
-  if (!check_refusal(client, pending, error)) {
+  if (!libdipole_refusal_check(client, pending, error)) {
     free(frame);
     return false;
   }
@@ -133,63 +119,14 @@ bool libdipole_result_take(dipole_client *client, libdipole_pending *pending,
     free(frame);
     return false;
   }
+  frame->into_values = pending->into_values;
+  frame->into_radii = pending->into_radii;
   libdipole_result_make(frame, &fixed, &layout);
   *result = &frame->result;
   return true;
 }
 
-/* ---- the public calls ---------------------------------------------------------------------- */
-
-bool dipole_submit(dipole_client *client, const dipole_query *query, uint64_t *id,
-                   dipole_error *error) {
-  dipole_error unwanted;
-  return submit(client, query, NULL, id, error != NULL ? error : &unwanted);
-}
-
-bool dipole_collect(dipole_client *client, uint64_t *id, dipole_result **result,
-                    dipole_error *error) {
-  dipole_error unwanted;
-  libdipole_pending pending;
-  error = error != NULL ? error : &unwanted;
-  if (!libdipole_request_wait(client, 0, &pending, error)) {
-    return false;
-  }
-  *id = pending.id;
-  return libdipole_result_take(client, &pending, result, error);
-}
-
-bool dipole_eval(dipole_client *client, const dipole_query *query, dipole_result **result,
-                 dipole_error *error) {
-  dipole_error unwanted;
-  libdipole_pending pending;
-  uint64_t id;
-  error = error != NULL ? error : &unwanted;
-  return submit(client, query, NULL, &id, error) &&
-         libdipole_request_wait(client, id, &pending, error) &&
-         libdipole_result_take(client, &pending, result, error);
-}
-
-bool dipole_eval_parts(dipole_client *client, const dipole_query *query,
-                       bool (*part)(void *context, const dipole_result *part,
-                                    uint64_t radius_first),
-                       void *context, dipole_error *error) {
-  dipole_error unwanted;
-  libdipole_pending pending;
-  libdipole_reader reader = {.part = part, .context = context};
-  uint64_t id;
-  error = error != NULL ? error : &unwanted;
-  if (!submit(client, query, &reader, &id, error) ||
-      !libdipole_request_read(client, id, &reader, &pending, error)) {
-    return false;
-  }
-  if (reader.stopped) {
-    free(pending.frame);
-    return libdipole_fail(error, DIPOLE_ERROR_STOPPED, "the rest of the answer was not wanted");
-  }
-  const bool good = check_refusal(client, &pending, error);
-  free(pending.frame);
-  return good;
-}
+/* ---- what the caller reads ------------------------------------------------------------------- */
 
 /* The layout follows from the result's own counts, as it did when the answer was parsed. */
 static const void *values(const dipole_result *result, uint32_t channel, unsigned quantity,
@@ -202,7 +139,8 @@ static const void *values(const dipole_result *result, uint32_t channel, unsigne
                          result->radius_count, frame->payload_bytes, &layout)) {
     return NULL;
   }
-  return array_at(frame, &layout, result->wanted, channel, quantity);
+  return array_at(frame, &layout, result->wanted, result->radius_count * value_bytes, channel,
+                  quantity);
 }
 
 const double *dipole_values_f64(const dipole_result *result, uint32_t channel, unsigned quantity) {

@@ -120,10 +120,7 @@ bool libdipole_stream_step(libdipole_stream *stream, unsigned timeout_ms, dipole
   short ready;
   if (!libdipole_wait(stream->fd, (short)(POLLIN | (sending ? POLLOUT : 0)), timeout_ms, &ready)) {
     stream->silent = errno == ETIMEDOUT;
-    return stream->silent
-               ? libdipole_fail(error, DIPOLE_ERROR_CONNECTION,
-                                "the daemon was silent for %u ms: gave up", timeout_ms)
-               : libdipole_fail_errno(error, DIPOLE_ERROR_CONNECTION, errno, "poll");
+    return libdipole_fail_errno(error, DIPOLE_ERROR_CONNECTION, errno, "poll");
   }
   if ((ready & ~POLLOUT) != 0 && !receive(stream, error)) { /* also for errors: recv names them */
     return false;

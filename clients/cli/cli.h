@@ -36,6 +36,7 @@ extern const cli_command cli_command_mc;
 extern const cli_command cli_command_media;
 extern const cli_command cli_command_info;
 extern const cli_command cli_command_top;
+extern const cli_command cli_command_bench;
 
 /* Says on standard error what is wrong, after "dipole COMMAND: ". Returns CLI_FAILED. */
 int cli_fail(const cli_command *command, const char *format, ...)
@@ -52,7 +53,10 @@ void *cli_resize(void *block, size_t count, size_t size_bytes);
 
 /* ---- daemon.c ------------------------------------------------------------------------------ */
 
-/* Connects as --connect and --timeout-ms say; says why when it cannot. */
+/* What --timeout-ms and --retry-ms say. */
+void cli_connection_options(const cli_common *common, dipole_options *options);
+
+/* Connects as --connect, --timeout-ms and --retry-ms say; says why when it cannot. */
 bool cli_open(const cli_command *command, const cli_common *common, dipole_client **client);
 
 /* A command without options of its own: reads the common ones, connects, and shows what it has to
@@ -61,8 +65,10 @@ int cli_run_plain(const cli_command *command, int argc, char **argv,
                   int (*show)(const cli_command *command, const char *format,
                               dipole_client *client));
 
-/* dipole_eval_parts(), asked again for as long as the daemon is busy (at most the timeout): the
- * parts may then come again from the first on. */
+/* Whether a daemon that has been busy since start_ms is to be asked once more. */
+bool cli_is_patient(const cli_common *common, int64_t start_ms);
+
+/* dipole_eval_parts(), asked again for as long as the daemon is busy, within bounds: the parts may then come again from the first on. */
 bool cli_eval_parts(dipole_client *client, const cli_common *common, const dipole_query *query,
                     bool (*part)(void *context, const dipole_result *part, uint64_t radius_first),
                     void *context, dipole_error *error);

@@ -2,9 +2,25 @@
 
 #include "clients/cli/cli.h"
 
+void cli_connection_options(const cli_common *common, dipole_options *options) {
+  dipole_options_init(options);
+  options->timeout_ms = (unsigned)common->timeout_ms.value;
+  if (common->timeout_ms.given) {
+    options->connect_timeout_ms = options->timeout_ms;
+  }
+  if (common->retry_ms.given) {
+    options->open_ms = options->retry_ms = (unsigned)common->retry_ms.value;
+  }
+}
+
 bool cli_open(const cli_command *command, const cli_common *common, dipole_client **client) {
+  dipole_options options;
   dipole_error error;
-  if (dipole_open_within(common->connect, (unsigned)common->timeout_ms.value, client, &error)) {
+  cli_connection_options(common, &options);
+  if (dipole_open_with(common->connect, &options, client, &error)) {
+    if (common->retry_ms.given) { /* also of private: */
+      dipole_set_retry_ms(*client, (unsigned)common->retry_ms.value);
+    }
     return true;
   }
   cli_fail(command, "%s", error.text);
@@ -23,12 +39,17 @@ void cli_nap(const dipole_error *busy) {
   nanosleep(&nap, NULL);
 }
 
+bool cli_is_patient(const cli_common *common, int64_t start_ms) {
+  const int64_t busy_ms = cli_now_ms() - start_ms;
+  return common->retry_ms.given
+             ? busy_ms < (int64_t)common->retry_ms.value
+             : common->timeout_ms.value == 0 || busy_ms < (int64_t)common->timeout_ms.value;
+}
+
 /* After an error of a call that began at start_ms: whether it is to be made again, when the nap
  * that the daemon asked for is over. */
 static bool nap_while_busy(const cli_common *common, int64_t start_ms, const dipole_error *error) {
-  const bool patient =
-      common->timeout_ms.value == 0 || cli_now_ms() - start_ms < (int64_t)common->timeout_ms.value;
-  if (error->retry_after_ms == 0 || !patient) {
+  if (error->retry_after_ms == 0 || !cli_is_patient(common, start_ms)) {
     return false;
   }
   cli_nap(error);

@@ -142,8 +142,9 @@ typedef struct receiving {
 static void show_progress(const asking *ask, double radii) {
   const double of_model = (double)ask->radii->count, channels = (double)ask->report->channel_count;
   if (of_model > 0) {
-    cli_progress_show_rate(ask->progress, channels * ((double)ask->models_done * of_model + radii),
-                           channels * (double)ask->models_total * of_model, "values");
+    const double done = (double)ask->models_done * of_model + radii;
+    cli_progress_show(ask->progress, done / ((double)ask->models_total * of_model),
+                      channels * done);
   }
 }
 
@@ -327,7 +328,7 @@ static int ask_with(const cli_command *command, const cli_eval_settings *setting
                 .bad_value = dipole_id(client, DIPOLE_STATUS, "bad-value"),
                 .late = dipole_id(client, DIPOLE_STATUS, "deadline"),
                 .progress = &progress};
-  cli_progress_start(&progress);
+  cli_progress_start(&progress, "values");
   int status = CLI_OK;
   if (report->models[0].choice == NULL) {
     status = choose_precision(command, settings, &ask);

@@ -72,16 +72,14 @@ static bool follow(void *context, const dipole_mc_progress *now) {
   return interrupted == 0;
 }
 
-/* dipole_mc(), asked again for as long as the daemon is busy (at most the timeout). */
+/* dipole_mc(), asked again for as long as the daemon is busy, within bounds. */
 static bool run_job(dipole_client *client, const cli_common *common, const dipole_mc_query *query,
                     dipole_mc_result **result, dipole_error *error) {
   const int64_t start_ms = cli_now_ms();
   cli_progress progress;
-  cli_progress_start(&progress);
+  cli_progress_start(&progress, "photons");
   while (!dipole_mc(client, query, follow, &progress, result, error)) {
-    const bool patient = common->timeout_ms.value == 0 ||
-                         cli_now_ms() - start_ms < (int64_t)common->timeout_ms.value;
-    if (error->retry_after_ms == 0 || !patient || interrupted != 0) {
+    if (error->retry_after_ms == 0 || !cli_is_patient(common, start_ms) || interrupted != 0) {
       cli_progress_wipe(&progress);
       return false;
     }

@@ -12,12 +12,16 @@
 static const cli_option common_options[] = {
     {"Options of all commands", NULL, NULL, CLI_HEADING, 0},
     {"connect", "ADDRESS",
-     "unix:PATH, tcp:HOST:PORT or private: for a daemon of its own\n"
-     "(default: $DIPOLED, else private:)",
+     "unix:PATH or tcp:HOST:PORT; several, separated by commas, are tried in turn;\n"
+     "or private: for a daemon of its own (default: $DIPOLED, else private:)",
      CLI_TEXT, offsetof(cli_common, connect)},
     {"format", NULL, NULL, CLI_TEXT, offsetof(cli_common, format)},
     {"timeout-ms", "N", "give up when the daemon is silent for so long; 0: never (default: 30000)",
      CLI_COUNT, offsetof(cli_common, timeout_ms)},
+    {"retry-ms", "N",
+     "go on for so long while no daemon is there, one is lost or busy; 0: do not\n"
+     "(default: 5000 when it is lost, --timeout-ms when it is busy)",
+     CLI_COUNT, offsetof(cli_common, retry_ms)},
     {"help", NULL, "this text", CLI_SWITCH, 0},
     {0},
 };
@@ -197,8 +201,11 @@ static bool finish(const cli_command *command, int argc, char **argv, cli_common
   }
   if (!common->timeout_ms.given) {
     common->timeout_ms.value = DIPOLE_TIMEOUT_MS;
-  } else if (common->timeout_ms.value > UINT32_MAX) {
-    *status = cli_fail_usage(command, "--timeout-ms: at most %lu", (unsigned long)UINT32_MAX);
+  }
+  if (common->timeout_ms.value > UINT32_MAX || common->retry_ms.value > UINT32_MAX) {
+    *status = cli_fail_usage(command, "--%s: at most %lu",
+                             common->timeout_ms.value > UINT32_MAX ? "timeout-ms" : "retry-ms",
+                             (unsigned long)UINT32_MAX);
     return false;
   }
   return true;

@@ -51,9 +51,10 @@ typedef struct cli_option {
 
 /* The settings of every command start with these. */
 typedef struct cli_common {
-  const char *connect; /* NULL: $DIPOLED, else a private daemon */
+  const char *connect; /* one or several; NULL: $DIPOLED, else a private daemon */
   const char *format;  /* one of the command's formats */
   cli_count timeout_ms;
+  cli_count retry_ms;
 } cli_common;
 
 /* Reads the command line into *settings, which starts with a cli_common and is zero at first.

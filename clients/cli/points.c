@@ -4,6 +4,7 @@
 
 #include <errno.h>
 #include <fcntl.h>
+#include <math.h>
 #include <stdarg.h>
 #include <stdlib.h>
 #include <string.h>
@@ -84,7 +85,6 @@ static bool submit(points_run *points, cli_points_row *row) {
 /* A busy daemon is asked again; a refusal that names a field is the row's own fault; anything else
  * ends the command. */
 static bool take_refusal(points_run *points, uint64_t id, const dipole_error *error) {
-  const uint64_t timeout_ms = points->settings->profile.common.timeout_ms.value;
   cli_points_row *row = error->kind == DIPOLE_ERROR_REFUSED ? find_row(points, id) : NULL;
   if (row == NULL || (error->retry_after_ms == 0 && error->field[0] == '\0')) {
     return fail(points, "%s", error->text);
@@ -94,7 +94,7 @@ static bool take_refusal(points_run *points, uint64_t id, const dipole_error *er
     memcpy(row->status, error->text, sizeof row->status);
     return true;
   }
-  if (timeout_ms != 0 && cli_now_ms() - points->answer_ms > (int64_t)timeout_ms) {
+  if (!cli_is_patient(&points->settings->profile.common, points->answer_ms)) {
     return fail(points, "%s", error->text);
   }
   cli_nap(error);
@@ -135,8 +135,10 @@ static void write_first(points_run *points) {
   cli_csv_record_trim(&row->record);
   points->first = (points->first + 1) % WINDOW_ROWS;
   points->count--;
-  cli_progress_show(&points->progress, points->reader.bytes_read, points->input_bytes,
-                    points->rows_written);
+  const double input_bytes = (double)points->input_bytes; /* 0: not known */
+  cli_progress_show(&points->progress,
+                    input_bytes > 0 ? (double)points->reader.bytes_read / input_bytes : NAN,
+                    (double)points->rows_written);
 }
 
 /* Writes the oldest rows until no more than `left` are in the window. */
@@ -266,7 +268,7 @@ static int work(points_run *points) {
   }
   points->evaluator = evaluator->id;
   points->answer_ms = cli_now_ms();
-  cli_progress_start(&points->progress);
+  cli_progress_start(&points->progress, "rows");
   const bool good = read_header(points) && read_rows(points);
   cli_progress_wipe(&points->progress);
   if (!good) {

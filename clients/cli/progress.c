@@ -11,8 +11,9 @@
 
 enum { BAR_WIDTH = 40 };
 
-void cli_progress_start(cli_progress *progress) {
-  *progress = (cli_progress){.watched = isatty(STDERR_FILENO) == 1, .start_ms = cli_now_ms()};
+void cli_progress_start(cli_progress *progress, const char *unit) {
+  *progress =
+      (cli_progress){.watched = isatty(STDERR_FILENO) == 1, .unit = unit, .start_ms = cli_now_ms()};
 }
 
 static const char full[] = "########################################";
@@ -29,19 +30,6 @@ static bool is_due(cli_progress *progress) {
   return true;
 }
 
-void cli_progress_show(cli_progress *progress, uint64_t done, uint64_t total, uint64_t rows) {
-  if (!is_due(progress)) {
-    return;
-  }
-  if (total > 0 && done <= total) {
-    const double share = (double)done / (double)total;
-    fprintf(stderr, "\r[%-*.*s] %3.0f %%  %llu rows\033[K", BAR_WIDTH, (int)(share * BAR_WIDTH),
-            full, share * 100, (unsigned long long)rows);
-  } else {
-    fprintf(stderr, "\r%llu rows\033[K", (unsigned long long)rows);
-  }
-}
-
 void cli_progress_write_time(double seconds) {
   if (!(seconds < 360000)) {
     fputs("days", stderr);
@@ -55,17 +43,20 @@ void cli_progress_write_time(double seconds) {
   }
 }
 
-void cli_progress_show_rate(cli_progress *progress, double done, double total, const char *unit) {
+void cli_progress_show(cli_progress *progress, double share, double count) {
   if (!is_due(progress)) {
     return;
   }
-  const double share = fmin(done / total, 1);
   const double seconds = (double)(progress->last_ms - progress->start_ms) / 1000;
-  fprintf(stderr, "\r[%-*.*s] %3.0f %%  %.3g %s/s", BAR_WIDTH, (int)(share * BAR_WIDTH), full,
-          share * 100, done / seconds, unit);
+  fputc('\r', stderr);
+  if (share >= 0) {
+    fprintf(stderr, "[%-*.*s] %3.0f %%  ", BAR_WIDTH, (int)(fmin(share, 1) * BAR_WIDTH), full,
+            fmin(share, 1) * 100);
+  }
+  fprintf(stderr, "%.4g %s, %.3g/s", count, progress->unit, count / seconds);
   if (share > 0) {
     fputs("  ", stderr);
-    cli_progress_write_time(seconds * (1 / share - 1));
+    cli_progress_write_time(seconds * (1 / fmin(share, 1) - 1));
     fputs(" left", stderr);
   }
   fputs("\033[K", stderr);

@@ -8,16 +8,16 @@
 typedef struct cli_progress {
   bool watched; /* standard error is a terminal */
   bool shown;
+  const char *unit; /* what is counted */
   int64_t start_ms, last_ms;
 } cli_progress;
 
-void cli_progress_start(cli_progress *progress);
+/* unit: "rows" */
+void cli_progress_start(cli_progress *progress, const char *unit);
 
-/* done of total (0: unknown) units of work; rows: what has been finished. */
-void cli_progress_show(cli_progress *progress, uint64_t done, uint64_t total, uint64_t rows);
-
-/* The same with the rate and the time left: done of total (above 0) of what `unit` names. */
-void cli_progress_show_rate(cli_progress *progress, double done, double total, const char *unit);
+/* The share of the work that is done, 0 to 1 (NAN: nobody knows), how much has been finished so far,
+ * the rate, and the time left. */
+void cli_progress_show(cli_progress *progress, double share, double count);
 
 /* "0:07", "1:02:03"; seconds that nobody can wait for are not counted. */
 void cli_progress_write_time(double seconds);

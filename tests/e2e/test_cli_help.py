@@ -9,7 +9,7 @@ import pytest
 from command_line import FAILED, PROGRAM, TIMEOUT_S, USAGE, dipole
 from daemons import environment
 
-COMMANDS = ["eval", "plot", "points", "table", "mc", "media", "info", "top"]
+COMMANDS = ["eval", "plot", "points", "table", "mc", "media", "info", "top", "bench"]
 
 
 def test_help_lists_the_commands():
@@ -33,8 +33,8 @@ def test_help_of_a_command(command):
     examples = text.split("\nExamples\n")[1]
     assert f"  dipole {command}" in examples and text.endswith("\n")
     assert "Exit status: 0 " in text
-    for option in ("--connect ADDRESS", "--format FORMAT", "--timeout-ms N", "--help"):
-        assert f"\n  {option}" in text
+    for option in ("connect ADDRESS", "format FORMAT", "timeout-ms N", "retry-ms N", "help"):
+        assert f"\n  --{option}" in text
     assert max(len(line) for line in text.splitlines()) <= 100
 
 
@@ -75,6 +75,8 @@ EVAL = ["eval", "--sigma-a", "0.1", "--sigma-s", "1"]
         (["points", "--format", "json"], "--format json: it is one of csv"),
         (["media", "--timeout-ms", "-1"], "--timeout-ms: '-1' is no whole number"),
         (["media", "--timeout-ms", "4294967296"], "--timeout-ms: at most 4294967295"),
+        (["media", "--retry-ms", "4294967296"], "--retry-ms: at most 4294967295"),
+        (["media", "--retry-ms", "soon"], "--retry-ms: 'soon' is no whole number"),
         ([*EVAL, "--g", "0x1p-1"], "--g: '0x1p-1' is no number"),
         ([*EVAL, "--g", "0,5,"], "--g: '0,5,' is no number"),
         ([*EVAL, "--g", " 0"], "--g: ' 0' is no number"),

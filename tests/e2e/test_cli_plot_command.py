@@ -477,7 +477,7 @@ def test_a_bar_with_rate_and_time_left(daemon):
     with Proxy(daemon().url(), on_eval) as proxy:
         arguments = [*SKIN, "--model", "classical,better", "--connect", proxy.url]
         text = Terminal(*arguments, error=True).read()
-    assert re.match(r"\r\[#{20} {20}\]  50 %  [\d.e+]+ values/s  0:0[23] left\033\[K", text)
+    assert re.match(r"\r\[#{20} {20}\]  50 %  [\d.e+]+ values, [\d.e+]+/s  0:0[23] left\033\[K", text)
     assert text.endswith("\r\033[K")
 
 

@@ -11,7 +11,7 @@
 
 #include <cmocka.h>
 
-#include "tests/unit/scripted_peer.h"
+#include "tests/unit/peer_scripts.h"
 
 #define TIMEOUT_MS 20000 /* a test that would hang fails after this */
 
@@ -19,8 +19,6 @@ enum { RETRY_MS = 10000, RADII = 64 };
 
 static const dipole_medium medium = {.sigma_a_per_mm = 0.25, .sigma_s_per_mm = 1, .eta = 1.3};
 static double radii[RADII];
-
-typedef void script(int fd, void *context);
 
 static int make_radii(void **state) {
   (void)state;
@@ -89,104 +87,30 @@ static int64_t now_ms(void) {
 
 /* ---- scripts ------------------------------------------------------------------------------- */
 
-static void receive_or_abort(int fd, peer_frame *request) {
-  if (!peer_receive(fd, request)) {
-    abort();
-  }
-}
-
-static void say_hello(int fd) {
-  if (!peer_say_hello(fd)) {
-    abort();
-  }
-}
-
-static void send_error(int fd, uint64_t id, enum wire_status status, uint32_t retry_after_ms) {
-  const wire_error error = {.status = (uint16_t)status, .retry_after_ms = retry_after_ms};
-  uint8_t payload[WIRE_BYTES_error];
-  wire_put_error(payload, &error);
-  peer_send(fd, WIRE_TYPE_ERROR, id, payload, sizeof payload);
-}
-
-static void answer(int fd, const peer_frame *request) {
-  uint8_t *payload;
-  const size_t bytes = peer_evaluate(request, &payload);
-  peer_send(fd, WIRE_TYPE_EVAL | WIRE_REPLY, request->header.request_id, payload, bytes);
-  free(payload);
-}
-
-/* What follows closes after this. */
-static void hang_up_at_once(int fd, void *context) {
-  (void)fd;
-  (void)context;
-}
-
-static void hang_up_after_hello(int fd, void *context) {
-  (void)context;
-  say_hello(fd);
-}
-
-static void hang_up_after_request(int fd, void *context) {
-  peer_frame request;
-  (void)context;
-  say_hello(fd);
-  receive_or_abort(fd, &request);
-  free(request.payload);
-}
-
-/* Sends as much of an answer as *context says. */
-static void hang_up_in_answer(int fd, void *context) {
-  peer_frame request;
-  uint8_t *payload;
-  say_hello(fd);
-  receive_or_abort(fd, &request);
-  const size_t payload_bytes = peer_evaluate(&request, &payload);
-  const wire_header header = {.magic = WIRE_MAGIC,
-                              .version = WIRE_VERSION,
-                              .type = WIRE_TYPE_EVAL | WIRE_REPLY,
-                              .request_id = request.header.request_id,
-                              .payload_bytes = (uint32_t)payload_bytes};
-  uint8_t *bytes = malloc(WIRE_BYTES_header + payload_bytes);
-  if (bytes == NULL) {
-    abort();
-  }
-  wire_put_header(bytes, &header);
-  memset(bytes + WIRE_BYTES_header, 0xff, payload_bytes); /* none of it may ever be used */
-  peer_send_bytes(fd, bytes, *(const size_t *)context);
-  free(bytes);
-  free(payload);
-  free(request.payload);
-}
-
 static void answer_seven(int fd, void *context) {
   (void)context;
-  say_hello(fd);
+  peer_say_hello_or_abort(fd);
   for (unsigned i = 0; i < 7; i++) {
     peer_frame request;
-    receive_or_abort(fd, &request);
-    answer(fd, &request);
+    peer_receive_or_abort(fd, &request);
+    peer_answer(fd, &request);
     free(request.payload);
   }
 }
 
 static void shut_down(int fd, void *context) {
-  hang_up_after_request(fd, context);
-  send_error(fd, 0, WIRE_STATUS_SHUTTING_DOWN, 0);
-}
-
-static void too_many_connections(int fd, void *context) {
-  (void)context;
-  send_error(fd, 0, WIRE_STATUS_BUSY, 30);
+  peer_hang_up_after_request(fd, context);
+  peer_send_error(fd, 0, WIRE_STATUS_SHUTTING_DOWN, 0);
 }
 
 static void break_rules(int fd, void *context) {
-  hang_up_after_request(fd, context);
-  send_error(fd, 0, WIRE_STATUS_BAD_MAGIC, 0);
+  peer_hang_up_after_request(fd, context);
+  peer_send_error(fd, 0, WIRE_STATUS_BAD_MAGIC, 0);
 }
 
 /* ---- lost and found ------------------------------------------------------------------------ */
 
-static void check_found(script *const *scripts, void *context) {
+static void check_found(peer_script *const *scripts, void *context) {
   scripted_peer peer;
   peer_start_scripts(&peer, scripts, context);
   dipole_client *client = open_client(&peer);
@@ -198,12 +122,12 @@ static void check_found(script *const *scripts, void *context) {
 
 static void test_lost_before_the_answer(void **state) {
   (void)state;
-  check_found((script *const[]){hang_up_after_request, peer_serve, NULL}, NULL);
+  check_found((peer_script *const[]){peer_hang_up_after_request, peer_serve, NULL}, NULL);
 }
 
 static void test_lost_while_nothing_was_asked(void **state) {
   (void)state;
-  check_found((script *const[]){hang_up_after_hello, peer_serve, NULL}, NULL);
+  check_found((peer_script *const[]){peer_hang_up_after_hello, peer_serve, NULL}, NULL);
 }
 
 static void test_lost_anywhere_in_the_answer(void **state) {
@@ -211,31 +135,32 @@ static void test_lost_anywhere_in_the_answer(void **state) {
   static const size_t sent[] = {1, 23, 24, 25, 100, 135};
   for (size_t i = 0; i < sizeof sent / sizeof sent[0]; i++) {
     size_t bytes = sent[i];
-    check_found((script *const[]){hang_up_in_answer, peer_serve, NULL}, &bytes);
+    check_found((peer_script *const[]){peer_hang_up_in_answer, peer_serve, NULL}, &bytes);
   }
 }
 
 static void test_lost_again_and_again(void **state) {
   (void)state;
-  check_found((script *const[]){hang_up_after_request, hang_up_at_once, hang_up_after_request,
-                                hang_up_after_hello, hang_up_at_once, peer_serve, NULL},
+  check_found((peer_script *const[]){peer_hang_up_after_request, peer_hang_up_at_once,
+                                     peer_hang_up_after_request, peer_hang_up_after_hello,
+                                     peer_hang_up_at_once, peer_serve, NULL},
               NULL);
 }
 
 static void test_daemon_that_shuts_down(void **state) {
   (void)state;
-  check_found((script *const[]){shut_down, peer_serve, NULL}, NULL);
+  check_found((peer_script *const[]){shut_down, peer_serve, NULL}, NULL);
 }
 
 static void test_daemon_with_too_many_connections(void **state) {
   (void)state;
-  check_found((script *const[]){hang_up_after_request, too_many_connections, peer_serve, NULL},
+  check_found((peer_script *const[]){peer_hang_up_after_request, peer_be_full, peer_serve, NULL},
               NULL);
 }
 
 static void test_each_submitted_query_has_one_answer(void **state) {
   enum { QUERIES = 20 };
-  script *const scripts[] = {answer_seven, answer_seven, peer_serve, NULL};
+  peer_script *const scripts[] = {answer_seven, answer_seven, peer_serve, NULL};
   uint64_t ids[QUERIES + 1] = {0};
   scripted_peer peer;
   dipole_error error;
@@ -279,7 +204,7 @@ static void must_not_come(int fd, void *context) {
 
 static void test_none_wanted(void **state) {
   (void)state;
-  script *const scripts[] = {hang_up_after_request, must_not_come, NULL};
+  peer_script *const scripts[] = {peer_hang_up_after_request, must_not_come, NULL};
   scripted_peer peer;
   peer_start_scripts(&peer, scripts, NULL);
   dipole_client *client = open_client(&peer);
@@ -292,7 +217,7 @@ static void test_none_wanted(void **state) {
 
 static void test_a_fault_of_the_client_is_none_of_the_connection(void **state) {
   (void)state;
-  script *const scripts[] = {break_rules, must_not_come, NULL};
+  peer_script *const scripts[] = {break_rules, must_not_come, NULL};
   scripted_peer peer;
   peer_start_scripts(&peer, scripts, NULL);
   dipole_client *client = open_client(&peer);
@@ -303,7 +228,7 @@ static void test_a_fault_of_the_client_is_none_of_the_connection(void **state) {
 
 static void stay_silent(int fd, void *context) {
   peer_frame request;
-  hang_up_after_request(fd, context);
+  peer_hang_up_after_request(fd, context);
   if (peer_receive(fd, &request)) { /* until the client closes */
     abort();
   }
@@ -311,7 +236,7 @@ static void stay_silent(int fd, void *context) {
 
 static void test_a_silent_daemon_is_not_asked_again(void **state) {
   (void)state;
-  script *const scripts[] = {stay_silent, must_not_come, NULL};
+  peer_script *const scripts[] = {stay_silent, must_not_come, NULL};
   scripted_peer peer;
   peer_start_scripts(&peer, scripts, NULL);
   dipole_client *client = open_client(&peer);
@@ -323,7 +248,7 @@ static void test_a_silent_daemon_is_not_asked_again(void **state) {
 
 static void test_nobody_comes_back(void **state) {
   (void)state;
-  script *const scripts[] = {hang_up_after_request, NULL};
+  peer_script *const scripts[] = {peer_hang_up_after_request, NULL};
   scripted_peer peer;
   peer_start_scripts(&peer, scripts, NULL);
   dipole_client *client = open_client(&peer);
@@ -348,7 +273,7 @@ static void serve_other_lists(int fd, void *context) {
   WIRE_SET_TEXT(model.name, "worse");
   wire_put_hello_reply(payload, &reply);
   wire_put_choice(payload + WIRE_BYTES_hello_reply, &model);
-  receive_or_abort(fd, &request);
+  peer_receive_or_abort(fd, &request);
   peer_send(fd, WIRE_TYPE_HELLO | WIRE_REPLY, request.header.request_id, payload, sizeof payload);
   free(request.payload);
   if (peer_receive(fd, &request)) {
@@ -358,7 +283,7 @@ static void serve_other_lists(int fd, void *context) {
 
 static void test_a_daemon_with_other_lists_is_another(void **state) {
   (void)state;
-  script *const scripts[] = {hang_up_after_request, serve_other_lists, NULL};
+  peer_script *const scripts[] = {peer_hang_up_after_request, serve_other_lists, NULL};
   scripted_peer peer;
   peer_start_scripts(&peer, scripts, NULL);
   dipole_client *client = open_client(&peer);
@@ -370,7 +295,7 @@ static void test_a_daemon_with_other_lists_is_another(void **state) {
 
 static void test_a_job_is_not_begun_again(void **state) {
   (void)state;
-  script *const scripts[] = {hang_up_after_request, must_not_come, NULL};
+  peer_script *const scripts[] = {peer_hang_up_after_request, must_not_come, NULL};
   const dipole_mc_query query = {.medium = medium,
                                  .thickness_mm = INFINITY,
                                  .spacing = DIPOLE_LINEAR,
@@ -390,7 +315,7 @@ static void test_a_job_is_not_begun_again(void **state) {
 
 static void test_what_is_too_large_to_keep(void **state) {
   (void)state;
-  script *const scripts[] = {hang_up_after_hello, must_not_come, NULL};
+  peer_script *const scripts[] = {peer_hang_up_after_hello, must_not_come, NULL};
   const uint64_t count = DIPOLE_RETRY_KEPT_BYTES / sizeof(double);
   double *many = calloc(count, sizeof *many);
   dipole_query query = query_of(count);
@@ -414,12 +339,12 @@ static void test_what_is_too_large_to_keep(void **state) {
 static void serve_the_third_time(int fd, void *context) {
   unsigned *received = context;
   peer_frame request;
-  say_hello(fd);
+  peer_say_hello_or_abort(fd);
   while (peer_receive(fd, &request)) {
     if (++*received % 3 != 0) {
-      send_error(fd, request.header.request_id, WIRE_STATUS_BUSY, 20);
+      peer_send_error(fd, request.header.request_id, WIRE_STATUS_BUSY, 20);
     } else {
-      answer(fd, &request);
+      peer_answer(fd, &request);
     }
     free(request.payload);
   }
@@ -427,7 +352,7 @@ static void serve_the_third_time(int fd, void *context) {
 
 static void test_busy(void **state) {
   (void)state;
-  script *const scripts[] = {serve_the_third_time, must_not_come, NULL};
+  peer_script *const scripts[] = {serve_the_third_time, must_not_come, NULL};
   unsigned received = 0;
   scripted_peer peer;
   peer_start_scripts(&peer, scripts, &received);
@@ -446,12 +371,12 @@ static void serve_out_of_turn(int fd, void *context) {
   unsigned received = 0;
   peer_frame request;
   (void)context;
-  say_hello(fd);
+  peer_say_hello_or_abort(fd);
   while (peer_receive(fd, &request)) {
     if (++received == 2) {
-      send_error(fd, request.header.request_id, WIRE_STATUS_BUSY, 50);
+      peer_send_error(fd, request.header.request_id, WIRE_STATUS_BUSY, 50);
     } else {
-      answer(fd, &request);
+      peer_answer(fd, &request);
     }
     free(request.payload);
   }
@@ -459,7 +384,7 @@ static void serve_out_of_turn(int fd, void *context) {
 
 static void test_others_do_not_wait_for_the_busy_one(void **state) {
   (void)state;
-  script *const scripts[] = {serve_out_of_turn, NULL};
+  peer_script *const scripts[] = {serve_out_of_turn, NULL};
   static const unsigned order[] = {0, 2, 1};
   uint64_t ids[3];
   scripted_peer peer;
@@ -484,9 +409,9 @@ static void test_others_do_not_wait_for_the_busy_one(void **state) {
 /* *context: retry_after_ms. */
 static void stay_busy(int fd, void *context) {
   peer_frame request;
-  say_hello(fd);
+  peer_say_hello_or_abort(fd);
   while (peer_receive(fd, &request)) {
-    send_error(fd, request.header.request_id, WIRE_STATUS_BUSY, *(const uint32_t *)context);
+    peer_send_error(fd, request.header.request_id, WIRE_STATUS_BUSY, *(const uint32_t *)context);
     free(request.payload);
   }
 }
@@ -495,7 +420,7 @@ static void test_busy_for_longer_than_that(void **state) {
   (void)state;
   static const uint32_t retry_after_ms[] = {0, 1, 60, 60000};
   for (size_t i = 0; i < 4; i++) {
-    script *const scripts[] = {stay_busy, NULL};
+    peer_script *const scripts[] = {stay_busy, NULL};
     uint32_t after_ms = retry_after_ms[i];
     scripted_peer peer;
     peer_start_scripts(&peer, scripts, &after_ms);
@@ -515,38 +440,38 @@ static void test_busy_for_longer_than_that(void **state) {
 static void be_busy_and_hang_up(int fd, void *context) {
   peer_frame request;
   (void)context;
-  say_hello(fd);
-  receive_or_abort(fd, &request);
-  send_error(fd, request.header.request_id, WIRE_STATUS_BUSY, 100);
+  peer_say_hello_or_abort(fd);
+  peer_receive_or_abort(fd, &request);
+  peer_send_error(fd, request.header.request_id, WIRE_STATUS_BUSY, 100);
   free(request.payload);
 }
 
 static void test_lost_while_waiting(void **state) {
   (void)state;
-  check_found((script *const[]){be_busy_and_hang_up, peer_serve, NULL}, NULL);
+  check_found((peer_script *const[]){be_busy_and_hang_up, peer_serve, NULL}, NULL);
 }
 
 /* ---- deadlines ----------------------------------------------------------------------------- */
 
 static void hang_up_after_a_while(int fd, void *context) {
-  hang_up_after_request(fd, context);
+  peer_hang_up_after_request(fd, context);
   usleep(50000);
 }
 
 /* *context: the deadline that arrives. */
 static void note_deadline(int fd, void *context) {
   peer_frame request;
-  say_hello(fd);
+  peer_say_hello_or_abort(fd);
   if (peer_receive(fd, &request)) {
     *(uint32_t *)context = request.header.deadline_ms;
-    answer(fd, &request);
+    peer_answer(fd, &request);
     free(request.payload);
   }
 }
 
 static void test_deadlines_go_on(void **state) {
   (void)state;
-  script *const scripts[] = {hang_up_after_a_while, note_deadline, NULL};
+  peer_script *const scripts[] = {hang_up_after_a_while, note_deadline, NULL};
   uint32_t left_ms = 0;
   dipole_query query = query_of(9);
   scripted_peer peer;
@@ -564,7 +489,7 @@ static void test_deadlines_go_on(void **state) {
 
 static void test_deadlines_end(void **state) {
   (void)state;
-  script *const scripts[] = {hang_up_after_a_while, peer_serve, NULL};
+  peer_script *const scripts[] = {hang_up_after_a_while, peer_serve, NULL};
   dipole_query query = query_of(9);
   scripted_peer peer;
   dipole_result *result;
@@ -597,8 +522,8 @@ static void send_parts(int fd, const peer_frame *request, uint32_t count, uint64
 static void send_three_parts(int fd, void *context) {
   peer_frame request;
   (void)context;
-  say_hello(fd);
-  receive_or_abort(fd, &request);
+  peer_say_hello_or_abort(fd);
+  peer_receive_or_abort(fd, &request);
   send_parts(fd, &request, 3, 8);
   free(request.payload);
 }
@@ -606,7 +531,7 @@ static void send_three_parts(int fd, void *context) {
 static void send_other_parts(int fd, void *context) {
   peer_frame request;
   (void)context;
-  say_hello(fd);
+  peer_say_hello_or_abort(fd);
   while (peer_receive(fd, &request)) {
     send_parts(fd, &request, 4, 16);
     free(request.payload);
@@ -615,7 +540,7 @@ static void send_other_parts(int fd, void *context) {
 
 static void test_parts_are_put_together_anew(void **state) {
   (void)state;
-  script *const scripts[] = {send_three_parts, send_other_parts, NULL};
+  peer_script *const scripts[] = {send_three_parts, send_other_parts, NULL};
   scripted_peer peer;
   peer_start_scripts(&peer, scripts, NULL);
   dipole_client *client = open_client(&peer);
@@ -636,8 +561,8 @@ static bool read_part(void *context, const dipole_result *part, uint64_t radius_
 
 static void test_parts_are_not_handed_on_twice(void **state) {
   (void)state;
-  script *const lost_at_first[] = {hang_up_after_request, send_other_parts, NULL};
-  script *const lost_in_between[] = {send_three_parts, must_not_come, NULL};
+  peer_script *const lost_at_first[] = {peer_hang_up_after_request, send_other_parts, NULL};
+  peer_script *const lost_in_between[] = {send_three_parts, must_not_come, NULL};
   const dipole_query query = query_of(RADII);
   scripted_peer peer;
   dipole_error error;

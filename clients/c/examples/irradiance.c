@@ -1,0 +1,325 @@
+/* How a renderer uses libdipole: the light that leaves a translucent plane.
+ *
+ *   cc -O2 irradiance.c $(pkg-config --cflags --libs dipole) -lm -o irradiance
+ *   ./irradiance [ADDRESS [PIXELS [POINTS]]]
+ *
+ * A square of skin, 20 mm wide, is lit on its left half and in a small disk on its right half. The
+ * lit part is covered with sample points i, each of which stands for an area A_i and receives the
+ * irradiance E_i, as renderers gather it in a first pass. What leaves at x, in W/mm^2, is
+ *
+ *   M(x) = sum over i of R(|x - x_i|) E_i A_i
+ *
+ * for each of three channels. For each pixel all distances are one request; many requests are under
+ * way at the same time, and their values arrive in memory of our own. Then the same once more with
+ * tables of the three channels, which the library evaluates by itself: they cost a request each,
+ * and no more after that.
+ *
+ * Writes irradiance.ppm, the picture, and irradiance.csv, its numbers, to the current folder, and
+ * says how long each way took and how far they are apart. ADDRESS: see dipole_open(); "" for the
+ * default. */
+#include <dipole.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+#define SIDE_MM 20.0f
+#define IRRADIANCE_W_PER_MM2 1.0f
+#define TABLE_TOLERANCE 1e-4
+
+enum { CHANNELS = 3, IN_FLIGHT = 32, PIXELS_DEFAULT = 96, POINTS_DEFAULT = 64, MOST = 1024 };
+
+typedef struct scene {
+  size_t pixels; /* the picture has pixels x pixels */
+  size_t count;  /* of points that are lit */
+  float *x, *y;  /* [count], mm */
+  float power;   /* E A of each, W */
+  dipole_medium medium[CHANNELS];
+} scene;
+
+static _Noreturn void fail(const char *what, const dipole_error *error) {
+  fprintf(stderr, "irradiance: %s%s%s\n", what, error != NULL ? ": " : "",
+          error != NULL ? error->text : "");
+  exit(1);
+}
+
+static void *allocate(size_t count, size_t bytes) {
+  void *memory = calloc(count, bytes);
+  if (memory == NULL) {
+    fail("out of memory", NULL);
+  }
+  return memory;
+}
+
+static double now_s(void) {
+  struct timespec now;
+  timespec_get(&now, TIME_UTC);
+  return (double)now.tv_sec + (double)now.tv_nsec / 1e9;
+}
+
+/* ---- the scene ----------------------------------------------------------------------------- */
+
+static int is_lit(float x, float y) {
+  const float dx = x - 0.75f * SIDE_MM, dy = y - 0.5f * SIDE_MM;
+  return x < 0.5f * SIDE_MM || dx * dx + dy * dy < 0.01f * SIDE_MM * SIDE_MM;
+}
+
+/* The middle of a cell. */
+static float middle(size_t i, size_t of) {
+  return ((float)i + 0.5f) * (SIDE_MM / (float)of);
+}
+
+/* points x points cells, of which the lit ones are kept. */
+static void place_points(scene *of, size_t points) {
+  const float cell_mm = SIDE_MM / (float)points;
+  of->x = allocate(points * points, sizeof *of->x);
+  of->y = allocate(points * points, sizeof *of->y);
+  of->power = IRRADIANCE_W_PER_MM2 * cell_mm * cell_mm;
+  for (size_t i = 0; i < points * points; i++) {
+    const float x = middle(i % points, points), y = middle(i / points, points);
+    if (is_lit(x, y)) {
+      of->x[of->count] = x;
+      of->y[of->count++] = y;
+    }
+  }
+}
+
+static void find_medium(scene *of, dipole_client *client, const char *name) {
+  dipole_measured_medium *media;
+  dipole_error error;
+  size_t count;
+  int found = 0;
+  if (!dipole_media(client, &media, &count, &error)) {
+    fail("media", &error);
+  }
+  for (size_t i = 0; i < count && !found; i++) {
+    found = strcmp(media[i].name, name) == 0;
+    if (found) {
+      memcpy(of->medium, media[i].channel, sizeof of->medium);
+    }
+  }
+  free(media);
+  if (!found) {
+    fail("the daemon does not know this medium", NULL);
+  }
+}
+
+/* Of a pixel to all points. */
+static void distances(const scene *of, size_t pixel, float *r) {
+  const float x = middle(pixel % of->pixels, of->pixels);
+  const float y = middle(pixel / of->pixels, of->pixels);
+  for (size_t i = 0; i < of->count; i++) {
+    const float dx = of->x[i] - x, dy = of->y[i] - y;
+    r[i] = sqrtf(dx * dx + dy * dy);
+  }
+}
+
+static double gather(const scene *of, const float *R) {
+  double sum = 0;
+  for (size_t i = 0; i < of->count; i++) {
+    sum += (double)R[i];
+  }
+  return sum * (double)of->power;
+}
+
+/* ---- asking the daemon --------------------------------------------------------------------- */
+
+/* A request under way. */
+typedef struct job {
+  uint64_t id;
+  size_t pixel;
+  float *R; /* [CHANNELS][count], where its answer goes */
+} job;
+
+static void submit(const scene *of, dipole_client *client, size_t pixel, float *r, job *to) {
+  dipole_error error;
+  const dipole_query query = {.model = dipole_id(client, DIPOLE_MODEL, "better"),
+                              .evaluator = DIPOLE_F32,
+                              .moments = DIPOLE_EXACT,
+                              .wanted = DIPOLE_R,
+                              .media = of->medium,
+                              .medium_count = CHANNELS,
+                              .spacing = DIPOLE_LIST,
+                              .radii = r,
+                              .radius_count = of->count,
+                              .into_values = to->R};
+  distances(of, pixel, r); /* which are copied, so that the next request may use the same memory */
+  if (!dipole_submit(client, &query, &to->id, &error)) {
+    fail("submit", &error);
+  }
+  to->pixel = pixel;
+}
+
+/* Takes whatever answer comes next, and returns its job, which is free then. */
+static job *collect(const scene *of, dipole_client *client, job *jobs, double *exitance) {
+  dipole_result *result;
+  dipole_error error;
+  uint64_t id;
+  size_t which = 0;
+  if (!dipole_collect(client, &id, &result, &error)) {
+    fail("collect", &error);
+  }
+  while (jobs[which].id != id) { /* it is one of them */
+    which++;
+  }
+  for (size_t c = 0; c < CHANNELS; c++) {
+    exitance[jobs[which].pixel * CHANNELS + c] = gather(of, result->channels[c].R_f32);
+  }
+  dipole_result_free(result); /* but not the values: they are ours */
+  return &jobs[which];
+}
+
+/* exitance: [pixels * pixels][CHANNELS], W/mm^2. */
+static void ask(const scene *of, dipole_client *client, double *exitance) {
+  const size_t all = of->pixels * of->pixels;
+  job jobs[IN_FLIGHT] = {0};
+  float *r = allocate(of->count, sizeof *r);
+  for (size_t i = 0; i < IN_FLIGHT; i++) {
+    jobs[i].R = allocate(CHANNELS * of->count, sizeof(float));
+  }
+  for (size_t pixel = 0; pixel < all; pixel++) {
+    job *next = pixel < IN_FLIGHT ? &jobs[pixel] : collect(of, client, jobs, exitance);
+    submit(of, client, pixel, r, next);
+  }
+  while (dipole_outstanding(client) > 0) {
+    collect(of, client, jobs, exitance);
+  }
+  for (size_t i = 0; i < IN_FLIGHT; i++) {
+    free(jobs[i].R);
+  }
+  free(r);
+}
+
+/* ---- tables -------------------------------------------------------------------------------- */
+
+static void look_up(const scene *of, dipole_client *client, double *exitance) {
+  const dipole_parameter tolerance = {dipole_id(client, DIPOLE_PARAMETER, "tolerance"),
+                                      TABLE_TOLERANCE};
+  float *r = allocate(of->count, sizeof *r), *R = allocate(of->count, sizeof *R);
+  dipole_table *tables[CHANNELS];
+  dipole_error error;
+  for (size_t c = 0; c < CHANNELS; c++) {
+    const dipole_table_query query = {.model = dipole_id(client, DIPOLE_MODEL, "better"),
+                                      .moments = DIPOLE_EXACT,
+                                      .medium = of->medium[c],
+                                      .parameters = &tolerance,
+                                      .parameter_count = 1};
+    if (!dipole_table_fetch(client, &query, &tables[c], &error)) {
+      fail("table", &error);
+    }
+  }
+  for (size_t pixel = 0; pixel < of->pixels * of->pixels; pixel++) {
+    distances(of, pixel, r);
+    for (size_t c = 0; c < CHANNELS; c++) {
+      if (!dipole_table_values(tables[c], DIPOLE_R, of->count, r, R)) {
+        fail("a distance that the table does not cover", NULL);
+      }
+      exitance[pixel * CHANNELS + c] = gather(of, R);
+    }
+  }
+  for (size_t c = 0; c < CHANNELS; c++) {
+    dipole_table_free(tables[c]);
+  }
+  free(R);
+  free(r);
+}
+
+/* ---- what came of it ----------------------------------------------------------------------- */
+
+static FILE *create(const char *path) {
+  FILE *file = fopen(path, "wb");
+  if (file == NULL) {
+    fail(path, NULL);
+  }
+  return file;
+}
+
+/* The brightest value is white; with a gamma of 2. */
+static void write_picture(const scene *of, const double *exitance, const char *path) {
+  const size_t values = of->pixels * of->pixels * CHANNELS;
+  FILE *file = create(path);
+  double most = 0;
+  for (size_t i = 0; i < values; i++) {
+    most = exitance[i] > most ? exitance[i] : most;
+  }
+  fprintf(file, "P6\n%zu %zu\n255\n", of->pixels, of->pixels);
+  for (size_t i = 0; i < values; i++) {
+    fputc((int)(255 * sqrt(exitance[i] / most) + 0.5), file);
+  }
+  if (fclose(file) != 0) {
+    fail(path, NULL);
+  }
+}
+
+static void write_numbers(const scene *of, const double *exitance, const char *path) {
+  FILE *file = create(path);
+  fprintf(file, "x_mm,y_mm,red_w_per_mm2,green_w_per_mm2,blue_w_per_mm2\n");
+  for (size_t i = 0; i < of->pixels * of->pixels; i++) {
+    const double *M = exitance + i * CHANNELS;
+    fprintf(file, "%.9g,%.9g,%.9g,%.9g,%.9g\n", (double)middle(i % of->pixels, of->pixels),
+            (double)middle(i / of->pixels, of->pixels), M[0], M[1], M[2]);
+  }
+  if (fclose(file) != 0) {
+    fail(path, NULL);
+  }
+}
+
+static void say_how_fast(const scene *of, const char *what, double seconds) {
+  const double values = (double)(of->pixels * of->pixels * of->count * CHANNELS);
+  printf("%-22s %7.3f s, %5.0f million values a second\n", what, seconds, values / seconds / 1e6);
+}
+
+static double largest_difference(const scene *of, const double *one, const double *other) {
+  double most = 0;
+  for (size_t i = 0; i < of->pixels * of->pixels * CHANNELS; i++) {
+    const double difference = fabs(one[i] / other[i] - 1);
+    most = difference > most ? difference : most;
+  }
+  return most;
+}
+
+/* ---- all of it ----------------------------------------------------------------------------- */
+
+static size_t size_of(const char *text, size_t usual) {
+  char *end;
+  const unsigned long size = text != NULL ? strtoul(text, &end, 10) : usual;
+  if (size < 1 || size > MOST || (text != NULL && *end != '\0')) {
+    fail("PIXELS and POINTS are from 1 to 1024", NULL);
+  }
+  return size;
+}
+
+int main(int argc, char **argv) {
+  const char *address = argc > 1 && argv[1][0] != '\0' ? argv[1] : NULL;
+  scene skin = {.pixels = size_of(argc > 2 ? argv[2] : NULL, PIXELS_DEFAULT)};
+  dipole_client *client;
+  dipole_error error;
+  if (!dipole_open(address, &client, &error)) {
+    fail("open", &error);
+  }
+  find_medium(&skin, client, "skin1");
+  place_points(&skin, size_of(argc > 3 ? argv[3] : NULL, POINTS_DEFAULT));
+  const size_t values = skin.pixels * skin.pixels * CHANNELS;
+  double *asked = allocate(values, sizeof *asked), *looked_up = allocate(values, sizeof *asked);
+  printf("%zu pixels, %zu points, %d channels\n", skin.pixels * skin.pixels, skin.count, CHANNELS);
+
+  const double start_s = now_s();
+  ask(&skin, client, asked);
+  const double asked_s = now_s();
+  look_up(&skin, client, looked_up);
+  const double looked_up_s = now_s();
+  say_how_fast(&skin, "f32, by the daemon", asked_s - start_s);
+  say_how_fast(&skin, "tables, evaluated here", looked_up_s - asked_s);
+  printf("they differ by %.1e at most; the tables are built to %.0e\n",
+         largest_difference(&skin, looked_up, asked), TABLE_TOLERANCE);
+  write_picture(&skin, asked, "irradiance.ppm");
+  write_numbers(&skin, asked, "irradiance.csv");
+
+  dipole_close(client);
+  free(looked_up);
+  free(asked);
+  free(skin.y);
+  free(skin.x);
+  return 0;
+}

@@ -1,0 +1,224 @@
+/* Connections: one to an address, and the first that can be had to one of several. */
+#include <errno.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+#include "clients/c/client.h"
+
+/* ---- one ----------------------------------------------------------------------------------- */
+
+static bool connect_stream(dipole_client *client, const char *text, unsigned limit_ms,
+                           dipole_error *error) {
+  libdipole_address address;
+  int fd;
+  if (!libdipole_address_parse(text, &address, error)) {
+    return false;
+  }
+  const bool connected = address.kind == LIBDIPOLE_PRIVATE
+                             ? libdipole_daemon_start(address.path, &fd, &client->daemon, error)
+                             : libdipole_connect(&address, limit_ms, &fd, error);
+  if (connected) {
+    libdipole_stream_init(&client->stream, fd);
+  }
+  return connected;
+}
+
+/* Connects and says hello, in limit_ms each at the most. */
+static bool greet(dipole_client *client, const char *text, unsigned limit_ms, dipole_error *error) {
+  client->address = strdup(text);
+  if (client->address == NULL) {
+    return libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory");
+  }
+  if (!connect_stream(client, text, limit_ms, error)) {
+    return false;
+  }
+  client->call_timeout_ms = limit_ms;
+  if (libdipole_hello(client, error)) {
+    client->call_timeout_ms = 0;
+    return true;
+  }
+  if (error->kind == DIPOLE_ERROR_TIMEOUT) {
+    libdipole_fail(error, DIPOLE_ERROR_CONNECT, "%.120s does not say hello within %u ms", text,
+                   limit_ms);
+  }
+  return false;
+}
+
+static dipole_client *open_one(const char *text, unsigned limit_ms, dipole_error *error) {
+  dipole_client *client = calloc(1, sizeof *client);
+  if (client == NULL) {
+    libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory");
+    return NULL;
+  }
+  libdipole_stream_init(&client->stream, -1);
+  if (!greet(client, text, limit_ms, error)) {
+    dipole_close(client);
+    return NULL;
+  }
+  return client;
+}
+
+/* ---- of several ---------------------------------------------------------------------------- */
+
+bool libdipole_may_pass(const dipole_error *error) {
+  switch (error->kind) {
+  case DIPOLE_ERROR_CONNECT:
+    return true;
+  case DIPOLE_ERROR_CONNECTION:
+  case DIPOLE_ERROR_REFUSED:
+    return error->status == WIRE_STATUS_OK || error->status == WIRE_STATUS_SHUTTING_DOWN ||
+           error->status == WIRE_STATUS_BUSY || error->status == WIRE_STATUS_TIMEOUT;
+  default:
+    return false;
+  }
+}
+
+/* What the numbers in the requests mean must be what it was: then any daemon's answer is right. */
+static bool has_lists_of(const dipole_client *fresh, const dipole_client *like) {
+  for (size_t i = 0; i < like->info.choice_count; i++) {
+    const dipole_choice *choice = &like->info.choices[i];
+    if (choice->name[0] != '\0' && choice->kind != DIPOLE_STATUS &&
+        dipole_id(fresh, choice->kind, choice->name) != choice->id) {
+      return false;
+    }
+  }
+  return true;
+}
+
+static dipole_client *open_like(const char *text, unsigned limit_ms, const dipole_client *like,
+                                dipole_error *error) {
+  dipole_client *fresh = open_one(text, limit_ms, error);
+  if (fresh != NULL && like != NULL && !has_lists_of(fresh, like)) {
+    dipole_close(fresh);
+    libdipole_fail(error, DIPOLE_ERROR_PROTOCOL,
+                   "the daemon there has other lists: open a new client");
+    return NULL;
+  }
+  return fresh;
+}
+
+/* What one attempt may take: of what is left, not more than leaves as much for each of the others
+ * that are still to be tried. */
+static unsigned attempt_limit(unsigned connect_timeout_ms, int64_t until_ms, size_t others) {
+  if (until_ms == INT64_MAX) {
+    return connect_timeout_ms;
+  }
+  const int64_t share_ms = (until_ms - libdipole_now_ms()) / (int64_t)(others + 1);
+  const int64_t least_ms = share_ms > 1 ? share_ms : 1;
+  return connect_timeout_ms != 0 && connect_timeout_ms < least_ms ? connect_timeout_ms
+                                                                  : (unsigned)least_ms;
+}
+
+/* Adds why an address could not be used to what is said of those before it. Busy daemons are asked
+ * again as soon as the first of them wants to be; and at once if there are others. */
+static void add_failure(dipole_error *all, const dipole_error *one, size_t tried, size_t count) {
+  const dipole_error before = *all;
+  *all = *one;
+  if (count > 1) {
+    snprintf(all->text, sizeof all->text, "%.*s%s%.*s", (int)sizeof all->text / 2, before.text,
+             tried > 0 ? "; " : "", (int)sizeof all->text / 2 - 3, one->text);
+    const bool sooner = tried > 0 && before.retry_after_ms < one->retry_after_ms;
+    all->retry_after_ms = sooner ? before.retry_after_ms : one->retry_after_ms;
+  }
+}
+
+dipole_client *libdipole_round(libdipole_addresses *addresses, unsigned connect_timeout_ms,
+                               int64_t until_ms, const dipole_client *like, bool *may_pass,
+                               dipole_error *error) {
+  dipole_error one;
+  *may_pass = false;
+  error->text[0] = '\0';
+  for (size_t tried = 0; tried < addresses->count; tried++) {
+    const size_t at = (addresses->at + tried) % addresses->count;
+    const unsigned limit_ms =
+        attempt_limit(connect_timeout_ms, until_ms, addresses->count - tried - 1);
+    dipole_client *client = open_like(addresses->texts[at], limit_ms, like, &one);
+    if (client != NULL) {
+      addresses->at = at;
+      return client;
+    }
+    *may_pass = *may_pass || libdipole_may_pass(&one);
+    add_failure(error, &one, tried, addresses->count);
+  }
+  return NULL;
+}
+
+void libdipole_sleep_ms(int64_t ms) {
+  struct timespec left = {.tv_sec = (time_t)(ms / 1000), .tv_nsec = (long)(ms % 1000) * 1000000};
+  while (nanosleep(&left, &left) != 0 && errno == EINTR) {
+  }
+}
+
+/* ---- the public calls ---------------------------------------------------------------------- */
+
+void dipole_options_init(dipole_options *options) {
+  *options = (dipole_options){.connect_timeout_ms = DIPOLE_CONNECT_TIMEOUT_MS,
+                              .timeout_ms = DIPOLE_TIMEOUT_MS,
+                              .retry_ms = DIPOLE_RETRY_MS,
+                              .in_flight_max = DIPOLE_IN_FLIGHT_MAX};
+}
+
+/* Round after round, for as long as the options say. */
+static dipole_client *open_any(libdipole_addresses *addresses, const dipole_options *options,
+                               dipole_error *error) {
+  const bool private = libdipole_addresses_is_private(addresses);
+  const unsigned limit_ms = private ? options->timeout_ms : options->connect_timeout_ms;
+  const int64_t until_ms = libdipole_now_ms() + options->open_ms;
+  unsigned pause_ms = LIBDIPOLE_PAUSE_FIRST_MS;
+  uint64_t random = 0;
+  addresses->at = options->spread ? libdipole_random(&random) % addresses->count : 0;
+  for (;;) {
+    bool may_pass;
+    const int64_t round_until_ms = options->open_ms > 0 ? until_ms : INT64_MAX;
+    dipole_client *client =
+        libdipole_round(addresses, limit_ms, round_until_ms, NULL, &may_pass, error);
+    int64_t wait_ms = libdipole_jitter(&random, pause_ms);
+    wait_ms = client == NULL && error->retry_after_ms > wait_ms ? error->retry_after_ms : wait_ms;
+    if (client != NULL || !may_pass || private || libdipole_now_ms() + wait_ms >= until_ms) {
+      return client;
+    }
+    libdipole_sleep_ms(wait_ms);
+    pause_ms = libdipole_pause_twice(pause_ms);
+  }
+}
+
+bool dipole_open_with(const char *address, const dipole_options *options, dipole_client **client,
+                      dipole_error *error) {
+  dipole_error unwanted;
+  dipole_options usual;
+  libdipole_addresses addresses;
+  error = error != NULL ? error : &unwanted;
+  *client = NULL;
+  dipole_options_init(&usual);
+  options = options != NULL ? options : &usual;
+  address = address != NULL ? address : libdipole_address_default();
+  dipole_client *opened = libdipole_addresses_parse(address, &addresses, error)
+                              ? open_any(&addresses, options, error)
+                              : NULL;
+  if (opened == NULL) {
+    libdipole_addresses_free(&addresses);
+    return false;
+  }
+  opened->addresses = addresses;
+  opened->timeout_ms = options->timeout_ms;
+  opened->connect_timeout_ms = options->connect_timeout_ms;
+  opened->call_timeout_ms = options->call_timeout_ms;
+  opened->in_flight_max = options->in_flight_max;
+  opened->retry.for_ms = libdipole_addresses_is_private(&addresses) ? 0 : options->retry_ms;
+  *client = opened;
+  return true;
+}
+
+bool dipole_open_within(const char *address, unsigned timeout_ms, dipole_client **client,
+                        dipole_error *error) {
+  dipole_options options;
+  dipole_options_init(&options);
+  options.timeout_ms = options.connect_timeout_ms = timeout_ms;
+  return dipole_open_with(address, &options, client, error);
+}
+
+bool dipole_open(const char *address, dipole_client **client, dipole_error *error) {
+  return dipole_open_with(address, NULL, client, error);
+}

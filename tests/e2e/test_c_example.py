@@ -1,0 +1,152 @@
+"""Programs that are compiled against the installed library, as its users do it: the header, the
+library and its options are found by pkg-config, and nothing of this repository is."""
+
+from __future__ import annotations
+
+import csv
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from daemons import BUILD, REPOSITORY, environment, sanitized
+
+TIMEOUT_S = 300.0
+SIDE_MM = np.float32(20)
+
+
+class Installed:
+    """What `make install` has put below a folder."""
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+        build = os.path.relpath(BUILD, REPOSITORY)
+        subprocess.run(
+            ["make", "install", f"DESTDIR={folder}", "PREFIX=/usr/local", f"BUILD={build}"],
+            cwd=REPOSITORY,
+            check=True,
+            capture_output=True,
+            timeout=TIMEOUT_S,
+        )
+        self._lib = folder / "usr/local/lib"
+
+    def compile(self, compiler: list[str], source: Path, program: Path) -> None:
+        """In a folder of its own, with the library's own options and those of a sanitizer."""
+        copy = program.parent / source.name
+        shutil.copy(source, copy)
+        found = subprocess.run(
+            ["pkg-config", "--cflags", "--libs", "dipole"],
+            env={
+                **environment(),
+                "PKG_CONFIG_LIBDIR": str(self._lib / "pkgconfig"),
+                "PKG_CONFIG_SYSROOT_DIR": str(self.folder),
+            },
+            check=True,
+            capture_output=True,
+            text=True,
+        )
+        options = found.stdout.split()
+        assert f"-I{self.folder}/usr/local/include" in options, options
+        sanitize = ["-fsanitize=address,undefined"] if sanitized("asan") else []
+        sanitize += ["-fsanitize=thread"] if sanitized("tsan") else []
+        command = [*compiler, *sanitize, copy.name, "-o", program.name, *options, "-lm"]
+        done = subprocess.run(
+            command, cwd=program.parent, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0 and done.stderr == "", done.stderr
+
+    def run(self, program: Path, *arguments: str) -> str:
+        """What it prints, with the installed library and dipoled."""
+        done = subprocess.run(
+            [str(program), *arguments],
+            cwd=program.parent,
+            env={
+                **environment(),
+                "LD_LIBRARY_PATH": str(self._lib),
+                "PATH": f"{self.folder}/usr/local/bin:{os.environ['PATH']}",
+            },
+            capture_output=True,
+            text=True,
+            timeout=TIMEOUT_S,
+            check=False,
+        )
+        assert done.returncode == 0 and done.stderr == "", done.stdout + done.stderr
+        return done.stdout
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory) -> Installed:
+    return Installed(tmp_path_factory.mktemp("root"))
+
+
+@pytest.fixture
+def irradiance(installed, tmp_path) -> Path:
+    """The example, compiled."""
+    source = REPOSITORY / "clients/c/examples/irradiance.c"
+    program = tmp_path / "irradiance"
+    warnings = ["-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic"]
+    installed.compile(["cc", "-std=c17", "-O2", *warnings], source, program)
+    return program
+
+
+def middles(count: int) -> np.ndarray:
+    return (np.arange(count, dtype=np.float32) + np.float32(0.5)) * (SIDE_MM / np.float32(count))
+
+
+def gathered(client, pixels: int, points: int) -> np.ndarray:
+    """The same sums, by numpy: [pixels, pixels, 3]."""
+    y, x = (axis.ravel() for axis in np.meshgrid(middles(points), middles(points), indexing="ij"))
+    disk = (x - 15) ** 2 + (y - 10) ** 2 < 4
+    lit = (x < 10) | disk
+    x, y = x[lit], y[lit]
+    py, px = np.meshgrid(middles(pixels), middles(pixels), indexing="ij")
+    r = np.hypot(px[..., None] - x, py[..., None] - y).astype(np.float32)
+    skin = client.media()["skin1"]
+    R = client.eval("better", skin, r.ravel(), evaluator="f32", wanted=["R"]).R
+    area_mm2 = (20 / points) ** 2
+    return np.moveaxis(R.reshape(3, *r.shape).astype(np.float64).sum(axis=-1) * area_mm2, 0, -1)
+
+
+def test_the_example_gathers_irradiance(installed, irradiance, shared):
+    pixels, points = 12, 24
+    output = installed.run(irradiance, shared.url(), str(pixels), str(points))
+    with shared.client() as client:
+        known = gathered(client, pixels, points)
+    with open(irradiance.parent / "irradiance.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    names = ["red_w_per_mm2", "green_w_per_mm2", "blue_w_per_mm2"]
+    values = np.array([[float(row[name]) for name in names] for row in rows])
+    np.testing.assert_allclose(values.reshape(pixels, pixels, 3), known, rtol=1e-5)
+    places = [[float(row["x_mm"]), float(row["y_mm"])] for row in rows]
+    np.testing.assert_allclose(places[1], [middles(pixels)[1], middles(pixels)[0]], rtol=1e-6)
+
+    picture = (irradiance.parent / "irradiance.ppm").read_bytes()
+    head, pixels_bytes = picture[: -pixels * pixels * 3], picture[-pixels * pixels * 3 :]
+    assert head == b"P6\n12 12\n255\n"
+    expected = 255 * np.sqrt(known / known.max())
+    shown = np.frombuffer(pixels_bytes, np.uint8).reshape(known.shape)
+    assert np.abs(shown - expected).max() <= 0.51
+
+    lines = output.splitlines()
+    assert lines[0].startswith("144 pixels, ") and lines[0].endswith(" points, 3 channels")
+    difference = float(lines[3].split()[3])
+    assert lines[3].startswith("they differ by ") and 0 < difference <= 1.1e-4
+
+
+def test_the_example_finds_a_daemon_by_itself(installed, irradiance):
+    assert "3 channels" in installed.run(irradiance, "", "4", "4")
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not installed")
+def test_a_cpp_program(installed, tmp_path, shared):
+    program = tmp_path / "program"
+    warnings = ["-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic"]
+    source = REPOSITORY / "tests/e2e/program.cpp"
+    installed.compile(["g++", "-std=c++17", "-O1", *warnings], source, program)
+    whole, in_place, table = map(float, installed.run(program, shared.url()).split())
+    with shared.client() as client:
+        R = client.eval("better", (0.032, 0.74, 0, 1.3), [1.0], evaluator="f32").R[0, 0]
+    assert np.float32(whole) == np.float32(in_place) == R
+    assert table == pytest.approx(R, rel=1.1e-4)

@@ -1,0 +1,149 @@
+"""`dipole bench`: what it measures adds up, in every format; how fast it is, is no test's business."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import re
+import subprocess
+
+import pytest
+from command_line import FAILED, PROGRAM, TIMEOUT_S, USAGE, dipole, read_csv
+from daemons import environment
+
+SHORT = ("--seconds", "0.05")
+FIGURES = [
+    *("radii", "connections", "in_flight", "requests", "seconds", "p50_us", "p99_us", "max_us"),
+    *("requests_per_s", "radii_per_s", "bytes_per_s"),
+]
+
+
+def bench_json(*arguments: str) -> dict:
+    return json.loads(dipole("bench", "--format", "json", *SHORT, *arguments).stdout)
+
+
+def check_figures(figures: dict, channels: int, value_bytes: int, seconds: float = 0.05) -> None:
+    requests, radii = figures["requests"], figures["radii"]
+    assert requests >= 1 and figures["seconds"] >= seconds
+    assert figures["requests_per_s"] == pytest.approx(requests / figures["seconds"])
+    assert figures["radii_per_s"] == pytest.approx(figures["requests_per_s"] * radii * channels)
+    assert figures["bytes_per_s"] == pytest.approx(
+        figures["requests_per_s"] * radii * (channels + 1) * value_bytes
+    )
+    quantiles = [figures[name] for name in ("p50_us", "p99_us", "max_us")]
+    assert quantiles == sorted(quantiles) and quantiles[0] > 0
+    # Requests under way at the same time share the time.
+    under_way = figures["connections"] * figures["in_flight"]
+    assert quantiles[0] / 1e6 * requests <= 2.1 * under_way * figures["seconds"]
+
+
+def test_json():
+    report = bench_json()
+    assert (report["model"], report["evaluator"], report["channels"]) == ("better", "f32", 3)
+    assert report["software"].startswith("dipoled ") and report["workers"] == 2
+    assert [one["name"] for one in report["measurements"]] == ["small", "pipelined", "large"]
+    for one in report["measurements"]:
+        assert list(one)[2:] == FIGURES
+        check_figures(one, channels=3, value_bytes=4)
+    loads = [[one[name] for name in FIGURES[:3]] for one in report["measurements"]]
+    assert loads == [[16, 1, 1], [16, 1, 64], [65536, 1, 1]]
+
+
+def test_csv():
+    text = dipole("bench", "--format", "csv", *SHORT, "--evaluator", "f64").stdout
+    rows = read_csv(text)
+    assert list(rows[0]) == ["measurement", *FIGURES]
+    assert [row.pop("measurement") for row in rows] == ["small", "pipelined", "large"]
+    for row in rows:
+        check_figures({name: float(value) for name, value in row.items()}, 3, 8)
+
+
+def test_table():
+    text = dipole("bench", *SHORT, "--sigma-a", "0.1", "--sigma-s", "1").stdout
+    assert re.match(r"dipoled \S+ at private:: 2 workers, \w+\nbetter, f32, 1 channel\n\n", text)
+    assert re.search(r"^pipelined +16 +1 +64( +[\d.]+){6}$", text, re.M)
+    assert max(map(len, text.splitlines())) <= 110
+
+
+def test_the_load_is_the_one_that_was_asked_for(daemon):
+    one = daemon()
+    with one.client() as watcher:
+        before = watcher.statistics()
+        report = bench_json(
+            *("--connect", one.url(), "--connections", "3", "--in-flight", "5"),
+            *("--radii", "7", "--large-radii", "1000", "--model", "transport"),
+            *("--evaluator", "lut", "--medium", "marble"),
+        )
+        after = watcher.statistics()
+    measurements = report["measurements"]
+    loads = [[one[name] for name in FIGURES[:3]] for one in measurements]
+    assert loads == [[7, 1, 1], [7, 3, 5], [1000, 1, 1]]
+    for figures in measurements:
+        check_figures(figures, channels=3, value_bytes=4)
+    assert after["connections_accepted"] - before["connections_accepted"] == 3
+    # One more on each connection to warm up.
+    requests = [figures["requests"] for figures in measurements]
+    evals = after["requests_eval"] - before["requests_eval"]
+    assert evals == sum(requests) + 1 + 3 + 1
+    radii = after["radii_transport"] - before["radii_transport"]
+    assert radii == 3 * (7 * (requests[0] + requests[1] + 4) + 1000 * (requests[2] + 1))
+
+
+def test_models_with_parameters():
+    report = bench_json("--model", "multipole", "--thickness", "2", "--evaluator", "f64")
+    check_figures(report["measurements"][0], channels=3, value_bytes=8)
+    error = dipole("bench", *SHORT, "--model", "multipole", status=FAILED).stderr
+    assert "thickness" in error
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (["--seconds", "0"], "--seconds: from 0.01 to 3600"),
+        (["--seconds", "nan"], "--seconds: from 0.01"),
+        (["--seconds", "long"], "--seconds: 'long' is no number"),
+        (["--connections", "0"], "--connections: from 1 to 256"),
+        (["--connections", "257"], "--connections: from 1 to 256"),
+        (["--connections", "2"], "--connections: a daemon of its own has one"),
+        (["--in-flight", "0"], "--in-flight: from 1 to 4096"),
+        (["--in-flight", "4097"], "--in-flight: from 1 to 4096"),
+        (["--radii", "0"], "--radii: from 1 to 4194304"),
+        (["--large-radii", "4194305"], "--large-radii: from 1 to 4194304"),
+        (["--in-flight", "4096", "--radii", "65536"], "together they take more than 1024 MiB"),
+        (["--model", "best"], "--model: 'best' is unknown"),
+        (["--evaluator", "f16"], "--evaluator: 'f16' is unknown"),
+        (["--medium", "skin9"], "--medium: 'skin9' is unknown"),
+        (["--sigma-a", "1"], "give --medium NAME, or --sigma-a and --sigma-s"),
+        (["--format", "xml"], "--format xml: it is one of table,csv,json"),
+        (["more"], "'more' is more than it takes"),
+    ],
+)
+def test_wrong_command_lines(arguments, said):
+    run = dipole("bench", *arguments, status=USAGE)
+    assert said in run.stderr and run.stdout == ""
+
+
+def test_a_bar_when_it_takes_long():
+    """From two seconds on, on a terminal; the report stands alone."""
+    master, slave = pty.openpty()
+    with subprocess.Popen(
+        [str(PROGRAM), "bench", "--seconds", "0.9", "--format", "json"],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=slave,
+        env=environment(),
+    ) as program:
+        os.close(slave)
+        shown = b""
+        try:
+            while piece := os.read(master, 65536):
+                shown += piece
+        except OSError:
+            pass  # it has ended
+        output = program.stdout.read()
+        assert program.wait(TIMEOUT_S) == 0
+    os.close(master)
+    assert re.search(rb"\r\[#+ +\]  \d\d %  [\d.e+]+ requests, [\d.e+]+/s  0:\d\d left\x1b\[K", shown)
+    assert shown.endswith(b"\r\x1b[K")
+    assert len(json.loads(output)["measurements"]) == 3

@@ -1,0 +1,96 @@
+"""`dipole --connect` with several addresses, and `--retry-ms`: daemons that are not there yet, that
+are lost, and that stay busy."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+
+import pytest
+from command_line import FAILED, PROGRAM, TIMEOUT_S, Proxy, busy, dipole, eval_rows
+from daemons import Daemon, environment
+
+ARGUMENTS = ("--sigma-a", "0.03", "--sigma-s", "1", "--r", "0.5,1,2")
+LONG = ("--retry-ms", "60000")
+
+
+@pytest.fixture
+def known():
+    """What a daemon of its own answers."""
+    return eval_rows(*ARGUMENTS)
+
+
+def ends_the_connection(_number: int, _request_id: int) -> bool:
+    return False
+
+
+def test_the_next_address_is_taken(daemon, tmp_path, known):
+    url = daemon().url()
+    with Proxy(url, ends_the_connection) as lost:
+        several = f"unix:{tmp_path}/nobody,{lost.url},{url}"
+        assert eval_rows("--connect", several, *ARGUMENTS) == known
+    assert eval_rows("--connect", f"{url},unix:{tmp_path}/nobody", *ARGUMENTS) == known
+
+
+def test_addresses_come_from_the_environment_too(daemon, tmp_path, known):
+    several = f"unix:{tmp_path}/nobody,{daemon().url('tcp')}"
+    run = dipole("eval", "--format", "csv", *ARGUMENTS, env={"DIPOLED": several})
+    assert len(run.stdout.splitlines()) == len(known) + 1
+
+
+def test_nobody_is_there(tmp_path):
+    several = f"unix:{tmp_path}/a,unix:{tmp_path}/b"
+    error = dipole("eval", "--connect", several, *ARGUMENTS, status=FAILED).stderr
+    assert f"{tmp_path}/a: No such file" in error and f"{tmp_path}/b: No such file" in error
+
+
+def test_zero_retries(daemon):
+    url = daemon().url()
+    with Proxy(url, ends_the_connection) as lost:
+        connect = ("--connect", f"{lost.url},{url}")
+        run = dipole("eval", *connect, "--retry-ms", "0", *ARGUMENTS, status=FAILED)
+    assert "closed the connection" in run.stderr
+
+
+def test_a_daemon_that_comes_later(tmp_path):
+    path = f"{tmp_path}/s"
+    with socket.socket(socket.AF_UNIX) as early:
+        early.bind(path)
+        early.listen()
+        early.settimeout(TIMEOUT_S)
+        with subprocess.Popen(
+            [str(PROGRAM), "eval", "--connect", f"unix:{path}", *LONG, *ARGUMENTS],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env=environment(),
+            text=True,
+        ) as waiting:
+            early.accept()[0].close()  # it has tried in vain
+            early.close()
+            (tmp_path / "s").unlink()
+            late = Daemon(listen=[f"unix:{path}"])
+            output, errors = waiting.communicate(timeout=TIMEOUT_S)
+            late.close()
+    assert (waiting.returncode, errors) == (0, "")
+    assert "better" in output
+
+
+@pytest.mark.parametrize("command", ["eval", "points"])
+def test_busy_for_a_limited_time(daemon, command):
+    asked = []
+
+    def refuse(number: int, request_id: int) -> bytes:
+        asked.append(number)
+        return busy(request_id)
+
+    arguments = ARGUMENTS if command == "eval" else ()
+    rows = "sigma_a,sigma_s,g,eta,r\n0.01,1,0,1.4,2\n"
+    counts = []
+    for retry_ms in ("0", "200"):
+        asked.clear()
+        with Proxy(daemon().url(), refuse) as proxy:
+            options = ("--connect", proxy.url, "--retry-ms", retry_ms)
+            run = dipole(command, *options, *arguments, stdin=rows, status=FAILED)
+        assert "busy" in run.stderr
+        counts.append(len(asked))
+    assert counts[0] == 1 and counts[1] > 1

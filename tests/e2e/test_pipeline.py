@@ -1,0 +1,53 @@
+"""Eight threads with many requests under way through libdipole: each answer is the right one, and
+none is lost; also when they have several daemons, of which now one and now another is killed."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import subprocess
+
+from daemons import BUILD, Daemon, sanitized
+
+PROGRAM = str(BUILD / "pipeline")
+TIMEOUT_S = 300.0
+
+
+def check_output(output: str, errors: str, status: int, requests: int) -> None:
+    assert status == 0, errors
+    assert errors == ""
+    assert re.match(rf"answered={requests} threads=8 ", output), output
+
+
+def test_each_answer_is_matched():
+    requests = 20_000 if sanitized() else 200_000
+    run = subprocess.run(
+        [PROGRAM, str(requests)], capture_output=True, text=True, timeout=TIMEOUT_S, check=False
+    )
+    check_output(run.stdout, run.stderr, run.returncode, requests)
+
+
+def test_with_daemons_that_are_killed_in_turn(tmp_path):
+    requests = 100_000 if sanitized() else 2_000_000
+    urls = [f"unix:{tmp_path}/{name}" for name in "ab"]
+    daemons = [Daemon(listen=[url]) for url in urls]
+    kills = 0
+    with subprocess.Popen(
+        [PROGRAM, str(requests), ",".join(urls)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as program:
+        try:
+            for which in itertools.cycle([0, 1]):
+                if program.poll() is not None:
+                    break
+                daemons[which].kill()
+                daemons[which] = Daemon(listen=[urls[which]])
+                kills += 1
+            check_output(*program.communicate(timeout=TIMEOUT_S), program.returncode, requests)
+        finally:
+            program.kill()
+            for daemon in daemons:
+                daemon.close()
+    assert kills >= 2

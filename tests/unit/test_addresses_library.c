@@ -1,0 +1,507 @@
+/* libdipole and several daemons: lists of addresses, which one is taken, and what happens when it
+ * is lost, silent, full or another one than it was. */
+#include <arpa/inet.h>
+#include <setjmp.h>
+#include <signal.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <time.h>
+#include <unistd.h>
+
+#include <cmocka.h>
+
+#include "clients/c/client.h"
+#include "tests/unit/peer_scripts.h"
+
+enum { RADII = 64, PATIENCE_MS = 20000, SOON_MS = 10000 };
+
+static const dipole_medium medium = {.sigma_a_per_mm = 0.25, .sigma_s_per_mm = 1, .eta = 1.3};
+static double radii[RADII];
+
+static int make_radii(void **state) {
+  (void)state;
+  for (size_t i = 0; i < RADII; i++) {
+    radii[i] = (double)i / 8;
+  }
+  return 0;
+}
+
+static dipole_query query_of(uint64_t count) {
+  return (dipole_query){.model = 2,
+                        .evaluator = DIPOLE_F64,
+                        .moments = DIPOLE_EXACT,
+                        .wanted = DIPOLE_R | DIPOLE_ALBEDO,
+                        .media = &medium,
+                        .medium_count = 1,
+                        .spacing = DIPOLE_LIST,
+                        .radii = radii,
+                        .radius_count = count};
+}
+
+static void check_result(dipole_result *result, uint64_t count) {
+  assert_int_equal(result->radius_count, count);
+  for (uint64_t i = 0; i < count; i++) {
+    assert_true(result->channels[0].R_f64[i] == 2 * radii[i]);
+  }
+  dipole_result_free(result);
+}
+
+static void check_eval(dipole_client *client, uint64_t count) {
+  const dipole_query query = query_of(count);
+  dipole_result *result;
+  dipole_error error;
+  if (!dipole_eval(client, &query, &result, &error)) {
+    fail_msg("%s", error.text);
+  }
+  check_result(result, count);
+}
+
+static dipole_options options_of(void) {
+  dipole_options options;
+  dipole_options_init(&options);
+  options.connect_timeout_ms = options.timeout_ms = options.retry_ms = PATIENCE_MS;
+  return options;
+}
+
+static dipole_client *open_client(const char *address, const dipole_options *options) {
+  const dipole_options usual = options_of();
+  dipole_client *client;
+  dipole_error error;
+  if (!dipole_open_with(address, options != NULL ? options : &usual, &client, &error)) {
+    fail_msg("%s: %s", address, error.text);
+  }
+  return client;
+}
+
+/* "A,B": to be freed. */
+static char *list_of(const char *const *addresses, size_t count) {
+  char *list = calloc(count, 128);
+  assert_non_null(list);
+  for (size_t i = 0; i < count; i++) {
+    sprintf(list + strlen(list), "%s%s", i > 0 ? "," : "", addresses[i]);
+  }
+  return list;
+}
+
+static int64_t now_ms(void) {
+  struct timespec now;
+  clock_gettime(CLOCK_MONOTONIC, &now);
+  return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
+}
+
+/* ---- lists --------------------------------------------------------------------------------- */
+
+static void test_lists(void **state) {
+  static const struct {
+    const char *text;
+    size_t count;
+    const char *last;
+  } cases[] = {
+      {"unix:/a", 1, "unix:/a"},
+      {"unix:/a,b", 1, "unix:/a,b"},
+      {"unix:/a,b,,tcp", 1, "unix:/a,b,,tcp"},
+      {"unix:/a,tcp:h:1", 2, "tcp:h:1"},
+      {"tcp:h:1,tcp:[::1]:2,unix:/x,y", 3, "unix:/x,y"},
+      {"unix:/a,,unix:/b", 2, "unix:/b"},
+      {"private:", 1, "private:"},
+      {"private:/bin/a,b", 1, "private:/bin/a,b"},
+  };
+  (void)state;
+  for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+    libdipole_addresses addresses;
+    dipole_error error;
+    if (!libdipole_addresses_parse(cases[i].text, &addresses, &error)) {
+      fail_msg("%s: %s", cases[i].text, error.text);
+    }
+    assert_int_equal(addresses.count, cases[i].count);
+    assert_string_equal(addresses.texts[addresses.count - 1], cases[i].last);
+    libdipole_addresses_free(&addresses);
+  }
+}
+
+static void fail_open(const char *text) {
+  dipole_client *client;
+  dipole_error error;
+  assert_false(dipole_open(text, &client, &error));
+  assert_null(client);
+  if (error.kind != DIPOLE_ERROR_ADDRESS || error.text[0] == '\0') {
+    fail_msg("%s: kind %d: %s", text, error.kind, error.text);
+  }
+}
+
+static void test_wrong_lists(void **state) {
+  static const char *const cases[] = {
+      "unix:/a,tcp:",     "unix:/a,unix:", ",unix:/a", "unix:/a,private:",
+      "private:,unix:/a", "unix:/a,tcp:h", "tcp:h:1,", "tcp:h:1, unix:/a",
+  };
+  const char *many[DIPOLE_ADDRESSES_MAX + 1];
+  (void)state;
+  for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+    fail_open(cases[i]);
+  }
+  for (size_t i = 0; i <= DIPOLE_ADDRESSES_MAX; i++) {
+    many[i] = "tcp:localhost:1";
+  }
+  char *list = list_of(many, DIPOLE_ADDRESSES_MAX + 1);
+  fail_open(list);
+  free(list);
+}
+
+/* ---- opening ------------------------------------------------------------------------------- */
+
+/* A TCP port of this machine where nobody listens: one that is taken, but not for listening. */
+static int take_dead_port(char *address, size_t bytes) {
+  struct sockaddr_in name = {.sin_family = AF_INET, .sin_addr.s_addr = htonl(INADDR_LOOPBACK)};
+  socklen_t name_bytes = sizeof name;
+  const int fd = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  assert_int_equal(bind(fd, (const struct sockaddr *)&name, sizeof name), 0);
+  assert_int_equal(getsockname(fd, (struct sockaddr *)&name, &name_bytes), 0);
+  snprintf(address, bytes, "tcp:127.0.0.1:%d", ntohs(name.sin_port));
+  return fd;
+}
+
+static void test_the_first_that_answers(void **state) {
+  char dead[64];
+  scripted_peer peer;
+  (void)state;
+  const int fd = take_dead_port(dead, sizeof dead);
+  peer_start(&peer, peer_serve, NULL);
+  const char *const addresses[] = {"unix:/nonexistent/s", dead, peer.address};
+  char *list = list_of(addresses, 3);
+  dipole_client *client = open_client(list, NULL);
+  assert_string_equal(dipole_address(client), peer.address);
+  assert_string_equal(dipole_get_info(client)->address, peer.address);
+  check_eval(client, 5);
+  dipole_close(client);
+  peer_end(&peer);
+  free(list);
+  close(fd);
+}
+
+static void test_nobody_answers(void **state) {
+  char dead[64], list[128];
+  dipole_client *client;
+  dipole_error error;
+  (void)state;
+  const int fd = take_dead_port(dead, sizeof dead);
+  snprintf(list, sizeof list, "unix:/nonexistent/s,%s", dead);
+  assert_false(dipole_open(list, &client, &error));
+  assert_int_equal(error.kind, DIPOLE_ERROR_CONNECT);
+  assert_non_null(strstr(error.text, "/nonexistent/s: No such file")); /* each is named */
+  assert_non_null(strstr(error.text, strrchr(dead, ':') + 1));
+  close(fd);
+}
+
+/* Accepts, and says nothing. */
+static void accept_only(int fd, void *context) {
+  peer_frame request;
+  (void)context;
+  while (peer_receive(fd, &request)) {
+    free(request.payload);
+  }
+}
+
+static void test_one_that_does_not_say_hello(void **state) {
+  dipole_options options = options_of();
+  scripted_peer mute, peer;
+  dipole_client *none;
+  dipole_error error;
+  peer_script *const twice[] = {accept_only, accept_only, NULL};
+  (void)state;
+  options.connect_timeout_ms = 50;
+  peer_start_scripts(&mute, twice, NULL);
+  peer_start(&peer, peer_serve, NULL);
+  const char *const addresses[] = {mute.address, peer.address};
+  char *list = list_of(addresses, 2);
+  const int64_t start_ms = now_ms();
+  dipole_client *client = open_client(list, &options);
+  assert_in_range(now_ms() - start_ms, 50, SOON_MS);
+  check_eval(client, 5);
+  dipole_close(client);
+  assert_false(dipole_open_with(mute.address, &options, &none, &error));
+  assert_int_equal(error.kind, DIPOLE_ERROR_CONNECT);
+  assert_non_null(strstr(error.text, "does not say hello within 50 ms"));
+  peer_end(&mute);
+  peer_end(&peer);
+  free(list);
+}
+
+static void test_opening_again_and_again(void **state) {
+  peer_script *const scripts[] = {peer_be_full, peer_hang_up_at_once, peer_be_full, peer_serve,
+                                  NULL};
+  dipole_options options = options_of();
+  scripted_peer peer;
+  (void)state;
+  options.open_ms = PATIENCE_MS;
+  peer_start_scripts(&peer, scripts, NULL);
+  const int64_t start_ms = now_ms();
+  dipole_client *client = open_client(peer.address, &options);
+  assert_in_range(now_ms() - start_ms, 60, SOON_MS); /* as long as those that were full said */
+  check_eval(client, 5);
+  dipole_close(client);
+  peer_end(&peer);
+}
+
+static void test_opening_ends(void **state) {
+  dipole_options options = options_of();
+  dipole_client *client;
+  dipole_error error;
+  (void)state;
+  options.open_ms = 100;
+  const int64_t start_ms = now_ms();
+  assert_false(
+      dipole_open_with("unix:/nonexistent/a,unix:/nonexistent/b", &options, &client, &error));
+  assert_int_equal(error.kind, DIPOLE_ERROR_CONNECT);
+  assert_in_range(now_ms() - start_ms, 40, SOON_MS);
+}
+
+static void count_and_serve(int fd, void *context) {
+  ++*(unsigned *)context;
+  peer_serve(fd, NULL);
+}
+
+static void test_clients_spread(void **state) {
+  enum { CLIENTS = 64 };
+  peer_script *scripts[CLIENTS + 1] = {0};
+  unsigned counts[2] = {0, 0};
+  dipole_options options = options_of();
+  scripted_peer peers[2];
+  (void)state;
+  for (size_t i = 0; i < CLIENTS; i++) {
+    scripts[i] = count_and_serve;
+  }
+  peer_start_scripts(&peers[0], scripts, &counts[0]);
+  peer_start_scripts(&peers[1], scripts, &counts[1]);
+  const char *const addresses[] = {peers[0].address, peers[1].address};
+  char *list = list_of(addresses, 2);
+  options.spread = true;
+  for (size_t i = 0; i < CLIENTS; i++) {
+    dipole_client *client = open_client(list, &options);
+    check_eval(client, 3);
+    dipole_close(client);
+  }
+  peer_end(&peers[0]);
+  peer_end(&peers[1]);
+  assert_int_equal(counts[0] + counts[1], CLIENTS);
+  assert_true(counts[0] > 0 && counts[1] > 0); /* by chance once in 2^63 */
+  free(list);
+}
+
+/* ---- going on elsewhere -------------------------------------------------------------------- */
+
+typedef struct pair {
+  scripted_peer peers[2];
+  char *list;
+} pair;
+
+static void start_pair(pair *both, peer_script *const *first, peer_script *const *second) {
+  peer_start_scripts(&both->peers[0], first, NULL);
+  peer_start_scripts(&both->peers[1], second, NULL);
+  const char *const addresses[] = {both->peers[0].address, both->peers[1].address};
+  both->list = list_of(addresses, 2);
+}
+
+static void end_pair(pair *both) {
+  peer_end(&both->peers[0]);
+  peer_end(&both->peers[1]);
+  free(both->list);
+}
+
+static void answer_seven(int fd, void *context) {
+  (void)context;
+  peer_say_hello_or_abort(fd);
+  for (unsigned i = 0; i < 7; i++) {
+    peer_frame request;
+    peer_receive_or_abort(fd, &request);
+    peer_answer(fd, &request);
+    free(request.payload);
+  }
+}
+
+/* What the first one did not answer, the second one does; and once that is gone, the first. */
+static void test_round_and_round(void **state) {
+  enum { QUERIES = 25 };
+  peer_script *const first[] = {answer_seven, peer_hang_up_after_request, peer_serve, NULL};
+  peer_script *const second[] = {answer_seven, peer_hang_up_after_hello, NULL};
+  bool collected[QUERIES + 1] = {false};
+  uint64_t ids[QUERIES + 1] = {0};
+  dipole_error error;
+  pair both;
+  (void)state;
+  start_pair(&both, first, second);
+  dipole_client *client = open_client(both.list, NULL);
+  for (uint64_t i = 1; i <= QUERIES; i++) {
+    const dipole_query query = query_of(i);
+    assert_true(dipole_submit(client, &query, &ids[i], &error));
+  }
+  for (unsigned k = 0; k < QUERIES; k++) {
+    uint64_t id = 0, i = 1;
+    dipole_result *result;
+    if (!dipole_collect(client, &id, &result, &error)) {
+      fail_msg("%s", error.text);
+    }
+    while (i <= QUERIES && ids[i] != id) {
+      i++;
+    }
+    assert_true(i <= QUERIES && !collected[i]);
+    collected[i] = true;
+    check_result(result, i);
+  }
+  assert_string_equal(dipole_address(client), both.peers[0].address);
+  assert_string_equal(dipole_get_info(client)->address, both.peers[0].address);
+  dipole_close(client);
+  end_pair(&both);
+}
+
+static void be_silent(int fd, void *context) {
+  peer_say_hello_or_abort(fd);
+  accept_only(fd, context);
+}
+
+static void test_a_silent_one_is_left(void **state) {
+  peer_script *const first[] = {be_silent, NULL};
+  peer_script *const second[] = {peer_serve, NULL};
+  pair both;
+  (void)state;
+  start_pair(&both, first, second);
+  dipole_client *client = open_client(both.list, NULL);
+  dipole_set_timeout_ms(client, 50);
+  check_eval(client, 5);
+  assert_string_equal(dipole_address(client), both.peers[1].address);
+  dipole_close(client);
+  end_pair(&both);
+}
+
+/* Its attempt ends when its share of the time is over, not with the time. */
+static void test_a_dead_one_has_its_share(void **state) {
+  peer_script *const first[] = {peer_hang_up_after_request, peer_serve, NULL};
+  peer_script *const second[] = {accept_only, NULL};
+  dipole_options options = options_of();
+  pair both;
+  (void)state;
+  options.connect_timeout_ms = 0;
+  options.retry_ms = 2000;
+  start_pair(&both, first, second);
+  dipole_client *client = open_client(both.list, &options);
+  const int64_t start_ms = now_ms();
+  check_eval(client, 5);
+  assert_true(now_ms() - start_ms >= 500);
+  assert_string_equal(dipole_address(client), both.peers[0].address);
+  dipole_close(client);
+  end_pair(&both);
+}
+
+/* A daemon whose model 2 is called otherwise. */
+static void serve_other_lists(int fd, void *context) {
+  uint8_t payload[WIRE_BYTES_hello_reply + WIRE_BYTES_choice];
+  wire_hello_reply reply = {
+      .version = 1, .version_min = 1, .version_max = 1, .workers = 1, .choice_count = 1};
+  wire_choice model = {.kind = WIRE_CHOICE_MODEL, .id = 2};
+  peer_frame request;
+  (void)context;
+  WIRE_SET_TEXT(model.name, "worse");
+  wire_put_hello_reply(payload, &reply);
+  wire_put_choice(payload + WIRE_BYTES_hello_reply, &model);
+  peer_receive_or_abort(fd, &request);
+  peer_send(fd, WIRE_TYPE_HELLO | WIRE_REPLY, request.header.request_id, payload, sizeof payload);
+  free(request.payload);
+  if (peer_receive(fd, &request)) {
+    abort(); /* whatever it is, it has another meaning here */
+  }
+}
+
+static void test_one_with_other_lists_is_passed_over(void **state) {
+  peer_script *const first[] = {peer_hang_up_after_request, peer_serve, NULL};
+  peer_script *const second[] = {serve_other_lists, NULL};
+  pair both;
+  (void)state;
+  start_pair(&both, first, second);
+  dipole_client *client = open_client(both.list, NULL);
+  check_eval(client, 5);
+  assert_string_equal(dipole_address(client), both.peers[0].address);
+  dipole_close(client);
+  end_pair(&both);
+}
+
+static void test_all_are_gone(void **state) {
+  peer_script *const first[] = {peer_hang_up_after_request, NULL};
+  peer_script *const second[] = {peer_hang_up_at_once, NULL};
+  const dipole_query query = query_of(5);
+  dipole_options options = options_of();
+  dipole_result *result;
+  dipole_error error;
+  pair both;
+  (void)state;
+  options.retry_ms = 300;
+  start_pair(&both, first, second);
+  dipole_client *client = open_client(both.list, &options);
+  const int64_t start_ms = now_ms();
+  for (unsigned i = 0; i < 2; i++) {
+    assert_false(dipole_eval(client, &query, &result, &error));
+    assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
+    assert_non_null(strstr(error.text, "connecting again failed"));
+  }
+  assert_true(now_ms() - start_ms < SOON_MS);
+  dipole_close(client);
+  end_pair(&both);
+}
+
+/* ---- private daemons ----------------------------------------------------------------------- */
+
+/* The daemon of the build that this program is of. */
+static void private_address(char *address, size_t bytes) {
+  char path[PATH_MAX];
+  const ssize_t length = readlink("/proc/self/exe", path, sizeof path - 1);
+  assert_true(length > 0);
+  path[length] = '\0';
+  for (unsigned i = 0; i < 3; i++) { /* BUILD/tests/unit/program */
+    *strrchr(path, '/') = '\0';
+  }
+  snprintf(address, bytes, "private:%s/dipoled", path);
+}
+
+/* Where somebody wants that, there is another one in its place. */
+static void test_a_private_daemon_that_dies(void **state) {
+  char address[PATH_MAX + 32];
+  dipole_error error;
+  (void)state;
+  private_address(address, sizeof address);
+  dipole_client *client = open_client(address, NULL);
+  const pid_t first = client->daemon;
+  assert_true(first > 0 && dipole_ping(client, &error));
+  dipole_set_retry_ms(client, PATIENCE_MS);
+  assert_int_equal(kill(first, SIGKILL), 0);
+  if (!dipole_ping(client, &error)) {
+    fail_msg("%s", error.text);
+  }
+  assert_true(client->daemon > 0 && client->daemon != first);
+  assert_int_equal(kill(first, 0), -1); /* nothing is left of it */
+  dipole_set_retry_ms(client, 0);
+  assert_int_equal(kill(client->daemon, SIGKILL), 0);
+  assert_false(dipole_ping(client, &error));
+  assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
+  dipole_close(client);
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(test_lists),
+      cmocka_unit_test(test_wrong_lists),
+      cmocka_unit_test(test_the_first_that_answers),
+      cmocka_unit_test(test_nobody_answers),
+      cmocka_unit_test(test_one_that_does_not_say_hello),
+      cmocka_unit_test(test_opening_again_and_again),
+      cmocka_unit_test(test_opening_ends),
+      cmocka_unit_test(test_clients_spread),
+      cmocka_unit_test(test_round_and_round),
+      cmocka_unit_test(test_a_silent_one_is_left),
+      cmocka_unit_test(test_a_dead_one_has_its_share),
+      cmocka_unit_test(test_one_with_other_lists_is_passed_over),
+      cmocka_unit_test(test_all_are_gone),
+      cmocka_unit_test(test_a_private_daemon_that_dies),
+  };
+  return cmocka_run_group_tests(tests, make_radii, NULL);
+}

@@ -1,0 +1,506 @@
+/* libdipole and answers into the caller's memory: the right values, and not a byte beside them,
+ * whatever the shape, however the answer comes, and whatever happens to it. */
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+#include "tests/unit/peer_scripts.h"
+
+enum { RADII = 301, MEDIA = 2, PATIENCE_MS = 20000, GUARD = 64, UNTOUCHED = 0xa5 };
+
+static const dipole_medium media[MEDIA] = {
+    {.sigma_a_per_mm = 0.25, .sigma_s_per_mm = 1, .eta = 1.3},
+    {.sigma_a_per_mm = 0.5, .sigma_s_per_mm = 2, .eta = 1}};
+static double radii_f64[RADII];
+static float radii_f32[RADII];
+
+static int make_radii(void **state) {
+  (void)state;
+  for (size_t i = 0; i < RADII; i++) {
+    radii_f32[i] = (float)i / 8;
+    radii_f64[i] = (double)radii_f32[i];
+  }
+  return 0;
+}
+
+/* What the peer makes of a radius; the order is that of the arrays. */
+static const struct {
+  unsigned quantity;
+  double factor;
+} quantities[] = {{DIPOLE_R, 2}, {DIPOLE_CDF, 0.25}, {DIPOLE_S, 3}};
+enum { QUANTITIES = sizeof quantities / sizeof quantities[0] };
+
+/* Memory of the caller with a guard on both sides. */
+typedef struct room {
+  uint8_t *bytes;
+  size_t count;
+} room;
+
+static room room_for(size_t count) {
+  const room made = {malloc(count + 2 * GUARD), count};
+  assert_non_null(made.bytes);
+  memset(made.bytes, UNTOUCHED, count + 2 * GUARD);
+  return made;
+}
+
+static void *inside(const room *of) {
+  return of->bytes + GUARD;
+}
+
+static void check_untouched(const uint8_t *bytes, size_t count) {
+  for (size_t i = 0; i < count; i++) {
+    assert_int_equal(bytes[i], UNTOUCHED);
+  }
+}
+
+static void end_room(room *of) {
+  check_untouched(of->bytes, GUARD);
+  check_untouched(of->bytes + GUARD + of->count, GUARD);
+  free(of->bytes);
+}
+
+typedef struct question {
+  dipole_query query;
+  size_t value_bytes;
+  room values, radii;
+} question;
+
+static question question_of(unsigned evaluator, unsigned wanted, uint64_t count) {
+  question made = {.value_bytes = evaluator == DIPOLE_F64 ? sizeof(double) : sizeof(float)};
+  size_t arrays = 0;
+  for (size_t q = 0; q < QUANTITIES; q++) {
+    arrays += (wanted & quantities[q].quantity) != 0;
+  }
+  made.values = room_for(MEDIA * arrays * count * made.value_bytes);
+  made.radii = room_for((wanted & DIPOLE_RADIUS) != 0 ? count * made.value_bytes : 0);
+  made.query =
+      (dipole_query){.model = 2,
+                     .evaluator = evaluator,
+                     .moments = DIPOLE_EXACT,
+                     .wanted = wanted,
+                     .media = media,
+                     .medium_count = MEDIA,
+                     .spacing = DIPOLE_LIST,
+                     .radii = evaluator == DIPOLE_F64 ? (const void *)radii_f64 : radii_f32,
+                     .radius_count = count,
+                     .into_values = inside(&made.values),
+                     .into_radii = inside(&made.radii)};
+  return made;
+}
+
+static void end_question(question *of) {
+  end_room(&of->values);
+  end_room(&of->radii);
+}
+
+static double value_at(const void *values, size_t value_bytes, uint64_t i) {
+  return value_bytes == sizeof(double) ? ((const double *)values)[i]
+                                       : (double)((const float *)values)[i];
+}
+
+static void check_array(const question *of, const void *values, const void *place, double factor) {
+  assert_ptr_equal(values, place);
+  for (uint64_t i = 0; i < of->query.radius_count; i++) {
+    assert_true(value_at(values, of->value_bytes, i) == factor * radii_f64[i]);
+  }
+}
+
+/* Where each array is, and what is in it; frees the result. */
+static void check_result(const question *of, dipole_result *result) {
+  const bool single = of->value_bytes == sizeof(float);
+  const size_t array_bytes = of->query.radius_count * of->value_bytes;
+  const uint8_t *place = inside(&of->values);
+  assert_int_equal(result->radius_count, of->query.radius_count);
+  for (uint32_t c = 0; c < MEDIA; c++) {
+    assert_true(result->channels[c].albedo == media[c].sigma_a_per_mm);
+    for (size_t q = 0; q < QUANTITIES; q++) {
+      if ((of->query.wanted & quantities[q].quantity) != 0) {
+        const unsigned quantity = quantities[q].quantity;
+        check_array(of,
+                    single ? (const void *)dipole_values_f32(result, c, quantity)
+                           : dipole_values_f64(result, c, quantity),
+                    place, quantities[q].factor);
+        place += array_bytes;
+      }
+    }
+  }
+  if ((of->query.wanted & DIPOLE_RADIUS) != 0) {
+    check_array(of, single ? (const void *)result->radius_f32 : result->radius_f64,
+                inside(&of->radii), 1);
+  }
+  const void *R = single ? (const void *)result->channels[0].R_f32 : result->channels[0].R_f64;
+  assert_ptr_equal(R, (of->query.wanted & DIPOLE_R) != 0 ? inside(&of->values) : NULL);
+  dipole_result_free(result);
+}
+
+static dipole_client *open_client(const scripted_peer *peer) {
+  dipole_options options;
+  dipole_client *client;
+  dipole_error error;
+  dipole_options_init(&options);
+  options.timeout_ms = options.retry_ms = PATIENCE_MS;
+  if (!dipole_open_with(peer->address, &options, &client, &error)) {
+    fail_msg("%s", error.text);
+  }
+  return client;
+}
+
+static void ask(dipole_client *client, unsigned evaluator, unsigned wanted, uint64_t count) {
+  question asked = question_of(evaluator, wanted, count);
+  dipole_result *result;
+  dipole_error error;
+  if (!dipole_eval(client, &asked.query, &result, &error)) {
+    fail_msg("%s", error.text);
+  }
+  check_result(&asked, result);
+  end_question(&asked);
+}
+
+static const unsigned all = DIPOLE_R | DIPOLE_ALBEDO | DIPOLE_CDF | DIPOLE_S | DIPOLE_RADIUS;
+static const unsigned wanted_sets[] = {DIPOLE_R,
+                                       DIPOLE_R | DIPOLE_ALBEDO,
+                                       DIPOLE_CDF | DIPOLE_S | DIPOLE_ALBEDO,
+                                       DIPOLE_ALBEDO,
+                                       DIPOLE_RADIUS | DIPOLE_CDF,
+                                       DIPOLE_RADIUS | DIPOLE_ALBEDO,
+                                       all};
+enum { WANTED_SETS = sizeof wanted_sets / sizeof wanted_sets[0] };
+
+static void ask_all(dipole_client *client) {
+  static const uint64_t counts[] = {0, 1, 2, 3, 7, 8, 64, 255, 300, RADII};
+  for (size_t w = 0; w < WANTED_SETS; w++) {
+    for (size_t i = 0; i < sizeof counts / sizeof counts[0]; i++) {
+      ask(client, DIPOLE_F64, wanted_sets[w], counts[i]);
+      ask(client, DIPOLE_F32, wanted_sets[w], counts[i]);
+    }
+  }
+}
+
+static void test_every_shape(void **state) {
+  scripted_peer peer;
+  (void)state;
+  peer_start(&peer, peer_serve, NULL);
+  dipole_client *client = open_client(&peer);
+  ask_all(client);
+  dipole_close(client);
+  peer_end(&peer);
+}
+
+static uint32_t parts_of(const peer_frame *request, uint64_t each) {
+  wire_eval_request fixed;
+  wire_get_eval_request(request->payload, &fixed);
+  const uint64_t count = fixed.radius_count;
+  return count > each ? (uint32_t)((count + each - 1) / each) : 1;
+}
+
+static void serve_parts(int fd, void *context) {
+  const uint64_t each = *(const uint64_t *)context;
+  peer_frame request;
+  peer_say_hello_or_abort(fd);
+  while (peer_receive(fd, &request)) {
+    const uint32_t parts = parts_of(&request, each);
+    wire_eval_request fixed;
+    wire_get_eval_request(request.payload, &fixed);
+    for (uint32_t part = 0; part < parts; part++) {
+      const uint64_t first = part * each, left = fixed.radius_count - first;
+      uint8_t *payload;
+      const size_t bytes =
+          peer_evaluate_part(&request, first, left < each ? left : each, part, parts, &payload);
+      peer_send(fd, WIRE_TYPE_EVAL | WIRE_REPLY, request.header.request_id, payload, bytes);
+      free(payload);
+    }
+    free(request.payload);
+  }
+}
+
+static void test_parts(void **state) {
+  static const uint64_t sizes[] = {1, 3, 64};
+  (void)state;
+  for (size_t i = 0; i < sizeof sizes / sizeof sizes[0]; i++) {
+    uint64_t each = sizes[i];
+    scripted_peer peer;
+    peer_start(&peer, serve_parts, &each);
+    dipole_client *client = open_client(&peer);
+    ask_all(client);
+    dipole_close(client);
+    peer_end(&peer);
+  }
+}
+
+static void test_many_in_any_order(void **state) {
+  enum { MANY = 30 };
+  question asked[MANY];
+  uint64_t ids[MANY];
+  scripted_peer peer;
+  dipole_error error;
+  (void)state;
+  peer_start(&peer, peer_serve, NULL);
+  dipole_client *client = open_client(&peer);
+  for (size_t i = 0; i < MANY; i++) {
+    asked[i] = question_of(i % 2 != 0 ? DIPOLE_F32 : DIPOLE_F64, wanted_sets[i % WANTED_SETS], i);
+    assert_true(dipole_submit(client, &asked[i].query, &ids[i], &error));
+  }
+  for (size_t k = 0; k < MANY; k++) {
+    const size_t i = k * 7 % MANY;
+    dipole_result *result;
+    if (!dipole_collect_id(client, ids[i], &result, &error)) {
+      fail_msg("%s", error.text);
+    }
+    check_result(&asked[i], result);
+    end_question(&asked[i]);
+  }
+  dipole_close(client);
+  peer_end(&peer);
+}
+
+/* Far more in both directions than sockets hold, and nothing is collected before all is asked. */
+static void test_large_ones_both_ways(void **state) {
+  enum { LARGE = 40001, MANY = 24 };
+  double *radii = malloc(LARGE * sizeof *radii);
+  room places[MANY];
+  uint64_t ids[MANY];
+  scripted_peer peer;
+  dipole_result *result;
+  dipole_error error;
+  (void)state;
+  assert_non_null(radii);
+  for (size_t i = 0; i < LARGE; i++) {
+    radii[i] = (double)i;
+  }
+  peer_start(&peer, peer_serve, NULL);
+  dipole_client *client = open_client(&peer);
+  for (size_t k = 0; k < MANY; k++) {
+    const size_t count = LARGE - k;
+    places[k] = room_for(count * sizeof *radii);
+    const dipole_query query = {.model = 2,
+                                .evaluator = DIPOLE_F64,
+                                .moments = DIPOLE_EXACT,
+                                .wanted = DIPOLE_R,
+                                .media = media,
+                                .medium_count = 1,
+                                .spacing = DIPOLE_LIST,
+                                .radii = radii,
+                                .radius_count = count,
+                                .into_values = inside(&places[k])};
+    assert_true(dipole_submit(client, &query, &ids[k], &error));
+  }
+  for (size_t k = MANY; k-- > 0;) {
+    assert_true(dipole_collect_id(client, ids[k], &result, &error));
+    const double *R = inside(&places[k]);
+    assert_ptr_equal(result->channels[0].R_f64, R);
+    for (size_t i = 0; i < LARGE - k; i++) {
+      assert_true(R[i] == 2 * radii[i]);
+    }
+    dipole_result_free(result);
+    end_room(&places[k]);
+  }
+  dipole_close(client);
+  peer_end(&peer);
+  free(radii);
+}
+
+/* ---- what goes wrong ----------------------------------------------------------------------- */
+
+static void test_a_place_for_all_or_for_nothing(void **state) {
+  scripted_peer peer;
+  dipole_result *result;
+  dipole_error error;
+  (void)state;
+  peer_start(&peer, peer_serve, NULL);
+  dipole_client *client = open_client(&peer);
+  question asked = question_of(DIPOLE_F64, all, 5);
+  dipole_query no_values = asked.query, no_radii = asked.query;
+  no_values.into_values = NULL;
+  no_radii.into_radii = NULL;
+  assert_false(dipole_eval(client, &no_values, &result, &error));
+  assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
+  assert_false(dipole_eval(client, &no_radii, &result, &error));
+  assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
+  end_question(&asked);
+  ask(client, DIPOLE_F64, all, 5);
+  dipole_close(client);
+  peer_end(&peer);
+}
+
+/* All of an answer as bytes, to be freed. Of garbled ones only the head is good. */
+static uint8_t *make_answer(const peer_frame *request, bool garbled, size_t *count) {
+  uint8_t *payload;
+  const size_t payload_bytes = peer_evaluate(request, &payload);
+  const wire_header header = {.magic = WIRE_MAGIC,
+                              .version = WIRE_VERSION,
+                              .type = WIRE_TYPE_EVAL | WIRE_REPLY,
+                              .request_id = request->header.request_id,
+                              .payload_bytes = (uint32_t)payload_bytes};
+  const size_t head_bytes = WIRE_BYTES_eval_reply + MEDIA * WIRE_BYTES_channel;
+  *count = WIRE_BYTES_header + payload_bytes;
+  uint8_t *bytes = malloc(*count);
+  if (bytes == NULL) {
+    abort();
+  }
+  wire_put_header(bytes, &header);
+  memcpy(bytes + WIRE_BYTES_header, payload, payload_bytes);
+  if (garbled) {
+    memset(bytes + WIRE_BYTES_header + head_bytes, 0xff, payload_bytes - head_bytes);
+  }
+  free(payload);
+  return bytes;
+}
+
+/* Sends the answer up to so many bytes before its end, with values that must not stay. */
+static void hang_up_before_the_end(int fd, void *context) {
+  peer_frame request;
+  size_t count;
+  peer_say_hello_or_abort(fd);
+  peer_receive_or_abort(fd, &request);
+  uint8_t *bytes = make_answer(&request, true, &count);
+  const size_t before = *(const size_t *)context;
+  peer_send_bytes(fd, bytes, before < count ? count - before : 0);
+  free(bytes);
+  free(request.payload);
+}
+
+static void test_lost_and_asked_again(void **state) {
+  static const size_t before_the_end[] = {1, 4, 12, 20, 100, 1000, 2500, 3000, 5000};
+  peer_script *const scripts[] = {hang_up_before_the_end, peer_serve, NULL};
+  (void)state;
+  for (size_t i = 0; i < sizeof before_the_end / sizeof before_the_end[0]; i++) {
+    size_t before = before_the_end[i];
+    scripted_peer peer;
+    peer_start_scripts(&peer, scripts, &before);
+    dipole_client *client = open_client(&peer);
+    ask(client, i % 2 != 0 ? DIPOLE_F32 : DIPOLE_F64, all, 101);
+    ask(client, DIPOLE_F64, all, 9);
+    dipole_close(client);
+    peer_end(&peer);
+  }
+}
+
+static void refuse(int fd, void *context) {
+  peer_frame request;
+  (void)context;
+  peer_say_hello_or_abort(fd);
+  peer_receive_or_abort(fd, &request);
+  peer_send_error(fd, request.header.request_id, WIRE_STATUS_BAD_VALUE, 0);
+  free(request.payload);
+  while (peer_receive(fd, &request)) {
+    peer_answer(fd, &request);
+    free(request.payload);
+  }
+}
+
+static void test_refused(void **state) {
+  scripted_peer peer;
+  dipole_result *result;
+  dipole_error error;
+  (void)state;
+  peer_start(&peer, refuse, NULL);
+  dipole_client *client = open_client(&peer);
+  question asked = question_of(DIPOLE_F64, all, 5);
+  assert_false(dipole_eval(client, &asked.query, &result, &error));
+  assert_int_equal(error.kind, DIPOLE_ERROR_REFUSED);
+  check_untouched(inside(&asked.values), asked.values.count);
+  end_question(&asked);
+  ask(client, DIPOLE_F64, all, 5);
+  dipole_close(client);
+  peer_end(&peer);
+}
+
+/* Sends so many bytes of the first answer, waits for the second request, sends the rest and the
+ * second answer. */
+static void pause_in_the_answer(int fd, void *context) {
+  const size_t before = *(const size_t *)context;
+  peer_frame first, second;
+  size_t count;
+  peer_say_hello_or_abort(fd);
+  peer_receive_or_abort(fd, &first);
+  uint8_t *bytes = make_answer(&first, false, &count);
+  const size_t at_first = before < count ? before : count;
+  peer_send_bytes(fd, bytes, at_first);
+  peer_receive_or_abort(fd, &second);
+  peer_send_bytes(fd, bytes + at_first, count - at_first);
+  peer_answer(fd, &second);
+  free(bytes);
+  free(first.payload);
+  free(second.payload);
+}
+
+/* From then on the memory is the caller's own, wherever in the answer the call has ended. */
+static void test_given_up(void **state) {
+  static const size_t sent[] = {0, 1, 30, 200, 300, 304, 1000, 2000, 4000, 100000};
+  (void)state;
+  for (size_t i = 0; i < sizeof sent / sizeof sent[0]; i++) {
+    size_t bytes = sent[i];
+    scripted_peer peer;
+    dipole_result *result;
+    dipole_error error;
+    peer_start(&peer, pause_in_the_answer, &bytes);
+    dipole_client *client = open_client(&peer);
+    question asked = question_of(i % 2 != 0 ? DIPOLE_F32 : DIPOLE_F64, all, 101);
+    dipole_set_call_timeout_ms(client, 20);
+    const bool answered = dipole_eval(client, &asked.query, &result, &error);
+    dipole_set_call_timeout_ms(client, 0);
+    if (answered) { /* all of it was sent at first */
+      check_result(&asked, result);
+    } else {
+      assert_int_equal(error.kind, DIPOLE_ERROR_TIMEOUT);
+    }
+    memset(inside(&asked.values), UNTOUCHED, asked.values.count);
+    memset(inside(&asked.radii), UNTOUCHED, asked.radii.count);
+    ask(client, DIPOLE_F64, all, 9);
+    check_untouched(inside(&asked.values), asked.values.count);
+    check_untouched(inside(&asked.radii), asked.radii.count);
+    end_question(&asked);
+    dipole_close(client);
+    peer_end(&peer);
+  }
+}
+
+/* Answers other radii than were asked for: too few, or some that are not at the beginning. */
+static void lie(int fd, void *context) {
+  const bool parts = *(const bool *)context;
+  peer_frame request;
+  uint8_t *payload;
+  peer_say_hello_or_abort(fd);
+  peer_receive_or_abort(fd, &request);
+  const size_t bytes = peer_evaluate_part(&request, parts ? 4 : 0, 5, 0, 1, &payload);
+  peer_send(fd, WIRE_TYPE_EVAL | WIRE_REPLY, request.header.request_id, payload, bytes);
+  free(payload);
+  free(request.payload);
+}
+
+static void test_lies_are_not_written(void **state) {
+  (void)state;
+  for (unsigned i = 0; i < 2; i++) {
+    bool parts = i != 0;
+    scripted_peer peer;
+    dipole_result *result;
+    dipole_error error;
+    peer_start(&peer, lie, &parts);
+    dipole_client *client = open_client(&peer);
+    question asked = question_of(DIPOLE_F64, DIPOLE_R, parts ? 9 : 7);
+    assert_false(dipole_eval(client, &asked.query, &result, &error));
+    assert_int_equal(error.kind, DIPOLE_ERROR_PROTOCOL);
+    check_untouched(inside(&asked.values), asked.values.count);
+    end_question(&asked);
+    dipole_close(client);
+    peer_end(&peer);
+  }
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(test_every_shape),
+      cmocka_unit_test(test_parts),
+      cmocka_unit_test(test_many_in_any_order),
+      cmocka_unit_test(test_large_ones_both_ways),
+      cmocka_unit_test(test_a_place_for_all_or_for_nothing),
+      cmocka_unit_test(test_lost_and_asked_again),
+      cmocka_unit_test(test_refused),
+      cmocka_unit_test(test_given_up),
+      cmocka_unit_test(test_lies_are_not_written),
+  };
+  return cmocka_run_group_tests(tests, make_radii, NULL);
+}
