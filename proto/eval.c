@@ -12,10 +12,6 @@ static unsigned all_quantities(void) {
   return all;
 }
 
-size_t eval_value_bytes(unsigned evaluator) {
-  return core_evaluator_bytes(evaluator);
-}
-
 bool eval_is_array(unsigned wanted, unsigned quantity) {
   return (wanted & quantity) != 0 && core_quantity_elementwise(quantity);
 }
@@ -69,7 +65,7 @@ static wire_error parse_radii(const uint8_t *at, size_t remaining, eval_request 
                            fixed->radius_start != 0 ? "radius_start" : "radius_stop",
                            "0 when the radii are a list");
   }
-  const size_t value_bytes = eval_value_bytes(fixed->evaluator);
+  const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
   if (fixed->radius_count > remaining / value_bytes) {
     return wire_error_make(WIRE_STATUS_BAD_COUNT, "radius_count",
                            "no more radii than the payload holds after media and parameters");
@@ -146,7 +142,7 @@ static bool array_room(unsigned wanted, uint32_t channel_count, uint64_t max_pay
 
 bool eval_reply_layout(unsigned evaluator, unsigned wanted, uint32_t channel_count,
                        uint64_t radius_count, uint64_t max_payload_bytes, eval_layout *layout) {
-  const size_t value_bytes = eval_value_bytes(evaluator);
+  const size_t value_bytes = core_evaluator_bytes(evaluator);
   uint64_t arrays;
   uint64_t room;
   if (!array_room(wanted, channel_count, max_payload_bytes, layout, &arrays, &room) ||
@@ -169,7 +165,7 @@ uint64_t eval_part_radii(unsigned evaluator, unsigned wanted, uint32_t channel_c
   if (!array_room(wanted, channel_count, max_payload_bytes, &layout, &arrays, &room)) {
     return 0;
   }
-  return arrays > 0 ? room / eval_value_bytes(evaluator) / EVAL_PART_RADII * EVAL_PART_RADII
+  return arrays > 0 ? room / core_evaluator_bytes(evaluator) / EVAL_PART_RADII * EVAL_PART_RADII
                     : UINT64_MAX;
 }
 
@@ -188,7 +184,7 @@ bool eval_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_eval_re
     return false;
   }
   wire_get_eval_reply(payload, fixed);
-  if (eval_value_bytes(fixed->evaluator) == 0 || (fixed->wanted & ~all_quantities()) != 0) {
+  if (core_evaluator_bytes(fixed->evaluator) == 0 || (fixed->wanted & ~all_quantities()) != 0) {
     return false;
   }
   return fixed->part < fixed->part_count &&

@@ -20,10 +20,6 @@ typedef struct eval_request {
   const void *radii; /* a list: fixed.radius_count of double or float; NULL for a grid */
 } eval_request;
 
-/* Bytes of one radius or value: 8 for f64, 4 for f32; 0 for an evaluator that is not in the list.
- */
-size_t eval_value_bytes(unsigned evaluator);
-
 /* Takes a payload apart. Shape only: ids and counts that the layout depends on are checked, as are
  * the ids of the parameters, the exact length and zero padding; the values are core's to check. */
 wire_error eval_request_parse(const uint8_t *payload, size_t payload_bytes, eval_request *request);

@@ -161,7 +161,7 @@ static enum outcome answer_EVAL(struct question *question) {
   }
   uint8_t *reply = begin_reply(question, (size_t)job->layout.payload_bytes);
   if (reply == NULL) {
-    job_forgive(job, question->place->scratch);
+    backlog_forgive(&question->place->scratch->backlog, &job->share);
     return busy(question);
   }
   job_start(job, reply);

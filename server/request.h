@@ -8,10 +8,10 @@
 #include "server/table_job.h"
 
 enum request_outcome {
-  REQUEST_ANSWERED, /* the answer has been committed to the output */
-  REQUEST_REFUSED,  /* an error has */
-  REQUEST_BEGUN,    /* a Monte Carlo job will answer */
-  REQUEST_STARTED,  /* the job is to be run; its reply has been reserved */
+  REQUEST_ANSWERED,      /* the answer has been committed to the output */
+  REQUEST_REFUSED,       /* an error has */
+  REQUEST_BEGUN,         /* a Monte Carlo job will answer */
+  REQUEST_STARTED,       /* the job is to be run; its reply has been reserved */
   REQUEST_TABLE_STARTED, /* the table job is to be run */
   REQUEST_NO_ROOM,       /* not even an error could be put into the output */
 };

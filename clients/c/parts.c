@@ -57,7 +57,7 @@ static bool begin(libdipole_pending *pending, const libdipole_frame *first,
 /* Of one array: what the part holds of it, into its place. */
 static void copy_array(libdipole_frame *to, uint64_t to_offset, const libdipole_frame *part,
                        uint64_t part_offset, const wire_eval_reply *fixed) {
-  const size_t value_bytes = eval_value_bytes(fixed->evaluator);
+  const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
   memcpy(to->payload + to_offset + fixed->radius_first * value_bytes, part->payload + part_offset,
          (size_t)fixed->radius_count * value_bytes);
 }

@@ -19,7 +19,7 @@ static bool submit(dipole_client *client, const dipole_query *query, libdipole_r
                                .reader = reader};
   /* What is so large that nothing could hold it is asked for all the same: the daemon's refusal
    * says what the limit is. */
-  if (eval_value_bytes(query->evaluator) > 0 &&
+  if (core_evaluator_bytes(query->evaluator) > 0 &&
       eval_reply_layout(query->evaluator, query->wanted, query->medium_count, query->radius_count,
                         UINT64_MAX, &layout)) {
     pending.reply_bytes_min = layout.radius_offset; /* of a part: with its channels */
@@ -66,7 +66,7 @@ static void get_channel(const libdipole_frame *frame, const eval_layout *layout,
 /* Of any model the daemon chooses the evaluator, but not the type of the values. */
 static bool is_asked_for(const libdipole_pending *pending, const wire_eval_reply *fixed) {
   return pending->model == DIPOLE_ANY_MODEL
-             ? eval_value_bytes(fixed->evaluator) == eval_value_bytes(pending->evaluator)
+             ? core_evaluator_bytes(fixed->evaluator) == core_evaluator_bytes(pending->evaluator)
              : fixed->evaluator == pending->evaluator;
 }
 
@@ -196,7 +196,7 @@ static const void *values(const dipole_result *result, uint32_t channel, unsigne
                           size_t value_bytes) {
   const libdipole_frame *frame = (const libdipole_frame *)(const void *)result;
   eval_layout layout;
-  if (eval_value_bytes(result->evaluator) != value_bytes || channel >= result->channel_count ||
+  if (core_evaluator_bytes(result->evaluator) != value_bytes || channel >= result->channel_count ||
       !eval_is_array(result->wanted, quantity) ||
       !eval_reply_layout(result->evaluator, result->wanted, result->channel_count,
                          result->radius_count, frame->payload_bytes, &layout)) {

@@ -98,7 +98,7 @@ static void make_request(struct bytes *to) {
       .radius_stop = list ? 0 : 1,
   };
   const size_t radii_bytes =
-      list ? (size_t)fixed.radius_count * eval_value_bytes(fixed.evaluator) : 0;
+      list ? (size_t)fixed.radius_count * core_evaluator_bytes(fixed.evaluator) : 0;
   memset(to, 0, sizeof *to);
   to->length = (size_t)eval_request_bytes(medium_count, parameter_count, radii_bytes);
   wire_put_eval_request(to->at, &fixed);
@@ -190,7 +190,7 @@ static void check_refusal(const wire_error *error) {
 /* What was taken lies inside the payload and fills it; every byte of it is read. */
 static void check_taken(const eval_request *request, const uint8_t *payload, size_t payload_bytes) {
   const wire_eval_request *fixed = &request->fixed;
-  const size_t value_bytes = eval_value_bytes(fixed->evaluator);
+  const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
   assert_true(value_bytes == 4 || value_bytes == 8);
   assert_ptr_equal(request->media, payload + WIRE_BYTES_eval_request);
   assert_in_range(fixed->medium_count, 1, payload_bytes / WIRE_BYTES_medium);
@@ -297,7 +297,7 @@ static void layouts_do_not_wrap(void **unused) {
     const uint64_t radii = interesting();
     const uint64_t most = random_below(2) ? interesting() : 67108864;
     const unsigned per_channel = (unsigned)__builtin_popcount(wanted & quantity_bits(true));
-    const unsigned __int128 values = (unsigned __int128)radii * eval_value_bytes(evaluator);
+    const unsigned __int128 values = (unsigned __int128)radii * core_evaluator_bytes(evaluator);
     const unsigned __int128 arrays =
         (unsigned __int128)channels * per_channel + ((wanted & 8) >> 3);
     const unsigned __int128 needed = WIRE_BYTES_eval_reply +
