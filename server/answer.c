@@ -22,16 +22,21 @@ void answer_init(struct connection *c) {
   c->job.order.context = c;
   c->table.order.on_ready = on_profile;
   c->table.order.context = c;
+  c->invert.order.on_ready = on_profile;
+  c->invert.order.context = c;
 }
 
 static void let_go(struct connection *c) {
   job_end(&c->job);
   table_job_end(&c->table);
+  invert_job_end(&c->invert);
 }
 
 /* It owes its worker nothing any more. */
 static void forgive(struct connection *c) {
-  backlog_forgive(&worker_scratch(c->worker)->backlog, &c->job.share);
+  struct backlog *backlog = &worker_scratch(c->worker)->backlog;
+  backlog_forgive(backlog, &c->job.share);
+  backlog_forgive(backlog, &c->invert.share);
 }
 
 void answer_end(struct connection *c) {
@@ -44,7 +49,8 @@ bool answer_is_under_way(const struct connection *c) {
 }
 
 bool answer_holds_output(const struct connection *c) {
-  return c->answering == CONNECTION_ANSWERS_EVAL && !c->between_parts;
+  return !c->between_parts &&
+         (c->answering == CONNECTION_ANSWERS_EVAL || c->answering == CONNECTION_ANSWERS_INVERT);
 }
 
 static bool is_late(const struct connection *c) {
@@ -83,7 +89,8 @@ static void answer_frame(struct connection *c, const wire_header *header, const 
     return;
   }
   const struct mc_caller mc = {c->server, worker_loop(c->worker), on_news, c, &c->mc};
-  const struct request_place place = {&c->job, &c->table, worker_scratch(c->worker), &mc};
+  const struct request_place place = {&c->job, &c->table, &c->invert, worker_scratch(c->worker),
+                                      &mc};
   switch (request_begin(c->server, header, payload, &c->output, &place)) {
   case REQUEST_ANSWERED: /* an eval at once: it is short */
     note_answer(c, header->type == WIRE_TYPE_EVAL ? LATENCY_EVAL_SHORT : LATENCY_OTHER);
@@ -101,6 +108,9 @@ static void answer_frame(struct connection *c, const wire_header *header, const 
     break;
   case REQUEST_TABLE_STARTED:
     start(c, header, CONNECTION_ANSWERS_TABLE);
+    break;
+  case REQUEST_INVERT_STARTED:
+    start(c, header, CONNECTION_ANSWERS_INVERT);
     break;
   case REQUEST_NO_ROOM:
     connection_abort(c);
@@ -140,7 +150,7 @@ static bool take_frame(struct connection *c) {
  */
 
 static enum latency_class class_of(const struct connection *c) {
-  if (c->answering != CONNECTION_ANSWERS_EVAL) {
+  if (c->job_header.type != WIRE_TYPE_EVAL) {
     return LATENCY_OTHER;
   }
   return c->job.request.fixed.radius_count <= BATCH_SHORT_RADII ? LATENCY_EVAL_SHORT
@@ -202,15 +212,33 @@ void answer_deadline(struct connection *c) {
 
 static enum job_state run(struct connection *c, uint64_t *budget) {
   struct profiles *profiles = worker_profiles(c->worker);
+  struct job_scratch *scratch = worker_scratch(c->worker);
   if (c->answering == CONNECTION_ANSWERS_EVAL) {
-    return job_slice(&c->job, c->server, profiles, worker_scratch(c->worker), budget);
+    return job_slice(&c->job, c->server, profiles, scratch, budget);
+  }
+  if (c->answering == CONNECTION_ANSWERS_INVERT) {
+    return invert_job_run(&c->invert, c->server, profiles, &scratch->backlog, budget);
   }
   *budget -= *budget < JOB_STEP_RADII ? *budget : JOB_STEP_RADII;
   return table_job_run(&c->table, profiles, c->job_header.request_id, &c->output);
 }
 
 static const wire_error *refusal_of(const struct connection *c) {
-  return c->answering == CONNECTION_ANSWERS_EVAL ? &c->job.refusal : &c->table.refusal;
+  return c->answering == CONNECTION_ANSWERS_EVAL     ? &c->job.refusal
+         : c->answering == CONNECTION_ANSWERS_INVERT ? &c->invert.refusal
+                                                     : &c->table.refusal;
+}
+
+/* A part has been committed, and there is another. */
+static void pause_after_part(struct connection *c) {
+  if (c->answering == CONNECTION_ANSWERS_EVAL) {
+    job_next_part(&c->job);
+  } else {
+    invert_job_next_part(&c->invert);
+  }
+  c->between_parts = true;
+  mc_desk_answer(c->mc, &c->output); /* which else would wait until the last part is there */
+  watch_deadline(c);
 }
 
 static void go_on(struct connection *c, uint64_t *budget) {
@@ -223,10 +251,7 @@ static void go_on(struct connection *c, uint64_t *budget) {
     return;
   case JOB_PART_DONE:
     output_commit(&c->output);
-    job_next_part(&c->job);
-    c->between_parts = true;
-    mc_desk_answer(c->mc, &c->output); /* which else would wait until the last part is there */
-    watch_deadline(c);
+    pause_after_part(c);
     return;
   case JOB_DONE:
     output_commit(&c->output);
@@ -241,26 +266,31 @@ static void go_on(struct connection *c, uint64_t *budget) {
 
 /* Room for the next part; without, what has been sent is all there will be, and the error says so. */
 static void begin_part(struct connection *c) {
+  const bool is_eval = c->answering == CONNECTION_ANSWERS_EVAL;
+  const uint64_t bytes = is_eval ? c->job.layout.payload_bytes : invert_job_part_bytes(&c->invert);
   c->between_parts = false;
-  uint8_t *reply =
-      request_begin_frame(&c->output, c->job_header.type | WIRE_REPLY, c->job_header.request_id,
-                          (size_t)c->job.layout.payload_bytes);
-  if (reply != NULL) {
-    job_start_part(&c->job, reply);
-  } else {
+  uint8_t *reply = request_begin_frame(&c->output, c->job_header.type | WIRE_REPLY,
+                                       c->job_header.request_id, (size_t)bytes);
+  if (reply == NULL) {
     const wire_error busy = job_busy();
     finish(c, &busy);
+  } else if (is_eval) {
+    job_start_part(&c->job, reply);
+  } else {
+    invert_job_start_part(&c->invert, reply);
   }
 }
 
 /* Between two parts; false: not while the reader does not keep up. */
 static bool step_between_parts(struct connection *c) {
   struct backlog *backlog = &worker_scratch(c->worker)->backlog;
+  struct backlog_share *share =
+      c->answering == CONNECTION_ANSWERS_EVAL ? &c->job.share : &c->invert.share;
   if (connection_blocked(c)) {
-    backlog_rest(backlog, &c->job.share);
+    backlog_rest(backlog, share);
     return false;
   }
-  backlog_resume(backlog, &c->job.share);
+  backlog_resume(backlog, share);
   begin_part(c);
   return true;
 }

@@ -9,6 +9,7 @@
 #define DIPOLED_CONNECTION_H
 
 #include "server/input.h"
+#include "server/invert_job.h"
 #include "server/job.h"
 #include "server/mc.h"
 #include "server/output.h"
@@ -23,8 +24,9 @@ enum connection_purpose {
 /* Whose answer is not complete; its frame stays in the input. */
 enum connection_answering {
   CONNECTION_ANSWERS_NOTHING,
-  CONNECTION_ANSWERS_EVAL,
+  CONNECTION_ANSWERS_EVAL, /* or a sample */
   CONNECTION_ANSWERS_TABLE,
+  CONNECTION_ANSWERS_INVERT,
 };
 
 struct connection {
@@ -52,6 +54,7 @@ struct connection {
   enum connection_answering answering;
   struct job job;
   struct table_job table;
+  struct invert_job invert;
   wire_header job_header;
   struct mc_desk *mc; /* its Monte Carlo jobs; NULL: it has had none */
 

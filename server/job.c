@@ -23,7 +23,7 @@ void job_start_part(struct job *job, uint8_t *reply) {
   job->notes = 0;
   job->channel = 0;
   job->index = 0;
-  job->radii_done = (fixed->wanted & CORE_QUANTITY_RADIUS) == 0;
+  job->radii_done = job->draws || (fixed->wanted & CORE_QUANTITY_RADIUS) == 0;
 }
 
 void job_start(struct job *job, uint8_t *reply) {
@@ -90,12 +90,20 @@ void job_end(struct job *job) {
   profiles_return(&job->order);
 }
 
+/* What a radius of a channel costs when all is evaluated by the cheapest means there is. */
+static uint64_t least_cost(const struct job *job) {
+  const unsigned arrays = job->layout.arrays_per_channel;
+  const core_profile dipole = {.evaluator = job->request.fixed.evaluator, .cost = 1};
+  return arrays > 0 && job->draws ? arrays + (uint64_t)core_draw_cost(&dipole) : arrays;
+}
+
 wire_error job_admit(struct job *job, const struct server *server, struct job_scratch *scratch) {
   const wire_eval_request *fixed = &job->request.fixed;
-  const uint64_t arrays = job->layout.arrays_per_channel * (uint64_t)fixed->medium_count;
   /* within max_radii 2^40, and a frame's 2^25 media and eight arrays, for a part of 256 radii */
+  const double radii = (double)fixed->radius_count * fixed->medium_count;
   return backlog_admit(&scratch->backlog, &job->share, &server->options,
-                       (double)fixed->radius_count * (double)arrays, "radius_count");
+                       radii * (double)least_cost(job),
+                       job->draws ? "sample_count" : "radius_count");
 }
 
 /* Writes what holds for all values of the channel. */
@@ -145,20 +153,44 @@ static enum job_state get_profile(struct job *job, struct server *server, struct
   return JOB_GOES_ON;
 }
 
+/* Where the values of a quantity go that is wanted, from the next radius on. */
+static void *place(const struct job *job, enum core_quantity quantity) {
+  return job->reply + eval_array_offset(&job->layout, job_wanted(job), job->channel, quantity) +
+         (size_t)job->index * value_bytes(job);
+}
+
+/* Draws the n radii of a slice, into the reply if they are wanted. */
+static const void *draw_radii(const struct job *job, struct job_scratch *scratch, size_t n) {
+  const bool wanted = eval_is_array(job_wanted(job), CORE_QUANTITY_RADIUS);
+  void *r = wanted ? place(job, CORE_QUANTITY_RADIUS) : scratch->radii;
+  const void *u = scratch->numbers;
+  if (job->request.radii != NULL) {
+    u = listed(job);
+  } else if (value_bytes(job) == sizeof(float)) {
+    core_draw_f32(&job->draw, job->first + job->index, n, (float *)(void *)scratch->numbers);
+  } else {
+    core_draw_f64(&job->draw, job->first + job->index, n, scratch->numbers);
+  }
+  if (value_bytes(job) == sizeof(float)) {
+    core_sample_f32(&job->order.profile, n, u, r);
+  } else {
+    core_sample_f64(&job->order.profile, n, u, r);
+  }
+  return r;
+}
+
 /* Evaluates the n radii of a slice for every array that is wanted, or leaves it to the batch: of
  * a request that is short as a whole. */
 static void evaluate(struct job *job, struct server *server, struct job_scratch *scratch,
                      size_t n) {
   const bool is_short = job->count == n && n <= BATCH_SHORT_RADII && n > 0;
-  const void *r = slice_radii(job, scratch, n);
-  const unsigned wanted = job->request.fixed.wanted;
-  const size_t done = (size_t)job->index * value_bytes(job);
+  const void *r = job->draws ? draw_radii(job, scratch, n) : slice_radii(job, scratch, n);
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
-    if (!eval_is_array(wanted, quantity->id)) {
+    if (!core_quantity_elementwise(quantity->id) ||
+        (job->request.fixed.wanted & quantity->id) == 0) {
       continue;
     }
-    void *to =
-        job->reply + eval_array_offset(&job->layout, wanted, job->channel, quantity->id) + done;
+    void *to = place(job, quantity->id);
     if (is_short &&
         batch_take(&scratch->batch, &server->stats, &job->order, quantity->id, n, r, to)) {
       continue;
@@ -211,8 +243,9 @@ static void channel_step(struct job *job, struct server *server, struct job_scra
                          size_t n) {
   if (job->layout.arrays_per_channel > 0) {
     evaluate(job, server, scratch, n);
-    backlog_pay(&scratch->backlog, &job->share, n * (uint64_t)job->layout.arrays_per_channel);
+    backlog_pay(&scratch->backlog, &job->share, n * least_cost(job));
     stats_count_radii(&server->stats, job->request.fixed.model, n);
+    stats_add(&server->stats, STATS_RADII_DRAWN, job->draws ? n : 0);
     stats_add(&server->stats, STATS_SLICES_EVALUATED, 1);
   }
   if (job->layout.arrays_per_channel == 0 || advance(job, n)) {
@@ -232,6 +265,12 @@ static size_t slice_length(const struct job *job, double cost) {
   return left < most ? (size_t)left : most;
 }
 
+/* Of one radius of the channel. */
+static double cost_of(const struct job *job) {
+  const core_profile *profile = &job->order.profile;
+  return profile->cost + (job->draws ? core_draw_cost(profile) : 0);
+}
+
 enum job_state job_slice(struct job *job, struct server *server, struct profiles *profiles,
                          struct job_scratch *scratch, uint64_t *budget) {
   size_t n;
@@ -245,7 +284,7 @@ enum job_state job_slice(struct job *job, struct server *server, struct profiles
     if (state != JOB_GOES_ON || !job->order.ready) {
       return state;
     }
-    cost = job->order.profile.cost;
+    cost = cost_of(job);
     n = slice_length(job, cost);
     channel_step(job, server, scratch, n);
   }

@@ -1,8 +1,9 @@
-/* job: one eval request being answered, slice by slice. Independent of how requests arrive. */
+/* job: one eval or sample request being answered, slice by slice. Independent of how requests arrive.
+ * A sample is an eval whose radii are drawn first, for each channel. */
 #ifndef DIPOLED_JOB_H
 #define DIPOLED_JOB_H
 
-#include "proto/eval.h"
+#include "proto/sample.h"
 #include "server/backlog.h"
 #include "server/job_state.h"
 #include "server/profiles.h"
@@ -11,8 +12,10 @@
 struct job_scratch;
 
 struct job {
-  eval_request request;
+  eval_request request; /* of a sample: its radii are the numbers u */
   core_grid grid;
+  bool draws;     /* a sample, */
+  core_draw draw; /* and its numbers */
   eval_layout layout;
   uint8_t *reply;              /* payload of the part, layout.payload_bytes */
   struct profiles_order order; /* for the profile of the channel being evaluated */
@@ -37,6 +40,13 @@ struct job {
  * runs. OK: layout.payload_bytes says what the reply, or its first part, needs. */
 wire_error job_check(struct job *job, const struct server *server, const uint8_t *payload,
                      size_t payload_bytes);
+
+/* Likewise, of a sample. */
+wire_error job_check_sample(struct job *job, const struct server *server, const uint8_t *payload,
+                            size_t payload_bytes);
+
+/* What is wanted, as proto/eval.h has it. */
+unsigned job_wanted(const struct job *job);
 
 /* Of job_check.c, for a job that has been checked. The medium of a channel. */
 core_medium job_medium(const struct job *job, uint32_t channel);
@@ -67,10 +77,14 @@ wire_error job_admit(struct job *job, const struct server *server, struct job_sc
  * is. A job that has not been started is all 0, but for who is told: order.on_ready. */
 void job_end(struct job *job);
 
+/* The most that a slice draws: of tables, which cost least. */
+enum { JOB_DRAW_RADII = JOB_SLICE_RADII / 4 };
+
 /* What the jobs of a worker share: room for a slice's radii, for grids whose radii are not wanted; and
  * what is short is gathered, and is in the replies after batch_finish(). */
 struct job_scratch {
   double radii[JOB_SLICE_RADII];
+  double numbers[JOB_DRAW_RADII];
   struct batch batch;
   struct repeat repeat;
   struct backlog backlog;

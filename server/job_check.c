@@ -112,6 +112,21 @@ bool job_choose_again(struct job *job) {
   return take_next(job, &choice);
 }
 
+unsigned job_wanted(const struct job *job) {
+  return job->request.fixed.wanted | (job->draws ? EVAL_DRAWN : 0);
+}
+
+/* What a request says how many radii it wants by. */
+static const char *count_field(const struct job *job) {
+  return job->draws ? "sample_count" : "radius_count";
+}
+
+static wire_error check_medium_count(const struct job *job, const struct server *server) {
+  return job->request.fixed.medium_count > server->options.max_media
+             ? job_too_large("medium_count", server->options.max_media, "media")
+             : wire_error_none();
+}
+
 /* Takes a request apart; what it says of the layout is right. */
 static wire_error parse(struct job *job, const struct server *server, const uint8_t *payload,
                         size_t payload_bytes) {
@@ -120,13 +135,12 @@ static wire_error parse(struct job *job, const struct server *server, const uint
     return error;
   }
   const wire_eval_request *fixed = &job->request.fixed;
+  job->draws = false;
   job->tolerance = (double)NAN;
   job->choice = 0;
   job->grid =
       (core_grid){fixed->spacing, fixed->radius_count, fixed->radius_start, fixed->radius_stop};
-  return fixed->medium_count > server->options.max_media
-             ? job_too_large("medium_count", server->options.max_media, "media")
-             : wire_error_none();
+  return check_medium_count(job, server);
 }
 
 wire_error job_offers(const struct server *server, const uint8_t *payload, size_t payload_bytes,
@@ -152,7 +166,7 @@ bool job_lay_out_part(struct job *job, uint64_t max_bytes) {
   const wire_eval_request *fixed = &job->request.fixed;
   const uint64_t left = fixed->radius_count - job->first;
   job->count = left < job->part_radii ? left : job->part_radii;
-  return eval_reply_layout(fixed->evaluator, fixed->wanted, fixed->medium_count, job->count,
+  return eval_reply_layout(fixed->evaluator, job_wanted(job), fixed->medium_count, job->count,
                            max_bytes, &job->layout);
 }
 
@@ -162,7 +176,7 @@ static wire_error cut(struct job *job, const struct server *server) {
   const wire_eval_request *fixed = &job->request.fixed;
   const struct options *options = &server->options;
   if (fixed->radius_count > options->max_radii) {
-    return job_too_large("radius_count", options->max_radii, "radii");
+    return job_too_large(count_field(job), options->max_radii, "radii");
   }
   job->first = 0;
   job->part = 0;
@@ -175,14 +189,14 @@ static wire_error cut(struct job *job, const struct server *server) {
                                   ? options->max_part_bytes
                                   : options->max_frame_bytes;
   job->part_radii =
-      eval_part_radii(fixed->evaluator, fixed->wanted, fixed->medium_count, most_bytes);
+      eval_part_radii(fixed->evaluator, job_wanted(job), fixed->medium_count, most_bytes);
   if (job->part_radii == 0) {
     return wire_error_make(WIRE_STATUS_TOO_LARGE, "medium_count",
                            "fewer: a part of max_part_bytes has no room for them");
   }
   const uint64_t parts = (fixed->radius_count - 1) / job->part_radii + 1;
   if (parts > UINT32_MAX) { /* 2^40 radii in parts of 256 */
-    return job_too_large("radius_count", UINT32_MAX * job->part_radii,
+    return job_too_large(count_field(job), UINT32_MAX * job->part_radii,
                          "radii in parts as small as these");
   }
   job->part_count = (uint32_t)parts;
@@ -209,5 +223,44 @@ wire_error job_check(struct job *job, const struct server *server, const uint8_t
     job->covers_all = range.least_mm <= 0 && range.most_mm >= (double)INFINITY;
     error = check_range(job, &range);
   }
+  return error.status == WIRE_STATUS_OK ? cut(job, server) : error;
+}
+
+static wire_error check_numbers(const struct job *job) {
+  core_fault fault = core_draw_check(&job->draw);
+  if (fault.field != NULL && strcmp(fault.field, "sample_count") == 0) {
+    return wire_error_make(WIRE_STATUS_BAD_COUNT, fault.field, fault.allowed);
+  }
+  if (fault.field == NULL && job->request.radii != NULL) {
+    const wire_eval_request *fixed = &job->request.fixed;
+    fault = core_evaluator_bytes(fixed->evaluator) == sizeof(float)
+                ? core_numbers_check_f32(fixed->radius_count, job->request.radii)
+                : core_numbers_check_f64(fixed->radius_count, job->request.radii);
+  }
+  return fault.field == NULL ? wire_error_none() : job_error(fault);
+}
+
+wire_error job_check_sample(struct job *job, const struct server *server, const uint8_t *payload,
+                            size_t payload_bytes) {
+  wire_error error = sample_request_parse(payload, payload_bytes, &job->draw, &job->request);
+  if (error.status != WIRE_STATUS_OK) {
+    return error;
+  }
+  job->draws = true;
+  job->tolerance = (double)NAN;
+  job->choice = 0;
+  error = check_medium_count(job, server);
+  core_radii_range range;
+  if (error.status == WIRE_STATUS_OK) {
+    error = check_media(job, &range);
+  }
+  if (error.status != WIRE_STATUS_OK) {
+    return error;
+  }
+  job->covers_all = range.least_mm <= 0 && range.most_mm >= (double)INFINITY;
+  if (!job->covers_all) { /* any radius may be drawn */
+    return wire_error_make(WIRE_STATUS_BAD_VALUE, "model", "a model that covers all radii");
+  }
+  error = check_numbers(job);
   return error.status == WIRE_STATUS_OK ? cut(job, server) : error;
 }

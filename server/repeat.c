@@ -120,7 +120,7 @@ static void forget(struct repeat_entry *entry) {
  * angles are not the profile's own. */
 static bool may_repeat(const struct job *job) {
   const wire_eval_request *fixed = &job->request.fixed;
-  return fixed->medium_count == 1 && job->part_count == 1 && job->count > 0 &&
+  return !job->draws && fixed->medium_count == 1 && job->part_count == 1 && job->count > 0 &&
          job->count <= BATCH_SHORT_RADII && job->covers_all && isnan(job->tolerance) &&
          job->layout.arrays_per_channel > 0 &&
          (fixed->wanted & (CORE_QUANTITY_RADIUS | CORE_QUANTITY_S)) == 0 &&

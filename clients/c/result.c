@@ -81,7 +81,8 @@ static bool is_next_part(const libdipole_pending *pending, const wire_eval_reply
 
 bool libdipole_answer_parse(const libdipole_pending *pending, const libdipole_frame *frame,
                             wire_eval_reply *fixed, eval_layout *layout, dipole_error *error) {
-  if (eval_reply_parse(frame->payload, (size_t)frame->payload_bytes, fixed, layout) &&
+  if (eval_reply_parse(frame->payload, (size_t)frame->payload_bytes,
+                       pending->type == WIRE_TYPE_SAMPLE, fixed, layout) &&
       is_asked_for(pending, fixed) && fixed->wanted == pending->wanted &&
       fixed->channel_count == pending->medium_count && is_next_part(pending, fixed)) {
     return true;

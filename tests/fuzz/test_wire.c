@@ -278,7 +278,7 @@ static void replies_are_refused_or_whole(void **unused) {
     uint8_t *payload = mutated(&bytes);
     wire_eval_reply fixed;
     eval_layout layout;
-    if (eval_reply_parse(payload, bytes.length, &fixed, &layout)) {
+    if (eval_reply_parse(payload, bytes.length, false, &fixed, &layout)) {
       check_reply(payload, bytes.length, &fixed, &layout);
       taken++;
     }

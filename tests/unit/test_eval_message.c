@@ -557,7 +557,7 @@ static void replies_are_taken_apart(void **state) {
   for (size_t length = 0; length < right + 64; length++) {
     wire_eval_reply fixed;
     eval_layout layout;
-    assert_int_equal(eval_reply_parse(bytes, length, &fixed, &layout), length == right);
+    assert_int_equal(eval_reply_parse(bytes, length, false, &fixed, &layout), length == right);
     if (length == right) {
       assert_memory_equal(&fixed, &good_reply, sizeof fixed);
       assert_int_equal(layout.payload_bytes, right);
@@ -569,7 +569,7 @@ static void assert_reply_refused(wire_eval_reply fixed, size_t length) {
   uint8_t bytes[PAYLOAD_MAX] = {0};
   eval_layout layout;
   wire_put_eval_reply(bytes, &fixed);
-  assert_false(eval_reply_parse(bytes, length, &fixed, &layout));
+  assert_false(eval_reply_parse(bytes, length, false, &fixed, &layout));
 }
 
 /* A client does not trust a daemon's counts either. */

@@ -21,8 +21,10 @@ from .errors import (
     Refused,
     TableError,
 )
+from .inversion import Inversion
 from .mc import McEnergy, McProgress, McResult, McValue
 from .parts import Parts
+from .samples import Draw, Samples
 from .table import Table
 from .values import Choice, Grid, Info, Medium, Offer, Offers, Result
 
@@ -35,9 +37,11 @@ __all__ = [
     "Connection",
     "ConnectionLost",
     "DipoleError",
+    "Draw",
     "Frame",
     "Grid",
     "Info",
+    "Inversion",
     "McEnergy",
     "McProgress",
     "McResult",
@@ -49,6 +53,7 @@ __all__ = [
     "ProtocolError",
     "Refused",
     "Result",
+    "Samples",
     "Table",
     "TableError",
 ]
