@@ -16,8 +16,8 @@ static wire_error check_choices(const wire_invert_request *fixed) {
   if (core_choice_by_id(core_moments_list, fixed->moments) == NULL) {
     return wire_error_not_in_list("moments", core_moments_list, "one of");
   }
-  if (core_choice_by_id(core_lengths, fixed->length) == NULL) {
-    return wire_error_not_in_list("length", core_lengths, "one of");
+  if (core_choice_by_id(core_lengths, fixed->given) == NULL) {
+    return wire_error_not_in_list("given", core_lengths, "one of");
   }
   return fixed->zero != 0 ? wire_error_make(WIRE_STATUS_BAD_VALUE, "zero", "0") : wire_error_none();
 }

@@ -114,7 +114,7 @@ static enum job_state end_part(struct invert_job *job) {
   const wire_invert_reply start = {
       .model = fixed->model,
       .moments = fixed->moments,
-      .length = fixed->length,
+      .given = fixed->given,
       .part = job->part,
       .part_count = job->part_count,
       .medium_count = job->count,
@@ -200,7 +200,7 @@ static enum job_state step(struct invert_job *job, struct server *server,
   const uint64_t i = job->first + job->index;
   if (job->reach_known && !job->seeking) {
     job->seeking = true;
-    if (core_inverter_seek(&job->inverter, job->request.albedos[i], job->request.fixed.length,
+    if (core_inverter_seek(&job->inverter, job->request.albedos[i], job->request.fixed.given,
                            job->request.lengths[i])) {
       put_medium(job);
       return JOB_GOES_ON;

@@ -36,6 +36,10 @@ static bool submit(dipole_client *client, const dipole_query *query, libdipole_r
 
 /* ---- answers ------------------------------------------------------------------------------- */
 
+static unsigned wanted_of(const libdipole_frame *frame, unsigned wanted) {
+  return libdipole_wanted(frame->header.type & ~WIRE_REPLY, wanted);
+}
+
 static const void *array_at(const libdipole_frame *frame, const eval_layout *layout,
                             unsigned wanted, uint32_t channel, enum core_quantity quantity) {
   return (wanted & quantity) != 0
@@ -52,8 +56,9 @@ static void get_channel(const libdipole_frame *frame, const eval_layout *layout,
                               .numerical_error = from.numerical_error,
                               .numerical_error_per_mm = from.numerical_error_per_mm,
                               .model_error = from.model_error};
-  const void *R = array_at(frame, layout, fixed->wanted, index, CORE_QUANTITY_R);
-  const void *cdf = array_at(frame, layout, fixed->wanted, index, CORE_QUANTITY_CDF);
+  const unsigned wanted = wanted_of(frame, fixed->wanted);
+  const void *R = array_at(frame, layout, wanted, index, CORE_QUANTITY_R);
+  const void *cdf = array_at(frame, layout, wanted, index, CORE_QUANTITY_CDF);
   if (fixed->evaluator == DIPOLE_F64) {
     channel->R_f64 = R;
     channel->cdf_f64 = cdf;
@@ -94,8 +99,10 @@ bool libdipole_answer_parse(const libdipole_pending *pending, const libdipole_fr
 
 const dipole_result *libdipole_result_make(libdipole_frame *frame, const wire_eval_reply *fixed,
                                            const eval_layout *layout) {
-  const void *radii =
-      (fixed->wanted & CORE_QUANTITY_RADIUS) != 0 ? frame->payload + layout->radius_offset : NULL;
+  const unsigned wanted = wanted_of(frame, fixed->wanted);
+  const bool once =
+      (wanted & CORE_QUANTITY_RADIUS) != 0 && !eval_is_array(wanted, CORE_QUANTITY_RADIUS);
+  const void *radii = once ? frame->payload + layout->radius_offset : NULL;
   dipole_channel *channels = (dipole_channel *)(void *)(frame->payload + frame->payload_bytes);
   for (uint32_t i = 0; i < fixed->channel_count; i++) {
     get_channel(frame, layout, fixed, i, &channels[i]);
@@ -196,14 +203,15 @@ bool dipole_eval_parts(dipole_client *client, const dipole_query *query,
 static const void *values(const dipole_result *result, uint32_t channel, unsigned quantity,
                           size_t value_bytes) {
   const libdipole_frame *frame = (const libdipole_frame *)(const void *)result;
+  const unsigned wanted = wanted_of(frame, result->wanted);
   eval_layout layout;
   if (core_evaluator_bytes(result->evaluator) != value_bytes || channel >= result->channel_count ||
-      !eval_is_array(result->wanted, quantity) ||
-      !eval_reply_layout(result->evaluator, result->wanted, result->channel_count,
-                         result->radius_count, frame->payload_bytes, &layout)) {
+      !eval_is_array(wanted, quantity) ||
+      !eval_reply_layout(result->evaluator, wanted, result->channel_count, result->radius_count,
+                         frame->payload_bytes, &layout)) {
     return NULL;
   }
-  return array_at(frame, &layout, result->wanted, channel, quantity);
+  return array_at(frame, &layout, wanted, channel, quantity);
 }
 
 const double *dipole_values_f64(const dipole_result *result, uint32_t channel, unsigned quantity) {

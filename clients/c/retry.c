@@ -18,6 +18,8 @@ enum { PAUSE_FIRST_MS = 10, PAUSE_MOST_MS = 1000 };
 static bool is_idempotent(uint16_t type) {
   switch (type) {
   case WIRE_TYPE_EVAL:
+  case WIRE_TYPE_SAMPLE:
+  case WIRE_TYPE_INVERT:
   case WIRE_TYPE_OFFERS:
   case WIRE_TYPE_TABLE:
   case WIRE_TYPE_MEDIA:

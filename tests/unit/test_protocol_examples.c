@@ -352,7 +352,7 @@ static void invert_reply_holds_media_as_wanted(void **state) {
       invert_request_parse(payload_of(example), example->header.payload_bytes, &request).status,
       WIRE_STATUS_OK);
   assert_true(invert_reply_parse(payload, answer->header.payload_bytes, &reply));
-  assert_int_equal(request.fixed.length, CORE_LENGTH_DIFFUSE);
+  assert_int_equal(request.fixed.given, CORE_LENGTH_DIFFUSE);
   assert_int_equal(reply.medium_count, request.fixed.medium_count);
   const double *array[INVERT_ARRAYS];
   for (unsigned i = 0; i < INVERT_ARRAYS; i++) {

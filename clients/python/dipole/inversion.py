@@ -45,7 +45,7 @@ class Query(NamedTuple):
     count: int
     model: int
     moments: int
-    length: int
+    given: int
     g: float
     eta: float
 
@@ -86,7 +86,7 @@ class Answer:
         count = fixed.medium_count
         if len(payload) != wire.INVERT_REPLY.bytes + _ARRAYS * 8 * count:
             raise ProtocolError("an invert reply whose size does not fit its count")
-        if (fixed.model, fixed.moments, fixed.length) != query[2:5]:
+        if (fixed.model, fixed.moments, fixed.given) != query[2:5]:
             raise ProtocolError("an invert reply that does not answer the request")
         if (fixed.part, fixed.medium_first) != (self._next_part, self._next_medium):
             raise ProtocolError("an invert reply that is not the next part")
@@ -135,7 +135,7 @@ def request(
     fixed = wire.INVERT_REQUEST.pack(
         model=query.model,
         moments=query.moments,
-        length=query.length,
+        given=query.given,
         medium_count=query.count,
         g=query.g,
         eta=query.eta,
