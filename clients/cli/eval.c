@@ -4,6 +4,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "clients/cli/gnuplot.h"
+
 #define PLOT_FILE "dipole.svg"
 
 #define FIELD(name) offsetof(cli_eval_settings, name)
@@ -90,7 +92,7 @@ static int check(const cli_command *command, const cli_eval_settings *settings) 
     return cli_fail_usage(command, "--deadline-ms: at most %lu", (unsigned long)UINT32_MAX);
   }
   for (size_t i = 0; i < settings->plot.count; i++) {
-    if (!cli_plot_check(command, settings->plot.items[i])) {
+    if (!cli_gnuplot_check(command, settings->plot.items[i])) {
       return CLI_USAGE;
     }
   }

@@ -130,10 +130,7 @@ void cli_eval_write_json(const cli_eval_report *report, FILE *file);
 
 /* ---- plot.c -------------------------------------------------------------------------------- */
 
-/* Whether a picture can be drawn into a file of this name; says what is wrong when it cannot. */
-bool cli_plot_check(const cli_command *command, const char *path);
-
-/* Draws R over r into a file; an exit status. */
+/* Draws R over r into a file, whose name has been checked; an exit status. */
 int cli_plot(const cli_command *command, const cli_eval_report *report, const char *path);
 
 #endif

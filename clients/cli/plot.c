@@ -1,64 +1,10 @@
-/* R over r as a picture, drawn by gnuplot. gnuplot reads its script from one nameless file and
- * writes the picture into another and its complaints into a third, so that no shell, no quoting of
- * file names and no half-written picture are involved. */
-#include <errno.h>
-#include <fcntl.h>
+/* R over r as a picture. */
 #include <math.h>
-#include <spawn.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/wait.h>
-#include <unistd.h>
 
 #include "clients/cli/eval.h"
-
-#define PROGRAM "gnuplot"
-#define PACKAGE "gnuplot-nox"
-
-extern char **environ;
-
-typedef struct picture_format {
-  const char *suffix;
-  const char *terminal; /* with the size in pixels, and fonts of about the same size */
-} picture_format;
-
-static const picture_format formats[] = {
-    {".svg", "svg size %zu,%zu dynamic background rgb 'white' font 'sans,14' noenhanced"},
-    {".png", "pngcairo size %zu,%zu background rgb 'white' font 'sans,11' noenhanced"},
-};
-
-static const picture_format *format_of(const char *path) {
-  const size_t length = strlen(path);
-  for (size_t i = 0; i < sizeof formats / sizeof formats[0]; i++) {
-    const size_t suffix = strlen(formats[i].suffix);
-    if (length > suffix && strcmp(path + length - suffix, formats[i].suffix) == 0) {
-      return &formats[i];
-    }
-  }
-  return NULL;
-}
-
-bool cli_plot_check(const cli_command *command, const char *path) {
-  if (format_of(path) == NULL) {
-    cli_fail_usage(command, "--plot %s: the name must end in .svg or .png", path);
-    return false;
-  }
-  return true;
-}
-
-/* ---- the script ---------------------------------------------------------------------------- */
-
-/* A text for gnuplot, which knows no escape within single quotes but the doubled quote. */
-static void write_quoted(FILE *file, const char *text) {
-  fputc('\'', file);
-  for (; *text != '\0'; text++) {
-    if (*text == '\'') {
-      fputc('\'', file);
-    }
-    fputc(*text, file);
-  }
-  fputc('\'', file);
-}
+#include "clients/cli/gnuplot.h"
 
 /* A radius and value that a logarithmic axis can show: not where R is 0 or infinite. */
 static bool is_drawn(double r_mm, double R) {
@@ -103,14 +49,14 @@ static void write_line(FILE *script, const cli_eval_report *report, size_t profi
   fprintf(script, "$line%zu using 1:2 with ", profile);
   fprintf(script, report->radius_count > 1 ? "lines dt %zu" : "points pt %zu", dash);
   fprintf(script, " lw 2 lc rgb '%s' title ", colour);
-  write_quoted(script, title);
+  cli_gnuplot_text(script, title);
 }
 
 static void write_labels(FILE *script, const cli_eval_report *report, bool r, bool R) {
   char label[96];
   snprintf(label, sizeof label, "R (%s)", report->info->R_unit);
   fprintf(script, "set xlabel '%s'\nset ylabel ", r ? "r (mm)" : "");
-  write_quoted(script, R ? label : "");
+  cli_gnuplot_text(script, R ? label : "");
   fputc('\n', script);
 }
 
@@ -132,7 +78,7 @@ static const char *colour_of(const cli_eval_report *report, size_t channel) {
 static void write_diagram(FILE *script, const cli_eval_report *report) {
   char title[128], channel[64];
   fputs("set key top right\nset title ", script);
-  write_quoted(script, report->medium != NULL ? report->medium : "R(r)");
+  cli_gnuplot_text(script, report->medium != NULL ? report->medium : "R(r)");
   fputc('\n', script);
   write_labels(script, report, true, true);
   for (size_t p = 0; p < report->model_count * report->channel_count; p++) {
@@ -211,7 +157,7 @@ static void write_panel(FILE *script, const cli_eval_report *report, const panel
   char title[64];
   channel_title(report, channel, title, sizeof title);
   fputs("set title ", script);
-  write_quoted(script, title);
+  cli_gnuplot_text(script, title);
   fputc('\n', script);
   write_labels(script, report, channel + p->columns >= report->channel_count,
                channel % p->columns == 0);
@@ -232,7 +178,7 @@ static void write_panels(FILE *script, const cli_eval_report *report, const pane
           p->rows, p->columns, MARGIN_LEFT / width, 1 - LEGEND_WIDTH / width, MARGIN / height,
           1 - MARGIN / height, MARGIN / width, 1.5 * MARGIN / height);
   fputs(" title ", script);
-  write_quoted(script, report->medium != NULL ? report->medium : "R(r)");
+  cli_gnuplot_text(script, report->medium != NULL ? report->medium : "R(r)");
   fputc('\n', script);
   write_range(script, report);
   for (size_t channel = 0; channel < report->channel_count; channel++) {
@@ -241,94 +187,26 @@ static void write_panels(FILE *script, const cli_eval_report *report, const pane
   fputs("unset multiplot\n", script);
 }
 
-static void write_script(FILE *script, const cli_eval_report *report, const picture_format *format,
-                         bool logarithmic_r) {
-  const bool many = report->model_count > FEW_MODELS;
-  const panels p = panels_of(report);
-  fputs("set terminal ", script);
-  fprintf(script, format->terminal, many ? p.width : WIDTH, many ? p.height : HEIGHT);
-  fputs("\nset encoding utf8\nset logscale y\nset format y '%.0e'\nset grid\n", script);
-  fputs(logarithmic_r ? "set logscale x\n" : "", script);
-  write_data(script, report);
-  if (many) {
-    write_panels(script, report, &p);
+typedef struct picture {
+  const cli_eval_report *report;
+  panels panels;
+  bool many;
+  bool logarithmic_r;
+} picture;
+
+static void write_script(FILE *script, const void *context) {
+  const picture *of = context;
+  fputs("set logscale y\nset format y '%.0e'\nset grid\n", script);
+  fputs(of->logarithmic_r ? "set logscale x\n" : "", script);
+  write_data(script, of->report);
+  if (of->many) {
+    write_panels(script, of->report, &of->panels);
   } else {
-    write_diagram(script, report);
+    write_diagram(script, of->report);
   }
 }
 
 /* ---- drawing ------------------------------------------------------------------------------- */
-
-/* The nameless files that gnuplot works with, in the order of its standard streams. */
-enum { SCRIPT, PICTURE, COMPLAINTS, FILES };
-
-/* 0, an errno, or -1 when gnuplot failed. */
-static int run_gnuplot(FILE *const files[FILES]) {
-  char *arguments[] = {PROGRAM, "-", NULL};
-  posix_spawn_file_actions_t actions;
-  pid_t pid;
-  int outcome;
-  int fault = posix_spawn_file_actions_init(&actions);
-  if (fault != 0) {
-    return fault;
-  }
-  for (int i = 0; fault == 0 && i < FILES; i++) {
-    fault = posix_spawn_file_actions_adddup2(&actions, fileno(files[i]), i);
-  }
-  if (fault == 0) {
-    fault = posix_spawnp(&pid, PROGRAM, &actions, NULL, arguments, environ);
-  }
-  posix_spawn_file_actions_destroy(&actions);
-  if (fault != 0) {
-    return fault;
-  }
-  while (waitpid(pid, &outcome, 0) < 0) {
-    if (errno != EINTR) {
-      return errno;
-    }
-  }
-  return WIFEXITED(outcome) && WEXITSTATUS(outcome) == 0 ? 0 : -1;
-}
-
-static bool copy(FILE *from, FILE *to) {
-  char bytes[8192];
-  size_t count;
-  rewind(from);
-  while ((count = fread(bytes, 1, sizeof bytes, from)) > 0) {
-    fwrite(bytes, 1, count, to);
-  }
-  return !ferror(from) && !ferror(to);
-}
-
-static bool copy_to(FILE *from, const char *path) {
-  FILE *to = fopen(path, "wbe");
-  if (to == NULL) {
-    return false;
-  }
-  const bool good = copy(from, to);
-  return fclose(to) == 0 && good;
-}
-
-static int draw(const cli_command *command, FILE *const files[FILES], const char *path) {
-  const int fault = run_gnuplot(files);
-  if (fault == ENOENT) {
-    return cli_fail(command,
-                    "--plot %s: " PROGRAM " is not installed; install the package " PACKAGE, path);
-  }
-  if (fault != 0) {
-    copy(files[COMPLAINTS], stderr);
-    return cli_fail(command, "--plot %s: " PROGRAM " failed%s%s", path, fault > 0 ? ": " : "",
-                    fault > 0 ? strerror(fault) : "");
-  }
-  fseek(files[PICTURE], 0, SEEK_END);
-  if (ftell(files[PICTURE]) <= 0) {
-    return cli_fail(command, "--plot %s: " PROGRAM " drew nothing", path);
-  }
-  if (!copy_to(files[PICTURE], path)) {
-    return cli_fail(command, "--plot %s: cannot write it: %s", path, strerror(errno));
-  }
-  return CLI_OK;
-}
 
 /* Radii in equal ratios are evenly spread on a logarithmic axis only. */
 static bool has_equal_ratios(const cli_eval_report *report) {
@@ -339,30 +217,15 @@ static bool has_equal_ratios(const cli_eval_report *report) {
 }
 
 int cli_plot(const cli_command *command, const cli_eval_report *report, const char *path) {
-  FILE *files[FILES] = {NULL};
-  int status = CLI_OK;
   if (count_drawn(report) == 0) {
     return cli_fail(
         command, "--plot %s: R is 0 or infinite at every radius: a logarithmic axis shows nothing",
         path);
   }
-  for (int i = 0; status == CLI_OK && i < FILES; i++) {
-    files[i] = tmpfile();
-    if (files[i] == NULL || fcntl(fileno(files[i]), F_SETFD, FD_CLOEXEC) != 0) {
-      status =
-          cli_fail(command, "--plot %s: cannot make a temporary file: %s", path, strerror(errno));
-    }
-  }
-  if (status == CLI_OK) {
-    write_script(files[SCRIPT], report, format_of(path), has_equal_ratios(report));
-    fflush(files[SCRIPT]);
-    rewind(files[SCRIPT]);
-    status = draw(command, files, path);
-  }
-  for (int i = 0; i < FILES; i++) {
-    if (files[i] != NULL) {
-      fclose(files[i]);
-    }
-  }
-  return status;
+  const picture of = {.report = report,
+                      .panels = panels_of(report),
+                      .many = report->model_count > FEW_MODELS,
+                      .logarithmic_r = has_equal_ratios(report)};
+  return cli_gnuplot(command, path, of.many ? of.panels.width : WIDTH,
+                     of.many ? of.panels.height : HEIGHT, write_script, &of);
 }
