@@ -12,7 +12,10 @@
 
 #include <cmocka.h>
 
-#include "proto/eval.h"
+#include "proto/invert.h"
+#include "proto/mc.h"
+#include "proto/sample.h"
+#include "proto/table.h"
 #include "proto/wire.h"
 
 enum { ROUNDS = 300000, MEDIA_MAX = 5, PARAMETERS_MAX = 4, RADII_MAX = 9, PAYLOAD_MAX = 4096 };
@@ -239,6 +242,154 @@ static void requests_are_refused_or_whole(void **unused) {
   assert_true(seen[WIRE_STATUS_BAD_VALUE] > ROUNDS / 20);
 }
 
+/* ---- the other requests -----------------------------------------------------------------------
+ */
+
+/* A sample is an eval with another fixed part, and numbers for radii. */
+static void make_sample(struct bytes *to) {
+  struct bytes eval;
+  wire_eval_request like;
+  do {
+    make_request(&eval);
+    wire_get_eval_request(eval.at, &like);
+  } while (like.spacing != CORE_SPACING_LIST);
+  const size_t before = WIRE_BYTES_eval_request, after = WIRE_BYTES_sample_request;
+  const bool list = random_below(3) != 0;
+  const size_t radii_bytes = wire_padded(like.radius_count * core_evaluator_bytes(like.evaluator));
+  const wire_sample_request fixed = {
+      .model = like.model,
+      .evaluator = like.evaluator,
+      .moments = like.moments,
+      .wanted = like.wanted,
+      .medium_count = like.medium_count,
+      .draw = list ? CORE_DRAW_LIST : CORE_DRAW_RANDOM,
+      .parameter_count = like.parameter_count,
+      .sample_count = like.radius_count,
+  };
+  memset(to, 0, sizeof *to);
+  wire_put_sample_request(to->at, &fixed);
+  memcpy(to->at + after, eval.at + before, eval.length - before);
+  to->length = eval.length - before + after - (list ? 0 : radii_bytes);
+}
+
+static enum wire_status parse_sample(const uint8_t *payload, size_t payload_bytes) {
+  core_draw draw;
+  eval_request request;
+  const wire_error error = sample_request_parse(payload, payload_bytes, &draw, &request);
+  if (error.status == WIRE_STATUS_OK) {
+    const wire_eval_request *fixed = &request.fixed;
+    const size_t listed = draw.rule == CORE_DRAW_LIST
+                              ? (size_t)draw.count * core_evaluator_bytes(fixed->evaluator)
+                              : 0;
+    uint8_t copy[PAYLOAD_MAX];
+    assert_true(request.radii != NULL || draw.rule != CORE_DRAW_LIST);
+    memcpy(copy, request.media, (size_t)fixed->medium_count * WIRE_BYTES_medium);
+    memcpy(copy, request.radii != NULL ? request.radii : copy, listed);
+    assert_int_equal(sample_request_bytes(fixed->medium_count, fixed->parameter_count, listed),
+                     payload_bytes);
+  } else {
+    check_refusal(&error);
+  }
+  return error.status;
+}
+
+static void make_invert(struct bytes *to) {
+  const uint64_t count = 1 + random_below(RADII_MAX);
+  const wire_invert_request fixed = {
+      .model = random_id(core_models),
+      .moments = random_id(core_moments_list),
+      .given = random_id(core_lengths),
+      .medium_count = count,
+      .eta = 1.3,
+  };
+  memset(to, 0x3f, sizeof *to);
+  wire_put_invert_request(to->at, &fixed);
+  to->length = (size_t)invert_request_bytes(count);
+}
+
+static enum wire_status parse_invert(const uint8_t *payload, size_t payload_bytes) {
+  invert_request request;
+  const wire_error error = invert_request_parse(payload, payload_bytes, &request);
+  if (error.status == WIRE_STATUS_OK) {
+    uint8_t copy[PAYLOAD_MAX];
+    const size_t bytes = (size_t)request.fixed.medium_count * sizeof(double);
+    memcpy(copy, request.albedos, bytes);
+    memcpy(copy, request.lengths, bytes);
+    assert_int_equal(invert_request_bytes(request.fixed.medium_count), payload_bytes);
+  } else {
+    check_refusal(&error);
+  }
+  return error.status;
+}
+
+static void make_mc(struct bytes *to) {
+  const uint32_t albedos = (uint32_t)random_below(CORE_MC_ALBEDOS_MAX + 1);
+  const wire_mc_request fixed = {.spacing = CORE_SPACING_LINEAR,
+                                 .albedo_count = (uint16_t)albedos,
+                                 .ring_count = 3,
+                                 .photons = 1};
+  memset(to, 0x3f, sizeof *to);
+  wire_put_mc_request(to->at, &fixed);
+  to->length = mc_request_bytes(albedos);
+}
+
+static enum wire_status parse_mc(const uint8_t *payload, size_t payload_bytes) {
+  mc_request request;
+  const wire_error error = mc_request_parse(payload, payload_bytes, &request);
+  if (error.status == WIRE_STATUS_OK) {
+    assert_int_equal(mc_request_bytes(request.fixed.albedo_count), payload_bytes);
+  } else {
+    check_refusal(&error);
+  }
+  return error.status;
+}
+
+static void make_table(struct bytes *to) {
+  const uint32_t parameters = (uint32_t)random_below(PARAMETERS_MAX + 1);
+  const wire_table_request fixed = {.model = random_id(core_models),
+                                    .moments = random_id(core_moments_list),
+                                    .parameter_count = (uint16_t)parameters};
+  memset(to, 0, sizeof *to);
+  wire_put_table_request(to->at, &fixed);
+  put_parameters(to->at + table_request_bytes(0), parameters);
+  to->length = table_request_bytes(parameters);
+}
+
+static enum wire_status parse_table(const uint8_t *payload, size_t payload_bytes) {
+  table_request request;
+  const wire_error error = table_request_parse(payload, payload_bytes, &request);
+  if (error.status == WIRE_STATUS_OK) {
+    assert_int_equal(table_request_bytes(request.fixed.parameter_count), payload_bytes);
+  } else {
+    check_refusal(&error);
+  }
+  return error.status;
+}
+
+static void other_requests_are_refused_or_whole(void **unused) {
+  (void)unused;
+  static const struct {
+    void (*make)(struct bytes *to);
+    enum wire_status (*parse)(const uint8_t *payload, size_t payload_bytes);
+  } messages[] = {{make_sample, parse_sample},
+                  {make_invert, parse_invert},
+                  {make_mc, parse_mc},
+                  {make_table, parse_table}};
+  enum { MESSAGES = sizeof messages / sizeof messages[0] };
+  size_t taken[MESSAGES] = {0};
+  for (size_t round = 0; round < ROUNDS; round++) {
+    const size_t message = round % MESSAGES;
+    struct bytes bytes;
+    messages[message].make(&bytes);
+    uint8_t *payload = mutated(&bytes);
+    taken[message] += messages[message].parse(payload, bytes.length) == WIRE_STATUS_OK;
+    free(payload);
+  }
+  for (size_t i = 0; i < MESSAGES; i++) {
+    assert_true(taken[i] > ROUNDS / MESSAGES / 10 && taken[i] < ROUNDS / MESSAGES);
+  }
+}
+
 /* ---- replies ----------------------------------------------------------------------------------
  */
 
@@ -393,6 +544,7 @@ static void structures_survive_a_round_trip(void **unused) {
 int main(void) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test_setup(requests_are_refused_or_whole, seed),
+      cmocka_unit_test_setup(other_requests_are_refused_or_whole, seed),
       cmocka_unit_test_setup(replies_are_refused_or_whole, seed),
       cmocka_unit_test_setup(layouts_do_not_wrap, seed),
       cmocka_unit_test_setup(headers_are_judged_in_order, seed),
