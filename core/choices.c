@@ -38,6 +38,18 @@ const core_choice core_spacings[] = {
     END,
 };
 
+#define CORE_DRAW(id, IDENT, name, about) {id, name, about},
+const core_choice core_draws[] = {
+#include "core/choices.def"
+    END,
+};
+
+#define CORE_LENGTH(id, IDENT, name, about) {id, name, about},
+const core_choice core_lengths[] = {
+#include "core/choices.def"
+    END,
+};
+
 #define CORE_PARAMETER(id, IDENT, name, unit, least, most, about)                                  \
   {id, name, unit ": " about " (" #least " to " #most ")"},
 const core_choice core_parameter_list[] = {

@@ -60,6 +60,16 @@ enum core_spacing {
 #include "core/choices.def"
 };
 
+#define CORE_DRAW(id, IDENT, name, about) CORE_DRAW_##IDENT = (id),
+enum core_draw_rule {
+#include "core/choices.def"
+};
+
+#define CORE_LENGTH(id, IDENT, name, about) CORE_LENGTH_##IDENT = (id),
+enum core_length {
+#include "core/choices.def"
+};
+
 #define CORE_PARAMETER(id, IDENT, name, unit, least, most, about) CORE_PARAMETER_##IDENT = (id),
 enum core_parameter {
 #include "core/choices.def"
@@ -85,6 +95,8 @@ extern const core_choice core_evaluators[];
 extern const core_choice core_moments_list[];
 extern const core_choice core_quantities[];
 extern const core_choice core_spacings[];
+extern const core_choice core_draws[];
+extern const core_choice core_lengths[];
 extern const core_choice core_parameter_list[];
 extern const core_choice core_notes[];
 
@@ -342,7 +354,7 @@ typedef struct core_inversion {
 #define CORE_MEAN_FREE_PATH_MAX_MM 1e14
 
 /* mean_free_path_mm: 1 / sigma_t', in that range. The medium's albedo is within 1e-12 of the wanted
- * one, relative. */
+ * one, relative, where the model's albedo has so many digits. core/inversion.h has more. */
 core_inversion core_invert_albedo(unsigned model, unsigned moments, double albedo,
                                   double mean_free_path_mm, double eta);
 

@@ -1,94 +1,279 @@
-/* From what artists have, a diffuse albedo and a mean free path, to coefficients.
- *
- * With the mean free path 1 / sigma_t' given, every model's albedo depends on the ratio
- * rho = sigma_a / sigma_s' alone and falls as rho grows. It is inverted by bisection over the
- * logarithm of rho: slow and sure, with the same bits everywhere, down to neighbouring numbers.
+/* With the ratio rho = sigma_a / sigma_s' as the unknown, ln(albedo / (most - albedo)) is nearly
+ * linear in ln(rho) piecewise: with slope -1/2 where little is absorbed, and -1 where much is. So a
+ * secant through the last two probes converges in a few steps; a bracket keeps it safe, and halving
+ * ln(rho) takes over where it does not help, down to neighbouring numbers.
  */
+#include "core/inversion.h"
+
+#include <assert.h>
 #include <float.h>
 #include <math.h>
 
-#include "core/core.h"
+#define CORE_REAL 64
+#include "core/kernel.h"
 
 /* The ratios between which the root is looked for; beyond them nothing but 0 is left of an albedo.
  */
 #define RATIO_MIN 1e-80
 #define RATIO_MAX 1e30
 
+/* An albedo that is as good as the wanted one, and ratios as good as the same, relative: what models
+ * round by, so that no probes are spent on that. */
+#define ALIKE (32 * DBL_EPSILON)
+
+enum {
+  SECANTS_MAX = 24, /* then only halving; the albedo may be noise by then */
+  STEPS_MAX = 400,  /* more than halving takes */
+};
+
 /* sigma_a and sigma_s' with the given sum and ratio, each to its last digits. */
-static core_medium medium_of_ratio(double ratio, double sigma_t_prime, double eta) {
+static core_medium medium_of_ratio(const core_inverter *inverter, double ratio,
+                                   double sigma_t_prime) {
   return (core_medium){
       .sigma_a_per_mm = sigma_t_prime * (ratio / (1 + ratio)),
-      .sigma_s_per_mm = sigma_t_prime / (1 + ratio),
-      .g = 0,
-      .eta = eta,
+      .sigma_s_per_mm = sigma_t_prime / (1 + ratio) / (1 - inverter->g),
+      .g = inverter->g,
+      .eta = inverter->eta,
   };
 }
 
-struct problem {
-  const core_isa *isa;
-  unsigned model;
-  unsigned moments;
-  double sigma_t_prime;
-  double eta;
-};
+static void probe(core_inverter *inverter, double ratio) {
+  inverter->now.ratio = ratio;
+  inverter->medium = medium_of_ratio(inverter, ratio, inverter->sigma_t_prime_per_mm);
+}
 
-static double albedo_of_ratio(const struct problem *problem, double ratio) {
-  const core_medium medium = medium_of_ratio(ratio, problem->sigma_t_prime, problem->eta);
-  core_profile profile;
-  const core_fault fault = core_profile_prepare(
-      &profile, problem->isa, problem->model, problem->moments, CORE_EVALUATOR_F64, &medium, NULL);
+/* Of a fit the albedo is what its range leaves of it, and neither rises nor falls. */
+static core_fault check_medium(const core_inverter *inverter, const core_medium *medium) {
+  core_radii_range radii = {0, (double)INFINITY};
+  core_fault fault = core_profile_check(inverter->model, inverter->moments, CORE_EVALUATOR_F64,
+                                        medium, NULL, &radii);
+  if (fault.field == NULL && !(radii.least_mm <= 0 && radii.most_mm >= (double)INFINITY)) {
+    fault = (core_fault){"model", "a model that covers all radii", 0};
+  }
+  return fault;
+}
+
+/* ---- the reach --------------------------------------------------------------------------------
+ */
+
+core_fault core_inverter_start(core_inverter *inverter, unsigned model, unsigned moments, double g,
+                               double eta, double sigma_t_prime_per_mm) {
+  *inverter = (core_inverter){
+      .model = model,
+      .moments = moments,
+      .g = g,
+      .eta = eta,
+      .sigma_t_prime_per_mm = sigma_t_prime_per_mm,
+      .phase = CORE_INVERTER_MOST,
+  };
+  if (!(g > -1 && g < 1)) { /* or there is no sigma_s to check */
+    const core_medium wrong = {0, 1, g, eta};
+    return check_medium(inverter, &wrong);
+  }
+  probe(inverter, 0);
+  core_fault fault = check_medium(inverter, &inverter->medium);
   if (fault.field != NULL) {
+    probe(inverter, RATIO_MIN);
+    inverter->ratio_least = RATIO_MIN;
+    const core_fault absorbing = check_medium(inverter, &inverter->medium);
+    fault = absorbing.field == NULL ? absorbing : fault;
+  }
+  return fault;
+}
+
+core_fault core_inverter_check(const core_inverter *inverter) {
+  return inverter->albedo_least < inverter->albedo_most
+             ? (core_fault){0}
+             : (core_fault){"model", "a model whose albedo depends on the medium", 0};
+}
+
+/* ---- the search -------------------------------------------------------------------------------
+ */
+
+core_fault core_inversion_check(double albedo, double length_mm) {
+  if (!(albedo >= 0 && albedo <= 1)) {
+    return (core_fault){"albedo", "0 to 1", 0};
+  }
+  if (!(length_mm >= CORE_MEAN_FREE_PATH_MIN_MM && length_mm <= CORE_MEAN_FREE_PATH_MAX_MM)) {
+    return (core_fault){"length", "1e-14 to 1e14 mm", 0};
+  }
+  return (core_fault){0};
+}
+
+static double kept(double x) {
+  return real_min(real_max(x, 1e-300), 1e300);
+}
+
+/* ln(albedo / (most - albedo)) less the same of what is wanted. */
+static double distance(const core_inverter *inverter, double albedo) {
+  const double most = inverter->albedo_most;
+  if (!(albedo > 0 && albedo < most && inverter->wanted > 0 && inverter->wanted < most)) {
     return (double)NAN;
   }
-  core_profile_free(&profile);
-  return profile.albedo;
+  return real_log(kept(albedo / inverter->wanted), 0) +
+         real_log(kept((most - inverter->wanted) / (most - albedo)), 0);
 }
 
-/* least <= albedo(high) < wanted <= albedo(low) */
-static double solve(const struct problem *problem, double wanted) {
-  double low = RATIO_MIN;
-  double high = RATIO_MAX;
-  while (high > low * (1 + DBL_EPSILON)) {
-    const double middle = sqrt(low) * sqrt(high);
-    if (!(middle > low && middle < high)) {
-      break;
-    }
-    if (albedo_of_ratio(problem, middle) >= wanted) {
-      low = middle;
-    } else {
-      high = middle;
-    }
+/* sigma_t' of a medium with this ratio and the wanted length; infinite or NaN when there is none. */
+static double scale(const core_inverter *inverter, double ratio) {
+  const double absorbed = ratio / (1 + ratio); /* sigma_a / sigma_t' */
+  switch (inverter->length) {
+  case CORE_LENGTH_DIFFUSE:
+    return 1 / (inverter->length_mm * sqrt(3 * absorbed / (1 + absorbed)));
+  case CORE_LENGTH_CLASSICAL_DIFFUSE:
+    return 1 / (inverter->length_mm * sqrt(3 * absorbed));
+  default:
+    return 1 / inverter->length_mm;
   }
-  const double low_error = albedo_of_ratio(problem, low) - wanted;
-  const double high_error = wanted - albedo_of_ratio(problem, high);
-  return low_error <= high_error ? low : high;
 }
 
-static core_fault check(const struct problem *problem, double mean_free_path_mm) {
-  if (!(mean_free_path_mm >= CORE_MEAN_FREE_PATH_MIN_MM &&
-        mean_free_path_mm <= CORE_MEAN_FREE_PATH_MAX_MM)) {
-    return (core_fault){"mean_free_path", "1e-14 to 1e14 mm", 0};
+/* The ratio is known: the medium itself is the last that is probed, if there can be one. */
+static bool settle(core_inverter *inverter, double ratio) {
+  inverter->medium = medium_of_ratio(inverter, ratio, scale(inverter, ratio));
+  inverter->found = check_medium(inverter, &inverter->medium).field == NULL;
+  inverter->phase = CORE_INVERTER_LAST;
+  return !inverter->found;
+}
+
+/* Where little is absorbed an albedo a is about 1 - 3 sqrt(ratio), where much is about 0.1 / ratio. */
+static double first_guess(const core_inverter *inverter) {
+  const double odds = inverter->wanted / (inverter->albedo_most - inverter->wanted);
+  return odds > 0.3 ? 0.1 / (odds * odds) : 0.3 / odds;
+}
+
+bool core_inverter_seek(core_inverter *inverter, double albedo, enum core_length length,
+                        double length_mm) {
+  assert(core_inversion_check(albedo, length_mm).field == NULL);
+  inverter->found = false;
+  inverter->wanted = albedo;
+  inverter->length = length;
+  inverter->length_mm = length_mm;
+  if (!(albedo >= inverter->albedo_least && albedo <= inverter->albedo_most)) {
+    return true;
   }
-  const core_medium white = medium_of_ratio(0, problem->sigma_t_prime, problem->eta);
-  return core_profile_check(problem->model, problem->moments, CORE_EVALUATOR_F64, &white, NULL,
-                            NULL);
+  if (!(albedo < inverter->albedo_most)) {
+    return settle(inverter, inverter->ratio_least);
+  }
+  inverter->phase = CORE_INVERTER_SEARCH;
+  inverter->low = RATIO_MIN;
+  inverter->high = RATIO_MAX;
+  inverter->before.distance = (double)NAN;
+  inverter->best.albedo = (double)INFINITY;
+  inverter->steps = 0;
+  const double guess = first_guess(inverter);
+  probe(inverter, guess > RATIO_MIN && guess < RATIO_MAX ? guess : 1);
+  return false;
+}
+
+/* Where the secant through the last two probes meets what is wanted; NaN: nowhere. */
+static double secant(const core_inverter *inverter) {
+  const core_inversion_point *now = &inverter->now;
+  const core_inversion_point *before = &inverter->before;
+  double step = now->distance; /* with slope -1, until there are two */
+  if (!isnan(before->distance)) {
+    const double apart = real_log(kept(now->ratio / before->ratio), 0);
+    step = apart * (now->distance / (before->distance - now->distance));
+  }
+  const double bounded = real_min(real_max(step, -40), 40);
+  return isnan(step) ? step : now->ratio * real_exp_signed(bounded);
+}
+
+static double next_ratio(const core_inverter *inverter) {
+  const double guess = inverter->steps < SECANTS_MAX ? secant(inverter) : (double)NAN;
+  return guess > inverter->low && guess < inverter->high
+             ? guess
+             : sqrt(inverter->low) * sqrt(inverter->high);
+}
+
+/* One probe of the search; true: no other could be nearer. */
+static bool narrow(core_inverter *inverter, double albedo) {
+  core_inversion_point *now = &inverter->now;
+  now->albedo = albedo - inverter->wanted;
+  now->distance = distance(inverter, albedo);
+  if (fabs(now->albedo) < fabs(inverter->best.albedo)) {
+    inverter->best = *now;
+  }
+  if (albedo >= inverter->wanted) {
+    inverter->low = now->ratio;
+  } else {
+    inverter->high = now->ratio; /* or the albedo is no number, which is not nearer */
+  }
+  inverter->steps++;
+  return fabs(now->albedo) <= ALIKE * inverter->wanted || inverter->steps == STEPS_MAX ||
+         inverter->high <= inverter->low * (1 + ALIKE);
+}
+
+static bool search(core_inverter *inverter, double albedo) {
+  if (narrow(inverter, albedo)) {
+    return settle(inverter, inverter->best.ratio);
+  }
+  const double next = next_ratio(inverter);
+  if (!(next > inverter->low && next < inverter->high)) { /* they are neighbours */
+    return settle(inverter, inverter->best.ratio);
+  }
+  inverter->before = inverter->now;
+  probe(inverter, next);
+  return false;
+}
+
+bool core_inverter_take(core_inverter *inverter, double albedo) {
+  switch (inverter->phase) {
+  case CORE_INVERTER_MOST:
+    inverter->albedo_most = albedo;
+    inverter->phase = CORE_INVERTER_LEAST;
+    probe(inverter, RATIO_MAX);
+    return false;
+  case CORE_INVERTER_LEAST:
+    inverter->albedo_least = albedo;
+    return true;
+  case CORE_INVERTER_SEARCH:
+    return search(inverter, albedo);
+  default:
+    inverter->albedo = albedo;
+    return true;
+  }
+}
+
+/* ---- at once ----------------------------------------------------------------------------------
+ */
+
+/* Probes until what was begun has come to its end. */
+static void run(core_inverter *inverter) {
+  const core_isa *isa = core_isa_select("portable");
+  double albedo;
+  do {
+    core_profile profile;
+    const core_fault fault = core_profile_prepare(&profile, isa, inverter->model, inverter->moments,
+                                                  CORE_EVALUATOR_F64, &inverter->medium, NULL);
+    albedo = fault.field == NULL ? profile.albedo : (double)NAN;
+    if (fault.field == NULL) {
+      core_profile_free(&profile);
+    }
+  } while (!core_inverter_take(inverter, albedo));
 }
 
 core_inversion core_invert_albedo(unsigned model, unsigned moments, double albedo,
                                   double mean_free_path_mm, double eta) {
-  const struct problem problem = {core_isa_select("portable"), model, moments,
-                                  1 / mean_free_path_mm, eta};
-  core_inversion inversion = {.fault = check(&problem, mean_free_path_mm)};
+  if (core_inversion_check(0, mean_free_path_mm).field != NULL) {
+    return (core_inversion){.fault = {"mean_free_path", "1e-14 to 1e14 mm", 0}};
+  }
+  core_inverter inverter;
+  core_inversion inversion = {
+      .fault = core_inverter_start(&inverter, model, moments, 0, eta, 1 / mean_free_path_mm)};
   if (inversion.fault.field != NULL) {
     return inversion;
   }
-  inversion.albedo_least = albedo_of_ratio(&problem, RATIO_MAX);
-  inversion.albedo_most = albedo_of_ratio(&problem, 0);
-  if (!(albedo >= inversion.albedo_least && albedo <= inversion.albedo_most)) {
+  run(&inverter);
+  inversion.albedo_least = inverter.albedo_least;
+  inversion.albedo_most = inverter.albedo_most;
+  if (core_inversion_check(albedo, mean_free_path_mm).field == NULL &&
+      !core_inverter_seek(&inverter, albedo, CORE_LENGTH_FREE_PATH, mean_free_path_mm)) {
+    run(&inverter);
+  }
+  if (!inverter.found) {
     inversion.fault = (core_fault){"albedo", "from albedo_least to albedo_most", 0};
     return inversion;
   }
-  const double ratio = albedo == inversion.albedo_most ? 0 : solve(&problem, albedo);
-  inversion.medium = medium_of_ratio(ratio, problem.sigma_t_prime, eta);
+  inversion.medium = inverter.medium;
   return inversion;
 }

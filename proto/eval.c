@@ -2,22 +2,16 @@
 
 #include <stdio.h>
 
-#include "proto/parameters.h"
-
-static unsigned all_quantities(void) {
-  unsigned all = 0;
-  for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
-    all |= quantity->id;
-  }
-  return all;
-}
-
-size_t eval_value_bytes(unsigned evaluator) {
-  return core_evaluator_bytes(evaluator);
-}
+#include "proto/channels.h"
 
 bool eval_is_array(unsigned wanted, unsigned quantity) {
-  return (wanted & quantity) != 0 && core_quantity_elementwise(quantity);
+  const bool drawn = quantity == CORE_QUANTITY_RADIUS && (wanted & EVAL_DRAWN) != 0;
+  return (wanted & quantity) != 0 && (drawn || core_quantity_elementwise(quantity));
+}
+
+/* The radii come once, before all channels. */
+static bool radii_come_once(unsigned wanted) {
+  return (wanted & CORE_QUANTITY_RADIUS) != 0 && (wanted & EVAL_DRAWN) == 0;
 }
 
 uint64_t eval_request_bytes(uint32_t medium_count, uint32_t parameter_count, uint64_t radii_bytes) {
@@ -29,37 +23,19 @@ static wire_error check_choices(const wire_eval_request *fixed) {
   if (fixed->model != EVAL_ANY_MODEL && core_choice_by_id(core_models, fixed->model) == NULL) {
     return wire_error_not_in_list("model", core_models, "one of");
   }
-  if (core_choice_by_id(core_evaluators, fixed->evaluator) == NULL) {
-    return wire_error_not_in_list("evaluator", core_evaluators, "one of");
+  wire_error error = channels_check(fixed->evaluator, fixed->moments);
+  if (error.status == WIRE_STATUS_OK && core_choice_by_id(core_spacings, fixed->spacing) == NULL) {
+    error = wire_error_not_in_list("spacing", core_spacings, "one of");
   }
-  if (core_choice_by_id(core_moments_list, fixed->moments) == NULL) {
-    return wire_error_not_in_list("moments", core_moments_list, "one of");
-  }
-  if (core_choice_by_id(core_spacings, fixed->spacing) == NULL) {
-    return wire_error_not_in_list("spacing", core_spacings, "one of");
-  }
-  if (fixed->wanted == 0 || (fixed->wanted & ~all_quantities()) != 0) {
-    return wire_error_not_in_list("wanted", core_quantities, "a sum of");
-  }
-  return wire_error_none();
+  return error.status == WIRE_STATUS_OK ? channels_check_wanted(fixed->wanted) : error;
 }
 
-static wire_error check_padding(const uint8_t *padding, size_t bytes) {
-  for (size_t i = 0; i < bytes; i++) {
-    if (padding[i] != 0) {
-      return wire_error_make(WIRE_STATUS_BAD_VALUE, "r", "zero bytes of padding after the list");
-    }
-  }
-  return wire_error_none();
-}
-
-/* The list of radii is what remains after the media, exactly. Lengths are compared by subtraction
- * and counts before they are multiplied, so that no count can wrap. */
-static wire_error parse_radii(const uint8_t *at, size_t remaining, eval_request *request) {
+/* The list of radii is what remains after the media and the parameters, exactly. */
+static wire_error parse_radii(struct channels_cursor *cursor, eval_request *request) {
   const wire_eval_request *fixed = &request->fixed;
   if (fixed->spacing != CORE_SPACING_LIST) {
     request->radii = NULL;
-    return remaining == 0
+    return cursor->remaining == 0
                ? wire_error_none()
                : wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes",
                                  "nothing after media and parameters when the radii are a grid");
@@ -69,26 +45,8 @@ static wire_error parse_radii(const uint8_t *at, size_t remaining, eval_request 
                            fixed->radius_start != 0 ? "radius_start" : "radius_stop",
                            "0 when the radii are a list");
   }
-  const size_t value_bytes = eval_value_bytes(fixed->evaluator);
-  if (fixed->radius_count > remaining / value_bytes) {
-    return wire_error_make(WIRE_STATUS_BAD_COUNT, "radius_count",
-                           "no more radii than the payload holds after media and parameters");
-  }
-  const size_t list_bytes = (size_t)fixed->radius_count * value_bytes;
-  if (remaining != wire_padded(list_bytes)) {
-    return wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes",
-                           "nothing after the listed radii but padding to a multiple of 8");
-  }
-  request->radii = at;
-  return check_padding(at + list_bytes, remaining - list_bytes);
-}
-
-static wire_error parse_parameters(const uint8_t *at, size_t remaining, eval_request *request) {
-  if (request->fixed.parameter_count > remaining / WIRE_BYTES_parameter) {
-    return wire_error_make(WIRE_STATUS_BAD_COUNT, "parameter_count",
-                           "no more parameters than the payload holds after the media");
-  }
-  return parameters_parse(at, request->fixed.parameter_count, &request->parameters);
+  return channels_parse_list(cursor, &CHANNELS_RADII, fixed->radius_count, fixed->evaluator,
+                             &request->radii);
 }
 
 wire_error eval_request_parse(const uint8_t *payload, size_t payload_bytes, eval_request *request) {
@@ -98,29 +56,14 @@ wire_error eval_request_parse(const uint8_t *payload, size_t payload_bytes, eval
     return wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes", allowed);
   }
   wire_get_eval_request(payload, &request->fixed);
-  const wire_error choices = check_choices(&request->fixed);
-  if (choices.status != WIRE_STATUS_OK) {
-    return choices;
+  struct channels_cursor cursor = {payload + WIRE_BYTES_eval_request,
+                                   payload_bytes - WIRE_BYTES_eval_request};
+  wire_error error = check_choices(&request->fixed);
+  if (error.status == WIRE_STATUS_OK) {
+    error = channels_parse(&cursor, request->fixed.medium_count, request->fixed.parameter_count,
+                           &request->media, &request->parameters);
   }
-  const uint8_t *at = payload + WIRE_BYTES_eval_request;
-  const size_t remaining = payload_bytes - WIRE_BYTES_eval_request;
-  if (request->fixed.medium_count == 0) {
-    return wire_error_make(WIRE_STATUS_BAD_COUNT, "medium_count", "at least 1");
-  }
-  if (request->fixed.medium_count > remaining / WIRE_BYTES_medium) {
-    return wire_error_make(WIRE_STATUS_BAD_COUNT, "medium_count",
-                           "no more media than the payload holds");
-  }
-  const size_t media_bytes = (size_t)request->fixed.medium_count * WIRE_BYTES_medium;
-  request->media = at;
-  const wire_error parameters =
-      parse_parameters(at + media_bytes, remaining - media_bytes, request);
-  if (parameters.status != WIRE_STATUS_OK) {
-    return parameters;
-  }
-  const size_t before_radii =
-      media_bytes + (size_t)request->fixed.parameter_count * WIRE_BYTES_parameter;
-  return parse_radii(at + before_radii, remaining - before_radii, request);
+  return error.status == WIRE_STATUS_OK ? parse_radii(&cursor, request) : error;
 }
 
 /* What the arrays of a reply may take each, rounded down to whole padding, so that padding one that
@@ -133,7 +76,7 @@ static bool array_room(unsigned wanted, uint32_t channel_count, uint64_t max_pay
   }
   /* At most 2^32 channels of 32 bytes and a few arrays each: nothing here can wrap before the
    * arrays' own length is multiplied, and that is checked by division. */
-  const bool radii_wanted = (wanted & CORE_QUANTITY_RADIUS) != 0;
+  const bool radii_wanted = radii_come_once(wanted);
   *arrays = (uint64_t)channel_count * layout->arrays_per_channel + radii_wanted;
   layout->radius_offset = WIRE_BYTES_eval_reply + (uint64_t)channel_count * WIRE_BYTES_channel;
   if (layout->radius_offset > max_payload_bytes) {
@@ -146,7 +89,7 @@ static bool array_room(unsigned wanted, uint32_t channel_count, uint64_t max_pay
 
 bool eval_reply_layout(unsigned evaluator, unsigned wanted, uint32_t channel_count,
                        uint64_t radius_count, uint64_t max_payload_bytes, eval_layout *layout) {
-  const size_t value_bytes = eval_value_bytes(evaluator);
+  const size_t value_bytes = core_evaluator_bytes(evaluator);
   uint64_t arrays;
   uint64_t room;
   if (!array_room(wanted, channel_count, max_payload_bytes, layout, &arrays, &room) ||
@@ -154,7 +97,7 @@ bool eval_reply_layout(unsigned evaluator, unsigned wanted, uint32_t channel_cou
     return false;
   }
   const uint64_t before = layout->radius_offset;
-  const bool radii_wanted = (wanted & CORE_QUANTITY_RADIUS) != 0;
+  const bool radii_wanted = radii_come_once(wanted);
   layout->array_bytes = arrays > 0 ? wire_padded(radius_count * value_bytes) : 0;
   layout->arrays_offset = before + (radii_wanted ? layout->array_bytes : 0);
   layout->payload_bytes = before + arrays * layout->array_bytes;
@@ -169,7 +112,7 @@ uint64_t eval_part_radii(unsigned evaluator, unsigned wanted, uint32_t channel_c
   if (!array_room(wanted, channel_count, max_payload_bytes, &layout, &arrays, &room)) {
     return 0;
   }
-  return arrays > 0 ? room / eval_value_bytes(evaluator) / EVAL_PART_RADII * EVAL_PART_RADII
+  return arrays > 0 ? room / core_evaluator_bytes(evaluator) / EVAL_PART_RADII * EVAL_PART_RADII
                     : UINT64_MAX;
 }
 
@@ -182,17 +125,17 @@ uint64_t eval_array_offset(const eval_layout *layout, unsigned wanted, uint32_t 
   return layout->arrays_offset + array * layout->array_bytes;
 }
 
-bool eval_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_eval_reply *fixed,
-                      eval_layout *layout) {
+bool eval_reply_parse(const uint8_t *payload, size_t payload_bytes, bool drawn,
+                      wire_eval_reply *fixed, eval_layout *layout) {
   if (payload_bytes < WIRE_BYTES_eval_reply) {
     return false;
   }
   wire_get_eval_reply(payload, fixed);
-  if (eval_value_bytes(fixed->evaluator) == 0 || (fixed->wanted & ~all_quantities()) != 0) {
+  if (core_evaluator_bytes(fixed->evaluator) == 0 || channels_has_others(fixed->wanted)) {
     return false;
   }
   return fixed->part < fixed->part_count &&
-         eval_reply_layout(fixed->evaluator, fixed->wanted, fixed->channel_count,
-                           fixed->radius_count, payload_bytes, layout) &&
+         eval_reply_layout(fixed->evaluator, fixed->wanted | (drawn ? EVAL_DRAWN : 0),
+                           fixed->channel_count, fixed->radius_count, payload_bytes, layout) &&
          layout->payload_bytes == payload_bytes;
 }

@@ -20,10 +20,6 @@ typedef struct eval_request {
   const void *radii; /* a list: fixed.radius_count of double or float; NULL for a grid */
 } eval_request;
 
-/* Bytes of one radius or value: 8 for f64, 4 for f32; 0 for an evaluator that is not in the list.
- */
-size_t eval_value_bytes(unsigned evaluator);
-
 /* Takes a payload apart. Shape only: ids and counts that the layout depends on are checked, as are
  * the ids of the parameters, the exact length and zero padding; the values are core's to check. */
 wire_error eval_request_parse(const uint8_t *payload, size_t payload_bytes, eval_request *request);
@@ -31,10 +27,14 @@ wire_error eval_request_parse(const uint8_t *payload, size_t payload_bytes, eval
 /* Bytes of a request's payload with radii_bytes of listed radii (0 for a grid). */
 uint64_t eval_request_bytes(uint32_t medium_count, uint32_t parameter_count, uint64_t radii_bytes);
 
+/* Added to the quantities that are wanted of a sample (proto/sample.h): the radii are drawn, and each
+ * channel has its own, an array as any other. The wire does not carry it. */
+#define EVAL_DRAWN 0x10000u
+
 /* The layout of a reply's payload. Offsets are from its start. */
 typedef struct eval_layout {
   uint64_t payload_bytes;
-  uint64_t radius_offset;   /* of the radii; only when wanted */
+  uint64_t radius_offset;   /* of the radii; only when wanted, and not drawn */
   uint64_t array_bytes;     /* of one array, padded */
   uint64_t channels_offset; /* of the first channel structure */
   uint64_t arrays_offset;   /* of the first channel's arrays */
@@ -42,8 +42,8 @@ typedef struct eval_layout {
 } eval_layout;
 
 /* The layout that a reply has for these counts; false when it would exceed max_payload_bytes
- * (checked without overflow for any input). wanted: quantity bits of the list; evaluator of the
- * list. */
+ * (checked without overflow for any input). wanted: quantity bits of the list, EVAL_DRAWN; evaluator
+ * of the list. */
 bool eval_reply_layout(unsigned evaluator, unsigned wanted, uint32_t channel_count,
                        uint64_t radius_count, uint64_t max_payload_bytes, eval_layout *layout);
 
@@ -63,9 +63,9 @@ bool eval_is_array(unsigned wanted, unsigned quantity);
 uint64_t eval_array_offset(const eval_layout *layout, unsigned wanted, uint32_t channel,
                            enum core_quantity quantity);
 
-/* Takes a reply's payload apart: the fixed part and the layout; false when the bytes do not have
- * the shape that the fixed part announces. */
-bool eval_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_eval_reply *fixed,
-                      eval_layout *layout);
+/* Takes the payload of a reply to an eval apart, or with drawn to a sample: the fixed part and the
+ * layout; false when the bytes do not have the shape that the fixed part announces. */
+bool eval_reply_parse(const uint8_t *payload, size_t payload_bytes, bool drawn,
+                      wire_eval_reply *fixed, eval_layout *layout);
 
 #endif

@@ -212,6 +212,8 @@ static const struct {
     {WIRE_CHOICE_STATUS, statuses},
     {WIRE_CHOICE_PARAMETER, core_parameter_list},
     {WIRE_CHOICE_NOTE, core_notes},
+    {WIRE_CHOICE_DRAW, core_draws},
+    {WIRE_CHOICE_LENGTH, core_lengths},
 };
 
 enum { CHOICE_LISTS = sizeof choice_lists / sizeof choice_lists[0] };

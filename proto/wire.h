@@ -42,6 +42,8 @@ enum wire_choice_kind {
   WIRE_CHOICE_STATUS,
   WIRE_CHOICE_PARAMETER,
   WIRE_CHOICE_NOTE,
+  WIRE_CHOICE_DRAW,
+  WIRE_CHOICE_LENGTH,
 };
 
 /* ---- structures -------------------------------------------------------------------------------

@@ -5,7 +5,7 @@
 #include <stdlib.h>
 
 static bool is_single(const wire_eval_request *fixed) {
-  return eval_value_bytes(fixed->evaluator) == sizeof(float);
+  return core_evaluator_bytes(fixed->evaluator) == sizeof(float);
 }
 
 /* Media are used where they lie: four numbers each, in the wire's order and core's. */

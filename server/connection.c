@@ -4,6 +4,7 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include "server/answer.h"
 #include "server/log.h"
 #include "server/request.h"
 #include "server/worker.h"
@@ -16,7 +17,6 @@ enum {
 };
 
 static void write_more(struct connection *c);
-static void on_profile(void *context);
 
 /* ---- beginning and end ------------------------------------------------------------------------
  */
@@ -29,10 +29,7 @@ struct connection *connection_new(struct server *server, int fd, enum connection
   c->server = server;
   c->fd = fd;
   c->purpose = purpose;
-  c->job.order.on_ready = on_profile;
-  c->job.order.context = c;
-  c->table.order.on_ready = on_profile;
-  c->table.order.context = c;
+  answer_init(c);
   input_init(&c->input, server);
   output_init(&c->output, server);
   return c;
@@ -45,7 +42,7 @@ static void dispose(struct connection *c) {
   input_free(&c->input);
   output_free(&c->output);
   worker_forget(c->worker, c);
-  job_end(&c->job);
+  answer_end(c);
   free(c);
   if (purpose != CONNECTION_REFUSE) {
     stats_subtract(&server->stats, STATS_CONNECTIONS_OPEN, 1);
@@ -69,9 +66,7 @@ void connection_abort(struct connection *c) {
     c->closing = true;
     uv_close(&c->uv.handle, on_closed);
     close_desk(c);
-    job_end(&c->job); /* nobody wakes them any more */
-    job_forgive(&c->job, worker_scratch(c->worker));
-    table_job_end(&c->table);
+    answer_end(c); /* nobody wakes it any more */
   }
 }
 
@@ -95,9 +90,7 @@ static void linger(struct connection *c) {
   input_discard(&c->input);
 }
 
-/* Says why, if there is room to say it, and takes no more frames. Monte Carlo jobs that have not
- * answered by now never will. */
-static void end(struct connection *c, uint64_t request_id, wire_error error) {
+void connection_end(struct connection *c, uint64_t request_id, wire_error error) {
   log_peer_line(LOG_LEVEL_INFO, "event=connection-ended status=%s field=%s",
                 wire_status_name(error.status), error.field);
   request_refuse(c->server, request_id, &error, &c->output);
@@ -221,263 +214,12 @@ static void write_more(struct connection *c) {
   }
 }
 
-/* ---- answering --------------------------------------------------------------------------------
+/* ---- turns ------------------------------------------------------------------------------------
  */
-
-static void on_mc_news(void *context) {
-  struct connection *c = context;
-  worker_run_later(c->worker, c);
-}
-
-static bool is_late(const struct connection *c) {
-  return c->deadline_ms != 0 && uv_now(worker_loop(c->worker)) >= c->deadline_ms;
-}
-
-static wire_error late(void) {
-  return wire_error_make(WIRE_STATUS_DEADLINE, "deadline_ms", "more: the answer takes longer");
-}
-
-static void note_answer(struct connection *c, enum latency_class kind) {
-  latency_note(worker_latency(c->worker), kind, c->arrived_ns);
-}
-
-static void answer_frame(struct connection *c, const wire_header *header, const uint8_t *payload) {
-  c->arrived_ns = input_arrival_ns(&c->input, header);
-  c->deadline_ms = header->deadline_ms > 0 ? c->arrived_ns / 1000000 + header->deadline_ms : 0;
-  if (is_late(c)) {
-    const wire_error error = late();
-    stats_count_request(&c->server->stats, header->type);
-    note_answer(c, LATENCY_REFUSED);
-    if (request_refuse(c->server, header->request_id, &error, &c->output)) {
-      input_next(&c->input, header);
-    } else {
-      connection_abort(c);
-    }
-    return;
-  }
-  const struct mc_caller mc = {c->server, worker_loop(c->worker), on_mc_news, c, &c->mc};
-  const struct request_place place = {&c->job, &c->table, worker_scratch(c->worker), &mc};
-  switch (request_begin(c->server, header, payload, &c->output, &place)) {
-  case REQUEST_ANSWERED: /* an eval at once: it is short */
-    note_answer(c, header->type == WIRE_TYPE_EVAL ? LATENCY_EVAL_SHORT : LATENCY_OTHER);
-    input_next(&c->input, header);
-    break;
-  case REQUEST_REFUSED:
-    note_answer(c, LATENCY_REFUSED);
-    input_next(&c->input, header);
-    break;
-  case REQUEST_BEGUN:
-    input_next(&c->input, header);
-    break;
-  case REQUEST_STARTED:
-    c->in_job = true;
-    c->job_header = *header;
-    break;
-  case REQUEST_TABLE_STARTED:
-    c->in_table = true;
-    c->job_header = *header;
-    break;
-  case REQUEST_NO_ROOM:
-    connection_abort(c);
-    break;
-  }
-}
-
-/* Takes the next frame, if one is there; false: none is. */
-static bool take_frame(struct connection *c) {
-  wire_header header;
-  const uint8_t *payload = NULL;
-  wire_error error;
-  switch (input_frame(&c->input, &header, &payload, &error)) {
-  case INPUT_INCOMPLETE:
-    return false;
-  case INPUT_FRAME:
-    answer_frame(c, &header, payload);
-    break;
-  case INPUT_REFUSED:
-    c->arrived_ns = input_arrival_ns(&c->input, &header);
-    note_answer(c, LATENCY_REFUSED);
-    if (!request_refuse(c->server, header.request_id, &error, &c->output)) {
-      connection_abort(c);
-      return false;
-    }
-    input_next(&c->input, &header);
-    break;
-  case INPUT_LOST:
-    end(c, 0, error);
-    return false;
-  }
-  c->frame_started_ms = 0;
-  return !c->closing;
-}
-
-static void on_profile(void *context) {
-  struct connection *c = context;
-  c->waiting = false;
-  worker_run_later(c->worker, c);
-}
-
-/* The answer, which is in the output, or the error that is sent in its place, is the last of it. */
-static void end_job(struct connection *c, const wire_error *refusal) {
-  const bool is_short = c->in_job && c->job.request.fixed.radius_count <= BATCH_SHORT_RADII;
-  note_answer(c, refusal != NULL ? LATENCY_REFUSED
-                 : c->in_table   ? LATENCY_OTHER
-                 : is_short      ? LATENCY_EVAL_SHORT
-                                 : LATENCY_EVAL_LONG);
-  job_forgive(&c->job, worker_scratch(c->worker));
-  c->in_job = false;
-  c->in_table = false;
-  c->between_parts = false;
-  if (refusal == NULL) {
-    stats_count_answer(&c->server->stats, WIRE_STATUS_OK);
-  } else if (!request_refuse(c->server, c->job_header.request_id, refusal, &c->output)) {
-    connection_abort(c);
-    return;
-  }
-  input_next(&c->input, &c->job_header);
-}
-
-/* What has been gathered for the reply may not be written to its place any more. */
-static void cancel_output(struct connection *c) {
-  batch_finish(&worker_scratch(c->worker)->batch, &c->server->stats);
-  output_cancel(&c->output);
-}
-
-/* The deadline has passed: what has been filled in so far is given up. */
-static void give_up(struct connection *c) {
-  const wire_error error = late();
-  if (c->in_job && !c->between_parts) {
-    cancel_output(c);
-  }
-  c->waiting = false;
-  job_end(&c->job);
-  table_job_end(&c->table);
-  end_job(c, &error);
-}
-
-/* While the job waits its worker's clock watches the deadline. */
-static void wait_for_profile(struct connection *c) {
-  c->waiting = true;
-  if (c->deadline_ms != 0) {
-    worker_wake_at(c->worker, c->deadline_ms);
-  }
-}
-
-void connection_deadline(struct connection *c) {
-  if (!c->closing && (c->waiting || c->between_parts)) {
-    if (is_late(c)) {
-      give_up(c);
-      worker_run_later(c->worker, c);
-    } else if (c->deadline_ms != 0) {
-      worker_wake_at(c->worker, c->deadline_ms);
-    }
-  }
-}
-
-static void run_job(struct connection *c, uint64_t *budget) {
-  switch (job_slice(&c->job, c->server, worker_profiles(c->worker), worker_scratch(c->worker),
-                    budget)) {
-  case JOB_GOES_ON:
-    return;
-  case JOB_WAITS:
-    wait_for_profile(c);
-    return;
-  case JOB_PART_DONE:
-    output_commit(&c->output);
-    job_next_part(&c->job);
-    c->between_parts = true;
-    mc_desk_answer(c->mc, &c->output); /* which else would wait until the last part is there */
-    if (c->deadline_ms != 0) {
-      worker_wake_at(c->worker, c->deadline_ms);
-    }
-    return;
-  case JOB_DONE:
-    output_commit(&c->output);
-    end_job(c, NULL);
-    return;
-  case JOB_REFUSED:
-    cancel_output(c);
-    end_job(c, &c->job.refusal);
-    return;
-  }
-}
-
-/* Room for the next part; without, what has been sent is all there will be, and the error says so. */
-static void begin_part(struct connection *c) {
-  c->between_parts = false;
-  uint8_t *reply =
-      request_begin_frame(&c->output, c->job_header.type | WIRE_REPLY, c->job_header.request_id,
-                          (size_t)c->job.layout.payload_bytes);
-  if (reply != NULL) {
-    job_start_part(&c->job, reply);
-  } else {
-    const wire_error busy = job_busy();
-    end_job(c, &busy);
-  }
-}
-
-static void run_table_job(struct connection *c, uint64_t *budget) {
-  *budget -= *budget < JOB_STEP_RADII ? *budget : JOB_STEP_RADII;
-  switch (
-      table_job_run(&c->table, worker_profiles(c->worker), c->job_header.request_id, &c->output)) {
-  case TABLE_JOB_WAITS:
-    wait_for_profile(c);
-    return;
-  case TABLE_JOB_DONE:
-    end_job(c, NULL);
-    return;
-  case TABLE_JOB_REFUSED:
-    end_job(c, &c->table.refusal);
-    return;
-  }
-}
-
-/* A reader that does not keep up: its requests wait. */
-static bool blocked(const struct connection *c) {
-  return c->output.ready_bytes > c->server->options.max_queued_bytes;
-}
-
-/* A request has been taken up, and its answer is not complete. */
-static bool is_answering(const struct connection *c) {
-  return c->in_job || c->in_table;
-}
-
-/* One step of the work at hand; false: there is none. */
-static bool step(struct connection *c, uint64_t *budget) {
-  if (c->waiting) {
-    return false;
-  }
-  if (is_answering(c) && is_late(c)) {
-    give_up(c);
-    return !c->closing;
-  }
-  if (c->in_job && c->between_parts) {
-    if (blocked(c)) {
-      job_rest(&c->job, worker_scratch(c->worker));
-      return false;
-    }
-    job_resume(&c->job, worker_scratch(c->worker));
-    begin_part(c);
-    return true;
-  }
-  if (c->in_job) {
-    run_job(c, budget);
-    return true;
-  }
-  if (c->in_table) {
-    run_table_job(c, budget);
-    return true;
-  }
-  if (c->ending || blocked(c)) {
-    return false;
-  }
-  *budget -= *budget < JOB_STEP_RADII ? *budget : JOB_STEP_RADII;
-  return take_frame(c);
-}
 
 /* The clock of an unfinished frame runs while the peer could finish it. */
 static void note_partial_frame(struct connection *c) {
-  if (!input_partial(&c->input) || blocked(c)) {
+  if (!input_partial(&c->input) || connection_blocked(c)) {
     c->frame_started_ms = 0;
   } else if (c->frame_started_ms == 0) {
     c->frame_started_ms = uv_now(c->uv.handle.loop);
@@ -493,16 +235,17 @@ static bool end_mc_jobs(struct connection *c) {
 
 /* All that has arrived is answered, and no more will be taken: the last words. */
 static void end_if_done(struct connection *c) {
-  if (c->ending || blocked(c) || end_mc_jobs(c)) {
+  if (c->ending || connection_blocked(c) || end_mc_jobs(c)) {
     return;
   }
   if (c->peer_done && input_partial(&c->input)) {
     wire_header header = {0}; /* request id 0 unless the header has arrived */
     input_refuse(&c->input, &header);
-    end(c, header.request_id,
-        wire_error_make(WIRE_STATUS_TRUNCATED, "payload_bytes", "as many as announced"));
+    connection_end(c, header.request_id,
+                   wire_error_make(WIRE_STATUS_TRUNCATED, "payload_bytes", "as many as announced"));
   } else if (c->stopping && !c->peer_done) {
-    end(c, 0, wire_error_make(WIRE_STATUS_SHUTTING_DOWN, "", "another daemon, or this one later"));
+    connection_end(
+        c, 0, wire_error_make(WIRE_STATUS_SHUTTING_DOWN, "", "another daemon, or this one later"));
   }
   c->ending = c->ending || c->peer_done;
   write_more(c);
@@ -529,20 +272,21 @@ static void settle(struct connection *c) {
     return;
   }
   note_partial_frame(c);
-  set_reading(c, !blocked(c) && !c->peer_done); /* the end would be read again and again */
+  set_reading(c,
+              !connection_blocked(c) && !c->peer_done); /* the end would be read again and again */
 }
 
 void connection_run(struct connection *c) {
   uint64_t budget = TURN_RADII;
   /* Requests whose answers have not been written: no more of them than max_in_flight. */
-  unsigned taken = is_answering(c);
+  unsigned taken = answer_is_under_way(c);
   bool more = true;
   while (more && budget > 0 && !c->closing &&
-         (is_answering(c) || taken < c->server->options.max_in_flight)) {
-    taken += !is_answering(c);
-    more = step(c, &budget);
+         (answer_is_under_way(c) || taken < c->server->options.max_in_flight)) {
+    taken += !answer_is_under_way(c);
+    more = answer_step(c, &budget);
   }
-  if (!c->closing && !c->in_job) { /* a job has reserved the output */
+  if (!c->closing && !answer_holds_output(c)) {
     mc_desk_answer(c->mc, &c->output);
   }
   c->more_to_do = more;
@@ -550,14 +294,14 @@ void connection_run(struct connection *c) {
 
 void connection_finish(struct connection *c) {
   /* Frames that waited for the reader have to be taken up if writing has just unblocked them. */
-  const bool was_blocked = blocked(c);
+  const bool was_blocked = connection_blocked(c);
   if (!c->closing) {
     write_more(c);
   }
   if (c->closing) {
     return;
   }
-  if (c->more_to_do || (was_blocked && !blocked(c))) {
+  if (c->more_to_do || (was_blocked && !connection_blocked(c))) {
     set_reading(c, false); /* the input may not move under a job, nor grow without end */
     worker_run_later(c->worker, c);
   } else {
@@ -600,7 +344,7 @@ void connection_start(struct connection *c, struct worker *worker) {
   if (c->purpose == CONNECTION_REFUSE) {
     wire_error error = wire_error_make(WIRE_STATUS_BUSY, "", "fewer connections: max_connections");
     error.retry_after_ms = 1000;
-    end(c, 0, error);
+    connection_end(c, 0, error);
   }
   worker_run_later(worker, c);
 }
@@ -623,7 +367,7 @@ void connection_tick(struct connection *c, uint64_t now_ms) {
     }
     return;
   }
-  if (!c->in_job && !c->in_table) {
+  if (!answer_is_under_way(c)) {
     input_settle(&c->input, now_ms);
   }
   output_settle(&c->output, now_ms);
@@ -633,17 +377,19 @@ void connection_tick(struct connection *c, uint64_t now_ms) {
     }
     return;
   }
-  if (c->in_job || c->in_table || c->to_run) {
+  if (answer_is_under_way(c) || c->to_run) {
     return;
   }
   if (c->frame_started_ms != 0 && now_ms - c->frame_started_ms > options->frame_timeout_ms) {
-    end(c, 0,
+    connection_end(
+        c, 0,
         wire_error_make(WIRE_STATUS_TIMEOUT, "payload_bytes", "frames within frame_timeout_ms"));
     worker_run_later(c->worker, c);
   } else if (mc_desk_open(c->mc)) { /* whose table there may be room for now */
     worker_run_later(c->worker, c);
   } else if (now_ms - c->active_ms > options->idle_timeout_ms) {
-    end(c, 0, wire_error_make(WIRE_STATUS_TIMEOUT, "", "no silence longer than idle_timeout_ms"));
+    connection_end(
+        c, 0, wire_error_make(WIRE_STATUS_TIMEOUT, "", "no silence longer than idle_timeout_ms"));
     worker_run_later(c->worker, c);
   } else if (now_ms - c->active_ms > REST_MS) {
     input_rest(&c->input);

@@ -1,5 +1,5 @@
-/* connection: one client. It reads frames, has them answered in their order, and writes the
- * answers.
+/* connection: one client. Reads what arrives, has it answered in its order (server/answer.h), and
+ * writes the answers.
  *
  * A connection belongs to one worker and is only touched on that worker's thread, once it has been
  * given to it. It is in the worker's run queue while it has something to do; each turn is bounded,
@@ -9,6 +9,7 @@
 #define DIPOLED_CONNECTION_H
 
 #include "server/input.h"
+#include "server/invert_job.h"
 #include "server/job.h"
 #include "server/mc.h"
 #include "server/output.h"
@@ -18,6 +19,14 @@ enum connection_purpose {
   CONNECTION_SERVE,
   CONNECTION_INHERITED, /* the one of --fd: when it is gone, so is the daemon */
   CONNECTION_REFUSE,    /* one too many: is told so and closed */
+};
+
+/* Whose answer is not complete; its frame stays in the input. */
+enum connection_answering {
+  CONNECTION_ANSWERS_NOTHING,
+  CONNECTION_ANSWERS_EVAL, /* or a sample */
+  CONNECTION_ANSWERS_TABLE,
+  CONNECTION_ANSWERS_INVERT,
 };
 
 struct connection {
@@ -42,27 +51,27 @@ struct connection {
 
   struct input input;
   struct output output;
+  enum connection_answering answering;
   struct job job;
   struct table_job table;
+  struct invert_job invert;
   wire_header job_header;
   struct mc_desk *mc; /* its Monte Carlo jobs; NULL: it has had none */
 
   bool to_run;        /* in the run queue */
   bool more_to_do;    /* after its turn */
-  bool in_job;        /* job is under way; its frame stays in the input */
-  bool between_parts; /* of its reply; the next waits until there is room */
-  bool in_table;      /* table is, likewise */
+  bool between_parts; /* of an answer; the next waits until there is room */
   bool reading;
   bool stopping;  /* the daemon stops: ends when what has arrived is answered */
   bool peer_done; /* nothing more will arrive */
   bool ending;    /* no more frames are taken; closes when all is written */
   bool lingering; /* shut down; waits for the peer to close, so that it can read the last answer */
   bool closing;   /* uv_close() has been called */
-  bool waiting;   /* the job waits for a profile */
+  bool waiting;   /* for a profile */
 
-  uint64_t arrived_ns;  /* the request that is being answered */
-  uint64_t deadline_ms; /* of it, on the loop's clock; 0: none */
-  uint64_t active_ms;   /* when bytes last arrived or left */
+  uint64_t arrived_ns;       /* the request that is being answered */
+  uint64_t deadline_ms;      /* of it, on the loop's clock; 0: none */
+  uint64_t active_ms;        /* when bytes last arrived or left */
   uint64_t frame_started_ms; /* when the unfinished frame began to arrive; 0: there is none */
   uint64_t lingering_ms;
 };
@@ -79,14 +88,20 @@ void connection_start(struct connection *connection, struct worker *worker);
 void connection_run(struct connection *connection);
 void connection_finish(struct connection *connection);
 
-/* A deadline may have passed: what waits for something is answered with DEADLINE. */
-void connection_deadline(struct connection *connection);
-
 /* Time has passed: closes what has taken too long. */
 void connection_tick(struct connection *connection, uint64_t now_ms);
 
 /* The daemon stops: what has arrived is answered, then the connection is closed. */
 void connection_stop(struct connection *connection);
+
+/* Says why, if there is room to say it, and takes no more frames. Monte Carlo jobs that have not
+ * answered by now never will. */
+void connection_end(struct connection *connection, uint64_t request_id, wire_error error);
+
+/* A reader that does not keep up: its requests wait. */
+static inline bool connection_blocked(const struct connection *connection) {
+  return connection->output.ready_bytes > connection->server->options.max_queued_bytes;
+}
 
 /* At once, whatever is under way. */
 void connection_abort(struct connection *connection);

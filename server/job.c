@@ -2,236 +2,7 @@
 
 #include <assert.h>
 #include <math.h>
-#include <stdio.h>
 #include <string.h>
-
-#include "server/choice.h"
-
-/* ---- checking ---------------------------------------------------------------------------------
- */
-
-static wire_error from_fault(core_fault fault) {
-  wire_error error = wire_error_make(WIRE_STATUS_BAD_VALUE, fault.field, fault.allowed);
-  error.index = fault.index;
-  return error;
-}
-
-static core_medium medium_at(const struct job *job, uint32_t channel) {
-  wire_medium medium;
-  wire_get_medium(job->request.media + (size_t)channel * WIRE_BYTES_medium, &medium);
-  return (core_medium){medium.sigma_a, medium.sigma_s, medium.g, medium.eta};
-}
-
-/* *radii: where all channels may be evaluated. */
-static wire_error check_media(const struct job *job, core_radii_range *radii) {
-  const wire_eval_request *fixed = &job->request.fixed;
-  *radii = (core_radii_range){0, (double)INFINITY};
-  for (uint32_t channel = 0; channel < fixed->medium_count; channel++) {
-    const core_medium medium = medium_at(job, channel);
-    core_radii_range range;
-    core_fault fault = core_profile_check(fixed->model, fixed->moments, fixed->evaluator, &medium,
-                                          &job->request.parameters, &range);
-    if (fault.field != NULL) {
-      fault.index = channel;
-      return from_fault(fault);
-    }
-    radii->least_mm = fmax(radii->least_mm, range.least_mm);
-    radii->most_mm = fmin(radii->most_mm, range.most_mm);
-  }
-  return wire_error_none();
-}
-
-/* Radii that the model does not cover, where it covers less than all. */
-static wire_error check_range(const struct job *job, const core_radii_range *range) {
-  const wire_eval_request *fixed = &job->request.fixed;
-  if (fixed->spacing == CORE_SPACING_LIST) {
-    const core_fault fault =
-        eval_value_bytes(fixed->evaluator) == sizeof(float)
-            ? core_radii_range_check_f32(range, fixed->radius_count, job->request.radii)
-            : core_radii_range_check_f64(range, fixed->radius_count, job->request.radii);
-    return fault.field == NULL ? wire_error_none() : from_fault(fault);
-  }
-  char allowed[80];
-  const bool low = fixed->radius_count > 0 && job->grid.start_mm < range->least_mm;
-  const bool high = fixed->radius_count > 1 && job->grid.stop_mm > range->most_mm;
-  if (low) {
-    snprintf(allowed, sizeof allowed, "at least fit_from: %.6g mm", range->least_mm);
-    return wire_error_make(WIRE_STATUS_BAD_VALUE, "radius_start", allowed);
-  }
-  if (high) {
-    snprintf(allowed, sizeof allowed, "at most fit_to: %.6g mm", range->most_mm);
-    return wire_error_make(WIRE_STATUS_BAD_VALUE, "radius_stop", allowed);
-  }
-  return wire_error_none();
-}
-
-/* A grid with no radii is as good as an empty list when nothing is evaluated at radii. */
-static wire_error check_radii(const struct job *job) {
-  const wire_eval_request *fixed = &job->request.fixed;
-  core_fault fault = {0};
-  if (fixed->spacing != CORE_SPACING_LIST) {
-    if (fixed->wanted != CORE_QUANTITY_ALBEDO || fixed->radius_count > 0) {
-      fault = core_grid_check(&job->grid);
-    }
-    if (fault.field != NULL && strcmp(fault.field, "radius_count") == 0) {
-      return wire_error_make(WIRE_STATUS_BAD_COUNT, fault.field, fault.allowed);
-    }
-  } else if (eval_value_bytes(fixed->evaluator) == sizeof(float)) {
-    fault = core_radii_check_f32(fixed->radius_count, job->request.radii);
-  } else {
-    fault = core_radii_check_f64(fixed->radius_count, job->request.radii);
-  }
-  return fault.field == NULL ? wire_error_none() : from_fault(fault);
-}
-
-static wire_error too_large(const char *field, uint64_t most, const char *what) {
-  char allowed[80];
-  snprintf(allowed, sizeof allowed, "at most %llu %s", (unsigned long long)most, what);
-  return wire_error_make(WIRE_STATUS_TOO_LARGE, field, allowed);
-}
-
-/* Takes the candidate after those that have been tried; false: none is left that keeps the
- * tolerance. */
-static bool take_next(struct job *job, const struct choice *choice) {
-  if (job->choice >= choice->count || !choice->candidates[job->choice].meets) {
-    return false;
-  }
-  const core_candidate *candidate = &choice->candidates[job->choice++];
-  job->model_error = candidate->model_error;
-  choice_take(candidate, &job->request);
-  return true;
-}
-
-/* A model and evaluator for a request that names none. */
-static wire_error choose(struct job *job) {
-  wire_error error = choice_check(&job->request);
-  if (error.status == WIRE_STATUS_OK) {
-    error = check_radii(job);
-  }
-  if (error.status != WIRE_STATUS_OK) {
-    return error;
-  }
-  struct choice choice;
-  job->tolerance = job->request.parameters.value[CORE_PARAMETER_TOLERANCE];
-  choice_list(&job->request, &choice);
-  return take_next(job, &choice) ? wire_error_none() : choice_none(&choice);
-}
-
-/* When what was chosen cannot be prepared after all, the next best; false: there is none. A lack of
- * memory decides nothing: the same request gets the same model. */
-static bool choose_again(struct job *job) {
-  if (isnan(job->tolerance) || strcmp(job->order.fault.field, CORE_FIELD_MEMORY) == 0) {
-    return false;
-  }
-  struct choice choice;
-  job->request.parameters.value[CORE_PARAMETER_TOLERANCE] = job->tolerance;
-  choice_list(&job->request, &choice);
-  return take_next(job, &choice);
-}
-
-/* Takes a request apart; what it says of the layout is right. */
-static wire_error parse(struct job *job, const struct server *server, const uint8_t *payload,
-                        size_t payload_bytes) {
-  const wire_error error = eval_request_parse(payload, payload_bytes, &job->request);
-  if (error.status != WIRE_STATUS_OK) {
-    return error;
-  }
-  const wire_eval_request *fixed = &job->request.fixed;
-  job->tolerance = (double)NAN;
-  job->choice = 0;
-  job->grid =
-      (core_grid){fixed->spacing, fixed->radius_count, fixed->radius_start, fixed->radius_stop};
-  return fixed->medium_count > server->options.max_media
-             ? too_large("medium_count", server->options.max_media, "media")
-             : wire_error_none();
-}
-
-wire_error job_offers(const struct server *server, const uint8_t *payload, size_t payload_bytes,
-                      struct choice *choice) {
-  struct job job;
-  wire_error error = parse(&job, server, payload, payload_bytes);
-  if (error.status == WIRE_STATUS_OK && job.request.fixed.model != EVAL_ANY_MODEL) {
-    error = wire_error_make(WIRE_STATUS_BAD_VALUE, "model", "0: any");
-  }
-  if (error.status == WIRE_STATUS_OK) {
-    error = choice_check(&job.request);
-  }
-  if (error.status == WIRE_STATUS_OK) {
-    error = check_radii(&job);
-  }
-  if (error.status == WIRE_STATUS_OK) {
-    choice_list(&job.request, choice);
-  }
-  return error;
-}
-
-/* The layout of the part that begins at job->first. */
-static bool lay_out_part(struct job *job, uint64_t max_bytes) {
-  const wire_eval_request *fixed = &job->request.fixed;
-  const uint64_t left = fixed->radius_count - job->first;
-  job->count = left < job->part_radii ? left : job->part_radii;
-  return eval_reply_layout(fixed->evaluator, fixed->wanted, fixed->medium_count, job->count,
-                           max_bytes, &job->layout);
-}
-
-/* A reply that fits into a frame is one part; a larger one comes in parts of max_part_bytes, so that
- * what it takes in memory does not depend on its size. */
-static wire_error cut(struct job *job, const struct server *server) {
-  const wire_eval_request *fixed = &job->request.fixed;
-  const struct options *options = &server->options;
-  if (fixed->radius_count > options->max_radii) {
-    return too_large("radius_count", options->max_radii, "radii");
-  }
-  job->first = 0;
-  job->part = 0;
-  job->part_count = 1;
-  job->part_radii = fixed->radius_count;
-  if (lay_out_part(job, options->max_frame_bytes)) {
-    return wire_error_none();
-  }
-  const uint64_t most_bytes = options->max_part_bytes < options->max_frame_bytes
-                                  ? options->max_part_bytes
-                                  : options->max_frame_bytes;
-  job->part_radii =
-      eval_part_radii(fixed->evaluator, fixed->wanted, fixed->medium_count, most_bytes);
-  if (job->part_radii == 0) {
-    return wire_error_make(WIRE_STATUS_TOO_LARGE, "medium_count",
-                           "fewer: a part of max_part_bytes has no room for them");
-  }
-  const uint64_t parts = (fixed->radius_count - 1) / job->part_radii + 1;
-  if (parts > UINT32_MAX) { /* 2^40 radii in parts of 256 */
-    return too_large("radius_count", UINT32_MAX * job->part_radii,
-                     "radii in parts as small as these");
-  }
-  job->part_count = (uint32_t)parts;
-  const bool fits = lay_out_part(job, most_bytes);
-  assert(fits);
-  return wire_error_none();
-}
-
-wire_error job_check(struct job *job, const struct server *server, const uint8_t *payload,
-                     size_t payload_bytes) {
-  wire_error error = parse(job, server, payload, payload_bytes);
-  const wire_eval_request *fixed = &job->request.fixed;
-  if (error.status == WIRE_STATUS_OK && fixed->model == EVAL_ANY_MODEL) {
-    error = choose(job);
-  }
-  core_radii_range range;
-  if (error.status == WIRE_STATUS_OK) {
-    error = check_media(job, &range);
-  }
-  if (error.status == WIRE_STATUS_OK) {
-    error = check_radii(job);
-  }
-  if (error.status == WIRE_STATUS_OK) {
-    job->covers_all = range.least_mm <= 0 && range.most_mm >= (double)INFINITY;
-    error = check_range(job, &range);
-  }
-  return error.status == WIRE_STATUS_OK ? cut(job, server) : error;
-}
-
-/* ---- evaluating -------------------------------------------------------------------------------
- */
 
 void job_start_part(struct job *job, uint8_t *reply) {
   const wire_eval_request *fixed = &job->request.fixed;
@@ -252,7 +23,7 @@ void job_start_part(struct job *job, uint8_t *reply) {
   job->notes = 0;
   job->channel = 0;
   job->index = 0;
-  job->radii_done = (fixed->wanted & CORE_QUANTITY_RADIUS) == 0;
+  job->radii_done = job->draws || (fixed->wanted & CORE_QUANTITY_RADIUS) == 0;
 }
 
 void job_start(struct job *job, uint8_t *reply) {
@@ -265,12 +36,12 @@ void job_start(struct job *job, uint8_t *reply) {
 void job_next_part(struct job *job) {
   job->first += job->count;
   job->part++;
-  const bool fits = lay_out_part(job, UINT64_MAX);
+  const bool fits = job_lay_out_part(job, UINT64_MAX);
   assert(fits);
 }
 
 static size_t value_bytes(const struct job *job) {
-  return eval_value_bytes(job->request.fixed.evaluator);
+  return core_evaluator_bytes(job->request.fixed.evaluator);
 }
 
 /* Arrays are padded with zero bytes; called when the last value of an array has been written. */
@@ -319,63 +90,20 @@ void job_end(struct job *job) {
   profiles_return(&job->order);
 }
 
-wire_error job_busy(void) {
-  wire_error error =
-      wire_error_make(WIRE_STATUS_BUSY, "", "less at a time: max_total_bytes is in use");
-  error.retry_after_ms = JOB_RETRY_AFTER_MS;
-  return error;
+/* What a radius of a channel costs when all is evaluated by the cheapest means there is. */
+static uint64_t least_cost(const struct job *job) {
+  const unsigned arrays = job->layout.arrays_per_channel;
+  const core_profile dipole = {.evaluator = job->request.fixed.evaluator, .cost = 1};
+  return arrays > 0 && job->draws ? arrays + (uint64_t)core_draw_cost(&dipole) : arrays;
 }
-
-wire_error job_fault(core_fault fault, uint32_t channel) {
-  fault.index = channel;
-  wire_error error = from_fault(fault);
-  if (strcmp(fault.field, CORE_FIELD_MEMORY) == 0) {
-    error.status = WIRE_STATUS_BUSY;
-    error.retry_after_ms = JOB_RETRY_AFTER_MS;
-  }
-  return error;
-}
-
-/* About what a radius takes, ns: of a dipole on a slow machine. */
-#define RADIUS_NS 2
 
 wire_error job_admit(struct job *job, const struct server *server, struct job_scratch *scratch) {
   const wire_eval_request *fixed = &job->request.fixed;
-  const uint64_t backlog_ms = scratch->owed_radii * RADIUS_NS / 1000000;
-  const uint64_t arrays = job->layout.arrays_per_channel * (uint64_t)fixed->medium_count;
   /* within max_radii 2^40, and a frame's 2^25 media and eight arrays, for a part of 256 radii */
-  const double owed = (double)fixed->radius_count * (double)arrays;
-  job->owed_radii = owed < 1e15 ? (uint64_t)owed : (uint64_t)1000000000000000;
-  job->rests = false;
-  if (job->owed_radii > JOB_SLICE_RADII && backlog_ms >= server->options.max_backlog_ms) {
-    job->owed_radii = 0;
-    wire_error error = wire_error_make(WIRE_STATUS_BUSY, "radius_count",
-                                       "fewer, or later: max_backlog_ms is to do");
-    error.retry_after_ms = backlog_ms < 60000 ? (uint32_t)backlog_ms : 60000;
-    return error;
-  }
-  scratch->owed_radii += job->owed_radii;
-  return wire_error_none();
-}
-
-static void pay(struct job *job, struct job_scratch *scratch, uint64_t radii) {
-  const uint64_t paid = radii < job->owed_radii ? radii : job->owed_radii;
-  job->owed_radii -= paid;
-  scratch->owed_radii -= job->rests ? 0 : paid;
-}
-
-void job_forgive(struct job *job, struct job_scratch *scratch) {
-  pay(job, scratch, job->owed_radii);
-}
-
-void job_rest(struct job *job, struct job_scratch *scratch) {
-  scratch->owed_radii -= job->rests ? 0 : job->owed_radii;
-  job->rests = true;
-}
-
-void job_resume(struct job *job, struct job_scratch *scratch) {
-  scratch->owed_radii += job->rests ? job->owed_radii : 0;
-  job->rests = false;
+  const double radii = (double)fixed->radius_count * fixed->medium_count;
+  return backlog_admit(&scratch->backlog, &job->share, &server->options,
+                       radii * (double)least_cost(job),
+                       job->draws ? "sample_count" : "radius_count");
 }
 
 /* Writes what holds for all values of the channel. */
@@ -396,7 +124,7 @@ static void start_channel(struct job *job) {
 
 /* Begins again with what is the next best. */
 static bool start_again(struct job *job, struct server *server, struct job_scratch *scratch) {
-  if (!choose_again(job)) {
+  if (!job_choose_again(job)) {
     return false;
   }
   /* What has been gathered for earlier channels would be written over the values that come now. */
@@ -408,7 +136,7 @@ static bool start_again(struct job *job, struct server *server, struct job_scrat
 /* The profile of a channel that has none yet. */
 static enum job_state get_profile(struct job *job, struct server *server, struct profiles *profiles,
                                   struct job_scratch *scratch) {
-  const core_medium medium = medium_at(job, job->channel);
+  const core_medium medium = job_medium(job, job->channel);
   switch (profiles_get(profiles, &job->order, &medium)) {
   case PROFILES_WAIT:
     return JOB_WAITS;
@@ -425,20 +153,44 @@ static enum job_state get_profile(struct job *job, struct server *server, struct
   return JOB_GOES_ON;
 }
 
+/* Where the values of a quantity go that is wanted, from the next radius on. */
+static void *place(const struct job *job, enum core_quantity quantity) {
+  return job->reply + eval_array_offset(&job->layout, job_wanted(job), job->channel, quantity) +
+         (size_t)job->index * value_bytes(job);
+}
+
+/* Draws the n radii of a slice, into the reply if they are wanted. */
+static const void *draw_radii(const struct job *job, struct job_scratch *scratch, size_t n) {
+  const bool wanted = eval_is_array(job_wanted(job), CORE_QUANTITY_RADIUS);
+  void *r = wanted ? place(job, CORE_QUANTITY_RADIUS) : scratch->radii;
+  const void *u = scratch->numbers;
+  if (job->request.radii != NULL) {
+    u = listed(job);
+  } else if (value_bytes(job) == sizeof(float)) {
+    core_draw_f32(&job->draw, job->first + job->index, n, (float *)(void *)scratch->numbers);
+  } else {
+    core_draw_f64(&job->draw, job->first + job->index, n, scratch->numbers);
+  }
+  if (value_bytes(job) == sizeof(float)) {
+    core_sample_f32(&job->order.profile, n, u, r);
+  } else {
+    core_sample_f64(&job->order.profile, n, u, r);
+  }
+  return r;
+}
+
 /* Evaluates the n radii of a slice for every array that is wanted, or leaves it to the batch: of
  * a request that is short as a whole. */
 static void evaluate(struct job *job, struct server *server, struct job_scratch *scratch,
                      size_t n) {
   const bool is_short = job->count == n && n <= BATCH_SHORT_RADII && n > 0;
-  const void *r = slice_radii(job, scratch, n);
-  const unsigned wanted = job->request.fixed.wanted;
-  const size_t done = (size_t)job->index * value_bytes(job);
+  const void *r = job->draws ? draw_radii(job, scratch, n) : slice_radii(job, scratch, n);
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
-    if (!eval_is_array(wanted, quantity->id)) {
+    if (!core_quantity_elementwise(quantity->id) ||
+        (job->request.fixed.wanted & quantity->id) == 0) {
       continue;
     }
-    void *to =
-        job->reply + eval_array_offset(&job->layout, wanted, job->channel, quantity->id) + done;
+    void *to = place(job, quantity->id);
     if (is_short &&
         batch_take(&scratch->batch, &server->stats, &job->order, quantity->id, n, r, to)) {
       continue;
@@ -491,8 +243,9 @@ static void channel_step(struct job *job, struct server *server, struct job_scra
                          size_t n) {
   if (job->layout.arrays_per_channel > 0) {
     evaluate(job, server, scratch, n);
-    pay(job, scratch, n * (uint64_t)job->layout.arrays_per_channel);
+    backlog_pay(&scratch->backlog, &job->share, n * least_cost(job));
     stats_count_radii(&server->stats, job->request.fixed.model, n);
+    stats_add(&server->stats, STATS_RADII_DRAWN, job->draws ? n : 0);
     stats_add(&server->stats, STATS_SLICES_EVALUATED, 1);
   }
   if (job->layout.arrays_per_channel == 0 || advance(job, n)) {
@@ -512,6 +265,12 @@ static size_t slice_length(const struct job *job, double cost) {
   return left < most ? (size_t)left : most;
 }
 
+/* Of one radius of the channel. */
+static double cost_of(const struct job *job) {
+  const core_profile *profile = &job->order.profile;
+  return profile->cost + (job->draws ? core_draw_cost(profile) : 0);
+}
+
 enum job_state job_slice(struct job *job, struct server *server, struct profiles *profiles,
                          struct job_scratch *scratch, uint64_t *budget) {
   size_t n;
@@ -525,7 +284,7 @@ enum job_state job_slice(struct job *job, struct server *server, struct profiles
     if (state != JOB_GOES_ON || !job->order.ready) {
       return state;
     }
-    cost = job->order.profile.cost;
+    cost = cost_of(job);
     n = slice_length(job, cost);
     channel_step(job, server, scratch, n);
   }

@@ -1,27 +1,21 @@
-/* job: one eval request being answered, slice by slice. Independent of how requests arrive. */
+/* job: one eval or sample request being answered, slice by slice. Independent of how requests arrive.
+ * A sample is an eval whose radii are drawn first, for each channel. */
 #ifndef DIPOLED_JOB_H
 #define DIPOLED_JOB_H
 
-#include "proto/eval.h"
+#include "proto/sample.h"
+#include "server/backlog.h"
+#include "server/job_state.h"
 #include "server/profiles.h"
 #include "server/repeat.h"
-
-/* A slice's evaluations of a dipole: about 25 to 100 microseconds, which is what a small request may
- * have to wait for when a large one is being evaluated on its worker. Costlier profiles get slices
- * with fewer radii. */
-enum { JOB_SLICE_RADII = 16384 };
-
-/* What a step costs besides, in radii: preparing a profile, or taking a frame apart. */
-enum { JOB_STEP_RADII = 64 };
-
-/* What a client that is told BUSY should wait: long enough for a worker to finish what it has. */
-enum { JOB_RETRY_AFTER_MS = 20 };
 
 struct job_scratch;
 
 struct job {
-  eval_request request;
+  eval_request request; /* of a sample: its radii are the numbers u */
   core_grid grid;
+  bool draws;     /* a sample, */
+  core_draw draw; /* and its numbers */
   eval_layout layout;
   uint8_t *reply;              /* payload of the part, layout.payload_bytes */
   struct profiles_order order; /* for the profile of the channel being evaluated */
@@ -31,10 +25,9 @@ struct job {
   uint32_t part;               /* its number, */
   uint32_t part_count;         /* and how many there are */
   uint32_t channel;
-  uint64_t index;      /* the next radius of that channel in the part */
-  uint64_t owed_radii; /* its share of the worker's, */
-  bool rests;          /* which does not hold it at the moment */
+  uint64_t index; /* the next radius of that channel in the part */
   bool radii_done;
+  struct backlog_share share;
   unsigned notes;     /* of the channels so far */
   double tolerance;   /* that was asked for instead of a model; NAN: a model was */
   double model_error; /* of what was chosen for it */
@@ -48,6 +41,23 @@ struct job {
 wire_error job_check(struct job *job, const struct server *server, const uint8_t *payload,
                      size_t payload_bytes);
 
+/* Likewise, of a sample. */
+wire_error job_check_sample(struct job *job, const struct server *server, const uint8_t *payload,
+                            size_t payload_bytes);
+
+/* What is wanted, as proto/eval.h has it. */
+unsigned job_wanted(const struct job *job);
+
+/* Of job_check.c, for a job that has been checked. The medium of a channel. */
+core_medium job_medium(const struct job *job, uint32_t channel);
+
+/* The layout of the part that begins at job->first; false: it would exceed max_bytes. */
+bool job_lay_out_part(struct job *job, uint64_t max_bytes);
+
+/* When what was chosen for a tolerance cannot be prepared after all, the next best; false: there is
+ * none. A lack of memory decides nothing: the same request gets the same model. */
+bool job_choose_again(struct job *job);
+
 /* What could answer a request of model EVAL_ANY_MODEL. */
 struct choice;
 wire_error job_offers(const struct server *server, const uint8_t *payload, size_t payload_bytes,
@@ -60,41 +70,24 @@ void job_start(struct job *job, uint8_t *reply);
 void job_next_part(struct job *job);
 void job_start_part(struct job *job, uint8_t *reply);
 
-/* BUSY for a large job while the worker has more to do than max_backlog_ms; small ones are always
- * taken: they take turns with the large ones. Otherwise what the job owes is noted. */
+/* Notes what the job will cost its worker, or why it is not to be started now. */
 wire_error job_admit(struct job *job, const struct server *server, struct job_scratch *scratch);
-
-/* It owes nothing any more. */
-void job_forgive(struct job *job, struct job_scratch *scratch);
-
-/* Between parts, while the reader does not keep up: what is not being worked on keeps nobody else
- * from being admitted; and when it goes on. */
-void job_rest(struct job *job, struct job_scratch *scratch);
-void job_resume(struct job *job, struct job_scratch *scratch);
 
 /* Lets go of what a job holds or waits for that is given up before its reply is complete, or that
  * is. A job that has not been started is all 0, but for who is told: order.on_ready. */
 void job_end(struct job *job);
 
+/* The most that a slice draws: of tables, which cost least. */
+enum { JOB_DRAW_RADII = JOB_SLICE_RADII / 4 };
+
 /* What the jobs of a worker share: room for a slice's radii, for grids whose radii are not wanted; and
  * what is short is gathered, and is in the replies after batch_finish(). */
 struct job_scratch {
   double radii[JOB_SLICE_RADII];
+  double numbers[JOB_DRAW_RADII];
   struct batch batch;
   struct repeat repeat;
-  uint64_t owed_radii; /* that jobs under way have still to evaluate, once for each array */
-};
-
-/* BUSY, for what there are no bytes for now; and the error of a fault in preparing a channel. */
-wire_error job_busy(void);
-wire_error job_fault(core_fault fault, uint32_t channel);
-
-enum job_state {
-  JOB_GOES_ON,
-  JOB_WAITS,     /* for a profile: goes on when order.on_ready() has been called */
-  JOB_PART_DONE, /* the part is complete, and not the last */
-  JOB_DONE,      /* the reply is complete */
-  JOB_REFUSED,   /* there will be no reply; job->refusal says why */
+  struct backlog backlog;
 };
 
 /* Evaluates one slice and subtracts what it cost, in radii of a dipole, from *budget (down to 0).

@@ -69,8 +69,7 @@ const struct repeat_entry *repeat_find(const struct repeat *repeat, const uint8_
   const struct repeat_entry *entry = &repeat->entries[place_of(payload, bytes)];
   const bool same = entry->request_bytes == bytes && entry->payload_bytes == payload_bytes &&
                     memcmp(entry->request, payload, bytes) == 0;
-  return same && is_kept(entry) &&
-                 (!is_listed(entry) || radii_are_right(entry, payload + bytes))
+  return same && is_kept(entry) && (!is_listed(entry) || radii_are_right(entry, payload + bytes))
              ? entry
              : NULL;
 }
@@ -121,7 +120,7 @@ static void forget(struct repeat_entry *entry) {
  * angles are not the profile's own. */
 static bool may_repeat(const struct job *job) {
   const wire_eval_request *fixed = &job->request.fixed;
-  return fixed->medium_count == 1 && job->part_count == 1 && job->count > 0 &&
+  return !job->draws && fixed->medium_count == 1 && job->part_count == 1 && job->count > 0 &&
          job->count <= BATCH_SHORT_RADII && job->covers_all && isnan(job->tolerance) &&
          job->layout.arrays_per_channel > 0 &&
          (fixed->wanted & (CORE_QUANTITY_RADIUS | CORE_QUANTITY_S)) == 0 &&
@@ -136,7 +135,7 @@ void repeat_learn(struct repeat *repeat, const struct job *job) {
   const wire_eval_request *fixed = &job->request.fixed;
   const uint8_t *payload = job->request.media - WIRE_BYTES_eval_request;
   const size_t bytes = (size_t)eval_request_bytes(1, fixed->parameter_count, 0);
-  const size_t value_bytes = eval_value_bytes(fixed->evaluator);
+  const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
   const size_t listed = job->request.radii != NULL ? (size_t)job->count * value_bytes : 0;
   struct repeat_entry *entry = &repeat->entries[place_of(payload, bytes)];
   forget(entry);

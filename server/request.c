@@ -16,7 +16,7 @@ struct question {
 };
 
 /* What a handler made of it. */
-enum outcome { ANSWERED, REFUSED, STARTED_JOB, STARTED_TABLE, STARTED_MC };
+enum outcome { ANSWERED, REFUSED, STARTED_JOB, STARTED_TABLE, STARTED_INVERT, STARTED_MC };
 
 static enum outcome refused(struct question *question, wire_error error) {
   question->error = error;
@@ -143,29 +143,37 @@ static enum outcome answer_again(struct question *question, const struct repeat_
   return ANSWERED;
 }
 
+/* Starts a job that has been checked, if there is nothing wrong with it. */
+static enum outcome start_job(struct question *question, wire_error error) {
+  struct job *job = question->place->job;
+  if (error.status == WIRE_STATUS_OK) {
+    error = job_admit(job, question->server, question->place->scratch);
+  }
+  if (error.status != WIRE_STATUS_OK) {
+    return refused(question, error);
+  }
+  uint8_t *reply = begin_reply(question, (size_t)job->layout.payload_bytes);
+  if (reply == NULL) {
+    backlog_forgive(&question->place->scratch->backlog, &job->share);
+    return busy(question);
+  }
+  job_start(job, reply);
+  return STARTED_JOB;
+}
+
 static enum outcome answer_EVAL(struct question *question) {
   const struct repeat_entry *entry = repeat_find(
       &question->place->scratch->repeat, question->payload, question->header->payload_bytes);
   if (entry != NULL) {
     return answer_again(question, entry);
   }
-  struct job *job = question->place->job;
-  const wire_error error =
-      job_check(job, question->server, question->payload, question->header->payload_bytes);
-  if (error.status != WIRE_STATUS_OK) {
-    return refused(question, error);
-  }
-  const wire_error admitted = job_admit(job, question->server, question->place->scratch);
-  if (admitted.status != WIRE_STATUS_OK) {
-    return refused(question, admitted);
-  }
-  uint8_t *reply = begin_reply(question, (size_t)job->layout.payload_bytes);
-  if (reply == NULL) {
-    job_forgive(job, question->place->scratch);
-    return busy(question);
-  }
-  job_start(job, reply);
-  return STARTED_JOB;
+  return start_job(question, job_check(question->place->job, question->server, question->payload,
+                                       question->header->payload_bytes));
+}
+
+static enum outcome answer_SAMPLE(struct question *question) {
+  return start_job(question, job_check_sample(question->place->job, question->server,
+                                              question->payload, question->header->payload_bytes));
 }
 
 /* Room for a list reply with count entries; NULL: none. */
@@ -266,6 +274,26 @@ static enum outcome answer_TABLE(struct question *question) {
   return started(question, error, STARTED_TABLE);
 }
 
+static enum outcome answer_INVERT(struct question *question) {
+  struct invert_job *job = question->place->invert;
+  struct backlog *backlog = &question->place->scratch->backlog;
+  wire_error error =
+      invert_job_check(job, question->server, question->payload, question->header->payload_bytes);
+  if (error.status == WIRE_STATUS_OK) {
+    error = invert_job_admit(job, question->server, backlog);
+  }
+  if (error.status != WIRE_STATUS_OK) {
+    return refused(question, error);
+  }
+  uint8_t *reply = begin_reply(question, (size_t)invert_job_part_bytes(job));
+  if (reply == NULL) {
+    backlog_forgive(backlog, &job->share);
+    return busy(question);
+  }
+  invert_job_start_part(job, reply);
+  return STARTED_INVERT;
+}
+
 static void put_offers(uint8_t *at, const struct choice *choice, size_t taken) {
   const wire_offers_reply reply = {.count = (uint32_t)choice->count, .taken = (uint32_t)taken};
   wire_put_offers_reply(at, &reply);
@@ -346,6 +374,8 @@ enum request_outcome request_begin(struct server *server, const wire_header *hea
     return REQUEST_STARTED;
   case STARTED_TABLE:
     return REQUEST_TABLE_STARTED;
+  case STARTED_INVERT:
+    return REQUEST_INVERT_STARTED;
   case ANSWERED:
     stats_count_answer(&server->stats, WIRE_STATUS_OK);
     return REQUEST_ANSWERED;

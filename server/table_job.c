@@ -1,9 +1,6 @@
 #include "server/table_job.h"
 
-#include <string.h>
-
 #include "proto/parameters.h"
-#include "server/job.h"
 #include "server/request.h"
 
 wire_error table_job_start(struct table_job *job, const uint8_t *payload, size_t payload_bytes) {
@@ -15,20 +12,20 @@ wire_error table_job_start(struct table_job *job, const uint8_t *payload, size_t
   const core_fault fault = core_profile_check(fixed->model, fixed->moments, CORE_EVALUATOR_LUT,
                                               &job->request.medium, &job->request.parameters, NULL);
   if (fault.field != NULL) {
-    return wire_error_make(WIRE_STATUS_BAD_VALUE, fault.field, fault.allowed);
+    return job_error(fault);
   }
   profiles_start(&job->order, fixed->model, fixed->moments, CORE_EVALUATOR_LUT,
                  &job->request.parameters);
   return wire_error_none();
 }
 
-static enum table_job_state refuse(struct table_job *job, wire_error error) {
+static enum job_state refuse(struct table_job *job, wire_error error) {
   job->refusal = error;
-  return TABLE_JOB_REFUSED;
+  return JOB_REFUSED;
 }
 
-static enum table_job_state reply(struct table_job *job, const struct server *server,
-                                  uint64_t request_id, struct output *output) {
+static enum job_state reply(struct table_job *job, const struct server *server, uint64_t request_id,
+                            struct output *output) {
   const core_profile *profile = &job->order.profile;
   const size_t bytes =
       table_reply_bytes(parameters_count(&job->request.parameters), profile->lut_count);
@@ -41,16 +38,15 @@ static enum table_job_state reply(struct table_job *job, const struct server *se
     return refuse(job, job_busy());
   }
   table_reply_put(at, profile, &job->request.parameters);
-  output_commit(output);
-  return TABLE_JOB_DONE;
+  return JOB_DONE;
 }
 
-enum table_job_state table_job_run(struct table_job *job, struct profiles *profiles,
-                                   uint64_t request_id, struct output *output) {
-  enum table_job_state state = TABLE_JOB_WAITS;
+enum job_state table_job_run(struct table_job *job, struct profiles *profiles, uint64_t request_id,
+                             struct output *output) {
+  enum job_state state = JOB_WAITS;
   switch (profiles_get(profiles, &job->order, &job->request.medium)) {
   case PROFILES_WAIT:
-    return TABLE_JOB_WAITS;
+    return JOB_WAITS;
   case PROFILES_FAULT:
     state = refuse(job, job_fault(job->order.fault, 0));
     break;

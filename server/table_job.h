@@ -3,6 +3,7 @@
 #define DIPOLED_TABLE_JOB_H
 
 #include "proto/table.h"
+#include "server/job_state.h"
 #include "server/output.h"
 #include "server/profiles.h"
 
@@ -15,15 +16,9 @@ struct table_job {
 /* Checks all of a request and, when it is right, starts the job; the payload is needed no more. */
 wire_error table_job_start(struct table_job *job, const uint8_t *payload, size_t payload_bytes);
 
-enum table_job_state {
-  TABLE_JOB_WAITS,   /* for the table: goes on when order.on_ready() has been called */
-  TABLE_JOB_DONE,    /* the reply has been committed */
-  TABLE_JOB_REFUSED, /* there will be no reply; refusal says why */
-};
-
-/* Goes on with it. request_id: of its frame. */
-enum table_job_state table_job_run(struct table_job *job, struct profiles *profiles,
-                                   uint64_t request_id, struct output *output);
+/* Goes on with it: WAITS, DONE or REFUSED. request_id: of its frame. */
+enum job_state table_job_run(struct table_job *job, struct profiles *profiles, uint64_t request_id,
+                             struct output *output);
 
 /* Lets go of what it holds or waits for. */
 void table_job_end(struct table_job *job);

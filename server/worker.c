@@ -3,6 +3,8 @@
 #include <assert.h>
 #include <string.h>
 
+#include "server/answer.h"
+
 /* ---- the run queue ----------------------------------------------------------------------------
  */
 
@@ -56,7 +58,7 @@ static void remove_from_run_queue(struct worker *worker, struct connection *conn
 static void publish_queue(struct worker *worker) {
   struct stats *stats = &worker->server->stats;
   stats_set(stats, STATS_QUEUED_CONNECTIONS, worker->run_count);
-  stats_set(stats, STATS_OWED_RADII, worker->scratch.owed_radii);
+  stats_set(stats, STATS_OWED_RADII, worker->scratch.backlog.owed_radii);
 }
 
 /* One turn for each connection that is in the queue now; those that come back have their next turn
@@ -206,7 +208,7 @@ static void on_clock(uv_timer_t *timer) {
 static void on_deadline(uv_timer_t *timer) {
   struct worker *worker = timer->data;
   worker->wake_ms = 0;
-  for_each(worker, connection_deadline);
+  for_each(worker, answer_deadline);
   stay_awake_for_queue(worker);
 }
 

@@ -154,12 +154,12 @@ typedef struct libdipole_pending {
   uint16_t type;
   uint32_t deadline_ms;
   uint64_t reply_bytes_min, reply_bytes_max; /* of the payload of one frame */
-  uint16_t model, evaluator, wanted;         /* these three: eval only */
+  uint16_t model, evaluator, wanted;         /* these three: eval and sample only */
   uint32_t medium_count;                     /* these two: 0 where there is no list of them */
-  uint64_t radius_count;
-  libdipole_frame *frame; /* the answer; NULL: not here yet */
+  uint64_t radius_count;                     /* of an invert: how many media */
+  libdipole_frame *frame;                    /* the answer; NULL: not here yet */
 
-  /* Of an eval whose answer comes in parts: what the next one has to be; */
+  /* Of an answer that comes in parts: what the next one has to be; */
   uint32_t next_part;
   uint64_t next_radius;
   libdipole_frame *gathered; /* what has come so far; with a reader, without the arrays */
@@ -376,6 +376,16 @@ void libdipole_sleep_ms(int64_t ms);
  * next one goes on. */
 bool libdipole_restore(dipole_client *client, dipole_error *error);
 
+/* ---- sample.c ------------------------------------------------------------------------------ */
+
+/* What is wanted, as proto/eval.h has it: whether radii are drawn depends on the message. */
+unsigned libdipole_wanted(uint16_t type, unsigned wanted);
+
+/* ---- invert.c ------------------------------------------------------------------------------ */
+
+/* As libdipole_part_take(), of the answer to an invert request. */
+bool libdipole_media_take(libdipole_pending *pending, libdipole_frame *frame, dipole_error *error);
+
 /* ---- query.c ------------------------------------------------------------------------------- */
 
 /* What a frame's layout depends on. */
@@ -393,8 +403,8 @@ bool libdipole_query_send(dipole_client *client, const dipole_query *query,
 
 /* ---- parts.c ------------------------------------------------------------------------------- */
 
-/* Whether a frame is part of an answer to an eval that has others, or that is to be read part by
- * part. */
+/* Whether a frame is part of an answer that has others, or that is to be read part by part; or of
+ * one to an invert, whose frames are all looked at so. */
 bool libdipole_part_is(const libdipole_pending *pending, const libdipole_frame *frame);
 
 /* Takes the next part over. When it was the last, pending->frame is the whole answer, of which with

@@ -179,6 +179,8 @@ enum dipole_kind {
   DIPOLE_STATUS,
   DIPOLE_PARAMETER,
   DIPOLE_NOTE,
+  DIPOLE_DRAW,
+  DIPOLE_LENGTH,
 };
 
 typedef struct dipole_choice {
@@ -339,8 +341,8 @@ bool dipole_eval_parts(dipole_client *client, const dipole_query *query,
 
 void dipole_result_free(dipole_result *result); /* NULL is fine */
 
-/* The array of any quantity that has a value for each radius (all but albedo and radius):
- * [radius_count], owned by the result. NULL when it was not wanted, when the evaluator has the
+/* The array of any quantity that has a value for each radius (all but albedo and, but for
+ * dipole_sample(), radius): [radius_count], owned by the result. NULL when it was not wanted, when the evaluator has the
  * other type, or when there is no such channel. For R and cdf the channel's own fields say the
  * same. */
 const double *dipole_values_f64(const dipole_result *result, uint32_t channel, unsigned quantity);
@@ -402,6 +404,92 @@ typedef struct dipole_offer {
  * the position of the one that dipole_eval() would take; *count: none. */
 bool dipole_offers(dipole_client *client, const dipole_query *query, dipole_offer **offers,
                    size_t *count, size_t *taken, dipole_error *error);
+
+/* ---- drawing radii ------------------------------------------------------------------------- */
+
+/* How the numbers u of a query are given; i from 0 to sample_count - 1. */
+enum dipole_draw {
+  DIPOLE_DRAW_LIST = 1,       /* by numbers */
+  DIPOLE_DRAW_REGULAR = 2,    /* (i + 1/2) / sample_count */
+  DIPOLE_DRAW_STRATIFIED = 3, /* (i + random number i of the seed) / sample_count */
+  DIPOLE_DRAW_RANDOM = 4      /* random number sample_first + i of the seed */
+};
+
+typedef struct dipole_sample_query {
+  unsigned model;     /* dipole_id(client, DIPOLE_MODEL, name); one that covers all radii */
+  unsigned evaluator; /* enum dipole_evaluator: also the type of numbers, radii and values */
+  unsigned moments;   /* enum dipole_moments */
+  unsigned wanted; /* sum of enum dipole_quantity: DIPOLE_RADIUS are the radii that are drawn; all
+                         others are evaluated at them */
+  const dipole_medium *media; /* [medium_count], one for each channel */
+  uint32_t medium_count;
+  unsigned draw;       /* enum dipole_draw: the numbers are the same for all channels */
+  const void *numbers; /* list: [sample_count] of double (f64) or float, 0 to 1, both included */
+  uint64_t sample_count;
+  uint64_t sample_first; /* random; 0 to 2^52 */
+  uint64_t seed;         /* random, stratified: the same seed gives the same bits everywhere */
+  const dipole_parameter *parameters; /* [parameter_count], as of an eval */
+  size_t parameter_count;
+  unsigned deadline_ms; /* as of an eval */
+} dipole_sample_query;
+
+/* Draws radii in proportion to r R(r): the radius for each number u is the one with cdf(r) = u, 0 mm
+ * for 0 and INFINITY for 1. Its pdf (DIPOLE_PDF) is in 1/mm; pdf / (2 pi r) is the density of points
+ * per mm^2. Waits for the answer, in which radius_count is sample_count, dipole_values_f64() or
+ * ..._f32() with DIPOLE_RADIUS are the radii of a channel, and radius_f64 and radius_f32 are NULL.
+ * *result is the caller's, to be freed with dipole_result_free(). */
+bool dipole_sample(dipole_client *client, const dipole_sample_query *query, dipole_result **result,
+                   dipole_error *error);
+
+/* The numbers begin, ..., begin + n - 1 of a query that has them by rule, without a daemon: u[n] of
+ * double (f64) or float, the bits that the daemon draws with. False: there are none such. */
+bool dipole_sample_numbers(const dipole_sample_query *query, uint64_t begin, size_t n, void *u,
+                           dipole_error *error);
+
+/* ---- from albedos to coefficients ---------------------------------------------------------- */
+
+/* Which length of a medium is known; sigma_t' = sigma_a + sigma_s (1 - g). */
+enum dipole_length {
+  DIPOLE_MEAN_FREE_PATH = 1, /* 1 / sigma_t' */
+  DIPOLE_DIFFUSE_MEAN_FREE_PATH =
+      2,                            /* 1 / (sigma_t' sqrt(3 a / (1 + a))), a = sigma_a / sigma_t' */
+  DIPOLE_CLASSICAL_DIFFUSE_PATH = 3 /* 1 / sqrt(3 sigma_a sigma_t') */
+};
+
+typedef struct dipole_invert_query {
+  unsigned model;   /* whose albedo is known; one whose albedo depends on the medium */
+  unsigned moments; /* enum dipole_moments */
+  unsigned given;   /* enum dipole_length */
+  double g, eta;    /* of all media */
+  const double
+      *albedos; /* [medium_count], 0 to 1: integral of 2 pi r R(r), per power that entered */
+  const double *lengths_mm; /* [medium_count], 1e-14 to 1e14 */
+  uint64_t medium_count; /* at least 1; as many as a frame has room for, see max_frame_bytes; of a
+                               model that takes long to prepare (transport: seconds for each), up to
+                               the limit max_media */
+  unsigned deadline_ms;  /* as of an eval */
+} dipole_invert_query;
+
+/* Arrays: [medium_count], in the order of the query; NaN where there is no such medium. */
+typedef struct dipole_inversion {
+  uint64_t medium_count;
+  uint64_t missing_count; /* how many there are not */
+  const double *sigma_a_per_mm;
+  const double *sigma_s_per_mm;
+  const double
+      *albedos;        /* of these media: within 1e-12 of what was wanted, relative, or a few units
+                            of the last place of what the model resolves */
+  double albedo_least; /* what the model can reach with this g and eta: an albedo that is not */
+  double
+      albedo_most; /* between these has no medium, nor has one without absorption a diffuse path */
+} dipole_inversion;
+
+/* Finds the media that have the given albedos and lengths, and waits for the answer. *inversion is
+ * the caller's, to be freed with dipole_inversion_free(). */
+bool dipole_invert(dipole_client *client, const dipole_invert_query *query,
+                   dipole_inversion **inversion, dipole_error *error);
+
+void dipole_inversion_free(dipole_inversion *inversion); /* NULL is fine */
 
 /* ---- tables -------------------------------------------------------------------------------- */
 

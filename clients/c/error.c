@@ -36,6 +36,12 @@ static bool is_medium_field(const char *field) {
 #undef SAME_NAME
 }
 
+/* Of a list of numbers. */
+static bool is_listed_field(const char *field) {
+  return strcmp(field, "r") == 0 || strcmp(field, "u") == 0 || strcmp(field, "albedo") == 0 ||
+         strcmp(field, "length") == 0;
+}
+
 /* " of medium 2 of 3": which of several the field belongs to, counted from one. */
 static void describe_place(const libdipole_pending *pending, const wire_error *from, char *place,
                            size_t bytes) {
@@ -47,7 +53,7 @@ static void describe_place(const libdipole_pending *pending, const wire_error *f
       pending->medium_count > 1) {
     snprintf(place, bytes, " of medium %llu of %lu", (unsigned long long)from->index + 1,
              (unsigned long)pending->medium_count);
-  } else if (strcmp(from->field, "r") == 0 && from->index < pending->radius_count &&
+  } else if (is_listed_field(from->field) && from->index < pending->radius_count &&
              pending->radius_count > 1) {
     snprintf(place, bytes, " number %llu of %llu", (unsigned long long)from->index + 1,
              (unsigned long long)pending->radius_count);

@@ -18,7 +18,7 @@ static bool submit(dipole_client *client, const dipole_query *query, libdipole_r
   }
   /* What is so large that nothing could hold it is asked for all the same: the daemon's refusal
    * says what the limit is. */
-  if (eval_value_bytes(query->evaluator) > 0 &&
+  if (core_evaluator_bytes(query->evaluator) > 0 &&
       eval_reply_layout(query->evaluator, query->wanted, query->medium_count, query->radius_count,
                         UINT64_MAX, &layout)) {
     pending.reply_bytes_min = layout.radius_offset; /* of a part: with its channels */

@@ -66,7 +66,7 @@ static bool place_next(dipole_client *client, const libdipole_pending *pending) 
   if (into->array == into->array_count) {
     return false;
   }
-  const size_t value_bytes = eval_value_bytes(into->fixed.evaluator);
+  const size_t value_bytes = core_evaluator_bytes(into->fixed.evaluator);
   const uint64_t values_bytes = into->fixed.radius_count * value_bytes; /* the rest is padding */
   if (into->done_bytes < values_bytes && !pending->dropped) {
     stream->target = array_start(into, pending, value_bytes) +

@@ -7,10 +7,12 @@
 
 bool libdipole_part_is(const libdipole_pending *pending, const libdipole_frame *frame) {
   wire_eval_reply fixed;
-  if (pending->type != WIRE_TYPE_EVAL || frame->header.type == WIRE_TYPE_ERROR) {
+  const bool is_invert = pending->type == WIRE_TYPE_INVERT;
+  if ((!is_invert && pending->type != WIRE_TYPE_EVAL && pending->type != WIRE_TYPE_SAMPLE) ||
+      frame->header.type == WIRE_TYPE_ERROR) {
     return false;
   }
-  if (pending->gathered != NULL || pending->reader != NULL) {
+  if (is_invert || pending->gathered != NULL || pending->reader != NULL) {
     return true;
   }
   wire_get_eval_reply(frame->payload, &fixed); /* no shorter: see check_header() */
@@ -47,8 +49,8 @@ static bool begin(libdipole_pending *pending, const libdipole_frame *first,
   eval_layout layout = {.payload_bytes = head};
   /* It has been laid out before it was asked for: what has no layout gets no answer. */
   if (pending->reader == NULL &&
-      !eval_reply_layout(fixed->evaluator, fixed->wanted, fixed->channel_count,
-                         pending->radius_count, UINT64_MAX, &layout)) {
+      !eval_reply_layout(fixed->evaluator, libdipole_wanted(pending->type, fixed->wanted),
+                         fixed->channel_count, pending->radius_count, UINT64_MAX, &layout)) {
     return libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory");
   }
   pending->gathered = libdipole_frame_new(&first->header, layout.payload_bytes,
@@ -64,25 +66,26 @@ static bool begin(libdipole_pending *pending, const libdipole_frame *first,
 /* Of one array: what the part holds of it, into its place. */
 static void copy_array(libdipole_frame *to, uint64_t to_offset, const libdipole_frame *part,
                        uint64_t part_offset, const wire_eval_reply *fixed) {
-  const size_t value_bytes = eval_value_bytes(fixed->evaluator);
+  const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
   memcpy(to->payload + to_offset + fixed->radius_first * value_bytes, part->payload + part_offset,
          (size_t)fixed->radius_count * value_bytes);
 }
 
 static void copy_part(const libdipole_pending *pending, const libdipole_frame *part,
                       const wire_eval_reply *fixed, const eval_layout *from) {
+  const unsigned wanted = libdipole_wanted(pending->type, fixed->wanted);
   libdipole_frame *whole = pending->gathered;
   eval_layout to;
-  eval_reply_layout(fixed->evaluator, fixed->wanted, fixed->channel_count, pending->radius_count,
+  eval_reply_layout(fixed->evaluator, wanted, fixed->channel_count, pending->radius_count,
                     whole->payload_bytes, &to);
-  if ((fixed->wanted & CORE_QUANTITY_RADIUS) != 0) {
+  if ((wanted & CORE_QUANTITY_RADIUS) != 0 && !eval_is_array(wanted, CORE_QUANTITY_RADIUS)) {
     copy_array(whole, to.radius_offset, part, from->radius_offset, fixed);
   }
   for (uint32_t channel = 0; channel < fixed->channel_count; channel++) {
     for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
-      if (eval_is_array(fixed->wanted, quantity->id)) {
-        copy_array(whole, eval_array_offset(&to, fixed->wanted, channel, quantity->id), part,
-                   eval_array_offset(from, fixed->wanted, channel, quantity->id), fixed);
+      if (eval_is_array(wanted, quantity->id)) {
+        copy_array(whole, eval_array_offset(&to, wanted, channel, quantity->id), part,
+                   eval_array_offset(from, wanted, channel, quantity->id), fixed);
       }
     }
   }
@@ -138,7 +141,8 @@ static bool take(libdipole_pending *pending, libdipole_frame *part, dipole_error
 }
 
 bool libdipole_part_take(libdipole_pending *pending, libdipole_frame *frame, dipole_error *error) {
-  const bool good = take(pending, frame, error);
+  const bool good = pending->type == WIRE_TYPE_INVERT ? libdipole_media_take(pending, frame, error)
+                                                      : take(pending, frame, error);
   free(frame);
   return good;
 }

@@ -63,7 +63,7 @@ static bool check_query(const dipole_query *query, uint64_t *radii_bytes, dipole
   if (query->media == NULL && query->medium_count > 0) {
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "media is NULL, medium_count is not 0");
   }
-  const size_t value_bytes = eval_value_bytes(query->evaluator);
+  const size_t value_bytes = core_evaluator_bytes(query->evaluator);
   if (value_bytes == 0) {
     return libdipole_fail(
         error, DIPOLE_ERROR_ARGUMENT,

@@ -9,6 +9,10 @@ _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's arrays
 
 /* ---- answers ------------------------------------------------------------------------------- */
 
+static unsigned wanted_of(const libdipole_frame *frame, unsigned wanted) {
+  return libdipole_wanted(frame->header.type & ~WIRE_REPLY, wanted);
+}
+
 /* In the caller's memory the arrays lie one behind the other, without padding; radii apart. */
 static const void *array_at(const libdipole_frame *frame, const eval_layout *layout,
                             unsigned wanted, uint64_t values_bytes, uint32_t channel,
@@ -34,9 +38,10 @@ static void get_channel(const libdipole_frame *frame, const eval_layout *layout,
                               .numerical_error = from.numerical_error,
                               .numerical_error_per_mm = from.numerical_error_per_mm,
                               .model_error = from.model_error};
-  const uint64_t bytes = fixed->radius_count * eval_value_bytes(fixed->evaluator);
-  const void *R = array_at(frame, layout, fixed->wanted, bytes, index, CORE_QUANTITY_R);
-  const void *cdf = array_at(frame, layout, fixed->wanted, bytes, index, CORE_QUANTITY_CDF);
+  const unsigned wanted = wanted_of(frame, fixed->wanted);
+  const uint64_t bytes = fixed->radius_count * core_evaluator_bytes(fixed->evaluator);
+  const void *R = array_at(frame, layout, wanted, bytes, index, CORE_QUANTITY_R);
+  const void *cdf = array_at(frame, layout, wanted, bytes, index, CORE_QUANTITY_CDF);
   if (fixed->evaluator == DIPOLE_F64) {
     channel->R_f64 = R;
     channel->cdf_f64 = cdf;
@@ -49,7 +54,7 @@ static void get_channel(const libdipole_frame *frame, const eval_layout *layout,
 /* Of any model the daemon chooses the evaluator, but not the type of the values. */
 static bool is_asked_for(const libdipole_pending *pending, const wire_eval_reply *fixed) {
   return pending->model == DIPOLE_ANY_MODEL
-             ? eval_value_bytes(fixed->evaluator) == eval_value_bytes(pending->evaluator)
+             ? core_evaluator_bytes(fixed->evaluator) == core_evaluator_bytes(pending->evaluator)
              : fixed->evaluator == pending->evaluator;
 }
 
@@ -64,7 +69,8 @@ static bool is_next_part(const libdipole_pending *pending, const wire_eval_reply
 
 bool libdipole_answer_parse(const libdipole_pending *pending, const libdipole_frame *frame,
                             wire_eval_reply *fixed, eval_layout *layout, dipole_error *error) {
-  if (eval_reply_parse(frame->payload, (size_t)frame->payload_bytes, fixed, layout) &&
+  if (eval_reply_parse(frame->payload, (size_t)frame->payload_bytes,
+                       pending->type == WIRE_TYPE_SAMPLE, fixed, layout) &&
       is_asked_for(pending, fixed) && fixed->wanted == pending->wanted &&
       fixed->channel_count == pending->medium_count && is_next_part(pending, fixed)) {
     return true;
@@ -76,9 +82,10 @@ bool libdipole_answer_parse(const libdipole_pending *pending, const libdipole_fr
 
 const dipole_result *libdipole_result_make(libdipole_frame *frame, const wire_eval_reply *fixed,
                                            const eval_layout *layout) {
+  const unsigned wanted = wanted_of(frame, fixed->wanted);
   const void *radii = frame->into_radii;
   dipole_channel *channels = (dipole_channel *)(void *)(frame->payload + frame->stored_bytes);
-  if ((fixed->wanted & CORE_QUANTITY_RADIUS) == 0) {
+  if ((wanted & CORE_QUANTITY_RADIUS) == 0 || eval_is_array(wanted, CORE_QUANTITY_RADIUS)) {
     radii = NULL;
   } else if (radii == NULL) {
     radii = frame->payload + layout->radius_offset;
@@ -132,15 +139,15 @@ bool libdipole_result_take(dipole_client *client, libdipole_pending *pending,
 static const void *values(const dipole_result *result, uint32_t channel, unsigned quantity,
                           size_t value_bytes) {
   const libdipole_frame *frame = (const libdipole_frame *)(const void *)result;
+  const unsigned wanted = wanted_of(frame, result->wanted);
   eval_layout layout;
-  if (eval_value_bytes(result->evaluator) != value_bytes || channel >= result->channel_count ||
-      !eval_is_array(result->wanted, quantity) ||
-      !eval_reply_layout(result->evaluator, result->wanted, result->channel_count,
-                         result->radius_count, frame->payload_bytes, &layout)) {
+  if (core_evaluator_bytes(result->evaluator) != value_bytes || channel >= result->channel_count ||
+      !eval_is_array(wanted, quantity) ||
+      !eval_reply_layout(result->evaluator, wanted, result->channel_count, result->radius_count,
+                         frame->payload_bytes, &layout)) {
     return NULL;
   }
-  return array_at(frame, &layout, result->wanted, result->radius_count * value_bytes, channel,
-                  quantity);
+  return array_at(frame, &layout, wanted, result->radius_count * value_bytes, channel, quantity);
 }
 
 const double *dipole_values_f64(const dipole_result *result, uint32_t channel, unsigned quantity) {

@@ -15,6 +15,8 @@
 bool libdipole_retry_is_safe(uint16_t type) {
   switch (type) {
   case WIRE_TYPE_EVAL:
+  case WIRE_TYPE_SAMPLE:
+  case WIRE_TYPE_INVERT:
   case WIRE_TYPE_OFFERS:
   case WIRE_TYPE_TABLE:
   case WIRE_TYPE_MEDIA:

@@ -31,6 +31,8 @@ extern const cli_command *const cli_commands[];
 extern const cli_command cli_command_eval;
 extern const cli_command cli_command_plot;
 extern const cli_command cli_command_points;
+extern const cli_command cli_command_sample;
+extern const cli_command cli_command_invert;
 extern const cli_command cli_command_table;
 extern const cli_command cli_command_mc;
 extern const cli_command cli_command_media;
@@ -78,6 +80,12 @@ bool cli_offers(dipole_client *client, const cli_common *common, const dipole_qu
                 dipole_offer **offers, size_t *count, size_t *taken, dipole_error *error);
 bool cli_table_fetch(dipole_client *client, const cli_common *common,
                      const dipole_table_query *query, dipole_table **table, dipole_error *error);
+
+/* Likewise dipole_sample() and dipole_invert(). */
+bool cli_sample(dipole_client *client, const cli_common *common, const dipole_sample_query *query,
+                dipole_result **result, dipole_error *error);
+bool cli_invert(dipole_client *client, const cli_common *common, const dipole_invert_query *query,
+                dipole_inversion **inversion, dipole_error *error);
 
 /* Waits as long as a busy daemon asks for, within reason. */
 void cli_nap(const dipole_error *busy);

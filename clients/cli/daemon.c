@@ -90,6 +90,28 @@ bool cli_table_fetch(dipole_client *client, const cli_common *common,
   return true;
 }
 
+bool cli_sample(dipole_client *client, const cli_common *common, const dipole_sample_query *query,
+                dipole_result **result, dipole_error *error) {
+  const int64_t start_ms = cli_now_ms();
+  while (!dipole_sample(client, query, result, error)) {
+    if (!nap_while_busy(common, start_ms, error)) {
+      return false;
+    }
+  }
+  return true;
+}
+
+bool cli_invert(dipole_client *client, const cli_common *common, const dipole_invert_query *query,
+                dipole_inversion **inversion, dipole_error *error) {
+  const int64_t start_ms = cli_now_ms();
+  while (!dipole_invert(client, query, inversion, error)) {
+    if (!nap_while_busy(common, start_ms, error)) {
+      return false;
+    }
+  }
+  return true;
+}
+
 int cli_run_plain(const cli_command *command, int argc, char **argv,
                   int (*show)(const cli_command *command, const char *format,
                               dipole_client *client)) {

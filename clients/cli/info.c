@@ -14,7 +14,8 @@ static const struct {
 } lists[] = {
     {DIPOLE_MODEL, "models"},         {DIPOLE_EVALUATOR, "evaluators"}, {DIPOLE_MOMENTS, "moments"},
     {DIPOLE_QUANTITY, "quantities"},  {DIPOLE_SPACING, "spacings"},     {DIPOLE_STATUS, "statuses"},
-    {DIPOLE_PARAMETER, "parameters"}, {DIPOLE_NOTE, "notes"},
+    {DIPOLE_PARAMETER, "parameters"}, {DIPOLE_NOTE, "notes"},           {DIPOLE_DRAW, "draws"},
+    {DIPOLE_LENGTH, "lengths"},
 };
 
 enum { LISTS = sizeof lists / sizeof lists[0] };

@@ -6,8 +6,9 @@
 #include "clients/cli/cli.h"
 
 const cli_command *const cli_commands[] = {
-    &cli_command_eval,  &cli_command_plot, &cli_command_points, &cli_command_table, &cli_command_mc,
-    &cli_command_media, &cli_command_info, &cli_command_top,    &cli_command_bench, NULL,
+    &cli_command_eval,   &cli_command_plot,  &cli_command_points, &cli_command_sample,
+    &cli_command_invert, &cli_command_table, &cli_command_mc,     &cli_command_media,
+    &cli_command_info,   &cli_command_top,   &cli_command_bench,  NULL,
 };
 
 static void say(const cli_command *command, const char *format, va_list arguments) {

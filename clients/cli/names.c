@@ -66,7 +66,11 @@ const dipole_choice *cli_named(const cli_command *command, const dipole_info *in
 const char *cli_option_of(const cli_command *command, const char *field, char *text, size_t bytes) {
   static const struct {
     const char *field, *option;
-  } others[] = {{"radius_start", "from"}, {"radius_stop", "to"}, {"radius_count", "count"}};
+  } others[] = {{"radius_start", "from"},
+                {"radius_stop", "to"},
+                {"radius_count", "count"},
+                {"sample_count", "count"},
+                {"sample_first", "first"}};
   for (size_t i = 0; i < sizeof others / sizeof others[0]; i++) {
     if (strcmp(others[i].field, field) == 0) {
       field = others[i].option;

@@ -3,8 +3,9 @@
 #include <math.h>
 #include <string.h>
 
-#include "clients/cli/picture_file.h"
+#include "clients/cli/gnuplot.h"
 #include "clients/cli/picture_parts.h"
+#include "clients/cli/picture_script.h"
 #include "clients/cli/picture_text.h"
 
 const cli_axes cli_axes_kinds[] = {
@@ -29,7 +30,7 @@ static bool is_terminal(const char *path) {
 }
 
 bool cli_picture_check(const cli_command *command, const char *path) {
-  if (!is_terminal(path) && !picture_file_is_one(path)) {
+  if (!is_terminal(path) && !cli_gnuplot_draws(path)) {
     cli_fail_usage(command, "--plot %s: the name must end in .svg or .png; - is the terminal",
                    path);
     return false;
@@ -74,7 +75,9 @@ static int draw(const cli_command *command, const cli_picture *picture, const ch
     picture_write_text(picture, stdout);
     return CLI_OK;
   }
-  return picture_file_draw(command, picture, path);
+  size_t width_px, height_px;
+  picture_size(picture, &width_px, &height_px);
+  return cli_gnuplot(command, path, width_px, height_px, picture_write_script, picture);
 }
 
 int cli_picture_draw(const cli_command *command, const cli_picture *picture,

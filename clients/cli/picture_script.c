@@ -3,6 +3,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "clients/cli/gnuplot.h"
 #include "clients/cli/picture_parts.h"
 
 /* ---- where panels stand -------------------------------------------------------------------- */
@@ -84,22 +85,10 @@ static void write_place(FILE *script, const cli_picture *picture, const grid *g,
 
 /* ---- the script ---------------------------------------------------------------------------- */
 
-/* A text for gnuplot, which knows no escape within single quotes but the doubled quote. */
-static void write_quoted(FILE *file, const char *text) {
-  fputc('\'', file);
-  for (; *text != '\0'; text++) {
-    if (*text == '\'') {
-      fputc('\'', file);
-    }
-    fputc(*text, file);
-  }
-  fputc('\'', file);
-}
-
 /* "set WHAT 'text'" */
 static void write_set(FILE *script, const char *what, const char *text) {
   fprintf(script, "set %s ", what);
-  write_quoted(script, text);
+  cli_gnuplot_text(script, text);
   fputc('\n', script);
 }
 
@@ -127,7 +116,7 @@ static void write_curve(FILE *script, const cli_picture *picture, size_t panel, 
   fprintf(script, "%s$curve%zu_%zu using 1:%zu with %s %zu lw 2 lc rgb '%s' title ",
           index > 0 ? ", " : "plot ", panel, index, 2 + row, line ? "lines dt" : "points pt",
           curve.dash, curve.colour);
-  write_quoted(script, curve.title);
+  cli_gnuplot_text(script, curve.title);
 }
 
 static void write_axes(FILE *script, const cli_axes *axes, picture_range r, picture_range value) {
@@ -184,12 +173,17 @@ static void write_panel(FILE *script, const cli_picture *picture, const grid *g,
   fputc('\n', script);
 }
 
-void picture_write_script(const cli_picture *picture, const char *terminal, FILE *script) {
+void picture_size(const cli_picture *picture, size_t *width, size_t *height) {
+  const grid g = make_grid(picture);
+  *width = (size_t)g.width;
+  *height = (size_t)g.height;
+}
+
+void picture_write_script(FILE *script, const void *context) {
+  const cli_picture *picture = context;
   char text[PICTURE_TEXT_BYTES];
   const grid g = make_grid(picture);
-  fputs("set terminal ", script);
-  fprintf(script, terminal, (size_t)g.width, (size_t)g.height);
-  fputs("\nset encoding utf8\nset grid\n", script);
+  fputs("set grid\n", script);
   for (size_t panel = 0; panel < g.layout.panels; panel++) {
     for (size_t index = 0; index < g.layout.curves; index++) {
       write_data(script, picture, panel, index);

@@ -4,7 +4,10 @@
 
 #include "clients/cli/picture.h"
 
-/* terminal: of gnuplot, with %zu twice for width and height in pixels. */
-void picture_write_script(const cli_picture *picture, const char *terminal, FILE *script);
+/* In pixels. */
+void picture_size(const cli_picture *picture, size_t *width, size_t *height);
+
+/* A cli_gnuplot_script; the context is a cli_picture. */
+void picture_write_script(FILE *script, const void *context);
 
 #endif

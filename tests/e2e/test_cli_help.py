@@ -61,7 +61,7 @@ EVAL = ["eval", "--sigma-a", "0.1", "--sigma-s", "1"]
 @pytest.mark.parametrize(
     "arguments, said",
     [
-        (["evaluate"], "there is no command 'evaluate'; the commands are eval, plot, points, table,"),
+        (["evaluate"], "there is no command 'evaluate'; the commands are eval, plot, points, sample,"),
         (["help", "evaluate"], "there is no command 'evaluate'"),
         (["eval"], "give --medium NAME, or --sigma-a and --sigma-s"),
         (["eval", "--sigma-a", "1"], "give --medium NAME, or --sigma-a and --sigma-s"),

@@ -59,6 +59,8 @@ def test_the_lists(client):
     assert ids["spacing"] == choices("CORE_SPACING")
     assert ids["parameter"] == {name: one.id for name, one in PARAMETERS.items()}
     assert ids["note"] == NOTES
+    assert ids["draw"] == choices("CORE_DRAW")
+    assert ids["length"] == choices("CORE_LENGTH")
     assert ids["status"] == {name: code for code, name in wire.STATUSES.items()}
     assert "d'Eon" in listed["model"]["better"].about
     assert listed["quantity"]["R"].about == "1/mm^2"
@@ -72,6 +74,8 @@ def test_permanent_ids(client):
         "moments": {"exact": 1, "fit": 2, "jensen": 3},
         "quantity": {"R": 1, "albedo": 2, "cdf": 4, "r": 8},
         "spacing": {"list": 1, "linear": 2, "logarithmic": 3},
+        "draw": {"list": 1, "regular": 2, "stratified": 3, "random": 4},
+        "length": {"mean-free-path": 1, "diffuse-mean-free-path": 2, "classical-diffuse-path": 3},
     }
     for kind, ids in permanent.items():
         for name, number in ids.items():

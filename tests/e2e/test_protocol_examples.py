@@ -10,7 +10,17 @@ from dipole import Frame, Table, wire
 from dipole.mc import unpack_result
 from frames import assert_serves
 
-DETERMINISTIC = ["eval", "parameter", "media", "ping", "mc", "cancel", "error"]
+DETERMINISTIC = [
+    "eval",
+    "parameter",
+    "media",
+    "ping",
+    "mc",
+    "cancel",
+    "sample",
+    "invert",
+    "error",
+]
 NAMES = {
     "hello-request",
     "eval-request",
@@ -26,6 +36,10 @@ NAMES = {
     "cancel-reply",
     "table-request",
     "offers-request",
+    "sample-request",
+    "sample-reply",
+    "invert-request",
+    "invert-reply",
     "error-request",
     "error-reply",
     "statistics-request",
@@ -165,6 +179,12 @@ def check_offers(payload: bytes) -> None:
     assert fixed.taken < fixed.count
 
 
+def check_invert(payload: bytes) -> None:
+    fixed = wire.INVERT_REPLY.unpack(payload)
+    assert len(payload) == wire.INVERT_REPLY.bytes + 3 * 8 * fixed.medium_count
+    assert fixed.missing_count == 0 and fixed.albedo_least < fixed.albedo_most
+
+
 def check_error(payload: bytes) -> None:
     assert len(payload) == wire.ERROR.bytes
     error = wire.ERROR.unpack(payload)
@@ -182,5 +202,7 @@ STRUCTURE = {
     "cancel": check_cancel,
     "table": check_table,
     "offers": check_offers,
+    "sample": check_eval,
+    "invert": check_invert,
     "error": check_error,
 }

@@ -12,7 +12,10 @@
 
 #include <cmocka.h>
 
-#include "proto/eval.h"
+#include "proto/invert.h"
+#include "proto/mc.h"
+#include "proto/sample.h"
+#include "proto/table.h"
 #include "proto/wire.h"
 
 enum { ROUNDS = 300000, MEDIA_MAX = 5, PARAMETERS_MAX = 4, RADII_MAX = 9, PAYLOAD_MAX = 4096 };
@@ -98,7 +101,7 @@ static void make_request(struct bytes *to) {
       .radius_stop = list ? 0 : 1,
   };
   const size_t radii_bytes =
-      list ? (size_t)fixed.radius_count * eval_value_bytes(fixed.evaluator) : 0;
+      list ? (size_t)fixed.radius_count * core_evaluator_bytes(fixed.evaluator) : 0;
   memset(to, 0, sizeof *to);
   to->length = (size_t)eval_request_bytes(medium_count, parameter_count, radii_bytes);
   wire_put_eval_request(to->at, &fixed);
@@ -190,7 +193,7 @@ static void check_refusal(const wire_error *error) {
 /* What was taken lies inside the payload and fills it; every byte of it is read. */
 static void check_taken(const eval_request *request, const uint8_t *payload, size_t payload_bytes) {
   const wire_eval_request *fixed = &request->fixed;
-  const size_t value_bytes = eval_value_bytes(fixed->evaluator);
+  const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
   assert_true(value_bytes == 4 || value_bytes == 8);
   assert_ptr_equal(request->media, payload + WIRE_BYTES_eval_request);
   assert_in_range(fixed->medium_count, 1, payload_bytes / WIRE_BYTES_medium);
@@ -239,6 +242,154 @@ static void requests_are_refused_or_whole(void **unused) {
   assert_true(seen[WIRE_STATUS_BAD_VALUE] > ROUNDS / 20);
 }
 
+/* ---- the other requests -----------------------------------------------------------------------
+ */
+
+/* A sample is an eval with another fixed part, and numbers for radii. */
+static void make_sample(struct bytes *to) {
+  struct bytes eval;
+  wire_eval_request like;
+  do {
+    make_request(&eval);
+    wire_get_eval_request(eval.at, &like);
+  } while (like.spacing != CORE_SPACING_LIST);
+  const size_t before = WIRE_BYTES_eval_request, after = WIRE_BYTES_sample_request;
+  const bool list = random_below(3) != 0;
+  const size_t radii_bytes = wire_padded(like.radius_count * core_evaluator_bytes(like.evaluator));
+  const wire_sample_request fixed = {
+      .model = like.model,
+      .evaluator = like.evaluator,
+      .moments = like.moments,
+      .wanted = like.wanted,
+      .medium_count = like.medium_count,
+      .draw = list ? CORE_DRAW_LIST : CORE_DRAW_RANDOM,
+      .parameter_count = like.parameter_count,
+      .sample_count = like.radius_count,
+  };
+  memset(to, 0, sizeof *to);
+  wire_put_sample_request(to->at, &fixed);
+  memcpy(to->at + after, eval.at + before, eval.length - before);
+  to->length = eval.length - before + after - (list ? 0 : radii_bytes);
+}
+
+static enum wire_status parse_sample(const uint8_t *payload, size_t payload_bytes) {
+  core_draw draw;
+  eval_request request;
+  const wire_error error = sample_request_parse(payload, payload_bytes, &draw, &request);
+  if (error.status == WIRE_STATUS_OK) {
+    const wire_eval_request *fixed = &request.fixed;
+    const size_t listed = draw.rule == CORE_DRAW_LIST
+                              ? (size_t)draw.count * core_evaluator_bytes(fixed->evaluator)
+                              : 0;
+    uint8_t copy[PAYLOAD_MAX];
+    assert_true(request.radii != NULL || draw.rule != CORE_DRAW_LIST);
+    memcpy(copy, request.media, (size_t)fixed->medium_count * WIRE_BYTES_medium);
+    memcpy(copy, request.radii != NULL ? request.radii : copy, listed);
+    assert_int_equal(sample_request_bytes(fixed->medium_count, fixed->parameter_count, listed),
+                     payload_bytes);
+  } else {
+    check_refusal(&error);
+  }
+  return error.status;
+}
+
+static void make_invert(struct bytes *to) {
+  const uint64_t count = 1 + random_below(RADII_MAX);
+  const wire_invert_request fixed = {
+      .model = random_id(core_models),
+      .moments = random_id(core_moments_list),
+      .given = random_id(core_lengths),
+      .medium_count = count,
+      .eta = 1.3,
+  };
+  memset(to, 0x3f, sizeof *to);
+  wire_put_invert_request(to->at, &fixed);
+  to->length = (size_t)invert_request_bytes(count);
+}
+
+static enum wire_status parse_invert(const uint8_t *payload, size_t payload_bytes) {
+  invert_request request;
+  const wire_error error = invert_request_parse(payload, payload_bytes, &request);
+  if (error.status == WIRE_STATUS_OK) {
+    uint8_t copy[PAYLOAD_MAX];
+    const size_t bytes = (size_t)request.fixed.medium_count * sizeof(double);
+    memcpy(copy, request.albedos, bytes);
+    memcpy(copy, request.lengths, bytes);
+    assert_int_equal(invert_request_bytes(request.fixed.medium_count), payload_bytes);
+  } else {
+    check_refusal(&error);
+  }
+  return error.status;
+}
+
+static void make_mc(struct bytes *to) {
+  const uint32_t albedos = (uint32_t)random_below(CORE_MC_ALBEDOS_MAX + 1);
+  const wire_mc_request fixed = {.spacing = CORE_SPACING_LINEAR,
+                                 .albedo_count = (uint16_t)albedos,
+                                 .ring_count = 3,
+                                 .photons = 1};
+  memset(to, 0x3f, sizeof *to);
+  wire_put_mc_request(to->at, &fixed);
+  to->length = mc_request_bytes(albedos);
+}
+
+static enum wire_status parse_mc(const uint8_t *payload, size_t payload_bytes) {
+  mc_request request;
+  const wire_error error = mc_request_parse(payload, payload_bytes, &request);
+  if (error.status == WIRE_STATUS_OK) {
+    assert_int_equal(mc_request_bytes(request.fixed.albedo_count), payload_bytes);
+  } else {
+    check_refusal(&error);
+  }
+  return error.status;
+}
+
+static void make_table(struct bytes *to) {
+  const uint32_t parameters = (uint32_t)random_below(PARAMETERS_MAX + 1);
+  const wire_table_request fixed = {.model = random_id(core_models),
+                                    .moments = random_id(core_moments_list),
+                                    .parameter_count = (uint16_t)parameters};
+  memset(to, 0, sizeof *to);
+  wire_put_table_request(to->at, &fixed);
+  put_parameters(to->at + table_request_bytes(0), parameters);
+  to->length = table_request_bytes(parameters);
+}
+
+static enum wire_status parse_table(const uint8_t *payload, size_t payload_bytes) {
+  table_request request;
+  const wire_error error = table_request_parse(payload, payload_bytes, &request);
+  if (error.status == WIRE_STATUS_OK) {
+    assert_int_equal(table_request_bytes(request.fixed.parameter_count), payload_bytes);
+  } else {
+    check_refusal(&error);
+  }
+  return error.status;
+}
+
+static void other_requests_are_refused_or_whole(void **unused) {
+  (void)unused;
+  static const struct {
+    void (*make)(struct bytes *to);
+    enum wire_status (*parse)(const uint8_t *payload, size_t payload_bytes);
+  } messages[] = {{make_sample, parse_sample},
+                  {make_invert, parse_invert},
+                  {make_mc, parse_mc},
+                  {make_table, parse_table}};
+  enum { MESSAGES = sizeof messages / sizeof messages[0] };
+  size_t taken[MESSAGES] = {0};
+  for (size_t round = 0; round < ROUNDS; round++) {
+    const size_t message = round % MESSAGES;
+    struct bytes bytes;
+    messages[message].make(&bytes);
+    uint8_t *payload = mutated(&bytes);
+    taken[message] += messages[message].parse(payload, bytes.length) == WIRE_STATUS_OK;
+    free(payload);
+  }
+  for (size_t i = 0; i < MESSAGES; i++) {
+    assert_true(taken[i] > ROUNDS / MESSAGES / 10 && taken[i] < ROUNDS / MESSAGES);
+  }
+}
+
 /* ---- replies ----------------------------------------------------------------------------------
  */
 
@@ -278,7 +429,7 @@ static void replies_are_refused_or_whole(void **unused) {
     uint8_t *payload = mutated(&bytes);
     wire_eval_reply fixed;
     eval_layout layout;
-    if (eval_reply_parse(payload, bytes.length, &fixed, &layout)) {
+    if (eval_reply_parse(payload, bytes.length, false, &fixed, &layout)) {
       check_reply(payload, bytes.length, &fixed, &layout);
       taken++;
     }
@@ -297,7 +448,7 @@ static void layouts_do_not_wrap(void **unused) {
     const uint64_t radii = interesting();
     const uint64_t most = random_below(2) ? interesting() : 67108864;
     const unsigned per_channel = (unsigned)__builtin_popcount(wanted & quantity_bits(true));
-    const unsigned __int128 values = (unsigned __int128)radii * eval_value_bytes(evaluator);
+    const unsigned __int128 values = (unsigned __int128)radii * core_evaluator_bytes(evaluator);
     const unsigned __int128 arrays =
         (unsigned __int128)channels * per_channel + ((wanted & 8) >> 3);
     const unsigned __int128 needed = WIRE_BYTES_eval_reply +
@@ -393,6 +544,7 @@ static void structures_survive_a_round_trip(void **unused) {
 int main(void) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test_setup(requests_are_refused_or_whole, seed),
+      cmocka_unit_test_setup(other_requests_are_refused_or_whole, seed),
       cmocka_unit_test_setup(replies_are_refused_or_whole, seed),
       cmocka_unit_test_setup(layouts_do_not_wrap, seed),
       cmocka_unit_test_setup(headers_are_judged_in_order, seed),

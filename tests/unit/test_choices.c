@@ -2,8 +2,8 @@
 #include "tests/unit/unit.h"
 
 static const core_choice *const lists[] = {
-    core_models,   core_evaluators,     core_moments_list, core_quantities,
-    core_spacings, core_parameter_list, core_notes,
+    core_models,         core_evaluators, core_moments_list, core_quantities, core_spacings,
+    core_parameter_list, core_notes,      core_draws,        core_lengths,
 };
 enum { LISTS = sizeof lists / sizeof lists[0] };
 

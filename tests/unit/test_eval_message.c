@@ -87,7 +87,7 @@ static void assert_list_parsed(unsigned evaluator, uint32_t media, size_t count)
   build(&payload, &fixed, media, count);
   assert_int_equal(parse(&payload, &request).status, WIRE_STATUS_OK);
   assert_int_equal(payload.length,
-                   eval_request_bytes(media, 0, count * eval_value_bytes(evaluator)));
+                   eval_request_bytes(media, 0, count * core_evaluator_bytes(evaluator)));
   assert_memory_equal(&request.fixed, &fixed, sizeof fixed);
   for (uint32_t i = 0; i < media; i++) {
     wire_medium medium;
@@ -487,7 +487,7 @@ static void arrays_lie_where_the_protocol_says(void **state) {
 static bool fits(unsigned evaluator, unsigned wanted, uint32_t channels, uint64_t count,
                  uint64_t max_bytes) {
   const unsigned __int128 array =
-      ((unsigned __int128)count * eval_value_bytes(evaluator) + 7) / 8 * 8;
+      ((unsigned __int128)count * core_evaluator_bytes(evaluator) + 7) / 8 * 8;
   const unsigned arrays = array_count(wanted);
   /* at most 2^33 arrays of 2^67 bytes */
   const unsigned __int128 bytes =
@@ -521,7 +521,7 @@ static void layouts_do_not_wrap(void **state) {
     const unsigned arrays = array_count(wanted);
     const uint64_t all = has(wanted, CORE_QUANTITY_RADIUS) + (uint64_t)arrays * channel_count;
     /* near the largest count that fits, near a wrap, or anything */
-    const uint64_t largest = limit / (all > 0 ? all : 1) / eval_value_bytes(evaluator);
+    const uint64_t largest = limit / (all > 0 ? all : 1) / core_evaluator_bytes(evaluator);
     const uint64_t bases[] = {largest, (uint64_t)1 << (58 + i % 6), unit_random(&random), 0};
     const uint64_t count = bases[i % 4] + unit_random_below(&random, 40) - 20;
     assert_fits_as_it_should(evaluator, wanted, channel_count, count, limit);
@@ -557,7 +557,7 @@ static void replies_are_taken_apart(void **state) {
   for (size_t length = 0; length < right + 64; length++) {
     wire_eval_reply fixed;
     eval_layout layout;
-    assert_int_equal(eval_reply_parse(bytes, length, &fixed, &layout), length == right);
+    assert_int_equal(eval_reply_parse(bytes, length, false, &fixed, &layout), length == right);
     if (length == right) {
       assert_memory_equal(&fixed, &good_reply, sizeof fixed);
       assert_int_equal(layout.payload_bytes, right);
@@ -569,7 +569,7 @@ static void assert_reply_refused(wire_eval_reply fixed, size_t length) {
   uint8_t bytes[PAYLOAD_MAX] = {0};
   eval_layout layout;
   wire_put_eval_reply(bytes, &fixed);
-  assert_false(eval_reply_parse(bytes, length, &fixed, &layout));
+  assert_false(eval_reply_parse(bytes, length, false, &fixed, &layout));
 }
 
 /* A client does not trust a daemon's counts either. */
@@ -632,11 +632,11 @@ static void parts_are_as_large_as_they_may_be(void **state) {
 
 static void values_have_their_sizes(void **state) {
   (void)state;
-  assert_int_equal(eval_value_bytes(CORE_EVALUATOR_F64), 8);
-  assert_int_equal(eval_value_bytes(CORE_EVALUATOR_F32), 4);
-  assert_int_equal(eval_value_bytes(CORE_EVALUATOR_LUT), 4);
-  assert_int_equal(eval_value_bytes(0), 0);
-  assert_int_equal(eval_value_bytes(UINT32_MAX), 0);
+  assert_int_equal(core_evaluator_bytes(CORE_EVALUATOR_F64), 8);
+  assert_int_equal(core_evaluator_bytes(CORE_EVALUATOR_F32), 4);
+  assert_int_equal(core_evaluator_bytes(CORE_EVALUATOR_LUT), 4);
+  assert_int_equal(core_evaluator_bytes(0), 0);
+  assert_int_equal(core_evaluator_bytes(UINT32_MAX), 0);
   assert_int_equal(wire_padded(0), 0);
   assert_int_equal(wire_padded(1), 8);
   assert_int_equal(wire_padded(8), 8);

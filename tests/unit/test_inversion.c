@@ -1,4 +1,6 @@
 /* From a wanted albedo and mean free path to a medium, and back. */
+#include "core/inversion.h"
+
 #include <float.h>
 #include <math.h>
 
@@ -210,6 +212,165 @@ static void faults_name_the_field(void **state) {
   assert_names(model, 99, 1, 1.3, "moments");
 }
 
+/* ---- every model, probe by probe ----------------------------------------------------------- */
+
+/* What a search may take: of models whose albedo jumps, as terms come and go, halving. */
+enum { PROBES_USUAL = 16, PROBES_MOST = 120 };
+
+/* Probes to the end; how many it took. */
+static unsigned probe_to_the_end(core_inverter *inverter) {
+  unsigned probes = 0;
+  double albedo;
+  do {
+    albedo = albedo_of(inverter->model, inverter->moments, &inverter->medium);
+    probes++;
+    assert_true(probes <= PROBES_MOST);
+  } while (!core_inverter_take(inverter, albedo));
+  return probes;
+}
+
+/* The length that a medium has, by the list's formula. */
+static double length_of(const core_medium *medium, enum core_length length) {
+  const double reduced = medium->sigma_s_per_mm * (1 - medium->g);
+  const double sigma_t_prime = medium->sigma_a_per_mm + reduced;
+  const double absorbed = medium->sigma_a_per_mm / sigma_t_prime;
+  switch (length) {
+  case CORE_LENGTH_DIFFUSE:
+    return 1 / (sigma_t_prime * sqrt(3 * absorbed / (1 + absorbed)));
+  case CORE_LENGTH_CLASSICAL_DIFFUSE:
+    return 1 / sqrt(3 * medium->sigma_a_per_mm * sigma_t_prime);
+  default:
+    return 1 / sigma_t_prime;
+  }
+}
+
+/* Models that prepare quickly; the others are the same search, and are inverted by a daemon in
+ * tests/e2e. */
+static bool is_searched(const core_choice *model) {
+  return !core_prepares_slowly(model->id, CORE_EVALUATOR_F64);
+}
+
+static void seek_albedos(core_inverter *inverter, unsigned usual) {
+  static const double albedos[] = {1e-6, .003, .05, .2, .5, .8, .97, .9999};
+  for (size_t i = 0; i < sizeof albedos / sizeof albedos[0]; i++) {
+    const enum core_length length = CORE_LENGTH_FREE_PATH + i % 3;
+    const double length_mm = i % 2 ? .7 : 13;
+    if (core_inverter_seek(inverter, albedos[i], length, length_mm)) {
+      assert_false(inverter->found);
+      assert_true(albedos[i] > inverter->albedo_most);
+      continue;
+    }
+    assert_true(probe_to_the_end(inverter) <= usual);
+    assert_true(inverter->found);
+    assert_true(inverter->albedo ==
+                albedo_of(inverter->model, inverter->moments, &inverter->medium));
+    assert_true(fabs(inverter->albedo - albedos[i]) <= ROUND_TRIP * albedos[i]);
+    assert_true(fabs(length_of(&inverter->medium, length) / length_mm - 1) <= 1e-13);
+  }
+}
+
+static void every_model_is_inverted_for_every_length(void **state) {
+  (void)state;
+  unsigned inverted = 0;
+  for (const core_choice *model = core_models; model->name != NULL; model++) {
+    for (unsigned i = 0; i < 6 && is_searched(model); i++) {
+      core_inverter inverter;
+      const core_fault fault = core_inverter_start(&inverter, model->id, CORE_MOMENTS_EXACT,
+                                                   i % 2 ? .8 : 0, 1 + .4 * (i / 2), 1);
+      if (fault.field != NULL) {
+        assert_string_equal(fault.field, "thickness"); /* a slab needs it */
+        continue;
+      }
+      probe_to_the_end(&inverter);
+      if (core_inverter_check(&inverter).field != NULL) {
+        assert_true(strncmp(model->name, "skin-", 5) == 0); /* the same for every medium */
+        continue;
+      }
+      const bool jumps = core_worth_keeping(model->id, CORE_EVALUATOR_F64);
+      seek_albedos(&inverter, jumps ? PROBES_MOST : PROBES_USUAL);
+      inverted++;
+    }
+  }
+  assert_true(inverted >= 6 * 15);
+}
+
+/* The same albedo and length get the same bits whatever was looked for before. */
+static void searches_do_not_depend_on_each_other(void **state) {
+  (void)state;
+  uint64_t random = unit_seed();
+  core_inverter one, other;
+  core_inverter_start(&one, CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, .3, 1.4, 1);
+  probe_to_the_end(&one);
+  for (int i = 0; i < 200; i++) {
+    const double albedo = unit_random_between(&random, 0, 1);
+    const double length_mm = unit_random_log(&random, .01, 100);
+    assert_false(core_inverter_seek(&one, albedo, CORE_LENGTH_DIFFUSE, length_mm));
+    probe_to_the_end(&one);
+    core_inverter_start(&other, CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, .3, 1.4, 1);
+    probe_to_the_end(&other);
+    assert_false(core_inverter_seek(&other, albedo, CORE_LENGTH_DIFFUSE, length_mm));
+    probe_to_the_end(&other);
+    assert_memory_equal(&one.medium, &other.medium, sizeof one.medium);
+    assert_true(one.albedo == other.albedo);
+  }
+}
+
+static void what_there_is_not_is_not_found(void **state) {
+  (void)state;
+  core_inverter inverter;
+  core_inverter_start(&inverter, CORE_MODEL_SINGLE, CORE_MOMENTS_EXACT, 0, 1.3, 1);
+  probe_to_the_end(&inverter);
+  assert_true(inverter.albedo_most < .1);
+  assert_true(core_inverter_seek(&inverter, .5, CORE_LENGTH_FREE_PATH, 1));
+  assert_false(inverter.found);
+  core_inverter_start(&inverter, CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, 0, 1.3, 1);
+  probe_to_the_end(&inverter);
+  assert_true(core_inverter_seek(&inverter, 0, CORE_LENGTH_FREE_PATH, 1));
+  assert_false(inverter.found);
+  /* Without absorption nothing decays. */
+  assert_true(core_inverter_seek(&inverter, 1, CORE_LENGTH_DIFFUSE, 1));
+  assert_true(core_inverter_seek(&inverter, 1, CORE_LENGTH_CLASSICAL_DIFFUSE, 1));
+  assert_false(inverter.found);
+  assert_false(core_inverter_seek(&inverter, 1, CORE_LENGTH_FREE_PATH, 1));
+  probe_to_the_end(&inverter);
+  assert_true(inverter.found && inverter.medium.sigma_a_per_mm == 0 && inverter.albedo == 1);
+}
+
+static void starting_faults_name_the_field(void **state) {
+  (void)state;
+  const struct {
+    unsigned model, moments;
+    double g, eta;
+    const char *field;
+  } cases[] = {
+      {0, CORE_MOMENTS_EXACT, 0, 1.3, "model"},
+      {CORE_MODEL_BETTER, 0, 0, 1.3, "moments"},
+      {CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, 1, 1.3, "g"},
+      {CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, -1, 1.3, "g"},
+      {CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, (double)NAN, 1.3, "g"},
+      {CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, 0, 0, "eta"},
+      {CORE_MODEL_BETTER, CORE_MOMENTS_FIT, 0, 3, "eta"},
+      {CORE_MODEL_MULTIPOLE, CORE_MOMENTS_EXACT, 0, 1.3, "thickness"},
+#ifndef CORE_WITHOUT_GSL
+      {CORE_MODEL_GAUSSIANS, CORE_MOMENTS_EXACT, 0, 1.3, "model"},
+#endif
+  };
+  for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+    core_inverter inverter;
+    unit_assert_fault(core_inverter_start(&inverter, cases[i].model, cases[i].moments, cases[i].g,
+                                          cases[i].eta, 1),
+                      cases[i].field, 0);
+  }
+  const double bad_albedos[] = {-1e-300, nextafter(1, 2), (double)NAN, (double)INFINITY};
+  for (size_t i = 0; i < sizeof bad_albedos / sizeof bad_albedos[0]; i++) {
+    unit_assert_fault(core_inversion_check(bad_albedos[i], 1), "albedo", 0);
+  }
+  const double bad_lengths[] = {0, -1, .9e-14, 1.1e14, (double)INFINITY, (double)NAN};
+  for (size_t i = 0; i < sizeof bad_lengths / sizeof bad_lengths[0]; i++) {
+    unit_assert_fault(core_inversion_check(.5, bad_lengths[i]), "length", 0);
+  }
+}
+
 int main(void) {
   const struct CMUnitTest tests[] = {
       cmocka_unit_test(listed_albedos_come_back),
@@ -219,6 +380,10 @@ int main(void) {
       cmocka_unit_test(the_most_has_no_absorption),
       cmocka_unit_test(an_albedo_out_of_reach_is_a_fault_that_names_the_reach),
       cmocka_unit_test(faults_name_the_field),
+      cmocka_unit_test(every_model_is_inverted_for_every_length),
+      cmocka_unit_test(searches_do_not_depend_on_each_other),
+      cmocka_unit_test(what_there_is_not_is_not_found),
+      cmocka_unit_test(starting_faults_name_the_field),
   };
   return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -3,8 +3,10 @@
 #include <ctype.h>
 #include <math.h>
 
+#include "core/inversion.h"
 #include "core/lut/lut.h"
-#include "proto/eval.h"
+#include "proto/invert.h"
+#include "proto/sample.h"
 #include "proto/table.h"
 #include "tests/unit/unit.h"
 
@@ -254,7 +256,7 @@ static void assert_holds_the_cores_values(const char *request_name, const char *
   eval_request_parse(payload_of(example), example->header.payload_bytes, &request);
   const size_t n = (size_t)request.fixed.radius_count;
   assert_true(n <= RADII_MAX);
-  assert_true(eval_reply_parse(payload, answer->header.payload_bytes, &reply, &layout));
+  assert_true(eval_reply_parse(payload, answer->header.payload_bytes, false, &reply, &layout));
   assert_int_equal(reply.model, request.fixed.model);
   assert_int_equal(reply.wanted, request.fixed.wanted);
   assert_int_equal(reply.channel_count, request.fixed.medium_count);
@@ -283,6 +285,89 @@ static void eval_replies_hold_the_cores_values(void **state) {
   (void)state;
   assert_holds_the_cores_values("eval-request", "eval-reply");
   assert_holds_the_cores_values("parameter-request", "parameter-reply");
+}
+
+/* Radii of one medium, drawn by rule, and their densities, in double precision. */
+static void sample_reply_holds_the_cores_radii(void **state) {
+  (void)state;
+  enum { COUNT_MAX = 16 };
+  const struct example *example = example_named("sample-request");
+  const struct example *answer = example_named("sample-reply");
+  const uint8_t *payload = payload_of(answer);
+  core_draw draw;
+  eval_request request;
+  wire_eval_reply reply;
+  eval_layout layout;
+  wire_medium wire;
+  core_profile profile;
+  double u[COUNT_MAX], r[COUNT_MAX], pdf[COUNT_MAX];
+  assert_int_equal(
+      sample_request_parse(payload_of(example), example->header.payload_bytes, &draw, &request)
+          .status,
+      WIRE_STATUS_OK);
+  unit_assert_fault(core_draw_check(&draw), NULL, 0);
+  assert_true(draw.rule != CORE_DRAW_LIST && draw.count <= COUNT_MAX);
+  assert_true(eval_reply_parse(payload, answer->header.payload_bytes, true, &reply, &layout));
+  assert_int_equal(reply.wanted, CORE_QUANTITY_RADIUS | CORE_QUANTITY_PDF);
+  assert_int_equal(reply.radius_count, draw.count);
+
+  wire_get_medium(request.media, &wire);
+  const core_medium medium = {wire.sigma_a, wire.sigma_s, wire.g, wire.eta};
+  unit_assert_fault(core_profile_prepare(&profile, core_isa_select("portable"), request.fixed.model,
+                                         request.fixed.moments, request.fixed.evaluator, &medium,
+                                         &request.parameters),
+                    NULL, 0);
+  const size_t n = (size_t)draw.count;
+  core_draw_f64(&draw, 0, n, u);
+  core_sample_f64(&profile, n, u, r);
+  core_eval_f64(&profile, CORE_QUANTITY_PDF, n, r, pdf);
+  const unsigned wanted = reply.wanted | EVAL_DRAWN;
+  assert_memory_equal(payload + eval_array_offset(&layout, wanted, 0, CORE_QUANTITY_RADIUS), r,
+                      n * sizeof *r);
+  assert_memory_equal(payload + eval_array_offset(&layout, wanted, 0, CORE_QUANTITY_PDF), pdf,
+                      n * sizeof *pdf);
+  core_profile_free(&profile);
+}
+
+static double albedo_of(const invert_request *request, const core_medium *medium) {
+  core_profile profile;
+  unit_assert_fault(core_profile_prepare(&profile, core_isa_select("portable"),
+                                         request->fixed.model, request->fixed.moments,
+                                         CORE_EVALUATOR_F64, medium, NULL),
+                    NULL, 0);
+  const double albedo = profile.albedo;
+  core_profile_free(&profile);
+  return albedo;
+}
+
+/* The media have the albedos that were asked for, and the lengths, by the formula of the text. */
+static void invert_reply_holds_media_as_wanted(void **state) {
+  (void)state;
+  const struct example *example = example_named("invert-request");
+  const struct example *answer = example_named("invert-reply");
+  const uint8_t *payload = payload_of(answer);
+  invert_request request;
+  wire_invert_reply reply;
+  assert_int_equal(
+      invert_request_parse(payload_of(example), example->header.payload_bytes, &request).status,
+      WIRE_STATUS_OK);
+  assert_true(invert_reply_parse(payload, answer->header.payload_bytes, &reply));
+  assert_int_equal(request.fixed.given, CORE_LENGTH_DIFFUSE);
+  assert_int_equal(reply.medium_count, request.fixed.medium_count);
+  const double *array[INVERT_ARRAYS];
+  for (unsigned i = 0; i < INVERT_ARRAYS; i++) {
+    array[i] = (const double *)(const void *)(payload + invert_array_offset(i, reply.medium_count));
+  }
+  for (size_t i = 0; i < reply.medium_count; i++) {
+    const core_medium medium = {array[INVERT_SIGMA_A][i], array[INVERT_SIGMA_S][i], request.fixed.g,
+                                request.fixed.eta};
+    assert_true(array[INVERT_ALBEDO][i] == albedo_of(&request, &medium));
+    assert_true(fabs(array[INVERT_ALBEDO][i] - request.albedos[i]) <= 1e-12 * request.albedos[i]);
+    const double sigma_t_prime = medium.sigma_a_per_mm + medium.sigma_s_per_mm * (1 - medium.g);
+    const double absorbed = medium.sigma_a_per_mm / sigma_t_prime;
+    const double length = 1 / (sigma_t_prime * sqrt(3 * absorbed / (1 + absorbed)));
+    assert_true(fabs(length - request.lengths[i]) <= 1e-14 * request.lengths[i]);
+  }
 }
 
 /* The request has the right shape; it is the core that refuses its medium, as the reply says. */
@@ -324,6 +409,8 @@ int main(void) {
       cmocka_unit_test(table_request_asks_for_a_tolerance),
       cmocka_unit_test(offers_request_names_no_model),
       cmocka_unit_test(eval_replies_hold_the_cores_values),
+      cmocka_unit_test(sample_reply_holds_the_cores_radii),
+      cmocka_unit_test(invert_reply_holds_media_as_wanted),
       cmocka_unit_test(the_error_is_the_cores),
   };
   return cmocka_run_group_tests(tests, read_examples, NULL);

@@ -302,6 +302,8 @@ static void choices_hold_every_list(void **state) {
   assert_choices_hold(WIRE_CHOICE_STATUS, statuses, &index);
   assert_choices_hold(WIRE_CHOICE_PARAMETER, core_parameter_list, &index);
   assert_choices_hold(WIRE_CHOICE_NOTE, core_notes, &index);
+  assert_choices_hold(WIRE_CHOICE_DRAW, core_draws, &index);
+  assert_choices_hold(WIRE_CHOICE_LENGTH, core_lengths, &index);
   assert_int_equal(index, wire_choice_count());
 }
 

@@ -23,8 +23,10 @@ from .errors import (
     Refused,
     TableError,
 )
+from .inversion import Inversion
 from .mc import McEnergy, McProgress, McResult, McValue
 from .parts import Parts
+from .samples import Draw, Samples
 from .table import Table
 from .values import Choice, Grid, Info, Medium, Offer, Offers, Result
 
@@ -38,9 +40,11 @@ __all__ = [
     "Connection",
     "ConnectionLost",
     "DipoleError",
+    "Draw",
     "Frame",
     "Grid",
     "Info",
+    "Inversion",
     "McEnergy",
     "McProgress",
     "McResult",
@@ -52,6 +56,7 @@ __all__ = [
     "ProtocolError",
     "Refused",
     "Result",
+    "Samples",
     "Table",
     "TableError",
     "Values",

@@ -21,6 +21,7 @@ class Query(NamedTuple):
     medium_count: int
     radius_count: int
     handed_on: bool = False  # its parts are wanted one by one
+    message: str = "eval"  # or "sample": each channel has radii of its own
 
 
 class Part(NamedTuple):
@@ -44,6 +45,15 @@ class Answer:
         self._whole: dict[int, np.ndarray] = {}
 
     @property
+    def message(self) -> str:
+        """What it answers."""
+        return self.query.message
+
+    def fresh(self) -> Answer:
+        """The same, of which nothing has come."""
+        return Answer(self.query)
+
+    @property
     def is_new(self) -> bool:
         """Whether nothing of it has come yet."""
         return self._next_part == 0 and not self.ended
@@ -55,7 +65,7 @@ class Answer:
 
     def add(self, payload: bytes) -> None:
         """Takes the payload of the next reply."""
-        part = _unpack(payload)
+        part = _unpack(payload, self.query.message == "sample")
         self._check(part)
         fixed = part.fixed
         self.ended = fixed.part + 1 == fixed.part_count
@@ -161,15 +171,15 @@ def _fixed(payload: bytes) -> Any:
     return wire.EVAL_REPLY.unpack(payload)
 
 
-def _unpack(payload: bytes) -> Part:
-    """Each array is padded to a multiple of 8 bytes, the radii first, then each channel's
-    quantities."""
+def _unpack(payload: bytes, drawn: bool) -> Part:
+    """Each array is padded to a multiple of 8 bytes, the radii first unless they are drawn, then
+    each channel's quantities."""
     fixed = _fixed(payload)
     if fixed.evaluator not in wire.EVALUATOR_TYPES:
         raise ProtocolError(f"an eval reply of evaluator {fixed.evaluator}, not known here")
     value_type = np.dtype(wire.EVALUATOR_TYPES[fixed.evaluator])
-    per_channel = [q for q in wire.ELEMENTWISE if fixed.wanted & q]
-    wanted_r = bool(fixed.wanted & wire.QUANTITY_RADIUS)
+    per_channel = [q for q in (wire.DRAWN if drawn else wire.ELEMENTWISE) if fixed.wanted & q]
+    wanted_r = bool(fixed.wanted & wire.QUANTITY_RADIUS) and not drawn
     channels_bytes = fixed.channel_count * wire.CHANNEL.bytes
     stride = wire.padded(fixed.radius_count * value_type.itemsize)
     array_count = fixed.channel_count * len(per_channel) + wanted_r

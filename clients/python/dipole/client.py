@@ -13,12 +13,14 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from . import answers, broadcast, calls, mc, packing, retry, wire
-from .answers import Answer, Query
+from . import answers, broadcast, calls, inversion, mc, packing, retry, samples, wire
+from .answers import Answer
 from .broadcast import Values
 from .connection import Connection, Frame
 from .errors import ArgumentError, ConnectionLost, DipoleError, ProtocolError, Refused
+from .inversion import Inversion
 from .parts import Parts
+from .samples import Draw, Samples
 from .table import Table
 from .values import Grid, Info, Medium, Offers, Result
 
@@ -48,6 +50,7 @@ class Client:
         self._outstanding: dict[int, Answer] = {}  # of submitted queries
         self._arrived: dict[int, None] = {}  # those that are whole, or refused, in that order
         self._read: dict[int, Answer] = {}  # of queries that are read part by part
+        self._asked: dict[int, Any] = {}  # of calls that wait for all of it
         self._ignored: set[int] = set()  # requests whose replies say nothing that is wanted
         self._requests = retry.Requests()
         self._late: list[Frame] = []  # answers to requests whose deadlines passed while lost
@@ -197,7 +200,7 @@ class Client:
         payload, query = packing.query(
             self.info, model, media, r, grid, evaluator, moments, wanted, parameters, tolerance
         )
-        return self._send("eval", payload, deadline_ms, self._outstanding, query)
+        return self._send("eval", payload, deadline_ms, self._outstanding, Answer(query))
 
     def eval_parts(
         self,
@@ -222,7 +225,7 @@ class Client:
             self.info, model, media, r, grid, evaluator, moments, wanted, parameters, tolerance
         )
         query = query._replace(handed_on=True)
-        return Parts(self, self._send("eval", payload, deadline_ms, self._read, query))
+        return Parts(self, self._send("eval", payload, deadline_ms, self._read, Answer(query)))
 
     def offers(
         self,
@@ -257,6 +260,69 @@ class Client:
         from 1e-6 (by default 1e-4). deadline_ms: as of eval()."""
         call = calls.table(self.info, model, medium, moments, parameters, tolerance)
         return self._call(call, deadline_ms)
+
+    def sample(
+        self,
+        model: str | int,
+        media: Medium | Iterable[Sequence[float]] | np.ndarray,
+        u: Any = None,
+        *,
+        draw: Draw | None = None,
+        evaluator: str | int = "f64",
+        moments: str | int = "exact",
+        wanted: Iterable[str] = ("r", "pdf"),
+        parameters: Mapping[str, float | str] | None = None,
+        tolerance: float | None = None,
+        deadline_ms: int = 0,
+    ) -> Samples:
+        """Draws radii in proportion to r R(r): the radius for each number u has the cdf u.
+
+        u: N numbers from 0 to 1, both included (0 mm, infinity); or draw: the numbers by rule, the
+        same for every channel: Draw(1024) are 1024 random ones. wanted: names of quantities, of
+        which "r" are the radii and all others are evaluated at them. All else is as of eval(), but
+        for models that do not cover all radii, which are refused.
+        """
+        payload, query, numbers = samples.request(
+            self.info,
+            model,
+            media,
+            u,
+            draw,
+            evaluator,
+            moments,
+            wanted,
+            parameters,
+            tolerance,
+        )
+        answer = self._whole("sample", payload, deadline_ms, Answer(query))
+        return samples.result(answer, self.info, numbers)
+
+    def invert(
+        self,
+        model: str | int,
+        albedo: Any,
+        length: Any,
+        *,
+        given: str | int = "mean-free-path",
+        g: float = 0.0,
+        eta: float = 1.3,
+        moments: str | int = "exact",
+        deadline_ms: int = 0,
+    ) -> Inversion:
+        """The media whose diffuse albedo under a model is the given one: sigma_a and sigma_s from
+        what artists have.
+
+        albedo: from 0 to 1, of any shape: a number, channels, a texture [H, W, 3]. length: mm, of a
+        shape that can be broadcast with it: what `given` says: "mean-free-path", 1 / sigma_t', with
+        sigma_t' = sigma_a + sigma_s (1 - g); or "diffuse-mean-free-path",
+        "classical-diffuse-path": see info.choices["length"]. g, eta: of all of them. An albedo that
+        the model cannot reach has no medium: its values are NaN. deadline_ms: as of eval().
+        """
+        payload, query = inversion.request(
+            self.info, model, albedo, length, given, g, eta, moments
+        )
+        answer = self._whole("invert", payload, deadline_ms, inversion.Answer(query))
+        return inversion.result(answer, self.info)
 
     def collect(self, request_id: int | None = None) -> tuple[int, Result]:
         """Waits for the answer to any outstanding query, or to a certain one; returns its id and
@@ -387,15 +453,15 @@ class Client:
         message: str,
         payload: bytes = b"",
         deadline_ms: int = 0,
-        queries: dict[int, Answer] | None = None,
-        query: Query | None = None,
+        queries: dict[int, Any] | None = None,
+        answer: Any = None,
     ) -> int:
-        """Sends a request; returns its id. queries: where the answer to this query will be."""
+        """Sends a request; returns its id. queries: where its answer is to be found."""
         self._last_id += 1
         request_id = self._last_id
         self._requests.add(request_id, message, payload, deadline_ms)
         if queries is not None:
-            queries[request_id] = Answer(query)
+            queries[request_id] = answer
         try:
             type = wire.MESSAGES[message]
             self._connection.send_frame(type, request_id, payload, deadline_ms)
@@ -436,9 +502,10 @@ class Client:
         self._connection = fresh._connection
         self._connection.timeout_s = timeout_s
         self._connection.socket.settimeout(timeout_s)
-        for request_id, answer in self._outstanding.items():
-            if not answer.ended:
-                self._outstanding[request_id] = Answer(answer.query)
+        for queries in (self._outstanding, self._asked):
+            for request_id, answer in queries.items():
+                if not answer.ended:
+                    queries[request_id] = answer.fresh()
         sent = [i for i in sorted(self._requests.kept) if i not in self._requests.again_s]
         try:
             self._send_again(sent)
@@ -468,15 +535,18 @@ class Client:
             return None
         is_last = {
             wire.MESSAGES["eval"] | wire.REPLY: answers.is_last,
+            wire.MESSAGES["sample"] | wire.REPLY: answers.is_last,
+            wire.MESSAGES["invert"] | wire.REPLY: inversion.is_last,
             wire.MESSAGES["mc"] | wire.REPLY: mc.is_last,
         }.get(frame.type)
-        if is_last is None or is_last(frame.payload):
+        ends = is_last is None or is_last(frame.payload)
+        if ends:
             self._requests.remove(frame.request_id)
         if frame.request_id in self._ignored:
-            if frame.type != wire.MESSAGES["eval"] | wire.REPLY or answers.is_last(frame.payload):
+            if ends:
                 self._ignored.remove(frame.request_id)
             return None
-        for queries in (self._outstanding, self._read):
+        for queries in (self._outstanding, self._read, self._asked):
             answer = queries.get(frame.request_id)
             if answer is not None:
                 self._add(answer, frame)
@@ -499,19 +569,33 @@ class Client:
             return False
         if not self._requests.later(refused):
             return False
-        if request_id in self._outstanding:
-            self._outstanding[request_id] = Answer(self._outstanding[request_id].query)
+        for queries in (self._outstanding, self._asked):
+            if request_id in queries:
+                queries[request_id] = queries[request_id].fresh()
         return True
 
-    def _add(self, answer: Answer, frame: Frame) -> None:
+    def _add(self, answer: Any, frame: Frame) -> None:
         if answer.ended:
             raise ProtocolError(f"a second reply to request {frame.request_id}")
         try:
-            answer.add(calls.payload_of(frame, "eval"))
+            answer.add(calls.payload_of(frame, answer.message))
         except Refused as refusal:
             answer.refuse(refusal)
         if answer.ended and frame.request_id in self._outstanding:
             self._arrived[frame.request_id] = None
+
+    def _whole(self, message: str, payload: bytes, deadline_ms: int, answer: Any) -> Any:
+        """Sends a request and waits for all of its answer, which is returned; or an error, which is
+        raised."""
+        request_id = self._send(message, payload, deadline_ms, self._asked, answer)
+        try:
+            while not self._asked[request_id].ended:
+                self._receive()
+        except BaseException:
+            if not self._asked.pop(request_id).ended:
+                self._ignored.add(request_id)
+            raise
+        return self._asked.pop(request_id)
 
     def _answer(self, request_id: int, message: str) -> bytes:
         """The payload of the reply to a request that is not among the submitted ones."""

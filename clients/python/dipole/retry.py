@@ -23,7 +23,7 @@ KEPT_BYTES = 64 << 20
 _PAUSE_FIRST_S = 0.010
 _PAUSE_MOST_S = 1.0
 # Of a Monte Carlo job the photons walked so far would be lost, and others' jobs delayed.
-_IDEMPOTENT = ("eval", "offers", "table", "media", "statistics", "ping")
+_IDEMPOTENT = ("eval", "sample", "invert", "offers", "table", "media", "statistics", "ping")
 _PASSING = ("busy", "shutting-down", "timeout")
 
 

@@ -30,6 +30,8 @@ MESSAGES = {
     "cancel": 7,
     "table": 8,
     "offers": 9,
+    "sample": 10,
+    "invert": 11,
 }
 
 # Names of statuses by code.
@@ -59,6 +61,8 @@ KINDS = {
     6: "status",
     7: "parameter",
     8: "note",
+    9: "draw",
+    10: "length",
 }
 
 # Ids that are permanent and that the layout of a payload depends on.
@@ -82,7 +86,13 @@ ELEMENTWISE = (
     QUANTITY_RING,
     QUANTITY_S,
 )
+# The same of a sample, whose channels have radii of their own.
+DRAWN = tuple(sorted((*ELEMENTWISE, QUANTITY_RADIUS)))
 SPACING_LIST = 1
+DRAW_LIST = 1
+DRAW_REGULAR = 2
+DRAW_STRATIFIED = 3
+DRAW_RANDOM = 4
 ANY_MODEL = 0  # in place of a model: any that keeps the parameter tolerance
 
 # States of an mc job: under way, and why it ended.
@@ -345,6 +355,46 @@ OFFER = Structure(
     "f64 prepare_cost",
 )
 
+SAMPLE_REQUEST = Structure(
+    "sample_request",
+    "u16 model",
+    "u16 evaluator",
+    "u16 moments",
+    "u16 wanted",
+    "u32 medium_count",
+    "u16 draw",
+    "u16 parameter_count",
+    "u64 sample_count",
+    "u64 sample_first",
+    "u64 seed",
+)
+
+INVERT_REQUEST = Structure(
+    "invert_request",
+    "u16 model",
+    "u16 moments",
+    "u16 given",
+    "u16 zero",
+    "u64 medium_count",
+    "f64 g",
+    "f64 eta",
+)
+
+INVERT_REPLY = Structure(
+    "invert_reply",
+    "u16 model",
+    "u16 moments",
+    "u16 given",
+    "u16 zero",
+    "u32 part",
+    "u32 part_count",
+    "u64 medium_count",
+    "u64 medium_first",
+    "u64 missing_count",
+    "f64 albedo_least",
+    "f64 albedo_most",
+)
+
 ERROR = Structure(
     "error",
     "u16 status",
@@ -379,6 +429,9 @@ STRUCTURES = {
         TABLE_REPLY,
         OFFERS_REPLY,
         OFFER,
+        SAMPLE_REQUEST,
+        INVERT_REQUEST,
+        INVERT_REPLY,
         ERROR,
     )
 }

@@ -1,7 +1,7 @@
 /* gnuplot reads its script from one nameless file and writes the picture into another and its
  * complaints into a third, so that no shell, no quoting of file names and no half-written picture
  * are involved. */
-#include "clients/cli/picture_file.h"
+#include "clients/cli/gnuplot.h"
 
 #include <errno.h>
 #include <fcntl.h>
@@ -9,8 +9,6 @@
 #include <string.h>
 #include <sys/wait.h>
 #include <unistd.h>
-
-#include "clients/cli/picture_script.h"
 
 #define PROGRAM "gnuplot"
 #define PACKAGE "gnuplot-nox"
@@ -38,8 +36,30 @@ static const picture_format *format_of(const char *path) {
   return NULL;
 }
 
-bool picture_file_is_one(const char *path) {
+bool cli_gnuplot_draws(const char *path) {
   return format_of(path) != NULL;
+}
+
+bool cli_gnuplot_check(const cli_command *command, const char *path) {
+  if (!cli_gnuplot_draws(path)) {
+    cli_fail_usage(command, "--plot %s: the name must end in .svg or .png", path);
+    return false;
+  }
+  return true;
+}
+
+/* ---- the script ---------------------------------------------------------------------------- */
+
+/* gnuplot knows no escape within single quotes but the doubled quote. */
+void cli_gnuplot_text(FILE *script, const char *text) {
+  fputc('\'', script);
+  for (; *text != '\0'; text++) {
+    if (*text == '\'') {
+      fputc('\'', script);
+    }
+    fputc(*text, script);
+  }
+  fputc('\'', script);
 }
 
 /* The nameless files that gnuplot works with, in the order of its standard streams. */
@@ -97,7 +117,7 @@ static int draw(const cli_command *command, FILE *const files[FILES], const char
   if (fault == ENOENT) {
     return cli_fail(command,
                     "--plot %s: " PROGRAM " is not installed; install the package " PACKAGE
-                    ", or take --plot - for the terminal",
+                    " (`dipole plot` and `dipole eval` draw in the terminal with --plot -)",
                     path);
   }
   if (fault != 0) {
@@ -115,7 +135,8 @@ static int draw(const cli_command *command, FILE *const files[FILES], const char
   return CLI_OK;
 }
 
-int picture_file_draw(const cli_command *command, const cli_picture *picture, const char *path) {
+int cli_gnuplot(const cli_command *command, const char *path, size_t width, size_t height,
+                cli_gnuplot_script *write, const void *context) {
   FILE *files[FILES] = {NULL};
   int status = CLI_OK;
   for (int i = 0; status == CLI_OK && i < FILES; i++) {
@@ -126,7 +147,10 @@ int picture_file_draw(const cli_command *command, const cli_picture *picture, co
     }
   }
   if (status == CLI_OK) {
-    picture_write_script(picture, format_of(path)->terminal, files[SCRIPT]);
+    fputs("set terminal ", files[SCRIPT]);
+    fprintf(files[SCRIPT], format_of(path)->terminal, width, height);
+    fputs("\nset encoding utf8\n", files[SCRIPT]);
+    write(files[SCRIPT], context);
     fflush(files[SCRIPT]);
     rewind(files[SCRIPT]);
     status = draw(command, files, path);

@@ -1,0 +1,87 @@
+#include "core/draw.h"
+
+#include <float.h>
+
+core_fault core_draw_check(const core_draw *draw) {
+  const bool by_rule = draw->rule != CORE_DRAW_LIST;
+  const bool seeded = draw->rule == CORE_DRAW_STRATIFIED || draw->rule == CORE_DRAW_RANDOM;
+  if (by_rule && (draw->count < 1 || draw->count > CORE_DRAW_COUNT_MAX)) {
+    return (core_fault){"sample_count", "1 to 2^52 by rule", 0};
+  }
+  if (draw->first > (draw->rule == CORE_DRAW_RANDOM ? CORE_DRAW_COUNT_MAX : 0)) {
+    return draw->rule == CORE_DRAW_RANDOM ? (core_fault){"sample_first", "0 to 2^52", 0}
+                                          : (core_fault){"sample_first", "0 unless random", 0};
+  }
+  if (draw->seed != 0 && !seeded) {
+    return (core_fault){"seed", "0 unless random or stratified", 0};
+  }
+  return (core_fault){0};
+}
+
+/* ---- by rule ----------------------------------------------------------------------------------
+ */
+
+static uint64_t random_bits(uint64_t seed, uint64_t i) {
+  uint64_t z = seed + (i + 1) * UINT64_C(0x9e3779b97f4a7c15);
+  z = (z ^ z >> 30) * UINT64_C(0xbf58476d1ce4e5b9);
+  z = (z ^ z >> 27) * UINT64_C(0x94d049bb133111eb);
+  return z ^ z >> 31;
+}
+
+static double random_f64(uint64_t seed, uint64_t i) {
+  return ((double)(random_bits(seed, i) >> 12) + 0.5) * 0x1p-52;
+}
+
+static float random_f32(uint64_t seed, uint64_t i) {
+  return ((float)(random_bits(seed, i) >> 41) + 0.5f) * 0x1p-23f;
+}
+
+/* Regular and stratified, as drawn; it may round to 1. */
+static double in_stratum(const core_draw *draw, uint64_t i) {
+  const double within = draw->rule == CORE_DRAW_REGULAR ? 0.5 : random_f64(draw->seed, i);
+  return ((double)i + within) / (double)draw->count;
+}
+
+void core_draw_f64(const core_draw *draw, uint64_t begin, size_t n, double *u) {
+  const double most = 1 - DBL_EPSILON / 2;
+  for (size_t k = 0; k < n; k++) {
+    const uint64_t i = begin + k;
+    const double number = draw->rule == CORE_DRAW_RANDOM ? random_f64(draw->seed, draw->first + i)
+                                                         : in_stratum(draw, i);
+    u[k] = number < most ? number : most;
+  }
+}
+
+void core_draw_f32(const core_draw *draw, uint64_t begin, size_t n, float *u) {
+  const float most = 1 - FLT_EPSILON / 2;
+  for (size_t k = 0; k < n; k++) {
+    const uint64_t i = begin + k;
+    const float number = draw->rule == CORE_DRAW_RANDOM ? random_f32(draw->seed, draw->first + i)
+                                                        : (float)in_stratum(draw, i);
+    u[k] = number < most ? number : most;
+  }
+}
+
+/* ---- by list ----------------------------------------------------------------------------------
+ */
+
+#define DEFINE_CHECK(name, type)                                                                   \
+  core_fault name(size_t n, const type *u) {                                                       \
+    for (size_t i = 0; i < n; i++) {                                                               \
+      if (!(u[i] >= 0 && u[i] <= 1)) {                                                             \
+        return (core_fault){"u", "0 to 1, both included", i};                                      \
+      }                                                                                            \
+    }                                                                                              \
+    return (core_fault){0};                                                                        \
+  }
+
+DEFINE_CHECK(core_numbers_check_f64, double)
+DEFINE_CHECK(core_numbers_check_f32, float)
+
+/* ---- cost ------------------------------------------------------------------------------------- */
+
+/* As measured for all models: a table is looked up once more; else the cdf is inverted, in some eight
+ * steps of two evaluations at most beside what the steps themselves take. */
+double core_draw_cost(const core_profile *profile) {
+  return profile->evaluator == CORE_EVALUATOR_LUT ? 3 : 280 + 16 * profile->cost;
+}

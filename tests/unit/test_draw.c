@@ -1,0 +1,187 @@
+/* Numbers by rule: known ones, each by itself, in (0, 1); and what is wrong with a rule. */
+#include "core/draw.h"
+
+#include <float.h>
+#include <math.h>
+
+#include "tests/unit/unit.h"
+
+enum { COUNT = 1000 };
+
+/* What Vigna's splitmix64.c gives for the seeds 1 and 1234567. */
+static const struct {
+  uint64_t seed;
+  uint64_t outputs[5];
+} known[] = {
+    {1,
+     {UINT64_C(10451216379200822465), UINT64_C(13757245211066428519),
+      UINT64_C(17911839290282890590), UINT64_C(8196980753821780235),
+      UINT64_C(8195237237126968761)}},
+    {1234567,
+     {UINT64_C(6457827717110365317), UINT64_C(3203168211198807973), UINT64_C(9817491932198370423),
+      UINT64_C(4593380528125082431), UINT64_C(16408922859458223821)}},
+};
+
+static void random_numbers_are_the_published_ones(void **state) {
+  (void)state;
+  for (size_t k = 0; k < sizeof known / sizeof known[0]; k++) {
+    const core_draw draw = {CORE_DRAW_RANDOM, 5, 0, known[k].seed};
+    double f64[5];
+    float f32[5];
+    core_draw_f64(&draw, 0, 5, f64);
+    core_draw_f32(&draw, 0, 5, f32);
+    for (size_t i = 0; i < 5; i++) {
+      const uint64_t z = known[k].outputs[i];
+      assert_true(f64[i] == ldexp((double)(z >> 12) + 0.5, -52));
+      assert_true(f32[i] == ldexpf((float)(z >> 41) + 0.5f, -23));
+      assert_true(fabs(f64[i] - ldexp((double)z, -64)) <= 0x1p-52);
+    }
+  }
+}
+
+static core_draw any_draw(uint64_t *random, enum core_draw_rule rule) {
+  return (core_draw){
+      .rule = rule,
+      .count = 1 + unit_random(random) % (unit_random(random) % 2 ? 100 : CORE_DRAW_COUNT_MAX),
+      .first = rule == CORE_DRAW_RANDOM ? unit_random(random) % CORE_DRAW_COUNT_MAX : 0,
+      .seed = rule == CORE_DRAW_REGULAR ? 0 : unit_random(random),
+  };
+}
+
+/* Wherever an array is cut, and whatever is asked for beside it. */
+static void numbers_do_not_depend_on_slices(void **state) {
+  (void)state;
+  uint64_t random = unit_seed();
+  for (int round = 0; round < 300; round++) {
+    const core_draw draw = any_draw(&random, 2 + (unsigned)round % 3);
+    const size_t n = draw.count < COUNT ? (size_t)draw.count : COUNT;
+    const uint64_t begin = unit_random(&random) % (draw.count - n + 1);
+    double all[COUNT], one;
+    float all_f32[COUNT], one_f32;
+    unit_assert_fault(core_draw_check(&draw), NULL, 0);
+    core_draw_f64(&draw, begin, n, all);
+    core_draw_f32(&draw, begin, n, all_f32);
+    for (size_t i = 0; i < n; i++) {
+      core_draw_f64(&draw, begin + i, 1, &one);
+      core_draw_f32(&draw, begin + i, 1, &one_f32);
+      assert_true(one == all[i] && one_f32 == all_f32[i]);
+      assert_true(one > 0 && one < 1 && one_f32 > 0 && one_f32 < 1);
+    }
+  }
+}
+
+/* A sequence goes on where `first` says. */
+static void a_sequence_can_be_had_in_pieces(void **state) {
+  (void)state;
+  const core_draw whole = {CORE_DRAW_RANDOM, COUNT, 0, 7};
+  const core_draw later = {CORE_DRAW_RANDOM, COUNT - 300, 300, 7};
+  double all[COUNT], rest[COUNT];
+  core_draw_f64(&whole, 0, COUNT, all);
+  core_draw_f64(&later, 0, COUNT - 300, rest);
+  assert_memory_equal(rest, all + 300, (COUNT - 300) * sizeof *rest);
+}
+
+static void every_stratum_has_its_number(void **state) {
+  (void)state;
+  for (uint64_t seed = 0; seed < 20; seed++) {
+    const core_draw draw = {CORE_DRAW_STRATIFIED, COUNT, 0, seed};
+    double u[COUNT];
+    core_draw_f64(&draw, 0, COUNT, u);
+    for (size_t i = 0; i < COUNT; i++) {
+      assert_true(u[i] >= (double)i / COUNT && u[i] <= (double)(i + 1) / COUNT);
+    }
+  }
+  const core_draw regular = {CORE_DRAW_REGULAR, 4, 0, 0};
+  const double middles[4] = {0.125, 0.375, 0.625, 0.875};
+  double u[4];
+  core_draw_f64(&regular, 0, 4, u);
+  assert_memory_equal(u, middles, sizeof u);
+}
+
+/* The last numbers of so many would round to 1. */
+static void no_number_is_1(void **state) {
+  (void)state;
+  const core_draw many = {CORE_DRAW_REGULAR, CORE_DRAW_COUNT_MAX, 0, 0};
+  double u;
+  float u_f32;
+  core_draw_f64(&many, many.count - 1, 1, &u);
+  core_draw_f32(&many, many.count - 1, 1, &u_f32);
+  assert_true(u < 1 && u > 1 - 1e-15);
+  assert_true(u_f32 == 1 - FLT_EPSILON / 2);
+}
+
+/* Moments of uniform numbers, within five standard errors. */
+static void random_numbers_are_uniform(void **state) {
+  (void)state;
+  enum { MANY = 100000 };
+  static double u[MANY];
+  for (uint64_t seed = 1; seed <= 5; seed++) {
+    const core_draw draw = {CORE_DRAW_RANDOM, MANY, 0, seed};
+    double sum = 0, squares = 0, products = 0;
+    core_draw_f64(&draw, 0, MANY, u);
+    for (size_t i = 0; i < MANY; i++) {
+      sum += u[i] - 0.5;
+      squares += u[i] * u[i] - 1.0 / 3;
+      products += (u[i] - 0.5) * (u[(i + 1) % MANY] - 0.5);
+    }
+    const double error = 5 * sqrt(MANY);
+    assert_true(fabs(sum) < error * sqrt(1.0 / 12));
+    assert_true(fabs(squares) < error * sqrt(4.0 / 45));
+    assert_true(fabs(products) < error / 12);
+  }
+}
+
+static void faults_name_the_field(void **state) {
+  (void)state;
+  const struct {
+    core_draw draw;
+    const char *field;
+  } cases[] = {
+      {{CORE_DRAW_LIST, 0, 0, 0}, NULL},
+      {{CORE_DRAW_LIST, UINT64_MAX, 0, 0}, NULL},
+      {{CORE_DRAW_LIST, 1, 1, 0}, "sample_first"},
+      {{CORE_DRAW_LIST, 1, 0, 1}, "seed"},
+      {{CORE_DRAW_REGULAR, 0, 0, 0}, "sample_count"},
+      {{CORE_DRAW_REGULAR, CORE_DRAW_COUNT_MAX + 1, 0, 0}, "sample_count"},
+      {{CORE_DRAW_REGULAR, 1, 1, 0}, "sample_first"},
+      {{CORE_DRAW_REGULAR, 1, 0, 1}, "seed"},
+      {{CORE_DRAW_STRATIFIED, 1, 0, UINT64_MAX}, NULL},
+      {{CORE_DRAW_STRATIFIED, 1, 1, 1}, "sample_first"},
+      {{CORE_DRAW_RANDOM, CORE_DRAW_COUNT_MAX, CORE_DRAW_COUNT_MAX, UINT64_MAX}, NULL},
+      {{CORE_DRAW_RANDOM, 1, CORE_DRAW_COUNT_MAX + 1, 0}, "sample_first"},
+      {{CORE_DRAW_RANDOM, 0, 0, 0}, "sample_count"},
+  };
+  for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+    unit_assert_fault(core_draw_check(&cases[i].draw), cases[i].field, 0);
+  }
+}
+
+static void listed_numbers_are_from_0_to_1(void **state) {
+  (void)state;
+  const double good[] = {0, -0.0, 5e-324, 0.5, 1 - DBL_EPSILON / 2, 1};
+  const float good_f32[] = {0, 0.5f, 1};
+  const double bad[] = {-5e-324, nextafter(1, 2), (double)NAN, (double)INFINITY, -1};
+  unit_assert_fault(core_numbers_check_f64(sizeof good / sizeof *good, good), NULL, 0);
+  unit_assert_fault(core_numbers_check_f32(sizeof good_f32 / sizeof *good_f32, good_f32), NULL, 0);
+  unit_assert_fault(core_numbers_check_f64(0, NULL), NULL, 0);
+  for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
+    const double list[] = {0, 1, bad[i]};
+    const float list_f32[] = {0.25f, nextafterf(1, 2), 0};
+    unit_assert_fault(core_numbers_check_f64(3, list), "u", 2);
+    unit_assert_fault(core_numbers_check_f32(3, list_f32), "u", 1);
+  }
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(random_numbers_are_the_published_ones),
+      cmocka_unit_test(numbers_do_not_depend_on_slices),
+      cmocka_unit_test(a_sequence_can_be_had_in_pieces),
+      cmocka_unit_test(every_stratum_has_its_number),
+      cmocka_unit_test(no_number_is_1),
+      cmocka_unit_test(random_numbers_are_uniform),
+      cmocka_unit_test(faults_name_the_field),
+      cmocka_unit_test(listed_numbers_are_from_0_to_1),
+  };
+  return cmocka_run_group_tests(tests, NULL, NULL);
+}

@@ -1,0 +1,381 @@
+/* dipole_invert() and dipole_sample(): answers in parts put together, and answers from a peer that
+ * does not tell the truth. */
+#include <math.h>
+
+#include "proto/invert.h"
+#include "proto/sample.h"
+#include "tests/unit/scripted_peer.h"
+#include "tests/unit/unit.h"
+
+#define TIMEOUT_MS 20000 /* a test that would hang fails after this */
+
+enum { MEDIA = 7, PAYLOAD_MAX = 4096 };
+
+static const double albedos[MEDIA] = {.1, .2, .3, .4, .5, .6, .7};
+static const double lengths_mm[MEDIA] = {1, 2, 3, 4, 5, 6, 7};
+static const dipole_medium medium = {.sigma_a_per_mm = 0.25, .sigma_s_per_mm = 1, .eta = 1.3};
+
+static dipole_invert_query invert_query(void) {
+  return (dipole_invert_query){.model = 2,
+                               .moments = DIPOLE_EXACT,
+                               .given = DIPOLE_DIFFUSE_MEAN_FREE_PATH,
+                               .g = 0.5,
+                               .eta = 1.4,
+                               .albedos = albedos,
+                               .lengths_mm = lengths_mm,
+                               .medium_count = MEDIA};
+}
+
+/* ---- inversions ---------------------------------------------------------------------------- */
+
+/* How a request is answered, part by part: counts[0], counts[1], ... media, up to 0. */
+typedef struct invert_script {
+  uint64_t counts[MEDIA + 2];
+  void (*spoil)(wire_invert_reply *fixed, size_t *bytes); /* of the last part; NULL: honest */
+} invert_script;
+
+/* sigma_a is the albedo, sigma_s the length, and the albedo 2 sigma_a: no model's. */
+static bool send_part(int fd, const peer_frame *frame, const invert_request *request,
+                      wire_invert_reply fixed, const invert_script *script) {
+  uint8_t payload[PAYLOAD_MAX] = {0};
+  size_t bytes = (size_t)invert_reply_bytes(fixed.medium_count);
+  for (uint64_t i = 0; i < fixed.medium_count; i++) {
+    const double albedo = request->albedos[fixed.medium_first + i];
+    const double values[INVERT_ARRAYS] = {albedo, request->lengths[fixed.medium_first + i],
+                                          2 * albedo};
+    for (enum invert_array a = INVERT_SIGMA_A; a < INVERT_ARRAYS; a++) {
+      memcpy(payload + invert_array_offset(a, fixed.medium_count) + i * sizeof(double), &values[a],
+             sizeof(double));
+    }
+  }
+  if (script->spoil != NULL && fixed.part + 1 == fixed.part_count) {
+    script->spoil(&fixed, &bytes);
+  }
+  wire_put_invert_reply(payload, &fixed);
+  return peer_send(fd, WIRE_TYPE_INVERT | WIRE_REPLY, frame->header.request_id, payload, bytes);
+}
+
+static bool answer_invert(int fd, const peer_frame *frame, const invert_script *script) {
+  invert_request request;
+  if (invert_request_parse(frame->payload, frame->header.payload_bytes, &request).status !=
+      WIRE_STATUS_OK) {
+    abort(); /* the library makes well-formed requests */
+  }
+  uint32_t parts = 0;
+  while (script->counts[parts] > 0) {
+    parts++;
+  }
+  uint64_t first = 0;
+  for (uint32_t part = 0; part < parts; part++) {
+    const wire_invert_reply fixed = {.model = request.fixed.model,
+                                     .moments = request.fixed.moments,
+                                     .given = request.fixed.given,
+                                     .part = part,
+                                     .part_count = parts,
+                                     .medium_count = script->counts[part],
+                                     .medium_first = first,
+                                     .missing_count = part % 2,
+                                     .albedo_least = 0.125,
+                                     .albedo_most = 0.875};
+    if (!send_part(fd, frame, &request, fixed, script)) {
+      return false;
+    }
+    first += script->counts[part];
+  }
+  return true;
+}
+
+static void invert(int fd, void *context) {
+  peer_frame request;
+  bool good = peer_say_hello(fd);
+  while (good && peer_receive(fd, &request)) {
+    good =
+        request.header.type == WIRE_TYPE_INVERT
+            ? answer_invert(fd, &request, context)
+            : peer_send(fd, (uint16_t)(request.header.type | WIRE_REPLY), request.header.request_id,
+                        request.payload, request.header.payload_bytes);
+    free(request.payload);
+  }
+}
+
+static void assert_inversion(const dipole_inversion *inversion, uint64_t missing) {
+  assert_int_equal(inversion->medium_count, MEDIA);
+  assert_int_equal(inversion->missing_count, missing);
+  assert_true(inversion->albedo_least == 0.125 && inversion->albedo_most == 0.875);
+  assert_memory_equal(inversion->sigma_a_per_mm, albedos, sizeof albedos);
+  assert_memory_equal(inversion->sigma_s_per_mm, lengths_mm, sizeof lengths_mm);
+  for (size_t i = 0; i < MEDIA; i++) {
+    assert_true(inversion->albedos[i] == 2 * albedos[i]);
+  }
+}
+
+/* The answer is right, or it is an error of kind PROTOCOL. */
+static void run_invert(invert_script script, bool expected, uint64_t missing) {
+  const dipole_invert_query query = invert_query();
+  scripted_peer peer;
+  dipole_client *client;
+  dipole_inversion *inversion = NULL;
+  dipole_error error = {0};
+  peer_start(&peer, invert, &script);
+  assert_true(dipole_open_within(peer.address, TIMEOUT_MS, &client, &error));
+  dipole_set_retry_ms(client, 0);
+  assert_int_equal(dipole_invert(client, &query, &inversion, &error), expected);
+  assert_int_equal(dipole_ping(client, NULL), expected);
+  if (expected) {
+    assert_inversion(inversion, missing);
+  } else {
+    assert_int_equal(error.kind, DIPOLE_ERROR_PROTOCOL);
+    assert_null(inversion);
+  }
+  dipole_inversion_free(inversion);
+  dipole_close(client);
+  peer_end(&peer);
+}
+
+static void inversions_of_any_number_of_parts_are_put_together(void **state) {
+  (void)state;
+  run_invert((invert_script){.counts = {MEDIA}}, true, 0);
+  run_invert((invert_script){.counts = {3, 4}}, true, 1);
+  run_invert((invert_script){.counts = {1, 1, 1, 1, 1, 1, 1}}, true, 3);
+}
+
+static void one_media_more(wire_invert_reply *fixed, size_t *bytes) {
+  fixed->medium_count++;
+  *bytes += 24;
+}
+static void another_first(wire_invert_reply *fixed, size_t *bytes) {
+  (void)bytes;
+  fixed->medium_first++;
+}
+static void another_part(wire_invert_reply *fixed, size_t *bytes) {
+  (void)bytes;
+  fixed->part_count += 2;
+  fixed->part++;
+}
+static void another_reach(wire_invert_reply *fixed, size_t *bytes) {
+  (void)bytes;
+  fixed->albedo_most = 0.75;
+}
+static void another_model(wire_invert_reply *fixed, size_t *bytes) {
+  (void)bytes;
+  fixed->model++;
+}
+static void too_short(wire_invert_reply *fixed, size_t *bytes) {
+  (void)fixed;
+  *bytes -= 8;
+}
+static void too_many_missing(wire_invert_reply *fixed, size_t *bytes) {
+  (void)bytes;
+  fixed->missing_count = fixed->medium_count + 1;
+}
+
+static void inversions_with_another_shape_end_the_connection(void **state) {
+  (void)state;
+  void (*const spoilers[])(wire_invert_reply *, size_t *) = {
+      one_media_more, another_first, another_part,    another_reach,
+      another_model,  too_short,     too_many_missing};
+  for (size_t i = 0; i < sizeof spoilers / sizeof spoilers[0]; i++) {
+    run_invert((invert_script){.counts = {3, 4}, .spoil = spoilers[i]}, false, 0);
+  }
+  run_invert((invert_script){.counts = {MEDIA + 1}}, false, 0);
+  run_invert((invert_script){.counts = {MEDIA - 1}}, false, 0);
+}
+
+/* ---- samples ------------------------------------------------------------------------------- */
+
+enum { SAMPLES = 600, CHANNELS = 2 };
+
+/* Radius i of channel c is 1000 c + i, its pdf the negative of that; in parts of 256. */
+static bool send_samples(int fd, const peer_frame *frame) {
+  enum { PART = 256, PARTS = 3 };
+  static uint8_t payload[CHANNELS * 2 * PART * sizeof(double) + 512];
+  core_draw draw;
+  eval_request request;
+  if (sample_request_parse(frame->payload, frame->header.payload_bytes, &draw, &request).status !=
+          WIRE_STATUS_OK ||
+      draw.count != SAMPLES || draw.seed != 7) {
+    abort(); /* the library makes well-formed requests */
+  }
+  for (uint32_t part = 0; part < PARTS; part++) {
+    const uint64_t first = part * PART, left = SAMPLES - first;
+    const wire_eval_reply fixed = {.model = request.fixed.model,
+                                   .evaluator = request.fixed.evaluator,
+                                   .moments = request.fixed.moments,
+                                   .wanted = request.fixed.wanted,
+                                   .channel_count = CHANNELS,
+                                   .radius_count = left < PART ? left : PART,
+                                   .radius_first = first,
+                                   .part = part,
+                                   .part_count = PARTS};
+    const unsigned wanted = fixed.wanted | EVAL_DRAWN;
+    eval_layout layout;
+    memset(payload, 0, sizeof payload);
+    if (!eval_reply_layout(fixed.evaluator, wanted, CHANNELS, fixed.radius_count, sizeof payload,
+                           &layout)) {
+      abort();
+    }
+    wire_put_eval_reply(payload, &fixed);
+    for (uint64_t i = 0; i < CHANNELS * fixed.radius_count; i++) {
+      const uint32_t channel = (uint32_t)(i / fixed.radius_count);
+      const uint64_t at = i % fixed.radius_count;
+      const double r = 1000.0 * channel + (double)(first + at), pdf = -r;
+      memcpy(payload + eval_array_offset(&layout, wanted, channel, CORE_QUANTITY_RADIUS) + at * 8,
+             &r, sizeof r);
+      memcpy(payload + eval_array_offset(&layout, wanted, channel, CORE_QUANTITY_PDF) + at * 8,
+             &pdf, sizeof pdf);
+    }
+    if (!peer_send(fd, WIRE_TYPE_SAMPLE | WIRE_REPLY, frame->header.request_id, payload,
+                   (size_t)layout.payload_bytes)) {
+      return false;
+    }
+  }
+  return true;
+}
+
+static void serve_samples(int fd, void *context) {
+  peer_frame request;
+  (void)context;
+  bool good = peer_say_hello(fd);
+  while (good && peer_receive(fd, &request)) {
+    good = send_samples(fd, &request);
+    free(request.payload);
+  }
+}
+
+static dipole_sample_query sample_query(const dipole_medium *media) {
+  return (dipole_sample_query){.model = 2,
+                               .evaluator = DIPOLE_F64,
+                               .moments = DIPOLE_EXACT,
+                               .wanted = DIPOLE_RADIUS | DIPOLE_PDF,
+                               .media = media,
+                               .medium_count = CHANNELS,
+                               .draw = DIPOLE_DRAW_RANDOM,
+                               .sample_count = SAMPLES,
+                               .seed = 7};
+}
+
+static void samples_in_parts_are_put_together(void **state) {
+  (void)state;
+  const dipole_medium media[CHANNELS] = {medium, medium};
+  const dipole_sample_query query = sample_query(media);
+  scripted_peer peer;
+  dipole_client *client;
+  dipole_result *result;
+  dipole_error error = {0};
+  peer_start(&peer, serve_samples, NULL);
+  assert_true(dipole_open_within(peer.address, TIMEOUT_MS, &client, &error));
+  assert_true(dipole_sample(client, &query, &result, &error));
+  assert_int_equal(result->radius_count, SAMPLES);
+  assert_null(result->radius_f64);
+  for (uint32_t channel = 0; channel < CHANNELS; channel++) {
+    const double *r = dipole_values_f64(result, channel, DIPOLE_RADIUS);
+    const double *pdf = dipole_values_f64(result, channel, DIPOLE_PDF);
+    for (size_t i = 0; i < SAMPLES; i++) {
+      assert_true(r[i] == 1000.0 * channel + (double)i && pdf[i] == -r[i]);
+    }
+    assert_null(dipole_values_f64(result, channel, DIPOLE_R));
+    assert_null(dipole_values_f32(result, channel, DIPOLE_RADIUS));
+  }
+  assert_null(dipole_values_f64(result, CHANNELS, DIPOLE_RADIUS));
+  dipole_result_free(result);
+  dipole_close(client);
+  peer_end(&peer);
+}
+
+/* ---- without a daemon ---------------------------------------------------------------------- */
+
+static void numbers_are_the_cores(void **state) {
+  (void)state;
+  const core_draw draw = {CORE_DRAW_RANDOM, SAMPLES, 0, 7};
+  dipole_sample_query query = sample_query(&medium);
+  double u[SAMPLES], wanted[SAMPLES];
+  float u_f32[SAMPLES], wanted_f32[SAMPLES];
+  assert_true(dipole_sample_numbers(&query, 0, SAMPLES, u, NULL));
+  core_draw_f64(&draw, 0, SAMPLES, wanted);
+  assert_memory_equal(u, wanted, sizeof u);
+  query.evaluator = DIPOLE_LUT;
+  assert_true(dipole_sample_numbers(&query, 10, SAMPLES - 10, u_f32, NULL));
+  core_draw_f32(&draw, 10, SAMPLES - 10, wanted_f32);
+  assert_memory_equal(u_f32, wanted_f32, (SAMPLES - 10) * sizeof(float));
+}
+
+static void assert_no_numbers(const dipole_sample_query *query, uint64_t begin, size_t n) {
+  dipole_error error = {0};
+  double u[SAMPLES + 1];
+  assert_false(dipole_sample_numbers(query, begin, n, u, &error));
+  assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
+  assert_true(strlen(error.text) > 0);
+}
+
+static void numbers_that_there_are_not_are_an_error(void **state) {
+  (void)state;
+  dipole_sample_query query = sample_query(&medium);
+  assert_no_numbers(&query, 0, SAMPLES + 1);
+  assert_no_numbers(&query, SAMPLES + 1, 0);
+  assert_no_numbers(&query, UINT64_MAX, 2);
+  query.draw = DIPOLE_DRAW_LIST;
+  assert_no_numbers(&query, 0, 1);
+  query.draw = 77;
+  assert_no_numbers(&query, 0, 1);
+  query.draw = DIPOLE_DRAW_REGULAR; /* which has no seed */
+  assert_no_numbers(&query, 0, 1);
+  query = sample_query(&medium);
+  query.evaluator = 9;
+  assert_no_numbers(&query, 0, 1);
+}
+
+static void arguments_that_do_not_fit_are_errors(void **state) {
+  (void)state;
+  scripted_peer peer;
+  dipole_client *client;
+  dipole_error error = {0};
+  dipole_result *result;
+  dipole_inversion *inversion;
+  peer_start(&peer, peer_serve, NULL);
+  assert_true(dipole_open_within(peer.address, TIMEOUT_MS, &client, &error));
+#define REFUSED(call)                                                                              \
+  do {                                                                                             \
+    error.kind = DIPOLE_ERROR_NONE;                                                                \
+    assert_false(call);                                                                            \
+    assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);                                           \
+  } while (false)
+  dipole_sample_query sample = sample_query(NULL);
+  REFUSED(dipole_sample(client, &sample, &result, &error));
+  sample = sample_query(&medium);
+  sample.model = 65536;
+  REFUSED(dipole_sample(client, &sample, &result, &error));
+  sample = sample_query(&medium);
+  sample.evaluator = 9;
+  REFUSED(dipole_sample(client, &sample, &result, &error));
+  sample = sample_query(&medium);
+  sample.draw = DIPOLE_DRAW_LIST;
+  REFUSED(dipole_sample(client, &sample, &result, &error));
+  sample.numbers = albedos;
+  sample.sample_count = UINT64_MAX;
+  REFUSED(dipole_sample(client, &sample, &result, &error));
+  dipole_invert_query invert_it = invert_query();
+  invert_it.lengths_mm = NULL;
+  REFUSED(dipole_invert(client, &invert_it, &inversion, &error));
+  invert_it = invert_query();
+  invert_it.given = 65536;
+  REFUSED(dipole_invert(client, &invert_it, &inversion, &error));
+  invert_it = invert_query();
+  invert_it.medium_count = UINT64_MAX;
+  REFUSED(dipole_invert(client, &invert_it, &inversion, &error));
+#undef REFUSED
+  dipole_close(client);
+  peer_end(&peer);
+  dipole_inversion_free(NULL);
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(inversions_of_any_number_of_parts_are_put_together),
+      cmocka_unit_test(inversions_with_another_shape_end_the_connection),
+      cmocka_unit_test(samples_in_parts_are_put_together),
+      cmocka_unit_test(numbers_are_the_cores),
+      cmocka_unit_test(numbers_that_there_are_not_are_an_error),
+      cmocka_unit_test(arguments_that_do_not_fit_are_errors),
+  };
+  return cmocka_run_group_tests(tests, NULL, NULL);
+}

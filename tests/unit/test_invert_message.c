@@ -1,0 +1,136 @@
+/* The payloads of invert requests and replies: what is refused and with which status, and where
+ * things lie. */
+#include "proto/invert.h"
+
+#include "tests/unit/unit.h"
+
+enum { PAYLOAD_MAX = 1024 };
+
+static size_t build(uint8_t *payload, uint64_t count) {
+  const wire_invert_request fixed = {.model = CORE_MODEL_BETTER,
+                                     .moments = CORE_MOMENTS_EXACT,
+                                     .given = CORE_LENGTH_DIFFUSE,
+                                     .medium_count = count,
+                                     .g = 0.5,
+                                     .eta = 1.4};
+  wire_put_invert_request(payload, &fixed);
+  for (uint64_t i = 0; i < 2 * count; i++) {
+    const double number = 1.0 / (double)(i + 1);
+    memcpy(payload + WIRE_BYTES_invert_request + i * sizeof number, &number, sizeof number);
+  }
+  return (size_t)invert_request_bytes(count);
+}
+
+static void requests_are_taken_apart(void **state) {
+  (void)state;
+  for (uint64_t count = 1; count < 20; count++) {
+    _Alignas(8) uint8_t payload[PAYLOAD_MAX];
+    invert_request request;
+    const size_t bytes = build(payload, count);
+    assert_int_equal(bytes, 32 + 16 * count);
+    assert_int_equal(invert_request_parse(payload, bytes, &request).status, WIRE_STATUS_OK);
+    assert_int_equal(request.fixed.medium_count, count);
+    assert_true(request.fixed.g == 0.5 && request.fixed.eta == 1.4);
+    for (uint64_t i = 0; i < count; i++) {
+      assert_true(request.albedos[i] == 1.0 / (double)(i + 1));
+      assert_true(request.lengths[i] == 1.0 / (double)(count + i + 1));
+    }
+  }
+}
+
+static void assert_refused(const uint8_t *payload, size_t bytes, enum wire_status status,
+                           const char *field) {
+  invert_request request;
+  const wire_error error = invert_request_parse(payload, bytes, &request);
+  assert_int_equal(error.status, status);
+  assert_string_equal(error.field, field);
+  assert_true(strlen(error.allowed) > 0);
+}
+
+/* Every length but one is wrong; the bytes are allocated, so that a sanitizer sees what is read. */
+static void other_lengths_are_refused(void **state) {
+  (void)state;
+  _Alignas(8) uint8_t payload[PAYLOAD_MAX] = {0};
+  const size_t whole = build(payload, 3);
+  for (size_t bytes = 0; bytes < whole + 64; bytes += 8) {
+    uint8_t *copy = malloc(bytes + 1);
+    assert_non_null(copy);
+    memcpy(copy, payload, bytes);
+    if (bytes < WIRE_BYTES_invert_request) {
+      assert_refused(copy, bytes, WIRE_STATUS_BAD_LENGTH, "payload_bytes");
+    } else if (bytes != whole) {
+      assert_refused(copy, bytes, WIRE_STATUS_BAD_COUNT, "medium_count");
+    }
+    free(copy);
+  }
+}
+
+static void faults_name_the_field(void **state) {
+  (void)state;
+  static const struct {
+    size_t offset;
+    uint16_t value;
+    const char *field;
+  } cases[] = {{0, 0, "model"}, {0, 999, "model"}, {2, 0, "moments"}, {2, 9, "moments"},
+               {4, 0, "given"}, {4, 4, "given"},   {6, 1, "zero"}};
+  _Alignas(8) uint8_t payload[PAYLOAD_MAX];
+  for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+    const size_t bytes = build(payload, 2);
+    memcpy(payload + cases[i].offset, &cases[i].value, sizeof cases[i].value);
+    assert_refused(payload, bytes, WIRE_STATUS_BAD_VALUE, cases[i].field);
+  }
+  static const uint64_t counts[] = {0, 1, 3, UINT32_MAX, (uint64_t)1 << 60, UINT64_MAX};
+  for (size_t i = 0; i < sizeof counts / sizeof counts[0]; i++) {
+    const size_t bytes = build(payload, 2);
+    memcpy(payload + 8, &counts[i], sizeof counts[i]);
+    assert_refused(payload, bytes, WIRE_STATUS_BAD_COUNT, "medium_count");
+  }
+}
+
+static void replies_have_three_arrays(void **state) {
+  (void)state;
+  uint8_t payload[PAYLOAD_MAX] = {0};
+  for (uint64_t count = 0; count < 20; count++) {
+    const wire_invert_reply fixed = {.part_count = 1, .medium_count = count};
+    const size_t whole = (size_t)invert_reply_bytes(count);
+    wire_invert_reply got;
+    wire_put_invert_reply(payload, &fixed);
+    assert_int_equal(whole, WIRE_BYTES_invert_reply + 24 * count);
+    for (enum invert_array i = INVERT_SIGMA_A; i < INVERT_ARRAYS; i++) {
+      assert_int_equal(invert_array_offset(i, count), WIRE_BYTES_invert_reply + 8 * i * count);
+    }
+    for (size_t bytes = 0; bytes < whole + 48; bytes++) {
+      assert_int_equal(invert_reply_parse(payload, bytes, &got), bytes == whole);
+    }
+    assert_int_equal(invert_part_media(whole), count);
+    assert_int_equal(invert_part_media(whole + 23), count);
+  }
+  assert_int_equal(invert_part_media(0), 0);
+}
+
+static void replies_that_contradict_themselves_are_refused(void **state) {
+  (void)state;
+  uint8_t payload[PAYLOAD_MAX] = {0};
+  wire_invert_reply got;
+  const wire_invert_reply wrong[] = {
+      {.part_count = 0, .medium_count = 2},
+      {.part = 1, .part_count = 1, .medium_count = 2},
+      {.part_count = 1, .medium_count = 2, .missing_count = 3},
+      {.part_count = 1, .medium_count = UINT64_MAX / 24 + 3},
+  };
+  for (size_t i = 0; i < sizeof wrong / sizeof wrong[0]; i++) {
+    wire_put_invert_reply(payload, &wrong[i]);
+    assert_false(invert_reply_parse(payload, (size_t)invert_reply_bytes(2), &got));
+  }
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(requests_are_taken_apart),
+      cmocka_unit_test(other_lengths_are_refused),
+      cmocka_unit_test(faults_name_the_field),
+      cmocka_unit_test(replies_have_three_arrays),
+      cmocka_unit_test(replies_that_contradict_themselves_are_refused),
+  };
+  return cmocka_run_group_tests(tests, NULL, NULL);
+}

@@ -1,0 +1,180 @@
+/* The payload of a sample request, and where the arrays of its reply lie. */
+#include "proto/sample.h"
+
+#include "tests/unit/unit.h"
+
+enum { PAYLOAD_MAX = 1024 };
+
+typedef struct sample {
+  wire_sample_request fixed;
+  unsigned listed; /* numbers in the payload */
+  unsigned tail;   /* bytes of them and of padding */
+} sample;
+
+static sample right(unsigned draw, unsigned count) {
+  const bool list = draw == CORE_DRAW_LIST;
+  return (sample){.fixed = {.model = CORE_MODEL_BETTER,
+                            .evaluator = CORE_EVALUATOR_F32,
+                            .moments = CORE_MOMENTS_EXACT,
+                            .wanted = CORE_QUANTITY_RADIUS | CORE_QUANTITY_PDF,
+                            .medium_count = 2,
+                            .draw = (uint16_t)draw,
+                            .parameter_count = 1,
+                            .sample_count = count,
+                            .sample_first = draw == CORE_DRAW_RANDOM ? 9 : 0,
+                            .seed = list || draw == CORE_DRAW_REGULAR ? 0 : 5},
+                  .listed = list ? count : 0,
+                  .tail = list ? (count * 4 + 7) / 8 * 8 : 0};
+}
+
+static size_t build(uint8_t *payload, const sample *of) {
+  const wire_medium medium = {0.1, 1, 0.5, 1.3};
+  const wire_parameter parameter = {.parameter = CORE_PARAMETER_COS_IN, .value = 0.5};
+  memset(payload, 0, PAYLOAD_MAX);
+  wire_put_sample_request(payload, &of->fixed);
+  uint8_t *at = payload + WIRE_BYTES_sample_request;
+  for (unsigned i = 0; i < 2; i++, at += WIRE_BYTES_medium) {
+    wire_put_medium(at, &medium);
+  }
+  wire_put_parameter(at, &parameter);
+  at += WIRE_BYTES_parameter;
+  for (unsigned i = 0; i < of->listed; i++) {
+    const float u = (float)i / 16;
+    memcpy(at + i * sizeof u, &u, sizeof u);
+  }
+  return (size_t)(at - payload) + of->tail;
+}
+
+static void requests_are_taken_apart(void **state) {
+  (void)state;
+  for (unsigned draw = CORE_DRAW_LIST; draw <= CORE_DRAW_RANDOM; draw++) {
+    for (unsigned count = 0; count < 16; count++) {
+      const sample of = right(draw, count);
+      _Alignas(8) uint8_t payload[PAYLOAD_MAX];
+      core_draw made;
+      eval_request request;
+      const size_t bytes = build(payload, &of);
+      assert_int_equal(bytes, sample_request_bytes(2, 1, of.listed * sizeof(float)));
+      assert_int_equal(sample_request_parse(payload, bytes, &made, &request).status,
+                       WIRE_STATUS_OK);
+      assert_true(made.rule == draw && made.count == count);
+      assert_true(made.first == of.fixed.sample_first && made.seed == of.fixed.seed);
+      assert_int_equal(request.fixed.model, CORE_MODEL_BETTER);
+      assert_int_equal(request.fixed.evaluator, CORE_EVALUATOR_F32);
+      assert_int_equal(request.fixed.wanted, of.fixed.wanted);
+      assert_int_equal(request.fixed.medium_count, 2);
+      assert_int_equal(request.fixed.radius_count, count);
+      assert_ptr_equal(request.media, payload + WIRE_BYTES_sample_request);
+      assert_true(request.parameters.value[CORE_PARAMETER_COS_IN] == 0.5);
+      assert_int_equal(request.radii != NULL, draw == CORE_DRAW_LIST);
+      for (unsigned i = 0; i < of.listed; i++) {
+        assert_true(((const float *)request.radii)[i] == (float)i / 16);
+      }
+    }
+  }
+}
+
+static void assert_refused(const uint8_t *payload, size_t bytes, enum wire_status status,
+                           const char *field) {
+  core_draw draw;
+  eval_request request;
+  const wire_error error = sample_request_parse(payload, bytes, &draw, &request);
+  assert_int_equal(error.status, status);
+  assert_string_equal(error.field, field);
+  assert_true(strlen(error.allowed) > 0);
+}
+
+/* Every length but one is wrong; the bytes are allocated, so that a sanitizer sees what is read. */
+static void other_lengths_are_refused(void **state) {
+  (void)state;
+  for (unsigned draw = CORE_DRAW_LIST; draw <= CORE_DRAW_RANDOM; draw++) {
+    const sample of = right(draw, 5);
+    uint8_t payload[PAYLOAD_MAX];
+    const size_t whole = build(payload, &of);
+    for (size_t bytes = 0; bytes < whole + 64; bytes += 8) {
+      uint8_t *copy = malloc(bytes + 1);
+      core_draw made;
+      eval_request request;
+      assert_non_null(copy);
+      memcpy(copy, payload, bytes);
+      const wire_error error = sample_request_parse(copy, bytes, &made, &request);
+      assert_int_equal(error.status == WIRE_STATUS_OK, bytes == whole);
+      assert_true(bytes == whole || error.status == WIRE_STATUS_BAD_LENGTH ||
+                  error.status == WIRE_STATUS_BAD_COUNT);
+      free(copy);
+    }
+  }
+}
+
+static void faults_name_the_field(void **state) {
+  (void)state;
+  _Alignas(8) uint8_t payload[PAYLOAD_MAX];
+#define CASE(change, status, field)                                                                \
+  do {                                                                                             \
+    sample of = right(CORE_DRAW_LIST, 5);                                                          \
+    of.change;                                                                                     \
+    assert_refused(payload, build(payload, &of), WIRE_STATUS_##status, field);                     \
+  } while (false)
+  CASE(fixed.model = 0, BAD_VALUE, "model"); /* a tolerance instead: not here */
+  CASE(fixed.model = 999, BAD_VALUE, "model");
+  CASE(fixed.evaluator = 9, BAD_VALUE, "evaluator");
+  CASE(fixed.moments = 0, BAD_VALUE, "moments");
+  CASE(fixed.wanted = 0, BAD_VALUE, "wanted");
+  CASE(fixed.wanted = 0x8000, BAD_VALUE, "wanted");
+  CASE(fixed.draw = 0, BAD_VALUE, "draw");
+  CASE(fixed.draw = 5, BAD_VALUE, "draw");
+  CASE(fixed.medium_count = 0, BAD_COUNT, "medium_count");
+  CASE(fixed.medium_count = UINT32_MAX, BAD_COUNT, "medium_count");
+  CASE(fixed.parameter_count = UINT16_MAX, BAD_COUNT, "parameter_count");
+  CASE(fixed.sample_count = UINT64_MAX, BAD_COUNT, "sample_count");
+  CASE(fixed.sample_count = 7, BAD_COUNT, "sample_count");
+  CASE(fixed.sample_count = 4, BAD_LENGTH, "payload_bytes");
+  CASE(fixed.draw = CORE_DRAW_RANDOM, BAD_LENGTH, "payload_bytes");
+  CASE(tail += 8, BAD_LENGTH, "payload_bytes");
+#undef CASE
+  const sample of = right(CORE_DRAW_LIST, 5);
+  const size_t bytes = build(payload, &of);
+  payload[bytes - 1] = 1;
+  assert_refused(payload, bytes, WIRE_STATUS_BAD_VALUE, "u");
+}
+
+/* As those of an eval, but that each channel has radii of its own, where the list has them. */
+static void radii_are_an_array_of_each_channel(void **state) {
+  (void)state;
+  const unsigned wanted =
+      CORE_QUANTITY_R | CORE_QUANTITY_RADIUS | CORE_QUANTITY_PDF | CORE_QUANTITY_ALBEDO;
+  eval_layout drawn, once;
+  assert_true(eval_reply_layout(CORE_EVALUATOR_F64, wanted | EVAL_DRAWN, 3, 10, 4096, &drawn));
+  assert_true(eval_reply_layout(CORE_EVALUATOR_F64, wanted, 3, 10, 4096, &once));
+  assert_int_equal(drawn.arrays_per_channel, 3);
+  assert_int_equal(once.arrays_per_channel, 2);
+  assert_int_equal(drawn.payload_bytes, once.payload_bytes + 2 * 80);
+  assert_int_equal(drawn.arrays_offset, WIRE_BYTES_eval_reply + 3 * WIRE_BYTES_channel);
+  const enum core_quantity order[] = {CORE_QUANTITY_R, CORE_QUANTITY_RADIUS, CORE_QUANTITY_PDF};
+  for (uint32_t i = 0; i < 9; i++) {
+    assert_int_equal(eval_array_offset(&drawn, wanted | EVAL_DRAWN, i / 3, order[i % 3]),
+                     drawn.arrays_offset + i * 80);
+  }
+  uint8_t payload[4096] = {0};
+  const wire_eval_reply fixed = {.evaluator = CORE_EVALUATOR_F64,
+                                 .wanted = (uint16_t)wanted,
+                                 .channel_count = 3,
+                                 .radius_count = 10,
+                                 .part_count = 1};
+  wire_eval_reply got;
+  eval_layout layout;
+  wire_put_eval_reply(payload, &fixed);
+  assert_true(eval_reply_parse(payload, drawn.payload_bytes, true, &got, &layout));
+  assert_false(eval_reply_parse(payload, drawn.payload_bytes, false, &got, &layout));
+  assert_false(eval_reply_parse(payload, once.payload_bytes, true, &got, &layout));
+}
+
+int main(void) {
+  const struct CMUnitTest tests[] = {
+      cmocka_unit_test(requests_are_taken_apart),
+      cmocka_unit_test(other_lengths_are_refused),
+      cmocka_unit_test(faults_name_the_field),
+      cmocka_unit_test(radii_are_an_array_of_each_channel),
+  };
+  return cmocka_run_group_tests(tests, NULL, NULL);
+}
