@@ -115,7 +115,7 @@ class Package:
         for path in self._elf_files():
             run("strip", "--strip-unneeded", "-R", ".comment", "-R", ".note", path)
         for path in self.root.rglob("*.a"):
-            run("strip", "--strip-debug", "--enable-deterministic-archives", path)
+            run("strip", "--strip-debug", "-R", ".comment", "--enable-deterministic-archives", path)
 
     def _compress_manuals(self) -> None:
         for path in (self.root / "usr/share/man").rglob("*.[1-9]"):

@@ -1,0 +1,12 @@
+# In the new system: nothing is left of the packages, nor of what they had brought along.
+export DEBIAN_FRONTEND=noninteractive
+
+names=$(for deb in /opt/packages/*.deb; do dpkg-deb -f "$deb" Package; done)
+apt-get -y purge $names
+apt-get -y --purge autoremove
+. /opt/listing.sh
+list_files >/opt/after
+diff /opt/before /opt/after
+! dpkg-query -W $names
+! find / -xdev -path /opt -prune -o -path /proc -prune -o -path /var/log -prune -o -name '*dipole*' -print |
+  grep .
