@@ -6,8 +6,8 @@
 
 #include <stdbool.h>
 
-/* SYSTEMD_FUNCTION(name, parameters): every one that is used, as sd-daemon.h declares it. All return
- * an int. */
+/* SYSTEMD_FUNCTION(name, parameters): every one that is used, as sd-daemon.h declares it. All
+ * return an int. */
 #define SYSTEMD_FUNCTIONS                                                                          \
   SYSTEMD_FUNCTION(listen_fds, (int unset_environment))                                            \
   SYSTEMD_FUNCTION(notify, (int unset_environment, const char *state))

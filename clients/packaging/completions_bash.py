@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import shlex
 
-_SCRIPT = r'''# bash completion for @PROGRAM@, made from its --help. Sourced by bash-completion, or by hand.
+_SCRIPT = r'''# Completes the command lines of @PROGRAM@; made from its --help.
 
-# What the option $2 of the command $1 takes, or what the command itself does: sets kind, names, many
-# (several, separated by commas) and may (it may be left out).
+# What the option $2 of the command $1 takes, or what the command itself does: sets kind, names,
+# many (several, separated by commas) and may (it may be left out).
 _@PROGRAM@_takes() {
   kind='' names='' many='' may=''
   case $1:$2 in
@@ -128,10 +128,10 @@ def _takes(command) -> list[str]:
 
 def write(program: str, commands: list) -> str:
     """A script that defines and registers the completion."""
-    options = [
-        f"  {command.name or repr('')}) echo '{' '.join(f'--{o.name}' for o in command.options)}' ;;"
-        for command in commands
-    ]
+    options = []
+    for command in commands:
+        names = " ".join(f"--{option.name}" for option in command.options)
+        options.append(f"  {command.name or repr('')}) echo '{names}' ;;")
     has_commands = len(commands) > 1
     fields = {
         "@PROGRAM@": program,

@@ -13,7 +13,8 @@ _COMMAND = re.compile(r"  ([a-z][a-z0-9-]*) +(\S.*)$")
 
 @dataclass(frozen=True)
 class Entry:
-    """An option or a command: its name, what its value is called (None: none) and its explanation."""
+    """An option or a command: its name, what its value is called (None: it has none) and what is
+    said about it."""
 
     name: str
     value: str | None

@@ -1,6 +1,6 @@
 #!/bin/sh
-# install.sh install|uninstall [PACKAGE]: does so with the files of the list beside this script, those
-# of all packages or of one, below $DESTDIR. The names between @ come from the environment.
+# install.sh install|uninstall [PACKAGE]: does so with the files of the list beside this script,
+# those of all packages or of one, below $DESTDIR. The names between @ come from the environment.
 set -eu
 cd "$(dirname "$0")/../.."
 action=$1

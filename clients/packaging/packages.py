@@ -1,6 +1,7 @@
-"""packages.py BUILD VERSION SOVERSION: Debian packages of what is in BUILD, into BUILD/deb. What goes
-into which package is said by the list `files`; the rest is in the folder `debian`. The same BUILD
-gives the same packages: their date is that of the changelog."""
+"""packages.py BUILD VERSION SOVERSION FOLDER: Debian packages of what is in BUILD, into FOLDER, in
+the place of those that are there. What goes into which package is said by the list `files`; the
+rest is in the folder `debian`. The same BUILD gives the same packages: their date is that of the
+changelog."""
 
 from __future__ import annotations
 
@@ -153,9 +154,11 @@ class Package:
         least = f"{self.name} (>= {self._about['version']})"
         (control / "shlibs").write_text(f"{name} {self._about['soversion']} {least}\n")
         with _source_folder(self.name) as folder:
-            version = f"-v{self._about['version']}"
             symbols = control / "symbols"
-            run("dpkg-gensymbols", f"-p{self.name}", version, f"-e{library}", f"-O{symbols}", cwd=folder)
+            names = [f"-p{self.name}", f"-v{self._about['version']}"]
+            run("dpkg-gensymbols", "-q", *names, f"-e{library}", f"-O{symbols}", cwd=folder)
+            head, rest = symbols.read_text().split("\n", 1)
+            symbols.write_text(f"{head}\n* Build-Depends-Package: {name}-dev\n{rest}")
 
     def _control(self) -> str:
         installed_kib = sum(-(-path.lstat().st_size // 1024) for path in self.root.rglob("*"))
@@ -199,16 +202,17 @@ class _source_folder(tempfile.TemporaryDirectory):
 
 
 def main() -> None:
-    build, version, soversion = sys.argv[1:]
+    build, version, soversion, into = sys.argv[1:]
     newest = re.match(r"(\S+) \((.*?)\)", changelog := (DEBIAN / "changelog").read_text())[2]
     if newest != version:
         fail(f"debian/changelog begins with version {newest}; the Makefile's is {version}")
     date = parsedate_to_datetime(re.search(r"^ -- .*>  (.*)$", changelog, re.M)[1])
     os.environ["SOURCE_DATE_EPOCH"] = str(int(date.timestamp()))
     os.umask(0o022)
-    folder = Path(build, "deb").resolve()
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir()
+    folder = Path(into).resolve()
+    folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.glob("*.deb"):
+        old.unlink()
     source, *packages = paragraphs()
     with tempfile.TemporaryDirectory(prefix="dipoled-deb-") as stage:
         about = {

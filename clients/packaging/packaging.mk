@@ -15,9 +15,10 @@ PACKAGING_SOURCES := $(wildcard $(PACKAGING)/*.py $(PACKAGING)/debian/* proto/*.
 RUN_PYTHON := PYTHONDONTWRITEBYTECODE=1 $(PYTHON)
 
 # What install.sh fills in.
-INSTALL = BUILD='$(BUILD)' DESTDIR='$(DESTDIR)' VERSION=$(VERSION) SOVERSION=$(SOVERSION) PREFIX=$(PREFIX) \
-	BINDIR=$(BINDIR) LIBDIR=$(LIBDIR) INCLUDEDIR=$(INCLUDEDIR) MANDIR=$(MANDIR) UNITDIR=$(UNITDIR) \
-	BASHDIR=$(BASHDIR) ZSHDIR=$(ZSHDIR) PYTHONDIR=$(PYTHONDIR) sh $(PACKAGING)/install.sh
+INSTALL = BUILD='$(BUILD)' DESTDIR='$(DESTDIR)' VERSION=$(VERSION) SOVERSION=$(SOVERSION) \
+	PREFIX=$(PREFIX) BINDIR=$(BINDIR) LIBDIR=$(LIBDIR) INCLUDEDIR=$(INCLUDEDIR) MANDIR=$(MANDIR) \
+	UNITDIR=$(UNITDIR) BASHDIR=$(BASHDIR) ZSHDIR=$(ZSHDIR) PYTHONDIR=$(PYTHONDIR) \
+	sh $(PACKAGING)/install.sh
 
 .PHONY: manuals completions install uninstall deb packages check-deb
 
@@ -38,6 +39,7 @@ completions: $(BUILD)/completions/made
 
 install: all manuals completions
 	$(Q)$(INSTALL) install
+	$(Q)[ -n "$(DESTDIR)" ] || [ "$$(id -u)" != 0 ] || ldconfig
 
 # With the same PREFIX, DESTDIR and the like.
 uninstall:
@@ -49,13 +51,14 @@ BUILDFLAGS := DEB_BUILD_MAINT_OPTIONS=hardening=+bindnow dpkg-buildflags --get
 deb:
 	@sh .ci/install-packages deb
 	@CFLAGS="$$($(BUILDFLAGS) CFLAGS)" CPPFLAGS="$$($(BUILDFLAGS) CPPFLAGS)" \
-		LDFLAGS="$$($(BUILDFLAGS) LDFLAGS)" $(MAKE) --no-print-directory -j2 BUILD=$(BUILD)/debian packages
-	@rm -rf $(BUILD)/deb && mv $(BUILD)/debian/deb $(BUILD)/deb && ls $(BUILD)/deb/*
+		LDFLAGS="$$($(BUILDFLAGS) LDFLAGS)" $(MAKE) --no-print-directory -j2 BUILD=$(BUILD)/debian \
+		PACKAGES=$(BUILD)/deb packages
 
 # In a new system: installs them, asks the daemon, and takes them away again.
 check-deb: deb
 	@sh tests/packages/run.sh $(BUILD)/deb
 
 # Of what is in $(BUILD), however that was built.
+PACKAGES ?= $(BUILD)/deb
 packages: $(BUILD)/dipoled $(BUILD)/dipole $(LIBRARIES) manuals completions
-	$(Q)$(RUN_PYTHON) $(PACKAGING)/packages.py $(BUILD) $(VERSION) $(SOVERSION)
+	$(Q)$(RUN_PYTHON) $(PACKAGING)/packages.py $(BUILD) $(VERSION) $(SOVERSION) $(PACKAGES)

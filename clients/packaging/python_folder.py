@@ -1,4 +1,4 @@
-"""python_folder.py PREFIX: where this Python looks for modules that are installed below a prefix."""
+"""python_folder.py PREFIX: where this Python looks for modules that are installed below it."""
 
 from __future__ import annotations
 

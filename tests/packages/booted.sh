@@ -10,7 +10,7 @@ done
 # Whoever is on this machine may ask.
 setpriv --reuid=65534 --regid=65534 --clear-groups dipole media --connect "$socket" >/dev/null
 # Everything that it does is allowed by its filter of system calls: a table, Monte Carlo, metrics.
-dipole table --connect "$socket" --medium skin1 --model transport --output /tmp/skin1.table >/dev/null
+dipole table --connect "$socket" --medium skin1 --model transport --output - >/dev/null
 dipole mc --connect "$socket" --medium skin1 --channel red --photons 20000 --rings 2 >/dev/null
 echo DIPOLED_METRICS=127.0.0.1:9817 >/etc/default/dipoled
 systemctl restart dipoled.service || journalctl --no-pager -u dipoled.service
@@ -25,8 +25,10 @@ grep -q '^CapEff:.0000000000000000$' "/proc/$process/status"
 [ "$(stat -c %u "/proc/$process")" != 0 ]
 # Stopped, it comes back for the next who asks.
 systemctl stop dipoled.service
-! systemctl is-active dipoled.service
+[ "$(systemctl is-active dipoled.service)" = inactive ]
 dipole eval --connect "$socket" --medium skin1 --count 3 --format csv | cmp - /opt/private.csv
 systemctl is-active dipoled.service
 [ "$(systemctl show -p NRestarts --value dipoled.service)" = 0 ]
-! journalctl --no-pager -u dipoled.service -u dipoled.socket | grep -E 'level=error|failed|Failed'
+journalctl --no-pager -u dipoled.service -u dipoled.socket >/tmp/journal
+grep -q event=ready /tmp/journal
+[ -z "$(grep -E 'level=error|[Ff]ailed' /tmp/journal)" ]

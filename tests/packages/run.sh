@@ -18,8 +18,8 @@ command -v debootstrap >/dev/null || skip 'debootstrap is not installed'
 command -v unshare >/dev/null || skip 'unshare is not installed'
 unshare --mount --pid --fork true 2>/dev/null || skip 'namespaces are not allowed here'
 release=$(. /etc/os-release && echo "${VERSION_CODENAME-}")
-mirror=$(apt-get indextargets --format '$(CODENAME) $(REPO_URI)' 'Created-By: Packages' 2>/dev/null |
-  awk -v release="$release" '$1 == release { print $2; exit }')
+sources=$(apt-get indextargets --format '$(CODENAME) $(REPO_URI)' 'Created-By: Packages' || true)
+mirror=$(echo "$sources" | awk -v release="$release" '$1 == release { print $2; exit }')
 [ -n "$mirror" ] || skip "apt knows no source for '$release'"
 
 work=$(mktemp -d)
@@ -27,14 +27,12 @@ root=$work/root
 trap 'rm -rf --one-file-system "$work"' EXIT
 
 # A script of this folder, in the new system.
-inside() { # script, arguments
-  cp "$here/$1" "$root/opt/"
+inside() { # script
+  cp "$here/$1" "$root/opt/inside.sh"
   unshare --mount --pid --fork sh -c '
     mount -t proc proc "$1/proc"
-    root=$1
-    shift
-    exec chroot "$root" env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin LC_ALL=C.UTF-8 sh -eu "$@"' \
-    sh "$root" "/opt/$@"
+    exec chroot "$1" env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin LC_ALL=C.UTF-8 \
+      sh -eu /opt/inside.sh' sh "$root"
 }
 
 quietly() { # what it is, command
@@ -59,14 +57,16 @@ cp "$packages"/*.deb "$root/opt/packages/"
 quietly 'installing' inside installing.sh
 quietly 'what has been installed' inside installed.sh
 if command -v systemd-nspawn >/dev/null; then
-  cp "$here/booted.sh" "$here/booted.service" "$root/opt/"
+  cp "$here"/boot* "$root/opt/"
   mkdir "$work/out"
   # The system forgets what happens while it runs.
   quietly 'booting' timeout -k 10 180 systemd-nspawn --quiet --register=no --keep-unit \
     --private-network --volatile=overlay --bind="$work/out:/opt/out" --directory="$root" \
     sh -c 'systemctl --quiet enable /opt/booted.service && exec /sbin/init'
-  cat "$work/out/log"
-  [ -e "$work/out/good" ] || exit 1
+  [ -e "$work/out/good" ] || {
+    cat "$work/out/log" >&2
+    exit 1
+  }
 else
   echo 'check-deb: not booted: systemd-nspawn is not installed'
   quietly 'a daemon started by hand' inside by_hand.sh
