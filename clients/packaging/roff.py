@@ -20,7 +20,8 @@ _INLINE = re.compile(
     r"|\*(?P<italic>[^*\s](?:[^*]*[^*\s])?)\*"
 )
 LINE_COLUMNS = 70  # of text on a terminal with 80
-_WRAPPED_COLUMNS = 22  # a table's cell that is longer gets lines of its own
+_WRAPPED_COLUMNS = 22  # a column of a table that is wider may be wrapped
+_GAP_COLUMNS = 3  # between the columns
 
 
 def escape(text: str) -> str:
@@ -107,31 +108,65 @@ class Page:
         """Rows of Markdown cells; the first is the heading."""
         columns = max(map(len, rows))
         rows = [row + [""] * (columns - len(row)) for row in rows]
-        widths = [max(len(_plain(row[i])) for row in rows) for i in range(columns)]
-        wrapped = [False] * columns
-        if sum(widths) + 3 * columns > LINE_COLUMNS:
-            wrapped = [width > _WRAPPED_COLUMNS for width in widths]
-            wrapped[-1] = wrapped[-1] or not any(wrapped)
-        layout = " ".join("lx" if wrap else "l" for wrap in wrapped)
-        self._lines += [".PP", ".TS", f"{' '.join('lb' for _ in wrapped)}", f"{layout}."]
+        widths = _widths(rows)
+        if widths is None:
+            self._rows_as_list(rows)
+            return
+        layout = " ".join("l" if width is None else f"lw({width}n)" for width in widths)
+        self._lines += [".PP", ".TS", "nokeep;", " ".join(["lb"] * columns), f"{layout}."]
         for row in rows:
-            cells = [_cell(cell, wrap) for cell, wrap in zip(row, wrapped)]
+            cells = [_cell(cell, width) for cell, width in zip(row, widths)]
             self._lines.append("\t".join(cells))
         self._lines.append(".TE")
 
+    def _rows_as_list(self, rows: list[list[str]]) -> None:
+        """A table that is too wide: each row by itself, with the headings."""
+        for row in rows[1:]:
+            told = [f"{title}: {cell}" for title, cell in zip(rows[0][1:], row[1:]) if cell]
+            self.term(inline(f"**{row[0]}**"), "; ".join(told))
+
+
+_BREAK = re.compile(r"(?<=\w)([_/])(?=\w)")  # long names may go on in the next line behind these
+
+
+def _widths(rows: list[list[str]]) -> list[int | None] | None:
+    """How wide the columns of a table are, in characters; of one whose cells need no wrapping, None.
+    None for all: the table does not fit."""
+    columns = [[_plain(row[i]) for row in rows] for i in range(len(rows[0]))]
+    natural = [max(map(len, column)) for column in columns]
+    free = LINE_COLUMNS - _GAP_COLUMNS * (len(columns) - 1)
+    if sum(natural) <= free:
+        return [None] * len(columns)
+    wrapped = [i for i, width in enumerate(natural) if width > _WRAPPED_COLUMNS]
+    wrapped = wrapped or [len(columns) - 1]
+    free -= sum(width for i, width in enumerate(natural) if i not in wrapped)
+    for cut in (r"\1", r"\1 "):  # with names in one piece, else with names that are cut
+        cells = {i: " ".join(_BREAK.sub(cut, cell) for cell in columns[i]) for i in wrapped}
+        least = {i: max(map(len, cells[i].split()), default=0) for i in wrapped}
+        spare = free - sum(least.values())
+        if spare >= 0:
+            wish = sum(natural[i] - least[i] for i in wrapped) or 1
+            shares = {i: least[i] + spare * (natural[i] - least[i]) // wish for i in wrapped}
+            return [shares.get(i) for i in range(len(columns))]
+    return None
+
 
 def _plain(cell: str) -> str:
-    """A cell as it shows."""
-    return re.sub(r"\\(\(..|\[[^]]*\]|f.|.)", lambda m: "" if m[1][0] == "f" else "x", inline(cell))
+    """A cell as it shows, a character for a character."""
+    return _shown(inline(cell))
 
 
-def _cell(cell: str, wrap: bool) -> str:
+def _shown(roff: str) -> str:
+    return re.sub(r"\\(\(..|\[[^]]*\]|.)", "x", re.sub(r"\\f.", "", roff))
+
+
+def _cell(cell: str, width: int | None) -> str:
+    """width: of a column that is wrapped. Names that are longer may be cut there."""
     roff = inline(cell)
-    if wrap and roff:
-        return "T{\n" + _guard(_breakable(roff)) + "\nT}"
+    if width is not None and roff:
+        words = [
+            _BREAK.sub(r"\1\\:", word) if len(_shown(word)) > width else word
+            for word in roff.split(" ")
+        ]
+        return "T{\n" + _guard(" ".join(words)) + "\nT}"
     return rf"\&{roff}" if roff in ("_", "=") or roff.startswith(".") else roff
-
-
-def _breakable(roff: str) -> str:
-    """Long names may go on in the next line, after an underscore or a slash."""
-    return re.sub(r"(?<=\w)([_/])(?=\w)", r"\1\\:", roff)

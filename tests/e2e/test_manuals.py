@@ -34,8 +34,11 @@ def shown(page: Path) -> str:
     return run("man", "-P", "cat", "-l", page, env=env)
 
 
-def warnings(page: Path) -> None:
+def hear_warnings(page: Path) -> None:
+    """Fails where the formatter says anything, for paper or for a narrow terminal."""
+    env = {"LC_ALL": "C.UTF-8", "MANWIDTH": "80"}
     run("man", "--warnings", "-E", "UTF-8", "-l", "-Tutf8", "-Z", page, env={"LC_ALL": "C.UTF-8"})
+    run("man", "--warnings", "-P", "cat", "-l", page, env=env)
 
 
 def test_there_is_a_page_for_each(folder):
@@ -49,7 +52,7 @@ def test_there_is_a_page_for_each(folder):
 def test_no_page_makes_the_formatter_warn(folder):
     needs("man")
     for page in pages(folder):
-        warnings(page)
+        hear_warnings(page)
 
 
 def test_pages_can_be_found_by_their_names(folder):
@@ -124,6 +127,15 @@ Text with `code`, **bold**, *italic*, a [link](https://example.org/x) and a \\ a
 | `a_b` | .starts with a dot |
 | _ | a × b |
 
+| address | name | type | access | meaning |
+|---|---|---|---|---|
+| 0x0010 | `sigma_a_of_the_first_channel` | f32 | read, write | what it says, at some length |
+| 0x0012 | `g` | f32 | read, write | mean cosine of the scattering angle |
+
+| address | registers | name | type | access | unit | meaning |
+|---|---|---|---|---|---|---|
+| 0x0010 to 0x00ff | 2 for each | `sigma_a_all` | f32 | read, write | 1/mm | so wide that it is a list |
+
 ```c
 .line 'as it is' \\n
 ```
@@ -137,7 +149,7 @@ def test_each_form_of_markdown(tmp_path):
     markdown.write(MARKDOWN, page)
     path = tmp_path / "everything.7"
     path.write_text(page.text())
-    warnings(path)
+    hear_warnings(path)
     text = shown(path)
     for words in (
         "everything - of everything",
@@ -150,6 +162,9 @@ def test_each_form_of_markdown(tmp_path):
         "2.  second",
         "a_b    .starts with a dot",
         "_      a × b",
+        "0x0010    sigma_a_of_the_   f32    read, write   what it says, at",
+        "0x0010 to 0x00ff",
+        "registers: 2 for each; name: sigma_a_all; type: f32; access: read, write; unit: 1/mm;",
         ".line 'as it is' \\n",
     ):
         assert words in text, words
