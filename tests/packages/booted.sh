@@ -29,6 +29,6 @@ systemctl stop dipoled.service
 dipole eval --connect "$socket" --medium skin1 --count 3 --format csv | cmp - /opt/private.csv
 systemctl is-active dipoled.service
 [ "$(systemctl show -p NRestarts --value dipoled.service)" = 0 ]
-journalctl --no-pager -u dipoled.service -u dipoled.socket >/tmp/journal
-grep -q event=ready /tmp/journal
-[ -z "$(grep -E 'level=error|[Ff]ailed' /tmp/journal)" ]
+journalctl --no-pager -u dipoled.service -u dipoled.socket >/opt/journal
+grep -q event=ready /opt/journal
+[ -z "$(grep -E 'level=error|[Ff]ailed' /opt/journal)" ]
