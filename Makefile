@@ -12,12 +12,12 @@
 #   make tables     core/transport/transport.table, solved anew (minutes; resumes)
 #   make figures    Figures 1 to 17 of d'Eon 2012, in build/figures (ten minutes; resumes)
 #   make install    to $(DESTDIR)$(PREFIX); make uninstall takes it away again
+#   make deb        Debian packages, in build/deb; make check-deb installs them in a new system
 #   make setup      installs the packages of .ci/packages, nothing else
 #   make clean     (V=1 shows the commands of any of these)
 
 PREFIX ?= /usr/local
 DESTDIR ?=
-LIBDIR ?= $(PREFIX)/lib
 BUILD ?= build
 PYTHON ?= /usr/bin/python3
 
@@ -98,7 +98,7 @@ TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildc
 PROGRAMS := $(BUILD)/dipoled $(BUILD)/dipole $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-unit check-bits check-e2e check-soak check-pipeline check-asan check-tsan soak bench docs model-errors tables tradeoff figures install uninstall clean
+.PHONY: all setup demo check check-unit check-bits check-e2e check-soak check-pipeline check-asan check-tsan soak bench docs model-errors tables tradeoff figures clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -305,19 +305,7 @@ figures:
 docs: $(BUILD)/wire-tables
 	$(BUILD)/wire-tables proto/PROTOCOL.md
 
-install: all
-	install -d $(DESTDIR)$(PREFIX)/bin $(DESTDIR)$(PREFIX)/include $(DESTDIR)$(LIBDIR)/pkgconfig
-	install $(BUILD)/dipoled $(BUILD)/dipole $(DESTDIR)$(PREFIX)/bin/
-	install -m 644 clients/c/dipole.h $(DESTDIR)$(PREFIX)/include/
-	install -m 644 $(BUILD)/libdipole.a $(DESTDIR)$(LIBDIR)/
-	install $(BUILD)/libdipole.so.$(VERSION) $(DESTDIR)$(LIBDIR)/
-	ln -sf libdipole.so.$(VERSION) $(DESTDIR)$(LIBDIR)/libdipole.so.$(SOVERSION)
-	ln -sf libdipole.so.$(SOVERSION) $(DESTDIR)$(LIBDIR)/libdipole.so
-	sed -e 's|@PREFIX@|$(PREFIX)|' -e 's|@LIBDIR@|$(LIBDIR)|' -e 's|@VERSION@|$(VERSION)|' clients/c/dipole.pc.in > $(DESTDIR)$(LIBDIR)/pkgconfig/dipole.pc
-
-uninstall:
-	rm -f $(addprefix $(DESTDIR)$(PREFIX)/bin/,dipoled dipole) $(DESTDIR)$(PREFIX)/include/dipole.h
-	rm -f $(addprefix $(DESTDIR)$(LIBDIR)/,libdipole.a libdipole.so libdipole.so.$(SOVERSION) libdipole.so.$(VERSION) pkgconfig/dipole.pc)
+include clients/packaging/packaging.mk
 
 clean:
 	rm -rf $(BUILD) build-asan build-tsan

@@ -1,6 +1,7 @@
 #include "server/listener.h"
 
 #include <errno.h>
+#include <fcntl.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -156,8 +157,58 @@ static bool open_tcp(struct listener *listener, const char *url, const char *hos
   return true;
 }
 
+/* ---- passed sockets ----------------------------------------------------------------------------
+ */
+
+static int socket_option(int fd, int name) {
+  int value = -1;
+  socklen_t length = sizeof value;
+  return getsockopt(fd, SOL_SOCKET, name, &value, &length) == 0 ? value : -1;
+}
+
+static void log_adopted(int fd) {
+  struct sockaddr_un address = {0};
+  socklen_t length = sizeof address;
+  char bound[TCP_TEXT_BYTES];
+  if (socket_option(fd, SO_DOMAIN) != AF_UNIX) {
+    tcp_bound(fd, bound);
+    log_line(LOG_LEVEL_INFO, "event=listening url=tcp:%s", bound);
+  } else if (getsockname(fd, (struct sockaddr *)&address, &length) == 0) {
+    log_line(LOG_LEVEL_INFO, "event=listening url=unix:%.*s", (int)sizeof address.sun_path,
+             address.sun_path);
+  }
+}
+
+static bool adopt(int fd) {
+  const int domain = socket_option(fd, SO_DOMAIN);
+  if (socket_option(fd, SO_TYPE) != SOCK_STREAM || socket_option(fd, SO_ACCEPTCONN) != 1 ||
+      (domain != AF_UNIX && domain != AF_INET && domain != AF_INET6)) {
+    char number[32];
+    snprintf(number, sizeof number, "descriptor %d", fd);
+    return complain(number, "it is no stream socket that listens");
+  }
+  return fcntl(fd, F_SETFL, O_NONBLOCK) == 0 && fcntl(fd, F_SETFD, FD_CLOEXEC) == 0;
+}
+
 /* ---- public ------------------------------------------------------------------------------------
  */
+
+static bool watch(struct listener *listener, uv_loop_t *loop) {
+  uv_poll_init(loop, &listener->poll, listener->fd);
+  uv_timer_init(loop, &listener->pause);
+  listener->poll.data = listener->pause.data = listener;
+  return uv_poll_start(&listener->poll, UV_READABLE, on_connections) == 0;
+}
+
+bool listener_adopt(struct listener *listener, struct server *server, uv_loop_t *loop, int fd) {
+  *listener = (struct listener){.server = server, .fd = fd};
+  if (!adopt(fd)) {
+    close(fd);
+    return false;
+  }
+  log_adopted(fd);
+  return watch(listener, loop);
+}
 
 bool listener_open(struct listener *listener, struct server *server, uv_loop_t *loop,
                    const char *url) {
@@ -176,10 +227,7 @@ bool listener_open(struct listener *listener, struct server *server, uv_loop_t *
     }
     return false;
   }
-  uv_poll_init(loop, &listener->poll, listener->fd);
-  uv_timer_init(loop, &listener->pause);
-  listener->poll.data = listener->pause.data = listener;
-  return uv_poll_start(&listener->poll, UV_READABLE, on_connections) == 0;
+  return watch(listener, loop);
 }
 
 void listener_close(struct listener *listener) {

@@ -9,13 +9,18 @@ struct listener {
   uv_poll_t poll;
   uv_timer_t pause;
   int fd;
-  char *unix_path; /* removed when the listener is closed; NULL for TCP */
+  char *unix_path; /* removed when the listener is closed; NULL for TCP and adopted sockets */
 };
 
 /* Starts to listen at unix:PATH or tcp:HOST:PORT and logs the address. False, with a message on
  * standard error, when that cannot be done. */
 bool listener_open(struct listener *listener, struct server *server, uv_loop_t *loop,
                    const char *url);
+
+/* Takes over a stream socket (Unix or TCP) that is bound and listens already, and logs its address;
+ * its file, if it has one, stays when the listener is closed. False, with a message on standard
+ * error, when fd is none such: it is closed then, too. */
+bool listener_adopt(struct listener *listener, struct server *server, uv_loop_t *loop, int fd);
 
 /* No more connections from here. The handles close with the loop's next round. */
 void listener_close(struct listener *listener);

@@ -15,6 +15,7 @@
 #include "server/mc_pool.h"
 #include "server/memory.h"
 #include "server/metrics.h"
+#include "server/systemd.h"
 #include "server/worker.h"
 
 #define DEFAULT_TCP "tcp:127.0.0.1:4817"
@@ -25,7 +26,8 @@ struct daemon {
   uv_loop_t loop;
   uv_signal_t terminate;
   uv_signal_t interrupt;
-  struct listener listeners[OPTIONS_LIST_MAX + 2];
+  struct systemd systemd;
+  struct listener listeners[SYSTEMD_SOCKETS_MAX + OPTIONS_LIST_MAX + 2];
   size_t listener_count;
   struct metrics *metrics; /* NULL: not asked for */
   uint64_t workers_started;
@@ -41,6 +43,7 @@ static void stop(struct daemon *daemon) {
   }
   daemon->stopping = true;
   log_line(LOG_LEVEL_INFO, "event=stopping");
+  systemd_tell_stopping(&daemon->systemd);
   metrics_close(daemon->metrics);
   daemon->metrics = NULL;
   for (size_t i = 0; i < daemon->listener_count; i++) {
@@ -158,8 +161,32 @@ static bool admit_inherited(struct server *server) {
   return true;
 }
 
+/* Sockets that listen already, passed by a service manager. */
+static bool adopt_passed(struct daemon *daemon) {
+  const char *why;
+  int first = 0;
+  const int count =
+      systemd_open(&daemon->systemd, &why) ? systemd_sockets(&daemon->systemd, &first, &why) : -1;
+  if (count < 0) {
+    return complain("LISTEN_FDS", why);
+  }
+  for (int fd = first; fd < first + count; fd++) {
+    if (!listener_adopt(&daemon->listeners[daemon->listener_count], &daemon->server, &daemon->loop,
+                        fd)) {
+      return false;
+    }
+    daemon->listener_count++;
+  }
+  return true;
+}
+
+/* A daemon with --fd is private to whoever has started it: a service manager's variables are meant
+ * for that one. */
 static bool open_addresses(struct daemon *daemon) {
   const struct options *options = &daemon->server.options;
+  if (options->fd == NULL && !adopt_passed(daemon)) {
+    return false;
+  }
   for (size_t i = 0; i < options->listen.count; i++) {
     if (!listen_at(daemon, options->listen.items[i])) {
       return false;
@@ -168,7 +195,7 @@ static bool open_addresses(struct daemon *daemon) {
   if (options->fd != NULL) {
     return admit_inherited(&daemon->server);
   }
-  return options->listen.count > 0 || listen_by_default(daemon);
+  return daemon->listener_count > 0 || listen_by_default(daemon);
 }
 
 /* Before clients are let in, so that a daemon that is ready is one that can be watched. */
@@ -221,6 +248,7 @@ static int run(struct daemon *daemon) {
   if (ready) {
     log_line(LOG_LEVEL_INFO, "event=ready workers=%llu isa=%s",
              (unsigned long long)server->options.workers, core_isa_name(server->isa));
+    systemd_tell_ready(&daemon->systemd);
   } else {
     stop(daemon);
   }

@@ -10,7 +10,7 @@
 #include "clients/c/dipole.h"
 #include "clients/cli/options.h"
 
-enum cli_status { CLI_OK = 0, CLI_FAILED = 1, CLI_USAGE = 2, CLI_BAD_ROWS = 3, CLI_LATE = 4 };
+enum cli_status { CLI_OK = 0, CLI_FAILED = 1, CLI_USAGE = 2, CLI_BAD_ROWS = 3 };
 
 typedef struct cli_command {
   const char *name;

@@ -45,7 +45,6 @@ typedef struct asking {
   uint32_t deadline_ms;
   unsigned too_large; /* the daemon's status for a request beyond its limits, */
   unsigned bad_value; /* for one that it, or the model, does not take, */
-  unsigned late;      /* and for one that it cannot answer in time */
   cli_progress *progress;
   size_t models_done, models_total;
 } asking;
@@ -232,12 +231,11 @@ static int tell_left_out(const cli_command *command, const left_out *models, siz
 }
 
 /* Says what is wrong; an exit status. */
-static int fail(const cli_command *command, const asking *ask, const dipole_error *error) {
+static int fail(const cli_command *command, const dipole_error *error) {
   char option[64];
   cli_fail(command, "%s%s", error->text,
            cli_option_of(command, error->field, option, sizeof option));
-  const bool late = error->kind == DIPOLE_ERROR_REFUSED && error->status == ask->late;
-  return late ? CLI_LATE : CLI_FAILED;
+  return CLI_FAILED;
 }
 
 /* Asks model by model; those that answer move up in the report to fill the gaps. */
@@ -259,7 +257,7 @@ static int ask_all(const cli_command *command, asking *ask) {
       out[out_count++] = (left_out){asked->choice->name, error};
     } else {
       cli_progress_wipe(ask->progress);
-      status = fail(command, ask, &error);
+      status = fail(command, &error);
     }
     ask->models_done++;
   }
@@ -302,7 +300,7 @@ static int choose_precision(const cli_command *command, const cli_eval_settings 
       report->evaluator = evaluator;
     }
     if (!ask_offers(ask, &taken, &error)) {
-      return fail(command, ask, &error);
+      return fail(command, &error);
     }
   }
   return CLI_OK;
@@ -326,7 +324,6 @@ static int ask_with(const cli_command *command, const cli_eval_settings *setting
                 .deadline_ms = (uint32_t)settings->deadline_ms.value,
                 .too_large = dipole_id(client, DIPOLE_STATUS, "too-large"),
                 .bad_value = dipole_id(client, DIPOLE_STATUS, "bad-value"),
-                .late = dipole_id(client, DIPOLE_STATUS, "deadline"),
                 .progress = &progress};
   cli_progress_start(&progress, "values");
   int status = CLI_OK;

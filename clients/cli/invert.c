@@ -129,14 +129,11 @@ static bool choose(const cli_command *command, const invert_settings *settings, 
 }
 
 /* Says what is wrong; an exit status. */
-static int fail(const cli_command *command, dipole_client *client, const char *given,
-                const dipole_error *error) {
+static int fail(const cli_command *command, const char *given, const dipole_error *error) {
   char option[64];
   const char *field = strcmp(error->field, "length") == 0 ? given : error->field;
   cli_fail(command, "%s%s", error->text, cli_option_of(command, field, option, sizeof option));
-  const bool late = error->kind == DIPOLE_ERROR_REFUSED &&
-                    error->status == dipole_id(client, DIPOLE_STATUS, "deadline");
-  return late ? CLI_LATE : CLI_FAILED;
+  return CLI_FAILED;
 }
 
 static void take(cli_invert_report *report, const dipole_inversion *inversion) {
@@ -256,7 +253,7 @@ static int run_with_daemon(const cli_command *command, const invert_settings *se
     return report->moments != NULL ? CLI_FAILED : CLI_USAGE;
   }
   if (!ask(client, settings, report, &error) || !verify(client, settings, report, &error)) {
-    return fail(command, client, given, &error);
+    return fail(command, given, &error);
   }
   return write_and_judge(command, settings, report);
 }

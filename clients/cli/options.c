@@ -319,8 +319,8 @@ void cli_options_help(const cli_command *command) {
   for (size_t t = 0; t < TABLES; t++) {
     print_table(command, tables[t]);
   }
-  printf("\nExit status: 0 done, 1 failed, 2 wrong command line, 3 some rows were bad (points),\n"
-         "4 the deadline was missed (eval, plot).\n"
+  printf("\nExit status: 0 done, 1 failed, 2 wrong command line, 3 some rows are bad (points, "
+         "invert).\n"
          "\nExamples\n%s",
          command->examples);
 }

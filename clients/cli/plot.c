@@ -49,8 +49,9 @@ static const cli_option options[] = {
      "(default: " QUANTITY_DEFAULT ")",
      CLI_TEXT, FIELD(quantity)},
     {"axes", "NAME[,NAME...]",
-     "a panel for each: linear; semilog: values logarithmic; logarithmic: r\n"
-     "too; gamma: values to the power 1/2.2 over linear r (default:\n" AXES_DEFAULT ")",
+     "linear, semilog, logarithmic or gamma. A panel for each. semilog:\n"
+     "values logarithmic; logarithmic: r too; gamma: values to the power\n"
+     "1/2.2 over linear r (default: " AXES_DEFAULT ")",
      CLI_NAMES, FIELD(axes)},
     {"gamma", "X", "values to the power 1/X on the axes gamma (default: 2.2)", CLI_NUMBER,
      FIELD(gamma)},

@@ -143,13 +143,11 @@ static dipole_sample_query make_query(const cli_sample_settings *settings,
 }
 
 /* Says what is wrong; an exit status. */
-static int fail(const cli_command *command, dipole_client *client, const dipole_error *error) {
+static int fail(const cli_command *command, const dipole_error *error) {
   char option[64];
   cli_fail(command, "%s%s", error->text,
            cli_option_of(command, error->field, option, sizeof option));
-  const bool late = error->kind == DIPOLE_ERROR_REFUSED &&
-                    error->status == dipole_id(client, DIPOLE_STATUS, "deadline");
-  return late ? CLI_LATE : CLI_FAILED;
+  return CLI_FAILED;
 }
 
 static int ask(const cli_command *command, const cli_sample_settings *settings,
@@ -171,7 +169,7 @@ static int ask(const cli_command *command, const cli_sample_settings *settings,
   free(media);
   report->query.numbers = NULL;
   report->query.media = NULL;
-  return good ? CLI_OK : fail(command, client, &error);
+  return good ? CLI_OK : fail(command, &error);
 }
 
 int cli_sample_ask(const cli_command *command, const cli_sample_settings *settings,

@@ -42,7 +42,7 @@ class Daemon:
     """A dipoled that runs. Listens on a Unix socket and on a free TCP port unless told otherwise.
 
     env: variables besides the usual ones. listen: addresses. quiet: it logs nothing, so that the
-    address is the one it was told. prefix: a program that starts it.
+    address is the one it was told. prefix: a program that starts it. pass_fds: what it inherits.
     """
 
     def __init__(
@@ -52,6 +52,7 @@ class Daemon:
         listen: list[str] | None = None,
         quiet: bool = False,
         prefix: list[str] | None = None,
+        pass_fds: tuple[int, ...] = (),
     ):
         self.folder = Path(tempfile.mkdtemp(prefix="dipoled-"))
         if listen is None:
@@ -70,6 +71,7 @@ class Daemon:
             stdin=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             env=environment(**(env or {})),
+            pass_fds=pass_fds,
             text=True,
             errors="replace",
         )

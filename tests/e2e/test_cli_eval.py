@@ -7,7 +7,7 @@ import re
 import struct
 
 import pytest
-from command_line import LATE, Proxy, busy, dipole, eval_json, eval_rows, points, read_csv
+from command_line import FAILED, Proxy, busy, dipole, eval_json, eval_rows, points, read_csv
 from lists import everywhere
 from test_cli_numbers import many_numbers
 
@@ -224,7 +224,7 @@ def test_several_models_and_a_choice_in_parts(daemon):
 
 def test_a_deadline():
     slow = [*MEDIUM, "--from", "1", "--to", "4", "--model", "transport"]
-    run = dipole("eval", *slow, "--deadline-ms", "1", status=LATE)
+    run = dipole("eval", *slow, "--deadline-ms", "1", status=FAILED)
     assert run.stdout == ""
     assert run.stderr.endswith(": the answer takes longer (--deadline-ms)\n")
     assert "deadline: " in run.stderr

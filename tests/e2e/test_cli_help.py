@@ -9,7 +9,7 @@ import pytest
 from command_line import FAILED, PROGRAM, TIMEOUT_S, USAGE, dipole
 from daemons import environment
 
-COMMANDS = ["eval", "plot", "points", "table", "mc", "media", "info", "top", "bench"]
+COMMANDS = ["eval", "plot", "points", "sample", "invert", "table", "mc", "media", "info", "top", "bench"]
 
 
 def test_help_lists_the_commands():

@@ -2,7 +2,7 @@
 
     import dipole
 
-    with dipole.Client("unix:/run/dipoled/socket") as client:
+    with dipole.Client("unix:/run/dipoled.sock") as client:
         result = client.eval("better", dipole.Medium(sigma_a=0.032, sigma_s=0.74), r=[0.5, 1, 2])
         print(result.R, result.albedo)
 

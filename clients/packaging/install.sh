@@ -1,0 +1,74 @@
+#!/bin/sh
+# install.sh install|uninstall [PACKAGE]: does so with the files of the list beside this script,
+# those of all packages or of one, below $DESTDIR. The names between @ come from the environment.
+set -eu
+cd "$(dirname "$0")/../.."
+action=$1
+package=${2-}
+DESTDIR=${DESTDIR-}
+
+# Standard input with the names between @ replaced.
+fill() {
+  sed -e "s|@BUILD@|$BUILD|g" -e "s|@VERSION@|$VERSION|g" -e "s|@SOVERSION@|$SOVERSION|g" \
+    -e "s|@PREFIX@|$PREFIX|g" -e "s|@BINDIR@|$BINDIR|g" -e "s|@LIBDIR@|$LIBDIR|g" \
+    -e "s|@INCLUDEDIR@|$INCLUDEDIR|g" -e "s|@MANDIR@|$MANDIR|g" -e "s|@UNITDIR@|$UNITDIR|g" \
+    -e "s|@BASHDIR@|$BASHDIR|g" -e "s|@ZSHDIR@|$ZSHDIR|g" -e "s|@PYTHONDIR@|$PYTHONDIR|g"
+}
+
+put() { # mode, source, path
+  mkdir -p "${3%/*}"
+  case $1 in
+  link) ln -sfn "$2" "$3" ;;
+  fill)
+    fill <"$2" >"$3"
+    chmod 644 "$3"
+    ;;
+  *) install -m "$1" "$2" "$3" ;;
+  esac
+}
+
+# What Python has compiled goes with its source; in a staged tree, so do the folders that it leaves
+# empty.
+take_away() { # path
+  rm -f "$1"
+  left=${1%/*}
+  case $1 in
+  *.py)
+    rm -rf "$left/__pycache__"
+    rmdir "$left" 2>/dev/null || true
+    ;;
+  esac
+  while [ -n "$DESTDIR" ] && [ "${left#"$DESTDIR"/}" != "$left" ]; do
+    rmdir "$left" 2>/dev/null || [ ! -d "$left" ] || break
+    left=${left%/*}
+  done
+}
+
+# A path may have blanks, not line ends.
+newline='
+'
+grep -v '^#' clients/packaging/files | fill | while read -r of mode source place; do
+  [ -z "$package" ] || [ "$package" = "$of" ] || continue
+  case $place in
+  */) name=${source##*/} ;;
+  *) name=${place##*/} ;;
+  esac
+  folder=$DESTDIR${place%/*}
+  IFS=$newline
+  case $action in
+  install)
+    for one in $source; do
+      case $name in
+      *\**) put "$mode" "$one" "$folder/${one##*/}" ;;
+      *) put "$mode" "$one" "$folder/$name" ;;
+      esac
+    done
+    ;;
+  uninstall)
+    for one in $folder/$name; do
+      take_away "$one"
+    done
+    ;;
+  esac
+  unset IFS
+done

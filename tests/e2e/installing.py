@@ -1,0 +1,47 @@
+"""Runs make and the programs that it needs, apart from the make that runs the tests."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from daemons import BUILD, REPOSITORY, environment
+
+TIMEOUT_S = 120.0
+
+
+def run(*command: str | Path, env: dict[str, str] | None = None, cwd: Path | None = None) -> str:
+    """The standard output of a program, which succeeds and says nothing else."""
+    done = subprocess.run(
+        list(map(str, command)),
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        env={**environment(), **(env or {})},
+        cwd=cwd or REPOSITORY,
+        timeout=TIMEOUT_S,
+        check=False,
+    )
+    assert done.returncode == 0, f"{command}: {done.stdout}{done.stderr}"
+    assert "warning" not in done.stderr.lower(), f"{command}: {done.stderr}"
+    return done.stdout
+
+
+def make(target: str, **variables: str | Path) -> None:
+    """A target of the Makefile, for the build under test."""
+    # A make that runs the tests has flags and a job server of its own.
+    kept = {k: "" for k in ("MAKEFLAGS", "MFLAGS", "MAKELEVEL", "MAKEOVERRIDES") if k in os.environ}
+    given = [f"{name}={value}" for name, value in variables.items()]
+    # As the Makefile calls it: the rules are found by this name.
+    build = BUILD.relative_to(REPOSITORY) if BUILD.is_relative_to(REPOSITORY) else BUILD
+    run("make", "--no-print-directory", target, f"BUILD={build}", *given, env=kept)
+
+
+def needs(*programs: str) -> None:
+    """Skips a test where a program is not installed."""
+    for program in programs:
+        if shutil.which(program) is None:
+            pytest.skip(f"{program} is not installed")

@@ -1,0 +1,197 @@
+"""Completion of command lines by bash, as somebody who types them has it; zsh's for its syntax."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from command_line import PROGRAM, dipole
+from daemons import BUILD
+from daemons import PROGRAM as DAEMON
+from installing import make, needs, run
+
+# Readline's COMP_WORDS for a line: cut at blanks, and around runs of the other breaks.
+DRIVER = """
+source "$1"
+COMP_LINE=$2
+COMP_POINT=${#2}
+COMP_WORDBREAKS=$3
+shift 3
+COMP_WORDS=("$@")
+COMP_CWORD=$(($# - 1))
+"_${COMP_WORDS[0]}"
+for reply in "${COMPREPLY[@]}"; do
+  printf '%s\\n' "$reply"
+done
+"""
+BREAKS = " \t\n\"'><=;|&(:"
+
+
+@pytest.fixture(scope="module")
+def scripts() -> Path:
+    make("completions")
+    return BUILD / "completions"
+
+
+def words_of(line: str, breaks: str) -> list[str]:
+    cut = "".join(c for c in ":=" if c in breaks)
+    words = re.findall(rf"[{cut}]+|[^\s{cut}]+" if cut else r"\S+", line)
+    return [*words, ""] if line[-1].isspace() else words
+
+
+@pytest.fixture(scope="module")
+def complete(scripts):
+    """The replies for a line that ends at the cursor: what may stand for its last word (as readline
+    cuts words)."""
+
+    def replies(line: str, breaks: str = BREAKS, cwd: Path | None = None) -> list[str]:
+        words = words_of(line, breaks)
+        script = scripts / words[0]
+        return run("bash", "-c", DRIVER, "bash", script, line, breaks, *words, cwd=cwd).splitlines()
+
+    return replies
+
+
+@pytest.fixture(scope="module")
+def known() -> dict[str, list[str]]:
+    """The names in a daemon's lists, and its media."""
+    info = json.loads(dipole("info", "--format", "json").stdout)
+    lists = {key: value for key, value in info.items() if isinstance(value, list)}
+    names = {key: [entry["name"] for entry in value] for key, value in lists.items()}
+    media = json.loads(dipole("media", "--format", "json").stdout)["media"]
+    return {**names, "media": [entry["medium"] for entry in media]}
+
+
+def help_of(*command: str) -> str:
+    return run(PROGRAM, *command, "--help")
+
+
+def commands() -> list[str]:
+    return re.findall(r"^  ([a-z]+) +[A-Z]", help_of(), re.M)
+
+
+def options_in(text: str) -> dict[str, str]:
+    """What the value of each option is called; "": it has none."""
+    return dict(re.findall(r"^  (--[a-z-]+)(?: (\S+))?(?= |$)", text, re.M))
+
+
+def test_commands(complete):
+    assert complete("dipole ") == commands()
+    assert complete("dipole po") == ["points"]
+    assert complete("dipole help ta") == ["table"]
+    assert complete("dipole nonsense") == []
+
+
+def test_options_are_those_of_help(complete):
+    for command in commands():
+        if command != "help":
+            expected = options_in(help_of(command))
+            assert complete(f"dipole {command} --") == list(expected), command
+    assert complete("dipoled --") == list(options_in(run(DAEMON, "--help")))
+    assert complete("dipole eval --sigma-") == ["--sigma-a", "--sigma-s"]
+    assert complete("dipole eval --log --cos-o") == ["--cos-out"]
+    assert complete("dipole eval --medium skin1 --log --cos-o") == ["--cos-out"]
+
+
+def test_every_option_that_takes_a_name_knows_names(complete):
+    tried = 0
+    for command in commands():
+        for option, value in options_in(help_of(command)).items() if command != "help" else ():
+            if re.match(r"NAME|FORMAT|COLOUR", value):
+                assert complete(f"dipole {command} {option} ") != [], f"{command} {option}"
+                tried += 1
+            elif re.match(r"[XNS]\b", value):
+                assert complete(f"dipole {command} {option} ") == [], f"{command} {option}"
+    assert tried > 10
+
+
+@pytest.mark.parametrize(
+    "option, kind",
+    [
+        ("--model", "models"),
+        ("--fit-model", "models"),
+        ("--evaluator", "evaluators"),
+        ("--moments", "moments"),
+        ("--want", "quantities"),
+        ("--medium", "media"),
+    ],
+)
+def test_names_are_those_of_the_daemon(complete, known, option, kind):
+    names = [name for name in complete(f"dipole eval {option} ") if name != "all"]
+    assert names == known[kind] and len(names) >= 3
+
+
+def test_names_that_help_enumerates(complete):
+    assert complete("dipole info --format ") == ["table", "csv", "json"]
+    assert complete("dipole mc --channel ") == ["red", "green", "blue"]
+    assert complete("dipoled --isa ") == ["portable", "sse2", "avx2", "avx512"]
+    assert complete("dipoled --log-level ") == ["error", "info"]
+
+
+def test_several_names(complete):
+    assert complete("dipole eval --want R,al") == ["R,albedo"]
+    assert complete("dipole eval --model classical,better,gros") == [
+        "classical,better,grosjean",
+        "classical,better,grosjean-boundary",
+        "classical,better,grosjean-exitance",
+    ]
+    assert complete("dipole table --model transp") == ["transport"]
+
+
+@pytest.mark.parametrize("breaks", [BREAKS, " \t\n"])
+def test_a_value_behind_an_equals_sign(complete, breaks):
+    before = "" if "=" in breaks else "--medium="
+    assert complete("dipole eval --medium=skin", breaks) == [f"{before}skin1", f"{before}skin2"]
+    before = "" if "=" in breaks else "--want="
+    assert complete("dipole eval --want=R,al", breaks) == [f"{before}R,albedo"]
+
+
+@pytest.mark.parametrize("breaks", [BREAKS, " \t\n"])
+def test_addresses(complete, tmp_path, breaks):
+    (tmp_path / "one.sock").touch()
+    assert complete("dipole info --connect ", breaks) == ["unix:", "tcp:", "private:"]
+    assert complete("dipole info --connect t", breaks) == ["tcp:"]
+    before = "" if ":" in breaks else "unix:"
+    replies = complete(f"dipole info --connect unix:{tmp_path}/o", breaks)
+    assert replies == [f"{before}{tmp_path}/one.sock"]
+    assert complete("dipoled --listen u", breaks) == ["unix:"]
+    # What follows an address is not a part of it.
+    assert complete("dipole info --connect private: --form", breaks) == ["--format"]
+
+
+def test_files(complete, tmp_path):
+    for name in ("a.csv", "a.table", "b.csv", "with blank"):
+        (tmp_path / name).touch()
+    for line in ("points ", "points --evaluator lut ", "eval --table ", "table --output "):
+        replies = complete(f"dipole {line}", cwd=tmp_path)
+        assert sorted(replies) == ["a.csv", "a.table", "b.csv", "with blank"], line
+    assert sorted(complete("dipole points a", cwd=tmp_path)) == ["a.csv", "a.table"]
+    assert complete("dipole eval --plot=b", cwd=tmp_path) == ["b.csv"]
+    # A value that may be left out is followed by an option as well.
+    assert complete("dipole eval --plot --wan", cwd=tmp_path) == ["--want"]
+
+
+@pytest.mark.parametrize("program", ["dipole", "dipoled"])
+def test_scripts_are_without_faults(scripts, program):
+    run("bash", "-n", scripts / program)
+    registered = run("bash", "-c", f'source "$0" && complete -p {program}', scripts / program)
+    assert registered == f"complete -F _{program} {program}\n"
+
+
+@pytest.mark.parametrize("program", ["dipole", "dipoled"])
+def test_scripts_for_zsh_are_without_faults(scripts, program):
+    needs("zsh")
+    script = scripts / f"_{program}"
+    run("zsh", "-n", script)
+    assert script.read_text().startswith(f"#compdef {program}\n")
+
+
+def test_zsh_gets_every_option(scripts):
+    text = (scripts / "_dipole").read_text()
+    for command in commands():
+        if command != "help":
+            case = re.search(rf"^  {command}\)\n(.*?);;", text, re.M | re.DOTALL)[1]
+            found = re.findall(r"^ +'\*?(--[a-z-]+)", case, re.M)
+            assert found == list(options_in(help_of(command)))

@@ -1,0 +1,198 @@
+"""`make install`: what is installed works by itself, and `make uninstall` takes all of it away."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+from command_line import eval_rows
+from daemons import REPOSITORY, sanitized
+from installing import make, needs, run
+
+PREFIX = "/usr/local"
+
+# What links to the library of a sanitized build has to be sanitized itself.
+unsanitized = pytest.mark.skipif(sanitized(), reason="the build is sanitized")
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory) -> Path:
+    """A folder into which everything is installed."""
+    root = tmp_path_factory.mktemp("root")
+    make("install", DESTDIR=root, PREFIX=PREFIX)
+    return root
+
+
+@pytest.fixture(scope="module")
+def prefix(tree) -> Path:
+    return Path(f"{tree}{PREFIX}")
+
+
+def files(root: Path) -> set[str]:
+    return {str(path.relative_to(root)) for path in root.rglob("*")}
+
+
+def test_uninstall_leaves_nothing_behind(tmp_path):
+    make("install", DESTDIR=tmp_path, PREFIX=PREFIX)
+    assert len(files(tmp_path)) > 20
+    make("uninstall", DESTDIR=tmp_path, PREFIX=PREFIX)
+    assert files(tmp_path) == set()
+
+
+def test_uninstall_leaves_others_alone(tmp_path):
+    others = ["bin/other", "share/man/man8/other.8", "lib/libother.so", "lib/pkgconfig/other.pc"]
+    for name in others:
+        path = Path(f"{tmp_path}{PREFIX}") / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("somebody else's")
+    before = files(tmp_path)
+    make("install", DESTDIR=tmp_path, PREFIX=PREFIX)
+    make("uninstall", DESTDIR=tmp_path, PREFIX=PREFIX)
+    assert files(tmp_path) == before
+
+
+def test_files_are_readable_for_all_and_name_no_staging(tree):
+    for path in tree.rglob("*"):
+        if not path.is_symlink():
+            assert path.stat().st_mode & 0o444 == 0o444, path
+        if path.is_file() and path.suffix in (".pc", ".service", ".socket", ".8", ".1"):
+            text = path.read_text()
+            assert str(tree) not in text and not re.search(r"@[A-Z]+@", text), path
+    unit = tree / f"{PREFIX[1:]}/lib/systemd/system/dipoled.service"
+    assert f"ExecStart={PREFIX}/bin/dipoled\n" in unit.read_text()
+
+
+# ---- the library ---------------------------------------------------------------------------------
+
+C_PROGRAM = """
+#include <dipole.h>
+#include <stdio.h>
+
+int main(void) {
+  dipole_client *client = NULL;
+  dipole_error error;
+  dipole_result *result = NULL;
+  const dipole_medium medium = {0.032, 0.74, 0, 1.3};
+  const double r[2] = {0.5, 1.0};
+  dipole_query query = {0};
+  if (!dipole_open(NULL, &client, &error)) {
+    puts(error.text);
+    return 1;
+  }
+  query.model = dipole_id(client, DIPOLE_MODEL, "better");
+  query.evaluator = DIPOLE_F64;
+  query.moments = DIPOLE_EXACT;
+  query.wanted = DIPOLE_R;
+  query.media = &medium;
+  query.medium_count = 1;
+  query.spacing = DIPOLE_LIST;
+  query.radii = r;
+  query.radius_count = 2;
+  if (!dipole_eval(client, &query, &result, &error)) {
+    puts(error.text);
+    return 1;
+  }
+  printf("%.17g %.17g\\n", result->channels[0].R_f64[0], result->channels[0].R_f64[1]);
+  dipole_result_free(result);
+  dipole_close(client);
+  return 0;
+}
+"""
+STRICT = ["-Wall", "-Wextra", "-pedantic", "-Werror"]
+LANGUAGES = {
+    "c": ["cc", "-std=c17", *STRICT],
+    "cc": ["c++", "-std=c++17", *STRICT],
+}
+
+
+def pkg_config(tree: Path, *options: str) -> list[str]:
+    env = {
+        "PKG_CONFIG_LIBDIR": f"{tree}{PREFIX}/lib/pkgconfig",
+        "PKG_CONFIG_SYSROOT_DIR": str(tree),
+    }
+    return run("pkg-config", "--cflags", "--libs", *options, "dipole", env=env).split()
+
+
+def expected() -> list[float]:
+    rows = eval_rows("--sigma-a", "0.032", "--sigma-s", "0.74", "--r", "0.5,1", "--want", "R")
+    column = next(name for name in rows[0] if name.startswith("R"))
+    return [float(row[column]) for row in rows]
+
+
+@unsanitized
+@pytest.mark.parametrize("kind", ["shared", "static"])
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_a_program_builds_and_runs(tree, prefix, tmp_path, language, kind):
+    compiler = LANGUAGES[language]
+    needs(compiler[0], "pkg-config")
+    source = tmp_path / f"program.{language}"
+    source.write_text(C_PROGRAM.replace("= {0};", "= {};") if language == "cc" else C_PROGRAM)
+    flags = pkg_config(tree, *(["--static"] if kind == "static" else []))
+    if kind == "static":
+        # The library itself from its archive; the C library as usual.
+        flags = ["-l:libdipole.a" if flag == "-ldipole" else flag for flag in flags]
+    run(*compiler, source, "-o", tmp_path / "program", *flags)
+    needed = "libdipole.so.0" in run("readelf", "-d", tmp_path / "program")
+    assert needed == (kind == "shared")
+    env = {"LD_LIBRARY_PATH": f"{prefix}/lib", "PATH": f"{prefix}/bin"}
+    said = run(tmp_path / "program", env=env, cwd=tmp_path)
+    assert list(map(float, said.split())) == expected()
+
+
+def test_the_library_exports_what_its_header_declares(prefix):
+    needs("nm")
+    symbols = run("nm", "-D", "--defined-only", prefix / "lib/libdipole.so").splitlines()
+    exported = {line.split()[2].split("@")[0] for line in symbols if line.split()[1] != "A"}
+    header = re.sub(r"/\*.*?\*/", "", (prefix / "include/dipole.h").read_text(), flags=re.DOTALL)
+    declared = set(re.findall(r"\b(dipole_\w+)\(", header))
+    assert exported == declared and len(exported) > 20
+
+
+def test_the_library_has_its_soname(prefix):
+    needs("readelf")
+    assert "soname: [libdipole.so.0]" in run("readelf", "-d", prefix / "lib/libdipole.so")
+    links = [prefix / "lib" / name for name in ("libdipole.so", "libdipole.so.0")]
+    assert all(link.is_symlink() and link.exists() for link in links)
+
+
+# ---- the others ----------------------------------------------------------------------------------
+
+
+def test_the_programs_find_each_other(prefix, tmp_path):
+    """A private daemon is the one beside the client."""
+    text = run(prefix / "bin/dipole", "info", env={"PATH": "/nowhere"}, cwd=tmp_path)
+    assert "private:" in text
+
+
+def test_the_python_module(tree, prefix, tmp_path):
+    found = list(tree.rglob("dipole/__init__.py"))
+    assert len(found) == 1
+    program = (
+        "import dipole\n"
+        "with dipole.Client() as client:\n"
+        "    print(*client.eval('better', (0.032, 0.74, 0, 1.3), [0.5, 1.0]).R[0])\n"
+        "print(dipole.__file__)"
+    )
+    env = {
+        "PATH": f"{prefix}/bin",
+        "PYTHONPATH": str(found[0].parents[1]),
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
+    *values, path = run(sys.executable, "-c", program, env=env, cwd=tmp_path).split()
+    assert path == str(found[0])
+    assert list(map(float, values)) == expected()
+
+
+def test_python_looks_where_the_module_is_installed(tree):
+    """For prefixes that Debian's Python looks below."""
+    script = REPOSITORY / "clients/packaging/python_folder.py"
+    for place in (PREFIX, "/usr"):
+        folder = run(sys.executable, script, place).strip()
+        assert folder.startswith(f"{place}/lib/python3")
+        if any(path.startswith(f"{place}/lib/") for path in sys.path if "packages" in path):
+            assert folder in sys.path
+    other = run(sys.executable, script, "/opt/dipole").strip()
+    version = ".".join(map(str, sys.version_info[:2]))
+    assert other == f"/opt/dipole/lib/python{version}/site-packages"

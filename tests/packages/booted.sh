@@ -1,0 +1,34 @@
+# In the new system, booted: the daemon that systemd has started.
+socket=unix:/run/dipoled.sock
+port=tcp:127.0.0.1:4817
+
+systemctl is-active dipoled.socket dipoled.service
+dipole info --connect "$socket" >/dev/null
+for address in "$socket" "$port"; do
+  dipole eval --connect "$address" --medium skin1 --count 3 --format csv | cmp - /opt/private.csv
+done
+# Whoever is on this machine may ask.
+setpriv --reuid=65534 --regid=65534 --clear-groups dipole media --connect "$socket" >/dev/null
+# Everything that it does is allowed by its filter of system calls: a table, Monte Carlo, metrics.
+dipole table --connect "$socket" --medium skin1 --model transport --output - >/dev/null
+dipole mc --connect "$socket" --medium skin1 --channel red --photons 20000 --rings 2 >/dev/null
+echo DIPOLED_METRICS=127.0.0.1:9817 >/etc/default/dipoled
+systemctl restart dipoled.service || journalctl --no-pager -u dipoled.service
+python3 -c '
+from urllib.request import urlopen
+assert b"dipoled_" in urlopen("http://127.0.0.1:9817/metrics", timeout=10).read()'
+# And the filter is there, and nothing else is allowed.
+process=$(systemctl show -p MainPID --value dipoled.service)
+grep -q '^Seccomp:.2$' "/proc/$process/status"
+grep -q '^NoNewPrivs:.1$' "/proc/$process/status"
+grep -q '^CapEff:.0000000000000000$' "/proc/$process/status"
+[ "$(stat -c %u "/proc/$process")" != 0 ]
+# Stopped, it comes back for the next who asks.
+systemctl stop dipoled.service
+[ "$(systemctl is-active dipoled.service)" = inactive ]
+dipole eval --connect "$socket" --medium skin1 --count 3 --format csv | cmp - /opt/private.csv
+systemctl is-active dipoled.service
+[ "$(systemctl show -p NRestarts --value dipoled.service)" = 0 ]
+journalctl --no-pager -u dipoled.service -u dipoled.socket >/opt/journal
+grep -q event=ready /opt/journal
+[ -z "$(grep -E 'level=error|[Ff]ailed' /opt/journal)" ]
