@@ -17,8 +17,8 @@ typedef struct cli_medium_settings {
       {"medium", "NAME[,NAME...]",                                                                 \
        "measured media, see `dipole media`: red, green and blue of each", CLI_TEXT,                \
        offsetof(settings, medium.medium)},                                                         \
-      {"channel", "COLOUR[,...]", "red, green or blue: of these only (default: all)", CLI_NAMES,    \
-       offsetof(settings, medium.channel)},                                                        \
+      {"channel", "COLOUR[,...]", "red, green or blue. Of each only these (default: all)",         \
+       CLI_NAMES, offsetof(settings, medium.channel)},                                             \
       {"sigma-a", "X[,X...]", "absorption coefficient, 1/mm; one value for each channel",          \
        CLI_NUMBERS, offsetof(settings, medium.sigma_a)},                                           \
       {"sigma-s", "X[,X...]",                                                                      \
