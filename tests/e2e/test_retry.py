@@ -245,3 +245,31 @@ def test_busy_is_asked_again(daemon):
 def holding_frame() -> bytes:
     """All but the last byte of a request of half a megabyte."""
     return frame(EVAL, 1, eval_payload(radii=[1.0] * 70_000, wanted=R))[:-1]
+
+
+# ---- several addresses ---------------------------------------------------------------------------
+
+
+def test_another_daemon_takes_over(daemon):
+    one, other = daemon(), daemon()
+    addresses = f"{one.url()},{other.url('tcp')}"
+    with dipole.Client(addresses, retry_s=RETRY_S) as client:
+        known = [result_bytes(client.eval(**question)) for question in QUESTIONS]
+        outstanding = {client.submit(**question): i for i, question in enumerate(QUESTIONS)}
+        assert client.info.address == one.url()
+        one.kill()
+        while outstanding:
+            request_id, result = client.collect()
+            assert result_bytes(result) == known[outstanding.pop(request_id)]
+    assert other.client().statistics()["requests_eval"] > 0
+
+
+def test_addresses_where_nobody_answers(daemon, tmp_path):
+    one = daemon()
+    with dipole.Client(f"unix:{tmp_path}/none,{one.url()}") as client:
+        assert client.info.address == one.url()
+    with pytest.raises(dipole.ConnectError, match="none.*no,ne") as caught:
+        dipole.Client(f"unix:{tmp_path}/none,unix:{tmp_path}/no,ne")
+    assert str(caught.value).count("unix:") == 2
+    with pytest.raises(dipole.AddressError, match="private"):
+        dipole.Client(f"{one.url()},private:")

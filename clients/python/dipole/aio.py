@@ -422,12 +422,12 @@ class AsyncClient:
         if until_s is None or not retry.may_pass(lost) or self._begun:
             raise lost
         self._connected.clear()
-        address = self._stream.address
+        addresses = self._stream.connection.next_addresses()
         await self._stream.close()
 
         def connect(left_s: float) -> Client:
             timeout_s = left_s if self._timeout_s is None else min(left_s, self._timeout_s)
-            return Client(address, timeout_s, 0)
+            return Client(addresses, timeout_s, 0)
 
         fresh = await asyncio.to_thread(retry.connect_again, connect, self.info, until_s, lost)
         self._stream = AsyncStream(fresh._connection)

@@ -492,11 +492,11 @@ class Client:
         if any(not answer.is_new for answer in self._read.values() if not answer.ended):
             raise lost
         timeout_s = self._connection.timeout_s
-        address = self._connection.address
+        addresses = self._connection.next_addresses()
         self._connection.close()
 
         def connect(left_s: float) -> Client:
-            return Client(address, left_s if timeout_s is None else min(left_s, timeout_s), 0)
+            return Client(addresses, left_s if timeout_s is None else min(left_s, timeout_s), 0)
 
         fresh = retry.connect_again(connect, self.info, until_s, lost)
         self._connection = fresh._connection

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import select
 import shutil
 import socket
@@ -35,12 +36,14 @@ class Connection:
     """One connection, without any knowledge of what the messages mean.
 
     address: unix:PATH, tcp:HOST:PORT ([::1]:PORT for IPv6), private: or private:PROGRAM; None means
-    $DIPOLED when that is set, else private:. timeout_s: how long a call waits without any byte
-    arriving or leaving; None: for ever.
+    $DIPOLED when that is set, else private:. Several of unix: and tcp:, separated by commas without
+    blanks, are tried in turn; `address` is then the one that answered. timeout_s: how long a call
+    waits without any byte arriving or leaving, and each address for an answer; None: for ever.
     """
 
     def __init__(self, address: str | None = None, timeout_s: float | None = 30.0):
-        self.address = address or os.environ.get("DIPOLED") or "private:"
+        self._addresses = _several(address or os.environ.get("DIPOLED") or "private:")
+        self.address = self._addresses[0]
         self.timeout_s = timeout_s
         self._incoming = bytearray()
         self._process: subprocess.Popen[bytes] | None = None
@@ -61,7 +64,24 @@ class Connection:
 
     # ---- connecting ------------------------------------------------------------------------------
 
+    def next_addresses(self) -> str:
+        """All addresses, to connect again: those behind the one that was lost come first."""
+        at = self._addresses.index(self.address) + 1
+        return ",".join(self._addresses[at:] + self._addresses[:at])
+
     def _open(self) -> socket.socket:
+        """At the first address where somebody answers."""
+        failures = []
+        for self.address in self._addresses:
+            try:
+                return self._open_one()
+            except ConnectError as error:
+                failures.append(error)
+        if len(failures) == 1:
+            raise failures[0]
+        raise ConnectError("; ".join(map(str, failures))) from failures[-1]
+
+    def _open_one(self) -> socket.socket:
         scheme, colon, rest = self.address.partition(":")
         try:
             if colon and scheme == "unix" and rest:
@@ -223,6 +243,14 @@ class Connection:
         if header.magic != wire.MAGIC or header.version != wire.VERSION:
             raise ProtocolError(f"{self.address}: this is not a dipoled")
         return Frame(header.type, header.request_id, self.receive_bytes(header.payload_bytes))
+
+
+def _several(text: str) -> list[str]:
+    """A comma that no scheme follows is part of a path."""
+    addresses = re.split(",(?=unix:|tcp:|private:)", text)
+    if len(addresses) > 1 and any(address.startswith("private:") for address in addresses):
+        raise AddressError(f"{text}: a private daemon is no address among others")
+    return addresses
 
 
 def header_bytes(type: int, request_id: int, payload_bytes: int, deadline_ms: int = 0) -> bytes:
