@@ -52,6 +52,12 @@ def test_every_call_answers_as_the_other_client(shared):
             table = await client.table("better", SKIN, tolerance=1e-3)
             expected = known.table("better", SKIN, tolerance=1e-3)
             np.testing.assert_array_equal(table.words, expected.words)
+            samples = await client.sample("better", THREE, draw=dipole.Draw(100))
+            expected = known.sample("better", THREE, draw=dipole.Draw(100))
+            np.testing.assert_array_equal(samples.r, expected.r)
+            inverted = await client.invert("better", [0.2, 0.8], 1.5)
+            expected = known.invert("better", [0.2, 0.8], 1.5)
+            np.testing.assert_array_equal(inverted.sigma_a, expected.sigma_a)
             walk = {"photons": 20000, "seed": 3}
             result = await client.mc(SKIN, Grid(0, 4, 5), **walk)
             expected = known.mc(SKIN, Grid(0, 4, 5), **walk)

@@ -15,13 +15,15 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from . import answers, broadcast, calls, mc, packing, retry, wire
+from . import answers, broadcast, calls, inversion, mc, packing, retry, samples, wire
 from .aio_stream import AsyncStream
 from .answers import Answer
 from .broadcast import Values
 from .client import Client
 from .connection import Frame
 from .errors import ArgumentError, ConnectionLost, DipoleError, ProtocolError, Refused
+from .inversion import Inversion
+from .samples import Draw, Samples
 from .table import Table
 from .values import Grid, Info, Medium, Offers, Result
 
@@ -126,13 +128,7 @@ class AsyncClient:
         payload, query = packing.query(
             self.info, model, media, r, grid, evaluator, moments, wanted, parameters, tolerance
         )
-        answer = Answer(query)
-        request_id = await self._send("eval", payload, deadline_ms)
-        try:
-            while not answer.ended:
-                answer = await self._take_part(request_id, answer)
-        finally:
-            self._drop(request_id)
+        answer = await self._whole(payload, deadline_ms, Answer(query))
         return answers.result(answer, self.info)
 
     async def eval_parts(
@@ -165,14 +161,24 @@ class AsyncClient:
         finally:
             self._drop(request_id)
 
-    async def _take_part(self, request_id: int, answer: Answer) -> Answer:
+    async def _whole(self, payload: bytes, deadline_ms: int, answer: Any) -> Any:
+        """Sends a request and waits for all of its answer."""
+        request_id = await self._send(answer.message, payload, deadline_ms)
+        try:
+            while not answer.ended:
+                answer = await self._take_part(request_id, answer)
+        finally:
+            self._drop(request_id)
+        return answer
+
+    async def _take_part(self, request_id: int, answer: Any) -> Any:
         """Waits for the next part of an answer, or the error in its place; returns the answer, or
         another that takes its place, without a part."""
         frame = await self._next_frame(request_id)
         if isinstance(frame, _Again):
-            return Answer(answer.query)
+            return answer.fresh()
         try:
-            answer.add(calls.payload_of(frame, "eval"))
+            answer.add(calls.payload_of(frame, answer.message))
         except Refused as refusal:
             answer.refuse(refusal)
         return answer
@@ -203,6 +209,45 @@ class AsyncClient:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
         return collected.values()
+
+    async def sample(
+        self,
+        model: str | int,
+        media: Medium | Iterable[Sequence[float]] | np.ndarray,
+        u: Any = None,
+        *,
+        draw: Draw | None = None,
+        evaluator: str | int = "f64",
+        moments: str | int = "exact",
+        wanted: Iterable[str] = ("r", "pdf"),
+        parameters: Mapping[str, float | str] | None = None,
+        tolerance: float | None = None,
+        deadline_ms: int = 0,
+    ) -> Samples:
+        """See Client.sample()."""
+        how = (u, draw, evaluator, moments, wanted, parameters, tolerance)
+        payload, query, numbers = samples.request(self.info, model, media, *how)
+        answer = await self._whole(payload, deadline_ms, Answer(query))
+        return samples.result(answer, self.info, numbers)
+
+    async def invert(
+        self,
+        model: str | int,
+        albedo: Any,
+        length: Any,
+        *,
+        given: str | int = "mean-free-path",
+        g: float = 0.0,
+        eta: float = 1.3,
+        moments: str | int = "exact",
+        deadline_ms: int = 0,
+    ) -> Inversion:
+        """See Client.invert()."""
+        payload, query = inversion.request(
+            self.info, model, albedo, length, given, g, eta, moments
+        )
+        answer = await self._whole(payload, deadline_ms, inversion.Answer(query))
+        return inversion.result(answer, self.info)
 
     # ---- the rest --------------------------------------------------------------------------------
 
