@@ -9,7 +9,7 @@ import pytest
 from command_line import FAILED, PROGRAM, TIMEOUT_S, USAGE, dipole
 from daemons import environment
 
-COMMANDS = ["eval", "points", "table", "mc", "media", "info", "top"]
+COMMANDS = ["eval", "points", "sample", "invert", "table", "mc", "media", "info", "top"]
 
 
 def test_help_lists_the_commands():
@@ -38,8 +38,9 @@ def test_help_of_a_command(command):
     assert max(len(line) for line in text.splitlines()) <= 100
 
 
-def test_examples_of_eval_work():
-    text = dipole("eval", "--help").stdout.split("\nExamples\n")[1]
+@pytest.mark.parametrize("command", ["eval", "sample", "invert"])
+def test_examples_work(command):
+    text = dipole(command, "--help").stdout.split("\nExamples\n")[1]
     examples = [line.split() for line in text.splitlines()]
     assert len(examples) >= 3
     for words in examples:
@@ -61,7 +62,7 @@ EVAL = ["eval", "--sigma-a", "0.1", "--sigma-s", "1"]
 @pytest.mark.parametrize(
     "arguments, said",
     [
-        (["evaluate"], "there is no command 'evaluate'; the commands are eval, points, table, mc,"),
+        (["evaluate"], "there is no command 'evaluate'; the commands are eval, points, sample, i"),
         (["help", "evaluate"], "there is no command 'evaluate'"),
         (["eval"], "give --medium NAME, or --sigma-a and --sigma-s"),
         (["eval", "--sigma-a", "1"], "give --medium NAME, or --sigma-a and --sigma-s"),
