@@ -9,7 +9,7 @@ import dipole
 import numpy as np
 import pytest
 from daemons import sanitized
-from dipole import Draw, wire
+from dipole import Draw, inversion, wire
 from frames import (
     INVERT,
     SKIN,
@@ -126,6 +126,47 @@ def test_what_is_found_is_what_an_eval_and_a_sample_take(client):
     found = client.invert("better", [0.4, 0.7], [1.0, 2.0])
     assert client.eval("better", found.media, [1.0]).R.shape == (2, 1)
     assert client.sample("better", found.media, draw=Draw(5)).r.shape == (2, 5)
+
+
+def test_answers_that_do_not_fit_are_not_taken():
+    """A caller who counts on what it asked for must not be mistaken."""
+    query = inversion.Query((4,), 4, 2, 1, 1, 0.0, 1.3)
+    right = {
+        "model": 2,
+        "moments": 1,
+        "given": 1,
+        "part": 0,
+        "part_count": 2,
+        "medium_count": 3,
+        "medium_first": 0,
+        "missing_count": 1,
+        "albedo_least": 0.0,
+        "albedo_most": 1.0,
+    }
+
+    def payload(**changes) -> bytes:
+        fixed = {**right, **changes}
+        return wire.INVERT_REPLY.pack(**fixed) + bytes(24 * min(fixed["medium_count"], 9))
+
+    last = {"part": 1, "medium_count": 1, "medium_first": 3}
+    wrong = [{"model": 1}, {"moments": 2}, {"given": 2}, {"part": 1}, {"part_count": 1}]
+    wrong += [{"medium_count": 4}, {"medium_count": 0}, {"medium_first": 1}, {"missing_count": 4}]
+    for changes in wrong:
+        with pytest.raises(dipole.ProtocolError):
+            inversion.Answer(query).add(payload(**changes))
+    for changes in ({"albedo_most": 0.5}, {"medium_first": 2}, {"medium_count": 2}, {"part": 0}):
+        answer = inversion.Answer(query)
+        answer.add(payload())
+        with pytest.raises(dipole.ProtocolError):
+            answer.add(payload(**{**last, **changes}))
+    for cut in (payload()[:-8], payload()[:40]):
+        with pytest.raises(dipole.ProtocolError):
+            inversion.Answer(query).add(cut)
+    answer = inversion.Answer(query)
+    answer.add(payload())
+    assert not answer.ended and not answer.is_new and answer.fresh().is_new
+    answer.add(payload(**last))
+    assert answer.ended and answer.missing == 2
 
 
 # ---- requests that are wrong ---------------------------------------------------------------------

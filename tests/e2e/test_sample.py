@@ -125,6 +125,20 @@ def test_every_model_that_covers_all_radii_draws(client):
     assert drawn == len(MODELS) - 1
 
 
+def test_arguments_that_do_not_fit(client):
+    for arguments in (
+        {},
+        {"u": [0.5], "draw": Draw(3)},
+        {"u": [[0.5], [0.6]]},
+        {"draw": Draw(3, "lots")},
+        {"draw": Draw(-1)},
+        {"u": [0.5], "evaluator": 9},
+    ):
+        with pytest.raises(dipole.ArgumentError):
+            client.sample("better", SKIN, **arguments)
+    assert client.sample("better", SKIN, 0.5).r.shape == (1, 1)
+
+
 # ---- requests that are wrong ---------------------------------------------------------------------
 
 COS_IN = PARAMETERS["cos_in"].id
