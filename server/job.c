@@ -259,9 +259,15 @@ static void channel_step(struct job *job, struct server *server, struct job_scra
   }
 }
 
+/* Kernels that draw evaluate whole vectors, again and again. */
+enum { DRAW_VECTOR = 8 };
+
 static size_t slice_length(const struct job *job, double cost) {
   const uint64_t left = job->count - job->index;
-  const size_t most = (size_t)fmax(JOB_SLICE_RADII / cost, 1);
+  size_t most = (size_t)fmax(JOB_SLICE_RADII / cost, 1);
+  if (job->draws) {
+    most = most < DRAW_VECTOR ? DRAW_VECTOR : most / DRAW_VECTOR * DRAW_VECTOR;
+  }
   return left < most ? (size_t)left : most;
 }
 

@@ -11,7 +11,7 @@ SPECTRALON = (0.0, 11.6, 0.0, 1.3)  # does not absorb: the better dipole's albed
 CLASSICAL, BETTER = 1, 2
 F64, F32 = 1, 2
 EXACT, FIT = 1, 2
-R, ALBEDO, CDF, RADIUS = 1, 2, 4, 8
+R, ALBEDO, CDF, RADIUS, PDF = 1, 2, 4, 8, 64
 LIST, LINEAR, LOGARITHMIC = 1, 2, 3
 
 PING = wire.MESSAGES["ping"]
@@ -19,6 +19,8 @@ HELLO = wire.MESSAGES["hello"]
 EVAL = wire.MESSAGES["eval"]
 MEDIA = wire.MESSAGES["media"]
 STATISTICS = wire.MESSAGES["statistics"]
+SAMPLE = wire.MESSAGES["sample"]
+INVERT = wire.MESSAGES["invert"]
 
 
 def header(**changes: int) -> bytes:
@@ -80,6 +82,43 @@ def eval_payload(media=(SKIN,), radii=(0.5, 1.0), parameters=(), **fixed: float)
     evaluator = fields["evaluator"] if fields["evaluator"] in wire.EVALUATOR_TYPES else F64
     listed = b"" if radii is None else radii_bytes(radii, evaluator)
     return wire.EVAL_REQUEST.pack(**fields) + media_bytes(media) + parameters + listed
+
+
+def sample_payload(media=(SKIN,), u=(0.25, 0.5), parameters=(), **fixed: int) -> bytes:
+    """The payload of a sample request: counts that fit and a list, unless told otherwise. u: None
+    for numbers by rule. parameters: pairs of id and value."""
+    fields = {
+        "model": BETTER,
+        "evaluator": F64,
+        "moments": EXACT,
+        "wanted": RADIUS | PDF,
+        "medium_count": len(media),
+        "draw": wire.DRAW_LIST if u is not None else wire.DRAW_RANDOM,
+        "parameter_count": len(parameters),
+        "sample_count": len(u) if u is not None else 2,
+        "sample_first": 0,
+        "seed": 0 if u is not None else 1,
+    }
+    fields.update(fixed)
+    evaluator = fields["evaluator"] if fields["evaluator"] in wire.EVALUATOR_TYPES else F64
+    listed = b"" if u is None else radii_bytes(u, evaluator)
+    head = wire.SAMPLE_REQUEST.pack(**fields)
+    return head + media_bytes(media) + parameters_bytes(parameters) + listed
+
+
+def invert_payload(albedos=(0.5, 0.9), lengths=(1.0, 2.0), **fixed: float) -> bytes:
+    """The payload of an invert request; the count fits unless told otherwise."""
+    fields = {
+        "model": BETTER,
+        "moments": EXACT,
+        "given": 1,
+        "medium_count": len(albedos),
+        "g": 0.0,
+        "eta": 1.3,
+    }
+    fields.update(fixed)
+    numbers = np.asarray([*albedos, *lengths], "<f8").tobytes()
+    return wire.INVERT_REQUEST.pack(**fields) + numbers
 
 
 def ask(connection: Connection, type: int, payload: bytes = b"", request_id: int = 77) -> Frame:

@@ -15,15 +15,19 @@ from frames import (
     EVAL,
     F32,
     F64,
+    INVERT,
     MEDIA,
     PING,
     RADIUS,
+    SAMPLE,
     SKIN,
     SPECTRALON,
     R,
     eval_payload,
     frame,
+    invert_payload,
     media_bytes,
+    sample_payload,
 )
 from lists import PARAMETERS
 
@@ -62,9 +66,12 @@ def receive_answer(connection: Connection) -> tuple[Frame, tuple[bytes, ...]]:
 
 def is_last(reply: Frame) -> bool:
     """Whether no further frame belongs to the same answer."""
-    if reply.type != EVAL | wire.REPLY:
+    if reply.type in (EVAL | wire.REPLY, SAMPLE | wire.REPLY):
+        fixed = wire.EVAL_REPLY.unpack(reply.payload)
+    elif reply.type == INVERT | wire.REPLY:
+        fixed = wire.INVERT_REPLY.unpack(reply.payload)
+    else:
         return True
-    fixed = wire.EVAL_REPLY.unpack(reply.payload)
     return fixed.part + 1 == fixed.part_count
 
 
@@ -125,5 +132,10 @@ def every_kind() -> list[tuple[int, bytes]]:
         (EVAL, eval_payload([SKIN], **grid, radius_count=400_000, evaluator=F32, wanted=R)),
         (OFFERS, eval_payload([SKIN], [0.5, 1.0], [(tolerance, 0.3)], model=wire.ANY_MODEL)),
         (TABLE, table + media_bytes([SKIN])),
+        (SAMPLE, sample_payload([SKIN, SPECTRALON])),
+        (SAMPLE, sample_payload([SKIN] * 2, None, sample_count=3000)),
+        (SAMPLE, sample_payload([SKIN], None, sample_count=200_000, evaluator=LUT)),
+        (INVERT, invert_payload()),
+        (INVERT, invert_payload([i / 3000 for i in range(1, 3000)], [1.0] * 2999)),
     ]
 

@@ -38,8 +38,9 @@ def test_help_of_a_command(command):
     assert max(len(line) for line in text.splitlines()) <= 100
 
 
-def test_examples_of_eval_work():
-    text = dipole("eval", "--help").stdout.split("\nExamples\n")[1]
+@pytest.mark.parametrize("command", ["eval", "sample", "invert"])
+def test_examples_work(command):
+    text = dipole(command, "--help").stdout.split("\nExamples\n")[1]
     examples = [line.split() for line in text.splitlines()]
     assert len(examples) >= 3
     for words in examples:

@@ -9,29 +9,36 @@ import random
 import numpy as np
 import pytest
 from dipole import Connection, ConnectionLost, Frame, wire
-from dipole.answers import is_last
 from frames import (
     EVAL,
     HELLO,
+    INVERT,
     LINEAR,
     LOGARITHMIC,
     MEDIA,
     PING,
+    SAMPLE,
     SKIN,
     SPECTRALON,
     STATISTICS,
     assert_daemon_serves,
     eval_payload,
     frame,
+    invert_payload,
+    sample_payload,
 )
-from lists import EVALUATORS, MODELS, NOTES, PARAMETERS, needs, some_value
+from known import is_last
+from lists import DIPOLES, EVALUATORS, MODELS, NOTES, PARAMETERS, needs, some_value
+from test_mc import mc_payload
 from mixes import ALL_QUANTITIES
 
 SEED = int(os.environ.get("DIPOLED_FUZZ_SEED", "40009"))
 OPTIONS = ["--max-frame-bytes", "65536", "--max-media", "16", "--log-level", "info"]
 # So that there are answers in parts, and none that takes for ever.
 OPTIONS += ["--max-part-bytes", "32768", "--max-radii", "20000"]
+OPTIONS += ["--max-mc-photons", "8192", "--max-mc-jobs", "1024"]
 BATCH = 50
+MC, CANCEL = wire.MESSAGES["mc"], wire.MESSAGES["cancel"]
 
 COUNTS = [0, 1, 2, 7, 8, 255, 10_000, 65535, 2**16, 2**27, 2**31, 2**32 - 1, 2**53, 2**61]
 COUNTS += [2**63, 2**64 - 1]
@@ -41,6 +48,7 @@ RANGES = {
     wire.QUANTITY_SLOPE: (-np.inf, 0),
     wire.QUANTITY_LN_R: (-np.inf, np.inf),
 }
+REPLIES = {EVAL | wire.REPLY, SAMPLE | wire.REPLY, INVERT | wire.REPLY}  # that come in parts
 NUMBERS = [0.0, -0.0, 1.0, -1.0, 5e-324, 1e-300, 1e300, 1e15, 1e-15, np.inf, -np.inf, np.nan]
 
 
@@ -60,6 +68,16 @@ def right_request(rng: random.Random) -> tuple[int, bytes]:
         return rng.choice([MEDIA, STATISTICS]), b""
     if kind < 0.22:
         return PING, rng.randbytes(8 * rng.randint(0, 10))
+    if kind < 0.26:
+        albedos = [rng.random() for _ in range(rng.randint(0, 3))]
+        count = rng.randint(1, 8000)
+        return MC, mc_payload(photons=count, albedos=albedos)
+    if kind < 0.28:
+        return CANCEL, wire.CANCEL_REQUEST.pack(job_id=rng.randint(0, BATCH))
+    if kind < 0.36:
+        return SAMPLE, right_sample(rng)
+    if kind < 0.42:
+        return INVERT, right_inversion(rng)
     model = rng.choice(list(MODELS))
     given = dict(needs(model))
     if rng.random() < 0.3:  # mostly one that the model does not take
@@ -79,6 +97,32 @@ def right_request(rng: random.Random) -> tuple[int, bytes]:
         return EVAL, eval_payload(media, None, **grid, **fixed)
     radii = [rng.uniform(0, 9) for _ in range(rng.randint(0, 20))]
     return EVAL, eval_payload(media, radii, **fixed)
+
+
+def right_sample(rng: random.Random) -> bytes:
+    """The payload of a sample request; most are of models that draw fast."""
+    model = rng.choice(list(DIPOLES) if rng.random() < 0.8 else ["burley", "single", "skin-red"])
+    fixed = {
+        "model": MODELS[model],
+        "evaluator": rng.choice(list(EVALUATORS.values())),
+        "wanted": rng.randint(1, ALL_QUANTITIES),
+    }
+    media = [rng.choice([SKIN, SPECTRALON]) for _ in range(rng.randint(1, 4))]
+    if rng.random() < 0.5:
+        return sample_payload(media, [rng.random() for _ in range(rng.randint(0, 20))], **fixed)
+    draw = rng.choice([wire.DRAW_REGULAR, wire.DRAW_STRATIFIED, wire.DRAW_RANDOM])
+    count = rng.randint(1, 300 if rng.random() < 0.9 else 5000)
+    seed = 0 if draw == wire.DRAW_REGULAR else rng.getrandbits(64)
+    return sample_payload(media, None, draw=draw, sample_count=count, seed=seed, **fixed)
+
+
+def right_inversion(rng: random.Random) -> bytes:
+    """The payload of an invert request; what it asks for need not exist."""
+    count = rng.randint(1, 30 if rng.random() < 0.9 else 2000)
+    albedos = [rng.choice([rng.random(), 0.0, 1.0]) for _ in range(count)]
+    lengths = [10 ** rng.uniform(-4, 4) for _ in range(count)]
+    fixed = {"model": MODELS[rng.choice(list(DIPOLES))], "given": rng.randint(1, 3)}
+    return invert_payload(albedos, lengths, g=rng.uniform(-0.9, 0.9), **fixed)
 
 
 def mutate(rng: random.Random, data: bytes, low: int = 0) -> bytes:
@@ -129,18 +173,32 @@ def assert_well_formed(reply: Frame) -> None:
         assert error.field and error.allowed
         return
     assert reply.type & wire.REPLY and reply.type & ~wire.REPLY in wire.MESSAGES.values()
-    if reply.type == EVAL | wire.REPLY:
-        assert_well_formed_eval(reply.payload)
+    if reply.type in (EVAL | wire.REPLY, SAMPLE | wire.REPLY):
+        assert_well_formed_eval(reply.payload, reply.type == SAMPLE | wire.REPLY)
+    elif reply.type == INVERT | wire.REPLY:
+        assert_well_formed_inversion(reply.payload)
 
 
-def assert_well_formed_eval(payload: bytes) -> None:
+def assert_well_formed_inversion(payload: bytes) -> None:
+    """Each medium is there, whole, or is counted as missing."""
+    fixed = wire.INVERT_REPLY.unpack(payload)
+    assert fixed.part < fixed.part_count
+    assert fixed.part_count == 1 or len(payload) <= 32768
+    arrays = np.frombuffer(payload, "<f8", -1, wire.INVERT_REPLY.bytes).reshape(3, -1)
+    assert arrays.shape[1] == fixed.medium_count
+    missing = np.isnan(arrays[0])
+    assert np.all(np.isnan(arrays[:, missing])) and np.all(arrays[:, ~missing] >= 0)
+    assert np.count_nonzero(missing) == fixed.missing_count
+
+
+def assert_well_formed_eval(payload: bytes, drawn: bool) -> None:
     """The arrays are there, and no value is NaN or out of its quantity's range."""
     fixed = wire.EVAL_REPLY.unpack(payload)
     assert fixed.part < fixed.part_count
     assert fixed.part_count == 1 or len(payload) <= 32768
     value_type = np.dtype(wire.EVALUATOR_TYPES[fixed.evaluator])
-    per_channel = [q for q in wire.ELEMENTWISE if fixed.wanted & q]
-    radii = bool(fixed.wanted & wire.QUANTITY_RADIUS)
+    per_channel = [q for q in (wire.DRAWN if drawn else wire.ELEMENTWISE) if fixed.wanted & q]
+    radii = bool(fixed.wanted & wire.QUANTITY_RADIUS) and not drawn
     quantities = [wire.QUANTITY_RADIUS] * radii + per_channel * fixed.channel_count
     start = wire.EVAL_REPLY.bytes + fixed.channel_count * wire.CHANNEL.bytes
     row_bytes = wire.padded(fixed.radius_count * value_type.itemsize)
@@ -162,16 +220,24 @@ def receive_answers(connection: Connection, count: int) -> list[Frame]:
     frames = []
     while count > 0:
         frames.append(connection.receive_frame())
-        count -= frames[-1].type != EVAL | wire.REPLY or is_last(frames[-1].payload)
+        count -= is_last(frames[-1]) and not is_progress(frames[-1])
     return frames
+
+
+def is_progress(reply: Frame) -> bool:
+    """Whether more replies to the same mc request follow."""
+    if reply.type != MC | wire.REPLY:
+        return False
+    return wire.MC_REPLY.unpack(reply.payload).state == wire.MC_UNDER_WAY
 
 
 def assert_parts_follow_each_other(replies: list[Frame]) -> int:
     """An answer's parts are all there, in their order; how many answers have more than one."""
     begun: dict[int, int] = {}
     for reply in replies:
-        if reply.type == EVAL | wire.REPLY:
-            fixed = wire.EVAL_REPLY.unpack(reply.payload)
+        if reply.type in REPLIES:
+            inverted = reply.type == INVERT | wire.REPLY
+            fixed = (wire.INVERT_REPLY if inverted else wire.EVAL_REPLY).unpack(reply.payload)
             assert fixed.part == begun.get(reply.request_id, 0)
             begun[reply.request_id] = fixed.part + 1
     return sum(parts > 1 for parts in begun.values())

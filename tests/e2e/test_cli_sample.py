@@ -1,0 +1,139 @@
+"""`dipole sample`: the daemon's radii in every format, a picture, and what to do when it is wrong."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from command_line import FAILED, LATE, USAGE, dipole, read_csv
+from dipole import Draw
+from frames import SKIN
+
+MEDIUM = ["--sigma-a", "0.032", "--sigma-s", "0.74"]  # skin1, red
+
+
+def rows(*arguments: str) -> list[dict[str, str]]:
+    """The rows of `dipole sample --format csv`."""
+    return read_csv(dipole("sample", "--format", "csv", *arguments).stdout)
+
+
+def column(table: list[dict[str, str]], name: str) -> np.ndarray:
+    return np.array([float(row[name]) for row in table])
+
+
+@pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
+@pytest.mark.parametrize("rule", ["random", "stratified", "regular"])
+def test_the_daemons_radii(client, rule, evaluator):
+    how = ["--draw", rule, "--count", "50", "--evaluator", evaluator]
+    how += [] if rule == "regular" else ["--seed", "18446744073709551615"]
+    how += ["--first", "7"] if rule == "random" else []
+    table = rows(*MEDIUM, *how, "--want", "pdf,r,cdf,albedo", "--model", "classical")
+    draw = Draw(50, rule, seed=2**64 - 1, first=7 if rule == "random" else 0)
+    wanted = ["r", "pdf", "cdf", "albedo"]
+    expected = client.sample("classical", SKIN, draw=draw, evaluator=evaluator, wanted=wanted)
+    assert list(table[0]) == [
+        *["model", "channel", "sigma_a", "sigma_s", "g", "eta", "u", "cdf", "r", "pdf", "albedo"]
+    ]
+    np.testing.assert_array_equal(column(table, "u"), expected.u.astype(float))
+    for name in ("r", "pdf", "cdf"):
+        np.testing.assert_array_equal(column(table, name), expected.values[name][0].astype(float))
+    assert set(column(table, "albedo")) == {expected.albedo[0]}
+
+
+def test_listed_numbers(client):
+    table = rows("--medium", "skin1", "--u", "0,0.25,0.5,1")
+    expected = client.sample("better", client.media()["skin1"], [0, 0.25, 0.5, 1])
+    assert [row["channel"] for row in table] == ["red"] * 4 + ["green"] * 4 + ["blue"] * 4
+    np.testing.assert_array_equal(column(table, "r"), expected.r.reshape(-1))
+    np.testing.assert_array_equal(column(table, "pdf"), expected.pdf.reshape(-1))
+    assert table[3]["r"] == "inf"
+
+
+def test_json_and_table_say_the_same():
+    arguments = ["sample", "--medium", "skin1", "--count", "5", "--draw", "stratified"]
+    whole = json.loads(dipole(*arguments, "--format", "json").stdout)
+    text = dipole(*arguments).stdout
+    assert (whole["draw"], whole["seed"], whole["model"]) == ("stratified", 1, "better")
+    assert whole["units"]["r"] == "mm" and whole["units"]["pdf"] == "1/mm"
+    assert len(whole["u"]) == 5 and len(whole["channels"]) == 3
+    for channel in whole["channels"]:
+        assert f"r {channel['channel']}" in text
+        for r in channel["r"]:
+            assert f"{r:.6g}" in text
+    assert "numbers: stratified, seed 1" in text
+
+
+def test_defaults():
+    assert dipole("sample", *MEDIUM).stdout == dipole(
+        "sample", *MEDIUM, "--count", "10", "--draw", "random", "--seed", "1", "--want", "r,pdf"
+    ).stdout
+
+
+@pytest.mark.parametrize("suffix", ["svg", "png"])
+def test_a_picture(tmp_path, suffix):
+    path = tmp_path / f"r.{suffix}"
+    run = dipole("sample", "--medium", "skin1", "--count", "500", "--want", "r", "--plot", str(path))
+    assert "pdf" not in run.stdout.splitlines()[3]
+    data = path.read_bytes()
+    assert data.startswith(b"\x89PNG" if suffix == "png" else b"<?xml")
+    if suffix == "svg":
+        text = data.decode()
+        assert "density (1/mm)" in text and "500 radii, random" in text and ">blue<" in text
+
+
+def test_nothing_to_draw(tmp_path):
+    path = str(tmp_path / "r.svg")
+    run = dipole("sample", *MEDIUM, "--u", "1,1", "--plot", path, status=FAILED)
+    assert "all radii are 0 or infinite" in run.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        ([], "give --medium NAME, or --sigma-a and --sigma-s"),
+        ([*MEDIUM, "--u", "0.5", "--count", "3"], "--u gives the numbers one by one: leave"),
+        ([*MEDIUM, "--u", "0.5", "--seed", "3"], "--u gives the numbers one by one: leave"),
+        ([*MEDIUM, "--u", "half"], "--u: 'half' is no number"),
+        ([*MEDIUM, "--count", "-1"], "--count: '-1' is no whole number"),
+        ([*MEDIUM, "--seed", "x"], "--seed: 'x' is no whole number"),
+        ([*MEDIUM, "--draw", "lots"], "--draw: 'lots' is unknown; this daemon has list, regular"),
+        ([*MEDIUM, "--draw", "list"], "--draw list: give the numbers with --u"),
+        ([*MEDIUM, "--model", "best"], "--model: 'best' is unknown; this daemon has classical"),
+        ([*MEDIUM, "--want", "colour"], "--want: 'colour' is unknown; this daemon has R"),
+        ([*MEDIUM, "--evaluator", "f16"], "--evaluator: 'f16' is unknown; this daemon has f64"),
+        ([*MEDIUM, "--moments", "fat"], "--moments: 'fat' is unknown; this daemon has exact"),
+        ([*MEDIUM, "--format", "xml"], "--format xml: it is one of table,csv,json"),
+        ([*MEDIUM, "--plot", "r.pdf"], "--plot r.pdf: the name must end in .svg or .png"),
+        ([*MEDIUM, "--deadline-ms", "4294967296"], "--deadline-ms: at most 4294967295"),
+        ([*MEDIUM, "skin1"], "'skin1' is more than it takes"),
+    ],
+)
+def test_wrong_command_lines_say_what_to_do(arguments, said):
+    run = dipole("sample", *arguments, status=USAGE)
+    assert said in run.stderr and "dipole sample --help" in run.stderr
+    assert run.stdout == ""
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        ([*MEDIUM, "--u", "0.5,1.5"], "bad-value: u number 2 of 2: allowed: 0 to 1"),
+        ([*MEDIUM, "--count", "0"], "bad-count: sample_count: allowed: 1 to 2^52 by rule (--count)"),
+        ([*MEDIUM, "--draw", "regular", "--seed", "3"], "seed: allowed: 0 unless random or strat"),
+        ([*MEDIUM, "--draw", "regular", "--first", "3"], "0 unless random (--first)"),
+        ([*MEDIUM, "--g", "1"], "bad-value: g: allowed: "),
+        ([*MEDIUM, "--model", "gaussians"], "model: allowed: a model that covers all radii"),
+        (["--sigma-a", "0,-1", "--sigma-s", "1"], "sigma_a of medium 2 of 2: allowed: "),
+    ],
+)
+def test_what_the_daemon_refuses(arguments, said):
+    run = dipole("sample", *arguments, status=FAILED)
+    assert said in run.stderr
+    assert run.stdout == ""
+
+
+def test_too_late():
+    arguments = ["--count", "5000000", "--model", "beam+single", "--deadline-ms", "30"]
+    run = dipole("sample", *MEDIUM, *arguments, status=LATE)
+    assert "deadline_ms: allowed: more" in run.stderr and run.stdout == ""

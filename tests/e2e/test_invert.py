@@ -1,0 +1,357 @@
+"""From albedos to media: what is found has the albedo and the length, whatever is asked for beside it;
+and a request of any size is answered in turns, in parts and in time."""
+
+from __future__ import annotations
+
+import time
+
+import dipole
+import numpy as np
+import pytest
+from daemons import sanitized
+from dipole import Draw, inversion, wire
+from frames import (
+    INVERT,
+    SKIN,
+    ask,
+    assert_error,
+    assert_serves,
+    frame,
+    invert_payload,
+)
+from known import receive_answer
+from lists import MODELS
+from test_limits import statistics
+
+INVERTED = INVERT | wire.REPLY
+ALBEDOS = np.array([1e-6, 0.003, 0.05, 0.2, 0.5, 0.8, 0.97, 0.9999])
+LENGTHS_MM = np.array([0.01, 0.1, 0.7, 1.0, 3.0, 10.0, 100.0, 1000.0])
+
+
+def lengths_of(inversion: dipole.Inversion) -> dict[str, np.ndarray]:
+    """The lengths that media have, by the formulas of PROTOCOL.md."""
+    sigma_t_prime = inversion.sigma_a + inversion.sigma_s * (1 - inversion.g)
+    absorbed = inversion.sigma_a / sigma_t_prime
+    with np.errstate(divide="ignore"):
+        return {
+            "mean-free-path": 1 / sigma_t_prime,
+            "diffuse-mean-free-path": 1 / (sigma_t_prime * np.sqrt(3 * absorbed / (1 + absorbed))),
+            "classical-diffuse-path": 1 / np.sqrt(3 * inversion.sigma_a * sigma_t_prime),
+        }
+
+
+# ---- values --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("given", ["mean-free-path", "diffuse-mean-free-path", "classical-diffuse-path"])
+@pytest.mark.parametrize("model", ["classical", "better", "extended", "better+single", "burley"])
+def test_media_have_the_albedos_and_lengths(client, model, given):
+    """By another path: an eval of the albedos."""
+    for g, eta in ((0.0, 1.3), (0.9, 1.0), (-0.5, 2.0)):
+        found = client.invert(model, ALBEDOS, LENGTHS_MM, given=given, g=g, eta=eta)
+        reached = ALBEDOS <= found.albedo_most
+        assert found.missing == np.count_nonzero(~reached)
+        judged = client.eval(model, found.media[reached], wanted=["albedo"])
+        np.testing.assert_array_equal(judged.albedo, found.albedo[reached])
+        np.testing.assert_allclose(found.albedo[reached], ALBEDOS[reached], rtol=1e-12)
+        np.testing.assert_allclose(
+            lengths_of(found)[given][reached], LENGTHS_MM[reached], rtol=1e-13
+        )
+        assert np.all(np.isnan(found.sigma_a[~reached]) & np.isnan(found.sigma_s[~reached]))
+
+
+def test_costly_models(client):
+    """quantized's albedo has as many digits as its Gaussians: each jumps when one is added."""
+    found = client.invert("quantized", [0.05, 0.5, 0.9], 1.0)
+    judged = client.eval("quantized", found.media, wanted=["albedo"])
+    np.testing.assert_array_equal(judged.albedo, found.albedo)
+    np.testing.assert_allclose(found.albedo, [0.05, 0.5, 0.9], rtol=1e-7)
+
+
+@pytest.mark.parametrize("model", ["beam", "beam+single"])
+def test_slow_models(client, model):
+    """They are prepared on other threads, and kept."""
+    found = client.invert(model, [0.1, 0.5, 0.8], [1.0, 0.5, 2.0], eta=1.41)
+    judged = client.eval(model, found.media, wanted=["albedo"])
+    np.testing.assert_array_equal(judged.albedo, found.albedo)
+    np.testing.assert_allclose(found.albedo, [0.1, 0.5, 0.8], rtol=1e-12)
+
+
+def test_transport(client):
+    found = client.invert("transport", [0.3], [1.0], eta=1.4)
+    judged = client.eval("transport", found.media, wanted=["albedo"])
+    np.testing.assert_array_equal(judged.albedo, found.albedo)
+    np.testing.assert_allclose(found.albedo, [0.3], rtol=1e-7)
+
+
+def test_skin_comes_back(client):
+    for channel in client.media()["skin1"]:
+        albedo = client.eval("better", channel, wanted=["albedo"]).albedo
+        path = 1 / (channel.sigma_a + channel.sigma_s)
+        found = client.invert("better", albedo, path, eta=channel.eta)
+        np.testing.assert_allclose(found.media[0], channel, rtol=1e-10, atol=0)
+
+
+def test_white(client):
+    found = client.invert("better", [1.0], [2.0])
+    assert found.sigma_a[0] == 0 and found.sigma_s[0] == 0.5 and found.albedo[0] == 1
+    for given in ("diffuse-mean-free-path", "classical-diffuse-path"):
+        none = client.invert("better", [1.0, 0.5], [2.0, 2.0], given=given)
+        assert none.missing == 1 and list(np.isnan(none.sigma_a)) == [True, False]
+
+
+def test_out_of_reach(client):
+    found = client.invert("single", [0.01, 0.5, 0.0, 1.0], 1.0)
+    assert list(np.isnan(found.sigma_a)) == [False, True, True, True]
+    assert list(np.isnan(found.albedo)) == [False, True, True, True]
+    assert found.missing == 3 and 0 < found.albedo_least < 0.01 < found.albedo_most < 0.1
+
+
+def test_shapes(client):
+    """A texture, and one length for each of its channels."""
+    texture = np.random.default_rng(3).uniform(0.05, 0.95, (4, 5, 3))
+    found = client.invert("better", texture, [1.0, 0.5, 0.25], g=0.8)
+    assert found.sigma_a.shape == found.sigma_s.shape == found.albedo.shape == texture.shape
+    assert found.media.shape == (4, 5, 3, 4)
+    one = client.invert("better", texture[2, 3, 1], 0.5, g=0.8)
+    assert one.sigma_a.shape == ()
+    assert one.sigma_a == found.sigma_a[2, 3, 1] and one.sigma_s == found.sigma_s[2, 3, 1]
+    with pytest.raises(dipole.ArgumentError, match="albedo, length"):
+        client.invert("better", [0.1, 0.2], [1.0, 2.0, 3.0])
+    with pytest.raises(dipole.ArgumentError, match="length paths"):
+        client.invert("better", 0.1, 1.0, given="paths")
+
+
+def test_what_is_found_is_what_an_eval_and_a_sample_take(client):
+    found = client.invert("better", [0.4, 0.7], [1.0, 2.0])
+    assert client.eval("better", found.media, [1.0]).R.shape == (2, 1)
+    assert client.sample("better", found.media, draw=Draw(5)).r.shape == (2, 5)
+
+
+def test_answers_that_do_not_fit_are_not_taken():
+    """A caller who counts on what it asked for must not be mistaken."""
+    query = inversion.Query((4,), 4, 2, 1, 1, 0.0, 1.3)
+    right = {
+        "model": 2,
+        "moments": 1,
+        "given": 1,
+        "part": 0,
+        "part_count": 2,
+        "medium_count": 3,
+        "medium_first": 0,
+        "missing_count": 1,
+        "albedo_least": 0.0,
+        "albedo_most": 1.0,
+    }
+
+    def payload(**changes) -> bytes:
+        fixed = {**right, **changes}
+        return wire.INVERT_REPLY.pack(**fixed) + bytes(24 * min(fixed["medium_count"], 9))
+
+    last = {"part": 1, "medium_count": 1, "medium_first": 3}
+    wrong = [{"model": 1}, {"moments": 2}, {"given": 2}, {"part": 1}, {"part_count": 1}]
+    wrong += [{"medium_count": 4}, {"medium_count": 0}, {"medium_first": 1}, {"missing_count": 4}]
+    for changes in wrong:
+        with pytest.raises(dipole.ProtocolError):
+            inversion.Answer(query).add(payload(**changes))
+    for changes in ({"albedo_most": 0.5}, {"medium_first": 2}, {"medium_count": 2}, {"part": 0}):
+        answer = inversion.Answer(query)
+        answer.add(payload())
+        with pytest.raises(dipole.ProtocolError):
+            answer.add(payload(**{**last, **changes}))
+    for cut in (payload()[:-8], payload()[:40]):
+        with pytest.raises(dipole.ProtocolError):
+            inversion.Answer(query).add(cut)
+    answer = inversion.Answer(query)
+    answer.add(payload())
+    assert not answer.ended and not answer.is_new and answer.fresh().is_new
+    answer.add(payload(**last))
+    assert answer.ended and answer.missing == 2
+
+
+# ---- requests that are wrong ---------------------------------------------------------------------
+
+WRONG = {
+    "no model": (invert_payload(model=0), "bad-value", "model", "classical", 0),
+    "unknown moments": (invert_payload(moments=9), "bad-value", "moments", "exact", 0),
+    "unknown length": (invert_payload(given=4), "bad-value", "given", "1 (mean-free-path)", 0),
+    "not zero": (invert_payload(zero=1), "bad-value", "zero", "0", 0),
+    "g": (invert_payload(g=1.0), "bad-value", "g", "1", 0),
+    "g NaN": (invert_payload(g=np.nan), "bad-value", "g", "1", 0),
+    "eta": (invert_payload(eta=0.0), "bad-value", "eta", "0.001", 0),
+    "eta of the moments": (invert_payload(moments=2, eta=3.0), "bad-value", "eta", "2.485", 0),
+    "no medium": (invert_payload([], []), "bad-count", "medium_count", "at least 1", 0),
+    "too many": (invert_payload(medium_count=3), "bad-count", "medium_count", "as many", 0),
+    "too few": (invert_payload(medium_count=1), "bad-count", "medium_count", "as many", 0),
+    "far too many": (invert_payload(medium_count=2**60), "bad-count", "medium_count", "as many", 0),
+    "odd": (invert_payload([0.5], [1, 2]), "bad-count", "medium_count", "as many", 0),
+    "too short": (bytes(24), "bad-length", "payload_bytes", "at least 32", 0),
+    "albedo above 1": (invert_payload([0.5, 1.1]), "bad-value", "albedo", "0 to 1", 1),
+    "albedo below 0": (invert_payload([-0.5, 0.5]), "bad-value", "albedo", "0 to 1", 0),
+    "albedo NaN": (invert_payload([0.5, np.nan]), "bad-value", "albedo", "0 to 1", 1),
+    "length 0": (invert_payload(lengths=[1.0, 0.0]), "bad-value", "length", "1e-14", 1),
+    "length infinite": (invert_payload(lengths=[np.inf, 1.0]), "bad-value", "length", "1e14", 0),
+    "a fit": (
+        invert_payload(model=MODELS["gaussians"]),
+        "bad-value",
+        "model",
+        "covers all radii",
+        0,
+    ),
+    "the same for every medium": (
+        invert_payload(model=MODELS["skin-red"]),
+        "bad-value",
+        "model",
+        "depends on the medium",
+        0,
+    ),
+    "a slab": (invert_payload(model=MODELS["multipole"]), "bad-value", "thickness", "slab", 0),
+    "too many slow ones": (
+        invert_payload([0.5] * 65, [1.0] * 65, model=MODELS["transport"]),
+        "too-large",
+        "medium_count",
+        "at most 64 media of a model that takes long",
+        0,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_wrong_is_said(connection, name):
+    payload, status, field, allowed, index = WRONG[name]
+    assert_error(ask(connection, INVERT, payload), status, field, allowed, index)
+    assert_serves(connection)
+
+
+def test_as_many_slow_ones_as_media_are_allowed(daemon):
+    with daemon("--max-media", "2").client() as client:
+        assert client.invert("beam", [0.5, 0.6], 1.0).missing == 0
+        with pytest.raises(dipole.Refused) as caught:
+            client.invert("beam", [0.5, 0.6, 0.7], 1.0)
+        assert caught.value.field == "medium_count" and "at most 2" in caught.value.allowed
+
+
+# ---- large requests ------------------------------------------------------------------------------
+
+
+def test_in_parts_the_same_bits(daemon):
+    """At the size of a frame, and beyond it; however the texels are cut."""
+    one = daemon("--max-frame-bytes", "65536", "--max-part-bytes", "8192")
+    whole = daemon()
+    room = (65536 - wire.INVERT_REPLY.bytes) // 24
+    texels = np.random.default_rng(5).uniform(0.0, 1.0, room + 1)
+    texels[::100] = 1.0  # which has no diffuse path
+    how = {"given": "diffuse-mean-free-path", "g": 0.3}
+    with one.client() as small, whole.client() as large, one.connect() as connection:
+        at_once = large.invert("better", texels, 1.5, **how)
+        assert at_once.missing == len(texels[::100])
+        for count, parts in ((room, 1), (room + 1, 9)):
+            in_parts = small.invert("better", texels[:count], 1.5, **how)
+            for name in ("sigma_a", "sigma_s", "albedo"):
+                np.testing.assert_array_equal(
+                    getattr(in_parts, name), getattr(at_once, name)[:count]
+                )
+            assert in_parts.missing == np.count_nonzero(texels[:count] == 1.0)
+            payload = invert_payload(texels[:count], [1.5] * count, given=2, g=0.3)
+            connection.send_bytes(frame(INVERT, 77, payload))
+            first, received = receive_answer(connection)
+            assert first.type == INVERTED and len(received) == parts
+            assert parts == 1 or all(len(part) <= 8192 for part in received)
+        alone = [large.invert("better", texel, 1.5, **how).sigma_a for texel in texels[:20]]
+        np.testing.assert_array_equal(alone, at_once.sigma_a[:20])
+
+
+@pytest.mark.parametrize("isa", ["portable", "sse2"])
+def test_every_instruction_set_finds_the_same(daemon, client, isa):
+    with daemon("--isa", isa).client() as other:
+        for model in ("classical", "extended", "classical+single"):
+            one, two = (some.invert(model, ALBEDOS, 1.0, g=0.2) for some in (client, other))
+            np.testing.assert_array_equal(one.media, two.media)
+
+
+def test_small_requests_do_not_wait_for_large_ones(daemon):
+    """On the same worker they take turns: the large one is far from its end by then."""
+    count = 60_000
+    one = daemon("--workers", "1")
+    with one.connect() as busy, one.connect() as other:
+        albedos = np.linspace(0.01, 0.99, count)
+        busy.send_bytes(frame(INVERT, 1, invert_payload(albedos, np.ones(count))))
+        while statistics(other)["media_inverted"] == 0:
+            pass
+        for _ in range(20):
+            assert_serves(other)
+            assert ask(other, INVERT, invert_payload()).type == INVERTED
+        assert statistics(other)["media_inverted"] < count
+        assert statistics(other)["owed_radii"] > 0
+        reply = busy.receive_frame()
+        assert (reply.type, reply.request_id) == (INVERTED, 1)
+        after = statistics(other)
+        assert after["media_inverted"] == count + 20 * 2
+        assert after["inversion_probes"] > 2 * after["media_inverted"]
+        assert after["owed_radii"] == 0
+
+
+def test_large_ones_are_refused_while_there_is_much_to_do(daemon):
+    one = daemon("--workers", "1", "--max-backlog-ms", "1")
+    large = invert_payload([0.5] * 50_000, [1.0] * 50_000)
+    with one.connect() as first, one.connect() as second:
+        first.send_bytes(frame(INVERT, 1, large))
+        while statistics(second)["owed_radii"] == 0:
+            pass
+        assert_error(ask(second, INVERT, large), "busy", "medium_count", "max_backlog_ms")
+        first.close()
+        while statistics(second)["owed_radii"] > 0:
+            pass
+        assert_serves(second)
+
+
+@pytest.mark.parametrize("model", ["better", "transport"])
+def test_deadlines_are_kept(daemon, model):
+    """While the worker searches, and while it waits for what is prepared elsewhere."""
+    with daemon("--workers", "1").connect() as connection:
+        count = 60 if model == "transport" else 1_000_000
+        payload = invert_payload([0.5] * count, [1.0] * count, model=MODELS[model], eta=1.37)
+        start = time.monotonic()
+        connection.send_bytes(frame(INVERT, 77, payload, 80))
+        reply = connection.receive_frame()
+        assert_error(reply, "deadline", "deadline_ms", "more")
+        assert 0.077 <= time.monotonic() - start < (30 if sanitized() else 5)
+        assert_serves(connection)
+        connection.send_bytes(frame(INVERT, 78, invert_payload(), 60_000))
+        assert connection.receive_frame().type == INVERTED
+
+
+def test_leaving_while_it_is_searched(daemon):
+    one = daemon("--workers", "1")
+    for model in ("better", "transport"):
+        with one.connect() as leaving:
+            payload = invert_payload([0.5] * 50, [1.0] * 50, model=MODELS[model])
+            leaving.send_bytes(frame(INVERT, 1, payload))
+    with one.connect() as connection:
+        assert_serves(connection)
+        assert ask(connection, INVERT, invert_payload([0.5], [1.0])).type == INVERTED
+
+
+def test_behind_another(daemon):
+    """Requests of one connection are answered in their order."""
+    with daemon().connect() as connection:
+        payloads = [invert_payload([0.1 * i, 0.5], [1.0, 1.0]) for i in range(1, 10)]
+        alone = [ask(connection, INVERT, payload).payload for payload in payloads]
+        frames = [frame(INVERT, i, payload) for i, payload in enumerate(payloads)]
+        connection.send_bytes(b"".join(frames))
+        for i in range(len(payloads)):
+            reply = connection.receive_frame()
+            assert (reply.request_id, reply.payload) == (i, alone[i])
+        assert ask(connection, wire.MESSAGES["eval"], bytes(8)).type == wire.TYPE_ERROR
+        assert_serves(connection)
+
+
+def test_a_client_asks_again_when_the_daemon_is_gone(daemon):
+    """Both messages have one right answer, whoever gives it."""
+    one = daemon()
+    with dipole.Client(one.url("unix"), retry_s=20.0) as client:
+        before = client.invert("better", 0.5, 1.0), client.sample("better", SKIN, draw=Draw(5))
+        client._connection.socket.shutdown(2)
+        after = client.invert("better", 0.5, 1.0), client.sample("better", SKIN, draw=Draw(5))
+        assert before[0].sigma_a == after[0].sigma_a
+        np.testing.assert_array_equal(before[1].r, after[1].r)

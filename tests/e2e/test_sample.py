@@ -1,0 +1,338 @@
+"""Drawing radii: they undo the cdf, their numbers are those that were promised, and a request of any
+size is answered in turns, in parts and in time."""
+
+from __future__ import annotations
+
+import time
+
+import dipole
+import numpy as np
+import pytest
+from daemons import sanitized
+from dipole import Draw, wire
+from frames import (
+    F32,
+    RADIUS,
+    SAMPLE,
+    SKIN,
+    ask,
+    assert_error,
+    assert_serves,
+    frame,
+    sample_payload,
+)
+from known import receive_answer
+from lists import MODELS, PARAMETERS, needs
+from test_limits import statistics
+
+SAMPLED = SAMPLE | wire.REPLY
+OTHER = (0.3, 2.0, 0.0, 1.4)
+U = np.array([0.0, 1e-9, 1e-3, 0.1, 0.25, 0.5, 0.75, 0.9, 0.999, 1 - 1e-6, 1.0])
+# |cdf(r) - u|: see PROTOCOL.md; of a table: what it was built to.
+BOUNDS = {"f64": 1e-14, "f32": 4e-7, "lut": 1e-4}
+
+
+# ---- values --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("evaluator", BOUNDS)
+@pytest.mark.parametrize("model", ["classical", "better", "burley", "quantized", "single", "skin-red"])
+def test_the_cdf_of_a_radius_is_its_number(client, model, evaluator):
+    """By another path: an eval of the cdf at the radii that were drawn."""
+    sampled = client.sample(model, [SKIN, OTHER], U, evaluator=evaluator)
+    assert sampled.r.shape == (2, len(U)) and sampled.model == model
+    assert np.all(sampled.r[:, 0] == 0) and np.all(np.isinf(sampled.r[:, -1]))
+    for channel, medium in enumerate([SKIN, OTHER]):
+        assert np.all(np.diff(sampled.r[channel]) > 0)
+        judged = client.eval(model, [medium], sampled.r[channel].astype(float), wanted=["cdf"])
+        error = np.abs(judged.cdf[0] - sampled.u)
+        bound = BOUNDS[evaluator] + sampled.numerical_error_constant[channel]
+        assert np.all(error <= bound), (model, evaluator, error)
+
+
+def test_transport(client):
+    sampled = client.sample("transport", [SKIN], U[1:-1], evaluator="lut")
+    judged = client.eval("transport", [SKIN], sampled.r[0], evaluator="lut", wanted=["cdf"])
+    assert np.abs(judged.cdf[0] - sampled.u).max() < 1e-4
+
+
+@pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
+def test_quantities_are_those_of_an_eval_at_these_radii(client, evaluator):
+    names = ["R", "cdf", "r", "dR_dr", "ln_R", "pdf", "2_pi_r_R", "S", "albedo"]
+    given = {"parameters": {"cos_in": 0.7, "cos_out": 0.4}, "evaluator": evaluator}
+    sampled = client.sample("better", [SKIN, OTHER], U, wanted=names, **given)
+    assert set(sampled.values) == set(names) - {"albedo"}
+    for channel, medium in enumerate([SKIN, OTHER]):
+        r = sampled.r[channel]
+        judged = client.eval("better", [medium], r, wanted=names, **given)
+        assert judged.albedo[0] == sampled.albedo[channel]
+        for name in judged.values:
+            np.testing.assert_array_equal(judged.values[name][0], sampled.values[name][channel])
+
+
+@pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
+@pytest.mark.parametrize("rule", ["random", "stratified", "regular"])
+def test_numbers_by_rule_are_those_that_the_client_makes(client, rule, evaluator):
+    """The same numbers, listed, get the same bits."""
+    draw = Draw(2311, rule, seed=12345678901234567890, first=10**15 if rule == "random" else 0)
+    by_rule = client.sample("better", [SKIN, OTHER], draw=draw, evaluator=evaluator)
+    listed = client.sample("better", [SKIN, OTHER], by_rule.u, evaluator=evaluator)
+    assert np.all((by_rule.u > 0) & (by_rule.u < 1))
+    np.testing.assert_array_equal(by_rule.r, listed.r)
+    np.testing.assert_array_equal(by_rule.pdf, listed.pdf)
+
+
+def test_a_sequence_in_pieces(client):
+    whole = client.sample("classical", SKIN, draw=Draw(1000, seed=3))
+    rest = client.sample("classical", SKIN, draw=Draw(700, seed=3, first=300))
+    np.testing.assert_array_equal(whole.r[:, 300:], rest.r)
+    other = client.sample("classical", SKIN, draw=Draw(1000, seed=4))
+    assert not np.any(whole.r == other.r)
+
+
+def test_drawn_radii_are_distributed_as_the_light(client):
+    """A chi-square over twenty shares of the light, by the daemon's cdf."""
+    sampled = client.sample("better", SKIN, draw=Draw(100_000, seed=11))
+    edges = client.sample("better", SKIN, np.arange(1, 20) / 20).r[0]
+    counts = np.histogram(sampled.r[0], [0, *edges, np.inf])[0]
+    assert np.sum((counts - 5000.0) ** 2 / 5000) < 45  # 19 degrees of freedom: p < 1e-3
+
+
+def test_where_nothing_scatters_all_radii_are_0(client):
+    sampled = client.sample("better", (1.0, 0.0, 0.0, 1.3), [0.0, 0.3, 0.9], wanted=["r", "R"])
+    assert not sampled.r.any() and not sampled.values["R"].any()
+
+
+def test_without_numbers(client):
+    sampled = client.sample("better", SKIN, [], wanted=["r", "pdf", "albedo"])
+    assert sampled.r.shape == (1, 0) and sampled.albedo[0] > 0
+    alone = client.sample("better", SKIN, draw=Draw(3), wanted=["albedo"])
+    assert alone.r is None and alone.albedo == sampled.albedo
+
+
+def test_every_model_that_covers_all_radii_draws(client):
+    drawn = 0
+    for model in MODELS:
+        given = {"parameters": needs(model), "wanted": ["r", "cdf"]}
+        try:
+            sampled = client.sample(model, SKIN, [0.2, 0.7], evaluator="f32", **given)
+        except dipole.Refused as refusal:
+            assert (refusal.field, model) == ("model", "gaussians")
+            assert "covers all radii" in refusal.allowed
+            continue
+        assert np.abs(sampled.values["cdf"][0] - [0.2, 0.7]).max() < 1e-3, model
+        drawn += 1
+    assert drawn == len(MODELS) - 1
+
+
+def test_arguments_that_do_not_fit(client):
+    for arguments in (
+        {},
+        {"u": [0.5], "draw": Draw(3)},
+        {"u": [[0.5], [0.6]]},
+        {"draw": Draw(3, "lots")},
+        {"draw": Draw(-1)},
+        {"u": [0.5], "evaluator": 9},
+    ):
+        with pytest.raises(dipole.ArgumentError):
+            client.sample("better", SKIN, **arguments)
+    assert client.sample("better", SKIN, 0.5).r.shape == (1, 1)
+
+
+# ---- requests that are wrong ---------------------------------------------------------------------
+
+COS_IN = PARAMETERS["cos_in"].id
+WRONG = {
+    "no model": (sample_payload(model=0), "bad-value", "model", "classical", 0),
+    "unknown model": (sample_payload(model=999), "bad-value", "model", "classical", 0),
+    "unknown evaluator": (sample_payload(evaluator=9), "bad-value", "evaluator", "f64", 0),
+    "unknown moments": (sample_payload(moments=0), "bad-value", "moments", "exact", 0),
+    "nothing wanted": (sample_payload(wanted=0), "bad-value", "wanted", "R", 0),
+    "unknown draw": (sample_payload(draw=5), "bad-value", "draw", "4 (random)", 0),
+    "no medium": (sample_payload([]), "bad-count", "medium_count", "at least 1", 0),
+    "too many media": (sample_payload([SKIN] * 65), "too-large", "medium_count", "at most 64", 0),
+    "media beyond": (sample_payload(medium_count=99), "bad-count", "medium_count", "holds", 0),
+    "parameters beyond": (
+        sample_payload(parameter_count=99),
+        "bad-count",
+        "parameter_count",
+        "holds",
+        0,
+    ),
+    "parameter out of range": (
+        sample_payload(parameters=[(COS_IN, 2.0)]),
+        "bad-value",
+        "cos_in",
+        "0 to 1",
+        0,
+    ),
+    "second medium": (
+        sample_payload([SKIN, (0.1, 1.0, 1.0, 1.3)]),
+        "bad-value",
+        "g",
+        "1",
+        1,
+    ),
+    "number below 0": (sample_payload(u=[0.5, -0.1]), "bad-value", "u", "0 to 1", 1),
+    "number above 1": (sample_payload(u=[0.5, 0.2, 1.5]), "bad-value", "u", "0 to 1", 2),
+    "number NaN": (sample_payload(u=[np.nan]), "bad-value", "u", "0 to 1", 0),
+    "single number above 1": (
+        sample_payload(u=[0.5, 1.01], evaluator=F32),
+        "bad-value",
+        "u",
+        "0 to 1",
+        1,
+    ),
+    "more numbers than there are": (
+        sample_payload(sample_count=3),
+        "bad-count",
+        "sample_count",
+        "no more numbers than",
+        0,
+    ),
+    "fewer numbers than there are": (
+        sample_payload(sample_count=1),
+        "bad-length",
+        "payload_bytes",
+        "nothing after the listed numbers",
+        0,
+    ),
+    "numbers after a rule": (
+        sample_payload(draw=wire.DRAW_REGULAR),
+        "bad-length",
+        "payload_bytes",
+        "nothing after media",
+        0,
+    ),
+    "none by rule": (sample_payload(u=None, sample_count=0), "bad-count", "sample_count", "1 to", 0),
+    "too many by rule": (
+        sample_payload(u=None, sample_count=2**63),
+        "bad-count",
+        "sample_count",
+        "2^52",
+        0,
+    ),
+    "more than max_radii": (
+        sample_payload(u=None, sample_count=2**41),
+        "too-large",
+        "sample_count",
+        "radii",
+        0,
+    ),
+    "first of a list": (sample_payload(sample_first=1), "bad-value", "sample_first", "0", 0),
+    "first too far": (
+        sample_payload(u=None, sample_first=2**53),
+        "bad-value",
+        "sample_first",
+        "2^52",
+        0,
+    ),
+    "seed of a list": (sample_payload(seed=1), "bad-value", "seed", "0", 0),
+    "seed of regular": (
+        sample_payload(u=None, draw=wire.DRAW_REGULAR, seed=1),
+        "bad-value",
+        "seed",
+        "0",
+        0,
+    ),
+    "a fit": (
+        sample_payload(model=MODELS["gaussians"]),
+        "bad-value",
+        "model",
+        "covers all radii",
+        0,
+    ),
+    "too short": (bytes(32), "bad-length", "payload_bytes", "at least 40", 0),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_wrong_is_said(connection, name):
+    payload, status, field, allowed, index = WRONG[name]
+    assert_error(ask(connection, SAMPLE, payload), status, field, allowed, index)
+    assert_serves(connection)
+
+
+# ---- large requests ------------------------------------------------------------------------------
+
+
+def test_in_parts_the_same_bits(daemon):
+    """At the size of a frame, and beyond it."""
+    one = daemon("--max-frame-bytes", "32768", "--max-part-bytes", "16384")
+    whole = daemon()
+    room = (32768 - wire.EVAL_REPLY.bytes - 2 * wire.CHANNEL.bytes) // 8 // 4
+    with one.client() as small, whole.client() as large, one.connect() as connection:
+        for count, parts in ((room, 1), (room + 1, 4), (5000, 20)):
+            draw = Draw(count, "stratified", seed=5)
+            media = [SKIN, OTHER]
+            in_parts = small.sample("better", media, draw=draw)
+            at_once = large.sample("better", media, draw=draw)
+            np.testing.assert_array_equal(in_parts.r, at_once.r)
+            np.testing.assert_array_equal(in_parts.pdf, at_once.pdf)
+            payload = sample_payload(media, None, draw=3, sample_count=count, seed=5)
+            connection.send_bytes(frame(SAMPLE, 77, payload))
+            first, received = receive_answer(connection)
+            assert first.type == SAMPLED and len(received) == parts
+            assert parts == 1 or all(len(part) <= 16384 for part in received)
+
+
+@pytest.mark.parametrize("isa", ["portable", "sse2"])
+def test_every_instruction_set_draws_the_same(daemon, client, isa):
+    with daemon("--isa", isa).client() as other:
+        for model in ("better", "burley", "extended"):
+            for evaluator in BOUNDS:
+                how = {"draw": Draw(300, seed=9), "evaluator": evaluator}
+                one, two = (some.sample(model, SKIN, **how) for some in (client, other))
+                np.testing.assert_array_equal(one.r, two.r)
+
+
+def test_small_requests_do_not_wait_for_large_ones(daemon):
+    """On the same worker they take turns: the large one is far from its end by then."""
+    count = 100_000
+    one = daemon("--workers", "1")
+    with one.connect() as busy, one.connect() as other:
+        payload = sample_payload(
+            [SKIN], None, sample_count=count, model=MODELS["beam+single"], wanted=RADIUS
+        )
+        busy.send_bytes(frame(SAMPLE, 1, payload))
+        while statistics(other)["radii_drawn"] == 0:
+            pass
+        for _ in range(20):
+            assert_serves(other)
+            assert ask(other, SAMPLE, sample_payload()).type == SAMPLED
+        assert statistics(other)["radii_drawn"] < count
+        assert statistics(other)["owed_radii"] > 0
+        reply = busy.receive_frame()
+        assert (reply.type, reply.request_id) == (SAMPLED, 1)
+        assert statistics(other)["radii_drawn"] == count + 20 * 2
+        assert statistics(other)["owed_radii"] == 0
+
+
+def test_large_ones_are_refused_while_there_is_much_to_do(daemon):
+    one = daemon("--workers", "1", "--max-backlog-ms", "1")
+    with one.connect() as first, one.connect() as second:
+        large = sample_payload([SKIN], None, sample_count=50_000, model=MODELS["extended"])
+        first.send_bytes(frame(SAMPLE, 1, large))
+        while statistics(second)["owed_radii"] == 0:
+            pass
+        assert_error(ask(second, SAMPLE, large), "busy", "sample_count", "max_backlog_ms")
+        assert ask(second, SAMPLE, sample_payload()).type == SAMPLED
+        first.close()
+        while statistics(second)["owed_radii"] > 0:
+            pass
+        assert_serves(second)
+
+
+def test_deadlines_are_kept(daemon):
+    with daemon("--workers", "1").connect() as connection:
+        payload = sample_payload(
+            [SKIN], None, sample_count=4_000_000, model=MODELS["beam+single"], wanted=RADIUS
+        )
+        start = time.monotonic()
+        connection.send_bytes(frame(SAMPLE, 77, payload, 60))
+        reply = connection.receive_frame()
+        assert_error(reply, "deadline", "deadline_ms", "more")
+        assert 0.057 <= time.monotonic() - start < (30 if sanitized() else 5)
+        assert_serves(connection)
+        connection.send_bytes(frame(SAMPLE, 78, sample_payload(), 60_000))
+        assert connection.receive_frame().type == SAMPLED
