@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from command_line import BAD_ROWS, FAILED, LATE, OK, USAGE, dipole, read_csv
+from command_line import BAD_ROWS, FAILED, OK, USAGE, dipole, read_csv
 
 GIVEN = ["mean-free-path", "diffuse-mean-free-path", "classical-diffuse-path"]
 
@@ -129,5 +129,5 @@ def test_what_the_daemon_refuses(arguments, said):
 
 
 def test_too_late():
-    run = dipole("invert", *BOTH, "--model", "transport", "--deadline-ms", "20", status=LATE)
+    run = dipole("invert", *BOTH, "--model", "transport", "--deadline-ms", "20", status=FAILED)
     assert "deadline_ms: allowed: more" in run.stderr and run.stdout == ""

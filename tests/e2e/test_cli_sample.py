@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from command_line import FAILED, LATE, USAGE, dipole, read_csv
+from command_line import FAILED, USAGE, dipole, read_csv
 from dipole import Draw
 from frames import SKIN
 
@@ -135,5 +135,5 @@ def test_what_the_daemon_refuses(arguments, said):
 
 def test_too_late():
     arguments = ["--count", "5000000", "--model", "beam+single", "--deadline-ms", "30"]
-    run = dipole("sample", *MEDIUM, *arguments, status=LATE)
+    run = dipole("sample", *MEDIUM, *arguments, status=FAILED)
     assert "deadline_ms: allowed: more" in run.stderr and run.stdout == ""
