@@ -5,7 +5,7 @@
 #   make check      all tests; check-asan and check-tsan run them under sanitizers
 #   make soak       ten minutes at full load, SOAK_S seconds if given: answers and memory
 #   make bench      every benchmark; build/bench GROUP runs one
-#   make docs       the byte tables of proto/PROTOCOL.md, from proto/messages.def
+#   make docs       the tables of proto/PROTOCOL.md and proto/REGISTERS.md, from proto/*.def
 #   make model-errors  core/model_errors.def, measured anew against exact solutions
 #   make tradeoff   speed against accuracy, in build/tradeoff, and core/tradeoff.def (minutes)
 #   make tables     core/transport/transport.table, solved anew (minutes; resumes)
@@ -290,7 +290,7 @@ figures:
 	$(BUILD)/draw-figures --output $(BUILD)/figures $(FIGURES_OPTIONS)
 
 docs: $(BUILD)/wire-tables
-	$(BUILD)/wire-tables proto/PROTOCOL.md
+	$(BUILD)/wire-tables proto/PROTOCOL.md proto/REGISTERS.md
 
 install: all
 	install -d $(DESTDIR)$(PREFIX)/bin $(DESTDIR)$(PREFIX)/include $(DESTDIR)$(LIBDIR)/pkgconfig
