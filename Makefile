@@ -6,7 +6,7 @@
 #   make soak       ten minutes at full load, SOAK_S seconds if given: answers and memory
 #   make check-pipeline  10 million requests from eight threads, each answer compared
 #   make bench      every benchmark; build/bench GROUP runs one
-#   make docs       the byte tables of proto/PROTOCOL.md, from proto/messages.def
+#   make docs       the tables of proto/PROTOCOL.md and proto/REGISTERS.md, from proto/*.def
 #   make model-errors  core/model_errors.def, measured anew against exact solutions
 #   make tradeoff   speed against accuracy, in build/tradeoff, and core/tradeoff.def (minutes)
 #   make tables     core/transport/transport.table, solved anew (minutes; resumes)
@@ -50,6 +50,8 @@ ALL_LDFLAGS = -pthread $(LDFLAGS) $(SANITIZE)
 UV_CFLAGS = $(shell pkg-config --cflags libuv)
 UV_LIBS = $(shell pkg-config --libs libuv)
 HTTP_CFLAGS = $(shell pkg-config --cflags libmicrohttpd)
+MODBUS_CFLAGS = $(shell pkg-config --cflags libmodbus)
+MODBUS_LIBS = $(shell pkg-config --libs libmodbus)
 # What core's preparation uses. The archives' members are taken as needed, so that the client library
 # does without.
 # GSL=no builds without the model `gaussians`.
@@ -84,7 +86,7 @@ WALKS := $(ISAS:%=$(OBJ)/core/montecarlo/walk.%.o)
 
 CORE := $(call objects,$(filter-out core/montecarlo/walk.c,$(wildcard core/*.c core/models/*.c core/montecarlo/*.c core/transport/*.c core/lut/*.c))) $(KERNELS) $(WALKS)
 PROTO := $(call objects,$(wildcard proto/*.c))
-SERVER := $(call objects,$(wildcard server/*.c))
+SERVER := $(call objects,$(wildcard server/*.c server/modbus/*.c))
 LIBRARY := $(call objects,$(wildcard clients/c/*.c))
 CLI := $(call objects,$(wildcard clients/cli/*.c))
 BENCH := $(call objects,$(wildcard tests/bench/*.c tests/bench/*/*.c))
@@ -133,7 +135,7 @@ $(OBJ)/core/montecarlo/walk.$(1).o: core/montecarlo/walk.c Makefile
 endef
 $(foreach isa,$(ISAS),$(eval $(call walk_rule,$(isa))))
 
-$(SERVER): EXTRA_CPPFLAGS = $(UV_CFLAGS) $(HTTP_CFLAGS)
+$(SERVER): EXTRA_CPPFLAGS = $(UV_CFLAGS) $(HTTP_CFLAGS) $(MODBUS_CFLAGS)
 
 # Taken up by the assembler.
 $(OBJ)/core/transport/table_data.o: core/transport/transport.table
@@ -161,7 +163,7 @@ $(BUILD)/libdipole.so: $(BUILD)/libdipole.so.$(VERSION)
 
 $(BUILD)/dipoled: $(SERVER) $(BUILD)/libproto.a $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc -o $@ $^ $(UV_LIBS) $(CORE_LIBS) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc -o $@ $^ $(UV_LIBS) $(MODBUS_LIBS) $(CORE_LIBS) -lm
 
 $(BUILD)/dipole: $(CLI) $(BUILD)/libdipole.a
 	$(call SAY,LD,$@)
@@ -303,7 +305,7 @@ figures:
 	$(BUILD)/draw-figures --output $(BUILD)/figures $(FIGURES_OPTIONS)
 
 docs: $(BUILD)/wire-tables
-	$(BUILD)/wire-tables proto/PROTOCOL.md
+	$(BUILD)/wire-tables proto/PROTOCOL.md proto/REGISTERS.md
 
 include clients/packaging/packaging.mk
 

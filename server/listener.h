@@ -6,6 +6,7 @@
 
 struct listener {
   struct server *server;
+  void (*admit)(struct server *server, int fd); /* owns the connected socket */
   uv_poll_t poll;
   uv_timer_t pause;
   int fd;
@@ -21,6 +22,10 @@ bool listener_open(struct listener *listener, struct server *server, uv_loop_t *
  * its file, if it has one, stays when the listener is closed. False, with a message on standard
  * error, when fd is none such: it is closed then, too. */
 bool listener_adopt(struct listener *listener, struct server *server, uv_loop_t *loop, int fd);
+
+/* As listener_open(), for Modbus at tcp:HOST:PORT. */
+bool listener_open_modbus(struct listener *listener, struct server *server, uv_loop_t *loop,
+                          const char *url);
 
 /* No more connections from here. The handles close with the loop's next round. */
 void listener_close(struct listener *listener);

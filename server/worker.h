@@ -27,6 +27,7 @@
 
 struct worker {
   struct server *server;
+  struct modbus_service *modbus; /* of the first worker; NULL: of the others, or not asked for */
   uv_thread_t thread;
   uv_loop_t loop;
   uv_async_t wake;
@@ -72,6 +73,8 @@ void worker_remember(struct worker *worker, struct connection *connection);
 void worker_forget(struct worker *worker, struct connection *connection);
 /* answer_deadline() is called for all connections at that time of the loop, or a little later. */
 void worker_wake_at(struct worker *worker, uint64_t at_ms);
+/* The loop does not sleep in its next poll: what is after it has something to do. */
+void worker_stay_awake(struct worker *worker);
 void worker_run_later(struct worker *worker, struct connection *connection);
 
 #endif

@@ -1,9 +1,11 @@
-/* wire-tables FILE: writes the byte tables of the wire between the markers of PROTOCOL.md, so that
- * the document is made from the list that the code is made from. */
+/* wire-tables PROTOCOL.md REGISTERS.md: writes the byte tables of the wire and the tables of the
+ * register map between the markers of these documents, so that they are made from the lists that the
+ * code is made from. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "proto/registers.h"
 #include "proto/wire.h"
 
 #define BEGIN "<!-- tables: begin -->\n"
@@ -36,29 +38,36 @@ static int fail(const char *path, const char *what) {
   return EXIT_FAILURE;
 }
 
-int main(int argc, char **argv) {
-  if (argc != 2) {
-    fprintf(stderr, "usage: wire-tables PROTOCOL.md\n");
-    return 2;
-  }
-  char *text = read_file(argv[1]);
+static int rewrite(const char *path,
+                   void (*describe)(void (*print)(void *context, const char *text),
+                                    void *context)) {
+  char *text = read_file(path);
   if (text == NULL) {
-    return fail(argv[1], "cannot be read");
+    return fail(path, "cannot be read");
   }
   char *begin = strstr(text, BEGIN);
   char *end = begin != NULL ? strstr(begin, END) : NULL;
   if (end == NULL) {
     free(text);
-    return fail(argv[1], "has no markers for the tables");
+    return fail(path, "has no markers for the tables");
   }
-  FILE *file = fopen(argv[1], "wb");
+  FILE *file = fopen(path, "wb");
   if (file == NULL) {
     free(text);
-    return fail(argv[1], "cannot be written");
+    return fail(path, "cannot be written");
   }
   fwrite(text, 1, (size_t)(begin - text) + strlen(BEGIN), file);
-  wire_describe(print, file);
+  describe(print, file);
   fputs(end, file);
   free(text);
-  return fclose(file) == 0 ? EXIT_SUCCESS : fail(argv[1], "cannot be written");
+  return fclose(file) == 0 ? EXIT_SUCCESS : fail(path, "cannot be written");
+}
+
+int main(int argc, char **argv) {
+  if (argc != 3) {
+    fprintf(stderr, "usage: wire-tables PROTOCOL.md REGISTERS.md\n");
+    return 2;
+  }
+  const int written = rewrite(argv[1], wire_describe);
+  return written == EXIT_SUCCESS ? rewrite(argv[2], registers_describe) : written;
 }

@@ -49,6 +49,7 @@ STATUSES = {
     10: "busy",
     11: "shutting-down",
     12: "deadline",
+    13: "bad-address",
 }
 
 # Kinds of choices by number.

@@ -1,0 +1,309 @@
+#include "proto/registers.h"
+
+#include <stdio.h>
+#include <string.h>
+
+const registers_block registers_blocks[REGISTERS_BLOCKS] = {
+#define REGISTERS_BLOCK(id, IDENT, first, length, name, about) {id, first, length, name, about},
+#include "proto/registers.def"
+};
+
+const registers_field registers_fields[] = {
+#define REGISTERS_FIELD(IDENT, address, count, TYPE, ACCESS, name, unit, least, most, list,        \
+                        initial, about)                                                            \
+  {address, count, REGISTERS_##TYPE, REGISTERS_##ACCESS, name, unit, least, most, list,            \
+   initial, about},
+#define REGISTERS_STATISTIC(IDENT, address, name, about)                                           \
+  {address, 1, REGISTERS_U32, REGISTERS_RO, name, "", 0, 0, NULL, 0, about},
+#include "proto/registers.def"
+    {0, 0, REGISTERS_U16, REGISTERS_RO, NULL, NULL, 0, 0, NULL, 0, NULL},
+};
+
+/* ---- what is at an address --------------------------------------------------------------------
+ */
+
+#define WIDTH_U16 1
+#define WIDTH_U32 2
+#define WIDTH_F32 2
+#define WIDTH_F64 4
+#define WIDTH_TEXT 1
+
+unsigned registers_width(enum registers_type type) {
+  static const unsigned widths[] = {WIDTH_U16, WIDTH_U32, WIDTH_F32, WIDTH_F64, WIDTH_TEXT};
+  return widths[type];
+}
+
+enum index {
+#define REGISTERS_FIELD(IDENT, address, count, TYPE, ACCESS, name, unit, least, most, list,        \
+                        initial, about)                                                            \
+  INDEX_##IDENT,
+#define REGISTERS_STATISTIC(IDENT, address, name, about) INDEX_STATISTIC_##IDENT,
+#include "proto/registers.def"
+  FIELDS
+};
+
+/* 1 + the index of the block, and of the field, that a register belongs to; 0: to none. The compiler
+ * refuses any that overlap. */
+static const uint8_t block_at[REGISTERS_END] = {
+#define REGISTERS_BLOCK(id, IDENT, first, length, name, about)                                     \
+  [(first)...(first) + (length)-1] = (id),
+#include "proto/registers.def"
+};
+
+static const uint8_t field_at[REGISTERS_END] = {
+#define REGISTERS_FIELD(IDENT, address, count, TYPE, ACCESS, name, unit, least, most, list,        \
+                        initial, about)                                                            \
+  [(address)...(address) + (count)*WIDTH_##TYPE - 1] = 1 + INDEX_##IDENT,
+#define REGISTERS_STATISTIC(IDENT, address, name, about)                                           \
+  [(address)...(address) + 1] = 1 + INDEX_STATISTIC_##IDENT,
+#include "proto/registers.def"
+};
+
+_Static_assert(FIELDS < UINT8_MAX, "one byte holds each");
+
+/* The field of a register that is not mirrored; NULL: none. */
+static const registers_field *find(unsigned address) {
+  return address < REGISTERS_END && field_at[address] > 0 ? &registers_fields[field_at[address] - 1]
+                                                          : NULL;
+}
+
+/* Of a register or its mirror: the register. */
+static unsigned unmirrored(unsigned address) {
+  return address >= REGISTERS_MIRROR ? address - REGISTERS_MIRROR : address;
+}
+
+/* Where a register's word is found in the mirror of its block: the words of floats are swapped. */
+static unsigned mirror_of(const registers_field *field, unsigned address) {
+  const unsigned swap = registers_width(field->type) == 2;
+  return REGISTERS_MIRROR + field->address + ((address - field->address) ^ swap);
+}
+
+static bool is_mirrored(unsigned address) {
+  const unsigned mirror = address + REGISTERS_MIRROR;
+  return address < REGISTERS_MIRROR && mirror < REGISTERS_END && block_at[mirror] > 0;
+}
+
+bool registers_readable(unsigned address, unsigned count) {
+  const unsigned end = address + count;
+  while (address < end) {
+    if (address >= REGISTERS_END || block_at[address] == 0) {
+      return false;
+    }
+    const registers_block *block = &registers_blocks[block_at[address] - 1];
+    address = block->first + block->length;
+  }
+  return true;
+}
+
+bool registers_include(unsigned address, unsigned count, unsigned another) {
+  return another - address < count || another + REGISTERS_MIRROR - address < count;
+}
+
+unsigned registers_of_field(const char *field, uint64_t index) {
+  for (const registers_field *at = registers_fields; at->name != NULL; at++) {
+    if (at->access != REGISTERS_RO && strcmp(at->name, field) == 0) {
+      return at->address + (unsigned)(index < at->count ? index : 0) * registers_width(at->type);
+    }
+  }
+  return REGISTERS_AT_COMMIT;
+}
+
+/* ---- values -----------------------------------------------------------------------------------
+ */
+
+static float float_of(uint16_t high, uint16_t low) {
+  const uint32_t bits = (uint32_t)high << 16 | low;
+  float value;
+  memcpy(&value, &bits, sizeof value);
+  return value;
+}
+
+uint16_t registers_u16(const uint16_t image[REGISTERS_END], unsigned address) {
+  return image[address];
+}
+
+float registers_f32(const uint16_t image[REGISTERS_END], unsigned address) {
+  return float_of(image[address], image[address + 1]);
+}
+
+void registers_set_u16(uint16_t image[REGISTERS_END], unsigned address, unsigned value) {
+  image[address] = (uint16_t)value;
+  if (is_mirrored(address)) {
+    image[address + REGISTERS_MIRROR] = (uint16_t)value;
+  }
+}
+
+void registers_set_u32(uint16_t image[REGISTERS_END], unsigned address, uint32_t value) {
+  const uint16_t high = (uint16_t)(value >> 16);
+  const uint16_t low = (uint16_t)value;
+  image[address] = high;
+  image[address + 1] = low;
+  if (is_mirrored(address)) {
+    image[address + REGISTERS_MIRROR] = low;
+    image[address + REGISTERS_MIRROR + 1] = high;
+  }
+}
+
+void registers_set_f32(uint16_t image[REGISTERS_END], unsigned address, float value) {
+  uint32_t bits;
+  memcpy(&bits, &value, sizeof bits);
+  registers_set_u32(image, address, bits);
+}
+
+void registers_set_f64(uint16_t image[REGISTERS_END], unsigned address, double value) {
+  uint64_t bits;
+  memcpy(&bits, &value, sizeof bits);
+  for (unsigned i = 0; i < WIDTH_F64; i++) {
+    image[address + i] = (uint16_t)(bits >> (48 - 16 * i));
+  }
+}
+
+void registers_set_text(uint16_t image[REGISTERS_END], unsigned address, unsigned count,
+                        const char *text) {
+  for (unsigned i = 0; i < count; i++) {
+    const unsigned high = (unsigned char)*text;
+    text += high != 0;
+    const unsigned low = (unsigned char)*text;
+    text += low != 0;
+    registers_set_u16(image, address + i, high << 8 | low);
+  }
+}
+
+static bool is_given(const registers_field *field, double value) {
+  return !(value == -1 || (value == 0 && field->least > 0));
+}
+
+double registers_optional(const uint16_t image[REGISTERS_END], unsigned parameter) {
+  const unsigned address = REGISTERS_PARAMETER_AT(parameter);
+  const double value = (double)registers_f32(image, address);
+  return is_given(find(address), value) ? value : (double)NAN;
+}
+
+/* ---- writing ----------------------------------------------------------------------------------
+ */
+
+/* The registers of a PDU. */
+static uint16_t word_at(const uint8_t *values, unsigned index) {
+  return (uint16_t)(values[2 * index] << 8 | values[2 * index + 1]);
+}
+
+static bool is_in_range(const registers_field *field, double value) {
+  if (field->list != NULL) {
+    return (value == 0 && field->least == 0) ||
+           core_choice_by_id(field->list, (unsigned)value) != NULL;
+  }
+  if (field->access == REGISTERS_OPTIONAL && !is_given(field, value)) {
+    return true;
+  }
+  return value >= field->least && value <= field->most; /* and not NaN */
+}
+
+static wire_error bad_address(const char *allowed) {
+  return wire_error_make(WIRE_STATUS_BAD_ADDRESS, "", allowed);
+}
+
+static wire_error out_of_range(const registers_field *field) {
+  char allowed[80];
+  if (field->list != NULL) {
+    return wire_error_not_in_list(field->name, field->list, field->least == 0 ? "0," : "one of");
+  }
+  snprintf(allowed, sizeof allowed, "%.8g to %.8g%s", field->least, field->most,
+           field->access == REGISTERS_OPTIONAL ? ", or -1: not given" : "");
+  return wire_error_make(WIRE_STATUS_BAD_VALUE, field->name, allowed);
+}
+
+wire_error registers_check(unsigned address, unsigned count, const uint8_t *values, unsigned *at) {
+  const unsigned end = address + count;
+  for (unsigned here = address; here < end;) {
+    *at = unmirrored(here);
+    const registers_field *field = here == *at || is_mirrored(*at) ? find(*at) : NULL;
+    if (field == NULL || field->access == REGISTERS_RO) {
+      *at = field == NULL ? here : *at;
+      return bad_address(field == NULL ? "a register of the map" : "one that can be written");
+    }
+    const unsigned width = registers_width(field->type);
+    if ((*at - field->address) % width != 0 || end - here < width) {
+      *at -= (*at - field->address) % width;
+      return bad_address("both registers of a float in one request");
+    }
+    const uint16_t first = word_at(values, here - address);
+    double value = first;
+    if (width == 2) {
+      const uint16_t second = word_at(values, here - address + 1);
+      value = (double)(here == *at ? float_of(first, second) : float_of(second, first));
+    }
+    if (!is_in_range(field, value)) {
+      return out_of_range(field);
+    }
+    here += width;
+  }
+  return wire_error_none();
+}
+
+void registers_write(uint16_t image[REGISTERS_END], unsigned address, unsigned count,
+                     const uint8_t *values) {
+  for (unsigned i = 0; i < count; i++) {
+    const unsigned here = address + i;
+    const unsigned base = unmirrored(here);
+    const registers_field *field = find(base);
+    image[here] = word_at(values, i);
+    if (here != base) { /* the words of the mirror are those of the field, swapped */
+      const unsigned swap = registers_width(field->type) == 2;
+      image[field->address + ((base - field->address) ^ swap)] = image[here];
+    } else if (is_mirrored(here)) {
+      image[mirror_of(field, here)] = image[here];
+    }
+  }
+}
+
+/* ---- what is there from the start -------------------------------------------------------------
+ */
+
+static void set_initial(uint16_t image[REGISTERS_END], const registers_field *field) {
+  const unsigned width = registers_width(field->type);
+  for (unsigned i = 0; i < field->count; i++) {
+    const unsigned address = field->address + i * width;
+    switch (field->type) {
+    case REGISTERS_U16:
+    case REGISTERS_TEXT:
+      registers_set_u16(image, address, (unsigned)field->initial);
+      break;
+    case REGISTERS_U32:
+      registers_set_u32(image, address, (uint32_t)field->initial);
+      break;
+    case REGISTERS_F32:
+      registers_set_f32(image, address, (float)field->initial);
+      break;
+    case REGISTERS_F64:
+      registers_set_f64(image, address, field->initial);
+      break;
+    }
+  }
+}
+
+static uint16_t swapped(uint16_t word) {
+  return (uint16_t)(word << 8 | word >> 8);
+}
+
+static void set_self_tests(uint16_t image[REGISTERS_END]) {
+  for (unsigned i = 0; i < 2; i++) {
+    const uint16_t word = image[REGISTERS_AT_SELF_TEST_ABCD + i];
+    image[REGISTERS_AT_SELF_TEST_CDAB + 1 - i] = word;
+    image[REGISTERS_AT_SELF_TEST_BADC + i] = swapped(word);
+    image[REGISTERS_AT_SELF_TEST_DCBA + 1 - i] = swapped(word);
+  }
+}
+
+void registers_reset(uint16_t image[REGISTERS_END]) {
+  memset(image, 0, REGISTERS_END * sizeof *image);
+  for (const registers_field *field = registers_fields; field->name != NULL; field++) {
+    set_initial(image, field);
+  }
+  set_self_tests(image);
+  for (unsigned i = 0; i < REGISTERS_BLOCKS; i++) {
+    uint16_t *entry = &image[REGISTERS_AT_BLOCKS + 3 * i];
+    entry[0] = (uint16_t)registers_blocks[i].id;
+    entry[1] = (uint16_t)registers_blocks[i].first;
+    entry[2] = (uint16_t)registers_blocks[i].length;
+  }
+}
