@@ -49,6 +49,8 @@ ALL_LDFLAGS = -pthread $(LDFLAGS) $(SANITIZE)
 UV_CFLAGS = $(shell pkg-config --cflags libuv)
 UV_LIBS = $(shell pkg-config --libs libuv)
 HTTP_CFLAGS = $(shell pkg-config --cflags libmicrohttpd)
+MODBUS_CFLAGS = $(shell pkg-config --cflags libmodbus)
+MODBUS_LIBS = $(shell pkg-config --libs libmodbus)
 # What core's preparation uses. The archives' members are taken as needed, so that the client library
 # does without.
 # GSL=no builds without the model `gaussians`.
@@ -83,7 +85,7 @@ WALKS := $(ISAS:%=$(OBJ)/core/montecarlo/walk.%.o)
 
 CORE := $(call objects,$(filter-out core/montecarlo/walk.c,$(wildcard core/*.c core/models/*.c core/montecarlo/*.c core/transport/*.c core/lut/*.c))) $(KERNELS) $(WALKS)
 PROTO := $(call objects,$(wildcard proto/*.c))
-SERVER := $(call objects,$(wildcard server/*.c))
+SERVER := $(call objects,$(wildcard server/*.c server/modbus/*.c))
 LIBRARY := $(call objects,$(wildcard clients/c/*.c))
 CLI := $(call objects,$(wildcard clients/cli/*.c))
 BENCH := $(call objects,$(wildcard tests/bench/*.c tests/bench/*/*.c))
@@ -131,7 +133,7 @@ $(OBJ)/core/montecarlo/walk.$(1).o: core/montecarlo/walk.c Makefile
 endef
 $(foreach isa,$(ISAS),$(eval $(call walk_rule,$(isa))))
 
-$(SERVER): EXTRA_CPPFLAGS = $(UV_CFLAGS) $(HTTP_CFLAGS)
+$(SERVER): EXTRA_CPPFLAGS = $(UV_CFLAGS) $(HTTP_CFLAGS) $(MODBUS_CFLAGS)
 
 # Taken up by the assembler.
 $(OBJ)/core/transport/table_data.o: core/transport/transport.table
@@ -159,7 +161,7 @@ $(BUILD)/libdipole.so: $(BUILD)/libdipole.so.$(VERSION)
 
 $(BUILD)/dipoled: $(SERVER) $(BUILD)/libproto.a $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc -o $@ $^ $(UV_LIBS) $(CORE_LIBS) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc -o $@ $^ $(UV_LIBS) $(MODBUS_LIBS) $(CORE_LIBS) -lm
 
 $(BUILD)/dipole: $(CLI) $(BUILD)/libdipole.a
 	$(call SAY,LD,$@)

@@ -20,6 +20,7 @@ enum {
   REGISTERS_MIRROR = 2000, /* from a register of the input and output blocks to its mirror */
   REGISTERS_END = 2660,    /* of the image */
   REGISTERS_COILS = 100,   /* plain bits, from 0 */
+  REGISTERS_ERROR_TEXT_BYTES = 80,
 };
 
 /* Of a parameter of the core. */

@@ -10,6 +10,7 @@
 #include <unistd.h>
 
 #include "server/log.h"
+#include "server/modbus/service.h"
 #include "server/tcp.h"
 #include "server/worker.h"
 
@@ -69,6 +70,10 @@ void listener_admit(struct server *server, int fd, bool inherited) {
   worker_give(least_busy(server), connection);
 }
 
+static void admit(struct server *server, int fd) {
+  listener_admit(server, fd, false);
+}
+
 static void on_pause_over(uv_timer_t *timer);
 
 static void on_connections(uv_poll_t *poll, int status, int events) {
@@ -78,7 +83,7 @@ static void on_connections(uv_poll_t *poll, int status, int events) {
   for (int i = 0; i < ACCEPTS_PER_ROUND; i++) {
     const int fd = accept4(listener->fd, NULL, NULL, SOCK_NONBLOCK | SOCK_CLOEXEC);
     if (fd >= 0) {
-      listener_admit(listener->server, fd, false);
+      listener->admit(listener->server, fd);
     } else if (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM) {
       /* The waiting connection would make the loop spin. */
       log_peer_line(LOG_LEVEL_ERROR, "event=accept-paused reason=%s", strerror(errno));
@@ -142,7 +147,8 @@ static bool open_unix(struct listener *listener, const char *url, const char *pa
 /* ---- TCP ---------------------------------------------------------------------------------------
  */
 
-static bool open_tcp(struct listener *listener, const char *url, const char *host_port) {
+static bool open_tcp(struct listener *listener, const char *url, const char *host_port,
+                     const char *scheme) {
   const char *why;
   listener->fd = tcp_listen(host_port, &why);
   if (listener->fd < 0) {
@@ -152,24 +158,14 @@ static bool open_tcp(struct listener *listener, const char *url, const char *hos
   }
   char bound[TCP_TEXT_BYTES];
   tcp_bound(listener->fd, bound);
-  log_line(LOG_LEVEL_INFO, "event=listening url=tcp:%s", bound);
+  log_line(LOG_LEVEL_INFO, "event=listening url=%s:%s", scheme, bound);
   return true;
 }
 
 /* ---- public ------------------------------------------------------------------------------------
  */
 
-bool listener_open(struct listener *listener, struct server *server, uv_loop_t *loop,
-                   const char *url) {
-  *listener = (struct listener){.server = server, .fd = -1};
-  bool open;
-  if (strncmp(url, "unix:", 5) == 0) {
-    open = open_unix(listener, url, url + 5);
-  } else if (strncmp(url, "tcp:", 4) == 0) {
-    open = open_tcp(listener, url, url + 4);
-  } else {
-    open = complain(url, "the address has the form unix:PATH or tcp:HOST:PORT");
-  }
+static bool start(struct listener *listener, uv_loop_t *loop, bool open) {
   if (!open) {
     if (listener->fd >= 0) {
       close(listener->fd);
@@ -180,6 +176,30 @@ bool listener_open(struct listener *listener, struct server *server, uv_loop_t *
   uv_timer_init(loop, &listener->pause);
   listener->poll.data = listener->pause.data = listener;
   return uv_poll_start(&listener->poll, UV_READABLE, on_connections) == 0;
+}
+
+bool listener_open(struct listener *listener, struct server *server, uv_loop_t *loop,
+                   const char *url) {
+  *listener = (struct listener){.server = server, .admit = admit, .fd = -1};
+  bool open;
+  if (strncmp(url, "unix:", 5) == 0) {
+    open = open_unix(listener, url, url + 5);
+  } else if (strncmp(url, "tcp:", 4) == 0) {
+    open = open_tcp(listener, url, url + 4, "tcp");
+  } else {
+    open = complain(url, "the address has the form unix:PATH or tcp:HOST:PORT");
+  }
+  return start(listener, loop, open);
+}
+
+bool listener_open_modbus(struct listener *listener, struct server *server, uv_loop_t *loop,
+                          const char *url) {
+  *listener = (struct listener){.server = server, .admit = modbus_service_admit, .fd = -1};
+  const bool open =
+      strncmp(url, "tcp:", 4) == 0
+          ? open_tcp(listener, url, url + 4, "modbus-tcp")
+          : complain(url, "Modbus is served at tcp:HOST:PORT or rtu:DEVICE,BAUD,PARITY[,UNIT]");
+  return start(listener, loop, open);
 }
 
 void listener_close(struct listener *listener) {

@@ -6,6 +6,7 @@
 
 struct listener {
   struct server *server;
+  void (*admit)(struct server *server, int fd); /* owns the connected socket */
   uv_poll_t poll;
   uv_timer_t pause;
   int fd;
@@ -16,6 +17,10 @@ struct listener {
  * standard error, when that cannot be done. */
 bool listener_open(struct listener *listener, struct server *server, uv_loop_t *loop,
                    const char *url);
+
+/* The same for Modbus at tcp:HOST:PORT. */
+bool listener_open_modbus(struct listener *listener, struct server *server, uv_loop_t *loop,
+                          const char *url);
 
 /* No more connections from here. The handles close with the loop's next round. */
 void listener_close(struct listener *listener);

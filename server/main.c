@@ -15,6 +15,7 @@
 #include "server/mc_pool.h"
 #include "server/memory.h"
 #include "server/metrics.h"
+#include "server/modbus/service.h"
 #include "server/worker.h"
 
 #define DEFAULT_TCP "tcp:127.0.0.1:4817"
@@ -25,7 +26,7 @@ struct daemon {
   uv_loop_t loop;
   uv_signal_t terminate;
   uv_signal_t interrupt;
-  struct listener listeners[OPTIONS_LIST_MAX + 2];
+  struct listener listeners[2 * OPTIONS_LIST_MAX + 2];
   size_t listener_count;
   struct metrics *metrics; /* NULL: not asked for */
   uint64_t workers_started;
@@ -117,6 +118,31 @@ static bool listen_at(struct daemon *daemon, const char *url) {
   return true;
 }
 
+static bool serve_modbus_at(struct daemon *daemon, const char *url) {
+  if (strncmp(url, "rtu:", 4) == 0) {
+    return modbus_service_open_line(daemon->server.modbus, url);
+  }
+  if (!listener_open_modbus(&daemon->listeners[daemon->listener_count], &daemon->server,
+                            &daemon->loop, url)) {
+    return false;
+  }
+  daemon->listener_count++;
+  return true;
+}
+
+static bool open_modbus(struct daemon *daemon) {
+  const struct options_list *urls = &daemon->server.options.modbus;
+  for (size_t i = 0; i < urls->count; i++) {
+    if (!serve_modbus_at(daemon, urls->items[i])) {
+      return false;
+    }
+  }
+  if (urls->count > 0) {
+    modbus_service_begin(daemon->server.modbus);
+  }
+  return true;
+}
+
 /* The runtime directory: systemd's, the user's, or /run for root; NULL: there is none. */
 static const char *runtime_directory(void) {
   const char *directory = getenv("RUNTIME_DIRECTORY");
@@ -180,6 +206,14 @@ static bool open_metrics(struct daemon *daemon) {
   return address == NULL || daemon->metrics != NULL;
 }
 
+/* Its registers, before the workers, one of which they belong to. */
+static bool set_up_modbus(struct server *server) {
+  if (server->options.modbus.count > 0) {
+    server->modbus = modbus_service_new(server);
+  }
+  return server->options.modbus.count == 0 || server->modbus != NULL;
+}
+
 static void set_up_loop(struct daemon *daemon) {
   uv_loop_init(&daemon->loop);
   uv_async_init(&daemon->loop, &daemon->server.inherited_closed, on_inherited_closed);
@@ -217,7 +251,8 @@ static int run(struct daemon *daemon) {
   signal(SIGPIPE, SIG_IGN);
   raise_descriptor_limit();
   set_up_loop(daemon);
-  const bool ready = start_workers(daemon) && open_metrics(daemon) && open_addresses(daemon);
+  const bool ready = set_up_modbus(server) && start_workers(daemon) && open_metrics(daemon) &&
+                     open_modbus(daemon) && open_addresses(daemon);
   if (ready) {
     log_line(LOG_LEVEL_INFO, "event=ready workers=%llu isa=%s",
              (unsigned long long)server->options.workers, core_isa_name(server->isa));
@@ -226,6 +261,7 @@ static int run(struct daemon *daemon) {
   }
   uv_run(&daemon->loop, UV_RUN_DEFAULT);
   uv_loop_close(&daemon->loop);
+  modbus_service_free(server->modbus);
   free(server->workers);
   cache_free(server->cache);
   mc_pool_free(server->mc);

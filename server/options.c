@@ -7,12 +7,13 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum kind { NUMBER, TEXT, LIST };
+enum kind { NUMBER, TEXT, LIST, FLAG };
 
 struct description {
   const char *name;
   const char *field_name;
   const char *value;
+  const char *separators;
   const char *help;
   enum kind kind;
   size_t offset; /* into struct options */
@@ -23,9 +24,12 @@ struct description {
 
 #define AT(field) offsetof(struct options, field)
 #define SERVER_NUMBER(field, name, default_value, least, most, help)                               \
-  {name, #field, "N", help, NUMBER, AT(field), least, most, default_value},
-#define SERVER_TEXT(field, name, value, help) {name, #field, value, help, TEXT, AT(field), 0, 0, 0},
-#define SERVER_LIST(field, name, value, help) {name, #field, value, help, LIST, AT(field), 0, 0, 0},
+  {name, #field, "N", "", help, NUMBER, AT(field), least, most, default_value},
+#define SERVER_TEXT(field, name, value, help)                                                      \
+  {name, #field, value, "", help, TEXT, AT(field), 0, 0, 0},
+#define SERVER_LIST(field, name, value, separators, help)                                          \
+  {name, #field, value, separators, help, LIST, AT(field), 0, 0, 0},
+#define SERVER_FLAG(field, name, help) {name, #field, "", "", help, FLAG, AT(field), 0, 0, 0},
 static const struct description descriptions[] = {
 #include "server/options.def"
 };
@@ -64,6 +68,16 @@ static bool add_item(const struct description *option, const char *text,
   return true;
 }
 
+/* On the command line a flag has no text. */
+static bool set_flag(const struct description *option, const char *text, bool *flag) {
+  if (text != NULL && strcmp(text, "0") != 0 && strcmp(text, "1") != 0) {
+    fprintf(stderr, "dipoled: --%s is 0 or 1 in the environment, not '%s'\n", option->name, text);
+    return false;
+  }
+  *flag = text == NULL || text[0] == '1';
+  return true;
+}
+
 static bool set(struct options *options, const struct description *option, const char *text) {
   switch (option->kind) {
   case NUMBER:
@@ -73,6 +87,8 @@ static bool set(struct options *options, const struct description *option, const
     return true;
   case LIST:
     return add_item(option, text, place(options, option));
+  case FLAG:
+    return set_flag(option, text, place(options, option));
   }
   return false;
 }
@@ -92,13 +108,15 @@ static const char *environment(const struct description *option) {
 
 static bool read_environment_list(struct options *options, const struct description *option,
                                   const char *text) {
-  free(options->environment_copy);
-  options->environment_copy = strdup(text);
-  if (options->environment_copy == NULL) {
+  struct options_list *list = place(options, option);
+  list->copy = strdup(text);
+  if (list->copy == NULL) {
     return false;
   }
-  char *rest = options->environment_copy;
-  for (char *item = strtok_r(rest, ",", &rest); item != NULL; item = strtok_r(NULL, ",", &rest)) {
+  char *rest = list->copy;
+  const char *separators = option->separators;
+  for (char *item = strtok_r(rest, separators, &rest); item != NULL;
+       item = strtok_r(NULL, separators, &rest)) {
     if (!set(options, option, item)) {
       return false;
     }
@@ -155,13 +173,14 @@ static void print_help(void) {
   printf(
       "dipoled " DIPOLED_VERSION ": evaluates subsurface-scattering profiles R(r) for clients.\n"
       "\n"
-      "usage: dipoled [OPTION VALUE]...\n"
+      "usage: dipoled [OPTION [VALUE]]...\n"
       "\n"
       "examples:\n"
       "  dipoled                                   this machine only, at the default addresses\n"
       "  dipoled --listen unix:/run/dipoled.sock --workers 4\n"
       "  dipoled --listen tcp:0.0.0.0:4817         whoever reaches this machine\n"
       "  dipoled --metrics 127.0.0.1:9817          numbers for Prometheus, and /healthz\n"
+      "  dipoled --modbus tcp:127.0.0.1:5020       registers for instruments, besides\n"
       "\n"
       "Stop it with SIGTERM: it answers what is in flight and exits with 0. Ask it with `dipole`.\n"
       "Each option is also read from the environment, as DIPOLED_ and its name in capitals with\n"
@@ -181,7 +200,8 @@ static enum options_outcome read_command_line(int argc, char **argv, struct opti
   struct option longs[OPTIONS + 3] = {{0}};
   bool list_begun[OPTIONS] = {false};
   for (int i = 0; i < OPTIONS; i++) {
-    longs[i] = (struct option){descriptions[i].name, required_argument, NULL, i};
+    const int argument = descriptions[i].kind == FLAG ? no_argument : required_argument;
+    longs[i] = (struct option){descriptions[i].name, argument, NULL, i};
   }
   longs[HELP] = (struct option){"help", no_argument, NULL, HELP};
   longs[VERSION] = (struct option){"version", no_argument, NULL, VERSION};
@@ -229,7 +249,8 @@ enum options_outcome options_read(int argc, char **argv, struct options *options
 }
 
 void options_free(struct options *options) {
-  free(options->environment_copy);
+#define SERVER_LIST(field, name, value, separators, help) free(options->field.copy);
+#include "server/options.def"
 }
 
 void options_each_number(const struct options *options,

@@ -11,14 +11,15 @@ enum { OPTIONS_LIST_MAX = 32 };
 struct options_list {
   const char *items[OPTIONS_LIST_MAX];
   size_t count;
+  char *copy; /* what items from the environment point into */
 };
 
 #define SERVER_NUMBER(field, name, default_value, least, most, help) uint64_t field;
 #define SERVER_TEXT(field, name, value, help) const char *field;
-#define SERVER_LIST(field, name, value, help) struct options_list field;
+#define SERVER_LIST(field, name, value, separators, help) struct options_list field;
+#define SERVER_FLAG(field, name, help) bool field;
 struct options {
 #include "server/options.def"
-  char *environment_copy; /* what list items from the environment point into */
 };
 
 enum options_outcome { OPTIONS_RUN, OPTIONS_EXIT_OK, OPTIONS_EXIT_USAGE };

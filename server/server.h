@@ -11,6 +11,7 @@
 
 struct cache;
 struct mc_pool;
+struct modbus_service;
 struct worker;
 
 struct server {
@@ -19,10 +20,11 @@ struct server {
   struct stats stats;
   _Atomic uint64_t buffer_bytes; /* of all connections */
   uint64_t started_ns;
-  struct worker *workers;      /* [options.workers] */
-  struct cache *cache;         /* prepared profiles */
-  struct mc_pool *mc;          /* Monte Carlo jobs */
-  uv_async_t inherited_closed; /* on main's loop: the connection of --fd is gone */
+  struct worker *workers;        /* [options.workers] */
+  struct cache *cache;           /* prepared profiles */
+  struct mc_pool *mc;            /* Monte Carlo jobs */
+  struct modbus_service *modbus; /* NULL: not asked for */
+  uv_async_t inherited_closed;   /* on main's loop: the connection of --fd is gone */
 };
 
 /* Takes bytes from the budget of all buffers (--max-total-bytes); false, and nothing is taken, when

@@ -3,6 +3,8 @@
 #include <assert.h>
 #include <string.h>
 
+#include "server/modbus/service.h"
+
 /* ---- the run queue ----------------------------------------------------------------------------
  */
 
@@ -75,7 +77,9 @@ static void run_round(struct worker *worker) {
     *end = connection;
     end = &connection->next_to_finish;
   }
+  modbus_service_run(worker->modbus);
   batch_finish(&worker->scratch.batch, &worker->server->stats);
+  modbus_service_finish(worker->modbus);
   for (; ran != NULL; ran = ran->next_to_finish) {
     connection_finish(ran);
   }
@@ -130,12 +134,15 @@ static void stop_round(struct worker *worker) {
   worker->stop_rounds++;
   if (worker->stop_rounds == 3) {
     for_each(worker, connection_stop);
+    modbus_service_stop(worker->modbus);
   }
   const uint64_t taken_ms = uv_now(&worker->loop) - worker->stop_began_ms;
   if (taken_ms > worker->server->options.drain_timeout_ms) {
     for_each(worker, connection_abort);
+    modbus_service_abort(worker->modbus);
   }
-  if (worker->stop_rounds > 3 && worker->connections == NULL) {
+  if (worker->stop_rounds > 3 && worker->connections == NULL &&
+      modbus_service_has_stopped(worker->modbus)) {
     uv_stop(&worker->loop);
   }
 }
@@ -163,6 +170,7 @@ static void take_from_inbox(struct worker *worker) {
 static void on_wake(uv_async_t *handle) {
   struct worker *worker = handle->data;
   take_from_inbox(worker);
+  modbus_service_wake(worker->modbus);
   profiles_wake(&worker->profiles);
 }
 
@@ -171,11 +179,16 @@ static void wake(void *context) {
   uv_async_send(&worker->wake);
 }
 
-/* An active idle handle keeps the loop from sleeping in its next poll. Timers come before that, too:
+/* An active idle handle does that. */
+void worker_stay_awake(struct worker *worker) {
+  uv_idle_start(&worker->stay_awake, on_awake);
+}
+
+/* Timers come before that, too:
  * what they give to the run queue is not to wait for somebody else's bytes. */
 static void stay_awake_for_queue(struct worker *worker) {
   if (worker->run_first != NULL) {
-    uv_idle_start(&worker->stay_awake, on_awake);
+    worker_stay_awake(worker);
   }
 }
 
@@ -183,8 +196,9 @@ static void after_poll(uv_check_t *handle) {
   struct worker *worker = handle->data;
   run_round(worker);
   stop_round(worker);
-  if (worker->run_first != NULL || (worker->stop_rounds > 0 && worker->stop_rounds < 4)) {
-    uv_idle_start(&worker->stay_awake, on_awake);
+  if (worker->run_first != NULL || modbus_service_has_work(worker->modbus) ||
+      (worker->stop_rounds > 0 && worker->stop_rounds < 4)) {
+    worker_stay_awake(worker);
   } else {
     uv_idle_stop(&worker->stay_awake);
   }
@@ -198,6 +212,7 @@ static void on_clock(uv_timer_t *timer) {
     next = c->next;
     connection_tick(c, now_ms);
   }
+  modbus_service_tick(worker->modbus, now_ms);
   profiles_sweep(&worker->profiles);
   repeat_sweep(&worker->scratch.repeat);
   stay_awake_for_queue(worker);
@@ -219,13 +234,17 @@ void worker_wake_at(struct worker *worker, uint64_t at_ms) {
   uv_timer_start(&worker->deadline, on_deadline, at_ms > now_ms ? at_ms - now_ms : 0, 0);
 }
 
+static uint64_t least(uint64_t a, uint64_t b) {
+  return a < b ? a : b;
+}
+
 /* Timeouts are looked at so often that they are kept to a quarter. */
 static uint64_t clock_period_ms(const struct options *options) {
-  uint64_t shortest = options->frame_timeout_ms;
-  shortest = options->idle_timeout_ms < shortest ? options->idle_timeout_ms : shortest;
-  shortest = options->drain_timeout_ms < shortest ? options->drain_timeout_ms : shortest;
-  const uint64_t quarter = shortest / 4 + 1;
-  return quarter < 250 ? quarter : 250;
+  uint64_t shortest = least(options->frame_timeout_ms, options->idle_timeout_ms);
+  shortest = least(shortest, options->modbus_frame_timeout_ms);
+  shortest = least(shortest, options->modbus_idle_timeout_ms);
+  shortest = least(shortest, options->drain_timeout_ms);
+  return least(shortest / 4 + 1, 250);
 }
 
 static void close_handle(uv_handle_t *handle, void *unused) {
@@ -240,6 +259,7 @@ static void thread_main(void *argument) {
   stats_claim((unsigned)(worker - worker->server->workers) + 1);
   uv_run(&worker->loop, UV_RUN_DEFAULT);
   assert(worker->connections == NULL);
+  modbus_service_end(worker->modbus);
   uv_walk(&worker->loop, close_handle, NULL);
   uv_run(&worker->loop, UV_RUN_DEFAULT); /* to the end of what it has had prepared, too */
   repeat_end(&worker->scratch.repeat);
@@ -263,6 +283,10 @@ static int set_up_handles(struct worker *worker) {
 int worker_start(struct worker *worker, struct server *server) {
   memset(worker, 0, sizeof *worker);
   worker->server = server;
+  if (server->modbus != NULL && worker == server->workers) {
+    worker->modbus = server->modbus;
+    worker->modbus->worker = worker;
+  }
   profiles_init(&worker->profiles, server, &worker->loop, wake, worker);
   int error = uv_mutex_init(&worker->mutex);
   error = error != 0 ? error : uv_loop_init(&worker->loop);

@@ -27,6 +27,7 @@
 
 struct worker {
   struct server *server;
+  struct modbus_service *modbus; /* of the first worker; NULL: of the others, or not asked for */
   uv_thread_t thread;
   uv_loop_t loop;
   uv_async_t wake;
@@ -43,8 +44,8 @@ struct worker {
   struct connection *connections;
   struct connection *run_first;
   struct connection *run_last;
-  uint64_t run_count; /* of connections in the run queue */
-  uint64_t round_ns;  /* when this round of the loop read first; 0: it has not */
+  uint64_t run_count;   /* of connections in the run queue */
+  uint64_t round_ns;    /* when this round of the loop read first; 0: it has not */
   unsigned stop_rounds; /* rounds of the loop since the stop was wanted; 0: it is not */
   uint64_t stop_began_ms;
   _Atomic uint64_t connection_count; /* given to it and not yet closed */
@@ -72,6 +73,8 @@ void worker_remember(struct worker *worker, struct connection *connection);
 void worker_forget(struct worker *worker, struct connection *connection);
 /* connection_deadline() is called for all connections at that time of the loop, or a little later. */
 void worker_wake_at(struct worker *worker, uint64_t at_ms);
+/* The loop does not sleep in its next poll: what is after it has something to do. */
+void worker_stay_awake(struct worker *worker);
 void worker_run_later(struct worker *worker, struct connection *connection);
 
 #endif

@@ -1,0 +1,85 @@
+#include "server/modbus/access.h"
+
+#include <arpa/inet.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum { IPV4_BITS = 32, IPV6_BITS = 128, TEXT_BYTES = 64 };
+
+static struct in6_addr mapped(struct in_addr ipv4) {
+  struct in6_addr address = {.s6_addr = {[10] = 0xff, [11] = 0xff}};
+  memcpy(&address.s6_addr[12], &ipv4, sizeof ipv4);
+  return address;
+}
+
+/* A number of bits up to `most`, that nothing follows. */
+static bool read_bits(const char *text, unsigned most, unsigned *bits) {
+  char *end;
+  const unsigned long number = strtoul(text, &end, 10);
+  *bits = (unsigned)number;
+  return *text >= '0' && *text <= '9' && *end == '\0' && number <= most;
+}
+
+static bool read_network(const char *text, struct modbus_network *network) {
+  char address[TEXT_BYTES];
+  const char *slash = strchr(text, '/');
+  const size_t length = slash != NULL ? (size_t)(slash - text) : strlen(text);
+  if (length >= sizeof address) {
+    return false;
+  }
+  memcpy(address, text, length);
+  address[length] = '\0';
+  struct in_addr ipv4;
+  unsigned most = IPV6_BITS;
+  if (inet_pton(AF_INET, address, &ipv4) == 1) {
+    network->address = mapped(ipv4);
+    most = IPV4_BITS;
+  } else if (inet_pton(AF_INET6, address, &network->address) != 1) {
+    return false;
+  }
+  unsigned bits = most;
+  if (slash != NULL && !read_bits(slash + 1, most, &bits)) {
+    return false;
+  }
+  network->bits = IPV6_BITS - most + bits;
+  return true;
+}
+
+bool modbus_access_read(const struct options_list *list, struct modbus_access *access,
+                        const char **wrong) {
+  static const struct options_list this_machine = {.items = {"127.0.0.0/8", "::1/128"}, .count = 2};
+  const struct options_list *from = list->count > 0 ? list : &this_machine;
+  access->count = 0;
+  for (size_t i = 0; i < from->count; i++) {
+    *wrong = from->items[i];
+    if (!read_network(from->items[i], &access->networks[access->count++])) {
+      return false;
+    }
+  }
+  return true;
+}
+
+static bool is_in(const struct in6_addr *address, const struct modbus_network *network) {
+  const unsigned whole = network->bits / 8;
+  const unsigned mask = 0xff00U >> network->bits % 8 & 0xff;
+  const unsigned differs =
+      whole < 16 ? (address->s6_addr[whole] ^ network->address.s6_addr[whole]) & mask : 0;
+  return memcmp(address, &network->address, whole) == 0 && differs == 0;
+}
+
+bool modbus_access_allows(const struct modbus_access *access, const struct sockaddr *address) {
+  struct in6_addr ip;
+  if (address->sa_family == AF_INET) {
+    ip = mapped(((const struct sockaddr_in *)(const void *)address)->sin_addr);
+  } else if (address->sa_family == AF_INET6) {
+    ip = ((const struct sockaddr_in6 *)(const void *)address)->sin6_addr;
+  } else {
+    return false;
+  }
+  for (size_t i = 0; i < access->count; i++) {
+    if (is_in(&ip, &access->networks[i])) {
+      return true;
+    }
+  }
+  return false;
+}

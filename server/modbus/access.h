@@ -1,0 +1,30 @@
+/* access: from which addresses Modbus may be used. */
+#ifndef DIPOLED_MODBUS_ACCESS_H
+#define DIPOLED_MODBUS_ACCESS_H
+
+#include <netinet/in.h>
+#include <stdbool.h>
+#include <sys/socket.h>
+
+#include "server/options.h"
+
+/* Addresses that begin with the same bits. IPv4 ones are kept as ::ffff:a.b.c.d. */
+struct modbus_network {
+  struct in6_addr address;
+  unsigned bits;
+};
+
+struct modbus_access {
+  struct modbus_network networks[OPTIONS_LIST_MAX];
+  size_t count;
+};
+
+/* Reads a list of ADDRESS/BITS, or ADDRESS alone; an empty one is this machine. False: *wrong is the
+ * item that is none. */
+bool modbus_access_read(const struct options_list *list, struct modbus_access *access,
+                        const char **wrong);
+
+/* Whether an address, of IPv4 or IPv6, is in one of the networks. */
+bool modbus_access_allows(const struct modbus_access *access, const struct sockaddr *address);
+
+#endif

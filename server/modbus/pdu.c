@@ -1,0 +1,123 @@
+#include "server/modbus/pdu.h"
+
+#include <modbus.h>
+
+static unsigned word(const uint8_t *at) {
+  return (unsigned)at[0] << 8 | at[1];
+}
+
+size_t modbus_pdu_bytes(const uint8_t *pdu, size_t bytes) {
+  switch (bytes > 0 ? pdu[0] : 0) {
+  case MODBUS_FC_READ_COILS:
+  case MODBUS_FC_READ_DISCRETE_INPUTS:
+  case MODBUS_FC_READ_HOLDING_REGISTERS:
+  case MODBUS_FC_READ_INPUT_REGISTERS:
+  case MODBUS_FC_WRITE_SINGLE_COIL:
+  case MODBUS_FC_WRITE_SINGLE_REGISTER:
+    return 5;
+  case MODBUS_FC_WRITE_MULTIPLE_COILS:
+  case MODBUS_FC_WRITE_MULTIPLE_REGISTERS:
+    return bytes > 5 ? 6 + (size_t)pdu[5] : 0;
+  case MODBUS_FC_REPORT_SLAVE_ID:
+    return 1;
+  case MODBUS_FC_MASK_WRITE_REGISTER:
+    return 7;
+  case MODBUS_FC_WRITE_AND_READ_REGISTERS:
+    return bytes > 9 ? 10 + (size_t)pdu[9] : 0;
+  case MODBUS_FC_READ_DEVICE_ID:
+    return 4;
+  default:
+    return 0;
+  }
+}
+
+bool modbus_pdu_writes(unsigned function) {
+  switch (function) {
+  case MODBUS_FC_WRITE_SINGLE_COIL:
+  case MODBUS_FC_WRITE_SINGLE_REGISTER:
+  case MODBUS_FC_WRITE_MULTIPLE_COILS:
+  case MODBUS_FC_WRITE_MULTIPLE_REGISTERS:
+  case MODBUS_FC_MASK_WRITE_REGISTER:
+  case MODBUS_FC_WRITE_AND_READ_REGISTERS:
+    return true;
+  default:
+    return false;
+  }
+}
+
+static bool is_known(unsigned function) {
+  switch (function) {
+  case MODBUS_FC_READ_COILS:
+  case MODBUS_FC_READ_DISCRETE_INPUTS:
+  case MODBUS_FC_READ_HOLDING_REGISTERS:
+  case MODBUS_FC_READ_INPUT_REGISTERS:
+  case MODBUS_FC_REPORT_SLAVE_ID:
+  case MODBUS_FC_READ_DEVICE_ID:
+    return true;
+  default:
+    return modbus_pdu_writes(function);
+  }
+}
+
+static bool within(unsigned count, unsigned most) {
+  return count >= 1 && count <= most;
+}
+
+/* The counts of a PDU whose length is right. */
+static bool take_counts(const uint8_t *pdu, struct modbus_request *request) {
+  switch (request->function) {
+  case MODBUS_FC_READ_COILS:
+  case MODBUS_FC_READ_DISCRETE_INPUTS:
+    request->count = word(pdu + 3);
+    return within(request->count, MODBUS_MAX_READ_BITS);
+  case MODBUS_FC_READ_HOLDING_REGISTERS:
+  case MODBUS_FC_READ_INPUT_REGISTERS:
+    request->count = word(pdu + 3);
+    return within(request->count, MODBUS_MAX_READ_REGISTERS);
+  case MODBUS_FC_WRITE_SINGLE_COIL:
+    request->count = 1;
+    return word(pdu + 3) == 0 || word(pdu + 3) == 0xff00;
+  case MODBUS_FC_WRITE_MULTIPLE_COILS:
+    request->count = word(pdu + 3);
+    return within(request->count, MODBUS_MAX_WRITE_BITS) && pdu[5] == (request->count + 7) / 8;
+  case MODBUS_FC_WRITE_SINGLE_REGISTER:
+    request->write_count = 1;
+    request->values = pdu + 3;
+    return true;
+  case MODBUS_FC_WRITE_MULTIPLE_REGISTERS:
+    request->write_count = word(pdu + 3);
+    request->values = pdu + 6;
+    return within(request->write_count, MODBUS_MAX_WRITE_REGISTERS) &&
+           pdu[5] == 2 * request->write_count;
+  case MODBUS_FC_MASK_WRITE_REGISTER:
+    request->write_count = 1;
+    request->and_mask = word(pdu + 3);
+    request->or_mask = word(pdu + 5);
+    return true;
+  case MODBUS_FC_WRITE_AND_READ_REGISTERS:
+    request->count = word(pdu + 3);
+    request->write_address = word(pdu + 5);
+    request->write_count = word(pdu + 7);
+    request->values = pdu + 10;
+    return within(request->count, MODBUS_MAX_WR_READ_REGISTERS) &&
+           within(request->write_count, MODBUS_MAX_WR_WRITE_REGISTERS) &&
+           pdu[9] == 2 * request->write_count;
+  default:
+    return true;
+  }
+}
+
+unsigned modbus_pdu_parse(const uint8_t *pdu, size_t bytes, struct modbus_request *request) {
+  *request = (struct modbus_request){.function = pdu[0]};
+  if (!is_known(request->function) ||
+      (request->function == MODBUS_FC_READ_DEVICE_ID && bytes > 1 && pdu[1] != 0x0e)) {
+    return MODBUS_EXCEPTION_ILLEGAL_FUNCTION;
+  }
+  if (bytes != modbus_pdu_bytes(pdu, bytes)) {
+    return MODBUS_EXCEPTION_ILLEGAL_DATA_VALUE;
+  }
+  if (bytes >= 3) {
+    request->address = request->write_address = word(pdu + 1);
+  }
+  return take_counts(pdu, request) ? 0 : MODBUS_EXCEPTION_ILLEGAL_DATA_VALUE;
+}
