@@ -135,8 +135,14 @@ void child_pin(enum child_side side) {
 /* ---- children ----------------------------------------------------------------------------- */
 
 static void remember(pid_t child) {
-  all.children[all.child_count] = child;
-  all.child_count++;
+  int place = 0;
+  while (place < all.child_count && all.children[place] != 0) {
+    place++;
+  }
+  all.children[place] = child;
+  if (place == all.child_count) {
+    all.child_count++;
+  }
 }
 
 pid_t child_fork(enum child_side side) {

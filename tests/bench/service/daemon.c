@@ -34,36 +34,46 @@ static void read_log(const char *path, char *text, size_t bytes) {
   }
 }
 
-/* The log says when all listeners are open, and at which port. */
-static unsigned wait_for_port(pid_t child, const char *log) {
-  static const char tcp[] = "url=tcp:127.0.0.1:";
+/* The log says when all listeners are open, */
+static void wait_until_ready(pid_t child, const char *path, char *log, size_t bytes) {
   const struct timespec nap = {.tv_nsec = 1000000};
-  char text[LOG_BYTES];
   for (int ms = 0; ms < READY_MS; ms++) {
     child_must_run(child, "dipoled");
-    read_log(log, text, sizeof text);
-    const char *port = strstr(text, tcp);
-    if (strstr(text, "event=ready") != NULL && port != NULL) {
-      return (unsigned)strtoul(port + strlen(tcp), NULL, 10);
+    read_log(path, log, bytes);
+    if (strstr(log, "event=ready") != NULL) {
+      return;
     }
     nanosleep(&nap, NULL);
   }
   bench_fail("dipoled does not get ready");
 }
 
+/* and at which ports. */
+static struct target_address find_port(const char *log, const char *scheme) {
+  char text[64];
+  snprintf(text, sizeof text, "url=%s:127.0.0.1:", scheme);
+  const char *port = strstr(log, text);
+  if (port == NULL) {
+    bench_fail("dipoled does not say where it listens");
+  }
+  return target_tcp((unsigned)strtoul(port + strlen(text), NULL, 10));
+}
+
 void daemon_start(struct daemon *daemon, const char *name, unsigned workers) {
-  char program[PATH_MAX], listen[PATH_MAX], log_name[64], count[16];
+  char program[PATH_MAX], listen[PATH_MAX], log_name[64], count[16], log[LOG_BYTES];
   const char *path = child_path(name);
   find_beside(program, sizeof program, "dipoled");
   snprintf(listen, sizeof listen, "unix:%s", path);
   snprintf(log_name, sizeof log_name, "%s.log", name);
   snprintf(count, sizeof count, "%u", workers);
-  const char *log = child_path(log_name);
-  char *arguments[] = {program,           "--listen",  listen, "--listen",
-                       "tcp:127.0.0.1:0", "--workers", count,  NULL};
-  daemon->child = child_run(CHILD_SERVER, arguments, log);
+  const char *log_path = child_path(log_name);
+  char *arguments[] = {program,    "--listen",        listen,      "--listen", "tcp:127.0.0.1:0",
+                       "--modbus", "tcp:127.0.0.1:0", "--workers", count,      NULL};
+  daemon->child = child_run(CHILD_SERVER, arguments, log_path);
+  wait_until_ready(daemon->child, log_path, log, sizeof log);
   daemon->at_unix = target_unix(path);
-  daemon->at_tcp = target_tcp(wait_for_port(daemon->child, log));
+  daemon->at_tcp = find_port(log, "tcp");
+  daemon->at_modbus = find_port(log, "modbus-tcp");
 }
 
 void daemon_end(struct daemon *daemon) {

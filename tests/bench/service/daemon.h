@@ -9,6 +9,7 @@ struct daemon {
   pid_t child;
   struct target_address at_unix;
   struct target_address at_tcp;
+  struct target_address at_modbus;
 };
 
 /* name: of its socket, in the temporary folder. Returns when it is ready. */

@@ -1,0 +1,217 @@
+"""Modbus masters that others have made: each example of clients/modbus reads R at ten distances, and
+independent tools decode, identify and exercise the daemon."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import dipole
+import numpy as np
+import pytest
+from captures import write_capture
+from daemons import BUILD, Daemon, eventually
+from modbus_master import TcpMaster
+
+TOP = Path(__file__).parents[2]
+EXAMPLES = TOP / "clients/modbus"
+SUITE = Path("/usr/share/doc/libmodbus-dev/examples/random-test-client.c")
+RADII_MM = np.array([0.1, 0.2, 0.5, 1, 1.5, 2, 3, 4, 6, 8], np.float32)
+LIMIT_S = 60
+# What npm fetches, where there is npm: versions that are known to work.
+NODE_MODULES = {"modbus-serial": "8.0.25", "jsmodbus": "5.0.0"}
+
+
+def needs(program: str):
+    return pytest.mark.skipif(shutil.which(program) is None, reason=f"{program} is not installed")
+
+
+def run(*command: str, **options) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=LIMIT_S, check=False, **options
+    )
+
+
+@pytest.fixture(scope="module")
+def served():
+    """A daemon with Modbus over TCP."""
+    with Daemon("--modbus", "tcp:127.0.0.1:0") as one:
+        yield one
+
+
+@pytest.fixture(scope="module")
+def expected(served):
+    """What the binary protocol answers."""
+    with served.client() as client:
+        medium = dipole.Medium(*np.array([0.032, 0.74, 0, 1.3], np.float32).astype(float))
+        return client.eval("better", medium, RADII_MM, evaluator="f32").R[0]
+
+
+@pytest.fixture(scope="module")
+def serial():
+    """A daemon at one end of a pair of pseudo terminals; the other end."""
+    if shutil.which("socat") is None:
+        pytest.skip("socat is not installed")
+    with Daemon() as folder_owner:
+        near, far = folder_owner.folder / "near", folder_owner.folder / "far"
+        link = subprocess.Popen(
+            ["socat", f"pty,raw,echo=0,link={near}", f"pty,raw,echo=0,link={far}"]
+        )
+        try:
+            assert eventually(lambda: near.exists() and far.exists())
+            with Daemon("--modbus", f"rtu:{near},19200,N"):
+                yield f"{far},19200"
+        finally:
+            link.terminate()
+            link.wait()
+
+
+def values_of(output: str) -> np.ndarray:
+    """The numbers of lines such as `0.1 mm: 2.5 1/mm^2` and mbpoll's `[312]: 2.5`."""
+    found = re.findall(r"(?:mm|\]): *\t? *([-+0-9.eE]+)", output)
+    return np.array([float(text) for text in found])
+
+
+def check(result: subprocess.CompletedProcess[str], expected: np.ndarray, digits: int) -> None:
+    """digits: that the client prints; with 9 a float is told apart from its neighbours."""
+    assert result.returncode == 0, result.stdout + result.stderr
+    found = values_of(result.stdout)
+    assert len(found) == 10, result.stdout
+    if digits >= 9:
+        np.testing.assert_array_equal(found.astype(np.float32), expected)
+    else:
+        assert [f"{x:.{digits}g}" for x in found] == [f"{x:.{digits}g}" for x in expected]
+
+
+# ---- reading R at ten distances ------------------------------------------------------------------
+
+
+@needs("mbpoll")
+def test_mbpoll(served, expected):
+    check(run(str(EXAMPLES / "profile.sh"), served.modbus()), expected, 6)
+
+
+@needs("mbpoll")
+def test_mbpoll_on_a_serial_line(serial, expected):
+    check(run(str(EXAMPLES / "profile.sh"), serial), expected, 6)
+
+
+needs_pymodbus = pytest.mark.skipif(
+    importlib.util.find_spec("pymodbus") is None, reason="pymodbus is not installed"
+)
+
+
+@needs_pymodbus
+def test_pymodbus(served, expected):
+    check(run(sys.executable, str(EXAMPLES / "profile.py"), served.modbus()), expected, 9)
+
+
+@needs_pymodbus
+def test_pymodbus_on_a_serial_line(serial, expected):
+    check(run(sys.executable, str(EXAMPLES / "profile.py"), serial), expected, 9)
+
+
+@pytest.fixture(scope="module")
+def node_modules():
+    """Where npm has put what the JavaScript examples need."""
+    if shutil.which("node") is None or shutil.which("npm") is None:
+        pytest.skip("node and npm are not installed")
+    folder = BUILD / "node"
+    folder.mkdir(parents=True, exist_ok=True)
+    if not all((folder / "node_modules" / name).is_dir() for name in NODE_MODULES):
+        wanted = [f"{name}@{version}" for name, version in NODE_MODULES.items()]
+        options = ["--no-audit", "--no-fund", "--ignore-scripts", "--omit=optional"]
+        try:
+            fetched = run("npm", "install", *options, *wanted, cwd=folder)
+            failure = fetched.stderr.strip()[-200:] if fetched.returncode else ""
+        except subprocess.TimeoutExpired:
+            failure = "it takes too long"
+        if failure:
+            pytest.skip(f"npm cannot install {' '.join(wanted)}: {failure}")
+    return folder / "node_modules"
+
+
+@pytest.mark.parametrize("script", ["profile.js", "jsmodbus.js"])
+def test_node(served, expected, node_modules, script):
+    environment = {**os.environ, "NODE_PATH": str(node_modules)}
+    check(
+        run("node", str(EXAMPLES / script), served.modbus(), env=environment), expected, 9
+    )
+
+
+# ---- tools that judge ----------------------------------------------------------------------------
+
+
+@needs("cc")
+def test_libmodbus_random_test_client(served, tmp_path):
+    """Debian's copy, compiled where it is; only its port is another one."""
+    if not SUITE.exists():
+        pytest.skip("libmodbus-dev's examples are not installed")
+    port = served.modbus().rpartition(":")[2]
+    elsewhere = tmp_path / "elsewhere.h"
+    elsewhere.write_text(
+        f"#include <modbus.h>\n#define modbus_new_tcp(ip, port) modbus_new_tcp(ip, {port})\n"
+    )
+    flags = run("pkg-config", "--cflags", "--libs", "libmodbus").stdout.split()
+    program = tmp_path / "random-test-client"
+    compiled = run("cc", "-include", str(elsewhere), str(SUITE), "-o", str(program), *flags)
+    assert compiled.returncode == 0, compiled.stderr
+    result = run(str(program))
+    assert "Test: SUCCESS" in result.stdout, result.stdout[-2000:]
+
+
+@needs("nmap")
+def test_nmap_prints_the_identification(served):
+    port = served.modbus().rpartition(":")[2]
+    script = ["--script", "+modbus-discover"]
+    result = run("nmap", "-Pn", "-n", "-p", port, *script, "127.0.0.1")
+    assert result.returncode == 0, result.stderr
+    assert "Slave ID data" in result.stdout and "Device identification" in result.stdout
+    with served.client() as client:
+        version = client.info.software.split()[-1]
+    assert "dipoled" in result.stdout and version in result.stdout, result.stdout
+
+
+def conversation(master: TcpMaster) -> None:
+    """Every function, and exceptions."""
+    master.write_registers(0, [1, 2, 3])
+    master.write_register(5, 7)
+    master.write_coils(0, [True, False, True])
+    master.write_coil(9, True)
+    master.mask_write(5, 0xF2, 0x25)
+    for function in (1, 2, 3, 4):
+        master.read(function, 0, 16)
+    master.read_write(300, 20, 0, [1, 2])
+    master.commit(sigma_a=0.032, sigma_s=0.74, r=RADII_MM)
+    master.request(bytes([17]))
+    for level in (1, 2):
+        master.request(bytes([43, 14, level, 0]))
+    master.request(bytes([3, 0xFF, 0xF0, 0, 4]))  # no such registers
+    master.request(bytes([99, 1, 2]))  # no such function
+    master.request(bytes([6, 0, 106, 0, 0]))  # half a float
+
+
+@needs("tshark")
+def test_tshark_decodes_a_conversation(served, tmp_path):
+    with TcpMaster(served.modbus()) as master:
+        conversation(master)
+        exchanges = master.exchanges
+    capture = tmp_path / "modbus.pcap"
+    write_capture(capture, exchanges, port=502)
+    fields = ["-T", "fields", "-e", "mbtcp.trans_id", "-e", "modbus.func_code"]
+    fields += ["-e", "modbus.exception_code", "-e", "_ws.malformed", "-e", "_ws.expert.message"]
+    result = run("tshark", "-r", str(capture), "-Y", "mbtcp", *fields)
+    assert result.returncode == 0, result.stderr
+    rows = [line.split("\t") for line in result.stdout.splitlines()]
+    assert len(rows) == 2 * len(exchanges)
+    for i, (asked, answered) in enumerate(zip(rows[::2], rows[1::2], strict=True)):
+        assert asked[0] == answered[0] == str(exchanges[i].transaction)
+        assert asked[3] == answered[3] == "", (asked, answered)
+    assert sum(row[2] != "" for row in rows) == 3
+    verbose = run("tshark", "-r", str(capture), "-V")
+    assert "Malformed" not in verbose.stdout

@@ -1,0 +1,235 @@
+"""Modbus frames that no master should send: the daemon answers each that can be answered, in order,
+closes what has lost its framing, and gives right answers before and after.
+
+$DIPOLED_FUZZ_FRAMES: how many (20000); $DIPOLED_FUZZ_SEED chooses others. Both are printed."""
+
+from __future__ import annotations
+
+import os
+import random
+import socket
+import struct
+from collections.abc import Iterator
+
+import dipole
+import numpy as np
+from daemons import Daemon
+
+FRAMES = int(os.environ.get("DIPOLED_FUZZ_FRAMES", "20000"))
+SEED = int(os.environ.get("DIPOLED_FUZZ_SEED", "8502"))
+TOGETHER = 16  # frames that are sent before their answers are read
+SILENCE_S = 20.0
+MBAP = struct.Struct(">HHHB")
+EXCEPTIONS = {1, 2, 3, 4, 6, 11}
+EXACT_BYTES = {1: 5, 2: 5, 3: 5, 4: 5, 5: 5, 6: 5, 22: 7, 17: 1}  # of a PDU
+EDGES = [0, 1, 99, 100, 101, 106, 107, 114, 119, 120, 219, 220, 259, 260, 299, 300, 659, 660, 700]
+EDGES += [1119, 1200, 1299, 1300, 1339, 2100, 2106, 2219, 2300, 2659, 2660, 0x7FFF, 0xFFFF]
+COUNTS = [0, 1, 2, 20, 100, 120, 121, 122, 123, 124, 125, 126, 1968, 1969, 2000, 2001, 0xFFFF]
+JOB = struct.pack(">4H5f2H2f", 1, 2, 2, 1, 0.0, 0.032, 0.74, 0.0, 1.3, 2, 4, 0.5, 2.0)
+
+
+# ---- frames --------------------------------------------------------------------------------------
+
+
+def word(rng: random.Random, usual: list[int]) -> int:
+    return rng.choice(usual) if rng.random() < 0.8 else rng.getrandbits(16)
+
+
+def head(rng: random.Random) -> bytes:
+    return struct.pack(">HH", word(rng, EDGES), word(rng, COUNTS))
+
+
+def data(rng: random.Random, count: int, most: int) -> bytes:
+    """Registers or bits with their byte count, which is sometimes a lie."""
+    values = rng.randbytes(min(count, most))
+    return bytes([len(values) if rng.random() < 0.8 else rng.getrandbits(8)]) + values
+
+
+def pdu_of_a_function(rng: random.Random) -> bytes:
+    """Of each function's own form, with fields at and beyond their limits."""
+    function = rng.choice([1, 2, 3, 4, 5, 6, 15, 16, 22, 23, 17, 43])
+    if function == 5:
+        return bytes([5]) + struct.pack(">HH", word(rng, EDGES), word(rng, [0, 0xFF00, 1]))
+    if function in (15, 16):
+        count = word(rng, COUNTS)
+        size = (count + 7) // 8 if function == 15 else 2 * count
+        return bytes([function]) + struct.pack(">HH", word(rng, EDGES), count) + data(rng, size, 247)
+    if function == 22:
+        return bytes([22]) + head(rng) + rng.randbytes(2)
+    if function == 23:
+        count = word(rng, COUNTS)
+        written = struct.pack(">HH", word(rng, EDGES), count)
+        return bytes([23]) + head(rng) + written + data(rng, 2 * count, 243)
+    if function == 17:
+        return bytes([17]) + rng.randbytes(rng.choice([0, 0, 0, 1, 5]))
+    if function == 43:
+        return bytes([43, rng.choice([13, 14, 14, 14]), rng.randint(0, 5), rng.getrandbits(8)])
+    return bytes([function]) + head(rng)
+
+
+def pdu_of_a_job(rng: random.Random) -> bytes:
+    """A job that would be right but for some bits."""
+    job = bytearray(JOB)
+    for _ in range(rng.choice([0, 1, 1, 2, 5])):
+        job[rng.randrange(len(job))] ^= 1 << rng.randrange(8)
+    job[2:4] = struct.pack(">H", rng.choice([0, 1, 2, 12, 14, 9999]))  # models that are quick
+    count = len(job) // 2
+    return struct.pack(">BHHHHB", 23, 300, 20, 100, count, 2 * count) + job
+
+
+def pdu(rng: random.Random) -> bytes:
+    kind = rng.random()
+    if kind < 0.5:
+        return pdu_of_a_function(rng)
+    if kind < 0.7:
+        return pdu_of_a_job(rng)
+    if kind < 0.85:
+        return bytes([rng.randint(0, 127)]) + rng.randbytes(rng.choice([0, 1, 4, 5, 9, 252]))
+    return bytes([rng.choice([3, 16, 23, 43])]) + rng.randbytes(rng.randint(0, 252))
+
+
+def unit(rng: random.Random) -> int:
+    return rng.choice([0, 1, 1, 1, 2, 17, 247, 248, 254, 255])
+
+
+class Frame:
+    """What is sent, and what is known of the answer."""
+
+    def __init__(self, rng: random.Random, transaction: int):
+        kind = rng.random()
+        self.transaction, self.unit, self.pdu = transaction, unit(rng), pdu(rng)
+        self.answered = kind < 0.96
+        if self.answered:
+            self.bytes = MBAP.pack(transaction, 0, 1 + len(self.pdu), self.unit) + self.pdu
+        else:
+            self.bytes = self._broken(rng)
+
+    def _broken(self, rng: random.Random) -> bytes:
+        """What ends the connection, or leaves it in the middle of a frame."""
+        kind = rng.randrange(5)
+        if kind == 0:  # protocol
+            return MBAP.pack(1, rng.randint(1, 65535), 1 + len(self.pdu), 1) + self.pdu
+        if kind == 1:  # length
+            return MBAP.pack(1, 0, rng.choice([0, 1, 255, 256, 65535]), 1) + self.pdu
+        if kind == 2:
+            return MBAP.pack(1, 0, 3, 1) + bytes([rng.randint(128, 255), 0])
+        if kind == 3:
+            return self.bytes_of_a_part(rng)
+        return rng.randbytes(rng.randint(1, 300))
+
+    def bytes_of_a_part(self, rng: random.Random) -> bytes:
+        whole = MBAP.pack(1, 0, 1 + len(self.pdu), 1) + self.pdu
+        return whole[: rng.randrange(1, len(whole))]
+
+
+# ---- sending and judging -------------------------------------------------------------------------
+
+
+class Peer:
+    """A connection that is opened again when it has been closed."""
+
+    def __init__(self, address: str):
+        host, _, port = address.rpartition(":")
+        self._address = (host, int(port))
+        self._open()
+
+    def _open(self) -> None:
+        self.socket = socket.create_connection(self._address, SILENCE_S)
+        self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._file = self.socket.makefile("rb")
+
+    def again(self) -> None:
+        self.close()
+        self._open()
+
+    def close(self) -> None:
+        self._file.close()
+        self.socket.close()
+
+    def answer(self) -> tuple[int, int, bytes]:
+        """Transaction, unit and PDU of the next answer."""
+        header = self._file.read(MBAP.size)
+        assert len(header) == MBAP.size, "closed before an answer"
+        transaction, protocol, length, unit_id = MBAP.unpack(header)
+        assert protocol == 0 and 2 < length <= 254
+        body = self._file.read(length - 1)
+        assert len(body) == length - 1
+        return transaction, unit_id, body
+
+    def rest(self) -> bytes:
+        """All that comes until the daemon closes, after this end has."""
+        try:
+            self.socket.shutdown(socket.SHUT_WR)
+            return self._file.read()
+        except OSError:  # it was reset
+            return b""
+
+
+def check(frame: Frame, answer: tuple[int, int, bytes]) -> bool:
+    """True: not an exception."""
+    transaction, unit_id, body = answer
+    assert (transaction, unit_id) == (frame.transaction, frame.unit), frame.bytes.hex()
+    function = frame.pdu[0]
+    if body[0] == function | 0x80:
+        assert len(body) == 2 and body[1] in EXCEPTIONS, (frame.bytes.hex(), body.hex())
+        return False
+    assert body[0] == function, (frame.bytes.hex(), body.hex())
+    exact = EXACT_BYTES.get(function)
+    assert exact is None or len(frame.pdu) == exact, "carried out with a wrong length"
+    return True
+
+
+def batches(rng: random.Random, count: int) -> Iterator[list[Frame]]:
+    for begin in range(0, count, TOGETHER):
+        yield [Frame(rng, (begin + i) % 65536) for i in range(min(TOGETHER, count - begin))]
+
+
+def fuzz(peer: Peer, rng: random.Random, count: int) -> tuple[int, int, int]:
+    """How many were carried out, refused, and not to be answered."""
+    good = bad = broken = 0
+    for batch in batches(rng, count):
+        try:
+            peer.socket.sendall(b"".join(frame.bytes for frame in batch))
+        except (BrokenPipeError, ConnectionResetError):
+            pass  # closed in the middle, as it should be
+        for i, frame in enumerate(batch):
+            if not frame.answered:
+                peer.rest()
+                peer.again()
+                broken += len(batch) - i  # those behind it are lost with the connection
+                break
+            if check(frame, peer.answer()):
+                good += 1
+            else:
+                bad += 1
+    return good, bad, broken
+
+
+def right_answer(address: str, expected: np.ndarray) -> None:
+    peer = Peer(address)
+    count = len(JOB) // 2
+    body = struct.pack(">BHHHHB", 23, 300, 20, 100, count, 2 * count) + JOB
+    peer.socket.sendall(MBAP.pack(7, 0, 1 + len(body), 99) + body)
+    transaction, unit_id, answer = peer.answer()
+    assert (transaction, unit_id, answer[:2]) == (7, 99, bytes([23, 40]))
+    assert struct.unpack(">2H", answer[2:6]) == (2, 1)
+    np.testing.assert_array_equal(np.frombuffer(answer[26:], ">f4"), expected)
+    peer.close()
+
+
+def test_frames_of_no_master():
+    rng = random.Random(SEED)
+    print(f"DIPOLED_FUZZ_FRAMES={FRAMES} DIPOLED_FUZZ_SEED={SEED}")
+    with Daemon("--modbus", "tcp:127.0.0.1:0") as one, one.client() as client:
+        medium = dipole.Medium(*np.array([0.032, 0.74, 0, 1.3], np.float32).astype(float))
+        grid = dipole.Grid(0.5, 2.0, 4)
+        expected = client.eval("better", medium, grid=grid, evaluator="f32").R[0]
+        right_answer(one.modbus(), expected)
+        peer = Peer(one.modbus())
+        good, bad, broken = fuzz(peer, rng, FRAMES)
+        peer.close()
+        right_answer(one.modbus(), expected)
+        again = client.eval("better", medium, grid=grid, evaluator="f32").R[0]
+        np.testing.assert_array_equal(again, expected)
+    print(f"carried out {good}, refused {bad}, not to be answered {broken}")
+    assert min(good, bad, broken) > FRAMES / 50
