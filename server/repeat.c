@@ -24,7 +24,7 @@ static size_t start_bytes(const uint8_t *payload, size_t payload_bytes) {
 }
 
 /* Words of 8 bytes, mixed as cache_key.c does. */
-static size_t place_of(const uint8_t *request, size_t bytes) {
+static uint64_t hash_of(const uint8_t *request, size_t bytes) {
   uint64_t hash = 0;
   for (size_t i = 0; i < bytes; i += 8) {
     uint64_t word;
@@ -32,7 +32,21 @@ static size_t place_of(const uint8_t *request, size_t bytes) {
     hash = (hash ^ word) * UINT64_C(0x9e3779b97f4a7c15);
     hash ^= hash >> 32;
   }
-  return (size_t)(hash % REPEAT_ENTRIES);
+  return hash;
+}
+
+/* The entry that holds a request; NULL: none does. */
+static struct repeat_entry *look_up(struct repeat *repeat, const uint8_t *request, size_t bytes) {
+  const uint64_t hash = hash_of(request, bytes);
+  struct repeat_set *set = &repeat->sets[hash % REPEAT_SETS];
+  for (size_t i = 0; i < REPEAT_WAYS; i++) {
+    struct repeat_entry *entry = &set->entries[i];
+    if (entry->hash == hash && entry->request_bytes == bytes &&
+        memcmp(entry->request, request, bytes) == 0) {
+      return entry;
+    }
+  }
+  return NULL;
 }
 
 static bool radii_are_right(const struct repeat_entry *entry, const uint8_t *radii) {
@@ -60,16 +74,15 @@ static bool is_kept(const struct repeat_entry *entry) {
   return cache_keeps(cached);
 }
 
-const struct repeat_entry *repeat_find(const struct repeat *repeat, const uint8_t *payload,
+const struct repeat_entry *repeat_find(struct repeat *repeat, const uint8_t *payload,
                                        size_t payload_bytes) {
   const size_t bytes = start_bytes(payload, payload_bytes);
   if (bytes == 0) {
     return NULL;
   }
-  const struct repeat_entry *entry = &repeat->entries[place_of(payload, bytes)];
-  const bool same = entry->request_bytes == bytes && entry->payload_bytes == payload_bytes &&
-                    memcmp(entry->request, payload, bytes) == 0;
-  return same && is_kept(entry) && (!is_listed(entry) || radii_are_right(entry, payload + bytes))
+  const struct repeat_entry *entry = look_up(repeat, payload, bytes);
+  return entry != NULL && entry->payload_bytes == payload_bytes && is_kept(entry) &&
+                 (!is_listed(entry) || radii_are_right(entry, payload + bytes))
              ? entry
              : NULL;
 }
@@ -128,6 +141,21 @@ static bool may_repeat(const struct job *job) {
          (job->order.entry != NULL || core_profile_bytes(&job->order.profile) == 0);
 }
 
+/* Where a request is to be kept: in place of what is known of the same, or of what has been there
+ * longest. */
+static struct repeat_entry *make_room(struct repeat *repeat, const uint8_t *request, size_t bytes) {
+  const uint64_t hash = hash_of(request, bytes);
+  struct repeat_set *set = &repeat->sets[hash % REPEAT_SETS];
+  struct repeat_entry *entry = look_up(repeat, request, bytes);
+  if (entry == NULL) {
+    entry = &set->entries[set->next];
+    set->next = (set->next + 1) % REPEAT_WAYS;
+  }
+  forget(entry);
+  entry->hash = hash;
+  return entry;
+}
+
 void repeat_learn(struct repeat *repeat, const struct job *job) {
   if (!may_repeat(job)) {
     return;
@@ -137,8 +165,7 @@ void repeat_learn(struct repeat *repeat, const struct job *job) {
   const size_t bytes = (size_t)eval_request_bytes(1, fixed->parameter_count, 0);
   const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
   const size_t listed = job->request.radii != NULL ? (size_t)job->count * value_bytes : 0;
-  struct repeat_entry *entry = &repeat->entries[place_of(payload, bytes)];
-  forget(entry);
+  struct repeat_entry *entry = make_room(repeat, payload, bytes);
   entry->request_bytes = bytes;
   entry->payload_bytes = bytes + (size_t)wire_padded(listed);
   entry->reply_bytes = (size_t)job->layout.payload_bytes;
@@ -156,8 +183,8 @@ void repeat_learn(struct repeat *repeat, const struct job *job) {
 }
 
 void repeat_sweep(struct repeat *repeat) {
-  for (size_t i = 0; i < REPEAT_ENTRIES; i++) {
-    struct repeat_entry *entry = &repeat->entries[i];
+  for (size_t i = 0; i < REPEAT_SETS * REPEAT_WAYS; i++) {
+    struct repeat_entry *entry = &repeat->sets[i / REPEAT_WAYS].entries[i % REPEAT_WAYS];
     if (entry->request_bytes > 0 && entry->order.entry != NULL &&
         !cache_keeps(entry->order.entry)) {
       forget(entry);
@@ -166,7 +193,7 @@ void repeat_sweep(struct repeat *repeat) {
 }
 
 void repeat_end(struct repeat *repeat) {
-  for (size_t i = 0; i < REPEAT_ENTRIES; i++) {
-    forget(&repeat->entries[i]);
+  for (size_t i = 0; i < REPEAT_SETS * REPEAT_WAYS; i++) {
+    forget(&repeat->sets[i / REPEAT_WAYS].entries[i % REPEAT_WAYS]);
   }
 }

@@ -11,13 +11,15 @@
 struct job;
 
 enum {
-  REPEAT_ENTRIES = 64,
+  REPEAT_SETS = 64,           /* a request is kept in one of them, found by hash, */
+  REPEAT_WAYS = 4,            /* in any of its places */
   REPEAT_REQUEST_BYTES = 256, /* before the radii, at most */
   REPEAT_REPLY_BYTES = 72,    /* before the arrays, of a reply with one channel */
 };
 
 /* A request that has been answered. */
 struct repeat_entry {
+  uint64_t hash;
   size_t request_bytes; /* before the radii; 0: the entry is empty */
   size_t payload_bytes; /* and with them */
   size_t reply_bytes;
@@ -31,9 +33,12 @@ struct repeat_entry {
   struct profiles_order order; /* ready, with a reference of its own */
 };
 
-/* Of one worker, on its thread; starts all 0. Each request has one place that it may be in. */
+/* Of one worker, on its thread; starts all 0. */
 struct repeat {
-  struct repeat_entry entries[REPEAT_ENTRIES];
+  struct repeat_set {
+    unsigned next; /* place to be used next */
+    struct repeat_entry entries[REPEAT_WAYS];
+  } sets[REPEAT_SETS];
 };
 
 /* Keeps a job in mind whose reply is complete and whose profile it still has, if it is one that may
@@ -42,7 +47,7 @@ void repeat_learn(struct repeat *repeat, const struct job *job);
 
 /* What a request repeats, if there is nothing wrong with its radii; NULL: nothing is known, or it is
  * to be looked at closely. */
-const struct repeat_entry *repeat_find(const struct repeat *repeat, const uint8_t *payload,
+const struct repeat_entry *repeat_find(struct repeat *repeat, const uint8_t *payload,
                                        size_t payload_bytes);
 
 /* Fills in the reply, reply_bytes; the values are there after batch_finish(). `radii` has room for

@@ -25,6 +25,7 @@ enum {
 
 static void on_poll(uv_poll_t *poll, int status, int events);
 static void on_evaluated(struct modbus_client *client);
+static void settle(struct modbus_connection *c);
 
 static uv_loop_t *loop_of(const struct modbus_connection *c) {
   return worker_loop(c->service->worker);
@@ -194,9 +195,14 @@ static void on_evaluated(struct modbus_client *client) {
   const uint8_t *frame = c->input + c->begin;
   c->waiting = false;
   answer_by_codec(c, frame, frame_bytes(frame), c->bank, 0);
-  if (!c->closing) {
-    next_frame(c);
+  if (c->closing) {
+    return;
+  }
+  next_frame(c);
+  if (c->begin < c->end) {
     modbus_service_run_later(c->service, c);
+  } else { /* as a rule: the loop then waits for the next, and need not look once more before it */
+    settle(c);
   }
 }
 
