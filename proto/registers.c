@@ -1,7 +1,6 @@
 #include "proto/registers.h"
 
 #include <stdio.h>
-#include <string.h>
 
 const registers_block registers_blocks[REGISTERS_BLOCKS] = {
 #define REGISTERS_BLOCK(id, IDENT, first, length, name, about) {id, first, length, name, about},
@@ -116,14 +115,6 @@ static float float_of(uint16_t high, uint16_t low) {
   float value;
   memcpy(&value, &bits, sizeof value);
   return value;
-}
-
-uint16_t registers_u16(const uint16_t image[REGISTERS_END], unsigned address) {
-  return image[address];
-}
-
-float registers_f32(const uint16_t image[REGISTERS_END], unsigned address) {
-  return float_of(image[address], image[address + 1]);
 }
 
 void registers_set_u16(uint16_t image[REGISTERS_END], unsigned address, unsigned value) {

@@ -8,6 +8,7 @@
 
 #include <float.h>
 #include <math.h>
+#include <string.h>
 
 #include "core/core.h"
 #include "proto/wire.h"
@@ -106,9 +107,19 @@ bool registers_include(unsigned address, unsigned count, unsigned another);
  * REGISTERS_AT_COMMIT when there is none of its own. */
 unsigned registers_of_field(const char *field, uint64_t index);
 
-/* Values of an image. Setting one sets its mirror, if it has one. */
-uint16_t registers_u16(const uint16_t image[REGISTERS_END], unsigned address);
-float registers_f32(const uint16_t image[REGISTERS_END], unsigned address);
+/* Values of an image. */
+static inline uint16_t registers_u16(const uint16_t image[REGISTERS_END], unsigned address) {
+  return image[address];
+}
+
+static inline float registers_f32(const uint16_t image[REGISTERS_END], unsigned address) {
+  const uint32_t bits = (uint32_t)image[address] << 16 | image[address + 1];
+  float value;
+  memcpy(&value, &bits, sizeof value);
+  return value;
+}
+
+/* Setting one sets its mirror, if it has one. */
 void registers_set_u16(uint16_t image[REGISTERS_END], unsigned address, unsigned value);
 void registers_set_u32(uint16_t image[REGISTERS_END], unsigned address, uint32_t value);
 void registers_set_f32(uint16_t image[REGISTERS_END], unsigned address, float value);

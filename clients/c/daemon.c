@@ -75,17 +75,26 @@ static int prepare_attributes(posix_spawnattr_t *attributes) {
                                                         POSIX_SPAWN_SETPGROUP);
 }
 
-/* The program's environment, to be freed, without the variable that would make the daemon listen
- * for others too. */
+/* Whether a variable would make the daemon serve others, too. */
+static bool serves_others(const char *variable) {
+  static const char *const names[] = {"DIPOLED_LISTEN=", "DIPOLED_METRICS=", "DIPOLED_MODBUS="};
+  for (size_t i = 0; i < sizeof names / sizeof names[0]; i++) {
+    if (strncmp(variable, names[i], strlen(names[i])) == 0) {
+      return true;
+    }
+  }
+  return false;
+}
+
+/* The program's environment, to be freed, without those. */
 static char **private_environment(void) {
-  static const char listen[] = "DIPOLED_LISTEN=";
   size_t count = 0;
   while (environ[count] != NULL) {
     count++;
   }
   char **kept = calloc(count + 1, sizeof *kept);
   for (size_t i = 0, at = 0; kept != NULL && i < count; i++) {
-    if (strncmp(environ[i], listen, sizeof listen - 1) != 0) {
+    if (!serves_others(environ[i])) {
       kept[at++] = environ[i];
     }
   }

@@ -59,7 +59,15 @@ bool modbus_access_read(const struct options_list *list, struct modbus_access *a
   return true;
 }
 
+/* ::/0 is all of IPv6, and nothing of IPv4. */
+static bool is_ipv4(const struct modbus_network *network) {
+  return IN6_IS_ADDR_V4MAPPED(&network->address) && network->bits >= IPV6_BITS - IPV4_BITS;
+}
+
 static bool is_in(const struct in6_addr *address, const struct modbus_network *network) {
+  if (is_ipv4(network) != !!IN6_IS_ADDR_V4MAPPED(address)) {
+    return false;
+  }
   const unsigned whole = network->bits / 8;
   const unsigned mask = 0xff00U >> network->bits % 8 & 0xff;
   const unsigned differs =

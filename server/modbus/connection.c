@@ -20,6 +20,9 @@ enum {
   LENGTH_MAX = 254,
   /* What an empty socket takes for sure, whatever the overhead of small segments. */
   SURELY_TAKEN_BYTES = 4096,
+  /* What the kernel keeps in each direction for a master that does not read; without a bound it
+   * grows to megabytes, and much less than a segment of the loopback makes it drop those. */
+  SOCKET_BUFFER_BYTES = 65536,
   LINGER_MS = 1000, /* for a peer that does not close after the last answer */
 };
 
@@ -351,7 +354,10 @@ static void on_poll(uv_poll_t *poll, int status, int events) {
 
 void modbus_connection_start(struct modbus_connection *c) {
   const int on = 1;
+  const int bytes = SOCKET_BUFFER_BYTES;
   setsockopt(c->fd, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
+  setsockopt(c->fd, SOL_SOCKET, SO_RCVBUF, &bytes, sizeof bytes);
+  setsockopt(c->fd, SOL_SOCKET, SO_SNDBUF, &bytes, sizeof bytes);
   modbus_service_remember(c->service, c);
   const int polled = uv_poll_init(loop_of(c), &c->poll, c->fd);
   c->poll.data = c;

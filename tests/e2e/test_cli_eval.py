@@ -8,6 +8,7 @@ import struct
 
 import pytest
 from command_line import FAILED, Proxy, busy, dipole, eval_json, eval_rows, points, read_csv
+from daemons import read_log_line
 from lists import everywhere
 from test_cli_numbers import many_numbers
 
@@ -249,6 +250,16 @@ def test_a_private_daemon_listens_for_nobody_else(tmp_path):
     path = tmp_path / "socket"
     dipole("media", env={"DIPOLED_LISTEN": f"unix:{path}"})
     assert not path.exists()
+
+
+def test_a_private_daemon_serves_nothing_else(daemon):
+    """Where another daemon does, which would keep it from starting."""
+    one = daemon("--modbus", "tcp:127.0.0.1:0", "--metrics", "127.0.0.1:0")
+    modbus = one.url("modbus-tcp").removeprefix("modbus-")
+    line = next(line for line in map(read_log_line, one.log) if line.get("event") == "metrics")
+    metrics = line["url"].removeprefix("http://").split("/")[0]
+    dipole("media", env={"DIPOLED_MODBUS": modbus})
+    dipole("media", env={"DIPOLED_METRICS": metrics})
 
 
 def test_a_busy_daemon_is_asked_again(daemon):

@@ -16,7 +16,18 @@ NUMBERS = {
         re.M,
     )
 }
-OTHERS = ["listen", "fd", "isa", "metrics", "log-level", "help", "version"]
+OTHERS = [
+    "listen",
+    "fd",
+    "isa",
+    "metrics",
+    "modbus",
+    "modbus-allow",
+    "modbus-read-only",
+    "log-level",
+    "help",
+    "version",
+]
 NOWHERE = ["--listen", "tcp:127.0.0.1:0"]
 
 
@@ -147,3 +158,24 @@ def test_log_level_error_is_quiet(daemon, tmp_path_factory):
     with quiet.client() as client:
         client.ping()
     assert quiet.log == []
+
+
+def test_a_flag_in_the_environment(daemon):
+    for value in ("0", "1"):
+        with daemon(env={"DIPOLED_MODBUS_READ_ONLY": value}).client() as client:
+            client.ping()
+    ended = run(*NOWHERE, env={"DIPOLED_MODBUS_READ_ONLY": "yes"})
+    assert ended.returncode == 2 and "modbus-read-only" in ended.stderr
+
+
+def test_two_lists_from_the_environment(daemon, tmp_path_factory):
+    """Each keeps its own items."""
+    folder = tmp_path_factory.mktemp("l")
+    env = {
+        "DIPOLED_LISTEN": f"unix:{folder}/a,unix:{folder}/b",
+        "DIPOLED_MODBUS": "tcp:127.0.0.1:0;tcp:127.0.0.1:0",
+        "DIPOLED_MODBUS_ALLOW": "127.0.0.0/8,::1",
+    }
+    one = daemon(env=env, listen=[])
+    assert f"unix:{folder}/a" in one.urls and f"unix:{folder}/b" in one.urls
+    assert len(one.urls) == 4

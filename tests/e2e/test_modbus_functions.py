@@ -1,0 +1,279 @@
+"""Every Modbus function, right and wrong, over TCP."""
+
+from __future__ import annotations
+
+import random
+import struct
+
+import pytest
+from daemons import Daemon
+from modbus_master import (
+    AT,
+    BAD_ADDRESS,
+    BAD_FUNCTION,
+    BAD_VALUE,
+    MASK_WRITE,
+    MIRROR,
+    READ_COILS,
+    READ_HOLDING,
+    READ_INPUTS,
+    WRITE_COIL,
+    WRITE_COILS,
+    WRITE_READ,
+    WRITE_REGISTER,
+    WRITE_REGISTERS,
+    Exception_,
+    Tcp,
+    as_floats,
+    as_words,
+    floats,
+    words,
+)
+
+BAD_VALUE_STATUS, BAD_ADDRESS_STATUS = 6, 13
+NAN, INF = float("nan"), float("inf")
+
+
+@pytest.fixture(scope="module")
+def slave():
+    one = Daemon("--modbus", "tcp:127.0.0.1:0")
+    yield one.url("modbus-tcp")
+    one.close()
+
+
+@pytest.fixture
+def master(slave):
+    with Tcp(slave) as one:
+        yield one
+
+
+def code_of(master: Tcp, pdu: bytes, unit: int = 1) -> int:
+    """The exception that a request gets."""
+    with pytest.raises(Exception_) as refused:
+        master.ask(pdu, unit)
+    return refused.value.code
+
+
+# ---- plain registers and coils -------------------------------------------------------------------
+
+
+def bits(values: list[int]) -> bytes:
+    data = bytearray((len(values) + 7) // 8)
+    for i, value in enumerate(values):
+        data[i // 8] |= value << i % 8
+    return bytes(data)
+
+
+def test_scratch_registers_and_coils(master):
+    """Everything that libmodbus's random-test-client does, from every address on."""
+    dice = random.Random(1)
+    for first in range(100):
+        count = 100 - first
+        values = [dice.randrange(65536) for _ in range(count)]
+        coils = [value % 2 for value in values]
+        pdu = struct.pack(">BHHB", WRITE_COILS, first, count, (count + 7) // 8) + bits(coils)
+        assert master.ask(pdu) == pdu[1:5]
+        for function in (READ_COILS, READ_INPUTS):
+            answer = master.ask(struct.pack(">BHH", function, first, count))
+            assert answer == bytes([(count + 7) // 8]) + bits(coils)
+        master.write(first, words(*values))
+        assert as_words(master.read(first, count)) == values
+        inverse = [value ^ 0xFFFF for value in values]
+        assert as_words(master.write_read(first, words(*inverse), first, count)) == inverse
+
+
+def test_one_coil(master):
+    for value in (0xFF00, 0):
+        pdu = struct.pack(">BHH", WRITE_COIL, 99, value)
+        assert master.ask(pdu) == pdu[1:]
+        assert master.ask(struct.pack(">BHH", READ_COILS, 99, 1)) == bytes([1, value > 0])
+    assert code_of(master, struct.pack(">BHH", WRITE_COIL, 0, 1)) == BAD_VALUE
+
+
+def test_mask_write(master):
+    master.write_one(7, 0x12)
+    pdu = struct.pack(">BHHH", MASK_WRITE, 7, 0xF2, 0x25)
+    assert master.ask(pdu) == pdu[1:]
+    assert as_words(master.read(7, 1)) == [0x17]  # the example of the specification
+    assert code_of(master, struct.pack(">BHHH", MASK_WRITE, AT["ETA"], 0, 0)) == BAD_ADDRESS
+    assert code_of(master, struct.pack(">BHHH", MASK_WRITE, AT["MODEL"], 0, 300)) == BAD_VALUE
+    assert code_of(master, struct.pack(">BHHH", MASK_WRITE, 65535, 0, 0)) == BAD_ADDRESS
+
+
+def test_mask_write_commits(master):
+    master.ask(struct.pack(">BHHH", MASK_WRITE, AT["COMMIT"], 0, 9), 30)
+    assert master.job(30)[:2] == (2, 9)
+
+
+# ---- wrong requests ------------------------------------------------------------------------------
+
+FUNCTIONS = [1, 2, 3, 4, 5, 6, 15, 16, 17, 22, 23, 43]
+
+
+@pytest.mark.parametrize("function", [f for f in range(128) if f not in FUNCTIONS])
+def test_unknown_functions(master, function):
+    for length in (0, 4, 252):
+        assert code_of(master, bytes([function]) + bytes(length)) == BAD_FUNCTION
+
+
+def test_unknown_kinds_of_function_43(master):
+    for kind in (0, 13, 15, 255):
+        assert code_of(master, bytes([43, kind, 1, 0])) == BAD_FUNCTION
+
+
+WHOLE = {
+    1: struct.pack(">HH", 0, 1),
+    2: struct.pack(">HH", 0, 1),
+    3: struct.pack(">HH", 0, 1),
+    4: struct.pack(">HH", 0, 1),
+    5: struct.pack(">HH", 0, 0),
+    6: struct.pack(">HH", 0, 1),
+    15: struct.pack(">HHB", 0, 9, 2) + bytes(2),
+    16: struct.pack(">HHB", 0, 2, 4) + bytes(4),
+    17: b"",
+    22: struct.pack(">HHH", 0, 1, 1),
+    23: struct.pack(">HHHHB", 0, 2, 0, 2, 4) + bytes(4),
+    43: bytes([14, 1, 0]),
+}
+
+
+@pytest.mark.parametrize("function", FUNCTIONS)
+def test_lengths(master, function):
+    """A byte more, or any number fewer, and it is refused."""
+    whole = bytes([function]) + WHOLE[function]
+    master.ask(whole)
+    assert code_of(master, whole + b"\0") == BAD_VALUE
+    for length in range(1, len(whole)):
+        assert code_of(master, whole[:length]) == BAD_VALUE
+
+
+COUNTS = [
+    (READ_COILS, 2000),
+    (READ_INPUTS, 2000),
+    (READ_HOLDING, 125),
+    (4, 125),
+]
+
+
+@pytest.mark.parametrize("function, most", COUNTS)
+def test_counts_to_read(master, function, most):
+    for count in (0, most + 1, 65535):
+        assert code_of(master, struct.pack(">BHH", function, 0, count)) == BAD_VALUE
+
+
+def test_counts_to_write(master):
+    for count in (0, 124, 65535):
+        size = min(2 * count, 246)
+        pdu = struct.pack(">BHHB", WRITE_REGISTERS, 0, count, size) + bytes(size)
+        assert code_of(master, pdu) == BAD_VALUE
+    pdu = struct.pack(">BHHB", WRITE_COILS, 0, 1969, 247) + bytes(246)
+    assert code_of(master, pdu) == BAD_VALUE
+    for read, write in [(0, 1), (126, 1), (1, 0), (1, 122)]:
+        pdu = struct.pack(">BHHHHB", WRITE_READ, 0, read, 0, write, min(2 * write, 242))
+        assert code_of(master, pdu + bytes(min(2 * write, 242))) == BAD_VALUE
+    data = bytes(2 * 121)  # the most that there can be: zeros into scratch, and 21 of the input
+    assert code_of(master, struct.pack(">BHHHHB", WRITE_READ, 0, 125, 0, 121, 242) + data) != 1
+
+
+def test_bits_beyond_the_end(master):
+    assert code_of(master, struct.pack(">BHH", READ_COILS, 99, 2)) == BAD_ADDRESS
+    assert code_of(master, struct.pack(">BHH", READ_INPUTS, 65535, 1)) == BAD_ADDRESS
+    assert code_of(master, struct.pack(">BHH", WRITE_COIL, 100, 0)) == BAD_ADDRESS
+    assert code_of(master, struct.pack(">BHHB", WRITE_COILS, 99, 2, 1) + b"\0") == BAD_ADDRESS
+
+
+# ---- values --------------------------------------------------------------------------------------
+
+
+def refused(master: Tcp, address: int, data: bytes, unit: int) -> tuple[int, int, int]:
+    """The exception, the error and the address that a write gets; nothing else has changed."""
+    before = master.read(100, 160, unit)
+    with pytest.raises(Exception_) as why:
+        master.write(address, data, unit)
+    assert master.read(100, 160, unit) == before
+    job = master.job(unit)
+    return why.value.code, job.error, job.error_address
+
+
+HALVES = [
+    (AT["ETA"], 1, AT["ETA"]),
+    (AT["ETA"] + 1, 1, AT["ETA"]),
+    (AT["G"] + 1, 3, AT["G"]),
+    (AT["SIGMA_A"], 3, AT["SIGMA_S"]),
+    (AT["RADII"] + 99, 1, AT["RADII"] + 98),
+    (MIRROR + AT["ETA"] + 1, 1, AT["ETA"]),
+]
+
+
+@pytest.mark.parametrize("address, count, at", HALVES)
+def test_half_a_float(master, address, count, at):
+    assert refused(master, address, bytes(2 * count), 40) == (2, BAD_ADDRESS_STATUS, at)
+
+
+READ_ONLY = [AT["STATUS"], AT["R"], AT["ERROR_TEXT"], 700, 1200, 1300, MIRROR + AT["R"]]
+
+
+@pytest.mark.parametrize("address", READ_ONLY)
+def test_what_is_not_written(master, address):
+    expected = (2, BAD_ADDRESS_STATUS, address % MIRROR)
+    assert refused(master, address, bytes(2), 41) == expected
+    assert code_of(master, struct.pack(">BHH", WRITE_REGISTER, address, 0), 41) == BAD_ADDRESS
+
+
+FLOATS = {
+    "SIGMA_A": [-1.0, 2e15, NAN, INF],
+    "SIGMA_S": [-1e-30, NAN],
+    "G": [1.0, -1.0, NAN],
+    "ETA": [0.0, 1e-4, 1001.0, -1.3, NAN],
+    "RADIUS_START": [-1.0, INF, NAN],
+    "RADIUS_STOP": [-1.0, INF, NAN],
+    "RADII": [-1e-38, NAN, -INF],
+    "PARAMETER_TOLERANCE": [1.5, -0.5, NAN],
+    "PARAMETER_THICKNESS": [-2.0, NAN, INF],
+}
+
+
+@pytest.mark.parametrize("name, value", [(n, v) for n, vs in FLOATS.items() for v in vs])
+def test_floats_out_of_range(master, name, value):
+    assert refused(master, AT[name], floats(value), 42) == (3, BAD_VALUE_STATUS, AT[name])
+    text = master.read(AT["ERROR_TEXT"], 40, 42).rstrip(b"\0").decode("ascii")
+    assert " to " in text
+    mirrored = words(*reversed(as_words(floats(value))))
+    assert refused(master, MIRROR + AT[name], mirrored, 42) == (3, BAD_VALUE_STATUS, AT[name])
+
+
+IDS = {
+    "MODEL": [30, 65535],
+    "EVALUATOR": [0, 4],
+    "MOMENTS": [0, 5],
+    "SPACING": [0, 4],
+    "RADIUS_COUNT": [0, 51],
+    "WANTED": [0, 8],
+}
+
+
+@pytest.mark.parametrize("name, value", [(n, v) for n, vs in IDS.items() for v in vs])
+def test_integers_out_of_range(master, name, value):
+    assert refused(master, AT[name], words(value), 43) == (3, BAD_VALUE_STATUS, AT[name])
+    pdu = struct.pack(">BHH", WRITE_REGISTER, AT[name], value)
+    assert code_of(master, pdu, 43) == BAD_VALUE
+
+
+def test_one_wrong_value_among_many(master):
+    """Nothing of the request is written, and the address is that of the value."""
+    expected = (3, BAD_VALUE_STATUS, AT["RADII"] + 6)
+    assert refused(master, AT["RADII"], floats(1, 2, 3, NAN, 5), 44) == expected
+
+
+def test_a_refused_read_changes_nothing(master):
+    master.write(AT["SIGMA_A"], floats(0.25), 45)
+    before = master.read(300, 360, 45)
+    assert code_of(master, struct.pack(">BHH", READ_HOLDING, 650, 20), 45) == BAD_ADDRESS
+    assert master.read(300, 360, 45) == before
+
+
+def test_function_23_that_cannot_be_read_writes_nothing(master):
+    pdu = struct.pack(">BHHHHB", WRITE_READ, 5000, 1, AT["SIGMA_A"], 2, 4) + floats(9.0)
+    assert code_of(master, pdu, 46) == BAD_ADDRESS
+    assert as_floats(master.read(AT["SIGMA_A"], 2, 46))[0] != 9.0
+    assert master.job(46).error_address == 5000

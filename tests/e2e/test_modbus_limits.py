@@ -1,0 +1,371 @@
+"""Modbus over TCP with masters that are slow, many, elsewhere or wrong, and how it ends."""
+
+from __future__ import annotations
+
+import re
+import resource
+import select
+import socket
+import struct
+import time
+
+import numpy as np
+import pytest
+from daemons import Daemon, run
+from frames import assert_serves
+from modbus_master import (
+    AT,
+    BAD_FUNCTION,
+    READ_HOLDING,
+    Exception_,
+    Lost,
+    Tcp,
+    as_words,
+    floats,
+    input_block,
+    words,
+)
+
+READ_ONE = struct.pack(">BHH", READ_HOLDING, 0, 1)
+READ_MOST = struct.pack(">BHH", READ_HOLDING, 0, 125)
+
+
+def address_of(one: Daemon) -> str:
+    return one.url("modbus-tcp")
+
+
+# ---- framing -------------------------------------------------------------------------------------
+
+
+def test_one_byte_at_a_time(daemon):
+    one = daemon("--modbus", "tcp:127.0.0.1:0")
+    with Tcp(address_of(one)) as master:
+        for byte in master.frame(1, READ_ONE):
+            master.socket.sendall(bytes([byte]))
+        assert master.receive()[2] == b"\3\2\0\0"
+
+
+@pytest.mark.parametrize("count", [2, 17, 500])
+def test_pipelined_requests_are_answered_in_order(daemon, count):
+    one = daemon("--modbus", "tcp:127.0.0.1:0")
+    with Tcp(address_of(one)) as master:
+        frames = []
+        for i in range(count):
+            value = struct.pack(">BHHHHB", 23, 300, 8, 100, 1, 2) + words(i + 1)
+            frames.append(master.frame(1, value if i % 3 == 0 else READ_ONE))
+        master.socket.sendall(b"".join(frames))
+        for i in range(count):
+            transaction, _, answer = master.receive()
+            assert transaction == i + 1
+            if i % 3 == 0:
+                assert as_words(answer[2:6]) == [2, i + 1]
+
+
+BAD_FRAMES = {
+    "protocol": "0001 0001 0006 01 03 0000 0001",
+    "protocol in its second byte": "0001 0100",
+    "length 0": "0001 0000 0000",
+    "length 1": "0001 0000 0001 01",
+    "length 255": "0001 0000 00ff 01 03",
+    "length 65535": "0001 0000 ffff",
+    "an answer": "0001 0000 0003 01 83 02",
+    "function 0xff": "0001 0000 0006 01 ff 0000 0001",
+    "text": b"GET / HTTP/1.1\r\n\r\n".hex(),
+}
+
+
+@pytest.mark.parametrize("name", BAD_FRAMES)
+def test_frames_that_close_the_connection(daemon, name):
+    """What was asked before is answered."""
+    one = daemon("--modbus", "tcp:127.0.0.1:0")
+    with Tcp(address_of(one)) as master:
+        good = master.frame(1, READ_ONE)
+        master.socket.sendall(good + bytes.fromhex(BAD_FRAMES[name]) + bytes(5000))
+        assert master.receive()[2] == b"\3\2\0\0"
+        assert master.is_closed()
+    with Tcp(address_of(one)) as master:
+        assert master.statistic("modbus_bad_frames") == 1
+
+
+def test_a_master_that_has_said_all_is_answered(daemon):
+    """It closes its side at once, as with nc."""
+    one = daemon("--modbus", "tcp:127.0.0.1:0")
+    with Tcp(address_of(one)) as master:
+        master.socket.sendall(
+            b"".join(master.frame(1, struct.pack(">BHH", 6, 100, i + 1)) for i in range(40))
+        )
+        master.socket.shutdown(socket.SHUT_WR)
+        for i in range(40):
+            assert as_words(master.receive()[2][1:]) == [100, i + 1]
+        assert master.is_closed()
+
+
+# ---- time ----------------------------------------------------------------------------------------
+
+
+def test_a_frame_that_does_not_arrive(daemon):
+    one = daemon("--modbus", "tcp:127.0.0.1:0", "--modbus-frame-timeout-ms", "50")
+    for length in range(1, 12, 5):
+        with Tcp(address_of(one)) as master:
+            master.socket.sendall(master.frame(1, READ_ONE)[:length])
+            assert master.is_closed()
+    assert any("frame-timeout" in line for line in one.log)
+
+
+def test_a_slow_frame_delays_nobody_and_has_no_more_time(daemon):
+    """Bytes that trickle in do not begin its time anew."""
+    one = daemon("--modbus", "tcp:127.0.0.1:0", "--modbus-frame-timeout-ms", "200")
+    with Tcp(address_of(one)) as slow, Tcp(address_of(one)) as fast:
+        frame = slow.frame(1, struct.pack(">BHHB", 16, 0, 100, 200) + bytes(200))
+        deadline = time.monotonic() + 20
+        with pytest.raises((BrokenPipeError, ConnectionResetError)):
+            for byte in frame:
+                slow.socket.sendall(bytes([byte]))
+                assert fast.read(0, 1) == b"\0\0"
+                assert time.monotonic() < deadline
+                time.sleep(0.02)
+
+
+def test_silence(daemon):
+    one = daemon("--modbus", "tcp:127.0.0.1:0", "--modbus-idle-timeout-ms", "50")
+    with Tcp(address_of(one)) as master:
+        master.read(0, 1)
+        assert master.is_closed()
+
+
+# ---- masters that do not read --------------------------------------------------------------------
+
+MOST_SENT = 2_000_000
+
+
+def fill(master: Tcp, frames: bytes) -> int:
+    """Sends the same frames until no more are taken; how many bytes that were."""
+    sent = 0
+    master.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 16384)
+    master.socket.setblocking(False)
+    while sent < MOST_SENT and select.select([], [master.socket], [], 0.5)[1]:
+        sent += master.socket.send(frames[sent % len(frames) :])
+    master.socket.settimeout(20)
+    return sent
+
+
+def test_a_master_that_does_not_read(daemon):
+    """It is not read from either, so that nothing grows; others are served, and when it reads at
+    last, every answer is there."""
+    one = daemon("--modbus", "tcp:127.0.0.1:0")
+    with Tcp(address_of(one)) as other:
+        master = Tcp(address_of(one))
+        frames = b"".join(master.frame(1, READ_MOST) for _ in range(1000))
+        before = one.resident_bytes()
+        sent = fill(master, frames)
+        assert sent < MOST_SENT
+        assert other.read(0, 1) == b"\0\0"
+        assert one.resident_bytes() - before < 8_000_000
+        answers = np.frombuffer(master.receive_bytes(sent // 12 * 259), np.uint8).reshape(-1, 259)
+        transactions = answers[:, 0].astype(int) * 256 + answers[:, 1]
+        assert np.array_equal(transactions, np.arange(sent // 12) % 1000 + 1)
+        assert (answers[:, 2:] == answers[0, 2:]).all()
+        master.socket.close()
+        assert other.read(0, 1) == b"\0\0"
+
+
+def test_a_master_that_never_reads_is_closed(daemon):
+    one = daemon("--modbus", "tcp:127.0.0.1:0", "--modbus-idle-timeout-ms", "200")
+    with Tcp(address_of(one)) as master:
+        frames = b"".join(master.frame(1, READ_MOST) for _ in range(1000))
+        with pytest.raises((BrokenPipeError, ConnectionResetError)):
+            while True:
+                fill(master, frames)
+        with Tcp(address_of(one)) as other:
+            deadline = time.monotonic() + 20
+            while other.statistic("modbus_connections_open") > 1:
+                assert time.monotonic() < deadline
+
+
+# ---- many ----------------------------------------------------------------------------------------
+
+
+def test_2000_connections(daemon):
+    """File descriptors beyond 1024, which libmodbus's own server could not hold."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = 2000
+    if hard < 2 * wanted + 200:
+        pytest.skip(f"a process may have {hard} file descriptors here")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, wanted + 200), hard))
+    one = daemon("--modbus", "tcp:127.0.0.1:0")
+    masters = [Tcp(address_of(one)) for _ in range(wanted)]
+    try:
+        for i, master in enumerate(masters):
+            unit = 1 + i % 247
+            assert as_words(master.write_read(i % 100, words(i), i % 100, 1, unit)) == [i]
+        assert masters[-1].statistic("modbus_connections_open") == wanted
+        assert masters[-1].write_read(100, input_block(1, radii=[1.0]), 300, 8)[:4] == words(2, 1)
+    finally:
+        for master in masters:
+            master.socket.close()
+
+
+def test_one_too_many(daemon):
+    one = daemon("--modbus", "tcp:127.0.0.1:0", "--max-modbus-connections", "3")
+    masters = [Tcp(address_of(one)) for _ in range(3)]
+    for master in masters:
+        master.read(0, 1)
+    with Tcp(address_of(one)) as late:
+        assert late.is_closed()
+    assert masters[0].statistic("modbus_connections_refused") == 1
+    assert any("reason=max-modbus-connections" in line for line in one.log)
+    masters[2].socket.close()
+    deadline = time.monotonic() + 10
+    while masters[0].statistic("modbus_connections_open") > 2:
+        assert time.monotonic() < deadline
+    with Tcp(address_of(one)) as again:
+        assert again.read(0, 1) == b"\0\0"
+    for master in masters[:2]:
+        master.socket.close()
+
+
+# ---- access --------------------------------------------------------------------------------------
+
+ALLOWED = ["127.0.0.1", "127.0.0.0/8", "127.0.0.1/32", "0.0.0.0/0", "126.0.0.0/7"]
+ELSEWHERE = ["127.0.0.2", "10.0.0.0/8", "128.0.0.0/1", "::/1", "::1", "127.0.0.0/32"]
+
+
+@pytest.mark.parametrize("network", ALLOWED)
+def test_who_is_allowed(daemon, network):
+    one = daemon("--modbus", "tcp:127.0.0.1:0", "--modbus-allow", network)
+    with Tcp(address_of(one)) as master:
+        assert master.read(0, 1) == b"\0\0"
+
+
+@pytest.mark.parametrize("network", ELSEWHERE)
+def test_who_is_not(daemon, network):
+    one = daemon("--modbus", "tcp:127.0.0.1:0", "--modbus-allow", network)
+    with Tcp(address_of(one)) as master:
+        assert master.is_closed()
+    assert one.has_line("event=modbus-refused reason=not-allowed", 5)
+    with one.connect() as connection:
+        assert_serves(connection)
+
+
+def test_a_list_of_networks(daemon):
+    allow = ["--modbus-allow", "10.0.0.0/8", "--modbus-allow", "127.0.0.9/32"]
+    one = daemon("--modbus", "tcp:0.0.0.0:0", *allow)
+    port = address_of(one).rsplit(":", 1)[1]
+    with Tcp(f"127.0.0.1:{port}", source="127.0.0.9") as master:
+        assert master.read(0, 1) == b"\0\0"
+    with Tcp(f"127.0.0.1:{port}", source="127.0.0.8") as master:
+        assert master.is_closed()
+
+
+def test_loopback_by_default(daemon):
+    one = daemon("--modbus", "tcp:0.0.0.0:0")
+    port = address_of(one).rsplit(":", 1)[1]
+    with Tcp(f"127.0.0.1:{port}", source="127.7.7.7") as master:
+        assert master.read(0, 1) == b"\0\0"
+
+
+def test_ipv6(daemon):
+    try:
+        one = daemon("--modbus", "tcp:[::1]:0")
+    except AssertionError as failure:
+        pytest.skip(f"no IPv6 here: {failure}")
+    with Tcp(address_of(one)) as master:
+        assert master.read(0, 1) == b"\0\0"
+
+
+def test_read_only(daemon):
+    one = daemon("--modbus", "tcp:127.0.0.1:0", "--modbus-read-only")
+    with Tcp(address_of(one)) as master:
+        assert master.read(1200, 2) == b"DIPL"
+        for pdu in (
+            struct.pack(">BHH", 5, 0, 0),
+            struct.pack(">BHH", 6, 0, 0),
+            struct.pack(">BHHBB", 15, 0, 1, 1, 0),
+            struct.pack(">BHHBH", 16, 0, 1, 2, 0),
+            struct.pack(">BHHH", 22, 0, 0, 0),
+            struct.pack(">BHHHHBH", 23, 0, 1, 0, 1, 2, 0),
+        ):
+            with pytest.raises(Exception_) as refused:
+                master.ask(pdu)
+            assert refused.value.code == BAD_FUNCTION
+        assert master.ask(b"\x11")[1:3] == b"\x01\xff"
+
+
+# ---- options -------------------------------------------------------------------------------------
+
+
+def test_addresses_from_the_environment(daemon):
+    env = {"DIPOLED_MODBUS": "tcp:127.0.0.1:0;tcp:127.0.0.1:0", "DIPOLED_MODBUS_READ_ONLY": "1"}
+    env["DIPOLED_MODBUS_ALLOW"] = "127.0.0.2,127.0.0.1"
+    one = daemon(env=env)
+    urls = [url for url in one.urls if url.startswith("modbus-tcp:")]
+    assert len(set(urls)) == 2
+    for url in urls:
+        with Tcp(url) as master, pytest.raises(Exception_):
+            master.write_one(0, 1)
+
+
+def test_two_addresses_have_the_same_registers(daemon):
+    one = daemon("--modbus", "tcp:127.0.0.1:0", "--modbus", "tcp:127.0.0.1:0")
+    first, second = [url for url in one.urls if url.startswith("modbus-tcp:")]
+    with Tcp(first) as one_master, Tcp(second) as other:
+        one_master.write(AT["ETA"], floats(1.25), 9)
+        assert other.read(AT["ETA"], 2, 9) == floats(1.25)
+
+
+WRONG = {
+    "no scheme": ["--modbus", "127.0.0.1:502"],
+    "no port": ["--modbus", "tcp:127.0.0.1"],
+    "unix": ["--modbus", "unix:/nonexistent"],
+    "rtu without parity": ["--modbus", "rtu:/dev/null,9600"],
+    "baud": ["--modbus", "rtu:/dev/null,9601,N"],
+    "parity": ["--modbus", "rtu:/dev/null,9600,X"],
+    "unit 0": ["--modbus", "rtu:/dev/null,9600,N,0"],
+    "unit 248": ["--modbus", "rtu:/dev/null,9600,N,248"],
+    "more": ["--modbus", "rtu:/dev/null,9600,N,1,2"],
+    "no device": ["--modbus", "rtu:/nonexistent/tty,9600,N"],
+    "allow": ["--modbus", "tcp:127.0.0.1:0", "--modbus-allow", "localhost"],
+    "bits": ["--modbus", "tcp:127.0.0.1:0", "--modbus-allow", "10.0.0.0/33"],
+    "no bits": ["--modbus", "tcp:127.0.0.1:0", "--modbus-allow", "10.0.0.0/"],
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_options(name):
+    ended = run("--listen", "tcp:127.0.0.1:0", *WRONG[name])
+    assert ended.returncode != 0
+    assert re.search(r"^dipoled: .*(modbus|cannot listen)", ended.stderr, re.M), ended.stderr
+
+
+# ---- the end -------------------------------------------------------------------------------------
+
+
+def test_stopping_answers_what_has_arrived(daemon):
+    one = daemon("--modbus", "tcp:127.0.0.1:0")
+    with Tcp(address_of(one)) as master, Tcp(address_of(one)) as partial:
+        partial.socket.sendall(partial.frame(1, READ_ONE)[:7])
+        partial_is_read = master.read(0, 1)
+        assert partial_is_read == b"\0\0"
+        for i in range(30):
+            master.socket.sendall(master.frame(1, struct.pack(">BHH", 6, 100, i + 1)))
+        one.terminate()
+        for i in range(30):
+            assert as_words(master.receive()[2][1:]) == [100, i + 1]
+        assert master.is_closed() and partial.is_closed()
+
+
+def test_stopping_with_a_master_that_does_not_read(daemon):
+    one = daemon("--modbus", "tcp:127.0.0.1:0", "--drain-timeout-ms", "300")
+    with Tcp(address_of(one)) as master:
+        fill(master, b"".join(master.frame(1, READ_MOST) for _ in range(1000)))
+        one.terminate()
+        one.close()
+
+
+def test_a_daemon_that_is_killed(daemon):
+    one = daemon("--modbus", "tcp:127.0.0.1:0")
+    with Tcp(address_of(one)) as master:
+        master.read(0, 1)
+        one.kill()
+        with pytest.raises((Lost, BrokenPipeError)):
+            master.read(0, 1)

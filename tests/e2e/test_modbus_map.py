@@ -1,0 +1,242 @@
+"""The Modbus register map from outside: discovery, defaults, word orders, units, and the examples of
+proto/REGISTERS.md."""
+
+from __future__ import annotations
+
+import re
+import struct
+
+import numpy as np
+import pytest
+from daemons import REPOSITORY
+from modbus_master import (
+    AT,
+    BAD_ADDRESS,
+    BAD_VALUE,
+    BLOCKS,
+    DEVICE_ID,
+    MIRROR,
+    NO_UNIT,
+    READ_HOLDING,
+    READ_INPUT,
+    REPORT_ID,
+    Exception_,
+    Tcp,
+    as_doubles,
+    as_floats,
+    as_words,
+    floats,
+    input_block,
+    swapped,
+    words,
+)
+
+
+@pytest.fixture(scope="module")
+def slave():
+    """The address of a daemon for all tests here; each test has a unit of its own."""
+    from daemons import Daemon
+
+    one = Daemon("--modbus", "tcp:127.0.0.1:0")
+    yield one.url("modbus-tcp")
+    one.close()
+
+
+@pytest.fixture
+def master(slave):
+    with Tcp(slave) as one:
+        yield one
+
+
+# ---- discovery -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("function", [READ_HOLDING, READ_INPUT])
+def test_discovery(master, function):
+    start = master.read(1200, 14, function=function)
+    assert start[:4] == b"DIPL"
+    version, mirror, most = struct.unpack(">HHH", start[4:10])
+    assert (version, mirror, most) == (1, MIRROR, 50)
+    assert as_floats(start[12:16])[0] == 123456.0
+    assert start[12:].hex() == "47f12000" "200047f1" "f1470020" "0020f147"
+    found = {}
+    at = 1214
+    while (number := as_words(master.read(at, 1, function=function))[0]) != 0xFFFF:
+        found[number] = tuple(as_words(master.read(at + 1, 2, function=function)))
+        at += 3
+    assert found == BLOCKS
+
+
+def test_all_that_can_be_read_is_the_blocks(master):
+    """Every block as a whole, with functions 3 and 4; nothing just outside."""
+    inside = set()
+    for first, length in BLOCKS.values():
+        inside |= set(range(first, first + length))
+        for function in (READ_HOLDING, READ_INPUT):
+            assert len(master.read(first, length, 77, function)) == 2 * length
+    for first, length in BLOCKS.values():
+        for address in (first - 1, first + length):
+            if 0 <= address and address not in inside:
+                with pytest.raises(Exception_) as refused:
+                    master.read(address, 1)
+                assert refused.value.code == BAD_ADDRESS
+    with pytest.raises(Exception_) as refused:
+        master.read(299, 2)
+    assert refused.value.code == BAD_ADDRESS
+
+
+def test_report_server_id(master):
+    answer = master.ask(bytes([REPORT_ID]), 5)
+    assert answer[0] == len(answer) - 1 and answer[1:3] == b"\x05\xff"
+    assert answer[3:].startswith(b"dipoled ")
+
+
+def objects(answer: bytes) -> dict[int, str]:
+    """The objects of an answer to function 43/14, after its function."""
+    count, data, found = answer[5], answer[6:], {}
+    while data:
+        found[data[0]] = data[2 : 2 + data[1]].decode()
+        data = data[2 + data[1] :]
+    assert len(found) == count
+    return found
+
+
+def test_device_identification(master):
+    def ask(code: int, number: int) -> bytes:
+        return master.ask(bytes([DEVICE_ID, 14, code, number]))
+
+    basic = ask(1, 0)
+    assert basic[:5] == bytes([14, 1, 0x82, 0, 0])
+    assert set(objects(basic)) == {0, 1, 2}
+    regular = objects(ask(2, 0))
+    assert set(regular) == {0, 1, 2, 4, 5} and objects(ask(3, 0)) == regular
+    for number, text in regular.items():
+        assert objects(ask(4, number)) == {number: text}
+    assert set(objects(ask(2, 2))) == {2, 4, 5}  # a stream from an object on
+    assert objects(ask(2, 99)) == regular  # one that is not there: from the first on
+    for code, number, expected in [(4, 3, BAD_ADDRESS), (0, 0, BAD_VALUE), (5, 0, BAD_VALUE)]:
+        with pytest.raises(Exception_) as refused:
+            ask(code, number)
+        assert refused.value.code == expected
+
+
+def test_statistics_are_the_daemons(daemon):
+    one = daemon("--modbus", "tcp:127.0.0.1:0")
+    with Tcp(one.url("modbus-tcp")) as master, one.client() as client:
+        master.write_read(100, input_block(1, radii=[1.0]), 300, 8)
+        with pytest.raises(Exception_):
+            master.read(5000, 1)
+        counted = client.statistics()
+        for name in ("transactions", "exceptions", "evaluations", "connections_open"):
+            assert counted[f"modbus_{name}"] == 1
+        assert master.statistic("modbus_exceptions") == 1
+        assert master.statistic("modbus_evaluations") == 1
+        assert master.statistic("modbus_transactions") == 3
+        assert master.statistic("batched_requests") == counted["batched_requests"] == 2
+
+
+# ---- defaults and word orders --------------------------------------------------------------------
+
+
+def test_the_defaults_can_be_committed(master):
+    assert master.job(10) == (0,) * 8
+    assert np.isnan(as_floats(master.read(AT["R"], 100, 10))).all()
+    master.write_one(AT["COMMIT"], 5, 10)
+    job = master.job(10)
+    assert job.status == 2 and job.done == 5 and job.count == 1 and job.model == 2
+    assert as_floats(master.read(AT["R"], 2, 10))[0] > 0
+    assert np.isnan(as_floats(master.read(AT["R"] + 2, 98, 10))).all()
+
+
+def test_both_sides_of_the_mirror(master):
+    """Written on one side, read on the other: floats with their words swapped, all else alike."""
+    master.write(AT["SIGMA_A"], floats(0.5, 2.0, 0.25, 1.25), 11)
+    mirrored = master.read(MIRROR + AT["SIGMA_A"], 8, 11)
+    assert mirrored == swapped(floats(0.5, 2.0, 0.25, 1.25))
+    master.write(MIRROR + AT["RADII"], swapped(floats(0.5, 7.0)), 11)
+    assert as_floats(master.read(AT["RADII"], 4, 11)).tolist() == [0.5, 7.0]
+    master.write(MIRROR + AT["MODEL"], words(1, 2), 11)
+    assert as_words(master.read(AT["MODEL"], 2, 11)) == [1, 2]
+
+
+def test_a_job_through_the_mirror(master):
+    plain = input_block(3, medium=(0.1, 1.0, 0.5, 1.4), grid=(3, 6, 0.25, 16.0))
+    head, medium, shape, ends = plain[:8], plain[8:28], plain[28:32], plain[32:]
+    answer = master.write_read(
+        MIRROR + 100, head + swapped(medium) + shape + swapped(ends), MIRROR + 300, 24, 12
+    )
+    expected = master.write_read(100, plain, 300, 24, 13)
+    assert answer[:16] == expected[:16]
+    assert answer[16:] == swapped(expected[16:])
+    for start in ("R", "CDF", "DISTANCES"):
+        mirrored = master.read(MIRROR + AT[start], 100, 12)
+        assert swapped(mirrored) == master.read(AT[start], 100, 12)
+
+
+def test_doubles_are_the_values(master):
+    master.write_read(100, input_block(1, radii=[0.5, 1.0, 2.0]), 300, 8, 14)
+    single = as_floats(master.read(AT["R"], 6, 14))
+    assert as_doubles(master.read(AT["R_DOUBLE"], 12, 14)).tolist() == single.tolist()
+    assert np.isnan(as_doubles(master.read(AT["R_DOUBLE"] + 12, 120, 14))).all()
+
+
+# ---- units ---------------------------------------------------------------------------------------
+
+
+def test_units_are_apart_and_stay(slave):
+    with Tcp(slave) as one, Tcp(slave) as two:
+        one.write(0, words(1, 2, 3), 20)
+        two.write(0, words(7, 8, 9), 21)
+        assert as_words(two.read(0, 3, 20)) == [1, 2, 3]
+        assert as_words(one.read(0, 3, 21)) == [7, 8, 9]
+    with Tcp(slave) as again:
+        assert as_words(again.read(0, 3, 20)) == [1, 2, 3]
+
+
+def test_units_0_and_255_are_unit_1(master):
+    for unit, value in [(0, 10), (255, 11), (1, 12)]:
+        master.write_one(50, value, unit)
+        for other in (0, 1, 255):
+            assert as_words(master.read(50, 1, other)) == [value]
+
+
+def test_every_unit(master):
+    for unit in range(2, 248):
+        master.write_one(99, unit * 3, unit)
+    for unit in range(2, 248):
+        assert as_words(master.read(99, 1, unit)) == [unit * 3]
+
+
+@pytest.mark.parametrize("unit", range(248, 255))
+def test_units_that_are_not_there(master, unit):
+    with pytest.raises(Exception_) as refused:
+        master.read(0, 1, unit)
+    assert refused.value.code == NO_UNIT
+
+
+# ---- REGISTERS.md --------------------------------------------------------------------------------
+
+
+def examples() -> dict[str, bytes]:
+    """The frames in blocks ```hex NAME: pairs of digits, and comments from # to the line's end."""
+    text = (REPOSITORY / "proto/REGISTERS.md").read_text()
+    return {
+        name: bytes.fromhex(re.sub(r"#.*", "", body))
+        for name, body in re.findall(r"^```hex ([\w-]+)\n(.*?)^```", text, re.M | re.S)
+    }
+
+
+EXAMPLES = examples()
+
+
+@pytest.mark.parametrize("name", [n[:-8] for n in EXAMPLES if n.endswith("-request")])
+def test_examples(daemon, name):
+    one = daemon("--modbus", "tcp:127.0.0.1:0")
+    with Tcp(one.url("modbus-tcp")) as master:
+        master.socket.sendall(EXAMPLES[f"{name}-request"])
+        expected = EXAMPLES[f"{name}-answer"]
+        assert master.receive_bytes(len(expected)).hex() == expected.hex()
+
+
+def test_there_are_examples():
+    assert {"job-request", "job-answer", "discovery-request", "refused-request"} <= set(EXAMPLES)
