@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple
 
 _PCAP_MAGIC, _LINKTYPE_IPV4 = 0xA1B2C3D4, 228
 _CLIENT, _SERVER, _CLIENT_PORT = bytes([192, 0, 2, 1]), bytes([192, 0, 2, 2]), 49152
 _TCP, _ACK_AND_PUSH = 6, 0x18
 
 
-class Exchange(Protocol):
-    """What was sent and what came back."""
+class Exchange(NamedTuple):
+    """What a client sent, and what came back."""
 
     sent: bytes
     received: bytes

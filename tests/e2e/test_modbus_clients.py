@@ -7,6 +7,7 @@ import importlib.util
 import os
 import re
 import shutil
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -14,9 +15,9 @@ from pathlib import Path
 import dipole
 import numpy as np
 import pytest
-from captures import write_capture
+from captures import Exchange, write_capture
 from daemons import BUILD, Daemon, eventually
-from modbus_master import TcpMaster
+from modbus_master import Tcp, input_block, words
 
 TOP = Path(__file__).parents[2]
 EXAMPLES = TOP / "clients/modbus"
@@ -40,8 +41,15 @@ def run(*command: str, **options) -> subprocess.CompletedProcess[str]:
 @pytest.fixture(scope="module")
 def served():
     """A daemon with Modbus over TCP."""
-    with Daemon("--modbus", "tcp:127.0.0.1:0") as one:
-        yield one
+    one = Daemon("--modbus", "tcp:127.0.0.1:0")
+    yield one
+    one.close()
+
+
+@pytest.fixture(scope="module")
+def slave(served) -> str:
+    """HOST:PORT of its Modbus."""
+    return served.url("modbus-tcp").removeprefix("modbus-tcp:")
 
 
 @pytest.fixture(scope="module")
@@ -53,22 +61,21 @@ def expected(served):
 
 
 @pytest.fixture(scope="module")
-def serial():
+def serial(tmp_path_factory):
     """A daemon at one end of a pair of pseudo terminals; the other end."""
     if shutil.which("socat") is None:
         pytest.skip("socat is not installed")
-    with Daemon() as folder_owner:
-        near, far = folder_owner.folder / "near", folder_owner.folder / "far"
-        link = subprocess.Popen(
-            ["socat", f"pty,raw,echo=0,link={near}", f"pty,raw,echo=0,link={far}"]
-        )
-        try:
-            assert eventually(lambda: near.exists() and far.exists())
-            with Daemon("--modbus", f"rtu:{near},19200,N"):
-                yield f"{far},19200"
-        finally:
-            link.terminate()
-            link.wait()
+    folder = tmp_path_factory.mktemp("line")
+    near, far = folder / "near", folder / "far"
+    link = subprocess.Popen(["socat", f"pty,raw,echo=0,link={near}", f"pty,raw,echo=0,link={far}"])
+    try:
+        assert eventually(lambda: near.exists() and far.exists())
+        one = Daemon("--modbus", f"rtu:{near},19200,N")
+        yield f"{far},19200"
+        one.close()
+    finally:
+        link.terminate()
+        link.wait()
 
 
 def values_of(output: str) -> np.ndarray:
@@ -92,8 +99,8 @@ def check(result: subprocess.CompletedProcess[str], expected: np.ndarray, digits
 
 
 @needs("mbpoll")
-def test_mbpoll(served, expected):
-    check(run(str(EXAMPLES / "profile.sh"), served.modbus()), expected, 6)
+def test_mbpoll(slave, expected):
+    check(run(str(EXAMPLES / "profile.sh"), slave), expected, 6)
 
 
 @needs("mbpoll")
@@ -107,8 +114,8 @@ needs_pymodbus = pytest.mark.skipif(
 
 
 @needs_pymodbus
-def test_pymodbus(served, expected):
-    check(run(sys.executable, str(EXAMPLES / "profile.py"), served.modbus()), expected, 9)
+def test_pymodbus(slave, expected):
+    check(run(sys.executable, str(EXAMPLES / "profile.py"), slave), expected, 9)
 
 
 @needs_pymodbus
@@ -137,22 +144,20 @@ def node_modules():
 
 
 @pytest.mark.parametrize("script", ["profile.js", "jsmodbus.js"])
-def test_node(served, expected, node_modules, script):
+def test_node(slave, expected, node_modules, script):
     environment = {**os.environ, "NODE_PATH": str(node_modules)}
-    check(
-        run("node", str(EXAMPLES / script), served.modbus(), env=environment), expected, 9
-    )
+    check(run("node", str(EXAMPLES / script), slave, env=environment), expected, 9)
 
 
 # ---- tools that judge ----------------------------------------------------------------------------
 
 
 @needs("cc")
-def test_libmodbus_random_test_client(served, tmp_path):
+def test_libmodbus_random_test_client(slave, tmp_path):
     """Debian's copy, compiled where it is; only its port is another one."""
     if not SUITE.exists():
         pytest.skip("libmodbus-dev's examples are not installed")
-    port = served.modbus().rpartition(":")[2]
+    port = slave.rpartition(":")[2]
     elsewhere = tmp_path / "elsewhere.h"
     elsewhere.write_text(
         f"#include <modbus.h>\n#define modbus_new_tcp(ip, port) modbus_new_tcp(ip, {port})\n"
@@ -166,8 +171,8 @@ def test_libmodbus_random_test_client(served, tmp_path):
 
 
 @needs("nmap")
-def test_nmap_prints_the_identification(served):
-    port = served.modbus().rpartition(":")[2]
+def test_nmap_prints_the_identification(served, slave):
+    port = slave.rpartition(":")[2]
     script = ["--script", "+modbus-discover"]
     result = run("nmap", "-Pn", "-n", "-p", port, *script, "127.0.0.1")
     assert result.returncode == 0, result.stderr
@@ -177,30 +182,44 @@ def test_nmap_prints_the_identification(served):
     assert "dipoled" in result.stdout and version in result.stdout, result.stdout
 
 
-def conversation(master: TcpMaster) -> None:
-    """Every function, and exceptions."""
-    master.write_registers(0, [1, 2, 3])
-    master.write_register(5, 7)
-    master.write_coils(0, [True, False, True])
-    master.write_coil(9, True)
-    master.mask_write(5, 0xF2, 0x25)
+class Recorded(Tcp):
+    """Keeps what was said."""
+
+    def __init__(self, address: str):
+        super().__init__(address)
+        self.exchanges: list[Exchange] = []
+
+    def exchange(self, unit: int, pdu: bytes) -> bytes:
+        answer = super().exchange(unit, pdu)
+        sent = struct.pack(">HHHB", self.transaction, 0, 1 + len(pdu), unit) + pdu
+        received = struct.pack(">HHHB", self.transaction, 0, 1 + len(answer), unit) + answer
+        self.exchanges.append(Exchange(sent, received))
+        return answer
+
+
+def conversation(master: Recorded) -> None:
+    """Every function, and three exceptions."""
+    master.write(0, words(1, 2, 3))
+    master.write_one(5, 7)
+    master.exchange(1, struct.pack(">BHHBB", 15, 0, 3, 1, 5))
+    master.exchange(1, struct.pack(">BHH", 5, 9, 0xFF00))
+    master.exchange(1, struct.pack(">BHHH", 22, 5, 0xF2, 0x25))
     for function in (1, 2, 3, 4):
-        master.read(function, 0, 16)
-    master.read_write(300, 20, 0, [1, 2])
-    master.commit(sigma_a=0.032, sigma_s=0.74, r=RADII_MM)
-    master.request(bytes([17]))
+        master.exchange(1, struct.pack(">BHH", function, 0, 16))
+    master.write_read(100, input_block(1, radii=RADII_MM), 300, 32)
+    master.exchange(1, bytes([17]))
     for level in (1, 2):
-        master.request(bytes([43, 14, level, 0]))
-    master.request(bytes([3, 0xFF, 0xF0, 0, 4]))  # no such registers
-    master.request(bytes([99, 1, 2]))  # no such function
-    master.request(bytes([6, 0, 106, 0, 0]))  # half a float
+        master.exchange(1, bytes([43, 14, level, 0]))
+    master.exchange(1, struct.pack(">BHH", 3, 0xFFF0, 4))  # no such registers
+    master.exchange(1, bytes([99, 1, 2]))  # no such function
+    master.exchange(1, struct.pack(">BHH", 6, 106, 0))  # half a float
 
 
 @needs("tshark")
-def test_tshark_decodes_a_conversation(served, tmp_path):
-    with TcpMaster(served.modbus()) as master:
+def test_tshark_decodes_a_conversation(slave, tmp_path):
+    with Recorded(slave) as master:
         conversation(master)
-        exchanges = master.exchanges
+    exchanges = master.exchanges
     capture = tmp_path / "modbus.pcap"
     write_capture(capture, exchanges, port=502)
     fields = ["-T", "fields", "-e", "mbtcp.trans_id", "-e", "modbus.func_code"]
@@ -210,7 +229,7 @@ def test_tshark_decodes_a_conversation(served, tmp_path):
     rows = [line.split("\t") for line in result.stdout.splitlines()]
     assert len(rows) == 2 * len(exchanges)
     for i, (asked, answered) in enumerate(zip(rows[::2], rows[1::2], strict=True)):
-        assert asked[0] == answered[0] == str(exchanges[i].transaction)
+        assert asked[0] == answered[0] == str(int.from_bytes(exchanges[i].sent[:2], "big"))
         assert asked[3] == answered[3] == "", (asked, answered)
     assert sum(row[2] != "" for row in rows) == 3
     verbose = run("tshark", "-r", str(capture), "-V")
