@@ -1,0 +1,83 @@
+"""What the README shows works as it stands there."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from daemons import BUILD, environment
+
+TOP = Path(__file__).parents[2]
+README = (TOP / "README.md").read_text()
+LIMIT_S = 120
+
+
+def blocks() -> list[str]:
+    """The indented blocks."""
+    found = re.findall(r"(?:^    .*\n(?:\n(?=    ))?)+", README, re.M)
+    return [re.sub("^    ", "", block, flags=re.M) for block in found]
+
+
+def lines_of(program: str) -> list[str]:
+    return [line for block in blocks() for line in block.splitlines() if line.startswith(program)]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Where the examples are run: the programs are in build/, as in the repository."""
+    (tmp_path / "build").symlink_to(BUILD)
+    (tmp_path / "clients").symlink_to(TOP / "clients")
+    (tmp_path / "samples.csv").write_text("sigma_a,sigma_s,g,eta,r\n0.032,0.74,0,1.3,1\n")
+    return tmp_path
+
+
+def run(command: str, folder: Path, **variables: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        ["sh", "-c", command],
+        cwd=folder,
+        env=environment(**variables),
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize("command", lines_of("build/dipole "))
+def test_shell(folder, command):
+    result = run(command, folder)
+    assert result.returncode == 0, result.stderr
+    assert result.stdout or (folder / "with_R.csv").read_text().count("\n") == 2
+
+
+def test_there_are_shell_examples():
+    assert len(lines_of("build/dipole ")) >= 5
+
+
+def test_python(shared, folder):
+    (script,) = [block for block in blocks() if block.startswith("import dipole")]
+    (folder / "script.py").write_text(script)
+    paths = os.pathsep.join([str(TOP / "clients/python"), os.environ.get("PYTHONPATH", "")])
+    command = f"{sys.executable} script.py"
+    result = run(command, folder, DIPOLED=shared.url(), PYTHONPATH=paths)
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.endswith("transport\n")
+
+
+@pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed")
+def test_modbus(daemon, folder):
+    one = daemon("--modbus", "tcp:127.0.0.1:0")
+    port = one.url("modbus-tcp").rpartition(":")[2]
+    (command,) = lines_of("mbpoll ")
+    result = run(command.replace("5020", port), folder)
+    assert "123456" in result.stdout, result.stdout + result.stderr
+
+
+def test_every_link_leads_somewhere():
+    for target in re.findall(r"\]\(([^)]+)\)", README):
+        assert (TOP / target).exists(), target
