@@ -275,28 +275,6 @@ static void note_partial_frame(struct modbus_connection *c) {
   }
 }
 
-/* What has arrived is answered as far as it can be: what is waited for now. */
-static void settle(struct modbus_connection *c) {
-  if (c->closing || c->lingering || c->waiting) {
-    return; /* that comes to an end in this round, before anything is read */
-  }
-  if (c->unsent_begin < c->unsent_end) {
-    set_events(c, UV_WRITABLE);
-    return;
-  }
-  if (c->ending || c->stopping) {
-    linger(c);
-    return;
-  }
-  note_partial_frame(c);
-  set_events(c, UV_READABLE);
-}
-
-void modbus_connection_run(struct modbus_connection *c) {
-  take_frames(c);
-  settle(c);
-}
-
 /* ---- reading ----------------------------------------------------------------------------------
  */
 
@@ -314,7 +292,10 @@ static void read_more(struct modbus_connection *c) {
     c->end -= c->begin;
     c->begin = 0;
   }
-  const ssize_t got = recv(c->fd, c->input + c->end, sizeof c->input - c->end, 0);
+  const size_t room = sizeof c->input - c->end;
+  const size_t wanted = c->unread > 0 && c->unread < room ? c->unread : room;
+  const ssize_t got = recv(c->fd, c->input + c->end, wanted, 0);
+  c->unread -= got > 0 && (size_t)got < c->unread ? (unsigned)got : c->unread;
   if (got > 0) {
     c->end += (unsigned)got;
     c->active_ms = uv_now(loop_of(c));
@@ -324,6 +305,33 @@ static void read_more(struct modbus_connection *c) {
   } else if (errno != EAGAIN && errno != EINTR) {
     modbus_connection_abort(c);
   }
+}
+
+/* What has arrived is answered as far as it can be: what is waited for now. */
+static void settle(struct modbus_connection *c) {
+  if (c->closing || c->lingering || c->waiting) {
+    return; /* that comes to an end in this round, before anything is read */
+  }
+  if (c->unsent_begin < c->unsent_end) {
+    set_events(c, UV_WRITABLE);
+    return;
+  }
+  if (c->unread > 0 && !c->ending) {
+    read_more(c);
+    modbus_service_run_later(c->service, c);
+    return;
+  }
+  if (c->ending || c->stopping) {
+    linger(c);
+    return;
+  }
+  note_partial_frame(c);
+  set_events(c, UV_READABLE);
+}
+
+void modbus_connection_run(struct modbus_connection *c) {
+  take_frames(c);
+  settle(c);
 }
 
 static void on_poll(uv_poll_t *poll, int status, int events) {
@@ -366,6 +374,10 @@ void modbus_connection_start(struct modbus_connection *c) {
 }
 
 void modbus_connection_stop(struct modbus_connection *c) {
+  int unread = 0;
+  if (!c->lingering && ioctl(c->fd, FIONREAD, &unread) == 0) {
+    c->unread = (unsigned)unread;
+  }
   c->stopping = true;
   modbus_connection_run(c);
 }

@@ -31,10 +31,11 @@ struct modbus_connection {
   bool to_run;  /* in the run queue */
   bool waiting; /* its first frame is being evaluated, on: */
   struct modbus_bank *bank;
-  bool stopping;  /* nothing more is read: the peer or the daemon has done */
-  bool ending;    /* no more frames are taken; closes when all is written */
-  bool lingering; /* shut down; waits for the peer to close, so that it can read the last answer */
-  bool closing;   /* uv_close() has been called */
+  bool stopping;   /* nothing more is read: the peer or the daemon has done */
+  unsigned unread; /* bytes that had arrived when the daemon's stop was wanted */
+  bool ending;     /* no more frames are taken; closes when all is written */
+  bool lingering;  /* shut down; waits for the peer to close, so that it can read the last answer */
+  bool closing;    /* uv_close() has been called */
 
   uint64_t active_ms;        /* when bytes last arrived or left */
   uint64_t frame_started_ms; /* when the unfinished frame began to arrive; 0: there is none */
