@@ -81,8 +81,8 @@ static void set_events(struct modbus_connection *c, int events) {
   }
 }
 
-/* A socket that is closed with unread bytes resets the connection, and the peer may lose answers that
- * it has not read: so what still comes is read and dropped, until the peer closes. */
+/* A socket that is closed with unread bytes resets the connection, and the peer may lose answers
+ * that it has not read: so what still comes is read and dropped, until the peer closes. */
 static void linger(struct modbus_connection *c) {
   if (shutdown(c->fd, SHUT_WR) != 0) {
     modbus_connection_abort(c);
@@ -285,7 +285,8 @@ static void discard(struct modbus_connection *c) {
   }
 }
 
-/* Reads what there is room for: always for the rest of a frame, as whole ones have been answered. */
+/* Reads what there is room for: always for the rest of a frame, as whole ones have been answered.
+ */
 static void read_more(struct modbus_connection *c) {
   if (c->begin > 0) {
     memmove(c->input, c->input + c->begin, c->end - c->begin);

@@ -1,8 +1,8 @@
-/* connection: one Modbus master over TCP. It cuts the stream into frames, has them answered in their
- * order, and writes the answers, without ever waiting for the peer.
+/* connection: one Modbus master over TCP. It cuts the stream into frames, has them answered in
+ * their order, and writes the answers, without ever waiting for the peer.
  *
- * While an answer has not been written whole, no further request is taken up and nothing is read: so
- * one answer at most is kept, and a master that does not read costs what its structure takes.
+ * While an answer has not been written whole, no further request is taken up and nothing is read:
+ * so one answer at most is kept, and a master that does not read costs what its structure takes.
  */
 #ifndef DIPOLED_MODBUS_CONNECTION_H
 #define DIPOLED_MODBUS_CONNECTION_H
@@ -48,8 +48,8 @@ struct modbus_connection {
   uint8_t unsent[MODBUS_FRAME_MAX];
 };
 
-/* For a connected socket that does not block, which it owns from now on; NULL: no memory, fd is still
- * the caller's. Any thread. */
+/* For a connected socket that does not block, which it owns from now on; NULL: no memory, fd is
+ * still the caller's. Any thread. */
 struct modbus_connection *modbus_connection_new(struct modbus_service *service, int fd);
 
 /* On the worker's thread, all of them. */
