@@ -41,8 +41,8 @@ enum index {
   FIELDS
 };
 
-/* 1 + the index of the block, and of the field, that a register belongs to; 0: to none. The compiler
- * refuses any that overlap. */
+/* 1 + the index of the block, and of the field, that a register belongs to; 0: to none. The
+ * compiler refuses any that overlap. */
 static const uint8_t block_at[REGISTERS_END] = {
 #define REGISTERS_BLOCK(id, IDENT, first, length, name, about)                                     \
   [(first)...(first) + (length)-1] = (id),

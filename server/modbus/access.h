@@ -19,8 +19,8 @@ struct modbus_access {
   size_t count;
 };
 
-/* Reads a list of ADDRESS/BITS, or ADDRESS alone; an empty one is this machine. False: *wrong is the
- * item that is none. */
+/* Reads a list of ADDRESS/BITS, or ADDRESS alone; an empty one is this machine. False: *wrong is
+ * the item that is none. */
 bool modbus_access_read(const struct options_list *list, struct modbus_access *access,
                         const char **wrong);
 

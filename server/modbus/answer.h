@@ -1,5 +1,5 @@
-/* answer: what a request does to the registers of its unit, and what it is answered with. Independent
- * of sockets and lines.
+/* answer: what a request does to the registers of its unit, and what it is answered with.
+ * Independent of sockets and lines.
  */
 #ifndef DIPOLED_MODBUS_ANSWER_H
 #define DIPOLED_MODBUS_ANSWER_H

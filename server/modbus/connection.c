@@ -82,8 +82,8 @@ static void set_events(struct modbus_connection *c, int events) {
   }
 }
 
-/* A socket that is closed with unread bytes resets the connection, and the peer may lose answers that
- * it has not read: so what still comes is read and dropped, until the peer closes. */
+/* A socket that is closed with unread bytes resets the connection, and the peer may lose answers
+ * that it has not read: so what still comes is read and dropped, until the peer closes. */
 static void linger(struct modbus_connection *c) {
   if (shutdown(c->fd, SHUT_WR) != 0) {
     modbus_connection_abort(c);
@@ -281,6 +281,39 @@ static void note_partial_frame(struct modbus_connection *c) {
   }
 }
 
+/* ---- reading ----------------------------------------------------------------------------------
+ */
+
+static void discard(struct modbus_connection *c) {
+  const ssize_t got = recv(c->fd, c->input, sizeof c->input, 0);
+  if (got == 0 || (got < 0 && errno != EAGAIN && errno != EINTR)) {
+    modbus_connection_abort(c);
+  }
+}
+
+/* Reads what there is room for: always for the rest of a frame, as whole ones have been answered.
+ */
+static void read_more(struct modbus_connection *c) {
+  if (c->begin > 0) {
+    memmove(c->input, c->input + c->begin, c->end - c->begin);
+    c->end -= c->begin;
+    c->begin = 0;
+  }
+  const size_t room = sizeof c->input - c->end;
+  const size_t wanted = c->unread > 0 && c->unread < room ? c->unread : room;
+  const ssize_t got = recv(c->fd, c->input + c->end, wanted, 0);
+  c->unread -= got > 0 && (size_t)got < c->unread ? (unsigned)got : c->unread;
+  if (got > 0) {
+    c->end += (unsigned)got;
+    c->active_ms = uv_now(loop_of(c));
+    stats_add(stats_of(c), STATS_RECEIVED_BYTES, (uint64_t)got);
+  } else if (got == 0) {
+    c->stopping = true;
+  } else if (errno != EAGAIN && errno != EINTR) {
+    modbus_connection_abort(c);
+  }
+}
+
 /* What has arrived is answered as far as it can be: what is waited for now. */
 static void settle(struct modbus_connection *c) {
   if (c->closing || c->lingering || c->waiting) {
@@ -288,6 +321,11 @@ static void settle(struct modbus_connection *c) {
   }
   if (c->unsent_begin < c->unsent_end) {
     set_events(c, UV_WRITABLE);
+    return;
+  }
+  if (c->unread > 0 && !c->ending) {
+    read_more(c);
+    modbus_service_run_later(c->service, c);
     return;
   }
   if (c->ending || c->stopping) {
@@ -301,35 +339,6 @@ static void settle(struct modbus_connection *c) {
 void modbus_connection_run(struct modbus_connection *c) {
   take_frames(c);
   settle(c);
-}
-
-/* ---- reading ----------------------------------------------------------------------------------
- */
-
-static void discard(struct modbus_connection *c) {
-  const ssize_t got = recv(c->fd, c->input, sizeof c->input, 0);
-  if (got == 0 || (got < 0 && errno != EAGAIN && errno != EINTR)) {
-    modbus_connection_abort(c);
-  }
-}
-
-/* Reads what there is room for: always for the rest of a frame, as whole ones have been answered. */
-static void read_more(struct modbus_connection *c) {
-  if (c->begin > 0) {
-    memmove(c->input, c->input + c->begin, c->end - c->begin);
-    c->end -= c->begin;
-    c->begin = 0;
-  }
-  const ssize_t got = recv(c->fd, c->input + c->end, sizeof c->input - c->end, 0);
-  if (got > 0) {
-    c->end += (unsigned)got;
-    c->active_ms = uv_now(loop_of(c));
-    stats_add(stats_of(c), STATS_RECEIVED_BYTES, (uint64_t)got);
-  } else if (got == 0) {
-    c->stopping = true;
-  } else if (errno != EAGAIN && errno != EINTR) {
-    modbus_connection_abort(c);
-  }
 }
 
 static void on_poll(uv_poll_t *poll, int status, int events) {
@@ -372,6 +381,10 @@ void modbus_connection_start(struct modbus_connection *c) {
 }
 
 void modbus_connection_stop(struct modbus_connection *c) {
+  int unread = 0;
+  if (!c->lingering && ioctl(c->fd, FIONREAD, &unread) == 0) {
+    c->unread = (unsigned)unread;
+  }
   c->stopping = true;
   modbus_connection_run(c);
 }

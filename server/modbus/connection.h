@@ -1,8 +1,8 @@
-/* connection: one Modbus master over TCP. It cuts the stream into frames, has them answered in their
- * order, and writes the answers, without ever waiting for the peer.
+/* connection: one Modbus master over TCP. It cuts the stream into frames, has them answered in
+ * their order, and writes the answers, without ever waiting for the peer.
  *
- * While an answer has not been written whole, no further request is taken up and nothing is read: so
- * one answer at most is kept, and a master that does not read costs what its structure takes.
+ * While an answer has not been written whole, no further request is taken up and nothing is read:
+ * so one answer at most is kept, and a master that does not read costs what its structure takes.
  */
 #ifndef DIPOLED_MODBUS_CONNECTION_H
 #define DIPOLED_MODBUS_CONNECTION_H
@@ -31,10 +31,11 @@ struct modbus_connection {
   bool to_run;  /* in the run queue */
   bool waiting; /* its first frame is being evaluated, on: */
   struct modbus_bank *bank;
-  bool stopping;  /* nothing more is read: the peer or the daemon has done */
-  bool ending;    /* no more frames are taken; closes when all is written */
-  bool lingering; /* shut down; waits for the peer to close, so that it can read the last answer */
-  bool closing;   /* uv_close() has been called */
+  bool stopping;   /* nothing more is read: the peer or the daemon has done */
+  unsigned unread; /* bytes that had arrived when the daemon's stop was wanted */
+  bool ending;     /* no more frames are taken; closes when all is written */
+  bool lingering;  /* shut down; waits for the peer to close, so that it can read the last answer */
+  bool closing;    /* uv_close() has been called */
 
   uint64_t active_ms;        /* when bytes last arrived or left */
   uint64_t frame_started_ms; /* when the unfinished frame began to arrive; 0: there is none */
@@ -47,8 +48,8 @@ struct modbus_connection {
   uint8_t unsent[MODBUS_FRAME_MAX];
 };
 
-/* For a connected socket that does not block, which it owns from now on; NULL: no memory, fd is still
- * the caller's. Any thread. */
+/* For a connected socket that does not block, which it owns from now on; NULL: no memory, fd is
+ * still the caller's. Any thread. */
 struct modbus_connection *modbus_connection_new(struct modbus_service *service, int fd);
 
 /* On the worker's thread, all of them. */

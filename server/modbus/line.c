@@ -211,6 +211,9 @@ static bool is_whole(const struct modbus_line *line) {
 /* What has arrived is a request, or nothing. */
 static void on_silence(uv_timer_t *timer) {
   struct modbus_line *line = timer->data;
+  if (line->context == NULL) {
+    return;
+  }
   size_t begin;
   const size_t bytes = modbus_rtu_find(line->input, line->bytes, line->unit, &begin);
   const bool noise = begin == line->bytes && line->bytes > 0;
@@ -329,6 +332,10 @@ void modbus_line_start(struct modbus_line *line) {
 
 void modbus_line_stop(struct modbus_line *line) {
   if (line->started && !line->stopping) {
+    on_silence(&line->timer); /* a request that has arrived is answered */
+    if (line->waiting) {
+      modbus_service_bank(line->service, line->unit);
+    }
     line->stopping = true;
     uv_close((uv_handle_t *)&line->timer, on_handle_closed);
     close_poll(line);

@@ -1,9 +1,10 @@
-/* line: a serial line on which a master speaks Modbus RTU to one unit, and perhaps to other devices.
+/* line: a serial line on which a master speaks Modbus RTU to one unit, and perhaps to other
+ * devices.
  *
  * A frame ends with silence. One whose length and checksum are right already is answered after 3.5
- * characters of it, which the master has a right to; anything else is waited for longer, as adapters
- * deliver bytes in pieces, and then what there is of frames to other devices and of noise is skipped.
- * A device that goes away is opened again, at first soon, then every half minute.
+ * characters of it, which the master has a right to; anything else is waited for longer, as
+ * adapters deliver bytes in pieces, and then what there is of frames to other devices and of noise
+ * is skipped. A device that goes away is opened again, at first soon, then every half minute.
  */
 #ifndef DIPOLED_MODBUS_LINE_H
 #define DIPOLED_MODBUS_LINE_H

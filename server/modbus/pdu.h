@@ -1,5 +1,5 @@
-/* pdu: Modbus requests, taken apart and checked before the codec sees them, which reads past what is
- * too short and sleeps over what is out of range. No sockets, no registers.
+/* pdu: Modbus requests, taken apart and checked before the codec sees them, which reads past what
+ * is too short and sleeps over what is out of range. No sockets, no registers.
  */
 #ifndef DIPOLED_MODBUS_PDU_H
 #define DIPOLED_MODBUS_PDU_H

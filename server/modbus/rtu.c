@@ -53,8 +53,9 @@ static bool is_frame_of(const uint8_t *bytes, size_t count, size_t length) {
   return length > 0 && length <= count && modbus_rtu_is_frame(bytes, length);
 }
 
-/* The length of the frame that the bytes begin with, a request or an answer; 0: none. If it could be
- * both, the shorter: a frame with a zero behind it, which begins a broadcast, is a frame again. */
+/* The length of the frame that the bytes begin with, a request or an answer; 0: none. If it could
+ * be both, the shorter: a frame with a zero behind it, which begins a broadcast, is a frame again.
+ */
 static size_t first_frame(const uint8_t *bytes, size_t count) {
   const size_t pdu = count > 1 ? modbus_pdu_bytes(bytes + 1, count - 1) : 0;
   const size_t request = pdu > 0 ? 1 + pdu + CHECKSUM_BYTES : 0;

@@ -1,8 +1,8 @@
 /* service: Modbus, beside the binary protocol: its connections, lines and registers.
  *
- * All of it belongs to one worker, the first. Masters that name the same unit share its registers, so
- * that their requests need one order and each has to be atomic: on one thread they are, without a
- * lock, and a request crosses no threads. What is evaluated for them goes through that worker's
+ * All of it belongs to one worker, the first. Masters that name the same unit share its registers,
+ * so that their requests need one order and each has to be atomic: on one thread they are, without
+ * a lock, and a request crosses no threads. What is evaluated for them goes through that worker's
  * profiles, batch and repeated requests, with those of its other connections; what takes long to
  * prepare is prepared on other threads, as for them.
  */

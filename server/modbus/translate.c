@@ -114,8 +114,8 @@ static float rounded_up(double bound) {
   return (double)nearest < bound ? nextafterf(nearest, INFINITY) : nearest;
 }
 
-/* The radii of the question, also of its grid. Infinity, where R is exactly 0, does not count for the
- * largest one. */
+/* The radii of the question, also of its grid. Infinity, where R is exactly 0, does not count for
+ * the largest one. */
 static struct values radii_of(const uint8_t *question, const wire_eval_request *fixed,
                               double room[REGISTERS_RADII_MAX]) {
   const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);

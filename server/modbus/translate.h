@@ -1,5 +1,6 @@
-/* translate: from the input of a register map to an eval request of the binary protocol, and from its
- * reply to the output: so that both protocols are answered by the same code, with the same bits.
+/* translate: from the input of a register map to an eval request of the binary protocol, and from
+ * its reply to the output: so that both protocols are answered by the same code, with the same
+ * bits.
  */
 #ifndef DIPOLED_MODBUS_TRANSLATE_H
 #define DIPOLED_MODBUS_TRANSLATE_H

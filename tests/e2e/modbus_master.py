@@ -1,5 +1,5 @@
-"""Modbus masters that build every byte themselves, over TCP and over a serial line, and the register
-map as proto/registers.def has it."""
+"""Modbus masters that build every byte themselves, over TCP and over a serial line, and the map of
+registers as proto/registers.def has it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ def addresses() -> dict[str, int]:
     text = read_list("proto/registers.def")
     for ident, address in re.findall(r"REGISTERS_(?:FIELD|STATISTIC)\((\w+), (\d+),", text):
         fields[ident] = int(address)
-    for number, ident in re.findall(r"CORE_PARAMETER\((\d+), (\w+),", read_list("core/choices.def")):
+    text = read_list("core/choices.def")
+    for number, ident in re.findall(r"CORE_PARAMETER\((\d+), (\w+),", text):
         fields[f"PARAMETER_{ident}"] = 104 if number == "1" else 216 + 2 * int(number)
     return fields
 

@@ -1,5 +1,5 @@
-"""The Modbus register map from outside: discovery, defaults, word orders, units, and the examples of
-proto/REGISTERS.md."""
+"""The Modbus register map from outside: discovery, defaults, word orders, units, and the examples
+of proto/REGISTERS.md."""
 
 from __future__ import annotations
 

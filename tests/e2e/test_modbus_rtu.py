@@ -215,3 +215,10 @@ def test_stopping_while_the_device_is_away(daemon, line):
     line.close()
     assert one.has_line("event=modbus-device-lost", 10)
     one.terminate()
+
+
+def test_stopping_answers_what_has_arrived(start):
+    master, one = start()
+    master.send(master.frame(7, struct.pack(">BHH", WRITE_REGISTER, AT["COMMIT"], 9)))
+    one.terminate()
+    assert master.receive() == (7, struct.pack(">BHH", WRITE_REGISTER, AT["COMMIT"], 9))

@@ -1,4 +1,5 @@
-/* What Modbus is made of, without a daemon: requests taken apart, frames of serial lines, networks. */
+/* What Modbus is made of, without a daemon: requests taken apart, frames of serial lines, networks.
+ */
 #include <arpa/inet.h>
 #include <modbus.h>
 
