@@ -71,11 +71,24 @@ static unsigned unmirrored(unsigned address) {
   return address >= REGISTERS_MIRROR ? address - REGISTERS_MIRROR : address;
 }
 
-/* Where a register's word is found in the mirror of its block: the words of floats are swapped. */
-static unsigned mirror_of(const registers_field *field, unsigned address) {
-  const unsigned swap = registers_width(field->type) == 2;
-  return REGISTERS_MIRROR + field->address + ((address - field->address) ^ swap);
-}
+/* 1 for registers of floats, whose words the mirror has swapped. They begin at even addresses. */
+#define SWAP_U16 0
+#define SWAP_U32 0
+#define SWAP_F32 1
+#define SWAP_F64 0
+#define SWAP_TEXT 0
+
+static const uint8_t swap_at[REGISTERS_END] = {
+#define REGISTERS_FIELD(IDENT, address, count, TYPE, ACCESS, name, unit, least, most, list,        \
+                        initial, about)                                                            \
+  [(address)...(address) + (count)*WIDTH_##TYPE - 1] = SWAP_##TYPE,
+#include "proto/registers.def"
+};
+
+#define REGISTERS_FIELD(IDENT, address, count, TYPE, ACCESS, name, unit, least, most, list,        \
+                        initial, about)                                                            \
+  _Static_assert(!SWAP_##TYPE || (address) % 2 == 0, "the mirror is found by the lowest bit");
+#include "proto/registers.def"
 
 static bool is_mirrored(unsigned address) {
   const unsigned mirror = address + REGISTERS_MIRROR;
@@ -144,9 +157,10 @@ void registers_set_f32(uint16_t image[REGISTERS_END], unsigned address, float va
 void registers_set_f64(uint16_t image[REGISTERS_END], unsigned address, double value) {
   uint64_t bits;
   memcpy(&bits, &value, sizeof bits);
-  for (unsigned i = 0; i < WIDTH_F64; i++) {
-    image[address + i] = (uint16_t)(bits >> (48 - 16 * i));
-  }
+  image[address] = (uint16_t)(bits >> 48);
+  image[address + 1] = (uint16_t)(bits >> 32);
+  image[address + 2] = (uint16_t)(bits >> 16);
+  image[address + 3] = (uint16_t)bits;
 }
 
 void registers_set_text(uint16_t image[REGISTERS_END], unsigned address, unsigned count,
@@ -203,30 +217,40 @@ static wire_error out_of_range(const registers_field *field) {
   return wire_error_make(WIRE_STATUS_BAD_VALUE, field->name, allowed);
 }
 
+/* The field that a register which is to be written belongs to; NULL: there is none, or it is not
+ * written. *at: the register that it, or its mirror, is. */
+static const registers_field *find_writable(unsigned address, unsigned *at) {
+  *at = unmirrored(address);
+  const registers_field *field = address == *at || is_mirrored(*at) ? find(*at) : NULL;
+  if (field == NULL) {
+    *at = address;
+    return NULL;
+  }
+  return field->access != REGISTERS_RO ? field : NULL;
+}
+
 wire_error registers_check(unsigned address, unsigned count, const uint8_t *values, unsigned *at) {
   const unsigned end = address + count;
   for (unsigned here = address; here < end;) {
-    *at = unmirrored(here);
-    const registers_field *field = here == *at || is_mirrored(*at) ? find(*at) : NULL;
-    if (field == NULL || field->access == REGISTERS_RO) {
-      *at = field == NULL ? here : *at;
-      return bad_address(field == NULL ? "a register of the map" : "one that can be written");
+    const registers_field *field = find_writable(here, at);
+    if (field == NULL) {
+      return bad_address("a register of the map that can be written");
     }
-    const unsigned width = registers_width(field->type);
-    if ((*at - field->address) % width != 0 || end - here < width) {
-      *at -= (*at - field->address) % width;
-      return bad_address("both registers of a float in one request");
-    }
-    const uint16_t first = word_at(values, here - address);
-    double value = first;
-    if (width == 2) {
+    double value = word_at(values, here - address);
+    if (field->type == REGISTERS_F32) {
+      if (*at % 2 != 0 || end - here < WIDTH_F32) {
+        *at -= *at % 2;
+        return bad_address("both registers of a float in one request");
+      }
+      const uint16_t first = word_at(values, here - address);
       const uint16_t second = word_at(values, here - address + 1);
       value = (double)(here == *at ? float_of(first, second) : float_of(second, first));
+      here++;
     }
     if (!is_in_range(field, value)) {
       return out_of_range(field);
     }
-    here += width;
+    here++;
   }
   return wire_error_none();
 }
@@ -236,13 +260,12 @@ void registers_write(uint16_t image[REGISTERS_END], unsigned address, unsigned c
   for (unsigned i = 0; i < count; i++) {
     const unsigned here = address + i;
     const unsigned base = unmirrored(here);
-    const registers_field *field = find(base);
-    image[here] = word_at(values, i);
-    if (here != base) { /* the words of the mirror are those of the field, swapped */
-      const unsigned swap = registers_width(field->type) == 2;
-      image[field->address + ((base - field->address) ^ swap)] = image[here];
-    } else if (is_mirrored(here)) {
-      image[mirror_of(field, here)] = image[here];
+    const uint16_t word = word_at(values, i);
+    image[here] = word;
+    if (here != base) {
+      image[base ^ swap_at[base]] = word;
+    } else if (is_mirrored(base)) {
+      image[(base ^ swap_at[base]) + REGISTERS_MIRROR] = word;
     }
   }
 }

@@ -8,17 +8,19 @@
 /* ---- structures -------------------------------------------------------------------------------
  */
 
-/* Written byte by byte: right on every machine, and compilers make single loads and stores of it.
- */
-static uint8_t *put_u64_bytes(uint8_t *at, uint64_t value, unsigned bytes) {
+/* Byte by byte: right on every machine, and once the loops are unrolled compilers make single loads
+ * and stores of them. */
+static inline uint8_t *put_u64_bytes(uint8_t *at, uint64_t value, unsigned bytes) {
+#pragma GCC unroll 8
   for (unsigned i = 0; i < bytes; i++) {
     at[i] = (uint8_t)(value >> (8 * i));
   }
   return at + bytes;
 }
 
-static uint64_t get_u64_bytes(const uint8_t **at, unsigned bytes) {
+static inline uint64_t get_u64_bytes(const uint8_t **at, unsigned bytes) {
   uint64_t value = 0;
+#pragma GCC unroll 8
   for (unsigned i = 0; i < bytes; i++) {
     value |= (uint64_t)(*at)[i] << (8 * i);
   }
