@@ -50,6 +50,7 @@ def places(architecture: str) -> dict[str, str]:
         "LIBDIR": f"/usr/lib/{architecture}",
         "INCLUDEDIR": "/usr/include",
         "MANDIR": "/usr/share/man",
+        "DOCDIR": "/usr/share/doc",
         "UNITDIR": "/lib/systemd/system",
         "BASHDIR": "/usr/share/bash-completion/completions",
         "ZSHDIR": "/usr/share/zsh/vendor-completions",

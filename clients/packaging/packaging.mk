@@ -4,6 +4,7 @@ BINDIR ?= $(PREFIX)/bin
 LIBDIR ?= $(PREFIX)/lib
 INCLUDEDIR ?= $(PREFIX)/include
 MANDIR ?= $(PREFIX)/share/man
+DOCDIR ?= $(PREFIX)/share/doc
 UNITDIR ?= $(PREFIX)/lib/systemd/system
 BASHDIR ?= $(PREFIX)/share/bash-completion/completions
 ZSHDIR ?= $(PREFIX)/share/zsh/site-functions
@@ -17,6 +18,7 @@ RUN_PYTHON := PYTHONDONTWRITEBYTECODE=1 $(PYTHON)
 # What install.sh fills in.
 INSTALL = BUILD='$(BUILD)' DESTDIR='$(DESTDIR)' VERSION=$(VERSION) SOVERSION=$(SOVERSION) \
 	PREFIX=$(PREFIX) BINDIR=$(BINDIR) LIBDIR=$(LIBDIR) INCLUDEDIR=$(INCLUDEDIR) MANDIR=$(MANDIR) \
+	DOCDIR=$(DOCDIR) \
 	UNITDIR=$(UNITDIR) BASHDIR=$(BASHDIR) ZSHDIR=$(ZSHDIR) PYTHONDIR=$(PYTHONDIR) \
 	sh $(PACKAGING)/install.sh
 
