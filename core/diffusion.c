@@ -40,7 +40,8 @@ core_times core_times_make(double rate, double earliest, double latest, double t
   times.step = PI_SQUARED / (SAFETY - real_log(tolerance, 0));
   times.first = s_of_time(rate * earliest);
   const double last = fmin(SADDLE_LAST + SADDLE_WIDTH, s_of_time(rate * latest));
-  times.count = (size_t)ceil((last - times.first) / times.step) + 1;
+  /* When the decay has ended everything before the earliest time, one node tells that. */
+  times.count = (size_t)fmax(ceil((last - times.first) / times.step), 0) + 1;
   return times;
 }
 

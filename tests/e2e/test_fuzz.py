@@ -92,7 +92,7 @@ def right_request(rng: random.Random) -> tuple[int, bytes]:
     media = [rng.choice([SKIN, SPECTRALON]) for _ in range(rng.randint(1, 4))]
     if rng.random() < 0.4:
         spacing = rng.choice([LINEAR, LOGARITHMIC])
-        count = rng.randint(1, 300 if rng.random() < 0.9 else 20_000)
+        count = rng.randint(1, 300 if rng.random() < 0.8 else 20_000)
         grid = {"spacing": spacing, "radius_count": count, "radius_start": 0.1, "radius_stop": 4.0}
         return EVAL, eval_payload(media, None, **grid, **fixed)
     radii = [rng.uniform(0, 9) for _ in range(rng.randint(0, 20))]
@@ -207,8 +207,9 @@ def assert_well_formed_eval(payload: bytes, drawn: bool) -> None:
     if fixed.wanted & wire.QUANTITY_ALBEDO:
         # A published model may give out more than went in, and then says so.
         said = bool(fixed.notes & NOTES["albedo-above-1"])
-        most = 1 + (channels[:, 3] if said else channels[:, 1])
-        assert np.all((channels[:, 0] >= 0) & (channels[:, 0] <= np.nan_to_num(most, nan=1)))
+        albedo, numerical_error, model_error = channels[:, 0], channels[:, 1], channels[:, 3]
+        room = np.fmax(numerical_error, model_error) if said else numerical_error
+        assert np.all((albedo >= 0) & (albedo <= 1 + room))
     for row, quantity in enumerate(quantities):
         values = np.frombuffer(payload, value_type, fixed.radius_count, start + row * row_bytes)
         least, most = RANGES.get(quantity, (0, np.inf))

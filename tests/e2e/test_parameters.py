@@ -332,3 +332,10 @@ def test_tolerance_bounds_the_error(client, tolerance):
             given = {**needs(model), "tolerance": tolerance}
             answer = client.eval(model, SKIN, [1.0], parameters=given)
             assert answer.numerical_error_constant[0] <= tolerance + 1e-12, model
+
+
+@pytest.mark.parametrize("model", ["multipole-transmitted", "better-multipole-transmitted"])
+@pytest.mark.parametrize("thickness", [1e4, 131072.0, 1e6])
+def test_nothing_comes_through_a_slab_that_is_thick_enough(client, model, thickness):
+    result = client.eval(model, SKIN, [0.0, 1.0, 1e6], parameters={"thickness": thickness})
+    assert not result.R.any() and not result.albedo.any() and not result.cdf.any()

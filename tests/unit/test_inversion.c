@@ -17,7 +17,9 @@ static double albedo_of(unsigned model, unsigned moments, const core_medium *med
   unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model, moments,
                                          CORE_EVALUATOR_F64, medium, NULL),
                     NULL, 0);
-  return profile.albedo;
+  const double albedo = profile.albedo;
+  core_profile_free(&profile);
+  return albedo;
 }
 
 /* A few ulp: the coefficients and their sum are rounded. */

@@ -40,9 +40,9 @@ static bool send_part(int fd, const peer_frame *frame, const invert_request *req
   uint8_t payload[PAYLOAD_MAX] = {0};
   size_t bytes = (size_t)invert_reply_bytes(fixed.medium_count);
   for (uint64_t i = 0; i < fixed.medium_count; i++) {
-    const double albedo = request->albedos[fixed.medium_first + i];
-    const double values[INVERT_ARRAYS] = {albedo, request->lengths[fixed.medium_first + i],
-                                          2 * albedo};
+    const uint64_t at = (fixed.medium_first + i) % MEDIA; /* it may tell of more than there are */
+    const double albedo = request->albedos[at];
+    const double values[INVERT_ARRAYS] = {albedo, request->lengths[at], 2 * albedo};
     for (enum invert_array a = INVERT_SIGMA_A; a < INVERT_ARRAYS; a++) {
       memcpy(payload + invert_array_offset(a, fixed.medium_count) + i * sizeof(double), &values[a],
              sizeof(double));
