@@ -126,7 +126,7 @@ class Package:
 
     def _document(self) -> None:
         folder = self.root / "usr/share/doc" / self.name
-        folder.mkdir(parents=True)
+        folder.mkdir(parents=True, exist_ok=True)
         (folder / "copyright").write_text(copyright_text())
         _write_gzip(folder / "changelog.gz", (DEBIAN / "changelog").read_bytes())
 

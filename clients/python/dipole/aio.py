@@ -19,11 +19,11 @@ from . import answers, broadcast, calls, inversion, mc, packing, retry, samples,
 from .aio_stream import AsyncStream
 from .answers import Answer
 from .broadcast import Values
-from .client import Client
 from .connection import Frame
 from .errors import ArgumentError, ConnectionLost, DipoleError, ProtocolError, Refused
 from .inversion import Inversion
 from .samples import Draw, Samples
+from .session import Session
 from .table import Table
 from .values import Grid, Info, Medium, Offers, Result
 
@@ -83,12 +83,12 @@ class AsyncClient:
 
     async def open(self) -> None:
         """Connects and reads the daemon's lists."""
-        client = await asyncio.to_thread(Client, self._address, self._timeout_s, 0)
-        self.info = client.info
-        is_private = client.info.address.startswith("private:")
+        session = await asyncio.to_thread(Session, self._address, self._timeout_s, 0)
+        self.info = session.info
+        is_private = session.info.address.startswith("private:")
         default_s = 0.0 if is_private else retry.DEFAULT_S
         self._requests.for_s = default_s if self._retry_s is None else self._retry_s
-        self._stream = AsyncStream(client._connection)
+        self._stream = AsyncStream(session._connection)
         self._connected.set()
         self._start(self._read())
         if self._timeout_s is not None:
@@ -470,9 +470,9 @@ class AsyncClient:
         addresses = self._stream.connection.next_addresses()
         await self._stream.close()
 
-        def connect(left_s: float) -> Client:
+        def connect(left_s: float) -> Session:
             timeout_s = left_s if self._timeout_s is None else min(left_s, self._timeout_s)
-            return Client(addresses, timeout_s, 0)
+            return Session(addresses, timeout_s, 0)
 
         fresh = await asyncio.to_thread(retry.connect_again, connect, self.info, until_s, lost)
         self._stream = AsyncStream(fresh._connection)

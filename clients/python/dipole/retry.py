@@ -13,7 +13,7 @@ from .connection import Frame
 from .errors import ConnectError, ConnectionLost, DipoleError, Refused
 
 if TYPE_CHECKING:
-    from .client import Client
+    from .session import Session
     from .values import Info
 
 # How long a client of a unix: or tcp: address tries by default, and what it keeps at most.
@@ -121,8 +121,8 @@ def may_pass(error: DipoleError) -> bool:
 
 
 def connect_again(
-    connect: Callable[[float], Client], info: Info, until_s: float, lost: DipoleError
-) -> Client:
+    connect: Callable[[float], Session], info: Info, until_s: float, lost: DipoleError
+) -> Session:
     """Connects, with growing pauses, until it is until_s; raises `lost` when there is no hope.
     connect: given how long it may take. info: what the lost daemon said of itself."""
     pause_s = _PAUSE_FIRST_S
