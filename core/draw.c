@@ -78,10 +78,11 @@ void core_draw_f32(const core_draw *draw, uint64_t begin, size_t n, float *u) {
 DEFINE_CHECK(core_numbers_check_f64, double)
 DEFINE_CHECK(core_numbers_check_f32, float)
 
-/* ---- cost ------------------------------------------------------------------------------------- */
+/* ---- cost ------------------------------------------------------------------------------------
+ */
 
-/* As measured for all models: a table is looked up once more; else the cdf is inverted, in some eight
- * steps of two evaluations at most beside what the steps themselves take. */
+/* As measured for all models: a table is looked up once more; else the cdf is inverted, in some
+ * eight steps of two evaluations at most beside what the steps themselves take. */
 double core_draw_cost(const core_profile *profile) {
   return profile->evaluator == CORE_EVALUATOR_LUT ? 3 : 280 + 16 * profile->cost;
 }

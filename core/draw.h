@@ -1,13 +1,13 @@
-/* draw: the numbers u, from 0 to 1, that radii are drawn with (core_sample_f64()), by rule. The same
- * rule gives the same bits everywhere, and each number is made by itself.
+/* draw: the numbers u, from 0 to 1, that radii are drawn with (core_sample_f64()), by rule. The
+ * same rule gives the same bits everywhere, and each number is made by itself.
  *
  *   REGULAR     u[i] = (i + 1/2) / count
  *   STRATIFIED  u[i] = (i + random(i)) / count
  *   RANDOM      u[i] = random(first + i)
  *
- * random(i) = (floor(z / 2^12) + 1/2) / 2^52, in single precision (floor(z / 2^41) + 1/2) / 2^23: in
- * (0, 1), and exact. z is output i, from 0, of SplitMix64 with the seed (Steele, Lea, Flood 2014,
- * "Fast splittable pseudorandom number generators"), all modulo 2^64:
+ * random(i) = (floor(z / 2^12) + 1/2) / 2^52, in single precision (floor(z / 2^41) + 1/2) / 2^23:
+ * in (0, 1), and exact. z is output i, from 0, of SplitMix64 with the seed (Steele, Lea, Flood
+ * 2014, "Fast splittable pseudorandom number generators"), all modulo 2^64:
  *
  *   z = seed + (i + 1) * 0x9e3779b97f4a7c15
  *   z = (z ^ z >> 30) * 0xbf58476d1ce4e5b9

@@ -17,8 +17,8 @@
 #define RATIO_MIN 1e-80
 #define RATIO_MAX 1e30
 
-/* An albedo that is as good as the wanted one, and ratios as good as the same, relative: what models
- * round by, so that no probes are spent on that. */
+/* An albedo that is as good as the wanted one, and ratios as good as the same, relative: what
+ * models round by, so that no probes are spent on that. */
 #define ALIKE (32 * DBL_EPSILON)
 
 enum {
@@ -114,7 +114,8 @@ static double distance(const core_inverter *inverter, double albedo) {
          real_log(kept((most - inverter->wanted) / (most - albedo)), 0);
 }
 
-/* sigma_t' of a medium with this ratio and the wanted length; infinite or NaN when there is none. */
+/* sigma_t' of a medium with this ratio and the wanted length; infinite or NaN when there is none.
+ */
 static double scale(const core_inverter *inverter, double ratio) {
   const double absorbed = ratio / (1 + ratio); /* sigma_a / sigma_t' */
   switch (inverter->length) {
@@ -135,7 +136,8 @@ static bool settle(core_inverter *inverter, double ratio) {
   return !inverter->found;
 }
 
-/* Where little is absorbed an albedo a is about 1 - 3 sqrt(ratio), where much is about 0.1 / ratio. */
+/* Where little is absorbed an albedo a is about 1 - 3 sqrt(ratio), where much is about 0.1 / ratio.
+ */
 static double first_guess(const core_inverter *inverter) {
   const double odds = inverter->wanted / (inverter->albedo_most - inverter->wanted);
   return odds > 0.3 ? 0.1 / (odds * odds) : 0.3 / odds;

@@ -1,6 +1,6 @@
-/* inversion: from what artists have, a diffuse albedo and a length, to a medium, probe by probe: who
- * searches prepares the media that the inverter names, and tells it their albedos. So preparing may
- * be done elsewhere, in turns with other work, and given up.
+/* inversion: from what artists have, a diffuse albedo and a length, to a medium, probe by probe:
+ * who searches prepares the media that the inverter names, and tells it their albedos. So preparing
+ * may be done elsewhere, in turns with other work, and given up.
  *
  * An albedo depends on the ratio sigma_a / sigma_s' alone and falls as it grows; the length then
  * scales the medium. Same bits everywhere, as long as the albedos are.
@@ -61,15 +61,15 @@ core_fault core_inverter_start(core_inverter *inverter, unsigned model, unsigned
  * begun has come to its end, and there is nothing more to be probed; false: another medium is. */
 bool core_inverter_take(core_inverter *inverter, double albedo);
 
-/* When the reach is known: what is wrong with the model, whose albedo does not depend on the medium;
- * or nothing. */
+/* When the reach is known: what is wrong with the model, whose albedo does not depend on the
+ * medium; or nothing. */
 core_fault core_inverter_check(const core_inverter *inverter);
 
-/* Begins to search for a medium; any number of times, one after the other. albedo: 0 to 1; length_mm:
- * from CORE_MEAN_FREE_PATH_MIN_MM to ..._MAX_MM; both asserted. True: there is none (found is false):
- * the albedo is out of reach. Otherwise probe, and in the end: found, and the medium's albedo is
- * within 1e-12 of the wanted one, relative, where the model's albedo has so many digits; or not, as
- * a medium of that length could not have such coefficients. */
+/* Begins to search for a medium; any number of times, one after the other. albedo: 0 to 1;
+ * length_mm: from CORE_MEAN_FREE_PATH_MIN_MM to ..._MAX_MM; both asserted. True: there is none
+ * (found is false): the albedo is out of reach. Otherwise probe, and in the end: found, and the
+ * medium's albedo is within 1e-12 of the wanted one, relative, where the model's albedo has so many
+ * digits; or not, as a medium of that length could not have such coefficients. */
 bool core_inverter_seek(core_inverter *inverter, double albedo, enum core_length length,
                         double length_mm);
 

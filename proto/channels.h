@@ -1,5 +1,5 @@
-/* channels: what evals and samples have in common: the choices of a profile, media, parameters, and a
- * list of numbers that fills the rest of a payload. */
+/* channels: what evals and samples have in common: the choices of a profile, media, parameters, and
+ * a list of numbers that fills the rest of a payload. */
 #ifndef DIPOLED_PROTO_CHANNELS_H
 #define DIPOLED_PROTO_CHANNELS_H
 

@@ -67,7 +67,8 @@ wire_error eval_request_parse(const uint8_t *payload, size_t payload_bytes, eval
 }
 
 /* What the arrays of a reply may take each, rounded down to whole padding, so that padding one that
- * fits does not make it too large; `arrays` and the bytes before them. False: not even those fit. */
+ * fits does not make it too large; `arrays` and the bytes before them. False: not even those fit.
+ */
 static bool array_room(unsigned wanted, uint32_t channel_count, uint64_t max_payload_bytes,
                        eval_layout *layout, uint64_t *arrays, uint64_t *room) {
   *layout = (eval_layout){.channels_offset = WIRE_BYTES_eval_reply};

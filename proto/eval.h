@@ -27,8 +27,8 @@ wire_error eval_request_parse(const uint8_t *payload, size_t payload_bytes, eval
 /* Bytes of a request's payload with radii_bytes of listed radii (0 for a grid). */
 uint64_t eval_request_bytes(uint32_t medium_count, uint32_t parameter_count, uint64_t radii_bytes);
 
-/* Added to the quantities that are wanted of a sample (proto/sample.h): the radii are drawn, and each
- * channel has its own, an array as any other. The wire does not carry it. */
+/* Added to the quantities that are wanted of a sample (proto/sample.h): the radii are drawn, and
+ * each channel has its own, an array as any other. The wire does not carry it. */
 #define EVAL_DRAWN 0x10000u
 
 /* The layout of a reply's payload. Offsets are from its start. */
@@ -42,8 +42,8 @@ typedef struct eval_layout {
 } eval_layout;
 
 /* The layout that a reply has for these counts; false when it would exceed max_payload_bytes
- * (checked without overflow for any input). wanted: quantity bits of the list, EVAL_DRAWN; evaluator
- * of the list. */
+ * (checked without overflow for any input). wanted: quantity bits of the list, EVAL_DRAWN;
+ * evaluator of the list. */
 bool eval_reply_layout(unsigned evaluator, unsigned wanted, uint32_t channel_count,
                        uint64_t radius_count, uint64_t max_payload_bytes, eval_layout *layout);
 

@@ -5,7 +5,8 @@
 #include "core/core.h"
 #include "proto/wire.h"
 
-/* An invert request, taken apart. The arrays lie in the payload, which starts at a multiple of 8. */
+/* An invert request, taken apart. The arrays lie in the payload, which starts at a multiple of 8.
+ */
 typedef struct invert_request {
   wire_invert_request fixed;
   const double *albedos; /* [fixed.medium_count] */

@@ -6,10 +6,10 @@
 #include "core/draw.h"
 #include "proto/eval.h"
 
-/* Takes a payload apart into the eval of radii that are yet to be drawn: numbers u take the place of
- * the radii, of which request->radii is the list, NULL when they are drawn by rule. Shape only: ids
- * and counts that the layout depends on are checked, as are the ids of the parameters, the exact
- * length and zero padding; the values are core's to check. */
+/* Takes a payload apart into the eval of radii that are yet to be drawn: numbers u take the place
+ * of the radii, of which request->radii is the list, NULL when they are drawn by rule. Shape only:
+ * ids and counts that the layout depends on are checked, as are the ids of the parameters, the
+ * exact length and zero padding; the values are core's to check. */
 wire_error sample_request_parse(const uint8_t *payload, size_t payload_bytes, core_draw *draw,
                                 eval_request *request);
 

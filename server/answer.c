@@ -264,7 +264,8 @@ static void go_on(struct connection *c, uint64_t *budget) {
   }
 }
 
-/* Room for the next part; without, what has been sent is all there will be, and the error says so. */
+/* Room for the next part; without, what has been sent is all there will be, and the error says so.
+ */
 static void begin_part(struct connection *c) {
   const bool is_eval = c->answering == CONNECTION_ANSWERS_EVAL;
   const uint64_t bytes = is_eval ? c->job.layout.payload_bytes : invert_job_part_bytes(&c->invert);

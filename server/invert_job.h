@@ -28,8 +28,8 @@ struct invert_job {
   wire_error refusal;
 };
 
-/* Checks all of a request but what only shows when the model's reach is known; the payload has to stay
- * while the job runs. */
+/* Checks all of a request but what only shows when the model's reach is known; the payload has to
+ * stay while the job runs. */
 wire_error invert_job_check(struct invert_job *job, const struct server *server,
                             const uint8_t *payload, size_t payload_bytes);
 
@@ -46,7 +46,8 @@ void invert_job_start_part(struct invert_job *job, uint8_t *reply);
 /* After JOB_PART_DONE. */
 void invert_job_next_part(struct invert_job *job);
 
-/* Looks for some media and subtracts what that cost, in radii of a dipole, from *budget (down to 0).
+/* Looks for some media and subtracts what that cost, in radii of a dipole, from *budget (down to
+ * 0).
  */
 enum job_state invert_job_run(struct invert_job *job, struct server *server,
                               struct profiles *profiles, struct backlog *backlog, uint64_t *budget);

@@ -1,5 +1,5 @@
-/* job: one eval or sample request being answered, slice by slice. Independent of how requests arrive.
- * A sample is an eval whose radii are drawn first, for each channel. */
+/* job: one eval or sample request being answered, slice by slice. Independent of how requests
+ * arrive. A sample is an eval whose radii are drawn first, for each channel. */
 #ifndef DIPOLED_JOB_H
 #define DIPOLED_JOB_H
 
@@ -80,8 +80,8 @@ void job_end(struct job *job);
 /* The most that a slice draws: of tables, which cost least. */
 enum { JOB_DRAW_RADII = JOB_SLICE_RADII / 4 };
 
-/* What the jobs of a worker share: room for a slice's radii, for grids whose radii are not wanted; and
- * what is short is gathered, and is in the replies after batch_finish(). */
+/* What the jobs of a worker share: room for a slice's radii, for grids whose radii are not wanted;
+ * and what is short is gathered, and is in the replies after batch_finish(). */
 struct job_scratch {
   double radii[JOB_SLICE_RADII];
   double numbers[JOB_DRAW_RADII];

@@ -170,8 +170,8 @@ bool job_lay_out_part(struct job *job, uint64_t max_bytes) {
                            max_bytes, &job->layout);
 }
 
-/* A reply that fits into a frame is one part; a larger one comes in parts of max_part_bytes, so that
- * what it takes in memory does not depend on its size. */
+/* A reply that fits into a frame is one part; a larger one comes in parts of max_part_bytes, so
+ * that what it takes in memory does not depend on its size. */
 static wire_error cut(struct job *job, const struct server *server) {
   const wire_eval_request *fixed = &job->request.fixed;
   const struct options *options = &server->options;

@@ -13,9 +13,9 @@ enum job_state {
   JOB_REFUSED,   /* there will be no reply; the job's refusal says why */
 };
 
-/* A slice's evaluations of a dipole: about 25 to 100 microseconds, which is what a small request may
- * have to wait for when a large one is being evaluated on its worker. Costlier profiles get slices
- * with fewer radii. */
+/* A slice's evaluations of a dipole: about 25 to 100 microseconds, which is what a small request
+ * may have to wait for when a large one is being evaluated on its worker. Costlier profiles get
+ * slices with fewer radii. */
 enum { JOB_SLICE_RADII = 16384 };
 
 /* What a step costs besides, in radii: preparing a profile, or taking a frame apart. */

@@ -342,9 +342,9 @@ bool dipole_eval_parts(dipole_client *client, const dipole_query *query,
 void dipole_result_free(dipole_result *result); /* NULL is fine */
 
 /* The array of any quantity that has a value for each radius (all but albedo and, but for
- * dipole_sample(), radius): [radius_count], owned by the result. NULL when it was not wanted, when the evaluator has the
- * other type, or when there is no such channel. For R and cdf the channel's own fields say the
- * same. */
+ * dipole_sample(), radius): [radius_count], owned by the result. NULL when it was not wanted, when
+ * the evaluator has the other type, or when there is no such channel. For R and cdf the channel's
+ * own fields say the same. */
 const double *dipole_values_f64(const dipole_result *result, uint32_t channel, unsigned quantity);
 const float *dipole_values_f32(const dipole_result *result, uint32_t channel, unsigned quantity);
 
@@ -433,11 +433,11 @@ typedef struct dipole_sample_query {
   unsigned deadline_ms; /* as of an eval */
 } dipole_sample_query;
 
-/* Draws radii in proportion to r R(r): the radius for each number u is the one with cdf(r) = u, 0 mm
- * for 0 and INFINITY for 1. Its pdf (DIPOLE_PDF) is in 1/mm; pdf / (2 pi r) is the density of points
- * per mm^2. Waits for the answer, in which radius_count is sample_count, dipole_values_f64() or
- * ..._f32() with DIPOLE_RADIUS are the radii of a channel, and radius_f64 and radius_f32 are NULL.
- * *result is the caller's, to be freed with dipole_result_free(). */
+/* Draws radii in proportion to r R(r): the radius for each number u is the one with cdf(r) = u, 0
+ * mm for 0 and INFINITY for 1. Its pdf (DIPOLE_PDF) is in 1/mm; pdf / (2 pi r) is the density of
+ * points per mm^2. Waits for the answer, in which radius_count is sample_count, dipole_values_f64()
+ * or ..._f32() with DIPOLE_RADIUS are the radii of a channel, and radius_f64 and radius_f32 are
+ * NULL. *result is the caller's, to be freed with dipole_result_free(). */
 bool dipole_sample(dipole_client *client, const dipole_sample_query *query, dipole_result **result,
                    dipole_error *error);
 

@@ -58,8 +58,8 @@ static const struct {
 
 /* ---- lengths -------------------------------------------------------------------------------- */
 
-/* The one length that is given; its name is that of the option and of the daemon's choice. NULL: none
- * or several. */
+/* The one length that is given; its name is that of the option and of the daemon's choice. NULL:
+ * none or several. */
 static const cli_numbers *length_of(const invert_settings *settings, const char **name) {
   const struct {
     const char *name;

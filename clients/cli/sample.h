@@ -53,8 +53,8 @@ void cli_sample_write_json(const cli_sample_report *report, FILE *file);
 
 /* ---- sample_plot.c --------------------------------------------------------------------------- */
 
-/* Draws a histogram of the radii, and their density, into a file whose name has been checked; an exit
- * status. r and pdf are in the result. */
+/* Draws a histogram of the radii, and their density, into a file whose name has been checked; an
+ * exit status. r and pdf are in the result. */
 int cli_sample_plot(const cli_command *command, const cli_sample_report *report, const char *path);
 
 #endif

@@ -1,5 +1,5 @@
-"""From albedos to media: what is found has the albedo and the length, whatever is asked for beside it;
-and a request of any size is answered in turns, in parts and in time."""
+"""From albedos to media: what is found has the albedo and the length, whatever is asked for beside
+it; and a request of any size is answered in turns, in parts and in time."""
 
 from __future__ import annotations
 
@@ -43,7 +43,10 @@ def lengths_of(inversion: dipole.Inversion) -> dict[str, np.ndarray]:
 # ---- values --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("given", ["mean-free-path", "diffuse-mean-free-path", "classical-diffuse-path"])
+GIVEN = ["mean-free-path", "diffuse-mean-free-path", "classical-diffuse-path"]
+
+
+@pytest.mark.parametrize("given", GIVEN)
 @pytest.mark.parametrize("model", ["classical", "better", "extended", "better+single", "burley"])
 def test_media_have_the_albedos_and_lengths(client, model, given):
     """By another path: an eval of the albedos."""

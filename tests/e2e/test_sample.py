@@ -1,5 +1,5 @@
-"""Drawing radii: they undo the cdf, their numbers are those that were promised, and a request of any
-size is answered in turns, in parts and in time."""
+"""Drawing radii: they undo the cdf, their numbers are those that were promised, and a request of
+any size is answered in turns, in parts and in time."""
 
 from __future__ import annotations
 
@@ -35,8 +35,11 @@ BOUNDS = {"f64": 1e-14, "f32": 4e-7, "lut": 1e-4}
 # ---- values --------------------------------------------------------------------------------------
 
 
+DRAWN = ["classical", "better", "burley", "quantized", "single", "skin-red"]
+
+
 @pytest.mark.parametrize("evaluator", BOUNDS)
-@pytest.mark.parametrize("model", ["classical", "better", "burley", "quantized", "single", "skin-red"])
+@pytest.mark.parametrize("model", DRAWN)
 def test_the_cdf_of_a_radius_is_its_number(client, model, evaluator):
     """By another path: an eval of the cdf at the radii that were drawn."""
     sampled = client.sample(model, [SKIN, OTHER], U, evaluator=evaluator)
@@ -204,7 +207,13 @@ WRONG = {
         "nothing after media",
         0,
     ),
-    "none by rule": (sample_payload(u=None, sample_count=0), "bad-count", "sample_count", "1 to", 0),
+    "none by rule": (
+        sample_payload(u=None, sample_count=0),
+        "bad-count",
+        "sample_count",
+        "1 to",
+        0,
+    ),
     "too many by rule": (
         sample_payload(u=None, sample_count=2**63),
         "bad-count",
