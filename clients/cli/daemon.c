@@ -1,3 +1,5 @@
+#include <stdlib.h>
+#include <string.h>
 #include <time.h>
 
 #include "clients/cli/cli.h"
@@ -24,6 +26,13 @@ bool cli_open(const cli_command *command, const cli_common *common, dipole_clien
     return true;
   }
   cli_fail(command, "%s", error.text);
+  const char *address = common->connect != NULL ? common->connect : getenv("DIPOLED");
+  if (error.kind == DIPOLE_ERROR_CONNECT && address != NULL &&
+      strncmp(address, "private:", strlen("private:")) != 0) {
+    fputs("Start a daemon there (dipoled --listen ADDRESS), or have a private one: no --connect, no "
+          "$DIPOLED.\n",
+          stderr);
+  }
   return false;
 }
 
