@@ -339,3 +339,19 @@ def test_busy_is_asked_again(daemon):
             assert ((await later).R == before.R).all()
 
     run(ask())
+
+
+def test_a_loss_while_much_is_being_sent(restarted):  # noqa: F811
+    """Those who wait until their requests have been sent wait on, and are answered."""
+    radii = np.linspace(0.0, 9.0, 100_000)
+
+    async def ask() -> None:
+        async with AsyncClient(restarted.url, retry_s=RETRY_S) as client:
+            expected = (await client.eval("better", SKIN, radii)).R
+            calls = [asyncio.create_task(client.eval("better", SKIN, radii)) for _ in range(40)]
+            await asyncio.sleep(0)
+            await asyncio.to_thread(restarted.kill)
+            for result in await asyncio.gather(*calls):
+                assert (result.R == expected).all()
+
+    run(ask())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 import time
 
 import numpy as np
@@ -34,9 +35,11 @@ class AsyncStream:
     async def close(self) -> None:
         """Closes the connection; a private daemon ends with it. Nobody may be reading."""
         self._closed = True
-        for send in self._sends:
-            send.cancel()
-        await asyncio.gather(*self._sends, return_exceptions=True)
+        try:  # sends that wait for room end by themselves, and those who wait for them go on
+            self.connection.socket.shutdown(socket.SHUT_RDWR)
+        except OSError:
+            pass
+        await asyncio.gather(*self._sends)
         await asyncio.to_thread(self.connection.close)
 
     # ---- sending ---------------------------------------------------------------------------------
