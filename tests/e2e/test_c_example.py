@@ -51,7 +51,7 @@ class Installed:
         assert f"-I{self.folder}/usr/local/include" in options, options
         sanitize = ["-fsanitize=address,undefined"] if sanitized("asan") else []
         sanitize += ["-fsanitize=thread"] if sanitized("tsan") else []
-        command = [*compiler, *sanitize, copy.name, "-o", program.name, *options, "-lm"]
+        command = [*compiler, *sanitize, copy.name, "-o", program.name, *options]
         done = subprocess.run(
             command, cwd=program.parent, capture_output=True, text=True, check=False
         )

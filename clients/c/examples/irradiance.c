@@ -1,6 +1,6 @@
 /* How a renderer uses libdipole: the light that leaves a translucent plane.
  *
- *   cc -O2 irradiance.c $(pkg-config --cflags --libs dipole) -lm -o irradiance
+ *   cc -O2 irradiance.c $(pkg-config --cflags --libs dipole) -o irradiance
  *   ./irradiance [ADDRESS [PIXELS [POINTS]]]
  *
  * A square of skin, 20 mm wide, is lit on its left half and in a small disk on its right half. The
