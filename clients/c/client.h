@@ -391,6 +391,12 @@ bool libdipole_media_take(libdipole_pending *pending, libdipole_frame *frame, di
 /* What a frame's layout depends on. */
 bool libdipole_parameters_check(const dipole_parameter *parameters, size_t count,
                                 dipole_error *error);
+bool libdipole_media_check(const dipole_medium *media, uint32_t medium_count, unsigned evaluator,
+                           dipole_error *error);
+
+/* Listed numbers in the precision of an evaluator that is known; *bytes: of all of them. */
+bool libdipole_list_check(const void *list, uint64_t count, unsigned evaluator, const char *name,
+                          const char *count_name, uint64_t *bytes, dipole_error *error);
 
 /* These return what follows the bytes that they write. */
 uint8_t *libdipole_parameters_put(uint8_t *at, const dipole_parameter *parameters, size_t count);

@@ -47,6 +47,35 @@ uint8_t *libdipole_medium_put(uint8_t *at, const dipole_medium *from) {
 
 /* ---- queries ------------------------------------------------------------------------------- */
 
+bool libdipole_media_check(const dipole_medium *media, uint32_t medium_count, unsigned evaluator,
+                           dipole_error *error) {
+  if (media == NULL && medium_count > 0) {
+    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "media is NULL, medium_count is not 0");
+  }
+  if (core_evaluator_bytes(evaluator) == 0) {
+    return libdipole_fail(
+        error, DIPOLE_ERROR_ARGUMENT,
+        "evaluator is %u: this library knows DIPOLE_F64, DIPOLE_F32 and DIPOLE_LUT", evaluator);
+  }
+  return true;
+}
+
+bool libdipole_list_check(const void *list, uint64_t count, unsigned evaluator, const char *name,
+                          const char *count_name, uint64_t *bytes, dipole_error *error) {
+  const size_t value_bytes = core_evaluator_bytes(evaluator);
+  if (list == NULL && count > 0) {
+    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s is NULL, %s is not 0", name,
+                          count_name);
+  }
+  if (count > UINT32_MAX / value_bytes) {
+    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
+                          "%llu %s are more than a frame holds: ask for fewer at a time",
+                          (unsigned long long)count, name);
+  }
+  *bytes = count * value_bytes;
+  return true;
+}
+
 /* Only what the frame's layout depends on: everything else is the daemon's to judge. */
 static bool check_query(const dipole_query *query, uint64_t *radii_bytes, dipole_error *error) {
   *radii_bytes = 0;
@@ -57,32 +86,11 @@ static bool check_query(const dipole_query *query, uint64_t *radii_bytes, dipole
   if (query->spacing > UINT16_MAX) {
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "spacing is at most 65535");
   }
-  if (!libdipole_parameters_check(query->parameters, query->parameter_count, error)) {
-    return false;
-  }
-  if (query->media == NULL && query->medium_count > 0) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "media is NULL, medium_count is not 0");
-  }
-  const size_t value_bytes = core_evaluator_bytes(query->evaluator);
-  if (value_bytes == 0) {
-    return libdipole_fail(
-        error, DIPOLE_ERROR_ARGUMENT,
-        "evaluator is %u: this library knows DIPOLE_F64, DIPOLE_F32 and DIPOLE_LUT",
-        query->evaluator);
-  }
-  if (query->spacing != DIPOLE_LIST) {
-    return true;
-  }
-  if (query->radii == NULL && query->radius_count > 0) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "radii is NULL, radius_count is not 0");
-  }
-  if (query->radius_count > UINT32_MAX / value_bytes) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                          "%llu radii are more than a frame holds: ask for fewer at a time",
-                          (unsigned long long)query->radius_count);
-  }
-  *radii_bytes = query->radius_count * value_bytes;
-  return true;
+  return libdipole_parameters_check(query->parameters, query->parameter_count, error) &&
+         libdipole_media_check(query->media, query->medium_count, query->evaluator, error) &&
+         (query->spacing != DIPOLE_LIST ||
+          libdipole_list_check(query->radii, query->radius_count, query->evaluator, "radii",
+                               "radius_count", radii_bytes, error));
 }
 
 static void put_query(uint8_t *at, const dipole_query *query, size_t radii_bytes) {

@@ -20,32 +20,11 @@ static bool check(const dipole_sample_query *query, uint64_t *number_bytes, dipo
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
                           "model, evaluator, moments, wanted and draw are at most 65535");
   }
-  if (!libdipole_parameters_check(query->parameters, query->parameter_count, error)) {
-    return false;
-  }
-  if (query->media == NULL && query->medium_count > 0) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "media is NULL, medium_count is not 0");
-  }
-  const size_t value_bytes = core_evaluator_bytes(query->evaluator);
-  if (value_bytes == 0) {
-    return libdipole_fail(
-        error, DIPOLE_ERROR_ARGUMENT,
-        "evaluator is %u: this library knows DIPOLE_F64, DIPOLE_F32 and DIPOLE_LUT",
-        query->evaluator);
-  }
-  if (query->draw != DIPOLE_DRAW_LIST) {
-    return true;
-  }
-  if (query->numbers == NULL && query->sample_count > 0) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "numbers is NULL, sample_count is not 0");
-  }
-  if (query->sample_count > UINT32_MAX / value_bytes) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                          "%llu numbers are more than a frame holds: ask for fewer at a time",
-                          (unsigned long long)query->sample_count);
-  }
-  *number_bytes = query->sample_count * value_bytes;
-  return true;
+  return libdipole_parameters_check(query->parameters, query->parameter_count, error) &&
+         libdipole_media_check(query->media, query->medium_count, query->evaluator, error) &&
+         (query->draw != DIPOLE_DRAW_LIST ||
+          libdipole_list_check(query->numbers, query->sample_count, query->evaluator, "numbers",
+                               "sample_count", number_bytes, error));
 }
 
 static void put(uint8_t *at, const dipole_sample_query *query, size_t number_bytes) {
