@@ -229,7 +229,7 @@ check:
 
 # Each test program by itself, so that one that crashes takes no other with it.
 check-unit: $(TESTS)
-	@sh tests/run-units.sh $(TESTS)
+	@UNIT_LIMIT_S=$(UNIT_LIMIT_S) sh tests/run-units.sh $(TESTS)
 
 check-bits: $(BUILD)/tests/bits
 	@sh tests/run-bits.sh $(BUILD)
@@ -259,11 +259,11 @@ soak:
 
 check-asan:
 	@sh .ci/install-packages
-	@$(MAKE) --no-print-directory BUILD=build-asan SANITIZE='-fsanitize=address,undefined -fno-sanitize-recover=all' CFLAGS='-O1 -g' check
+	@$(MAKE) --no-print-directory BUILD=build-asan SANITIZE='-fsanitize=address,undefined -fno-sanitize-recover=all' CFLAGS='-O1 -g' UNIT_LIMIT_S=3600 check
 
 check-tsan:
 	@sh .ci/install-packages
-	@$(MAKE) --no-print-directory BUILD=build-tsan SANITIZE='-fsanitize=thread' CFLAGS='-O1 -g' check
+	@$(MAKE) --no-print-directory BUILD=build-tsan SANITIZE='-fsanitize=thread' CFLAGS='-O1 -g' UNIT_LIMIT_S=3600 check
 
 bench: $(BUILD)/bench
 	$(BUILD)/bench

@@ -3,7 +3,7 @@
 # program printed when it fails, and always for the accuracy tests, whose tables of errors are a
 # result. Exits 1 when any has failed, after all have been run.
 set -u
-limit_s=600
+limit_s=${UNIT_LIMIT_S:-600}
 start=$PWD
 cd "$(dirname "$0")/.." || exit 1
 output=$(mktemp) || exit 1

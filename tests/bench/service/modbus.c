@@ -1,5 +1,7 @@
 #include "tests/bench/service/modbus.h"
 
+#include <errno.h>
+#include <poll.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/socket.h>
@@ -22,6 +24,7 @@ enum {
   R_BYTES = COUNT * 4,
   WRITE_FROM = 100, /* proto/REGISTERS.md: commit, and status */
   READ_FROM = 300,
+  BLOCKED_MS = 20,
 };
 #define START_MM 0.5f
 #define STOP_MM 2.0f
@@ -120,7 +123,10 @@ static void nap(long ns) {
 }
 
 /* Whole requests, a byte at a time; the deadline of one ends the connection: then the next. */
-static _Noreturn void trickle(const struct target_address *address) {
+static _Noreturn void trickle(const struct target_address *address, int ready) {
+  if (write(ready, "", 1) != 1) {
+    _exit(EXIT_FAILURE);
+  }
   uint8_t request[REQUEST_BYTES];
   put_request(request, MODBUS_UNITS + 1);
   for (;;) {
@@ -132,21 +138,33 @@ static _Noreturn void trickle(const struct target_address *address) {
   }
 }
 
-static _Noreturn void never_read(const struct target_address *address) {
+/* It is ready when the daemon takes no more of it, which small buffers bring about soon. */
+static _Noreturn void never_read(const struct target_address *address, int ready) {
+  const int small = 4096;
   uint8_t request[REQUEST_BYTES];
   put_request(request, MODBUS_UNITS + 2);
   const int fd = target_connect(address);
-  while (send(fd, request, sizeof request, MSG_NOSIGNAL | MSG_DONTWAIT) == sizeof request) {
+  struct pollfd room = {.fd = fd, .events = POLLOUT};
+  setsockopt(fd, SOL_SOCKET, SO_RCVBUF, &small, sizeof small);
+  setsockopt(fd, SOL_SOCKET, SO_SNDBUF, &small, sizeof small);
+  while (poll(&room, 1, BLOCKED_MS) == 1) {
+    if (send(fd, request, sizeof request, MSG_NOSIGNAL | MSG_DONTWAIT) < 0 && errno != EAGAIN) {
+      _exit(EXIT_FAILURE);
+    }
   }
-  for (;;) {
+  while (write(ready, "", 1) == 1) {
     pause();
   }
+  _exit(EXIT_FAILURE);
 }
 
-static _Noreturn void ask_the_unknown(const struct target_address *address) {
+static _Noreturn void ask_the_unknown(const struct target_address *address, int ready) {
   static const uint8_t request[] = {0, 1, 0, 0, 0, 2, MODBUS_UNITS + 3, 99};
   uint8_t reply[MBAP_BYTES + 2];
   const int fd = target_connect(address);
+  if (write(ready, "", 1) != 1) {
+    _exit(EXIT_FAILURE);
+  }
   while (send(fd, request, sizeof request, MSG_NOSIGNAL) == sizeof request &&
          recv(fd, reply, sizeof reply, MSG_WAITALL) == sizeof reply) {
     nap(10000000);
@@ -155,13 +173,26 @@ static _Noreturn void ask_the_unknown(const struct target_address *address) {
 }
 
 void modbus_start_rude(const struct target_address *address, pid_t rude[MODBUS_RUDE]) {
-  void (*const run[MODBUS_RUDE])(const struct target_address *) = {trickle, never_read,
-                                                                   ask_the_unknown};
+  void (*const run[MODBUS_RUDE])(const struct target_address *, int) = {trickle, never_read,
+                                                                        ask_the_unknown};
+  int ready[2];
+  if (pipe(ready) != 0) {
+    bench_fail("no pipe");
+  }
   for (size_t i = 0; i < MODBUS_RUDE; i++) {
     rude[i] = child_fork(CHILD_CLIENT);
     if (rude[i] == 0) {
-      run[i](address);
+      close(ready[0]); /* so that nobody waits for who has ended */
+      run[i](address, ready[1]);
       _exit(EXIT_FAILURE);
     }
   }
+  close(ready[1]);
+  for (size_t i = 0; i < MODBUS_RUDE; i++) {
+    char byte;
+    if (read(ready[0], &byte, 1) != 1) {
+      bench_fail("the rude masters have ended");
+    }
+  }
+  close(ready[0]);
 }

@@ -11,8 +11,8 @@ enum { MODBUS_UNITS = 32 };
 void modbus_make_jobs(struct target *target);
 
 /* Three processes, each with a connection of its own: one sends a byte every 0.4 s, one asks and
- * never reads, one asks for an unknown function 100 times a second. They end with the benchmark, or
- * before. */
+ * never reads, one asks for an unknown function 100 times a second. Returns when the daemon takes
+ * no more of the second. They end with the benchmark, or before. */
 enum { MODBUS_RUDE = 3 };
 void modbus_start_rude(const struct target_address *address, pid_t rude[MODBUS_RUDE]);
 
