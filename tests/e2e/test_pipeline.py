@@ -32,22 +32,21 @@ def test_with_daemons_that_are_killed_in_turn(tmp_path):
     urls = [f"unix:{tmp_path}/{name}" for name in "ab"]
     daemons = [Daemon(listen=[url]) for url in urls]
     kills = 0
-    with subprocess.Popen(
-        [PROGRAM, str(requests), ",".join(urls)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as program:
-        try:
-            for which in itertools.cycle([0, 1]):
-                if program.poll() is not None:
-                    break
-                daemons[which].kill()
-                daemons[which] = Daemon(listen=[urls[which]])
-                kills += 1
-            check_output(*program.communicate(timeout=TIMEOUT_S), program.returncode, requests)
-        finally:
-            program.kill()
-            for daemon in daemons:
-                daemon.close()
+    command = [PROGRAM, str(requests), ",".join(urls)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    try:
+        with subprocess.Popen(command, **pipes) as program:
+            try:
+                for which in itertools.cycle([0, 1]):
+                    if program.poll() is not None:
+                        break
+                    daemons[which].kill()
+                    daemons[which] = Daemon(listen=[urls[which]])
+                    kills += 1
+                check_output(*program.communicate(timeout=TIMEOUT_S), program.returncode, requests)
+            finally:
+                program.kill()
+    finally:
+        for daemon in daemons:
+            daemon.close()
     assert kills >= 2
