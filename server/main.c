@@ -279,7 +279,7 @@ static int run(struct daemon *daemon) {
   raise_descriptor_limit();
   set_up_loop(daemon);
   const bool ready = set_up_modbus(server) && start_workers(daemon) && open_metrics(daemon) &&
-                     open_modbus(daemon) && open_addresses(daemon);
+                     open_addresses(daemon) && open_modbus(daemon);
   if (ready) {
     log_line(LOG_LEVEL_INFO, "event=ready workers=%llu isa=%s",
              (unsigned long long)server->options.workers, core_isa_name(server->isa));

@@ -240,3 +240,31 @@ def test_daemon_without_descriptors_goes_on(daemon):
             assert_serves(fresh)
     finally:
         one.close()
+
+
+@pytest.mark.parametrize("besides", [[], ["--modbus", "tcp:127.0.0.1:0"]])
+def test_the_usual_addresses(folder, besides):
+    """Nobody has named any; that it serves Modbus, too, is no matter. The port may be in use here:
+    then the daemon says so."""
+    process = subprocess.Popen(
+        [str(PROGRAM), *besides],
+        stdin=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        env={**environment(XDG_RUNTIME_DIR=str(folder)), "RUNTIME_DIRECTORY": ""},
+        text=True,
+    )
+    lines = []
+    try:
+        for line in process.stderr:
+            lines.append(line)
+            if "event=ready" in line:
+                process.terminate()
+        process.wait(END_S)
+    finally:
+        process.kill()
+        process.wait()
+        process.stderr.close()
+    log = "".join(lines)
+    assert f"url=unix:{folder}/dipoled.sock" in log
+    assert "url=tcp:127.0.0.1:4817" in log or "tcp:127.0.0.1:4817: " in log
+    assert process.returncode == (0 if "event=ready" in log else 1)
