@@ -86,7 +86,7 @@ WALKS := $(ISAS:%=$(OBJ)/core/montecarlo/walk.%.o)
 
 CORE := $(call objects,$(filter-out core/montecarlo/walk.c,$(wildcard core/*.c core/models/*.c core/montecarlo/*.c core/transport/*.c core/lut/*.c))) $(KERNELS) $(WALKS)
 PROTO := $(call objects,$(wildcard proto/*.c))
-SERVER := $(call objects,$(wildcard server/*.c server/modbus/*.c))
+SERVER := $(call objects,$(wildcard server/*.c server/*/*.c))
 LIBRARY := $(call objects,$(wildcard clients/c/*.c))
 CLI := $(call objects,$(wildcard clients/cli/*.c))
 BENCH := $(call objects,$(wildcard tests/bench/*.c tests/bench/*/*.c))
@@ -196,13 +196,13 @@ $(BUILD)/tests/%: $(OBJ)/tests/%.o $(TEST_SUPPORT) $(BUILD)/libdipole.a
 
 # The daemon's cache, tested without a daemon.
 CACHE_TESTS := test_cache test_profiles
-$(CACHE_TESTS:%=$(BUILD)/tests/unit/%): $(call objects,server/cache.c server/cache_key.c server/profiles.c server/stats.c)
+$(CACHE_TESTS:%=$(BUILD)/tests/unit/%): $(call objects,server/store/cache.c server/store/cache_key.c server/store/profiles.c server/observe/stats.c)
 $(CACHE_TESTS:%=$(BUILD)/tests/unit/%): TEST_LIBS = $(UV_LIBS)
 $(CACHE_TESTS:%=$(OBJ)/tests/unit/%.o): EXTRA_CPPFLAGS = $(UV_CFLAGS)
 
 # Its input and histograms likewise.
-$(BUILD)/tests/unit/test_histogram: $(call objects,server/histogram.c)
-$(BUILD)/tests/unit/test_input: $(call objects,server/input.c)
+$(BUILD)/tests/unit/test_histogram: $(call objects,server/observe/histogram.c)
+$(BUILD)/tests/unit/test_input: $(call objects,server/net/input.c)
 $(OBJ)/tests/unit/test_input.o: EXTRA_CPPFLAGS = $(UV_CFLAGS)
 
 # And what Modbus is made of.

@@ -9,15 +9,15 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include "server/cache.h"
-#include "server/listener.h"
-#include "server/log.h"
-#include "server/mc_pool.h"
+#include "server/store/cache.h"
+#include "server/net/listener.h"
+#include "server/observe/log.h"
+#include "server/jobs/mc_pool.h"
 #include "server/memory.h"
-#include "server/metrics.h"
+#include "server/observe/metrics.h"
 #include "server/modbus/service.h"
-#include "server/systemd.h"
-#include "server/worker.h"
+#include "server/net/systemd.h"
+#include "server/net/worker.h"
 
 #define DEFAULT_TCP "tcp:127.0.0.1:4817"
 #define DEFAULT_SOCKET "dipoled.sock"

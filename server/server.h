@@ -7,7 +7,7 @@
 
 #include "core/core.h"
 #include "server/options.h"
-#include "server/stats.h"
+#include "server/observe/stats.h"
 
 struct cache;
 struct mc_pool;

@@ -2,7 +2,7 @@
 
 #include "server/modbus/identity.h"
 #include "server/modbus/service.h"
-#include "server/worker.h"
+#include "server/net/worker.h"
 
 /* ---- statistics -------------------------------------------------------------------------------
  */

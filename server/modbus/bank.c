@@ -3,7 +3,7 @@
 #include <assert.h>
 #include <string.h>
 
-#include "server/worker.h"
+#include "server/net/worker.h"
 
 /* ---- beginning and end ------------------------------------------------------------------------
  */

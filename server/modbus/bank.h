@@ -7,7 +7,7 @@
 
 #include <modbus.h>
 
-#include "server/job.h"
+#include "server/jobs/job.h"
 #include "server/modbus/translate.h"
 
 struct worker;

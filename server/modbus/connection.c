@@ -10,9 +10,9 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
-#include "server/log.h"
+#include "server/observe/log.h"
 #include "server/modbus/service.h"
-#include "server/worker.h"
+#include "server/net/worker.h"
 
 enum {
   HEADER_BYTES = 7, /* transaction, protocol, length, unit */

@@ -6,11 +6,11 @@
 #include <string.h>
 #include <unistd.h>
 
-#include "server/log.h"
+#include "server/observe/log.h"
 #include "server/modbus/codec.h"
 #include "server/modbus/rtu.h"
 #include "server/modbus/service.h"
-#include "server/worker.h"
+#include "server/net/worker.h"
 
 enum {
   CHARACTER_BITS = 11, /* at most, with start, parity and stop */

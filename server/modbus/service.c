@@ -4,8 +4,8 @@
 #include <stdlib.h>
 #include <unistd.h>
 
-#include "server/log.h"
-#include "server/worker.h"
+#include "server/observe/log.h"
+#include "server/net/worker.h"
 
 static struct modbus_service *complain(struct modbus_service *service, const char *what,
                                        const char *why) {

@@ -3,7 +3,7 @@
 #include <math.h>
 #include <uv.h>
 
-#include "server/cache.h"
+#include "server/store/cache.h"
 #include "tests/unit/unit.h"
 
 static const core_medium SKIN = {0.032, 0.74, 0, 1.3};

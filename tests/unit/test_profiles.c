@@ -1,6 +1,6 @@
 /* A worker's profiles, without a daemon: what comes near the cache, what is at hand, and for how
  * long. */
-#include "server/profiles.h"
+#include "server/store/profiles.h"
 #include "tests/unit/unit.h"
 
 static const core_medium SKIN = {0.032, 0.74, 0, 1.3};

@@ -1,0 +1,115 @@
+#include "server/jobs/choice.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+
+static bool is_single(const wire_eval_request *fixed) {
+  return core_evaluator_bytes(fixed->evaluator) == sizeof(float);
+}
+
+/* Media are used where they lie: four numbers each, in the wire's order and core's. */
+_Static_assert(sizeof(core_medium) == WIRE_BYTES_medium, "one medium after the other");
+
+static wire_error check_media(const core_medium *media, size_t count) {
+  for (size_t i = 0; i < count; i++) {
+    const core_fault fault = core_medium_check(&media[i]);
+    if (fault.field != NULL) {
+      wire_error error = wire_error_make(WIRE_STATUS_BAD_VALUE, fault.field, fault.allowed);
+      error.index = i;
+      return error;
+    }
+  }
+  return wire_error_none();
+}
+
+/* From the least to the largest radius that is listed, or the ends of the grid. */
+static core_radii_range range_of(const eval_request *request) {
+  const wire_eval_request *fixed = &request->fixed;
+  if (fixed->spacing != CORE_SPACING_LIST) {
+    const double stop = fixed->radius_count > 1 ? fixed->radius_stop : fixed->radius_start;
+    return (core_radii_range){fixed->radius_start, stop};
+  }
+  core_radii_range range = {(double)INFINITY, 0};
+  for (uint64_t i = 0; i < fixed->radius_count; i++) {
+    const double r = is_single(fixed) ? (double)((const float *)request->radii)[i]
+                                      : ((const double *)request->radii)[i];
+    range.least_mm = fmin(range.least_mm, r);
+    range.most_mm = fmax(range.most_mm, r);
+  }
+  return range;
+}
+
+/* Without radii there is nothing that could be off at them. */
+static unsigned wanted_of(const wire_eval_request *fixed) {
+  return fixed->radius_count > 0 ? fixed->wanted : fixed->wanted & CORE_QUANTITY_ALBEDO;
+}
+
+static const core_medium *media_of(const eval_request *request) {
+  return (const core_medium *)(const void *)request->media;
+}
+
+wire_error choice_check(const eval_request *request) {
+  const double tolerance = request->parameters.value[CORE_PARAMETER_TOLERANCE];
+  if (isnan(tolerance)) {
+    return wire_error_make(WIRE_STATUS_BAD_VALUE, "model",
+                           "a model of the list; 0 with the parameter tolerance alone");
+  }
+  const core_fault fault = core_parameter_check(CORE_PARAMETER_TOLERANCE, tolerance);
+  return fault.field == NULL ? check_media(media_of(request), request->fixed.medium_count)
+                             : wire_error_make(WIRE_STATUS_BAD_VALUE, fault.field, fault.allowed);
+}
+
+void choice_list(const eval_request *request, struct choice *choice) {
+  const wire_eval_request *fixed = &request->fixed;
+  const core_choose_request asked = {
+      .media = media_of(request),
+      .media_count = fixed->medium_count,
+      .moments = fixed->moments,
+      .wanted = wanted_of(fixed),
+      .radii = range_of(request),
+      .single = is_single(fixed),
+      .tolerance = request->parameters.value[CORE_PARAMETER_TOLERANCE],
+  };
+  choice->count = core_choose(&asked, choice->candidates);
+}
+
+wire_error choice_none(const struct choice *choice) {
+  char allowed[80];
+  if (choice->count == 0 || !(choice->candidates[0].error < (double)INFINITY)) {
+    return wire_error_make(WIRE_STATUS_BAD_VALUE, "tolerance",
+                           "a model instead: no error is known for this medium and range");
+  }
+  const core_candidate *best = &choice->candidates[0];
+  snprintf(allowed, sizeof allowed, "at least %.3g: %s (%s) is the best there is",
+           best->error * (1 + 5e-3), core_choice_by_id(core_models, best->model)->name,
+           core_choice_by_id(core_evaluators, best->evaluator)->name);
+  return wire_error_make(WIRE_STATUS_BAD_VALUE, "tolerance", allowed);
+}
+
+void choice_take(const core_candidate *candidate, eval_request *request) {
+  request->fixed.model = (uint16_t)candidate->model;
+  request->fixed.evaluator = (uint16_t)candidate->evaluator;
+  request->parameters.value[CORE_PARAMETER_TOLERANCE] = candidate->numerical_tolerance;
+}
+
+static int by_cost(const void *a, const void *b) {
+  const core_candidate *left = a, *right = b;
+  const int cost = (left->cost_ns > right->cost_ns) - (left->cost_ns < right->cost_ns);
+  const int model = (int)left->model - (int)right->model;
+  const int evaluator = (int)left->evaluator - (int)right->evaluator;
+  return cost != 0 ? cost : model != 0 ? model : evaluator;
+}
+
+size_t choice_sort_by_cost(struct choice *choice) {
+  if (choice->count == 0) {
+    return 0;
+  }
+  const core_candidate first = choice->candidates[0];
+  qsort(choice->candidates, choice->count, sizeof choice->candidates[0], by_cost);
+  size_t at = 0;
+  while (by_cost(&choice->candidates[at], &first) != 0) {
+    at++;
+  }
+  return first.meets ? at : choice->count;
+}

@@ -1,0 +1,485 @@
+#include "server/jobs/mc_pool.h"
+
+#include <assert.h>
+#include <errno.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include "server/observe/log.h"
+
+enum {
+  THREADS_MAX = 64,       /* as the list of options says */
+  LOW_PRIORITY = 10,      /* nice: a tenth of what a worker gets where both want a core */
+  BATCHES_PER_THREAD = 2, /* of a job: one to walk while another waits for its turn to be merged */
+  RETRY_AFTER_MS = 1000,  /* jobs last seconds */
+};
+
+/* One batch of a job. */
+enum batch_state {
+  BATCH_FREE,
+  BATCH_BEGUN, /* waits for a thread to walk on */
+  BATCH_HELD,  /* by a thread */
+  BATCH_DONE,  /* waits to be merged */
+};
+
+struct batch {
+  core_mc_batch *walk;
+  uint64_t index;
+  enum batch_state state;
+};
+
+struct mc_job {
+  struct mc_pool *pool;
+  struct mc_job *next; /* in the pool's list; the first is the next to have a turn */
+  uv_async_t *wake;    /* NULL: it has been dropped */
+  struct mc_task task;
+  uint64_t bytes; /* taken from the server's budget */
+
+  uint64_t next_start; /* index of the next batch to begin, */
+  uint64_t next_merge; /* and to merge */
+  unsigned turns;      /* that threads have with it now */
+  bool totalling;      /* one of them is opening it, merging, or writes the table */
+  bool open;           /* what it needs is allocated, */
+  bool failed;         /* or could not be */
+  enum mc_state state; /* it has come to an end unless UNDER_WAY */
+  bool complete;       /* its table is written */
+
+  wire_mc_reply progress; /* a copy of the task's */
+  bool progress_new;
+  uint64_t woken_ms;
+
+  size_t batch_count;
+  struct batch batches[]; /* BATCHES_PER_THREAD for each thread */
+};
+
+struct mc_pool {
+  struct server *server;
+  uv_mutex_t mutex; /* guards all but what a turn is about */
+  uv_cond_t changed;
+  struct mc_job *jobs;
+  uint64_t job_count;
+  uint64_t thread_count;
+  bool stopping;
+  uv_thread_t threads[THREADS_MAX];
+};
+
+/* ---- turns ------------------------------------------------------------------------------------
+ */
+
+/* What a thread does next, without the lock. */
+enum turn_kind { TURN_NONE, TURN_OPEN, TURN_WALK, TURN_MERGE, TURN_TABLE };
+
+struct turn {
+  enum turn_kind kind;
+  struct mc_job *job;
+  struct batch *batch;
+  bool begins; /* WALK: the batch is a new one */
+  bool done;   /* WALK: the batch is; OPEN: the job is */
+};
+
+/* The batch in a state with the lowest index: what others wait for comes first. */
+static struct batch *first_batch(struct mc_job *job, enum batch_state state) {
+  struct batch *first = NULL;
+  for (size_t i = 0; i < job->batch_count; i++) {
+    struct batch *batch = &job->batches[i];
+    if (batch->state == state && (first == NULL || batch->index < first->index)) {
+      first = batch;
+    }
+  }
+  return first;
+}
+
+/* A batch to walk: one that has been begun, else a new one. */
+static struct batch *batch_to_walk(struct mc_job *job) {
+  struct batch *batch = first_batch(job, BATCH_BEGUN);
+  if (batch != NULL || job->next_start == job->task.batches_max) {
+    return batch;
+  }
+  batch = first_batch(job, BATCH_FREE);
+  if (batch != NULL) {
+    batch->index = job->next_start++;
+  }
+  return batch;
+}
+
+static struct turn totalling_turn_of(struct mc_job *job) {
+  struct turn turn = {.kind = TURN_NONE, .job = job};
+  if (job->wake == NULL || job->complete || job->failed || job->totalling) {
+    return turn;
+  }
+  if (!job->open) {
+    turn.kind = TURN_OPEN;
+    return turn;
+  }
+  if (job->state != MC_UNDER_WAY) {
+    turn.kind = TURN_TABLE;
+    return turn;
+  }
+  turn.batch = first_batch(job, BATCH_DONE);
+  if (turn.batch != NULL && turn.batch->index == job->next_merge) {
+    turn.kind = TURN_MERGE;
+  }
+  return turn;
+}
+
+static struct turn walking_turn_of(struct mc_job *job) {
+  struct turn turn = {.kind = TURN_NONE, .job = job};
+  if (job->wake != NULL && job->open && job->state == MC_UNDER_WAY) {
+    turn.batch = batch_to_walk(job);
+    turn.kind = turn.batch != NULL ? TURN_WALK : TURN_NONE;
+  }
+  return turn;
+}
+
+/* Puts a job, which is in the list, at its end. */
+static void move_to_end(struct mc_pool *pool, struct mc_job *job) {
+  struct mc_job **link = &pool->jobs;
+  while (*link != NULL) {
+    if (*link == job) {
+      *link = job->next;
+      job->next = NULL;
+    } else {
+      link = &(*link)->next;
+    }
+  }
+  *link = job;
+}
+
+/* What brings a job to its end comes first: it is short, and somebody may wait for it. */
+static struct turn find_turn(struct mc_pool *pool) {
+  struct turn turn = {.kind = TURN_NONE};
+  for (struct mc_job *job = pool->jobs; job != NULL && turn.kind == TURN_NONE; job = job->next) {
+    turn = totalling_turn_of(job);
+  }
+  for (struct mc_job *job = pool->jobs; job != NULL && turn.kind == TURN_NONE; job = job->next) {
+    turn = walking_turn_of(job);
+  }
+  return turn;
+}
+
+static bool take_turn(struct mc_pool *pool, struct turn *turn) {
+  *turn = find_turn(pool);
+  if (turn->kind == TURN_NONE) {
+    return false;
+  }
+  struct mc_job *job = turn->job;
+  move_to_end(pool, job);
+  job->turns++;
+  if (turn->kind == TURN_WALK) {
+    turn->begins = turn->batch->state == BATCH_FREE;
+    turn->batch->state = BATCH_HELD;
+  } else {
+    job->totalling = true;
+  }
+  return true;
+}
+
+/* Allocates what the job needs, which takes too long for a worker. One batch will do where there is
+ * no memory for more. */
+static bool open_job(struct mc_job *job) {
+  const size_t wanted = job->batch_count;
+  job->batch_count = 0;
+  if (!mc_task_open(&job->task)) {
+    return false;
+  }
+  while (job->batch_count < wanted) {
+    core_mc_batch *walk = core_mc_batch_create(job->task.plan);
+    if (walk == NULL) {
+      break;
+    }
+    job->batches[job->batch_count++].walk = walk;
+  }
+  return job->batch_count > 0;
+}
+
+static void do_turn(struct mc_pool *pool, struct turn *turn) {
+  struct mc_job *job = turn->job;
+  switch (turn->kind) {
+  case TURN_OPEN:
+    turn->done = open_job(job);
+    break;
+  case TURN_WALK:
+    if (turn->begins) {
+      core_mc_batch_start(turn->batch->walk, turn->batch->index);
+    }
+    turn->done =
+        core_mc_batch_walk(turn->batch->walk, pool->server->isa, MC_TASK_SLICE_SCATTERINGS);
+    break;
+  case TURN_MERGE:
+    mc_task_merge(&job->task, turn->batch->walk);
+    break;
+  case TURN_TABLE:
+    mc_task_write_table(&job->task, job->state);
+    break;
+  case TURN_NONE:
+    break;
+  }
+}
+
+static void wake(struct mc_job *job) {
+  if (job->wake != NULL) {
+    job->woken_ms = uv_hrtime() / 1000000;
+    uv_async_send(job->wake);
+  }
+}
+
+static void end_merge(struct mc_pool *pool, struct turn *turn) {
+  struct mc_job *job = turn->job;
+  job->totalling = false;
+  turn->batch->state = BATCH_FREE;
+  job->next_merge++;
+  job->progress = job->task.progress;
+  if (job->state == MC_UNDER_WAY) {
+    job->state = job->task.progress.state;
+  }
+  stats_add(&pool->server->stats, STATS_MC_PHOTONS_WALKED, CORE_MC_BATCH_PHOTONS);
+}
+
+static void end_open(struct turn *turn) {
+  struct mc_job *job = turn->job;
+  job->totalling = false;
+  job->open = turn->done;
+  job->failed = !turn->done;
+  job->progress = job->task.progress;
+  if (job->failed) {
+    wake(job);
+  }
+}
+
+/* Takes a job that has been dropped, and that no thread is at, out of the list; to be freed without
+ * the lock. NULL: it is still wanted, or in use. */
+static struct mc_job *take_if_unused(struct mc_job *job) {
+  if (job->wake != NULL || job->turns > 0) {
+    return NULL;
+  }
+  struct mc_job **link = &job->pool->jobs;
+  while (*link != job) {
+    link = &(*link)->next;
+  }
+  *link = job->next;
+  return job;
+}
+
+static void free_job(struct mc_job *job) {
+  if (job == NULL) {
+    return;
+  }
+  for (size_t i = 0; i < job->batch_count; i++) {
+    core_mc_batch_free(job->batches[i].walk);
+  }
+  mc_task_close(&job->task);
+  server_return_bytes(job->pool->server, job->bytes);
+  free(job);
+}
+
+/* The job to be freed, if any. */
+static struct mc_job *end_turn(struct mc_pool *pool, struct turn *turn) {
+  struct mc_job *job = turn->job;
+  job->turns--;
+  if (turn->kind == TURN_WALK) {
+    turn->batch->state = turn->done ? BATCH_DONE : BATCH_BEGUN;
+  } else if (turn->kind == TURN_OPEN) {
+    end_open(turn);
+  } else if (turn->kind == TURN_MERGE) {
+    end_merge(pool, turn);
+  } else {
+    job->totalling = false;
+    job->complete = true;
+    wake(job);
+  }
+  if (job->open && !job->complete &&
+      uv_hrtime() / 1000000 - job->woken_ms >= MC_PROGRESS_EVERY_MS) {
+    job->progress_new = true;
+    wake(job);
+  }
+  if (turn->kind != TURN_WALK || turn->done) {
+    uv_cond_broadcast(&pool->changed); /* others may have something to do now */
+  }
+  return take_if_unused(job);
+}
+
+/* ---- threads ----------------------------------------------------------------------------------
+ */
+
+/* Linux has priorities for each thread, under its own number. */
+static void lower_priority(void) {
+  if (setpriority(PRIO_PROCESS, (id_t)gettid(), LOW_PRIORITY) != 0) {
+    log_line(LOG_LEVEL_ERROR, "event=priority-not-lowered reason=\"%s\"", strerror(errno));
+  }
+}
+
+static void thread_main(void *argument) {
+  struct mc_pool *pool = argument;
+  struct turn turn;
+  lower_priority();
+  uv_mutex_lock(&pool->mutex);
+  while (!pool->stopping) {
+    if (!take_turn(pool, &turn)) {
+      uv_cond_wait(&pool->changed, &pool->mutex);
+      continue;
+    }
+    uv_mutex_unlock(&pool->mutex);
+    do_turn(pool, &turn);
+    uv_mutex_lock(&pool->mutex);
+    struct mc_job *unused = end_turn(pool, &turn);
+    if (unused != NULL) {
+      uv_mutex_unlock(&pool->mutex);
+      free_job(unused);
+      uv_mutex_lock(&pool->mutex);
+    }
+  }
+  uv_mutex_unlock(&pool->mutex);
+}
+
+/* False: there is not a single one. */
+static bool start_threads(struct mc_pool *pool) {
+  while (pool->thread_count < pool->server->options.mc_threads &&
+         uv_thread_create(&pool->threads[pool->thread_count], thread_main, pool) == 0) {
+    pool->thread_count++;
+  }
+  return pool->thread_count > 0;
+}
+
+struct mc_pool *mc_pool_new(struct server *server) {
+  struct mc_pool *pool = calloc(1, sizeof *pool);
+  if (pool == NULL) {
+    return NULL;
+  }
+  pool->server = server;
+  if (uv_mutex_init(&pool->mutex) != 0) {
+    free(pool);
+    return NULL;
+  }
+  if (uv_cond_init(&pool->changed) != 0) {
+    uv_mutex_destroy(&pool->mutex);
+    free(pool);
+    return NULL;
+  }
+  return pool;
+}
+
+void mc_pool_free(struct mc_pool *pool) {
+  if (pool == NULL) {
+    return;
+  }
+  uv_mutex_lock(&pool->mutex);
+  pool->stopping = true;
+  uv_cond_broadcast(&pool->changed);
+  uv_mutex_unlock(&pool->mutex);
+  for (uint64_t i = 0; i < pool->thread_count; i++) {
+    uv_thread_join(&pool->threads[i]);
+  }
+  assert(pool->jobs == NULL);
+  uv_cond_destroy(&pool->changed);
+  uv_mutex_destroy(&pool->mutex);
+  free(pool);
+}
+
+/* ---- jobs -------------------------------------------------------------------------------------
+ */
+
+static wire_error busy(const char *allowed) {
+  wire_error error = wire_error_make(WIRE_STATUS_BUSY, "", allowed);
+  error.retry_after_ms = RETRY_AFTER_MS;
+  return error;
+}
+
+/* NULL: there is no memory. */
+static struct mc_job *new_job(struct mc_pool *pool, const struct mc_task *task, uv_async_t *to) {
+  const size_t batches = BATCHES_PER_THREAD * (size_t)pool->server->options.mc_threads;
+  const uint64_t bytes = mc_task_bytes(task, batches);
+  if (!server_take_bytes(pool->server, bytes)) {
+    return NULL;
+  }
+  struct mc_job *job = calloc(1, sizeof *job + batches * sizeof job->batches[0]);
+  if (job == NULL) {
+    server_return_bytes(pool->server, bytes);
+    return NULL;
+  }
+  job->pool = pool;
+  job->task = *task;
+  job->bytes = bytes;
+  job->wake = to;
+  job->batch_count = batches;
+  job->woken_ms = uv_hrtime() / 1000000;
+  return job;
+}
+
+/* False: it is one too many, or there is no thread for it. */
+static bool add_job(struct mc_pool *pool, struct mc_job *job) {
+  uv_mutex_lock(&pool->mutex);
+  const bool room = pool->job_count < pool->server->options.max_mc_jobs && start_threads(pool);
+  if (room) {
+    move_to_end(pool, job);
+    pool->job_count++;
+    stats_add(&pool->server->stats, STATS_MC_JOBS_OPEN, 1);
+    uv_cond_broadcast(&pool->changed);
+  }
+  uv_mutex_unlock(&pool->mutex);
+  return room;
+}
+
+wire_error mc_job_start(struct mc_pool *pool, const uint8_t *payload, size_t payload_bytes,
+                        uv_async_t *to, struct mc_job **job) {
+  struct mc_task task;
+  const wire_error error = mc_task_check(&task, pool->server, payload, payload_bytes);
+  if (error.status != WIRE_STATUS_OK) {
+    return error;
+  }
+  *job = new_job(pool, &task, to);
+  if (*job == NULL) {
+    return busy("less at a time: max_total_bytes is in use");
+  }
+  if (!add_job(pool, *job)) {
+    free_job(*job);
+    return busy("fewer Monte Carlo jobs at a time: max_mc_jobs");
+  }
+  return wire_error_none();
+}
+
+void mc_job_end(struct mc_job *job, enum mc_state state) {
+  struct mc_pool *pool = job->pool;
+  uv_mutex_lock(&pool->mutex);
+  if (job->state == MC_UNDER_WAY) {
+    job->state = state;
+    atomic_store(&job->task.ends, true);
+    uv_cond_broadcast(&pool->changed);
+  }
+  uv_mutex_unlock(&pool->mutex);
+}
+
+void mc_job_drop(struct mc_job *job) {
+  struct mc_pool *pool = job->pool;
+  uv_mutex_lock(&pool->mutex);
+  job->wake = NULL;
+  pool->job_count--; /* its room is another's now, even if a thread has a last turn with it */
+  stats_subtract(&pool->server->stats, STATS_MC_JOBS_OPEN, 1);
+  atomic_store(&job->task.ends, true);
+  struct mc_job *unused = take_if_unused(job);
+  uv_mutex_unlock(&pool->mutex);
+  free_job(unused);
+}
+
+enum mc_news mc_job_look(struct mc_job *job, wire_mc_reply *progress) {
+  enum mc_news news = MC_NOTHING_NEW;
+  uv_mutex_lock(&job->pool->mutex);
+  if (job->failed) {
+    news = MC_NO_MEMORY;
+  } else if (job->complete) {
+    news = MC_TABLE;
+  } else if (job->progress_new) {
+    job->progress_new = false;
+    *progress = job->progress;
+    progress->state = MC_UNDER_WAY;
+    news = MC_PROGRESS;
+  }
+  uv_mutex_unlock(&job->pool->mutex);
+  return news;
+}
+
+const uint8_t *mc_job_table(const struct mc_job *job, size_t *payload_bytes) {
+  *payload_bytes = job->task.layout.payload_bytes;
+  return job->task.table;
+}

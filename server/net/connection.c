@@ -1,0 +1,398 @@
+#include "server/net/connection.h"
+
+#include <stdlib.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include "server/jobs/answer.h"
+#include "server/observe/log.h"
+#include "server/jobs/request.h"
+#include "server/net/worker.h"
+
+enum {
+  TURN_RADII = JOB_SLICE_RADII, /* what a turn may cost, JOB_STEP_RADII for a frame included */
+  WRITE_BUFFERS = 16,
+  REST_MS = 1000,   /* of silence, after which a connection's memory is given back */
+  LINGER_MS = 1000, /* for a peer that does not close after the last answer */
+};
+
+static void write_more(struct connection *c);
+
+/* ---- beginning and end ------------------------------------------------------------------------
+ */
+
+struct connection *connection_new(struct server *server, int fd, enum connection_purpose purpose) {
+  struct connection *c = calloc(1, sizeof *c);
+  if (c == NULL) {
+    return NULL;
+  }
+  c->server = server;
+  c->fd = fd;
+  c->purpose = purpose;
+  answer_init(c);
+  input_init(&c->input, server);
+  output_init(&c->output, server);
+  return c;
+}
+
+/* When nothing refers to it any more. */
+static void dispose(struct connection *c) {
+  struct server *server = c->server;
+  const enum connection_purpose purpose = c->purpose;
+  input_free(&c->input);
+  output_free(&c->output);
+  worker_forget(c->worker, c);
+  answer_end(c);
+  free(c);
+  if (purpose != CONNECTION_REFUSE) {
+    stats_subtract(&server->stats, STATS_CONNECTIONS_OPEN, 1);
+  }
+  if (purpose == CONNECTION_INHERITED) {
+    uv_async_send(&server->inherited_closed);
+  }
+}
+
+static void on_closed(uv_handle_t *handle) {
+  dispose(handle->data);
+}
+
+static void close_desk(struct connection *c) {
+  mc_desk_close(c->mc);
+  c->mc = NULL;
+}
+
+void connection_abort(struct connection *c) {
+  if (!c->closing) {
+    c->closing = true;
+    uv_close(&c->uv.handle, on_closed);
+    close_desk(c);
+    answer_end(c); /* nobody wakes it any more */
+  }
+}
+
+static void on_shut_down(uv_shutdown_t *request, int status) {
+  struct connection *c = request->handle->data;
+  if (status != 0 && !c->closing) {
+    connection_abort(c);
+  }
+}
+
+/* A socket that is closed with unread bytes resets the connection, and the peer may lose the
+ * answers that it has not read. So: no more writing, read and drop what still comes, until the peer
+ * closes. */
+static void linger(struct connection *c) {
+  if (c->peer_done || uv_shutdown(&c->shutdown, &c->uv.stream, on_shut_down) != 0) {
+    connection_abort(c);
+    return;
+  }
+  c->lingering = true;
+  c->lingering_ms = uv_now(c->uv.handle.loop);
+  input_discard(&c->input);
+}
+
+void connection_end(struct connection *c, uint64_t request_id, wire_error error) {
+  log_peer_line(LOG_LEVEL_INFO, "event=connection-ended status=%s field=%s",
+                wire_status_name(error.status), error.field);
+  request_refuse(c->server, request_id, &error, &c->output);
+  close_desk(c);
+  c->ending = true;
+}
+
+/* ---- reading ----------------------------------------------------------------------------------
+ */
+
+static void on_room_wanted(uv_handle_t *handle, size_t suggested, uv_buf_t *buffer) {
+  (void)suggested;
+  struct connection *c = handle->data;
+  uint8_t *room = NULL;
+  const size_t bytes = input_room(&c->input, &room);
+  *buffer = uv_buf_init((char *)room, (unsigned)bytes);
+}
+
+/* There is no memory for the rest of a frame: it is refused and skipped. */
+static void refuse_for_memory(struct connection *c) {
+  wire_header header;
+  wire_error error =
+      wire_error_make(WIRE_STATUS_BUSY, "payload_bytes", "less at a time: max_total_bytes in use");
+  error.retry_after_ms = 1000;
+  if (!input_refuse(&c->input, &header)) {
+    connection_abort(c);
+  } else if (!request_refuse(c->server, header.request_id, &error, &c->output)) {
+    connection_abort(c);
+  }
+}
+
+/* What has arrived is dealt with in the same round of the loop. Reading goes on unless something is
+ * left to do then, so that a client that asks and waits costs no calls for stopping and starting. */
+static void on_read(uv_stream_t *stream, ssize_t bytes, const uv_buf_t *buffer) {
+  (void)buffer;
+  struct connection *c = stream->data;
+  if (bytes == 0 || c->closing) {
+    return;
+  }
+  if (bytes > 0) {
+    stats_add(&c->server->stats, STATS_RECEIVED_BYTES, (uint64_t)bytes);
+    c->active_ms = uv_now(stream->loop);
+    input_arrived(&c->input, (size_t)bytes, worker_round_ns(c->worker));
+    if (c->lingering) {
+      input_discard(&c->input);
+      return;
+    }
+  } else {
+    uv_read_stop(stream);
+    c->reading = false;
+    if (bytes == UV_ENOBUFS) {
+      refuse_for_memory(c);
+    } else if (bytes == UV_EOF && !c->lingering) {
+      c->peer_done = true;
+    } else {
+      connection_abort(c);
+    }
+  }
+  if (!c->closing) {
+    worker_run_later(c->worker, c);
+  }
+}
+
+static void set_reading(struct connection *c, bool wanted) {
+  if (wanted && !c->reading) {
+    c->reading = uv_read_start(&c->uv.stream, on_room_wanted, on_read) == 0;
+    if (!c->reading) {
+      connection_abort(c);
+    }
+  } else if (!wanted && c->reading) {
+    uv_read_stop(&c->uv.stream);
+    c->reading = false;
+  }
+}
+
+/* ---- writing ----------------------------------------------------------------------------------
+ */
+
+static void wrote(struct connection *c, uint64_t bytes) {
+  output_consume(&c->output, bytes);
+  stats_add(&c->server->stats, STATS_SENT_BYTES, bytes);
+  c->active_ms = uv_now(c->uv.handle.loop);
+}
+
+static void on_written(uv_write_t *request, int status) {
+  struct connection *c = request->handle->data;
+  const uint64_t bytes = c->writing_bytes;
+  c->writing_bytes = 0;
+  if (c->closing) {
+    return;
+  }
+  if (status != 0) {
+    connection_abort(c);
+    return;
+  }
+  wrote(c, bytes);
+  write_more(c);
+  if (!c->closing) {
+    worker_run_later(c->worker, c);
+  }
+}
+
+/* Writes what is ready: at once as far as the socket takes it, the rest when it takes more. */
+static void write_more(struct connection *c) {
+  while (c->writing_bytes == 0 && c->output.ready_bytes > 0) {
+    uv_buf_t buffers[WRITE_BUFFERS];
+    const unsigned count = (unsigned)output_buffers(&c->output, buffers, WRITE_BUFFERS);
+    const int written = uv_try_write(&c->uv.stream, buffers, count);
+    if (written > 0) {
+      wrote(c, (uint64_t)written);
+      continue;
+    }
+    for (unsigned i = 0; i < count; i++) {
+      c->writing_bytes += buffers[i].len;
+    }
+    if ((written != UV_EAGAIN && written != 0) ||
+        uv_write(&c->write, &c->uv.stream, buffers, count, on_written) != 0) {
+      connection_abort(c);
+      return;
+    }
+  }
+}
+
+/* ---- turns ------------------------------------------------------------------------------------
+ */
+
+/* The clock of an unfinished frame runs while the peer could finish it. */
+static void note_partial_frame(struct connection *c) {
+  if (!input_partial(&c->input) || connection_blocked(c)) {
+    c->frame_started_ms = 0;
+  } else if (c->frame_started_ms == 0) {
+    c->frame_started_ms = uv_now(c->uv.handle.loop);
+  }
+}
+
+/* When nobody can cancel them any more, Monte Carlo jobs end with what they have; true: their
+ * tables are still to come. */
+static bool end_mc_jobs(struct connection *c) {
+  return (c->peer_done || c->stopping) &&
+         mc_desk_end_all(c->mc, c->peer_done ? MC_CANCELLED : MC_STOPPED);
+}
+
+/* All that has arrived is answered, and no more will be taken: the last words. */
+static void end_if_done(struct connection *c) {
+  if (c->ending || connection_blocked(c) || end_mc_jobs(c)) {
+    return;
+  }
+  if (c->peer_done && input_partial(&c->input)) {
+    wire_header header = {0}; /* request id 0 unless the header has arrived */
+    input_refuse(&c->input, &header);
+    connection_end(c, header.request_id,
+                   wire_error_make(WIRE_STATUS_TRUNCATED, "payload_bytes", "as many as announced"));
+  } else if (c->stopping && !c->peer_done) {
+    connection_end(
+        c, 0, wire_error_make(WIRE_STATUS_SHUTTING_DOWN, "", "another daemon, or this one later"));
+  }
+  c->ending = c->ending || c->peer_done;
+  write_more(c);
+}
+
+/* Nothing is left to do with what has arrived: read on, or come to an end. */
+static void settle(struct connection *c) {
+  if (c->waiting) {
+    set_reading(c, false);
+    return;
+  }
+  end_if_done(c);
+  if (c->closing || c->lingering) {
+    return;
+  }
+  if (c->ending) {
+    set_reading(c, false);
+    if (c->output.ready_bytes == 0) {
+      linger(c);
+    }
+    if (c->lingering) {
+      set_reading(c, true);
+    }
+    return;
+  }
+  note_partial_frame(c);
+  set_reading(c,
+              !connection_blocked(c) && !c->peer_done); /* the end would be read again and again */
+}
+
+void connection_run(struct connection *c) {
+  uint64_t budget = TURN_RADII;
+  /* Requests whose answers have not been written: no more of them than max_in_flight. */
+  unsigned taken = answer_is_under_way(c);
+  bool more = true;
+  while (more && budget > 0 && !c->closing &&
+         (answer_is_under_way(c) || taken < c->server->options.max_in_flight)) {
+    taken += !answer_is_under_way(c);
+    more = answer_step(c, &budget);
+  }
+  if (!c->closing && !answer_holds_output(c)) {
+    mc_desk_answer(c->mc, &c->output);
+  }
+  c->more_to_do = more;
+}
+
+void connection_finish(struct connection *c) {
+  /* Frames that waited for the reader have to be taken up if writing has just unblocked them. */
+  const bool was_blocked = connection_blocked(c);
+  if (!c->closing) {
+    write_more(c);
+  }
+  if (c->closing) {
+    return;
+  }
+  if (c->more_to_do || (was_blocked && !connection_blocked(c))) {
+    set_reading(c, false); /* the input may not move under a job, nor grow without end */
+    worker_run_later(c->worker, c);
+  } else {
+    settle(c);
+  }
+}
+
+/* ---- starting, stopping, time ------------------------------------------------------------------
+ */
+
+static int adopt(struct connection *c, uv_loop_t *loop) {
+  struct sockaddr_storage address = {.ss_family = AF_UNIX};
+  socklen_t length = sizeof address;
+  getsockname(c->fd, (struct sockaddr *)&address, &length);
+  if (address.ss_family == AF_UNIX) {
+    uv_pipe_init(loop, &c->uv.pipe, 0);
+    return uv_pipe_open(&c->uv.pipe, c->fd);
+  }
+  uv_tcp_init(loop, &c->uv.tcp);
+  const int opened = uv_tcp_open(&c->uv.tcp, c->fd);
+  if (opened == 0) {
+    uv_tcp_nodelay(&c->uv.tcp, 1); /* answers are gathered already; without it they only wait */
+  }
+  return opened;
+}
+
+void connection_start(struct connection *c, struct worker *worker) {
+  uv_loop_t *loop = worker_loop(worker);
+  c->worker = worker;
+  c->active_ms = uv_now(loop);
+  worker_remember(worker, c);
+  const int adopted = adopt(c, loop);
+  c->uv.handle.data = c;
+  if (adopted != 0) {
+    log_line(LOG_LEVEL_ERROR, "event=connection-failed reason=%s", uv_strerror(adopted));
+    close(c->fd);
+    connection_abort(c);
+    return;
+  }
+  if (c->purpose == CONNECTION_REFUSE) {
+    wire_error error = wire_error_make(WIRE_STATUS_BUSY, "", "fewer connections: max_connections");
+    error.retry_after_ms = 1000;
+    connection_end(c, 0, error);
+  }
+  worker_run_later(worker, c);
+}
+
+void connection_stop(struct connection *c) {
+  c->stopping = true;
+  if (!c->closing) {
+    worker_run_later(c->worker, c);
+  }
+}
+
+void connection_tick(struct connection *c, uint64_t now_ms) {
+  const struct options *options = &c->server->options;
+  if (c->closing) {
+    return;
+  }
+  if (c->lingering) {
+    if (now_ms - c->lingering_ms > LINGER_MS) {
+      connection_abort(c);
+    }
+    return;
+  }
+  if (!answer_is_under_way(c)) {
+    input_settle(&c->input, now_ms);
+  }
+  output_settle(&c->output, now_ms);
+  if (c->ending || c->output.ready_bytes > 0) {
+    if (now_ms - c->active_ms > options->idle_timeout_ms) {
+      connection_abort(c);
+    }
+    return;
+  }
+  if (answer_is_under_way(c) || c->to_run) {
+    return;
+  }
+  if (c->frame_started_ms != 0 && now_ms - c->frame_started_ms > options->frame_timeout_ms) {
+    connection_end(
+        c, 0,
+        wire_error_make(WIRE_STATUS_TIMEOUT, "payload_bytes", "frames within frame_timeout_ms"));
+    worker_run_later(c->worker, c);
+  } else if (mc_desk_open(c->mc)) { /* whose table there may be room for now */
+    worker_run_later(c->worker, c);
+  } else if (now_ms - c->active_ms > options->idle_timeout_ms) {
+    connection_end(
+        c, 0, wire_error_make(WIRE_STATUS_TIMEOUT, "", "no silence longer than idle_timeout_ms"));
+    worker_run_later(c->worker, c);
+  } else if (now_ms - c->active_ms > REST_MS) {
+    input_rest(&c->input);
+    output_rest(&c->output);
+  }
+}

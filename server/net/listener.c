@@ -1,0 +1,261 @@
+#include "server/net/listener.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <sys/un.h>
+#include <unistd.h>
+
+#include "server/observe/log.h"
+#include "server/modbus/service.h"
+#include "server/net/tcp.h"
+#include "server/net/worker.h"
+
+enum {
+  BACKLOG = 1024,
+  ACCEPTS_PER_ROUND = 64,
+  PAUSE_MS = 100,        /* when the process has no file descriptor left */
+  REFUSALS_AT_ONCE = 64, /* connections being told that they are too many; others are just closed */
+};
+
+static bool complain(const char *url, const char *why) {
+  fprintf(stderr, "dipoled: cannot listen at %s: %s\n", url, why);
+  return false;
+}
+
+/* ---- admission --------------------------------------------------------------------------------
+ */
+
+static struct worker *least_busy(struct server *server) {
+  struct worker *best = &server->workers[0];
+  for (uint64_t i = 1; i < server->options.workers; i++) {
+    struct worker *worker = &server->workers[i];
+    if (worker->connection_count < best->connection_count) {
+      best = worker;
+    }
+  }
+  return best;
+}
+
+/* All connections of all workers, those being refused among them. */
+static uint64_t held_connections(const struct server *server) {
+  uint64_t held = 0;
+  for (uint64_t i = 0; i < server->options.workers; i++) {
+    held += server->workers[i].connection_count;
+  }
+  return held;
+}
+
+void listener_admit(struct server *server, int fd, bool inherited) {
+  struct stats *stats = &server->stats;
+  const bool full = stats_get(stats, STATS_CONNECTIONS_OPEN) >= server->options.max_connections;
+  const enum connection_purpose purpose = full        ? CONNECTION_REFUSE
+                                          : inherited ? CONNECTION_INHERITED
+                                                      : CONNECTION_SERVE;
+  stats_add(stats, full ? STATS_CONNECTIONS_REFUSED : STATS_CONNECTIONS_ACCEPTED, 1);
+  const bool too_many_refusals =
+      held_connections(server) >= server->options.max_connections + REFUSALS_AT_ONCE;
+  struct connection *connection =
+      full && too_many_refusals ? NULL : connection_new(server, fd, purpose);
+  if (connection == NULL) {
+    close(fd);
+    return;
+  }
+  if (!full) {
+    stats_add(stats, STATS_CONNECTIONS_OPEN, 1);
+  }
+  worker_give(least_busy(server), connection);
+}
+
+static void admit(struct server *server, int fd) {
+  listener_admit(server, fd, false);
+}
+
+static void on_pause_over(uv_timer_t *timer);
+
+static void on_connections(uv_poll_t *poll, int status, int events) {
+  (void)status;
+  (void)events;
+  struct listener *listener = poll->data;
+  for (int i = 0; i < ACCEPTS_PER_ROUND; i++) {
+    const int fd = accept4(listener->fd, NULL, NULL, SOCK_NONBLOCK | SOCK_CLOEXEC);
+    if (fd >= 0) {
+      listener->admit(listener->server, fd);
+    } else if (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM) {
+      /* The waiting connection would make the loop spin. */
+      log_peer_line(LOG_LEVEL_ERROR, "event=accept-paused reason=%s", strerror(errno));
+      uv_poll_stop(&listener->poll);
+      uv_timer_start(&listener->pause, on_pause_over, PAUSE_MS, 0);
+      return;
+    } else if (errno == EAGAIN) {
+      return;
+    }
+  }
+}
+
+static void on_pause_over(uv_timer_t *timer) {
+  struct listener *listener = timer->data;
+  uv_poll_start(&listener->poll, UV_READABLE, on_connections);
+}
+
+/* ---- Unix sockets ------------------------------------------------------------------------------
+ */
+
+static int unix_socket(void) {
+  return socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+}
+
+/* A socket file that nobody listens at any more, which a daemon that was killed leaves behind. */
+static bool is_stale(const struct sockaddr_un *address) {
+  struct stat status;
+  if (lstat(address->sun_path, &status) != 0 || !S_ISSOCK(status.st_mode)) {
+    return false;
+  }
+  const int fd = unix_socket();
+  const bool refused =
+      connect(fd, (const struct sockaddr *)address, sizeof *address) != 0 && errno == ECONNREFUSED;
+  close(fd);
+  return refused;
+}
+
+static bool open_unix(struct listener *listener, const char *url, const char *path) {
+  struct sockaddr_un address = {.sun_family = AF_UNIX};
+  if (*path == '\0' || strlen(path) >= sizeof address.sun_path) {
+    return complain(url, "the path is empty or longer than a socket's path may be (107 bytes)");
+  }
+  memcpy(address.sun_path, path, strlen(path) + 1);
+  listener->fd = unix_socket();
+  if (listener->fd < 0) {
+    return complain(url, strerror(errno));
+  }
+  int bound = bind(listener->fd, (struct sockaddr *)&address, sizeof address);
+  if (bound != 0 && errno == EADDRINUSE && is_stale(&address)) {
+    unlink(path);
+    bound = bind(listener->fd, (struct sockaddr *)&address, sizeof address);
+  }
+  if (bound != 0 || listen(listener->fd, BACKLOG) != 0) {
+    return complain(url, errno == EADDRINUSE ? "another process listens there" : strerror(errno));
+  }
+  listener->unix_path = strdup(path);
+  log_line(LOG_LEVEL_INFO, "event=listening url=unix:%s", path);
+  return true;
+}
+
+/* ---- TCP ---------------------------------------------------------------------------------------
+ */
+
+static bool open_tcp(struct listener *listener, const char *url, const char *host_port,
+                     const char *scheme) {
+  const char *why;
+  listener->fd = tcp_listen(host_port, &why);
+  if (listener->fd < 0) {
+    return complain(url, errno == EADDRINUSE
+                             ? "another process listens there; --listen names another address"
+                             : why);
+  }
+  char bound[TCP_TEXT_BYTES];
+  tcp_bound(listener->fd, bound);
+  log_line(LOG_LEVEL_INFO, "event=listening url=%s:%s", scheme, bound);
+  return true;
+}
+
+/* ---- passed sockets ----------------------------------------------------------------------------
+ */
+
+static int socket_option(int fd, int name) {
+  int value = -1;
+  socklen_t length = sizeof value;
+  return getsockopt(fd, SOL_SOCKET, name, &value, &length) == 0 ? value : -1;
+}
+
+static void log_adopted(int fd) {
+  struct sockaddr_un address = {0};
+  socklen_t length = sizeof address;
+  char bound[TCP_TEXT_BYTES];
+  if (socket_option(fd, SO_DOMAIN) != AF_UNIX) {
+    tcp_bound(fd, bound);
+    log_line(LOG_LEVEL_INFO, "event=listening url=tcp:%s", bound);
+  } else if (getsockname(fd, (struct sockaddr *)&address, &length) == 0) {
+    log_line(LOG_LEVEL_INFO, "event=listening url=unix:%.*s", (int)sizeof address.sun_path,
+             address.sun_path);
+  }
+}
+
+static bool adopt(int fd) {
+  const int domain = socket_option(fd, SO_DOMAIN);
+  if (socket_option(fd, SO_TYPE) != SOCK_STREAM || socket_option(fd, SO_ACCEPTCONN) != 1 ||
+      (domain != AF_UNIX && domain != AF_INET && domain != AF_INET6)) {
+    char number[32];
+    snprintf(number, sizeof number, "descriptor %d", fd);
+    return complain(number, "it is no stream socket that listens");
+  }
+  return fcntl(fd, F_SETFL, O_NONBLOCK) == 0 && fcntl(fd, F_SETFD, FD_CLOEXEC) == 0;
+}
+
+/* ---- public ------------------------------------------------------------------------------------
+ */
+
+static bool watch(struct listener *listener, uv_loop_t *loop) {
+  uv_poll_init(loop, &listener->poll, listener->fd);
+  uv_timer_init(loop, &listener->pause);
+  listener->poll.data = listener->pause.data = listener;
+  return uv_poll_start(&listener->poll, UV_READABLE, on_connections) == 0;
+}
+
+bool listener_adopt(struct listener *listener, struct server *server, uv_loop_t *loop, int fd) {
+  *listener = (struct listener){.server = server, .admit = admit, .fd = fd};
+  if (!adopt(fd)) {
+    close(fd);
+    return false;
+  }
+  log_adopted(fd);
+  return watch(listener, loop);
+}
+
+static bool start(struct listener *listener, uv_loop_t *loop, bool open) {
+  if (!open) {
+    if (listener->fd >= 0) {
+      close(listener->fd);
+    }
+    return false;
+  }
+  return watch(listener, loop);
+}
+
+bool listener_open(struct listener *listener, struct server *server, uv_loop_t *loop,
+                   const char *url) {
+  *listener = (struct listener){.server = server, .admit = admit, .fd = -1};
+  bool open;
+  if (strncmp(url, "unix:", 5) == 0) {
+    open = open_unix(listener, url, url + 5);
+  } else if (strncmp(url, "tcp:", 4) == 0) {
+    open = open_tcp(listener, url, url + 4, "tcp");
+  } else {
+    open = complain(url, "the address has the form unix:PATH or tcp:HOST:PORT");
+  }
+  return start(listener, loop, open);
+}
+
+bool listener_open_modbus(struct listener *listener, struct server *server, uv_loop_t *loop,
+                          const char *url) {
+  *listener = (struct listener){.server = server, .admit = modbus_service_admit, .fd = -1};
+  const bool open =
+      strncmp(url, "tcp:", 4) == 0
+          ? open_tcp(listener, url, url + 4, "modbus-tcp")
+          : complain(url, "Modbus is served at tcp:HOST:PORT or rtu:DEVICE,BAUD,PARITY[,UNIT]");
+  return start(listener, loop, open);
+}
+
+void listener_close(struct listener *listener) {
+  uv_close((uv_handle_t *)&listener->poll, NULL);
+  uv_close((uv_handle_t *)&listener->pause, NULL);
+  close(listener->fd);
+  if (listener->unix_path != NULL) {
+    unlink(listener->unix_path);
+    free(listener->unix_path);
+  }
+}

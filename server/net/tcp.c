@@ -1,0 +1,92 @@
+#include "server/net/tcp.h"
+
+#include <errno.h>
+#include <netdb.h>
+#include <stdbool.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+enum { BACKLOG = 1024 };
+
+void tcp_bound(int fd, char text[TCP_TEXT_BYTES]) {
+  struct sockaddr_storage address;
+  socklen_t length = sizeof address;
+  char host[128];
+  char port[16];
+  text[0] = '\0';
+  if (getsockname(fd, (struct sockaddr *)&address, &length) == 0 &&
+      getnameinfo((struct sockaddr *)&address, length, host, sizeof host, port, sizeof port,
+                  NI_NUMERICHOST | NI_NUMERICSERV) == 0) {
+    const bool bracket = address.ss_family == AF_INET6;
+    snprintf(text, TCP_TEXT_BYTES, "%s%s%s:%s", bracket ? "[" : "", host, bracket ? "]" : "", port);
+  }
+}
+
+static int bind_to(const struct addrinfo *address) {
+  const int fd =
+      socket(address->ai_family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, IPPROTO_TCP);
+  const int on = 1;
+  if (fd >= 0) {
+    setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);
+    if (bind(fd, address->ai_addr, address->ai_addrlen) == 0 && listen(fd, BACKLOG) == 0) {
+      return fd;
+    }
+    const int error = errno;
+    close(fd);
+    errno = error;
+  }
+  return -1;
+}
+
+/* HOST:PORT, the host in brackets when it has colons. */
+static bool split(const char *text, char *host, size_t room, const char **port) {
+  const char *colon = strrchr(text, ':');
+  if (colon == NULL || colon[1] == '\0') {
+    return false;
+  }
+  size_t length = (size_t)(colon - text);
+  if (length >= 2 && text[0] == '[' && text[length - 1] == ']') {
+    text++;
+    length -= 2;
+  }
+  if (length == 0 || length >= room) {
+    return false;
+  }
+  memcpy(host, text, length);
+  host[length] = '\0';
+  *port = colon + 1;
+  return true;
+}
+
+static int refuse(const char *reason, const char **why) {
+  *why = reason;
+  errno = EINVAL;
+  return -1;
+}
+
+int tcp_listen(const char *host_port, const char **why) {
+  char host[256];
+  const char *port;
+  if (!split(host_port, host, sizeof host, &port)) {
+    return refuse("the address has the form HOST:PORT, [::1]:PORT for IPv6", why);
+  }
+  char *port_end;
+  if (strtoul(port, &port_end, 10) > 65535 || *port_end != '\0') {
+    return refuse("the port is a number from 0 to 65535", why);
+  }
+  const struct addrinfo hints = {.ai_socktype = SOCK_STREAM, .ai_flags = AI_PASSIVE};
+  struct addrinfo *found = NULL;
+  const int looked_up = getaddrinfo(host, port, &hints, &found);
+  if (looked_up != 0) {
+    return refuse(gai_strerror(looked_up), why);
+  }
+  const int fd = bind_to(found);
+  const int error = errno;
+  freeaddrinfo(found);
+  *why = strerror(error);
+  errno = error;
+  return fd;
+}

@@ -1,0 +1,80 @@
+/* worker: a thread with an event loop of its own, its connections, and their run queue.
+ *
+ * Threading: main accepts and gives each connection to the worker that has the fewest; from then on
+ * the worker reads, evaluates and writes on its own thread, so that a request crosses no threads.
+ * In each round of its loop a worker reads what has arrived on all of its connections, then gives
+ * each that has work one turn of bounded length, evaluates together what is short (server/jobs/batch.h),
+ * writes, and goes round again; a large request is taken in slices between the others' turns.
+ *
+ * The other scheme, an I/O thread in front that hands requests to workers and takes answers back,
+ * was measured with bare prototypes of both (build/bench threads, two cores; owners / front):
+ *
+ *   request and in flight          requests/s     CPU, us      median round trip, us
+ *   16 radii, one                  73k / 12k      5.9 / 33     11 / 48
+ *   16 radii, 32 connections x 16  932k / 799k    0.28 / 0.35  265 / 305
+ *   65,536 radii, one              3059 / 2898    89 / 113     164 / 177
+ *   65,536 radii, 4 x 2            6968 / 6998    93 / 125     1120 / 1123
+ *   65,536 radii, 1 x 4            3389 / 3437    78 / 89      612 / 605
+ *
+ * The hop there and back costs more than a small request, and large ones gain nothing that two
+ * connections do not: so connections have owners.
+ */
+#ifndef DIPOLED_WORKER_H
+#define DIPOLED_WORKER_H
+
+#include "server/net/connection.h"
+#include "server/observe/latency.h"
+
+struct worker {
+  struct server *server;
+  struct modbus_service *modbus; /* of the first worker; NULL: of the others, or not asked for */
+  uv_thread_t thread;
+  uv_loop_t loop;
+  uv_async_t wake;
+  uv_check_t after_poll;
+  uv_idle_t stay_awake; /* active while the run queue is not empty */
+  uv_timer_t clock;
+  uv_timer_t deadline; /* the next that somebody who waits has */
+  uint64_t wake_ms;    /* when it is; 0: nobody has one */
+
+  uv_mutex_t mutex; /* guards the inbox and stop_wanted */
+  struct connection *inbox;
+  bool stop_wanted;
+
+  struct connection *connections;
+  struct connection *run_first;
+  struct connection *run_last;
+  uint64_t run_count;   /* of connections in the run queue */
+  uint64_t round_ns;    /* when this round of the loop read first; 0: it has not */
+  unsigned stop_rounds; /* rounds of the loop since the stop was wanted; 0: it is not */
+  uint64_t stop_began_ms;
+  _Atomic uint64_t connection_count; /* given to it and not yet closed */
+  struct profiles profiles;
+  struct job_scratch scratch;
+  struct latency latency;
+};
+
+/* Starts the thread; a libuv error code, 0 when it runs. */
+int worker_start(struct worker *worker, struct server *server);
+
+/* Any thread. */
+void worker_give(struct worker *worker, struct connection *connection);
+void worker_stop(struct worker *worker); /* answers what has arrived, closes all, ends the thread */
+void worker_join(struct worker *worker);
+
+/* For connections, on the worker's thread. */
+uv_loop_t *worker_loop(struct worker *worker);
+struct job_scratch *worker_scratch(struct worker *worker);
+struct profiles *worker_profiles(struct worker *worker);
+struct latency *worker_latency(struct worker *worker);
+/* When this round of the loop began to read: what all that is read in it has for its arrival. */
+uint64_t worker_round_ns(struct worker *worker);
+void worker_remember(struct worker *worker, struct connection *connection);
+void worker_forget(struct worker *worker, struct connection *connection);
+/* answer_deadline() is called for all connections at that time of the loop, or a little later. */
+void worker_wake_at(struct worker *worker, uint64_t at_ms);
+/* The loop does not sleep in its next poll: what is after it has something to do. */
+void worker_stay_awake(struct worker *worker);
+void worker_run_later(struct worker *worker, struct connection *connection);
+
+#endif

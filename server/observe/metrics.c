@@ -1,0 +1,160 @@
+#include "server/observe/metrics.h"
+
+#include <errno.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "server/observe/http.h"
+#include "server/observe/log.h"
+#include "server/observe/metrics_text.h"
+#include "server/net/tcp.h"
+
+enum {
+  MOST_CONNECTIONS = 16, /* scrapers that ask at a time; others wait */
+  SILENCE_S = 5,         /* after which a connection is closed */
+  CONNECTION_BYTES = 16384,
+};
+
+#define PLAIN "text/plain; charset=utf-8"
+#define EXPOSITION "text/plain; version=0.0.4; charset=utf-8"
+
+struct metrics {
+  const struct server *server;
+  struct http library;
+  struct MHD_Daemon *daemon;
+};
+
+/* Takes the response; NULL: there was no memory for it, and the connection is closed. */
+static enum MHD_Result send_response(const struct http *http, struct MHD_Connection *connection,
+                                     unsigned status, const char *type,
+                                     struct MHD_Response *response) {
+  if (response == NULL) {
+    return MHD_NO;
+  }
+  http->add_response_header(response, MHD_HTTP_HEADER_CONTENT_TYPE, type);
+  if (status == MHD_HTTP_METHOD_NOT_ALLOWED) {
+    http->add_response_header(response, MHD_HTTP_HEADER_ALLOW, "GET, HEAD");
+  }
+  const enum MHD_Result sent = http->queue_response(connection, status, response);
+  http->destroy_response(response);
+  return sent;
+}
+
+static enum MHD_Result send_text(const struct http *http, struct MHD_Connection *connection,
+                                 unsigned status, char *text) {
+  return send_response(
+      http, connection, status, PLAIN,
+      http->create_response_from_buffer(strlen(text), text, MHD_RESPMEM_PERSISTENT));
+}
+
+static enum MHD_Result send_metrics(const struct http *http, struct MHD_Connection *connection,
+                                    const struct server *server) {
+  size_t bytes;
+  char *text = metrics_text(server, &bytes);
+  if (text == NULL) {
+    return MHD_NO;
+  }
+  struct MHD_Response *response =
+      http->create_response_from_buffer(bytes, text, MHD_RESPMEM_MUST_FREE);
+  if (response == NULL) {
+    free(text);
+  }
+  return send_response(http, connection, MHD_HTTP_OK, EXPOSITION, response);
+}
+
+static bool is_read(const char *method) {
+  return strcmp(method, MHD_HTTP_METHOD_GET) == 0 || strcmp(method, MHD_HTTP_METHOD_HEAD) == 0;
+}
+
+/* Called when a request's header is complete; it is answered whatever body may follow. */
+static enum MHD_Result on_request(void *context, struct MHD_Connection *connection, const char *url,
+                                  const char *method, const char *version, const char *body,
+                                  size_t *body_bytes, void **state) {
+  static char ok[] = "ok\n";
+  static char not_found[] = "There is /metrics, and /healthz.\n";
+  static char not_allowed[] = "It is only for reading: GET or HEAD.\n";
+  const struct metrics *metrics = context;
+  const struct http *http = &metrics->library;
+  (void)version, (void)body, (void)body_bytes, (void)state;
+  const bool is_metrics = strcmp(url, "/metrics") == 0;
+  if (!is_metrics && strcmp(url, "/healthz") != 0) {
+    return send_text(http, connection, MHD_HTTP_NOT_FOUND, not_found);
+  }
+  if (!is_read(method)) {
+    return send_text(http, connection, MHD_HTTP_METHOD_NOT_ALLOWED, not_allowed);
+  }
+  return is_metrics ? send_metrics(http, connection, metrics->server)
+                    : send_text(http, connection, MHD_HTTP_OK, ok);
+}
+
+/* The paths that there are need no escapes: left alone, an escaped end cannot make one of another. */
+static size_t leave_escaped(void *context, struct MHD_Connection *connection, char *text) {
+  (void)context, (void)connection;
+  return strlen(text);
+}
+
+static struct MHD_Daemon *start(struct metrics *metrics, int fd) {
+  return metrics->library.start_daemon(
+      MHD_USE_AUTO | MHD_USE_INTERNAL_POLLING_THREAD | MHD_USE_ITC, 0, NULL, NULL, on_request,
+      metrics, MHD_OPTION_LISTEN_SOCKET, fd, MHD_OPTION_CONNECTION_LIMIT,
+      (unsigned)MOST_CONNECTIONS, MHD_OPTION_CONNECTION_TIMEOUT, (unsigned)SILENCE_S,
+      MHD_OPTION_CONNECTION_MEMORY_LIMIT, (size_t)CONNECTION_BYTES, MHD_OPTION_UNESCAPE_CALLBACK,
+      leave_escaped, NULL, MHD_OPTION_END);
+}
+
+static int listen_at(const char *address) {
+  char local[64];
+  const char *port = strchr(address, ':') == NULL ? address
+                     : address[0] == ':'          ? address + 1
+                                                  : NULL;
+  const char *why;
+  if (port != NULL) {
+    snprintf(local, sizeof local, "127.0.0.1:%s", port);
+  }
+  const int fd = tcp_listen(port != NULL ? local : address, &why);
+  if (fd < 0) {
+    fprintf(stderr, "dipoled: --metrics %s: %s\n", address,
+            errno == EADDRINUSE ? "another process listens there" : why);
+  }
+  return fd;
+}
+
+static struct metrics *fail(const char *address, const char *why, int fd, struct metrics *metrics) {
+  fprintf(stderr, "dipoled: --metrics %s: %s\n", address, why);
+  close(fd);
+  free(metrics);
+  return NULL;
+}
+
+struct metrics *metrics_open(struct server *server, const char *address) {
+  const int fd = listen_at(address);
+  if (fd < 0) {
+    return NULL;
+  }
+  const char *why;
+  char bound[TCP_TEXT_BYTES];
+  tcp_bound(fd, bound);
+  struct metrics *metrics = calloc(1, sizeof *metrics);
+  if (metrics == NULL) {
+    return fail(address, "out of memory", fd, metrics);
+  }
+  if (!http_load(&metrics->library, &why)) {
+    return fail(address, why, fd, metrics);
+  }
+  metrics->server = server;
+  metrics->daemon = start(metrics, fd); /* and has the socket from now on */
+  if (metrics->daemon == NULL) {
+    return fail(address, "the HTTP server does not start", fd, metrics);
+  }
+  log_line(LOG_LEVEL_INFO, "event=metrics url=http://%s/metrics", bound);
+  return metrics;
+}
+
+void metrics_close(struct metrics *metrics) {
+  if (metrics != NULL) {
+    metrics->library.stop_daemon(metrics->daemon);
+    free(metrics);
+  }
+}

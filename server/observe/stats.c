@@ -1,0 +1,40 @@
+#include "server/observe/stats.h"
+
+_Thread_local unsigned stats_shard;
+
+void stats_count_request(struct stats *stats, unsigned type) {
+  switch (type) {
+#define WIRE_MESSAGE(type, IDENT, name)                                                            \
+  case type:                                                                                       \
+    stats_add(stats, STATS_REQUESTS_##IDENT, 1);                                                   \
+    break;
+#include "proto/messages.def"
+  }
+}
+
+void stats_count_answer(struct stats *stats, unsigned status) {
+  switch (status) {
+#define WIRE_STATUS(code, IDENT, modbus_exception, name, text)                                     \
+  case code:                                                                                       \
+    stats_add(stats, STATS_ANSWERS_##IDENT, 1);                                                    \
+    break;
+#include "proto/statuses.def"
+#undef WIRE_STATUS
+  }
+}
+
+void stats_count_radii(struct stats *stats, unsigned model, uint64_t radii) {
+  static const uint16_t index_of[] = {
+#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
+  [id] = STATS_RADII_##IDENT,
+#define CORE_SUM(id, IDENT, name, FIRST, SECOND, source) [id] = STATS_RADII_##IDENT,
+#include "core/models.def"
+  };
+  stats_add(stats, (enum stats_index)index_of[model], radii);
+}
+
+void stats_count_batch(struct stats *stats, uint64_t requests) {
+  const unsigned size = requests > 1 ? 64 - (unsigned)__builtin_clzll(requests - 1) : 0;
+  const unsigned last = STATS_BATCH_SIZES - 1;
+  stats_add(stats, (enum stats_index)(STATS_BATCHES + (size < last ? size : last)), 1);
+}

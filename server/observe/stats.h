@@ -1,0 +1,83 @@
+/* stats: what the daemon's threads count, while it costs next to nothing. server/observe/report.h makes
+ * names and sums of it. */
+#ifndef DIPOLED_STATS_H
+#define DIPOLED_STATS_H
+
+#include <stdatomic.h>
+#include <stddef.h>
+#include <stdint.h>
+
+/* Batches are counted by size: up to 1, 2, 4, 8, ... requests; the last size has no bound. */
+enum { STATS_BATCH_SIZES = 10 };
+
+enum stats_index {
+#define SERVER_STATISTIC(IDENT, name, type, help) STATS_##IDENT,
+#include "server/observe/stats.def"
+#define WIRE_MESSAGE(type, IDENT, name) STATS_REQUESTS_##IDENT,
+#include "proto/messages.def"
+#define WIRE_STATUS(code, IDENT, modbus_exception, name, text) STATS_ANSWERS_##IDENT,
+#include "proto/statuses.def"
+#undef WIRE_STATUS
+  STATS_RADII, /* by model */
+  STATS_RADII_BEFORE = STATS_RADII - 1,
+#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
+  STATS_RADII_##IDENT,
+#define CORE_SUM(id, IDENT, name, FIRST, SECOND, source) STATS_RADII_##IDENT,
+#include "core/models.def"
+  STATS_BATCHES, /* by size */
+  STATS_COUNT = STATS_BATCHES + STATS_BATCH_SIZES
+};
+
+/* Each worker counts in a shard of its own, which no other thread writes; all others share the first.
+ * A value is the sum of all shards. */
+enum { STATS_SHARDS = 65 };
+
+struct stats_shard {
+  _Alignas(64) _Atomic uint64_t values[STATS_COUNT];
+};
+
+struct stats {
+  struct stats_shard shards[STATS_SHARDS];
+};
+
+/* The shard of this thread: 0 unless stats_claim() has been called. */
+extern _Thread_local unsigned stats_shard;
+
+/* number: 1 to STATS_SHARDS - 1; no other thread has it. */
+static inline void stats_claim(unsigned number) {
+  stats_shard = number;
+}
+
+static inline void stats_add(struct stats *stats, enum stats_index index, uint64_t amount) {
+  _Atomic uint64_t *value = &stats->shards[stats_shard].values[index];
+  if (stats_shard == 0) {
+    atomic_fetch_add_explicit(value, amount, memory_order_relaxed);
+  } else {
+    atomic_store_explicit(value, atomic_load_explicit(value, memory_order_relaxed) + amount,
+                          memory_order_relaxed);
+  }
+}
+
+static inline void stats_subtract(struct stats *stats, enum stats_index index, uint64_t amount) {
+  stats_add(stats, index, UINT64_C(0) - amount);
+}
+
+/* A worker's share of a gauge. */
+static inline void stats_set(struct stats *stats, enum stats_index index, uint64_t value) {
+  atomic_store_explicit(&stats->shards[stats_shard].values[index], value, memory_order_relaxed);
+}
+
+static inline uint64_t stats_get(const struct stats *stats, enum stats_index index) {
+  uint64_t sum = 0;
+  for (size_t i = 0; i < STATS_SHARDS; i++) {
+    sum += atomic_load_explicit(&stats->shards[i].values[index], memory_order_relaxed);
+  }
+  return sum;
+}
+
+void stats_count_request(struct stats *stats, unsigned type);  /* a type of the list */
+void stats_count_answer(struct stats *stats, unsigned status); /* a status of the list */
+void stats_count_radii(struct stats *stats, unsigned model, uint64_t radii); /* a model's id */
+void stats_count_batch(struct stats *stats, uint64_t requests);              /* at least 1 */
+
+#endif

@@ -1,0 +1,438 @@
+#include "server/store/cache.h"
+
+#include <assert.h>
+#include <stdlib.h>
+#include <uv.h>
+
+enum {
+  BUCKETS_MIN = 256, /* a power of two, as all numbers of buckets */
+  FAST_SHARE = 4,    /* fast profiles may hold one in so many bytes */
+  KINDS = 2,         /* fast, slow */
+};
+
+struct cache_entry {
+  struct cache *cache;
+  struct cache_key key;
+  bool slow;
+  _Atomic uint64_t references;
+  _Atomic bool kept; /* in the cache; set when it is prepared */
+  _Atomic bool used; /* since it came to the head of its list */
+
+  /* Guarded by the mutex. */
+  bool under_way;               /* to be prepared */
+  struct cache_waiter *waiters; /* while it is */
+  struct cache_entry *next;     /* in its bucket; or of those that have been evicted */
+  struct cache_entry *newer;    /* in its list */
+  struct cache_entry *older;
+
+  /* Set by who prepares it, before others see it. */
+  uint64_t bytes;
+  core_fault fault;
+  core_profile profile;
+};
+
+struct list {
+  struct cache_entry *newest;
+  struct cache_entry *oldest;
+  uint64_t bytes;
+  uint64_t count;
+};
+
+struct cache {
+  const core_isa *isa;
+  struct stats *stats;
+  uint64_t limit_bytes;
+  uv_mutex_t mutex; /* guards the rest */
+  struct cache_entry **buckets;
+  uint64_t bucket_count;
+  uint64_t entry_count; /* in the buckets: prepared and under way */
+  struct list lists[KINDS];
+};
+
+/* ---- references -------------------------------------------------------------------------------
+ */
+
+void cache_hold(struct cache_entry *entry) {
+  atomic_fetch_add_explicit(&entry->references, 1, memory_order_relaxed);
+}
+
+void cache_release(struct cache_entry *entry) {
+  /* What others did with it comes before it is freed. */
+  if (atomic_fetch_sub_explicit(&entry->references, 1, memory_order_acq_rel) > 1) {
+    return;
+  }
+  if (entry->bytes > 0) {
+    core_profile_free(&entry->profile);
+  }
+  free(entry);
+}
+
+static void release_all(struct cache_entry *entry) {
+  while (entry != NULL) {
+    struct cache_entry *next = entry->next;
+    cache_release(entry);
+    entry = next;
+  }
+}
+
+const core_profile *cache_profile(const struct cache_entry *entry) {
+  return &entry->profile;
+}
+
+core_fault cache_fault(const struct cache_entry *entry) {
+  return entry->fault;
+}
+
+bool cache_keeps(const struct cache_entry *entry) {
+  return atomic_load_explicit(&entry->kept, memory_order_relaxed);
+}
+
+bool cache_is(const struct cache_entry *entry, const struct cache_key *key) {
+  return cache_key_equal(&entry->key, key);
+}
+
+void cache_used(struct cache_entry *entry) {
+  /* Read first, so that threads that use the same entry do not take its line from each other. */
+  if (!atomic_load_explicit(&entry->used, memory_order_relaxed)) {
+    atomic_store_explicit(&entry->used, true, memory_order_relaxed);
+  }
+}
+
+/* ---- the table of all; under the mutex, as all up to the public part ----------------------------
+ */
+
+static struct cache_entry **bucket_of(const struct cache *cache, uint64_t hash) {
+  return &cache->buckets[hash & (cache->bucket_count - 1)];
+}
+
+static struct cache_entry *find(const struct cache *cache, const struct cache_key *key) {
+  struct cache_entry *entry = *bucket_of(cache, key->hash);
+  while (entry != NULL && !cache_key_equal(&entry->key, key)) {
+    entry = entry->next;
+  }
+  return entry;
+}
+
+static void put_into_bucket(struct cache *cache, struct cache_entry *entry) {
+  struct cache_entry **bucket = bucket_of(cache, entry->key.hash);
+  entry->next = *bucket;
+  *bucket = entry;
+}
+
+/* Twice the buckets, when there are as many entries; without memory for them the old ones do. */
+static void grow(struct cache *cache) {
+  const uint64_t old_count = cache->bucket_count;
+  struct cache_entry **old = cache->buckets;
+  struct cache_entry **buckets = calloc(2 * old_count, sizeof *buckets);
+  if (buckets == NULL) {
+    return;
+  }
+  cache->buckets = buckets;
+  cache->bucket_count = 2 * old_count;
+  for (uint64_t i = 0; i < old_count; i++) {
+    for (struct cache_entry *entry = old[i]; entry != NULL;) {
+      struct cache_entry *next = entry->next;
+      put_into_bucket(cache, entry);
+      entry = next;
+    }
+  }
+  free(old);
+}
+
+static void add(struct cache *cache, struct cache_entry *entry) {
+  if (cache->entry_count == cache->bucket_count) {
+    grow(cache);
+  }
+  put_into_bucket(cache, entry);
+  cache->entry_count++;
+}
+
+static void take_out(struct cache *cache, struct cache_entry *entry) {
+  struct cache_entry **link = bucket_of(cache, entry->key.hash);
+  while (*link != entry) {
+    link = &(*link)->next;
+  }
+  *link = entry->next;
+  entry->next = NULL;
+  cache->entry_count--;
+}
+
+/* ---- the order of eviction --------------------------------------------------------------------
+ */
+
+static struct list *list_of(struct cache *cache, const struct cache_entry *entry) {
+  return &cache->lists[entry->slow];
+}
+
+static void put_first(struct list *list, struct cache_entry *entry) {
+  entry->newer = NULL;
+  entry->older = list->newest;
+  if (list->newest != NULL) {
+    list->newest->newer = entry;
+  } else {
+    list->oldest = entry;
+  }
+  list->newest = entry;
+  list->bytes += entry->bytes;
+  list->count++;
+}
+
+static void unlist(struct list *list, struct cache_entry *entry) {
+  if (entry->newer != NULL) {
+    entry->newer->older = entry->older;
+  } else {
+    list->newest = entry->older;
+  }
+  if (entry->older != NULL) {
+    entry->older->newer = entry->newer;
+  } else {
+    list->oldest = entry->newer;
+  }
+  list->bytes -= entry->bytes;
+  list->count--;
+}
+
+static void move_to_head(struct list *list, struct cache_entry *entry) {
+  atomic_store_explicit(&entry->used, false, memory_order_relaxed);
+  unlist(list, entry);
+  put_first(list, entry);
+}
+
+/* The oldest of a list that is not empty, after those that have been used since they came to its
+ * head have come there once more. */
+static struct cache_entry *choose(struct list *list) {
+  for (uint64_t left = list->count; left > 0; left--) {
+    if (!atomic_load_explicit(&list->oldest->used, memory_order_relaxed)) {
+      break;
+    }
+    move_to_head(list, list->oldest);
+  }
+  return list->oldest;
+}
+
+static uint64_t kept_bytes(const struct cache *cache) {
+  return cache->lists[false].bytes + cache->lists[true].bytes;
+}
+
+static void evict(struct cache *cache, struct list *list, struct cache_entry **evicted) {
+  struct cache_entry *entry = choose(list);
+  unlist(list, entry);
+  take_out(cache, entry);
+  atomic_store_explicit(&entry->kept, false, memory_order_relaxed);
+  entry->next = *evicted;
+  *evicted = entry;
+  stats_add(cache->stats, STATS_CACHE_EVICTIONS, 1);
+  stats_subtract(cache->stats, STATS_CACHE_ENTRIES, 1);
+  stats_subtract(cache->stats, STATS_CACHE_BYTES, entry->bytes);
+}
+
+static uint64_t limit_of(const struct cache *cache, bool slow) {
+  return slow ? cache->limit_bytes : cache->limit_bytes / FAST_SHARE;
+}
+
+/* Room for an entry that is not larger than its limit: of the fast ones first as many as exceed
+ * their share, then slow ones while there are any. */
+static void make_room(struct cache *cache, const struct cache_entry *entry,
+                      struct cache_entry **evicted) {
+  struct list *fast = &cache->lists[false];
+  struct list *slow = &cache->lists[true];
+  while (!entry->slow && entry->bytes > limit_of(cache, false) - fast->bytes) {
+    evict(cache, fast, evicted);
+  }
+  while (entry->bytes > cache->limit_bytes - kept_bytes(cache)) {
+    evict(cache, slow->count > 0 ? slow : fast, evicted);
+  }
+}
+
+/* Keeps an entry that has just been prepared and is in the table; or, when it is larger than all
+ * that may be kept, takes it out and has it released with those that have been evicted. */
+static void keep(struct cache *cache, struct cache_entry *entry, struct cache_entry **evicted) {
+  if (entry->fault.field != NULL || entry->bytes > limit_of(cache, entry->slow)) {
+    take_out(cache, entry);
+    *evicted = entry;
+    return;
+  }
+  make_room(cache, entry, evicted);
+  put_first(list_of(cache, entry), entry);
+  atomic_store_explicit(&entry->kept, true, memory_order_relaxed);
+  stats_add(cache->stats, STATS_CACHE_ENTRIES, 1);
+  stats_add(cache->stats, STATS_CACHE_BYTES, entry->bytes);
+}
+
+/* ---- waiting ----------------------------------------------------------------------------------
+ */
+
+static void enlist(struct cache_waiter **list, struct cache_waiter *waiter) {
+  waiter->next = *list;
+  waiter->link = list;
+  if (waiter->next != NULL) {
+    waiter->next->link = &waiter->next;
+  }
+  *list = waiter;
+}
+
+static void delist(struct cache_waiter *waiter) {
+  *waiter->link = waiter->next;
+  if (waiter->next != NULL) {
+    waiter->next->link = waiter->link;
+  }
+  waiter->next = NULL;
+  waiter->link = NULL;
+}
+
+static void wait_for(struct cache_entry *entry, struct cache_queue *queue,
+                     struct cache_waiter *waiter) {
+  cache_hold(entry);
+  waiter->entry = entry;
+  waiter->queue = queue;
+  enlist(&entry->waiters, waiter);
+}
+
+/* While a waiter is in the list its thread cannot end, so its queue can be woken. */
+static void wake_all(struct cache_entry *entry) {
+  while (entry->waiters != NULL) {
+    struct cache_waiter *waiter = entry->waiters;
+    delist(waiter);
+    enlist(&waiter->queue->woken, waiter);
+    waiter->queue->wake(waiter->queue->context);
+  }
+}
+
+/* A slow entry that nobody waits for when its turn comes: true, and it is out of the table. */
+static bool give_up(struct cache_entry *entry) {
+  if (!entry->slow || entry->waiters != NULL) {
+    return false;
+  }
+  take_out(entry->cache, entry);
+  entry->under_way = false;
+  return true;
+}
+
+/* Referred to by the table and by who has it prepared; NULL: out of memory. */
+static struct cache_entry *new_entry(struct cache *cache, const struct cache_key *key, bool slow) {
+  struct cache_entry *entry = calloc(1, sizeof *entry);
+  if (entry != NULL) {
+    entry->cache = cache;
+    entry->key = *key;
+    entry->slow = slow;
+    entry->under_way = true;
+    atomic_init(&entry->references, 2);
+    add(cache, entry);
+  }
+  return entry;
+}
+
+static enum cache_answer look(struct cache *cache, const struct cache_key *key, bool slow,
+                              struct cache_queue *queue, struct cache_waiter *waiter,
+                              struct cache_entry **found) {
+  struct cache_entry *entry = find(cache, key);
+  if (entry == NULL) {
+    *found = new_entry(cache, key, slow);
+    if (*found != NULL && slow) {
+      wait_for(*found, queue, waiter);
+    }
+    return *found != NULL ? CACHE_NEW : CACHE_NO_MEMORY;
+  }
+  if (entry->under_way) {
+    wait_for(entry, queue, waiter);
+    return CACHE_AWAITED;
+  }
+  move_to_head(list_of(cache, entry), entry);
+  cache_hold(entry);
+  *found = entry;
+  return CACHE_KEPT;
+}
+
+/* ---- public: takes the mutex -------------------------------------------------------------------
+ */
+
+struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, struct stats *stats) {
+  struct cache *cache = calloc(1, sizeof *cache);
+  if (cache == NULL) {
+    return NULL;
+  }
+  cache->isa = isa;
+  cache->limit_bytes = limit_bytes;
+  cache->stats = stats;
+  cache->bucket_count = BUCKETS_MIN;
+  cache->buckets = calloc(BUCKETS_MIN, sizeof(struct cache_entry *));
+  if (cache->buckets == NULL || uv_mutex_init(&cache->mutex) != 0) {
+    free(cache->buckets);
+    free(cache);
+    return NULL;
+  }
+  return cache;
+}
+
+void cache_free(struct cache *cache) {
+  if (cache == NULL) {
+    return;
+  }
+  for (uint64_t i = 0; i < cache->bucket_count; i++) {
+    for (struct cache_entry *entry = cache->buckets[i]; entry != NULL;) {
+      struct cache_entry *next = entry->next;
+      assert(!entry->under_way && atomic_load(&entry->references) == 1);
+      cache_release(entry);
+      entry = next;
+    }
+  }
+  uv_mutex_destroy(&cache->mutex);
+  free(cache->buckets);
+  free(cache);
+}
+
+enum cache_answer cache_look(struct cache *cache, const struct cache_key *key, bool slow,
+                             struct cache_queue *queue, struct cache_waiter *waiter,
+                             struct cache_entry **entry) {
+  uv_mutex_lock(&cache->mutex);
+  const enum cache_answer answer = look(cache, key, slow, queue, waiter, entry);
+  uv_mutex_unlock(&cache->mutex);
+  return answer;
+}
+
+void cache_prepare(struct cache_entry *entry) {
+  struct cache *cache = entry->cache;
+  uv_mutex_lock(&cache->mutex);
+  const bool given_up = give_up(entry);
+  uv_mutex_unlock(&cache->mutex);
+  if (given_up) {
+    cache_release(entry); /* the table's */
+    return;
+  }
+  stats_add(cache->stats, STATS_CACHE_BUILDS, 1);
+  entry->fault = cache_key_prepare(&entry->key, cache->isa, &entry->profile);
+  if (entry->fault.field == NULL) {
+    entry->bytes = sizeof *entry + core_profile_bytes(&entry->profile);
+  }
+  struct cache_entry *evicted = NULL;
+  uv_mutex_lock(&cache->mutex);
+  entry->under_way = false;
+  keep(cache, entry, &evicted);
+  wake_all(entry);
+  uv_mutex_unlock(&cache->mutex);
+  release_all(evicted);
+}
+
+struct cache_waiter *cache_next_woken(struct cache *cache, struct cache_queue *queue) {
+  uv_mutex_lock(&cache->mutex);
+  struct cache_waiter *waiter = queue->woken;
+  if (waiter != NULL) {
+    delist(waiter);
+  }
+  uv_mutex_unlock(&cache->mutex);
+  return waiter;
+}
+
+void cache_leave(struct cache_waiter *waiter) {
+  struct cache_entry *entry = waiter->entry;
+  if (entry == NULL) {
+    return;
+  }
+  uv_mutex_lock(&entry->cache->mutex);
+  if (waiter->link != NULL) {
+    delist(waiter);
+  }
+  uv_mutex_unlock(&entry->cache->mutex);
+  *waiter = (struct cache_waiter){0};
+  cache_release(entry);
+}

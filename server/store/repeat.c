@@ -1,0 +1,199 @@
+#include "server/store/repeat.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "server/jobs/job.h"
+
+_Static_assert((int)REPEAT_REPLY_BYTES == (int)WIRE_BYTES_eval_reply + (int)WIRE_BYTES_channel,
+               "what stands before the arrays");
+
+/* ---- finding ---------------------------------------------------------------------------------- */
+
+/* The bytes of a request before its radii; 0: it is none that may be repeated. */
+static size_t start_bytes(const uint8_t *payload, size_t payload_bytes) {
+  if (payload_bytes < WIRE_BYTES_eval_request) {
+    return 0;
+  }
+  wire_eval_request fixed;
+  wire_get_eval_request(payload, &fixed);
+  const uint64_t bytes = eval_request_bytes(fixed.medium_count, fixed.parameter_count, 0);
+  return fixed.medium_count == 1 && bytes <= REPEAT_REQUEST_BYTES && bytes <= payload_bytes
+             ? (size_t)bytes
+             : 0;
+}
+
+/* Words of 8 bytes, mixed as cache_key.c does. */
+static uint64_t hash_of(const uint8_t *request, size_t bytes) {
+  uint64_t hash = 0;
+  for (size_t i = 0; i < bytes; i += 8) {
+    uint64_t word;
+    memcpy(&word, request + i, sizeof word);
+    hash = (hash ^ word) * UINT64_C(0x9e3779b97f4a7c15);
+    hash ^= hash >> 32;
+  }
+  return hash;
+}
+
+/* The entry that holds a request; NULL: none does. */
+static struct repeat_entry *look_up(struct repeat *repeat, const uint8_t *request, size_t bytes) {
+  const uint64_t hash = hash_of(request, bytes);
+  struct repeat_set *set = &repeat->sets[hash % REPEAT_SETS];
+  for (size_t i = 0; i < REPEAT_WAYS; i++) {
+    struct repeat_entry *entry = &set->entries[i];
+    if (entry->hash == hash && entry->request_bytes == bytes &&
+        memcmp(entry->request, request, bytes) == 0) {
+      return entry;
+    }
+  }
+  return NULL;
+}
+
+static bool radii_are_right(const struct repeat_entry *entry, const uint8_t *radii) {
+  static const uint8_t zeros[WIRE_ALIGNMENT];
+  const size_t bytes = entry->count * entry->value_bytes;
+  const core_fault fault =
+      entry->value_bytes == sizeof(float)
+          ? core_radii_check_f32(entry->count, (const float *)(const void *)radii)
+          : core_radii_check_f64(entry->count, (const double *)(const void *)radii);
+  return fault.field == NULL &&
+         memcmp(radii + bytes, zeros, (size_t)wire_padded(bytes) - bytes) == 0;
+}
+
+static bool is_listed(const struct repeat_entry *entry) {
+  return entry->payload_bytes > entry->request_bytes;
+}
+
+/* What the cache has evicted is not used any more, and what is used is not to be evicted. */
+static bool is_kept(const struct repeat_entry *entry) {
+  struct cache_entry *cached = entry->order.entry;
+  if (cached == NULL) {
+    return true;
+  }
+  cache_used(cached);
+  return cache_keeps(cached);
+}
+
+const struct repeat_entry *repeat_find(struct repeat *repeat, const uint8_t *payload,
+                                       size_t payload_bytes) {
+  const size_t bytes = start_bytes(payload, payload_bytes);
+  if (bytes == 0) {
+    return NULL;
+  }
+  const struct repeat_entry *entry = look_up(repeat, payload, bytes);
+  return entry != NULL && entry->payload_bytes == payload_bytes && is_kept(entry) &&
+                 (!is_listed(entry) || radii_are_right(entry, payload + bytes))
+             ? entry
+             : NULL;
+}
+
+/* ---- answering -------------------------------------------------------------------------------- */
+
+static const void *radii_of(const struct repeat_entry *entry, const uint8_t *payload,
+                            double *radii) {
+  if (is_listed(entry)) {
+    return payload + entry->request_bytes;
+  }
+  if (entry->value_bytes == sizeof(float)) {
+    core_grid_radii_f32(&entry->grid, 0, entry->count, (float *)(void *)radii);
+  } else {
+    core_grid_radii_f64(&entry->grid, 0, entry->count, radii);
+  }
+  return radii;
+}
+
+void repeat_answer(const struct repeat_entry *entry, struct batch *batch, struct stats *stats,
+                   const uint8_t *payload, double *radii, uint8_t *reply) {
+  const size_t used = entry->count * entry->value_bytes;
+  const void *r = radii_of(entry, payload, radii);
+  memcpy(reply, entry->reply, REPEAT_REPLY_BYTES);
+  uint8_t *to = reply + REPEAT_REPLY_BYTES;
+  for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
+    if (eval_is_array(entry->wanted, quantity->id)) {
+      batch_take(batch, stats, &entry->order, quantity->id, entry->count, r, to);
+      memset(to + used, 0, entry->array_bytes - used);
+      to += entry->array_bytes;
+    }
+  }
+  stats_add(stats, STATS_CACHE_HITS, 1);
+  stats_count_radii(stats, entry->order.key.model, entry->count);
+  stats_add(stats, STATS_SLICES_EVALUATED, 1);
+}
+
+/* ---- keeping in mind -------------------------------------------------------------------------- */
+
+static void forget(struct repeat_entry *entry) {
+  if (entry->request_bytes > 0 && entry->order.entry != NULL) {
+    cache_release(entry->order.entry);
+  }
+  entry->request_bytes = 0;
+}
+
+/* One medium, one part, short, and nothing that looks at the radii but the kernels; and not S, whose
+ * angles are not the profile's own. */
+static bool may_repeat(const struct job *job) {
+  const wire_eval_request *fixed = &job->request.fixed;
+  return !job->draws && fixed->medium_count == 1 && job->part_count == 1 && job->count > 0 &&
+         job->count <= BATCH_SHORT_RADII && job->covers_all && isnan(job->tolerance) &&
+         job->layout.arrays_per_channel > 0 &&
+         (fixed->wanted & (CORE_QUANTITY_RADIUS | CORE_QUANTITY_S)) == 0 &&
+         eval_request_bytes(1, fixed->parameter_count, 0) <= REPEAT_REQUEST_BYTES &&
+         (job->order.entry != NULL || core_profile_bytes(&job->order.profile) == 0);
+}
+
+/* Where a request is to be kept: in place of what is known of the same, or of what has been there
+ * longest. */
+static struct repeat_entry *make_room(struct repeat *repeat, const uint8_t *request, size_t bytes) {
+  const uint64_t hash = hash_of(request, bytes);
+  struct repeat_set *set = &repeat->sets[hash % REPEAT_SETS];
+  struct repeat_entry *entry = look_up(repeat, request, bytes);
+  if (entry == NULL) {
+    entry = &set->entries[set->next];
+    set->next = (set->next + 1) % REPEAT_WAYS;
+  }
+  forget(entry);
+  entry->hash = hash;
+  return entry;
+}
+
+void repeat_learn(struct repeat *repeat, const struct job *job) {
+  if (!may_repeat(job)) {
+    return;
+  }
+  const wire_eval_request *fixed = &job->request.fixed;
+  const uint8_t *payload = job->request.media - WIRE_BYTES_eval_request;
+  const size_t bytes = (size_t)eval_request_bytes(1, fixed->parameter_count, 0);
+  const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
+  const size_t listed = job->request.radii != NULL ? (size_t)job->count * value_bytes : 0;
+  struct repeat_entry *entry = make_room(repeat, payload, bytes);
+  entry->request_bytes = bytes;
+  entry->payload_bytes = bytes + (size_t)wire_padded(listed);
+  entry->reply_bytes = (size_t)job->layout.payload_bytes;
+  entry->array_bytes = (size_t)job->layout.array_bytes;
+  entry->value_bytes = value_bytes;
+  entry->count = (size_t)job->count;
+  entry->wanted = fixed->wanted;
+  entry->grid = job->grid;
+  memcpy(entry->request, payload, bytes);
+  memcpy(entry->reply, job->reply, REPEAT_REPLY_BYTES);
+  entry->order = job->order;
+  if (entry->order.entry != NULL) {
+    cache_hold(entry->order.entry);
+  }
+}
+
+void repeat_sweep(struct repeat *repeat) {
+  for (size_t i = 0; i < REPEAT_SETS * REPEAT_WAYS; i++) {
+    struct repeat_entry *entry = &repeat->sets[i / REPEAT_WAYS].entries[i % REPEAT_WAYS];
+    if (entry->request_bytes > 0 && entry->order.entry != NULL &&
+        !cache_keeps(entry->order.entry)) {
+      forget(entry);
+    }
+  }
+}
+
+void repeat_end(struct repeat *repeat) {
+  for (size_t i = 0; i < REPEAT_SETS * REPEAT_WAYS; i++) {
+    forget(&repeat->sets[i / REPEAT_WAYS].entries[i % REPEAT_WAYS]);
+  }
+}
