@@ -90,12 +90,12 @@ SERVER := $(call objects,$(wildcard server/*.c server/*/*.c))
 LIBRARY := $(call objects,$(wildcard clients/c/*.c))
 CLI := $(call objects,$(wildcard clients/cli/*.c))
 BENCH := $(call objects,$(wildcard tests/bench/*.c tests/bench/*/*.c))
-FIGURES := $(call objects,$(wildcard tests/figures/*.c))
-TRADEOFF := $(call objects,$(wildcard tests/tradeoff/*.c) $(addprefix tests/figures/,fail.c gnuplot.c panel.c progress.c table.c workers.c))
+FIGURES := $(call objects,$(wildcard core/tools/figures/*.c))
+TRADEOFF := $(call objects,$(wildcard core/tools/tradeoff/*.c) $(addprefix core/tools/figures/,fail.c gnuplot.c panel.c progress.c table.c workers.c))
 SOAK := $(call objects,$(wildcard tests/soak/*.c))
 PIPELINE := $(call objects,$(wildcard tests/pipeline/*.c))
 TESTS := $(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/unit/test_*.c tests/accuracy/test_*.c tests/fuzz/test_*.c))
-TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/bench/*.c tests/bits/*.c tests/figures/*.c tests/pipeline/*.c tests/soak/*.c tests/tradeoff/*.c),$(wildcard tests/*/*.c)))
+TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/bench/*.c tests/bits/*.c tests/pipeline/*.c tests/soak/*.c),$(wildcard tests/*/*.c)))
 
 PROGRAMS := $(BUILD)/dipoled $(BUILD)/dipole $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
@@ -288,7 +288,7 @@ tradeoff:
 	@$(MAKE) --no-print-directory -j2 $(BUILD)/trade-speed
 	$(BUILD)/trade-speed --output $(BUILD)/tradeoff
 	cp $(BUILD)/tradeoff/tradeoff.def core/tradeoff.def
-	cp $(BUILD)/tradeoff/front.svg $(BUILD)/tradeoff/map.svg tests/tradeoff/
+	cp $(BUILD)/tradeoff/front.svg $(BUILD)/tradeoff/map.svg core/tools/tradeoff/
 
 $(BUILD)/transport-table: $(call objects,$(wildcard core/tools/transport_table/*.c)) $(BUILD)/libcore.a
 	$(call SAY,LD,$@)

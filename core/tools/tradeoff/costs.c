@@ -1,0 +1,205 @@
+#include "core/tools/tradeoff/costs.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <time.h>
+
+enum {
+  ROUNDS = 31,
+  EVALUATION_MEDIA = 3,
+  PREPARATION_MEDIA = 12,
+  PREPARATIONS_MAX = 5,
+  DECADES = 12,
+};
+
+#define SAMPLE_NS 100000.0     /* long beside the clock's own cost, short beside a time slice */
+#define PREPARING_NS 20e6      /* repeated within about that */
+#define EVALUATING_COST_US 4e6 /* estimates, for the progress alone */
+#define PREPARING_COST_US 12e6
+
+double costs_cost_us(void) {
+  return EVALUATION_MEDIA * EVALUATING_COST_US + PREPARATION_MEDIA * PREPARING_COST_US;
+}
+
+static const core_medium evaluation_media[EVALUATION_MEDIA] = {
+    {0.001, 1, 0, 1.4}, {0.05, 1, 0, 1.4}, {0.5, 0.5, 0, 1.4}};
+
+/* The time that this thread has run: others on the machine are no part of it. */
+static double now_ns(void) {
+  struct timespec now;
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+  return (double)now.tv_sec * 1e9 + (double)now.tv_nsec;
+}
+
+static int compare(const void *a, const void *b) {
+  const double x = *(const double *)a, y = *(const double *)b;
+  return (x > y) - (x < y);
+}
+
+double costs_median(double *values, size_t n) {
+  qsort(values, n, sizeof *values, compare);
+  return n % 2 ? values[n / 2] : 0.5 * (values[n / 2 - 1] + values[n / 2]);
+}
+
+/* False: this medium is refused. */
+static bool prepare(core_profile *profile, const subjects *of, size_t s,
+                    const core_medium *medium) {
+  return subjects_prepare(profile, of, &of->all[s], medium, (double)NAN).field == NULL;
+}
+
+/* Of the values that are numbers; NaN: none is. */
+static double median_of_numbers(const double *values, size_t n) {
+  double numbers[PREPARATION_MEDIA];
+  size_t count = 0;
+  for (size_t i = 0; i < n; i++) {
+    if (!isnan(values[i])) {
+      numbers[count++] = values[i];
+    }
+  }
+  return count > 0 ? costs_median(numbers, count) : (double)NAN;
+}
+
+/* ---- evaluating -------------------------------------------------------------------------------
+ */
+
+static struct {
+  double f64[COSTS_LENGTH];
+  float f32[COSTS_LENGTH];
+  double out_f64[COSTS_LENGTH];
+  float out_f32[COSTS_LENGTH];
+} arrays;
+
+/* Equal chance per ln r from 0.01 to 20 mm, in an order that no branch predictor learns. */
+static void fill_arrays(void) {
+  uint32_t random = 1;
+  for (size_t i = 0; i < COSTS_LENGTH; i++) {
+    random = random * 1664525u + 1013904223u;
+    arrays.f32[i] = (float)(0.01 * pow(2000, (random >> 8) * 0x1p-24));
+    arrays.f64[i] = (double)arrays.f32[i];
+  }
+}
+
+static double run_ns(const core_profile *profile, size_t runs) {
+  const double start = now_ns();
+  for (size_t i = 0; i < runs; i++) {
+    if (profile->evaluator == CORE_EVALUATOR_F64) {
+      core_eval_f64(profile, CORE_QUANTITY_R, COSTS_LENGTH, arrays.f64, arrays.out_f64);
+    } else {
+      core_eval_f32(profile, CORE_QUANTITY_R, COSTS_LENGTH, arrays.f32, arrays.out_f32);
+    }
+  }
+  return now_ns() - start;
+}
+
+/* How many runs make a sample; also warms caches and clocks up. */
+static size_t calibrate(const core_profile *profile) {
+  size_t runs = 1;
+  while (run_ns(profile, runs) < SAMPLE_NS) {
+    runs *= 2;
+  }
+  return runs;
+}
+
+/* ns[subject] of one medium. */
+static void evaluate_all(const subjects *of, const core_medium *medium, double *ns) {
+  static core_profile profiles[SUBJECTS_MAX];
+  static double samples[SUBJECTS_MAX][ROUNDS];
+  size_t runs[SUBJECTS_MAX];
+  for (size_t s = 0; s < of->count; s++) {
+    runs[s] = prepare(&profiles[s], of, s, medium) ? calibrate(&profiles[s]) : 0;
+  }
+  for (size_t round = 0; round < ROUNDS; round++) {
+    for (size_t s = 0; s < of->count; s++) {
+      if (runs[s] > 0) {
+        run_ns(&profiles[s], 1); /* its tables come into the nearest cache */
+        samples[s][round] = run_ns(&profiles[s], runs[s]) / (double)(runs[s] * COSTS_LENGTH);
+      }
+    }
+  }
+  for (size_t s = 0; s < of->count; s++) {
+    ns[s] = (double)NAN;
+    if (runs[s] > 0) {
+      ns[s] = costs_median(samples[s], ROUNDS);
+      core_profile_free(&profiles[s]);
+    }
+  }
+}
+
+/* ---- preparing --------------------------------------------------------------------------------
+ */
+
+static double prepare_ns(const subjects *of, size_t s, const core_medium *medium) {
+  double samples[PREPARATIONS_MAX];
+  size_t count = 0;
+  const double start = now_ns();
+  do {
+    core_profile profile;
+    const double begin = now_ns();
+    if (!prepare(&profile, of, s, medium)) {
+      return (double)NAN;
+    }
+    samples[count++] = now_ns() - begin;
+    core_profile_free(&profile);
+  } while (count < PREPARATIONS_MAX && now_ns() - start < PREPARING_NS);
+  return costs_median(samples, count);
+}
+
+/* Four ratios by three eta. */
+static core_medium preparation_medium(size_t i) {
+  static const double ratios[] = {1e-3, 1e-2, 0.1, 1}, etas[] = {1.1, 1.4, 1.8};
+  const double ratio = ratios[i % 4];
+  return (core_medium){ratio / (1 + ratio), 1 / (1 + ratio), 0, etas[i / 4]};
+}
+
+/* The largest numerical error that profiles state, asked for this tolerance; NaN: refused. */
+static double stated(const subjects *of, size_t s, double tolerance) {
+  double worst = 0;
+  for (size_t m = 0; m < EVALUATION_MEDIA; m++) {
+    core_profile profile;
+    if (subjects_prepare(&profile, of, &of->all[s], &evaluation_media[m], tolerance).field !=
+        NULL) {
+      return (double)NAN;
+    }
+    worst = fmax(worst, profile.numerical_error + 20 * profile.numerical_error_per_mm);
+    core_profile_free(&profile);
+  }
+  return worst;
+}
+
+static void find_least(costs_of *cost, const subjects *of, size_t s) {
+  static const double powers[DECADES] = {1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7,
+                                         1e-6,  1e-5,  1e-4,  1e-3, 1e-2, 1e-1};
+  cost->numerical_least = (double)NAN;
+  for (size_t i = 0; i < DECADES && isnan(cost->numerical_least); i++) {
+    cost->tolerance_least = powers[i];
+    cost->numerical_least = stated(of, s, powers[i]);
+  }
+}
+
+/* ---- all of them ------------------------------------------------------------------------------
+ */
+
+void costs_measure(costs_of *costs, const subjects *of, progress_bar *progress) {
+  static double ns[EVALUATION_MEDIA][SUBJECTS_MAX];
+  fill_arrays();
+  progress_stage(progress, "cost of evaluating");
+  for (size_t m = 0; m < EVALUATION_MEDIA; m++) {
+    evaluate_all(of, &evaluation_media[m], ns[m]);
+    progress_add(progress, EVALUATING_COST_US);
+  }
+  progress_stage(progress, "cost of preparing");
+  for (size_t s = 0; s < of->count; s++) {
+    double over_media[PREPARATION_MEDIA];
+    for (size_t m = 0; m < EVALUATION_MEDIA; m++) {
+      over_media[m] = ns[m][s];
+    }
+    costs[s].evaluate_ns = median_of_numbers(over_media, EVALUATION_MEDIA);
+    for (size_t m = 0; m < PREPARATION_MEDIA; m++) {
+      const core_medium medium = preparation_medium(m);
+      over_media[m] = prepare_ns(of, s, &medium);
+    }
+    costs[s].prepare_ns = median_of_numbers(over_media, PREPARATION_MEDIA);
+    find_least(&costs[s], of, s);
+    progress_add(progress, PREPARATION_MEDIA * PREPARING_COST_US / (double)of->count);
+  }
+}

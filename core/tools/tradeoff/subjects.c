@@ -1,0 +1,115 @@
+#include "core/tools/tradeoff/subjects.h"
+
+#include <math.h>
+
+#include "core/tools/figures/fail.h"
+
+enum { CHUNK = 256, RADII = 8 };
+
+/* ---- one subject ------------------------------------------------------------------------------
+ */
+
+static core_fault prepare(core_profile *profile, unsigned model, unsigned evaluator,
+                          const core_medium *medium, double tolerance) {
+  core_parameters parameters = core_parameters_none();
+  parameters.value[CORE_PARAMETER_TOLERANCE] = tolerance;
+  return core_profile_prepare(profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT, evaluator,
+                              medium, &parameters);
+}
+
+core_fault subjects_prepare(core_profile *profile, const subjects *all, const subject *of,
+                            const core_medium *medium, double tolerance) {
+  return prepare(profile, all->models[of->model].model->id, of->evaluator->id, medium, tolerance);
+}
+
+void subjects_evaluate(const core_profile *profile, size_t n, const double *r, double *R) {
+  if (profile->evaluator == CORE_EVALUATOR_F64) {
+    core_eval_f64(profile, CORE_QUANTITY_R, n, r, R);
+    return;
+  }
+  for (size_t done = 0; done < n; done += CHUNK) {
+    float in[CHUNK], out[CHUNK];
+    const size_t count = n - done < CHUNK ? n - done : CHUNK;
+    for (size_t i = 0; i < count; i++) {
+      in[i] = (float)r[done + i];
+    }
+    core_eval_f32(profile, CORE_QUANTITY_R, count, in, out);
+    for (size_t i = 0; i < count; i++) {
+      R[done + i] = (double)out[i];
+    }
+  }
+}
+
+/* ---- which there are --------------------------------------------------------------------------
+ */
+
+/* NULL: the model is for a half space and needs nothing but its medium. */
+static const char *why_left_out(unsigned model) {
+  const core_medium medium = {0.05, 1, 0, 1.4};
+  core_profile profile;
+  if (model == CORE_MODEL_GAUSSIANS) {
+    return "a fit, as far off as the model that it is fitted to";
+  }
+  const core_fault fault = prepare(&profile, model, CORE_EVALUATOR_F64, &medium, (double)NAN);
+  if (fault.field != NULL) {
+    return fault.field; /* what it needs besides */
+  }
+  const bool fixed = (profile.notes & CORE_NOTE_MEDIUM_UNUSED) != 0;
+  core_profile_free(&profile);
+  return fixed ? "the same profile for every medium" : NULL;
+}
+
+/* R of two media that differ in g and sigma_s alone is the same. */
+static bool is_similar(unsigned model) {
+  static const double r[RADII] = {0.01, 0.03, 0.1, 0.3, 1, 3, 10, 20};
+  static const double gs[] = {-0.4, 0.5, 0.9};
+  const core_medium isotropic = {0.1, 1, 0, 1.4};
+  core_profile profile;
+  double R[RADII], truth[RADII];
+  bool similar =
+      prepare(&profile, model, CORE_EVALUATOR_F64, &isotropic, (double)NAN).field == NULL;
+  if (!similar) {
+    return false;
+  }
+  core_eval_f64(&profile, CORE_QUANTITY_R, RADII, r, truth);
+  core_profile_free(&profile);
+  for (size_t k = 0; k < sizeof gs / sizeof gs[0] && similar; k++) {
+    const core_medium medium = {0.1, 1 / (1 - gs[k]), gs[k], 1.4};
+    similar = prepare(&profile, model, CORE_EVALUATOR_F64, &medium, (double)NAN).field == NULL;
+    if (similar) {
+      core_eval_f64(&profile, CORE_QUANTITY_R, RADII, r, R);
+      core_profile_free(&profile);
+    }
+    for (size_t i = 0; i < RADII && similar; i++) {
+      similar = fabs(R[i] / truth[i] - 1) < 1e-9;
+    }
+  }
+  return similar;
+}
+
+static void add(subjects *all, const core_choice *model) {
+  const size_t index = all->model_count++;
+  all->models[index] = (subject_model){model, is_similar(model->id)};
+  for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
+    if (all->count == SUBJECTS_MAX) {
+      fail("more evaluators than there is room for");
+    }
+    all->all[all->count++] = (subject){index, evaluator};
+  }
+}
+
+void subjects_find(subjects *all) {
+  all->model_count = all->count = all->left_out_count = 0;
+  for (const core_choice *model = core_models; model->name != NULL; model++) {
+    if (all->model_count + all->left_out_count == SUBJECTS_MODELS_MAX) {
+      fail("more models than there is room for");
+    }
+    const char *why = why_left_out(model->id);
+    if (why == NULL) {
+      add(all, model);
+    } else {
+      all->left_out[all->left_out_count].model = model;
+      all->left_out[all->left_out_count++].why = why;
+    }
+  }
+}

@@ -1,0 +1,151 @@
+#include "core/tools/tradeoff/write.h"
+
+#include <math.h>
+
+#include "core/error_code.h"
+#include "core/tools/figures/table.h"
+
+enum { ETAS_A_LINE = 4 };
+
+/* The k-th ratio of the paper's, and its eta. */
+static double paper_ratio(size_t k) {
+  size_t i = 0;
+  while (!nodes_ratio_is_papers(i) || k-- > 0) {
+    i++;
+  }
+  return nodes_ratios[i];
+}
+
+static double paper_eta(size_t k) {
+  return nodes_eta(2 * k);
+}
+
+void write_csv(const char *path, const errors_table *errors, const costs_of *costs) {
+  const subjects *of = errors->of;
+  FILE *file = table_open(path);
+  fputs("model,evaluator,ratio,eta,cost_ns,prepare_ns,worst,median,worst_from_1_mfp,albedo_error,"
+        "numerical_error\n",
+        file);
+  for (size_t s = 0; s < of->count; s++) {
+    for (size_t ratio = 0; ratio < NODES_PAPER_RATIOS; ratio++) {
+      for (size_t eta = 0; eta < NODES_PAPER_ETAS; eta++) {
+        const errors_row *row = errors_at_row(errors, eta, ratio, s);
+        const double numbers[] = {costs[s].evaluate_ns, costs[s].prepare_ns, row->worst,
+                                  row->median,          row->worst_far,      row->albedo,
+                                  row->numerical};
+        fprintf(file, "%s,%s,%g,%.1f", of->models[of->all[s].model].model->name,
+                of->all[s].evaluator->name, paper_ratio(ratio), paper_eta(eta));
+        for (size_t i = 0; i < sizeof numbers / sizeof numbers[0]; i++) {
+          isnan(numbers[i]) ? fputs(",", file) : fprintf(file, ",%.6g", numbers[i]);
+        }
+        fputc('\n', file);
+      }
+    }
+  }
+  table_close(file, path);
+}
+
+/* ---- the table that is chosen from ------------------------------------------------------------
+ */
+
+static void put_list(FILE *file, const char *name, const double *values, size_t count) {
+  for (size_t i = 0; i < count; i++) {
+    fprintf(file, "CORE_TRADE_%s(%g)%s", name, values[i],
+            i % 3 == 2 || i + 1 == count ? "\n" : " ");
+  }
+}
+
+/* One string for each ratio: the codes of each eta. */
+static void put_model(FILE *file, const errors_table *errors, size_t m) {
+  const subject_model *model = &errors->of->models[m];
+  fprintf(file, "/* %s */\nCORE_TRADE_MODEL(%u, %s", model->model->name, model->model->id,
+          model->similarity ? "true" : "false");
+  for (size_t ratio = 0; ratio < NODES_RATIOS; ratio++) {
+    fputc(',', file);
+    for (size_t eta = 0; eta < NODES_ETAS; eta++) {
+      const errors_node *node = errors_at_node(errors, eta, ratio, m);
+      fputs(eta % ETAS_A_LINE == 0 ? "\n\"" : "", file);
+      for (size_t band = 0; band < NODES_BANDS; band++) {
+        fprintf(file, "%02x", core_error_code(node->worst[band]));
+      }
+      fprintf(file, "%02x", core_error_code(node->albedo));
+      fputs(eta % ETAS_A_LINE == ETAS_A_LINE - 1 || eta + 1 == NODES_ETAS ? "\"" : "", file);
+    }
+  }
+  fputs(")\n", file);
+}
+
+/* Up, with three digits. */
+static void put_error(FILE *file, double error) {
+  const double unit = error > 0 ? pow(10, floor(log10(error)) - 2) : 1;
+  fprintf(file, ", %.3g", ceil(error / unit * (1 - 1e-12)) * unit);
+}
+
+static void put_cost(FILE *file, const errors_table *errors, const costs_of *costs, size_t s) {
+  const subjects *of = errors->of;
+  const core_choice *model = of->models[of->all[s].model].model;
+  double numerical = 0;
+  for (size_t i = 0; i < (size_t)NODES_PAPER_ETAS * NODES_PAPER_RATIOS; i++) {
+    const double stated = errors->rows[i * of->count + s].numerical;
+    numerical = isnan(stated) ? numerical : fmax(numerical, stated);
+  }
+  fprintf(file, "/* %s, %s */\nCORE_TRADE_COST(%u, %u, %.3g, %.3g", model->name,
+          of->all[s].evaluator->name, model->id, of->all[s].evaluator->id, costs[s].evaluate_ns,
+          costs[s].prepare_ns);
+  put_error(file, numerical);
+  put_error(file, costs[s].numerical_least);
+  fprintf(file, ", %g)\n", costs[s].tolerance_least);
+}
+
+static const char head[] =
+    "/* Measured by `make tradeoff` (core/tools/tradeoff/); core/choose.h says what it is for.\n"
+    " *\n"
+    " * CORE_TRADE_EDGE(mean free paths)   the edges of the bands of radii, rising\n"
+    " * CORE_TRADE_RATIO(sigma_a / sigma_s'), CORE_TRADE_ETA(eta)   the nodes, rising\n"
+    " * CORE_TRADE_MODEL(model, similarity, \"...\" for each ratio)\n"
+    " *   similarity  g and sigma_s matter through sigma_s (1 - g) alone\n"
+    " *   \"...\"       for each eta: for each band the largest |R / R_transport - 1|, then that "
+    "of "
+    "the\n"
+    " *               albedo, as codes of core/error_code.h, two hexadecimal digits each\n"
+    " * CORE_TRADE_COST(model, evaluator, ns for a radius, ns to prepare, numerical error by "
+    "default,\n"
+    " *                 numerical error when asked for the least tolerance, the least tolerance)\n"
+    " */\n"
+    "/* clang-format off */\n"
+    "#ifndef CORE_TRADE_EDGE\n#define CORE_TRADE_EDGE(mfp)\n#endif\n"
+    "#ifndef CORE_TRADE_RATIO\n#define CORE_TRADE_RATIO(ratio)\n#endif\n"
+    "#ifndef CORE_TRADE_ETA\n#define CORE_TRADE_ETA(eta)\n#endif\n"
+    "#ifndef CORE_TRADE_MODEL\n#define CORE_TRADE_MODEL(model, similarity, ...)\n#endif\n"
+    "#ifndef CORE_TRADE_COST\n"
+    "#define CORE_TRADE_COST(model, evaluator, ns, prepare_ns, numerical, numerical_least, least)\n"
+    "#endif\n\n";
+
+static const char tail[] = "\n#undef CORE_TRADE_EDGE\n#undef CORE_TRADE_RATIO\n"
+                           "#undef CORE_TRADE_ETA\n#undef CORE_TRADE_MODEL\n"
+                           "#undef CORE_TRADE_COST\n";
+
+void write_table(const char *path, const errors_table *errors, const costs_of *costs) {
+  const subjects *of = errors->of;
+  double etas[NODES_ETAS];
+  FILE *file = table_open(path);
+  for (size_t i = 0; i < NODES_ETAS; i++) {
+    etas[i] = nodes_eta(i);
+  }
+  fputs(head, file);
+  put_list(file, "EDGE", nodes_edges, NODES_BANDS + 1);
+  put_list(file, "RATIO", nodes_ratios, NODES_RATIOS);
+  put_list(file, "ETA", etas, NODES_ETAS);
+  for (size_t s = 0; s < of->count; s++) {
+    if (!isnan(costs[s].evaluate_ns) && !isnan(costs[s].numerical_least)) {
+      put_cost(file, errors, costs, s);
+    }
+  }
+  for (size_t m = 0; m < of->model_count; m++) {
+    if (of->models[m].model->id != CORE_MODEL_TRANSPORT) {
+      put_model(file, errors, m);
+    }
+  }
+  fputs(tail, file);
+  table_close(file, path);
+}
