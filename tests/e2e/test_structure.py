@@ -1,0 +1,64 @@
+"""tests/structure.py finds a circle of includes that is put into a copy of the sources."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from daemons import REPOSITORY
+
+sys.path.insert(0, str(REPOSITORY / "tests"))
+
+import structure  # noqa: E402  (needs the path above)
+
+
+@pytest.fixture
+def copy(tmp_path) -> Path:
+    for folder in structure.FOLDERS:
+        shutil.copytree(REPOSITORY / folder, tmp_path / folder)
+    return tmp_path
+
+
+def report(root: Path) -> tuple[int, list[str]]:
+    """The exit status of structure.py, and the lines that name circles."""
+    command = [sys.executable, str(REPOSITORY / "tests/structure.py"), str(root)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return done.returncode, [line for line in done.stdout.splitlines() if "->" in line]
+
+
+def test_a_circle_is_named(tmp_path):
+    for name, included in {"a.h": "core/b.h", "b.c": "c.h", "c.def": "a.h", "d.c": "a.h"}.items():
+        path = tmp_path / "core" / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(f'#include <stdio.h>\n#include "{included}"\n')
+    (tmp_path / "core/b.h").touch()
+    (tmp_path / "core/c.h").touch()
+    circle = "core/a -> core/b -> core/c -> core/a"
+    assert report(tmp_path) == (1, [f"modules include each other: {circle}"])
+    (tmp_path / "core/c.def").unlink()
+    assert report(tmp_path) == (0, [])
+
+
+@pytest.mark.parametrize("folder", structure.FOLDERS)
+def test_a_circle_put_into_a_copy_is_found(copy, folder):
+    """The header of a module that another one includes gets to include that one's header."""
+    graph = structure.modules(copy)
+
+    def may_serve(module: str) -> bool:
+        """Whether a module has a header and is in no circle yet."""
+        return (copy / f"{module}.h").exists() and not structure.chain(graph, module, module)
+
+    module, other = next(
+        (module, other)
+        for module in graph
+        for other in sorted(graph[module])
+        if module.startswith(f"{folder}/") and may_serve(module) and may_serve(other)
+    )
+    with (copy / f"{other}.h").open("a") as header:
+        header.write(f'#include "{module}.h"\n')
+    status, lines = report(copy)
+    assert status == 1
+    assert any({module, other} <= set(line.split()) for line in lines)

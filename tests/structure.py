@@ -1,0 +1,89 @@
+"""structure.py [FOLDER]: fails, and names the circle, when modules include each other in one.
+
+A module is a .c file with the .h and .def files of the same name in the same folder. Only includes
+that the sources of FOLDER (by default this repository) write with quotes count."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+FOLDERS = ("core", "proto", "server", "clients/c", "clients/cli")
+INCLUDE = re.compile(r'^[ \t]*#[ \t]*include[ \t]+"([^"]+)"', re.MULTILINE)
+
+Graph = dict[str, set[str]]
+
+
+def modules(root: Path) -> Graph:
+    """The modules of the folders above, and for each the modules that it includes."""
+    files = [
+        path.relative_to(root)
+        for folder in FOLDERS
+        for path in sorted((root / folder).rglob("*"))
+        if path.suffix in (".c", ".h", ".def")
+    ]
+    known = set(files)
+    graph: Graph = {str(path.with_suffix("")): set() for path in files}
+    for path in files:
+        module = str(path.with_suffix(""))
+        for name in INCLUDE.findall((root / path).read_text()):
+            # A path is taken from the root first, as the compiler's -I. does, then from the file.
+            beside = (root / path.parent / name).resolve()
+            candidates = [Path(name)]
+            if beside.is_relative_to(root):
+                candidates.append(beside.relative_to(root))
+            found = next((one for one in candidates if one in known), None)
+            if found is not None and str(found.with_suffix("")) != module:
+                graph[module].add(str(found.with_suffix("")))
+    return graph
+
+
+def chain(graph: Graph, start: str, end: str) -> list[str] | None:
+    """The shortest chain of includes from one module to another, both named."""
+    chains = [[start]]
+    seen = {start}
+    for one in chains:
+        for module in sorted(graph[one[-1]]):
+            if module == end:
+                return [*one, end]
+            if module not in seen:
+                seen.add(module)
+                chains.append([*one, module])
+    return None
+
+
+def circles(graph: Graph) -> list[list[str]]:
+    """For each group of modules that include each other, the shortest circle in the group. A circle
+    begins and ends with the same module."""
+    reach = {}
+    for module in graph:
+        todo, reach[module] = [module], set()
+        while todo:
+            new = graph[todo.pop()] - reach[module]
+            reach[module] |= new
+            todo += new
+    groups = {
+        frozenset(other for other in reach[module] if module in reach[other])
+        for module in graph
+        if module in reach[module]
+    }
+    return [
+        min((chain(graph, module, module) for module in sorted(group)), key=len)
+        for group in sorted(groups, key=sorted)
+    ]
+
+
+def main() -> int:
+    root = Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parents[1]).resolve()
+    graph = modules(root)
+    found = circles(graph)
+    for circle in found:
+        print("modules include each other:", " -> ".join(circle))
+    if not found:
+        print(f"structure: {len(graph)} modules, none includes itself through others")
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
