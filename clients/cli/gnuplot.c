@@ -1,6 +1,5 @@
-/* gnuplot reads its script from one nameless file and writes the picture into another and its
- * complaints into a third, so that no shell, no quoting of file names and no half-written picture
- * are involved. */
+/* gnuplot reads its script from one nameless file and writes the picture into a second and its
+ * error messages into a third. So no shell sees a file name, and no picture is half written. */
 #include "clients/cli/gnuplot.h"
 
 #include <errno.h>
@@ -15,58 +14,50 @@
 
 extern char **environ;
 
-typedef struct picture_format {
+static const struct {
   const char *suffix;
   const char *terminal; /* with the size in pixels, and fonts of about the same size */
-} picture_format;
-
-static const picture_format formats[] = {
+} formats[] = {
     {".svg", "svg size %zu,%zu dynamic background rgb 'white' font 'sans,14' noenhanced"},
     {".png", "pngcairo size %zu,%zu background rgb 'white' font 'sans,11' noenhanced"},
 };
 
-static const picture_format *format_of(const char *path) {
+/* NULL: no picture can have this name. */
+static const char *terminal_of(const char *path) {
   const size_t length = strlen(path);
   for (size_t i = 0; i < sizeof formats / sizeof formats[0]; i++) {
     const size_t suffix = strlen(formats[i].suffix);
     if (length > suffix && strcmp(path + length - suffix, formats[i].suffix) == 0) {
-      return &formats[i];
+      return formats[i].terminal;
     }
   }
   return NULL;
 }
 
 bool cli_gnuplot_draws(const char *path) {
-  return format_of(path) != NULL;
+  return terminal_of(path) != NULL;
 }
 
-bool cli_gnuplot_check(const cli_command *command, const char *path) {
-  if (!cli_gnuplot_draws(path)) {
-    cli_fail_usage(command, "--plot %s: the name must end in .svg or .png", path);
-    return false;
-  }
-  return true;
-}
-
-/* ---- the script ---------------------------------------------------------------------------- */
-
-/* gnuplot knows no escape within single quotes but the doubled quote. */
-void cli_gnuplot_text(FILE *script, const char *text) {
+void cli_gnuplot_quote(FILE *script, const char *text) {
   fputc('\'', script);
   for (; *text != '\0'; text++) {
-    if (*text == '\'') {
-      fputc('\'', script);
-    }
-    fputc(*text, script);
+    fputs(*text == '\'' ? "''" : (char[]){*text, '\0'}, script);
   }
   fputc('\'', script);
 }
+
+/* ---- running ------------------------------------------------------------------------------- */
 
 /* The nameless files that gnuplot works with, in the order of its standard streams. */
 enum { SCRIPT, PICTURE, COMPLAINTS, FILES };
 
-/* 0, an errno, or -1 when gnuplot failed. */
-static int run_gnuplot(FILE *const files[FILES]) {
+static bool fail(char error[CLI_GNUPLOT_ERROR_BYTES], const char *what, const char *why) {
+  snprintf(error, CLI_GNUPLOT_ERROR_BYTES, "%s%s%s", what, why[0] != '\0' ? ": " : "", why);
+  return false;
+}
+
+/* Returns 0, an errno, or -1 when gnuplot failed. */
+static int spawn(FILE *const files[FILES]) {
   char *arguments[] = {PROGRAM, "-", NULL};
   posix_spawn_file_actions_t actions;
   pid_t pid;
@@ -93,72 +84,120 @@ static int run_gnuplot(FILE *const files[FILES]) {
   return WIFEXITED(outcome) && WEXITSTATUS(outcome) == 0 ? 0 : -1;
 }
 
-static bool copy(FILE *from, FILE *to) {
-  char bytes[8192];
-  size_t count;
-  rewind(from);
-  while ((count = fread(bytes, 1, sizeof bytes, from)) > 0) {
-    fwrite(bytes, 1, count, to);
-  }
-  return !ferror(from) && !ferror(to);
-}
-
-static bool copy_to(FILE *from, const char *path) {
-  FILE *to = fopen(path, "wbe");
-  if (to == NULL) {
-    return false;
-  }
-  const bool good = copy(from, to);
-  return fclose(to) == 0 && good;
-}
-
-static int draw(const cli_command *command, FILE *const files[FILES], const char *path) {
-  const int fault = run_gnuplot(files);
+static bool run(FILE *const files[FILES], char error[CLI_GNUPLOT_ERROR_BYTES]) {
+  const int fault = spawn(files);
   if (fault == ENOENT) {
-    return cli_fail(command,
-                    "--plot %s: " PROGRAM " is not installed; install the package " PACKAGE
-                    " (`dipole plot` and `dipole eval` draw in the terminal with --plot -)",
-                    path);
+    return fail(error, PROGRAM " is not installed; install the package " PACKAGE, "");
   }
-  if (fault != 0) {
-    copy(files[COMPLAINTS], stderr);
-    return cli_fail(command, "--plot %s: " PROGRAM " failed%s%s", path, fault > 0 ? ": " : "",
-                    fault > 0 ? strerror(fault) : "");
+  if (fault >= 0) {
+    return fault == 0 || fail(error, PROGRAM " failed", strerror(fault));
   }
-  fseek(files[PICTURE], 0, SEEK_END);
-  if (ftell(files[PICTURE]) <= 0) {
-    return cli_fail(command, "--plot %s: " PROGRAM " drew nothing", path);
-  }
-  if (!copy_to(files[PICTURE], path)) {
-    return cli_fail(command, "--plot %s: cannot write it: %s", path, strerror(errno));
-  }
-  return CLI_OK;
+  char complaints[CLI_GNUPLOT_ERROR_BYTES / 2];
+  rewind(files[COMPLAINTS]);
+  complaints[fread(complaints, 1, sizeof complaints - 1, files[COMPLAINTS])] = '\0';
+  return fail(error, PROGRAM " failed", complaints);
 }
 
-int cli_gnuplot(const cli_command *command, const char *path, size_t width, size_t height,
-                cli_gnuplot_script *write, const void *context) {
-  FILE *files[FILES] = {NULL};
-  int status = CLI_OK;
-  for (int i = 0; status == CLI_OK && i < FILES; i++) {
-    files[i] = tmpfile();
-    if (files[i] == NULL || fcntl(fileno(files[i]), F_SETFD, FD_CLOEXEC) != 0) {
-      status =
-          cli_fail(command, "--plot %s: cannot make a temporary file: %s", path, strerror(errno));
-    }
-  }
-  if (status == CLI_OK) {
-    fputs("set terminal ", files[SCRIPT]);
-    fprintf(files[SCRIPT], format_of(path)->terminal, width, height);
-    fputs("\nset encoding utf8\n", files[SCRIPT]);
-    write(files[SCRIPT], context);
-    fflush(files[SCRIPT]);
-    rewind(files[SCRIPT]);
-    status = draw(command, files, path);
-  }
+static void close_all(FILE *const files[FILES]) {
   for (int i = 0; i < FILES; i++) {
     if (files[i] != NULL) {
       fclose(files[i]);
     }
   }
-  return status;
+}
+
+static bool open_all(FILE *files[FILES], char error[CLI_GNUPLOT_ERROR_BYTES]) {
+  for (int i = 0; i < FILES; i++) {
+    files[i] = tmpfile();
+    if (files[i] == NULL || fcntl(fileno(files[i]), F_SETFD, FD_CLOEXEC) != 0) {
+      return fail(error, "cannot make a temporary file", strerror(errno));
+    }
+  }
+  return true;
+}
+
+/* ---- drawing ------------------------------------------------------------------------------- */
+
+/* Runs gnuplot on a script whose first lines are in files[SCRIPT] already. */
+static bool draw(FILE *const files[FILES], cli_gnuplot_script *write, const void *context,
+                 char error[CLI_GNUPLOT_ERROR_BYTES]) {
+  fputs("\nset encoding utf8\n", files[SCRIPT]);
+  write(files[SCRIPT], context);
+  rewind(files[SCRIPT]); /* which flushes it as well */
+  if (!run(files, error)) {
+    return false;
+  }
+  if (lseek(fileno(files[PICTURE]), 0, SEEK_END) <= 0) {
+    return fail(error, PROGRAM " drew nothing", "");
+  }
+  rewind(files[PICTURE]);
+  return true;
+}
+
+static bool copy_to(FILE *from, const char *path) {
+  char bytes[8192];
+  size_t count;
+  FILE *to = fopen(path, "wbe");
+  if (to == NULL) {
+    return false;
+  }
+  while ((count = fread(bytes, 1, sizeof bytes, from)) > 0) {
+    fwrite(bytes, 1, count, to);
+  }
+  const bool good = !ferror(from) && !ferror(to);
+  return fclose(to) == 0 && good;
+}
+
+bool cli_gnuplot(const char *path, size_t width, size_t height, cli_gnuplot_script *write,
+                 const void *context, char error[CLI_GNUPLOT_ERROR_BYTES]) {
+  FILE *files[FILES] = {NULL};
+  bool good = open_all(files, error);
+  if (good) {
+    fputs("set terminal ", files[SCRIPT]);
+    fprintf(files[SCRIPT], terminal_of(path), width, height);
+    good = draw(files, write, context, error);
+  }
+  if (good && !copy_to(files[PICTURE], path)) {
+    good = fail(error, "cannot write it", strerror(errno));
+  }
+  close_all(files);
+  return good;
+}
+
+/* Copies gnuplot's pages without the form feeds between them and without blanks at line ends. */
+static void copy_text(FILE *from, FILE *to) {
+  size_t blanks = 0;
+  for (int byte; (byte = fgetc(from)) != EOF;) {
+    if (byte == ' ') {
+      blanks++;
+    } else if (byte != '\f') {
+      fprintf(to, "%*s", byte == '\n' ? 0 : (int)blanks, "");
+      fputc(byte, to);
+      blanks = 0;
+    }
+  }
+}
+
+bool cli_gnuplot_text(FILE *to, bool coloured, size_t width, size_t height,
+                      cli_gnuplot_script *write, const void *context,
+                      char error[CLI_GNUPLOT_ERROR_BYTES]) {
+  FILE *files[FILES] = {NULL};
+  bool good = open_all(files, error);
+  if (good) {
+    fprintf(files[SCRIPT], "set terminal dumb nofeed size %zu,%zu %s noenhanced", width, height,
+            coloured ? "ansi256" : "mono");
+    good = draw(files, write, context, error);
+  }
+  if (good) {
+    copy_text(files[PICTURE], to);
+  }
+  close_all(files);
+  return good;
+}
+
+bool cli_gnuplot_runs(char error[CLI_GNUPLOT_ERROR_BYTES]) {
+  FILE *files[FILES] = {NULL};
+  const bool good = open_all(files, error) && run(files, error);
+  close_all(files);
+  return good;
 }

@@ -1,23 +1,36 @@
-/* gnuplot: pictures, drawn by the program of that name. */
+/* gnuplot: runs the program of that name. It depends on no other file of this folder, so that
+ * core's tools draw with it too. */
 #ifndef DIPOLE_CLI_GNUPLOT_H
 #define DIPOLE_CLI_GNUPLOT_H
 
-#include "clients/cli/cli.h"
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdio.h>
 
-/* Whether a picture can have this name; */
+enum { CLI_GNUPLOT_ERROR_BYTES = 1024 };
+
+/* Returns whether cli_gnuplot() can draw into a file of this name: it ends in .svg or .png. */
 bool cli_gnuplot_draws(const char *path);
 
-/* and says so when it cannot. */
-bool cli_gnuplot_check(const cli_command *command, const char *path);
-
-/* Writes what is to be drawn, after the lines that choose the picture's format. */
+/* Writes what is to be drawn. The lines that choose gnuplot's terminal stand before it. */
 typedef void cli_gnuplot_script(FILE *script, const void *context);
 
-/* Draws into a file whose name has been checked, width x height pixels; an exit status. */
-int cli_gnuplot(const cli_command *command, const char *path, size_t width, size_t height,
-                cli_gnuplot_script *write, const void *context);
+/* Draws into a file of which cli_gnuplot_draws() is true, `width` times `height` pixels; the file
+ * is written only once the picture is whole. Returns false when that fails; `error` then says why
+ * and what to do. */
+bool cli_gnuplot(const char *path, size_t width, size_t height, cli_gnuplot_script *write,
+                 const void *context, char error[CLI_GNUPLOT_ERROR_BYTES]);
 
-/* Writes a text into a script, quoted. */
-void cli_gnuplot_text(FILE *script, const char *text);
+/* The same as text onto a stream, `width` times `height` characters for each plot of the script. */
+bool cli_gnuplot_text(FILE *to, bool coloured, size_t width, size_t height,
+                      cli_gnuplot_script *write, const void *context,
+                      char error[CLI_GNUPLOT_ERROR_BYTES]);
+
+/* Returns whether gnuplot runs here, for callers who work for long before they draw; if it does
+ * not, `error` says what to do. */
+bool cli_gnuplot_runs(char error[CLI_GNUPLOT_ERROR_BYTES]);
+
+/* Writes a text into a script as a quoted string. */
+void cli_gnuplot_quote(FILE *script, const char *text);
 
 #endif

@@ -77,7 +77,13 @@ static int draw(const cli_command *command, const cli_picture *picture, const ch
   }
   size_t width_px, height_px;
   picture_size(picture, &width_px, &height_px);
-  return cli_gnuplot(command, path, width_px, height_px, picture_write_script, picture);
+  char error[CLI_GNUPLOT_ERROR_BYTES];
+  return cli_gnuplot(path, width_px, height_px, picture_write_script, picture, error)
+             ? CLI_OK
+             : cli_fail(command,
+                        "--plot %s: %s (`dipole plot` and `dipole eval` draw in the "
+                        "terminal with --plot -)",
+                        path, error);
 }
 
 int cli_picture_draw(const cli_command *command, const cli_picture *picture,

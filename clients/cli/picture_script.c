@@ -88,7 +88,7 @@ static void write_place(FILE *script, const cli_picture *picture, const grid *g,
 /* "set WHAT 'text'" */
 static void write_set(FILE *script, const char *what, const char *text) {
   fprintf(script, "set %s ", what);
-  cli_gnuplot_text(script, text);
+  cli_gnuplot_quote(script, text);
   fputc('\n', script);
 }
 
@@ -116,7 +116,7 @@ static void write_curve(FILE *script, const cli_picture *picture, size_t panel, 
   fprintf(script, "%s$curve%zu_%zu using 1:%zu with %s %zu lw 2 lc rgb '%s' title ",
           index > 0 ? ", " : "plot ", panel, index, 2 + row, line ? "lines dt" : "points pt",
           curve.dash, curve.colour);
-  cli_gnuplot_text(script, curve.title);
+  cli_gnuplot_quote(script, curve.title);
 }
 
 static void write_axes(FILE *script, const cli_axes *axes, picture_range r, picture_range value) {

@@ -2,35 +2,27 @@
 
 #include <math.h>
 #include <stdio.h>
+#include <time.h>
 #include <unistd.h>
-
-#include "clients/cli/cli.h"
 
 #define SHOW_AFTER_MS 2000
 #define SHOW_EVERY_MS 100
 
 enum { BAR_WIDTH = 40 };
 
+static int64_t now_ms(void) {
+  struct timespec now;
+  clock_gettime(CLOCK_MONOTONIC, &now);
+  return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
+}
+
 void cli_progress_start(cli_progress *progress, const char *unit) {
   *progress =
-      (cli_progress){.watched = isatty(STDERR_FILENO) == 1, .unit = unit, .start_ms = cli_now_ms()};
+      (cli_progress){.watched = isatty(STDERR_FILENO) == 1, .unit = unit, .start_ms = now_ms()};
 }
 
-static const char full[] = "########################################";
-
-/* Somebody watches, it takes long, and what is shown is not of just now. */
-static bool is_due(cli_progress *progress) {
-  const int64_t now_ms = cli_now_ms();
-  if (!progress->watched || now_ms - progress->start_ms < SHOW_AFTER_MS ||
-      now_ms - progress->last_ms < SHOW_EVERY_MS) {
-    return false;
-  }
-  progress->last_ms = now_ms;
-  progress->shown = true;
-  return true;
-}
-
-void cli_progress_write_time(double seconds) {
+/* "0:07", "1:02:03", or "days" */
+static void write_time(double seconds) {
   if (!(seconds < 360000)) {
     fputs("days", stderr);
     return;
@@ -44,22 +36,28 @@ void cli_progress_write_time(double seconds) {
 }
 
 void cli_progress_show(cli_progress *progress, double share, double count) {
-  if (!is_due(progress)) {
+  static const char full[] = "########################################";
+  const int64_t now = now_ms();
+  if (!progress->watched || now - progress->start_ms < SHOW_AFTER_MS ||
+      now - progress->last_ms < SHOW_EVERY_MS) {
     return;
   }
-  const double seconds = (double)(progress->last_ms - progress->start_ms) / 1000;
+  progress->last_ms = now;
+  progress->shown = true;
+  const double seconds = (double)(now - progress->start_ms) / 1000;
   fputc('\r', stderr);
   if (share >= 0) {
     fprintf(stderr, "[%-*.*s] %3.0f %%  ", BAR_WIDTH, (int)(fmin(share, 1) * BAR_WIDTH), full,
             fmin(share, 1) * 100);
   }
-  fprintf(stderr, "%.4g %s, %.3g/s", count, progress->unit, count / seconds);
+  if (progress->unit != NULL) {
+    fprintf(stderr, "%.4g %s, %.3g/s  ", count, progress->unit, count / seconds);
+  }
   if (share > 0) {
-    fputs("  ", stderr);
-    cli_progress_write_time(seconds * (1 / fmin(share, 1) - 1));
+    write_time(seconds * (1 / fmin(share, 1) - 1));
     fputs(" left", stderr);
   }
-  fputs("\033[K", stderr);
+  fprintf(stderr, "%s%s\033[K", progress->note[0] != '\0' ? "  " : "", progress->note);
 }
 
 void cli_progress_wipe(cli_progress *progress) {

@@ -1,4 +1,5 @@
-/* progress: a bar on standard error for work that takes long, when somebody can see it. */
+/* progress: a bar on standard error for work that takes long. It depends on no other file of this
+ * folder, so that core's tools show it too. */
 #ifndef DIPOLE_CLI_PROGRESS_H
 #define DIPOLE_CLI_PROGRESS_H
 
@@ -6,23 +7,22 @@
 #include <stdint.h>
 
 typedef struct cli_progress {
-  bool watched; /* standard error is a terminal */
-  bool shown;
-  const char *unit; /* what is counted */
+  bool watched;     /* standard error is a terminal */
+  bool shown;       /* a bar stands there now */
+  const char *unit; /* what is counted, such as "rows"; NULL if nothing is */
+  char note[96];    /* stands behind the bar; the caller may change it at any time */
   int64_t start_ms, last_ms;
 } cli_progress;
 
-/* unit: "rows" */
+/* Starts the clock. Nothing is shown for the first two seconds. */
 void cli_progress_start(cli_progress *progress, const char *unit);
 
-/* The share of the work that is done, 0 to 1 (NAN: nobody knows), how much has been finished so far,
- * the rate, and the time left. */
+/* Shows a bar, the count, its rate and the time left, at most ten times a second. share: how much of
+ * the work is done, 0 to 1; NAN if that is unknown, which shows no bar and no time left. count: how
+ * many units are done. Several threads must take turns. */
 void cli_progress_show(cli_progress *progress, double share, double count);
 
-/* "0:07", "1:02:03"; seconds that nobody can wait for are not counted. */
-void cli_progress_write_time(double seconds);
-
-/* Wipes the bar, so that what is written next stands alone. */
+/* Removes the bar, so that the next line starts in the first column. */
 void cli_progress_wipe(cli_progress *progress);
 
 #endif

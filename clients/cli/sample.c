@@ -71,8 +71,9 @@ static int check(const cli_command *command, const cli_sample_settings *settings
     return cli_fail_usage(command, "--deadline-ms: at most %lu", (unsigned long)UINT32_MAX);
   }
   for (size_t i = 0; i < settings->plot.count; i++) {
-    if (!cli_gnuplot_check(command, settings->plot.items[i])) {
-      return CLI_USAGE;
+    if (!cli_gnuplot_draws(settings->plot.items[i])) {
+      return cli_fail_usage(command, "--plot %s: the name must end in .svg or .png",
+                            settings->plot.items[i]);
     }
   }
   return CLI_OK;

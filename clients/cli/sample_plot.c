@@ -82,7 +82,7 @@ static void write_script(FILE *script, const void *context) {
   fputs("set grid\nset style fill transparent solid 0.25 noborder\nset xlabel 'r (mm)'\n"
         "set ylabel 'density (1/mm)'\nset title ",
         script);
-  cli_gnuplot_text(script, title);
+  cli_gnuplot_quote(script, title);
   fprintf(script, "\nset xrange [0:%.9g]\nset yrange [0:*]\nplot ", of->most_mm);
   for (size_t i = 0; i < report->channel_count; i++) {
     const char *colour = colour_of(report, i);
@@ -91,7 +91,7 @@ static void write_script(FILE *script, const void *context) {
     fprintf(script, "%s$hist%zu using 1:2 with boxes lc rgb '%s' notitle, ", i > 0 ? ", " : "", i,
             colour);
     fprintf(script, "$pdf%zu using 1:2 with lines lw 2 lc rgb '%s' title ", i, colour);
-    cli_gnuplot_text(script, title);
+    cli_gnuplot_quote(script, title);
   }
   fputc('\n', script);
 }
@@ -109,11 +109,14 @@ int cli_sample_plot(const cli_command *command, const cli_sample_report *report,
     const double last_mm = points[(size_t)(SHOWN_SHARE * (double)(report->count - 1))].r_mm;
     of.most_mm = isfinite(last_mm) ? fmax(of.most_mm, last_mm) : of.most_mm;
   }
-  const int status =
-      of.most_mm > 0
-          ? cli_gnuplot(command, path, WIDTH, HEIGHT, write_script, &of)
-          : cli_fail(command, "--plot %s: all radii are 0 or infinite: there is nothing to show",
-                     path);
+  char error[CLI_GNUPLOT_ERROR_BYTES];
+  int status = CLI_OK;
+  if (!(of.most_mm > 0)) {
+    status =
+        cli_fail(command, "--plot %s: all radii are 0 or infinite: there is nothing to show", path);
+  } else if (!cli_gnuplot(path, WIDTH, HEIGHT, write_script, &of, error)) {
+    status = cli_fail(command, "--plot %s: %s", path, error);
+  }
   free(of.points);
   return status;
 }
