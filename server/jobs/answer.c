@@ -8,13 +8,13 @@
 
 static void on_news(void *context) {
   struct connection *c = context;
-  worker_run_later(c->worker, c);
+  worker_run_later(&c->client);
 }
 
 static void on_profile(void *context) {
   struct connection *c = context;
   c->waiting = false;
-  worker_run_later(c->worker, c);
+  worker_run_later(&c->client);
 }
 
 void answer_init(struct connection *c) {
@@ -34,7 +34,7 @@ static void let_go(struct connection *c) {
 
 /* It owes its worker nothing any more. */
 static void forgive(struct connection *c) {
-  struct backlog *backlog = &worker_scratch(c->worker)->backlog;
+  struct backlog *backlog = &worker_scratch(c->client.worker)->backlog;
   backlog_forgive(backlog, &c->job.share);
   backlog_forgive(backlog, &c->invert.share);
 }
@@ -54,7 +54,7 @@ bool answer_holds_output(const struct connection *c) {
 }
 
 static bool is_late(const struct connection *c) {
-  return c->deadline_ms != 0 && uv_now(worker_loop(c->worker)) >= c->deadline_ms;
+  return c->deadline_ms != 0 && uv_now(worker_loop(c->client.worker)) >= c->deadline_ms;
 }
 
 static wire_error late(void) {
@@ -62,7 +62,7 @@ static wire_error late(void) {
 }
 
 static void note_answer(struct connection *c, enum latency_class kind) {
-  latency_note(worker_latency(c->worker), kind, c->arrived_ns);
+  latency_note(worker_latency(c->client.worker), kind, c->arrived_ns);
 }
 
 /* ---- taking up ---------------------------------------------------------------------------------
@@ -88,9 +88,9 @@ static void answer_frame(struct connection *c, const wire_header *header, const 
     }
     return;
   }
-  const struct mc_caller mc = {c->server, worker_loop(c->worker), on_news, c, &c->mc};
-  const struct request_place place = {&c->job, &c->table, &c->invert, worker_scratch(c->worker),
-                                      &mc};
+  const struct mc_caller mc = {c->server, worker_loop(c->client.worker), on_news, c, &c->mc};
+  const struct request_place place = {&c->job, &c->table, &c->invert,
+                                      worker_scratch(c->client.worker), &mc};
   switch (request_begin(c->server, header, payload, &c->output, &place)) {
   case REQUEST_ANSWERED: /* an eval at once: it is short */
     note_answer(c, header->type == WIRE_TYPE_EVAL ? LATENCY_EVAL_SHORT : LATENCY_OTHER);
@@ -174,7 +174,7 @@ static void finish(struct connection *c, const wire_error *refusal) {
 
 /* What has been gathered for the reply may not be written to its place any more. */
 static void cancel_output(struct connection *c) {
-  batch_finish(&worker_scratch(c->worker)->batch, &c->server->stats);
+  batch_finish(&worker_scratch(c->client.worker)->batch, &c->server->stats);
   output_cancel(&c->output);
 }
 
@@ -192,7 +192,7 @@ static void give_up(struct connection *c) {
 /* The worker's clock watches the deadline while nothing else does. */
 static void watch_deadline(struct connection *c) {
   if (c->deadline_ms != 0) {
-    worker_wake_at(c->worker, c->deadline_ms);
+    worker_wake_at(c->client.worker, c->deadline_ms);
   }
 }
 
@@ -200,7 +200,7 @@ void answer_deadline(struct connection *c) {
   if (!c->closing && (c->waiting || c->between_parts)) {
     if (is_late(c)) {
       give_up(c);
-      worker_run_later(c->worker, c);
+      worker_run_later(&c->client);
     } else {
       watch_deadline(c);
     }
@@ -211,8 +211,8 @@ void answer_deadline(struct connection *c) {
  */
 
 static enum job_state run(struct connection *c, uint64_t *budget) {
-  struct profiles *profiles = worker_profiles(c->worker);
-  struct job_scratch *scratch = worker_scratch(c->worker);
+  struct profiles *profiles = worker_profiles(c->client.worker);
+  struct job_scratch *scratch = worker_scratch(c->client.worker);
   if (c->answering == CONNECTION_ANSWERS_EVAL) {
     return job_slice(&c->job, c->server, profiles, scratch, budget);
   }
@@ -284,7 +284,7 @@ static void begin_part(struct connection *c) {
 
 /* Between two parts; false: not while the reader does not keep up. */
 static bool step_between_parts(struct connection *c) {
-  struct backlog *backlog = &worker_scratch(c->worker)->backlog;
+  struct backlog *backlog = &worker_scratch(c->client.worker)->backlog;
   struct backlog_share *share =
       c->answering == CONNECTION_ANSWERS_EVAL ? &c->job.share : &c->invert.share;
   if (connection_blocked(c)) {

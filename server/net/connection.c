@@ -5,9 +5,9 @@
 #include <unistd.h>
 
 #include "server/jobs/answer.h"
-#include "server/observe/log.h"
 #include "server/jobs/request.h"
 #include "server/net/worker.h"
+#include "server/observe/log.h"
 
 enum {
   TURN_RADII = JOB_SLICE_RADII, /* what a turn may cost, JOB_STEP_RADII for a frame included */
@@ -16,7 +16,13 @@ enum {
   LINGER_MS = 1000, /* for a peer that does not close after the last answer */
 };
 
+static const struct client_kind kind;
+
 static void write_more(struct connection *c);
+
+static struct connection *of(struct client *client) {
+  return (struct connection *)(void *)client;
+}
 
 /* ---- beginning and end ------------------------------------------------------------------------
  */
@@ -26,6 +32,7 @@ struct connection *connection_new(struct server *server, int fd, enum connection
   if (c == NULL) {
     return NULL;
   }
+  c->client.kind = &kind;
   c->server = server;
   c->fd = fd;
   c->purpose = purpose;
@@ -41,7 +48,7 @@ static void dispose(struct connection *c) {
   const enum connection_purpose purpose = c->purpose;
   input_free(&c->input);
   output_free(&c->output);
-  worker_forget(c->worker, c);
+  worker_forget(&c->client);
   answer_end(c);
   free(c);
   if (purpose != CONNECTION_REFUSE) {
@@ -133,7 +140,7 @@ static void on_read(uv_stream_t *stream, ssize_t bytes, const uv_buf_t *buffer) 
   if (bytes > 0) {
     stats_add(&c->server->stats, STATS_RECEIVED_BYTES, (uint64_t)bytes);
     c->active_ms = uv_now(stream->loop);
-    input_arrived(&c->input, (size_t)bytes, worker_round_ns(c->worker));
+    input_arrived(&c->input, (size_t)bytes, worker_round_ns(c->client.worker));
     if (c->lingering) {
       input_discard(&c->input);
       return;
@@ -150,7 +157,7 @@ static void on_read(uv_stream_t *stream, ssize_t bytes, const uv_buf_t *buffer) 
     }
   }
   if (!c->closing) {
-    worker_run_later(c->worker, c);
+    worker_run_later(&c->client);
   }
 }
 
@@ -189,7 +196,7 @@ static void on_written(uv_write_t *request, int status) {
   wrote(c, bytes);
   write_more(c);
   if (!c->closing) {
-    worker_run_later(c->worker, c);
+    worker_run_later(&c->client);
   }
 }
 
@@ -276,7 +283,8 @@ static void settle(struct connection *c) {
               !connection_blocked(c) && !c->peer_done); /* the end would be read again and again */
 }
 
-void connection_run(struct connection *c) {
+static void run(struct client *client) {
+  struct connection *c = of(client);
   uint64_t budget = TURN_RADII;
   /* Requests whose answers have not been written: no more of them than max_in_flight. */
   unsigned taken = answer_is_under_way(c);
@@ -292,7 +300,8 @@ void connection_run(struct connection *c) {
   c->more_to_do = more;
 }
 
-void connection_finish(struct connection *c) {
+static void finish(struct client *client) {
+  struct connection *c = of(client);
   /* Frames that waited for the reader have to be taken up if writing has just unblocked them. */
   const bool was_blocked = connection_blocked(c);
   if (!c->closing) {
@@ -303,7 +312,7 @@ void connection_finish(struct connection *c) {
   }
   if (c->more_to_do || (was_blocked && !connection_blocked(c))) {
     set_reading(c, false); /* the input may not move under a job, nor grow without end */
-    worker_run_later(c->worker, c);
+    worker_run_later(&c->client);
   } else {
     settle(c);
   }
@@ -328,11 +337,10 @@ static int adopt(struct connection *c, uv_loop_t *loop) {
   return opened;
 }
 
-void connection_start(struct connection *c, struct worker *worker) {
-  uv_loop_t *loop = worker_loop(worker);
-  c->worker = worker;
+static void start(struct client *client) {
+  struct connection *c = of(client);
+  uv_loop_t *loop = worker_loop(client->worker);
   c->active_ms = uv_now(loop);
-  worker_remember(worker, c);
   const int adopted = adopt(c, loop);
   c->uv.handle.data = c;
   if (adopted != 0) {
@@ -346,17 +354,19 @@ void connection_start(struct connection *c, struct worker *worker) {
     error.retry_after_ms = 1000;
     connection_end(c, 0, error);
   }
-  worker_run_later(worker, c);
+  worker_run_later(&c->client);
 }
 
-void connection_stop(struct connection *c) {
+static void stop(struct client *client) {
+  struct connection *c = of(client);
   c->stopping = true;
   if (!c->closing) {
-    worker_run_later(c->worker, c);
+    worker_run_later(&c->client);
   }
 }
 
-void connection_tick(struct connection *c, uint64_t now_ms) {
+static void tick(struct client *client, uint64_t now_ms) {
+  struct connection *c = of(client);
   const struct options *options = &c->server->options;
   if (c->closing) {
     return;
@@ -377,22 +387,41 @@ void connection_tick(struct connection *c, uint64_t now_ms) {
     }
     return;
   }
-  if (answer_is_under_way(c) || c->to_run) {
+  if (answer_is_under_way(c) || c->client.to_run) {
     return;
   }
   if (c->frame_started_ms != 0 && now_ms - c->frame_started_ms > options->frame_timeout_ms) {
     connection_end(
         c, 0,
         wire_error_make(WIRE_STATUS_TIMEOUT, "payload_bytes", "frames within frame_timeout_ms"));
-    worker_run_later(c->worker, c);
+    worker_run_later(&c->client);
   } else if (mc_desk_open(c->mc)) { /* whose table there may be room for now */
-    worker_run_later(c->worker, c);
+    worker_run_later(&c->client);
   } else if (now_ms - c->active_ms > options->idle_timeout_ms) {
     connection_end(
         c, 0, wire_error_make(WIRE_STATUS_TIMEOUT, "", "no silence longer than idle_timeout_ms"));
-    worker_run_later(c->worker, c);
+    worker_run_later(&c->client);
   } else if (now_ms - c->active_ms > REST_MS) {
     input_rest(&c->input);
     output_rest(&c->output);
   }
 }
+
+static void deadline(struct client *client) {
+  answer_deadline(of(client));
+}
+
+static void abort_client(struct client *client) {
+  connection_abort(of(client));
+}
+
+static const struct client_kind kind = {
+    .start = start,
+    .run = run,
+    .finish = finish,
+    .tick = tick,
+    .deadline = deadline,
+    .stop = stop,
+    .abort = abort_client,
+    .counts = true,
+};

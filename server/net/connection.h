@@ -8,12 +8,13 @@
 #ifndef DIPOLED_CONNECTION_H
 #define DIPOLED_CONNECTION_H
 
-#include "server/net/input.h"
 #include "server/jobs/invert_job.h"
 #include "server/jobs/job.h"
 #include "server/jobs/mc.h"
-#include "server/net/output.h"
 #include "server/jobs/table_job.h"
+#include "server/net/client.h"
+#include "server/net/input.h"
+#include "server/net/output.h"
 
 enum connection_purpose {
   CONNECTION_SERVE,
@@ -30,11 +31,7 @@ enum connection_answering {
 };
 
 struct connection {
-  struct connection *next; /* in the worker's list of all */
-  struct connection *previous;
-  struct connection *next_to_run;    /* in the run queue, or in the inbox of a worker */
-  struct connection *next_to_finish; /* in a round */
-  struct worker *worker;
+  struct client client; /* first: the worker knows the connection by it */
   struct server *server;
   int fd;
   enum connection_purpose purpose;
@@ -58,7 +55,6 @@ struct connection {
   wire_header job_header;
   struct mc_desk *mc; /* its Monte Carlo jobs; NULL: it has had none */
 
-  bool to_run;        /* in the run queue */
   bool more_to_do;    /* after its turn */
   bool between_parts; /* of an answer; the next waits until there is room */
   bool reading;
@@ -76,23 +72,10 @@ struct connection {
   uint64_t lingering_ms;
 };
 
-/* For a connected stream socket, which it owns from now on; NULL: no memory, fd is still the
- * caller's. May be called on any thread. */
+/* A connection for a connected stream socket, to be given to a worker by worker_give(&c->client);
+ * the connection owns fd from now on. NULL if there is no memory; fd is still the caller's then.
+ * May be called on any thread; call the other functions on the worker's thread only. */
 struct connection *connection_new(struct server *server, int fd, enum connection_purpose purpose);
-
-/* On the worker's thread, all of them. */
-void connection_start(struct connection *connection, struct worker *worker);
-
-/* Its turn in the run queue: takes up what has arrived. Then, when what was gathered has been
- * evaluated, connection_finish() writes the answers, and reads on or comes back to the queue. */
-void connection_run(struct connection *connection);
-void connection_finish(struct connection *connection);
-
-/* Time has passed: closes what has taken too long. */
-void connection_tick(struct connection *connection, uint64_t now_ms);
-
-/* The daemon stops: what has arrived is answered, then the connection is closed. */
-void connection_stop(struct connection *connection);
 
 /* Says why, if there is room to say it, and takes no more frames. Monte Carlo jobs that have not
  * answered by now never will. */

@@ -10,10 +10,11 @@
 #include <sys/un.h>
 #include <unistd.h>
 
-#include "server/observe/log.h"
 #include "server/modbus/service.h"
+#include "server/net/connection.h"
 #include "server/net/tcp.h"
 #include "server/net/worker.h"
+#include "server/observe/log.h"
 
 enum {
   BACKLOG = 1024,
@@ -34,7 +35,7 @@ static struct worker *least_busy(struct server *server) {
   struct worker *best = &server->workers[0];
   for (uint64_t i = 1; i < server->options.workers; i++) {
     struct worker *worker = &server->workers[i];
-    if (worker->connection_count < best->connection_count) {
+    if (worker->client_count < best->client_count) {
       best = worker;
     }
   }
@@ -45,7 +46,7 @@ static struct worker *least_busy(struct server *server) {
 static uint64_t held_connections(const struct server *server) {
   uint64_t held = 0;
   for (uint64_t i = 0; i < server->options.workers; i++) {
-    held += server->workers[i].connection_count;
+    held += server->workers[i].client_count;
   }
   return held;
 }
@@ -68,7 +69,7 @@ void listener_admit(struct server *server, int fd, bool inherited) {
   if (!full) {
     stats_add(stats, STATS_CONNECTIONS_OPEN, 1);
   }
-  worker_give(least_busy(server), connection);
+  worker_give(least_busy(server), &connection->client);
 }
 
 static void admit(struct server *server, int fd) {

@@ -3,7 +3,6 @@
 #include <assert.h>
 #include <string.h>
 
-#include "server/jobs/answer.h"
 #include "server/modbus/service.h"
 
 /* ---- the run queue ----------------------------------------------------------------------------
@@ -13,38 +12,64 @@ static void on_awake(uv_idle_t *handle) {
   (void)handle;
 }
 
-void worker_run_later(struct worker *worker, struct connection *connection) {
-  if (connection->to_run) {
+void worker_run_later(struct client *client) {
+  struct worker *worker = client->worker;
+  if (client->to_run) {
     return;
   }
-  connection->to_run = true;
-  connection->next_to_run = NULL;
+  client->to_run = true;
+  client->next_to_run = NULL;
   if (worker->run_last == NULL) {
-    worker->run_first = connection;
+    worker->run_first = client;
   } else {
-    worker->run_last->next_to_run = connection;
+    worker->run_last->next_to_run = client;
   }
-  worker->run_last = connection;
+  worker->run_last = client;
   worker->run_count++;
 }
 
-static struct connection *next_to_run(struct worker *worker) {
-  struct connection *connection = worker->run_first;
-  worker->run_first = connection->next_to_run;
+void worker_finish_later(struct client *client) {
+  struct worker *worker = client->worker;
+  if (client->to_finish) {
+    return;
+  }
+  client->to_finish = true;
+  client->next_to_finish = NULL;
+  if (worker->finish_last == NULL) {
+    worker->finish_first = client;
+  } else {
+    worker->finish_last->next_to_finish = client;
+  }
+  worker->finish_last = client;
+}
+
+static struct client *next_to_run(struct worker *worker) {
+  struct client *client = worker->run_first;
+  worker->run_first = client->next_to_run;
   if (worker->run_first == NULL) {
     worker->run_last = NULL;
   }
   worker->run_count--;
-  connection->to_run = false;
-  return connection;
+  client->to_run = false;
+  return client;
 }
 
-static void remove_from_run_queue(struct worker *worker, struct connection *connection) {
-  struct connection *last = NULL;
-  struct connection **link = &worker->run_first;
+static struct client *next_to_finish(struct worker *worker) {
+  struct client *client = worker->finish_first;
+  worker->finish_first = client->next_to_finish;
+  if (worker->finish_first == NULL) {
+    worker->finish_last = NULL;
+  }
+  client->to_finish = false;
+  return client;
+}
+
+static void remove_from_run_queue(struct worker *worker, struct client *client) {
+  struct client *last = NULL;
+  struct client **link = &worker->run_first;
   while (*link != NULL) {
-    if (*link == connection) {
-      *link = connection->next_to_run;
+    if (*link == client) {
+      *link = client->next_to_run;
     } else {
       last = *link;
       link = &(*link)->next_to_run;
@@ -52,7 +77,7 @@ static void remove_from_run_queue(struct worker *worker, struct connection *conn
   }
   worker->run_last = last;
   worker->run_count--;
-  connection->to_run = false;
+  client->to_run = false;
 }
 
 /* For others to see. */
@@ -62,65 +87,89 @@ static void publish_queue(struct worker *worker) {
   stats_set(stats, STATS_OWED_RADII, worker->scratch.backlog.owed_radii);
 }
 
-/* One turn for each connection that is in the queue now; those that come back have their next turn
- * after new requests have been read. What is short is evaluated together at the end of all turns,
- * and then written. No connection is freed meanwhile: that takes another round of the loop. */
+/* Gives one turn to each client that is in the queue now. Clients that come back to the queue have
+ * their next turn after new requests have been read. Short requests are evaluated together when all
+ * clients have had their turns; then their answers are written. No client is freed meanwhile,
+ * because that takes another round of the loop. */
 static void run_round(struct worker *worker) {
-  struct connection *last = worker->run_last;
-  struct connection *ran = NULL;
-  struct connection **end = &ran;
+  const struct client *last = worker->run_last;
   publish_queue(worker);
   for (bool more = last != NULL; more;) {
-    struct connection *connection = next_to_run(worker);
-    more = connection != last;
-    connection_run(connection);
-    connection->next_to_finish = NULL;
-    *end = connection;
-    end = &connection->next_to_finish;
+    struct client *client = next_to_run(worker);
+    more = client != last;
+    client->kind->run(client);
+    worker_finish_later(client);
   }
   modbus_service_run(worker->modbus);
   batch_finish(&worker->scratch.batch, &worker->server->stats);
   modbus_service_finish(worker->modbus);
-  for (; ran != NULL; ran = ran->next_to_finish) {
-    connection_finish(ran);
+  while (worker->finish_first != NULL) {
+    struct client *client = next_to_finish(worker);
+    if (client->kind->finish != NULL) {
+      client->kind->finish(client);
+    }
   }
   latency_finish(&worker->latency);
   publish_queue(worker);
   worker->round_ns = 0;
 }
 
-/* ---- all connections ---------------------------------------------------------------------------
+/* ---- all clients ------------------------------------------------------------------------------
  */
 
-void worker_remember(struct worker *worker, struct connection *connection) {
-  connection->previous = NULL;
-  connection->next = worker->connections;
-  if (worker->connections != NULL) {
-    worker->connections->previous = connection;
+static void start_client(struct worker *worker, struct client *client) {
+  client->worker = worker;
+  client->previous = NULL;
+  client->next = worker->clients;
+  if (worker->clients != NULL) {
+    worker->clients->previous = client;
   }
-  worker->connections = connection;
+  worker->clients = client;
+  client->kind->start(client);
 }
 
-void worker_forget(struct worker *worker, struct connection *connection) {
-  if (connection->to_run) {
-    remove_from_run_queue(worker, connection);
+void worker_forget(struct client *client) {
+  struct worker *worker = client->worker;
+  assert(!client->to_finish);
+  if (client->to_run) {
+    remove_from_run_queue(worker, client);
   }
-  if (connection->previous != NULL) {
-    connection->previous->next = connection->next;
+  if (client->previous != NULL) {
+    client->previous->next = client->next;
   } else {
-    worker->connections = connection->next;
+    worker->clients = client->next;
   }
-  if (connection->next != NULL) {
-    connection->next->previous = connection->previous;
+  if (client->next != NULL) {
+    client->next->previous = client->previous;
   }
-  atomic_fetch_sub_explicit(&worker->connection_count, 1, memory_order_relaxed);
+  atomic_fetch_sub_explicit(&worker->client_count, client->kind->counts, memory_order_relaxed);
 }
 
-static void for_each(struct worker *worker, void (*act)(struct connection *connection)) {
-  struct connection *next;
-  for (struct connection *c = worker->connections; c != NULL; c = next) {
-    next = c->next;
-    act(c);
+static void stop_client(struct client *client) {
+  client->kind->stop(client);
+}
+
+static void abort_client(struct client *client) {
+  client->kind->abort(client);
+}
+
+static void tell_deadline(struct client *client) {
+  if (client->kind->deadline != NULL) {
+    client->kind->deadline(client);
+  }
+}
+
+static void tick_client(struct client *client) {
+  if (client->kind->tick != NULL) {
+    client->kind->tick(client, uv_now(&client->worker->loop));
+  }
+}
+
+static void for_each(struct worker *worker, void (*act)(struct client *client)) {
+  struct client *next;
+  for (struct client *client = worker->clients; client != NULL; client = next) {
+    next = client->next;
+    act(client);
   }
 }
 
@@ -134,15 +183,15 @@ static void stop_round(struct worker *worker) {
   }
   worker->stop_rounds++;
   if (worker->stop_rounds == 3) {
-    for_each(worker, connection_stop);
+    for_each(worker, stop_client);
     modbus_service_stop(worker->modbus);
   }
   const uint64_t taken_ms = uv_now(&worker->loop) - worker->stop_began_ms;
   if (taken_ms > worker->server->options.drain_timeout_ms) {
-    for_each(worker, connection_abort);
+    for_each(worker, abort_client);
     modbus_service_abort(worker->modbus);
   }
-  if (worker->stop_rounds > 3 && worker->connections == NULL &&
+  if (worker->stop_rounds > 3 && worker->clients == NULL &&
       modbus_service_has_stopped(worker->modbus)) {
     uv_stop(&worker->loop);
   }
@@ -153,13 +202,13 @@ static void stop_round(struct worker *worker) {
 
 static void take_from_inbox(struct worker *worker) {
   uv_mutex_lock(&worker->mutex);
-  struct connection *given = worker->inbox;
+  struct client *given = worker->inbox;
   worker->inbox = NULL;
   const bool stop_wanted = worker->stop_wanted;
   uv_mutex_unlock(&worker->mutex);
   while (given != NULL) {
-    struct connection *next = given->next_to_run;
-    connection_start(given, worker);
+    struct client *next = given->next_to_run;
+    start_client(worker, given);
     given = next;
   }
   if (stop_wanted && worker->stop_rounds == 0) {
@@ -207,13 +256,8 @@ static void after_poll(uv_check_t *handle) {
 
 static void on_clock(uv_timer_t *timer) {
   struct worker *worker = timer->data;
-  const uint64_t now_ms = uv_now(&worker->loop);
-  struct connection *next;
-  for (struct connection *c = worker->connections; c != NULL; c = next) {
-    next = c->next;
-    connection_tick(c, now_ms);
-  }
-  modbus_service_tick(worker->modbus, now_ms);
+  for_each(worker, tick_client);
+  modbus_service_tick(worker->modbus, uv_now(&worker->loop));
   profiles_sweep(&worker->profiles);
   repeat_sweep(&worker->scratch.repeat);
   stay_awake_for_queue(worker);
@@ -222,7 +266,7 @@ static void on_clock(uv_timer_t *timer) {
 static void on_deadline(uv_timer_t *timer) {
   struct worker *worker = timer->data;
   worker->wake_ms = 0;
-  for_each(worker, answer_deadline);
+  for_each(worker, tell_deadline);
   stay_awake_for_queue(worker);
 }
 
@@ -259,7 +303,7 @@ static void thread_main(void *argument) {
   struct worker *worker = argument;
   stats_claim((unsigned)(worker - worker->server->workers) + 1);
   uv_run(&worker->loop, UV_RUN_DEFAULT);
-  assert(worker->connections == NULL);
+  assert(worker->clients == NULL);
   modbus_service_end(worker->modbus);
   uv_walk(&worker->loop, close_handle, NULL);
   uv_run(&worker->loop, UV_RUN_DEFAULT); /* to the end of what it has had prepared, too */
@@ -296,11 +340,11 @@ int worker_start(struct worker *worker, struct server *server) {
   return error != 0 ? error : uv_thread_create(&worker->thread, thread_main, worker);
 }
 
-void worker_give(struct worker *worker, struct connection *connection) {
-  atomic_fetch_add_explicit(&worker->connection_count, 1, memory_order_relaxed);
+void worker_give(struct worker *worker, struct client *client) {
+  atomic_fetch_add_explicit(&worker->client_count, client->kind->counts, memory_order_relaxed);
   uv_mutex_lock(&worker->mutex);
-  connection->next_to_run = worker->inbox;
-  worker->inbox = connection;
+  client->next_to_run = worker->inbox;
+  worker->inbox = client;
   uv_mutex_unlock(&worker->mutex);
   uv_async_send(&worker->wake);
 }

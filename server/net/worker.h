@@ -22,7 +22,8 @@
 #ifndef DIPOLED_WORKER_H
 #define DIPOLED_WORKER_H
 
-#include "server/net/connection.h"
+#include "server/jobs/job.h"
+#include "server/net/client.h"
 #include "server/observe/latency.h"
 
 struct worker {
@@ -38,17 +39,19 @@ struct worker {
   uint64_t wake_ms;    /* when it is; 0: nobody has one */
 
   uv_mutex_t mutex; /* guards the inbox and stop_wanted */
-  struct connection *inbox;
+  struct client *inbox;
   bool stop_wanted;
 
-  struct connection *connections;
-  struct connection *run_first;
-  struct connection *run_last;
-  uint64_t run_count;   /* of connections in the run queue */
+  struct client *clients;
+  struct client *run_first;
+  struct client *run_last;
+  struct client *finish_first;
+  struct client *finish_last;
+  uint64_t run_count;   /* clients in the run queue */
   uint64_t round_ns;    /* when this round of the loop read first; 0: it has not */
   unsigned stop_rounds; /* rounds of the loop since the stop was wanted; 0: it is not */
   uint64_t stop_began_ms;
-  _Atomic uint64_t connection_count; /* given to it and not yet closed */
+  _Atomic uint64_t client_count; /* clients that count, from worker_give() to worker_forget() */
   struct profiles profiles;
   struct job_scratch scratch;
   struct latency latency;
@@ -57,24 +60,27 @@ struct worker {
 /* Starts the thread; a libuv error code, 0 when it runs. */
 int worker_start(struct worker *worker, struct server *server);
 
-/* Any thread. */
-void worker_give(struct worker *worker, struct connection *connection);
+/* Call these from any thread. worker_give() hands over a client (server/net/client.h). */
+void worker_give(struct worker *worker, struct client *client);
 void worker_stop(struct worker *worker); /* answers what has arrived, closes all, ends the thread */
 void worker_join(struct worker *worker);
 
-/* For connections, on the worker's thread. */
+/* Clients call the functions that follow, on the worker's thread only. */
 uv_loop_t *worker_loop(struct worker *worker);
 struct job_scratch *worker_scratch(struct worker *worker);
 struct profiles *worker_profiles(struct worker *worker);
 struct latency *worker_latency(struct worker *worker);
-/* When this round of the loop began to read: what all that is read in it has for its arrival. */
+/* When this round of the loop began to read. It is the arrival time of all that is read in it. */
 uint64_t worker_round_ns(struct worker *worker);
-void worker_remember(struct worker *worker, struct connection *connection);
-void worker_forget(struct worker *worker, struct connection *connection);
-/* answer_deadline() is called for all connections at that time of the loop, or a little later. */
+/* Appends the client to the run queue unless it is there already. */
+void worker_run_later(struct client *client);
+/* Has finish() called in this round of the loop, after the batch has been evaluated. */
+void worker_finish_later(struct client *client);
+/* Removes a client that has ended; the worker does not touch it again. */
+void worker_forget(struct client *client);
+/* Calls deadline() of all clients at that time of the loop, or a little later. */
 void worker_wake_at(struct worker *worker, uint64_t at_ms);
-/* The loop does not sleep in its next poll: what is after it has something to do. */
+/* Keeps the loop from sleeping in its next poll, because there is work for the round after it. */
 void worker_stay_awake(struct worker *worker);
-void worker_run_later(struct worker *worker, struct connection *connection);
 
 #endif

@@ -1,0 +1,56 @@
+/* client: somebody that a worker serves in turns, for example a connection.
+ *
+ * The worker (server/net/worker.h) knows its clients through this interface alone. A new kind of
+ * client joins like this:
+ *
+ *   1. Its structure has a `struct client` as its first member, so that a pointer to one is a
+ *      pointer to the other. The file that implements it defines one constant `struct client_kind`
+ *      and sets client.kind to it. All other members of `struct client` start as 0.
+ *   2. worker_give() hands the client to a worker, from any thread. The worker then calls start() on
+ *      its own thread. From there on only that thread touches the client.
+ *   3. Whenever the client has something to do, for example in a callback of the loop, it calls
+ *      worker_run_later(). The worker then calls run() once, which must be of bounded length. All
+ *      that clients have put into the batch is evaluated when all of them have run. Then the worker
+ *      calls finish(), which may write the results and may call worker_run_later() again.
+ *   4. A client whose values were put into the batch by somebody else, and not by its own run(),
+ *      calls worker_finish_later(): finish() is then called at the end of this round of the loop.
+ *   5. When the daemon stops, the worker calls stop(). The client answers what has arrived and ends
+ *      itself. After the drain timeout the worker calls abort(), after which it ends at once.
+ *   6. A client that has ended (its handles are closed) calls worker_forget(), and may then free
+ *      itself. The worker's thread ends when stop() has been called and no client is left.
+ */
+#ifndef DIPOLED_CLIENT_H
+#define DIPOLED_CLIENT_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+struct client;
+struct worker;
+
+/* What a worker does with clients of one kind. The worker calls these functions on its own thread
+ * only. A member may be NULL where it says so. */
+struct client_kind {
+  void (*start)(struct client *client);                 /* once, after worker_give() */
+  void (*run)(struct client *client);                   /* one turn of bounded length */
+  void (*finish)(struct client *client);                /* the batch has been evaluated; or NULL */
+  void (*tick)(struct client *client, uint64_t now_ms); /* several times a second; or NULL */
+  void (*deadline)(struct client *client);              /* worker_wake_at()'s time came; or NULL */
+  void (*stop)(struct client *client);                  /* the daemon stops */
+  void (*abort)(struct client *client);                 /* the drain timeout has passed */
+  /* The listener gives a new connection to the worker with the fewest clients that count. */
+  bool counts;
+};
+
+struct client {
+  const struct client_kind *kind;
+  struct worker *worker; /* set before start() */
+  struct client *next;   /* all clients of the worker */
+  struct client *previous;
+  struct client *next_to_run; /* in the run queue, or before start() in the worker's inbox */
+  struct client *next_to_finish;
+  bool to_run;    /* is in the run queue */
+  bool to_finish; /* finish() is called in this round */
+};
+
+#endif
