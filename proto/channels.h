@@ -1,42 +1,63 @@
-/* channels: what evals and samples have in common: the choices of a profile, media, parameters, and
- * a list of numbers that fills the rest of a payload. */
+/* channels: the parts that requests for profiles share. These are the choice of a profile, the
+ * media (one channel each), the parameters, and a list of numbers that fills the rest of the
+ * payload.
+ *
+ * All functions that return wire_error return status OK or the first fault.
+ */
 #ifndef DIPOLED_PROTO_CHANNELS_H
 #define DIPOLED_PROTO_CHANNELS_H
 
 #include "core/core.h"
 #include "proto/wire.h"
 
-/* The ids, by the lists. */
+/* Checks that both ids are in their lists. */
 wire_error channels_check(unsigned evaluator, unsigned moments);
 
-/* Quantities: at least one, and none that is not in the list. */
+/* Checks that `wanted` has at least one bit and only bits of the list of quantities. */
 wire_error channels_check_wanted(unsigned wanted);
+
+/* Returns true if `wanted` has a bit that is not in the list of quantities. */
 bool channels_has_others(unsigned wanted);
 
-/* Bytes that have not been taken apart. */
+/* The part of a payload that has not been parsed yet. */
 struct channels_cursor {
   const uint8_t *at;
-  size_t remaining;
+  size_t remaining; /* bytes from `at` on */
 };
 
-/* Takes media (at least one) and parameters. Lengths are compared by subtraction and counts before
- * they are multiplied, so that no count can wrap. */
+/* Parses medium_count media (at least one) and parameter_count parameters, and moves the cursor
+ * behind them. *media points into the payload. Lengths are compared by subtraction, and counts are
+ * checked before they are multiplied, so that no count can wrap. */
 wire_error channels_parse(struct channels_cursor *cursor, uint32_t medium_count,
                           uint32_t parameter_count, const uint8_t **media,
                           core_parameters *parameters);
 
-/* What a list is called in errors. */
+/* Parses `count` parameter structures, which the caller knows to be in the payload. Checks their
+ * ids and padding, that each parameter comes at most once, and that no value is NaN. The error's
+ * index is the position of the structure. Core checks the ranges. */
+wire_error channels_parse_parameters(const uint8_t *at, uint32_t count,
+                                     core_parameters *parameters);
+
+/* Returns how many parameters are given. */
+uint32_t channels_count_parameters(const core_parameters *parameters);
+
+/* Writes the given parameters in the order of their ids, WIRE_BYTES_parameter each. Returns the
+ * number of bytes written. */
+size_t channels_put_parameters(uint8_t *at, const core_parameters *parameters);
+
+/* The names and messages that errors use for a list of numbers. */
 struct channels_list {
-  const char *field; /* of one number */
-  const char *count_field;
-  const char *too_many;
-  const char *too_long;
+  const char *field;       /* one number */
+  const char *count_field; /* the count */
+  const char *too_many;    /* allowed, if the count exceeds the payload */
+  const char *too_long;    /* allowed, if the payload exceeds the count */
 };
 
 extern const struct channels_list CHANNELS_RADII;
 extern const struct channels_list CHANNELS_NUMBERS;
 
-/* Takes count numbers in an evaluator's precision, and zero bytes as padding: all that remains. */
+/* Parses `count` numbers in the evaluator's precision and their zero padding. They have to be all
+ * that remains. *list points into the payload. */
 wire_error channels_parse_list(struct channels_cursor *cursor, const struct channels_list *names,
                                uint64_t count, unsigned evaluator, const void **list);
 

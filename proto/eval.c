@@ -9,7 +9,7 @@ bool eval_is_array(unsigned wanted, unsigned quantity) {
   return (wanted & quantity) != 0 && (drawn || core_quantity_elementwise(quantity));
 }
 
-/* The radii come once, before all channels. */
+/* Returns true if one array of radii comes before all channels. */
 static bool radii_come_once(unsigned wanted) {
   return (wanted & CORE_QUANTITY_RADIUS) != 0 && (wanted & EVAL_DRAWN) == 0;
 }
@@ -30,7 +30,7 @@ static wire_error check_choices(const wire_eval_request *fixed) {
   return error.status == WIRE_STATUS_OK ? channels_check_wanted(fixed->wanted) : error;
 }
 
-/* The list of radii is what remains after the media and the parameters, exactly. */
+/* The list of radii has to be exactly what remains after the media and the parameters. */
 static wire_error parse_radii(struct channels_cursor *cursor, eval_request *request) {
   const wire_eval_request *fixed = &request->fixed;
   if (fixed->spacing != CORE_SPACING_LIST) {
@@ -66,17 +66,17 @@ wire_error eval_request_parse(const uint8_t *payload, size_t payload_bytes, eval
   return error.status == WIRE_STATUS_OK ? parse_radii(&cursor, request) : error;
 }
 
-/* What the arrays of a reply may take each, rounded down to whole padding, so that padding one that
- * fits does not make it too large; `arrays` and the bytes before them. False: not even those fit.
- */
+/* Sets *room to the bytes that each array of a reply may take. It is a multiple of 8, so that an
+ * array that fits also fits with its padding. Also sets *arrays, the number of arrays, and the
+ * offset of the first one in *layout. Returns false if the bytes before the arrays do not fit. */
 static bool array_room(unsigned wanted, uint32_t channel_count, uint64_t max_payload_bytes,
                        eval_layout *layout, uint64_t *arrays, uint64_t *room) {
   *layout = (eval_layout){.channels_offset = WIRE_BYTES_eval_reply};
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
     layout->arrays_per_channel += eval_is_array(wanted, quantity->id);
   }
-  /* At most 2^32 channels of 32 bytes and a few arrays each: nothing here can wrap before the
-   * arrays' own length is multiplied, and that is checked by division. */
+  /* There are at most 2^32 channels of 32 bytes, with a few arrays each, so nothing wraps here. The
+   * caller checks the length of the arrays by division before it multiplies. */
   const bool radii_wanted = radii_come_once(wanted);
   *arrays = (uint64_t)channel_count * layout->arrays_per_channel + radii_wanted;
   layout->radius_offset = WIRE_BYTES_eval_reply + (uint64_t)channel_count * WIRE_BYTES_channel;

@@ -2,21 +2,10 @@
 
 #include <string.h>
 
-enum { ALBEDO_BYTES = 8 };
+_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's arrays need swapping");
 
 size_t mc_request_bytes(uint32_t albedo_count) {
-  return WIRE_BYTES_mc_request + WIRE_BYTES_medium + (size_t)albedo_count * ALBEDO_BYTES;
-}
-
-/* A double where it lies, little-endian. */
-static double get_f64(const uint8_t *at) {
-  uint64_t bits = 0;
-  double value;
-  for (unsigned i = 0; i < sizeof bits; i++) {
-    bits |= (uint64_t)at[i] << (8 * i);
-  }
-  memcpy(&value, &bits, sizeof value);
-  return value;
+  return WIRE_BYTES_mc_request + WIRE_BYTES_medium + albedo_count * sizeof(double);
 }
 
 wire_error mc_request_parse(const uint8_t *payload, size_t payload_bytes, mc_request *request) {
@@ -33,10 +22,8 @@ wire_error mc_request_parse(const uint8_t *payload, size_t payload_bytes, mc_req
     return wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes",
                            "nothing after the medium but albedo_count albedos");
   }
-  const uint8_t *at = payload + mc_request_bytes(0);
-  for (uint32_t i = 0; i < request->fixed.albedo_count; i++) {
-    request->albedo[i] = get_f64(at + (size_t)i * ALBEDO_BYTES);
-  }
+  memcpy(request->albedo, payload + mc_request_bytes(0),
+         request->fixed.albedo_count * sizeof *request->albedo);
   return wire_error_none();
 }
 

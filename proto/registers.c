@@ -41,8 +41,8 @@ enum index {
   FIELDS
 };
 
-/* 1 + the index of the block, and of the field, that a register belongs to; 0: to none. The
- * compiler refuses any that overlap. */
+/* For each register, 1 + the index of its block, or 0 if it is in no block. field_at holds the same
+ * for fields. The compiler refuses overlaps. */
 static const uint8_t block_at[REGISTERS_END] = {
 #define REGISTERS_BLOCK(id, IDENT, first, length, name, about)                                     \
   [(first)...(first) + (length)-1] = (id),
@@ -60,18 +60,18 @@ static const uint8_t field_at[REGISTERS_END] = {
 
 _Static_assert(FIELDS < UINT8_MAX, "one byte holds each");
 
-/* The field of a register that is not mirrored; NULL: none. */
+/* Returns the field of a register outside the mirror, or NULL. */
 static const registers_field *find(unsigned address) {
   return address < REGISTERS_END && field_at[address] > 0 ? &registers_fields[field_at[address] - 1]
                                                           : NULL;
 }
 
-/* Of a register or its mirror: the register. */
+/* Maps a mirror to its register, and a register to itself. */
 static unsigned unmirrored(unsigned address) {
   return address >= REGISTERS_MIRROR ? address - REGISTERS_MIRROR : address;
 }
 
-/* 1 for registers of floats, whose words the mirror has swapped. They begin at even addresses. */
+/* 1 for registers of floats, whose two words the mirror swaps. Floats start at even addresses. */
 #define SWAP_U16 0
 #define SWAP_U32 0
 #define SWAP_F32 1
@@ -187,7 +187,7 @@ double registers_optional(const uint16_t image[REGISTERS_END], unsigned paramete
 /* ---- writing ----------------------------------------------------------------------------------
  */
 
-/* The registers of a PDU. */
+/* Returns register number `index` of a PDU's values. */
 static uint16_t word_at(const uint8_t *values, unsigned index) {
   return (uint16_t)(values[2 * index] << 8 | values[2 * index + 1]);
 }
@@ -200,7 +200,7 @@ static bool is_in_range(const registers_field *field, double value) {
   if (field->access == REGISTERS_OPTIONAL && !is_given(field, value)) {
     return true;
   }
-  return value >= field->least && value <= field->most; /* and not NaN */
+  return value >= field->least && value <= field->most; /* false for NaN */
 }
 
 static wire_error bad_address(const char *allowed) {
@@ -217,8 +217,8 @@ static wire_error out_of_range(const registers_field *field) {
   return wire_error_make(WIRE_STATUS_BAD_VALUE, field->name, allowed);
 }
 
-/* The field that a register which is to be written belongs to; NULL: there is none, or it is not
- * written. *at: the register that it, or its mirror, is. */
+/* Returns the field that a write to a register changes, or NULL if that register cannot be written.
+ * *at is the register outside the mirror. */
 static const registers_field *find_writable(unsigned address, unsigned *at) {
   *at = unmirrored(address);
   const registers_field *field = address == *at || is_mirrored(*at) ? find(*at) : NULL;

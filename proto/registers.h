@@ -1,7 +1,7 @@
-/* registers: the Modbus register map; REGISTERS.md is its text for people.
+/* registers: the Modbus register map, which REGISTERS.md describes.
  *
- * An image of the map is an array of REGISTERS_END registers, in the machine's byte order, with the
- * PDU address for its index. No sockets, no allocation.
+ * An image of the map is an array of REGISTERS_END registers in the machine's byte order. Its index
+ * is the PDU address. Nothing here uses a socket or allocates memory.
  */
 #ifndef DIPOLED_REGISTERS_H
 #define DIPOLED_REGISTERS_H
@@ -18,13 +18,13 @@
 
 enum {
   REGISTERS_RADII_MAX = 50,
-  REGISTERS_MIRROR = 2000, /* from a register of the input and output blocks to its mirror */
-  REGISTERS_END = 2660,    /* of the image */
-  REGISTERS_COILS = 100,   /* plain bits, from 0 */
+  REGISTERS_MIRROR = 2000, /* distance from a register of blocks 2 to 4 to its mirror */
+  REGISTERS_END = 2660,    /* registers in an image */
+  REGISTERS_COILS = 100,   /* coils, from address 0 on */
   REGISTERS_ERROR_TEXT_BYTES = 80,
 };
 
-/* Of a parameter of the core. */
+/* PDU address of a parameter of core. */
 #define REGISTERS_PARAMETER_AT(id) ((id) == CORE_PARAMETER_TOLERANCE ? 104 : 216 + 2 * (id))
 
 enum {
@@ -33,7 +33,7 @@ enum {
 #include "proto/registers.def"
 };
 
-/* REGISTERS_AT_COMMIT, ...: PDU addresses. */
+/* The PDU address of each field: REGISTERS_AT_COMMIT and so on. */
 enum registers_address {
 #define REGISTERS_FIELD(IDENT, address, count, TYPE, ACCESS, name, unit, least, most, list,        \
                         initial, about)                                                            \
@@ -46,7 +46,7 @@ enum registers_type { REGISTERS_U16, REGISTERS_U32, REGISTERS_F32, REGISTERS_F64
 
 enum registers_access { REGISTERS_RO, REGISTERS_RW, REGISTERS_OPTIONAL };
 
-/* What the register `status` holds. */
+/* Values of the register `status`. */
 enum registers_status {
   REGISTERS_STATUS_IDLE,
   REGISTERS_STATUS_BUSY,
@@ -71,43 +71,44 @@ typedef struct registers_field {
   const char *unit;
   double least;
   double most;
-  const core_choice *list; /* NULL: least to most */
+  const core_choice *list; /* if NULL, least to most is allowed */
   double initial;
   const char *about;
 } registers_field;
 
 extern const registers_block registers_blocks[REGISTERS_BLOCKS];
 
-/* In the order of the list; ends with an entry whose name is NULL. */
+/* The fields in the order of registers.def. The last entry has the name NULL. */
 extern const registers_field registers_fields[];
 
-/* The registers of one value. */
+/* Returns how many registers one value takes. */
 unsigned registers_width(enum registers_type type);
 
-/* Writes the defaults and all that never changes into an image. */
+/* Sets an image to the defaults and constants of the map. */
 void registers_reset(uint16_t image[REGISTERS_END]);
 
-/* Whether all of `count` registers (at least 1) from an address on can be read. */
+/* Returns true if `count` registers, at least 1, can all be read from an address on. */
 bool registers_readable(unsigned address, unsigned count);
 
-/* Checks a write of `count` registers from an address on, `values` in the order of a PDU: they can
- * all be written, no value is covered in part, each is in its range. Status OK, BAD_ADDRESS or
- * BAD_VALUE; *at: the register at fault, where its value begins, in the block that is not mirrored.
- */
+/* Checks a write of `count` registers from an address on. `values` holds them as in a PDU. All of
+ * them have to be writable, each value has to be whole and in its range. Returns status OK,
+ * BAD_ADDRESS or BAD_VALUE. With a fault, *at is the first register of the value at fault, not its
+ * mirror. */
 wire_error registers_check(unsigned address, unsigned count, const uint8_t *values, unsigned *at);
 
-/* Writes what registers_check() has passed, and its mirror. */
+/* Writes registers that registers_check() has passed, and their mirrors. */
 void registers_write(uint16_t image[REGISTERS_END], unsigned address, unsigned count,
                      const uint8_t *values);
 
-/* Whether `count` registers from an address on include another one, or its mirror. */
+/* Returns true if `count` registers from an address on include the register `another` or its
+ * mirror. */
 bool registers_include(unsigned address, unsigned count, unsigned another);
 
-/* The register of the input that a field of an eval request is made from, for `index` of an array;
- * REGISTERS_AT_COMMIT when there is none of its own. */
+/* Returns the input register that a field of an eval request comes from; `index` is the position in
+ * an array. Returns REGISTERS_AT_COMMIT if the field has no register. */
 unsigned registers_of_field(const char *field, uint64_t index);
 
-/* Values of an image. */
+/* Read one value of an image. */
 static inline uint16_t registers_u16(const uint16_t image[REGISTERS_END], unsigned address) {
   return image[address];
 }
@@ -119,20 +120,20 @@ static inline float registers_f32(const uint16_t image[REGISTERS_END], unsigned 
   return value;
 }
 
-/* Setting one sets its mirror, if it has one. */
+/* Set one value and its mirror, if it has one. */
 void registers_set_u16(uint16_t image[REGISTERS_END], unsigned address, unsigned value);
 void registers_set_u32(uint16_t image[REGISTERS_END], unsigned address, uint32_t value);
 void registers_set_f32(uint16_t image[REGISTERS_END], unsigned address, float value);
 void registers_set_f64(uint16_t image[REGISTERS_END], unsigned address, double value);
 
-/* A text field of `count` registers; text that is longer is cut. */
+/* Sets a text field of `count` registers. Cuts text that is longer. */
 void registers_set_text(uint16_t image[REGISTERS_END], unsigned address, unsigned count,
                         const char *text);
 
-/* The value of an optional field; NaN: not given. */
+/* Returns the value of a parameter, or NaN if it is not given. */
 double registers_optional(const uint16_t image[REGISTERS_END], unsigned parameter);
 
-/* Writes the tables of REGISTERS.md, as Markdown, through print(context, text). */
+/* Writes the tables of REGISTERS.md as Markdown. Calls print(context, text) for each piece. */
 void registers_describe(void (*print)(void *context, const char *text), void *context);
 
 #endif

@@ -3,7 +3,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "proto/parameters.h"
+#include "proto/channels.h"
 
 /* CRC-32 (ISO 3309, the one of Ethernet and gzip): reflected, polynomial 0x04c11db7. */
 static uint32_t checksum(const uint8_t *bytes, size_t count) {
@@ -45,8 +45,8 @@ wire_error table_request_parse(const uint8_t *payload, size_t payload_bytes,
   wire_medium medium;
   wire_get_medium(payload + WIRE_BYTES_table_request, &medium);
   request->medium = (core_medium){medium.sigma_a, medium.sigma_s, medium.g, medium.eta};
-  return parameters_parse(payload + table_request_bytes(0), request->fixed.parameter_count,
-                          &request->parameters);
+  return channels_parse_parameters(payload + table_request_bytes(0), request->fixed.parameter_count,
+                                   &request->parameters);
 }
 
 void table_reply_put(uint8_t *at, const core_profile *profile, const core_parameters *parameters) {
@@ -57,7 +57,7 @@ void table_reply_put(uint8_t *at, const core_profile *profile, const core_parame
       .layout = TABLE_LAYOUT,
       .model = (uint16_t)profile->model,
       .moments = (uint16_t)profile->moments,
-      .parameter_count = (uint16_t)parameters_count(parameters),
+      .parameter_count = (uint16_t)channels_count_parameters(parameters),
       .word_count = (uint32_t)profile->lut_count,
       .checksum = checksum(words, word_bytes),
       .notes = profile->notes,
@@ -76,7 +76,7 @@ void table_reply_put(uint8_t *at, const core_profile *profile, const core_parame
   };
   wire_put_table_reply(at, &fixed);
   at += WIRE_BYTES_table_reply;
-  at += parameters_put(at, parameters);
+  at += channels_put_parameters(at, parameters);
   memcpy(at, words, word_bytes);
 }
 
@@ -91,7 +91,7 @@ bool table_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_table_
     return false;
   }
   const uint8_t *at = payload + WIRE_BYTES_table_reply;
-  if (parameters_parse(at, fixed->parameter_count, parameters).status != WIRE_STATUS_OK) {
+  if (channels_parse_parameters(at, fixed->parameter_count, parameters).status != WIRE_STATUS_OK) {
     return false;
   }
   at += (size_t)fixed->parameter_count * WIRE_BYTES_parameter;

@@ -8,8 +8,8 @@
 /* ---- structures -------------------------------------------------------------------------------
  */
 
-/* Byte by byte: right on every machine, and once the loops are unrolled compilers make single loads
- * and stores of them. */
+/* These loops are right for every byte order. Compilers turn them, unrolled, into single loads and
+ * stores. */
 static inline uint8_t *put_u64_bytes(uint8_t *at, uint64_t value, unsigned bytes) {
 #pragma GCC unroll 8
   for (unsigned i = 0; i < bytes; i++) {

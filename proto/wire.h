@@ -1,7 +1,7 @@
-/* wire: the binary protocol's structures, encoded and decoded; PROTOCOL.md is its text for people.
+/* wire: encodes and decodes the structures of the binary protocol, which PROTOCOL.md describes.
  *
- * Decoders never read past the bytes they are given and never trust a count; encoders never write
- * past the capacity they are given. No sockets, no allocation.
+ * Decoders never read past the bytes that they are given and never trust a count. Encoders never
+ * write past the capacity that they are given. Nothing here uses a socket or allocates memory.
  */
 #ifndef DIPOLED_WIRE_H
 #define DIPOLED_WIRE_H
@@ -10,15 +10,15 @@
 #include <stddef.h>
 #include <stdint.h>
 
-struct core_choice; /* of core.h */
+struct core_choice; /* declared in core/core.h */
 
 #define WIRE_MAGIC UINT32_C(0x4c504944)
 #define WIRE_VERSION 1
-#define WIRE_REPLY 0x8000      /* added to the type of a request */
-#define WIRE_TYPE_ERROR 0xffff /* an error instead of a reply */
-#define WIRE_ALIGNMENT 8       /* of payloads, structures and arrays within a frame */
+#define WIRE_REPLY 0x8000      /* is added to a request's type to get its reply's */
+#define WIRE_TYPE_ERROR 0xffff /* type of an error, which takes the place of a reply */
+#define WIRE_ALIGNMENT 8       /* bytes; holds for payloads, structures and arrays in a frame */
 
-/* Limits that no option changes. */
+/* Constants that no option changes. */
 #define WIRE_PING_MAX_BYTES 1024
 #define WIRE_R_UNIT "1/mm^2 per unit of power that entered"
 
@@ -49,8 +49,8 @@ enum wire_choice_kind {
 /* ---- structures -------------------------------------------------------------------------------
  */
 
-/* One struct for each structure of messages.def: wire_header, wire_eval_request, ... Text has room
- * for a terminating zero, which the wire does not carry. */
+/* There is one struct for each structure of messages.def: wire_header, wire_eval_request, and so
+ * on. Text has room for a terminating zero, which the wire does not carry. */
 #define WIRE_CTYPE_u16 uint16_t
 #define WIRE_CTYPE_u32 uint32_t
 #define WIRE_CTYPE_u64 uint64_t
@@ -66,7 +66,7 @@ enum wire_choice_kind {
   } wire_##name;
 #include "proto/messages.def"
 
-/* WIRE_BYTES_header, WIRE_BYTES_eval_request, ...: their sizes on the wire. */
+/* The size of each structure on the wire: WIRE_BYTES_header, WIRE_BYTES_eval_request, and so on. */
 #define WIRE_SIZE_u16 2
 #define WIRE_SIZE_u32 4
 #define WIRE_SIZE_u64 8
@@ -82,15 +82,15 @@ enum wire_bytes {
 #include "proto/messages.def"
 };
 
-/* wire_put_header(at, &header), ...: writes WIRE_BYTES_<name> bytes to at, which has room for them.
- * wire_get_header(at, &header), ...: reads as many from at. Neither can fail; at needs no
- * alignment. Text longer than its field is cut. */
+/* wire_put_<name>() writes WIRE_BYTES_<name> bytes to `at`, which has room for them.
+ * wire_get_<name>() reads as many bytes from `at`. Neither can fail, and `at` needs no alignment.
+ * Text that is longer than its field is cut. */
 #define WIRE_STRUCTURE(name, about)                                                                \
   void wire_put_##name(uint8_t *at, const wire_##name *from);                                      \
   void wire_get_##name(const uint8_t *at, wire_##name *to);
 #include "proto/messages.def"
 
-/* Copies text into a text field of `bytes` bytes plus its terminating zero, cutting it if needed.
+/* Copies text into a text field of `bytes` bytes and a terminating zero. Cuts text that is longer.
  */
 void wire_set_text(char *field, size_t bytes, const char *text);
 #define WIRE_SET_TEXT(field, text) wire_set_text((field), sizeof(field) - 1, (text))
@@ -98,48 +98,51 @@ void wire_set_text(char *field, size_t bytes, const char *text);
 /* ---- frames -----------------------------------------------------------------------------------
  */
 
-/* Rounds up to WIRE_ALIGNMENT. bytes <= SIZE_MAX - 7. */
+/* Rounds up to a multiple of WIRE_ALIGNMENT. bytes is at most SIZE_MAX - 7. */
 static inline uint64_t wire_padded(uint64_t bytes) {
   return (bytes + 7) & ~UINT64_C(7);
 }
 
-/* An error as a value; status == WIRE_STATUS_OK: none. */
+/* Errors are values. Status WIRE_STATUS_OK stands for no error. wire_error_make() copies its texts.
+ */
 wire_error wire_error_none(void);
 wire_error wire_error_make(enum wire_status status, const char *field, const char *allowed);
 
-/* BAD_VALUE: "one of 1 (f64), 2 (f32)", so that the reader of an error need not look the list up
- * unless it is long. how: "one of", "a sum of". list: one of core's. */
+/* Returns BAD_VALUE with the entries of one of core's lists as what is allowed, for example "one of
+ * 1 (f64), 2 (f32)". A long list is cut. `how` is "one of" or "a sum of". */
 wire_error wire_error_not_in_list(const char *field, const struct core_choice *list,
                                   const char *how);
 
-/* Whether wire_header_check() would find nothing wrong. */
+/* Returns true if wire_header_check() would return OK. */
 static inline bool wire_header_is_good(const wire_header *header, uint64_t max_payload_bytes) {
   return header->magic == WIRE_MAGIC && header->version == WIRE_VERSION &&
          header->payload_bytes <= max_payload_bytes && header->payload_bytes % WIRE_ALIGNMENT == 0;
 }
 
-/* What a header alone shows to be wrong. max_payload_bytes: the receiver's limit. After BAD_MAGIC
- * the framing is lost; after any other error the next frame begins payload_bytes further on. */
+/* Returns the first fault of a header. max_payload_bytes is the receiver's limit. After BAD_MAGIC
+ * the framing is lost. After any other fault the next frame starts payload_bytes further on. */
 wire_error wire_header_check(const wire_header *header, uint64_t max_payload_bytes);
 
-/* "ok", "busy", ...; "unknown" for a code that is not in the list. */
+/* Return a status's name ("ok", "busy") and its text for people. A code that is not in the list has
+ * the name "unknown". */
 const char *wire_status_name(unsigned status);
 const char *wire_status_text(unsigned status);
 
-/* "hello", ...; also for replies; "error"; "unknown". */
+/* Returns a message's name, for a request's type and for its reply's; "error" or "unknown" for
+ * others. */
 const char *wire_type_name(unsigned type);
 
 /* ---- the list of choices ----------------------------------------------------------------------
  */
 
-/* Everything that a request chooses from: the lists of core.h and the statuses. */
+/* One list of everything that requests choose from: the lists of core/core.h, then the statuses. */
 size_t wire_choice_count(void);
-wire_choice wire_choice_at(size_t index); /* index < wire_choice_count() */
+wire_choice wire_choice_at(size_t index); /* index is below wire_choice_count() */
 
 /* ---- documentation ----------------------------------------------------------------------------
  */
 
-/* Writes the byte tables of PROTOCOL.md, as Markdown, through print(context, text). */
+/* Writes the byte tables of PROTOCOL.md as Markdown. Calls print(context, text) for each piece. */
 void wire_describe(void (*print)(void *context, const char *text), void *context);
 
 #endif

@@ -1,6 +1,6 @@
 #include "server/jobs/table_job.h"
 
-#include "proto/parameters.h"
+#include "proto/channels.h"
 #include "server/jobs/request.h"
 
 wire_error table_job_start(struct table_job *job, const uint8_t *payload, size_t payload_bytes) {
@@ -28,7 +28,7 @@ static enum job_state reply(struct table_job *job, const struct server *server, 
                             struct output *output) {
   const core_profile *profile = &job->order.profile;
   const size_t bytes =
-      table_reply_bytes(parameters_count(&job->request.parameters), profile->lut_count);
+      table_reply_bytes(channels_count_parameters(&job->request.parameters), profile->lut_count);
   if (bytes > server->options.max_frame_bytes) {
     return refuse(job, wire_error_make(WIRE_STATUS_TOO_LARGE, "tolerance",
                                        "more: the table is larger than max_frame_bytes"));

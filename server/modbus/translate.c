@@ -3,7 +3,7 @@
 #include <assert.h>
 #include <string.h>
 
-#include "proto/parameters.h"
+#include "proto/channels.h"
 
 _Static_assert(REGISTERS_RADII_MAX % 2 == 0, "arrays of the most radii need no padding");
 
@@ -58,7 +58,7 @@ size_t modbus_translate_input(const uint16_t image[REGISTERS_END], uint8_t *ques
       .wanted = registers_u16(image, REGISTERS_AT_WANTED),
       .medium_count = 1,
       .spacing = (uint16_t)spacing,
-      .parameter_count = (uint16_t)parameters_count(&parameters),
+      .parameter_count = (uint16_t)channels_count_parameters(&parameters),
       .radius_count = registers_u16(image, REGISTERS_AT_RADIUS_COUNT),
       .radius_start = grid ? number(image, REGISTERS_AT_RADIUS_START) : 0,
       .radius_stop = grid ? number(image, REGISTERS_AT_RADIUS_STOP) : 0,
@@ -66,7 +66,7 @@ size_t modbus_translate_input(const uint16_t image[REGISTERS_END], uint8_t *ques
   wire_put_eval_request(question, &fixed);
   size_t bytes = WIRE_BYTES_eval_request;
   bytes += put_medium(question + bytes, image);
-  bytes += parameters_put(question + bytes, &parameters);
+  bytes += channels_put_parameters(question + bytes, &parameters);
   if (!grid) {
     bytes += put_list(question + bytes, image, core_evaluator_bytes(fixed.evaluator));
   }

@@ -3,7 +3,7 @@
 #include <math.h>
 
 #include "core/lut/lut.h"
-#include "proto/parameters.h"
+#include "proto/channels.h"
 #include "proto/table.h"
 #include "tests/unit/scripted_peer.h"
 #include "tests/unit/unit.h"
@@ -30,7 +30,7 @@ static made_table make_with(const char *model, core_medium medium,
                            CORE_EVALUATOR_LUT, &medium, parameters);
   unit_assert_fault(fault, NULL, 0);
   const size_t payload_bytes =
-      table_reply_bytes(parameters_count(parameters), made.profile.lut_count);
+      table_reply_bytes(channels_count_parameters(parameters), made.profile.lut_count);
   const wire_header header = {.magic = WIRE_MAGIC,
                               .version = WIRE_VERSION,
                               .type = WIRE_TYPE_TABLE | WIRE_REPLY,
