@@ -205,8 +205,7 @@ static void report(const struct tally *tally, const char *what) {
 }
 
 /* Of the choices, and of all candidates that say that they would meet the tolerance. */
-static void promises_are_kept(void **state) {
-  (void)state;
+UNIT_TEST(promises_are_kept) {
   static struct truth truth;
   struct tally chosen = {0}, all = {0};
   uint64_t random = unit_seed();
@@ -274,8 +273,7 @@ static void only_transport_promises(core_choose_request request) {
   assert_true(choice.model_error == 0);
 }
 
-static void a_tolerance_that_is_loose_takes_another_model(void **state) {
-  (void)state;
+UNIT_TEST(a_tolerance_that_is_loose_takes_another_model) {
   const core_choose_request request = easy(&ordinary, 1);
   const core_candidate choice = choose(&request);
   assert_true(choice.meets);
@@ -288,8 +286,7 @@ static void a_tolerance_that_is_loose_takes_another_model(void **state) {
 
 /* Nothing that meets the tolerance is cheaper than the choice by more than what is alike, and the
  * rest of the list is in the order in which it is to be taken. */
-static void the_list_is_in_order(void **state) {
-  (void)state;
+UNIT_TEST(the_list_is_in_order) {
   for (int single = 0; single < 2; single++) {
     core_choose_request request = easy(&ordinary, 1);
     core_candidate candidates[CORE_CANDIDATES_MAX];
@@ -316,8 +313,7 @@ static void the_list_is_in_order(void **state) {
   }
 }
 
-static void outside_of_what_was_measured_only_transport_promises(void **state) {
-  (void)state;
+UNIT_TEST(outside_of_what_was_measured_only_transport_promises) {
   core_choose_request request = easy(&ordinary, 1);
   request.radii.least_mm = 0;
   only_transport_promises(request);
@@ -339,8 +335,7 @@ static void outside_of_what_was_measured_only_transport_promises(void **state) {
   }
 }
 
-static void the_ends_of_what_was_measured_belong_to_it(void **state) {
-  (void)state;
+UNIT_TEST(the_ends_of_what_was_measured_belong_to_it) {
   static const core_medium media[] = {
       {0, 1, 0, 1.4}, {10, 1, 0, 1.4}, {0.05, 1, 0, 1}, {0.05, 1, 0, 2}, {0.3, 0.03, 0, 1.1}};
   for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
@@ -351,8 +346,7 @@ static void the_ends_of_what_was_measured_belong_to_it(void **state) {
   }
 }
 
-static void what_was_not_measured_is_not_promised(void **state) {
-  (void)state;
+UNIT_TEST(what_was_not_measured_is_not_promised) {
   core_choose_request request = easy(&ordinary, 1);
   request.wanted = CORE_QUANTITY_R | CORE_QUANTITY_CDF;
   only_transport_promises(request);
@@ -364,8 +358,7 @@ static void what_was_not_measured_is_not_promised(void **state) {
 }
 
 /* The albedo alone needs no radii. */
-static void the_albedo_needs_no_radii(void **state) {
-  (void)state;
+UNIT_TEST(the_albedo_needs_no_radii) {
   core_choose_request request = easy(&ordinary, 1);
   request.wanted = CORE_QUANTITY_ALBEDO | CORE_QUANTITY_RADIUS;
   request.radii = (core_radii_range){0, (double)INFINITY};
@@ -373,8 +366,7 @@ static void the_albedo_needs_no_radii(void **state) {
 }
 
 /* A quantity more is never nearer. */
-static void what_is_wanted_has_to_be_met_together(void **state) {
-  (void)state;
+UNIT_TEST(what_is_wanted_has_to_be_met_together) {
   core_choose_request request = easy(&ordinary, 1);
   request.tolerance = 10;
   const double R = choose(&request).error;
@@ -393,8 +385,7 @@ static void what_is_wanted_has_to_be_met_together(void **state) {
 }
 
 /* Nothing can do it: the nearest that there is comes first, and says how near. */
-static void a_tolerance_that_nothing_meets(void **state) {
-  (void)state;
+UNIT_TEST(a_tolerance_that_nothing_meets) {
   core_choose_request request = easy(&ordinary, 1);
   request.tolerance = 1e-9;
   core_candidate choice = choose(&request);
@@ -411,8 +402,7 @@ static void a_tolerance_that_nothing_meets(void **state) {
 }
 
 /* The tighter the tolerance, the tighter transport is solved; and no tighter than it is asked. */
-static void the_numerical_tolerance_follows(void **state) {
-  (void)state;
+UNIT_TEST(the_numerical_tolerance_follows) {
   core_choose_request request = easy(&ordinary, 1);
   request.tolerance = 1e-4;
   core_candidate choice = choose(&request);
@@ -433,8 +423,7 @@ static void the_numerical_tolerance_follows(void **state) {
 }
 
 /* One channel that needs transport takes all of them there. */
-static void the_choice_holds_for_all_channels(void **state) {
-  (void)state;
+UNIT_TEST(the_choice_holds_for_all_channels) {
   const core_medium media[3] = {ordinary, {0.06, 1, 0, 1.4}, {0.05, 0.0001, 0, 1.4}};
   core_choose_request request = easy(media, 2);
   const double two = choose(&request).model_error;
@@ -453,8 +442,7 @@ static void the_choice_holds_for_all_channels(void **state) {
 
 /* sigma_s' is all that the models see, so the similarity relation's error comes on top, where it is
  * known; single scattering sees g, and nothing is known of it. */
-static void anisotropy_costs(void **state) {
-  (void)state;
+UNIT_TEST(anisotropy_costs) {
   const core_medium forward = {0.05, 10, 0.9, 1.4};
   core_choose_request isotropic = easy(&ordinary, 1), request = easy(&forward, 1);
   core_candidate candidates[CORE_CANDIDATES_MAX], isotropic_candidates[CORE_CANDIDATES_MAX];
@@ -484,8 +472,7 @@ static void anisotropy_costs(void **state) {
 }
 
 /* The same in other units of length, for the radii are relative to the medium. */
-static void lengths_do_not_matter(void **state) {
-  (void)state;
+UNIT_TEST(lengths_do_not_matter) {
   const core_medium dense = {50, 1000, 0, 1.4};
   core_choose_request request = easy(&ordinary, 1);
   const core_candidate choice = choose(&request);
@@ -494,23 +481,4 @@ static void lengths_do_not_matter(void **state) {
   const core_candidate other = choose(&request);
   assert_int_equal(choice.model, other.model);
   assert_true(choice.error == other.error);
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(promises_are_kept),
-      cmocka_unit_test(a_tolerance_that_is_loose_takes_another_model),
-      cmocka_unit_test(the_list_is_in_order),
-      cmocka_unit_test(outside_of_what_was_measured_only_transport_promises),
-      cmocka_unit_test(the_ends_of_what_was_measured_belong_to_it),
-      cmocka_unit_test(what_was_not_measured_is_not_promised),
-      cmocka_unit_test(the_albedo_needs_no_radii),
-      cmocka_unit_test(what_is_wanted_has_to_be_met_together),
-      cmocka_unit_test(a_tolerance_that_nothing_meets),
-      cmocka_unit_test(the_numerical_tolerance_follows),
-      cmocka_unit_test(the_choice_holds_for_all_channels),
-      cmocka_unit_test(anisotropy_costs),
-      cmocka_unit_test(lengths_do_not_matter),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -64,8 +64,7 @@ static void start_score(struct score *score, const char *model, unsigned evaluat
   score->albedo = start_tally(albedo, model, evaluator);
 }
 
-static int start(void **state) {
-  (void)state;
+UNIT_SETUP(start) {
   for (size_t i = 0; core_models[i].name != NULL; i++) {
     assert_true(i < MODELS_MAX);
     for (int e = 0; e < EVALUATORS; e++) {
@@ -75,16 +74,13 @@ static int start(void **state) {
   reference_dipole_init(&reference);
   reference_values_init(&truths);
   mpfr_init2(truth, REFERENCE_BITS);
-  return 0;
 }
 
-static int stop(void **state) {
-  (void)state;
+UNIT_TEARDOWN(stop) {
   mpfr_clear(truth);
   reference_values_clear(&truths);
   reference_dipole_clear(&reference);
   reference_fresnel_forget();
-  return 0;
 }
 
 /* ---- measuring ---------------------------------------------------------------------------- */
@@ -278,8 +274,7 @@ static size_t corner_radii(const core_medium *medium, double *radii) {
   return n;
 }
 
-static void holds_at_the_corners(void **state) {
-  (void)state;
+UNIT_TEST(holds_at_the_corners) {
   static const double sigmas[] = {1.1e-15, 1e-6, 1e-3, 1, 1e3, 1e6, 9e14};
   static const double ratios[] = {0, 1e-200, 1e-12, 1e-6, 1e-3, .03, 1, 30, 1e6, INFINITY};
   static const double gs[] = {-.99, .999};
@@ -299,8 +294,7 @@ static void holds_at_the_corners(void **state) {
 }
 
 /* Radii at the ends of both number formats, where squares and products leave their range. */
-static void holds_at_the_ends_of_the_number_range(void **state) {
-  (void)state;
+UNIT_TEST(holds_at_the_ends_of_the_number_range) {
   static const double radii[] = {0,     -0.0,  5e-324, 1e-310,  1e-300, 1e-160, 1e-45,   1e-40,
                                  1e-20, 1e18,  1e19,   1e20,    1e30,   3e38,   1e75,    1e100,
                                  1e150, 1e155, 1e300,  DBL_MAX, 1e-38,  1.7e38, INFINITY};
@@ -365,8 +359,7 @@ static enum core_moments random_moments(uint64_t *random, double eta) {
   return core_fresnel_check(drawn, eta).field == NULL ? drawn : CORE_MOMENTS_EXACT;
 }
 
-static void holds_at_random_points(void **state) {
-  (void)state;
+UNIT_TEST(holds_at_random_points) {
   enum { NEAR = 6, DEEP = 3 };
   uint64_t random = unit_seed();
   size_t points = 0;
@@ -406,8 +399,7 @@ static void assert_vector(double value, double expected, double bound, size_t ro
   }
 }
 
-static void holds_for_the_vectors(void **state) {
-  (void)state;
+UNIT_TEST(holds_for_the_vectors) {
   size_t count;
   vector *vectors = vectors_read(VECTORS_FILE_ALL, &count);
   if (vectors == NULL) {
@@ -434,8 +426,7 @@ static void holds_for_the_vectors(void **state) {
 
 /* One renderer's test publishes these albedos as 185, 138, 112 of 255; its F_dr is Egan and
  * Hilgeman's. */
-static void skin2_has_its_published_albedo(void **state) {
-  (void)state;
+UNIT_TEST(skin2_has_its_published_albedo) {
   static const double expected[3] = {0.72775656, 0.54408776, 0.44055470};
   const core_measured_medium *skin2 = core_measured_medium_by_name("skin2");
   for (size_t i = 0; i < 3; i++) {
@@ -451,8 +442,7 @@ static void skin2_has_its_published_albedo(void **state) {
 
 /* Energy is conserved to the last bit: the better dipole returns all that enters when nothing is
  * absorbed. */
-static void better_dipole_returns_everything_without_absorption(void **state) {
-  (void)state;
+UNIT_TEST(better_dipole_returns_everything_without_absorption) {
   uint64_t random = unit_seed();
   for (int i = 0; i < 1000; i++) {
     const core_medium medium = {0, unit_random_log(&random, 1e-6, 1e6),
@@ -492,8 +482,7 @@ static size_t finish_score(const struct score *score, unsigned evaluator) {
   return failures;
 }
 
-static void the_stated_bound_holds_and_is_not_loose(void **state) {
-  (void)state;
+UNIT_TEST(the_stated_bound_holds_and_is_not_loose) {
   size_t failures = 0;
   printf(
       "errors in epsilon (1 + mu_tr d_r), of ln R in epsilon (1 + mu_tr d_r + |ln R|); subnormal "
@@ -506,17 +495,4 @@ static void the_stated_bound_holds_and_is_not_loose(void **state) {
     }
   }
   assert_int_equal(failures, 0);
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(holds_at_the_corners),
-      cmocka_unit_test(holds_at_the_ends_of_the_number_range),
-      cmocka_unit_test(holds_at_random_points),
-      cmocka_unit_test(holds_for_the_vectors),
-      cmocka_unit_test(skin2_has_its_published_albedo),
-      cmocka_unit_test(better_dipole_returns_everything_without_absorption),
-      cmocka_unit_test(the_stated_bound_holds_and_is_not_loose),
-  };
-  return cmocka_run_group_tests(tests, start, stop);
 }

@@ -81,8 +81,7 @@ static void check_density(const core_profile *f64, const core_profile *f32, uint
   }
 }
 
-static void every_density_integrates_to_1_and_to_the_cdf(void **state) {
-  (void)state;
+UNIT_TEST(every_density_integrates_to_1_and_to_the_cdf) {
   with_every_model(check_density);
 }
 
@@ -108,8 +107,7 @@ static void check_slope(const core_profile *f64, const core_profile *f32, uint64
   }
 }
 
-static void every_slope_is_the_derivative(void **state) {
-  (void)state;
+UNIT_TEST(every_slope_is_the_derivative) {
   with_every_model(check_slope);
 }
 
@@ -208,8 +206,7 @@ static void check_sampler(const core_profile *f64, const core_profile *f32, uint
   check_samples(f32, edges, chances, random);
 }
 
-static void every_sampler_follows_its_density(void **state) {
-  (void)state;
+UNIT_TEST(every_sampler_follows_its_density) {
   with_every_model(check_sampler);
 }
 
@@ -235,8 +232,7 @@ static void check_round_trip(const core_profile *f64, const core_profile *f32, u
   }
 }
 
-static void every_sampler_inverts_its_cdf(void **state) {
-  (void)state;
+UNIT_TEST(every_sampler_inverts_its_cdf) {
   with_every_model(check_round_trip);
 }
 
@@ -261,18 +257,6 @@ static void check_single(const core_profile *f64, const core_profile *f32, uint6
   }
 }
 
-static void single_precision_agrees_with_double(void **state) {
-  (void)state;
+UNIT_TEST(single_precision_agrees_with_double) {
   with_every_model(check_single);
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(every_density_integrates_to_1_and_to_the_cdf),
-      cmocka_unit_test(every_slope_is_the_derivative),
-      cmocka_unit_test(every_sampler_follows_its_density),
-      cmocka_unit_test(every_sampler_inverts_its_cdf),
-      cmocka_unit_test(single_precision_agrees_with_double),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -31,8 +31,7 @@ static void assert_near(double value, double truth, double relative, const char 
 
 /* The same R whatever the tolerance, where nothing or next to nothing is absorbed, or scattered; up
  * to where the solver has digits. */
-static void transport_is_the_same_for_every_tolerance(void **state) {
-  (void)state;
+UNIT_TEST(transport_is_the_same_for_every_tolerance) {
   static const core_medium media[] = {
       {0, 1, 0, 1.3}, {1e-20, 1, 0, 1.3}, {1e-8, 1, 0, 1.3}, {0, 1, 0, 0.8}, {1, 1e-8, 0, 1.3}};
   static const double tolerances[] = {1e-4, 1e-5, 1e-7};
@@ -62,8 +61,7 @@ static void transport_is_the_same_for_every_tolerance(void **state) {
   printf("transport differs between tolerances by at most %.2g of them\n", worst);
 }
 
-static void transport_without_absorption_falls_like_diffusion(void **state) {
-  (void)state;
+UNIT_TEST(transport_without_absorption_falls_like_diffusion) {
   static const double tolerances[] = {1e-4, 1e-7};
   for (size_t t = 0; t < sizeof tolerances / sizeof tolerances[0]; t++) {
     core_profile profile =
@@ -91,8 +89,7 @@ static double integral_of_pdf(const core_profile *profile, double r) {
   return sum * step / 3;
 }
 
-static void the_cdf_of_beam_is_the_integral_of_its_pdf(void **state) {
-  (void)state;
+UNIT_TEST(the_cdf_of_beam_is_the_integral_of_its_pdf) {
   static const core_medium media[] = {{0.1, 0.9, 0, 1.3}, {0, 1, 0, 1.3}, {0.9, 0.1, 0, 0.7}};
   for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
     core_profile profile = prepared(CORE_MODEL_BEAM, media[i], (double)NAN);
@@ -106,8 +103,7 @@ static void the_cdf_of_beam_is_the_integral_of_its_pdf(void **state) {
 
 /* ---- extended ----------------------------------------------------------------------------- */
 
-static void extended_without_absorption_goes_on_falling(void **state) {
-  (void)state;
+UNIT_TEST(extended_without_absorption_goes_on_falling) {
   core_profile profile = prepared(CORE_MODEL_EXTENDED, (core_medium){0, 1, 0, 1.3}, (double)NAN);
   const double first = 1e36 * value_of(&profile, CORE_QUANTITY_R, 1e12);
   assert_true(first > 0);
@@ -115,14 +111,4 @@ static void extended_without_absorption_goes_on_falling(void **state) {
     assert_near(x * x * x * value_of(&profile, CORE_QUANTITY_R, x), first, 1e-9, "x^3 R", x);
   }
   core_profile_free(&profile);
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(transport_is_the_same_for_every_tolerance),
-      cmocka_unit_test(transport_without_absorption_falls_like_diffusion),
-      cmocka_unit_test(the_cdf_of_beam_is_the_integral_of_its_pdf),
-      cmocka_unit_test(extended_without_absorption_goes_on_falling),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

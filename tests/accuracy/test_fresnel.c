@@ -62,44 +62,38 @@ static void assert_bound(const char *what, double worst, double bound) {
   assert_true(worst * LOOSEST >= bound);
 }
 
-static void exact_moments_hold(void **state) {
-  (void)state;
+UNIT_TEST(exact_moments_hold) {
   const struct worst worst = measure_many(CORE_MOMENTS_EXACT, CORE_ETA_MIN, CORE_ETA_MAX);
   assert_bound("exact 1 - 2 C1", worst.first, INTEGRAL_EPSILONS);
   assert_bound("exact 1 - 3 C2", worst.second, INTEGRAL_EPSILONS);
 }
 
-static void fitted_moments_hold(void **state) {
-  (void)state;
+UNIT_TEST(fitted_moments_hold) {
   const struct worst worst = measure_many(CORE_MOMENTS_FIT, 0.195, 2.485);
   assert_bound("fit 1 - 2 C1", worst.first, POLYNOMIAL_EPSILONS);
   assert_bound("fit 1 - 3 C2", worst.second, POLYNOMIAL_EPSILONS);
 }
 
-static void jensens_moments_hold(void **state) {
-  (void)state;
+UNIT_TEST(jensens_moments_hold) {
   const struct worst worst = measure_many(CORE_MOMENTS_JENSEN, 0.46, 2.2);
   assert_bound("jensen 1 - 2 C1", worst.first, POLYNOMIAL_EPSILONS);
   assert_bound("jensen 1 - 3 C2", worst.second, INTEGRAL_EPSILONS);
 }
 
-static void renderers_moments_hold(void **state) {
-  (void)state;
+UNIT_TEST(renderers_moments_hold) {
   const struct worst worst = measure_many(CORE_MOMENTS_PBRT, 0.195, 2.485);
   assert_bound("pbrt 1 - 2 C1", worst.first, POLYNOMIAL_EPSILONS);
   assert_bound("pbrt 1 - 3 C2", worst.second, POLYNOMIAL_EPSILONS);
 }
 
 /* Matched indices reflect nothing, to the last bit. */
-static void nothing_is_reflected_at_eta_1(void **state) {
-  (void)state;
+UNIT_TEST(nothing_is_reflected_at_eta_1) {
   const core_fresnel moments = core_fresnel_moments(CORE_MOMENTS_EXACT, 1);
   assert_true(moments.one_minus_2c1 == 1);
   assert_true(moments.one_minus_3c2 == 1);
 }
 
-static void eta_is_limited_for_each_kind(void **state) {
-  (void)state;
+UNIT_TEST(eta_is_limited_for_each_kind) {
   static const struct {
     enum core_moments moments;
     double min, max;
@@ -118,20 +112,6 @@ static void eta_is_limited_for_each_kind(void **state) {
   }
 }
 
-static int forget(void **state) {
-  (void)state;
+UNIT_TEARDOWN(forget) {
   reference_fresnel_forget();
-  return 0;
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(exact_moments_hold),
-      cmocka_unit_test(fitted_moments_hold),
-      cmocka_unit_test(jensens_moments_hold),
-      cmocka_unit_test(renderers_moments_hold),
-      cmocka_unit_test(nothing_is_reflected_at_eta_1),
-      cmocka_unit_test(eta_is_limited_for_each_kind),
-  };
-  return cmocka_run_group_tests(tests, NULL, forget);
 }

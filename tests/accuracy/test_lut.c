@@ -16,8 +16,14 @@ enum { RADII = 100000, RADII_COSTLY = 10000, TOLERANCES = 4, MODELS_MAX = 64 };
 
 static const double tolerances[TOLERANCES] = {1e-3, 1e-4, 1e-5, 1e-6};
 
+/* What the arguments `all [MODEL]` choose. */
 static bool all_of_them;
 static const char *only_model; /* NULL: every one */
+
+UNIT_SETUP(read_arguments) {
+  all_of_them = unit_arguments[0] != NULL && strcmp(unit_arguments[0], "all") == 0;
+  only_model = all_of_them ? unit_arguments[1] : NULL;
+}
 
 /* ---- what is measured --------------------------------------------------------------------- */
 
@@ -239,8 +245,7 @@ static void assert_kept(size_t model, bool refusable) {
 }
 
 /* Whatever is met with in use, at every tolerance. */
-static void ordinary_media_are_never_refused(void **state) {
-  (void)state;
+UNIT_TEST(ordinary_media_are_never_refused) {
   uint64_t random = unit_seed();
   const size_t count = table_ordinary_count();
   memset(records, 0, sizeof records);
@@ -256,8 +261,7 @@ static void ordinary_media_are_never_refused(void **state) {
   }
 }
 
-static void at_extremes_tolerances_are_kept_or_refused(void **state) {
-  (void)state;
+UNIT_TEST(at_extremes_tolerances_are_kept_or_refused) {
   uint64_t random = unit_seed();
   size_t built = 0, refused = 0;
   memset(records, 0, sizeof records);
@@ -277,14 +281,4 @@ static void at_extremes_tolerances_are_kept_or_refused(void **state) {
   }
   printf("%zu tables at extremes, %zu refused\n", built, refused);
   assert_true(built > 3 * refused);
-}
-
-int main(int argc, char **argv) {
-  all_of_them = argc > 1 && strcmp(argv[1], "all") == 0;
-  only_model = argc > 2 ? argv[2] : NULL;
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(ordinary_media_are_never_refused),
-      cmocka_unit_test(at_extremes_tolerances_are_kept_or_refused),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -169,8 +169,7 @@ static void check_cdf_order(const struct pair *pair, uint64_t *random) {
   }
 }
 
-static void the_cdf_never_turns_back(void **state) {
-  (void)state;
+UNIT_TEST(the_cdf_never_turns_back) {
   with_every_pair(check_cdf_order);
 }
 
@@ -188,8 +187,7 @@ static void check_sample_order(const struct pair *pair, uint64_t *random) {
   assert_run_rises(pair, evaluate_samples, FLT_MIN, 1);
 }
 
-static void samples_keep_the_order_of_their_numbers(void **state) {
-  (void)state;
+UNIT_TEST(samples_keep_the_order_of_their_numbers) {
   with_every_pair(check_sample_order);
 }
 
@@ -206,8 +204,7 @@ static void check_positive(const struct pair *pair, uint64_t *random) {
   }
 }
 
-static void R_is_positive_where_there_is_light(void **state) {
-  (void)state;
+UNIT_TEST(R_is_positive_where_there_is_light) {
   with_every_pair(check_positive);
 }
 
@@ -225,8 +222,7 @@ static void check_density(const struct pair *pair, uint64_t *random) {
   }
 }
 
-static void the_pdf_is_a_density(void **state) {
-  (void)state;
+UNIT_TEST(the_pdf_is_a_density) {
   with_every_pair(check_density);
 }
 
@@ -244,8 +240,7 @@ static void check_samples(const struct pair *pair, uint64_t *random) {
   }
 }
 
-static void samples_have_the_cdf_of_their_number(void **state) {
-  (void)state;
+UNIT_TEST(samples_have_the_cdf_of_their_number) {
   with_every_pair(check_samples);
 }
 
@@ -307,8 +302,7 @@ static void check_ends(const struct pair *pair, uint64_t *random) {
   }
 }
 
-static void ends_are_those_of_the_model(void **state) {
-  (void)state;
+UNIT_TEST(ends_are_those_of_the_model) {
   with_every_pair(check_ends);
 }
 
@@ -329,8 +323,7 @@ static void check_sample_ends(const struct pair *pair, uint64_t *random) {
   }
 }
 
-static void samples_have_their_ends(void **state) {
-  (void)state;
+UNIT_TEST(samples_have_their_ends) {
   with_every_pair(check_sample_ends);
 }
 
@@ -348,13 +341,11 @@ static void check_others(const struct pair *pair, uint64_t *random) {
   }
 }
 
-static void slope_logarithm_and_S_are_there(void **state) {
-  (void)state;
+UNIT_TEST(slope_logarithm_and_S_are_there) {
   with_every_pair(check_others);
 }
 
-static void nothing_leaves_where_nothing_scatters(void **state) {
-  (void)state;
+UNIT_TEST(nothing_leaves_where_nothing_scatters) {
   const struct table_place place = {{0.3, 0, 0, 1.3}, 3};
   static const float radii[] = {0, -0.0f, 1e-45f, 1e-10f, 1, 1e10f, FLT_MAX, INFINITY};
   static const float numbers[] = {0, -0.0f, 1e-45f, 0.25f, 0.5f, 0.75f, 1 - 0x1p-24f, 1};
@@ -386,8 +377,7 @@ static void nothing_leaves_where_nothing_scatters(void **state) {
 
 /* ---- tolerances --------------------------------------------------------------------------- */
 
-static void tolerances_have_their_range(void **state) {
-  (void)state;
+UNIT_TEST(tolerances_have_their_range) {
   const struct table_place place = {{0.032, 0.74, 0, 1.3}, 3};
   static const double good[] = {1e-6, 1.1e-6, 0.01, 0.1, 1};
   static const double bad[] = {9.99e-7, 1e-12, 0, -1, 1.001, INFINITY};
@@ -403,20 +393,4 @@ static void tolerances_have_their_range(void **state) {
   unit_assert_fault(table_prepare(&table, CORE_MODEL_BETTER, &place, (double)NAN), NULL, 0);
   assert_true(table.numerical_error <= 1e-4);
   core_profile_free(&table);
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(the_cdf_never_turns_back),
-      cmocka_unit_test(samples_keep_the_order_of_their_numbers),
-      cmocka_unit_test(R_is_positive_where_there_is_light),
-      cmocka_unit_test(the_pdf_is_a_density),
-      cmocka_unit_test(samples_have_the_cdf_of_their_number),
-      cmocka_unit_test(ends_are_those_of_the_model),
-      cmocka_unit_test(samples_have_their_ends),
-      cmocka_unit_test(slope_logarithm_and_S_are_there),
-      cmocka_unit_test(nothing_leaves_where_nothing_scatters),
-      cmocka_unit_test(tolerances_have_their_range),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -50,8 +50,7 @@ static void check_row(double a, double eta, double r, double exact, size_t *chec
   }
 }
 
-static void no_model_is_further_from_transport_than_it_says(void **state) {
-  (void)state;
+UNIT_TEST(no_model_is_further_from_transport_than_it_says) {
   char *text = unit_read_file("../shared/vectors/transport.csv");
   size_t checked = 0;
   if (text == NULL) {
@@ -96,8 +95,7 @@ static void check_ring(double from, double to, double R, double sigma) {
 }
 
 /* MCML's rings for g = 0.9, in mean free paths 1 / sigma_t'. */
-static void anisotropy_is_within_what_is_said(void **state) {
-  (void)state;
+UNIT_TEST(anisotropy_is_within_what_is_said) {
   char *text = unit_read_file("../shared/mcml/r0.05_n1.4_g0.9.csv");
   size_t rings = 0;
   if (text == NULL) {
@@ -119,8 +117,7 @@ static void anisotropy_is_within_what_is_said(void **state) {
 
 /* ---- where it is stated ---------------------------------------------------------------------- */
 
-static void it_is_stated_where_it_was_measured(void **state) {
-  (void)state;
+UNIT_TEST(it_is_stated_where_it_was_measured) {
   assert_true(error_of(CORE_MODEL_BETTER, medium_of(1e-3, 0, 1.4)) > 0);
   assert_true(error_of(CORE_MODEL_BETTER, medium_of(1e-4, 0, 1)) > 0);
   assert_true(error_of(CORE_MODEL_BETTER, medium_of(10, 0, 2)) > 0);
@@ -135,8 +132,7 @@ static void it_is_stated_where_it_was_measured(void **state) {
 }
 
 /* Between the media that were measured the larger error of the neighbours holds. */
-static void between_measured_media_the_larger_error_is_stated(void **state) {
-  (void)state;
+UNIT_TEST(between_measured_media_the_larger_error_is_stated) {
   const double low = error_of(CORE_MODEL_CLASSICAL, medium_of(0.5, 0, 1.3));
   const double high = error_of(CORE_MODEL_CLASSICAL, medium_of(1, 0, 1.3));
   const double between = error_of(CORE_MODEL_CLASSICAL, medium_of(0.7, 0, 1.3));
@@ -144,22 +140,10 @@ static void between_measured_media_the_larger_error_is_stated(void **state) {
 }
 
 /* Anisotropy is never free, and the more the dearer between neighbours that were measured. */
-static void anisotropy_makes_the_error_larger(void **state) {
-  (void)state;
+UNIT_TEST(anisotropy_makes_the_error_larger) {
   for (double g = -0.5; g < 0.98; g += 0.037) {
     const double isotropic = error_of(CORE_MODEL_BETTER, medium_of(0.01, 0, 1.4));
     const double error = error_of(CORE_MODEL_BETTER, medium_of(0.01, g, 1.4));
     assert_true(error > isotropic * 1.05);
   }
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(no_model_is_further_from_transport_than_it_says),
-      cmocka_unit_test(anisotropy_is_within_what_is_said),
-      cmocka_unit_test(it_is_stated_where_it_was_measured),
-      cmocka_unit_test(between_measured_media_the_larger_error_is_stated),
-      cmocka_unit_test(anisotropy_makes_the_error_larger),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

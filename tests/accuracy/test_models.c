@@ -10,6 +10,10 @@
 
 static const double pi = 3.14159265358979323846;
 
+UNIT_SETUP(let_gsl_return_errors) {
+  gsl_set_error_handler_off();
+}
+
 /* ---- evaluating ------------------------------------------------------------------------------ */
 
 static core_parameters with(enum core_parameter parameter, double value) {
@@ -61,8 +65,7 @@ static core_medium medium_of_ratio(double ratio, double eta) {
 /* ---- published numbers ----------------------------------------------------------------------- */
 
 /* A renderer's source converged, with that renderer's moments; seven digits. */
-static void the_extended_source_has_its_converged_values(void **state) {
-  (void)state;
+UNIT_TEST(the_extended_source_has_its_converged_values) {
   static const struct {
     double albedo;
     double extended;
@@ -78,8 +81,7 @@ static void the_extended_source_has_its_converged_values(void **state) {
   }
 }
 
-static void burley_has_its_published_points(void **state) {
-  (void)state;
+UNIT_TEST(burley_has_its_published_points) {
   static const struct {
     int i;
     double x;
@@ -96,8 +98,7 @@ static void burley_has_its_published_points(void **state) {
 }
 
 /* R, A and d in the published formulas. */
-static void burley_follows_its_formulas(void **state) {
-  (void)state;
+UNIT_TEST(burley_follows_its_formulas) {
   const core_medium medium = {0.02, 0.8, 0, 1.3};
   const double mfp = 1 / 0.82;
   const double mu = 0.82 * sqrt(3 * (0.02 / 0.82) / (1 + 0.02 / 0.82));
@@ -120,8 +121,7 @@ static void burley_follows_its_formulas(void **state) {
   }
 }
 
-static void skin_is_the_published_sum(void **state) {
-  (void)state;
+UNIT_TEST(skin_is_the_published_sum) {
   core_profile red =
       prepared(CORE_MODEL_SKIN_RED, CORE_MOMENTS_EXACT, (core_medium){1, 1, 0, 1.3}, NULL);
   assert_near(red.albedo, 1, 1e-15, "the sum of the weights");
@@ -138,8 +138,7 @@ static void skin_is_the_published_sum(void **state) {
 }
 
 /* Index matched, a = 0.9, in mean free paths; exact. */
-static void single_scattering_has_its_published_values(void **state) {
-  (void)state;
+UNIT_TEST(single_scattering_has_its_published_values) {
   static const double rows[][2] = {{0.1, .42742248}, {1, 4.7113124e-3}, {10, 2.4556137e-9}};
   for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
     assert_near(
@@ -149,8 +148,7 @@ static void single_scattering_has_its_published_values(void **state) {
 }
 
 /* The column `single` of ../shared/vectors/transport.csv, where it is there. */
-static void single_scattering_agrees_with_transport(void **state) {
-  (void)state;
+UNIT_TEST(single_scattering_agrees_with_transport) {
   char *text = unit_read_file("../shared/vectors/transport.csv");
   if (text == NULL) {
     printf("skipped: ../shared/vectors/transport.csv is not there\n");
@@ -175,8 +173,7 @@ static void single_scattering_agrees_with_transport(void **state) {
 }
 
 /* R(r) and the totals, index matched and with a boundary; exact, nine digits of them. */
-static void transport_has_its_published_values(void **state) {
-  (void)state;
+UNIT_TEST(transport_has_its_published_values) {
   static const double radii[] = {.1, .5, 1, 2, 5, 10};
   static const struct {
     double a;
@@ -210,8 +207,7 @@ static void transport_has_its_published_values(void **state) {
 
 /* The columns R and total of ../shared/vectors/transport.csv: every eighth medium, at two tolerances
  * in turn. */
-static void transport_agrees_with_exact_solutions(void **state) {
-  (void)state;
+UNIT_TEST(transport_agrees_with_exact_solutions) {
   char *text = unit_read_file("../shared/vectors/transport.csv");
   if (text == NULL) {
     printf("skipped: ../shared/vectors/transport.csv is not there\n");
@@ -292,8 +288,7 @@ static double quadrature(core_medium medium, double x, bool kappa,
   return medium.sigma_s_per_mm * medium.sigma_s_per_mm * integral / (4 * pi);
 }
 
-static void extended_and_beam_agree_with_adaptive_quadrature(void **state) {
-  (void)state;
+UNIT_TEST(extended_and_beam_agree_with_adaptive_quadrature) {
   static const double ratios[] = {0, 1e-4, 1e-2, 1, 10};
   static const double etas[] = {0.3, 0.75, 1, 1.3, 2, 5};
   gsl_integration_workspace *work = gsl_integration_workspace_alloc(2000);
@@ -341,8 +336,7 @@ static double depth_integrand(double t, void *context) {
          (1 - 0.5 * (s * s + p * p)) * cosine / (d * d);
 }
 
-static void single_scattering_agrees_with_adaptive_quadrature(void **state) {
-  (void)state;
+UNIT_TEST(single_scattering_agrees_with_adaptive_quadrature) {
   static const core_medium media[] = {{.1, .9, 0, 1.33},   {.1, .9, .9, 1.5},  {1, 9, -.8, .75},
                                       {0, 1, .5, 5},       {0, 1, .5, .2},     {2, 3, .3, 1.001},
                                       {.5, .5, .99, .999}, {1, 1e-3, -.5, 10}, {1, 1, .7, .1}};
@@ -392,8 +386,7 @@ static double quantized_error(const core_medium *medium, double tolerance) {
   return worst;
 }
 
-static void quantized_diffusion_keeps_its_tolerance(void **state) {
-  (void)state;
+UNIT_TEST(quantized_diffusion_keeps_its_tolerance) {
   static const double ratios[] = {0, 1e-4, 1e-2, 1, 10};
   static const double etas[] = {0.75, 1, 1.3, 2};
   static const double tolerances[] = {0.1, 1e-2, 1e-3, 1e-4, 1e-7, 1e-10, 1e-12};
@@ -429,8 +422,7 @@ static double pole_sum(core_medium medium, double thickness, double r, bool tran
   return medium.sigma_s_per_mm * sum / (4 * pi);
 }
 
-static void slabs_agree_with_the_sum_over_poles(void **state) {
-  (void)state;
+UNIT_TEST(slabs_agree_with_the_sum_over_poles) {
   static const double etas[] = {0.8, 1, 1.4};
   static const double thicknesses[] = {1.2, 3, 12};
   for (size_t e = 0; e < 3; e++) {
@@ -450,8 +442,7 @@ static void slabs_agree_with_the_sum_over_poles(void **state) {
   }
 }
 
-static void a_thick_slab_is_a_half_space(void **state) {
-  (void)state;
+UNIT_TEST(a_thick_slab_is_a_half_space) {
   static const unsigned pairs[][2] = {{CORE_MODEL_MULTIPOLE, CORE_MODEL_CLASSICAL},
                                       {CORE_MODEL_BETTER_MULTIPOLE, CORE_MODEL_BETTER}};
   const core_parameters thick = with(CORE_PARAMETER_THICKNESS, 9.9e5);
@@ -485,8 +476,7 @@ static double absorbed_in_slab(core_medium medium, double thickness) {
          sinh(mu * length);
 }
 
-static void a_slab_balances(void **state) {
-  (void)state;
+UNIT_TEST(a_slab_balances) {
   for (double ratio = 1e-4; ratio < 20; ratio *= 10) {
     for (double thickness = 1.1; thickness < 40; thickness *= 2.3) {
       for (double eta = 0.7; eta < 2.1; eta += 0.35) {
@@ -501,8 +491,7 @@ static void a_slab_balances(void **state) {
   }
 }
 
-static void a_slab_names_its_domain(void **state) {
-  (void)state;
+UNIT_TEST(a_slab_names_its_domain) {
   const core_medium medium = {0.1, 0.9, 0, 1.3};
   core_parameters parameters = core_parameters_none();
   static const double bad[] = {(double)NAN, 1.0999, 1.0001e6, 0, -1, INFINITY};
@@ -516,8 +505,7 @@ static void a_slab_names_its_domain(void **state) {
 
 /* ---- sums, fits, the BSSRDF, energy ----------------------------------------------------------- */
 
-static void a_sum_is_the_sum_of_its_parts(void **state) {
-  (void)state;
+UNIT_TEST(a_sum_is_the_sum_of_its_parts) {
   const core_medium medium = {0.032, 0.74, 0.3, 1.3};
   core_profile sum = prepared(CORE_MODEL_BETTER_SINGLE, CORE_MOMENTS_EXACT, medium, NULL);
   core_profile a = prepared(CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, medium, NULL);
@@ -542,8 +530,7 @@ static void a_sum_is_the_sum_of_its_parts(void **state) {
 }
 
 /* The deviation that a fit states holds between the radii that it was measured at. */
-static void a_fit_keeps_its_stated_error(void **state) {
-  (void)state;
+UNIT_TEST(a_fit_keeps_its_stated_error) {
   static const unsigned models[] = {CORE_MODEL_BETTER, CORE_MODEL_EXTENDED, CORE_MODEL_BURLEY,
                                     CORE_MODEL_BETTER_SINGLE};
   const core_medium medium = {0.032, 0.74, 0, 1.3};
@@ -569,8 +556,7 @@ static void a_fit_keeps_its_stated_error(void **state) {
   }
 }
 
-static void a_fit_meets_a_tolerance_or_says_so(void **state) {
-  (void)state;
+UNIT_TEST(a_fit_meets_a_tolerance_or_says_so) {
   const core_medium medium = {0.032, 0.74, 0, 1.3};
   core_parameters parameters = with(CORE_PARAMETER_TOLERANCE, 0.01);
   core_profile fit = prepared(CORE_MODEL_GAUSSIANS, CORE_MOMENTS_EXACT, medium, &parameters);
@@ -585,8 +571,7 @@ static void a_fit_meets_a_tolerance_or_says_so(void **state) {
 
 /* What leaves in all directions is what R says: int S cos dw = F_t(cos_in) R, for eta on both sides
  * of 1. */
-static void the_bssrdf_gives_out_what_R_says(void **state) {
-  (void)state;
+UNIT_TEST(the_bssrdf_gives_out_what_R_says) {
   enum { STEPS = 2000 };
   for (double eta = 0.7; eta < 2; eta += 0.3) {
     const core_medium medium = {0.1, 1, 0, eta};
@@ -608,8 +593,7 @@ static void the_bssrdf_gives_out_what_R_says(void **state) {
 }
 
 /* No model gives out more than went in without saying so. */
-static void an_albedo_above_1_is_confessed(void **state) {
-  (void)state;
+UNIT_TEST(an_albedo_above_1_is_confessed) {
   size_t above = 0;
   for (const core_choice *model = core_models; model->name != NULL; model++) {
     for (double ratio = 0; ratio<20; ratio = ratio> 0 ? ratio * 30 : 1e-6) {
@@ -634,31 +618,4 @@ static void an_albedo_above_1_is_confessed(void **state) {
   }
   printf("%zu profiles give out more than went in, and say so\n", above);
   assert_true(above > 0);
-}
-
-int main(void) {
-  gsl_set_error_handler_off();
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(the_extended_source_has_its_converged_values),
-      cmocka_unit_test(burley_has_its_published_points),
-      cmocka_unit_test(burley_follows_its_formulas),
-      cmocka_unit_test(skin_is_the_published_sum),
-      cmocka_unit_test(single_scattering_has_its_published_values),
-      cmocka_unit_test(single_scattering_agrees_with_transport),
-      cmocka_unit_test(transport_has_its_published_values),
-      cmocka_unit_test(transport_agrees_with_exact_solutions),
-      cmocka_unit_test(extended_and_beam_agree_with_adaptive_quadrature),
-      cmocka_unit_test(single_scattering_agrees_with_adaptive_quadrature),
-      cmocka_unit_test(quantized_diffusion_keeps_its_tolerance),
-      cmocka_unit_test(slabs_agree_with_the_sum_over_poles),
-      cmocka_unit_test(a_thick_slab_is_a_half_space),
-      cmocka_unit_test(a_slab_balances),
-      cmocka_unit_test(a_slab_names_its_domain),
-      cmocka_unit_test(a_sum_is_the_sum_of_its_parts),
-      cmocka_unit_test(a_fit_keeps_its_stated_error),
-      cmocka_unit_test(a_fit_meets_a_tolerance_or_says_so),
-      cmocka_unit_test(the_bssrdf_gives_out_what_R_says),
-      cmocka_unit_test(an_albedo_above_1_is_confessed),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

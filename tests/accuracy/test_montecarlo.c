@@ -141,8 +141,7 @@ static void compare_with_mcml(const struct mcml_table *table, const struct ring 
   compare_rings(table, ours, theirs, count);
 }
 
-static void mcmls_tables_are_met(void **state) {
-  (void)state;
+UNIT_TEST(mcmls_tables_are_met) {
   static struct ring rings[MCML_RINGS_MAX];
   for (size_t i = 0; i < sizeof mcml_tables / sizeof mcml_tables[0]; i++) {
     char path[128];
@@ -180,8 +179,7 @@ static const struct {
 };
 
 /* All albedos of an eta from one walk. */
-static void exact_totals_are_met(void **state) {
-  (void)state;
+UNIT_TEST(exact_totals_are_met) {
   for (size_t i = 0; i < sizeof exact_totals / sizeof exact_totals[0]; i++) {
     const double R_sp = specular(exact_totals[i].eta);
     core_mc_request request = montecarlo_request(1, 0, exact_totals[i].eta);
@@ -202,8 +200,7 @@ static void exact_totals_are_met(void **state) {
 }
 
 /* Adding-doubling, five digits (Wang, Jacques, Zheng 1995; Prahl). */
-static void adding_doubling_is_met(void **state) {
-  (void)state;
+UNIT_TEST(adding_doubling_is_met) {
   static const struct {
     double albedo, g, eta, thickness, reflected, transmitted;
     uint64_t batches;
@@ -390,8 +387,7 @@ static void compare_with_transport(const struct transport_medium *media, uint64_
          squares / (double)compared);
 }
 
-static void exact_profiles_are_met(void **state) {
-  (void)state;
+UNIT_TEST(exact_profiles_are_met) {
   enum { ETAS = 4 };
   static struct transport_medium media[ETAS * TRANSPORT_RATIOS];
   static struct transport_medium by_eta[ETAS][TRANSPORT_RATIOS];
@@ -499,8 +495,7 @@ static void compare_with_plain(const plain_medium *medium, int plain_photons) {
 
 /* Thin slabs with many reflections in a flight, both ends of g, an outside that is denser, and an
  * escape cone of next to nothing. */
-static void a_plain_walk_is_met(void **state) {
-  (void)state;
+UNIT_TEST(a_plain_walk_is_met) {
   static const struct {
     plain_medium medium;
     int photons; /* more where few of them are ever scattered */
@@ -528,8 +523,7 @@ static void a_plain_walk_is_met(void **state) {
 /* Over many seeds: the variance of a ring's R among them, over the mean of its squared errors, is 1
  * on the average, within what so few seeds and batches leave open (Fisher's F); and the deviations
  * of total R from the exact one are normal. */
-static void standard_errors_are_right(void **state) {
-  (void)state;
+UNIT_TEST(standard_errors_are_right) {
   enum { SEEDS = 64, BATCHES = 16, RINGS = 24 };
   static core_mc_ring rings[SEEDS][RINGS];
   const double exact = (.25991856992 - specular(1.5)) / (1 - specular(1.5));
@@ -570,13 +564,4 @@ static void standard_errors_are_right(void **state) {
   printf("%d rings, %d seeds: variance over squared error %.3f (expected 1 +- %.3f)\n", RINGS,
          SEEDS, ratios, spread);
   assert_true(fabs(ratios - 1) <= DEVIATIONS_MAX * spread);
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(mcmls_tables_are_met),   cmocka_unit_test(exact_totals_are_met),
-      cmocka_unit_test(adding_doubling_is_met), cmocka_unit_test(exact_profiles_are_met),
-      cmocka_unit_test(a_plain_walk_is_met),    cmocka_unit_test(standard_errors_are_right),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

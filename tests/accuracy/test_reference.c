@@ -14,8 +14,7 @@ static void assert_close(double value, double expected, double tolerance, const 
 }
 
 /* 30-digit quadratures of C1, C2 and of A = (1 + 3 C2) / (1 - 2 C1), to ten digits. */
-static void moments_equal_published_quadratures(void **state) {
-  (void)state;
+UNIT_TEST(moments_equal_published_quadratures) {
   static const struct {
     double eta, c1, c2, boundary;
   } rows[] = {
@@ -85,8 +84,7 @@ static double relative_difference(const mpfr_t a, const mpfr_t b) {
 }
 
 /* From inside, 1 - 2 C1 is that over n^2 (reciprocity). */
-static void first_moment_equals_closed_form(void **state) {
-  (void)state;
+UNIT_TEST(first_moment_equals_closed_form) {
   static const double indices[] = {1.125, 1.25, 1.5, 2, 3, 4, 16, 32};
   mpfr_t expected;
   mpfr_init2(expected, WALSH_BITS);
@@ -106,8 +104,7 @@ static void first_moment_equals_closed_form(void **state) {
 }
 
 /* How far the polynomials of Eq. 2 are from the integrals, as truth has it. */
-static void fits_differ_from_exact_as_published(void **state) {
-  (void)state;
+UNIT_TEST(fits_differ_from_exact_as_published) {
   static const struct {
     double eta, two_c1, three_c2, unit; /* differences, and the unit of their last digit */
   } rows[] = {
@@ -163,8 +160,7 @@ static void assert_equals_vectors(const vector *vectors, size_t count) {
   reference_dipole_clear(&dipole);
 }
 
-static void equals_selected_vectors(void **state) {
-  (void)state;
+UNIT_TEST(equals_selected_vectors) {
   size_t count;
   vector *vectors = vectors_read(VECTORS_FILE, &count);
   assert_non_null(vectors);
@@ -173,8 +169,7 @@ static void equals_selected_vectors(void **state) {
   free(vectors);
 }
 
-static void equals_all_vectors(void **state) {
-  (void)state;
+UNIT_TEST(equals_all_vectors) {
   size_t count;
   vector *vectors = vectors_read(VECTORS_FILE_ALL, &count);
   if (vectors == NULL) {
@@ -189,8 +184,7 @@ static void equals_all_vectors(void **state) {
 /* mu_a = 0.01 / mm, mu_s' = 1 / mm, n = 1.4, exact moments: Farrell's flux with A = (1 + 3 C2) /
  * (1 - 2 C1), and Kienle and Patterson's sum of fluence and flux; both are for one photon at z1,
  * without the prefactor alpha'. To their last digit. */
-static void equals_published_fluence_and_flux(void **state) {
-  (void)state;
+UNIT_TEST(equals_published_fluence_and_flux) {
   static const core_medium medium = {0.01, 1, 0, 1.4};
   static const double alpha_prime = 1 / 1.01;
   static const struct {
@@ -261,8 +255,7 @@ static void compare_integrals(const reference_dipole *dipole, reference_values *
   assert_close(probability, within, 1e-4 * within, "probability");
 }
 
-static void cdf_is_the_integral_of_R(void **state) {
-  (void)state;
+UNIT_TEST(cdf_is_the_integral_of_R) {
   with_every_member(compare_integrals);
 }
 
@@ -289,27 +282,10 @@ static void compare_slopes(const reference_dipole *dipole, reference_values *val
   mpfr_clear(difference);
 }
 
-static void slope_is_the_derivative_of_R(void **state) {
-  (void)state;
+UNIT_TEST(slope_is_the_derivative_of_R) {
   with_every_member(compare_slopes);
 }
 
-static int forget(void **state) {
-  (void)state;
+UNIT_TEARDOWN(forget) {
   reference_fresnel_forget();
-  return 0;
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(moments_equal_published_quadratures),
-      cmocka_unit_test(first_moment_equals_closed_form),
-      cmocka_unit_test(fits_differ_from_exact_as_published),
-      cmocka_unit_test(equals_selected_vectors),
-      cmocka_unit_test(equals_all_vectors),
-      cmocka_unit_test(equals_published_fluence_and_flux),
-      cmocka_unit_test(cdf_is_the_integral_of_R),
-      cmocka_unit_test(slope_is_the_derivative_of_R),
-  };
-  return cmocka_run_group_tests(tests, NULL, forget);
 }

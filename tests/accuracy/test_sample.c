@@ -356,8 +356,7 @@ static void check_samples(const struct subject *subject, uint64_t *random) {
   check_ends(subject);
 }
 
-static void samples_undo_the_cdf_in_order(void **state) {
-  (void)state;
+UNIT_TEST(samples_undo_the_cdf_in_order) {
   uint64_t random = unit_seed();
   with_corners(check_samples, &random);
   with_random_media(check_samples, &random, RANDOM_MEDIA);
@@ -380,8 +379,7 @@ static void integrate_profile(const struct subject *subject, uint64_t *random) {
   check_density(subject);
 }
 
-static void pdf_integrates_to_the_samples_shares_and_to_1(void **state) {
-  (void)state;
+UNIT_TEST(pdf_integrates_to_the_samples_shares_and_to_1) {
   uint64_t random = unit_seed();
   fill_nodes();
   with_corners(integrate_profile, &random);
@@ -405,20 +403,10 @@ static void check_nothing(const struct subject *subject, uint64_t *random) {
   assert_true(pdf(subject, 0) == 0 && pdf(subject, 1) == 0);
 }
 
-static void nothing_scattered_gives_radius_0(void **state) {
-  (void)state;
+UNIT_TEST(nothing_scattered_gives_radius_0) {
   uint64_t random = unit_seed();
   static const core_medium media[] = {{1, 0, 0, 1.3}, {1e-6, 0, .5, .2}, {1e6, 0, -.9, 5}};
   for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
     with_members(&media[i], check_nothing, &random);
   }
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(samples_undo_the_cdf_in_order),
-      cmocka_unit_test(pdf_integrates_to_the_samples_shares_and_to_1),
-      cmocka_unit_test(nothing_scattered_gives_radius_0),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -131,8 +131,7 @@ static void hold_vectors(const char *text, double tolerance) {
   assert_true(worst.R.count == 64 * 18);
 }
 
-static void vectors_hold(void **state) {
-  (void)state;
+UNIT_TEST(vectors_hold) {
   char *text = unit_read_file(VECTORS);
   if (text == NULL) {
     printf("skipped: there is no %s\n", VECTORS);
@@ -157,8 +156,7 @@ static const double known_totals[][4] = {
     {.999, .91284533480, .86908178965, .84145847579},
 };
 
-static void totals_hold(void **state) {
-  (void)state;
+UNIT_TEST(totals_hold) {
   struct worst worst = {.what = "totals by H functions"};
   for (size_t i = 0; i < 3; i++) {
     const double eta = total_etas[i];
@@ -186,8 +184,7 @@ static const double unbounded[][4] = {
 static const double unbounded_single[][2] = {
     {.1, .42742248}, {1, 4.7113124e-3}, {10, 2.4556137e-9}};
 
-static void media_without_a_boundary_hold(void **state) {
-  (void)state;
+UNIT_TEST(media_without_a_boundary_hold) {
   struct worst worst = {.what = "R at eta = 1"};
   for (size_t i = 0; i < 3; i++) {
     transport_solution *solution = solve(1, unbounded_albedos[i], 1e-7);
@@ -243,8 +240,7 @@ static size_t hold_rings(const char *text, const transport_solution *solution) {
   return rings;
 }
 
-static void mcml_agrees(void **state) {
-  (void)state;
+UNIT_TEST(mcml_agrees) {
   size_t rings = 0;
   for (size_t i = 0; i < sizeof mcml / sizeof mcml[0]; i++) {
     char path[256];
@@ -289,8 +285,7 @@ static void walk(double eta, double albedo, transport_number within[WALK_EDGES])
 }
 
 /* Where the medium is thinner than its surroundings there are no other numbers; and for all. */
-static void a_plain_walk_agrees(void **state) {
-  (void)state;
+UNIT_TEST(a_plain_walk_agrees) {
   static const double media[][2] = {{0.7, 0.9}, {0.4, 0.99}, {0.97, 0.6}, {1.03, 0.95}, {3, 0.99}};
   for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
     transport_number walked[WALK_EDGES];
@@ -309,8 +304,7 @@ static void a_plain_walk_agrees(void **state) {
 
 /* ---- energy ------------------------------------------------------------------------------- */
 
-static void all_energy_leaves_where_none_is_absorbed(void **state) {
-  (void)state;
+UNIT_TEST(all_energy_leaves_where_none_is_absorbed) {
   static const double etas[] = {0.25,  0.5, 0.7, 0.9, 0.999, 1 - 1e-7, 1, 1 + 1e-7,
                                 1.001, 1.1, 1.3, 1.5, 1.8,   2.2,      3, 4};
   struct worst worst = {.what = "totals without absorption"};
@@ -325,8 +319,7 @@ static void all_energy_leaves_where_none_is_absorbed(void **state) {
 
 /* The energy between two radii, which comes from other integrals, is that of R; it never decreases,
  * and reaches the total. */
-static void energy_is_the_integral_of_R(void **state) {
-  (void)state;
+UNIT_TEST(energy_is_the_integral_of_R) {
   static const double media[][2] = {{0.8, 0.5}, {1, 0.99}, {1.4, 0.9}, {1.4, 1}, {2, 0.05}};
   static const double gauss[][2] = {
       {0.5, 4.0 / 9}, {0.11270166537925831, 5.0 / 18}, {0.88729833462074169, 5.0 / 18}};
@@ -386,8 +379,7 @@ static void random_medium(uint64_t *random, int i, double *eta, double *albedo) 
 }
 
 /* At the tightest tolerance the solver is right by the vectors above. */
-static void estimates_are_honest(void **state) {
-  (void)state;
+UNIT_TEST(estimates_are_honest) {
   struct worst worst[TOLERANCES][3];
   uint64_t random = unit_seed();
   for (size_t t = 0; t < TOLERANCES; t++) {
@@ -416,8 +408,7 @@ static void estimates_are_honest(void **state) {
 }
 
 /* Radii far outside, where digits must go: the value may, the honesty may not. */
-static void far_radii_are_honest(void **state) {
-  (void)state;
+UNIT_TEST(far_radii_are_honest) {
   static const double media[][2] = {{1.4, 0.2}, {1, 0.9}, {0.7, 0.999}};
   struct worst worst = {.what = "far radii: R"};
   for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
@@ -441,8 +432,7 @@ static void far_radii_are_honest(void **state) {
 
 /* Near the source R is a T / (4 pi r) of light scattered once; what is scattered more often grows
  * like ln(1 / r), down to radii far below the finest wavelength that is solved for. */
-static void the_source_has_its_limits(void **state) {
-  (void)state;
+UNIT_TEST(the_source_has_its_limits) {
   transport_solution *solution = solve(1.4, 0.9, 1e-7);
   const double near = transport_at(solution, 1e-12).single.value * 1e-12;
   const double nearer = transport_at(solution, 1e-15).single.value * 1e-15;
@@ -460,8 +450,7 @@ static void the_source_has_its_limits(void **state) {
 
 /* ---- inputs ------------------------------------------------------------------------------- */
 
-static void bad_inputs_are_named(void **state) {
-  (void)state;
+UNIT_TEST(bad_inputs_are_named) {
   transport_boundary *boundary = NULL;
   static const double etas[] = {0, -1, 0.249, 4.01, NAN, INFINITY};
   for (size_t i = 0; i < sizeof etas / sizeof etas[0]; i++) {
@@ -485,8 +474,7 @@ static void bad_inputs_are_named(void **state) {
   transport_solution_free(NULL);
 }
 
-static void extremes_end(void **state) {
-  (void)state;
+UNIT_TEST(extremes_end) {
   static const double etas[] = {TRANSPORT_ETA_MIN, 1, TRANSPORT_ETA_MAX};
   static const double albedos[] = {
       0, 5e-324, 1e-300, 1e-10, 1e-3, 1 - 1e-10, 1 - 1e-15, 1 - DBL_EPSILON / 2, 1};
@@ -534,8 +522,7 @@ static void assert_same_bits(const transport_solution *one, const transport_solu
 }
 
 /* Threads that share a boundary, in whatever order they come, and one that does not. */
-static void threads_get_the_same_bits(void **state) {
-  (void)state;
+UNIT_TEST(threads_get_the_same_bits) {
   enum { JOBS = 4 };
   static const double albedos[JOBS] = {0.5, 0.9, 0.91, 0.5};
   transport_boundary *shared = boundary_for(1.5, 1e-3);
@@ -558,8 +545,7 @@ static void threads_get_the_same_bits(void **state) {
 }
 
 /* What this machine and compiler make is what any other made. */
-static void bits_are_the_same_everywhere(void **state) {
-  (void)state;
+UNIT_TEST(bits_are_the_same_everywhere) {
   static const double known[][3] = {
       {0.01, 0x1.208c72834081ep+2, 0x1.7f4a2bec22f2dp-9},
       {1, 0x1.7be9c17e90e1ep-7, 0x1.009e9811d0c1ep-3},
@@ -573,24 +559,4 @@ static void bits_are_the_same_everywhere(void **state) {
     }
   }
   transport_solution_free(solution);
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(vectors_hold),
-      cmocka_unit_test(totals_hold),
-      cmocka_unit_test(media_without_a_boundary_hold),
-      cmocka_unit_test(mcml_agrees),
-      cmocka_unit_test(a_plain_walk_agrees),
-      cmocka_unit_test(all_energy_leaves_where_none_is_absorbed),
-      cmocka_unit_test(energy_is_the_integral_of_R),
-      cmocka_unit_test(estimates_are_honest),
-      cmocka_unit_test(far_radii_are_honest),
-      cmocka_unit_test(the_source_has_its_limits),
-      cmocka_unit_test(bad_inputs_are_named),
-      cmocka_unit_test(extremes_end),
-      cmocka_unit_test(threads_get_the_same_bits),
-      cmocka_unit_test(bits_are_the_same_everywhere),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -100,8 +100,7 @@ static double random_albedo(uint64_t *random, size_t i) {
                     : unit_random_log(random, 0.01, 1 - 1e-6);
 }
 
-static void the_quoted_error_holds(void **state) {
-  (void)state;
+UNIT_TEST(the_quoted_error_holds) {
   struct worsts worst = {0};
   uint64_t random = unit_seed();
   for (size_t e = 0; e < ETAS; e++) {
@@ -137,8 +136,7 @@ static double ring_sum(const core_preparation *preparation) {
   return sum;
 }
 
-static void the_energy_is_the_albedo(void **state) {
-  (void)state;
+UNIT_TEST(the_energy_is_the_albedo) {
   uint64_t random = unit_seed();
   for (size_t i = 0; i < 60; i++) {
     const double eta = unit_random_between(&random, 0.7, 2.2);
@@ -165,8 +163,7 @@ static void assert_source(double albedo, double eta, double tabulated, bool from
   free(preparation.table);
 }
 
-static void the_table_serves_what_it_covers(void **state) {
-  (void)state;
+UNIT_TEST(the_table_serves_what_it_covers) {
   const double none = (double)NAN;
   assert_source(0.9, 1.4, 1e-4, true);
   assert_source(0.9, 1.4, 0.1, true);
@@ -185,8 +182,7 @@ static void the_table_serves_what_it_covers(void **state) {
 }
 
 /* Far outside, where only the asymptotics are left, nothing is lost but light. */
-static void radii_outside_are_continued(void **state) {
-  (void)state;
+UNIT_TEST(radii_outside_are_continued) {
   for (int i = 0; i < 2; i++) {
     core_preparation preparation = prepare(fixed_albedos[i], 1.4, 1e-4);
     double before = (double)INFINITY;
@@ -224,8 +220,7 @@ static bool opens(struct copy copy) {
   return transport_table_open(&table, copy.bytes, copy.length);
 }
 
-static void damaged_tables_are_refused(void **state) {
-  (void)state;
+UNIT_TEST(damaged_tables_are_refused) {
   uint8_t *memory;
   const struct copy copy = copy_shipped(&memory);
   printf("%zu bytes\n", copy.length);
@@ -257,8 +252,7 @@ static void seal(struct copy copy) {
 }
 
 /* With the right checksum, the contents are still looked at. */
-static void nonsense_is_refused(void **state) {
-  (void)state;
+UNIT_TEST(nonsense_is_refused) {
   uint8_t *memory;
   const struct copy copy = copy_shipped(&memory);
   uint8_t *first_count = copy.bytes + TRANSPORT_TABLE_HEADER_BYTES;
@@ -274,16 +268,4 @@ static void nonsense_is_refused(void **state) {
   seal(copy);
   assert_false(opens(copy));
   free(memory);
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(the_quoted_error_holds),
-      cmocka_unit_test(the_energy_is_the_albedo),
-      cmocka_unit_test(the_table_serves_what_it_covers),
-      cmocka_unit_test(radii_outside_are_continued),
-      cmocka_unit_test(damaged_tables_are_refused),
-      cmocka_unit_test(nonsense_is_refused),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

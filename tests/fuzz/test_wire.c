@@ -1,47 +1,21 @@
 /* Feeds the decoders of proto/ bytes that nobody should send. Each input lies in a heap buffer of
  * exactly its size, so that the address sanitizer sees a read past its end. The same seed gives the
- * same inputs; DIPOLED_FUZZ_SEED in the environment chooses another. */
+ * same inputs; DIPOLED_TEST_SEED in the environment chooses another. */
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
-#include <cmocka.h>
 
 #include "proto/invert.h"
 #include "proto/mc.h"
 #include "proto/sample.h"
 #include "proto/table.h"
 #include "proto/wire.h"
+#include "tests/unit/unit.h"
 
 enum { ROUNDS = 300000, MEDIA_MAX = 5, PARAMETERS_MAX = 4, RADII_MAX = 9, PAYLOAD_MAX = 4096 };
 
-/* ---- pseudo-random numbers --------------------------------------------------------------------
- */
+static uint64_t random_state;
 
-static uint64_t state;
-
-static uint64_t random_u64(void) { /* splitmix64 */
-  uint64_t z = state += UINT64_C(0x9e3779b97f4a7c15);
-  z = (z ^ (z >> 30)) * UINT64_C(0xbf58476d1ce4e5b9);
-  z = (z ^ (z >> 27)) * UINT64_C(0x94d049bb133111eb);
-  return z ^ (z >> 31);
-}
-
-static size_t random_below(size_t limit) {
-  return (size_t)(random_u64() % limit);
-}
-
-static int seed(void **unused) {
-  (void)unused;
-  const char *chosen = getenv("DIPOLED_FUZZ_SEED");
-  state = chosen != NULL ? strtoull(chosen, NULL, 0) : 20011;
-  print_message("seed %llu\n", (unsigned long long)state);
-  return 0;
+UNIT_SETUP(seed) {
+  random_state = unit_seed();
 }
 
 /* ---- inputs -----------------------------------------------------------------------------------
@@ -57,7 +31,7 @@ static uint16_t random_id(const core_choice *list) {
   while (list[length].name != NULL) {
     length++;
   }
-  return (uint16_t)list[random_below(length)].id;
+  return (uint16_t)list[unit_random_below(&random_state, length)].id;
 }
 
 /* All quantities, and those that have an array for each channel. */
@@ -75,7 +49,7 @@ static void put_parameters(uint8_t *to, size_t count) {
   while (core_parameter_list[length].name != NULL) {
     length++;
   }
-  const size_t first = random_below(length);
+  const size_t first = unit_random_below(&random_state, length);
   assert_true(count <= length);
   for (size_t i = 0; i < count; i++) {
     const wire_parameter parameter = {
@@ -86,18 +60,18 @@ static void put_parameters(uint8_t *to, size_t count) {
 
 /* A payload that is right: some media, parameters, and radii by list or by rule. */
 static void make_request(struct bytes *to) {
-  const uint32_t medium_count = (uint32_t)(1 + random_below(MEDIA_MAX));
-  const uint32_t parameter_count = (uint32_t)random_below(PARAMETERS_MAX + 1);
-  const bool list = random_below(3) != 0;
+  const uint32_t medium_count = (uint32_t)(1 + unit_random_below(&random_state, MEDIA_MAX));
+  const uint32_t parameter_count = (uint32_t)unit_random_below(&random_state, PARAMETERS_MAX + 1);
+  const bool list = unit_random_below(&random_state, 3) != 0;
   wire_eval_request fixed = {
       .model = random_id(core_models),
       .evaluator = random_id(core_evaluators),
       .moments = random_id(core_moments_list),
-      .wanted = (uint16_t)(1 + random_below(quantity_bits(false))),
+      .wanted = (uint16_t)(1 + unit_random_below(&random_state, quantity_bits(false))),
       .medium_count = medium_count,
       .spacing = list ? CORE_SPACING_LIST : CORE_SPACING_LINEAR,
       .parameter_count = (uint16_t)parameter_count,
-      .radius_count = random_below(RADII_MAX + 1),
+      .radius_count = unit_random_below(&random_state, RADII_MAX + 1),
       .radius_stop = list ? 0 : 1,
   };
   const size_t radii_bytes =
@@ -119,11 +93,11 @@ static void make_reply(struct bytes *to) {
       .model = 1,
       .evaluator = random_id(core_evaluators),
       .moments = 1,
-      .wanted = (uint16_t)random_below(quantity_bits(false) + 1),
-      .channel_count = (uint32_t)random_below(MEDIA_MAX + 1),
-      .radius_count = random_below(RADII_MAX + 1),
-      .radius_first = random_below(2) * random_u64(),
-      .part_count = (uint32_t)(1 + random_below(3)),
+      .wanted = (uint16_t)unit_random_below(&random_state, quantity_bits(false) + 1),
+      .channel_count = (uint32_t)unit_random_below(&random_state, MEDIA_MAX + 1),
+      .radius_count = unit_random_below(&random_state, RADII_MAX + 1),
+      .radius_first = unit_random_below(&random_state, 2) * unit_random(&random_state),
+      .part_count = (uint32_t)(1 + unit_random_below(&random_state, 3)),
   };
   eval_layout layout;
   assert_true(eval_reply_layout(fixed.evaluator, fixed.wanted, fixed.channel_count,
@@ -139,40 +113,42 @@ static uint64_t interesting(void) {
       0,          1,          2,          8,          0x7fff,     0x8000,
       0xffff,     0x08000000, 0x7fffffff, 0x80000000, 0xffffffff, UINT64_C(0x100000000),
       1ull << 53, 1ull << 60, 1ull << 61, 1ull << 62, 1ull << 63, UINT64_MAX};
-  return edges[random_below(sizeof edges / sizeof edges[0])] + random_below(5) - 2;
+  return edges[unit_random_below(&random_state, sizeof edges / sizeof edges[0])] +
+         unit_random_below(&random_state, 5) - 2;
 }
 
 static void mutate_once(struct bytes *bytes) {
   static const size_t widths[] = {1, 2, 4, 8};
-  const size_t width = widths[random_below(4)];
+  const size_t width = widths[unit_random_below(&random_state, 4)];
   const uint64_t value = interesting();
-  switch (random_below(5)) {
+  switch (unit_random_below(&random_state, 5)) {
   case 0: /* one bit */
     if (bytes->length > 0) {
-      bytes->at[random_below(bytes->length)] ^= (uint8_t)(1u << random_below(8));
+      bytes->at[unit_random_below(&random_state, bytes->length)] ^=
+          (uint8_t)(1u << unit_random_below(&random_state, 8));
     }
     break;
   case 1: /* one number, mostly in the fixed part, where the counts are */
     if (bytes->length >= 64) {
-      const size_t slots = (random_below(4) == 0 ? bytes->length : 64) / width;
-      memcpy(bytes->at + width * random_below(slots), &value, width);
+      const size_t slots = (unit_random_below(&random_state, 4) == 0 ? bytes->length : 64) / width;
+      memcpy(bytes->at + width * unit_random_below(&random_state, slots), &value, width);
     }
     break;
   case 2: /* cut short */
-    bytes->length = random_below(bytes->length + 1);
+    bytes->length = unit_random_below(&random_state, bytes->length + 1);
     break;
   case 3: /* cut by whole structures */
     bytes->length -= bytes->length >= 8 ? 8 : 0;
     break;
   default: /* trailing bytes */
-    bytes->length += random_below(PAYLOAD_MAX - bytes->length + 1);
+    bytes->length += unit_random_below(&random_state, PAYLOAD_MAX - bytes->length + 1);
     break;
   }
 }
 
 /* The input in a buffer of its exact size, for the caller to free. */
 static uint8_t *mutated(struct bytes *bytes) {
-  for (size_t times = random_below(4); times > 0; times--) {
+  for (size_t times = unit_random_below(&random_state, 4); times > 0; times--) {
     mutate_once(bytes);
   }
   uint8_t *exact = malloc(bytes->length > 0 ? bytes->length : 1);
@@ -219,8 +195,7 @@ static void check_taken(const eval_request *request, const uint8_t *payload, siz
                    payload_bytes);
 }
 
-static void requests_are_refused_or_whole(void **unused) {
-  (void)unused;
+UNIT_TEST(requests_are_refused_or_whole) {
   size_t seen[WIRE_STATUS_SHUTTING_DOWN + 1] = {0};
   for (size_t round = 0; round < ROUNDS; round++) {
     struct bytes bytes;
@@ -254,7 +229,7 @@ static void make_sample(struct bytes *to) {
     wire_get_eval_request(eval.at, &like);
   } while (like.spacing != CORE_SPACING_LIST);
   const size_t before = WIRE_BYTES_eval_request, after = WIRE_BYTES_sample_request;
-  const bool list = random_below(3) != 0;
+  const bool list = unit_random_below(&random_state, 3) != 0;
   const size_t radii_bytes = wire_padded(like.radius_count * core_evaluator_bytes(like.evaluator));
   const wire_sample_request fixed = {
       .model = like.model,
@@ -294,7 +269,7 @@ static enum wire_status parse_sample(const uint8_t *payload, size_t payload_byte
 }
 
 static void make_invert(struct bytes *to) {
-  const uint64_t count = 1 + random_below(RADII_MAX);
+  const uint64_t count = 1 + unit_random_below(&random_state, RADII_MAX);
   const wire_invert_request fixed = {
       .model = random_id(core_models),
       .moments = random_id(core_moments_list),
@@ -323,7 +298,7 @@ static enum wire_status parse_invert(const uint8_t *payload, size_t payload_byte
 }
 
 static void make_mc(struct bytes *to) {
-  const uint32_t albedos = (uint32_t)random_below(CORE_MC_ALBEDOS_MAX + 1);
+  const uint32_t albedos = (uint32_t)unit_random_below(&random_state, CORE_MC_ALBEDOS_MAX + 1);
   const wire_mc_request fixed = {.spacing = CORE_SPACING_LINEAR,
                                  .albedo_count = (uint16_t)albedos,
                                  .ring_count = 3,
@@ -345,7 +320,7 @@ static enum wire_status parse_mc(const uint8_t *payload, size_t payload_bytes) {
 }
 
 static void make_table(struct bytes *to) {
-  const uint32_t parameters = (uint32_t)random_below(PARAMETERS_MAX + 1);
+  const uint32_t parameters = (uint32_t)unit_random_below(&random_state, PARAMETERS_MAX + 1);
   const wire_table_request fixed = {.model = random_id(core_models),
                                     .moments = random_id(core_moments_list),
                                     .parameter_count = (uint16_t)parameters};
@@ -366,8 +341,7 @@ static enum wire_status parse_table(const uint8_t *payload, size_t payload_bytes
   return error.status;
 }
 
-static void other_requests_are_refused_or_whole(void **unused) {
-  (void)unused;
+UNIT_TEST(other_requests_are_refused_or_whole) {
   static const struct {
     void (*make)(struct bytes *to);
     enum wire_status (*parse)(const uint8_t *payload, size_t payload_bytes);
@@ -420,8 +394,7 @@ static void check_reply(const uint8_t *payload, size_t payload_bytes, const wire
   }
 }
 
-static void replies_are_refused_or_whole(void **unused) {
-  (void)unused;
+UNIT_TEST(replies_are_refused_or_whole) {
   size_t taken = 0;
   for (size_t round = 0; round < ROUNDS; round++) {
     struct bytes bytes;
@@ -439,14 +412,13 @@ static void replies_are_refused_or_whole(void **unused) {
 }
 
 /* The layout for any counts against the same sum in 128 bits, which cannot wrap. */
-static void layouts_do_not_wrap(void **unused) {
-  (void)unused;
+UNIT_TEST(layouts_do_not_wrap) {
   for (size_t round = 0; round < ROUNDS; round++) {
     const unsigned evaluator = random_id(core_evaluators);
-    const unsigned wanted = (unsigned)random_below(quantity_bits(false) + 1);
+    const unsigned wanted = (unsigned)unit_random_below(&random_state, quantity_bits(false) + 1);
     const uint32_t channels = (uint32_t)interesting();
     const uint64_t radii = interesting();
-    const uint64_t most = random_below(2) ? interesting() : 67108864;
+    const uint64_t most = unit_random_below(&random_state, 2) ? interesting() : 67108864;
     const unsigned per_channel = (unsigned)__builtin_popcount(wanted & quantity_bits(true));
     const unsigned __int128 values = (unsigned __int128)radii * core_evaluator_bytes(evaluator);
     const unsigned __int128 arrays =
@@ -479,24 +451,24 @@ static enum wire_status expected_status(const wire_header *header, uint64_t most
   return header->payload_bytes % 8 != 0 ? WIRE_STATUS_BAD_LENGTH : WIRE_STATUS_OK;
 }
 
-static void headers_are_judged_in_order(void **unused) {
-  (void)unused;
+UNIT_TEST(headers_are_judged_in_order) {
   size_t seen[WIRE_STATUS_SHUTTING_DOWN + 1] = {0};
   for (size_t round = 0; round < ROUNDS; round++) {
     const wire_header right = {
         .magic = WIRE_MAGIC,
         .version = WIRE_VERSION,
         .type = WIRE_TYPE_EVAL,
-        .request_id = random_u64(),
+        .request_id = unit_random(&random_state),
         .payload_bytes = (uint32_t)interesting(),
         .deadline_ms = (uint32_t)interesting(),
     };
     uint8_t *bytes = malloc(WIRE_BYTES_header);
     assert_non_null(bytes);
     wire_put_header(bytes, &right);
-    if (random_below(2) == 0) {
+    if (unit_random_below(&random_state, 2) == 0) {
       const size_t fault_at[] = {0, 4, 20}; /* magic, version; and deadline_ms, which is none */
-      bytes[fault_at[random_below(3)] + random_below(2)] ^= (uint8_t)(1u << random_below(8));
+      bytes[fault_at[unit_random_below(&random_state, 3)] + unit_random_below(&random_state, 2)] ^=
+          (uint8_t)(1u << unit_random_below(&random_state, 8));
     }
     wire_header header;
     wire_get_header(bytes, &header);
@@ -521,7 +493,7 @@ static void headers_are_judged_in_order(void **unused) {
     wire_##name value;                                                                             \
     assert_true(bytes != NULL && again != NULL);                                                   \
     for (size_t i = 0; i < WIRE_BYTES_##name; i++) {                                               \
-      bytes[i] = (uint8_t)random_u64();                                                            \
+      bytes[i] = (uint8_t)unit_random(&random_state);                                              \
     }                                                                                              \
     wire_get_##name(bytes, &value);                                                                \
     wire_put_##name(bytes, &value);                                                                \
@@ -533,22 +505,9 @@ static void headers_are_judged_in_order(void **unused) {
   }
 #include "proto/messages.def"
 
-static void structures_survive_a_round_trip(void **unused) {
-  (void)unused;
+UNIT_TEST(structures_survive_a_round_trip) {
   for (size_t round = 0; round < ROUNDS / 100; round++) {
 #define WIRE_STRUCTURE(name, about) round_trip_##name();
 #include "proto/messages.def"
   }
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test_setup(requests_are_refused_or_whole, seed),
-      cmocka_unit_test_setup(other_requests_are_refused_or_whole, seed),
-      cmocka_unit_test_setup(replies_are_refused_or_whole, seed),
-      cmocka_unit_test_setup(layouts_do_not_wrap, seed),
-      cmocka_unit_test_setup(headers_are_judged_in_order, seed),
-      cmocka_unit_test_setup(structures_survive_a_round_trip, seed),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

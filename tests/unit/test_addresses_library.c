@@ -1,32 +1,24 @@
 /* libdipole and several daemons: lists of addresses, which one is taken, and what happens when it
  * is lost, silent, full or another one than it was. */
 #include <arpa/inet.h>
-#include <setjmp.h>
 #include <signal.h>
-#include <stdarg.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 #include <sys/socket.h>
 #include <time.h>
 #include <unistd.h>
 
-#include <cmocka.h>
-
 #include "clients/c/client.h"
 #include "tests/unit/peer_scripts.h"
+#include "tests/unit/unit.h"
 
 enum { RADII = 64, PATIENCE_MS = 20000, SOON_MS = 10000 };
 
 static const dipole_medium medium = {.sigma_a_per_mm = 0.25, .sigma_s_per_mm = 1, .eta = 1.3};
 static double radii[RADII];
 
-static int make_radii(void **state) {
-  (void)state;
+UNIT_SETUP(make_radii) {
   for (size_t i = 0; i < RADII; i++) {
     radii[i] = (double)i / 8;
   }
-  return 0;
 }
 
 static dipole_query query_of(uint64_t count) {
@@ -94,7 +86,7 @@ static int64_t now_ms(void) {
 
 /* ---- lists --------------------------------------------------------------------------------- */
 
-static void test_lists(void **state) {
+UNIT_TEST(test_lists) {
   static const struct {
     const char *text;
     size_t count;
@@ -109,7 +101,6 @@ static void test_lists(void **state) {
       {"private:", 1, "private:"},
       {"private:/bin/a,b", 1, "private:/bin/a,b"},
   };
-  (void)state;
   for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
     libdipole_addresses addresses;
     dipole_error error;
@@ -132,13 +123,12 @@ static void fail_open(const char *text) {
   }
 }
 
-static void test_wrong_lists(void **state) {
+UNIT_TEST(test_wrong_lists) {
   static const char *const cases[] = {
       "unix:/a,tcp:",     "unix:/a,unix:", ",unix:/a", "unix:/a,private:",
       "private:,unix:/a", "unix:/a,tcp:h", "tcp:h:1,", "tcp:h:1, unix:/a",
   };
   const char *many[DIPOLE_ADDRESSES_MAX + 1];
-  (void)state;
   for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
     fail_open(cases[i]);
   }
@@ -163,10 +153,9 @@ static int take_dead_port(char *address, size_t bytes) {
   return fd;
 }
 
-static void test_the_first_that_answers(void **state) {
+UNIT_TEST(test_the_first_that_answers) {
   char dead[64];
   scripted_peer peer;
-  (void)state;
   const int fd = take_dead_port(dead, sizeof dead);
   peer_start(&peer, peer_serve, NULL);
   const char *const addresses[] = {"unix:/nonexistent/s", dead, peer.address};
@@ -181,11 +170,10 @@ static void test_the_first_that_answers(void **state) {
   close(fd);
 }
 
-static void test_nobody_answers(void **state) {
+UNIT_TEST(test_nobody_answers) {
   char dead[64], list[128];
   dipole_client *client;
   dipole_error error;
-  (void)state;
   const int fd = take_dead_port(dead, sizeof dead);
   snprintf(list, sizeof list, "unix:/nonexistent/s,%s", dead);
   assert_false(dipole_open(list, &client, &error));
@@ -204,13 +192,12 @@ static void accept_only(int fd, void *context) {
   }
 }
 
-static void test_one_that_does_not_say_hello(void **state) {
+UNIT_TEST(test_one_that_does_not_say_hello) {
   dipole_options options = options_of();
   scripted_peer mute, peer;
   dipole_client *none;
   dipole_error error;
   peer_script *const twice[] = {accept_only, accept_only, NULL};
-  (void)state;
   options.connect_timeout_ms = 50;
   peer_start_scripts(&mute, twice, NULL);
   peer_start(&peer, peer_serve, NULL);
@@ -229,12 +216,11 @@ static void test_one_that_does_not_say_hello(void **state) {
   free(list);
 }
 
-static void test_opening_again_and_again(void **state) {
+UNIT_TEST(test_opening_again_and_again) {
   peer_script *const scripts[] = {peer_be_full, peer_hang_up_at_once, peer_be_full, peer_serve,
                                   NULL};
   dipole_options options = options_of();
   scripted_peer peer;
-  (void)state;
   options.open_ms = PATIENCE_MS;
   peer_start_scripts(&peer, scripts, NULL);
   const int64_t start_ms = now_ms();
@@ -245,11 +231,10 @@ static void test_opening_again_and_again(void **state) {
   peer_end(&peer);
 }
 
-static void test_opening_ends(void **state) {
+UNIT_TEST(test_opening_ends) {
   dipole_options options = options_of();
   dipole_client *client;
   dipole_error error;
-  (void)state;
   options.open_ms = 100;
   const int64_t start_ms = now_ms();
   assert_false(
@@ -263,13 +248,12 @@ static void count_and_serve(int fd, void *context) {
   peer_serve(fd, NULL);
 }
 
-static void test_clients_spread(void **state) {
+UNIT_TEST(test_clients_spread) {
   enum { CLIENTS = 64 };
   peer_script *scripts[CLIENTS + 1] = {0};
   unsigned counts[2] = {0, 0};
   dipole_options options = options_of();
   scripted_peer peers[2];
-  (void)state;
   for (size_t i = 0; i < CLIENTS; i++) {
     scripts[i] = count_and_serve;
   }
@@ -322,7 +306,7 @@ static void answer_seven(int fd, void *context) {
 }
 
 /* What the first one did not answer, the second one does; and once that is gone, the first. */
-static void test_round_and_round(void **state) {
+UNIT_TEST(test_round_and_round) {
   enum { QUERIES = 25 };
   peer_script *const first[] = {answer_seven, peer_hang_up_after_request, peer_serve, NULL};
   peer_script *const second[] = {answer_seven, peer_hang_up_after_hello, NULL};
@@ -330,7 +314,6 @@ static void test_round_and_round(void **state) {
   uint64_t ids[QUERIES + 1] = {0};
   dipole_error error;
   pair both;
-  (void)state;
   start_pair(&both, first, second);
   dipole_client *client = open_client(both.list, NULL);
   for (uint64_t i = 1; i <= QUERIES; i++) {
@@ -361,11 +344,10 @@ static void be_silent(int fd, void *context) {
   accept_only(fd, context);
 }
 
-static void test_a_silent_one_is_left(void **state) {
+UNIT_TEST(test_a_silent_one_is_left) {
   peer_script *const first[] = {be_silent, NULL};
   peer_script *const second[] = {peer_serve, NULL};
   pair both;
-  (void)state;
   start_pair(&both, first, second);
   dipole_client *client = open_client(both.list, NULL);
   dipole_set_timeout_ms(client, 50);
@@ -376,12 +358,11 @@ static void test_a_silent_one_is_left(void **state) {
 }
 
 /* Its attempt ends when its share of the time is over, not with the time. */
-static void test_a_dead_one_has_its_share(void **state) {
+UNIT_TEST(test_a_dead_one_has_its_share) {
   peer_script *const first[] = {peer_hang_up_after_request, peer_serve, NULL};
   peer_script *const second[] = {accept_only, NULL};
   dipole_options options = options_of();
   pair both;
-  (void)state;
   options.connect_timeout_ms = 0;
   options.retry_ms = 2000;
   start_pair(&both, first, second);
@@ -413,11 +394,10 @@ static void serve_other_lists(int fd, void *context) {
   }
 }
 
-static void test_one_with_other_lists_is_passed_over(void **state) {
+UNIT_TEST(test_one_with_other_lists_is_passed_over) {
   peer_script *const first[] = {peer_hang_up_after_request, peer_serve, NULL};
   peer_script *const second[] = {serve_other_lists, NULL};
   pair both;
-  (void)state;
   start_pair(&both, first, second);
   dipole_client *client = open_client(both.list, NULL);
   check_eval(client, 5);
@@ -426,7 +406,7 @@ static void test_one_with_other_lists_is_passed_over(void **state) {
   end_pair(&both);
 }
 
-static void test_all_are_gone(void **state) {
+UNIT_TEST(test_all_are_gone) {
   peer_script *const first[] = {peer_hang_up_after_request, NULL};
   peer_script *const second[] = {peer_hang_up_at_once, NULL};
   const dipole_query query = query_of(5);
@@ -434,7 +414,6 @@ static void test_all_are_gone(void **state) {
   dipole_result *result;
   dipole_error error;
   pair both;
-  (void)state;
   options.retry_ms = 300;
   start_pair(&both, first, second);
   dipole_client *client = open_client(both.list, &options);
@@ -464,10 +443,9 @@ static void private_address(char *address, size_t bytes) {
 }
 
 /* Where somebody wants that, there is another one in its place. */
-static void test_a_private_daemon_that_dies(void **state) {
+UNIT_TEST(test_a_private_daemon_that_dies) {
   char address[PATH_MAX + 32];
   dipole_error error;
-  (void)state;
   private_address(address, sizeof address);
   dipole_client *client = open_client(address, NULL);
   const pid_t first = client->daemon;
@@ -484,24 +462,4 @@ static void test_a_private_daemon_that_dies(void **state) {
   assert_false(dipole_ping(client, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
   dipole_close(client);
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(test_lists),
-      cmocka_unit_test(test_wrong_lists),
-      cmocka_unit_test(test_the_first_that_answers),
-      cmocka_unit_test(test_nobody_answers),
-      cmocka_unit_test(test_one_that_does_not_say_hello),
-      cmocka_unit_test(test_opening_again_and_again),
-      cmocka_unit_test(test_opening_ends),
-      cmocka_unit_test(test_clients_spread),
-      cmocka_unit_test(test_round_and_round),
-      cmocka_unit_test(test_a_silent_one_is_left),
-      cmocka_unit_test(test_a_dead_one_has_its_share),
-      cmocka_unit_test(test_one_with_other_lists_is_passed_over),
-      cmocka_unit_test(test_all_are_gone),
-      cmocka_unit_test(test_a_private_daemon_that_dies),
-  };
-  return cmocka_run_group_tests(tests, make_radii, NULL);
 }

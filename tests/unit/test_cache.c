@@ -92,8 +92,7 @@ static struct cache_key key_of(unsigned model, unsigned moments, unsigned evalua
   return key;
 }
 
-static void keys_that_mean_the_same_are_equal(void **state) {
-  (void)state;
+UNIT_TEST(keys_that_mean_the_same_are_equal) {
   const core_parameters none = core_parameters_none();
   core_parameters other = none;
   const struct cache_key key = key_of(1, 2, 1, (core_medium){0, 1, 0, 1.3}, none);
@@ -108,8 +107,7 @@ static void keys_that_mean_the_same_are_equal(void **state) {
   assert_true(cache_key_equal(&key, &same));
 }
 
-static void keys_that_differ_anywhere_are_not(void **state) {
-  (void)state;
+UNIT_TEST(keys_that_differ_anywhere_are_not) {
   const core_parameters none = core_parameters_none();
   enum { KEYS = 8 + CORE_PARAMETERS_END };
   struct cache_key keys[KEYS];
@@ -136,8 +134,7 @@ static void keys_that_differ_anywhere_are_not(void **state) {
   }
 }
 
-static void kept_profiles_are_those_that_core_prepares(void **state) {
-  (void)state;
+UNIT_TEST(kept_profiles_are_those_that_core_prepares) {
   struct fixture f;
   open_cache(&f, 1 << 20);
   core_profile direct;
@@ -168,8 +165,7 @@ static void kept_profiles_are_those_that_core_prepares(void **state) {
 /* ---- what is kept ------------------------------------------------------------------------------
  */
 
-static void the_least_recently_used_goes_first(void **state) {
-  (void)state;
+UNIT_TEST(the_least_recently_used_goes_first) {
   struct fixture f;
   open_cache(&f, 3 * entry_bytes());
   assert_false(visit(&f, 0) || visit(&f, 1) || visit(&f, 2));
@@ -184,8 +180,7 @@ static void the_least_recently_used_goes_first(void **state) {
   cache_free(f.cache);
 }
 
-static void a_use_that_the_cache_did_not_see_counts_once(void **state) {
-  (void)state;
+UNIT_TEST(a_use_that_the_cache_did_not_see_counts_once) {
   struct fixture f;
   open_cache(&f, 2 * entry_bytes());
   const struct cache_key key = key_number(0);
@@ -204,8 +199,7 @@ static void a_use_that_the_cache_did_not_see_counts_once(void **state) {
   cache_free(f.cache);
 }
 
-static void the_bound_holds_to_the_byte(void **state) {
-  (void)state;
+UNIT_TEST(the_bound_holds_to_the_byte) {
   const uint64_t bytes = entry_bytes();
   const struct {
     uint64_t limit_bytes;
@@ -232,8 +226,7 @@ static void the_bound_holds_to_the_byte(void **state) {
   }
 }
 
-static void what_is_in_use_survives_its_eviction(void **state) {
-  (void)state;
+UNIT_TEST(what_is_in_use_survives_its_eviction) {
   struct fixture f;
   open_cache(&f, entry_bytes());
   const struct cache_key key = key_number(0);
@@ -253,8 +246,7 @@ static void what_is_in_use_survives_its_eviction(void **state) {
   cache_free(f.cache);
 }
 
-static void a_stream_of_fast_ones_leaves_the_slow_ones(void **state) {
-  (void)state;
+UNIT_TEST(a_stream_of_fast_ones_leaves_the_slow_ones) {
   enum { ROOM = 40, SLOW = 3 * ROOM / 4, STREAM = 1000 };
   struct fixture f;
   open_cache(&f, ROOM * entry_bytes());
@@ -280,8 +272,7 @@ static void a_stream_of_fast_ones_leaves_the_slow_ones(void **state) {
 }
 
 /* More entries than the table has buckets at first. */
-static void many_entries_are_all_found(void **state) {
-  (void)state;
+UNIT_TEST(many_entries_are_all_found) {
   enum { ENTRIES = 1500 };
   struct fixture f;
   open_cache(&f, UINT64_C(1) << 40);
@@ -298,8 +289,7 @@ static void many_entries_are_all_found(void **state) {
 /* ---- waiting -----------------------------------------------------------------------------------
  */
 
-static void all_wait_for_one(void **state) {
-  (void)state;
+UNIT_TEST(all_wait_for_one) {
   enum { WAITERS = 100 };
   struct fixture f;
   open_cache(&f, 0); /* nothing is kept: those that wait have it all the same */
@@ -333,8 +323,7 @@ static void all_wait_for_one(void **state) {
   cache_free(f.cache);
 }
 
-static void what_nobody_waits_for_is_not_prepared(void **state) {
-  (void)state;
+UNIT_TEST(what_nobody_waits_for_is_not_prepared) {
   struct fixture f;
   open_cache(&f, 1 << 20);
   const struct cache_key key = key_number(0);
@@ -350,8 +339,7 @@ static void what_nobody_waits_for_is_not_prepared(void **state) {
   cache_free(f.cache);
 }
 
-static void a_fault_goes_to_all_and_is_not_kept(void **state) {
-  (void)state;
+UNIT_TEST(a_fault_goes_to_all_and_is_not_kept) {
   struct fixture f;
   open_cache(&f, 1 << 20);
   core_parameters parameters = core_parameters_none();
@@ -446,8 +434,7 @@ static void thread_main(void *argument) {
 
 /* Under the thread sanitizer this shows what is not guarded; under the address sanitizer what is
  * freed too early or never. */
-static void threads_share_it(void **state) {
-  (void)state;
+UNIT_TEST(threads_share_it) {
   const uint64_t seed = unit_seed();
   const uint64_t limits[] = {0, KEYS / 3 * entry_bytes(), 1 << 24};
   for (size_t l = 0; l < sizeof limits / sizeof limits[0]; l++) {
@@ -478,23 +465,4 @@ static void threads_share_it(void **state) {
     }
     cache_free(f.cache);
   }
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(keys_that_mean_the_same_are_equal),
-      cmocka_unit_test(keys_that_differ_anywhere_are_not),
-      cmocka_unit_test(kept_profiles_are_those_that_core_prepares),
-      cmocka_unit_test(the_least_recently_used_goes_first),
-      cmocka_unit_test(a_use_that_the_cache_did_not_see_counts_once),
-      cmocka_unit_test(the_bound_holds_to_the_byte),
-      cmocka_unit_test(what_is_in_use_survives_its_eviction),
-      cmocka_unit_test(a_stream_of_fast_ones_leaves_the_slow_ones),
-      cmocka_unit_test(many_entries_are_all_found),
-      cmocka_unit_test(all_wait_for_one),
-      cmocka_unit_test(what_nobody_waits_for_is_not_prepared),
-      cmocka_unit_test(a_fault_goes_to_all_and_is_not_kept),
-      cmocka_unit_test(threads_share_it),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -7,8 +7,7 @@ static const core_choice *const lists[] = {
 };
 enum { LISTS = sizeof lists / sizeof lists[0] };
 
-static void entries_are_found_by_id_and_by_name(void **state) {
-  (void)state;
+UNIT_TEST(entries_are_found_by_id_and_by_name) {
   for (size_t i = 0; i < LISTS; i++) {
     assert_non_null(lists[i]->name);
     for (const core_choice *entry = lists[i]; entry->name != NULL; entry++) {
@@ -19,8 +18,7 @@ static void entries_are_found_by_id_and_by_name(void **state) {
   }
 }
 
-static void unknown_ones_are_not_found(void **state) {
-  (void)state;
+UNIT_TEST(unknown_ones_are_not_found) {
   for (size_t i = 0; i < LISTS; i++) {
     assert_null(core_choice_by_id(lists[i], 0));
     assert_null(core_choice_by_id(lists[i], 0x7fff));
@@ -34,8 +32,7 @@ static void unknown_ones_are_not_found(void **state) {
 }
 
 /* Ids travel in 16 bits and 0 means none; names have 28 bytes on the wire, explanations 96. */
-static void entries_fit_the_wire(void **state) {
-  (void)state;
+UNIT_TEST(entries_fit_the_wire) {
   for (size_t i = 0; i < LISTS; i++) {
     for (const core_choice *entry = lists[i]; entry->name != NULL; entry++) {
       assert_in_range(entry->id, 1, 0xfffe);
@@ -55,15 +52,13 @@ static void assert_separate_bits(const core_choice *list) {
   }
 }
 
-static void quantities_and_notes_are_separate_bits(void **state) {
-  (void)state;
+UNIT_TEST(quantities_and_notes_are_separate_bits) {
   assert_separate_bits(core_quantities);
   assert_separate_bits(core_notes);
 }
 
 /* Ids below CORE_PARAMETERS_END index core_parameters and the bits of a model's parameters. */
-static void parameters_are_few(void **state) {
-  (void)state;
+UNIT_TEST(parameters_are_few) {
   const core_parameters none = core_parameters_none();
   assert_true(CORE_PARAMETERS_END <= 32);
   for (const core_choice *entry = core_parameter_list; entry->name != NULL; entry++) {
@@ -73,8 +68,7 @@ static void parameters_are_few(void **state) {
 }
 
 /* Clients in the field have these compiled in. */
-static void ids_are_permanent(void **state) {
-  (void)state;
+UNIT_TEST(ids_are_permanent) {
   static const struct {
     const core_choice *list;
     const char *name;
@@ -107,16 +101,4 @@ static void ids_are_permanent(void **state) {
     assert_non_null(entry);
     assert_int_equal(entry->id, published[i].id);
   }
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(entries_are_found_by_id_and_by_name),
-      cmocka_unit_test(unknown_ones_are_not_found),
-      cmocka_unit_test(entries_fit_the_wire),
-      cmocka_unit_test(quantities_and_notes_are_separate_bits),
-      cmocka_unit_test(parameters_are_few),
-      cmocka_unit_test(ids_are_permanent),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -1,16 +1,9 @@
 /* libdipole against a peer that follows a script: orders, sizes and lies that a real daemon does
  * not produce on demand. */
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 
-#include <cmocka.h>
-
-#include "core/core.h"
 #include "tests/unit/scripted_peer.h"
+#include "tests/unit/unit.h"
 
 #define TIMEOUT_MS 20000 /* a test that would hang fails after this */
 
@@ -58,8 +51,7 @@ static void check_simple_result(const dipole_result *result) {
   }
 }
 
-static void test_eval(void **state) {
-  (void)state;
+UNIT_TEST(test_eval) {
   scripted_peer peer;
   dipole_error error;
   dipole_result *result;
@@ -104,15 +96,13 @@ static void assert_single_values(unsigned evaluator) {
   peer_end(&peer);
 }
 
-static void test_eval_single(void **state) {
-  (void)state;
+UNIT_TEST(test_eval_single) {
   assert_single_values(DIPOLE_F32);
   assert_single_values(DIPOLE_LUT);
 }
 
 /* A list of five floats needs padding, and the parameters stand before it. */
-static void test_parameters_and_notes(void **state) {
-  (void)state;
+UNIT_TEST(test_parameters_and_notes) {
   static const float r[5] = {1, 2, 3, 4, 5};
   static const dipole_parameter parameters[2] = {{CORE_PARAMETER_COS_OUT, 0.25},
                                                  {CORE_PARAMETER_COS_IN, 0.75}};
@@ -167,8 +157,7 @@ static void answer_in_reverse(int fd, void *context) {
 }
 
 /* Three queries are submitted and a fourth is waited for; their answers are kept meanwhile. */
-static void test_answers_in_any_order(void **state) {
-  (void)state;
+UNIT_TEST(test_answers_in_any_order) {
   scripted_peer peer;
   dipole_error error;
   dipole_result *result;
@@ -206,8 +195,7 @@ enum { BIG_QUERIES = 64, BIG_RADII = 50000 };
 
 /* The peer writes each answer before it reads on, as a daemon does that stops reading from a client
  * that does not collect: 24 MiB in each direction, far more than sockets hold. */
-static void test_long_pipeline_does_not_deadlock(void **state) {
-  (void)state;
+UNIT_TEST(test_long_pipeline_does_not_deadlock) {
   scripted_peer peer;
   dipole_error error;
   dipole_result *result;
@@ -276,8 +264,7 @@ static void refuse(int fd, void *context) {
   }
 }
 
-static void test_refusals_say_what_is_allowed(void **state) {
-  (void)state;
+UNIT_TEST(test_refusals_say_what_is_allowed) {
   static const char *const texts[REFUSALS] = {
       "bad-value: sigma_a of medium 2 of 2: allowed: 0 to 1e15",
       "bad-value: r number 2 of 3: allowed: 0 to 1e15", "bad-value: model: allowed: 0 to 1e15",
@@ -315,8 +302,7 @@ static void be_busy(int fd, void *context) {
   }
 }
 
-static void test_busy_at_connecting(void **state) {
-  (void)state;
+UNIT_TEST(test_busy_at_connecting) {
   scripted_peer peer;
   dipole_client *client;
   dipole_error error;
@@ -371,8 +357,7 @@ static void tell_lie(int fd, void *context) {
   free(request.payload);
 }
 
-static void test_lies_are_noticed(void **state) {
-  (void)state;
+UNIT_TEST(test_lies_are_noticed) {
   one_lie lies[] = {
       {"magic", 0, 4, 0x12345678},
       {"version", 4, 2, 2},
@@ -430,8 +415,7 @@ static void lie_in_hello(int fd, void *context) {
   }
 }
 
-static void test_lies_in_hello_are_noticed(void **state) {
-  (void)state;
+UNIT_TEST(test_lies_in_hello_are_noticed) {
   wire_hello_reply lies[] = {
       {.version = 1, .choice_count = 0},
       {.version = 1, .choice_count = 2},
@@ -475,8 +459,7 @@ static void break_off(int fd, void *context) {
   }
 }
 
-static void test_lost_connection(void **state) {
-  (void)state;
+UNIT_TEST(test_lost_connection) {
   scripted_peer peer;
   dipole_error error;
   dipole_result *result;
@@ -502,8 +485,7 @@ static void be_silent(int fd, void *context) {
   }
 }
 
-static void test_silent_peer_times_out(void **state) {
-  (void)state;
+UNIT_TEST(test_silent_peer_times_out) {
   scripted_peer peer;
   dipole_error error;
   dipole_result *result;
@@ -517,8 +499,7 @@ static void test_silent_peer_times_out(void **state) {
   peer_end(&peer);
 }
 
-static void test_addresses(void **state) {
-  (void)state;
+UNIT_TEST(test_addresses) {
   static const struct {
     const char *address;
     enum dipole_error_kind kind;
@@ -553,8 +534,7 @@ static void test_addresses(void **state) {
   }
 }
 
-static void test_arguments(void **state) {
-  (void)state;
+UNIT_TEST(test_arguments) {
   scripted_peer peer;
   dipole_error error;
   dipole_result *result;
@@ -585,23 +565,4 @@ static void test_arguments(void **state) {
   dipole_close(NULL);
   dipole_result_free(NULL);
   peer_end(&peer);
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(test_eval),
-      cmocka_unit_test(test_eval_single),
-      cmocka_unit_test(test_parameters_and_notes),
-      cmocka_unit_test(test_answers_in_any_order),
-      cmocka_unit_test(test_long_pipeline_does_not_deadlock),
-      cmocka_unit_test(test_refusals_say_what_is_allowed),
-      cmocka_unit_test(test_busy_at_connecting),
-      cmocka_unit_test(test_lies_are_noticed),
-      cmocka_unit_test(test_lies_in_hello_are_noticed),
-      cmocka_unit_test(test_lost_connection),
-      cmocka_unit_test(test_silent_peer_times_out),
-      cmocka_unit_test(test_addresses),
-      cmocka_unit_test(test_arguments),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

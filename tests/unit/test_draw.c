@@ -22,8 +22,7 @@ static const struct {
       UINT64_C(4593380528125082431), UINT64_C(16408922859458223821)}},
 };
 
-static void random_numbers_are_the_published_ones(void **state) {
-  (void)state;
+UNIT_TEST(random_numbers_are_the_published_ones) {
   for (size_t k = 0; k < sizeof known / sizeof known[0]; k++) {
     const core_draw draw = {CORE_DRAW_RANDOM, 5, 0, known[k].seed};
     double f64[5];
@@ -49,8 +48,7 @@ static core_draw any_draw(uint64_t *random, enum core_draw_rule rule) {
 }
 
 /* Wherever an array is cut, and whatever is asked for beside it. */
-static void numbers_do_not_depend_on_slices(void **state) {
-  (void)state;
+UNIT_TEST(numbers_do_not_depend_on_slices) {
   uint64_t random = unit_seed();
   for (int round = 0; round < 300; round++) {
     const core_draw draw = any_draw(&random, 2 + (unsigned)round % 3);
@@ -71,8 +69,7 @@ static void numbers_do_not_depend_on_slices(void **state) {
 }
 
 /* A sequence goes on where `first` says. */
-static void a_sequence_can_be_had_in_pieces(void **state) {
-  (void)state;
+UNIT_TEST(a_sequence_can_be_had_in_pieces) {
   const core_draw whole = {CORE_DRAW_RANDOM, COUNT, 0, 7};
   const core_draw later = {CORE_DRAW_RANDOM, COUNT - 300, 300, 7};
   double all[COUNT], rest[COUNT];
@@ -81,8 +78,7 @@ static void a_sequence_can_be_had_in_pieces(void **state) {
   assert_memory_equal(rest, all + 300, (COUNT - 300) * sizeof *rest);
 }
 
-static void every_stratum_has_its_number(void **state) {
-  (void)state;
+UNIT_TEST(every_stratum_has_its_number) {
   for (uint64_t seed = 0; seed < 20; seed++) {
     const core_draw draw = {CORE_DRAW_STRATIFIED, COUNT, 0, seed};
     double u[COUNT];
@@ -99,8 +95,7 @@ static void every_stratum_has_its_number(void **state) {
 }
 
 /* The last numbers of so many would round to 1. */
-static void no_number_is_1(void **state) {
-  (void)state;
+UNIT_TEST(no_number_is_1) {
   const core_draw many = {CORE_DRAW_REGULAR, CORE_DRAW_COUNT_MAX, 0, 0};
   double u;
   float u_f32;
@@ -111,8 +106,7 @@ static void no_number_is_1(void **state) {
 }
 
 /* Moments of uniform numbers, within five standard errors. */
-static void random_numbers_are_uniform(void **state) {
-  (void)state;
+UNIT_TEST(random_numbers_are_uniform) {
   enum { MANY = 100000 };
   static double u[MANY];
   for (uint64_t seed = 1; seed <= 5; seed++) {
@@ -131,8 +125,7 @@ static void random_numbers_are_uniform(void **state) {
   }
 }
 
-static void faults_name_the_field(void **state) {
-  (void)state;
+UNIT_TEST(faults_name_the_field) {
   const struct {
     core_draw draw;
     const char *field;
@@ -156,8 +149,7 @@ static void faults_name_the_field(void **state) {
   }
 }
 
-static void listed_numbers_are_from_0_to_1(void **state) {
-  (void)state;
+UNIT_TEST(listed_numbers_are_from_0_to_1) {
   const double good[] = {0, -0.0, 5e-324, 0.5, 1 - DBL_EPSILON / 2, 1};
   const float good_f32[] = {0, 0.5f, 1};
   const double bad[] = {-5e-324, nextafter(1, 2), (double)NAN, (double)INFINITY, -1};
@@ -170,18 +162,4 @@ static void listed_numbers_are_from_0_to_1(void **state) {
     unit_assert_fault(core_numbers_check_f64(3, list), "u", 2);
     unit_assert_fault(core_numbers_check_f32(3, list_f32), "u", 1);
   }
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(random_numbers_are_the_published_ones),
-      cmocka_unit_test(numbers_do_not_depend_on_slices),
-      cmocka_unit_test(a_sequence_can_be_had_in_pieces),
-      cmocka_unit_test(every_stratum_has_its_number),
-      cmocka_unit_test(no_number_is_1),
-      cmocka_unit_test(random_numbers_are_uniform),
-      cmocka_unit_test(faults_name_the_field),
-      cmocka_unit_test(listed_numbers_are_from_0_to_1),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

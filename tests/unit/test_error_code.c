@@ -4,8 +4,7 @@
 #include "core/error_code.h"
 #include "tests/unit/unit.h"
 
-static void codes_and_errors_belong_together(void **state) {
-  (void)state;
+UNIT_TEST(codes_and_errors_belong_together) {
   for (unsigned code = 0; code < CORE_ERROR_CODE_ANY; code++) {
     const double error = core_error_of_code(code);
     assert_int_equal(core_error_code(error), code);
@@ -15,8 +14,7 @@ static void codes_and_errors_belong_together(void **state) {
   assert_true(core_error_of_code(CORE_ERROR_CODE_ANY - 1) > 2);
 }
 
-static void errors_are_rounded_up(void **state) {
-  (void)state;
+UNIT_TEST(errors_are_rounded_up) {
   uint64_t random = unit_seed();
   for (int i = 0; i < 10000; i++) {
     const double error = unit_random_log(&random, 1e-4, 2);
@@ -25,21 +23,11 @@ static void errors_are_rounded_up(void **state) {
   }
 }
 
-static void what_is_out_of_range(void **state) {
-  (void)state;
+UNIT_TEST(what_is_out_of_range) {
   assert_int_equal(core_error_code(0), 0);
   assert_int_equal(core_error_code(1e-300), 0);
   assert_int_equal(core_error_code(1e9), CORE_ERROR_CODE_ANY);
   assert_int_equal(core_error_code((double)INFINITY), CORE_ERROR_CODE_ANY);
   assert_int_equal(core_error_code((double)NAN), CORE_ERROR_CODE_ANY);
   assert_true(isinf(core_error_of_code(CORE_ERROR_CODE_ANY)));
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(codes_and_errors_belong_together),
-      cmocka_unit_test(errors_are_rounded_up),
-      cmocka_unit_test(what_is_out_of_range),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -102,8 +102,7 @@ static void assert_list_parsed(unsigned evaluator, uint32_t media, size_t count)
   }
 }
 
-static void lists_are_taken_apart(void **state) {
-  (void)state;
+UNIT_TEST(lists_are_taken_apart) {
   for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
     for (uint32_t media = 1; media <= 4; media++) {
       for (size_t count = 0; count <= 9; count++) {
@@ -113,8 +112,7 @@ static void lists_are_taken_apart(void **state) {
   }
 }
 
-static void grids_are_taken_apart(void **state) {
-  (void)state;
+UNIT_TEST(grids_are_taken_apart) {
   static const unsigned spacings[] = {CORE_SPACING_LINEAR, CORE_SPACING_LOGARITHMIC};
   for (size_t i = 0; i < 2; i++) {
     struct payload payload;
@@ -130,8 +128,7 @@ static void grids_are_taken_apart(void **state) {
 }
 
 /* Every other length than the right one, from nothing to trailing bytes. */
-static void only_the_exact_length_will_do(void **state) {
-  (void)state;
+UNIT_TEST(only_the_exact_length_will_do) {
   for (unsigned spacing = CORE_SPACING_LIST; spacing <= CORE_SPACING_LOGARITHMIC; spacing++) {
     struct payload payload;
     const size_t count = spacing == CORE_SPACING_LIST ? 5 : 0;
@@ -153,8 +150,7 @@ static void only_the_exact_length_will_do(void **state) {
   }
 }
 
-static void counts_must_fit_the_payload(void **state) {
-  (void)state;
+UNIT_TEST(counts_must_fit_the_payload) {
   static const uint32_t media[] = {3, 4, 1u << 27, (1u << 27) + 2, UINT32_MAX};
   for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
     assert_fixed_refused(request_of(CORE_EVALUATOR_F64, media[i], CORE_SPACING_LINEAR, 5), 2, 0,
@@ -167,8 +163,7 @@ static void counts_must_fit_the_payload(void **state) {
 }
 
 /* Times 4 or 8 these wrap to 0, to the payload's length, or near it. */
-static void radius_counts_do_not_wrap(void **state) {
-  (void)state;
+UNIT_TEST(radius_counts_do_not_wrap) {
   static const uint64_t counts[] = {6,
                                     (UINT64_C(1) << 61),
                                     (UINT64_C(1) << 61) + 5,
@@ -191,8 +186,7 @@ static void radius_counts_do_not_wrap(void **state) {
   }
 }
 
-static void choices_are_checked(void **state) {
-  (void)state;
+UNIT_TEST(choices_are_checked) {
   const wire_eval_request good = request_of(CORE_EVALUATOR_F64, 2, CORE_SPACING_LINEAR, 5);
   static const uint16_t unknown[] = {0, 999, UINT16_MAX};
   for (size_t i = 0; i < sizeof unknown / sizeof unknown[0]; i++) {
@@ -220,8 +214,7 @@ static void choices_are_checked(void **state) {
 }
 
 /* Who reads the error need not look the list up. */
-static void a_refused_choice_is_told_what_there_is(void **state) {
-  (void)state;
+UNIT_TEST(a_refused_choice_is_told_what_there_is) {
   struct payload payload;
   eval_request request;
   wire_eval_request fixed = request_of(9, 1, CORE_SPACING_LINEAR, 5);
@@ -238,8 +231,7 @@ static size_t count_of(char character, const char *text) {
 }
 
 /* A long list is cut between its entries, and the text says that there are more. */
-static void a_long_list_is_cut_between_entries(void **state) {
-  (void)state;
+UNIT_TEST(a_long_list_is_cut_between_entries) {
   struct payload payload;
   eval_request request;
   wire_eval_request fixed = request_of(CORE_EVALUATOR_F64, 1, CORE_SPACING_LINEAR, 5);
@@ -259,8 +251,7 @@ static void a_long_list_is_cut_between_entries(void **state) {
   assert_int_equal(strstr(error.allowed, "hello") != NULL, named < models);
 }
 
-static void a_list_has_no_start_and_stop(void **state) {
-  (void)state;
+UNIT_TEST(a_list_has_no_start_and_stop) {
   wire_eval_request fixed = request_of(CORE_EVALUATOR_F64, 1, CORE_SPACING_LIST, 3);
   fixed.radius_start = 1e-300;
   assert_fixed_refused(fixed, 1, 3, WIRE_STATUS_BAD_VALUE, "radius_start");
@@ -271,8 +262,7 @@ static void a_list_has_no_start_and_stop(void **state) {
   assert_fixed_refused(fixed, 1, 3, WIRE_STATUS_BAD_VALUE, "radius_stop");
 }
 
-static void padding_is_zero(void **state) {
-  (void)state;
+UNIT_TEST(padding_is_zero) {
   struct payload payload;
   const wire_eval_request fixed = request_of(CORE_EVALUATOR_F32, 1, CORE_SPACING_LIST, 3);
   for (size_t i = 1; i <= sizeof(float); i++) {
@@ -314,8 +304,7 @@ static size_t parameter_list_length(void) {
 
 /* Any number of them, from the end of the list so that their order counts for nothing; what is not
  * given is NaN, and the radii are found behind them. */
-static void parameters_are_taken_apart(void **state) {
-  (void)state;
+UNIT_TEST(parameters_are_taken_apart) {
   const size_t all = parameter_list_length();
   assert_in_range(all, 1, PARAMETERS_MAX);
   for (size_t count = 0; count <= all; count++) {
@@ -354,8 +343,7 @@ static void assert_parameter_refused(wire_parameter second, const char *field,
   assert_int_equal(error.index, 1);
 }
 
-static void parameters_are_checked(void **state) {
-  (void)state;
+UNIT_TEST(parameters_are_checked) {
   static const uint16_t unknown[] = {0, CORE_PARAMETERS_END, 256 + CORE_PARAMETER_COS_IN,
                                      UINT16_MAX};
   for (size_t i = 0; i < sizeof unknown / sizeof unknown[0]; i++) {
@@ -381,8 +369,7 @@ static void parameters_are_checked(void **state) {
 }
 
 /* The payload ends after the media, within a parameter, or where the radii should be. */
-static void parameter_counts_must_fit_the_payload(void **state) {
-  (void)state;
+UNIT_TEST(parameter_counts_must_fit_the_payload) {
   const wire_parameter parameter = {.parameter = CORE_PARAMETER_COS_IN, .value = 0.5};
   static const uint16_t counts[] = {2, 3, 0x1000, 0x8001, UINT16_MAX};
   struct payload payload;
@@ -459,8 +446,7 @@ static void assert_layout(unsigned evaluator, unsigned wanted, uint32_t channels
 }
 
 /* The lists above are those of the core. */
-static void the_layout_covers_all_quantities(void **state) {
-  (void)state;
+UNIT_TEST(the_layout_covers_all_quantities) {
   unsigned all = 0, elementwise = 0;
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
     all |= quantity->id;
@@ -470,8 +456,7 @@ static void the_layout_covers_all_quantities(void **state) {
   assert_int_equal(elementwise, ORDER);
 }
 
-static void arrays_lie_where_the_protocol_says(void **state) {
-  (void)state;
+UNIT_TEST(arrays_lie_where_the_protocol_says) {
   for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
     for (unsigned wanted = 1; wanted <= ALL_QUANTITIES; wanted++) {
       for (uint32_t channels = 1; channels <= 4; channels++) {
@@ -507,8 +492,7 @@ static void assert_fits_as_it_should(unsigned evaluator, unsigned wanted, uint32
 }
 
 /* Counts on both sides of every product that could wrap. */
-static void layouts_do_not_wrap(void **state) {
-  (void)state;
+UNIT_TEST(layouts_do_not_wrap) {
   static const uint64_t limits[] = {4096,           UINT32_MAX,      (uint64_t)1 << 40,
                                     UINT64_MAX / 2, UINT64_MAX - 65, UINT64_MAX};
   static const uint32_t channels[] = {1, 2, 3, 5, 1u << 27, UINT32_MAX - 1, UINT32_MAX};
@@ -550,8 +534,7 @@ static const wire_eval_reply good_reply = {
     .part_count = 3,
 };
 
-static void replies_are_taken_apart(void **state) {
-  (void)state;
+UNIT_TEST(replies_are_taken_apart) {
   uint8_t bytes[PAYLOAD_MAX];
   const size_t right = build_reply(bytes, good_reply);
   for (size_t length = 0; length < right + 64; length++) {
@@ -573,8 +556,7 @@ static void assert_reply_refused(wire_eval_reply fixed, size_t length) {
 }
 
 /* A client does not trust a daemon's counts either. */
-static void replies_of_another_shape_are_refused(void **state) {
-  (void)state;
+UNIT_TEST(replies_of_another_shape_are_refused) {
   uint8_t bytes[PAYLOAD_MAX];
   const size_t right = build_reply(bytes, good_reply);
   wire_eval_reply fixed = good_reply;
@@ -606,8 +588,7 @@ static void replies_of_another_shape_are_refused(void **state) {
 }
 
 /* The largest part that fits, in steps: one step more does not. */
-static void parts_are_as_large_as_they_may_be(void **state) {
-  (void)state;
+UNIT_TEST(parts_are_as_large_as_they_may_be) {
   uint64_t random = unit_seed();
   size_t none = 0;
   for (int i = 0; i < 20000; i++) {
@@ -630,8 +611,7 @@ static void parts_are_as_large_as_they_may_be(void **state) {
   assert_int_equal(eval_part_radii(CORE_EVALUATOR_F64, CORE_QUANTITY_R, 1, 4096), 256);
 }
 
-static void values_have_their_sizes(void **state) {
-  (void)state;
+UNIT_TEST(values_have_their_sizes) {
   assert_int_equal(core_evaluator_bytes(CORE_EVALUATOR_F64), 8);
   assert_int_equal(core_evaluator_bytes(CORE_EVALUATOR_F32), 4);
   assert_int_equal(core_evaluator_bytes(CORE_EVALUATOR_LUT), 4);
@@ -641,30 +621,4 @@ static void values_have_their_sizes(void **state) {
   assert_int_equal(wire_padded(1), 8);
   assert_int_equal(wire_padded(8), 8);
   assert_int_equal(wire_padded(9), 16);
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(lists_are_taken_apart),
-      cmocka_unit_test(grids_are_taken_apart),
-      cmocka_unit_test(only_the_exact_length_will_do),
-      cmocka_unit_test(counts_must_fit_the_payload),
-      cmocka_unit_test(radius_counts_do_not_wrap),
-      cmocka_unit_test(choices_are_checked),
-      cmocka_unit_test(a_refused_choice_is_told_what_there_is),
-      cmocka_unit_test(a_long_list_is_cut_between_entries),
-      cmocka_unit_test(a_list_has_no_start_and_stop),
-      cmocka_unit_test(padding_is_zero),
-      cmocka_unit_test(parameters_are_taken_apart),
-      cmocka_unit_test(parameters_are_checked),
-      cmocka_unit_test(parameter_counts_must_fit_the_payload),
-      cmocka_unit_test(the_layout_covers_all_quantities),
-      cmocka_unit_test(arrays_lie_where_the_protocol_says),
-      cmocka_unit_test(layouts_do_not_wrap),
-      cmocka_unit_test(replies_are_taken_apart),
-      cmocka_unit_test(replies_of_another_shape_are_refused),
-      cmocka_unit_test(parts_are_as_large_as_they_may_be),
-      cmocka_unit_test(values_have_their_sizes),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -8,8 +8,7 @@ enum { COUNT_MAX = 4096 };
 
 /* ---- lists -------------------------------------------------------------------------------- */
 
-static void lists_with_good_radii_pass(void **state) {
-  (void)state;
+UNIT_TEST(lists_with_good_radii_pass) {
   static const double wide[] = {0, -0.0, 5e-324, 1e-300, 1, 1e300, DBL_MAX, INFINITY};
   static const float narrow[] = {0, -0.0f, 1e-45f, 1, FLT_MAX, INFINITY};
   unit_assert_fault(core_radii_check_f64(sizeof wide / sizeof wide[0], wide), NULL, 0);
@@ -19,8 +18,7 @@ static void lists_with_good_radii_pass(void **state) {
 }
 
 /* At every position of lists of every length, with another bad one after it. */
-static void lists_name_the_first_bad_radius(void **state) {
-  (void)state;
+UNIT_TEST(lists_name_the_first_bad_radius) {
   enum { LENGTHS = 68 };
   static const double bad[] = {-1, -5e-324, -INFINITY, NAN, -1e-44};
   for (size_t n = 1; n < LENGTHS; n++) {
@@ -50,8 +48,7 @@ static void assert_grid(enum core_spacing spacing, uint64_t count, double start,
   unit_assert_fault(core_grid_check(&grid), field, 0);
 }
 
-static void grids_are_checked(void **state) {
-  (void)state;
+UNIT_TEST(grids_are_checked) {
   static const enum core_spacing spacings[] = {CORE_SPACING_LINEAR, CORE_SPACING_LOGARITHMIC};
   for (size_t i = 0; i < 2; i++) {
     const enum core_spacing s = spacings[i];
@@ -127,8 +124,7 @@ static const core_grid grids[] = {
 };
 enum { GRIDS = sizeof grids / sizeof grids[0] };
 
-static void radii_follow_the_rule(void **state) {
-  (void)state;
+UNIT_TEST(radii_follow_the_rule) {
   for (size_t i = 0; i < GRIDS; i++) {
     double r[COUNT_MAX];
     core_grid_radii_f64(&grids[i], 0, (size_t)grids[i].count, r);
@@ -137,8 +133,7 @@ static void radii_follow_the_rule(void **state) {
 }
 
 /* The largest grid, of which nobody needs more than a slice at once. */
-static void slices_of_the_largest_grids_follow_the_rule(void **state) {
-  (void)state;
+UNIT_TEST(slices_of_the_largest_grids_follow_the_rule) {
   enum { SLICE = 100 };
   static const enum core_spacing spacings[] = {CORE_SPACING_LINEAR, CORE_SPACING_LOGARITHMIC};
   for (size_t i = 0; i < 2; i++) {
@@ -153,8 +148,7 @@ static void slices_of_the_largest_grids_follow_the_rule(void **state) {
 }
 
 /* A worker that evaluates a part of a grid sees the same bits as one that evaluates it whole. */
-static void slices_equal_the_whole(void **state) {
-  (void)state;
+UNIT_TEST(slices_equal_the_whole) {
   uint64_t random = unit_seed();
   for (size_t i = 0; i < GRIDS; i++) {
     const size_t count = (size_t)grids[i].count;
@@ -170,8 +164,7 @@ static void slices_equal_the_whole(void **state) {
   }
 }
 
-static void single_precision_is_the_double_rounded(void **state) {
-  (void)state;
+UNIT_TEST(single_precision_is_the_double_rounded) {
   for (size_t i = 0; i < GRIDS; i++) {
     const size_t count = (size_t)grids[i].count;
     double wide[COUNT_MAX];
@@ -184,8 +177,7 @@ static void single_precision_is_the_double_rounded(void **state) {
   }
 }
 
-static void nothing_beyond_the_slice_is_written(void **state) {
-  (void)state;
+UNIT_TEST(nothing_beyond_the_slice_is_written) {
   const core_grid grid = {CORE_SPACING_LOGARITHMIC, 100, 1, 10};
   double wide[12];
   float narrow[12];
@@ -199,18 +191,4 @@ static void nothing_beyond_the_slice_is_written(void **state) {
   assert_true(narrow[0] == -7 && narrow[11] == -7);
   core_grid_radii_f64(&grid, 3, 0, wide);
   assert_true(wide[0] == -7);
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(lists_with_good_radii_pass),
-      cmocka_unit_test(lists_name_the_first_bad_radius),
-      cmocka_unit_test(grids_are_checked),
-      cmocka_unit_test(radii_follow_the_rule),
-      cmocka_unit_test(slices_of_the_largest_grids_follow_the_rule),
-      cmocka_unit_test(slices_equal_the_whole),
-      cmocka_unit_test(single_precision_is_the_double_rounded),
-      cmocka_unit_test(nothing_beyond_the_slice_is_written),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

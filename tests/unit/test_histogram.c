@@ -20,8 +20,7 @@ static void assert_near(uint64_t found_ns, uint64_t ns) {
   assert_true(fabs((double)found_ns - (double)ns) <= (double)ns / 64 + 1);
 }
 
-static void nothing_is_zero(void **state) {
-  (void)state;
+UNIT_TEST(nothing_is_zero) {
   static struct histogram empty;
   const struct histogram_sum sum = merged(&empty);
   assert_int_equal(sum.count, 0);
@@ -31,8 +30,7 @@ static void nothing_is_zero(void **state) {
 }
 
 /* Beside a longer one, by which it is not cut off. */
-static void each_duration_is_known(void **state) {
-  (void)state;
+UNIT_TEST(each_duration_is_known) {
   uint64_t random = unit_seed();
   for (int i = 0; i < 3000; i++) {
     struct histogram one = {.sum_ns = 0};
@@ -49,8 +47,7 @@ static void each_duration_is_known(void **state) {
   }
 }
 
-static void ends_of_octaves(void **state) {
-  (void)state;
+UNIT_TEST(ends_of_octaves) {
   for (unsigned octave = HISTOGRAM_LEAST_OCTAVE; octave <= HISTOGRAM_MOST_OCTAVE; octave++) {
     for (int64_t off = -1; off <= 1; off++) {
       static const struct histogram empty;
@@ -64,8 +61,7 @@ static void ends_of_octaves(void **state) {
 }
 
 /* What no bucket is made for: nothing is lost, and the longest is exact. */
-static void very_short_and_very_long(void **state) {
-  (void)state;
+UNIT_TEST(very_short_and_very_long) {
   struct histogram both = {.sum_ns = 0};
   histogram_add(&both, 0, 1);
   histogram_add(&both, 5, 1);
@@ -76,8 +72,7 @@ static void very_short_and_very_long(void **state) {
 }
 
 /* 1 to 1000 us, once each: the quantiles are the ranks. */
-static void quantiles_of_a_ramp(void **state) {
-  (void)state;
+UNIT_TEST(quantiles_of_a_ramp) {
   static struct histogram ramp;
   for (uint64_t us = 1; us <= 1000; us++) {
     histogram_add(&ramp, us * 1000, 1);
@@ -96,8 +91,7 @@ static void quantiles_of_a_ramp(void **state) {
   }
 }
 
-static void several_are_one(void **state) {
-  (void)state;
+UNIT_TEST(several_are_one) {
   static struct histogram parts[3];
   static struct histogram whole;
   uint64_t random = unit_seed();
@@ -112,13 +106,4 @@ static void several_are_one(void **state) {
   }
   const struct histogram_sum expected = merged(&whole);
   assert_memory_equal(&sum, &expected, sizeof sum);
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(nothing_is_zero),     cmocka_unit_test(each_duration_is_known),
-      cmocka_unit_test(ends_of_octaves),     cmocka_unit_test(very_short_and_very_long),
-      cmocka_unit_test(quantiles_of_a_ramp), cmocka_unit_test(several_are_one),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

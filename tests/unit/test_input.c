@@ -31,8 +31,7 @@ static uint64_t take(struct input *input) {
 }
 
 /* In many more pieces than there are marks. */
-static void a_frame_in_pieces_arrives_with_the_last(void **state) {
-  (void)state;
+UNIT_TEST(a_frame_in_pieces_arrives_with_the_last) {
   struct input input;
   uint8_t frame[4096];
   const size_t bytes = make_frame(frame, 1000);
@@ -46,8 +45,7 @@ static void a_frame_in_pieces_arrives_with_the_last(void **state) {
   input_free(&input);
 }
 
-static void frames_of_one_read_arrive_together_and_others_do_not(void **state) {
-  (void)state;
+UNIT_TEST(frames_of_one_read_arrive_together_and_others_do_not) {
   struct input input;
   uint8_t frames[256];
   size_t bytes = make_frame(frames, 8);
@@ -67,8 +65,7 @@ static void frames_of_one_read_arrive_together_and_others_do_not(void **state) {
 }
 
 /* More reads than marks while frames wait: never too late, and in order. */
-static void without_marks_it_is_earlier(void **state) {
-  (void)state;
+UNIT_TEST(without_marks_it_is_earlier) {
   enum { FRAMES = 3 * INPUT_MARKS };
   struct input input;
   uint8_t frame[64];
@@ -85,13 +82,4 @@ static void without_marks_it_is_earlier(void **state) {
     last_ns = ns;
   }
   input_free(&input);
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(a_frame_in_pieces_arrives_with_the_last),
-      cmocka_unit_test(frames_of_one_read_arrive_together_and_others_do_not),
-      cmocka_unit_test(without_marks_it_is_earlier),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -1,13 +1,7 @@
 /* libdipole and answers into the caller's memory: the right values, and not a byte beside them,
  * whatever the shape, however the answer comes, and whatever happens to it. */
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stdlib.h>
-#include <string.h>
-
-#include <cmocka.h>
-
 #include "tests/unit/peer_scripts.h"
+#include "tests/unit/unit.h"
 
 enum { RADII = 301, MEDIA = 2, PATIENCE_MS = 20000, GUARD = 64, UNTOUCHED = 0xa5 };
 
@@ -17,13 +11,11 @@ static const dipole_medium media[MEDIA] = {
 static double radii_f64[RADII];
 static float radii_f32[RADII];
 
-static int make_radii(void **state) {
-  (void)state;
+UNIT_SETUP(make_radii) {
   for (size_t i = 0; i < RADII; i++) {
     radii_f32[i] = (float)i / 8;
     radii_f64[i] = (double)radii_f32[i];
   }
-  return 0;
 }
 
 /* What the peer makes of a radius; the order is that of the arrays. */
@@ -179,9 +171,8 @@ static void ask_all(dipole_client *client) {
   }
 }
 
-static void test_every_shape(void **state) {
+UNIT_TEST(test_every_shape) {
   scripted_peer peer;
-  (void)state;
   peer_start(&peer, peer_serve, NULL);
   dipole_client *client = open_client(&peer);
   ask_all(client);
@@ -216,9 +207,8 @@ static void serve_parts(int fd, void *context) {
   }
 }
 
-static void test_parts(void **state) {
+UNIT_TEST(test_parts) {
   static const uint64_t sizes[] = {1, 3, 64};
-  (void)state;
   for (size_t i = 0; i < sizeof sizes / sizeof sizes[0]; i++) {
     uint64_t each = sizes[i];
     scripted_peer peer;
@@ -230,13 +220,12 @@ static void test_parts(void **state) {
   }
 }
 
-static void test_many_in_any_order(void **state) {
+UNIT_TEST(test_many_in_any_order) {
   enum { MANY = 30 };
   question asked[MANY];
   uint64_t ids[MANY];
   scripted_peer peer;
   dipole_error error;
-  (void)state;
   peer_start(&peer, peer_serve, NULL);
   dipole_client *client = open_client(&peer);
   for (size_t i = 0; i < MANY; i++) {
@@ -257,7 +246,7 @@ static void test_many_in_any_order(void **state) {
 }
 
 /* Far more in both directions than sockets hold, and nothing is collected before all is asked. */
-static void test_large_ones_both_ways(void **state) {
+UNIT_TEST(test_large_ones_both_ways) {
   enum { LARGE = 40001, MANY = 24 };
   double *radii = malloc(LARGE * sizeof *radii);
   room places[MANY];
@@ -265,7 +254,6 @@ static void test_large_ones_both_ways(void **state) {
   scripted_peer peer;
   dipole_result *result;
   dipole_error error;
-  (void)state;
   assert_non_null(radii);
   for (size_t i = 0; i < LARGE; i++) {
     radii[i] = (double)i;
@@ -304,11 +292,10 @@ static void test_large_ones_both_ways(void **state) {
 
 /* ---- what goes wrong ----------------------------------------------------------------------- */
 
-static void test_a_place_for_all_or_for_nothing(void **state) {
+UNIT_TEST(test_a_place_for_all_or_for_nothing) {
   scripted_peer peer;
   dipole_result *result;
   dipole_error error;
-  (void)state;
   peer_start(&peer, peer_serve, NULL);
   dipole_client *client = open_client(&peer);
   question asked = question_of(DIPOLE_F64, all, 5);
@@ -362,10 +349,9 @@ static void hang_up_before_the_end(int fd, void *context) {
   free(request.payload);
 }
 
-static void test_lost_and_asked_again(void **state) {
+UNIT_TEST(test_lost_and_asked_again) {
   static const size_t before_the_end[] = {1, 4, 12, 20, 100, 1000, 2500, 3000, 5000};
   peer_script *const scripts[] = {hang_up_before_the_end, peer_serve, NULL};
-  (void)state;
   for (size_t i = 0; i < sizeof before_the_end / sizeof before_the_end[0]; i++) {
     size_t before = before_the_end[i];
     scripted_peer peer;
@@ -391,11 +377,10 @@ static void refuse(int fd, void *context) {
   }
 }
 
-static void test_refused(void **state) {
+UNIT_TEST(test_refused) {
   scripted_peer peer;
   dipole_result *result;
   dipole_error error;
-  (void)state;
   peer_start(&peer, refuse, NULL);
   dipole_client *client = open_client(&peer);
   question asked = question_of(DIPOLE_F64, all, 5);
@@ -428,9 +413,8 @@ static void pause_in_the_answer(int fd, void *context) {
 }
 
 /* From then on the memory is the caller's own, wherever in the answer the call has ended. */
-static void test_given_up(void **state) {
+UNIT_TEST(test_given_up) {
   static const size_t sent[] = {0, 1, 30, 200, 300, 304, 1000, 2000, 4000, 100000};
-  (void)state;
   for (size_t i = 0; i < sizeof sent / sizeof sent[0]; i++) {
     size_t bytes = sent[i];
     scripted_peer peer;
@@ -471,8 +455,7 @@ static void lie(int fd, void *context) {
   free(request.payload);
 }
 
-static void test_lies_are_not_written(void **state) {
-  (void)state;
+UNIT_TEST(test_lies_are_not_written) {
   for (unsigned i = 0; i < 2; i++) {
     bool parts = i != 0;
     scripted_peer peer;
@@ -488,19 +471,4 @@ static void test_lies_are_not_written(void **state) {
     dipole_close(client);
     peer_end(&peer);
   }
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(test_every_shape),
-      cmocka_unit_test(test_parts),
-      cmocka_unit_test(test_many_in_any_order),
-      cmocka_unit_test(test_large_ones_both_ways),
-      cmocka_unit_test(test_a_place_for_all_or_for_nothing),
-      cmocka_unit_test(test_lost_and_asked_again),
-      cmocka_unit_test(test_refused),
-      cmocka_unit_test(test_given_up),
-      cmocka_unit_test(test_lies_are_not_written),
-  };
-  return cmocka_run_group_tests(tests, make_radii, NULL);
 }

@@ -88,8 +88,7 @@ static void try_listed_albedos(unsigned model, unsigned moments, double eta, uin
   }
 }
 
-static void listed_albedos_come_back(void **state) {
-  (void)state;
+UNIT_TEST(listed_albedos_come_back) {
   with_every_member(try_listed_albedos);
 }
 
@@ -101,14 +100,12 @@ static void try_random_albedos(unsigned model, unsigned moments, double eta, uin
   }
 }
 
-static void random_albedos_come_back(void **state) {
-  (void)state;
+UNIT_TEST(random_albedos_come_back) {
   with_every_member(try_random_albedos);
 }
 
 /* A medium's own albedo gives back its coefficients. */
-static void coefficients_come_back(void **state) {
-  (void)state;
+UNIT_TEST(coefficients_come_back) {
   for (size_t i = 0; i < core_measured_media_count; i++) {
     for (int c = 0; c < 3; c++) {
       const core_medium *medium = &core_measured_media[i].channel[c];
@@ -126,8 +123,7 @@ static void coefficients_come_back(void **state) {
 }
 
 /* Both ends of the range of mean free paths can be had. */
-static void extreme_mean_free_paths_are_taken(void **state) {
-  (void)state;
+UNIT_TEST(extreme_mean_free_paths_are_taken) {
   static const double ends_mm[] = {CORE_MEAN_FREE_PATH_MIN_MM, CORE_MEAN_FREE_PATH_MAX_MM};
   for (size_t i = 0; i < sizeof ends_mm / sizeof ends_mm[0]; i++) {
     for (const core_choice *model = core_models; model->id <= CORE_MODEL_BETTER; model++) {
@@ -154,8 +150,7 @@ static void try_the_most(unsigned model, unsigned moments, double eta, uint64_t 
   }
 }
 
-static void the_most_has_no_absorption(void **state) {
-  (void)state;
+UNIT_TEST(the_most_has_no_absorption) {
   with_every_member(try_the_most);
 }
 
@@ -182,8 +177,7 @@ static void try_out_of_reach(unsigned model, unsigned moments, double eta, uint6
   unit_assert_fault(least.fault, NULL, 0);
 }
 
-static void an_albedo_out_of_reach_is_a_fault_that_names_the_reach(void **state) {
-  (void)state;
+UNIT_TEST(an_albedo_out_of_reach_is_a_fault_that_names_the_reach) {
   with_every_member(try_out_of_reach);
 }
 
@@ -194,8 +188,7 @@ static void assert_names(unsigned model, unsigned moments, double mean_free_path
   unit_assert_fault(core_invert_albedo(model, moments, .5, mean_free_path_mm, eta).fault, field, 0);
 }
 
-static void faults_name_the_field(void **state) {
-  (void)state;
+UNIT_TEST(faults_name_the_field) {
   const unsigned model = CORE_MODEL_BETTER, moments = CORE_MOMENTS_EXACT;
   const double bad_paths[] = {0,        -1,       -INFINITY, INFINITY, (double)NAN,
                               .999e-14, 1.001e14, 1e300,     5e-324};
@@ -271,8 +264,7 @@ static void seek_albedos(core_inverter *inverter, unsigned usual) {
   }
 }
 
-static void every_model_is_inverted_for_every_length(void **state) {
-  (void)state;
+UNIT_TEST(every_model_is_inverted_for_every_length) {
   unsigned inverted = 0;
   for (const core_choice *model = core_models; model->name != NULL; model++) {
     for (unsigned i = 0; i < 6 && is_searched(model); i++) {
@@ -297,8 +289,7 @@ static void every_model_is_inverted_for_every_length(void **state) {
 }
 
 /* The same albedo and length get the same bits whatever was looked for before. */
-static void searches_do_not_depend_on_each_other(void **state) {
-  (void)state;
+UNIT_TEST(searches_do_not_depend_on_each_other) {
   uint64_t random = unit_seed();
   core_inverter one, other;
   core_inverter_start(&one, CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, .3, 1.4, 1);
@@ -317,8 +308,7 @@ static void searches_do_not_depend_on_each_other(void **state) {
   }
 }
 
-static void what_there_is_not_is_not_found(void **state) {
-  (void)state;
+UNIT_TEST(what_there_is_not_is_not_found) {
   core_inverter inverter;
   core_inverter_start(&inverter, CORE_MODEL_SINGLE, CORE_MOMENTS_EXACT, 0, 1.3, 1);
   probe_to_the_end(&inverter);
@@ -338,8 +328,7 @@ static void what_there_is_not_is_not_found(void **state) {
   assert_true(inverter.found && inverter.medium.sigma_a_per_mm == 0 && inverter.albedo == 1);
 }
 
-static void starting_faults_name_the_field(void **state) {
-  (void)state;
+UNIT_TEST(starting_faults_name_the_field) {
   const struct {
     unsigned model, moments;
     double g, eta;
@@ -371,21 +360,4 @@ static void starting_faults_name_the_field(void **state) {
   for (size_t i = 0; i < sizeof bad_lengths / sizeof bad_lengths[0]; i++) {
     unit_assert_fault(core_inversion_check(.5, bad_lengths[i]), "length", 0);
   }
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(listed_albedos_come_back),
-      cmocka_unit_test(random_albedos_come_back),
-      cmocka_unit_test(coefficients_come_back),
-      cmocka_unit_test(extreme_mean_free_paths_are_taken),
-      cmocka_unit_test(the_most_has_no_absorption),
-      cmocka_unit_test(an_albedo_out_of_reach_is_a_fault_that_names_the_reach),
-      cmocka_unit_test(faults_name_the_field),
-      cmocka_unit_test(every_model_is_inverted_for_every_length),
-      cmocka_unit_test(searches_do_not_depend_on_each_other),
-      cmocka_unit_test(what_there_is_not_is_not_found),
-      cmocka_unit_test(starting_faults_name_the_field),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -132,8 +132,7 @@ static void run_invert(invert_script script, bool expected, uint64_t missing) {
   peer_end(&peer);
 }
 
-static void inversions_of_any_number_of_parts_are_put_together(void **state) {
-  (void)state;
+UNIT_TEST(inversions_of_any_number_of_parts_are_put_together) {
   run_invert((invert_script){.counts = {MEDIA}}, true, 0);
   run_invert((invert_script){.counts = {3, 4}}, true, 1);
   run_invert((invert_script){.counts = {1, 1, 1, 1, 1, 1, 1}}, true, 3);
@@ -169,8 +168,7 @@ static void too_many_missing(wire_invert_reply *fixed, size_t *bytes) {
   fixed->missing_count = fixed->medium_count + 1;
 }
 
-static void inversions_with_another_shape_end_the_connection(void **state) {
-  (void)state;
+UNIT_TEST(inversions_with_another_shape_end_the_connection) {
   void (*const spoilers[])(wire_invert_reply *, size_t *) = {
       one_media_more, another_first, another_part,    another_reach,
       another_model,  too_short,     too_many_missing};
@@ -254,8 +252,7 @@ static dipole_sample_query sample_query(const dipole_medium *media) {
                                .seed = 7};
 }
 
-static void samples_in_parts_are_put_together(void **state) {
-  (void)state;
+UNIT_TEST(samples_in_parts_are_put_together) {
   const dipole_medium media[CHANNELS] = {medium, medium};
   const dipole_sample_query query = sample_query(media);
   scripted_peer peer;
@@ -284,8 +281,7 @@ static void samples_in_parts_are_put_together(void **state) {
 
 /* ---- without a daemon ---------------------------------------------------------------------- */
 
-static void numbers_are_the_cores(void **state) {
-  (void)state;
+UNIT_TEST(numbers_are_the_cores) {
   const core_draw draw = {CORE_DRAW_RANDOM, SAMPLES, 0, 7};
   dipole_sample_query query = sample_query(&medium);
   double u[SAMPLES], wanted[SAMPLES];
@@ -307,8 +303,7 @@ static void assert_no_numbers(const dipole_sample_query *query, uint64_t begin, 
   assert_true(strlen(error.text) > 0);
 }
 
-static void numbers_that_there_are_not_are_an_error(void **state) {
-  (void)state;
+UNIT_TEST(numbers_that_there_are_not_are_an_error) {
   dipole_sample_query query = sample_query(&medium);
   assert_no_numbers(&query, 0, SAMPLES + 1);
   assert_no_numbers(&query, SAMPLES + 1, 0);
@@ -324,8 +319,7 @@ static void numbers_that_there_are_not_are_an_error(void **state) {
   assert_no_numbers(&query, 0, 1);
 }
 
-static void arguments_that_do_not_fit_are_errors(void **state) {
-  (void)state;
+UNIT_TEST(arguments_that_do_not_fit_are_errors) {
   scripted_peer peer;
   dipole_client *client;
   dipole_error error = {0};
@@ -366,16 +360,4 @@ static void arguments_that_do_not_fit_are_errors(void **state) {
   dipole_close(client);
   peer_end(&peer);
   dipole_inversion_free(NULL);
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(inversions_of_any_number_of_parts_are_put_together),
-      cmocka_unit_test(inversions_with_another_shape_end_the_connection),
-      cmocka_unit_test(samples_in_parts_are_put_together),
-      cmocka_unit_test(numbers_are_the_cores),
-      cmocka_unit_test(numbers_that_there_are_not_are_an_error),
-      cmocka_unit_test(arguments_that_do_not_fit_are_errors),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -21,8 +21,7 @@ static size_t build(uint8_t *payload, uint64_t count) {
   return (size_t)invert_request_bytes(count);
 }
 
-static void requests_are_taken_apart(void **state) {
-  (void)state;
+UNIT_TEST(requests_are_taken_apart) {
   for (uint64_t count = 1; count < 20; count++) {
     _Alignas(8) uint8_t payload[PAYLOAD_MAX];
     invert_request request;
@@ -48,8 +47,7 @@ static void assert_refused(const uint8_t *payload, size_t bytes, enum wire_statu
 }
 
 /* Every length but one is wrong; the bytes are allocated, so that a sanitizer sees what is read. */
-static void other_lengths_are_refused(void **state) {
-  (void)state;
+UNIT_TEST(other_lengths_are_refused) {
   _Alignas(8) uint8_t payload[PAYLOAD_MAX] = {0};
   const size_t whole = build(payload, 3);
   for (size_t bytes = 0; bytes < whole + 64; bytes += 8) {
@@ -65,8 +63,7 @@ static void other_lengths_are_refused(void **state) {
   }
 }
 
-static void faults_name_the_field(void **state) {
-  (void)state;
+UNIT_TEST(faults_name_the_field) {
   static const struct {
     size_t offset;
     uint16_t value;
@@ -87,8 +84,7 @@ static void faults_name_the_field(void **state) {
   }
 }
 
-static void replies_have_three_arrays(void **state) {
-  (void)state;
+UNIT_TEST(replies_have_three_arrays) {
   uint8_t payload[PAYLOAD_MAX] = {0};
   for (uint64_t count = 0; count < 20; count++) {
     const wire_invert_reply fixed = {.part_count = 1, .medium_count = count};
@@ -108,8 +104,7 @@ static void replies_have_three_arrays(void **state) {
   assert_int_equal(invert_part_media(0), 0);
 }
 
-static void replies_that_contradict_themselves_are_refused(void **state) {
-  (void)state;
+UNIT_TEST(replies_that_contradict_themselves_are_refused) {
   uint8_t payload[PAYLOAD_MAX] = {0};
   wire_invert_reply got;
   const wire_invert_reply wrong[] = {
@@ -122,15 +117,4 @@ static void replies_that_contradict_themselves_are_refused(void **state) {
     wire_put_invert_reply(payload, &wrong[i]);
     assert_false(invert_reply_parse(payload, (size_t)invert_reply_bytes(2), &got));
   }
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(requests_are_taken_apart),
-      cmocka_unit_test(other_lengths_are_refused),
-      cmocka_unit_test(faults_name_the_field),
-      cmocka_unit_test(replies_have_three_arrays),
-      cmocka_unit_test(replies_that_contradict_themselves_are_refused),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

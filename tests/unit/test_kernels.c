@@ -309,8 +309,7 @@ static void compare_preparation(const kernel_pair *pair, uint64_t *random) {
   assert_memory_equal(other->lut, portable->lut, portable->lut_count * sizeof *portable->lut);
 }
 
-static void preparation_does_not_depend_on_the_instruction_set(void **state) {
-  (void)state;
+UNIT_TEST(preparation_does_not_depend_on_the_instruction_set) {
   with_every_pair(compare_preparation);
 }
 
@@ -335,8 +334,7 @@ static void compare_lengths_and_offsets(const kernel_pair *pair, uint64_t *rando
   }
 }
 
-static void every_length_and_offset_gives_the_same_bits(void **state) {
-  (void)state;
+UNIT_TEST(every_length_and_offset_gives_the_same_bits) {
   with_every_pair(compare_lengths_and_offsets);
 }
 
@@ -361,8 +359,7 @@ static void compare_lanes(const kernel_pair *pair, uint64_t *random) {
   }
 }
 
-static void a_lane_does_not_see_its_neighbours(void **state) {
-  (void)state;
+UNIT_TEST(a_lane_does_not_see_its_neighbours) {
   with_every_pair(compare_lanes);
 }
 
@@ -392,8 +389,7 @@ static void compare_slicing(const kernel_pair *pair, uint64_t *random) {
   free(out);
 }
 
-static void slicing_gives_the_same_bits(void **state) {
-  (void)state;
+UNIT_TEST(slicing_gives_the_same_bits) {
   with_every_pair(compare_slicing);
 }
 
@@ -477,15 +473,13 @@ static void compare_edges(const kernel_pair *pair, uint64_t *random) {
   }
 }
 
-static void edges_have_their_limits(void **state) {
-  (void)state;
+UNIT_TEST(edges_have_their_limits) {
   with_every_pair(compare_edges);
 }
 
 /* ---- choosing ----------------------------------------------------------------------------- */
 
-static void instruction_sets_are_chosen_by_name(void **state) {
-  (void)state;
+UNIT_TEST(instruction_sets_are_chosen_by_name) {
   const core_isa *best = NULL;
   assert_string_equal(core_isa_listed(0), "portable");
   for (size_t i = 0; core_isa_listed(i) != NULL; i++) {
@@ -502,16 +496,4 @@ static void instruction_sets_are_chosen_by_name(void **state) {
   assert_null(core_isa_select("AVX2"));
   assert_null(core_isa_select("avx"));
   assert_null(core_isa_select("neon2000"));
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(instruction_sets_are_chosen_by_name),
-      cmocka_unit_test(preparation_does_not_depend_on_the_instruction_set),
-      cmocka_unit_test(every_length_and_offset_gives_the_same_bits),
-      cmocka_unit_test(a_lane_does_not_see_its_neighbours),
-      cmocka_unit_test(slicing_gives_the_same_bits),
-      cmocka_unit_test(edges_have_their_limits),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -112,8 +112,7 @@ static void assert_plain_bits(const core_profile *profile, uint64_t *random) {
   }
 }
 
-static void the_description_gives_the_kernels_bits(void **state) {
-  (void)state;
+UNIT_TEST(the_description_gives_the_kernels_bits) {
   uint64_t random = unit_seed();
   for (size_t i = 0; i < SUBJECTS; i++) {
     if (subjects[i].medium == &nothing_scatters) {
@@ -148,8 +147,7 @@ static void assert_count_refused(size_t count) {
   free(words);
 }
 
-static void wrong_counts_are_refused(void **state) {
-  (void)state;
+UNIT_TEST(wrong_counts_are_refused) {
   const size_t most = CORE_LUT_PIECES + (size_t)CORE_LUT_TERMS * CORE_LUT_PIECES_MAX;
   const size_t counts[] = {0,
                            1,
@@ -170,8 +168,7 @@ static void wrong_counts_are_refused(void **state) {
   unit_assert_fault(core_lut_check(NULL, SIZE_MAX - 3), "table", 0);
 }
 
-static void whole_tables_are_not_refused(void **state) {
-  (void)state;
+UNIT_TEST(whole_tables_are_not_refused) {
   for (size_t i = 0; i < SUBJECTS; i++) {
     core_profile profile = prepared(&subjects[i], NULL, 1e-3);
     unit_assert_fault(core_lut_check(profile.lut, profile.lut_count), NULL, 0);
@@ -180,8 +177,7 @@ static void whole_tables_are_not_refused(void **state) {
 }
 
 /* Each entry in turn, and every shift. */
-static void entries_that_point_outside_are_refused(void **state) {
-  (void)state;
+UNIT_TEST(entries_that_point_outside_are_refused) {
   core_profile profile = prepared(&subjects[0], NULL, 1e-3);
   const size_t count = profile.lut_count;
   const uint32_t pieces = (uint32_t)((count - CORE_LUT_PIECES) / CORE_LUT_TERMS);
@@ -260,8 +256,7 @@ static void evaluate_anything(core_profile *profile, float *words, size_t count,
   free(out);
 }
 
-static void nothing_that_passes_is_read_outside(void **state) {
-  (void)state;
+UNIT_TEST(nothing_that_passes_is_read_outside) {
   uint64_t random = unit_seed();
   for (size_t isa = 0; core_isa_listed(isa) != NULL; isa++) {
     if (core_isa_select(core_isa_listed(isa)) == NULL) {
@@ -281,15 +276,4 @@ static void nothing_that_passes_is_read_outside(void **state) {
     profile.lut_count = own_count;
     core_profile_free(&profile);
   }
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(the_description_gives_the_kernels_bits),
-      cmocka_unit_test(wrong_counts_are_refused),
-      cmocka_unit_test(whole_tables_are_not_refused),
-      cmocka_unit_test(entries_that_point_outside_are_refused),
-      cmocka_unit_test(nothing_that_passes_is_read_outside),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

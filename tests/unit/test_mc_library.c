@@ -152,8 +152,7 @@ static void run(struct script script, struct listener *listener, enum dipole_err
   peer_end(&peer);
 }
 
-static void tables_come_after_any_progress(void **state) {
-  (void)state;
+UNIT_TEST(tables_come_after_any_progress) {
   static const uint64_t counts[] = {0, 1, 2, 5000};
   for (size_t i = 0; i < sizeof counts / sizeof counts[0]; i++) {
     struct listener listener = {.enough = UINT64_MAX};
@@ -163,8 +162,7 @@ static void tables_come_after_any_progress(void **state) {
   }
 }
 
-static void callers_can_cancel(void **state) {
-  (void)state;
+UNIT_TEST(callers_can_cancel) {
   struct script script = honest(1);
   struct listener listener = {.enough = 1};
   script.waits = true;
@@ -172,8 +170,7 @@ static void callers_can_cancel(void **state) {
   assert_int_equal(listener.told, 1);
 }
 
-static void other_answers_are_refused(void **state) {
-  (void)state;
+UNIT_TEST(other_answers_are_refused) {
   struct script script = honest(0);
   script.last.albedo_count = 2;
   run(script, NULL, DIPOLE_ERROR_PROTOCOL);
@@ -196,8 +193,7 @@ static void other_answers_are_refused(void **state) {
   }
 }
 
-static void progress_after_the_end_is_a_fault(void **state) {
-  (void)state;
+UNIT_TEST(progress_after_the_end_is_a_fault) {
   struct script script = honest(1);
   script.after = true;
   scripted_peer peer;
@@ -215,8 +211,7 @@ static void progress_after_the_end_is_a_fault(void **state) {
   peer_end(&peer);
 }
 
-static void wrong_arguments_are_not_sent(void **state) {
-  (void)state;
+UNIT_TEST(wrong_arguments_are_not_sent) {
   struct script script = honest(0);
   scripted_peer peer;
   dipole_client *client;
@@ -238,15 +233,4 @@ static void wrong_arguments_are_not_sent(void **state) {
   dipole_mc_result_free(result);
   dipole_close(client);
   peer_end(&peer);
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(tables_come_after_any_progress),
-      cmocka_unit_test(callers_can_cancel),
-      cmocka_unit_test(other_answers_are_refused),
-      cmocka_unit_test(progress_after_the_end_is_a_fault),
-      cmocka_unit_test(wrong_arguments_are_not_sent),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

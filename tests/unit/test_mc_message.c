@@ -26,8 +26,7 @@ static size_t build(uint8_t *payload, uint32_t albedo_count) {
   return mc_request_bytes(albedo_count);
 }
 
-static void requests_are_taken_apart(void **state) {
-  (void)state;
+UNIT_TEST(requests_are_taken_apart) {
   for (uint32_t albedos = 0; albedos <= CORE_MC_ALBEDOS_MAX; albedos++) {
     uint8_t payload[PAYLOAD_MAX];
     mc_request request;
@@ -53,8 +52,7 @@ static void assert_refused(const uint8_t *payload, size_t bytes, enum wire_statu
 }
 
 /* Every length but one is wrong; the bytes are allocated, so that a sanitizer sees what is read. */
-static void other_lengths_are_refused(void **state) {
-  (void)state;
+UNIT_TEST(other_lengths_are_refused) {
   uint8_t payload[PAYLOAD_MAX] = {0};
   const size_t right = build(payload, 2);
   for (size_t bytes = 0; bytes < right + 64; bytes++) {
@@ -68,8 +66,7 @@ static void other_lengths_are_refused(void **state) {
   }
 }
 
-static void too_many_albedos_are_refused(void **state) {
-  (void)state;
+UNIT_TEST(too_many_albedos_are_refused) {
   uint8_t payload[PAYLOAD_MAX] = {0};
   assert_refused(payload, build(payload, CORE_MC_ALBEDOS_MAX + 1), WIRE_STATUS_BAD_COUNT,
                  "albedo_count");
@@ -79,8 +76,7 @@ static void too_many_albedos_are_refused(void **state) {
 }
 
 /* The arrays lie one behind the other, and fill the payload. */
-static void tables_are_laid_out_without_gaps(void **state) {
-  (void)state;
+UNIT_TEST(tables_are_laid_out_without_gaps) {
   for (uint32_t i = 0; i < 64; i++) {
     const uint32_t sides = 1 + i % 2, albedos = 1 + i / 2 % 16, rings = 1 + i * 65;
     mc_layout layout;
@@ -103,8 +99,7 @@ static void tables_are_laid_out_without_gaps(void **state) {
   }
 }
 
-static void counts_out_of_range_have_no_layout(void **state) {
-  (void)state;
+UNIT_TEST(counts_out_of_range_have_no_layout) {
   mc_layout layout;
   assert_true(mc_reply_layout(2, CORE_MC_ALBEDOS_MAX, CORE_MC_RINGS_MAX, &layout));
   assert_false(mc_reply_layout(0, 1, 1, &layout));
@@ -116,8 +111,7 @@ static void counts_out_of_range_have_no_layout(void **state) {
   assert_false(mc_reply_layout(UINT32_MAX, UINT32_MAX, UINT32_MAX, &layout));
 }
 
-static void replies_have_the_shape_that_they_announce(void **state) {
-  (void)state;
+UNIT_TEST(replies_have_the_shape_that_they_announce) {
   uint8_t payload[PAYLOAD_MAX] = {0};
   wire_mc_reply fixed = {.state = MC_UNDER_WAY, .side_count = 1, .number = 3}, parsed;
   mc_layout layout;
@@ -136,16 +130,4 @@ static void replies_have_the_shape_that_they_announce(void **state) {
   for (size_t bytes = 0; bytes <= PAYLOAD_MAX; bytes += 8) {
     assert_int_equal(mc_reply_parse(payload, bytes, &parsed, &layout), bytes == right);
   }
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(requests_are_taken_apart),
-      cmocka_unit_test(other_lengths_are_refused),
-      cmocka_unit_test(too_many_albedos_are_refused),
-      cmocka_unit_test(tables_are_laid_out_without_gaps),
-      cmocka_unit_test(counts_out_of_range_have_no_layout),
-      cmocka_unit_test(replies_have_the_shape_that_they_announce),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -10,8 +10,7 @@ static void assert_medium(double sigma_a, double sigma_s, double g, double eta, 
   unit_assert_fault(core_medium_check(&medium), field, 0);
 }
 
-static void accepts_the_whole_domain(void **state) {
-  (void)state;
+UNIT_TEST(accepts_the_whole_domain) {
   assert_medium(0.02, 0.8, 0.1, 1.3, NULL);
   assert_medium(0, 0.8, 0, 1.3, NULL);
   assert_medium(-0.0, 0.8, 0, 1.3, NULL);
@@ -26,8 +25,7 @@ static void accepts_the_whole_domain(void **state) {
   assert_medium(0, CORE_SIGMA_T_PRIME_MIN_PER_MM, 0, 1, NULL);
 }
 
-static void names_the_coefficient_at_fault(void **state) {
-  (void)state;
+UNIT_TEST(names_the_coefficient_at_fault) {
   static const double bad[] = {-1, -5e-324, 1.0000001e15, INFINITY, -INFINITY, NAN};
   for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
     assert_medium(bad[i], 0.8, 0, 1.3, "sigma_a");
@@ -35,16 +33,14 @@ static void names_the_coefficient_at_fault(void **state) {
   }
 }
 
-static void names_g_at_fault(void **state) {
-  (void)state;
+UNIT_TEST(names_g_at_fault) {
   static const double bad[] = {1, -1, 1.5, -7, INFINITY, -INFINITY, NAN};
   for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
     assert_medium(0.02, 0.8, bad[i], 1.3, "g");
   }
 }
 
-static void names_eta_at_fault(void **state) {
-  (void)state;
+UNIT_TEST(names_eta_at_fault) {
   static const double bad[] = {0, -0.0, -1.3, 0.000999, 1000.01, 5e-324, INFINITY, -INFINITY, NAN};
   for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
     assert_medium(0.02, 0.8, 0, bad[i], "eta");
@@ -53,8 +49,7 @@ static void names_eta_at_fault(void **state) {
 
 /* Whichever is small: nothing, next to nothing, or forward scattering that leaves next to nothing.
  */
-static void refuses_media_without_extinction(void **state) {
-  (void)state;
+UNIT_TEST(refuses_media_without_extinction) {
   assert_medium(0, 0, 0, 1.3, "sigma_s");
   assert_medium(1e-16, 1e-16, 0, 1.3, "sigma_s");
   assert_medium(0, 1, nextafter(1, 0), 1.3, "sigma_s");
@@ -62,8 +57,7 @@ static void refuses_media_without_extinction(void **state) {
 }
 
 /* Several faults: the first field in the order of the structure. */
-static void reports_the_first_field(void **state) {
-  (void)state;
+UNIT_TEST(reports_the_first_field) {
   assert_medium(-1, -1, 2, 0, "sigma_a");
   assert_medium(1, -1, 2, 0, "sigma_s");
   assert_medium(1, 1, 2, 0, "g");
@@ -72,8 +66,7 @@ static void reports_the_first_field(void **state) {
 
 /* ---- profiles ----------------------------------------------------------------------------- */
 
-static void preparing_refuses_what_is_not_in_the_lists(void **state) {
-  (void)state;
+UNIT_TEST(preparing_refuses_what_is_not_in_the_lists) {
   const core_isa *isa = core_isa_select("portable");
   core_profile profile;
   static const unsigned unknown[] = {0, 4711, 65535, UINT32_MAX};
@@ -90,8 +83,7 @@ static void preparing_refuses_what_is_not_in_the_lists(void **state) {
   }
 }
 
-static void preparing_refuses_bad_media(void **state) {
-  (void)state;
+UNIT_TEST(preparing_refuses_bad_media) {
   const core_medium bad = {0.02, 0.8, 1, 1.3};
   const core_medium beyond_the_fit = {0.02, 0.8, 0, 2.6};
   core_profile profile;
@@ -107,8 +99,7 @@ static void preparing_refuses_bad_media(void **state) {
                     NULL, 0);
 }
 
-static void a_profile_says_what_it_was_made_from(void **state) {
-  (void)state;
+UNIT_TEST(a_profile_says_what_it_was_made_from) {
   for (const core_choice *model = core_models; model->name != NULL; model++) {
     for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
       core_profile profile;
@@ -130,8 +121,7 @@ static void a_profile_says_what_it_was_made_from(void **state) {
 }
 
 /* Nothing comes back from a medium that does not scatter. */
-static void without_scattering_everything_is_zero(void **state) {
-  (void)state;
+UNIT_TEST(without_scattering_everything_is_zero) {
   static const core_medium absorbing = {0.3, 0, 0.5, 1.3};
   static const double radii[] = {0, 1e-9, 1, 1e9, INFINITY};
   for (const core_choice *model = core_models; model->name != NULL; model++) {
@@ -175,8 +165,7 @@ static void assert_measured(const char *name, const double sigma_s[3], const dou
 }
 
 /* Jensen et al. 2001, Figure 5: sigma_s' and sigma_a in 1/mm. */
-static void measured_media_are_the_published_ones(void **state) {
-  (void)state;
+UNIT_TEST(measured_media_are_the_published_ones) {
   static const struct {
     const char *name;
     double sigma_s[3];
@@ -202,8 +191,7 @@ static void measured_media_are_the_published_ones(void **state) {
   }
 }
 
-static void measured_media_are_valid_and_found_by_name_only(void **state) {
-  (void)state;
+UNIT_TEST(measured_media_are_valid_and_found_by_name_only) {
   for (size_t i = 0; i < core_measured_media_count; i++) {
     const core_measured_medium *medium = &core_measured_media[i];
     assert_ptr_equal(core_measured_medium_by_name(medium->name), medium);
@@ -215,22 +203,4 @@ static void measured_media_are_valid_and_found_by_name_only(void **state) {
   assert_null(core_measured_medium_by_name("skin"));
   assert_null(core_measured_medium_by_name("skin10"));
   assert_null(core_measured_medium_by_name("Skin1"));
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(accepts_the_whole_domain),
-      cmocka_unit_test(names_the_coefficient_at_fault),
-      cmocka_unit_test(names_g_at_fault),
-      cmocka_unit_test(names_eta_at_fault),
-      cmocka_unit_test(refuses_media_without_extinction),
-      cmocka_unit_test(reports_the_first_field),
-      cmocka_unit_test(preparing_refuses_what_is_not_in_the_lists),
-      cmocka_unit_test(preparing_refuses_bad_media),
-      cmocka_unit_test(a_profile_says_what_it_was_made_from),
-      cmocka_unit_test(without_scattering_everything_is_zero),
-      cmocka_unit_test(measured_media_are_the_published_ones),
-      cmocka_unit_test(measured_media_are_valid_and_found_by_name_only),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -11,8 +11,7 @@
 
 /* ---- requests ----------------------------------------------------------------------------- */
 
-static void requests_are_taken_apart(void **state) {
-  (void)state;
+UNIT_TEST(requests_are_taken_apart) {
   const uint8_t pdu[] = {23, 1, 44, 0, 8, 0, 100, 0, 2, 4, 1, 2, 3, 4};
   struct modbus_request request;
   assert_int_equal(modbus_pdu_parse(pdu, sizeof pdu, &request), 0);
@@ -25,8 +24,7 @@ static void requests_are_taken_apart(void **state) {
 }
 
 /* Whatever the bytes, what is let through has the length and counts that the codec trusts. */
-static void what_is_let_through_is_whole(void **state) {
-  (void)state;
+UNIT_TEST(what_is_let_through_is_whole) {
   uint64_t random = unit_seed();
   size_t passed = 0;
   for (int i = 0; i < 300000; i++) {
@@ -62,8 +60,7 @@ static void what_is_let_through_is_whole(void **state) {
   assert_true(passed > 1000);
 }
 
-static void lengths_are_told_by_the_beginning(void **state) {
-  (void)state;
+UNIT_TEST(lengths_are_told_by_the_beginning) {
   const uint8_t write[] = {16, 0, 0, 0, 2, 4, 0, 0, 0, 0};
   for (size_t bytes = 0; bytes <= sizeof write; bytes++) {
     assert_int_equal(modbus_pdu_bytes(write, bytes), bytes > 5 ? sizeof write : 0);
@@ -72,8 +69,7 @@ static void lengths_are_told_by_the_beginning(void **state) {
   assert_int_equal(modbus_pdu_bytes(unknown, 3), 0);
 }
 
-static void identification_fits_an_answer(void **state) {
-  (void)state;
+UNIT_TEST(identification_fits_an_answer) {
   uint8_t answer[MODBUS_PDU_MAX];
   unsigned exception = 0;
   const uint8_t all[] = {MODBUS_FC_READ_DEVICE_ID, 14, 3, 0};
@@ -93,13 +89,11 @@ static size_t close_frame(uint8_t *frame, size_t bytes) {
 }
 
 /* "123456789" is what everybody checks a checksum with. */
-static void the_checksum_is_that_of_modbus(void **state) {
-  (void)state;
+UNIT_TEST(the_checksum_is_that_of_modbus) {
   assert_int_equal(modbus_rtu_checksum((const uint8_t *)"123456789", 9), 0x4b37);
 }
 
-static void a_request_is_found(void **state) {
-  (void)state;
+UNIT_TEST(a_request_is_found) {
   uint8_t bytes[64] = {7, 3, 0, 0, 0, 1};
   const size_t count = close_frame(bytes, 6);
   size_t begin;
@@ -116,8 +110,7 @@ static void a_request_is_found(void **state) {
 }
 
 /* Behind a request to another device, its answer, and noise. */
-static void a_request_is_found_behind_others(void **state) {
-  (void)state;
+UNIT_TEST(a_request_is_found_behind_others) {
   uint8_t bytes[64] = {9, 3, 0, 0, 0, 1};
   size_t at = close_frame(bytes, 6);
   const uint8_t answer[] = {9, 3, 2, 0, 5};
@@ -140,8 +133,7 @@ static void a_request_is_found_behind_others(void **state) {
   assert_int_equal(begin, at);
 }
 
-static void any_bytes_can_be_searched(void **state) {
-  (void)state;
+UNIT_TEST(any_bytes_can_be_searched) {
   uint64_t random = unit_seed();
   for (int i = 0; i < 20000; i++) {
     uint8_t bytes[300];
@@ -172,8 +164,7 @@ static bool allows(const char *network, const char *address) {
   return modbus_access_allows(&access, (const struct sockaddr *)&ipv6);
 }
 
-static void networks_allow_their_addresses(void **state) {
-  (void)state;
+UNIT_TEST(networks_allow_their_addresses) {
   const struct {
     const char *network;
     const char *address;
@@ -203,8 +194,7 @@ static void networks_allow_their_addresses(void **state) {
   }
 }
 
-static void what_is_no_network(void **state) {
-  (void)state;
+UNIT_TEST(what_is_no_network) {
   const char *const wrong[] = {
       "",       "localhost",      "10.0.0.0/33", "10.0.0.0/", "10.0.0.0/-1",
       "10.0.0", "2001:db8::/129", "10.0.0.0/8 ", "/8",        "10.0.0.0/8/8"};
@@ -215,20 +205,4 @@ static void what_is_no_network(void **state) {
     assert_false(modbus_access_read(&list, &access, &item));
     assert_string_equal(item, wrong[i]);
   }
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(requests_are_taken_apart),
-      cmocka_unit_test(what_is_let_through_is_whole),
-      cmocka_unit_test(lengths_are_told_by_the_beginning),
-      cmocka_unit_test(identification_fits_an_answer),
-      cmocka_unit_test(the_checksum_is_that_of_modbus),
-      cmocka_unit_test(a_request_is_found),
-      cmocka_unit_test(a_request_is_found_behind_others),
-      cmocka_unit_test(any_bytes_can_be_searched),
-      cmocka_unit_test(networks_allow_their_addresses),
-      cmocka_unit_test(what_is_no_network),
-  };
-  return cmocka_run_group_tests_name("modbus", tests, NULL, NULL);
 }

@@ -20,8 +20,7 @@ static void assert_request(const core_mc_request *request, const char *field, si
     assert_request(&changed, (field), 0);                                                          \
   } while (0)
 
-static void media_are_checked(void **state) {
-  (void)state;
+UNIT_TEST(media_are_checked) {
   REFUSED(sigma_t_per_mm, 1, NULL);
   REFUSED(sigma_t_per_mm, 0, "sigma_t");
   REFUSED(sigma_t_per_mm, -1, "sigma_t");
@@ -54,8 +53,7 @@ static void media_are_checked(void **state) {
   REFUSED(scatterings_max, CORE_MC_SCATTERINGS_MAX + 1, "scatterings_max");
 }
 
-static void every_albedo_is_checked(void **state) {
-  (void)state;
+UNIT_TEST(every_albedo_is_checked) {
   static const double bad[] = {-1e-300, 1.0000001, NAN, INFINITY};
   core_mc_request request = montecarlo_request(0.9, 0, 1.4);
   request.albedo_count = 0;
@@ -79,8 +77,7 @@ static void assert_edges(enum core_spacing spacing, uint64_t count, double start
   assert_request(&request, field, 0);
 }
 
-static void edges_are_checked(void **state) {
-  (void)state;
+UNIT_TEST(edges_are_checked) {
   static const enum core_spacing spacings[] = {CORE_SPACING_LINEAR, CORE_SPACING_LOGARITHMIC};
   for (size_t i = 0; i < 2; i++) {
     const enum core_spacing s = spacings[i];
@@ -106,8 +103,7 @@ static void edges_are_checked(void **state) {
   assert_edges(CORE_SPACING_LOGARITHMIC, 2, 0, 1, "radius_start");
 }
 
-static void media_become_requests(void **state) {
-  (void)state;
+UNIT_TEST(media_become_requests) {
   const core_medium medium = {0.5, 1.5, 0.25, 1.3};
   core_mc_request request = montecarlo_request(0.9, 0, 1);
   request.albedo_count = 7;
@@ -119,8 +115,7 @@ static void media_become_requests(void **state) {
 /* ---- random numbers and functions of lanes ------------------------------------------------ */
 
 /* The known answers that the authors of Philox publish with their code. */
-static void philox_gives_its_known_answers(void **state) {
-  (void)state;
+UNIT_TEST(philox_gives_its_known_answers) {
   static const struct {
     uint32_t counter[4], key[2], expected[4];
   } rows[] = {
@@ -138,8 +133,7 @@ static void philox_gives_its_known_answers(void **state) {
   }
 }
 
-static void lane_functions_are_accurate(void **state) {
-  (void)state;
+UNIT_TEST(lane_functions_are_accurate) {
   uint64_t random = unit_seed();
   double worst_log = 0;
   double worst_azimuth = 0;
@@ -168,8 +162,7 @@ static void lane_functions_are_accurate(void **state) {
 }
 
 /* Each eighth of the circle is chosen by three bits. */
-static void azimuths_cover_the_circle(void **state) {
-  (void)state;
+UNIT_TEST(azimuths_cover_the_circle) {
   unsigned seen = 0;
   for (uint32_t bits = 0; bits < 8; bits++) {
     const lane_direction azimuth = lane_azimuth(bits | UINT32_C(1) << 31);
@@ -224,8 +217,7 @@ static core_mc_request bit_request(size_t i) {
 }
 enum { BIT_REQUESTS = 18 };
 
-static void instruction_sets_and_slices_give_the_same_bits(void **state) {
-  (void)state;
+UNIT_TEST(instruction_sets_and_slices_give_the_same_bits) {
   static const uint64_t slices[] = {1, 1000, 12345, UINT64_MAX};
   const core_isa *portable = core_isa_select("portable");
   for (size_t i = 0; i < BIT_REQUESTS; i++) {
@@ -282,8 +274,7 @@ static void *work(void *context) {
   return NULL;
 }
 
-static void threads_give_the_same_bits(void **state) {
-  (void)state;
+UNIT_TEST(threads_give_the_same_bits) {
   enum { THREADS = 2 };
   for (size_t i = 0; i < BIT_REQUESTS; i += 5) {
     const core_mc_request request = bit_request(i);
@@ -309,8 +300,7 @@ static void threads_give_the_same_bits(void **state) {
 
 /* Another seed, and the upper half of the seed, give other walks; an abandoned batch leaves nothing
  * behind. */
-static void seeds_differ_and_batches_start_afresh(void **state) {
-  (void)state;
+UNIT_TEST(seeds_differ_and_batches_start_afresh) {
   core_mc_request request = bit_request(0);
   montecarlo_run first = montecarlo_run_batches(&request, 1);
   const double R = montecarlo_energy(&first, 0).left[CORE_MC_REFLECTED].value;
@@ -338,8 +328,7 @@ static void seeds_differ_and_batches_start_afresh(void **state) {
 
 /* ---- extremes ----------------------------------------------------------------------------- */
 
-static void nothing_is_known_before_the_second_batch(void **state) {
-  (void)state;
+UNIT_TEST(nothing_is_known_before_the_second_batch) {
   const core_mc_request request = montecarlo_request(0.9, 0, 1.4);
   for (uint64_t batches = 0; batches < 3; batches++) {
     montecarlo_run run = montecarlo_run_batches(&request, batches);
@@ -356,8 +345,7 @@ static void nothing_is_known_before_the_second_batch(void **state) {
 }
 
 /* A ring that no photon reaches has an error all the same. */
-static void empty_rings_have_errors(void **state) {
-  (void)state;
+UNIT_TEST(empty_rings_have_errors) {
   core_mc_request request = montecarlo_request(0.5, 0, 1.4);
   montecarlo_rings(&request, RINGS, 1000, 2000);
   montecarlo_run run = montecarlo_run_batches(&request, 2);
@@ -375,8 +363,7 @@ static void empty_rings_have_errors(void **state) {
 }
 
 /* What leaves is in a ring, under or over, or unscattered. */
-static void rings_add_up_to_the_total(void **state) {
-  (void)state;
+UNIT_TEST(rings_add_up_to_the_total) {
   for (size_t i = 0; i < BIT_REQUESTS; i++) {
     core_mc_request request = bit_request(i);
     montecarlo_rings(&request, RINGS, 0.3, 2);
@@ -399,8 +386,7 @@ static void rings_add_up_to_the_total(void **state) {
 }
 
 /* Nothing scatters: Beer and Lambert between two mirrors, without an error. */
-static void without_scattering_the_answer_is_exact(void **state) {
-  (void)state;
+UNIT_TEST(without_scattering_the_answer_is_exact) {
   static const double etas[] = {1, 1.5, 0.7, 30};
   static const double thicknesses_mm[] = {0, 1e-6, 0.3, 2, 50, 1e6, 1e300, (double)INFINITY};
   for (size_t i = 0; i < sizeof etas / sizeof etas[0]; i++) {
@@ -425,8 +411,7 @@ static void without_scattering_the_answer_is_exact(void **state) {
 }
 
 /* An empty slab is two mirrors and no medium, whatever its albedo. */
-static void empty_slabs_let_everything_through(void **state) {
-  (void)state;
+UNIT_TEST(empty_slabs_let_everything_through) {
   static const double albedos[] = {0, 0.5, 1};
   for (size_t i = 0; i < sizeof albedos / sizeof albedos[0]; i++) {
     core_mc_request request = montecarlo_request(albedos[i], 0.9, 1.5);
@@ -446,8 +431,7 @@ static void empty_slabs_let_everything_through(void **state) {
 }
 
 /* Nothing is absorbed, and all comes back: what has not by then is unfinished, and said to be. */
-static void without_absorption_all_comes_back(void **state) {
-  (void)state;
+UNIT_TEST(without_absorption_all_comes_back) {
   static const struct {
     double g, eta, thickness_mm;
     uint32_t scatterings_max;
@@ -480,8 +464,7 @@ static void without_absorption_all_comes_back(void **state) {
 }
 
 /* Roulette changes the work, not what comes out. */
-static void roulette_is_unbiased(void **state) {
-  (void)state;
+UNIT_TEST(roulette_is_unbiased) {
   static const double weights[] = {CORE_MC_ROULETTE_WEIGHT_MIN, 0.01, 1};
   enum { WEIGHTS = 3, BATCHES = 100 };
   struct answer answers[WEIGHTS];
@@ -509,8 +492,7 @@ static void roulette_is_unbiased(void **state) {
 
 /* An albedo's results do not depend on what else was asked for, but for roulette, which goes by the
  * largest. */
-static void albedos_are_independent(void **state) {
-  (void)state;
+UNIT_TEST(albedos_are_independent) {
   enum { BATCHES = 5 };
   core_mc_request many = montecarlo_request(0.9, 0, 1.4);
   many.albedo_count = CORE_MC_ALBEDOS_MAX;
@@ -535,8 +517,7 @@ static void albedos_are_independent(void **state) {
 }
 
 /* Media that strain single precision end, and keep their energy. */
-static void corners_end(void **state) {
-  (void)state;
+UNIT_TEST(corners_end) {
   static const double g[] = {-CORE_MC_G_MAX, -1e-9, 1e-300, CORE_MC_G_MAX};
   static const double eta[] = {CORE_ETA_MIN, 0.999999, 1.0000001, CORE_ETA_MAX};
   static const double thickness_mm[] = {CORE_MC_THICKNESS_MIN_MFP, 1, 1e25, (double)INFINITY};
@@ -552,29 +533,4 @@ static void corners_end(void **state) {
     }
     montecarlo_run_free(&run);
   }
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(media_are_checked),
-      cmocka_unit_test(every_albedo_is_checked),
-      cmocka_unit_test(edges_are_checked),
-      cmocka_unit_test(media_become_requests),
-      cmocka_unit_test(philox_gives_its_known_answers),
-      cmocka_unit_test(lane_functions_are_accurate),
-      cmocka_unit_test(azimuths_cover_the_circle),
-      cmocka_unit_test(instruction_sets_and_slices_give_the_same_bits),
-      cmocka_unit_test(threads_give_the_same_bits),
-      cmocka_unit_test(seeds_differ_and_batches_start_afresh),
-      cmocka_unit_test(nothing_is_known_before_the_second_batch),
-      cmocka_unit_test(empty_rings_have_errors),
-      cmocka_unit_test(rings_add_up_to_the_total),
-      cmocka_unit_test(without_scattering_the_answer_is_exact),
-      cmocka_unit_test(empty_slabs_let_everything_through),
-      cmocka_unit_test(without_absorption_all_comes_back),
-      cmocka_unit_test(roulette_is_unbiased),
-      cmocka_unit_test(albedos_are_independent),
-      cmocka_unit_test(corners_end),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

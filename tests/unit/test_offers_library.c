@@ -107,16 +107,14 @@ static void run_offers(offers_script script, bool expected) {
   peer_end(&peer);
 }
 
-static void offers_are_listed(void **state) {
-  (void)state;
+UNIT_TEST(offers_are_listed) {
   for (uint32_t taken = 0; taken <= OFFERS; taken++) {
     run_offers((offers_script){{OFFERS, taken}, OFFERS_BYTES}, true);
   }
   run_offers((offers_script){{0, 0}, WIRE_BYTES_offers_reply}, true);
 }
 
-static void other_answers_are_refused(void **state) {
-  (void)state;
+UNIT_TEST(other_answers_are_refused) {
   run_offers((offers_script){{OFFERS, OFFERS + 1}, OFFERS_BYTES}, false);
   run_offers((offers_script){{UINT32_MAX, 0}, OFFERS_BYTES}, false);
   for (size_t bytes = 0; bytes <= OFFERS_BYTES + 64; bytes += 8) {
@@ -124,8 +122,7 @@ static void other_answers_are_refused(void **state) {
   }
 }
 
-static void wrong_queries_are_not_sent(void **state) {
-  (void)state;
+UNIT_TEST(wrong_queries_are_not_sent) {
   offers_script script = {{OFFERS, 1}, OFFERS_BYTES};
   scripted_peer peer;
   dipole_client *client;
@@ -217,8 +214,7 @@ static void run_choice(unsigned model, unsigned evaluator, choice_script script,
   peer_end(&peer);
 }
 
-static void any_model_is_answered_by_an_evaluator_of_the_type(void **state) {
-  (void)state;
+UNIT_TEST(any_model_is_answered_by_an_evaluator_of_the_type) {
   static const unsigned evaluators[] = {DIPOLE_F64, DIPOLE_F32, DIPOLE_LUT};
   for (size_t asked = 0; asked < 3; asked++) {
     for (size_t taken = 0; taken < 3; taken++) {
@@ -229,14 +225,4 @@ static void any_model_is_answered_by_an_evaluator_of_the_type(void **state) {
     }
   }
   run_choice(DIPOLE_ANY_MODEL, DIPOLE_LUT, (choice_script){7, 4}, false);
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(offers_are_listed),
-      cmocka_unit_test(other_answers_are_refused),
-      cmocka_unit_test(wrong_queries_are_not_sent),
-      cmocka_unit_test(any_model_is_answered_by_an_evaluator_of_the_type),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

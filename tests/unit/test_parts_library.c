@@ -1,16 +1,9 @@
 /* libdipole and answers in parts: put together, handed on, broken off, and with parts that do not
  * belong together. */
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 
-#include <cmocka.h>
-
-#include "core/core.h"
 #include "tests/unit/scripted_peer.h"
+#include "tests/unit/unit.h"
 
 #define TIMEOUT_MS 20000 /* a test that would hang fails after this */
 
@@ -21,13 +14,11 @@ static const dipole_medium media[2] = {{.sigma_a_per_mm = 0.25, .sigma_s_per_mm 
 static double radii_f64[RADII];
 static float radii_f32[RADII];
 
-static int make_radii(void **state) {
-  (void)state;
+UNIT_SETUP(make_radii) {
   for (size_t i = 0; i < RADII; i++) {
     radii_f32[i] = (float)i / 8;
     radii_f64[i] = (double)radii_f32[i];
   }
-  return 0;
 }
 
 static dipole_query query_of(unsigned evaluator, unsigned wanted, uint64_t count) {
@@ -120,8 +111,7 @@ static void serve_parts(int fd, void *context) {
 
 static const uint64_t sizes[] = {1, 7, 256, 999, 1000, 5000};
 
-static void test_parts_are_put_together(void **state) {
-  (void)state;
+UNIT_TEST(test_parts_are_put_together) {
   for (size_t i = 0; i < sizeof sizes / sizeof sizes[0]; i++) {
     for (unsigned evaluator = DIPOLE_F64; evaluator <= DIPOLE_LUT; evaluator++) {
       const dipole_query query =
@@ -162,8 +152,7 @@ static bool read_part(void *context, const dipole_result *part, uint64_t radius_
   return so_far->parts != so_far->stop_after;
 }
 
-static void test_parts_are_handed_on(void **state) {
-  (void)state;
+UNIT_TEST(test_parts_are_handed_on) {
   for (size_t i = 0; i < sizeof sizes / sizeof sizes[0]; i++) {
     const dipole_query query = query_of(DIPOLE_F32, wanted_f32, RADII);
     scripted_peer peer;
@@ -182,8 +171,7 @@ static void test_parts_are_handed_on(void **state) {
 }
 
 /* An answer without radii has one part, too. */
-static void test_nothing_is_handed_on(void **state) {
-  (void)state;
+UNIT_TEST(test_nothing_is_handed_on) {
   scripted_peer peer;
   dipole_error error;
   reading so_far = {0};
@@ -254,8 +242,7 @@ static void ask_for_a_mix(bool handed_on) {
   peer_end(&peer);
 }
 
-static void test_other_answers_may_come_in_between(void **state) {
-  (void)state;
+UNIT_TEST(test_other_answers_may_come_in_between) {
   ask_for_a_mix(false);
   ask_for_a_mix(true);
 }
@@ -287,8 +274,7 @@ static void be_late(int fd, void *context) {
   }
 }
 
-static void test_an_error_ends_an_answer(void **state) {
-  (void)state;
+UNIT_TEST(test_an_error_ends_an_answer) {
   scripted_peer peer;
   dipole_error error;
   dipole_result *result;
@@ -313,8 +299,7 @@ static void test_an_error_ends_an_answer(void **state) {
 }
 
 /* Stops after each number of parts that there is, and asks for something else. */
-static void test_a_reader_may_stop(void **state) {
-  (void)state;
+UNIT_TEST(test_a_reader_may_stop) {
   static const uint64_t each = EACH;
   const dipole_query query = query_of(DIPOLE_F64, wanted_f64, RADII);
   scripted_peer peer;
@@ -353,8 +338,7 @@ static void break_off(int fd, void *context) {
   free(request.payload);
 }
 
-static void test_lost_between_parts(void **state) {
-  (void)state;
+UNIT_TEST(test_lost_between_parts) {
   const dipole_query query = query_of(DIPOLE_F64, wanted_f64, RADII);
   for (int handed_on = 0; handed_on < 2; handed_on++) {
     scripted_peer peer;
@@ -397,8 +381,7 @@ static bool count_positions(void *context, const dipole_result *part, uint64_t r
   return true;
 }
 
-static void test_answers_beyond_memory(void **state) {
-  (void)state;
+UNIT_TEST(test_answers_beyond_memory) {
   scripted_peer peer;
   dipole_error error;
   uint64_t next = 0;
@@ -502,8 +485,7 @@ static bool take_one(void *context, const dipole_result *part, uint64_t radius_f
   return false;
 }
 
-static void test_lies_are_noticed(void **state) {
-  (void)state;
+UNIT_TEST(test_lies_are_noticed) {
   const dipole_query query = query_of(DIPOLE_F64, wanted_f64, RADII);
   for (size_t i = 0; i < sizeof lies / sizeof lies[0]; i++) {
     for (int how = 0; how < 3; how++) {
@@ -529,19 +511,4 @@ static void test_lies_are_noticed(void **state) {
       peer_end(&peer);
     }
   }
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(test_parts_are_put_together),
-      cmocka_unit_test(test_parts_are_handed_on),
-      cmocka_unit_test(test_nothing_is_handed_on),
-      cmocka_unit_test(test_other_answers_may_come_in_between),
-      cmocka_unit_test(test_an_error_ends_an_answer),
-      cmocka_unit_test(test_a_reader_may_stop),
-      cmocka_unit_test(test_lost_between_parts),
-      cmocka_unit_test(test_answers_beyond_memory),
-      cmocka_unit_test(test_lies_are_noticed),
-  };
-  return cmocka_run_group_tests(tests, make_radii, NULL);
 }

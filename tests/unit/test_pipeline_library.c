@@ -1,26 +1,19 @@
 /* libdipole with many queries under way: answers in any order, how many may be outstanding, and
  * calls that are limited in time. */
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stdlib.h>
-#include <string.h>
 #include <unistd.h>
 
-#include <cmocka.h>
-
 #include "tests/unit/peer_scripts.h"
+#include "tests/unit/unit.h"
 
 enum { RADII = 64, QUERIES = 40, PATIENCE_MS = 20000 };
 
 static const dipole_medium medium = {.sigma_a_per_mm = 0.25, .sigma_s_per_mm = 1, .eta = 1.3};
 static double radii[RADII];
 
-static int make_radii(void **state) {
-  (void)state;
+UNIT_SETUP(make_radii) {
   for (size_t i = 0; i < RADII; i++) {
     radii[i] = (double)i / 8;
   }
-  return 0;
 }
 
 /* Queries differ in their number of radii, so that an answer to another one shows. */
@@ -107,10 +100,9 @@ static void fail_collect_id(dipole_client *client, uint64_t id, enum dipole_erro
 
 /* ---- in any order -------------------------------------------------------------------------- */
 
-static void test_by_id_in_any_order(void **state) {
+UNIT_TEST(test_by_id_in_any_order) {
   uint64_t ids[QUERIES];
   scripted_peer peer;
-  (void)state;
   peer_start(&peer, peer_serve, NULL);
   dipole_client *client = open_client(&peer, NULL);
   for (uint64_t i = 0; i < QUERIES; i++) {
@@ -131,12 +123,11 @@ static void test_by_id_in_any_order(void **state) {
 }
 
 /* By id and whatever comes, in turns. */
-static void test_both_ways(void **state) {
+UNIT_TEST(test_both_ways) {
   uint64_t ids[QUERIES];
   scripted_peer peer;
   dipole_result *result;
   dipole_error error;
-  (void)state;
   peer_start(&peer, peer_serve, NULL);
   dipole_client *client = open_client(&peer, NULL);
   for (uint64_t i = 0; i < QUERIES; i++) {
@@ -155,13 +146,12 @@ static void test_both_ways(void **state) {
 
 /* ---- how many ------------------------------------------------------------------------------ */
 
-static void test_no_more_than_may_be_outstanding(void **state) {
+UNIT_TEST(test_no_more_than_may_be_outstanding) {
   enum { MOST = 3 };
   dipole_options options = options_of();
   uint64_t ids[MOST], id = 0;
   scripted_peer peer;
   dipole_error error;
-  (void)state;
   options.in_flight_max = MOST;
   peer_start(&peer, peer_serve, NULL);
   dipole_client *client = open_client(&peer, &options);
@@ -184,11 +174,10 @@ static void test_no_more_than_may_be_outstanding(void **state) {
   peer_end(&peer);
 }
 
-static void test_as_many_as_one_likes(void **state) {
+UNIT_TEST(test_as_many_as_one_likes) {
   enum { MANY = DIPOLE_IN_FLIGHT_MAX + 100 };
   dipole_options options = options_of();
   scripted_peer peer;
-  (void)state;
   options.in_flight_max = 0;
   peer_start(&peer, peer_serve, NULL);
   dipole_client *client = open_client(&peer, &options);
@@ -221,11 +210,10 @@ static void note_burst(int fd, void *context) {
   }
 }
 
-static void test_flush(void **state) {
+UNIT_TEST(test_flush) {
   int pipe_ends[2];
   scripted_peer peer;
   char byte;
-  (void)state;
   assert_int_equal(pipe(pipe_ends), 0);
   peer_start(&peer, note_burst, pipe_ends);
   dipole_client *client = open_client(&peer, NULL);
@@ -256,13 +244,12 @@ static void serve_one_behind(int fd, void *context) {
   free(before.payload);
 }
 
-static void test_what_is_submitted_stays(void **state) {
+UNIT_TEST(test_what_is_submitted_stays) {
   dipole_options options = options_of();
   scripted_peer peer;
   dipole_result *result;
   dipole_error error;
   uint64_t id;
-  (void)state;
   options.call_timeout_ms = 20;
   peer_start(&peer, serve_one_behind, NULL);
   dipole_client *client = open_client(&peer, &options);
@@ -281,10 +268,9 @@ static void test_what_is_submitted_stays(void **state) {
   peer_end(&peer);
 }
 
-static void test_what_nobody_waits_for_is_thrown_away(void **state) {
+UNIT_TEST(test_what_nobody_waits_for_is_thrown_away) {
   dipole_options options = options_of();
   scripted_peer peer;
-  (void)state;
   options.call_timeout_ms = 20;
   peer_start(&peer, serve_one_behind, NULL);
   dipole_client *client = open_client(&peer, &options);
@@ -310,12 +296,11 @@ static void be_silent(int fd, void *context) {
 }
 
 /* Silence is as long as it is, however short the calls. */
-static void test_silence_counts_over_calls(void **state) {
+UNIT_TEST(test_silence_counts_over_calls) {
   dipole_options options = options_of();
   scripted_peer peer;
   unsigned calls = 0;
   dipole_error error;
-  (void)state;
   options.call_timeout_ms = 20;
   options.timeout_ms = 90;
   peer_start(&peer, be_silent, NULL);
@@ -340,11 +325,10 @@ static void accept_only(int fd, void *context) {
 }
 
 /* A call ends while the connection is being restored; the next one goes on with that. */
-static void test_reconnecting_takes_no_longer(void **state) {
+UNIT_TEST(test_reconnecting_takes_no_longer) {
   peer_script *const scripts[] = {peer_hang_up_after_request, accept_only, peer_serve, NULL};
   dipole_options options = options_of();
   scripted_peer peer;
-  (void)state;
   options.call_timeout_ms = 100;
   peer_start_scripts(&peer, scripts, NULL);
   dipole_client *client = open_client(&peer, &options);
@@ -367,10 +351,9 @@ static void stay_busy(int fd, void *context) {
   }
 }
 
-static void test_busy_takes_no_longer(void **state) {
+UNIT_TEST(test_busy_takes_no_longer) {
   dipole_options options = options_of();
   scripted_peer peer;
-  (void)state;
   options.call_timeout_ms = 50;
   peer_start(&peer, stay_busy, NULL);
   dipole_client *client = open_client(&peer, &options);
@@ -379,20 +362,4 @@ static void test_busy_takes_no_longer(void **state) {
   assert_int_equal(dipole_outstanding(client), 0);
   dipole_close(client);
   peer_end(&peer);
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(test_by_id_in_any_order),
-      cmocka_unit_test(test_both_ways),
-      cmocka_unit_test(test_no_more_than_may_be_outstanding),
-      cmocka_unit_test(test_as_many_as_one_likes),
-      cmocka_unit_test(test_flush),
-      cmocka_unit_test(test_what_is_submitted_stays),
-      cmocka_unit_test(test_what_nobody_waits_for_is_thrown_away),
-      cmocka_unit_test(test_silence_counts_over_calls),
-      cmocka_unit_test(test_reconnecting_takes_no_longer),
-      cmocka_unit_test(test_busy_takes_no_longer),
-  };
-  return cmocka_run_group_tests(tests, make_radii, NULL);
 }

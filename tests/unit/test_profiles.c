@@ -60,8 +60,7 @@ static double get_albedo(struct desk *desk, unsigned model, core_medium medium,
   return albedo;
 }
 
-static void little_ones_never_come_near_the_cache(void **state) {
-  (void)state;
+UNIT_TEST(little_ones_never_come_near_the_cache) {
   const core_parameters none = core_parameters_none();
   static struct desk desk;
   open_desk(&desk, 1 << 20);
@@ -80,8 +79,7 @@ static void little_ones_never_come_near_the_cache(void **state) {
   close_desk(&desk);
 }
 
-static void nothing_is_kept_without_bytes(void **state) {
-  (void)state;
+UNIT_TEST(nothing_is_kept_without_bytes) {
   const core_parameters none = core_parameters_none();
   static const unsigned models[] = {CORE_MODEL_BETTER, CORE_MODEL_SINGLE, CORE_MODEL_BEAM};
   static struct desk desk;
@@ -98,8 +96,7 @@ static void nothing_is_kept_without_bytes(void **state) {
   close_desk(&desk);
 }
 
-static void one_preparation_serves_all_angles(void **state) {
-  (void)state;
+UNIT_TEST(one_preparation_serves_all_angles) {
   static const unsigned models[] = {CORE_MODEL_BETTER, CORE_MODEL_SINGLE, CORE_MODEL_BEAM};
   static struct desk desk;
   open_desk(&desk, 1 << 20);
@@ -120,8 +117,7 @@ static void one_preparation_serves_all_angles(void **state) {
 }
 
 /* What is at hand of a worker and has been evicted is freed at its next look at the time. */
-static void what_has_been_evicted_is_not_held(void **state) {
-  (void)state;
+UNIT_TEST(what_has_been_evicted_is_not_held) {
   const core_parameters none = core_parameters_none();
   static struct desk desk;
   open_desk(&desk, 4 * 20000); /* a quarter of it: one of these, and no second */
@@ -149,8 +145,7 @@ static void what_has_been_evicted_is_not_held(void **state) {
 
 /* The list says which models are worth keeping: all that are slow, and of the others those that own
  * a table that is worth the name. */
-static void the_list_knows_what_is_worth_keeping(void **state) {
-  (void)state;
+UNIT_TEST(the_list_knows_what_is_worth_keeping) {
   for (const core_choice *model = core_models; model->name != NULL; model++) {
     if (core_prepares_slowly(model->id, CORE_EVALUATOR_F64)) {
       assert_true(core_worth_keeping(model->id, CORE_EVALUATOR_F64));
@@ -167,15 +162,4 @@ static void the_list_knows_what_is_worth_keeping(void **state) {
     core_profile_free(&profile);
   }
   assert_false(core_worth_keeping(0, CORE_EVALUATOR_LUT));
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(little_ones_never_come_near_the_cache),
-      cmocka_unit_test(nothing_is_kept_without_bytes),
-      cmocka_unit_test(one_preparation_serves_all_angles),
-      cmocka_unit_test(what_has_been_evicted_is_not_held),
-      cmocka_unit_test(the_list_knows_what_is_worth_keeping),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

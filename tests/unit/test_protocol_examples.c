@@ -55,8 +55,7 @@ static const char *read_block(struct example *example, const char *at) {
   return at + 3;
 }
 
-static int read_examples(void **state) {
-  (void)state;
+UNIT_SETUP(read_examples) {
   char *document = unit_read_file("proto/PROTOCOL.md");
   assert_non_null(document);
   const char *at = document;
@@ -69,7 +68,6 @@ static int read_examples(void **state) {
     }
   }
   free(document);
-  return 0;
 }
 
 /* The one example of this name. */
@@ -98,8 +96,7 @@ static const uint8_t *payload_of(const struct example *example) {
 
 /* ---- all of them -------------------------------------------------------------------------- */
 
-static void examples_are_whole_frames(void **state) {
-  (void)state;
+UNIT_TEST(examples_are_whole_frames) {
   assert_true(example_count > 0);
   for (size_t i = 0; i < example_count; i++) {
     const struct example *example = &examples[i];
@@ -113,16 +110,14 @@ static void examples_are_whole_frames(void **state) {
   }
 }
 
-static void every_message_has_a_request(void **state) {
-  (void)state;
+UNIT_TEST(every_message_has_a_request) {
 #define WIRE_MESSAGE(type_id, IDENT, message_name)                                                 \
   assert_int_equal(example_named(message_name "-request")->header.type, type_id);
 #include "proto/messages.def"
 }
 
 /* NAME-reply answers NAME-request: same id, and the type plus 0x8000 or an error. */
-static void replies_answer_their_requests(void **state) {
-  (void)state;
+UNIT_TEST(replies_answer_their_requests) {
   size_t replies = 0;
   for (size_t i = 0; i < example_count; i++) {
     const struct example *reply = &examples[i];
@@ -144,8 +139,7 @@ static void replies_answer_their_requests(void **state) {
 
 /* ---- each of them ------------------------------------------------------------------------- */
 
-static void hello_agrees_on_this_version(void **state) {
-  (void)state;
+UNIT_TEST(hello_agrees_on_this_version) {
   const struct example *example = example_named("hello-request");
   wire_hello_request hello;
   assert_int_equal(example->header.payload_bytes, WIRE_BYTES_hello_request);
@@ -154,14 +148,12 @@ static void hello_agrees_on_this_version(void **state) {
   assert_int_equal(hello.zero, 0);
 }
 
-static void empty_requests_are_empty(void **state) {
-  (void)state;
+UNIT_TEST(empty_requests_are_empty) {
   assert_int_equal(example_named("media-request")->header.payload_bytes, 0);
   assert_int_equal(example_named("statistics-request")->header.payload_bytes, 0);
 }
 
-static void ping_comes_back(void **state) {
-  (void)state;
+UNIT_TEST(ping_comes_back) {
   const struct example *request = example_named("ping-request");
   const struct example *reply = example_named("ping-reply");
   assert_true(request->header.payload_bytes <= WIRE_PING_MAX_BYTES);
@@ -170,8 +162,7 @@ static void ping_comes_back(void **state) {
 }
 
 /* The example is the red channel of skin1, evaluated at listed radii in double precision. */
-static void eval_request_asks_for_skin(void **state) {
-  (void)state;
+UNIT_TEST(eval_request_asks_for_skin) {
   const struct example *example = example_named("eval-request");
   eval_request request;
   assert_int_equal(
@@ -190,8 +181,7 @@ static void eval_request_asks_for_skin(void **state) {
 }
 
 /* The same medium, and parameters for both angles of S. */
-static void parameter_request_asks_for_S(void **state) {
-  (void)state;
+UNIT_TEST(parameter_request_asks_for_S) {
   const struct example *example = example_named("parameter-request");
   eval_request request;
   assert_int_equal(
@@ -205,8 +195,7 @@ static void parameter_request_asks_for_S(void **state) {
 }
 
 /* Of a medium that tables can be made of, to a tolerance that they keep. */
-static void table_request_asks_for_a_tolerance(void **state) {
-  (void)state;
+UNIT_TEST(table_request_asks_for_a_tolerance) {
   const struct example *example = example_named("table-request");
   table_request request;
   assert_int_equal(
@@ -219,8 +208,7 @@ static void table_request_asks_for_a_tolerance(void **state) {
   assert_true(request.parameters.value[CORE_PARAMETER_TOLERANCE] >= CORE_LUT_TOLERANCE_MIN);
 }
 
-static void offers_request_names_no_model(void **state) {
-  (void)state;
+UNIT_TEST(offers_request_names_no_model) {
   const struct example *example = example_named("offers-request");
   eval_request request;
   assert_int_equal(
@@ -281,15 +269,13 @@ static void assert_holds_the_cores_values(const char *request_name, const char *
   core_profile_free(&profile);
 }
 
-static void eval_replies_hold_the_cores_values(void **state) {
-  (void)state;
+UNIT_TEST(eval_replies_hold_the_cores_values) {
   assert_holds_the_cores_values("eval-request", "eval-reply");
   assert_holds_the_cores_values("parameter-request", "parameter-reply");
 }
 
 /* Radii of one medium, drawn by rule, and their densities, in double precision. */
-static void sample_reply_holds_the_cores_radii(void **state) {
-  (void)state;
+UNIT_TEST(sample_reply_holds_the_cores_radii) {
   enum { COUNT_MAX = 16 };
   const struct example *example = example_named("sample-request");
   const struct example *answer = example_named("sample-reply");
@@ -341,8 +327,7 @@ static double albedo_of(const invert_request *request, const core_medium *medium
 }
 
 /* The media have the albedos that were asked for, and the lengths, by the formula of the text. */
-static void invert_reply_holds_media_as_wanted(void **state) {
-  (void)state;
+UNIT_TEST(invert_reply_holds_media_as_wanted) {
   const struct example *example = example_named("invert-request");
   const struct example *answer = example_named("invert-reply");
   const uint8_t *payload = payload_of(answer);
@@ -371,8 +356,7 @@ static void invert_reply_holds_media_as_wanted(void **state) {
 }
 
 /* The request has the right shape; it is the core that refuses its medium, as the reply says. */
-static void the_error_is_the_cores(void **state) {
-  (void)state;
+UNIT_TEST(the_error_is_the_cores) {
   const struct example *example = example_named("error-request");
   const struct example *answer = example_named("error-reply");
   eval_request request;
@@ -394,24 +378,4 @@ static void the_error_is_the_cores(void **state) {
   assert_string_equal(error.allowed, fault.allowed);
   assert_int_equal(error.index, 0);
   assert_int_equal(error.retry_after_ms, 0);
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(examples_are_whole_frames),
-      cmocka_unit_test(every_message_has_a_request),
-      cmocka_unit_test(replies_answer_their_requests),
-      cmocka_unit_test(hello_agrees_on_this_version),
-      cmocka_unit_test(empty_requests_are_empty),
-      cmocka_unit_test(ping_comes_back),
-      cmocka_unit_test(eval_request_asks_for_skin),
-      cmocka_unit_test(parameter_request_asks_for_S),
-      cmocka_unit_test(table_request_asks_for_a_tolerance),
-      cmocka_unit_test(offers_request_names_no_model),
-      cmocka_unit_test(eval_replies_hold_the_cores_values),
-      cmocka_unit_test(sample_reply_holds_the_cores_radii),
-      cmocka_unit_test(invert_reply_holds_media_as_wanted),
-      cmocka_unit_test(the_error_is_the_cores),
-  };
-  return cmocka_run_group_tests(tests, read_examples, NULL);
 }

@@ -4,12 +4,6 @@
 
 static uint16_t image[REGISTERS_END];
 
-static int reset(void **state) {
-  (void)state;
-  registers_reset(image);
-  return 0;
-}
-
 /* ---- the list ----------------------------------------------------------------------------- */
 
 static const registers_block *block_of(unsigned address) {
@@ -21,8 +15,7 @@ static const registers_block *block_of(unsigned address) {
   return NULL;
 }
 
-static void every_field_lies_in_one_block(void **state) {
-  (void)state;
+UNIT_TEST(every_field_lies_in_one_block) {
   for (const registers_field *field = registers_fields; field->name != NULL; field++) {
     const unsigned end = field->address + field->count * registers_width(field->type);
     assert_non_null(block_of(field->address));
@@ -31,8 +24,7 @@ static void every_field_lies_in_one_block(void **state) {
   }
 }
 
-static void blocks_are_numbered_and_within_the_image(void **state) {
-  (void)state;
+UNIT_TEST(blocks_are_numbered_and_within_the_image) {
   for (unsigned i = 0; i < REGISTERS_BLOCKS; i++) {
     const registers_block *block = &registers_blocks[i];
     assert_int_equal(block->id, i + 1);
@@ -46,16 +38,14 @@ static void blocks_are_numbered_and_within_the_image(void **state) {
 }
 
 /* What one function 23 may write and read holds a whole job and its values. */
-static void a_job_fits_one_request(void **state) {
-  (void)state;
+UNIT_TEST(a_job_fits_one_request) {
   assert_true(REGISTERS_AT_RADII + 2 * REGISTERS_RADII_MAX - REGISTERS_AT_COMMIT <= 121);
   assert_true(REGISTERS_AT_NOTES + 1 - REGISTERS_AT_STATUS <= 125);
   assert_int_equal(REGISTERS_AT_RADII - REGISTERS_AT_COMMIT, 20);
   assert_int_equal(REGISTERS_AT_R + 4 * 2 - REGISTERS_AT_STATUS, 20);
 }
 
-static void reading_crosses_no_gap(void **state) {
-  (void)state;
+UNIT_TEST(reading_crosses_no_gap) {
   assert_true(registers_readable(0, 125)); /* scratch into input, which begins behind it */
   assert_true(registers_readable(219, 41));
   assert_false(registers_readable(219, 42));
@@ -68,8 +58,8 @@ static void reading_crosses_no_gap(void **state) {
 
 /* ---- defaults ----------------------------------------------------------------------------- */
 
-static void the_defaults_may_be_written(void **state) {
-  (void)state;
+UNIT_TEST(the_defaults_may_be_written) {
+  registers_reset(image);
   uint8_t values[2 * 260];
   for (unsigned i = 0; i < 260; i++) {
     values[2 * i] = (uint8_t)(image[i] >> 8);
@@ -81,14 +71,14 @@ static void the_defaults_may_be_written(void **state) {
   assert_int_equal(at, 236);
 }
 
-static void self_tests_in_four_orders(void **state) {
-  (void)state;
+UNIT_TEST(self_tests_in_four_orders) {
+  registers_reset(image);
   const uint16_t expected[] = {0x47f1, 0x2000, 0x2000, 0x47f1, 0xf147, 0x0020, 0x0020, 0xf147};
   assert_memory_equal(&image[REGISTERS_AT_SELF_TEST_ABCD], expected, sizeof expected);
 }
 
-static void discovery_lists_the_blocks(void **state) {
-  (void)state;
+UNIT_TEST(discovery_lists_the_blocks) {
+  registers_reset(image);
   assert_int_equal(image[REGISTERS_AT_MAGIC], 0x4449);
   assert_int_equal(image[REGISTERS_AT_MAGIC + 1], 0x504c);
   const uint16_t *entry = &image[REGISTERS_AT_BLOCKS];
@@ -116,8 +106,8 @@ static wire_error check_float(unsigned address, float value, unsigned *at) {
   return registers_check(address, 2, bytes, at);
 }
 
-static void a_float_is_written_on_both_sides(void **state) {
-  (void)state;
+UNIT_TEST(a_float_is_written_on_both_sides) {
+  registers_reset(image);
   for (unsigned side = 0; side <= REGISTERS_MIRROR; side += REGISTERS_MIRROR) {
     uint8_t bytes[4];
     const float value = side == 0 ? 1.5F : 0.3F;
@@ -132,8 +122,7 @@ static void a_float_is_written_on_both_sides(void **state) {
   assert_int_equal(registers_u16(image, REGISTERS_AT_MODEL), 1);
 }
 
-static void half_a_float_is_refused(void **state) {
-  (void)state;
+UNIT_TEST(half_a_float_is_refused) {
   const uint8_t zeros[8] = {0};
   unsigned at;
   const struct {
@@ -152,8 +141,7 @@ static void half_a_float_is_refused(void **state) {
   }
 }
 
-static void values_out_of_range_are_refused(void **state) {
-  (void)state;
+UNIT_TEST(values_out_of_range_are_refused) {
   const struct {
     unsigned address;
     float value;
@@ -186,8 +174,7 @@ static void values_out_of_range_are_refused(void **state) {
   }
 }
 
-static void ids_are_those_of_the_lists(void **state) {
-  (void)state;
+UNIT_TEST(ids_are_those_of_the_lists) {
   unsigned at;
   for (unsigned id = 0; id < 300; id++) {
     const uint8_t bytes[] = {(uint8_t)(id >> 8), (uint8_t)id};
@@ -200,8 +187,7 @@ static void ids_are_those_of_the_lists(void **state) {
   }
 }
 
-static void only_blocks_to_write_are_written(void **state) {
-  (void)state;
+UNIT_TEST(only_blocks_to_write_are_written) {
   const uint8_t zeros[4] = {0};
   const unsigned addresses[] = {240,  299,  300,  620,  700,           1200,
                                 1999, 2000, 2099, 2300, REGISTERS_END, 65535};
@@ -213,8 +199,8 @@ static void only_blocks_to_write_are_written(void **state) {
 
 /* ---- values ------------------------------------------------------------------------------- */
 
-static void optional_values(void **state) {
-  (void)state;
+UNIT_TEST(optional_values) {
+  registers_reset(image);
   for (unsigned id = 1; id < CORE_PARAMETERS_END; id++) {
     assert_true(isnan(registers_optional(image, id)));
   }
@@ -222,8 +208,8 @@ static void optional_values(void **state) {
   assert_true(registers_optional(image, CORE_PARAMETER_THICKNESS) == 2.5);
 }
 
-static void doubles_and_text(void **state) {
-  (void)state;
+UNIT_TEST(doubles_and_text) {
+  registers_reset(image);
   registers_set_f64(image, REGISTERS_AT_ALBEDO_DOUBLE, 123456.0); /* 40fe 2400 0000 0000 */
   assert_int_equal(image[REGISTERS_AT_ALBEDO_DOUBLE], 0x40fe);
   assert_int_equal(image[REGISTERS_AT_ALBEDO_DOUBLE + 1], 0x2400);
@@ -234,16 +220,14 @@ static void doubles_and_text(void **state) {
   assert_int_equal(image[REGISTERS_AT_ERROR_TEXT + REGISTERS_MIRROR], 'a' << 8 | 'b');
 }
 
-static void fields_of_requests_have_registers(void **state) {
-  (void)state;
+UNIT_TEST(fields_of_requests_have_registers) {
   assert_int_equal(registers_of_field("sigma_a", 0), REGISTERS_AT_SIGMA_A);
   assert_int_equal(registers_of_field("r", 3), REGISTERS_AT_RADII + 6);
   assert_int_equal(registers_of_field("thickness", 0), REGISTERS_AT_PARAMETER_THICKNESS);
   assert_int_equal(registers_of_field("memory", 0), REGISTERS_AT_COMMIT);
 }
 
-static void inclusion_sees_the_mirror(void **state) {
-  (void)state;
+UNIT_TEST(inclusion_sees_the_mirror) {
   assert_true(registers_include(100, 14, REGISTERS_AT_COMMIT));
   assert_true(registers_include(2100, 1, REGISTERS_AT_COMMIT));
   assert_false(registers_include(101, 14, REGISTERS_AT_COMMIT));
@@ -269,8 +253,7 @@ static void append(void *context, const char *text) {
 }
 
 /* The document says what the code does: `make docs` writes these tables. */
-static void the_maps_tables_are_those_of_the_list(void **state) {
-  (void)state;
+UNIT_TEST(the_maps_tables_are_those_of_the_list) {
   static struct description description;
   char *document = unit_read_file("proto/REGISTERS.md");
   assert_non_null(document);
@@ -283,27 +266,4 @@ static void the_maps_tables_are_those_of_the_list(void **state) {
   registers_describe(append, &description);
   assert_string_equal(begin, description.text);
   free(document);
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(every_field_lies_in_one_block),
-      cmocka_unit_test(blocks_are_numbered_and_within_the_image),
-      cmocka_unit_test(a_job_fits_one_request),
-      cmocka_unit_test(reading_crosses_no_gap),
-      cmocka_unit_test_setup(the_defaults_may_be_written, reset),
-      cmocka_unit_test_setup(self_tests_in_four_orders, reset),
-      cmocka_unit_test_setup(discovery_lists_the_blocks, reset),
-      cmocka_unit_test_setup(a_float_is_written_on_both_sides, reset),
-      cmocka_unit_test(half_a_float_is_refused),
-      cmocka_unit_test(values_out_of_range_are_refused),
-      cmocka_unit_test(ids_are_those_of_the_lists),
-      cmocka_unit_test(only_blocks_to_write_are_written),
-      cmocka_unit_test_setup(optional_values, reset),
-      cmocka_unit_test_setup(doubles_and_text, reset),
-      cmocka_unit_test(fields_of_requests_have_registers),
-      cmocka_unit_test(inclusion_sees_the_mirror),
-      cmocka_unit_test(the_maps_tables_are_those_of_the_list),
-  };
-  return cmocka_run_group_tests_name("registers", tests, NULL, NULL);
 }

@@ -1,17 +1,11 @@
 /* libdipole when connections are lost and daemons are busy: what is asked again, what is not, and
  * that every query has one answer, the right one. */
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 #include <time.h>
 #include <unistd.h>
 
-#include <cmocka.h>
-
 #include "tests/unit/peer_scripts.h"
+#include "tests/unit/unit.h"
 
 #define TIMEOUT_MS 20000 /* a test that would hang fails after this */
 
@@ -20,12 +14,10 @@ enum { RETRY_MS = 10000, RADII = 64 };
 static const dipole_medium medium = {.sigma_a_per_mm = 0.25, .sigma_s_per_mm = 1, .eta = 1.3};
 static double radii[RADII];
 
-static int make_radii(void **state) {
-  (void)state;
+UNIT_SETUP(make_radii) {
   for (size_t i = 0; i < RADII; i++) {
     radii[i] = (double)i / 8;
   }
-  return 0;
 }
 
 /* Queries differ in their number of radii, so that an answer to another one shows. */
@@ -120,18 +112,15 @@ static void check_found(peer_script *const *scripts, void *context) {
   peer_end(&peer);
 }
 
-static void test_lost_before_the_answer(void **state) {
-  (void)state;
+UNIT_TEST(test_lost_before_the_answer) {
   check_found((peer_script *const[]){peer_hang_up_after_request, peer_serve, NULL}, NULL);
 }
 
-static void test_lost_while_nothing_was_asked(void **state) {
-  (void)state;
+UNIT_TEST(test_lost_while_nothing_was_asked) {
   check_found((peer_script *const[]){peer_hang_up_after_hello, peer_serve, NULL}, NULL);
 }
 
-static void test_lost_anywhere_in_the_answer(void **state) {
-  (void)state;
+UNIT_TEST(test_lost_anywhere_in_the_answer) {
   static const size_t sent[] = {1, 23, 24, 25, 100, 135};
   for (size_t i = 0; i < sizeof sent / sizeof sent[0]; i++) {
     size_t bytes = sent[i];
@@ -139,32 +128,28 @@ static void test_lost_anywhere_in_the_answer(void **state) {
   }
 }
 
-static void test_lost_again_and_again(void **state) {
-  (void)state;
+UNIT_TEST(test_lost_again_and_again) {
   check_found((peer_script *const[]){peer_hang_up_after_request, peer_hang_up_at_once,
                                      peer_hang_up_after_request, peer_hang_up_after_hello,
                                      peer_hang_up_at_once, peer_serve, NULL},
               NULL);
 }
 
-static void test_daemon_that_shuts_down(void **state) {
-  (void)state;
+UNIT_TEST(test_daemon_that_shuts_down) {
   check_found((peer_script *const[]){shut_down, peer_serve, NULL}, NULL);
 }
 
-static void test_daemon_with_too_many_connections(void **state) {
-  (void)state;
+UNIT_TEST(test_daemon_with_too_many_connections) {
   check_found((peer_script *const[]){peer_hang_up_after_request, peer_be_full, peer_serve, NULL},
               NULL);
 }
 
-static void test_each_submitted_query_has_one_answer(void **state) {
+UNIT_TEST(test_each_submitted_query_has_one_answer) {
   enum { QUERIES = 20 };
   peer_script *const scripts[] = {answer_seven, answer_seven, peer_serve, NULL};
   uint64_t ids[QUERIES + 1] = {0};
   scripted_peer peer;
   dipole_error error;
-  (void)state;
   peer_start_scripts(&peer, scripts, NULL);
   dipole_client *client = open_client(&peer);
   for (uint64_t i = 1; i <= QUERIES; i++) {
@@ -202,8 +187,7 @@ static void must_not_come(int fd, void *context) {
   abort();
 }
 
-static void test_none_wanted(void **state) {
-  (void)state;
+UNIT_TEST(test_none_wanted) {
   peer_script *const scripts[] = {peer_hang_up_after_request, must_not_come, NULL};
   scripted_peer peer;
   peer_start_scripts(&peer, scripts, NULL);
@@ -215,8 +199,7 @@ static void test_none_wanted(void **state) {
   peer_end(&peer);
 }
 
-static void test_a_fault_of_the_client_is_none_of_the_connection(void **state) {
-  (void)state;
+UNIT_TEST(test_a_fault_of_the_client_is_none_of_the_connection) {
   peer_script *const scripts[] = {break_rules, must_not_come, NULL};
   scripted_peer peer;
   peer_start_scripts(&peer, scripts, NULL);
@@ -234,8 +217,7 @@ static void stay_silent(int fd, void *context) {
   }
 }
 
-static void test_a_silent_daemon_is_not_asked_again(void **state) {
-  (void)state;
+UNIT_TEST(test_a_silent_daemon_is_not_asked_again) {
   peer_script *const scripts[] = {stay_silent, must_not_come, NULL};
   scripted_peer peer;
   peer_start_scripts(&peer, scripts, NULL);
@@ -246,8 +228,7 @@ static void test_a_silent_daemon_is_not_asked_again(void **state) {
   peer_end(&peer);
 }
 
-static void test_nobody_comes_back(void **state) {
-  (void)state;
+UNIT_TEST(test_nobody_comes_back) {
   peer_script *const scripts[] = {peer_hang_up_after_request, NULL};
   scripted_peer peer;
   peer_start_scripts(&peer, scripts, NULL);
@@ -281,8 +262,7 @@ static void serve_other_lists(int fd, void *context) {
   }
 }
 
-static void test_a_daemon_with_other_lists_is_another(void **state) {
-  (void)state;
+UNIT_TEST(test_a_daemon_with_other_lists_is_another) {
   peer_script *const scripts[] = {peer_hang_up_after_request, serve_other_lists, NULL};
   scripted_peer peer;
   peer_start_scripts(&peer, scripts, NULL);
@@ -293,8 +273,7 @@ static void test_a_daemon_with_other_lists_is_another(void **state) {
   peer_end(&peer);
 }
 
-static void test_a_job_is_not_begun_again(void **state) {
-  (void)state;
+UNIT_TEST(test_a_job_is_not_begun_again) {
   peer_script *const scripts[] = {peer_hang_up_after_request, must_not_come, NULL};
   const dipole_mc_query query = {.medium = medium,
                                  .thickness_mm = INFINITY,
@@ -313,8 +292,7 @@ static void test_a_job_is_not_begun_again(void **state) {
   peer_end(&peer);
 }
 
-static void test_what_is_too_large_to_keep(void **state) {
-  (void)state;
+UNIT_TEST(test_what_is_too_large_to_keep) {
   peer_script *const scripts[] = {peer_hang_up_after_hello, must_not_come, NULL};
   const uint64_t count = DIPOLE_RETRY_KEPT_BYTES / sizeof(double);
   double *many = calloc(count, sizeof *many);
@@ -350,8 +328,7 @@ static void serve_the_third_time(int fd, void *context) {
   }
 }
 
-static void test_busy(void **state) {
-  (void)state;
+UNIT_TEST(test_busy) {
   peer_script *const scripts[] = {serve_the_third_time, must_not_come, NULL};
   unsigned received = 0;
   scripted_peer peer;
@@ -382,8 +359,7 @@ static void serve_out_of_turn(int fd, void *context) {
   }
 }
 
-static void test_others_do_not_wait_for_the_busy_one(void **state) {
-  (void)state;
+UNIT_TEST(test_others_do_not_wait_for_the_busy_one) {
   peer_script *const scripts[] = {serve_out_of_turn, NULL};
   static const unsigned order[] = {0, 2, 1};
   uint64_t ids[3];
@@ -416,8 +392,7 @@ static void stay_busy(int fd, void *context) {
   }
 }
 
-static void test_busy_for_longer_than_that(void **state) {
-  (void)state;
+UNIT_TEST(test_busy_for_longer_than_that) {
   static const uint32_t retry_after_ms[] = {0, 1, 60, 60000};
   for (size_t i = 0; i < 4; i++) {
     peer_script *const scripts[] = {stay_busy, NULL};
@@ -446,8 +421,7 @@ static void be_busy_and_hang_up(int fd, void *context) {
   free(request.payload);
 }
 
-static void test_lost_while_waiting(void **state) {
-  (void)state;
+UNIT_TEST(test_lost_while_waiting) {
   check_found((peer_script *const[]){be_busy_and_hang_up, peer_serve, NULL}, NULL);
 }
 
@@ -469,8 +443,7 @@ static void note_deadline(int fd, void *context) {
   }
 }
 
-static void test_deadlines_go_on(void **state) {
-  (void)state;
+UNIT_TEST(test_deadlines_go_on) {
   peer_script *const scripts[] = {hang_up_after_a_while, note_deadline, NULL};
   uint32_t left_ms = 0;
   dipole_query query = query_of(9);
@@ -487,8 +460,7 @@ static void test_deadlines_go_on(void **state) {
   assert_in_range(left_ms, 1, 14960);
 }
 
-static void test_deadlines_end(void **state) {
-  (void)state;
+UNIT_TEST(test_deadlines_end) {
   peer_script *const scripts[] = {hang_up_after_a_while, peer_serve, NULL};
   dipole_query query = query_of(9);
   scripted_peer peer;
@@ -538,8 +510,7 @@ static void send_other_parts(int fd, void *context) {
   }
 }
 
-static void test_parts_are_put_together_anew(void **state) {
-  (void)state;
+UNIT_TEST(test_parts_are_put_together_anew) {
   peer_script *const scripts[] = {send_three_parts, send_other_parts, NULL};
   scripted_peer peer;
   peer_start_scripts(&peer, scripts, NULL);
@@ -559,8 +530,7 @@ static bool read_part(void *context, const dipole_result *part, uint64_t radius_
   return true;
 }
 
-static void test_parts_are_not_handed_on_twice(void **state) {
-  (void)state;
+UNIT_TEST(test_parts_are_not_handed_on_twice) {
   peer_script *const lost_at_first[] = {peer_hang_up_after_request, send_other_parts, NULL};
   peer_script *const lost_in_between[] = {send_three_parts, must_not_come, NULL};
   const dipole_query query = query_of(RADII);
@@ -582,32 +552,4 @@ static void test_parts_are_not_handed_on_twice(void **state) {
   assert_int_equal(read, 24);
   dipole_close(client);
   peer_end(&peer);
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(test_lost_before_the_answer),
-      cmocka_unit_test(test_lost_while_nothing_was_asked),
-      cmocka_unit_test(test_lost_anywhere_in_the_answer),
-      cmocka_unit_test(test_lost_again_and_again),
-      cmocka_unit_test(test_daemon_that_shuts_down),
-      cmocka_unit_test(test_daemon_with_too_many_connections),
-      cmocka_unit_test(test_each_submitted_query_has_one_answer),
-      cmocka_unit_test(test_none_wanted),
-      cmocka_unit_test(test_a_fault_of_the_client_is_none_of_the_connection),
-      cmocka_unit_test(test_a_silent_daemon_is_not_asked_again),
-      cmocka_unit_test(test_nobody_comes_back),
-      cmocka_unit_test(test_a_daemon_with_other_lists_is_another),
-      cmocka_unit_test(test_a_job_is_not_begun_again),
-      cmocka_unit_test(test_what_is_too_large_to_keep),
-      cmocka_unit_test(test_busy),
-      cmocka_unit_test(test_others_do_not_wait_for_the_busy_one),
-      cmocka_unit_test(test_busy_for_longer_than_that),
-      cmocka_unit_test(test_lost_while_waiting),
-      cmocka_unit_test(test_deadlines_go_on),
-      cmocka_unit_test(test_deadlines_end),
-      cmocka_unit_test(test_parts_are_put_together_anew),
-      cmocka_unit_test(test_parts_are_not_handed_on_twice),
-  };
-  return cmocka_run_group_tests(tests, make_radii, NULL);
 }

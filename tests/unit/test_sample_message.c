@@ -45,8 +45,7 @@ static size_t build(uint8_t *payload, const sample *of) {
   return (size_t)(at - payload) + of->tail;
 }
 
-static void requests_are_taken_apart(void **state) {
-  (void)state;
+UNIT_TEST(requests_are_taken_apart) {
   for (unsigned draw = CORE_DRAW_LIST; draw <= CORE_DRAW_RANDOM; draw++) {
     for (unsigned count = 0; count < 16; count++) {
       const sample of = right(draw, count);
@@ -85,8 +84,7 @@ static void assert_refused(const uint8_t *payload, size_t bytes, enum wire_statu
 }
 
 /* Every length but one is wrong; the bytes are allocated, so that a sanitizer sees what is read. */
-static void other_lengths_are_refused(void **state) {
-  (void)state;
+UNIT_TEST(other_lengths_are_refused) {
   for (unsigned draw = CORE_DRAW_LIST; draw <= CORE_DRAW_RANDOM; draw++) {
     const sample of = right(draw, 5);
     uint8_t payload[PAYLOAD_MAX];
@@ -106,8 +104,7 @@ static void other_lengths_are_refused(void **state) {
   }
 }
 
-static void faults_name_the_field(void **state) {
-  (void)state;
+UNIT_TEST(faults_name_the_field) {
   _Alignas(8) uint8_t payload[PAYLOAD_MAX];
 #define CASE(change, status, field)                                                                \
   do {                                                                                             \
@@ -139,8 +136,7 @@ static void faults_name_the_field(void **state) {
 }
 
 /* As those of an eval, but that each channel has radii of its own, where the list has them. */
-static void radii_are_an_array_of_each_channel(void **state) {
-  (void)state;
+UNIT_TEST(radii_are_an_array_of_each_channel) {
   const unsigned wanted =
       CORE_QUANTITY_R | CORE_QUANTITY_RADIUS | CORE_QUANTITY_PDF | CORE_QUANTITY_ALBEDO;
   eval_layout drawn, once;
@@ -167,14 +163,4 @@ static void radii_are_an_array_of_each_channel(void **state) {
   assert_true(eval_reply_parse(payload, drawn.payload_bytes, true, &got, &layout));
   assert_false(eval_reply_parse(payload, drawn.payload_bytes, false, &got, &layout));
   assert_false(eval_reply_parse(payload, once.payload_bytes, true, &got, &layout));
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(requests_are_taken_apart),
-      cmocka_unit_test(other_lengths_are_refused),
-      cmocka_unit_test(faults_name_the_field),
-      cmocka_unit_test(radii_are_an_array_of_each_channel),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

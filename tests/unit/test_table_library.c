@@ -112,8 +112,7 @@ static void assert_same_values(const dipole_table *table, const core_profile *pr
   assert_memory_equal(found, expected, sizeof found);
 }
 
-static void tables_have_the_bits_of_their_profiles(void **state) {
-  (void)state;
+UNIT_TEST(tables_have_the_bits_of_their_profiles) {
   /* R constant, like -ln r and like 1 / r towards the source; 1 / r^3 far away; nothing at all. */
   static const struct {
     const char *model;
@@ -130,8 +129,7 @@ static void tables_have_the_bits_of_their_profiles(void **state) {
   }
 }
 
-static void angles_of_S_are_those_of_the_request(void **state) {
-  (void)state;
+UNIT_TEST(angles_of_S_are_those_of_the_request) {
   core_parameters parameters = core_parameters_none();
   parameters.value[CORE_PARAMETER_COS_IN] = 0.8;
   parameters.value[CORE_PARAMETER_COS_OUT] = 0;
@@ -148,8 +146,7 @@ static void angles_of_S_are_those_of_the_request(void **state) {
 
 /* ---- facts, files -------------------------------------------------------------------------- */
 
-static void tables_tell_what_they_are(void **state) {
-  (void)state;
+UNIT_TEST(tables_tell_what_they_are) {
   made_table made = make("better", (core_medium){0.1, 2, 0.5, 1.4});
   dipole_table *table = load(&made);
   const dipole_table_info *info = dipole_table_get_info(table);
@@ -173,8 +170,7 @@ static void tables_tell_what_they_are(void **state) {
   unmake(&made);
 }
 
-static void saved_tables_are_loaded_one_behind_the_other(void **state) {
-  (void)state;
+UNIT_TEST(saved_tables_are_loaded_one_behind_the_other) {
   made_table first = make("better", skin), second = make("burley", skin);
   uint8_t *file = malloc(1 + first.count + second.count);
   size_t count;
@@ -198,8 +194,7 @@ static void saved_tables_are_loaded_one_behind_the_other(void **state) {
   unmake(&second);
 }
 
-static void what_a_table_does_not_hold_is_refused(void **state) {
-  (void)state;
+UNIT_TEST(what_a_table_does_not_hold_is_refused) {
   static const float bad[] = {-1, (float)NAN, -0x1p-149f};
   static const float bad_shares[] = {-0x1p-149f, (float)NAN, 0x1.000002p0f};
   static const unsigned others[] = {
@@ -223,8 +218,7 @@ static void what_a_table_does_not_hold_is_refused(void **state) {
   unmake(&made);
 }
 
-static void radii_that_a_model_does_not_cover_are_refused(void **state) {
-  (void)state;
+UNIT_TEST(radii_that_a_model_does_not_cover_are_refused) {
   core_parameters parameters = core_parameters_none();
   parameters.value[CORE_PARAMETER_FIT_FROM] = 0.5;
   parameters.value[CORE_PARAMETER_FIT_TO] = 8;
@@ -274,8 +268,7 @@ static void assert_damaged(const made_table *made, size_t count) {
 }
 
 /* Every bit of the words is under the checksum; every length but the right one is wrong. */
-static void damaged_bytes_are_found(void **state) {
-  (void)state;
+UNIT_TEST(damaged_bytes_are_found) {
   made_table made = make("better", skin);
   uint64_t random = unit_seed();
   for (size_t count = 0; count < made.count; count += 1 + unit_random_below(&random, 64)) {
@@ -295,8 +288,7 @@ static void damaged_bytes_are_found(void **state) {
 }
 
 /* What must not be in the fixed part. */
-static void impossible_facts_are_found(void **state) {
-  (void)state;
+UNIT_TEST(impossible_facts_are_found) {
   made_table made = make("better", skin);
   wire_table_reply right, wrong;
   wire_header header;
@@ -340,8 +332,7 @@ static void impossible_facts_are_found(void **state) {
 
 /* Entries that point outside are found although the checksum is right; whatever else the words say
  * evaluates to something, without a word outside being read. */
-static void entries_outside_are_found(void **state) {
-  (void)state;
+UNIT_TEST(entries_outside_are_found) {
   made_table made = make("better", skin);
   uint64_t random = unit_seed();
   uint32_t *words = (uint32_t *)(void *)(made.bytes + WIRE_BYTES_header + WIRE_BYTES_table_reply);
@@ -429,8 +420,7 @@ static dipole_table *fetch(const dipole_table_query *query, const uint8_t *paylo
   return table;
 }
 
-static void tables_are_fetched(void **state) {
-  (void)state;
+UNIT_TEST(tables_are_fetched) {
   made_table made = make("better", skin);
   dipole_table *table =
       fetch(&skin_query, made.bytes + WIRE_BYTES_header, made.count - WIRE_BYTES_header);
@@ -446,8 +436,7 @@ static void tables_are_fetched(void **state) {
   unmake(&made);
 }
 
-static void other_answers_are_refused(void **state) {
-  (void)state;
+UNIT_TEST(other_answers_are_refused) {
   made_table made = make("better", skin);
   uint8_t *payload = made.bytes + WIRE_BYTES_header;
   const size_t bytes = made.count - WIRE_BYTES_header;
@@ -474,8 +463,7 @@ static void other_answers_are_refused(void **state) {
   unmake(&made);
 }
 
-static void wrong_arguments_are_not_sent(void **state) {
-  (void)state;
+UNIT_TEST(wrong_arguments_are_not_sent) {
   made_table made = make("better", skin);
   answer with = {made.bytes + WIRE_BYTES_header, made.count - WIRE_BYTES_header};
   const dipole_parameter none_such = {65536, 1};
@@ -510,8 +498,7 @@ static void wrong_arguments_are_not_sent(void **state) {
 
 /* ---- without a daemon ---------------------------------------------------------------------- */
 
-static void the_library_knows_its_lists(void **state) {
-  (void)state;
+UNIT_TEST(the_library_knows_its_lists) {
   dipole_info *info;
   size_t models = 0;
   assert_true(dipole_local_info(&info, NULL));
@@ -529,8 +516,7 @@ static void the_library_knows_its_lists(void **state) {
   free(info);
 }
 
-static void grids_are_the_daemons(void **state) {
-  (void)state;
+UNIT_TEST(grids_are_the_daemons) {
   const core_grid grid = {CORE_SPACING_LOGARITHMIC, 7, 0.01, 100};
   float expected[7], found[7];
   dipole_error error;
@@ -552,24 +538,4 @@ static void grids_are_the_daemons(void **state) {
                                    found, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
   }
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(tables_have_the_bits_of_their_profiles),
-      cmocka_unit_test(angles_of_S_are_those_of_the_request),
-      cmocka_unit_test(tables_tell_what_they_are),
-      cmocka_unit_test(saved_tables_are_loaded_one_behind_the_other),
-      cmocka_unit_test(what_a_table_does_not_hold_is_refused),
-      cmocka_unit_test(radii_that_a_model_does_not_cover_are_refused),
-      cmocka_unit_test(damaged_bytes_are_found),
-      cmocka_unit_test(impossible_facts_are_found),
-      cmocka_unit_test(entries_outside_are_found),
-      cmocka_unit_test(tables_are_fetched),
-      cmocka_unit_test(other_answers_are_refused),
-      cmocka_unit_test(wrong_arguments_are_not_sent),
-      cmocka_unit_test(the_library_knows_its_lists),
-      cmocka_unit_test(grids_are_the_daemons),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

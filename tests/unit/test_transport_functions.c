@@ -20,8 +20,7 @@ static void assert_near(long double complex value, long double complex truth, lo
   assert_true(cabsl(value - truth) <= epsilons * DBL_EPSILON * scale);
 }
 
-static void real_functions_are_exact_to_the_last_digits(void **state) {
-  (void)state;
+UNIT_TEST(real_functions_are_exact_to_the_last_digits) {
   uint64_t random = unit_seed();
   for (int i = 0; i < POINTS; i++) {
     const double x = unit_random_between(&random, -700, 700);
@@ -36,8 +35,7 @@ static void real_functions_are_exact_to_the_last_digits(void **state) {
   }
 }
 
-static void real_functions_end_where_they_say(void **state) {
-  (void)state;
+UNIT_TEST(real_functions_end_where_they_say) {
   double sine, cosine;
   assert_true(fn_exp(0) == 1 && fn_exp(-701) == 0 && fn_exp(-INFINITY) == 0);
   assert_true(isnan(fn_exp(701)) && isnan(fn_exp(NAN)));
@@ -59,8 +57,7 @@ static double complex random_point(uint64_t *random) {
   return CMPLX(re, im);
 }
 
-static void complex_functions_are_exact_to_the_last_digits(void **state) {
-  (void)state;
+UNIT_TEST(complex_functions_are_exact_to_the_last_digits) {
   uint64_t random = unit_seed();
   for (int i = 0; i < POINTS; i++) {
     const double complex z = random_point(&random);
@@ -104,8 +101,7 @@ static const double bessel_values[][8] = {
      -6.71545812022782148e-19, 0.0159999999999999996, 0.0120000000000000007},
 };
 
-static void bessel_functions_have_known_values(void **state) {
-  (void)state;
+UNIT_TEST(bessel_functions_have_known_values) {
   for (size_t i = 0; i < sizeof bessel_values / sizeof bessel_values[0]; i++) {
     const double *row = bessel_values[i];
     const bessel_k k = transport_bessel_k(CMPLX(row[0], row[1]));
@@ -119,8 +115,7 @@ static void bessel_functions_have_known_values(void **state) {
 }
 
 /* The series and the continued fraction meet where |w| = 2. */
-static void bessel_functions_have_no_seam(void **state) {
-  (void)state;
+UNIT_TEST(bessel_functions_have_no_seam) {
   for (int i = 0; i <= 15; i++) {
     double sine, cosine;
     fn_sincos(-0.1 * i, &sine, &cosine);
@@ -134,8 +129,7 @@ static void bessel_functions_have_no_seam(void **state) {
 }
 
 /* A rule with n points integrates x^(2n - 1) exactly. */
-static void rules_are_exact_for_polynomials(void **state) {
-  (void)state;
+UNIT_TEST(rules_are_exact_for_polynomials) {
   static gauss_rule rule;
   for (size_t n = 1; n <= GAUSS_MAX; n++) {
     transport_gauss(&rule, n);
@@ -151,16 +145,4 @@ static void rules_are_exact_for_polynomials(void **state) {
     assert_true(fabs(highest * 2 * (double)n - 1) < 1e-12);
     assert_true(n < 8 || fabs(cosine - sin(1)) < 4e-15);
   }
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(real_functions_are_exact_to_the_last_digits),
-      cmocka_unit_test(real_functions_end_where_they_say),
-      cmocka_unit_test(complex_functions_are_exact_to_the_last_digits),
-      cmocka_unit_test(bessel_functions_have_known_values),
-      cmocka_unit_test(bessel_functions_have_no_seam),
-      cmocka_unit_test(rules_are_exact_for_polynomials),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -103,8 +103,7 @@ static void assert_guarded(const uint8_t *bytes, size_t offset, size_t size, siz
 
 #include "proto/messages.def"
 
-static void structures_survive_the_round_trip(void **state) {
-  (void)state;
+UNIT_TEST(structures_survive_the_round_trip) {
   uint64_t random = unit_seed();
   for (int i = 0; i < REPEATS; i++) {
 #define WIRE_STRUCTURE(name, about) round_trip_##name(&random);
@@ -113,8 +112,7 @@ static void structures_survive_the_round_trip(void **state) {
 }
 
 /* Their sizes are part of the protocol. */
-static void structures_have_their_sizes(void **state) {
-  (void)state;
+UNIT_TEST(structures_have_their_sizes) {
   assert_int_equal(WIRE_BYTES_header, 24);
   assert_int_equal(WIRE_BYTES_hello_request, 8);
   assert_int_equal(WIRE_BYTES_hello_reply, 112);
@@ -136,8 +134,7 @@ static void structures_have_their_sizes(void **state) {
 
 /* ---- text --------------------------------------------------------------------------------- */
 
-static void text_is_cut_and_padded(void **state) {
-  (void)state;
+UNIT_TEST(text_is_cut_and_padded) {
   wire_error error;
   memset(&error, GUARD, sizeof error);
   WIRE_SET_TEXT(error.field, "eta");
@@ -152,8 +149,7 @@ static void text_is_cut_and_padded(void **state) {
 }
 
 /* A field that is full has no zero byte on the wire; the struct gets one. */
-static void full_text_needs_no_zero_on_the_wire(void **state) {
-  (void)state;
+UNIT_TEST(full_text_needs_no_zero_on_the_wire) {
   uint8_t bytes[WIRE_BYTES_value];
   wire_value value;
   memset(bytes, 'x', sizeof bytes);
@@ -180,8 +176,7 @@ static void assert_header(wire_header header, uint64_t max_payload_bytes, enum w
   assert_int_equal(strlen(error.allowed) > 0, status != WIRE_STATUS_OK);
 }
 
-static void headers_are_checked(void **state) {
-  (void)state;
+UNIT_TEST(headers_are_checked) {
   wire_header header = good_header;
   assert_header(header, 64, WIRE_STATUS_OK, "");
   assert_header(header, UINT64_MAX, WIRE_STATUS_OK, "");
@@ -198,8 +193,7 @@ static void headers_are_checked(void **state) {
   }
 }
 
-static void headers_of_others_are_refused(void **state) {
-  (void)state;
+UNIT_TEST(headers_of_others_are_refused) {
   wire_header header = good_header;
   header.magic = 0x4449504c; /* the bytes in the other order */
   assert_header(header, 1024, WIRE_STATUS_BAD_MAGIC, "magic");
@@ -212,8 +206,7 @@ static void headers_of_others_are_refused(void **state) {
   assert_header(header, 1024, WIRE_STATUS_BAD_VERSION, "version");
 }
 
-static void any_deadline_is_right(void **state) {
-  (void)state;
+UNIT_TEST(any_deadline_is_right) {
   static const uint32_t deadlines_ms[] = {1, 1000, 0x80000000, UINT32_MAX};
   wire_header header = good_header;
   for (size_t i = 0; i < sizeof deadlines_ms / sizeof deadlines_ms[0]; i++) {
@@ -226,8 +219,7 @@ static void any_deadline_is_right(void **state) {
   }
 }
 
-static void the_magic_reads_as_text(void **state) {
-  (void)state;
+UNIT_TEST(the_magic_reads_as_text) {
   uint8_t bytes[WIRE_BYTES_header];
   wire_put_header(bytes, &good_header);
   assert_memory_equal(bytes, "DIPL", 4);
@@ -235,8 +227,7 @@ static void the_magic_reads_as_text(void **state) {
 
 /* ---- names -------------------------------------------------------------------------------- */
 
-static void statuses_and_types_have_names(void **state) {
-  (void)state;
+UNIT_TEST(statuses_and_types_have_names) {
 #define WIRE_STATUS(code, IDENT, modbus_exception, name, text)                                     \
   assert_string_equal(wire_status_name(code), name);                                               \
   assert_string_equal(wire_status_text(code), text);
@@ -263,8 +254,7 @@ static void assert_error(wire_error error, unsigned status, const char *field,
   assert_int_equal(error.index, 0);
 }
 
-static void errors_are_values(void **state) {
-  (void)state;
+UNIT_TEST(errors_are_values) {
   assert_error(wire_error_none(), WIRE_STATUS_OK, "", "");
   assert_error(wire_error_make(WIRE_STATUS_BAD_VALUE, "eta", "0.001 to 1000"),
                WIRE_STATUS_BAD_VALUE, "eta", "0.001 to 1000");
@@ -285,8 +275,7 @@ static void assert_choices_hold(enum wire_choice_kind kind, const core_choice *l
 }
 
 /* Every list of the core, uncut, then the statuses. */
-static void choices_hold_every_list(void **state) {
-  (void)state;
+UNIT_TEST(choices_hold_every_list) {
   static const core_choice statuses[] = {
 #define WIRE_STATUS(code, IDENT, modbus_exception, name, text) {code, name, text},
 #include "proto/statuses.def"
@@ -326,8 +315,7 @@ static void append(void *context, const char *text) {
 }
 
 /* The document says what the code does: `make docs` writes these tables. */
-static void the_protocols_tables_are_those_of_the_list(void **state) {
-  (void)state;
+UNIT_TEST(the_protocols_tables_are_those_of_the_list) {
   static struct description description;
   char *document = unit_read_file("proto/PROTOCOL.md");
   assert_non_null(document);
@@ -340,22 +328,4 @@ static void the_protocols_tables_are_those_of_the_list(void **state) {
   wire_describe(append, &description);
   assert_string_equal(begin, description.text);
   free(document);
-}
-
-int main(void) {
-  const struct CMUnitTest tests[] = {
-      cmocka_unit_test(structures_survive_the_round_trip),
-      cmocka_unit_test(structures_have_their_sizes),
-      cmocka_unit_test(text_is_cut_and_padded),
-      cmocka_unit_test(full_text_needs_no_zero_on_the_wire),
-      cmocka_unit_test(headers_are_checked),
-      cmocka_unit_test(headers_of_others_are_refused),
-      cmocka_unit_test(any_deadline_is_right),
-      cmocka_unit_test(the_magic_reads_as_text),
-      cmocka_unit_test(statuses_and_types_have_names),
-      cmocka_unit_test(errors_are_values),
-      cmocka_unit_test(choices_hold_every_list),
-      cmocka_unit_test(the_protocols_tables_are_those_of_the_list),
-  };
-  return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -2,6 +2,50 @@
 
 #include <math.h>
 
+enum { TESTS_MAX = 64 };
+
+/* Entries without a name are not run. */
+static struct CMUnitTest tests[TESTS_MAX];
+static int lines[TESTS_MAX];
+static size_t test_count;
+
+void (*unit_setup)(void), (*unit_teardown)(void);
+char **unit_arguments;
+
+void unit_register(const char *name, CMUnitTestFunction test, int line) {
+  if (test_count == TESTS_MAX) {
+    abort();
+  }
+  size_t at = test_count++;
+  for (; at > 0 && lines[at - 1] > line; at--) {
+    tests[at] = tests[at - 1];
+    lines[at] = lines[at - 1];
+  }
+  tests[at] = (struct CMUnitTest){.name = name, .test_func = test};
+  lines[at] = line;
+}
+
+static int group_setup(void **state) {
+  (void)state;
+  if (unit_setup != NULL) {
+    unit_setup();
+  }
+  return 0;
+}
+
+static int group_teardown(void **state) {
+  (void)state;
+  if (unit_teardown != NULL) {
+    unit_teardown();
+  }
+  return 0;
+}
+
+int main(int argc, char **argv) {
+  unit_arguments = argv + (argc > 0);
+  return cmocka_run_group_tests(tests, group_setup, group_teardown);
+}
+
 uint64_t unit_seed(void) {
   const char *chosen = getenv("DIPOLED_TEST_SEED");
   const uint64_t seed = chosen != NULL ? strtoull(chosen, NULL, 0) : 20120101;

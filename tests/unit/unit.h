@@ -1,5 +1,5 @@
-/* unit: what test programs in C share: cmocka with the headers that it needs first, random numbers
- * from a printed seed, and an assertion on faults. */
+/* unit: what the test programs in C share: main(), cmocka with the headers that it needs first,
+ * random numbers from a printed seed, and an assertion on faults. */
 #ifndef DIPOLED_TESTS_UNIT_H
 #define DIPOLED_TESTS_UNIT_H
 
@@ -14,6 +14,33 @@
 #include <cmocka.h>
 
 #include "core/core.h"
+
+/* UNIT_TEST(name) { ... } defines a test and registers it. main(), in unit.c, runs the tests of the
+ * program in the order in which they stand in the file. */
+#define UNIT_TEST(name)                                                                            \
+  static void name(void **state);                                                                  \
+  __attribute__((constructor)) static void register_##name(void) {                                 \
+    unit_register(#name, name, __LINE__);                                                          \
+  }                                                                                                \
+  static void name(__attribute__((unused)) void **state)
+
+/* UNIT_SETUP(name) { ... } runs once before the tests of the program, UNIT_TEARDOWN(name) { ... }
+ * once after them. A program has at most one of each. */
+#define UNIT_SETUP(name) UNIT_ASIDE(name, unit_setup)
+#define UNIT_TEARDOWN(name) UNIT_ASIDE(name, unit_teardown)
+#define UNIT_ASIDE(name, pointer)                                                                  \
+  static void name(void);                                                                          \
+  __attribute__((constructor)) static void register_##name(void) {                                 \
+    pointer = name;                                                                                \
+  }                                                                                                \
+  static void name(void)
+
+/* For the macros above only. */
+void unit_register(const char *name, CMUnitTestFunction test, int line);
+extern void (*unit_setup)(void), (*unit_teardown)(void);
+
+/* The arguments of the program; NULL follows the last. */
+extern char **unit_arguments;
 
 enum { UNIT_ROWS_MAX = 100 }; /* a bound for loops over lists that end with an empty entry */
 
