@@ -196,7 +196,7 @@ $(BUILD)/tests/%: $(OBJ)/tests/%.o $(TEST_SUPPORT) $(BUILD)/libdipole.a
 
 # The daemon's cache, tested without a daemon.
 CACHE_TESTS := test_cache test_profiles
-$(CACHE_TESTS:%=$(BUILD)/tests/unit/%): $(call objects,server/store/cache.c server/store/cache_key.c server/store/profiles.c server/observe/stats.c)
+$(CACHE_TESTS:%=$(BUILD)/tests/unit/%): $(call objects,server/store/cache.c server/store/profiles.c server/observe/stats.c)
 $(CACHE_TESTS:%=$(BUILD)/tests/unit/%): TEST_LIBS = $(UV_LIBS)
 $(CACHE_TESTS:%=$(OBJ)/tests/unit/%.o): EXTRA_CPPFLAGS = $(UV_CFLAGS)
 

@@ -5,23 +5,22 @@
 _Static_assert(BATCH_PIECES <= 1 << (STATS_BATCH_SIZES - 1), "the last size is for all others");
 
 static size_t value_bytes(const struct batch_group *group) {
-  return core_evaluator_bytes(group->profile.evaluator);
+  return core_evaluator_bytes(group->slot->profile.evaluator);
 }
 
 static void evaluate(struct batch_group *group, struct stats *stats) {
   double values[BATCH_RADII];
-  if (group->piece_count == 0) {
-    return;
-  }
-  if (value_bytes(group) == sizeof(float)) {
-    core_eval_f32(&group->profile, group->quantity, group->radius_count,
+  const core_profile *profile = &group->slot->profile;
+  const size_t bytes_each = value_bytes(group);
+  if (bytes_each == sizeof(float)) {
+    core_eval_f32(profile, group->quantity, group->radius_count,
                   (const float *)(const void *)group->radii, (float *)(void *)values);
   } else {
-    core_eval_f64(&group->profile, group->quantity, group->radius_count, group->radii, values);
+    core_eval_f64(profile, group->quantity, group->radius_count, group->radii, values);
   }
   const uint8_t *from = (const uint8_t *)values;
   for (size_t i = 0; i < group->piece_count; i++) {
-    const size_t bytes = group->pieces[i].count * value_bytes(group);
+    const size_t bytes = group->pieces[i].count * bytes_each;
     memcpy(group->pieces[i].to, from, bytes);
     from += bytes;
   }
@@ -31,49 +30,37 @@ static void evaluate(struct batch_group *group, struct stats *stats) {
   group->piece_count = 0;
 }
 
-/* Empties a group and makes it ready for another profile. */
+/* Evaluates a group and makes it free for another profile. */
 static void clear(struct batch_group *group, struct stats *stats) {
-  evaluate(group, stats);
-  if (group->entry != NULL) {
-    cache_release(group->entry);
-    group->entry = NULL;
+  if (group->slot != NULL) {
+    evaluate(group, stats);
+    group->slot->pins--;
+    group->slot = NULL;
   }
-  group->key.model = 0; /* which no profile has */
-}
-
-static bool is_for(const struct batch_group *group, const struct profiles_order *order,
-                   enum core_quantity quantity) {
-  return group->quantity == quantity && cache_key_equal(&group->key, &order->key);
 }
 
 static struct batch_group *find(struct batch *batch, struct stats *stats,
-                                const struct profiles_order *order, enum core_quantity quantity) {
+                                struct profiles_slot *slot, enum core_quantity quantity) {
   for (size_t i = 0; i < BATCH_GROUPS; i++) {
-    if (is_for(&batch->groups[i], order, quantity)) {
+    if (batch->groups[i].slot == slot && batch->groups[i].quantity == quantity) {
       return &batch->groups[i];
     }
   }
   struct batch_group *group = &batch->groups[batch->next];
   batch->next = (batch->next + 1) % BATCH_GROUPS;
   clear(group, stats);
-  group->key = order->key;
+  group->slot = slot;
   group->quantity = quantity;
-  group->profile = order->profile;
-  group->entry = order->entry;
-  if (group->entry != NULL) {
-    cache_hold(group->entry);
-  }
+  slot->pins++;
   return group;
 }
 
-bool batch_take(struct batch *batch, struct stats *stats, const struct profiles_order *order,
+bool batch_take(struct batch *batch, struct stats *stats, struct profiles_place place,
                 enum core_quantity quantity, size_t n, const void *r, void *to) {
-  /* The angles of S are not in the key; what owns something without an entry is gone too soon. */
-  if (quantity == CORE_QUANTITY_S ||
-      (order->entry == NULL && core_profile_bytes(&order->profile) > 0)) {
+  if (quantity == CORE_QUANTITY_S || profiles_at(place) == NULL) {
     return false;
   }
-  struct batch_group *group = find(batch, stats, order, quantity);
+  struct batch_group *group = find(batch, stats, place.slot, quantity);
   if (group->piece_count == BATCH_PIECES || group->radius_count + n > BATCH_RADII) {
     evaluate(group, stats);
   }

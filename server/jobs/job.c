@@ -192,7 +192,7 @@ static void evaluate(struct job *job, struct server *server, struct job_scratch 
     }
     void *to = place(job, quantity->id);
     if (is_short &&
-        batch_take(&scratch->batch, &server->stats, &job->order, quantity->id, n, r, to)) {
+        batch_take(&scratch->batch, &server->stats, job->order.place, quantity->id, n, r, to)) {
       continue;
     }
     if (value_bytes(job) == sizeof(float)) {
@@ -239,6 +239,14 @@ static void put_notes(const struct job *job) {
   wire_put_eval_reply(job->reply, &start);
 }
 
+/* Others may repeat the request with radii of their own, unless its check depends on the radii. */
+static void learn(const struct job *job, struct job_scratch *scratch) {
+  if (!job->draws && job->part_count == 1 && job->covers_all && isnan(job->tolerance)) {
+    repeat_learn(&scratch->repeat, &job->request, &job->grid, &job->layout, job->reply,
+                 job->order.place);
+  }
+}
+
 static void channel_step(struct job *job, struct server *server, struct job_scratch *scratch,
                          size_t n) {
   if (job->layout.arrays_per_channel > 0) {
@@ -253,7 +261,7 @@ static void channel_step(struct job *job, struct server *server, struct job_scra
     job->channel++;
     if (job->channel == job->request.fixed.medium_count) {
       put_notes(job);
-      repeat_learn(&scratch->repeat, job);
+      learn(job, scratch);
     }
     job_end(job);
   }

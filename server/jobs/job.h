@@ -6,8 +6,8 @@
 #include "proto/sample.h"
 #include "server/jobs/backlog.h"
 #include "server/jobs/job_state.h"
+#include "server/jobs/repeat.h"
 #include "server/store/profiles.h"
-#include "server/store/repeat.h"
 
 struct job_scratch;
 

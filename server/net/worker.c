@@ -259,7 +259,6 @@ static void on_clock(uv_timer_t *timer) {
   for_each(worker, tick_client);
   modbus_service_tick(worker->modbus, uv_now(&worker->loop));
   profiles_sweep(&worker->profiles);
-  repeat_sweep(&worker->scratch.repeat);
   stay_awake_for_queue(worker);
 }
 
@@ -307,7 +306,6 @@ static void thread_main(void *argument) {
   modbus_service_end(worker->modbus);
   uv_walk(&worker->loop, close_handle, NULL);
   uv_run(&worker->loop, UV_RUN_DEFAULT); /* to the end of what it has had prepared, too */
-  repeat_end(&worker->scratch.repeat);
   profiles_end(&worker->profiles);
   const int closed = uv_loop_close(&worker->loop);
   assert(closed == 0);

@@ -1,92 +1,123 @@
 /* cache: prepared profiles by content, shared by all workers, bounded in bytes.
  *
- * An entry is a profile that is being prepared or has been; once prepared nothing of it changes.
- * It is freed when nobody refers to it any more: the cache's own table, the threads that keep it at
- * hand, the jobs that evaluate it or wait for it. So what is evicted may still be in use, and is
- * then not counted any more.
+ * An entry is a profile that is being prepared or has been prepared. After its preparation nothing
+ * in it changes. The cache's table, the workers' local stores and the jobs each hold a reference to
+ * the entries that they use. An entry is freed when the last reference is released, so an evicted
+ * entry may still be in use; the cache then no longer counts its bytes.
  *
- * Whoever asks first for a profile has it prepared; all who ask meanwhile wait for the same entry
- * and are woken. A fault goes to all of them and is not kept.
+ * The first thread that asks for a profile prepares it, or has it prepared. All threads that ask in
+ * the meantime wait for the same entry and are woken. A fault goes to all of them and is not kept.
  *
- * Threading: one mutex guards the table, the order of eviction and the waiting; nothing is prepared
- * or freed under it. Profiles are evaluated without it, and entries that a thread keeps at hand
- * (server/store/profiles.h) are found without it.
+ * Threading: one mutex guards the table, the lists for eviction and the lists of waiters. No profile
+ * is prepared or freed while the mutex is held. Profiles are evaluated without it, and a worker
+ * finds the entries in its local store (server/store/profiles.h) without it.
  *
- * Eviction: least recently used first, in two lists. Profiles that are fast to prepare may hold a
- * quarter of all bytes and no more, so that a stream of them leaves three quarters to those that
- * took long. A use that the cache does not see, of an entry kept at hand, is a mark in the entry
- * that moves it to the head of its list when it comes to be evicted.
+ * Eviction: least recently used first, in two lists. Profiles that are fast to prepare may take at
+ * most a quarter of all bytes, so that a stream of them leaves three quarters to the slow ones. The
+ * cache does not see when a worker finds an entry in its local store. The worker then sets a mark in
+ * the entry. When a marked entry is the next to be evicted, it moves to the head of its list
+ * instead.
  */
 #ifndef DIPOLED_CACHE_H
 #define DIPOLED_CACHE_H
 
-#include "server/store/cache_key.h"
+#include "core/core.h"
 #include "server/observe/stats.h"
+
+/* What a profile is prepared from. Two profiles are the same when their keys have the same bytes:
+ * there is no padding, and numbers that mean the same have the same bits (0 has no sign, and every
+ * parameter that is not given is the same NaN). The angles of S are not in the key, because they are
+ * set in a copy of the profile. */
+struct cache_key {
+  uint32_t model;
+  uint32_t moments;
+  uint32_t evaluator;
+  uint32_t zero;
+  double parameters[CORE_PARAMETERS_END];
+  double medium[4]; /* sigma_a, sigma_s (1/mm), g, eta */
+  uint64_t hash_before_medium;
+  uint64_t hash;
+};
+
+/* Sets what the channels of a request have in common. */
+void cache_key_start(struct cache_key *key, unsigned model, unsigned moments, unsigned evaluator,
+                     const core_parameters *parameters);
+
+/* Sets the medium of one channel; cache_key_start() came before. */
+void cache_key_set_medium(struct cache_key *key, const core_medium *medium);
+
+bool cache_key_equal(const struct cache_key *a, const struct cache_key *b);
+
+/* Calls core_profile_prepare() with what the key holds and with nothing else: so the bits do not
+ * depend on who asks first. */
+core_fault cache_key_prepare(const struct cache_key *key, const core_isa *isa,
+                             core_profile *profile);
 
 struct cache;
 struct cache_entry;
 struct cache_waiter;
 
-/* Of a thread that waits for entries. `wake` is called on any thread whenever cache_next_woken()
- * has something new; it may not call the cache. */
+/* The entries that one thread waits for. The cache calls `wake` on any thread whenever
+ * cache_next_woken() has something new. `wake` may not call the cache. */
 struct cache_queue {
   void (*wake)(void *context);
   void *context;
   struct cache_waiter *woken;
 };
 
-/* Somebody on that thread who waits for one entry; all 0 while nothing is waited for. */
+/* Waits for one entry on behalf of a job. All members are 0 while it waits for nothing. */
 struct cache_waiter {
   struct cache_entry *entry;
   struct cache_queue *queue;
   struct cache_waiter *next;
-  struct cache_waiter **link; /* what points here; NULL: it is in no list */
+  struct cache_waiter **link; /* the pointer that points here; NULL if the waiter is in no list */
 };
 
-/* NULL: out of memory. At most limit_bytes of prepared profiles are kept. */
+/* Keeps at most limit_bytes of prepared profiles. NULL: out of memory. */
 struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, struct stats *stats);
 
-/* Nothing is under way and all references have been released (asserted). */
+/* Asserts that nothing is being prepared and that all references have been released. */
 void cache_free(struct cache *cache);
 
 enum cache_answer {
-  CACHE_KEPT,    /* *entry is prepared */
-  CACHE_NEW,     /* *entry is to be prepared by the caller, now if it is fast; if it is slow on some
-                    other thread, and the waiter waits for it */
-  CACHE_AWAITED, /* another prepares it, and the waiter waits for it */
+  CACHE_KEPT, /* *entry is prepared */
+  CACHE_NEW,  /* the caller calls cache_prepare(*entry): at once if the profile is fast to prepare;
+                    on another thread if it is slow, and then the waiter waits for it */
+  CACHE_AWAITED, /* another thread prepares the profile, and the waiter waits for it */
   CACHE_NO_MEMORY,
 };
 
-/* Looks for a profile. KEPT, NEW: *entry is a reference, to be released. NEW, AWAITED: `waiter` was
- * all 0, and belongs to `queue` from now on, unless it is NEW and fast. */
+/* Looks for a profile. After KEPT and NEW, *entry is a reference that the caller releases. Before
+ * the call all members of *waiter are 0. After NEW with `slow`, and after AWAITED, it belongs to
+ * `queue` until cache_leave(). */
 enum cache_answer cache_look(struct cache *cache, const struct cache_key *key, bool slow,
                              struct cache_queue *queue, struct cache_waiter *waiter,
                              struct cache_entry **entry);
 
-/* Prepares a NEW entry, on any thread, and wakes all who wait for it. A slow one for which nobody
- * waits any more is not prepared: it is a fault that nobody sees. */
+/* Prepares a NEW entry, on any thread, and wakes all who wait for it. If nobody waits any more for a
+ * slow entry, it is removed from the cache instead. */
 void cache_prepare(struct cache_entry *entry);
 
-/* A waiter of this queue whose entry has been prepared, or has a fault; NULL: there is none. */
+/* A waiter of this queue whose entry has been prepared or has a fault. NULL: there is none. */
 struct cache_waiter *cache_next_woken(struct cache *cache, struct cache_queue *queue);
 
-/* It waits no more, whether it has been woken or not, and is all 0 again. */
+/* Ends the waiting, whether the waiter has been woken or not, and sets all its members to 0. */
 void cache_leave(struct cache_waiter *waiter);
 
-/* Of an entry that is KEPT, has been prepared by the caller, or that a waiter was woken for. The
- * profile is there when the fault's field is NULL, and lives as long as the reference. */
+/* For an entry that was KEPT, that the caller has prepared, or that a waiter was woken for. The
+ * profile is valid if the fault's field is NULL. It lives as long as the caller's reference. */
 const core_profile *cache_profile(const struct cache_entry *entry);
 core_fault cache_fault(const struct cache_entry *entry);
 
-/* False: it is not in the cache, or not any more. Nobody should keep it at hand then. */
+/* Whether the entry is in the cache. A local store releases entries that are not. */
 bool cache_keeps(const struct cache_entry *entry);
-bool cache_is(const struct cache_entry *entry, const struct cache_key *key);
 
-/* One more reference; one less. */
+/* Takes one more reference; releases one. */
 void cache_hold(struct cache_entry *entry);
 void cache_release(struct cache_entry *entry);
 
-/* It has been found without the cache's help: may be called by all who hold it, at any time. */
+/* Marks an entry that a worker has found in its local store. Any thread with a reference may call
+ * this at any time. */
 void cache_used(struct cache_entry *entry);
 
 #endif

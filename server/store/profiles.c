@@ -17,13 +17,13 @@ static void prepare(uv_work_t *work) {
 }
 
 static void on_prepared(uv_work_t *work, int status) {
-  (void)status; /* never cancelled: cache_prepare() sees itself whether it is still wanted */
+  (void)status; /* it is never cancelled: cache_prepare() checks whether it is still wanted */
   struct task *task = work->data;
   cache_release(task->entry);
   free(task);
 }
 
-/* Takes the reference. Without memory for the task it is prepared at once. */
+/* Takes over the reference. Without memory for the task, the profile is prepared at once. */
 static void start_preparing(struct profiles *profiles, struct cache_entry *entry) {
   struct task *task = malloc(sizeof *task);
   if (task != NULL) {
@@ -38,104 +38,97 @@ static void start_preparing(struct profiles *profiles, struct cache_entry *entry
   cache_release(entry);
 }
 
-/* ---- at hand ----------------------------------------------------------------------------------
+/* ---- the table --------------------------------------------------------------------------------
  */
 
-static size_t set_of(const struct cache_key *key) {
-  return key->hash % PROFILES_SETS;
+static struct profiles_set *set_of(struct profiles *profiles, uint64_t hash) {
+  return &profiles->sets[hash % PROFILES_SETS];
 }
 
-/* The way of a set that this hash is in, PROFILES_WAYS: none. */
-static size_t find(const struct profiles_set *set, uint64_t hash) {
-  size_t way = 0;
-  while (way < PROFILES_WAYS && set->hashes[way] != hash) {
-    way++;
+static void empty(struct profiles_slot *slot) {
+  if (slot->entry != NULL) {
+    cache_release(slot->entry);
+    slot->entry = NULL;
   }
-  return way;
+  slot->key.model = 0;
+  slot->version++;
 }
 
-/* A way for this hash, in the place of another; at most one for each hash. */
-static size_t place(struct profiles_set *set, uint64_t hash) {
-  size_t way = find(set, hash);
-  if (way == PROFILES_WAYS) {
-    way = set->next;
-    set->next = (set->next + 1) % PROFILES_WAYS;
-    set->hashes[way] = hash;
+static bool is_evicted(const struct profiles_slot *slot) {
+  return slot->entry != NULL && !cache_keeps(slot->entry);
+}
+
+/* NULL: the table does not have it. */
+static struct profiles_slot *find(struct profiles *profiles, const struct cache_key *key) {
+  struct profiles_set *set = set_of(profiles, key->hash);
+  for (size_t way = 0; way < PROFILES_WAYS; way++) {
+    struct profiles_slot *slot = &set->slots[way];
+    if (set->hashes[way] == key->hash && cache_key_equal(&slot->key, key) && !is_evicted(slot)) {
+      return slot;
+    }
   }
-  return way;
+  return NULL;
 }
 
-static void let_go(struct cache_entry **slot) {
-  if (*slot != NULL) {
-    cache_release(*slot);
-    *slot = NULL;
+/* The slot of a set that is to be replaced. NULL: all of them are pinned. */
+static struct profiles_slot *choose(struct profiles_set *set, uint64_t hash) {
+  for (size_t tries = 0; tries < PROFILES_WAYS; tries++) {
+    const unsigned way = set->next;
+    set->next = (way + 1) % PROFILES_WAYS;
+    if (set->slots[way].pins == 0) {
+      set->hashes[way] = hash;
+      return &set->slots[way];
+    }
   }
+  return NULL;
 }
 
-/* A reference; NULL: it is not at hand. */
-static struct cache_entry *take_at_hand(struct profiles *profiles, const struct cache_key *key) {
-  const size_t set = set_of(key);
-  const size_t way = find(&profiles->entry_sets[set], key->hash);
-  struct cache_entry *entry = way < PROFILES_WAYS ? profiles->entries[set][way] : NULL;
-  if (entry == NULL || !cache_is(entry, key)) {
+/* The slot that the profile is in now. NULL: it cannot be kept. */
+static struct profiles_slot *put(struct profiles *profiles, const struct cache_key *key,
+                                 const core_profile *profile, struct cache_entry *entry) {
+  const bool may_be_kept = entry != NULL ? cache_keeps(entry) : core_profile_bytes(profile) == 0;
+  if (!profiles->keeps || !may_be_kept) {
     return NULL;
   }
-  if (!cache_keeps(entry)) {
-    let_go(&profiles->entries[set][way]);
-    return NULL;
+  struct profiles_slot *slot = find(profiles, key);
+  if (slot != NULL) { /* another job of this worker waited for the same profile */
+    return slot;
   }
-  cache_used(entry);
-  cache_hold(entry);
-  return entry;
+  slot = choose(set_of(profiles, key->hash), key->hash);
+  if (slot != NULL) {
+    empty(slot);
+    slot->key = *key;
+    slot->profile = *profile;
+    slot->entry = entry;
+    if (entry != NULL) {
+      cache_hold(entry);
+    }
+  }
+  return slot;
 }
 
-static void put_at_hand(struct profiles *profiles, const struct cache_key *key,
-                        struct cache_entry *entry) {
-  if (!cache_keeps(entry)) {
-    return;
-  }
-  const size_t set = set_of(key);
-  struct cache_entry **slot = &profiles->entries[set][place(&profiles->entry_sets[set], key->hash)];
-  if (*slot != entry) {
-    let_go(slot);
-    cache_hold(entry);
-    *slot = entry;
-  }
-}
-
-static void let_go_of(struct profiles *profiles, bool all) {
-  for (size_t set = 0; set < PROFILES_SETS; set++) {
-    for (size_t way = 0; way < PROFILES_WAYS; way++) {
-      struct cache_entry **slot = &profiles->entries[set][way];
-      if (all || (*slot != NULL && !cache_keeps(*slot))) {
-        let_go(slot);
-      }
+static void empty_slots(struct profiles *profiles, bool all) {
+  for (size_t i = 0; i < PROFILES_SETS * PROFILES_WAYS; i++) {
+    struct profiles_slot *slot = &profiles->sets[i / PROFILES_WAYS].slots[i % PROFILES_WAYS];
+    if (slot->pins == 0 && (all || is_evicted(slot))) {
+      empty(slot);
     }
   }
 }
 
 void profiles_sweep(struct profiles *profiles) {
-  let_go_of(profiles, false);
+  empty_slots(profiles, false);
 }
 
-static bool take_copy(const struct profiles *profiles, const struct cache_key *key,
-                      core_profile *profile) {
-  const size_t set = set_of(key);
-  const size_t way = find(&profiles->copy_sets[set], key->hash);
-  if (way == PROFILES_WAYS || !cache_key_equal(&profiles->copies[set][way].key, key)) {
-    return false;
+const core_profile *profiles_at(struct profiles_place place) {
+  struct profiles_slot *slot = place.slot;
+  if (slot == NULL || slot->version != place.version || is_evicted(slot)) {
+    return NULL;
   }
-  *profile = profiles->copies[set][way].profile;
-  return true;
-}
-
-static void put_copy(struct profiles *profiles, const struct cache_key *key,
-                     const core_profile *profile) {
-  if (profiles->keeps && core_profile_bytes(profile) == 0) {
-    const size_t set = set_of(key);
-    const size_t way = place(&profiles->copy_sets[set], key->hash);
-    profiles->copies[set][way] = (struct profiles_copy){*key, *profile};
+  if (slot->entry != NULL) {
+    cache_used(slot->entry);
   }
+  return &slot->profile;
 }
 
 /* ---- getting ----------------------------------------------------------------------------------
@@ -145,19 +138,33 @@ static void count(const struct profiles *profiles, bool hit) {
   stats_add(&profiles->server->stats, hit ? STATS_CACHE_HITS : STATS_CACHE_MISSES, 1);
 }
 
-/* A profile that takes little to prepare: a copy, or prepared now. */
-static enum profiles_answer get_copy(struct profiles *profiles, struct profiles_order *order) {
-  const bool hit = take_copy(profiles, &order->key, &order->profile);
-  count(profiles, hit);
-  if (hit) {
-    return PROFILES_READY;
+static void set_place(struct profiles_order *order, struct profiles_slot *slot) {
+  order->place =
+      slot != NULL ? (struct profiles_place){slot, slot->version} : (struct profiles_place){0};
+}
+
+static enum profiles_answer get_from_table(struct profiles *profiles, struct profiles_order *order,
+                                           struct profiles_slot *slot) {
+  count(profiles, true);
+  set_place(order, slot);
+  order->profile = slot->profile;
+  order->entry = slot->entry;
+  if (slot->entry != NULL) {
+    cache_used(slot->entry);
+    cache_hold(slot->entry);
   }
+  return PROFILES_READY;
+}
+
+/* For a profile that does not go into the cache. */
+static enum profiles_answer prepare_here(struct profiles *profiles, struct profiles_order *order) {
+  count(profiles, false);
   stats_add(&profiles->server->stats, STATS_CACHE_BUILDS, 1);
   order->fault = cache_key_prepare(&order->key, profiles->server->isa, &order->profile);
   if (order->fault.field != NULL) {
     return PROFILES_FAULT;
   }
-  put_copy(profiles, &order->key, &order->profile);
+  set_place(order, put(profiles, &order->key, &order->profile, NULL));
   return PROFILES_READY;
 }
 
@@ -169,14 +176,15 @@ static enum profiles_answer take(struct profiles *profiles, struct profiles_orde
     cache_release(entry);
     return PROFILES_FAULT;
   }
-  put_at_hand(profiles, &order->key, entry);
   order->entry = entry;
   order->profile = *cache_profile(entry);
+  set_place(order, put(profiles, &order->key, &order->profile, entry));
   return PROFILES_READY;
 }
 
-static enum profiles_answer get_from_cache(struct profiles *profiles, struct profiles_order *order,
-                                           bool slow) {
+static enum profiles_answer get_from_cache(struct profiles *profiles,
+                                           struct profiles_order *order) {
+  const bool slow = core_prepares_slowly(order->key.model, order->key.evaluator);
   struct cache_entry *entry;
   const enum cache_answer answer = cache_look(profiles->server->cache, &order->key, slow,
                                               &profiles->queue, &order->waiter, &entry);
@@ -200,7 +208,7 @@ static enum profiles_answer get_from_cache(struct profiles *profiles, struct pro
   return PROFILES_FAULT;
 }
 
-/* The entry that was waited for; it is there even if it has been evicted again. */
+/* Takes the entry that the job waited for. It may have been evicted since, but is still valid. */
 static enum profiles_answer get_awaited(struct profiles *profiles, struct profiles_order *order) {
   assert(order->woken);
   struct cache_entry *entry = order->waiter.entry;
@@ -210,17 +218,17 @@ static enum profiles_answer get_awaited(struct profiles *profiles, struct profil
   return take(profiles, order, entry);
 }
 
-static enum profiles_answer get_kept(struct profiles *profiles, struct profiles_order *order) {
+static enum profiles_answer get(struct profiles *profiles, struct profiles_order *order) {
   if (order->waiter.entry != NULL) {
     return get_awaited(profiles, order);
   }
-  struct cache_entry *entry = take_at_hand(profiles, &order->key);
-  if (entry != NULL) {
-    count(profiles, true);
-    return take(profiles, order, entry);
+  struct profiles_slot *slot = find(profiles, &order->key);
+  if (slot != NULL) {
+    return get_from_table(profiles, order, slot);
   }
-  return get_from_cache(profiles, order,
-                        core_prepares_slowly(order->key.model, order->key.evaluator));
+  return core_worth_keeping(order->key.model, order->key.evaluator)
+             ? get_from_cache(profiles, order)
+             : prepare_here(profiles, order);
 }
 
 /* ---- public -----------------------------------------------------------------------------------
@@ -236,9 +244,7 @@ enum profiles_answer profiles_get(struct profiles *profiles, struct profiles_ord
                                   const core_medium *medium) {
   assert(!order->ready);
   cache_key_set_medium(&order->key, medium);
-  const enum profiles_answer answer = core_worth_keeping(order->key.model, order->key.evaluator)
-                                          ? get_kept(profiles, order)
-                                          : get_copy(profiles, order);
+  const enum profiles_answer answer = get(profiles, order);
   order->ready = answer == PROFILES_READY;
   if (order->ready) {
     core_profile_set_angles(&order->profile, &order->parameters);
@@ -251,7 +257,7 @@ void profiles_return(struct profiles_order *order) {
     cache_release(order->entry);
     order->entry = NULL;
   } else if (order->ready) {
-    core_profile_free(&order->profile); /* of what it owns, if anything */
+    core_profile_free(&order->profile);
   }
   order->ready = false;
   cache_leave(&order->waiter);
@@ -280,5 +286,5 @@ void profiles_init(struct profiles *profiles, struct server *server, uv_loop_t *
 
 void profiles_end(struct profiles *profiles) {
   assert(profiles->queue.woken == NULL);
-  let_go_of(profiles, true);
+  empty_slots(profiles, true);
 }

@@ -137,7 +137,7 @@ UNIT_TEST(what_has_been_evicted_is_not_held) {
   profiles_sweep(&desk.profiles);
   size_t held = 0;
   for (size_t i = 0; i < PROFILES_SETS * PROFILES_WAYS; i++) {
-    held += desk.profiles.entries[i / PROFILES_WAYS][i % PROFILES_WAYS] != NULL;
+    held += desk.profiles.sets[i / PROFILES_WAYS].slots[i % PROFILES_WAYS].entry != NULL;
   }
   assert_int_equal(held, 1);
   close_desk(&desk);

@@ -1,16 +1,14 @@
-#include "server/store/repeat.h"
+#include "server/jobs/repeat.h"
 
-#include <math.h>
+#include <assert.h>
 #include <string.h>
-
-#include "server/jobs/job.h"
 
 _Static_assert((int)REPEAT_REPLY_BYTES == (int)WIRE_BYTES_eval_reply + (int)WIRE_BYTES_channel,
                "what stands before the arrays");
 
 /* ---- finding ---------------------------------------------------------------------------------- */
 
-/* The bytes of a request before its radii; 0: it is none that may be repeated. */
+/* The bytes of a request up to its radii; 0 if it is not of a kind that can be repeated. */
 static size_t start_bytes(const uint8_t *payload, size_t payload_bytes) {
   if (payload_bytes < WIRE_BYTES_eval_request) {
     return 0;
@@ -23,7 +21,7 @@ static size_t start_bytes(const uint8_t *payload, size_t payload_bytes) {
              : 0;
 }
 
-/* Words of 8 bytes, mixed as cache_key.c does. */
+/* Mixes words of 8 bytes as server/store/cache.c does. */
 static uint64_t hash_of(const uint8_t *request, size_t bytes) {
   uint64_t hash = 0;
   for (size_t i = 0; i < bytes; i += 8) {
@@ -35,7 +33,7 @@ static uint64_t hash_of(const uint8_t *request, size_t bytes) {
   return hash;
 }
 
-/* The entry that holds a request; NULL: none does. */
+/* NULL: the request is not known. */
 static struct repeat_entry *look_up(struct repeat *repeat, const uint8_t *request, size_t bytes) {
   const uint64_t hash = hash_of(request, bytes);
   struct repeat_set *set = &repeat->sets[hash % REPEAT_SETS];
@@ -64,16 +62,6 @@ static bool is_listed(const struct repeat_entry *entry) {
   return entry->payload_bytes > entry->request_bytes;
 }
 
-/* What the cache has evicted is not used any more, and what is used is not to be evicted. */
-static bool is_kept(const struct repeat_entry *entry) {
-  struct cache_entry *cached = entry->order.entry;
-  if (cached == NULL) {
-    return true;
-  }
-  cache_used(cached);
-  return cache_keeps(cached);
-}
-
 const struct repeat_entry *repeat_find(struct repeat *repeat, const uint8_t *payload,
                                        size_t payload_bytes) {
   const size_t bytes = start_bytes(payload, payload_bytes);
@@ -81,7 +69,8 @@ const struct repeat_entry *repeat_find(struct repeat *repeat, const uint8_t *pay
     return NULL;
   }
   const struct repeat_entry *entry = look_up(repeat, payload, bytes);
-  return entry != NULL && entry->payload_bytes == payload_bytes && is_kept(entry) &&
+  return entry != NULL && entry->payload_bytes == payload_bytes &&
+                 profiles_at(entry->place) != NULL &&
                  (!is_listed(entry) || radii_are_right(entry, payload + bytes))
              ? entry
              : NULL;
@@ -110,90 +99,63 @@ void repeat_answer(const struct repeat_entry *entry, struct batch *batch, struct
   uint8_t *to = reply + REPEAT_REPLY_BYTES;
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
     if (eval_is_array(entry->wanted, quantity->id)) {
-      batch_take(batch, stats, &entry->order, quantity->id, entry->count, r, to);
+      const bool taken = batch_take(batch, stats, entry->place, quantity->id, entry->count, r, to);
+      assert(taken);
       memset(to + used, 0, entry->array_bytes - used);
       to += entry->array_bytes;
     }
   }
   stats_add(stats, STATS_CACHE_HITS, 1);
-  stats_count_radii(stats, entry->order.key.model, entry->count);
+  stats_count_radii(stats, entry->model, entry->count);
   stats_add(stats, STATS_SLICES_EVALUATED, 1);
 }
 
-/* ---- keeping in mind -------------------------------------------------------------------------- */
+/* ---- remembering ------------------------------------------------------------------------------ */
 
-static void forget(struct repeat_entry *entry) {
-  if (entry->request_bytes > 0 && entry->order.entry != NULL) {
-    cache_release(entry->order.entry);
-  }
-  entry->request_bytes = 0;
-}
-
-/* One medium, one part, short, and nothing that looks at the radii but the kernels; and not S, whose
- * angles are not the profile's own. */
-static bool may_repeat(const struct job *job) {
-  const wire_eval_request *fixed = &job->request.fixed;
-  return !job->draws && fixed->medium_count == 1 && job->part_count == 1 && job->count > 0 &&
-         job->count <= BATCH_SHORT_RADII && job->covers_all && isnan(job->tolerance) &&
-         job->layout.arrays_per_channel > 0 &&
+/* RADIUS is not evaluated by a kernel, and S depends on angles. */
+static bool can_repeat(const wire_eval_request *fixed, const eval_layout *layout,
+                       struct profiles_place place) {
+  return fixed->medium_count == 1 && fixed->radius_count > 0 &&
+         fixed->radius_count <= BATCH_SHORT_RADII && layout->arrays_per_channel > 0 &&
          (fixed->wanted & (CORE_QUANTITY_RADIUS | CORE_QUANTITY_S)) == 0 &&
          eval_request_bytes(1, fixed->parameter_count, 0) <= REPEAT_REQUEST_BYTES &&
-         (job->order.entry != NULL || core_profile_bytes(&job->order.profile) == 0);
+         profiles_at(place) != NULL;
 }
 
-/* Where a request is to be kept: in place of what is known of the same, or of what has been there
- * longest. */
+/* The entry for a request: the one that knows it, or else the one that its set replaces next. */
 static struct repeat_entry *make_room(struct repeat *repeat, const uint8_t *request, size_t bytes) {
-  const uint64_t hash = hash_of(request, bytes);
-  struct repeat_set *set = &repeat->sets[hash % REPEAT_SETS];
   struct repeat_entry *entry = look_up(repeat, request, bytes);
   if (entry == NULL) {
+    const uint64_t hash = hash_of(request, bytes);
+    struct repeat_set *set = &repeat->sets[hash % REPEAT_SETS];
     entry = &set->entries[set->next];
     set->next = (set->next + 1) % REPEAT_WAYS;
+    entry->hash = hash;
   }
-  forget(entry);
-  entry->hash = hash;
   return entry;
 }
 
-void repeat_learn(struct repeat *repeat, const struct job *job) {
-  if (!may_repeat(job)) {
+void repeat_learn(struct repeat *repeat, const eval_request *request, const core_grid *grid,
+                  const eval_layout *layout, const uint8_t *reply, struct profiles_place place) {
+  const wire_eval_request *fixed = &request->fixed;
+  if (!can_repeat(fixed, layout, place)) {
     return;
   }
-  const wire_eval_request *fixed = &job->request.fixed;
-  const uint8_t *payload = job->request.media - WIRE_BYTES_eval_request;
+  const uint8_t *payload = request->media - WIRE_BYTES_eval_request;
   const size_t bytes = (size_t)eval_request_bytes(1, fixed->parameter_count, 0);
   const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
-  const size_t listed = job->request.radii != NULL ? (size_t)job->count * value_bytes : 0;
+  const size_t listed = request->radii != NULL ? (size_t)fixed->radius_count * value_bytes : 0;
   struct repeat_entry *entry = make_room(repeat, payload, bytes);
   entry->request_bytes = bytes;
   entry->payload_bytes = bytes + (size_t)wire_padded(listed);
-  entry->reply_bytes = (size_t)job->layout.payload_bytes;
-  entry->array_bytes = (size_t)job->layout.array_bytes;
+  entry->reply_bytes = (size_t)layout->payload_bytes;
+  entry->array_bytes = (size_t)layout->array_bytes;
   entry->value_bytes = value_bytes;
-  entry->count = (size_t)job->count;
+  entry->count = (size_t)fixed->radius_count;
+  entry->model = fixed->model;
   entry->wanted = fixed->wanted;
-  entry->grid = job->grid;
+  entry->grid = *grid;
+  entry->place = place;
   memcpy(entry->request, payload, bytes);
-  memcpy(entry->reply, job->reply, REPEAT_REPLY_BYTES);
-  entry->order = job->order;
-  if (entry->order.entry != NULL) {
-    cache_hold(entry->order.entry);
-  }
-}
-
-void repeat_sweep(struct repeat *repeat) {
-  for (size_t i = 0; i < REPEAT_SETS * REPEAT_WAYS; i++) {
-    struct repeat_entry *entry = &repeat->sets[i / REPEAT_WAYS].entries[i % REPEAT_WAYS];
-    if (entry->request_bytes > 0 && entry->order.entry != NULL &&
-        !cache_keeps(entry->order.entry)) {
-      forget(entry);
-    }
-  }
-}
-
-void repeat_end(struct repeat *repeat) {
-  for (size_t i = 0; i < REPEAT_SETS * REPEAT_WAYS; i++) {
-    forget(&repeat->sets[i / REPEAT_WAYS].entries[i % REPEAT_WAYS]);
-  }
+  memcpy(entry->reply, reply, REPEAT_REPLY_BYTES);
 }
