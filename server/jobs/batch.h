@@ -1,9 +1,9 @@
 /* batch: many short requests for one profile, evaluated in one pass of the kernel.
  *
- * In each round of its loop a worker gathers the short requests of all its clients. It evaluates them
- * at the end of the round, before anything is written. The radii of a pass are copied together, and
- * its values are copied to where each request wants them. The values do not depend on which requests
- * share a pass.
+ * In each round of its loop a worker gathers the short requests of all its clients. It evaluates
+ * them at the end of the round, before anything is written. The radii of a pass are copied
+ * together, and its values are copied to where each request wants them. The values do not depend on
+ * which requests share a pass.
  *
  * Measured as in server/store/profiles.h: without batches a request of 4 radii takes 2.0 times as
  * much of the daemon's processor time with single scattering, 1.5 times with quantized diffusion,
@@ -45,9 +45,9 @@ struct batch {
 };
 
 /* Takes n radii (1 to BATCH_SHORT_RADII), in the precision of the profile's evaluator. After
- * batch_finish() the values of the quantity are at `to`. False: the profile at this place is gone, or
- * the quantity is S, which depends on angles that the profile does not have; the caller evaluates
- * the radii itself. */
+ * batch_finish() the values of the quantity are at `to`. False: the profile at this place is gone,
+ * or the quantity is S, which depends on angles that the profile does not have; the caller
+ * evaluates the radii itself. */
 bool batch_take(struct batch *batch, struct stats *stats, struct profiles_place place,
                 enum core_quantity quantity, size_t n, const void *r, void *to);
 

@@ -6,7 +6,7 @@
 _Static_assert((int)REPEAT_REPLY_BYTES == (int)WIRE_BYTES_eval_reply + (int)WIRE_BYTES_channel,
                "what stands before the arrays");
 
-/* ---- finding ---------------------------------------------------------------------------------- */
+/* ---- finding --------------------------------------------------------------------------------- */
 
 /* The bytes of a request up to its radii; 0 if it is not of a kind that can be repeated. */
 static size_t start_bytes(const uint8_t *payload, size_t payload_bytes) {
@@ -76,7 +76,7 @@ const struct repeat_entry *repeat_find(struct repeat *repeat, const uint8_t *pay
              : NULL;
 }
 
-/* ---- answering -------------------------------------------------------------------------------- */
+/* ---- answering ------------------------------------------------------------------------------- */
 
 static const void *radii_of(const struct repeat_entry *entry, const uint8_t *payload,
                             double *radii) {
@@ -110,7 +110,7 @@ void repeat_answer(const struct repeat_entry *entry, struct batch *batch, struct
   stats_add(stats, STATS_SLICES_EVALUATED, 1);
 }
 
-/* ---- remembering ------------------------------------------------------------------------------ */
+/* ---- remembering ----------------------------------------------------------------------------- */
 
 /* RADIUS is not evaluated by a kernel, and S depends on angles. */
 static bool can_repeat(const wire_eval_request *fixed, const eval_layout *layout,

@@ -4,8 +4,8 @@
  *
  * Two requests count as the same if their payloads are equal byte by byte up to the radii.
  *
- * Measured as in server/store/profiles.h: without it, a request of 16 radii (service.redis) takes 2.8
- * times as much of the daemon's processor time, and ratio.service.redis is half as high.
+ * Measured as in server/store/profiles.h: without it, a request of 16 radii (service.redis) takes
+ * 2.8 times as much of the daemon's processor time, and ratio.service.redis is half as high.
  */
 #ifndef DIPOLED_REPEAT_H
 #define DIPOLED_REPEAT_H

@@ -8,14 +8,14 @@
  * The first thread that asks for a profile prepares it, or has it prepared. All threads that ask in
  * the meantime wait for the same entry and are woken. A fault goes to all of them and is not kept.
  *
- * Threading: one mutex guards the table, the lists for eviction and the lists of waiters. No profile
- * is prepared or freed while the mutex is held. Profiles are evaluated without it, and a worker
- * finds the entries in its local store (server/store/profiles.h) without it.
+ * Threading: one mutex guards the table, the lists for eviction and the lists of waiters. No
+ * profile is prepared or freed while the mutex is held. Profiles are evaluated without it, and a
+ * worker finds the entries in its local store (server/store/profiles.h) without it.
  *
  * Eviction: least recently used first, in two lists. Profiles that are fast to prepare may take at
  * most a quarter of all bytes, so that a stream of them leaves three quarters to the slow ones. The
- * cache does not see when a worker finds an entry in its local store. The worker then sets a mark in
- * the entry. When a marked entry is the next to be evicted, it moves to the head of its list
+ * cache does not see when a worker finds an entry in its local store. The worker then sets a mark
+ * in the entry. When a marked entry is the next to be evicted, it moves to the head of its list
  * instead.
  */
 #ifndef DIPOLED_CACHE_H
@@ -26,8 +26,8 @@
 
 /* What a profile is prepared from. Two profiles are the same when their keys have the same bytes:
  * there is no padding, and numbers that mean the same have the same bits (0 has no sign, and every
- * parameter that is not given is the same NaN). The angles of S are not in the key, because they are
- * set in a copy of the profile. */
+ * parameter that is not given is the same NaN). The angles of S are not in the key, because they
+ * are set in a copy of the profile. */
 struct cache_key {
   uint32_t model;
   uint32_t moments;
@@ -94,8 +94,8 @@ enum cache_answer cache_look(struct cache *cache, const struct cache_key *key, b
                              struct cache_queue *queue, struct cache_waiter *waiter,
                              struct cache_entry **entry);
 
-/* Prepares a NEW entry, on any thread, and wakes all who wait for it. If nobody waits any more for a
- * slow entry, it is removed from the cache instead. */
+/* Prepares a NEW entry, on any thread, and wakes all who wait for it. If nobody waits any more for
+ * a slow entry, it is removed from the cache instead. */
 void cache_prepare(struct cache_entry *entry);
 
 /* A waiter of this queue whose entry has been prepared or has a fault. NULL: there is none. */

@@ -8,17 +8,18 @@
  *     So no stream of such media evicts anything from the cache.
  *   25 to 500 us (single scattering, multipoles, quantized diffusion): the worker that asks first
  *     prepares them. They are in the cache and in the table.
- *   milliseconds and more (transport, tables): likewise, but a thread of libuv's pool prepares them,
- *     so that neither the worker nor another client's cheap request waits.
+ *   milliseconds and more (transport, tables): likewise, but a thread of libuv's pool prepares
+ *     them, so that neither the worker nor another client's cheap request waits.
  *
  * Others (server/jobs/batch.h, server/jobs/repeat.h) remember a profile by its place in this table
  * and hold no copies of their own.
  *
- * Why there is one table and no other store. Each store that the daemon once had was switched off in
- * a copy of the program, and both programs served the same load in turn: 25 ms each, 40 to 60 rounds,
- * on two cores of a Xeon. The figures are medians of the rounds' ratios of the daemon's processor
- * time for one request (service.redis.dipoled.cpu, modbus.fc23.32.dipoled.cpu); two copies of the
- * same program differ by up to 2 %. A store that earns less than 5 % of a ratio is not kept.
+ * Why there is one table and no other store. Each store that the daemon once had was switched off
+ * in a copy of the program, and both programs served the same load in turn: 25 ms each, 40 to 60
+ * rounds, on two cores of a Xeon. The figures are medians of the rounds' ratios of the daemon's
+ * processor time for one request (service.redis.dipoled.cpu, modbus.fc23.32.dipoled.cpu); two
+ * copies of the same program differ by up to 2 %. A store that earns less than 5 % of a ratio is
+ * not kept.
  *
  *   switched off                              service.redis   modbus.fc23.32   kept
  *   repeated requests (server/jobs/repeat.h)  2.8             1.11             yes
@@ -40,7 +41,8 @@
 #include "server/server.h"
 #include "server/store/cache.h"
 
-/* A profile is found by its hash: in one of PROFILES_SETS sets, in any of its PROFILES_WAYS slots. */
+/* A profile is found by its hash: in one of PROFILES_SETS sets, in any of its PROFILES_WAYS
+ * slots. */
 enum { PROFILES_SETS = 64, PROFILES_WAYS = 4 };
 
 struct profiles_slot {
@@ -114,9 +116,9 @@ enum profiles_answer profiles_get(struct profiles *profiles, struct profiles_ord
 /* Returns the profile, or gives up waiting for it. Does nothing if there is neither. */
 void profiles_return(struct profiles_order *order);
 
-/* The profile at a place, without the angles of a request. NULL: the slot has another one now, or the cache has
- * evicted this one. It stays until the next call of profiles_get() or profiles_sweep(), or while the
- * slot is pinned. */
+/* The profile at a place, without the angles of a request. NULL: the slot has another one now, or
+ * the cache has evicted this one. It stays until the next call of profiles_get() or
+ * profiles_sweep(), or while the slot is pinned. */
 const core_profile *profiles_at(struct profiles_place place);
 
 #endif
