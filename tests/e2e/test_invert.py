@@ -131,7 +131,7 @@ def test_what_is_found_is_what_an_eval_and_a_sample_take(client):
     assert client.sample("better", found.media, draw=Draw(5)).r.shape == (2, 5)
 
 
-def test_answers_that_do_not_fit_are_not_taken():
+def test_answers_that_do_not_fit_are_not_taken(client):
     """A caller who counts on what it asked for must not be mistaken."""
     query = inversion.Query((4,), 4, 2, 1, 1, 0.0, 1.3)
     right = {
@@ -156,20 +156,22 @@ def test_answers_that_do_not_fit_are_not_taken():
     wrong += [{"medium_count": 4}, {"medium_count": 0}, {"medium_first": 1}, {"missing_count": 4}]
     for changes in wrong:
         with pytest.raises(dipole.ProtocolError):
-            inversion.Answer(query).add(payload(**changes))
+            inversion.Answer(query, client.info).add(payload(**changes))
     for changes in ({"albedo_most": 0.5}, {"medium_first": 2}, {"medium_count": 2}, {"part": 0}):
-        answer = inversion.Answer(query)
+        answer = inversion.Answer(query, client.info)
         answer.add(payload())
         with pytest.raises(dipole.ProtocolError):
             answer.add(payload(**{**last, **changes}))
     for cut in (payload()[:-8], payload()[:40]):
         with pytest.raises(dipole.ProtocolError):
-            inversion.Answer(query).add(cut)
-    answer = inversion.Answer(query)
+            inversion.Answer(query, client.info).add(cut)
+    answer = inversion.Answer(query, client.info)
     answer.add(payload())
-    assert not answer.ended and not answer.is_new and answer.fresh().is_new
+    assert not answer.ended and not answer.ready
     answer.add(payload(**last))
-    assert answer.ended and answer.missing == 2
+    assert answer.ended and answer.ready.popleft().missing == 2
+    with pytest.raises(dipole.ProtocolError):
+        answer.add(payload(**last))
 
 
 # ---- requests that are wrong ---------------------------------------------------------------------

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
+import shutil
 import socket
+import subprocess
+import sys
 import threading
+from pathlib import Path
 
 import dipole
 import numpy as np
 import pytest
-from daemons import PROGRAM
+from daemons import PROGRAM, REPOSITORY, environment
 from dipole import Grid, Medium, wire
+from dipole.connection import Incoming
 from frames import PING, SKIN, frame
 from lists import MODELS, takes
 
@@ -328,18 +333,18 @@ LIES = {
 
 @pytest.mark.parametrize("name", LIES)
 def test_parts_that_do_not_belong_together(shared, name):
-    """In place of a daemon's answer; its hello is its own."""
+    """A socket pair takes the daemon's place after its hello."""
     ours, theirs = socket.socketpair()
     with shared.client() as client, ours, theirs:
         connection = client._connection
         connection.socket.close()
         connection.socket = ours
         for how in (client.eval, lambda *query: list(client.eval_parts(*query))):
-            number = client._last_id + 1
+            number = client._exchange.last_id + 1
             theirs.sendall(b"".join(frame(EVAL_REPLY, number, payload) for payload in LIES[name]))
             with pytest.raises(dipole.ProtocolError):
                 how("better", SKIN, np.arange(10.0))
-            connection._incoming.clear()
+            connection.incoming = Incoming()
 
 
 def test_much_may_be_submitted_before_anything_is_collected(client):
@@ -387,12 +392,44 @@ def test_port_where_nobody_answers():
         dipole.Client(f"tcp:127.0.0.1:{port}")
 
 
-def test_no_daemon_to_start(monkeypatch, tmp_path):
-    monkeypatch.delenv("DIPOLED", raising=False)
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(dipole.ConnectError) as caught:
-        dipole.Client()
-    assert "dipoled" in str(caught.value)
+def run_in_clone(folder: Path, has_build: bool, **variables: str):
+    """Runs a program that imports the module of a fresh clone, without PATH and DIPOLED."""
+    shutil.copytree(Path(dipole.__file__).parent, folder / "clients/python/dipole")
+    if has_build:
+        (folder / "build").mkdir()
+        (folder / "build/dipoled").symlink_to(PROGRAM)
+    program = "import dipole\nwith dipole.Client() as client: print(client.info.address)"
+    env = environment(PYTHONPATH=str(folder / "clients/python"), PATH="", **variables)
+    command = [sys.executable, "-c", program]
+    return subprocess.run(command, env=env, capture_output=True, text=True, check=False)
+
+
+def test_daemon_of_a_clone(tmp_path):
+    """It is found, serves nobody else, and writes nothing."""
+    listen = f"unix:{tmp_path}/s"
+    run = run_in_clone(tmp_path, True, DIPOLED_LISTEN=listen)
+    assert (run.returncode, run.stdout, run.stderr) == (0, "private:\n", "")
+    assert not (tmp_path / "s").exists()
+
+
+def test_pip_installs_it(tmp_path):
+    """From a copy, because the build leaves files in the source folder."""
+    source, target = tmp_path / "source", tmp_path / "target"
+    shutil.copytree(REPOSITORY / "clients/python", source)
+    options = ["--quiet", "--no-build-isolation", "--no-deps", "--no-index", "--target", str(target)]
+    subprocess.run([sys.executable, "-m", "pip", "install", *options, str(source)], check=True)
+    installed = sorted(path.name for path in (target / "dipole").iterdir() if path.is_file())
+    assert installed == sorted(path.name for path in (source / "dipole").iterdir())
+
+
+def test_errors_of_a_private_daemon_appear(tmp_path):
+    run = run_in_clone(tmp_path, True, DIPOLED_WORKERS="many")
+    assert run.returncode != 0 and "many" in run.stderr.splitlines()[0]
+
+
+def test_no_daemon_to_start(tmp_path):
+    run = run_in_clone(tmp_path, False)
+    assert run.returncode != 0 and "ConnectError: private:: there is no dipoled" in run.stderr
 
 
 def test_daemon_from_the_path(monkeypatch):

@@ -11,53 +11,18 @@ Lengths in mm, coefficients in 1/mm, R in 1/mm^2 per unit of power that entered 
 
 from .aio import AsyncClient
 from .broadcast import Values
-from .client import Client
+from .client import Client, Parts
 from .connection import Connection, Frame
-from .errors import (
-    AddressError,
-    ArgumentError,
-    ConnectError,
-    ConnectionLost,
-    DipoleError,
-    ProtocolError,
-    Refused,
-    TableError,
-)
-from .inversion import Inversion
-from .mc import McEnergy, McProgress, McResult, McValue
-from .parts import Parts
-from .samples import Draw, Samples
+from .errors import AddressError, ArgumentError, ConnectError, ConnectionLost, DipoleError
+from .errors import ProtocolError, Refused, TableError
 from .table import Table
-from .values import Choice, Grid, Info, Medium, Offer, Offers, Result
+from .values import Choice, Draw, Grid, Info, Inversion, McEnergy, McProgress, McResult, McValue
+from .values import Medium, Offer, Offers, Query, Result, Samples
 
+# fmt: off
 __all__ = [
-    "AddressError",
-    "ArgumentError",
-    "AsyncClient",
-    "Choice",
-    "Client",
-    "ConnectError",
-    "Connection",
-    "ConnectionLost",
-    "DipoleError",
-    "Draw",
-    "Frame",
-    "Grid",
-    "Info",
-    "Inversion",
-    "McEnergy",
-    "McProgress",
-    "McResult",
-    "McValue",
-    "Medium",
-    "Offer",
-    "Offers",
-    "Parts",
-    "ProtocolError",
-    "Refused",
-    "Result",
-    "Samples",
-    "Table",
-    "TableError",
-    "Values",
+    "AddressError", "ArgumentError", "AsyncClient", "Choice", "Client", "ConnectError",
+    "Connection", "ConnectionLost", "DipoleError", "Draw", "Frame", "Grid", "Info", "Inversion",
+    "McEnergy", "McProgress", "McResult", "McValue", "Medium", "Offer", "Offers", "Parts",
+    "ProtocolError", "Query", "Refused", "Result", "Samples", "Table", "TableError", "Values",
 ]

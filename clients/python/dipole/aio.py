@@ -1,52 +1,52 @@
 """The client for asyncio: the same calls, awaited, and any number of them at a time.
 
-    async with dipole.AsyncClient("tcp:farm:4817") as client:
-        near, far = await asyncio.gather(
-            client.eval("better", skin, r=[0.1]), client.eval("better", skin, r=[10.0])
-        )
+async with dipole.AsyncClient("tcp:farm:4817") as client:
+    near, far = await asyncio.gather(
+        client.eval("better", skin, r=[0.1]), client.eval("better", skin, r=[10.0])
+    )
 """
 
 from __future__ import annotations
 
 import asyncio
+import socket
 import time
-from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Sequence
+from dataclasses import replace
+from typing import Any, TypeVar
 
-import numpy as np
-
-from . import answers, broadcast, calls, inversion, mc, packing, retry, samples, wire
-from .aio_stream import AsyncStream
-from .answers import Answer
+from . import broadcast, calls, evaluation, inversion, mc, wire
 from .broadcast import Values
-from .connection import Frame
-from .errors import ArgumentError, ConnectionLost, DipoleError, ProtocolError, Refused
-from .inversion import Inversion
-from .samples import Draw, Samples
-from .session import Session
+from .connection import Connection, Frame
+from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
+from .exchange import RETRY_S, Exchange, Request, connect_again, open_connection
 from .table import Table
-from .values import Grid, Info, Medium, Offers, Result
+from .values import (
+    Draw,
+    Grid,
+    Info,
+    Inversion,
+    McProgress,
+    McResult,
+    Medium,
+    Offers,
+    Query,
+    Result,
+    Samples,
+)
 
 T = TypeVar("T")
 
-# Frames that have come and that nobody has taken: with so many nothing more is read unless somebody
-# waits for it.
-_FRAMES_AHEAD = 16
-
-
-class _Again(NamedTuple):
-    """In place of a frame: the answer begins anew, what has come of it is of no use."""
-
-
-_AGAIN = _Again()
+# Nothing more is read while so many pieces of answers have not been taken and no call waits.
+_PIECES_AHEAD = 16
 
 
 class AsyncClient:
-    """Connects when it is entered (or open() is awaited); belongs to one event loop.
+    """Connects when it is entered or open() is awaited. It belongs to one event loop.
 
     The arguments are those of Client, and so is what happens when the connection is lost or the
-    daemon is busy. A call that is cancelled takes none of the others with it; a Monte Carlo job is
-    then cancelled on the daemon, too.
+    daemon is busy. A call that is cancelled leaves the others alone; a cancelled mc() also cancels
+    its job on the daemon.
     """
 
     def __init__(
@@ -55,22 +55,26 @@ class AsyncClient:
         timeout_s: float | None = 30.0,
         retry_s: float | None = None,
     ):
-        self.info: Info  # from open() on
         self._address = address
         self._timeout_s = timeout_s
         self._retry_s = retry_s
-        self._last_id = 0
-        # What has come of requests that have no whole answer yet, by id.
-        self._come: dict[int, asyncio.Queue[Frame | DipoleError | _Again]] = {}
-        self._begun: set[int] = set()  # those of whose answers parts have been handed on
-        self._requests = retry.Requests()
-        self._stream: AsyncStream | None = None
+        self._info: Info | None = None
+        self._exchange = Exchange(0.0)
+        self._stream: _Stream | None = None
+        self._moved: dict[int, asyncio.Event] = {}  # something has come for a request
         self._tasks: set[asyncio.Task[None]] = set()
-        self._connected = asyncio.Event()  # or failed: not while it connects again
-        self._wanted = asyncio.Event()  # something that has not come yet
-        self._hungry = 0  # how many calls wait for that
-        self._hungry_s = 0.0  # since when there are any
+        self._connected = asyncio.Event()  # It is clear only while the client connects again.
+        self._read_on = asyncio.Event()  # A call waits, or has taken something.
+        self._waiting: set[int] = set()  # requests for which a call waits
+        self._waiting_since_s = 0.0  # since when there are any
         self._failed: DipoleError | None = None
+
+    @property
+    def info(self) -> Info:
+        """What the daemon said about itself."""
+        if self._info is None:
+            raise ArgumentError("this client is not open")
+        return self._info
 
     # ---- opening and closing ---------------------------------------------------------------------
 
@@ -83,12 +87,12 @@ class AsyncClient:
 
     async def open(self) -> None:
         """Connects and reads the daemon's lists."""
-        session = await asyncio.to_thread(Session, self._address, self._timeout_s, 0)
-        self.info = session.info
-        is_private = session.info.address.startswith("private:")
-        default_s = 0.0 if is_private else retry.DEFAULT_S
-        self._requests.for_s = default_s if self._retry_s is None else self._retry_s
-        self._stream = AsyncStream(session._connection)
+        connection, self._info = await asyncio.to_thread(
+            open_connection, self._address, self._timeout_s, calls.hello
+        )
+        default_s = 0.0 if connection.is_private else RETRY_S
+        self._exchange.retry_s = default_s if self._retry_s is None else self._retry_s
+        self._stream = _Stream(connection)
         self._connected.set()
         self._start(self._read())
         if self._timeout_s is not None:
@@ -106,100 +110,37 @@ class AsyncClient:
             await stream.close()
 
     def _name(self) -> str:
-        return str(self._address) if self._stream is None else self._stream.address
+        return str(self._address) if self._stream is None else self._stream.connection.address
 
-    # ---- evaluating ------------------------------------------------------------------------------
+    # ---- calls: see Client -----------------------------------------------------------------------
 
-    async def eval(
-        self,
-        model: str | int | None,
-        media: Medium | Iterable[Sequence[float]] | np.ndarray,
-        r: Any = None,
-        *,
-        grid: Grid | None = None,
-        evaluator: str | int | None = None,
-        moments: str | int = "exact",
-        wanted: Iterable[str] | None = None,
-        parameters: Mapping[str, float | str] | None = None,
-        tolerance: float | None = None,
-        deadline_ms: int = 0,
-    ) -> Result:
+    async def eval(self, *query: Any, **options: Any) -> Result:
         """See Client.eval()."""
-        payload, query = packing.query(
-            self.info, model, media, r, grid, evaluator, moments, wanted, parameters, tolerance
-        )
-        answer = await self._whole(payload, deadline_ms, Answer(query))
-        return answers.result(answer, self.info)
+        return await self._ask(evaluation.eval(self.info, Query.of(*query, **options)))
 
-    async def eval_parts(
-        self,
-        model: str | int | None,
-        media: Medium | Iterable[Sequence[float]] | np.ndarray,
-        r: Any = None,
-        *,
-        grid: Grid | None = None,
-        evaluator: str | int | None = None,
-        moments: str | int = "exact",
-        wanted: Iterable[str] | None = None,
-        parameters: Mapping[str, float | str] | None = None,
-        tolerance: float | None = None,
-        deadline_ms: int = 0,
-    ) -> AsyncIterator[Result]:
-        """See Client.eval_parts(): an asynchronous iterator. Of what nobody takes up a little is
-        read ahead, and all of it as far as the answers to other calls come behind it."""
-        payload, query = packing.query(
-            self.info, model, media, r, grid, evaluator, moments, wanted, parameters, tolerance
+    async def eval_parts(self, *query: Any, **options: Any) -> AsyncIterator[Result]:
+        """See Client.eval_parts(). Gives an asynchronous iterator. A few parts are read ahead of
+        the caller, and more while another call waits for its own answer behind them."""
+        request_id = await self._send(
+            evaluation.eval(self.info, Query.of(*query, **options), hands_on=True)
         )
-        answer = Answer(query._replace(handed_on=True))
-        request_id = await self._send("eval", payload, deadline_ms)
         try:
-            while not answer.ended:
-                answer = await self._take_part(request_id, answer)
-                while answer.ready:
-                    self._begun.add(request_id)
-                    yield answers.result(answer, self.info)
+            while (part := await self._next(request_id)) is not None:
+                yield part
         finally:
             self._drop(request_id)
-
-    async def _whole(self, payload: bytes, deadline_ms: int, answer: Any) -> Any:
-        """Sends a request and waits for all of its answer."""
-        request_id = await self._send(answer.message, payload, deadline_ms)
-        try:
-            while not answer.ended:
-                answer = await self._take_part(request_id, answer)
-        finally:
-            self._drop(request_id)
-        return answer
-
-    async def _take_part(self, request_id: int, answer: Any) -> Any:
-        """Waits for the next part of an answer, or the error in its place; returns the answer, or
-        another that takes its place, without a part."""
-        frame = await self._next_frame(request_id)
-        if isinstance(frame, _Again):
-            return answer.fresh()
-        try:
-            answer.add(calls.payload_of(frame, answer.message))
-        except Refused as refusal:
-            answer.refuse(refusal)
-        return answer
 
     async def values(
-        self,
-        model: str | int | None,
-        media: Medium | Sequence[Any] | np.ndarray,
-        r: Any,
-        quantity: str = "R",
-        **options: Any,
+        self, model: Any, media: Any = None, r: Any = None, quantity: str = "R", **options: Any
     ) -> Values:
-        """See Client.values(), which has the same options."""
-        queries, collected = broadcast.plan(self.info, media, r, quantity)
+        """See Client.values()."""
+        template = Query(model, media, r, wanted=[quantity], **options)
+        places, collected = broadcast.plan(self.info, media, r, quantity)
 
         async def ask() -> None:
-            for query in queries:
-                result = await self.eval(
-                    model, query.media, query.radii, wanted=[quantity], **options
-                )
-                collected.add(query, result)
+            for place in places:
+                query = replace(template, media=place.media, r=place.radii)
+                collected.add(place, await self.eval(query))
 
         tasks = [asyncio.create_task(ask()) for _ in range(broadcast.OUTSTANDING)]
         try:
@@ -210,89 +151,46 @@ class AsyncClient:
             await asyncio.gather(*tasks, return_exceptions=True)
         return collected.values()
 
+    async def offers(self, media: Any, r: Any = None, **options: Any) -> Offers:
+        """See Client.offers()."""
+        return await self._ask(evaluation.offers(self.info, Query(None, media, r, **options)))
+
+    async def table(
+        self, model: str | int, medium: Medium | Sequence[float], **options: Any
+    ) -> Table:
+        """See Client.table()."""
+        return await self._ask(evaluation.table(self.info, Query(model, medium, **options)))
+
     async def sample(
         self,
         model: str | int,
-        media: Medium | Iterable[Sequence[float]] | np.ndarray,
+        media: Any,
         u: Any = None,
         *,
         draw: Draw | None = None,
-        evaluator: str | int = "f64",
-        moments: str | int = "exact",
-        wanted: Iterable[str] = ("r", "pdf"),
-        parameters: Mapping[str, float | str] | None = None,
-        tolerance: float | None = None,
-        deadline_ms: int = 0,
+        **options: Any,
     ) -> Samples:
         """See Client.sample()."""
-        how = (u, draw, evaluator, moments, wanted, parameters, tolerance)
-        payload, query, numbers = samples.request(self.info, model, media, *how)
-        answer = await self._whole(payload, deadline_ms, Answer(query))
-        return samples.result(answer, self.info, numbers)
+        query = Query(model, media, **options)
+        return await self._ask(evaluation.sample(self.info, query, u, draw))
 
-    async def invert(
-        self,
-        model: str | int,
-        albedo: Any,
-        length: Any,
-        *,
-        given: str | int = "mean-free-path",
-        g: float = 0.0,
-        eta: float = 1.3,
-        moments: str | int = "exact",
-        deadline_ms: int = 0,
-    ) -> Inversion:
+    async def invert(self, model: str | int, albedo: Any, length: Any, **options: Any) -> Inversion:
         """See Client.invert()."""
-        payload, query = inversion.request(
-            self.info, model, albedo, length, given, g, eta, moments
-        )
-        answer = await self._whole(payload, deadline_ms, inversion.Answer(query))
-        return inversion.result(answer, self.info)
-
-    # ---- the rest --------------------------------------------------------------------------------
-
-    async def offers(
-        self,
-        media: Medium | Iterable[Sequence[float]] | np.ndarray,
-        r: Any = None,
-        *,
-        grid: Grid | None = None,
-        evaluator: str | int | None = None,
-        wanted: Iterable[str] | None = None,
-        parameters: Mapping[str, float | str] | None = None,
-        tolerance: float | None = None,
-    ) -> Offers:
-        """See Client.offers()."""
-        call = calls.offers(self.info, media, r, grid, evaluator, wanted, parameters, tolerance)
-        return await self._call(call)
-
-    async def table(
-        self,
-        model: str | int,
-        medium: Medium | Sequence[float],
-        *,
-        moments: str | int = "exact",
-        parameters: Mapping[str, float | str] | None = None,
-        tolerance: float | None = None,
-        deadline_ms: int = 0,
-    ) -> Table:
-        """See Client.table()."""
-        call = calls.table(self.info, model, medium, moments, parameters, tolerance)
-        return await self._call(call, deadline_ms)
+        return await self._ask(inversion.request(self.info, model, albedo, length, **options))
 
     async def media(self) -> dict[str, tuple[Medium, Medium, Medium]]:
         """See Client.media()."""
-        return await self._call(calls.media())
+        return await self._ask(calls.media())
 
     async def statistics(self) -> dict[str, int]:
         """See Client.statistics()."""
-        return await self._call(calls.statistics())
+        return await self._ask(calls.statistics())
 
     async def ping(self, payload: bytes = b"") -> float:
         """See Client.ping()."""
-        call = calls.ping(payload)
+        request = calls.ping(payload)
         start = time.perf_counter()
-        await self._call(call)
+        await self._ask(request)
         return time.perf_counter() - start
 
     async def mc(
@@ -300,185 +198,151 @@ class AsyncClient:
         medium: Medium | Sequence[float],
         edges: Grid,
         *,
-        progress: Callable[[mc.McProgress], bool | None] | None = None,
+        progress: Callable[[McProgress], bool | None] | None = None,
         **options: Any,
-    ) -> mc.McResult:
-        """See Client.mc(), which has the same options."""
-        payload = mc.request(self.info, medium, edges, **options)
-        request_id = await self._send("mc", payload)
+    ) -> McResult:
+        """See Client.mc()."""
+        request_id = await self._send(mc.request(self.info, medium, edges, **options))
         cancelled = ended = False
         try:
-            while True:
-                reply = calls.payload_of(await self._reply(request_id), "mc")
-                fixed = mc.unpack_fixed(reply)
-                if fixed.state != wire.MC_UNDER_WAY:
-                    ended = True
-                    return mc.unpack_result(reply)
-                if progress is not None and not cancelled:
-                    cancelled = progress(mc.progress_of(fixed)) is False
-                    if cancelled:
-                        await self._cancel(request_id)
+            while not isinstance(report := await self._next(request_id), McResult):
+                if progress is not None and not cancelled and progress(report) is False:
+                    cancelled = True
+                    await self._cancel(request_id)
+            ended = True
+            return report
         finally:
             self._drop(request_id)
             if not ended:
                 await self._cancel(request_id)
 
     async def _cancel(self, job_id: int) -> None:
-        """Ends a Monte Carlo job. The reply to this is of no interest."""
-        self._last_id += 1
+        """Cancels a Monte Carlo job, unless the connection is lost: then there is none."""
         if self._stream is not None:
-            type, payload = wire.MESSAGES["cancel"], wire.CANCEL_REQUEST.pack(job_id=job_id)
-            await self._stream.send_frame(type, self._last_id, payload)
+            request_id = self._exchange.begin(mc.cancellation(job_id))
+            pieces = self._exchange.frame(request_id)
+            self._exchange.drop(request_id)
+            await self._stream.send(pieces)
 
-    # ---- requests and replies --------------------------------------------------------------------
+    # ---- requests and answers --------------------------------------------------------------------
 
-    async def _call(self, call: calls.Call[T], deadline_ms: int = 0) -> T:
-        request_id = await self._send(call.message, call.payload, deadline_ms)
+    async def _ask(self, request: Request[T]) -> T:
+        request_id = await self._send(request)
         try:
-            return call.read(calls.payload_of(await self._reply(request_id), call.message))
+            return await self._next(request_id)
         finally:
             self._drop(request_id)
 
-    async def _send(self, message: str, payload: bytes, deadline_ms: int = 0) -> int:
+    async def _send(self, request: Request[Any]) -> int:
         """Sends a request; returns its id."""
         if self._failed is None and self._stream is None:
             raise ArgumentError("this client is not open")
         await self._connected.wait()
         if self._failed is not None:
             raise self._failed
-        self._last_id += 1
-        request_id = self._last_id
-        self._come[request_id] = asyncio.Queue()
-        self._requests.add(request_id, message, payload, deadline_ms)
+        request_id = self._exchange.begin(request)
+        self._moved[request_id] = asyncio.Event()
         try:
-            type = wire.MESSAGES[message]
-            await self._stream.send_frame(type, request_id, payload, deadline_ms)
+            await self._stream.send(self._exchange.frame(request_id))
         except BaseException:
             self._drop(request_id)
             raise
         return request_id
 
     def _drop(self, request_id: int) -> None:
-        """Its answer is whole, or nobody wants it any more: what still comes is thrown away."""
-        self._come.pop(request_id, None)
-        self._begun.discard(request_id)
-        self._requests.remove(request_id)
+        """Nobody wants more of this answer."""
+        self._exchange.drop(request_id)
+        self._moved.pop(request_id, None)
+        self._read_on.set()
 
-    async def _reply(self, request_id: int) -> Frame:
-        """The next frame that answers a request of whose answer nothing is kept."""
-        frame = await self._next_frame(request_id)
-        while isinstance(frame, _Again):
-            frame = await self._next_frame(request_id)
-        return frame
-
-    async def _next_frame(self, request_id: int) -> Frame | _Again:
-        """The next frame that answers a request."""
-        come = self._come[request_id]
-        if come.empty():
-            if self._hungry == 0:
-                self._hungry_s = time.monotonic()
-            self._hungry += 1
-            self._wanted.set()
+    async def _next(self, request_id: int) -> Any:
+        """Waits for the next piece of an answer; None if there is no other."""
+        moved = self._moved[request_id]
+        while not self._exchange.is_ready(request_id):
+            if self._failed is not None:
+                raise self._failed
+            if not self._waiting:
+                self._waiting_since_s = time.monotonic()
+            self._waiting.add(request_id)
+            self._read_on.set()
+            moved.clear()
             try:
-                frame = await come.get()
+                await moved.wait()
             finally:
-                self._hungry -= 1
-        else:
-            frame = come.get_nowait()
-            self._wanted.set()
-        if isinstance(frame, DipoleError):
-            raise frame
-        return frame
+                self._waiting.discard(request_id)
+        self._read_on.set()
+        return self._exchange.next(request_id)
 
     # ---- reading ---------------------------------------------------------------------------------
 
     async def _read(self) -> None:
-        """Reads frames and gives them to whom they belong, until the client is closed or fails."""
+        """Gives frames to their requests until the client is closed or fails."""
         try:
             while True:
                 try:
-                    await self._give(await self._stream.receive_frame())
-                except ConnectionLost as lost:
+                    self._take(await self._stream.receive_frame())
+                except (ConnectionLost, Refused) as lost:
                     await self._restore(lost)
-                while self._hungry == 0 and self._ahead() >= _FRAMES_AHEAD:
-                    self._wanted.clear()
-                    await self._wanted.wait()
+                while not self._waiting and self._exchange.ahead() >= _PIECES_AHEAD:
+                    self._read_on.clear()
+                    await self._read_on.wait()
         except DipoleError as error:
             self._fail(error)
 
-    def _ahead(self) -> int:
-        return sum(come.qsize() for come in self._come.values())
+    def _take(self, frame: Frame) -> None:
+        request_id = self._exchange.take(frame)
+        moved = self._moved.get(request_id)
+        if moved is not None and self._exchange.is_ready(request_id):
+            moved.set()
+            self._waiting.discard(request_id)  # It will run, but the reader may run first.
+        elif frame.type == wire.TYPE_ERROR and moved is not None:
+            self._start(self._send_later())
 
     async def _watch(self, timeout_s: float) -> None:
         """Gives up on a daemon that is silent for too long."""
         while True:
             await asyncio.sleep(timeout_s / 8)
-            silent_s = time.monotonic() - max(self._hungry_s, self._stream.moved_s)
-            if self._hungry > 0 and self._connected.is_set() and silent_s > timeout_s:
+            silent_s = time.monotonic() - max(self._waiting_since_s, self._stream.moved_s)
+            if self._waiting and self._connected.is_set() and silent_s > timeout_s:
                 break
         text = f"{self._name()}: nothing moved for {timeout_s} s"
         self._fail(ConnectionLost(text, final=True))
 
-    async def _give(self, frame: Frame) -> None:
-        if frame.type == wire.TYPE_ERROR and frame.request_id == 0:
-            await self._restore(calls.refused(frame))
-            return
-        if not 0 < frame.request_id <= self._last_id:
-            raise ProtocolError(f"a reply to request {frame.request_id}, which was not made")
-        come = self._come.get(frame.request_id)
-        if come is None:
-            return
-        if frame.type == wire.TYPE_ERROR and frame.request_id not in self._begun:
-            refused = calls.refused(frame)
-            if isinstance(refused, Refused) and self._requests.later(refused):
-                _begin_again(come)
-                self._start(self._send_later())
-                return
-        come.put_nowait(frame)
-
-    def _start(self, work: Any) -> None:
+    def _start(self, work: Coroutine[Any, Any, None]) -> None:
         task = asyncio.create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
     async def _send_later(self) -> None:
-        """Sends what a busy daemon has refused again, when it is time."""
-        next_s = min(self._requests.again_s.values(), default=None)
+        """Sends what a busy daemon has refused again when it is time."""
+        next_s = self._exchange.next_due_s()
         if next_s is not None:
             await asyncio.sleep(max(next_s - time.monotonic(), 0))
-            await self._send_again(self._requests.due())
+            await self._send_again(self._exchange.due())
 
     async def _send_again(self, request_ids: Iterable[int]) -> None:
-        """Sends requests as they were, but for what is left of their deadlines."""
         for request_id in request_ids:
-            kept, come = self._requests.kept.get(request_id), self._come.get(request_id)
-            if kept is None or come is None:  # nobody waits any more
-                continue
-            left_ms = retry.left_ms(kept) if kept.deadline_ms else 0
-            if kept.deadline_ms and left_ms <= 0:
-                come.put_nowait(retry.late_frame(request_id))
-            else:
-                type = wire.MESSAGES[kept.message]
-                await self._stream.send_frame(type, request_id, kept.payload, left_ms)
+            pieces = self._exchange.frame(request_id)
+            if pieces:
+                await self._stream.send(pieces)
+            elif request_id in self._moved:  # Its deadline has passed.
+                self._moved[request_id].set()
 
     async def _restore(self, lost: DipoleError) -> None:
-        """Connects again and sends again what is outstanding; raises `lost` where it cannot."""
-        until_s = self._requests.until_s()
-        if until_s is None or not retry.may_pass(lost) or self._begun:
-            raise lost
+        """Connects again and sends again what has no answer. Raises `lost` if it cannot."""
+        until_s = self._exchange.lost(lost)
         self._connected.clear()
         addresses = self._stream.connection.next_addresses()
         await self._stream.close()
 
-        def connect(left_s: float) -> Session:
-            timeout_s = left_s if self._timeout_s is None else min(left_s, self._timeout_s)
-            return Session(addresses, timeout_s, 0)
+        def connect(left_s: float) -> tuple[Connection, Info]:
+            limit_s = left_s if self._timeout_s is None else min(left_s, self._timeout_s)
+            return open_connection(addresses, limit_s, calls.hello)
 
-        fresh = await asyncio.to_thread(retry.connect_again, connect, self.info, until_s, lost)
-        self._stream = AsyncStream(fresh._connection)
-        for come in self._come.values():
-            _begin_again(come)
-        sent = [i for i in sorted(self._requests.kept) if i not in self._requests.again_s]
+        self._stream = _Stream(
+            await asyncio.to_thread(connect_again, connect, self.info, until_s, lost)
+        )
+        sent = self._exchange.restored()
         self._connected.set()
         self._start(self._send_again(sent))
 
@@ -486,12 +350,58 @@ class AsyncClient:
         """Nothing more will come."""
         if self._failed is None:
             self._failed = error
-        for come in self._come.values():
-            come.put_nowait(error)
+        for moved in self._moved.values():
+            moved.set()
         self._connected.set()
 
 
-def _begin_again(come: asyncio.Queue[Frame | DipoleError | _Again]) -> None:
-    while not come.empty():
-        come.get_nowait()
-    come.put_nowait(_AGAIN)
+class _Stream:
+    """Whole frames over a connection, which it takes over. One task receives; any number send."""
+
+    def __init__(self, connection: Connection):
+        self.connection = connection
+        self.moved_s = time.monotonic()  # when a byte last came
+        self._loop = asyncio.get_running_loop()
+        self._sending = asyncio.Lock()
+        self._sends: set[asyncio.Task[None]] = set()
+        self._closed = False
+        connection.socket.setblocking(False)
+
+    async def close(self) -> None:
+        """Closes the connection; a private daemon ends with it. Nobody may be receiving."""
+        self._closed = True
+        try:  # Sends that wait for room then end, and those who wait for them go on.
+            self.connection.socket.shutdown(socket.SHUT_RDWR)
+        except OSError:
+            pass
+        await asyncio.gather(*self._sends)
+        await asyncio.to_thread(self.connection.close)
+
+    async def send(self, pieces: list[bytes]) -> None:
+        """Sends a frame, all of it even if the caller is cancelled. It does not say whether the
+        connection was lost: receive_frame() does."""
+        if not self._closed:
+            send = asyncio.create_task(self._send(pieces))
+            self._sends.add(send)
+            send.add_done_callback(self._sends.discard)
+            await asyncio.shield(send)
+
+    async def _send(self, pieces: list[bytes]) -> None:
+        async with self._sending:
+            try:
+                for data in pieces:
+                    await self._loop.sock_sendall(self.connection.socket, data)
+            except OSError:
+                pass
+
+    async def receive_frame(self) -> Frame:
+        """The next frame, whatever its type."""
+        incoming = self.connection.incoming
+        while (frame := incoming.take_frame()) is None:
+            try:
+                count = await self._loop.sock_recv_into(self.connection.socket, incoming.room())
+            except OSError as error:
+                raise ConnectionLost(f"{self.connection.address}: {error}") from error
+            self.connection.received(count)
+            self.moved_s = time.monotonic()
+        return frame

@@ -34,7 +34,7 @@ class _Media(NamedTuple):
 
 def plan(
     info: Info, media: Medium | Sequence[Any] | np.ndarray, r: Any, quantity: str
-) -> tuple[Iterator[Query], Answers]:
+) -> tuple[Iterator[Places], Answers]:
     """The queries that Client.values() has to make, and what collects their results."""
     one = _media(media)
     radii = np.asarray(r, np.float64)
@@ -54,7 +54,7 @@ def plan(
 # ---- what is asked -------------------------------------------------------------------------------
 
 
-class Query(NamedTuple):
+class Places(NamedTuple):
     """One request, and where its answers belong: positions in the flattened result."""
 
     media: np.ndarray  # [C, 4]
@@ -104,7 +104,7 @@ def _is_product(index: np.ndarray, radii: np.ndarray) -> bool:
     return all(m == 1 or n == 1 for m, n in zip(media_shape, radii_shape))
 
 
-def _product(info: Info, media: _Media, radii: np.ndarray, dimensions: int) -> Iterator[Query]:
+def _product(info: Info, media: _Media, radii: np.ndarray, dimensions: int) -> Iterator[Places]:
     """All media in as few requests as the daemon's limits allow."""
     media_shape = _aligned(media.index.shape, dimensions)
     radii_shape = _aligned(radii.shape, dimensions)
@@ -121,7 +121,7 @@ def _product(info: Info, media: _Media, radii: np.ndarray, dimensions: int) -> I
         for low in range(0, len(media.distinct), most_media):
             distinct = media.distinct[low : low + most_media]
             rows = np.flatnonzero((index >= low) & (index < low + len(distinct)))
-            yield Query(
+            yield Places(
                 distinct,
                 listed[begin:end],
                 tuple((int(index[row]) - low, places[row, begin:end]) for row in rows),
@@ -130,7 +130,7 @@ def _product(info: Info, media: _Media, radii: np.ndarray, dimensions: int) -> I
 
 def _groups(
     info: Info, media: _Media, radii: np.ndarray, shape: tuple[int, ...]
-) -> Iterator[Query]:
+) -> Iterator[Places]:
     """Each medium with its radii."""
     most_radii = _most_radii(info)
     index = np.broadcast_to(media.index, shape).reshape(-1)
@@ -140,7 +140,7 @@ def _groups(
     for i, medium in enumerate(media.distinct):
         for begin in range(bounds[i], bounds[i + 1], most_radii):
             places = order[begin : min(begin + most_radii, bounds[i + 1])]
-            yield Query(medium[np.newaxis], listed[places], ((0, places),))
+            yield Places(medium[np.newaxis], listed[places], ((0, places),))
 
 
 # ---- what is answered ----------------------------------------------------------------------------
@@ -157,7 +157,7 @@ class Answers:
         self._model_error = np.full(int(np.prod(shape)), np.nan)
         self._models: set[str] = set()
 
-    def add(self, query: Query, result: Result) -> None:
+    def add(self, query: Places, result: Result) -> None:
         found = result.values[self._quantity]
         if self._values is None:
             self._values = np.empty(self._numerical_error.size, found.dtype)

@@ -10,17 +10,15 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from . import wire
 from .errors import AddressError, ConnectError, ConnectionLost, ProtocolError
 
-_RECEIVE_BYTES = 1 << 20
-_LARGE_BYTES = 1 << 18  # of a payload that is received to where it stays
+LARGE_BYTES = 1 << 18  # A payload of this size is received to where it stays, without a copy.
 _PRIVATE_EXIT_S = 10.0
 
 
@@ -29,23 +27,84 @@ class Frame(NamedTuple):
 
     type: int
     request_id: int
-    payload: bytes | memoryview  # a large one is a view, read-only
+    payload: bytes | memoryview  # A large payload is a read-only view.
+
+
+class Incoming:
+    """Received bytes, which are taken out in pieces of known length. It does no input itself: the
+    caller receives into room() and then calls add()."""
+
+    def __init__(self) -> None:
+        self._bytes = bytearray()
+        self._spare = memoryview(bytearray(LARGE_BYTES))
+        self._large: np.ndarray | None = None  # a large piece under way
+        self._large_bytes = 0  # how many bytes of it are here
+        self._header: wire.Structure | None = None
+
+    def __bool__(self) -> bool:
+        return len(self._bytes) > 0 or self._large is not None
+
+    def room(self) -> memoryview:
+        """Where the next bytes are to be received."""
+        return self._spare if self._large is None else memoryview(self._large)[self._large_bytes :]
+
+    def add(self, count: int) -> None:
+        """So many bytes have been received into room()."""
+        if self._large is None:
+            self._bytes += self._spare[:count]
+        else:
+            self._large_bytes += count
+
+    def take(self, count: int) -> bytes | memoryview | None:
+        """The next count bytes, or None if they are not all here."""
+        if count < LARGE_BYTES:
+            if len(self._bytes) < count:
+                return None
+            data = bytes(memoryview(self._bytes)[:count])
+            del self._bytes[:count]
+            return data
+        if self._large is None:
+            self._large = np.empty(count, np.uint8)
+            self._large_bytes = min(len(self._bytes), count)
+            self._large[: self._large_bytes] = memoryview(self._bytes)[: self._large_bytes]
+            del self._bytes[: self._large_bytes]
+        if self._large_bytes < count:
+            return None
+        view, self._large = memoryview(self._large).toreadonly(), None
+        return view
+
+    def take_frame(self) -> Frame | None:
+        """The next frame, or None if it is not all here."""
+        if self._header is None:
+            data = self.take(wire.HEADER.bytes)
+            if data is None:
+                return None
+            self._header = wire.HEADER.unpack(data)
+            if (self._header.magic, self._header.version) != (wire.MAGIC, wire.VERSION):
+                raise ProtocolError("the peer is not a dipoled")
+        payload = self.take(self._header.payload_bytes)
+        if payload is None:
+            return None
+        header, self._header = self._header, None
+        return Frame(header.type, header.request_id, payload)
 
 
 class Connection:
-    """One connection, without any knowledge of what the messages mean.
+    """One connection. It does not know what the messages mean.
 
-    address: unix:PATH, tcp:HOST:PORT ([::1]:PORT for IPv6), private: or private:PROGRAM; None means
-    $DIPOLED when that is set, else private:. Several of unix: and tcp:, separated by commas without
-    blanks, are tried in turn; `address` is then the one that answered. timeout_s: how long a call
-    waits without any byte arriving or leaving, and each address for an answer; None: for ever.
+    address: unix:PATH, tcp:HOST:PORT ([::1]:PORT for IPv6), private: or private:PROGRAM. None means
+        $DIPOLED if that is set, else private:, which starts a daemon that ends with the connection.
+        Several unix: and tcp: addresses, separated by commas without blanks, are tried in turn;
+        the attribute `address` is the one that answered.
+    timeout_s: how long a call waits while no byte arrives or leaves, and how long each address may
+        take to answer; None is no limit.
     """
 
     def __init__(self, address: str | None = None, timeout_s: float | None = 30.0):
         self._addresses = _several(address or os.environ.get("DIPOLED") or "private:")
         self.address = self._addresses[0]
         self.timeout_s = timeout_s
-        self._incoming = bytearray()
+        self.incoming = Incoming()
         self._process: subprocess.Popen[bytes] | None = None
         self.socket = self._open()
 
@@ -55,8 +114,13 @@ class Connection:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    @property
+    def is_private(self) -> bool:
+        """Whether the daemon was started for this connection."""
+        return self.address.startswith("private:")
+
     def close(self) -> None:
-        """Closes the connection and waits for a private daemon to end, which it then does."""
+        """Closes the connection and waits until a private daemon has ended."""
         self.socket.close()
         if self._process is not None:
             _end(self._process)
@@ -65,12 +129,11 @@ class Connection:
     # ---- connecting ------------------------------------------------------------------------------
 
     def next_addresses(self) -> str:
-        """All addresses, to connect again: those behind the one that was lost come first."""
+        """All addresses in the order for connecting again: the lost one comes last."""
         at = self._addresses.index(self.address) + 1
         return ",".join(self._addresses[at:] + self._addresses[:at])
 
     def _open(self) -> socket.socket:
-        """At the first address where somebody answers."""
         failures = []
         for self.address in self._addresses:
             try:
@@ -117,13 +180,18 @@ class Connection:
         return connection
 
     def _open_private(self, program: str) -> socket.socket:
+        """Starts a daemon that logs only errors: to this program's standard error."""
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
+        kept = {k: v for k, v in os.environ.items() if k not in _SERVES_OTHERS}
         try:
             with theirs:
                 self._process = subprocess.Popen(
-                    [program, "--fd", str(theirs.fileno())],
+                    [program, "--fd", str(theirs.fileno()), "--log-level", "error"],
                     pass_fds=[theirs.fileno()],
                     stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL,
+                    env=kept,
+                    process_group=0,  # The interrupt key must not end the daemon first.
                 )
         except BaseException:
             ours.close()
@@ -134,8 +202,8 @@ class Connection:
     # ---- bytes -----------------------------------------------------------------------------------
 
     def send_bytes(self, data: bytes) -> None:
-        """Sends bytes as they are. What arrives meanwhile is kept, so that two ends that both have
-        much to say cannot wait for each other."""
+        """Sends bytes as they are. What arrives meanwhile is kept: otherwise two ends that both
+        send much would wait for each other forever."""
         view = memoryview(data)
         try:
             while view:
@@ -145,51 +213,35 @@ class Connection:
                 if writable:
                     view = view[self._send_some(view) :]
         except ConnectionLost:
-            # A daemon that hangs up says why first: what it said is to be read before the loss.
-            if not self._incoming:
+            # A daemon that hangs up says why first, and that is to be read before the loss.
+            if not self.incoming:
                 raise
 
     def receive_bytes(self, count: int) -> bytes | memoryview:
         """Exactly count bytes."""
-        if count >= _LARGE_BYTES:
-            return self._receive_large(count)
-        while len(self._incoming) < count:
-            self._wait(writing=False)
-            self._receive_some()
-        data = bytes(self._incoming[:count])
-        del self._incoming[:count]
+        while (data := self.incoming.take(count)) is None:
+            self._receive()
         return data
-
-    def _receive_large(self, count: int) -> memoryview:
-        """Nothing of it is copied but what has come already."""
-        there = min(len(self._incoming), count)
-        buffer = np.empty(count, np.uint8)
-        buffer[:there] = memoryview(self._incoming)[:there]
-        del self._incoming[:there]
-        view = memoryview(buffer)
-        while there < count:
-            self._wait(writing=False)
-            there += self._received(self.socket.recv_into, view[there:])
-        return view.toreadonly()
 
     def receive_eof(self) -> bool:
         """Waits for the peer's next move: True when it closes, False when it sends something."""
-        if self._incoming:
+        if self.incoming:
             return False
-        self._wait(writing=False)
         try:
-            self._receive_some()
-        except ConnectionLost:
+            self._receive()
+        except ConnectionLost as lost:
+            if lost.final:
+                raise
             return True
         return False
 
     def moves_by(self, time_s: float) -> bool:
-        """Whether something comes before a moment of time.monotonic()."""
+        """Whether something arrives before a moment of time.monotonic()."""
         wait_ms = max(time_s - time.monotonic(), 0) * 1000
-        return bool(self._incoming or _poll(self.socket, select.POLLIN, wait_ms))
+        return bool(self.incoming or _poll(self.socket, select.POLLIN, wait_ms))
 
     def half_close(self) -> None:
-        """Says that nothing more will be sent; the peer's answers can still be read."""
+        """Ends this side's sending. The peer's answers can still be read."""
         self.socket.shutdown(socket.SHUT_WR)
 
     def _wait(self, writing: bool) -> tuple[bool, bool]:
@@ -211,18 +263,22 @@ class Connection:
         except OSError as error:
             raise ConnectionLost(f"{self.address}: {error}") from error
 
-    def _receive_some(self) -> None:
-        self._incoming += self._received(self.socket.recv, _RECEIVE_BYTES)
+    def _receive(self) -> None:
+        self._wait(writing=False)
+        self._receive_some()
 
-    def _received(self, receive: Callable[[Any], Any], argument: Any) -> Any:
-        """What a call that receives returns, unless it is the end."""
+    def _receive_some(self) -> None:
         try:
-            received = receive(argument)
+            count = self.socket.recv_into(self.incoming.room())
         except OSError as error:
             raise ConnectionLost(f"{self.address}: {error}") from error
-        if not received:
+        self.received(count)
+
+    def received(self, count: int) -> None:
+        """So many bytes have come into incoming.room(); 0 is the end of the connection."""
+        if count == 0:
             raise ConnectionLost(f"{self.address}: the daemon closed the connection")
-        return received
+        self.incoming.add(count)
 
     # ---- frames ----------------------------------------------------------------------------------
 
@@ -230,48 +286,44 @@ class Connection:
         self, type: int, request_id: int, payload: bytes = b"", deadline_ms: int = 0
     ) -> None:
         """Sends a header and a payload, whose length must be a multiple of 8."""
-        header = header_bytes(type, request_id, len(payload), deadline_ms)
-        if len(payload) < _LARGE_BYTES:
-            self.send_bytes(header + payload)
-        else:
-            self.send_bytes(header)
-            self.send_bytes(payload)
+        for data in frame_pieces(type, request_id, payload, deadline_ms):
+            self.send_bytes(data)
 
     def receive_frame(self) -> Frame:
         """The next frame, whatever its type."""
-        header = wire.HEADER.unpack(self.receive_bytes(wire.HEADER.bytes))
-        if header.magic != wire.MAGIC or header.version != wire.VERSION:
-            raise ProtocolError(f"{self.address}: this is not a dipoled")
-        return Frame(header.type, header.request_id, self.receive_bytes(header.payload_bytes))
+        while (frame := self.incoming.take_frame()) is None:
+            self._receive()
+        return frame
 
 
-def _several(text: str) -> list[str]:
-    """A comma that no scheme follows is part of a path."""
-    addresses = re.split(",(?=unix:|tcp:|private:)", text)
-    if len(addresses) > 1 and any(address.startswith("private:") for address in addresses):
-        raise AddressError(f"{text}: a private daemon is no address among others")
-    return addresses
+_SERVES_OTHERS = ("DIPOLED_LISTEN", "DIPOLED_METRICS", "DIPOLED_MODBUS")
 
 
-def header_bytes(type: int, request_id: int, payload_bytes: int, deadline_ms: int = 0) -> bytes:
-    """The header of a frame."""
-    return wire.HEADER.pack(
+def frame_pieces(
+    type: int, request_id: int, payload: bytes = b"", deadline_ms: int = 0
+) -> list[bytes]:
+    """A whole frame in one piece, or in two if its payload is too large to be copied."""
+    header = wire.HEADER.pack(
         magic=wire.MAGIC,
         version=wire.VERSION,
         type=type,
         request_id=request_id,
-        payload_bytes=payload_bytes,
+        payload_bytes=len(payload),
         deadline_ms=deadline_ms,
     )
+    return [header + payload] if len(payload) < LARGE_BYTES else [header, payload]
 
 
-def frame_bytes(type: int, request_id: int, payload: bytes = b"", deadline_ms: int = 0) -> bytes:
-    """A whole frame."""
-    return b"".join([header_bytes(type, request_id, len(payload), deadline_ms), payload])
+def _several(text: str) -> list[str]:
+    """Splits at each comma before a scheme. Any other comma belongs to a path."""
+    addresses = re.split(",(?=unix:|tcp:|private:)", text)
+    if len(addresses) > 1 and any(address.startswith("private:") for address in addresses):
+        raise AddressError(f"{text}: private: cannot be one of several addresses")
+    return addresses
 
 
 def _poll(connection: socket.socket, wanted: int, wait_ms: float | None) -> int:
-    """Waits for one socket; its events, 0 when there are none in time."""
+    """Waits for one socket. Returns its events, or 0 if there are none in time."""
     poll = select.poll()
     poll.register(connection, wanted)
     events = poll.poll(wait_ms)
@@ -279,14 +331,18 @@ def _poll(connection: socket.socket, wanted: int, wait_ms: float | None) -> int:
 
 
 def _find_daemon() -> str:
-    """The dipoled beside the running program, else the one in $PATH."""
+    """The dipoled beside the running program, else the one in $PATH, else the one that was built in
+    the repository that this module is a part of."""
     beside = Path(sys.argv[0] or ".").resolve().parent / "dipoled"
-    if os.access(beside, os.X_OK):
-        return str(beside)
-    found = shutil.which("dipoled")
-    if found is None:
-        raise FileNotFoundError("there is no dipoled beside this program or in $PATH")
-    return found
+    folder = Path(__file__).resolve().parent
+    in_clone = folder.parts[-3:] == ("clients", "python", "dipole")
+    built = folder.parents[2] / "build" / "dipoled" if in_clone else None
+    for found in (beside, shutil.which("dipoled"), built):
+        if found is not None and os.access(found, os.X_OK):
+            return str(found)
+    raise FileNotFoundError(
+        "there is no dipoled beside this program, in $PATH, or in build/ of this module's repository"
+    )
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

@@ -1,4 +1,4 @@
-"""What can go wrong, as exceptions; DipoleError catches all of it."""
+"""What can go wrong, as exceptions. DipoleError is the base of all of them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ class DipoleError(Exception):
 
 
 class AddressError(DipoleError, ValueError):
-    """The address cannot be understood."""
+    """The address is not written as an address."""
 
 
 class ConnectError(DipoleError, ConnectionError):
@@ -16,8 +16,8 @@ class ConnectError(DipoleError, ConnectionError):
 
 
 class ConnectionLost(DipoleError, ConnectionError):
-    """The connection ended or timed out; the client can only be closed. final: not because of the
-    peer, so that to connect again would not help."""
+    """The connection ended or timed out; the client can only be closed. final: connecting again
+    would not help, for example because the client has been closed."""
 
     def __init__(self, text: str, final: bool = False):
         self.final = final
@@ -33,7 +33,7 @@ class ArgumentError(DipoleError, ValueError):
 
 
 class TableError(DipoleError, ValueError):
-    """The bytes are not an intact table of a layout that is known here."""
+    """The bytes are not an intact table of a layout that this module knows."""
 
 
 class Refused(DipoleError):
@@ -49,22 +49,18 @@ class Refused(DipoleError):
         retry_after_ms: int,
         request_id: int,
     ):
-        self.status = status  # name of the status: "bad-value", "too-large", "busy", ...
-        self.code = code  # its code
-        self.field = field  # the field at fault, or ""
-        self.allowed = allowed  # what is allowed there, or ""
+        self.status = status  # name of the status, such as "bad-value", "too-large" or "busy"
+        self.code = code  # number of the status
+        self.field = field  # name of the field at fault, or ""
+        self.allowed = allowed  # what is allowed in that field, or ""
         self.index = index  # position of the value at fault in its array
-        self.retry_after_ms = retry_after_ms  # busy: when to try again; else 0
+        self.retry_after_ms = retry_after_ms  # when to ask again if the daemon is busy; else 0
         self.request_id = request_id  # of the request that was refused
-        super().__init__(self._text())
-
-    def _text(self) -> str:
-        text = self.status
-        if self.field:
-            where = f"{self.field}[{self.index}]" if self.index else self.field
-            text += f": {where}"
-        if self.allowed:
-            text += f": allowed is {self.allowed}"
-        if self.retry_after_ms:
-            text += f"; try again in {self.retry_after_ms} ms"
-        return text
+        text = status
+        if field:
+            text += f": {field}[{index}]" if index else f": {field}"
+        if allowed:
+            text += f": allowed is {allowed}"
+        if retry_after_ms:
+            text += f"; try again in {retry_after_ms} ms"
+        super().__init__(text)

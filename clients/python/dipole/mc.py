@@ -1,103 +1,56 @@
-"""Monte Carlo: what a job is asked, what it tells while it runs, and its table."""
+"""Monte Carlo jobs: requests, reports of progress, and tables."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from . import packing, wire
+from . import wire
 from .errors import ProtocolError
-from .values import Grid, Info, Medium
-
-REFLECTED, TRANSMITTED = 0, 1  # sides: where light enters, and the other one of a slab
-
-
-class McProgress(NamedTuple):
-    """How far a job is."""
-
-    number: int  # of this report: 1, 2, 3, ...
-    photons: int  # walked
-    photons_expected: int  # what it will take in all, as far as is known
-    error_total: float  # relative standard error of R, the largest of all albedos
-    error_rings: float  # that of the worst ring with light; inf: not known yet
-    worst_ring_mm: tuple[float, float]  # its edges; (0, 0): there is none
+from .evaluation import id_of
+from .exchange import Answer, Once, Request
+from .values import Grid, Info, McEnergy, McProgress, McResult, McValue, Medium
 
 
-class McValue(NamedTuple):
-    """A share of the power that entered, and its standard error."""
+class _Answer(Answer[McProgress | McResult]):
+    """Reports of progress, and at last the table."""
 
-    value: float
-    error: float
+    hands_on = True
 
-
-class McEnergy(NamedTuple):
-    """Where the power went, for one albedo; shares of the power that entered. Pairs are by side."""
-
-    albedo: float
-    R: McValue  # leaves where light enters: unscattered, under, rings and over
-    T: McValue  # leaves on the other side of a slab, likewise
-    absorbed: McValue
-    unfinished: McValue  # was still inside when its walk was given up
-    roulette: McValue  # what roulette has added less what it has taken
-    unscattered: tuple[float, float]  # at r = 0, in no ring; exact
-    under: tuple[McValue, McValue]  # within the inner edge of the first ring
-    over: tuple[McValue, McValue]  # beyond the outer edge of the last ring
-    imbalance: float  # R + T + absorbed + unfinished - roulette - 1: 0 but for rounding
-
-
-@dataclass(frozen=True)
-class McResult:
-    """The table of a job, for K albedos, N rings and S sides (1 for a half space, 2 for a slab).
-
-    Values are means over their ring, in 1/mm^2 per unit of power that entered.
-    """
-
-    state: str  # why it ended: "photons", "errors", "cancelled" or "stopped"
-    photons: int  # walked
-    error_total: float  # as in McProgress
-    error_rings: float
-    worst_ring_mm: tuple[float, float]
-    edges: np.ndarray  # [N + 1] mm
-    energies: tuple[McEnergy, ...]  # [K]
-    ring_photons: np.ndarray  # [S, N] that left there, whatever their weight
-    values: np.ndarray  # [K, S, N]
-    errors: np.ndarray  # [K, S, N] standard errors
-    payload: bytes  # as received: the same request gives the same bytes unless ended early
-
-    @property
-    def R(self) -> np.ndarray:
-        """What leaves where light enters, [K, N] 1/mm^2."""
-        return self.values[:, REFLECTED]
-
-    @property
-    def R_error(self) -> np.ndarray:
-        """Standard errors of R, [K, N] 1/mm^2."""
-        return self.errors[:, REFLECTED]
+    def _add(self, payload: bytes) -> None:
+        fixed = unpack_fixed(payload)
+        self.ended = fixed.state != wire.MC_UNDER_WAY
+        self.ready.append(unpack_result(payload) if self.ended else progress_of(fixed))
 
 
 def request(
     info: Info,
     medium: Medium | Sequence[float],
     edges: Grid,
+    *,
     photons: int | None = None,
     error_total: float = 0.0,
     error_rings: float = 0.0,
     thickness: float | None = None,
     albedos: Iterable[float] = (),
     seed: int = 1,
-) -> bytes:
-    """The payload of a request, see Client.mc()."""
+) -> Request[McProgress | McResult]:
+    """See Client.mc()."""
     if photons is None:
         wishes = error_total or error_rings
         photons = info.limits["max_mc_photons"] if wishes else 1_000_000
-    spacing = packing.id_of(info, "spacing", edges.spacing)
-    return pack_request(
-        medium, edges, spacing, photons, error_total, error_rings, thickness, albedos, seed
-    )
+    spacing = id_of(info, "spacing", edges.spacing)
+    numbers = (photons, error_total, error_rings, thickness, albedos, seed)
+    return Request("mc", pack_request(medium, edges, spacing, *numbers), _Answer)
+
+
+def cancellation(job_id: int) -> Request[None]:
+    """Cancels the job of a request. The reply says nothing that the table does not."""
+    payload = wire.CANCEL_REQUEST.pack(job_id=job_id)
+    return Request("cancel", payload, lambda: Once(lambda _: None))
 
 
 def pack_request(
@@ -111,7 +64,7 @@ def pack_request(
     albedos: Iterable[float],
     seed: int,
 ) -> bytes:
-    """The same of numbers alone, which are the daemon's to judge."""
+    """The payload of an mc request. The daemon judges the numbers."""
     listed = np.asarray(list(albedos), "<f8")
     fixed = wire.MC_REQUEST.pack(
         spacing=spacing,
@@ -133,11 +86,6 @@ def unpack_fixed(payload: bytes) -> Any:
     if len(payload) < wire.MC_REPLY.bytes:
         raise ProtocolError("an mc reply that is too short")
     return wire.MC_REPLY.unpack(payload)
-
-
-def is_last(payload: bytes) -> bool:
-    """Whether a reply is the last one of its job."""
-    return unpack_fixed(payload).state != wire.MC_UNDER_WAY
 
 
 def progress_of(fixed: Any) -> McProgress:
@@ -169,7 +117,7 @@ def _energy(payload: bytes, offset: int) -> McEnergy:
 
 
 def unpack_result(payload: bytes) -> McResult:
-    """The table that the last reply of a job carries."""
+    """The table in the last reply of a job."""
     fixed = unpack_fixed(payload)
     albedos, sides, rings = fixed.albedo_count, fixed.side_count, fixed.ring_count
     energies_at = wire.MC_REPLY.bytes + 8 * (rings + 1)
@@ -189,7 +137,7 @@ def unpack_result(payload: bytes) -> McResult:
         worst_ring_mm=(fixed.worst_from, fixed.worst_to),
         edges=np.frombuffer(payload, "<f8", rings + 1, wire.MC_REPLY.bytes),
         energies=tuple(
-            _energy(payload, energies_at + i * wire.MC_ENERGY.bytes) for i in range(albedos)
+            _energy(payload, at) for at in range(energies_at, photons_at, wire.MC_ENERGY.bytes)
         ),
         ring_photons=photons.reshape(sides, rings),
         values=values[:, :, 0],

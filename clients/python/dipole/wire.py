@@ -1,6 +1,7 @@
-"""The structures of dipoled's binary protocol, as proto/PROTOCOL.md describes them.
+"""The structures and numbers of dipoled's binary protocol, as proto/PROTOCOL.md describes them.
 
-Little-endian and packed. A structure packs from keywords and unpacks to a named tuple.
+All numbers are little-endian, and no structure has gaps. A structure packs from keywords and
+unpacks into a named tuple.
 """
 
 from __future__ import annotations
@@ -14,59 +15,32 @@ from .errors import ArgumentError
 
 MAGIC = 0x4C504944
 VERSION = 1
-REPLY = 0x8000  # added to the type of a request
-TYPE_ERROR = 0xFFFF  # an error instead of a reply
-ALIGNMENT = 8  # of payloads, structures and arrays within a frame
+REPLY = 0x8000  # The type of a reply is the type of its request plus this.
+TYPE_ERROR = 0xFFFF  # the type of an error, which takes the place of a reply
+ALIGNMENT = 8  # in bytes, of payloads, structures and arrays within a frame
 PING_MAX_BYTES = 1024
 
+
+def _numbered(names: str, first: int = 1) -> dict[int, str]:
+    return dict(enumerate(names.split(), first))
+
+
 # Types of requests by name.
-MESSAGES = {
-    "hello": 1,
-    "eval": 2,
-    "media": 3,
-    "statistics": 4,
-    "ping": 5,
-    "mc": 6,
-    "cancel": 7,
-    "table": 8,
-    "offers": 9,
-    "sample": 10,
-    "invert": 11,
-}
+_TYPES = _numbered("hello eval media statistics ping mc cancel table offers sample invert")
+MESSAGES = {name: type for type, name in _TYPES.items()}
 
 # Names of statuses by code.
-STATUSES = {
-    0: "ok",
-    1: "bad-magic",
-    2: "bad-version",
-    3: "bad-type",
-    4: "bad-length",
-    5: "bad-count",
-    6: "bad-value",
-    7: "too-large",
-    8: "truncated",
-    9: "timeout",
-    10: "busy",
-    11: "shutting-down",
-    12: "deadline",
-    13: "bad-address",
-}
+STATUSES = _numbered(
+    "ok bad-magic bad-version bad-type bad-length bad-count bad-value too-large truncated timeout "
+    "busy shutting-down deadline bad-address",
+    first=0,
+)
+STATUS_DEADLINE = 12
 
-# Kinds of choices by number.
-KINDS = {
-    1: "model",
-    2: "evaluator",
-    3: "moments",
-    4: "quantity",
-    5: "spacing",
-    6: "status",
-    7: "parameter",
-    8: "note",
-    9: "draw",
-    10: "length",
-}
+# Names of kinds of choices by number.
+KINDS = _numbered("model evaluator moments quantity spacing status parameter note draw length")
 
-# Ids that are permanent and that the layout of a payload depends on.
+# Permanent ids that the layout of a payload depends on.
 EVALUATOR_TYPES = {1: "<f8", 2: "<f4", 3: "<f4"}  # numpy's type of radii and values
 QUANTITY_R = 1
 QUANTITY_ALBEDO = 2
@@ -77,75 +51,63 @@ QUANTITY_LN_R = 32
 QUANTITY_PDF = 64
 QUANTITY_RING = 128
 QUANTITY_S = 256
-# Those with a value for each radius and channel, in the order of their arrays in a reply.
-ELEMENTWISE = (
-    QUANTITY_R,
-    QUANTITY_CDF,
-    QUANTITY_SLOPE,
-    QUANTITY_LN_R,
-    QUANTITY_PDF,
-    QUANTITY_RING,
-    QUANTITY_S,
-)
-# The same of a sample, whose channels have radii of their own.
+# Quantities that have a value for each radius and channel, in the order of a reply's arrays.
+ELEMENTWISE = (1, 4, 16, 32, 64, 128, 256)
+# The same for a sample, in which each channel has its own radii.
 DRAWN = tuple(sorted((*ELEMENTWISE, QUANTITY_RADIUS)))
 SPACING_LIST = 1
 DRAW_LIST = 1
 DRAW_REGULAR = 2
 DRAW_STRATIFIED = 3
 DRAW_RANDOM = 4
-ANY_MODEL = 0  # in place of a model: any that keeps the parameter tolerance
+ANY_MODEL = 0  # in place of a model: any model that keeps the parameter tolerance
 
-# States of an mc job: under way, and why it ended.
+# States of an mc job. MC_STATES are those in which it has ended.
 MC_UNDER_WAY = 0
-MC_STATES = {1: "photons", 2: "errors", 3: "cancelled", 4: "stopped"}
+MC_STATES = _numbered("photons errors cancelled stopped")
 
 _FORMATS = {"u16": "H", "u32": "I", "u64": "Q", "f64": "d", "text": "s"}
 
 
 class Field(NamedTuple):
-    """One field: count values of a kind, or a text of count bytes padded with zero bytes."""
+    """One field: `count` numbers of a kind, or a text of `count` bytes padded with zero bytes."""
 
     kind: str
     name: str
     count: int
 
     @property
-    def format(self) -> str:
-        """The field in the struct module's notation."""
-        return f"{self.count if self.count > 1 else ''}{_FORMATS[self.kind]}"
+    def is_array(self) -> bool:
+        """Whether the field holds several numbers."""
+        return self.kind != "text" and self.count > 1
 
-    @property
-    def is_zero(self) -> bool:
-        """Whether it fills a gap and must be 0."""
-        return self.name in ("zero", "zero_too")
+
+STRUCTURES: dict[str, Structure] = {}
 
 
 class Structure:
-    """A fixed-size structure, from declarations like "f64 eta", "f64 g[3]", "text name[16]"."""
+    """A structure of fixed size, from declarations like "f64 eta, f64 g[3], text name[16]"."""
 
-    def __init__(self, name: str, *declarations: str):
+    def __init__(self, name: str, declarations: str):
         self.name = name
-        self.fields = tuple(_field(declaration) for declaration in declarations)
-        self._struct = struct.Struct("<" + "".join(field.format for field in self.fields))
+        parts = re.findall(r"(\w+) (\w+)(?:\[(\d+)\])?", declarations)
+        self.fields = tuple(Field(kind, field, int(count or 1)) for kind, field, count in parts)
+        formats = (f"{field.count}{_FORMATS[field.kind]}" for field in self.fields)
+        self._struct = struct.Struct("<" + "".join(formats))
         self._tuple = namedtuple(name, [field.name for field in self.fields])
-
-    @property
-    def bytes(self) -> int:
-        """Its size on the wire."""
-        return self._struct.size
+        self.bytes = self._struct.size  # its size on the wire
+        STRUCTURES[name] = self
 
     def pack(self, **values: Any) -> bytes:
-        """The structure's bytes; every field must be given, those that are to be zero apart."""
+        """The structure's bytes. Give every field but those called zero, which are 0."""
         flat: list[Any] = []
         for field in self.fields:
-            value = values.pop(field.name, 0) if field.is_zero else values.pop(field.name)
-            if field.kind == "text":
-                flat.append(value.encode())
-            elif field.count > 1:
+            is_zero = field.name in ("zero", "zero_too")
+            value = values.pop(field.name, 0) if is_zero else values.pop(field.name)
+            if field.is_array:
                 flat.extend(value)
             else:
-                flat.append(value)
+                flat.append(value.encode() if field.kind == "text" else value)
         if values:
             raise TypeError(f"{self.name} has no field {', '.join(values)}")
         try:
@@ -154,285 +116,106 @@ class Structure:
             raise ArgumentError(f"{self.name}: {error}") from error
 
     def unpack(self, data: bytes, offset: int = 0) -> Any:
-        """The structure at an offset of data, as a named tuple; arrays are tuples, texts str."""
+        """The structure at an offset of data as a named tuple. Arrays are tuples, texts are str."""
         flat = iter(self._struct.unpack_from(data, offset))
         values: list[Any] = []
         for field in self.fields:
             if field.kind == "text":
                 values.append(next(flat).rstrip(b"\0").decode(errors="replace"))
-            elif field.count > 1:
+            elif field.is_array:
                 values.append(tuple(next(flat) for _ in range(field.count)))
             else:
                 values.append(next(flat))
         return self._tuple(*values)
 
 
-def _field(declaration: str) -> Field:
-    match = re.fullmatch(r"(\w+) (\w+)(?:\[(\d+)\])?", declaration)
-    assert match, declaration
-    return Field(match[1], match[2], int(match[3] or 1))
-
-
 def padded(data_bytes: int) -> int:
-    """Rounds a length up to ALIGNMENT."""
+    """Rounds a length up to a multiple of ALIGNMENT."""
     return -(-data_bytes // ALIGNMENT) * ALIGNMENT
 
 
 HEADER = Structure(
     "header",
-    "u32 magic",
-    "u16 version",
-    "u16 type",
-    "u64 request_id",
-    "u32 payload_bytes",
-    "u32 deadline_ms",
+    "u32 magic, u16 version, u16 type, u64 request_id, u32 payload_bytes, u32 deadline_ms",
 )
-
-HELLO_REQUEST = Structure("hello_request", "u16 version_min", "u16 version_max", "u32 zero")
-
+HELLO_REQUEST = Structure("hello_request", "u16 version_min, u16 version_max, u32 zero")
 HELLO_REPLY = Structure(
     "hello_reply",
-    "u16 version",
-    "u16 version_min",
-    "u16 version_max",
-    "u16 workers",
-    "u32 choice_count",
-    "u32 limit_count",
-    "text software[32]",
-    "text instruction_set[16]",
-    "text R_unit[48]",
+    "u16 version, u16 version_min, u16 version_max, u16 workers, u32 choice_count, "
+    "u32 limit_count, text software[32], text instruction_set[16], text R_unit[48]",
 )
-
-CHOICE = Structure("choice", "u16 kind", "u16 id", "text name[28]", "text about[96]")
-
-VALUE = Structure("value", "text name[40]", "u64 value")
-
+CHOICE = Structure("choice", "u16 kind, u16 id, text name[28], text about[96]")
+VALUE = Structure("value", "text name[40], u64 value")
 EVAL_REQUEST = Structure(
     "eval_request",
-    "u16 model",
-    "u16 evaluator",
-    "u16 moments",
-    "u16 wanted",
-    "u32 medium_count",
-    "u16 spacing",
-    "u16 parameter_count",
-    "u64 radius_count",
-    "f64 radius_start",
-    "f64 radius_stop",
+    "u16 model, u16 evaluator, u16 moments, u16 wanted, u32 medium_count, u16 spacing, "
+    "u16 parameter_count, u64 radius_count, f64 radius_start, f64 radius_stop",
 )
-
-MEDIUM = Structure("medium", "f64 sigma_a", "f64 sigma_s", "f64 g", "f64 eta")
-
-PARAMETER = Structure("parameter", "u16 parameter", "u16 zero", "u32 zero_too", "f64 value")
-
+MEDIUM = Structure("medium", "f64 sigma_a, f64 sigma_s, f64 g, f64 eta")
+PARAMETER = Structure("parameter", "u16 parameter, u16 zero, u32 zero_too, f64 value")
 EVAL_REPLY = Structure(
     "eval_reply",
-    "u16 model",
-    "u16 evaluator",
-    "u16 moments",
-    "u16 wanted",
-    "u32 channel_count",
-    "u32 notes",
-    "u64 radius_count",
-    "u64 radius_first",
-    "u32 part",
-    "u32 part_count",
+    "u16 model, u16 evaluator, u16 moments, u16 wanted, u32 channel_count, u32 notes, "
+    "u64 radius_count, u64 radius_first, u32 part, u32 part_count",
 )
-
 CHANNEL = Structure(
     "channel",
-    "f64 albedo",
-    "f64 numerical_error",
-    "f64 numerical_error_per_mm",
-    "f64 model_error",
+    "f64 albedo, f64 numerical_error, f64 numerical_error_per_mm, f64 model_error",
 )
-
-LIST_REPLY = Structure("list_reply", "u32 count", "u32 zero")
-
+LIST_REPLY = Structure("list_reply", "u32 count, u32 zero")
 MEASURED_MEDIUM = Structure(
     "measured_medium",
-    "text name[16]",
-    "f64 sigma_a[3]",
-    "f64 sigma_s[3]",
-    "f64 g",
-    "f64 eta",
+    "text name[16], f64 sigma_a[3], f64 sigma_s[3], f64 g, f64 eta",
 )
-
 MC_REQUEST = Structure(
     "mc_request",
-    "u16 spacing",
-    "u16 albedo_count",
-    "u32 ring_count",
-    "f64 radius_start",
-    "f64 radius_stop",
-    "f64 thickness",
-    "u64 seed",
-    "u64 photons",
-    "f64 error_total",
-    "f64 error_rings",
+    "u16 spacing, u16 albedo_count, u32 ring_count, f64 radius_start, f64 radius_stop, "
+    "f64 thickness, u64 seed, u64 photons, f64 error_total, f64 error_rings",
 )
-
 MC_REPLY = Structure(
     "mc_reply",
-    "u16 state",
-    "u16 side_count",
-    "u16 albedo_count",
-    "u16 worst_side",
-    "u32 ring_count",
-    "u16 worst_albedo",
-    "u16 zero",
-    "f64 worst_from",
-    "f64 worst_to",
-    "f64 error_total",
-    "f64 error_rings",
-    "u64 number",
-    "u64 photons",
-    "u64 photons_expected",
+    "u16 state, u16 side_count, u16 albedo_count, u16 worst_side, u32 ring_count, "
+    "u16 worst_albedo, u16 zero, f64 worst_from, f64 worst_to, f64 error_total, "
+    "f64 error_rings, u64 number, u64 photons, u64 photons_expected",
 )
-
 MC_ENERGY = Structure(
     "mc_energy",
-    "f64 albedo",
-    "f64 reflected",
-    "f64 reflected_error",
-    "f64 transmitted",
-    "f64 transmitted_error",
-    "f64 absorbed",
-    "f64 absorbed_error",
-    "f64 unfinished",
-    "f64 unfinished_error",
-    "f64 roulette",
-    "f64 roulette_error",
-    "f64 unscattered[2]",
-    "f64 under[2]",
-    "f64 under_error[2]",
-    "f64 over[2]",
-    "f64 over_error[2]",
-    "f64 imbalance",
+    "f64 albedo, f64 reflected, f64 reflected_error, f64 transmitted, f64 transmitted_error, "
+    "f64 absorbed, f64 absorbed_error, f64 unfinished, f64 unfinished_error, f64 roulette, "
+    "f64 roulette_error, f64 unscattered[2], f64 under[2], f64 under_error[2], f64 over[2], "
+    "f64 over_error[2], f64 imbalance",
 )
-
 CANCEL_REQUEST = Structure("cancel_request", "u64 job_id")
-
-CANCEL_REPLY = Structure("cancel_reply", "u32 found", "u32 zero")
-
-TABLE_REQUEST = Structure(
-    "table_request", "u16 model", "u16 moments", "u16 parameter_count", "u16 zero"
-)
-
+CANCEL_REPLY = Structure("cancel_reply", "u32 found, u32 zero")
+TABLE_REQUEST = Structure("table_request", "u16 model, u16 moments, u16 parameter_count, u16 zero")
 TABLE_REPLY = Structure(
     "table_reply",
-    "u16 layout",
-    "u16 model",
-    "u16 moments",
-    "u16 parameter_count",
-    "u32 word_count",
-    "u32 checksum",
-    "u32 notes",
-    "u32 zero",
-    "f64 sigma_a",
-    "f64 sigma_s",
-    "f64 g",
-    "f64 eta",
-    "f64 albedo",
-    "f64 numerical_error",
-    "f64 numerical_error_per_mm",
-    "f64 model_error",
-    "f64 pieces_from",
-    "f64 pieces_to",
-    "f64 radius_least",
-    "f64 radius_most",
+    "u16 layout, u16 model, u16 moments, u16 parameter_count, u32 word_count, u32 checksum, "
+    "u32 notes, u32 zero, f64 sigma_a, f64 sigma_s, f64 g, f64 eta, f64 albedo, "
+    "f64 numerical_error, f64 numerical_error_per_mm, f64 model_error, f64 pieces_from, "
+    "f64 pieces_to, f64 radius_least, f64 radius_most",
 )
-
-OFFERS_REPLY = Structure("offers_reply", "u32 count", "u32 taken")
-
+OFFERS_REPLY = Structure("offers_reply", "u32 count, u32 taken")
 OFFER = Structure(
     "offer",
-    "u16 model",
-    "u16 evaluator",
-    "u32 meets",
-    "f64 error",
-    "f64 numerical_error",
-    "f64 cost",
+    "u16 model, u16 evaluator, u32 meets, f64 error, f64 numerical_error, f64 cost, "
     "f64 prepare_cost",
 )
-
 SAMPLE_REQUEST = Structure(
     "sample_request",
-    "u16 model",
-    "u16 evaluator",
-    "u16 moments",
-    "u16 wanted",
-    "u32 medium_count",
-    "u16 draw",
-    "u16 parameter_count",
-    "u64 sample_count",
-    "u64 sample_first",
-    "u64 seed",
+    "u16 model, u16 evaluator, u16 moments, u16 wanted, u32 medium_count, u16 draw, "
+    "u16 parameter_count, u64 sample_count, u64 sample_first, u64 seed",
 )
-
 INVERT_REQUEST = Structure(
     "invert_request",
-    "u16 model",
-    "u16 moments",
-    "u16 given",
-    "u16 zero",
-    "u64 medium_count",
-    "f64 g",
-    "f64 eta",
+    "u16 model, u16 moments, u16 given, u16 zero, u64 medium_count, f64 g, f64 eta",
 )
-
 INVERT_REPLY = Structure(
     "invert_reply",
-    "u16 model",
-    "u16 moments",
-    "u16 given",
-    "u16 zero",
-    "u32 part",
-    "u32 part_count",
-    "u64 medium_count",
-    "u64 medium_first",
-    "u64 missing_count",
-    "f64 albedo_least",
-    "f64 albedo_most",
+    "u16 model, u16 moments, u16 given, u16 zero, u32 part, u32 part_count, u64 medium_count, "
+    "u64 medium_first, u64 missing_count, f64 albedo_least, f64 albedo_most",
 )
-
 ERROR = Structure(
     "error",
-    "u16 status",
-    "u16 zero",
-    "u32 retry_after_ms",
-    "u64 index",
-    "text field[32]",
-    "text allowed[80]",
+    "u16 status, u16 zero, u32 retry_after_ms, u64 index, text field[32], text allowed[80]",
 )
-
-STRUCTURES = {
-    structure.name: structure
-    for structure in (
-        HEADER,
-        HELLO_REQUEST,
-        HELLO_REPLY,
-        CHOICE,
-        VALUE,
-        EVAL_REQUEST,
-        MEDIUM,
-        PARAMETER,
-        EVAL_REPLY,
-        CHANNEL,
-        LIST_REPLY,
-        MEASURED_MEDIUM,
-        MC_REQUEST,
-        MC_REPLY,
-        MC_ENERGY,
-        CANCEL_REQUEST,
-        CANCEL_REPLY,
-        TABLE_REQUEST,
-        TABLE_REPLY,
-        OFFERS_REPLY,
-        OFFER,
-        SAMPLE_REQUEST,
-        INVERT_REQUEST,
-        INVERT_REPLY,
-        ERROR,
-    )
-}

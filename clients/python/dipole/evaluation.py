@@ -1,0 +1,442 @@
+"""Queries as requests, and answers to them as results: eval, sample, offers and table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from . import wire
+from .errors import ArgumentError, ProtocolError, TableError
+from .exchange import Answer, Once, Request
+from .connection import frame_pieces
+from .table import Table
+from .values import Draw, Grid, Info, Medium, Offer, Offers, Query, Result, Samples
+
+# ---- names and numbers ---------------------------------------------------------------------------
+
+
+def id_of(info: Info, kind: str, name: str | int) -> int:
+    """The id of a choice by its name. An id stays as it is: the daemon judges it."""
+    if not isinstance(name, str):
+        return name
+    choices = info.choices[kind]
+    if name not in choices:
+        raise ArgumentError(f"{kind} {name}: not one of {', '.join(choices)}")
+    return choices[name].id
+
+
+def name_of(info: Info, kind: str, number: int) -> str:
+    """The daemon's name of a choice, by the number in a reply."""
+    for choice in info.choices[kind].values():
+        if choice.id == number:
+            return choice.name
+    raise ProtocolError(f"a reply with {kind} {number}, which the daemon has not listed")
+
+
+def unpack_list(
+    payload: bytes, fixed_structure: wire.Structure, **lists: wire.Structure
+) -> tuple[Any, list[list[Any]]]:
+    """A payload that is a fixed part and then lists. lists: the field of the fixed part that holds
+    a list's length, and the structure of its entries."""
+    if len(payload) < fixed_structure.bytes:
+        raise ProtocolError(f"a {fixed_structure.name} that is too short")
+    fixed = fixed_structure.unpack(payload)
+    at = fixed_structure.bytes
+    expected = at + sum(getattr(fixed, count) * entry.bytes for count, entry in lists.items())
+    if len(payload) != expected:
+        raise ProtocolError(f"a {fixed_structure.name} of an unexpected size")
+    unpacked = []
+    for count, entry in lists.items():
+        end = at + getattr(fixed, count) * entry.bytes
+        unpacked.append([entry.unpack(payload, offset) for offset in range(at, end, entry.bytes)])
+        at = end
+    return fixed, unpacked
+
+
+# ---- requests ------------------------------------------------------------------------------------
+
+
+def media_array(media: Medium | Iterable[Sequence[float]] | np.ndarray) -> np.ndarray:
+    """[C, 4]"""
+    array = np.asarray(media if isinstance(media, (tuple, np.ndarray)) else list(media), "<f8")
+    if array.ndim == 1:
+        array = array[np.newaxis]
+    if array.ndim != 2 or array.shape[1] != 4:
+        raise ArgumentError("media: a Medium, or several, or an array [C, 4]")
+    return array
+
+
+def _parameters_list(
+    info: Info, parameters: Mapping[str, float | str] | None, tolerance: float | None
+) -> list[bytes]:
+    """Parameter structures. The daemon judges their values."""
+    structures = []
+    all_parameters = dict(parameters or {})
+    if tolerance is not None:
+        if "tolerance" in all_parameters:
+            raise ArgumentError("tolerance: as an argument or in parameters, not both")
+        all_parameters["tolerance"] = tolerance
+    for name, given in all_parameters.items():
+        value = id_of(info, "model", given) if name == "fit_model" else given
+        try:
+            number = float(value)
+        except (TypeError, ValueError) as error:
+            raise ArgumentError(f"parameter {name}: {value!r} is no number") from error
+        parameter = id_of(info, "parameter", name)
+        structures.append(wire.PARAMETER.pack(parameter=parameter, value=number))
+    return structures
+
+
+def _numbers_array(numbers: Any, name: str, one: str, evaluator_id: int) -> np.ndarray:
+    """Listed numbers [N] in the precision of an evaluator. name, one: for errors."""
+    if evaluator_id not in wire.EVALUATOR_TYPES:
+        raise ArgumentError(f"evaluator {evaluator_id}: this module does not know its precision")
+    array = np.asarray([] if numbers is None else numbers, wire.EVALUATOR_TYPES[evaluator_id])
+    if array.ndim > 1:
+        raise ArgumentError(f"{name}: one {one} or an array [N]")
+    return np.ascontiguousarray(array.reshape(-1))
+
+
+def _payload(
+    structure: wire.Structure,
+    info: Info,
+    query: Query,
+    shape: Shape,
+    evaluator_id: int,
+    media: np.ndarray,
+    listed: np.ndarray | None,
+    **fields: Any,
+) -> bytes:
+    """The payload of an eval or sample request: fixed part, media, parameters, listed numbers."""
+    parameters = _parameters_list(info, query.parameters, query.tolerance)
+    fixed = structure.pack(
+        model=wire.ANY_MODEL if query.model is None else id_of(info, "model", query.model),
+        evaluator=evaluator_id,
+        moments=id_of(info, "moments", query.moments),
+        wanted=shape.wanted,
+        medium_count=shape.medium_count,
+        parameter_count=len(parameters),
+        **fields,
+    )
+    numbers = memoryview(b"" if listed is None else listed)
+    padding = bytes(wire.padded(numbers.nbytes) - numbers.nbytes)
+    return b"".join([fixed, media.tobytes(), *parameters, numbers, padding])
+
+
+def _eval_payload(info: Info, query: Query) -> tuple[bytes, Shape]:
+    grid, wanted, evaluator = query.grid, query.wanted, query.evaluator
+    if wanted is None:
+        wanted = ("R", "albedo", "cdf") if grid is None else ("R", "albedo", "cdf", "r")
+    if evaluator is None:
+        evaluator = "f64" if query.model is not None else "lut"
+    if grid is not None and query.r is not None:
+        raise ArgumentError("r, grid: one of them, not both")
+    evaluator_id = id_of(info, "evaluator", evaluator)
+    media = media_array(query.media)
+    radii = None if grid else _numbers_array(query.r, "r", "radius", evaluator_id)
+    shape = Shape(
+        radii=radii,
+        value_type=wire.EVALUATOR_TYPES.get(evaluator_id),
+        wanted=sum({id_of(info, "quantity", name) for name in wanted}),
+        medium_count=len(media),
+        radius_count=len(radii) if grid is None else grid.count,
+    )
+    rule = grid or Grid(0.0, 0.0, shape.radius_count)
+    payload = _payload(
+        wire.EVAL_REQUEST,
+        info,
+        query,
+        shape,
+        evaluator_id,
+        media,
+        radii,
+        spacing=wire.SPACING_LIST if grid is None else id_of(info, "spacing", rule.spacing),
+        radius_count=rule.count,
+        radius_start=rule.start_mm,
+        radius_stop=rule.stop_mm,
+    )
+    return payload, shape
+
+
+def eval(info: Info, query: Query, hands_on: bool = False) -> Request[Result]:
+    """See Client.eval() and, for hands_on, Client.eval_parts()."""
+    payload, shape = _eval_payload(info, query)
+
+    def answer() -> EvalAnswer:
+        return EvalAnswer(shape, lambda part: _result(part, shape, info), hands_on)
+
+    return Request("eval", payload, answer, query.deadline_ms)
+
+
+def offers(info: Info, query: Query) -> Request[Offers]:
+    """See Client.offers()."""
+
+    def read(reply: bytes) -> Offers:
+        fixed, (entries,) = unpack_list(reply, wire.OFFERS_REPLY, count=wire.OFFER)
+        if fixed.taken > fixed.count:
+            raise ProtocolError("an offers reply that takes what it does not offer")
+        listed = tuple(
+            Offer(
+                model=name_of(info, "model", entry.model),
+                evaluator=name_of(info, "evaluator", entry.evaluator),
+                meets=entry.meets != 0,
+                error=entry.error,
+                numerical_error=entry.numerical_error,
+                cost_ns=entry.cost,
+                prepare_ns=entry.prepare_cost,
+            )
+            for entry in entries
+        )
+        return Offers(listed, listed[fixed.taken] if fixed.taken < fixed.count else None)
+
+    return Request("offers", _eval_payload(info, query)[0], lambda: Once(read), query.deadline_ms)
+
+
+def table(info: Info, query: Query) -> Request[Table]:
+    """See Client.table()."""
+    medium = media_array(query.media)
+    if len(medium) != 1:
+        raise ArgumentError("medium: one Medium")
+    parameters = _parameters_list(info, query.parameters, query.tolerance)
+    fixed = wire.TABLE_REQUEST.pack(
+        model=id_of(info, "model", query.model),
+        moments=id_of(info, "moments", query.moments),
+        parameter_count=len(parameters),
+    )
+
+    def read(reply: bytes) -> Table:
+        try:
+            return Table(b"".join(frame_pieces(wire.MESSAGES["table"] | wire.REPLY, 0, reply)), info)
+        except TableError as error:
+            raise ProtocolError(f"a table reply that is not a table: {error}") from error
+
+    payload = b"".join([fixed, medium.tobytes(), *parameters])
+    return Request("table", payload, lambda: Once(read), query.deadline_ms)
+
+
+def sample(info: Info, query: Query, u: Any, draw: Draw | None) -> Request[Samples]:
+    """See Client.sample(). query: without radii."""
+    if (u is None) == (draw is None):
+        raise ArgumentError("u, draw: one of them")
+    if query.r is not None or query.grid is not None:
+        raise ArgumentError("r, grid: a sample draws its radii")
+    evaluator_id = id_of(info, "evaluator", query.evaluator or "f64")
+    listed = _numbers_array(u, "u", "number", evaluator_id)
+    media = media_array(query.media)
+    wanted = ("r", "pdf") if query.wanted is None else query.wanted
+    shape = Shape(
+        radii=None,
+        value_type=wire.EVALUATOR_TYPES[evaluator_id],
+        wanted=sum({id_of(info, "quantity", name) for name in wanted}),
+        medium_count=len(media),
+        radius_count=len(listed) if draw is None else draw.count,
+        drawn=True,
+    )
+    draw_id = wire.DRAW_LIST if draw is None else id_of(info, "draw", draw.rule)
+    seeded = draw_id in (wire.DRAW_STRATIFIED, wire.DRAW_RANDOM)
+    payload = _payload(
+        wire.SAMPLE_REQUEST,
+        info,
+        query,
+        shape,
+        evaluator_id,
+        media,
+        listed,
+        draw=draw_id,
+        sample_count=shape.radius_count,
+        sample_first=0 if draw is None else draw.first,
+        seed=draw.seed if seeded else 0,
+    )
+
+    def read(part: Part) -> Samples:
+        numbers = listed if draw is None else numbers_of(draw, shape.value_type)
+        return _samples(part, numbers, info)
+
+    return Request("sample", payload, lambda: EvalAnswer(shape, read), query.deadline_ms)
+
+
+# ---- answers -------------------------------------------------------------------------------------
+
+
+class Shape(NamedTuple):
+    """What a reply has to fit, and what it does not repeat."""
+
+    radii: np.ndarray | None  # as listed; None for a grid or a sample
+    value_type: str | None  # numpy's, of radii and values; None if it is not known here
+    wanted: int
+    medium_count: int
+    radius_count: int
+    drawn: bool = False  # the answer to a sample: each channel has its own radii
+
+
+class Part(NamedTuple):
+    """A part of an answer, or all of it."""
+
+    fixed: Any  # the eval_reply structure
+    channels: np.ndarray  # [C, 4], the channel structures
+    arrays: dict[int, np.ndarray]  # by quantity: the radii [N] and values [C, N]
+
+    def common(self) -> tuple[Any, bytes]:
+        """What is the same in all parts of an answer."""
+        fixed = self.fixed._replace(radius_count=0, radius_first=0, part=0)
+        return fixed, self.channels.tobytes()
+
+
+class EvalAnswer(Answer[Any]):
+    """The answer to an eval or sample request. Its parts are put together unless hands_on: then each
+    is handed on by itself. read: makes what the caller gets."""
+
+    def __init__(self, shape: Shape, read: Any, hands_on: bool = False):
+        super().__init__()
+        self.hands_on = hands_on
+        self._shape = shape
+        self._read = read
+        self._first: Part | None = None
+        self._next_part = 0
+        self._next_radius = 0
+        self._whole: dict[int, np.ndarray] = {}
+
+    def _add(self, payload: bytes) -> None:
+        part = _unpack(payload, self._shape.drawn)
+        self._check(part)
+        fixed = part.fixed
+        if self._first is None:
+            self._first = Part(fixed, part.channels.copy(), {})
+        if not self.hands_on and fixed.part_count > 1:
+            part = self._gather(part)
+        self._next_part += 1
+        self._next_radius += fixed.radius_count
+        self.ended = self._next_part == fixed.part_count
+        if self.hands_on or self.ended:
+            self.ready.append(self._read(part))
+
+    def _check(self, part: Part) -> None:
+        """A caller that indexes with its own counts must stay inside the arrays."""
+        fixed, shape = part.fixed, self._shape
+        value_type = wire.EVALUATOR_TYPES.get(fixed.evaluator)
+        found = (value_type, fixed.wanted, fixed.channel_count)
+        if value_type is None or found != (shape.value_type, shape.wanted, shape.medium_count):
+            raise ProtocolError("an eval reply that does not answer the query")
+        left = shape.radius_count - self._next_radius
+        is_last = fixed.part + 1 == fixed.part_count
+        if (fixed.part, fixed.radius_first) != (self._next_part, self._next_radius):
+            raise ProtocolError("an eval reply that is not the next part")
+        if fixed.radius_count > left or is_last != (fixed.radius_count == left):
+            raise ProtocolError("an eval reply with another number of radii than the query")
+        if fixed.radius_count == 0 and fixed.part_count != 1:
+            raise ProtocolError("a part of an eval reply with no radii")
+        if self._first is not None and part.common() != self._first.common():
+            raise ProtocolError("parts of an eval reply that do not belong together")
+
+    def _gather(self, part: Part) -> Part:
+        """Copies a part to its place; returns all that has come so far."""
+        count, begin = self._shape.radius_count, part.fixed.radius_first
+        for quantity, array in part.arrays.items():
+            if begin == 0:
+                self._whole[quantity] = np.empty((*array.shape[:-1], count), array.dtype)
+            self._whole[quantity][..., begin : begin + part.fixed.radius_count] = array
+            if part.fixed.part + 1 == part.fixed.part_count:
+                self._whole[quantity].setflags(write=False)
+        fixed = part.fixed._replace(radius_count=count, radius_first=0)
+        return Part(fixed, self._first.channels, self._whole)
+
+
+def _unpack(payload: bytes, drawn: bool) -> Part:
+    """Reads the arrays: the radii first unless they are drawn, then each channel's quantities. Each
+    array is padded to a multiple of 8 bytes."""
+    if len(payload) < wire.EVAL_REPLY.bytes:
+        raise ProtocolError("an eval reply that is too short")
+    fixed = wire.EVAL_REPLY.unpack(payload)
+    if fixed.evaluator not in wire.EVALUATOR_TYPES:
+        raise ProtocolError(f"an eval reply of evaluator {fixed.evaluator}, not known here")
+    value_type = np.dtype(wire.EVALUATOR_TYPES[fixed.evaluator])
+    per_channel = [q for q in (wire.DRAWN if drawn else wire.ELEMENTWISE) if fixed.wanted & q]
+    wanted_r = bool(fixed.wanted & wire.QUANTITY_RADIUS) and not drawn
+    channels_bytes = fixed.channel_count * wire.CHANNEL.bytes
+    stride = wire.padded(fixed.radius_count * value_type.itemsize)
+    array_count = fixed.channel_count * len(per_channel) + wanted_r
+    at = wire.EVAL_REPLY.bytes
+    if len(payload) != at + channels_bytes + array_count * stride:
+        raise ProtocolError("an eval reply whose size does not fit its counts")
+    channels = np.frombuffer(payload, "<f8", channels_bytes // 8, at).reshape(-1, 4)
+    values = np.frombuffer(payload, value_type, -1, at + channels_bytes)
+    rows = values.reshape(array_count, -1)[:, : fixed.radius_count] if array_count else None
+    arrays = {wire.QUANTITY_RADIUS: rows[0]} if wanted_r else {}
+    for i, quantity in enumerate(per_channel):
+        arrays[quantity] = rows[wanted_r + i :: len(per_channel)]
+    return Part(fixed, channels, arrays)
+
+
+def _common_fields(part: Part, info: Info) -> dict[str, Any]:
+    """The fields that Result and Samples share."""
+    fixed, channels, arrays = part
+    notes = info.choices["note"].values()
+    quantities = info.choices["quantity"].values()
+    return {
+        "model": name_of(info, "model", fixed.model),
+        "evaluator": name_of(info, "evaluator", fixed.evaluator),
+        "moments": name_of(info, "moments", fixed.moments),
+        "pdf": arrays.get(wire.QUANTITY_PDF),
+        "albedo": channels[:, 0] if fixed.wanted & wire.QUANTITY_ALBEDO else None,
+        "numerical_error_constant": channels[:, 1],
+        "numerical_error_per_mm": channels[:, 2],
+        "model_error": channels[:, 3],
+        "notes": tuple(note.name for note in notes if note.id and fixed.notes & note.id),
+        "values": {one.name: arrays[one.id] for one in quantities if one.id in arrays},
+    }
+
+
+def _result(part: Part, shape: Shape, info: Info) -> Result:
+    fields = _common_fields(part, info)
+    first, arrays = part.fixed.radius_first, part.arrays
+    r = arrays.get(wire.QUANTITY_RADIUS)
+    if r is None and shape.radii is not None:
+        r = shape.radii[first : first + part.fixed.radius_count]
+    fields["values"].pop("r", None)  # The radii are the same for every channel.
+    return Result(
+        r=r,
+        R=arrays.get(wire.QUANTITY_R),
+        cdf=arrays.get(wire.QUANTITY_CDF),
+        dR_dr=arrays.get(wire.QUANTITY_SLOPE),
+        ln_R=arrays.get(wire.QUANTITY_LN_R),
+        two_pi_r_R=arrays.get(wire.QUANTITY_RING),
+        S=arrays.get(wire.QUANTITY_S),
+        radius_first=first,
+        **fields,
+    )
+
+
+def _samples(part: Part, numbers: np.ndarray, info: Info) -> Samples:
+    r = part.arrays.get(wire.QUANTITY_RADIUS)
+    return Samples(u=numbers, r=r, **_common_fields(part, info))
+
+
+# ---- numbers for drawing -------------------------------------------------------------------------
+
+
+def numbers_of(draw: Draw, value_type: str = "<f8") -> np.ndarray:
+    """The numbers of a rule [count], with the daemon's bits. core/draw.h says how they are made."""
+    i = np.arange(draw.count, dtype=np.uint64)
+    if draw.rule == "random":
+        with np.errstate(over="ignore"):
+            return _below_1(_random(draw.seed, i + np.uint64(draw.first), value_type), value_type)
+    within = 0.5 if draw.rule == "regular" else _random(draw.seed, i, "<f8")
+    return _below_1((i.astype("<f8") + within) / draw.count, value_type)
+
+
+def _random(seed: int, i: np.ndarray, value_type: str) -> np.ndarray:
+    """Outputs i of SplitMix64 (Steele, Lea, Flood 2014), as numbers between 0 and 1."""
+    with np.errstate(over="ignore"):
+        z = np.uint64(seed) + (i + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
+        z = (z ^ z >> np.uint64(30)) * np.uint64(0xBF58476D1CE4E5B9)
+        z = (z ^ z >> np.uint64(27)) * np.uint64(0x94D049BB133111EB)
+        z ^= z >> np.uint64(31)
+    bits = 52 if value_type == "<f8" else 23
+    return ((z >> np.uint64(64 - bits)).astype("<f8") + 0.5) * 2.0**-bits
+
+
+def _below_1(u: np.ndarray, value_type: str) -> np.ndarray:
+    rounded = u.astype(value_type)
+    return np.minimum(rounded, np.nextafter(np.ones((), value_type), np.zeros((), value_type)))
