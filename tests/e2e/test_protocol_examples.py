@@ -6,48 +6,15 @@ import re
 
 import pytest
 from daemons import REPOSITORY
-from dipole import Frame, Table, wire
+from dipole import Table, wire
 from dipole.mc import unpack_result
-from frames import assert_serves
+from frames import SKIN, assert_serves, frame
+from lists import QUANTITIES
 
-DETERMINISTIC = [
-    "eval",
-    "parameter",
-    "media",
-    "ping",
-    "mc",
-    "cancel",
-    "sample",
-    "invert",
-    "error",
-]
-NAMES = {
-    "hello-request",
-    "eval-request",
-    "eval-reply",
-    "parameter-request",
-    "parameter-reply",
-    "media-request",
-    "ping-request",
-    "ping-reply",
-    "mc-request",
-    "mc-reply",
-    "cancel-request",
-    "cancel-reply",
-    "table-request",
-    "offers-request",
-    "sample-request",
-    "sample-reply",
-    "invert-request",
-    "invert-reply",
-    "error-request",
-    "error-reply",
-    "statistics-request",
-}
-
-
-# Types of requests by the names of examples, which are the messages' but for a second eval.
-TYPES = {**wire.MESSAGES, "parameter": wire.MESSAGES["eval"]}
+# The requests whose documented replies are compared byte by byte.
+DETERMINISTIC = {"eval", "parameter", "ping", "mc", "cancel", "sample", "invert", "error"}
+# Types of requests by the names of examples, which are the messages' but for two more evals.
+TYPES = {**wire.MESSAGES, "parameter": wire.MESSAGES["eval"], "error": wire.MESSAGES["eval"]}
 
 
 def read_examples() -> dict[str, bytes]:
@@ -64,43 +31,34 @@ EXAMPLES = read_examples()
 REQUESTS = sorted(name for name in EXAMPLES if name.endswith("-request"))
 
 
+def payload_of(name: str) -> bytes:
+    return EXAMPLES[name][wire.HEADER.bytes :]
+
+
 def test_all_examples_are_there():
-    assert NAMES <= set(EXAMPLES)
+    assert {f"{name}-request" for name in TYPES} <= set(EXAMPLES)
+    assert {f"{name}-reply" for name in DETERMINISTIC} <= set(EXAMPLES)
 
 
 @pytest.mark.parametrize("name", sorted(EXAMPLES))
 def test_example_is_one_whole_frame(name):
-    data = EXAMPLES[name]
-    header = wire.HEADER.unpack(data)
-    assert (header.magic, header.version, header.deadline_ms) == (wire.MAGIC, wire.VERSION, 0)
-    assert len(data) == wire.HEADER.bytes + header.payload_bytes
-    message = name.split("-")[0]
-    if name == "error-reply":
-        assert header.type == wire.TYPE_ERROR
-    elif name.endswith("-reply"):
-        assert header.type == TYPES[message] | wire.REPLY
-    elif message != "error":
-        assert header.type == TYPES[message]
+    message, kind = name.rsplit("-", 1)
+    header = wire.HEADER.unpack(EXAMPLES[name])
+    expected = {
+        "request": TYPES[message],
+        "reply": wire.TYPE_ERROR if message == "error" else TYPES[message] | wire.REPLY,
+    }
+    assert EXAMPLES[name] == frame(expected[kind], header.request_id, payload_of(name))
+    assert header.request_id == wire.HEADER.unpack(EXAMPLES[f"{message}-request"]).request_id
 
 
-def frame_bytes(reply: Frame) -> bytes:
-    """A received frame as it came."""
-    header = wire.HEADER.pack(
-        magic=wire.MAGIC,
-        version=wire.VERSION,
-        type=reply.type,
-        request_id=reply.request_id,
-        payload_bytes=len(reply.payload),
-        deadline_ms=0,
-    )
-    return header + reply.payload
-
-
-def is_progress(reply: Frame) -> bool:
-    """Whether more replies to the same request follow."""
-    if reply.type != wire.MESSAGES["mc"] | wire.REPLY:
-        return False
-    return wire.MC_REPLY.unpack(reply.payload).state == wire.MC_UNDER_WAY
+def test_requests_ask_for_what_the_text_says():
+    request = wire.EVAL_REQUEST.unpack(payload_of("eval-request"))
+    assert (request.evaluator, request.spacing, request.medium_count) == (1, wire.SPACING_LIST, 1)
+    assert wire.MEDIUM.unpack(payload_of("eval-request"), wire.EVAL_REQUEST.bytes) == SKIN
+    request = wire.EVAL_REQUEST.unpack(payload_of("parameter-request"))
+    assert (request.wanted, request.parameter_count) == (QUANTITIES["S"], 2)
+    assert wire.EVAL_REQUEST.unpack(payload_of("offers-request")).model == wire.ANY_MODEL
 
 
 @pytest.mark.parametrize("name", REQUESTS)
@@ -115,11 +73,18 @@ def test_request_is_answered_as_documented(connection, name):
         assert reply.type == wire.TYPE_ERROR
     else:
         assert reply.type == TYPES[message] | wire.REPLY
-    documented = EXAMPLES.get(f"{message}-reply")
-    if message in DETERMINISTIC and documented is not None:
-        assert frame_bytes(reply).hex(" ") == documented.hex(" ")
+    if message in DETERMINISTIC:
+        received = frame(reply.type, reply.request_id, reply.payload)
+        assert received.hex(" ") == EXAMPLES[f"{message}-reply"].hex(" ")
     STRUCTURE[message](reply.payload)
     assert_serves(connection)
+
+
+def is_progress(reply) -> bool:
+    """Whether more replies to the same request follow."""
+    if reply.type != wire.MESSAGES["mc"] | wire.REPLY:
+        return False
+    return wire.MC_REPLY.unpack(reply.payload).state == wire.MC_UNDER_WAY
 
 
 def check_hello(payload: bytes) -> None:
@@ -130,8 +95,7 @@ def check_hello(payload: bytes) -> None:
 
 
 def check_eval(payload: bytes) -> None:
-    fixed = wire.EVAL_REPLY.unpack(payload)
-    assert fixed.channel_count >= 1
+    assert wire.EVAL_REPLY.unpack(payload).channel_count >= 1
     channel = wire.CHANNEL.unpack(payload, wire.EVAL_REPLY.bytes)
     assert 0 <= channel.numerical_error < 1
 
@@ -148,7 +112,7 @@ def check_list(entry: wire.Structure):
 
 
 def check_ping(payload: bytes) -> None:
-    assert len(payload) % wire.ALIGNMENT == 0
+    assert payload == payload_of("ping-request")
 
 
 def check_mc(payload: bytes) -> None:
@@ -161,16 +125,8 @@ def check_cancel(payload: bytes) -> None:
 
 
 def check_table(payload: bytes) -> None:
-    header = wire.HEADER.pack(
-        magic=wire.MAGIC,
-        version=wire.VERSION,
-        type=TYPES["table"] | wire.REPLY,
-        request_id=0,
-        payload_bytes=len(payload),
-        deadline_ms=0,
-    )
-    table = Table(header + payload)
-    assert table.medium == (0.032, 0.74, 0.0, 1.3) and table.numerical_error_constant <= 1e-3
+    table = Table(frame(TYPES["table"] | wire.REPLY, 0, payload))
+    assert table.medium == SKIN and table.numerical_error_constant <= 1e-3
 
 
 def check_offers(payload: bytes) -> None:
@@ -186,7 +142,6 @@ def check_invert(payload: bytes) -> None:
 
 
 def check_error(payload: bytes) -> None:
-    assert len(payload) == wire.ERROR.bytes
     error = wire.ERROR.unpack(payload)
     assert error.status in wire.STATUSES and error.field and error.allowed
 

@@ -18,8 +18,7 @@ UNIT_SETUP(seed) {
   random_state = unit_seed();
 }
 
-/* ---- inputs -----------------------------------------------------------------------------------
- */
+/* ---- inputs --------------------------------------------------------------------------------- */
 
 struct bytes {
   size_t length;
@@ -34,11 +33,11 @@ static uint16_t random_id(const core_choice *list) {
   return (uint16_t)list[unit_random_below(&random_state, length)].id;
 }
 
-/* All quantities, and those that have an array for each channel. */
-static unsigned quantity_bits(bool elementwise) {
+/* The bits of all quantities. */
+static unsigned quantity_bits(void) {
   unsigned bits = 0;
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
-    bits |= !elementwise || core_quantity_elementwise(quantity->id) ? quantity->id : 0;
+    bits |= quantity->id;
   }
   return bits;
 }
@@ -67,7 +66,7 @@ static void make_request(struct bytes *to) {
       .model = random_id(core_models),
       .evaluator = random_id(core_evaluators),
       .moments = random_id(core_moments_list),
-      .wanted = (uint16_t)(1 + unit_random_below(&random_state, quantity_bits(false))),
+      .wanted = (uint16_t)(1 + unit_random_below(&random_state, quantity_bits())),
       .medium_count = medium_count,
       .spacing = list ? CORE_SPACING_LIST : CORE_SPACING_LINEAR,
       .parameter_count = (uint16_t)parameter_count,
@@ -93,7 +92,7 @@ static void make_reply(struct bytes *to) {
       .model = 1,
       .evaluator = random_id(core_evaluators),
       .moments = 1,
-      .wanted = (uint16_t)unit_random_below(&random_state, quantity_bits(false) + 1),
+      .wanted = (uint16_t)unit_random_below(&random_state, quantity_bits() + 1),
       .channel_count = (uint32_t)unit_random_below(&random_state, MEDIA_MAX + 1),
       .radius_count = unit_random_below(&random_state, RADII_MAX + 1),
       .radius_first = unit_random_below(&random_state, 2) * unit_random(&random_state),
@@ -157,8 +156,7 @@ static uint8_t *mutated(struct bytes *bytes) {
   return exact;
 }
 
-/* ---- requests ---------------------------------------------------------------------------------
- */
+/* ---- requests ------------------------------------------------------------------------------- */
 
 static void check_refusal(const wire_error *error) {
   assert_true(error->status == WIRE_STATUS_BAD_LENGTH || error->status == WIRE_STATUS_BAD_COUNT ||
@@ -217,8 +215,7 @@ UNIT_TEST(requests_are_refused_or_whole) {
   assert_true(seen[WIRE_STATUS_BAD_VALUE] > ROUNDS / 20);
 }
 
-/* ---- the other requests -----------------------------------------------------------------------
- */
+/* ---- the other requests --------------------------------------------------------------------- */
 
 /* A sample is an eval with another fixed part, and numbers for radii. */
 static void make_sample(struct bytes *to) {
@@ -364,8 +361,7 @@ UNIT_TEST(other_requests_are_refused_or_whole) {
   }
 }
 
-/* ---- replies ----------------------------------------------------------------------------------
- */
+/* ---- replies -------------------------------------------------------------------------------- */
 
 static void read_array(const uint8_t *payload, size_t payload_bytes, uint64_t offset,
                        uint64_t length) {
@@ -409,105 +405,4 @@ UNIT_TEST(replies_are_refused_or_whole) {
     free(payload);
   }
   assert_in_range(taken, ROUNDS / 5, ROUNDS - ROUNDS / 5);
-}
-
-/* The layout for any counts against the same sum in 128 bits, which cannot wrap. */
-UNIT_TEST(layouts_do_not_wrap) {
-  for (size_t round = 0; round < ROUNDS; round++) {
-    const unsigned evaluator = random_id(core_evaluators);
-    const unsigned wanted = (unsigned)unit_random_below(&random_state, quantity_bits(false) + 1);
-    const uint32_t channels = (uint32_t)interesting();
-    const uint64_t radii = interesting();
-    const uint64_t most = unit_random_below(&random_state, 2) ? interesting() : 67108864;
-    const unsigned per_channel = (unsigned)__builtin_popcount(wanted & quantity_bits(true));
-    const unsigned __int128 values = (unsigned __int128)radii * core_evaluator_bytes(evaluator);
-    const unsigned __int128 arrays =
-        (unsigned __int128)channels * per_channel + ((wanted & 8) >> 3);
-    const unsigned __int128 needed = WIRE_BYTES_eval_reply +
-                                     (unsigned __int128)channels * WIRE_BYTES_channel +
-                                     arrays * ((values + 7) / 8 * 8);
-    eval_layout layout;
-    assert_true(eval_reply_layout(evaluator, wanted, channels, radii, most, &layout) ==
-                (needed <= most));
-    if (needed <= most) {
-      assert_true(layout.payload_bytes == (uint64_t)needed);
-    }
-  }
-}
-
-/* ---- headers and structures -------------------------------------------------------------------
- */
-
-static enum wire_status expected_status(const wire_header *header, uint64_t most) {
-  if (header->magic != WIRE_MAGIC) {
-    return WIRE_STATUS_BAD_MAGIC;
-  }
-  if (header->version != WIRE_VERSION) {
-    return WIRE_STATUS_BAD_VERSION;
-  }
-  if (header->payload_bytes > most) {
-    return WIRE_STATUS_TOO_LARGE;
-  }
-  return header->payload_bytes % 8 != 0 ? WIRE_STATUS_BAD_LENGTH : WIRE_STATUS_OK;
-}
-
-UNIT_TEST(headers_are_judged_in_order) {
-  size_t seen[WIRE_STATUS_SHUTTING_DOWN + 1] = {0};
-  for (size_t round = 0; round < ROUNDS; round++) {
-    const wire_header right = {
-        .magic = WIRE_MAGIC,
-        .version = WIRE_VERSION,
-        .type = WIRE_TYPE_EVAL,
-        .request_id = unit_random(&random_state),
-        .payload_bytes = (uint32_t)interesting(),
-        .deadline_ms = (uint32_t)interesting(),
-    };
-    uint8_t *bytes = malloc(WIRE_BYTES_header);
-    assert_non_null(bytes);
-    wire_put_header(bytes, &right);
-    if (unit_random_below(&random_state, 2) == 0) {
-      const size_t fault_at[] = {0, 4, 20}; /* magic, version; and deadline_ms, which is none */
-      bytes[fault_at[unit_random_below(&random_state, 3)] + unit_random_below(&random_state, 2)] ^=
-          (uint8_t)(1u << unit_random_below(&random_state, 8));
-    }
-    wire_header header;
-    wire_get_header(bytes, &header);
-    const wire_error error = wire_header_check(&header, 67108864);
-    assert_int_equal(error.status, expected_status(&header, 67108864));
-    assert_true(error.status == WIRE_STATUS_OK ||
-                (error.field[0] != '\0' && error.allowed[0] != '\0'));
-    seen[error.status]++;
-    free(bytes);
-  }
-  assert_true(seen[WIRE_STATUS_OK] > 0 && seen[WIRE_STATUS_BAD_MAGIC] > 0);
-  assert_true(seen[WIRE_STATUS_BAD_VERSION] > 0);
-  assert_true(seen[WIRE_STATUS_TOO_LARGE] > 0 && seen[WIRE_STATUS_BAD_LENGTH] > 0);
-}
-
-/* Any bytes decode; what was decoded encodes to bytes that decode to the same. Text that goes on
- * after a zero byte is cut there, so the bytes are compared from the second time on. */
-#define WIRE_STRUCTURE(name, about)                                                                \
-  static void round_trip_##name(void) {                                                            \
-    uint8_t *bytes = malloc(WIRE_BYTES_##name);                                                    \
-    uint8_t *again = malloc(WIRE_BYTES_##name);                                                    \
-    wire_##name value;                                                                             \
-    assert_true(bytes != NULL && again != NULL);                                                   \
-    for (size_t i = 0; i < WIRE_BYTES_##name; i++) {                                               \
-      bytes[i] = (uint8_t)unit_random(&random_state);                                              \
-    }                                                                                              \
-    wire_get_##name(bytes, &value);                                                                \
-    wire_put_##name(bytes, &value);                                                                \
-    wire_get_##name(bytes, &value);                                                                \
-    wire_put_##name(again, &value);                                                                \
-    assert_memory_equal(bytes, again, WIRE_BYTES_##name);                                          \
-    free(bytes);                                                                                   \
-    free(again);                                                                                   \
-  }
-#include "proto/messages.def"
-
-UNIT_TEST(structures_survive_a_round_trip) {
-  for (size_t round = 0; round < ROUNDS / 100; round++) {
-#define WIRE_STRUCTURE(name, about) round_trip_##name();
-#include "proto/messages.def"
-  }
 }

@@ -234,36 +234,6 @@ UNIT_TEST(inclusion_sees_the_mirror) {
   assert_false(registers_include(0, 100, REGISTERS_AT_COMMIT));
 }
 
-/* ---- REGISTERS.md ------------------------------------------------------------------------- */
-
-#define TABLES_BEGIN "<!-- tables: begin -->\n"
-#define TABLES_END "<!-- tables: end -->\n"
-
-struct description {
-  char text[1 << 16];
-  size_t length;
-};
-
-static void append(void *context, const char *text) {
-  struct description *description = context;
-  const size_t length = strlen(text);
-  assert_true(description->length + length < sizeof description->text);
-  memcpy(description->text + description->length, text, length + 1);
-  description->length += length;
-}
-
-/* The document says what the code does: `make docs` writes these tables. */
 UNIT_TEST(the_maps_tables_are_those_of_the_list) {
-  static struct description description;
-  char *document = unit_read_file("proto/REGISTERS.md");
-  assert_non_null(document);
-  char *begin = strstr(document, TABLES_BEGIN);
-  assert_non_null(begin);
-  begin += strlen(TABLES_BEGIN);
-  char *end = strstr(begin, TABLES_END);
-  assert_non_null(end);
-  *end = '\0';
-  registers_describe(append, &description);
-  assert_string_equal(begin, description.text);
-  free(document);
+  unit_assert_tables("proto/REGISTERS.md", registers_describe);
 }

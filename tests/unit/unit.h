@@ -66,4 +66,9 @@ core_parameters unit_parameters(unsigned model, const core_medium *medium);
 /* Reads a whole file as text, to be freed; NULL when there is none. */
 char *unit_read_file(const char *path);
 
+/* The tables of a document, which `make docs` writes, are what a describe function appends now. */
+void unit_assert_tables(const char *path,
+                        void (*describe)(void (*append)(void *context, const char *text),
+                                         void *context));
+
 #endif
