@@ -152,6 +152,34 @@ def assert_serves(connection: Connection) -> None:
     assert wire.CHANNEL.unpack(reply.payload, wire.EVAL_REPLY.bytes).albedo == 1.0
 
 
+def refused(status: str, field: str, allowed: str, payloads: dict) -> dict[str, tuple]:
+    """Wrong payloads by name, all refused alike: the arguments of assert_refused() by name. A pair
+    of a payload and an index says which medium or value is wrong; without, it is the first."""
+    cases = {}
+    for name, payload in payloads.items():
+        payload, index = payload if isinstance(payload, tuple) else (payload, 0)
+        cases[f"{field or status}: {name}"] = payload, status, field, allowed, index
+    return cases
+
+
+def assert_refused(connection: Connection, type: int, payload: bytes, *error) -> None:
+    """The request gets this error, and the connection goes on."""
+    assert_error(ask(connection, type, payload), *error)
+    assert_serves(connection)
+
+
+def statistics(connection: Connection) -> dict[str, int]:
+    """The daemon's statistics, read over this connection."""
+    return read_statistics(ask(connection, STATISTICS).payload)
+
+
+def read_statistics(payload: bytes) -> dict[str, int]:
+    """The named numbers of a statistics reply."""
+    count = wire.LIST_REPLY.unpack(payload).count
+    offsets = (wire.LIST_REPLY.bytes + i * wire.VALUE.bytes for i in range(count))
+    return dict(wire.VALUE.unpack(payload, offset) for offset in offsets)
+
+
 def assert_closed(connection: Connection) -> None:
     """The daemon says nothing more and closes."""
     assert connection.receive_eof(), "the daemon went on instead of closing"

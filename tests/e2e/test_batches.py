@@ -26,11 +26,11 @@ from frames import (
     assert_serves,
     eval_payload,
     frame,
+    statistics,
 )
 from lists import MODELS, PARAMETERS, QUANTITIES, everywhere
 from mixes import random_payload
 from parted import EVALUATED
-from test_limits import statistics
 
 LUT = 3
 SEED = 7041

@@ -26,10 +26,10 @@ from frames import (
     eval_payload,
     frame,
     parameters_bytes,
+    statistics,
 )
 from lists import MODELS, PARAMETERS
 from parted import EVALUATED, receive_parts, take_apart
-from test_limits import statistics
 
 PONG = PING | wire.REPLY
 TABLE = wire.MESSAGES["table"]

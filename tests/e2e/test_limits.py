@@ -25,22 +25,12 @@ from frames import (
     eval_payload,
     frame,
     header,
+    read_statistics,
+    statistics,
 )
 
 PONG = PING | wire.REPLY
 EVALUATED = EVAL | wire.REPLY
-
-
-def read_statistics(payload: bytes) -> dict[str, int]:
-    """The named numbers of a statistics reply."""
-    count = wire.LIST_REPLY.unpack(payload).count
-    offsets = (wire.LIST_REPLY.bytes + i * wire.VALUE.bytes for i in range(count))
-    return dict(wire.VALUE.unpack(payload, offset) for offset in offsets)
-
-
-def statistics(connection: Connection) -> dict[str, int]:
-    """The daemon's statistics, read over this connection."""
-    return read_statistics(ask(connection, STATISTICS).payload)
 
 
 # ---- frames and media ----------------------------------------------------------------------------

@@ -6,10 +6,9 @@ from __future__ import annotations
 import pytest
 from daemons import eventually
 from dipole import Connection, wire
-from frames import EVAL, R, ask, assert_error, assert_serves, eval_payload, frame
+from frames import EVAL, R, ask, assert_error, assert_serves, eval_payload, frame, statistics
 from lists import MODELS
 from parted import EVALUATED, put_together, receive_parts
-from test_limits import statistics
 
 # About a second of work, in one frame.
 LONG = eval_payload(model=MODELS["beam+single"], radii=None, radius_count=1_000_000, wanted=R)

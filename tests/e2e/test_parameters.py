@@ -14,9 +14,10 @@ from frames import (
     ask,
     assert_daemon_serves,
     assert_error,
-    assert_serves,
+    assert_refused,
     eval_payload,
     parameters_bytes,
+    refused,
 )
 from lists import MODELS, PARAMETERS, everywhere, needs, some_value, takes
 
@@ -33,74 +34,52 @@ def padded(**changes: int) -> bytes:
     return parameters_bytes([(COS_OUT, 0.5)]) + wire.PARAMETER.pack(**fields)
 
 
-# name: (payload, status, field, allowed, index)
+def given(*parameters: tuple[int, float], **fixed) -> bytes:
+    return eval_payload(parameters=parameters, **fixed)
+
+
+GRID = {"radii": None, "radius_count": 2}
+IDS = [0, max(one.id for one in PARAMETERS.values()) + 1, 256 + COS_IN, 999, 65535]
 SHAPES = {
-    "id 0": (eval_payload(parameters=[(0, 0.5)]), "bad-value", "parameter", "one of 1 (tolerance)"),
-    "id unknown": (
-        eval_payload(parameters=[(COS_IN, 0.5), (999, 0.5)]),
-        "bad-value",
-        "parameter",
-        "one of 1 (tolerance), 2 (cos_in)",
-        1,
-    ),
-    "id wraps in 8 bits": (
-        eval_payload(parameters=[(256 + COS_IN, 0.5)]),
-        "bad-value",
-        "parameter",
-        "1 (tolerance)",
-    ),
-    "twice": (
-        eval_payload(parameters=[(COS_IN, 0.5), (COS_OUT, 0.5), (COS_IN, 0.5)]),
-        "bad-value",
-        "parameter",
-        "at most once",
-        2,
-    ),
-    "NaN": (eval_payload(parameters=[(COS_IN, NAN)]), "bad-value", "cos_in", "a number"),
-    "zero": (eval_payload(parameters=padded(zero=1)), "bad-value", "zero", "0", 1),
-    "zero_too": (eval_payload(parameters=padded(zero_too=2**31)), "bad-value", "zero_too", "0", 1),
+    **refused("bad-value", "parameter", "one of 1 (tolerance), 2 (cos_in)", {
+        **{f"{id}": given((id, 0.5)) for id in IDS},
+        "the second": (given((COS_IN, 0.5), (999, 0.5)), 1),
+        "radii for a parameter": eval_payload(parameter_count=1),
+    }),
+    **refused("bad-value", "parameter", "at most once", {
+        "twice": (given((COS_IN, 0.5), (COS_OUT, 0.5), (COS_IN, 0.5)), 2),
+    }),
     **{
-        f"{count} parameters": (
-            eval_payload(parameter_count=count),
-            "bad-count",
-            "parameter_count",
-            "no more parameters than the payload holds",
-        )
-        for count in [2, 3, 2**12, 2**15, 2**16 - 1]  # there are 16 bytes of radii behind the media
+        f"{name} NaN": (given((COS_OUT, 0.5), (one.id, NAN)), "bad-value", name, "a number", 1)
+        for name, one in PARAMETERS.items()
+        if name != "cos_out"
     },
-    "radii for a parameter": (
-        eval_payload(parameter_count=1),
-        "bad-value",
-        "parameter",
-        "1 (tolerance)",
-    ),
-    "not counted": (
-        eval_payload(parameters=[(COS_IN, 0.5)], parameter_count=0),
-        "bad-length",
-        "payload_bytes",
-        "nothing after the listed radii",
-    ),
-    "not counted, grid": (
-        eval_payload(radii=None, parameters=[(COS_IN, 0.5)], parameter_count=0),
-        "bad-length",
-        "payload_bytes",
-        "nothing after media and parameters",
-    ),
-    "cut, with a grid": (
-        eval_payload(radii=None, parameters=[(COS_IN, 0.5)])[:-8],
-        "bad-count",
-        "parameter_count",
-        "no more parameters",
-    ),
+    **refused("bad-value", "zero", "0", {"1": (eval_payload(parameters=padded(zero=1)), 1)}),
+    **refused("bad-value", "zero_too", "0", {
+        "2^31": (eval_payload(parameters=padded(zero_too=2**31)), 1),
+    }),
+    # There are 16 bytes of radii behind the media.
+    **refused("bad-count", "parameter_count", "no more parameters than the payload holds", {
+        **{f"{n:#x}": eval_payload(parameter_count=n) for n in [2, 3, 2**12, 2**15, 2**16 - 1]},
+        "cut, with a grid": given((COS_IN, 0.5), **GRID)[:-8],
+        "cut after the media": given((COS_IN, 0.5))[:-32],
+    }),
+    **refused("bad-count", "radius_count", "no more radii", {
+        f"{cut} bytes less": given((COS_IN, 0.5))[:-cut] for cut in (8, 16)
+    }),
+    **refused("bad-length", "payload_bytes", "nothing after the listed radii", {
+        "not counted": given((COS_IN, 0.5), parameter_count=0),
+    }),
+    **refused("bad-length", "payload_bytes", "nothing after media and parameters", {
+        "not counted": given((COS_IN, 0.5), parameter_count=0, **GRID),
+    }),
 }
 
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_shape(shared, name):
-    payload, status, field, allowed, *index = SHAPES[name]
     with shared.connect() as connection:
-        assert_error(ask(connection, EVAL, payload), status, field, allowed, *index)
-        assert_serves(connection)
+        assert_refused(connection, EVAL, *SHAPES[name])
     assert_daemon_serves(shared)
 
 

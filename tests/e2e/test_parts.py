@@ -29,10 +29,10 @@ from frames import (
     assert_serves,
     eval_payload,
     frame,
+    statistics,
 )
 from lists import DIPOLES, MODELS, PARAMETERS, QUANTITIES, needs
 from parted import EVALUATED, Part, assert_same, put_together, receive_parts, take_apart
-from test_limits import statistics
 
 LUT = 3
 THREE = [SKIN, SPECTRALON, (0.17, 0.88, 0.0, 1.4)]

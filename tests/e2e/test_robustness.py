@@ -26,13 +26,13 @@ from frames import (
     F32,
     PING,
     SKIN,
-    STATISTICS,
     R,
     ask,
     assert_daemon_serves,
     assert_serves,
     eval_payload,
     frame,
+    statistics,
 )
 from known import (
     PARTS,
@@ -44,14 +44,6 @@ from known import (
     refusal,
     short_requests,
 )
-
-
-def statistics(connection: Connection) -> dict[str, int]:
-    """The daemon's, read over this connection."""
-    payload = ask(connection, STATISTICS).payload
-    count = wire.LIST_REPLY.unpack(payload).count
-    offsets = (wire.LIST_REPLY.bytes + i * wire.VALUE.bytes for i in range(count))
-    return dict(wire.VALUE.unpack(payload, offset) for offset in offsets)
 
 
 def assert_all_right(connection: Connection, known: list[Known], order: list[int]) -> None:
