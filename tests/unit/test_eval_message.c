@@ -1,5 +1,5 @@
-/* The payloads of eval requests and replies: what is refused and with which status, where things
- * lie, and that no count can wrap. */
+/* The payloads of eval requests and replies: where things lie, and that no count can wrap. What is
+ * refused with which status is tested from outside, by tests/e2e/test_bad_requests.py. */
 #include <math.h>
 
 #include "proto/eval.h"
@@ -72,14 +72,6 @@ static void assert_refused(const struct payload *payload, enum wire_status statu
   assert_true(strlen(error.allowed) > 0);
 }
 
-/* The request with these media and radii behind it is refused. */
-static void assert_fixed_refused(wire_eval_request fixed, size_t media, size_t count,
-                                 enum wire_status status, const char *field) {
-  struct payload payload;
-  build(&payload, &fixed, media, count);
-  assert_refused(&payload, status, field);
-}
-
 static void assert_list_parsed(unsigned evaluator, uint32_t media, size_t count) {
   struct payload payload;
   eval_request request;
@@ -150,128 +142,6 @@ UNIT_TEST(only_the_exact_length_will_do) {
   }
 }
 
-UNIT_TEST(counts_must_fit_the_payload) {
-  static const uint32_t media[] = {3, 4, 1u << 27, (1u << 27) + 2, UINT32_MAX};
-  for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
-    assert_fixed_refused(request_of(CORE_EVALUATOR_F64, media[i], CORE_SPACING_LINEAR, 5), 2, 0,
-                         WIRE_STATUS_BAD_COUNT, "medium_count");
-  }
-  assert_fixed_refused(request_of(CORE_EVALUATOR_F64, 0, CORE_SPACING_LINEAR, 5), 2, 0,
-                       WIRE_STATUS_BAD_COUNT, "medium_count");
-  assert_fixed_refused(request_of(CORE_EVALUATOR_F64, 1, CORE_SPACING_LINEAR, 5), 2, 0,
-                       WIRE_STATUS_BAD_LENGTH, "payload_bytes");
-}
-
-/* Times 4 or 8 these wrap to 0, to the payload's length, or near it. */
-UNIT_TEST(radius_counts_do_not_wrap) {
-  static const uint64_t counts[] = {6,
-                                    (UINT64_C(1) << 61),
-                                    (UINT64_C(1) << 61) + 5,
-                                    (UINT64_C(1) << 62),
-                                    (UINT64_C(1) << 62) + 5,
-                                    (UINT64_C(1) << 63) + 5,
-                                    UINT64_MAX,
-                                    UINT64_MAX - 1,
-                                    UINT64_C(1) << 32};
-  for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
-    for (size_t i = 0; i < sizeof counts / sizeof counts[0]; i++) {
-      const size_t sent = is_single(evaluator->id) && counts[i] == 6 ? 4 : 5;
-      assert_fixed_refused(request_of(evaluator->id, 2, CORE_SPACING_LIST, counts[i]), 2, sent,
-                           WIRE_STATUS_BAD_COUNT, "radius_count");
-    }
-    assert_fixed_refused(request_of(evaluator->id, 2, CORE_SPACING_LIST, 2), 2, 5,
-                         WIRE_STATUS_BAD_LENGTH, "payload_bytes");
-    assert_fixed_refused(request_of(evaluator->id, 2, CORE_SPACING_LIST, 0), 2, 5,
-                         WIRE_STATUS_BAD_LENGTH, "payload_bytes");
-  }
-}
-
-UNIT_TEST(choices_are_checked) {
-  const wire_eval_request good = request_of(CORE_EVALUATOR_F64, 2, CORE_SPACING_LINEAR, 5);
-  static const uint16_t unknown[] = {0, 999, UINT16_MAX};
-  for (size_t i = 0; i < sizeof unknown / sizeof unknown[0]; i++) {
-    wire_eval_request fixed = good;
-    if (unknown[i] != EVAL_ANY_MODEL) { /* which the tolerance decides */
-      fixed.model = unknown[i];
-      assert_fixed_refused(fixed, 2, 0, WIRE_STATUS_BAD_VALUE, "model");
-    }
-    fixed = good;
-    fixed.evaluator = unknown[i];
-    assert_fixed_refused(fixed, 2, 0, WIRE_STATUS_BAD_VALUE, "evaluator");
-    fixed = good;
-    fixed.moments = unknown[i];
-    assert_fixed_refused(fixed, 2, 0, WIRE_STATUS_BAD_VALUE, "moments");
-    fixed = good;
-    fixed.spacing = unknown[i];
-    assert_fixed_refused(fixed, 2, 0, WIRE_STATUS_BAD_VALUE, "spacing");
-    fixed = good;
-    fixed.spacing = CORE_SPACING_LIST + (1u << 8); /* the upper half counts too */
-    assert_fixed_refused(fixed, 2, 0, WIRE_STATUS_BAD_VALUE, "spacing");
-    fixed = good;
-    fixed.wanted = i == 0 ? 0 : (uint16_t)(unknown[i] | 0x4000);
-    assert_fixed_refused(fixed, 2, 0, WIRE_STATUS_BAD_VALUE, "wanted");
-  }
-}
-
-/* Who reads the error need not look the list up. */
-UNIT_TEST(a_refused_choice_is_told_what_there_is) {
-  struct payload payload;
-  eval_request request;
-  wire_eval_request fixed = request_of(9, 1, CORE_SPACING_LINEAR, 5);
-  build(&payload, &fixed, 1, 0);
-  assert_string_equal(parse(&payload, &request).allowed, "one of 1 (f64), 2 (f32), 3 (lut)");
-}
-
-static size_t count_of(char character, const char *text) {
-  size_t count = 0;
-  for (; *text != '\0'; text++) {
-    count += *text == character;
-  }
-  return count;
-}
-
-/* A long list is cut between its entries, and the text says that there are more. */
-UNIT_TEST(a_long_list_is_cut_between_entries) {
-  struct payload payload;
-  eval_request request;
-  wire_eval_request fixed = request_of(CORE_EVALUATOR_F64, 1, CORE_SPACING_LINEAR, 5);
-  fixed.model = UINT16_MAX;
-  build(&payload, &fixed, 1, 0);
-  const wire_error error = parse(&payload, &request);
-  size_t models = 0, named = 0;
-  for (const core_choice *model = core_models; model->name != NULL; model++) {
-    char entry[64];
-    snprintf(entry, sizeof entry, "%u (%s)", model->id, model->name);
-    models++;
-    named += strstr(error.allowed, entry) != NULL;
-  }
-  assert_in_range(named, 1, models);
-  assert_int_equal(count_of('(', error.allowed), named);
-  assert_int_equal(count_of(')', error.allowed), named);
-  assert_int_equal(strstr(error.allowed, "hello") != NULL, named < models);
-}
-
-UNIT_TEST(a_list_has_no_start_and_stop) {
-  wire_eval_request fixed = request_of(CORE_EVALUATOR_F64, 1, CORE_SPACING_LIST, 3);
-  fixed.radius_start = 1e-300;
-  assert_fixed_refused(fixed, 1, 3, WIRE_STATUS_BAD_VALUE, "radius_start");
-  fixed.radius_start = (double)NAN;
-  assert_fixed_refused(fixed, 1, 3, WIRE_STATUS_BAD_VALUE, "radius_start");
-  fixed.radius_start = 0;
-  fixed.radius_stop = -1;
-  assert_fixed_refused(fixed, 1, 3, WIRE_STATUS_BAD_VALUE, "radius_stop");
-}
-
-UNIT_TEST(padding_is_zero) {
-  struct payload payload;
-  const wire_eval_request fixed = request_of(CORE_EVALUATOR_F32, 1, CORE_SPACING_LIST, 3);
-  for (size_t i = 1; i <= sizeof(float); i++) {
-    build(&payload, &fixed, 1, 3);
-    payload.bytes[payload.length - i] = 1;
-    assert_refused(&payload, WIRE_STATUS_BAD_VALUE, "r");
-  }
-}
-
 /* ---- parameters --------------------------------------------------------------------------- */
 
 enum { PARAMETERS_MAX = CORE_PARAMETERS_END };
@@ -324,71 +194,6 @@ UNIT_TEST(parameters_are_taken_apart) {
     }
     assert_true((uintptr_t)request.radii % 8 == 0);
     assert_true(((const float *)request.radii)[2] == 3);
-  }
-}
-
-static void assert_parameter_refused(wire_parameter second, const char *field,
-                                     const char *allowed) {
-  const wire_parameter parameters[2] = {
-      {.parameter = CORE_PARAMETER_COS_OUT, .value = 0.5},
-      second,
-  };
-  struct payload payload;
-  eval_request request;
-  build_with_parameters(&payload, parameters, 2);
-  const wire_error error = parse(&payload, &request);
-  assert_int_equal(error.status, WIRE_STATUS_BAD_VALUE);
-  assert_string_equal(error.field, field);
-  assert_non_null(strstr(error.allowed, allowed));
-  assert_int_equal(error.index, 1);
-}
-
-UNIT_TEST(parameters_are_checked) {
-  static const uint16_t unknown[] = {0, CORE_PARAMETERS_END, 256 + CORE_PARAMETER_COS_IN,
-                                     UINT16_MAX};
-  for (size_t i = 0; i < sizeof unknown / sizeof unknown[0]; i++) {
-    assert_null(core_choice_by_id(core_parameter_list, unknown[i]));
-    assert_parameter_refused((wire_parameter){.parameter = unknown[i], .value = 0.5}, "parameter",
-                             "one of 1 (tolerance)");
-  }
-  assert_parameter_refused((wire_parameter){.parameter = CORE_PARAMETER_COS_OUT, .value = 0.5},
-                           "parameter", "at most once");
-  for (const core_choice *entry = core_parameter_list; entry->name != NULL; entry++) {
-    if (entry->id != CORE_PARAMETER_COS_OUT) {
-      assert_parameter_refused(
-          (wire_parameter){.parameter = (uint16_t)entry->id, .value = (double)NAN}, entry->name,
-          "a number");
-    }
-  }
-  assert_parameter_refused(
-      (wire_parameter){.parameter = CORE_PARAMETER_COS_IN, .zero = 0x100, .value = 0.5}, "zero",
-      "0");
-  assert_parameter_refused(
-      (wire_parameter){.parameter = CORE_PARAMETER_COS_IN, .zero_too = 0x1000000, .value = 0.5},
-      "zero_too", "0");
-}
-
-/* The payload ends after the media, within a parameter, or where the radii should be. */
-UNIT_TEST(parameter_counts_must_fit_the_payload) {
-  const wire_parameter parameter = {.parameter = CORE_PARAMETER_COS_IN, .value = 0.5};
-  static const uint16_t counts[] = {2, 3, 0x1000, 0x8001, UINT16_MAX};
-  struct payload payload;
-  build_with_parameters(&payload, &parameter, 1);
-  const size_t whole = payload.length;
-  for (size_t i = 0; i < sizeof counts / sizeof counts[0]; i++) {
-    /* Two count the radii as the second: the id that their bits make is unknown. */
-    wire_eval_request fixed = request_of(CORE_EVALUATOR_F32, 2, CORE_SPACING_LIST, 3);
-    fixed.parameter_count = counts[i];
-    wire_put_eval_request(payload.bytes, &fixed);
-    const bool fits = counts[i] == 2;
-    assert_refused(&payload, fits ? WIRE_STATUS_BAD_VALUE : WIRE_STATUS_BAD_COUNT,
-                   fits ? "parameter" : "parameter_count");
-  }
-  build_with_parameters(&payload, &parameter, 1);
-  for (payload.length = whole - 8; payload.length >= whole - 32; payload.length -= 8) {
-    const bool radii_are_cut = payload.length >= whole - 16;
-    assert_refused(&payload, WIRE_STATUS_BAD_COUNT,
-                   radii_are_cut ? "radius_count" : "parameter_count");
   }
 }
 
@@ -548,43 +353,29 @@ UNIT_TEST(replies_are_taken_apart) {
   }
 }
 
-static void assert_reply_refused(wire_eval_reply fixed, size_t length) {
-  uint8_t bytes[PAYLOAD_MAX] = {0};
-  eval_layout layout;
-  wire_put_eval_reply(bytes, &fixed);
-  assert_false(eval_reply_parse(bytes, length, false, &fixed, &layout));
-}
-
 /* A client does not trust a daemon's counts either. */
 UNIT_TEST(replies_of_another_shape_are_refused) {
   uint8_t bytes[PAYLOAD_MAX];
+  eval_layout layout;
   const size_t right = build_reply(bytes, good_reply);
-  wire_eval_reply fixed = good_reply;
-  fixed.channel_count = 4;
-  assert_reply_refused(fixed, right);
-  fixed.channel_count = UINT32_MAX;
-  assert_reply_refused(fixed, right);
-  fixed = good_reply;
-  fixed.radius_count = 9;
-  assert_reply_refused(fixed, right);
-  fixed.radius_count = UINT64_MAX;
-  assert_reply_refused(fixed, right);
-  fixed.radius_count = (UINT64_C(1) << 62) + 7;
-  assert_reply_refused(fixed, right);
-  fixed = good_reply;
-  fixed.evaluator = 0;
-  assert_reply_refused(fixed, right);
-  fixed.evaluator = CORE_EVALUATOR_F64;
-  assert_reply_refused(fixed, right);
-  fixed = good_reply;
-  fixed.wanted |= 0x4000;
-  assert_reply_refused(fixed, right);
-  fixed = good_reply;
-  fixed.part = 3;
-  assert_reply_refused(fixed, right);
-  fixed.part = 0;
-  fixed.part_count = 0;
-  assert_reply_refused(fixed, right);
+#define REFUSED(member, value)                                                                     \
+  do {                                                                                             \
+    wire_eval_reply fixed = good_reply;                                                            \
+    fixed.member = (value);                                                                        \
+    wire_put_eval_reply(bytes, &fixed);                                                            \
+    assert_false(eval_reply_parse(bytes, right, false, &fixed, &layout));                          \
+  } while (0)
+  REFUSED(channel_count, 4);
+  REFUSED(channel_count, UINT32_MAX);
+  REFUSED(radius_count, 9);
+  REFUSED(radius_count, UINT64_MAX);
+  REFUSED(radius_count, (UINT64_C(1) << 62) + 7);
+  REFUSED(evaluator, 0);
+  REFUSED(evaluator, CORE_EVALUATOR_F64);
+  REFUSED(wanted, good_reply.wanted | 0x4000);
+  REFUSED(part, 3);
+  REFUSED(part_count, 0);
+#undef REFUSED
 }
 
 /* The largest part that fits, in steps: one step more does not. */

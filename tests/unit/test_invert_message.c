@@ -63,27 +63,6 @@ UNIT_TEST(other_lengths_are_refused) {
   }
 }
 
-UNIT_TEST(faults_name_the_field) {
-  static const struct {
-    size_t offset;
-    uint16_t value;
-    const char *field;
-  } cases[] = {{0, 0, "model"}, {0, 999, "model"}, {2, 0, "moments"}, {2, 9, "moments"},
-               {4, 0, "given"}, {4, 4, "given"},   {6, 1, "zero"}};
-  _Alignas(8) uint8_t payload[PAYLOAD_MAX];
-  for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
-    const size_t bytes = build(payload, 2);
-    memcpy(payload + cases[i].offset, &cases[i].value, sizeof cases[i].value);
-    assert_refused(payload, bytes, WIRE_STATUS_BAD_VALUE, cases[i].field);
-  }
-  static const uint64_t counts[] = {0, 1, 3, UINT32_MAX, (uint64_t)1 << 60, UINT64_MAX};
-  for (size_t i = 0; i < sizeof counts / sizeof counts[0]; i++) {
-    const size_t bytes = build(payload, 2);
-    memcpy(payload + 8, &counts[i], sizeof counts[i]);
-    assert_refused(payload, bytes, WIRE_STATUS_BAD_COUNT, "medium_count");
-  }
-}
-
 UNIT_TEST(replies_have_three_arrays) {
   uint8_t payload[PAYLOAD_MAX] = {0};
   for (uint64_t count = 0; count < 20; count++) {

@@ -66,15 +66,6 @@ UNIT_TEST(other_lengths_are_refused) {
   }
 }
 
-UNIT_TEST(too_many_albedos_are_refused) {
-  uint8_t payload[PAYLOAD_MAX] = {0};
-  assert_refused(payload, build(payload, CORE_MC_ALBEDOS_MAX + 1), WIRE_STATUS_BAD_COUNT,
-                 "albedo_count");
-  const size_t bytes = build(payload, 0);
-  memset(payload + 2, 0xff, 2);
-  assert_refused(payload, bytes, WIRE_STATUS_BAD_COUNT, "albedo_count");
-}
-
 /* The arrays lie one behind the other, and fill the payload. */
 UNIT_TEST(tables_are_laid_out_without_gaps) {
   for (uint32_t i = 0; i < 64; i++) {

@@ -73,16 +73,6 @@ UNIT_TEST(requests_are_taken_apart) {
   }
 }
 
-static void assert_refused(const uint8_t *payload, size_t bytes, enum wire_status status,
-                           const char *field) {
-  core_draw draw;
-  eval_request request;
-  const wire_error error = sample_request_parse(payload, bytes, &draw, &request);
-  assert_int_equal(error.status, status);
-  assert_string_equal(error.field, field);
-  assert_true(strlen(error.allowed) > 0);
-}
-
 /* Every length but one is wrong; the bytes are allocated, so that a sanitizer sees what is read. */
 UNIT_TEST(other_lengths_are_refused) {
   for (unsigned draw = CORE_DRAW_LIST; draw <= CORE_DRAW_RANDOM; draw++) {
@@ -102,37 +92,6 @@ UNIT_TEST(other_lengths_are_refused) {
       free(copy);
     }
   }
-}
-
-UNIT_TEST(faults_name_the_field) {
-  _Alignas(8) uint8_t payload[PAYLOAD_MAX];
-#define CASE(change, status, field)                                                                \
-  do {                                                                                             \
-    sample of = right(CORE_DRAW_LIST, 5);                                                          \
-    of.change;                                                                                     \
-    assert_refused(payload, build(payload, &of), WIRE_STATUS_##status, field);                     \
-  } while (false)
-  CASE(fixed.model = 0, BAD_VALUE, "model"); /* a tolerance instead: not here */
-  CASE(fixed.model = 999, BAD_VALUE, "model");
-  CASE(fixed.evaluator = 9, BAD_VALUE, "evaluator");
-  CASE(fixed.moments = 0, BAD_VALUE, "moments");
-  CASE(fixed.wanted = 0, BAD_VALUE, "wanted");
-  CASE(fixed.wanted = 0x8000, BAD_VALUE, "wanted");
-  CASE(fixed.draw = 0, BAD_VALUE, "draw");
-  CASE(fixed.draw = 5, BAD_VALUE, "draw");
-  CASE(fixed.medium_count = 0, BAD_COUNT, "medium_count");
-  CASE(fixed.medium_count = UINT32_MAX, BAD_COUNT, "medium_count");
-  CASE(fixed.parameter_count = UINT16_MAX, BAD_COUNT, "parameter_count");
-  CASE(fixed.sample_count = UINT64_MAX, BAD_COUNT, "sample_count");
-  CASE(fixed.sample_count = 7, BAD_COUNT, "sample_count");
-  CASE(fixed.sample_count = 4, BAD_LENGTH, "payload_bytes");
-  CASE(fixed.draw = CORE_DRAW_RANDOM, BAD_LENGTH, "payload_bytes");
-  CASE(tail += 8, BAD_LENGTH, "payload_bytes");
-#undef CASE
-  const sample of = right(CORE_DRAW_LIST, 5);
-  const size_t bytes = build(payload, &of);
-  payload[bytes - 1] = 1;
-  assert_refused(payload, bytes, WIRE_STATUS_BAD_VALUE, "u");
 }
 
 /* As those of an eval, but that each channel has radii of its own, where the list has them. */
