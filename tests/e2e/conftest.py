@@ -10,6 +10,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "clients" / "python"))
 
 from daemons import BUILD, Daemon  # noqa: E402  (needs the path above)
+from modbus_master import Tcp  # noqa: E402
 
 
 @pytest.fixture(scope="session")
@@ -57,4 +58,19 @@ def connection(request, shared):
 def client(shared):
     """A client of the shared daemon."""
     with shared.client() as one:
+        yield one
+
+
+@pytest.fixture(scope="session")
+def slave():
+    """A daemon with Modbus over TCP for tests that leave each other alone: each has its units."""
+    one = Daemon("--modbus", "tcp:127.0.0.1:0")
+    yield one
+    one.close()
+
+
+@pytest.fixture
+def master(slave):
+    """A Modbus master of that daemon."""
+    with Tcp(slave) as one:
         yield one

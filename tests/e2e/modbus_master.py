@@ -3,16 +3,22 @@ registers as proto/registers.def has it."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import select
 import socket
 import struct
 import time
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+import pytest
+from daemons import Daemon
 from lists import read_list
+
+TCP = "--modbus", "tcp:127.0.0.1:0"
 
 READ_COILS, READ_INPUTS, READ_HOLDING, READ_INPUT = 1, 2, 3, 4
 WRITE_COIL, WRITE_REGISTER, WRITE_COILS, WRITE_REGISTERS = 5, 6, 15, 16
@@ -57,6 +63,14 @@ class Lost(Exception):
     """The slave closed the connection."""
 
 
+@contextlib.contextmanager
+def exception(code: int) -> Iterator[None]:
+    """What is asked within gets this exception."""
+    with pytest.raises(Exception_) as refused:
+        yield
+    assert refused.value.code == code
+
+
 # ---- numbers -------------------------------------------------------------------------------------
 
 
@@ -88,6 +102,12 @@ def as_doubles(data: bytes) -> np.ndarray:
 def as_words(data: bytes) -> list[int]:
     """Registers."""
     return [int(word) for word in np.frombuffer(data, ">u2")]
+
+
+def write_read_pdu(address: int, data: bytes, read_address: int, count: int) -> bytes:
+    """A request of function 23."""
+    registers = read_address, count, address, len(data) // 2
+    return struct.pack(">BHHHHB", WRITE_READ, *registers, len(data)) + data
 
 
 # ---- masters -------------------------------------------------------------------------------------
@@ -143,10 +163,7 @@ class Master:
         self, address: int, data: bytes, read_address: int, count: int, unit: int = 1
     ) -> bytes:
         """Function 23."""
-        head = struct.pack(
-            ">BHHHHB", WRITE_READ, read_address, count, address, len(data) // 2, len(data)
-        )
-        answer = self.ask(head + data, unit)
+        answer = self.ask(write_read_pdu(address, data, read_address, count), unit)
         assert answer[0] == len(answer) - 1 == 2 * count
         return answer[1:]
 
@@ -172,9 +189,10 @@ class Master:
 
 
 class Tcp(Master):
-    """Over TCP; address: HOST:PORT, as the daemon's log has it after modbus-tcp:."""
+    """Over TCP to a daemon, or to HOST:PORT, as its log has it after modbus-tcp:."""
 
-    def __init__(self, address: str, timeout_s: float = 20.0, source: str | None = None):
+    def __init__(self, slave: Daemon | str, timeout_s: float = 20.0, source: str | None = None):
+        address = slave if isinstance(slave, str) else slave.url("modbus-tcp")
         host, port = address.removeprefix("modbus-tcp:").rsplit(":", 1)
         self.socket = socket.create_connection(
             (host.strip("[]"), int(port)), timeout_s, (source, 0) if source else None

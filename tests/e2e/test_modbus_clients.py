@@ -3,7 +3,6 @@ independent tools decode, identify and exercise the daemon."""
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import re
 import shutil
@@ -39,23 +38,15 @@ def run(*command: str, **options) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.fixture(scope="module")
-def served():
-    """A daemon with Modbus over TCP."""
-    one = Daemon("--modbus", "tcp:127.0.0.1:0")
-    yield one
-    one.close()
+def address(slave) -> str:
+    """HOST:PORT of the daemon's Modbus."""
+    return slave.url("modbus-tcp").removeprefix("modbus-tcp:")
 
 
 @pytest.fixture(scope="module")
-def slave(served) -> str:
-    """HOST:PORT of its Modbus."""
-    return served.url("modbus-tcp").removeprefix("modbus-tcp:")
-
-
-@pytest.fixture(scope="module")
-def expected(served):
+def expected(slave):
     """What the binary protocol answers."""
-    with served.client() as client:
+    with slave.client() as client:
         medium = dipole.Medium(*np.array([0.032, 0.74, 0, 1.3], np.float32).astype(float))
         return client.eval("better", medium, RADII_MM, evaluator="f32").R[0]
 
@@ -99,28 +90,16 @@ def check(result: subprocess.CompletedProcess[str], expected: np.ndarray, digits
 
 
 @needs("mbpoll")
-def test_mbpoll(slave, expected):
-    check(run(str(EXAMPLES / "profile.sh"), slave), expected, 6)
+@pytest.mark.parametrize("line", ["address", "serial"])
+def test_mbpoll(request, line, expected):
+    check(run(str(EXAMPLES / "profile.sh"), request.getfixturevalue(line)), expected, 6)
 
 
-@needs("mbpoll")
-def test_mbpoll_on_a_serial_line(serial, expected):
-    check(run(str(EXAMPLES / "profile.sh"), serial), expected, 6)
-
-
-needs_pymodbus = pytest.mark.skipif(
-    importlib.util.find_spec("pymodbus") is None, reason="pymodbus is not installed"
-)
-
-
-@needs_pymodbus
-def test_pymodbus(slave, expected):
-    check(run(sys.executable, str(EXAMPLES / "profile.py"), slave), expected, 9)
-
-
-@needs_pymodbus
-def test_pymodbus_on_a_serial_line(serial, expected):
-    check(run(sys.executable, str(EXAMPLES / "profile.py"), serial), expected, 9)
+@pytest.mark.parametrize("line", ["address", "serial"])
+def test_pymodbus(request, line, expected):
+    pytest.importorskip("pymodbus")
+    script = str(EXAMPLES / "profile.py")
+    check(run(sys.executable, script, request.getfixturevalue(line)), expected, 9)
 
 
 @pytest.fixture(scope="module")
@@ -144,20 +123,20 @@ def node_modules():
 
 
 @pytest.mark.parametrize("script", ["profile.js", "jsmodbus.js"])
-def test_node(slave, expected, node_modules, script):
+def test_node(address, expected, node_modules, script):
     environment = {**os.environ, "NODE_PATH": str(node_modules)}
-    check(run("node", str(EXAMPLES / script), slave, env=environment), expected, 9)
+    check(run("node", str(EXAMPLES / script), address, env=environment), expected, 9)
 
 
 # ---- tools that judge ----------------------------------------------------------------------------
 
 
 @needs("cc")
-def test_libmodbus_random_test_client(slave, tmp_path):
+def test_libmodbus_random_test_client(address, tmp_path):
     """Debian's copy, compiled where it is; only its port is another one."""
     if not SUITE.exists():
         pytest.skip("libmodbus-dev's examples are not installed")
-    port = slave.rpartition(":")[2]
+    port = address.rpartition(":")[2]
     elsewhere = tmp_path / "elsewhere.h"
     elsewhere.write_text(
         f"#include <modbus.h>\n#define modbus_new_tcp(ip, port) modbus_new_tcp(ip, {port})\n"
@@ -171,13 +150,13 @@ def test_libmodbus_random_test_client(slave, tmp_path):
 
 
 @needs("nmap")
-def test_nmap_prints_the_identification(served, slave):
-    port = slave.rpartition(":")[2]
+def test_nmap_prints_the_identification(slave, address):
+    port = address.rpartition(":")[2]
     script = ["--script", "+modbus-discover"]
     result = run("nmap", "-Pn", "-n", "-p", port, *script, "127.0.0.1")
     assert result.returncode == 0, result.stderr
     assert "Slave ID data" in result.stdout and "Device identification" in result.stdout
-    with served.client() as client:
+    with slave.client() as client:
         version = client.info.software.split()[-1]
     assert "dipoled" in result.stdout and version in result.stdout, result.stdout
 
@@ -216,8 +195,8 @@ def conversation(master: Recorded) -> None:
 
 
 @needs("tshark")
-def test_tshark_decodes_a_conversation(slave, tmp_path):
-    with Recorded(slave) as master:
+def test_tshark_decodes_a_conversation(address, tmp_path):
+    with Recorded(address) as master:
         conversation(master)
     exchanges = master.exchanges
     capture = tmp_path / "modbus.pcap"

@@ -6,7 +6,7 @@ import random
 import struct
 
 import pytest
-from daemons import Daemon
+from lists import EVALUATORS, MODELS
 from modbus_master import (
     AT,
     BAD_ADDRESS,
@@ -27,24 +27,12 @@ from modbus_master import (
     as_floats,
     as_words,
     floats,
+    swapped,
     words,
 )
 
 BAD_VALUE_STATUS, BAD_ADDRESS_STATUS = 6, 13
 NAN, INF = float("nan"), float("inf")
-
-
-@pytest.fixture(scope="module")
-def slave():
-    one = Daemon("--modbus", "tcp:127.0.0.1:0")
-    yield one.url("modbus-tcp")
-    one.close()
-
-
-@pytest.fixture
-def master(slave):
-    with Tcp(slave) as one:
-        yield one
 
 
 def code_of(master: Tcp, pdu: bytes, unit: int = 1) -> int:
@@ -147,15 +135,9 @@ def test_lengths(master, function):
         assert code_of(master, whole[:length]) == BAD_VALUE
 
 
-COUNTS = [
-    (READ_COILS, 2000),
-    (READ_INPUTS, 2000),
-    (READ_HOLDING, 125),
-    (4, 125),
-]
-
-
-@pytest.mark.parametrize("function, most", COUNTS)
+@pytest.mark.parametrize(
+    "function, most", [(READ_COILS, 2000), (READ_INPUTS, 2000), (READ_HOLDING, 125), (4, 125)]
+)
 def test_counts_to_read(master, function, most):
     for count in (0, most + 1, 65535):
         assert code_of(master, struct.pack(">BHH", function, 0, count)) == BAD_VALUE
@@ -210,13 +192,14 @@ def test_half_a_float(master, address, count, at):
     assert refused(master, address, bytes(2 * count), 40) == (2, BAD_ADDRESS_STATUS, at)
 
 
-READ_ONLY = [AT["STATUS"], AT["R"], AT["ERROR_TEXT"], 700, 1200, 1300, MIRROR + AT["R"]]
+READ_ONLY = [AT["STATUS"], AT["R"], AT["ERROR_TEXT"], 240, 299, 620, 700, 1200, 1300, 1999]
+READ_ONLY += [MIRROR, MIRROR + 99, MIRROR + AT["R"], 65535]
 
 
 @pytest.mark.parametrize("address", READ_ONLY)
 def test_what_is_not_written(master, address):
-    expected = (2, BAD_ADDRESS_STATUS, address % MIRROR)
-    assert refused(master, address, bytes(2), 41) == expected
+    at = AT["R"] if address == MIRROR + AT["R"] else address
+    assert refused(master, address, bytes(2), 41) == (2, BAD_ADDRESS_STATUS, at)
     assert code_of(master, struct.pack(">BHH", WRITE_REGISTER, address, 0), 41) == BAD_ADDRESS
 
 
@@ -238,13 +221,29 @@ def test_floats_out_of_range(master, name, value):
     assert refused(master, AT[name], floats(value), 42) == (3, BAD_VALUE_STATUS, AT[name])
     text = master.read(AT["ERROR_TEXT"], 40, 42).rstrip(b"\0").decode("ascii")
     assert " to " in text
-    mirrored = words(*reversed(as_words(floats(value))))
-    assert refused(master, MIRROR + AT[name], mirrored, 42) == (3, BAD_VALUE_STATUS, AT[name])
+    assert refused(master, MIRROR + AT[name], swapped(floats(value)), 42) == (3, BAD_VALUE_STATUS, AT[name])
+
+
+# Within their ranges, at the ends. A tolerance or an albedo of 0 or -1 means none.
+GOOD = {
+    "ETA": [1000.0],
+    "G": [0.99999994, 0.0],
+    "RADII": [INF, -0.0],
+    "PARAMETER_TOLERANCE": [0.0, -1.0],
+    "PARAMETER_SURFACE_ALBEDO": [0.0],
+}
+
+
+@pytest.mark.parametrize("name, value", [(n, v) for n, vs in GOOD.items() for v in vs])
+def test_floats_at_the_ends(master, name, value):
+    for address, data in [(AT[name], floats(value)), (MIRROR + AT[name], swapped(floats(value)))]:
+        master.write(address, data, 47)
+        assert master.read(address, 2, 47) == data
 
 
 IDS = {
-    "MODEL": [30, 65535],
-    "EVALUATOR": [0, 4],
+    "MODEL": [max(MODELS.values()) + 1, 65535],
+    "EVALUATOR": [0, max(EVALUATORS.values()) + 1],
     "MOMENTS": [0, 5],
     "SPACING": [0, 4],
     "RADIUS_COUNT": [0, 51],

@@ -8,7 +8,7 @@ import threading
 
 import numpy as np
 from daemons import sanitized
-from modbus_master import AT, DONE, Tcp, input_block
+from modbus_master import AT, DONE, TCP, Tcp, input_block
 
 RADII_MM = np.linspace(0.5, 5, 10, dtype=np.float32)
 WAIT_S = 0.4  # libmodbus's own server would have slept 0.5 s for each unknown function
@@ -50,8 +50,7 @@ def never_reads(address: str) -> Tcp:
 
 
 def test_rude_masters_stall_nobody(daemon):
-    options = ["--workers", "1", "--modbus-frame-timeout-ms", "60000"]
-    one = daemon("--modbus", "tcp:127.0.0.1:0", *options)
+    one = daemon(*TCP, "--workers", "1", "--modbus-frame-timeout-ms", "60000")
     address = one.url("modbus-tcp")
     with Tcp(address) as polite:
         expected = values(polite)

@@ -1,4 +1,5 @@
-/* The Modbus register map: its list, its checks, its mirror, and that REGISTERS.md is current. */
+/* The Modbus register map: its list, and that REGISTERS.md is current. What may be read and written is
+ * tested from outside, by tests/e2e/test_modbus_map.py and test_modbus_functions.py. */
 #include "proto/registers.h"
 #include "tests/unit/unit.h"
 
@@ -45,17 +46,6 @@ UNIT_TEST(a_job_fits_one_request) {
   assert_int_equal(REGISTERS_AT_R + 4 * 2 - REGISTERS_AT_STATUS, 20);
 }
 
-UNIT_TEST(reading_crosses_no_gap) {
-  assert_true(registers_readable(0, 125)); /* scratch into input, which begins behind it */
-  assert_true(registers_readable(219, 41));
-  assert_false(registers_readable(219, 42));
-  assert_false(registers_readable(260, 1));
-  assert_false(registers_readable(299, 2));
-  assert_true(registers_readable(REGISTERS_END - 1, 1));
-  assert_false(registers_readable(REGISTERS_END - 1, 2));
-  assert_false(registers_readable(65535, 125));
-}
-
 /* ---- defaults ----------------------------------------------------------------------------- */
 
 UNIT_TEST(the_defaults_may_be_written) {
@@ -69,132 +59,6 @@ UNIT_TEST(the_defaults_may_be_written) {
   assert_int_equal(registers_check(0, 236, values, &at).status, WIRE_STATUS_OK);
   assert_int_equal(registers_check(0, 237, values, &at).status, WIRE_STATUS_BAD_ADDRESS);
   assert_int_equal(at, 236);
-}
-
-UNIT_TEST(self_tests_in_four_orders) {
-  registers_reset(image);
-  const uint16_t expected[] = {0x47f1, 0x2000, 0x2000, 0x47f1, 0xf147, 0x0020, 0x0020, 0xf147};
-  assert_memory_equal(&image[REGISTERS_AT_SELF_TEST_ABCD], expected, sizeof expected);
-}
-
-UNIT_TEST(discovery_lists_the_blocks) {
-  registers_reset(image);
-  assert_int_equal(image[REGISTERS_AT_MAGIC], 0x4449);
-  assert_int_equal(image[REGISTERS_AT_MAGIC + 1], 0x504c);
-  const uint16_t *entry = &image[REGISTERS_AT_BLOCKS];
-  unsigned blocks = 0;
-  for (; *entry != 0xffff; entry += 3) {
-    assert_true(registers_readable(entry[1], entry[2]));
-    blocks++;
-  }
-  assert_int_equal(blocks, REGISTERS_BLOCKS);
-}
-
-/* ---- writing ------------------------------------------------------------------------------ */
-
-static void put_float(uint8_t *at, float value, bool swapped) {
-  uint32_t bits;
-  memcpy(&bits, &value, sizeof bits);
-  for (unsigned i = 0; i < 4; i++) {
-    at[i ^ (swapped ? 2 : 0)] = (uint8_t)(bits >> (24 - 8 * i));
-  }
-}
-
-static wire_error check_float(unsigned address, float value, unsigned *at) {
-  uint8_t bytes[4];
-  put_float(bytes, value, address >= REGISTERS_MIRROR);
-  return registers_check(address, 2, bytes, at);
-}
-
-UNIT_TEST(a_float_is_written_on_both_sides) {
-  registers_reset(image);
-  for (unsigned side = 0; side <= REGISTERS_MIRROR; side += REGISTERS_MIRROR) {
-    uint8_t bytes[4];
-    const float value = side == 0 ? 1.5F : 0.3F;
-    put_float(bytes, value, side > 0);
-    registers_write(image, REGISTERS_AT_ETA + side, 2, bytes);
-    assert_true(registers_f32(image, REGISTERS_AT_ETA) == value);
-    assert_int_equal(image[REGISTERS_AT_ETA], image[REGISTERS_AT_ETA + REGISTERS_MIRROR + 1]);
-    assert_int_equal(image[REGISTERS_AT_ETA + 1], image[REGISTERS_AT_ETA + REGISTERS_MIRROR]);
-  }
-  const uint8_t model[] = {0, 1};
-  registers_write(image, REGISTERS_AT_MODEL + REGISTERS_MIRROR, 1, model);
-  assert_int_equal(registers_u16(image, REGISTERS_AT_MODEL), 1);
-}
-
-UNIT_TEST(half_a_float_is_refused) {
-  const uint8_t zeros[8] = {0};
-  unsigned at;
-  const struct {
-    unsigned address, count, at;
-  } halves[] = {
-      {REGISTERS_AT_ETA, 1, REGISTERS_AT_ETA},
-      {REGISTERS_AT_ETA + 1, 1, REGISTERS_AT_ETA},
-      {REGISTERS_AT_ETA + 1, 2, REGISTERS_AT_ETA},
-      {REGISTERS_AT_SIGMA_A, 3, REGISTERS_AT_SIGMA_S},
-      {REGISTERS_AT_SIGMA_A + REGISTERS_MIRROR, 1, REGISTERS_AT_SIGMA_A},
-  };
-  for (size_t i = 0; i < sizeof halves / sizeof halves[0]; i++) {
-    const wire_error error = registers_check(halves[i].address, halves[i].count, zeros, &at);
-    assert_int_equal(error.status, WIRE_STATUS_BAD_ADDRESS);
-    assert_int_equal(at, halves[i].at);
-  }
-}
-
-UNIT_TEST(values_out_of_range_are_refused) {
-  const struct {
-    unsigned address;
-    float value;
-    bool good;
-  } cases[] = {
-      {REGISTERS_AT_ETA, 0, false},
-      {REGISTERS_AT_ETA, 1000, true},
-      {REGISTERS_AT_ETA, NAN, false},
-      {REGISTERS_AT_ETA + REGISTERS_MIRROR, NAN, false},
-      {REGISTERS_AT_ETA + REGISTERS_MIRROR, 1.3F, true},
-      {REGISTERS_AT_G, 1, false},
-      {REGISTERS_AT_G, -1, false},
-      {REGISTERS_AT_G, 0.99999994F, true},
-      {REGISTERS_AT_SIGMA_S, -1e-30F, false},
-      {REGISTERS_AT_SIGMA_S, INFINITY, false},
-      {REGISTERS_AT_RADII + 98, INFINITY, true},
-      {REGISTERS_AT_RADII, -0.0F, true},
-      {REGISTERS_AT_RADIUS_STOP, INFINITY, false},
-      {REGISTERS_AT_PARAMETER_TOLERANCE, 0, true},
-      {REGISTERS_AT_PARAMETER_TOLERANCE, -1, true},
-      {REGISTERS_AT_PARAMETER_TOLERANCE, -0.5F, false},
-      {REGISTERS_AT_PARAMETER_TOLERANCE, 1.5F, false},
-      {REGISTERS_AT_PARAMETER_SURFACE_ALBEDO, 0, true},
-  };
-  for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
-    unsigned at;
-    const wire_error error = check_float(cases[i].address, cases[i].value, &at);
-    assert_int_equal(error.status, cases[i].good ? WIRE_STATUS_OK : WIRE_STATUS_BAD_VALUE);
-    assert_true(cases[i].good || at == cases[i].address % REGISTERS_MIRROR);
-  }
-}
-
-UNIT_TEST(ids_are_those_of_the_lists) {
-  unsigned at;
-  for (unsigned id = 0; id < 300; id++) {
-    const uint8_t bytes[] = {(uint8_t)(id >> 8), (uint8_t)id};
-    const bool model = id == 0 || core_choice_by_id(core_models, id) != NULL;
-    const bool evaluator = core_choice_by_id(core_evaluators, id) != NULL;
-    assert_int_equal(registers_check(REGISTERS_AT_MODEL, 1, bytes, &at).status == WIRE_STATUS_OK,
-                     model);
-    assert_int_equal(
-        registers_check(REGISTERS_AT_EVALUATOR, 1, bytes, &at).status == WIRE_STATUS_OK, evaluator);
-  }
-}
-
-UNIT_TEST(only_blocks_to_write_are_written) {
-  const uint8_t zeros[4] = {0};
-  const unsigned addresses[] = {240,  299,  300,  620,  700,           1200,
-                                1999, 2000, 2099, 2300, REGISTERS_END, 65535};
-  for (size_t i = 0; i < sizeof addresses / sizeof addresses[0]; i++) {
-    unsigned at;
-    assert_int_equal(registers_check(addresses[i], 1, zeros, &at).status, WIRE_STATUS_BAD_ADDRESS);
-  }
 }
 
 /* ---- values ------------------------------------------------------------------------------- */
