@@ -9,15 +9,16 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include "server/store/cache.h"
-#include "server/net/listener.h"
-#include "server/observe/log.h"
 #include "server/jobs/mc_pool.h"
 #include "server/memory.h"
-#include "server/observe/metrics.h"
 #include "server/modbus/service.h"
+#include "server/net/listener.h"
 #include "server/net/systemd.h"
 #include "server/net/worker.h"
+#include "server/observe/latency.h"
+#include "server/observe/log.h"
+#include "server/observe/metrics.h"
+#include "server/store/cache.h"
 
 #define DEFAULT_TCP "tcp:127.0.0.1:4817"
 #define DEFAULT_SOCKET "dipoled.sock"
@@ -98,9 +99,11 @@ static bool choose_isa(struct server *server) {
 static bool start_workers(struct daemon *daemon) {
   struct server *server = &daemon->server;
   server->workers = calloc(server->options.workers, sizeof *server->workers);
+  server->latencies = calloc(server->options.workers, sizeof *server->latencies);
   server->cache = cache_new(server->isa, server->options.cache_bytes, &server->stats);
   server->mc = mc_pool_new(server);
-  if (server->workers == NULL || server->cache == NULL || server->mc == NULL) {
+  if (server->workers == NULL || server->latencies == NULL || server->cache == NULL ||
+      server->mc == NULL) {
     return complain("workers", "out of memory");
   }
   for (; daemon->workers_started < server->options.workers; daemon->workers_started++) {
@@ -291,6 +294,7 @@ static int run(struct daemon *daemon) {
   uv_loop_close(&daemon->loop);
   modbus_service_free(server->modbus);
   free(server->workers);
+  free(server->latencies);
   cache_free(server->cache);
   mc_pool_free(server->mc);
   if (ready) {

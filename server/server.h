@@ -10,6 +10,7 @@
 #include "server/observe/stats.h"
 
 struct cache;
+struct latency;
 struct mc_pool;
 struct modbus_service;
 struct worker;
@@ -21,6 +22,7 @@ struct server {
   _Atomic uint64_t buffer_bytes; /* of all connections */
   uint64_t started_ns;
   struct worker *workers;        /* [options.workers] */
+  struct latency *latencies;     /* [options.workers], each counted by its worker */
   struct cache *cache;           /* prepared profiles */
   struct mc_pool *mc;            /* Monte Carlo jobs */
   struct modbus_service *modbus; /* NULL: not asked for */

@@ -1,98 +1,181 @@
-/* job: one eval or sample request being answered, slice by slice. Independent of how requests
- * arrive. A sample is an eval whose radii are drawn first, for each channel. */
+/* job: what every request is while it is being answered, whatever its message.
+ *
+ * Each message of proto/messages.def has one `struct job_kind`, named job_kind_<IDENT>. Whoever
+ * answers requests (server/jobs/requests.c for the binary protocol, server/modbus for registers)
+ * calls these functions, and knows nothing else of a kind of job:
+ *
+ *   start() checks the request. It returns JOB_NEXT_PART if the size of the reply is known, or
+ *   JOB_GOES_ON if that takes steps. begin_part() is then given room for part_bytes, and step() is
+ *   called until the part is complete. A reply that is larger than a frame has several parts, so
+ *   that step() returns JOB_NEXT_PART again. After JOB_DONE or JOB_REFUSED, end() releases what the
+ *   job holds.
+ *
+ * For example, an eval: start -> NEXT_PART, begin_part -> GOES_ON, step -> WAITS (its profile is
+ * being prepared), step -> GOES_ON, step -> DONE, end.
+ *
+ * A new kind of job takes a line in proto/messages.def, its layout in proto/, and a file in
+ * server/jobs/ that defines its structure and its job_kind_<IDENT>.
+ */
 #ifndef DIPOLED_JOB_H
 #define DIPOLED_JOB_H
 
-#include "proto/sample.h"
-#include "server/jobs/backlog.h"
-#include "server/jobs/job_state.h"
+#include "proto/wire.h"
+#include "server/jobs/batch.h"
 #include "server/jobs/repeat.h"
+#include "server/observe/latency.h"
 #include "server/store/profiles.h"
 
-struct job_scratch;
-
-struct job {
-  eval_request request; /* of a sample: its radii are the numbers u */
-  core_grid grid;
-  bool draws;     /* a sample, */
-  core_draw draw; /* and its numbers */
-  eval_layout layout;
-  uint8_t *reply;              /* payload of the part, layout.payload_bytes */
-  struct profiles_order order; /* for the profile of the channel being evaluated */
-  uint64_t part_radii;         /* in each part of the reply but the last */
-  uint64_t first;              /* radius of the part that is being filled in */
-  uint64_t count;              /* of its radii */
-  uint32_t part;               /* its number, */
-  uint32_t part_count;         /* and how many there are */
-  uint32_t channel;
-  uint64_t index; /* the next radius of that channel in the part */
-  bool radii_done;
-  struct backlog_share share;
-  unsigned notes;     /* of the channels so far */
-  double tolerance;   /* that was asked for instead of a model; NAN: a model was */
-  double model_error; /* of what was chosen for it */
-  size_t choice;      /* how many candidates have been tried */
-  bool covers_all;    /* radii: the model does */
-  wire_error refusal;
+/* What a call of a job's functions has come to. */
+enum job_outcome {
+  JOB_GOES_ON,   /* call step() */
+  JOB_WAITS,     /* for a profile; call step() when on_ready() has been called */
+  JOB_NEXT_PART, /* the part before, if any, is complete; call begin_part() for the next one */
+  JOB_DONE,      /* the reply is complete after batch_finish() */
+  JOB_REFUSED,   /* there will be no more of the reply; the job's refusal says why */
+  JOB_DETACHED,  /* start() only: the job answers later and needs the payload no more */
 };
 
-/* Checks all of a request before any of it is evaluated; the payload has to stay while the job
- * runs. OK: layout.payload_bytes says what the reply, or its first part, needs. */
-wire_error job_check(struct job *job, const struct server *server, const uint8_t *payload,
-                     size_t payload_bytes);
+/* A slice is as many evaluations of a dipole: about 25 to 100 microseconds. That is how long a
+ * small request may have to wait while a large one is being evaluated on its worker. Profiles that
+ * cost more get slices with fewer radii. */
+enum { JOB_SLICE_RADII = 16384 };
 
-/* Likewise, of a sample. */
-wire_error job_check_sample(struct job *job, const struct server *server, const uint8_t *payload,
-                            size_t payload_bytes);
+/* What a step costs besides its radii, in radii: preparing a profile, or taking a frame apart. */
+enum { JOB_STEP_RADII = 64 };
 
-/* What is wanted, as proto/eval.h has it. */
-unsigned job_wanted(const struct job *job);
+/* How long a client that is refused with BUSY should wait. A worker finishes what it has by then. */
+enum { JOB_RETRY_AFTER_MS = 20 };
 
-/* Of job_check.c, for a job that has been checked. The medium of a channel. */
-core_medium job_medium(const struct job *job, uint32_t channel);
-
-/* The layout of the part that begins at job->first; false: it would exceed max_bytes. */
-bool job_lay_out_part(struct job *job, uint64_t max_bytes);
-
-/* When what was chosen for a tolerance cannot be prepared after all, the next best; false: there is
- * none. A lack of memory decides nothing: the same request gets the same model. */
-bool job_choose_again(struct job *job);
-
-/* What could answer a request of model EVAL_ANY_MODEL. */
-struct choice;
-wire_error job_offers(const struct server *server, const uint8_t *payload, size_t payload_bytes,
-                      struct choice *choice);
-
-/* Starts to fill in the reply, or its first part, which starts at a multiple of 8. */
-void job_start(struct job *job, uint8_t *reply);
-
-/* After JOB_PART_DONE: layout says what the next part needs; then it is begun there. */
-void job_next_part(struct job *job);
-void job_start_part(struct job *job, uint8_t *reply);
-
-/* Notes what the job will cost its worker, or why it is not to be started now. */
-wire_error job_admit(struct job *job, const struct server *server, struct job_scratch *scratch);
-
-/* Lets go of what a job holds or waits for that is given up before its reply is complete, or that
- * is. A job that has not been started is all 0, but for who is told: order.on_ready. */
-void job_end(struct job *job);
-
-/* The most that a slice draws: of tables, which cost least. */
+/* The most numbers that a slice draws: of tables, which cost least. */
 enum { JOB_DRAW_RADII = JOB_SLICE_RADII / 4 };
 
-/* What the jobs of a worker share: room for a slice's radii, for grids whose radii are not wanted;
- * and what is short is gathered, and is in the replies after batch_finish(). */
-struct job_scratch {
-  double radii[JOB_SLICE_RADII];
-  double numbers[JOB_DRAW_RADII];
-  struct batch batch;
-  struct repeat repeat;
-  struct backlog backlog;
+/* What the jobs of one worker share. Only that worker's thread touches it. */
+struct job_context {
+  struct server *server;
+  uv_loop_t *loop;
+  struct latency *latency;
+  struct profiles profiles;
+  struct batch batch;   /* short requests, until batch_finish() writes their values */
+  struct repeat repeat; /* requests that can be answered like an earlier one */
+  uint64_t owed_radii;  /* radii of a dipole that the jobs under way still have to evaluate */
+  double radii[JOB_SLICE_RADII]; /* scratch: a slice's radii where the reply has no room for them */
+  double numbers[JOB_DRAW_RADII]; /* scratch: a slice's random numbers */
 };
 
-/* Evaluates one slice and subtracts what it cost, in radii of a dipole, from *budget (down to 0).
+/* Why a detached job is to end early. */
+enum job_stop { JOB_CANCELLED, JOB_DAEMON_STOPS };
+
+struct job;
+
+/* A request as it has arrived. */
+struct job_request {
+  const wire_header *header;
+  const uint8_t *payload; /* header->payload_bytes, at a multiple of 8 */
+  struct job_context *context;
+  /* Called on the worker's thread: when a job that waits can go on, and when a detached job has
+   * something new. */
+  void (*on_ready)(void *owner);
+  void (*on_news)(void *owner);
+  void *owner;
+  struct job **detached; /* the connection's list of detached jobs; NULL if there can be none */
+};
+
+/* A message of the protocol. Functions may be NULL where it says so. */
+struct job_kind {
+  /* Checks all of the request. The payload stays until the job ends, unless it becomes detached. A
+   * detached job allocates itself and appears in request->detached. Returns any outcome but DONE
+   * and WAITS; end() is called unless the outcome is REFUSED or DETACHED. */
+  enum job_outcome (*start)(struct job *job, const struct job_request *request);
+
+  /* Writes to part_bytes at a multiple of 8. The room stays until the part is complete. Returns
+   * GOES_ON or DONE. */
+  enum job_outcome (*begin_part)(struct job *job, uint8_t *payload);
+
+  /* Works for about one slice at most and subtracts what that cost, in radii of a dipole, from
+   * *budget, down to 0. Returns any outcome but DETACHED. NULL if begin_part() completes the
+   * reply. */
+  enum job_outcome (*step)(struct job *job, uint64_t *budget);
+
+  /* Releases what the job holds or waits for, whether it is complete or given up. NULL if it holds
+   * nothing. */
+  void (*end)(struct job *job);
+
+  /* Has a detached job end soon with what it has. NULL if jobs of this kind are never detached. */
+  void (*stop)(struct job *job, enum job_stop why);
+};
+
+/* Every kind's own structure begins with this. */
+struct job {
+  const struct job_kind *kind;
+  struct job_context *context;
+  wire_header header;  /* of the request */
+  uint64_t part_bytes; /* with JOB_NEXT_PART: what begin_part() needs */
+  uint64_t owed_radii; /* this job's part of context->owed_radii */
+  bool rests;          /* owed_radii is not counted in the context at the moment */
+  enum latency_class latency;
+  struct job *next;   /* detached: in the connection's list */
+  bool reader_idle;   /* detached: nothing else waits to be written, so that progress may be */
+  wire_error refusal; /* set with JOB_REFUSED */
+};
+
+/* Room for a job of any kind. Each kind asserts that its structure fits. */
+enum { JOB_SLOT_BYTES = 1536 };
+
+struct job_slot {
+  _Alignas(16) uint8_t bytes[JOB_SLOT_BYTES];
+};
+
+#define JOB_FITS_SLOT(type) _Static_assert(sizeof(type) <= JOB_SLOT_BYTES, "a job fits its slot")
+
+/* Starts a job in a slot that no job is in; *job is that slot then. Returns what the kind's start()
+ * returns, or REFUSED for an unknown message. */
+enum job_outcome job_start(struct job_slot *slot, const struct job_request *request,
+                           struct job **job);
+
+/* Ends a job that start() has neither refused nor detached: it owes nothing any more, and has
+ * released what it held. */
+void job_end(struct job *job);
+
+/* Makes an order for profiles, whose owner is told when the job can go on. */
+void job_init_order(struct profiles_order *order, const struct job_request *request);
+
+/* ---- admission control ------------------------------------------------------------------------
  */
-enum job_state job_slice(struct job *job, struct server *server, struct profiles *profiles,
-                         struct job_scratch *scratch, uint64_t *budget);
+
+/* Adds what the job will have to evaluate to what its worker owes; radii: of any size. A large job
+ * is refused with BUSY and `field` while the worker owes more than max_backlog_ms. A small one is
+ * always admitted, because it takes turns with the large ones. */
+wire_error job_admit(struct job *job, double radii, const char *field);
+
+/* The job has evaluated so many radii. */
+void job_pay(struct job *job, uint64_t radii);
+
+/* While a slow reader keeps a job from going on, what it owes keeps nobody else out. */
+void job_rest(struct job *job);
+void job_resume(struct job *job);
+
+/* ---- refusals ---------------------------------------------------------------------------------
+ */
+
+/* Sets the refusal and returns JOB_REFUSED. */
+enum job_outcome job_refuse(struct job *job, wire_error refusal);
+
+/* BAD_VALUE, for what core found to be wrong. */
+wire_error job_error(core_fault fault);
+
+/* The error of a fault in preparing a channel: BUSY where memory is lacking, else BAD_VALUE. */
+wire_error job_fault(core_fault fault, uint32_t channel);
+
+/* BUSY: the budget of all buffers is exhausted. */
+wire_error job_busy(void);
+
+/* BAD_LENGTH, for a payload that does not have the size that is allowed. */
+wire_error job_bad_length(const char *allowed);
+
+/* TOO_LARGE: "at most MOST WHAT". */
+wire_error job_too_large(const char *field, uint64_t most, const char *what);
+
+#define WIRE_MESSAGE(type, IDENT, name) extern const struct job_kind job_kind_##IDENT;
+#include "proto/messages.def"
 
 #endif

@@ -115,7 +115,7 @@ static void answer_unit(struct modbus_service *service, struct modbus_client *cl
 
 static void count(struct modbus_service *service, const struct modbus_answer *answer) {
   struct stats *stats = &service->server->stats;
-  struct latency *latency = worker_latency(service->worker);
+  struct latency *latency = worker_context(service->worker)->latency;
   const bool refused = answer->exception != 0;
   stats_add(stats, refused ? STATS_MODBUS_EXCEPTIONS : STATS_MODBUS_TRANSACTIONS, 1);
   latency_note(latency,

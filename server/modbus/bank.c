@@ -18,8 +18,6 @@ void modbus_bank_start(struct modbus_bank *bank, struct worker *worker,
                        struct modbus_banks_done *done) {
   bank->worker = worker;
   bank->done = done;
-  bank->job.order.on_ready = on_profile;
-  bank->job.order.context = bank;
   bank->mapping = (modbus_mapping_t){
       .nb_bits = REGISTERS_COILS,
       .nb_input_bits = REGISTERS_COILS,
@@ -34,7 +32,7 @@ void modbus_bank_start(struct modbus_bank *bank, struct worker *worker,
 }
 
 void modbus_bank_end(struct modbus_bank *bank) {
-  job_end(&bank->job);
+  job_end(bank->job);
   bank->busy = false;
 }
 
@@ -105,60 +103,47 @@ static void is_evaluating(struct modbus_bank *bank) {
   bank->done->first = bank;
 }
 
-/* Runs the job until its values are in the batch or it waits. Its 50 radii at most are no more than
- * a slice. */
-static wire_error run(struct modbus_bank *bank) {
-  struct worker *worker = bank->worker;
-  enum job_state state;
-  do {
+/* Goes on with the job until its values are in the batch, or it waits, or it has been refused. Its
+ * 50 radii at most are no more than a slice, and their reply is one part. */
+static wire_error follow(struct modbus_bank *bank, enum job_outcome outcome) {
+  struct job *job = bank->job;
+  while (outcome == JOB_GOES_ON || outcome == JOB_NEXT_PART) {
     uint64_t budget = JOB_SLICE_RADII;
-    state = job_slice(&bank->job, worker->server, worker_profiles(worker), worker_scratch(worker),
-                      &budget);
-  } while (state == JOB_GOES_ON);
-  assert(state != JOB_PART_DONE); /* a frame holds more than 50 radii */
-  bank->busy = state == JOB_WAITS;
-  if (state == JOB_REFUSED) {
-    return bank->job.refusal;
+    assert(outcome == JOB_GOES_ON || job->part_bytes <= MODBUS_REPLY_BYTES);
+    outcome = outcome == JOB_GOES_ON ? job->kind->step(job, &budget)
+                                     : job->kind->begin_part(job, bank->reply);
   }
-  if (state == JOB_DONE) {
+  bank->busy = outcome == JOB_WAITS;
+  if (!bank->busy) {
+    job_end(job);
+  }
+  if (outcome == JOB_DONE) {
     is_evaluating(bank);
   }
-  return wire_error_none();
+  return outcome == JOB_REFUSED ? job->refusal : wire_error_none();
 }
 
 /* What it waited for is there. */
 static void on_profile(void *context) {
   struct modbus_bank *bank = context;
-  const wire_error error = run(bank);
+  const wire_error error = follow(bank, JOB_GOES_ON);
   if (error.status != WIRE_STATUS_OK) {
     fail_job(bank, &error);
   }
 }
 
-/* The same request as before has the same answer but for its radii. */
-static bool repeat(struct modbus_bank *bank, size_t question_bytes) {
-  struct job_scratch *scratch = worker_scratch(bank->worker);
-  const struct repeat_entry *entry = repeat_find(&scratch->repeat, bank->question, question_bytes);
-  if (entry == NULL) {
-    return false;
-  }
-  repeat_answer(entry, &scratch->batch, &server_of(bank)->stats, bank->question, scratch->radii,
-                bank->reply);
-  is_evaluating(bank);
-  return true;
-}
-
 static wire_error evaluate(struct modbus_bank *bank) {
-  const size_t bytes = modbus_translate_input(bank->image, bank->question);
-  if (repeat(bank, bytes)) {
-    return wire_error_none();
-  }
-  const wire_error error = job_check(&bank->job, server_of(bank), bank->question, bytes);
-  if (error.status != WIRE_STATUS_OK) {
-    return error;
-  }
-  job_start(&bank->job, bank->reply);
-  return run(bank);
+  const wire_header header = {
+      .type = WIRE_TYPE_EVAL,
+      .payload_bytes = (uint32_t)modbus_translate_input(bank->image, bank->question),
+  };
+  const struct job_request request = {.header = &header,
+                                      .payload = bank->question,
+                                      .context = worker_context(bank->worker),
+                                      .on_ready = on_profile,
+                                      .owner = bank};
+  const enum job_outcome outcome = job_start(&bank->slot, &request, &bank->job);
+  return outcome == JOB_REFUSED ? bank->job->refusal : follow(bank, outcome);
 }
 
 /* ---- writing ----------------------------------------------------------------------------------

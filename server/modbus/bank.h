@@ -30,7 +30,8 @@ struct modbus_bank {
   struct modbus_bank *next_done;
   struct modbus_client *client; /* that waits for it; NULL: nobody */
   uint16_t token;               /* of the job */
-  struct job job;
+  struct job *job;              /* in the slot; NULL: none */
+  struct job_slot slot;
   modbus_mapping_t mapping; /* of the two below */
   uint16_t image[REGISTERS_END];
   uint8_t coils[REGISTERS_COILS];

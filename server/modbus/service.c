@@ -4,8 +4,8 @@
 #include <stdlib.h>
 #include <unistd.h>
 
-#include "server/observe/log.h"
 #include "server/net/worker.h"
+#include "server/observe/log.h"
 
 static struct modbus_service *complain(struct modbus_service *service, const char *what,
                                        const char *why) {
@@ -225,7 +225,7 @@ struct modbus_bank *modbus_service_bank(struct modbus_service *service, unsigned
   if (bank->worker == NULL) {
     modbus_bank_start(bank, service->worker, &service->done);
   } else if (bank->evaluating) {
-    batch_finish(&worker_scratch(service->worker)->batch, &service->server->stats);
+    batch_finish(&worker_context(service->worker)->batch, &service->server->stats);
     modbus_service_finish(service);
   }
   return bank;

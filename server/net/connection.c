@@ -4,9 +4,8 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
-#include "server/jobs/answer.h"
-#include "server/jobs/request.h"
 #include "server/net/worker.h"
+#include "server/jobs/requests.h"
 #include "server/observe/log.h"
 
 enum {
@@ -14,6 +13,38 @@ enum {
   WRITE_BUFFERS = 16,
   REST_MS = 1000,   /* of silence, after which a connection's memory is given back */
   LINGER_MS = 1000, /* for a peer that does not close after the last answer */
+};
+
+struct connection {
+  struct client client; /* first: the worker knows the connection by it */
+  struct server *server;
+  int fd;
+  enum connection_purpose purpose;
+
+  union {
+    uv_handle_t handle;
+    uv_stream_t stream;
+    uv_tcp_t tcp;
+    uv_pipe_t pipe;
+  } uv;
+  uv_write_t write;
+  uv_shutdown_t shutdown;
+  uint64_t writing_bytes; /* handed to the loop and not yet written */
+
+  struct input input;
+  struct output output;
+  struct requests requests;
+
+  bool more_to_do; /* when the turn was over */
+  bool reading;
+  bool stopping;  /* the daemon stops: the connection ends when what has arrived is answered */
+  bool peer_done; /* the peer has shut down its side: nothing more will arrive */
+  bool lingering; /* shut down; the peer can read the last answer before it closes */
+  bool closing;   /* uv_close() has been called */
+
+  uint64_t active_ms;        /* when bytes last arrived or left */
+  uint64_t frame_started_ms; /* when the unfinished frame began to arrive; 0 if there is none */
+  uint64_t lingering_ms;
 };
 
 static const struct client_kind kind;
@@ -27,7 +58,12 @@ static struct connection *of(struct client *client) {
 /* ---- beginning and end ------------------------------------------------------------------------
  */
 
-struct connection *connection_new(struct server *server, int fd, enum connection_purpose purpose) {
+static void on_wake(void *owner) {
+  struct connection *c = owner;
+  worker_run_later(&c->client);
+}
+
+struct client *connection_new(struct server *server, int fd, enum connection_purpose purpose) {
   struct connection *c = calloc(1, sizeof *c);
   if (c == NULL) {
     return NULL;
@@ -36,10 +72,10 @@ struct connection *connection_new(struct server *server, int fd, enum connection
   c->server = server;
   c->fd = fd;
   c->purpose = purpose;
-  answer_init(c);
   input_init(&c->input, server);
   output_init(&c->output, server);
-  return c;
+  requests_init(&c->requests, &c->input, &c->output, on_wake, c);
+  return &c->client;
 }
 
 /* When nothing refers to it any more. */
@@ -49,7 +85,6 @@ static void dispose(struct connection *c) {
   input_free(&c->input);
   output_free(&c->output);
   worker_forget(&c->client);
-  answer_end(c);
   free(c);
   if (purpose != CONNECTION_REFUSE) {
     stats_subtract(&server->stats, STATS_CONNECTIONS_OPEN, 1);
@@ -63,24 +98,19 @@ static void on_closed(uv_handle_t *handle) {
   dispose(handle->data);
 }
 
-static void close_desk(struct connection *c) {
-  mc_desk_close(c->mc);
-  c->mc = NULL;
-}
-
-void connection_abort(struct connection *c) {
+/* Closes the connection at once, whatever is under way. */
+static void abort_connection(struct connection *c) {
   if (!c->closing) {
     c->closing = true;
     uv_close(&c->uv.handle, on_closed);
-    close_desk(c);
-    answer_end(c); /* nobody wakes it any more */
+    requests_drop(&c->requests); /* so that no job wakes the connection any more */
   }
 }
 
 static void on_shut_down(uv_shutdown_t *request, int status) {
   struct connection *c = request->handle->data;
   if (status != 0 && !c->closing) {
-    connection_abort(c);
+    abort_connection(c);
   }
 }
 
@@ -89,20 +119,12 @@ static void on_shut_down(uv_shutdown_t *request, int status) {
  * closes. */
 static void linger(struct connection *c) {
   if (c->peer_done || uv_shutdown(&c->shutdown, &c->uv.stream, on_shut_down) != 0) {
-    connection_abort(c);
+    abort_connection(c);
     return;
   }
   c->lingering = true;
   c->lingering_ms = uv_now(c->uv.handle.loop);
   input_discard(&c->input);
-}
-
-void connection_end(struct connection *c, uint64_t request_id, wire_error error) {
-  log_peer_line(LOG_LEVEL_INFO, "event=connection-ended status=%s field=%s",
-                wire_status_name(error.status), error.field);
-  request_refuse(c->server, request_id, &error, &c->output);
-  close_desk(c);
-  c->ending = true;
 }
 
 /* ---- reading ----------------------------------------------------------------------------------
@@ -123,9 +145,9 @@ static void refuse_for_memory(struct connection *c) {
       wire_error_make(WIRE_STATUS_BUSY, "payload_bytes", "less at a time: max_total_bytes in use");
   error.retry_after_ms = 1000;
   if (!input_refuse(&c->input, &header)) {
-    connection_abort(c);
-  } else if (!request_refuse(c->server, header.request_id, &error, &c->output)) {
-    connection_abort(c);
+    abort_connection(c);
+  } else if (!requests_refuse(&c->requests, header.request_id, &error)) {
+    abort_connection(c);
   }
 }
 
@@ -153,7 +175,7 @@ static void on_read(uv_stream_t *stream, ssize_t bytes, const uv_buf_t *buffer) 
     } else if (bytes == UV_EOF && !c->lingering) {
       c->peer_done = true;
     } else {
-      connection_abort(c);
+      abort_connection(c);
     }
   }
   if (!c->closing) {
@@ -165,7 +187,7 @@ static void set_reading(struct connection *c, bool wanted) {
   if (wanted && !c->reading) {
     c->reading = uv_read_start(&c->uv.stream, on_room_wanted, on_read) == 0;
     if (!c->reading) {
-      connection_abort(c);
+      abort_connection(c);
     }
   } else if (!wanted && c->reading) {
     uv_read_stop(&c->uv.stream);
@@ -190,7 +212,7 @@ static void on_written(uv_write_t *request, int status) {
     return;
   }
   if (status != 0) {
-    connection_abort(c);
+    abort_connection(c);
     return;
   }
   wrote(c, bytes);
@@ -215,7 +237,7 @@ static void write_more(struct connection *c) {
     }
     if ((written != UV_EAGAIN && written != 0) ||
         uv_write(&c->write, &c->uv.stream, buffers, count, on_written) != 0) {
-      connection_abort(c);
+      abort_connection(c);
       return;
     }
   }
@@ -226,41 +248,42 @@ static void write_more(struct connection *c) {
 
 /* The clock of an unfinished frame runs while the peer could finish it. */
 static void note_partial_frame(struct connection *c) {
-  if (!input_partial(&c->input) || connection_blocked(c)) {
+  if (!input_partial(&c->input) || output_is_full(&c->output)) {
     c->frame_started_ms = 0;
   } else if (c->frame_started_ms == 0) {
     c->frame_started_ms = uv_now(c->uv.handle.loop);
   }
 }
 
-/* When nobody can cancel them any more, Monte Carlo jobs end with what they have; true: their
- * tables are still to come. */
-static bool end_mc_jobs(struct connection *c) {
+/* Detached jobs end with what they have when nobody can cancel them any more. Returns whether their
+ * last replies are still to come. */
+static bool awaits_detached(struct connection *c) {
   return (c->peer_done || c->stopping) &&
-         mc_desk_end_all(c->mc, c->peer_done ? MC_CANCELLED : MC_STOPPED);
+         requests_stop_detached(&c->requests, c->peer_done ? JOB_CANCELLED : JOB_DAEMON_STOPS);
 }
 
 /* All that has arrived is answered, and no more will be taken: the last words. */
 static void end_if_done(struct connection *c) {
-  if (c->ending || connection_blocked(c) || end_mc_jobs(c)) {
+  if (c->requests.ended || output_is_full(&c->output) || awaits_detached(c)) {
     return;
   }
   if (c->peer_done && input_partial(&c->input)) {
     wire_header header = {0}; /* request id 0 unless the header has arrived */
     input_refuse(&c->input, &header);
-    connection_end(c, header.request_id,
-                   wire_error_make(WIRE_STATUS_TRUNCATED, "payload_bytes", "as many as announced"));
+    requests_end(&c->requests, header.request_id,
+                 wire_error_make(WIRE_STATUS_TRUNCATED, "payload_bytes", "as many as announced"));
   } else if (c->stopping && !c->peer_done) {
-    connection_end(
-        c, 0, wire_error_make(WIRE_STATUS_SHUTTING_DOWN, "", "another daemon, or this one later"));
+    requests_end(
+        &c->requests, 0,
+        wire_error_make(WIRE_STATUS_SHUTTING_DOWN, "", "another daemon, or this one later"));
   }
-  c->ending = c->ending || c->peer_done;
+  c->requests.ended |= c->peer_done;
   write_more(c);
 }
 
 /* Nothing is left to do with what has arrived: read on, or come to an end. */
 static void settle(struct connection *c) {
-  if (c->waiting) {
+  if (c->requests.waiting) {
     set_reading(c, false);
     return;
   }
@@ -268,7 +291,7 @@ static void settle(struct connection *c) {
   if (c->closing || c->lingering) {
     return;
   }
-  if (c->ending) {
+  if (c->requests.ended) {
     set_reading(c, false);
     if (c->output.ready_bytes == 0) {
       linger(c);
@@ -279,23 +302,38 @@ static void settle(struct connection *c) {
     return;
   }
   note_partial_frame(c);
-  set_reading(c,
-              !connection_blocked(c) && !c->peer_done); /* the end would be read again and again */
+  set_reading(c, !output_is_full(&c->output) &&
+                     !c->peer_done); /* the end would be read again and again */
+}
+
+/* The worker's clock watches the deadline of a request that waits. */
+static void watch_deadline(struct connection *c) {
+  const uint64_t deadline_ms = requests_deadline_ms(&c->requests);
+  if (deadline_ms != 0) {
+    worker_wake_at(c->client.worker, deadline_ms);
+  }
 }
 
 static void run(struct client *client) {
   struct connection *c = of(client);
+  struct requests *r = &c->requests;
   uint64_t budget = TURN_RADII;
-  /* Requests whose answers have not been written: no more of them than max_in_flight. */
-  unsigned taken = answer_is_under_way(c);
+  /* At most max_in_flight requests have unwritten answers: the one under way is among them. */
+  const uint64_t before = r->taken;
+  const uint64_t most = before + c->server->options.max_in_flight - (r->job != NULL);
   bool more = true;
-  while (more && budget > 0 && !c->closing &&
-         (answer_is_under_way(c) || taken < c->server->options.max_in_flight)) {
-    taken += !answer_is_under_way(c);
-    more = answer_step(c, &budget);
+  while (more && budget > 0 && !c->closing && (r->job != NULL || r->taken < most)) {
+    more = requests_step(r, &budget);
   }
-  if (!c->closing && !answer_holds_output(c)) {
-    mc_desk_answer(c->mc, &c->output);
+  if (r->taken > before) {
+    c->frame_started_ms = 0;
+  }
+  if (r->no_room) {
+    abort_connection(c);
+  }
+  if (!c->closing) {
+    requests_step_detached(r);
+    watch_deadline(c);
   }
   c->more_to_do = more;
 }
@@ -303,14 +341,14 @@ static void run(struct client *client) {
 static void finish(struct client *client) {
   struct connection *c = of(client);
   /* Frames that waited for the reader have to be taken up if writing has just unblocked them. */
-  const bool was_blocked = connection_blocked(c);
+  const bool was_blocked = output_is_full(&c->output);
   if (!c->closing) {
     write_more(c);
   }
   if (c->closing) {
     return;
   }
-  if (c->more_to_do || (was_blocked && !connection_blocked(c))) {
+  if (c->more_to_do || (was_blocked && !output_is_full(&c->output))) {
     set_reading(c, false); /* the input may not move under a job, nor grow without end */
     worker_run_later(&c->client);
   } else {
@@ -340,19 +378,20 @@ static int adopt(struct connection *c, uv_loop_t *loop) {
 static void start(struct client *client) {
   struct connection *c = of(client);
   uv_loop_t *loop = worker_loop(client->worker);
+  c->requests.context = worker_context(client->worker);
   c->active_ms = uv_now(loop);
   const int adopted = adopt(c, loop);
   c->uv.handle.data = c;
   if (adopted != 0) {
     log_line(LOG_LEVEL_ERROR, "event=connection-failed reason=%s", uv_strerror(adopted));
     close(c->fd);
-    connection_abort(c);
+    abort_connection(c);
     return;
   }
   if (c->purpose == CONNECTION_REFUSE) {
     wire_error error = wire_error_make(WIRE_STATUS_BUSY, "", "fewer connections: max_connections");
     error.retry_after_ms = 1000;
-    connection_end(c, 0, error);
+    requests_end(&c->requests, 0, error);
   }
   worker_run_later(&c->client);
 }
@@ -373,33 +412,34 @@ static void tick(struct client *client, uint64_t now_ms) {
   }
   if (c->lingering) {
     if (now_ms - c->lingering_ms > LINGER_MS) {
-      connection_abort(c);
+      abort_connection(c);
     }
     return;
   }
-  if (!answer_is_under_way(c)) {
+  if (c->requests.job == NULL) {
     input_settle(&c->input, now_ms);
   }
   output_settle(&c->output, now_ms);
-  if (c->ending || c->output.ready_bytes > 0) {
+  if (c->requests.ended || c->output.ready_bytes > 0) {
     if (now_ms - c->active_ms > options->idle_timeout_ms) {
-      connection_abort(c);
+      abort_connection(c);
     }
     return;
   }
-  if (answer_is_under_way(c) || c->client.to_run) {
+  if (c->requests.job != NULL || c->client.to_run) {
     return;
   }
   if (c->frame_started_ms != 0 && now_ms - c->frame_started_ms > options->frame_timeout_ms) {
-    connection_end(
-        c, 0,
+    requests_end(
+        &c->requests, 0,
         wire_error_make(WIRE_STATUS_TIMEOUT, "payload_bytes", "frames within frame_timeout_ms"));
     worker_run_later(&c->client);
-  } else if (mc_desk_open(c->mc)) { /* whose table there may be room for now */
+  } else if (c->requests.detached != NULL) { /* there may be room for a reply now */
     worker_run_later(&c->client);
   } else if (now_ms - c->active_ms > options->idle_timeout_ms) {
-    connection_end(
-        c, 0, wire_error_make(WIRE_STATUS_TIMEOUT, "", "no silence longer than idle_timeout_ms"));
+    requests_end(
+        &c->requests, 0,
+        wire_error_make(WIRE_STATUS_TIMEOUT, "", "no silence longer than idle_timeout_ms"));
     worker_run_later(&c->client);
   } else if (now_ms - c->active_ms > REST_MS) {
     input_rest(&c->input);
@@ -408,11 +448,19 @@ static void tick(struct client *client, uint64_t now_ms) {
 }
 
 static void deadline(struct client *client) {
-  answer_deadline(of(client));
+  struct connection *c = of(client);
+  if (c->closing) {
+    return;
+  }
+  if (requests_expire(&c->requests)) {
+    worker_run_later(client);
+  } else {
+    watch_deadline(c);
+  }
 }
 
 static void abort_client(struct client *client) {
-  connection_abort(of(client));
+  abort_connection(of(client));
 }
 
 static const struct client_kind kind = {

@@ -60,7 +60,7 @@ void listener_admit(struct server *server, int fd, bool inherited) {
   stats_add(stats, full ? STATS_CONNECTIONS_REFUSED : STATS_CONNECTIONS_ACCEPTED, 1);
   const bool too_many_refusals =
       held_connections(server) >= server->options.max_connections + REFUSALS_AT_ONCE;
-  struct connection *connection =
+  struct client *connection =
       full && too_many_refusals ? NULL : connection_new(server, fd, purpose);
   if (connection == NULL) {
     close(fd);
@@ -69,7 +69,7 @@ void listener_admit(struct server *server, int fd, bool inherited) {
   if (!full) {
     stats_add(stats, STATS_CONNECTIONS_OPEN, 1);
   }
-  worker_give(least_busy(server), &connection->client);
+  worker_give(least_busy(server), connection);
 }
 
 static void admit(struct server *server, int fd) {

@@ -36,6 +36,11 @@ void output_rest(struct output *output);
 /* From time to time: gives the spares back when none has been used for a while. */
 void output_settle(struct output *output, uint64_t now_ms);
 
+/* Whether the reader does not keep up (--max-queued-bytes), so that its requests wait. */
+static inline bool output_is_full(const struct output *output) {
+  return output->ready_bytes > output->server->options.max_queued_bytes;
+}
+
 /* Room for bytes (a multiple of 8) at an address that is a multiple of 8, stable until it has been
  * consumed; NULL: the memory budget is exhausted. One reservation at a time. */
 uint8_t *output_reserve(struct output *output, size_t bytes);

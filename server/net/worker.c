@@ -84,7 +84,7 @@ static void remove_from_run_queue(struct worker *worker, struct client *client) 
 static void publish_queue(struct worker *worker) {
   struct stats *stats = &worker->server->stats;
   stats_set(stats, STATS_QUEUED_CONNECTIONS, worker->run_count);
-  stats_set(stats, STATS_OWED_RADII, worker->scratch.backlog.owed_radii);
+  stats_set(stats, STATS_OWED_RADII, worker->context.owed_radii);
 }
 
 /* Gives one turn to each client that is in the queue now. Clients that come back to the queue have
@@ -101,7 +101,7 @@ static void run_round(struct worker *worker) {
     worker_finish_later(client);
   }
   modbus_service_run(worker->modbus);
-  batch_finish(&worker->scratch.batch, &worker->server->stats);
+  batch_finish(&worker->context.batch, &worker->server->stats);
   modbus_service_finish(worker->modbus);
   while (worker->finish_first != NULL) {
     struct client *client = next_to_finish(worker);
@@ -109,7 +109,7 @@ static void run_round(struct worker *worker) {
       client->kind->finish(client);
     }
   }
-  latency_finish(&worker->latency);
+  latency_finish(worker->context.latency);
   publish_queue(worker);
   worker->round_ns = 0;
 }
@@ -221,7 +221,7 @@ static void on_wake(uv_async_t *handle) {
   struct worker *worker = handle->data;
   take_from_inbox(worker);
   modbus_service_wake(worker->modbus);
-  profiles_wake(&worker->profiles);
+  profiles_wake(&worker->context.profiles);
 }
 
 static void wake(void *context) {
@@ -258,7 +258,7 @@ static void on_clock(uv_timer_t *timer) {
   struct worker *worker = timer->data;
   for_each(worker, tick_client);
   modbus_service_tick(worker->modbus, uv_now(&worker->loop));
-  profiles_sweep(&worker->profiles);
+  profiles_sweep(&worker->context.profiles);
   stay_awake_for_queue(worker);
 }
 
@@ -306,7 +306,7 @@ static void thread_main(void *argument) {
   modbus_service_end(worker->modbus);
   uv_walk(&worker->loop, close_handle, NULL);
   uv_run(&worker->loop, UV_RUN_DEFAULT); /* to the end of what it has had prepared, too */
-  profiles_end(&worker->profiles);
+  profiles_end(&worker->context.profiles);
   const int closed = uv_loop_close(&worker->loop);
   assert(closed == 0);
 }
@@ -326,11 +326,14 @@ static int set_up_handles(struct worker *worker) {
 int worker_start(struct worker *worker, struct server *server) {
   memset(worker, 0, sizeof *worker);
   worker->server = server;
+  worker->context.server = server;
+  worker->context.loop = &worker->loop;
+  worker->context.latency = &server->latencies[worker - server->workers];
   if (server->modbus != NULL && worker == server->workers) {
     worker->modbus = server->modbus;
     worker->modbus->worker = worker;
   }
-  profiles_init(&worker->profiles, server, &worker->loop, wake, worker);
+  profiles_init(&worker->context.profiles, server, &worker->loop, wake, worker);
   int error = uv_mutex_init(&worker->mutex);
   error = error != 0 ? error : uv_loop_init(&worker->loop);
   error = error != 0 ? error : uv_async_init(&worker->loop, &worker->wake, on_wake);
@@ -363,16 +366,8 @@ uv_loop_t *worker_loop(struct worker *worker) {
   return &worker->loop;
 }
 
-struct job_scratch *worker_scratch(struct worker *worker) {
-  return &worker->scratch;
-}
-
-struct profiles *worker_profiles(struct worker *worker) {
-  return &worker->profiles;
-}
-
-struct latency *worker_latency(struct worker *worker) {
-  return &worker->latency;
+struct job_context *worker_context(struct worker *worker) {
+  return &worker->context;
 }
 
 uint64_t worker_round_ns(struct worker *worker) {

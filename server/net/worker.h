@@ -24,7 +24,6 @@
 
 #include "server/jobs/job.h"
 #include "server/net/client.h"
-#include "server/observe/latency.h"
 
 struct worker {
   struct server *server;
@@ -52,9 +51,7 @@ struct worker {
   unsigned stop_rounds; /* rounds of the loop since the stop was wanted; 0: it is not */
   uint64_t stop_began_ms;
   _Atomic uint64_t client_count; /* clients that count, from worker_give() to worker_forget() */
-  struct profiles profiles;
-  struct job_scratch scratch;
-  struct latency latency;
+  struct job_context context;
 };
 
 /* Starts the thread; a libuv error code, 0 when it runs. */
@@ -67,9 +64,7 @@ void worker_join(struct worker *worker);
 
 /* Clients call the functions that follow, on the worker's thread only. */
 uv_loop_t *worker_loop(struct worker *worker);
-struct job_scratch *worker_scratch(struct worker *worker);
-struct profiles *worker_profiles(struct worker *worker);
-struct latency *worker_latency(struct worker *worker);
+struct job_context *worker_context(struct worker *worker);
 /* When this round of the loop began to read. It is the arrival time of all that is read in it. */
 uint64_t worker_round_ns(struct worker *worker);
 /* Appends the client to the run queue unless it is there already. */

@@ -3,7 +3,8 @@
 #include <stdio.h>
 
 #include "server/memory.h"
-#include "server/net/worker.h"
+#include "server/observe/latency.h"
+#include "server/server.h"
 
 /* Whom the values go to. */
 struct reporter {
@@ -162,7 +163,7 @@ static void report_duration(const struct reporter *to, const struct report_famil
 static void merge(const struct reporter *to, enum latency_class kind, struct histogram_sum *sum) {
   *sum = (struct histogram_sum){.count = 0};
   for (uint64_t i = 0; to->server != NULL && i < to->server->options.workers; i++) {
-    histogram_merge(sum, &to->server->workers[i].latency.histograms[kind]);
+    histogram_merge(sum, &to->server->latencies[i].histograms[kind]);
   }
 }
 

@@ -1,0 +1,273 @@
+/* Invert: media whose albedo and length are given, looked for slice by slice. */
+#include <math.h>
+
+#include "core/inversion.h"
+#include "proto/invert.h"
+#include "server/jobs/job.h"
+
+/* What a probe takes, in radii of a dipole: preparing a dipole; as long as a slice for what costs
+ * more; what is prepared on another thread costs the worker no more than asking for it. */
+enum {
+  PROBE_RADII = 1024,
+  COSTLY_PROBE_RADII = JOB_SLICE_RADII,
+  SLOW_PROBE_RADII = JOB_STEP_RADII,
+  PROBES = 8, /* for a medium, on average */
+};
+
+struct invert_job {
+  struct job job;
+  invert_request request;
+  core_inverter inverter;
+  bool reach_known;            /* which albedos the model reaches: the first probes find out */
+  bool seeking;                /* the search for the medium at index has begun */
+  bool slow;                   /* probes take long and are prepared on another thread */
+  struct profiles_order order; /* for those */
+  uint64_t probe_radii;        /* what a probe costs, in radii of a dipole */
+  uint8_t *reply;              /* payload of the part */
+  uint64_t part_media;         /* media in each part but the last */
+  uint64_t first;              /* the part's first medium among all */
+  uint64_t count;              /* media of the part */
+  uint64_t index;              /* within the part, of the medium that is looked for */
+  uint64_t missing;            /* media before it that there are not */
+  uint32_t part;               /* number of the part, from 0 */
+  uint32_t part_count;
+};
+
+JOB_FITS_SLOT(struct invert_job);
+
+static struct invert_job *of(struct job *job) {
+  return (struct invert_job *)(void *)job;
+}
+
+/* ---- checking ---------------------------------------------------------------------------------
+ */
+
+/* All are looked at without a branch; only those with a fault are gone through again. */
+static wire_error check_media(const invert_request *request) {
+  const uint64_t count = request->fixed.medium_count;
+  const double *albedos = request->albedos;
+  const double *lengths = request->lengths;
+  int good = 1;
+  for (uint64_t i = 0; i < count; i++) {
+    good &= (albedos[i] >= 0) & (albedos[i] <= 1) & (lengths[i] >= CORE_MEAN_FREE_PATH_MIN_MM) &
+            (lengths[i] <= CORE_MEAN_FREE_PATH_MAX_MM);
+  }
+  for (uint64_t i = 0; !good && i < count; i++) {
+    core_fault fault = core_inversion_check(albedos[i], lengths[i]);
+    if (fault.field != NULL) {
+      fault.index = i;
+      return job_error(fault);
+    }
+  }
+  return wire_error_none();
+}
+
+/* A reply that fits into a frame is one part; a larger one comes in parts of max_part_bytes. */
+static void cut(struct invert_job *invert, const struct options *options) {
+  const uint64_t count = invert->request.fixed.medium_count;
+  invert->part_media = count;
+  if (invert_reply_bytes(count) > options->max_frame_bytes) {
+    invert->part_media = invert_part_media(options->max_part_bytes < options->max_frame_bytes
+                                               ? options->max_part_bytes
+                                               : options->max_frame_bytes);
+  }
+  invert->first = 0;
+  invert->count = invert->part_media;
+  invert->part = 0;
+  invert->part_count = (uint32_t)((count - 1) / invert->part_media + 1); /* a frame holds fewer */
+}
+
+static wire_error check(struct invert_job *invert, const struct job_request *from) {
+  const struct options *options = &invert->job.context->server->options;
+  const wire_error error =
+      invert_request_parse(from->payload, from->header->payload_bytes, &invert->request);
+  if (error.status != WIRE_STATUS_OK) {
+    return error;
+  }
+  const wire_invert_request *fixed = &invert->request.fixed;
+  const core_fault fault =
+      core_inverter_start(&invert->inverter, fixed->model, fixed->moments, fixed->g, fixed->eta, 1);
+  if (fault.field != NULL) {
+    return job_error(fault);
+  }
+  invert->slow = core_prepares_slowly(fixed->model, CORE_EVALUATOR_F64);
+  if (invert->slow && fixed->medium_count > options->max_media) {
+    return job_too_large("medium_count", options->max_media,
+                         "media of a model that takes long to prepare");
+  }
+  return check_media(&invert->request);
+}
+
+static uint64_t medium_radii(const struct invert_job *invert) {
+  return PROBES * invert->probe_radii;
+}
+
+static enum job_outcome start(struct job *job, const struct job_request *request) {
+  struct invert_job *invert = of(job);
+  const wire_invert_request *fixed = &invert->request.fixed;
+  wire_error error = check(invert, request);
+  if (error.status == WIRE_STATUS_OK) {
+    const bool costly = core_worth_keeping(fixed->model, CORE_EVALUATOR_F64);
+    invert->probe_radii = invert->slow ? SLOW_PROBE_RADII
+                          : costly     ? COSTLY_PROBE_RADII
+                                       : PROBE_RADII;
+    const double radii = (double)fixed->medium_count * (double)medium_radii(invert);
+    error = job_admit(job, radii, "medium_count");
+  }
+  if (error.status != WIRE_STATUS_OK) {
+    return job_refuse(job, error);
+  }
+  invert->reach_known = false;
+  invert->seeking = false;
+  const core_parameters none = core_parameters_none();
+  job_init_order(&invert->order, request);
+  profiles_start(&invert->order, fixed->model, fixed->moments, CORE_EVALUATOR_F64, &none);
+  cut(invert, &job->context->server->options);
+  job->part_bytes = invert_reply_bytes(invert->count);
+  return JOB_NEXT_PART;
+}
+
+/* ---- parts ------------------------------------------------------------------------------------
+ */
+
+static enum job_outcome begin_part(struct job *job, uint8_t *payload) {
+  struct invert_job *invert = of(job);
+  invert->reply = payload;
+  invert->index = 0;
+  invert->missing = 0;
+  return JOB_GOES_ON;
+}
+
+static enum job_outcome end_part(struct invert_job *invert) {
+  const wire_invert_request *fixed = &invert->request.fixed;
+  const wire_invert_reply start = {
+      .model = fixed->model,
+      .moments = fixed->moments,
+      .given = fixed->given,
+      .part = invert->part,
+      .part_count = invert->part_count,
+      .medium_count = invert->count,
+      .medium_first = invert->first,
+      .missing_count = invert->missing,
+      .albedo_least = invert->inverter.albedo_least,
+      .albedo_most = invert->inverter.albedo_most,
+  };
+  wire_put_invert_reply(invert->reply, &start);
+  if (invert->part + 1 == invert->part_count) {
+    return JOB_DONE;
+  }
+  invert->first += invert->count;
+  invert->part++;
+  const uint64_t left = fixed->medium_count - invert->first;
+  invert->count = left < invert->part_media ? left : invert->part_media;
+  invert->job.part_bytes = invert_reply_bytes(invert->count);
+  return JOB_NEXT_PART;
+}
+
+/* ---- looking for media ------------------------------------------------------------------------
+ */
+
+static double *array(const struct invert_job *invert, enum invert_array which) {
+  return (double *)(void *)(invert->reply + invert_array_offset(which, invert->count));
+}
+
+/* What the search for the medium at index has come to. */
+static void put_medium(struct invert_job *invert) {
+  const core_inverter *inverter = &invert->inverter;
+  const bool found = inverter->found;
+  array(invert, INVERT_SIGMA_A)[invert->index] =
+      found ? inverter->medium.sigma_a_per_mm : (double)NAN;
+  array(invert, INVERT_SIGMA_S)[invert->index] =
+      found ? inverter->medium.sigma_s_per_mm : (double)NAN;
+  array(invert, INVERT_ALBEDO)[invert->index] = found ? inverter->albedo : (double)NAN;
+  invert->missing += !found;
+  invert->index++;
+  invert->seeking = false;
+}
+
+/* The albedo of the medium that is to be probed. */
+static enum job_outcome probe(struct invert_job *invert, double *albedo) {
+  core_profile profile;
+  struct job_context *context = invert->job.context;
+  const wire_invert_request *fixed = &invert->request.fixed;
+  if (!invert->slow) {
+    const core_fault fault =
+        core_profile_prepare(&profile, context->server->isa, fixed->model, fixed->moments,
+                             CORE_EVALUATOR_F64, &invert->inverter.medium, NULL);
+    if (fault.field != NULL) {
+      return job_refuse(&invert->job, job_fault(fault, (uint32_t)(invert->first + invert->index)));
+    }
+    *albedo = profile.albedo;
+    core_profile_free(&profile);
+    return JOB_GOES_ON;
+  }
+  switch (profiles_get(&context->profiles, &invert->order, &invert->inverter.medium)) {
+  case PROFILES_WAIT:
+    return JOB_WAITS;
+  case PROFILES_FAULT:
+    return job_refuse(&invert->job,
+                      job_fault(invert->order.fault, (uint32_t)(invert->first + invert->index)));
+  case PROFILES_READY:
+    break;
+  }
+  *albedo = invert->order.profile.albedo;
+  profiles_return(&invert->order);
+  return JOB_GOES_ON;
+}
+
+/* Takes what a probe has found. */
+static enum job_outcome take(struct invert_job *invert, double albedo) {
+  if (!core_inverter_take(&invert->inverter, albedo)) {
+    return JOB_GOES_ON;
+  }
+  if (invert->reach_known) {
+    put_medium(invert);
+    return JOB_GOES_ON;
+  }
+  invert->reach_known = true;
+  const core_fault fault = core_inverter_check(&invert->inverter);
+  return fault.field == NULL ? JOB_GOES_ON : job_refuse(&invert->job, job_error(fault));
+}
+
+/* One step: a medium that there cannot be, or a probe for one that there may be. */
+static enum job_outcome seek(struct invert_job *invert) {
+  const uint64_t i = invert->first + invert->index;
+  if (invert->reach_known && !invert->seeking) {
+    invert->seeking = true;
+    if (core_inverter_seek(&invert->inverter, invert->request.albedos[i],
+                           invert->request.fixed.given, invert->request.lengths[i])) {
+      put_medium(invert);
+      return JOB_GOES_ON;
+    }
+  }
+  double albedo;
+  const enum job_outcome outcome = probe(invert, &albedo);
+  if (outcome != JOB_GOES_ON) {
+    return outcome;
+  }
+  stats_add(&invert->job.context->server->stats, STATS_INVERSION_PROBES, 1);
+  return take(invert, albedo);
+}
+
+static enum job_outcome step(struct job *job, uint64_t *budget) {
+  struct invert_job *invert = of(job);
+  uint64_t spent = JOB_STEP_RADII;
+  enum job_outcome outcome = JOB_GOES_ON;
+  const uint64_t begun = invert->index;
+  while (outcome == JOB_GOES_ON && invert->index < invert->count && spent < JOB_SLICE_RADII) {
+    outcome = seek(invert);
+    spent += invert->probe_radii;
+  }
+  const uint64_t done = invert->index - begun;
+  stats_add(&job->context->server->stats, STATS_MEDIA_INVERTED, done);
+  job_pay(job, done * medium_radii(invert));
+  *budget -= spent < *budget ? spent : *budget;
+  return outcome == JOB_GOES_ON && invert->index == invert->count ? end_part(invert) : outcome;
+}
+
+static void end(struct job *job) {
+  profiles_return(&of(job)->order);
+}
+
+const struct job_kind job_kind_INVERT = {
+    .start = start, .begin_part = begin_part, .step = step, .end = end};

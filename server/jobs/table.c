@@ -1,0 +1,67 @@
+/* Table: a model's lut for one medium, for clients that evaluate at home. */
+#include "proto/table.h"
+#include "proto/channels.h"
+#include "server/jobs/job.h"
+
+struct table {
+  struct job job;
+  table_request request;
+  struct profiles_order order;
+};
+
+JOB_FITS_SLOT(struct table);
+
+static struct table *of(struct job *job) {
+  return (struct table *)(void *)job;
+}
+
+static enum job_outcome start(struct job *job, const struct job_request *from) {
+  struct table *table = of(job);
+  table_request *request = &table->request;
+  const wire_error error = table_request_parse(from->payload, from->header->payload_bytes, request);
+  if (error.status != WIRE_STATUS_OK) {
+    return job_refuse(job, error);
+  }
+  const wire_table_request *fixed = &request->fixed;
+  const core_fault fault = core_profile_check(fixed->model, fixed->moments, CORE_EVALUATOR_LUT,
+                                              &request->medium, &request->parameters, NULL);
+  if (fault.field != NULL) {
+    return job_refuse(job, job_error(fault));
+  }
+  job_init_order(&table->order, from);
+  profiles_start(&table->order, fixed->model, fixed->moments, CORE_EVALUATOR_LUT,
+                 &request->parameters);
+  return JOB_GOES_ON;
+}
+
+static enum job_outcome step(struct job *job, uint64_t *budget) {
+  struct table *table = of(job);
+  *budget -= *budget < JOB_STEP_RADII ? *budget : JOB_STEP_RADII;
+  switch (profiles_get(&job->context->profiles, &table->order, &table->request.medium)) {
+  case PROFILES_WAIT:
+    return JOB_WAITS;
+  case PROFILES_FAULT:
+    return job_refuse(job, job_fault(table->order.fault, 0));
+  case PROFILES_READY:
+    break;
+  }
+  job->part_bytes = table_reply_bytes(channels_count_parameters(&table->request.parameters),
+                                      table->order.profile.lut_count);
+  return job->part_bytes > job->context->server->options.max_frame_bytes
+             ? job_refuse(job, wire_error_make(WIRE_STATUS_TOO_LARGE, "tolerance",
+                                               "more: the table is larger than max_frame_bytes"))
+             : JOB_NEXT_PART;
+}
+
+static enum job_outcome put(struct job *job, uint8_t *at) {
+  struct table *table = of(job);
+  table_reply_put(at, &table->order.profile, &table->request.parameters);
+  return JOB_DONE;
+}
+
+static void end(struct job *job) {
+  profiles_return(&of(job)->order);
+}
+
+const struct job_kind job_kind_TABLE = {
+    .start = start, .begin_part = put, .step = step, .end = end};
