@@ -6,7 +6,7 @@
 #   make soak       ten minutes at full load, SOAK_S seconds if given: answers and memory
 #   make check-pipeline  10 million requests from eight threads, each answer compared
 #   make bench      every benchmark; build/bench GROUP runs one
-#   make docs       the tables of proto/PROTOCOL.md and proto/REGISTERS.md, from proto/*.def
+#   make docs       the tables in proto/*.md, from proto/*.def, and the manual pages
 #   make model-errors  core/model_errors.def, measured anew against exact solutions
 #   make tradeoff   speed against accuracy, in build/tradeoff, and core/tradeoff.def (minutes)
 #   make tables     core/transport/transport.table, solved anew (minutes; resumes)
@@ -47,17 +47,18 @@ ALL_CFLAGS = -std=c17 $(WARNINGS) $(BITS) -fPIC -pthread $(CFLAGS) $(SANITIZE)
 ALL_CPPFLAGS = -D_GNU_SOURCE -I. -DDIPOLED_VERSION='"$(VERSION)"' -MMD -MP $(CPPFLAGS)
 ALL_LDFLAGS = -pthread $(LDFLAGS) $(SANITIZE)
 
-UV_CFLAGS = $(shell pkg-config --cflags libuv)
-UV_LIBS = $(shell pkg-config --libs libuv)
-HTTP_CFLAGS = $(shell pkg-config --cflags libmicrohttpd)
-MODBUS_CFLAGS = $(shell pkg-config --cflags libmodbus)
-MODBUS_LIBS = $(shell pkg-config --libs libmodbus)
+PKG_CONFIG ?= pkg-config
+UV_CFLAGS = $(shell $(PKG_CONFIG) --cflags libuv)
+UV_LIBS = $(shell $(PKG_CONFIG) --libs libuv)
+HTTP_CFLAGS = $(shell $(PKG_CONFIG) --cflags libmicrohttpd)
+MODBUS_CFLAGS = $(shell $(PKG_CONFIG) --cflags libmodbus)
+MODBUS_LIBS = $(shell $(PKG_CONFIG) --libs libmodbus)
 # What core's preparation uses. The archives' members are taken as needed, so that the client library
 # does without.
 # GSL=no builds without the model `gaussians`.
 GSL ?= yes
 ifeq ($(GSL),yes)
-CORE_LIBS = $(shell pkg-config --libs gsl)
+CORE_LIBS = $(shell $(PKG_CONFIG) --libs gsl)
 else
 CPPFLAGS += -DCORE_WITHOUT_GSL
 endif
@@ -68,7 +69,8 @@ OBJ := $(BUILD)/obj
 objects = $(patsubst %.c,$(OBJ)/%.o,$(1))
 
 # The kernels: each file of core/models once for each instruction set and precision.
-ARCH := $(shell uname -m)
+# The machine that the compiler builds for, which with a cross-compiler is not this one.
+ARCH := $(firstword $(subst -, ,$(shell $(CC) -dumpmachine)))
 ISAS := portable
 ifeq ($(ARCH),x86_64)
 ISAS += sse2 avx2 avx512
@@ -145,13 +147,13 @@ $(BUILD)/libproto.a: $(PROTO)
 $(BUILD)/libcore.a $(BUILD)/libproto.a:
 	$(call SAY,AR,$@)
 	@rm -f $@
-	$(Q)ar qcs $@ $^
+	$(Q)$(AR) qcs $@ $^
 
 # The client library holds the codec and the core, so that it needs nothing else.
 $(BUILD)/libdipole.a: $(LIBRARY) $(PROTO) $(CORE)
 	$(call SAY,AR,$@)
 	@rm -f $@
-	$(Q)ar qcs $@ $^
+	$(Q)$(AR) qcs $@ $^
 
 $(BUILD)/libdipole.so.$(VERSION): $(LIBRARY) $(BUILD)/libproto.a $(BUILD)/libcore.a clients/c/libdipole.map
 	$(call SAY,LD,$@)
@@ -309,7 +311,9 @@ figures:
 	$(BUILD)/draw-figures --output $(BUILD)/figures $(FIGURES_OPTIONS)
 
 docs: $(BUILD)/wire-tables
+	@sh .ci/install-packages docs
 	$(BUILD)/wire-tables proto/PROTOCOL.md proto/REGISTERS.md
+	@$(MAKE) --no-print-directory -j2 manuals
 
 include clients/packaging/packaging.mk
 

@@ -27,7 +27,7 @@ done
 
 cross=aarch64-linux-gnu-gcc
 if command -v $cross >/dev/null 2>&1 && command -v qemu-aarch64 >/dev/null 2>&1; then
-  env -u MAKEFLAGS -u MAKELEVEL make -s BUILD="$build/aarch64" CC=$cross ARCH=aarch64 SANITIZE= CFLAGS='-O2' \
+  env -u MAKEFLAGS -u MAKELEVEL make -s BUILD="$build/aarch64" CC=$cross SANITIZE= CFLAGS='-O2' \
     GSL=no LDFLAGS=-static "$build/aarch64/tests/bits"
   # GSL is this machine's, so the model that needs it is left out.
   qemu-aarch64 "$build/aarch64/tests/bits" portable | grep -v '^gaussians ' >"$build/bits/aarch64"

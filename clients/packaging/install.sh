@@ -1,13 +1,12 @@
 #!/bin/sh
-# install.sh install|uninstall [PACKAGE]: does so with the files of the list beside this script,
-# those of all packages or of one, below $DESTDIR. The names between @ come from the environment.
+# install.sh install|uninstall: installs or removes the files of the list beside this script, below
+# $DESTDIR. The names between @ come from the environment.
 set -eu
 cd "$(dirname "$0")/../.."
 action=$1
-package=${2-}
 DESTDIR=${DESTDIR-}
 
-# Standard input with the names between @ replaced.
+# Copies standard input with the names between @ replaced.
 fill() {
   sed -e "s|@BUILD@|$BUILD|g" -e "s|@VERSION@|$VERSION|g" -e "s|@SOVERSION@|$SOVERSION|g" \
     -e "s|@PREFIX@|$PREFIX|g" -e "s|@BINDIR@|$BINDIR|g" -e "s|@LIBDIR@|$LIBDIR|g" \
@@ -27,8 +26,8 @@ put() { # mode, source, path
   esac
 }
 
-# What Python has compiled goes with its source; in a staged tree, so do the folders that it leaves
-# empty.
+# Removes a file, and with a Python module what Python has compiled from it. Below $DESTDIR it also
+# removes the folders that become empty.
 take_away() { # path
   rm -f "$1"
   left=${1%/*}
@@ -44,11 +43,10 @@ take_away() { # path
   done
 }
 
-# A path may have blanks, not line ends.
+# A path may contain blanks, but no line ends.
 newline='
 '
-grep -v '^#' clients/packaging/files | fill | while read -r of mode source place; do
-  [ -z "$package" ] || [ "$package" = "$of" ] || continue
+grep -v '^#' clients/packaging/files | fill | while read -r mode source place; do
   case $place in
   */) name=${source##*/} ;;
   *) name=${place##*/} ;;

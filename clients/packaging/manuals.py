@@ -1,211 +1,193 @@
-"""manuals.py BUILD VERSION: the manual pages, into BUILD/manuals: from what the programs in BUILD
-say of themselves, from the library's header and from the texts on the protocol. The same sources
-give the same pages: their date is that of the version."""
+"""manuals.py BUILD FOLDER: writes the manual pages into FOLDER.
+
+The pages are made from what the programs in BUILD say on --help, from the comments in dipole.h and
+from the texts in proto/. This script turns each into Markdown, and pandoc turns that into a page.
+Equal sources give equal pages: their date is that of the newest version in debian/changelog."""
 
 from __future__ import annotations
 
 import re
+import subprocess
 import sys
 from email.utils import parsedate_to_datetime
 from pathlib import Path
 
-import header
-import helptext
-import markdown
-from roff import Page, escape
-
 HERE = Path(__file__).resolve().parent
 TREE = HERE.parents[1]
-PROTO = {"dipole-protocol": "PROTOCOL.md", "dipole-registers": "REGISTERS.md"}
-SECTIONS = {"dipoled": 8, "dipole": 1, "libdipole": 3, **dict.fromkeys(PROTO, 7)}
+TEXTS = {"dipole-protocol": "proto/PROTOCOL.md", "dipole-registers": "proto/REGISTERS.md"}
+SECTIONS = {"dipoled": 8, "dipole": 1, "libdipole": 3, **dict.fromkeys(TEXTS, 7)}
+OPTION = re.compile(r"  (--[a-z][a-z0-9-]*)(?: ([A-Z[]\S*))?(?: +(\S.*))?$")
+COMMAND = re.compile(r"  ([a-z][a-z0-9-]*)() +(\S.*)$")
+PUNCTUATION = re.compile(r"([^\w\s])")
+
+# ---- Markdown ------------------------------------------------------------------------------------
 
 
-def date() -> str:
-    """Of the newest version in the changelog."""
-    newest = re.search(r"^ -- .*>  (.*)$", (HERE / "debian/changelog").read_text(), re.M)[1]
-    return parsedate_to_datetime(newest).date().isoformat()
+def plain(text: str) -> str:
+    """Text in which only `code` keeps its meaning, on one line."""
+    parts = " ".join(text.split()).split("`")
+    escaped = [PUNCTUATION.sub(r"\\\1", part) for part in parts[::2]]
+    code = [f"`{part}`" for part in parts[1::2]] + [""]
+    return "".join(a + b for a, b in zip(escaped, code))
 
 
-def pages() -> dict[str, int]:
-    """Names and sections; a text that is not there has no page."""
-    missing = {name for name, text in PROTO.items() if not (TREE / "proto" / text).exists()}
-    return {name: section for name, section in SECTIONS.items() if name not in missing}
+def indented(lines: list[str]) -> str:
+    """Lines that are shown as they are."""
+    least = min((len(line) - len(line.lstrip()) for line in lines if line.strip()), default=0)
+    return "\n" + "".join(f"    {line[least:]}\n" for line in lines) + "\n"
 
 
-def see_also(page: Page, name: str) -> None:
-    others = [rf"\fB{escape(other)}\fR({at})" for other, at in pages().items() if other != name]
-    page.heading("See also")
-    page.raw_paragraph(", ".join(others))
+# ---- the programs --------------------------------------------------------------------------------
 
 
-# ---- programs ------------------------------------------------------------------------------------
+def help_of(program: Path, *command: str) -> list[list[str]]:
+    """The blocks of a --help: lines between empty lines."""
+    said = subprocess.run(
+        [program, *command, "--help"], stdout=subprocess.PIPE, text=True, check=True
+    )
+    return [block.splitlines() for block in re.split(r"\n\n+", said.stdout.strip("\n"))]
 
 
-def lower(sentence: str) -> str:
-    """As the second half of `name - what it does`."""
-    return sentence[0].lower() + sentence[1:].rstrip(".")
-
-
-def write_usage(usage: str, page: Page) -> None:
-    page.heading("Synopsis")
-    name, rest = usage.split(" ", 1)
-    page.raw_paragraph(rf"\fB{escape(name)}\fR {escape(rest)}")
-
-
-def write_entries(section: helptext.Section, page: Page) -> None:
-    for option in section.options:
-        value = rf" \fI{escape(option.value)}\fR" if option.value else ""
-        page.term(rf"\fB\-\-{escape(option.name)}\fR{value}", option.about)
-    for command in section.commands:
-        page.term(rf"\fB{escape(command.name)}\fR", command.about)
-    if section.lines:
-        page.example(section.lines)
-
-
-def is_example(section: helptext.Section) -> bool:
-    return section.title.lower() == "examples"
-
-
-def write_paragraphs(told: helptext.Help, page: Page) -> None:
-    """Those about the exit status apart."""
-    status = [text for text in told.paragraphs if text.startswith("Exit status: ")]
-    page.heading("Description")
-    for text in told.paragraphs:
-        if text not in status:
-            page.paragraph(text)
-    for text in status:
-        page.heading("Exit status")
-        page.paragraph(text.removeprefix("Exit status: ").capitalize())
-
-
-def write_daemon(build: Path, version: str) -> Page:
-    told = helptext.of(build / "dipoled")
-    about = told.paragraphs.pop(0).split(": ", 1)[1]
-    page = Page("dipoled", 8, lower(about), version, date())
-    write_usage(told.usage, page)
-    write_paragraphs(told, page)
-    for section in sorted(told.sections, key=is_example):
-        page.heading(section.title)
-        write_entries(section, page)
-    return page
-
-
-class Commands:
-    """The commands of dipole: what all say alike is said once."""
-
-    def __init__(self, build: Path):
-        self.main = helptext.of(build / "dipole")
-        names = [command.name for command in self.main.commands() if command.name != "help"]
-        self.of = {name: helptext.of(build / "dipole", name) for name in names}
-        self._all = list(self.of.values())
-
-    def own(self, section: helptext.Section) -> helptext.Section:
-        """Without the options that all commands have alike."""
-        options = [option for option in section.options if not self.in_all(option)]
-        return helptext.Section(section.title, options, lines=section.lines)
-
-    def is_shared(self, section: helptext.Section) -> bool:
-        """The same in several commands, and long."""
-        same = sum(section in told.sections for told in self._all)
-        return same > 1 and len(self.own(section).options) > 1
-
-    def in_all(self, option: helptext.Entry) -> bool:
-        return all(option in told.options() for told in self._all)
-
-    def paragraphs_of_all(self) -> list[str]:
-        return [p for p in self._all[0].paragraphs if all(p in t.paragraphs for t in self._all)]
-
-    def shared_sections(self) -> list[helptext.Section]:
-        found: list[helptext.Section] = []
-        for told in self._all:
-            found += [s for s in told.sections if self.is_shared(s) and s not in found]
-        return found
-
-    def options_of_all(self) -> list[helptext.Entry]:
-        return [option for option in self._all[0].options() if self.in_all(option)]
-
-
-def write_command(commands: Commands, name: str, page: Page) -> None:
-    told = commands.of[name]
-    page.subheading(told.usage)
-    for text in told.paragraphs:
-        if text not in commands.paragraphs_of_all():
-            page.paragraph(text)
-    for section in told.sections:
-        if is_example(section):
-            page.paragraph("**Examples**")
-            page.example(section.lines)
-        elif commands.is_shared(section):
-            page.paragraph(f"**{section.title}**: see below.")
-        elif (own := commands.own(section)) == section:
-            page.paragraph(f"**{section.title}**")
-            write_entries(own, page)
+def entries(lines: list[str]) -> list[tuple[str, str, str]]:
+    """Names, values and explanations of the options or commands that the lines describe; the empty
+    list when they describe something else."""
+    found: list[tuple[str, str, str]] = []
+    for line in lines:
+        match = OPTION.match(line) or COMMAND.match(line)
+        if match:
+            found.append((match[1], match[2] or "", match[3] or ""))
+        elif found and line.startswith("    "):
+            name, value, about = found[-1]
+            found[-1] = (name, value, f"{about} {line.strip()}".strip())
         else:
-            page.paragraph(f"**{section.title}**: see below" + ("; here" if own.options else ""))
-            write_entries(own, page)
+            return []
+    return found
 
 
-def write_client(build: Path, version: str) -> Page:
-    commands = Commands(build)
-    about = re.match(r"(.*?)[:.]", commands.main.paragraphs[0])[1]
-    page = Page("dipole", 1, lower(about), version, date())
-    write_usage(commands.main.usage, page)
-    write_paragraphs(commands.main, page)
-    for section in commands.main.sections:
-        page.heading(section.title)
-        write_entries(section, page)
-    page.heading("The commands one by one")
-    for name in commands.of:
-        write_command(commands, name, page)
-    for section in commands.shared_sections():
-        page.heading(section.title)
-        write_entries(section, page)
-    page.heading("Options of all commands")
-    write_entries(helptext.Section("", commands.options_of_all()), page)
-    for text in commands.paragraphs_of_all():
-        title, _, rest = text.partition(": ")
-        page.heading(title)
-        page.paragraph(rest)
-    return page
+def is_titled(block: list[str]) -> bool:
+    return len(block) > 1 and not block[0].startswith(" ") and block[1].startswith("  ")
 
 
-# ---- texts ---------------------------------------------------------------------------------------
+def entries_of(blocks: list[list[str]]) -> list[tuple[str, str, str]]:
+    return [entry for block in blocks if is_titled(block) for entry in entries(block[1:])]
 
 
-def write_library(version: str) -> Page:
-    text = (TREE / "clients/c/dipole.h").read_text()
-    page = Page("libdipole", 3, header.about(text), version, date())
-    page.heading("Synopsis")
-    page.example(["#include <dipole.h>", "", "cc ... $(pkg-config --cflags --libs dipole)"], True)
-    header.write(text, page)
-    return page
+def show_entries(shown: list[tuple[str, str, str]]) -> str:
+    return "".join(
+        f"**{plain(name)}**{f' *{plain(value)}*' if value else ''}\n:   {plain(about)}\n\n"
+        for name, value, about in shown
+    )
 
 
-def write_text(name: str, version: str) -> Page:
-    text = (TREE / "proto" / PROTO[name]).read_text()
-    page = Page(name, SECTIONS[name], lower(markdown.title(text)), version, date())
-    markdown.write(text, page)
-    return page
+def show_blocks(blocks: list[list[str]], level: int, omitted: list = ()) -> str:
+    """Blocks of a --help; titles become headings of a level. omitted: entries that are left out."""
+    text = ""
+    for block in sorted(blocks, key=lambda block: "xample" in block[0] and is_titled(block)):
+        title = block[0].rstrip(":")
+        if usage := re.match(r"usage: +(.*)", " ".join(block), re.IGNORECASE):
+            text += f"{'#' * level} Synopsis\n\n`{usage[1]}`\n\n{'#' * level} Description\n\n"
+        elif not is_titled(block):
+            text += plain(" ".join(block)) + "\n\n"
+        elif "xample" in title or not entries(block[1:]):
+            text += f"{'#' * level} {plain(title)}\n{indented(block[1:])}"
+        elif own := [entry for entry in entries(block[1:]) if entry not in omitted]:
+            text += f"{'#' * level} {plain(title)}\n\n{show_entries(own)}"
+    return text
 
 
-def write(name: str, build: Path, version: str) -> Page:
-    if name in PROTO:
-        return write_text(name, version)
-    if name == "libdipole":
-        return write_library(version)
-    return write_daemon(build, version) if name == "dipoled" else write_client(build, version)
+def daemon_text(build: Path) -> tuple[str, str]:
+    about, *blocks = help_of(build / "dipoled")
+    return about[0].split(": ", 1)[1], show_blocks(blocks, 1)
+
+
+def client_text(build: Path) -> tuple[str, str]:
+    """All commands in one page; options that every command has are described once."""
+    blocks = help_of(build / "dipole")
+    commands = next(entries(block[1:]) for block in blocks if block[0].startswith("Commands"))
+    helps = {name: help_of(build / "dipole", name) for name, _, _ in commands if name != "help"}
+    options = [entries_of(blocks) for blocks in helps.values()]
+    common = [entry for entry in options[0] if all(entry in others for others in options)]
+    text = show_blocks(blocks, 1)
+    for name, of_command in helps.items():
+        text += f"# Dipole {name}\n\n{show_blocks(of_command, 2, common)}"
+    text += f"# Options of all commands\n\n{show_entries(common)}"
+    return re.split(r"[:.]", " ".join(blocks[1]))[0], text
+
+
+# ---- the library ---------------------------------------------------------------------------------
+
+
+def comment_text(comment: str) -> str:
+    """The paragraphs of a C comment; lines that are indented further are shown as they are."""
+    lines = [re.sub(r"^ ?\*? ?", "", line).rstrip() for line in comment.split("\n")]
+    text = ""
+    for block in re.findall(r"(?:^  .*\n?)+|(?:^(?!  ).+\n?)+", "\n".join(lines), re.M):
+        shown = block.rstrip("\n").split("\n")
+        text += indented(shown) if block.startswith("  ") else plain(" ".join(shown)) + "\n\n"
+    return text
+
+
+def library_text() -> tuple[str, str]:
+    """The declarations of the header, each with the comment before it."""
+    header = (TREE / "clients/c/dipole.h").read_text()
+    about, first, rest = re.match(r"/\*\s*\w+: (.*?)([.:\n].*?)\*/\n(.*)", header, re.S).groups()
+    rest = re.sub(r"#(ifndef|define) \w+_H\n|#include .*\n", "", rest)
+    rest = re.sub(r"#ifdef __cplusplus\n(?:.*\n)*?#endif\n|#endif.*\n", "", rest)
+    text = "# Synopsis\n" + indented(
+        ["#include <dipole.h>", "", "cc ... $(pkg-config --cflags --libs dipole)"]
+    )
+    text += f"# Description\n\n{comment_text(first.split(chr(10), 1)[1])}# Declarations\n\n"
+    for comment, code in re.findall(r"^/\*((?:.|\n)*?)\*/\n|((?:^(?!/\*).*\n)+)", rest, re.M):
+        if section := re.search(r"-{4} (.*?) -{4,}", comment):
+            text += f"## {plain(section[1].capitalize())}\n\n"
+        elif comment:
+            text += comment_text(comment)
+        elif code.strip():
+            text += indented(code.strip("\n").split("\n"))
+    return about, text
+
+
+# ---- pages ---------------------------------------------------------------------------------------
+
+
+def text_of(name: str) -> tuple[str, str]:
+    """The title and the rest of a text in proto/, without comments; its headings one level up."""
+    text = re.sub(r"<!--.*?-->\n?", "", (TREE / TEXTS[name]).read_text(), flags=re.DOTALL)
+    title, text = re.match(r"# ([^\n]*)\n(.*)", text, re.DOTALL).groups()
+    return title, "# Description\n" + re.sub(r"^#(#+ )", r"\1", text, flags=re.M)
+
+
+def page(name: str, build: Path) -> str:
+    if name in TEXTS:
+        about, text = text_of(name)
+    elif name == "libdipole":
+        about, text = library_text()
+    else:
+        about, text = daemon_text(build) if name == "dipoled" else client_text(build)
+    others = ", ".join(f"**{n}**({s})" for n, s in SECTIONS.items() if n != name)
+    about = plain(about[0].lower() + about[1:].rstrip("."))
+    text = f"# Name\n\n{plain(name)} - {about}\n\n{text}\n# See also\n\n{others}\n"
+    version, date = re.match(
+        r"\S+ \((.*?)\).*?\n -- .*?>  (.*?)\n", (HERE / "debian/changelog").read_text(), re.S
+    ).groups()
+    fields = {
+        "title": name.upper(),
+        "section": SECTIONS[name],
+        "date": parsedate_to_datetime(date).date(),
+        "footer": f"dipoled {version}",
+        "hyphenate": "false",
+    }
+    command = ["pandoc", "--standalone", f"--lua-filter={HERE / 'manuals.lua'}", "--to=man"]
+    command += [f"--from={'gfm' if name in TEXTS else 'markdown'}-smart", "--variable=adjusting:l"]
+    command += [f"--metadata={key}:{value}" for key, value in fields.items()]
+    return subprocess.run(command, input=text, stdout=subprocess.PIPE, text=True, check=True).stdout
 
 
 def main() -> None:
-    build, version = Path(sys.argv[1]).resolve(), sys.argv[2]
-    folder = build / "manuals"
+    build, folder = Path(sys.argv[1]).resolve(), Path(sys.argv[2])
     folder.mkdir(exist_ok=True)
-    for old in folder.iterdir():
-        old.unlink()
-    for name, section in pages().items():
-        page = write(name, build, version)
-        see_also(page, name)
-        (folder / f"{name}.{section}").write_text(page.text())
+    for name, section in SECTIONS.items():
+        (folder / f"{name}.{section}").write_text(page(name, build))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-# Where things go, and what is made only to be installed. Part of the Makefile.
+# Installing and packaging. Part of the Makefile.
 
 BINDIR ?= $(PREFIX)/bin
 LIBDIR ?= $(PREFIX)/lib
@@ -8,59 +8,46 @@ DOCDIR ?= $(PREFIX)/share/doc
 UNITDIR ?= $(PREFIX)/lib/systemd/system
 BASHDIR ?= $(PREFIX)/share/bash-completion/completions
 ZSHDIR ?= $(PREFIX)/share/zsh/site-functions
-# Where $(PYTHON) looks for modules below PREFIX.
+# The folder below PREFIX in which $(PYTHON) looks for modules.
 PYTHONDIR ?= $(shell $(PYTHON) clients/packaging/python_folder.py $(PREFIX))
 
-PACKAGING := clients/packaging
-PACKAGING_SOURCES := $(wildcard $(PACKAGING)/*.py $(PACKAGING)/debian/* proto/*.md)
-RUN_PYTHON := PYTHONDONTWRITEBYTECODE=1 $(PYTHON)
-
 # What install.sh fills in.
-INSTALL = BUILD='$(BUILD)' DESTDIR='$(DESTDIR)' VERSION=$(VERSION) SOVERSION=$(SOVERSION) \
+INSTALL_FILES = BUILD='$(BUILD)' DESTDIR='$(DESTDIR)' VERSION=$(VERSION) SOVERSION=$(SOVERSION) \
 	PREFIX=$(PREFIX) BINDIR=$(BINDIR) LIBDIR=$(LIBDIR) INCLUDEDIR=$(INCLUDEDIR) MANDIR=$(MANDIR) \
-	DOCDIR=$(DOCDIR) \
-	UNITDIR=$(UNITDIR) BASHDIR=$(BASHDIR) ZSHDIR=$(ZSHDIR) PYTHONDIR=$(PYTHONDIR) \
-	sh $(PACKAGING)/install.sh
+	DOCDIR=$(DOCDIR) UNITDIR=$(UNITDIR) BASHDIR=$(BASHDIR) ZSHDIR=$(ZSHDIR) PYTHONDIR=$(PYTHONDIR) \
+	sh clients/packaging/install.sh
 
-.PHONY: manuals completions install uninstall deb packages check-deb
+.PHONY: manuals install uninstall deb check-deb
 
-# The pages and completions are made from what the programs say, hence after them; by Python, which
-# building the programs does without.
-$(BUILD)/manuals/made: $(BUILD)/dipoled $(BUILD)/dipole clients/c/dipole.h $(PACKAGING_SOURCES)
-	$(call SAY,MAN,$(@D))
-	$(Q)$(RUN_PYTHON) $(PACKAGING)/manuals.py $(BUILD) $(VERSION)
-	@touch $@
+# The manual pages stand among the sources, so that installing runs none of the built programs.
+# `make docs` makes them.
+manuals: $(BUILD)/dipoled $(BUILD)/dipole
+	$(Q)PYTHONDONTWRITEBYTECODE=1 $(PYTHON) clients/packaging/manuals.py $(BUILD) clients/packaging/man
 
-$(BUILD)/completions/made: $(BUILD)/dipoled $(BUILD)/dipole $(PACKAGING_SOURCES)
-	$(call SAY,TAB,$(@D))
-	$(Q)$(RUN_PYTHON) $(PACKAGING)/completions.py $(BUILD)
-	@touch $@
-
-manuals: $(BUILD)/manuals/made
-completions: $(BUILD)/completions/made
-
-install: all manuals completions
-	$(Q)$(INSTALL) install
+install: all
+	$(Q)$(INSTALL_FILES) install
 	$(Q)[ -n "$(DESTDIR)" ] || [ "$$(id -u)" != 0 ] || ldconfig
 
 # With the same PREFIX, DESTDIR and the like.
 uninstall:
-	$(Q)$(INSTALL) uninstall
+	$(Q)$(INSTALL_FILES) uninstall
 
-# Built as Debian builds its packages, apart from what is built otherwise. Flags go through the
-# environment, so that the Makefile can add to them.
-BUILDFLAGS := DEB_BUILD_MAINT_OPTIONS=hardening=+bindnow dpkg-buildflags --get
+# The packages and the source package, in DEB. They are built from a copy of the sources with Debian's
+# flags; with REUSE=yes the copy takes what is in BUILD over, which the tests do.
+DEB ?= $(BUILD)/deb
+DEB_TREE = $(DEB)/dipoled-$(VERSION)
 deb:
 	@sh .ci/install-packages deb
-	@CFLAGS="$$($(BUILDFLAGS) CFLAGS)" CPPFLAGS="$$($(BUILDFLAGS) CPPFLAGS)" \
-		LDFLAGS="$$($(BUILDFLAGS) LDFLAGS)" $(MAKE) --no-print-directory -j2 BUILD=$(BUILD)/debian \
-		PACKAGES=$(BUILD)/deb packages
+	@rm -rf $(DEB)
+	@mkdir -p $(DEB_TREE)
+	@tar -c --exclude-vcs --exclude=./build --exclude='./build-*' --exclude=__pycache__ . | tar -x -C $(DEB_TREE)
+	@cp -a clients/packaging/debian $(DEB_TREE)/
+	@[ -z "$(REUSE)" ] || cp -al $(BUILD) $(DEB_TREE)/build
+	@cd $(DEB_TREE) && env -u MAKEFLAGS -u MFLAGS -u MAKELEVEL DEB_BUILD_OPTIONS=noautodbgsym \
+		dpkg-buildpackage -us -uc $(if $(REUSE),-nc -d) >../log 2>&1 || { tail -n 40 ../log >&2; exit 1; }
+	@rm -rf $(DEB_TREE)
+	@ls $(DEB)/*.deb
 
 # In a new system: installs them, asks the daemon, and takes them away again.
 check-deb: deb
-	@sh tests/packages/run.sh $(BUILD)/deb
-
-# Of what is in $(BUILD), however that was built.
-PACKAGES ?= $(BUILD)/deb
-packages: $(BUILD)/dipoled $(BUILD)/dipole $(LIBRARIES) manuals completions
-	$(Q)$(RUN_PYTHON) $(PACKAGING)/packages.py $(BUILD) $(VERSION) $(SOVERSION) $(PACKAGES)
+	@sh tests/packages/run.sh $(DEB)

@@ -34,10 +34,10 @@ def make(target: str, **variables: str | Path) -> None:
     """A target of the Makefile, for the build under test."""
     # A make that runs the tests has flags and a job server of its own.
     kept = {k: "" for k in ("MAKEFLAGS", "MFLAGS", "MAKELEVEL", "MAKEOVERRIDES") if k in os.environ}
-    given = [f"{name}={value}" for name, value in variables.items()]
-    # As the Makefile calls it: the rules are found by this name.
+    # The Makefile's rules know the folder by its name relative to the repository.
     build = BUILD.relative_to(REPOSITORY) if BUILD.is_relative_to(REPOSITORY) else BUILD
-    run("make", "--no-print-directory", target, f"BUILD={build}", *given, env=kept)
+    given = [f"{name}={value}" for name, value in {"BUILD": build, **variables}.items()]
+    run("make", "--no-print-directory", target, *given, env=kept)
 
 
 def needs(*programs: str) -> None:

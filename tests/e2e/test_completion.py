@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from pathlib import Path
 
 import pytest
 from command_line import PROGRAM, dipole
-from daemons import BUILD
+from daemons import BUILD, REPOSITORY
 from daemons import PROGRAM as DAEMON
-from installing import make, needs, run
+from installing import needs, run
 
 # Readline's COMP_WORDS for a line: cut at blanks, and around runs of the other breaks.
 DRIVER = """
@@ -21,7 +22,7 @@ COMP_WORDBREAKS=$3
 shift 3
 COMP_WORDS=("$@")
 COMP_CWORD=$(($# - 1))
-"_${COMP_WORDS[0]}"
+_dipole
 for reply in "${COMPREPLY[@]}"; do
   printf '%s\\n' "$reply"
 done
@@ -29,10 +30,8 @@ done
 BREAKS = " \t\n\"'><=;|&(:"
 
 
-@pytest.fixture(scope="module")
-def scripts() -> Path:
-    make("completions")
-    return BUILD / "completions"
+PACKAGING = REPOSITORY / "clients/packaging"
+PATH = {"PATH": f"{BUILD}:{os.environ['PATH']}"}
 
 
 def words_of(line: str, breaks: str) -> list[str]:
@@ -42,14 +41,14 @@ def words_of(line: str, breaks: str) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def complete(scripts):
+def complete():
     """The replies for a line that ends at the cursor: what may stand for its last word (as readline
     cuts words)."""
 
     def replies(line: str, breaks: str = BREAKS, cwd: Path | None = None) -> list[str]:
         words = words_of(line, breaks)
-        script = scripts / words[0]
-        return run("bash", "-c", DRIVER, "bash", script, line, breaks, *words, cwd=cwd).splitlines()
+        command = ["bash", "-c", DRIVER, "bash", PACKAGING / "completion.bash", line, breaks]
+        return run(*command, *words, env=PATH, cwd=cwd).splitlines()
 
     return replies
 
@@ -173,25 +172,74 @@ def test_files(complete, tmp_path):
     assert complete("dipole eval --plot --wan", cwd=tmp_path) == ["--want"]
 
 
-@pytest.mark.parametrize("program", ["dipole", "dipoled"])
-def test_scripts_are_without_faults(scripts, program):
-    run("bash", "-n", scripts / program)
-    registered = run("bash", "-c", f'source "$0" && complete -p {program}', scripts / program)
-    assert registered == f"complete -F _{program} {program}\n"
+def test_the_script_registers_itself_for_both_programs():
+    script = PACKAGING / "completion.bash"
+    run("bash", "-n", script)
+    registered = run("bash", "-c", 'source "$0" && complete -p dipole dipoled', script)
+    assert registered == "complete -F _dipole dipole\ncomplete -F _dipole dipoled\n"
 
 
-@pytest.mark.parametrize("program", ["dipole", "dipoled"])
-def test_scripts_for_zsh_are_without_faults(scripts, program):
+# Completes a command line in zsh, with stand-ins for zsh's own functions that print what they get.
+# The action of the option $OPTION is carried out as _arguments does it.
+ZSH = r"""
+_describe() { print -rl -- "${(@P)@[-1]}" }
+_values() { print -rl -- "${@[4,-1]}" }
+_files() { print files }
+compset() { return 1 }
+compadd() { [[ $1 = -a ]] && print -rl -- "${(@P)2}" || print -rl -- "${@[3,-1]}" }
+_arguments() {
+  print -rl -- "$@"
+  local spec=${(M)@:#--$OPTION=*}
+  [[ -z $OPTION ]] || { print ACTION; eval "${spec##*:}" }
+}
+words=("${@[2,-1]}") CURRENT=$(($# - 1)) service=$2
+source $1
+"""
+
+
+@pytest.fixture(scope="module")
+def offer():
+    """What zsh offers for the last of some words, and for the value of an option."""
     needs("zsh")
-    script = scripts / f"_{program}"
-    run("zsh", "-n", script)
-    assert script.read_text().startswith(f"#compdef {program}\n")
+
+    def offered(*words: str, option: str = "") -> list[str]:
+        script = PACKAGING / "completion.zsh"
+        env = {**PATH, "OPTION": option}
+        lines = run("zsh", "-f", "-c", ZSH, "zsh", script, *words, env=env).splitlines()
+        return lines[lines.index("ACTION") + 1 :] if option else lines
+
+    return offered
 
 
-def test_zsh_gets_every_option(scripts):
-    text = (scripts / "_dipole").read_text()
-    for command in commands():
+def test_zsh_offers_commands_with_explanations(offer):
+    shown = dict(line.split(":", 1) for line in offer("dipole", ""))
+    assert list(shown) == commands() and all(shown.values())
+    assert len(offer("dipole", "help", "")) == len(shown)
+
+
+def test_zsh_offers_every_option_with_its_explanation(offer):
+    pattern = re.compile(r"\*?(--[a-z-]+)=?\[(.+?)\]")
+    for command in [*commands(), ""]:
         if command != "help":
-            case = re.search(rf"^  {command}\)\n(.*?);;", text, re.M | re.DOTALL)[1]
-            found = re.findall(r"^ +'\*?(--[a-z-]+)", case, re.M)
-            assert found == list(options_in(help_of(command)))
+            words = ["dipole", command] if command else ["dipoled"]
+            specs = [pattern.match(line) for line in offer(*words, "")]
+            text = help_of(command) if command else run(DAEMON, "--help")
+            assert [spec[1] for spec in specs if spec] == list(options_in(text)), command
+
+
+@pytest.mark.parametrize(
+    "option, kind",
+    [("model", "models"), ("moments", "moments"), ("want", "quantities"), ("medium", "media")],
+)
+def test_zsh_offers_the_names_of_the_daemon(offer, known, option, kind):
+    names = offer("dipole", "eval", "", option=option)
+    assert [name for name in names if name != "all"] == known[kind]
+
+
+def test_zsh_offers_values(offer):
+    assert offer("dipole", "info", "", option="format") == ["table", "csv", "json"]
+    assert offer("dipole", "mc", "", option="channel") == ["red", "green", "blue"]
+    assert offer("dipoled", "", option="isa") == ["portable", "sse2", "avx2", "avx512"]
+    assert offer("dipole", "info", "", option="connect") == ["unix:", "tcp:", "private:"]
+    assert offer("dipole", "table", "", option="output") == ["files"]
+    assert offer("dipole", "points", "")[-1] == "*:file:_files"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from command_line import eval_rows
-from daemons import REPOSITORY, sanitized
+from daemons import BUILD, REPOSITORY, sanitized
 from installing import make, needs, run
 
 PREFIX = "/usr/local"
@@ -62,6 +62,18 @@ def test_files_are_readable_for_all_and_name_no_staging(tree):
             assert str(tree) not in text and not re.search(r"@[A-Z]+@", text), path
     unit = tree / f"{PREFIX[1:]}/lib/systemd/system/dipoled.service"
     assert f"ExecStart={PREFIX}/bin/dipoled\n" in unit.read_text()
+
+
+def test_no_built_program_is_run(tree, tmp_path):
+    """A cross-build installs programs that this machine cannot run."""
+    run("cp", "-al", BUILD, tmp_path / "build")
+    for program in ("dipoled", "dipole"):
+        (tmp_path / "build" / program).unlink()
+        (tmp_path / "build" / program).write_text("#!/bin/sh\nexit 1\n")
+        (tmp_path / "build" / program).chmod(0o755)
+    make("install", BUILD=tmp_path / "build", DESTDIR=tmp_path / "root", PREFIX=PREFIX)
+    assert files(tmp_path / "root") == files(tree)
+    assert (tmp_path / f"root{PREFIX}/bin/dipole").read_text().endswith("exit 1\n")
 
 
 # ---- the library ---------------------------------------------------------------------------------
