@@ -1,18 +1,21 @@
 #include "server/modbus/answer.h"
 
+#include <modbus.h>
+#include <string.h>
+
 #include "server/modbus/identity.h"
-#include "server/modbus/service.h"
 #include "server/net/worker.h"
 
 /* ---- statistics -------------------------------------------------------------------------------
  */
 
-/* Puts them in place for who reads them. */
-static void refresh_statistics(const struct server *server, uint16_t image[REGISTERS_END]) {
+/* Writes the current statistics into the registers. */
+static void refresh_statistics(struct modbus_unit *unit) {
+  const struct server *server = unit->units->server;
   const uint64_t up_s = (uv_hrtime() - server->started_ns) / 1000000000;
-  registers_set_u32(image, REGISTERS_AT_UPTIME, (uint32_t)up_s);
+  registers_set_u32(unit->registers, REGISTERS_AT_UPTIME, (uint32_t)up_s);
 #define REGISTERS_STATISTIC(IDENT, address, name, about)                                           \
-  registers_set_u32(image, address, (uint32_t)stats_get(&server->stats, STATS_##IDENT));
+  registers_set_u32(unit->registers, address, (uint32_t)stats_get(&server->stats, STATS_##IDENT));
 #include "proto/registers.def"
 }
 
@@ -25,119 +28,195 @@ static bool reads_statistics(const struct modbus_request *request) {
   return request->address < END_STATISTICS && request->address + request->count > FIRST_STATISTICS;
 }
 
-/* ---- functions --------------------------------------------------------------------------------
+/* ---- functions: 0, or the exception ------------------------------------------------------------
  */
 
-static unsigned use_bits(const struct modbus_request *request) {
+static unsigned check_bits(const struct modbus_request *request) {
   return request->address + request->count <= REGISTERS_COILS
              ? 0
              : MODBUS_EXCEPTION_ILLEGAL_DATA_ADDRESS;
 }
 
-static unsigned read_registers(struct modbus_service *service, struct modbus_bank *bank,
-                               const struct modbus_request *request) {
+static unsigned write_bits(struct modbus_unit *unit, const struct modbus_request *request) {
+  const unsigned exception = check_bits(request);
+  for (unsigned i = 0; exception == 0 && i < request->count; i++) {
+    unit->coils[request->address + i] = request->bits[i / 8] >> i % 8 & 1;
+  }
+  return exception;
+}
+
+static unsigned read_registers(struct modbus_unit *unit, const struct modbus_request *request) {
   if (!registers_readable(request->address, request->count)) {
     return MODBUS_EXCEPTION_ILLEGAL_DATA_ADDRESS;
   }
   if (reads_statistics(request)) {
-    refresh_statistics(service->server, bank->image);
+    refresh_statistics(unit);
   }
   return 0;
 }
 
-/* Writing with a mask, as libmodbus does once more when it answers: twice is as good as once. */
-static unsigned mask_register(struct modbus_bank *bank, const struct modbus_request *request,
-                              struct modbus_client *client) {
+static unsigned mask_register(struct modbus_unit *unit, const struct modbus_request *request,
+                              struct client *client) {
   const unsigned address = request->write_address;
-  const unsigned before = address < REGISTERS_END ? bank->image[address] : 0;
+  const unsigned before = address < REGISTERS_END ? unit->registers[address] : 0;
   const unsigned after =
       (before & request->and_mask) | (request->or_mask & ~request->and_mask & 0xffff);
   const uint8_t value[] = {(uint8_t)(after >> 8), (uint8_t)after};
-  return modbus_bank_write(bank, address, 1, value, client);
+  return modbus_unit_write(unit, address, 1, value, client);
 }
 
-static unsigned write_and_read(struct modbus_service *service, struct modbus_bank *bank,
-                               const struct modbus_request *request, struct modbus_client *client) {
-  const unsigned exception = read_registers(service, bank, request);
+static unsigned write_and_read(struct modbus_unit *unit, const struct modbus_request *request,
+                               struct client *client) {
+  const unsigned exception = read_registers(unit, request);
   if (exception != 0) {
     const wire_error error =
         wire_error_make(WIRE_STATUS_BAD_ADDRESS, "", "registers that can be read");
-    modbus_bank_note_refusal(bank, &error, request->address);
+    modbus_unit_note_refusal(unit, &error, request->address);
     return exception;
   }
-  return modbus_bank_write(bank, request->write_address, request->write_count, request->values,
+  return modbus_unit_write(unit, request->write_address, request->write_count, request->values,
                            client);
 }
 
-static unsigned carry_out(struct modbus_service *service, struct modbus_bank *bank,
-                          const struct modbus_request *request, struct modbus_client *client) {
+static unsigned carry_out(struct modbus_unit *unit, const struct modbus_request *request,
+                          struct client *client) {
   switch (request->function) {
   case MODBUS_FC_READ_COILS:
   case MODBUS_FC_READ_DISCRETE_INPUTS:
+    return check_bits(request);
   case MODBUS_FC_WRITE_SINGLE_COIL:
   case MODBUS_FC_WRITE_MULTIPLE_COILS:
-    return use_bits(request);
+    return write_bits(unit, request);
   case MODBUS_FC_READ_HOLDING_REGISTERS:
   case MODBUS_FC_READ_INPUT_REGISTERS:
-    return read_registers(service, bank, request);
+    return read_registers(unit, request);
   case MODBUS_FC_WRITE_SINGLE_REGISTER:
   case MODBUS_FC_WRITE_MULTIPLE_REGISTERS:
-    return modbus_bank_write(bank, request->write_address, request->write_count, request->values,
+    return modbus_unit_write(unit, request->write_address, request->write_count, request->values,
                              client);
   case MODBUS_FC_MASK_WRITE_REGISTER:
-    return mask_register(bank, request, client);
+    return mask_register(unit, request, client);
   case MODBUS_FC_WRITE_AND_READ_REGISTERS:
-    return write_and_read(service, bank, request, client);
+    return write_and_read(unit, request, client);
   default:
     return MODBUS_EXCEPTION_ILLEGAL_FUNCTION;
+  }
+}
+
+/* ---- answers: their lengths -------------------------------------------------------------------
+ */
+
+static size_t put_exception(unsigned function, unsigned exception, uint8_t *answer) {
+  answer[0] = (uint8_t)(function | 0x80);
+  answer[1] = (uint8_t)exception;
+  return 2;
+}
+
+static size_t put_bits(const struct modbus_unit *unit, const struct modbus_request *request,
+                       uint8_t *answer) {
+  const unsigned bytes = (request->count + 7) / 8;
+  answer[0] = (uint8_t)request->function;
+  answer[1] = (uint8_t)bytes;
+  memset(answer + 2, 0, bytes);
+  for (unsigned i = 0; i < request->count; i++) {
+    answer[2 + i / 8] |= (uint8_t)(unit->coils[request->address + i] << i % 8);
+  }
+  return 2 + bytes;
+}
+
+static size_t put_registers(const struct modbus_unit *unit, const struct modbus_request *request,
+                            uint8_t *answer) {
+  answer[0] = (uint8_t)request->function;
+  answer[1] = (uint8_t)(2 * request->count);
+  for (unsigned i = 0; i < request->count; i++) {
+    const uint16_t word = unit->registers[request->address + i];
+    answer[2 + 2 * i] = (uint8_t)(word >> 8);
+    answer[3 + 2 * i] = (uint8_t)word;
+  }
+  return 2 + 2 * (size_t)request->count;
+}
+
+/* After a write, the answer repeats the beginning of the request. */
+static size_t put_result(const struct modbus_unit *unit, const struct modbus_request *request,
+                         const uint8_t *pdu, uint8_t *answer) {
+  switch (request->function) {
+  case MODBUS_FC_READ_COILS:
+  case MODBUS_FC_READ_DISCRETE_INPUTS:
+    return put_bits(unit, request, answer);
+  case MODBUS_FC_READ_HOLDING_REGISTERS:
+  case MODBUS_FC_READ_INPUT_REGISTERS:
+  case MODBUS_FC_WRITE_AND_READ_REGISTERS:
+    return put_registers(unit, request, answer);
+  default: {
+    const size_t bytes = request->function == MODBUS_FC_MASK_WRITE_REGISTER ? 7 : 5;
+    memcpy(answer, pdu, bytes);
+    return bytes;
+  }
   }
 }
 
 /* ---- public -----------------------------------------------------------------------------------
  */
 
-static void answer_unit(struct modbus_service *service, struct modbus_client *client, unsigned unit,
-                        const uint8_t *pdu, const struct modbus_request *request,
-                        struct modbus_answer *answer) {
-  switch (request->function) {
-  case MODBUS_FC_REPORT_SLAVE_ID:
-    answer->bytes = modbus_identity_report(unit, answer->pdu);
-    return;
-  case MODBUS_FC_READ_DEVICE_ID:
-    answer->bytes = modbus_identity_read(pdu, answer->pdu, &answer->exception);
-    return;
-  default:
-    answer->bank = modbus_service_bank(service, unit);
-    answer->exception = carry_out(service, answer->bank, request, client);
-    answer->later = answer->bank->evaluating;
+static void count(const struct modbus_units *units, const uint8_t *answer, size_t bytes) {
+  struct worker *worker = units->client.worker;
+  const bool refused = bytes > 0 && answer[0] >= 0x80;
+  stats_add(&units->server->stats, refused ? STATS_MODBUS_EXCEPTIONS : STATS_MODBUS_TRANSACTIONS,
+            1);
+  latency_note(worker_context(worker)->latency,
+               refused      ? LATENCY_REFUSED
+               : bytes == 0 ? LATENCY_EVAL_SHORT
+                            : LATENCY_OTHER,
+               worker_round_ns(worker));
+}
+
+static size_t answer_unit(struct modbus_unit *unit, struct client *client, const uint8_t *pdu,
+                          const struct modbus_request *request, uint8_t *answer) {
+  const unsigned exception = carry_out(unit, request, client);
+  if (exception != 0) {
+    return put_exception(pdu[0], exception, answer);
   }
+  return unit->evaluating ? 0 : put_result(unit, request, pdu, answer);
 }
 
-static void count(struct modbus_service *service, const struct modbus_answer *answer) {
-  struct stats *stats = &service->server->stats;
-  struct latency *latency = worker_context(service->worker)->latency;
-  const bool refused = answer->exception != 0;
-  stats_add(stats, refused ? STATS_MODBUS_EXCEPTIONS : STATS_MODBUS_TRANSACTIONS, 1);
-  latency_note(latency,
-               refused         ? LATENCY_REFUSED
-               : answer->later ? LATENCY_EVAL_SHORT
-                               : LATENCY_OTHER,
-               worker_round_ns(service->worker));
-}
-
-void modbus_answer(struct modbus_service *service, struct modbus_client *client, unsigned unit,
-                   const uint8_t *pdu, size_t bytes, struct modbus_answer *answer) {
+static size_t answer_request(struct modbus_units *units, struct client *client, unsigned number,
+                             const uint8_t *pdu, size_t bytes, uint8_t *answer,
+                             struct modbus_unit **waits_for) {
   struct modbus_request request;
-  answer->bank = NULL; /* not the PDU, which is large and hardly ever used */
-  answer->later = false;
-  answer->bytes = 0;
-  answer->exception = modbus_pdu_parse(pdu, bytes, &request);
-  if (unit == 0) {
-    answer->exception = MODBUS_EXCEPTION_GATEWAY_TARGET;
-  } else if (service->server->options.modbus_read_only && modbus_pdu_writes(pdu[0])) {
-    answer->exception = MODBUS_EXCEPTION_ILLEGAL_FUNCTION;
-  } else if (answer->exception == 0) {
-    answer_unit(service, client, unit, pdu, &request, answer);
+  unsigned exception = modbus_pdu_parse(pdu, bytes, &request);
+  if (number == 0) {
+    exception = MODBUS_EXCEPTION_GATEWAY_TARGET;
+  } else if (units->server->options.modbus_read_only && modbus_pdu_writes(pdu[0])) {
+    exception = MODBUS_EXCEPTION_ILLEGAL_FUNCTION;
   }
-  count(service, answer);
+  size_t length = 0;
+  if (exception == 0 && pdu[0] == MODBUS_FC_READ_DEVICE_ID) {
+    length = modbus_identity_read(pdu, answer, &exception);
+  }
+  if (exception != 0) {
+    return put_exception(pdu[0], exception, answer);
+  }
+  if (length > 0) {
+    return length;
+  }
+  if (pdu[0] == MODBUS_FC_REPORT_SLAVE_ID) {
+    return modbus_identity_report(number, answer);
+  }
+  *waits_for = modbus_units_get(units, number);
+  return answer_unit(*waits_for, client, pdu, &request, answer);
+}
+
+size_t modbus_answer(struct modbus_units *units, struct client *client, unsigned number,
+                     const uint8_t *pdu, size_t bytes, uint8_t answer[MODBUS_PDU_MAX],
+                     struct modbus_unit **waits_for) {
+  const size_t length = answer_request(units, client, number, pdu, bytes, answer, waits_for);
+  count(units, answer, length);
+  return length;
+}
+
+size_t modbus_answer_late(const struct modbus_unit *unit, const uint8_t *pdu, size_t bytes,
+                          uint8_t answer[MODBUS_PDU_MAX]) {
+  struct modbus_request request;
+  modbus_pdu_parse(pdu, bytes, &request);
+  return put_result(unit, &request, pdu, answer);
 }

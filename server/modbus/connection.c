@@ -1,7 +1,6 @@
 #include "server/modbus/connection.h"
 
 #include <errno.h>
-#include <linux/sockios.h>
 #include <netinet/in.h>
 #include <netinet/tcp.h>
 #include <stdlib.h>
@@ -10,66 +9,57 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
-#include "server/observe/log.h"
-#include "server/modbus/service.h"
 #include "server/net/worker.h"
+#include "server/observe/log.h"
 
 enum {
   HEADER_BYTES = 7, /* transaction, protocol, length, unit */
   LENGTH_MIN = 2,   /* unit and function */
   LENGTH_MAX = 254,
-  /* What an empty socket takes for sure, whatever the overhead of small segments. */
-  SURELY_TAKEN_BYTES = 4096,
-  /* What the kernel keeps in each direction for a master that does not read; without a bound it
-   * grows to megabytes, and much less than a segment of the loopback makes it drop those. */
+  /* What the kernel keeps in each direction for a master that does not read. Without a limit it
+   * grows to megabytes. With a limit far below a segment of the loopback it drops segments. */
   SOCKET_BUFFER_BYTES = 65536,
   LINGER_MS = 1000, /* for a peer that does not close after the last answer */
 };
 
 static void on_poll(uv_poll_t *poll, int status, int events);
-static void on_evaluated(struct modbus_client *client);
-static void settle(struct modbus_connection *c);
 
-static uv_loop_t *loop_of(const struct modbus_connection *c) {
-  return worker_loop(c->service->worker);
+static struct modbus_connection *connection_of(struct client *client) {
+  return (struct modbus_connection *)(void *)client;
+}
+
+static uint64_t now_ms(const struct modbus_connection *c) {
+  return uv_now(worker_loop(c->client.worker));
 }
 
 static struct stats *stats_of(const struct modbus_connection *c) {
-  return &c->service->server->stats;
+  return &c->units->server->stats;
 }
 
-/* ---- beginning and end ------------------------------------------------------------------------
+/* ---- ending -----------------------------------------------------------------------------------
  */
-
-struct modbus_connection *modbus_connection_new(struct modbus_service *service, int fd) {
-  struct modbus_connection *c = calloc(1, sizeof *c);
-  if (c != NULL) {
-    c->service = service;
-    c->fd = fd;
-    c->client.answer = on_evaluated;
-  }
-  return c;
-}
 
 static void on_closed(uv_handle_t *handle) {
   struct modbus_connection *c = handle->data;
   stats_subtract(stats_of(c), STATS_MODBUS_CONNECTIONS_OPEN, 1);
   close(c->fd);
-  modbus_service_forget(c->service, c);
+  worker_forget(&c->client);
+  modbus_units_leave(c->units);
   free(c);
 }
 
-void modbus_connection_abort(struct modbus_connection *c) {
+static void abort_connection(struct modbus_connection *c) {
   if (!c->closing) {
     c->closing = true;
-    if (c->waiting) {
-      modbus_bank_forget(c->bank, &c->client);
+    if (c->waits_for != NULL) {
+      modbus_unit_forget(c->waits_for, &c->client);
+      c->waits_for = NULL;
     }
     uv_close((uv_handle_t *)&c->poll, on_closed);
   }
 }
 
-/* Changing what is waited for takes a system call, not changing it none. */
+/* Waits for other events than before; this takes a system call if there is a change. */
 static void set_events(struct modbus_connection *c, int events) {
   if (c->closing || c->events == events) {
     return;
@@ -78,104 +68,51 @@ static void set_events(struct modbus_connection *c, int events) {
   if (events == 0) {
     uv_poll_stop(&c->poll);
   } else if (uv_poll_start(&c->poll, events, on_poll) != 0) {
-    modbus_connection_abort(c);
+    abort_connection(c);
   }
 }
 
-/* A socket that is closed with unread bytes resets the connection, and the peer may lose answers
- * that it has not read: so what still comes is read and dropped, until the peer closes. */
+/* Closing a socket with unread bytes resets the connection, and the peer may lose answers that it
+ * has not read. So the connection reads and drops what still comes, until the peer closes. */
 static void linger(struct modbus_connection *c) {
   if (shutdown(c->fd, SHUT_WR) != 0) {
-    modbus_connection_abort(c);
+    abort_connection(c);
     return;
   }
   c->lingering = true;
-  c->active_ms = uv_now(loop_of(c));
+  c->active_ms = now_ms(c);
   set_events(c, UV_READABLE);
 }
 
 /* ---- writing ----------------------------------------------------------------------------------
  */
 
-static void wrote(struct modbus_connection *c, size_t bytes) {
-  c->unconfirmed += (unsigned)bytes;
-  c->active_ms = uv_now(loop_of(c));
-  stats_add(stats_of(c), STATS_SENT_BYTES, bytes);
+static bool has_unsent(const struct modbus_connection *c) {
+  return c->unsent_begin < c->unsent_end;
 }
 
-/* Writes what the socket takes of the answer that is kept. */
+/* Writes as much of the answer as the socket takes. */
 static void write_unsent(struct modbus_connection *c) {
-  while (c->unsent_begin < c->unsent_end) {
+  while (has_unsent(c)) {
     const ssize_t sent =
         send(c->fd, c->unsent + c->unsent_begin, c->unsent_end - c->unsent_begin, MSG_NOSIGNAL);
-    if (sent < 0 && errno != EAGAIN && errno != EINTR) {
-      modbus_connection_abort(c);
-      return;
-    }
-    if (sent < 0 && errno == EAGAIN) {
-      return;
-    }
     if (sent > 0) {
       c->unsent_begin += (unsigned)sent;
-      wrote(c, (size_t)sent);
-    }
-  }
-  c->unsent_begin = c->unsent_end = 0;
-}
-
-static void keep_and_write(struct modbus_connection *c, int bytes) {
-  if (bytes <= 0) {
-    modbus_connection_abort(c);
-    return;
-  }
-  c->unsent_begin = 0;
-  c->unsent_end = (unsigned)bytes;
-  write_unsent(c);
-}
-
-/* Whether the socket has room for any answer. libmodbus does not say how much of one was taken, so
- * that it may write to the socket itself only where all of it will be. The kernel is asked when as
- * much has been written as an empty socket takes, which is once in some fifty answers. */
-static bool takes_an_answer(struct modbus_connection *c) {
-  if (c->unconfirmed + MODBUS_FRAME_MAX > SURELY_TAKEN_BYTES) {
-    int queued = 0;
-    c->unconfirmed = ioctl(c->fd, SIOCOUTQ, &queued) == 0 ? (unsigned)queued : SURELY_TAKEN_BYTES;
-  }
-  return c->unconfirmed + MODBUS_FRAME_MAX <= SURELY_TAKEN_BYTES;
-}
-
-static void answer_by_codec(struct modbus_connection *c, const uint8_t *frame, size_t bytes,
-                            struct modbus_bank *bank, unsigned exception) {
-  struct modbus_codec *codec = &c->service->codec;
-  modbus_mapping_t *mapping = bank != NULL ? &bank->mapping : NULL;
-  if (takes_an_answer(c)) {
-    const int sent = modbus_codec_send(codec, c->fd, frame, bytes, mapping, exception);
-    if (sent > 0) {
-      wrote(c, (size_t)sent);
+      c->active_ms = now_ms(c);
+      stats_add(stats_of(c), STATS_SENT_BYTES, (uint64_t)sent);
+    } else if (sent < 0 && errno == EAGAIN) {
       return;
-    }
-    if (errno != EAGAIN) { /* a part of an answer among them, of unknown length */
-      modbus_connection_abort(c);
+    } else if (sent < 0 && errno != EINTR) {
+      abort_connection(c);
       return;
     }
   }
-  keep_and_write(c, modbus_codec_encode(codec, frame, bytes, mapping, exception, c->unsent));
-}
-
-static void answer_by_hand(struct modbus_connection *c, const uint8_t *frame,
-                           const struct modbus_answer *answer) {
-  const size_t length = 1 + answer->bytes;
-  memcpy(c->unsent, frame, HEADER_BYTES);
-  c->unsent[4] = (uint8_t)(length >> 8);
-  c->unsent[5] = (uint8_t)length;
-  memcpy(c->unsent + HEADER_BYTES, answer->pdu, answer->bytes);
-  keep_and_write(c, (int)(HEADER_BYTES + answer->bytes));
 }
 
 /* ---- answering --------------------------------------------------------------------------------
  */
 
-/* 0 and 255 are what masters say that think of no unit. */
+/* Masters that know no units say 0 or 255. */
 static unsigned unit_of(uint8_t number) {
   return number == 0 || number == 255 ? 1 : number <= MODBUS_UNITS ? number : 0;
 }
@@ -184,51 +121,46 @@ static unsigned frame_bytes(const uint8_t *frame) {
   return 6 + ((unsigned)frame[4] << 8 | frame[5]);
 }
 
-static void next_frame(struct modbus_connection *c) {
-  c->begin += frame_bytes(c->input + c->begin);
+/* Sends the answer, whose PDU is in its place in c->unsent, and steps to the next frame. */
+static void send_answer(struct modbus_connection *c, size_t pdu_bytes) {
+  const uint8_t *frame = c->input + c->begin;
+  const size_t length = 1 + pdu_bytes;
+  memcpy(c->unsent, frame, HEADER_BYTES);
+  c->unsent[4] = (uint8_t)(length >> 8);
+  c->unsent[5] = (uint8_t)length;
+  c->unsent_begin = 0;
+  c->unsent_end = (unsigned)(HEADER_BYTES + pdu_bytes);
+  c->begin += frame_bytes(frame);
   c->frame_started_ms = 0;
   if (c->begin == c->end) {
     c->begin = c->end = 0;
   }
-}
-
-/* Its commit has been evaluated. */
-static void on_evaluated(struct modbus_client *client) {
-  struct modbus_connection *c = (struct modbus_connection *)(void *)client;
-  const uint8_t *frame = c->input + c->begin;
-  c->waiting = false;
-  answer_by_codec(c, frame, frame_bytes(frame), c->bank, 0);
-  if (c->closing) {
-    return;
-  }
-  next_frame(c);
-  if (c->begin < c->end) {
-    modbus_service_run_later(c->service, c);
-  } else { /* as a rule: the loop then waits for the next, and need not look once more before it */
-    settle(c);
-  }
+  write_unsent(c);
 }
 
 static void answer_frame(struct modbus_connection *c, const uint8_t *frame, size_t bytes) {
-  struct modbus_answer answer;
-  modbus_answer(c->service, &c->client, unit_of(frame[6]), frame + HEADER_BYTES,
-                bytes - HEADER_BYTES, &answer);
-  if (answer.later) {
-    c->waiting = true;
-    c->bank = answer.bank;
-    return;
-  }
-  if (answer.bytes > 0) {
-    answer_by_hand(c, frame, &answer);
+  struct modbus_unit *unit = NULL;
+  const size_t answered =
+      modbus_answer(c->units, &c->client, unit_of(frame[6]), frame + HEADER_BYTES,
+                    bytes - HEADER_BYTES, c->unsent + HEADER_BYTES, &unit);
+  if (answered > 0) {
+    send_answer(c, answered);
   } else {
-    answer_by_codec(c, frame, bytes, answer.bank, answer.exception);
-  }
-  if (!c->closing) {
-    next_frame(c);
+    c->waits_for = unit;
   }
 }
 
-/* What follows cannot be told apart any more. */
+/* Answers the frame whose commit has been evaluated. */
+static void answer_late(struct modbus_connection *c) {
+  const uint8_t *frame = c->input + c->begin;
+  const size_t answered =
+      modbus_answer_late(c->waits_for, frame + HEADER_BYTES, frame_bytes(frame) - HEADER_BYTES,
+                         c->unsent + HEADER_BYTES);
+  c->waits_for = NULL;
+  send_answer(c, answered);
+}
+
+/* The frames that follow cannot be told apart any more. */
 static void lose_framing(struct modbus_connection *c) {
   log_peer_line(LOG_LEVEL_INFO, "event=modbus-closed reason=bad-frame");
   stats_add(stats_of(c), STATS_MODBUS_BAD_FRAMES, 1);
@@ -247,7 +179,7 @@ static bool is_frame(const uint8_t *frame, unsigned bytes) {
          (bytes <= HEADER_BYTES || frame[HEADER_BYTES] < 0x80);
 }
 
-/* Takes up the next frame, if it is there; false: it is not. */
+/* Answers the next frame. False: it has not arrived whole. */
 static bool take_frame(struct modbus_connection *c) {
   const uint8_t *frame = c->input + c->begin;
   const unsigned bytes = c->end - c->begin;
@@ -262,13 +194,11 @@ static bool take_frame(struct modbus_connection *c) {
   return true;
 }
 
-static bool is_blocked(const struct modbus_connection *c) {
-  return c->waiting || c->unsent_begin < c->unsent_end;
-}
-
-/* Answers what is there, as far as it can; one commit at a time. */
-static void take_frames(struct modbus_connection *c) {
-  while (!c->closing && !c->ending && !is_blocked(c) && c->begin < c->end && take_frame(c)) {
+/* Answers the frames that have arrived, as far as it can; one commit at a time. */
+static void run(struct client *client) {
+  struct modbus_connection *c = connection_of(client);
+  while (!c->closing && !c->ending && c->waits_for == NULL && !has_unsent(c) && c->begin < c->end &&
+         take_frame(c)) {
   }
 }
 
@@ -277,7 +207,7 @@ static void note_partial_frame(struct modbus_connection *c) {
   if (c->begin == c->end) {
     c->frame_started_ms = 0;
   } else if (c->frame_started_ms == 0) {
-    c->frame_started_ms = uv_now(loop_of(c));
+    c->frame_started_ms = now_ms(c);
   }
 }
 
@@ -287,12 +217,12 @@ static void note_partial_frame(struct modbus_connection *c) {
 static void discard(struct modbus_connection *c) {
   const ssize_t got = recv(c->fd, c->input, sizeof c->input, 0);
   if (got == 0 || (got < 0 && errno != EAGAIN && errno != EINTR)) {
-    modbus_connection_abort(c);
+    abort_connection(c);
   }
 }
 
-/* Reads what there is room for: always for the rest of a frame, as whole ones have been answered.
- */
+/* Reads what there is room for. There is always room for the rest of a frame, because whole frames
+ * have been answered. */
 static void read_more(struct modbus_connection *c) {
   if (c->begin > 0) {
     memmove(c->input, c->input + c->begin, c->end - c->begin);
@@ -305,72 +235,81 @@ static void read_more(struct modbus_connection *c) {
   c->unread -= got > 0 && (size_t)got < c->unread ? (unsigned)got : c->unread;
   if (got > 0) {
     c->end += (unsigned)got;
-    c->active_ms = uv_now(loop_of(c));
+    c->active_ms = now_ms(c);
     stats_add(stats_of(c), STATS_RECEIVED_BYTES, (uint64_t)got);
   } else if (got == 0) {
     c->stopping = true;
   } else if (errno != EAGAIN && errno != EINTR) {
-    modbus_connection_abort(c);
+    abort_connection(c);
   }
 }
 
-/* What has arrived is answered as far as it can be: what is waited for now. */
-static void settle(struct modbus_connection *c) {
-  if (c->closing || c->lingering || c->waiting) {
-    return; /* that comes to an end in this round, before anything is read */
-  }
-  if (c->unsent_begin < c->unsent_end) {
+/* All that has arrived has been answered as far as it can be: sets what the poll waits for. */
+static void await_events(struct modbus_connection *c) {
+  if (has_unsent(c)) {
     set_events(c, UV_WRITABLE);
-    return;
-  }
-  if (c->unread > 0 && !c->ending) {
+  } else if (c->unread > 0 && !c->ending) {
     read_more(c);
-    modbus_service_run_later(c->service, c);
-    return;
-  }
-  if (c->ending || c->stopping) {
+    worker_run_later(&c->client);
+  } else if (c->ending || c->stopping) {
     linger(c);
-    return;
+  } else {
+    note_partial_frame(c);
+    set_events(c, UV_READABLE);
   }
-  note_partial_frame(c);
-  set_events(c, UV_READABLE);
 }
 
-void modbus_connection_run(struct modbus_connection *c) {
-  take_frames(c);
-  settle(c);
+/* The turn is over, or the unit that the first frame waits for has its results; in some rounds both
+ * happen, one after the other. */
+static void finish(struct client *client) {
+  struct modbus_connection *c = connection_of(client);
+  if (c->waits_for != NULL) {
+    if (c->waits_for->evaluating) {
+      return;
+    }
+    answer_late(c);
+    if (!c->closing && c->begin < c->end) {
+      worker_run_later(client);
+    }
+  }
+  if (!c->closing && !c->lingering && !client->to_run) {
+    await_events(c);
+  }
 }
 
 static void on_poll(uv_poll_t *poll, int status, int events) {
   struct modbus_connection *c = poll->data;
   if (status < 0) {
-    modbus_connection_abort(c);
+    abort_connection(c);
   } else if (c->lingering) {
     discard(c);
-  } else if (!c->waiting && !c->to_run) {
+  } else if (!c->client.to_run) {
     if (events & UV_WRITABLE) {
       write_unsent(c);
     }
     if (!c->closing && (events & UV_READABLE)) {
       read_more(c);
     }
-    modbus_connection_run(c);
+    if (!c->closing) {
+      worker_run_later(&c->client);
+    }
   }
 }
 
 /* ---- starting, stopping, time ------------------------------------------------------------------
  */
 
-void modbus_connection_start(struct modbus_connection *c) {
+static void start(struct client *client) {
+  struct modbus_connection *c = connection_of(client);
   const int on = 1;
   const int bytes = SOCKET_BUFFER_BYTES;
   setsockopt(c->fd, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
   setsockopt(c->fd, SOL_SOCKET, SO_RCVBUF, &bytes, sizeof bytes);
   setsockopt(c->fd, SOL_SOCKET, SO_SNDBUF, &bytes, sizeof bytes);
-  modbus_service_remember(c->service, c);
-  const int polled = uv_poll_init(loop_of(c), &c->poll, c->fd);
+  modbus_units_join(c->units);
+  const int polled = uv_poll_init(worker_loop(client->worker), &c->poll, c->fd);
   c->poll.data = c;
-  c->active_ms = uv_now(loop_of(c));
+  c->active_ms = now_ms(c);
   if (polled != 0) {
     log_line(LOG_LEVEL_ERROR, "event=modbus-connection-failed reason=%s", uv_strerror(polled));
     c->closing = true;
@@ -380,28 +319,54 @@ void modbus_connection_start(struct modbus_connection *c) {
   set_events(c, UV_READABLE);
 }
 
-void modbus_connection_stop(struct modbus_connection *c) {
+static void stop(struct client *client) {
+  struct modbus_connection *c = connection_of(client);
   int unread = 0;
   if (!c->lingering && ioctl(c->fd, FIONREAD, &unread) == 0) {
     c->unread = (unsigned)unread;
   }
   c->stopping = true;
-  modbus_connection_run(c);
+  if (!c->closing) {
+    worker_run_later(client);
+  }
 }
 
-void modbus_connection_tick(struct modbus_connection *c, uint64_t now_ms) {
-  const struct options *options = &c->service->server->options;
+static void abort_client(struct client *client) {
+  abort_connection(connection_of(client));
+}
+
+static void tick(struct client *client, uint64_t time_ms) {
+  struct modbus_connection *c = connection_of(client);
+  const struct options *options = &c->units->server->options;
   if (c->closing) {
     return;
   }
   const bool late =
-      c->frame_started_ms != 0 && now_ms - c->frame_started_ms > options->modbus_frame_timeout_ms;
+      c->frame_started_ms != 0 && time_ms - c->frame_started_ms > options->modbus_frame_timeout_ms;
   const uint64_t silence_ms = c->lingering ? LINGER_MS : options->modbus_idle_timeout_ms;
-  if (late || now_ms - c->active_ms > silence_ms) {
+  if (late || time_ms - c->active_ms > silence_ms) {
     if (!c->lingering) {
       log_peer_line(LOG_LEVEL_INFO, "event=modbus-closed reason=%s",
                     late ? "frame-timeout" : "idle");
     }
-    modbus_connection_abort(c);
+    abort_connection(c);
   }
+}
+
+struct modbus_connection *modbus_connection_new(struct modbus_units *units, int fd) {
+  static const struct client_kind kind = {
+      .start = start,
+      .run = run,
+      .finish = finish,
+      .tick = tick,
+      .stop = stop,
+      .abort = abort_client,
+  };
+  struct modbus_connection *c = calloc(1, sizeof *c);
+  if (c != NULL) {
+    c->client.kind = &kind;
+    c->units = units;
+    c->fd = fd;
+  }
+  return c;
 }

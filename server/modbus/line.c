@@ -1,16 +1,15 @@
 #include "server/modbus/line.h"
 
 #include <errno.h>
+#include <modbus.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
-#include "server/observe/log.h"
-#include "server/modbus/codec.h"
 #include "server/modbus/rtu.h"
-#include "server/modbus/service.h"
 #include "server/net/worker.h"
+#include "server/observe/log.h"
 
 enum {
   CHARACTER_BITS = 11, /* at most, with start, parity and stop */
@@ -19,9 +18,15 @@ enum {
   RETRY_MOST_MS = 30000,
 };
 
-static void on_silence(uv_timer_t *timer);
-static void on_evaluated(struct modbus_client *client);
 static void lose_device(struct modbus_line *line, const char *why);
+
+static struct modbus_line *line_of(struct client *client) {
+  return (struct modbus_line *)(void *)client;
+}
+
+static struct stats *stats_of(const struct modbus_line *line) {
+  return &line->units->server->stats;
+}
 
 /* ---- the option -------------------------------------------------------------------------------
  */
@@ -79,20 +84,20 @@ static bool read_url(struct modbus_line *line, const char *url) {
   strcpy(line->device, text);
   line->baud = (int)baud;
   line->parity = parts[2][0];
-  line->unit = (unsigned)unit;
+  line->number = (unsigned)unit;
   return true;
 }
 
 /* ---- the device -------------------------------------------------------------------------------
  */
 
-/* libmodbus opens it, for this process alone and without blocking, and sets it up. */
+/* libmodbus opens the device without blocking, for this process alone, and sets it up. */
 static bool open_device(struct modbus_line *line) {
   line->context = modbus_new_rtu(line->device, line->baud, line->parity, 8, 1);
   if (line->context == NULL) {
     return false;
   }
-  modbus_set_slave(line->context, (int)line->unit);
+  modbus_set_slave(line->context, (int)line->number);
   if (modbus_connect(line->context) == 0) {
     return true;
   }
@@ -111,22 +116,6 @@ static void close_device(struct modbus_line *line) {
   }
 }
 
-bool modbus_line_open(struct modbus_line *line, struct modbus_service *service, const char *url) {
-  *line = (struct modbus_line){.service = service, .retry_ms = RETRY_FIRST_MS};
-  line->client.answer = on_evaluated;
-  if (!read_url(line, url)) {
-    return false;
-  }
-  const uint64_t silence_ms = (7 * CHARACTER_BITS * 1000 / 2 - 1) / (uint64_t)line->baud + 1;
-  line->silence_ms = silence_ms > SILENCE_LEAST_MS ? silence_ms : SILENCE_LEAST_MS;
-  if (!open_device(line)) {
-    return complain(url, modbus_strerror(errno));
-  }
-  log_line(LOG_LEVEL_INFO, "event=listening url=modbus-rtu:%s,%d,%c,%u", line->device, line->baud,
-           line->parity, line->unit);
-  return true;
-}
-
 void modbus_line_close(struct modbus_line *line) {
   close_device(line);
 }
@@ -134,68 +123,81 @@ void modbus_line_close(struct modbus_line *line) {
 /* ---- answering --------------------------------------------------------------------------------
  */
 
-static bool is_broadcast(const struct modbus_line *line) {
-  return line->input[line->frame_begin] == MODBUS_BROADCAST_ADDRESS;
+static uint8_t *frame_of(struct modbus_line *line) {
+  return line->input + line->frame_begin;
 }
 
-/* A device that takes nothing loses it, as a line does. */
-static void note_sent(struct modbus_line *line, ssize_t sent) {
-  struct stats *stats = &line->service->server->stats;
-  if (sent > 0) {
-    stats_add(stats, STATS_SENT_BYTES, (uint64_t)sent);
-  } else {
-    log_peer_line(LOG_LEVEL_INFO, "event=modbus-answer-lost device=%s reason=%s", line->device,
-                  modbus_strerror(errno));
-  }
+static size_t pdu_bytes(const struct modbus_line *line) {
+  return line->frame_end - line->frame_begin - 3;
 }
 
-static void answer_by_codec(struct modbus_line *line, struct modbus_bank *bank,
-                            unsigned exception) {
-  const int sent = modbus_codec_answer(line->context, line->input + line->frame_begin,
-                                       line->frame_end - line->frame_begin,
-                                       bank != NULL ? &bank->mapping : NULL, exception);
-  if (!is_broadcast(line)) {
-    note_sent(line, sent);
-  }
+static bool is_broadcast(struct modbus_line *line) {
+  return frame_of(line)[0] == MODBUS_BROADCAST_ADDRESS;
 }
 
-static void answer_by_hand(struct modbus_line *line, const struct modbus_answer *answer) {
-  uint8_t frame[MODBUS_RTU_MAX];
-  frame[0] = (uint8_t)line->unit;
-  memcpy(frame + 1, answer->pdu, answer->bytes);
-  size_t bytes = 1 + answer->bytes;
-  const uint16_t sum = modbus_rtu_checksum(frame, bytes);
-  frame[bytes++] = (uint8_t)sum;
-  frame[bytes++] = (uint8_t)(sum >> 8);
-  note_sent(line, write(modbus_get_socket(line->context), frame, bytes));
-}
-
-/* Its commit has been evaluated. */
-static void on_evaluated(struct modbus_client *client) {
-  struct modbus_line *line = (struct modbus_line *)(void *)client;
-  line->waiting = false;
-  if (line->context != NULL) {
-    answer_by_codec(line, line->bank, 0);
-  }
-  line->bytes = 0;
-}
-
-/* A broadcast is carried out, by the codec what is left to it, and not answered. */
-static void answer(struct modbus_line *line) {
-  const uint8_t *frame = line->input + line->frame_begin;
-  const size_t pdu_bytes = line->frame_end - line->frame_begin - 3;
-  struct modbus_answer answer;
-  if (is_broadcast(line) && !modbus_pdu_writes(frame[1])) {
+/* Sends the frame whose PDU is behind its first byte. A broadcast is not answered. An answer that
+ * the device does not take is lost, as it would be on the line. */
+static void send_answer(struct modbus_line *line, uint8_t frame[MODBUS_RTU_MAX], size_t bytes) {
+  frame[0] = (uint8_t)line->number;
+  const uint16_t sum = modbus_rtu_checksum(frame, 1 + bytes);
+  frame[1 + bytes] = (uint8_t)sum;
+  frame[2 + bytes] = (uint8_t)(sum >> 8);
+  if (line->context == NULL || is_broadcast(line)) {
     return;
   }
-  modbus_answer(line->service, &line->client, line->unit, frame + 1, pdu_bytes, &answer);
-  if (answer.later) {
-    line->waiting = true;
-    line->bank = answer.bank;
-  } else if (answer.bytes > 0) {
-    answer_by_hand(line, &answer);
-  } else if (!is_broadcast(line) || answer.exception == 0) {
-    answer_by_codec(line, answer.bank, answer.exception);
+  const ssize_t sent = write(modbus_get_socket(line->context), frame, 3 + bytes);
+  if (sent > 0) {
+    stats_add(stats_of(line), STATS_SENT_BYTES, (uint64_t)sent);
+  } else {
+    log_peer_line(LOG_LEVEL_INFO, "event=modbus-answer-lost device=%s reason=%s", line->device,
+                  strerror(errno));
+  }
+}
+
+static void answer(struct modbus_line *line) {
+  uint8_t frame[MODBUS_RTU_MAX];
+  const uint8_t *pdu = frame_of(line) + 1;
+  struct modbus_unit *unit = NULL;
+  if (is_broadcast(line) && !modbus_pdu_writes(pdu[0])) {
+    return;
+  }
+  const size_t answered = modbus_answer(line->units, &line->client, line->number, pdu,
+                                        pdu_bytes(line), frame + 1, &unit);
+  if (answered > 0) {
+    send_answer(line, frame, answered);
+  } else {
+    line->waits_for = unit;
+  }
+}
+
+/* Answers the request whose commit has been evaluated. */
+static void answer_late(struct modbus_line *line) {
+  uint8_t frame[MODBUS_RTU_MAX];
+  const size_t answered =
+      modbus_answer_late(line->waits_for, frame_of(line) + 1, pdu_bytes(line), frame + 1);
+  line->waits_for = NULL;
+  line->bytes = 0;
+  send_answer(line, frame, answered);
+}
+
+/* After a silence: what has arrived is a request, or nothing. */
+static void run(struct client *client) {
+  struct modbus_line *line = line_of(client);
+  if (line->context == NULL || line->waits_for != NULL) {
+    return;
+  }
+  size_t begin;
+  const size_t bytes = modbus_rtu_find(line->input, line->bytes, line->number, &begin);
+  const bool noise = begin == line->bytes && line->bytes > 0;
+  if (bytes > 0 && line->input[begin + 1] < 0x80) {
+    line->frame_begin = (unsigned)begin;
+    line->frame_end = (unsigned)(begin + bytes);
+    answer(line);
+  } else if (noise) {
+    stats_add(stats_of(line), STATS_MODBUS_BAD_FRAMES, 1);
+  }
+  if (line->waits_for == NULL) {
+    line->bytes = 0;
   }
 }
 
@@ -205,34 +207,18 @@ static void answer(struct modbus_line *line) {
 /* Whether what has arrived could be answered if nothing more came. */
 static bool is_whole(const struct modbus_line *line) {
   size_t begin;
-  return modbus_rtu_find(line->input, line->bytes, line->unit, &begin) > 0;
+  return modbus_rtu_find(line->input, line->bytes, line->number, &begin) > 0;
 }
 
-/* What has arrived is a request, or nothing. */
 static void on_silence(uv_timer_t *timer) {
   struct modbus_line *line = timer->data;
-  if (line->context == NULL) {
-    return;
-  }
-  size_t begin;
-  const size_t bytes = modbus_rtu_find(line->input, line->bytes, line->unit, &begin);
-  const bool noise = begin == line->bytes && line->bytes > 0;
-  if (bytes > 0 && line->input[begin + 1] < 0x80) {
-    line->frame_begin = (unsigned)begin;
-    line->frame_end = (unsigned)(begin + bytes);
-    answer(line);
-  } else if (noise) {
-    stats_add(&line->service->server->stats, STATS_MODBUS_BAD_FRAMES, 1);
-  }
-  if (!line->waiting) {
-    line->bytes = 0;
-  }
-  worker_stay_awake(line->service->worker); /* timers come before the poll, the batch after it */
+  worker_run_later(&line->client);
+  worker_stay_awake(line->client.worker); /* timers come before the poll, turns after it */
 }
 
 static void arrived(struct modbus_line *line, size_t bytes) {
-  const struct options *options = &line->service->server->options;
-  stats_add(&line->service->server->stats, STATS_RECEIVED_BYTES, bytes);
+  const struct options *options = &line->units->server->options;
+  stats_add(stats_of(line), STATS_RECEIVED_BYTES, bytes);
   line->bytes += (unsigned)bytes;
   line->retry_ms = RETRY_FIRST_MS;
   const uint64_t wait_ms = is_whole(line) ? line->silence_ms : options->modbus_gap_ms;
@@ -246,10 +232,10 @@ static void on_poll(uv_poll_t *poll, int status, int events) {
     lose_device(line, uv_strerror(status));
     return;
   }
-  if (line->waiting) {
-    return; /* the master speaks before it is answered, which it is in this round */
+  if (line->client.to_run) {
+    return; /* the master speaks again before it has been answered, which is in this round */
   }
-  if (line->bytes == sizeof line->input) { /* no silence in four frames: noise */
+  if (line->bytes == sizeof line->input) { /* no silence during four frames: this is noise */
     line->bytes = 0;
   }
   const ssize_t got = read(modbus_get_socket(line->context), line->input + line->bytes,
@@ -266,17 +252,23 @@ static void on_poll(uv_poll_t *poll, int status, int events) {
 /* ---- starting, losing, stopping ----------------------------------------------------------------
  */
 
-static void on_handle_closed(uv_handle_t *handle) {
-  struct modbus_line *line = handle->data;
-  line->open_handles--;
+static void note_closed(struct modbus_line *line) {
+  if (--line->open_handles == 0) {
+    worker_forget(&line->client);
+    modbus_units_leave(line->units);
+  }
 }
 
-/* Only then the device may be closed: the loop knows it by its number. */
+static void on_timer_closed(uv_handle_t *handle) {
+  note_closed(handle->data);
+}
+
+/* The device may not be closed earlier, because the loop knows it by its number. */
 static void on_poll_closed(uv_handle_t *handle) {
   struct modbus_line *line = handle->data;
   close_device(line);
   line->polling = false;
-  line->open_handles--;
+  note_closed(line);
 }
 
 static void close_poll(struct modbus_line *line) {
@@ -286,7 +278,7 @@ static void close_poll(struct modbus_line *line) {
 }
 
 static bool start_polling(struct modbus_line *line) {
-  uv_loop_t *loop = worker_loop(line->service->worker);
+  uv_loop_t *loop = worker_loop(line->client.worker);
   if (uv_poll_init(loop, &line->poll, modbus_get_socket(line->context)) != 0) {
     close_device(line);
     return false;
@@ -320,28 +312,60 @@ static void lose_device(struct modbus_line *line, const char *why) {
   retry_later(line);
 }
 
-void modbus_line_start(struct modbus_line *line) {
-  uv_timer_init(worker_loop(line->service->worker), &line->timer);
+static void start(struct client *client) {
+  struct modbus_line *line = line_of(client);
+  modbus_units_join(line->units);
+  uv_timer_init(worker_loop(client->worker), &line->timer);
   line->timer.data = line;
-  line->started = true;
   line->open_handles++;
   if (!start_polling(line)) {
     lose_device(line, "poll");
   }
 }
 
-void modbus_line_stop(struct modbus_line *line) {
-  if (line->started && !line->stopping) {
-    on_silence(&line->timer); /* a request that has arrived is answered */
-    if (line->waiting) {
-      modbus_service_bank(line->service, line->unit);
+/* The turn is over, or the unit that was waited for has its results. */
+static void finish(struct client *client) {
+  struct modbus_line *line = line_of(client);
+  if (line->waits_for != NULL) {
+    if (line->waits_for->evaluating) {
+      return;
     }
-    line->stopping = true;
-    uv_close((uv_handle_t *)&line->timer, on_handle_closed);
+    answer_late(line);
+  }
+  if (line->stopping && !uv_is_closing((uv_handle_t *)&line->timer)) {
+    uv_close((uv_handle_t *)&line->timer, on_timer_closed);
     close_poll(line);
   }
 }
 
-bool modbus_line_has_stopped(const struct modbus_line *line) {
-  return line->open_handles == 0;
+/* A request that has arrived is still answered. */
+static void stop(struct client *client) {
+  line_of(client)->stopping = true;
+  worker_run_later(client);
+}
+
+bool modbus_line_open(struct modbus_line *line, struct modbus_units *units, const char *url) {
+  static const struct client_kind kind = {
+      .start = start,
+      .run = run,
+      .finish = finish,
+      .stop = stop,
+      .abort = stop,
+  };
+  *line = (struct modbus_line){
+      .client.kind = &kind,
+      .units = units,
+      .retry_ms = RETRY_FIRST_MS,
+  };
+  if (!read_url(line, url)) {
+    return false;
+  }
+  const uint64_t silence_ms = (7 * CHARACTER_BITS * 1000 / 2 - 1) / (uint64_t)line->baud + 1;
+  line->silence_ms = silence_ms > SILENCE_LEAST_MS ? silence_ms : SILENCE_LEAST_MS;
+  if (!open_device(line)) {
+    return complain(url, modbus_strerror(errno));
+  }
+  log_line(LOG_LEVEL_INFO, "event=listening url=modbus-rtu:%s,%d,%c,%u", line->device, line->baud,
+           line->parity, line->number);
+  return true;
 }

@@ -63,7 +63,7 @@ static bool within(unsigned count, unsigned most) {
   return count >= 1 && count <= most;
 }
 
-/* The counts of a PDU whose length is right. */
+/* Reads the rest of a PDU whose length is right; false: a count or value is wrong. */
 static bool take_counts(const uint8_t *pdu, struct modbus_request *request) {
   switch (request->function) {
   case MODBUS_FC_READ_COILS:
@@ -76,9 +76,11 @@ static bool take_counts(const uint8_t *pdu, struct modbus_request *request) {
     return within(request->count, MODBUS_MAX_READ_REGISTERS);
   case MODBUS_FC_WRITE_SINGLE_COIL:
     request->count = 1;
+    request->bits = pdu + 3;
     return word(pdu + 3) == 0 || word(pdu + 3) == 0xff00;
   case MODBUS_FC_WRITE_MULTIPLE_COILS:
     request->count = word(pdu + 3);
+    request->bits = pdu + 6;
     return within(request->count, MODBUS_MAX_WRITE_BITS) && pdu[5] == (request->count + 7) / 8;
   case MODBUS_FC_WRITE_SINGLE_REGISTER:
     request->write_count = 1;

@@ -3,8 +3,6 @@
 #include <assert.h>
 #include <string.h>
 
-#include "server/modbus/service.h"
-
 /* ---- the run queue ----------------------------------------------------------------------------
  */
 
@@ -100,9 +98,7 @@ static void run_round(struct worker *worker) {
     client->kind->run(client);
     worker_finish_later(client);
   }
-  modbus_service_run(worker->modbus);
   batch_finish(&worker->context.batch, &worker->server->stats);
-  modbus_service_finish(worker->modbus);
   while (worker->finish_first != NULL) {
     struct client *client = next_to_finish(worker);
     if (client->kind->finish != NULL) {
@@ -184,15 +180,12 @@ static void stop_round(struct worker *worker) {
   worker->stop_rounds++;
   if (worker->stop_rounds == 3) {
     for_each(worker, stop_client);
-    modbus_service_stop(worker->modbus);
   }
   const uint64_t taken_ms = uv_now(&worker->loop) - worker->stop_began_ms;
   if (taken_ms > worker->server->options.drain_timeout_ms) {
     for_each(worker, abort_client);
-    modbus_service_abort(worker->modbus);
   }
-  if (worker->stop_rounds > 3 && worker->clients == NULL &&
-      modbus_service_has_stopped(worker->modbus)) {
+  if (worker->stop_rounds > 3 && worker->clients == NULL) {
     uv_stop(&worker->loop);
   }
 }
@@ -220,7 +213,6 @@ static void take_from_inbox(struct worker *worker) {
 static void on_wake(uv_async_t *handle) {
   struct worker *worker = handle->data;
   take_from_inbox(worker);
-  modbus_service_wake(worker->modbus);
   profiles_wake(&worker->context.profiles);
 }
 
@@ -246,8 +238,7 @@ static void after_poll(uv_check_t *handle) {
   struct worker *worker = handle->data;
   run_round(worker);
   stop_round(worker);
-  if (worker->run_first != NULL || modbus_service_has_work(worker->modbus) ||
-      (worker->stop_rounds > 0 && worker->stop_rounds < 4)) {
+  if (worker->run_first != NULL || (worker->stop_rounds > 0 && worker->stop_rounds < 4)) {
     worker_stay_awake(worker);
   } else {
     uv_idle_stop(&worker->stay_awake);
@@ -257,7 +248,6 @@ static void after_poll(uv_check_t *handle) {
 static void on_clock(uv_timer_t *timer) {
   struct worker *worker = timer->data;
   for_each(worker, tick_client);
-  modbus_service_tick(worker->modbus, uv_now(&worker->loop));
   profiles_sweep(&worker->context.profiles);
   stay_awake_for_queue(worker);
 }
@@ -303,7 +293,6 @@ static void thread_main(void *argument) {
   stats_claim((unsigned)(worker - worker->server->workers) + 1);
   uv_run(&worker->loop, UV_RUN_DEFAULT);
   assert(worker->clients == NULL);
-  modbus_service_end(worker->modbus);
   uv_walk(&worker->loop, close_handle, NULL);
   uv_run(&worker->loop, UV_RUN_DEFAULT); /* to the end of what it has had prepared, too */
   profiles_end(&worker->context.profiles);
@@ -329,10 +318,6 @@ int worker_start(struct worker *worker, struct server *server) {
   worker->context.server = server;
   worker->context.loop = &worker->loop;
   worker->context.latency = &server->latencies[worker - server->workers];
-  if (server->modbus != NULL && worker == server->workers) {
-    worker->modbus = server->modbus;
-    worker->modbus->worker = worker;
-  }
   profiles_init(&worker->context.profiles, server, &worker->loop, wake, worker);
   int error = uv_mutex_init(&worker->mutex);
   error = error != 0 ? error : uv_loop_init(&worker->loop);

@@ -3,8 +3,9 @@
  * Threading: main accepts and gives each connection to the worker that has the fewest; from then on
  * the worker reads, evaluates and writes on its own thread, so that a request crosses no threads.
  * In each round of its loop a worker reads what has arrived on all of its connections, then gives
- * each that has work one turn of bounded length, evaluates together what is short (server/jobs/batch.h),
- * writes, and goes round again; a large request is taken in slices between the others' turns.
+ * each that has work one turn of bounded length, evaluates together what is short
+ * (server/jobs/batch.h), writes, and goes round again; a large request is taken in slices between
+ * the others' turns.
  *
  * The other scheme, an I/O thread in front that hands requests to workers and takes answers back,
  * was measured with bare prototypes of both (build/bench threads, two cores; owners / front):
@@ -27,7 +28,6 @@
 
 struct worker {
   struct server *server;
-  struct modbus_service *modbus; /* of the first worker; NULL: of the others, or not asked for */
   uv_thread_t thread;
   uv_loop_t loop;
   uv_async_t wake;
