@@ -231,7 +231,7 @@ check:
 
 # Each test program by itself, so that one that crashes takes no other with it.
 check-unit: $(TESTS)
-	@UNIT_LIMIT_S=$(UNIT_LIMIT_S) sh tests/run-units.sh $(TESTS)
+	@UNIT_LIMIT_S=$(UNIT_LIMIT_S) bash tests/run-units.sh $(BUILD)/logs $(TESTS)
 
 check-bits: $(BUILD)/tests/bits
 	@sh tests/run-bits.sh $(BUILD)
@@ -250,7 +250,7 @@ PIPELINE_REQUESTS ?= 10000000
 check-pipeline:
 	@sh .ci/install-packages
 	@$(MAKE) --no-print-directory -j2 all $(BUILD)/pipeline
-	$(BUILD)/pipeline $(PIPELINE_REQUESTS)
+	PIPELINE_REQUESTS=$(PIPELINE_REQUESTS) $(PYTEST) -s tests/e2e/test_pipeline.py
 
 # Full load for ten minutes.
 SOAK_S ?= 600

@@ -1,45 +1,47 @@
-#!/bin/sh
-# run-units.sh PROGRAM...: runs each test program by itself, from the repository's top. Shows what a
-# program printed when it fails, and always for the accuracy tests, whose tables of errors are a
-# result. Exits 1 when any has failed, after all have been run.
+#!/bin/bash
+# run-units.sh FOLDER PROGRAM...: runs each test program, as many at a time as this machine has
+# processors. What a program prints goes into a log of its own in FOLDER. Shows the log of each
+# program that fails, and always those of the accuracy tests, whose tables of errors are a result.
+# Exits 1 when a program has failed, after all have run.
 set -u
 limit_s=${UNIT_LIMIT_S:-600}
-start=$PWD
-cd "$(dirname "$0")/.." || exit 1
-output=$(mktemp) || exit 1
-trap 'rm -f "$output"' EXIT
-trap 'exit 1' INT TERM
 
-run=0
-failed=
-for program in "$@"; do
-  case $program in
-  /*) ;;
-  *) program=$start/$program ;;
-  esac
-  name=$(basename "$(dirname "$program")")/$(basename "$program")
-  run=$((run + 1))
-  timeout "$limit_s" "$program" >"$output" 2>&1 </dev/null
+if [ "$1" = --one ]; then
+  name=$(basename "$(dirname "$3")")/$(basename "$3")
+  log=$2/${name/\//-}.log
+  start_ns=$(date +%s%N)
+  timeout "$limit_s" "$3" >"$log" 2>&1 </dev/null
   status=$?
-  case $status in
-  0) echo "passed  $name" ;;
-  124) echo "FAILED  $name: not done after $limit_s s" ;;
-  *) echo "FAILED  $name: exit status $status" ;;
-  esac
-  [ $status -eq 0 ] || failed="$failed $name"
-  case $status:$name in
-  0:accuracy/*) sed 's/^/        /' "$output" ;;
-  0:*) ;;
-  *) sed 's/^/        /' "$output" ;;
-  esac
-done
+  tenths=$((($(date +%s%N) - start_ns) / 100000000))
+  {
+    case $status in
+    0) printf 'passed  %s %d.%d s\n' "$name" $((tenths / 10)) $((tenths % 10)) ;;
+    124) echo "FAILED  $name: not done after $limit_s s" ;;
+    *) echo "FAILED  $name: exit status $status" ;;
+    esac
+    case $status:$name in
+    0:accuracy/*) sed 's/^/        /' "$log" ;;
+    0:*) ;;
+    *) sed 's/^/        /' "$log" ;;
+    esac
+  } >"$log.shown"
+  # In one write, so that programs that end at the same time do not mix their lines.
+  cat "$log.shown"
+  rm -f "$log.shown"
+  [ $status -eq 0 ]
+  exit
+fi
 
-if [ "$run" -eq 0 ]; then
+folder=$1
+shift
+if [ $# -eq 0 ]; then
   echo "run-units.sh: no test programs were named" >&2
   exit 1
 fi
-if [ -n "$failed" ]; then
-  echo "$run test programs, failed:$failed"
+mkdir -p "$folder"
+if printf '%s\0' "$@" | xargs -0 -n 1 -P "$(nproc)" bash "$0" --one "$folder"; then
+  echo "$# test programs, all passed"
+else
+  echo "$# test programs, some failed: see FAILED above"
   exit 1
 fi
-echo "$run test programs, all passed"

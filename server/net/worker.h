@@ -8,7 +8,8 @@
  * the others' turns.
  *
  * The other scheme, an I/O thread in front that hands requests to workers and takes answers back,
- * was measured with bare prototypes of both (build/bench threads, two cores; owners / front):
+ * was measured with bare prototypes of both (two cores; owners / front; the prototypes are in the
+ * history, at tests/bench/bench_threads.c before they were removed):
  *
  *   request and in flight          requests/s     CPU, us      median round trip, us
  *   16 radii, one                  73k / 12k      5.9 / 33     11 / 48

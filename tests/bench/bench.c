@@ -1,4 +1,4 @@
-/* build/bench [GROUP...]: runs these groups of benchmarks, or all. */
+/* build/bench [--long] [GROUP...]: runs these groups of benchmarks, or all. */
 #include "tests/bench/bench.h"
 
 #include <stdarg.h>
@@ -18,6 +18,8 @@ static const struct {
 #undef BENCH_GROUP
 };
 enum { GROUPS = sizeof groups / sizeof groups[0] };
+
+bool bench_is_long = false;
 
 /* ---- figures ------------------------------------------------------------------------------ */
 
@@ -67,8 +69,10 @@ double bench_median(double *values, size_t n) {
 /* ---- comparing ---------------------------------------------------------------------------- */
 
 enum { CONTENDERS_MAX = 16, ROUNDS_MIN = 7, ROUNDS_MAX = 51 };
-#define SAMPLE_NS 500000         /* long beside the clock's own cost, short beside a time slice */
-#define COMPARISON_NS 1000000000 /* rounds are added until about that */
+#define SAMPLE_NS 500000 /* long beside the clock's own cost, short beside a time slice */
+/* Rounds are added until a comparison has taken about that. */
+#define COMPARISON_NS 150000000
+#define LONG_COMPARISON_NS 1000000000
 
 static double sample_ns(const bench_contender *contender, uint64_t runs) {
   const uint64_t start = bench_now_ns();
@@ -97,8 +101,8 @@ void bench_compare(bench_contender *contenders, size_t count) {
     runs[i] = calibrate(&contenders[i]);
   }
   size_t rounds = 0;
-  const uint64_t start = bench_now_ns();
-  while (rounds < ROUNDS_MIN || (rounds < ROUNDS_MAX && bench_now_ns() - start < COMPARISON_NS)) {
+  const uint64_t end = bench_now_ns() + (bench_is_long ? LONG_COMPARISON_NS : COMPARISON_NS);
+  while (rounds < ROUNDS_MIN || (rounds < ROUNDS_MAX && bench_now_ns() < end)) {
     for (size_t i = 0; i < count; i++) {
       ns[i][rounds] = sample_ns(&contenders[i], runs[i]) / (double)runs[i];
     }
@@ -112,9 +116,14 @@ void bench_compare(bench_contender *contenders, size_t count) {
 /* ---- the program -------------------------------------------------------------------------- */
 
 static void usage(FILE *to) {
-  fprintf(to, "usage: bench [GROUP...]\n"
-              "Prints one figure a line: name, value and unit, separated by tabs.\n"
-              "Groups (all, if none is named):\n");
+  fprintf(to, "Usage: bench [--long] [GROUP...]\n\n"
+              "Runs the named groups of benchmarks, or all of them. Prints one figure on each\n"
+              "line: its name, value and unit, separated by tabs. The contenders of a comparison\n"
+              "take turns; a figure is the median over the rounds. A group takes less than a\n"
+              "minute on a machine that does nothing else.\n\n"
+              "  --long     more rounds and, in the group kernel, more array lengths\n"
+              "  --help     this text\n\n"
+              "Groups\n");
   for (size_t i = 0; i < GROUPS; i++) {
     fprintf(to, "  %-10s %s\n", groups[i].name, groups[i].about);
   }
@@ -129,22 +138,24 @@ static size_t find_group(const char *name) {
 }
 
 int main(int argc, char **argv) {
+  size_t chosen[GROUPS];
+  size_t count = 0;
   for (int i = 1; i < argc; i++) {
+    const size_t group = find_group(argv[i]);
     if (strcmp(argv[i], "--help") == 0 || strcmp(argv[i], "-h") == 0) {
       usage(stdout);
       return EXIT_SUCCESS;
-    }
-    if (find_group(argv[i]) == GROUPS) {
-      fprintf(stderr, "bench: there is no group %s\n", argv[i]);
-      usage(stderr);
+    } else if (strcmp(argv[i], "--long") == 0) {
+      bench_is_long = true;
+    } else if (group < GROUPS && count < GROUPS) {
+      chosen[count++] = group;
+    } else {
+      fprintf(stderr, "bench: there is no group %s; see bench --help\n", argv[i]);
       return 2;
     }
   }
-  for (size_t i = 0; i < GROUPS && argc == 1; i++) {
-    groups[i].run();
-  }
-  for (int i = 1; i < argc; i++) {
-    groups[find_group(argv[i])].run();
+  for (size_t i = 0; i < (count == 0 ? GROUPS : count); i++) {
+    groups[count == 0 ? i : chosen[i]].run();
   }
   bench_progress("");
   return EXIT_SUCCESS;

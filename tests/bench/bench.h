@@ -1,5 +1,5 @@
-/* bench: what groups of benchmarks share. One figure a line on standard output, name, value and
- * unit, separated by tabs; nothing else goes there. */
+/* bench: functions that the groups of benchmarks share. Standard output gets one line for each
+ * figure, with name, value and unit separated by tabs, and nothing else. */
 #ifndef DIPOLED_BENCH_H
 #define DIPOLED_BENCH_H
 
@@ -11,11 +11,15 @@
 #include "tests/bench/groups.def"
 #undef BENCH_GROUP
 
+/* Whether the user asked for the long form (--long). In the short form a group takes less than 60 s
+ * on a machine that does nothing else. */
+extern bool bench_is_long;
+
 /* Prints a figure; format and what follows make its name. */
 __attribute__((format(printf, 3, 4))) void bench_figure(double value, const char *unit,
                                                         const char *format, ...);
 
-/* What is being measured now; shown on standard error when that is a terminal. "" clears it. */
+/* Shows what is being measured on standard error if that is a terminal. "" clears the line. */
 void bench_progress(const char *what);
 
 /* Prints why the benchmark cannot go on and exits 1. */
@@ -23,12 +27,12 @@ _Noreturn void bench_fail(const char *why);
 
 uint64_t bench_now_ns(void);
 
-/* The middle one of n > 0 values, which are sorted. */
+/* Returns the median of n > 0 values and sorts them. */
 double bench_median(double *values, size_t n);
 
-/* Things that are compared: each is run in turn, round after round, so that whatever else the
- * machine does meets all of them alike. run(context) once is one unit of work; ns: the median time
- * that one takes. */
+/* One of several things that are compared. bench_compare() runs them in turn, round after round, so
+ * that whatever else the machine does slows all of them down alike. One call of run(context) is one
+ * unit of work. bench_compare() sets ns to the median time of a unit. */
 typedef struct bench_contender {
   void (*run)(const void *context);
   const void *context;

@@ -16,7 +16,8 @@
 
 enum { LENGTH_MAX = 1048576, RATIO_LENGTH = 4096, CONTENDERS_MAX = 8 };
 
-static const size_t lengths[] = {1, 16, 256, RATIO_LENGTH, LENGTH_MAX};
+static const size_t lengths[] = {16, RATIO_LENGTH};
+static const size_t long_lengths[] = {1, 16, 256, RATIO_LENGTH, LENGTH_MAX};
 
 /* Arrays of the longest length; those of floats fill half. */
 struct arrays {
@@ -160,21 +161,22 @@ static void measure(const core_choice *model, const core_choice *evaluator,
   if (has_plain) {
     check_plain_loop(&comparison.work[comparison.kernels]);
   }
-  for (size_t i = 0; i < sizeof lengths / sizeof lengths[0]; i++) {
+  const size_t count = bench_is_long ? sizeof long_lengths / sizeof long_lengths[0]
+                                     : sizeof lengths / sizeof lengths[0];
+  for (size_t i = 0; i < count; i++) {
+    const size_t n = bench_is_long ? long_lengths[i] : lengths[i];
     char what[128];
-    snprintf(what, sizeof what, "kernel: %s, %s, arrays of %zu", model->name, evaluator->name,
-             lengths[i]);
+    snprintf(what, sizeof what, "kernel: %s, %s, arrays of %zu", model->name, evaluator->name, n);
     bench_progress(what);
     for (size_t j = 0; j < comparison.count; j++) {
-      comparison.work[j].n = lengths[i];
+      comparison.work[j].n = n;
     }
     bench_compare(comparison.contenders, comparison.count);
     for (size_t j = 0; j < comparison.count; j++) {
-      bench_figure((double)lengths[i] / comparison.contenders[j].ns * 1e9, "values/s",
-                   "kernel.%s.%s.%s.%zu", model->name, evaluator->name, comparison.work[j].name,
-                   lengths[i]);
+      bench_figure((double)n / comparison.contenders[j].ns * 1e9, "values/s", "kernel.%s.%s.%s.%zu",
+                   model->name, evaluator->name, comparison.work[j].name, n);
     }
-    if (lengths[i] == RATIO_LENGTH && has_plain) {
+    if (n == RATIO_LENGTH && has_plain) {
       report_ratio(&comparison, model->name, evaluator->name);
     }
   }

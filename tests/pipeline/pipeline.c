@@ -1,9 +1,9 @@
-/* pipeline REQUESTS [ADDRESS]: eight threads, each with a connection of its own and many queries
+/* pipeline REQUESTS ADDRESS: eight threads, each with a connection of its own and many queries
  * under way, send so many requests in all through libdipole and collect the answers in random
  * order: some by id, some as they come, some into memory of their own. No two requests are alike,
  * and every answer is compared, bit for bit, with what the same kernels make of its own radii in
- * this process: so that an answer to another request is noticed. Without ADDRESS (which may name
- * several daemons) it starts the dipoled beside it. Prints how many were answered, and how fast;
+ * this process: so that an answer to another request is noticed. ADDRESS may name several
+ * daemons. Prints how many were answered, and how fast;
  * exits with 1 at the first answer that is wrong, doubled or missing. */
 #include <pthread.h>
 #include <stdio.h>
@@ -13,7 +13,6 @@
 
 #include "clients/c/dipole.h"
 #include "core/core.h"
-#include "tests/pipeline/daemon.h"
 
 enum {
   THREADS = 8,
@@ -256,18 +255,14 @@ static double now_s(void) {
 
 int main(int argc, char **argv) {
   const uint64_t requests = argc > 1 ? strtoull(argv[1], NULL, 10) : 0;
-  daemon_process daemon;
-  if (requests == 0 || argc > 3) {
-    fail("pipeline REQUESTS [ADDRESS]", NULL);
+  if (requests == 0 || argc != 3) {
+    fail("usage: pipeline REQUESTS ADDRESS", NULL);
   }
   prepare_profiles();
-  if (argc == 2 && !daemon_start(&daemon)) {
-    return 1;
-  }
   const double start_s = now_s();
-  const uint64_t answered = work_all(argc == 2 ? daemon.address : argv[2], requests);
+  const uint64_t answered = work_all(argv[2], requests);
   const double took_s = now_s() - start_s;
   printf("answered=%llu threads=%d in_flight=%d seconds=%.1f requests_per_s=%.0f\n",
          (unsigned long long)answered, THREADS, IN_FLIGHT, took_s, (double)answered / took_s);
-  return answered == requests && (argc == 3 || daemon_stop(&daemon)) ? 0 : 1;
+  return answered == requests ? 0 : 1;
 }
