@@ -97,7 +97,7 @@ TRADEOFF := $(call objects,$(wildcard core/tools/tradeoff/*.c) $(addprefix core/
 SOAK := $(call objects,$(wildcard tests/soak/*.c))
 PIPELINE := $(call objects,$(wildcard tests/pipeline/*.c))
 TESTS := $(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/unit/test_*.c tests/accuracy/test_*.c tests/fuzz/test_*.c))
-TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/bench/*.c tests/bits/*.c tests/pipeline/*.c tests/soak/*.c),$(wildcard tests/*/*.c)))
+TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/bench/*.c tests/bits/*.c tests/e2e/*.c tests/pipeline/*.c tests/soak/*.c),$(wildcard tests/*/*.c)))
 
 PROGRAMS := $(BUILD)/dipoled $(BUILD)/dipole $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
@@ -137,7 +137,7 @@ $(OBJ)/core/montecarlo/walk.$(1).o: core/montecarlo/walk.c Makefile
 endef
 $(foreach isa,$(ISAS),$(eval $(call walk_rule,$(isa))))
 
-$(SERVER): EXTRA_CPPFLAGS = $(UV_CFLAGS) $(HTTP_CFLAGS) $(MODBUS_CFLAGS)
+$(SERVER) $(OBJ)/tests/e2e/count_allocations.o: EXTRA_CPPFLAGS = $(UV_CFLAGS) $(HTTP_CFLAGS) $(MODBUS_CFLAGS)
 
 # Taken up by the assembler.
 $(OBJ)/core/transport/table_data.o: core/transport/transport.table
@@ -164,6 +164,11 @@ $(BUILD)/libdipole.so: $(BUILD)/libdipole.so.$(VERSION)
 	$(Q)ln -sf libdipole.so.$(SOVERSION) $@
 
 $(BUILD)/dipoled: $(SERVER) $(BUILD)/libproto.a $(BUILD)/libcore.a
+	$(call SAY,LD,$@)
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(UV_LIBS) $(MODBUS_LIBS) $(CORE_LIBS) -lm
+
+# The same, and a test can see how often it takes memory from the heap.
+$(BUILD)/dipoled-counting: $(SERVER) $(OBJ)/tests/e2e/count_allocations.o $(BUILD)/libproto.a $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
 	$(Q)$(CC) $(ALL_LDFLAGS) -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc -o $@ $^ $(UV_LIBS) $(MODBUS_LIBS) $(CORE_LIBS) -lm
 
@@ -238,7 +243,7 @@ check-bits: $(BUILD)/tests/bits
 
 PYTEST = env DIPOLED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python:tests/e2e PYTHONDONTWRITEBYTECODE=1 $(PYTHON) -m pytest -q -rs -p no:cacheprovider
 
-check-e2e: all $(BUILD)/draw-figures $(BUILD)/soak-load $(BUILD)/pipeline
+check-e2e: all $(BUILD)/dipoled-counting $(BUILD)/draw-figures $(BUILD)/soak-load $(BUILD)/pipeline
 	$(PYTEST) tests/e2e
 
 # Beside the other tests, with what time of the processors they leave.

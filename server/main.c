@@ -10,7 +10,6 @@
 #include <unistd.h>
 
 #include "server/jobs/mc_pool.h"
-#include "server/memory.h"
 #include "server/modbus/service.h"
 #include "server/net/listener.h"
 #include "server/net/systemd.h"
@@ -305,7 +304,6 @@ static int run(struct daemon *daemon) {
 
 int main(int argc, char **argv) {
   static struct daemon daemon;
-  memory_count();
   daemon.server.started_ns = uv_hrtime();
   int status = EXIT_SUCCESS;
   switch (options_read(argc, argv, &daemon.server.options)) {

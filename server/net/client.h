@@ -24,6 +24,7 @@
 
 #include <stdbool.h>
 #include <stdint.h>
+#include <sys/queue.h>
 
 struct client;
 struct worker;
@@ -44,13 +45,13 @@ struct client_kind {
 
 struct client {
   const struct client_kind *kind;
-  struct worker *worker; /* set before start() */
-  struct client *next;   /* all clients of the worker */
-  struct client *previous;
-  struct client *next_to_run; /* in the run queue, or before start() in the worker's inbox */
-  struct client *next_to_finish;
+  struct worker *worker;        /* set before start() */
+  struct client *next_in_inbox; /* before start(): in the worker's inbox */
+  LIST_ENTRY(client) in_clients;
+  TAILQ_ENTRY(client) in_run_queue;
+  TAILQ_ENTRY(client) in_finish_queue;
   bool to_run;    /* is in the run queue */
-  bool to_finish; /* finish() is called in this round */
+  bool to_finish; /* is in the finish queue */
 };
 
 #endif

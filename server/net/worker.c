@@ -11,74 +11,27 @@ static void on_awake(uv_idle_t *handle) {
 }
 
 void worker_run_later(struct client *client) {
-  struct worker *worker = client->worker;
-  if (client->to_run) {
-    return;
+  if (!client->to_run) {
+    client->to_run = true;
+    TAILQ_INSERT_TAIL(&client->worker->run_queue, client, in_run_queue);
+    client->worker->run_count++;
   }
-  client->to_run = true;
-  client->next_to_run = NULL;
-  if (worker->run_last == NULL) {
-    worker->run_first = client;
-  } else {
-    worker->run_last->next_to_run = client;
-  }
-  worker->run_last = client;
-  worker->run_count++;
 }
 
 void worker_finish_later(struct client *client) {
-  struct worker *worker = client->worker;
-  if (client->to_finish) {
-    return;
+  if (!client->to_finish) {
+    client->to_finish = true;
+    TAILQ_INSERT_TAIL(&client->worker->finish_queue, client, in_finish_queue);
   }
-  client->to_finish = true;
-  client->next_to_finish = NULL;
-  if (worker->finish_last == NULL) {
-    worker->finish_first = client;
-  } else {
-    worker->finish_last->next_to_finish = client;
-  }
-  worker->finish_last = client;
 }
 
-static struct client *next_to_run(struct worker *worker) {
-  struct client *client = worker->run_first;
-  worker->run_first = client->next_to_run;
-  if (worker->run_first == NULL) {
-    worker->run_last = NULL;
-  }
-  worker->run_count--;
-  client->to_run = false;
-  return client;
-}
-
-static struct client *next_to_finish(struct worker *worker) {
-  struct client *client = worker->finish_first;
-  worker->finish_first = client->next_to_finish;
-  if (worker->finish_first == NULL) {
-    worker->finish_last = NULL;
-  }
-  client->to_finish = false;
-  return client;
-}
-
-static void remove_from_run_queue(struct worker *worker, struct client *client) {
-  struct client *last = NULL;
-  struct client **link = &worker->run_first;
-  while (*link != NULL) {
-    if (*link == client) {
-      *link = client->next_to_run;
-    } else {
-      last = *link;
-      link = &(*link)->next_to_run;
-    }
-  }
-  worker->run_last = last;
-  worker->run_count--;
+static void remove_from_run_queue(struct client *client) {
+  TAILQ_REMOVE(&client->worker->run_queue, client, in_run_queue);
+  client->worker->run_count--;
   client->to_run = false;
 }
 
-/* For others to see. */
+/* Lets other threads see the queue. */
 static void publish_queue(struct worker *worker) {
   struct stats *stats = &worker->server->stats;
   stats_set(stats, STATS_QUEUED_CONNECTIONS, worker->run_count);
@@ -90,17 +43,18 @@ static void publish_queue(struct worker *worker) {
  * clients have had their turns; then their answers are written. No client is freed meanwhile,
  * because that takes another round of the loop. */
 static void run_round(struct worker *worker) {
-  const struct client *last = worker->run_last;
+  struct client *client;
   publish_queue(worker);
-  for (bool more = last != NULL; more;) {
-    struct client *client = next_to_run(worker);
-    more = client != last;
+  for (uint64_t left = worker->run_count; left > 0; left--) {
+    client = TAILQ_FIRST(&worker->run_queue);
+    remove_from_run_queue(client);
     client->kind->run(client);
     worker_finish_later(client);
   }
   batch_finish(&worker->context.batch, &worker->server->stats);
-  while (worker->finish_first != NULL) {
-    struct client *client = next_to_finish(worker);
+  while ((client = TAILQ_FIRST(&worker->finish_queue)) != NULL) {
+    TAILQ_REMOVE(&worker->finish_queue, client, in_finish_queue);
+    client->to_finish = false;
     if (client->kind->finish != NULL) {
       client->kind->finish(client);
     }
@@ -115,12 +69,7 @@ static void run_round(struct worker *worker) {
 
 static void start_client(struct worker *worker, struct client *client) {
   client->worker = worker;
-  client->previous = NULL;
-  client->next = worker->clients;
-  if (worker->clients != NULL) {
-    worker->clients->previous = client;
-  }
-  worker->clients = client;
+  LIST_INSERT_HEAD(&worker->clients, client, in_clients);
   client->kind->start(client);
 }
 
@@ -128,16 +77,9 @@ void worker_forget(struct client *client) {
   struct worker *worker = client->worker;
   assert(!client->to_finish);
   if (client->to_run) {
-    remove_from_run_queue(worker, client);
+    remove_from_run_queue(client);
   }
-  if (client->previous != NULL) {
-    client->previous->next = client->next;
-  } else {
-    worker->clients = client->next;
-  }
-  if (client->next != NULL) {
-    client->next->previous = client->previous;
-  }
+  LIST_REMOVE(client, in_clients);
   atomic_fetch_sub_explicit(&worker->client_count, client->kind->counts, memory_order_relaxed);
 }
 
@@ -163,8 +105,8 @@ static void tick_client(struct client *client) {
 
 static void for_each(struct worker *worker, void (*act)(struct client *client)) {
   struct client *next;
-  for (struct client *client = worker->clients; client != NULL; client = next) {
-    next = client->next;
+  for (struct client *client = LIST_FIRST(&worker->clients); client != NULL; client = next) {
+    next = LIST_NEXT(client, in_clients);
     act(client);
   }
 }
@@ -185,7 +127,7 @@ static void stop_round(struct worker *worker) {
   if (taken_ms > worker->server->options.drain_timeout_ms) {
     for_each(worker, abort_client);
   }
-  if (worker->stop_rounds > 3 && worker->clients == NULL) {
+  if (worker->stop_rounds > 3 && LIST_EMPTY(&worker->clients)) {
     uv_stop(&worker->loop);
   }
 }
@@ -200,7 +142,7 @@ static void take_from_inbox(struct worker *worker) {
   const bool stop_wanted = worker->stop_wanted;
   uv_mutex_unlock(&worker->mutex);
   while (given != NULL) {
-    struct client *next = given->next_to_run;
+    struct client *next = given->next_in_inbox;
     start_client(worker, given);
     given = next;
   }
@@ -229,7 +171,7 @@ void worker_stay_awake(struct worker *worker) {
 /* Timers come before that, too:
  * what they give to the run queue is not to wait for somebody else's bytes. */
 static void stay_awake_for_queue(struct worker *worker) {
-  if (worker->run_first != NULL) {
+  if (worker->run_count > 0) {
     worker_stay_awake(worker);
   }
 }
@@ -238,7 +180,7 @@ static void after_poll(uv_check_t *handle) {
   struct worker *worker = handle->data;
   run_round(worker);
   stop_round(worker);
-  if (worker->run_first != NULL || (worker->stop_rounds > 0 && worker->stop_rounds < 4)) {
+  if (worker->run_count > 0 || (worker->stop_rounds > 0 && worker->stop_rounds < 4)) {
     worker_stay_awake(worker);
   } else {
     uv_idle_stop(&worker->stay_awake);
@@ -292,7 +234,7 @@ static void thread_main(void *argument) {
   struct worker *worker = argument;
   stats_claim((unsigned)(worker - worker->server->workers) + 1);
   uv_run(&worker->loop, UV_RUN_DEFAULT);
-  assert(worker->clients == NULL);
+  assert(LIST_EMPTY(&worker->clients));
   uv_walk(&worker->loop, close_handle, NULL);
   uv_run(&worker->loop, UV_RUN_DEFAULT); /* to the end of what it has had prepared, too */
   profiles_end(&worker->context.profiles);
@@ -315,6 +257,8 @@ static int set_up_handles(struct worker *worker) {
 int worker_start(struct worker *worker, struct server *server) {
   memset(worker, 0, sizeof *worker);
   worker->server = server;
+  TAILQ_INIT(&worker->run_queue);
+  TAILQ_INIT(&worker->finish_queue);
   worker->context.server = server;
   worker->context.loop = &worker->loop;
   worker->context.latency = &server->latencies[worker - server->workers];
@@ -329,7 +273,7 @@ int worker_start(struct worker *worker, struct server *server) {
 void worker_give(struct worker *worker, struct client *client) {
   atomic_fetch_add_explicit(&worker->client_count, client->kind->counts, memory_order_relaxed);
   uv_mutex_lock(&worker->mutex);
-  client->next_to_run = worker->inbox;
+  client->next_in_inbox = worker->inbox;
   worker->inbox = client;
   uv_mutex_unlock(&worker->mutex);
   uv_async_send(&worker->wake);

@@ -42,13 +42,11 @@ struct worker {
   struct client *inbox;
   bool stop_wanted;
 
-  struct client *clients;
-  struct client *run_first;
-  struct client *run_last;
-  struct client *finish_first;
-  struct client *finish_last;
-  uint64_t run_count;   /* clients in the run queue */
-  uint64_t round_ns;    /* when this round of the loop read first; 0: it has not */
+  LIST_HEAD(, client) clients; /* all of them */
+  TAILQ_HEAD(, client) run_queue;
+  TAILQ_HEAD(, client) finish_queue; /* clients whose finish() is called in this round */
+  uint64_t run_count;                /* clients in the run queue */
+  uint64_t round_ns;                 /* when this round of the loop read first; 0: it has not */
   unsigned stop_rounds; /* rounds of the loop since the stop was wanted; 0: it is not */
   uint64_t stop_began_ms;
   _Atomic uint64_t client_count; /* clients that count, from worker_give() to worker_forget() */

@@ -2,7 +2,6 @@
 
 #include <stdio.h>
 
-#include "server/memory.h"
 #include "server/observe/latency.h"
 #include "server/server.h"
 
@@ -33,11 +32,6 @@ static uint64_t counted_in(const struct reporter *to, unsigned first, unsigned e
 
 static uint64_t computed_UPTIME_MS(const struct reporter *to) {
   return (uv_hrtime() - to->server->started_ns) / 1000000;
-}
-
-static uint64_t computed_ALLOCATIONS(const struct reporter *to) {
-  (void)to;
-  return memory_allocations();
 }
 
 static uint64_t computed_BUFFER_BYTES(const struct reporter *to) {

@@ -18,6 +18,7 @@ START_S = 30.0
 REPOSITORY = Path(__file__).resolve().parents[2]
 BUILD = Path(os.environ.get("DIPOLED_BUILD") or REPOSITORY / "build").resolve()
 PROGRAM = BUILD / "dipoled"
+COUNTING_PROGRAM = BUILD / "dipoled-counting"
 
 
 def sanitized(*kinds: str) -> bool:
@@ -46,6 +47,7 @@ class Daemon:
 
     env: variables besides the usual ones. listen: addresses. quiet: it logs nothing, so that the
     address is the one it was told. prefix: a program that starts it. pass_fds: what it inherits.
+    counting: allocations() is to work.
     """
 
     def __init__(
@@ -56,11 +58,13 @@ class Daemon:
         quiet: bool = False,
         prefix: list[str] | None = None,
         pass_fds: tuple[int, ...] = (),
+        counting: bool = False,
     ):
         self.folder = Path(tempfile.mkdtemp(prefix="dipoled-"))
+        self._allocations = self.folder / "allocations"
         if listen is None:
             listen = [f"unix:{self.folder}/s", "tcp:127.0.0.1:0"]
-        command = [*(prefix or []), str(PROGRAM)]
+        command = [*(prefix or []), str(COUNTING_PROGRAM if counting else PROGRAM)]
         for url in listen:
             command += ["--listen", url]
         self._lines: list[str] = []
@@ -73,7 +77,7 @@ class Daemon:
             [*command, *options],
             stdin=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
-            env=environment(**(env or {})),
+            env=environment(**(env or {}), ALLOCATIONS_FILE=str(self._allocations)),
             pass_fds=pass_fds,
             text=True,
             errors="replace",
@@ -150,6 +154,10 @@ class Daemon:
         status = Path(f"/proc/{self.process.pid}/status").read_text()
         line = next(line for line in status.splitlines() if line.startswith("VmRSS:"))
         return int(line.split()[1]) * 1024
+
+    def allocations(self) -> int:
+        """How often it has called malloc, calloc or realloc so far."""
+        return int.from_bytes(self._allocations.read_bytes(), "little")
 
     # ---- ending it -------------------------------------------------------------------------------
 

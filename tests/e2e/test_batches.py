@@ -280,17 +280,17 @@ def test_steady_requests_allocate_nothing(daemon, name):
     machine with much else to do comes about: then it is tried again."""
     fields = {"media": [SKIN], "radii": np.linspace(0.1, 3, 16), "wanted": R, **STEADY[name]}
     payload = eval_payload(**fields)
-    one = daemon("--workers", "1", "--max-queued-bytes", str(MAX_QUEUED_BYTES))
+    one = daemon("--workers", "1", "--max-queued-bytes", str(MAX_QUEUED_BYTES), counting=True)
 
     def allocations(connection: Connection, watcher: Connection) -> int:
         fill_queue(connection, watcher, payload)
         send_and_receive(connection, payload, 1)
-        before = statistics(connection)["allocations"]
+        before = one.allocations()
         for _ in range(45):
             send_and_receive(connection, payload, 100)
         for _ in range(500):
             send_and_receive(connection, payload, 1)
-        return statistics(connection)["allocations"] - before
+        return one.allocations() - before
 
     for scheme in ("unix", "tcp"):
         with one.connect(scheme) as connection, one.connect() as watcher:
