@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import csv
+import fcntl
 import io
 import json
+import os
+import pty
+import select
 import socket
+import struct
 import subprocess
 import tempfile
+import termios
 import threading
+import time
 from pathlib import Path
 
 from daemons import BUILD, environment
@@ -67,6 +74,56 @@ def points(text: str | bytes, *arguments: str, status: int = OK) -> str:
 
 def read_csv(text: str) -> list[dict[str, str]]:
     return list(csv.DictReader(io.StringIO(text, newline="")))
+
+
+class Terminal:
+    """A command some of whose ends are a terminal: on has their file descriptors. What is written
+    there gathers in `seen`; the other outputs are pipes."""
+
+    def __init__(
+        self, *arguments: str, on=(0, 1, 2), size=(24, 80), stdin=subprocess.DEVNULL, **env: str
+    ):
+        self.fd, other = pty.openpty()
+        fcntl.ioctl(other, termios.TIOCSWINSZ, struct.pack("HHHH", *size, 0, 0))
+        variables = environment(**{"TERM": "xterm-256color", **env})
+        if "NO_COLOR" not in env:
+            variables.pop("NO_COLOR", None)
+        ends = {0: stdin, 1: subprocess.PIPE, 2: subprocess.PIPE} | dict.fromkeys(on, other)
+        session = {}
+        if 0 in on:  # Ctrl-C comes from its own terminal
+            session["start_new_session"] = True
+            session["preexec_fn"] = lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+        self.process = subprocess.Popen(
+            [str(PROGRAM), *arguments], 0, None, *ends.values(), env=variables, **session
+        )
+        os.close(other)
+        self.seen = ""
+
+    def read(self) -> bool:
+        """Takes what has been written; whether there may be more."""
+        if not select.select([self.fd], [], [], 0.05)[0]:
+            return True
+        try:
+            data = os.read(self.fd, 65536)
+        except OSError:  # what Linux says when the other end has been closed
+            return False
+        self.seen += data.decode().replace("\r\n", "\n")
+        return bool(data)
+
+    def read_until(self, condition) -> None:
+        """Reads until this holds for what was seen."""
+        deadline = time.monotonic() + TIMEOUT_S
+        while not condition(self.seen):
+            assert time.monotonic() < deadline and self.read(), self.seen
+
+    def end(self) -> tuple[int, str]:
+        """Reads the rest; the exit status, and what went into the pipe of standard output."""
+        deadline = time.monotonic() + TIMEOUT_S
+        while self.read():
+            assert time.monotonic() < deadline, self.seen
+        output = self.process.communicate(timeout=TIMEOUT_S)[0]
+        os.close(self.fd)
+        return self.process.returncode, (output or b"").decode()
 
 
 class Proxy:

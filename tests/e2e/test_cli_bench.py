@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
-import pty
 import re
-import subprocess
 
 import pytest
-from command_line import FAILED, PROGRAM, TIMEOUT_S, USAGE, dipole, read_csv
-from daemons import environment
+from command_line import FAILED, USAGE, Terminal, dipole, read_csv
 
 SHORT = ("--seconds", "0.05")
 FIGURES = [
@@ -126,24 +122,8 @@ def test_wrong_command_lines(arguments, said):
 
 def test_a_bar_when_it_takes_long():
     """From two seconds on, on a terminal; the report stands alone."""
-    master, slave = pty.openpty()
-    with subprocess.Popen(
-        [str(PROGRAM), "bench", "--seconds", "0.9", "--format", "json"],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=slave,
-        env=environment(),
-    ) as program:
-        os.close(slave)
-        shown = b""
-        try:
-            while piece := os.read(master, 65536):
-                shown += piece
-        except OSError:
-            pass  # it has ended
-        output = program.stdout.read()
-        assert program.wait(TIMEOUT_S) == 0
-    os.close(master)
-    assert re.search(rb"\r\[#+ +\]  \d\d %  [\d.e+]+ requests, [\d.e+]+/s  0:\d\d left\x1b\[K", shown)
-    assert shown.endswith(b"\r\x1b[K")
-    assert len(json.loads(output)["measurements"]) == 3
+    run = Terminal("bench", "--seconds", "0.9", "--format", "json", on=[2])
+    status, output = run.end()
+    assert status == 0 and len(json.loads(output)["measurements"]) == 3
+    bar = r"\r\[#+ +\]  \d\d %  [\d.e+]+ requests, [\d.e+]+/s  0:\d\d left\033\[K"
+    assert re.search(bar, run.seen) and run.seen.endswith("\r\033[K")

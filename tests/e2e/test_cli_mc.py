@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import pty
 import signal
-import subprocess
-import time
 
 import pytest
-from command_line import FAILED, PROGRAM, TIMEOUT_S, USAGE, dipole, read_csv
-from daemons import environment
+from command_line import FAILED, USAGE, Terminal, dipole, read_csv
 
 MEDIUM = ["--sigma-a", "0.1", "--sigma-s", "0.9", "--eta", "1.3"]
 SHORT = [*MEDIUM, "--photons", "2e4", "--to", "4", "--rings", "4"]
@@ -143,51 +138,12 @@ def test_too_many_albedos():
     assert "at most 16" in dipole("mc", *MEDIUM, "--albedo", albedos, status=FAILED).stderr
 
 
-class OnTerminal:
-    """A command whose standard error is a terminal."""
-
-    def __init__(self, *arguments: str):
-        self.terminal, other = pty.openpty()
-        self.seen = ""
-        self.process = subprocess.Popen(
-            [str(PROGRAM), *arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=other,
-            env=environment(),
-            text=True,
-        )
-        os.close(other)
-
-    def read_until(self, text: str) -> None:
-        """Reads the terminal until a text has appeared."""
-        deadline = time.monotonic() + TIMEOUT_S
-        while text not in self.seen and time.monotonic() < deadline:
-            self.seen += os.read(self.terminal, 4096).decode()
-        assert text in self.seen
-
-    def read_rest(self) -> None:
-        """Reads the terminal until nobody writes to it any more."""
-        try:
-            while text := os.read(self.terminal, 4096).decode():
-                self.seen += text
-        except OSError:  # what Linux says when the other end has been closed
-            pass
-
-    def end(self) -> tuple[int, str]:
-        """Its exit status and standard output."""
-        output = self.process.communicate(timeout=TIMEOUT_S)[0]
-        self.read_rest()
-        os.close(self.terminal)
-        return self.process.returncode, output
-
-
 def test_progress_and_ctrl_c():
-    run = OnTerminal("mc", *ENDLESS)
-    run.read_until("worst ring")
+    run = Terminal("mc", *ENDLESS, on=[2])
+    run.read_until(lambda seen: "worst ring" in seen)
     assert "photons" in run.seen and " left" in run.seen and run.seen.startswith("\r[")
     run.process.send_signal(signal.SIGINT)
-    run.read_until("cancelled after")
+    run.read_until(lambda seen: "cancelled after" in seen)
     status, output = run.end()
     assert status == FAILED
     assert "CANCELLED: this is what had been walked by then" in output
@@ -196,7 +152,7 @@ def test_progress_and_ctrl_c():
 
 @pytest.mark.parametrize("photons", ["1", "2e6"])
 def test_no_bar_is_left_behind(photons):
-    run = OnTerminal("mc", *MEDIUM, "--photons", photons)
+    run = Terminal("mc", *MEDIUM, "--photons", photons, on=[2])
     status, output = run.end()
     assert status == 0 and "R, total" in output
     assert run.seen == "" or run.seen.endswith("\r\033[K")

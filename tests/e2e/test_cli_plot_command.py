@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import math
-import os
-import pty
 import re
-import select
-import struct
-import subprocess
-import termios
 import time
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import FAILED, PROGRAM, TIMEOUT_S, USAGE, Proxy, busy, dipole, eval_rows, read_csv
-from daemons import environment
+from command_line import FAILED, USAGE, Proxy, Terminal, busy, dipole, eval_rows, read_csv
 from lists import everywhere
 from pictures import check_png, path_points, png_size, style, svg_lines, svg_size, svg_texts
 
@@ -391,48 +383,18 @@ def test_eval_draws_characters_too():
     assert len(inside(drawing)) >= 8 and "* better, red" in drawing[-1]
 
 
-class Terminal:
-    """A command that ends by itself, with its standard output, or error, on a terminal."""
-
-    def __init__(self, *arguments: str, size: tuple[int, int] = (24, 80), error=False, **env: str):
-        self.terminal, other = pty.openpty()
-        fcntl.ioctl(other, termios.TIOCSWINSZ, struct.pack("HHHH", *size, 0, 0))
-        variables = environment(**{"TERM": "xterm-256color", **env})
-        if "NO_COLOR" not in env:
-            variables.pop("NO_COLOR", None)
-        self.process = subprocess.Popen(
-            [str(PROGRAM), *arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL if error else other,
-            stderr=other if error else subprocess.DEVNULL,
-            env=variables,
-        )
-        os.close(other)
-
-    def read(self) -> str:
-        """All that it writes."""
-        data = b""
-        deadline = time.monotonic() + TIMEOUT_S
-        while time.monotonic() < deadline:
-            if not select.select([self.terminal], [], [], 1)[0]:
-                continue
-            try:
-                more = os.read(self.terminal, 65536)
-            except OSError:  # what Linux says when the other end has been closed
-                break
-            if not more:
-                break
-            data += more
-        os.close(self.terminal)
-        assert self.process.wait(TIMEOUT_S) == 0
-        return data.decode().replace("\r\n", "\n")
+def shown(*arguments: str, on: int = 1, **how) -> str:
+    """What a command writes onto its terminal."""
+    run = Terminal(*arguments, on=[on], **how)
+    assert run.end()[0] == 0
+    return run.seen
 
 
 COLOUR = r"\033\[38;5;(\d+)m"
 
 
 def test_colours_on_a_terminal():
-    text = Terminal(*SKIN).read()
+    text = shown(*SKIN)
     plain = re.sub(rf"{COLOUR}|\033\[0m", "", text)
     assert "\033" not in plain and plain == dipole(*SKIN).stdout
     drawing, legend = text.split("r (mm)")
@@ -444,23 +406,23 @@ def test_colours_on_a_terminal():
 
 @pytest.mark.parametrize("env", [{"NO_COLOR": "1"}, {"TERM": "dumb"}])
 def test_no_colours(env):
-    assert Terminal(*SKIN, **env).read() == dipole(*SKIN).stdout
+    assert shown(*SKIN, **env) == dipole(*SKIN).stdout
 
 
 def test_an_empty_no_color_is_none():
-    assert re.search(COLOUR, Terminal(*SKIN, NO_COLOR="").read())
+    assert re.search(COLOUR, shown(*SKIN, NO_COLOR=""))
 
 
 @pytest.mark.parametrize("rows, columns", [(50, 132), (24, 80), (20, 50)])
 def test_as_large_as_the_terminal(rows, columns):
-    lines = Terminal(*SKIN, size=(rows, columns), NO_COLOR="1").read().splitlines()
+    lines = shown(*SKIN, size=(rows, columns), NO_COLOR="1").splitlines()
     frame = [line for line in lines if line.endswith("|")]
     assert {len(line) for line in frame} == {columns}
     assert max(map(len, lines)) == columns and len(lines) == rows - 1
 
 
 def test_a_tiny_terminal_gets_what_can_be_read():
-    lines = Terminal(*SKIN, size=(5, 10), NO_COLOR="1").read().splitlines()
+    lines = shown(*SKIN, size=(5, 10), NO_COLOR="1").splitlines()
     assert len(inside(lines)) == 8 and len(inside(lines)[0]) == 16
 
 
@@ -476,7 +438,7 @@ def test_a_bar_with_rate_and_time_left(daemon):
 
     with Proxy(daemon().url(), on_eval) as proxy:
         arguments = [*SKIN, "--model", "classical,better", "--connect", proxy.url]
-        text = Terminal(*arguments, error=True).read()
+        text = shown(*arguments, on=2)
     assert re.match(r"\r\[#{20} {20}\]  50 %  [\d.e+]+ values, [\d.e+]+/s  0:0[23] left\033\[K", text)
     assert text.endswith("\r\033[K")
 

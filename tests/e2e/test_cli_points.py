@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import pty
 import select
 import subprocess
 import time
@@ -15,6 +14,7 @@ from command_line import (
     PROGRAM,
     TIMEOUT_S,
     Proxy,
+    Terminal,
     busy,
     dipole,
     eval_rows,
@@ -363,30 +363,19 @@ def test_rows_come_out_while_others_are_awaited():
 
 
 def test_a_bar_is_shown_on_a_terminal_when_it_takes_long():
-    terminal, other_end = pty.openpty()
-    with subprocess.Popen(
-        [str(PROGRAM), "points"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=other_end,
-        env=environment(),
-        bufsize=0,
-    ) as run:
-        os.close(other_end)
-        run.stdin.write(HEADER.encode() + b"\n")
-        start = time.monotonic()
-        shown = b""
-        while b" rows" not in shown:
-            assert time.monotonic() - start < 30
-            run.stdin.write(ROW.encode() + b"\n")
-            read_until(run.stdout.fileno(), b"\n")
-            if select.select([terminal], [], [], 0.01)[0]:
-                shown += os.read(terminal, 4096)
-        assert time.monotonic() - start > 1.9
-        run.stdin.close()
-        read_until(terminal, b"\r\x1b[K")  # wiped at the end
-        assert run.wait(TIMEOUT_S) == 0
-    os.close(terminal)
+    run = Terminal("points", on=[2], stdin=subprocess.PIPE)
+    run.process.stdin.write(HEADER.encode() + b"\n")
+    start = time.monotonic()
+    while " rows" not in run.seen:
+        assert time.monotonic() - start < 30
+        run.process.stdin.write(ROW.encode() + b"\n")
+        read_until(run.process.stdout.fileno(), b"\n")
+        run.read()
+    assert time.monotonic() - start > 1.9
+    run.process.stdin.close()
+    run.process.stdin = None
+    assert run.end()[0] == 0
+    assert run.seen.endswith("\r\033[K")  # wiped at the end
 
 
 def test_a_busy_daemon_is_asked_again(daemon):

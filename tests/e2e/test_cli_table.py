@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import pty
 import subprocess
 
 import dipole as python_client
 import numpy as np
 import pytest
-from command_line import FAILED, PROGRAM, TIMEOUT_S, USAGE, dipole, eval_json, eval_rows
+from command_line import FAILED, PROGRAM, TIMEOUT_S, USAGE, Terminal, dipole, eval_json, eval_rows
 from command_line import points, read_csv, scratch
 from daemons import environment
 
@@ -142,21 +140,10 @@ def test_output_is_what_python_reads(client, tmp_path):
 
 
 def test_binary_does_not_go_to_a_terminal():
-    terminal, other = pty.openpty()
-    try:
-        run = subprocess.run(
-            [str(PROGRAM), "table", *MEDIUM, "--output", "-"],
-            stdout=other,
-            stderr=subprocess.PIPE,
-            env=environment(),
-            timeout=TIMEOUT_S,
-            check=False,
-        )
-    finally:
-        os.close(other)
-        os.close(terminal)
-    assert run.returncode == FAILED
-    assert b"a terminal cannot show binary tables; name a file" in run.stderr
+    run = Terminal("table", *MEDIUM, "--output", "-", on=[1])
+    error = run.process.stderr.read()
+    assert run.end()[0] == FAILED and run.seen == ""
+    assert b"a terminal cannot show binary tables; name a file" in error
 
 
 @pytest.mark.parametrize(

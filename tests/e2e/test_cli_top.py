@@ -3,27 +3,20 @@
 from __future__ import annotations
 
 import csv
-import fcntl
 import io
 import json
 import os
-import pty
 import re
-import select
 import signal
-import struct
 import subprocess
 import termios
 import threading
-import time
 
 import pytest
-from command_line import PROGRAM, USAGE, dipole, read_csv
+from command_line import PROGRAM, TIMEOUT_S, USAGE, Terminal, dipole, read_csv
 from daemons import environment
 from frames import EVAL, SKIN, ask, eval_payload
 from lists import MODELS
-
-TIMEOUT_S = 30
 
 
 @pytest.fixture
@@ -125,80 +118,53 @@ def test_wrong_command_lines(arguments, said):
     assert said in dipole("top", *arguments, status=USAGE).stderr
 
 
-def test_a_daemon_that_ends(daemon):
+@pytest.fixture
+def watching(daemon):
+    """A daemon, and a command that watches it: records of JSON."""
     one = daemon()
+    options = ["--connect", one.url(), "--interval", "0.05", "--format", "json"]
     with subprocess.Popen(
-        [str(PROGRAM), "top", "--connect", one.url(), "--interval", "0.1", "--format", "json"],
+        [str(PROGRAM), "top", *options],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         env=environment(),
         text=True,
-    ) as watching:
-        assert json.loads(watching.stdout.readline())["connections_open"] == 1
-        one.terminate()
-        assert watching.wait(TIMEOUT_S) == 1
-        assert watching.stderr.read().startswith("dipole top: ")
+    ) as process:
+        assert json.loads(process.stdout.readline())["connections_open"] == 1
+        yield one, process
+
+
+def test_a_daemon_that_ends(watching):
+    one, process = watching
+    one.terminate()
+    assert process.wait(TIMEOUT_S) == 1
+    assert process.stderr.read().startswith("dipole top: ")
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_it_well(daemon, how):
+def test_a_signal_ends_it_well(watching, how):
     """Between records, which are whole."""
-    one = daemon()
-    with subprocess.Popen(
-        [str(PROGRAM), "top", "--connect", one.url(), "--interval", "0.05", "--format", "json"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        env=environment(),
-        text=True,
-    ) as watching:
-        watching.stdout.readline()
-        watching.send_signal(how)
-        lines = watching.stdout.read()
-        assert watching.wait(TIMEOUT_S) == 0
-        assert watching.stderr.read() == ""
+    process = watching[1]
+    process.send_signal(how)
+    lines = process.stdout.read()
+    assert (process.wait(TIMEOUT_S), process.stderr.read()) == (0, "")
     assert lines == "" or lines.endswith("}\n")
 
 
-class Terminal:
-    """A program on a terminal of its own."""
+LARGE = {"size": (40, 100)}
 
-    def __init__(self, *arguments: str, rows: int = 40, columns: int = 100, **variables: str):
-        self.master, slave = pty.openpty()
-        fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
-        self.before = termios.tcgetattr(slave)
-        self.process = subprocess.Popen(
-            [str(PROGRAM), *arguments],
-            stdin=slave,
-            stdout=slave,
-            stderr=slave,
-            env=environment(**variables),
-            start_new_session=True,
-            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
-        )
-        self.slave = slave
-        self.text = ""
 
-    def read_until(self, condition) -> None:
-        deadline = time.monotonic() + TIMEOUT_S
-        while not condition(self.text):
-            assert time.monotonic() < deadline, self.text
-            if select.select([self.master], [], [], 0.05)[0]:
-                self.text += os.read(self.master, 65536).decode()
-
-    def end(self) -> int:
-        """Types Ctrl-C; the exit status. What is still written is read."""
-        os.write(self.master, b"\x03")
-        status = None
-        deadline = time.monotonic() + TIMEOUT_S
-        while status is None:
-            assert time.monotonic() < deadline, self.text
-            status = self.process.poll()
-            while select.select([self.master], [], [], 0.02)[0]:
-                self.text += os.read(self.master, 65536).decode()
-        assert termios.tcgetattr(self.slave) == self.before
-        os.close(self.master)
-        os.close(self.slave)
-        return status
+def watch(terminal: Terminal, count: int) -> str:
+    """What is shown until there were so many tables and Ctrl-C is typed, which is a good end and
+    leaves the terminal as it was."""
+    before = termios.tcgetattr(terminal.fd)
+    terminal.read_until(lambda seen: seen.count("\033[J") >= count)
+    os.write(terminal.fd, b"\x03")
+    while terminal.read():
+        pass
+    assert termios.tcgetattr(terminal.fd) == before
+    assert terminal.end()[0] == 0
+    return terminal.seen
 
 
 def screens(text: str) -> list[str]:
@@ -209,17 +175,15 @@ def screens(text: str) -> list[str]:
 @pytest.mark.parametrize("colour", [True, False])
 def test_on_a_terminal(busy, colour):
     variables = {} if colour else {"NO_COLOR": "1"}
-    terminal = Terminal("top", "--connect", busy.url(), "--interval", "0.1", **variables)
-    terminal.read_until(lambda text: text.count("\033[J") >= 4)
-    assert terminal.end() == 0
-    text = terminal.text
+    terminal = Terminal("top", "--connect", busy.url(), "--interval", "0.1", **variables, **LARGE)
+    text = watch(terminal, 4)
     assert text.startswith("\033[?25l\033[2J")
     assert "\033[?25h" in text.rpartition("\033[J")[2]  # the cursor is back, behind the table
     shown = screens(text)
     assert "Each second, since its start" in shown[0]
     for screen in shown[1:4]:
-        assert re.search(r"Each second, over the last \d+\.\d s\033\[K\r\n", screen)
-        lines = screen.partition("\033[J")[0].split("\r\n")[:-1]
+        assert re.search(r"Each second, over the last \d+\.\d s\033\[K\n", screen)
+        lines = screen.partition("\033[J")[0].splitlines()
         assert len(lines) > 10 and all(line.endswith("\033[K") for line in lines)
         assert ("\033[1m" in lines[0]) == colour
     rest = re.sub(r"\033\[(H|K|J|2J|\?25l|\?25h|1m|0m)", "", text)
@@ -228,20 +192,14 @@ def test_on_a_terminal(busy, colour):
 
 
 def test_on_a_small_terminal(daemon):
-    terminal = Terminal(
-        "top", "--connect", daemon().url(), "--interval", "0.1", rows=8, columns=30, NO_COLOR="1"
-    )
-    terminal.read_until(lambda text: text.count("\033[J") >= 3)
-    assert terminal.end() == 0
-    for screen in screens(terminal.text)[:3]:
-        lines = screen.partition("\033[J")[0].replace("\033[K", "").split("\r\n")[:-1]
+    how = {"size": (8, 30), "NO_COLOR": "1"}
+    terminal = Terminal("top", "--connect", daemon().url(), "--interval", "0.1", **how)
+    for screen in screens(watch(terminal, 3))[:3]:
+        lines = screen.partition("\033[J")[0].replace("\033[K", "").splitlines()
         assert len(lines) == 7 and max(map(len, lines)) <= 30
 
 
 def test_count_on_a_terminal(daemon):
     terminal = Terminal("top", "--connect", daemon().url(), "--interval", "0.1", "--count", "2")
-    terminal.read_until(lambda text: "\033[?25h" in text)
-    assert len(screens(terminal.text)) == 3  # since its start, and two intervals
-    assert terminal.process.wait(TIMEOUT_S) == 0
-    os.close(terminal.master)
-    os.close(terminal.slave)
+    assert terminal.end()[0] == 0 and "\033[?25h" in terminal.seen
+    assert len(screens(terminal.seen)) == 3  # since its start, and two intervals
