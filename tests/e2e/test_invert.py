@@ -3,12 +3,9 @@ it; and a request of any size is answered in turns, in parts and in time."""
 
 from __future__ import annotations
 
-import time
-
 import dipole
 import numpy as np
 import pytest
-from daemons import sanitized
 from dipole import Draw, inversion, wire
 from frames import (
     INVERT,
@@ -20,7 +17,6 @@ from frames import (
     frame,
     invert_payload,
     refused,
-    statistics,
 )
 from known import receive_answer
 from lists import MODELS
@@ -271,58 +267,6 @@ def test_every_instruction_set_finds_the_same(daemon, client, isa):
         for model in ("classical", "extended", "classical+single"):
             one, two = (some.invert(model, ALBEDOS, 1.0, g=0.2) for some in (client, other))
             np.testing.assert_array_equal(one.media, two.media)
-
-
-def test_small_requests_do_not_wait_for_large_ones(daemon):
-    """On the same worker they take turns: the large one is far from its end by then."""
-    count = 60_000
-    one = daemon("--workers", "1")
-    with one.connect() as busy, one.connect() as other:
-        albedos = np.linspace(0.01, 0.99, count)
-        busy.send_bytes(frame(INVERT, 1, invert_payload(albedos, np.ones(count))))
-        while statistics(other)["media_inverted"] == 0:
-            pass
-        for _ in range(20):
-            assert_serves(other)
-            assert ask(other, INVERT, invert_payload()).type == INVERTED
-        assert statistics(other)["media_inverted"] < count
-        assert statistics(other)["owed_radii"] > 0
-        reply = busy.receive_frame()
-        assert (reply.type, reply.request_id) == (INVERTED, 1)
-        after = statistics(other)
-        assert after["media_inverted"] == count + 20 * 2
-        assert after["inversion_probes"] > 2 * after["media_inverted"]
-        assert after["owed_radii"] == 0
-
-
-def test_large_ones_are_refused_while_there_is_much_to_do(daemon):
-    one = daemon("--workers", "1", "--max-backlog-ms", "1")
-    large = invert_payload([0.5] * 50_000, [1.0] * 50_000)
-    with one.connect() as first, one.connect() as second:
-        first.send_bytes(frame(INVERT, 1, large))
-        while statistics(second)["owed_radii"] == 0:
-            pass
-        assert_error(ask(second, INVERT, large), "busy", "medium_count", "max_backlog_ms")
-        first.close()
-        while statistics(second)["owed_radii"] > 0:
-            pass
-        assert_serves(second)
-
-
-@pytest.mark.parametrize("model", ["better", "transport"])
-def test_deadlines_are_kept(daemon, model):
-    """While the worker searches, and while it waits for what is prepared elsewhere."""
-    with daemon("--workers", "1").connect() as connection:
-        count = 60 if model == "transport" else 1_000_000
-        payload = invert_payload([0.5] * count, [1.0] * count, model=MODELS[model], eta=1.37)
-        start = time.monotonic()
-        connection.send_bytes(frame(INVERT, 77, payload, 80))
-        reply = connection.receive_frame()
-        assert_error(reply, "deadline", "deadline_ms", "more")
-        assert 0.077 <= time.monotonic() - start < (30 if sanitized() else 5)
-        assert_serves(connection)
-        connection.send_bytes(frame(INVERT, 78, invert_payload(), 60_000))
-        assert connection.receive_frame().type == INVERTED
 
 
 def test_leaving_while_it_is_searched(daemon):

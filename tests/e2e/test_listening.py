@@ -9,7 +9,7 @@ from pathlib import Path
 
 import dipole
 import pytest
-from daemons import END_S, PROGRAM, Daemon, environment, run
+from daemons import END_S, PROGRAM, environment, run
 from frames import EVAL, PING, ask, assert_serves, eval_payload, frame
 
 
@@ -224,22 +224,6 @@ def test_private_daemon_of_the_python_client(monkeypatch):
         assert process.poll() is None
     assert process.returncode == 0
     assert set(os.listdir("/proc/self/fd")) == before
-
-
-def test_daemon_without_descriptors_goes_on(daemon):
-    """More connections than the process may have: those that fit are served, and so are others when
-    these have gone."""
-    one = Daemon("--max-connections", "1000", prefix=["prlimit", "--nofile=40"])
-    try:
-        crowd = [one.connect() for _ in range(60)]
-        with crowd[0] as first:
-            assert_serves(first)
-        for connection in crowd:
-            connection.close()
-        with one.connect() as fresh:
-            assert_serves(fresh)
-    finally:
-        one.close()
 
 
 @pytest.mark.parametrize("besides", [[], ["--modbus", "tcp:127.0.0.1:0"]])

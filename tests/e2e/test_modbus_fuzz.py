@@ -5,6 +5,7 @@ $DIPOLED_FUZZ_FRAMES: how many (200000); $DIPOLED_FUZZ_SEED chooses others. Both
 
 from __future__ import annotations
 
+import contextlib
 import os
 import random
 import socket
@@ -13,11 +14,12 @@ from collections.abc import Iterator
 
 import dipole
 import numpy as np
+from daemons import Daemon
+from modbus_master import TCP, Tcp, write_read_pdu
 
 FRAMES = int(os.environ.get("DIPOLED_FUZZ_FRAMES", "200000"))
 SEED = int(os.environ.get("DIPOLED_FUZZ_SEED", "8502"))
 TOGETHER = 16  # frames that are sent before their answers are read
-SILENCE_S = 20.0
 MBAP = struct.Struct(">HHHB")
 EXCEPTIONS = {1, 2, 3, 4, 6, 11}
 EXACT_BYTES = {1: 5, 2: 5, 3: 5, 4: 5, 5: 5, 6: 5, 22: 7, 17: 1}  # of a PDU
@@ -72,8 +74,7 @@ def pdu_of_a_job(rng: random.Random) -> bytes:
     for _ in range(rng.choice([0, 1, 1, 2, 5])):
         job[rng.randrange(len(job))] ^= 1 << rng.randrange(8)
     job[2:4] = struct.pack(">H", rng.choice([0, 1, 2, 12, 14, 9999]))  # models that are quick
-    count = len(job) // 2
-    return struct.pack(">BHHHHB", 23, 300, 20, 100, count, 2 * count) + job
+    return write_read_pdu(100, bytes(job), 300, 20)
 
 
 def pdu(rng: random.Random) -> bytes:
@@ -124,44 +125,14 @@ class Frame:
 # ---- sending and judging -------------------------------------------------------------------------
 
 
-class Peer:
-    """A connection that is opened again when it has been closed."""
-
-    def __init__(self, address: str):
-        host, _, port = address.rpartition(":")
-        self._address = (host, int(port))
-        self._open()
-
-    def _open(self) -> None:
-        self.socket = socket.create_connection(self._address, SILENCE_S)
-        self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._file = self.socket.makefile("rb")
-
-    def again(self) -> None:
-        self.close()
-        self._open()
-
-    def close(self) -> None:
-        self._file.close()
-        self.socket.close()
-
-    def answer(self) -> tuple[int, int, bytes]:
-        """Transaction, unit and PDU of the next answer."""
-        header = self._file.read(MBAP.size)
-        assert len(header) == MBAP.size, "closed before an answer"
-        transaction, protocol, length, unit_id = MBAP.unpack(header)
-        assert protocol == 0 and 2 < length <= 254
-        body = self._file.read(length - 1)
-        assert len(body) == length - 1
-        return transaction, unit_id, body
-
-    def rest(self) -> bytes:
-        """All that comes until the daemon closes, after this end has."""
-        try:
-            self.socket.shutdown(socket.SHUT_WR)
-            return self._file.read()
-        except OSError:  # it was reset
-            return b""
+def rest(master: Tcp) -> None:
+    """Waits for the daemon to close, after this end has."""
+    try:
+        master.socket.shutdown(socket.SHUT_WR)
+        while master.socket.recv(65536):
+            pass
+    except OSError:  # it was reset
+        pass
 
 
 def check(frame: Frame, answer: tuple[int, int, bytes]) -> bool:
@@ -183,54 +154,46 @@ def batches(rng: random.Random, count: int) -> Iterator[list[Frame]]:
         yield [Frame(rng, (begin + i) % 65536) for i in range(min(TOGETHER, count - begin))]
 
 
-def fuzz(peer: Peer, rng: random.Random, count: int) -> tuple[int, int, int]:
+def fuzz(slave: Daemon, rng: random.Random, count: int) -> tuple[int, int, int]:
     """How many were carried out, refused, and not to be answered."""
     good = bad = broken = 0
+    master = Tcp(slave)
     for batch in batches(rng, count):
-        try:
-            peer.socket.sendall(b"".join(frame.bytes for frame in batch))
-        except (BrokenPipeError, ConnectionResetError):
-            pass  # closed in the middle, as it should be
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # closed, as it should be
+            master.socket.sendall(b"".join(frame.bytes for frame in batch))
         for i, frame in enumerate(batch):
             if not frame.answered:
-                peer.rest()
-                peer.again()
+                rest(master)
+                master.socket.close()
+                master = Tcp(slave)
                 broken += len(batch) - i  # those behind it are lost with the connection
                 break
-            if check(frame, peer.answer()):
+            if check(frame, master.receive()):
                 good += 1
             else:
                 bad += 1
+    master.socket.close()
     return good, bad, broken
 
 
-def right_answer(address: str, expected: np.ndarray) -> None:
-    peer = Peer(address)
-    count = len(JOB) // 2
-    body = struct.pack(">BHHHHB", 23, 300, 20, 100, count, 2 * count) + JOB
-    peer.socket.sendall(MBAP.pack(7, 0, 1 + len(body), 99) + body)
-    transaction, unit_id, answer = peer.answer()
-    assert (transaction, unit_id, answer[:2]) == (7, 99, bytes([23, 40]))
-    assert struct.unpack(">2H", answer[2:6]) == (2, 1)
-    np.testing.assert_array_equal(np.frombuffer(answer[26:], ">f4"), expected)
-    peer.close()
+def right_answer(slave: Daemon, expected: np.ndarray) -> None:
+    with Tcp(slave) as master:
+        answer = master.write_read(100, JOB, 300, 20, 99)
+    assert struct.unpack(">2H", answer[:4]) == (2, 1)
+    np.testing.assert_array_equal(np.frombuffer(answer[24:], ">f4"), expected)
 
 
 def test_frames_of_no_master(daemon):
     rng = random.Random(SEED)
     print(f"DIPOLED_FUZZ_FRAMES={FRAMES} DIPOLED_FUZZ_SEED={SEED}")
-    one = daemon("--modbus", "tcp:127.0.0.1:0")
-    address = one.url("modbus-tcp").removeprefix("modbus-tcp:")
+    one = daemon(*TCP)
     with one.client() as client:
         medium = dipole.Medium(*np.array([0.032, 0.74, 0, 1.3], np.float32).astype(float))
-        grid = dipole.Grid(0.5, 2.0, 4)
-        expected = client.eval("better", medium, grid=grid, evaluator="f32").R[0]
-        right_answer(address, expected)
-        peer = Peer(address)
-        good, bad, broken = fuzz(peer, rng, FRAMES)
-        peer.close()
-        right_answer(address, expected)
-        again = client.eval("better", medium, grid=grid, evaluator="f32").R[0]
-        np.testing.assert_array_equal(again, expected)
+        how = {"grid": dipole.Grid(0.5, 2.0, 4), "evaluator": "f32"}
+        expected = client.eval("better", medium, **how).R[0]
+        right_answer(one, expected)
+        good, bad, broken = fuzz(one, rng, FRAMES)
+        right_answer(one, expected)
+        np.testing.assert_array_equal(client.eval("better", medium, **how).R[0], expected)
     print(f"carried out {good}, refused {bad}, not to be answered {broken}")
     assert min(good, bad, broken) > FRAMES / 50

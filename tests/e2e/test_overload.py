@@ -3,12 +3,25 @@ ones go on, and nobody suffers from who does not read."""
 
 from __future__ import annotations
 
+import time
+
+import numpy as np
 import pytest
-from daemons import eventually
+from daemons import eventually, sanitized
 from dipole import Connection, wire
-from frames import EVAL, R, ask, assert_error, assert_serves, eval_payload, frame, statistics
+from frames import EVAL, INVERT, RADIUS, SAMPLE, SKIN, R, ask, assert_error, assert_serves
+from frames import eval_payload, frame, invert_payload, sample_payload, statistics
 from lists import MODELS
 from parted import EVALUATED, put_together, receive_parts
+
+def sample(count: int, model: str = "beam+single") -> bytes:
+    return sample_payload([SKIN], None, sample_count=count, model=MODELS[model], wanted=RADIUS)
+
+
+def invert(count: int, model: str = "better") -> bytes:
+    albedos = np.linspace(0.01, 0.99, count)
+    return invert_payload(albedos, np.ones(count), model=MODELS[model], eta=1.37)
+
 
 # About a second of work, in one frame.
 LONG = eval_payload(model=MODELS["beam+single"], radii=None, radius_count=1_000_000, wanted=R)
@@ -78,3 +91,81 @@ def test_a_request_larger_than_the_backlog_is_taken_when_there_is_none(daemon):
             connection.send_bytes(frame(EVAL, 77, payload) * 2)
             for _ in range(2):
                 assert put_together(receive_parts(connection)).fixed.radius_count == 2_000_000
+
+
+# ---- samples and inversions ----------------------------------------------------------------------
+
+# Each: type, a small request, how its work is counted, and how much of it a small one is.
+KINDS = {
+    "sample": (SAMPLE, sample_payload(), "radii_drawn", 2),
+    "invert": (INVERT, invert_payload(), "media_inverted", 2),
+}
+
+
+@pytest.mark.parametrize(
+    "kind, count, large",
+    [("sample", 100_000, sample(100_000)), ("invert", 60_000, invert(60_000))],
+    ids=KINDS,
+)
+def test_small_requests_do_not_wait_for_large_ones(daemon, kind, count, large):
+    """On the same worker they take turns: the large one is far from its end by then."""
+    type, small, counted, done = KINDS[kind]
+    one = daemon("--workers", "1")
+    with one.connect() as busy, one.connect() as other:
+        busy.send_bytes(frame(type, 1, large))
+        while statistics(other)[counted] == 0:
+            pass
+        for _ in range(20):
+            assert_serves(other)
+            assert ask(other, type, small).type == type | wire.REPLY
+        now = statistics(other)
+        assert now[counted] < count and now["owed_radii"] > 0
+        reply = busy.receive_frame()
+        assert (reply.type, reply.request_id) == (type | wire.REPLY, 1)
+        now = statistics(other)
+        assert now[counted] == count + 20 * done and now["owed_radii"] == 0
+        assert now["inversion_probes"] > 2 * now["media_inverted"] or kind == "sample"
+
+
+@pytest.mark.parametrize(
+    "kind, large, field",
+    [
+        ("sample", sample(50_000, "extended"), "sample_count"),
+        ("invert", invert(50_000), "medium_count"),
+    ],
+    ids=KINDS,
+)
+def test_large_ones_are_refused_while_there_is_much_to_do(daemon, kind, large, field):
+    type, small, *_ = KINDS[kind]
+    one = daemon("--workers", "1", "--max-backlog-ms", "1")
+    with one.connect() as first, one.connect() as second:
+        first.send_bytes(frame(type, 1, large))
+        while statistics(second)["owed_radii"] == 0:
+            pass
+        assert_error(ask(second, type, large), "busy", field, "max_backlog_ms")
+        assert ask(second, type, small).type == type | wire.REPLY
+        first.close()
+        while statistics(second)["owed_radii"] > 0:
+            pass
+        assert_serves(second)
+
+
+@pytest.mark.parametrize(
+    "kind, large",
+    [
+        ("sample", sample(4_000_000)),
+        ("invert", invert(1_000_000)),
+        ("invert", invert(60, "transport")),  # which waits for what is prepared elsewhere
+    ],
+    ids=["sample", "invert", "prepared"],
+)
+def test_deadlines_are_kept(daemon, kind, large):
+    type, small, *_ = KINDS[kind]
+    with daemon("--workers", "1").connect() as connection:
+        start = time.monotonic()
+        connection.send_bytes(frame(type, 77, large, 80))
+        assert_error(connection.receive_frame(), "deadline", "deadline_ms", "more")
+        assert 0.077 <= time.monotonic() - start < (30 if sanitized() else 5)
+        assert_serves(connection)
+        connection.send_bytes(frame(type, 78, small, 60_000))
+        assert connection.receive_frame().type == type | wire.REPLY

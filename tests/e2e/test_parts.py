@@ -233,22 +233,6 @@ def test_a_reader_that_stops_costs_bounded_memory_and_no_time(daemon):
     assert_daemon_serves(one)
 
 
-def test_many_readers_that_stop(daemon):
-    one = daemon()
-    with one.connect() as other:
-        stuck = [one.connect() for _ in range(16)]
-        for connection in stuck:
-            connection.send_bytes(frame(EVAL, 1, eval_payload(**ENDLESS)))
-            connection.receive_bytes(1)
-        assert eventually(lambda: settled(lambda: statistics(other)["radii_evaluated"]))
-        assert statistics(other)["buffer_bytes"] < 17 * 4 * (1 << 20)
-        assert_serves(other)
-        for connection in stuck:
-            connection.close()
-        assert eventually(lambda: statistics(other)["connections_open"] == 1)
-        assert eventually(lambda: statistics(other)["buffer_bytes"] < 1 << 20)
-
-
 def test_a_client_that_leaves_in_the_middle(daemon):
     one = daemon("--workers", "1")
     with one.connect() as watcher:

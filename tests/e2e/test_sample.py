@@ -3,26 +3,20 @@ any size is answered in turns, in parts and in time."""
 
 from __future__ import annotations
 
-import time
-
 import dipole
 import numpy as np
 import pytest
-from daemons import sanitized
 from dipole import Draw, wire
 from frames import (
     F32,
-    RADIUS,
     SAMPLE,
     SKIN,
-    ask,
     assert_error,
     assert_refused,
     assert_serves,
     frame,
     refused,
     sample_payload,
-    statistics,
 )
 from known import receive_answer
 from lists import MODELS, PARAMETERS, needs
@@ -255,55 +249,3 @@ def test_every_instruction_set_draws_the_same(daemon, client, isa):
                 how = {"draw": Draw(300, seed=9), "evaluator": evaluator}
                 one, two = (some.sample(model, SKIN, **how) for some in (client, other))
                 np.testing.assert_array_equal(one.r, two.r)
-
-
-def test_small_requests_do_not_wait_for_large_ones(daemon):
-    """On the same worker they take turns: the large one is far from its end by then."""
-    count = 100_000
-    one = daemon("--workers", "1")
-    with one.connect() as busy, one.connect() as other:
-        payload = sample_payload(
-            [SKIN], None, sample_count=count, model=MODELS["beam+single"], wanted=RADIUS
-        )
-        busy.send_bytes(frame(SAMPLE, 1, payload))
-        while statistics(other)["radii_drawn"] == 0:
-            pass
-        for _ in range(20):
-            assert_serves(other)
-            assert ask(other, SAMPLE, sample_payload()).type == SAMPLED
-        assert statistics(other)["radii_drawn"] < count
-        assert statistics(other)["owed_radii"] > 0
-        reply = busy.receive_frame()
-        assert (reply.type, reply.request_id) == (SAMPLED, 1)
-        assert statistics(other)["radii_drawn"] == count + 20 * 2
-        assert statistics(other)["owed_radii"] == 0
-
-
-def test_large_ones_are_refused_while_there_is_much_to_do(daemon):
-    one = daemon("--workers", "1", "--max-backlog-ms", "1")
-    with one.connect() as first, one.connect() as second:
-        large = sample_payload([SKIN], None, sample_count=50_000, model=MODELS["extended"])
-        first.send_bytes(frame(SAMPLE, 1, large))
-        while statistics(second)["owed_radii"] == 0:
-            pass
-        assert_error(ask(second, SAMPLE, large), "busy", "sample_count", "max_backlog_ms")
-        assert ask(second, SAMPLE, sample_payload()).type == SAMPLED
-        first.close()
-        while statistics(second)["owed_radii"] > 0:
-            pass
-        assert_serves(second)
-
-
-def test_deadlines_are_kept(daemon):
-    with daemon("--workers", "1").connect() as connection:
-        payload = sample_payload(
-            [SKIN], None, sample_count=4_000_000, model=MODELS["beam+single"], wanted=RADIUS
-        )
-        start = time.monotonic()
-        connection.send_bytes(frame(SAMPLE, 77, payload, 60))
-        reply = connection.receive_frame()
-        assert_error(reply, "deadline", "deadline_ms", "more")
-        assert 0.057 <= time.monotonic() - start < (30 if sanitized() else 5)
-        assert_serves(connection)
-        connection.send_bytes(frame(SAMPLE, 78, sample_payload(), 60_000))
-        assert connection.receive_frame().type == SAMPLED

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import time
 
 import pytest
@@ -77,17 +76,6 @@ def test_nobody_new_is_served(daemon):
     assert one.wait() == 0
 
 
-def test_a_client_that_does_not_read_cannot_hold_it_up(daemon):
-    one = daemon("--drain-timeout-ms", "300")
-    with one.connect() as stuck:
-        stuck.send_bytes(frame(EVAL, 1, LARGE) * 10)
-        stuck.receive_bytes(1)
-        one.terminate()
-        start = time.monotonic()
-        assert one.wait() == 0
-        assert time.monotonic() - start < 5
-
-
 def test_a_partial_frame_does_not_hold_it_up(daemon):
     one = daemon()
     with one.connect() as connection:
@@ -100,29 +88,3 @@ def test_a_partial_frame_does_not_hold_it_up(daemon):
         assert_closed(connection)
     assert one.wait() == 0
     assert time.monotonic() - start < 5
-
-
-def test_interrupt_is_the_same_wish(daemon):
-    one = daemon()
-    with one.connect() as connection:
-        assert_serves(connection)
-        one.terminate(signal.SIGINT)
-        assert_error(connection.receive_frame(), "shutting-down", "", "", request_id=0)
-    assert one.wait() == 0
-
-
-def test_stop_without_any_client(daemon):
-    one = daemon()
-    one.terminate()
-    assert one.wait() == 0
-    assert "event=stopping" in "\n".join(one.log)
-
-
-def test_broken_pipes_and_hangups_are_no_reason_to_stop(daemon):
-    one = daemon()
-    for _ in range(10):
-        with one.connect() as rude:
-            rude.send_bytes(frame(EVAL, 1, LARGE) * 3)
-            rude.receive_bytes(1)
-    with one.connect() as connection:
-        assert_serves(connection)

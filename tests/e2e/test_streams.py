@@ -11,21 +11,12 @@ from frames import (
     assert_closed,
     assert_daemon_serves,
     assert_error,
-    assert_serves,
     eval_payload,
     frame,
     header,
 )
 
 PONG = PING | wire.REPLY
-
-
-def test_bytes_one_at_a_time(connection):
-    request = frame(EVAL, 5, eval_payload())
-    for i in range(len(request)):
-        connection.send_bytes(request[i : i + 1])
-    slow = connection.receive_frame()
-    assert slow == Frame(EVAL | wire.REPLY, 5, ask(connection, EVAL, eval_payload()).payload)
 
 
 @pytest.mark.parametrize("cut", [1, 23, 24, 25, 64, 111, 135])
@@ -37,17 +28,6 @@ def test_frames_cut_anywhere(connection, cut):
     connection.send_bytes(requests[cut:])
     replies = {reply.request_id: reply for reply in (connection.receive_frame() for _ in "12")}
     assert replies == {6: Frame(EVAL | wire.REPLY, 6, alone), 7: Frame(PONG, 7, b"8 bytes!")}
-
-
-def test_several_requests_in_one_write(connection):
-    alone = ask(connection, EVAL, eval_payload()).payload
-    unknown = max(wire.MESSAGES.values()) + 1
-    requests = [frame(PING, 1, b"one     "), frame(EVAL, 2, eval_payload()), frame(unknown, 3)]
-    connection.send_bytes(b"".join(requests))
-    replies = {reply.request_id: reply for reply in (connection.receive_frame() for _ in requests)}
-    assert replies[1] == Frame(PONG, 1, b"one     ")
-    assert replies[2] == Frame(EVAL | wire.REPLY, 2, alone)
-    assert_error(replies[3], "bad-type", "type", "message", request_id=3)
 
 
 def test_two_hundred_requests_in_flight(connection):
@@ -126,15 +106,6 @@ def test_truncated_frame_with_full_close(shared, connection, length):
     assert_daemon_serves(shared)
 
 
-def test_half_close_after_whole_frames_is_no_fault(connection):
-    payload = eval_payload(radii=[1.0] * 10_000)
-    connection.send_bytes(frame(EVAL, 1, payload) * 5 + frame(PING, 1))
-    connection.half_close()
-    replies = [connection.receive_frame() for _ in range(6)]
-    assert sorted(reply.type for reply in replies) == [EVAL | wire.REPLY] * 5 + [PONG]
-    assert_closed(connection)
-
-
 def test_earlier_requests_are_answered_before_the_truncated_one(connection):
     payload = eval_payload(radii=[1.0] * 10_000)
     connection.send_bytes(frame(EVAL, 1, payload) * 5 + REQUEST[:50])
@@ -143,16 +114,3 @@ def test_earlier_requests_are_answered_before_the_truncated_one(connection):
     assert [reply.type for reply in replies[:5]] == [EVAL | wire.REPLY] * 5
     assert_error(replies[5], "truncated", "payload_bytes", "", request_id=4)
     assert_closed(connection)
-
-
-def test_leaving_without_reading_the_answers(shared):
-    for scheme in ("unix", "tcp"):
-        for _ in range(20):
-            with shared.connect(scheme) as connection:
-                connection.send_bytes(frame(EVAL, 1, eval_payload(radii=[1.0] * 1000)) * 20)
-    assert_daemon_serves(shared)
-
-
-def test_silent_connection_is_no_fault(shared, connection):
-    assert_daemon_serves(shared)
-    assert_serves(connection)

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from daemons import BUILD, sanitized
 from dipole import Medium, Table, wire
-from frames import BETTER, EXACT, SKIN, ask, assert_error, assert_serves
-from frames import media_bytes, parameters_bytes
+from frames import BETTER, EXACT, SKIN, ask, assert_refused, media_bytes, parameters_bytes, refused
 from lists import MODELS, NOTES, PARAMETERS, QUANTITIES, needs
 
 TABLE = wire.MESSAGES["table"]
@@ -280,32 +279,27 @@ def table_payload(medium=SKIN, parameters=(), **fixed: int) -> bytes:
     )
 
 
+THICKNESS = PARAMETERS["thickness"].id
 REFUSED = {
-    "model 0": (table_payload(model=0), "bad-value", "model"),
-    "unknown model": (table_payload(model=999), "bad-value", "model"),
-    "unknown moments": (table_payload(moments=99), "bad-value", "moments"),
-    "zero": (table_payload(zero=1), "bad-value", "zero"),
-    "sigma_a": (table_payload((-1.0, 1.0, 0.0, 1.3)), "bad-value", "sigma_a"),
-    "eta": (table_payload((1.0, 1.0, 0.0, 3.0), moments=2), "bad-value", "eta"),
-    "too exact": (table_payload(parameters=[(TOLERANCE, 1e-9)]), "bad-value", "tolerance"),
-    "unknown parameter": (table_payload(parameters=[(999, 1.0)]), "bad-value", "parameter"),
-    "not taken": (
-        table_payload(parameters=[(PARAMETERS["thickness"].id, 1.0)]),
-        "bad-value",
-        "thickness",
-    ),
-    "count": (table_payload(parameter_count=1), "bad-count", "parameter_count"),
-    "short": (table_payload()[:-8], "bad-length", "payload_bytes"),
-    "empty": (b"", "bad-length", "payload_bytes"),
-    "long": (table_payload() + bytes(8), "bad-count", "parameter_count"),
+    **refused("bad-value", "model", "", {f"{id}": table_payload(model=id) for id in (0, 999)}),
+    **refused("bad-value", "moments", "", {"99": table_payload(moments=99)}),
+    **refused("bad-value", "zero", "", {"1": table_payload(zero=1)}),
+    **refused("bad-value", "sigma_a", "", {"-1": table_payload((-1.0, 1.0, 0.0, 1.3))}),
+    **refused("bad-value", "eta", "", {"fit": table_payload((1.0, 1.0, 0.0, 3.0), moments=2)}),
+    **refused("bad-value", "tolerance", "", {"1e-9": table_payload(parameters=[(TOLERANCE, 1e-9)])}),
+    **refused("bad-value", "parameter", "", {"999": table_payload(parameters=[(999, 1.0)])}),
+    **refused("bad-value", "thickness", "", {"1": table_payload(parameters=[(THICKNESS, 1.0)])}),
+    **refused("bad-count", "parameter_count", "", {
+        "1": table_payload(parameter_count=1),
+        "long": table_payload() + bytes(8),
+    }),
+    **refused("bad-length", "payload_bytes", "", {"": b"", "short": table_payload()[:-8]}),
 }
 
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_refused(connection, name):
-    payload, status, field = REFUSED[name]
-    assert_error(ask(connection, TABLE, payload), status, field, "")
-    assert_serves(connection)
+    assert_refused(connection, TABLE, *REFUSED[name])
 
 
 def test_the_same_request_has_the_same_bytes(shared, connection):

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import re
+from functools import partial
 
 import dipole as python_client
 import numpy as np
 import pytest
 from command_line import FAILED, dipole, eval_json, eval_rows
 from dipole import Grid, Medium, wire
-from frames import ALBEDO, CDF, EVAL, F32, F64, R, SKIN, ask, assert_error, assert_serves
+from frames import ALBEDO, CDF, EVAL, F32, F64, R, SKIN, ask, assert_refused, assert_serves
 from frames import eval_payload
 from lists import EVALUATORS, MODELS, PARAMETERS
 
@@ -78,19 +79,16 @@ def test_grids_and_submitted_queries(client):
 
 
 def test_wrong_arguments(client):
-    with pytest.raises(python_client.Refused) as caught:
-        client.eval(None, SKIN, [1.0])
-    assert caught.value.field == "model"
+    refused = [("model", lambda: client.eval(None, SKIN, [1.0]))]
     for tolerance in (0.0, 2.0, -1.0):
+        ask = partial(client.eval, None, SKIN, [1.0], tolerance=tolerance)
+        refused.append(("tolerance", ask))
+    refused.append(("sigma_a", lambda: client.offers(Medium(-1.0, 1.0), [1.0], tolerance=0.1)))
+    refused.append(("r", lambda: client.offers(SKIN, [-1.0], tolerance=0.1)))
+    for field, ask in refused:
         with pytest.raises(python_client.Refused) as caught:
-            client.eval(None, SKIN, [1.0], tolerance=tolerance)
-        assert caught.value.field == "tolerance"
-    with pytest.raises(python_client.Refused) as caught:
-        client.offers(Medium(-1.0, 1.0), [1.0], tolerance=0.1)
-    assert caught.value.field == "sigma_a"
-    with pytest.raises(python_client.Refused) as caught:
-        client.offers(SKIN, [-1.0], tolerance=0.1)
-    assert caught.value.field == "r"
+            ask()
+        assert caught.value.field == field
     with pytest.raises(python_client.ArgumentError):
         client.eval(None, SKIN, [1.0], tolerance=0.1, parameters={"tolerance": 0.1})
 
@@ -139,9 +137,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_offers_that_are_refused(connection, name):
-    payload, status, field = REFUSED[name]
-    assert_error(ask(connection, OFFERS, payload), status, field, "")
-    assert_serves(connection)
+    assert_refused(connection, OFFERS, *REFUSED[name], "")
 
 
 def test_the_number_of_radii_does_not_matter(connection):

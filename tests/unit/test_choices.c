@@ -66,39 +66,3 @@ UNIT_TEST(parameters_are_few) {
     assert_true(none.value[entry->id] != none.value[entry->id]);
   }
 }
-
-/* Clients in the field have these compiled in. */
-UNIT_TEST(ids_are_permanent) {
-  static const struct {
-    const core_choice *list;
-    const char *name;
-    unsigned id;
-  } published[] = {
-      {core_models, "classical", 1},
-      {core_models, "better", 2},
-      {core_evaluators, "f64", 1},
-      {core_evaluators, "f32", 2},
-      {core_moments_list, "exact", 1},
-      {core_moments_list, "fit", 2},
-      {core_quantities, "R", 1},
-      {core_quantities, "albedo", 2},
-      {core_quantities, "cdf", 4},
-      {core_quantities, "r", 8},
-      {core_quantities, "S", 256},
-      {core_quantities, "2_pi_r_R", 128},
-      {core_parameter_list, "cos_in", 2},
-      {core_parameter_list, "cos_out", 3},
-      {core_parameter_list, "tolerance", 1},
-      {core_parameter_list, "thickness", 4},
-      {core_notes, "similarity", 1},
-      {core_notes, "albedo-above-1", 2},
-      {core_spacings, "list", 1},
-      {core_spacings, "linear", 2},
-      {core_spacings, "logarithmic", 3},
-  };
-  for (size_t i = 0; i < sizeof published / sizeof published[0]; i++) {
-    const core_choice *entry = core_choice_by_name(published[i].list, published[i].name);
-    assert_non_null(entry);
-    assert_int_equal(entry->id, published[i].id);
-  }
-}
