@@ -1,15 +1,31 @@
+#include "clients/c/address.h"
+
 #include <stdlib.h>
 #include <string.h>
 #include <sys/un.h>
 
-#include "clients/c/client.h"
+#include "clients/c/error.h"
 
-const char *libdipole_address_default(void) {
-  const char *named = getenv("DIPOLED");
-  return named != NULL && named[0] != '\0' ? named : "private:";
+static const struct {
+  const char *scheme;
+  enum libdipole_address_kind kind;
+} schemes[] = {{"unix:", LIBDIPOLE_UNIX}, {"tcp:", LIBDIPOLE_TCP}, {"private:", LIBDIPOLE_PRIVATE}};
+
+enum { SCHEMES = sizeof schemes / sizeof schemes[0] };
+
+/* Reads the scheme that the text starts with. Returns what follows it, or NULL if there is none. */
+static const char *skip_scheme(const char *text, enum libdipole_address_kind *kind) {
+  for (size_t i = 0; i < SCHEMES; i++) {
+    const size_t bytes = strlen(schemes[i].scheme);
+    if (strncmp(text, schemes[i].scheme, bytes) == 0) {
+      *kind = schemes[i].kind;
+      return text + bytes;
+    }
+  }
+  return NULL;
 }
 
-/* Copies length bytes with a terminating zero; false when they do not fit or there are none. */
+/* Copies length bytes and a terminating zero. Returns false if they do not fit or length is 0. */
 static bool copy_part(char *to, size_t capacity, const char *from, size_t length) {
   if (length == 0 || length >= capacity) {
     return false;
@@ -49,22 +65,8 @@ static bool parse_tcp(const char *whole, const char *text, libdipole_address *ad
 }
 
 bool libdipole_address_parse(const char *text, libdipole_address *address, dipole_error *error) {
-  static const struct {
-    const char *scheme;
-    enum libdipole_address_kind kind;
-  } schemes[] = {
-      {"unix:", LIBDIPOLE_UNIX}, {"tcp:", LIBDIPOLE_TCP}, {"private:", LIBDIPOLE_PRIVATE}};
-  const size_t unix_path_bytes = sizeof((struct sockaddr_un *)0)->sun_path;
-  const char *rest = NULL;
-
   *address = (libdipole_address){0};
-  for (size_t i = 0; i < sizeof schemes / sizeof schemes[0] && rest == NULL; i++) {
-    const size_t scheme_bytes = strlen(schemes[i].scheme);
-    if (strncmp(text, schemes[i].scheme, scheme_bytes) == 0) {
-      address->kind = schemes[i].kind;
-      rest = text + scheme_bytes;
-    }
-  }
+  const char *rest = skip_scheme(text, &address->kind);
   if (rest == NULL) {
     return libdipole_fail(error, DIPOLE_ERROR_ADDRESS,
                           "address '%.80s': write unix:PATH, tcp:HOST:PORT or private:", text);
@@ -73,10 +75,72 @@ bool libdipole_address_parse(const char *text, libdipole_address *address, dipol
     return parse_tcp(text, rest, address, error);
   }
   const bool unix_socket = address->kind == LIBDIPOLE_UNIX;
-  const size_t capacity = unix_socket ? unix_path_bytes : sizeof address->path;
+  const size_t capacity =
+      unix_socket ? sizeof((struct sockaddr_un *)0)->sun_path : sizeof address->path;
   if (!copy_part(address->path, capacity, rest, strlen(rest)) && (unix_socket || rest[0] != '\0')) {
     return libdipole_fail(error, DIPOLE_ERROR_ADDRESS,
                           "address '%.80s': the path must have 1 to %zu bytes", text, capacity - 1);
   }
   return true;
+}
+
+/* ---- several ------------------------------------------------------------------------------- */
+
+/* The comma before the next address, or NULL if there is none. A comma that no scheme follows is
+ * part of a path. */
+static char *find_comma(char *text) {
+  enum libdipole_address_kind kind;
+  char *comma = strchr(text, ',');
+  while (comma != NULL && skip_scheme(comma + 1, &kind) == NULL) {
+    comma = strchr(comma + 1, ',');
+  }
+  return comma;
+}
+
+static bool check(const libdipole_addresses *addresses, dipole_error *error) {
+  libdipole_address address;
+  for (size_t i = 0; i < addresses->count; i++) {
+    if (!libdipole_address_parse(addresses->texts[i], &address, error)) {
+      return false;
+    }
+    if (address.kind == LIBDIPOLE_PRIVATE && addresses->count > 1) {
+      return libdipole_fail(error, DIPOLE_ERROR_ADDRESS,
+                            "address '%.80s': a private daemon cannot be one of several addresses",
+                            addresses->texts[i]);
+    }
+  }
+  return true;
+}
+
+bool libdipole_addresses_parse(const char *text, libdipole_addresses *addresses,
+                               dipole_error *error) {
+  if (text == NULL) {
+    const char *named = getenv("DIPOLED");
+    text = named != NULL && named[0] != '\0' ? named : "private:";
+  }
+  *addresses = (libdipole_addresses){.whole = strdup(text)};
+  if (addresses->whole == NULL) {
+    return libdipole_fail_memory(error);
+  }
+  for (char *next = addresses->whole; next != NULL;) {
+    if (addresses->count == DIPOLE_ADDRESSES_MAX) {
+      return libdipole_fail(error, DIPOLE_ERROR_ADDRESS, "there are more than %d addresses",
+                            DIPOLE_ADDRESSES_MAX);
+    }
+    addresses->texts[addresses->count++] = next;
+    next = find_comma(next);
+    if (next != NULL) {
+      *next++ = '\0';
+    }
+  }
+  return check(addresses, error);
+}
+
+bool libdipole_addresses_is_private(const libdipole_addresses *addresses) {
+  return strncmp(addresses->texts[0], "private:", strlen("private:")) == 0;
+}
+
+void libdipole_addresses_free(libdipole_addresses *addresses) {
+  free(addresses->whole);
+  *addresses = (libdipole_addresses){0};
 }

@@ -1,13 +1,20 @@
+#include "clients/c/clock.h"
+
 #include <errno.h>
+#include <limits.h>
 #include <poll.h>
 #include <time.h>
-
-#include "clients/c/client.h"
 
 int64_t libdipole_now_ms(void) {
   struct timespec now;
   clock_gettime(CLOCK_MONOTONIC, &now);
   return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
+}
+
+void libdipole_sleep_ms(int64_t ms) {
+  struct timespec left = {.tv_sec = (time_t)(ms / 1000), .tv_nsec = (long)(ms % 1000) * 1000000};
+  while (nanosleep(&left, &left) != 0 && errno == EINTR) {
+  }
 }
 
 bool libdipole_wait(int fd, short events, unsigned timeout_ms, short *ready) {
@@ -29,4 +36,27 @@ bool libdipole_wait(int fd, short events, unsigned timeout_ms, short *ready) {
       return false;
     }
   }
+}
+
+/* xorshift64* (Vigna 2016), of whose 64 bits the upper half is good. */
+uint32_t libdipole_random(uint64_t *state) {
+  uint64_t x = *state;
+  if (x == 0) {
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    x = ((uint64_t)now.tv_nsec << 32 ^ (uint64_t)(uintptr_t)state) | 1;
+  }
+  x ^= x >> 12;
+  x ^= x << 25;
+  x ^= x >> 27;
+  *state = x;
+  return (uint32_t)(x * UINT64_C(0x2545f4914f6cdd1d) >> 32);
+}
+
+unsigned libdipole_jitter(uint64_t *state, unsigned pause_ms) {
+  return pause_ms - libdipole_random(state) % (pause_ms / 2 + 1);
+}
+
+unsigned libdipole_next_pause_ms(unsigned pause_ms) {
+  return 2 * pause_ms < LIBDIPOLE_PAUSE_MOST_MS ? 2 * pause_ms : LIBDIPOLE_PAUSE_MOST_MS;
 }

@@ -1,20 +1,32 @@
+#include "clients/c/connect.h"
+
 #include <errno.h>
 #include <fcntl.h>
 #include <netdb.h>
 #include <netinet/in.h>
 #include <netinet/tcp.h>
 #include <poll.h>
+#include <signal.h>
+#include <spawn.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 #include <sys/socket.h>
 #include <sys/time.h>
 #include <sys/un.h>
+#include <sys/wait.h>
+#include <time.h>
 #include <unistd.h>
 
-#include "clients/c/client.h"
+#include "clients/c/clock.h"
+#include "clients/c/error.h"
 
-/* A Unix socket that is non-blocking refuses at once when the daemon's queue is full, so this one
- * blocks, for a limited time, and becomes non-blocking afterwards. 0, or an errno. */
+extern char **environ;
+
+/* ---- running daemons ----------------------------------------------------------------------- */
+
+/* Returns 0 or an errno. A non-blocking Unix socket refuses at once when the daemon's queue is full,
+ * so this one blocks for a limited time and becomes non-blocking afterwards. */
 static int connect_unix(const char *path, unsigned timeout_ms, int *connected) {
   struct sockaddr_un name = {.sun_family = AF_UNIX};
   const struct timeval timeout = {.tv_sec = timeout_ms / 1000,
@@ -38,7 +50,7 @@ static int connect_unix(const char *path, unsigned timeout_ms, int *connected) {
   return number;
 }
 
-/* One of a host's addresses. 0, or an errno. */
+/* Connects to one of a host's addresses. Returns 0 or an errno. */
 static int connect_tcp_address(const struct addrinfo *to, unsigned timeout_ms, int *connected) {
   const int one = 1;
   const int fd = socket(to->ai_family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, to->ai_protocol);
@@ -46,7 +58,7 @@ static int connect_tcp_address(const struct addrinfo *to, unsigned timeout_ms, i
     return errno;
   }
   int number = connect(fd, to->ai_addr, to->ai_addrlen) == 0 ? 0 : errno;
-  if (number == EINPROGRESS || number == EINTR) { /* it goes on in the background after both */
+  if (number == EINPROGRESS || number == EINTR) { /* The kernel goes on after both. */
     short ready;
     socklen_t bytes = sizeof number;
     if (!libdipole_wait(fd, POLLOUT, timeout_ms, &ready) ||
@@ -58,10 +70,18 @@ static int connect_tcp_address(const struct addrinfo *to, unsigned timeout_ms, i
     close(fd);
     return number;
   }
-  /* Small requests should not wait for the acknowledgement of earlier ones. */
+  /* Small requests are sent at once, without waiting for the peer's acknowledgements. */
   setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &one, sizeof one);
   *connected = fd;
   return 0;
+}
+
+static bool connect_unix_address(const libdipole_address *address, unsigned timeout_ms, int *fd,
+                                 dipole_error *error) {
+  char what[sizeof((struct sockaddr_un *)0)->sun_path + 64];
+  const int number = connect_unix(address->path, timeout_ms, fd);
+  snprintf(what, sizeof what, "cannot connect to the socket %.108s", address->path);
+  return number == 0 || libdipole_fail_errno(error, DIPOLE_ERROR_CONNECT, number, what);
 }
 
 static bool connect_tcp(const libdipole_address *address, unsigned timeout_ms, int *fd,
@@ -87,13 +107,178 @@ static bool connect_tcp(const libdipole_address *address, unsigned timeout_ms, i
   return number == 0 || libdipole_fail_errno(error, DIPOLE_ERROR_CONNECT, number, what);
 }
 
-bool libdipole_connect(const libdipole_address *address, unsigned timeout_ms, int *fd,
-                       dipole_error *error) {
-  if (address->kind == LIBDIPOLE_TCP) {
-    return connect_tcp(address, timeout_ms, fd, error);
+/* ---- private daemons ----------------------------------------------------------------------- */
+
+#define PROGRAM "dipoled"
+
+enum {
+  DAEMON_FD = 3,        /* the number that the connection has in the daemon */
+  END_TIMEOUT_MS = 5000 /* how long a daemon may take to end by itself, and then after SIGTERM */
+};
+
+/* Finds the daemon beside the running program. path: "" if there is none. */
+static void find_beside(char *path, size_t bytes) {
+  const ssize_t length = readlink("/proc/self/exe", path, bytes - 1);
+  path[length > 0 ? length : 0] = '\0';
+  char *slash = strrchr(path, '/');
+  const size_t room = slash != NULL ? bytes - (size_t)(slash + 1 - path) : 0;
+  if (room < sizeof PROGRAM) {
+    path[0] = '\0';
+    return;
   }
-  char what[sizeof((struct sockaddr_un *)0)->sun_path + 64];
-  const int number = connect_unix(address->path, timeout_ms, fd);
-  snprintf(what, sizeof what, "cannot connect to the socket %.108s", address->path);
-  return number == 0 || libdipole_fail_errno(error, DIPOLE_ERROR_CONNECT, number, what);
+  memcpy(slash + 1, PROGRAM, sizeof PROGRAM);
+  if (access(path, X_OK) != 0) {
+    path[0] = '\0';
+  }
+}
+
+/* What the daemon inherits: its connection, standard error, and nothing else. The connection comes
+ * first, because files that are opened afterwards may get its number. Returns 0 or an errno. */
+static int set_files(posix_spawn_file_actions_t *actions, int fd) {
+  int fault = posix_spawn_file_actions_adddup2(actions, fd, DAEMON_FD);
+  fault =
+      fault != 0 ? fault : posix_spawn_file_actions_addopen(actions, 0, "/dev/null", O_RDONLY, 0);
+  fault =
+      fault != 0 ? fault : posix_spawn_file_actions_addopen(actions, 1, "/dev/null", O_WRONLY, 0);
+  return fault != 0 ? fault : posix_spawn_file_actions_addclosefrom_np(actions, DAEMON_FD + 1);
+}
+
+/* Gives the daemon a process group of its own, so that the interrupt key ends the program and not
+ * the daemon first; and none of the program's blocked or ignored signals. Returns 0 or an errno. */
+static int set_attributes(posix_spawnattr_t *attributes) {
+  const short flags = POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF | POSIX_SPAWN_SETPGROUP;
+  sigset_t none, reset;
+  sigemptyset(&none);
+  sigemptyset(&reset);
+  sigaddset(&reset, SIGTERM);
+  sigaddset(&reset, SIGINT);
+  sigaddset(&reset, SIGHUP);
+  sigaddset(&reset, SIGCHLD);
+  int fault = posix_spawnattr_setsigmask(attributes, &none);
+  fault = fault != 0 ? fault : posix_spawnattr_setsigdefault(attributes, &reset);
+  fault = fault != 0 ? fault : posix_spawnattr_setpgroup(attributes, 0);
+  return fault != 0 ? fault : posix_spawnattr_setflags(attributes, flags);
+}
+
+/* Whether a variable would make the daemon serve others, too. */
+static bool serves_others(const char *variable) {
+  static const char *const names[] = {"DIPOLED_LISTEN=", "DIPOLED_METRICS=", "DIPOLED_MODBUS="};
+  for (size_t i = 0; i < sizeof names / sizeof names[0]; i++) {
+    if (strncmp(variable, names[i], strlen(names[i])) == 0) {
+      return true;
+    }
+  }
+  return false;
+}
+
+/* The program's environment without those variables. The caller frees it. */
+static char **private_environment(void) {
+  size_t count = 0;
+  while (environ[count] != NULL) {
+    count++;
+  }
+  char **kept = calloc(count + 1, sizeof *kept);
+  for (size_t i = 0, at = 0; kept != NULL && i < count; i++) {
+    if (!serves_others(environ[i])) {
+      kept[at++] = environ[i];
+    }
+  }
+  return kept;
+}
+
+/* Starts a daemon that logs only errors. Returns 0 or an errno. */
+static int spawn(const char *program, int fd, pid_t *pid) {
+  char number[16];
+  char *arguments[] = {(char *)program, "--fd", number, "--log-level", "error", NULL};
+  posix_spawn_file_actions_t actions;
+  posix_spawnattr_t attributes;
+  snprintf(number, sizeof number, "%d", DAEMON_FD);
+  char **environment = private_environment();
+  int fault = environment != NULL ? posix_spawn_file_actions_init(&actions) : ENOMEM;
+  if (fault == 0) {
+    fault = posix_spawnattr_init(&attributes);
+    if (fault == 0) {
+      fault = set_files(&actions, fd);
+      fault = fault != 0 ? fault : set_attributes(&attributes);
+      fault = fault != 0
+                  ? fault
+                  : posix_spawnp(pid, program, &actions, &attributes, arguments, environment);
+      posix_spawnattr_destroy(&attributes);
+    }
+    posix_spawn_file_actions_destroy(&actions);
+  }
+  free(environment);
+  return fault;
+}
+
+/* program: "" is the one beside the running program, else the one in PATH. */
+static bool start_daemon(const char *program, int *fd, pid_t *pid, dipole_error *error) {
+  char beside[PATH_MAX];
+  int pair[2];
+  if (program[0] == '\0') {
+    find_beside(beside, sizeof beside);
+    program = beside[0] != '\0' ? beside : PROGRAM;
+  }
+  if (socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0, pair) != 0) {
+    return libdipole_fail_errno(error, DIPOLE_ERROR_CONNECT, errno, "socketpair");
+  }
+  const int fault = spawn(program, pair[1], pid);
+  close(pair[1]);
+  if (fault == 0 && fcntl(pair[0], F_SETFL, O_NONBLOCK) == 0) {
+    *fd = pair[0];
+    return true;
+  }
+  close(pair[0]);
+  if (fault == ENOENT) {
+    return libdipole_fail(error, DIPOLE_ERROR_CONNECT,
+                          "cannot start a private daemon: %.120s is neither beside this program "
+                          "nor in PATH; name a running daemon, for example in $DIPOLED",
+                          program);
+  }
+  char what[PATH_MAX];
+  snprintf(what, sizeof what, "cannot start %.120s", program);
+  return libdipole_fail_errno(error, DIPOLE_ERROR_CONNECT, fault, what);
+}
+
+/* Returns whether the child is gone. A program that collects all its children may have collected it
+ * already. There is no wait with a timeout, so this sleeps for short and growing times. */
+static bool wait_for(pid_t pid, int timeout_ms) {
+  const int64_t deadline_ms = libdipole_now_ms() + timeout_ms;
+  struct timespec nap = {.tv_nsec = 100000};
+  for (;;) {
+    const pid_t result = waitpid(pid, NULL, WNOHANG);
+    if (result == pid || (result < 0 && errno != EINTR)) {
+      return true;
+    }
+    if (libdipole_now_ms() >= deadline_ms) {
+      return false;
+    }
+    nanosleep(&nap, NULL);
+    if (nap.tv_nsec < 20000000) {
+      nap.tv_nsec *= 2;
+    }
+  }
+}
+
+void libdipole_daemon_end(pid_t daemon) {
+  if (!wait_for(daemon, END_TIMEOUT_MS)) {
+    kill(daemon, SIGTERM);
+    if (!wait_for(daemon, END_TIMEOUT_MS)) {
+      kill(daemon, SIGKILL);
+      wait_for(daemon, END_TIMEOUT_MS);
+    }
+  }
+}
+
+bool libdipole_connect(const libdipole_address *address, unsigned timeout_ms, int *fd,
+                       pid_t *daemon, dipole_error *error) {
+  *daemon = 0;
+  switch (address->kind) {
+  case LIBDIPOLE_TCP:
+    return connect_tcp(address, timeout_ms, fd, error);
+  case LIBDIPOLE_UNIX:
+    return connect_unix_address(address, timeout_ms, fd, error);
+  default:
+    return start_daemon(address->path, fd, daemon, error);
+  }
 }

@@ -2,7 +2,8 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "clients/c/client.h"
+#include "clients/c/error.h"
+#include "proto/wire.h"
 
 bool libdipole_fail(dipole_error *error, enum dipole_error_kind kind, const char *format, ...) {
   va_list arguments;
@@ -19,12 +20,25 @@ bool libdipole_fail_errno(dipole_error *error, enum dipole_error_kind kind, int 
   return libdipole_fail(error, kind, "%s: %s", what, strerror_r(number, buffer, sizeof buffer));
 }
 
-/* The daemon's name for a status; ours before its lists are here, or when they lack it. */
-static const char *status_name(const dipole_client *client, unsigned status) {
-  for (size_t i = 0; i < client->info.choice_count; i++) {
-    const dipole_choice *choice = &client->info.choices[i];
-    if (choice->kind == DIPOLE_STATUS && choice->id == status) {
-      return choice->name;
+bool libdipole_fail_memory(dipole_error *error) {
+  return libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory");
+}
+
+bool libdipole_fail_protocol(dipole_error *error, const char *what) {
+  return libdipole_fail(error, DIPOLE_ERROR_PROTOCOL, "the peer does not speak this protocol: %s",
+                        what);
+}
+
+/* ---- refusals ------------------------------------------------------------------------------ */
+
+_Static_assert(sizeof((dipole_error *)0)->field == sizeof((wire_error *)0)->field, "field");
+_Static_assert(sizeof((dipole_error *)0)->allowed == sizeof((wire_error *)0)->allowed, "allowed");
+
+/* The daemon's name for a status, or this library's own if the daemon's lists lack it. */
+static const char *status_name(const dipole_info *info, unsigned status) {
+  for (size_t i = 0; i < info->choice_count; i++) {
+    if (info->choices[i].kind == DIPOLE_STATUS && info->choices[i].id == status) {
+      return info->choices[i].name;
     }
   }
   return wire_status_name(status);
@@ -36,40 +50,34 @@ static bool is_medium_field(const char *field) {
 #undef SAME_NAME
 }
 
-/* Of a list of numbers. */
+/* Whether the field is a list of numbers. */
 static bool is_listed_field(const char *field) {
   return strcmp(field, "r") == 0 || strcmp(field, "u") == 0 || strcmp(field, "albedo") == 0 ||
          strcmp(field, "length") == 0;
 }
 
-/* " of medium 2 of 3": which of several the field belongs to, counted from one. */
-static void describe_place(const libdipole_pending *pending, const wire_error *from, char *place,
-                           size_t bytes) {
+/* For example " of medium 2 of 3": says which of several the field belongs to, counted from 1. */
+static void describe_place(const wire_error *from, uint32_t medium_count, uint64_t value_count,
+                           char *place, size_t bytes) {
+  const unsigned long long number = from->index + 1;
   place[0] = '\0';
-  if (pending == NULL) {
-    return;
-  }
-  if (is_medium_field(from->field) && from->index < pending->medium_count &&
-      pending->medium_count > 1) {
-    snprintf(place, bytes, " of medium %llu of %lu", (unsigned long long)from->index + 1,
-             (unsigned long)pending->medium_count);
-  } else if (is_listed_field(from->field) && from->index < pending->radius_count &&
-             pending->radius_count > 1) {
-    snprintf(place, bytes, " number %llu of %llu", (unsigned long long)from->index + 1,
-             (unsigned long long)pending->radius_count);
+  if (is_medium_field(from->field) && from->index < medium_count && medium_count > 1) {
+    snprintf(place, bytes, " of medium %llu of %lu", number, (unsigned long)medium_count);
+  } else if (is_listed_field(from->field) && from->index < value_count && value_count > 1) {
+    snprintf(place, bytes, " number %llu of %llu", number, (unsigned long long)value_count);
   }
 }
 
-bool libdipole_refused(const dipole_client *client, const libdipole_pending *pending,
-                       const libdipole_frame *frame, dipole_error *error) {
+bool libdipole_fail_refused(dipole_error *error, const dipole_info *info, uint32_t medium_count,
+                            uint64_t value_count, const uint8_t *payload) {
   wire_error from;
   char place[64];
-  wire_get_error(frame->payload, &from);
+  wire_get_error(payload, &from);
   libdipole_clean_text(from.field);
   libdipole_clean_text(from.allowed);
-  const char *name = status_name(client, from.status);
+  const char *name = status_name(info, from.status);
   if (from.field[0] != '\0') {
-    describe_place(pending, &from, place, sizeof place);
+    describe_place(&from, medium_count, value_count, place, sizeof place);
     libdipole_fail(error, DIPOLE_ERROR_REFUSED, "%s: %s%s: allowed: %s", name, from.field, place,
                    from.allowed);
   } else if (from.retry_after_ms > 0) {
@@ -86,5 +94,36 @@ bool libdipole_refused(const dipole_client *client, const libdipole_pending *pen
   return false;
 }
 
-_Static_assert(sizeof((dipole_error *)0)->field == sizeof((wire_error *)0)->field, "field");
-_Static_assert(sizeof((dipole_error *)0)->allowed == sizeof((wire_error *)0)->allowed, "allowed");
+/* ---- a peer's text ------------------------------------------------------------------------- */
+
+/* The number of bytes of the character at text, or 1 if it is not well-formed. Overlong forms and
+ * surrogates pass as well-formed: a terminal shows nothing harmful for them. */
+static size_t character_bytes(const unsigned char *text) {
+  const size_t bytes = text[0] >= 0xf0 ? 4 : text[0] >= 0xe0 ? 3 : text[0] >= 0xc2 ? 2 : 1;
+  if (text[0] > 0xf4) {
+    return 1;
+  }
+  for (size_t i = 1; i < bytes; i++) {
+    if ((text[i] & 0xc0) != 0x80) { /* the terminating zero too */
+      return 1;
+    }
+  }
+  return bytes;
+}
+
+/* U+0080 to U+009F are control characters like those below U+0020. */
+static bool is_control(const unsigned char *text, size_t bytes) {
+  return bytes == 1 ? text[0] < 0x20 || text[0] == 0x7f
+                    : bytes == 2 && text[0] == 0xc2 && text[1] < 0xa0;
+}
+
+void libdipole_clean_text(char *text) {
+  unsigned char *at = (unsigned char *)text;
+  while (*at != '\0') {
+    const size_t bytes = character_bytes(at);
+    if (is_control(at, bytes) || (bytes == 1 && *at >= 0x80)) {
+      memset(at, '?', bytes);
+    }
+    at += bytes;
+  }
+}

@@ -1,45 +1,86 @@
-/* What the daemon tells of itself: hello, measured media, statistics, ping. */
+#include "clients/c/info.h"
+
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "clients/c/client.h"
+#include "clients/c/error.h"
+#include "core/core.h"
 
-/* The longest list that is believed: no daemon has thousands of models or media. */
+/* The longest list that is accepted. No daemon has thousands of models or media. With this limit, no
+ * product of counts can overflow. */
 #define LIST_MAX_BYTES ((uint64_t)1 << 20)
 
-static bool bad_list(dipole_client *client, const char *what, dipole_error *error) {
-  libdipole_fail(error, DIPOLE_ERROR_PROTOCOL,
-                 "the peer does not speak this protocol: its %s does not have the length that it "
-                 "announces",
-                 what);
-  client->broken = *error;
-  return false;
+static bool bad_list(dipole_client *client, const char *name, dipole_error *error) {
+  char what[80];
+  snprintf(what, sizeof what, "its %s does not have the length that it announces", name);
+  return libdipole_bad_answer(client, what, error);
 }
 
-static bool no_memory(dipole_error *error) {
-  return libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory");
+/* ---- lists of choices ---------------------------------------------------------------------- */
+
+/* One block: the info and all that it points to. */
+typedef struct info_block {
+  dipole_info info;
+  wire_hello_reply hello;
+  wire_choice *choice_texts;
+  wire_value *limit_texts;
+  dipole_choice *choices;
+  dipole_value *limits;
+} info_block;
+
+/* Makes a block with room for lists of these lengths and for an address, which it copies. */
+static info_block *new_block(size_t choice_count, size_t limit_count, const char *address,
+                             dipole_error *error) {
+  const size_t address_bytes = strlen(address) + 1;
+  info_block *block =
+      calloc(1, sizeof *block + choice_count * (sizeof(dipole_choice) + sizeof(wire_choice)) +
+                    limit_count * (sizeof(dipole_value) + sizeof(wire_value)) + address_bytes);
+  if (block == NULL) {
+    libdipole_fail_memory(error);
+    return NULL;
+  }
+  block->choices = (dipole_choice *)(void *)(block + 1);
+  block->limits = (dipole_value *)(void *)(block->choices + choice_count);
+  block->limit_texts = (wire_value *)(void *)(block->limits + limit_count);
+  block->choice_texts = (wire_choice *)(void *)(block->limit_texts + limit_count);
+  char *copy = (char *)(block->choice_texts + choice_count);
+  memcpy(copy, address, address_bytes);
+  block->info = (dipole_info){.address = copy,
+                              .choices = block->choices,
+                              .choice_count = choice_count,
+                              .limits = block->limits,
+                              .limit_count = limit_count};
+  return block;
 }
 
-/* ---- hello --------------------------------------------------------------------------------- */
+static void set_choice(info_block *block, size_t i) {
+  const wire_choice *text = &block->choice_texts[i];
+  block->choices[i] = (dipole_choice){.kind = (enum dipole_kind)text->kind,
+                                      .id = text->id,
+                                      .name = text->name,
+                                      .about = text->about};
+}
 
-static bool get_choices(dipole_client *client, const uint8_t *at, size_t count) {
-  client->choices = calloc(count + 1, sizeof *client->choices);
-  client->choice_texts = calloc(count + 1, sizeof *client->choice_texts);
-  if (client->choices == NULL || client->choice_texts == NULL) {
+bool dipole_local_info(dipole_info **info, dipole_error *error) {
+  const size_t count = wire_choice_count();
+  info_block *block = new_block(count, 0, "", error != NULL ? error : &(dipole_error){0});
+  if (block == NULL) {
     return false;
   }
   for (size_t i = 0; i < count; i++) {
-    wire_choice *from = &client->choice_texts[i];
-    wire_get_choice(at + i * WIRE_BYTES_choice, from);
-    libdipole_clean_text(from->name);
-    libdipole_clean_text(from->about);
-    client->choices[i] = (dipole_choice){.kind = (enum dipole_kind)from->kind,
-                                         .id = from->id,
-                                         .name = from->name,
-                                         .about = from->about};
+    block->choice_texts[i] = wire_choice_at(i);
+    set_choice(block, i);
   }
+  block->info.software = "libdipole " DIPOLED_VERSION;
+  block->info.instruction_set = core_isa_name(core_isa_select(NULL));
+  block->info.R_unit = WIRE_R_UNIT;
+  block->info.protocol_version = WIRE_VERSION;
+  *info = &block->info;
   return true;
 }
+
+/* ---- hello --------------------------------------------------------------------------------- */
 
 static void get_value(const uint8_t *at, wire_value *text, dipole_value *value) {
   wire_get_value(at, text);
@@ -47,84 +88,71 @@ static void get_value(const uint8_t *at, wire_value *text, dipole_value *value) 
   *value = (dipole_value){.name = text->name, .value = text->value};
 }
 
-static bool get_limits(dipole_client *client, const uint8_t *at, size_t count) {
-  client->limits = calloc(count + 1, sizeof *client->limits);
-  client->limit_texts = calloc(count + 1, sizeof *client->limit_texts);
-  if (client->limits == NULL || client->limit_texts == NULL) {
-    return false;
-  }
-  for (size_t i = 0; i < count; i++) {
-    get_value(at + i * WIRE_BYTES_value, &client->limit_texts[i], &client->limits[i]);
-  }
-  return true;
-}
-
-/* The lists are at most LIST_MAX_BYTES, so that no product of counts can wrap. */
-static bool get_hello(dipole_client *client, const libdipole_frame *frame, dipole_error *error) {
-  wire_hello_reply *hello = &client->hello;
+static bool take_hello(dipole_client *client, const libdipole_frame *frame, const char *address,
+                       dipole_error *error) {
+  wire_hello_reply hello;
   const size_t bytes = frame->header.payload_bytes - WIRE_BYTES_hello_reply;
-  wire_get_hello_reply(frame->payload, hello);
-  if (hello->choice_count > bytes / WIRE_BYTES_choice ||
-      hello->limit_count > bytes / WIRE_BYTES_value ||
-      bytes != (size_t)hello->choice_count * WIRE_BYTES_choice +
-                   (size_t)hello->limit_count * WIRE_BYTES_value) {
+  wire_get_hello_reply(frame->payload, &hello);
+  if (hello.choice_count > bytes / WIRE_BYTES_choice ||
+      hello.limit_count > bytes / WIRE_BYTES_value ||
+      bytes != (size_t)hello.choice_count * WIRE_BYTES_choice +
+                   (size_t)hello.limit_count * WIRE_BYTES_value) {
     return bad_list(client, "hello", error);
   }
-  if (hello->version != WIRE_VERSION) {
+  if (hello.version != WIRE_VERSION) {
     return libdipole_fail(error, DIPOLE_ERROR_PROTOCOL,
                           "the daemon speaks protocol versions %u to %u, this library version %d",
-                          hello->version_min, hello->version_max, WIRE_VERSION);
+                          hello.version_min, hello.version_max, WIRE_VERSION);
+  }
+  info_block *block = new_block(hello.choice_count, hello.limit_count, address, error);
+  if (block == NULL) {
+    return false;
   }
   const uint8_t *at = frame->payload + WIRE_BYTES_hello_reply;
-  if (!get_choices(client, at, hello->choice_count) ||
-      !get_limits(client, at + (size_t)hello->choice_count * WIRE_BYTES_choice,
-                  hello->limit_count)) {
-    return no_memory(error);
+  for (size_t i = 0; i < hello.choice_count; i++, at += WIRE_BYTES_choice) {
+    wire_get_choice(at, &block->choice_texts[i]);
+    libdipole_clean_text(block->choice_texts[i].name);
+    libdipole_clean_text(block->choice_texts[i].about);
+    set_choice(block, i);
   }
-  libdipole_clean_text(hello->software);
-  libdipole_clean_text(hello->instruction_set);
-  libdipole_clean_text(hello->R_unit);
-  client->info = (dipole_info){.address = client->address,
-                               .software = hello->software,
-                               .instruction_set = hello->instruction_set,
-                               .R_unit = hello->R_unit,
-                               .protocol_version = hello->version,
-                               .workers = hello->workers,
-                               .choices = client->choices,
-                               .choice_count = hello->choice_count,
-                               .limits = client->limits,
-                               .limit_count = hello->limit_count};
+  for (size_t i = 0; i < hello.limit_count; i++, at += WIRE_BYTES_value) {
+    get_value(at, &block->limit_texts[i], &block->limits[i]);
+  }
+  libdipole_clean_text(hello.software);
+  libdipole_clean_text(hello.instruction_set);
+  libdipole_clean_text(hello.R_unit);
+  block->hello = hello;
+  block->info.software = block->hello.software;
+  block->info.instruction_set = block->hello.instruction_set;
+  block->info.R_unit = block->hello.R_unit;
+  block->info.protocol_version = hello.version;
+  block->info.workers = hello.workers;
+  client->info = &block->info;
   return true;
 }
 
-bool libdipole_hello(dipole_client *client, dipole_error *error) {
+bool libdipole_hello(dipole_client *client, const char *address, dipole_error *error) {
+  static const libdipole_kind kind = {.repeatable = false};
   const wire_hello_request hello = {.version_min = WIRE_VERSION, .version_max = WIRE_VERSION};
   uint8_t payload[WIRE_BYTES_hello_request];
-  libdipole_pending pending = {.type = WIRE_TYPE_HELLO,
+  libdipole_pending pending = {.kind = &kind,
+                               .type = WIRE_TYPE_HELLO,
                                .reply_bytes_min = WIRE_BYTES_hello_reply,
                                .reply_bytes_max = LIST_MAX_BYTES};
   wire_put_hello_request(payload, &hello);
   libdipole_frame *frame = libdipole_ask(client, &pending, payload, sizeof payload, error);
-  const bool understood = frame != NULL && get_hello(client, frame, error);
+  const bool understood = frame != NULL && take_hello(client, frame, address, error);
   free(frame);
   return understood;
 }
 
-void libdipole_info_free(dipole_client *client) {
-  free(client->choices);
-  free(client->choice_texts);
-  free(client->limits);
-  free(client->limit_texts);
-  free(client->address);
-}
-
 const dipole_info *dipole_get_info(const dipole_client *client) {
-  return &client->info;
+  return client->info;
 }
 
 unsigned dipole_id(const dipole_client *client, enum dipole_kind kind, const char *name) {
-  for (size_t i = 0; i < client->info.choice_count; i++) {
-    const dipole_choice *choice = &client->info.choices[i];
+  for (size_t i = 0; i < client->info->choice_count; i++) {
+    const dipole_choice *choice = &client->info->choices[i];
     if (choice->kind == kind && strcmp(choice->name, name) == 0) {
       return choice->id;
     }
@@ -134,11 +162,12 @@ unsigned dipole_id(const dipole_client *client, enum dipole_kind kind, const cha
 
 /* ---- lists --------------------------------------------------------------------------------- */
 
-/* Asks for a list of structures of one size; *count of them lie behind the list_reply. */
+/* Asks for a list of structures of one size. *count of them lie behind the list_reply. */
 static libdipole_frame *ask_list(dipole_client *client, enum wire_type type, size_t structure_bytes,
                                  size_t *count, dipole_error *error) {
   wire_list_reply list;
-  libdipole_pending pending = {.type = (uint16_t)type,
+  libdipole_pending pending = {.kind = &libdipole_plain,
+                               .type = (uint16_t)type,
                                .reply_bytes_min = WIRE_BYTES_list_reply,
                                .reply_bytes_max = LIST_MAX_BYTES};
   libdipole_frame *frame = libdipole_ask(client, &pending, NULL, 0, error);
@@ -172,26 +201,24 @@ static void get_measured_medium(const uint8_t *at, dipole_measured_medium *mediu
 
 bool dipole_media(dipole_client *client, dipole_measured_medium **media, size_t *count,
                   dipole_error *error) {
-  dipole_error unwanted;
-  error = error != NULL ? error : &unwanted;
+  error = error != NULL ? error : &(dipole_error){0};
   libdipole_frame *frame =
       ask_list(client, WIRE_TYPE_MEDIA, WIRE_BYTES_measured_medium, count, error);
   if (frame == NULL) {
     return false;
   }
-  *media = calloc(*count + 1, sizeof **media); /* never NULL for an empty list */
+  *media = calloc(*count + 1, sizeof **media); /* An empty list is not NULL. */
   for (size_t i = 0; *media != NULL && i < *count; i++) {
     get_measured_medium(frame->payload + WIRE_BYTES_list_reply + i * WIRE_BYTES_measured_medium,
                         &(*media)[i]);
   }
   free(frame);
-  return *media != NULL || no_memory(error);
+  return *media != NULL || libdipole_fail_memory(error);
 }
 
 bool dipole_statistics(dipole_client *client, dipole_value **values, size_t *count,
                        dipole_error *error) {
-  dipole_error unwanted;
-  error = error != NULL ? error : &unwanted;
+  error = error != NULL ? error : &(dipole_error){0};
   libdipole_frame *frame = ask_list(client, WIRE_TYPE_STATS, WIRE_BYTES_value, count, error);
   if (frame == NULL) {
     return false;
@@ -204,25 +231,21 @@ bool dipole_statistics(dipole_client *client, dipole_value **values, size_t *cou
               &(*values)[i]);
   }
   free(frame);
-  return *values != NULL || no_memory(error);
+  return *values != NULL || libdipole_fail_memory(error);
 }
 
 bool dipole_ping(dipole_client *client, dipole_error *error) {
   static const uint8_t payload[8] = {'d', 'i', 'p', 'o', 'l', 'e', '?', '\n'};
-  dipole_error unwanted;
-  libdipole_pending pending = {
-      .type = WIRE_TYPE_PING, .reply_bytes_min = sizeof payload, .reply_bytes_max = sizeof payload};
-  error = error != NULL ? error : &unwanted;
+  libdipole_pending pending = {.kind = &libdipole_plain,
+                               .type = WIRE_TYPE_PING,
+                               .reply_bytes_min = sizeof payload,
+                               .reply_bytes_max = sizeof payload};
+  error = error != NULL ? error : &(dipole_error){0};
   libdipole_frame *frame = libdipole_ask(client, &pending, payload, sizeof payload, error);
   if (frame == NULL) {
     return false;
   }
   const bool same = memcmp(frame->payload, payload, sizeof payload) == 0;
   free(frame);
-  if (!same) {
-    libdipole_fail(error, DIPOLE_ERROR_PROTOCOL,
-                   "the peer does not speak this protocol: a ping came back changed");
-    client->broken = *error;
-  }
-  return same;
+  return same || libdipole_bad_answer(client, "a ping came back changed", error);
 }

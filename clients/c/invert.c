@@ -4,26 +4,19 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "clients/c/client.h"
+#include "clients/c/error.h"
+#include "clients/c/query.h"
+#include "clients/c/request.h"
 
-/* Arrays are used where they lie in the frames, which are little-endian. */
-_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's arrays need swapping");
-
-/* The caller's inversion, and the frame that holds its arrays. */
+/* The caller's inversion and the frame that holds its arrays. */
 struct inversion {
-  dipole_inversion told;
+  dipole_inversion public;
   libdipole_frame *frame;
 };
 
 /* ---- parts --------------------------------------------------------------------------------- */
 
-static bool bad_answer(dipole_error *error) {
-  return libdipole_fail(error, DIPOLE_ERROR_PROTOCOL,
-                        "the peer does not speak this protocol: it answered an invert request "
-                        "with another shape than was asked for");
-}
-
-/* The next part of the answer; model, moments and the reach are the same in all of them. */
+/* Whether this is the next part. Model, moments and the reach are the same in all parts. */
 static bool is_next(const libdipole_pending *pending, const wire_invert_reply *fixed) {
   const uint64_t left = pending->radius_count - pending->next_radius;
   const bool is_last = fixed->part + 1 == fixed->part_count;
@@ -54,13 +47,14 @@ static void copy_arrays(const libdipole_pending *pending, const libdipole_frame 
   }
 }
 
-bool libdipole_media_take(libdipole_pending *pending, libdipole_frame *frame, dipole_error *error) {
+static bool take_part(libdipole_pending *pending, libdipole_frame *frame, dipole_error *error) {
   wire_invert_reply fixed;
   if (!invert_reply_parse(frame->payload, (size_t)frame->payload_bytes, &fixed) ||
       !is_next(pending, &fixed)) {
-    return bad_answer(error);
+    return libdipole_fail_protocol(error, "it answered an invert request with another shape than "
+                                          "was asked for");
   }
-  uint64_t missing = fixed.missing_count;
+  wire_invert_reply whole = fixed;
   if (pending->gathered == NULL) {
     const uint64_t bytes = invert_reply_bytes(pending->radius_count);
     pending->gathered = libdipole_frame_new(&frame->header, bytes, bytes, 0, error);
@@ -70,29 +64,28 @@ bool libdipole_media_take(libdipole_pending *pending, libdipole_frame *frame, di
   } else {
     wire_invert_reply before;
     wire_get_invert_reply(pending->gathered->payload, &before);
-    missing += before.missing_count;
+    whole.missing_count += before.missing_count;
   }
   copy_arrays(pending, frame, &fixed);
-  wire_invert_reply whole = fixed;
-  whole.missing_count = missing;
   wire_put_invert_reply(pending->gathered->payload, &whole);
-  pending->next_part++;
-  pending->next_radius += fixed.medium_count;
-  if (fixed.part + 1 == fixed.part_count) {
-    pending->frame = pending->gathered;
-    pending->gathered = NULL;
-    pending->next_part = 0;
-    pending->next_radius = 0;
-  }
+  libdipole_part_end(pending, fixed.medium_count, fixed.part + 1 == fixed.part_count);
   return true;
 }
+
+static bool take_frame(libdipole_pending *pending, libdipole_frame *frame, dipole_error *error) {
+  const bool good = take_part(pending, frame, error);
+  free(frame);
+  return good;
+}
+
+static const libdipole_kind kind = {.repeatable = true, .take = take_frame};
 
 /* ---- asking -------------------------------------------------------------------------------- */
 
 static bool check(const dipole_invert_query *query, dipole_error *error) {
-  if ((query->model | query->moments | query->given) > UINT16_MAX) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                          "model, moments and given are at most 65535");
+  if (!libdipole_check_u16(query->model | query->moments | query->given, "model, moments and given",
+                           error)) {
+    return false;
   }
   if ((query->albedos == NULL || query->lengths_mm == NULL) && query->medium_count > 0) {
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
@@ -129,14 +122,14 @@ static bool send(dipole_client *client, const dipole_invert_query *query,
   return libdipole_request_send(client, error);
 }
 
-/* Takes the frame over. */
+/* Makes the caller's inversion of a frame, which it takes over. */
 static bool take(libdipole_frame *frame, uint64_t count, dipole_inversion **inversion,
                  dipole_error *error) {
   struct inversion *made = calloc(1, sizeof *made);
   wire_invert_reply fixed;
   if (made == NULL) {
     free(frame);
-    return libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory");
+    return libdipole_fail_memory(error);
   }
   wire_get_invert_reply(frame->payload, &fixed);
   const double *arrays[INVERT_ARRAYS];
@@ -144,26 +137,26 @@ static bool take(libdipole_frame *frame, uint64_t count, dipole_inversion **inve
     arrays[i] = (const double *)(const void *)(frame->payload + invert_array_offset(i, count));
   }
   made->frame = frame;
-  made->told = (dipole_inversion){.medium_count = count,
-                                  .missing_count = fixed.missing_count,
-                                  .sigma_a_per_mm = arrays[INVERT_SIGMA_A],
-                                  .sigma_s_per_mm = arrays[INVERT_SIGMA_S],
-                                  .albedos = arrays[INVERT_ALBEDO],
-                                  .albedo_least = fixed.albedo_least,
-                                  .albedo_most = fixed.albedo_most};
-  *inversion = &made->told;
+  made->public = (dipole_inversion){.medium_count = count,
+                                    .missing_count = fixed.missing_count,
+                                    .sigma_a_per_mm = arrays[INVERT_SIGMA_A],
+                                    .sigma_s_per_mm = arrays[INVERT_SIGMA_S],
+                                    .albedos = arrays[INVERT_ALBEDO],
+                                    .albedo_least = fixed.albedo_least,
+                                    .albedo_most = fixed.albedo_most};
+  *inversion = &made->public;
   return true;
 }
 
 bool dipole_invert(dipole_client *client, const dipole_invert_query *query,
                    dipole_inversion **inversion, dipole_error *error) {
-  dipole_error unwanted;
-  libdipole_pending pending = {.type = WIRE_TYPE_INVERT,
+  libdipole_pending pending = {.kind = &kind,
+                               .type = WIRE_TYPE_INVERT,
                                .deadline_ms = query->deadline_ms,
                                .reply_bytes_min = WIRE_BYTES_invert_reply,
                                .reply_bytes_max = invert_reply_bytes(query->medium_count),
                                .radius_count = query->medium_count};
-  error = error != NULL ? error : &unwanted;
+  error = error != NULL ? error : &(dipole_error){0};
   if (!send(client, query, &pending, error)) {
     return false;
   }

@@ -1,13 +1,13 @@
-/* Monte Carlo jobs: started, followed, cancelled, and their tables. */
+/* Monte Carlo jobs: how they are started, followed and cancelled, and their tables. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "clients/c/client.h"
+#include "clients/c/error.h"
+#include "clients/c/query.h"
+#include "clients/c/request.h"
 #include "proto/mc.h"
 
-/* The table's arrays are used where they lie. */
-_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's arrays need swapping");
 _Static_assert((int)DIPOLE_MC_REFLECTED == (int)CORE_MC_REFLECTED &&
                    (int)DIPOLE_MC_SIDES == (int)CORE_MC_SIDES,
                "sides");
@@ -15,7 +15,7 @@ _Static_assert((int)DIPOLE_MC_PHOTONS == (int)MC_PHOTONS_WALKED &&
                    (int)DIPOLE_MC_STOPPED == (int)MC_STOPPED,
                "ends");
 
-/* What the caller sees comes first. */
+/* A result and its memory. The result comes first, so that it leads to the rest. */
 typedef struct mc_table {
   dipole_mc_result result;
   mc_layout layout;
@@ -25,7 +25,7 @@ typedef struct mc_table {
 
 /* ---- asking -------------------------------------------------------------------------------- */
 
-/* Only what the frame's layout depends on. */
+/* Checks what the frame's layout depends on. The daemon judges the rest. */
 static bool check_query(const dipole_mc_query *query, dipole_error *error) {
   if (query->albedo_count > CORE_MC_ALBEDOS_MAX) {
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "albedo_count is at most %d",
@@ -34,10 +34,7 @@ static bool check_query(const dipole_mc_query *query, dipole_error *error) {
   if (query->albedos == NULL && query->albedo_count > 0) {
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "albedos is NULL, albedo_count is not 0");
   }
-  if (query->spacing > UINT16_MAX) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "spacing is at most 65535");
-  }
-  return true;
+  return libdipole_check_u16(query->spacing, "spacing", error);
 }
 
 static void put_query(uint8_t *at, const dipole_mc_query *query) {
@@ -58,7 +55,7 @@ static void put_query(uint8_t *at, const dipole_mc_query *query) {
   }
 }
 
-/* The sides and albedos that the answer has. */
+/* How many sides and albedos the answer has. */
 static uint32_t sides_of(const dipole_mc_query *query) {
   return isinf(query->thickness_mm) ? 1 : DIPOLE_MC_SIDES;
 }
@@ -67,14 +64,25 @@ static uint32_t albedos_of(const dipole_mc_query *query) {
   return query->albedo_count > 0 ? query->albedo_count : 1;
 }
 
+static bool is_progress(const libdipole_frame *frame) {
+  wire_mc_reply reply;
+  wire_get_mc_reply(frame->payload, &reply); /* start() asks for no shorter one. */
+  return reply.state == MC_UNDER_WAY;
+}
+
+/* A job is not repeated: its photons would be lost, and a new job would delay those of others. */
+static const libdipole_kind job_kind = {.endless = true, .is_progress = is_progress};
+static const libdipole_kind cancel_kind = {.endless = true};
+
 static bool start(dipole_client *client, const dipole_mc_query *query, libdipole_pending *pending,
                   dipole_error *error) {
   mc_layout layout;
   uint8_t *payload;
-  *pending = (libdipole_pending){.type = WIRE_TYPE_MC,
+  *pending = (libdipole_pending){.kind = &job_kind,
+                                 .type = WIRE_TYPE_MC,
                                  .reply_bytes_min = WIRE_BYTES_mc_reply,
                                  .reply_bytes_max = WIRE_BYTES_mc_reply};
-  /* Where no table can be, the daemon will refuse, and say why. */
+  /* Without a layout no table comes: the daemon refuses the request and says why. */
   if (mc_reply_layout(sides_of(query), albedos_of(query), query->ring_count, &layout)) {
     pending->reply_bytes_max = layout.payload_bytes;
   }
@@ -89,7 +97,8 @@ static bool start(dipole_client *client, const dipole_mc_query *query, libdipole
 static bool cancel(dipole_client *client, uint64_t job_id, uint64_t *cancel_id,
                    dipole_error *error) {
   const wire_cancel_request request = {.job_id = job_id};
-  libdipole_pending pending = {.type = WIRE_TYPE_CANCEL,
+  libdipole_pending pending = {.kind = &cancel_kind,
+                               .type = WIRE_TYPE_CANCEL,
                                .reply_bytes_min = WIRE_BYTES_cancel_reply,
                                .reply_bytes_max = WIRE_BYTES_cancel_reply};
   uint8_t *payload;
@@ -102,14 +111,6 @@ static bool cancel(dipole_client *client, uint64_t job_id, uint64_t *cancel_id,
 }
 
 /* ---- answers ------------------------------------------------------------------------------- */
-
-static bool bad_answer(dipole_client *client, dipole_error *error) {
-  libdipole_fail(error, DIPOLE_ERROR_PROTOCOL,
-                 "the peer does not speak this protocol: it answered an mc request with another "
-                 "shape than was asked for");
-  client->broken = *error;
-  return false;
-}
 
 static dipole_mc_progress progress_of(const wire_mc_reply *from) {
   return (dipole_mc_progress){.photons = from->photons,
@@ -140,13 +141,13 @@ static dipole_mc_energy get_energy(const uint8_t *at) {
   return to;
 }
 
-/* Takes the frame over. */
+/* Makes the result of the last frame, which it takes over. */
 static bool take_table(dipole_client *client, libdipole_frame *frame, const wire_mc_reply *fixed,
                        const mc_layout *layout, dipole_mc_result **result, dipole_error *error) {
   mc_table *table = malloc(sizeof *table + fixed->albedo_count * sizeof table->energies[0]);
   if (table == NULL) {
     free(frame);
-    libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory");
+    libdipole_fail_memory(error);
     client->broken = *error;
     return false;
   }
@@ -168,47 +169,42 @@ static bool take_table(dipole_client *client, libdipole_frame *frame, const wire
   return true;
 }
 
-/* What came of waiting for the next part. */
-enum part { PART_FAILED, PART_PROGRESS, PART_LAST };
-
 static bool is_asked_for(const dipole_mc_query *query, const wire_mc_reply *fixed) {
   return fixed->state <= MC_STOPPED && fixed->side_count == sides_of(query) &&
          fixed->albedo_count == albedos_of(query) && fixed->ring_count == query->ring_count;
 }
 
-static enum part next_part(dipole_client *client, const dipole_mc_query *query, uint64_t id,
-                           dipole_mc_progress *progress, dipole_mc_result **result,
-                           dipole_error *error) {
-  libdipole_pending pending;
+/* Waits for the next reply. *result: the table if it was the last; else NULL, and *progress says how
+ * far the job is. */
+static bool next_reply(dipole_client *client, const dipole_mc_query *query, uint64_t id,
+                       dipole_mc_progress *progress, dipole_mc_result **result,
+                       dipole_error *error) {
+  libdipole_pending pending = {.id = id};
   wire_mc_reply fixed;
   mc_layout layout;
-  if (!libdipole_request_wait(client, id, &pending, error)) {
-    return PART_FAILED;
-  }
-  libdipole_frame *frame = pending.frame;
-  if (frame->header.type == WIRE_TYPE_ERROR) {
-    libdipole_refused(client, &pending, frame, error);
-    free(frame);
-    return PART_FAILED;
+  libdipole_frame *frame = libdipole_reply(client, &pending, error);
+  *result = NULL;
+  if (frame == NULL) {
+    return false;
   }
   const bool shaped = mc_reply_parse(frame->payload, frame->header.payload_bytes, &fixed, &layout);
   if (shaped && fixed.state == MC_UNDER_WAY) {
     *progress = progress_of(&fixed);
     free(frame);
-    return PART_PROGRESS;
+    return true;
   }
   if (!shaped || !is_asked_for(query, &fixed)) {
     free(frame);
-    bad_answer(client, error);
-    return PART_FAILED;
+    return libdipole_bad_answer(
+        client, "it answered an mc request with another shape than was asked for", error);
   }
-  return take_table(client, frame, &fixed, &layout, result, error) ? PART_LAST : PART_FAILED;
+  return take_table(client, frame, &fixed, &layout, result, error);
 }
 
 /* ---- the public calls ---------------------------------------------------------------------- */
 
-/* The answer to a cancel request, if one was sent, says nothing that the table does not. It need
- * not come: a daemon that stops has sent the table, and closes. */
+/* Takes the answer to a cancel request, which says nothing that the table does not. It may not come:
+ * a daemon that stops sends the table and closes. */
 static void finish(dipole_client *client, uint64_t cancel_id) {
   libdipole_pending pending;
   dipole_error unwanted;
@@ -220,23 +216,20 @@ static void finish(dipole_client *client, uint64_t cancel_id) {
 bool dipole_mc(dipole_client *client, const dipole_mc_query *query,
                bool (*progress)(void *context, const dipole_mc_progress *now), void *context,
                dipole_mc_result **result, dipole_error *error) {
-  dipole_error unwanted;
   libdipole_pending job;
   dipole_mc_progress now;
   uint64_t cancel_id = 0;
-  error = error != NULL ? error : &unwanted;
+  error = error != NULL ? error : &(dipole_error){0};
   if (!check_query(query, error) || !start(client, query, &job, error)) {
     return false;
   }
   for (;;) {
-    switch (next_part(client, query, job.id, &now, result, error)) {
-    case PART_FAILED:
+    if (!next_reply(client, query, job.id, &now, result, error)) {
       return false;
-    case PART_LAST:
+    }
+    if (*result != NULL) {
       finish(client, cancel_id);
       return true;
-    case PART_PROGRESS:
-      break;
     }
     const bool goes_on = progress == NULL || progress(context, &now);
     if (!goes_on && cancel_id == 0 && !cancel(client, job.id, &cancel_id, error)) {
@@ -246,7 +239,7 @@ bool dipole_mc(dipole_client *client, const dipole_mc_query *query,
 }
 
 void dipole_mc_result_free(dipole_mc_result *result) {
-  mc_table *table = (mc_table *)(void *)result; /* whose first member it is */
+  mc_table *table = (mc_table *)(void *)result; /* It is the first member. */
   if (table != NULL) {
     free(table->frame);
     free(table);

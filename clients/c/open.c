@@ -1,55 +1,39 @@
 /* Connections: one to an address, and the first that can be had to one of several. */
-#include <errno.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <time.h>
 
-#include "clients/c/client.h"
+#include "clients/c/clock.h"
+#include "clients/c/connect.h"
+#include "clients/c/error.h"
+#include "clients/c/info.h"
 
 /* ---- one ----------------------------------------------------------------------------------- */
 
-static bool connect_stream(dipole_client *client, const char *text, unsigned limit_ms,
-                           dipole_error *error) {
+/* Connects and says hello. Each of the two may take limit_ms. */
+static bool greet(dipole_client *client, const char *text, unsigned limit_ms, dipole_error *error) {
   libdipole_address address;
   int fd;
-  if (!libdipole_address_parse(text, &address, error)) {
+  if (!libdipole_address_parse(text, &address, error) ||
+      !libdipole_connect(&address, limit_ms, &fd, &client->daemon, error)) {
     return false;
   }
-  const bool connected = address.kind == LIBDIPOLE_PRIVATE
-                             ? libdipole_daemon_start(address.path, &fd, &client->daemon, error)
-                             : libdipole_connect(&address, limit_ms, &fd, error);
-  if (connected) {
-    libdipole_stream_init(&client->stream, fd);
-  }
-  return connected;
-}
-
-/* Connects and says hello, in limit_ms each at the most. */
-static bool greet(dipole_client *client, const char *text, unsigned limit_ms, dipole_error *error) {
-  client->address = strdup(text);
-  if (client->address == NULL) {
-    return libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory");
-  }
-  if (!connect_stream(client, text, limit_ms, error)) {
-    return false;
-  }
+  libdipole_stream_init(&client->stream, fd);
   client->call_timeout_ms = limit_ms;
-  if (libdipole_hello(client, error)) {
+  if (libdipole_hello(client, text, error)) {
     client->call_timeout_ms = 0;
     return true;
   }
-  if (error->kind == DIPOLE_ERROR_TIMEOUT) {
-    libdipole_fail(error, DIPOLE_ERROR_CONNECT, "%.120s does not say hello within %u ms", text,
-                   limit_ms);
-  }
-  return false;
+  return error->kind == DIPOLE_ERROR_TIMEOUT
+             ? libdipole_fail(error, DIPOLE_ERROR_CONNECT, "%.120s does not say hello within %u ms",
+                              text, limit_ms)
+             : false;
 }
 
 static dipole_client *open_one(const char *text, unsigned limit_ms, dipole_error *error) {
   dipole_client *client = calloc(1, sizeof *client);
   if (client == NULL) {
-    libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory");
+    libdipole_fail_memory(error);
     return NULL;
   }
   libdipole_stream_init(&client->stream, -1);
@@ -62,23 +46,10 @@ static dipole_client *open_one(const char *text, unsigned limit_ms, dipole_error
 
 /* ---- of several ---------------------------------------------------------------------------- */
 
-bool libdipole_may_pass(const dipole_error *error) {
-  switch (error->kind) {
-  case DIPOLE_ERROR_CONNECT:
-    return true;
-  case DIPOLE_ERROR_CONNECTION:
-  case DIPOLE_ERROR_REFUSED:
-    return error->status == WIRE_STATUS_OK || error->status == WIRE_STATUS_SHUTTING_DOWN ||
-           error->status == WIRE_STATUS_BUSY || error->status == WIRE_STATUS_TIMEOUT;
-  default:
-    return false;
-  }
-}
-
-/* What the numbers in the requests mean must be what it was: then any daemon's answer is right. */
+/* Whether the numbers in requests mean what they meant: then any daemon's answer is right. */
 static bool has_lists_of(const dipole_client *fresh, const dipole_client *like) {
-  for (size_t i = 0; i < like->info.choice_count; i++) {
-    const dipole_choice *choice = &like->info.choices[i];
+  for (size_t i = 0; i < like->info->choice_count; i++) {
+    const dipole_choice *choice = &like->info->choices[i];
     if (choice->name[0] != '\0' && choice->kind != DIPOLE_STATUS &&
         dipole_id(fresh, choice->kind, choice->name) != choice->id) {
       return false;
@@ -99,8 +70,8 @@ static dipole_client *open_like(const char *text, unsigned limit_ms, const dipol
   return fresh;
 }
 
-/* What one attempt may take: of what is left, not more than leaves as much for each of the others
- * that are still to be tried. */
+/* How long one attempt may take: an equal part of the time that is left for it and for the other
+ * addresses that are still to be tried. */
 static unsigned attempt_limit(unsigned connect_timeout_ms, int64_t until_ms, size_t others) {
   if (until_ms == INT64_MAX) {
     return connect_timeout_ms;
@@ -111,8 +82,8 @@ static unsigned attempt_limit(unsigned connect_timeout_ms, int64_t until_ms, siz
                                                                   : (unsigned)least_ms;
 }
 
-/* Adds why an address could not be used to what is said of those before it. Busy daemons are asked
- * again as soon as the first of them wants to be; and at once if there are others. */
+/* Adds the failure of one address to those of the addresses before it. Of several times to try
+ * again, the earliest counts. */
 static void add_failure(dipole_error *all, const dipole_error *one, size_t tried, size_t count) {
   const dipole_error before = *all;
   *all = *one;
@@ -124,7 +95,11 @@ static void add_failure(dipole_error *all, const dipole_error *one, size_t tried
   }
 }
 
-dipole_client *libdipole_round(libdipole_addresses *addresses, unsigned connect_timeout_ms,
+/* Tries each of the addresses once, from addresses->at on, which is then the one that answered.
+ * until_ms: when all of it has to be over; INT64_MAX is never. like: the client whose lists the
+ * daemon must have, or NULL. Returns NULL if no address works; *may_pass: trying again may help. The
+ * new client has no addresses and options yet. */
+static dipole_client *try_each(libdipole_addresses *addresses, unsigned connect_timeout_ms,
                                int64_t until_ms, const dipole_client *like, bool *may_pass,
                                dipole_error *error) {
   dipole_error one;
@@ -139,16 +114,16 @@ dipole_client *libdipole_round(libdipole_addresses *addresses, unsigned connect_
       addresses->at = at;
       return client;
     }
-    *may_pass = *may_pass || libdipole_may_pass(&one);
+    *may_pass = *may_pass || libdipole_is_temporary(&one);
     add_failure(error, &one, tried, addresses->count);
   }
   return NULL;
 }
 
-void libdipole_sleep_ms(int64_t ms) {
-  struct timespec left = {.tv_sec = (time_t)(ms / 1000), .tv_nsec = (long)(ms % 1000) * 1000000};
-  while (nanosleep(&left, &left) != 0 && errno == EINTR) {
-  }
+static dipole_client *reopen(dipole_client *client, int64_t until_ms, bool *may_pass,
+                             dipole_error *error) {
+  return try_each(&client->addresses, client->connect_timeout_ms, until_ms, client, may_pass,
+                  error);
 }
 
 /* ---- the public calls ---------------------------------------------------------------------- */
@@ -160,7 +135,7 @@ void dipole_options_init(dipole_options *options) {
                               .in_flight_max = DIPOLE_IN_FLIGHT_MAX};
 }
 
-/* Round after round, for as long as the options say. */
+/* Tries all addresses again and again for as long as the options say. */
 static dipole_client *open_any(libdipole_addresses *addresses, const dipole_options *options,
                                dipole_error *error) {
   const bool private = libdipole_addresses_is_private(addresses);
@@ -172,28 +147,25 @@ static dipole_client *open_any(libdipole_addresses *addresses, const dipole_opti
   for (;;) {
     bool may_pass;
     const int64_t round_until_ms = options->open_ms > 0 ? until_ms : INT64_MAX;
-    dipole_client *client =
-        libdipole_round(addresses, limit_ms, round_until_ms, NULL, &may_pass, error);
+    dipole_client *client = try_each(addresses, limit_ms, round_until_ms, NULL, &may_pass, error);
     int64_t wait_ms = libdipole_jitter(&random, pause_ms);
     wait_ms = client == NULL && error->retry_after_ms > wait_ms ? error->retry_after_ms : wait_ms;
     if (client != NULL || !may_pass || private || libdipole_now_ms() + wait_ms >= until_ms) {
       return client;
     }
     libdipole_sleep_ms(wait_ms);
-    pause_ms = libdipole_pause_twice(pause_ms);
+    pause_ms = libdipole_next_pause_ms(pause_ms);
   }
 }
 
 bool dipole_open_with(const char *address, const dipole_options *options, dipole_client **client,
                       dipole_error *error) {
-  dipole_error unwanted;
   dipole_options usual;
   libdipole_addresses addresses;
-  error = error != NULL ? error : &unwanted;
+  error = error != NULL ? error : &(dipole_error){0};
   *client = NULL;
   dipole_options_init(&usual);
   options = options != NULL ? options : &usual;
-  address = address != NULL ? address : libdipole_address_default();
   dipole_client *opened = libdipole_addresses_parse(address, &addresses, error)
                               ? open_any(&addresses, options, error)
                               : NULL;
@@ -202,6 +174,7 @@ bool dipole_open_with(const char *address, const dipole_options *options, dipole
     return false;
   }
   opened->addresses = addresses;
+  opened->reopen = reopen;
   opened->timeout_ms = options->timeout_ms;
   opened->connect_timeout_ms = options->connect_timeout_ms;
   opened->call_timeout_ms = options->call_timeout_ms;
@@ -221,4 +194,34 @@ bool dipole_open_within(const char *address, unsigned timeout_ms, dipole_client 
 
 bool dipole_open(const char *address, dipole_client **client, dipole_error *error) {
   return dipole_open_with(address, NULL, client, error);
+}
+
+void dipole_close(dipole_client *client) {
+  if (client == NULL) {
+    return;
+  }
+  libdipole_stream_close(&client->stream);
+  if (client->daemon > 0) {
+    libdipole_daemon_end(client->daemon);
+  }
+  libdipole_requests_free(client);
+  free(client->info);
+  libdipole_addresses_free(&client->addresses);
+  free(client);
+}
+
+void dipole_set_timeout_ms(dipole_client *client, unsigned timeout_ms) {
+  client->timeout_ms = timeout_ms;
+}
+
+void dipole_set_call_timeout_ms(dipole_client *client, unsigned call_timeout_ms) {
+  client->call_timeout_ms = call_timeout_ms;
+}
+
+void dipole_set_retry_ms(dipole_client *client, unsigned retry_ms) {
+  client->retry.for_ms = retry_ms;
+}
+
+const char *dipole_address(const dipole_client *client) {
+  return client->addresses.texts[client->addresses.at];
 }

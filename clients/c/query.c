@@ -1,13 +1,20 @@
-/* Queries into requests: of an evaluation, and of what could answer one. */
+/* Queries: eval, sample and offers. */
+#include "clients/c/query.h"
+
+#include <stdlib.h>
 #include <string.h>
 
-#include "clients/c/client.h"
-#include "proto/eval.h"
+#include "clients/c/answer.h"
+#include "clients/c/error.h"
+#include "core/draw.h"
+#include "proto/sample.h"
 
-/* Listed radii go into the frame as they lie in memory, and that is little-endian. */
-_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's arrays need swapping");
+/* ---- parts of requests --------------------------------------------------------------------- */
 
-/* ---- parameters ---------------------------------------------------------------------------- */
+bool libdipole_check_u16(unsigned all, const char *names, dipole_error *error) {
+  return all <= UINT16_MAX ||
+         libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s: at most 65535", names);
+}
 
 bool libdipole_parameters_check(const dipole_parameter *parameters, size_t count,
                                 dipole_error *error) {
@@ -45,10 +52,8 @@ uint8_t *libdipole_medium_put(uint8_t *at, const dipole_medium *from) {
   return at + WIRE_BYTES_medium;
 }
 
-/* ---- queries ------------------------------------------------------------------------------- */
-
-bool libdipole_media_check(const dipole_medium *media, uint32_t medium_count, unsigned evaluator,
-                           dipole_error *error) {
+static bool check_media(const dipole_medium *media, uint32_t medium_count, unsigned evaluator,
+                        dipole_error *error) {
   if (media == NULL && medium_count > 0) {
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "media is NULL, medium_count is not 0");
   }
@@ -60,8 +65,9 @@ bool libdipole_media_check(const dipole_medium *media, uint32_t medium_count, un
   return true;
 }
 
-bool libdipole_list_check(const void *list, uint64_t count, unsigned evaluator, const char *name,
-                          const char *count_name, uint64_t *bytes, dipole_error *error) {
+/* Checks listed numbers in the precision of a known evaluator. *bytes: the size of all of them. */
+static bool check_list(const void *list, uint64_t count, unsigned evaluator, const char *name,
+                       const char *count_name, uint64_t *bytes, dipole_error *error) {
   const size_t value_bytes = core_evaluator_bytes(evaluator);
   if (list == NULL && count > 0) {
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s is NULL, %s is not 0", name,
@@ -76,24 +82,50 @@ bool libdipole_list_check(const void *list, uint64_t count, unsigned evaluator, 
   return true;
 }
 
-/* Only what the frame's layout depends on: everything else is the daemon's to judge. */
-static bool check_query(const dipole_query *query, uint64_t *radii_bytes, dipole_error *error) {
-  *radii_bytes = 0;
-  if ((query->model | query->evaluator | query->moments | query->wanted) > UINT16_MAX) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
-                          "model, evaluator, moments and wanted are at most 65535");
+/* Writes media, parameters and listed numbers, which are padded. */
+static void put_lists(uint8_t *at, const dipole_medium *media, uint32_t medium_count,
+                      const dipole_parameter *parameters, size_t parameter_count, const void *list,
+                      size_t list_bytes) {
+  for (uint32_t i = 0; i < medium_count; i++) {
+    at = libdipole_medium_put(at, &media[i]);
   }
-  if (query->spacing > UINT16_MAX) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "spacing is at most 65535");
+  at = libdipole_parameters_put(at, parameters, parameter_count);
+  if (list_bytes > 0) {
+    memcpy(at, list, list_bytes);
+    memset(at + list_bytes, 0, (size_t)wire_padded(list_bytes) - list_bytes);
   }
-  return libdipole_parameters_check(query->parameters, query->parameter_count, error) &&
-         libdipole_media_check(query->media, query->medium_count, query->evaluator, error) &&
-         (query->spacing != DIPOLE_LIST ||
-          libdipole_list_check(query->radii, query->radius_count, query->evaluator, "radii",
-                               "radius_count", radii_bytes, error));
 }
 
-static void put_query(uint8_t *at, const dipole_query *query, size_t radii_bytes) {
+/* ---- eval and offers ----------------------------------------------------------------------- */
+
+static bool check_query(const dipole_query *query, uint64_t *radii_bytes, dipole_error *error) {
+  *radii_bytes = 0;
+  return libdipole_check_u16(query->model | query->evaluator | query->moments | query->wanted |
+                                 query->spacing,
+                             "model, evaluator, moments, wanted and spacing", error) &&
+         libdipole_parameters_check(query->parameters, query->parameter_count, error) &&
+         check_media(query->media, query->medium_count, query->evaluator, error) &&
+         (query->spacing != DIPOLE_LIST ||
+          check_list(query->radii, query->radius_count, query->evaluator, "radii", "radius_count",
+                     radii_bytes, error));
+}
+
+/* Checks a query and sends it as pending->type. Sets the deadline, the counts and the id. */
+static bool send_query(dipole_client *client, const dipole_query *query, libdipole_pending *pending,
+                       dipole_error *error) {
+  uint64_t radii_bytes;
+  uint8_t *at;
+  if (!check_query(query, &radii_bytes, error)) {
+    return false;
+  }
+  pending->deadline_ms = query->deadline_ms;
+  pending->medium_count = query->medium_count;
+  pending->radius_count = query->radius_count;
+  const uint64_t bytes =
+      eval_request_bytes(query->medium_count, (uint32_t)query->parameter_count, radii_bytes);
+  if (!libdipole_request_begin(client, pending, bytes, &at, error)) {
+    return false;
+  }
   const bool list = query->spacing == DIPOLE_LIST;
   const wire_eval_request fixed = {.model = (uint16_t)query->model,
                                    .evaluator = (uint16_t)query->evaluator,
@@ -106,32 +138,261 @@ static void put_query(uint8_t *at, const dipole_query *query, size_t radii_bytes
                                    .radius_start = list ? 0 : query->radius_start_mm,
                                    .radius_stop = list ? 0 : query->radius_stop_mm};
   wire_put_eval_request(at, &fixed);
-  at += WIRE_BYTES_eval_request;
-  for (uint32_t i = 0; i < query->medium_count; i++) {
-    at = libdipole_medium_put(at, &query->media[i]);
-  }
-  at = libdipole_parameters_put(at, query->parameters, query->parameter_count);
-  if (radii_bytes > 0) {
-    memcpy(at, query->radii, radii_bytes);
-    memset(at + radii_bytes, 0, (size_t)wire_padded(radii_bytes) - radii_bytes);
-  }
+  put_lists(at + WIRE_BYTES_eval_request, query->media, query->medium_count, query->parameters,
+            query->parameter_count, query->radii, (size_t)radii_bytes);
+  return libdipole_request_send(client, error);
 }
 
-bool libdipole_query_send(dipole_client *client, const dipole_query *query,
-                          libdipole_pending *pending, dipole_error *error) {
-  uint64_t radii_bytes;
-  uint8_t *payload;
-  if (!check_query(query, &radii_bytes, error)) {
+/* Whether the caller has memory for all that is wanted, or for none of it. */
+static bool check_into(const dipole_query *query, dipole_error *error) {
+  bool arrays = false;
+  for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
+    arrays = arrays || eval_is_array(query->wanted, quantity->id);
+  }
+  const bool radii = (query->wanted & DIPOLE_RADIUS) != 0;
+  return (!arrays || query->into_values != NULL) && (!radii || query->into_radii != NULL)
+             ? true
+             : libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
+                              "into_values and into_radii are needed for all that is wanted, or "
+                              "for none of it");
+}
+
+static bool submit(dipole_client *client, const dipole_query *query, libdipole_reader *reader,
+                   uint64_t *id, dipole_error *error) {
+  const bool into = reader == NULL && (query->into_values != NULL || query->into_radii != NULL);
+  if (into && !check_into(query, error)) {
     return false;
   }
-  pending->deadline_ms = query->deadline_ms;
-  pending->medium_count = query->medium_count;
-  pending->radius_count = query->radius_count;
+  libdipole_pending pending = {.kind = into ? &libdipole_eval_into_kind : &libdipole_eval_kind,
+                               .type = WIRE_TYPE_EVAL,
+                               .reader = reader,
+                               .into_values = into ? query->into_values : NULL,
+                               .into_radii = into ? query->into_radii : NULL};
+  libdipole_answer_expect(&pending, query->model, query->evaluator, query->wanted,
+                          query->medium_count, query->radius_count);
+  if (!send_query(client, query, &pending, error)) {
+    return false;
+  }
+  *id = pending.id;
+  return true;
+}
+
+/* Waits for the answer to one request, or to any if id is 0. */
+static bool collect(dipole_client *client, uint64_t *id, dipole_result **result,
+                    dipole_error *error) {
+  libdipole_pending pending;
+  if (!libdipole_request_wait(client, *id, &pending, error)) {
+    return false;
+  }
+  *id = pending.id;
+  return libdipole_result_take(client, &pending, result, error);
+}
+
+bool dipole_eval(dipole_client *client, const dipole_query *query, dipole_result **result,
+                 dipole_error *error) {
+  uint64_t id;
+  error = error != NULL ? error : &(dipole_error){0};
+  if (!submit(client, query, NULL, &id, error)) {
+    return false;
+  }
+  const bool good = collect(client, &id, result, error);
+  if (!good) {
+    libdipole_request_drop(client, id); /* if the answer has not come in time */
+  }
+  return good;
+}
+
+bool dipole_eval_parts(dipole_client *client, const dipole_query *query,
+                       bool (*part)(void *context, const dipole_result *part,
+                                    uint64_t radius_first),
+                       void *context, dipole_error *error) {
+  libdipole_pending pending;
+  libdipole_reader reader = {.part = part, .context = context};
+  uint64_t id;
+  error = error != NULL ? error : &(dipole_error){0};
+  if (!submit(client, query, &reader, &id, error) ||
+      !libdipole_request_read(client, id, &reader, &pending, error)) {
+    return false;
+  }
+  const bool good = reader.stopped ? libdipole_fail(error, DIPOLE_ERROR_STOPPED,
+                                                    "the rest of the answer was not wanted")
+                                   : libdipole_refusal_check(client, &pending, error);
+  free(pending.frame);
+  return good;
+}
+
+bool dipole_submit(dipole_client *client, const dipole_query *query, uint64_t *id,
+                   dipole_error *error) {
+  error = error != NULL ? error : &(dipole_error){0};
+  if (client->in_flight_max != 0 && dipole_outstanding(client) >= client->in_flight_max) {
+    return libdipole_fail(error, DIPOLE_ERROR_FULL,
+                          "%u queries are outstanding, and no more may be: collect first",
+                          client->in_flight_max);
+  }
+  return submit(client, query, NULL, id, error);
+}
+
+bool dipole_collect(dipole_client *client, uint64_t *id, dipole_result **result,
+                    dipole_error *error) {
+  uint64_t found = 0;
+  libdipole_call_begin(client, &libdipole_eval_kind);
+  const bool good = collect(client, &found, result, error != NULL ? error : &(dipole_error){0});
+  if (found != 0) {
+    *id = found;
+  }
+  return good;
+}
+
+bool dipole_collect_id(dipole_client *client, uint64_t id, dipole_result **result,
+                       dipole_error *error) {
+  error = error != NULL ? error : &(dipole_error){0};
+  libdipole_call_begin(client, &libdipole_eval_kind);
+  return id != 0 ? collect(client, &id, result, error)
+                 : libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "no query has the id 0");
+}
+
+/* No daemon has thousands of models. With this limit, no product of counts can overflow. */
+#define OFFERS_MAX_BYTES ((uint64_t)1 << 20)
+
+static dipole_offer get_offer(const uint8_t *at) {
+  wire_offer from;
+  wire_get_offer(at, &from);
+  return (dipole_offer){.model = from.model,
+                        .evaluator = from.evaluator,
+                        .meets = from.meets != 0,
+                        .error = from.error,
+                        .numerical_error = from.numerical_error,
+                        .cost_ns = from.cost,
+                        .prepare_ns = from.prepare_cost};
+}
+
+static bool get_offers(dipole_client *client, const libdipole_frame *frame, dipole_offer **offers,
+                       size_t *count, size_t *taken, dipole_error *error) {
+  wire_offers_reply fixed;
+  const size_t bytes = frame->header.payload_bytes - WIRE_BYTES_offers_reply;
+  wire_get_offers_reply(frame->payload, &fixed);
+  if (bytes % WIRE_BYTES_offer != 0 || bytes / WIRE_BYTES_offer != fixed.count ||
+      fixed.taken > fixed.count) {
+    return libdipole_bad_answer(client, "its offers do not have the length that they announce",
+                                error);
+  }
+  *offers = calloc((size_t)fixed.count + 1, sizeof **offers); /* An empty list is not NULL. */
+  if (*offers == NULL) {
+    return libdipole_fail_memory(error);
+  }
+  for (size_t i = 0; i < fixed.count; i++) {
+    (*offers)[i] = get_offer(frame->payload + WIRE_BYTES_offers_reply + i * WIRE_BYTES_offer);
+  }
+  *count = fixed.count;
+  if (taken != NULL) {
+    *taken = fixed.taken;
+  }
+  return true;
+}
+
+bool dipole_offers(dipole_client *client, const dipole_query *query, dipole_offer **offers,
+                   size_t *count, size_t *taken, dipole_error *error) {
+  libdipole_pending pending = {.kind = &libdipole_plain,
+                               .type = WIRE_TYPE_OFFERS,
+                               .reply_bytes_min = WIRE_BYTES_offers_reply,
+                               .reply_bytes_max = OFFERS_MAX_BYTES};
+  error = error != NULL ? error : &(dipole_error){0};
+  if (!send_query(client, query, &pending, error)) {
+    return false;
+  }
+  libdipole_frame *frame = libdipole_reply(client, &pending, error);
+  const bool good = frame != NULL && get_offers(client, frame, offers, count, taken, error);
+  free(frame);
+  return good;
+}
+
+/* ---- sample -------------------------------------------------------------------------------- */
+
+static bool check_sample(const dipole_sample_query *query, uint64_t *number_bytes,
+                         dipole_error *error) {
+  *number_bytes = 0;
+  return libdipole_check_u16(query->model | query->evaluator | query->moments | query->wanted |
+                                 query->draw,
+                             "model, evaluator, moments, wanted and draw", error) &&
+         libdipole_parameters_check(query->parameters, query->parameter_count, error) &&
+         check_media(query->media, query->medium_count, query->evaluator, error) &&
+         (query->draw != DIPOLE_DRAW_LIST ||
+          check_list(query->numbers, query->sample_count, query->evaluator, "numbers",
+                     "sample_count", number_bytes, error));
+}
+
+static bool send_sample(dipole_client *client, const dipole_sample_query *query,
+                        libdipole_pending *pending, dipole_error *error) {
+  uint64_t number_bytes;
+  uint8_t *at;
+  if (!check_sample(query, &number_bytes, error)) {
+    return false;
+  }
+  libdipole_answer_expect(pending, query->model, query->evaluator, query->wanted,
+                          query->medium_count, query->sample_count);
   const uint64_t bytes =
-      eval_request_bytes(query->medium_count, (uint32_t)query->parameter_count, radii_bytes);
-  if (!libdipole_request_begin(client, pending, bytes, &payload, error)) {
+      sample_request_bytes(query->medium_count, (uint32_t)query->parameter_count, number_bytes);
+  if (!libdipole_request_begin(client, pending, bytes, &at, error)) {
     return false;
   }
-  put_query(payload, query, (size_t)radii_bytes);
+  const wire_sample_request fixed = {.model = (uint16_t)query->model,
+                                     .evaluator = (uint16_t)query->evaluator,
+                                     .moments = (uint16_t)query->moments,
+                                     .wanted = (uint16_t)query->wanted,
+                                     .medium_count = query->medium_count,
+                                     .draw = (uint16_t)query->draw,
+                                     .parameter_count = (uint16_t)query->parameter_count,
+                                     .sample_count = query->sample_count,
+                                     .sample_first = query->sample_first,
+                                     .seed = query->seed};
+  wire_put_sample_request(at, &fixed);
+  put_lists(at + WIRE_BYTES_sample_request, query->media, query->medium_count, query->parameters,
+            query->parameter_count, query->numbers, (size_t)number_bytes);
   return libdipole_request_send(client, error);
+}
+
+bool dipole_sample(dipole_client *client, const dipole_sample_query *query, dipole_result **result,
+                   dipole_error *error) {
+  libdipole_pending pending = {
+      .kind = &libdipole_eval_kind, .type = WIRE_TYPE_SAMPLE, .deadline_ms = query->deadline_ms};
+  error = error != NULL ? error : &(dipole_error){0};
+  if (!send_sample(client, query, &pending, error)) {
+    return false;
+  }
+  const bool good = libdipole_request_wait(client, pending.id, &pending, error);
+  if (!good) {
+    libdipole_request_drop(client, pending.id); /* if the answer has not come in time */
+  }
+  return good && libdipole_result_take(client, &pending, result, error);
+}
+
+bool dipole_sample_numbers(const dipole_sample_query *query, uint64_t begin, size_t n, void *u,
+                           dipole_error *error) {
+  error = error != NULL ? error : &(dipole_error){0};
+  const core_draw draw = {query->draw, query->sample_count, query->sample_first, query->seed};
+  if (core_choice_by_id(core_draws, query->draw) == NULL || query->draw == DIPOLE_DRAW_LIST) {
+    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
+                          "draw is %u: numbers are made for DIPOLE_DRAW_REGULAR, "
+                          "DIPOLE_DRAW_STRATIFIED and DIPOLE_DRAW_RANDOM",
+                          query->draw);
+  }
+  const core_fault fault = core_draw_check(&draw);
+  if (fault.field != NULL) {
+    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s: allowed: %s", fault.field,
+                          fault.allowed);
+  }
+  if (begin > draw.count || n > draw.count - begin) {
+    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "there are only %llu numbers",
+                          (unsigned long long)draw.count);
+  }
+  switch (core_evaluator_bytes(query->evaluator)) {
+  case sizeof(double):
+    core_draw_f64(&draw, begin, n, u);
+    return true;
+  case sizeof(float):
+    core_draw_f32(&draw, begin, n, u);
+    return true;
+  default:
+    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "evaluator is %u", query->evaluator);
+  }
 }

@@ -1,34 +1,419 @@
-/* Asking and waiting. */
+#include "clients/c/request.h"
+
+#include <errno.h>
+#include <poll.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "clients/c/client.h"
+#include "clients/c/clock.h"
+#include "clients/c/error.h"
 
-/* Unsent bytes up to which a request is left to be sent later. */
+/* A call waits until fewer bytes than this are unsent. */
 #define BACKLOG_MAX_BYTES ((size_t)1 << 20)
 
-/* Requests are held back up to so many bytes, and up to one in so many of those that are
- * outstanding: a call of the system for each would cost more than the rest of it. */
+/* Requests are held back up to so many bytes, and up to one in HELD_SHARE of those outstanding: a
+ * system call for each request would cost more than all the rest of it. */
 #define HELD_MAX_BYTES ((size_t)16 << 10)
 enum { HELD_SHARE = 4 };
 
+const libdipole_kind libdipole_plain = {.repeatable = true};
+
+/* ---- pending requests ---------------------------------------------------------------------- */
+
+static libdipole_pending *find(dipole_client *client, uint64_t id) {
+  libdipole_pending *first = client->pending + client->pending_begin;
+  size_t begin = 0, end = client->pending_count;
+  while (begin < end) {
+    const size_t middle = begin + (end - begin) / 2;
+    if (first[middle].id < id) {
+      begin = middle + 1;
+    } else {
+      end = middle;
+    }
+  }
+  return begin < client->pending_count && first[begin].id == id ? &first[begin] : NULL;
+}
+
+/* The oldest request that has an answer, or NULL. */
+static libdipole_pending *find_arrived(dipole_client *client) {
+  libdipole_pending *first = client->pending + client->pending_begin;
+  for (size_t i = 0; client->arrived_count > 0 && i < client->pending_count; i++) {
+    if (first[i].frame != NULL) { /* Answers come nearly in order, so this loop is short. */
+      return &first[i];
+    }
+  }
+  return NULL;
+}
+
+/* Makes room for one more. */
+static bool reserve(dipole_client *client, dipole_error *error) {
+  if (client->pending_begin + client->pending_count < client->pending_capacity) {
+    return true;
+  }
+  if (client->pending_begin > client->pending_capacity / 2) {
+    memmove(client->pending, client->pending + client->pending_begin,
+            client->pending_count * sizeof *client->pending);
+    client->pending_begin = 0;
+    return true;
+  }
+  const size_t capacity = client->pending_capacity == 0 ? 16 : 2 * client->pending_capacity;
+  libdipole_pending *larger = reallocarray(client->pending, capacity, sizeof *larger);
+  if (larger == NULL) {
+    return libdipole_fail_memory(error);
+  }
+  client->pending = larger;
+  client->pending_capacity = capacity;
+  return true;
+}
+
+/* Frees the request's copy. */
+static void forget_copy(dipole_client *client, libdipole_pending *pending) {
+  if (pending->kept != NULL) {
+    client->retry.kept_bytes -= pending->frame_bytes;
+    free(pending->kept);
+    pending->kept = NULL;
+  }
+  if (pending->again_ms != 0) {
+    client->retry.later_count--;
+    pending->again_ms = 0;
+  }
+}
+
+static void remove_entry(dipole_client *client, libdipole_pending *entry) {
+  forget_copy(client, entry);
+  libdipole_pending *first = client->pending + client->pending_begin;
+  const size_t before = (size_t)(entry - first);
+  const size_t after = --client->pending_count - before;
+  if (before < after) {
+    memmove(first + 1, first, before * sizeof *first);
+    client->pending_begin++;
+  } else {
+    memmove(entry, entry + 1, after * sizeof *entry);
+  }
+}
+
+static bool is_progress(const libdipole_pending *pending) {
+  return pending->kind->is_progress != NULL && pending->frame->header.type != WIRE_TYPE_ERROR &&
+         pending->kind->is_progress(pending->frame);
+}
+
+/* Hands out an entry that has an answer. After a report of progress the entry stays. */
+static void hand_out(dipole_client *client, libdipole_pending *entry, libdipole_pending *out) {
+  *out = *entry;
+  client->arrived_count--;
+  if (is_progress(entry)) {
+    entry->frame = NULL;
+  } else {
+    remove_entry(client, entry);
+  }
+}
+
+void libdipole_request_drop(dipole_client *client, uint64_t id) {
+  libdipole_pending *entry = find(client, id);
+  if (entry == NULL || entry->dropped) {
+    return;
+  }
+  if (entry->frame == NULL && entry->again_ms == 0) { /* Its answer is still to come. */
+    entry->dropped = true;
+    client->dropped_count++;
+    if (entry->kind->discard != NULL && client->frame != NULL &&
+        client->frame->header.request_id == id) {
+      entry->kind->discard(client, entry);
+    }
+    return;
+  }
+  client->arrived_count -= entry->frame != NULL;
+  free(entry->frame);
+  free(entry->gathered);
+  remove_entry(client, entry);
+}
+
+size_t dipole_outstanding(const dipole_client *client) {
+  return client->pending_count - client->dropped_count;
+}
+
+void libdipole_requests_free(dipole_client *client) {
+  for (size_t i = 0; i < client->pending_count; i++) {
+    libdipole_pending *entry = &client->pending[client->pending_begin + i];
+    free(entry->frame);
+    free(entry->gathered);
+    free(entry->kept);
+  }
+  free(client->pending);
+  free(client->frame);
+}
+
+/* ---- answers ------------------------------------------------------------------------------- */
+
+libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload_bytes,
+                                     uint64_t stored_bytes, uint32_t channel_count,
+                                     dipole_error *error) {
+  const uint64_t beside =
+      sizeof(libdipole_frame) + channel_count * (uint64_t)sizeof(dipole_channel);
+  libdipole_frame *frame =
+      stored_bytes <= SIZE_MAX - beside ? malloc((size_t)(stored_bytes + beside)) : NULL;
+  if (frame == NULL) {
+    libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory: %llu bytes for an answer",
+                   (unsigned long long)stored_bytes);
+    return NULL;
+  }
+  frame->header = *header;
+  frame->payload_bytes = payload_bytes;
+  frame->stored_bytes = stored_bytes;
+  frame->into_values = frame->into_radii = NULL;
+  return frame;
+}
+
+/* Forgets the parts that have come. */
+static void drop_parts(libdipole_pending *pending) {
+  free(pending->gathered);
+  pending->gathered = NULL;
+  pending->next_part = 0;
+  pending->next_radius = 0;
+}
+
+void libdipole_part_end(libdipole_pending *pending, uint64_t count, bool is_last) {
+  pending->next_part++;
+  pending->next_radius += count;
+  if (is_last) {
+    pending->frame = pending->gathered;
+    pending->gathered = NULL;
+    drop_parts(pending);
+  }
+}
+
+static bool refused(const dipole_client *client, const libdipole_pending *pending,
+                    const libdipole_frame *frame, dipole_error *error) {
+  static const dipole_info empty;
+  return libdipole_fail_refused(error, client->info != NULL ? client->info : &empty,
+                                pending != NULL ? pending->medium_count : 0,
+                                pending != NULL ? pending->radius_count : 0, frame->payload);
+}
+
+bool libdipole_refusal_check(const dipole_client *client, const libdipole_pending *pending,
+                             dipole_error *error) {
+  return pending->frame->header.type != WIRE_TYPE_ERROR ||
+         refused(client, pending, pending->frame, error);
+}
+
+bool libdipole_bad_answer(dipole_client *client, const char *what, dipole_error *error) {
+  libdipole_fail_protocol(error, what);
+  client->broken = *error;
+  return false;
+}
+
+/* Whether a frame with this id answers a request that waits for one. */
+static bool is_awaited(const libdipole_pending *pending) {
+  return pending != NULL && (pending->frame == NULL || is_progress(pending));
+}
+
+/* Whether the header announces an answer that this request can have, or an error. An error may also
+ * be about the connection as a whole: then there is no request with its id. */
+static bool check_header(const wire_header *header, const libdipole_pending *pending,
+                         dipole_error *error) {
+  char what[160];
+  const wire_error fault = wire_header_check(header, UINT32_MAX);
+  if (fault.status != WIRE_STATUS_OK) {
+    snprintf(what, sizeof what, "%s: %s: expected %s", wire_status_name(fault.status), fault.field,
+             fault.allowed);
+    return libdipole_fail_protocol(error, what);
+  }
+  if (header->type == WIRE_TYPE_ERROR && header->payload_bytes == WIRE_BYTES_error) {
+    return true;
+  }
+  if (!is_awaited(pending)) {
+    return libdipole_fail_protocol(error, "it answered a request that was not sent");
+  }
+  if (header->type != (pending->type | WIRE_REPLY) ||
+      header->payload_bytes < pending->reply_bytes_min ||
+      header->payload_bytes > pending->reply_bytes_max) {
+    snprintf(what, sizeof what, "it answered a request of type %s with type 0x%04x and %lu bytes",
+             wire_type_name(pending->type), header->type, (unsigned long)header->payload_bytes);
+    return libdipole_fail_protocol(error, what);
+  }
+  return true;
+}
+
+/* Begins a frame: a whole header is in the buffer. */
+static bool begin_frame(dipole_client *client, dipole_error *error) {
+  libdipole_stream *stream = &client->stream;
+  wire_header header;
+  wire_get_header(stream->in + stream->in_begin, &header);
+  stream->in_begin += WIRE_BYTES_header;
+  const libdipole_pending *pending = find(client, header.request_id);
+  if (!check_header(&header, pending, error)) {
+    return false;
+  }
+  const bool placed =
+      pending != NULL && pending->kind->place != NULL && header.type != WIRE_TYPE_ERROR;
+  const uint64_t stored_bytes = placed ? pending->reply_bytes_min : header.payload_bytes;
+  client->frame = libdipole_frame_new(&header, header.payload_bytes, stored_bytes,
+                                      pending != NULL ? pending->medium_count : 0, error);
+  if (client->frame == NULL) {
+    return false;
+  }
+  stream->target = client->frame->payload;
+  stream->target_bytes = (size_t)stored_bytes;
+  client->into.begun = false;
+  return true;
+}
+
+/* Takes what the daemon says about the connection as a whole. Returns false. */
+static bool take_farewell(dipole_client *client, libdipole_frame *frame, dipole_error *error) {
+  refused(client, NULL, frame, error);
+  free(frame);
+  /* Before hello it is the reason why the client cannot be opened. Later it is the reason why the
+   * connection is lost. */
+  error->kind = client->info != NULL ? DIPOLE_ERROR_CONNECTION : DIPOLE_ERROR_REFUSED;
+  return false;
+}
+
+/* The answer is whole, or an error has ended it. */
+static void end_answer(dipole_client *client, libdipole_pending *pending) {
+  free(pending->gathered); /* the parts before the error */
+  pending->gathered = NULL;
+  if (pending->dropped) {
+    free(pending->frame);
+    client->dropped_count--;
+    remove_entry(client, pending);
+  } else {
+    client->arrived_count++;
+  }
+}
+
+/* Whether the request can be sent again: it is kept, and no reader has got a part. */
+static bool can_repeat(const libdipole_pending *pending) {
+  return pending->kept != NULL && !pending->dropped &&
+         (pending->reader == NULL || pending->next_part == 0);
+}
+
+/* When the request first had no answer, at the latest now. Its time to be tried again runs from
+ * then on. */
+static int64_t trouble_since_ms(libdipole_pending *pending, int64_t now_ms) {
+  if (pending->trouble_ms == 0) {
+    pending->trouble_ms = now_ms;
+  }
+  return pending->trouble_ms;
+}
+
+/* Returns whether this answer only says that the request is to be sent later; then it will be, and
+ * the frame is freed. */
+static bool send_later(dipole_client *client, libdipole_pending *pending, libdipole_frame *frame) {
+  wire_error why;
+  if (frame->header.type != WIRE_TYPE_ERROR || !can_repeat(pending)) {
+    return false;
+  }
+  wire_get_error(frame->payload, &why);
+  if (why.status != WIRE_STATUS_BUSY && why.status != WIRE_STATUS_SHUTTING_DOWN) {
+    return false;
+  }
+  const int64_t now_ms = libdipole_now_ms();
+  const unsigned least_ms =
+      why.retry_after_ms > LIBDIPOLE_PAUSE_FIRST_MS ? why.retry_after_ms : LIBDIPOLE_PAUSE_FIRST_MS;
+  const int64_t again_ms =
+      now_ms + least_ms + libdipole_jitter(&client->retry.random, LIBDIPOLE_PAUSE_FIRST_MS);
+  if (again_ms > trouble_since_ms(pending, now_ms) + client->retry.for_ms) {
+    return false;
+  }
+  free(frame);
+  drop_parts(pending);
+  pending->again_ms = again_ms;
+  client->retry.later_count++;
+  return true;
+}
+
+/* Gives a complete frame to its request. Of several reports of progress the latest is kept. */
+static bool end_frame(dipole_client *client, dipole_error *error) {
+  libdipole_frame *frame = client->frame;
+  libdipole_pending *pending = find(client, frame->header.request_id);
+  client->frame = NULL;
+  if (!is_awaited(pending)) {
+    return take_farewell(client, frame, error);
+  }
+  if (pending->frame != NULL) {
+    free(pending->frame);
+    pending->frame = frame;
+    return true;
+  }
+  if (send_later(client, pending, frame)) {
+    return true;
+  }
+  if (pending->kind->take == NULL || frame->header.type == WIRE_TYPE_ERROR) {
+    pending->frame = frame;
+  } else {
+    const bool was_dropped = pending->dropped;
+    if (!pending->kind->take(pending, frame, error)) {
+      return false;
+    }
+    client->dropped_count += pending->dropped && !was_dropped;
+  }
+  if (pending->frame != NULL) {
+    end_answer(client, pending);
+  }
+  return true;
+}
+
+/* Finds the place of the next bytes of the frame. *more: false if it is complete. */
+static bool place_next(dipole_client *client, bool *more, dipole_error *error) {
+  const libdipole_frame *frame = client->frame;
+  *more = false;
+  if (frame->stored_bytes == frame->payload_bytes) {
+    return true;
+  }
+  libdipole_pending *pending = find(client, frame->header.request_id);
+  return pending->kind->place(client, pending, more, error);
+}
+
+/* Makes frames of the bytes in the buffer. */
+static bool receive(dipole_client *client, dipole_error *error) {
+  libdipole_stream *stream = &client->stream;
+  bool more;
+  for (;;) {
+    if (client->frame == NULL) {
+      if (stream->in_end - stream->in_begin < WIRE_BYTES_header) {
+        return true;
+      }
+      if (!begin_frame(client, error)) {
+        return false;
+      }
+    }
+    const size_t unread = stream->in_end - stream->in_begin;
+    const size_t bytes = unread < stream->target_bytes ? unread : stream->target_bytes;
+    memcpy(stream->target, stream->in + stream->in_begin, bytes);
+    stream->in_begin += bytes;
+    stream->target += bytes;
+    stream->target_bytes -= bytes;
+    if (stream->target_bytes > 0) {
+      return true;
+    }
+    if (!place_next(client, &more, error) || (!more && !end_frame(client, error))) {
+      return false;
+    }
+  }
+}
+
 /* ---- waiting ------------------------------------------------------------------------------- */
 
-void libdipole_call_begin(dipole_client *client, uint16_t type) {
-  const bool endless = type == WIRE_TYPE_MC || type == WIRE_TYPE_CANCEL;
-  client->until_ms = endless || client->call_timeout_ms == 0
+void libdipole_call_begin(dipole_client *client, const libdipole_kind *kind) {
+  client->until_ms = kind->endless || client->call_timeout_ms == 0
                          ? 0
                          : libdipole_now_ms() + (int64_t)client->call_timeout_ms;
 }
 
-bool libdipole_call_left(const dipole_client *client, unsigned *limit_ms, dipole_error *error) {
+static bool fail_late(const dipole_client *client, dipole_error *error) {
+  return libdipole_fail(error, DIPOLE_ERROR_TIMEOUT, "the call took longer than %u ms",
+                        client->call_timeout_ms);
+}
+
+/* Lowers *limit_ms (0 is no limit) to what is left of the call's time. Fails if nothing is. */
+static bool limit_to_call(const dipole_client *client, unsigned *limit_ms, dipole_error *error) {
   if (client->until_ms == 0) {
     return true;
   }
   const int64_t left_ms = client->until_ms - libdipole_now_ms();
   if (left_ms <= 0) {
-    return libdipole_fail(error, DIPOLE_ERROR_TIMEOUT, "the call took longer than %u ms",
-                          client->call_timeout_ms);
+    return fail_late(client, error);
   }
   if (*limit_ms == 0 || left_ms < (int64_t)*limit_ms) {
     *limit_ms = (unsigned)left_ms;
@@ -36,8 +421,8 @@ bool libdipole_call_left(const dipole_client *client, unsigned *limit_ms, dipole
   return true;
 }
 
-/* Waits for the connection to move until the daemon has been silent for too long, or the call's
- * time is over: then what has been waited counts on in the next call. */
+/* Waits until the connection moves, the daemon has been silent for too long, or the call's time is
+ * over. In the last case the time counts towards the daemon's silence in the next call. */
 static bool wait_and_move(dipole_client *client, dipole_error *error) {
   libdipole_stream *stream = &client->stream;
   const unsigned timeout_ms = client->timeout_ms;
@@ -45,7 +430,7 @@ static bool wait_and_move(dipole_client *client, dipole_error *error) {
                               : timeout_ms > client->waited_ms ? timeout_ms - client->waited_ms
                                                                : 1;
   unsigned limit_ms = silence_ms;
-  if (!libdipole_call_left(client, &limit_ms, error)) {
+  if (!limit_to_call(client, &limit_ms, error)) {
     return false;
   }
   if (libdipole_stream_step(stream, limit_ms, error)) {
@@ -55,25 +440,258 @@ static bool wait_and_move(dipole_client *client, dipole_error *error) {
   if (stream->silent && limit_ms != silence_ms) {
     stream->silent = false;
     client->waited_ms += timeout_ms != 0 ? limit_ms : 0;
-    libdipole_fail(error, DIPOLE_ERROR_TIMEOUT, "the call took longer than %u ms",
-                   client->call_timeout_ms);
-  } else if (stream->silent) {
+    return fail_late(client, error);
+  }
+  if (stream->silent) {
     libdipole_fail(error, DIPOLE_ERROR_CONNECTION, "the daemon was silent for %u ms: gave up",
                    timeout_ms);
   }
   return false;
 }
 
-static bool advance(dipole_client *client, dipole_error *error) {
-  bool moves = true;
-  if (client->retry.later_count > 0 && !libdipole_retry_wait(client, &moves, error)) {
-    return false;
+/* ---- sending again ------------------------------------------------------------------------- */
+
+/* Keeps a copy of the request that was begun last, if it may be sent again and there is room. Its
+ * frame is the end of stream.out. */
+static void keep_copy(dipole_client *client) {
+  libdipole_pending *last = &client->pending[client->pending_begin + client->pending_count - 1];
+  if (client->retry.for_ms == 0 || !last->kind->repeatable ||
+      last->frame_bytes > DIPOLE_RETRY_KEPT_BYTES - client->retry.kept_bytes) {
+    return;
   }
-  return !moves || (wait_and_move(client, error) && libdipole_receive(client, error));
+  last->kept = malloc(last->frame_bytes); /* Without memory it cannot be sent again. */
+  if (last->kept != NULL) {
+    const libdipole_stream *stream = &client->stream;
+    memcpy(last->kept, stream->out + stream->out_end - last->frame_bytes, last->frame_bytes);
+    client->retry.kept_bytes += last->frame_bytes;
+    last->sent_ms = last->deadline_ms != 0 ? libdipole_now_ms() : 0;
+  }
 }
 
-/* Waits for bytes to come or go and deals with what came. After a failure that another connection
- * cannot make good, every call fails in the same way. */
+/* Gives a request the error that the daemon would send after its deadline. */
+static bool answer_late(dipole_client *client, libdipole_pending *pending, dipole_error *error) {
+  const wire_header header = {.magic = WIRE_MAGIC,
+                              .version = WIRE_VERSION,
+                              .type = WIRE_TYPE_ERROR,
+                              .request_id = pending->id,
+                              .payload_bytes = WIRE_BYTES_error};
+  wire_error late = {.status = WIRE_STATUS_DEADLINE};
+  pending->frame = libdipole_frame_new(&header, WIRE_BYTES_error, WIRE_BYTES_error, 0, error);
+  if (pending->frame == NULL) {
+    return false;
+  }
+  WIRE_SET_TEXT(late.field, "deadline_ms");
+  WIRE_SET_TEXT(late.allowed, "more: the connection was lost meanwhile");
+  wire_put_error(pending->frame->payload, &late);
+  client->arrived_count++;
+  return true;
+}
+
+/* Sends a request again with what is left of its deadline, which runs from when it was first sent.
+ * If nothing is left it is answered at once. */
+static bool send_again(dipole_client *client, libdipole_pending *pending, dipole_error *error) {
+  libdipole_stream *stream = &client->stream;
+  if (pending->deadline_ms != 0) {
+    const int64_t left_ms = pending->sent_ms + pending->deadline_ms - libdipole_now_ms();
+    if (left_ms <= 0) {
+      return answer_late(client, pending, error);
+    }
+    wire_header header;
+    wire_get_header(pending->kept, &header);
+    header.deadline_ms = (uint32_t)left_ms;
+    wire_put_header(pending->kept, &header);
+  }
+  if (!libdipole_stream_reserve(stream, pending->frame_bytes, error)) {
+    return false;
+  }
+  memcpy(stream->out + stream->out_end, pending->kept, pending->frame_bytes);
+  stream->out_end += pending->frame_bytes;
+  return true;
+}
+
+/* Sends the requests whose time to be sent again has come. Then waits for the connection to move,
+ * but not beyond the next such time. *moves: there may be something to read or send. */
+static bool send_due(dipole_client *client, bool *moves, dipole_error *error) {
+  libdipole_pending *first = client->pending + client->pending_begin;
+  const int64_t now_ms = libdipole_now_ms();
+  int64_t next_ms = INT64_MAX;
+  *moves = true;
+  for (size_t i = 0; i < client->pending_count; i++) {
+    if (first[i].again_ms != 0 && first[i].again_ms <= now_ms) {
+      first[i].again_ms = 0;
+      client->retry.later_count--;
+      if (!send_again(client, &first[i], error)) {
+        return false;
+      }
+      *moves = *moves && first[i].frame == NULL; /* else it was too late and is answered */
+    } else if (first[i].again_ms != 0 && first[i].again_ms < next_ms) {
+      next_ms = first[i].again_ms;
+    }
+  }
+  if (next_ms != INT64_MAX && *moves) {
+    const libdipole_stream *stream = &client->stream;
+    const bool sending = stream->out_end > stream->out_begin && stream->send_errno == 0;
+    const short events = (short)(POLLIN | (sending ? POLLOUT : 0));
+    unsigned wait_ms = (unsigned)(next_ms - now_ms); /* from 1 to retry.for_ms */
+    short ready;
+    if (!limit_to_call(client, &wait_ms, error)) {
+      return false;
+    }
+    *moves = libdipole_wait(stream->fd, events, wait_ms, &ready) || errno != ETIMEDOUT;
+  }
+  return true;
+}
+
+/* ---- connecting again ---------------------------------------------------------------------- */
+
+bool libdipole_is_temporary(const dipole_error *error) {
+  switch (error->kind) {
+  case DIPOLE_ERROR_CONNECT:
+    return true;
+  case DIPOLE_ERROR_CONNECTION:
+  case DIPOLE_ERROR_REFUSED:
+    return error->status == WIRE_STATUS_OK || error->status == WIRE_STATUS_SHUTTING_DOWN ||
+           error->status == WIRE_STATUS_BUSY || error->status == WIRE_STATUS_TIMEOUT;
+  default:
+    return false;
+  }
+}
+
+/* Whether everything outstanding can be sent again. Removes what nobody wants any more. *until_ms:
+ * when the time of one of the requests is over. */
+static bool can_restore(dipole_client *client, int64_t *until_ms) {
+  const int64_t now_ms = libdipole_now_ms();
+  *until_ms = now_ms + client->retry.for_ms;
+  for (size_t i = 0; i < client->pending_count;) {
+    libdipole_pending *entry = &client->pending[client->pending_begin + i];
+    if (entry->dropped) {
+      client->dropped_count--;
+      drop_parts(entry);
+      remove_entry(client, entry); /* The next entry is at position i now. */
+      continue;
+    }
+    const bool answered = entry->frame != NULL && entry->kind->repeatable;
+    if (!answered) {
+      if (!can_repeat(entry)) {
+        return false;
+      }
+      const int64_t over_ms = trouble_since_ms(entry, now_ms) + client->retry.for_ms;
+      *until_ms = over_ms < *until_ms ? over_ms : *until_ms;
+    }
+    i++;
+  }
+  return true;
+}
+
+/* Moves the connection and the private daemon of a fresh client into this one. Frees the fresh one,
+ * which ends what is left of this client's former daemon. */
+static void take_over(dipole_client *client, dipole_client *fresh) {
+  const pid_t former = client->daemon;
+  free(client->frame);
+  client->frame = NULL;
+  libdipole_stream_close(&client->stream);
+  client->stream = fresh->stream;
+  client->daemon = fresh->daemon;
+  client->waited_ms = 0;
+  libdipole_stream_init(&fresh->stream, -1);
+  fresh->daemon = former;
+  dipole_close(fresh);
+}
+
+static bool send_all_again(dipole_client *client, dipole_error *error) {
+  libdipole_pending *first = client->pending + client->pending_begin;
+  for (size_t i = 0; i < client->pending_count; i++) {
+    if (first[i].frame == NULL && first[i].again_ms == 0) {
+      drop_parts(&first[i]);
+      if (!send_again(client, &first[i], error)) {
+        return false;
+      }
+    }
+  }
+  return true;
+}
+
+/* Waits before the next round. Returns false if there is no time for it: the requests' (*over), or
+ * the call's, as *error says. */
+static bool wait_for_round(dipole_client *client, int64_t until_ms, uint32_t retry_after_ms,
+                           bool *over, dipole_error *error) {
+  const unsigned usual_ms = libdipole_jitter(&client->retry.random, client->retry.pause_ms);
+  const unsigned wait_ms = retry_after_ms > usual_ms ? retry_after_ms : usual_ms;
+  unsigned call_ms = wait_ms;
+  *over = until_ms - libdipole_now_ms() <= (int64_t)wait_ms;
+  if (*over || !limit_to_call(client, &call_ms, error)) {
+    return false;
+  }
+  libdipole_sleep_ms(call_ms);
+  client->retry.pause_ms = libdipole_next_pause_ms(client->retry.pause_ms);
+  return limit_to_call(client, &call_ms, error);
+}
+
+/* Tries until the time is over or trying cannot help. NULL: *error says why. */
+static dipole_client *connect_again(dipole_client *client, int64_t until_ms, dipole_error *error) {
+  const dipole_error first = *error;
+  dipole_error latest = first;
+  bool may_pass = true, over;
+  while (may_pass) {
+    if (!wait_for_round(client, until_ms, latest.retry_after_ms, &over, error)) {
+      if (over) {
+        break;
+      }
+      return NULL;
+    }
+    const bool call_ends = client->until_ms != 0 && client->until_ms < until_ms;
+    dipole_client *fresh =
+        client->reopen(client, call_ends ? client->until_ms : until_ms, &may_pass, &latest);
+    if (fresh != NULL) {
+      return fresh;
+    }
+  }
+  libdipole_fail(error, DIPOLE_ERROR_CONNECTION, "%.120s (and connecting again failed: %.100s)",
+                 first.text, latest.text);
+  error->status = first.status;
+  return NULL;
+}
+
+/* Whether another connection may help. A daemon that was silent is not asked again, but another
+ * daemon is. */
+static bool may_be_restored(const dipole_client *client, const dipole_error *error) {
+  return client->retry.for_ms != 0 && client->reopen != NULL &&
+         (!client->stream.silent || client->addresses.count > 1) &&
+         error->kind == DIPOLE_ERROR_CONNECTION && libdipole_is_temporary(error);
+}
+
+/* After the loss that *error describes: connects again and sends all that is outstanding again.
+ * Fails with the reason for the loss; or with kind TIMEOUT, and then the next call goes on. */
+static bool restore(dipole_client *client, dipole_error *error) {
+  int64_t until_ms;
+  if (!may_be_restored(client, error) || !can_restore(client, &until_ms)) {
+    return false;
+  }
+  if (client->retry.pause_ms == 0) { /* The connection has only just been lost. */
+    client->retry.pause_ms = LIBDIPOLE_PAUSE_FIRST_MS;
+    client->addresses.at = (client->addresses.at + 1) % client->addresses.count;
+    /* Closed at once, because a daemon that stops waits a while for its clients to close. */
+    libdipole_stream_close(&client->stream);
+  }
+  dipole_client *fresh = connect_again(client, until_ms, error);
+  if (fresh == NULL) {
+    return false;
+  }
+  client->retry.pause_ms = 0;
+  take_over(client, fresh);
+  return send_all_again(client, error);
+}
+
+static bool advance(dipole_client *client, dipole_error *error) {
+  bool moves = true;
+  if (client->retry.later_count > 0 && !send_due(client, &moves, error)) {
+    return false;
+  }
+  return !moves || (wait_and_move(client, error) && receive(client, error));
+}
+
+/* Waits until bytes come or go, and takes what came. After a failure that another connection cannot
+ * repair, every call fails in the same way. */
 static bool step(dipole_client *client, dipole_error *error) {
   if (client->broken.kind != DIPOLE_ERROR_NONE) {
     *error = client->broken;
@@ -89,7 +707,7 @@ static bool step(dipole_client *client, dipole_error *error) {
     client->lost = *error;
   }
   *error = client->lost;
-  if (libdipole_restore(client, error)) {
+  if (restore(client, error)) {
     client->lost.kind = DIPOLE_ERROR_NONE;
     return true;
   }
@@ -103,7 +721,7 @@ static bool step(dipole_client *client, dipole_error *error) {
 
 bool libdipole_request_begin(dipole_client *client, libdipole_pending *pending,
                              uint64_t payload_bytes, uint8_t **payload, dipole_error *error) {
-  libdipole_call_begin(client, pending->type);
+  libdipole_call_begin(client, pending->kind);
   if (client->broken.kind != DIPOLE_ERROR_NONE) {
     *error = client->broken;
     return false;
@@ -120,15 +738,11 @@ bool libdipole_request_begin(dipole_client *client, libdipole_pending *pending,
                           (unsigned long long)payload_bytes);
   }
   const size_t bytes = WIRE_BYTES_header + (size_t)payload_bytes;
-  if (!libdipole_pending_reserve(client, error) ||
-      !libdipole_stream_reserve(&client->stream, bytes, error)) {
+  if (!reserve(client, error) || !libdipole_stream_reserve(&client->stream, bytes, error)) {
     return false;
   }
   pending->id = ++client->last_id;
-  pending->frame = NULL;
   pending->frame_bytes = bytes;
-  pending->kept = NULL;
-  pending->trouble_ms = pending->again_ms = 0;
   const wire_header header = {.magic = WIRE_MAGIC,
                               .version = WIRE_VERSION,
                               .type = pending->type,
@@ -151,7 +765,7 @@ void dipole_flush(dipole_client *client) {
 bool libdipole_request_send(dipole_client *client, dipole_error *error) {
   const libdipole_stream *stream = &client->stream;
   const uint64_t id = client->last_id;
-  libdipole_retry_keep(client);
+  keep_copy(client);
   client->held_count++;
   if (client->held_count * HELD_SHARE >= dipole_outstanding(client) ||
       stream->out_end - stream->out_begin >= HELD_MAX_BYTES) {
@@ -159,7 +773,7 @@ bool libdipole_request_send(dipole_client *client, dipole_error *error) {
   }
   while (stream->out_end - stream->out_begin > BACKLOG_MAX_BYTES) {
     if (!step(client, error)) {
-      libdipole_pending_drop(client, id);
+      libdipole_request_drop(client, id);
       return false;
     }
   }
@@ -169,10 +783,9 @@ bool libdipole_request_send(dipole_client *client, dipole_error *error) {
 bool libdipole_request_wait(dipole_client *client, uint64_t id, libdipole_pending *pending,
                             dipole_error *error) {
   for (;;) {
-    libdipole_pending *entry =
-        id != 0 ? libdipole_pending_find(client, id) : libdipole_pending_arrived(client);
+    libdipole_pending *entry = id != 0 ? find(client, id) : find_arrived(client);
     if (entry != NULL && entry->frame != NULL) {
-      libdipole_pending_take(client, entry, pending);
+      hand_out(client, entry, pending);
       return true;
     }
     const bool none = id != 0 ? entry == NULL || entry->dropped : dipole_outstanding(client) == 0;
@@ -190,17 +803,17 @@ bool libdipole_request_wait(dipole_client *client, uint64_t id, libdipole_pendin
 bool libdipole_request_read(dipole_client *client, uint64_t id, const libdipole_reader *reader,
                             libdipole_pending *pending, dipole_error *error) {
   for (;;) {
-    libdipole_pending *entry = libdipole_pending_find(client, id);
+    libdipole_pending *entry = find(client, id);
     if (entry != NULL && entry->frame != NULL) {
-      libdipole_pending_take(client, entry, pending);
+      hand_out(client, entry, pending);
       return true;
     }
-    if (reader->stopped) { /* in the middle; the rest may have come already, and be gone */
+    if (reader->stopped) { /* The rest may have come already: then there is no entry any more. */
       pending->frame = NULL;
       return true;
     }
     if (!step(client, error)) {
-      libdipole_pending_drop(client, id);
+      libdipole_request_drop(client, id);
       return false;
     }
   }
@@ -210,11 +823,10 @@ libdipole_frame *libdipole_reply(dipole_client *client, libdipole_pending *pendi
                                  dipole_error *error) {
   const uint64_t id = pending->id;
   if (!libdipole_request_wait(client, id, pending, error)) {
-    libdipole_pending_drop(client, id);
+    libdipole_request_drop(client, id);
     return NULL;
   }
-  if (pending->frame->header.type == WIRE_TYPE_ERROR) {
-    libdipole_refused(client, pending, pending->frame, error);
+  if (!libdipole_refusal_check(client, pending, error)) {
     free(pending->frame);
     return NULL;
   }

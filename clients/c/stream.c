@@ -1,3 +1,5 @@
+#include "clients/c/stream.h"
+
 #include <assert.h>
 #include <errno.h>
 #include <poll.h>
@@ -6,9 +8,10 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
-#include "clients/c/client.h"
+#include "clients/c/clock.h"
+#include "clients/c/error.h"
 
-/* An empty output buffer larger than this is given back. */
+/* An output buffer that is empty and larger than this is freed. */
 #define OUTPUT_KEPT_BYTES ((size_t)1 << 20)
 
 void libdipole_stream_init(libdipole_stream *stream, int fd) {
@@ -45,7 +48,7 @@ bool libdipole_stream_reserve(libdipole_stream *stream, size_t bytes, dipole_err
   }
   const size_t twice = stream->out_capacity > SIZE_MAX / 2 ? SIZE_MAX : 2 * stream->out_capacity;
   if (bytes > SIZE_MAX - unsent) {
-    return libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory");
+    return libdipole_fail_memory(error);
   }
   const size_t capacity = unsent + bytes > twice ? unsent + bytes : twice;
   uint8_t *out = realloc(stream->out, capacity);
@@ -81,7 +84,7 @@ void libdipole_stream_send(libdipole_stream *stream) {
   }
 }
 
-/* Reads once, into the target or the buffer, which has room. */
+/* Reads once into the target, else into the buffer, which has room. */
 static bool receive(libdipole_stream *stream, dipole_error *error) {
   uint8_t *to = stream->target;
   size_t room = stream->target_bytes;
@@ -93,7 +96,7 @@ static bool receive(libdipole_stream *stream, dipole_error *error) {
     to = stream->in + unread;
     room = sizeof stream->in - unread;
   }
-  assert(room > 0); /* a caller takes all but an incomplete header out of the buffer */
+  assert(room > 0); /* The caller takes all but an incomplete header out of the buffer. */
   const ssize_t got = recv(stream->fd, to, room, 0);
   if (got < 0) {
     return errno == EAGAIN || errno == EINTR ||
@@ -122,7 +125,7 @@ bool libdipole_stream_step(libdipole_stream *stream, unsigned timeout_ms, dipole
     stream->silent = errno == ETIMEDOUT;
     return libdipole_fail_errno(error, DIPOLE_ERROR_CONNECTION, errno, "poll");
   }
-  if ((ready & ~POLLOUT) != 0 && !receive(stream, error)) { /* also for errors: recv names them */
+  if ((ready & ~POLLOUT) != 0 && !receive(stream, error)) { /* recv() names errors. */
     return false;
   }
   if ((ready & POLLOUT) != 0) {

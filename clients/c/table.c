@@ -1,19 +1,18 @@
-/* Tables: fetched, loaded, saved and evaluated here, by the daemon's own code. */
+/* Tables: how they are fetched, loaded, saved and evaluated here, by the daemon's own code. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "clients/c/client.h"
+#include "clients/c/error.h"
+#include "clients/c/query.h"
+#include "clients/c/request.h"
 #include "core/lut/lut.h"
 #include "proto/table.h"
-
-/* The words are used where they lie in the frame, which is little-endian. */
-_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's arrays need swapping");
 
 struct dipole_table {
   dipole_table_info info;
   core_profile profile;
-  float radius_least_mm; /* of those that are not negative and that the model covers */
+  float radius_least_mm; /* the range of radii that are not negative and that the model covers */
   float radius_most_mm;
   dipole_parameter parameters[CORE_PARAMETERS_END];
   size_t frame_bytes;
@@ -53,11 +52,11 @@ static bool check_frame(const uint8_t *bytes, size_t count, size_t *frame_bytes,
   return true;
 }
 
-/* Room for a table whose frame has that many bytes, which are to be filled in. */
+/* Makes a table whose frame has so many bytes. The caller fills them in. */
 static dipole_table *make_room(size_t frame_bytes, dipole_error *error) {
   dipole_table *table = malloc(sizeof *table + frame_bytes);
   if (table == NULL) {
-    libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory");
+    libdipole_fail_memory(error);
     return NULL;
   }
   table->frame_bytes = frame_bytes;
@@ -67,7 +66,8 @@ static dipole_table *make_room(size_t frame_bytes, dipole_error *error) {
 
 static void set_info(dipole_table *table, const wire_table_reply *fixed, const float *words) {
   const uint8_t *at = table->frame + WIRE_BYTES_header + WIRE_BYTES_table_reply;
-  for (size_t i = 0; i < fixed->parameter_count; i++) { /* each of those known, at most once */
+  for (size_t i = 0; i < fixed->parameter_count;
+       i++) { /* Each known parameter is there at most once. */
     wire_parameter parameter;
     wire_get_parameter(at + i * WIRE_BYTES_parameter, &parameter);
     table->parameters[i] = (dipole_parameter){parameter.parameter, parameter.value};
@@ -93,7 +93,7 @@ static void set_info(dipole_table *table, const wire_table_reply *fixed, const f
   };
 }
 
-/* The numbers in single precision that are in the range. */
+/* Sets the range as numbers in single precision, which lie inside. */
 static void set_range(dipole_table *table) {
   const double least = table->info.radius_least_mm > 0 ? table->info.radius_least_mm : 0;
   const double most = table->info.radius_most_mm;
@@ -102,7 +102,7 @@ static void set_range(dipole_table *table) {
   table->radius_most_mm = (double)far > most ? nextafterf(far, 0) : far;
 }
 
-/* False: outside of its range; 1 when it is not given. */
+/* Returns false if it is out of its range. *cosine: 1 if it is not given. */
 static bool get_cosine(const core_parameters *parameters, enum core_parameter id, double *cosine) {
   const double value = parameters->value[id];
   *cosine = value == value ? value : 1;
@@ -129,12 +129,12 @@ static bool set_profile(dipole_table *table, const wire_table_reply *fixed,
   if (core_medium_check(&profile->medium).field != NULL ||
       !get_cosine(parameters, CORE_PARAMETER_COS_IN, &cos_in) ||
       !get_cosine(parameters, CORE_PARAMETER_COS_OUT, &cos_out)) {
-    return damaged(error, "its medium or a parameter is none");
+    return damaged(error, "its medium or a parameter is not valid");
   }
   const core_fault fault =
       core_profile_from_table(profile, core_isa_select(NULL), words, fixed->word_count);
   if (fault.field != NULL && strcmp(fault.field, CORE_FIELD_MEMORY) == 0) {
-    return libdipole_fail(error, DIPOLE_ERROR_MEMORY, "out of memory");
+    return libdipole_fail_memory(error);
   }
   if (fault.field != NULL) {
     return damaged(error, "an entry points outside of it");
@@ -146,7 +146,7 @@ static bool set_profile(dipole_table *table, const wire_table_reply *fixed,
          damaged(error, "its pieces are not where it says");
 }
 
-/* Takes the frame that has been filled in apart. */
+/* Reads the frame, which has been filled in. */
 static bool parse(dipole_table *table, dipole_error *error) {
   wire_table_reply fixed;
   core_parameters parameters;
@@ -160,7 +160,7 @@ static bool parse(dipole_table *table, dipole_error *error) {
   return set_profile(table, &fixed, &parameters, words, error);
 }
 
-/* Takes the table over: frees it when it is not intact. */
+/* Takes the table over and frees it if it is not intact. */
 static bool hand_out(dipole_table *made, dipole_table **table, dipole_error *error) {
   if (!parse(made, error)) {
     dipole_table_free(made);
@@ -171,9 +171,8 @@ static bool hand_out(dipole_table *made, dipole_table **table, dipole_error *err
 }
 
 bool dipole_table_load(const void *bytes, size_t count, dipole_table **table, dipole_error *error) {
-  dipole_error unwanted;
   size_t frame_bytes;
-  error = error != NULL ? error : &unwanted;
+  error = error != NULL ? error : &(dipole_error){0};
   if (!check_frame(bytes, count, &frame_bytes, error)) {
     return false;
   }
@@ -203,7 +202,8 @@ static libdipole_frame *ask(dipole_client *client, const dipole_table_query *que
   const wire_table_request fixed = {.model = (uint16_t)query->model,
                                     .moments = (uint16_t)query->moments,
                                     .parameter_count = (uint16_t)parameters};
-  libdipole_pending pending = {.type = WIRE_TYPE_TABLE,
+  libdipole_pending pending = {.kind = &libdipole_plain,
+                               .type = WIRE_TYPE_TABLE,
                                .deadline_ms = query->deadline_ms,
                                .medium_count = 1,
                                .reply_bytes_min = WIRE_BYTES_table_reply,
@@ -218,7 +218,7 @@ static libdipole_frame *ask(dipole_client *client, const dipole_table_query *que
   return libdipole_request_send(client, error) ? libdipole_reply(client, &pending, error) : NULL;
 }
 
-/* The reply as a table, with its frame as it came. */
+/* Makes a table of the reply, whose frame it keeps as it came. */
 static bool take(const libdipole_frame *frame, dipole_table **table, dipole_error *error) {
   uint8_t header[WIRE_BYTES_header];
   const size_t payload_bytes = frame->header.payload_bytes;
@@ -233,13 +233,10 @@ static bool take(const libdipole_frame *frame, dipole_table **table, dipole_erro
 
 bool dipole_table_fetch(dipole_client *client, const dipole_table_query *query,
                         dipole_table **table, dipole_error *error) {
-  dipole_error unwanted;
   dipole_table *fetched = NULL;
-  error = error != NULL ? error : &unwanted;
-  if ((query->model | query->moments) > UINT16_MAX) {
-    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "model and moments are at most 65535");
-  }
-  if (!libdipole_parameters_check(query->parameters, query->parameter_count, error)) {
+  error = error != NULL ? error : &(dipole_error){0};
+  if (!libdipole_check_u16(query->model | query->moments, "model and moments", error) ||
+      !libdipole_parameters_check(query->parameters, query->parameter_count, error)) {
     return false;
   }
   libdipole_frame *frame = ask(client, query, error);
@@ -254,15 +251,15 @@ bool dipole_table_fetch(dipole_client *client, const dipole_table_query *query,
   }
   dipole_table_free(fetched);
   if (intact || error->kind == DIPOLE_ERROR_TABLE) {
-    libdipole_fail(error, DIPOLE_ERROR_PROTOCOL,
-                   "the peer does not speak this protocol: it answered a table request with %s",
-                   intact ? "the table of something else" : "what is no table");
-    client->broken = *error;
+    libdipole_bad_answer(client,
+                         intact ? "it answered a table request with the table of something else"
+                                : "it answered a table request with what is not a table",
+                         error);
   }
   return false;
 }
 
-/* ---- what it says -------------------------------------------------------------------------- */
+/* ---- using it ------------------------------------------------------------------------------ */
 
 const void *dipole_table_bytes(const dipole_table *table, size_t *count) {
   *count = table->frame_bytes;
@@ -273,7 +270,7 @@ const dipole_table_info *dipole_table_get_info(const dipole_table *table) {
   return &table->info;
 }
 
-/* In blocks of a length that compilers know, and without a branch: that vectorizes. */
+/* Blocks of a constant length without a branch: compilers vectorize them. */
 enum { BLOCK = 64 };
 
 static bool is_between(const float *x, size_t n, float least, float most) {
@@ -314,4 +311,24 @@ void dipole_table_free(dipole_table *table) {
     core_profile_free(&table->profile);
     free(table);
   }
+}
+
+bool dipole_grid_radii(enum dipole_spacing spacing, double start_mm, double stop_mm, uint64_t count,
+                       float *r, dipole_error *error) {
+  const core_grid grid = {.spacing = (enum core_spacing)spacing,
+                          .count = count,
+                          .start_mm = start_mm,
+                          .stop_mm = stop_mm};
+  error = error != NULL ? error : &(dipole_error){0};
+  if (spacing != DIPOLE_LINEAR && spacing != DIPOLE_LOGARITHMIC) {
+    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
+                          "spacing is DIPOLE_LINEAR or DIPOLE_LOGARITHMIC");
+  }
+  const core_fault fault = core_grid_check(&grid);
+  if (fault.field != NULL) {
+    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s: allowed: %s", fault.field,
+                          fault.allowed);
+  }
+  core_grid_radii_f32(&grid, 0, (size_t)count, r);
+  return true;
 }

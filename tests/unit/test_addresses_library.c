@@ -6,7 +6,7 @@
 #include <time.h>
 #include <unistd.h>
 
-#include "clients/c/client.h"
+#include "clients/c/request.h"
 #include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
 

@@ -1,0 +1,39 @@
+/* address: where daemons are, from text. */
+#ifndef LIBDIPOLE_ADDRESS_H
+#define LIBDIPOLE_ADDRESS_H
+
+#include <limits.h>
+
+#include "clients/c/dipole.h"
+
+enum libdipole_address_kind { LIBDIPOLE_UNIX, LIBDIPOLE_TCP, LIBDIPOLE_PRIVATE };
+
+typedef struct libdipole_address {
+  enum libdipole_address_kind kind;
+  char host[256];      /* of TCP */
+  char port[6];        /* of TCP */
+  char path[PATH_MAX]; /* Unix: the socket. Private: the program, or "" for any. */
+} libdipole_address;
+
+/* Reads one address. Failures are of kind ADDRESS. */
+bool libdipole_address_parse(const char *text, libdipole_address *address, dipole_error *error);
+
+/* The addresses of a client, at least one. */
+typedef struct libdipole_addresses {
+  char *whole; /* the memory of all texts */
+  size_t count;
+  size_t at; /* the one that the client is connected to or tries first */
+  const char *texts[DIPOLE_ADDRESSES_MAX];
+} libdipole_addresses;
+
+/* Reads a list of addresses. text: NULL is the default, $DIPOLED or a private daemon. The caller
+ * frees *addresses with libdipole_addresses_free(), also after a failure. */
+bool libdipole_addresses_parse(const char *text, libdipole_addresses *addresses,
+                               dipole_error *error);
+
+/* Whether the daemon is to be started for this client alone. */
+bool libdipole_addresses_is_private(const libdipole_addresses *addresses);
+
+void libdipole_addresses_free(libdipole_addresses *addresses);
+
+#endif
