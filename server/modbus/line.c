@@ -309,7 +309,11 @@ static void on_retry(uv_timer_t *timer) {
 static void lose_device(struct modbus_line *line, const char *why) {
   log_peer_line(LOG_LEVEL_ERROR, "event=modbus-device-lost device=%s reason=%s", line->device, why);
   close_poll(line);
-  retry_later(line);
+  if (line->stopping) {
+    worker_run_later(&line->client);
+  } else {
+    retry_later(line);
+  }
 }
 
 static void start(struct client *client) {
@@ -338,8 +342,17 @@ static void finish(struct client *client) {
   }
 }
 
-/* A request that has arrived is still answered. */
+/* A request that has arrived is still answered: after a silence, because a device may deliver bytes
+ * some time after they were sent. */
 static void stop(struct client *client) {
+  struct modbus_line *line = line_of(client);
+  if (!line->stopping) {
+    line->stopping = true;
+    uv_timer_start(&line->timer, on_silence, line->units->server->options.modbus_gap_ms, 0);
+  }
+}
+
+static void abort_line(struct client *client) {
   line_of(client)->stopping = true;
   worker_run_later(client);
 }
@@ -350,7 +363,7 @@ bool modbus_line_open(struct modbus_line *line, struct modbus_units *units, cons
       .run = run,
       .finish = finish,
       .stop = stop,
-      .abort = stop,
+      .abort = abort_line,
   };
   *line = (struct modbus_line){
       .client.kind = &kind,
