@@ -1,7 +1,8 @@
 #include "tests/unit/peer_scripts.h"
 
-#include <stdlib.h>
-#include <string.h>
+#include <time.h>
+
+#include "tests/unit/unit.h"
 
 void peer_receive_or_abort(int fd, peer_frame *request) {
   if (!peer_receive(fd, request)) {
@@ -73,4 +74,160 @@ void peer_hang_up_in_answer(int fd, void *context) {
 void peer_be_full(int fd, void *context) {
   (void)context;
   peer_send_error(fd, 0, WIRE_STATUS_BUSY, 30);
+}
+
+void peer_answer_seven(int fd, void *context) {
+  (void)context;
+  peer_say_hello_or_abort(fd);
+  for (unsigned i = 0; i < 7; i++) {
+    peer_frame request;
+    peer_receive_or_abort(fd, &request);
+    peer_answer(fd, &request);
+    free(request.payload);
+  }
+}
+
+void peer_must_not_come(int fd, void *context) {
+  (void)fd;
+  (void)context;
+  abort();
+}
+
+void peer_serve_other_lists(int fd, void *context) {
+  uint8_t payload[WIRE_BYTES_hello_reply + WIRE_BYTES_choice];
+  wire_hello_reply reply = {
+      .version = 1, .version_min = 1, .version_max = 1, .workers = 1, .choice_count = 1};
+  wire_choice model = {.kind = WIRE_CHOICE_MODEL, .id = 2};
+  peer_frame request;
+  (void)context;
+  WIRE_SET_TEXT(model.name, "worse");
+  wire_put_hello_reply(payload, &reply);
+  wire_put_choice(payload + WIRE_BYTES_hello_reply, &model);
+  peer_receive_or_abort(fd, &request);
+  peer_send(fd, WIRE_TYPE_HELLO | WIRE_REPLY, request.header.request_id, payload, sizeof payload);
+  free(request.payload);
+  if (peer_receive(fd, &request)) {
+    abort(); /* Whatever it asks has another meaning here. */
+  }
+}
+
+/* ---- clients ------------------------------------------------------------------------------- */
+
+dipole_options peer_options(void) {
+  dipole_options options;
+  dipole_options_init(&options);
+  options.connect_timeout_ms = options.timeout_ms = options.retry_ms = PEER_PATIENCE_MS;
+  return options;
+}
+
+dipole_client *peer_open(const char *address, const dipole_options *options) {
+  const dipole_options usual = peer_options();
+  dipole_client *client;
+  dipole_error error;
+  if (!dipole_open_with(address, options != NULL ? options : &usual, &client, &error)) {
+    fail_msg("%s: %s", address, error.text);
+  }
+  return client;
+}
+
+dipole_client *peer_open_once(const scripted_peer *peer) {
+  dipole_options options = peer_options();
+  options.retry_ms = 0;
+  return peer_open(peer->address, &options);
+}
+
+dipole_client *peer_begin(scripted_peer *peer, peer_script *script, void *context) {
+  peer_start(peer, script, context);
+  return peer_open_once(peer);
+}
+
+dipole_client *peer_begin_scripts(scripted_peer *peer, peer_script *const *scripts, void *context) {
+  peer_start_scripts(peer, scripts, context);
+  return peer_open(peer->address, NULL);
+}
+
+void peer_finish(scripted_peer *peer, dipole_client *client) {
+  dipole_close(client);
+  peer_end(peer);
+}
+
+char *peer_list(const char *const *addresses, size_t count) {
+  char *list = calloc(count, 128);
+  assert_non_null(list);
+  for (size_t i = 0; i < count; i++) {
+    sprintf(list + strlen(list), "%s%s", i > 0 ? "," : "", addresses[i]);
+  }
+  return list;
+}
+
+int64_t peer_now_ms(void) {
+  struct timespec now;
+  clock_gettime(CLOCK_MONOTONIC, &now);
+  return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
+}
+
+/* ---- queries ------------------------------------------------------------------------------- */
+
+double peer_radii_f64[PEER_RADII];
+float peer_radii_f32[PEER_RADII];
+
+void peer_make_radii(void) {
+  for (size_t i = 0; i < PEER_RADII; i++) {
+    peer_radii_f32[i] = (float)i / 8;
+    peer_radii_f64[i] = (double)peer_radii_f32[i];
+  }
+}
+
+const dipole_medium peer_media[2] = {{.sigma_a_per_mm = 0.25, .sigma_s_per_mm = 1, .eta = 1.3},
+                                     {.sigma_a_per_mm = 0.5, .sigma_s_per_mm = 2, .eta = 1.3}};
+
+dipole_query peer_query(uint64_t count) {
+  return (dipole_query){.model = 2,
+                        .evaluator = DIPOLE_F64,
+                        .moments = DIPOLE_EXACT,
+                        .wanted = DIPOLE_R | DIPOLE_ALBEDO,
+                        .media = peer_media,
+                        .medium_count = 1,
+                        .spacing = DIPOLE_LIST,
+                        .radii = peer_radii_f64,
+                        .radius_count = count};
+}
+
+void peer_check_result(dipole_result *result, uint64_t count) {
+  assert_int_equal(result->radius_count, count);
+  assert_true(result->channels[0].albedo == 0.25);
+  for (uint64_t i = 0; i < count; i++) {
+    assert_true(result->channels[0].R_f64[i] == 2 * peer_radii_f64[i]);
+  }
+  dipole_result_free(result);
+}
+
+void peer_check_eval(dipole_client *client, uint64_t count) {
+  const dipole_query query = peer_query(count);
+  dipole_result *result;
+  dipole_error error;
+  if (!dipole_eval(client, &query, &result, &error)) {
+    fail_msg("%s", error.text);
+  }
+  peer_check_result(result, count);
+}
+
+dipole_error peer_check_failure(dipole_client *client, enum dipole_error_kind kind) {
+  const dipole_query query = peer_query(5);
+  dipole_result *result;
+  dipole_error error;
+  assert_false(dipole_eval(client, &query, &result, &error));
+  assert_int_equal(error.kind, kind);
+  return error;
+}
+
+uint64_t peer_submit(dipole_client *client, uint64_t count) {
+  const dipole_query query = peer_query(count);
+  dipole_error error;
+  uint64_t id = 0;
+  if (!dipole_submit(client, &query, &id, &error)) {
+    fail_msg("%s", error.text);
+  }
+  assert_true(id != 0);
+  return id;
 }

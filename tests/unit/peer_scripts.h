@@ -1,4 +1,5 @@
-/* peer_scripts: what scripted peers do in several tests of the client library. */
+/* peer_scripts: what several tests of the client library share: scripts of peers, clients that are
+ * connected to a peer, and queries whose answers can be checked. */
 #ifndef DIPOLED_TESTS_PEER_SCRIPTS_H
 #define DIPOLED_TESTS_PEER_SCRIPTS_H
 
@@ -17,5 +18,68 @@ peer_script peer_hang_up_at_once, peer_hang_up_after_hello, peer_hang_up_after_r
 peer_script
     peer_hang_up_in_answer; /* of which it sends as many bytes as the size_t *context says */
 peer_script peer_be_full;   /* refuses the connection for the next 30 ms */
+
+/* ---- clients ------------------------------------------------------------------------------- */
+
+enum { PEER_PATIENCE_MS = 20000 }; /* a test that would hang fails after this */
+
+/* Default options, but with this patience for connecting, waiting and trying again. */
+dipole_options peer_options(void);
+
+/* Opens a client with options (NULL: those above). Fails the test if it cannot. */
+dipole_client *peer_open(const char *address, const dipole_options *options);
+
+/* Opens a client that does not try again, so that what the peer does shows as it is. */
+dipole_client *peer_open_once(const scripted_peer *peer);
+
+/* Starts a peer and opens such a client. */
+dipole_client *peer_begin(scripted_peer *peer, peer_script *script, void *context);
+
+/* Starts a peer with one script for each connection and opens a client that tries again. */
+dipole_client *peer_begin_scripts(scripted_peer *peer, peer_script *const *scripts, void *context);
+
+/* Closes the client and waits for the peer's script to end. */
+void peer_finish(scripted_peer *peer, dipole_client *client);
+
+/* "A,B,...": the caller frees it. */
+char *peer_list(const char *const *addresses, size_t count);
+
+int64_t peer_now_ms(void);
+
+/* ---- queries ------------------------------------------------------------------------------- */
+
+enum { PEER_RADII = 1000 };
+
+/* Radius i is i / 8 mm. They exist once a test program has called peer_make_radii(). */
+extern double peer_radii_f64[PEER_RADII];
+extern float peer_radii_f32[PEER_RADII];
+void peer_make_radii(void);
+
+extern const dipole_medium peer_media[2];
+
+/* A query for R and the albedo of the first medium at the first `count` radii. Queries differ in
+ * this number, so that an answer to another query shows. */
+dipole_query peer_query(uint64_t count);
+
+/* Checks that a result is the answer of peer_serve() to such a query, and frees it. */
+void peer_check_result(dipole_result *result, uint64_t count);
+
+/* Evaluates such a query and checks the result. */
+void peer_check_eval(dipole_client *client, uint64_t count);
+
+/* Evaluates a query of 5 radii, which must fail with an error of this kind. */
+dipole_error peer_check_failure(dipole_client *client, enum dipole_error_kind kind);
+
+/* Submits such a query; returns its id. */
+uint64_t peer_submit(dipole_client *client, uint64_t count);
+
+/* Answers seven requests: a script. */
+peer_script peer_answer_seven;
+
+/* Aborts: a script for a connection that must not be made. */
+peer_script peer_must_not_come;
+
+/* Says hello with other lists than peer_say_hello(): a script. */
+peer_script peer_serve_other_lists;
 
 #endif

@@ -12,76 +12,8 @@
 
 enum { RADII = 64, PATIENCE_MS = 20000, SOON_MS = 10000 };
 
-static const dipole_medium medium = {.sigma_a_per_mm = 0.25, .sigma_s_per_mm = 1, .eta = 1.3};
-static double radii[RADII];
-
 UNIT_SETUP(make_radii) {
-  for (size_t i = 0; i < RADII; i++) {
-    radii[i] = (double)i / 8;
-  }
-}
-
-static dipole_query query_of(uint64_t count) {
-  return (dipole_query){.model = 2,
-                        .evaluator = DIPOLE_F64,
-                        .moments = DIPOLE_EXACT,
-                        .wanted = DIPOLE_R | DIPOLE_ALBEDO,
-                        .media = &medium,
-                        .medium_count = 1,
-                        .spacing = DIPOLE_LIST,
-                        .radii = radii,
-                        .radius_count = count};
-}
-
-static void check_result(dipole_result *result, uint64_t count) {
-  assert_int_equal(result->radius_count, count);
-  for (uint64_t i = 0; i < count; i++) {
-    assert_true(result->channels[0].R_f64[i] == 2 * radii[i]);
-  }
-  dipole_result_free(result);
-}
-
-static void check_eval(dipole_client *client, uint64_t count) {
-  const dipole_query query = query_of(count);
-  dipole_result *result;
-  dipole_error error;
-  if (!dipole_eval(client, &query, &result, &error)) {
-    fail_msg("%s", error.text);
-  }
-  check_result(result, count);
-}
-
-static dipole_options options_of(void) {
-  dipole_options options;
-  dipole_options_init(&options);
-  options.connect_timeout_ms = options.timeout_ms = options.retry_ms = PATIENCE_MS;
-  return options;
-}
-
-static dipole_client *open_client(const char *address, const dipole_options *options) {
-  const dipole_options usual = options_of();
-  dipole_client *client;
-  dipole_error error;
-  if (!dipole_open_with(address, options != NULL ? options : &usual, &client, &error)) {
-    fail_msg("%s: %s", address, error.text);
-  }
-  return client;
-}
-
-/* "A,B": to be freed. */
-static char *list_of(const char *const *addresses, size_t count) {
-  char *list = calloc(count, 128);
-  assert_non_null(list);
-  for (size_t i = 0; i < count; i++) {
-    sprintf(list + strlen(list), "%s%s", i > 0 ? "," : "", addresses[i]);
-  }
-  return list;
-}
-
-static int64_t now_ms(void) {
-  struct timespec now;
-  clock_gettime(CLOCK_MONOTONIC, &now);
-  return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
+  peer_make_radii();
 }
 
 /* ---- lists --------------------------------------------------------------------------------- */
@@ -135,7 +67,7 @@ UNIT_TEST(test_wrong_lists) {
   for (size_t i = 0; i <= DIPOLE_ADDRESSES_MAX; i++) {
     many[i] = "tcp:localhost:1";
   }
-  char *list = list_of(many, DIPOLE_ADDRESSES_MAX + 1);
+  char *list = peer_list(many, DIPOLE_ADDRESSES_MAX + 1);
   fail_open(list);
   free(list);
 }
@@ -159,13 +91,12 @@ UNIT_TEST(test_the_first_that_answers) {
   const int fd = take_dead_port(dead, sizeof dead);
   peer_start(&peer, peer_serve, NULL);
   const char *const addresses[] = {"unix:/nonexistent/s", dead, peer.address};
-  char *list = list_of(addresses, 3);
-  dipole_client *client = open_client(list, NULL);
+  char *list = peer_list(addresses, 3);
+  dipole_client *client = peer_open(list, NULL);
   assert_string_equal(dipole_address(client), peer.address);
   assert_string_equal(dipole_get_info(client)->address, peer.address);
-  check_eval(client, 5);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_check_eval(client, 5);
+  peer_finish(&peer, client);
   free(list);
   close(fd);
 }
@@ -193,7 +124,7 @@ static void accept_only(int fd, void *context) {
 }
 
 UNIT_TEST(test_one_that_does_not_say_hello) {
-  dipole_options options = options_of();
+  dipole_options options = peer_options();
   scripted_peer mute, peer;
   dipole_client *none;
   dipole_error error;
@@ -202,11 +133,11 @@ UNIT_TEST(test_one_that_does_not_say_hello) {
   peer_start_scripts(&mute, twice, NULL);
   peer_start(&peer, peer_serve, NULL);
   const char *const addresses[] = {mute.address, peer.address};
-  char *list = list_of(addresses, 2);
-  const int64_t start_ms = now_ms();
-  dipole_client *client = open_client(list, &options);
-  assert_in_range(now_ms() - start_ms, 50, SOON_MS);
-  check_eval(client, 5);
+  char *list = peer_list(addresses, 2);
+  const int64_t start_ms = peer_now_ms();
+  dipole_client *client = peer_open(list, &options);
+  assert_in_range(peer_now_ms() - start_ms, 50, SOON_MS);
+  peer_check_eval(client, 5);
   dipole_close(client);
   assert_false(dipole_open_with(mute.address, &options, &none, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_CONNECT);
@@ -219,28 +150,27 @@ UNIT_TEST(test_one_that_does_not_say_hello) {
 UNIT_TEST(test_opening_again_and_again) {
   peer_script *const scripts[] = {peer_be_full, peer_hang_up_at_once, peer_be_full, peer_serve,
                                   NULL};
-  dipole_options options = options_of();
+  dipole_options options = peer_options();
   scripted_peer peer;
   options.open_ms = PATIENCE_MS;
   peer_start_scripts(&peer, scripts, NULL);
-  const int64_t start_ms = now_ms();
-  dipole_client *client = open_client(peer.address, &options);
-  assert_in_range(now_ms() - start_ms, 60, SOON_MS); /* as long as those that were full said */
-  check_eval(client, 5);
-  dipole_close(client);
-  peer_end(&peer);
+  const int64_t start_ms = peer_now_ms();
+  dipole_client *client = peer_open(peer.address, &options);
+  assert_in_range(peer_now_ms() - start_ms, 60, SOON_MS); /* as long as those that were full said */
+  peer_check_eval(client, 5);
+  peer_finish(&peer, client);
 }
 
 UNIT_TEST(test_opening_ends) {
-  dipole_options options = options_of();
+  dipole_options options = peer_options();
   dipole_client *client;
   dipole_error error;
   options.open_ms = 100;
-  const int64_t start_ms = now_ms();
+  const int64_t start_ms = peer_now_ms();
   assert_false(
       dipole_open_with("unix:/nonexistent/a,unix:/nonexistent/b", &options, &client, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_CONNECT);
-  assert_in_range(now_ms() - start_ms, 40, SOON_MS);
+  assert_in_range(peer_now_ms() - start_ms, 40, SOON_MS);
 }
 
 static void count_and_serve(int fd, void *context) {
@@ -252,7 +182,7 @@ UNIT_TEST(test_clients_spread) {
   enum { CLIENTS = 64 };
   peer_script *scripts[CLIENTS + 1] = {0};
   unsigned counts[2] = {0, 0};
-  dipole_options options = options_of();
+  dipole_options options = peer_options();
   scripted_peer peers[2];
   for (size_t i = 0; i < CLIENTS; i++) {
     scripts[i] = count_and_serve;
@@ -260,11 +190,11 @@ UNIT_TEST(test_clients_spread) {
   peer_start_scripts(&peers[0], scripts, &counts[0]);
   peer_start_scripts(&peers[1], scripts, &counts[1]);
   const char *const addresses[] = {peers[0].address, peers[1].address};
-  char *list = list_of(addresses, 2);
+  char *list = peer_list(addresses, 2);
   options.spread = true;
   for (size_t i = 0; i < CLIENTS; i++) {
-    dipole_client *client = open_client(list, &options);
-    check_eval(client, 3);
+    dipole_client *client = peer_open(list, &options);
+    peer_check_eval(client, 3);
     dipole_close(client);
   }
   peer_end(&peers[0]);
@@ -285,7 +215,7 @@ static void start_pair(pair *both, peer_script *const *first, peer_script *const
   peer_start_scripts(&both->peers[0], first, NULL);
   peer_start_scripts(&both->peers[1], second, NULL);
   const char *const addresses[] = {both->peers[0].address, both->peers[1].address};
-  both->list = list_of(addresses, 2);
+  both->list = peer_list(addresses, 2);
 }
 
 static void end_pair(pair *both) {
@@ -294,30 +224,19 @@ static void end_pair(pair *both) {
   free(both->list);
 }
 
-static void answer_seven(int fd, void *context) {
-  (void)context;
-  peer_say_hello_or_abort(fd);
-  for (unsigned i = 0; i < 7; i++) {
-    peer_frame request;
-    peer_receive_or_abort(fd, &request);
-    peer_answer(fd, &request);
-    free(request.payload);
-  }
-}
-
 /* What the first one did not answer, the second one does; and once that is gone, the first. */
 UNIT_TEST(test_round_and_round) {
   enum { QUERIES = 25 };
-  peer_script *const first[] = {answer_seven, peer_hang_up_after_request, peer_serve, NULL};
-  peer_script *const second[] = {answer_seven, peer_hang_up_after_hello, NULL};
+  peer_script *const first[] = {peer_answer_seven, peer_hang_up_after_request, peer_serve, NULL};
+  peer_script *const second[] = {peer_answer_seven, peer_hang_up_after_hello, NULL};
   bool collected[QUERIES + 1] = {false};
   uint64_t ids[QUERIES + 1] = {0};
   dipole_error error;
   pair both;
   start_pair(&both, first, second);
-  dipole_client *client = open_client(both.list, NULL);
+  dipole_client *client = peer_open(both.list, NULL);
   for (uint64_t i = 1; i <= QUERIES; i++) {
-    const dipole_query query = query_of(i);
+    const dipole_query query = peer_query(i);
     assert_true(dipole_submit(client, &query, &ids[i], &error));
   }
   for (unsigned k = 0; k < QUERIES; k++) {
@@ -331,7 +250,7 @@ UNIT_TEST(test_round_and_round) {
     }
     assert_true(i <= QUERIES && !collected[i]);
     collected[i] = true;
-    check_result(result, i);
+    peer_check_result(result, i);
   }
   assert_string_equal(dipole_address(client), both.peers[0].address);
   assert_string_equal(dipole_get_info(client)->address, both.peers[0].address);
@@ -349,9 +268,9 @@ UNIT_TEST(test_a_silent_one_is_left) {
   peer_script *const second[] = {peer_serve, NULL};
   pair both;
   start_pair(&both, first, second);
-  dipole_client *client = open_client(both.list, NULL);
+  dipole_client *client = peer_open(both.list, NULL);
   dipole_set_timeout_ms(client, 50);
-  check_eval(client, 5);
+  peer_check_eval(client, 5);
   assert_string_equal(dipole_address(client), both.peers[1].address);
   dipole_close(client);
   end_pair(&both);
@@ -361,46 +280,27 @@ UNIT_TEST(test_a_silent_one_is_left) {
 UNIT_TEST(test_a_dead_one_has_its_share) {
   peer_script *const first[] = {peer_hang_up_after_request, peer_serve, NULL};
   peer_script *const second[] = {accept_only, NULL};
-  dipole_options options = options_of();
+  dipole_options options = peer_options();
   pair both;
   options.connect_timeout_ms = 0;
   options.retry_ms = 2000;
   start_pair(&both, first, second);
-  dipole_client *client = open_client(both.list, &options);
-  const int64_t start_ms = now_ms();
-  check_eval(client, 5);
-  assert_true(now_ms() - start_ms >= 500);
+  dipole_client *client = peer_open(both.list, &options);
+  const int64_t start_ms = peer_now_ms();
+  peer_check_eval(client, 5);
+  assert_true(peer_now_ms() - start_ms >= 500);
   assert_string_equal(dipole_address(client), both.peers[0].address);
   dipole_close(client);
   end_pair(&both);
 }
 
-/* A daemon whose model 2 is called otherwise. */
-static void serve_other_lists(int fd, void *context) {
-  uint8_t payload[WIRE_BYTES_hello_reply + WIRE_BYTES_choice];
-  wire_hello_reply reply = {
-      .version = 1, .version_min = 1, .version_max = 1, .workers = 1, .choice_count = 1};
-  wire_choice model = {.kind = WIRE_CHOICE_MODEL, .id = 2};
-  peer_frame request;
-  (void)context;
-  WIRE_SET_TEXT(model.name, "worse");
-  wire_put_hello_reply(payload, &reply);
-  wire_put_choice(payload + WIRE_BYTES_hello_reply, &model);
-  peer_receive_or_abort(fd, &request);
-  peer_send(fd, WIRE_TYPE_HELLO | WIRE_REPLY, request.header.request_id, payload, sizeof payload);
-  free(request.payload);
-  if (peer_receive(fd, &request)) {
-    abort(); /* whatever it is, it has another meaning here */
-  }
-}
-
 UNIT_TEST(test_one_with_other_lists_is_passed_over) {
   peer_script *const first[] = {peer_hang_up_after_request, peer_serve, NULL};
-  peer_script *const second[] = {serve_other_lists, NULL};
+  peer_script *const second[] = {peer_serve_other_lists, NULL};
   pair both;
   start_pair(&both, first, second);
-  dipole_client *client = open_client(both.list, NULL);
-  check_eval(client, 5);
+  dipole_client *client = peer_open(both.list, NULL);
+  peer_check_eval(client, 5);
   assert_string_equal(dipole_address(client), both.peers[0].address);
   dipole_close(client);
   end_pair(&both);
@@ -409,21 +309,21 @@ UNIT_TEST(test_one_with_other_lists_is_passed_over) {
 UNIT_TEST(test_all_are_gone) {
   peer_script *const first[] = {peer_hang_up_after_request, NULL};
   peer_script *const second[] = {peer_hang_up_at_once, NULL};
-  const dipole_query query = query_of(5);
-  dipole_options options = options_of();
+  const dipole_query query = peer_query(5);
+  dipole_options options = peer_options();
   dipole_result *result;
   dipole_error error;
   pair both;
   options.retry_ms = 300;
   start_pair(&both, first, second);
-  dipole_client *client = open_client(both.list, &options);
-  const int64_t start_ms = now_ms();
+  dipole_client *client = peer_open(both.list, &options);
+  const int64_t start_ms = peer_now_ms();
   for (unsigned i = 0; i < 2; i++) {
     assert_false(dipole_eval(client, &query, &result, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
     assert_non_null(strstr(error.text, "connecting again failed"));
   }
-  assert_true(now_ms() - start_ms < SOON_MS);
+  assert_true(peer_now_ms() - start_ms < SOON_MS);
   dipole_close(client);
   end_pair(&both);
 }
@@ -447,7 +347,7 @@ UNIT_TEST(test_a_private_daemon_that_dies) {
   char address[PATH_MAX + 32];
   dipole_error error;
   private_address(address, sizeof address);
-  dipole_client *client = open_client(address, NULL);
+  dipole_client *client = peer_open(address, NULL);
   const pid_t first = client->daemon;
   assert_true(first > 0 && dipole_ping(client, &error));
   dipole_set_retry_ms(client, PATIENCE_MS);

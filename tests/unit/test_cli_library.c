@@ -2,10 +2,8 @@
  * not produce on demand. */
 #include <math.h>
 
-#include "tests/unit/scripted_peer.h"
+#include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
-
-#define TIMEOUT_MS 20000 /* a test that would hang fails after this */
 
 static const dipole_medium media[2] = {{.sigma_a_per_mm = 0.25, .sigma_s_per_mm = 1, .eta = 1.3},
                                        {.sigma_a_per_mm = 0.5, .sigma_s_per_mm = 2, .eta = 1.3}};
@@ -20,16 +18,6 @@ static const dipole_query simple_query = {.model = 2,
                                           .spacing = DIPOLE_LIST,
                                           .radii = radii,
                                           .radius_count = 3};
-
-static dipole_client *open_client(const scripted_peer *peer) {
-  dipole_client *client;
-  dipole_error error;
-  if (!dipole_open_within(peer->address, TIMEOUT_MS, &client, &error)) {
-    fail_msg("%s", error.text);
-  }
-  dipole_set_retry_ms(client, 0); /* what the peer does is to be seen as it is */
-  return client;
-}
 
 /* ---- honest answers ------------------------------------------------------------------------ */
 
@@ -55,8 +43,7 @@ UNIT_TEST(test_eval) {
   scripted_peer peer;
   dipole_error error;
   dipole_result *result;
-  peer_start(&peer, peer_serve, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_begin(&peer, peer_serve, NULL);
   const dipole_info *info = dipole_get_info(client);
   assert_string_equal(info->address, peer.address);
   assert_string_equal(info->software, "scripted?[31m"); /* no escape sequences for terminals */
@@ -65,8 +52,7 @@ UNIT_TEST(test_eval) {
   assert_true(dipole_eval(client, &simple_query, &result, &error));
   check_simple_result(result);
   dipole_result_free(result);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 static void assert_single_values(unsigned evaluator) {
@@ -79,8 +65,7 @@ static void assert_single_values(unsigned evaluator) {
   query.wanted = DIPOLE_R | DIPOLE_RADIUS;
   query.radii = r;
   query.radius_count = 5;
-  peer_start(&peer, peer_serve, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_begin(&peer, peer_serve, NULL);
   assert_true(dipole_eval(client, &query, &result, &error));
   assert_null(result->radius_f64);
   assert_null(result->channels[1].R_f64);
@@ -92,8 +77,7 @@ static void assert_single_values(unsigned evaluator) {
   }
   assert_null(dipole_values_f64(result, 1, DIPOLE_R));
   dipole_result_free(result);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 UNIT_TEST(test_eval_single) {
@@ -116,8 +100,7 @@ UNIT_TEST(test_parameters_and_notes) {
   query.radius_count = 5;
   query.parameters = parameters;
   query.parameter_count = 2;
-  peer_start(&peer, peer_serve, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_begin(&peer, peer_serve, NULL);
   assert_true(dipole_eval(client, &query, &result, &error));
   assert_int_equal(result->notes, 2);
   for (uint32_t i = 0; i < 2; i++) {
@@ -131,8 +114,7 @@ UNIT_TEST(test_parameters_and_notes) {
   assert_int_equal(result->notes, 0);
   assert_true(isnan(result->channels[0].model_error));
   dipole_result_free(result);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 enum { ORDERED = 3 };
@@ -163,8 +145,7 @@ UNIT_TEST(test_answers_in_any_order) {
   dipole_result *result;
   uint64_t submitted[ORDERED], id;
   bool seen[ORDERED] = {false};
-  peer_start(&peer, answer_in_reverse, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_begin(&peer, answer_in_reverse, NULL);
   for (size_t i = 0; i < ORDERED; i++) {
     dipole_query query = simple_query;
     query.radius_count = i + 1;
@@ -187,8 +168,7 @@ UNIT_TEST(test_answers_in_any_order) {
   assert_true(seen[0] && seen[1] && seen[2]);
   assert_false(dipole_collect(client, &id, &result, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 enum { BIG_QUERIES = 64, BIG_RADII = 50000 };
@@ -210,8 +190,7 @@ UNIT_TEST(test_long_pipeline_does_not_deadlock) {
   query.medium_count = 1;
   query.radii = many;
   query.radius_count = BIG_RADII;
-  peer_start(&peer, peer_serve, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_begin(&peer, peer_serve, NULL);
   for (size_t i = 0; i < BIG_QUERIES; i++) {
     if (!dipole_submit(client, &query, &id, &error)) {
       fail_msg("%s", error.text);
@@ -225,8 +204,7 @@ UNIT_TEST(test_long_pipeline_does_not_deadlock) {
     dipole_result_free(result);
   }
   free(many);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 /* ---- refusals ------------------------------------------------------------------------------ */
@@ -272,8 +250,7 @@ UNIT_TEST(test_refusals_say_what_is_allowed) {
   scripted_peer peer;
   dipole_error error;
   dipole_result *result;
-  peer_start(&peer, refuse, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_begin(&peer, refuse, NULL);
   for (size_t i = 0; i < REFUSALS; i++) {
     assert_false(dipole_eval(client, &simple_query, &result, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_REFUSED);
@@ -285,8 +262,7 @@ UNIT_TEST(test_refusals_say_what_is_allowed) {
   assert_true(dipole_eval(client, &simple_query, &result, NULL));
   check_simple_result(result);
   dipole_result_free(result);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 /* A daemon at its limit says so before anything has been asked. */
@@ -307,7 +283,7 @@ UNIT_TEST(test_busy_at_connecting) {
   dipole_client *client;
   dipole_error error;
   peer_start(&peer, be_busy, NULL);
-  assert_false(dipole_open_within(peer.address, TIMEOUT_MS, &client, &error));
+  assert_false(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
   assert_null(client);
   assert_int_equal(error.kind, DIPOLE_ERROR_REFUSED);
   assert_int_equal(error.status, WIRE_STATUS_BUSY);
@@ -386,8 +362,7 @@ UNIT_TEST(test_lies_are_noticed) {
     scripted_peer peer;
     dipole_error error;
     dipole_result *result;
-    peer_start(&peer, tell_lie, &lies[i]);
-    dipole_client *client = open_client(&peer);
+    dipole_client *client = peer_begin(&peer, tell_lie, &lies[i]);
     for (int again = 0; again < 2; again++) { /* the client stays broken */
       if (dipole_eval(client, &simple_query, &result, &error)) {
         fail_msg("not noticed: %s", lies[i].what);
@@ -429,7 +404,7 @@ UNIT_TEST(test_lies_in_hello_are_noticed) {
     dipole_client *client;
     dipole_error error;
     peer_start(&peer, lie_in_hello, &lies[i]);
-    assert_false(dipole_open_within(peer.address, TIMEOUT_MS, &client, &error));
+    assert_false(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_PROTOCOL);
     peer_end(&peer);
   }
@@ -464,15 +439,13 @@ UNIT_TEST(test_lost_connection) {
   dipole_error error;
   dipole_result *result;
   uint64_t id;
-  peer_start(&peer, break_off, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_begin(&peer, break_off, NULL);
   assert_false(dipole_eval(client, &simple_query, &result, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
   assert_false(dipole_submit(client, &simple_query, &id, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
   assert_false(dipole_ping(client, NULL));
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 /* Says hello, then nothing until the client goes. */
@@ -489,14 +462,12 @@ UNIT_TEST(test_silent_peer_times_out) {
   scripted_peer peer;
   dipole_error error;
   dipole_result *result;
-  peer_start(&peer, be_silent, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_begin(&peer, be_silent, NULL);
   dipole_set_timeout_ms(client, 30);
   assert_false(dipole_eval(client, &simple_query, &result, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
   assert_string_equal(error.text, "the daemon was silent for 30 ms: gave up");
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 UNIT_TEST(test_addresses) {
@@ -526,7 +497,7 @@ UNIT_TEST(test_addresses) {
   for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
     dipole_client *client;
     dipole_error error;
-    assert_false(dipole_open_within(cases[i].address, TIMEOUT_MS, &client, &error));
+    assert_false(dipole_open_within(cases[i].address, PEER_PATIENCE_MS, &client, &error));
     assert_null(client);
     if (error.kind != cases[i].kind || error.text[0] == '\0') {
       fail_msg("%s: kind %d: %s", cases[i].address, error.kind, error.text);
@@ -538,8 +509,7 @@ UNIT_TEST(test_arguments) {
   scripted_peer peer;
   dipole_error error;
   dipole_result *result;
-  peer_start(&peer, peer_serve, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_begin(&peer, peer_serve, NULL);
   static const dipole_parameter beyond_the_wire = {65536 + CORE_PARAMETER_COS_IN, 0.5};
   dipole_query queries[] = {simple_query, simple_query, simple_query, simple_query, simple_query,
                             simple_query, simple_query, simple_query, simple_query};

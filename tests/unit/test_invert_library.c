@@ -4,10 +4,8 @@
 
 #include "proto/invert.h"
 #include "proto/sample.h"
-#include "tests/unit/scripted_peer.h"
+#include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
-
-#define TIMEOUT_MS 20000 /* a test that would hang fails after this */
 
 enum { MEDIA = 7, PAYLOAD_MAX = 4096 };
 
@@ -117,7 +115,7 @@ static void run_invert(invert_script script, bool expected, uint64_t missing) {
   dipole_inversion *inversion = NULL;
   dipole_error error = {0};
   peer_start(&peer, invert, &script);
-  assert_true(dipole_open_within(peer.address, TIMEOUT_MS, &client, &error));
+  assert_true(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
   dipole_set_retry_ms(client, 0);
   assert_int_equal(dipole_invert(client, &query, &inversion, &error), expected);
   assert_int_equal(dipole_ping(client, NULL), expected);
@@ -128,8 +126,7 @@ static void run_invert(invert_script script, bool expected, uint64_t missing) {
     assert_null(inversion);
   }
   dipole_inversion_free(inversion);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 UNIT_TEST(inversions_of_any_number_of_parts_are_put_together) {
@@ -260,7 +257,7 @@ UNIT_TEST(samples_in_parts_are_put_together) {
   dipole_result *result;
   dipole_error error = {0};
   peer_start(&peer, serve_samples, NULL);
-  assert_true(dipole_open_within(peer.address, TIMEOUT_MS, &client, &error));
+  assert_true(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
   assert_true(dipole_sample(client, &query, &result, &error));
   assert_int_equal(result->radius_count, SAMPLES);
   assert_null(result->radius_f64);
@@ -275,8 +272,7 @@ UNIT_TEST(samples_in_parts_are_put_together) {
   }
   assert_null(dipole_values_f64(result, CHANNELS, DIPOLE_RADIUS));
   dipole_result_free(result);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 /* ---- without a daemon ---------------------------------------------------------------------- */
@@ -326,7 +322,7 @@ UNIT_TEST(arguments_that_do_not_fit_are_errors) {
   dipole_result *result;
   dipole_inversion *inversion;
   peer_start(&peer, peer_serve, NULL);
-  assert_true(dipole_open_within(peer.address, TIMEOUT_MS, &client, &error));
+  assert_true(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
 #define REFUSED(call)                                                                              \
   do {                                                                                             \
     error.kind = DIPOLE_ERROR_NONE;                                                                \
@@ -357,7 +353,6 @@ UNIT_TEST(arguments_that_do_not_fit_are_errors) {
   invert_it.medium_count = UINT64_MAX;
   REFUSED(dipole_invert(client, &invert_it, &inversion, &error));
 #undef REFUSED
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
   dipole_inversion_free(NULL);
 }

@@ -3,10 +3,8 @@
 #include <math.h>
 
 #include "proto/mc.h"
-#include "tests/unit/scripted_peer.h"
+#include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
-
-#define TIMEOUT_MS 20000 /* a test that would hang fails after this */
 
 enum { RINGS = 2, TABLE_BYTES = WIRE_BYTES_mc_reply + 24 + WIRE_BYTES_mc_energy + 6 * 8 };
 
@@ -136,7 +134,7 @@ static void run(struct script script, struct listener *listener, enum dipole_err
   dipole_mc_result *result = NULL;
   dipole_error error = {0};
   peer_start(&peer, follow_script, &script);
-  assert_true(dipole_open_within(peer.address, TIMEOUT_MS, &client, &error));
+  assert_true(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
   const bool good =
       dipole_mc(client, &query, listener != NULL ? listen_to : NULL, listener, &result, &error);
   assert_int_equal(good, expected == DIPOLE_ERROR_NONE);
@@ -148,8 +146,7 @@ static void run(struct script script, struct listener *listener, enum dipole_err
     assert_false(dipole_ping(client, &error));
   }
   dipole_mc_result_free(result);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 UNIT_TEST(tables_come_after_any_progress) {
@@ -201,14 +198,13 @@ UNIT_TEST(progress_after_the_end_is_a_fault) {
   dipole_mc_result *result = NULL;
   dipole_error error = {0};
   peer_start(&peer, follow_script, &script);
-  assert_true(dipole_open_within(peer.address, TIMEOUT_MS, &client, &error));
+  assert_true(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
   /* It may arrive with the table, or later. */
   const bool good = dipole_mc(client, &query, NULL, NULL, &result, &error);
   assert_true(good ? !dipole_ping(client, &error) : error.kind == DIPOLE_ERROR_PROTOCOL);
   assert_int_equal(error.kind, DIPOLE_ERROR_PROTOCOL);
   dipole_mc_result_free(result);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 UNIT_TEST(wrong_arguments_are_not_sent) {
@@ -218,7 +214,7 @@ UNIT_TEST(wrong_arguments_are_not_sent) {
   dipole_mc_result *result = NULL;
   dipole_error error = {0};
   peer_start(&peer, follow_script, &script);
-  assert_true(dipole_open_within(peer.address, TIMEOUT_MS, &client, &error));
+  assert_true(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
   dipole_mc_query wrong[3] = {query, query, query};
   wrong[0].albedo_count = 1;
   wrong[1].albedo_count = CORE_MC_ALBEDOS_MAX + 1;
@@ -231,6 +227,5 @@ UNIT_TEST(wrong_arguments_are_not_sent) {
   assert_true(dipole_mc(client, &query, NULL, NULL, &result, NULL));
   assert_table(result);
   dipole_mc_result_free(result);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }

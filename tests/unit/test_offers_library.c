@@ -3,10 +3,8 @@
 #include <math.h>
 
 #include "proto/eval.h"
-#include "tests/unit/scripted_peer.h"
+#include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
-
-#define TIMEOUT_MS 20000 /* a test that would hang fails after this */
 
 static const dipole_medium medium = {.sigma_a_per_mm = 0.25, .sigma_s_per_mm = 1, .eta = 1.3};
 static const float radii[3] = {0.5f, 1, 2};
@@ -89,7 +87,7 @@ static void run_offers(offers_script script, bool expected) {
   dipole_error error = {0};
   size_t count = 99, taken = 99;
   peer_start(&peer, offer, &script);
-  assert_true(dipole_open_within(peer.address, TIMEOUT_MS, &client, &error));
+  assert_true(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
   assert_int_equal(dipole_offers(client, &query, &offers, &count, &taken, &error), expected);
   assert_int_equal(dipole_ping(client, NULL), expected);
   if (expected) {
@@ -103,8 +101,7 @@ static void run_offers(offers_script script, bool expected) {
     assert_int_equal(error.kind, DIPOLE_ERROR_PROTOCOL);
   }
   free(offers);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 UNIT_TEST(offers_are_listed) {
@@ -137,7 +134,7 @@ UNIT_TEST(wrong_queries_are_not_sent) {
   wrong[1].radii = NULL;
   wrong[2].parameters = NULL;
   peer_start(&peer, offer, &script);
-  assert_true(dipole_open_within(peer.address, TIMEOUT_MS, &client, &error));
+  assert_true(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
   for (size_t i = 0; i < 3; i++) {
     assert_false(dipole_offers(client, &wrong[i], &offers, &count, NULL, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
@@ -146,8 +143,7 @@ UNIT_TEST(wrong_queries_are_not_sent) {
   assert_true(dipole_offers(client, &right, &offers, &count, NULL, NULL));
   assert_offers(offers);
   free(offers);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 /* ---- queries of any model ------------------------------------------------------------------ */
@@ -195,7 +191,7 @@ static void run_choice(unsigned model, unsigned evaluator, choice_script script,
   dipole_result *result = NULL;
   dipole_error error = {0};
   peer_start(&peer, answer_with_choice, &script);
-  assert_true(dipole_open_within(peer.address, TIMEOUT_MS, &client, &error));
+  assert_true(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
   assert_int_equal(dipole_eval(client, &query, &result, &error), expected);
   assert_int_equal(dipole_ping(client, NULL), expected);
   assert_int_equal(error.kind, expected ? DIPOLE_ERROR_NONE : DIPOLE_ERROR_PROTOCOL);
@@ -210,8 +206,7 @@ static void run_choice(unsigned model, unsigned evaluator, choice_script script,
     assert_null(dipole_values_f32(result, 0, DIPOLE_R));
   }
   dipole_result_free(result);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 UNIT_TEST(any_model_is_answered_by_an_evaluator_of_the_type) {

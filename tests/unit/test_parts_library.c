@@ -2,10 +2,8 @@
  * belong together. */
 #include <math.h>
 
-#include "tests/unit/scripted_peer.h"
+#include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
-
-#define TIMEOUT_MS 20000 /* a test that would hang fails after this */
 
 enum { RADII = 1000 };
 
@@ -31,16 +29,6 @@ static dipole_query query_of(unsigned evaluator, unsigned wanted, uint64_t count
                         .spacing = DIPOLE_LIST,
                         .radii = evaluator == DIPOLE_F64 ? (const void *)radii_f64 : radii_f32,
                         .radius_count = count};
-}
-
-static dipole_client *open_client(const scripted_peer *peer) {
-  dipole_client *client;
-  dipole_error error;
-  if (!dipole_open_within(peer->address, TIMEOUT_MS, &client, &error)) {
-    fail_msg("%s", error.text);
-  }
-  dipole_set_retry_ms(client, 0); /* what the peer does is to be seen as it is */
-  return client;
 }
 
 /* Checks a part against what the peer makes of the radii from `first` on. */
@@ -119,8 +107,7 @@ UNIT_TEST(test_parts_are_put_together) {
       scripted_peer peer;
       dipole_error error;
       dipole_result *result;
-      peer_start(&peer, serve_parts, (void *)&sizes[i]);
-      dipole_client *client = open_client(&peer);
+      dipole_client *client = peer_begin(&peer, serve_parts, (void *)&sizes[i]);
       for (int again = 0; again < 2; again++) {
         if (!dipole_eval(client, &query, &result, &error)) {
           fail_msg("%s", error.text);
@@ -158,8 +145,7 @@ UNIT_TEST(test_parts_are_handed_on) {
     scripted_peer peer;
     dipole_error error;
     reading so_far = {0};
-    peer_start(&peer, serve_parts, (void *)&sizes[i]);
-    dipole_client *client = open_client(&peer);
+    dipole_client *client = peer_begin(&peer, serve_parts, (void *)&sizes[i]);
     if (!dipole_eval_parts(client, &query, read_part, &so_far, &error)) {
       fail_msg("%s", error.text);
     }
@@ -176,13 +162,11 @@ UNIT_TEST(test_nothing_is_handed_on) {
   dipole_error error;
   reading so_far = {0};
   const dipole_query query = query_of(DIPOLE_F64, DIPOLE_ALBEDO, 0);
-  peer_start(&peer, peer_serve, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_begin(&peer, peer_serve, NULL);
   assert_true(dipole_eval_parts(client, &query, read_part, &so_far, &error));
   assert_int_equal(so_far.parts, 1);
   assert_int_equal(so_far.next, 0);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 /* ---- other answers in between -------------------------------------------------------------- */
@@ -216,8 +200,7 @@ static void ask_for_a_mix(bool handed_on) {
   reading so_far = {0};
   uint64_t ids[2], id;
   const dipole_query query = query_of(DIPOLE_F64, wanted_f64, RADII);
-  peer_start(&peer, mix, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_begin(&peer, mix, NULL);
   assert_true(dipole_submit(client, &query, &ids[0], &error));
   assert_true(dipole_submit(client, &query, &ids[1], &error));
   if (handed_on) {
@@ -238,8 +221,7 @@ static void ask_for_a_mix(bool handed_on) {
   }
   assert_false(dipole_collect(client, &id, &result, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 UNIT_TEST(test_other_answers_may_come_in_between) {
@@ -280,8 +262,7 @@ UNIT_TEST(test_an_error_ends_an_answer) {
   dipole_result *result;
   reading so_far = {0};
   dipole_query query = query_of(DIPOLE_F64, wanted_f64, RADII);
-  peer_start(&peer, be_late, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_begin(&peer, be_late, NULL);
   query.deadline_ms = 250;
   assert_false(dipole_eval(client, &query, &result, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_REFUSED);
@@ -294,8 +275,7 @@ UNIT_TEST(test_an_error_ends_an_answer) {
   assert_true(dipole_eval(client, &query, &result, &error)); /* the client goes on */
   check_values(result, 0);
   dipole_result_free(result);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 /* Stops after each number of parts that there is, and asks for something else. */
@@ -306,8 +286,7 @@ UNIT_TEST(test_a_reader_may_stop) {
   dipole_error error;
   dipole_result *result;
   uint64_t id;
-  peer_start(&peer, serve_parts, (void *)&each);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_begin(&peer, serve_parts, (void *)&each);
   for (unsigned stop_after = 1; stop_after <= parts_of(RADII, EACH); stop_after++) {
     reading so_far = {.stop_after = stop_after};
     assert_false(dipole_eval_parts(client, &query, read_part, &so_far, &error));
@@ -323,8 +302,7 @@ UNIT_TEST(test_a_reader_may_stop) {
   }
   reading so_far = {.stop_after = 1};
   assert_false(dipole_eval_parts(client, &query, read_part, &so_far, &error));
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 /* Two parts, and the end. */
@@ -345,8 +323,7 @@ UNIT_TEST(test_lost_between_parts) {
     dipole_error error;
     dipole_result *result;
     reading so_far = {0};
-    peer_start(&peer, break_off, NULL);
-    dipole_client *client = open_client(&peer);
+    dipole_client *client = peer_begin(&peer, break_off, NULL);
     assert_false(handed_on ? dipole_eval_parts(client, &query, read_part, &so_far, &error)
                            : dipole_eval(client, &query, &result, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
@@ -388,13 +365,11 @@ UNIT_TEST(test_answers_beyond_memory) {
   dipole_query query = query_of(DIPOLE_F64, wanted_f64 | DIPOLE_RADIUS, UINT64_C(1) << 40);
   query.spacing = DIPOLE_LINEAR;
   query.radius_stop_mm = 1;
-  peer_start(&peer, begin_something_huge, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_begin(&peer, begin_something_huge, NULL);
   assert_false(dipole_eval_parts(client, &query, count_positions, &next, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_REFUSED);
   assert_int_equal(next, 256);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 /* ---- parts that do not belong together ----------------------------------------------------- */
@@ -492,8 +467,7 @@ UNIT_TEST(test_lies_are_noticed) {
       scripted_peer peer;
       dipole_error error;
       dipole_result *result;
-      peer_start(&peer, tell_lie, (void *)&lies[i]);
-      dipole_client *client = open_client(&peer);
+      dipole_client *client = peer_begin(&peer, tell_lie, (void *)&lies[i]);
       bool good = how == 0   ? dipole_eval(client, &query, &result, &error)
                   : how == 1 ? dipole_eval_parts(client, &query, take_all, NULL, &error)
                              : dipole_eval_parts(client, &query, take_one, NULL, &error);

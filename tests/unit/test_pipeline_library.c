@@ -7,61 +7,8 @@
 
 enum { RADII = 64, QUERIES = 40, PATIENCE_MS = 20000 };
 
-static const dipole_medium medium = {.sigma_a_per_mm = 0.25, .sigma_s_per_mm = 1, .eta = 1.3};
-static double radii[RADII];
-
 UNIT_SETUP(make_radii) {
-  for (size_t i = 0; i < RADII; i++) {
-    radii[i] = (double)i / 8;
-  }
-}
-
-/* Queries differ in their number of radii, so that an answer to another one shows. */
-static dipole_query query_of(uint64_t count) {
-  return (dipole_query){.model = 2,
-                        .evaluator = DIPOLE_F64,
-                        .moments = DIPOLE_EXACT,
-                        .wanted = DIPOLE_R | DIPOLE_ALBEDO,
-                        .media = &medium,
-                        .medium_count = 1,
-                        .spacing = DIPOLE_LIST,
-                        .radii = radii,
-                        .radius_count = count};
-}
-
-static dipole_options options_of(void) {
-  dipole_options options;
-  dipole_options_init(&options);
-  options.connect_timeout_ms = options.timeout_ms = options.retry_ms = PATIENCE_MS;
-  return options;
-}
-
-static dipole_client *open_client(const scripted_peer *peer, const dipole_options *options) {
-  dipole_client *client;
-  dipole_error error;
-  if (!dipole_open_with(peer->address, options, &client, &error)) {
-    fail_msg("%s", error.text);
-  }
-  return client;
-}
-
-static void check_result(dipole_result *result, uint64_t count) {
-  assert_int_equal(result->radius_count, count);
-  for (uint64_t i = 0; i < count; i++) {
-    assert_true(result->channels[0].R_f64[i] == 2 * radii[i]);
-  }
-  dipole_result_free(result);
-}
-
-static uint64_t submit(dipole_client *client, uint64_t count) {
-  const dipole_query query = query_of(count);
-  dipole_error error;
-  uint64_t id = 0;
-  if (!dipole_submit(client, &query, &id, &error)) {
-    fail_msg("%s", error.text);
-  }
-  assert_true(id != 0);
-  return id;
+  peer_make_radii();
 }
 
 static void collect_id(dipole_client *client, uint64_t id, uint64_t count) {
@@ -70,25 +17,7 @@ static void collect_id(dipole_client *client, uint64_t id, uint64_t count) {
   if (!dipole_collect_id(client, id, &result, &error)) {
     fail_msg("%s", error.text);
   }
-  check_result(result, count);
-}
-
-static void check_eval(dipole_client *client, uint64_t count) {
-  const dipole_query query = query_of(count);
-  dipole_result *result;
-  dipole_error error;
-  if (!dipole_eval(client, &query, &result, &error)) {
-    fail_msg("%s", error.text);
-  }
-  check_result(result, count);
-}
-
-static void fail_eval(dipole_client *client, enum dipole_error_kind kind) {
-  const dipole_query query = query_of(5);
-  dipole_result *result;
-  dipole_error error;
-  assert_false(dipole_eval(client, &query, &result, &error));
-  assert_int_equal(error.kind, kind);
+  peer_check_result(result, count);
 }
 
 static void fail_collect_id(dipole_client *client, uint64_t id, enum dipole_error_kind kind) {
@@ -104,9 +33,9 @@ UNIT_TEST(test_by_id_in_any_order) {
   uint64_t ids[QUERIES];
   scripted_peer peer;
   peer_start(&peer, peer_serve, NULL);
-  dipole_client *client = open_client(&peer, NULL);
+  dipole_client *client = peer_open(peer.address, NULL);
   for (uint64_t i = 0; i < QUERIES; i++) {
-    ids[i] = submit(client, i + 1);
+    ids[i] = peer_submit(client, i + 1);
   }
   assert_int_equal(dipole_outstanding(client), QUERIES);
   for (uint64_t k = 0; k < QUERIES; k++) {
@@ -117,9 +46,8 @@ UNIT_TEST(test_by_id_in_any_order) {
   }
   fail_collect_id(client, 0, DIPOLE_ERROR_ARGUMENT);
   fail_collect_id(client, UINT64_MAX, DIPOLE_ERROR_ARGUMENT);
-  check_eval(client, 7);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_check_eval(client, 7);
+  peer_finish(&peer, client);
 }
 
 /* By id and whatever comes, in turns. */
@@ -129,67 +57,64 @@ UNIT_TEST(test_both_ways) {
   dipole_result *result;
   dipole_error error;
   peer_start(&peer, peer_serve, NULL);
-  dipole_client *client = open_client(&peer, NULL);
+  dipole_client *client = peer_open(peer.address, NULL);
   for (uint64_t i = 0; i < QUERIES; i++) {
-    ids[i] = submit(client, i + 1);
+    ids[i] = peer_submit(client, i + 1);
   }
   for (uint64_t last = QUERIES; last > 0 && dipole_outstanding(client) > 0; last--) {
     collect_id(client, ids[last - 1], last);
     uint64_t id = 0;
     assert_true(dipole_collect(client, &id, &result, &error));
     assert_true(id == ids[QUERIES - last]); /* the peer keeps to the order */
-    check_result(result, QUERIES - last + 1);
+    peer_check_result(result, QUERIES - last + 1);
   }
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 /* ---- how many ------------------------------------------------------------------------------ */
 
 UNIT_TEST(test_no_more_than_may_be_outstanding) {
   enum { MOST = 3 };
-  dipole_options options = options_of();
+  dipole_options options = peer_options();
   uint64_t ids[MOST], id = 0;
   scripted_peer peer;
   dipole_error error;
   options.in_flight_max = MOST;
   peer_start(&peer, peer_serve, NULL);
-  dipole_client *client = open_client(&peer, &options);
+  dipole_client *client = peer_open(peer.address, &options);
   for (uint64_t i = 0; i < MOST; i++) {
-    ids[i] = submit(client, i + 1);
+    ids[i] = peer_submit(client, i + 1);
   }
   for (unsigned again = 0; again < 2; again++) {
-    const dipole_query query = query_of(9);
+    const dipole_query query = peer_query(9);
     assert_false(dipole_submit(client, &query, &id, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_FULL);
   }
-  check_eval(client, 11); /* one that is waited for is none of them */
+  peer_check_eval(client, 11); /* one that is waited for is none of them */
   assert_int_equal(dipole_outstanding(client), MOST);
   collect_id(client, ids[1], 2);
-  const uint64_t next = submit(client, 9);
+  const uint64_t next = peer_submit(client, 9);
   collect_id(client, next, 9);
   collect_id(client, ids[2], 3);
   collect_id(client, ids[0], 1);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 UNIT_TEST(test_as_many_as_one_likes) {
   enum { MANY = DIPOLE_IN_FLIGHT_MAX + 100 };
-  dipole_options options = options_of();
+  dipole_options options = peer_options();
   scripted_peer peer;
   options.in_flight_max = 0;
   peer_start(&peer, peer_serve, NULL);
-  dipole_client *client = open_client(&peer, &options);
-  const uint64_t first = submit(client, 1);
+  dipole_client *client = peer_open(peer.address, &options);
+  const uint64_t first = peer_submit(client, 1);
   for (unsigned i = 1; i < MANY; i++) {
-    assert_true(submit(client, 1 + i % RADII) == first + i);
+    assert_true(peer_submit(client, 1 + i % RADII) == first + i);
   }
   for (unsigned i = MANY; i > 0; i--) {
     collect_id(client, first + i - 1, 1 + (i - 1) % RADII);
   }
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 /* ---- sent at once -------------------------------------------------------------------------- */
@@ -216,14 +141,13 @@ UNIT_TEST(test_flush) {
   char byte;
   assert_int_equal(pipe(pipe_ends), 0);
   peer_start(&peer, note_burst, pipe_ends);
-  dipole_client *client = open_client(&peer, NULL);
+  dipole_client *client = peer_open(peer.address, NULL);
   for (unsigned i = 0; i < BURST; i++) {
-    submit(client, 1 + i);
+    peer_submit(client, 1 + i);
   }
   dipole_flush(client);
   assert_int_equal(read(pipe_ends[0], &byte, 1), 1); /* and nothing else is called */
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
   close(pipe_ends[0]);
   close(pipe_ends[1]);
 }
@@ -245,45 +169,44 @@ static void serve_one_behind(int fd, void *context) {
 }
 
 UNIT_TEST(test_what_is_submitted_stays) {
-  dipole_options options = options_of();
+  dipole_options options = peer_options();
   scripted_peer peer;
   dipole_result *result;
   dipole_error error;
   uint64_t id;
   options.call_timeout_ms = 20;
   peer_start(&peer, serve_one_behind, NULL);
-  dipole_client *client = open_client(&peer, &options);
-  const uint64_t first = submit(client, 3);
+  dipole_client *client = peer_open(peer.address, &options);
+  const uint64_t first = peer_submit(client, 3);
   fail_collect_id(client, first, DIPOLE_ERROR_TIMEOUT);
   assert_false(dipole_collect(client, &id, &result, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_TIMEOUT);
   assert_string_equal(error.text, "the call took longer than 20 ms");
   assert_int_equal(dipole_outstanding(client), 1);
   dipole_set_call_timeout_ms(client, 0);
-  const uint64_t second = submit(client, 4);
+  const uint64_t second = peer_submit(client, 4);
   collect_id(client, first, 3);
-  submit(client, 5);
+  peer_submit(client, 5);
   collect_id(client, second, 4);
   dipole_close(client); /* with one outstanding */
   peer_end(&peer);
 }
 
 UNIT_TEST(test_what_nobody_waits_for_is_thrown_away) {
-  dipole_options options = options_of();
+  dipole_options options = peer_options();
   scripted_peer peer;
   options.call_timeout_ms = 20;
   peer_start(&peer, serve_one_behind, NULL);
-  dipole_client *client = open_client(&peer, &options);
+  dipole_client *client = peer_open(peer.address, &options);
   for (unsigned i = 0; i < 3; i++) {
-    fail_eval(client, DIPOLE_ERROR_TIMEOUT);
+    peer_check_failure(client, DIPOLE_ERROR_TIMEOUT);
   }
   assert_int_equal(dipole_outstanding(client), 0);
   dipole_set_call_timeout_ms(client, 0);
-  const uint64_t id = submit(client, 9);
-  submit(client, 10);
+  const uint64_t id = peer_submit(client, 9);
+  peer_submit(client, 10);
   collect_id(client, id, 9);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 static void be_silent(int fd, void *context) {
@@ -297,22 +220,21 @@ static void be_silent(int fd, void *context) {
 
 /* Silence is as long as it is, however short the calls. */
 UNIT_TEST(test_silence_counts_over_calls) {
-  dipole_options options = options_of();
+  dipole_options options = peer_options();
   scripted_peer peer;
   unsigned calls = 0;
   dipole_error error;
   options.call_timeout_ms = 20;
   options.timeout_ms = 90;
   peer_start(&peer, be_silent, NULL);
-  dipole_client *client = open_client(&peer, &options);
+  dipole_client *client = peer_open(peer.address, &options);
   while (!dipole_ping(client, &error) && error.kind == DIPOLE_ERROR_TIMEOUT && calls < 100) {
     calls++;
   }
   assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
   assert_string_equal(error.text, "the daemon was silent for 90 ms: gave up");
   assert_in_range(calls, 2, 99);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 /* Accepts, and says nothing. */
@@ -327,18 +249,17 @@ static void accept_only(int fd, void *context) {
 /* A call ends while the connection is being restored; the next one goes on with that. */
 UNIT_TEST(test_reconnecting_takes_no_longer) {
   peer_script *const scripts[] = {peer_hang_up_after_request, accept_only, peer_serve, NULL};
-  dipole_options options = options_of();
+  dipole_options options = peer_options();
   scripted_peer peer;
   options.call_timeout_ms = 100;
   peer_start_scripts(&peer, scripts, NULL);
-  dipole_client *client = open_client(&peer, &options);
-  const uint64_t id = submit(client, 6);
+  dipole_client *client = peer_open(peer.address, &options);
+  const uint64_t id = peer_submit(client, 6);
   fail_collect_id(client, id, DIPOLE_ERROR_TIMEOUT);
   dipole_set_call_timeout_ms(client, 0);
-  check_eval(client, 5);
+  peer_check_eval(client, 5);
   collect_id(client, id, 6);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 static void stay_busy(int fd, void *context) {
@@ -352,14 +273,13 @@ static void stay_busy(int fd, void *context) {
 }
 
 UNIT_TEST(test_busy_takes_no_longer) {
-  dipole_options options = options_of();
+  dipole_options options = peer_options();
   scripted_peer peer;
   options.call_timeout_ms = 50;
   peer_start(&peer, stay_busy, NULL);
-  dipole_client *client = open_client(&peer, &options);
-  fail_eval(client, DIPOLE_ERROR_TIMEOUT);
-  fail_eval(client, DIPOLE_ERROR_TIMEOUT);
+  dipole_client *client = peer_open(peer.address, &options);
+  peer_check_failure(client, DIPOLE_ERROR_TIMEOUT);
+  peer_check_failure(client, DIPOLE_ERROR_TIMEOUT);
   assert_int_equal(dipole_outstanding(client), 0);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }

@@ -7,88 +7,13 @@
 #include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
 
-#define TIMEOUT_MS 20000 /* a test that would hang fails after this */
-
 enum { RETRY_MS = 10000, RADII = 64 };
 
-static const dipole_medium medium = {.sigma_a_per_mm = 0.25, .sigma_s_per_mm = 1, .eta = 1.3};
-static double radii[RADII];
-
 UNIT_SETUP(make_radii) {
-  for (size_t i = 0; i < RADII; i++) {
-    radii[i] = (double)i / 8;
-  }
-}
-
-/* Queries differ in their number of radii, so that an answer to another one shows. */
-static dipole_query query_of(uint64_t count) {
-  return (dipole_query){.model = 2,
-                        .evaluator = DIPOLE_F64,
-                        .moments = DIPOLE_EXACT,
-                        .wanted = DIPOLE_R | DIPOLE_ALBEDO,
-                        .media = &medium,
-                        .medium_count = 1,
-                        .spacing = DIPOLE_LIST,
-                        .radii = radii,
-                        .radius_count = count};
-}
-
-static dipole_client *open_client(const scripted_peer *peer) {
-  dipole_client *client;
-  dipole_error error;
-  if (!dipole_open_within(peer->address, TIMEOUT_MS, &client, &error)) {
-    fail_msg("%s", error.text);
-  }
-  dipole_set_retry_ms(client, RETRY_MS);
-  return client;
-}
-
-static void check_result(dipole_result *result, uint64_t count) {
-  assert_int_equal(result->radius_count, count);
-  assert_true(result->channels[0].albedo == 0.25);
-  for (uint64_t i = 0; i < count; i++) {
-    assert_true(result->channels[0].R_f64[i] == 2 * radii[i]);
-  }
-  dipole_result_free(result);
-}
-
-static void check_eval(dipole_client *client, uint64_t count) {
-  const dipole_query query = query_of(count);
-  dipole_result *result;
-  dipole_error error;
-  if (!dipole_eval(client, &query, &result, &error)) {
-    fail_msg("%s", error.text);
-  }
-  check_result(result, count);
-}
-
-static dipole_error check_failure(dipole_client *client, enum dipole_error_kind kind) {
-  const dipole_query query = query_of(5);
-  dipole_result *result;
-  dipole_error error;
-  assert_false(dipole_eval(client, &query, &result, &error));
-  assert_int_equal(error.kind, kind);
-  return error;
-}
-
-static int64_t now_ms(void) {
-  struct timespec now;
-  clock_gettime(CLOCK_MONOTONIC, &now);
-  return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
+  peer_make_radii();
 }
 
 /* ---- scripts ------------------------------------------------------------------------------- */
-
-static void answer_seven(int fd, void *context) {
-  (void)context;
-  peer_say_hello_or_abort(fd);
-  for (unsigned i = 0; i < 7; i++) {
-    peer_frame request;
-    peer_receive_or_abort(fd, &request);
-    peer_answer(fd, &request);
-    free(request.payload);
-  }
-}
 
 static void shut_down(int fd, void *context) {
   peer_hang_up_after_request(fd, context);
@@ -104,12 +29,10 @@ static void break_rules(int fd, void *context) {
 
 static void check_found(peer_script *const *scripts, void *context) {
   scripted_peer peer;
-  peer_start_scripts(&peer, scripts, context);
-  dipole_client *client = open_client(&peer);
-  check_eval(client, 5);
-  check_eval(client, 6);
-  dipole_close(client);
-  peer_end(&peer);
+  dipole_client *client = peer_begin_scripts(&peer, scripts, context);
+  peer_check_eval(client, 5);
+  peer_check_eval(client, 6);
+  peer_finish(&peer, client);
 }
 
 UNIT_TEST(test_lost_before_the_answer) {
@@ -146,14 +69,13 @@ UNIT_TEST(test_daemon_with_too_many_connections) {
 
 UNIT_TEST(test_each_submitted_query_has_one_answer) {
   enum { QUERIES = 20 };
-  peer_script *const scripts[] = {answer_seven, answer_seven, peer_serve, NULL};
+  peer_script *const scripts[] = {peer_answer_seven, peer_answer_seven, peer_serve, NULL};
   uint64_t ids[QUERIES + 1] = {0};
   scripted_peer peer;
   dipole_error error;
-  peer_start_scripts(&peer, scripts, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
   for (uint64_t i = 1; i <= QUERIES; i++) {
-    const dipole_query query = query_of(i);
+    const dipole_query query = peer_query(i);
     assert_true(dipole_submit(client, &query, &ids[i], &error));
   }
   for (unsigned k = 0; k < QUERIES; k++) {
@@ -168,45 +90,34 @@ UNIT_TEST(test_each_submitted_query_has_one_answer) {
     }
     assert_true(i <= QUERIES);
     ids[i] = 0; /* it does not come a second time */
-    check_result(result, i);
+    peer_check_result(result, i);
   }
   uint64_t id;
   dipole_result *result;
   assert_false(dipole_collect(client, &id, &result, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 /* ---- what is not tried again --------------------------------------------------------------- */
 
-/* The client fails, stays so, and no second connection is made: the next script aborts. */
-static void must_not_come(int fd, void *context) {
-  (void)fd;
-  (void)context;
-  abort();
-}
-
 UNIT_TEST(test_none_wanted) {
-  peer_script *const scripts[] = {peer_hang_up_after_request, must_not_come, NULL};
+  peer_script *const scripts[] = {peer_hang_up_after_request, peer_must_not_come, NULL};
   scripted_peer peer;
-  peer_start_scripts(&peer, scripts, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
   dipole_set_retry_ms(client, 0);
-  check_failure(client, DIPOLE_ERROR_CONNECTION);
-  check_failure(client, DIPOLE_ERROR_CONNECTION);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_check_failure(client, DIPOLE_ERROR_CONNECTION);
+  peer_check_failure(client, DIPOLE_ERROR_CONNECTION);
+  peer_finish(&peer, client);
 }
 
 UNIT_TEST(test_a_fault_of_the_client_is_none_of_the_connection) {
-  peer_script *const scripts[] = {break_rules, must_not_come, NULL};
+  peer_script *const scripts[] = {break_rules, peer_must_not_come, NULL};
   scripted_peer peer;
-  peer_start_scripts(&peer, scripts, NULL);
-  dipole_client *client = open_client(&peer);
-  assert_int_equal(check_failure(client, DIPOLE_ERROR_CONNECTION).status, WIRE_STATUS_BAD_MAGIC);
-  dipole_close(client);
-  peer_end(&peer);
+  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
+  assert_int_equal(peer_check_failure(client, DIPOLE_ERROR_CONNECTION).status,
+                   WIRE_STATUS_BAD_MAGIC);
+  peer_finish(&peer, client);
 }
 
 static void stay_silent(int fd, void *context) {
@@ -218,64 +129,39 @@ static void stay_silent(int fd, void *context) {
 }
 
 UNIT_TEST(test_a_silent_daemon_is_not_asked_again) {
-  peer_script *const scripts[] = {stay_silent, must_not_come, NULL};
+  peer_script *const scripts[] = {stay_silent, peer_must_not_come, NULL};
   scripted_peer peer;
-  peer_start_scripts(&peer, scripts, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
   dipole_set_timeout_ms(client, 50);
-  check_failure(client, DIPOLE_ERROR_CONNECTION);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_check_failure(client, DIPOLE_ERROR_CONNECTION);
+  peer_finish(&peer, client);
 }
 
 UNIT_TEST(test_nobody_comes_back) {
   peer_script *const scripts[] = {peer_hang_up_after_request, NULL};
   scripted_peer peer;
-  peer_start_scripts(&peer, scripts, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
   dipole_set_retry_ms(client, 200);
-  const int64_t start_ms = now_ms();
-  const dipole_error error = check_failure(client, DIPOLE_ERROR_CONNECTION);
+  const int64_t start_ms = peer_now_ms();
+  const dipole_error error = peer_check_failure(client, DIPOLE_ERROR_CONNECTION);
   assert_non_null(strstr(error.text, "connecting again failed"));
-  assert_true(now_ms() - start_ms < 5000);
-  check_failure(client, DIPOLE_ERROR_CONNECTION);
-  dipole_close(client);
-  peer_end(&peer);
-}
-
-/* A daemon whose model 2 is called otherwise. */
-static void serve_other_lists(int fd, void *context) {
-  uint8_t payload[WIRE_BYTES_hello_reply + WIRE_BYTES_choice];
-  wire_hello_reply reply = {
-      .version = 1, .version_min = 1, .version_max = 1, .workers = 1, .choice_count = 1};
-  wire_choice model = {.kind = WIRE_CHOICE_MODEL, .id = 2};
-  peer_frame request;
-  (void)context;
-  WIRE_SET_TEXT(model.name, "worse");
-  wire_put_hello_reply(payload, &reply);
-  wire_put_choice(payload + WIRE_BYTES_hello_reply, &model);
-  peer_receive_or_abort(fd, &request);
-  peer_send(fd, WIRE_TYPE_HELLO | WIRE_REPLY, request.header.request_id, payload, sizeof payload);
-  free(request.payload);
-  if (peer_receive(fd, &request)) {
-    abort(); /* whatever it is, it has another meaning here */
-  }
+  assert_true(peer_now_ms() - start_ms < 5000);
+  peer_check_failure(client, DIPOLE_ERROR_CONNECTION);
+  peer_finish(&peer, client);
 }
 
 UNIT_TEST(test_a_daemon_with_other_lists_is_another) {
-  peer_script *const scripts[] = {peer_hang_up_after_request, serve_other_lists, NULL};
+  peer_script *const scripts[] = {peer_hang_up_after_request, peer_serve_other_lists, NULL};
   scripted_peer peer;
-  peer_start_scripts(&peer, scripts, NULL);
-  dipole_client *client = open_client(&peer);
-  const dipole_error error = check_failure(client, DIPOLE_ERROR_CONNECTION);
+  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
+  const dipole_error error = peer_check_failure(client, DIPOLE_ERROR_CONNECTION);
   assert_non_null(strstr(error.text, "other lists"));
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 UNIT_TEST(test_a_job_is_not_begun_again) {
-  peer_script *const scripts[] = {peer_hang_up_after_request, must_not_come, NULL};
-  const dipole_mc_query query = {.medium = medium,
+  peer_script *const scripts[] = {peer_hang_up_after_request, peer_must_not_come, NULL};
+  const dipole_mc_query query = {.medium = peer_media[0],
                                  .thickness_mm = INFINITY,
                                  .spacing = DIPOLE_LINEAR,
                                  .ring_count = 4,
@@ -284,30 +170,26 @@ UNIT_TEST(test_a_job_is_not_begun_again) {
   scripted_peer peer;
   dipole_mc_result *result;
   dipole_error error;
-  peer_start_scripts(&peer, scripts, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
   assert_false(dipole_mc(client, &query, NULL, NULL, &result, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 UNIT_TEST(test_what_is_too_large_to_keep) {
-  peer_script *const scripts[] = {peer_hang_up_after_hello, must_not_come, NULL};
+  peer_script *const scripts[] = {peer_hang_up_after_hello, peer_must_not_come, NULL};
   const uint64_t count = DIPOLE_RETRY_KEPT_BYTES / sizeof(double);
   double *many = calloc(count, sizeof *many);
-  dipole_query query = query_of(count);
+  dipole_query query = peer_query(count);
   dipole_result *result;
   dipole_error error;
   scripted_peer peer;
   assert_non_null(many);
   query.radii = many;
-  peer_start_scripts(&peer, scripts, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
   assert_false(dipole_eval(client, &query, &result, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
   free(many);
 }
 
@@ -329,17 +211,15 @@ static void serve_the_third_time(int fd, void *context) {
 }
 
 UNIT_TEST(test_busy) {
-  peer_script *const scripts[] = {serve_the_third_time, must_not_come, NULL};
+  peer_script *const scripts[] = {serve_the_third_time, peer_must_not_come, NULL};
   unsigned received = 0;
   scripted_peer peer;
-  peer_start_scripts(&peer, scripts, &received);
-  dipole_client *client = open_client(&peer);
-  const int64_t start_ms = now_ms();
-  check_eval(client, 5);
-  assert_true(now_ms() - start_ms >= 40);
-  check_eval(client, 6);
-  dipole_close(client);
-  peer_end(&peer);
+  dipole_client *client = peer_begin_scripts(&peer, scripts, &received);
+  const int64_t start_ms = peer_now_ms();
+  peer_check_eval(client, 5);
+  assert_true(peer_now_ms() - start_ms >= 40);
+  peer_check_eval(client, 6);
+  peer_finish(&peer, client);
   assert_int_equal(received, 6);
 }
 
@@ -365,10 +245,9 @@ UNIT_TEST(test_others_do_not_wait_for_the_busy_one) {
   uint64_t ids[3];
   scripted_peer peer;
   dipole_error error;
-  peer_start_scripts(&peer, scripts, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
   for (unsigned i = 0; i < 3; i++) {
-    const dipole_query query = query_of(i + 1);
+    const dipole_query query = peer_query(i + 1);
     assert_true(dipole_submit(client, &query, &ids[i], &error));
   }
   for (unsigned i = 0; i < 3; i++) {
@@ -376,10 +255,9 @@ UNIT_TEST(test_others_do_not_wait_for_the_busy_one) {
     dipole_result *result;
     assert_true(dipole_collect(client, &id, &result, &error));
     assert_true(id == ids[order[i]]);
-    check_result(result, order[i] + 1);
+    peer_check_result(result, order[i] + 1);
   }
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 /* *context: retry_after_ms. */
@@ -398,15 +276,14 @@ UNIT_TEST(test_busy_for_longer_than_that) {
     peer_script *const scripts[] = {stay_busy, NULL};
     uint32_t after_ms = retry_after_ms[i];
     scripted_peer peer;
-    peer_start_scripts(&peer, scripts, &after_ms);
-    dipole_client *client = open_client(&peer);
+    dipole_client *client = peer_begin_scripts(&peer, scripts, &after_ms);
     dipole_set_retry_ms(client, 100);
-    const int64_t start_ms = now_ms();
-    const dipole_error error = check_failure(client, DIPOLE_ERROR_REFUSED);
-    assert_true(now_ms() - start_ms < 5000);
+    const int64_t start_ms = peer_now_ms();
+    const dipole_error error = peer_check_failure(client, DIPOLE_ERROR_REFUSED);
+    assert_true(peer_now_ms() - start_ms < 5000);
     assert_int_equal(error.status, WIRE_STATUS_BUSY);
     assert_int_equal(error.retry_after_ms, after_ms);
-    check_failure(client, DIPOLE_ERROR_REFUSED); /* it goes on working */
+    peer_check_failure(client, DIPOLE_ERROR_REFUSED); /* it goes on working */
     dipole_close(client);
     peer_end(&peer);
   }
@@ -446,36 +323,32 @@ static void note_deadline(int fd, void *context) {
 UNIT_TEST(test_deadlines_go_on) {
   peer_script *const scripts[] = {hang_up_after_a_while, note_deadline, NULL};
   uint32_t left_ms = 0;
-  dipole_query query = query_of(9);
+  dipole_query query = peer_query(9);
   scripted_peer peer;
   dipole_result *result;
   dipole_error error;
   query.deadline_ms = 15000;
-  peer_start_scripts(&peer, scripts, &left_ms);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_begin_scripts(&peer, scripts, &left_ms);
   assert_true(dipole_eval(client, &query, &result, &error));
-  check_result(result, 9);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_check_result(result, 9);
+  peer_finish(&peer, client);
   assert_in_range(left_ms, 1, 14960);
 }
 
 UNIT_TEST(test_deadlines_end) {
   peer_script *const scripts[] = {hang_up_after_a_while, peer_serve, NULL};
-  dipole_query query = query_of(9);
+  dipole_query query = peer_query(9);
   scripted_peer peer;
   dipole_result *result;
   dipole_error error;
   query.deadline_ms = 20;
-  peer_start_scripts(&peer, scripts, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
   assert_false(dipole_eval(client, &query, &result, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_REFUSED);
   assert_int_equal(error.status, WIRE_STATUS_DEADLINE);
   assert_string_equal(error.field, "deadline_ms");
-  check_eval(client, 5);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_check_eval(client, 5);
+  peer_finish(&peer, client);
 }
 
 /* ---- parts --------------------------------------------------------------------------------- */
@@ -513,18 +386,16 @@ static void send_other_parts(int fd, void *context) {
 UNIT_TEST(test_parts_are_put_together_anew) {
   peer_script *const scripts[] = {send_three_parts, send_other_parts, NULL};
   scripted_peer peer;
-  peer_start_scripts(&peer, scripts, NULL);
-  dipole_client *client = open_client(&peer);
-  check_eval(client, RADII);
-  dipole_close(client);
-  peer_end(&peer);
+  dipole_client *client = peer_begin_scripts(&peer, scripts, NULL);
+  peer_check_eval(client, RADII);
+  peer_finish(&peer, client);
 }
 
 static bool read_part(void *context, const dipole_result *part, uint64_t radius_first) {
   uint64_t *read = context;
   assert_int_equal(radius_first, *read);
   for (uint64_t i = 0; i < part->radius_count; i++) {
-    assert_true(part->channels[0].R_f64[i] == 2 * radii[radius_first + i]);
+    assert_true(part->channels[0].R_f64[i] == 2 * peer_radii_f64[radius_first + i]);
   }
   *read += part->radius_count;
   return true;
@@ -532,24 +403,21 @@ static bool read_part(void *context, const dipole_result *part, uint64_t radius_
 
 UNIT_TEST(test_parts_are_not_handed_on_twice) {
   peer_script *const lost_at_first[] = {peer_hang_up_after_request, send_other_parts, NULL};
-  peer_script *const lost_in_between[] = {send_three_parts, must_not_come, NULL};
-  const dipole_query query = query_of(RADII);
+  peer_script *const lost_in_between[] = {send_three_parts, peer_must_not_come, NULL};
+  const dipole_query query = peer_query(RADII);
   scripted_peer peer;
   dipole_error error;
   uint64_t read = 0;
-  peer_start_scripts(&peer, lost_at_first, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_begin_scripts(&peer, lost_at_first, NULL);
   assert_true(dipole_eval_parts(client, &query, read_part, &read, &error));
   assert_int_equal(read, RADII);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 
   read = 0;
   peer_start_scripts(&peer, lost_in_between, NULL);
-  client = open_client(&peer);
+  client = peer_open(peer.address, NULL);
   assert_false(dipole_eval_parts(client, &query, read_part, &read, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
   assert_int_equal(read, 24);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }

@@ -5,10 +5,8 @@
 #include "core/lut/lut.h"
 #include "proto/channels.h"
 #include "proto/table.h"
-#include "tests/unit/scripted_peer.h"
+#include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
-
-#define TIMEOUT_MS 20000 /* a test that would hang fails after this */
 
 static const core_medium skin = {0.032, 0.74, 0, 1.3};
 
@@ -410,13 +408,12 @@ static dipole_table *fetch(const dipole_table_query *query, const uint8_t *paylo
   dipole_table *table = NULL;
   dipole_error error = {0};
   peer_start(&peer, answer_requests, &with);
-  assert_true(dipole_open_within(peer.address, TIMEOUT_MS, &client, &error));
+  assert_true(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
   const bool good = dipole_table_fetch(client, query, &table, &error);
   assert_int_equal(good, table != NULL);
   assert_int_equal(dipole_ping(client, NULL), good);
   assert_int_equal(error.kind, good ? DIPOLE_ERROR_NONE : DIPOLE_ERROR_PROTOCOL);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
   return table;
 }
 
@@ -483,7 +480,7 @@ UNIT_TEST(wrong_arguments_are_not_sent) {
   wrong[4].parameters = &none_such;
   wrong[4].parameter_count = 65536;
   peer_start(&peer, answer_requests, &with);
-  assert_true(dipole_open_within(peer.address, TIMEOUT_MS, &client, &error));
+  assert_true(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
   for (size_t i = 0; i < 5; i++) {
     assert_false(dipole_table_fetch(client, &wrong[i], &table, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
@@ -491,8 +488,7 @@ UNIT_TEST(wrong_arguments_are_not_sent) {
   }
   assert_true(dipole_table_fetch(client, &skin_query, &table, NULL));
   dipole_table_free(table);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
   unmake(&made);
 }
 
