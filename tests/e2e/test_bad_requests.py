@@ -89,7 +89,7 @@ COEFFICIENTS = {
         ("sigma_a", "0 to 1e15", [-0.1, -5e-324, INF, -INF, NAN, above(1e15, INF)]),
         ("sigma_s", "0 to 1e15", [-0.1, -5e-324, INF, -INF, NAN, above(1e15, INF)]),
         ("g", "-1 and 1, exclusive", [1.0, -1.0, 1.5, -7.0, INF, -INF, NAN]),
-        ("eta", "0.001 to 1000", [0.0, -0.0, -1.3, INF, NAN, above(1e-3, 0), above(1e3, INF)]),
+        ("eta", "0.001 to 1000", [0.0, 5e-324, -1.3, above(1e-3, 0), above(1e3, INF), INF, NAN]),
     ]
     for value in values
 }

@@ -1,4 +1,5 @@
-/* Radii: lists checked, grids checked and expanded. */
+/* Radii: lists checked, and grids expanded. Which grids are refused is in
+ * tests/e2e/test_bad_requests.py. */
 #include <float.h>
 #include <math.h>
 
@@ -38,38 +39,6 @@ UNIT_TEST(lists_name_the_first_bad_radius) {
       unit_assert_fault(core_radii_check_f32(n, narrow), "r", at);
     }
   }
-}
-
-/* ---- what a grid may be ------------------------------------------------------------------- */
-
-static void assert_grid(enum core_spacing spacing, uint64_t count, double start, double stop,
-                        const char *field) {
-  const core_grid grid = {spacing, count, start, stop};
-  unit_assert_fault(core_grid_check(&grid), field, 0);
-}
-
-UNIT_TEST(grids_are_checked) {
-  static const enum core_spacing spacings[] = {CORE_SPACING_LINEAR, CORE_SPACING_LOGARITHMIC};
-  for (size_t i = 0; i < 2; i++) {
-    const enum core_spacing s = spacings[i];
-    assert_grid(s, 1, 1, 1, NULL);
-    assert_grid(s, CORE_GRID_COUNT_MAX, 1, 2, NULL);
-    assert_grid(s, 2, 1e-300, DBL_MAX, NULL);
-    assert_grid(s, 0, 1, 2, "radius_count");
-    assert_grid(s, CORE_GRID_COUNT_MAX + 1, 1, 2, "radius_count");
-    assert_grid(s, UINT64_MAX, 1, 2, "radius_count");
-    assert_grid(s, 2, -1, 2, "radius_start");
-    assert_grid(s, 2, NAN, 2, "radius_start");
-    assert_grid(s, 2, INFINITY, INFINITY, "radius_start");
-    assert_grid(s, 2, 1, 0.5, "radius_stop");
-    assert_grid(s, 2, 1, NAN, "radius_stop");
-    assert_grid(s, 2, 1, INFINITY, "radius_stop");
-    assert_grid(s, 0, -1, -2, "radius_count");
-  }
-  assert_grid(CORE_SPACING_LINEAR, 2, 0, 0, NULL);
-  assert_grid(CORE_SPACING_LINEAR, 2, -0.0, 5e-324, NULL);
-  assert_grid(CORE_SPACING_LOGARITHMIC, 2, 0, 1, "radius_start");
-  assert_grid(CORE_SPACING_LOGARITHMIC, 2, 0.99e-300, 1, "radius_start");
 }
 
 /* ---- what its radii are ------------------------------------------------------------------- */

@@ -1,4 +1,5 @@
-/* Media: what is refused, with which field; the measured list; what preparing a profile refuses. */
+/* Media: what is taken; the measured list; what preparing a profile refuses. More media that are
+ * refused are in tests/e2e/test_bad_requests.py. */
 #include <math.h>
 
 #include "tests/unit/unit.h"
@@ -23,28 +24,6 @@ UNIT_TEST(accepts_the_whole_domain) {
   assert_medium(1, 1, 0, CORE_ETA_MAX, NULL);
   assert_medium(CORE_SIGMA_T_PRIME_MIN_PER_MM, 0, 0, 1, NULL);
   assert_medium(0, CORE_SIGMA_T_PRIME_MIN_PER_MM, 0, 1, NULL);
-}
-
-UNIT_TEST(names_the_coefficient_at_fault) {
-  static const double bad[] = {-1, -5e-324, 1.0000001e15, INFINITY, -INFINITY, NAN};
-  for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
-    assert_medium(bad[i], 0.8, 0, 1.3, "sigma_a");
-    assert_medium(0.02, bad[i], 0, 1.3, "sigma_s");
-  }
-}
-
-UNIT_TEST(names_g_at_fault) {
-  static const double bad[] = {1, -1, 1.5, -7, INFINITY, -INFINITY, NAN};
-  for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
-    assert_medium(0.02, 0.8, bad[i], 1.3, "g");
-  }
-}
-
-UNIT_TEST(names_eta_at_fault) {
-  static const double bad[] = {0, -0.0, -1.3, 0.000999, 1000.01, 5e-324, INFINITY, -INFINITY, NAN};
-  for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
-    assert_medium(0.02, 0.8, 0, bad[i], "eta");
-  }
 }
 
 /* Whichever is small: nothing, next to nothing, or forward scattering that leaves next to nothing.
