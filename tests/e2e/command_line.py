@@ -18,6 +18,7 @@ import threading
 import time
 from pathlib import Path
 
+import pytest
 from daemons import BUILD, environment
 from dipole import wire
 from frames import EVAL, frame
@@ -55,6 +56,18 @@ def dipole(
     if status == OK and quiet:
         assert text.stderr == ""
     return text
+
+
+def says(status: int, command: list[str], cases: list[tuple[list[str], str]]):
+    """A test: a command with each of these arguments ends with a status, and says this on standard
+    error and nothing else."""
+
+    @pytest.mark.parametrize("arguments, said", cases)
+    def test(arguments, said):
+        run = dipole(*command, *arguments, status=status)
+        assert said in run.stderr and run.stdout == ""
+
+    return test
 
 
 def eval_rows(*arguments: str, quiet: bool = True) -> list[dict[str, str]]:

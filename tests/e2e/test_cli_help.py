@@ -6,7 +6,7 @@ import re
 import subprocess
 
 import pytest
-from command_line import FAILED, PROGRAM, TIMEOUT_S, USAGE, dipole
+from command_line import FAILED, PROGRAM, TIMEOUT_S, USAGE, dipole, says
 from daemons import environment
 
 COMMANDS = ["eval", "plot", "points", "sample", "invert", "table", "mc", "media", "info", "top", "bench"]
@@ -112,30 +112,23 @@ def test_wrong_command_lines_say_what_to_do(arguments, said):
     assert run.stdout == ""
 
 
-@pytest.mark.parametrize(
-    "arguments, said",
-    [
-        (["--sigma-a", "-1", "--sigma-s", "1"], "bad-value: sigma_a: allowed: "),
-        (["--sigma-a", "inf", "--sigma-s", "1"], "bad-value: sigma_a: allowed: "),
-        (["--sigma-a", "1", "--sigma-s", "nan"], "bad-value: sigma_s: allowed: "),
-        (["--sigma-a", "0,-1", "--sigma-s", "1"], "sigma_a of medium 2 of 2: allowed: "),
-        ([*EVAL[1:], "--g", "1"], "bad-value: g: allowed: "),
-        ([*EVAL[1:], "--eta", "0"], "bad-value: eta: allowed: "),
-        ([*EVAL[1:], "--eta", "3", "--moments", "fit"], "bad-value: eta: allowed: "),
-        ([*EVAL[1:], "--r", "0,-1"], "bad-value: r number 2 of 2: allowed: "),
-        ([*EVAL[1:], "--from", "-1"], "bad-value: radius_start: allowed: "),
-        ([*EVAL[1:], "--from", "0", "--log"], "bad-value: radius_start: allowed: "),
-        ([*EVAL[1:], "--to", "inf"], "bad-value: radius_stop: allowed: "),
-        ([*EVAL[1:], "--count", "99999999999999"], "too-large: radius_count: allowed: "),
-        ([*EVAL[1:], "--connect", "localhost"], "write unix:PATH, tcp:HOST:PORT or private:"),
-        ([*EVAL[1:], "--connect", "unix:/nonexistent"], "cannot connect to the socket /nonexist"),
-        ([*EVAL[1:], "--connect", "private:/nonexistent"], "cannot start a private daemon"),
-    ],
-)
-def test_what_the_daemon_refuses_or_cannot_be_reached(arguments, said):
-    run = dipole("eval", *arguments, status=FAILED)
-    assert said in run.stderr
-    assert run.stdout == ""
+test_what_the_daemon_refuses_or_cannot_be_reached = says(FAILED, ["eval"], [
+    (["--sigma-a", "-1", "--sigma-s", "1"], "bad-value: sigma_a: allowed: "),
+    (["--sigma-a", "inf", "--sigma-s", "1"], "bad-value: sigma_a: allowed: "),
+    (["--sigma-a", "1", "--sigma-s", "nan"], "bad-value: sigma_s: allowed: "),
+    (["--sigma-a", "0,-1", "--sigma-s", "1"], "sigma_a of medium 2 of 2: allowed: "),
+    ([*EVAL[1:], "--g", "1"], "bad-value: g: allowed: "),
+    ([*EVAL[1:], "--eta", "0"], "bad-value: eta: allowed: "),
+    ([*EVAL[1:], "--eta", "3", "--moments", "fit"], "bad-value: eta: allowed: "),
+    ([*EVAL[1:], "--r", "0,-1"], "bad-value: r number 2 of 2: allowed: "),
+    ([*EVAL[1:], "--from", "-1"], "bad-value: radius_start: allowed: "),
+    ([*EVAL[1:], "--from", "0", "--log"], "bad-value: radius_start: allowed: "),
+    ([*EVAL[1:], "--to", "inf"], "bad-value: radius_stop: allowed: "),
+    ([*EVAL[1:], "--count", "99999999999999"], "too-large: radius_count: allowed: "),
+    ([*EVAL[1:], "--connect", "localhost"], "write unix:PATH, tcp:HOST:PORT or private:"),
+    ([*EVAL[1:], "--connect", "unix:/nonexistent"], "cannot connect to the socket /nonexist"),
+    ([*EVAL[1:], "--connect", "private:/nonexistent"], "cannot start a private daemon"),
+])
 
 
 def test_a_refused_field_is_named_by_its_option_too():

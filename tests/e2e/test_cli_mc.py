@@ -7,7 +7,7 @@ import math
 import signal
 
 import pytest
-from command_line import FAILED, USAGE, Terminal, dipole, read_csv
+from command_line import FAILED, USAGE, Terminal, dipole, read_csv, says
 
 MEDIUM = ["--sigma-a", "0.1", "--sigma-s", "0.9", "--eta", "1.3"]
 SHORT = [*MEDIUM, "--photons", "2e4", "--to", "4", "--rings", "4"]
@@ -94,43 +94,31 @@ def test_error_targets():
     assert "standard error" in missed.stdout
 
 
-@pytest.mark.parametrize(
-    "arguments, said",
-    [
-        ([], "give --medium NAME and --channel, or --sigma-a and --sigma-s"),
-        (["--sigma-a", "1"], "give --medium NAME and --channel, or --sigma-a and --sigma-s"),
-        (["--medium", "skin1"], "--medium NAME needs --channel red, green or blue"),
-        (["--medium", "skin1", "--channel", "pink"], "--medium NAME needs --channel red, green"),
-        (["--medium", "skin", "--channel", "red"], "--medium: 'skin' is unknown; this daemon has"),
-        ([*MEDIUM, "--medium", "skin1"], "--medium NAME stands for --sigma-a and --sigma-s"),
-        ([*MEDIUM, "--channel", "red"], "--channel goes with --medium NAME"),
-        ([*MEDIUM, "--log"], "--log needs --from, above 0"),
-        ([*MEDIUM, "--photons", "1.5"], "--photons: a whole number, such as 2000000 or 2e6"),
-        ([*MEDIUM, "--photons", "0"], "--photons: a whole number"),
-        ([*MEDIUM, "--rings", "99999999999"], "--rings: at most"),
-    ],
-)
-def test_wrong_command_lines_say_what_to_do(arguments, said):
-    run = dipole("mc", *arguments, status=USAGE)
-    assert said in run.stderr and run.stdout == ""
+test_wrong_command_lines_say_what_to_do = says(USAGE, ["mc"], [
+    ([], "give --medium NAME and --channel, or --sigma-a and --sigma-s"),
+    (["--sigma-a", "1"], "give --medium NAME and --channel, or --sigma-a and --sigma-s"),
+    (["--medium", "skin1"], "--medium NAME needs --channel red, green or blue"),
+    (["--medium", "skin1", "--channel", "pink"], "--medium NAME needs --channel red, green"),
+    (["--medium", "skin", "--channel", "red"], "--medium: 'skin' is unknown; this daemon has"),
+    ([*MEDIUM, "--medium", "skin1"], "--medium NAME stands for --sigma-a and --sigma-s"),
+    ([*MEDIUM, "--channel", "red"], "--channel goes with --medium NAME"),
+    ([*MEDIUM, "--log"], "--log needs --from, above 0"),
+    ([*MEDIUM, "--photons", "1.5"], "--photons: a whole number, such as 2000000 or 2e6"),
+    ([*MEDIUM, "--photons", "0"], "--photons: a whole number"),
+    ([*MEDIUM, "--rings", "99999999999"], "--rings: at most"),
+])
 
 
-@pytest.mark.parametrize(
-    "arguments, said",
-    [
-        (["--g", "1"], "bad-value: g: allowed: between -1 and 1, exclusive (--g)"),
-        (["--thickness", "-1"], "bad-value: thickness: allowed: 0, at least"),
-        (["--albedo", "0.5,2"], "bad-value: albedo: allowed: 0 to 1 (--albedo)"),
-        (["--rings", "4097"], "bad-count: ring_count: allowed: 1 to 4096 (--rings)"),
-        (["--from", "-1"], "(--from)"),
-        (["--error", "2"], "bad-value: error_rings: allowed: 0 (none), or 1e-9 to 1 (--error)"),
-        (["--total-error", "-1"], "(--total-error)"),
-        (["--photons", "1e12"], "too-large: photons: allowed: at most 10000000000 (--photons)"),
-    ],
-)
-def test_what_the_daemon_refuses(arguments, said):
-    run = dipole("mc", *MEDIUM, *arguments, status=FAILED)
-    assert said in run.stderr and run.stdout == ""
+test_what_the_daemon_refuses = says(FAILED, ["mc", *MEDIUM], [
+    (["--g", "1"], "bad-value: g: allowed: between -1 and 1, exclusive (--g)"),
+    (["--thickness", "-1"], "bad-value: thickness: allowed: 0, at least"),
+    (["--albedo", "0.5,2"], "bad-value: albedo: allowed: 0 to 1 (--albedo)"),
+    (["--rings", "4097"], "bad-count: ring_count: allowed: 1 to 4096 (--rings)"),
+    (["--from", "-1"], "(--from)"),
+    (["--error", "2"], "bad-value: error_rings: allowed: 0 (none), or 1e-9 to 1 (--error)"),
+    (["--total-error", "-1"], "(--total-error)"),
+    (["--photons", "1e12"], "too-large: photons: allowed: at most 10000000000 (--photons)"),
+])
 
 
 def test_too_many_albedos():
