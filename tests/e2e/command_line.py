@@ -60,12 +60,13 @@ def dipole(
 
 def says(status: int, command: list[str], cases: list[tuple[list[str], str]]):
     """A test: a command with each of these arguments ends with a status, and says this on standard
-    error and nothing else."""
+    error and nothing else; wrong usage also says where there is help."""
 
     @pytest.mark.parametrize("arguments, said", cases)
     def test(arguments, said):
         run = dipole(*command, *arguments, status=status)
         assert said in run.stderr and run.stdout == ""
+        assert status != USAGE or "help" in run.stderr
 
     return test
 

@@ -89,31 +89,24 @@ def test_nothing_to_draw(tmp_path):
     assert "all radii are 0 or infinite" in run.stderr
 
 
-@pytest.mark.parametrize(
-    "arguments, said",
-    [
-        ([], "give --medium NAME, or --sigma-a and --sigma-s"),
-        ([*MEDIUM, "--u", "0.5", "--count", "3"], "--u gives the numbers one by one: leave"),
-        ([*MEDIUM, "--u", "0.5", "--seed", "3"], "--u gives the numbers one by one: leave"),
-        ([*MEDIUM, "--u", "half"], "--u: 'half' is no number"),
-        ([*MEDIUM, "--count", "-1"], "--count: '-1' is no whole number"),
-        ([*MEDIUM, "--seed", "x"], "--seed: 'x' is no whole number"),
-        ([*MEDIUM, "--draw", "lots"], "--draw: 'lots' is unknown; this daemon has list, regular"),
-        ([*MEDIUM, "--draw", "list"], "--draw list: give the numbers with --u"),
-        ([*MEDIUM, "--model", "best"], "--model: 'best' is unknown; this daemon has classical"),
-        ([*MEDIUM, "--want", "colour"], "--want: 'colour' is unknown; this daemon has R"),
-        ([*MEDIUM, "--evaluator", "f16"], "--evaluator: 'f16' is unknown; this daemon has f64"),
-        ([*MEDIUM, "--moments", "fat"], "--moments: 'fat' is unknown; this daemon has exact"),
-        ([*MEDIUM, "--format", "xml"], "--format xml: it is one of table,csv,json"),
-        ([*MEDIUM, "--plot", "r.pdf"], "--plot r.pdf: the name must end in .svg or .png"),
-        ([*MEDIUM, "--deadline-ms", "4294967296"], "--deadline-ms: at most 4294967295"),
-        ([*MEDIUM, "skin1"], "'skin1' is more than it takes"),
-    ],
-)
-def test_wrong_command_lines_say_what_to_do(arguments, said):
-    run = dipole("sample", *arguments, status=USAGE)
-    assert said in run.stderr and "dipole sample --help" in run.stderr
-    assert run.stdout == ""
+test_wrong_command_lines_say_what_to_do = says(USAGE, ["sample"], [
+    ([], "give --medium NAME, or --sigma-a and --sigma-s"),
+    ([*MEDIUM, "--u", "0.5", "--count", "3"], "--u gives the numbers one by one: leave"),
+    ([*MEDIUM, "--u", "0.5", "--seed", "3"], "--u gives the numbers one by one: leave"),
+    ([*MEDIUM, "--u", "half"], "--u: 'half' is no number"),
+    ([*MEDIUM, "--count", "-1"], "--count: '-1' is no whole number"),
+    ([*MEDIUM, "--seed", "x"], "--seed: 'x' is no whole number"),
+    ([*MEDIUM, "--draw", "lots"], "--draw: 'lots' is unknown; this daemon has list, regular"),
+    ([*MEDIUM, "--draw", "list"], "--draw list: give the numbers with --u"),
+    ([*MEDIUM, "--model", "best"], "--model: 'best' is unknown; this daemon has classical"),
+    ([*MEDIUM, "--want", "colour"], "--want: 'colour' is unknown; this daemon has R"),
+    ([*MEDIUM, "--evaluator", "f16"], "--evaluator: 'f16' is unknown; this daemon has f64"),
+    ([*MEDIUM, "--moments", "fat"], "--moments: 'fat' is unknown; this daemon has exact"),
+    ([*MEDIUM, "--format", "xml"], "--format xml: it is one of table,csv,json"),
+    ([*MEDIUM, "--plot", "r.pdf"], "--plot r.pdf: the name must end in .svg or .png"),
+    ([*MEDIUM, "--deadline-ms", "4294967296"], "--deadline-ms: at most 4294967295"),
+    ([*MEDIUM, "skin1"], "'skin1' is more than it takes"),
+])
 
 
 test_what_the_daemon_refuses = says(FAILED, ["sample"], [

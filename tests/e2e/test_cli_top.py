@@ -13,7 +13,7 @@ import termios
 import threading
 
 import pytest
-from command_line import PROGRAM, TIMEOUT_S, USAGE, Terminal, dipole, read_csv
+from command_line import PROGRAM, TIMEOUT_S, USAGE, Terminal, dipole, read_csv, says
 from daemons import environment
 from frames import EVAL, SKIN, ask, eval_payload
 from lists import MODELS
@@ -103,19 +103,14 @@ def test_a_daemon_of_its_own():
     assert record["connections_open"] == 1 and record["requests_statistics_per_s"] > 0
 
 
-@pytest.mark.parametrize(
-    "arguments, said",
-    [
-        (["--interval", "0"], "--interval: from 0.05 to 86400 seconds"),
-        (["--interval", "nan"], "--interval: from"),
-        (["--interval", "1e9"], "--interval: from"),
-        (["--interval", "soon"], "--interval: 'soon' is no number"),
-        (["--count", "0"], "--count: at least 1"),
-        (["--format", "xml"], "--format xml: it is one of table,csv,json"),
-    ],
-)
-def test_wrong_command_lines(arguments, said):
-    assert said in dipole("top", *arguments, status=USAGE).stderr
+test_wrong_command_lines = says(USAGE, ["top"], [
+    (["--interval", "0"], "--interval: from 0.05 to 86400 seconds"),
+    (["--interval", "nan"], "--interval: from"),
+    (["--interval", "1e9"], "--interval: from"),
+    (["--interval", "soon"], "--interval: 'soon' is no number"),
+    (["--count", "0"], "--count: at least 1"),
+    (["--format", "xml"], "--format xml: it is one of table,csv,json"),
+])
 
 
 @pytest.fixture

@@ -183,8 +183,7 @@ WRONG = {
     }),
     **refused("bad-value", "zero", "0", {"1": invert_payload(zero=1)}),
     **refused("bad-value", "g", "1", {
-        "1": invert_payload(g=1.0),
-        "NaN": invert_payload(g=np.nan),
+        f"{g}": invert_payload(g=g) for g in (1.0, -1.0, np.nan)
     }),
     **refused("bad-value", "eta", "0.001", {"0": invert_payload(eta=0.0)}),
     **refused("bad-value", "eta", "2.485", {"fit": invert_payload(moments=2, eta=3.0)}),
@@ -197,12 +196,13 @@ WRONG = {
     }),
     **refused("bad-length", "payload_bytes", "at least 32", {"none": b"", "short": bytes(24)}),
     **refused("bad-value", "albedo", "0 to 1", {
-        "above 1": (invert_payload([0.5, 1.1]), 1),
-        "below 0": invert_payload([-0.5, 0.5]),
-        "NaN": (invert_payload([0.5, np.nan]), 1),
+        f"{albedo}": (invert_payload([0.5, albedo]), 1)
+        for albedo in (-0.5, -1e-300, np.nextafter(1, 2), 1.1, np.inf, np.nan)
     }),
-    **refused("bad-value", "length", "1e-14", {"0": (invert_payload(lengths=[1.0, 0.0]), 1)}),
-    **refused("bad-value", "length", "1e14", {"inf": invert_payload(lengths=[np.inf, 1.0])}),
+    **refused("bad-value", "length", "1e-14 to 1e14", {
+        f"{length}": (invert_payload(lengths=[1.0, length]), 1)
+        for length in (0.0, -1.0, 0.9e-14, 1.1e14, np.inf, np.nan)
+    }),
     **refused("bad-value", "model", "covers all radii", {
         "a fit": invert_payload(model=MODELS["gaussians"]),
     }),

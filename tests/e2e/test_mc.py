@@ -490,12 +490,20 @@ WRONG = {
     **refused("bad-value", "sigma_a", "1e15", {"-1": with_medium(-1, 1, 0, 1.3)}),
     **refused("bad-value", "sigma_s", "1e15", {"NaN": with_medium(1, math.nan, 0, 1.3)}),
     **refused("bad-value", "sigma_s", "1e-15", {"no medium": with_medium(0, 0, 0, 1.3)}),
-    **refused("bad-value", "g", "0.9999", {"0.99999": with_medium(1, 1, 0.99999, 1.3)}),
-    **refused("bad-value", "eta", "0.001 to 1000", {"0": with_medium(1, 1, 0, 0)}),
-    **refused("bad-value", "thickness", "0, at least", {
-        f"{value}": mc_payload(thickness=value) for value in (-1.0, math.nan, -math.inf)
+    **refused("bad-value", "g", "0.9999", {
+        f"{g}": with_medium(1, 1, g, 1.3) for g in (0.99991, -0.99991)
     }),
-    **refused("bad-value", "albedo", "0 to 1", {"1.1": (mc_payload(albedos=[0.5, 1.1]), 1)}),
+    **refused("bad-value", "g", "", {f"{g}": with_medium(1, 1, g, 1.3) for g in (-1, math.nan)}),
+    **refused("bad-value", "eta", "0.001 to 1000", {
+        f"{eta}": with_medium(1, 1, 0, eta) for eta in (0, 1001, math.nan)
+    }),
+    **refused("bad-value", "thickness", "0, at least", {
+        f"{value}": mc_payload(thickness=value) for value in (-1.0, 1e-9, math.nan, -math.inf)
+    }),
+    **refused("bad-value", "albedo", "0 to 1", {
+        f"{albedo}": (mc_payload(albedos=[0.5] * 15 + [albedo]), 15)
+        for albedo in (-1e-300, 1.0000001, math.nan, math.inf)
+    }),
     **refused("bad-count", "albedo_count", "0 to 16", {
         "17": mc_payload(albedos=[0.5] * 17),
         "2^16 - 1": changed(albedo_count=2**16 - 1),
@@ -507,11 +515,18 @@ WRONG = {
         f"{spacing}": mc_payload(spacing=spacing) for spacing in (1, 9)
     }),
     **refused("bad-value", "radius_start", "", {
-        "-1": with_edges(-1.0, 5.0),
+        **{f"{start}": with_edges(start, 5.0) for start in (-1.0, math.nan)},
         "log of 0": mc_payload(spacing=LOGARITHMIC),
+        "log of 0.9e-8": mc_payload(edges=Grid(0.9e-8, 1.0, 2), spacing=LOGARITHMIC),
     }),
-    **refused("bad-value", "radius_stop", "", {"before the start": with_edges(5.0, 1.0)}),
-    **refused("bad-value", "radius_stop", "wider", {"empty rings": with_edges(1.0, 1.0)}),
+    **refused("bad-value", "radius_stop", "", {
+        **{f"{stop}": with_edges(1.0, stop) for stop in (0.5, 1e300, math.inf, math.nan)},
+        "0 to 0.9e-8": mc_payload(edges=Grid(0.0, 0.9e-8, 2)),
+    }),
+    **refused("bad-value", "radius_stop", "wider", {
+        "empty rings": with_edges(1.0, 1.0),
+        "narrow rings": mc_payload(edges=Grid(1.0, 1.00005, 101)),
+    }),
     **refused("bad-value", "photons", "at least 1", {"0": mc_payload(photons=0)}),
     **refused("too-large", "photons", "at most 10000000000", {
         "2^64 - 1": mc_payload(photons=2**64 - 1),

@@ -7,7 +7,6 @@ import re
 import pytest
 from daemons import REPOSITORY
 from dipole import Table, wire
-from dipole.mc import unpack_result
 from frames import SKIN, assert_serves, frame
 from lists import QUANTITIES
 
@@ -76,7 +75,8 @@ def test_request_is_answered_as_documented(connection, name):
     if message in DETERMINISTIC:
         received = frame(reply.type, reply.request_id, reply.payload)
         assert received.hex(" ") == EXAMPLES[f"{message}-reply"].hex(" ")
-    STRUCTURE[message](reply.payload)
+    else:
+        STRUCTURE[message](reply.payload)
     assert_serves(connection)
 
 
@@ -94,12 +94,6 @@ def check_hello(payload: bytes) -> None:
     assert fixed.version == 1 and fixed.choice_count > 0 and fixed.limit_count > 0
 
 
-def check_eval(payload: bytes) -> None:
-    assert wire.EVAL_REPLY.unpack(payload).channel_count >= 1
-    channel = wire.CHANNEL.unpack(payload, wire.EVAL_REPLY.bytes)
-    assert 0 <= channel.numerical_error < 1
-
-
 def check_list(entry: wire.Structure):
     def check(payload: bytes) -> None:
         fixed = wire.LIST_REPLY.unpack(payload)
@@ -109,19 +103,6 @@ def check_list(entry: wire.Structure):
             assert entry.unpack(payload, wire.LIST_REPLY.bytes + i * entry.bytes).name
 
     return check
-
-
-def check_ping(payload: bytes) -> None:
-    assert payload == payload_of("ping-request")
-
-
-def check_mc(payload: bytes) -> None:
-    result = unpack_result(payload)
-    assert result.state == "photons" and len(result.energies) == len(result.values) == 1
-
-
-def check_cancel(payload: bytes) -> None:
-    assert wire.CANCEL_REPLY.unpack(payload) == (0, 0)
 
 
 def check_table(payload: bytes) -> None:
@@ -135,29 +116,10 @@ def check_offers(payload: bytes) -> None:
     assert fixed.taken < fixed.count
 
 
-def check_invert(payload: bytes) -> None:
-    fixed = wire.INVERT_REPLY.unpack(payload)
-    assert len(payload) == wire.INVERT_REPLY.bytes + 3 * 8 * fixed.medium_count
-    assert fixed.missing_count == 0 and fixed.albedo_least < fixed.albedo_most
-
-
-def check_error(payload: bytes) -> None:
-    error = wire.ERROR.unpack(payload)
-    assert error.status in wire.STATUSES and error.field and error.allowed
-
-
 STRUCTURE = {
     "hello": check_hello,
-    "eval": check_eval,
-    "parameter": check_eval,
     "media": check_list(wire.MEASURED_MEDIUM),
     "statistics": check_list(wire.VALUE),
-    "ping": check_ping,
-    "mc": check_mc,
-    "cancel": check_cancel,
     "table": check_table,
     "offers": check_offers,
-    "sample": check_eval,
-    "invert": check_invert,
-    "error": check_error,
 }

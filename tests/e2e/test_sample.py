@@ -169,10 +169,11 @@ WRONG = {
     **refused("bad-value", "cos_in", "0 to 1", {"2": sample_payload(parameters=[(COS_IN, 2.0)])}),
     **refused("bad-value", "g", "1", {"second": (sample_payload([SKIN, (0.1, 1, 1, 1.3)]), 1)}),
     **refused("bad-value", "u", "0 to 1", {
-        "below 0": (sample_payload(u=[0.5, -0.1]), 1),
-        "above 1": (sample_payload(u=[0.5, 0.2, 1.5]), 2),
-        "NaN": sample_payload(u=[np.nan]),
-        "single": (sample_payload(u=[0.5, 1.01], evaluator=F32), 1),
+        **{
+            f"{u}": (sample_payload(u=[0, 1, 0.5, u, 2]), 3)
+            for u in (-0.1, -5e-324, np.nextafter(1, 2), 1.5, np.inf, np.nan)
+        },
+        "single": (sample_payload(u=[0.5, 1 + 2**-23], evaluator=F32), 1),
     }),
     **refused("bad-value", "u", "zero", {
         "padding": sample_payload(u=[0.5], evaluator=F32)[:-1] + b"\x01",
@@ -199,7 +200,11 @@ WRONG = {
     **refused("too-large", "sample_count", "radii", {
         "more than max_radii": sample_payload(u=None, sample_count=2**41),
     }),
-    **refused("bad-value", "sample_first", "0", {"of a list": sample_payload(sample_first=1)}),
+    **refused("bad-value", "sample_first", "0", {
+        "of a list": sample_payload(sample_first=1),
+        "of strata": sample_payload(u=None, draw=wire.DRAW_STRATIFIED, sample_first=1),
+        "of regular": sample_payload(u=None, draw=wire.DRAW_REGULAR, sample_first=1, seed=0),
+    }),
     **refused("bad-value", "sample_first", "2^52", {
         "too far": sample_payload(u=None, sample_first=2**53),
     }),

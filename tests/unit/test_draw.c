@@ -1,4 +1,5 @@
-/* Numbers by rule: known ones, each by itself, in (0, 1); and what is wrong with a rule. */
+/* Numbers by rule: known ones, each by itself, in (0, 1). What is wrong with a rule or a list is in
+ * tests/e2e/test_sample.py. */
 #include "core/draw.h"
 
 #include <float.h>
@@ -122,44 +123,5 @@ UNIT_TEST(random_numbers_are_uniform) {
     assert_true(fabs(sum) < error * sqrt(1.0 / 12));
     assert_true(fabs(squares) < error * sqrt(4.0 / 45));
     assert_true(fabs(products) < error / 12);
-  }
-}
-
-UNIT_TEST(faults_name_the_field) {
-  const struct {
-    core_draw draw;
-    const char *field;
-  } cases[] = {
-      {{CORE_DRAW_LIST, 0, 0, 0}, NULL},
-      {{CORE_DRAW_LIST, UINT64_MAX, 0, 0}, NULL},
-      {{CORE_DRAW_LIST, 1, 1, 0}, "sample_first"},
-      {{CORE_DRAW_LIST, 1, 0, 1}, "seed"},
-      {{CORE_DRAW_REGULAR, 0, 0, 0}, "sample_count"},
-      {{CORE_DRAW_REGULAR, CORE_DRAW_COUNT_MAX + 1, 0, 0}, "sample_count"},
-      {{CORE_DRAW_REGULAR, 1, 1, 0}, "sample_first"},
-      {{CORE_DRAW_REGULAR, 1, 0, 1}, "seed"},
-      {{CORE_DRAW_STRATIFIED, 1, 0, UINT64_MAX}, NULL},
-      {{CORE_DRAW_STRATIFIED, 1, 1, 1}, "sample_first"},
-      {{CORE_DRAW_RANDOM, CORE_DRAW_COUNT_MAX, CORE_DRAW_COUNT_MAX, UINT64_MAX}, NULL},
-      {{CORE_DRAW_RANDOM, 1, CORE_DRAW_COUNT_MAX + 1, 0}, "sample_first"},
-      {{CORE_DRAW_RANDOM, 0, 0, 0}, "sample_count"},
-  };
-  for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
-    unit_assert_fault(core_draw_check(&cases[i].draw), cases[i].field, 0);
-  }
-}
-
-UNIT_TEST(listed_numbers_are_from_0_to_1) {
-  const double good[] = {0, -0.0, 5e-324, 0.5, 1 - DBL_EPSILON / 2, 1};
-  const float good_f32[] = {0, 0.5f, 1};
-  const double bad[] = {-5e-324, nextafter(1, 2), (double)NAN, (double)INFINITY, -1};
-  unit_assert_fault(core_numbers_check_f64(sizeof good / sizeof *good, good), NULL, 0);
-  unit_assert_fault(core_numbers_check_f32(sizeof good_f32 / sizeof *good_f32, good_f32), NULL, 0);
-  unit_assert_fault(core_numbers_check_f64(0, NULL), NULL, 0);
-  for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
-    const double list[] = {0, 1, bad[i]};
-    const float list_f32[] = {0.25f, nextafterf(1, 2), 0};
-    unit_assert_fault(core_numbers_check_f64(3, list), "u", 2);
-    unit_assert_fault(core_numbers_check_f32(3, list_f32), "u", 1);
   }
 }

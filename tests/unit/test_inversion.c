@@ -327,37 +327,3 @@ UNIT_TEST(what_there_is_not_is_not_found) {
   probe_to_the_end(&inverter);
   assert_true(inverter.found && inverter.medium.sigma_a_per_mm == 0 && inverter.albedo == 1);
 }
-
-UNIT_TEST(starting_faults_name_the_field) {
-  const struct {
-    unsigned model, moments;
-    double g, eta;
-    const char *field;
-  } cases[] = {
-      {0, CORE_MOMENTS_EXACT, 0, 1.3, "model"},
-      {CORE_MODEL_BETTER, 0, 0, 1.3, "moments"},
-      {CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, 1, 1.3, "g"},
-      {CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, -1, 1.3, "g"},
-      {CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, (double)NAN, 1.3, "g"},
-      {CORE_MODEL_BETTER, CORE_MOMENTS_EXACT, 0, 0, "eta"},
-      {CORE_MODEL_BETTER, CORE_MOMENTS_FIT, 0, 3, "eta"},
-      {CORE_MODEL_MULTIPOLE, CORE_MOMENTS_EXACT, 0, 1.3, "thickness"},
-#ifndef CORE_WITHOUT_GSL
-      {CORE_MODEL_GAUSSIANS, CORE_MOMENTS_EXACT, 0, 1.3, "model"},
-#endif
-  };
-  for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
-    core_inverter inverter;
-    unit_assert_fault(core_inverter_start(&inverter, cases[i].model, cases[i].moments, cases[i].g,
-                                          cases[i].eta, 1),
-                      cases[i].field, 0);
-  }
-  const double bad_albedos[] = {-1e-300, nextafter(1, 2), (double)NAN, (double)INFINITY};
-  for (size_t i = 0; i < sizeof bad_albedos / sizeof bad_albedos[0]; i++) {
-    unit_assert_fault(core_inversion_check(bad_albedos[i], 1), "albedo", 0);
-  }
-  const double bad_lengths[] = {0, -1, .9e-14, 1.1e14, (double)INFINITY, (double)NAN};
-  for (size_t i = 0; i < sizeof bad_lengths / sizeof bad_lengths[0]; i++) {
-    unit_assert_fault(core_inversion_check(.5, bad_lengths[i]), "length", 0);
-  }
-}
