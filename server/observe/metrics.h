@@ -7,8 +7,8 @@
 
 struct metrics;
 
-/* Listens at [HOST]:PORT (without a host on the loopback interface) and logs the address; the workers
- * have started. NULL, with a message on standard error, when that cannot be done. */
+/* Listens at [HOST]:PORT (without a host on the loopback interface) and logs the address; the
+ * workers have started. NULL, with a message on standard error, when that cannot be done. */
 struct metrics *metrics_open(struct server *server, const char *address);
 
 /* Ends all answers under way; may be NULL. */

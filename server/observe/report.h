@@ -28,8 +28,8 @@ struct report_value {
   uint64_t value;
 };
 
-/* Calls each() for every value, always in the same order. Any thread, once the workers have started.
- * NULL: for the names alone, without values. */
+/* Calls each() for every value, always in the same order. Any thread, once the workers have
+ * started. NULL: for the names alone, without values. */
 void report_each(const struct server *server,
                  void (*each)(void *context, const struct report_value *value), void *context);
 

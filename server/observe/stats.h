@@ -1,5 +1,5 @@
-/* stats: what the daemon's threads count, while it costs next to nothing. server/observe/report.h makes
- * names and sums of it. */
+/* stats: what the daemon's threads count, while it costs next to nothing. server/observe/report.h
+ * makes names and sums of it. */
 #ifndef DIPOLED_STATS_H
 #define DIPOLED_STATS_H
 
@@ -28,8 +28,8 @@ enum stats_index {
   STATS_COUNT = STATS_BATCHES + STATS_BATCH_SIZES
 };
 
-/* Each worker counts in a shard of its own, which no other thread writes; all others share the first.
- * A value is the sum of all shards. */
+/* Each worker counts in a shard of its own, which no other thread writes; all others share the
+ * first. A value is the sum of all shards. */
 enum { STATS_SHARDS = 65 };
 
 struct stats_shard {

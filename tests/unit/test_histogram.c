@@ -1,7 +1,7 @@
 /* Histograms of durations: known ones come back within the bound that the header states. */
 #include <math.h>
 
-#include "server/observe/histogram.h"
+#include "server/observe/latency.h"
 #include "tests/unit/unit.h"
 
 static struct histogram_sum merged(const struct histogram *histogram) {
