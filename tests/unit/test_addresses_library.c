@@ -10,7 +10,7 @@
 #include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
 
-enum { RADII = 64, PATIENCE_MS = 20000, SOON_MS = 10000 };
+enum { SOON_MS = 10000 };
 
 UNIT_SETUP(make_radii) {
   peer_make_radii();
@@ -152,7 +152,7 @@ UNIT_TEST(test_opening_again_and_again) {
                                   NULL};
   dipole_options options = peer_options();
   scripted_peer peer;
-  options.open_ms = PATIENCE_MS;
+  options.open_ms = PEER_PATIENCE_MS;
   peer_start_scripts(&peer, scripts, NULL);
   const int64_t start_ms = peer_now_ms();
   dipole_client *client = peer_open(peer.address, &options);
@@ -350,7 +350,7 @@ UNIT_TEST(test_a_private_daemon_that_dies) {
   dipole_client *client = peer_open(address, NULL);
   const pid_t first = client->daemon;
   assert_true(first > 0 && dipole_ping(client, &error));
-  dipole_set_retry_ms(client, PATIENCE_MS);
+  dipole_set_retry_ms(client, PEER_PATIENCE_MS);
   assert_int_equal(kill(first, SIGKILL), 0);
   if (!dipole_ping(client, &error)) {
     fail_msg("%s", error.text);

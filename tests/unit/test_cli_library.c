@@ -371,8 +371,7 @@ UNIT_TEST(test_lies_are_noticed) {
         fail_msg("%s: %s", lies[i].what, error.text);
       }
     }
-    dipole_close(client);
-    peer_end(&peer);
+    peer_finish(&peer, client);
   }
 }
 

@@ -3,19 +3,10 @@
 #include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
 
-enum { RADII = 301, MEDIA = 2, PATIENCE_MS = 20000, GUARD = 64, UNTOUCHED = 0xa5 };
-
-static const dipole_medium media[MEDIA] = {
-    {.sigma_a_per_mm = 0.25, .sigma_s_per_mm = 1, .eta = 1.3},
-    {.sigma_a_per_mm = 0.5, .sigma_s_per_mm = 2, .eta = 1}};
-static double radii_f64[RADII];
-static float radii_f32[RADII];
+enum { RADII = 301, MEDIA = 2, GUARD = 64, UNTOUCHED = 0xa5 };
 
 UNIT_SETUP(make_radii) {
-  for (size_t i = 0; i < RADII; i++) {
-    radii_f32[i] = (float)i / 8;
-    radii_f64[i] = (double)radii_f32[i];
-  }
+  peer_make_radii();
 }
 
 /* What the peer makes of a radius; the order is that of the arrays. */
@@ -73,10 +64,10 @@ static question question_of(unsigned evaluator, unsigned wanted, uint64_t count)
                      .evaluator = evaluator,
                      .moments = DIPOLE_EXACT,
                      .wanted = wanted,
-                     .media = media,
+                     .media = peer_media,
                      .medium_count = MEDIA,
                      .spacing = DIPOLE_LIST,
-                     .radii = evaluator == DIPOLE_F64 ? (const void *)radii_f64 : radii_f32,
+                     .radii = evaluator == DIPOLE_F64 ? (const void *)peer_radii_f64 : peer_radii_f32,
                      .radius_count = count,
                      .into_values = inside(&made.values),
                      .into_radii = inside(&made.radii)};
@@ -96,7 +87,7 @@ static double value_at(const void *values, size_t value_bytes, uint64_t i) {
 static void check_array(const question *of, const void *values, const void *place, double factor) {
   assert_ptr_equal(values, place);
   for (uint64_t i = 0; i < of->query.radius_count; i++) {
-    assert_true(value_at(values, of->value_bytes, i) == factor * radii_f64[i]);
+    assert_true(value_at(values, of->value_bytes, i) == factor * peer_radii_f64[i]);
   }
 }
 
@@ -107,7 +98,7 @@ static void check_result(const question *of, dipole_result *result) {
   const uint8_t *place = inside(&of->values);
   assert_int_equal(result->radius_count, of->query.radius_count);
   for (uint32_t c = 0; c < MEDIA; c++) {
-    assert_true(result->channels[c].albedo == media[c].sigma_a_per_mm);
+    assert_true(result->channels[c].albedo == peer_media[c].sigma_a_per_mm);
     for (size_t q = 0; q < QUANTITIES; q++) {
       if ((of->query.wanted & quantities[q].quantity) != 0) {
         const unsigned quantity = quantities[q].quantity;
@@ -126,18 +117,6 @@ static void check_result(const question *of, dipole_result *result) {
   const void *R = single ? (const void *)result->channels[0].R_f32 : result->channels[0].R_f64;
   assert_ptr_equal(R, (of->query.wanted & DIPOLE_R) != 0 ? inside(&of->values) : NULL);
   dipole_result_free(result);
-}
-
-static dipole_client *open_client(const scripted_peer *peer) {
-  dipole_options options;
-  dipole_client *client;
-  dipole_error error;
-  dipole_options_init(&options);
-  options.timeout_ms = options.retry_ms = PATIENCE_MS;
-  if (!dipole_open_with(peer->address, &options, &client, &error)) {
-    fail_msg("%s", error.text);
-  }
-  return client;
 }
 
 static void ask(dipole_client *client, unsigned evaluator, unsigned wanted, uint64_t count) {
@@ -174,10 +153,9 @@ static void ask_all(dipole_client *client) {
 UNIT_TEST(test_every_shape) {
   scripted_peer peer;
   peer_start(&peer, peer_serve, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_open(peer.address, NULL);
   ask_all(client);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 static uint32_t parts_of(const peer_frame *request, uint64_t each) {
@@ -213,10 +191,9 @@ UNIT_TEST(test_parts) {
     uint64_t each = sizes[i];
     scripted_peer peer;
     peer_start(&peer, serve_parts, &each);
-    dipole_client *client = open_client(&peer);
+    dipole_client *client = peer_open(peer.address, NULL);
     ask_all(client);
-    dipole_close(client);
-    peer_end(&peer);
+    peer_finish(&peer, client);
   }
 }
 
@@ -227,7 +204,7 @@ UNIT_TEST(test_many_in_any_order) {
   scripted_peer peer;
   dipole_error error;
   peer_start(&peer, peer_serve, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_open(peer.address, NULL);
   for (size_t i = 0; i < MANY; i++) {
     asked[i] = question_of(i % 2 != 0 ? DIPOLE_F32 : DIPOLE_F64, wanted_sets[i % WANTED_SETS], i);
     assert_true(dipole_submit(client, &asked[i].query, &ids[i], &error));
@@ -241,8 +218,7 @@ UNIT_TEST(test_many_in_any_order) {
     check_result(&asked[i], result);
     end_question(&asked[i]);
   }
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 /* Far more in both directions than sockets hold, and nothing is collected before all is asked. */
@@ -259,7 +235,7 @@ UNIT_TEST(test_large_ones_both_ways) {
     radii[i] = (double)i;
   }
   peer_start(&peer, peer_serve, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_open(peer.address, NULL);
   for (size_t k = 0; k < MANY; k++) {
     const size_t count = LARGE - k;
     places[k] = room_for(count * sizeof *radii);
@@ -267,7 +243,7 @@ UNIT_TEST(test_large_ones_both_ways) {
                                 .evaluator = DIPOLE_F64,
                                 .moments = DIPOLE_EXACT,
                                 .wanted = DIPOLE_R,
-                                .media = media,
+                                .media = peer_media,
                                 .medium_count = 1,
                                 .spacing = DIPOLE_LIST,
                                 .radii = radii,
@@ -285,8 +261,7 @@ UNIT_TEST(test_large_ones_both_ways) {
     dipole_result_free(result);
     end_room(&places[k]);
   }
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
   free(radii);
 }
 
@@ -297,7 +272,7 @@ UNIT_TEST(test_a_place_for_all_or_for_nothing) {
   dipole_result *result;
   dipole_error error;
   peer_start(&peer, peer_serve, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_open(peer.address, NULL);
   question asked = question_of(DIPOLE_F64, all, 5);
   dipole_query no_values = asked.query, no_radii = asked.query;
   no_values.into_values = NULL;
@@ -308,8 +283,7 @@ UNIT_TEST(test_a_place_for_all_or_for_nothing) {
   assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
   end_question(&asked);
   ask(client, DIPOLE_F64, all, 5);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 /* All of an answer as bytes, to be freed. Of garbled ones only the head is good. */
@@ -356,11 +330,10 @@ UNIT_TEST(test_lost_and_asked_again) {
     size_t before = before_the_end[i];
     scripted_peer peer;
     peer_start_scripts(&peer, scripts, &before);
-    dipole_client *client = open_client(&peer);
+    dipole_client *client = peer_open(peer.address, NULL);
     ask(client, i % 2 != 0 ? DIPOLE_F32 : DIPOLE_F64, all, 101);
     ask(client, DIPOLE_F64, all, 9);
-    dipole_close(client);
-    peer_end(&peer);
+    peer_finish(&peer, client);
   }
 }
 
@@ -382,15 +355,14 @@ UNIT_TEST(test_refused) {
   dipole_result *result;
   dipole_error error;
   peer_start(&peer, refuse, NULL);
-  dipole_client *client = open_client(&peer);
+  dipole_client *client = peer_open(peer.address, NULL);
   question asked = question_of(DIPOLE_F64, all, 5);
   assert_false(dipole_eval(client, &asked.query, &result, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_REFUSED);
   check_untouched(inside(&asked.values), asked.values.count);
   end_question(&asked);
   ask(client, DIPOLE_F64, all, 5);
-  dipole_close(client);
-  peer_end(&peer);
+  peer_finish(&peer, client);
 }
 
 /* Sends so many bytes of the first answer, waits for the second request, sends the rest and the
@@ -421,7 +393,7 @@ UNIT_TEST(test_given_up) {
     dipole_result *result;
     dipole_error error;
     peer_start(&peer, pause_in_the_answer, &bytes);
-    dipole_client *client = open_client(&peer);
+    dipole_client *client = peer_open(peer.address, NULL);
     question asked = question_of(i % 2 != 0 ? DIPOLE_F32 : DIPOLE_F64, all, 101);
     dipole_set_call_timeout_ms(client, 20);
     const bool answered = dipole_eval(client, &asked.query, &result, &error);
@@ -437,8 +409,7 @@ UNIT_TEST(test_given_up) {
     check_untouched(inside(&asked.values), asked.values.count);
     check_untouched(inside(&asked.radii), asked.radii.count);
     end_question(&asked);
-    dipole_close(client);
-    peer_end(&peer);
+    peer_finish(&peer, client);
   }
 }
 
@@ -462,13 +433,12 @@ UNIT_TEST(test_lies_are_not_written) {
     dipole_result *result;
     dipole_error error;
     peer_start(&peer, lie, &parts);
-    dipole_client *client = open_client(&peer);
+    dipole_client *client = peer_open(peer.address, NULL);
     question asked = question_of(DIPOLE_F64, DIPOLE_R, parts ? 9 : 7);
     assert_false(dipole_eval(client, &asked.query, &result, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_PROTOCOL);
     check_untouched(inside(&asked.values), asked.values.count);
     end_question(&asked);
-    dipole_close(client);
-    peer_end(&peer);
+    peer_finish(&peer, client);
   }
 }

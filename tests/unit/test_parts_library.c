@@ -5,18 +5,8 @@
 #include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
 
-enum { RADII = 1000 };
-
-static const dipole_medium media[2] = {{.sigma_a_per_mm = 0.25, .sigma_s_per_mm = 1, .eta = 1.3},
-                                       {.sigma_a_per_mm = 0.5, .sigma_s_per_mm = 2, .eta = 1.3}};
-static double radii_f64[RADII];
-static float radii_f32[RADII];
-
 UNIT_SETUP(make_radii) {
-  for (size_t i = 0; i < RADII; i++) {
-    radii_f32[i] = (float)i / 8;
-    radii_f64[i] = (double)radii_f32[i];
-  }
+  peer_make_radii();
 }
 
 static dipole_query query_of(unsigned evaluator, unsigned wanted, uint64_t count) {
@@ -24,10 +14,11 @@ static dipole_query query_of(unsigned evaluator, unsigned wanted, uint64_t count
                         .evaluator = evaluator,
                         .moments = DIPOLE_EXACT,
                         .wanted = wanted,
-                        .media = media,
+                        .media = peer_media,
                         .medium_count = 2,
                         .spacing = DIPOLE_LIST,
-                        .radii = evaluator == DIPOLE_F64 ? (const void *)radii_f64 : radii_f32,
+                        .radii =
+                            evaluator == DIPOLE_F64 ? (const void *)peer_radii_f64 : peer_radii_f32,
                         .radius_count = count};
 }
 
@@ -36,9 +27,9 @@ static void check_values(const dipole_result *result, uint64_t first) {
   const bool single = result->evaluator != DIPOLE_F64;
   assert_int_equal(result->channel_count, 2);
   for (uint32_t channel = 0; channel < 2; channel++) {
-    assert_true(result->channels[channel].albedo == media[channel].sigma_a_per_mm);
+    assert_true(result->channels[channel].albedo == peer_media[channel].sigma_a_per_mm);
     for (uint64_t i = 0; i < result->radius_count; i++) {
-      const double r = radii_f64[first + i];
+      const double r = peer_radii_f64[first + i];
       if (single) {
         assert_true((double)dipole_values_f32(result, channel, DIPOLE_R)[i] == 2 * r);
         assert_true((double)result->radius_f32[i] == r);
@@ -103,7 +94,7 @@ UNIT_TEST(test_parts_are_put_together) {
   for (size_t i = 0; i < sizeof sizes / sizeof sizes[0]; i++) {
     for (unsigned evaluator = DIPOLE_F64; evaluator <= DIPOLE_LUT; evaluator++) {
       const dipole_query query =
-          query_of(evaluator, evaluator == DIPOLE_F64 ? wanted_f64 : wanted_f32, RADII);
+          query_of(evaluator, evaluator == DIPOLE_F64 ? wanted_f64 : wanted_f32, PEER_RADII);
       scripted_peer peer;
       dipole_error error;
       dipole_result *result;
@@ -112,7 +103,7 @@ UNIT_TEST(test_parts_are_put_together) {
         if (!dipole_eval(client, &query, &result, &error)) {
           fail_msg("%s", error.text);
         }
-        assert_int_equal(result->radius_count, RADII);
+        assert_int_equal(result->radius_count, PEER_RADII);
         check_values(result, 0);
         dipole_result_free(result);
       }
@@ -141,7 +132,7 @@ static bool read_part(void *context, const dipole_result *part, uint64_t radius_
 
 UNIT_TEST(test_parts_are_handed_on) {
   for (size_t i = 0; i < sizeof sizes / sizeof sizes[0]; i++) {
-    const dipole_query query = query_of(DIPOLE_F32, wanted_f32, RADII);
+    const dipole_query query = query_of(DIPOLE_F32, wanted_f32, PEER_RADII);
     scripted_peer peer;
     dipole_error error;
     reading so_far = {0};
@@ -149,10 +140,9 @@ UNIT_TEST(test_parts_are_handed_on) {
     if (!dipole_eval_parts(client, &query, read_part, &so_far, &error)) {
       fail_msg("%s", error.text);
     }
-    assert_int_equal(so_far.next, RADII);
-    assert_int_equal(so_far.parts, parts_of(RADII, sizes[i]));
-    dipole_close(client);
-    peer_end(&peer);
+    assert_int_equal(so_far.next, PEER_RADII);
+    assert_int_equal(so_far.parts, parts_of(PEER_RADII, sizes[i]));
+    peer_finish(&peer, client);
   }
 }
 
@@ -181,11 +171,11 @@ static void mix(int fd, void *context) {
   for (size_t i = 0; i < BETWEEN; i++) {
     receive_or_abort(fd, &request[i]);
   }
-  for (uint32_t part = 0; part < parts_of(RADII, EACH); part++) {
+  for (uint32_t part = 0; part < parts_of(PEER_RADII, EACH); part++) {
     send_part(fd, &request[2], part, EACH);
     send_part(fd, &request[0], part, EACH);
     if (part == 1) {
-      send_part(fd, &request[1], 0, RADII);
+      send_part(fd, &request[1], 0, PEER_RADII);
     }
   }
   for (size_t i = 0; i < BETWEEN; i++) {
@@ -199,13 +189,13 @@ static void ask_for_a_mix(bool handed_on) {
   dipole_result *result;
   reading so_far = {0};
   uint64_t ids[2], id;
-  const dipole_query query = query_of(DIPOLE_F64, wanted_f64, RADII);
+  const dipole_query query = query_of(DIPOLE_F64, wanted_f64, PEER_RADII);
   dipole_client *client = peer_begin(&peer, mix, NULL);
   assert_true(dipole_submit(client, &query, &ids[0], &error));
   assert_true(dipole_submit(client, &query, &ids[1], &error));
   if (handed_on) {
     assert_true(dipole_eval_parts(client, &query, read_part, &so_far, &error));
-    assert_int_equal(so_far.next, RADII);
+    assert_int_equal(so_far.next, PEER_RADII);
   } else {
     assert_true(dipole_eval(client, &query, &result, &error));
     check_values(result, 0);
@@ -214,7 +204,7 @@ static void ask_for_a_mix(bool handed_on) {
   for (size_t i = 0; i < 2; i++) {
     assert_true(dipole_collect(client, &id, &result, &error));
     assert_true(id == ids[0] || id == ids[1]);
-    assert_int_equal(result->radius_count, RADII);
+    assert_int_equal(result->radius_count, PEER_RADII);
     check_values(result, 0);
     dipole_result_free(result);
     ids[id == ids[1]] = 0;
@@ -246,7 +236,7 @@ static void be_late(int fd, void *context) {
   for (int i = 0; i < 3; i++) {
     receive_or_abort(fd, &request);
     assert_int_equal(request.header.deadline_ms, 250 + i);
-    for (uint32_t part = 0; part < (i < 2 ? 2 : parts_of(RADII, EACH)); part++) {
+    for (uint32_t part = 0; part < (i < 2 ? 2 : parts_of(PEER_RADII, EACH)); part++) {
       send_part(fd, &request, part, each);
     }
     if (i < 2) {
@@ -261,7 +251,7 @@ UNIT_TEST(test_an_error_ends_an_answer) {
   dipole_error error;
   dipole_result *result;
   reading so_far = {0};
-  dipole_query query = query_of(DIPOLE_F64, wanted_f64, RADII);
+  dipole_query query = query_of(DIPOLE_F64, wanted_f64, PEER_RADII);
   dipole_client *client = peer_begin(&peer, be_late, NULL);
   query.deadline_ms = 250;
   assert_false(dipole_eval(client, &query, &result, &error));
@@ -281,13 +271,13 @@ UNIT_TEST(test_an_error_ends_an_answer) {
 /* Stops after each number of parts that there is, and asks for something else. */
 UNIT_TEST(test_a_reader_may_stop) {
   static const uint64_t each = EACH;
-  const dipole_query query = query_of(DIPOLE_F64, wanted_f64, RADII);
+  const dipole_query query = query_of(DIPOLE_F64, wanted_f64, PEER_RADII);
   scripted_peer peer;
   dipole_error error;
   dipole_result *result;
   uint64_t id;
   dipole_client *client = peer_begin(&peer, serve_parts, (void *)&each);
-  for (unsigned stop_after = 1; stop_after <= parts_of(RADII, EACH); stop_after++) {
+  for (unsigned stop_after = 1; stop_after <= parts_of(PEER_RADII, EACH); stop_after++) {
     reading so_far = {.stop_after = stop_after};
     assert_false(dipole_eval_parts(client, &query, read_part, &so_far, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_STOPPED);
@@ -317,7 +307,7 @@ static void break_off(int fd, void *context) {
 }
 
 UNIT_TEST(test_lost_between_parts) {
-  const dipole_query query = query_of(DIPOLE_F64, wanted_f64, RADII);
+  const dipole_query query = query_of(DIPOLE_F64, wanted_f64, PEER_RADII);
   for (int handed_on = 0; handed_on < 2; handed_on++) {
     scripted_peer peer;
     dipole_error error;
@@ -328,8 +318,7 @@ UNIT_TEST(test_lost_between_parts) {
                            : dipole_eval(client, &query, &result, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
     assert_int_equal(so_far.next, handed_on ? 2 * EACH : 0);
-    dipole_close(client);
-    peer_end(&peer);
+    peer_finish(&peer, client);
   }
 }
 
@@ -374,7 +363,7 @@ UNIT_TEST(test_answers_beyond_memory) {
 
 /* ---- parts that do not belong together ----------------------------------------------------- */
 
-/* The parts of an answer to RADII radii, each of EACH but for the changes. */
+/* The parts of an answer to PEER_RADII radii, each of EACH but for the changes. */
 typedef struct lie {
   const char *what;
   uint32_t part;  /* that is changed */
@@ -413,7 +402,7 @@ static const lie lies[] = {
     {"the first sent twice", 0, 0, 0, 2, 0},
     {"no radii", 1, 16, 0, 1, -EACH},
     {"radii beyond the last", 3, 16, 0, 1, EACH},
-    {"the last but one with all the rest", 2, 16, 0, 1, RADII - 3 * EACH},
+    {"the last but one with all the rest", 2, 16, 0, 1, PEER_RADII - 3 * EACH},
     {"the last with fewer", 3, 16, 0, 1, -1},
 };
 
@@ -423,14 +412,14 @@ static void tell_lie(int fd, void *context) {
   peer_say_hello(fd);
   receive_or_abort(fd, &request);
   uint64_t first = 0;
-  for (uint32_t part = 0; part < parts_of(RADII, EACH); part++) {
+  for (uint32_t part = 0; part < parts_of(PEER_RADII, EACH); part++) {
     const bool is_it = part == told->part;
-    const uint64_t honest = RADII - part * EACH < EACH ? RADII - part * EACH : EACH;
+    const uint64_t honest = PEER_RADII - part * EACH < EACH ? PEER_RADII - part * EACH : EACH;
     const uint64_t count = is_it ? honest + (uint64_t)told->radii : honest;
-    const uint64_t from = first + count <= RADII ? first : 0; /* of values that there are */
+    const uint64_t from = first + count <= PEER_RADII ? first : 0; /* of values that there are */
     uint8_t *payload;
     const size_t bytes =
-        peer_evaluate_part(&request, from, count, part, parts_of(RADII, EACH), &payload);
+        peer_evaluate_part(&request, from, count, part, parts_of(PEER_RADII, EACH), &payload);
     wire_eval_reply fixed;
     wire_get_eval_reply(payload, &fixed);
     fixed.radius_first = first;
@@ -461,7 +450,7 @@ static bool take_one(void *context, const dipole_result *part, uint64_t radius_f
 }
 
 UNIT_TEST(test_lies_are_noticed) {
-  const dipole_query query = query_of(DIPOLE_F64, wanted_f64, RADII);
+  const dipole_query query = query_of(DIPOLE_F64, wanted_f64, PEER_RADII);
   for (size_t i = 0; i < sizeof lies / sizeof lies[0]; i++) {
     for (int how = 0; how < 3; how++) {
       scripted_peer peer;

@@ -7,8 +7,6 @@
 #include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
 
-enum { RETRY_MS = 10000, RADII = 64 };
-
 UNIT_SETUP(make_radii) {
   peer_make_radii();
 }
@@ -284,8 +282,7 @@ UNIT_TEST(test_busy_for_longer_than_that) {
     assert_int_equal(error.status, WIRE_STATUS_BUSY);
     assert_int_equal(error.retry_after_ms, after_ms);
     peer_check_failure(client, DIPOLE_ERROR_REFUSED); /* it goes on working */
-    dipole_close(client);
-    peer_end(&peer);
+    peer_finish(&peer, client);
   }
 }
 
@@ -353,7 +350,8 @@ UNIT_TEST(test_deadlines_end) {
 
 /* ---- parts --------------------------------------------------------------------------------- */
 
-/* Three of the parts of eight radii each, or none; then the whole with other parts. */
+enum { RADII = 64 };
+
 static void send_parts(int fd, const peer_frame *request, uint32_t count, uint64_t each) {
   for (uint32_t part = 0; part < count; part++) {
     uint8_t *payload;
