@@ -25,8 +25,8 @@ extern char **environ;
 
 /* ---- running daemons ----------------------------------------------------------------------- */
 
-/* Returns 0 or an errno. A non-blocking Unix socket refuses at once when the daemon's queue is full,
- * so this one blocks for a limited time and becomes non-blocking afterwards. */
+/* Returns 0 or an errno. A non-blocking Unix socket refuses at once when the daemon's queue is
+ * full, so this one blocks for a limited time and becomes non-blocking afterwards. */
 static int connect_unix(const char *path, unsigned timeout_ms, int *connected) {
   struct sockaddr_un name = {.sun_family = AF_UNIX};
   const struct timeval timeout = {.tv_sec = timeout_ms / 1000,

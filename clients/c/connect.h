@@ -8,8 +8,8 @@
 
 /* Connects to an address; starts the daemon of a private one. *fd is then a non-blocking socket,
  * which the caller closes. *daemon is the private daemon's process, or 0: the caller ends it with
- * libdipole_daemon_end(). timeout_ms: 0 is no limit. It does not hold for finding a host's addresses
- * by name, nor for a private daemon. Failures are of kind CONNECT. */
+ * libdipole_daemon_end(). timeout_ms: 0 is no limit. It does not hold for finding a host's
+ * addresses by name, nor for a private daemon. Failures are of kind CONNECT. */
 bool libdipole_connect(const libdipole_address *address, unsigned timeout_ms, int *fd,
                        pid_t *daemon, dipole_error *error);
 

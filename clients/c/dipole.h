@@ -19,9 +19,9 @@
  * Units: lengths in mm, coefficients in 1/mm, R in 1/mm^2 per unit of power that entered the
  * medium.
  *
- * A client is one connection and belongs to one thread at a time; use one client for each thread.
- * There is no global state, and nothing here ends the program: errors are values. Functions that return bool return
- * false on failure and then fill *error (which may be NULL).
+ * A client is one connection and belongs to one thread at a time: use one client for each thread.
+ * The library has no global state and never ends the program. A function that returns bool returns
+ * false on failure and then fills *error; error may be NULL.
  */
 #ifndef DIPOLE_H
 #define DIPOLE_H
@@ -40,28 +40,32 @@ typedef struct dipole_client dipole_client;
 
 enum dipole_error_kind {
   DIPOLE_ERROR_NONE = 0,
-  DIPOLE_ERROR_ADDRESS,    /* the address cannot be understood */
-  DIPOLE_ERROR_CONNECT,    /* nobody answers there */
-  DIPOLE_ERROR_CONNECTION, /* the connection was lost or timed out, and see dipole_set_retry_ms();
-                              the client can only be closed */
-  DIPOLE_ERROR_PROTOCOL,   /* the peer does not speak this protocol; likewise */
-  DIPOLE_ERROR_MEMORY,     /* out of memory; within an answer: the client can only be closed */
-  DIPOLE_ERROR_ARGUMENT,   /* the call's arguments do not fit together */
-  DIPOLE_ERROR_REFUSED,    /* the daemon refused the request; the client goes on working */
-  DIPOLE_ERROR_TABLE,      /* the bytes are not an intact table of a layout that is known here */
-  DIPOLE_ERROR_STOPPED,    /* the caller wanted no more of an answer; the client goes on working */
-  DIPOLE_ERROR_TIMEOUT,    /* the call took longer than call_timeout_ms; likewise */
-  DIPOLE_ERROR_FULL,       /* in_flight_max queries are outstanding; likewise */
+
+  /* After these the client goes on working. */
+  DIPOLE_ERROR_ARGUMENT = 6, /* The call's arguments do not fit together. */
+  DIPOLE_ERROR_REFUSED,      /* The daemon refused the request. */
+  DIPOLE_ERROR_TABLE,        /* The bytes are not an intact table of a layout that is known here. */
+  DIPOLE_ERROR_STOPPED,      /* The caller wanted no more of an answer. */
+  DIPOLE_ERROR_TIMEOUT,      /* The call took longer than call_timeout_ms. */
+  DIPOLE_ERROR_FULL,         /* in_flight_max queries are outstanding. */
+
+  /* After these there is no client, or it can only be closed. */
+  DIPOLE_ERROR_ADDRESS = 1, /* The address is not written as an address. */
+  DIPOLE_ERROR_CONNECT,     /* Nobody answers at the address. */
+  DIPOLE_ERROR_CONNECTION,  /* The connection was lost or timed out: see dipole_set_retry_ms(). */
+  DIPOLE_ERROR_PROTOCOL,    /* The peer does not speak this protocol. */
+  DIPOLE_ERROR_MEMORY,      /* There is no memory. The client works on unless it met an answer. */
 };
 
 typedef struct dipole_error {
   enum dipole_error_kind kind;
-  unsigned status;         /* REFUSED: the daemon's status code */
-  uint64_t index;          /* REFUSED: the position of the value at fault in its array */
-  char field[33];          /* REFUSED: the field at fault, or "" */
-  char allowed[81];        /* REFUSED: what is allowed there, or "" */
-  uint32_t retry_after_ms; /* REFUSED because the daemon is busy: when to try again; else 0 */
-  char text[256];          /* the whole of it in words, for people */
+  /* The next four are set for kind REFUSED. */
+  unsigned status;         /* the daemon's status code */
+  uint64_t index;          /* position of the value at fault in its array */
+  char field[33];          /* name of the field at fault, or "" */
+  char allowed[81];        /* what is allowed in that field, or "" */
+  uint32_t retry_after_ms; /* when to ask again if the daemon is busy; else 0 */
+  char text[256];          /* all of it in words, for people */
 } dipole_error;
 
 /* ---- connecting ---------------------------------------------------------------------------- */
@@ -69,53 +73,53 @@ typedef struct dipole_error {
 /* Connects, agrees on a protocol version and reads the daemon's lists. address is one of
  *   unix:PATH          a Unix socket
  *   tcp:HOST:PORT      TCP ([::1]:PORT for IPv6)
- *   private:           starts a dipoled of its own that ends with the client; the program is found
- *                      beside the running one, then in $PATH
- *   private:PROGRAM    the same, with this program
- *   NULL               $DIPOLED when that is set, else private:
- * or several of unix: and tcp:, separated by commas without blanks (a comma that none of these
- * words follows is part of a path): see "several daemons" below.
- * *client is to be closed with dipole_close(). On failure it is NULL; kind REFUSED then means that
- * the daemon did not take the connection, for example because it has too many. */
+ *   private:           starts a dipoled that serves only this client and ends with it: the one beside
+ *                      the running program, else the one in $PATH. It logs only errors.
+ *   private:PROGRAM    the same with this program
+ *   NULL               $DIPOLED if that is set, else private:
+ * Several unix: and tcp: addresses may be given, separated by commas without blanks: see "Several
+ * daemons" below. A comma that no unix: or tcp: follows is part of a path. The caller closes
+ * *client with dipole_close(). On failure *client is NULL; kind REFUSED then means that the daemon
+ * did not take the connection, for example because it has too many. */
 bool dipole_open(const char *address, dipole_client **client, dipole_error *error);
 
-/* What dipole_options_init() sets. */
+/* The values that dipole_options_init() sets. */
 #define DIPOLE_CONNECT_TIMEOUT_MS 10000
 #define DIPOLE_TIMEOUT_MS 30000
 #define DIPOLE_RETRY_MS 5000
 #define DIPOLE_IN_FLIGHT_MAX 4096
 
-/* How a client connects, how long it waits, and how much it lets wait. */
+/* How a client connects, how long it waits, and how many queries may be outstanding. */
 typedef struct dipole_options {
-  /* Connecting to an address until the daemon has said hello takes no longer than this; 0: no
-   * limit. Of private: addresses timeout_ms holds instead. Finding a host's addresses by its name
-   * comes before that, and has the system's own limit. Default: 10000. */
+  /* The longest time for connecting to an address, until the daemon has said hello; 0 is no limit.
+   * private: addresses have timeout_ms as their limit instead. The system looks up a host's name
+   * before that, with a limit of its own. Default: 10000. */
   unsigned connect_timeout_ms;
-  /* A call waits for so long without any byte arriving or leaving; 0: for ever. Then the connection
-   * is given up. Default: 30000. */
+  /* The connection is given up when a call has waited so long without any byte arriving or leaving;
+   * 0 is no limit. Default: 30000. */
   unsigned timeout_ms;
-  /* No call but dipole_mc() takes longer than this, reconnecting included; 0: no limit. Then it
-   * fails with kind TIMEOUT and the client goes on working: what was submitted is still
-   * outstanding, the answer to anything else is thrown away when it comes. The daemon is not told
-   * (see deadline_ms of a query). Default: 0. */
+  /* The longest time for any call but dipole_mc(), reconnecting included; 0 is no limit. The call
+   * then fails with kind TIMEOUT and the client goes on working. Submitted queries are still
+   * outstanding; the answer to any other request is thrown away when it comes. The daemon does not
+   * know this limit; it knows the deadline_ms of a query. Default: 0. */
   unsigned call_timeout_ms;
-  /* See dipole_set_retry_ms(); of private: addresses 0 holds. Default: 5000. */
+  /* See dipole_set_retry_ms(). private: addresses have 0. Default: 5000. */
   unsigned retry_ms;
-  /* Opening is tried again for so long while nobody answers or all are busy, with the pauses of
-   * dipole_set_retry_ms(); 0: each address is tried once. Default: 0. */
+  /* How long opening is tried again while nobody answers or all daemons are busy, with the pauses
+   * of dipole_set_retry_ms(); 0: each address is tried once. Default: 0. */
   unsigned open_ms;
-  /* dipole_submit() fails with kind FULL when so many queries are outstanding; 0: no limit.
+  /* dipole_submit() fails with kind FULL when so many queries are outstanding; 0 is no limit.
    * Default: 4096. */
   unsigned in_flight_max;
-  /* Of several addresses the first one that is tried is chosen at random, so that many clients
-   * spread over them. Default: false, the first one in the list. */
+  /* Which of several addresses is tried first. false: the first one in the list; true: a random
+   * one, so that many clients spread over the daemons. Default: false. */
   bool spread;
   unsigned reserved[8]; /* 0 */
 } dipole_options;
 
 void dipole_options_init(dipole_options *options);
 
-/* dipole_open() with other options than the default ones; options may be NULL. */
+/* dipole_open() with options. NULL: the default ones. */
 bool dipole_open_with(const char *address, const dipole_options *options, dipole_client **client,
                       dipole_error *error);
 
@@ -123,49 +127,49 @@ bool dipole_open_with(const char *address, const dipole_options *options, dipole
 bool dipole_open_within(const char *address, unsigned timeout_ms, dipole_client **client,
                         dipole_error *error);
 
-/* Change an option for the calls that follow. */
+/* These change an option for the calls that follow. */
 void dipole_set_timeout_ms(dipole_client *client, unsigned timeout_ms);
 void dipole_set_call_timeout_ms(dipole_client *client, unsigned call_timeout_ms);
 
-/* Unanswered requests are kept, up to so many bytes in all, to be sent again. */
+/* The most bytes of unanswered requests that are kept to be sent again. */
 #define DIPOLE_RETRY_KEPT_BYTES ((size_t)64 << 20)
 
-/* Sets how long a request that meets trouble is tried again; 0, which is the default of private:
- * addresses, means not at all. It holds for requests from the next one on.
+/* Sets how long a request that meets trouble is tried again, from the next request on. 0, the
+ * default of private: addresses, is not at all.
  *
- * Trouble is a connection that is lost or that the daemon ends (SHUTTING_DOWN, TIMEOUT), and the
- * answers BUSY and SHUTTING_DOWN. The client then connects again, with pauses from 10 ms on,
- * doubled up to 1 s, shortened at random by up to a half, and sends all that is outstanding again,
- * with the same ids, what is left of its deadline, and not before the daemon's retry_after_ms. What
- * has no answer retry_ms after its first trouble fails as it would have done at once: with
- * CONNECTION, or REFUSED.
+ * Trouble is a lost connection, a daemon that ends the connection (SHUTTING_DOWN, TIMEOUT), and the
+ * answers BUSY and SHUTTING_DOWN. The client then connects again and sends all that is outstanding
+ * again, with the same ids and what is left of the deadlines, and not before the daemon's
+ * retry_after_ms. The pauses between two attempts grow from 10 ms to 1 s, doubled each time and
+ * shortened at random by up to a half. A request without an answer retry_ms after its first trouble
+ * fails as it would have failed at once: with CONNECTION or REFUSED.
  *
- * Only what has the same one right answer whoever gives it is asked again: all requests but those
- * of dipole_mc(), whose photons would be lost. No answer is wrong or comes twice. The connection
- * is given up, and all outstanding requests with it, when it is lost while one of them cannot be
- * asked again: one of dipole_mc(); one of dipole_eval_parts() of which parts have been handed on;
- * one that DIPOLE_RETRY_KEPT_BYTES have no room for; likewise when the daemon that is there now
- * does not have the same lists (see dipole_get_info(), which goes on to tell of the first one). A
- * daemon that stays connected and silent for the timeout is not asked again.
+ * A request is sent again only if every daemon gives it the same answer. This holds for all
+ * requests but those of dipole_mc(), whose photons would be lost. No answer is wrong or comes
+ * twice.
  *
- * Several daemons. Of several addresses the first one that answers is connected to. When that
- * connection is lost, or its daemon stays silent for the timeout, the next one in the list is tried,
- * then the one after it, and after the last one the first again; the pauses above are made before
- * each such round. An address that does not answer costs no more of retry_ms (or of open_ms) than
- * its share, so that every address has its turn. What was outstanding is sent again to the daemon
- * that is found: daemons of the same version give the same bits, on every machine. One with other
- * lists is passed over. The client stays with the daemon that it has found for as long as that
- * answers. */
+ * When the connection is lost, all outstanding requests fail with it if one of them cannot be sent
+ * again. These are: a request of dipole_mc(); one of dipole_eval_parts() that has handed on a part;
+ * and one for which DIPOLE_RETRY_KEPT_BYTES had no room. They also fail if the new daemon has other
+ * lists: see dipole_get_info(), which goes on to describe the first daemon. A daemon that stays
+ * connected and silent for timeout_ms is not asked again.
+ *
+ * Several daemons. The client connects to the first address that answers. When that connection is
+ * lost, or its daemon is silent for timeout_ms, it tries the next address in the list, and so on in
+ * a circle. The pauses above come before each round. An address that does not answer takes at most
+ * an equal part of the time that is left of retry_ms or open_ms, so that every address has its
+ * turn. Outstanding requests go to the daemon that is found: daemons of the same version give the
+ * same bits on every machine. A daemon with other lists is skipped. The client stays with the
+ * daemon that it has found while that answers. */
 void dipole_set_retry_ms(dipole_client *client, unsigned retry_ms);
 
-/* At most so many addresses can be named. */
+/* The most addresses in a list. */
 #define DIPOLE_ADDRESSES_MAX 16
 
-/* The address of the daemon that the client is connected to now, or tries next; owned by the
- * client. */
+/* The address of the daemon that the client is connected to, or tries next. The client owns it. */
 const char *dipole_address(const dipole_client *client);
 
-/* Closes the connection, ends a private daemon, frees the client. NULL is fine. */
+/* Closes the connection, ends a private daemon and frees the client. client may be NULL. */
 void dipole_close(dipole_client *client);
 
 /* ---- what the daemon offers ---------------------------------------------------------------- */
@@ -187,18 +191,18 @@ typedef struct dipole_choice {
   enum dipole_kind kind;
   unsigned id;
   const char *name;
-  const char *about; /* source of a model, unit of a quantity, meaning of anything else (of a
-                        parameter: unit, meaning and range) */
+  const char *about; /* Source of a model; unit of a quantity; unit, meaning and range of a
+                        parameter; meaning of anything else. */
 } dipole_choice;
 
 typedef struct dipole_value {
-  const char *name; /* unit last: max_frame_bytes */
+  const char *name; /* ends with the unit, as in max_frame_bytes */
   uint64_t value;
 } dipole_value;
 
-/* What the daemon said of itself; owned by the client and valid until it is closed. */
+/* What the daemon said about itself. */
 typedef struct dipole_info {
-  const char *address; /* as connected to; of several the one that answered first */
+  const char *address; /* of several, the one that answered first */
   const char *software;
   const char *instruction_set;
   const char *R_unit;
@@ -210,34 +214,35 @@ typedef struct dipole_info {
   size_t limit_count;
 } dipole_info;
 
+/* The client owns the info, which is valid until the client is closed. */
 const dipole_info *dipole_get_info(const dipole_client *client);
 
-/* The id of the choice of this kind with this name; 0: the daemon has none (only the
- * status ok has the id 0). */
+/* The id of the choice of this kind with this name, or 0 if the daemon has none. The only choice
+ * whose id is 0 is the status ok. */
 unsigned dipole_id(const dipole_client *client, enum dipole_kind kind, const char *name);
 
 /* ---- evaluating ---------------------------------------------------------------------------- */
 
-/* Ids that are permanent; models are asked for by name, see dipole_id(). */
+/* These ids are permanent. Find the id of a model by its name, with dipole_id(). */
 enum { DIPOLE_ANY_MODEL = 0 }; /* see dipole_query.model */
 enum dipole_evaluator {
-  DIPOLE_F64 = 1, /* computes, in double precision */
-  DIPOLE_F32 = 2, /* in single precision */
-  DIPOLE_LUT = 3  /* looks up in a table, in single precision; the parameter tolerance is what the
-                     table is built to, from 1e-6; 1e-4 if not given */
+  DIPOLE_F64 = 1, /* computes in double precision */
+  DIPOLE_F32 = 2, /* computes in single precision */
+  DIPOLE_LUT = 3  /* looks up in a table, in single precision. The parameter tolerance is the error
+                     that the table is built to: 1e-6 or more, by default 1e-4. */
 };
 enum dipole_moments { DIPOLE_EXACT = 1, DIPOLE_FIT = 2, DIPOLE_JENSEN = 3 };
 enum dipole_quantity {
   DIPOLE_R = 1,      /* 1/mm^2 per unit of power that entered */
-  DIPOLE_ALBEDO = 2, /* one for each medium: the integral of 2 pi r R(r) */
+  DIPOLE_ALBEDO = 2, /* the integral of 2 pi r R(r), one value for each medium */
   DIPOLE_CDF = 4,    /* the energy within r over the albedo */
-  DIPOLE_RADIUS = 8, /* the radii, once: of a grid, those that were taken */
+  DIPOLE_RADIUS = 8, /* mm: the radii that were used, one array for all media */
   DIPOLE_SLOPE = 16, /* dR/dr, 1/mm^3 */
-  DIPOLE_LN_R = 32,  /* ln of R in 1/mm^2; goes on where R has underflowed. Its error is absolute:
-                        the numerical error and 8 epsilon |ln R| */
+  DIPOLE_LN_R = 32,  /* ln of R in 1/mm^2, also where R has underflowed. Its error is absolute: the
+                        numerical error plus 8 epsilon |ln R|. */
   DIPOLE_PDF = 64,   /* the density of radii, 2 pi r R over the albedo, 1/mm */
-  DIPOLE_RING = 128, /* 2 pi r R, 1/mm: the power that leaves per mm of radius; finite at r = 0,
-                        where R of some models is infinite */
+  DIPOLE_RING = 128, /* 2 pi r R, 1/mm: the power that leaves per mm of radius. It is finite at
+                        r = 0, where R of some models is infinite. */
   DIPOLE_S = 256     /* the BSSRDF, 1/(mm^2 sr), for the parameters cos_in and cos_out */
 };
 enum dipole_spacing { DIPOLE_LIST = 1, DIPOLE_LINEAR = 2, DIPOLE_LOGARITHMIC = 3 };
@@ -245,59 +250,58 @@ enum dipole_spacing { DIPOLE_LIST = 1, DIPOLE_LINEAR = 2, DIPOLE_LOGARITHMIC = 3
 typedef struct dipole_medium {
   double sigma_a_per_mm; /* absorption coefficient, 0 to 1e15 */
   double sigma_s_per_mm; /* scattering coefficient, 0 to 1e15 */
-  double g;              /* mean cosine of the phase function, in (-1, 1) */
-  double eta;            /* index inside over index outside, 0.001 to 1000 */
+  double g;              /* mean cosine of the phase function, between -1 and 1 */
+  double eta;            /* index of refraction inside over that outside, 0.001 to 1000 */
 } dipole_medium;
 
-/* An optional number of a query. Which there are, their units and ranges: the choices of kind
- * DIPOLE_PARAMETER; dipole_id(client, DIPOLE_PARAMETER, "cos_in"). A model refuses what it does not
- * take. */
+/* An optional number of a query. The choices of kind DIPOLE_PARAMETER tell which there are, with
+ * their units and ranges. A model refuses a parameter that it does not take. */
 typedef struct dipole_parameter {
-  unsigned id;
-  double value; /* a number: a parameter that is not wanted is left out */
+  unsigned id;  /* for example dipole_id(client, DIPOLE_PARAMETER, "cos_in") */
+  double value; /* not NaN */
 } dipole_parameter;
 
 typedef struct dipole_query {
-  /* dipole_id(client, DIPOLE_MODEL, name), or DIPOLE_ANY_MODEL: the cheapest model and evaluator
-   * that are measured to be within the parameter `tolerance` of radiative transport, for all media,
-   * from the smallest to the largest radius asked for. The result names what was taken. */
+  /* dipole_id(client, DIPOLE_MODEL, name). Or DIPOLE_ANY_MODEL: the cheapest model and evaluator
+   * that are measured to be within the parameter `tolerance` of radiative transport, for all media
+   * and from the smallest to the largest radius. The result names those that were taken. */
   unsigned model;
-  unsigned evaluator; /* enum dipole_evaluator: also the type of radii and values; of any model no
-                         more than that: DIPOLE_F32 and DIPOLE_LUT then mean the same */
-  unsigned moments;   /* enum dipole_moments */
-  unsigned wanted;    /* sum of enum dipole_quantity; DIPOLE_RADIUS returns a grid's radii */
+  unsigned evaluator;         /* enum dipole_evaluator: also the type of radii and values. With
+                         DIPOLE_ANY_MODEL it is only the type: F32 and LUT then mean the same. */
+  unsigned moments;           /* enum dipole_moments */
+  unsigned wanted;            /* sum of enum dipole_quantity */
   const dipole_medium *media; /* [medium_count], one for each channel */
   uint32_t medium_count;
   unsigned spacing;  /* enum dipole_spacing */
-  const void *radii; /* list: [radius_count] of double (f64) or float, mm, 0 to infinity */
+  const void *radii; /* for LIST: [radius_count] of double (F64) or float, mm, 0 to infinity */
   uint64_t radius_count;
-  double radius_start_mm;             /* linear, logarithmic: the first radius */
-  double radius_stop_mm;              /* and the last */
-  const dipole_parameter *parameters; /* [parameter_count], each id at most once; NULL: none */
+  double radius_start_mm;             /* for LINEAR and LOGARITHMIC: the first radius */
+  double radius_stop_mm;              /* and the last one */
+  const dipole_parameter *parameters; /* [parameter_count], each id at most once; NULL for none */
   size_t parameter_count;
-  /* After so many ms the daemon answers with an error of kind REFUSED, status `deadline`, instead
-   * of a later result; they count from the arrival of the query. 0: no matter. */
+  /* The daemon refuses with status `deadline` what it cannot answer within so many ms after the
+   * query has arrived. 0 is no limit. */
   unsigned deadline_ms;
-  /* NULL: the result holds its arrays. Otherwise they are received where the caller wants them:
-   * into_values is [medium_count][quantities wanted that have an array][radius_count] of double or
-   * float, the quantities in the order of enum dipole_quantity, and into_radii [radius_count] if
-   * DIPOLE_RADIUS is wanted. Both are the caller's, must not be touched until the query has been
-   * collected, refused or given up or the client is closed, and hold nothing of use unless the call
-   * that hands out the result succeeds. dipole_eval_parts() does not use them. */
+  /* Memory of the caller for the answer; NULL: the result holds its arrays. into_values is
+   * [medium_count][wanted quantities with an array][radius_count] of double or float, with the
+   * quantities in the order of enum dipole_quantity. into_radii is [radius_count], needed if
+   * DIPOLE_RADIUS is wanted. Do not touch this memory until the query is collected, refused or
+   * given up, or the client is closed. It holds values only if the call that hands out the result
+   * succeeds. dipole_eval_parts() does not use it. */
   void *into_values;
   void *into_radii;
 } dipole_query;
 
-/* The answer for one medium. An array is NULL when its quantity was not wanted or when the
- * evaluator has the other type: *_f64 are of DIPOLE_F64, *_f32 of the others. */
+/* The answer for one medium. An array is NULL if its quantity was not wanted, or if the evaluator
+ * has the other type: *_f64 belong to DIPOLE_F64, *_f32 to the others. */
 typedef struct dipole_channel {
-  double albedo; /* NaN when not wanted */
+  double albedo; /* NaN if not wanted */
   /* A value at radius r is off from the model's formula by at most
    * numerical_error + numerical_error_per_mm * r, relative. */
   double numerical_error;
   double numerical_error_per_mm;
-  double model_error;    /* of the model against radiative transport, relative; NaN: not measured;
-                            of DIPOLE_ANY_MODEL: for the radii asked for */
+  double model_error;    /* Error of the model against radiative transport, relative; NaN if it was
+                            not measured. With DIPOLE_ANY_MODEL it holds for the radii asked for. */
   const double *R_f64;   /* [radius_count], 1/mm^2 */
   const double *cdf_f64; /* [radius_count] */
   const float *R_f32;
@@ -305,7 +309,7 @@ typedef struct dipole_channel {
 } dipole_channel;
 
 typedef struct dipole_result {
-  unsigned model, evaluator, moments, wanted; /* as taken by the daemon */
+  unsigned model, evaluator, moments, wanted; /* those that the daemon took */
   unsigned notes; /* sum of the ids of the choices of kind DIPOLE_NOTE that hold for a channel */
   uint64_t radius_count;
   const double *radius_f64; /* [radius_count], mm; NULL unless DIPOLE_RADIUS was wanted */
@@ -314,75 +318,75 @@ typedef struct dipole_result {
   const dipole_channel *channels; /* [channel_count], in the order of the query's media */
 } dipole_result;
 
-/* Evaluates and waits for the answer. *result is the caller's, to be freed with
- * dipole_result_free(). Answers to submitted queries that arrive meanwhile are kept. An answer of
- * any size is one result, as large as memory allows. */
+/* Evaluates and waits for the answer, which may have any size that fits into memory. The caller
+ * frees *result with dipole_result_free(). Answers to submitted queries that arrive meanwhile are
+ * kept. */
 bool dipole_eval(dipole_client *client, const dipole_query *query, dipole_result **result,
                  dipole_error *error);
 
-/* Evaluates like dipole_eval(), but keeps nothing: whatever the daemon sends at a time is handed to
- * part() as soon as it is here, so that an answer may be larger than memory. How many radii come at
- * a time is the daemon's choice; an answer that fits into a frame (limit max_frame_bytes) is one
- * part, of a larger one parts have up to max_part_bytes.
+/* Evaluates like dipole_eval(), but hands each part of the answer to part() as soon as it arrives
+ * and keeps nothing, so that an answer may be larger than memory. The daemon chooses how many radii
+ * come at a time: an answer that fits into a frame (limit max_frame_bytes) is one part; the parts
+ * of a larger one have up to max_part_bytes.
  *
- * part() is called for one part after the other. *part is a result of its own, for the
- * part->radius_count radii that begin at position radius_first of those asked for; its arrays hold
- * these, and all else is the same in every part. It is valid until the function returns, which must
- * neither free it nor use the client. While it works the daemon waits.
+ * *part is a result for the part->radius_count radii from position radius_first on of those asked
+ * for. Everything but its arrays is the same in all parts. It is valid until part() returns, which
+ * must neither free it nor use the client. The daemon waits while part() works.
  *
- * True: all parts have been there. False: an error ended the answer; what had come before is right,
- * and part() may have been called for it. When part() returns false the error is of kind STOPPED;
- * the client goes on working, but the next calls have to wait until the rest has come, and throw it
- * away: where much of it is left it is better to close the client. */
+ * Returns true when part() has got all parts. Returns false if an error ended the answer; the parts
+ * before it are right. When part() returns false, the call fails with kind STOPPED. The client goes
+ * on working, but its next calls wait until the rest has come and throw it away: if much is left,
+ * it is better to close the client. */
 bool dipole_eval_parts(dipole_client *client, const dipole_query *query,
                        bool (*part)(void *context, const dipole_result *part,
                                     uint64_t radius_first),
                        void *context, dipole_error *error);
 
-void dipole_result_free(dipole_result *result); /* NULL is fine */
+void dipole_result_free(dipole_result *result); /* result may be NULL */
 
-/* The array of any quantity that has a value for each radius (all but albedo and, but for
- * dipole_sample(), radius): [radius_count], owned by the result. NULL when it was not wanted, when
- * the evaluator has the other type, or when there is no such channel. For R and cdf the channel's
- * own fields say the same. */
+/* The array of a quantity: [radius_count], owned by the result. NULL if the quantity was not wanted
+ * or has no array for each channel, if the evaluator has the other type, or if there is no such
+ * channel. Only the albedo has no array, and the radius has none but in a result of
+ * dipole_sample(). */
 const double *dipole_values_f64(const dipole_result *result, uint32_t channel, unsigned quantity);
 const float *dipole_values_f32(const dipole_result *result, uint32_t channel, unsigned quantity);
 
 /* ---- many at once -------------------------------------------------------------------------- */
 
-/* Queries can be sent without waiting for the answers to those before, and their answers collected
+/* Queries can be sent without waiting for the answers to earlier ones. Their answers are collected
  * in any order:
  *
  *   for (i = 0; i < n; i++) { dipole_submit(client, &queries[i], &ids[i], &error) ... }
  *   for (i = 0; i < n; i++) { dipole_collect(client, &id, &result, &error) ... }
  *
- * What arrives meanwhile is received by whatever call waits, also by dipole_submit() when the
- * daemon takes no more: so that a program that submits without collecting cannot make both sides
- * wait for each other. It costs the memory of the answers instead, which in_flight_max bounds. A
- * program that does not call the library for a while is waited for by the daemon. */
+ * Every call that waits receives what arrives, also dipole_submit() when the daemon takes no more.
+ * So a program that submits without collecting cannot make both sides wait for each other, but the
+ * answers take memory: in_flight_max limits how many. The daemon waits while a program does not
+ * call the library. */
 
-/* Submits a query and sets *id, which is never 0. The query is copied, its radii too; into_values and
- * into_radii are kept. False with kind FULL: in_flight_max queries are outstanding; with kind
- * TIMEOUT: the query was not submitted. */
+/* Submits a query and sets *id, which is never 0. The query and its radii are copied; into_values
+ * and into_radii are not. Fails with kind FULL if in_flight_max queries are outstanding. After kind
+ * TIMEOUT the query is not submitted. */
 bool dipole_submit(dipole_client *client, const dipole_query *query, uint64_t *id,
                    dipole_error *error);
 
-/* Sends what has been submitted and is held back: up to a quarter of the outstanding queries, and
- * 16 KiB, are, until a call waits. For a program that now does something else for a while. */
+/* Sends the queries that are held back. Until a call waits, the library holds back up to a quarter
+ * of the outstanding queries and up to 16 KiB. A program that now does something else for a while
+ * calls this first. */
 void dipole_flush(dipole_client *client);
 
-/* Waits for the answer to any outstanding query, the one that comes next, and sets *id to it. False
- * with kind REFUSED: the query *id was refused, others go on. False with kind TIMEOUT: none has come
- * in time, all go on. False with kind ARGUMENT: nothing is outstanding. */
+/* Waits for the next answer to an outstanding query and sets *id to that query's. The caller frees
+ * *result with dipole_result_free(). Kind REFUSED: the query *id was refused, the others go on.
+ * Kind TIMEOUT: no answer came in time, and all queries go on. Kind ARGUMENT: nothing is
+ * outstanding. */
 bool dipole_collect(dipole_client *client, uint64_t *id, dipole_result **result,
                     dipole_error *error);
 
-/* Likewise for the answer to one outstanding query. False with kind ARGUMENT: there is none with
- * this id. */
+/* The same for one outstanding query. Kind ARGUMENT: no outstanding query has this id. */
 bool dipole_collect_id(dipole_client *client, uint64_t id, dipole_result **result,
                        dipole_error *error);
 
-/* How many queries have been submitted and not been collected. */
+/* The number of queries that have been submitted and not been collected. */
 size_t dipole_outstanding(const dipole_client *client);
 
 /* ---- the trade between speed and accuracy -------------------------------------------------- */
@@ -391,23 +395,24 @@ size_t dipole_outstanding(const dipole_client *client);
 typedef struct dipole_offer {
   unsigned model;     /* id of the daemon's list */
   unsigned evaluator; /* enum dipole_evaluator */
-  bool meets;         /* the parameter tolerance; false: not, or not known to */
+  bool meets;         /* It is known to keep the parameter tolerance. */
   double error;       /* relative, against radiative transport, for the query's radii, all of its
-                         media and all that is wanted; INFINITY: not known */
-  double numerical_error; /* the share of that which is the evaluator's; of a table: asked of it */
-  double cost_ns;         /* of a value, as measured once, on one machine */
-  double prepare_ns;      /* of a medium, likewise */
+                         media and all that is wanted; INFINITY if it is not known */
+  double numerical_error; /* the evaluator's part of error; of a table, the error it is built to */
+  double cost_ns;         /* of one value, as measured once on one machine */
+  double prepare_ns;      /* of one medium, measured likewise */
 } dipole_offer;
 
-/* What could answer a query whose model is DIPOLE_ANY_MODEL, cheapest first: *offers is an array
- * for the caller to free(). Of listed radii only the range matters. *taken (which may be NULL) is
- * the position of the one that dipole_eval() would take; *count: none. */
+/* Lists what could answer a query whose model is DIPOLE_ANY_MODEL, cheapest first. The caller frees
+ * *offers, an array of *count, with free(). Of listed radii only the range matters. *taken: the
+ * position of the offer that dipole_eval() would take, or *count if there is none; taken may be
+ * NULL. */
 bool dipole_offers(dipole_client *client, const dipole_query *query, dipole_offer **offers,
                    size_t *count, size_t *taken, dipole_error *error);
 
 /* ---- drawing radii ------------------------------------------------------------------------- */
 
-/* How the numbers u of a query are given; i from 0 to sample_count - 1. */
+/* How the numbers u of a query are given, for i from 0 to sample_count - 1. */
 enum dipole_draw {
   DIPOLE_DRAW_LIST = 1,       /* by numbers */
   DIPOLE_DRAW_REGULAR = 2,    /* (i + 1/2) / sample_count */
@@ -416,39 +421,39 @@ enum dipole_draw {
 };
 
 typedef struct dipole_sample_query {
-  unsigned model;     /* dipole_id(client, DIPOLE_MODEL, name); one that covers all radii */
+  unsigned model;     /* dipole_id(client, DIPOLE_MODEL, name) of a model that covers all radii */
   unsigned evaluator; /* enum dipole_evaluator: also the type of numbers, radii and values */
   unsigned moments;   /* enum dipole_moments */
-  unsigned wanted; /* sum of enum dipole_quantity: DIPOLE_RADIUS are the radii that are drawn; all
-                         others are evaluated at them */
+  unsigned wanted;    /* Sum of enum dipole_quantity. DIPOLE_RADIUS is the drawn radii; all other
+                      quantities are evaluated at them. */
   const dipole_medium *media; /* [medium_count], one for each channel */
   uint32_t medium_count;
-  unsigned draw;       /* enum dipole_draw: the numbers are the same for all channels */
-  const void *numbers; /* list: [sample_count] of double (f64) or float, 0 to 1, both included */
+  unsigned draw;       /* enum dipole_draw. All channels get the same numbers. */
+  const void *numbers; /* for LIST: [sample_count] of double (F64) or float, 0 to 1 included */
   uint64_t sample_count;
-  uint64_t sample_first; /* random; 0 to 2^52 */
-  uint64_t seed;         /* random, stratified: the same seed gives the same bits everywhere */
+  uint64_t sample_first; /* for RANDOM: 0 to 2^52 */
+  uint64_t seed;         /* for RANDOM and STRATIFIED: a seed gives the same bits everywhere */
   const dipole_parameter *parameters; /* [parameter_count], as of an eval */
   size_t parameter_count;
   unsigned deadline_ms; /* as of an eval */
 } dipole_sample_query;
 
-/* Draws radii in proportion to r R(r): the radius for each number u is the one with cdf(r) = u, 0
- * mm for 0 and INFINITY for 1. Its pdf (DIPOLE_PDF) is in 1/mm; pdf / (2 pi r) is the density of
- * points per mm^2. Waits for the answer, in which radius_count is sample_count, dipole_values_f64()
- * or ..._f32() with DIPOLE_RADIUS are the radii of a channel, and radius_f64 and radius_f32 are
- * NULL. *result is the caller's, to be freed with dipole_result_free(). */
+/* Draws radii in proportion to r R(r) and waits for the answer: the radius for a number u is the
+ * one with cdf(r) = u, which is 0 mm for 0 and INFINITY for 1. DIPOLE_PDF is in 1/mm; pdf / (2 pi
+ * r) is the density of points per mm^2. In the result, radius_count is sample_count, and
+ * dipole_values_f64() or dipole_values_f32() give the radii of a channel for DIPOLE_RADIUS;
+ * radius_f64 and radius_f32 are NULL. The caller frees *result with dipole_result_free(). */
 bool dipole_sample(dipole_client *client, const dipole_sample_query *query, dipole_result **result,
                    dipole_error *error);
 
-/* The numbers begin, ..., begin + n - 1 of a query that has them by rule, without a daemon: u[n] of
- * double (f64) or float, the bits that the daemon draws with. False: there are none such. */
+/* Computes the numbers begin, ..., begin + n - 1 of a query that has them by a rule, without a
+ * daemon and with the daemon's bits. u: [n] of double (F64) or float. */
 bool dipole_sample_numbers(const dipole_sample_query *query, uint64_t begin, size_t n, void *u,
                            dipole_error *error);
 
 /* ---- from albedos to coefficients ---------------------------------------------------------- */
 
-/* Which length of a medium is known; sigma_t' = sigma_a + sigma_s (1 - g). */
+/* Which length of a medium is known. sigma_t' = sigma_a + sigma_s (1 - g). */
 enum dipole_length {
   DIPOLE_MEAN_FREE_PATH = 1, /* 1 / sigma_t' */
   DIPOLE_DIFFUSE_MEAN_FREE_PATH =
@@ -457,23 +462,25 @@ enum dipole_length {
 };
 
 typedef struct dipole_invert_query {
-  unsigned model;   /* whose albedo is known; one whose albedo depends on the medium */
+  unsigned model;   /* the model under which the albedo is known; it must depend on the medium */
   unsigned moments; /* enum dipole_moments */
   unsigned given;   /* enum dipole_length */
   double g, eta;    /* of all media */
   const double
       *albedos; /* [medium_count], 0 to 1: integral of 2 pi r R(r), per power that entered */
   const double *lengths_mm; /* [medium_count], 1e-14 to 1e14 */
-  uint64_t medium_count; /* at least 1; as many as a frame has room for, see max_frame_bytes; of a
-                               model that takes long to prepare (transport: seconds for each), up to
-                               the limit max_media */
-  unsigned deadline_ms;  /* as of an eval */
+  uint64_t
+      medium_count;     /* At least 1, and as many as fit into a frame: limit max_frame_bytes. For a
+                            model that takes seconds to prepare, such as transport, at most the
+                            limit max_media. */
+  unsigned deadline_ms; /* as of an eval */
 } dipole_invert_query;
 
-/* Arrays: [medium_count], in the order of the query; NaN where there is no such medium. */
+/* The arrays are [medium_count], in the order of the query, with NaN where there is no such
+ * medium. */
 typedef struct dipole_inversion {
   uint64_t medium_count;
-  uint64_t missing_count; /* how many there are not */
+  uint64_t missing_count; /* how many media are NaN */
   const double *sigma_a_per_mm;
   const double *sigma_s_per_mm;
   const double
@@ -484,18 +491,18 @@ typedef struct dipole_inversion {
       albedo_most; /* between these has no medium, nor has one without absorption a diffuse path */
 } dipole_inversion;
 
-/* Finds the media that have the given albedos and lengths, and waits for the answer. *inversion is
- * the caller's, to be freed with dipole_inversion_free(). */
+/* Finds the media that have the given albedos and lengths, and waits for the answer. The caller
+ * frees *inversion with dipole_inversion_free(). */
 bool dipole_invert(dipole_client *client, const dipole_invert_query *query,
                    dipole_inversion **inversion, dipole_error *error);
 
-void dipole_inversion_free(dipole_inversion *inversion); /* NULL is fine */
+void dipole_inversion_free(dipole_inversion *inversion); /* inversion may be NULL */
 
 /* ---- tables -------------------------------------------------------------------------------- */
 
-/* The table of one medium by which the evaluator DIPOLE_LUT works, to be evaluated here: without a
- * daemon, and with the same bits. Nothing changes a table once it is there: any number of threads
- * may evaluate it at the same time. */
+/* The table that the evaluator DIPOLE_LUT uses for one medium. It is evaluated here, without a
+ * daemon and with the same bits. A table never changes: any number of threads may evaluate it at
+ * once. */
 typedef struct dipole_table dipole_table;
 
 typedef struct dipole_table_query {
@@ -507,9 +514,9 @@ typedef struct dipole_table_query {
   unsigned deadline_ms; /* as of an eval */
 } dipole_table_query;
 
-/* What holds for all values of a table; owned by the table and valid until it is freed. */
+/* What holds for all values of a table. The table owns it. */
 typedef struct dipole_table_info {
-  unsigned layout; /* of the words: proto/PROTOCOL.md, "table" */
+  unsigned layout; /* of the words: see proto/PROTOCOL.md, "table" */
   unsigned model, moments;
   unsigned notes; /* sum of the ids of the choices of kind DIPOLE_NOTE that hold */
   dipole_medium medium;
@@ -521,112 +528,111 @@ typedef struct dipole_table_info {
   double numerical_error;
   double numerical_error_per_mm;
   double model_error;    /* of the model against radiative transport, relative; NaN: not measured */
-  double pieces_from_mm; /* between these two radii there are pieces; outside, known asymptotes */
-  double pieces_to_mm;
-  double radius_least_mm; /* the radii that the model covers, both included */
+  double pieces_from_mm; /* The table has pieces between these two radii; outside of them it uses */
+  double pieces_to_mm;   /* known asymptotes. */
+  double radius_least_mm; /* the range of radii that the model covers, both ends included */
   double radius_most_mm;
-  const uint32_t *words; /* [word_count]: single precision numbers and entries, as bits */
+  const uint32_t *words; /* [word_count]: the bits of single precision numbers and of entries */
   size_t word_count;
 } dipole_table_info;
 
-/* Fetches a table from a daemon. *table is the caller's, to be freed with dipole_table_free(). */
+/* Fetches a table from a daemon. The caller frees *table with dipole_table_free(). */
 bool dipole_table_fetch(dipole_client *client, const dipole_table_query *query,
                         dipole_table **table, dipole_error *error);
 
-/* A table from bytes that dipole_table_bytes() gave, at any alignment; they are copied. What stands
- * behind the table's own bytes is not looked at: so a file may hold several, one behind the other.
- * Damaged bytes, and those of another layout, are errors of kind TABLE: whatever they say, nothing
- * outside of the table will be read. *table is the caller's, to be freed with
- * dipole_table_free(). */
+/* Makes a table of bytes that dipole_table_bytes() gave, at any alignment. The bytes are copied. It
+ * ignores what follows the table's own bytes, so a file may hold several tables, one behind the
+ * other. Fails with kind TABLE if the bytes are damaged or have another layout; whatever they say,
+ * nothing outside of the table is ever read. The caller frees *table with dipole_table_free(). */
 bool dipole_table_load(const void *bytes, size_t count, dipole_table **table, dipole_error *error);
 
-/* The table as bytes, to be saved: count of them, owned by the table. It is the daemon's reply, a
- * whole frame, the same on every machine. */
+/* The table as *count bytes, for saving: the whole frame of the daemon's reply, which is the same
+ * on every machine. The table owns them. */
 const void *dipole_table_bytes(const dipole_table *table, size_t *count);
 
 const dipole_table_info *dipole_table_get_info(const dipole_table *table);
 
-/* Evaluates one of DIPOLE_R, DIPOLE_CDF, DIPOLE_PDF, DIPOLE_RING and, for the parameters cos_in and
- * cos_out of the query, DIPOLE_S: r[n] in mm, from 0 to infinity; out[n] in the quantity's unit;
- * the arrays do not overlap. False, with out as it was: the table does not hold that quantity, or a
- * radius is NaN, negative or not covered by the model. */
+/* Evaluates DIPOLE_R, DIPOLE_CDF, DIPOLE_PDF, DIPOLE_RING, or DIPOLE_S for the parameters cos_in
+ * and cos_out of the query. r: [n] in mm, from 0 to infinity. out: [n] in the quantity's unit. The
+ * arrays must not overlap. Returns false and leaves out as it was if the table does not hold that
+ * quantity, or if a radius is NaN, negative or not covered by the model. */
 bool dipole_table_values(const dipole_table *table, enum dipole_quantity quantity, size_t n,
                          const float *r, float *out);
 
-/* Radii for drawing: r[n] in mm such that cdf(r) = u, for u[n] from 0 to 1 (infinity), both
- * included; the arrays do not overlap. 0 where nothing scatters. False, with r as it was: a u is
- * none of those. */
+/* Computes the radii r[n] in mm with cdf(r) = u, for drawing them at random. u: [n] from 0 to 1,
+ * both included; 1 gives INFINITY. All radii are 0 if nothing scatters. The arrays must not
+ * overlap. Returns false and leaves r as it was if a u is out of range. */
 bool dipole_table_radii(const dipole_table *table, size_t n, const float *u, float *r);
 
-void dipole_table_free(dipole_table *table); /* NULL is fine */
+void dipole_table_free(dipole_table *table); /* table may be NULL */
 
-/* The radii r[count], mm, of a linear or logarithmic grid, as a daemon takes them in single
- * precision: for evaluating a table where a query would have a grid. */
+/* Computes the radii r[count], mm, of a LINEAR or LOGARITHMIC grid as a daemon does in single
+ * precision, for evaluating a table at the radii of a query with this grid. */
 bool dipole_grid_radii(enum dipole_spacing spacing, double start_mm, double stop_mm, uint64_t count,
                        float *r, dipole_error *error);
 
-/* What this library knows by itself, without a daemon: the lists and instruction set by which it
- * evaluates tables. address is "". One block for the caller to free(). */
+/* What this library knows without a daemon: its lists, and the instruction set with which it
+ * evaluates tables. address is "". The caller frees *info, which is one block, with free(). */
 bool dipole_local_info(dipole_info **info, dipole_error *error);
 
 /* ---- Monte Carlo --------------------------------------------------------------------------- */
 
-/* A job for the daemon: photons that walk through a medium, until so many have been walked or the
- * errors are small enough. The same query gives the same bits, unless it is ended early. */
+/* A job for the daemon: it walks photons through a medium until enough have been walked or the
+ * errors are small enough. The same query gives the same bits unless it is ended early. */
 typedef struct dipole_mc_query {
   dipole_medium medium;
-  const double *albedos;  /* [albedo_count] of single scattering, 0 to 1, in place of the medium's;
-                            one walk serves all */
-  unsigned albedo_count;  /* up to 16; 0: the medium's own */
-  double thickness_mm;    /* of a slab; INFINITY: half space */
+  const double *albedos;  /* [albedo_count] of single scattering, 0 to 1, in place of the medium's
+                             own. One walk serves all of them. */
+  unsigned albedo_count;  /* 0 to 16; 0 is the medium's own albedo */
+  double thickness_mm;    /* of a slab; INFINITY is a half space */
   unsigned spacing;       /* of the rings' edges: DIPOLE_LINEAR or DIPOLE_LOGARITHMIC */
   uint32_t ring_count;    /* 1 to 4096 */
   double radius_start_mm; /* inner edge of the first ring */
   double radius_stop_mm;  /* outer edge of the last */
   uint64_t seed;
   uint64_t photons;   /* at least 1, at most the daemon's limit max_mc_photons */
-  double error_total; /* relative standard error of R that is small enough; 0: none is */
-  double error_rings; /* likewise of each ring with light; with both, both must hold */
+  double error_total; /* relative standard error of R that is small enough; 0: do not stop early */
+  double error_rings; /* likewise of each ring with light. If both are given, both must hold. */
 } dipole_mc_query;
 
 enum dipole_mc_side { DIPOLE_MC_REFLECTED, DIPOLE_MC_TRANSMITTED, DIPOLE_MC_SIDES };
 
 typedef struct dipole_mc_progress {
-  uint64_t photons;          /* walked */
-  uint64_t photons_expected; /* what it will take in all, as far as is known */
+  uint64_t photons;          /* walked so far */
+  uint64_t photons_expected; /* how many it will take in all, as far as is known */
   double error_total;        /* relative standard error of R, the largest of all albedos */
-  double error_rings;        /* likewise of a ring with light; INFINITY: not known yet */
-  double worst_from_mm;      /* the edges of that ring, both 0: there is none; */
+  double error_rings;        /* likewise of the worst ring with light; INFINITY: not known yet */
+  double worst_from_mm;      /* the edges of that ring; both 0 if there is none */
   double worst_to_mm;
-  unsigned worst_side; /* where it lies, and for which albedo */
-  unsigned worst_albedo;
+  unsigned worst_side;   /* enum dipole_mc_side: where that ring lies */
+  unsigned worst_albedo; /* the albedo's position for which it is the worst */
 } dipole_mc_progress;
 
-/* A share of the power that entered the medium, and its standard error. */
+/* A fraction of the power that entered the medium, and its standard error. */
 typedef struct dipole_mc_value {
   double value;
   double error;
 } dipole_mc_value;
 
-/* Where the power went, for one albedo. Arrays: by side. */
+/* Where the power went, for one albedo. The arrays are by side. */
 typedef struct dipole_mc_energy {
   double albedo;
-  dipole_mc_value R; /* leaves where light enters: unscattered, under, rings and over */
+  dipole_mc_value R; /* leaves where light enters: unscattered, under, rings and over together */
   dipole_mc_value T; /* leaves on the other side of a slab, likewise */
   dipole_mc_value absorbed;
   dipole_mc_value unfinished; /* was still inside when its walk was given up */
-  dipole_mc_value roulette;   /* what roulette has added less what it has taken; 0 is expected */
-  double unscattered[DIPOLE_MC_SIDES];    /* at r = 0, in no ring; exact */
-  dipole_mc_value under[DIPOLE_MC_SIDES]; /* within the inner edge of the first ring */
-  dipole_mc_value over[DIPOLE_MC_SIDES];  /* beyond the outer edge of the last */
-  double imbalance; /* R + T + absorbed + unfinished - roulette - 1: 0 but for rounding */
+  dipole_mc_value roulette;   /* what roulette has added minus what it has removed; about 0 */
+  double unscattered[DIPOLE_MC_SIDES];    /* leaves at r = 0, in no ring; exact */
+  dipole_mc_value under[DIPOLE_MC_SIDES]; /* leaves within the inner edge of the first ring */
+  dipole_mc_value over[DIPOLE_MC_SIDES];  /* leaves beyond the outer edge of the last ring */
+  double imbalance; /* R + T + absorbed + unfinished - roulette - 1, which is 0 up to rounding */
 } dipole_mc_energy;
 
 enum dipole_mc_end {
-  DIPOLE_MC_PHOTONS = 1, /* all photons are walked */
-  DIPOLE_MC_ERRORS,      /* the errors are small enough */
-  DIPOLE_MC_CANCELLED,   /* these two: the table of what had been walked */
-  DIPOLE_MC_STOPPED,     /* with the daemon */
+  DIPOLE_MC_PHOTONS = 1, /* All photons have been walked. */
+  DIPOLE_MC_ERRORS,      /* The errors are small enough. */
+  DIPOLE_MC_CANCELLED, /* The caller cancelled the job: the table is of what was walked by then. */
+  DIPOLE_MC_STOPPED,   /* The daemon stopped: likewise. */
 };
 
 typedef struct dipole_mc_result {
@@ -639,18 +645,19 @@ typedef struct dipole_mc_result {
   const dipole_mc_energy *energies; /* [albedo_count] */
 } dipole_mc_result;
 
-/* Starts a job and waits for its table. progress: NULL, or called a few times a second; when it
- * returns false the job is cancelled, and ends with the table so far. It must not use the client.
- * *result is the caller's, to be freed with dipole_mc_result_free(). */
+/* Starts a job and waits for its table. progress(), unless NULL, is called a few times a second; it
+ * must not use the client. When it returns false the job is cancelled and ends with the table so
+ * far. The caller frees *result with dipole_mc_result_free(). */
 bool dipole_mc(dipole_client *client, const dipole_mc_query *query,
                bool (*progress)(void *context, const dipole_mc_progress *now), void *context,
                dipole_mc_result **result, dipole_error *error);
 
-void dipole_mc_result_free(dipole_mc_result *result); /* NULL is fine */
+void dipole_mc_result_free(dipole_mc_result *result); /* result may be NULL */
 
-/* [ring_count] each, owned by the result; NULL when there is no such albedo or side: the means of
- * R (or its like on the other side) over the rings, 1/mm^2 per unit of power that entered, their
- * standard errors, and how many photons left there, whatever their weight. */
+/* These arrays are [ring_count] and owned by the result; NULL if there is no such albedo or side.
+ * They hold the means over the rings of the power that leaves there, in 1/mm^2 per unit of power
+ * that entered; the standard errors of these means; and the numbers of photons that left there,
+ * whatever their weight. */
 const double *dipole_mc_values(const dipole_mc_result *result, uint32_t albedo,
                                enum dipole_mc_side side);
 const double *dipole_mc_errors(const dipole_mc_result *result, uint32_t albedo,
@@ -659,21 +666,22 @@ const uint64_t *dipole_mc_photons(const dipole_mc_result *result, enum dipole_mc
 
 /* ---- the rest ------------------------------------------------------------------------------ */
 
-/* A measured medium: three channels, red, green, blue. */
+/* A measured medium. Its three channels are red, green and blue. */
 typedef struct dipole_measured_medium {
   char name[17];
   dipole_medium channel[3];
 } dipole_measured_medium;
 
-/* The daemon's measured media, as an array for the caller to free(). */
+/* The daemon's measured media. The caller frees *media, an array of *count, with free(). */
 bool dipole_media(dipole_client *client, dipole_measured_medium **media, size_t *count,
                   dipole_error *error);
 
-/* The daemon's statistics, as one block for the caller to free(); names point into it. */
+/* The daemon's statistics. The caller frees *values, an array of *count, with free(). The names are
+ * in the same block. */
 bool dipole_statistics(dipole_client *client, dipole_value **values, size_t *count,
                        dipole_error *error);
 
-/* A round trip that does nothing else. */
+/* Makes a round trip that does nothing else. */
 bool dipole_ping(dipole_client *client, dipole_error *error);
 
 #ifdef __cplusplus

@@ -7,8 +7,8 @@
 #include "clients/c/error.h"
 #include "core/core.h"
 
-/* The longest list that is accepted. No daemon has thousands of models or media. With this limit, no
- * product of counts can overflow. */
+/* The longest list that is accepted. No daemon has thousands of models or media. With this limit,
+ * no product of counts can overflow. */
 #define LIST_MAX_BYTES ((uint64_t)1 << 20)
 
 static bool bad_list(dipole_client *client, const char *name, dipole_error *error) {

@@ -174,8 +174,8 @@ static bool is_asked_for(const dipole_mc_query *query, const wire_mc_reply *fixe
          fixed->albedo_count == albedos_of(query) && fixed->ring_count == query->ring_count;
 }
 
-/* Waits for the next reply. *result: the table if it was the last; else NULL, and *progress says how
- * far the job is. */
+/* Waits for the next reply. *result: the table if it was the last; else NULL, and *progress says
+ * how far the job is. */
 static bool next_reply(dipole_client *client, const dipole_mc_query *query, uint64_t id,
                        dipole_mc_progress *progress, dipole_mc_result **result,
                        dipole_error *error) {
@@ -203,8 +203,8 @@ static bool next_reply(dipole_client *client, const dipole_mc_query *query, uint
 
 /* ---- the public calls ---------------------------------------------------------------------- */
 
-/* Takes the answer to a cancel request, which says nothing that the table does not. It may not come:
- * a daemon that stops sends the table and closes. */
+/* Takes the answer to a cancel request, which says nothing that the table does not. It may not
+ * come: a daemon that stops sends the table and closes. */
 static void finish(dipole_client *client, uint64_t cancel_id) {
   libdipole_pending pending;
   dipole_error unwanted;

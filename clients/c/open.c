@@ -97,8 +97,8 @@ static void add_failure(dipole_error *all, const dipole_error *one, size_t tried
 
 /* Tries each of the addresses once, from addresses->at on, which is then the one that answered.
  * until_ms: when all of it has to be over; INT64_MAX is never. like: the client whose lists the
- * daemon must have, or NULL. Returns NULL if no address works; *may_pass: trying again may help. The
- * new client has no addresses and options yet. */
+ * daemon must have, or NULL. Returns NULL if no address works; *may_pass: trying again may help.
+ * The new client has no addresses and options yet. */
 static dipole_client *try_each(libdipole_addresses *addresses, unsigned connect_timeout_ms,
                                int64_t until_ms, const dipole_client *like, bool *may_pass,
                                dipole_error *error) {

@@ -46,7 +46,8 @@ typedef struct libdipole_pending libdipole_pending;
 
 /* How the answers to one kind of request are taken. A function that is NULL is not needed. */
 typedef struct libdipole_kind {
-  /* Every daemon gives the same right answer, however often it is asked: so it can be sent again. */
+  /* Every daemon gives the same right answer, however often it is asked: so it can be sent
+   * again. */
   bool repeatable;
   /* The call's time limit does not hold. */
   bool endless;
