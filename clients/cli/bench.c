@@ -2,174 +2,126 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "clients/cli/bench.h"
-#include "clients/cli/channels.h"
-#include "clients/cli/parameters.h"
+#include "clients/cli/bench_load.h"
+#include "clients/cli/daemon.h"
+#include "clients/cli/profile.h"
 #include "clients/cli/progress.h"
+#include "clients/cli/rows.h"
 
 #define MEDIUM_DEFAULT "skin1"
-#define MODEL_DEFAULT "better"
-#define EVALUATOR_DEFAULT "f32"
-#define SECONDS_DEFAULT 1.0
 #define SECONDS_LEAST 0.01
 #define SECONDS_MOST 3600.0
 #define RADIUS_LEAST_MM 0.01
 #define RADIUS_MOST_MM 10.0
 
-enum { IN_FLIGHT_DEFAULT = 64, SMALL_DEFAULT = 16, LARGE_DEFAULT = 65536 };
+enum { CONNECTIONS_MAX = 256, RADII_MAX = 1 << 22, MEASUREMENTS = 3 };
+
+/* Memory for the values under way, of all connections. */
+#define VALUES_MAX_BYTES ((size_t)1 << 30)
 
 typedef struct bench_settings {
   cli_profile_settings profile;
-  cli_medium_settings medium;
-  const char *model, *evaluator;
   cli_number seconds;
   cli_count connections, in_flight, radii, large_radii;
 } bench_settings;
 
-/* What a command line asks for, with all that belongs to it. */
-typedef struct bench_run_state {
-  const cli_command *command;
+typedef struct report {
   const bench_settings *settings;
   dipole_client *client;
-  cli_channels channels;
-  dipole_medium *media;
-  cli_parameters parameters;
+  cli_profile profile;
   void *radii;
   dipole_query query;
   cli_progress progress;
-  unsigned measured;
-  uint64_t requests; /* of the measurements that are over */
-  bench_report report;
-} bench_run_state;
+  unsigned measured; /* how many measurements are over, */
+  uint64_t requests; /* and how many requests these made */
+  bench_result results[MEASUREMENTS];
+} report;
 
 /* ---- the command line ---------------------------------------------------------------------- */
 
-static bool check_count(const cli_command *command, const char *option, cli_count *count,
-                        uint64_t usual, uint64_t most) {
-  if (!count->given) {
-    count->value = usual;
+static int check(void *given) {
+  bench_settings *settings = given;
+  const double seconds = settings->seconds.value;
+  const struct {
+    const char *option;
+    uint64_t value, most;
+  } counts[] = {{"connections", settings->connections.value, CONNECTIONS_MAX},
+                {"in-flight", settings->in_flight.value, DIPOLE_IN_FLIGHT_MAX},
+                {"radii", settings->radii.value, RADII_MAX},
+                {"large-radii", settings->large_radii.value, RADII_MAX}};
+  if (!(seconds >= SECONDS_LEAST && seconds <= SECONDS_MOST)) {
+    return cli_fail_usage("--seconds: from %g to %g", SECONDS_LEAST, SECONDS_MOST);
   }
-  if (count->value >= 1 && count->value <= most) {
-    return true;
+  for (size_t i = 0; i < sizeof counts / sizeof counts[0]; i++) {
+    if (counts[i].value < 1 || counts[i].value > counts[i].most) {
+      return cli_fail_usage("--%s: from 1 to %llu", counts[i].option,
+                            (unsigned long long)counts[i].most);
+    }
   }
-  cli_fail_usage(command, "--%s: from 1 to %llu", option, (unsigned long long)most);
-  return false;
+  if (!cli_medium_given(&settings->profile)) {
+    settings->profile.medium = MEDIUM_DEFAULT;
+  }
+  return cli_medium_check(&settings->profile);
 }
 
-static int check(const cli_command *command, bench_settings *settings) {
-  cli_number *seconds = &settings->seconds;
-  if (!seconds->given) {
-    seconds->value = SECONDS_DEFAULT;
-  }
-  if (!(seconds->value >= SECONDS_LEAST && seconds->value <= SECONDS_MOST)) {
-    return cli_fail_usage(command, "--seconds: from %g to %g", SECONDS_LEAST, SECONDS_MOST);
-  }
-  if (!check_count(command, "connections", &settings->connections, 1, BENCH_CONNECTIONS_MAX) ||
-      !check_count(command, "in-flight", &settings->in_flight, IN_FLIGHT_DEFAULT,
-                   DIPOLE_IN_FLIGHT_MAX) ||
-      !check_count(command, "radii", &settings->radii, SMALL_DEFAULT, BENCH_RADII_MAX) ||
-      !check_count(command, "large-radii", &settings->large_radii, LARGE_DEFAULT,
-                   BENCH_RADII_MAX)) {
-    return CLI_USAGE;
-  }
-  if (!cli_channels_given(&settings->medium)) {
-    settings->medium.medium = MEDIUM_DEFAULT;
-  }
-  return cli_channels_check(command, &settings->medium);
-}
-
-/* What only shows once there is a daemon. */
-static int check_with_daemon(const bench_run_state *state) {
-  const bench_settings *settings = state->settings;
+/* Checks what only shows once there is a daemon. */
+static int check_with_daemon(const report *of) {
+  const bench_settings *settings = of->settings;
   const size_t bytes = (size_t)(settings->connections.value * settings->in_flight.value) *
-                       (size_t)settings->radii.value * state->channels.count * sizeof(double);
-  const char *address = dipole_address(state->client);
+                       (size_t)settings->radii.value * of->profile.channel_count * sizeof(double);
+  const char *address = dipole_address(of->client);
   if (settings->connections.value > 1 && strncmp(address, "private:", strlen("private:")) == 0) {
-    return cli_fail_usage(state->command, "--connections: a daemon of its own has one connection; "
-                                          "--connect names another");
+    return cli_fail_usage("--connections: a daemon of its own has one connection; "
+                          "--connect names another");
   }
-  if (bytes > BENCH_VALUES_MAX_BYTES) {
-    return cli_fail_usage(state->command,
-                          "--connections, --in-flight, --radii: together they take more than %zu "
+  if (bytes > VALUES_MAX_BYTES) {
+    return cli_fail_usage("--connections, --in-flight, --radii: together they take more than %zu "
                           "MiB for values",
-                          BENCH_VALUES_MAX_BYTES >> 20);
+                          VALUES_MAX_BYTES >> 20);
   }
   return CLI_OK;
 }
 
 /* ---- what is asked ------------------------------------------------------------------------- */
 
-static void make_radii(bench_run_state *state, uint64_t count) {
-  const bool single = state->report.evaluator->id != DIPOLE_F64;
+static void make_query(report *of) {
+  const uint64_t small = of->settings->radii.value, large = of->settings->large_radii.value;
+  const uint64_t count = small > large ? small : large;
+  const bool single = of->profile.evaluator->id != DIPOLE_F64;
   const double step_mm = (RADIUS_MOST_MM - RADIUS_LEAST_MM) / (double)count;
-  state->radii = cli_allocate(count, sizeof(double));
+  of->radii = cli_allocate(count, sizeof(double));
   for (uint64_t i = 0; i < count; i++) {
     const double r = RADIUS_LEAST_MM + (double)i * step_mm;
     if (single) {
-      ((float *)state->radii)[i] = (float)r;
+      ((float *)of->radii)[i] = (float)r;
     } else {
-      ((double *)state->radii)[i] = r;
+      ((double *)of->radii)[i] = r;
     }
   }
-}
-
-static void make_query(bench_run_state *state) {
-  const bench_settings *settings = state->settings;
-  const uint64_t small = settings->radii.value, large = settings->large_radii.value;
-  make_radii(state, small > large ? small : large);
-  state->media = cli_allocate(state->channels.count, sizeof *state->media);
-  for (size_t i = 0; i < state->channels.count; i++) {
-    state->media[i] = state->channels.items[i].medium;
-  }
-  state->query = (dipole_query){.model = state->report.model->id,
-                                .evaluator = state->report.evaluator->id,
-                                .moments = DIPOLE_EXACT,
-                                .wanted = DIPOLE_R,
-                                .media = state->media,
-                                .medium_count = (uint32_t)state->channels.count,
-                                .spacing = DIPOLE_LIST,
-                                .radii = state->radii,
-                                .parameters = state->parameters.items,
-                                .parameter_count = state->parameters.count};
-}
-
-static int prepare(bench_run_state *state) {
-  const bench_settings *settings = state->settings;
-  const dipole_info *info = dipole_get_info(state->client);
-  bench_report *report = &state->report;
-  report->info = info;
-  report->model = cli_named(state->command, info, DIPOLE_MODEL, "model",
-                            settings->model != NULL ? settings->model : MODEL_DEFAULT);
-  report->evaluator =
-      cli_named(state->command, info, DIPOLE_EVALUATOR, "evaluator",
-                settings->evaluator != NULL ? settings->evaluator : EVALUATOR_DEFAULT);
-  if (report->model == NULL || report->evaluator == NULL ||
-      !cli_parameters_take(state->command, info, &settings->profile, &state->parameters)) {
-    return CLI_USAGE;
-  }
-  int status =
-      cli_channels_take(state->command, &settings->medium, state->client, &state->channels);
-  status = status == CLI_OK ? check_with_daemon(state) : status;
-  if (status == CLI_OK) {
-    report->medium = state->channels.medium;
-    report->channels = state->channels.count;
-    make_query(state);
-  }
-  return status;
+  of->query = (dipole_query){.model = of->profile.model->id,
+                             .evaluator = of->profile.evaluator->id,
+                             .moments = DIPOLE_EXACT,
+                             .wanted = DIPOLE_R,
+                             .media = of->profile.media,
+                             .medium_count = (uint32_t)of->profile.channel_count,
+                             .spacing = DIPOLE_LIST,
+                             .radii = of->radii,
+                             .parameters = of->profile.parameters.items,
+                             .parameter_count = of->profile.parameters.count};
 }
 
 /* ---- measuring ----------------------------------------------------------------------------- */
 
 static void show(void *context, double share, uint64_t requests) {
-  bench_run_state *state = context;
-  cli_progress_show(&state->progress, ((double)state->measured + share) / BENCH_MEASUREMENTS,
-                    (double)(state->requests + requests));
+  report *of = context;
+  cli_progress_show(&of->progress, ((double)of->measured + share) / MEASUREMENTS,
+                    (double)(of->requests + requests));
 }
 
-static int measure(bench_run_state *state) {
-  const bench_settings *settings = state->settings;
+static int measure(report *of) {
+  const bench_settings *settings = of->settings;
   const double seconds = settings->seconds.value;
-  const bench_load loads[BENCH_MEASUREMENTS] = {
+  const bench_load loads[MEASUREMENTS] = {
       {"small", "one small request at a time", 1, 1, settings->radii.value, seconds},
       {"pipelined", "many small requests under way", (unsigned)settings->connections.value,
        (unsigned)settings->in_flight.value, settings->radii.value, seconds},
@@ -177,77 +129,126 @@ static int measure(bench_run_state *state) {
   };
   bool good = true;
   dipole_error error;
-  cli_progress_start(&state->progress, "requests");
-  for (state->measured = 0; good && state->measured < BENCH_MEASUREMENTS; state->measured++) {
-    bench_result *result = &state->report.results[state->measured];
-    good = bench_run(state->client, &settings->profile.common, &state->query,
-                     &loads[state->measured], show, state, result, &error);
-    state->requests += result->times.count;
+  cli_progress_start(&of->progress, "requests");
+  for (of->measured = 0; good && of->measured < MEASUREMENTS; of->measured++) {
+    bench_result *result = &of->results[of->measured];
+    good = bench_run(of->client, &settings->profile.common, &of->query, &loads[of->measured], show,
+                     of, result, &error);
+    of->requests += result->times.count;
   }
-  cli_progress_wipe(&state->progress);
-  return good ? CLI_OK : cli_fail(state->command, "%s", error.text);
+  cli_progress_wipe(&of->progress);
+  return good ? CLI_OK : cli_fail_error(&error);
 }
 
-static void write_report(const bench_run_state *state) {
-  const char *format = state->settings->profile.common.format;
-  if (format == NULL || strcmp(format, "table") == 0) {
-    bench_write_table(&state->report, stdout);
-  } else if (strcmp(format, "csv") == 0) {
-    bench_write_csv(&state->report, stdout);
+/* ---- writing ------------------------------------------------------------------------------- */
+
+/* Puts a figure. A table shows three digits of it without an exponent, in the unit of its head. */
+static void put_figure(cli_rows *rows, const char *name, const char *head, double unit,
+                       double value) {
+  char text[64];
+  const double shown = value / unit;
+  snprintf(text, sizeof text, "%.*f", shown >= 99.95 ? 0 : shown >= 9.995 ? 1 : 2, shown);
+  cli_put_shown(rows, CLI_COLUMN(name, head), value, text);
+}
+
+static void put_result(cli_rows *rows, const void *context, size_t index) {
+  const bench_result *result = (const bench_result *)context + index;
+  const bench_load *load = &result->load;
+  cli_put_text(rows, CLI_COLUMN("name", "requests", .forms = CLI_IN_TABLE | CLI_IN_JSON),
+               load->name);
+  cli_put_text(rows, CLI_COLUMN("about", .forms = CLI_IN_JSON), load->about);
+  cli_put_text(rows, CLI_COLUMN("measurement", .forms = CLI_IN_CSV), load->name);
+  cli_put_number(rows, CLI_COLUMN("radii", .format = "%.0f"), (double)load->radii);
+  cli_put_number(rows, CLI_COLUMN("connections", .format = "%.0f"), load->connections);
+  cli_put_number(rows, CLI_COLUMN("in_flight", "in flight", .format = "%.0f"), load->in_flight);
+  cli_put_number(rows, CLI_COLUMN("requests", .forms = CLI_IN_CSV | CLI_IN_JSON),
+                 (double)result->times.count);
+  cli_put_number(rows, CLI_COLUMN("seconds", .forms = CLI_IN_CSV | CLI_IN_JSON), result->took_s);
+  put_figure(rows, "p50_us", "p50 us", 1, bench_times_quantile_us(&result->times, 0.5));
+  put_figure(rows, "p99_us", "p99 us", 1, bench_times_quantile_us(&result->times, 0.99));
+  put_figure(rows, "max_us", "max us", 1, (double)result->times.most_ns / 1000);
+  put_figure(rows, "requests_per_s", "requests/s", 1, bench_requests_per_s(result));
+  put_figure(rows, "radii_per_s", "M radii/s", 1e6, bench_radii_per_s(result));
+  put_figure(rows, "bytes_per_s", "MB/s", 1e6, bench_bytes_per_s(result));
+}
+
+static void write_table(const report *of) {
+  const dipole_info *info = of->profile.info;
+  const char *medium = of->profile.medium;
+  const size_t channels = of->profile.channel_count;
+  printf("%s at %s: %u workers, %s\n%s, %s, %s%s%zu channel%s\n\n", info->software, info->address,
+         info->workers, info->instruction_set, of->profile.model->name, of->profile.evaluator->name,
+         medium != NULL ? medium : "", medium != NULL ? ", " : "", channels,
+         channels == 1 ? "" : "s");
+  cli_rows_print(stdout, 1, MEASUREMENTS, put_result, of->results);
+}
+
+static void write_json(const report *of) {
+  const dipole_info *info = of->profile.info;
+  cli_json json = {.file = stdout};
+  cli_json_begin(&json, NULL, '{');
+  cli_json_text(&json, "software", info->software);
+  cli_json_text(&json, "address", info->address);
+  cli_json_text(&json, "instruction_set", info->instruction_set);
+  cli_json_count(&json, "workers", info->workers);
+  cli_json_text(&json, "model", of->profile.model->name);
+  cli_json_text(&json, "evaluator", of->profile.evaluator->name);
+  cli_json_count(&json, "channels", of->profile.channel_count);
+  cli_rows_json(&json, "measurements", MEASUREMENTS, put_result, of->results);
+  cli_json_end(&json, '}');
+}
+
+/* ---- the command --------------------------------------------------------------------------- */
+
+static int measure_and_write(const bench_settings *settings, report *of) {
+  int status = cli_profile_take(&settings->profile, of->client, &of->profile);
+  status = status == CLI_OK ? check_with_daemon(of) : status;
+  if (status != CLI_OK) {
+    return status;
+  }
+  make_query(of);
+  status = measure(of);
+  if (status != CLI_OK) {
+    return status;
+  }
+  if (settings->profile.common.form == CLI_TABLE) {
+    write_table(of);
+  } else if (settings->profile.common.form == CLI_CSV) {
+    cli_rows_csv(stdout, true, MEASUREMENTS, put_result, of->results);
   } else {
-    bench_write_json(&state->report, stdout);
+    write_json(of);
   }
+  return CLI_OK;
 }
 
-static int run_with_daemon(const cli_command *command, const bench_settings *settings) {
-  bench_run_state *state = cli_allocate(1, sizeof *state);
-  state->command = command;
-  state->settings = settings;
-  int status = CLI_FAILED;
-  if (cli_open(command, &settings->profile.common, &state->client)) {
-    status = prepare(state);
-    status = status == CLI_OK ? measure(state) : status;
-    if (status == CLI_OK) {
-      write_report(state);
-    }
-    dipole_close(state->client);
-  }
-  free(state->channels.items);
-  free(state->media);
-  free(state->radii);
-  free(state);
-  return status;
-}
-
-static int run(const cli_command *command, int argc, char **argv) {
-  bench_settings settings = {0};
-  const char *operand;
-  int status;
-  if (cli_options_read(command, argc, argv, &settings, &operand, &status)) {
-    status = check(command, &settings);
-    if (status == CLI_OK) {
-      status = run_with_daemon(command, &settings);
-    }
-  }
-  cli_options_free(command, &settings);
+static int run(void *settings, dipole_client *client) {
+  report *of = cli_allocate(1, sizeof *of);
+  of->settings = settings;
+  of->client = client;
+  const int status = measure_and_write(settings, of);
+  cli_profile_free(&of->profile);
+  free(of->radii);
+  free(of);
   return status;
 }
 
 static const cli_option options[] = {
-    CLI_MEDIUM_OPTIONS(bench_settings),
-    {"Load", NULL, NULL, CLI_HEADING, 0},
-    {"model", "NAME", "default: better", CLI_TEXT, offsetof(bench_settings, model)},
+    CLI_MEDIUM_OPTIONS,
+    {"Load", NULL, NULL, CLI_HEADING, 0, NULL},
+    {"model", "NAME", "default: better", CLI_TEXT, offsetof(bench_settings, profile.model),
+     "better"},
     {"evaluator", "NAME", "f64, f32 or lut (default: f32)", CLI_TEXT,
-     offsetof(bench_settings, evaluator)},
+     offsetof(bench_settings, profile.evaluator), "f32"},
     {"seconds", "S", "how long each of the three is measured (default: 1)", CLI_NUMBER,
-     offsetof(bench_settings, seconds)},
+     offsetof(bench_settings, seconds), "1"},
     {"connections", "N", "when pipelining (default: 1)", CLI_COUNT,
-     offsetof(bench_settings, connections)},
+     offsetof(bench_settings, connections), "1"},
     {"in-flight", "N", "requests under way on each of them (default: 64)", CLI_COUNT,
-     offsetof(bench_settings, in_flight)},
-    {"radii", "N", "of a small request (default: 16)", CLI_COUNT, offsetof(bench_settings, radii)},
+     offsetof(bench_settings, in_flight), "64"},
+    {"radii", "N", "of a small request (default: 16)", CLI_COUNT, offsetof(bench_settings, radii),
+     "16"},
     {"large-radii", "N", "of a large request (default: 65536)", CLI_COUNT,
-     offsetof(bench_settings, large_radii)},
+     offsetof(bench_settings, large_radii), "65536"},
     {0},
 };
 
@@ -269,5 +270,7 @@ const cli_command cli_command_bench = {
     .examples = "  dipole bench\n"
                 "  dipole bench --connect tcp:farm7:4817 --connections 8 --in-flight 128\n"
                 "  dipole bench --model transport --evaluator lut --seconds 5 --format json\n",
+    .settings_bytes = sizeof(bench_settings),
+    .check = check,
     .run = run,
 };

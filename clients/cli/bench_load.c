@@ -1,13 +1,64 @@
-/* A load on a daemon: a thread for each connection, which keeps so many requests under way. */
+#include "clients/cli/bench_load.h"
+
+#include <math.h>
 #include <pthread.h>
 #include <stdatomic.h>
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
 
-#include "clients/cli/bench.h"
+#include "clients/cli/daemon.h"
 
 enum { SHOW_EVERY_MS = 50 };
+
+/* ---- durations ----------------------------------------------------------------------------- */
+
+/* Up to an octave of whole ns each has a bucket; from there on a 64th of an octave. */
+static size_t bucket_of(uint64_t ns) {
+  if (ns < BENCH_OCTAVE) {
+    return (size_t)ns;
+  }
+  const unsigned octave = 63U - (unsigned)__builtin_clzll(ns) - 6; /* 2^6 = BENCH_OCTAVE */
+  const size_t bucket = (size_t)octave * BENCH_OCTAVE + (size_t)(ns >> octave);
+  return bucket < BENCH_BUCKETS ? bucket : BENCH_BUCKETS - 1;
+}
+
+/* In the middle of it. */
+static double ns_of(size_t bucket) {
+  if (bucket < BENCH_OCTAVE) {
+    return (double)bucket;
+  }
+  const int octave = (int)(bucket / BENCH_OCTAVE) - 1;
+  return ldexp((double)(bucket - (size_t)octave * BENCH_OCTAVE) + 0.5, octave);
+}
+
+static void add_time(bench_times *times, uint64_t ns) {
+  times->buckets[bucket_of(ns)]++;
+  times->count++;
+  times->most_ns = ns > times->most_ns ? ns : times->most_ns;
+}
+
+static void join_times(bench_times *times, const bench_times *more) {
+  for (size_t i = 0; i < BENCH_BUCKETS; i++) {
+    times->buckets[i] += more->buckets[i];
+  }
+  times->count += more->count;
+  times->most_ns = more->most_ns > times->most_ns ? more->most_ns : times->most_ns;
+}
+
+double bench_times_quantile_us(const bench_times *times, double share) {
+  const double wanted = ceil(share * (double)times->count);
+  double before = 0;
+  for (size_t i = 0; i < BENCH_BUCKETS; i++) {
+    before += times->buckets[i];
+    if (times->buckets[i] > 0 && before >= wanted) {
+      return fmin(ns_of(i), (double)times->most_ns) / 1000;
+    }
+  }
+  return 0;
+}
+
+/* ---- a connection: a thread, which keeps so many requests under way --------------------------- */
 
 /* A request under way. */
 typedef struct slot {
@@ -38,8 +89,6 @@ static uint64_t now_ns(void) {
   return (uint64_t)now.tv_sec * 1000000000 + (uint64_t)now.tv_nsec;
 }
 
-/* ---- a connection -------------------------------------------------------------------------- */
-
 static bool submit(worker *of) {
   slot *to = &of->slots[of->used];
   dipole_query query = *of->query;
@@ -55,7 +104,7 @@ static void take(worker *of, uint64_t id, uint64_t at_ns) {
   for (unsigned i = 0; i < of->used; i++) {
     if (of->slots[i].id == id) {
       const slot found = of->slots[i];
-      bench_times_add(&of->times, at_ns - found.sent_ns);
+      add_time(&of->times, at_ns - found.sent_ns);
       memmove(&of->slots[i], &of->slots[i + 1], (of->used - i - 1) * sizeof found);
       of->slots[--of->used] = found;
       return;
@@ -181,7 +230,7 @@ static bool run_all(worker *workers, const bench_load *load,
   for (unsigned i = 0; i < running; i++) {
     pthread_join(workers[i].thread, NULL);
     ended_ns = workers[i].ended_ns > ended_ns ? workers[i].ended_ns : ended_ns;
-    bench_times_join(&result->times, &workers[i].times);
+    join_times(&result->times, &workers[i].times);
     if (good && workers[i].failed) {
       *error = workers[i].error;
       good = false;

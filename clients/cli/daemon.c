@@ -1,8 +1,10 @@
+#include "clients/cli/daemon.h"
+
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
 
-#include "clients/cli/cli.h"
+#include "clients/cli/options.h"
 
 void cli_connection_options(const cli_common *common, dipole_options *options) {
   dipole_options_init(options);
@@ -15,25 +17,27 @@ void cli_connection_options(const cli_common *common, dipole_options *options) {
   }
 }
 
-bool cli_open(const cli_command *command, const cli_common *common, dipole_client **client) {
+dipole_client *cli_open(const cli_common *common) {
+  dipole_client *client;
   dipole_options options;
   dipole_error error;
   cli_connection_options(common, &options);
-  if (dipole_open_with(common->connect, &options, client, &error)) {
-    if (common->retry_ms.given) { /* also of private: */
-      dipole_set_retry_ms(*client, (unsigned)common->retry_ms.value);
+  if (dipole_open_with(common->connect, &options, &client, &error)) {
+    if (common->retry_ms.given) { /* dipole_open_with() does not do so for private: */
+      dipole_set_retry_ms(client, (unsigned)common->retry_ms.value);
     }
-    return true;
+    return client;
   }
-  cli_fail(command, "%s", error.text);
+  cli_fail("%s", error.text);
   const char *address = common->connect != NULL ? common->connect : getenv("DIPOLED");
   if (error.kind == DIPOLE_ERROR_CONNECT && address != NULL &&
       strncmp(address, "private:", strlen("private:")) != 0) {
-    fputs("Start a daemon there (dipoled --listen ADDRESS), or have a private one: no --connect, no "
-          "$DIPOLED.\n",
-          stderr);
+    fputs(
+        "Start a daemon there (dipoled --listen ADDRESS), or have a private one: no --connect, no "
+        "$DIPOLED.\n",
+        stderr);
   }
-  return false;
+  return NULL;
 }
 
 int64_t cli_now_ms(void) {
@@ -42,99 +46,91 @@ int64_t cli_now_ms(void) {
   return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
 }
 
-void cli_nap(const dipole_error *busy) {
-  const uint32_t nap_ms = busy->retry_after_ms < 1000 ? busy->retry_after_ms : 1000;
-  const struct timespec nap = {.tv_sec = nap_ms / 1000, .tv_nsec = (nap_ms % 1000) * 1000000L};
-  nanosleep(&nap, NULL);
-}
-
-bool cli_is_patient(const cli_common *common, int64_t start_ms) {
-  const int64_t busy_ms = cli_now_ms() - start_ms;
-  return common->retry_ms.given
-             ? busy_ms < (int64_t)common->retry_ms.value
-             : common->timeout_ms.value == 0 || busy_ms < (int64_t)common->timeout_ms.value;
-}
-
-/* After an error of a call that began at start_ms: whether it is to be made again, when the nap
- * that the daemon asked for is over. */
-static bool nap_while_busy(const cli_common *common, int64_t start_ms, const dipole_error *error) {
-  if (error->retry_after_ms == 0 || !cli_is_patient(common, start_ms)) {
+bool cli_try_again(const cli_common *common, int64_t start_ms, const dipole_error *error) {
+  const uint64_t busy_ms = (uint64_t)(cli_now_ms() - start_ms);
+  const bool is_patient = common->retry_ms.given
+                              ? busy_ms < common->retry_ms.value
+                              : common->timeout_ms.value == 0 || busy_ms < common->timeout_ms.value;
+  if (error->retry_after_ms == 0 || !is_patient) {
     return false;
   }
-  cli_nap(error);
+  const uint32_t nap_ms = error->retry_after_ms < 1000 ? error->retry_after_ms : 1000;
+  const struct timespec nap = {.tv_sec = nap_ms / 1000, .tv_nsec = (nap_ms % 1000) * 1000000L};
+  nanosleep(&nap, NULL);
   return true;
 }
 
-bool cli_eval_parts(dipole_client *client, const cli_common *common, const dipole_query *query,
-                    bool (*part)(void *context, const dipole_result *part, uint64_t radius_first),
-                    void *context, dipole_error *error) {
-  const int64_t start_ms = cli_now_ms();
-  while (!dipole_eval_parts(client, query, part, context, error)) {
-    if (!nap_while_busy(common, start_ms, error)) {
-      return false;
+int cli_fail_error_of(const char *what, const dipole_error *error) {
+  const cli_option *option = cli_options_find(error->field);
+  return option != NULL ? cli_fail("%s%s (--%s)", what, error->text, option->name)
+                        : cli_fail("%s%s", what, error->text);
+}
+
+int cli_fail_error(const dipole_error *error) {
+  return cli_fail_error_of("", error);
+}
+
+/* ---- names --------------------------------------------------------------------------------- */
+
+const dipole_choice *cli_next_choice(const dipole_info *info, enum dipole_kind kind, size_t *from) {
+  while (*from < info->choice_count) {
+    const dipole_choice *choice = &info->choices[(*from)++];
+    if (choice->kind == kind) {
+      return choice;
     }
   }
-  return true;
+  return NULL;
 }
 
-bool cli_offers(dipole_client *client, const cli_common *common, const dipole_query *query,
-                dipole_offer **offers, size_t *count, size_t *taken, dipole_error *error) {
-  const int64_t start_ms = cli_now_ms();
-  while (!dipole_offers(client, query, offers, count, taken, error)) {
-    if (!nap_while_busy(common, start_ms, error)) {
-      return false;
+const dipole_choice *cli_choice(const dipole_info *info, enum dipole_kind kind, const char *name) {
+  const dipole_choice *choice;
+  size_t from = 0;
+  do {
+    choice = cli_next_choice(info, kind, &from);
+  } while (choice != NULL && strcmp(choice->name, name) != 0);
+  return choice;
+}
+
+const dipole_choice *cli_choice_of_id(const dipole_info *info, enum dipole_kind kind, unsigned id) {
+  const dipole_choice *choice;
+  size_t from = 0;
+  do {
+    choice = cli_next_choice(info, kind, &from);
+  } while (choice != NULL && choice->id != id);
+  return choice;
+}
+
+const dipole_choice *cli_next_note(const dipole_info *info, unsigned notes, size_t *from) {
+  const dipole_choice *note;
+  do {
+    note = cli_next_choice(info, DIPOLE_NOTE, from);
+  } while (note != NULL && (note->id == 0 || (notes & note->id) != note->id));
+  return note;
+}
+
+void cli_list_names(const dipole_info *info, enum dipole_kind kind, char *text, size_t bytes) {
+  static const char more[] = ", ...";
+  const dipole_choice *choice;
+  size_t length = 0;
+  text[0] = '\0';
+  for (size_t from = 0; (choice = cli_next_choice(info, kind, &from)) != NULL;) {
+    const size_t added = strlen(choice->name) + (length > 0 ? strlen(", ") : 0);
+    if (length + added + sizeof more > bytes) {
+      snprintf(text + length, bytes - length, "%s", more);
+      return;
     }
+    length += (size_t)snprintf(text + length, bytes - length, "%s%s", length > 0 ? ", " : "",
+                               choice->name);
   }
-  return true;
 }
 
-bool cli_table_fetch(dipole_client *client, const cli_common *common,
-                     const dipole_table_query *query, dipole_table **table, dipole_error *error) {
-  const int64_t start_ms = cli_now_ms();
-  while (!dipole_table_fetch(client, query, table, error)) {
-    if (!nap_while_busy(common, start_ms, error)) {
-      return false;
-    }
+const dipole_choice *cli_named(const dipole_info *info, enum dipole_kind kind, const char *option,
+                               const char *name) {
+  char known[1024];
+  const dipole_choice *choice = cli_choice(info, kind, name);
+  if (choice == NULL) {
+    cli_list_names(info, kind, known, sizeof known);
+    cli_fail_usage("--%s: '%s' is unknown; this daemon has %s", option, name, known);
   }
-  return true;
-}
-
-bool cli_sample(dipole_client *client, const cli_common *common, const dipole_sample_query *query,
-                dipole_result **result, dipole_error *error) {
-  const int64_t start_ms = cli_now_ms();
-  while (!dipole_sample(client, query, result, error)) {
-    if (!nap_while_busy(common, start_ms, error)) {
-      return false;
-    }
-  }
-  return true;
-}
-
-bool cli_invert(dipole_client *client, const cli_common *common, const dipole_invert_query *query,
-                dipole_inversion **inversion, dipole_error *error) {
-  const int64_t start_ms = cli_now_ms();
-  while (!dipole_invert(client, query, inversion, error)) {
-    if (!nap_while_busy(common, start_ms, error)) {
-      return false;
-    }
-  }
-  return true;
-}
-
-int cli_run_plain(const cli_command *command, int argc, char **argv,
-                  int (*show)(const cli_command *command, const char *format,
-                              dipole_client *client)) {
-  cli_common common = {0};
-  dipole_client *client;
-  const char *operand;
-  int status;
-  if (!cli_options_read(command, argc, argv, &common, &operand, &status)) {
-    return status;
-  }
-  if (!cli_open(command, &common, &client)) {
-    return CLI_FAILED;
-  }
-  status = show(command, common.format, client);
-  dipole_close(client);
-  return status;
+  return choice;
 }

@@ -5,157 +5,110 @@
 #include <string.h>
 
 #include "clients/cli/picture.h"
+#include "clients/cli/profile.h"
 
 #define PLOT_FILE "dipole.svg"
 
 #define FIELD(name) offsetof(cli_eval_settings, name)
 
 static const cli_option options[] = {
-    CLI_MEDIUM_OPTIONS(cli_eval_settings),
+    CLI_MEDIUM_OPTIONS,
     {"table", "FILE",
      "evaluate the tables in a file of `dipole table`, without a daemon;\n"
      "-: standard input",
-     CLI_TEXT, FIELD(table)},
-    {"Radii", NULL, NULL, CLI_HEADING, 0},
-    {"r", "X[,X...]", "these radii, mm; inf is one too", CLI_NUMBERS, FIELD(r)},
-    {"from", "X", "the first radius of a grid, mm (default: 0)", CLI_NUMBER, FIELD(from)},
-    {"to", "X", "its last radius, mm (default: 10)", CLI_NUMBER, FIELD(to)},
-    {"count", "N", "how many radii it has (default: 21)", CLI_COUNT, FIELD(count)},
+     CLI_TEXT, FIELD(table), NULL},
+    {"Radii", NULL, NULL, CLI_HEADING, 0, NULL},
+    {"r", "X[,X...]", "these radii, mm; inf is one too", CLI_NUMBERS, FIELD(r), NULL},
+    {"from", "X", "the first radius of a grid, mm (default: 0)", CLI_NUMBER, FIELD(from), "0"},
+    {"to", "X", "its last radius, mm (default: 10)", CLI_NUMBER, FIELD(to), "10"},
+    {"count", "N", "how many radii it has (default: 21)", CLI_COUNT, FIELD(count), "21"},
     {"log", NULL, "equal ratios from radius to radius instead of equal steps; needs --from",
-     CLI_SWITCH, FIELD(logarithmic)},
+     CLI_SWITCH, FIELD(logarithmic), NULL},
     CLI_EVAL_OPTIONS,
     {"want", "NAME[,NAME...]",
      "R: 1/mm^2 per unit of power that entered; albedo; cdf: the share of\n"
      "the albedo within r; S: 1/(mm^2 sr); others: see `dipole info`\n"
      "(default: R,albedo)",
-     CLI_NAMES, FIELD(want)},
-    {"Output", NULL, NULL, CLI_HEADING, 0},
+     CLI_NAMES, FIELD(want), NULL},
+    {"Output", NULL, NULL, CLI_HEADING, 0, NULL},
     {"plot", "[FILE]",
      "also draw R over r into FILE.svg or FILE.png (default: " PLOT_FILE "), or for -\n"
      "below the table; may be repeated; `dipole plot` draws more",
-     CLI_FILES, FIELD(plot)},
+     CLI_FILES, FIELD(plot), NULL},
     {0},
 };
 
-static const struct {
-  const char *name;
-  void (*write)(const cli_eval_report *report, FILE *file);
-} formats[] = {
-    {"table", cli_eval_write_table},
-    {"csv", cli_eval_write_csv},
-    {"json", cli_eval_write_json},
-};
-
-/* Everything about the profile is in the file. */
-static int check_table(const cli_command *command, const cli_eval_settings *settings) {
-  const cli_option *parameter = cli_parameters_given(&settings->profile);
-  if (cli_channels_given(&settings->medium) || settings->model.count > 0 ||
-      settings->moments != NULL || settings->evaluator != NULL || parameter != NULL ||
-      settings->deadline_ms.given || settings->profile.common.connect != NULL) {
-    return cli_fail_usage(command, "--table FILE says what is evaluated, and needs no daemon: of "
-                                   "the options leave all out but radii, --want and output");
+/* A file of tables says all about the profile. */
+static int check_table(const cli_eval_settings *settings) {
+  const cli_profile_settings *profile = &settings->profile;
+  if (cli_medium_given(profile) || settings->model.count > 0 || profile->moments != NULL ||
+      profile->evaluator != NULL || cli_parameters_given(profile) || profile->deadline_ms.given ||
+      profile->common.connect != NULL) {
+    return cli_fail_usage("--table FILE says what is evaluated, and needs no daemon: of "
+                          "the options leave all out but radii, --want and output");
   }
   return CLI_OK;
 }
 
-static bool check_plot(const cli_command *command, const cli_eval_settings *settings,
-                       const char *path) {
-  const char *format = settings->profile.common.format;
-  if (strcmp(path, CLI_PICTURE_TERMINAL) == 0 && format != NULL &&
-      (strcmp(format, "csv") == 0 || strcmp(format, "json") == 0)) {
-    cli_fail_usage(command,
-                   "--plot - draws onto standard output, where the %s goes: name a file, or leave "
-                   "--format out",
-                   format);
-    return false;
-  }
-  return cli_picture_check(command, path);
-}
-
-int cli_eval_check(const cli_command *command, const cli_eval_settings *settings) {
-  const int status = settings->table != NULL ? check_table(command, settings)
-                                             : cli_channels_check(command, &settings->medium);
+int cli_eval_check(const cli_eval_settings *settings) {
+  const cli_common *common = &settings->profile.common;
+  const int status =
+      settings->table != NULL ? check_table(settings) : cli_medium_check(&settings->profile);
   if (status != CLI_OK) {
     return status;
   }
   if (settings->r.count > 0 && (settings->from.given || settings->to.given ||
                                 settings->count.given || settings->logarithmic)) {
-    return cli_fail_usage(command, "--r gives the radii one by one: leave --from, --to, --count "
-                                   "and --log out");
+    return cli_fail_usage("--r gives the radii one by one: leave --from, --to, --count "
+                          "and --log out");
   }
   if (settings->logarithmic && !settings->from.given) {
-    return cli_fail_usage(command, "--log needs --from, above 0");
-  }
-  if (settings->deadline_ms.value > UINT32_MAX) {
-    return cli_fail_usage(command, "--deadline-ms: at most %lu", (unsigned long)UINT32_MAX);
+    return cli_fail_usage("--log needs --from, above 0");
   }
   for (size_t i = 0; i < settings->plot.count; i++) {
-    if (!check_plot(command, settings, settings->plot.items[i])) {
+    const char *path = settings->plot.items[i];
+    if (strcmp(path, CLI_PICTURE_TERMINAL) == 0 && common->form >= CLI_CSV) {
+      return cli_fail_usage("--plot - draws onto standard output, where the %s goes: name a file, "
+                            "or leave --format out",
+                            common->format);
+    }
+    if (!cli_picture_check(path)) {
       return CLI_USAGE;
     }
   }
-  return CLI_OK;
+  return cli_deadline_check(&settings->profile);
 }
 
-void cli_eval_write(const cli_eval_report *report, const char *format) {
-  for (size_t i = 0; i < sizeof formats / sizeof formats[0]; i++) {
-    if (strcmp(formats[i].name, format) == 0) {
-      formats[i].write(report, stdout);
-    }
-  }
+static int check(void *settings) {
+  return cli_eval_check(settings);
 }
 
-/* Takes the report over, and the exit status of what has filled it. */
-static int write_and_free(const cli_command *command, const cli_eval_settings *settings,
-                          cli_eval_report *report, int status) {
-  if (status == CLI_OK && settings->plot.count > 0 && (report->wanted & DIPOLE_R) == 0) {
-    status = cli_fail_usage(command, "--plot draws R: add R to --want");
-  }
-  if (status == CLI_OK) {
-    const char *format = settings->profile.common.format;
-    cli_eval_write(report, format != NULL ? format : formats[0].name);
-  }
-  if (status == CLI_OK && settings->plot.count > 0) {
-    const cli_picture picture = cli_picture_of_R(report);
-    status = cli_picture_draw(command, &picture, &settings->plot);
-  }
-  cli_eval_report_free(report);
-  return status;
+static bool is_local(const void *settings) {
+  return ((const cli_eval_settings *)settings)->table != NULL;
 }
 
-static int run_with_daemon(const cli_command *command, const cli_eval_settings *settings) {
-  cli_eval_report report = {0};
-  dipole_client *client;
-  if (!cli_open(command, &settings->profile.common, &client)) {
-    return CLI_FAILED;
+static int write_and_draw(const cli_eval_settings *settings, const cli_eval_report *report) {
+  if (settings->plot.count > 0 && (report->quantities.wanted & DIPOLE_R) == 0) {
+    return cli_fail_usage("--plot draws R: add R to --want");
   }
-  const int asked = cli_eval_ask(command, settings, client, &report);
-  const int status = write_and_free(command, settings, &report, asked);
-  dipole_close(client);
-  return status;
+  cli_eval_write(report, settings->profile.common.form);
+  if (settings->plot.count == 0) {
+    return CLI_OK;
+  }
+  const cli_picture picture = cli_picture_of_R(report);
+  return cli_picture_draw(&picture, &settings->plot);
 }
 
-static int run_with_table(const cli_command *command, const cli_eval_settings *settings) {
+static int run(void *settings, dipole_client *client) {
   cli_eval_report report = {0};
   dipole_info *info = NULL;
-  const int evaluated = cli_eval_table(command, settings, &report, &info);
-  const int status = write_and_free(command, settings, &report, evaluated);
-  free(info);
-  return status;
-}
-
-static int run(const cli_command *command, int argc, char **argv) {
-  cli_eval_settings settings = {0};
-  const char *operand;
-  int status;
-  if (cli_options_read(command, argc, argv, &settings, &operand, &status)) {
-    status = cli_eval_check(command, &settings);
-    if (status == CLI_OK) {
-      status = settings.table != NULL ? run_with_table(command, &settings)
-                                      : run_with_daemon(command, &settings);
-    }
+  int status = is_local(settings) ? cli_eval_table(settings, &report, &info)
+                                  : cli_eval_ask(settings, client, &report);
+  if (status == CLI_OK) {
+    status = write_and_draw(settings, &report);
   }
-  cli_options_free(command, &settings);
+  cli_eval_report_free(&report);
+  free(info);
   return status;
 }
 
@@ -183,5 +136,8 @@ const cli_command cli_command_eval = {
                 "  dipole eval --medium skin1 --tolerance 0.01\n"
                 "  dipole eval --medium skin1 --model transport --evaluator lut --want R,cdf\n"
                 "  dipole eval --medium skin1 --model all --plot\n",
+    .settings_bytes = sizeof(cli_eval_settings),
+    .check = check,
+    .is_local = is_local,
     .run = run,
 };

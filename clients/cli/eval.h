@@ -1,169 +1,82 @@
-/* eval: what `dipole eval` asks for and what it got, as its parts share it. */
+/* eval: how `dipole eval` and `dipole plot` ask, and how `dipole eval` writes. */
 #ifndef DIPOLE_CLI_EVAL_H
 #define DIPOLE_CLI_EVAL_H
 
-#include "clients/cli/channels.h"
-#include "clients/cli/cli.h"
-#include "clients/cli/json.h"
-#include "clients/cli/parameters.h"
+#include "clients/cli/eval_report.h"
 
 typedef struct cli_eval_settings {
-  cli_profile_settings profile;
-  cli_medium_settings medium;
-  const char *table; /* a file, instead of a daemon */
+  cli_profile_settings profile; /* `model` is not used */
+  const char *table;            /* a file, instead of a daemon */
   cli_texts model;
   const char *reference; /* a model that is asked too, with what it takes of the parameters */
-  const char *moments, *evaluator;
   cli_numbers r;
   cli_number from, to;
   cli_count count;
   bool logarithmic;
   cli_texts want;
-  cli_count deadline_ms;
   cli_texts plot;
 } cli_eval_settings;
 
 /* The options of all evaluations, for settings that start with a cli_eval_settings. */
 #define CLI_EVAL_OPTIONS                                                                           \
-  {"Evaluation", NULL, NULL, CLI_HEADING, 0},                                                      \
-      {"model", "NAME[,NAME...]",                                                                  \
+  {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},                                                \
+      {"model",                                                                                    \
+       "NAME[,NAME...]",                                                                           \
        "see `dipole info`; all: every model that takes what is asked, those that\n"                \
        "refuse it are named on standard error (default: with --tolerance the\n"                    \
        "cheapest that is so near to radiative transport, else better)",                            \
-       CLI_NAMES, offsetof(cli_eval_settings, model)},                                             \
-      {"moments", "NAME", "Fresnel moments, see `dipole info` (default: exact)", CLI_TEXT,         \
-       offsetof(cli_eval_settings, moments)},                                                      \
-      {"evaluator", "NAME",                                                                        \
+       CLI_NAMES,                                                                                  \
+       offsetof(cli_eval_settings, model),                                                         \
+       NULL},                                                                                      \
+      CLI_MOMENTS_OPTION(NULL),                                                                    \
+      {"evaluator",                                                                                \
+       "NAME",                                                                                     \
        "f64 or f32: double or single precision; lut: single, by a table\n"                         \
        "(default: f64; where the tolerance decides, the cheapest)",                                \
-       CLI_TEXT, offsetof(cli_eval_settings, evaluator)},                                          \
+       CLI_TEXT,                                                                                   \
+       offsetof(cli_profile_settings, evaluator),                                                  \
+       NULL},                                                                                      \
   {                                                                                                \
     "deadline-ms", "N",                                                                            \
         "the daemon shall answer within N ms of each query, or not at all; 0: at\n"                \
         "any time (default: 0)",                                                                   \
-        CLI_COUNT, offsetof(cli_eval_settings, deadline_ms)                                        \
+        CLI_COUNT, offsetof(cli_profile_settings, deadline_ms), NULL                               \
   }
 
-enum { CLI_EVAL_QUANTITIES_MAX = 32 };
+/* Checks everything that can be checked without a daemon. Returns an exit status. */
+int cli_eval_check(const cli_eval_settings *settings);
 
-/* Of one model and channel. Single precision values are held as the doubles that they equal. */
-typedef struct cli_eval_values {
-  double albedo; /* NaN: not wanted */
-  double numerical_error, numerical_error_per_mm;
-  double model_error; /* NaN: not measured */
-  /* By the position of the quantity in report->quantities: [radius_count]. */
-  double *arrays[CLI_EVAL_QUANTITIES_MAX];
-} cli_eval_values;
+/* Fills a zeroed report by asking a daemon. Of all models, those are left out that refuse the
+ * query, with a line each on standard error. Says what is wrong and returns an exit status; free the
+ * report in any case. */
+int cli_eval_ask(const cli_eval_settings *settings, dipole_client *client, cli_eval_report *report);
 
-typedef struct cli_eval_model {
-  const dipole_choice *choice; /* NULL: the daemon's to choose, until it has answered */
-  bool named;     /* by itself, and not only as one of all: then its refusal is a failure */
-  bool unlisted;  /* asked for as the reference only; the last of all, then */
-  unsigned notes; /* ids of the daemon's notes */
-} cli_eval_model;
-
-/* What a tolerance has chosen from; nothing where a model was named. */
-typedef struct cli_eval_offers {
-  double tolerance;
-  size_t count;
-  dipole_offer *offers; /* cheapest first */
-} cli_eval_offers;
-
-typedef struct cli_eval_report {
-  const dipole_info *info;
-  const char *medium; /* names of measured media; NULL: none */
-  const dipole_choice *evaluator, *moments;
-  cli_parameters parameters; /* as given; of all models each takes what it can */
-  unsigned wanted;
-  size_t channel_count;
-  cli_channel *channels;
-  size_t model_count; /* of those that answered */
-  cli_eval_model *models;
-  cli_eval_offers chosen_from;
-  size_t quantity_count; /* of those wanted that have a value for each radius */
-  const dipole_choice *quantities[CLI_EVAL_QUANTITIES_MAX]; /* in the daemon's order */
-  size_t radius_count;
-  double *radii;           /* mm, as the daemon took them */
-  cli_eval_values *values; /* [model_count * channel_count], model by model */
-  size_t values_capacity;  /* what there is room for, and may hold arrays */
-} cli_eval_report;
-
-/* ---- eval_report.c ------------------------------------------------------------------------- */
-
-const cli_eval_values *cli_eval_values_of(const cli_eval_report *report, size_t model,
-                                          size_t channel);
-
-/* The values of a quantity at the report's radii; NULL: not wanted. */
-const double *cli_eval_array(const cli_eval_report *report, const cli_eval_values *values,
-                             unsigned quantity);
-
-/* The numerical error, relative, of the values at a radius. */
-double cli_eval_numerical_error(const cli_eval_values *values, double r_mm);
-
-/* The largest finite radius of the report; 0 when there is none. */
-double cli_eval_radius_max(const cli_eval_report *report);
-
-/* True when a model's notes hold this one of the daemon's. */
-bool cli_eval_is_noted(const cli_eval_model *model, const dipole_choice *note);
-
-void cli_eval_report_free(cli_eval_report *report);
-
-/* ---- eval_choose.c: names; says what is wrong and returns false when the daemon lacks one --- */
-
-/* Models, quantities, moments and evaluator. */
-bool cli_eval_choose(const cli_command *command, const cli_eval_settings *settings,
-                     cli_eval_report *report);
-
-/* The quantities, from the names of --want. */
-bool cli_eval_choose_quantities(const cli_command *command, const cli_texts *names,
-                                cli_eval_report *report);
-
-/* ---- eval_ask.c: fills a zeroed report; says what is wrong and returns an exit status ------ */
-
-/* Of all models those are left out, with a line each on standard error, that refuse the query. */
-int cli_eval_ask(const cli_command *command, const cli_eval_settings *settings,
-                 dipole_client *client, cli_eval_report *report);
+/* The same from the file of tables, without a daemon. The report refers to *info: free that after
+ * it. */
+int cli_eval_table(const cli_eval_settings *settings, cli_eval_report *report, dipole_info **info);
 
 /* The radii of one query. */
 typedef struct cli_eval_radii {
   unsigned spacing;
   uint64_t count;
   double start_mm, stop_mm;
-  const double *f64; /* a list, in either precision; NULL: none */
+  const double *f64; /* a list in either precision; NULL if there is none */
   float *f32;        /* to be freed */
 } cli_eval_radii;
 
-/* None, when nothing that is wanted needs any. */
+/* Returns the radii that are asked for; none if no quantity has a value for each radius. */
 cli_eval_radii cli_eval_make_radii(const cli_eval_settings *settings,
                                    const cli_eval_report *report);
 
-/* ---- eval_chosen.c: a tolerance instead of a model ----------------------------------------- */
-
+/* Returns whether a tolerance instead of a model was given. */
 bool cli_eval_is_chosen(const cli_eval_report *report);
 
-/* "took transport by table (lut): ..."; nothing where a model was named. */
+/* Writes what was chosen and why, as in "took transport by table (lut): ..."; nothing if a model
+ * was named. */
 void cli_eval_write_chosen(const cli_eval_report *report, FILE *file);
 void cli_eval_write_chosen_json(const cli_eval_report *report, cli_json *json);
 
-/* ---- eval_table.c: instead of eval_ask.c, from a file and without a daemon ----------------- */
-
-/* *info, which the report refers to, is to be freed after it. */
-int cli_eval_table(const cli_command *command, const cli_eval_settings *settings,
-                   cli_eval_report *report, dipole_info **info);
-
-/* ---- eval.c -------------------------------------------------------------------------------- */
-
-/* What can be seen to be wrong without a daemon: an exit status. */
-int cli_eval_check(const cli_command *command, const cli_eval_settings *settings);
-
-/* Onto standard output in one of the formats of `dipole eval`, or none where this is none of them.
- */
-void cli_eval_write(const cli_eval_report *report, const char *format);
-
-/* ---- eval_write.c -------------------------------------------------------------------------- */
-
-void cli_eval_write_table(const cli_eval_report *report, FILE *file);
-void cli_eval_write_csv(const cli_eval_report *report, FILE *file);
-void cli_eval_write_json(const cli_eval_report *report, FILE *file);
+/* Writes the report to standard output; nothing for CLI_NONE. */
+void cli_eval_write(const cli_eval_report *report, enum cli_form form);
 
 #endif

@@ -1,28 +1,72 @@
-/* What `dipole eval` asks the daemon, and the answers put together. */
-#include <math.h>
+/* Asks a daemon for profiles, model by model, and puts the answers together. */
 #include <stdlib.h>
 #include <string.h>
 
+#include "clients/cli/daemon.h"
 #include "clients/cli/eval.h"
 #include "clients/cli/progress.h"
 
-#define FROM_DEFAULT_MM 0.0
-#define TO_DEFAULT_MM 10.0
-#define COUNT_DEFAULT 21
+#define MODEL_DEFAULT "better"
+#define MODEL_ALL "all"
+
+/* ---- models -------------------------------------------------------------------------------- */
+
+static bool choose_model(const char *name, cli_eval_report *report) {
+  const dipole_choice *model = cli_named(report->profile.info, DIPOLE_MODEL, "model", name);
+  if (model != NULL) {
+    cli_eval_add_model(report, model, true);
+  }
+  return model != NULL;
+}
+
+static bool choose_models(const cli_eval_settings *settings, cli_eval_report *report) {
+  const cli_texts *names = &settings->model;
+  if (names->count == 0 && settings->profile.tolerance.given) {
+    cli_eval_add_model(report, NULL, true); /* the daemon chooses */
+    return true;
+  }
+  for (size_t i = 0; i < names->count; i++) {
+    const dipole_choice *model;
+    if (strcmp(names->items[i], MODEL_ALL) != 0) {
+      if (!choose_model(names->items[i], report)) {
+        return false;
+      }
+      continue;
+    }
+    for (size_t from = 0;
+         (model = cli_next_choice(report->profile.info, DIPOLE_MODEL, &from)) != NULL;) {
+      cli_eval_add_model(report, model, false);
+    }
+  }
+  return names->count > 0 || choose_model(MODEL_DEFAULT, report);
+}
+
+/* Like one of all models, the reference takes what it can of the parameters. */
+static bool choose_reference(const char *name, cli_eval_report *report) {
+  const dipole_choice *model = cli_choice(report->profile.info, DIPOLE_MODEL, name);
+  const size_t listed = report->model_count;
+  if (model == NULL) {
+    cli_fail("this daemon has no model %s to compare with: leave --error out", name);
+    return false;
+  }
+  cli_eval_add_model(report, model, false);
+  report->models[report->model_count - 1].unlisted = report->model_count > listed;
+  return true;
+}
 
 /* ---- radii --------------------------------------------------------------------------------- */
 
 cli_eval_radii cli_eval_make_radii(const cli_eval_settings *settings,
                                    const cli_eval_report *report) {
   cli_eval_radii radii = {.spacing = DIPOLE_LIST};
-  if (report->quantity_count == 0) {
+  if (report->quantities.count == 0) {
     return radii;
   }
   if (settings->r.count == 0) {
     radii.spacing = settings->logarithmic ? DIPOLE_LOGARITHMIC : DIPOLE_LINEAR;
-    radii.count = settings->count.given ? settings->count.value : COUNT_DEFAULT;
-    radii.start_mm = settings->from.given ? settings->from.value : FROM_DEFAULT_MM;
-    radii.stop_mm = settings->to.given ? settings->to.value : TO_DEFAULT_MM;
+    radii.count = settings->count.value;
+    radii.start_mm = settings->from.value;
+    radii.stop_mm = settings->to.value;
     return radii;
   }
   radii.count = settings->r.count;
@@ -37,14 +81,12 @@ cli_eval_radii cli_eval_make_radii(const cli_eval_settings *settings,
 /* ---- asking -------------------------------------------------------------------------------- */
 
 typedef struct asking {
-  const cli_common *common;
+  const cli_eval_settings *settings;
   dipole_client *client;
   cli_eval_report *report;
-  const dipole_medium *media;
   const cli_eval_radii *radii;
-  uint32_t deadline_ms;
-  unsigned too_large; /* the daemon's status for a request beyond its limits, */
-  unsigned bad_value; /* for one that it, or the model, does not take, */
+  unsigned too_large; /* the daemon's status for a request beyond its limits */
+  unsigned bad_value; /* the one for a request that it, or the model, does not take */
   cli_progress *progress;
   size_t models_done, models_total;
 } asking;
@@ -55,12 +97,12 @@ static void copy_values(double *to, const double *f64, const float *f32, size_t 
   }
 }
 
-/* Room for all radii of a model, once the daemon has agreed to so many. */
+/* Makes room for all radii of a model, once the daemon has agreed to so many. */
 static double *make_room(double *values, size_t count) {
   return values != NULL ? values : cli_allocate(count, sizeof *values);
 }
 
-/* Keeps a part of the answer for the model at a place: the radii from `first` on. */
+/* Keeps a part of the answer: the radii from `first` on of the model at a place. */
 static void keep(const asking *ask, size_t place, size_t first, const dipole_result *part) {
   cli_eval_report *report = ask->report;
   const size_t count = (size_t)part->radius_count;
@@ -68,15 +110,15 @@ static void keep(const asking *ask, size_t place, size_t first, const dipole_res
   report->radii = make_room(report->radii, report->radius_count);
   copy_values(report->radii + first, part->radius_f64, part->radius_f32, count);
   report->models[place].notes |= part->notes;
-  for (size_t i = 0; i < report->channel_count; i++) {
+  for (size_t i = 0; i < report->profile.channel_count; i++) {
     const dipole_channel *channel = &part->channels[i];
-    cli_eval_values *values = &report->values[place * report->channel_count + i];
+    cli_eval_values *values = &report->values[place * report->profile.channel_count + i];
     values->albedo = channel->albedo;
     values->numerical_error = channel->numerical_error;
     values->numerical_error_per_mm = channel->numerical_error_per_mm;
     values->model_error = channel->model_error;
-    for (size_t q = 0; q < report->quantity_count; q++) {
-      const unsigned id = report->quantities[q]->id;
+    for (size_t q = 0; q < report->quantities.count; q++) {
+      const unsigned id = report->quantities.items[q]->id;
       values->arrays[q] = make_room(values->arrays[q], report->radius_count);
       copy_values(values->arrays[q] + first, dipole_values_f64(part, (uint32_t)i, id),
                   dipole_values_f32(part, (uint32_t)i, id), count);
@@ -84,26 +126,26 @@ static void keep(const asking *ask, size_t place, size_t first, const dipole_res
   }
 }
 
-/* What the model at a place is asked for the radii first, first + 1, ..., first + count - 1 of a
- * list, or for the whole grid. */
+/* Returns what the model at a place is asked: for `count` radii of a list from number `first` on, or
+ * for the whole grid. */
 static dipole_query make_query(const asking *ask, size_t place, const cli_parameters *parameters,
                                size_t first, uint64_t count) {
   const cli_eval_radii *radii = ask->radii;
   const cli_eval_report *report = ask->report;
   const dipole_choice *model = report->models[place].choice;
   dipole_query query = {.model = model != NULL ? model->id : DIPOLE_ANY_MODEL,
-                        .evaluator = report->evaluator->id,
-                        .moments = report->moments->id,
-                        .wanted = report->wanted | DIPOLE_RADIUS,
-                        .media = ask->media,
-                        .medium_count = (uint32_t)report->channel_count,
+                        .evaluator = report->profile.evaluator->id,
+                        .moments = report->profile.moments->id,
+                        .wanted = report->quantities.wanted | DIPOLE_RADIUS,
+                        .media = report->profile.media,
+                        .medium_count = (uint32_t)report->profile.channel_count,
                         .spacing = radii->spacing,
                         .radius_count = count,
                         .radius_start_mm = radii->start_mm,
                         .radius_stop_mm = radii->stop_mm,
                         .parameters = parameters->items,
                         .parameter_count = parameters->count,
-                        .deadline_ms = ask->deadline_ms};
+                        .deadline_ms = (uint32_t)ask->settings->profile.deadline_ms.value};
   if (radii->f64 != NULL && query.evaluator == DIPOLE_F64) {
     query.radii = radii->f64 + first;
   } else if (radii->f32 != NULL) {
@@ -119,14 +161,14 @@ static bool take_choice(cli_eval_report *report, const dipole_result *result, di
     return true;
   }
   const dipole_choice *evaluator =
-      cli_choice_of_id(report->info, DIPOLE_EVALUATOR, result->evaluator);
-  model->choice = cli_choice_of_id(report->info, DIPOLE_MODEL, result->model);
+      cli_choice_of_id(report->profile.info, DIPOLE_EVALUATOR, result->evaluator);
+  model->choice = cli_choice_of_id(report->profile.info, DIPOLE_MODEL, result->model);
   if (model->choice == NULL || evaluator == NULL) {
     *error = (dipole_error){.kind = DIPOLE_ERROR_PROTOCOL,
                             .text = "the daemon chose a model or evaluator that it does not list"};
     return false;
   }
-  report->evaluator = evaluator;
+  report->profile.evaluator = evaluator;
   return true;
 }
 
@@ -137,9 +179,10 @@ typedef struct receiving {
   dipole_error *error; /* when a part cannot be used */
 } receiving;
 
-/* Of the model that is asked now so many radii are there. */
+/* radii: how many of the model that is asked now have come. */
 static void show_progress(const asking *ask, double radii) {
-  const double of_model = (double)ask->radii->count, channels = (double)ask->report->channel_count;
+  const double of_model = (double)ask->radii->count,
+               channels = (double)ask->report->profile.channel_count;
   if (of_model > 0) {
     const double done = (double)ask->models_done * of_model + radii;
     cli_progress_show(ask->progress, done / ((double)ask->models_total * of_model),
@@ -157,14 +200,19 @@ static bool receive(void *context, const dipole_result *part, uint64_t radius_fi
   return true;
 }
 
-/* A list that is too long for the daemon is asked for in halves; but each half could get another
- * model where that is the daemon's to choose. */
+/* Asks for `count` radii. A list that is too long for the daemon is asked for in halves, but not
+ * where the daemon chooses the model: then each half could get another one. */
 static bool ask_piece(const asking *ask, size_t place, const cli_parameters *parameters,
                       size_t first, uint64_t count, dipole_error *error) {
   const dipole_query query = make_query(ask, place, parameters, first, count);
   dipole_error unusable = {0};
   receiving to = {.ask = ask, .place = place, .first = first, .error = &unusable};
-  if (cli_eval_parts(ask->client, ask->common, &query, receive, &to, error)) {
+  const int64_t start_ms = cli_now_ms();
+  bool good;
+  do {
+    good = dipole_eval_parts(ask->client, &query, receive, &to, error);
+  } while (!good && cli_try_again(&ask->settings->profile.common, start_ms, error));
+  if (good) {
     return true;
   }
   if (error->kind == DIPOLE_ERROR_STOPPED) {
@@ -180,21 +228,21 @@ static bool ask_piece(const asking *ask, size_t place, const cli_parameters *par
   return false;
 }
 
-/* A parameter that a model does not take is refused in this way, whatever its value. */
+/* Returns whether a parameter was refused because the model does not take it, whatever its value. */
 static bool is_not_taken(const dipole_error *error) {
   return strncmp(error->allowed, "nothing", strlen("nothing")) == 0;
 }
 
-/* Asks the model at a place; one of all models is asked without the parameters that it does not
- * take, a named one is not. */
+/* Asks the model at a place. One of all models is asked without the parameters that it does not
+ * take; a named one has to take them. */
 static bool ask_model(const asking *ask, size_t place, dipole_error *error) {
   const cli_eval_report *report = ask->report;
-  cli_parameters parameters = report->parameters;
+  cli_parameters parameters = report->profile.parameters;
   for (;;) {
     if (ask_piece(ask, place, &parameters, 0, ask->radii->count, error)) {
       return true;
     }
-    const dipole_choice *refused = cli_choice(report->info, DIPOLE_PARAMETER, error->field);
+    const dipole_choice *refused = cli_choice(report->profile.info, DIPOLE_PARAMETER, error->field);
     if (report->models[place].named || error->kind != DIPOLE_ERROR_REFUSED ||
         error->status != ask->bad_value || refused == NULL || !is_not_taken(error) ||
         !cli_parameters_remove(&parameters, refused->id)) {
@@ -209,37 +257,25 @@ typedef struct left_out {
   dipole_error error;
 } left_out;
 
-/* One line for each model that is left out. When that is every one, what is wrong is hardly theirs:
- * each reason is given once. */
-static int tell_left_out(const cli_command *command, const left_out *models, size_t count,
-                         bool all) {
-  char option[64];
+/* Writes one line for each model that is left out. If that is every one, what is wrong is hardly the
+ * models': then each reason is given once. */
+static int tell_left_out(const left_out *models, size_t count, bool all) {
   for (size_t i = 0; i < count; i++) {
-    const dipole_error *error = &models[i].error;
-    cli_option_of(command, error->field, option, sizeof option);
+    char what[96];
     bool told = false;
     for (size_t k = 0; k < i; k++) {
-      told = told || strcmp(models[k].error.text, error->text) == 0;
+      told = told || strcmp(models[k].error.text, models[i].error.text) == 0;
     }
-    if (!all) {
-      cli_fail(command, "%s is left out: %s%s", models[i].model, error->text, option);
-    } else if (!told) {
-      cli_fail(command, "%s%s", error->text, option);
+    snprintf(what, sizeof what, "%s is left out: ", models[i].model);
+    if (!all || !told) {
+      cli_fail_error_of(all ? "" : what, &models[i].error);
     }
   }
   return all ? CLI_FAILED : CLI_OK;
 }
 
-/* Says what is wrong; an exit status. */
-static int fail(const cli_command *command, const dipole_error *error) {
-  char option[64];
-  cli_fail(command, "%s%s", error->text,
-           cli_option_of(command, error->field, option, sizeof option));
-  return CLI_FAILED;
-}
-
-/* Asks model by model; those that answer move up in the report to fill the gaps. */
-static int ask_all(const cli_command *command, asking *ask) {
+/* Asks model by model. Those that answer move up in the report to fill the gaps. */
+static int ask_all(asking *ask) {
   cli_eval_report *report = ask->report;
   const size_t count = report->model_count;
   ask->models_total = count;
@@ -257,14 +293,14 @@ static int ask_all(const cli_command *command, asking *ask) {
       out[out_count++] = (left_out){asked->choice->name, error};
     } else {
       cli_progress_wipe(ask->progress);
-      status = fail(command, &error);
+      status = cli_fail_error(&error);
     }
     ask->models_done++;
   }
   cli_progress_wipe(ask->progress);
   report->model_count = answered;
   if (status == CLI_OK) {
-    status = tell_left_out(command, out, out_count, answered == 0);
+    status = tell_left_out(out, out_count, answered == 0);
   }
   free(out);
   return status;
@@ -272,35 +308,40 @@ static int ask_all(const cli_command *command, asking *ask) {
 
 /* ---- a tolerance instead of a model -------------------------------------------------------- */
 
-/* Asks what could answer with the report's evaluator; *taken: one keeps the tolerance. */
+/* Asks which models could answer with the report's evaluator. Sets *taken if one of them keeps the
+ * tolerance. */
 static bool ask_offers(const asking *ask, bool *taken, dipole_error *error) {
   cli_eval_offers *offers = &ask->report->chosen_from;
-  const dipole_query query = make_query(ask, 0, &ask->report->parameters, 0, ask->radii->count);
+  const dipole_query query =
+      make_query(ask, 0, &ask->report->profile.parameters, 0, ask->radii->count);
+  const int64_t start_ms = cli_now_ms();
   size_t at;
+  bool good;
   free(offers->offers);
   offers->offers = NULL;
-  const bool good =
-      cli_offers(ask->client, ask->common, &query, &offers->offers, &offers->count, &at, error);
+  do {
+    good = dipole_offers(ask->client, &query, &offers->offers, &offers->count, &at, error);
+  } while (!good && cli_try_again(&ask->settings->profile.common, start_ms, error));
   *taken = good && at < offers->count;
   return good;
 }
 
-/* Without --evaluator single precision, which is cheaper, unless only double precision keeps the
- * tolerance. If neither does, the query is left to the daemon to refuse. */
-static int choose_precision(const cli_command *command, const cli_eval_settings *settings,
-                            const asking *ask) {
+/* Without --evaluator, takes single precision, which is cheaper, unless only double precision keeps
+ * the tolerance. If neither does, the daemon will refuse the query. */
+static int choose_precision(const asking *ask) {
   static const unsigned either[] = {DIPOLE_LUT, DIPOLE_F64};
   cli_eval_report *report = ask->report;
   dipole_error error;
   bool taken = false;
-  report->chosen_from.tolerance = settings->profile.tolerance.value;
+  report->chosen_from.tolerance = ask->settings->profile.tolerance.value;
   for (size_t i = 0; !taken && i < sizeof either / sizeof either[0]; i++) {
-    const dipole_choice *evaluator = cli_choice_of_id(report->info, DIPOLE_EVALUATOR, either[i]);
-    if (settings->evaluator == NULL && evaluator != NULL) {
-      report->evaluator = evaluator;
+    const dipole_choice *evaluator =
+        cli_choice_of_id(report->profile.info, DIPOLE_EVALUATOR, either[i]);
+    if (ask->settings->profile.evaluator == NULL && evaluator != NULL) {
+      report->profile.evaluator = evaluator;
     }
     if (!ask_offers(ask, &taken, &error)) {
-      return fail(command, &error);
+      return cli_fail_error(&error);
     }
   }
   return CLI_OK;
@@ -308,52 +349,41 @@ static int choose_precision(const cli_command *command, const cli_eval_settings 
 
 /* ---- all of it ----------------------------------------------------------------------------- */
 
-static int ask_with(const cli_command *command, const cli_eval_settings *settings,
-                    dipole_client *client, cli_eval_report *report) {
-  dipole_medium *media = cli_allocate(report->channel_count, sizeof *media);
-  for (size_t i = 0; i < report->channel_count; i++) {
-    media[i] = report->channels[i].medium;
-  }
+static int ask_with(const cli_eval_settings *settings, dipole_client *client,
+                    cli_eval_report *report) {
   cli_eval_radii radii = cli_eval_make_radii(settings, report);
   cli_progress progress;
-  asking ask = {.common = &settings->profile.common,
+  asking ask = {.settings = settings,
                 .client = client,
                 .report = report,
-                .media = media,
                 .radii = &radii,
-                .deadline_ms = (uint32_t)settings->deadline_ms.value,
                 .too_large = dipole_id(client, DIPOLE_STATUS, "too-large"),
                 .bad_value = dipole_id(client, DIPOLE_STATUS, "bad-value"),
                 .progress = &progress};
   cli_progress_start(&progress, "values");
-  int status = CLI_OK;
-  if (report->models[0].choice == NULL) {
-    status = choose_precision(command, settings, &ask);
-  }
+  int status = report->models[0].choice == NULL ? choose_precision(&ask) : CLI_OK;
   if (status == CLI_OK) {
-    status = ask_all(command, &ask);
+    status = ask_all(&ask);
   }
   free(radii.f32);
-  free(media);
   return status;
 }
 
-int cli_eval_ask(const cli_command *command, const cli_eval_settings *settings,
-                 dipole_client *client, cli_eval_report *report) {
-  cli_channels channels = {0};
-  report->info = dipole_get_info(client);
-  if (!cli_eval_choose(command, settings, report) ||
-      !cli_parameters_take(command, report->info, &settings->profile, &report->parameters)) {
-    return CLI_USAGE;
-  }
-  const int status = cli_channels_take(command, &settings->medium, client, &channels);
+int cli_eval_ask(const cli_eval_settings *settings, dipole_client *client,
+                 cli_eval_report *report) {
+  cli_profile_settings profile = settings->profile;
+  profile.moments = profile.moments != NULL ? profile.moments : "exact";
+  profile.evaluator = profile.evaluator != NULL ? profile.evaluator : "f64";
+  const int status = cli_profile_take(&profile, client, &report->profile);
   if (status != CLI_OK) {
     return status;
   }
-  report->medium = channels.medium;
-  report->channel_count = channels.count;
-  report->channels = channels.items;
-  report->values_capacity = report->model_count * report->channel_count;
-  report->values = cli_allocate(report->values_capacity, sizeof *report->values);
-  return ask_with(command, settings, client, report);
+  if (!choose_models(settings, report) ||
+      (settings->reference != NULL && !choose_reference(settings->reference, report)) ||
+      !cli_quantities_take(report->profile.info, &settings->want, DIPOLE_R | DIPOLE_ALBEDO,
+                           DIPOLE_ALBEDO | DIPOLE_RADIUS, &report->quantities)) {
+    return CLI_USAGE;
+  }
+  cli_eval_make_values(report);
+  return ask_with(settings, client, report);
 }

@@ -1,27 +1,29 @@
 /* What a tolerance has chosen, why, and what it did not choose. */
 #include <math.h>
 
+#include "clients/cli/daemon.h"
 #include "clients/cli/eval.h"
 #include "clients/cli/number.h"
+#include "clients/cli/rows.h"
 
-/* Cheaper ones that people are told of. */
-enum { TOLD_MAX = 4 };
+/* How many cheaper offers are listed for people. */
+enum { LISTED_MAX = 4 };
 
 bool cli_eval_is_chosen(const cli_eval_report *report) {
   return report->chosen_from.offers != NULL;
 }
 
 static const char *name_of(const cli_eval_report *report, enum dipole_kind kind, unsigned id) {
-  const dipole_choice *choice = cli_choice_of_id(report->info, kind, id);
+  const dipole_choice *choice = cli_choice_of_id(report->profile.info, kind, id);
   return choice != NULL ? choice->name : "?";
 }
 
-/* The offer that was taken; NULL: the daemon has taken one that it had not offered. */
+/* Returns the offer that was taken; NULL if the daemon has taken one that it had not offered. */
 static const dipole_offer *find_taken(const cli_eval_report *report) {
   const cli_eval_offers *from = &report->chosen_from;
   for (size_t i = 0; i < from->count; i++) {
     if (from->offers[i].model == report->models[0].choice->id &&
-        from->offers[i].evaluator == report->evaluator->id) {
+        from->offers[i].evaluator == report->profile.evaluator->id) {
       return &from->offers[i];
     }
   }
@@ -47,34 +49,35 @@ static void write_range(const cli_eval_report *report, FILE *file) {
   }
 }
 
-/* A bound in two digits, which must not make it less. */
+/* Returns a bound in two digits, rounded up so that it stays a bound. */
 static double rounded_up(double bound) {
   const double unit = pow(10, floor(log10(bound)) - 1);
   return bound > 0 && bound < (double)INFINITY ? unit * ceil(bound / unit * (1 - 1e-12)) : bound;
 }
 
-/* Whether people are told of an offer: one that is cheaper and off, of each model the cheapest. */
-static bool is_worth_telling(const cli_eval_offers *from, const dipole_offer *offer,
-                             const dipole_offer *taken) {
-  bool worth = is_cheaper_and_off(offer, taken);
+/* Returns whether an offer is listed for people: it is cheaper and off, and the first such of its
+ * model. */
+static bool is_listed(const cli_eval_offers *from, const dipole_offer *offer,
+                      const dipole_offer *taken) {
+  bool listed = is_cheaper_and_off(offer, taken);
   for (const dipole_offer *before = from->offers; before < offer; before++) {
-    worth = worth && before->model != offer->model;
+    listed = listed && before->model != offer->model;
   }
-  return worth;
+  return listed;
 }
 
-/* Whether one of the cheaper ones has a smaller error, or the same and comes first. */
+/* Returns whether offer a has a smaller error than b, or the same and comes first. */
 static bool is_nearer(const dipole_offer *a, const dipole_offer *b) {
   return a->error < b->error || (!(b->error < a->error) && a < b);
 }
 
-/* The nearest of the cheaper ones beyond the last that was told; NULL: none whose error is known.
- */
+/* Returns the listed offer that is next in error after `last`; NULL if there is none whose error is
+ * known. */
 static const dipole_offer *next_nearest(const cli_eval_offers *from, const dipole_offer *taken,
                                         const dipole_offer *last) {
   const dipole_offer *next = NULL;
   for (const dipole_offer *offer = from->offers; offer < from->offers + from->count; offer++) {
-    if (is_worth_telling(from, offer, taken) && offer->error < (double)INFINITY &&
+    if (is_listed(from, offer, taken) && offer->error < (double)INFINITY &&
         (last == NULL || is_nearer(last, offer)) && (next == NULL || is_nearer(offer, next))) {
       next = offer;
     }
@@ -88,14 +91,14 @@ static void write_cheaper(const cli_eval_report *report, const dipole_offer *tak
   char text[CLI_NUMBER_BYTES];
   size_t told = 0, all = 0;
   for (size_t i = 0; i < from->count; i++) {
-    all += is_worth_telling(from, &from->offers[i], taken);
+    all += is_listed(from, &from->offers[i], taken);
   }
   if (all == 0) {
     return;
   }
   fprintf(file, "; cheaper and not within %s: ", cli_number_format(from->tolerance, text));
   const dipole_offer *offer = next_nearest(from, taken, NULL);
-  for (; offer != NULL && told < TOLD_MAX; offer = next_nearest(from, taken, offer)) {
+  for (; offer != NULL && told < LISTED_MAX; offer = next_nearest(from, taken, offer)) {
     fprintf(file, "%s%s (%s) %.2g", told > 0 ? ", " : "",
             name_of(report, DIPOLE_MODEL, offer->model),
             name_of(report, DIPOLE_EVALUATOR, offer->evaluator), offer->error);
@@ -114,7 +117,8 @@ void cli_eval_write_chosen(const cli_eval_report *report, FILE *file) {
   }
   const dipole_offer *taken = find_taken(report);
   fprintf(file, "took %s%s (%s)", report->models[0].choice->name,
-          report->evaluator->id == DIPOLE_LUT ? " by table" : "", report->evaluator->name);
+          report->profile.evaluator->id == DIPOLE_LUT ? " by table" : "",
+          report->profile.evaluator->name);
   if (taken != NULL) {
     fprintf(file, ": within %.2g of transport", rounded_up(taken->error));
     write_range(report, file);
@@ -126,22 +130,26 @@ void cli_eval_write_chosen(const cli_eval_report *report, FILE *file) {
 
 /* ---- JSON ---------------------------------------------------------------------------------- */
 
-static void write_json_offer(const cli_eval_report *report, const dipole_offer *offer,
-                             cli_json *json) {
-  cli_json_text(json, "model", name_of(report, DIPOLE_MODEL, offer->model));
-  cli_json_text(json, "evaluator", name_of(report, DIPOLE_EVALUATOR, offer->evaluator));
-  cli_json_number(json, "error", offer->error);
-  cli_json_number(json, "numerical_error", offer->numerical_error);
-  cli_json_number(json, "cost_ns", offer->cost_ns);
-  cli_json_number(json, "prepare_ns", offer->prepare_ns);
+/* Returns NaN, which JSON shows as null, for an error that is not known. */
+static double known(double error) {
+  return error < (double)INFINITY ? error : (double)NAN;
 }
 
-/* Errors that are not known are null here, as those that have not been measured are elsewhere. */
-static dipole_offer with_unknown(dipole_offer offer) {
-  offer.error = offer.error < (double)INFINITY ? offer.error : (double)NAN;
-  offer.numerical_error =
-      offer.numerical_error < (double)INFINITY ? offer.numerical_error : (double)NAN;
-  return offer;
+typedef struct offers {
+  const cli_eval_report *report;
+  const dipole_offer *items;
+} offers;
+
+static void put_offer(cli_rows *rows, const void *context, size_t index) {
+  const offers *of = context;
+  const dipole_offer *offer = &of->items[index];
+  cli_put_text(rows, CLI_COLUMN("model"), name_of(of->report, DIPOLE_MODEL, offer->model));
+  cli_put_text(rows, CLI_COLUMN("evaluator"),
+               name_of(of->report, DIPOLE_EVALUATOR, offer->evaluator));
+  cli_put_number(rows, CLI_COLUMN("error"), known(offer->error));
+  cli_put_number(rows, CLI_COLUMN("numerical_error"), known(offer->numerical_error));
+  cli_put_number(rows, CLI_COLUMN("cost_ns"), offer->cost_ns);
+  cli_put_number(rows, CLI_COLUMN("prepare_ns"), offer->prepare_ns);
 }
 
 void cli_eval_write_chosen_json(const cli_eval_report *report, cli_json *json) {
@@ -153,15 +161,13 @@ void cli_eval_write_chosen_json(const cli_eval_report *report, cli_json *json) {
   cli_json_begin(json, "chosen", '{');
   cli_json_number(json, "tolerance", from->tolerance);
   if (taken != NULL) {
-    const dipole_offer known = with_unknown(*taken);
-    write_json_offer(report, &known, json);
+    cli_rows_members(json, put_offer, &(const offers){report, taken}, 0);
   }
   cli_json_begin(json, "cheaper", '[');
   for (size_t i = 0; taken != NULL && i < from->count; i++) {
     if (is_cheaper_and_off(&from->offers[i], taken)) {
-      const dipole_offer known = with_unknown(from->offers[i]);
       cli_json_begin(json, NULL, '{');
-      write_json_offer(report, &known, json);
+      cli_rows_members(json, put_offer, &(const offers){report, from->offers}, i);
       cli_json_end(json, '}');
     }
   }

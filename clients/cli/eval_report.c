@@ -1,18 +1,33 @@
-/* What is read from the report of `dipole eval`. */
+#include "clients/cli/eval_report.h"
+
 #include <math.h>
 #include <stdlib.h>
 
-#include "clients/cli/eval.h"
+void cli_eval_add_model(cli_eval_report *report, const dipole_choice *model, bool named) {
+  for (size_t i = 0; i < report->model_count; i++) {
+    if (report->models[i].choice == model) {
+      report->models[i].named |= named;
+      return;
+    }
+  }
+  report->models = cli_resize(report->models, report->model_count + 1, sizeof *report->models);
+  report->models[report->model_count++] = (cli_eval_model){.choice = model, .named = named};
+}
+
+void cli_eval_make_values(cli_eval_report *report) {
+  report->values_capacity = report->model_count * report->profile.channel_count;
+  report->values = cli_allocate(report->values_capacity, sizeof *report->values);
+}
 
 const cli_eval_values *cli_eval_values_of(const cli_eval_report *report, size_t model,
                                           size_t channel) {
-  return &report->values[model * report->channel_count + channel];
+  return &report->values[model * report->profile.channel_count + channel];
 }
 
 const double *cli_eval_array(const cli_eval_report *report, const cli_eval_values *values,
                              unsigned quantity) {
-  for (size_t q = 0; q < report->quantity_count; q++) {
-    if (report->quantities[q]->id == quantity) {
+  for (size_t q = 0; q < report->quantities.count; q++) {
+    if (report->quantities.items[q]->id == quantity) {
       return values->arrays[q];
     }
   }
@@ -35,13 +50,9 @@ double cli_eval_radius_max(const cli_eval_report *report) {
   return max;
 }
 
-bool cli_eval_is_noted(const cli_eval_model *model, const dipole_choice *note) {
-  return cli_is_noted(model->notes, note);
-}
-
 void cli_eval_report_free(cli_eval_report *report) {
   for (size_t i = 0; i < report->values_capacity; i++) {
-    for (size_t q = 0; q < report->quantity_count; q++) {
+    for (size_t q = 0; q < report->quantities.count; q++) {
       free(report->values[i].arrays[q]);
     }
   }
@@ -49,5 +60,5 @@ void cli_eval_report_free(cli_eval_report *report) {
   free(report->chosen_from.offers);
   free(report->radii);
   free(report->models);
-  free(report->channels);
+  cli_profile_free(&report->profile);
 }

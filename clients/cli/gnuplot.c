@@ -164,16 +164,24 @@ bool cli_gnuplot(const char *path, size_t width, size_t height, cli_gnuplot_scri
   return good;
 }
 
-/* Copies gnuplot's pages without the form feeds between them and without blanks at line ends. */
+/* Copies gnuplot's pages. Form feeds become line ends if no line end is there; blanks at line ends
+ * are left out. */
 static void copy_text(FILE *from, FILE *to) {
   size_t blanks = 0;
-  for (int byte; (byte = fgetc(from)) != EOF;) {
+  int last = '\n';
+  for (int byte = fgetc(from); byte != EOF || last != '\n'; byte = fgetc(from)) {
     if (byte == ' ') {
       blanks++;
-    } else if (byte != '\f') {
-      fprintf(to, "%*s", byte == '\n' ? 0 : (int)blanks, "");
-      fputc(byte, to);
-      blanks = 0;
+      continue;
+    }
+    const bool ends = byte == '\n' || byte == '\f' || byte == EOF;
+    if (!ends) {
+      fprintf(to, "%*s", (int)blanks, "");
+    }
+    blanks = 0;
+    if (byte == '\n' || !ends || last != '\n') {
+      last = ends ? '\n' : byte;
+      fputc(last, to);
     }
   }
 }

@@ -2,10 +2,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "clients/cli/cli.h"
-#include "clients/cli/csv.h"
-#include "clients/cli/json.h"
-#include "clients/cli/table.h"
+#include "clients/cli/daemon.h"
+#include "clients/cli/rows.h"
 
 /* The daemon's lists, as people call them. */
 static const struct {
@@ -18,166 +16,163 @@ static const struct {
     {DIPOLE_LENGTH, "lengths"},
 };
 
-enum { LISTS = sizeof lists / sizeof lists[0] };
+#define DAEMON "daemon"
 
-typedef struct info_report {
-  const dipole_info *info;
-  const dipole_value *statistics;
-  size_t statistic_count;
-} info_report;
+/* One thing that is known of the daemon. */
+typedef struct fact {
+  const char *section;
+  const char *name, *head; /* for programs and for people */
+  const dipole_choice *choice;
+  const char *text; /* NULL for a count */
+  uint64_t count;
+} fact;
 
-/* ---- for people ---------------------------------------------------------------------------- */
+typedef struct facts {
+  size_t count;
+  fact *items;
+} facts;
 
-static void print_values(const char *title, const dipole_value *values, size_t count) {
-  cli_table table = {.columns = 3, .left = 2};
-  printf("\n%s\n", title);
+static void add(facts *all, fact one) {
+  all->items = cli_resize(all->items, all->count + 1, sizeof *all->items);
+  all->items[all->count++] = one;
+}
+
+static void add_values(facts *all, const char *section, const dipole_value *values, size_t count) {
   for (size_t i = 0; i < count; i++) {
-    cli_table_add(&table, " ");
-    cli_table_add(&table, "%s", values[i].name);
-    cli_table_add(&table, "%llu", (unsigned long long)values[i].value);
+    add(all, (fact){section, values[i].name, values[i].name, .count = values[i].value});
   }
-  cli_table_print(&table, stdout);
 }
 
-static void write_table(const info_report *report) {
-  const dipole_info *info = report->info;
-  cli_table table = {.columns = 2, .left = 2};
-  cli_table_add(&table, "daemon");
-  cli_table_add(&table, "%s", info->software);
-  cli_table_add(&table, "address");
-  cli_table_add(&table, "%s", info->address);
-  cli_table_add(&table, "protocol version");
-  cli_table_add(&table, "%u", info->protocol_version);
-  cli_table_add(&table, "instruction set");
-  cli_table_add(&table, "%s", info->instruction_set);
-  cli_table_add(&table, "workers");
-  cli_table_add(&table, "%u", info->workers);
-  cli_table_add(&table, "unit of R");
-  cli_table_add(&table, "%s", info->R_unit);
-  cli_table_print(&table, stdout);
-  for (size_t i = 0; i < LISTS; i++) {
-    const dipole_choice *choice;
-    cli_table list = {.columns = 3, .left = 3};
-    printf("\n%s\n", lists[i].plural);
-    for (size_t from = 0; (choice = cli_next_choice(info, lists[i].kind, &from)) != NULL;) {
-      cli_table_add(&list, " ");
-      cli_table_add(&list, "%s", choice->name);
-      cli_table_add(&list, "%s", choice->about);
-    }
-    cli_table_print(&list, stdout);
-  }
-  print_values("limits", info->limits, info->limit_count);
-  print_values("statistics", report->statistics, report->statistic_count);
-}
-
-/* ---- for programs -------------------------------------------------------------------------- */
-
-static void write_csv_text(const char *section, const char *name, const char *value) {
-  printf("%s,", section);
-  cli_csv_write_cell(name, stdout);
-  fputc(',', stdout);
-  cli_csv_write_cell(value, stdout);
-  fputc('\n', stdout);
-}
-
-static void write_csv_count(const char *section, const char *name, uint64_t value) {
-  char text[24];
-  snprintf(text, sizeof text, "%llu", (unsigned long long)value);
-  write_csv_text(section, name, text);
-}
-
-static void write_csv(const info_report *report) {
-  const dipole_info *info = report->info;
-  puts("section,name,value");
-  write_csv_text("daemon", "software", info->software);
-  write_csv_text("daemon", "address", info->address);
-  write_csv_count("daemon", "protocol_version", info->protocol_version);
-  write_csv_text("daemon", "instruction_set", info->instruction_set);
-  write_csv_count("daemon", "workers", info->workers);
-  write_csv_text("daemon", "R_unit", info->R_unit);
-  for (size_t i = 0; i < LISTS; i++) {
+static facts gather(const dipole_info *info, const dipole_value *statistics, size_t count) {
+  facts all = {0};
+  add(&all, (fact){DAEMON, "software", "daemon", .text = info->software});
+  add(&all, (fact){DAEMON, "address", "address", .text = info->address});
+  add(&all,
+      (fact){DAEMON, "protocol_version", "protocol version", .count = info->protocol_version});
+  add(&all, (fact){DAEMON, "instruction_set", "instruction set", .text = info->instruction_set});
+  add(&all, (fact){DAEMON, "workers", "workers", .count = info->workers});
+  add(&all, (fact){DAEMON, "R_unit", "unit of R", .text = info->R_unit});
+  for (size_t i = 0; i < sizeof lists / sizeof lists[0]; i++) {
     const dipole_choice *choice;
     for (size_t from = 0; (choice = cli_next_choice(info, lists[i].kind, &from)) != NULL;) {
-      write_csv_text(lists[i].plural, choice->name, choice->about);
+      add(&all, (fact){lists[i].plural, choice->name, choice->name, choice, choice->about, 0});
     }
   }
-  for (size_t i = 0; i < info->limit_count; i++) {
-    write_csv_count("limits", info->limits[i].name, info->limits[i].value);
+  add_values(&all, "limits", info->limits, info->limit_count);
+  add_values(&all, "statistics", statistics, count);
+  return all;
+}
+
+/* The number of facts from `first` on that are in one section. */
+static size_t section_length(const facts *all, size_t first) {
+  size_t end = first;
+  while (end < all->count && strcmp(all->items[end].section, all->items[first].section) == 0) {
+    end++;
   }
-  for (size_t i = 0; i < report->statistic_count; i++) {
-    write_csv_count("statistics", report->statistics[i].name, report->statistics[i].value);
+  return end - first;
+}
+
+static void write_table(const facts *all) {
+  for (size_t first = 0, length; first < all->count; first += length) {
+    const bool daemon = first == 0;
+    cli_table table = {.columns = daemon ? 2 : 3,
+                       .left = daemon || all->items[first].text != NULL ? 3 : 2};
+    length = section_length(all, first);
+    if (!daemon) {
+      printf("\n%s\n", all->items[first].section);
+    }
+    for (const fact *one = &all->items[first]; one < &all->items[first + length]; one++) {
+      if (!daemon) {
+        cli_table_add(&table, " ");
+      }
+      cli_table_add(&table, "%s", one->head);
+      if (one->text != NULL) {
+        cli_table_add(&table, "%s", one->text);
+      } else {
+        cli_table_add(&table, "%llu", (unsigned long long)one->count);
+      }
+    }
+    cli_table_print(&table, stdout);
   }
 }
 
-static void write_json_values(cli_json *json, const char *key, const dipole_value *values,
-                              size_t count) {
-  cli_json_begin(json, key, '{');
-  for (size_t i = 0; i < count; i++) {
-    cli_json_count(json, values[i].name, values[i].value);
+static void put_value(cli_rows *rows, const char *name, const fact *one) {
+  if (one->text != NULL) {
+    cli_put_text(rows, CLI_COLUMN(name), one->text);
+  } else {
+    cli_put_count(rows, CLI_COLUMN(name), one->count);
   }
-  cli_json_end(json, '}');
 }
 
-static void write_json(const info_report *report) {
-  const dipole_info *info = report->info;
+static void put_fact(cli_rows *rows, const void *context, size_t index) {
+  const fact *one = (const fact *)context + index;
+  cli_put_text(rows, CLI_COLUMN("section"), one->section);
+  cli_put_text(rows, CLI_COLUMN("name"), one->name);
+  put_value(rows, "value", one);
+}
+
+static void put_choice(cli_rows *rows, const void *context, size_t index) {
+  const fact *one = (const fact *)context + index;
+  cli_put_count(rows, CLI_COLUMN("id"), one->choice->id);
+  cli_put_text(rows, CLI_COLUMN("name"), one->name);
+  cli_put_text(rows, CLI_COLUMN("about"), one->text);
+}
+
+static void put_member(cli_rows *rows, const void *context, size_t index) {
+  const fact *one = (const fact *)context + index;
+  put_value(rows, one->name, one);
+}
+
+static void write_json(const facts *all) {
   cli_json json = {.file = stdout};
   cli_json_begin(&json, NULL, '{');
-  cli_json_text(&json, "software", info->software);
-  cli_json_text(&json, "address", info->address);
-  cli_json_count(&json, "protocol_version", info->protocol_version);
-  cli_json_text(&json, "instruction_set", info->instruction_set);
-  cli_json_count(&json, "workers", info->workers);
-  cli_json_text(&json, "R_unit", info->R_unit);
-  for (size_t i = 0; i < LISTS; i++) {
-    const dipole_choice *choice;
-    cli_json_begin(&json, lists[i].plural, '[');
-    for (size_t from = 0; (choice = cli_next_choice(info, lists[i].kind, &from)) != NULL;) {
-      cli_json_begin(&json, NULL, '{');
-      cli_json_count(&json, "id", choice->id);
-      cli_json_text(&json, "name", choice->name);
-      cli_json_text(&json, "about", choice->about);
+  for (size_t first = 0, length; first < all->count; first += length) {
+    const fact *first_fact = &all->items[first];
+    length = section_length(all, first);
+    if (first_fact->choice != NULL) {
+      cli_rows_json(&json, first_fact->section, length, put_choice, first_fact);
+      continue;
+    }
+    if (first > 0) { /* the daemon's own members belong to the outermost object */
+      cli_json_begin(&json, first_fact->section, '{');
+    }
+    for (size_t i = 0; i < length; i++) {
+      cli_rows_members(&json, put_member, first_fact, i);
+    }
+    if (first > 0) {
       cli_json_end(&json, '}');
     }
-    cli_json_end(&json, ']');
   }
-  write_json_values(&json, "limits", info->limits, info->limit_count);
-  write_json_values(&json, "statistics", report->statistics, report->statistic_count);
   cli_json_end(&json, '}');
 }
 
-/* ---- the command --------------------------------------------------------------------------- */
-
-static int show(const cli_command *command, const char *format, dipole_client *client) {
+static int run(void *settings, dipole_client *client) {
+  const cli_common *common = settings;
   dipole_value *statistics;
   dipole_error error;
   size_t count;
   if (!dipole_statistics(client, &statistics, &count, &error)) {
-    return cli_fail(command, "%s", error.text);
+    return cli_fail_error(&error);
   }
-  const info_report report = {dipole_get_info(client), statistics, count};
-  if (format == NULL || strcmp(format, "table") == 0) {
-    write_table(&report);
-  } else if (strcmp(format, "csv") == 0) {
-    write_csv(&report);
+  facts all = gather(dipole_get_info(client), statistics, count);
+  if (common->form == CLI_TABLE) {
+    write_table(&all);
+  } else if (common->form == CLI_CSV) {
+    cli_rows_csv(stdout, true, all.count, put_fact, all.items);
   } else {
-    write_json(&report);
+    write_json(&all);
   }
+  free(all.items);
   free(statistics);
   return CLI_OK;
 }
-
-static int run(const cli_command *command, int argc, char **argv) {
-  return cli_run_plain(command, argc, argv, show);
-}
-
-static const cli_option options[] = {{0}};
 
 const cli_command cli_command_info = {
     .name = "info",
     .about = "Show a daemon: models, evaluators, instruction set, limits, statistics",
     .formats = "table,csv,json",
-    .options = options,
+    .settings_bytes = sizeof(cli_common),
+    .run = run,
     .examples = "  dipole info\n"
                 "  dipole info --connect tcp:farm7:4817 --format json\n",
-    .run = run,
 };

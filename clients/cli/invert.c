@@ -1,65 +1,64 @@
 /* dipole invert: the media that have given albedos, and a check that they do. */
-#include "clients/cli/invert.h"
-
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-#define MODEL_DEFAULT "better"
-#define MOMENTS_DEFAULT "exact"
-#define G_DEFAULT 0.0
-#define ETA_DEFAULT 1.3
+#include "clients/cli/daemon.h"
+#include "clients/cli/profile.h"
+#include "clients/cli/rows.h"
 
 typedef struct invert_settings {
-  cli_common common;
+  cli_profile_settings profile;
   cli_numbers albedo;
   cli_numbers free_path, diffuse_path, classical_path;
   cli_number g, eta;
-  const char *model, *moments;
-  cli_count deadline_ms;
 } invert_settings;
 
 #define FIELD(name) offsetof(invert_settings, name)
 
 static const cli_option options[] = {
-    {"Medium", NULL, NULL, CLI_HEADING, 0},
+    {"Medium", NULL, NULL, CLI_HEADING, 0, NULL},
     {"albedo", "X[,X...]",
      "diffuse albedo, from 0 to 1, per power that entered; one value for\neach channel",
-     CLI_NUMBERS, FIELD(albedo)},
+     CLI_NUMBERS, FIELD(albedo), NULL},
     {"mean-free-path", "X[,X...]", "1 / sigma_t', mm; a single value holds for all channels",
-     CLI_NUMBERS, FIELD(free_path)},
+     CLI_NUMBERS, FIELD(free_path), NULL},
     {"diffuse-mean-free-path", "X[,X...]",
      "instead: 1 / (sigma_t' sqrt(3 a / (1 + a))), a = sigma_a / sigma_t', mm", CLI_NUMBERS,
-     FIELD(diffuse_path)},
+     FIELD(diffuse_path), NULL},
     {"classical-diffuse-path", "X[,X...]", "instead: 1 / sqrt(3 sigma_a sigma_t'), mm", CLI_NUMBERS,
-     FIELD(classical_path)},
-    {"g", "X", "mean cosine of the scattering angle (default: 0)", CLI_NUMBER, FIELD(g)},
-    {"eta", "X", "refractive index inside over outside (default: 1.3)", CLI_NUMBER, FIELD(eta)},
-    {"Evaluation", NULL, NULL, CLI_HEADING, 0},
+     FIELD(classical_path), NULL},
+    {"g", "X", "mean cosine of the scattering angle (default: 0)", CLI_NUMBER, FIELD(g), NULL},
+    {"eta", "X", "refractive index inside over outside (default: 1.3)", CLI_NUMBER, FIELD(eta),
+     "1.3"},
+    {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
     {"model", "NAME", "whose albedo is given, see `dipole info` (default: better)", CLI_TEXT,
-     FIELD(model)},
-    {"moments", "NAME", "Fresnel moments, see `dipole info` (default: exact)", CLI_TEXT,
-     FIELD(moments)},
-    {"deadline-ms", "N",
-     "the daemon shall answer within N ms, or not at all; 0: at any time\n"
-     "(default: 0)",
-     CLI_COUNT, FIELD(deadline_ms)},
+     FIELD(profile.model), "better"},
+    CLI_MOMENTS_OPTION("exact"),
+    CLI_DEADLINE_OPTION,
     {0},
 };
 
-static const struct {
-  const char *name;
-  void (*write)(const cli_invert_report *report, FILE *file);
-} formats[] = {
-    {"table", cli_invert_write_table},
-    {"csv", cli_invert_write_csv},
-    {"json", cli_invert_write_json},
-};
+/* One medium that is wanted. */
+typedef struct wanted {
+  double wanted_albedo, length_mm;
+  bool found;
+  dipole_medium medium;
+  double albedo; /* of that medium, evaluated; NaN if none was found */
+} wanted;
 
-/* ---- lengths -------------------------------------------------------------------------------- */
+typedef struct report {
+  const dipole_info *info;
+  const dipole_choice *model, *moments, *given;
+  double albedo_least, albedo_most;
+  size_t count, missing;
+  wanted *items;
+} report;
 
-/* The one length that is given; its name is that of the option and of the daemon's choice. NULL:
- * none or several. */
+/* ---- lengths ------------------------------------------------------------------------------- */
+
+/* Returns the one length that is given, and its name, which is that of the option and of the
+ * daemon's choice. Returns NULL if none or several are given. */
 static const cli_numbers *length_of(const invert_settings *settings, const char **name) {
   const struct {
     const char *name;
@@ -80,96 +79,79 @@ static const cli_numbers *length_of(const invert_settings *settings, const char 
   return found;
 }
 
-/* What can be seen to be wrong without a daemon. */
-static int check(const cli_command *command, const invert_settings *settings) {
+static int check(void *given) {
+  const invert_settings *settings = given;
   const char *name;
   const cli_numbers *lengths = length_of(settings, &name);
   const size_t albedos = settings->albedo.count;
   if (albedos == 0) {
-    return cli_fail_usage(command, "give --albedo, and --mean-free-path in mm");
+    return cli_fail_usage("give --albedo, and --mean-free-path in mm");
   }
   if (lengths == NULL) {
-    return cli_fail_usage(command, "give one of --mean-free-path, --diffuse-mean-free-path and "
-                                   "--classical-diffuse-path, in mm");
+    return cli_fail_usage("give one of --mean-free-path, --diffuse-mean-free-path and "
+                          "--classical-diffuse-path, in mm");
   }
   if (albedos > 1 && lengths->count > 1 && albedos != lengths->count) {
-    return cli_fail_usage(command,
-                          "--%s has %zu values and --albedo has %zu: give one value or as many",
+    return cli_fail_usage("--%s has %zu values and --albedo has %zu: give one value or as many",
                           name, lengths->count, albedos);
   }
-  if (settings->deadline_ms.value > UINT32_MAX) {
-    return cli_fail_usage(command, "--deadline-ms: at most %lu", (unsigned long)UINT32_MAX);
-  }
-  return CLI_OK;
+  return cli_deadline_check(&settings->profile);
 }
 
-/* ---- asking --------------------------------------------------------------------------------- */
+/* ---- asking -------------------------------------------------------------------------------- */
 
-static double pick(const cli_numbers *numbers, size_t index) {
-  return numbers->items[numbers->count == 1 ? 0 : index];
+static int choose(const invert_settings *settings, const char *length, report *of) {
+  of->model = cli_named(of->info, DIPOLE_MODEL, "model", settings->profile.model);
+  of->moments = of->model == NULL
+                    ? NULL
+                    : cli_named(of->info, DIPOLE_MOMENTS, "moments", settings->profile.moments);
+  if (of->moments == NULL) {
+    return CLI_USAGE;
+  }
+  of->given = cli_choice(of->info, DIPOLE_LENGTH, length);
+  return of->given != NULL
+             ? CLI_OK
+             : cli_fail("--%s: this daemon does not know it; name another length", length);
 }
 
-static bool choose(const cli_command *command, const invert_settings *settings, const char *given,
-                   cli_invert_report *report) {
-  const char *model = settings->model != NULL ? settings->model : MODEL_DEFAULT;
-  const char *moments = settings->moments != NULL ? settings->moments : MOMENTS_DEFAULT;
-  report->model = cli_named(command, report->info, DIPOLE_MODEL, "model", model);
-  if (report->model == NULL) {
-    return false;
-  }
-  report->moments = cli_named(command, report->info, DIPOLE_MOMENTS, "moments", moments);
-  if (report->moments == NULL) {
-    return false;
-  }
-  report->given = cli_choice(report->info, DIPOLE_LENGTH, given);
-  if (report->given == NULL) {
-    cli_fail(command, "--%s: this daemon does not know it", given);
-  }
-  return report->given != NULL;
-}
-
-/* Says what is wrong; an exit status. */
-static int fail(const cli_command *command, const char *given, const dipole_error *error) {
-  char option[64];
-  const char *field = strcmp(error->field, "length") == 0 ? given : error->field;
-  cli_fail(command, "%s%s", error->text, cli_option_of(command, field, option, sizeof option));
-  return CLI_FAILED;
-}
-
-static void take(cli_invert_report *report, const dipole_inversion *inversion) {
-  report->albedo_least = inversion->albedo_least;
-  report->albedo_most = inversion->albedo_most;
-  report->missing = (size_t)inversion->missing_count;
-  for (size_t i = 0; i < report->count; i++) {
-    cli_invert_row *row = &report->rows[i];
-    row->found = !isnan(inversion->sigma_a_per_mm[i]);
-    row->medium = (dipole_medium){inversion->sigma_a_per_mm[i], inversion->sigma_s_per_mm[i],
-                                  report->g, report->eta};
-    row->albedo = (double)NAN;
+static void take(report *of, const invert_settings *settings, const dipole_inversion *inversion) {
+  of->albedo_least = inversion->albedo_least;
+  of->albedo_most = inversion->albedo_most;
+  of->missing = (size_t)inversion->missing_count;
+  for (size_t i = 0; i < of->count; i++) {
+    of->items[i].found = !isnan(inversion->sigma_a_per_mm[i]);
+    of->items[i].medium =
+        (dipole_medium){inversion->sigma_a_per_mm[i], inversion->sigma_s_per_mm[i],
+                        settings->g.value, settings->eta.value};
+    of->items[i].albedo = (double)NAN;
   }
 }
 
-static bool ask(dipole_client *client, const invert_settings *settings, cli_invert_report *report,
+static bool ask(dipole_client *client, const invert_settings *settings, report *of,
                 dipole_error *error) {
-  double *albedos = cli_allocate(report->count, sizeof *albedos);
-  double *lengths_mm = cli_allocate(report->count, sizeof *lengths_mm);
-  for (size_t i = 0; i < report->count; i++) {
-    albedos[i] = report->rows[i].wanted_albedo;
-    lengths_mm[i] = report->rows[i].length_mm;
+  const int64_t start_ms = cli_now_ms();
+  double *albedos = cli_allocate(of->count, sizeof *albedos);
+  double *lengths_mm = cli_allocate(of->count, sizeof *lengths_mm);
+  for (size_t i = 0; i < of->count; i++) {
+    albedos[i] = of->items[i].wanted_albedo;
+    lengths_mm[i] = of->items[i].length_mm;
   }
-  const dipole_invert_query query = {.model = report->model->id,
-                                     .moments = report->moments->id,
-                                     .given = report->given->id,
-                                     .g = report->g,
-                                     .eta = report->eta,
+  const dipole_invert_query query = {.model = of->model->id,
+                                     .moments = of->moments->id,
+                                     .given = of->given->id,
+                                     .g = settings->g.value,
+                                     .eta = settings->eta.value,
                                      .albedos = albedos,
                                      .lengths_mm = lengths_mm,
-                                     .medium_count = report->count,
-                                     .deadline_ms = (unsigned)settings->deadline_ms.value};
+                                     .medium_count = of->count,
+                                     .deadline_ms = (unsigned)settings->profile.deadline_ms.value};
   dipole_inversion *inversion;
-  const bool good = cli_invert(client, &settings->common, &query, &inversion, error);
+  bool good;
+  do {
+    good = dipole_invert(client, &query, &inversion, error);
+  } while (!good && cli_try_again(&settings->profile.common, start_ms, error));
   if (good) {
-    take(report, inversion);
+    take(of, settings, inversion);
     dipole_inversion_free(inversion);
   }
   free(albedos);
@@ -177,104 +159,145 @@ static bool ask(dipole_client *client, const invert_settings *settings, cli_inve
   return good;
 }
 
-static bool take_albedo(void *context, const dipole_result *part, uint64_t radius_first) {
-  (void)radius_first;
-  *(double *)context = part->channels[0].albedo;
-  return true;
-}
-
-/* The albedos of the media that were found, evaluated. */
-static bool verify(dipole_client *client, const invert_settings *settings,
-                   cli_invert_report *report, dipole_error *error) {
-  for (size_t i = 0; i < report->count; i++) {
-    cli_invert_row *row = &report->rows[i];
-    const dipole_query query = {.model = report->model->id,
+/* Evaluates the albedos of the media that were found. */
+static bool verify(dipole_client *client, const invert_settings *settings, report *of,
+                   dipole_error *error) {
+  for (size_t i = 0; i < of->count; i++) {
+    const int64_t start_ms = cli_now_ms();
+    const dipole_query query = {.model = of->model->id,
                                 .evaluator = DIPOLE_F64,
-                                .moments = report->moments->id,
+                                .moments = of->moments->id,
                                 .wanted = DIPOLE_ALBEDO,
-                                .media = &row->medium,
+                                .media = &of->items[i].medium,
                                 .medium_count = 1,
                                 .spacing = DIPOLE_LIST,
-                                .deadline_ms = (unsigned)settings->deadline_ms.value};
-    if (row->found &&
-        !cli_eval_parts(client, &settings->common, &query, take_albedo, &row->albedo, error)) {
-      return false;
+                                .deadline_ms = (unsigned)settings->profile.deadline_ms.value};
+    dipole_result *result;
+    bool good = !of->items[i].found;
+    while (!good && !(good = dipole_eval(client, &query, &result, error))) {
+      if (!cli_try_again(&settings->profile.common, start_ms, error)) {
+        return false;
+      }
+    }
+    if (of->items[i].found) {
+      of->items[i].albedo = result->channels[0].albedo;
+      dipole_result_free(result);
     }
   }
   return true;
 }
 
-/* ---- the command ---------------------------------------------------------------------------- */
+/* ---- writing ------------------------------------------------------------------------------- */
 
-const char *cli_invert_reason(const cli_invert_report *report, const cli_invert_row *row) {
-  if (row->found) {
+static const char *status_of(const report *of, const wanted *one) {
+  if (one->found) {
     return "ok";
   }
-  return row->wanted_albedo < report->albedo_least || row->wanted_albedo > report->albedo_most
+  return one->wanted_albedo < of->albedo_least || one->wanted_albedo > of->albedo_most
              ? "out of reach"
              : "no such length";
 }
 
-/* All is written in any case; whoever asked for what there is not is told. */
-static int write_and_judge(const cli_command *command, const invert_settings *settings,
-                           const cli_invert_report *report) {
-  const char *format = settings->common.format != NULL ? settings->common.format : formats[0].name;
-  for (size_t i = 0; i < sizeof formats / sizeof formats[0]; i++) {
-    if (strcmp(formats[i].name, format) == 0) {
-      formats[i].write(report, stdout);
-    }
+static void put_medium(cli_rows *rows, const void *context, size_t index) {
+  const report *of = context;
+  const wanted *one = &of->items[index];
+  const dipole_medium *medium = &one->medium;
+  const double sigma_s = medium->sigma_s_per_mm;
+  const double off = fabs(one->albedo - one->wanted_albedo);
+  const double reduced = one->found ? sigma_s * (1 - medium->g) : (double)NAN;
+  const char *reason = one->found ? NULL : status_of(of, one), *none = one->found ? NULL : "-";
+  cli_put_text(rows, CLI_COLUMN("model", .forms = CLI_IN_CSV), of->model->name);
+  cli_put_count(rows, CLI_COLUMN("channel"), index + 1);
+  cli_put_number(rows, CLI_COLUMN("wanted_albedo", "albedo", "wanted"), one->wanted_albedo);
+  cli_put_text(rows, CLI_COLUMN("given", .forms = CLI_IN_CSV), of->given->name);
+  cli_put_number(rows, CLI_COLUMN("length", of->given->name, "mm"), one->length_mm);
+  cli_put_text(rows, CLI_COLUMN("status", .forms = CLI_IN_JSON), status_of(of, one));
+  cli_put_shown(rows, CLI_COLUMN("sigma_a", NULL, "1/mm", "%.9g"), medium->sigma_a_per_mm, reason);
+  cli_put_shown(rows, CLI_COLUMN("sigma_s", NULL, "1/mm", "%.9g"), sigma_s, none);
+  cli_put_shown(rows, CLI_COLUMN("sigma_s'", NULL, "1/mm", "%.9g", .forms = CLI_IN_TABLE), reduced,
+                none);
+  cli_put_shown(rows, CLI_COLUMN("g"), medium->g, none);
+  cli_put_shown(rows, CLI_COLUMN("eta"), medium->eta, none);
+  cli_put_shown(rows, CLI_COLUMN("albedo", "check: albedo"), one->albedo, none);
+  cli_put_shown(rows, CLI_COLUMN("off by", .format = "%.1e", .forms = CLI_IN_TABLE), off, none);
+  cli_put_text(rows, CLI_COLUMN("status", .forms = CLI_IN_CSV), status_of(of, one));
+}
+
+static void write_table(const report *of) {
+  printf("media of given albedo; model %s, moments %s\n%s: %s\n\n", of->model->name,
+         of->moments->name, of->given->name, of->given->about);
+  cli_rows_print(stdout, 1, of->count, put_medium, of);
+  printf("check: an evaluation of the medium\nalbedos within reach: %.6g to %.17g\n",
+         of->albedo_least, of->albedo_most);
+}
+
+static void write_json(const report *of) {
+  cli_json json = {.file = stdout};
+  cli_json_begin(&json, NULL, '{');
+  cli_json_text(&json, "software", of->info->software);
+  cli_json_text(&json, "model", of->model->name);
+  cli_json_text(&json, "moments", of->moments->name);
+  cli_json_text(&json, "given", of->given->name);
+  cli_json_number(&json, "albedo_least", of->albedo_least);
+  cli_json_number(&json, "albedo_most", of->albedo_most);
+  cli_json_texts(&json, "units", "length", "mm", "sigma_a", "1/mm", "sigma_s", "1/mm", "albedo",
+                 "1", NULL);
+  cli_rows_json(&json, "channels", of->count, put_medium, of);
+  cli_json_end(&json, '}');
+}
+
+/* Everything is written in any case; then the user is told which media there are not. */
+static int write_and_judge(const invert_settings *settings, const report *of) {
+  if (settings->profile.common.form == CLI_TABLE) {
+    write_table(of);
+  } else if (settings->profile.common.form == CLI_CSV) {
+    cli_rows_csv(stdout, true, of->count, put_medium, of);
+  } else {
+    write_json(of);
   }
-  if (report->missing == 0) {
+  if (of->missing == 0) {
     return CLI_OK;
   }
   cli_fail(
-      command,
       "%zu of %zu: there is no such medium: with this model, g and eta albedos go from %.3g to "
       "%.17g, and without absorption there is no diffuse path",
-      report->missing, report->count, report->albedo_least, report->albedo_most);
+      of->missing, of->count, of->albedo_least, of->albedo_most);
   return CLI_BAD_ROWS;
 }
 
-static int run_with_daemon(const cli_command *command, const invert_settings *settings,
-                           dipole_client *client, cli_invert_report *report) {
-  const char *given = NULL;
-  const cli_numbers *lengths = length_of(settings, &given);
-  dipole_error error;
-  report->info = dipole_get_info(client);
-  report->g = settings->g.given ? settings->g.value : G_DEFAULT;
-  report->eta = settings->eta.given ? settings->eta.value : ETA_DEFAULT;
-  report->count = settings->albedo.count > lengths->count ? settings->albedo.count : lengths->count;
-  report->rows = cli_allocate(report->count, sizeof *report->rows);
-  for (size_t i = 0; i < report->count; i++) {
-    report->rows[i].wanted_albedo = pick(&settings->albedo, i);
-    report->rows[i].length_mm = pick(lengths, i);
-  }
-  if (!choose(command, settings, given, report)) {
-    return report->moments != NULL ? CLI_FAILED : CLI_USAGE;
-  }
-  if (!ask(client, settings, report, &error) || !verify(client, settings, report, &error)) {
-    return fail(command, given, &error);
-  }
-  return write_and_judge(command, settings, report);
+/* ---- the command --------------------------------------------------------------------------- */
+
+static double pick(const cli_numbers *numbers, size_t index) {
+  return numbers->items[numbers->count == 1 ? 0 : index];
 }
 
-static int run(const cli_command *command, int argc, char **argv) {
-  invert_settings settings = {0};
-  cli_invert_report report = {0};
-  dipole_client *client;
-  const char *operand;
-  int status;
-  if (cli_options_read(command, argc, argv, &settings, &operand, &status)) {
-    status = check(command, &settings);
-    if (status == CLI_OK && !cli_open(command, &settings.common, &client)) {
-      status = CLI_FAILED;
-    } else if (status == CLI_OK) {
-      status = run_with_daemon(command, &settings, client, &report);
-      free(report.rows);
-      dipole_close(client);
-    }
+static int ask_and_write(const invert_settings *settings, dipole_client *client, report *of) {
+  const char *length = NULL;
+  const cli_numbers *lengths = length_of(settings, &length);
+  dipole_error error;
+  of->count = settings->albedo.count > lengths->count ? settings->albedo.count : lengths->count;
+  of->items = cli_allocate(of->count, sizeof *of->items);
+  for (size_t i = 0; i < of->count; i++) {
+    of->items[i].wanted_albedo = pick(&settings->albedo, i);
+    of->items[i].length_mm = pick(lengths, i);
   }
-  cli_options_free(command, &settings);
+  const int status = choose(settings, length, of);
+  if (status != CLI_OK) {
+    return status;
+  }
+  if (ask(client, settings, of, &error) && verify(client, settings, of, &error)) {
+    return write_and_judge(settings, of);
+  }
+  if (strcmp(error.field, "length") == 0) {
+    return cli_fail("%s (--%s)", error.text, length);
+  }
+  return cli_fail_error(&error);
+}
+
+static int run(void *settings, dipole_client *client) {
+  report of = {.info = dipole_get_info(client)};
+  const int status = ask_and_write(settings, client, &of);
+  free(of.items);
   return status;
 }
 
@@ -288,10 +311,12 @@ const cli_command cli_command_invert = {
         "medium, evaluated. The exit status is 3 when some of the media cannot be.\n",
     .formats = "table,csv,json",
     .options = options,
+    .settings_bytes = sizeof(invert_settings),
+    .check = check,
+    .run = run,
     .examples = "  dipole invert --albedo 0.44,0.22,0.13 --mean-free-path 1.3,0.95,0.67\n"
                 "  dipole invert --albedo 0.8 --diffuse-mean-free-path 2 --g 0.9 --eta 1.4\n"
                 "  dipole invert --albedo 0.1,0.5,0.9 --mean-free-path 1 --model classical "
                 "--format csv\n"
                 "  dipole invert --albedo 0.8 --mean-free-path 1 --model quantized --format json\n",
-    .run = run,
 };

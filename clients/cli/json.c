@@ -1,6 +1,7 @@
 #include "clients/cli/json.h"
 
 #include <math.h>
+#include <stdarg.h>
 
 #include "clients/cli/number.h"
 
@@ -72,6 +73,18 @@ void cli_json_end(cli_json *json, char bracket) {
 void cli_json_text(cli_json *json, const char *key, const char *text) {
   start_value(json, key);
   write_text(json->file, text);
+}
+
+void cli_json_texts(cli_json *json, const char *key, ...) {
+  va_list pairs;
+  const char *name;
+  va_start(pairs, key);
+  cli_json_begin(json, key, '{');
+  while ((name = va_arg(pairs, const char *)) != NULL) {
+    cli_json_text(json, name, va_arg(pairs, const char *));
+  }
+  cli_json_end(json, '}');
+  va_end(pairs);
 }
 
 void cli_json_count(cli_json *json, const char *key, uint64_t value) {

@@ -1,38 +1,22 @@
 /* dipole: the command line of dipoled. Each command is a file of its own. */
 #include <errno.h>
-#include <stdarg.h>
+#include <stdlib.h>
 #include <string.h>
 
-#include "clients/cli/cli.h"
+#include "clients/cli/daemon.h"
+#include "clients/cli/options.h"
 
-const cli_command *const cli_commands[] = {
+extern const cli_command cli_command_eval, cli_command_plot, cli_command_points, cli_command_sample,
+    cli_command_invert, cli_command_table, cli_command_mc, cli_command_media, cli_command_info,
+    cli_command_top, cli_command_bench;
+
+static const cli_command *const commands[] = {
     &cli_command_eval,   &cli_command_plot,  &cli_command_points, &cli_command_sample,
     &cli_command_invert, &cli_command_table, &cli_command_mc,     &cli_command_media,
-    &cli_command_info,   &cli_command_top,   &cli_command_bench,  NULL,
+    &cli_command_info,   &cli_command_top,   &cli_command_bench,
 };
 
-static void say(const cli_command *command, const char *format, va_list arguments) {
-  fprintf(stderr, "dipole %s: ", command->name);
-  vfprintf(stderr, format, arguments);
-  fputc('\n', stderr);
-}
-
-int cli_fail(const cli_command *command, const char *format, ...) {
-  va_list arguments;
-  va_start(arguments, format);
-  say(command, format, arguments);
-  va_end(arguments);
-  return CLI_FAILED;
-}
-
-int cli_fail_usage(const cli_command *command, const char *format, ...) {
-  va_list arguments;
-  va_start(arguments, format);
-  say(command, format, arguments);
-  va_end(arguments);
-  fprintf(stderr, "`dipole %s --help` tells more.\n", command->name);
-  return CLI_USAGE;
-}
+enum { COMMANDS = sizeof commands / sizeof commands[0] };
 
 static void print_help(FILE *file) {
   fputs("Usage: dipole COMMAND [OPTION]...\n\n"
@@ -40,8 +24,8 @@ static void print_help(FILE *file) {
         "entered: R(r) in 1/mm^2 per unit of power that entered. Without --connect and $DIPOLED\n"
         "it starts a daemon of its own.\n\nCommands\n",
         file);
-  for (const cli_command *const *command = cli_commands; *command != NULL; command++) {
-    fprintf(file, "  %-8s %s\n", (*command)->name, (*command)->about);
+  for (size_t i = 0; i < COMMANDS; i++) {
+    fprintf(file, "  %-8s %s\n", commands[i]->name, commands[i]->about);
   }
   fputs("  help     This text, or `dipole help COMMAND`\n\n"
         "`dipole COMMAND --help` tells about a command; `dipole --version` the version.\n",
@@ -49,9 +33,9 @@ static void print_help(FILE *file) {
 }
 
 static const cli_command *find_command(const char *name) {
-  for (const cli_command *const *command = cli_commands; *command != NULL; command++) {
-    if (strcmp((*command)->name, name) == 0) {
-      return *command;
+  for (size_t i = 0; i < COMMANDS; i++) {
+    if (strcmp(commands[i]->name, name) == 0) {
+      return commands[i];
     }
   }
   return NULL;
@@ -59,8 +43,8 @@ static const cli_command *find_command(const char *name) {
 
 static int fail_unknown(const char *name) {
   fprintf(stderr, "dipole: there is no command '%s'; the commands are", name);
-  for (const cli_command *const *command = cli_commands; *command != NULL; command++) {
-    fprintf(stderr, " %s,", (*command)->name);
+  for (size_t i = 0; i < COMMANDS; i++) {
+    fprintf(stderr, " %s,", commands[i]->name);
   }
   fputs(" help\n", stderr);
   return CLI_USAGE;
@@ -79,6 +63,31 @@ static int help(const char *name) {
   return CLI_OK;
 }
 
+static int connect_and_run(const cli_command *command, void *settings) {
+  const bool local = command->is_local != NULL && command->is_local(settings);
+  dipole_client *client = local ? NULL : cli_open(settings);
+  const int status = local || client != NULL ? command->run(settings, client) : CLI_FAILED;
+  if (client != NULL) {
+    dipole_close(client);
+  }
+  return status;
+}
+
+static int run_command(const cli_command *command, int argc, char **argv) {
+  void *settings = cli_allocate(1, command->settings_bytes);
+  int status;
+  cli_start(command);
+  if (cli_options_read(argc, argv, settings, &status)) {
+    status = command->check != NULL ? command->check(settings) : CLI_OK;
+    if (status == CLI_OK) {
+      status = connect_and_run(command, settings);
+    }
+  }
+  cli_options_free(settings);
+  free(settings);
+  return status;
+}
+
 static int run(int argc, char **argv) {
   if (argc < 2) {
     print_help(stderr);
@@ -92,7 +101,7 @@ static int run(int argc, char **argv) {
     return help(argc > 2 ? argv[2] : NULL);
   }
   const cli_command *command = find_command(argv[1]);
-  return command != NULL ? command->run(command, argc - 1, argv + 1) : fail_unknown(argv[1]);
+  return command != NULL ? run_command(command, argc - 1, argv + 1) : fail_unknown(argv[1]);
 }
 
 int main(int argc, char **argv) {

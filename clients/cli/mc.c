@@ -1,57 +1,173 @@
 /* dipole mc: a Monte Carlo job on the daemon, followed until its table is there. */
-#include "clients/cli/mc.h"
-
+#include <math.h>
 #include <signal.h>
 #include <string.h>
 
-#define FIELD(name) offsetof(cli_mc_settings, name)
+#include "clients/cli/daemon.h"
+#include "clients/cli/profile.h"
+#include "clients/cli/progress.h"
+#include "clients/cli/rows.h"
+
+typedef struct mc_settings {
+  cli_common common;
+  const char *medium, *channel;
+  cli_number sigma_a, sigma_s, g, eta;
+  cli_number thickness;
+  cli_numbers albedo;
+  cli_number from, to;
+  cli_count rings;
+  bool logarithmic;
+  cli_number photons, error, total_error;
+  cli_count seed;
+} mc_settings;
+
+#define FIELD(name) offsetof(mc_settings, name)
 
 static const cli_option options[] = {
-    {"Medium", NULL, NULL, CLI_HEADING, 0},
+    {"Medium", NULL, NULL, CLI_HEADING, 0, NULL},
     {"medium", "NAME", "a measured medium, see `dipole media`; one channel of it", CLI_TEXT,
-     FIELD(medium)},
-    {"channel", "COLOUR", "red, green or blue", CLI_TEXT, FIELD(channel)},
-    {"sigma-a", "X", "absorption coefficient, 1/mm", CLI_NUMBER, FIELD(sigma_a)},
-    {"sigma-s", "X", "scattering coefficient, 1/mm", CLI_NUMBER, FIELD(sigma_s)},
+     FIELD(medium), NULL},
+    {"channel", "COLOUR", "red, green or blue", CLI_TEXT, FIELD(channel), NULL},
+    {"sigma-a", "X", "absorption coefficient, 1/mm", CLI_NUMBER, FIELD(sigma_a), NULL},
+    {"sigma-s", "X", "scattering coefficient, 1/mm", CLI_NUMBER, FIELD(sigma_s), NULL},
     {"g", "X",
      "mean cosine of the scattering angle (default: 0); of a measured medium\n"
      "sigma_s (1 - g) stays what was measured",
-     CLI_NUMBER, FIELD(g)},
+     CLI_NUMBER, FIELD(g), NULL},
     {"eta", "X", "refractive index inside over outside (default: the measured\nmedium's, else 1.3)",
-     CLI_NUMBER, FIELD(eta)},
-    {"thickness", "X", "of a slab, mm (default: half space)", CLI_NUMBER, FIELD(thickness)},
+     CLI_NUMBER, FIELD(eta), "1.3"},
+    {"thickness", "X", "of a slab, mm (default: half space)", CLI_NUMBER, FIELD(thickness), "inf"},
     {"albedo", "X[,X...]",
      "single-scattering albedos in place of the medium's own, up to 16;\none walk serves all",
-     CLI_NUMBERS, FIELD(albedo)},
-    {"Rings", NULL, NULL, CLI_HEADING, 0},
-    {"from", "X", "inner edge of the first ring, mm (default: 0)", CLI_NUMBER, FIELD(from)},
-    {"to", "X", "outer edge of the last ring, mm (default: 10)", CLI_NUMBER, FIELD(to)},
-    {"rings", "N", "how many there are (default: 20)", CLI_COUNT, FIELD(rings)},
+     CLI_NUMBERS, FIELD(albedo), NULL},
+    {"Rings", NULL, NULL, CLI_HEADING, 0, NULL},
+    {"from", "X", "inner edge of the first ring, mm (default: 0)", CLI_NUMBER, FIELD(from), NULL},
+    {"to", "X", "outer edge of the last ring, mm (default: 10)", CLI_NUMBER, FIELD(to), "10"},
+    {"rings", "N", "how many there are (default: 20)", CLI_COUNT, FIELD(rings), "20"},
     {"log", NULL, "equal ratios from edge to edge instead of equal steps; needs --from", CLI_SWITCH,
-     FIELD(logarithmic)},
-    {"Effort", NULL, NULL, CLI_HEADING, 0},
+     FIELD(logarithmic), NULL},
+    {"Effort", NULL, NULL, CLI_HEADING, 0, NULL},
     {"photons", "N",
      "to walk, such as 2e6 (default: 1e6; with an error, as many as the\ndaemon allows)",
-     CLI_NUMBER, FIELD(photons)},
+     CLI_NUMBER, FIELD(photons), "1e6"},
     {"error", "X", "end when each ring with light has this relative standard error", CLI_NUMBER,
-     FIELD(error)},
+     FIELD(error), NULL},
     {"total-error", "X", "end when the total R has it; with --error, when both hold", CLI_NUMBER,
-     FIELD(total_error)},
+     FIELD(total_error), NULL},
     {"seed", "N", "of the random numbers: the same seed gives the same bits (default: 1)",
-     CLI_COUNT, FIELD(seed)},
+     CLI_COUNT, FIELD(seed), "1"},
     {0},
 };
 
-static const struct {
-  const char *name;
-  void (*write)(const cli_mc_report *report, FILE *file);
-} formats[] = {
-    {"table", cli_mc_write_table},
-    {"csv", cli_mc_write_csv},
-    {"json", cli_mc_write_json},
-};
+typedef struct report {
+  const dipole_info *info;
+  const char *medium, *channel; /* of a measured medium; NULL if it is given by numbers */
+  dipole_mc_query query;
+  dipole_mc_result *result;
+} report;
 
-/* ---- following ----------------------------------------------------------------------------- */
+/* ---- without a daemon ---------------------------------------------------------------------- */
+
+/* Returns CLI_COLOURS if it is none. */
+static size_t colour_of(const char *name) {
+  size_t i = 0;
+  while (i < CLI_COLOURS && (name == NULL || strcmp(name, cli_colours[i]) != 0)) {
+    i++;
+  }
+  return i;
+}
+
+static int check_medium(const mc_settings *settings) {
+  if (settings->medium == NULL) {
+    if (!settings->sigma_a.given || !settings->sigma_s.given) {
+      return cli_fail_usage("give --medium NAME and --channel, or --sigma-a and --sigma-s");
+    }
+    return settings->channel == NULL ? CLI_OK : cli_fail_usage("--channel goes with --medium NAME");
+  }
+  if (settings->sigma_a.given || settings->sigma_s.given) {
+    return cli_fail_usage("--medium NAME stands for --sigma-a and --sigma-s: leave these "
+                          "out; --g and --eta may stay");
+  }
+  return colour_of(settings->channel) < CLI_COLOURS
+             ? CLI_OK
+             : cli_fail_usage("--medium NAME needs --channel red, green or blue");
+}
+
+static int check(void *given) {
+  const mc_settings *settings = given;
+  const double photons = settings->photons.value;
+  const int status = check_medium(settings);
+  if (status != CLI_OK) {
+    return status;
+  }
+  if (settings->logarithmic && !settings->from.given) {
+    return cli_fail_usage("--log needs --from, above 0");
+  }
+  if (settings->rings.value > UINT32_MAX) {
+    return cli_fail_usage("--rings: at most %lu", (unsigned long)UINT32_MAX);
+  }
+  if (!(photons >= 1 && photons <= 0x1p53 && photons == floor(photons))) {
+    return cli_fail_usage("--photons: a whole number, such as 2000000 or 2e6");
+  }
+  if (settings->albedo.count > UINT16_MAX) {
+    return cli_fail_usage("--albedo: at most %d", UINT16_MAX);
+  }
+  return CLI_OK;
+}
+
+/* ---- the query ----------------------------------------------------------------------------- */
+
+static int take_measured(const mc_settings *settings, dipole_client *client,
+                         dipole_medium *medium) {
+  dipole_measured_medium found;
+  const int status = cli_find_medium(client, settings->medium, &found);
+  if (status != CLI_OK) {
+    return status;
+  }
+  *medium = found.channel[colour_of(settings->channel)];
+  if (settings->g.given) {
+    /* Only sigma_s' was measured: with another g, another sigma_s gives the same sigma_s'. */
+    medium->sigma_s_per_mm = medium->sigma_s_per_mm * (1 - medium->g) / (1 - settings->g.value);
+    medium->g = settings->g.value;
+  }
+  medium->eta = settings->eta.given ? settings->eta.value : medium->eta;
+  return CLI_OK;
+}
+
+/* Where an error is asked for, only the daemon limits the photons. */
+static uint64_t photons_of(const mc_settings *settings, const dipole_info *info) {
+  for (size_t i = 0; i < info->limit_count; i++) {
+    if (!settings->photons.given && (settings->error.given || settings->total_error.given) &&
+        strcmp(info->limits[i].name, "max_mc_photons") == 0) {
+      return info->limits[i].value;
+    }
+  }
+  return (uint64_t)settings->photons.value;
+}
+
+static int make_query(const mc_settings *settings, dipole_client *client, report *of) {
+  of->info = dipole_get_info(client);
+  of->medium = settings->medium;
+  of->channel = settings->channel;
+  of->query = (dipole_mc_query){
+      .medium = {settings->sigma_a.value, settings->sigma_s.value, settings->g.value,
+                 settings->eta.value},
+      .albedos = settings->albedo.items,
+      .albedo_count = (unsigned)settings->albedo.count,
+      .thickness_mm = settings->thickness.value,
+      .spacing = settings->logarithmic ? DIPOLE_LOGARITHMIC : DIPOLE_LINEAR,
+      .ring_count = (uint32_t)settings->rings.value,
+      .radius_start_mm = settings->from.value,
+      .radius_stop_mm = settings->to.value,
+      .seed = settings->seed.value,
+      .photons = photons_of(settings, of->info),
+      .error_total = settings->total_error.value,
+      .error_rings = settings->error.value,
+  };
+  return settings->medium == NULL ? CLI_OK : take_measured(settings, client, &of->query.medium);
+}
+
+/* ---- following the job --------------------------------------------------------------------- */
 
 static volatile sig_atomic_t interrupted;
 
@@ -68,115 +184,294 @@ static void catch_interrupt(void) {
 }
 
 static bool follow(void *context, const dipole_mc_progress *now) {
-  cli_mc_progress(context, now);
+  cli_progress *progress = context;
+  const double share = now->photons_expected > 0
+                           ? (double)now->photons / (double)now->photons_expected
+                           : (double)NAN;
+  if (now->worst_to_mm > 0 && isfinite(now->error_rings)) {
+    snprintf(progress->note, sizeof progress->note, "worst ring %.3g to %.3g mm%s: %.2g %%",
+             now->worst_from_mm, now->worst_to_mm,
+             now->worst_side == DIPOLE_MC_TRANSMITTED ? " (transmitted)" : "",
+             100 * now->error_rings);
+  }
+  cli_progress_show(progress, share, (double)now->photons);
   return interrupted == 0;
 }
 
-/* dipole_mc(), asked again for as long as the daemon is busy, within bounds. */
-static bool run_job(dipole_client *client, const cli_common *common, const dipole_mc_query *query,
-                    dipole_mc_result **result, dipole_error *error) {
+static bool run_job(dipole_client *client, const cli_common *common, report *of,
+                    dipole_error *error) {
   const int64_t start_ms = cli_now_ms();
   cli_progress progress;
+  bool good;
+  catch_interrupt();
   cli_progress_start(&progress, "photons");
-  while (!dipole_mc(client, query, follow, &progress, result, error)) {
-    if (error->retry_after_ms == 0 || !cli_is_patient(common, start_ms) || interrupted != 0) {
-      cli_progress_wipe(&progress);
-      return false;
-    }
-    cli_nap(error);
-  }
+  do {
+    good = dipole_mc(client, &of->query, follow, &progress, &of->result, error);
+  } while (!good && interrupted == 0 && cli_try_again(common, start_ms, error));
   cli_progress_wipe(&progress);
-  return true;
+  return good;
+}
+
+/* ---- writing ------------------------------------------------------------------------------- */
+
+/* The two sides of a slab. A half space has the first only. */
+static const struct {
+  const char *name, *error, *photons;
+} sides[DIPOLE_MC_SIDES] = {{"R", "R_error", "R_photons"}, {"T", "T_error", "T_photons"}};
+
+/* A part of the power that entered. */
+typedef struct part {
+  const char *name;  /* for programs */
+  const char *about; /* for people; parts of the one before are indented */
+  dipole_mc_value value;
+} part;
+
+enum { PARTS_MAX = 11 };
+
+/* Lists where the power went, and returns the number of parts. all: also those of the other side
+ * of a slab, where there is none. */
+static size_t list_parts(const dipole_mc_result *result, size_t albedo, bool all,
+                         part parts[PARTS_MAX]) {
+  const dipole_mc_energy *energy = &result->energies[albedo];
+  const bool slab = all || result->side_count == DIPOLE_MC_SIDES;
+  const dipole_mc_value R0 = {energy->unscattered[0], 0}, T0 = {energy->unscattered[1], 0};
+  const part either[][4] = {
+      {{"R_total", "R, total", energy->R},
+       {"R_unscattered", "  never scattered, at r = 0", R0},
+       {"R_under", "  closer than the first ring", energy->under[0]},
+       {"R_over", "  beyond the last ring", energy->over[0]}},
+      {{"T_total", "T, total", energy->T},
+       {"T_unscattered", "  never scattered, at r = 0", T0},
+       {"T_under", "  closer than the first ring", energy->under[1]},
+       {"T_over", "  beyond the last ring", energy->over[1]}},
+  };
+  const part rest[] = {{"absorbed", "absorbed", energy->absorbed},
+                       {"unfinished", "unfinished walks", energy->unfinished},
+                       {"roulette", "added by roulette", energy->roulette}};
+  const size_t of_sides = slab ? 8 : 4;
+  memcpy(parts, either, of_sides * sizeof *parts);
+  memcpy(parts + of_sides, rest, sizeof rest);
+  return of_sides + sizeof rest / sizeof rest[0];
+}
+
+/* A result and the albedo that is written of it. */
+typedef struct one_albedo {
+  const dipole_mc_result *result;
+  uint32_t albedo;
+} one_albedo;
+
+/* For people: a ring. One without light has an error, but no relative error. */
+static void put_ring(cli_rows *rows, const void *context, size_t index) {
+  const one_albedo *of = context;
+  const dipole_mc_result *result = of->result;
+  cli_put_number(rows, CLI_COLUMN("from", .unit = "mm"), result->edges_mm[index]);
+  cli_put_number(rows, CLI_COLUMN("to", .unit = "mm"), result->edges_mm[index + 1]);
+  for (uint32_t side = 0; side < result->side_count; side++) {
+    const double value = dipole_mc_values(result, of->albedo, side)[index];
+    const double error = dipole_mc_errors(result, of->albedo, side)[index];
+    char relative[32] = "-";
+    if (value > 0 && isfinite(error)) {
+      snprintf(relative, sizeof relative, "%.2g %%", 100 * error / value);
+    }
+    cli_put_number(rows, CLI_COLUMN(sides[side].name, NULL, "1/mm^2", "%.5e"), value);
+    cli_put_number(rows, CLI_COLUMN("standard error", NULL, "1/mm^2", "%.1e"), error);
+    cli_put_text(rows, CLI_COLUMN("relative", .unit = " "), relative);
+    cli_put_count(rows, CLI_COLUMN("photons", .unit = " "), dipole_mc_photons(result, side)[index]);
+  }
+}
+
+/* For people: a part of the power. */
+static void put_part(cli_rows *rows, const void *context, size_t index) {
+  const one_albedo *of = context;
+  part parts[PARTS_MAX];
+  list_parts(of->result, of->albedo, false, parts);
+  cli_put_text(rows, CLI_COLUMN("per unit of power that entered"), parts[index].about);
+  cli_put_number(rows, CLI_COLUMN("share"), parts[index].value.value);
+  cli_put_number(rows, CLI_COLUMN("standard error", .format = "%.1e"), parts[index].value.error);
+}
+
+static void write_title(const report *of) {
+  const dipole_mc_query *query = &of->query;
+  const dipole_mc_result *result = of->result;
+  if (of->medium != NULL) {
+    printf("%s %s: ", of->medium, of->channel);
+  }
+  printf("Monte Carlo, R in %s\n", of->info->R_unit);
+  if (query->albedo_count > 0) {
+    printf("sigma_a + sigma_s %.6g 1/mm",
+           query->medium.sigma_a_per_mm + query->medium.sigma_s_per_mm);
+  } else {
+    printf("sigma_a %.6g 1/mm, sigma_s %.6g 1/mm", query->medium.sigma_a_per_mm,
+           query->medium.sigma_s_per_mm);
+  }
+  printf(", g %.6g, eta %.6g, ", query->medium.g, query->medium.eta);
+  if (result->side_count == DIPOLE_MC_SIDES) {
+    printf("slab of %.6g mm\n", query->thickness_mm);
+  } else {
+    puts("half space");
+  }
+  printf("%llu photons, seed %llu", (unsigned long long)result->last.photons,
+         (unsigned long long)query->seed);
+  puts(result->end == DIPOLE_MC_CANCELLED || result->end == DIPOLE_MC_STOPPED
+           ? "; CANCELLED: this is what had been walked by then"
+           : "");
+}
+
+static void write_table(const report *of) {
+  part parts[PARTS_MAX];
+  write_title(of);
+  for (uint32_t albedo = 0; albedo < of->result->albedo_count; albedo++) {
+    const one_albedo one = {of->result, albedo};
+    printf("\nsingle-scattering albedo %.6g\n\n", of->result->energies[albedo].albedo);
+    cli_rows_print(stdout, 0, of->result->ring_count, put_ring, &one);
+    putchar('\n');
+    cli_rows_print(stdout, 1, list_parts(of->result, albedo, false, parts), put_part, &one);
+  }
+}
+
+/* For CSV: first a row for each side and ring, then one for each part of the power, which has no
+ * radii and photons. */
+static void put_value(cli_rows *rows, const void *context, size_t index) {
+  const one_albedo *of = context;
+  const dipole_mc_result *result = of->result;
+  const size_t ring_rows = (size_t)result->side_count * result->ring_count;
+  const bool is_ring = index < ring_rows;
+  const uint32_t side = is_ring ? (uint32_t)(index / result->ring_count) : 0;
+  const size_t ring = is_ring ? index % result->ring_count : 0;
+  part parts[PARTS_MAX];
+  list_parts(result, of->albedo, false, parts);
+  const part ring_part = {sides[side].name,
+                          NULL,
+                          {dipole_mc_values(result, of->albedo, side)[ring],
+                           dipole_mc_errors(result, of->albedo, side)[ring]}};
+  const part *one = is_ring ? &ring_part : &parts[index - ring_rows];
+  cli_put_number(rows, CLI_COLUMN("albedo"), result->energies[of->albedo].albedo);
+  cli_put_text(rows, CLI_COLUMN("quantity"), one->name);
+  cli_put_number(rows, CLI_COLUMN("from"), is_ring ? result->edges_mm[ring] : (double)NAN);
+  cli_put_number(rows, CLI_COLUMN("to"), is_ring ? result->edges_mm[ring + 1] : (double)NAN);
+  cli_put_number(rows, CLI_COLUMN("value"), one->value.value);
+  cli_put_number(rows, CLI_COLUMN("error"), one->value.error);
+  if (is_ring) {
+    cli_put_count(rows, CLI_COLUMN("photons"), dipole_mc_photons(result, side)[ring]);
+  } else {
+    cli_put_text(rows, CLI_COLUMN("photons"), "");
+  }
+}
+
+static void write_csv(const dipole_mc_result *result) {
+  part parts[PARTS_MAX];
+  for (uint32_t albedo = 0; albedo < result->albedo_count; albedo++) {
+    const one_albedo one = {result, albedo};
+    const size_t rows =
+        (size_t)result->side_count * result->ring_count + list_parts(result, albedo, false, parts);
+    cli_rows_csv(stdout, albedo == 0, rows, put_value, &one);
+  }
+}
+
+static void put_albedo(cli_rows *rows, const void *context, size_t index) {
+  const dipole_mc_result *result = context;
+  const uint32_t albedo = (uint32_t)index;
+  part parts[PARTS_MAX];
+  cli_put_number(rows, CLI_COLUMN("albedo"), result->energies[albedo].albedo);
+  for (uint32_t side = 0; side < result->side_count; side++) {
+    cli_json_numbers(rows->json, sides[side].name, dipole_mc_values(result, albedo, side),
+                     result->ring_count);
+    cli_json_numbers(rows->json, sides[side].error, dipole_mc_errors(result, albedo, side),
+                     result->ring_count);
+  }
+  const size_t count = list_parts(result, albedo, true, parts);
+  cli_json_begin(rows->json, "shares", '{');
+  for (size_t i = 0; i < count; i++) {
+    cli_json_begin(rows->json, parts[i].name, '{');
+    cli_json_number(rows->json, "value", parts[i].value.value);
+    cli_json_number(rows->json, "error", parts[i].value.error);
+    cli_json_end(rows->json, '}');
+  }
+  cli_json_end(rows->json, '}');
+}
+
+static void put_query(cli_rows *rows, const void *context, size_t index) {
+  const dipole_mc_query *query = context;
+  (void)index;
+  cli_put_medium(rows, &query->medium);
+  cli_put_number(rows, CLI_COLUMN("thickness"), query->thickness_mm);
+  cli_put_count(rows, CLI_COLUMN("seed"), query->seed);
+}
+
+static void write_json(const report *of) {
+  static const char *const ends[] = {[DIPOLE_MC_PHOTONS] = "photons",
+                                     [DIPOLE_MC_ERRORS] = "errors",
+                                     [DIPOLE_MC_CANCELLED] = "cancelled",
+                                     [DIPOLE_MC_STOPPED] = "stopped"};
+  const dipole_mc_result *result = of->result;
+  cli_json json = {.file = stdout};
+  cli_json_begin(&json, NULL, '{');
+  cli_json_text(&json, "software", of->info->software);
+  if (of->medium != NULL) {
+    cli_json_text(&json, "medium", of->medium);
+    cli_json_text(&json, "channel", of->channel);
+  }
+  cli_rows_members(&json, put_query, &of->query, 0);
+  cli_json_texts(&json, "units", "sigma_a", "1/mm", "sigma_s", "1/mm", "thickness", "mm", "edges",
+                 "mm", "R", of->info->R_unit, "T", of->info->R_unit, "shares",
+                 "per unit of power that entered", NULL);
+  cli_json_text(&json, "ended_by", ends[result->end]);
+  cli_json_count(&json, "photons", result->last.photons);
+  cli_json_number(&json, "error_total", result->last.error_total);
+  cli_json_number(&json, "error_rings", result->last.error_rings);
+  cli_json_numbers(&json, "edges", result->edges_mm, (size_t)result->ring_count + 1);
+  for (uint32_t side = 0; side < result->side_count; side++) {
+    cli_json_begin(&json, sides[side].photons, '[');
+    for (uint32_t i = 0; i < result->ring_count; i++) {
+      cli_json_count(&json, NULL, dipole_mc_photons(result, side)[i]);
+    }
+    cli_json_end(&json, ']');
+  }
+  cli_rows_json(&json, "albedos", result->albedo_count, put_albedo, result);
+  cli_json_end(&json, '}');
 }
 
 /* ---- the command --------------------------------------------------------------------------- */
 
-/* What a person wrote to give a field of the request its value: " (--from)". */
-static const char *option_of(const cli_command *command, const char *field, char *text,
-                             size_t bytes) {
-  static const struct {
-    const char *field, *option;
-  } others[] = {{"radius_start", "from"},       {"radius_stop", "to"},
-                {"ring_count", "rings"},        {"error_rings", "error"},
-                {"error_total", "total-error"}, {"albedo_count", "albedo"}};
-  for (size_t i = 0; i < sizeof others / sizeof others[0]; i++) {
-    if (strcmp(others[i].field, field) == 0) {
-      field = others[i].option;
-    }
+/* The table is written in any case; then the user is told if it is less than what was asked for. */
+static int judge(const report *of) {
+  const unsigned long long photons = of->result->last.photons, asked = of->query.photons;
+  if (of->result->end == DIPOLE_MC_CANCELLED) {
+    return cli_fail("cancelled after %llu of %llu photons", photons, asked);
   }
-  const cli_option *option = cli_options_find(command, field);
-  text[0] = '\0';
-  if (option != NULL) {
-    snprintf(text, bytes, " (--%s)", option->name);
+  if (of->result->end == DIPOLE_MC_STOPPED) {
+    return cli_fail("the daemon stopped after %llu of %llu photons", photons, asked);
   }
-  return text;
-}
-
-/* The table is written in any case; whoever asked for more is told. */
-static int judge(const cli_command *command, const cli_mc_report *report) {
-  const dipole_mc_query *query = &report->query;
-  const unsigned long long photons = report->result->last.photons;
-  if (report->result->end == DIPOLE_MC_CANCELLED) {
-    return cli_fail(command, "cancelled after %llu of %llu photons", photons,
-                    (unsigned long long)query->photons);
-  }
-  if (report->result->end == DIPOLE_MC_STOPPED) {
-    return cli_fail(command, "the daemon stopped after %llu of %llu photons", photons,
-                    (unsigned long long)query->photons);
-  }
-  if (report->result->end == DIPOLE_MC_PHOTONS &&
-      (query->error_rings > 0 || query->error_total > 0)) {
-    return cli_fail(command,
-                    "%llu photons were not enough for the error asked for: the worst ring has "
-                    "%.2g, R has %.2g",
-                    photons, report->result->last.error_rings, report->result->last.error_total);
+  if (of->result->end == DIPOLE_MC_PHOTONS &&
+      (of->query.error_rings > 0 || of->query.error_total > 0)) {
+    return cli_fail("%llu photons were not enough for the error asked for: the worst ring has "
+                    "%.2g, R has %.2g: ask for more --photons",
+                    photons, of->result->last.error_rings, of->result->last.error_total);
   }
   return CLI_OK;
 }
 
-static int ask_and_write(const cli_command *command, const cli_mc_settings *settings,
-                         dipole_client *client) {
-  cli_mc_report report = {0};
-  dipole_mc_result *result;
+static int run(void *given, dipole_client *client) {
+  const mc_settings *settings = given;
+  report of = {0};
   dipole_error error;
-  char option[64];
-  const int status = cli_mc_query(command, settings, client, &report);
+  const int status = make_query(settings, client, &of);
   if (status != CLI_OK) {
     return status;
   }
-  catch_interrupt();
-  if (!run_job(client, &settings->common, &report.query, &result, &error)) {
-    return cli_fail(command, "%s%s", error.text,
-                    option_of(command, error.field, option, sizeof option));
+  if (!run_job(client, &settings->common, &of, &error)) {
+    return cli_fail_error(&error);
   }
-  report.result = result;
-  const char *format = settings->common.format != NULL ? settings->common.format : formats[0].name;
-  for (size_t i = 0; i < sizeof formats / sizeof formats[0]; i++) {
-    if (strcmp(formats[i].name, format) == 0) {
-      formats[i].write(&report, stdout);
-    }
+  if (settings->common.form == CLI_TABLE) {
+    write_table(&of);
+  } else if (settings->common.form == CLI_CSV) {
+    write_csv(of.result);
+  } else {
+    write_json(&of);
   }
-  const int judged = judge(command, &report);
-  dipole_mc_result_free(result);
+  const int judged = judge(&of);
+  dipole_mc_result_free(of.result);
   return judged;
-}
-
-static int run(const cli_command *command, int argc, char **argv) {
-  cli_mc_settings settings = {0};
-  dipole_client *client;
-  const char *operand;
-  int status;
-  if (cli_options_read(command, argc, argv, &settings, &operand, &status)) {
-    status = cli_mc_check(command, &settings);
-    if (status == CLI_OK && !cli_open(command, &settings.common, &client)) {
-      status = CLI_FAILED;
-    } else if (status == CLI_OK) {
-      status = ask_and_write(command, &settings, client);
-      dipole_close(client);
-    }
-  }
-  cli_options_free(command, &settings);
-  return status;
 }
 
 const cli_command cli_command_mc = {
@@ -194,5 +489,7 @@ const cli_command cli_command_mc = {
                 "  dipole mc --medium skin1 --channel blue --g 0.8 --error 0.02 --to 3\n"
                 "  dipole mc --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --thickness 2\n"
                 "  dipole mc --sigma-a 0.1 --sigma-s 1 --albedo 0.5,0.9,0.99 --from 0.01 --log\n",
+    .settings_bytes = sizeof(mc_settings),
+    .check = check,
     .run = run,
 };

@@ -1,39 +1,61 @@
 #include "clients/cli/options.h"
 
+#include <assert.h>
 #include <getopt.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "clients/cli/cli.h"
 #include "clients/cli/number.h"
 
-#define AT(settings, option, type) ((type *)((char *)(settings) + (option)->offset))
+#define AT(settings, option, type) ((type *)(void *)((char *)(settings) + (option)->offset))
+
+_Static_assert(DIPOLE_TIMEOUT_MS == 30000, "say so in the help of --timeout-ms");
 
 static const cli_option common_options[] = {
-    {"Options of all commands", NULL, NULL, CLI_HEADING, 0},
+    {"Options of all commands", NULL, NULL, CLI_HEADING, 0, NULL},
     {"connect", "ADDRESS",
      "unix:PATH or tcp:HOST:PORT; several, separated by commas, are tried in turn;\n"
      "or private: for a daemon of its own (default: $DIPOLED, else private:)",
-     CLI_TEXT, offsetof(cli_common, connect)},
-    {"format", NULL, NULL, CLI_TEXT, offsetof(cli_common, format)},
+     CLI_TEXT, offsetof(cli_common, connect), NULL},
+    {"format", NULL, NULL, CLI_TEXT, offsetof(cli_common, format), NULL},
     {"timeout-ms", "N", "give up when the daemon is silent for so long; 0: never (default: 30000)",
-     CLI_COUNT, offsetof(cli_common, timeout_ms)},
+     CLI_COUNT, offsetof(cli_common, timeout_ms), "30000"},
     {"retry-ms", "N",
-     "go on for so long while no daemon is there, one is lost or busy; 0: do not\n"
-     "(default: 5000 when it is lost, --timeout-ms when it is busy)",
-     CLI_COUNT, offsetof(cli_common, retry_ms)},
-    {"help", NULL, "this text", CLI_SWITCH, 0},
+     "keep trying for so long while no daemon is there, or it is lost or busy;\n"
+     "0: do not (default: 5000 when it is lost, --timeout-ms when it is busy)",
+     CLI_COUNT, offsetof(cli_common, retry_ms), NULL},
+    {"help", NULL, "this text", CLI_SWITCH, 0, NULL},
     {0},
 };
 
-enum { TABLES = 3 };
+enum { OPTIONS_MAX = 64 };
 
-static void get_tables(const cli_command *command, const cli_option *tables[TABLES]) {
-  static const cli_option none[] = {{0}};
-  tables[0] = command->options;
-  tables[1] = command->shared_options != NULL ? command->shared_options : none;
-  tables[2] = common_options;
+/* Fills `all` with the options of a command, headings included, in the order of --help. */
+static size_t gather(const cli_command *command, const cli_option *all[OPTIONS_MAX]) {
+  const cli_option *const lists[] = {command->options, command->shared_options, common_options};
+  size_t count = 0;
+  for (size_t i = 0; i < sizeof lists / sizeof lists[0]; i++) {
+    for (const cli_option *option = lists[i]; option != NULL && option->name != NULL; option++) {
+      assert(count < OPTIONS_MAX);
+      all[count++] = option;
+    }
+  }
+  return count;
 }
+
+static bool is_format(const cli_option *option) {
+  return strcmp(option->name, "format") == 0;
+}
+
+/* ---- looking up ---------------------------------------------------------------------------- */
+
+/* Fields of requests whose options have another name. */
+static const struct {
+  const char *field, *option;
+} renamed[] = {
+    {"radius_start", "from"},  {"radius_stop", "to"},      {"radius_count", "count"},
+    {"sample_count", "count"}, {"sample_first", "first"},  {"ring_count", "rings"},
+    {"error_rings", "error"},  {"albedo_count", "albedo"}, {"error_total", "total-error"}};
 
 /* `field` of a request is `option` of a command line. */
 static bool is_same_name(const char *option, const char *field) {
@@ -44,37 +66,38 @@ static bool is_same_name(const char *option, const char *field) {
   return *option == *field;
 }
 
-const cli_option *cli_options_find(const cli_command *command, const char *field) {
-  const cli_option *tables[TABLES];
-  get_tables(command, tables);
-  for (size_t t = 0; t < TABLES; t++) {
-    for (const cli_option *option = tables[t]; option->name != NULL; option++) {
-      if (option->kind != CLI_HEADING && is_same_name(option->name, field)) {
-        return option;
-      }
+const cli_option *cli_options_find(const char *field) {
+  const cli_option *all[OPTIONS_MAX];
+  const size_t count = gather(cli_running(), all);
+  for (size_t i = 0; i < sizeof renamed / sizeof renamed[0]; i++) {
+    if (strcmp(renamed[i].field, field) == 0) {
+      field = renamed[i].option;
+    }
+  }
+  for (size_t i = 0; i < count; i++) {
+    if (all[i]->kind != CLI_HEADING && is_same_name(all[i]->name, field)) {
+      return all[i];
     }
   }
   return NULL;
 }
 
-static bool is_format(const cli_option *option) {
-  return strcmp(option->name, "format") == 0;
-}
-static bool is_help(const cli_option *option) {
-  return strcmp(option->name, "help") == 0;
+bool cli_texts_have(const cli_texts *texts, const char *text) {
+  for (size_t i = 0; i < texts->count; i++) {
+    if (strcmp(texts->items[i], text) == 0) {
+      return true;
+    }
+  }
+  return false;
 }
 
 /* ---- values -------------------------------------------------------------------------------- */
 
-static char *copy_text(const char *text, size_t length) {
+static void add_text(cli_texts *texts, const char *text, size_t length) {
   char *copy = cli_allocate(length + 1, 1);
   memcpy(copy, text, length);
-  return copy;
-}
-
-static void add_text(cli_texts *texts, const char *text, size_t length) {
   texts->items = cli_resize(texts->items, texts->count + 1, sizeof *texts->items);
-  texts->items[texts->count++] = copy_text(text, length);
+  texts->items[texts->count++] = copy;
 }
 
 static void free_texts(cli_texts *texts) {
@@ -107,8 +130,9 @@ static bool read_numbers(const char *text, cli_numbers *numbers) {
   return good;
 }
 
-/* What is wrong with the value; NULL: nothing. */
-static const char *take_value(const cli_option *option, const char *text, void *settings) {
+/* Returns what the value should have been; NULL if it is good. */
+static const char *take_value(const cli_option *option, const char *text, bool given,
+                              void *settings) {
   switch (option->kind) {
   case CLI_SWITCH:
     *AT(settings, option, bool) = true;
@@ -117,10 +141,10 @@ static const char *take_value(const cli_option *option, const char *text, void *
     *AT(settings, option, const char *) = text;
     return NULL;
   case CLI_COUNT:
-    AT(settings, option, cli_count)->given = true;
+    AT(settings, option, cli_count)->given = given;
     return cli_count_parse(text, &AT(settings, option, cli_count)->value) ? NULL : "whole number";
   case CLI_NUMBER:
-    AT(settings, option, cli_number)->given = true;
+    AT(settings, option, cli_number)->given = given;
     return cli_number_parse(text, &AT(settings, option, cli_number)->value) ? NULL : "number";
   case CLI_NUMBERS:
     return read_numbers(text, AT(settings, option, cli_numbers))
@@ -129,7 +153,6 @@ static const char *take_value(const cli_option *option, const char *text, void *
   case CLI_NAMES:
     split(text, AT(settings, option, cli_texts));
     return NULL;
-  case CLI_TEXTS:
   case CLI_FILES:
     add_text(AT(settings, option, cli_texts), text, strlen(text));
     return NULL;
@@ -139,41 +162,19 @@ static const char *take_value(const cli_option *option, const char *text, void *
   return NULL;
 }
 
-void cli_options_free(const cli_command *command, void *settings) {
-  for (const cli_option *option = command->options; option->name != NULL; option++) {
-    if (option->kind == CLI_NUMBERS) {
-      free(AT(settings, option, cli_numbers)->items);
-    } else if (option->kind == CLI_NAMES || option->kind == CLI_TEXTS ||
-               option->kind == CLI_FILES) {
-      free_texts(AT(settings, option, cli_texts));
+void cli_options_free(void *settings) {
+  const cli_option *all[OPTIONS_MAX];
+  const size_t count = gather(cli_running(), all);
+  for (size_t i = 0; i < count; i++) {
+    if (all[i]->kind == CLI_NUMBERS) {
+      free(AT(settings, all[i], cli_numbers)->items);
+    } else if (all[i]->kind == CLI_NAMES || all[i]->kind == CLI_FILES) {
+      free_texts(AT(settings, all[i], cli_texts));
     }
   }
 }
 
 /* ---- the command line ---------------------------------------------------------------------- */
-
-/* What getopt returns for entry i of the list: more than any character. */
-enum { FIRST_RESULT = 256 };
-
-/* The tables in getopt's form. found[i] is the entry that list[i] was made from. */
-static void make_list(const cli_command *command, struct option *list, const cli_option **found) {
-  const cli_option *tables[TABLES];
-  size_t count = 0;
-  get_tables(command, tables);
-  for (size_t t = 0; t < TABLES; t++) {
-    for (const cli_option *option = tables[t]; option->name != NULL; option++) {
-      if (option->kind != CLI_HEADING) {
-        const bool bare = option->kind == CLI_SWITCH;
-        found[count] = option;
-        list[count] = (struct option){.name = option->name,
-                                      .has_arg = bare ? no_argument : required_argument,
-                                      .val = FIRST_RESULT + (int)count};
-        count++;
-      }
-    }
-  }
-  list[count] = (struct option){0};
-}
 
 static bool in_list(const char *list, const char *name) {
   const size_t length = strlen(name);
@@ -185,88 +186,99 @@ static bool in_list(const char *list, const char *name) {
   return false;
 }
 
-/* The operand, the format, and the bounds that getopt does not know of. */
-static bool finish(const cli_command *command, int argc, char **argv, cli_common *common,
-                   const char **operand, int *status) {
-  *operand = optind < argc ? argv[optind] : NULL;
-  if (argc - optind > (command->operand != NULL ? 1 : 0)) {
-    *status = cli_fail_usage(command, "'%s' is more than it takes",
-                             argv[optind + (command->operand != NULL ? 1 : 0)]);
-    return false;
+static enum cli_form form_of(const char *format) {
+  static const char *const names[] = {
+      [CLI_NONE] = "none", [CLI_TABLE] = "table", [CLI_CSV] = "csv", [CLI_JSON] = "json"};
+  enum cli_form form = CLI_JSON;
+  while (form > CLI_NONE && strncmp(format, names[form], strlen(names[form])) != 0) {
+    form--;
   }
-  if (common->format != NULL && !in_list(command->formats, common->format)) {
-    *status =
-        cli_fail_usage(command, "--format %s: it is one of %s", common->format, command->formats);
-    return false;
-  }
-  if (!common->timeout_ms.given) {
-    common->timeout_ms.value = DIPOLE_TIMEOUT_MS;
-  }
-  if (common->timeout_ms.value > UINT32_MAX || common->retry_ms.value > UINT32_MAX) {
-    *status = cli_fail_usage(command, "--%s: at most %lu",
-                             common->timeout_ms.value > UINT32_MAX ? "timeout-ms" : "retry-ms",
-                             (unsigned long)UINT32_MAX);
-    return false;
-  }
-  return true;
+  return form;
 }
 
-/* The value of an option whose value may be left out: it is, when another option follows (which
- * getopt has then taken for the value) or nothing does. */
-static const char *value_or_usual(const cli_command *command, const cli_option *option,
-                                  char **argv) {
+/* Takes the operand and the format, and checks the bounds that getopt does not know of. */
+static int finish(int argc, char **argv, cli_common *common) {
+  const cli_command *command = cli_running();
+  const int operands = command->operand != NULL ? 1 : 0;
+  common->operand = optind < argc ? argv[optind] : NULL;
+  if (argc - optind > operands) {
+    return cli_fail_usage("'%s' is more than it takes: leave it out", argv[optind + operands]);
+  }
+  if (common->format != NULL && !in_list(command->formats, common->format)) {
+    return cli_fail_usage("--format %s: it is one of %s", common->format, command->formats);
+  }
+  common->form = form_of(common->format != NULL ? common->format : command->formats);
+  if (common->timeout_ms.value > UINT32_MAX || common->retry_ms.value > UINT32_MAX) {
+    return cli_fail_usage("--%s: at most %lu",
+                          common->timeout_ms.value > UINT32_MAX ? "timeout-ms" : "retry-ms",
+                          (unsigned long)UINT32_MAX);
+  }
+  return CLI_OK;
+}
+
+/* The value of an option of kind CLI_FILES may be left out: then another option follows, which
+ * getopt has taken for the value, or nothing. */
+static const char *value_or_usual(const cli_option *option, char **argv) {
   if (option->kind == CLI_FILES && optarg != NULL && strncmp(optarg, "--", 2) == 0 &&
       optarg == argv[optind - 1]) {
     optind--;
-    return command->usual_file;
+    return cli_running()->usual_file;
   }
-  return option->kind == CLI_FILES && optarg == NULL ? command->usual_file : optarg;
+  return option->kind == CLI_FILES && optarg == NULL ? cli_running()->usual_file : optarg;
 }
 
-/* False: the command is over. */
-static bool take_option(const cli_command *command, const cli_option *option, const char *value,
-                        void *settings, int *status) {
-  if (is_help(option)) {
-    cli_options_help(command);
+/* Returns false if the command is over. */
+static bool take_option(const cli_option *option, char **argv, void *settings, int *status) {
+  if (strcmp(option->name, "help") == 0) {
+    cli_options_help(cli_running());
     *status = CLI_OK;
     return false;
   }
-  const char *expected = take_value(option, value, settings);
+  const char *value = value_or_usual(option, argv);
+  const char *expected = take_value(option, value, true, settings);
   if (expected != NULL) {
-    *status = cli_fail_usage(command, "--%s: '%s' is no %s", option->name, value, expected);
+    *status = cli_fail_usage("--%s: '%s' is no %s", option->name, value, expected);
   }
   return expected == NULL;
 }
 
-enum { OPTIONS_MAX = 64 };
+/* What getopt returns for option i: more than any character. */
+enum { FIRST_RESULT = 256 };
 
-bool cli_options_read(const cli_command *command, int argc, char **argv, void *settings,
-                      const char **operand, int *status) {
-  struct option list[OPTIONS_MAX];
-  const cli_option *found[OPTIONS_MAX];
-  make_list(command, list, found);
+bool cli_options_read(int argc, char **argv, void *settings, int *status) {
+  struct option list[OPTIONS_MAX + 1] = {0};
+  const cli_option *all[OPTIONS_MAX];
+  const size_t count = gather(cli_running(), all);
+  for (size_t i = 0, filled = 0; i < count; i++) {
+    if (all[i]->kind != CLI_HEADING) {
+      list[filled++] =
+          (struct option){all[i]->name, all[i]->kind != CLI_SWITCH, NULL, FIRST_RESULT + (int)i};
+    }
+    if (all[i]->usual != NULL) {
+      take_value(all[i], all[i]->usual, false, settings);
+    }
+  }
   opterr = 0;
   for (;;) {
     int result = getopt_long(argc, argv, ":", list, NULL);
     if (result == -1) {
-      return finish(command, argc, argv, settings, operand, status);
+      *status = finish(argc, argv, settings);
+      return *status == CLI_OK;
     }
-    if (result == ':' && optopt >= FIRST_RESULT &&
-        found[optopt - FIRST_RESULT]->kind == CLI_FILES) {
+    if (result == ':' && optopt >= FIRST_RESULT && all[optopt - FIRST_RESULT]->kind == CLI_FILES) {
       result = optopt;
       optarg = NULL;
     }
     if (result == '?' && optopt != 0 && optopt < FIRST_RESULT) {
-      *status = cli_fail_usage(command, "-%c: no such option", optopt);
+      *status = cli_fail_usage("-%c: no such option", optopt);
       return false;
     }
     if (result < FIRST_RESULT) {
-      *status = cli_fail_usage(command, "%s: %s", argv[optind - 1],
+      *status = cli_fail_usage("%s: %s", argv[optind - 1],
                                result == ':' ? "a value is missing" : "no such option");
       return false;
     }
-    const cli_option *option = found[result - FIRST_RESULT];
-    if (!take_option(command, option, value_or_usual(command, option, argv), settings, status)) {
+    if (!take_option(all[result - FIRST_RESULT], argv, settings, status)) {
       return false;
     }
   }
@@ -276,7 +288,7 @@ bool cli_options_read(const cli_command *command, int argc, char **argv, void *s
 
 enum { HELP_COLUMN = 24 };
 
-/* An option and its explanation, each line of which starts in the same column. */
+/* Prints an option and its explanation, each line of which starts in the same column. */
 static void print_option(const cli_option *option, const char *help) {
   const char *value = is_format(option) ? "FORMAT" : option->argument;
   int column =
@@ -292,32 +304,21 @@ static void print_option(const cli_option *option, const char *help) {
   }
 }
 
-static void print_table(const cli_command *command, const cli_option *table) {
-  for (const cli_option *option = table; option->name != NULL; option++) {
-    if (option->kind == CLI_HEADING) {
-      printf("\n%s\n", option->name);
-    } else if (is_format(option)) {
-      char help[96];
-      snprintf(help, sizeof help, "one of %s (default: %.*s)", command->formats,
-               (int)strcspn(command->formats, ","), command->formats);
-      print_option(option, help);
-    } else {
-      print_option(option, option->help);
-    }
-  }
-}
-
 void cli_options_help(const cli_command *command) {
-  const cli_option *tables[TABLES];
-  get_tables(command, tables);
-  printf("Usage: dipole %s [OPTION]...%s%s\n\n%s.\n", command->name,
+  const cli_option *all[OPTIONS_MAX];
+  const size_t count = gather(command, all);
+  char formats[96];
+  snprintf(formats, sizeof formats, "one of %s (default: %.*s)", command->formats,
+           (int)strcspn(command->formats, ","), command->formats);
+  printf("Usage: dipole %s [OPTION]...%s%s\n\n%s.\n%s", command->name,
          command->operand != NULL ? " " : "", command->operand != NULL ? command->operand : "",
-         command->about);
-  if (command->more != NULL) {
-    printf("%s", command->more);
-  }
-  for (size_t t = 0; t < TABLES; t++) {
-    print_table(command, tables[t]);
+         command->about, command->more != NULL ? command->more : "");
+  for (size_t i = 0; i < count; i++) {
+    if (all[i]->kind == CLI_HEADING) {
+      printf("\n%s\n", all[i]->name);
+    } else {
+      print_option(all[i], is_format(all[i]) ? formats : all[i]->help);
+    }
   }
   printf("\nExit status: 0 done, 1 failed, 2 wrong command line, 3 some rows are bad (points, "
          "invert).\n"

@@ -1,14 +1,16 @@
 #include "clients/cli/picture.h"
 
+#include <float.h>
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "clients/cli/gnuplot.h"
-#include "clients/cli/picture_parts.h"
-#include "clients/cli/picture_script.h"
-#include "clients/cli/picture_text.h"
+#include "clients/cli/terminal.h"
 
-const cli_axes cli_axes_kinds[] = {
+enum { TEXT_BYTES = 160 };
+
+static const cli_axes axes_kinds[] = {
     {"linear", false, CLI_LINEAR},
     {"semilog", false, CLI_LOGARITHMIC},
     {"logarithmic", true, CLI_LOGARITHMIC},
@@ -17,7 +19,7 @@ const cli_axes cli_axes_kinds[] = {
 };
 
 const cli_axes *cli_axes_find(const char *name) {
-  for (const cli_axes *axes = cli_axes_kinds; axes->name != NULL; axes++) {
+  for (const cli_axes *axes = axes_kinds; axes->name != NULL; axes++) {
     if (strcmp(axes->name, name) == 0) {
       return axes;
     }
@@ -25,14 +27,490 @@ const cli_axes *cli_axes_find(const char *name) {
   return NULL;
 }
 
+/* ---- curves -------------------------------------------------------------------------------- */
+
+static const char *const palette[] = {"#000000", "#e69f00", "#56b4e9", "#009e73",
+                                      "#cc79a7", "#d55e00", "#0072b2", "#999999"};
+
+enum { PALETTE = sizeof palette / sizeof palette[0], FEW_MODELS = 4, FEW_CHANNELS = PALETTE };
+
+/* Few models: one panel has all curves, a dash for each model and a colour for each channel. Many
+ * models, or many channels, or one channel: a panel for each channel, a colour for each model. */
+typedef struct layout {
+  bool by_channel;
+  size_t panels; /* side by side */
+  size_t curves; /* in each of them */
+} layout;
+
+static layout layout_of(const cli_eval_report *report) {
+  const size_t models = report->model_count, channels = report->profile.channel_count;
+  if (models > FEW_MODELS || channels > FEW_CHANNELS || channels == 1) {
+    return (layout){.by_channel = true, .panels = channels, .curves = models};
+  }
+  return (layout){.panels = 1, .curves = models * channels};
+}
+
+void cli_channel_title(const cli_profile *profile, size_t channel, char *text, size_t bytes) {
+  snprintf(text, bytes, "%s%s", profile->medium != NULL ? "" : "channel ",
+           profile->channels[channel].name);
+}
+
+const char *cli_channel_colour(const cli_profile *profile, size_t channel) {
+  static const char *const rgb[CLI_COLOURS] = {"#d62728", "#2ca02c", "#1f4fd8"};
+  for (size_t i = 0; i < CLI_COLOURS; i++) {
+    if (strcmp(profile->channels[channel].name, cli_colours[i]) == 0) {
+      return rgb[i];
+    }
+  }
+  return profile->channel_count == CLI_COLOURS ? rgb[channel] : palette[channel % PALETTE];
+}
+
+typedef struct curve {
+  size_t model, channel;
+  size_t dash;            /* from 1, a solid line */
+  const char *colour;     /* "#rrggbb" */
+  char title[TEXT_BYTES]; /* the same in all panels if each has a channel of its own */
+} curve;
+
+static curve curve_of(const cli_eval_report *report, size_t panel, size_t index) {
+  char channel[TEXT_BYTES];
+  curve one = {.model = index, .channel = panel};
+  if (layout_of(report).by_channel) {
+    one.dash = 1 + index / PALETTE;
+    one.colour = palette[index % PALETTE];
+    snprintf(one.title, sizeof one.title, "%s", report->models[index].choice->name);
+    return one;
+  }
+  one.model = index / report->profile.channel_count;
+  one.channel = index % report->profile.channel_count;
+  one.dash = 1 + one.model;
+  one.colour = cli_channel_colour(&report->profile, one.channel);
+  cli_channel_title(&report->profile, one.channel, channel, sizeof channel);
+  snprintf(one.title, sizeof one.title, "%.64s, %.64s", report->models[one.model].choice->name,
+           channel);
+  return one;
+}
+
+/* Returns what stands at a radius, in the numbers of the axis's labels; NaN if nothing can. */
+static double shown_at(const cli_picture *picture, size_t row, const curve *of, size_t radius) {
+  const cli_eval_report *report = picture->report;
+  const cli_axes *axes = &picture->rows[row].axes;
+  const cli_eval_values *values = cli_eval_values_of(report, of->model, of->channel);
+  const double r_mm = report->radii[radius];
+  const double value = values->arrays[picture->rows[row].quantity][radius];
+  if (!isfinite(r_mm) || !isfinite(value) || (axes->logarithmic_r && r_mm <= 0) ||
+      (axes->scale == CLI_LOGARITHMIC && value <= 0)) {
+    return (double)NAN;
+  }
+  return axes->scale == CLI_PERCENT ? 100 * value : value;
+}
+
+/* ---- ranges: the same for all panels of a row, so that they compare ------------------------- */
+
+/* The ends of an axis, or the extent of something; low > high: it is empty. */
+typedef struct range {
+  double low, high;
+} range;
+
+static const range nothing = {(double)INFINITY, -(double)INFINITY};
+
+static void widen(range *all, double low, double high) {
+  all->low = fmin(all->low, low);
+  all->high = fmax(all->high, high);
+}
+
+/* Finds the extent of all curves of a row at radii from r_mm on, of each curve that is there, and of
+ * the radii at which a curve is. Returns the number of these curves. */
+static size_t extents_from(const cli_picture *picture, size_t row, double r_mm, range *each,
+                           range *all, range *radii) {
+  const layout places = layout_of(picture->report);
+  size_t count = 0;
+  *all = *radii = nothing;
+  for (size_t c = 0; c < places.panels * places.curves; c++) {
+    const curve one = curve_of(picture->report, c / places.curves, c % places.curves);
+    range extent = nothing;
+    for (size_t i = 0; i < picture->report->radius_count; i++) {
+      const double shown = shown_at(picture, row, &one, i), at_mm = picture->report->radii[i];
+      if (!isnan(shown) && at_mm >= r_mm) {
+        widen(&extent, shown, shown);
+        widen(radii, at_mm, at_mm);
+      }
+    }
+    if (extent.low <= extent.high) {
+      each[count++] = extent;
+      widen(all, extent.low, extent.high);
+    }
+  }
+  return count;
+}
+
+/* If less than this share of an axis lies before its first radius, the axis starts at 0. */
+#define TO_ZERO_SHARE 0.1
+
+static range r_range(range extent_mm, bool logarithmic) {
+  range ends = extent_mm;
+  if (!logarithmic && ends.low < TO_ZERO_SHARE * ends.high) {
+    ends.low = 0;
+  }
+  if (ends.low < ends.high) {
+    return ends;
+  }
+  /* A single radius. */
+  if (logarithmic) {
+    return (range){ends.low / 2, ends.high * 2};
+  }
+  return (range){0, ends.high > 0 ? 2 * ends.high : 1};
+}
+
+static int compare(const void *a, const void *b) {
+  const double x = ((const range *)a)->low, y = ((const range *)b)->low;
+  return (x > y) - (x < y);
+}
+
+/* Decades below the least value of the middle curve: some models fall off so much faster than
+ * others that an axis for all of a curve shows nothing of the rest. */
+enum { TAIL_DECADES = 4 };
+
+static range logarithmic_range(range *extents, size_t count, double most) {
+  qsort(extents, count, sizeof *extents, compare);
+  const double tail =
+      fmax(floor(log10(extents[0].low)), floor(log10(extents[count / 2].low)) - TAIL_DECADES);
+  const double low = fmax(tail, DBL_MIN_10_EXP);
+  const double high = fmin(fmax(ceil(log10(most)), low + 1), DBL_MAX_10_EXP);
+  return (range){pow(10, low), pow(10, high)};
+}
+
+/* A deviation by more than this, in percent, is beyond the axis. */
+#define PERCENT_MAX 200.0
+
+/* Room beyond the curves. */
+#define ROOM 0.05
+
+static range linear_range(range all, enum cli_scale scale) {
+  if (scale == CLI_PERCENT) {
+    all.low = fmin(fmax(all.low, -PERCENT_MAX), 0);
+    all.high = fmax(fmin(all.high, PERCENT_MAX), 0);
+  }
+  if (scale == CLI_GAMMA || (scale == CLI_LINEAR && all.low >= 0)) {
+    return (range){0, all.high > 0 ? (1 + ROOM) * all.high : 1};
+  }
+  const double room = all.low < all.high ? ROOM * (all.high - all.low) : 1;
+  return (range){all.low - room, all.high + room};
+}
+
+/* Near r = 0 some quantities rise without bound. A peak within this share of the radii that is more
+ * than so many times as high as the rest leaves a linear axis. */
+#define PEAK_SHARE 0.02
+#define PEAK_RATIO 4.0
+
+/* Returns an end of a linear axis, from the curves without their peaks and with them. */
+static double end_of(double inner, double whole) {
+  return fabs(whole) <= PEAK_RATIO * fabs(inner) ? whole : inner;
+}
+
+/* Finds the ends of a row's axes. Returns false if there is nothing to draw. */
+static bool find_ranges(const cli_picture *picture, size_t row, range *r, range *value) {
+  const cli_axes *axes = &picture->rows[row].axes;
+  const layout places = layout_of(picture->report);
+  range *each = cli_allocate(places.panels * places.curves, sizeof *each);
+  range whole, inner, r_mm, inner_mm;
+  const size_t count = extents_from(picture, row, -(double)INFINITY, each, &whole, &r_mm);
+  if (count > 0) {
+    *r = r_range(r_mm, axes->logarithmic_r);
+    if (axes->scale == CLI_LOGARITHMIC) {
+      *value = logarithmic_range(each, count, whole.high);
+    } else if (axes->scale == CLI_PERCENT) {
+      *value = linear_range(whole, axes->scale);
+    } else {
+      extents_from(picture, row, r_mm.low + PEAK_SHARE * (r_mm.high - r_mm.low), each, &inner,
+                   &inner_mm);
+      *value = linear_range((range){end_of(inner.low, whole.low), end_of(inner.high, whole.high)},
+                            axes->scale);
+    }
+  }
+  free(each);
+  return count > 0;
+}
+
+/* ---- parts of a script --------------------------------------------------------------------- */
+
+static const dipole_choice *quantity_of(const cli_picture *picture, size_t row) {
+  return picture->report->quantities.items[picture->rows[row].quantity];
+}
+
+/* Writes what the values are, such as "R (1/mm^2 ...)". */
+static void value_label(const cli_picture *picture, size_t row, char text[TEXT_BYTES]) {
+  const dipole_choice *quantity = quantity_of(picture, row);
+  const char *unit =
+      quantity->id == DIPOLE_R ? picture->report->profile.info->R_unit : quantity->about;
+  if (picture->rows[row].label != NULL) {
+    snprintf(text, TEXT_BYTES, "%s", picture->rows[row].label);
+  } else if (strcmp(unit, "1") == 0) {
+    snprintf(text, TEXT_BYTES, "%s", quantity->name);
+  } else {
+    snprintf(text, TEXT_BYTES, "%s (%s)", quantity->name, unit);
+  }
+}
+
+/* Writes the channel that a panel has to itself; "" if the panel has all channels. */
+static void panel_title(const cli_picture *picture, size_t panel, char text[TEXT_BYTES]) {
+  text[0] = '\0';
+  if (layout_of(picture->report).by_channel) {
+    cli_channel_title(&picture->report->profile, panel, text, TEXT_BYTES);
+  }
+}
+
+/* Writes "set WHAT 'text'". */
+static void write_set(FILE *script, const char *what, const char *text) {
+  fprintf(script, "set %s ", what);
+  cli_gnuplot_quote(script, text);
+  fputc('\n', script);
+}
+
+/* Writes the points of all curves as named blocks: the radius, and a column for each row of the
+ * picture. */
+static void write_data(FILE *script, const cli_picture *picture) {
+  const layout places = layout_of(picture->report);
+  for (size_t c = 0; c < places.panels * places.curves; c++) {
+    const size_t panel = c / places.curves, index = c % places.curves;
+    const curve one = curve_of(picture->report, panel, index);
+    fprintf(script, "$curve%zu_%zu << END\n", panel, index);
+    for (size_t i = 0; i < picture->report->radius_count; i++) {
+      const double r_mm = picture->report->radii[i];
+      fprintf(script, isfinite(r_mm) ? "%.17g" : "NaN", r_mm);
+      for (size_t row = 0; row < picture->row_count; row++) {
+        const double shown = shown_at(picture, row, &one, i);
+        fprintf(script, isfinite(shown) ? " %.17g" : " NaN", shown);
+      }
+      fputc('\n', script);
+    }
+    fputs("END\n", script);
+  }
+}
+
+static void write_axes(FILE *script, const cli_picture *picture, size_t row) {
+  const cli_axes *axes = &picture->rows[row].axes;
+  range r, value;
+  if (!find_ranges(picture, row, &r, &value)) {
+    return;
+  }
+  fputs("unset logscale\nunset xzeroaxis\n", script);
+  if (axes->logarithmic_r) {
+    fputs("set logscale x\n", script);
+  }
+  if (axes->scale == CLI_LOGARITHMIC) {
+    fputs("set logscale y\n", script);
+  }
+  if (value.low < 0 && value.high > 0) {
+    fputs("set xzeroaxis lt 1 lc rgb 'black'\n", script);
+  }
+  fprintf(script, "set format y '%s'\nset xrange [%.17g:%.17g]\nset yrange [%.17g:%.17g]\n",
+          axes->scale == CLI_LOGARITHMIC ? "%.0e" : "%g", r.low, r.high, value.low, value.high);
+}
+
+/* ---- files: all panels in one picture, in pixels ------------------------------------------- */
+
+enum {
+  COLUMNS_MAX = 3,
+  WIDE = 580, /* a panel that has its rows to itself, and the gap beside it */
+  NARROW = 400,
+  HEIGHT = 480,
+  LOW_HEIGHT = 220, /* of a deviation, which is read less closely */
+  GAP_X = 60,
+  GAP_Y = 56,
+  LEFT = 90,
+  TOP = 64,
+  BOTTOM = 60,
+  LEGEND_LINE = 20,
+  LEGEND_CHARACTER = 8,
+  LEGEND_SAMPLE = 70, /* the piece of a line, and the room around it */
+};
+
+/* Rows of the picture repeat for each block of channels. */
+typedef struct grid {
+  layout places;
+  size_t columns, blocks;
+  double width, height, legend_width, legend_height;
+  double stretch; /* of the panels' heights */
+} grid;
+
+static double height_of(const cli_picture *picture, size_t row) {
+  return picture->rows[row].axes.scale == CLI_PERCENT ? LOW_HEIGHT : HEIGHT;
+}
+
+static double legend_width(const cli_picture *picture, const layout *places) {
+  size_t longest = 0;
+  for (size_t i = 0; i < places->curves; i++) {
+    const curve one = curve_of(picture->report, 0, i);
+    longest = strlen(one.title) > longest ? strlen(one.title) : longest;
+  }
+  return LEGEND_SAMPLE + LEGEND_CHARACTER * (double)longest;
+}
+
+static grid make_grid(const cli_picture *picture) {
+  grid g = {.places = layout_of(picture->report)};
+  double heights = 0;
+  g.columns = g.places.panels < COLUMNS_MAX ? g.places.panels : COLUMNS_MAX;
+  g.blocks = (g.places.panels + g.columns - 1) / g.columns;
+  for (size_t row = 0; row < picture->row_count; row++) {
+    heights += height_of(picture, row) * (double)g.blocks;
+  }
+  const double gaps = GAP_Y * ((double)(picture->row_count * g.blocks) - 1);
+  g.legend_width = legend_width(picture, &g.places);
+  g.legend_height = LEGEND_LINE * (double)(g.places.curves + 1);
+  g.width = LEFT + (double)g.columns * (g.columns > 1 ? NARROW : WIDE) + g.legend_width;
+  g.height = fmax(TOP + BOTTOM + gaps + heights, TOP + g.legend_height);
+  if (picture->width_px > 0) {
+    g.width = (double)picture->width_px;
+    g.height = (double)picture->height_px;
+  }
+  g.stretch = (g.height - TOP - BOTTOM - gaps) / heights;
+  return g;
+}
+
+/* Writes the margins of the panel in a row of a block, and a column. */
+static void write_place(FILE *script, const cli_picture *picture, const grid *g, size_t block,
+                        size_t row, size_t column) {
+  const double pitch = (g->width - LEFT - g->legend_width) / (double)g->columns;
+  const double left = LEFT + pitch * (double)column;
+  double top = TOP;
+  for (size_t i = 0; i < block * picture->row_count + row; i++) {
+    top += height_of(picture, i % picture->row_count) * g->stretch + GAP_Y;
+  }
+  const double bottom = top + height_of(picture, row) * g->stretch;
+  fprintf(script,
+          "set lmargin at screen %.5f\nset rmargin at screen %.5f\n"
+          "set tmargin at screen %.5f\nset bmargin at screen %.5f\n",
+          left / g->width, (left + pitch - GAP_X) / g->width, 1 - top / g->height,
+          1 - bottom / g->height);
+}
+
+/* Writes one legend for all panels, beside them. */
+static void write_legend(FILE *script, const grid *g, bool first) {
+  const double room = (g->height - TOP) / g->legend_height;
+  if (first) {
+    fprintf(script,
+            "set key at screen %.5f,%.5f top right vertical maxcols 1 Left reverse spacing %.3f\n",
+            1 - 8 / g->width, 1 - TOP / g->height, fmin(room, 1));
+  } else {
+    fputs("unset key\n", script);
+  }
+}
+
+/* Returns whether no panel with the same radii stands below, so that r has to be named. */
+static bool is_r_named(const cli_picture *picture, const grid *g, size_t panel, size_t row) {
+  if (row + 1 < picture->row_count) {
+    return picture->rows[row].axes.logarithmic_r != picture->rows[row + 1].axes.logarithmic_r;
+  }
+  return panel + g->columns >= g->places.panels;
+}
+
+static void write_panel(FILE *script, const cli_picture *picture, const grid *g, size_t panel,
+                        size_t row) {
+  char text[TEXT_BYTES];
+  const bool line = picture->report->radius_count > 1; /* else a point */
+  write_place(script, picture, g, panel / g->columns, row, panel % g->columns);
+  panel_title(picture, panel, text);
+  write_set(script, "title", row == 0 ? text : "");
+  write_set(script, "xlabel", is_r_named(picture, g, panel, row) ? "r (mm)" : "");
+  value_label(picture, row, text);
+  write_set(script, "ylabel", panel % g->columns == 0 ? text : "");
+  write_legend(script, g, panel == 0 && row == 0);
+  write_axes(script, picture, row);
+  for (size_t index = 0; index < g->places.curves; index++) {
+    const curve one = curve_of(picture->report, panel, index);
+    fprintf(script, "%s$curve%zu_%zu using 1:%zu with %s %zu lw 2 lc rgb '%s' title ",
+            index > 0 ? ", " : "plot ", panel, index, 2 + row, line ? "lines dt" : "points pt",
+            one.dash, one.colour);
+    cli_gnuplot_quote(script, one.title);
+  }
+  fputc('\n', script);
+}
+
+static void write_file_script(FILE *script, const void *context) {
+  const cli_picture *picture = context;
+  const char *medium = picture->report->profile.medium;
+  const grid g = make_grid(picture);
+  char text[TEXT_BYTES];
+  fputs("set grid\n", script);
+  write_data(script, picture);
+  snprintf(text, sizeof text, "%s%s", medium != NULL ? medium : quantity_of(picture, 0)->name,
+           medium != NULL ? "" : "(r)");
+  write_set(script, "multiplot title", text);
+  for (size_t panel = 0; panel < g.places.panels; panel++) {
+    for (size_t row = 0; row < picture->row_count; row++) {
+      write_panel(script, picture, &g, panel, row);
+    }
+  }
+  fputs("unset multiplot\n", script);
+}
+
+/* ---- text: panel below panel, each as large as the terminal --------------------------------- */
+
+enum { TEXT_COLUMNS_LEAST = 32, TEXT_ROWS_LEAST = 14 };
+
+/* Curve i is drawn with mark i; more curves than these share some. */
+static const char marks[] = "*o+x#@%&=$abcdefghijklmnpqrstuvwyzABCDEFGHIJKLMNOPQRSTUVWXYZ";
+
+/* The curves that are named first are drawn last, so that no other curve covers them; but they come
+ * first in the legend. */
+static void write_text_panel(FILE *script, const cli_picture *picture, size_t panel, size_t row) {
+  const cli_eval_report *report = picture->report;
+  const char *medium = report->profile.medium;
+  const size_t curves = layout_of(report).curves;
+  char title[TEXT_BYTES], label[TEXT_BYTES], text[3 * TEXT_BYTES];
+  panel_title(picture, panel, title);
+  value_label(picture, row, label);
+  snprintf(text, sizeof text, "%.*s%s%s%s%s", TEXT_BYTES, medium != NULL ? medium : "",
+           medium != NULL && title[0] != '\0' ? ", " : "", title,
+           medium != NULL || title[0] != '\0' ? ": " : "", label);
+  write_set(script, "title", text);
+  write_axes(script, picture, row);
+  for (size_t i = 0; i < 2 * curves; i++) {
+    const bool in_legend = i >= curves;
+    const size_t index = in_legend ? i - curves : curves - 1 - i;
+    const curve one = curve_of(report, panel, index);
+    const bool black = strcmp(one.colour, "#000000") == 0; /* the terminal may be black, too */
+    if (in_legend) {
+      fputs(", keyentry", script);
+    } else {
+      fprintf(script, "%s$curve%zu_%zu using 1:%zu", i > 0 ? ", " : "plot ", panel, index, 2 + row);
+    }
+    fprintf(script, " with linespoints lt 0 pt '%c' lc %s'%s' title ",
+            marks[index % (sizeof marks - 1)], black ? "" : "rgb ", black ? "black" : one.colour);
+    cli_gnuplot_quote(script, in_legend ? one.title : "");
+  }
+  fputc('\n', script);
+}
+
+static void write_text_script(FILE *script, const void *context) {
+  const cli_picture *picture = context;
+  fputs("set xlabel 'r (mm)'\nset tmargin 1\nset key below Left reverse\n", script);
+  write_data(script, picture);
+  for (size_t panel = 0; panel < layout_of(picture->report).panels; panel++) {
+    for (size_t row = 0; row < picture->row_count; row++) {
+      write_text_panel(script, picture, panel, row);
+    }
+  }
+}
+
+static bool draw_text(const cli_picture *picture, char error[CLI_GNUPLOT_ERROR_BYTES]) {
+  const cli_terminal terminal = cli_terminal_look();
+  const size_t columns = terminal.columns, rows = terminal.rows - 1; /* one is for the prompt */
+  return cli_gnuplot_text(
+      stdout, terminal.styled, columns > TEXT_COLUMNS_LEAST ? columns : TEXT_COLUMNS_LEAST,
+      rows > TEXT_ROWS_LEAST ? rows : TEXT_ROWS_LEAST, write_text_script, picture, error);
+}
+
+/* ---- drawing ------------------------------------------------------------------------------- */
+
 static bool is_terminal(const char *path) {
   return strcmp(path, CLI_PICTURE_TERMINAL) == 0;
 }
 
-bool cli_picture_check(const cli_command *command, const char *path) {
+bool cli_picture_check(const char *path) {
   if (!is_terminal(path) && !cli_gnuplot_draws(path)) {
-    cli_fail_usage(command, "--plot %s: the name must end in .svg or .png; - is the terminal",
-                   path);
+    cli_fail_usage("--plot %s: the name must end in .svg or .png; - is the terminal", path);
     return false;
   }
   return true;
@@ -40,7 +518,7 @@ bool cli_picture_check(const cli_command *command, const char *path) {
 
 static bool has_negative(const cli_picture *picture, size_t row) {
   const cli_eval_report *report = picture->report;
-  for (size_t p = 0; p < report->model_count * report->channel_count; p++) {
+  for (size_t p = 0; p < report->model_count * report->profile.channel_count; p++) {
     for (size_t i = 0; i < report->radius_count; i++) {
       if (report->values[p].arrays[picture->rows[row].quantity][i] < 0) {
         return true;
@@ -50,52 +528,47 @@ static bool has_negative(const cli_picture *picture, size_t row) {
   return false;
 }
 
-static int fail_empty(const cli_command *command, const cli_picture *picture, size_t row,
-                      const char *path) {
-  const cli_picture_row *empty = &picture->rows[row];
-  const char *name = picture->report->quantities[empty->quantity]->name;
-  if (empty->axes.scale == CLI_LOGARITHMIC) {
-    return cli_fail(command,
-                    "--plot %s: %s is %s0 or infinite at every radius: a logarithmic axis shows "
+static int fail_empty(const cli_picture *picture, size_t row, const char *path) {
+  const char *name = quantity_of(picture, row)->name;
+  if (picture->rows[row].axes.scale == CLI_LOGARITHMIC) {
+    return cli_fail("--plot %s: %s is %s0 or infinite at every radius: a logarithmic axis shows "
                     "nothing",
                     path, name, has_negative(picture, row) ? "negative, " : "");
   }
-  return cli_fail(command, "--plot %s: %s is not a finite number at any radius: nothing to draw",
-                  path, name);
+  return cli_fail("--plot %s: %s is not a finite number at any radius: nothing to draw", path,
+                  name);
 }
 
-static int draw(const cli_command *command, const cli_picture *picture, const char *path) {
-  picture_range r, value;
+static int draw(const cli_picture *picture, const char *path) {
+  char error[CLI_GNUPLOT_ERROR_BYTES];
+  range r, value;
   for (size_t row = 0; row < picture->row_count; row++) {
-    if (!picture_ranges(picture, row, &r, &value)) {
-      return fail_empty(command, picture, row, path);
+    if (!find_ranges(picture, row, &r, &value)) {
+      return fail_empty(picture, row, path);
     }
   }
-  if (is_terminal(path)) {
-    picture_write_text(picture, stdout);
-    return CLI_OK;
-  }
-  size_t width_px, height_px;
-  picture_size(picture, &width_px, &height_px);
-  char error[CLI_GNUPLOT_ERROR_BYTES];
-  return cli_gnuplot(path, width_px, height_px, picture_write_script, picture, error)
-             ? CLI_OK
-             : cli_fail(command,
-                        "--plot %s: %s (`dipole plot` and `dipole eval` draw in the "
-                        "terminal with --plot -)",
-                        path, error);
+  const grid g = make_grid(picture);
+  const bool good = is_terminal(path) ? draw_text(picture, error)
+                                      : cli_gnuplot(path, (size_t)g.width, (size_t)g.height,
+                                                    write_file_script, picture, error);
+  return good ? CLI_OK : cli_fail("--plot %s: %s", path, error);
 }
 
-int cli_picture_draw(const cli_command *command, const cli_picture *picture,
-                     const cli_texts *paths) {
+int cli_picture_draw(const cli_picture *picture, const cli_texts *paths) {
   int status = CLI_OK;
   for (size_t i = 0; status == CLI_OK && i < paths->count; i++) {
-    status = draw(command, picture, paths->items[i]);
-    if (status == CLI_OK && strcmp(paths->items[i], command->usual_file) == 0) {
-      fprintf(stderr, "dipole %s: the picture is %s\n", command->name, paths->items[i]);
+    status = draw(picture, paths->items[i]);
+    if (status == CLI_OK) {
+      cli_picture_tell(paths->items[i]);
     }
   }
   return status;
+}
+
+void cli_picture_tell(const char *path) {
+  if (strcmp(path, cli_running()->usual_file) == 0) {
+    cli_say("the picture is %s", path);
+  }
 }
 
 /* ---- the picture of R ---------------------------------------------------------------------- */
@@ -111,7 +584,7 @@ static bool has_equal_ratios(const cli_eval_report *report) {
 cli_picture cli_picture_of_R(const cli_eval_report *report) {
   cli_picture picture = {.report = report, .row_count = 1};
   picture.rows[0].axes = *cli_axes_find(has_equal_ratios(report) ? "logarithmic" : "semilog");
-  while (report->quantities[picture.rows[0].quantity]->id != DIPOLE_R) {
+  while (report->quantities.items[picture.rows[0].quantity]->id != DIPOLE_R) {
     picture.rows[0].quantity++;
   }
   return picture;

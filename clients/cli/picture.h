@@ -1,10 +1,10 @@
-/* picture: quantities of a report of `dipole eval` over r, as a file or as characters. */
+/* picture: draws quantities of an evaluation over r, into a file or as text. */
 #ifndef DIPOLE_CLI_PICTURE_H
 #define DIPOLE_CLI_PICTURE_H
 
-#include "clients/cli/eval.h"
+#include "clients/cli/eval_report.h"
 
-/* Instead of a file's name: characters on standard output. */
+/* The name that stands for text on standard output. */
 #define CLI_PICTURE_TERMINAL "-"
 
 enum cli_scale {
@@ -16,22 +16,19 @@ enum cli_scale {
 
 /* What a panel's axes are. */
 typedef struct cli_axes {
-  const char *name; /* of --axes; NULL: the end of a list */
+  const char *name; /* of --axes; NULL ends a list */
   bool logarithmic_r;
   enum cli_scale scale;
 } cli_axes;
 
-/* Those that --axes names; ends with an empty one. */
-extern const cli_axes cli_axes_kinds[];
-
-/* The axes of this name; NULL: there are none. */
+/* Returns the axes of this name; NULL if there are none. */
 const cli_axes *cli_axes_find(const char *name);
 
 /* A row of panels that differ in channels alone. */
 typedef struct cli_picture_row {
   cli_axes axes;
   size_t quantity;   /* by its position in the report */
-  const char *label; /* of its values; NULL: the quantity's name and unit */
+  const char *label; /* of its values; NULL for the quantity's name and unit */
 } cli_picture_row;
 
 /* Each of the axes, and a deviation. */
@@ -44,15 +41,25 @@ typedef struct cli_picture {
   size_t width_px, height_px;                 /* of a file; 0: as large as the panels need */
 } cli_picture;
 
-/* Whether a picture can have this name; says what is wrong when it cannot. */
-bool cli_picture_check(const cli_command *command, const char *path);
+/* Returns whether a picture can have this name; says what is wrong if it cannot. */
+bool cli_picture_check(const char *path);
 
-/* R on a logarithmic axis, over r on one where the radii are in equal ratios. The report has R. */
+/* Returns the picture of R, on logarithmic axes if the radii are in equal ratios, else over a linear
+ * one. The report must have R. */
 cli_picture cli_picture_of_R(const cli_eval_report *report);
 
-/* Draws into files, or for CLI_PICTURE_TERMINAL onto standard output. Says what is wrong, and which
- * file it is where that is the usual one, which may not have been named; an exit status. */
-int cli_picture_draw(const cli_command *command, const cli_picture *picture,
-                     const cli_texts *paths);
+/* Draws into files, or for CLI_PICTURE_TERMINAL onto standard output, and tells which file that is.
+ * Says what is wrong and returns an exit status. */
+int cli_picture_draw(const cli_picture *picture, const cli_texts *paths);
+
+/* Says which file a picture is in if that is the command's usual one: the user may not have named
+ * it. */
+void cli_picture_tell(const char *path);
+
+/* Returns the colour of a channel's curve, such as "#d62728". */
+const char *cli_channel_colour(const cli_profile *profile, size_t channel);
+
+/* Writes what a legend calls a channel, such as "red" or "channel 1". */
+void cli_channel_title(const cli_profile *profile, size_t channel, char *text, size_t bytes);
 
 #endif

@@ -1,6 +1,6 @@
-/* dipole points: the same rows with R, albedo, cdf and status. Rows wait for their answers in a
+/* dipole points: evaluates the rows of a CSV file. The rows that wait for their answers form a
  * window, so that many queries are under way while memory stays bounded and the order is kept. */
-#include "clients/cli/points.h"
+#include "clients/cli/points_row.h"
 
 #include <errno.h>
 #include <fcntl.h>
@@ -11,45 +11,38 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "clients/cli/daemon.h"
 #include "clients/cli/progress.h"
 
-#define EVALUATOR_DEFAULT "f64"
-
-/* A full window is settled to half before more is read, so that many queries leave at once. */
+/* A full window is written down to half before more is read, so that many queries leave at once. */
 enum { WINDOW_ROWS = 512 };
 
-/* Text that the rows of the window may hold together. */
+/* How many bytes of text the rows of the window may hold together. */
 #define WINDOW_BYTES ((size_t)4 << 20)
 
-typedef struct points_settings {
-  cli_profile_settings profile;
-  const char *evaluator;
-} points_settings;
-
 typedef struct points_run {
-  const cli_command *command;
-  const points_settings *settings;
+  const cli_profile_settings *settings;
   const char *source; /* name of the input, for messages */
   dipole_client *client;
   unsigned evaluator;
-  cli_parameters parameters; /* of every row, unless its cells say otherwise */
+  cli_parameters parameters; /* of every row that has none in its cells */
   cli_csv_reader reader;
-  cli_points_columns columns;
+  points_columns columns;
   cli_progress progress;
-  uint64_t input_bytes; /* size of the input; 0: unknown */
+  uint64_t input_bytes; /* size of the input; 0 if it is unknown */
   uint64_t rows_written, rows_bad;
   int64_t answer_ms; /* when the last answer came */
   bool failed;
   size_t first, count; /* the window: rows[(first + i) % WINDOW_ROWS] */
   size_t window_bytes;
-  cli_points_row rows[WINDOW_ROWS];
+  points_row rows[WINDOW_ROWS];
 } points_run;
 
-static cli_points_row *row_at(points_run *points, size_t index) {
+static points_row *row_at(points_run *points, size_t index) {
   return &points->rows[(points->first + index) % WINDOW_ROWS];
 }
 
-/* Says what is wrong with the input or the connection, and ends the command. */
+/* Says what is wrong with the input or the connection, and ends the work. Returns false. */
 static bool fail(points_run *points, const char *format, ...) __attribute__((format(printf, 2, 3)));
 
 static bool fail(points_run *points, const char *format, ...) {
@@ -59,49 +52,47 @@ static bool fail(points_run *points, const char *format, ...) {
   vsnprintf(text, sizeof text, format, arguments);
   va_end(arguments);
   cli_progress_wipe(&points->progress);
-  cli_fail(points->command, "%s: %s", points->source, text);
+  cli_fail("%s: %s", points->source, text);
   points->failed = true;
   return false;
 }
 
 /* ---- answers ------------------------------------------------------------------------------- */
 
-static cli_points_row *find_row(points_run *points, uint64_t id) {
+static points_row *find_row(points_run *points, uint64_t id) {
   for (size_t i = 0; i < points->count; i++) {
-    cli_points_row *row = row_at(points, i);
-    if (row->state == CLI_POINTS_WAITING && row->id == id) {
+    points_row *row = row_at(points, i);
+    if (row->state == POINTS_WAITING && row->id == id) {
       return row;
     }
   }
   return NULL;
 }
 
-static bool submit(points_run *points, cli_points_row *row) {
+static bool submit(points_run *points, points_row *row) {
   dipole_error error;
-  return cli_points_submit(points->client, points->evaluator, row, &error) ||
+  return points_submit(points->client, points->evaluator, row, &error) ||
          fail(points, "%s", error.text);
 }
 
-/* A busy daemon is asked again; a refusal that names a field is the row's own fault; anything else
- * ends the command. */
+/* Asks a busy daemon again. A refusal that names a field is the row's own fault; any other error
+ * ends the work. */
 static bool take_refusal(points_run *points, uint64_t id, const dipole_error *error) {
-  cli_points_row *row = error->kind == DIPOLE_ERROR_REFUSED ? find_row(points, id) : NULL;
+  points_row *row = error->kind == DIPOLE_ERROR_REFUSED ? find_row(points, id) : NULL;
   if (row == NULL || (error->retry_after_ms == 0 && error->field[0] == '\0')) {
     return fail(points, "%s", error->text);
   }
   if (error->retry_after_ms == 0) {
-    row->state = CLI_POINTS_BAD;
+    row->state = POINTS_BAD;
     memcpy(row->status, error->text, sizeof row->status);
     return true;
   }
-  if (!cli_is_patient(&points->settings->profile.common, points->answer_ms)) {
-    return fail(points, "%s", error->text);
-  }
-  cli_nap(error);
-  return submit(points, row);
+  return cli_try_again(&points->settings->common, points->answer_ms, error)
+             ? submit(points, row)
+             : fail(points, "%s", error->text);
 }
 
-_Static_assert(sizeof((cli_points_row *)0)->status == sizeof((dipole_error *)0)->text, "status");
+_Static_assert(sizeof((points_row *)0)->status == sizeof((dipole_error *)0)->text, "status");
 
 /* Waits for one answer. */
 static bool collect(points_run *points) {
@@ -112,9 +103,9 @@ static bool collect(points_run *points) {
     return take_refusal(points, id, &error);
   }
   points->answer_ms = cli_now_ms();
-  cli_points_row *row = find_row(points, id);
+  points_row *row = find_row(points, id);
   if (row != NULL) {
-    cli_points_take(row, result);
+    points_take(row, result);
   }
   dipole_result_free(result);
   return row != NULL || fail(points, "an answer came to a query that was not sent");
@@ -123,13 +114,13 @@ static bool collect(points_run *points) {
 /* ---- the window ---------------------------------------------------------------------------- */
 
 static void write_first(points_run *points) {
-  cli_points_row *row = row_at(points, 0);
-  if (row->state == CLI_POINTS_COPIED) {
+  points_row *row = row_at(points, 0);
+  if (row->state == POINTS_COPIED) {
     fwrite(row->record.bytes, 1, row->record.length, stdout);
   } else {
-    cli_points_write_row(&points->columns, row, stdout);
+    points_write_row(&points->columns, row, stdout);
     points->rows_written++;
-    points->rows_bad += row->state == CLI_POINTS_BAD;
+    points->rows_bad += row->state == POINTS_BAD;
   }
   points->window_bytes -= row->record.length;
   cli_csv_record_trim(&row->record);
@@ -141,10 +132,10 @@ static void write_first(points_run *points) {
                     (double)points->rows_written);
 }
 
-/* Writes the oldest rows until no more than `left` are in the window. */
-static bool settle(points_run *points, size_t left) {
+/* Waits for the oldest rows and writes them, until no more than `left` are in the window. */
+static bool write_down(points_run *points, size_t left) {
   while (!points->failed && points->count > left) {
-    if (row_at(points, 0)->state != CLI_POINTS_WAITING) {
+    if (row_at(points, 0)->state != POINTS_WAITING) {
       write_first(points);
     } else {
       collect(points);
@@ -156,16 +147,17 @@ static bool settle(points_run *points, size_t left) {
   return !points->failed;
 }
 
-/* Nothing to read yet: whoever feeds us row by row sees the answers to what has come so far. */
-static void settle_before_wait(void *context) {
-  if (settle(context, 0)) {
+/* Nothing can be read yet: whoever writes row by row gets the answers to what has come so far. */
+static void write_before_wait(void *context) {
+  if (write_down(context, 0)) {
     fflush(stdout);
   }
 }
 
 /* ---- reading ------------------------------------------------------------------------------- */
 
-/* True when a record or a comment was read; at the end false, and failed when it came too soon. */
+/* Returns whether a record or a comment was read. If not, this is the end of the input, or the work
+ * has failed. */
 static bool read_record(points_run *points, cli_csv_record *record, enum cli_csv_kind *kind) {
   const char *what = "";
   *kind = cli_csv_read(&points->reader, record);
@@ -185,7 +177,7 @@ static bool read_record(points_run *points, cli_csv_record *record, enum cli_csv
     what = strerror(points->reader.read_errno);
     break;
   }
-  if (points->failed || !settle(points, 0)) { /* what was read before is still good */
+  if (points->failed || !write_down(points, 0)) { /* what was read before is still good */
     return false;
   }
   return fail(points, "line %llu: %s", (unsigned long long)points->reader.lines + 1, what);
@@ -199,10 +191,10 @@ static bool read_header(points_run *points) {
     fwrite(header.bytes, 1, header.length, stdout);
   }
   if (good) {
-    good = cli_points_find_columns(points->command, points->source, dipole_get_info(points->client),
-                                   &header, &points->columns);
+    good = points_find_columns(points->source, dipole_get_info(points->client), &header,
+                               &points->columns);
     if (good) {
-      cli_points_write_header(&points->columns, &header, stdout);
+      points_write_header(&points->columns, &header, stdout);
     }
   } else if (!points->failed) {
     fail(points, "there is no header line; it names the columns: sigma_a, sigma_s, g, eta, r, if "
@@ -217,20 +209,20 @@ static bool read_rows(points_run *points) {
   enum cli_csv_kind kind;
   for (;;) {
     if (points->count == WINDOW_ROWS || points->window_bytes > WINDOW_BYTES) {
-      if (!settle(points, points->count / 2)) {
+      if (!write_down(points, points->count / 2)) {
         return false;
       }
     }
-    /* Reading may settle the window, which moves its start, but not the place behind its end. */
-    cli_points_row *row = row_at(points, points->count);
+    /* Reading may write rows, which moves its start, but not the place behind its end. */
+    points_row *row = row_at(points, points->count);
     if (!read_record(points, &row->record, &kind)) {
-      return !points->failed && settle(points, 0);
+      return !points->failed && write_down(points, 0);
     }
     points->count++;
     points->window_bytes += row->record.length;
     if (kind == CLI_CSV_COMMENT) {
-      row->state = CLI_POINTS_COPIED;
-    } else if (cli_points_parse(&points->columns, info, &points->parameters, row) &&
+      row->state = POINTS_COPIED;
+    } else if (points_parse(&points->columns, info, &points->parameters, row) &&
                !submit(points, row)) {
       return false;
     }
@@ -246,24 +238,22 @@ static bool open_input(points_run *points, const char *operand) {
   points->source = standard ? "standard input" : operand;
   points->reader.fd = standard ? STDIN_FILENO : open(operand, O_RDONLY | O_CLOEXEC);
   if (points->reader.fd < 0) {
-    cli_fail(points->command, "%s: %s", operand, strerror(errno));
+    cli_fail("%s: %s", operand, strerror(errno));
     return false;
   }
   if (fstat(points->reader.fd, &about) == 0 && S_ISREG(about.st_mode)) {
     points->input_bytes = (uint64_t)about.st_size;
   }
-  points->reader.before_wait = settle_before_wait;
+  points->reader.before_wait = write_before_wait;
   points->reader.context = points;
   return true;
 }
 
 static int work(points_run *points) {
   const dipole_info *info = dipole_get_info(points->client);
-  const char *name = points->settings->evaluator;
-  const dipole_choice *evaluator = cli_named(points->command, info, DIPOLE_EVALUATOR, "evaluator",
-                                             name != NULL ? name : EVALUATOR_DEFAULT);
-  if (evaluator == NULL || !cli_parameters_take(points->command, info, &points->settings->profile,
-                                                &points->parameters)) {
+  const dipole_choice *evaluator =
+      cli_named(info, DIPOLE_EVALUATOR, "evaluator", points->settings->evaluator);
+  if (evaluator == NULL || !cli_parameters_take(info, points->settings, &points->parameters)) {
     return CLI_USAGE;
   }
   points->evaluator = evaluator->id;
@@ -275,30 +265,20 @@ static int work(points_run *points) {
     return CLI_FAILED;
   }
   if (points->rows_bad > 0) {
-    cli_fail(points->command, "%s: %llu of %llu rows were bad: see the column status",
-             points->source, (unsigned long long)points->rows_bad,
-             (unsigned long long)points->rows_written);
+    cli_fail("%s: %llu of %llu rows were bad: see the column status", points->source,
+             (unsigned long long)points->rows_bad, (unsigned long long)points->rows_written);
     return CLI_BAD_ROWS;
   }
   return CLI_OK;
 }
 
-static int run(const cli_command *command, int argc, char **argv) {
-  points_settings settings = {0};
-  const char *operand;
-  int status;
-  if (!cli_options_read(command, argc, argv, &settings, &operand, &status)) {
-    return status;
-  }
+static int run(void *settings, dipole_client *client) {
   points_run *points = cli_allocate(1, sizeof *points);
-  points->command = command;
-  points->settings = &settings;
-  status = CLI_FAILED;
-  if (open_input(points, operand)) {
-    if (cli_open(command, &settings.profile.common, &points->client)) {
-      status = work(points);
-      dipole_close(points->client);
-    }
+  points->settings = settings;
+  points->client = client;
+  int status = CLI_FAILED;
+  if (open_input(points, points->settings->common.operand)) {
+    status = work(points);
     if (points->reader.fd != STDIN_FILENO) {
       close(points->reader.fd);
     }
@@ -311,11 +291,11 @@ static int run(const cli_command *command, int argc, char **argv) {
 }
 
 static const cli_option options[] = {
-    {"Evaluation", NULL, NULL, CLI_HEADING, 0},
+    {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
     {"evaluator", "NAME",
      "f64 or f32: double or single precision; lut: single, by a table, which pays\n"
      "where many rows have the same medium (default: f64)",
-     CLI_TEXT, offsetof(points_settings, evaluator)},
+     CLI_TEXT, offsetof(cli_profile_settings, evaluator), "f64"},
     {0},
 };
 
@@ -339,5 +319,6 @@ const cli_command cli_command_points = {
     .shared_options = cli_parameter_options,
     .examples = "  dipole points media.csv > profiles.csv\n"
                 "  printf 'sigma_a,sigma_s,g,eta,r\\n0.01,1,0,1.4,2\\n' | dipole points\n",
+    .settings_bytes = sizeof(cli_profile_settings),
     .run = run,
 };

@@ -1,122 +1,431 @@
 /* dipole sample: radii drawn in proportion to the light that leaves there. */
-#include "clients/cli/sample.h"
-
+#include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
+#include "clients/cli/daemon.h"
 #include "clients/cli/gnuplot.h"
+#include "clients/cli/picture.h"
+#include "clients/cli/profile.h"
+#include "clients/cli/rows.h"
 
 #define PLOT_FILE "dipole.svg"
+#define DRAW_OF_A_LIST "list"
 
-#define FIELD(name) offsetof(cli_sample_settings, name)
+typedef struct sample_settings {
+  cli_profile_settings profile;
+  cli_numbers u;
+  cli_count count, seed, first;
+  const char *draw;
+  cli_texts want;
+  cli_texts plot;
+} sample_settings;
+
+#define FIELD(name) offsetof(sample_settings, name)
 
 static const cli_option options[] = {
-    CLI_MEDIUM_OPTIONS(cli_sample_settings),
-    {"Numbers", NULL, NULL, CLI_HEADING, 0},
-    {"u", "X[,X...]", "these numbers, from 0 (0 mm) to 1 (infinity)", CLI_NUMBERS, FIELD(u)},
-    {"count", "N", "how many numbers are drawn (default: 10)", CLI_COUNT, FIELD(count)},
+    CLI_MEDIUM_OPTIONS,
+    {"Numbers", NULL, NULL, CLI_HEADING, 0, NULL},
+    {"u", "X[,X...]", "these numbers, from 0 (0 mm) to 1 (infinity)", CLI_NUMBERS, FIELD(u), NULL},
+    {"count", "N", "how many numbers are drawn (default: 10)", CLI_COUNT, FIELD(count), "10"},
     {"draw", "NAME",
      "random; stratified: one in each of N equal intervals; regular: the\n"
      "middles of these (default: random)",
-     CLI_TEXT, FIELD(draw)},
+     CLI_TEXT, FIELD(draw), NULL},
     {"seed", "N", "of random and stratified: the same seed gives the same bits (default: 1)",
-     CLI_COUNT, FIELD(seed)},
+     CLI_COUNT, FIELD(seed), "1"},
     {"first", "N", "of random: which number of the seed is the first (default: 0)", CLI_COUNT,
-     FIELD(first)},
-    {"Evaluation", NULL, NULL, CLI_HEADING, 0},
+     FIELD(first), NULL},
+    {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
     {"model", "NAME", "see `dipole info`; one that covers all radii (default: better)", CLI_TEXT,
-     FIELD(model)},
-    {"moments", "NAME", "Fresnel moments, see `dipole info` (default: exact)", CLI_TEXT,
-     FIELD(moments)},
+     FIELD(profile.model), "better"},
+    CLI_MOMENTS_OPTION("exact"),
     {"evaluator", "NAME",
      "f64 or f32: double or single precision; lut: single, by a table, which\n"
      "draws fastest (default: f64)",
-     CLI_TEXT, FIELD(evaluator)},
+     CLI_TEXT, FIELD(profile.evaluator), "f64"},
     {"want", "NAME[,NAME...]",
      "r: the radii; pdf: their density, 1/mm (over 2 pi r: that of points on\n"
      "the surface); others, at these radii: see `dipole info` (default: r,pdf)",
-     CLI_NAMES, FIELD(want)},
-    {"deadline-ms", "N",
-     "the daemon shall answer within N ms, or not at all; 0: at any time\n"
-     "(default: 0)",
-     CLI_COUNT, FIELD(deadline_ms)},
-    {"Output", NULL, NULL, CLI_HEADING, 0},
+     CLI_NAMES, FIELD(want), NULL},
+    CLI_DEADLINE_OPTION,
+    {"Output", NULL, NULL, CLI_HEADING, 0, NULL},
     {"plot", "[FILE]",
      "also draw a histogram of the radii, and their density, into FILE.svg or\n"
      "FILE.png (default: " PLOT_FILE "); may be repeated",
-     CLI_FILES, FIELD(plot)},
+     CLI_FILES, FIELD(plot), NULL},
     {0},
 };
 
-static const struct {
-  const char *name;
-  void (*write)(const cli_sample_report *report, FILE *file);
-} formats[] = {
-    {"table", cli_sample_write_table},
-    {"csv", cli_sample_write_csv},
-    {"json", cli_sample_write_json},
-};
+typedef struct report {
+  cli_profile profile;
+  const dipole_choice *draw;
+  cli_quantities quantities;
+  dipole_sample_query query;
+  size_t count;
+  double *u; /* [count] */
+  dipole_result *result;
+  double *values; /* [count]: for the moment, one quantity of one channel */
+} report;
 
-/* What can be seen to be wrong without a daemon. */
-static int check(const cli_command *command, const cli_sample_settings *settings) {
-  const int status = cli_channels_check(command, &settings->medium);
+static int check(void *given) {
+  const sample_settings *settings = given;
+  const int status = cli_medium_check(&settings->profile);
   if (status != CLI_OK) {
     return status;
   }
   if (settings->u.count > 0 && (settings->count.given || settings->draw != NULL ||
                                 settings->seed.given || settings->first.given)) {
-    return cli_fail_usage(command, "--u gives the numbers one by one: leave --count, --draw, "
-                                   "--seed and --first out");
-  }
-  if (settings->deadline_ms.value > UINT32_MAX) {
-    return cli_fail_usage(command, "--deadline-ms: at most %lu", (unsigned long)UINT32_MAX);
+    return cli_fail_usage("--u gives the numbers one by one: leave --count, --draw, "
+                          "--seed and --first out");
   }
   for (size_t i = 0; i < settings->plot.count; i++) {
     if (!cli_gnuplot_draws(settings->plot.items[i])) {
-      return cli_fail_usage(command, "--plot %s: the name must end in .svg or .png",
+      return cli_fail_usage("--plot %s: the name must end in .svg or .png",
                             settings->plot.items[i]);
     }
   }
-  return CLI_OK;
+  return cli_deadline_check(&settings->profile);
 }
 
-static int write_report(const cli_command *command, const cli_sample_settings *settings,
-                        const cli_sample_report *report) {
-  const char *format =
-      settings->profile.common.format != NULL ? settings->profile.common.format : formats[0].name;
-  for (size_t i = 0; i < sizeof formats / sizeof formats[0]; i++) {
-    if (strcmp(formats[i].name, format) == 0) {
-      formats[i].write(report, stdout);
+/* ---- asking -------------------------------------------------------------------------------- */
+
+static int choose(const sample_settings *settings, report *of) {
+  const char *draw = settings->draw != NULL ? settings->draw : "random";
+  of->draw = cli_named(of->profile.info, DIPOLE_DRAW, "draw",
+                       settings->u.count > 0 ? DRAW_OF_A_LIST : draw);
+  if (of->draw == NULL) {
+    return CLI_USAGE;
+  }
+  if (settings->u.count == 0 && of->draw->id == DIPOLE_DRAW_LIST) {
+    return cli_fail_usage("--draw %s: give the numbers with --u", DRAW_OF_A_LIST);
+  }
+  return cli_quantities_take(of->profile.info, &settings->want, DIPOLE_RADIUS | DIPOLE_PDF,
+                             DIPOLE_ALBEDO, &of->quantities)
+             ? CLI_OK
+             : CLI_USAGE;
+}
+
+/* Returns the numbers that are listed, in the evaluator's precision; to be freed. */
+static void *list_numbers(const cli_numbers *u, bool single) {
+  if (!single) {
+    double *numbers = cli_allocate(u->count, sizeof *numbers);
+    memcpy(numbers, u->items, u->count * sizeof *numbers);
+    return numbers;
+  }
+  float *numbers = cli_allocate(u->count, sizeof *numbers);
+  for (size_t i = 0; i < u->count; i++) {
+    numbers[i] = (float)u->items[i];
+  }
+  return numbers;
+}
+
+/* Keeps the numbers that radii were drawn with, as doubles. numbers: the listed ones, or room for
+ * as many as were drawn. */
+static bool keep_numbers(report *of, void *numbers, bool listed, bool single, dipole_error *error) {
+  if (!listed && !dipole_sample_numbers(&of->query, 0, of->count, numbers, error)) {
+    return false;
+  }
+  of->u = cli_allocate(of->count, sizeof *of->u);
+  for (size_t i = 0; i < of->count; i++) {
+    of->u[i] = single ? (double)((const float *)numbers)[i] : ((const double *)numbers)[i];
+  }
+  return true;
+}
+
+static dipole_sample_query make_query(const sample_settings *settings, const report *of) {
+  const cli_profile *profile = &of->profile;
+  const bool seeded = of->draw->id == DIPOLE_DRAW_RANDOM || of->draw->id == DIPOLE_DRAW_STRATIFIED;
+  return (dipole_sample_query){
+      .model = profile->model->id,
+      .evaluator = profile->evaluator->id,
+      .moments = profile->moments->id,
+      /* A picture draws these two, whether they are written or not. */
+      .wanted = of->quantities.wanted |
+                (settings->plot.count > 0 ? (unsigned)DIPOLE_RADIUS | DIPOLE_PDF : 0),
+      .media = profile->media,
+      .medium_count = (uint32_t)profile->channel_count,
+      .draw = of->draw->id,
+      .sample_count = settings->u.count > 0 ? settings->u.count : settings->count.value,
+      .sample_first = settings->first.value,
+      /* A seed that has no use is sent only if it was given; the daemon then refuses it. */
+      .seed = seeded || settings->seed.given ? settings->seed.value : 0,
+      .parameters = profile->parameters.items,
+      .parameter_count = profile->parameters.count,
+      .deadline_ms = (unsigned)settings->profile.deadline_ms.value,
+  };
+}
+
+static int ask(const sample_settings *settings, dipole_client *client, report *of) {
+  const int64_t start_ms = cli_now_ms();
+  const bool listed = settings->u.count > 0, single = of->profile.evaluator->id != DIPOLE_F64;
+  void *numbers = listed ? list_numbers(&settings->u, single) : NULL;
+  dipole_error error;
+  bool good;
+  of->query = make_query(settings, of);
+  of->query.numbers = numbers;
+  do {
+    good = dipole_sample(client, &of->query, &of->result, &error);
+  } while (!good && cli_try_again(&settings->profile.common, start_ms, &error));
+  if (good) {
+    of->count = (size_t)of->query.sample_count;
+    numbers = listed ? numbers : cli_allocate(of->count, sizeof(double));
+    good = keep_numbers(of, numbers, listed, single, &error);
+  }
+  of->query.numbers = NULL;
+  free(numbers);
+  return good ? CLI_OK : cli_fail_error(&error);
+}
+
+/* Returns a value of the result; one in single precision as the double that it equals. */
+static double value_of(const report *of, size_t channel, unsigned quantity, size_t index) {
+  const double *f64 = dipole_values_f64(of->result, (uint32_t)channel, quantity);
+  return f64 != NULL ? f64[index]
+                     : (double)dipole_values_f32(of->result, (uint32_t)channel, quantity)[index];
+}
+
+/* ---- writing ------------------------------------------------------------------------------- */
+
+static bool has_albedo(const report *of) {
+  return (of->query.wanted & DIPOLE_ALBEDO) != 0;
+}
+
+/* A channel, and in JSON its samples. */
+static void put_channel(cli_rows *rows, const void *context, size_t index) {
+  const report *of = context;
+  const dipole_channel *channel = &of->result->channels[index];
+  cli_put_text(rows, CLI_COLUMN("channel"), of->profile.channels[index].name);
+  cli_put_medium(rows, &of->profile.media[index]);
+  cli_put_number(rows, CLI_COLUMN("numerical_error", .forms = CLI_IN_JSON),
+                 channel->numerical_error);
+  cli_put_number(rows, CLI_COLUMN("numerical_error_per_mm", .forms = CLI_IN_JSON),
+                 channel->numerical_error_per_mm);
+  cli_put_number(rows, CLI_COLUMN("model_error", "model error", "relative", "%.1e", "not measured"),
+                 channel->model_error);
+  if (has_albedo(of)) {
+    cli_put_number(rows, CLI_COLUMN("albedo"), channel->albedo);
+  }
+  for (size_t q = 0; rows->form == CLI_JSON && q < of->quantities.count; q++) {
+    for (size_t i = 0; i < of->count; i++) {
+      of->values[i] = value_of(of, index, of->quantities.items[q]->id, i);
+    }
+    cli_json_numbers(rows->json, of->quantities.items[q]->name, of->values, of->count);
+  }
+}
+
+/* For people: one number, and what it gives in all channels. */
+static void put_number(cli_rows *rows, const void *context, size_t index) {
+  const report *of = context;
+  cli_put_number(rows, CLI_COLUMN("u"), of->u[index]);
+  for (size_t q = 0; q < of->quantities.count; q++) {
+    const dipole_choice *quantity = of->quantities.items[q];
+    const unsigned plain = DIPOLE_RADIUS | DIPOLE_CDF | DIPOLE_LN_R;
+    for (size_t i = 0; i < of->profile.channel_count; i++) {
+      char head[128];
+      snprintf(head, sizeof head, "%s %s", quantity->name, of->profile.channels[i].name);
+      cli_put_number(rows,
+                     CLI_COLUMN(head, .unit = quantity->about,
+                                .format = (quantity->id & plain) != 0 ? "%.6g" : "%.4e"),
+                     value_of(of, i, quantity->id, index));
     }
   }
+}
+
+/* For CSV: one number in one channel. */
+static void put_sample(cli_rows *rows, const void *context, size_t index) {
+  const report *of = context;
+  const size_t channel = index / of->count, i = index % of->count;
+  cli_put_text(rows, CLI_COLUMN("model"), of->profile.model->name);
+  cli_put_text(rows, CLI_COLUMN("channel"), of->profile.channels[channel].name);
+  cli_put_medium(rows, &of->profile.media[channel]);
+  cli_put_number(rows, CLI_COLUMN("u"), of->u[i]);
+  for (size_t q = 0; q < of->quantities.count; q++) {
+    const dipole_choice *quantity = of->quantities.items[q];
+    cli_put_number(rows, CLI_COLUMN(quantity->name), value_of(of, channel, quantity->id, i));
+  }
+  if (has_albedo(of)) {
+    cli_put_number(rows, CLI_COLUMN("albedo"), of->result->channels[channel].albedo);
+  }
+}
+
+static void write_table(const report *of) {
+  const cli_profile *profile = &of->profile;
+  cli_write_medium(profile, stdout);
+  printf("radii drawn of the model %s; evaluator %s, moments %s", profile->model->name,
+         profile->evaluator->name, profile->moments->name);
+  cli_write_parameters(profile, stdout);
+  printf("\nnumbers: %s", of->draw->name);
+  if (of->query.seed != 0) {
+    printf(", seed %llu", (unsigned long long)of->query.seed);
+  }
+  if (of->query.sample_first != 0) {
+    printf(", from number %llu on", (unsigned long long)of->query.sample_first);
+  }
+  fputs("\n\n", stdout);
+  if (of->quantities.count > 0) {
+    cli_rows_print(stdout, 0, of->count, put_number, of);
+    fputc('\n', stdout);
+  }
+  cli_rows_print(stdout, 1, profile->channel_count, put_channel, of);
+  cli_write_notes(profile->info, of->result->notes, stdout);
+}
+
+static void write_json(const report *of) {
+  const cli_profile *profile = &of->profile;
+  cli_json json = {.file = stdout};
+  cli_json_begin(&json, NULL, '{');
+  cli_json_head(&json, profile);
+  cli_json_text(&json, "model", profile->model->name);
+  cli_json_text(&json, "evaluator", profile->evaluator->name);
+  cli_json_text(&json, "moments", profile->moments->name);
+  cli_json_text(&json, "draw", of->draw->name);
+  cli_json_count(&json, "seed", of->query.seed);
+  cli_json_count(&json, "first", of->query.sample_first);
+  cli_json_begin(&json, "units", '{');
+  cli_json_text(&json, "sigma_a", "1/mm");
+  cli_json_text(&json, "sigma_s", "1/mm");
+  cli_json_text(&json, "u", "1");
+  for (size_t q = 0; q < of->quantities.count; q++) {
+    cli_json_text(&json, of->quantities.items[q]->name, of->quantities.items[q]->about);
+  }
+  cli_json_end(&json, '}');
+  cli_json_notes(&json, profile->info, of->result->notes);
+  cli_json_numbers(&json, "u", of->u, of->count);
+  cli_rows_json(&json, "channels", profile->channel_count, put_channel, of);
+  cli_json_end(&json, '}');
+}
+
+/* ---- the picture: a histogram, and over it the density that the radii were drawn from -------- */
+
+enum { BINS = 60, WIDTH_PX = 900, HEIGHT_PX = 600 };
+
+/* This share of the radii is shown: the largest ones would leave the others no room. */
+#define SHOWN_SHARE 0.99
+
+typedef struct point {
+  double r_mm;
+  double pdf_per_mm;
+} point;
+
+typedef struct histogram {
+  const report *of;
+  point *points; /* [channel_count][count], each channel's by radius */
+  double most_mm;
+} histogram;
+
+static int compare(const void *a, const void *b) {
+  const double x = ((const point *)a)->r_mm, y = ((const point *)b)->r_mm;
+  return (x > y) - (x < y);
+}
+
+/* Writes $hist0, the middles of the bins and how many radii are in them, as a density; and $pdf0,
+ * the density at the radii that were drawn. */
+static void write_data(FILE *script, const histogram *picture, size_t channel) {
+  const size_t count = picture->of->count;
+  const point *points = picture->points + channel * count;
+  const double width_mm = picture->most_mm / BINS;
+  size_t bins[BINS] = {0};
+  for (size_t i = 0; i < count && points[i].r_mm < picture->most_mm; i++) {
+    const size_t bin = (size_t)(points[i].r_mm / picture->most_mm * BINS);
+    bins[bin < BINS ? bin : BINS - 1]++;
+  }
+  fprintf(script, "$hist%zu << END\n", channel);
+  for (size_t i = 0; i < BINS; i++) {
+    fprintf(script, "%.9g %.9g\n", ((double)i + 0.5) * width_mm,
+            (double)bins[i] / ((double)count * width_mm));
+  }
+  fprintf(script, "END\n$pdf%zu << END\n", channel);
+  for (size_t i = 0; i < count && points[i].r_mm <= picture->most_mm; i++) {
+    fprintf(script, "%.9g %.9g\n", points[i].r_mm, points[i].pdf_per_mm);
+  }
+  fputs("NaN NaN\nEND\n", script); /* gnuplot wants one point at least, even an undefined one */
+}
+
+static void write_script(FILE *script, const void *context) {
+  const histogram *picture = context;
+  const report *of = picture->of;
+  const char *medium = of->profile.medium;
+  char title[128];
+  for (size_t channel = 0; channel < of->profile.channel_count; channel++) {
+    write_data(script, picture, channel);
+  }
+  snprintf(title, sizeof title, "%s%s%s: %zu radii, %s", medium != NULL ? medium : "",
+           medium != NULL ? ", " : "", of->profile.model->name, of->count, of->draw->name);
+  fputs("set grid\nset style fill transparent solid 0.25 noborder\nset xlabel 'r (mm)'\n"
+        "set ylabel 'density (1/mm)'\nset title ",
+        script);
+  cli_gnuplot_quote(script, title);
+  fprintf(script, "\nset xrange [0:%.9g]\nset yrange [0:*]\nplot ", picture->most_mm);
+  for (size_t i = 0; i < of->profile.channel_count; i++) {
+    const char *colour = cli_channel_colour(&of->profile, i);
+    cli_channel_title(&of->profile, i, title, sizeof title);
+    fprintf(script,
+            "%s$hist%zu using 1:2 with boxes lc rgb '%s' notitle, "
+            "$pdf%zu using 1:2 with lines lw 2 lc rgb '%s' title ",
+            i > 0 ? ", " : "", i, colour, i, colour);
+    cli_gnuplot_quote(script, title);
+  }
+  fputc('\n', script);
+}
+
+static int draw(const report *of, const char *path) {
+  char error[CLI_GNUPLOT_ERROR_BYTES];
+  const size_t channels = of->profile.channel_count;
+  histogram picture = {.of = of,
+                       .points = cli_allocate(channels * of->count, sizeof *picture.points)};
+  for (size_t channel = 0; channel < channels; channel++) {
+    point *points = picture.points + channel * of->count;
+    for (size_t i = 0; i < of->count; i++) {
+      points[i] =
+          (point){value_of(of, channel, DIPOLE_RADIUS, i), value_of(of, channel, DIPOLE_PDF, i)};
+    }
+    qsort(points, of->count, sizeof *points, compare);
+    const double last_mm = points[(size_t)(SHOWN_SHARE * (double)(of->count - 1))].r_mm;
+    picture.most_mm = isfinite(last_mm) ? fmax(picture.most_mm, last_mm) : picture.most_mm;
+  }
   int status = CLI_OK;
+  if (!(picture.most_mm > 0)) {
+    status = cli_fail("--plot %s: all radii are 0 or infinite: there is nothing to show", path);
+  } else if (!cli_gnuplot(path, WIDTH_PX, HEIGHT_PX, write_script, &picture, error)) {
+    status = cli_fail("--plot %s: %s", path, error);
+  }
+  free(picture.points);
+  return status;
+}
+
+/* ---- the command --------------------------------------------------------------------------- */
+
+static int ask_and_write(const sample_settings *settings, dipole_client *client, report *of) {
+  int status = cli_profile_take(&settings->profile, client, &of->profile);
+  status = status == CLI_OK ? choose(settings, of) : status;
+  status = status == CLI_OK ? ask(settings, client, of) : status;
+  if (status != CLI_OK) {
+    return status;
+  }
+  if (settings->profile.common.form == CLI_TABLE) {
+    write_table(of);
+  } else if (settings->profile.common.form == CLI_CSV) {
+    cli_rows_csv(stdout, true, of->profile.channel_count * of->count, put_sample, of);
+  } else {
+    of->values = cli_allocate(of->count, sizeof *of->values);
+    write_json(of);
+  }
   for (size_t i = 0; status == CLI_OK && i < settings->plot.count; i++) {
-    const char *file = settings->plot.items[i];
-    status = cli_sample_plot(command, report, file);
-    if (status == CLI_OK && strcmp(file, PLOT_FILE) == 0) { /* which may not have been named */
-      fprintf(stderr, "dipole %s: the picture is %s\n", command->name, file);
+    status = draw(of, settings->plot.items[i]);
+    if (status == CLI_OK) {
+      cli_picture_tell(settings->plot.items[i]);
     }
   }
   return status;
 }
 
-static int run(const cli_command *command, int argc, char **argv) {
-  cli_sample_settings settings = {0};
-  cli_sample_report report = {0};
-  dipole_client *client;
-  const char *operand;
-  int status;
-  if (cli_options_read(command, argc, argv, &settings, &operand, &status)) {
-    status = check(command, &settings);
-    if (status == CLI_OK && !cli_open(command, &settings.profile.common, &client)) {
-      status = CLI_FAILED;
-    } else if (status == CLI_OK) {
-      status = cli_sample_ask(command, &settings, client, &report);
-      status = status == CLI_OK ? write_report(command, &settings, &report) : status;
-      cli_sample_report_free(&report);
-      dipole_close(client);
-    }
-  }
-  cli_options_free(command, &settings);
+static int run(void *settings, dipole_client *client) {
+  report of = {0};
+  const int status = ask_and_write(settings, client, &of);
+  cli_profile_free(&of.profile);
+  free(of.u);
+  free(of.values);
+  dipole_result_free(of.result);
   return status;
 }
 
@@ -130,11 +439,13 @@ const cli_command cli_command_sample = {
     .options = options,
     .shared_options = cli_parameter_options,
     .usual_file = PLOT_FILE,
+    .settings_bytes = sizeof(sample_settings),
+    .check = check,
+    .run = run,
     .examples = "  dipole sample --medium skin1\n"
                 "  dipole sample --medium skin1 --u 0.1,0.5,0.9 --want r,pdf,R,cdf\n"
                 "  dipole sample --sigma-a 0.01 --sigma-s 1 --count 1000 --draw stratified "
                 "--seed 7 --format csv\n"
                 "  dipole sample --medium marble --model burley --count 10000 --plot marble.svg\n"
                 "  dipole sample --medium skin1 --model transport --evaluator lut --count 1000\n",
-    .run = run,
 };

@@ -1,135 +1,248 @@
 /* dipole table: the tables by which the evaluator lut works, fetched to be evaluated elsewhere. */
-#include "clients/cli/tables.h"
-
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-#define MODEL_DEFAULT "better"
-#define MOMENTS_DEFAULT "exact"
-#define STANDARD "-"
+#include "clients/cli/daemon.h"
+#include "clients/cli/profile.h"
+#include "clients/cli/rows.h"
+#include "clients/cli/tables_file.h"
 
 typedef struct table_settings {
   cli_profile_settings profile;
-  cli_medium_settings medium;
-  const char *model, *moments, *output;
+  const char *output;
 } table_settings;
 
-#define FIELD(name) offsetof(table_settings, name)
-
 static const cli_option options[] = {
-    CLI_MEDIUM_OPTIONS(table_settings),
-    {"Evaluation", NULL, NULL, CLI_HEADING, 0},
-    {"model", "NAME", "see `dipole info` (default: better)", CLI_TEXT, FIELD(model)},
-    {"moments", "NAME", "Fresnel moments, see `dipole info` (default: exact)", CLI_TEXT,
-     FIELD(moments)},
-    {"Output", NULL, NULL, CLI_HEADING, 0},
+    CLI_MEDIUM_OPTIONS,
+    {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
+    {"model", "NAME", "see `dipole info` (default: better)", CLI_TEXT,
+     offsetof(cli_profile_settings, model), "better"},
+    CLI_MOMENTS_OPTION("exact"),
+    {"Output", NULL, NULL, CLI_HEADING, 0, NULL},
     {"output", "FILE",
      "write the tables into FILE, binary, one behind the other; -: to standard\n"
      "output, and nothing else",
-     CLI_TEXT, FIELD(output)},
+     CLI_TEXT, offsetof(table_settings, output), NULL},
     {0},
 };
 
-static const struct {
-  const char *name;
-  void (*write)(const cli_tables_report *report, FILE *file);
-} formats[] = {
-    {"table", cli_tables_write_table},
-    {"csv", cli_tables_write_csv},
-    {"json", cli_tables_write_json},
-};
+typedef struct report {
+  cli_profile profile;
+  cli_tables tables; /* one for each channel */
+} report;
 
 static bool is_to_standard(const table_settings *settings) {
-  return settings->output != NULL && strcmp(settings->output, STANDARD) == 0;
+  return settings->output != NULL && strcmp(settings->output, "-") == 0;
 }
 
-/* What can be seen to be wrong without a daemon. */
-static int check(const cli_command *command, const table_settings *settings) {
+static int check(void *given) {
+  const table_settings *settings = given;
   if (is_to_standard(settings) && settings->profile.common.format != NULL) {
-    return cli_fail_usage(command, "--output - writes binary to standard output: leave --format "
-                                   "out, or name a file");
+    return cli_fail_usage("--output - writes binary to standard output: leave --format "
+                          "out, or name a file");
   }
-  return cli_channels_check(command, &settings->medium);
+  return cli_medium_check(&settings->profile);
 }
 
-static int fetch(const cli_command *command, const table_settings *settings, dipole_client *client,
-                 cli_tables_report *report) {
-  char option[64], place[48] = "";
-  for (size_t i = 0; i < report->channels.count; i++) {
-    const cli_channel *channel = &report->channels.items[i];
-    const dipole_table_query query = {.model = report->model->id,
-                                      .moments = report->moments->id,
-                                      .medium = channel->medium,
-                                      .parameters = report->parameters.items,
-                                      .parameter_count = report->parameters.count};
+static int fetch(const table_settings *settings, dipole_client *client, report *of) {
+  const cli_profile *profile = &of->profile;
+  char place[48] = "";
+  for (size_t i = 0; i < profile->channel_count; i++) {
+    const int64_t start_ms = cli_now_ms();
+    const dipole_table_query query = {.model = profile->model->id,
+                                      .moments = profile->moments->id,
+                                      .medium = profile->media[i],
+                                      .parameters = profile->parameters.items,
+                                      .parameter_count = profile->parameters.count};
     dipole_table *table;
     dipole_error error;
-    if (!cli_table_fetch(client, &settings->profile.common, &query, &table, &error)) {
-      if (report->channels.count > 1) {
-        snprintf(place, sizeof place, "channel %s: ", channel->name);
+    bool good;
+    do {
+      good = dipole_table_fetch(client, &query, &table, &error);
+    } while (!good && cli_try_again(&settings->profile.common, start_ms, &error));
+    if (!good) {
+      if (profile->channel_count > 1) {
+        snprintf(place, sizeof place, "channel %s: ", profile->channels[i].name);
       }
-      return cli_fail(command, "%s%s%s", place, error.text,
-                      cli_option_of(command, error.field, option, sizeof option));
+      return cli_fail_error_of(place, &error);
     }
-    cli_tables_add(&report->tables, table);
+    cli_tables_add(&of->tables, table);
   }
   return CLI_OK;
 }
 
-static int ask(const cli_command *command, const table_settings *settings, dipole_client *client,
-               cli_tables_report *report) {
-  const char *model = settings->model != NULL ? settings->model : MODEL_DEFAULT;
-  const char *moments = settings->moments != NULL ? settings->moments : MOMENTS_DEFAULT;
-  report->info = dipole_get_info(client);
-  report->model = cli_named(command, report->info, DIPOLE_MODEL, "model", model);
-  if (report->model == NULL) {
-    return CLI_USAGE;
-  }
-  report->moments = cli_named(command, report->info, DIPOLE_MOMENTS, "moments", moments);
-  if (report->moments == NULL ||
-      !cli_parameters_take(command, report->info, &settings->profile, &report->parameters)) {
-    return CLI_USAGE;
-  }
-  const int status = cli_channels_take(command, &settings->medium, client, &report->channels);
-  return status == CLI_OK ? fetch(command, settings, client, report) : status;
+/* ---- the words of a table, as proto/PROTOCOL.md has them ----------------------------------- */
+
+enum { WORDS_BEFORE_PIECES = 784, PIECE_WORDS = 4, MANTISSA_BITS = 23 };
+
+/* An entry of an octave that has no pieces: the first piece of all, uncut. */
+enum { ENTRY_OUTSIDE = MANTISSA_BITS };
+
+static const char *const constants[] = {
+    "pieces_from", "pieces_to", "scale",    "ring_scale",  "pdf_scale",
+    "near_power",  "near_R",    "near_log", "near_cdf",    "near_cdf_log",
+    "far",         "limit",     "first_u",  "near_radius",
+};
+
+/* A function in pieces: its entries, by the exponent of its argument. */
+static const struct {
+  const char *name;
+  size_t entries, count;
+} functions[] = {{"R", 16, 256},
+                 {"cdf", 272, 256},
+                 {"radius_of_u", 528, 128},
+                 {"radius_of_1_minus_u", 656, 128}};
+
+static size_t count_pieces(const dipole_table_info *info) {
+  return (info->word_count - WORDS_BEFORE_PIECES) / PIECE_WORDS;
 }
 
-static int write_out(const cli_command *command, const table_settings *settings,
-                     const cli_tables_report *report) {
-  if (settings->output != NULL && !cli_tables_save(command, settings->output, &report->tables)) {
+static double number_of(uint32_t word) {
+  float number;
+  memcpy(&number, &word, sizeof number);
+  return (double)number;
+}
+
+/* ---- writing ------------------------------------------------------------------------------- */
+
+/* For people and in JSON: a table for a channel. */
+static void put_table(cli_rows *rows, const void *context, size_t index) {
+  const report *of = context;
+  const dipole_table_info *info = dipole_table_get_info(of->tables.items[index]);
+  size_t bytes;
+  dipole_table_bytes(of->tables.items[index], &bytes);
+  cli_put_text(rows, CLI_COLUMN("channel"), of->profile.channels[index].name);
+  cli_put_medium(rows, &info->medium);
+  cli_put_number(rows, CLI_COLUMN("albedo"), info->albedo);
+  if (rows->form == CLI_JSON) {
+    cli_json_number(rows->json, "numerical_error", info->numerical_error);
+    cli_json_number(rows->json, "numerical_error_per_mm", info->numerical_error_per_mm);
+    cli_json_number(rows->json, "model_error", info->model_error);
+    cli_json_notes(rows->json, of->profile.info, info->notes);
+  }
+  cli_put_number(rows, CLI_COLUMN("pieces_from", "pieces from", "mm", "%.4g"),
+                 info->pieces_from_mm);
+  cli_put_number(rows, CLI_COLUMN("pieces_to", "to", "mm", "%.4g"), info->pieces_to_mm);
+  if (rows->form == CLI_JSON) {
+    cli_json_number(rows->json, "radius_least", info->radius_least_mm);
+    cli_json_number(rows->json, "radius_most", info->radius_most_mm);
+  }
+  cli_put_count(rows, CLI_COLUMN("pieces"), count_pieces(info));
+  if (rows->form == CLI_JSON) {
+    cli_json_count(rows->json, "layout", info->layout);
+    cli_json_counts(rows->json, "words", info->words, info->word_count);
+    return;
+  }
+  cli_put_count(rows, CLI_COLUMN("bytes"), bytes);
+  cli_put_number(rows, CLI_COLUMN("numerical error", NULL, "relative, at most", "%.1e"),
+                 info->numerical_error);
+  cli_put_number(rows, CLI_COLUMN("model error", NULL, "relative", "%.1e", "not measured"),
+                 info->model_error);
+}
+
+static void write_table(const report *of) {
+  const cli_profile *profile = &of->profile;
+  unsigned notes = 0;
+  cli_write_medium(profile, stdout);
+  printf("tables of %s, moments %s", profile->model->name, profile->moments->name);
+  cli_write_parameters(profile, stdout);
+  fputs("\n\n", stdout);
+  cli_rows_print(stdout, 1, of->tables.count, put_table, of);
+  puts("numerical error: of R and cdf against the model's formula, as measured\n"
+       "model error: of the model against radiative transport");
+  for (size_t i = 0; i < of->tables.count; i++) {
+    notes |= dipole_table_get_info(of->tables.items[i])->notes;
+  }
+  cli_write_notes(profile->info, notes, stdout);
+}
+
+static void write_csv_piece(const char *channel, const char *function, double from, double to,
+                            const uint32_t *words) {
+  const double c0 = number_of(words[0]);
+  /* Nine digits: as many as it takes to get back a number in single precision. */
+  printf("%s,%s,%.9g,%.9g,%s,%.9g,%.9g,%.9g,%.9g\n", channel, function, from, to,
+         signbit(c0) ? "right" : "left", fabs(c0), number_of(words[1]), number_of(words[2]),
+         number_of(words[3]));
+}
+
+/* Writes the pieces of an octave, which lie side by side. */
+static void write_csv_octave(const char *channel, const char *function,
+                             const dipole_table_info *info, uint32_t entry, int exponent) {
+  const uint32_t pieces = UINT32_C(1) << (MANTISSA_BITS - (entry & 31));
+  const uint32_t *words = info->words + WORDS_BEFORE_PIECES + (size_t)(entry >> 5) * PIECE_WORDS;
+  const double step = ldexp(1, exponent) / pieces;
+  for (uint32_t i = 0; i < pieces; i++) {
+    const double from = ldexp(1, exponent) + i * step;
+    write_csv_piece(channel, function, from, from + step, words + (size_t)i * PIECE_WORDS);
+  }
+}
+
+static void write_csv_table(const char *channel, const dipole_table_info *info) {
+  for (size_t i = 0; i < sizeof constants / sizeof constants[0]; i++) {
+    printf("%s,%s,,,,%.9g,,,\n", channel, constants[i], number_of(info->words[i]));
+  }
+  for (size_t f = 0; f < sizeof functions / sizeof functions[0]; f++) {
+    for (size_t i = 0; i < functions[f].count; i++) {
+      const uint32_t entry = info->words[functions[f].entries + i];
+      if (entry != ENTRY_OUTSIDE) {
+        write_csv_octave(channel, functions[f].name, info, entry, (int)i - 127);
+      }
+    }
+  }
+}
+
+static void write_csv(const report *of) {
+  puts("channel,function,from,to,written_from,c0,c1,c2,c3");
+  for (size_t i = 0; i < of->tables.count; i++) {
+    write_csv_table(of->profile.channels[i].name, dipole_table_get_info(of->tables.items[i]));
+  }
+}
+
+static void write_json(const report *of) {
+  const cli_profile *profile = &of->profile;
+  cli_json json = {.file = stdout};
+  cli_json_begin(&json, NULL, '{');
+  cli_json_head(&json, profile);
+  cli_json_text(&json, "model", profile->model->name);
+  cli_json_text(&json, "source", profile->model->about);
+  cli_json_text(&json, "moments", profile->moments->name);
+  cli_json_parameters(&json, profile);
+  cli_json_texts(&json, "units", "sigma_a", "1/mm", "sigma_s", "1/mm", "pieces_from", "mm",
+                 "pieces_to", "mm", "radius_least", "mm", "radius_most", "mm", NULL);
+  cli_rows_json(&json, "tables", of->tables.count, put_table, of);
+  cli_json_end(&json, '}');
+}
+
+/* ---- the command --------------------------------------------------------------------------- */
+
+static int ask_and_write(const table_settings *settings, dipole_client *client, report *of) {
+  int status = cli_profile_take(&settings->profile, client, &of->profile);
+  status = status == CLI_OK ? fetch(settings, client, of) : status;
+  if (status != CLI_OK) {
+    return status;
+  }
+  if (settings->output != NULL && !cli_tables_save(settings->output, &of->tables)) {
     return CLI_FAILED;
   }
-  const char *format = settings->profile.common.format;
-  format = format != NULL ? format : formats[0].name;
-  for (size_t i = 0; i < sizeof formats / sizeof formats[0]; i++) {
-    if (!is_to_standard(settings) && strcmp(formats[i].name, format) == 0) {
-      formats[i].write(report, stdout);
-    }
+  if (is_to_standard(settings)) {
+    return CLI_OK;
+  }
+  if (settings->profile.common.form == CLI_TABLE) {
+    write_table(of);
+  } else if (settings->profile.common.form == CLI_CSV) {
+    write_csv(of);
+  } else {
+    write_json(of);
   }
   return CLI_OK;
 }
 
-static int run(const cli_command *command, int argc, char **argv) {
-  table_settings settings = {0};
-  cli_tables_report report = {0};
-  dipole_client *client;
-  const char *operand;
-  int status;
-  if (cli_options_read(command, argc, argv, &settings, &operand, &status)) {
-    status = check(command, &settings);
-    if (status == CLI_OK && !cli_open(command, &settings.profile.common, &client)) {
-      status = CLI_FAILED;
-    } else if (status == CLI_OK) {
-      status = ask(command, &settings, client, &report);
-      if (status == CLI_OK) {
-        status = write_out(command, &settings, &report);
-      }
-      dipole_close(client);
-    }
-  }
-  cli_tables_free(&report.tables);
-  free(report.channels.items);
-  cli_options_free(command, &settings);
+static int run(void *settings, dipole_client *client) {
+  report of = {0};
+  const int status = ask_and_write(settings, client, &of);
+  cli_profile_free(&of.profile);
+  cli_tables_free(&of.tables);
   return status;
 }
 
@@ -154,5 +267,7 @@ const cli_command cli_command_table = {
     .examples = "  dipole table --medium skin1 --model transport --output skin1.table\n"
                 "  dipole eval --table skin1.table --r 0.1,1,10 --want R,cdf\n"
                 "  dipole table --sigma-a 0.01 --sigma-s 1 --tolerance 1e-5 --format csv\n",
+    .settings_bytes = sizeof(table_settings),
+    .check = check,
     .run = run,
 };

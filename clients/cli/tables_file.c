@@ -1,10 +1,9 @@
-/* Files of tables: whole frames, one behind the other. */
+#include "clients/cli/tables_file.h"
+
 #include <errno.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
-
-#include "clients/cli/tables.h"
 
 void cli_tables_add(cli_tables *tables, dipole_table *table) {
   tables->items = cli_resize(tables->items, tables->count + 1, sizeof *tables->items);
@@ -25,7 +24,7 @@ static bool is_standard(const char *path) {
 
 /* ---- reading ------------------------------------------------------------------------------- */
 
-/* The whole of a file, to be freed; NULL when it cannot be read. */
+/* Returns the whole of a file, to be freed; NULL if it cannot be read. */
 static char *read_whole(FILE *from, size_t *count) {
   size_t capacity = 1 << 16, got;
   char *bytes = cli_allocate(capacity, 1);
@@ -44,15 +43,14 @@ static char *read_whole(FILE *from, size_t *count) {
   return bytes;
 }
 
-static bool take_tables(const cli_command *command, const char *path, const char *bytes,
-                        size_t count, cli_tables *tables) {
+static bool take_tables(const char *path, const char *bytes, size_t count, cli_tables *tables) {
   size_t done = 0;
   do {
     dipole_table *table;
     dipole_error error;
     size_t table_bytes;
     if (!dipole_table_load(bytes + done, count - done, &table, &error)) {
-      cli_fail(command, "%s: table %zu: %s", path, tables->count + 1, error.text);
+      cli_fail("%s: table %zu: %s", path, tables->count + 1, error.text);
       return false;
     }
     cli_tables_add(tables, table);
@@ -62,7 +60,7 @@ static bool take_tables(const cli_command *command, const char *path, const char
   return true;
 }
 
-bool cli_tables_read(const cli_command *command, const char *path, cli_tables *tables) {
+bool cli_tables_read(const char *path, cli_tables *tables) {
   FILE *from = is_standard(path) ? stdin : fopen(path, "rbe");
   size_t count = 0;
   char *bytes = from != NULL ? read_whole(from, &count) : NULL;
@@ -71,10 +69,10 @@ bool cli_tables_read(const cli_command *command, const char *path, cli_tables *t
     fclose(from);
   }
   if (bytes == NULL) {
-    cli_fail(command, "cannot read %s: %s", path, strerror(read_errno));
+    cli_fail("cannot read %s: %s", path, strerror(read_errno));
     return false;
   }
-  const bool good = take_tables(command, path, bytes, count, tables);
+  const bool good = take_tables(path, bytes, count, tables);
   free(bytes);
   return good;
 }
@@ -92,10 +90,10 @@ static bool write_all(const cli_tables *tables, FILE *to) {
   return fflush(to) == 0;
 }
 
-bool cli_tables_save(const cli_command *command, const char *path, const cli_tables *tables) {
+bool cli_tables_save(const char *path, const cli_tables *tables) {
   FILE *to = is_standard(path) ? stdout : fopen(path, "wbe");
   if (to == NULL) {
-    cli_fail(command, "cannot write %s: %s", path, strerror(errno));
+    cli_fail("cannot write %s: %s", path, strerror(errno));
     return false;
   }
   const bool terminal = isatty(fileno(to)) == 1;
@@ -105,9 +103,9 @@ bool cli_tables_save(const cli_command *command, const char *path, const cli_tab
     written = false;
   }
   if (terminal) {
-    cli_fail(command, "--output %s: a terminal cannot show binary tables; name a file", path);
+    cli_fail("--output %s: a terminal cannot show binary tables; name a file", path);
   } else if (!written) {
-    cli_fail(command, "cannot write %s: %s", path, strerror(write_errno));
+    cli_fail("cannot write %s: %s", path, strerror(write_errno));
   }
   return written;
 }

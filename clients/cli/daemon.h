@@ -1,0 +1,53 @@
+/* daemon: connecting, asking a busy daemon again, and the names of what a daemon offers. */
+#ifndef DIPOLE_CLI_DAEMON_H
+#define DIPOLE_CLI_DAEMON_H
+
+#include "clients/cli/cli.h"
+
+/* Sets what --timeout-ms and --retry-ms say. */
+void cli_connection_options(const cli_common *common, dipole_options *options);
+
+/* Connects to --connect, $DIPOLED or a private daemon. Returns NULL, having said why, on failure. */
+dipole_client *cli_open(const cli_common *common);
+
+/* Milliseconds since some moment in the past. */
+int64_t cli_now_ms(void);
+
+/* Returns whether a call that failed is to be made again: the daemon was busy, and --retry-ms, or
+ * else --timeout-ms, have not passed since start_ms. If so, waits first as long as the daemon asks
+ * for, a second at most. Example:
+ *   const int64_t start_ms = cli_now_ms();
+ *   do {
+ *     good = dipole_eval(client, &query, &result, &error);
+ *   } while (!good && cli_try_again(common, start_ms, &error)); */
+bool cli_try_again(const cli_common *common, int64_t start_ms, const dipole_error *error);
+
+/* Says what a call failed with and, if its field has one, by which option that is given: for example
+ * "bad-value: radius_stop: allowed: 0 to 1e6 (--to)". Returns CLI_FAILED. */
+int cli_fail_error(const dipole_error *error);
+int cli_fail_error_of(const char *what, const dipole_error *error); /* with "WHAT: " before it */
+
+/* ---- names --------------------------------------------------------------------------------- */
+
+/* Returns the first choice of a kind at position *from or later, and sets *from behind it; NULL if
+ * there is none. */
+const dipole_choice *cli_next_choice(const dipole_info *info, enum dipole_kind kind, size_t *from);
+
+/* Return the choice of a kind with this name or id; NULL if there is none. */
+const dipole_choice *cli_choice(const dipole_info *info, enum dipole_kind kind, const char *name);
+const dipole_choice *cli_choice_of_id(const dipole_info *info, enum dipole_kind kind, unsigned id);
+
+/* Returns the choice with this name. If there is none, says which names there are, blames the
+ * option, and returns NULL. */
+const dipole_choice *cli_named(const dipole_info *info, enum dipole_kind kind, const char *option,
+                               const char *name);
+
+/* Writes all names of a kind, such as "classical, better"; ", ..." stands for those that do not
+ * fit. */
+void cli_list_names(const dipole_info *info, enum dipole_kind kind, char *text, size_t bytes);
+
+/* Returns the next note, from position *from on, that is in the sum `notes`; NULL if there is no
+ * more. */
+const dipole_choice *cli_next_note(const dipole_info *info, unsigned notes, size_t *from);
+
+#endif

@@ -1,0 +1,177 @@
+/* profile: the medium, the model and its parameters, as options that most commands share. */
+#ifndef DIPOLE_CLI_PROFILE_H
+#define DIPOLE_CLI_PROFILE_H
+
+#include "clients/cli/cli.h"
+#include "clients/cli/json.h"
+
+/* ---- options ------------------------------------------------------------------------------- */
+
+/* Where a member is not used by a command, the command has no option for it. */
+typedef struct cli_profile_settings {
+  cli_common common;
+  cli_number tolerance, cos_in, cos_out, thickness, surface_albedo, gaussians, fit_from, fit_to;
+  const char *fit_model;
+  const char *medium; /* names, separated by commas */
+  cli_texts channel;
+  cli_numbers sigma_a, sigma_s, g, eta;
+  const char *model, *moments, *evaluator;
+  cli_count deadline_ms;
+} cli_profile_settings;
+
+/* The options below are for settings that start with a cli_profile_settings. */
+
+/* An option for each parameter of the protocol; its name is the parameter's, with - for _. */
+extern const cli_option cli_parameter_options[];
+
+#define CLI_MEDIUM_OPTIONS                                                                         \
+  {"Medium", NULL, NULL, CLI_HEADING, 0, NULL},                                                    \
+      {"medium",                                                                                   \
+       "NAME[,NAME...]",                                                                           \
+       "measured media, see `dipole media`: red, green and blue of each",                          \
+       CLI_TEXT,                                                                                   \
+       offsetof(cli_profile_settings, medium),                                                     \
+       NULL},                                                                                      \
+      {"channel",                                                                                  \
+       "COLOUR[,...]",                                                                             \
+       "red, green or blue: only these of each (default: all)",                                    \
+       CLI_NAMES,                                                                                  \
+       offsetof(cli_profile_settings, channel),                                                    \
+       NULL},                                                                                      \
+      {"sigma-a",                                                                                  \
+       "X[,X...]",                                                                                 \
+       "absorption coefficient, 1/mm; one value for each channel",                                 \
+       CLI_NUMBERS,                                                                                \
+       offsetof(cli_profile_settings, sigma_a),                                                    \
+       NULL},                                                                                      \
+      {"sigma-s",                                                                                  \
+       "X[,X...]",                                                                                 \
+       "scattering coefficient, 1/mm; a single value holds for all channels",                      \
+       CLI_NUMBERS,                                                                                \
+       offsetof(cli_profile_settings, sigma_s),                                                    \
+       NULL},                                                                                      \
+      {"g",                                                                                        \
+       "X[,X...]",                                                                                 \
+       "mean cosine of the scattering angle (default: 0)",                                         \
+       CLI_NUMBERS,                                                                                \
+       offsetof(cli_profile_settings, g),                                                          \
+       NULL},                                                                                      \
+  {                                                                                                \
+    "eta", "X[,X...]",                                                                             \
+        "refractive index inside over outside (default: the measured\nmedium's, else 1.3)",        \
+        CLI_NUMBERS, offsetof(cli_profile_settings, eta), NULL                                     \
+  }
+
+#define CLI_MOMENTS_OPTION(usual)                                                                  \
+  {                                                                                                \
+    "moments", "NAME", "Fresnel moments, see `dipole info` (default: exact)", CLI_TEXT,            \
+        offsetof(cli_profile_settings, moments), usual                                             \
+  }
+
+#define CLI_DEADLINE_OPTION                                                                        \
+  {                                                                                                \
+    "deadline-ms", "N",                                                                            \
+        "the daemon shall answer within N ms, or not at all; 0: at any time\n(default: 0)",        \
+        CLI_COUNT, offsetof(cli_profile_settings, deadline_ms), NULL                               \
+  }
+
+/* Check the options above without a daemon, and return an exit status. */
+int cli_medium_check(const cli_profile_settings *settings);
+int cli_deadline_check(const cli_profile_settings *settings);
+
+/* Returns whether any option of the medium, or of the parameters, is given. */
+bool cli_medium_given(const cli_profile_settings *settings);
+bool cli_parameters_given(const cli_profile_settings *settings);
+
+/* ---- parameters ---------------------------------------------------------------------------- */
+
+enum { CLI_PARAMETERS_MAX = 32 };
+
+/* Those that are given, each once. */
+typedef struct cli_parameters {
+  size_t count;
+  dipole_parameter items[CLI_PARAMETERS_MAX];
+} cli_parameters;
+
+/* Sets a parameter, or changes it if it is set already. */
+void cli_parameters_set(cli_parameters *parameters, unsigned id, double value);
+
+/* Removes a parameter. Returns false if it is not set. */
+bool cli_parameters_remove(cli_parameters *parameters, unsigned id);
+
+/* Takes what the options give. Says what is wrong and returns false if the daemon does not know a
+ * parameter, or the model that one names. */
+bool cli_parameters_take(const dipole_info *info, const cli_profile_settings *settings,
+                         cli_parameters *parameters);
+
+/* Reads the value of a parameter of the daemon: a number, or the name or id of a model. */
+bool cli_parameter_parse(const dipole_info *info, const dipole_choice *parameter, const char *text,
+                         double *value);
+
+/* ---- media --------------------------------------------------------------------------------- */
+
+enum { CLI_COLOURS = 3 };
+
+/* The channels of a measured medium: red, green, blue. */
+extern const char *const cli_colours[CLI_COLOURS];
+
+/* Finds a measured medium by its name. Says what is wrong and returns an exit status. */
+int cli_find_medium(dipole_client *client, const char *name, dipole_measured_medium *medium);
+
+typedef struct cli_channel {
+  char name[36];
+  dipole_medium medium;
+} cli_channel;
+
+/* ---- all of it ----------------------------------------------------------------------------- */
+
+typedef struct cli_profile {
+  const dipole_info *info;
+  const dipole_choice *model, *moments, *evaluator; /* NULL if the settings name none */
+  cli_parameters parameters;
+  const char *medium; /* names of measured media, as given; NULL if there are none */
+  size_t channel_count;
+  cli_channel *channels; /* [channel_count]; freed by cli_profile_free() */
+  dipole_medium *media;  /* [channel_count]: those of the channels */
+} cli_profile;
+
+/* Takes names, parameters and media from the settings. Says what is wrong and returns an exit
+ * status. Free *profile in any case. */
+int cli_profile_take(const cli_profile_settings *settings, dipole_client *client,
+                     cli_profile *profile);
+void cli_profile_free(cli_profile *profile);
+
+/* Sets the channels' number, and room for them. */
+void cli_profile_set_channels(cli_profile *profile, size_t count);
+
+/* What --want asks for. */
+enum { CLI_QUANTITIES_MAX = 32 };
+
+typedef struct cli_quantities {
+  unsigned wanted;                                /* the sum of their ids */
+  size_t count;                                   /* of those that have a value for each radius */
+  const dipole_choice *items[CLI_QUANTITIES_MAX]; /* in the daemon's order */
+} cli_quantities;
+
+/* Takes the names; if there are none, the quantities in the sum `usual`. Those in the sum `single`
+ * are wanted, but not listed as items. Says what is wrong and returns false if a name is unknown. */
+bool cli_quantities_take(const dipole_info *info, const cli_texts *names, unsigned usual,
+                         unsigned single, cli_quantities *quantities);
+
+/* ---- what every report says of it ---------------------------------------------------------- */
+
+/* "skin1: ", or nothing if there is no measured medium. */
+void cli_write_medium(const cli_profile *profile, FILE *file);
+
+/* ", tolerance 0.01, cos_in 0.5" */
+void cli_write_parameters(const cli_profile *profile, FILE *file);
+
+/* "note: NAME: what it says", a line for each note in the sum `notes`. */
+void cli_write_notes(const dipole_info *info, unsigned notes, FILE *file);
+
+/* The members software, instruction_set and, if it is measured, medium. */
+void cli_json_head(cli_json *json, const cli_profile *profile);
+void cli_json_parameters(cli_json *json, const cli_profile *profile);
+void cli_json_notes(cli_json *json, const dipole_info *info, unsigned notes);
+
+#endif
