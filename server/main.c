@@ -1,4 +1,4 @@
-/* dipoled: starts the workers and the listeners, and waits for the wish to stop. */
+/* dipoled: starts the workers and the listeners, and runs until it is told to stop. */
 #include <errno.h>
 #include <signal.h>
 #include <stdio.h>
@@ -30,7 +30,7 @@ struct daemon {
   struct systemd systemd;
   struct listener listeners[SYSTEMD_SOCKETS_MAX + 2 * OPTIONS_LIST_MAX + 2];
   size_t listener_count;
-  struct metrics *metrics; /* NULL: not asked for */
+  struct metrics *metrics; /* NULL without --metrics */
   uint64_t workers_started;
   bool stopping;
 };
@@ -148,7 +148,7 @@ static bool open_modbus(struct daemon *daemon) {
   return true;
 }
 
-/* The runtime directory: systemd's, the user's, or /run for root; NULL: there is none. */
+/* The runtime directory: systemd's, or the user's, or /run for root. NULL if there is none. */
 static const char *runtime_directory(void) {
   const char *directory = getenv("RUNTIME_DIRECTORY");
   if (directory == NULL || *directory == '\0') {
@@ -189,7 +189,7 @@ static bool admit_inherited(struct server *server) {
   return true;
 }
 
-/* Sockets that listen already, passed by a service manager. */
+/* Takes over the sockets that a service manager passes. */
 static bool adopt_passed(struct daemon *daemon) {
   const char *why;
   int first = 0;
@@ -208,8 +208,8 @@ static bool adopt_passed(struct daemon *daemon) {
   return true;
 }
 
-/* A daemon with --fd is private to whoever has started it: a service manager's variables are meant
- * for that one. */
+/* A daemon with --fd is private to the program that has started it. A service manager's variables
+ * are then meant for that program, and are ignored. */
 static bool open_addresses(struct daemon *daemon) {
   const struct options *options = &daemon->server.options;
   if (options->fd == NULL && !adopt_passed(daemon)) {
@@ -226,7 +226,7 @@ static bool open_addresses(struct daemon *daemon) {
   return daemon->listener_count > 0 || listen_by_default(daemon);
 }
 
-/* Before clients are let in, so that a daemon that is ready is one that can be watched. */
+/* Called before clients can connect, so that a daemon that is ready can also be monitored. */
 static bool open_metrics(struct daemon *daemon) {
   const char *address = daemon->server.options.metrics;
   if (address != NULL) {
@@ -235,7 +235,7 @@ static bool open_metrics(struct daemon *daemon) {
   return address == NULL || daemon->metrics != NULL;
 }
 
-/* Its registers, before the workers, one of which they belong to. */
+/* Called before the workers start, because the registers belong to one of them. */
 static bool set_up_modbus(struct server *server) {
   if (server->options.modbus.count > 0) {
     server->modbus = modbus_service_new(server);
@@ -263,7 +263,8 @@ static bool set_log_level(const struct options *options) {
   return true;
 }
 
-/* As many file descriptors as the system lets a process have: connections need one each. */
+/* Raises the limit of file descriptors as far as the system allows, because each connection needs
+ * one. */
 static void raise_descriptor_limit(void) {
   struct rlimit limit;
   if (getrlimit(RLIMIT_NOFILE, &limit) == 0) {

@@ -68,7 +68,7 @@ static bool add_item(const struct description *option, const char *text,
   return true;
 }
 
-/* On the command line a flag has no text. */
+/* text is NULL on the command line, where a flag has no value. */
 static bool set_flag(const struct description *option, const char *text, bool *flag) {
   if (text != NULL && strcmp(text, "0") != 0 && strcmp(text, "1") != 0) {
     fprintf(stderr, "dipoled: --%s is 0 or 1 in the environment, not '%s'\n", option->name, text);

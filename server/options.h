@@ -1,4 +1,4 @@
-/* options: what dipoled was told on the command line and in the environment. */
+/* options: the values of dipoled's options, from the command line and the environment. */
 #ifndef DIPOLED_OPTIONS_H
 #define DIPOLED_OPTIONS_H
 
@@ -11,7 +11,7 @@ enum { OPTIONS_LIST_MAX = 32 };
 struct options_list {
   const char *items[OPTIONS_LIST_MAX];
   size_t count;
-  char *copy; /* what items from the environment point into */
+  char *copy; /* the text that items from the environment point into */
 };
 
 #define SERVER_NUMBER(field, name, default_value, least, most, help) uint64_t field;
@@ -24,8 +24,8 @@ struct options {
 
 enum options_outcome { OPTIONS_RUN, OPTIONS_EXIT_OK, OPTIONS_EXIT_USAGE };
 
-/* Reads the environment, then the command line, which wins. Prints help, version or what is wrong.
- * Texts point into argv and the environment. */
+/* Reads the environment and then the command line, which takes precedence. Prints the help, the
+ * version or an error where that is due. Texts point into argv and the environment. */
 enum options_outcome options_read(int argc, char **argv, struct options *options);
 
 void options_free(struct options *options);

@@ -1,13 +1,13 @@
-/* server: what all threads of the daemon share. Set up by main before the threads start; after that
- * only the statistics change. */
+/* server: what all threads of the daemon share. main() sets it up before the threads start. After
+ * that, only the atomic members and what the pointers lead to change. */
 #ifndef DIPOLED_SERVER_H
 #define DIPOLED_SERVER_H
 
 #include <uv.h>
 
 #include "core/core.h"
-#include "server/options.h"
 #include "server/observe/stats.h"
+#include "server/options.h"
 
 struct cache;
 struct latency;
@@ -19,18 +19,18 @@ struct server {
   struct options options;
   const core_isa *isa;
   struct stats stats;
-  _Atomic uint64_t buffer_bytes; /* of all connections */
+  _Atomic uint64_t buffer_bytes; /* memory that the buffers of all connections hold */
   uint64_t started_ns;
   struct worker *workers;        /* [options.workers] */
   struct latency *latencies;     /* [options.workers], each counted by its worker */
   struct cache *cache;           /* prepared profiles */
   struct mc_pool *mc;            /* Monte Carlo jobs */
-  struct modbus_service *modbus; /* NULL: not asked for */
-  uv_async_t inherited_closed;   /* on main's loop: the connection of --fd is gone */
+  struct modbus_service *modbus; /* NULL without --modbus */
+  uv_async_t inherited_closed;   /* on main's loop: sent when the connection of --fd has ended */
 };
 
-/* Takes bytes from the budget of all buffers (--max-total-bytes); false, and nothing is taken, when
- * they are not there. */
+/* Takes bytes from the budget of all buffers (--max-total-bytes). If fewer bytes are left, it takes
+ * nothing and returns false. */
 static inline bool server_take_bytes(struct server *server, uint64_t bytes) {
   if (atomic_fetch_add(&server->buffer_bytes, bytes) + bytes <= server->options.max_total_bytes) {
     return true;
@@ -39,8 +39,9 @@ static inline bool server_take_bytes(struct server *server, uint64_t bytes) {
   return false;
 }
 
-/* The same without asking, for the first buffers of a connection: their number is bounded already,
- * and with them small requests and errors are answered whatever large ones hold. */
+/* Counts the first buffers of a connection, which may exceed the budget. max_connections bounds
+ * their number already. So small requests and errors are answered however much large requests hold.
+ */
 static inline void server_take_base_bytes(struct server *server, uint64_t bytes) {
   atomic_fetch_add(&server->buffer_bytes, bytes);
 }

@@ -3,12 +3,13 @@
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 
 static bool is_single(const wire_eval_request *fixed) {
   return core_evaluator_bytes(fixed->evaluator) == sizeof(float);
 }
 
-/* Media are used where they lie: four numbers each, in the wire's order and core's. */
+/* A medium has the same layout on the wire and in core, so the payload is used as an array. */
 _Static_assert(sizeof(core_medium) == WIRE_BYTES_medium, "one medium after the other");
 
 static wire_error check_media(const core_medium *media, size_t count) {
@@ -23,7 +24,7 @@ static wire_error check_media(const core_medium *media, size_t count) {
   return wire_error_none();
 }
 
-/* From the least to the largest radius that is listed, or the ends of the grid. */
+/* The least and the largest radius of the list, or the ends of the grid. */
 static core_radii_range range_of(const eval_request *request) {
   const wire_eval_request *fixed = &request->fixed;
   if (fixed->spacing != CORE_SPACING_LIST) {
@@ -40,7 +41,7 @@ static core_radii_range range_of(const eval_request *request) {
   return range;
 }
 
-/* Without radii there is nothing that could be off at them. */
+/* Without radii, the quantities at radii have no error. */
 static unsigned wanted_of(const wire_eval_request *fixed) {
   return fixed->radius_count > 0 ? fixed->wanted : fixed->wanted & CORE_QUANTITY_ALBEDO;
 }
@@ -74,7 +75,7 @@ void choice_list(const eval_request *request, struct choice *choice) {
   choice->count = core_choose(&asked, choice->candidates);
 }
 
-wire_error choice_none(const struct choice *choice) {
+static wire_error none_meets(const struct choice *choice) {
   char allowed[80];
   if (choice->count == 0 || !(choice->candidates[0].error < (double)INFINITY)) {
     return wire_error_make(WIRE_STATUS_BAD_VALUE, "tolerance",
@@ -87,10 +88,37 @@ wire_error choice_none(const struct choice *choice) {
   return wire_error_make(WIRE_STATUS_BAD_VALUE, "tolerance", allowed);
 }
 
-void choice_take(const core_candidate *candidate, eval_request *request) {
+/* Takes the candidate after those that have been tried; returns false if it does not exist or does
+ * not keep the tolerance. */
+static bool take_next(struct choice_state *state, const struct choice *choice,
+                      eval_request *request) {
+  if (state->tried >= choice->count || !choice->candidates[state->tried].meets) {
+    return false;
+  }
+  const core_candidate *candidate = &choice->candidates[state->tried++];
+  state->model_error = candidate->model_error;
   request->fixed.model = (uint16_t)candidate->model;
   request->fixed.evaluator = (uint16_t)candidate->evaluator;
   request->parameters.value[CORE_PARAMETER_TOLERANCE] = candidate->numerical_tolerance;
+  return true;
+}
+
+wire_error choice_first(struct choice_state *state, eval_request *request) {
+  struct choice choice;
+  choice_list(request, &choice);
+  state->tolerance = request->parameters.value[CORE_PARAMETER_TOLERANCE];
+  state->tried = 0;
+  return take_next(state, &choice, request) ? wire_error_none() : none_meets(&choice);
+}
+
+bool choice_again(struct choice_state *state, core_fault fault, eval_request *request) {
+  if (isnan(state->tolerance) || strcmp(fault.field, CORE_FIELD_MEMORY) == 0) {
+    return false;
+  }
+  struct choice choice;
+  request->parameters.value[CORE_PARAMETER_TOLERANCE] = state->tolerance;
+  choice_list(request, &choice);
+  return take_next(state, &choice, request);
 }
 
 static int by_cost(const void *a, const void *b) {

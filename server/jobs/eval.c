@@ -2,6 +2,7 @@
 
 #include <assert.h>
 #include <math.h>
+#include <stdio.h>
 #include <string.h>
 
 JOB_FITS_SLOT(struct eval_job);
@@ -14,45 +15,227 @@ static struct stats *stats_of(const struct eval_job *eval) {
   return &eval->job.context->server->stats;
 }
 
-static size_t value_bytes(const struct eval_job *eval) {
-  return core_evaluator_bytes(eval->request.fixed.evaluator);
+static bool is_sample(const struct eval_job *eval) {
+  return eval->draw_radii != NULL;
 }
 
-/* Arrays are padded with zero bytes; called when the last value of an array has been written. */
+/* ---- checking ---------------------------------------------------------------------------------
+ */
+
+static core_medium medium_of(const struct eval_job *eval, uint32_t channel) {
+  wire_medium medium;
+  wire_get_medium(eval->request.media + (size_t)channel * WIRE_BYTES_medium, &medium);
+  return (core_medium){medium.sigma_a, medium.sigma_s, medium.g, medium.eta};
+}
+
+wire_error eval_job_check_media(struct eval_job *eval, core_radii_range *radii) {
+  const wire_eval_request *fixed = &eval->request.fixed;
+  const uint64_t most = eval->job.context->server->options.max_media;
+  if (fixed->medium_count > most) {
+    return job_too_large("medium_count", most, "media");
+  }
+  *radii = (core_radii_range){0, (double)INFINITY};
+  for (uint32_t channel = 0; channel < fixed->medium_count; channel++) {
+    const core_medium medium = medium_of(eval, channel);
+    core_radii_range range;
+    core_fault fault = core_profile_check(fixed->model, fixed->moments, fixed->evaluator, &medium,
+                                          &eval->request.parameters, &range);
+    if (fault.field != NULL) {
+      fault.index = channel;
+      return job_error(fault);
+    }
+    radii->least_mm = fmax(radii->least_mm, range.least_mm);
+    radii->most_mm = fmin(radii->most_mm, range.most_mm);
+  }
+  eval->covers_all = radii->least_mm <= 0 && radii->most_mm >= (double)INFINITY;
+  return wire_error_none();
+}
+
+/* Checks that the model covers the radii. Some models are fitted to a range only. */
+static wire_error check_range(const struct eval_job *eval, const core_radii_range *range) {
+  const wire_eval_request *fixed = &eval->request.fixed;
+  if (fixed->spacing == CORE_SPACING_LIST) {
+    const core_fault fault =
+        core_evaluator_bytes(fixed->evaluator) == sizeof(float)
+            ? core_radii_range_check_f32(range, fixed->radius_count, eval->request.radii)
+            : core_radii_range_check_f64(range, fixed->radius_count, eval->request.radii);
+    return fault.field == NULL ? wire_error_none() : job_error(fault);
+  }
+  char allowed[80];
+  const bool low = fixed->radius_count > 0 && eval->grid.start_mm < range->least_mm;
+  const bool high = fixed->radius_count > 1 && eval->grid.stop_mm > range->most_mm;
+  if (low) {
+    snprintf(allowed, sizeof allowed, "at least fit_from: %.6g mm", range->least_mm);
+    return wire_error_make(WIRE_STATUS_BAD_VALUE, "radius_start", allowed);
+  }
+  if (high) {
+    snprintf(allowed, sizeof allowed, "at most fit_to: %.6g mm", range->most_mm);
+    return wire_error_make(WIRE_STATUS_BAD_VALUE, "radius_stop", allowed);
+  }
+  return wire_error_none();
+}
+
+/* A grid without radii is accepted, like an empty list, when only the albedo is wanted. */
+static wire_error check_radii(const struct eval_job *eval) {
+  const wire_eval_request *fixed = &eval->request.fixed;
+  core_fault fault = {0};
+  if (fixed->spacing != CORE_SPACING_LIST) {
+    if (fixed->wanted != CORE_QUANTITY_ALBEDO || fixed->radius_count > 0) {
+      fault = core_grid_check(&eval->grid);
+    }
+    if (fault.field != NULL && strcmp(fault.field, "radius_count") == 0) {
+      return wire_error_make(WIRE_STATUS_BAD_COUNT, fault.field, fault.allowed);
+    }
+  } else if (core_evaluator_bytes(fixed->evaluator) == sizeof(float)) {
+    fault = core_radii_check_f32(fixed->radius_count, eval->request.radii);
+  } else {
+    fault = core_radii_check_f64(fixed->radius_count, eval->request.radii);
+  }
+  return fault.field == NULL ? wire_error_none() : job_error(fault);
+}
+
+unsigned eval_job_wanted(const struct eval_job *eval) {
+  return eval->request.fixed.wanted | (is_sample(eval) ? EVAL_DRAWN : 0);
+}
+
+static const char *count_field(const struct eval_job *eval) {
+  return is_sample(eval) ? "sample_count" : "radius_count";
+}
+
+/* Takes the payload apart, which checks what the layout depends on. */
+static wire_error parse(struct eval_job *eval, const struct job_request *request) {
+  const wire_error error =
+      eval_request_parse(request->payload, request->header->payload_bytes, &eval->request);
+  if (error.status == WIRE_STATUS_OK) {
+    const wire_eval_request *fixed = &eval->request.fixed;
+    eval->draw_radii = NULL;
+    eval->choice.tolerance = (double)NAN;
+    eval->grid =
+        (core_grid){fixed->spacing, fixed->radius_count, fixed->radius_start, fixed->radius_stop};
+  }
+  return error;
+}
+
+/* Checks all of a request that names a tolerance in place of a model. */
+static wire_error check_tolerance(const struct eval_job *eval) {
+  const uint64_t most = eval->job.context->server->options.max_media;
+  if (eval->request.fixed.medium_count > most) {
+    return job_too_large("medium_count", most, "media");
+  }
+  const wire_error error = choice_check(&eval->request);
+  return error.status == WIRE_STATUS_OK ? check_radii(eval) : error;
+}
+
+wire_error eval_job_offers(struct eval_job *eval, const struct job_request *request) {
+  const wire_error error = parse(eval, request);
+  if (error.status != WIRE_STATUS_OK) {
+    return error;
+  }
+  return eval->request.fixed.model != EVAL_ANY_MODEL
+             ? wire_error_make(WIRE_STATUS_BAD_VALUE, "model", "0: any")
+             : check_tolerance(eval);
+}
+
+/* Lays out the part that begins at eval->first; returns false if it would exceed max_bytes. */
+static bool lay_out_part(struct eval_job *eval, uint64_t max_bytes) {
+  const wire_eval_request *fixed = &eval->request.fixed;
+  const uint64_t left = fixed->radius_count - eval->first;
+  eval->count = left < eval->part_radii ? left : eval->part_radii;
+  return eval_reply_layout(fixed->evaluator, eval_job_wanted(eval), fixed->medium_count,
+                           eval->count, max_bytes, &eval->layout);
+}
+
+/* Cuts the reply into parts and lays out the first. A reply that fits into a frame is one part. A
+ * larger one has parts of max_part_bytes, so that the memory it takes does not depend on its size.
+ */
+static wire_error cut(struct eval_job *eval, const struct options *options) {
+  const wire_eval_request *fixed = &eval->request.fixed;
+  if (fixed->radius_count > options->max_radii) {
+    return job_too_large(count_field(eval), options->max_radii, "radii");
+  }
+  eval->first = 0;
+  eval->part = 0;
+  eval->part_count = 1;
+  eval->part_radii = fixed->radius_count;
+  if (lay_out_part(eval, options->max_frame_bytes)) {
+    return wire_error_none();
+  }
+  const uint64_t most_bytes = options->max_part_bytes < options->max_frame_bytes
+                                  ? options->max_part_bytes
+                                  : options->max_frame_bytes;
+  eval->part_radii =
+      eval_part_radii(fixed->evaluator, eval_job_wanted(eval), fixed->medium_count, most_bytes);
+  if (eval->part_radii == 0) {
+    return wire_error_make(WIRE_STATUS_TOO_LARGE, "medium_count",
+                           "fewer: a part of max_part_bytes has no room for them");
+  }
+  const uint64_t parts = (fixed->radius_count - 1) / eval->part_radii + 1;
+  if (parts > UINT32_MAX) { /* 2^40 radii in parts of 256 */
+    return job_too_large(count_field(eval), UINT32_MAX * eval->part_radii,
+                         "radii in parts as small as these");
+  }
+  eval->part_count = (uint32_t)parts;
+  const bool fits = lay_out_part(eval, most_bytes);
+  assert(fits);
+  return wire_error_none();
+}
+
+static wire_error check(struct eval_job *eval, const struct job_request *request) {
+  wire_error error = parse(eval, request);
+  if (error.status == WIRE_STATUS_OK && eval->request.fixed.model == EVAL_ANY_MODEL) {
+    error = check_tolerance(eval);
+    if (error.status == WIRE_STATUS_OK) {
+      error = choice_first(&eval->choice, &eval->request);
+    }
+  }
+  core_radii_range range;
+  if (error.status == WIRE_STATUS_OK) {
+    error = eval_job_check_media(eval, &range);
+  }
+  if (error.status == WIRE_STATUS_OK) {
+    error = check_radii(eval);
+  }
+  return error.status == WIRE_STATUS_OK ? check_range(eval, &range) : error;
+}
+
+/* ---- evaluating a slice -------------------------------------------------------------------------
+ */
+
+/* Fills the rest of an array with zero bytes; all its values have been written. */
 static void pad(const struct eval_job *eval, uint64_t array_offset) {
-  const size_t used = (size_t)eval->count * value_bytes(eval);
+  const size_t used = (size_t)eval->count * eval_job_value_bytes(eval);
   memset(eval->reply + array_offset + used, 0, (size_t)eval->layout.array_bytes - used);
 }
 
 static void expand_grid(const struct eval_job *eval, size_t n, void *radii) {
-  if (value_bytes(eval) == sizeof(float)) {
+  if (eval_job_value_bytes(eval) == sizeof(float)) {
     core_grid_radii_f32(&eval->grid, eval->first + eval->index, n, radii);
   } else {
     core_grid_radii_f64(&eval->grid, eval->first + eval->index, n, radii);
   }
 }
 
-/* The listed radii from the next one on. */
-static const uint8_t *listed(const struct eval_job *eval) {
+const uint8_t *eval_job_listed(const struct eval_job *eval) {
   return (const uint8_t *)eval->request.radii +
-         (size_t)(eval->first + eval->index) * value_bytes(eval);
+         (size_t)(eval->first + eval->index) * eval_job_value_bytes(eval);
 }
 
 static void copy_radii(const struct eval_job *eval, size_t n) {
-  const size_t offset = (size_t)eval->index * value_bytes(eval);
+  const size_t offset = (size_t)eval->index * eval_job_value_bytes(eval);
   uint8_t *to = eval->reply + eval->layout.radius_offset + offset;
   if (eval->request.radii != NULL) {
-    memcpy(to, listed(eval), n * value_bytes(eval));
+    memcpy(to, eval_job_listed(eval), n * eval_job_value_bytes(eval));
   } else {
     expand_grid(eval, n, to);
   }
 }
 
-/* Radii come from the request, from the reply if they are in it, or are made anew. */
+/* The next n radii: from the request, from the reply if it holds them, or computed from the grid.
+ */
 static const void *slice_radii(const struct eval_job *eval, size_t n) {
-  const size_t offset = (size_t)eval->index * value_bytes(eval);
+  const size_t offset = (size_t)eval->index * eval_job_value_bytes(eval);
   if (eval->request.radii != NULL) {
-    return listed(eval);
+    return eval_job_listed(eval);
   }
   if (eval->request.fixed.wanted & CORE_QUANTITY_RADIUS) {
     return eval->reply + eval->layout.radius_offset + offset;
@@ -61,14 +244,14 @@ static const void *slice_radii(const struct eval_job *eval, size_t n) {
   return eval->job.context->radii;
 }
 
-/* What a radius of a channel costs when all is evaluated by the cheapest means there is. */
+/* What one radius of a channel costs with the cheapest model, in radii of a dipole. */
 static uint64_t least_cost(const struct eval_job *eval) {
   const unsigned arrays = eval->layout.arrays_per_channel;
   const core_profile dipole = {.evaluator = eval->request.fixed.evaluator, .cost = 1};
-  return arrays > 0 && eval->draws ? arrays + (uint64_t)core_draw_cost(&dipole) : arrays;
+  return arrays > 0 && is_sample(eval) ? arrays + (uint64_t)core_draw_cost(&dipole) : arrays;
 }
 
-/* Writes what holds for all values of the channel. */
+/* Writes what the reply says of the channel as a whole. */
 static void start_channel(struct eval_job *eval) {
   const core_profile *profile = &eval->order.profile;
   eval->notes |= profile->notes;
@@ -77,7 +260,8 @@ static void start_channel(struct eval_job *eval) {
       .albedo = albedo_wanted ? profile->albedo : (double)NAN,
       .numerical_error = profile->numerical_error,
       .numerical_error_per_mm = profile->numerical_error_per_mm,
-      .model_error = isnan(eval->tolerance) ? profile->model_error : eval->model_error,
+      .model_error =
+          isnan(eval->choice.tolerance) ? profile->model_error : eval->choice.model_error,
   };
   wire_put_channel(eval->reply + eval->layout.channels_offset +
                        (size_t)eval->channel * WIRE_BYTES_channel,
@@ -102,7 +286,7 @@ static void start_part(struct eval_job *eval) {
   eval->notes = 0;
   eval->channel = 0;
   eval->index = 0;
-  eval->radii_done = eval->draws || (fixed->wanted & CORE_QUANTITY_RADIUS) == 0;
+  eval->radii_done = is_sample(eval) || (fixed->wanted & CORE_QUANTITY_RADIUS) == 0;
 }
 
 static void start_profiles(struct eval_job *eval) {
@@ -113,7 +297,7 @@ static void start_profiles(struct eval_job *eval) {
 
 /* Begins again with the next best model for a tolerance; returns false if there is none. */
 static bool start_again(struct eval_job *eval) {
-  if (!eval_job_choose_again(eval)) {
+  if (!choice_again(&eval->choice, eval->order.fault, &eval->request)) {
     return false;
   }
   /* Values that are gathered for earlier channels would be written over those that come now. */
@@ -125,7 +309,7 @@ static bool start_again(struct eval_job *eval) {
 
 /* Gets the profile of a channel that has none yet. */
 static enum job_outcome get_profile(struct eval_job *eval) {
-  const core_medium medium = eval_job_medium(eval, eval->channel);
+  const core_medium medium = medium_of(eval, eval->channel);
   switch (profiles_get(&eval->job.context->profiles, &eval->order, &medium)) {
   case PROFILES_WAIT:
     return JOB_WAITS;
@@ -139,50 +323,28 @@ static enum job_outcome get_profile(struct eval_job *eval) {
   return JOB_GOES_ON;
 }
 
-/* Where the values of a quantity go that is wanted, from the next radius on. */
-static void *place(const struct eval_job *eval, enum core_quantity quantity) {
+void *eval_job_array(const struct eval_job *eval, enum core_quantity quantity) {
   return eval->reply +
          eval_array_offset(&eval->layout, eval_job_wanted(eval), eval->channel, quantity) +
-         (size_t)eval->index * value_bytes(eval);
+         (size_t)eval->index * eval_job_value_bytes(eval);
 }
 
-/* Draws the n radii of a slice, into the reply if they are wanted. */
-static const void *draw_radii(const struct eval_job *eval, size_t n) {
-  struct job_context *scratch = eval->job.context;
-  const bool wanted = eval_is_array(eval_job_wanted(eval), CORE_QUANTITY_RADIUS);
-  void *r = wanted ? place(eval, CORE_QUANTITY_RADIUS) : scratch->radii;
-  const void *u = scratch->numbers;
-  if (eval->request.radii != NULL) {
-    u = listed(eval);
-  } else if (value_bytes(eval) == sizeof(float)) {
-    core_draw_f32(&eval->draw, eval->first + eval->index, n, (float *)(void *)scratch->numbers);
-  } else {
-    core_draw_f64(&eval->draw, eval->first + eval->index, n, scratch->numbers);
-  }
-  if (value_bytes(eval) == sizeof(float)) {
-    core_sample_f32(&eval->order.profile, n, u, r);
-  } else {
-    core_sample_f64(&eval->order.profile, n, u, r);
-  }
-  return r;
-}
-
-/* Evaluates the n radii of a slice for every array that is wanted, or leaves it to the batch: of
- * a request that is short as a whole. */
+/* Evaluates every array that is wanted at the n radii of a slice. Short requests go into the batch.
+ */
 static void evaluate(struct eval_job *eval, size_t n) {
   const bool is_short = eval->count == n && n <= BATCH_SHORT_RADII && n > 0;
-  const void *r = eval->draws ? draw_radii(eval, n) : slice_radii(eval, n);
+  const void *r = is_sample(eval) ? eval->draw_radii(eval, n) : slice_radii(eval, n);
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
     if (!core_quantity_elementwise(quantity->id) ||
         (eval->request.fixed.wanted & quantity->id) == 0) {
       continue;
     }
-    void *to = place(eval, quantity->id);
+    void *to = eval_job_array(eval, quantity->id);
     if (is_short && batch_take(&eval->job.context->batch, stats_of(eval), eval->order.place,
                                quantity->id, n, r, to)) {
       continue;
     }
-    if (value_bytes(eval) == sizeof(float)) {
+    if (eval_job_value_bytes(eval) == sizeof(float)) {
       core_eval_f32(&eval->order.profile, quantity->id, n, r, to);
     } else {
       core_eval_f64(&eval->order.profile, quantity->id, n, r, to);
@@ -190,7 +352,7 @@ static void evaluate(struct eval_job *eval, size_t n) {
   }
 }
 
-/* The arrays of a channel lie one behind the other. */
+/* Pads all arrays of the channel, which follow each other. */
 static void pad_channel(const struct eval_job *eval) {
   const uint64_t channel_bytes = eval->layout.arrays_per_channel * eval->layout.array_bytes;
   uint64_t offset = eval->layout.arrays_offset + eval->channel * channel_bytes;
@@ -200,7 +362,7 @@ static void pad_channel(const struct eval_job *eval) {
   }
 }
 
-/* Steps to the radii behind a slice of n; true when it was the last of its array. */
+/* Goes to the radii after a slice of n. Returns true if the slice was the last of its array. */
 static bool advance(struct eval_job *eval, size_t n) {
   eval->index += n;
   if (eval->index < eval->count) {
@@ -218,7 +380,7 @@ static void radii_step(struct eval_job *eval, size_t n) {
   }
 }
 
-/* The bits that start_channel() has gathered, into the start of the reply. */
+/* Writes the notes of all channels into the start of the reply. */
 static void put_notes(const struct eval_job *eval) {
   wire_eval_reply start;
   wire_get_eval_reply(eval->reply, &start);
@@ -228,7 +390,8 @@ static void put_notes(const struct eval_job *eval) {
 
 /* Later requests may repeat this one with other radii, unless its check depends on the radii. */
 static void learn(const struct eval_job *eval) {
-  if (!eval->draws && eval->part_count == 1 && eval->covers_all && isnan(eval->tolerance)) {
+  if (!is_sample(eval) && eval->part_count == 1 && eval->covers_all &&
+      isnan(eval->choice.tolerance)) {
     repeat_learn(&eval->job.context->repeat, &eval->request, &eval->grid, &eval->layout,
                  eval->reply, eval->order.place);
   }
@@ -239,7 +402,7 @@ static void channel_step(struct eval_job *eval, size_t n) {
     evaluate(eval, n);
     job_pay(&eval->job, n * least_cost(eval));
     stats_count_radii(stats_of(eval), eval->request.fixed.model, n);
-    stats_add(stats_of(eval), STATS_RADII_DRAWN, eval->draws ? n : 0);
+    stats_add(stats_of(eval), STATS_RADII_DRAWN, is_sample(eval) ? n : 0);
     stats_add(stats_of(eval), STATS_SLICES_EVALUATED, 1);
   }
   if (eval->layout.arrays_per_channel == 0 || advance(eval, n)) {
@@ -253,41 +416,42 @@ static void channel_step(struct eval_job *eval, size_t n) {
   }
 }
 
-/* Kernels that draw evaluate whole vectors, again and again. */
+/* Kernels that draw work on whole vectors, so slices of samples are multiples of one. */
 enum { DRAW_VECTOR = 8 };
 
 static size_t slice_length(const struct eval_job *eval, double cost) {
   const uint64_t left = eval->count - eval->index;
   size_t most = (size_t)fmax(JOB_SLICE_RADII / cost, 1);
-  if (eval->draws) {
+  if (is_sample(eval)) {
     most = most < DRAW_VECTOR ? DRAW_VECTOR : most / DRAW_VECTOR * DRAW_VECTOR;
   }
   return left < most ? (size_t)left : most;
 }
 
-/* Of one radius of the channel. */
+/* What one radius of the channel costs, in radii of a dipole. */
 static double cost_of(const struct eval_job *eval) {
   const core_profile *profile = &eval->order.profile;
-  return profile->cost + (eval->draws ? core_draw_cost(profile) : 0);
+  return profile->cost + (is_sample(eval) ? core_draw_cost(profile) : 0);
 }
 
-/* ---- the kinds eval and sample ------------------------------------------------------------------
+/* ---- the job ---------------------------------------------------------------------------------
  */
 
-static enum job_outcome admit(struct eval_job *eval, wire_error error,
-                              const struct job_request *request) {
+enum job_outcome eval_job_start(struct eval_job *eval, wire_error error,
+                                const struct job_request *request) {
   const wire_eval_request *fixed = &eval->request.fixed;
+  if (error.status == WIRE_STATUS_OK) {
+    error = cut(eval, &eval->job.context->server->options);
+  }
   if (error.status == WIRE_STATUS_OK) {
     /* At most 2^40 radii (max_radii), 2^25 media in a frame, and eight arrays. */
     const double radii = (double)fixed->radius_count * fixed->medium_count;
-    error = job_admit(&eval->job, radii * (double)least_cost(eval),
-                      eval->draws ? "sample_count" : "radius_count");
+    error = job_admit(&eval->job, radii * (double)least_cost(eval), count_field(eval));
   }
   if (error.status != WIRE_STATUS_OK) {
     return job_refuse(&eval->job, error);
   }
   eval->repeated = NULL;
-  eval->payload = request->payload;
   job_init_order(&eval->order, request);
   start_profiles(eval);
   eval->job.part_bytes = eval->layout.payload_bytes;
@@ -304,23 +468,15 @@ static enum job_outcome start_eval(struct job *job, const struct job_request *re
     job->part_bytes = eval->repeated->reply_bytes;
     return JOB_NEXT_PART;
   }
-  const wire_error error =
-      eval_job_check(eval, job->context->server, request->payload, request->header->payload_bytes);
+  const wire_error error = check(eval, request);
   if (error.status == WIRE_STATUS_OK) {
     job->latency = eval->request.fixed.radius_count <= BATCH_SHORT_RADII ? LATENCY_EVAL_SHORT
                                                                          : LATENCY_EVAL_LONG;
   }
-  return admit(eval, error, request);
+  return eval_job_start(eval, error, request);
 }
 
-static enum job_outcome start_sample(struct job *job, const struct job_request *request) {
-  struct eval_job *eval = of(job);
-  const wire_error error = eval_job_check_sample(eval, job->context->server, request->payload,
-                                                 request->header->payload_bytes);
-  return admit(eval, error, request);
-}
-
-static enum job_outcome begin_part(struct job *job, uint8_t *payload) {
+enum job_outcome eval_job_begin_part(struct job *job, uint8_t *payload) {
   struct eval_job *eval = of(job);
   if (eval->repeated != NULL) {
     struct job_context *context = job->context;
@@ -340,13 +496,13 @@ static enum job_outcome end_part(struct eval_job *eval) {
   }
   eval->first += eval->count;
   eval->part++;
-  const bool fits = eval_job_lay_out_part(eval, UINT64_MAX);
+  const bool fits = lay_out_part(eval, UINT64_MAX);
   assert(fits);
   eval->job.part_bytes = eval->layout.payload_bytes;
   return JOB_NEXT_PART;
 }
 
-static enum job_outcome step(struct job *job, uint64_t *budget) {
+enum job_outcome eval_job_step(struct job *job, uint64_t *budget) {
   struct eval_job *eval = of(job);
   size_t n;
   double cost = 1;
@@ -367,15 +523,14 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
   return eval->channel < eval->request.fixed.medium_count ? JOB_GOES_ON : end_part(eval);
 }
 
-static void end(struct job *job) {
+void eval_job_end(struct job *job) {
   struct eval_job *eval = of(job);
   if (eval->repeated == NULL) {
     profiles_return(&eval->order);
   }
 }
 
-const struct job_kind job_kind_EVAL = {
-    .start = start_eval, .begin_part = begin_part, .step = step, .end = end};
-
-const struct job_kind job_kind_SAMPLE = {
-    .start = start_sample, .begin_part = begin_part, .step = step, .end = end};
+const struct job_kind job_kind_EVAL = {.start = start_eval,
+                                       .begin_part = eval_job_begin_part,
+                                       .step = eval_job_step,
+                                       .end = eval_job_end};

@@ -1,25 +1,26 @@
-/* eval: an eval or sample request, checked (eval_check.c) and evaluated slice by slice (eval.c). A
- * sample is an eval whose radii are drawn first, for each channel. */
+/* eval: evaluates a model for media (channels) at radii, slice by slice. A sample is an eval whose
+ * radii are drawn first, for each channel (sample.c). */
 #ifndef DIPOLED_EVAL_H
 #define DIPOLED_EVAL_H
 
-#include "proto/sample.h"
+#include "core/draw.h"
+#include "proto/eval.h"
 #include "server/jobs/choice.h"
 #include "server/jobs/job.h"
 
 struct eval_job {
   struct job job;
-  const struct repeat_entry *repeated; /* answers the request; NULL: all that follows is set */
-  const uint8_t *payload;              /* of the request */
+  const struct repeat_entry *repeated; /* answers the request; NULL if the members below do */
+  const uint8_t *payload;              /* of a request that is repeated */
 
   eval_request request; /* of a sample: its radii are the numbers u */
   core_grid grid;
-  bool draws;         /* is a sample */
-  core_draw draw;     /* of a sample: its numbers */
-  bool covers_all;    /* the model covers all radii */
-  double tolerance;   /* that was asked for instead of a model; NAN if a model was */
-  double model_error; /* of the model that was chosen for the tolerance */
-  size_t choice;      /* how many candidates have been tried */
+  struct choice_state choice; /* for a request that names a tolerance in place of a model */
+  bool covers_all;            /* the model covers all radii */
+
+  /* Draws the next n radii of the channel. NULL unless the job is a sample. */
+  const void *(*draw_radii)(const struct eval_job *eval, size_t n);
+  core_draw draw; /* of a sample: its numbers */
 
   eval_layout layout;  /* of the part */
   uint8_t *reply;      /* payload of the part, layout.payload_bytes */
@@ -29,36 +30,46 @@ struct eval_job {
   uint64_t first; /* the part's first radius among all */
   uint64_t count; /* radii of the part */
 
-  uint32_t channel;            /* that is being evaluated */
+  uint32_t channel;            /* the channel that is being evaluated */
   uint64_t index;              /* next radius of that channel, within the part */
   bool radii_done;             /* the radii have been written, or are not wanted */
   unsigned notes;              /* of the channels so far */
   struct profiles_order order; /* for the channel's profile */
 };
 
-/* Checks all of a request before any of it is evaluated, and lays out the first part. The payload
- * has to stay while the job runs. */
-wire_error eval_job_check(struct eval_job *eval, const struct server *server,
-                          const uint8_t *payload, size_t payload_bytes);
-wire_error eval_job_check_sample(struct eval_job *eval, const struct server *server,
-                                 const uint8_t *payload, size_t payload_bytes);
+/* ---- for sample.c -----------------------------------------------------------------------------
+ */
 
-/* Lists what could answer a request of model EVAL_ANY_MODEL. */
-wire_error eval_job_offers(const struct server *server, const uint8_t *payload,
-                           size_t payload_bytes, struct choice *choice);
+/* Checks the media of a request that has been taken apart. Sets eval->covers_all, and *radii to the
+ * range in which all channels can be evaluated. */
+wire_error eval_job_check_media(struct eval_job *eval, core_radii_range *radii);
 
-/* For a request that has been checked: the bits of all that is wanted, as proto/eval.h has them. */
+/* Starts a request that has been checked, unless an error has been found. */
+enum job_outcome eval_job_start(struct eval_job *eval, wire_error error,
+                                const struct job_request *request);
+
+/* These do what job.h says of the functions of a kind. */
+enum job_outcome eval_job_begin_part(struct job *job, uint8_t *payload);
+enum job_outcome eval_job_step(struct job *job, uint64_t *budget);
+void eval_job_end(struct job *job);
+
+/* Bits of all that is wanted, as proto/eval.h has them. */
 unsigned eval_job_wanted(const struct eval_job *eval);
 
-/* Likewise: the medium of a channel. */
-core_medium eval_job_medium(const struct eval_job *eval, uint32_t channel);
+static inline size_t eval_job_value_bytes(const struct eval_job *eval) {
+  return core_evaluator_bytes(eval->request.fixed.evaluator);
+}
 
-/* Lays out the part that begins at eval->first; returns false if it would exceed max_bytes. */
-bool eval_job_lay_out_part(struct eval_job *eval, uint64_t max_bytes);
+/* Where the listed radii, or numbers u, go on. */
+const uint8_t *eval_job_listed(const struct eval_job *eval);
 
-/* Takes the next best model and evaluator, when what was chosen for a tolerance cannot be prepared
- * after all; returns false if there is none. Lack of memory is no reason to choose again, because
- * the same request has to get the same model. */
-bool eval_job_choose_again(struct eval_job *eval);
+/* Where the channel's values of a wanted quantity go on in the reply. */
+void *eval_job_array(const struct eval_job *eval, enum core_quantity quantity);
+
+/* ---- for offers.c -----------------------------------------------------------------------------
+ */
+
+/* Takes a request of model EVAL_ANY_MODEL apart and checks all of it. */
+wire_error eval_job_offers(struct eval_job *eval, const struct job_request *request);
 
 #endif

@@ -5,13 +5,13 @@
 #include "proto/invert.h"
 #include "server/jobs/job.h"
 
-/* What a probe takes, in radii of a dipole: preparing a dipole; as long as a slice for what costs
- * more; what is prepared on another thread costs the worker no more than asking for it. */
+/* What a probe costs the worker, in radii of a dipole. A profile that takes long is prepared on
+ * another thread and costs the worker only the asking. */
 enum {
   PROBE_RADII = 1024,
   COSTLY_PROBE_RADII = JOB_SLICE_RADII,
   SLOW_PROBE_RADII = JOB_STEP_RADII,
-  PROBES = 8, /* for a medium, on average */
+  PROBES = 8, /* probes for a medium, on average */
 };
 
 struct invert_job {
@@ -42,7 +42,8 @@ static struct invert_job *of(struct job *job) {
 /* ---- checking ---------------------------------------------------------------------------------
  */
 
-/* All are looked at without a branch; only those with a fault are gone through again. */
+/* The first loop checks all values without a branch. The second one runs only if one of them is
+ * wrong, to find it. */
 static wire_error check_media(const invert_request *request) {
   const uint64_t count = request->fixed.medium_count;
   const double *albedos = request->albedos;
@@ -62,7 +63,7 @@ static wire_error check_media(const invert_request *request) {
   return wire_error_none();
 }
 
-/* A reply that fits into a frame is one part; a larger one comes in parts of max_part_bytes. */
+/* Cuts the reply into parts: one if it fits into a frame, else parts of max_part_bytes. */
 static void cut(struct invert_job *invert, const struct options *options) {
   const uint64_t count = invert->request.fixed.medium_count;
   invert->part_media = count;
@@ -74,7 +75,8 @@ static void cut(struct invert_job *invert, const struct options *options) {
   invert->first = 0;
   invert->count = invert->part_media;
   invert->part = 0;
-  invert->part_count = (uint32_t)((count - 1) / invert->part_media + 1); /* a frame holds fewer */
+  invert->part_count =
+      (uint32_t)((count - 1) / invert->part_media + 1); /* a frame holds fewer than 2^32 media */
 }
 
 static wire_error check(struct invert_job *invert, const struct job_request *from) {
@@ -171,7 +173,7 @@ static double *array(const struct invert_job *invert, enum invert_array which) {
   return (double *)(void *)(invert->reply + invert_array_offset(which, invert->count));
 }
 
-/* What the search for the medium at index has come to. */
+/* Writes the result of the search for the medium at index. */
 static void put_medium(struct invert_job *invert) {
   const core_inverter *inverter = &invert->inverter;
   const bool found = inverter->found;
@@ -185,7 +187,7 @@ static void put_medium(struct invert_job *invert) {
   invert->seeking = false;
 }
 
-/* The albedo of the medium that is to be probed. */
+/* Sets *albedo to the albedo of the medium that the inverter wants to know about. */
 static enum job_outcome probe(struct invert_job *invert, double *albedo) {
   core_profile profile;
   struct job_context *context = invert->job.context;
@@ -215,7 +217,8 @@ static enum job_outcome probe(struct invert_job *invert, double *albedo) {
   return JOB_GOES_ON;
 }
 
-/* Takes what a probe has found. */
+/* Gives the albedo of a probe to the inverter. The first probes find out which albedos the model
+ * can reach. */
 static enum job_outcome take(struct invert_job *invert, double albedo) {
   if (!core_inverter_take(&invert->inverter, albedo)) {
     return JOB_GOES_ON;
@@ -229,7 +232,8 @@ static enum job_outcome take(struct invert_job *invert, double albedo) {
   return fault.field == NULL ? JOB_GOES_ON : job_refuse(&invert->job, job_error(fault));
 }
 
-/* One step: a medium that there cannot be, or a probe for one that there may be. */
+/* One step of the search: begins with the next medium, or probes once more. A medium outside of the
+ * model's reach needs no probe. */
 static enum job_outcome seek(struct invert_job *invert) {
   const uint64_t i = invert->first + invert->index;
   if (invert->reach_known && !invert->seeking) {

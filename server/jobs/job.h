@@ -43,7 +43,8 @@ enum { JOB_SLICE_RADII = 16384 };
 /* What a step costs besides its radii, in radii: preparing a profile, or taking a frame apart. */
 enum { JOB_STEP_RADII = 64 };
 
-/* How long a client that is refused with BUSY should wait. A worker finishes what it has by then. */
+/* How long a client that is refused with BUSY should wait. A worker finishes what it has by then.
+ */
 enum { JOB_RETRY_AFTER_MS = 20 };
 
 /* The most numbers that a slice draws: of tables, which cost least. */

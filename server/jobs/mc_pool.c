@@ -10,18 +10,18 @@
 #include "server/observe/log.h"
 
 enum {
-  THREADS_MAX = 64,       /* as the list of options says */
-  LOW_PRIORITY = 10,      /* nice: a tenth of what a worker gets where both want a core */
-  BATCHES_PER_THREAD = 2, /* of a job: one to walk while another waits for its turn to be merged */
-  RETRY_AFTER_MS = 1000,  /* jobs last seconds */
+  THREADS_MAX = 64,       /* the limit of --mc-threads in options.def */
+  LOW_PRIORITY = 10,      /* nice value: a tenth of a worker's share when both want the same core */
+  BATCHES_PER_THREAD = 2, /* of each job: one can be walked while another waits to be merged */
+  RETRY_AFTER_MS = 1000,  /* for BUSY: jobs take seconds */
 };
 
 /* One batch of a job. */
 enum batch_state {
   BATCH_FREE,
-  BATCH_BEGUN, /* waits for a thread to walk on */
-  BATCH_HELD,  /* by a thread */
-  BATCH_DONE,  /* waits to be merged */
+  BATCH_BEGUN, /* partly walked; waits for a thread */
+  BATCH_HELD,  /* a thread is walking it */
+  BATCH_DONE,  /* walked; waits to be merged */
 };
 
 struct batch {
@@ -32,31 +32,31 @@ struct batch {
 
 struct mc_job {
   struct mc_pool *pool;
-  struct mc_job *next; /* in the pool's list; the first is the next to have a turn */
-  uv_async_t *wake;    /* NULL: it has been dropped */
+  struct mc_job *next; /* in the pool's list; the first job has the next turn */
+  uv_async_t *wake;    /* NULL after mc_job_drop() */
   struct mc_task task;
-  uint64_t bytes; /* taken from the server's budget */
+  uint64_t bytes; /* memory that it counts for in the server's budget */
 
-  uint64_t next_start; /* index of the next batch to begin, */
-  uint64_t next_merge; /* and to merge */
-  unsigned turns;      /* that threads have with it now */
-  bool totalling;      /* one of them is opening it, merging, or writes the table */
-  bool open;           /* what it needs is allocated, */
-  bool failed;         /* or could not be */
-  enum mc_state state; /* it has come to an end unless UNDER_WAY */
+  uint64_t next_start; /* index of the next batch to begin */
+  uint64_t next_merge; /* index of the next batch to merge */
+  unsigned turns;      /* how many threads work on it now */
+  bool totalling;      /* a thread opens it, merges a batch, or writes the table */
+  bool open;           /* its memory has been allocated */
+  bool failed;         /* its memory could not be allocated */
+  enum mc_state state; /* why it has ended; MC_UNDER_WAY if it has not */
   bool complete;       /* its table is written */
 
-  wire_mc_reply progress; /* a copy of the task's */
+  wire_mc_reply progress; /* copy of task.progress */
   bool progress_new;
   uint64_t woken_ms;
 
   size_t batch_count;
-  struct batch batches[]; /* BATCHES_PER_THREAD for each thread */
+  struct batch batches[]; /* [batch_count]: BATCHES_PER_THREAD for each thread */
 };
 
 struct mc_pool {
   struct server *server;
-  uv_mutex_t mutex; /* guards all but what a turn is about */
+  uv_mutex_t mutex; /* guards all members, and those of jobs that no turn is about */
   uv_cond_t changed;
   struct mc_job *jobs;
   uint64_t job_count;
@@ -68,18 +68,19 @@ struct mc_pool {
 /* ---- turns ------------------------------------------------------------------------------------
  */
 
-/* What a thread does next, without the lock. */
+/* What a thread does next. It does it without holding the mutex. */
 enum turn_kind { TURN_NONE, TURN_OPEN, TURN_WALK, TURN_MERGE, TURN_TABLE };
 
 struct turn {
   enum turn_kind kind;
   struct mc_job *job;
   struct batch *batch;
-  bool begins; /* WALK: the batch is a new one */
-  bool done;   /* WALK: the batch is; OPEN: the job is */
+  bool begins; /* WALK: the batch is new */
+  bool done;   /* WALK: the batch is complete; OPEN: the memory is there */
 };
 
-/* The batch in a state with the lowest index: what others wait for comes first. */
+/* The batch in this state that has the lowest index, because later batches wait for it to be
+ * merged. */
 static struct batch *first_batch(struct mc_job *job, enum batch_state state) {
   struct batch *first = NULL;
   for (size_t i = 0; i < job->batch_count; i++) {
@@ -91,7 +92,7 @@ static struct batch *first_batch(struct mc_job *job, enum batch_state state) {
   return first;
 }
 
-/* A batch to walk: one that has been begun, else a new one. */
+/* A batch to walk: one that has been begun, or else a new one. NULL if there is none. */
 static struct batch *batch_to_walk(struct mc_job *job) {
   struct batch *batch = first_batch(job, BATCH_BEGUN);
   if (batch != NULL || job->next_start == job->task.batches_max) {
@@ -133,7 +134,7 @@ static struct turn walking_turn_of(struct mc_job *job) {
   return turn;
 }
 
-/* Puts a job, which is in the list, at its end. */
+/* Puts a job at the end of the list, whether it is in the list or not. */
 static void move_to_end(struct mc_pool *pool, struct mc_job *job) {
   struct mc_job **link = &pool->jobs;
   while (*link != NULL) {
@@ -147,7 +148,8 @@ static void move_to_end(struct mc_pool *pool, struct mc_job *job) {
   *link = job;
 }
 
-/* What brings a job to its end comes first: it is short, and somebody may wait for it. */
+/* Merging, opening and writing tables come first: they are short, and a client may wait for them.
+ */
 static struct turn find_turn(struct mc_pool *pool) {
   struct turn turn = {.kind = TURN_NONE};
   for (struct mc_job *job = pool->jobs; job != NULL && turn.kind == TURN_NONE; job = job->next) {
@@ -176,8 +178,8 @@ static bool take_turn(struct mc_pool *pool, struct turn *turn) {
   return true;
 }
 
-/* Allocates what the job needs, which takes too long for a worker. One batch will do where there is
- * no memory for more. */
+/* Allocates what the job needs, which would take a worker too long. If there is not enough memory
+ * for all batches, one is enough. */
 static bool open_job(struct mc_job *job) {
   const size_t wanted = job->batch_count;
   job->batch_count = 0;
@@ -248,8 +250,8 @@ static void end_open(struct turn *turn) {
   }
 }
 
-/* Takes a job that has been dropped, and that no thread is at, out of the list; to be freed without
- * the lock. NULL: it is still wanted, or in use. */
+/* Removes a job from the list if it has been dropped and no thread works on it. Returns it, to be
+ * freed without holding the mutex, or NULL if it is still in use. */
 static struct mc_job *take_if_unused(struct mc_job *job) {
   if (job->wake != NULL || job->turns > 0) {
     return NULL;
@@ -274,7 +276,7 @@ static void free_job(struct mc_job *job) {
   free(job);
 }
 
-/* The job to be freed, if any. */
+/* Returns the job if it is to be freed, or NULL. */
 static struct mc_job *end_turn(struct mc_pool *pool, struct turn *turn) {
   struct mc_job *job = turn->job;
   job->turns--;
@@ -295,7 +297,7 @@ static struct mc_job *end_turn(struct mc_pool *pool, struct turn *turn) {
     wake(job);
   }
   if (turn->kind != TURN_WALK || turn->done) {
-    uv_cond_broadcast(&pool->changed); /* others may have something to do now */
+    uv_cond_broadcast(&pool->changed); /* there may be work for other threads now */
   }
   return take_if_unused(job);
 }
@@ -303,7 +305,7 @@ static struct mc_job *end_turn(struct mc_pool *pool, struct turn *turn) {
 /* ---- threads ----------------------------------------------------------------------------------
  */
 
-/* Linux has priorities for each thread, under its own number. */
+/* On Linux every thread has a priority of its own; setpriority() takes the thread's id. */
 static void lower_priority(void) {
   if (setpriority(PRIO_PROCESS, (id_t)gettid(), LOW_PRIORITY) != 0) {
     log_line(LOG_LEVEL_ERROR, "event=priority-not-lowered reason=\"%s\"", strerror(errno));
@@ -333,7 +335,7 @@ static void thread_main(void *argument) {
   uv_mutex_unlock(&pool->mutex);
 }
 
-/* False: there is not a single one. */
+/* Returns false if no thread could be started. */
 static bool start_threads(struct mc_pool *pool) {
   while (pool->thread_count < pool->server->options.mc_threads &&
          uv_thread_create(&pool->threads[pool->thread_count], thread_main, pool) == 0) {
@@ -386,7 +388,7 @@ static wire_error busy(const char *allowed) {
   return error;
 }
 
-/* NULL: there is no memory. */
+/* Returns NULL if there is no memory. */
 static struct mc_job *new_job(struct mc_pool *pool, const struct mc_task *task, uv_async_t *to) {
   const size_t batches = BATCHES_PER_THREAD * (size_t)pool->server->options.mc_threads;
   const uint64_t bytes = mc_task_bytes(task, batches);
@@ -407,7 +409,7 @@ static struct mc_job *new_job(struct mc_pool *pool, const struct mc_task *task, 
   return job;
 }
 
-/* False: it is one too many, or there is no thread for it. */
+/* Returns false if there are too many jobs, or no threads. */
 static bool add_job(struct mc_pool *pool, struct mc_job *job) {
   uv_mutex_lock(&pool->mutex);
   const bool room = pool->job_count < pool->server->options.max_mc_jobs && start_threads(pool);
@@ -454,7 +456,7 @@ void mc_job_drop(struct mc_job *job) {
   struct mc_pool *pool = job->pool;
   uv_mutex_lock(&pool->mutex);
   job->wake = NULL;
-  pool->job_count--; /* its room is another's now, even if a thread has a last turn with it */
+  pool->job_count--; /* another job may take its place, even if a thread still works on this one */
   stats_subtract(&pool->server->stats, STATS_MC_JOBS_OPEN, 1);
   atomic_store(&job->task.ends, true);
   struct mc_job *unused = take_if_unused(job);

@@ -1,50 +1,52 @@
-/* mc_pool: the threads that walk Monte Carlo jobs, at low priority beside the workers.
+/* mc_pool: threads that walk the photons of Monte Carlo jobs, at a lower priority than the workers.
  *
- * They are threads of their own, and not libuv's, because a thread that has lowered its priority
- * may not raise it again. They start with the first job. Jobs take turns, slice by slice; a job's
- * batches may be walked by several threads at a time, and are merged in the order of their indices,
- * so that the result does not depend on who walked what.
+ * libuv's pool is not used, because a thread that has lowered its priority may not raise it again.
+ * The threads start with the first job. Jobs take turns, slice by slice. Several threads may walk
+ * batches of the same job at a time. The batches are merged in the order of their indices, so the
+ * result does not depend on which thread walked which batch.
  */
 #ifndef DIPOLED_MC_POOL_H
 #define DIPOLED_MC_POOL_H
 
 #include "server/jobs/mc_task.h"
 
-/* Progress is told so often at the most. */
+/* A job reports progress at most this often. */
 enum { MC_PROGRESS_EVERY_MS = 200 };
 
 struct mc_pool;
 
-/* A job. It belongs to one connection's worker until it is dropped. */
+/* One Monte Carlo job. Only the worker that has started it calls mc_job_...(), until mc_job_drop().
+ */
 struct mc_job;
 
-/* NULL: out of memory. */
+/* Returns NULL if there is no memory. */
 struct mc_pool *mc_pool_new(struct server *server);
 
-/* Ends the threads. All jobs have been dropped (asserted). */
+/* Ends the threads. Asserts that all jobs have been dropped. */
 void mc_pool_free(struct mc_pool *pool);
 
-/* Checks a request and starts its job; *job is then the caller's, to be dropped. `wake` is sent
- * whenever mc_job_look() has something new, until the job is dropped. */
+/* Checks a request and starts its job, which the caller drops with mc_job_drop(). Until then,
+ * `wake` is sent whenever mc_job_look() has something new. */
 wire_error mc_job_start(struct mc_pool *pool, const uint8_t *payload, size_t payload_bytes,
                         uv_async_t *wake, struct mc_job **job);
 
-/* Ends it early: its table is what has been walked by now. */
+/* Ends the job early: its table holds what has been walked so far. */
 void mc_job_end(struct mc_job *job, enum mc_state state);
 
-/* Nobody wants it any more. It is freed when no thread is at it. */
+/* Gives the job up. It is freed when no thread works on it any more. */
 void mc_job_drop(struct mc_job *job);
 
 enum mc_news {
   MC_NOTHING_NEW,
   MC_PROGRESS,  /* *progress is set */
-  MC_TABLE,     /* the table is complete: mc_job_table() */
-  MC_NO_MEMORY, /* there was none for the job, and it has ended */
+  MC_TABLE,     /* the table is complete; mc_job_table() returns it */
+  MC_NO_MEMORY, /* the job has ended because there was no memory for it */
 };
 
+/* What is new since the last call. */
 enum mc_news mc_job_look(struct mc_job *job, wire_mc_reply *progress);
 
-/* The payload of the last reply; stays until the job is dropped. */
+/* The payload of the last reply. It stays valid until the job is dropped. */
 const uint8_t *mc_job_table(const struct mc_job *job, size_t *payload_bytes);
 
 #endif

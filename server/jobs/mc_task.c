@@ -8,7 +8,7 @@
 /* ---- checking ---------------------------------------------------------------------------------
  */
 
-/* core's names for what the wire calls otherwise. */
+/* Fields that have another name in core than on the wire. */
 static const char *wire_field(const char *field) {
   static const struct {
     const char *core, *wire;
@@ -31,7 +31,7 @@ static wire_error from_fault(core_fault fault) {
   return error;
 }
 
-/* Written so that NaN is wrong. */
+/* NaN is refused, because it fails every comparison. */
 static bool is_error_target(double target) {
   return target == 0 || (target >= 1e-9 && target <= 1);
 }
@@ -55,7 +55,7 @@ static wire_error check_targets(const wire_mc_request *fixed, uint64_t photons_m
   return wire_error_none();
 }
 
-/* The medium has been checked. */
+/* Sets the request; the medium has been checked. */
 static void set_request(struct mc_task *task, const mc_request *wire, const core_medium *medium) {
   core_mc_request *request = &task->request;
   core_mc_request_medium(request, medium);
@@ -112,8 +112,8 @@ wire_error mc_task_check(struct mc_task *task, const struct server *server, cons
 /* ---- memory -----------------------------------------------------------------------------------
  */
 
-/* A tally has two more slots than rings on each side, and few numbers besides, all for each albedo;
- * and a count of photons for each slot. */
+/* For each albedo, a tally has a slot for each ring and two more on each side, and a few numbers.
+ * There is also one count of photons for each slot. */
 uint64_t mc_task_bytes(const struct mc_task *task, uint64_t batches) {
   const uint64_t plan_bytes = UINT64_C(512) << 10;
   const uint64_t slots = CORE_MC_SIDES * ((uint64_t)task->ring_count + 2);
@@ -130,7 +130,7 @@ bool mc_task_open(struct mc_task *task) {
   task->total = task->plan != NULL ? core_mc_total_create(task->plan) : NULL;
   task->rings = calloc(task->ring_count, sizeof *task->rings);
   task->table = malloc(task->layout.payload_bytes);
-  task->next_look = 2;
+  task->next_check = 2;
   task->progress = (wire_mc_reply){
       .side_count = (uint16_t)task->side_count,
       .error_total = (double)INFINITY,
@@ -150,7 +150,7 @@ void mc_task_close(struct mc_task *task) {
 /* ---- how good it is ---------------------------------------------------------------------------
  */
 
-/* The largest relative error of R; 0 when nothing that was scattered leaves at all. */
+/* The largest relative error of R among the albedos; 0 if no scattered light leaves. */
 static double total_error(const struct mc_task *task) {
   double worst = core_mc_total_batches(task->total) >= 2 ? 0 : (double)INFINITY;
   for (size_t k = 0; k < task->request.albedo_count; k++) {
@@ -164,7 +164,7 @@ static double total_error(const struct mc_task *task) {
   return worst;
 }
 
-/* Whether anything that was scattered has left, on any side. */
+/* Whether scattered light has left on any side. */
 static bool light_leaves(const struct mc_task *task) {
   for (size_t k = 0; k < task->request.albedo_count; k++) {
     core_mc_energy energy;
@@ -178,14 +178,15 @@ static bool light_leaves(const struct mc_task *task) {
   return false;
 }
 
-/* The worst of the rings with light. While none has any, it is not known; where nothing ever leaves
- * (without scattering), there is nothing to be wrong. begin, note all rings, end. */
+/* The next three functions find the largest relative error among the rings that light has reached:
+ * begin, note each ring, end. The error is infinite while no ring has light, and 0 if no scattered
+ * light leaves at all. */
 static void begin_worst(struct mc_task *task) {
   task->progress.error_rings = -1;
   task->progress.worst_from = task->progress.worst_to = 0;
 }
 
-/* task->rings: those of an albedo and side. */
+/* task->rings holds the rings of this albedo and side. */
 static void note_worst(struct mc_task *task, uint32_t albedo, uint32_t side) {
   wire_mc_reply *progress = &task->progress;
   for (uint32_t i = 0; i < task->ring_count; i++) {
@@ -208,8 +209,8 @@ static void end_worst(struct mc_task *task) {
   }
 }
 
-/* Many rings and albedos take tens of milliseconds, which nobody has to wait for who wants the
- * table now. */
+/* With many rings and albedos this takes tens of milliseconds. It stops early when the job is to
+ * end. */
 static void find_worst_ring(struct mc_task *task) {
   begin_worst(task);
   for (uint32_t k = 0; k < task->request.albedo_count; k++) {
@@ -233,8 +234,8 @@ static bool is_enough(const struct mc_task *task) {
          (task->error_rings == 0 || task->progress.error_rings <= task->error_rings);
 }
 
-/* Looks at the errors, and guesses how long it will take. */
-static void look(struct mc_task *task) {
+/* Computes the errors, and estimates how many photons the task will take. */
+static void check_errors(struct mc_task *task) {
   wire_mc_reply *progress = &task->progress;
   const double photons = (double)progress->photons;
   const uint64_t most = task->batches_max * CORE_MC_BATCH_PHOTONS;
@@ -250,18 +251,18 @@ static void look(struct mc_task *task) {
   }
 }
 
-/* Looks are as rare as batches are many, so that they cost next to nothing; they come after numbers
- * of batches that depend on nothing else, so that the same request ends after the same batch. */
+/* Checks the errors more rarely the more batches there are, so that checking costs little. When it
+ * checks depends on the number of batches only, so the same request ends after the same batch. */
 void mc_task_merge(struct mc_task *task, const core_mc_batch *batch) {
   wire_mc_reply *progress = &task->progress;
   core_mc_total_merge(task->total, batch);
   const uint64_t batches = core_mc_total_batches(task->total);
   progress->photons = batches * CORE_MC_BATCH_PHOTONS;
-  if (batches < task->next_look && batches < task->batches_max) {
+  if (batches < task->next_check && batches < task->batches_max) {
     return;
   }
-  task->next_look = batches < MC_TASK_BATCHES_MIN ? 2 * batches : batches + batches / 32;
-  look(task);
+  task->next_check = batches < MC_TASK_BATCHES_MIN ? 2 * batches : batches + batches / 32;
+  check_errors(task);
   if (is_enough(task)) {
     progress->state = MC_ERRORS_SMALL;
     progress->photons_expected = progress->photons;
@@ -304,7 +305,7 @@ static void put_array(uint8_t *table, size_t offset, uint32_t index, const void 
   memcpy(table + offset + (size_t)index * 8, value, 8);
 }
 
-/* Edges and photons come with the rings of every albedo, and are the same. */
+/* Writes the rings of one albedo and side. Edges and photons are the same for every albedo. */
 static void put_rings(struct mc_task *task, uint32_t albedo, uint32_t side) {
   const mc_layout *layout = &task->layout;
   const uint32_t sides = task->side_count, count = task->ring_count;
@@ -334,7 +335,7 @@ static void put_reply(struct mc_task *task, enum mc_state state) {
   wire_put_mc_reply(task->table, &reply);
 }
 
-/* Cancelled jobs end between looks: the errors that the reply tells are found anew. */
+/* Computes the errors once more, because a cancelled job ends between two checks. */
 void mc_task_write_table(struct mc_task *task, enum mc_state state) {
   begin_worst(task);
   for (uint32_t albedo = 0; albedo < task->request.albedo_count; albedo++) {

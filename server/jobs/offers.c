@@ -1,35 +1,24 @@
 /* Offers: what could answer an eval that names a tolerance in place of a model. */
-#include "server/jobs/choice.h"
 #include "server/jobs/eval.h"
 
-struct offers {
-  struct job job;
-  const uint8_t *payload;
-};
-
-JOB_FITS_SLOT(struct offers);
-
-/* The list is too large to be kept: it is made once for the size of the reply, and once to write it.
- */
-static wire_error list(const struct job *job, struct choice *choice) {
-  return eval_job_offers(job->context->server, ((const struct offers *)(const void *)job)->payload,
-                         job->header.payload_bytes, choice);
+static struct choice list(const struct job *job) {
+  struct choice choice;
+  choice_list(&((const struct eval_job *)(const void *)job)->request, &choice);
+  return choice;
 }
 
+/* The list is too large for a slot: it is made once for its size, and once more to write it. */
 static enum job_outcome start(struct job *job, const struct job_request *request) {
-  ((struct offers *)(void *)job)->payload = request->payload;
-  struct choice choice;
-  const wire_error error = list(job, &choice);
+  const wire_error error = eval_job_offers((struct eval_job *)(void *)job, request);
   if (error.status != WIRE_STATUS_OK) {
     return job_refuse(job, error);
   }
-  job->part_bytes = WIRE_BYTES_offers_reply + choice.count * (size_t)WIRE_BYTES_offer;
+  job->part_bytes = WIRE_BYTES_offers_reply + list(job).count * (size_t)WIRE_BYTES_offer;
   return JOB_NEXT_PART;
 }
 
 static enum job_outcome put(struct job *job, uint8_t *at) {
-  struct choice choice;
-  list(job, &choice);
+  struct choice choice = list(job);
   const size_t taken = choice_sort_by_cost(&choice);
   const wire_offers_reply reply = {.count = (uint32_t)choice.count, .taken = (uint32_t)taken};
   wire_put_offers_reply(at, &reply);

@@ -1,5 +1,5 @@
-/* requests: the requests of one connection, each from its frame in the input to its reply or refusal
- * in the output. One request at a time holds the input; detached jobs answer when they can.
+/* requests: the requests of one connection, each from its frame in the input to its reply or
+ * refusal in the output. One request at a time holds the input; detached jobs answer when they can.
  *
  * This module frames all replies and refusals. It knows neither the connection, which moves the
  * bytes, nor any kind of job (server/jobs/job.h). Call it on the worker's thread only.

@@ -6,8 +6,8 @@
  *   1. Its structure has a `struct client` as its first member, so that a pointer to one is a
  *      pointer to the other. The file that implements it defines one constant `struct client_kind`
  *      and sets client.kind to it. All other members of `struct client` start as 0.
- *   2. worker_give() hands the client to a worker, from any thread. The worker then calls start() on
- *      its own thread. From there on only that thread touches the client.
+ *   2. worker_give() hands the client to a worker, from any thread. The worker then calls start()
+ *      on its own thread. From there on only that thread touches the client.
  *   3. Whenever the client has something to do, for example in a callback of the loop, it calls
  *      worker_run_later(). The worker then calls run() once, which must be of bounded length. All
  *      that clients have put into the batch is evaluated when all of them have run. Then the worker

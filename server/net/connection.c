@@ -4,19 +4,19 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
-#include "server/net/worker.h"
 #include "server/jobs/requests.h"
+#include "server/net/worker.h"
 #include "server/observe/log.h"
 
 enum {
-  TURN_RADII = JOB_SLICE_RADII, /* what a turn may cost, JOB_STEP_RADII for a frame included */
+  TURN_RADII = JOB_SLICE_RADII, /* what a turn may cost; each frame costs JOB_STEP_RADII of it */
   WRITE_BUFFERS = 16,
-  REST_MS = 1000,   /* of silence, after which a connection's memory is given back */
-  LINGER_MS = 1000, /* for a peer that does not close after the last answer */
+  REST_MS = 1000,   /* after so much silence the connection releases its buffers */
+  LINGER_MS = 1000, /* how long the peer may take to close after the last answer */
 };
 
 struct connection {
-  struct client client; /* first: the worker knows the connection by it */
+  struct client client; /* first member: see client.h */
   struct server *server;
   int fd;
   enum connection_purpose purpose;
@@ -78,7 +78,7 @@ struct client *connection_new(struct server *server, int fd, enum connection_pur
   return &c->client;
 }
 
-/* When nothing refers to it any more. */
+/* Frees the connection; its handle has been closed. */
 static void dispose(struct connection *c) {
   struct server *server = c->server;
   const enum connection_purpose purpose = c->purpose;
@@ -114,9 +114,9 @@ static void on_shut_down(uv_shutdown_t *request, int status) {
   }
 }
 
-/* A socket that is closed with unread bytes resets the connection, and the peer may lose the
- * answers that it has not read. So: no more writing, read and drop what still comes, until the peer
- * closes. */
+/* Ends the connection so that the peer can read all answers. Closing a socket that has unread bytes
+ * would reset the connection, and the peer might lose answers. So this only shuts down the sending
+ * side; what still arrives is read and dropped until the peer closes. */
 static void linger(struct connection *c) {
   if (c->peer_done || uv_shutdown(&c->shutdown, &c->uv.stream, on_shut_down) != 0) {
     abort_connection(c);
@@ -138,7 +138,7 @@ static void on_room_wanted(uv_handle_t *handle, size_t suggested, uv_buf_t *buff
   *buffer = uv_buf_init((char *)room, (unsigned)bytes);
 }
 
-/* There is no memory for the rest of a frame: it is refused and skipped. */
+/* Refuses and skips a frame for whose rest there is no memory. */
 static void refuse_for_memory(struct connection *c) {
   wire_header header;
   wire_error error =
@@ -151,8 +151,8 @@ static void refuse_for_memory(struct connection *c) {
   }
 }
 
-/* What has arrived is dealt with in the same round of the loop. Reading goes on unless something is
- * left to do then, so that a client that asks and waits costs no calls for stopping and starting. */
+/* Has the requests answered in the same round of the loop. Reading is stopped only if work is left
+ * after that: so a client that waits for each answer costs no calls to stop and start reading. */
 static void on_read(uv_stream_t *stream, ssize_t bytes, const uv_buf_t *buffer) {
   (void)buffer;
   struct connection *c = stream->data;
@@ -222,7 +222,7 @@ static void on_written(uv_write_t *request, int status) {
   }
 }
 
-/* Writes what is ready: at once as far as the socket takes it, the rest when it takes more. */
+/* Writes at once what the socket takes, and has libuv write the rest when it takes more. */
 static void write_more(struct connection *c) {
   while (c->writing_bytes == 0 && c->output.ready_bytes > 0) {
     uv_buf_t buffers[WRITE_BUFFERS];
@@ -246,7 +246,8 @@ static void write_more(struct connection *c) {
 /* ---- turns ------------------------------------------------------------------------------------
  */
 
-/* The clock of an unfinished frame runs while the peer could finish it. */
+/* Notes when an unfinished frame began to arrive. Its time does not run while the connection does
+ * not read. */
 static void note_partial_frame(struct connection *c) {
   if (!input_partial(&c->input) || output_is_full(&c->output)) {
     c->frame_started_ms = 0;
@@ -262,7 +263,8 @@ static bool awaits_detached(struct connection *c) {
          requests_stop_detached(&c->requests, c->peer_done ? JOB_CANCELLED : JOB_DAEMON_STOPS);
 }
 
-/* All that has arrived is answered, and no more will be taken: the last words. */
+/* All that has arrived has been answered. If the peer is done or the daemon stops, sends the last
+ * error, if any, and takes no more frames. */
 static void end_if_done(struct connection *c) {
   if (c->requests.ended || output_is_full(&c->output) || awaits_detached(c)) {
     return;
@@ -281,8 +283,8 @@ static void end_if_done(struct connection *c) {
   write_more(c);
 }
 
-/* Nothing is left to do with what has arrived: read on, or come to an end. */
-static void settle(struct connection *c) {
+/* All that has arrived has been dealt with as far as possible: reads on, or ends. */
+static void read_on_or_end(struct connection *c) {
   if (c->requests.waiting) {
     set_reading(c, false);
     return;
@@ -303,7 +305,7 @@ static void settle(struct connection *c) {
   }
   note_partial_frame(c);
   set_reading(c, !output_is_full(&c->output) &&
-                     !c->peer_done); /* the end would be read again and again */
+                     !c->peer_done); /* or the end of the stream would be read again */
 }
 
 /* The worker's clock watches the deadline of a request that waits. */
@@ -340,7 +342,7 @@ static void run(struct client *client) {
 
 static void finish(struct client *client) {
   struct connection *c = of(client);
-  /* Frames that waited for the reader have to be taken up if writing has just unblocked them. */
+  /* Frames wait while the output is full. If writing has just made room, they are taken up. */
   const bool was_blocked = output_is_full(&c->output);
   if (!c->closing) {
     write_more(c);
@@ -349,10 +351,10 @@ static void finish(struct client *client) {
     return;
   }
   if (c->more_to_do || (was_blocked && !output_is_full(&c->output))) {
-    set_reading(c, false); /* the input may not move under a job, nor grow without end */
+    set_reading(c, false); /* input_room() would move the payload under the job */
     worker_run_later(&c->client);
   } else {
-    settle(c);
+    read_on_or_end(c);
   }
 }
 
@@ -370,7 +372,8 @@ static int adopt(struct connection *c, uv_loop_t *loop) {
   uv_tcp_init(loop, &c->uv.tcp);
   const int opened = uv_tcp_open(&c->uv.tcp, c->fd);
   if (opened == 0) {
-    uv_tcp_nodelay(&c->uv.tcp, 1); /* answers are gathered already; without it they only wait */
+    uv_tcp_nodelay(&c->uv.tcp,
+                   1); /* small answers are sent together anyway; Nagle would only delay */
   }
   return opened;
 }
@@ -417,9 +420,9 @@ static void tick(struct client *client, uint64_t now_ms) {
     return;
   }
   if (c->requests.job == NULL) {
-    input_settle(&c->input, now_ms);
+    input_trim(&c->input, now_ms);
   }
-  output_settle(&c->output, now_ms);
+  output_trim(&c->output, now_ms);
   if (c->requests.ended || c->output.ready_bytes > 0) {
     if (now_ms - c->active_ms > options->idle_timeout_ms) {
       abort_connection(c);
@@ -442,8 +445,8 @@ static void tick(struct client *client, uint64_t now_ms) {
         wire_error_make(WIRE_STATUS_TIMEOUT, "", "no silence longer than idle_timeout_ms"));
     worker_run_later(&c->client);
   } else if (now_ms - c->active_ms > REST_MS) {
-    input_rest(&c->input);
-    output_rest(&c->output);
+    input_release(&c->input);
+    output_release(&c->output);
   }
 }
 

@@ -1,6 +1,6 @@
 /* connection: one client of the binary protocol. It moves bytes: it reads what arrives, has the
- * requests answered (server/jobs/requests.h), and writes the answers. It ends when the peer is done,
- * is too slow or too silent, or when the daemon stops.
+ * requests answered (server/jobs/requests.h), and writes the answers. It ends when the peer is
+ * done, is too slow or too silent, or when the daemon stops.
  */
 #ifndef DIPOLED_CONNECTION_H
 #define DIPOLED_CONNECTION_H

@@ -3,8 +3,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* What every open connection costs; larger frames grow the buffer. */
-enum { BASE_BYTES = 65536, GROWTH = 8, SETTLE_MS = 1000 };
+/* A buffer begins with BASE_BYTES and grows for larger frames, at most by the factor GROWTH at a
+ * time. */
+enum { BASE_BYTES = 65536, GROWTH = 8, TRIM_MS = 1000 };
 
 void input_init(struct input *input, struct server *server) {
   *input = (struct input){.server = server};
@@ -43,8 +44,8 @@ static size_t held(const struct input *input) {
   return input->end - input->begin;
 }
 
-/* Frames start at a multiple of 8 as long as their lengths are; a refused one may have broken that.
- */
+/* Payloads have to be aligned to 8. A refused frame whose length is no multiple of 8 leaves the
+ * next frame unaligned; moving it to the front aligns it again. */
 static void move_to_front(struct input *input) {
   if (input->begin > 0) {
     memmove(input->bytes, input->bytes + input->begin, held(input));
@@ -53,8 +54,8 @@ static void move_to_front(struct input *input) {
   }
 }
 
-/* The size that the frame needs which has begun to arrive, but no more than GROWTH times what there
- * is: as the bytes come, so that a header alone, whatever length it claims, costs nothing. */
+/* The size that the frame in the buffer needs, but at most GROWTH times the present size. The
+ * buffer grows as bytes arrive, so a header that claims a large frame costs nothing by itself. */
 static size_t larger(const struct input *input) {
   wire_header header = {0};
   if (input->capacity == 0) {
@@ -88,8 +89,8 @@ static void take_skipped(struct input *input) {
   input->skip_bytes -= skipped;
 }
 
-/* Up to which byte marks are of no use: those within the first frame, whose end is still to come or
- * came later; without a frame, those of what has been dealt with. */
+/* Marks up to this byte are not needed. Those inside the first frame are not, because only the time
+ * of a frame's last byte is asked for. Without a frame, marks of removed bytes are not. */
 static uint64_t useless_bytes(const struct input *input) {
   const uint64_t done = input->total_bytes - held(input);
   if (input->skip_bytes > 0 || held(input) < WIRE_BYTES_header) {
@@ -100,7 +101,7 @@ static uint64_t useless_bytes(const struct input *input) {
   return done + WIRE_BYTES_header + header.payload_bytes - 1;
 }
 
-/* Forgets the marks up to a byte. */
+/* Drops the marks up to a byte. */
 static void drop_marks(struct input *input, uint64_t bytes) {
   unsigned gone = 0;
   while (gone < input->mark_count && input->marks[gone].total_bytes <= bytes) {
@@ -110,9 +111,9 @@ static void drop_marks(struct input *input, uint64_t bytes) {
   memmove(input->marks, input->marks + gone, input->mark_count * sizeof input->marks[0]);
 }
 
-/* Without room for another mark the last one stands for more: its time is then too early, so that a
- * deadline is kept rather than missed. That takes many frames in many pieces, for within the first
- * frame marks are not kept. */
+/* If there is no room for another mark, the last one also stands for the new bytes. Its time is
+ * then too early, so that deadlines are never noticed too late. This takes many frames that arrive
+ * in many pieces. */
 static void mark(struct input *input, uint64_t now_ns) {
   drop_marks(input, useless_bytes(input));
   struct input_mark *last = &input->marks[input->mark_count > 0 ? input->mark_count - 1 : 0];
@@ -175,18 +176,18 @@ bool input_refuse(struct input *input, wire_header *header) {
   return true;
 }
 
-void input_rest(struct input *input) {
+void input_release(struct input *input) {
   if (held(input) == 0) {
     input_free(input);
   }
 }
 
-void input_settle(struct input *input, uint64_t now_ms) {
+void input_trim(struct input *input, uint64_t now_ms) {
   if (input->large) {
     input->large_ms = now_ms;
     input->large = false;
   } else if (input->capacity > BASE_BYTES && held(input) <= BASE_BYTES &&
-             now_ms - input->large_ms > SETTLE_MS) {
+             now_ms - input->large_ms > TRIM_MS) {
     move_to_front(input);
     resize(input, BASE_BYTES);
   }

@@ -1,12 +1,12 @@
-/* input: the bytes of one connection that have arrived and are not yet dealt with, taken apart into
- * frames. Payloads are used where they lie. Memory is taken from the server's budget. */
+/* input: the bytes of one connection that have arrived and have not been dealt with, as frames.
+ * Payloads are used in place, without a copy. The buffer counts against the server's budget. */
 #ifndef DIPOLED_INPUT_H
 #define DIPOLED_INPUT_H
 
 #include "proto/wire.h"
 #include "server/server.h"
 
-/* Up to which byte, counted from the first, what came had come at a time. */
+/* At time `ns`, the first `total_bytes` bytes of the connection had arrived. */
 struct input_mark {
   uint64_t total_bytes;
   uint64_t ns;
@@ -18,59 +18,60 @@ struct input {
   struct server *server;
   uint8_t *bytes;
   size_t capacity;
-  size_t begin;                         /* of the first frame that has not been dealt with */
-  size_t end;                           /* of what has arrived */
-  bool large;                           /* it held as much as its first size, or nearly, */
-  uint64_t large_ms;                    /* which input_settle() last found so then */
-  uint64_t skip_bytes;                  /* of a refused payload, still to arrive */
-  uint64_t total_bytes;                 /* that have arrived, ever */
-  struct input_mark marks[INPUT_MARKS]; /* of what has not been dealt with, rising */
+  size_t begin;         /* where the first frame begins that has not been dealt with */
+  size_t end;           /* where the bytes that have arrived end */
+  bool large;           /* it has held much since input_trim() */
+  uint64_t large_ms;    /* when input_trim() last found `large` set */
+  uint64_t skip_bytes;  /* bytes of a refused payload that have still to arrive */
+  uint64_t total_bytes; /* arrived so far */
+  struct input_mark marks[INPUT_MARKS]; /* for what has not been dealt with; both members rise */
   unsigned mark_count;
 };
 
 enum input_outcome {
   INPUT_INCOMPLETE, /* no whole frame has arrived */
   INPUT_FRAME,      /* a frame, whole and well formed */
-  INPUT_REFUSED,    /* a frame whose header is wrong; its payload is skipped */
-  INPUT_LOST,       /* no frame at all: the framing is lost */
+  INPUT_REFUSED,    /* a frame whose header is wrong; input_next() skips its payload */
+  INPUT_LOST,       /* not a frame; where the next one begins is unknown */
 };
 
 void input_init(struct input *input, struct server *server);
 void input_free(struct input *input);
 
-/* Where to read to, and how much may be read; 0: the memory budget is exhausted. Moves the bytes,
- * so no frame may be in use. */
+/* Sets *room to where the next bytes are read to, and returns how many fit: 0 if the memory budget
+ * is exhausted. May move the buffer, so no payload may be in use. */
 size_t input_room(struct input *input, uint8_t **room);
 
-/* bytes have been read to the room, at a time. */
+/* Takes note that so many bytes have been read into the room at this time. */
 void input_arrived(struct input *input, size_t bytes, uint64_t now_ns);
 
-/* When the last byte of the frame that was looked at had arrived, or somewhat earlier. */
+/* When the last byte of the first frame arrived. May be too early when many frames are waiting, but
+ * never too late. */
 uint64_t input_arrival_ns(const struct input *input, const wire_header *header);
 
-/* Looks at the first frame. FRAME: *payload is aligned to 8 and stays until input_next(). REFUSED
- * and LOST: *error says why. *header is the frame's in all cases but INCOMPLETE. */
+/* Looks at the first frame and sets *header unless it is INCOMPLETE. With FRAME, *payload is
+ * aligned to 8 and stays valid until input_next(). With REFUSED and LOST, *error says why. */
 enum input_outcome input_frame(struct input *input, wire_header *header, const uint8_t **payload,
                                wire_error *error);
 
-/* The frame that was looked at has been dealt with; REFUSED or FRAME. */
+/* Removes the first frame, which was a FRAME or REFUSED. */
 void input_next(struct input *input, const wire_header *header);
 
-/* The frame that has begun to arrive cannot be kept: skips it. False when not even its header is
- * there. */
+/* Skips a frame that has begun to arrive and cannot be kept. Returns false if not even its header
+ * has arrived. */
 bool input_refuse(struct input *input, wire_header *header);
 
-/* Gives its memory back when nothing is held. */
-void input_rest(struct input *input);
+/* Frees the buffer if it is empty. */
+void input_release(struct input *input);
 
-/* From time to time, while no frame is in use: gives back what it has grown by when it has not needed
- * that for a while. */
-void input_settle(struct input *input, uint64_t now_ms);
+/* Shrinks the buffer to its first size when it has not needed more for a second. Call this several
+ * times a second, while no payload is in use. */
+void input_trim(struct input *input, uint64_t now_ms);
 
 /* Drops everything that has arrived. */
 void input_discard(struct input *input);
 
-/* True when a frame has begun and not ended. */
+/* Whether a frame has begun to arrive and is not complete. */
 bool input_partial(const struct input *input);
 
 #endif

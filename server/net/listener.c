@@ -19,8 +19,8 @@
 enum {
   BACKLOG = 1024,
   ACCEPTS_PER_ROUND = 64,
-  PAUSE_MS = 100,        /* when the process has no file descriptor left */
-  REFUSALS_AT_ONCE = 64, /* connections being told that they are too many; others are just closed */
+  PAUSE_MS = 100,        /* before accepting again, when no file descriptor is left */
+  REFUSALS_AT_ONCE = 64, /* connections that are refused with BUSY at a time; others are closed */
 };
 
 static bool complain(const char *url, const char *why) {
@@ -42,7 +42,7 @@ static struct worker *least_busy(struct server *server) {
   return best;
 }
 
-/* All connections of all workers, those being refused among them. */
+/* Connections of all workers, including those that are being refused. */
 static uint64_t held_connections(const struct server *server) {
   uint64_t held = 0;
   for (uint64_t i = 0; i < server->options.workers; i++) {
@@ -87,7 +87,7 @@ static void on_connections(uv_poll_t *poll, int status, int events) {
     if (fd >= 0) {
       listener->admit(listener->server, fd);
     } else if (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM) {
-      /* The waiting connection would make the loop spin. */
+      /* The connection goes on waiting, so the poll would return at once again and again. */
       log_peer_line(LOG_LEVEL_ERROR, "event=accept-paused reason=%s", strerror(errno));
       uv_poll_stop(&listener->poll);
       uv_timer_start(&listener->pause, on_pause_over, PAUSE_MS, 0);
@@ -110,7 +110,7 @@ static int unix_socket(void) {
   return socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
 }
 
-/* A socket file that nobody listens at any more, which a daemon that was killed leaves behind. */
+/* Whether nobody listens at a socket file, which a killed daemon leaves behind. */
 static bool is_stale(const struct sockaddr_un *address) {
   struct stat status;
   if (lstat(address->sun_path, &status) != 0 || !S_ISSOCK(status.st_mode)) {

@@ -1,4 +1,4 @@
-/* listener: an address that clients connect to. On main's loop. */
+/* listener: an address that clients connect to. Listeners belong to the main thread's loop. */
 #ifndef DIPOLED_LISTENER_H
 #define DIPOLED_LISTENER_H
 
@@ -6,31 +6,31 @@
 
 struct listener {
   struct server *server;
-  void (*admit)(struct server *server, int fd); /* owns the connected socket */
+  void (*admit)(struct server *server, int fd); /* takes over the connected socket */
   uv_poll_t poll;
   uv_timer_t pause;
   int fd;
-  char *unix_path; /* removed when the listener is closed; NULL for TCP and adopted sockets */
+  char *unix_path; /* a file to be removed in the end; NULL for TCP and adopted sockets */
 };
 
-/* Starts to listen at unix:PATH or tcp:HOST:PORT and logs the address. False, with a message on
- * standard error, when that cannot be done. */
+/* Listens at unix:PATH or tcp:HOST:PORT and logs the address. If that fails, it prints a message to
+ * standard error and returns false. */
 bool listener_open(struct listener *listener, struct server *server, uv_loop_t *loop,
                    const char *url);
 
-/* Takes over a stream socket (Unix or TCP) that is bound and listens already, and logs its address;
- * its file, if it has one, stays when the listener is closed. False, with a message on standard
- * error, when fd is none such: it is closed then, too. */
+/* Takes over a stream socket (Unix or TCP) that already listens, and logs its address. The socket's
+ * file, if any, stays when the listener is closed. If fd is not such a socket, it closes fd, prints
+ * a message to standard error and returns false. */
 bool listener_adopt(struct listener *listener, struct server *server, uv_loop_t *loop, int fd);
 
-/* As listener_open(), for Modbus at tcp:HOST:PORT. */
+/* Does the same for Modbus at tcp:HOST:PORT. */
 bool listener_open_modbus(struct listener *listener, struct server *server, uv_loop_t *loop,
                           const char *url);
 
-/* No more connections from here. The handles close with the loop's next round. */
+/* Stops listening. libuv closes the handles in the loop's next round. */
 void listener_close(struct listener *listener);
 
-/* Gives a connected socket to a worker, or refuses it when there are too many. */
+/* Gives a connected socket to a worker, or refuses it if there are too many connections. */
 void listener_admit(struct server *server, int fd, bool inherited);
 
 #endif

@@ -3,8 +3,8 @@
 #include <assert.h>
 #include <stdlib.h>
 
-/* Holds a few hundred small answers, and makes one system call of them. */
-enum { CHUNK_BYTES = 65536, SPARE_BYTES = 4194304, SETTLE_MS = 1000 };
+/* A chunk holds a few hundred small answers, which one system call then writes. */
+enum { CHUNK_BYTES = 65536, SPARE_BYTES = 4194304, TRIM_MS = 1000 };
 
 struct output_chunk {
   struct output_chunk *next;
@@ -23,8 +23,8 @@ static void free_chunk(struct output *output, struct output_chunk *chunk) {
   free(chunk);
 }
 
-/* Chunks are kept for the next answers, as far as they are not too large: their memory has been
- * touched and need not be asked for again. */
+/* Keeps the first chunk as a spare if SPARE_BYTES allow it: the system then does not have to map
+ * its pages again. */
 static void release_first(struct output *output) {
   struct output_chunk *chunk = output->first;
   output->first = chunk->next;
@@ -57,21 +57,21 @@ void output_free(struct output *output) {
   free_spares(output);
 }
 
-void output_settle(struct output *output, uint64_t now_ms) {
+void output_trim(struct output *output, uint64_t now_ms) {
   if (output->spares_used) {
     output->spares_ms = now_ms;
     output->spares_used = false;
-  } else if (now_ms - output->spares_ms > SETTLE_MS) {
+  } else if (now_ms - output->spares_ms > TRIM_MS) {
     free_spares(output);
   }
 }
 
-/* Small answers take no large chunk, so that it is not held longer than it is needed. */
+/* Small answers do not get a large chunk, because it would be held longer than necessary. */
 static bool is_fit(const struct output_chunk *chunk, size_t bytes) {
   return chunk->capacity >= bytes && (chunk->capacity == CHUNK_BYTES || bytes > CHUNK_BYTES);
 }
 
-/* The first spare that is fit; NULL: there is none. */
+/* Takes the first spare that fits; returns NULL if there is none. */
 static struct output_chunk *take_spare(struct output *output, size_t bytes) {
   struct output_chunk **link = &output->spares;
   while (*link != NULL && !is_fit(*link, bytes)) {
@@ -108,7 +108,7 @@ static struct output_chunk *add_chunk(struct output *output, size_t bytes) {
   if (chunk == NULL) {
     chunk = new_chunk(output, bytes);
   }
-  if (chunk == NULL && output->spares != NULL) { /* which are too small, and in the way */
+  if (chunk == NULL && output->spares != NULL) { /* too small, but they count against the budget */
     free_spares(output);
     chunk = new_chunk(output, bytes);
   }
@@ -124,7 +124,7 @@ static struct output_chunk *add_chunk(struct output *output, size_t bytes) {
   return chunk;
 }
 
-void output_rest(struct output *output) {
+void output_release(struct output *output) {
   if (output->ready_bytes == 0 && output->reserved_bytes == 0) {
     output_free(output);
   }
@@ -165,8 +165,8 @@ size_t output_buffers(struct output *output, uv_buf_t *buffers, size_t count) {
   return used;
 }
 
-/* A chunk that has been written entirely is given back, or begun again if it is the last and small
- * and nothing is being filled in. */
+/* Removes the first chunk, which has been written entirely. The last chunk stays and is used again
+ * if it is small. Returns whether another chunk has become the first. */
 static bool finish_first(struct output *output) {
   struct output_chunk *chunk = output->first;
   if (chunk != output->last) {

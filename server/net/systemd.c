@@ -16,7 +16,7 @@ static bool is_set(const char *variable) {
   return value != NULL && *value != '\0';
 }
 
-/* The variables may be left over from a parent whom they were meant for. */
+/* Whether the variables are meant for this process, and not left over from its parent. */
 static bool has_sockets(void) {
   return is_set("LISTEN_FDS") && is_set("LISTEN_PID") &&
          strtol(getenv("LISTEN_PID"), NULL, 10) == (long)getpid();
@@ -26,7 +26,7 @@ static bool load(struct systemd *systemd, const char **why) {
   void *library = dlopen(LIBRARY, RTLD_NOW | RTLD_LOCAL);
   void *address;
   bool found = library != NULL;
-  /* POSIX has functions' addresses fit into void *, which C does not convert. */
+  /* POSIX guarantees that a function's address fits into a void *; C has no conversion for it. */
 #define SYSTEMD_FUNCTION(name, parameters)                                                         \
   address = found ? dlsym(library, "sd_" #name) : NULL;                                            \
   found = address != NULL;                                                                         \
@@ -60,7 +60,7 @@ int systemd_sockets(const struct systemd *systemd, int *first, const char **why)
   return count < 0 || count > SYSTEMD_SOCKETS_MAX ? -1 : count;
 }
 
-/* A manager that is not there any more is none to be told. */
+/* A failure is ignored: then the manager has ended. */
 static void tell(const struct systemd *systemd, const char *state) {
   if (systemd->notify != NULL) {
     systemd->notify(0, state);

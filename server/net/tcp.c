@@ -41,7 +41,8 @@ static int bind_to(const struct addrinfo *address) {
   return -1;
 }
 
-/* HOST:PORT, the host in brackets when it has colons. */
+/* Splits HOST:PORT; a host with colons is in brackets. Returns false if the text has another form.
+ */
 static bool split(const char *text, char *host, size_t room, const char **port) {
   const char *colon = strrchr(text, ':');
   if (colon == NULL || colon[1] == '\0') {

@@ -1,16 +1,17 @@
-/* tcp: a socket that listens at HOST:PORT. */
+/* tcp: opens sockets that listen at HOST:PORT. */
 #ifndef DIPOLED_TCP_H
 #define DIPOLED_TCP_H
 
 #include <stddef.h>
 
-/* HOST:PORT, [HOST]:PORT for a host with colons; port 0: any free one. The socket, which does not
- * block; -1: *why says why, and errno is EADDRINUSE if somebody else listens there. */
+/* Listens at HOST:PORT, or [HOST]:PORT for a host with colons; port 0 stands for any free port.
+ * Returns a non-blocking socket. If that fails, it returns -1 and sets *why to the reason; errno is
+ * EADDRINUSE if another process listens there. */
 int tcp_listen(const char *host_port, const char **why);
 
 enum { TCP_TEXT_BYTES = 160 };
 
-/* Where it listens, as HOST:PORT in numbers; "" when that cannot be told. */
+/* Writes where the socket listens, as numeric HOST:PORT, or "" if that is unknown. */
 void tcp_bound(int fd, char text[TCP_TEXT_BYTES]);
 
 #endif

@@ -114,7 +114,8 @@ static void for_each(struct worker *worker, void (*act)(struct client *client)) 
 /* ---- stopping ---------------------------------------------------------------------------------
  */
 
-/* The first round after the wish reads what had been sent before it; then nothing more is taken. */
+/* The first round after the request to stop still reads what clients had sent before it. After
+ * that, the clients are told to stop. */
 static void stop_round(struct worker *worker) {
   if (worker->stop_rounds == 0) {
     return;
@@ -163,13 +164,13 @@ static void wake(void *context) {
   uv_async_send(&worker->wake);
 }
 
-/* An active idle handle does that. */
+/* An active idle handle keeps libuv from sleeping. */
 void worker_stay_awake(struct worker *worker) {
   uv_idle_start(&worker->stay_awake, on_awake);
 }
 
-/* Timers come before that, too:
- * what they give to the run queue is not to wait for somebody else's bytes. */
+/* libuv runs timers before it polls. A client that a timer has put into the run queue must not wait
+ * until bytes arrive for some other client. */
 static void stay_awake_for_queue(struct worker *worker) {
   if (worker->run_count > 0) {
     worker_stay_awake(worker);
@@ -214,7 +215,7 @@ static uint64_t least(uint64_t a, uint64_t b) {
   return a < b ? a : b;
 }
 
-/* Timeouts are looked at so often that they are kept to a quarter. */
+/* Timeouts are checked this often, so that they are exceeded by a quarter at most. */
 static uint64_t clock_period_ms(const struct options *options) {
   uint64_t shortest = least(options->frame_timeout_ms, options->idle_timeout_ms);
   shortest = least(shortest, options->modbus_frame_timeout_ms);
@@ -236,7 +237,8 @@ static void thread_main(void *argument) {
   uv_run(&worker->loop, UV_RUN_DEFAULT);
   assert(LIST_EMPTY(&worker->clients));
   uv_walk(&worker->loop, close_handle, NULL);
-  uv_run(&worker->loop, UV_RUN_DEFAULT); /* to the end of what it has had prepared, too */
+  uv_run(&worker->loop,
+         UV_RUN_DEFAULT); /* until all profiles that are being prepared are complete */
   profiles_end(&worker->context.profiles);
   const int closed = uv_loop_close(&worker->loop);
   assert(closed == 0);

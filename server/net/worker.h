@@ -1,15 +1,18 @@
-/* worker: a thread with an event loop of its own, its connections, and their run queue.
+/* worker: a thread with an event loop of its own, its clients, and their run queue.
  *
- * Threading: main accepts and gives each connection to the worker that has the fewest; from then on
- * the worker reads, evaluates and writes on its own thread, so that a request crosses no threads.
- * In each round of its loop a worker reads what has arrived on all of its connections, then gives
- * each that has work one turn of bounded length, evaluates together what is short
- * (server/jobs/batch.h), writes, and goes round again; a large request is taken in slices between
- * the others' turns.
+ * Threading: the main thread accepts each connection and gives it to the worker that has
+ * the fewest. From then on that worker reads, evaluates and writes for it on its own thread, so a
+ * request crosses no threads. In each round of its loop, a worker
+ *   1. reads what has arrived for all of its clients,
+ *   2. gives each client that has work one turn of bounded length,
+ *   3. evaluates the short requests of all clients together (server/jobs/batch.h),
+ *   4. writes their answers.
+ * A large request takes one slice in each turn, so other clients wait for one slice at most.
  *
- * The other scheme, an I/O thread in front that hands requests to workers and takes answers back,
- * was measured with bare prototypes of both (two cores; owners / front; the prototypes are in the
- * history, at tests/bench/bench_threads.c before they were removed):
+ * The alternative is an I/O thread that hands requests to workers and takes the answers back.
+ * Prototypes of both were measured on two cores; they are in the history, as
+ * tests/bench/bench_threads.c. In each column the first figure is for connections that belong to a
+ * worker, the second for an I/O thread in front:
  *
  *   request and in flight          requests/s     CPU, us      median round trip, us
  *   16 radii, one                  73k / 12k      5.9 / 33     11 / 48
@@ -18,8 +21,8 @@
  *   65,536 radii, 4 x 2            6968 / 6998    93 / 125     1120 / 1123
  *   65,536 radii, 1 x 4            3389 / 3437    78 / 89      612 / 605
  *
- * The hop there and back costs more than a small request, and large ones gain nothing that two
- * connections do not: so connections have owners.
+ * The way to another thread and back costs more than a small request. Large requests gain no more
+ * than they do from a second connection. So each connection belongs to one worker.
  */
 #ifndef DIPOLED_WORKER_H
 #define DIPOLED_WORKER_H
@@ -35,8 +38,8 @@ struct worker {
   uv_check_t after_poll;
   uv_idle_t stay_awake; /* active while the run queue is not empty */
   uv_timer_t clock;
-  uv_timer_t deadline; /* the next that somebody who waits has */
-  uint64_t wake_ms;    /* when it is; 0: nobody has one */
+  uv_timer_t deadline; /* fires at wake_ms */
+  uint64_t wake_ms;    /* the next deadline of a client that waits; 0 if there is none */
 
   uv_mutex_t mutex; /* guards the inbox and stop_wanted */
   struct client *inbox;
@@ -46,14 +49,14 @@ struct worker {
   TAILQ_HEAD(, client) run_queue;
   TAILQ_HEAD(, client) finish_queue; /* clients whose finish() is called in this round */
   uint64_t run_count;                /* clients in the run queue */
-  uint64_t round_ns;                 /* when this round of the loop read first; 0: it has not */
-  unsigned stop_rounds; /* rounds of the loop since the stop was wanted; 0: it is not */
+  uint64_t round_ns; /* when this round of the loop began to read; 0 if it has not read anything */
+  unsigned stop_rounds; /* rounds of the loop since the stop was requested; 0 if it was not */
   uint64_t stop_began_ms;
   _Atomic uint64_t client_count; /* clients that count, from worker_give() to worker_forget() */
   struct job_context context;
 };
 
-/* Starts the thread; a libuv error code, 0 when it runs. */
+/* Starts the thread. Returns 0 or an error code of libuv. */
 int worker_start(struct worker *worker, struct server *server);
 
 /* Call these from any thread. worker_give() hands over a client (server/net/client.h). */

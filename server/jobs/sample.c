@@ -1,0 +1,70 @@
+/* Sample: radii that are drawn as light leaves the medium, and quantities at these radii. */
+#include "proto/sample.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "server/jobs/eval.h"
+
+static wire_error check_numbers(const struct eval_job *eval) {
+  core_fault fault = core_draw_check(&eval->draw);
+  if (fault.field != NULL && strcmp(fault.field, "sample_count") == 0) {
+    return wire_error_make(WIRE_STATUS_BAD_COUNT, fault.field, fault.allowed);
+  }
+  if (fault.field == NULL && eval->request.radii != NULL) {
+    const uint64_t count = eval->request.fixed.radius_count;
+    fault = eval_job_value_bytes(eval) == sizeof(float)
+                ? core_numbers_check_f32(count, eval->request.radii)
+                : core_numbers_check_f64(count, eval->request.radii);
+  }
+  return fault.field == NULL ? wire_error_none() : job_error(fault);
+}
+
+/* Any radius may be drawn, so the model has to cover all of them. */
+static wire_error check(struct eval_job *eval) {
+  core_radii_range range;
+  const wire_error error = eval_job_check_media(eval, &range);
+  if (error.status != WIRE_STATUS_OK) {
+    return error;
+  }
+  return eval->covers_all
+             ? check_numbers(eval)
+             : wire_error_make(WIRE_STATUS_BAD_VALUE, "model", "a model that covers all radii");
+}
+
+/* Draws into the reply if the radii are wanted. */
+static const void *draw_radii(const struct eval_job *eval, size_t n) {
+  struct job_context *scratch = eval->job.context;
+  const bool single = eval_job_value_bytes(eval) == sizeof(float);
+  const bool wanted = eval_is_array(eval_job_wanted(eval), CORE_QUANTITY_RADIUS);
+  void *r = wanted ? eval_job_array(eval, CORE_QUANTITY_RADIUS) : scratch->radii;
+  const void *u = scratch->numbers;
+  if (eval->request.radii != NULL) {
+    u = eval_job_listed(eval);
+  } else if (single) {
+    core_draw_f32(&eval->draw, eval->first + eval->index, n, (float *)(void *)scratch->numbers);
+  } else {
+    core_draw_f64(&eval->draw, eval->first + eval->index, n, scratch->numbers);
+  }
+  if (single) {
+    core_sample_f32(&eval->order.profile, n, u, r);
+  } else {
+    core_sample_f64(&eval->order.profile, n, u, r);
+  }
+  return r;
+}
+
+static enum job_outcome start(struct job *job, const struct job_request *request) {
+  struct eval_job *eval = (struct eval_job *)(void *)job;
+  wire_error error = sample_request_parse(request->payload, request->header->payload_bytes,
+                                          &eval->draw, &eval->request);
+  eval->draw_radii = draw_radii;
+  eval->choice.tolerance = (double)NAN;
+  if (error.status == WIRE_STATUS_OK) {
+    error = check(eval);
+  }
+  return eval_job_start(eval, error, request);
+}
+
+const struct job_kind job_kind_SAMPLE = {
+    .start = start, .begin_part = eval_job_begin_part, .step = eval_job_step, .end = eval_job_end};
