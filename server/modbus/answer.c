@@ -6,8 +6,7 @@
 #include "server/modbus/identity.h"
 #include "server/net/worker.h"
 
-/* ---- statistics -------------------------------------------------------------------------------
- */
+/* ---- statistics ------------------------------------------------------------------------------ */
 
 /* Writes the current statistics into the registers. */
 static void refresh_statistics(struct modbus_unit *unit) {
@@ -28,8 +27,7 @@ static bool reads_statistics(const struct modbus_request *request) {
   return request->address < END_STATISTICS && request->address + request->count > FIRST_STATISTICS;
 }
 
-/* ---- functions: 0, or the exception ------------------------------------------------------------
- */
+/* ---- functions: 0, or the exception ---------------------------------------------------------- */
 
 static unsigned check_bits(const struct modbus_request *request) {
   return request->address + request->count <= REGISTERS_COILS
@@ -103,8 +101,7 @@ static unsigned carry_out(struct modbus_unit *unit, const struct modbus_request 
   }
 }
 
-/* ---- answers: their lengths -------------------------------------------------------------------
- */
+/* ---- answers: their lengths ------------------------------------------------------------------ */
 
 static size_t put_exception(unsigned function, unsigned exception, uint8_t *answer) {
   answer[0] = (uint8_t)(function | 0x80);
@@ -155,8 +152,7 @@ static size_t put_result(const struct modbus_unit *unit, const struct modbus_req
   }
 }
 
-/* ---- public -----------------------------------------------------------------------------------
- */
+/* ---- public ---------------------------------------------------------------------------------- */
 
 static void count(const struct modbus_units *units, const uint8_t *answer, size_t bytes) {
   struct worker *worker = units->client.worker;

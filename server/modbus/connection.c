@@ -36,8 +36,7 @@ static struct stats *stats_of(const struct modbus_connection *c) {
   return &c->units->server->stats;
 }
 
-/* ---- ending -----------------------------------------------------------------------------------
- */
+/* ---- ending ---------------------------------------------------------------------------------- */
 
 static void on_closed(uv_handle_t *handle) {
   struct modbus_connection *c = handle->data;
@@ -84,8 +83,7 @@ static void linger(struct modbus_connection *c) {
   set_events(c, UV_READABLE);
 }
 
-/* ---- writing ----------------------------------------------------------------------------------
- */
+/* ---- writing --------------------------------------------------------------------------------- */
 
 static bool has_unsent(const struct modbus_connection *c) {
   return c->unsent_begin < c->unsent_end;
@@ -109,8 +107,7 @@ static void write_unsent(struct modbus_connection *c) {
   }
 }
 
-/* ---- answering --------------------------------------------------------------------------------
- */
+/* ---- answering ------------------------------------------------------------------------------- */
 
 /* Masters that know no units say 0 or 255. */
 static unsigned unit_of(uint8_t number) {
@@ -211,8 +208,7 @@ static void note_partial_frame(struct modbus_connection *c) {
   }
 }
 
-/* ---- reading ----------------------------------------------------------------------------------
- */
+/* ---- reading --------------------------------------------------------------------------------- */
 
 static void discard(struct modbus_connection *c) {
   const ssize_t got = recv(c->fd, c->input, sizeof c->input, 0);
@@ -296,8 +292,7 @@ static void on_poll(uv_poll_t *poll, int status, int events) {
   }
 }
 
-/* ---- starting, stopping, time ------------------------------------------------------------------
- */
+/* ---- starting, stopping, time ---------------------------------------------------------------- */
 
 static void start(struct client *client) {
   struct modbus_connection *c = connection_of(client);

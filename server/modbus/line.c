@@ -28,8 +28,7 @@ static struct stats *stats_of(const struct modbus_line *line) {
   return &line->units->server->stats;
 }
 
-/* ---- the option -------------------------------------------------------------------------------
- */
+/* ---- the option ------------------------------------------------------------------------------ */
 
 static bool complain(const char *url, const char *why) {
   fprintf(stderr, "dipoled: --modbus %s: %s\n", url, why);
@@ -88,8 +87,7 @@ static bool read_url(struct modbus_line *line, const char *url) {
   return true;
 }
 
-/* ---- the device -------------------------------------------------------------------------------
- */
+/* ---- the device ------------------------------------------------------------------------------ */
 
 /* libmodbus opens the device without blocking, for this process alone, and sets it up. */
 static bool open_device(struct modbus_line *line) {
@@ -120,8 +118,7 @@ void modbus_line_close(struct modbus_line *line) {
   close_device(line);
 }
 
-/* ---- answering --------------------------------------------------------------------------------
- */
+/* ---- answering ------------------------------------------------------------------------------- */
 
 static uint8_t *frame_of(struct modbus_line *line) {
   return line->input + line->frame_begin;
@@ -201,8 +198,7 @@ static void run(struct client *client) {
   }
 }
 
-/* ---- reading ----------------------------------------------------------------------------------
- */
+/* ---- reading --------------------------------------------------------------------------------- */
 
 /* Whether what has arrived could be answered if nothing more came. */
 static bool is_whole(const struct modbus_line *line) {
@@ -249,8 +245,7 @@ static void on_poll(uv_poll_t *poll, int status, int events) {
   }
 }
 
-/* ---- starting, losing, stopping ----------------------------------------------------------------
- */
+/* ---- starting, losing, stopping -------------------------------------------------------------- */
 
 static void note_closed(struct modbus_line *line) {
   if (--line->open_handles == 0) {

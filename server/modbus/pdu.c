@@ -6,57 +6,48 @@ static unsigned word(const uint8_t *at) {
   return (unsigned)at[0] << 8 | at[1];
 }
 
+/* What is known of a function's requests. */
+static const struct function {
+  uint8_t number;
+  uint8_t bytes;  /* of the PDU, without the values that are written */
+  uint8_t values; /* where the PDU says how many bytes of values follow; 0: none do */
+  bool writes;
+} functions[] = {
+    {MODBUS_FC_READ_COILS, 5, 0, false},
+    {MODBUS_FC_READ_DISCRETE_INPUTS, 5, 0, false},
+    {MODBUS_FC_READ_HOLDING_REGISTERS, 5, 0, false},
+    {MODBUS_FC_READ_INPUT_REGISTERS, 5, 0, false},
+    {MODBUS_FC_WRITE_SINGLE_COIL, 5, 0, true},
+    {MODBUS_FC_WRITE_SINGLE_REGISTER, 5, 0, true},
+    {MODBUS_FC_WRITE_MULTIPLE_COILS, 6, 5, true},
+    {MODBUS_FC_WRITE_MULTIPLE_REGISTERS, 6, 5, true},
+    {MODBUS_FC_REPORT_SLAVE_ID, 1, 0, false},
+    {MODBUS_FC_MASK_WRITE_REGISTER, 7, 0, true},
+    {MODBUS_FC_WRITE_AND_READ_REGISTERS, 10, 9, true},
+    {MODBUS_FC_READ_DEVICE_ID, 4, 0, false},
+};
+
+/* NULL: the function is unknown. */
+static const struct function *find(unsigned number) {
+  for (size_t i = 0; i < sizeof functions / sizeof functions[0]; i++) {
+    if (functions[i].number == number) {
+      return &functions[i];
+    }
+  }
+  return NULL;
+}
+
 size_t modbus_pdu_bytes(const uint8_t *pdu, size_t bytes) {
-  switch (bytes > 0 ? pdu[0] : 0) {
-  case MODBUS_FC_READ_COILS:
-  case MODBUS_FC_READ_DISCRETE_INPUTS:
-  case MODBUS_FC_READ_HOLDING_REGISTERS:
-  case MODBUS_FC_READ_INPUT_REGISTERS:
-  case MODBUS_FC_WRITE_SINGLE_COIL:
-  case MODBUS_FC_WRITE_SINGLE_REGISTER:
-    return 5;
-  case MODBUS_FC_WRITE_MULTIPLE_COILS:
-  case MODBUS_FC_WRITE_MULTIPLE_REGISTERS:
-    return bytes > 5 ? 6 + (size_t)pdu[5] : 0;
-  case MODBUS_FC_REPORT_SLAVE_ID:
-    return 1;
-  case MODBUS_FC_MASK_WRITE_REGISTER:
-    return 7;
-  case MODBUS_FC_WRITE_AND_READ_REGISTERS:
-    return bytes > 9 ? 10 + (size_t)pdu[9] : 0;
-  case MODBUS_FC_READ_DEVICE_ID:
-    return 4;
-  default:
+  const struct function *function = bytes > 0 ? find(pdu[0]) : NULL;
+  if (function == NULL || bytes <= function->values) {
     return 0;
   }
+  return function->bytes + (function->values > 0 ? (size_t)pdu[function->values] : 0);
 }
 
-bool modbus_pdu_writes(unsigned function) {
-  switch (function) {
-  case MODBUS_FC_WRITE_SINGLE_COIL:
-  case MODBUS_FC_WRITE_SINGLE_REGISTER:
-  case MODBUS_FC_WRITE_MULTIPLE_COILS:
-  case MODBUS_FC_WRITE_MULTIPLE_REGISTERS:
-  case MODBUS_FC_MASK_WRITE_REGISTER:
-  case MODBUS_FC_WRITE_AND_READ_REGISTERS:
-    return true;
-  default:
-    return false;
-  }
-}
-
-static bool is_known(unsigned function) {
-  switch (function) {
-  case MODBUS_FC_READ_COILS:
-  case MODBUS_FC_READ_DISCRETE_INPUTS:
-  case MODBUS_FC_READ_HOLDING_REGISTERS:
-  case MODBUS_FC_READ_INPUT_REGISTERS:
-  case MODBUS_FC_REPORT_SLAVE_ID:
-  case MODBUS_FC_READ_DEVICE_ID:
-    return true;
-  default:
-    return modbus_pdu_writes(function);
-  }
+bool modbus_pdu_writes(unsigned number) {
+  const struct function *function = find(number);
+  return function != NULL && function->writes;
 }
 
 static bool within(unsigned count, unsigned most) {
@@ -111,7 +102,7 @@ static bool take_counts(const uint8_t *pdu, struct modbus_request *request) {
 
 unsigned modbus_pdu_parse(const uint8_t *pdu, size_t bytes, struct modbus_request *request) {
   *request = (struct modbus_request){.function = pdu[0]};
-  if (!is_known(request->function) ||
+  if (find(request->function) == NULL ||
       (request->function == MODBUS_FC_READ_DEVICE_ID && bytes > 1 && pdu[1] != 0x0e)) {
     return MODBUS_EXCEPTION_ILLEGAL_FUNCTION;
   }

@@ -33,7 +33,7 @@ unsigned modbus_pdu_parse(const uint8_t *pdu, size_t bytes, struct modbus_reques
  * or the function is unknown. */
 size_t modbus_pdu_bytes(const uint8_t *pdu, size_t bytes);
 
-/* Whether a function changes anything. */
-bool modbus_pdu_writes(unsigned function);
+/* Whether the function of a number changes anything. */
+bool modbus_pdu_writes(unsigned number);
 
 #endif

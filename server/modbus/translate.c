@@ -7,8 +7,7 @@
 
 _Static_assert(REGISTERS_RADII_MAX % 2 == 0, "arrays of the most radii need no padding");
 
-/* ---- input ------------------------------------------------------------------------------------
- */
+/* ---- input ----------------------------------------------------------------------------------- */
 
 static double number(const uint16_t image[REGISTERS_END], unsigned address) {
   return (double)registers_f32(image, address);
@@ -74,8 +73,7 @@ size_t modbus_translate_input(const uint16_t image[REGISTERS_END], uint8_t *ques
   return bytes;
 }
 
-/* ---- output -----------------------------------------------------------------------------------
- */
+/* ---- output ---------------------------------------------------------------------------------- */
 
 /* Values in the evaluator's precision; NULL: there are none. */
 struct values {

@@ -10,8 +10,7 @@ static struct server *server_of(const struct modbus_unit *unit) {
   return unit->units->server;
 }
 
-/* ---- what the registers say of a job ----------------------------------------------------------
- */
+/* ---- what the registers say of a job --------------------------------------------------------- */
 
 static unsigned exception_of(enum wire_status status) {
   switch (status) {
@@ -64,8 +63,7 @@ static void finish_job(struct modbus_unit *unit) {
   }
 }
 
-/* ---- the job ----------------------------------------------------------------------------------
- */
+/* ---- the job --------------------------------------------------------------------------------- */
 
 /* The job's values are in the batch now. */
 static void note_evaluating(struct modbus_unit *unit) {
@@ -75,8 +73,8 @@ static void note_evaluating(struct modbus_unit *unit) {
   worker_finish_later(&unit->units->client);
 }
 
-/* Goes on with the job until its values are in the batch, or it waits, or it has been refused. Its 50
- * radii at most are no more than a slice, and their reply is one part. */
+/* Goes on with the job until its values are in the batch, or it waits, or it has been refused. Its
+ * 50 radii at most are no more than a slice, and their reply is one part. */
 static wire_error follow(struct modbus_unit *unit, enum job_outcome outcome) {
   struct job *job = unit->job;
   while (outcome == JOB_GOES_ON || outcome == JOB_NEXT_PART) {
@@ -120,8 +118,7 @@ static wire_error evaluate(struct modbus_unit *unit) {
   return outcome == JOB_REFUSED ? unit->job->refusal : follow(unit, outcome);
 }
 
-/* ---- writing ----------------------------------------------------------------------------------
- */
+/* ---- writing --------------------------------------------------------------------------------- */
 
 enum { WRITE_MAX = 123 }; /* registers in one request */
 
@@ -185,8 +182,7 @@ unsigned modbus_unit_write(struct modbus_unit *unit, unsigned address, unsigned 
   return 0;
 }
 
-/* ---- all units --------------------------------------------------------------------------------
- */
+/* ---- all units ------------------------------------------------------------------------------- */
 
 static struct modbus_units *units_of(struct client *client) {
   return (struct modbus_units *)(void *)client;

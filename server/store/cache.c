@@ -18,24 +18,26 @@ struct cache_entry {
   bool slow;
   _Atomic uint64_t references;
   _Atomic bool kept; /* in the cache; set when it is prepared */
-  _Atomic bool used; /* since it came to the head of its list */
+  _Atomic bool used; /* since it was put at the head of its list */
 
   /* Guarded by the mutex. */
-  bool under_way;               /* to be prepared */
-  struct cache_waiter *waiters; /* while it is */
-  struct cache_entry *next;     /* in its bucket; or of those that have been evicted */
-  struct cache_entry *newer;    /* in its list */
-  struct cache_entry *older;
+  bool under_way;               /* it is not prepared yet */
+  struct cache_waiters waiters; /* until it is prepared */
+  LIST_ENTRY(cache_entry) in_bucket;
+  TAILQ_ENTRY(cache_entry) in_list; /* of a kind, or of those that have been evicted */
 
-  /* Set by who prepares it, before others see it. */
+  /* Set by the thread that prepares it, before others see it. */
   uint64_t bytes;
   core_fault fault;
   core_profile profile;
 };
 
+TAILQ_HEAD(entries, cache_entry);
+LIST_HEAD(bucket, cache_entry);
+
+/* The entries of one kind, the newest first. */
 struct list {
-  struct cache_entry *newest;
-  struct cache_entry *oldest;
+  struct entries entries;
   uint64_t bytes;
   uint64_t count;
 };
@@ -45,14 +47,13 @@ struct cache {
   struct stats *stats;
   uint64_t limit_bytes;
   uv_mutex_t mutex; /* guards the rest */
-  struct cache_entry **buckets;
+  struct bucket *buckets;
   uint64_t bucket_count;
-  uint64_t entry_count; /* in the buckets: prepared and under way */
+  uint64_t entry_count; /* in the buckets, prepared or not */
   struct list lists[KINDS];
 };
 
-/* ---- keys -------------------------------------------------------------------------------------
- */
+/* ---- keys ------------------------------------------------------------------------------------ */
 
 static_assert(sizeof(struct cache_key) == 16 + 8 * CORE_PARAMETERS_END + 32 + 16, "no padding");
 
@@ -107,8 +108,7 @@ core_fault cache_key_prepare(const struct cache_key *key, const core_isa *isa,
                               &parameters);
 }
 
-/* ---- references -------------------------------------------------------------------------------
- */
+/* ---- references ------------------------------------------------------------------------------ */
 
 void cache_hold(struct cache_entry *entry) {
   atomic_fetch_add_explicit(&entry->references, 1, memory_order_relaxed);
@@ -125,11 +125,11 @@ void cache_release(struct cache_entry *entry) {
   free(entry);
 }
 
-static void release_all(struct cache_entry *entry) {
-  while (entry != NULL) {
-    struct cache_entry *next = entry->next;
+static void release_all(struct entries *evicted) {
+  struct cache_entry *entry;
+  while ((entry = TAILQ_FIRST(evicted)) != NULL) {
+    TAILQ_REMOVE(evicted, entry, in_list);
     cache_release(entry);
-    entry = next;
   }
 }
 
@@ -152,42 +152,37 @@ void cache_used(struct cache_entry *entry) {
   }
 }
 
-/* ---- the table of all; under the mutex, as all up to the public part ----------------------------
- */
+/* ---- the table of all entries; from here to the public part, the mutex is held --------------- */
 
-static struct cache_entry **bucket_of(const struct cache *cache, uint64_t hash) {
+static struct bucket *bucket_of(const struct cache *cache, uint64_t hash) {
   return &cache->buckets[hash & (cache->bucket_count - 1)];
 }
 
 static struct cache_entry *find(const struct cache *cache, const struct cache_key *key) {
-  struct cache_entry *entry = *bucket_of(cache, key->hash);
-  while (entry != NULL && !cache_key_equal(&entry->key, key)) {
-    entry = entry->next;
+  struct cache_entry *entry;
+  LIST_FOREACH(entry, bucket_of(cache, key->hash), in_bucket) {
+    if (cache_key_equal(&entry->key, key)) {
+      break;
+    }
   }
   return entry;
 }
 
-static void put_into_bucket(struct cache *cache, struct cache_entry *entry) {
-  struct cache_entry **bucket = bucket_of(cache, entry->key.hash);
-  entry->next = *bucket;
-  *bucket = entry;
-}
-
-/* Twice the buckets, when there are as many entries; without memory for them the old ones do. */
+/* Doubles the number of buckets. Without memory for them, the old ones go on being used. */
 static void grow(struct cache *cache) {
   const uint64_t old_count = cache->bucket_count;
-  struct cache_entry **old = cache->buckets;
-  struct cache_entry **buckets = calloc(2 * old_count, sizeof *buckets);
+  struct bucket *old = cache->buckets;
+  struct bucket *buckets = calloc(2 * old_count, sizeof *buckets);
   if (buckets == NULL) {
     return;
   }
   cache->buckets = buckets;
   cache->bucket_count = 2 * old_count;
   for (uint64_t i = 0; i < old_count; i++) {
-    for (struct cache_entry *entry = old[i]; entry != NULL;) {
-      struct cache_entry *next = entry->next;
-      put_into_bucket(cache, entry);
-      entry = next;
+    struct cache_entry *entry;
+    while ((entry = LIST_FIRST(&old[i])) != NULL) {
+      LIST_REMOVE(entry, in_bucket);
+      LIST_INSERT_HEAD(bucket_of(cache, entry->key.hash), entry, in_bucket);
     }
   }
   free(old);
@@ -197,84 +192,52 @@ static void add(struct cache *cache, struct cache_entry *entry) {
   if (cache->entry_count == cache->bucket_count) {
     grow(cache);
   }
-  put_into_bucket(cache, entry);
+  LIST_INSERT_HEAD(bucket_of(cache, entry->key.hash), entry, in_bucket);
   cache->entry_count++;
 }
 
 static void take_out(struct cache *cache, struct cache_entry *entry) {
-  struct cache_entry **link = bucket_of(cache, entry->key.hash);
-  while (*link != entry) {
-    link = &(*link)->next;
-  }
-  *link = entry->next;
-  entry->next = NULL;
+  LIST_REMOVE(entry, in_bucket);
   cache->entry_count--;
 }
 
-/* ---- the order of eviction --------------------------------------------------------------------
- */
+/* ---- eviction -------------------------------------------------------------------------------- */
 
 static struct list *list_of(struct cache *cache, const struct cache_entry *entry) {
   return &cache->lists[entry->slow];
 }
 
-static void put_first(struct list *list, struct cache_entry *entry) {
-  entry->newer = NULL;
-  entry->older = list->newest;
-  if (list->newest != NULL) {
-    list->newest->newer = entry;
-  } else {
-    list->oldest = entry;
-  }
-  list->newest = entry;
-  list->bytes += entry->bytes;
-  list->count++;
-}
-
-static void unlist(struct list *list, struct cache_entry *entry) {
-  if (entry->newer != NULL) {
-    entry->newer->older = entry->older;
-  } else {
-    list->newest = entry->older;
-  }
-  if (entry->older != NULL) {
-    entry->older->newer = entry->newer;
-  } else {
-    list->oldest = entry->newer;
-  }
-  list->bytes -= entry->bytes;
-  list->count--;
-}
-
 static void move_to_head(struct list *list, struct cache_entry *entry) {
   atomic_store_explicit(&entry->used, false, memory_order_relaxed);
-  unlist(list, entry);
-  put_first(list, entry);
+  TAILQ_REMOVE(&list->entries, entry, in_list);
+  TAILQ_INSERT_HEAD(&list->entries, entry, in_list);
 }
 
-/* The oldest of a list that is not empty, after those that have been used since they came to its
- * head have come there once more. */
+/* The oldest entry of a list that is not empty. Entries that have been used since they were put at
+ * the head are put there once more instead. */
 static struct cache_entry *choose(struct list *list) {
   for (uint64_t left = list->count; left > 0; left--) {
-    if (!atomic_load_explicit(&list->oldest->used, memory_order_relaxed)) {
+    struct cache_entry *oldest = TAILQ_LAST(&list->entries, entries);
+    if (!atomic_load_explicit(&oldest->used, memory_order_relaxed)) {
       break;
     }
-    move_to_head(list, list->oldest);
+    move_to_head(list, oldest);
   }
-  return list->oldest;
+  return TAILQ_LAST(&list->entries, entries);
 }
 
 static uint64_t kept_bytes(const struct cache *cache) {
   return cache->lists[false].bytes + cache->lists[true].bytes;
 }
 
-static void evict(struct cache *cache, struct list *list, struct cache_entry **evicted) {
+static void evict(struct cache *cache, struct list *list, struct entries *evicted) {
   struct cache_entry *entry = choose(list);
-  unlist(list, entry);
+  TAILQ_REMOVE(&list->entries, entry, in_list);
+  list->bytes -= entry->bytes;
+  list->count--;
   take_out(cache, entry);
   atomic_store_explicit(&entry->kept, false, memory_order_relaxed);
-  entry->next = *evicted;
-  *evicted = entry;
+  TAILQ_INSERT_HEAD(evicted, entry, in_list);
   stats_add(cache->stats, STATS_CACHE_EVICTIONS, 1);
   stats_subtract(cache->stats, STATS_CACHE_ENTRIES, 1);
   stats_subtract(cache->stats, STATS_CACHE_BYTES, entry->bytes);
@@ -284,10 +247,11 @@ static uint64_t limit_of(const struct cache *cache, bool slow) {
   return slow ? cache->limit_bytes : cache->limit_bytes / FAST_SHARE;
 }
 
-/* Room for an entry that is not larger than its limit: of the fast ones first as many as exceed
- * their share, then slow ones while there are any. */
+/* Makes room for an entry that is not larger than its limit. For a fast entry, fast ones are
+ * evicted first until all of them keep their limit. Then slow ones are evicted while there are
+ * any. */
 static void make_room(struct cache *cache, const struct cache_entry *entry,
-                      struct cache_entry **evicted) {
+                      struct entries *evicted) {
   struct list *fast = &cache->lists[false];
   struct list *slow = &cache->lists[true];
   while (!entry->slow && entry->bytes > limit_of(cache, false) - fast->bytes) {
@@ -298,63 +262,59 @@ static void make_room(struct cache *cache, const struct cache_entry *entry,
   }
 }
 
-/* Keeps an entry that has just been prepared and is in the table; or, when it is larger than all
- * that may be kept, takes it out and has it released with those that have been evicted. */
-static void keep(struct cache *cache, struct cache_entry *entry, struct cache_entry **evicted) {
+/* Keeps an entry that has just been prepared and is in the table. If it has a fault, or is larger
+ * than all that may be kept, it is taken out and released with those that have been evicted. */
+static void keep(struct cache *cache, struct cache_entry *entry, struct entries *evicted) {
   if (entry->fault.field != NULL || entry->bytes > limit_of(cache, entry->slow)) {
     take_out(cache, entry);
-    *evicted = entry;
+    TAILQ_INSERT_HEAD(evicted, entry, in_list);
     return;
   }
   make_room(cache, entry, evicted);
-  put_first(list_of(cache, entry), entry);
+  struct list *list = list_of(cache, entry);
+  TAILQ_INSERT_HEAD(&list->entries, entry, in_list);
+  list->bytes += entry->bytes;
+  list->count++;
   atomic_store_explicit(&entry->kept, true, memory_order_relaxed);
   stats_add(cache->stats, STATS_CACHE_ENTRIES, 1);
   stats_add(cache->stats, STATS_CACHE_BYTES, entry->bytes);
 }
 
-/* ---- waiting ----------------------------------------------------------------------------------
- */
-
-static void enlist(struct cache_waiter **list, struct cache_waiter *waiter) {
-  waiter->next = *list;
-  waiter->link = list;
-  if (waiter->next != NULL) {
-    waiter->next->link = &waiter->next;
-  }
-  *list = waiter;
-}
-
-static void delist(struct cache_waiter *waiter) {
-  *waiter->link = waiter->next;
-  if (waiter->next != NULL) {
-    waiter->next->link = waiter->link;
-  }
-  waiter->next = NULL;
-  waiter->link = NULL;
-}
+/* ---- waiting --------------------------------------------------------------------------------- */
 
 static void wait_for(struct cache_entry *entry, struct cache_queue *queue,
                      struct cache_waiter *waiter) {
   cache_hold(entry);
   waiter->entry = entry;
   waiter->queue = queue;
-  enlist(&entry->waiters, waiter);
+  waiter->list = &entry->waiters;
+  LIST_INSERT_HEAD(waiter->list, waiter, in_list);
 }
 
-/* While a waiter is in the list its thread cannot end, so its queue can be woken. */
-static void wake_all(struct cache_entry *entry) {
-  while (entry->waiters != NULL) {
-    struct cache_waiter *waiter = entry->waiters;
-    delist(waiter);
-    enlist(&waiter->queue->woken, waiter);
-    waiter->queue->wake(waiter->queue->context);
+/* Takes a waiter out of the list that it is in, if any. */
+static void delist(struct cache_waiter *waiter) {
+  if (waiter->list != NULL) {
+    LIST_REMOVE(waiter, in_list);
+    waiter->list = NULL;
   }
 }
 
-/* A slow entry that nobody waits for when its turn comes: true, and it is out of the table. */
+/* A thread cannot end while a waiter of its queue is in the list. So the queue may be woken. */
+static void wake_all(struct cache_entry *entry) {
+  struct cache_waiter *waiter;
+  while ((waiter = LIST_FIRST(&entry->waiters)) != NULL) {
+    struct cache_queue *queue = waiter->queue;
+    delist(waiter);
+    waiter->list = &queue->woken;
+    LIST_INSERT_HEAD(waiter->list, waiter, in_list);
+    queue->wake(queue->context);
+  }
+}
+
+/* Takes a slow entry out of the table if nobody waits for it any more when it is to be prepared.
+ * False: somebody does. */
 static bool give_up(struct cache_entry *entry) {
-  if (!entry->slow || entry->waiters != NULL) {
+  if (!entry->slow || !LIST_EMPTY(&entry->waiters)) {
     return false;
   }
   take_out(entry->cache, entry);
@@ -362,7 +322,8 @@ static bool give_up(struct cache_entry *entry) {
   return true;
 }
 
-/* Referred to by the table and by who has it prepared; NULL: out of memory. */
+/* An entry with two references: the table's, and that of the caller, who has it prepared. NULL: out
+ * of memory. */
 static struct cache_entry *new_entry(struct cache *cache, const struct cache_key *key, bool slow) {
   struct cache_entry *entry = calloc(1, sizeof *entry);
   if (entry != NULL) {
@@ -397,8 +358,7 @@ static enum cache_answer look(struct cache *cache, const struct cache_key *key, 
   return CACHE_KEPT;
 }
 
-/* ---- public: takes the mutex -------------------------------------------------------------------
- */
+/* ---- public: takes the mutex ----------------------------------------------------------------- */
 
 struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, struct stats *stats) {
   struct cache *cache = calloc(1, sizeof *cache);
@@ -409,7 +369,9 @@ struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, struct stats 
   cache->limit_bytes = limit_bytes;
   cache->stats = stats;
   cache->bucket_count = BUCKETS_MIN;
-  cache->buckets = calloc(BUCKETS_MIN, sizeof(struct cache_entry *));
+  cache->buckets = calloc(BUCKETS_MIN, sizeof *cache->buckets);
+  TAILQ_INIT(&cache->lists[false].entries);
+  TAILQ_INIT(&cache->lists[true].entries);
   if (cache->buckets == NULL || uv_mutex_init(&cache->mutex) != 0) {
     free(cache->buckets);
     free(cache);
@@ -423,11 +385,11 @@ void cache_free(struct cache *cache) {
     return;
   }
   for (uint64_t i = 0; i < cache->bucket_count; i++) {
-    for (struct cache_entry *entry = cache->buckets[i]; entry != NULL;) {
-      struct cache_entry *next = entry->next;
+    struct cache_entry *entry;
+    while ((entry = LIST_FIRST(&cache->buckets[i])) != NULL) {
       assert(!entry->under_way && atomic_load(&entry->references) == 1);
+      LIST_REMOVE(entry, in_bucket);
       cache_release(entry);
-      entry = next;
     }
   }
   uv_mutex_destroy(&cache->mutex);
@@ -458,18 +420,18 @@ void cache_prepare(struct cache_entry *entry) {
   if (entry->fault.field == NULL) {
     entry->bytes = sizeof *entry + core_profile_bytes(&entry->profile);
   }
-  struct cache_entry *evicted = NULL;
+  struct entries evicted = TAILQ_HEAD_INITIALIZER(evicted);
   uv_mutex_lock(&cache->mutex);
   entry->under_way = false;
   keep(cache, entry, &evicted);
   wake_all(entry);
   uv_mutex_unlock(&cache->mutex);
-  release_all(evicted);
+  release_all(&evicted);
 }
 
 struct cache_waiter *cache_next_woken(struct cache *cache, struct cache_queue *queue) {
   uv_mutex_lock(&cache->mutex);
-  struct cache_waiter *waiter = queue->woken;
+  struct cache_waiter *waiter = LIST_FIRST(&queue->woken);
   if (waiter != NULL) {
     delist(waiter);
   }
@@ -483,9 +445,7 @@ void cache_leave(struct cache_waiter *waiter) {
     return;
   }
   uv_mutex_lock(&entry->cache->mutex);
-  if (waiter->link != NULL) {
-    delist(waiter);
-  }
+  delist(waiter);
   uv_mutex_unlock(&entry->cache->mutex);
   *waiter = (struct cache_waiter){0};
   cache_release(entry);

@@ -21,6 +21,8 @@
 #ifndef DIPOLED_CACHE_H
 #define DIPOLED_CACHE_H
 
+#include <sys/queue.h>
+
 #include "core/core.h"
 #include "server/observe/stats.h"
 
@@ -55,22 +57,23 @@ core_fault cache_key_prepare(const struct cache_key *key, const core_isa *isa,
 
 struct cache;
 struct cache_entry;
-struct cache_waiter;
+
+LIST_HEAD(cache_waiters, cache_waiter);
 
 /* The entries that one thread waits for. The cache calls `wake` on any thread whenever
  * cache_next_woken() has something new. `wake` may not call the cache. */
 struct cache_queue {
   void (*wake)(void *context);
   void *context;
-  struct cache_waiter *woken;
+  struct cache_waiters woken;
 };
 
 /* Waits for one entry on behalf of a job. All members are 0 while it waits for nothing. */
 struct cache_waiter {
   struct cache_entry *entry;
   struct cache_queue *queue;
-  struct cache_waiter *next;
-  struct cache_waiter **link; /* the pointer that points here; NULL if the waiter is in no list */
+  struct cache_waiters *list; /* the entry's or the queue's; NULL: neither */
+  LIST_ENTRY(cache_waiter) in_list;
 };
 
 /* Keeps at most limit_bytes of prepared profiles. NULL: out of memory. */

@@ -3,8 +3,7 @@
 #include <assert.h>
 #include <stdlib.h>
 
-/* ---- preparing on another thread --------------------------------------------------------------
- */
+/* ---- preparing on another thread ------------------------------------------------------------- */
 
 struct task {
   uv_work_t work;
@@ -38,8 +37,7 @@ static void start_preparing(struct profiles *profiles, struct cache_entry *entry
   cache_release(entry);
 }
 
-/* ---- the table --------------------------------------------------------------------------------
- */
+/* ---- the table ------------------------------------------------------------------------------- */
 
 static struct profiles_set *set_of(struct profiles *profiles, uint64_t hash) {
   return &profiles->sets[hash % PROFILES_SETS];
@@ -131,8 +129,7 @@ const core_profile *profiles_at(struct profiles_place place) {
   return &slot->profile;
 }
 
-/* ---- getting ----------------------------------------------------------------------------------
- */
+/* ---- getting --------------------------------------------------------------------------------- */
 
 static void count(const struct profiles *profiles, bool hit) {
   stats_add(&profiles->server->stats, hit ? STATS_CACHE_HITS : STATS_CACHE_MISSES, 1);
@@ -231,8 +228,7 @@ static enum profiles_answer get(struct profiles *profiles, struct profiles_order
              : prepare_here(profiles, order);
 }
 
-/* ---- public -----------------------------------------------------------------------------------
- */
+/* ---- public ---------------------------------------------------------------------------------- */
 
 void profiles_start(struct profiles_order *order, unsigned model, unsigned moments,
                     unsigned evaluator, const core_parameters *parameters) {
@@ -285,6 +281,6 @@ void profiles_init(struct profiles *profiles, struct server *server, uv_loop_t *
 }
 
 void profiles_end(struct profiles *profiles) {
-  assert(profiles->queue.woken == NULL);
+  assert(LIST_EMPTY(&profiles->queue.woken));
   empty_slots(profiles, true);
 }
