@@ -19,17 +19,6 @@ HEADER = "model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,cdf,numerical_error,mod
 # ---- numbers -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("channel, albedo", enumerate([0.72775656, 0.54408776, 0.44055470]))
-def test_published_albedo_of_skin2(channel, albedo):
-    """These numbers were made with the F_dr of Jensen et al. 2001, not with the fits of Eq. 2."""
-    rows = eval_rows(
-        *["--medium", "skin2", "--eta", "1", "--model", "classical", "--moments", "jensen"],
-        *["--want", "albedo"],
-    )
-    assert len(rows) == 3
-    assert abs(float(rows[channel]["albedo"]) - albedo) <= 5e-8
-
-
 @pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
 @pytest.mark.parametrize("moments", ["exact", "fit"])
 def test_points_says_the_same_as_eval(evaluator, moments):

@@ -1,4 +1,5 @@
-"""Radii by rule: they are what the rule says, and evaluate like the same radii in a list."""
+"""Radii by rule evaluate like the same radii in a list. That they are what the rule says is tested by
+tests/unit/test_grid.c."""
 
 from __future__ import annotations
 
@@ -23,25 +24,6 @@ GRIDS = {
     "logarithmic, longer than a slice": Grid(1e-4, 50.0, 70_001, "logarithmic"),
 }
 EVALUATORS = {"f64": np.float64, "f32": np.float32}
-
-
-def rule(grid: Grid) -> np.ndarray:
-    """The radii by the documented rule, in extended precision."""
-    start, stop = np.longdouble(grid.start_mm), np.longdouble(grid.stop_mm)
-    part = np.arange(grid.count, dtype=np.longdouble) / (grid.count - 1)
-    if grid.spacing == "linear":
-        return start + part * (stop - start)
-    return start * np.exp(part * (np.log(stop) - np.log(start)))
-
-
-@pytest.mark.parametrize("name", GRIDS)
-def test_radii_follow_the_rule(client, name):
-    grid = GRIDS[name]
-    r = client.eval("better", MEDIA[:1], grid=grid, wanted=["r"]).r
-    assert r.shape == (grid.count,)
-    assert (r[0], r[-1]) == (grid.start_mm, grid.stop_mm)
-    assert np.all(np.diff(r) >= 0)
-    np.testing.assert_allclose(r.astype(np.longdouble), rule(grid), rtol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,6 @@ from frames import (
     INVERT,
     SKIN,
     ask,
-    assert_error,
     assert_refused,
     assert_serves,
     frame,

@@ -8,7 +8,7 @@ import socket
 
 import pytest
 from daemons import Daemon, eventually, sanitized
-from dipole import Connection, ConnectionLost, Frame, wire
+from dipole import ConnectionLost, Frame, wire
 from frames import (
     ALBEDO,
     EVAL,

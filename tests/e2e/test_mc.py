@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import signal
 import threading
 from pathlib import Path
@@ -11,7 +10,7 @@ from pathlib import Path
 import dipole
 import numpy as np
 import pytest
-from daemons import REPOSITORY, eventually
+from daemons import eventually
 from dipole import Grid, Medium, wire
 from dipole.mc import McResult, pack_request, progress_of, unpack_fixed, unpack_result
 from frames import (
@@ -92,41 +91,6 @@ def test_same_bits_whoever_walks(daemon, how):
     assert expected == "errors" or tables[0].photons == 74 * BATCH  # 300,000, rounded up
 
 
-def test_seeds_differ(client):
-    one, other = (client.mc(TISSUE, EDGES, photons=BATCH, seed=seed) for seed in (1, 2**63))
-    assert one.payload != other.payload
-
-
-def truth() -> dict[tuple[float, float], float]:
-    """(albedo, eta): total reflectance per launched power, where the reference is there."""
-    path = REPOSITORY.parent / "shared/reference/truth.md"
-    if not path.exists():
-        return {}
-    row = r"^\| (\.\d+) \| (\.\d{9,}) \| (\.\d{9,}) \| (\.\d{9,}) \|"
-    rows = re.findall(row, path.read_text(), re.M)
-    return {
-        (float(albedo), eta): float(total)
-        for albedo, *totals in rows
-        for eta, total in zip((1.0, 1.33, 1.5), totals)
-    }
-
-
-def test_totals_are_those_of_transport(client):
-    totals = truth()
-    if not totals:
-        pytest.skip("../shared/reference/truth.md is not there")
-    albedos = sorted({albedo for albedo, _ in totals})
-    assert len(albedos) >= 8
-    for eta in (1.0, 1.33, 1.5):
-        medium = Medium(0.5, 0.5, 0.0, eta)
-        result = client.mc(medium, EDGES, photons=150_000, albedos=albedos, seed=3)
-        specular = ((eta - 1) / (eta + 1)) ** 2
-        for energy in result.energies:
-            expected = (totals[energy.albedo, eta] - specular) / (1 - specular)
-            assert abs(energy.R.value - expected) < 4 * energy.R.error
-            assert energy.R.error < 0.03 * expected
-
-
 def test_rings_and_shares_add_up(client):
     result = client.mc(TISSUE, Grid(0.1, 3.0, 8), thickness=1.0, photons=50_000, albedos=[1, 0.5])
     areas = math.pi * np.diff(result.edges**2)
@@ -151,22 +115,6 @@ def test_own_albedo_is_the_default(client):
     assert own.energies[0].albedo == 0.9 and own.values.shape == (1, 1, 10)
 
 
-@pytest.mark.parametrize(
-    "medium, how, check",
-    [
-        (Medium(1, 0, 0, 1.5), {}, lambda e: e.absorbed.value == 1 and e.R.value == 0),
-        (Medium(1, 0, 0, 1.5), {"error_rings": 0.1}, lambda e: e.absorbed.value == 1),
-        (Medium(0, 1, 0, 1.0), {}, lambda e: e.R.value > 0.9 and e.absorbed.value == 0),
-        (TISSUE, {"thickness": 0.0}, lambda e: abs(e.T.value + e.R.value - 1) < 1e-12),
-        (Medium(0.1, 10, 0.999, 1.3), {"thickness": 0.5}, lambda e: e.T.value > 0.8),
-        (Medium(0.1, 10, -0.999, 1.3), {}, lambda e: 0.3 < e.R.value < 1),
-    ],
-)
-def test_extremes_end(client, medium, how, check):
-    result = client.mc(medium, EDGES, **{"photons": 2 * BATCH, **how})
-    assert check(result.energies[0]), result.energies[0]
-
-
 def test_errors_end_it_early(client):
     total = client.mc(TISSUE, EDGES, error_total=0.01)
     assert total.state == "errors" and total.photons == 32 * BATCH  # fewer are not believed
@@ -181,12 +129,6 @@ def test_errors_end_it_early(client):
     assert both.payload == rings.payload
     short = client.mc(TISSUE, EDGES, error_rings=1e-6, photons=50_000)
     assert short.state == "photons" and short.photons == 13 * BATCH
-
-
-def test_one_batch_knows_no_error(client):
-    result = client.mc(TISSUE, EDGES, photons=1)
-    assert result.photons == BATCH and np.isinf(result.errors).all()
-    assert math.isinf(result.error_total) and math.isinf(result.energies[0].R.error)
 
 
 # ---- progress and the end ------------------------------------------------------------------------

@@ -236,24 +236,6 @@ def test_S_at_the_ends(client, evaluator):
                 assert np.isinf(answer.S[0, 0]) == np.isinf(answer.R[0, 0]), (model, cos)
 
 
-def test_S_adds_up_to_what_is_transmitted(client):
-    """Over all angles of exit S times the cosine is F_t(cos_in) R."""
-    nodes, weights = np.polynomial.legendre.leggauss(40)
-    root = (nodes + 1) / 2
-    medium = Medium(0.1, 1.0, 0.3, 1.4)
-    total = 0.0
-    for x, weight in zip(root, weights):
-        answer = client.eval(
-            "better",
-            medium,
-            [1.0],
-            wanted=["R", "S"],
-            parameters={"cos_in": 0.6, "cos_out": x**2},
-        )
-        total += weight * x * 2 * math.pi * x**2 * answer.S[0, 0]
-    assert total == pytest.approx(transmittance(1.4, 0.6) * answer.R[0, 0], rel=1e-10)
-
-
 def test_angles_change_nothing_but_S(client):
     wanted = ["R", "albedo", "cdf", "ln_R", "pdf", "dR_dr", "2_pi_r_R"]
     for model in MODELS:
@@ -266,22 +248,6 @@ def test_angles_change_nothing_but_S(client):
 
 
 # ---- 2 pi r R ------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("evaluator, epsilon", [("f64", 2.0**-52), ("f32", 2.0**-23)])
-@pytest.mark.parametrize("model", MODELS)
-def test_ring_follows_R(client, model, evaluator, epsilon):
-    answer = client.eval(
-        model,
-        SKIN,
-        [0.5, 1.0, 3.0],
-        evaluator=evaluator,
-        wanted=["R", "2_pi_r_R"],
-        parameters=needs(model),
-    )
-    expected = 2 * np.pi * answer.r * answer.R.astype(float)
-    bound = 2.1 * answer.numerical_error() + 8 * epsilon
-    assert np.all(np.abs(answer.two_pi_r_R - expected) <= bound * np.abs(expected))
 
 
 @pytest.mark.parametrize("evaluator", ["f64", "f32"])

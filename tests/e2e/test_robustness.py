@@ -17,7 +17,6 @@ import threading
 import time
 from pathlib import Path
 
-import dipole
 import pytest
 from daemons import Daemon, eventually, sanitized
 from dipole import Connection, ConnectionLost, wire
@@ -25,11 +24,9 @@ from frames import (
     EVAL,
     F32,
     PING,
-    SKIN,
     R,
     ask,
     assert_daemon_serves,
-    assert_serves,
     eval_payload,
     frame,
     statistics,
