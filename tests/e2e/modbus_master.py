@@ -27,7 +27,6 @@ BAD_FUNCTION, BAD_ADDRESS, BAD_VALUE, BUSY, NO_UNIT = 1, 2, 3, 6, 11
 
 IDLE, IS_BUSY, DONE, ERROR = range(4)  # of the register `status`
 MIRROR = 2000
-RADII_MAX = 50
 
 
 def addresses() -> dict[str, int]:

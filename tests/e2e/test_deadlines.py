@@ -11,7 +11,6 @@ import pytest
 from daemons import sanitized
 from dipole import Connection, Frame, wire
 from frames import (
-    ALBEDO,
     EVAL,
     HELLO,
     MEDIA,
@@ -334,8 +333,3 @@ def test_python(daemon):
             client.eval("better", SKIN, [1.0], deadline_ms=-1)
         assert client.eval("better", SKIN, wanted=["albedo"]).albedo[0] > 0
         assert client.statistics()["answers_deadline"] == 4
-
-
-def test_albedo_alone(connection):
-    connection.send_bytes(frame(EVAL, 77, eval_payload([SKIN], [], wanted=ALBEDO), 1000))
-    assert connection.receive_frame().type == EVALUATED

@@ -117,12 +117,6 @@ def test_max_media(daemon):
         assert_serves(connection)
 
 
-def test_default_max_media(connection):
-    assert ask(connection, EVAL, eval_payload([SKIN] * 64)).type == EVALUATED
-    reply = ask(connection, EVAL, eval_payload([SKIN] * 65))
-    assert_error(reply, "too-large", "medium_count", "at most 64")
-
-
 # ---- connections ---------------------------------------------------------------------------------
 
 

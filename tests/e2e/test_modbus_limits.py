@@ -109,7 +109,8 @@ def test_a_frame_that_does_not_arrive(daemon):
 
 
 def test_a_slow_frame_delays_nobody_and_has_no_more_time(daemon):
-    """Bytes that trickle in do not begin its time anew."""
+    """Bytes that trickle in do not begin its time anew. Nor does a function that there is not delay
+    anybody: libmodbus's own server would sleep for 0.5 s."""
     one = daemon(*TCP, "--modbus-frame-timeout-ms", "200")
     with Tcp(one) as slow, Tcp(one) as fast:
         frame = slow.frame(1, struct.pack(">BHHB", 16, 0, 100, 200) + bytes(200))
@@ -118,6 +119,7 @@ def test_a_slow_frame_delays_nobody_and_has_no_more_time(daemon):
             for byte in frame:
                 slow.socket.sendall(bytes([byte]))
                 assert fast.read(0, 1) == b"\0\0"
+                assert fast.exchange(1, bytes([99, 0, 0])) == bytes([99 | 0x80, BAD_FUNCTION])
                 assert time.monotonic() < deadline
                 time.sleep(0.02)
 

@@ -1,5 +1,5 @@
 """Profiles that take long to prepare are made beside the service: nobody waits for them but who
-asked, and leaving or stopping meanwhile harms nothing."""
+asked. Leaving or stopping meanwhile is in test_cache.py."""
 
 from __future__ import annotations
 
@@ -24,31 +24,6 @@ def test_cheap_requests_overtake(daemon):
     assert sorted(request_id for request_id, _ in results) == sorted(fits)
     for _, result in results:
         assert np.array_equal(result.R, np.tile(results[0][1].R[:3], (10, 1)))
-
-
-def test_a_client_that_leaves(daemon):
-    one = daemon()
-    for _ in range(5):
-        with one.client() as leaving:
-            leaving.submit("gaussians", SKIN * 5, RADII, parameters=FIT)
-    with one.client() as client:
-        assert client.eval("gaussians", SKIN[:1], RADII).R[0, 0] > 0
-
-
-def test_stopping_answers_what_has_arrived(daemon):
-    one = daemon()
-    with one.client() as client:
-        request_id = client.submit("gaussians", SKIN, RADII, parameters=FIT)
-        client.ping()
-        one.terminate()
-        assert client.collect()[0] == request_id
-
-
-def test_a_refusal_that_only_preparing_finds(client):
-    with pytest.raises(Refused) as refused:
-        client.eval("gaussians", SKIN[:1], RADII, parameters={"tolerance": 1e-11})
-    assert refused.value.field == "tolerance"
-    assert client.eval("gaussians", SKIN[:1], RADII, parameters={"tolerance": 0.01}).R[0, 0] > 0
 
 
 def test_the_second_channel_is_refused(client):

@@ -17,7 +17,6 @@ from lists import MODELS, NOTES, PARAMETERS, QUANTITIES, needs
 
 TABLE = wire.MESSAGES["table"]
 TOLERANCE = PARAMETERS["tolerance"].id
-WORDS = 784  # before the pieces
 
 # R towards the source is constant, like -ln r, like 1 / r; far away like 1 / r^3; or nothing.
 CASES = {

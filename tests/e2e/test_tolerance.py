@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from functools import partial
 
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 from command_line import FAILED, dipole, eval_json, eval_rows, says
 from dipole import Grid, Medium, wire
-from frames import ALBEDO, CDF, EVAL, F32, F64, R, SKIN, ask, assert_refused, assert_serves
+from frames import ALBEDO, EVAL, F32, F64, R, SKIN, ask, assert_refused, assert_serves
 from frames import eval_payload
 from lists import EVALUATORS, MODELS, PARAMETERS
 
@@ -152,18 +151,6 @@ def test_evaluators_of_a_precision_mean_the_same(connection):
     same = {ask(connection, EVAL, any_model(evaluator=e)).payload for e in (F32, 3)}
     assert len(same) == 1
     assert ask(connection, EVAL, any_model(evaluator=F64)).payload not in same
-
-
-def test_what_was_not_measured_is_not_promised(connection):
-    """The cdf of none but transport was measured."""
-    reply = ask(connection, OFFERS, any_model(0.9, wanted=CDF))
-    fixed = wire.OFFERS_REPLY.unpack(reply.payload)
-    offers = [
-        wire.OFFER.unpack(reply.payload, wire.OFFERS_REPLY.bytes + i * wire.OFFER.bytes)
-        for i in range(fixed.count)
-    ]
-    known = {offer.model for offer in offers if offer.error < math.inf}
-    assert known == {MODELS["transport"]}
 
 
 # ---- dipole eval ---------------------------------------------------------------------------------
