@@ -63,15 +63,6 @@ static wire_error parse(const struct payload *payload, eval_request *request) {
   return eval_request_parse(payload->bytes, payload->length, request);
 }
 
-static void assert_refused(const struct payload *payload, enum wire_status status,
-                           const char *field) {
-  eval_request request;
-  const wire_error error = parse(payload, &request);
-  assert_int_equal(error.status, status);
-  assert_string_equal(error.field, field);
-  assert_true(strlen(error.allowed) > 0);
-}
-
 static void assert_list_parsed(unsigned evaluator, uint32_t media, size_t count) {
   struct payload payload;
   eval_request request;
@@ -116,29 +107,6 @@ UNIT_TEST(grids_are_taken_apart) {
     assert_ptr_equal(request.media, payload.bytes + WIRE_BYTES_eval_request);
     assert_true(request.fixed.radius_count == UINT64_MAX);
     assert_int_equal(payload.length, eval_request_bytes(3, 0, 0));
-  }
-}
-
-/* Every other length than the right one, from nothing to trailing bytes. */
-UNIT_TEST(only_the_exact_length_will_do) {
-  for (unsigned spacing = CORE_SPACING_LIST; spacing <= CORE_SPACING_LOGARITHMIC; spacing++) {
-    struct payload payload;
-    const size_t count = spacing == CORE_SPACING_LIST ? 5 : 0;
-    const wire_eval_request fixed = request_of(CORE_EVALUATOR_F32, 2, spacing, 5);
-    build(&payload, &fixed, 2, count);
-    const size_t right = payload.length;
-    for (payload.length = 0; payload.length < right + 64; payload.length++) {
-      eval_request request;
-      const wire_error error = parse(&payload, &request);
-      if (payload.length == right) {
-        assert_int_equal(error.status, WIRE_STATUS_OK);
-      } else if (payload.length > right || payload.length < WIRE_BYTES_eval_request) {
-        assert_refused(&payload, WIRE_STATUS_BAD_LENGTH, "payload_bytes");
-      } else {
-        assert_true(error.status == WIRE_STATUS_BAD_COUNT ||
-                    error.status == WIRE_STATUS_BAD_LENGTH);
-      }
-    }
   }
 }
 

@@ -1,5 +1,5 @@
-/* The payloads of invert requests and replies: what is refused and with which status, and where
- * things lie. */
+/* The payloads of invert requests and replies: where things lie. What is refused is in
+ * tests/fuzz/test_wire.c and tests/e2e/test_invert.py. */
 #include "proto/invert.h"
 
 #include "tests/unit/unit.h"
@@ -34,32 +34,6 @@ UNIT_TEST(requests_are_taken_apart) {
       assert_true(request.albedos[i] == 1.0 / (double)(i + 1));
       assert_true(request.lengths[i] == 1.0 / (double)(count + i + 1));
     }
-  }
-}
-
-static void assert_refused(const uint8_t *payload, size_t bytes, enum wire_status status,
-                           const char *field) {
-  invert_request request;
-  const wire_error error = invert_request_parse(payload, bytes, &request);
-  assert_int_equal(error.status, status);
-  assert_string_equal(error.field, field);
-  assert_true(strlen(error.allowed) > 0);
-}
-
-/* Every length but one is wrong; the bytes are allocated, so that a sanitizer sees what is read. */
-UNIT_TEST(other_lengths_are_refused) {
-  _Alignas(8) uint8_t payload[PAYLOAD_MAX] = {0};
-  const size_t whole = build(payload, 3);
-  for (size_t bytes = 0; bytes < whole + 64; bytes += 8) {
-    uint8_t *copy = malloc(bytes + 1);
-    assert_non_null(copy);
-    memcpy(copy, payload, bytes);
-    if (bytes < WIRE_BYTES_invert_request) {
-      assert_refused(copy, bytes, WIRE_STATUS_BAD_LENGTH, "payload_bytes");
-    } else if (bytes != whole) {
-      assert_refused(copy, bytes, WIRE_STATUS_BAD_COUNT, "medium_count");
-    }
-    free(copy);
   }
 }
 

@@ -4,7 +4,6 @@
 #include <modbus.h>
 
 #include "server/modbus/access.h"
-#include "server/modbus/identity.h"
 #include "server/modbus/pdu.h"
 #include "server/modbus/rtu.h"
 #include "tests/unit/unit.h"
@@ -67,16 +66,6 @@ UNIT_TEST(lengths_are_told_by_the_beginning) {
   }
   const uint8_t unknown[] = {99, 0, 0};
   assert_int_equal(modbus_pdu_bytes(unknown, 3), 0);
-}
-
-UNIT_TEST(identification_fits_an_answer) {
-  uint8_t answer[MODBUS_PDU_MAX];
-  unsigned exception = 0;
-  const uint8_t all[] = {MODBUS_FC_READ_DEVICE_ID, 14, 3, 0};
-  assert_in_range(modbus_identity_read(all, answer, &exception), 8, MODBUS_PDU_MAX);
-  assert_int_equal(exception, 0);
-  assert_in_range(modbus_identity_report(247, answer), 8, MODBUS_PDU_MAX);
-  assert_int_equal(answer[2], 247);
 }
 
 /* ---- serial lines ------------------------------------------------------------------------- */

@@ -73,27 +73,6 @@ UNIT_TEST(requests_are_taken_apart) {
   }
 }
 
-/* Every length but one is wrong; the bytes are allocated, so that a sanitizer sees what is read. */
-UNIT_TEST(other_lengths_are_refused) {
-  for (unsigned draw = CORE_DRAW_LIST; draw <= CORE_DRAW_RANDOM; draw++) {
-    const sample of = right(draw, 5);
-    uint8_t payload[PAYLOAD_MAX];
-    const size_t whole = build(payload, &of);
-    for (size_t bytes = 0; bytes < whole + 64; bytes += 8) {
-      uint8_t *copy = malloc(bytes + 1);
-      core_draw made;
-      eval_request request;
-      assert_non_null(copy);
-      memcpy(copy, payload, bytes);
-      const wire_error error = sample_request_parse(copy, bytes, &made, &request);
-      assert_int_equal(error.status == WIRE_STATUS_OK, bytes == whole);
-      assert_true(bytes == whole || error.status == WIRE_STATUS_BAD_LENGTH ||
-                  error.status == WIRE_STATUS_BAD_COUNT);
-      free(copy);
-    }
-  }
-}
-
 /* As those of an eval, but that each channel has radii of its own, where the list has them. */
 UNIT_TEST(radii_are_an_array_of_each_channel) {
   const unsigned wanted =

@@ -148,19 +148,6 @@ UNIT_TEST(headers_are_checked) {
   }
 }
 
-UNIT_TEST(any_deadline_is_right) {
-  static const uint32_t deadlines_ms[] = {1, 1000, 0x80000000, UINT32_MAX};
-  wire_header header = good_header;
-  for (size_t i = 0; i < sizeof deadlines_ms / sizeof deadlines_ms[0]; i++) {
-    uint8_t bytes[WIRE_BYTES_header];
-    header.deadline_ms = deadlines_ms[i];
-    assert_header(header, 1024, WIRE_STATUS_OK, "");
-    wire_put_header(bytes, &header);
-    wire_get_header(bytes, &header);
-    assert_int_equal(header.deadline_ms, deadlines_ms[i]);
-  }
-}
-
 UNIT_TEST(the_magic_reads_as_text) {
   uint8_t bytes[WIRE_BYTES_header];
   wire_put_header(bytes, &good_header);
@@ -184,22 +171,6 @@ UNIT_TEST(statuses_and_types_have_names) {
   assert_string_equal(wire_type_name(0x7abc), "unknown");
   assert_string_equal(wire_status_name(0xffff), "unknown");
   assert_true(strlen(wire_status_text(0xffff)) > 0);
-}
-
-static void assert_error(wire_error error, unsigned status, const char *field,
-                         const char *allowed) {
-  assert_int_equal(error.status, status);
-  assert_string_equal(error.field, field);
-  assert_string_equal(error.allowed, allowed);
-  assert_int_equal(error.zero, 0);
-  assert_int_equal(error.retry_after_ms, 0);
-  assert_int_equal(error.index, 0);
-}
-
-UNIT_TEST(errors_are_values) {
-  assert_error(wire_error_none(), WIRE_STATUS_OK, "", "");
-  assert_error(wire_error_make(WIRE_STATUS_BAD_VALUE, "eta", "0.001 to 1000"),
-               WIRE_STATUS_BAD_VALUE, "eta", "0.001 to 1000");
 }
 
 /* ---- choices ------------------------------------------------------------------------------ */
