@@ -8,26 +8,8 @@ from typing import NamedTuple
 from daemons import Daemon
 from dipole import Connection, Frame, wire
 from frames import (
-    ALBEDO,
-    BETTER,
-    CDF,
-    CLASSICAL,
-    EVAL,
-    F32,
-    F64,
-    INVERT,
-    MEDIA,
-    PING,
-    RADIUS,
-    SAMPLE,
-    SKIN,
-    SPECTRALON,
-    R,
-    eval_payload,
-    frame,
-    invert_payload,
-    media_bytes,
-    sample_payload,
+    ALBEDO, BETTER, CDF, CLASSICAL, EVAL, F32, F64, INVERT, MEDIA, PING, RADIUS, SAMPLE, SKIN,
+    SPECTRALON, R, eval_payload, frame, invert_payload, media_bytes, sample_payload,
 )
 from lists import PARAMETERS
 

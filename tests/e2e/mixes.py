@@ -5,23 +5,9 @@ from __future__ import annotations
 import random
 
 import numpy as np
-from frames import (
-    F32,
-    F64,
-    LINEAR,
-    LOGARITHMIC,
-    eval_payload,
-)
+from frames import F32, F64, LINEAR, LOGARITHMIC, eval_payload
 from lists import (
-    DIPOLES,
-    MODELS,
-    MOMENTS,
-    PARAMETERS,
-    QUANTITIES,
-    Moments,
-    everywhere,
-    needs,
-    takes_media,
+    DIPOLES, MODELS, MOMENTS, PARAMETERS, QUANTITIES, Moments, everywhere, needs, takes_media,
 )
 
 ALL_QUANTITIES = sum(QUANTITIES.values())

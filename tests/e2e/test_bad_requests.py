@@ -9,26 +9,8 @@ import numpy as np
 import pytest
 from dipole import wire
 from frames import (
-    ALBEDO,
-    CDF,
-    EVAL,
-    F32,
-    HELLO,
-    LINEAR,
-    LOGARITHMIC,
-    MEDIA,
-    PING,
-    RADIUS,
-    SKIN,
-    STATISTICS,
-    R,
-    ask,
-    assert_daemon_serves,
-    assert_error,
-    assert_refused,
-    assert_serves,
-    eval_payload,
-    header,
+    ALBEDO, CDF, EVAL, F32, HELLO, LINEAR, LOGARITHMIC, MEDIA, PING, RADIUS, SKIN, STATISTICS, R,
+    ask, assert_daemon_serves, assert_error, assert_refused, assert_serves, eval_payload, header,
     refused,
 )
 from lists import EVALUATORS, MODELS, MOMENTS

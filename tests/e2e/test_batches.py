@@ -11,22 +11,8 @@ import pytest
 from daemons import Daemon, eventually
 from dipole import Connection, wire
 from frames import (
-    ALBEDO,
-    CDF,
-    EVAL,
-    F32,
-    F64,
-    LINEAR,
-    LOGARITHMIC,
-    RADIUS,
-    SKIN,
-    SPECTRALON,
-    R,
-    ask,
-    assert_serves,
-    eval_payload,
-    frame,
-    statistics,
+    ALBEDO, CDF, EVAL, F32, F64, LINEAR, LOGARITHMIC, RADIUS, SKIN, SPECTRALON, R, ask,
+    assert_serves, eval_payload, frame, statistics,
 )
 from lists import MODELS, PARAMETERS, QUANTITIES, everywhere
 from mixes import random_payload

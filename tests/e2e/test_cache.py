@@ -9,17 +9,8 @@ import pytest
 from daemons import eventually
 from dipole import wire
 from frames import (
-    ALBEDO,
-    EVAL,
-    F32,
-    LOGARITHMIC,
-    R,
-    ask,
-    assert_closed,
-    assert_daemon_serves,
-    assert_error,
-    eval_payload,
-    frame,
+    ALBEDO, EVAL, F32, LOGARITHMIC, R, ask, assert_closed, assert_daemon_serves, assert_error,
+    eval_payload, frame,
 )
 from lists import MODELS, PARAMETERS, QUANTITIES
 

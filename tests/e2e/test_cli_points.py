@@ -9,18 +9,8 @@ import time
 
 import pytest
 from command_line import (
-    BAD_ROWS,
-    FAILED,
-    PROGRAM,
-    TIMEOUT_S,
-    Proxy,
-    Terminal,
-    busy,
-    dipole,
-    eval_rows,
-    points,
-    read_csv,
-    scratch,
+    BAD_ROWS, FAILED, PROGRAM, TIMEOUT_S, Proxy, Terminal, busy, dipole, eval_rows, points,
+    read_csv, scratch,
 )
 from daemons import environment
 

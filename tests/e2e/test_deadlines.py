@@ -11,21 +11,8 @@ import pytest
 from daemons import sanitized
 from dipole import Connection, Frame, wire
 from frames import (
-    EVAL,
-    HELLO,
-    MEDIA,
-    PING,
-    SKIN,
-    STATISTICS,
-    R,
-    ask,
-    assert_daemon_serves,
-    assert_error,
-    assert_serves,
-    eval_payload,
-    frame,
-    parameters_bytes,
-    statistics,
+    EVAL, HELLO, MEDIA, PING, SKIN, STATISTICS, R, ask, assert_daemon_serves, assert_error,
+    assert_serves, eval_payload, frame, parameters_bytes, statistics,
 )
 from lists import MODELS, PARAMETERS
 from parted import EVALUATED, receive_parts, take_apart

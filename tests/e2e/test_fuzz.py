@@ -10,22 +10,8 @@ import numpy as np
 import pytest
 from dipole import Connection, ConnectionLost, Frame, wire
 from frames import (
-    EVAL,
-    HELLO,
-    INVERT,
-    LINEAR,
-    LOGARITHMIC,
-    MEDIA,
-    PING,
-    SAMPLE,
-    SKIN,
-    SPECTRALON,
-    STATISTICS,
-    assert_daemon_serves,
-    eval_payload,
-    frame,
-    invert_payload,
-    sample_payload,
+    EVAL, HELLO, INVERT, LINEAR, LOGARITHMIC, MEDIA, PING, SAMPLE, SKIN, SPECTRALON, STATISTICS,
+    assert_daemon_serves, eval_payload, frame, invert_payload, sample_payload,
 )
 from known import is_last
 from lists import DIPOLES, EVALUATORS, MODELS, NOTES, PARAMETERS, needs, some_value

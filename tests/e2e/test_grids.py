@@ -1,5 +1,5 @@
-"""Radii by rule evaluate like the same radii in a list. That they are what the rule says is tested by
-tests/unit/test_grid.c."""
+"""Radii by rule evaluate like the same radii in a list. tests/unit/test_grid.c tests that they are
+what the rule says."""
 
 from __future__ import annotations
 

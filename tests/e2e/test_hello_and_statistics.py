@@ -6,17 +6,7 @@ import pytest
 from daemons import eventually
 from dipole import wire
 from frames import (
-    BETTER,
-    EVAL,
-    HELLO,
-    MEDIA,
-    PING,
-    SKIN,
-    STATISTICS,
-    ask,
-    assert_serves,
-    eval_payload,
-    frame,
+    BETTER, EVAL, HELLO, MEDIA, PING, SKIN, STATISTICS, ask, assert_serves, eval_payload, frame,
     read_statistics,
 )
 from lists import MODELS, NOTES, PARAMETERS, choices

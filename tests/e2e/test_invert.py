@@ -7,16 +7,7 @@ import dipole
 import numpy as np
 import pytest
 from dipole import Draw, inversion, wire
-from frames import (
-    INVERT,
-    SKIN,
-    ask,
-    assert_refused,
-    assert_serves,
-    frame,
-    invert_payload,
-    refused,
-)
+from frames import INVERT, SKIN, ask, assert_refused, assert_serves, frame, invert_payload, refused
 from known import receive_answer
 from lists import MODELS
 

@@ -10,23 +10,8 @@ import pytest
 from daemons import Daemon, eventually, sanitized
 from dipole import ConnectionLost, Frame, wire
 from frames import (
-    ALBEDO,
-    EVAL,
-    F32,
-    PING,
-    SKIN,
-    STATISTICS,
-    R,
-    ask,
-    assert_closed,
-    assert_daemon_serves,
-    assert_error,
-    assert_serves,
-    eval_payload,
-    frame,
-    header,
-    read_statistics,
-    statistics,
+    ALBEDO, EVAL, F32, PING, SKIN, STATISTICS, R, ask, assert_closed, assert_daemon_serves,
+    assert_error, assert_serves, eval_payload, frame, header, read_statistics, statistics,
 )
 
 PONG = PING | wire.REPLY

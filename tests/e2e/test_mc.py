@@ -14,20 +14,8 @@ from daemons import eventually
 from dipole import Grid, Medium, wire
 from dipole.mc import McResult, pack_request, progress_of, unpack_fixed, unpack_result
 from frames import (
-    EVAL,
-    LINEAR,
-    LOGARITHMIC,
-    PING,
-    R,
-    SKIN,
-    ask,
-    assert_closed,
-    assert_error,
-    assert_refused,
-    assert_serves,
-    eval_payload,
-    frame,
-    refused,
+    EVAL, LINEAR, LOGARITHMIC, PING, R, SKIN, ask, assert_closed, assert_error, assert_refused,
+    assert_serves, eval_payload, frame, refused,
 )
 
 MC, CANCEL = wire.MESSAGES["mc"], wire.MESSAGES["cancel"]

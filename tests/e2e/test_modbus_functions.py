@@ -8,27 +8,9 @@ import struct
 import pytest
 from lists import EVALUATORS, MODELS
 from modbus_master import (
-    AT,
-    BAD_ADDRESS,
-    BAD_FUNCTION,
-    BAD_VALUE,
-    MASK_WRITE,
-    MIRROR,
-    READ_COILS,
-    READ_HOLDING,
-    READ_INPUTS,
-    WRITE_COIL,
-    WRITE_COILS,
-    WRITE_READ,
-    WRITE_REGISTER,
-    WRITE_REGISTERS,
-    Exception_,
-    Tcp,
-    as_floats,
-    as_words,
-    floats,
-    swapped,
-    words,
+    AT, BAD_ADDRESS, BAD_FUNCTION, BAD_VALUE, MASK_WRITE, MIRROR, READ_COILS, READ_HOLDING,
+    READ_INPUTS, WRITE_COIL, WRITE_COILS, WRITE_READ, WRITE_REGISTER, WRITE_REGISTERS, Exception_,
+    Tcp, as_floats, as_words, floats, swapped, words,
 )
 
 BAD_VALUE_STATUS, BAD_ADDRESS_STATUS = 6, 13
@@ -218,10 +200,11 @@ FLOATS = {
 
 @pytest.mark.parametrize("name, value", [(n, v) for n, vs in FLOATS.items() for v in vs])
 def test_floats_out_of_range(master, name, value):
-    assert refused(master, AT[name], floats(value), 42) == (3, BAD_VALUE_STATUS, AT[name])
+    expected = (3, BAD_VALUE_STATUS, AT[name])
+    assert refused(master, AT[name], floats(value), 42) == expected
     text = master.read(AT["ERROR_TEXT"], 40, 42).rstrip(b"\0").decode("ascii")
     assert " to " in text
-    assert refused(master, MIRROR + AT[name], swapped(floats(value)), 42) == (3, BAD_VALUE_STATUS, AT[name])
+    assert refused(master, MIRROR + AT[name], swapped(floats(value)), 42) == expected
 
 
 # Within their ranges, at the ends. A tolerance or an albedo of 0 or -1 means none.

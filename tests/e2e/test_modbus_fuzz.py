@@ -54,7 +54,8 @@ def pdu_of_a_function(rng: random.Random) -> bytes:
     if function in (15, 16):
         count = word(rng, COUNTS)
         size = (count + 7) // 8 if function == 15 else 2 * count
-        return bytes([function]) + struct.pack(">HH", word(rng, EDGES), count) + data(rng, size, 247)
+        first = struct.pack(">BHH", function, word(rng, EDGES), count)
+        return first + data(rng, size, 247)
     if function == 22:
         return bytes([22]) + head(rng) + rng.randbytes(2)
     if function == 23:

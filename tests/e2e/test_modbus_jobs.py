@@ -10,23 +10,8 @@ from daemons import eventually
 from dipole import Grid, Refused
 from lists import EVALUATORS, MODELS, MOMENTS, needs
 from modbus_master import (
-    AT,
-    BAD_ADDRESS,
-    BAD_VALUE,
-    BUSY,
-    DONE,
-    ERROR,
-    IS_BUSY,
-    TCP,
-    WRITE_REGISTER,
-    Tcp,
-    as_doubles,
-    as_floats,
-    as_words,
-    exception,
-    floats,
-    input_block,
-    write_read_pdu,
+    AT, BAD_ADDRESS, BAD_VALUE, BUSY, DONE, ERROR, IS_BUSY, TCP, WRITE_REGISTER, Tcp, as_doubles,
+    as_floats, as_words, exception, floats, input_block, write_read_pdu,
 )
 
 SKIN = (0.032, 0.74, 0.0, 1.3)

@@ -14,18 +14,8 @@ import pytest
 from daemons import eventually, run
 from frames import assert_serves
 from modbus_master import (
-    AT,
-    BAD_FUNCTION,
-    READ_HOLDING,
-    TCP,
-    Exception_,
-    Lost,
-    Tcp,
-    as_words,
-    exception,
-    floats,
-    input_block,
-    words,
+    AT, BAD_FUNCTION, READ_HOLDING, TCP, Exception_, Lost, Tcp, as_words, exception, floats,
+    input_block, words,
 )
 
 READ_ONE = struct.pack(">BHH", READ_HOLDING, 0, 1)

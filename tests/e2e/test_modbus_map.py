@@ -10,25 +10,8 @@ import numpy as np
 import pytest
 from daemons import REPOSITORY
 from modbus_master import (
-    AT,
-    BAD_ADDRESS,
-    BAD_VALUE,
-    BLOCKS,
-    DEVICE_ID,
-    MIRROR,
-    NO_UNIT,
-    READ_HOLDING,
-    READ_INPUT,
-    REPORT_ID,
-    TCP,
-    Tcp,
-    as_doubles,
-    as_floats,
-    as_words,
-    exception,
-    floats,
-    input_block,
-    swapped,
+    AT, BAD_ADDRESS, BAD_VALUE, BLOCKS, DEVICE_ID, MIRROR, NO_UNIT, READ_HOLDING, READ_INPUT,
+    REPORT_ID, TCP, Tcp, as_doubles, as_floats, as_words, exception, floats, input_block, swapped,
     words,
 )
 

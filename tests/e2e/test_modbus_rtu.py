@@ -11,18 +11,8 @@ import tty
 import pytest
 from lists import MODELS
 from modbus_master import (
-    AT,
-    BAD_ADDRESS,
-    BAD_FUNCTION,
-    READ_HOLDING,
-    TCP,
-    WRITE_REGISTER,
-    Rtu,
-    Tcp,
-    as_words,
-    exception,
-    input_block,
-    words,
+    AT, BAD_ADDRESS, BAD_FUNCTION, READ_HOLDING, TCP, WRITE_REGISTER, Rtu, Tcp, as_words, exception,
+    input_block, words,
 )
 
 READ_ONE = struct.pack(">BHH", READ_HOLDING, 0, 1)

@@ -8,16 +8,8 @@ import numpy as np
 import pytest
 from dipole import Medium, Refused, wire
 from frames import (
-    BETTER,
-    EVAL,
-    SKIN,
-    ask,
-    assert_daemon_serves,
-    assert_error,
-    assert_refused,
-    eval_payload,
-    parameters_bytes,
-    refused,
+    BETTER, EVAL, SKIN, ask, assert_daemon_serves, assert_error, assert_refused, eval_payload,
+    parameters_bytes, refused,
 )
 from lists import MODELS, PARAMETERS, everywhere, needs, some_value, takes
 

@@ -11,24 +11,8 @@ import pytest
 from daemons import Daemon, eventually
 from dipole import Connection, wire
 from frames import (
-    ALBEDO,
-    CDF,
-    EVAL,
-    F32,
-    F64,
-    LINEAR,
-    LOGARITHMIC,
-    RADIUS,
-    SKIN,
-    SPECTRALON,
-    R,
-    ask,
-    assert_closed,
-    assert_daemon_serves,
-    assert_error,
-    assert_serves,
-    eval_payload,
-    frame,
+    ALBEDO, CDF, EVAL, F32, F64, LINEAR, LOGARITHMIC, RADIUS, SKIN, SPECTRALON, R, ask,
+    assert_closed, assert_daemon_serves, assert_error, assert_serves, eval_payload, frame,
     statistics,
 )
 from lists import DIPOLES, MODELS, PARAMETERS, QUANTITIES, needs

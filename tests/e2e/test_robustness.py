@@ -20,26 +20,9 @@ from pathlib import Path
 import pytest
 from daemons import Daemon, eventually, sanitized
 from dipole import Connection, ConnectionLost, wire
-from frames import (
-    EVAL,
-    F32,
-    PING,
-    R,
-    ask,
-    assert_daemon_serves,
-    eval_payload,
-    frame,
-    statistics,
-)
+from frames import EVAL, F32, PING, R, ask, assert_daemon_serves, eval_payload, frame, statistics
 from known import (
-    PARTS,
-    Known,
-    assert_answer,
-    every_kind,
-    known_answers,
-    receive_answer,
-    refusal,
-    short_requests,
+    PARTS, Known, assert_answer, every_kind, known_answers, receive_answer, refusal, short_requests,
 )
 
 

@@ -7,15 +7,7 @@ import dipole
 import numpy as np
 import pytest
 from dipole import Draw, wire
-from frames import (
-    F32,
-    SAMPLE,
-    SKIN,
-    assert_refused,
-    frame,
-    refused,
-    sample_payload,
-)
+from frames import F32, SAMPLE, SKIN, assert_refused, frame, refused, sample_payload
 from known import receive_answer
 from lists import MODELS, PARAMETERS, needs
 

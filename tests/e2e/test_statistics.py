@@ -9,18 +9,7 @@ import pytest
 from daemons import eventually
 from dipole import Connection
 from frames import (
-    BETTER,
-    CLASSICAL,
-    EVAL,
-    F32,
-    HELLO,
-    MEDIA,
-    PING,
-    R,
-    SKIN,
-    ask,
-    eval_payload,
-    frame,
+    BETTER, CLASSICAL, EVAL, F32, HELLO, MEDIA, PING, R, SKIN, ask, eval_payload, frame,
 )
 from lists import MODELS
 

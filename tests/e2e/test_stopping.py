@@ -7,16 +7,7 @@ import time
 import pytest
 from daemons import eventually
 from dipole import ConnectError, Connection, ConnectionLost, wire
-from frames import (
-    EVAL,
-    PING,
-    ask,
-    assert_closed,
-    assert_error,
-    assert_serves,
-    eval_payload,
-    frame,
-)
+from frames import EVAL, PING, ask, assert_closed, assert_error, assert_serves, eval_payload, frame
 
 LARGE = eval_payload(radii=None, radius_count=200_000)
 

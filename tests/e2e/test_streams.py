@@ -5,15 +5,7 @@ from __future__ import annotations
 import pytest
 from dipole import Frame, wire
 from frames import (
-    EVAL,
-    PING,
-    ask,
-    assert_closed,
-    assert_daemon_serves,
-    assert_error,
-    eval_payload,
-    frame,
-    header,
+    EVAL, PING, ask, assert_closed, assert_daemon_serves, assert_error, eval_payload, frame, header,
 )
 
 PONG = PING | wire.REPLY
