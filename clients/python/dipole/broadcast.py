@@ -1,4 +1,4 @@
-"""Evaluating as numpy's functions do: media and radii of any shapes, broadcast against each other."""
+"""Evaluates as numpy's functions do: media and radii have any shapes and are broadcast."""
 
 from __future__ import annotations
 
@@ -11,31 +11,30 @@ from . import wire
 from .errors import ArgumentError
 from .values import Info, Medium, Result
 
-# Queries that are to be under way at a time: enough to keep the daemon busy while this end reads.
+# How many queries are under way at a time: enough to keep the daemon busy while the client reads.
 OUTSTANDING = 64
 
 
 class Values(NamedTuple):
-    """A quantity for media and radii of some shapes; all arrays have the shape that these have
-    together."""
+    """One quantity. All arrays have the shape that media and radii give when they are broadcast."""
 
     values: np.ndarray  # of the evaluator's precision; units as in Result
     numerical_error: np.ndarray  # relative, of each value against the model's exact formula
     model_error: np.ndarray  # relative, of the model against transport; NaN: not measured
-    models: tuple[str, ...]  # that were evaluated: one, unless a tolerance has chosen several
+    models: tuple[str, ...]  # those that were evaluated: one, unless a tolerance has chosen several
 
 
 class _Media(NamedTuple):
-    """Media without repetition."""
+    """Media without repetitions."""
 
     distinct: np.ndarray  # [C, 4]
-    index: np.ndarray  # [...] of each medium asked for, where it is in `distinct`
+    index: np.ndarray  # [...] position in `distinct` of each medium that was asked for
 
 
 def plan(
     info: Info, media: Medium | Sequence[Any] | np.ndarray, r: Any, quantity: str
 ) -> tuple[Iterator[Places], Answers]:
-    """The queries that Client.values() has to make, and what collects their results."""
+    """Plans the queries of Client.values(), and makes what collects their results."""
     one = _media(media)
     radii = np.asarray(r, np.float64)
     try:
@@ -55,11 +54,11 @@ def plan(
 
 
 class Places(NamedTuple):
-    """One request, and where its answers belong: positions in the flattened result."""
+    """One query, and where its values belong in the flattened result."""
 
     media: np.ndarray  # [C, 4]
     radii: np.ndarray  # [N]
-    places: tuple[tuple[int, np.ndarray], ...]  # (channel, [N]); a channel may have several
+    places: tuple[tuple[int, np.ndarray], ...]  # (channel, [N] positions); a channel may have several
 
 
 def _media(media: Medium | Sequence[Any] | np.ndarray) -> _Media:
@@ -82,14 +81,14 @@ def _media(media: Medium | Sequence[Any] | np.ndarray) -> _Media:
 
 
 def _most_media(info: Info) -> int:
-    """In a request: each part of an answer has to have room for 256 radii of each."""
+    """How many media a request may have: each part of the answer must hold 256 radii of each."""
     limits = info.limits
     part_bytes = min(limits["max_part_bytes"], limits["max_frame_bytes"]) - wire.EVAL_REPLY.bytes
     return max(min(limits["max_media"], part_bytes // (wire.CHANNEL.bytes + 256 * 8)), 1)
 
 
 def _most_radii(info: Info) -> int:
-    """In a request that is no larger than a frame, with room for its media."""
+    """How many radii a request may have: a frame must hold them and the media."""
     return max(info.limits["max_frame_bytes"] // 16, 1)
 
 
@@ -98,19 +97,19 @@ def _aligned(shape: tuple[int, ...], dimensions: int) -> tuple[int, ...]:
 
 
 def _is_product(index: np.ndarray, radii: np.ndarray) -> bool:
-    """Whether each medium meets each radius."""
+    """Whether each medium is evaluated at each radius."""
     dimensions = max(index.ndim, radii.ndim)
     media_shape, radii_shape = _aligned(index.shape, dimensions), _aligned(radii.shape, dimensions)
     return all(m == 1 or n == 1 for m, n in zip(media_shape, radii_shape))
 
 
 def _product(info: Info, media: _Media, radii: np.ndarray, dimensions: int) -> Iterator[Places]:
-    """All media in as few requests as the daemon's limits allow."""
+    """Asks for all media in as few requests as the daemon's limits allow."""
     media_shape = _aligned(media.index.shape, dimensions)
     radii_shape = _aligned(radii.shape, dimensions)
     shape = tuple(m * n for m, n in zip(media_shape, radii_shape))
     places = np.arange(media.index.size * radii.size).reshape(shape)
-    # [medium, radius]: the axes of the media first.
+    # Transposed to [medium, radius]: the axes of the media come first.
     first = [i for i in range(dimensions) if media_shape[i] != 1]
     rest = [i for i in range(dimensions) if media_shape[i] == 1]
     places = places.transpose(first + rest).reshape(media.index.size, radii.size)
@@ -131,7 +130,7 @@ def _product(info: Info, media: _Media, radii: np.ndarray, dimensions: int) -> I
 def _groups(
     info: Info, media: _Media, radii: np.ndarray, shape: tuple[int, ...]
 ) -> Iterator[Places]:
-    """Each medium with its radii."""
+    """Asks for each medium at its own radii."""
     most_radii = _most_radii(info)
     index = np.broadcast_to(media.index, shape).reshape(-1)
     listed = np.broadcast_to(radii, shape).reshape(-1)

@@ -1,7 +1,7 @@
-"""Tables: what the evaluator `lut` looks up, to be evaluated here with the daemon's own bits.
+"""Tables, which the evaluator `lut` uses, evaluated here with the daemon's own bits.
 
-All arithmetic is in single precision, one rounded sum or product after the other, in the order of
-core/models/lut.c: so it gives the same bits as the daemon, on every machine.
+All arithmetic is in single precision. It rounds each sum and product, in the order of
+core/lut/lut.c, so it gives the daemon's bits on every machine.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .values import Info, Medium
 
 LAYOUT = 1  # of the words: proto/PROTOCOL.md, "table"
 
-# Positions of the words: numbers, then entries by octave of the function's argument, then pieces.
+# Positions of the words: first numbers, then entries by octave of the argument, then pieces.
 _R_OCTAVES = 16
 _CDF_OCTAVES = _R_OCTAVES + 256
 _RADIUS_OCTAVES = _CDF_OCTAVES + 256
@@ -32,6 +32,15 @@ _PIECES_MAX = 65536
 _MANTISSA_BITS = 23
 _CUTS_MAX = 11
 
+_Function = Callable[[np.ndarray], np.ndarray]
+
+# The names of the first words, which are numbers. A name starts with near for radii below the first
+# piece and with far for those beyond the last one.
+_NUMBERS = (
+    "first_mm last_mm scale ring_scale pdf_scale near_power near_R near_log near_cdf near_cdf_log "
+    "far limit first_u near_radius"
+).split()
+
 _ZERO = np.float32(0)
 _ONE = np.float32(1)
 _HALF = np.float32(0.5)
@@ -41,13 +50,13 @@ _2_TO_THE_24 = np.float32(2.0**24)
 
 
 class Table:
-    """One medium's R, cdf, pdf, 2 pi r R, and radii for given cdf, by lookup.
+    """Looks up one medium's R, cdf, pdf, 2 pi r R, and the radius for a given cdf.
 
-    model, moments and notes are names where a daemon's lists were at hand, else ids.
+    model, moments and notes are names if the daemon's lists were given, else ids.
     """
 
     def __init__(self, data: bytes, info: Info | None = None):
-        """data: a whole frame, the reply of a daemon (or what save() wrote) and nothing more."""
+        """data: the whole frame of a daemon's reply, or what save() wrote, and nothing more."""
         payload = _payload_of(data)
         fixed = wire.TABLE_REPLY.unpack(payload)
         if fixed.layout != LAYOUT:
@@ -74,43 +83,29 @@ class Table:
         self.numerical_error_constant: float = fixed.numerical_error
         self.numerical_error_per_mm: float = fixed.numerical_error_per_mm
         self.model_error: float = fixed.model_error  # against transport; NaN: not measured
-        self.pieces_from_mm: float = fixed.pieces_from  # between these there are pieces; outside,
-        self.pieces_to_mm: float = fixed.pieces_to  # known asymptotes
-        self.radius_least_mm: float = fixed.radius_least  # the radii that the model covers
+        self.pieces_from_mm: float = fixed.pieces_from  # The table has pieces between these radii.
+        self.pieces_to_mm: float = fixed.pieces_to  # Outside it uses known asymptotes.
+        self.radius_least_mm: float = fixed.radius_least  # the range that the model covers
         self.radius_most_mm: float = fixed.radius_most
         self.words = np.frombuffer(payload, "<u4", fixed.word_count, words_at)  # read-only
         _check(self.words)
-        # In the machine's byte order, which is what arithmetic is done in.
+        # Copies in the machine's byte order, for arithmetic.
         self._entries = self.words.astype(np.int32)
         self._c = self.words.view("<f4").astype(np.float32)
         if (float(self._c[0]), float(self._c[1])) != (self.pieces_from_mm, self.pieces_to_mm):
             raise TableError("a table whose pieces are not where it says")
-        (
-            self._first_mm,
-            self._last_mm,
-            self._scale,
-            self._ring_scale,
-            self._pdf_scale,
-            self._near_power,
-            self._near_R,
-            self._near_log,
-            self._near_cdf,
-            self._near_cdf_log,
-            self._far,
-            self._limit,
-            self._first_u,
-            self._near_radius,
-        ) = self._c[:14]
+        for name, number in zip(_NUMBERS, self._c):
+            setattr(self, "_" + name, number)
 
     # ---- files -----------------------------------------------------------------------------------
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes the table into a file, which `dipole eval --table` and libdipole read, too."""
+        """Writes the table into a file. `dipole eval --table` and libdipole read it, too."""
         Path(path).write_bytes(self.data)
 
     @classmethod
     def load(cls, source: str | os.PathLike[str] | bytes, info: Info | None = None) -> Table:
-        """The only table in a file, or in bytes. info: of a client, for names instead of ids."""
+        """The only table in a file or in bytes. info: a client's, for names instead of ids."""
         tables = cls.load_all(source, info)
         if len(tables) != 1:
             raise TableError(f"{len(tables)} tables: use load_all()")
@@ -120,7 +115,7 @@ class Table:
     def load_all(
         cls, source: str | os.PathLike[str] | bytes, info: Info | None = None
     ) -> list[Table]:
-        """All tables of a file, such as one for each channel, which stand one behind the other."""
+        """All tables in a file or in bytes, one behind the other: for example one a channel."""
         if isinstance(source, (bytes, bytearray, memoryview)):
             data = bytes(source)
         else:
@@ -135,8 +130,8 @@ class Table:
     # ---- evaluating ------------------------------------------------------------------------------
 
     def R(self, r: Any) -> np.ndarray:
-        """R at radii r (mm, from 0 to infinity), 1/mm^2 per unit of power that entered: float32, of
-        the shape of r."""
+        """R in 1/mm^2 per unit of power that entered: float32, in the shape of r. r: radii in mm,
+        from 0 to infinity."""
         return self._evaluate(r, self._inside_R, self._outside_R)
 
     def cdf(self, r: Any) -> np.ndarray:
@@ -145,82 +140,52 @@ class Table:
 
     def pdf(self, r: Any) -> np.ndarray:
         """The density of radii, 2 pi r R over the albedo, 1/mm."""
-
-        def inside(x: np.ndarray) -> np.ndarray:
-            return self._inside_ring(x, self._pdf_scale)
-
-        def outside(x: np.ndarray) -> np.ndarray:
-            return self._outside_ring(x, self._pdf_scale)
-
-        return self._evaluate(r, inside, outside)
+        return self._evaluate_ring(r, self._pdf_scale)
 
     def ring(self, r: Any) -> np.ndarray:
-        """2 pi r R, the power that leaves per mm of radius, 1/mm: finite at r = 0, where R of some
-        models is infinite."""
-
-        def inside(x: np.ndarray) -> np.ndarray:
-            return self._inside_ring(x, self._ring_scale)
-
-        def outside(x: np.ndarray) -> np.ndarray:
-            return self._outside_ring(x, self._ring_scale)
-
-        return self._evaluate(r, inside, outside)
+        """2 pi r R, the power that leaves per mm of radius, 1/mm. It is finite at r = 0, where R of
+        some models is infinite."""
+        return self._evaluate_ring(r, self._ring_scale)
 
     def radius(self, u: Any) -> np.ndarray:
-        """Radii (mm) with cdf(r) = u, for u from 0 to 1 (infinity): for drawing them at random.
-        0 where nothing scatters."""
-        share = _floats(u)
-        if not np.all((share >= 0) & (share <= 1)):
+        """Radii in mm with cdf(r) = u, for drawing them at random. u: from 0 to 1, which gives
+        infinity. All radii are 0 if nothing scatters."""
+        numbers = _floats(u)
+        if not np.all((numbers >= 0) & (numbers <= 1)):
             raise ArgumentError("u: from 0 to 1")
-        return self._look_up(
-            share, self._inside_radius, self._outside_radius, self._first_u, _ONE
-        ).reshape(np.shape(u))
+        ends = (self._first_u, _ONE)
+        radii = _look_up(numbers, self._inside_radius, self._outside_radius, *ends)
+        return radii.reshape(np.shape(u))
 
     def numerical_error(self, r: Any) -> np.ndarray:
-        """How far a value at r (mm) may be from the model's exact formula, relative; as measured
-        between all nodes."""
+        """How far a value at r (mm) may be from the model's exact formula, relative. It has been
+        measured between all nodes."""
         radii = np.asarray(r, np.float64)
-        growth = np.zeros_like(radii)  # at infinity too, where 0 times infinity would be no number
+        growth = np.zeros_like(radii)  # At infinity, 0 times infinity would be NaN.
         if self.numerical_error_per_mm > 0:
             growth = self.numerical_error_per_mm * radii
         return self.numerical_error_constant + growth
 
-    def _evaluate(
-        self,
-        r: Any,
-        inside: Callable[[np.ndarray], np.ndarray],
-        outside: Callable[[np.ndarray], np.ndarray],
-    ) -> np.ndarray:
+    def _evaluate_ring(self, r: Any, scale: np.float32) -> np.ndarray:
+        """r R times 2 pi or what else the scale says."""
+        return self._evaluate(
+            r, lambda x: self._inside_ring(x, scale), lambda x: self._outside_ring(x, scale)
+        )
+
+    def _evaluate(self, r: Any, inside: _Function, outside: _Function) -> np.ndarray:
         radii = _floats(r)
         wide = radii.astype(np.float64)
         if not np.all((wide >= 0) & (wide >= self.radius_least_mm) & (wide <= self.radius_most_mm)):
             least = max(self.radius_least_mm, 0.0)
             raise ArgumentError(f"r: from {least:g} to {self.radius_most_mm:g} mm")
-        values = self._look_up(radii, inside, outside, self._first_mm, self._last_mm)
+        values = _look_up(radii, inside, outside, self._first_mm, self._last_mm)
         return values.reshape(np.shape(r))
-
-    @staticmethod
-    def _look_up(
-        x: np.ndarray,
-        inside: Callable[[np.ndarray], np.ndarray],
-        outside: Callable[[np.ndarray], np.ndarray],
-        least: np.float32,
-        most: np.float32,
-    ) -> np.ndarray:
-        """All as if they were inside, from least to below most; then those that are not."""
-        with np.errstate(all="ignore"):
-            values = inside(x)
-            beyond = (x < least) | (x >= most)
-            if beyond.any():
-                values[beyond] = outside(x[beyond])
-        assert values.dtype == np.float32
-        return values
 
     # ---- inside ----------------------------------------------------------------------------------
 
     def _piece(self, octaves: int, x: np.ndarray) -> np.ndarray:
-        """The polynomial for x, found by its bits: exponent, then the leading bits of the mantissa.
-        x is not negative."""
+        """The piece's polynomial at x >= 0. The exponent of x and the leading bits of its mantissa
+        say which piece."""
         bits = x.view(np.int32)
         entry = self._entries[octaves + (bits >> _MANTISSA_BITS)]
         shift = entry & 31
@@ -231,7 +196,7 @@ class Table:
         t = rest.astype(np.float32) * unit
         at = _PIECES + _TERMS * ((entry >> 5) + index)
         c0 = self._c[at]
-        # A minus sign: the piece is written from its right end.
+        # A minus sign means that the polynomial counts from the piece's right end.
         w = np.where(np.signbit(c0), _ONE - t, t)
         return np.abs(c0) + w * (self._c[at + 1] + w * (self._c[at + 2] + w * self._c[at + 3]))
 
@@ -246,7 +211,7 @@ class Table:
         return np.where(value < 1, value, _ONE)
 
     def _inside_radius(self, u: np.ndarray) -> np.ndarray:
-        """By what is next to its end: u, or 1 - u, which is exact."""
+        """Looks up the smaller one of u and 1 - u. The difference is exact."""
         near = np.where(u <= _HALF, u, _ONE - u)
         by_u = self._piece(_RADIUS_OCTAVES, near)
         return np.where(u <= _HALF, by_u, self._piece(_COMPLEMENT_OCTAVES, near))
@@ -258,14 +223,14 @@ class Table:
         return _log2(self._first_mm.reshape(1)) - (_log2(r * _2_TO_THE_24) - np.float32(24))
 
     def _near_flat(self, r: np.ndarray) -> np.ndarray:
-        """R over the scale, of a profile that is not steep."""
+        """R over the scale, if R does not grow like 1/r near 0."""
         if not self._near_log > 0:
             return np.full_like(r, self._near_R)
         rising = np.where(r > 0, self._octaves_below(r), _INFINITY)
         return self._near_R + self._near_log * rising
 
     def _near_R_at(self, r: np.ndarray) -> np.ndarray:
-        """In the order in which nothing overflows or underflows before the product does."""
+        """R, in an order in which nothing overflows or underflows before the result does."""
         if not self._near_power > 0:
             return self._near_flat(r) * self._scale
         if not self._limit > 0:
@@ -274,13 +239,13 @@ class Table:
         return np.where(r < 1, nearest, self._near_R / r * self._scale)
 
     def _near_ring(self, r: np.ndarray, scale: np.float32) -> np.ndarray:
-        """r R times what scale is over the scale of R."""
+        """r R, with `scale` in place of the scale of R."""
         if self._near_power > 0:
             return np.full_like(r, self._near_R * scale)
         return np.where(r > 0, _times_radius(self._near_flat(r), r, scale), _ZERO)
 
     def _near_cdf_factor(self, r: np.ndarray) -> np.ndarray:
-        """The cdf over r^2, of a profile that is not steep."""
+        """The cdf over r^2, if R does not grow like 1/r near 0."""
         rising = np.where(r > 0, self._octaves_below(r), _ZERO)
         return self._near_cdf + self._near_cdf_log * rising
 
@@ -290,7 +255,8 @@ class Table:
         return self._near_cdf_factor(r) * r * r
 
     def _near_radius_at(self, u: np.ndarray) -> np.ndarray:
-        """Where the cdf is factor r^2 the factor depends on ln r, which hardly moves it."""
+        """The cdf is a factor times r^2. The factor changes slowly, with ln r, so a few rounds of
+        iteration find r."""
         if self._near_power > 0:
             return self._near_radius * u
         root = np.sqrt(u)
@@ -316,18 +282,31 @@ class Table:
         return np.where(u < 1, self._near_radius_at(u), _INFINITY if self._limit > 0 else _ZERO)
 
 
+def _look_up(
+    x: np.ndarray, inside: _Function, outside: _Function, least: np.float32, most: np.float32
+) -> np.ndarray:
+    """inside(x) where least <= x < most, and outside(x) elsewhere."""
+    with np.errstate(all="ignore"):
+        values = inside(x)
+        beyond = (x < least) | (x >= most)
+        if beyond.any():
+            values[beyond] = outside(x[beyond])
+    assert values.dtype == np.float32
+    return values
+
+
 def _floats(values: Any) -> np.ndarray:
-    """A flat copy in single precision, in which -0 is 0."""
+    """A flat copy in single precision, in which -0 becomes 0."""
     return np.array(values, np.float32).reshape(-1) + _ZERO
 
 
 def _times_radius(piece: np.ndarray, r: np.ndarray, scale: np.float32) -> np.ndarray:
-    """In the order in which nothing underflows before the product does."""
+    """The product of all three, in an order in which nothing underflows before the result does."""
     return piece * (r * scale) if scale > 1 else piece * r * scale
 
 
 def _log2(x: np.ndarray) -> np.ndarray:
-    """log2 of normal numbers, as core/models/lut.c has it: 2 artanh(s) / ln 2 of the mantissa
+    """log2 of normal numbers, as core/lut/lut.c computes it: 2 artanh(s) / ln 2 of the mantissa
     (1 + s) / (1 - s)."""
     bits = x.view(np.int32)
     exponent = ((bits >> _MANTISSA_BITS & 0xFF) - 127).astype(np.float32)
@@ -346,11 +325,11 @@ def _log2(x: np.ndarray) -> np.ndarray:
 def _frame_bytes(data: bytes) -> int:
     """The length of the frame that data starts with."""
     if len(data) < wire.HEADER.bytes + wire.TABLE_REPLY.bytes:
-        raise TableError("no table: too short")
+        raise TableError("not a table: too short")
     header = wire.HEADER.unpack(data)
     known = (header.magic, header.version) == (wire.MAGIC, wire.VERSION)
     if not known or header.type != wire.MESSAGES["table"] | wire.REPLY:
-        raise TableError("no table: it does not start as one")
+        raise TableError("not a table: it does not start as one")
     end = wire.HEADER.bytes + header.payload_bytes
     if len(data) < end:
         raise TableError("a table whose end is missing")
@@ -362,12 +341,12 @@ def _payload_of(data: bytes) -> bytes:
         raise TableError("a table with something behind it")
     payload = data[wire.HEADER.bytes :]
     if len(payload) < wire.TABLE_REPLY.bytes:
-        raise TableError("no table: too short")
+        raise TableError("not a table: too short")
     return payload
 
 
 def _check(words: np.ndarray) -> None:
-    """Every entry's piece, and all of its octave's, must lie within the words."""
+    """Checks that the pieces of every entry lie within the words."""
     pieces = (len(words) - _PIECES) // _TERMS
     if len(words) % _TERMS or not 1 <= pieces <= _PIECES_MAX:
         raise TableError("a table with too few or too many words")
