@@ -1,4 +1,4 @@
-/* How a renderer uses libdipole: the light that leaves a translucent plane.
+/* How a renderer uses libdipole: it computes the light that leaves a translucent plane.
  *
  *   cc -O2 irradiance.c $(pkg-config --cflags --libs dipole) -o irradiance
  *   ./irradiance [ADDRESS [PIXELS [POINTS]]]
@@ -9,13 +9,13 @@
  *
  *   M(x) = sum over i of R(|x - x_i|) E_i A_i
  *
- * for each of three channels. For each pixel all distances are one request; many requests are under
- * way at the same time, and their values arrive in memory of our own. Then the same once more with
- * tables of the three channels, which the library evaluates by itself: they cost a request each,
- * and no more after that.
+ * for each of three channels. The program computes this in two ways. First it sends a request for
+ * each pixel, with all distances. Many requests are under way at the same time, and their values
+ * arrive in the program's own memory. Then it fetches a table for each channel, which takes one
+ * request, and lets the library evaluate them here.
  *
- * Writes irradiance.ppm, the picture, and irradiance.csv, its numbers, to the current folder, and
- * says how long each way took and how far they are apart. ADDRESS: see dipole_open(); "" for the
+ * It writes the picture irradiance.ppm and its numbers irradiance.csv to the current folder, and
+ * prints how long each way took and how far they are apart. ADDRESS: see dipole_open(); "" is the
  * default. */
 #include <dipole.h>
 #include <math.h>
@@ -32,9 +32,9 @@ enum { CHANNELS = 3, IN_FLIGHT = 32, PIXELS_DEFAULT = 96, POINTS_DEFAULT = 64, M
 
 typedef struct scene {
   size_t pixels; /* the picture has pixels x pixels */
-  size_t count;  /* of points that are lit */
+  size_t count;  /* the number of lit points */
   float *x, *y;  /* [count], mm */
-  float power;   /* E A of each, W */
+  float power;   /* E_i A_i, the same for all points, W */
   dipole_medium medium[CHANNELS];
 } scene;
 
@@ -70,7 +70,7 @@ static float middle(size_t i, size_t of) {
   return ((float)i + 0.5f) * (SIDE_MM / (float)of);
 }
 
-/* points x points cells, of which the lit ones are kept. */
+/* Divides the square into points x points cells and keeps the middles of those that are lit. */
 static void place_points(scene *of, size_t points) {
   const float cell_mm = SIDE_MM / (float)points;
   of->x = allocate(points * points, sizeof *of->x);
@@ -88,24 +88,21 @@ static void place_points(scene *of, size_t points) {
 static void find_medium(scene *of, dipole_client *client, const char *name) {
   dipole_measured_medium *media;
   dipole_error error;
-  size_t count;
-  int found = 0;
+  size_t count, i = 0;
   if (!dipole_media(client, &media, &count, &error)) {
     fail("media", &error);
   }
-  for (size_t i = 0; i < count && !found; i++) {
-    found = strcmp(media[i].name, name) == 0;
-    if (found) {
-      memcpy(of->medium, media[i].channel, sizeof of->medium);
-    }
+  while (i < count && strcmp(media[i].name, name) != 0) {
+    i++;
   }
-  free(media);
-  if (!found) {
+  if (i == count) {
     fail("the daemon does not know this medium", NULL);
   }
+  memcpy(of->medium, media[i].channel, sizeof of->medium);
+  free(media);
 }
 
-/* Of a pixel to all points. */
+/* The distances of a pixel to all points. r: [count], mm. */
 static void distances(const scene *of, size_t pixel, float *r) {
   const float x = middle(pixel % of->pixels, of->pixels);
   const float y = middle(pixel / of->pixels, of->pixels);
@@ -144,14 +141,14 @@ static void submit(const scene *of, dipole_client *client, size_t pixel, float *
                               .radii = r,
                               .radius_count = of->count,
                               .into_values = to->R};
-  distances(of, pixel, r); /* which are copied, so that the next request may use the same memory */
+  distances(of, pixel, r); /* The request copies r, so the next one may use the same memory. */
   if (!dipole_submit(client, &query, &to->id, &error)) {
     fail("submit", &error);
   }
   to->pixel = pixel;
 }
 
-/* Takes whatever answer comes next, and returns its job, which is free then. */
+/* Takes the next answer and returns its job, which is free then. */
 static job *collect(const scene *of, dipole_client *client, job *jobs, double *exitance) {
   dipole_result *result;
   dipole_error error;
@@ -160,13 +157,13 @@ static job *collect(const scene *of, dipole_client *client, job *jobs, double *e
   if (!dipole_collect(client, &id, &result, &error)) {
     fail("collect", &error);
   }
-  while (jobs[which].id != id) { /* it is one of them */
+  while (jobs[which].id != id) {
     which++;
   }
   for (size_t c = 0; c < CHANNELS; c++) {
     exitance[jobs[which].pixel * CHANNELS + c] = gather(of, result->channels[c].R_f32);
   }
-  dipole_result_free(result); /* but not the values: they are ours */
+  dipole_result_free(result); /* The values are in the job's memory. */
   return &jobs[which];
 }
 
@@ -225,7 +222,7 @@ static void look_up(const scene *of, dipole_client *client, double *exitance) {
   free(r);
 }
 
-/* ---- what came of it ----------------------------------------------------------------------- */
+/* ---- results ------------------------------------------------------------------------------- */
 
 static FILE *create(const char *path) {
   FILE *file = fopen(path, "wb");
@@ -235,51 +232,36 @@ static FILE *create(const char *path) {
   return file;
 }
 
-/* The brightest value is white; with a gamma of 2. */
-static void write_picture(const scene *of, const double *exitance, const char *path) {
-  const size_t values = of->pixels * of->pixels * CHANNELS;
-  FILE *file = create(path);
+/* Writes the picture, in which the brightest value is white and the gamma is 2, and the numbers. */
+static void write_files(const scene *of, const double *exitance) {
+  const size_t pixels = of->pixels, count = pixels * pixels;
+  FILE *picture = create("irradiance.ppm"), *numbers = create("irradiance.csv");
   double most = 0;
-  for (size_t i = 0; i < values; i++) {
+  for (size_t i = 0; i < count * CHANNELS; i++) {
     most = exitance[i] > most ? exitance[i] : most;
   }
-  fprintf(file, "P6\n%zu %zu\n255\n", of->pixels, of->pixels);
-  for (size_t i = 0; i < values; i++) {
-    fputc((int)(255 * sqrt(exitance[i] / most) + 0.5), file);
-  }
-  if (fclose(file) != 0) {
-    fail(path, NULL);
-  }
-}
-
-static void write_numbers(const scene *of, const double *exitance, const char *path) {
-  FILE *file = create(path);
-  fprintf(file, "x_mm,y_mm,red_w_per_mm2,green_w_per_mm2,blue_w_per_mm2\n");
-  for (size_t i = 0; i < of->pixels * of->pixels; i++) {
+  fprintf(picture, "P6\n%zu %zu\n255\n", pixels, pixels);
+  fprintf(numbers, "x_mm,y_mm,red_w_per_mm2,green_w_per_mm2,blue_w_per_mm2\n");
+  for (size_t i = 0; i < count; i++) {
     const double *M = exitance + i * CHANNELS;
-    fprintf(file, "%.9g,%.9g,%.9g,%.9g,%.9g\n", (double)middle(i % of->pixels, of->pixels),
-            (double)middle(i / of->pixels, of->pixels), M[0], M[1], M[2]);
+    for (size_t c = 0; c < CHANNELS; c++) {
+      fputc((int)(255 * sqrt(M[c] / most) + 0.5), picture);
+    }
+    fprintf(numbers, "%.9g,%.9g,%.9g,%.9g,%.9g\n", (double)middle(i % pixels, pixels),
+            (double)middle(i / pixels, pixels), M[0], M[1], M[2]);
   }
-  if (fclose(file) != 0) {
-    fail(path, NULL);
+  if ((fclose(picture) != 0) | (fclose(numbers) != 0)) {
+    fail("writing irradiance.ppm and irradiance.csv", NULL);
   }
 }
 
-static void say_how_fast(const scene *of, const char *what, double seconds) {
-  const double values = (double)(of->pixels * of->pixels * of->count * CHANNELS);
-  printf("%-22s %7.3f s, %5.0f million values a second\n", what, seconds, values / seconds / 1e6);
-}
-
-static double largest_difference(const scene *of, const double *one, const double *other) {
+static void compare(const scene *of, const double *one, const double *other) {
   double most = 0;
   for (size_t i = 0; i < of->pixels * of->pixels * CHANNELS; i++) {
-    const double difference = fabs(one[i] / other[i] - 1);
-    most = difference > most ? difference : most;
+    most = fmax(most, fabs(one[i] / other[i] - 1));
   }
-  return most;
+  printf("they differ by %.1e at most; the tables are built to %.0e\n", most, TABLE_TOLERANCE);
 }
-
-/* ---- all of it ----------------------------------------------------------------------------- */
 
 static size_t size_of(const char *text, size_t usual) {
   char *end;
@@ -291,8 +273,11 @@ static size_t size_of(const char *text, size_t usual) {
 }
 
 int main(int argc, char **argv) {
+  static void (*const ways[2])(const scene *, dipole_client *, double *) = {ask, look_up};
+  static const char *const names[2] = {"f32, by the daemon", "tables, evaluated here"};
   const char *address = argc > 1 && argv[1][0] != '\0' ? argv[1] : NULL;
   scene skin = {.pixels = size_of(argc > 2 ? argv[2] : NULL, PIXELS_DEFAULT)};
+  double *exitance[2];
   dipole_client *client;
   dipole_error error;
   if (!dipole_open(address, &client, &error)) {
@@ -300,26 +285,23 @@ int main(int argc, char **argv) {
   }
   find_medium(&skin, client, "skin1");
   place_points(&skin, size_of(argc > 3 ? argv[3] : NULL, POINTS_DEFAULT));
-  const size_t values = skin.pixels * skin.pixels * CHANNELS;
-  double *asked = allocate(values, sizeof *asked), *looked_up = allocate(values, sizeof *asked);
-  printf("%zu pixels, %zu points, %d channels\n", skin.pixels * skin.pixels, skin.count, CHANNELS);
-
-  const double start_s = now_s();
-  ask(&skin, client, asked);
-  const double asked_s = now_s();
-  look_up(&skin, client, looked_up);
-  const double looked_up_s = now_s();
-  say_how_fast(&skin, "f32, by the daemon", asked_s - start_s);
-  say_how_fast(&skin, "tables, evaluated here", looked_up_s - asked_s);
-  printf("they differ by %.1e at most; the tables are built to %.0e\n",
-         largest_difference(&skin, looked_up, asked), TABLE_TOLERANCE);
-  write_picture(&skin, asked, "irradiance.ppm");
-  write_numbers(&skin, asked, "irradiance.csv");
-
+  const size_t pixels = skin.pixels * skin.pixels;
+  printf("%zu pixels, %zu points, %d channels\n", pixels, skin.count, CHANNELS);
+  for (size_t i = 0; i < 2; i++) {
+    exitance[i] = allocate(pixels * CHANNELS, sizeof *exitance[i]);
+    const double start_s = now_s();
+    ways[i](&skin, client, exitance[i]);
+    const double took_s = now_s() - start_s;
+    const double values = (double)(pixels * skin.count * CHANNELS);
+    printf("%-22s %7.3f s, %5.0f million values a second\n", names[i], took_s,
+           values / took_s / 1e6);
+  }
+  compare(&skin, exitance[1], exitance[0]);
+  write_files(&skin, exitance[0]);
   dipole_close(client);
-  free(looked_up);
-  free(asked);
-  free(skin.y);
+  free(exitance[0]);
+  free(exitance[1]);
   free(skin.x);
+  free(skin.y);
   return 0;
 }

@@ -21,19 +21,8 @@ from .connection import Connection, Frame
 from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
 from .exchange import RETRY_S, Exchange, Request, connect_again, open_connection
 from .table import Table
-from .values import (
-    Draw,
-    Grid,
-    Info,
-    Inversion,
-    McProgress,
-    McResult,
-    Medium,
-    Offers,
-    Query,
-    Result,
-    Samples,
-)
+from .values import Draw, Grid, Info, Inversion, McProgress, McResult, Medium
+from .values import Offers, Query, Result, Samples
 
 T = TypeVar("T")
 

@@ -58,7 +58,7 @@ class Places(NamedTuple):
 
     media: np.ndarray  # [C, 4]
     radii: np.ndarray  # [N]
-    places: tuple[tuple[int, np.ndarray], ...]  # (channel, [N] positions); a channel may have several
+    places: tuple[tuple[int, np.ndarray], ...]  # (channel, [N]). A channel may be there repeatedly.
 
 
 def _media(media: Medium | Sequence[Any] | np.ndarray) -> _Media:

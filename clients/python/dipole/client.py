@@ -18,19 +18,8 @@ from .connection import Connection, Frame
 from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
 from .exchange import RETRY_S, Exchange, Request, connect_again, open_connection
 from .table import Table
-from .values import (
-    Draw,
-    Grid,
-    Info,
-    Inversion,
-    McProgress,
-    McResult,
-    Medium,
-    Offers,
-    Query,
-    Result,
-    Samples,
-)
+from .values import Draw, Grid, Info, Inversion, McProgress, McResult, Medium
+from .values import Offers, Query, Result, Samples
 
 T = TypeVar("T")
 
@@ -149,8 +138,8 @@ class Client:
         return Parts(self, self._send(request))
 
     def offers(self, media: Any, r: Any = None, **options: Any) -> Offers:
-        """Lists what could answer eval(None, ...) with the same arguments, cheapest first: how exact
-        each model and evaluator is measured to be, and how fast."""
+        """Lists what could answer eval(None, ...) with the same arguments, cheapest first: how
+        exact each model and evaluator is measured to be, and how fast."""
         return self._ask(evaluation.offers(self.info, Query(None, media, r, **options)))
 
     def table(

@@ -251,7 +251,8 @@ class Connection:
         wait_ms = None if self.timeout_s is None else self.timeout_s * 1000
         events = _poll(self.socket, wanted, wait_ms)
         if not events:
-            raise ConnectionLost(f"{self.address}: nothing moved for {self.timeout_s} s", final=True)
+            text = f"{self.address}: nothing moved for {self.timeout_s} s"
+            raise ConnectionLost(text, final=True)
         readable = select.POLLIN | select.POLLHUP | select.POLLERR
         return bool(events & readable), bool(events & select.POLLOUT)
 
@@ -341,7 +342,7 @@ def _find_daemon() -> str:
         if found is not None and os.access(found, os.X_OK):
             return str(found)
     raise FileNotFoundError(
-        "there is no dipoled beside this program, in $PATH, or in build/ of this module's repository"
+        "there is no dipoled beside this program, in $PATH, or in build/ of the module's repository"
     )
 
 

@@ -208,7 +208,8 @@ def table(info: Info, query: Query) -> Request[Table]:
 
     def read(reply: bytes) -> Table:
         try:
-            return Table(b"".join(frame_pieces(wire.MESSAGES["table"] | wire.REPLY, 0, reply)), info)
+            pieces = frame_pieces(wire.MESSAGES["table"] | wire.REPLY, 0, reply)
+            return Table(b"".join(pieces), info)
         except TableError as error:
             raise ProtocolError(f"a table reply that is not a table: {error}") from error
 
@@ -285,8 +286,8 @@ class Part(NamedTuple):
 
 
 class EvalAnswer(Answer[Any]):
-    """The answer to an eval or sample request. Its parts are put together unless hands_on: then each
-    is handed on by itself. read: makes what the caller gets."""
+    """The answer to an eval or sample request. Its parts are put together, or with hands_on handed
+    on one by one. read: makes what the caller gets."""
 
     def __init__(self, shape: Shape, read: Any, hands_on: bool = False):
         super().__init__()

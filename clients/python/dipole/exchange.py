@@ -10,7 +10,7 @@ from __future__ import annotations
 import random
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -34,6 +34,8 @@ _TEMPORARY = ("busy", "shutting-down", "timeout")
 
 class Answer(Generic[T]):
     """Reads the replies to one request. Kinds of answers differ in _add()."""
+
+    hands_on = False  # The caller gets the answer piece by piece, and so may have some of it.
 
     def __init__(self) -> None:
         self.ended = False  # No more replies will come.
@@ -94,6 +96,10 @@ class _UnderWay:
             self.trouble_s = time.monotonic()
         return self.trouble_s
 
+    def can_repeat(self) -> bool:
+        """Whether it can be sent again: the caller must not have a part of its answer."""
+        return self.kept and not (self.answer.hands_on and self.answer.begun)
+
     def begin_again(self) -> None:
         self.answer = self.request.answer()
 
@@ -136,7 +142,8 @@ class Exchange:
             if deadline_ms <= 0:
                 entry.answer.refuse(_too_late(request_id))
                 return []
-        return frame_pieces(wire.MESSAGES[request.message], request_id, request.payload, deadline_ms)
+        type = wire.MESSAGES[request.message]
+        return frame_pieces(type, request_id, request.payload, deadline_ms)
 
     def due(self) -> list[int]:
         """The requests that are to be sent again now, after a daemon that was busy."""
@@ -210,8 +217,7 @@ class Exchange:
 
     def _ask_later(self, entry: _UnderWay, error: Refused) -> bool:
         """Whether a refusal only means that the request is to be sent again later."""
-        handed_on = entry.answer.begun and _hands_on(entry.answer)
-        if not entry.kept or handed_on or error.status not in ("busy", "shutting-down"):
+        if not entry.can_repeat() or error.status not in ("busy", "shutting-down"):
             return False
         pause_s = max(error.retry_after_ms / 1000, _PAUSE_FIRST_S) + _with_jitter(_PAUSE_FIRST_S)
         again_s = time.monotonic() + pause_s
@@ -225,10 +231,7 @@ class Exchange:
         """The connection is lost. Returns until when to try to connect again; raises the error if
         something under way cannot be asked again."""
         unanswered = [entry for entry in self._under_way.values() if not entry.answer.ended]
-        may_ask_again = all(
-            entry.kept and not (entry.answer.begun and _hands_on(entry.answer))
-            for entry in unanswered
-        )
+        may_ask_again = all(entry.can_repeat() for entry in unanswered)
         if self.retry_s == 0 or not is_temporary(error) or not may_ask_again:
             raise error
         began_s = [entry.trouble_since_s() for entry in unanswered]
@@ -240,11 +243,6 @@ class Exchange:
         for request_id in ids:
             self._under_way[request_id].begin_again()
         return [i for i in ids if self._under_way[i].again_s is None]
-
-
-def _hands_on(answer: Answer[Any]) -> bool:
-    """Whether the caller gets the answer piece by piece, and so may have some of it."""
-    return getattr(answer, "hands_on", False)
 
 
 def refused(frame: Frame) -> Refused | ProtocolError:
@@ -311,11 +309,13 @@ def connect_again(
     connect: is given how long it may take. info: what the lost daemon said about itself.
     """
     latest = lost
-    for pause_s in _pauses_s():
+    pause_s = _PAUSE_FIRST_S
+    while True:
         wait_s = max(_with_jitter(pause_s), getattr(latest, "retry_after_ms", 0) / 1000)
         if time.monotonic() + wait_s >= until_s:
             raise lost
         time.sleep(wait_s)
+        pause_s = min(2 * pause_s, _PAUSE_MOST_S)
         try:
             connection, fresh = connect(max(until_s - time.monotonic(), 0.001))
         except DipoleError as error:
@@ -327,14 +327,6 @@ def connect_again(
             return connection
         connection.close()
         raise ConnectionLost(f"{info.address}: the daemon that is there now has other lists")
-    raise AssertionError
-
-
-def _pauses_s() -> Iterator[float]:
-    pause_s = _PAUSE_FIRST_S
-    while True:
-        yield pause_s
-        pause_s = min(2 * pause_s, _PAUSE_MOST_S)
 
 
 def _with_jitter(pause_s: float) -> float:

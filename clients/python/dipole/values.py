@@ -43,8 +43,8 @@ class Query:
     media: one Medium, several of them, or an array [C, 4] of sigma_a, sigma_s, g and eta.
     r: N radii in mm, from 0 to infinity.
     grid: the radii by a rule, in place of r. A grid costs no bytes in the request.
-    evaluator: "f64" computes in double precision; "f32" computes and "lut" looks up in a table, both
-        in single precision. The default is "f64" for a model. For model None it only chooses the
+    evaluator: "f64" computes in double precision. "f32" computes and "lut" looks up in a table,
+        both in single precision. The default is "f64" for a model. For model None it only chooses the
         precision, and the default is single precision.
     moments: "exact", or "fit" for the polynomials.
     wanted: names of quantities. The default is R, albedo, cdf and, with a grid, r.
