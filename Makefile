@@ -214,7 +214,7 @@ $(BUILD)/tests/unit/test_input: $(call objects,server/net/input.c)
 $(OBJ)/tests/unit/test_input.o: EXTRA_CPPFLAGS = $(UV_CFLAGS)
 
 # And what Modbus is made of.
-$(BUILD)/tests/unit/test_modbus: $(call objects,$(addprefix server/modbus/,access.c identity.c pdu.c rtu.c))
+$(BUILD)/tests/unit/test_modbus: $(call objects,$(addprefix server/modbus/,access.c codec.c))
 $(OBJ)/tests/unit/test_modbus.o: EXTRA_CPPFLAGS = $(MODBUS_CFLAGS)
 
 -include $(shell find $(OBJ) -name '*.d' 2>/dev/null)

@@ -3,7 +3,6 @@
 #include <modbus.h>
 #include <string.h>
 
-#include "server/modbus/identity.h"
 #include "server/net/worker.h"
 
 /* ---- statistics ------------------------------------------------------------------------------ */

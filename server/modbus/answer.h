@@ -4,7 +4,7 @@
 #ifndef DIPOLED_MODBUS_ANSWER_H
 #define DIPOLED_MODBUS_ANSWER_H
 
-#include "server/modbus/pdu.h"
+#include "server/modbus/codec.h"
 #include "server/modbus/unit.h"
 
 /* Carries out a request to the unit of a number (0 if there is no such unit), and writes the

@@ -7,7 +7,6 @@
 #include <string.h>
 #include <unistd.h>
 
-#include "server/modbus/rtu.h"
 #include "server/net/worker.h"
 #include "server/observe/log.h"
 

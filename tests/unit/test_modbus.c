@@ -4,8 +4,7 @@
 #include <modbus.h>
 
 #include "server/modbus/access.h"
-#include "server/modbus/pdu.h"
-#include "server/modbus/rtu.h"
+#include "server/modbus/codec.h"
 #include "tests/unit/unit.h"
 
 /* ---- requests ----------------------------------------------------------------------------- */

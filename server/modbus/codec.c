@@ -1,0 +1,284 @@
+#include "server/modbus/codec.h"
+
+#include <modbus.h>
+#include <string.h>
+
+/* ---- requests -------------------------------------------------------------------------------- */
+
+static unsigned word(const uint8_t *at) {
+  return (unsigned)at[0] << 8 | at[1];
+}
+
+/* The shapes of a function's PDUs. */
+static const struct function {
+  uint8_t number;
+  uint8_t bytes;  /* of a request, without the values that are written */
+  uint8_t values; /* where a request says how many bytes of values follow; 0: none do */
+  uint8_t answer; /* bytes of an answer, where 2 are followed by as many as the second says; 0: the
+                     answer has the shape of the request, or one that is not needed */
+  bool writes;
+} functions[] = {
+    {MODBUS_FC_READ_COILS, 5, 0, 2, false},
+    {MODBUS_FC_READ_DISCRETE_INPUTS, 5, 0, 2, false},
+    {MODBUS_FC_READ_HOLDING_REGISTERS, 5, 0, 2, false},
+    {MODBUS_FC_READ_INPUT_REGISTERS, 5, 0, 2, false},
+    {MODBUS_FC_WRITE_SINGLE_COIL, 5, 0, 0, true},
+    {MODBUS_FC_WRITE_SINGLE_REGISTER, 5, 0, 0, true},
+    {MODBUS_FC_WRITE_MULTIPLE_COILS, 6, 5, 5, true},
+    {MODBUS_FC_WRITE_MULTIPLE_REGISTERS, 6, 5, 5, true},
+    {MODBUS_FC_REPORT_SLAVE_ID, 1, 0, 2, false},
+    {MODBUS_FC_MASK_WRITE_REGISTER, 7, 0, 0, true},
+    {MODBUS_FC_WRITE_AND_READ_REGISTERS, 10, 9, 2, true},
+    {MODBUS_FC_READ_DEVICE_ID, 4, 0, 0, false},
+};
+
+/* NULL: the function is unknown. */
+static const struct function *find(unsigned number) {
+  for (size_t i = 0; i < sizeof functions / sizeof functions[0]; i++) {
+    if (functions[i].number == number) {
+      return &functions[i];
+    }
+  }
+  return NULL;
+}
+
+size_t modbus_pdu_bytes(const uint8_t *pdu, size_t bytes) {
+  const struct function *function = bytes > 0 ? find(pdu[0]) : NULL;
+  if (function == NULL || bytes <= function->values) {
+    return 0;
+  }
+  return function->bytes + (function->values > 0 ? (size_t)pdu[function->values] : 0);
+}
+
+bool modbus_pdu_writes(unsigned number) {
+  const struct function *function = find(number);
+  return function != NULL && function->writes;
+}
+
+static bool within(unsigned count, unsigned most) {
+  return count >= 1 && count <= most;
+}
+
+/* Reads the rest of a PDU whose length is right; false: a count or value is wrong. */
+static bool take_counts(const uint8_t *pdu, struct modbus_request *request) {
+  switch (request->function) {
+  case MODBUS_FC_READ_COILS:
+  case MODBUS_FC_READ_DISCRETE_INPUTS:
+    request->count = word(pdu + 3);
+    return within(request->count, MODBUS_MAX_READ_BITS);
+  case MODBUS_FC_READ_HOLDING_REGISTERS:
+  case MODBUS_FC_READ_INPUT_REGISTERS:
+    request->count = word(pdu + 3);
+    return within(request->count, MODBUS_MAX_READ_REGISTERS);
+  case MODBUS_FC_WRITE_SINGLE_COIL:
+    request->count = 1;
+    request->bits = pdu + 3;
+    return word(pdu + 3) == 0 || word(pdu + 3) == 0xff00;
+  case MODBUS_FC_WRITE_MULTIPLE_COILS:
+    request->count = word(pdu + 3);
+    request->bits = pdu + 6;
+    return within(request->count, MODBUS_MAX_WRITE_BITS) && pdu[5] == (request->count + 7) / 8;
+  case MODBUS_FC_WRITE_SINGLE_REGISTER:
+    request->write_count = 1;
+    request->values = pdu + 3;
+    return true;
+  case MODBUS_FC_WRITE_MULTIPLE_REGISTERS:
+    request->write_count = word(pdu + 3);
+    request->values = pdu + 6;
+    return within(request->write_count, MODBUS_MAX_WRITE_REGISTERS) &&
+           pdu[5] == 2 * request->write_count;
+  case MODBUS_FC_MASK_WRITE_REGISTER:
+    request->write_count = 1;
+    request->and_mask = word(pdu + 3);
+    request->or_mask = word(pdu + 5);
+    return true;
+  case MODBUS_FC_WRITE_AND_READ_REGISTERS:
+    request->count = word(pdu + 3);
+    request->write_address = word(pdu + 5);
+    request->write_count = word(pdu + 7);
+    request->values = pdu + 10;
+    return within(request->count, MODBUS_MAX_WR_READ_REGISTERS) &&
+           within(request->write_count, MODBUS_MAX_WR_WRITE_REGISTERS) &&
+           pdu[9] == 2 * request->write_count;
+  default:
+    return true;
+  }
+}
+
+unsigned modbus_pdu_parse(const uint8_t *pdu, size_t bytes, struct modbus_request *request) {
+  *request = (struct modbus_request){.function = pdu[0]};
+  if (find(request->function) == NULL ||
+      (request->function == MODBUS_FC_READ_DEVICE_ID && bytes > 1 && pdu[1] != 0x0e)) {
+    return MODBUS_EXCEPTION_ILLEGAL_FUNCTION;
+  }
+  if (bytes != modbus_pdu_bytes(pdu, bytes)) {
+    return MODBUS_EXCEPTION_ILLEGAL_DATA_VALUE;
+  }
+  if (bytes >= 3) {
+    request->address = request->write_address = word(pdu + 1);
+  }
+  return take_counts(pdu, request) ? 0 : MODBUS_EXCEPTION_ILLEGAL_DATA_VALUE;
+}
+
+/* ---- frames of serial lines ------------------------------------------------------------------ */
+
+enum { CHECKSUM_BYTES = 2 };
+
+uint16_t modbus_rtu_checksum(const uint8_t *bytes, size_t count) {
+  /* what each value of four bits does to the sum */
+  static const uint16_t steps[] = {0x0000, 0xcc01, 0xd801, 0x1400, 0xf001, 0x3c00, 0x2800, 0xe401,
+                                   0xa001, 0x6c00, 0x7800, 0xb401, 0x5000, 0x9c01, 0x8801, 0x4400};
+  uint16_t sum = 0xffff;
+  for (size_t i = 0; i < count; i++) {
+    sum ^= bytes[i];
+    sum = (uint16_t)(sum >> 4 ^ steps[sum & 15]);
+    sum = (uint16_t)(sum >> 4 ^ steps[sum & 15]);
+  }
+  return sum;
+}
+
+bool modbus_rtu_is_frame(const uint8_t *bytes, size_t count) {
+  return count >= MODBUS_RTU_MIN && count <= MODBUS_RTU_MAX &&
+         modbus_rtu_checksum(bytes, count - CHECKSUM_BYTES) ==
+             (bytes[count - 2] | bytes[count - 1] << 8);
+}
+
+/* The length of the answer's frame that begins with these bytes. 0: they do not say. */
+static size_t answer_bytes(const uint8_t *bytes, size_t count) {
+  const struct function *function = count >= 3 ? find(bytes[1]) : NULL;
+  if (count >= 3 && bytes[1] >= 0x80) {
+    return 3 + CHECKSUM_BYTES;
+  }
+  if (function == NULL || function->answer == 0) {
+    return 0;
+  }
+  return 1 + function->answer + (function->answer == 2 ? (size_t)bytes[2] : 0) + CHECKSUM_BYTES;
+}
+
+static bool is_frame_of(const uint8_t *bytes, size_t count, size_t length) {
+  return length > 0 && length <= count && modbus_rtu_is_frame(bytes, length);
+}
+
+/* The length of the frame, a request or an answer, that the bytes begin with. 0: there is none. Of
+ * two lengths that are possible, the shorter is right: a frame with a zero behind it, with which a
+ * broadcast begins, is a frame again. */
+static size_t first_frame(const uint8_t *bytes, size_t count) {
+  const size_t pdu = count > 1 ? modbus_pdu_bytes(bytes + 1, count - 1) : 0;
+  const size_t request = pdu > 0 ? 1 + pdu + CHECKSUM_BYTES : 0;
+  const size_t answer = answer_bytes(bytes, count);
+  const size_t shorter = request < answer ? request : answer;
+  const size_t longer = request < answer ? answer : request;
+  if (is_frame_of(bytes, count, shorter)) {
+    return shorter;
+  }
+  return is_frame_of(bytes, count, longer) ? longer : 0;
+}
+
+static bool is_request(const uint8_t *bytes, size_t count, unsigned unit) {
+  const size_t pdu = count > 1 ? modbus_pdu_bytes(bytes + 1, count - 1) : 0;
+  return bytes[0] == unit && count == 1 + pdu + CHECKSUM_BYTES && modbus_rtu_is_frame(bytes, count);
+}
+
+size_t modbus_rtu_find(const uint8_t *bytes, size_t count, unsigned unit, size_t *begin) {
+  /* Goes from frame to frame. The last may be of an unknown function, whose length is not known. */
+  size_t length;
+  *begin = 0;
+  while ((length = first_frame(bytes + *begin, count - *begin)) > 0 && length < count - *begin) {
+    *begin += length;
+  }
+  const size_t left = count - *begin;
+  if (modbus_rtu_is_frame(bytes + *begin, left)) {
+    return bytes[*begin] == unit || bytes[*begin] == 0 ? left : 0;
+  }
+  /* There is noise, and maybe a request to this unit behind it. */
+  for (; *begin < count; ++*begin) {
+    if (is_request(bytes + *begin, count - *begin, unit)) {
+      return count - *begin;
+    }
+  }
+  return 0;
+}
+
+/* ---- identification -------------------------------------------------------------------------- */
+
+/* The third byte of a request of function 43/14. */
+enum { BASIC = 1, REGULAR, EXTENDED, INDIVIDUAL };
+
+enum {
+  CONFORMITY = 0x82, /* basic and regular objects, all at once and one by one */
+  BASIC_LAST = 2,
+};
+
+struct object {
+  unsigned id;
+  const char *value;
+};
+
+static const struct object objects[] = {
+#define MODBUS_OBJECT(id, name, value) {id, value},
+#include "server/modbus/identity.def"
+#undef MODBUS_OBJECT
+};
+
+enum { OBJECTS = sizeof objects / sizeof objects[0] };
+
+static size_t put_text(uint8_t *at, const char *text) {
+  const size_t length = strlen(text);
+  memcpy(at, text, length);
+  return length;
+}
+
+size_t modbus_identity_report(unsigned unit, uint8_t *answer) {
+  answer[0] = MODBUS_FC_REPORT_SLAVE_ID;
+  answer[2] = (uint8_t)unit;
+  answer[3] = 0xff; /* the unit runs */
+  const size_t bytes = 4 + put_text(answer + 4, "dipoled " DIPOLED_VERSION);
+  answer[1] = (uint8_t)(bytes - 2);
+  return bytes;
+}
+
+static bool is_there(unsigned id) {
+  for (size_t i = 0; i < OBJECTS; i++) {
+    if (objects[i].id == id) {
+      return true;
+    }
+  }
+  return false;
+}
+
+/* A request for all objects of a kind gets those from the named one on. If there is no such object,
+ * it gets all. */
+static bool is_asked_for(const struct object *object, unsigned code, unsigned id) {
+  if (code == INDIVIDUAL) {
+    return object->id == id;
+  }
+  const unsigned last = code == BASIC ? BASIC_LAST : UINT8_MAX;
+  return object->id <= last && (object->id >= id || !is_there(id) || id > last);
+}
+
+size_t modbus_identity_read(const uint8_t *pdu, uint8_t *answer, unsigned *exception) {
+  const unsigned code = pdu[2];
+  const unsigned id = pdu[3];
+  if (code < BASIC || code > INDIVIDUAL) {
+    *exception = MODBUS_EXCEPTION_ILLEGAL_DATA_VALUE;
+    return 0;
+  }
+  if (code == INDIVIDUAL && !is_there(id)) {
+    *exception = MODBUS_EXCEPTION_ILLEGAL_DATA_ADDRESS;
+    return 0;
+  }
+  /* All objects fit into one answer, so that no more follow. */
+  const uint8_t head[] = {pdu[0], pdu[1], (uint8_t)code, CONFORMITY, 0, 0, 0};
+  memcpy(answer, head, sizeof head);
+  size_t bytes = sizeof head;
+  for (size_t i = 0; i < OBJECTS; i++) {
+    if (is_asked_for(&objects[i], code, id)) {
+      answer[6]++;
+      answer[bytes++] = (uint8_t)objects[i].id;
+      const size_t length = put_text(answer + bytes + 1, objects[i].value);
+      answer[bytes++] = (uint8_t)length;
+      bytes += length;
+    }
+  }
+  return bytes;
+}
