@@ -48,26 +48,36 @@ void peer_hang_up_after_request(int fd, void *context) {
   free(request.payload);
 }
 
-void peer_hang_up_in_answer(int fd, void *context) {
-  peer_frame request;
+uint8_t *peer_make_answer(const peer_frame *request, size_t garbled, size_t *count) {
   uint8_t *payload;
-  peer_say_hello_or_abort(fd);
-  peer_receive_or_abort(fd, &request);
-  const size_t payload_bytes = peer_evaluate(&request, &payload);
+  const size_t payload_bytes = peer_evaluate(request, &payload);
   const wire_header header = {.magic = WIRE_MAGIC,
                               .version = WIRE_VERSION,
                               .type = WIRE_TYPE_EVAL | WIRE_REPLY,
-                              .request_id = request.header.request_id,
+                              .request_id = request->header.request_id,
                               .payload_bytes = (uint32_t)payload_bytes};
-  uint8_t *bytes = malloc(WIRE_BYTES_header + payload_bytes);
+  *count = WIRE_BYTES_header + payload_bytes;
+  uint8_t *bytes = malloc(*count);
   if (bytes == NULL) {
     abort();
   }
   wire_put_header(bytes, &header);
-  memset(bytes + WIRE_BYTES_header, 0xff, payload_bytes); /* none of it may ever be used */
+  memcpy(bytes + WIRE_BYTES_header, payload, payload_bytes);
+  if (garbled < payload_bytes) {
+    memset(bytes + WIRE_BYTES_header + garbled, 0xff, payload_bytes - garbled);
+  }
+  free(payload);
+  return bytes;
+}
+
+void peer_hang_up_in_answer(int fd, void *context) {
+  peer_frame request;
+  size_t count;
+  peer_say_hello_or_abort(fd);
+  peer_receive_or_abort(fd, &request);
+  uint8_t *bytes = peer_make_answer(&request, 0, &count);
   peer_send_bytes(fd, bytes, *(const size_t *)context);
   free(bytes);
-  free(payload);
   free(request.payload);
 }
 
@@ -151,6 +161,19 @@ void peer_finish(scripted_peer *peer, dipole_client *client) {
   peer_end(peer);
 }
 
+void peer_expect(bool good, const dipole_error *error) {
+  if (!good) {
+    fail_msg("%s", error->text);
+  }
+}
+
+dipole_result *peer_eval(dipole_client *client, const dipole_query *query) {
+  dipole_result *result = NULL;
+  dipole_error error;
+  peer_expect(dipole_eval(client, query, &result, &error), &error);
+  return result;
+}
+
 char *peer_list(const char *const *addresses, size_t count) {
   char *list = calloc(count, 128);
   assert_non_null(list);
@@ -204,12 +227,7 @@ void peer_check_result(dipole_result *result, uint64_t count) {
 
 void peer_check_eval(dipole_client *client, uint64_t count) {
   const dipole_query query = peer_query(count);
-  dipole_result *result;
-  dipole_error error;
-  if (!dipole_eval(client, &query, &result, &error)) {
-    fail_msg("%s", error.text);
-  }
-  peer_check_result(result, count);
+  peer_check_result(peer_eval(client, &query), count);
 }
 
 dipole_error peer_check_failure(dipole_client *client, enum dipole_error_kind kind) {
@@ -225,9 +243,7 @@ uint64_t peer_submit(dipole_client *client, uint64_t count) {
   const dipole_query query = peer_query(count);
   dipole_error error;
   uint64_t id = 0;
-  if (!dipole_submit(client, &query, &id, &error)) {
-    fail_msg("%s", error.text);
-  }
+  peer_expect(dipole_submit(client, &query, &id, &error), &error);
   assert_true(id != 0);
   return id;
 }

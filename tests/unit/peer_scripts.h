@@ -13,6 +13,10 @@ void peer_say_hello_or_abort(int fd);
 void peer_send_error(int fd, uint64_t id, enum wire_status status, uint32_t retry_after_ms);
 void peer_answer(int fd, const peer_frame *request);
 
+/* The frame of the answer to a request, *count bytes. Of its payload, the bytes from `garbled` on
+ * are not the answer's but 0xff. The caller frees it. */
+uint8_t *peer_make_answer(const peer_frame *request, size_t garbled, size_t *count);
+
 /* Scripts: each closes the connection at its end. */
 peer_script peer_hang_up_at_once, peer_hang_up_after_hello, peer_hang_up_after_request;
 peer_script
@@ -40,6 +44,12 @@ dipole_client *peer_begin_scripts(scripted_peer *peer, peer_script *const *scrip
 
 /* Closes the client and waits for the peer's script to end. */
 void peer_finish(scripted_peer *peer, dipole_client *client);
+
+/* Fails the test with the error's text unless a call was good. */
+void peer_expect(bool good, const dipole_error *error);
+
+/* Evaluates; the caller frees the result. Fails the test if it cannot. */
+dipole_result *peer_eval(dipole_client *client, const dipole_query *query);
 
 /* "A,B,...": the caller frees it. */
 char *peer_list(const char *const *addresses, size_t count);

@@ -242,9 +242,7 @@ UNIT_TEST(test_round_and_round) {
   for (unsigned k = 0; k < QUERIES; k++) {
     uint64_t id = 0, i = 1;
     dipole_result *result;
-    if (!dipole_collect(client, &id, &result, &error)) {
-      fail_msg("%s", error.text);
-    }
+    peer_expect(dipole_collect(client, &id, &result, &error), &error);
     while (i <= QUERIES && ids[i] != id) {
       i++;
     }
@@ -352,9 +350,7 @@ UNIT_TEST(test_a_private_daemon_that_dies) {
   assert_true(first > 0 && dipole_ping(client, &error));
   dipole_set_retry_ms(client, PEER_PATIENCE_MS);
   assert_int_equal(kill(first, SIGKILL), 0);
-  if (!dipole_ping(client, &error)) {
-    fail_msg("%s", error.text);
-  }
+  peer_expect(dipole_ping(client, &error), &error);
   assert_true(client->daemon > 0 && client->daemon != first);
   assert_int_equal(kill(first, 0), -1); /* nothing is left of it */
   dipole_set_retry_ms(client, 0);

@@ -21,7 +21,7 @@ static const dipole_query simple_query = {.model = 2,
 
 /* ---- honest answers ------------------------------------------------------------------------ */
 
-static void check_simple_result(const dipole_result *result) {
+static void check_simple_result(dipole_result *result) {
   assert_int_equal(result->channel_count, 2);
   assert_int_equal(result->radius_count, 3);
   assert_null(result->radius_f64);
@@ -37,21 +37,18 @@ static void check_simple_result(const dipole_result *result) {
       assert_true(channel->cdf_f64[k] == radii[k] / 4);
     }
   }
+  dipole_result_free(result);
 }
 
 UNIT_TEST(test_eval) {
   scripted_peer peer;
-  dipole_error error;
-  dipole_result *result;
   dipole_client *client = peer_begin(&peer, peer_serve, NULL);
   const dipole_info *info = dipole_get_info(client);
   assert_string_equal(info->address, peer.address);
   assert_string_equal(info->software, "scripted?[31m"); /* no escape sequences for terminals */
   assert_int_equal(dipole_id(client, DIPOLE_MODEL, "better"), 2);
   assert_int_equal(dipole_id(client, DIPOLE_MODEL, "bad-value"), 0);
-  assert_true(dipole_eval(client, &simple_query, &result, &error));
-  check_simple_result(result);
-  dipole_result_free(result);
+  check_simple_result(peer_eval(client, &simple_query));
   peer_finish(&peer, client);
 }
 
@@ -122,18 +119,13 @@ enum { ORDERED = 3 };
 /* Answers three requests in reverse, then a fourth. */
 static void answer_in_reverse(int fd, void *context) {
   peer_frame request[ORDERED + 1];
-  uint8_t *payload;
   (void)context;
-  peer_say_hello(fd);
+  peer_say_hello_or_abort(fd);
   for (size_t i = 0; i < ORDERED + 1; i++) {
-    if (!peer_receive(fd, &request[i])) {
-      abort();
-    }
+    peer_receive_or_abort(fd, &request[i]);
   }
   for (size_t i = ORDERED + 1; i-- > 0;) {
-    const size_t bytes = peer_evaluate(&request[i], &payload);
-    peer_send(fd, WIRE_TYPE_EVAL | WIRE_REPLY, request[i].header.request_id, payload, bytes);
-    free(payload);
+    peer_answer(fd, &request[i]);
     free(request[i].payload);
   }
 }
@@ -151,9 +143,7 @@ UNIT_TEST(test_answers_in_any_order) {
     query.radius_count = i + 1;
     assert_true(dipole_submit(client, &query, &submitted[i], &error));
   }
-  assert_true(dipole_eval(client, &simple_query, &result, &error));
-  check_simple_result(result);
-  dipole_result_free(result);
+  check_simple_result(peer_eval(client, &simple_query));
   for (size_t n = 0; n < ORDERED; n++) {
     assert_true(dipole_collect(client, &id, &result, &error));
     for (size_t i = 0; i < ORDERED; i++) {
@@ -192,14 +182,10 @@ UNIT_TEST(test_long_pipeline_does_not_deadlock) {
   query.radius_count = BIG_RADII;
   dipole_client *client = peer_begin(&peer, peer_serve, NULL);
   for (size_t i = 0; i < BIG_QUERIES; i++) {
-    if (!dipole_submit(client, &query, &id, &error)) {
-      fail_msg("%s", error.text);
-    }
+    peer_expect(dipole_submit(client, &query, &id, &error), &error);
   }
   for (size_t i = 0; i < BIG_QUERIES; i++) {
-    if (!dipole_collect(client, &id, &result, &error)) {
-      fail_msg("%s", error.text);
-    }
+    peer_expect(dipole_collect(client, &id, &result, &error), &error);
     assert_true(result->channels[0].R_f64[BIG_RADII - 1] == 2.0 * (BIG_RADII - 1));
     dipole_result_free(result);
   }
@@ -220,10 +206,7 @@ static void refuse(int fd, void *context) {
   for (size_t i = 0; i < REFUSALS + 1; i++) {
     peer_frame request;
     uint8_t bytes[WIRE_BYTES_error];
-    uint8_t *payload;
-    if (!peer_receive(fd, &request)) {
-      abort();
-    }
+    peer_receive_or_abort(fd, &request);
     if (i < REFUSALS) {
       wire_error error = {.status = WIRE_STATUS_BAD_VALUE, .index = 1};
       WIRE_SET_TEXT(error.field, refused_fields[i]);
@@ -234,9 +217,7 @@ static void refuse(int fd, void *context) {
       wire_put_error(bytes, &error);
       peer_send(fd, WIRE_TYPE_ERROR, request.header.request_id, bytes, sizeof bytes);
     } else {
-      const size_t size = peer_evaluate(&request, &payload);
-      peer_send(fd, WIRE_TYPE_EVAL | WIRE_REPLY, request.header.request_id, payload, size);
-      free(payload);
+      peer_answer(fd, &request);
     }
     free(request.payload);
   }
@@ -259,20 +240,15 @@ UNIT_TEST(test_refusals_say_what_is_allowed) {
     assert_int_equal(error.status, i < 3 ? WIRE_STATUS_BAD_VALUE : WIRE_STATUS_BUSY);
     assert_int_equal(error.retry_after_ms, i < 3 ? 0 : 7);
   }
-  assert_true(dipole_eval(client, &simple_query, &result, NULL));
-  check_simple_result(result);
-  dipole_result_free(result);
+  check_simple_result(peer_eval(client, &simple_query));
   peer_finish(&peer, client);
 }
 
 /* A daemon at its limit says so before anything has been asked. */
 static void be_busy(int fd, void *context) {
-  uint8_t bytes[WIRE_BYTES_error];
-  const wire_error error = {.status = WIRE_STATUS_BUSY, .retry_after_ms = 250};
   peer_frame request;
   (void)context;
-  wire_put_error(bytes, &error);
-  peer_send(fd, WIRE_TYPE_ERROR, 0, bytes, sizeof bytes);
+  peer_send_error(fd, 0, WIRE_STATUS_BUSY, 250);
   if (peer_receive(fd, &request)) {
     free(request.payload);
   }
@@ -306,30 +282,15 @@ typedef struct one_lie {
 static void tell_lie(int fd, void *context) {
   const one_lie *lie = context;
   peer_frame request;
-  uint8_t *payload;
-  peer_say_hello(fd);
-  if (!peer_receive(fd, &request)) {
-    return;
-  }
-  const size_t payload_bytes = peer_evaluate(&request, &payload);
-  const size_t bytes = WIRE_BYTES_header + payload_bytes;
-  uint8_t *frame = malloc(bytes);
-  if (frame == NULL) {
-    abort();
-  }
-  const wire_header header = {.magic = WIRE_MAGIC,
-                              .version = WIRE_VERSION,
-                              .type = WIRE_TYPE_EVAL | WIRE_REPLY,
-                              .request_id = request.header.request_id,
-                              .payload_bytes = (uint32_t)payload_bytes};
-  wire_put_header(frame, &header);
-  memcpy(frame + WIRE_BYTES_header, payload, payload_bytes);
+  size_t bytes;
+  peer_say_hello_or_abort(fd);
+  peer_receive_or_abort(fd, &request);
+  uint8_t *frame = peer_make_answer(&request, SIZE_MAX, &bytes);
   for (size_t i = 0; i < lie->bytes; i++) {
     frame[lie->offset + i] = (uint8_t)(lie->value >> (8 * i));
   }
   peer_send_bytes(fd, frame, bytes);
   free(frame);
-  free(payload);
   free(request.payload);
 }
 
@@ -411,34 +372,13 @@ UNIT_TEST(test_lies_in_hello_are_noticed) {
 
 /* ---- connections --------------------------------------------------------------------------- */
 
-/* Half an answer, and the end. */
-static void break_off(int fd, void *context) {
-  peer_frame request;
-  uint8_t *payload;
-  (void)context;
-  peer_say_hello(fd);
-  if (peer_receive(fd, &request)) {
-    const size_t bytes = peer_evaluate(&request, &payload);
-    const wire_header header = {.magic = WIRE_MAGIC,
-                                .version = WIRE_VERSION,
-                                .type = WIRE_TYPE_EVAL | WIRE_REPLY,
-                                .request_id = request.header.request_id,
-                                .payload_bytes = (uint32_t)bytes};
-    uint8_t head[WIRE_BYTES_header];
-    wire_put_header(head, &header);
-    peer_send_bytes(fd, head, sizeof head);
-    peer_send_bytes(fd, payload, bytes / 2);
-    free(payload);
-    free(request.payload);
-  }
-}
-
 UNIT_TEST(test_lost_connection) {
+  size_t half = 100;
   scripted_peer peer;
   dipole_error error;
   dipole_result *result;
   uint64_t id;
-  dipole_client *client = peer_begin(&peer, break_off, NULL);
+  dipole_client *client = peer_begin(&peer, peer_hang_up_in_answer, &half);
   assert_false(dipole_eval(client, &simple_query, &result, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);
   assert_false(dipole_submit(client, &simple_query, &id, &error));
@@ -527,11 +467,8 @@ UNIT_TEST(test_arguments) {
     assert_false(dipole_eval(client, &queries[i], &result, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
   }
-  assert_true(dipole_eval(client, &simple_query, &result, &error)); /* nothing was sent */
-  check_simple_result(result);
-  dipole_result_free(result);
-  dipole_close(client);
+  check_simple_result(peer_eval(client, &simple_query)); /* nothing was sent */
+  peer_finish(&peer, client);
   dipole_close(NULL);
   dipole_result_free(NULL);
-  peer_end(&peer);
 }

@@ -59,18 +59,18 @@ static question question_of(unsigned evaluator, unsigned wanted, uint64_t count)
   }
   made.values = room_for(MEDIA * arrays * count * made.value_bytes);
   made.radii = room_for((wanted & DIPOLE_RADIUS) != 0 ? count * made.value_bytes : 0);
-  made.query =
-      (dipole_query){.model = 2,
-                     .evaluator = evaluator,
-                     .moments = DIPOLE_EXACT,
-                     .wanted = wanted,
-                     .media = peer_media,
-                     .medium_count = MEDIA,
-                     .spacing = DIPOLE_LIST,
-                     .radii = evaluator == DIPOLE_F64 ? (const void *)peer_radii_f64 : peer_radii_f32,
-                     .radius_count = count,
-                     .into_values = inside(&made.values),
-                     .into_radii = inside(&made.radii)};
+  made.query = (dipole_query){.model = 2,
+                              .evaluator = evaluator,
+                              .moments = DIPOLE_EXACT,
+                              .wanted = wanted,
+                              .media = peer_media,
+                              .medium_count = MEDIA,
+                              .spacing = DIPOLE_LIST,
+                              .radii = evaluator == DIPOLE_F64 ? (const void *)peer_radii_f64
+                                                               : peer_radii_f32,
+                              .radius_count = count,
+                              .into_values = inside(&made.values),
+                              .into_radii = inside(&made.radii)};
   return made;
 }
 
@@ -123,9 +123,7 @@ static void ask(dipole_client *client, unsigned evaluator, unsigned wanted, uint
   question asked = question_of(evaluator, wanted, count);
   dipole_result *result;
   dipole_error error;
-  if (!dipole_eval(client, &asked.query, &result, &error)) {
-    fail_msg("%s", error.text);
-  }
+  peer_expect(dipole_eval(client, &asked.query, &result, &error), &error);
   check_result(&asked, result);
   end_question(&asked);
 }
@@ -212,9 +210,7 @@ UNIT_TEST(test_many_in_any_order) {
   for (size_t k = 0; k < MANY; k++) {
     const size_t i = k * 7 % MANY;
     dipole_result *result;
-    if (!dipole_collect_id(client, ids[i], &result, &error)) {
-      fail_msg("%s", error.text);
-    }
+    peer_expect(dipole_collect_id(client, ids[i], &result, &error), &error);
     check_result(&asked[i], result);
     end_question(&asked[i]);
   }
@@ -286,37 +282,14 @@ UNIT_TEST(test_a_place_for_all_or_for_nothing) {
   peer_finish(&peer, client);
 }
 
-/* All of an answer as bytes, to be freed. Of garbled ones only the head is good. */
-static uint8_t *make_answer(const peer_frame *request, bool garbled, size_t *count) {
-  uint8_t *payload;
-  const size_t payload_bytes = peer_evaluate(request, &payload);
-  const wire_header header = {.magic = WIRE_MAGIC,
-                              .version = WIRE_VERSION,
-                              .type = WIRE_TYPE_EVAL | WIRE_REPLY,
-                              .request_id = request->header.request_id,
-                              .payload_bytes = (uint32_t)payload_bytes};
-  const size_t head_bytes = WIRE_BYTES_eval_reply + MEDIA * WIRE_BYTES_channel;
-  *count = WIRE_BYTES_header + payload_bytes;
-  uint8_t *bytes = malloc(*count);
-  if (bytes == NULL) {
-    abort();
-  }
-  wire_put_header(bytes, &header);
-  memcpy(bytes + WIRE_BYTES_header, payload, payload_bytes);
-  if (garbled) {
-    memset(bytes + WIRE_BYTES_header + head_bytes, 0xff, payload_bytes - head_bytes);
-  }
-  free(payload);
-  return bytes;
-}
-
 /* Sends the answer up to so many bytes before its end, with values that must not stay. */
 static void hang_up_before_the_end(int fd, void *context) {
   peer_frame request;
   size_t count;
   peer_say_hello_or_abort(fd);
   peer_receive_or_abort(fd, &request);
-  uint8_t *bytes = make_answer(&request, true, &count);
+  uint8_t *bytes =
+      peer_make_answer(&request, WIRE_BYTES_eval_reply + MEDIA * WIRE_BYTES_channel, &count);
   const size_t before = *(const size_t *)context;
   peer_send_bytes(fd, bytes, before < count ? count - before : 0);
   free(bytes);
@@ -373,7 +346,7 @@ static void pause_in_the_answer(int fd, void *context) {
   size_t count;
   peer_say_hello_or_abort(fd);
   peer_receive_or_abort(fd, &first);
-  uint8_t *bytes = make_answer(&first, false, &count);
+  uint8_t *bytes = peer_make_answer(&first, SIZE_MAX, &count);
   const size_t at_first = before < count ? before : count;
   peer_send_bytes(fd, bytes, at_first);
   peer_receive_or_abort(fd, &second);

@@ -47,12 +47,6 @@ static const unsigned wanted_f32 = DIPOLE_R | DIPOLE_ALBEDO | DIPOLE_RADIUS;
 
 /* ---- honest parts -------------------------------------------------------------------------- */
 
-static void receive_or_abort(int fd, peer_frame *request) {
-  if (!peer_receive(fd, request)) {
-    abort();
-  }
-}
-
 static uint64_t count_of(const peer_frame *request) {
   wire_eval_request fixed;
   wire_get_eval_request(request->payload, &fixed);
@@ -100,15 +94,12 @@ UNIT_TEST(test_parts_are_put_together) {
       dipole_result *result;
       dipole_client *client = peer_begin(&peer, serve_parts, (void *)&sizes[i]);
       for (int again = 0; again < 2; again++) {
-        if (!dipole_eval(client, &query, &result, &error)) {
-          fail_msg("%s", error.text);
-        }
+        peer_expect(dipole_eval(client, &query, &result, &error), &error);
         assert_int_equal(result->radius_count, PEER_RADII);
         check_values(result, 0);
         dipole_result_free(result);
       }
-      dipole_close(client);
-      peer_end(&peer);
+      peer_finish(&peer, client);
     }
   }
 }
@@ -137,9 +128,7 @@ UNIT_TEST(test_parts_are_handed_on) {
     dipole_error error;
     reading so_far = {0};
     dipole_client *client = peer_begin(&peer, serve_parts, (void *)&sizes[i]);
-    if (!dipole_eval_parts(client, &query, read_part, &so_far, &error)) {
-      fail_msg("%s", error.text);
-    }
+    peer_expect(dipole_eval_parts(client, &query, read_part, &so_far, &error), &error);
     assert_int_equal(so_far.next, PEER_RADII);
     assert_int_equal(so_far.parts, parts_of(PEER_RADII, sizes[i]));
     peer_finish(&peer, client);
@@ -169,7 +158,7 @@ static void mix(int fd, void *context) {
   (void)context;
   peer_say_hello(fd);
   for (size_t i = 0; i < BETWEEN; i++) {
-    receive_or_abort(fd, &request[i]);
+    peer_receive_or_abort(fd, &request[i]);
   }
   for (uint32_t part = 0; part < parts_of(PEER_RADII, EACH); part++) {
     send_part(fd, &request[2], part, EACH);
@@ -221,12 +210,6 @@ UNIT_TEST(test_other_answers_may_come_in_between) {
 
 /* ---- answers that end early ---------------------------------------------------------------- */
 
-static void send_error(int fd, uint64_t id, wire_error error) {
-  uint8_t bytes[WIRE_BYTES_error];
-  wire_put_error(bytes, &error);
-  peer_send(fd, WIRE_TYPE_ERROR, id, bytes, sizeof bytes);
-}
-
 /* Two parts and an error in place of the third; then answers in parts. */
 static void be_late(int fd, void *context) {
   static const uint64_t each = EACH;
@@ -234,13 +217,13 @@ static void be_late(int fd, void *context) {
   (void)context;
   peer_say_hello(fd);
   for (int i = 0; i < 3; i++) {
-    receive_or_abort(fd, &request);
+    peer_receive_or_abort(fd, &request);
     assert_int_equal(request.header.deadline_ms, 250 + i);
     for (uint32_t part = 0; part < (i < 2 ? 2 : parts_of(PEER_RADII, EACH)); part++) {
       send_part(fd, &request, part, each);
     }
     if (i < 2) {
-      send_error(fd, request.header.request_id, (wire_error){.status = WIRE_STATUS_DEADLINE});
+      peer_send_error(fd, request.header.request_id, WIRE_STATUS_DEADLINE, 0);
     }
     free(request.payload);
   }
@@ -300,7 +283,7 @@ static void break_off(int fd, void *context) {
   peer_frame request;
   (void)context;
   peer_say_hello(fd);
-  receive_or_abort(fd, &request);
+  peer_receive_or_abort(fd, &request);
   send_part(fd, &request, 0, EACH);
   send_part(fd, &request, 1, EACH);
   free(request.payload);
@@ -331,7 +314,7 @@ static void begin_something_huge(int fd, void *context) {
   while (peer_receive(fd, &request)) {
     const size_t bytes = peer_evaluate_part(&request, 0, 256, 0, UINT32_MAX, &payload);
     peer_send(fd, WIRE_TYPE_EVAL | WIRE_REPLY, request.header.request_id, payload, bytes);
-    send_error(fd, request.header.request_id, (wire_error){.status = WIRE_STATUS_BUSY});
+    peer_send_error(fd, request.header.request_id, WIRE_STATUS_BUSY, 0);
     free(payload);
     free(request.payload);
   }
@@ -410,7 +393,7 @@ static void tell_lie(int fd, void *context) {
   const lie *told = context;
   peer_frame request;
   peer_say_hello(fd);
-  receive_or_abort(fd, &request);
+  peer_receive_or_abort(fd, &request);
   uint64_t first = 0;
   for (uint32_t part = 0; part < parts_of(PEER_RADII, EACH); part++) {
     const bool is_it = part == told->part;
@@ -470,8 +453,7 @@ UNIT_TEST(test_lies_are_noticed) {
         fail_msg("part %u: %s: %s", lies[i].part, lies[i].what, error.text);
       }
       assert_false(dipole_ping(client, &error)); /* the client stays broken */
-      dipole_close(client);
-      peer_end(&peer);
+      peer_finish(&peer, client);
     }
   }
 }

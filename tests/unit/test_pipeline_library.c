@@ -14,9 +14,7 @@ UNIT_SETUP(make_radii) {
 static void collect_id(dipole_client *client, uint64_t id, uint64_t count) {
   dipole_result *result;
   dipole_error error;
-  if (!dipole_collect_id(client, id, &result, &error)) {
-    fail_msg("%s", error.text);
-  }
+  peer_expect(dipole_collect_id(client, id, &result, &error), &error);
   peer_check_result(result, count);
 }
 

@@ -79,9 +79,7 @@ UNIT_TEST(test_each_submitted_query_has_one_answer) {
   for (unsigned k = 0; k < QUERIES; k++) {
     uint64_t id;
     dipole_result *result;
-    if (!dipole_collect(client, &id, &result, &error)) {
-      fail_msg("%s", error.text);
-    }
+    peer_expect(dipole_collect(client, &id, &result, &error), &error);
     uint64_t i = 1;
     while (i <= QUERIES && ids[i] != id) {
       i++;

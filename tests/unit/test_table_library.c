@@ -55,9 +55,7 @@ static void unmake(made_table *made) {
 static dipole_table *load(const made_table *made) {
   dipole_table *table;
   dipole_error error;
-  if (!dipole_table_load(made->bytes, made->count, &table, &error)) {
-    fail_msg("%s", error.text);
-  }
+  peer_expect(dipole_table_load(made->bytes, made->count, &table, &error), &error);
   return table;
 }
 
