@@ -17,6 +17,8 @@ enum {
   RETRY_MOST_MS = 30000,
 };
 
+#define DIGITS "0123456789"
+
 static void lose_device(struct modbus_line *line, const char *why);
 
 static struct modbus_line *line_of(struct client *client) {
@@ -34,15 +36,9 @@ static bool complain(const char *url, const char *why) {
   return false;
 }
 
-static bool read_number(const char *text, unsigned long most, unsigned long *number) {
-  char *end;
-  *number = strtoul(text, &end, 10);
-  return *text >= '0' && *text <= '9' && *end == '\0' && *number >= 1 && *number <= most;
-}
-
-static bool is_baud_rate(unsigned long baud) {
-  static const unsigned long rates[] = {1200,  2400,   4800,   9600,   19200, 38400,
-                                        57600, 115200, 230400, 460800, 921600};
+static bool is_baud_rate(int baud) {
+  static const int rates[] = {1200,  2400,   4800,   9600,   19200, 38400,
+                              57600, 115200, 230400, 460800, 921600};
   for (size_t i = 0; i < sizeof rates / sizeof rates[0]; i++) {
     if (rates[i] == baud) {
       return true;
@@ -51,38 +47,29 @@ static bool is_baud_rate(unsigned long baud) {
   return false;
 }
 
+/* Reads the option up to where it is wrong, which says what is wrong with it. */
 static bool read_url(struct modbus_line *line, const char *url) {
-  enum { PARTS = 4 };
-  const char *form = "the form is rtu:DEVICE,BAUD,PARITY[,UNIT]";
-  char text[MODBUS_LINE_DEVICE_BYTES];
-  if (strncmp(url, "rtu:", 4) != 0 || strlen(url) - 4 >= sizeof text) {
-    return complain(url, form);
+  char baud[8] = "", parity[4] = "", unit[4] = "1", rest = '\0';
+  _Static_assert(MODBUS_LINE_DEVICE_BYTES == 256, "the width in the format");
+  const int parts =
+      sscanf(url, "rtu:%255[^,],%7[^,],%3[^,],%3[^,]%c", line->device, baud, parity, unit, &rest);
+  line->baud = atoi(baud);
+  line->parity = parity[0];
+  line->number = (unsigned)atoi(unit);
+  if (parts < 3) {
+    return complain(url, "the form is rtu:DEVICE,BAUD,PARITY[,UNIT]");
   }
-  strcpy(text, url + 4);
-  const char *parts[PARTS] = {text, "", "", "1"};
-  int count = 1;
-  for (char *comma = text; (comma = strchr(comma, ',')) != NULL && count < PARTS; count++) {
-    *comma++ = '\0';
-    parts[count] = comma;
-  }
-  unsigned long baud = 0;
-  unsigned long unit = 0;
-  if (count < 3 || text[0] == '\0') {
-    return complain(url, form);
-  }
-  if (!read_number(parts[1], 921600, &baud) || !is_baud_rate(baud)) {
+  if (strspn(baud, DIGITS) != strlen(baud) || !is_baud_rate(line->baud)) {
     return complain(url, "BAUD is 1200, 2400, 4800, ... 115200, 230400, 460800 or 921600");
   }
-  if (strlen(parts[2]) != 1 || strchr("NEO", parts[2][0]) == NULL) {
+  if (strlen(parity) != 1 || strchr("NEO", line->parity) == NULL) {
     return complain(url, "PARITY is N, E or O");
   }
-  if (!read_number(parts[3], MODBUS_UNITS, &unit)) {
+  const bool number_is_there = url[strlen(url) - 1] != ',' && parts <= 4;
+  if (!number_is_there || strspn(unit, DIGITS) != strlen(unit) || line->number < 1 ||
+      line->number > MODBUS_UNITS) {
     return complain(url, "UNIT is 1 to 247");
   }
-  strcpy(line->device, text);
-  line->baud = (int)baud;
-  line->parity = parts[2][0];
-  line->number = (unsigned)unit;
   return true;
 }
 

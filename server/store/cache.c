@@ -13,6 +13,7 @@ enum {
 };
 
 struct cache_entry {
+  uv_work_t work; /* while a thread of the pool prepares it */
   struct cache *cache;
   struct cache_key key;
   bool slow;
@@ -427,6 +428,21 @@ void cache_prepare(struct cache_entry *entry) {
   wake_all(entry);
   uv_mutex_unlock(&cache->mutex);
   release_all(&evicted);
+}
+
+static void prepare(uv_work_t *work) {
+  cache_prepare(work->data);
+}
+
+static void on_prepared(uv_work_t *work, int status) {
+  (void)status; /* it is never cancelled: cache_prepare() checks whether it is still wanted */
+  cache_release(work->data);
+}
+
+void cache_prepare_in_pool(struct cache_entry *entry, uv_loop_t *loop) {
+  entry->work.data = entry;
+  const int queued = uv_queue_work(loop, &entry->work, prepare, on_prepared);
+  assert(queued == 0); /* this only fails without a function */
 }
 
 struct cache_waiter *cache_next_woken(struct cache *cache, struct cache_queue *queue) {

@@ -22,6 +22,7 @@
 #define DIPOLED_CACHE_H
 
 #include <sys/queue.h>
+#include <uv.h>
 
 #include "core/core.h"
 #include "server/observe/stats.h"
@@ -100,6 +101,10 @@ enum cache_answer cache_look(struct cache *cache, const struct cache_key *key, b
 /* Prepares a NEW entry, on any thread, and wakes all who wait for it. If nobody waits any more for
  * a slow entry, it is removed from the cache instead. */
 void cache_prepare(struct cache_entry *entry);
+
+/* Calls cache_prepare() on a thread of libuv's pool. Takes over the caller's reference. Call this on
+ * the loop's thread; the loop runs until the entry has been prepared. */
+void cache_prepare_in_pool(struct cache_entry *entry, uv_loop_t *loop);
 
 /* A waiter of this queue whose entry has been prepared or has a fault. NULL: there is none. */
 struct cache_waiter *cache_next_woken(struct cache *cache, struct cache_queue *queue);

@@ -1,41 +1,6 @@
 #include "server/store/profiles.h"
 
 #include <assert.h>
-#include <stdlib.h>
-
-/* ---- preparing on another thread ------------------------------------------------------------- */
-
-struct task {
-  uv_work_t work;
-  struct cache_entry *entry; /* a reference */
-};
-
-static void prepare(uv_work_t *work) {
-  const struct task *task = work->data;
-  cache_prepare(task->entry);
-}
-
-static void on_prepared(uv_work_t *work, int status) {
-  (void)status; /* it is never cancelled: cache_prepare() checks whether it is still wanted */
-  struct task *task = work->data;
-  cache_release(task->entry);
-  free(task);
-}
-
-/* Takes over the reference. Without memory for the task, the profile is prepared at once. */
-static void start_preparing(struct profiles *profiles, struct cache_entry *entry) {
-  struct task *task = malloc(sizeof *task);
-  if (task != NULL) {
-    task->work.data = task;
-    task->entry = entry;
-    if (uv_queue_work(profiles->loop, &task->work, prepare, on_prepared) == 0) {
-      return;
-    }
-  }
-  free(task);
-  cache_prepare(entry);
-  cache_release(entry);
-}
 
 /* ---- the table ------------------------------------------------------------------------------- */
 
@@ -194,7 +159,7 @@ static enum profiles_answer get_from_cache(struct profiles *profiles,
       cache_prepare(entry);
       return take(profiles, order, entry);
     }
-    start_preparing(profiles, entry);
+    cache_prepare_in_pool(entry, profiles->loop);
     return PROFILES_WAIT;
   case CACHE_AWAITED:
     return PROFILES_WAIT;
