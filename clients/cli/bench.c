@@ -16,7 +16,7 @@
 
 enum { CONNECTIONS_MAX = 256, RADII_MAX = 1 << 22, MEASUREMENTS = 3 };
 
-/* Memory for the values under way, of all connections. */
+/* How much memory the values under way may take on all connections. */
 #define VALUES_MAX_BYTES ((size_t)1 << 30)
 
 typedef struct bench_settings {
@@ -32,8 +32,8 @@ typedef struct report {
   void *radii;
   dipole_query query;
   cli_progress progress;
-  unsigned measured; /* how many measurements are over, */
-  uint64_t requests; /* and how many requests these made */
+  unsigned measured; /* how many measurements are over */
+  uint64_t requests; /* how many requests these measurements have made */
   bench_result results[MEASUREMENTS];
 } report;
 
@@ -64,7 +64,7 @@ static int check(void *given) {
   return cli_medium_check(&settings->profile);
 }
 
-/* Checks what only shows once there is a daemon. */
+/* Checks what depends on the daemon. */
 static int check_with_daemon(const report *of) {
   const bench_settings *settings = of->settings;
   const size_t bytes = (size_t)(settings->connections.value * settings->in_flight.value) *

@@ -13,7 +13,8 @@ enum { SHOW_EVERY_MS = 50 };
 
 /* ---- durations ----------------------------------------------------------------------------- */
 
-/* Up to an octave of whole ns each has a bucket; from there on a 64th of an octave. */
+/* Below BENCH_OCTAVE ns, every ns has a bucket of its own; from there on a bucket is a 64th of an
+ * octave. */
 static size_t bucket_of(uint64_t ns) {
   if (ns < BENCH_OCTAVE) {
     return (size_t)ns;
@@ -23,7 +24,7 @@ static size_t bucket_of(uint64_t ns) {
   return bucket < BENCH_BUCKETS ? bucket : BENCH_BUCKETS - 1;
 }
 
-/* In the middle of it. */
+/* Returns the middle of a bucket. */
 static double ns_of(size_t bucket) {
   if (bucket < BENCH_OCTAVE) {
     return (double)bucket;
@@ -60,7 +61,7 @@ double bench_times_quantile_us(const bench_times *times, double share) {
 
 /* ---- a connection: a thread, which keeps so many requests under way --------------------------- */
 
-/* A request under way. */
+/* A request that is under way, or room for one. */
 typedef struct slot {
   uint64_t id;
   uint64_t sent_ns;
@@ -74,7 +75,7 @@ typedef struct worker {
   unsigned in_flight;
   uint64_t until_ns, ended_ns;
   uint8_t *values;
-  slot *slots; /* [in_flight]; under way are the first `used`, oldest first */
+  slot *slots; /* [in_flight]; the first `used` are under way, oldest first */
   unsigned used;
   atomic_ullong answered;
   atomic_bool done;
@@ -99,7 +100,8 @@ static bool submit(worker *of) {
   return good;
 }
 
-/* The oldest is the likeliest. Its memory is used again behind those under way. */
+/* Takes an answer: its slot moves behind those that are under way. The search starts with the oldest
+ * request, whose answer is the likeliest to come. */
 static void take(worker *of, uint64_t id, uint64_t at_ns) {
   for (unsigned i = 0; i < of->used; i++) {
     if (of->slots[i].id == id) {
@@ -148,7 +150,7 @@ static size_t quantities(unsigned wanted) {
   return (size_t)__builtin_popcount(wanted & ~(unsigned)(DIPOLE_ALBEDO | DIPOLE_RADIUS));
 }
 
-/* Bytes of the values of an answer, at a multiple of their own size. */
+/* Returns how many bytes the values of an answer take. */
 static size_t values_bytes(const dipole_query *query) {
   const size_t value_bytes = query->evaluator == DIPOLE_F64 ? sizeof(double) : sizeof(float);
   return quantities(query->wanted) * query->medium_count * query->radius_count * value_bytes;
@@ -170,7 +172,7 @@ static bool open_another(const cli_common *common, dipole_client **client, dipol
   return dipole_open_with(common->connect, &options, client, error);
 }
 
-/* One request that is not counted: the daemon prepares what it has to prepare. */
+/* Sends one request that is not counted, so that the daemon has prepared all it needs. */
 static bool warm_up(worker *of, dipole_error *error) {
   dipole_result *result;
   if (!dipole_eval(of->client, of->query, &result, error)) {
@@ -190,7 +192,7 @@ static uint64_t count_answers(worker *workers, unsigned count, bool *done) {
   return answered;
 }
 
-/* Looks on until all are done. */
+/* Shows the progress until all workers are done. */
 static void watch(worker *workers, const bench_load *load, uint64_t start_ns,
                   void (*show)(void *context, double share, uint64_t requests), void *context) {
   const struct timespec nap = {.tv_nsec = SHOW_EVERY_MS * 1000000L};
@@ -204,7 +206,7 @@ static void watch(worker *workers, const bench_load *load, uint64_t start_ns,
   }
 }
 
-/* Starts those that are open. How many threads run; fewer than were wanted: *error says why. */
+/* Starts a thread for each worker. Returns how many run; if that is not all, *error says why. */
 static unsigned start(worker *workers, const bench_load *load, uint64_t start_ns,
                       dipole_error *error) {
   for (unsigned i = 0; i < load->connections; i++) {

@@ -15,28 +15,28 @@ typedef struct bench_times {
 /* Returns the duration, in us, that a share of them did not exceed; 0 if there are none. */
 double bench_times_quantile_us(const bench_times *times, double share);
 
-/* One way of asking. */
+/* How a daemon is asked. */
 typedef struct bench_load {
   const char *name;
   const char *about;
   unsigned connections;
-  unsigned in_flight; /* on each of them */
-  uint64_t radii;     /* of each request */
+  unsigned in_flight; /* requests under way on each connection */
+  uint64_t radii;     /* how many a request has */
   double seconds;
 } bench_load;
 
-/* What came of it. */
+/* What was measured under a load. */
 typedef struct bench_result {
   bench_load load;
-  bench_times times;  /* from submitting to the answer in hand */
+  bench_times times;  /* of each request, from submitting it to having its answer */
   double took_s;      /* from the first request to the last answer */
-  double value_bytes; /* of a radius or value */
+  double value_bytes; /* size of a radius and of a value */
   double values_per_radius;
 } bench_result;
 
 double bench_requests_per_s(const bench_result *result);
-double bench_radii_per_s(const bench_result *result); /* in all channels */
-double bench_bytes_per_s(const bench_result *result); /* of radii that go and values that come */
+double bench_radii_per_s(const bench_result *result); /* those of each channel count */
+double bench_bytes_per_s(const bench_result *result); /* radii sent and values received */
 
 /* Asks the query in this way, with as many of its radii as the load says. The first connection is
  * the client's own. Calls show() with the share that is done, 0 to 1, and the number of requests,

@@ -32,7 +32,7 @@ static bool fill(cli_csv_reader *reader) {
   return true;
 }
 
-/* The next byte without taking it; -1: there is none. */
+/* Returns the next byte without taking it; -1 at the end of the input. */
 static int peek(cli_csv_reader *reader) {
   if (reader->begin == reader->end && (reader->at_end || !fill(reader))) {
     return -1;
@@ -60,7 +60,7 @@ static void end_cell(cli_csv_record *record, size_t begin, size_t end) {
 
 enum state { CELL_START, IN_CELL, IN_QUOTES, QUOTE_IN_QUOTES, IN_COMMENT };
 
-/* The state after a byte that ends neither a cell nor the record. */
+/* Returns the state after a byte that ends neither a cell nor the record. */
 static enum state next_state(enum state state, int byte, cli_csv_record *record) {
   switch (state) {
   case CELL_START:
@@ -71,7 +71,8 @@ static enum state next_state(enum state state, int byte, cli_csv_record *record)
     if (byte == '"') {
       return IN_QUOTES;
     }
-    record->malformed = record->malformed || byte != '\r'; /* that may belong to the line's end */
+    record->malformed =
+        record->malformed || byte != '\r'; /* a carriage return may belong to the line's end */
     return QUOTE_IN_QUOTES;
   case IN_CELL:
   case IN_COMMENT:
@@ -80,7 +81,7 @@ static enum state next_state(enum state state, int byte, cli_csv_record *record)
   return state;
 }
 
-/* Cuts the line's end off the last cell. */
+/* Ends the last cell before the line's end. */
 static void end_record(cli_csv_record *record, size_t cell_begin, bool comment) {
   const size_t length = record->length;
   if (length > 0 && record->bytes[length - 1] == '\n') {
@@ -100,7 +101,8 @@ static bool is_blank(const cli_csv_record *record, size_t begin) {
   return begin == record->length;
 }
 
-/* Takes a byte order mark at the start of the input; returns how many of its bytes stand there. */
+/* Takes the bytes of a byte order mark at the start of the input, and returns their number: 3, or
+ * less if the mark is not whole. */
 static size_t take_byte_order_mark(cli_csv_reader *reader, cli_csv_record *record) {
   static const unsigned char mark[BYTE_ORDER_MARK_BYTES] = {0xef, 0xbb, 0xbf};
   size_t taken = 0;

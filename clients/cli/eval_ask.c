@@ -86,7 +86,7 @@ typedef struct asking {
   cli_eval_report *report;
   const cli_eval_radii *radii;
   unsigned too_large; /* the daemon's status for a request beyond its limits */
-  unsigned bad_value; /* the one for a request that it, or the model, does not take */
+  unsigned bad_value; /* the daemon's status for a value that it, or the model, does not take */
   cli_progress *progress;
   size_t models_done, models_total;
 } asking;
@@ -154,7 +154,7 @@ static dipole_query make_query(const asking *ask, size_t place, const cli_parame
   return query;
 }
 
-/* Notes what the daemon has chosen where no model was named. */
+/* Keeps the daemon's choice of model and evaluator if no model was named. */
 static bool take_choice(cli_eval_report *report, const dipole_result *result, dipole_error *error) {
   cli_eval_model *model = &report->models[0];
   if (model->choice != NULL) {
@@ -172,14 +172,14 @@ static bool take_choice(cli_eval_report *report, const dipole_result *result, di
   return true;
 }
 
-/* Where the answer to one query goes. */
+/* What receive() needs to know of the query whose answer it takes. */
 typedef struct receiving {
   const asking *ask;
   size_t place, first;
-  dipole_error *error; /* when a part cannot be used */
+  dipole_error *error; /* says why a part of the answer cannot be used */
 } receiving;
 
-/* radii: how many of the model that is asked now have come. */
+/* Shows the progress. radii: how many radii of the current model have been answered. */
 static void show_progress(const asking *ask, double radii) {
   const double of_model = (double)ask->radii->count,
                channels = (double)ask->report->profile.channel_count;
@@ -251,14 +251,14 @@ static bool ask_model(const asking *ask, size_t place, dipole_error *error) {
   }
 }
 
-/* A model of all that is left out. */
+/* A model that `--model all` leaves out, and why. */
 typedef struct left_out {
   const char *model;
   dipole_error error;
 } left_out;
 
-/* Writes one line for each model that is left out. If that is every one, what is wrong is hardly the
- * models': then each reason is given once. */
+/* Writes one line for each model that is left out. If every model is, the query is probably wrong:
+ * then each reason is given once. */
 static int tell_left_out(const left_out *models, size_t count, bool all) {
   for (size_t i = 0; i < count; i++) {
     char what[96];

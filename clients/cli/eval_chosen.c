@@ -1,5 +1,6 @@
-/* What a tolerance has chosen, why, and what it did not choose. */
+/* Writes what a tolerance has chosen and why, and the cheaper offers that it did not choose. */
 #include <math.h>
+#include <stdlib.h>
 
 #include "clients/cli/daemon.h"
 #include "clients/cli/eval.h"
@@ -66,49 +67,41 @@ static bool is_listed(const cli_eval_offers *from, const dipole_offer *offer,
   return listed;
 }
 
-/* Returns whether offer a has a smaller error than b, or the same and comes first. */
-static bool is_nearer(const dipole_offer *a, const dipole_offer *b) {
-  return a->error < b->error || (!(b->error < a->error) && a < b);
+/* Orders offers by error and, where that is the same, by cost; a NaN comes last. */
+static int compare(const void *a, const void *b) {
+  const dipole_offer *x = *(const dipole_offer *const *)a, *y = *(const dipole_offer *const *)b;
+  const double x_error = isnan(x->error) ? (double)INFINITY : x->error;
+  const double y_error = isnan(y->error) ? (double)INFINITY : y->error;
+  return x_error != y_error ? (x_error > y_error) - (x_error < y_error) : (x > y) - (x < y);
 }
 
-/* Returns the listed offer that is next in error after `last`; NULL if there is none whose error is
- * known. */
-static const dipole_offer *next_nearest(const cli_eval_offers *from, const dipole_offer *taken,
-                                        const dipole_offer *last) {
-  const dipole_offer *next = NULL;
-  for (const dipole_offer *offer = from->offers; offer < from->offers + from->count; offer++) {
-    if (is_listed(from, offer, taken) && offer->error < (double)INFINITY &&
-        (last == NULL || is_nearer(last, offer)) && (next == NULL || is_nearer(offer, next))) {
-      next = offer;
-    }
-  }
-  return next;
-}
-
-/* "; cheaper and not within 0.01: better (f32) 0.24, burley (f32) 0.61 and 3 more" */
+/* Writes, for example, "; cheaper and not within 0.01: better (f32) 0.24 and 3 more". */
 static void write_cheaper(const cli_eval_report *report, const dipole_offer *taken, FILE *file) {
   const cli_eval_offers *from = &report->chosen_from;
+  const dipole_offer **listed = cli_allocate(from->count, sizeof(const dipole_offer *));
   char text[CLI_NUMBER_BYTES];
-  size_t told = 0, all = 0;
+  size_t count = 0, written = 0;
   for (size_t i = 0; i < from->count; i++) {
-    all += is_listed(from, &from->offers[i], taken);
+    if (is_listed(from, &from->offers[i], taken)) {
+      listed[count++] = &from->offers[i];
+    }
   }
-  if (all == 0) {
-    return;
+  qsort(listed, count, sizeof *listed, compare);
+  if (count > 0) {
+    fprintf(file, "; cheaper and not within %s: ", cli_number_format(from->tolerance, text));
   }
-  fprintf(file, "; cheaper and not within %s: ", cli_number_format(from->tolerance, text));
-  const dipole_offer *offer = next_nearest(from, taken, NULL);
-  for (; offer != NULL && told < LISTED_MAX; offer = next_nearest(from, taken, offer)) {
-    fprintf(file, "%s%s (%s) %.2g", told > 0 ? ", " : "",
-            name_of(report, DIPOLE_MODEL, offer->model),
-            name_of(report, DIPOLE_EVALUATOR, offer->evaluator), offer->error);
-    told++;
+  for (; written < count && written < LISTED_MAX && listed[written]->error < (double)INFINITY;
+       written++) {
+    fprintf(file, "%s%s (%s) %.2g", written > 0 ? ", " : "",
+            name_of(report, DIPOLE_MODEL, listed[written]->model),
+            name_of(report, DIPOLE_EVALUATOR, listed[written]->evaluator), listed[written]->error);
   }
-  if (told == 0) {
-    fprintf(file, "%zu whose error is not known here", all);
-  } else if (all > told) {
-    fprintf(file, " and %zu more", all - told);
+  if (written == 0 && count > 0) {
+    fprintf(file, "%zu whose error is not known here", count);
+  } else if (count > written) {
+    fprintf(file, " and %zu more", count - written);
   }
+  free(listed);
 }
 
 void cli_eval_write_chosen(const cli_eval_report *report, FILE *file) {

@@ -32,7 +32,7 @@ static block block_from(const cli_eval_report *report, size_t first) {
   return (block){report, first, left < count ? left : count};
 }
 
-/* A radius, and the values of all quantities, models and channels there. */
+/* Puts a radius, and the values of all quantities, models and channels there. */
 static void put_radius(cli_rows *rows, const void *context, size_t index) {
   const block *of = context;
   const cli_eval_report *report = of->report;
@@ -57,7 +57,7 @@ static void put_radius(cli_rows *rows, const void *context, size_t index) {
   }
 }
 
-/* What holds for all radii of a model and channel, and in JSON the values at all radii. */
+/* Puts what holds for all radii of a model and channel; in JSON also the values at all radii. */
 static void put_channel(cli_rows *rows, const void *context, size_t index) {
   const cli_eval_report *report = context;
   const size_t channels = report->profile.channel_count;
@@ -175,7 +175,7 @@ static size_t rows_of_channel(const cli_eval_report *report) {
   return report->radius_count > 0 ? report->radius_count : 1;
 }
 
-/* A model, channel and radius. */
+/* Puts the values of a model and channel at a radius. */
 static void put_value(cli_rows *rows, const void *context, size_t index) {
   const cli_eval_report *report = context;
   const size_t profile = index / rows_of_channel(report), radius = index % rows_of_channel(report);
@@ -205,7 +205,7 @@ static void put_value(cli_rows *rows, const void *context, size_t index) {
                      any ? values->arrays[q][radius] : (double)NAN);
     }
   }
-  if (cli_eval_is_chosen(report)) { /* then it is not known beforehand */
+  if (cli_eval_is_chosen(report)) { /* the user does not know it beforehand */
     cli_put_text(rows, CLI_COLUMN("evaluator"), report->profile.evaluator->name);
   }
 }

@@ -5,7 +5,7 @@
 #include "clients/cli/daemon.h"
 #include "clients/cli/rows.h"
 
-/* The daemon's lists, as people call them. */
+/* The daemon's lists, and what people call them. */
 static const struct {
   enum dipole_kind kind;
   const char *plural;
@@ -18,7 +18,7 @@ static const struct {
 
 #define DAEMON "daemon"
 
-/* One thing that is known of the daemon. */
+/* Something that is known about the daemon. */
 typedef struct fact {
   const char *section;
   const char *name, *head; /* for programs and for people */

@@ -39,7 +39,7 @@ static const cli_option options[] = {
     {0},
 };
 
-/* One medium that is wanted. */
+/* A medium that is asked for. */
 typedef struct wanted {
   double wanted_albedo, length_mm;
   bool found;

@@ -68,7 +68,7 @@ typedef struct report {
 
 /* ---- without a daemon ---------------------------------------------------------------------- */
 
-/* Returns CLI_COLOURS if it is none. */
+/* Returns which channel of a measured medium has this name; CLI_COLOURS if there is none. */
 static size_t colour_of(const char *name) {
   size_t i = 0;
   while (i < CLI_COLOURS && (name == NULL || strcmp(name, cli_colours[i]) != 0)) {
@@ -134,7 +134,7 @@ static int take_measured(const mc_settings *settings, dipole_client *client,
   return CLI_OK;
 }
 
-/* Where an error is asked for, only the daemon limits the photons. */
+/* Returns how many photons may walk. If an error is asked for, only the daemon limits them. */
 static uint64_t photons_of(const mc_settings *settings, const dipole_info *info) {
   for (size_t i = 0; i < info->limit_count; i++) {
     if (!settings->photons.given && (settings->error.given || settings->total_error.given) &&
@@ -254,13 +254,13 @@ static size_t list_parts(const dipole_mc_result *result, size_t albedo, bool all
   return of_sides + sizeof rest / sizeof rest[0];
 }
 
-/* A result and the albedo that is written of it. */
+/* A result, and which of its albedos is written. */
 typedef struct one_albedo {
   const dipole_mc_result *result;
   uint32_t albedo;
 } one_albedo;
 
-/* For people: a ring. One without light has an error, but no relative error. */
+/* Puts a ring, for people. A ring without light has an error, but no relative error. */
 static void put_ring(cli_rows *rows, const void *context, size_t index) {
   const one_albedo *of = context;
   const dipole_mc_result *result = of->result;
@@ -280,7 +280,7 @@ static void put_ring(cli_rows *rows, const void *context, size_t index) {
   }
 }
 
-/* For people: a part of the power. */
+/* Puts a part of the power, for people. */
 static void put_part(cli_rows *rows, const void *context, size_t index) {
   const one_albedo *of = context;
   part parts[PARTS_MAX];
@@ -329,8 +329,8 @@ static void write_table(const report *of) {
   }
 }
 
-/* For CSV: first a row for each side and ring, then one for each part of the power, which has no
- * radii and photons. */
+/* Puts a row of CSV: first come those of the rings on each side, then those of the parts of the
+ * power, which have no radii and photons. */
 static void put_value(cli_rows *rows, const void *context, size_t index) {
   const one_albedo *of = context;
   const dipole_mc_result *result = of->result;
@@ -440,7 +440,8 @@ static int judge(const report *of) {
     return cli_fail("cancelled after %llu of %llu photons", photons, asked);
   }
   if (of->result->end == DIPOLE_MC_STOPPED) {
-    return cli_fail("the daemon stopped after %llu of %llu photons", photons, asked);
+    return cli_fail("the daemon stopped after %llu of %llu photons: start the job again", photons,
+                    asked);
   }
   if (of->result->end == DIPOLE_MC_PHOTONS &&
       (of->query.error_rings > 0 || of->query.error_total > 0)) {

@@ -5,7 +5,7 @@
 #include "clients/cli/profile.h"
 #include "clients/cli/rows.h"
 
-/* One channel of a medium in each row. */
+/* Puts one channel of a medium. */
 static void put_channel(cli_rows *rows, const void *context, size_t index) {
   const dipole_measured_medium *media = context;
   const size_t channel = index % CLI_COLOURS;

@@ -1,4 +1,4 @@
-/* number: decimal numbers, read strictly and written so that nothing is lost. */
+/* number: reads decimal numbers strictly, and writes them so that no digit is lost. */
 #ifndef DIPOLE_CLI_NUMBER_H
 #define DIPOLE_CLI_NUMBER_H
 

@@ -532,10 +532,10 @@ static int fail_empty(const cli_picture *picture, size_t row, const char *path) 
   const char *name = quantity_of(picture, row)->name;
   if (picture->rows[row].axes.scale == CLI_LOGARITHMIC) {
     return cli_fail("--plot %s: %s is %s0 or infinite at every radius: a logarithmic axis shows "
-                    "nothing",
+                    "nothing of that; try other radii, or `dipole plot --axes linear`",
                     path, name, has_negative(picture, row) ? "negative, " : "");
   }
-  return cli_fail("--plot %s: %s is not a finite number at any radius: nothing to draw", path,
+  return cli_fail("--plot %s: %s is not a finite number at any radius: give other radii", path,
                   name);
 }
 

@@ -126,7 +126,7 @@ static void write_first(points_run *points) {
   cli_csv_record_trim(&row->record);
   points->first = (points->first + 1) % WINDOW_ROWS;
   points->count--;
-  const double input_bytes = (double)points->input_bytes; /* 0: not known */
+  const double input_bytes = (double)points->input_bytes; /* 0 if it is unknown */
   cli_progress_show(&points->progress,
                     input_bytes > 0 ? (double)points->reader.bytes_read / input_bytes : NAN,
                     (double)points->rows_written);
@@ -142,7 +142,7 @@ static bool write_down(points_run *points, size_t left) {
     }
   }
   if (!points->failed && ferror(stdout)) {
-    points->failed = true; /* main() says why */
+    points->failed = true; /* main() will say why */
   }
   return !points->failed;
 }
@@ -177,7 +177,7 @@ static bool read_record(points_run *points, cli_csv_record *record, enum cli_csv
     what = strerror(points->reader.read_errno);
     break;
   }
-  if (points->failed || !write_down(points, 0)) { /* what was read before is still good */
+  if (points->failed || !write_down(points, 0)) { /* the rows before this one are still answered */
     return false;
   }
   return fail(points, "line %llu: %s", (unsigned long long)points->reader.lines + 1, what);
@@ -213,7 +213,7 @@ static bool read_rows(points_run *points) {
         return false;
       }
     }
-    /* Reading may write rows, which moves its start, but not the place behind its end. */
+    /* Reading may write rows. That moves the start of the window, but not the place behind its end. */
     points_row *row = row_at(points, points->count);
     if (!read_record(points, &row->record, &kind)) {
       return !points->failed && write_down(points, 0);

@@ -357,7 +357,8 @@ void cli_profile_free(cli_profile *profile) {
   free(profile->media);
 }
 
-/* Returns whether an id is one quantity and no sum of several: only then has it an array. */
+/* Returns whether an id is that of one quantity. Sums of several quantities have no values of their
+ * own. */
 static bool is_one_bit(unsigned id) {
   return id != 0 && (id & (id - 1)) == 0;
 }

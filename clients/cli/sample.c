@@ -190,7 +190,7 @@ static bool has_albedo(const report *of) {
   return (of->query.wanted & DIPOLE_ALBEDO) != 0;
 }
 
-/* A channel, and in JSON its samples. */
+/* Puts a channel, and in JSON its samples. */
 static void put_channel(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
   const dipole_channel *channel = &of->result->channels[index];
@@ -213,7 +213,7 @@ static void put_channel(cli_rows *rows, const void *context, size_t index) {
   }
 }
 
-/* For people: one number, and what it gives in all channels. */
+/* Puts a number u and what it gives in all channels, for people. */
 static void put_number(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
   cli_put_number(rows, CLI_COLUMN("u"), of->u[index]);
@@ -231,7 +231,7 @@ static void put_number(cli_rows *rows, const void *context, size_t index) {
   }
 }
 
-/* For CSV: one number in one channel. */
+/* Puts a number u and what it gives in one channel, for CSV. */
 static void put_sample(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
   const size_t channel = index / of->count, i = index % of->count;

@@ -22,7 +22,7 @@ void cli_table_add(cli_table *table, const char *format, ...) {
   table->cells[table->cell_count++] = cell;
 }
 
-/* Characters, not bytes: all but the continuation bytes of UTF-8. */
+/* Counts characters, not bytes: every byte but the continuation bytes of UTF-8. */
 static size_t width_of(const char *text) {
   size_t width = 0;
   for (; *text != '\0'; text++) {
@@ -50,7 +50,7 @@ static void print_cell(const char *cell, size_t width, bool left, FILE *file) {
   }
 }
 
-/* A row, without spaces at its end. */
+/* Prints a row without its empty last cells. */
 static void print_row(const cli_table *table, char *const *cells, const size_t *widths,
                       FILE *file) {
   size_t count = table->columns;

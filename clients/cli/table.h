@@ -1,4 +1,4 @@
-/* table: columns for people, as wide as their widest cell. */
+/* table: prints cells in columns, each as wide as its widest cell. */
 #ifndef DIPOLE_CLI_TABLE_H
 #define DIPOLE_CLI_TABLE_H
 
@@ -7,9 +7,9 @@
 
 typedef struct cli_table {
   size_t columns;
-  size_t left;       /* so many of the first columns are aligned left, the others right */
-  size_t heads;      /* so many of the first rows are the header */
-  size_t cell_count; /* row by row */
+  size_t left;  /* how many of the first columns are aligned left; the others are aligned right */
+  size_t heads; /* how many of the first rows are the header */
+  size_t cell_count; /* the cells are stored row by row */
   size_t cell_capacity;
   char **cells;
 } cli_table;

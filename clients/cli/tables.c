@@ -76,7 +76,7 @@ static int fetch(const table_settings *settings, dipole_client *client, report *
 
 enum { WORDS_BEFORE_PIECES = 784, PIECE_WORDS = 4, MANTISSA_BITS = 23 };
 
-/* An entry of an octave that has no pieces: the first piece of all, uncut. */
+/* The entry of an octave that has no pieces of its own: it refers to the first piece, uncut. */
 enum { ENTRY_OUTSIDE = MANTISSA_BITS };
 
 static const char *const constants[] = {
@@ -85,7 +85,8 @@ static const char *const constants[] = {
     "far",         "limit",     "first_u",  "near_radius",
 };
 
-/* A function in pieces: its entries, by the exponent of its argument. */
+/* A function that is stored in pieces, and where its entries stand: one for each exponent of its
+ * argument. */
 static const struct {
   const char *name;
   size_t entries, count;
@@ -106,7 +107,7 @@ static double number_of(uint32_t word) {
 
 /* ---- writing ------------------------------------------------------------------------------- */
 
-/* For people and in JSON: a table for a channel. */
+/* Puts the table of a channel, for people and in JSON. */
 static void put_table(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
   const dipole_table_info *info = dipole_table_get_info(of->tables.items[index]);
@@ -160,7 +161,7 @@ static void write_table(const report *of) {
 static void write_csv_piece(const char *channel, const char *function, double from, double to,
                             const uint32_t *words) {
   const double c0 = number_of(words[0]);
-  /* Nine digits: as many as it takes to get back a number in single precision. */
+  /* Nine digits are enough to read back a number in single precision. */
   printf("%s,%s,%.9g,%.9g,%s,%.9g,%.9g,%.9g,%.9g\n", channel, function, from, to,
          signbit(c0) ? "right" : "left", fabs(c0), number_of(words[1]), number_of(words[2]),
          number_of(words[3]));

@@ -1,4 +1,4 @@
-/* dipole top: what a daemon does, looked at again and again. */
+/* dipole top: shows again and again what a daemon does. */
 #include <math.h>
 #include <signal.h>
 #include <stdlib.h>
@@ -181,7 +181,7 @@ static int watch(const top_settings *settings, dipole_client *client, top_record
     record->interval_s = record->now.at_s - record->before.at_s;
     show(settings->common.form, info, record, i);
     if (ferror(stdout)) {
-      return CLI_FAILED; /* main says why */
+      return CLI_FAILED; /* main() will say why */
     }
   }
   return CLI_OK;

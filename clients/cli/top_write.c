@@ -137,7 +137,7 @@ static void put_gauges(cli_rows *rows, const void *context, size_t index) {
   }
 }
 
-/* A class of requests. */
+/* Puts a class of requests and its latencies. */
 static void put_latency(cli_rows *rows, const void *context, size_t index) {
   char kind[64] = "";
   size_t from = 0;
