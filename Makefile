@@ -210,7 +210,8 @@ $(CACHE_TESTS:%=$(OBJ)/tests/unit/%.o): EXTRA_CPPFLAGS = $(UV_CFLAGS)
 # Its input and histograms likewise.
 $(BUILD)/tests/unit/test_histogram: $(call objects,server/observe/latency.c)
 $(BUILD)/tests/unit/test_histogram: TEST_LIBS = $(UV_LIBS)
-$(BUILD)/tests/unit/test_input: $(call objects,server/net/input.c)
+$(BUILD)/tests/unit/test_input: $(call objects,server/net/buffers.c)
+$(BUILD)/tests/unit/test_input: TEST_LIBS = $(UV_LIBS)
 $(OBJ)/tests/unit/test_input.o: EXTRA_CPPFLAGS = $(UV_CFLAGS)
 
 # And what Modbus is made of.

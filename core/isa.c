@@ -3,13 +3,8 @@
 
 #include "core/kernels.h"
 
-#define COUNT(level, unused) +1
-enum { LEVELS = CORE_ISA_LEVELS(COUNT, ) };
-
-struct core_isa {
-  const char *name;
-  bool (*supported)(void);
-};
+#define INDEX(level, unused) INDEX_##level,
+enum { CORE_ISA_LEVELS(INDEX, ) LEVELS };
 
 static bool portable_supported(void) {
   return true;
@@ -31,7 +26,7 @@ static bool avx512_supported(void) {
 }
 #endif
 
-#define LEVEL(level, unused) {#level, level##_supported},
+#define LEVEL(level, unused) {#level, level##_supported, INDEX_##level},
 static const core_isa levels[LEVELS] = {CORE_ISA_LEVELS(LEVEL, )};
 
 const core_isa *core_isa_select(const char *name) {
@@ -49,8 +44,4 @@ const char *core_isa_name(const core_isa *isa) {
 
 const char *core_isa_listed(size_t index) {
   return index < LEVELS ? levels[index].name : NULL;
-}
-
-size_t core_isa_index(const core_isa *isa) {
-  return (size_t)(isa - levels);
 }

@@ -34,7 +34,7 @@ const struct core_kernels *core_isa_kernels(const core_isa *isa, enum core_model
   switch (model) {
 #define CORE_MODEL(id, IDENT, name, formula, family, variant, parameters, source)                  \
   case CORE_MODEL_##IDENT:                                                                         \
-    return &kernels[INDEX_##IDENT][core_isa_index(isa)];
+    return &kernels[INDEX_##IDENT][isa->index];
 #include "core/models.def"
   default:
     break;

@@ -45,8 +45,11 @@ struct core_kernels {
   const core_kernels_f32 *f32;
 };
 
-/* The position of an instruction set among the levels above. */
-size_t core_isa_index(const core_isa *isa);
+struct core_isa {
+  const char *name;
+  bool (*supported)(void); /* whether this machine can run it */
+  size_t index;            /* in the order of CORE_ISA_LEVELS, from 0 */
+};
 
 /* The kernels of a model (by id, in the list, not a sum) for an instruction set. */
 const struct core_kernels *core_isa_kernels(const core_isa *isa, enum core_model model);

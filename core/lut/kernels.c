@@ -15,5 +15,5 @@ CORE_ISA_LEVELS(DECLARE, )
 static const struct core_kernels kernels[LEVELS] = {CORE_ISA_LEVELS(KERNELS, )};
 
 const struct core_kernels *core_isa_lut_kernels(const core_isa *isa) {
-  return &kernels[core_isa_index(isa)];
+  return &kernels[isa->index];
 }

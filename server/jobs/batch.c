@@ -1,6 +1,10 @@
 #include "server/jobs/batch.h"
 
+#include <assert.h>
 #include <string.h>
+
+/* ---- passes -----------------------------------------------------------------------------------
+ */
 
 _Static_assert(BATCH_PIECES <= 1 << (STATS_BATCH_SIZES - 1), "the last size is for all others");
 
@@ -75,4 +79,164 @@ void batch_finish(struct batch *batch, struct stats *stats) {
   for (size_t i = 0; i < BATCH_GROUPS; i++) {
     clear(&batch->groups[i], stats);
   }
+}
+
+_Static_assert((int)REPEAT_REPLY_BYTES == (int)WIRE_BYTES_eval_reply + (int)WIRE_BYTES_channel,
+               "what stands before the arrays");
+
+/* ---- finding repeated requests
+ * --------------------------------------------------------------------------------- */
+
+/* The bytes of a request up to its radii; 0 if it is not of a kind that can be repeated. */
+static size_t start_bytes(const uint8_t *payload, size_t payload_bytes) {
+  if (payload_bytes < WIRE_BYTES_eval_request) {
+    return 0;
+  }
+  wire_eval_request fixed;
+  wire_get_eval_request(payload, &fixed);
+  const uint64_t bytes = eval_request_bytes(fixed.medium_count, fixed.parameter_count, 0);
+  return fixed.medium_count == 1 && bytes <= REPEAT_REQUEST_BYTES && bytes <= payload_bytes
+             ? (size_t)bytes
+             : 0;
+}
+
+/* Mixes words of 8 bytes as server/store/cache.c does. */
+static uint64_t hash_of(const uint8_t *request, size_t bytes) {
+  uint64_t hash = 0;
+  for (size_t i = 0; i < bytes; i += 8) {
+    uint64_t word;
+    memcpy(&word, request + i, sizeof word);
+    hash = (hash ^ word) * UINT64_C(0x9e3779b97f4a7c15);
+    hash ^= hash >> 32;
+  }
+  return hash;
+}
+
+/* NULL: the request is not known. */
+static struct repeat_entry *look_up(struct repeat *repeat, const uint8_t *request, size_t bytes) {
+  const uint64_t hash = hash_of(request, bytes);
+  struct repeat_set *set = &repeat->sets[hash % REPEAT_SETS];
+  for (size_t i = 0; i < REPEAT_WAYS; i++) {
+    struct repeat_entry *entry = &set->entries[i];
+    if (entry->hash == hash && entry->request_bytes == bytes &&
+        memcmp(entry->request, request, bytes) == 0) {
+      return entry;
+    }
+  }
+  return NULL;
+}
+
+static bool radii_are_right(const struct repeat_entry *entry, const uint8_t *radii) {
+  static const uint8_t zeros[WIRE_ALIGNMENT];
+  const size_t bytes = entry->count * entry->value_bytes;
+  const core_fault fault =
+      entry->value_bytes == sizeof(float)
+          ? core_radii_check_f32(entry->count, (const float *)(const void *)radii)
+          : core_radii_check_f64(entry->count, (const double *)(const void *)radii);
+  return fault.field == NULL &&
+         memcmp(radii + bytes, zeros, (size_t)wire_padded(bytes) - bytes) == 0;
+}
+
+static bool is_listed(const struct repeat_entry *entry) {
+  return entry->payload_bytes > entry->request_bytes;
+}
+
+const struct repeat_entry *repeat_find(struct repeat *repeat, const uint8_t *payload,
+                                       size_t payload_bytes) {
+  const size_t bytes = start_bytes(payload, payload_bytes);
+  if (bytes == 0) {
+    return NULL;
+  }
+  const struct repeat_entry *entry = look_up(repeat, payload, bytes);
+  return entry != NULL && entry->payload_bytes == payload_bytes &&
+                 profiles_at(entry->place) != NULL &&
+                 (!is_listed(entry) || radii_are_right(entry, payload + bytes))
+             ? entry
+             : NULL;
+}
+
+/* ---- answering them
+ * ------------------------------------------------------------------------------- */
+
+static const void *radii_of(const struct repeat_entry *entry, const uint8_t *payload,
+                            double *radii) {
+  if (is_listed(entry)) {
+    return payload + entry->request_bytes;
+  }
+  if (entry->value_bytes == sizeof(float)) {
+    core_grid_radii_f32(&entry->grid, 0, entry->count, (float *)(void *)radii);
+  } else {
+    core_grid_radii_f64(&entry->grid, 0, entry->count, radii);
+  }
+  return radii;
+}
+
+void repeat_answer(const struct repeat_entry *entry, struct batch *batch, struct stats *stats,
+                   const uint8_t *payload, double *radii, uint8_t *reply) {
+  const size_t used = entry->count * entry->value_bytes;
+  const void *r = radii_of(entry, payload, radii);
+  memcpy(reply, entry->reply, REPEAT_REPLY_BYTES);
+  uint8_t *to = reply + REPEAT_REPLY_BYTES;
+  for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
+    if (eval_is_array(entry->wanted, quantity->id)) {
+      const bool taken = batch_take(batch, stats, entry->place, quantity->id, entry->count, r, to);
+      assert(taken);
+      memset(to + used, 0, entry->array_bytes - used);
+      to += entry->array_bytes;
+    }
+  }
+  stats_add(stats, STATS_CACHE_HITS, 1);
+  stats_count_radii(stats, entry->model, entry->count);
+  stats_add(stats, STATS_SLICES_EVALUATED, 1);
+}
+
+/* ---- remembering requests
+ * ----------------------------------------------------------------------------- */
+
+/* RADIUS is not evaluated by a kernel, and S depends on angles. */
+static bool can_repeat(const wire_eval_request *fixed, const eval_layout *layout,
+                       struct profiles_place place) {
+  return fixed->medium_count == 1 && fixed->radius_count > 0 &&
+         fixed->radius_count <= BATCH_SHORT_RADII && layout->arrays_per_channel > 0 &&
+         (fixed->wanted & (CORE_QUANTITY_RADIUS | CORE_QUANTITY_S)) == 0 &&
+         eval_request_bytes(1, fixed->parameter_count, 0) <= REPEAT_REQUEST_BYTES &&
+         profiles_at(place) != NULL;
+}
+
+/* The entry for a request: the one that knows it, or else the one that its set replaces next. */
+static struct repeat_entry *make_room(struct repeat *repeat, const uint8_t *request, size_t bytes) {
+  struct repeat_entry *entry = look_up(repeat, request, bytes);
+  if (entry == NULL) {
+    const uint64_t hash = hash_of(request, bytes);
+    struct repeat_set *set = &repeat->sets[hash % REPEAT_SETS];
+    entry = &set->entries[set->next];
+    set->next = (set->next + 1) % REPEAT_WAYS;
+    entry->hash = hash;
+  }
+  return entry;
+}
+
+void repeat_learn(struct repeat *repeat, const eval_request *request, const core_grid *grid,
+                  const eval_layout *layout, const uint8_t *reply, struct profiles_place place) {
+  const wire_eval_request *fixed = &request->fixed;
+  if (!can_repeat(fixed, layout, place)) {
+    return;
+  }
+  const uint8_t *payload = request->media - WIRE_BYTES_eval_request;
+  const size_t bytes = (size_t)eval_request_bytes(1, fixed->parameter_count, 0);
+  const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
+  const size_t listed = request->radii != NULL ? (size_t)fixed->radius_count * value_bytes : 0;
+  struct repeat_entry *entry = make_room(repeat, payload, bytes);
+  entry->request_bytes = bytes;
+  entry->payload_bytes = bytes + (size_t)wire_padded(listed);
+  entry->reply_bytes = (size_t)layout->payload_bytes;
+  entry->array_bytes = (size_t)layout->array_bytes;
+  entry->value_bytes = value_bytes;
+  entry->count = (size_t)fixed->radius_count;
+  entry->model = fixed->model;
+  entry->wanted = fixed->wanted;
+  entry->grid = *grid;
+  entry->place = place;
+  memcpy(entry->request, payload, bytes);
+  memcpy(entry->reply, reply, REPEAT_REPLY_BYTES);
 }

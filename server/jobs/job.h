@@ -21,7 +21,6 @@
 
 #include "proto/wire.h"
 #include "server/jobs/batch.h"
-#include "server/jobs/repeat.h"
 #include "server/observe/latency.h"
 #include "server/store/profiles.h"
 

@@ -8,8 +8,7 @@
 #define DIPOLED_REQUESTS_H
 
 #include "server/jobs/job.h"
-#include "server/net/input.h"
-#include "server/net/output.h"
+#include "server/net/buffers.h"
 
 /* Zeroed, except for what requests_init() sets. */
 struct requests {

@@ -11,7 +11,7 @@
  *   milliseconds and more (transport, tables): likewise, but a thread of libuv's pool prepares
  *     them, so that neither the worker nor another client's cheap request waits.
  *
- * Others (server/jobs/batch.h, server/jobs/repeat.h) remember a profile by its place in this table
+ * Others (server/jobs/batch.h) remember a profile by its place in this table
  * and hold no copies of their own.
  *
  * Why there is one table and no other store. Each store that the daemon once had was switched off
@@ -22,7 +22,7 @@
  * not kept.
  *
  *   switched off                              service.redis   modbus.fc23.32   kept
- *   repeated requests (server/jobs/repeat.h)  2.8             1.11             yes
+ *   repeated requests (server/jobs/batch.h)   2.8             1.11             yes
  *   and with these off, too:
  *     dipoles' profiles, prepared each time   3.4             1.38             yes: this table
  *     dipoles' profiles, into the cache       1.00            0.99             no: see above
@@ -32,7 +32,7 @@
  *   in place of 0.5 us.                                                       yes
  *
  * Cache entries are in this table because they cost it nothing: it is the same code for both kinds.
- * To repeat a row, let find() in profiles.c or repeat_find() in repeat.c return NULL, and run
+ * To repeat a row, let find() in profiles.c or repeat_find() in batch.c return NULL, and run
  * `build/bench service modbus` with that build and with the right one in turn.
  */
 #ifndef DIPOLED_PROFILES_H

@@ -1,5 +1,5 @@
 /* When a frame had arrived: the time of the read that brought its last byte. */
-#include "server/net/input.h"
+#include "server/net/buffers.h"
 #include "tests/unit/unit.h"
 
 static struct server server = {.options = {.max_frame_bytes = 1 << 20, .max_total_bytes = 1 << 24}};
