@@ -86,6 +86,19 @@ void peer_be_full(int fd, void *context) {
   peer_send_error(fd, 0, WIRE_STATUS_BUSY, 30);
 }
 
+void peer_accept_only(int fd, void *context) {
+  peer_frame request;
+  (void)context;
+  while (peer_receive(fd, &request)) {
+    free(request.payload);
+  }
+}
+
+void peer_be_silent(int fd, void *context) {
+  peer_say_hello_or_abort(fd);
+  peer_accept_only(fd, context);
+}
+
 void peer_answer_seven(int fd, void *context) {
   (void)context;
   peer_say_hello_or_abort(fd);
@@ -149,6 +162,12 @@ dipole_client *peer_open_once(const scripted_peer *peer) {
 dipole_client *peer_begin(scripted_peer *peer, peer_script *script, void *context) {
   peer_start(peer, script, context);
   return peer_open_once(peer);
+}
+
+dipole_client *peer_begin_with(scripted_peer *peer, peer_script *script, void *context,
+                               const dipole_options *options) {
+  peer_start(peer, script, context);
+  return peer_open(peer->address, options);
 }
 
 dipole_client *peer_begin_scripts(scripted_peer *peer, peer_script *const *scripts, void *context) {

@@ -39,6 +39,10 @@ dipole_client *peer_open_once(const scripted_peer *peer);
 /* Starts a peer and opens such a client. */
 dipole_client *peer_begin(scripted_peer *peer, peer_script *script, void *context);
 
+/* Starts a peer and opens a client with options, as peer_open(). */
+dipole_client *peer_begin_with(scripted_peer *peer, peer_script *script, void *context,
+                               const dipole_options *options);
+
 /* Starts a peer with one script for each connection and opens a client that tries again. */
 dipole_client *peer_begin_scripts(scripted_peer *peer, peer_script *const *scripts, void *context);
 
@@ -82,6 +86,9 @@ dipole_error peer_check_failure(dipole_client *client, enum dipole_error_kind ki
 
 /* Submits such a query; returns its id. */
 uint64_t peer_submit(dipole_client *client, uint64_t count);
+
+/* Scripts that receive until the client is gone and answer nothing, or nothing but hello. */
+peer_script peer_accept_only, peer_be_silent;
 
 /* Answers seven requests: a script. */
 peer_script peer_answer_seven;

@@ -114,21 +114,12 @@ UNIT_TEST(test_nobody_answers) {
   close(fd);
 }
 
-/* Accepts, and says nothing. */
-static void accept_only(int fd, void *context) {
-  peer_frame request;
-  (void)context;
-  while (peer_receive(fd, &request)) {
-    free(request.payload);
-  }
-}
-
 UNIT_TEST(test_one_that_does_not_say_hello) {
   dipole_options options = peer_options();
   scripted_peer mute, peer;
   dipole_client *none;
   dipole_error error;
-  peer_script *const twice[] = {accept_only, accept_only, NULL};
+  peer_script *const twice[] = {peer_accept_only, peer_accept_only, NULL};
   options.connect_timeout_ms = 50;
   peer_start_scripts(&mute, twice, NULL);
   peer_start(&peer, peer_serve, NULL);
@@ -258,7 +249,7 @@ UNIT_TEST(test_round_and_round) {
 
 static void be_silent(int fd, void *context) {
   peer_say_hello_or_abort(fd);
-  accept_only(fd, context);
+  peer_accept_only(fd, context);
 }
 
 UNIT_TEST(test_a_silent_one_is_left) {
@@ -277,7 +268,7 @@ UNIT_TEST(test_a_silent_one_is_left) {
 /* Its attempt ends when its share of the time is over, not with the time. */
 UNIT_TEST(test_a_dead_one_has_its_share) {
   peer_script *const first[] = {peer_hang_up_after_request, peer_serve, NULL};
-  peer_script *const second[] = {accept_only, NULL};
+  peer_script *const second[] = {peer_accept_only, NULL};
   dipole_options options = peer_options();
   pair both;
   options.connect_timeout_ms = 0;

@@ -387,21 +387,11 @@ UNIT_TEST(test_lost_connection) {
   peer_finish(&peer, client);
 }
 
-/* Says hello, then nothing until the client goes. */
-static void be_silent(int fd, void *context) {
-  peer_frame request;
-  (void)context;
-  peer_say_hello(fd);
-  while (peer_receive(fd, &request)) {
-    free(request.payload);
-  }
-}
-
 UNIT_TEST(test_silent_peer_times_out) {
   scripted_peer peer;
   dipole_error error;
   dipole_result *result;
-  dipole_client *client = peer_begin(&peer, be_silent, NULL);
+  dipole_client *client = peer_begin(&peer, peer_be_silent, NULL);
   dipole_set_timeout_ms(client, 30);
   assert_false(dipole_eval(client, &simple_query, &result, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_CONNECTION);

@@ -150,8 +150,7 @@ static void ask_all(dipole_client *client) {
 
 UNIT_TEST(test_every_shape) {
   scripted_peer peer;
-  peer_start(&peer, peer_serve, NULL);
-  dipole_client *client = peer_open(peer.address, NULL);
+  dipole_client *client = peer_begin_with(&peer, peer_serve, NULL, NULL);
   ask_all(client);
   peer_finish(&peer, client);
 }
@@ -188,8 +187,7 @@ UNIT_TEST(test_parts) {
   for (size_t i = 0; i < sizeof sizes / sizeof sizes[0]; i++) {
     uint64_t each = sizes[i];
     scripted_peer peer;
-    peer_start(&peer, serve_parts, &each);
-    dipole_client *client = peer_open(peer.address, NULL);
+    dipole_client *client = peer_begin_with(&peer, serve_parts, &each, NULL);
     ask_all(client);
     peer_finish(&peer, client);
   }
@@ -201,8 +199,7 @@ UNIT_TEST(test_many_in_any_order) {
   uint64_t ids[MANY];
   scripted_peer peer;
   dipole_error error;
-  peer_start(&peer, peer_serve, NULL);
-  dipole_client *client = peer_open(peer.address, NULL);
+  dipole_client *client = peer_begin_with(&peer, peer_serve, NULL, NULL);
   for (size_t i = 0; i < MANY; i++) {
     asked[i] = question_of(i % 2 != 0 ? DIPOLE_F32 : DIPOLE_F64, wanted_sets[i % WANTED_SETS], i);
     assert_true(dipole_submit(client, &asked[i].query, &ids[i], &error));
@@ -230,8 +227,7 @@ UNIT_TEST(test_large_ones_both_ways) {
   for (size_t i = 0; i < LARGE; i++) {
     radii[i] = (double)i;
   }
-  peer_start(&peer, peer_serve, NULL);
-  dipole_client *client = peer_open(peer.address, NULL);
+  dipole_client *client = peer_begin_with(&peer, peer_serve, NULL, NULL);
   for (size_t k = 0; k < MANY; k++) {
     const size_t count = LARGE - k;
     places[k] = room_for(count * sizeof *radii);
@@ -267,8 +263,7 @@ UNIT_TEST(test_a_place_for_all_or_for_nothing) {
   scripted_peer peer;
   dipole_result *result;
   dipole_error error;
-  peer_start(&peer, peer_serve, NULL);
-  dipole_client *client = peer_open(peer.address, NULL);
+  dipole_client *client = peer_begin_with(&peer, peer_serve, NULL, NULL);
   question asked = question_of(DIPOLE_F64, all, 5);
   dipole_query no_values = asked.query, no_radii = asked.query;
   no_values.into_values = NULL;
@@ -327,8 +322,7 @@ UNIT_TEST(test_refused) {
   scripted_peer peer;
   dipole_result *result;
   dipole_error error;
-  peer_start(&peer, refuse, NULL);
-  dipole_client *client = peer_open(peer.address, NULL);
+  dipole_client *client = peer_begin_with(&peer, refuse, NULL, NULL);
   question asked = question_of(DIPOLE_F64, all, 5);
   assert_false(dipole_eval(client, &asked.query, &result, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_REFUSED);
@@ -365,8 +359,7 @@ UNIT_TEST(test_given_up) {
     scripted_peer peer;
     dipole_result *result;
     dipole_error error;
-    peer_start(&peer, pause_in_the_answer, &bytes);
-    dipole_client *client = peer_open(peer.address, NULL);
+    dipole_client *client = peer_begin_with(&peer, pause_in_the_answer, &bytes, NULL);
     question asked = question_of(i % 2 != 0 ? DIPOLE_F32 : DIPOLE_F64, all, 101);
     dipole_set_call_timeout_ms(client, 20);
     const bool answered = dipole_eval(client, &asked.query, &result, &error);
@@ -405,8 +398,7 @@ UNIT_TEST(test_lies_are_not_written) {
     scripted_peer peer;
     dipole_result *result;
     dipole_error error;
-    peer_start(&peer, lie, &parts);
-    dipole_client *client = peer_open(peer.address, NULL);
+    dipole_client *client = peer_begin_with(&peer, lie, &parts, NULL);
     question asked = question_of(DIPOLE_F64, DIPOLE_R, parts ? 9 : 7);
     assert_false(dipole_eval(client, &asked.query, &result, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_PROTOCOL);

@@ -111,11 +111,9 @@ static void assert_inversion(const dipole_inversion *inversion, uint64_t missing
 static void run_invert(invert_script script, bool expected, uint64_t missing) {
   const dipole_invert_query query = invert_query();
   scripted_peer peer;
-  dipole_client *client;
   dipole_inversion *inversion = NULL;
   dipole_error error = {0};
-  peer_start(&peer, invert, &script);
-  assert_true(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
+  dipole_client *client = peer_begin(&peer, invert, &script);
   dipole_set_retry_ms(client, 0);
   assert_int_equal(dipole_invert(client, &query, &inversion, &error), expected);
   assert_int_equal(dipole_ping(client, NULL), expected);
@@ -253,11 +251,9 @@ UNIT_TEST(samples_in_parts_are_put_together) {
   const dipole_medium media[CHANNELS] = {medium, medium};
   const dipole_sample_query query = sample_query(media);
   scripted_peer peer;
-  dipole_client *client;
   dipole_result *result;
   dipole_error error = {0};
-  peer_start(&peer, serve_samples, NULL);
-  assert_true(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
+  dipole_client *client = peer_begin(&peer, serve_samples, NULL);
   assert_true(dipole_sample(client, &query, &result, &error));
   assert_int_equal(result->radius_count, SAMPLES);
   assert_null(result->radius_f64);
@@ -317,12 +313,10 @@ UNIT_TEST(numbers_that_there_are_not_are_an_error) {
 
 UNIT_TEST(arguments_that_do_not_fit_are_errors) {
   scripted_peer peer;
-  dipole_client *client;
   dipole_error error = {0};
   dipole_result *result;
   dipole_inversion *inversion;
-  peer_start(&peer, peer_serve, NULL);
-  assert_true(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
+  dipole_client *client = peer_begin(&peer, peer_serve, NULL);
 #define REFUSED(call)                                                                              \
   do {                                                                                             \
     error.kind = DIPOLE_ERROR_NONE;                                                                \

@@ -130,11 +130,9 @@ static void assert_table(const dipole_mc_result *result) {
 /* A table that is right comes, or the error PROTOCOL; the listener is asked to stop or not. */
 static void run(struct script script, struct listener *listener, enum dipole_error_kind expected) {
   scripted_peer peer;
-  dipole_client *client;
   dipole_mc_result *result = NULL;
   dipole_error error = {0};
-  peer_start(&peer, follow_script, &script);
-  assert_true(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
+  dipole_client *client = peer_begin(&peer, follow_script, &script);
   const bool good =
       dipole_mc(client, &query, listener != NULL ? listen_to : NULL, listener, &result, &error);
   assert_int_equal(good, expected == DIPOLE_ERROR_NONE);
@@ -194,11 +192,9 @@ UNIT_TEST(progress_after_the_end_is_a_fault) {
   struct script script = honest(1);
   script.after = true;
   scripted_peer peer;
-  dipole_client *client;
   dipole_mc_result *result = NULL;
   dipole_error error = {0};
-  peer_start(&peer, follow_script, &script);
-  assert_true(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
+  dipole_client *client = peer_begin(&peer, follow_script, &script);
   /* It may arrive with the table, or later. */
   const bool good = dipole_mc(client, &query, NULL, NULL, &result, &error);
   assert_true(good ? !dipole_ping(client, &error) : error.kind == DIPOLE_ERROR_PROTOCOL);
@@ -210,11 +206,9 @@ UNIT_TEST(progress_after_the_end_is_a_fault) {
 UNIT_TEST(wrong_arguments_are_not_sent) {
   struct script script = honest(0);
   scripted_peer peer;
-  dipole_client *client;
   dipole_mc_result *result = NULL;
   dipole_error error = {0};
-  peer_start(&peer, follow_script, &script);
-  assert_true(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
+  dipole_client *client = peer_begin(&peer, follow_script, &script);
   dipole_mc_query wrong[3] = {query, query, query};
   wrong[0].albedo_count = 1;
   wrong[1].albedo_count = CORE_MC_ALBEDOS_MAX + 1;

@@ -82,12 +82,10 @@ static void assert_offers(const dipole_offer *offers) {
 static void run_offers(offers_script script, bool expected) {
   const dipole_query query = query_of(DIPOLE_ANY_MODEL, DIPOLE_LUT);
   scripted_peer peer;
-  dipole_client *client;
   dipole_offer *offers = NULL;
   dipole_error error = {0};
   size_t count = 99, taken = 99;
-  peer_start(&peer, offer, &script);
-  assert_true(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
+  dipole_client *client = peer_begin(&peer, offer, &script);
   assert_int_equal(dipole_offers(client, &query, &offers, &count, &taken, &error), expected);
   assert_int_equal(dipole_ping(client, NULL), expected);
   if (expected) {
@@ -122,7 +120,6 @@ UNIT_TEST(other_answers_are_refused) {
 UNIT_TEST(wrong_queries_are_not_sent) {
   offers_script script = {{OFFERS, 1}, OFFERS_BYTES};
   scripted_peer peer;
-  dipole_client *client;
   dipole_offer *offers = NULL;
   dipole_error error;
   size_t count;
@@ -133,8 +130,7 @@ UNIT_TEST(wrong_queries_are_not_sent) {
   wrong[0].evaluator = 4;
   wrong[1].radii = NULL;
   wrong[2].parameters = NULL;
-  peer_start(&peer, offer, &script);
-  assert_true(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
+  dipole_client *client = peer_begin(&peer, offer, &script);
   for (size_t i = 0; i < 3; i++) {
     assert_false(dipole_offers(client, &wrong[i], &offers, &count, NULL, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
@@ -187,11 +183,9 @@ static void assert_single_values(const dipole_result *result) {
 static void run_choice(unsigned model, unsigned evaluator, choice_script script, bool expected) {
   const dipole_query query = query_of(model, evaluator);
   scripted_peer peer;
-  dipole_client *client;
   dipole_result *result = NULL;
   dipole_error error = {0};
-  peer_start(&peer, answer_with_choice, &script);
-  assert_true(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
+  dipole_client *client = peer_begin(&peer, answer_with_choice, &script);
   assert_int_equal(dipole_eval(client, &query, &result, &error), expected);
   assert_int_equal(dipole_ping(client, NULL), expected);
   assert_int_equal(error.kind, expected ? DIPOLE_ERROR_NONE : DIPOLE_ERROR_PROTOCOL);

@@ -30,8 +30,7 @@ static void fail_collect_id(dipole_client *client, uint64_t id, enum dipole_erro
 UNIT_TEST(test_by_id_in_any_order) {
   uint64_t ids[QUERIES];
   scripted_peer peer;
-  peer_start(&peer, peer_serve, NULL);
-  dipole_client *client = peer_open(peer.address, NULL);
+  dipole_client *client = peer_begin_with(&peer, peer_serve, NULL, NULL);
   for (uint64_t i = 0; i < QUERIES; i++) {
     ids[i] = peer_submit(client, i + 1);
   }
@@ -54,8 +53,7 @@ UNIT_TEST(test_both_ways) {
   scripted_peer peer;
   dipole_result *result;
   dipole_error error;
-  peer_start(&peer, peer_serve, NULL);
-  dipole_client *client = peer_open(peer.address, NULL);
+  dipole_client *client = peer_begin_with(&peer, peer_serve, NULL, NULL);
   for (uint64_t i = 0; i < QUERIES; i++) {
     ids[i] = peer_submit(client, i + 1);
   }
@@ -78,8 +76,7 @@ UNIT_TEST(test_no_more_than_may_be_outstanding) {
   scripted_peer peer;
   dipole_error error;
   options.in_flight_max = MOST;
-  peer_start(&peer, peer_serve, NULL);
-  dipole_client *client = peer_open(peer.address, &options);
+  dipole_client *client = peer_begin_with(&peer, peer_serve, NULL, &options);
   for (uint64_t i = 0; i < MOST; i++) {
     ids[i] = peer_submit(client, i + 1);
   }
@@ -103,8 +100,7 @@ UNIT_TEST(test_as_many_as_one_likes) {
   dipole_options options = peer_options();
   scripted_peer peer;
   options.in_flight_max = 0;
-  peer_start(&peer, peer_serve, NULL);
-  dipole_client *client = peer_open(peer.address, &options);
+  dipole_client *client = peer_begin_with(&peer, peer_serve, NULL, &options);
   const uint64_t first = peer_submit(client, 1);
   for (unsigned i = 1; i < MANY; i++) {
     assert_true(peer_submit(client, 1 + i % 64) == first + i);
@@ -138,8 +134,7 @@ UNIT_TEST(test_flush) {
   scripted_peer peer;
   char byte;
   assert_int_equal(pipe(pipe_ends), 0);
-  peer_start(&peer, note_burst, pipe_ends);
-  dipole_client *client = peer_open(peer.address, NULL);
+  dipole_client *client = peer_begin_with(&peer, note_burst, pipe_ends, NULL);
   for (unsigned i = 0; i < BURST; i++) {
     peer_submit(client, 1 + i);
   }
@@ -173,8 +168,7 @@ UNIT_TEST(test_what_is_submitted_stays) {
   dipole_error error;
   uint64_t id;
   options.call_timeout_ms = 20;
-  peer_start(&peer, serve_one_behind, NULL);
-  dipole_client *client = peer_open(peer.address, &options);
+  dipole_client *client = peer_begin_with(&peer, serve_one_behind, NULL, &options);
   const uint64_t first = peer_submit(client, 3);
   fail_collect_id(client, first, DIPOLE_ERROR_TIMEOUT);
   assert_false(dipole_collect(client, &id, &result, &error));
@@ -194,8 +188,7 @@ UNIT_TEST(test_what_nobody_waits_for_is_thrown_away) {
   dipole_options options = peer_options();
   scripted_peer peer;
   options.call_timeout_ms = 20;
-  peer_start(&peer, serve_one_behind, NULL);
-  dipole_client *client = peer_open(peer.address, &options);
+  dipole_client *client = peer_begin_with(&peer, serve_one_behind, NULL, &options);
   for (unsigned i = 0; i < 3; i++) {
     peer_check_failure(client, DIPOLE_ERROR_TIMEOUT);
   }
@@ -207,15 +200,6 @@ UNIT_TEST(test_what_nobody_waits_for_is_thrown_away) {
   peer_finish(&peer, client);
 }
 
-static void be_silent(int fd, void *context) {
-  peer_frame request;
-  (void)context;
-  peer_say_hello_or_abort(fd);
-  while (peer_receive(fd, &request)) {
-    free(request.payload);
-  }
-}
-
 /* Silence is as long as it is, however short the calls. */
 UNIT_TEST(test_silence_counts_over_calls) {
   dipole_options options = peer_options();
@@ -224,8 +208,7 @@ UNIT_TEST(test_silence_counts_over_calls) {
   dipole_error error;
   options.call_timeout_ms = 20;
   options.timeout_ms = 90;
-  peer_start(&peer, be_silent, NULL);
-  dipole_client *client = peer_open(peer.address, &options);
+  dipole_client *client = peer_begin_with(&peer, peer_be_silent, NULL, &options);
   while (!dipole_ping(client, &error) && error.kind == DIPOLE_ERROR_TIMEOUT && calls < 100) {
     calls++;
   }
@@ -235,18 +218,9 @@ UNIT_TEST(test_silence_counts_over_calls) {
   peer_finish(&peer, client);
 }
 
-/* Accepts, and says nothing. */
-static void accept_only(int fd, void *context) {
-  peer_frame request;
-  (void)context;
-  while (peer_receive(fd, &request)) {
-    free(request.payload);
-  }
-}
-
 /* A call ends while the connection is being restored; the next one goes on with that. */
 UNIT_TEST(test_reconnecting_takes_no_longer) {
-  peer_script *const scripts[] = {peer_hang_up_after_request, accept_only, peer_serve, NULL};
+  peer_script *const scripts[] = {peer_hang_up_after_request, peer_accept_only, peer_serve, NULL};
   dipole_options options = peer_options();
   scripted_peer peer;
   options.call_timeout_ms = 100;
@@ -274,8 +248,7 @@ UNIT_TEST(test_busy_takes_no_longer) {
   dipole_options options = peer_options();
   scripted_peer peer;
   options.call_timeout_ms = 50;
-  peer_start(&peer, stay_busy, NULL);
-  dipole_client *client = peer_open(peer.address, &options);
+  dipole_client *client = peer_begin_with(&peer, stay_busy, NULL, &options);
   peer_check_failure(client, DIPOLE_ERROR_TIMEOUT);
   peer_check_failure(client, DIPOLE_ERROR_TIMEOUT);
   assert_int_equal(dipole_outstanding(client), 0);

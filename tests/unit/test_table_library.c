@@ -402,11 +402,9 @@ static dipole_table *fetch(const dipole_table_query *query, const uint8_t *paylo
                            size_t payload_bytes) {
   answer with = {payload, payload_bytes};
   scripted_peer peer;
-  dipole_client *client;
   dipole_table *table = NULL;
   dipole_error error = {0};
-  peer_start(&peer, answer_requests, &with);
-  assert_true(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
+  dipole_client *client = peer_begin(&peer, answer_requests, &with);
   const bool good = dipole_table_fetch(client, query, &table, &error);
   assert_int_equal(good, table != NULL);
   assert_int_equal(dipole_ping(client, NULL), good);
@@ -463,7 +461,6 @@ UNIT_TEST(wrong_arguments_are_not_sent) {
   answer with = {made.bytes + WIRE_BYTES_header, made.count - WIRE_BYTES_header};
   const dipole_parameter none_such = {65536, 1};
   scripted_peer peer;
-  dipole_client *client;
   dipole_table *table = NULL;
   dipole_error error;
   dipole_table_query wrong[5];
@@ -477,8 +474,7 @@ UNIT_TEST(wrong_arguments_are_not_sent) {
   wrong[3].parameter_count = 1;
   wrong[4].parameters = &none_such;
   wrong[4].parameter_count = 65536;
-  peer_start(&peer, answer_requests, &with);
-  assert_true(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
+  dipole_client *client = peer_begin(&peer, answer_requests, &with);
   for (size_t i = 0; i < 5; i++) {
     assert_false(dipole_table_fetch(client, &wrong[i], &table, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
