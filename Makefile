@@ -2,7 +2,8 @@
 #
 #   make            the daemon, the client, the libraries, the benchmark, in build/
 #   make demo       measured skin, two models, a table and two pictures
-#   make check      all tests; check-asan and check-tsan run them under sanitizers
+#   make check      all tests that take minutes; check-asan and check-tsan: under sanitizers
+#   make check-long the tests that take longer: packages in a new system, aarch64, long loads
 #   make soak       ten minutes at full load, SOAK_S seconds if given: answers and memory
 #   make check-pipeline  10 million requests from eight threads, each answer compared
 #   make bench      every benchmark; build/bench GROUP runs one
@@ -96,13 +97,13 @@ FIGURES := $(call objects,$(wildcard core/tools/figures/*.c))
 TRADEOFF := $(call objects,$(wildcard core/tools/tradeoff/*.c) $(addprefix core/tools/figures/,fail.c gnuplot.c panel.c progress.c table.c workers.c))
 SOAK := $(call objects,$(wildcard tests/soak/*.c))
 PIPELINE := $(call objects,$(wildcard tests/pipeline/*.c))
-TESTS := $(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/unit/test_*.c tests/accuracy/test_*.c tests/fuzz/test_*.c))
+TESTS := $(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/accuracy/test_*.c tests/fuzz/test_*.c tests/unit/test_*.c))
 TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/bench/*.c tests/bits/*.c tests/e2e/*.c tests/pipeline/*.c tests/soak/*.c),$(wildcard tests/*/*.c)))
 
 PROGRAMS := $(BUILD)/dipoled $(BUILD)/dipole $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-unit check-bits check-e2e check-soak check-pipeline check-asan check-tsan soak bench docs model-errors tables tradeoff figures clean
+.PHONY: all setup demo check check-long check-structure check-unit check-bits check-bits-aarch64 check-e2e check-soak check-soak-long check-pipeline check-asan check-tsan soak bench docs model-errors tables tradeoff figures clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -233,24 +234,40 @@ demo:
 
 check:
 	@sh .ci/install-packages
-	@$(MAKE) --no-print-directory -j2 all $(TESTS) $(BUILD)/tests/bits $(BUILD)/wire-tables $(BUILD)/draw-figures $(BUILD)/trade-speed $(BUILD)/soak-load $(BUILD)/pipeline
-	@$(MAKE) --no-print-directory -j3 --output-sync=target check-unit check-bits check-e2e check-soak
+	@$(MAKE) --no-print-directory -j2 all $(TESTS) $(BUILD)/tests/bits $(BUILD)/dipoled-counting $(BUILD)/wire-tables $(BUILD)/draw-figures $(BUILD)/trade-speed $(BUILD)/soak-load $(BUILD)/pipeline
+	+@bash tests/run-check.sh $(BUILD)/logs bits unit e2e+soak
+
+# What takes minutes by itself. .ci/run runs it as well.
+check-long:
+	@sh .ci/install-packages demo check deb ci
+	@$(MAKE) --no-print-directory -j2 all $(BUILD)/tests/bits $(BUILD)/soak-load $(BUILD)/pipeline
+	+@bash tests/run-check.sh $(BUILD)/logs-long bits-aarch64 soak-long pipeline deb
+
+# Fails when modules include each other in a circle.
+check-structure:
+	@$(PYTHON) tests/structure.py
 
 # Each test program by itself, so that one that crashes takes no other with it.
 check-unit: $(TESTS)
 	@UNIT_LIMIT_S=$(UNIT_LIMIT_S) bash tests/run-units.sh $(BUILD)/logs $(TESTS)
 
 check-bits: $(BUILD)/tests/bits
-	@sh tests/run-bits.sh $(BUILD)
+	@sh tests/run-bits.sh $(BUILD) native
+
+check-bits-aarch64: $(BUILD)/tests/bits
+	@sh tests/run-bits.sh $(BUILD) aarch64
 
 PYTEST = env DIPOLED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python:tests/e2e PYTHONDONTWRITEBYTECODE=1 $(PYTHON) -m pytest -q -rs -p no:cacheprovider
 
 check-e2e: all $(BUILD)/dipoled-counting $(BUILD)/draw-figures $(BUILD)/soak-load $(BUILD)/pipeline
-	$(PYTEST) tests/e2e
+	$(PYTEST) -n 2 --dist loadfile --durations=20 tests/e2e
 
-# Beside the other tests, with what time of the processors they leave.
+# Runs beside the other tests, with the processor time that they leave.
 check-soak: all $(BUILD)/soak-load
-	SOAK_S=40 nice -n 15 env $(PYTEST) -s tests/soak
+	SOAK_S=30 nice -n 15 env $(PYTEST) -s tests/soak
+
+check-soak-long: all $(BUILD)/soak-load
+	SOAK_S=120 $(PYTEST) -s tests/soak
 
 # Eight threads, each with 256 requests under way, and each answer compared.
 PIPELINE_REQUESTS ?= 10000000

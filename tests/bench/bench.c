@@ -113,6 +113,35 @@ void bench_compare(bench_contender *contenders, size_t count) {
   }
 }
 
+/* ---- what is evaluated -------------------------------------------------------------------- */
+
+core_profile bench_profile(const core_isa *isa, unsigned model, unsigned evaluator) {
+  const core_medium *medium = &core_measured_medium_by_name("skin1")->channel[0];
+  core_parameters parameters = core_parameters_none();
+  if (core_profile_check(model, CORE_MOMENTS_EXACT, evaluator, medium, NULL, NULL).field != NULL) {
+    parameters.value[CORE_PARAMETER_THICKNESS] = 4;
+  }
+  core_profile profile;
+  if (core_profile_prepare(&profile, isa, model, CORE_MOMENTS_EXACT, evaluator, medium, &parameters)
+          .field != NULL) {
+    bench_fail("a measured medium was refused");
+  }
+  return profile;
+}
+
+void bench_fill_radii(size_t value_bytes, void *r, size_t n) {
+  uint32_t random = 1;
+  for (size_t i = 0; i < n; i++) {
+    random = random * 1664525u + 1013904223u;
+    const double radius = 0.01 + 9.99 * (random >> 8) * 0x1p-24;
+    if (value_bytes == sizeof(float)) {
+      ((float *)r)[i] = (float)radius;
+    } else {
+      ((double *)r)[i] = radius;
+    }
+  }
+}
+
 /* ---- the program -------------------------------------------------------------------------- */
 
 static void usage(FILE *to) {

@@ -7,6 +7,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "core/core.h"
+
 #define BENCH_GROUP(name, about) void bench_##name(void);
 #include "tests/bench/groups.def"
 #undef BENCH_GROUP
@@ -29,6 +31,13 @@ uint64_t bench_now_ns(void);
 
 /* Returns the median of n > 0 values and sorts them. */
 double bench_median(double *values, size_t n);
+
+/* Prepares the red channel of skin1, as a slab of 4 mm for models that need a thickness. */
+core_profile bench_profile(const core_isa *isa, unsigned model, unsigned evaluator);
+
+/* Fills r[n], of floats or doubles by their size in bytes, with radii from 0.01 to 10 mm in an order
+ * that no branch predictor learns. */
+void bench_fill_radii(size_t value_bytes, void *r, size_t n);
 
 /* One of several things that are compared. bench_compare() runs them in turn, round after round, so
  * that whatever else the machine does slows all of them down alike. One call of run(context) is one

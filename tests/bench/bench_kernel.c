@@ -107,10 +107,7 @@ static void make_comparison(struct comparison *comparison, unsigned model, unsig
     if (isa == NULL) {
       continue;
     }
-    if (core_profile_prepare(&profile, isa, model, CORE_MOMENTS_EXACT, evaluator, medium, NULL)
-            .field != NULL) {
-      bench_fail("a measured medium was refused");
-    }
+    profile = bench_profile(isa, model, evaluator);
     add(comparison, core_isa_listed(i), run_kernel, &profile, arrays);
   }
   comparison->kernels = comparison->count;
@@ -184,20 +181,6 @@ static void measure(const core_choice *model, const core_choice *evaluator,
 
 /* ---- all of them -------------------------------------------------------------------------- */
 
-/* 0.01 to 10 mm, in an order that no branch predictor learns. */
-static void fill_radii(void *r, unsigned evaluator) {
-  uint32_t random = 1;
-  for (size_t i = 0; i < LENGTH_MAX; i++) {
-    random = random * 1664525u + 1013904223u;
-    const double radius = 0.01 + 9.99 * (random >> 8) * 0x1p-24;
-    if (core_evaluator_bytes(evaluator) == sizeof(float)) {
-      ((float *)r)[i] = (float)radius;
-    } else {
-      ((double *)r)[i] = radius;
-    }
-  }
-}
-
 void bench_kernel(void) {
   const struct arrays arrays = {malloc(LENGTH_MAX * sizeof(double)),
                                 calloc(LENGTH_MAX, sizeof(double))};
@@ -205,7 +188,7 @@ void bench_kernel(void) {
     bench_fail("out of memory");
   }
   for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
-    fill_radii(arrays.r, evaluator->id);
+    bench_fill_radii(core_evaluator_bytes(evaluator->id), arrays.r, LENGTH_MAX);
     for (const core_choice *model = core_models; model->name != NULL; model++) {
       if (evaluator->id != CORE_EVALUATOR_LUT || model->id == CORE_MODEL_BETTER) {
         measure(model, evaluator, &arrays);

@@ -24,37 +24,11 @@ static void run_R(const void *context) {
   core_eval_f32(context, CORE_QUANTITY_R, RADII, radii, values);
 }
 
-/* 0.01 to 10 mm, in an order that no branch predictor learns. */
-static void fill_radii(void) {
-  uint32_t random = 1;
-  for (size_t i = 0; i < RADII; i++) {
-    random = random * 1664525u + 1013904223u;
-    radii[i] = (float)(0.01 + 9.99 * (random >> 8) * 0x1p-24);
-  }
-}
-
-static core_profile prepare(unsigned model, unsigned evaluator) {
-  const core_medium *medium = &core_measured_medium_by_name("skin1")->channel[0];
-  core_parameters parameters = core_parameters_none();
-  const core_fault needs =
-      core_profile_check(model, CORE_MOMENTS_EXACT, evaluator, medium, NULL, NULL);
-  if (needs.field != NULL) { /* a slab's thickness */
-    parameters.value[CORE_PARAMETER_THICKNESS] = 4;
-  }
-  core_profile profile;
-  if (core_profile_prepare(&profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT, evaluator,
-                           medium, &parameters)
-          .field != NULL) {
-    bench_fail("a measured medium was refused");
-  }
-  return profile;
-}
-
 static double median_s_to_prepare(unsigned model) {
   double seconds[PREPARATIONS];
   for (int i = 0; i < PREPARATIONS; i++) {
     const uint64_t start = bench_now_ns();
-    core_profile profile = prepare(model, CORE_EVALUATOR_LUT);
+    core_profile profile = bench_profile(core_isa_select(NULL), model, CORE_EVALUATOR_LUT);
     seconds[i] = (double)(bench_now_ns() - start) * 1e-9;
     core_profile_free(&profile);
   }
@@ -75,8 +49,8 @@ static double compare(const char *what, const core_profile *table, const core_pr
 
 static void measure_model(const core_choice *model) {
   bench_contender contenders[CONTENDERS];
-  core_profile table = prepare(model->id, CORE_EVALUATOR_LUT);
-  core_profile direct = prepare(model->id, CORE_EVALUATOR_F32);
+  core_profile table = bench_profile(core_isa_select(NULL), model->id, CORE_EVALUATOR_LUT);
+  core_profile direct = bench_profile(core_isa_select(NULL), model->id, CORE_EVALUATOR_F32);
   const double ratio = compare(model->name, &table, &direct, contenders);
   bench_figure(RADII / contenders[0].ns * 1e9, "values/s", "lut.%s.table", model->name);
   bench_figure(RADII / contenders[1].ns * 1e9, "values/s", "lut.%s.f32", model->name);
@@ -92,8 +66,9 @@ static void measure_model(const core_choice *model) {
 
 static void measure_transport(void) {
   bench_contender contenders[CONTENDERS];
-  core_profile table = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_LUT);
-  core_profile direct = prepare(CORE_MODEL_BETTER, CORE_EVALUATOR_F32);
+  core_profile table =
+      bench_profile(core_isa_select(NULL), CORE_MODEL_TRANSPORT, CORE_EVALUATOR_LUT);
+  core_profile direct = bench_profile(core_isa_select(NULL), CORE_MODEL_BETTER, CORE_EVALUATOR_F32);
   const double ratio = compare("transport over better", &table, &direct, contenders);
   bench_figure(ratio, "times", "ratio.lut.transport_over_better_dipole");
   core_profile_free(&table);
@@ -101,7 +76,7 @@ static void measure_transport(void) {
 }
 
 void bench_lut(void) {
-  fill_radii();
+  bench_fill_radii(sizeof *radii, radii, RADII);
   for (const core_choice *model = core_models; model->name != NULL; model++) {
     measure_model(model);
   }

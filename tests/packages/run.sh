@@ -9,7 +9,7 @@ packages=$(cd "$1" && pwd)
 here=$(cd "$(dirname "$0")" && pwd)
 
 skip() {
-  echo "check-deb: skipped: $1"
+  echo "deb: skipped: $1"
   exit 0
 }
 
@@ -36,7 +36,7 @@ inside() { # script
 }
 
 quietly() { # what it is, command
-  echo "check-deb: $1"
+  echo "deb: $1"
   shift
   "$@" >"$work/log" 2>&1 || {
     tail -n 40 "$work/log" >&2
@@ -68,8 +68,8 @@ if command -v systemd-nspawn >/dev/null; then
     exit 1
   }
 else
-  echo 'check-deb: not booted: systemd-nspawn is not installed'
+  echo 'deb: not booted: systemd-nspawn is not installed'
   quietly 'a daemon started by hand' inside by_hand.sh
 fi
 quietly 'purging' inside purging.sh
-echo 'check-deb: installed, asked, purged; nothing is left'
+echo 'deb: installed, asked, purged; nothing is left'

@@ -1,0 +1,76 @@
+#!/bin/bash
+# run-check.sh LOGS PART...: runs `make check-PART` for each part, one after the other. PART+PART
+# runs two of them at the same time. Keeps what a part prints in LOGS/PART.log and shows it. At the
+# end it prints how long each part took, every test that was skipped, and how many tests passed,
+# failed and were skipped. Exits 1 when a part has failed. With FORBID_SKIPS=yes it also exits 1
+# when a test was skipped for another reason than that ../shared is missing.
+set -u
+logs=$1
+shift
+mkdir -p "$logs"
+rm -f "$logs"/unit-*.log "$logs"/accuracy-*.log "$logs"/fuzz-*.log
+
+run_part() { # PART: its log, its exit status and its time in seconds
+  local start_ns
+  start_ns=$(date +%s%N)
+  make --no-print-directory "check-$1" >"$logs/$1.log" 2>&1
+  echo "$? $((($(date +%s%N) - start_ns) / 1000000000))" >"$logs/$1.status"
+}
+
+parts=
+for group in "$@"; do
+  for part in ${group//+/ }; do
+    run_part "$part" &
+    parts="$parts $part"
+  done
+  wait
+  for part in ${group//+/ }; do
+    echo "---- check-$part"
+    cat "$logs/$part.log"
+  done
+done
+
+# The number before a word in the line that sums up pytest's log.
+pytest_count() { # PART WORD
+  grep -E ' in [0-9.]+s' "$logs/$1.log" | tail -n 1 | grep -oE "[0-9]+ $2" | grep -oE '[0-9]+' || echo 0
+}
+
+passed=0 failed=0 skipped=0 bad=
+: >"$logs/skipped"
+echo "---- time of each part"
+for part in $parts; do
+  read -r status seconds <"$logs/$part.status"
+  printf '%-12s %4d s%s\n' "$part" "$seconds" "$([ "$status" -eq 0 ] || echo '  FAILED')"
+  [ "$status" -eq 0 ] || bad="$bad $part"
+  case $part in
+  unit)
+    one=$(cat "$logs"/unit-*.log "$logs"/accuracy-*.log "$logs"/fuzz-*.log |
+      awk '$2 == "PASSED" { n += $4 } END { print n + 0 }')
+    passed=$((passed + one))
+    failed=$((failed + $(grep -c '^FAILED' "$logs/$part.log")))
+    ;;
+  e2e | soak* | pipeline)
+    passed=$((passed + $(pytest_count "$part" passed)))
+    failed=$((failed + $(pytest_count "$part" failed) + $(pytest_count "$part" error)))
+    skipped=$((skipped + $(pytest_count "$part" skipped)))
+    grep '^SKIPPED' "$logs/$part.log" >>"$logs/skipped"
+    ;;
+  *)
+    # Other parts print one line for each test: `NAME: ...`, with the word skipped for a skipped one.
+    one=$(grep -c "^${part%%-*}:.* skipped" "$logs/$part.log")
+    skipped=$((skipped + one))
+    grep "^${part%%-*}:.* skipped" "$logs/$part.log" >>"$logs/skipped"
+    passed=$((passed + (status == 0) - (status == 0 && one > 0)))
+    failed=$((failed + (status != 0)))
+    ;;
+  esac
+done
+
+cat "$logs/skipped"
+if [ "${FORBID_SKIPS-}" = yes ] && grep -v '\.\./shared' "$logs/skipped" >/dev/null; then
+  echo "run-check.sh: tests were skipped for other reasons than that ../shared is missing"
+  bad="$bad skipped-tests"
+fi
+echo "$passed passed, $failed failed, $skipped skipped" | tee "$logs/total"
+[ -z "$bad" ] || echo "failed:$bad"
+[ -z "$bad" ]
