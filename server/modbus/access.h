@@ -1,4 +1,4 @@
-/* access: from which addresses Modbus may be used. */
+/* access: the addresses that Modbus masters may connect from. */
 #ifndef DIPOLED_MODBUS_ACCESS_H
 #define DIPOLED_MODBUS_ACCESS_H
 
@@ -8,7 +8,7 @@
 
 #include "server/options.h"
 
-/* Addresses that begin with the same bits. IPv4 ones are kept as ::ffff:a.b.c.d. */
+/* All addresses that begin with the same bits. An address of IPv4 is kept as ::ffff:a.b.c.d. */
 struct modbus_network {
   struct in6_addr address;
   unsigned bits;
@@ -19,12 +19,12 @@ struct modbus_access {
   size_t count;
 };
 
-/* Reads a list of ADDRESS/BITS, or ADDRESS alone; an empty one is this machine. False: *wrong is
- * the item that is none. */
+/* Reads a list of networks, each as ADDRESS/BITS or ADDRESS. An empty list means this machine
+ * alone. False: *wrong is the item that cannot be read. */
 bool modbus_access_read(const struct options_list *list, struct modbus_access *access,
                         const char **wrong);
 
-/* Whether an address, of IPv4 or IPv6, is in one of the networks. */
+/* Whether an address of IPv4 or IPv6 is in one of the networks. */
 bool modbus_access_allows(const struct modbus_access *access, const struct sockaddr *address);
 
 #endif

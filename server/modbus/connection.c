@@ -16,8 +16,8 @@ enum {
   HEADER_BYTES = 7, /* transaction, protocol, length, unit */
   LENGTH_MIN = 2,   /* unit and function */
   LENGTH_MAX = 254,
-  /* What the kernel keeps in each direction for a master that does not read. Without a limit it
-   * grows to megabytes. With a limit far below a segment of the loopback it drops segments. */
+  /* What the kernel keeps in each direction for a master that does not read. Without this limit it
+   * grows to megabytes. With one far below the size of a segment, segments are dropped. */
   SOCKET_BUFFER_BYTES = 65536,
   LINGER_MS = 1000, /* for a peer that does not close after the last answer */
 };
@@ -199,7 +199,8 @@ static void run(struct client *client) {
   }
 }
 
-/* The clock of an unfinished frame runs while the peer could finish it. */
+/* Notes when an unfinished frame began to arrive. The time counts only while the peer could send
+ * the rest. */
 static void note_partial_frame(struct modbus_connection *c) {
   if (c->begin == c->end) {
     c->frame_started_ms = 0;

@@ -47,7 +47,7 @@ static bool is_baud_rate(int baud) {
   return false;
 }
 
-/* Reads the option up to where it is wrong, which says what is wrong with it. */
+/* False, with a message that says which part of the option is wrong. */
 static bool read_url(struct modbus_line *line, const char *url) {
   char baud[8] = "", parity[4] = "", unit[4] = "1", rest = '\0';
   _Static_assert(MODBUS_LINE_DEVICE_BYTES == 256, "the width in the format");
@@ -186,7 +186,7 @@ static void run(struct client *client) {
 
 /* ---- reading --------------------------------------------------------------------------------- */
 
-/* Whether what has arrived could be answered if nothing more came. */
+/* Whether what has arrived ends with a whole request. */
 static bool is_whole(const struct modbus_line *line) {
   size_t begin;
   return modbus_rtu_find(line->input, line->bytes, line->number, &begin) > 0;
@@ -195,7 +195,7 @@ static bool is_whole(const struct modbus_line *line) {
 static void on_silence(uv_timer_t *timer) {
   struct modbus_line *line = timer->data;
   worker_run_later(&line->client);
-  worker_stay_awake(line->client.worker); /* timers come before the poll, turns after it */
+  worker_stay_awake(line->client.worker); /* the turn comes after the next poll */
 }
 
 static void arrived(struct modbus_line *line, size_t bytes) {
@@ -215,7 +215,7 @@ static void on_poll(uv_poll_t *poll, int status, int events) {
     return;
   }
   if (line->client.to_run) {
-    return; /* the master speaks again before it has been answered, which is in this round */
+    return; /* read this in the next round, when the request before it has been answered */
   }
   if (line->bytes == sizeof line->input) { /* no silence during four frames: this is noise */
     line->bytes = 0;

@@ -32,7 +32,7 @@ static core_parameters parameters_of(const uint16_t image[REGISTERS_END]) {
   return parameters;
 }
 
-/* The listed radii in the evaluator's precision, padded. */
+/* Writes the listed radii in the precision of the evaluator, and the padding; returns the bytes. */
 static size_t put_list(uint8_t *at, const uint16_t image[REGISTERS_END], size_t value_bytes) {
   const unsigned count = registers_u16(image, REGISTERS_AT_RADIUS_COUNT);
   for (unsigned i = 0; i < count; i++) {
@@ -75,10 +75,10 @@ size_t modbus_translate_input(const uint16_t image[REGISTERS_END], uint8_t *ques
 
 /* ---- output ---------------------------------------------------------------------------------- */
 
-/* Values in the evaluator's precision; NULL: there are none. */
+/* Values in the precision of the evaluator. `at` is NULL if there are none. */
 struct values {
   const uint8_t *at;
-  size_t bytes; /* of one */
+  size_t bytes; /* of one value */
 };
 
 static double value_at(const struct values *values, unsigned index) {
@@ -92,7 +92,8 @@ static double value_at(const struct values *values, unsigned index) {
   return value;
 }
 
-/* NaN in what an earlier answer has filled in and this one does not. */
+/* Writes the values. Registers that the answer before has filled and this one does not become
+ * NaN. */
 static void set_values(uint16_t image[REGISTERS_END], unsigned single_at, unsigned double_at,
                        const struct values *values, unsigned count, unsigned count_before) {
   const unsigned most = count > count_before ? count : count_before;
@@ -106,14 +107,13 @@ static void set_values(uint16_t image[REGISTERS_END], unsigned single_at, unsign
   }
 }
 
-/* A bound stays one. */
+/* Rounds a bound of an error so that it remains a bound. */
 static float rounded_up(double bound) {
   const float nearest = (float)bound;
   return (double)nearest < bound ? nextafterf(nearest, INFINITY) : nearest;
 }
 
-/* The radii of the question, also of its grid. Infinity, where R is exactly 0, does not count for
- * the largest one. */
+/* The radii of the request; those of a grid are computed into `room`. */
 static struct values radii_of(const uint8_t *question, const wire_eval_request *fixed,
                               double room[REGISTERS_RADII_MAX]) {
   const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
@@ -131,6 +131,7 @@ static struct values radii_of(const uint8_t *question, const wire_eval_request *
   return (struct values){(const uint8_t *)room, value_bytes};
 }
 
+/* The largest radius but infinity, at which R is exactly 0. */
 static double largest(const struct values *radii, unsigned count) {
   double most = 0;
   for (unsigned i = 0; i < count; i++) {
@@ -142,8 +143,9 @@ static double largest(const struct values *radii, unsigned count) {
 
 static void set_errors(uint16_t image[REGISTERS_END], const wire_channel *channel, double r,
                        bool rounded) {
-  const double numerical = channel->numerical_error + channel->numerical_error_per_mm * r +
-                           (rounded ? 0x1p-24 : 0); /* of double precision to these registers */
+  const double numerical =
+      channel->numerical_error + channel->numerical_error_per_mm * r +
+      (rounded ? 0x1p-24 : 0); /* of rounding double precision to these registers */
   registers_set_f32(image, REGISTERS_AT_NUMERICAL_ERROR, rounded_up(numerical));
   registers_set_f32(image, REGISTERS_AT_MODEL_ERROR, rounded_up(channel->model_error));
   registers_set_f32(image, REGISTERS_AT_ALBEDO, (float)channel->albedo);

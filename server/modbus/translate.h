@@ -1,6 +1,5 @@
-/* translate: from the input of a register map to an eval request of the binary protocol, and from
- * its reply to the output: so that both protocols are answered by the same code, with the same
- * bits.
+/* translate: makes an eval request of the binary protocol from the input registers, and fills in the
+ * output registers from its reply. So the same code answers both protocols, with the same bits.
  */
 #ifndef DIPOLED_MODBUS_TRANSLATE_H
 #define DIPOLED_MODBUS_TRANSLATE_H
@@ -16,11 +15,12 @@ enum {
                        2 * REGISTERS_RADII_MAX * (int)sizeof(double),
 };
 
-/* The payload of the request, at a multiple of 8; its length, at most MODBUS_QUESTION_BYTES. */
+/* Writes the payload of the request to `question`, which is at a multiple of 8. Returns its length,
+ * at most MODBUS_QUESTION_BYTES. */
 size_t modbus_translate_input(const uint16_t image[REGISTERS_END], uint8_t *question);
 
-/* Writes the results of a reply to such a request: all of the output and the float64 block but
- * status, done, sequence and the error. */
+/* Writes the results of the reply to such a request into the output block and the float64 block.
+ * Status, done, sequence and the error are left to the caller. */
 void modbus_translate_reply(const uint8_t *question, const uint8_t *reply,
                             uint16_t image[REGISTERS_END]);
 

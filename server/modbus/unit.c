@@ -73,8 +73,8 @@ static void note_evaluating(struct modbus_unit *unit) {
   worker_finish_later(&unit->units->client);
 }
 
-/* Goes on with the job until its values are in the batch, or it waits, or it has been refused. Its
- * 50 radii at most are no more than a slice, and their reply is one part. */
+/* Runs the job until its values are in the batch, or it waits for its profile, or it is refused. It
+ * has at most 50 radii, so that they fit into one slice, and the reply into one part. */
 static wire_error follow(struct modbus_unit *unit, enum job_outcome outcome) {
   struct job *job = unit->job;
   while (outcome == JOB_GOES_ON || outcome == JOB_NEXT_PART) {
@@ -120,7 +120,7 @@ static wire_error evaluate(struct modbus_unit *unit) {
 
 /* ---- writing --------------------------------------------------------------------------------- */
 
-enum { WRITE_MAX = 123 }; /* registers in one request */
+enum { WRITE_MAX = 123 }; /* registers in one request: the limit of Modbus */
 
 /* The value that a write gives to `commit`; 0 if it does not commit. */
 static uint16_t token_of(unsigned address, unsigned count, const uint8_t *values) {

@@ -11,7 +11,7 @@ static enum log_level highest = LOG_LEVEL_INFO;
 
 static const char *const level_names[] = {"error", "info"};
 
-/* The peer lines of the current second. */
+/* How many peer lines have been printed in the current second, and how many have not. */
 static struct {
   pthread_mutex_t mutex;
   time_t second;
@@ -33,7 +33,8 @@ bool log_level_by_name(const char *name, enum log_level *level) {
   return false;
 }
 
-/* Copies text, escaping what is not printable; the line's end is added by the caller. */
+/* Copies text and escapes bytes that are not printable. Returns the length. The caller ends the
+ * line. */
 static size_t escape(const char *text, char *line, size_t room) {
   size_t length = 0;
   for (; *text != '\0' && length + 5 < room; text++) {
@@ -64,8 +65,8 @@ static void print(enum log_level level, unsigned long suppressed, const char *fo
     length += (size_t)snprintf(line + length, sizeof line - length, " suppressed=%lu", suppressed);
   }
   line[length++] = '\n';
-  /* One write, so that lines of several threads do not mix; there is nowhere to report a failure.
-   */
+  /* One call of write() for the whole line keeps the lines of several threads apart. If it fails,
+   * there is nowhere to report that. */
   const ssize_t written = write(STDERR_FILENO, line, length);
   (void)written;
 }
@@ -80,7 +81,8 @@ void log_line(enum log_level level, const char *format, ...) {
   va_end(arguments);
 }
 
-/* True when the line may be printed; *suppressed is then how many were not before it. */
+/* Whether a peer line may be printed now. If so, *suppressed is the number of lines before it that
+ * were not printed. */
 static bool spend(unsigned long *suppressed) {
   const time_t second = time(NULL);
   pthread_mutex_lock(&budget.mutex);

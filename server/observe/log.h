@@ -6,18 +6,18 @@
 
 enum log_level { LOG_LEVEL_ERROR, LOG_LEVEL_INFO };
 
-/* Lines above this level are dropped. Call before threads exist. */
+/* Drops all lines above this level. Call this before the first thread is started. */
 void log_set_level(enum log_level level);
 
-/* "error" or "info"; false: neither. */
+/* Finds the level that is called "error" or "info". False: the name is another. */
 bool log_level_by_name(const char *name, enum log_level *level);
 
-/* One line: format gives the event and its keys, `event=NAME key=value`. Anything that a peer had a
- * hand in is passed as an argument: bytes that could break the line are escaped as \xNN. */
+/* Prints one line. `format` gives the event and its keys: `event=NAME key=value`. Bytes that are
+ * not printable are escaped as \xNN, so that text from a peer may be an argument. */
 void log_line(enum log_level level, const char *format, ...) __attribute__((format(printf, 2, 3)));
 
-/* The same for lines that a peer can cause: at most LOG_PEER_LINES_PER_SECOND are printed, the next
- * one after that says how many were not (key suppressed). */
+/* The same for lines that a peer can cause. At most LOG_PEER_LINES_PER_SECOND are printed in a
+ * second. The next line that is printed says with the key `suppressed` how many were not. */
 void log_peer_line(enum log_level level, const char *format, ...)
     __attribute__((format(printf, 2, 3)));
 

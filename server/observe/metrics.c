@@ -13,8 +13,8 @@
 #include "server/observe/report.h"
 
 enum {
-  MOST_CONNECTIONS = 16, /* scrapers that ask at a time; others wait */
-  SILENCE_S = 5,         /* after which a connection is closed */
+  MOST_CONNECTIONS = 16, /* connections at a time; others wait */
+  SILENCE_S = 5,         /* seconds of silence after which a connection is closed */
   CONNECTION_BYTES = 16384,
 };
 
@@ -26,7 +26,7 @@ enum {
 /* libmicrohttpd is loaded when metrics are asked for. When it was linked, it and its TLS library
  * took 2 ms of every start, and 2.7 MB of a daemon that serves no metrics. */
 
-/* HTTP_FUNCTION(name): every one that is used. */
+/* HTTP_FUNCTION(name): each function of the library that is used. */
 #define HTTP_FUNCTIONS                                                                             \
   HTTP_FUNCTION(start_daemon)                                                                      \
   HTTP_FUNCTION(stop_daemon)                                                                       \
@@ -75,7 +75,7 @@ static void start_family(struct text *text, const struct report_value *value) {
       [REPORT_HISTOGRAM] = "histogram",
   };
   const struct report_family *family = value->family;
-  /* A counter's family has the name of its values in this version of the format. */
+  /* In this version of the format, a family of counters has the same name as its values. */
   const char *suffix = family->type == REPORT_COUNTER ? value->suffix : "";
   fprintf(text->file, "# HELP dipoled_%s%s %s\n# TYPE dipoled_%s%s %s\n", family->name, suffix,
           family->help, family->name, suffix, types[family->type]);
@@ -122,7 +122,7 @@ struct metrics {
   struct MHD_Daemon *daemon;
 };
 
-/* Takes the response; NULL: there was no memory for it, and the connection is closed. */
+/* Takes over the response. If it is NULL, for lack of memory, the connection is closed. */
 static enum MHD_Result send_response(const struct http *http, struct MHD_Connection *connection,
                                      unsigned status, const char *type,
                                      struct MHD_Response *response) {
@@ -164,7 +164,7 @@ static bool is_read(const char *method) {
   return strcmp(method, MHD_HTTP_METHOD_GET) == 0 || strcmp(method, MHD_HTTP_METHOD_HEAD) == 0;
 }
 
-/* Called when a request's header is complete; it is answered whatever body may follow. */
+/* The library calls this when it has a request's header. The answer does not depend on the body. */
 static enum MHD_Result on_request(void *context, struct MHD_Connection *connection, const char *url,
                                   const char *method, const char *version, const char *body,
                                   size_t *body_bytes, void **state) {
@@ -185,8 +185,8 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *connecti
                     : send_text(http, connection, MHD_HTTP_OK, ok);
 }
 
-/* The paths that there are need no escapes: left alone, an escaped end cannot make one of
- * another. */
+/* Leaves escapes in paths as they are, because neither path needs any. Otherwise /metrics%00x would
+ * be taken for /metrics. */
 static size_t leave_escaped(void *context, struct MHD_Connection *connection, char *text) {
   (void)context, (void)connection;
   return strlen(text);
@@ -241,7 +241,7 @@ struct metrics *metrics_open(struct server *server, const char *address) {
     return fail(address, why, fd, metrics);
   }
   metrics->server = server;
-  metrics->daemon = start(metrics, fd); /* and has the socket from now on */
+  metrics->daemon = start(metrics, fd); /* it owns the socket from here on */
   if (metrics->daemon == NULL) {
     return fail(address, "the HTTP server does not start", fd, metrics);
   }

@@ -1,5 +1,5 @@
-/* metrics: what the daemon tells of itself, over HTTP: /metrics in Prometheus' text format, and
- * /healthz. On a thread of its own; the workers are not asked, only read. */
+/* metrics: serves /metrics, in the text format of Prometheus, and /healthz over HTTP. The server
+ * has a thread of its own, which reads the workers' counters and never waits for a worker. */
 #ifndef DIPOLED_METRICS_H
 #define DIPOLED_METRICS_H
 
@@ -7,11 +7,11 @@
 
 struct metrics;
 
-/* Listens at [HOST]:PORT (without a host on the loopback interface) and logs the address; the
- * workers have started. NULL, with a message on standard error, when that cannot be done. */
+/* Listens at [HOST]:PORT, on the loopback interface if there is no host, and logs the address. Call
+ * this after the workers have started. NULL, with a message on standard error: it failed. */
 struct metrics *metrics_open(struct server *server, const char *address);
 
-/* Ends all answers under way; may be NULL. */
+/* Stops the server and cuts off answers that are not complete. `metrics` may be NULL. */
 void metrics_close(struct metrics *metrics);
 
 #endif

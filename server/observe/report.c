@@ -5,9 +5,9 @@
 #include "server/observe/latency.h"
 #include "server/server.h"
 
-/* Whom the values go to. */
+/* Where the values go. */
 struct reporter {
-  const struct server *server; /* NULL: without values */
+  const struct server *server; /* NULL: all values are 0 */
   void (*each)(void *context, const struct report_value *value);
   void *context;
 };
@@ -131,7 +131,7 @@ static void report_ns(const struct reporter *to, const char *name,
   to->each(to->context, &(struct report_value){name, family, suffix, labels, true, ns});
 }
 
-/* One class of requests, of all workers together. */
+/* The latencies of one class of requests, of all workers together. */
 static struct histogram_sum sum_of(const struct reporter *to, enum latency_class kind) {
   struct histogram_sum sum = {.count = 0};
   for (uint64_t i = 0; to->server != NULL && i < to->server->options.workers; i++) {

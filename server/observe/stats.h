@@ -1,5 +1,5 @@
-/* stats: what the daemon's threads count, while it costs next to nothing. server/observe/report.h
- * makes names and sums of it. */
+/* stats: the counters of the daemon's threads. Counting takes a worker neither a lock nor a locked
+ * instruction. server/observe/report.h gives the counters their names. */
 #ifndef DIPOLED_STATS_H
 #define DIPOLED_STATS_H
 
@@ -7,7 +7,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* Batches are counted by size: up to 1, 2, 4, 8, ... requests; the last size has no bound. */
+/* Batches are counted by size: up to 1, 2, 4, 8, ... requests. The last size has no limit. */
 enum { STATS_BATCH_SIZES = 10 };
 
 enum stats_index {
@@ -28,8 +28,8 @@ enum stats_index {
   STATS_COUNT = STATS_BATCHES + STATS_BATCH_SIZES
 };
 
-/* Each worker counts in a shard of its own, which no other thread writes; all others share the
- * first. A value is the sum of all shards. */
+/* Each worker has a shard of its own, which no other thread writes. All other threads share the
+ * first shard. A counter's value is its sum over all shards. */
 enum { STATS_SHARDS = 65 };
 
 struct stats_shard {
@@ -40,10 +40,10 @@ struct stats {
   struct stats_shard shards[STATS_SHARDS];
 };
 
-/* The shard of this thread: 0 unless stats_claim() has been called. */
+/* The shard of this thread. It is 0 until the thread calls stats_claim(). */
 extern _Thread_local unsigned stats_shard;
 
-/* number: 1 to STATS_SHARDS - 1; no other thread has it. */
+/* Gives this thread a shard, from 1 to STATS_SHARDS - 1, that no other thread has. */
 static inline void stats_claim(unsigned number) {
   stats_shard = number;
 }
@@ -62,7 +62,7 @@ static inline void stats_subtract(struct stats *stats, enum stats_index index, u
   stats_add(stats, index, UINT64_C(0) - amount);
 }
 
-/* A worker's share of a gauge. */
+/* Sets this worker's part of a gauge. */
 static inline void stats_set(struct stats *stats, enum stats_index index, uint64_t value) {
   atomic_store_explicit(&stats->shards[stats_shard].values[index], value, memory_order_relaxed);
 }
@@ -75,9 +75,10 @@ static inline uint64_t stats_get(const struct stats *stats, enum stats_index ind
   return sum;
 }
 
-void stats_count_request(struct stats *stats, unsigned type);  /* a type of the list */
-void stats_count_answer(struct stats *stats, unsigned status); /* a status of the list */
-void stats_count_radii(struct stats *stats, unsigned model, uint64_t radii); /* a model's id */
-void stats_count_batch(struct stats *stats, uint64_t requests);              /* at least 1 */
+void stats_count_request(struct stats *stats, unsigned type);  /* of proto/messages.def */
+void stats_count_answer(struct stats *stats, unsigned status); /* of proto/statuses.def */
+void stats_count_radii(struct stats *stats, unsigned model,
+                       uint64_t radii);                         /* of core/models.def */
+void stats_count_batch(struct stats *stats, uint64_t requests); /* at least 1 */
 
 #endif
