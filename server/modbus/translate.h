@@ -1,5 +1,5 @@
-/* translate: makes an eval request of the binary protocol from the input registers, and fills in the
- * output registers from its reply. So the same code answers both protocols, with the same bits.
+/* translate: makes an eval request of the binary protocol from the input registers, and fills in
+ * the output registers from its reply. So the same code answers both protocols, with the same bits.
  */
 #ifndef DIPOLED_MODBUS_TRANSLATE_H
 #define DIPOLED_MODBUS_TRANSLATE_H
