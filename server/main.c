@@ -128,7 +128,7 @@ static bool serve_modbus_at(struct daemon *daemon, const char *url) {
     return modbus_service_open_line(daemon->server.modbus, url);
   }
   if (!listener_open_modbus(&daemon->listeners[daemon->listener_count], &daemon->server,
-                            &daemon->loop, url)) {
+                            &daemon->loop, url, modbus_service_admit)) {
     return false;
   }
   daemon->listener_count++;

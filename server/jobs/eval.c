@@ -170,7 +170,7 @@ static wire_error cut(struct eval_job *eval, const struct options *options) {
                            "fewer: a part of max_part_bytes has no room for them");
   }
   const uint64_t parts = (fixed->radius_count - 1) / eval->part_radii + 1;
-  if (parts > UINT32_MAX) { /* 2^40 radii in parts of 256 */
+  if (parts > UINT32_MAX) { /* for example 2^40 radii in parts of 256 */
     return job_too_large(count_field(eval), UINT32_MAX * eval->part_radii,
                          "radii in parts as small as these");
   }
@@ -489,7 +489,7 @@ enum job_outcome eval_job_begin_part(struct job *job, uint8_t *payload) {
   return JOB_GOES_ON;
 }
 
-/* The part is complete. */
+/* Goes to the next part, if there is one, and lays it out. */
 static enum job_outcome end_part(struct eval_job *eval) {
   if (eval->part + 1 == eval->part_count) {
     return JOB_DONE;

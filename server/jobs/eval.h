@@ -27,13 +27,13 @@ struct eval_job {
   uint64_t part_radii; /* radii in each part but the last */
   uint32_t part;       /* number of the part, from 0 */
   uint32_t part_count;
-  uint64_t first; /* the part's first radius among all */
-  uint64_t count; /* radii of the part */
+  uint64_t first; /* number of the part's first radius */
+  uint64_t count; /* how many radii the part has */
 
   uint32_t channel;            /* the channel that is being evaluated */
   uint64_t index;              /* next radius of that channel, within the part */
   bool radii_done;             /* the radii have been written, or are not wanted */
-  unsigned notes;              /* of the channels so far */
+  unsigned notes;              /* bits of the channels so far */
   struct profiles_order order; /* for the channel's profile */
 };
 

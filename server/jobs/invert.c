@@ -21,14 +21,14 @@ struct invert_job {
   bool reach_known;            /* which albedos the model reaches: the first probes find out */
   bool seeking;                /* the search for the medium at index has begun */
   bool slow;                   /* probes take long and are prepared on another thread */
-  struct profiles_order order; /* for those */
+  struct profiles_order order; /* gets the profiles of slow probes */
   uint64_t probe_radii;        /* what a probe costs, in radii of a dipole */
   uint8_t *reply;              /* payload of the part */
   uint64_t part_media;         /* media in each part but the last */
-  uint64_t first;              /* the part's first medium among all */
-  uint64_t count;              /* media of the part */
-  uint64_t index;              /* within the part, of the medium that is looked for */
-  uint64_t missing;            /* media before it that there are not */
+  uint64_t first;              /* number of the part's first medium */
+  uint64_t count;              /* how many media the part has */
+  uint64_t index;              /* within the part: the medium that is looked for */
+  uint64_t missing;            /* how many media before index do not exist */
   uint32_t part;               /* number of the part, from 0 */
   uint32_t part_count;
 };

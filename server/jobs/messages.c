@@ -1,10 +1,10 @@
-/* The messages that are answered in one go. */
+/* Messages whose reply is written in one step: hello, media, statistics, ping and cancel. */
 #include <string.h>
 
 #include "server/jobs/job.h"
 #include "server/observe/report.h"
 
-/* The reply has been laid out. */
+/* Accepts a request whose reply takes so many bytes. */
 static enum job_outcome reply_with(struct job *job, size_t part_bytes) {
   job->part_bytes = part_bytes;
   return JOB_NEXT_PART;
@@ -93,7 +93,7 @@ const struct job_kind job_kind_HELLO = {.start = start_hello, .begin_part = put_
 /* ---- lists ------------------------------------------------------------------------------------
  */
 
-/* For a request without a payload, whose reply is a list. */
+/* Accepts a request without a payload, whose reply is a list. */
 static enum job_outcome start_list(struct job *job, const struct job_request *request, size_t count,
                                    size_t entry_bytes) {
   return request->header->payload_bytes != 0
@@ -101,7 +101,7 @@ static enum job_outcome start_list(struct job *job, const struct job_request *re
              : reply_with(job, WIRE_BYTES_list_reply + count * entry_bytes);
 }
 
-/* Returns where the entries go. */
+/* Writes the count of a list. Returns where its entries go. */
 static uint8_t *put_list(uint8_t *at, size_t count) {
   const wire_list_reply list = {.count = (uint32_t)count};
   wire_put_list_reply(at, &list);
@@ -185,7 +185,7 @@ const struct job_kind job_kind_PING = {.start = start_ping, .begin_part = put_pi
 struct cancel {
   struct job job;
   uint64_t job_id;
-  struct job *detached; /* of the connection */
+  struct job *detached; /* the connection's list */
 };
 
 JOB_FITS_SLOT(struct cancel);

@@ -35,7 +35,7 @@ struct connection {
   struct output output;
   struct requests requests;
 
-  bool more_to_do; /* when the turn was over */
+  bool more_to_do; /* work was left at the end of the last turn */
   bool reading;
   bool stopping;  /* the daemon stops: the connection ends when what has arrived is answered */
   bool peer_done; /* the peer has shut down its side: nothing more will arrive */

@@ -10,7 +10,6 @@
 #include <sys/un.h>
 #include <unistd.h>
 
-#include "server/modbus/service.h"
 #include "server/net/connection.h"
 #include "server/net/tcp.h"
 #include "server/net/worker.h"
@@ -242,8 +241,8 @@ bool listener_open(struct listener *listener, struct server *server, uv_loop_t *
 }
 
 bool listener_open_modbus(struct listener *listener, struct server *server, uv_loop_t *loop,
-                          const char *url) {
-  *listener = (struct listener){.server = server, .admit = modbus_service_admit, .fd = -1};
+                          const char *url, void (*take)(struct server *server, int fd)) {
+  *listener = (struct listener){.server = server, .admit = take, .fd = -1};
   const bool open =
       strncmp(url, "tcp:", 4) == 0
           ? open_tcp(listener, url, url + 4, "modbus-tcp")

@@ -23,9 +23,9 @@ bool listener_open(struct listener *listener, struct server *server, uv_loop_t *
  * a message to standard error and returns false. */
 bool listener_adopt(struct listener *listener, struct server *server, uv_loop_t *loop, int fd);
 
-/* Does the same for Modbus at tcp:HOST:PORT. */
+/* Does the same for Modbus at tcp:HOST:PORT. take() takes over the connected sockets. */
 bool listener_open_modbus(struct listener *listener, struct server *server, uv_loop_t *loop,
-                          const char *url);
+                          const char *url, void (*take)(struct server *server, int fd));
 
 /* Stops listening. libuv closes the handles in the loop's next round. */
 void listener_close(struct listener *listener);
