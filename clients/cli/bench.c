@@ -235,19 +235,19 @@ static int run(void *settings, dipole_client *client) {
 static const cli_option options[] = {
     CLI_MEDIUM_OPTIONS,
     {"Load", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"model", "NAME", "default: better", CLI_TEXT, offsetof(bench_settings, profile.model),
-     "better"},
+    {"model", "NAME", "which model is evaluated (default: better)", CLI_TEXT,
+     offsetof(bench_settings, profile.model), "better"},
     {"evaluator", "NAME", "f64, f32 or lut (default: f32)", CLI_TEXT,
      offsetof(bench_settings, profile.evaluator), "f32"},
     {"seconds", "S", "how long each of the three is measured (default: 1)", CLI_NUMBER,
      offsetof(bench_settings, seconds), "1"},
-    {"connections", "N", "when pipelining (default: 1)", CLI_COUNT,
+    {"connections", "N", "how many connections the pipelined requests have (default: 1)", CLI_COUNT,
      offsetof(bench_settings, connections), "1"},
-    {"in-flight", "N", "requests under way on each of them (default: 64)", CLI_COUNT,
-     offsetof(bench_settings, in_flight), "64"},
-    {"radii", "N", "of a small request (default: 16)", CLI_COUNT, offsetof(bench_settings, radii),
-     "16"},
-    {"large-radii", "N", "of a large request (default: 65536)", CLI_COUNT,
+    {"in-flight", "N", "how many requests are under way on each connection (default: 64)",
+     CLI_COUNT, offsetof(bench_settings, in_flight), "64"},
+    {"radii", "N", "how many radii a small request has (default: 16)", CLI_COUNT,
+     offsetof(bench_settings, radii), "16"},
+    {"large-radii", "N", "how many radii a large request has (default: 65536)", CLI_COUNT,
      offsetof(bench_settings, large_radii), "65536"},
     {0},
 };
@@ -259,11 +259,11 @@ const cli_command cli_command_bench = {
         "\n"
         "Requests are evaluations of R at listed radii, from 0.01 to 10 mm, of all channels of a\n"
         "medium (default: --medium skin1). Three things are measured, one after the other: small\n"
-        "requests, of which each waits for the answer to the one before; small requests, of which\n"
-        "many are under way; and large requests one at a time. Times are from submitting a\n"
-        "request to holding its values, this program's share included, within 1 %. Radii and\n"
-        "bytes count every channel; bytes are those of radii that go and values that come. On a\n"
-        "daemon that others use at the same time it measures what is left, and takes its share.\n",
+        "requests one at a time; small requests of which many are under way; and large requests\n"
+        "one at a time. A time is that from submitting a request to having its values, within\n"
+        "1 %; the time that this program takes is part of it. Radii and bytes count every\n"
+        "channel; bytes are those of radii sent and values received. If others use the daemon\n"
+        "at the same time, each of you gets a share of it.\n",
     .formats = "table,csv,json",
     .options = options,
     .shared_options = cli_parameter_options,

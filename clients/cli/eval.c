@@ -18,22 +18,22 @@ static const cli_option options[] = {
      "-: standard input",
      CLI_TEXT, FIELD(table), NULL},
     {"Radii", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"r", "X[,X...]", "these radii, mm; inf is one too", CLI_NUMBERS, FIELD(r), NULL},
+    {"r", "X[,X...]", "these radii, mm; one may be inf", CLI_NUMBERS, FIELD(r), NULL},
     {"from", "X", "the first radius of a grid, mm (default: 0)", CLI_NUMBER, FIELD(from), "0"},
-    {"to", "X", "its last radius, mm (default: 10)", CLI_NUMBER, FIELD(to), "10"},
-    {"count", "N", "how many radii it has (default: 21)", CLI_COUNT, FIELD(count), "21"},
-    {"log", NULL, "equal ratios from radius to radius instead of equal steps; needs --from",
+    {"to", "X", "the last radius of the grid, mm (default: 10)", CLI_NUMBER, FIELD(to), "10"},
+    {"count", "N", "how many radii the grid has (default: 21)", CLI_COUNT, FIELD(count), "21"},
+    {"log", NULL, "make the ratios between radii equal instead of the steps; needs --from",
      CLI_SWITCH, FIELD(logarithmic), NULL},
     CLI_EVAL_OPTIONS,
     {"want", "NAME[,NAME...]",
-     "R: 1/mm^2 per unit of power that entered; albedo; cdf: the share of\n"
-     "the albedo within r; S: 1/(mm^2 sr); others: see `dipole info`\n"
-     "(default: R,albedo)",
+     "what to evaluate. R: 1/mm^2 per unit of power that entered; albedo; cdf:\n"
+     "the share of the albedo within r; S: 1/(mm^2 sr); `dipole info` lists\n"
+     "all (default: R,albedo)",
      CLI_NAMES, FIELD(want), NULL},
     {"Output", NULL, NULL, CLI_HEADING, 0, NULL},
     {"plot", "[FILE]",
-     "also draw R over r into FILE.svg or FILE.png (default: " PLOT_FILE "), or for -\n"
-     "below the table; may be repeated; `dipole plot` draws more",
+     "also draw R over r into FILE.svg or FILE.png (default: " PLOT_FILE "); -: as\n"
+     "text below the table. May be repeated. `dipole plot` draws more",
      CLI_FILES, FIELD(plot), NULL},
     {0},
 };
@@ -117,13 +117,14 @@ const cli_command cli_command_eval = {
     .about = "Evaluate a medium over a range of radii, as a table or a picture",
     .more =
         "\n"
-        "Beside the values stand their numerical error, the model's own error where it has been\n"
-        "measured, and notes on what the model does not do. Where R is infinite, at r = 0 of\n"
-        "some models, tables and CSV say inf, JSON \"inf\"; NaN is an empty cell or null.\n"
+        "The output has the values, their numerical error, the model's own error if it has been\n"
+        "measured, and notes on what the model does not do. Some models are infinite at r = 0:\n"
+        "tables and CSV then say inf, JSON \"inf\". NaN is an empty cell or null.\n"
         "\n"
-        "With --tolerance and without --model the daemon takes the cheapest model and evaluator\n"
-        "that are measured to be within it of radiative transport, for all channels and radii;\n"
-        "below the table it says which and why. With --model, --tolerance is numerical.\n",
+        "With --tolerance and without --model, the daemon takes the cheapest model and evaluator\n"
+        "that are measured to be so near to radiative transport, for all channels and radii. A\n"
+        "line below the table says which it took and why. With --model, --tolerance is a bound\n"
+        "on the numerical error.\n",
     .formats = "table,csv,json",
     .options = options,
     .shared_options = cli_parameter_options,

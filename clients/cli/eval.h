@@ -22,9 +22,9 @@ typedef struct cli_eval_settings {
   {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},                                                \
       {"model",                                                                                    \
        "NAME[,NAME...]",                                                                           \
-       "see `dipole info`; all: every model that takes what is asked, those that\n"                \
-       "refuse it are named on standard error (default: with --tolerance the\n"                    \
-       "cheapest that is so near to radiative transport, else better)",                            \
+       "`dipole info` lists them; all: every model that accepts the query, while\n"                \
+       "standard error names those that refuse it (default: better; with\n"                        \
+       "--tolerance the cheapest that is so near to radiative transport)",                         \
        CLI_NAMES,                                                                                  \
        offsetof(cli_eval_settings, model),                                                         \
        NULL},                                                                                      \
@@ -32,14 +32,14 @@ typedef struct cli_eval_settings {
       {"evaluator",                                                                                \
        "NAME",                                                                                     \
        "f64 or f32: double or single precision; lut: single, by a table\n"                         \
-       "(default: f64; where the tolerance decides, the cheapest)",                                \
+       "(default: f64; if --tolerance chooses the model, the cheapest)",                           \
        CLI_TEXT,                                                                                   \
        offsetof(cli_profile_settings, evaluator),                                                  \
        NULL},                                                                                      \
   {                                                                                                \
     "deadline-ms", "N",                                                                            \
-        "the daemon shall answer within N ms of each query, or not at all; 0: at\n"                \
-        "any time (default: 0)",                                                                   \
+        "ask the daemon to answer each query within N ms or to refuse it; 0: no\n"                 \
+        "limit (default: 0)",                                                                      \
         CLI_COUNT, offsetof(cli_profile_settings, deadline_ms), NULL                               \
   }
 

@@ -19,9 +19,9 @@ typedef struct invert_settings {
 static const cli_option options[] = {
     {"Medium", NULL, NULL, CLI_HEADING, 0, NULL},
     {"albedo", "X[,X...]",
-     "diffuse albedo, from 0 to 1, per power that entered; one value for\neach channel",
+     "diffuse albedo: the share of the power that leaves, 0 to 1; one value\nfor each channel",
      CLI_NUMBERS, FIELD(albedo), NULL},
-    {"mean-free-path", "X[,X...]", "1 / sigma_t', mm; a single value holds for all channels",
+    {"mean-free-path", "X[,X...]", "1 / sigma_t', mm; a single value is for all channels",
      CLI_NUMBERS, FIELD(free_path), NULL},
     {"diffuse-mean-free-path", "X[,X...]",
      "instead: 1 / (sigma_t' sqrt(3 a / (1 + a))), a = sigma_a / sigma_t', mm", CLI_NUMBERS,
@@ -32,8 +32,8 @@ static const cli_option options[] = {
     {"eta", "X", "refractive index inside over outside (default: 1.3)", CLI_NUMBER, FIELD(eta),
      "1.3"},
     {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"model", "NAME", "whose albedo is given, see `dipole info` (default: better)", CLI_TEXT,
-     FIELD(profile.model), "better"},
+    {"model", "NAME", "the model that gives the albedo; see `dipole info` (default: better)",
+     CLI_TEXT, FIELD(profile.model), "better"},
     CLI_MOMENTS_OPTION("exact"),
     CLI_DEADLINE_OPTION,
     {0},
@@ -306,9 +306,9 @@ const cli_command cli_command_invert = {
     .about = "Find the medium that has a given albedo: sigma_a and sigma_s",
     .more =
         "\n"
-        "From a diffuse albedo and a length to the coefficients of a medium that has them under\n"
-        "a model, sigma_t' = sigma_a + sigma_s (1 - g). Beside it stands the albedo of this\n"
-        "medium, evaluated. The exit status is 3 when some of the media cannot be.\n",
+        "Takes a diffuse albedo and a length, and finds the coefficients of a medium that has\n"
+        "them by a model. sigma_t' is sigma_a + sigma_s (1 - g). As a check, the albedo of that\n"
+        "medium is evaluated. The exit status is 3 if there is no such medium for some channel.\n",
     .formats = "table,csv,json",
     .options = options,
     .settings_bytes = sizeof(invert_settings),

@@ -20,15 +20,15 @@ enum { COMMANDS = sizeof commands / sizeof commands[0] };
 
 static void print_help(FILE *file) {
   fputs("Usage: dipole COMMAND [OPTION]...\n\n"
-        "Asks a dipoled how much light leaves a translucent medium at distance r from where it\n"
-        "entered: R(r) in 1/mm^2 per unit of power that entered. Without --connect and $DIPOLED\n"
-        "it starts a daemon of its own.\n\nCommands\n",
+        "Asks the daemon dipoled how much light leaves a translucent medium at distance r from\n"
+        "where it entered: R(r) in 1/mm^2 per unit of power that entered. Without --connect and\n"
+        "$DIPOLED, it starts a daemon of its own.\n\nCommands\n",
         file);
   for (size_t i = 0; i < COMMANDS; i++) {
     fprintf(file, "  %-8s %s\n", commands[i]->name, commands[i]->about);
   }
   fputs("  help     This text, or `dipole help COMMAND`\n\n"
-        "`dipole COMMAND --help` tells about a command; `dipole --version` the version.\n",
+        "`dipole COMMAND --help` describes a command; `dipole --version` prints the version.\n",
         file);
 }
 

@@ -25,36 +25,39 @@ typedef struct mc_settings {
 
 static const cli_option options[] = {
     {"Medium", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"medium", "NAME", "a measured medium, see `dipole media`; one channel of it", CLI_TEXT,
-     FIELD(medium), NULL},
-    {"channel", "COLOUR", "red, green or blue", CLI_TEXT, FIELD(channel), NULL},
+    {"medium", "NAME", "a measured medium; `dipole media` lists them", CLI_TEXT, FIELD(medium),
+     NULL},
+    {"channel", "COLOUR", "the channel of the medium: red, green or blue", CLI_TEXT, FIELD(channel),
+     NULL},
     {"sigma-a", "X", "absorption coefficient, 1/mm", CLI_NUMBER, FIELD(sigma_a), NULL},
     {"sigma-s", "X", "scattering coefficient, 1/mm", CLI_NUMBER, FIELD(sigma_s), NULL},
     {"g", "X",
-     "mean cosine of the scattering angle (default: 0); of a measured medium\n"
-     "sigma_s (1 - g) stays what was measured",
+     "mean cosine of the scattering angle (default: 0); sigma_s (1 - g) of a\n"
+     "measured medium stays as it was measured",
      CLI_NUMBER, FIELD(g), NULL},
-    {"eta", "X", "refractive index inside over outside (default: the measured\nmedium's, else 1.3)",
+    {"eta", "X",
+     "refractive index inside over outside (default: that of the measured\nmedium, else 1.3)",
      CLI_NUMBER, FIELD(eta), "1.3"},
     {"thickness", "X", "of a slab, mm (default: half space)", CLI_NUMBER, FIELD(thickness), "inf"},
     {"albedo", "X[,X...]",
-     "single-scattering albedos in place of the medium's own, up to 16;\none walk serves all",
+     "up to 16 single-scattering albedos in place of the medium's own; the\nsame walks serve all",
      CLI_NUMBERS, FIELD(albedo), NULL},
     {"Rings", NULL, NULL, CLI_HEADING, 0, NULL},
     {"from", "X", "inner edge of the first ring, mm (default: 0)", CLI_NUMBER, FIELD(from), NULL},
     {"to", "X", "outer edge of the last ring, mm (default: 10)", CLI_NUMBER, FIELD(to), "10"},
-    {"rings", "N", "how many there are (default: 20)", CLI_COUNT, FIELD(rings), "20"},
-    {"log", NULL, "equal ratios from edge to edge instead of equal steps; needs --from", CLI_SWITCH,
-     FIELD(logarithmic), NULL},
+    {"rings", "N", "how many rings there are (default: 20)", CLI_COUNT, FIELD(rings), "20"},
+    {"log", NULL, "make the ratios between edges equal instead of the steps; needs --from",
+     CLI_SWITCH, FIELD(logarithmic), NULL},
     {"Effort", NULL, NULL, CLI_HEADING, 0, NULL},
     {"photons", "N",
-     "to walk, such as 2e6 (default: 1e6; with an error, as many as the\ndaemon allows)",
+     "how many photons walk, such as 2e6 (default: 1e6; with --error or\n--total-error, as many as "
+     "the daemon allows)",
      CLI_NUMBER, FIELD(photons), "1e6"},
-    {"error", "X", "end when each ring with light has this relative standard error", CLI_NUMBER,
-     FIELD(error), NULL},
-    {"total-error", "X", "end when the total R has it; with --error, when both hold", CLI_NUMBER,
-     FIELD(total_error), NULL},
-    {"seed", "N", "of the random numbers: the same seed gives the same bits (default: 1)",
+    {"error", "X", "end when the relative standard error of each ring with light is so small",
+     CLI_NUMBER, FIELD(error), NULL},
+    {"total-error", "X", "end when that of the total R is so small; with --error, when both are",
+     CLI_NUMBER, FIELD(total_error), NULL},
+    {"seed", "N", "seed of the random numbers; the same seed gives the same bits (default: 1)",
      CLI_COUNT, FIELD(seed), "1"},
     {0},
 };
@@ -480,10 +483,11 @@ const cli_command cli_command_mc = {
     .about = "Walk photons through a medium (Monte Carlo): R(r) with standard errors",
     .more =
         "\n"
-        "A job on the daemon, at low priority beside its other work. Ctrl-C cancels it and\n"
-        "prints what there is. Values are means over rings, in 1/mm^2 per unit of power that\n"
-        "entered; overflow beyond the last ring, the total R and T and what was absorbed stand\n"
-        "apart. The exit status is 1 when it was cancelled or missed the error asked for.\n",
+        "The daemon does this as a job of low priority beside its other work. Ctrl-C cancels the\n"
+        "job and prints what has been walked by then. Values are means over rings, in 1/mm^2 per\n"
+        "unit of power that entered. A second table has the light beyond the rings, the totals\n"
+        "of R and T and what was absorbed. The exit status is 1 if the job was cancelled or\n"
+        "missed the error that was asked for.\n",
     .formats = "table,csv,json",
     .options = options,
     .examples = "  dipole mc --medium skin1 --channel red\n"

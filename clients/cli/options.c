@@ -14,17 +14,17 @@ _Static_assert(DIPOLE_TIMEOUT_MS == 30000, "say so in the help of --timeout-ms")
 static const cli_option common_options[] = {
     {"Options of all commands", NULL, NULL, CLI_HEADING, 0, NULL},
     {"connect", "ADDRESS",
-     "unix:PATH or tcp:HOST:PORT; several, separated by commas, are tried in turn;\n"
-     "or private: for a daemon of its own (default: $DIPOLED, else private:)",
+     "unix:PATH or tcp:HOST:PORT; private: for a daemon of its own. Several,\n"
+     "separated by commas, are tried in turn (default: $DIPOLED, else private:)",
      CLI_TEXT, offsetof(cli_common, connect), NULL},
     {"format", NULL, NULL, CLI_TEXT, offsetof(cli_common, format), NULL},
-    {"timeout-ms", "N", "give up when the daemon is silent for so long; 0: never (default: 30000)",
+    {"timeout-ms", "N", "give up if the daemon is silent for N ms; 0: never (default: 30000)",
      CLI_COUNT, offsetof(cli_common, timeout_ms), "30000"},
     {"retry-ms", "N",
-     "keep trying for so long while no daemon is there, or it is lost or busy;\n"
-     "0: do not (default: 5000 when it is lost, --timeout-ms when it is busy)",
+     "try again for N ms if the daemon is not there, is lost or is busy; 0: do\n"
+     "not (default: 5000 if it is lost, --timeout-ms if it is busy)",
      CLI_COUNT, offsetof(cli_common, retry_ms), NULL},
-    {"help", NULL, "this text", CLI_SWITCH, 0, NULL},
+    {"help", NULL, "print this text", CLI_SWITCH, 0, NULL},
     {0},
 };
 

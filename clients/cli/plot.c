@@ -33,34 +33,34 @@ static const cli_option options[] = {
     CLI_EVAL_OPTIONS,
     {"Radii", NULL, NULL, CLI_HEADING, 0, NULL},
     {"r", "X[,X...]", "these radii, mm", CLI_NUMBERS, FIELD(eval.r), NULL},
-    {"from", "X", "the first radius, mm (default: 0; with a logarithmic axis of r --to / 1000)",
+    {"from", "X", "the first radius, mm (default: 0; on a logarithmic axis --to / 1000)",
      CLI_NUMBER, FIELD(eval.from), "0"},
     {"to", "X", "the last radius, mm (default: 10)", CLI_NUMBER, FIELD(eval.to), "10"},
     {"count", "N", "how many radii a curve has (default: 401)", CLI_COUNT, FIELD(eval.count),
      "401"},
     {"log", NULL,
-     "equal ratios from radius to radius instead of equal steps (default: so\n"
-     "where an axis of r is logarithmic and --from is above 0)",
+     "make the ratios between radii equal instead of the steps (default: if an\n"
+     "axis of r is logarithmic and --from is above 0)",
      CLI_SWITCH, FIELD(eval.logarithmic), NULL},
     {"Picture", NULL, NULL, CLI_HEADING, 0, NULL},
     {"quantity", "NAME",
-     "what is drawn: R, cdf, pdf, dR_dr, ln_R, 2_pi_r_R or S, see `dipole info`\n"
+     "what to draw: R, cdf, pdf, dR_dr, ln_R, 2_pi_r_R or S; see `dipole info`\n"
      "(default: R)",
      CLI_TEXT, FIELD(quantity), "R"},
     {"axes", "NAME[,NAME...]",
-     "linear, semilog, logarithmic or gamma. A panel for each. semilog:\n"
-     "values logarithmic; logarithmic: r too; gamma: values to the power\n"
+     "linear, semilog, logarithmic or gamma. Each has a panel. semilog: values\n"
+     "are logarithmic; logarithmic: r is, too; gamma: values to the power\n"
      "1/2.2 over linear r (default: " AXES_DEFAULT ")",
      CLI_NAMES, FIELD(axes), NULL},
     {"gamma", "X", "values to the power 1/X on the axes gamma (default: 2.2)", CLI_NUMBER,
      FIELD(gamma), "2.2"},
-    {"error", NULL, "a further panel: deviation from " REFERENCE ", relative, at the same radii",
-     CLI_SWITCH, FIELD(error), NULL},
+    {"error", NULL, "add a panel with the relative deviation from " REFERENCE, CLI_SWITCH,
+     FIELD(error), NULL},
     {"size", "WxH", "of a picture in a file, in pixels (default: what its panels need)", CLI_TEXT,
      FIELD(size), NULL},
     {"plot", "[FILE]",
-     "FILE.svg or FILE.png (without FILE: " PLOT_FILE "); -: as characters on\n"
-     "standard output; may be repeated (default: -, or no picture with\n"
+     "draw into FILE.svg or FILE.png (without FILE: " PLOT_FILE "); -: as text on\n"
+     "standard output. May be repeated (default: -, or no picture with\n"
      "--format)",
      CLI_FILES, FIELD(eval.plot), NULL},
     {0},
@@ -319,14 +319,18 @@ const cli_command cli_command_plot = {
     .about = "Draw profiles over r, and how far they are from radiative transport",
     .more =
         "\n"
-        "Curves of up to four models and eight channels share a panel (a dash for each model, a\n"
-        "colour for each channel); of more, and of a single channel, each channel has panels of\n"
-        "its own, with a colour for each model. The axes logarithmic and gamma are those of the\n"
-        "figures of d'Eon 2012. What lies beyond an axis is in the numbers only, which --format\n"
-        "gives: on a linear one peaks in the first 2 % of the radii that are more than four\n"
-        "times the rest, on a logarithmic one what is 4 decades below the least value of the\n"
-        "middle curve, and deviations beyond 200 %. gnuplot draws files and text;\n"
-        "text has colours on a terminal only, and none where NO_COLOR is set.\n",
+        "Up to four models and eight channels share a panel: each model has a dash, each channel\n"
+        "a colour. With more, or with a single channel, each channel has a panel of its own and\n"
+        "each model a colour. The axes logarithmic and gamma are those of the figures of d'Eon\n"
+        "2012.\n"
+        "\n"
+        "Three things lie beyond the axes and only show in the numbers, which --format writes. On\n"
+        "a linear axis: peaks in the first 2 % of the radii that are more than four times as\n"
+        "high as the rest. On a logarithmic axis: values more than 4 decades below the least\n"
+        "value of the middle curve. Of deviations: those beyond 200 %.\n"
+        "\n"
+        "gnuplot draws all pictures. Text has colours only on a terminal, unless NO_COLOR is "
+        "set.\n",
     .formats = "none,table,csv,json",
     .options = options,
     .shared_options = cli_parameter_options,

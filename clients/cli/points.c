@@ -293,8 +293,8 @@ static int run(void *settings, dipole_client *client) {
 static const cli_option options[] = {
     {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
     {"evaluator", "NAME",
-     "f64 or f32: double or single precision; lut: single, by a table, which pays\n"
-     "where many rows have the same medium (default: f64)",
+     "f64 or f32: double or single precision; lut: single, by a table, which is\n"
+     "faster if many rows have the same medium (default: f64)",
      CLI_TEXT, offsetof(cli_profile_settings, evaluator), "f64"},
     {0},
 };
@@ -305,15 +305,15 @@ const cli_command cli_command_points = {
     .about = "Evaluate each row of a CSV file (or of standard input)",
     .more =
         "\n"
-        "The header names the columns, in any order: sigma_a, sigma_s (1/mm), g, eta and r (mm)\n"
-        "are needed; model (default: better) and moments (default: exact) may be absent or\n"
-        "empty. So may the parameters below, whose columns have _ where the options have -; an\n"
-        "option holds for the rows whose cell is empty, and a row without either is asked for\n"
-        "without that parameter. The rows come out as they are, with R (1/mm^2 per unit of power\n"
-        "that entered; inf where it is infinite), albedo, cdf (the share of the albedo within r)\n"
-        "and status appended, or replaced where such a column exists. status is ok, or says what\n"
-        "is wrong with the row; the other rows go on, and the exit status is 3. Lines that start\n"
-        "with # are copied.\n",
+        "The header names the columns, in any order. These are needed: sigma_a, sigma_s (1/mm),\n"
+        "g, eta and r (mm). These may be absent or empty: model (default: better), moments\n"
+        "(default: exact), and the parameters below, whose columns have _ where the options have\n"
+        "-. An option is for the rows whose cell is empty.\n"
+        "\n"
+        "Each row is written as it is, with four columns appended, or replaced if they exist: R\n"
+        "(1/mm^2 per unit of power that entered; it may be inf), albedo, cdf (the share of the\n"
+        "albedo within r) and status. status is ok or says what is wrong with the row; then the\n"
+        "exit status is 3, but the other rows are evaluated. Lines that start with # are copied.\n",
     .formats = "csv",
     .options = options,
     .shared_options = cli_parameter_options,

@@ -28,13 +28,13 @@ extern const cli_option cli_parameter_options[];
   {"Medium", NULL, NULL, CLI_HEADING, 0, NULL},                                                    \
       {"medium",                                                                                   \
        "NAME[,NAME...]",                                                                           \
-       "measured media, see `dipole media`: red, green and blue of each",                          \
+       "measured media: red, green and blue of each; `dipole media` lists them",                   \
        CLI_TEXT,                                                                                   \
        offsetof(cli_profile_settings, medium),                                                     \
        NULL},                                                                                      \
       {"channel",                                                                                  \
        "COLOUR[,...]",                                                                             \
-       "red, green or blue: only these of each (default: all)",                                    \
+       "red, green or blue. Only these channels are taken (default: all)",                         \
        CLI_NAMES,                                                                                  \
        offsetof(cli_profile_settings, channel),                                                    \
        NULL},                                                                                      \
@@ -46,7 +46,7 @@ extern const cli_option cli_parameter_options[];
        NULL},                                                                                      \
       {"sigma-s",                                                                                  \
        "X[,X...]",                                                                                 \
-       "scattering coefficient, 1/mm; a single value holds for all channels",                      \
+       "scattering coefficient, 1/mm; a single value is for all channels",                         \
        CLI_NUMBERS,                                                                                \
        offsetof(cli_profile_settings, sigma_s),                                                    \
        NULL},                                                                                      \
@@ -58,21 +58,21 @@ extern const cli_option cli_parameter_options[];
        NULL},                                                                                      \
   {                                                                                                \
     "eta", "X[,X...]",                                                                             \
-        "refractive index inside over outside (default: the measured\nmedium's, else 1.3)",        \
+        "refractive index inside over outside (default: that of the measured\nmedium, else 1.3)",  \
         CLI_NUMBERS, offsetof(cli_profile_settings, eta), NULL                                     \
   }
 
 #define CLI_MOMENTS_OPTION(usual)                                                                  \
   {                                                                                                \
-    "moments", "NAME", "Fresnel moments, see `dipole info` (default: exact)", CLI_TEXT,            \
+    "moments", "NAME", "Fresnel moments; `dipole info` lists them (default: exact)", CLI_TEXT,     \
         offsetof(cli_profile_settings, moments), usual                                             \
   }
 
 #define CLI_DEADLINE_OPTION                                                                        \
   {                                                                                                \
     "deadline-ms", "N",                                                                            \
-        "the daemon shall answer within N ms, or not at all; 0: at any time\n(default: 0)",        \
-        CLI_COUNT, offsetof(cli_profile_settings, deadline_ms), NULL                               \
+        "ask the daemon to answer within N ms or to refuse; 0: no limit\n(default: 0)", CLI_COUNT, \
+        offsetof(cli_profile_settings, deadline_ms), NULL                                          \
   }
 
 /* Check the options above without a daemon, and return an exit status. */

@@ -26,33 +26,35 @@ typedef struct sample_settings {
 static const cli_option options[] = {
     CLI_MEDIUM_OPTIONS,
     {"Numbers", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"u", "X[,X...]", "these numbers, from 0 (0 mm) to 1 (infinity)", CLI_NUMBERS, FIELD(u), NULL},
+    {"u", "X[,X...]", "take these numbers, from 0 (which gives 0 mm) to 1 (which gives inf)",
+     CLI_NUMBERS, FIELD(u), NULL},
     {"count", "N", "how many numbers are drawn (default: 10)", CLI_COUNT, FIELD(count), "10"},
     {"draw", "NAME",
-     "random; stratified: one in each of N equal intervals; regular: the\n"
-     "middles of these (default: random)",
+     "how to draw them. random; stratified: one in each of N equal intervals;\n"
+     "regular: the middles of the intervals (default: random)",
      CLI_TEXT, FIELD(draw), NULL},
-    {"seed", "N", "of random and stratified: the same seed gives the same bits (default: 1)",
+    {"seed", "N", "for random and stratified; the same seed gives the same bits (default: 1)",
      CLI_COUNT, FIELD(seed), "1"},
-    {"first", "N", "of random: which number of the seed is the first (default: 0)", CLI_COUNT,
+    {"first", "N", "for random: start with number N of the seed (default: 0)", CLI_COUNT,
      FIELD(first), NULL},
     {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"model", "NAME", "see `dipole info`; one that covers all radii (default: better)", CLI_TEXT,
-     FIELD(profile.model), "better"},
+    {"model", "NAME", "a model that covers all radii; see `dipole info` (default: better)",
+     CLI_TEXT, FIELD(profile.model), "better"},
     CLI_MOMENTS_OPTION("exact"),
     {"evaluator", "NAME",
      "f64 or f32: double or single precision; lut: single, by a table, which\n"
      "draws fastest (default: f64)",
      CLI_TEXT, FIELD(profile.evaluator), "f64"},
     {"want", "NAME[,NAME...]",
-     "r: the radii; pdf: their density, 1/mm (over 2 pi r: that of points on\n"
-     "the surface); others, at these radii: see `dipole info` (default: r,pdf)",
+     "what to write. r: the radii; pdf: their density, 1/mm, which is 2 pi r\n"
+     "times that of points on the surface; `dipole info` lists all, at these\n"
+     "radii (default: r,pdf)",
      CLI_NAMES, FIELD(want), NULL},
     CLI_DEADLINE_OPTION,
     {"Output", NULL, NULL, CLI_HEADING, 0, NULL},
     {"plot", "[FILE]",
      "also draw a histogram of the radii, and their density, into FILE.svg or\n"
-     "FILE.png (default: " PLOT_FILE "); may be repeated",
+     "FILE.png (default: " PLOT_FILE "). May be repeated",
      CLI_FILES, FIELD(plot), NULL},
     {0},
 };
@@ -433,8 +435,9 @@ const cli_command cli_command_sample = {
     .name = "sample",
     .about = "Draw radii in proportion to the light that leaves there",
     .more = "\n"
-            "For each number u the radius within which the share u of the light leaves: uniform\n"
-            "numbers give radii in proportion to r R(r). All channels get the same numbers.\n",
+            "Each number u gives the radius within which the share u of the light leaves. So\n"
+            "uniform numbers give radii in proportion to r R(r). All channels get the same\n"
+            "numbers.\n",
     .formats = "table,csv,json",
     .options = options,
     .shared_options = cli_parameter_options,

@@ -21,8 +21,8 @@ static const cli_option options[] = {
     CLI_MOMENTS_OPTION("exact"),
     {"Output", NULL, NULL, CLI_HEADING, 0, NULL},
     {"output", "FILE",
-     "write the tables into FILE, binary, one behind the other; -: to standard\n"
-     "output, and nothing else",
+     "write the tables into FILE, binary, one behind the other; -: only write\n"
+     "them to standard output",
      CLI_TEXT, offsetof(table_settings, output), NULL},
     {0},
 };
@@ -252,16 +252,17 @@ const cli_command cli_command_table = {
     .about = "Fetch tables of a medium, to be evaluated without a daemon",
     .more =
         "\n"
-        "One table for each channel, as the evaluator lut uses it, built to --tolerance (1e-6 to\n"
-        "0.1; default: 1e-4). A file of --output is for `dipole eval --table`, libdipole and the\n"
-        "Python module, which all evaluate it to the same bits as the daemon.\n"
+        "Each channel has a table, as the evaluator lut uses it. --tolerance says how exact it\n"
+        "is, from 1e-6 to 0.1 (default: 1e-4). `dipole eval --table`, libdipole and the Python\n"
+        "module evaluate a file of --output to the same bits as the daemon.\n"
         "\n"
-        "CSV has a row for each constant (its value is in c0), then one for each piece of the\n"
-        "functions R (times scale; 1/mm^2), cdf, radius_of_u and radius_of_1_minus_u (mm; for u\n"
-        "above 1/2): from `from` on and below `to` the value is c0 + w (c1 + w (c2 + w c3)), in\n"
-        "single precision, where w goes from 0 to 1, or, where the piece is written from the\n"
-        "right, from 1 to 0. JSON has the words themselves, bits as integers. proto/PROTOCOL.md\n"
-        "describes them, and what holds outside of the pieces.\n",
+        "CSV has a row for each constant, with its value in c0. Then it has a row for each piece\n"
+        "of the functions R (times scale; 1/mm^2), cdf, radius_of_u (mm) and radius_of_1_minus_u\n"
+        "(mm; for u above 1/2). From `from` on and below `to`, the value is\n"
+        "c0 + w (c1 + w (c2 + w c3)) in single precision. w goes from 0 to 1 if the piece is\n"
+        "written from the left, and from 1 to 0 if it is written from the right. JSON has the\n"
+        "words as integers. proto/PROTOCOL.md describes them, and what holds outside of the\n"
+        "pieces.\n",
     .formats = "table,csv,json",
     .options = options,
     .shared_options = cli_parameter_options,

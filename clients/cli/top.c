@@ -216,9 +216,9 @@ static int run(void *given, dipole_client *client) {
 
 static const cli_option options[] = {
     {"How often", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"interval", "S", "seconds between two looks (default: 1)", CLI_NUMBER,
+    {"interval", "S", "seconds between two tables (default: 1)", CLI_NUMBER,
      offsetof(top_settings, interval_s), "1"},
-    {"count", "N", "end after N intervals (default: at Ctrl-C)", CLI_COUNT,
+    {"count", "N", "end after N intervals (default: only at Ctrl-C)", CLI_COUNT,
      offsetof(top_settings, count), NULL},
     {0},
 };
@@ -226,10 +226,12 @@ static const cli_option options[] = {
 const cli_command cli_command_top = {
     .name = "top",
     .about = "Watch a daemon: requests, radii and bytes each second, latencies, queues",
-    .more = "\nOn a terminal the table is shown anew in its place; Ctrl-C ends it. Elsewhere each\n"
-            "interval is a table, a CSV line or a line of JSON. Names end with their units; those\n"
-            "that end in _per_s are of the interval, latencies are of all requests since the\n"
-            "daemon's start. NO_COLOR in the environment: no bold type.\n",
+    .more =
+        "\nOn a terminal, each table takes the place of the one before; Ctrl-C ends the command.\n"
+        "Elsewhere, each interval gives a table, a line of CSV or a line of JSON. Names end\n"
+        "with their units. Those that end in _per_s are rates over the interval. Latencies\n"
+        "are those of all requests since the daemon's start. If NO_COLOR is set, there is no\n"
+        "bold type.\n",
     .formats = "table,csv,json",
     .options = options,
     .examples = "  dipole top --connect unix:/tmp/dipoled.sock\n"
