@@ -253,7 +253,7 @@ static uint64_t least_cost(const struct eval_job *eval) {
 
 /* Writes what the reply says of the channel as a whole. */
 static void start_channel(struct eval_job *eval) {
-  const core_profile *profile = &eval->order.profile;
+  const core_profile *profile = &eval->lookup.profile;
   eval->notes |= profile->notes;
   const bool albedo_wanted = (eval->request.fixed.wanted & CORE_QUANTITY_ALBEDO) != 0;
   const wire_channel channel = {
@@ -291,13 +291,13 @@ static void start_part(struct eval_job *eval) {
 
 static void start_profiles(struct eval_job *eval) {
   const wire_eval_request *fixed = &eval->request.fixed;
-  profiles_start(&eval->order, fixed->model, fixed->moments, fixed->evaluator,
+  profiles_start(&eval->lookup, fixed->model, fixed->moments, fixed->evaluator,
                  &eval->request.parameters);
 }
 
 /* Begins again with the next best model for a tolerance; returns false if there is none. */
 static bool start_again(struct eval_job *eval) {
-  if (!choice_again(&eval->choice, eval->order.fault, &eval->request)) {
+  if (!choice_again(&eval->choice, eval->lookup.fault, &eval->request)) {
     return false;
   }
   /* Values that are gathered for earlier channels would be written over those that come now. */
@@ -310,12 +310,12 @@ static bool start_again(struct eval_job *eval) {
 /* Gets the profile of a channel that has none yet. */
 static enum job_outcome get_profile(struct eval_job *eval) {
   const core_medium medium = medium_of(eval, eval->channel);
-  switch (profiles_get(&eval->job.context->profiles, &eval->order, &medium)) {
+  switch (profiles_get(&eval->job.context->profiles, &eval->lookup, &medium)) {
   case PROFILES_WAIT:
     return JOB_WAITS;
   case PROFILES_FAULT:
     return start_again(eval) ? JOB_GOES_ON
-                             : job_refuse(&eval->job, job_fault(eval->order.fault, eval->channel));
+                             : job_refuse(&eval->job, job_fault(eval->lookup.fault, eval->channel));
   case PROFILES_READY:
     break;
   }
@@ -340,14 +340,14 @@ static void evaluate(struct eval_job *eval, size_t n) {
       continue;
     }
     void *to = eval_job_array(eval, quantity->id);
-    if (is_short && batch_take(&eval->job.context->batch, stats_of(eval), eval->order.place,
+    if (is_short && batch_take(&eval->job.context->batch, stats_of(eval), eval->lookup.place,
                                quantity->id, n, r, to)) {
       continue;
     }
     if (eval_job_value_bytes(eval) == sizeof(float)) {
-      core_eval_f32(&eval->order.profile, quantity->id, n, r, to);
+      core_eval_f32(&eval->lookup.profile, quantity->id, n, r, to);
     } else {
-      core_eval_f64(&eval->order.profile, quantity->id, n, r, to);
+      core_eval_f64(&eval->lookup.profile, quantity->id, n, r, to);
     }
   }
 }
@@ -393,7 +393,7 @@ static void learn(const struct eval_job *eval) {
   if (!is_sample(eval) && eval->part_count == 1 && eval->covers_all &&
       isnan(eval->choice.tolerance)) {
     repeat_learn(&eval->job.context->repeat, &eval->request, &eval->grid, &eval->layout,
-                 eval->reply, eval->order.place);
+                 eval->reply, eval->lookup.place);
   }
 }
 
@@ -412,7 +412,7 @@ static void channel_step(struct eval_job *eval, size_t n) {
       put_notes(eval);
       learn(eval);
     }
-    profiles_return(&eval->order);
+    profiles_return(&eval->lookup);
   }
 }
 
@@ -430,7 +430,7 @@ static size_t slice_length(const struct eval_job *eval, double cost) {
 
 /* What one radius of the channel costs, in radii of a dipole. */
 static double cost_of(const struct eval_job *eval) {
-  const core_profile *profile = &eval->order.profile;
+  const core_profile *profile = &eval->lookup.profile;
   return profile->cost + (is_sample(eval) ? core_draw_cost(profile) : 0);
 }
 
@@ -452,7 +452,7 @@ enum job_outcome eval_job_start(struct eval_job *eval, wire_error error,
     return job_refuse(&eval->job, error);
   }
   eval->repeated = NULL;
-  job_init_order(&eval->order, request);
+  job_init_lookup(&eval->lookup, request);
   start_profiles(eval);
   eval->job.part_bytes = eval->layout.payload_bytes;
   return JOB_NEXT_PART;
@@ -510,8 +510,8 @@ enum job_outcome eval_job_step(struct job *job, uint64_t *budget) {
     n = slice_length(eval, cost);
     radii_step(eval, n);
   } else {
-    const enum job_outcome outcome = eval->order.ready ? JOB_GOES_ON : get_profile(eval);
-    if (outcome != JOB_GOES_ON || !eval->order.ready) {
+    const enum job_outcome outcome = eval->lookup.ready ? JOB_GOES_ON : get_profile(eval);
+    if (outcome != JOB_GOES_ON || !eval->lookup.ready) {
       return outcome;
     }
     cost = cost_of(eval);
@@ -526,7 +526,7 @@ enum job_outcome eval_job_step(struct job *job, uint64_t *budget) {
 void eval_job_end(struct job *job) {
   struct eval_job *eval = of(job);
   if (eval->repeated == NULL) {
-    profiles_return(&eval->order);
+    profiles_return(&eval->lookup);
   }
 }
 

@@ -18,18 +18,18 @@ struct invert_job {
   struct job job;
   invert_request request;
   core_inverter inverter;
-  bool reach_known;            /* which albedos the model reaches: the first probes find out */
-  bool seeking;                /* the search for the medium at index has begun */
-  bool slow;                   /* probes take long and are prepared on another thread */
-  struct profiles_order order; /* gets the profiles of slow probes */
-  uint64_t probe_radii;        /* what a probe costs, in radii of a dipole */
-  uint8_t *reply;              /* payload of the part */
-  uint64_t part_media;         /* media in each part but the last */
-  uint64_t first;              /* number of the part's first medium */
-  uint64_t count;              /* how many media the part has */
-  uint64_t index;              /* within the part: the medium that is looked for */
-  uint64_t missing;            /* how many media before index do not exist */
-  uint32_t part;               /* number of the part, from 0 */
+  bool reach_known;              /* which albedos the model reaches: the first probes find out */
+  bool seeking;                  /* the search for the medium at index has begun */
+  bool slow;                     /* probes take long and are prepared on another thread */
+  struct profiles_lookup lookup; /* gets the profiles of slow probes */
+  uint64_t probe_radii;          /* what a probe costs, in radii of a dipole */
+  uint8_t *reply;                /* payload of the part */
+  uint64_t part_media;           /* media in each part but the last */
+  uint64_t first;                /* number of the part's first medium */
+  uint64_t count;                /* how many media the part has */
+  uint64_t index;                /* within the part: the medium that is looked for */
+  uint64_t missing;              /* how many media before index do not exist */
+  uint32_t part;                 /* number of the part, from 0 */
   uint32_t part_count;
 };
 
@@ -122,8 +122,8 @@ static enum job_outcome start(struct job *job, const struct job_request *request
   invert->reach_known = false;
   invert->seeking = false;
   const core_parameters none = core_parameters_none();
-  job_init_order(&invert->order, request);
-  profiles_start(&invert->order, fixed->model, fixed->moments, CORE_EVALUATOR_F64, &none);
+  job_init_lookup(&invert->lookup, request);
+  profiles_start(&invert->lookup, fixed->model, fixed->moments, CORE_EVALUATOR_F64, &none);
   cut(invert, &job->context->server->options);
   job->part_bytes = invert_reply_bytes(invert->count);
   return JOB_NEXT_PART;
@@ -203,17 +203,17 @@ static enum job_outcome probe(struct invert_job *invert, double *albedo) {
     core_profile_free(&profile);
     return JOB_GOES_ON;
   }
-  switch (profiles_get(&context->profiles, &invert->order, &invert->inverter.medium)) {
+  switch (profiles_get(&context->profiles, &invert->lookup, &invert->inverter.medium)) {
   case PROFILES_WAIT:
     return JOB_WAITS;
   case PROFILES_FAULT:
     return job_refuse(&invert->job,
-                      job_fault(invert->order.fault, (uint32_t)(invert->first + invert->index)));
+                      job_fault(invert->lookup.fault, (uint32_t)(invert->first + invert->index)));
   case PROFILES_READY:
     break;
   }
-  *albedo = invert->order.profile.albedo;
-  profiles_return(&invert->order);
+  *albedo = invert->lookup.profile.albedo;
+  profiles_return(&invert->lookup);
   return JOB_GOES_ON;
 }
 
@@ -270,7 +270,7 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
 }
 
 static void end(struct job *job) {
-  profiles_return(&of(job)->order);
+  profiles_return(&of(job)->lookup);
 }
 
 const struct job_kind job_kind_INVERT = {

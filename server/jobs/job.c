@@ -39,14 +39,14 @@ void job_end(struct job *job) {
   }
 }
 
-void job_init_order(struct profiles_order *order, const struct job_request *request) {
-  order->on_ready = request->on_ready;
-  order->context = request->owner;
-  order->ready = false;
-  order->place = (struct profiles_place){0};
-  order->entry = NULL;
-  order->waiter = (struct cache_waiter){0};
-  order->woken = false;
+void job_init_lookup(struct profiles_lookup *lookup, const struct job_request *request) {
+  lookup->on_ready = request->on_ready;
+  lookup->context = request->owner;
+  lookup->ready = false;
+  lookup->place = (struct profiles_place){0};
+  lookup->entry = NULL;
+  lookup->waiter = (struct cache_waiter){0};
+  lookup->woken = false;
 }
 
 /* ---- admission control ------------------------------------------------------------------------

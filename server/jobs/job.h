@@ -136,8 +136,8 @@ enum job_outcome job_start(struct job_slot *slot, const struct job_request *requ
  * released what it held. */
 void job_end(struct job *job);
 
-/* Makes an order for profiles, whose owner is told when the job can go on. */
-void job_init_order(struct profiles_order *order, const struct job_request *request);
+/* Prepares a lookup of profiles for a job. The request says whom to call when the job can go on. */
+void job_init_lookup(struct profiles_lookup *lookup, const struct job_request *request);
 
 /* ---- admission control ------------------------------------------------------------------------
  */

@@ -47,9 +47,9 @@ static const void *draw_radii(const struct eval_job *eval, size_t n) {
     core_draw_f64(&eval->draw, eval->first + eval->index, n, scratch->numbers);
   }
   if (single) {
-    core_sample_f32(&eval->order.profile, n, u, r);
+    core_sample_f32(&eval->lookup.profile, n, u, r);
   } else {
-    core_sample_f64(&eval->order.profile, n, u, r);
+    core_sample_f64(&eval->lookup.profile, n, u, r);
   }
   return r;
 }

@@ -6,7 +6,7 @@
 struct table {
   struct job job;
   table_request request;
-  struct profiles_order order;
+  struct profiles_lookup lookup;
 };
 
 JOB_FITS_SLOT(struct table);
@@ -28,8 +28,8 @@ static enum job_outcome start(struct job *job, const struct job_request *from) {
   if (fault.field != NULL) {
     return job_refuse(job, job_error(fault));
   }
-  job_init_order(&table->order, from);
-  profiles_start(&table->order, fixed->model, fixed->moments, CORE_EVALUATOR_LUT,
+  job_init_lookup(&table->lookup, from);
+  profiles_start(&table->lookup, fixed->model, fixed->moments, CORE_EVALUATOR_LUT,
                  &request->parameters);
   return JOB_GOES_ON;
 }
@@ -37,16 +37,16 @@ static enum job_outcome start(struct job *job, const struct job_request *from) {
 static enum job_outcome step(struct job *job, uint64_t *budget) {
   struct table *table = of(job);
   *budget -= *budget < JOB_STEP_RADII ? *budget : JOB_STEP_RADII;
-  switch (profiles_get(&job->context->profiles, &table->order, &table->request.medium)) {
+  switch (profiles_get(&job->context->profiles, &table->lookup, &table->request.medium)) {
   case PROFILES_WAIT:
     return JOB_WAITS;
   case PROFILES_FAULT:
-    return job_refuse(job, job_fault(table->order.fault, 0));
+    return job_refuse(job, job_fault(table->lookup.fault, 0));
   case PROFILES_READY:
     break;
   }
   job->part_bytes = table_reply_bytes(channels_count_parameters(&table->request.parameters),
-                                      table->order.profile.lut_count);
+                                      table->lookup.profile.lut_count);
   return job->part_bytes > job->context->server->options.max_frame_bytes
              ? job_refuse(job, wire_error_make(WIRE_STATUS_TOO_LARGE, "tolerance",
                                                "more: the table is larger than max_frame_bytes"))
@@ -55,12 +55,12 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
 
 static enum job_outcome put(struct job *job, uint8_t *at) {
   struct table *table = of(job);
-  table_reply_put(at, &table->order.profile, &table->request.parameters);
+  table_reply_put(at, &table->lookup.profile, &table->request.parameters);
   return JOB_DONE;
 }
 
 static void end(struct job *job) {
-  profiles_return(&of(job)->order);
+  profiles_return(&of(job)->lookup);
 }
 
 const struct job_kind job_kind_TABLE = {

@@ -100,17 +100,18 @@ static void count(const struct profiles *profiles, bool hit) {
   stats_add(&profiles->server->stats, hit ? STATS_CACHE_HITS : STATS_CACHE_MISSES, 1);
 }
 
-static void set_place(struct profiles_order *order, struct profiles_slot *slot) {
-  order->place =
+static void set_place(struct profiles_lookup *lookup, struct profiles_slot *slot) {
+  lookup->place =
       slot != NULL ? (struct profiles_place){slot, slot->version} : (struct profiles_place){0};
 }
 
-static enum profiles_answer get_from_table(struct profiles *profiles, struct profiles_order *order,
+static enum profiles_answer get_from_table(struct profiles *profiles,
+                                           struct profiles_lookup *lookup,
                                            struct profiles_slot *slot) {
   count(profiles, true);
-  set_place(order, slot);
-  order->profile = slot->profile;
-  order->entry = slot->entry;
+  set_place(lookup, slot);
+  lookup->profile = slot->profile;
+  lookup->entry = slot->entry;
   if (slot->entry != NULL) {
     cache_used(slot->entry);
     cache_hold(slot->entry);
@@ -119,45 +120,46 @@ static enum profiles_answer get_from_table(struct profiles *profiles, struct pro
 }
 
 /* For a profile that does not go into the cache. */
-static enum profiles_answer prepare_here(struct profiles *profiles, struct profiles_order *order) {
+static enum profiles_answer prepare_here(struct profiles *profiles,
+                                         struct profiles_lookup *lookup) {
   count(profiles, false);
   stats_add(&profiles->server->stats, STATS_CACHE_BUILDS, 1);
-  order->fault = cache_key_prepare(&order->key, profiles->server->isa, &order->profile);
-  if (order->fault.field != NULL) {
+  lookup->fault = cache_key_prepare(&lookup->key, profiles->server->isa, &lookup->profile);
+  if (lookup->fault.field != NULL) {
     return PROFILES_FAULT;
   }
-  set_place(order, put(profiles, &order->key, &order->profile, NULL));
+  set_place(lookup, put(profiles, &lookup->key, &lookup->profile, NULL));
   return PROFILES_READY;
 }
 
 /* Takes over a reference to an entry that is prepared, or has a fault. */
-static enum profiles_answer take(struct profiles *profiles, struct profiles_order *order,
+static enum profiles_answer take(struct profiles *profiles, struct profiles_lookup *lookup,
                                  struct cache_entry *entry) {
-  order->fault = cache_fault(entry);
-  if (order->fault.field != NULL) {
+  lookup->fault = cache_fault(entry);
+  if (lookup->fault.field != NULL) {
     cache_release(entry);
     return PROFILES_FAULT;
   }
-  order->entry = entry;
-  order->profile = *cache_profile(entry);
-  set_place(order, put(profiles, &order->key, &order->profile, entry));
+  lookup->entry = entry;
+  lookup->profile = *cache_profile(entry);
+  set_place(lookup, put(profiles, &lookup->key, &lookup->profile, entry));
   return PROFILES_READY;
 }
 
 static enum profiles_answer get_from_cache(struct profiles *profiles,
-                                           struct profiles_order *order) {
-  const bool slow = core_prepares_slowly(order->key.model, order->key.evaluator);
+                                           struct profiles_lookup *lookup) {
+  const bool slow = core_prepares_slowly(lookup->key.model, lookup->key.evaluator);
   struct cache_entry *entry;
-  const enum cache_answer answer = cache_look(profiles->server->cache, &order->key, slow,
-                                              &profiles->queue, &order->waiter, &entry);
+  const enum cache_answer answer = cache_look(profiles->server->cache, &lookup->key, slow,
+                                              &profiles->queue, &lookup->waiter, &entry);
   count(profiles, answer == CACHE_KEPT);
   switch (answer) {
   case CACHE_KEPT:
-    return take(profiles, order, entry);
+    return take(profiles, lookup, entry);
   case CACHE_NEW:
     if (!slow) {
       cache_prepare(entry);
-      return take(profiles, order, entry);
+      return take(profiles, lookup, entry);
     }
     cache_prepare_in_pool(entry, profiles->loop);
     return PROFILES_WAIT;
@@ -166,72 +168,72 @@ static enum profiles_answer get_from_cache(struct profiles *profiles,
   case CACHE_NO_MEMORY:
     break;
   }
-  order->fault = (core_fault){CORE_FIELD_MEMORY, "less than what is left: try again", 0};
+  lookup->fault = (core_fault){CORE_FIELD_MEMORY, "less than what is left: try again", 0};
   return PROFILES_FAULT;
 }
 
 /* Takes the entry that the job waited for. It may have been evicted since, but is still valid. */
-static enum profiles_answer get_awaited(struct profiles *profiles, struct profiles_order *order) {
-  assert(order->woken);
-  struct cache_entry *entry = order->waiter.entry;
+static enum profiles_answer get_awaited(struct profiles *profiles, struct profiles_lookup *lookup) {
+  assert(lookup->woken);
+  struct cache_entry *entry = lookup->waiter.entry;
   cache_hold(entry);
-  cache_leave(&order->waiter);
-  order->woken = false;
-  return take(profiles, order, entry);
+  cache_leave(&lookup->waiter);
+  lookup->woken = false;
+  return take(profiles, lookup, entry);
 }
 
-static enum profiles_answer get(struct profiles *profiles, struct profiles_order *order) {
-  if (order->waiter.entry != NULL) {
-    return get_awaited(profiles, order);
+static enum profiles_answer get(struct profiles *profiles, struct profiles_lookup *lookup) {
+  if (lookup->waiter.entry != NULL) {
+    return get_awaited(profiles, lookup);
   }
-  struct profiles_slot *slot = find(profiles, &order->key);
+  struct profiles_slot *slot = find(profiles, &lookup->key);
   if (slot != NULL) {
-    return get_from_table(profiles, order, slot);
+    return get_from_table(profiles, lookup, slot);
   }
-  return core_worth_keeping(order->key.model, order->key.evaluator)
-             ? get_from_cache(profiles, order)
-             : prepare_here(profiles, order);
+  return core_worth_keeping(lookup->key.model, lookup->key.evaluator)
+             ? get_from_cache(profiles, lookup)
+             : prepare_here(profiles, lookup);
 }
 
 /* ---- public ---------------------------------------------------------------------------------- */
 
-void profiles_start(struct profiles_order *order, unsigned model, unsigned moments,
+void profiles_start(struct profiles_lookup *lookup, unsigned model, unsigned moments,
                     unsigned evaluator, const core_parameters *parameters) {
-  order->parameters = *parameters;
-  cache_key_start(&order->key, model, moments, evaluator, parameters);
+  lookup->parameters = *parameters;
+  cache_key_start(&lookup->key, model, moments, evaluator, parameters);
 }
 
-enum profiles_answer profiles_get(struct profiles *profiles, struct profiles_order *order,
+enum profiles_answer profiles_get(struct profiles *profiles, struct profiles_lookup *lookup,
                                   const core_medium *medium) {
-  assert(!order->ready);
-  cache_key_set_medium(&order->key, medium);
-  const enum profiles_answer answer = get(profiles, order);
-  order->ready = answer == PROFILES_READY;
-  if (order->ready) {
-    core_profile_set_angles(&order->profile, &order->parameters);
+  assert(!lookup->ready);
+  cache_key_set_medium(&lookup->key, medium);
+  const enum profiles_answer answer = get(profiles, lookup);
+  lookup->ready = answer == PROFILES_READY;
+  if (lookup->ready) {
+    core_profile_set_angles(&lookup->profile, &lookup->parameters);
   }
   return answer;
 }
 
-void profiles_return(struct profiles_order *order) {
-  if (order->entry != NULL) {
-    cache_release(order->entry);
-    order->entry = NULL;
-  } else if (order->ready) {
-    core_profile_free(&order->profile);
+void profiles_return(struct profiles_lookup *lookup) {
+  if (lookup->entry != NULL) {
+    cache_release(lookup->entry);
+    lookup->entry = NULL;
+  } else if (lookup->ready) {
+    core_profile_free(&lookup->profile);
   }
-  order->ready = false;
-  cache_leave(&order->waiter);
-  order->woken = false;
+  lookup->ready = false;
+  cache_leave(&lookup->waiter);
+  lookup->woken = false;
 }
 
 void profiles_wake(struct profiles *profiles) {
   struct cache_waiter *waiter;
   while ((waiter = cache_next_woken(profiles->server->cache, &profiles->queue)) != NULL) {
-    struct profiles_order *order =
-        (void *)((char *)waiter - offsetof(struct profiles_order, waiter));
-    order->woken = true;
-    order->on_ready(order->context);
+    struct profiles_lookup *lookup =
+        (void *)((char *)waiter - offsetof(struct profiles_lookup, waiter));
+    lookup->woken = true;
+    lookup->on_ready(lookup->context);
   }
 }
 

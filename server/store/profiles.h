@@ -74,7 +74,7 @@ struct profiles {
 
 /* Through this a job gets one profile after the other. Before profiles_start(), set on_ready and
  * context, and all other members to 0. */
-struct profiles_order {
+struct profiles_lookup {
   void (*on_ready)(void *context); /* called after PROFILES_WAIT: call profiles_get() again */
   void *context;
   struct cache_key key;
@@ -105,16 +105,16 @@ void profiles_sweep(struct profiles *profiles);
 enum profiles_answer { PROFILES_READY, PROFILES_FAULT, PROFILES_WAIT };
 
 /* Sets what the next profiles have in common; core_profile_check() has accepted the arguments. */
-void profiles_start(struct profiles_order *order, unsigned model, unsigned moments,
+void profiles_start(struct profiles_lookup *lookup, unsigned model, unsigned moments,
                     unsigned evaluator, const core_parameters *parameters);
 
 /* Gets the profile for a medium; the one before has been returned. After PROFILES_WAIT and
  * on_ready(), call it again for the same medium. */
-enum profiles_answer profiles_get(struct profiles *profiles, struct profiles_order *order,
+enum profiles_answer profiles_get(struct profiles *profiles, struct profiles_lookup *lookup,
                                   const core_medium *medium);
 
 /* Returns the profile, or gives up waiting for it. Does nothing if there is neither. */
-void profiles_return(struct profiles_order *order);
+void profiles_return(struct profiles_lookup *lookup);
 
 /* The profile at a place, without the angles of a request. NULL: the slot has another one now, or
  * the cache has evicted this one. It stays until the next call of profiles_get() or
