@@ -1,10 +1,10 @@
-/* child: the processes that a benchmark starts. Each is pinned to its side's core, ends with the
- * benchmark however that ends, and leaves no file behind.
+/* child: starts and ends the processes of a benchmark. Each child is pinned to a core, ends when the
+ * benchmark ends for whatever reason, and leaves no file behind.
  *
- * Two sides: servers on the first core that this process may use, clients on the last, so that the
- * scheduler moves neither (with a single core both are on it). A process that burns the time which
- * nobody wants would keep idle cores from sleeping, but it makes each wake-up an interrupt, which a
- * virtual machine delivers slowly; left alone, its kernel polls for a while before it sleeps.
+ * Servers run on the first core that this process may use and clients on the last one, so that the
+ * scheduler moves neither. With a single core both run on it. No process burns spare time to keep
+ * idle cores awake: then each wake-up would be an interrupt, which a virtual machine delivers
+ * slowly, whereas an idle virtual core polls for a while before it sleeps.
  */
 #ifndef DIPOLED_BENCH_SERVICE_CHILD_H
 #define DIPOLED_BENCH_SERVICE_CHILD_H
@@ -13,40 +13,40 @@
 #include <sys/types.h>
 
 enum child_side {
-  CHILD_ANYWHERE, /* every core that the benchmark was started on */
+  CHILD_ANYWHERE, /* all cores that the benchmark was started on */
   CHILD_SERVER,
   CHILD_CLIENT,
 };
 
-/* Makes the temporary folder. A benchmark that has not ended after limit_s seconds is ended, with
- * all that it has started. */
+/* Makes the temporary folder. After limit_s seconds the benchmark is stopped together with all its
+ * children. */
 void child_begin(unsigned limit_s);
 
-/* Ends what is still running, removes the folder and unpins the calling process. Also called when
- * the process exits or is told to stop. */
+/* Ends all children, removes the folder and unpins the calling process. This also happens when the
+ * process exits or is stopped by a signal. */
 void child_end_all(void);
 
-/* The path of a file in the temporary folder, which is removed at the end; static. */
+/* Returns the path of a file in the temporary folder. child_end_all() removes the file; the string
+ * lives as long as the process. */
 const char *child_path(const char *name);
 
 /* Pins the calling process. */
 void child_pin(enum child_side side);
 
-/* As fork(). The child is pinned; it leaves with _exit(). */
+/* Like fork(), but the child is pinned to its side's core. It must leave with _exit(). */
 pid_t child_fork(enum child_side side);
 
-/* Runs a program, which is looked for in PATH if its name has no slash. Its output goes to the
- * file log. The environment is this process's without DIPOLED and DIPOLED_..., which would be
- * options. */
+/* Starts a program; a name without a slash is looked up in PATH. Its output goes to the file log.
+ * Its environment lacks DIPOLED and DIPOLED_..., which dipoled would read as options. */
 pid_t child_run(enum child_side side, char *const *arguments, const char *log);
 
-/* Asks it to stop (SIGTERM), and makes it stop if it has not within seconds. */
+/* Sends the child SIGTERM, and SIGKILL if it has not ended a few seconds later. */
 void child_end(pid_t child);
 
-/* Fails when the child has ended; name is for the message. */
+/* Stops the benchmark if the child has ended; the message contains name. */
 void child_must_run(pid_t child, const char *name);
 
-/* Processor time that it has taken so far. */
+/* Returns the processor time that the child has used so far. */
 uint64_t child_cpu_ns(pid_t child);
 
 #endif

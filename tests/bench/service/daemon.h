@@ -1,5 +1,5 @@
-/* daemon: the dipoled beside this program, on the servers' core, with its defaults but for the
- * number of workers. */
+/* daemon: starts the dipoled that lies beside this program, on the servers' core. All its options
+ * except the number of workers have their defaults. */
 #ifndef DIPOLED_BENCH_SERVICE_DAEMON_H
 #define DIPOLED_BENCH_SERVICE_DAEMON_H
 
@@ -12,7 +12,8 @@ struct daemon {
   struct target_address at_modbus;
 };
 
-/* name: of its socket, in the temporary folder. Returns when it is ready. */
+/* Starts the daemon and returns when it is ready. name is the file name of its Unix socket in the
+ * temporary folder. */
 void daemon_start(struct daemon *daemon, const char *name, unsigned workers);
 void daemon_end(struct daemon *daemon);
 

@@ -1,13 +1,15 @@
-/* echo: the least that a server can do. It counts the bytes that arrive and, for each
- * target->request_bytes of them, writes the one reply that there is, with the request's id if it is
- * framed: the plainest loop of epoll_wait(), read() and write(), in a process of its own on the
- * servers' core. What a server of the same sizes takes beyond this is its own doing. */
+/* echo: a server that does as little as possible, for comparison. It counts the bytes that arrive
+ * and writes a fixed reply for each target->request_bytes of them, with the request's id if the
+ * target is framed. It is a plain loop of epoll_wait(), read() and write() in a process of its own
+ * on the servers' core. A server with the same sizes that takes longer spends the difference on its
+ * own work. */
 #ifndef DIPOLED_BENCH_SERVICE_ECHO_H
 #define DIPOLED_BENCH_SERVICE_ECHO_H
 
 #include "tests/bench/service/target.h"
 
-/* Serves target, at its address (a TCP address gets its port), until the benchmark ends. */
+/* Starts a server at target->address that runs until the benchmark ends. If it is a TCP address with
+ * port 0, target->address gets the port that the system chose. */
 void echo_start(struct target *target);
 
 #endif

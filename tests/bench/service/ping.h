@@ -1,5 +1,5 @@
-/* ping: one connection with one request at a time, over a blocking socket: the round trip with the
- * fewest system calls that a client can make. */
+/* ping: measures round trips over one connection with one request at a time. The socket blocks, so
+ * that the client makes as few system calls as possible. */
 #ifndef DIPOLED_BENCH_SERVICE_PING_H
 #define DIPOLED_BENCH_SERVICE_PING_H
 
@@ -9,17 +9,17 @@
 struct ping {
   const struct target *target;
   int fd;
-  uint8_t *requests; /* the target's, with ids */
+  uint8_t *requests; /* a copy of the target's requests, with ids */
   uint8_t *reply;
-  uint64_t count; /* requests so far */
+  uint64_t count; /* number of requests so far */
 };
 
-/* Connects; the target stays the caller's. */
+/* Connects. The caller keeps the target and frees it after ping_close(). */
 void ping_open(struct ping *ping, const struct target *target);
 void ping_close(struct ping *ping);
 
-/* Asks for about duration_ns, once at the least; *samples is cleared, and then has a round trip for
- * each request, sorted. */
+/* Sends requests for about duration_ns, and at least one. Replaces the contents of *samples by the
+ * sorted round trips. */
 void ping_run(struct ping *ping, uint64_t duration_ns, struct samples *samples);
 
 #endif

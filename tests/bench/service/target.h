@@ -1,8 +1,8 @@
-/* target: a server and what to ask it, again and again: requests of one size, answered by replies
- * of one size, all of which are known beforehand and checked.
+/* target: a server and the requests that a benchmark sends it again and again. All requests have one
+ * size and all replies have one size. The replies are known beforehand, and each reply is checked.
  *
- * A target is framed (proto/PROTOCOL.md: a reply names its request, and may come in any order), or
- * its replies come in the order of the requests.
+ * If a target is framed as in proto/PROTOCOL.md, a reply names its request and replies may come in
+ * any order. Otherwise they come in the order of the requests.
  */
 #ifndef DIPOLED_BENCH_SERVICE_TARGET_H
 #define DIPOLED_BENCH_SERVICE_TARGET_H
@@ -19,43 +19,47 @@ struct target_address {
 
 struct target {
   const char *name;
-  pid_t server; /* its process */
+  pid_t server; /* the process of the server */
   struct target_address address;
   bool framed;
-  size_t variants; /* different requests; they are sent in turn */
+  size_t variants; /* number of different requests, which are sent in turn */
   size_t request_bytes;
   size_t reply_bytes;
-  uint8_t *requests;  /* [variants][request_bytes]; framed: with request id 0 */
-  uint8_t *replies;   /* [variants][reply_bytes], likewise */
-  size_t values_from; /* up to here a reply is its header and what is not compared */
-  size_t check_every; /* the values are compared in each so manieth reply; headers in all */
+  uint8_t *requests;  /* [variants][request_bytes]; request ids are 0 if framed */
+  uint8_t *replies;   /* [variants][reply_bytes]; request ids are 0 if framed */
+  size_t values_from; /* offset of the first byte of a reply that is compared, after the header */
+  size_t check_every; /* values are compared in one of so many replies, headers in all of them */
 };
 
-/* A socket to be, in the temporary folder or at a port of 127.0.0.1. */
+/* Makes the address of a Unix socket, or of a port of 127.0.0.1. */
 struct target_address target_unix(const char *path);
 struct target_address target_tcp(unsigned port);
 
-/* A listening socket; a TCP address gets the port that it is bound to. */
+/* Returns a listening socket. If the port of a TCP address is 0, *address gets the port that the
+ * system chose. */
 int target_listen(struct target_address *address);
 
-/* A connected socket, blocking; it gives up on a peer that is silent for TARGET_SILENCE_S. */
+/* Returns a connected, blocking socket, whose reads fail when the peer is silent for
+ * TARGET_SILENCE_S seconds. */
 enum { TARGET_SILENCE_S = 10 };
 int target_connect(const struct target_address *address);
 
-/* Evaluations of R by the better dipole in single precision, skin1, at listed radii from 0.01 to
- * 10 mm. The expected values are computed here. */
+/* Makes requests that evaluate R of skin1 by the better dipole in single precision, at listed radii
+ * from 0.01 to 10 mm. The expected values are computed in this process. */
 void target_make_eval(struct target *target, size_t radius_count);
 
-/* The same requests; all replies are those to the first: for servers that do not look at them. */
+/* Makes a target with the same requests, whose replies are all equal to the first reply. It is for
+ * servers that do not look at requests. */
 void target_make_echo(struct target *target, const struct target *eval);
 
 void target_free(struct target *target);
 
-/* Writes a request id into a request of a framed target. */
+/* Write and read the request id of a frame; only for framed targets. */
 void target_set_id(uint8_t *request, uint64_t id);
 uint64_t target_id(const uint8_t *reply);
 
-/* Fails when reply is not what the variant's reply should be; values: compares them, too. */
+/* Stops the benchmark when the header of reply is not that of the variant's reply with this id, or,
+ * if values is true, when its values differ. */
 void target_check(const struct target *target, size_t variant, uint64_t id, const uint8_t *reply,
                   bool values);
 
