@@ -59,8 +59,9 @@ def dipole(
 
 
 def says(status: int, command: list[str], cases: list[tuple[list[str], str]]):
-    """A test: a command with each of these arguments ends with a status, and says this on standard
-    error and nothing else; wrong usage also says where there is help."""
+    """Returns a test. For each case it runs a command with the arguments, and checks the exit
+    status, that standard error has the text, and that standard output is empty. After wrong usage
+    standard error must also mention the help."""
 
     @pytest.mark.parametrize("arguments, said", cases)
     def test(arguments, said):
@@ -82,7 +83,7 @@ def eval_json(*arguments: str, quiet: bool = True) -> dict:
 
 
 def points(text: str | bytes, *arguments: str, status: int = OK) -> str:
-    """What `dipole points` makes of a CSV text."""
+    """The output of `dipole points` for a CSV text."""
     return dipole("points", *arguments, stdin=text, status=status).stdout
 
 
@@ -91,8 +92,9 @@ def read_csv(text: str) -> list[dict[str, str]]:
 
 
 class Terminal:
-    """A command some of whose ends are a terminal: on has their file descriptors. What is written
-    there gathers in `seen`; the other outputs are pipes."""
+    """Runs a command with a terminal as some of its standard streams. `on` lists their file
+    descriptors. `seen` collects what the command writes to the terminal; its other outputs are
+    pipes."""
 
     def __init__(
         self, *arguments: str, on=(0, 1, 2), size=(24, 80), stdin=subprocess.DEVNULL, **env: str
@@ -114,7 +116,7 @@ class Terminal:
         self.seen = ""
 
     def read(self) -> bool:
-        """Takes what has been written; whether there may be more."""
+        """Reads what has been written to the terminal. Returns whether more may come."""
         if not select.select([self.fd], [], [], 0.05)[0]:
             return True
         try:
@@ -125,13 +127,14 @@ class Terminal:
         return bool(data)
 
     def read_until(self, condition) -> None:
-        """Reads until this holds for what was seen."""
+        """Reads the terminal until a condition holds for all text seen so far."""
         deadline = time.monotonic() + TIMEOUT_S
         while not condition(self.seen):
             assert time.monotonic() < deadline and self.read(), self.seen
 
     def end(self) -> tuple[int, str]:
-        """Reads the rest; the exit status, and what went into the pipe of standard output."""
+        """Reads the rest. Returns the exit status and what the command wrote to a pipe as its
+        standard output."""
         deadline = time.monotonic() + TIMEOUT_S
         while self.read():
             assert time.monotonic() < deadline, self.seen

@@ -1,4 +1,4 @@
-"""Fixtures: daemons that are started for a test, or once for all tests that leave no trace."""
+"""Fixtures: a daemon for one test, or one for all tests that change nothing in it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ def build() -> Path:
 
 @pytest.fixture
 def daemon():
-    """Starts daemons: daemon(*options, env=..., listen=...). Each is ended and judged."""
+    """Starts daemons: daemon(*options, env=..., listen=...). At the end of the test each is
+    stopped, and its end is checked."""
     started: list[Daemon] = []
 
     def start(*options: str, **how) -> Daemon:
@@ -63,7 +64,7 @@ def client(shared):
 
 @pytest.fixture(scope="session")
 def slave():
-    """A daemon with Modbus over TCP for tests that leave each other alone: each has its units."""
+    """A daemon with Modbus over TCP, shared by tests that each use unit numbers of their own."""
     one = Daemon("--modbus", "tcp:127.0.0.1:0")
     yield one
     one.close()

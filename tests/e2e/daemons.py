@@ -1,4 +1,4 @@
-"""Starts a dipoled from outside, reads its log, and ends it: with a look at how it went."""
+"""Starts a dipoled, reads its log, stops it, and checks that it ended well."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ COUNTING_PROGRAM = BUILD / "dipoled-counting"
 
 
 def sanitized(*kinds: str) -> bool:
-    """Whether the build has a sanitizer, which makes it slower and its memory larger."""
+    """Whether the build has a sanitizer. A sanitizer makes the daemon slower and its memory
+    larger."""
     code = PROGRAM.read_bytes()
     return any(f"__{kind}_init".encode() in code for kind in kinds or ("asan", "tsan"))
 
@@ -119,12 +120,13 @@ class Daemon:
 
     @property
     def log(self) -> list[str]:
-        """The lines so far."""
+        """The lines that the daemon has logged so far."""
         with self._changed:
             return list(self._lines)
 
     def has_line(self, text: str, timeout_s: float) -> bool:
-        """Whether there is a line that holds a text, or comes in time and before the end."""
+        """Whether the log has a line with this text, or gets one before the timeout and before it
+        ends."""
         with self._changed:
 
             def found() -> bool:
@@ -136,7 +138,7 @@ class Daemon:
     # ---- connecting ------------------------------------------------------------------------------
 
     def url(self, scheme: str = "unix") -> str:
-        """The first address of a scheme that the daemon listens on, as it said itself."""
+        """The first address of this scheme that the daemon has logged as one it listens on."""
         return next(url for url in self.urls if url.startswith(scheme + ":"))
 
     def connect(self, scheme: str = "unix") -> dipole.Connection:
@@ -150,7 +152,7 @@ class Daemon:
     # ---- looking at it ---------------------------------------------------------------------------
 
     def resident_bytes(self) -> int:
-        """The memory that it holds now."""
+        """The resident memory of the daemon."""
         status = Path(f"/proc/{self.process.pid}/status").read_text()
         line = next(line for line in status.splitlines() if line.startswith("VmRSS:"))
         return int(line.split()[1]) * 1024
@@ -162,7 +164,7 @@ class Daemon:
     # ---- ending it -------------------------------------------------------------------------------
 
     def terminate(self, how: signal.Signals = signal.SIGTERM) -> None:
-        """Asks it to stop, without waiting."""
+        """Sends the daemon a signal to stop, and does not wait for its end."""
         self._stopping = True
         self.process.send_signal(how)
         # gcc 12's thread sanitizer loses a signal that comes just when libuv's loop begins to wait,
@@ -174,21 +176,21 @@ class Daemon:
                 self.process.send_signal(how)
 
     def kill(self) -> None:
-        """Ends it at once; there is nothing to judge then."""
+        """Kills the daemon. close() then checks nothing."""
         self._killed = True
         self.process.kill()
         self.wait()
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def wait(self, timeout_s: float = END_S) -> int:
-        """Its exit status, once it ended, and its log is whole."""
+        """Waits until the daemon has ended and its log has been read; returns its exit status."""
         status = self.process.wait(timeout_s)
         self._reader.join(timeout_s)
         return status
 
     def close(self) -> None:
-        """Stops it, and holds it to a clean end: not before it was asked, soon, status 0, and
-        nothing for a sanitizer to report."""
+        """Stops the daemon and checks its end: it did not end before, it ends in time and with
+        status 0, and no sanitizer has reported anything."""
         if self._killed:
             return
         if not self._stopping:
@@ -221,7 +223,7 @@ def run(*options: str, env: dict[str, str] | None = None) -> subprocess.Complete
 
 
 def eventually(condition, timeout_s: float = 10.0, interval_s: float = 0.005) -> bool:
-    """Whether a condition comes true in time."""
+    """Whether a condition comes true before the timeout."""
     deadline = time.monotonic() + timeout_s
     while not condition():
         if time.monotonic() > deadline:

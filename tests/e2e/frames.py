@@ -1,4 +1,4 @@
-"""Requests built byte by byte, right and wrong, and what replies to them must look like."""
+"""Builds requests byte by byte, valid and invalid ones, and checks replies."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ INVERT = wire.MESSAGES["invert"]
 
 
 def header(**changes: int) -> bytes:
-    """A header, with some fields other than they should be."""
+    """A valid header in which some fields are replaced."""
     fields = {
         "magic": wire.MAGIC,
         "version": wire.VERSION,
@@ -143,7 +143,7 @@ def assert_error(
 
 
 def assert_serves(connection: Connection) -> None:
-    """The connection answers, and rightly."""
+    """Asks for an albedo over the connection and checks the answer."""
     echo = ask(connection, PING, b"answered", request_id=901)
     assert echo == Frame(PING | wire.REPLY, 901, b"answered")
     payload = eval_payload([SPECTRALON], [], wanted=ALBEDO)
@@ -153,8 +153,9 @@ def assert_serves(connection: Connection) -> None:
 
 
 def refused(status: str, field: str, allowed: str, payloads: dict) -> dict[str, tuple]:
-    """Wrong payloads by name, all refused alike: the arguments of assert_refused() by name. A pair
-    of a payload and an index says which medium or value is wrong; without, it is the first."""
+    """Takes invalid payloads by name that all get the same error. Returns the arguments of
+    assert_refused() for each. A payload may come as a pair with the index of the medium or value
+    that is invalid; otherwise the index is 0."""
     cases = {}
     for name, payload in payloads.items():
         payload, index = payload if isinstance(payload, tuple) else (payload, 0)
@@ -163,7 +164,7 @@ def refused(status: str, field: str, allowed: str, payloads: dict) -> dict[str, 
 
 
 def assert_refused(connection: Connection, type: int, payload: bytes, *error) -> None:
-    """The request gets this error, and the connection goes on."""
+    """The daemon answers the request with this error and goes on serving the connection."""
     assert_error(ask(connection, type, payload), *error)
     assert_serves(connection)
 
@@ -181,11 +182,11 @@ def read_statistics(payload: bytes) -> dict[str, int]:
 
 
 def assert_closed(connection: Connection) -> None:
-    """The daemon says nothing more and closes."""
+    """The daemon sends nothing more and closes the connection."""
     assert connection.receive_eof(), "the daemon went on instead of closing"
 
 
 def assert_daemon_serves(daemon) -> None:
-    """A fresh connection is answered."""
+    """The daemon answers on a new connection."""
     with daemon.connect() as fresh:
         assert_serves(fresh)

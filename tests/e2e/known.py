@@ -1,4 +1,4 @@
-"""Requests whose answers are known to the bit, and what a connection is held to by them."""
+"""Requests with known answers, and checks that a connection gives these answers bit for bit."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def refusal(reply: Frame) -> str:
 
 
 def known_answers(daemon: Daemon, requests: list[tuple[int, bytes]]) -> list[Known]:
-    """What a daemon answers when it is asked one thing at a time."""
+    """Asks a daemon for one thing at a time and returns its answers."""
     with daemon.connect() as connection:
         answers = []
         for type, payload in requests:
@@ -83,7 +83,7 @@ def known_answers(daemon: Daemon, requests: list[tuple[int, bytes]]) -> list[Kno
 
 
 def short_requests(count: int, seed: int = 7) -> list[tuple[int, bytes]]:
-    """Evals of a few radii each, of several models, media and precisions; no two alike."""
+    """Different eval requests of a few radii each, for several models, media and precisions."""
     rng = random.Random(seed)
     requests = []
     for i in range(count):
@@ -100,7 +100,7 @@ def short_requests(count: int, seed: int = 7) -> list[tuple[int, bytes]]:
 
 
 def every_kind() -> list[tuple[int, bytes]]:
-    """One request of each kind whose answer does not depend on the hour."""
+    """One request of each kind whose answer is always the same."""
     grid = {"radii": None, "radius_stop": 20.0}
     tolerance = PARAMETERS["tolerance"].id
     table = wire.TABLE_REQUEST.pack(model=BETTER, moments=1, parameter_count=0)

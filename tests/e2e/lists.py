@@ -1,5 +1,5 @@
-"""The lists of X macros that the daemon is made from, read for comparison: what is added there is
-tested without another line here. What the lists do not say of a model, a daemon is asked."""
+"""Reads the lists of X macros that the daemon is built from. So a new entry is tested without a
+change here. What the lists do not say about a model is asked from a daemon."""
 
 from __future__ import annotations
 
@@ -50,10 +50,7 @@ DIPOLES = {
         r'^CORE_MODEL\((\d+), \w+, "(.*?)", dipole, dipole,', read_list("core/models.def"), re.M
     )
 }
-MODELS = {
-    **choices("CORE_MODEL", "core/models.def"),
-    **choices("CORE_SUM", "core/models.def"),
-}
+MODELS = {**choices("CORE_MODEL", "core/models.def"), **choices("CORE_SUM", "core/models.def")}
 MOMENTS = {
     name: Moments(int(number), float(low), float(high))
     for number, name, low, high in re.findall(
@@ -80,7 +77,7 @@ QUANTITIES = choices("CORE_QUANTITY")
 
 @functools.cache
 def asked() -> dipole.Client:
-    """A client of a daemon of our own, to ask about models."""
+    """A client of a separate daemon, for questions about models."""
     daemon = Daemon()
     atexit.register(daemon.close)
     client = daemon.client()
@@ -96,7 +93,7 @@ def some_value(name: str) -> float:
 
 @functools.cache
 def needs(model: str) -> dict[str, float]:
-    """The parameters without which a model answers nothing, and values that will do."""
+    """The parameters that a model requires, with valid values."""
     parameters: dict[str, float] = {}
     while True:
         try:

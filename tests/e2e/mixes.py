@@ -1,4 +1,4 @@
-"""Many different eval requests, the same ones every time: for tests that compare answers."""
+"""Many different eval requests, the same in every run, for tests that compare answers."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ class Lost(Exception):
 
 @contextlib.contextmanager
 def exception(code: int) -> Iterator[None]:
-    """What is asked within gets this exception."""
+    """Checks that a request within the block gets this exception."""
     with pytest.raises(Exception_) as refused:
         yield
     assert refused.value.code == code
@@ -126,7 +126,7 @@ class Job(NamedTuple):
 
 
 class Master:
-    """What both have in common; exchange(unit, pdu) differs."""
+    """The base of both masters. Each has its own exchange(unit, pdu)."""
 
     def exchange(self, unit: int, pdu: bytes) -> bytes:
         raise NotImplementedError
@@ -176,19 +176,19 @@ class Master:
         return Job(*as_words(self.read(AT["STATUS"], 8, unit)))
 
     def wait(self, unit: int = 1, timeout_s: float = 30.0) -> Job:
-        """The same, when it is not busy any more."""
+        """Waits until the unit is not busy and returns the head of the output block."""
         deadline = time.monotonic() + timeout_s
         while (job := self.job(unit)).status == IS_BUSY:
             assert time.monotonic() < deadline
         return job
 
     def statistic(self, name: str) -> int:
-        """Of block 7."""
+        """A statistic of block 7."""
         return struct.unpack(">I", self.read(AT[name.upper()], 2))[0]
 
 
 class Tcp(Master):
-    """Over TCP to a daemon, or to HOST:PORT, as its log has it after modbus-tcp:."""
+    """A master over TCP. slave: a daemon, or the HOST:PORT that its log has after modbus-tcp:."""
 
     def __init__(self, slave: Daemon | str, timeout_s: float = 20.0, source: str | None = None):
         address = slave if isinstance(slave, str) else slave.url("modbus-tcp")
@@ -255,7 +255,7 @@ def checksum(data: bytes) -> bytes:
 
 
 class Rtu(Master):
-    """At one end of a line, a file descriptor."""
+    """A master on a serial line. fd: its end of the line."""
 
     def __init__(self, fd: int, timeout_s: float = 20.0):
         self.fd = fd
@@ -268,7 +268,7 @@ class Rtu(Master):
         return data + checksum(data)
 
     def send(self, data: bytes) -> None:
-        """As it is."""
+        """Sends bytes without adding anything."""
         assert os.write(self.fd, data) == len(data)
 
     def receive_bytes(self, count: int) -> bytes:

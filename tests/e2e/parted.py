@@ -37,7 +37,7 @@ def take_apart(payload: bytes) -> Part:
 
 
 def receive_parts(connection: Connection, request_id: int = 77) -> list[Part]:
-    """The parts of the next answer, of which the first must come now."""
+    """Receives all parts of the next answer."""
     parts: list[Part] = []
     while not parts or parts[-1].fixed.part + 1 < parts[-1].fixed.part_count:
         reply = connection.receive_frame()

@@ -1,5 +1,5 @@
-"""Requests that cannot be answered: each gets an error that names the field and what is allowed,
-and its connection, like the daemon, goes on."""
+"""Invalid requests: each gets an error that names the field and says what is allowed. The
+connection and the daemon go on."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Short requests that arrive together are evaluated together: nobody can tell by the answers, and
-in steady state they take no memory from the heap."""
+"""Short requests that arrive together are evaluated together. Their answers are the same as alone,
+and in steady state they allocate no memory."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def test_together_as_alone(daemon, alone, options, connections):
 
 
 def test_a_fault_among_many(daemon):
-    """A refused request leaves those beside it as they are."""
+    """A refused request does not change the answers to requests of the same batch."""
     one = daemon("--workers", "1")
     good = [eval_payload([SKIN], [0.1 * i, 1.0], wanted=R) for i in range(1, 200)]
     bad = [eval_payload([SKIN], [-1.0, 1.0], wanted=R), eval_payload([(-1, 1, 0, 1.3)], wanted=R)]
@@ -230,10 +230,7 @@ STEADY = {
         "wanted": sum(QUANTITIES.values()),
     },
     "better in single precision, by rule": {
-        "model": MODELS["better"],
-        "evaluator": F32,
-        "radii": None,
-        "radius_count": 16,
+        "model": MODELS["better"], "evaluator": F32, "radii": None, "radius_count": 16
     },
     "by table": {"model": MODELS["better"], "evaluator": LUT},
     "transport by table": {"model": MODELS["transport"], "evaluator": LUT, "radii": [0.5] * 16},

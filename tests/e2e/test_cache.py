@@ -1,5 +1,5 @@
-"""Prepared profiles are kept by content: made once for all who ask, in bounded memory, and never to
-be seen in an answer."""
+"""The cache keeps prepared profiles by content. A profile is prepared once for all clients, memory
+is bounded, and answers do not depend on the cache."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def payload(model: str, media=MEDIA[:1], **fixed) -> bytes:
 
 
 def media(count: int) -> list[tuple[float, ...]]:
-    """So many different ones."""
+    """This number of different media."""
     return [(0.01 + 0.001 * i, 1.0, 0.0, 1.3) for i in range(count)]
 
 
@@ -107,7 +107,7 @@ def test_what_differs_is_not_the_same(daemon):
 
 
 def test_the_bound_is_kept(daemon):
-    """A small cache, many profiles: those that were asked for last are there."""
+    """A small cache and many profiles: the ones used last are kept."""
     one = daemon("--cache-bytes", "60000")
     counted = Counted(one)
     many = media(60)
@@ -140,7 +140,8 @@ def test_streams_of_cheap_media_evict_nothing(daemon):
 
 
 def test_memory_is_returned(daemon):
-    """What has been evicted is freed, even if a worker had it at hand: 4000 profiles of 17 KiB."""
+    """An evicted profile is freed even if a worker's local cache had it. The test evicts 4000
+    profiles of 17 KiB."""
     # The address sanitizer else keeps what is freed for a while, to see whether it is used.
     one = daemon("--cache-bytes", "200000", env={"ASAN_OPTIONS": "quarantine_size_mb=1"})
     with one.connect() as connection:

@@ -1,5 +1,5 @@
-"""Deadlines: an answer in time or the error DEADLINE, as soon as it is sure; and nothing else
-suffers from it."""
+"""Deadlines: a request is answered in time or gets the error DEADLINE soon after its deadline.
+Other requests do not suffer."""
 
 from __future__ import annotations
 
@@ -121,9 +121,7 @@ def test_while_a_table_is_built(daemon):
 
         def table_payload() -> bytes:
             medium = (0.1 + 0.01 * (time.monotonic_ns() % 1000) / 1000, 1.0, 0.3, 1.37)
-            fixed = wire.TABLE_REQUEST.pack(
-                model=MODELS["transport"], moments=1, parameter_count=1
-            )
+            fixed = wire.TABLE_REQUEST.pack(model=MODELS["transport"], moments=1, parameter_count=1)
             given = parameters_bytes([(PARAMETERS["tolerance"].id, 1e-6)])
             return fixed + np.asarray(medium, "<f8").tobytes() + given
 
@@ -138,7 +136,7 @@ def test_while_a_table_is_built(daemon):
 
 
 def test_of_two_who_wait_for_the_same(daemon):
-    """One gives up, the other gets what both have waited for."""
+    """Two clients wait for the same profile. One misses its deadline; the other gets the answer."""
     one = daemon()
     payload = slow_payload(8)
     with one.connect() as patient, one.connect() as hasty:

@@ -1,5 +1,6 @@
-"""Thousands of broken frames at a live daemon: it answers each with something well formed, goes on,
-and is right afterwards. The same seed gives the same frames; $DIPOLED_FUZZ_SEED chooses another."""
+"""Sends thousands of broken frames to a daemon. Each gets a well-formed answer, and the daemon
+goes on and answers correctly. The same seed gives the same frames; $DIPOLED_FUZZ_SEED chooses
+another."""
 
 from __future__ import annotations
 

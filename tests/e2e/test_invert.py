@@ -168,13 +168,10 @@ WRONG = {
     **refused("bad-value", "model", "classical", {"0": invert_payload(model=0)}),
     **refused("bad-value", "moments", "exact", {"9": invert_payload(moments=9)}),
     **refused("bad-value", "given", "1 (mean-free-path)", {
-        "0": invert_payload(given=0),
-        "4": invert_payload(given=4),
+        "0": invert_payload(given=0), "4": invert_payload(given=4)
     }),
     **refused("bad-value", "zero", "0", {"1": invert_payload(zero=1)}),
-    **refused("bad-value", "g", "1", {
-        f"{g}": invert_payload(g=g) for g in (1.0, -1.0, np.nan)
-    }),
+    **refused("bad-value", "g", "1", {f"{g}": invert_payload(g=g) for g in (1.0, -1.0, np.nan)}),
     **refused("bad-value", "eta", "0.001", {"0": invert_payload(eta=0.0)}),
     **refused("bad-value", "eta", "2.485", {"fit": invert_payload(moments=2, eta=3.0)}),
     **refused("bad-count", "medium_count", "at least 1", {"none": invert_payload([], [])}),

@@ -435,8 +435,7 @@ WRONG = {
         for albedo in (-1e-300, 1.0000001, math.nan, math.inf)
     }),
     **refused("bad-count", "albedo_count", "0 to 16", {
-        "17": mc_payload(albedos=[0.5] * 17),
-        "2^16 - 1": changed(albedo_count=2**16 - 1),
+        "17": mc_payload(albedos=[0.5] * 17), "2^16 - 1": changed(albedo_count=2**16 - 1)
     }),
     **refused("bad-count", "ring_count", "1 to 4096", {
         f"{count}": changed(ring_count=count) for count in (0, 4097, 2**32 - 1)
@@ -466,12 +465,10 @@ WRONG = {
     }),
     **refused("bad-value", "error_rings", "0 (none)", {"NaN": mc_payload(error_rings=math.nan)}),
     **refused("bad-length", "payload_bytes", "at least 96", {
-        "short": mc_payload()[:-8],
-        "empty": b"",
+        "short": mc_payload()[:-8], "empty": b""
     }),
     **refused("bad-length", "payload_bytes", "nothing after", {
-        "long": mc_payload() + bytes(8),
-        "albedos missing": changed(albedo_count=2),
+        "long": mc_payload() + bytes(8), "albedos missing": changed(albedo_count=2)
     }),
 }
 

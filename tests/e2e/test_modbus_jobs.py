@@ -32,7 +32,7 @@ def single(values) -> tuple[float, ...]:
 
 
 def run(master: Tcp, unit: int, block: bytes):
-    """Commits and waits; the head of the output."""
+    """Commits a job, waits for its end, and returns the head of the output block."""
     master.write_read(100, block, 300, 8, unit)
     return master.wait(unit)
 
@@ -184,8 +184,7 @@ def test_a_tolerance(master, client, evaluator, tolerance, wanted):
 WRONG = {
     "neither model nor tolerance": (input_block(4, SKIN, [1.0], model=0), "MODEL"),
     "a tolerance that nothing keeps": (
-        input_block(4, SKIN, [1.0], model=0, tolerance=2e-12),
-        "PARAMETER_TOLERANCE",
+        input_block(4, SKIN, [1.0], model=0, tolerance=2e-12), "PARAMETER_TOLERANCE"
     ),
     "a grid that runs backwards": (input_block(4, SKIN, grid=(2, 3, 5.0, 1.0)), "RADIUS_STOP"),
     "ratios from 0": (input_block(4, SKIN, grid=(3, 3, 0.0, 1.0)), "RADIUS_START"),
@@ -197,7 +196,8 @@ WRONG = {
 
 @pytest.mark.parametrize("name", WRONG)
 def test_combinations_that_cannot_be(master, name):
-    """Refused as a whole: the input is what it was, and the registers say why."""
+    """The whole request is refused. The input registers keep their values, and the output registers
+    say why."""
     block, field = WRONG[name]
     run(master, 67, input_block(3, SKIN, [2.0]))
     before = master.read(100, 160, 67)

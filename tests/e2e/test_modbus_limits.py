@@ -62,7 +62,7 @@ BAD_FRAMES = {
 
 @pytest.mark.parametrize("name", BAD_FRAMES)
 def test_frames_that_close_the_connection(daemon, name):
-    """What was asked before is answered."""
+    """The daemon answers the valid request that came before, and then closes."""
     one = daemon(*TCP)
     with Tcp(one) as master:
         good = master.frame(1, READ_ONE)
@@ -74,7 +74,7 @@ def test_frames_that_close_the_connection(daemon, name):
 
 
 def test_a_master_that_has_said_all_is_answered(daemon):
-    """It closes its side at once, as with nc."""
+    """A master closes its side right after sending, as nc does."""
     one = daemon(*TCP)
     with Tcp(one) as master:
         master.socket.sendall(
@@ -99,8 +99,8 @@ def test_a_frame_that_does_not_arrive(daemon):
 
 
 def test_a_slow_frame_delays_nobody_and_has_no_more_time(daemon):
-    """Bytes that trickle in do not begin its time anew. Nor does a function that there is not delay
-    anybody: libmodbus's own server would sleep for 0.5 s."""
+    """The time limit of a frame runs from its first byte. Unknown functions do not delay other
+    masters either, as they would in libmodbus's own server, which sleeps for 0.5 s."""
     one = daemon(*TCP, "--modbus-frame-timeout-ms", "200")
     with Tcp(one) as slow, Tcp(one) as fast:
         frame = slow.frame(1, struct.pack(">BHHB", 16, 0, 100, 200) + bytes(200))
@@ -138,8 +138,8 @@ def fill(master: Tcp, frames: bytes) -> int:
 
 
 def test_a_master_that_does_not_read(daemon):
-    """It is not read from either, so that nothing grows; others are served, and when it reads at
-    last, every answer is there."""
+    """The daemon stops reading from such a master, so its memory does not grow, and serves the
+    others. When the master reads at last, it gets every answer."""
     one = daemon(*TCP)
     with Tcp(one) as other:
         master = Tcp(one)

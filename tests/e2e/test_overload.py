@@ -1,5 +1,5 @@
-"""More than can be done: large requests are refused in time, with a hint when to come again; small
-ones go on, and nobody suffers from who does not read."""
+"""Overload: large requests get BUSY with a hint when to retry, small ones are still answered, and a
+client that does not read harms nobody."""
 
 from __future__ import annotations
 
@@ -64,7 +64,8 @@ def test_the_default_takes_several(daemon):
 
 
 def test_other_workers_have_less_to_do(daemon):
-    """A worker's backlog is its own; a connection that comes goes where the fewest are."""
+    """Each worker has its own backlog. A new connection goes to the worker with the fewest
+    connections."""
     one = daemon("--workers", "2", "--max-backlog-ms", "1")
     with one.connect() as busy, one.connect() as other:
         start(busy, other, LONG)
@@ -108,7 +109,8 @@ KINDS = {
     ids=KINDS,
 )
 def test_small_requests_do_not_wait_for_large_ones(daemon, kind, count, large):
-    """On the same worker they take turns: the large one is far from its end by then."""
+    """Requests on one worker take turns. The small ones are answered while the large one is far
+    from its end."""
     type, small, counted, done = KINDS[kind]
     one = daemon("--workers", "1")
     with one.connect() as busy, one.connect() as other:

@@ -1,4 +1,4 @@
-"""Optional numbers of a request: what is refused, and what those do that are taken."""
+"""The optional parameters of a request: which values are refused, and what valid ones do."""
 
 from __future__ import annotations
 
@@ -85,10 +85,7 @@ def test_range(client, name):
     model = model_that_takes(name)
     parameter = PARAMETERS[name]
     for value in (
-        math.nextafter(parameter.least, -INF),
-        math.nextafter(parameter.most, INF),
-        -INF,
-        INF,
+        math.nextafter(parameter.least, -INF), math.nextafter(parameter.most, INF), -INF, INF
     ):
         with pytest.raises(Refused) as caught:
             client.eval(model, SKIN, [1.0], parameters={**needs(model), name: value})

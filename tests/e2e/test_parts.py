@@ -1,5 +1,5 @@
-"""Answers that are larger than a frame: they come in parts, with the same bits as otherwise, and
-cost no more memory than small ones, nor anybody else's time."""
+"""Answers larger than a frame come in parts. They have the same bits as in one piece, use no more
+memory than small answers, and delay nobody else."""
 
 from __future__ import annotations
 
@@ -316,7 +316,8 @@ def test_stopping_does_not_wait_for_an_answer_without_end(daemon, reads):
 
 
 def test_an_answer_that_memory_does_not_let_go_on(daemon):
-    """Its next part is refused with BUSY, when others hold the memory; then all is well again."""
+    """When other connections hold the memory, the next part is refused with BUSY. Later requests
+    are answered again."""
     total = (7 << 20) // 2
     one = daemon("--max-total-bytes", str(total), "--workers", "1")
     with one.connect() as first, one.connect() as second:

@@ -75,7 +75,7 @@ def sums_for_quantities(type: int, payload: bytes) -> bytes:
 
 @pytest.mark.parametrize("want", ["R", "pdf"])
 def test_a_daemon_whose_quantities_are_not_bits(daemon, want):
-    """It had the command line look for an array that no answer holds."""
+    """The command line must not look for an array that the answer does not have."""
     arguments = ["--sigma-a", "0.1", "--sigma-s", "1", "--r", "0.5,2"]
     with Proxy(daemon().url(), lambda number, request_id: None, sums_for_quantities) as proxy:
         rows = eval_rows(*arguments, "--want", want, "--connect", proxy.url)

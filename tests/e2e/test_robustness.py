@@ -1,5 +1,5 @@
-"""Hard times: a thousand connections, clients that die or do not read, a stop or no descriptors
-left under load. Whatever happens, who asks properly gets the one right answer, once."""
+"""A thousand connections, clients that die or do not read, a stop under load, and no descriptors
+left. In each case a valid request gets its correct answer exactly once."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def assert_all_right(connection: Connection, known: list[Known], order: list[int
 
 
 class Others:
-    """Connections that go on asking in threads of their own; every answer is looked at."""
+    """Connections that keep asking in threads of their own. Every answer is checked."""
 
     def __init__(self, daemon: Daemon, known: list[Known], count: int = 2):
         self.answered = 0
@@ -121,7 +121,8 @@ def test_a_thousand_connections_at_once(daemon, descriptors, scheme):
 
 
 def test_a_flood_beyond_max_connections(daemon, descriptors):
-    """A thousand more than there may be: each is told or closed, and those within go on."""
+    """A thousand connections beyond the limit: each gets BUSY or is closed, and the others are
+    served."""
     one = daemon("--max-connections", "8")
     known = known_answers(one, short_requests(40))
     watcher = one.connect()
@@ -431,7 +432,7 @@ def test_out_of_file_descriptors(daemon):
 def wait_for_answers(
     connections: list[Connection], known: list[Known], names: set[int] | None = None
 ) -> list[int]:
-    """Takes the answers that come, until none has for half a second; whose they are."""
+    """Receives answers until none has come for half a second. Returns their request ids."""
     by_socket = dict(zip((one.socket for one in connections), connections))
     expected = names if names is not None else set(range(len(connections)))
     answered: list[int] = []

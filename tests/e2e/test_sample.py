@@ -1,5 +1,5 @@
-"""Drawing radii: they undo the cdf, their numbers are those that were promised, and a request of
-any size is answered in turns, in parts and in time."""
+"""Drawing radii: the cdf of a radius is the number it was drawn for, numbers by rule are the
+documented ones, and large requests come in parts."""
 
 from __future__ import annotations
 
@@ -131,17 +131,14 @@ WRONG = {
     **refused("bad-value", "evaluator", "f64", {"9": sample_payload(evaluator=9)}),
     **refused("bad-value", "moments", "exact", {"0": sample_payload(moments=0)}),
     **refused("bad-value", "wanted", "R", {
-        "nothing": sample_payload(wanted=0),
-        "unknown": sample_payload(wanted=0x8000),
+        "nothing": sample_payload(wanted=0), "unknown": sample_payload(wanted=0x8000)
     }),
     **refused("bad-value", "draw", "4 (random)", {
-        "0": sample_payload(draw=0),
-        "5": sample_payload(draw=5),
+        "0": sample_payload(draw=0), "5": sample_payload(draw=5)
     }),
     **refused("bad-count", "medium_count", "at least 1", {"none": sample_payload([])}),
     **refused("bad-count", "medium_count", "holds", {
-        "99": sample_payload(medium_count=99),
-        "2^32 - 1": sample_payload(medium_count=2**32 - 1),
+        "99": sample_payload(medium_count=99), "2^32 - 1": sample_payload(medium_count=2**32 - 1)
     }),
     **refused("too-large", "medium_count", "at most 64", {"65": sample_payload([SKIN] * 65)}),
     **refused("bad-count", "parameter_count", "holds", {
@@ -161,20 +158,15 @@ WRONG = {
         "padding": sample_payload(u=[0.5], evaluator=F32)[:-1] + b"\x01",
     }),
     **refused("bad-count", "sample_count", "no more numbers than", {
-        "3": sample_payload(sample_count=3),
-        "2^64 - 1": sample_payload(sample_count=2**64 - 1),
+        "3": sample_payload(sample_count=3), "2^64 - 1": sample_payload(sample_count=2**64 - 1)
     }),
     **refused("bad-length", "payload_bytes", "nothing after the listed numbers", {
-        "one more": sample_payload(sample_count=1),
-        "trailing bytes": sample_payload() + bytes(8),
+        "one more": sample_payload(sample_count=1), "trailing bytes": sample_payload() + bytes(8)
     }),
     **refused("bad-length", "payload_bytes", "nothing after media", {
         "numbers after a rule": sample_payload(draw=wire.DRAW_REGULAR),
     }),
-    **refused("bad-length", "payload_bytes", "at least 40", {
-        "none": b"",
-        "too short": bytes(32),
-    }),
+    **refused("bad-length", "payload_bytes", "at least 40", {"none": b"", "too short": bytes(32)}),
     **refused("bad-count", "sample_count", "1 to", {"0": sample_payload(u=None, sample_count=0)}),
     **refused("bad-count", "sample_count", "2^52", {
         "by rule": sample_payload(u=None, sample_count=2**63),

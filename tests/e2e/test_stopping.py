@@ -1,4 +1,5 @@
-"""SIGTERM: nothing new is accepted, what is in flight is answered, and the exit status is 0."""
+"""After SIGTERM the daemon accepts nothing new, answers the requests in flight, and exits with
+status 0."""
 
 from __future__ import annotations
 
@@ -55,7 +56,7 @@ def test_every_connection_is_told(daemon):
 
 
 def test_nobody_new_is_served(daemon):
-    """While an earlier client's answers wait to be read, which holds the daemon up."""
+    """A client has not yet read its answers, so the daemon is still running."""
     one = daemon("--drain-timeout-ms", "5000")
     with one.connect() as slow:
         slow.send_bytes(frame(EVAL, 1, LARGE) * 10)

@@ -1,4 +1,4 @@
-"""How bytes come in is the network's affair: cut anywhere, glued together, or ended too soon."""
+"""Frames arrive cut anywhere, several at once, or end too soon."""
 
 from __future__ import annotations
 
@@ -69,9 +69,7 @@ def test_requests_before_a_wrong_magic_are_answered(shared, connection):
     connection.send_bytes(frame(EVAL, 8, eval_payload()) + frame(PING, 9) + b"DIPS" + bytes(20))
     replies = [connection.receive_frame() for _ in range(3)]
     assert {reply.request_id: reply.type for reply in replies} == {
-        8: EVAL | wire.REPLY,
-        9: PONG,
-        0: wire.TYPE_ERROR,
+        8: EVAL | wire.REPLY, 9: PONG, 0: wire.TYPE_ERROR
     }
     assert_closed(connection)
     assert_daemon_serves(shared)

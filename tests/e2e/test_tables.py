@@ -1,4 +1,4 @@
-"""Tables that are fetched and evaluated at home: the daemon's bits, whatever the radius."""
+"""Tables that a client fetches and evaluates itself give the daemon's bits at every radius."""
 
 from __future__ import annotations
 
@@ -289,8 +289,7 @@ REFUSED = {
     **refused("bad-value", "parameter", "", {"999": table_payload(parameters=[(999, 1.0)])}),
     **refused("bad-value", "thickness", "", {"1": table_payload(parameters=[(THICKNESS, 1.0)])}),
     **refused("bad-count", "parameter_count", "", {
-        "1": table_payload(parameter_count=1),
-        "long": table_payload() + bytes(8),
+        "1": table_payload(parameter_count=1), "long": table_payload() + bytes(8)
     }),
     **refused("bad-length", "payload_bytes", "", {"": b"", "short": table_payload()[:-8]}),
 }

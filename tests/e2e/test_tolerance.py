@@ -1,4 +1,5 @@
-"""A tolerance instead of a model, from the clients: what is taken, what is said of it."""
+"""Clients ask for a tolerance instead of a model: which model is chosen, and what the answer says
+about it."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ static unsigned quantity_bits(void) {
   return bits;
 }
 
-/* Some parameters, each once: `count` of the list from a random one on. */
+/* Writes `count` different parameters, from a random place of the list on. */
 static void put_parameters(uint8_t *to, size_t count) {
   size_t length = 0;
   while (core_parameter_list[length].name != NULL) {
@@ -106,7 +106,7 @@ static void make_reply(struct bytes *to) {
   wire_put_eval_reply(to->at, &fixed);
 }
 
-/* Counts that are near where arithmetic wraps or bytes run out. */
+/* A count near a power of two, where arithmetic could wrap. */
 static uint64_t interesting(void) {
   static const uint64_t edges[] = {
       0,          1,          2,          8,          0x7fff,     0x8000,
@@ -164,7 +164,8 @@ static void check_refusal(const wire_error *error) {
   assert_true(error->field[0] != '\0' && error->allowed[0] != '\0');
 }
 
-/* What was taken lies inside the payload and fills it; every byte of it is read. */
+/* The arrays of an accepted request lie inside the payload and fill it. Reads every byte of
+ * them. */
 static void check_taken(const eval_request *request, const uint8_t *payload, size_t payload_bytes) {
   const wire_eval_request *fixed = &request->fixed;
   const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);

@@ -1,5 +1,6 @@
 /* scripted_peer: a daemon of a few lines for tests of the client library. It accepts one connection
- * on a Unix socket, or one after the other, and does there, in a thread of its own, what a script of the test says. */
+ * on a Unix socket, or one after the other, and does there what a script of the test says, in a
+ * thread of its own. */
 #ifndef DIPOLED_TESTS_SCRIPTED_PEER_H
 #define DIPOLED_TESTS_SCRIPTED_PEER_H
 

@@ -140,8 +140,8 @@ static size_t parameter_list_length(void) {
   return length;
 }
 
-/* Any number of them, from the end of the list so that their order counts for nothing; what is not
- * given is NaN, and the radii are found behind them. */
+/* Requests with 0 to all parameters, in the reverse order of the list. A parameter that is not
+ * given is NaN, and the radii are found behind the parameters. */
 UNIT_TEST(parameters_are_taken_apart) {
   const size_t all = parameter_list_length();
   assert_in_range(all, 1, PARAMETERS_MAX);
@@ -241,7 +241,7 @@ UNIT_TEST(arrays_lie_where_the_protocol_says) {
   }
 }
 
-/* With 128 bits nothing wraps: what the layout should say of any counts and limit. */
+/* The expected result of eval_reply_layout(), computed in 128 bits so that nothing wraps. */
 static bool fits(unsigned evaluator, unsigned wanted, uint32_t channels, uint64_t count,
                  uint64_t max_bytes) {
   const unsigned __int128 array =
@@ -346,7 +346,8 @@ UNIT_TEST(replies_of_another_shape_are_refused) {
 #undef REFUSED
 }
 
-/* The largest part that fits, in steps: one step more does not. */
+/* eval_part_radii() returns the largest multiple of EVAL_PART_RADII that fits: one step more does
+ * not fit. */
 UNIT_TEST(parts_are_as_large_as_they_may_be) {
   uint64_t random = unit_seed();
   size_t none = 0;

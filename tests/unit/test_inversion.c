@@ -33,7 +33,8 @@ static void assert_reach(const core_inversion *inversion) {
   assert_true(inversion->albedo_most > .9 && inversion->albedo_most <= 1);
 }
 
-/* The albedo comes back, or lies above the most and is refused; returns whether it came back. */
+/* Inverts an albedo. Either the medium found has this albedo, or the albedo is above the largest
+ * one possible and is refused. Returns whether a medium was found. */
 static bool round_trip(unsigned model, unsigned moments, double albedo, double mean_free_path_mm,
                        double eta) {
   const core_inversion inversion =
@@ -209,10 +210,11 @@ UNIT_TEST(faults_name_the_field) {
 
 /* ---- every model, probe by probe ----------------------------------------------------------- */
 
-/* What a search may take: of models whose albedo jumps, as terms come and go, halving. */
+/* How many probes a search may take. The larger limit is for models whose albedo jumps as terms are
+ * added, where the search bisects. */
 enum { PROBES_USUAL = 16, PROBES_MOST = 120 };
 
-/* Probes to the end; how many it took. */
+/* Probes until the search ends. Returns the number of probes. */
 static unsigned probe_to_the_end(core_inverter *inverter) {
   unsigned probes = 0;
   double albedo;

@@ -83,7 +83,7 @@ typedef struct kernel_pair {
 typedef void pair_test(const kernel_pair *pair, uint64_t *random);
 static pair_test compare_edges;
 
-/* False: the medium lies outside the model's domain, and the fault says which of its fields does. */
+/* False: the medium lies outside the domain of the model. The fault then names the field. */
 static bool prepare(core_profile *profile, const char *isa, unsigned model, unsigned evaluator,
                     const core_medium *medium) {
   core_parameters parameters = unit_parameters(model, medium);
@@ -150,7 +150,7 @@ static size_t stride(const kernel_pair *pair, size_t n) {
   return !is_costly(&pair->portable) ? 1 : sampling ? 67 : n == 31 || n == 32 ? 1 : 11;
 }
 
-/* What a model is evaluated by. */
+/* The kernels that evaluate each model. */
 static const struct {
   unsigned model;
   const char *kernels;
@@ -236,7 +236,7 @@ static double mfp_of(const core_profile *profile) {
   return 1 / (medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g));
 }
 
-/* Mostly where the profile has something to say, now and then an edge. */
+/* Mostly a radius within the range of the profile, sometimes an edge. */
 static double random_input(uint64_t *random, const kernel_pair *pair) {
   const size_t kind = unit_random_below(random, 8);
   if (kind == 0) {
@@ -250,7 +250,7 @@ static double random_input(uint64_t *random, const kernel_pair *pair) {
                     : unit_random_log(random, 1e-40, 1);
 }
 
-/* What a neighbouring lane might hold, allowed or not. */
+/* Any value that a neighbouring lane might hold, also an invalid one. */
 static double garbage(uint64_t *random) {
   static const double kinds[] = {NAN,     -NAN,   INFINITY, -INFINITY, -1,      -DBL_MAX,
                                  DBL_MAX, 5e-324, -5e-324,  0,         FLT_MAX, 1e-40};

@@ -1,5 +1,5 @@
-/* Tables as they are in memory: what is not one is refused, nothing that is not refused reads
- * outside of itself, and the description in core/lut/lut.h is what the kernels do, bit for bit. */
+/* Tables in memory: invalid ones are refused, evaluating a valid one reads nothing outside of it,
+ * and the kernels do what core/lut/lut.h describes, bit for bit. */
 #include <float.h>
 #include <math.h>
 

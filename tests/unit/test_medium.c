@@ -26,8 +26,7 @@ UNIT_TEST(accepts_the_whole_domain) {
   assert_medium(0, CORE_SIGMA_T_PRIME_MIN_PER_MM, 0, 1, NULL);
 }
 
-/* Whichever is small: nothing, next to nothing, or forward scattering that leaves next to nothing.
- */
+/* Media with no or almost no extinction, also because they scatter almost only forward. */
 UNIT_TEST(refuses_media_without_extinction) {
   assert_medium(0, 0, 0, 1.3, "sigma_s");
   assert_medium(1e-16, 1e-16, 0, 1.3, "sigma_s");

@@ -21,7 +21,8 @@ UNIT_TEST(requests_are_taken_apart) {
   assert_ptr_equal(request.values, pdu + 10);
 }
 
-/* Whatever the bytes, what is let through has the length and counts that the codec trusts. */
+/* For random bytes: a request that is accepted has the length and counts that the codec relies
+ * on. */
 UNIT_TEST(what_is_let_through_is_whole) {
   uint64_t random = unit_seed();
   size_t passed = 0;

@@ -373,7 +373,8 @@ UNIT_TEST(empty_slabs_let_everything_through) {
   }
 }
 
-/* Nothing is absorbed, and all comes back: what has not by then is unfinished, and said to be. */
+/* Without absorption all light comes back. Light that has not come back when a walk is ended is
+ * counted as unfinished. */
 UNIT_TEST(without_absorption_all_comes_back) {
   static const struct {
     double g, eta, thickness_mm;
@@ -433,8 +434,8 @@ UNIT_TEST(roulette_is_unbiased) {
   }
 }
 
-/* An albedo's results do not depend on what else was asked for, but for roulette, which goes by the
- * largest. */
+/* The results for an albedo do not depend on the other albedos of the request. Roulette goes by the
+ * largest albedo, which is the same in both requests here. */
 UNIT_TEST(albedos_are_independent) {
   enum { BATCHES = 5 };
   core_mc_request many = montecarlo_request(0.9, 0, 1.4);

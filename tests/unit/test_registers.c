@@ -1,5 +1,5 @@
-/* The Modbus register map: its list, and that REGISTERS.md is current. What may be read and written is
- * tested from outside, by tests/e2e/test_modbus_map.py and test_modbus_functions.py. */
+/* The Modbus register map: its list, and that REGISTERS.md is current. What may be read and written
+ * is tested from outside, by tests/e2e/test_modbus_map.py and test_modbus_functions.py. */
 #include "proto/registers.h"
 #include "tests/unit/unit.h"
 

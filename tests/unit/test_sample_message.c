@@ -73,7 +73,7 @@ UNIT_TEST(requests_are_taken_apart) {
   }
 }
 
-/* As those of an eval, but that each channel has radii of its own, where the list has them. */
+/* The layout is that of an eval reply, except that each channel has its own array of radii. */
 UNIT_TEST(radii_are_an_array_of_each_channel) {
   const unsigned wanted =
       CORE_QUANTITY_R | CORE_QUANTITY_RADIUS | CORE_QUANTITY_PDF | CORE_QUANTITY_ALBEDO;

@@ -44,8 +44,8 @@ extern char **unit_arguments;
 
 enum { UNIT_ROWS_MAX = 100 }; /* a bound for loops over lists that end with an empty entry */
 
-/* The seed of this run: $DIPOLED_TEST_SEED, or a fixed one. Printed, so that a failure found with
- * another seed can be had again. */
+/* Returns and prints the seed of this run: $DIPOLED_TEST_SEED, or a fixed one. With the printed
+ * seed a failure can be repeated. */
 uint64_t unit_seed(void);
 
 /* Vigna's splitmix64: the next 64 random bits. */
@@ -55,18 +55,19 @@ double unit_random_log(uint64_t *state, double low, double high); /* equal chanc
 size_t unit_random_below(uint64_t *state, size_t limit);
 void unit_random_bytes(uint64_t *state, void *to, size_t bytes);
 
-/* The fault names this field (NULL: there is no fault), says what is allowed, and has this index.
- */
+/* Checks that a fault names this field, says what is allowed, and has this index. field: NULL if
+ * there must be no fault. */
 void unit_assert_fault(core_fault fault, const char *field, size_t index);
 
 /* The parameters that a model needs for this medium (a slab: a thickness of 3 mean free paths), and
  * no others. */
 core_parameters unit_parameters(unsigned model, const core_medium *medium);
 
-/* Reads a whole file as text, to be freed; NULL when there is none. */
+/* Reads a whole file as text, which the caller frees. Returns NULL if there is no such file. */
 char *unit_read_file(const char *path);
 
-/* The tables of a document, which `make docs` writes, are what a describe function appends now. */
+/* Checks that the tables of a document, which `make docs` writes, are what a describe function
+ * appends now. */
 void unit_assert_tables(const char *path,
                         void (*describe)(void (*append)(void *context, const char *text),
                                          void *context));
