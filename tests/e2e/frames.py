@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from dipole import Connection, Frame, wire
+from dipole import Connection, ConnectionLost, Frame, wire
 
 SKIN = (0.032, 0.74, 0.0, 1.3)  # skin1, red
 SPECTRALON = (0.0, 11.6, 0.0, 1.3)  # does not absorb: the better dipole's albedo is exactly 1
@@ -184,6 +184,15 @@ def read_statistics(payload: bytes) -> dict[str, int]:
 def assert_closed(connection: Connection) -> None:
     """The daemon sends nothing more and closes the connection."""
     assert connection.receive_eof(), "the daemon went on instead of closing"
+
+
+def serves(daemon, scheme: str = "unix") -> bool:
+    """Whether the daemon accepts a new connection and answers on it."""
+    try:
+        with daemon.connect(scheme) as fresh:
+            return ask(fresh, PING).type == PING | wire.REPLY
+    except ConnectionLost:
+        return False
 
 
 def assert_daemon_serves(daemon) -> None:

@@ -8,10 +8,10 @@ import socket
 
 import pytest
 from daemons import Daemon, eventually, sanitized
-from dipole import ConnectionLost, Frame, wire
+from dipole import Frame, wire
 from frames import (
     ALBEDO, EVAL, F32, PING, SKIN, STATISTICS, R, ask, assert_closed, assert_daemon_serves,
-    assert_error, assert_serves, eval_payload, frame, header, read_statistics, statistics,
+    assert_error, assert_serves, eval_payload, frame, header, read_statistics, serves, statistics,
 )
 
 PONG = PING | wire.REPLY
@@ -119,15 +119,7 @@ def test_max_connections(daemon, scheme):
     for connection in open_ones:
         assert_serves(connection)
     open_ones.pop().close()
-
-    def served() -> bool:
-        with one.connect(scheme) as fresh:
-            try:
-                return ask(fresh, PING).type == PONG
-            except ConnectionLost:
-                return False
-
-    assert eventually(served)
+    assert eventually(lambda: serves(one, scheme))
     for connection in open_ones:
         connection.close()
 

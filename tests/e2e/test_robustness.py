@@ -19,8 +19,8 @@ from pathlib import Path
 
 import pytest
 from daemons import Daemon, eventually, sanitized
-from dipole import Connection, ConnectionLost, wire
-from frames import EVAL, F32, PING, R, ask, assert_daemon_serves, eval_payload, frame, statistics
+from dipole import Connection, ConnectionLost
+from frames import EVAL, F32, R, assert_daemon_serves, eval_payload, frame, serves, statistics
 from known import (
     PARTS, Known, assert_answer, every_kind, known_answers, receive_answer, refusal, short_requests,
 )
@@ -145,15 +145,6 @@ def test_a_flood_beyond_max_connections(daemon, descriptors):
         slack_bytes = (64 if sanitized() else 16) << 20
         assert one.resident_bytes() < before_bytes + slack_bytes
     assert eventually(lambda: serves(one))
-
-
-def serves(daemon: Daemon) -> bool:
-    """Whether a new connection gets a place and an answer."""
-    try:
-        with daemon.connect() as fresh:
-            return ask(fresh, PING).type == PING | wire.REPLY
-    except ConnectionLost:
-        return False
 
 
 def test_bytes_one_at_a_time_of_many(shared):
