@@ -73,8 +73,8 @@ typedef struct dipole_error {
 /* Connects, agrees on a protocol version and reads the daemon's lists. address is one of
  *   unix:PATH          a Unix socket
  *   tcp:HOST:PORT      TCP ([::1]:PORT for IPv6)
- *   private:           starts a dipoled that serves only this client and ends with it: the one beside
- *                      the running program, else the one in $PATH. It logs only errors.
+ *   private:           starts a dipoled that serves only this client and ends with it: the one
+ *                      beside the running program, else the one in $PATH. It logs only errors.
  *   private:PROGRAM    the same with this program
  *   NULL               $DIPOLED if that is set, else private:
  * Several unix: and tcp: addresses may be given, separated by commas without blanks: see "Several

@@ -1,5 +1,5 @@
-"""The Python client for asyncio: the answers of the other one, many at a time, and what happens when
-calls are given up or the daemon goes away."""
+"""The Python client for asyncio: it gives the other client's answers, many at a time. Calls are given
+up, and the daemon goes away."""
 
 from __future__ import annotations
 

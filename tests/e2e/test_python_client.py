@@ -43,6 +43,20 @@ def test_result_of_a_grid(client):
     assert without.r is None and without.R is None and without.cdf.shape == (1, 5)
 
 
+def test_a_query_object_is_the_same_as_its_arguments(client):
+    query = dipole.Query("better", THREE, grid=Grid(0.0, 2.0, 9), evaluator="f32")
+    expected = client.eval("better", THREE, grid=Grid(0.0, 2.0, 9), evaluator="f32")
+    assert_same_result(client.eval(query), expected)
+    assert_same_result(client.collect(client.submit(query))[1], expected)
+    [only] = client.eval_parts(query)
+    assert_same_result(only, expected)
+    for wrong in ({"r": [1.0]}, {"tolerence": 0.1}):
+        with pytest.raises(TypeError):
+            client.eval(query, **wrong)
+    with pytest.raises(TypeError):
+        client.eval("better", THREE, [1.0], Grid(0.0, 2.0, 9))
+
+
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_padded_arrays_are_cut_to_size(client, count):
     r = np.arange(count, dtype=np.float32)
@@ -416,8 +430,8 @@ def test_pip_installs_it(tmp_path):
     """From a copy, because the build leaves files in the source folder."""
     source, target = tmp_path / "source", tmp_path / "target"
     shutil.copytree(REPOSITORY / "clients/python", source)
-    options = ["--quiet", "--no-build-isolation", "--no-deps", "--no-index", "--target", str(target)]
-    subprocess.run([sys.executable, "-m", "pip", "install", *options, str(source)], check=True)
+    options = ["--quiet", "--no-build-isolation", "--no-deps", "--no-index", "--target", target]
+    subprocess.run([sys.executable, "-m", "pip", "install", *options, source], check=True)
     installed = sorted(path.name for path in (target / "dipole").iterdir() if path.is_file())
     assert installed == sorted(path.name for path in (source / "dipole").iterdir())
 

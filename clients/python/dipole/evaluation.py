@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from . import wire
+from .connection import frame_pieces
 from .errors import ArgumentError, ProtocolError, TableError
 from .exchange import Answer, Once, Request
-from .connection import frame_pieces
 from .table import Table
 from .values import Draw, Grid, Info, Medium, Offer, Offers, Query, Result, Samples
 

@@ -44,8 +44,8 @@ class Query:
     r: N radii in mm, from 0 to infinity.
     grid: the radii by a rule, in place of r. A grid costs no bytes in the request.
     evaluator: "f64" computes in double precision. "f32" computes and "lut" looks up in a table,
-        both in single precision. The default is "f64" for a model. For model None it only chooses the
-        precision, and the default is single precision.
+        both in single precision. The default is "f64" for a model. For model None it only chooses
+        the precision, and the default is single precision.
     moments: "exact", or "fit" for the polynomials.
     wanted: names of quantities. The default is R, albedo, cdf and, with a grid, r.
     parameters: optional numbers by name, for example {"cos_in": 0.8}. Their units and ranges are in

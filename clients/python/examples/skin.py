@@ -1,12 +1,12 @@
-"""Skin, in cells for a notebook or an editor that runs them (# %%), or from top to bottom:
+"""Evaluates skin. An editor or a notebook can run it in cells (# %%); this runs all of it:
 
     python3 skin.py [PICTURE]
 
-Asks the dipoled in $DIPOLED, or a private one. Draws into PICTURE (skin.png) where matplotlib is
-installed, and prints the numbers in any case. Lengths in mm.
+It asks the dipoled in $DIPOLED, or a private one. It prints the numbers, and if matplotlib is
+installed it draws them into PICTURE, by default skin.png. Lengths are in mm.
 """
 
-# %% What there is: measured media, each with a red, a green and a blue channel.
+# %% The daemon knows measured media, each with a red, a green and a blue channel.
 import sys
 
 import numpy as np
@@ -19,8 +19,8 @@ print(f"{client.info.software} at {client.info.address}")
 for colour, medium in zip(("red", "green", "blue"), skin):
     print(f"  skin1, {colour}: {medium}")
 
-# %% How much light leaves at a distance r, by the exact solution and by two models. The arrays are
-# [channel, radius]; each result says how far its values may be off.
+# %% This is how much light leaves at a distance r, by the exact solution and by two models. The
+# arrays are [channel, radius]. Each result says how far its values may be off.
 r = np.geomspace(0.15, 10, 60)
 exact = client.eval("transport", skin, r, evaluator="lut")
 models = {name: client.eval(name, skin, r) for name in ("classical", "better")}
@@ -32,18 +32,18 @@ for name, result in models.items():
     off = np.abs(result.R / exact.R - 1).max(axis=1)
     print(f"{name}: up to {off[0]:.0%} off in red; quoted: up to {result.model_error[0]:.0%}")
 
-# %% A tolerance in place of a model: the cheapest that is measured to keep it.
+# %% A tolerance in place of a model takes the cheapest model that is measured to keep it.
 chosen = client.eval(None, skin, r, tolerance=0.01)
 off = (chosen.model_error[:, None] + chosen.numerical_error()).max()
 print(f"\nwithin 1 %: {chosen.model} by {chosen.evaluator}, at most {off:.1g} off")
 
-# %% Broadcasting: the energy within 1 mm for a range of absorption and scattering.
+# %% values() broadcasts: the energy within 1 mm for a range of absorption and scattering.
 sigma_a = np.geomspace(0.01, 1, 40)[:, None]
 sigma_s = np.geomspace(0.3, 10, 50)[None, :]
 within = client.values("better", dipole.Medium(sigma_a, sigma_s), 1.0, "cdf").values
 print(f"\nenergy within 1 mm: {within.min():.0%} to {within.max():.0%} of {within.shape} media")
 
-# %% Pictures.
+# %% The last cell draws the pictures.
 client.close()
 try:
     import matplotlib
