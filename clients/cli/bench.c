@@ -50,11 +50,11 @@ static int check(void *given) {
                 {"radii", settings->radii.value, RADII_MAX},
                 {"large-radii", settings->large_radii.value, RADII_MAX}};
   if (!(seconds >= SECONDS_LEAST && seconds <= SECONDS_MOST)) {
-    return cli_fail_usage("--seconds: from %g to %g", SECONDS_LEAST, SECONDS_MOST);
+    return cli_fail_usage("--seconds: give a number from %g to %g", SECONDS_LEAST, SECONDS_MOST);
   }
   for (size_t i = 0; i < sizeof counts / sizeof counts[0]; i++) {
     if (counts[i].value < 1 || counts[i].value > counts[i].most) {
-      return cli_fail_usage("--%s: from 1 to %llu", counts[i].option,
+      return cli_fail_usage("--%s: give a number from 1 to %llu", counts[i].option,
                             (unsigned long long)counts[i].most);
     }
   }
@@ -75,9 +75,10 @@ static int check_with_daemon(const report *of) {
                           "--connect names another");
   }
   if (bytes > VALUES_MAX_BYTES) {
-    return cli_fail_usage("--connections, --in-flight, --radii: together they take more than %zu "
-                          "MiB for values",
-                          VALUES_MAX_BYTES >> 20);
+    return cli_fail_usage(
+        "--connections, --in-flight, --radii: give less: together they take more than %zu "
+        "MiB for values",
+        VALUES_MAX_BYTES >> 20);
   }
   return CLI_OK;
 }

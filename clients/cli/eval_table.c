@@ -38,8 +38,9 @@ static int describe(const char *path, const cli_tables *tables, cli_eval_report 
   report->profile.moments = cli_choice_of_id(report->profile.info, DIPOLE_MOMENTS, first->moments);
   report->profile.evaluator = cli_choice_of_id(report->profile.info, DIPOLE_EVALUATOR, DIPOLE_LUT);
   if (model == NULL || report->profile.moments == NULL) {
-    return cli_fail("%s: model %u or moments %u are not known here", path, first->model,
-                    first->moments);
+    return cli_fail(
+        "%s: model %u or moments %u are not known to this program: use the version that wrote it",
+        path, first->model, first->moments);
   }
   cli_eval_add_model(report, model, true);
   for (size_t i = 0; i < first->parameter_count; i++) {

@@ -202,14 +202,14 @@ static int finish(int argc, char **argv, cli_common *common) {
   const int operands = command->operand != NULL ? 1 : 0;
   common->operand = optind < argc ? argv[optind] : NULL;
   if (argc - optind > operands) {
-    return cli_fail_usage("'%s' is more than it takes: leave it out", argv[optind + operands]);
+    return cli_fail_usage("'%s' is one argument too many: leave it out", argv[optind + operands]);
   }
   if (common->format != NULL && !in_list(command->formats, common->format)) {
     return cli_fail_usage("--format %s: it is one of %s", common->format, command->formats);
   }
   common->form = form_of(common->format != NULL ? common->format : command->formats);
   if (common->timeout_ms.value > UINT32_MAX || common->retry_ms.value > UINT32_MAX) {
-    return cli_fail_usage("--%s: at most %lu",
+    return cli_fail_usage("--%s: give at most %lu",
                           common->timeout_ms.value > UINT32_MAX ? "timeout-ms" : "retry-ms",
                           (unsigned long)UINT32_MAX);
   }

@@ -78,7 +78,7 @@ static int check_axes(const cli_texts *names) {
     }
     for (size_t k = 0; k < i; k++) {
       if (strcmp(names->items[k], name) == 0) {
-        return cli_fail_usage("--axes: name %s once", name);
+        return cli_fail_usage("--axes: name %s only once", name);
       }
     }
   }
@@ -145,7 +145,7 @@ static int check(void *given) {
     return cli_fail_usage("--gamma is of the axes gamma: add --axes gamma");
   }
   if (!(settings->gamma.value > 0 && isfinite(settings->gamma.value))) {
-    return cli_fail_usage("--gamma: above 0");
+    return cli_fail_usage("--gamma: give a number above 0");
   }
   if (!parse_size(settings->size, &width_px, &height_px)) {
     return cli_fail_usage("--size %s: write WIDTHxHEIGHT, such as 900x600; each side %d "
@@ -290,7 +290,8 @@ static int check_quantity(const char *name, dipole_client *client) {
   const dipole_choice *quantity =
       cli_named(dipole_get_info(client), DIPOLE_QUANTITY, "quantity", name);
   if (quantity != NULL && (quantity->id == DIPOLE_ALBEDO || quantity->id == DIPOLE_RADIUS)) {
-    return cli_fail_usage("--quantity %s: there is no curve of it over r", name);
+    return cli_fail_usage("--quantity %s: there is no curve of it over r; name another quantity",
+                          name);
   }
   return quantity != NULL ? CLI_OK : CLI_USAGE;
 }

@@ -105,7 +105,7 @@ bool points_find_columns(const char *source, const dipole_info *info, const cli_
     size_t *place = place_of(columns, info, name);
     const bool twice = place != NULL && *place != POINTS_ABSENT;
     if (twice) {
-      cli_fail("%s: the header has the column %s twice", source, name);
+      cli_fail("%s: the header has the column %s twice: rename one", source, name);
     } else if (place != NULL) {
       *place = i;
     }

@@ -178,7 +178,7 @@ int cli_medium_check(const cli_profile_settings *settings) {
 int cli_deadline_check(const cli_profile_settings *settings) {
   return settings->deadline_ms.value <= UINT32_MAX
              ? CLI_OK
-             : cli_fail_usage("--deadline-ms: at most %lu", (unsigned long)UINT32_MAX);
+             : cli_fail_usage("--deadline-ms: give at most %lu", (unsigned long)UINT32_MAX);
 }
 
 /* ---- media --------------------------------------------------------------------------------- */

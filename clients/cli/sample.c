@@ -387,7 +387,7 @@ static int draw(const report *of, const char *path) {
   }
   int status = CLI_OK;
   if (!(picture.most_mm > 0)) {
-    status = cli_fail("--plot %s: all radii are 0 or infinite: there is nothing to show", path);
+    status = cli_fail("--plot %s: all radii are 0 or infinite: draw more radii, or others", path);
   } else if (!cli_gnuplot(path, WIDTH_PX, HEIGHT_PX, write_script, &picture, error)) {
     status = cli_fail("--plot %s: %s", path, error);
   }

@@ -193,11 +193,12 @@ static int check(void *given) {
   const top_settings *settings = given;
   const double interval_s = settings->interval_s.value;
   if (!(interval_s >= INTERVAL_LEAST_S && interval_s <= INTERVAL_MOST_S)) {
-    return cli_fail_usage("--interval: from %g to %g seconds", INTERVAL_LEAST_S, INTERVAL_MOST_S);
+    return cli_fail_usage("--interval: give a number from %g to %g seconds", INTERVAL_LEAST_S,
+                          INTERVAL_MOST_S);
   }
   return !settings->count.given || settings->count.value > 0
              ? CLI_OK
-             : cli_fail_usage("--count: at least 1");
+             : cli_fail_usage("--count: give at least 1");
 }
 
 static int run(void *given, dipole_client *client) {

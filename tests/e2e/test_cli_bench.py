@@ -94,23 +94,23 @@ def test_models_with_parameters():
 
 
 test_wrong_command_lines = says(USAGE, ["bench"], [
-    (["--seconds", "0"], "--seconds: from 0.01 to 3600"),
-    (["--seconds", "nan"], "--seconds: from 0.01"),
+    (["--seconds", "0"], "--seconds: give a number from 0.01 to 3600"),
+    (["--seconds", "nan"], "--seconds: give a number from 0.01"),
     (["--seconds", "long"], "--seconds: 'long' is no number"),
-    (["--connections", "0"], "--connections: from 1 to 256"),
-    (["--connections", "257"], "--connections: from 1 to 256"),
+    (["--connections", "0"], "--connections: give a number from 1 to 256"),
+    (["--connections", "257"], "--connections: give a number from 1 to 256"),
     (["--connections", "2"], "--connections: a daemon of its own has one"),
-    (["--in-flight", "0"], "--in-flight: from 1 to 4096"),
-    (["--in-flight", "4097"], "--in-flight: from 1 to 4096"),
-    (["--radii", "0"], "--radii: from 1 to 4194304"),
-    (["--large-radii", "4194305"], "--large-radii: from 1 to 4194304"),
+    (["--in-flight", "0"], "--in-flight: give a number from 1 to 4096"),
+    (["--in-flight", "4097"], "--in-flight: give a number from 1 to 4096"),
+    (["--radii", "0"], "--radii: give a number from 1 to 4194304"),
+    (["--large-radii", "4194305"], "--large-radii: give a number from 1 to 4194304"),
     (["--in-flight", "4096", "--radii", "65536"], "together they take more than 1024 MiB"),
     (["--model", "best"], "--model: 'best' is unknown"),
     (["--evaluator", "f16"], "--evaluator: 'f16' is unknown"),
     (["--medium", "skin9"], "--medium: 'skin9' is unknown"),
     (["--sigma-a", "1"], "give --medium NAME, or --sigma-a and --sigma-s"),
     (["--format", "xml"], "--format xml: it is one of table,csv,json"),
-    (["more"], "'more' is more than it takes"),
+    (["more"], "'more' is one argument too many"),
 ])
 
 

@@ -97,7 +97,7 @@ test_wrong_command_lines_say_what_to_do = says(USAGE, ["invert"], [
     ([*BOTH, "--model", "best"], "--model: 'best' is unknown; this daemon has classical"),
     ([*BOTH, "--moments", "fat"], "--moments: 'fat' is unknown; this daemon has exact"),
     ([*BOTH, "--format", "xml"], "--format xml: it is one of table,csv,json"),
-    ([*BOTH, "--deadline-ms", "4294967296"], "--deadline-ms: at most 4294967295"),
+    ([*BOTH, "--deadline-ms", "4294967296"], "--deadline-ms: give at most 4294967295"),
     ([*BOTH, "--sigma-a", "1"], "--sigma-a: no such option"),
 ])
 

@@ -103,9 +103,9 @@ test_wrong_command_lines_say_what_to_do = says(USAGE, ["mc"], [
     ([*MEDIUM, "--medium", "skin1"], "--medium NAME stands for --sigma-a and --sigma-s"),
     ([*MEDIUM, "--channel", "red"], "--channel goes with --medium NAME"),
     ([*MEDIUM, "--log"], "--log needs --from, above 0"),
-    ([*MEDIUM, "--photons", "1.5"], "--photons: a whole number, such as 2000000 or 2e6"),
-    ([*MEDIUM, "--photons", "0"], "--photons: a whole number"),
-    ([*MEDIUM, "--rings", "99999999999"], "--rings: at most"),
+    ([*MEDIUM, "--photons", "1.5"], "--photons: give a whole number, such as 2000000 or 2e6"),
+    ([*MEDIUM, "--photons", "0"], "--photons: give a whole number"),
+    ([*MEDIUM, "--rings", "99999999999"], "--rings: give at most"),
 ])
 
 

@@ -104,8 +104,8 @@ test_wrong_command_lines_say_what_to_do = says(USAGE, ["sample"], [
     ([*MEDIUM, "--moments", "fat"], "--moments: 'fat' is unknown; this daemon has exact"),
     ([*MEDIUM, "--format", "xml"], "--format xml: it is one of table,csv,json"),
     ([*MEDIUM, "--plot", "r.pdf"], "--plot r.pdf: the name must end in .svg or .png"),
-    ([*MEDIUM, "--deadline-ms", "4294967296"], "--deadline-ms: at most 4294967295"),
-    ([*MEDIUM, "skin1"], "'skin1' is more than it takes"),
+    ([*MEDIUM, "--deadline-ms", "4294967296"], "--deadline-ms: give at most 4294967295"),
+    ([*MEDIUM, "skin1"], "'skin1' is one argument too many"),
 ])
 
 

@@ -104,11 +104,11 @@ def test_a_daemon_of_its_own():
 
 
 test_wrong_command_lines = says(USAGE, ["top"], [
-    (["--interval", "0"], "--interval: from 0.05 to 86400 seconds"),
-    (["--interval", "nan"], "--interval: from"),
-    (["--interval", "1e9"], "--interval: from"),
+    (["--interval", "0"], "--interval: give a number from 0.05 to 86400 seconds"),
+    (["--interval", "nan"], "--interval: give a number from"),
+    (["--interval", "1e9"], "--interval: give a number from"),
     (["--interval", "soon"], "--interval: 'soon' is no number"),
-    (["--count", "0"], "--count: at least 1"),
+    (["--count", "0"], "--count: give at least 1"),
     (["--format", "xml"], "--format xml: it is one of table,csv,json"),
 ])
 
