@@ -4,6 +4,7 @@
 #include <errno.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/queue.h>
 #include <sys/resource.h>
 #include <unistd.h>
 
@@ -32,8 +33,8 @@ struct batch {
 
 struct mc_job {
   struct mc_pool *pool;
-  struct mc_job *next; /* in the pool's list; the first job has the next turn */
-  uv_async_t *wake;    /* NULL after mc_job_drop() */
+  TAILQ_ENTRY(mc_job) in_pool; /* the first job of the list has the next turn */
+  uv_async_t *wake;            /* NULL after mc_job_drop() */
   struct mc_task task;
   uint64_t bytes; /* memory that it counts for in the server's budget */
 
@@ -58,7 +59,7 @@ struct mc_pool {
   struct server *server;
   uv_mutex_t mutex; /* guards all members, and those of jobs that no turn is about */
   uv_cond_t changed;
-  struct mc_job *jobs;
+  TAILQ_HEAD(, mc_job) jobs;
   uint64_t job_count;
   uint64_t thread_count;
   bool stopping;
@@ -134,29 +135,22 @@ static struct turn walking_turn_of(struct mc_job *job) {
   return turn;
 }
 
-/* Puts a job at the end of the list, whether it is in the list or not. */
-static void move_to_end(struct mc_pool *pool, struct mc_job *job) {
-  struct mc_job **link = &pool->jobs;
-  while (*link != NULL) {
-    if (*link == job) {
-      *link = job->next;
-      job->next = NULL;
-    } else {
-      link = &(*link)->next;
-    }
-  }
-  *link = job;
-}
-
 /* Merging, opening and writing tables come first: they are short, and a client may wait for them.
  */
 static struct turn find_turn(struct mc_pool *pool) {
   struct turn turn = {.kind = TURN_NONE};
-  for (struct mc_job *job = pool->jobs; job != NULL && turn.kind == TURN_NONE; job = job->next) {
+  struct mc_job *job;
+  TAILQ_FOREACH(job, &pool->jobs, in_pool) {
     turn = totalling_turn_of(job);
+    if (turn.kind != TURN_NONE) {
+      return turn;
+    }
   }
-  for (struct mc_job *job = pool->jobs; job != NULL && turn.kind == TURN_NONE; job = job->next) {
+  TAILQ_FOREACH(job, &pool->jobs, in_pool) {
     turn = walking_turn_of(job);
+    if (turn.kind != TURN_NONE) {
+      return turn;
+    }
   }
   return turn;
 }
@@ -167,7 +161,8 @@ static bool take_turn(struct mc_pool *pool, struct turn *turn) {
     return false;
   }
   struct mc_job *job = turn->job;
-  move_to_end(pool, job);
+  TAILQ_REMOVE(&pool->jobs, job, in_pool);
+  TAILQ_INSERT_TAIL(&pool->jobs, job, in_pool);
   job->turns++;
   if (turn->kind == TURN_WALK) {
     turn->begins = turn->batch->state == BATCH_FREE;
@@ -256,11 +251,7 @@ static struct mc_job *take_if_unused(struct mc_job *job) {
   if (job->wake != NULL || job->turns > 0) {
     return NULL;
   }
-  struct mc_job **link = &job->pool->jobs;
-  while (*link != job) {
-    link = &(*link)->next;
-  }
-  *link = job->next;
+  TAILQ_REMOVE(&job->pool->jobs, job, in_pool);
   return job;
 }
 
@@ -350,6 +341,7 @@ struct mc_pool *mc_pool_new(struct server *server) {
     return NULL;
   }
   pool->server = server;
+  TAILQ_INIT(&pool->jobs);
   if (uv_mutex_init(&pool->mutex) != 0) {
     free(pool);
     return NULL;
@@ -373,7 +365,7 @@ void mc_pool_free(struct mc_pool *pool) {
   for (uint64_t i = 0; i < pool->thread_count; i++) {
     uv_thread_join(&pool->threads[i]);
   }
-  assert(pool->jobs == NULL);
+  assert(TAILQ_EMPTY(&pool->jobs));
   uv_cond_destroy(&pool->changed);
   uv_mutex_destroy(&pool->mutex);
   free(pool);
@@ -414,7 +406,7 @@ static bool add_job(struct mc_pool *pool, struct mc_job *job) {
   uv_mutex_lock(&pool->mutex);
   const bool room = pool->job_count < pool->server->options.max_mc_jobs && start_threads(pool);
   if (room) {
-    move_to_end(pool, job);
+    TAILQ_INSERT_TAIL(&pool->jobs, job, in_pool);
     pool->job_count++;
     stats_add(&pool->server->stats, STATS_MC_JOBS_OPEN, 1);
     uv_cond_broadcast(&pool->changed);
