@@ -56,7 +56,7 @@ static core_medium random_medium(uint64_t *state) {
   return medium;
 }
 
-/* One profile's answers, added to the checksum. */
+/* Number of radii at which a profile is evaluated. */
 static int radii_of(const core_profile *profile) {
   return profile->cost > COSTLY ? COSTLY_RADII : RADII;
 }
@@ -98,15 +98,15 @@ static uint64_t add_samples(uint64_t sum, const core_profile *profile, uint64_t 
   return checksum(sum, r, (size_t)radii * sizeof *r);
 }
 
-/* How many media a model is tried at; fewer of those that cost more. */
+/* Number of media that a model is evaluated for: fewer if it is slow. */
 static int media_of(const core_choice *model, const core_choice *evaluator) {
   return core_prepares_slowly(model->id, CORE_EVALUATOR_F64) ? SLOW_MEDIA
          : evaluator->id == CORE_EVALUATOR_LUT               ? TABLES
                                                              : MEDIA;
 }
 
-/* Prepares a profile, with a thickness if the model needs one; a medium outside the model's domain
- * is answered with the field at fault. */
+/* Prepares a profile, with a thickness if the model needs one. Returns a fault for a medium outside
+ * the domain of the model. */
 static core_fault prepare(core_profile *profile, const core_isa *isa, const core_choice *model,
                           const core_choice *evaluator, const core_choice *moments,
                           const core_medium *medium) {
@@ -121,7 +121,8 @@ static core_fault prepare(core_profile *profile, const core_isa *isa, const core
                               &parameters);
 }
 
-/* Every medium under one model, evaluator and kind of moments; quantity 0: samples. */
+/* Prints the checksum of all media for one model, evaluator and kind of moments. quantity: NULL for
+ * samples. */
 static void print_group(const core_isa *isa, const core_choice *model, const core_choice *evaluator,
                         const core_choice *moments, const core_choice *quantity) {
   uint64_t state = 2012;
@@ -172,13 +173,15 @@ static void print_inversions(const core_choice *model) {
   printf("%s inversions %016" PRIx64 "\n", model->name, sum);
 }
 
-/* Tables are built and evaluated alike whatever the model: three of different shapes will do. */
+/* Whether tables of a model are compared. The code for tables does not depend on the model, so that
+ * three models with different shapes are enough. */
 static bool is_tabulated(const core_choice *model) {
   return model->id == CORE_MODEL_BETTER || model->id == CORE_MODEL_BURLEY ||
          model->id == CORE_MODEL_SKIN_RED;
 }
 
-/* What takes long to prepare, under an emulator minutes, is prepared twice: for R and its cdf. */
+/* Whether a combination is compared. Slow models, which take minutes under an emulator, are prepared
+ * only twice: for R and for the cdf. */
 static bool is_due(const core_choice *model, const core_choice *evaluator,
                    const core_choice *quantity) {
   const bool needed =

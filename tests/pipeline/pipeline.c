@@ -32,7 +32,7 @@ static const dipole_medium media[MEDIA] = {
 
 static core_profile profiles[MODELS][MEDIA][EVALUATORS];
 
-/* A request and what came of it. */
+/* A request and its values. */
 typedef struct slot {
   unsigned model, medium, evaluator;
   size_t count;
@@ -44,12 +44,12 @@ typedef struct slot {
 typedef struct worker {
   pthread_t thread;
   const char *address;
-  uint64_t first, count; /* its requests, of all */
+  uint64_t first, count; /* it sends the requests first, ..., first + count - 1 */
   uint64_t answered;
   uint64_t random;
   unsigned model_ids[MODELS];
   dipole_client *client;
-  /* Under way are the slots order[0 .. used], with the ids[0 .. used]. */
+  /* The slots order[0], ..., order[used - 1] are in use, for the requests with these ids. */
   size_t used;
   size_t order[IN_FLIGHT];
   uint64_t ids[IN_FLIGHT];
@@ -72,7 +72,7 @@ static uint64_t next_random(uint64_t *state) {
 
 /* ---- requests ------------------------------------------------------------------------------ */
 
-/* The first radius is no other request's, up to 15 million of them, also in single precision. */
+/* Up to 15 million requests have different first radii, also in single precision. */
 static void make_radii(slot *to, uint64_t number) {
   for (size_t i = 0; i < to->count; i++) {
     const double r = 0.5 + 0x1p-21 * (double)(number % (15 << 20)) + (double)i;
@@ -135,7 +135,7 @@ static void check(const slot *asked, const dipole_result *result) {
   }
 }
 
-/* The slot with this id, which is free from now on. */
+/* Frees the slot with this id and returns it. */
 static const slot *take(worker *of, uint64_t id) {
   for (size_t i = 0; i < of->used; i++) {
     if (of->ids[i] == id) {
@@ -150,7 +150,7 @@ static const slot *take(worker *of, uint64_t id) {
   fail("an answer to nothing, or a second one", NULL);
 }
 
-/* Half of the answers are asked for by id, the others come as they come. */
+/* Collects one answer and checks it: half of the time the answer with a random id, else any. */
 static void collect(worker *of) {
   const uint64_t random = next_random(&of->random);
   dipole_result *result;
@@ -184,7 +184,8 @@ static void open_client(worker *of) {
   }
 }
 
-/* Fills up and collects a random number of answers, in turns; at the end all. */
+/* Submits until IN_FLIGHT requests are in flight, collects a random number of answers, and repeats
+ * that. At the end it collects all answers. */
 static void *work(void *argument) {
   worker *of = argument;
   uint64_t submitted = 0;

@@ -1,8 +1,9 @@
-/* soak-load ADDRESS SEED all|evals: asks a dipoled for everything that it can do, as fast as it answers, through
- * libdipole, until standard input ends. Every answer is compared, bit for bit, with the first one to
- * the same question, which was asked alone. Prints "answered=N" now and then, at the end all counts;
- * exits with 1 at the first answer that is wrong, doubled or missing. The daemon may be killed and
- * started again meanwhile. */
+/* soak-load ADDRESS SEED all|evals: sends a dipoled every kind of request through libdipole, as fast
+ * as it answers, until standard input ends. It first sends each request alone, and compares every
+ * later answer with that first one, bit for bit. It prints "answered=N" from time to time and all
+ * counts at the end. It exits with 1 at the first answer that is wrong, doubled or missing. The
+ * daemon may be killed and started again meanwhile. With `evals` it sends no Monte Carlo jobs, breaks
+ * off no answer, and uses only models that prepare quickly. */
 #include <math.h>
 #include <poll.h>
 #include <stdio.h>
@@ -21,7 +22,7 @@ enum {
   RETRY_MS = 60000,
 };
 
-/* A question, and its first answer as bytes. */
+/* A request and the bytes of its first answer. */
 typedef struct question {
   dipole_query query;
   dipole_medium media[2];
@@ -64,7 +65,7 @@ static void append(uint8_t **bytes, size_t *count, const void *more, size_t more
   *count += more_count;
 }
 
-/* All that an answer says. */
+/* Returns all fields of an answer as bytes, which the caller frees. */
 static uint8_t *bytes_of(const dipole_result *result, size_t *count) {
   const unsigned quantities[] = {DIPOLE_R, DIPOLE_CDF, DIPOLE_PDF};
   const unsigned head[] = {result->model, result->evaluator, result->moments, result->wanted,
@@ -102,7 +103,7 @@ static void check(const question *asked, dipole_result *result) {
 
 /* ---- questions ----------------------------------------------------------------------------- */
 
-/* Gives a model the parameter that it says it needs. */
+/* Adds the parameter that a refusal has named. Returns false if there is no such parameter. */
 static bool add_parameter(const dipole_client *client, question *asked, const char *name) {
   const unsigned id = dipole_id(client, DIPOLE_PARAMETER, name);
   const size_t count = asked->query.parameter_count;
@@ -117,7 +118,7 @@ static bool add_parameter(const dipole_client *client, question *asked, const ch
   return true;
 }
 
-/* Asks alone; what a model does not take is no question. */
+/* Sends a request alone and keeps it with its answer. A request that is refused is not kept. */
 static void learn(dipole_client *client, const question *from) {
   question *asked = &questions[question_count];
   dipole_result *result;
@@ -174,7 +175,7 @@ static void learn_grid(dipole_client *client, const char *model, unsigned evalua
   learn(client, &asked);
 }
 
-/* Models that take long to prepare are left out where daemons come and go. */
+/* Whether a model prepares quickly. Only such models are used while daemons are killed. */
 static bool is_quick(const char *model) {
   return strcmp(model, "better") == 0 || strcmp(model, "classical") == 0;
 }
@@ -207,7 +208,7 @@ typedef struct slot {
 } slot;
 
 static const question *choose(uint64_t *random) {
-  /* The last is large: it would be all that there is to do. */
+  /* The last one is large. If it were as frequent as the others, it would take all the time. */
   const uint64_t which = next_random(random) % (64 * question_count);
   return which == 0 ? &questions[question_count - 1] : &questions[which % (question_count - 1)];
 }
@@ -253,7 +254,7 @@ static void collect(dipole_client *client, slot slots[IN_FLIGHT]) {
   late++;
 }
 
-/* The first table is the known one. */
+/* Fetches a table and compares it with the first one. */
 static void fetch_table(dipole_client *client) {
   static uint8_t *known;
   static size_t known_bytes;
@@ -276,7 +277,8 @@ static void fetch_table(dipole_client *client) {
   tables++;
 }
 
-/* Jobs are not asked again: one that is lost with its daemon, or finds no place, is no failure. */
+/* Runs a Monte Carlo job and compares it with the first one. libdipole does not send a job again, so
+ * that a job which the daemon refuses for now is no failure. */
 static void walk(dipole_client *client) {
   static double known[8];
   const dipole_mc_query query = {.medium = medium_number(0),
@@ -295,7 +297,7 @@ static void walk(dipole_client *client) {
     return;
   }
   const double *R = dipole_mc_values(result, 0, DIPOLE_MC_REFLECTED);
-  if (known[0] == 0) { /* light leaves everywhere: it is no right value */
+  if (known[0] == 0) { /* R is never 0, so this is the first job */
     memcpy(known, R, sizeof known);
   } else if (memcmp(known, R, sizeof known) != 0) {
     fail("a wrong table of photons", NULL);
@@ -304,7 +306,7 @@ static void walk(dipole_client *client) {
   jobs++;
 }
 
-/* The beginning of a long answer. */
+/* Compares the first two parts of a long answer, then stops it. */
 static bool read_two_parts(void *context, const dipole_result *part, uint64_t radius_first) {
   unsigned *parts = context;
   const question *asked = &questions[question_count - 1];
@@ -348,7 +350,7 @@ int main(int argc, char **argv) {
     fail("soak-load ADDRESS SEED all|evals", NULL);
   }
   uint64_t random = strtoull(argv[2], NULL, 10);
-  const bool all = strcmp(argv[3], "all") == 0; /* evals: quick ones, which outlive their daemon */
+  const bool all = strcmp(argv[3], "all") == 0;
   slot slots[IN_FLIGHT] = {0};
   dipole_client *client = open_client(argv[1]);
   learn_all(client, !all);
