@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shutil
 import socket
 import subprocess
@@ -434,6 +435,8 @@ def test_pip_installs_it(tmp_path):
     subprocess.run([sys.executable, "-m", "pip", "install", *options, source], check=True)
     installed = sorted(path.name for path in (target / "dipole").iterdir() if path.is_file())
     assert installed == sorted(path.name for path in (source / "dipole").iterdir())
+    version = re.search(r"^VERSION := (\S+)", (REPOSITORY / "Makefile").read_text(), re.M)[1]
+    assert (target / f"dipole-{version}.dist-info").is_dir()
 
 
 def test_errors_of_a_private_daemon_appear(tmp_path):
