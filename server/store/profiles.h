@@ -16,10 +16,10 @@
  *
  * Why there is one table and no other store. Each store that the daemon once had was switched off
  * in a copy of the program, and both programs served the same load in turn: 25 ms each, 40 to 60
- * rounds, on two cores of a Xeon. A figure is how many times as much of the daemon's processor time a
- * request takes without the store (service.redis.dipoled.cpu, modbus.fc23.32.dipoled.cpu), as the
- * median of the rounds; two copies of the same program differ by up to 2 %. A store that earns less than 5 % of a ratio is
- * not kept.
+ * rounds, on two cores of a Xeon. A figure is how many times as much of the daemon's processor time
+ * a request takes without the store (service.redis.dipoled.cpu, modbus.fc23.32.dipoled.cpu), as the
+ * median of the rounds; two copies of the same program differ by up to 2 %. A store that earns less
+ * than 5 % of a ratio is not kept.
  *
  *   switched off                              service.redis   modbus.fc23.32   kept
  *   repeated requests (server/jobs/batch.h)   2.8             1.11             yes
