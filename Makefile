@@ -6,6 +6,7 @@
 #   make check-long the tests that take longer: packages in a new system, aarch64, long loads
 #   make soak       ten minutes at full load, SOAK_S seconds if given: answers and memory
 #   make check-pipeline  10 million requests from eight threads, each answer compared
+#   make truth      stated errors against exact values, SECONDS=60 of them, SEED=N or a new one
 #   make bench      every benchmark; build/bench GROUP runs one
 #   make docs       the tables in proto/*.md, from proto/*.def, and the manual pages
 #   make model-errors  core/model_errors.def, measured anew against exact solutions
@@ -56,12 +57,13 @@ MODBUS_CFLAGS = $(shell $(PKG_CONFIG) --cflags libmodbus)
 MODBUS_LIBS = $(shell $(PKG_CONFIG) --libs libmodbus)
 # What core's preparation uses. The archives' members are taken as needed, so that the client library
 # does without.
-# GSL=no builds without the model `gaussians`.
-GSL ?= yes
-ifeq ($(GSL),yes)
-CORE_LIBS = $(shell $(PKG_CONFIG) --libs gsl)
+# CMINPACK=no builds without the model `gaussians`.
+CMINPACK ?= yes
+ifeq ($(CMINPACK),yes)
+CORE_LIBS = $(shell $(PKG_CONFIG) --libs cminpack)
+$(BUILD)/obj/core/models/fit.o: EXTRA_CPPFLAGS = $(shell $(PKG_CONFIG) --cflags cminpack)
 else
-CPPFLAGS += -DCORE_WITHOUT_GSL
+CPPFLAGS += -DCORE_WITHOUT_CMINPACK
 endif
 
 # ---- what is built -------------------------------------------------------------------------------
@@ -98,12 +100,12 @@ TRADEOFF := $(call objects,$(wildcard core/tools/tradeoff/*.c) $(addprefix core/
 SOAK := $(call objects,$(wildcard tests/soak/*.c))
 PIPELINE := $(call objects,$(wildcard tests/pipeline/*.c))
 TESTS := $(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/accuracy/test_*.c tests/fuzz/test_*.c tests/unit/test_*.c))
-TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/bench/*.c tests/bits/*.c tests/e2e/*.c tests/pipeline/*.c tests/soak/*.c),$(wildcard tests/*/*.c)))
+TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/accuracy/truth.c tests/bench/*.c tests/bits/*.c tests/e2e/*.c tests/pipeline/*.c tests/soak/*.c),$(wildcard tests/*/*.c)))
 
 PROGRAMS := $(BUILD)/dipoled $(BUILD)/dipole $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-long check-structure check-unit check-bits check-bits-aarch64 check-e2e check-soak check-soak-long check-pipeline check-asan check-tsan soak bench docs model-errors tables tradeoff figures clean
+.PHONY: all setup demo check check-long check-structure check-unit check-bits check-bits-aarch64 check-e2e check-soak check-soak-long check-pipeline check-asan check-tsan soak truth bench docs model-errors tables tradeoff figures clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -193,6 +195,11 @@ $(BUILD)/wire-tables: $(OBJ)/proto/tools/wire_tables.o $(BUILD)/libproto.a $(BUI
 	$(call SAY,LD,$@)
 	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
 
+$(BUILD)/tests/accuracy/truth: $(call objects,tests/accuracy/truth.c tests/accuracy/reference.c tests/accuracy/reference_fresnel.c) $(BUILD)/libcore.a
+	@mkdir -p $(@D)
+	$(call SAY,LD,$@)
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lmpfr -lgmp $(CORE_LIBS) -lm
+
 $(BUILD)/tests/bits: $(OBJ)/tests/bits/bits.o $(BUILD)/libcore.a
 	@mkdir -p $(@D)
 	$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
@@ -207,6 +214,8 @@ CACHE_TESTS := test_cache test_profiles
 $(CACHE_TESTS:%=$(BUILD)/tests/unit/%): $(call objects,server/store/cache.c server/store/profiles.c server/observe/stats.c)
 $(CACHE_TESTS:%=$(BUILD)/tests/unit/%): TEST_LIBS = $(UV_LIBS)
 $(CACHE_TESTS:%=$(OBJ)/tests/unit/%.o): EXTRA_CPPFLAGS = $(UV_CFLAGS)
+
+$(BUILD)/tests/accuracy/test_models: TEST_LIBS = $(shell $(PKG_CONFIG) --libs gsl)
 
 # Its input and histograms likewise.
 $(BUILD)/tests/unit/test_histogram: $(call objects,server/observe/latency.c)
@@ -290,6 +299,12 @@ check-asan:
 check-tsan:
 	@sh .ci/install-packages
 	@$(MAKE) --no-print-directory BUILD=build-tsan SANITIZE='-fsanitize=thread' CFLAGS='-O1 -g' UNIT_LIMIT_S=3600 check
+
+# Random values of all models against their formulas in more digits, and the error that each states.
+SECONDS ?= 60
+SEED ?=
+truth: $(BUILD)/tests/accuracy/truth
+	$(BUILD)/tests/accuracy/truth $(SECONDS) $(SEED)
 
 bench: $(BUILD)/bench
 	$(BUILD)/bench

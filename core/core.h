@@ -30,8 +30,9 @@ enum core_dipole_switch {
 /* Of Burley's profile: which fit gives its width. */
 enum core_burley_fit { CORE_BURLEY_SEARCHLIGHT, CORE_BURLEY_DIFFUSE, CORE_BURLEY_DMFP };
 
-/* Of slabs: the transmitted profile instead of the reflected one. */
-enum { CORE_SLAB_TRANSMITTED = 8 };
+/* Of diffusing clouds, besides the dipole's switches: a slab's transmitted profile in place of the
+ * reflected one; a half space with the beam's source in place of a slab. */
+enum { CORE_SLAB_TRANSMITTED = 8, CORE_CLOUD_BEAM = 16 };
 
 enum core_model {
 #define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
@@ -228,10 +229,13 @@ typedef struct core_profile {
   double albedo; /* integral of 2 pi r R(r) from 0 to infinity; 0 when nothing scatters */
   /* Numerical error: a value at radius r is off from the model's exact formula by at most
    * numerical_error + numerical_error_per_mm * r, relative, or by 16 of the smallest subnormal
-   * numbers, whichever is more. Holds for R, cdf and (at r = 0, and in double precision for both
-   * evaluators) the albedo; for dR/dr and pdf with sigma_t' from 1e-6 to 1e6 per mm, sigma_a up to
-   * 1e6 sigma_s', eta from 0.2 to 5 and r 0 or from 1e-12 to 1e6 mean free paths 1 / sigma_t',
-   * beyond which they may underflow too early; for ln R see core_eval_f64(). */
+   * numbers, whichever is more. A value that is larger than the largest finite number of its
+   * precision is infinity. S is R times a number: what R loses by underflow or overflow, S loses
+   * times that number. The bound holds for R, S, cdf and (at r = 0, and in double precision for both
+   * evaluators) the albedo. It holds for dR/dr, pdf and 2 pi r R with sigma_t' from 1e-6 to 1e6 per
+   * mm, sigma_a up to 1e6 sigma_s', eta from 0.2 to 5 and r 0 or from 1e-12 to 1e6 mean free paths
+   * 1 / sigma_t', beyond which they may underflow too early. For ln R see core_eval_f64(). Where the
+   * albedo has underflowed to 0, cdf and pdf are 0. */
   double numerical_error;
   double numerical_error_per_mm;
   /* Model error: how far the model is from radiative transport, relative. NaN: not measured. */

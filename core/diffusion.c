@@ -13,15 +13,14 @@
 #define PI_SQUARED 9.86960440108935862
 #define SAFETY 8.0
 
-/* e^(-rate t - r^2 / (4 D t)) underflows for every r whose saddle point lies at p = SADDLE_LAST;
- * the Gaussian around it has the width 1 in p. */
-#define SADDLE_LAST 38.7
+/* e^(-p^2) is less than a rounding error from here on. */
 #define SADDLE_WIDTH 6.5
 
-/* Below it p = e^s to the last digit, and e^s is taken from its own exponent. */
+/* ln(1 + e^s). The rounding error of 1 + e is known, and is taken back. */
 static double softplus(double s) {
   const double e = real_exp(-fabs(s)).exp;
-  const double bend = e < 1e-5 ? e * (1 - e * (0.5 - e / 3)) : real_log(1 + e, 0);
+  const double sum = 1 + e;
+  const double bend = real_log(sum, 0) + (e - (sum - 1)) / sum;
   return s > 0 ? s + bend : bend;
 }
 
@@ -35,11 +34,17 @@ static double s_of_time(double scaled) {
   return p > 30 ? p : p < 1e-8 ? real_log(p, 0) : real_log(1 / real_exp(-p).exp - 1, 0);
 }
 
+double core_times_latest(double rate, double exponent) {
+  const double saddle = 2 * (sqrt(1 + 0.5 * exponent) - 1);
+  const double p = saddle + SADDLE_WIDTH;
+  return p * fma(0.25, p, 1) / rate;
+}
+
 core_times core_times_make(double rate, double earliest, double latest, double tolerance) {
   core_times times = {.rate = rate};
   times.step = PI_SQUARED / (SAFETY - real_log(tolerance, 0));
   times.first = s_of_time(rate * earliest);
-  const double last = fmin(SADDLE_LAST + SADDLE_WIDTH, s_of_time(rate * latest));
+  const double last = s_of_time(rate * latest);
   /* When the decay has ended everything before the earliest time, one node tells that. */
   times.count = (size_t)fmax(ceil((last - times.first) / times.step), 0) + 1;
   return times;
@@ -101,4 +106,29 @@ double core_erfcx_fall(double x, double further) {
               further * fma(x, y, -t * t) / (fma(t, t, x * x) * fma(t, t, y * y)), sum);
   }
   return 2 * H / 3.14159265358979323846 * sum;
+}
+
+/* ---- far away ---------------------------------------------------------------------------------
+ */
+
+/* Gauss-Hermite for the weight e^(-w^2 / 2): the positive nodes and their weights. */
+static const double hermite[][2] = {
+    {0.48493570751549764, 0.8638902213754461},   {1.4659890943911582, 0.3396072806420476},
+    {2.4843258416389546, 0.047905628056117255},  {3.581823483551927, 0.0019002020381229435},
+    {4.859462828332312, 1.0805203766271025e-05},
+};
+
+double core_diffusion_ln(double rate, double diffusion, double rho, core_diffusion_function *h,
+                         const void *context) {
+  const double exponent = rho * sqrt(rate / diffusion);
+  const double saddle = rho / (2 * sqrt(rate * diffusion));
+  double sum = 0;
+  for (size_t i = 0; i < sizeof hermite / sizeof hermite[0]; i++) {
+    const double sinh = hermite[i][0] / (2 * sqrt(exponent));
+    const double e = sinh + sqrt(fma(sinh, sinh, 1)); /* e^(u / 2) */
+    const double both = h(context, saddle * (e * e)) + h(context, saddle / (e * e));
+    sum += hermite[i][1] / sqrt(fma(sinh, sinh, 1)) * both;
+  }
+  const double per_four_pi = 0.07957747154594766788;
+  return real_log(per_four_pi / diffusion * sum, 0) - 0.5 * real_log(exponent, 0) - exponent;
 }

@@ -24,10 +24,15 @@ typedef struct core_times {
   double rate;
 } core_times;
 
-/* Nodes from time `earliest` on (what comes before is not needed) for a decay e^(-rate t), rate > 0,
- * or up to time `latest` where that comes before the decay has ended everything; tolerance: the
- * relative error of the sum, 1e-12 to 0.1. */
+/* Nodes from time `earliest` to time `latest` for a decay e^(-rate t), rate > 0: what comes before
+ * and after is not needed. tolerance: the relative error of the sum, 1e-12 to 0.1. There is at least
+ * one node. */
 core_times core_times_make(double rate, double earliest, double latest, double tolerance);
+
+/* The time after which nothing is left, for a decay e^(-rate t), of all profiles
+ * e^(-rate t - r^2 / (4 D t)) with r sqrt(rate / D) up to `exponent`. The saddle point of such a
+ * profile lies at p + p^2 / 4 = exponent / 2, and around it the profile is e^(-(change of p)^2). */
+double core_times_latest(double rate, double exponent);
 
 /* Node i: its time, and its weight: the sum of weight f(time) is the integral of f. */
 void core_times_node(const core_times *times, size_t i, double *time, double *weight);
@@ -38,5 +43,15 @@ void core_times_node(const core_times *times, size_t i, double *time, double *we
 double core_erfcx(double x);
 double core_erfcx_shortfall(double x);
 double core_erfcx_fall(double x, double further);
+
+/* ln of R(r) = int e^(-rate t) H(t) e^(-rho^2 / (4 D t)) / (4 pi D t) dt where R itself has
+ * underflowed: by a Gauss-Hermite rule around the saddle point t_0 of the exponentials, with
+ * t = t_0 e^u, E = rho sqrt(rate / D) and w = 2 sqrt(E) sinh(u / 2):
+ *   R = e^(-E) / (4 pi D) int H(t) e^(-w^2 / 2) / sqrt(E + w^2 / 4) dw
+ * E: at least 500, which makes the rule exact to a rounding error for an H that varies by powers of
+ * t. H is called with its context and t, and is positive. */
+typedef double core_diffusion_function(const void *context, double time);
+double core_diffusion_ln(double rate, double diffusion, double rho, core_diffusion_function *h,
+                         const void *context);
 
 #endif

@@ -5,6 +5,7 @@
  * chunks are cut.
  */
 #include <assert.h>
+#include <float.h>
 #include <math.h>
 
 #include "core/kernels.h"
@@ -40,6 +41,14 @@ static double ln_of_sum(double a, double b) {
   return apart > -700 ? more + real_log(1 + real_exp(apart).exp, 0) : more;
 }
 
+/* The cdf of a sum is 1 where both parts have come to their ends, so that rounding does not take it
+ * from 1 below it again. A part that scatters nothing has the cdf 0. */
+static double whole(double sum, double first, double second) {
+  const bool ended = real_max(first, second) >= 1 && (first >= 1 || !(first > 0)) &&
+                     (second >= 1 || !(second > 0));
+  return ended ? 1 : real_min(sum, REAL_BELOW_1);
+}
+
 static void add_chunk(const core_profile *profile, enum core_quantity quantity, size_t n,
                       const double *r, double *out) {
   double second[CHUNK];
@@ -51,7 +60,7 @@ static void add_chunk(const core_profile *profile, enum core_quantity quantity, 
   for (size_t i = 0; i < n; i++) {
     const double sum = fma(share0, out[i], share1 * second[i]);
     out[i] = quantity == CORE_QUANTITY_LN_R  ? ln_of_sum(out[i], second[i])
-             : quantity == CORE_QUANTITY_CDF ? real_min(sum, 1)
+             : quantity == CORE_QUANTITY_CDF ? whole(sum, out[i], second[i])
                                              : sum;
   }
 }
@@ -77,9 +86,8 @@ static double S_per_R(const core_profile *profile) {
          core_fresnel_transmittance(eta, profile->cos_out) / (3.14159265358979323846 * lost);
 }
 
-void core_eval_f64(const core_profile *profile, enum core_quantity quantity, size_t n,
-                   const double *r, double *out) {
-  assert(profile->evaluator == CORE_EVALUATOR_F64);
+static void evaluate_f64(const core_profile *profile, enum core_quantity quantity, size_t n,
+                         const double *r, double *out) {
   if (quantity != CORE_QUANTITY_S) {
     core_evaluate(profile, quantity, n, r, out);
     return;
@@ -89,6 +97,12 @@ void core_eval_f64(const core_profile *profile, enum core_quantity quantity, siz
   for (size_t i = 0; i < n; i++) {
     out[i] = factor > 0 ? out[i] * factor : 0; /* R may be infinite */
   }
+}
+
+void core_eval_f64(const core_profile *profile, enum core_quantity quantity, size_t n,
+                   const double *r, double *out) {
+  assert(profile->evaluator == CORE_EVALUATOR_F64);
+  evaluate_f64(profile, quantity, n, r, out);
 }
 
 static void sample(const core_profile *profile, size_t n, const double *u, double *r) {
@@ -132,10 +146,13 @@ static void widely(const core_profile *profile, unsigned quantity, size_t n, con
     if (quantity == 0) {
       sample(profile, count, wide_in, wide_out);
     } else {
-      core_evaluate(profile, quantity, count, wide_in, wide_out);
+      evaluate_f64(profile, quantity, count, wide_in, wide_out);
     }
     for (size_t i = 0; i < count; i++) {
-      out[done + i] = (float)wide_out[i];
+      /* rounding does not make 1 of a cdf that is not there yet */
+      const bool less = quantity == CORE_QUANTITY_CDF && wide_out[i] < 1;
+      const float rounded = (float)wide_out[i];
+      out[done + i] = less && rounded >= 1 ? 1 - FLT_EPSILON / 2 : rounded;
     }
   }
 }
@@ -156,14 +173,14 @@ static void evaluate_f32(const core_profile *profile, enum core_quantity quantit
 void core_eval_f32(const core_profile *profile, enum core_quantity quantity, size_t n,
                    const float *r, float *out) {
   assert(profile->evaluator != CORE_EVALUATOR_F64);
-  if (quantity != CORE_QUANTITY_S) {
+  if (quantity != CORE_QUANTITY_S || !is_narrow(profile)) {
     evaluate_f32(profile, quantity, n, r, out);
     return;
   }
   evaluate_f32(profile, CORE_QUANTITY_R, n, r, out);
-  const float factor = (float)S_per_R(profile);
+  const double factor = S_per_R(profile);
   for (size_t i = 0; i < n; i++) {
-    out[i] = factor > 0 ? out[i] * factor : 0; /* R may be infinite */
+    out[i] = factor > 0 ? (float)((double)out[i] * factor) : 0; /* R may be infinite */
   }
 }
 

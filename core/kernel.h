@@ -24,6 +24,7 @@ typedef uint64_t real_bits;
 #define REAL_LN2_HI 0x1.62e42fefa39efp-1
 #define REAL_LN2_LO 0x1.abc9e3b39803fp-56
 #define REAL_HALF_EPSILON 0x1p-53
+#define REAL_BELOW_1 0x1.fffffffffffffp-1 /* the largest number below 1 */
 #define REAL_SQRT_HALF_BITS UINT64_C(0x3fe6a09e667f3bcd)
 #define REAL_ONE_BITS UINT64_C(0x3ff0000000000000)
 /* e^x of a smaller x is as good as 0 beside 1; it stays a normal number. */
@@ -40,6 +41,7 @@ typedef uint32_t real_bits;
 #define REAL_LN2_HI 0x1.62e430p-1f
 #define REAL_LN2_LO (-0x1.05c610p-29f)
 #define REAL_HALF_EPSILON 0x1p-24f
+#define REAL_BELOW_1 0x1.fffffep-1f
 #define REAL_SQRT_HALF_BITS UINT32_C(0x3f3504f3)
 #define REAL_ONE_BITS UINT32_C(0x3f800000)
 #define REAL_EXP_MIN (-86.0f)

@@ -32,8 +32,8 @@ fi
 cross=aarch64-linux-gnu-gcc
 if command -v $cross >/dev/null 2>&1 && command -v qemu-aarch64 >/dev/null 2>&1; then
   env -u MAKEFLAGS -u MAKELEVEL make -s -j2 BUILD="$build/aarch64" CC=$cross SANITIZE= CFLAGS='-O2' \
-    GSL=no LDFLAGS=-static "$build/aarch64/tests/bits"
-  # The cross-build has no GSL and therefore lacks the model gaussians.
+    CMINPACK=no LDFLAGS=-static "$build/aarch64/tests/bits"
+  # The cross-build has no cminpack and therefore lacks the model gaussians.
   qemu-aarch64 "$build/aarch64/tests/bits" portable | grep -v '^gaussians ' >"$build/bits/aarch64"
   grep -v '^gaussians ' "$build/bits/portable" >"$build/bits/common"
   same aarch64 "$build/bits/common" "$build/bits/aarch64"

@@ -36,29 +36,35 @@ enum coefficient {
 #if CORE_REAL == 64
 
 #define FAR 1e100
+#define WHOLE                                                                                      \
+  120.0 /* 1 - cdf is less than a rounding error: rounding must not take it below 1 again */
+
+/* What is divided by r, and r, times UP: what underflows is the quotient, not the exponential. */
+#define UP_EXPONENT 64
+#define UP 0x1p64
 
 /* Everything is a polynomial of q = e^(-x / 3): e^(-x) + e^(-x/3) = q (1 + q^2). */
 static inline double burley_x(const double *c, double r) {
   return real_min(r * c[PER_D], FAR);
 }
 
-static inline double exponentials(double scale, double x) {
+static inline double exponentials(double scale, double x, double exponent) {
   const double third = x * (1.0 / 3);
   const double q = real_exp(-third).exp;
-  return real_times_exp(scale * real_fma(q, q, 1), -third, 0);
+  return real_times_exp(scale * real_fma(q, q, 1), -third, exponent);
 }
 
 static inline double burley_R(const double *c, double r) {
-  const double R = exponentials(c[R_SCALE], burley_x(c, r)) / r;
+  const double R = exponentials(c[R_SCALE], burley_x(c, r), UP_EXPONENT) / (r * UP);
   return c[LIMIT] > 0 ? R : 0;
 }
 
 static inline double burley_ring(const double *c, double r) {
-  return exponentials(c[RING_SCALE], burley_x(c, r));
+  return exponentials(c[RING_SCALE], burley_x(c, r), 0);
 }
 
 static inline double burley_pdf(const double *c, double r) {
-  return exponentials(c[PDF_SCALE], burley_x(c, r));
+  return exponentials(c[PDF_SCALE], burley_x(c, r), 0);
 }
 
 /* -R' = A / (8 pi d r) [(1 + q^2) q / r + (1/3 + q^2) q / d] */
@@ -67,7 +73,7 @@ static inline double burley_slope(const double *c, double r) {
   const double third = x * (1.0 / 3);
   const double q2 = real_exp(-2 * third).exp;
   const double sum = real_fma(x, q2 + 1.0 / 3, 1 + q2);
-  const double slope = -(real_times_exp(c[R_SCALE] * sum, -third, 0) / r) / r;
+  const double slope = -(real_times_exp(c[R_SCALE] * sum, -third, UP_EXPONENT) / r) / (r * UP);
   return c[LIMIT] > 0 ? slope : 0;
 }
 
@@ -76,7 +82,12 @@ static inline double burley_ln_R(const double *c, double r) {
   const double third = x * (1.0 / 3);
   const double q2 = real_exp(-2 * third).exp;
   const double kept = real_min(real_max(r, 1e-300), 1e300);
-  const double ln_R = real_log(c[R_SCALE] * (1 + q2), 0) - third - real_log(kept, 0);
+  /* one logarithm where the quotient allows it: near R = 1 two would cancel */
+  const double scale = c[R_SCALE] * (1 + q2);
+  const double quotient = scale / kept;
+  const bool normal = quotient > 1e-290 && quotient < 1e290;
+  const double ratio = real_log(normal ? quotient : scale, 0) - real_log(normal ? 1 : kept, 0);
+  const double ln_R = ratio - third;
   const double bounded = x < FAR ? ln_R : -(double)INFINITY;
   return c[LIMIT] > 0 ? (r > 0 ? bounded : (double)INFINITY) : -(double)INFINITY;
 }
@@ -89,7 +100,8 @@ static inline double share(double x) {
 }
 
 static inline double burley_cdf(const double *c, double r) {
-  return real_min(share(burley_x(c, r)), c[LIMIT]);
+  const double x = burley_x(c, r);
+  return c[LIMIT] > 0 ? (x < WHOLE ? real_min(share(x), REAL_BELOW_1) : 1) : 0;
 }
 
 /* With w = 1 - q the cdf is w (6 - 3 w + w^2) / 4 = (1 + w^3 - (1 - w)^3 ... ) / 4: a cubic whose

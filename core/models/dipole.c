@@ -42,7 +42,6 @@ enum coefficient {
   MU,         /* effective attenuation */
   INVERSE_MU, /* or a number so large that it stands for infinity */
   Z2,         /* height of the mirror source */
-  Z2_OVER_Z1,
   Z2_LESS_Z1,
   Z2_SQUARED,
   Z2_SQUARED_LESS_Z1_SQUARED,
@@ -67,6 +66,7 @@ enum coefficient {
   CDF_PHI_FAR,  /* fluence, by the attenuation of the sources' own depths */
   CDF_PHI_NEAR, /* and by their difference in distance */
   CDF_LIMIT,    /* the cdf at infinity: 1, or 0 when nothing scatters */
+  CDF_WHOLE,    /* the radius from which the cdf has rounded to that */
   CORE,         /* the cdf is at most (x / CORE)^2, and near that for small x */
   TAIL,         /* 1 - cdf is at most TAIL / d1 e^(-mu (d1 - z1)) */
   COEFFICIENTS
@@ -91,12 +91,14 @@ _Static_assert((int)COEFFICIENTS <= CORE_COEFFICIENTS_MAX, "the profile has room
 #define LN_R_FAR (REAL_Z1 * 1e100)
 #define SMALL_U 1e-30
 #define BRACKET_SLACK 1e-13
+#define SMALL_SCALE 0x1p-40
 enum { SAMPLE_STEPS = 9 };
 #else
 #define FAR 1e19f
 #define LN_R_FAR (REAL_Z1 * 1e12f)
 #define SMALL_U 1e-13f
 #define BRACKET_SLACK 1e-5f
+#define SMALL_SCALE 0x1p-40f
 enum { SAMPLE_STEPS = 7 };
 #endif
 
@@ -207,8 +209,9 @@ static inline struct within gather(const real *c, struct view v) {
   const real mu = c[MU];
   const real slope1 = v.x / (v.d1 + REAL_Z1); /* a1 / x */
   const real slope2 = v.x / (v.d2 + c[Z2]);
-  const real apart = v.apart + c[Z2_LESS_Z1]; /* slope1 slope2 apart is a1 - a2 */
-  const real slopes = slope1 * slope2;
+  /* slopes apart is a1 - a2; both are scaled, so that no factor of it underflows before it does */
+  const real apart = (v.apart + c[Z2_LESS_Z1]) * SMALL_SCALE;
+  const real slopes = (slope1 * (1 / SMALL_SCALE)) * slope2;
   const real_exp_values far = real_exp(-(mu * v.x) * slope2);
   const real_exp_values near = real_exp(-(mu * apart) * slopes);
 
@@ -227,8 +230,8 @@ static inline struct within gather(const real *c, struct view v) {
 static inline real dipole_cdf(const real *c, real r) {
   const struct view v = look_from(c, r);
   const struct within within = gather(c, v);
-  /* Rounding may leave the sum an ulp above its limit. */
-  return v.x < FAR ? real_min(within.cdf, c[CDF_LIMIT]) : c[CDF_LIMIT];
+  /* Rounding must not take the sum to 1 and back again. */
+  return v.x < c[CDF_WHOLE] ? real_min(within.cdf, REAL_BELOW_1) : c[CDF_LIMIT];
 }
 
 /* The inverse of the cdf, by Newton's method on ln(cdf / (1 - cdf)) over ln x, which is nearly a
@@ -406,7 +409,7 @@ static double set_energy(const struct dipole *dipole, double *c) {
 
 /* What brackets the inverse of the cdf; bounds, so plain double will do. */
 static void set_bracket(double *c) {
-  const double z2 = c[Z2_OVER_Z1];
+  const double z2 = c[Z2] / Z1;
   const double mu = c[MU] * Z1;
   const double phi_near = c[CDF_PHI_NEAR] * Z1;
   const real_exp_values mirror = real_exp(-mu * (z2 - 1));
@@ -415,6 +418,10 @@ static void set_bracket(double *c) {
   c[CORE] = phi + flux > 0 ? Z1 * sqrt(2 / (phi + flux)) : 0;
   c[TAIL] = Z1 * (c[CDF_FLUX_1] * (1 + z2) + 0.5 * phi_near * (z2 * z2 - 1));
   c[INVERSE_MU] = fmin(1 / c[MU], 1e30);
+  /* 1 - cdf is less than 2^-56 where e^(-mu (d1 - z1)) alone makes it so, or TAIL / d1 alone. */
+  const double tail = 0x1p56 * c[TAIL];
+  const double decayed = tail > Z1 ? Z1 + real_log(tail / Z1, 0) / c[MU] : Z1;
+  c[CDF_WHOLE] = fmin(fmin(tail, decayed), 1e19);
 }
 
 core_check_function core_dipole_check;
@@ -434,7 +441,6 @@ core_fault core_dipole_prepare(const core_inputs *inputs, core_preparation *prep
   double *c = preparation->coefficients;
   c[MU] = dd_round(dipole.mu) / Z1;
   c[Z2] = dd_round(z2) * Z1;
-  c[Z2_OVER_Z1] = dd_round(z2);
   c[Z2_LESS_Z1] = dd_round(dipole.z2_less_1) * Z1;
   c[Z2_SQUARED] = dd_round(dd_mul(z2, z2)) * (Z1 * Z1);
   c[Z2_SQUARED_LESS_Z1_SQUARED] = dd_round(dd_mul(dipole.z2_less_1, z2_plus_1)) * (Z1 * Z1);

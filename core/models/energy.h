@@ -17,7 +17,8 @@ static inline double energy_series(const double *series, double s) {
   return series[0] + s * next - 0.5 * after;
 }
 
-/* The cdf at r mm, from 0 to infinity. */
+/* The cdf at r mm, from 0 to infinity; 1 only where the table ends, so that rounding does not take it
+ * from there below 1 again. */
 static inline double energy_cdf(const double *table, double r) {
   const double first = table[CORE_ENERGY_FIRST_MM];
   const double panels = table[CORE_ENERGY_PANELS];
@@ -29,7 +30,8 @@ static inline double energy_cdf(const double *table, double r) {
   const double shrunk = real_min(real_log(real_max(r / first, 1e-300), 0), 0);
   const double fallen = real_exp(shrunk * table[CORE_ENERGY_POWER]).exp;
   const double below = r < first ? fallen * (1 - table[CORE_ENERGY_RISE] * shrunk) : 1;
-  return r > 0 ? real_min(real_max(inside * below, 0), 1) : 0;
+  const double bounded = real_min(real_max(inside * below, 0), REAL_BELOW_1);
+  return r > 0 ? (y < panels ? bounded : 1) : 0;
 }
 
 #endif

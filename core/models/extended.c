@@ -22,16 +22,15 @@
  * R is infinite at x = 0: like 1 / x (variant 0) or ln(1 / x) (variant 1).
  *
  * Domain: every medium that core_medium_check() accepts, with alpha'^2 below SOURCE_LEAST as good as
- * nothing; radii from LEAST mean free paths (smaller ones are continued by the limit; for variant 1
- * they are taken for LEAST, unless they are 0) to FAR ones (from where R falls like 1 / x^3 or has
- * underflowed).
+ * nothing; radii from LEAST mean free paths (smaller ones are continued by the limit) to FAR ones
+ * (from where R falls like 1 / x^3 or has underflowed).
  * Error: EXTENDED_ERROR + 8 epsilon (1 + mu x), relative.
  *
  * Every difference is written as a sum of positive terms, as in dipole.c.
  */
 #include "core/kernels.h"
 
-#define EXTENDED_ERROR 1e-13
+#define EXTENDED_ERROR 2.5e-13
 #define SOURCE_LEAST 1e-250
 
 /* The coefficients; lengths in mean free paths. Variant 1 has a table of them, which goes on with
@@ -51,6 +50,7 @@ enum coefficient {
   MIRROR_SHARE, /* e^(-2 mu z_b) */
   PHI_SHARE,    /* (1 - e^(-2 mu z_b)) / mu */
   CDF_LIMIT,    /* 1, or 0 when nothing scatters */
+  CDF_WHOLE,    /* in mean free paths, from where the cdf has rounded to that */
   ENERGY,       /* the table of variant 1 begins here */
 };
 
@@ -64,7 +64,7 @@ enum coefficient {
 #include "core/models/energy.h"
 
 #define DEPTH 38.0 /* what is deeper is less than a rounding error */
-#define LEAST 1e-30
+#define LEAST 1e-15
 #define FAR 1e100
 
 enum { LANES = 32, PANELS = 5 };
@@ -86,8 +86,8 @@ static void set_block(const double *c, size_t n, const double *r, struct block *
     b->edge[0][i] = 0;
     b->edge[1][i] = real_min(fifth, 2.5);
     b->edge[2][i] = real_min(2 * fifth, 7);
-    b->edge[3][i] = end - real_min(2 * fifth, 6);
-    b->edge[4][i] = end - real_min(fifth, 3);
+    b->edge[3][i] = end - real_min(2 * fifth, 9);
+    b->edge[4][i] = end - real_min(fifth, 3.5);
     b->edge[5][i] = end;
   }
 }
@@ -231,22 +231,31 @@ INTEGRATE(integrate_energy, energy_integrand)
     }                                                                                              \
   }
 
+/* The sum at a radius below LEAST for kappa < 1: it rises like 4 C_E ln(1 / x). */
+static inline double risen(const double *c, double x, double radius, double sum) {
+  const double ratio = radius < x ? x / real_max(radius, 1e-300) : 1;
+  return real_fma(4 * c[KAPPA] * c[FLUX], real_log(ratio, 0), sum);
+}
+
 /* x sum is finite at x = 0 for kappa = 1; so R is x sum over the radius. */
-static inline double finish_R(const double *c, double x, double radius, double sum) {
+static inline double finish_R(const double *c, double x, double radius, double near_sum) {
   const double far = real_min(x / radius, 1);
   const double near = c[KAPPA] > 0 && radius > 0 ? 1 : real_max(x / radius, 1);
+  const double sum = risen(c, x, radius, near_sum);
   const double R = real_times_exp(c[R_SCALE] * sum, -c[MU] * x, 0) * (far * far * far) * near;
   return c[CDF_LIMIT] > 0 ? R : 0;
 }
 
-static inline double finish_ring(const double *c, double x, double radius, double sum) {
+static inline double finish_ring(const double *c, double x, double radius, double near_sum) {
   const double far = radius > 0 ? real_min(x / radius, 1) : 1;
+  const double sum = risen(c, x, radius, near_sum);
   const double near = c[KAPPA] > 0 ? real_min(radius / x, 1) : 1;
   return real_times_exp(c[RING_SCALE] * (x * sum), -c[MU] * x, 0) * (far * far) * near;
 }
 
-static inline double finish_pdf(const double *c, double x, double radius, double sum) {
+static inline double finish_pdf(const double *c, double x, double radius, double near_sum) {
   const double far = radius > 0 ? real_min(x / radius, 1) : 1;
+  const double sum = risen(c, x, radius, near_sum);
   const double near = c[KAPPA] > 0 ? real_min(radius / x, 1) : 1;
   return real_times_exp(c[PDF_SCALE] * (x * sum), -c[MU] * x, 0) * (far * far) * near;
 }
@@ -259,7 +268,8 @@ static inline double finish_slope(const double *c, double x, double radius, doub
   return c[CDF_LIMIT] > 0 ? slope : 0;
 }
 
-static inline double finish_ln_R(const double *c, double x, double radius, double sum) {
+static inline double finish_ln_R(const double *c, double x, double radius, double near_sum) {
+  const double sum = risen(c, x, radius, near_sum);
   const double near = c[KAPPA] > 0 ? 1 : real_min(radius / x, 1);
   const double inside = real_log(c[R_SCALE] * sum, 0) - c[MU] * x;
   const double ln_R = near < 1 ? inside - real_log(real_max(near, 1e-300), 0) : inside;
@@ -268,8 +278,8 @@ static inline double finish_ln_R(const double *c, double x, double radius, doubl
 }
 
 static inline double finish_cdf(const double *c, double x, double radius, double sum) {
-  const double inside = real_min(c[CDF_SCALE] * sum, c[CDF_LIMIT]);
-  return radius > x ? c[CDF_LIMIT] : inside * real_min(radius / x, 1);
+  const double inside = real_min(c[CDF_SCALE] * sum, REAL_BELOW_1);
+  return radius > c[CDF_WHOLE] ? c[CDF_LIMIT] : inside * real_min(radius / x, 1);
 }
 
 KERNEL(eval_R, integrate_R, finish_R)
@@ -358,6 +368,11 @@ static double set_coefficients(const core_inputs *inputs, double *c) {
   c[CDF_LIMIT] = source > 0;
   const double bracket = c[FLUX] * (1 + mirror.exp) + c[PHI] * c[PHI_SHARE];
   c[CDF_SCALE] = (1 + c[MU]) / bracket;
+  /* 1 - cdf is at most tail e^(-mu x) and tail / x, from x = 1 on */
+  const double tail =
+      c[CDF_SCALE] * (c[FLUX] * (2 + c[TWO_ZB]) + c[PHI] * c[TWO_ZB] * (1 + c[TWO_ZB]));
+  const double many = 0x1p56 * tail;
+  c[CDF_WHOLE] = fmin(fmax(fmin(many, real_log(fmax(many, 1), 0) / c[MU]), 1), 1e100);
   return source * bracket / (1 + c[MU]);
 }
 

@@ -1,29 +1,27 @@
 /* A few Gaussians fitted to another model on a range of radii, for renderers that blur with them.
  *
  * The relative error (sum w_i e^(-b_i r^2)) / R(r) - 1 at POINTS radii in equal ratios is minimized
- * in the least squares sense over ln w_i and ln b_i, which keeps both positive, by GSL's
- * Levenberg-Marquardt (gsl_multifit_nlinear), from several starts: widths in equal ratios over
- * parts of the range. The best is rounded to single precision, so that the last digits of a
+ * in the least squares sense over ln w_i and ln b_i, which keeps both positive, by the
+ * Levenberg-Marquardt method of MINPACK (cminpack's lmder), from several starts: widths in equal
+ * ratios over parts of the range. The best is rounded to 24 bits, so that the last digits of a
  * machine's linear algebra do not matter, and then measured: the numerical error is the largest
  * relative deviation from the model found at CHECKS radii, and MARGIN more for what lies between.
  *
  * With a tolerance, the smallest number of Gaussians up to the one asked for (or the most there
  * may be) that meets it is taken; when none does, that is the answer.
  *
- * A build without GSL (make GSL=no) refuses the model and says so.
+ * A build without cminpack (make CMINPACK=no) refuses the model and says so.
  *
  * Domain: that of the model, and radii from fit_from to fit_to (FROM to TO mean free paths
  * 1 / sigma_t' when not given).
  */
 #include "core/models/gaussians.h"
 
-#ifndef CORE_WITHOUT_GSL
-#include <gsl/gsl_errno.h>
-#include <gsl/gsl_multifit_nlinear.h>
+#ifndef CORE_WITHOUT_CMINPACK
+#include <cminpack.h>
 #endif
 #include <math.h>
-#include <stdlib.h>
-#include <threads.h>
+#include <string.h>
 
 #define CORE_REAL 64
 #include "core/kernel.h"
@@ -31,29 +29,30 @@
 #define FROM 0.1
 #define TO 10.0
 #define MARGIN 1.02
+#define FIRST_STEP 1.0 /* its bound, in units of the scaled unknowns */
 #define GAUSSIANS 6
 #define GAUSSIANS_MOST 12 /* of the parameter's range */
 
-enum { POINTS = 100, CHECKS = 1000, STARTS = 2, STEPS_MAX = 100 };
+enum { POINTS = 100, CHECKS = 1000, STARTS = 2, CALLS_MAX = 200, UNKNOWNS = 2 * GAUSSIANS_MOST };
 
 core_check_function core_fit_check;
 core_prepare_function core_fit_prepare;
 
-#ifdef CORE_WITHOUT_GSL
+#ifdef CORE_WITHOUT_CMINPACK
 
-static const core_fault without_gsl = {"model", "another one: this build has no GSL to fit with",
-                                       0};
+static const core_fault without_cminpack = {
+    "model", "another one: this build has no cminpack to fit with", 0};
 
 core_fault core_fit_check(const core_inputs *inputs, core_radii_range *radii) {
   (void)inputs;
   (void)radii;
-  return without_gsl;
+  return without_cminpack;
 }
 
 core_fault core_fit_prepare(const core_inputs *inputs, core_preparation *preparation) {
   (void)inputs;
   (void)preparation;
-  return without_gsl;
+  return without_cminpack;
 }
 
 #else
@@ -151,105 +150,78 @@ static double deviation(const core_gaussian *gaussians, size_t count, const stru
 /* ---- fitting ----------------------------------------------------------------------------------
  */
 
-/* GSL takes ln w_0, ln b_0, ln w_1, ...; they are kept where nothing overflows. */
+/* The unknowns are ln w_0, ln b_0, ln w_1, ...; they are kept where nothing overflows. */
 static double bounded_exp(double x) {
   return real_exp_signed(fmin(fmax(x, -600), 600));
 }
 
-static int residuals(const gsl_vector *x, void *context, gsl_vector *f) {
+/* As lmder() calls it: with task 1 the residuals f[m], with task 2 their derivatives J by columns. */
+static int residuals(void *context, int m, int n, const double *x, double *f, double *J, int rows,
+                     int task) {
   const struct samples *samples = context;
-  for (size_t j = 0; j < samples->count; j++) {
+  for (int j = 0; j < m; j++) {
+    const double squared = samples->r[j] * samples->r[j];
     double sum = 0;
-    for (size_t i = 0; i < x->size / 2; i++) {
-      const double rate = bounded_exp(gsl_vector_get(x, 2 * i + 1));
-      const double exponent = gsl_vector_get(x, 2 * i) - rate * samples->r[j] * samples->r[j];
-      sum += bounded_exp(exponent) / samples->R[j];
+    for (int i = 0; i < n; i += 2) {
+      const double slope = bounded_exp(x[i + 1]) * squared;
+      const double value = bounded_exp(x[i] - slope) / samples->R[j];
+      sum += value;
+      if (task == 2) {
+        J[j + rows * i] = value;
+        J[j + rows * (i + 1)] = -value * slope;
+      }
     }
-    gsl_vector_set(f, j, sum - 1);
-  }
-  return GSL_SUCCESS;
-}
-
-static int derivatives(const gsl_vector *x, void *context, gsl_matrix *J) {
-  const struct samples *samples = context;
-  for (size_t j = 0; j < samples->count; j++) {
-    for (size_t i = 0; i < x->size / 2; i++) {
-      const double rate = bounded_exp(gsl_vector_get(x, 2 * i + 1));
-      const double slope = rate * samples->r[j] * samples->r[j];
-      const double value = bounded_exp(gsl_vector_get(x, 2 * i) - slope) / samples->R[j];
-      gsl_matrix_set(J, j, 2 * i, value);
-      gsl_matrix_set(J, j, 2 * i + 1, -value * slope);
+    if (task == 1) {
+      f[j] = sum - 1;
     }
   }
-  return GSL_SUCCESS;
+  return 0;
 }
 
 /* Widths in equal ratios over a part of the range; each Gaussian carries its share of R where it
  * bends. */
-static void start_at(gsl_vector *x, const struct samples *samples, int start) {
+static void start_at(double *x, size_t count, const struct samples *samples, int start) {
   static const double parts[STARTS][2] = {{0.05, 0.75}, {0, 0.9}};
-  const size_t count = x->size / 2;
   for (size_t i = 0; i < count; i++) {
     const double along = count > 1 ? (double)i / (double)(count - 1) : 0.5;
     const double part = parts[start][0] + along * (parts[start][1] - parts[start][0]);
     const size_t at = 1 + (size_t)(part * (double)(samples->count - 2));
     const double width = samples->r[at] / 1.5;
-    gsl_vector_set(x, 2 * i, real_log(samples->R[at], 0));
-    gsl_vector_set(x, 2 * i + 1, -real_log(2 * width * width, 0));
+    x[2 * i] = real_log(samples->R[at], 0);
+    x[2 * i + 1] = -real_log(2 * width * width, 0);
   }
 }
 
-static void take(const gsl_vector *x, core_gaussian *gaussians) {
-  for (size_t i = 0; i < x->size / 2; i++) {
-    gaussians[i].weight = bounded_exp(gsl_vector_get(x, 2 * i));
-    gaussians[i].rate = bounded_exp(gsl_vector_get(x, 2 * i + 1));
-    /* to 24 bits */
-    const double huge = gaussians[i].weight * 0x1p29;
-    gaussians[i].weight = (gaussians[i].weight + huge) - huge;
-    const double fast = gaussians[i].rate * 0x1p29;
-    gaussians[i].rate = (gaussians[i].rate + fast) - fast;
-  }
+/* To 24 bits. */
+static double rounded(double value) {
+  const double huge = value * 0x1p29;
+  return (value + huge) - huge;
 }
 
-/* GSL's own handler ends the program; here its functions return what is wrong. */
-static once_flag handler_once = ONCE_FLAG_INIT;
-
-static void turn_handler_off(void) {
-  gsl_set_error_handler_off();
-}
-
-/* The best of all starts for so many Gaussians; its largest deviation, INFINITY when memory has run
- * out. */
+/* The best of all starts for so many Gaussians; returns its largest deviation. */
 static double fit(struct samples *points, const struct samples *checks, size_t count,
                   core_gaussian *best) {
-  call_once(&handler_once, turn_handler_off);
-  const gsl_multifit_nlinear_parameters settings = gsl_multifit_nlinear_default_parameters();
-  gsl_multifit_nlinear_workspace *work =
-      gsl_multifit_nlinear_alloc(gsl_multifit_nlinear_trust, &settings, points->count, 2 * count);
-  gsl_vector *x = gsl_vector_alloc(2 * count);
+  const int unknowns = 2 * (int)count;
   double least = (double)INFINITY;
-  for (int start = 0; start < STARTS && work != NULL && x != NULL; start++) {
-    gsl_multifit_nlinear_fdf problem = {
-        .f = residuals, .df = derivatives, .n = points->count, .p = 2 * count, .params = points};
+  for (int start = 0; start < STARTS; start++) {
+    double x[UNKNOWNS], f[POINTS], J[POINTS * UNKNOWNS], scale[UNKNOWNS], qtf[UNKNOWNS];
+    double work[3][UNKNOWNS], more_work[POINTS];
+    int pivots[UNKNOWNS], calls, derivative_calls;
     core_gaussian gaussians[GAUSSIANS_MOST];
-    int info;
-    start_at(x, points, start);
-    gsl_multifit_nlinear_init(x, &problem, work);
-    gsl_multifit_nlinear_driver(STEPS_MAX, 1e-10, 1e-10, 1e-12, NULL, NULL, &info, work);
-    take(gsl_multifit_nlinear_position(work), gaussians);
+    start_at(x, count, points, start);
+    /* Where it stops is good whatever it says: what counts is the deviation. */
+    lmder(residuals, points, POINTS, unknowns, x, f, J, POINTS, 1e-12, 1e-10, 0, CALLS_MAX, scale,
+          1, FIRST_STEP, 0, &calls, &derivative_calls, pivots, qtf, work[0], work[1], work[2],
+          more_work);
+    for (size_t i = 0; i < count; i++) {
+      gaussians[i].weight = rounded(bounded_exp(x[2 * i]));
+      gaussians[i].rate = rounded(bounded_exp(x[2 * i + 1]));
+    }
     const double worst = deviation(gaussians, count, checks);
     if (worst < least) {
       least = worst;
-      for (size_t i = 0; i < count; i++) {
-        best[i] = gaussians[i];
-      }
+      memcpy(best, gaussians, count * sizeof *best);
     }
-  }
-  if (x != NULL) {
-    gsl_vector_free(x);
-  }
-  if (work != NULL) {
-    gsl_multifit_nlinear_free(work);
   }
   return least;
 }
@@ -273,13 +245,10 @@ static core_fault fit_profile(const core_inputs *inputs, const core_profile *pro
     count++;
     error = MARGIN * fit(&points, &checks, count, gaussians);
   }
-  if (!(error < (double)INFINITY)) {
-    return CORE_OUT_OF_MEMORY;
-  }
   if (asks && error > tolerance) {
     return (core_fault){"tolerance", "what a fit reaches: more gaussians or a shorter range", 0};
   }
-  const core_fault fault = core_gaussians_table(gaussians, count, 0, preparation);
+  const core_fault fault = core_gaussians_table(gaussians, count, NULL, preparation);
   preparation->error = error;
   return fault;
 }

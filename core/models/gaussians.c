@@ -4,8 +4,9 @@
  *   energy within r = sum pi w_i / b_i (1 - e^(-b_i r^2))
  *
  * Domain: radii from 0 to infinity. Where a sum stands for a profile that diverges like 1 / r at the
- * source, it ends at a least radius, from where R is continued like 1 / r.
- * Error: 4 epsilon (1 + b r^2) with the smallest b, on top of that of the weights.
+ * source, it ends at a least radius, from where R is continued like 1 / r; core/models/gaussians.h
+ * has the other ends.
+ * Error: 16 epsilon and 2 epsilon b r^2 with the smallest b, on top of that of the weights.
  *
  * Skin: d'Eon, Luebke 2007, "Advanced techniques for realistic real-time skin rendering" (GPU Gems
  * 3, chapter 14): six Gaussians with given variances v, w e^(-r^2 / (2 v)) / (2 pi v), fitted to a
@@ -32,7 +33,7 @@ static inline double term(const double *c, size_t k, int field) {
 
 /* Kept where the squares of radii do not overflow; all has underflowed long before. */
 static inline double begin(const double *c, double r) {
-  return real_min(real_max(r, c[GAUSSIANS_LEAST_MM]), 1e150);
+  return real_min(real_min(real_max(r, c[GAUSSIANS_LEAST_MM]), c[GAUSSIANS_MOST_MM]), 1e150);
 }
 
 static inline double R_term(const double *c, size_t k, double x) {
@@ -55,46 +56,62 @@ BLOCK_SUM(sum_R, term_count, R_term)
 BLOCK_SUM(sum_slope, term_count, slope_term)
 BLOCK_SUM(sum_energy, term_count, energy_term)
 
-/* The slowest Gaussian, which all terms share. */
-static inline double shared(const double *c, double x, double sum) {
-  return real_times_exp(sum, -(x * x) * c[GAUSSIANS_SLOWEST], 0);
+static inline double exponent_of(const double *c, double x) {
+  return real_fma(x * x, c[GAUSSIANS_SLOWEST], c[GAUSSIANS_SHIFT]);
 }
 
-/* 1 but below the least radius. */
-static inline double continued(double r, double x) {
-  return r < x ? x / r : 1;
+/* The slowest Gaussian, which all terms share. */
+static inline double shared(const double *c, double x, double sum) {
+  return real_times_exp(sum, -exponent_of(c, x), 0);
+}
+
+/* x e^(-exponent) sum: what underflows is the product, not a factor of it. */
+static inline double times_radius(double x, double sum, double exponent) {
+  return x * real_times_exp(sum, -exponent, 64);
+}
+
+/* x / r: less than 1 beyond the largest radius, 1 below it. */
+static inline double beyond(double r, double x) {
+  return r > x ? x / r : 1;
 }
 
 static inline double finish_R(const double *c, double r, double x, double sum) {
   const double R = shared(c, x, sum);
-  return R > 0 ? R * real_max(continued(r, x), 1) : 0;
+  const double far = beyond(r, x);
+  return R > 0 ? R * (r < x ? x / r : 1) * (far * far * far) : 0;
 }
 
 static inline double finish_ring(const double *c, double r, double x, double sum) {
-  (void)r;
-  return 6.28318530717958647693 * (x * shared(c, x, sum));
+  const double far = beyond(r, x);
+  const double ring = 6.28318530717958647693 * times_radius(x, sum, exponent_of(c, x));
+  return ring * (far * far) * 0x1p-64;
 }
 
 static inline double finish_pdf(const double *c, double r, double x, double sum) {
-  return finish_ring(c, r, x, sum) * c[GAUSSIANS_PER_ALBEDO];
+  const double far = beyond(r, x);
+  const double exponent = (x * x) * c[GAUSSIANS_SLOWEST];
+  const double ring = 6.28318530717958647693 * times_radius(x, sum, exponent);
+  return ring * (far * far) * c[GAUSSIANS_PER_ALBEDO] * 0x1p-64;
 }
 
 static inline double finish_slope(const double *c, double r, double x, double sum) {
-  (void)r;
-  return -2 * (x * shared(c, x, sum));
+  const double far = beyond(r, x);
+  const double falling = 2 * times_radius(x, sum, exponent_of(c, x));
+  return -falling * (far * far) * (far * far) * 0x1p-64;
 }
 
 static inline double finish_ln_R(const double *c, double r, double x, double sum) {
-  const double ln_R = real_fma(-(x * x), c[GAUSSIANS_SLOWEST], real_log(real_max(sum, 1e-300), 0));
+  const double ln_R = real_log(real_max(sum, 1e-300), 0) - exponent_of(c, x);
   const double nearer = r < x ? real_log(x / real_max(r, 1e-300), 0) : 0;
-  const double bounded = x < 1e150 ? ln_R + nearer : -(double)INFINITY;
+  const double further = r > x ? 3 * real_log(real_min(r, 1e300) / x, 0) : 0;
+  const double bounded = x < 1e150 && r < 1e300 ? ln_R + nearer - further : -(double)INFINITY;
   const double limited = r > 0 || c[GAUSSIANS_LEAST_MM] <= 0 ? bounded : (double)INFINITY;
-  return c[GAUSSIANS_LIMIT] > 0 ? limited : -(double)INFINITY;
+  return sum > 0 ? limited : -(double)INFINITY;
 }
 
 static inline double finish_cdf(const double *c, double r, double x, double sum) {
   const double inside = c[GAUSSIANS_LEAST_CDF] * (r < x ? r / x : 1);
-  return real_min(inside + sum, c[GAUSSIANS_LIMIT]);
+  return r > x ? c[GAUSSIANS_LIMIT] : real_min(inside + sum, c[GAUSSIANS_LIMIT]);
 }
 
 /* Below the least radius -dR/dr is R / r, not the sum's. */
@@ -106,10 +123,20 @@ static inline double finish_steep(const double *c, double r, double x, double su
 BLOCK_KERNEL(eval_R, begin, sum_R, finish_R)
 BLOCK_KERNEL(eval_ring, begin, sum_R, finish_ring)
 BLOCK_KERNEL(eval_pdf, begin, sum_R, finish_pdf)
-BLOCK_KERNEL(eval_ln_R, begin, sum_R, finish_ln_R)
+BLOCK_KERNEL(eval_ln_sum, begin, sum_R, finish_ln_R)
 BLOCK_KERNEL(eval_cdf, begin, sum_energy, finish_cdf)
 BLOCK_KERNEL(eval_sum_slope, begin, sum_slope, finish_slope)
 BLOCK_KERNEL(eval_steep, begin, sum_R, finish_steep)
+
+static void eval_ln_R(const double *restrict c, size_t n, const double *restrict r,
+                      double *restrict out) {
+  eval_ln_sum(c, n, r, out);
+  for (size_t i = 0; i < n; i++) {
+    if (r[i] > c[GAUSSIANS_FAR_MM]) {
+      out[i] = core_cloud_ln_R(&c[GAUSSIANS_FAR], r[i]);
+    }
+  }
+}
 
 static void eval_slope(const double *restrict c, size_t n, const double *restrict r,
                        double *restrict out) {
@@ -141,6 +168,7 @@ CORE_KERNEL_TABLE_NONE(gaussians);
 #else /* preparation, compiled once */
 
 #include <stdlib.h>
+#include <string.h>
 
 #define CORE_REAL 64
 #include "core/kernel.h"
@@ -154,16 +182,20 @@ CORE_KERNEL_TABLE_NONE(gaussians);
 core_check_function core_gaussians_check;
 core_prepare_function core_gaussians_prepare;
 
+/* Of those that are there. */
 static double slowest_of(const core_gaussian *gaussians, size_t count) {
-  double slowest = gaussians[0].rate;
-  for (size_t i = 1; i < count; i++) {
-    slowest = fmin(slowest, gaussians[i].rate);
+  double slowest = (double)INFINITY;
+  for (size_t i = 0; i < count; i++) {
+    slowest = gaussians[i].weight > 0 ? fmin(slowest, gaussians[i].rate) : slowest;
   }
-  return slowest;
+  return slowest < (double)INFINITY ? slowest : gaussians[0].rate;
 }
 
-core_fault core_gaussians_table(const core_gaussian *gaussians, size_t count, double least_mm,
-                                core_preparation *preparation) {
+core_fault core_gaussians_table(const core_gaussian *gaussians, size_t count,
+                                const core_gaussian_ends *ends, core_preparation *preparation) {
+  static const core_gaussian_ends none = {.most_mm = (double)INFINITY, .far_mm = (double)INFINITY};
+  const core_gaussian_ends *given = ends != NULL ? ends : &none;
+  const double least_mm = given->least_mm;
   const double pi = 3.14159265358979323846;
   preparation->table_bytes = (GAUSSIANS_TERMS + count * GAUSSIANS_FIELDS) * sizeof(double);
   double *c = malloc(preparation->table_bytes);
@@ -172,36 +204,44 @@ core_fault core_gaussians_table(const core_gaussian *gaussians, size_t count, do
   }
   const double slowest = slowest_of(gaussians, count);
   double at_least = 0; /* R at the least radius */
-  double energy = 0;   /* beyond it */
+  double energy = 0;   /* beyond it; both times e^shift */
   for (size_t i = 0; i < count; i++) {
     double *to = &c[GAUSSIANS_TERMS + i * GAUSSIANS_FIELDS];
     const double left =
         gaussians[i].weight * real_exp(-gaussians[i].rate * least_mm * least_mm).exp;
     to[GAUSSIANS_WEIGHT] = gaussians[i].weight;
-    to[GAUSSIANS_FASTER] = gaussians[i].rate - slowest;
+    to[GAUSSIANS_FASTER] = fmax(gaussians[i].rate - slowest, 0);
     to[GAUSSIANS_SHARE] = pi * left / gaussians[i].rate;
     at_least += left;
     energy += to[GAUSSIANS_SHARE];
   }
   const double near_energy = 2 * pi * least_mm * least_mm * at_least;
-  const bool scatters = near_energy + energy >= ALBEDO_LEAST;
-  const double albedo = scatters ? near_energy + energy : 0;
-  const double per_albedo = scatters ? 1 / albedo : 0;
+  const double whole = near_energy + energy;
+  const double albedo = real_times_exp(whole, -given->shift, 0);
+  const bool shines = whole >= ALBEDO_LEAST;
+  const bool scatters = shines && albedo > 0; /* else all shares are unknown */
+  const double per_whole = scatters ? 1 / whole : 0;
   for (size_t i = 0; i < count; i++) {
     double *to = &c[GAUSSIANS_TERMS + i * GAUSSIANS_FIELDS];
-    to[GAUSSIANS_WEIGHT] = scatters ? to[GAUSSIANS_WEIGHT] : 0;
-    to[GAUSSIANS_SHARE] *= per_albedo;
+    to[GAUSSIANS_WEIGHT] = shines ? to[GAUSSIANS_WEIGHT] : 0;
+    to[GAUSSIANS_SHARE] *= per_whole;
   }
   c[GAUSSIANS_COUNT] = (double)count;
   c[GAUSSIANS_SLOWEST] = slowest;
+  c[GAUSSIANS_SHIFT] = given->shift;
   c[GAUSSIANS_LEAST_MM] = least_mm;
-  c[GAUSSIANS_LEAST_CDF] = near_energy * per_albedo;
+  c[GAUSSIANS_LEAST_CDF] = near_energy * per_whole;
   c[GAUSSIANS_LIMIT] = scatters;
-  c[GAUSSIANS_PER_ALBEDO] = per_albedo;
+  c[GAUSSIANS_PER_ALBEDO] = per_whole;
+  c[GAUSSIANS_MOST_MM] = given->most_mm;
+  c[GAUSSIANS_FAR_MM] = shines ? given->far_mm : (double)INFINITY;
+  memcpy(&c[GAUSSIANS_FAR], given->far, sizeof given->far);
   preparation->table = c;
-  preparation->albedo = albedo;
+  preparation->albedo = scatters ? albedo : 0;
   preparation->cost = 1 + COST_PER_TERM * (double)count;
   preparation->error_epsilons = 16;
+  /* Where R has not underflowed, slowest r^2 < 745 and so less than r sqrt(745 slowest). */
+  preparation->error_epsilons_per_mm = 2 * sqrt(745 * slowest);
   return (core_fault){0};
 }
 
@@ -230,7 +270,7 @@ core_fault core_gaussians_prepare(const core_inputs *inputs, core_preparation *p
   }
   preparation->notes = CORE_NOTE_MEDIUM_UNUSED;
   preparation->scale_mm = 0.5;
-  return core_gaussians_table(gaussians, SKIN_GAUSSIANS, 0, preparation);
+  return core_gaussians_table(gaussians, SKIN_GAUSSIANS, NULL, preparation);
 }
 
 #endif

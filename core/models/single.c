@@ -28,7 +28,7 @@
  * R is infinite at r = 0, where 2 pi r R is not.
  *
  * Domain: eta from SINGLE_ETA_MIN to SINGLE_ETA_MAX, an albedo below ALBEDO_LEAST is as good as
- * nothing; ln R up to FAR mean free paths 1 / sigma_t.
+ * nothing.
  * Error: SINGLE_ERROR + 4 epsilon (1 + sigma_t r e^(u_c)), relative.
  */
 #include "core/kernels.h"
@@ -44,6 +44,7 @@ enum coefficient {
   PDF_SCALE,        /* 2 pi sigma_s / albedo */
   CDF_SCALE,        /* 2 pi sigma_s / (sigma_t albedo) */
   CDF_LIMIT,        /* 1, or 0 when nothing scatters */
+  FAR_POWER,        /* the power of 1 / tau with which the sum falls far away */
   NODES_BEGIN,      /* for each node: */
   NODE_FURTHER = 0, /* E - e^(u_c) */
   NODE_WEIGHT,      /* w */
@@ -62,6 +63,10 @@ enum { ZONE_PANELS = 18, TAIL_PANELS = 9, NODES = 16 * (ZONE_PANELS + TAIL_PANEL
 #include "core/models/blocks.h"
 
 #define FAR 1e9
+
+/* What is divided by r, and r, times UP: what underflows is the quotient, not the exponential. */
+#define UP_EXPONENT 64
+#define UP 0x1p64
 
 static inline size_t node_count(const double *c) {
   (void)c;
@@ -99,13 +104,13 @@ static inline double begin(const double *c, double r) {
 }
 
 static inline double finish_R(const double *c, double r, double tau, double sum) {
-  const double ring = real_times_exp(c[R_SCALE] * sum, -c[EXPONENT] * tau, 0);
-  return c[CDF_LIMIT] > 0 ? ring / r : 0;
+  const double ring = real_times_exp(c[R_SCALE] * sum, -c[EXPONENT] * tau, UP_EXPONENT);
+  return c[CDF_LIMIT] > 0 ? ring / (r * UP) : 0;
 }
 
 static inline double finish_slope(const double *c, double r, double tau, double sum) {
-  const double ring = real_times_exp(c[R_SCALE] * sum, -c[EXPONENT] * tau, 0);
-  return c[CDF_LIMIT] > 0 ? -(ring / r) / r : 0;
+  const double ring = real_times_exp(c[R_SCALE] * sum, -c[EXPONENT] * tau, UP_EXPONENT);
+  return c[CDF_LIMIT] > 0 ? -(ring / r) / (r * UP) : 0;
 }
 
 static inline double finish_ring(const double *c, double r, double tau, double sum) {
@@ -118,11 +123,24 @@ static inline double finish_pdf(const double *c, double r, double tau, double su
   return real_times_exp(c[PDF_SCALE] * sum, -c[EXPONENT] * tau, 0);
 }
 
-static inline double finish_ln_R(const double *c, double r, double tau, double sum) {
+/* The nodes resolve what is next to the critical angle up to FAR; from there on the sum falls by a
+ * power of tau. */
+static inline double begin_ln_R(const double *c, double r) {
+  return real_min(r * c[SIGMA_T], FAR);
+}
+
+static inline double finish_ln_R(const double *c, double r, double near, double sum) {
+  const double tau = real_max(r * c[SIGMA_T], near);
   const double positive = real_max(c[R_SCALE] * sum, 1e-300);
-  const double ln_ring = real_fma(-c[EXPONENT], tau, real_log(positive, 0));
-  const double ln_R = ln_ring - real_log(real_min(real_max(r, 1e-300), 1e300), 0);
-  const double bounded = tau <= FAR ? ln_R : -(double)INFINITY;
+  const double further = tau > FAR && tau < 1e100 ? tau * (1 / FAR) : 1;
+  const double kept = real_min(real_max(r, 1e-300), 1e300);
+  /* one logarithm where the quotient allows it: near R = 1 two would cancel */
+  const double quotient = positive / kept;
+  const bool normal = quotient > 1e-290 && quotient < 1e290;
+  const double ratio = real_log(normal ? quotient : positive, 0) - real_log(normal ? 1 : kept, 0);
+  const double fallen = real_fma(-c[FAR_POWER], real_log(further, 0), ratio);
+  const double ln_R = real_fma(-c[EXPONENT], real_min(tau, 1e100), fallen);
+  const double bounded = tau < 1e100 ? ln_R : -(double)INFINITY;
   return c[CDF_LIMIT] > 0 ? (r > 0 ? bounded : (double)INFINITY) : -(double)INFINITY;
 }
 
@@ -136,7 +154,7 @@ BLOCK_KERNEL(eval_R, begin, sum_R, finish_R)
 BLOCK_KERNEL(eval_slope, begin, sum_slope, finish_slope)
 BLOCK_KERNEL(eval_ring, begin, sum_R, finish_ring)
 BLOCK_KERNEL(eval_pdf, begin, sum_R, finish_pdf)
-BLOCK_KERNEL(eval_ln_R, begin, sum_R, finish_ln_R)
+BLOCK_KERNEL(eval_ln_R, begin_ln_R, sum_R, finish_ln_R)
 BLOCK_KERNEL(eval_cdf, begin, sum_energy, finish_cdf)
 
 CORE_KERNEL_TABLE(single, .evaluate = {
@@ -303,6 +321,9 @@ core_fault core_single_prepare(const core_inputs *inputs, core_preparation *prep
   c[PDF_SCALE] = scatters ? c[RING_SCALE] / preparation->albedo : 0;
   c[CDF_SCALE] = 1 / energy;
   c[CDF_LIMIT] = scatters;
+  /* w is like a power of the distance from the critical angle: of T = 1, of T like its root, and of T
+   * at grazing incidence */
+  c[FAR_POWER] = medium->eta > 1 ? 1.5 : medium->eta < 1 ? 3 : 2;
   preparation->table = c;
   preparation->error = SINGLE_ERROR;
   preparation->error_epsilons = 4;

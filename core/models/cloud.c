@@ -1,0 +1,331 @@
+/* Light as a cloud that diffuses: quantized diffusion and the multipole, as sums of Gaussians.
+ *
+ * A cloud that starts at time 0 spreads like e^(-r^2 / (4 D t)) / (4 pi D t) across, and what leaves
+ * at time t depends on depth alone. With lengths in mean free paths 1 / sigma_t' and times in mean
+ * free paths of light,
+ *
+ *   R(r) = p int e^(-sigma_a t) leaves(t) e^(-r^2 / (4 D t)) / (4 pi D t) dt
+ *
+ * A rule for the integral over time (core/diffusion.h) makes R a sum of Gaussians, all of them
+ * positive: R > 0 and exact at every r. D, z_b, C_phi and C_E are those of the dipole's switches
+ * (d'Eon 2012, Table 2).
+ *
+ * Quantized diffusion (CORE_CLOUD_BEAM): d'Eon and Irving 2011, "A quantized-diffusion model for
+ * rendering translucent materials"; the half space and the beam's source along all depths. The rule
+ * takes the place of the paper's piecewise constant one. With v = 2 D t,
+ *
+ *   w_phi(v, d) = 1 / 2 e^(-d^2 / (2 v)) erfcx((d + v) / sqrt(2 v))
+ *   w_phiR = w_phi(v, 0) - w_phi(v, 2 z_b)
+ *   w_E(v, d) = D [e^(-d^2 / (2 v)) / sqrt(2 pi v) - w_phi(v, d)],  w_ER = w_E(v, 0) + w_E(v, 2 z_b)
+ *   leaves(t) = C_phi w_phiR + C_E w_ER
+ *
+ * The exact formula is the continuous limit, the model `extended`.
+ *
+ * Multipole: Donner, Jensen 2005, "Light diffusion in multi-layered translucent materials"; a slab of
+ * thickness d and a point source at depth 1. With L = d + 2 z_b there are positive poles at 2 i L + 1
+ * and negative ones at 2 i L - 1 - 2 z_b for every integer i. leaves(t) is a sum over these poles
+ * while the cloud is young, and the sum over the boundaries' sine modes (Poisson's dual of that sum)
+ * when it has grown as wide as the slab; both need a few terms. CORE_SLAB_TRANSMITTED: what leaves on
+ * the other side. The beam that crosses the slab unscattered is in neither.
+ *
+ * Domain: quantized: every medium; below LEAST tolerance mean free paths R is continued like 1 / r,
+ * and without absorption from MOST mean free paths on like 1 / r^3. Multipole: a thickness from
+ * THICKNESS_LEAST to THICKNESS_MOST mean free paths (the source lies inside the slab; a thicker one
+ * is a half space).
+ * Error: the tolerance (QUANTIZED_TOLERANCE or SLAB_TOLERANCE when none is asked for), 64 epsilon,
+ * and 4 epsilon of the exponent with which R falls, relative.
+ */
+#include "core/diffusion.h"
+#include "core/models/gaussians.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define CORE_REAL 64
+#include "core/kernel.h"
+
+#define QUANTIZED_TOLERANCE 1e-4
+#define SLAB_TOLERANCE 1e-12
+#define TOLERANCE_MOST 0.1
+#define LEAST 1e-2
+#define MOST 1e13
+#define MOST_RATE 1e-28   /* R(MOST) does not feel such an absorption, */
+#define LEAST_RATE 1e-250 /* nor R at 1e100 mean free paths this one */
+#define THICKNESS_LEAST 1.1
+#define THICKNESS_MOST 1e6
+
+/* The largest exponent of decay, beyond that at r = 0, for which the Gaussians are made: R has
+ * underflowed. From FAR_EXPONENT on ln R is found another way. */
+#define LAST_EXPONENT 826
+#define FAR_EXPONENT 700
+
+#define PI 3.14159265358979323846
+
+core_check_function core_cloud_check;
+core_prepare_function core_cloud_prepare;
+
+core_fault core_cloud_check(const core_inputs *inputs, core_radii_range *radii) {
+  (void)radii;
+  const double mm = core_parameter_or(inputs, CORE_PARAMETER_THICKNESS, (double)NAN);
+  const double thickness = mm * core_sigma_t_prime(inputs->medium);
+  if ((inputs->variant & CORE_CLOUD_BEAM) != 0) {
+    return (core_fault){0};
+  }
+  if (isnan(mm)) {
+    return (core_fault){"thickness", "a thickness in mm: a slab needs it", 0};
+  }
+  if (!(thickness >= THICKNESS_LEAST && thickness <= THICKNESS_MOST)) {
+    return (core_fault){"thickness", "1.1 to 1e6 mean free paths 1 / sigma_t'", 0};
+  }
+  return (core_fault){0};
+}
+
+/* In mean free paths. All fields are double, because the table of Gaussians keeps a copy. */
+struct cloud {
+  double sigma_t_prime;
+  double source; /* p */
+  double absorbed;
+  double diffusion;
+  double zb;
+  double c_phi;
+  double c_flux;
+  double period;      /* L; 0 in a half space */
+  double y;           /* the source's distance from the boundary where light leaves; 0: a beam */
+  double transmitted; /* 1 or 0 */
+  double rate;        /* of the slowest decay: sigma_a + D (pi / L)^2 */
+};
+_Static_assert(sizeof(struct cloud) <= GAUSSIANS_FAR_FIELDS * sizeof(double), "the table has room");
+
+static struct cloud make_cloud(const core_inputs *inputs) {
+  const core_medium *medium = inputs->medium;
+  const core_fresnel fresnel = core_fresnel_moments(inputs->moments, medium->eta);
+  const bool grosjean = (inputs->variant & CORE_DIPOLE_GROSJEAN) != 0;
+  const bool boundary = (inputs->variant & CORE_DIPOLE_BOUNDARY) != 0;
+  const bool exitance = (inputs->variant & CORE_DIPOLE_EXITANCE) != 0;
+  struct cloud cloud = {.sigma_t_prime = core_sigma_t_prime(medium)};
+  const double scattered = medium->sigma_s_per_mm * (1 - medium->g) / cloud.sigma_t_prime;
+  cloud.absorbed = medium->sigma_a_per_mm / cloud.sigma_t_prime;
+  cloud.diffusion = grosjean ? (1 + cloud.absorbed) / 3 : 1.0 / 3;
+  cloud.source = grosjean ? scattered * scattered : scattered;
+  const double lost = boundary ? fresnel.one_minus_3c2 : fresnel.one_minus_2c1;
+  cloud.zb = 2 * (2 - lost) / fresnel.one_minus_2c1 * cloud.diffusion;
+  cloud.c_phi = exitance ? 0.25 * fresnel.one_minus_2c1 : 0;
+  cloud.c_flux = exitance ? 0.5 * fresnel.one_minus_3c2 : 1;
+  cloud.rate = cloud.absorbed;
+  if ((inputs->variant & CORE_CLOUD_BEAM) == 0) {
+    const double thickness =
+        inputs->parameters->value[CORE_PARAMETER_THICKNESS] * cloud.sigma_t_prime;
+    cloud.transmitted = (inputs->variant & CORE_SLAB_TRANSMITTED) != 0;
+    cloud.y = cloud.transmitted > 0 ? thickness - 1 : 1;
+    cloud.period = thickness + 2 * cloud.zb;
+    cloud.rate += cloud.diffusion * (PI / cloud.period) * (PI / cloud.period);
+  }
+  return cloud;
+}
+
+/* ---- a beam in a half space ------------------------------------------------------------------- */
+
+/* Nothing cancels: 1 / sqrt(2 pi v) - w_phi(v, 0) = 1 / 2 (1 / (sqrt(pi) y) - erfcx(y)),
+ * y = sqrt(v / 2). */
+static double leaves_half_space(const struct cloud *cloud, double time) {
+  const double v = 2 * cloud->diffusion * time;
+  const double y = sqrt(0.5 * v);
+  const double further = 2 * cloud->zb / sqrt(2 * v);
+  const double mirrored = further + y;
+  const real_exp_values mirror = real_exp(-further * further);
+  const double beyond = core_erfcx(mirrored);
+  const double phi = core_erfcx_fall(y, further) + mirror.one_minus_exp * beyond;
+  /* 1 / (sqrt(pi) y) - erfcx(mirrored), from the shortfall at `mirrored` */
+  const double per_root_pi = 0.56418958354775628695;
+  const double nearer = per_root_pi * further / (y * mirrored);
+  const double flux =
+      core_erfcx_shortfall(y) + mirror.exp * (core_erfcx_shortfall(mirrored) + nearer);
+  return 0.5 * fma(cloud->c_phi, phi, cloud->c_flux * cloud->diffusion * flux);
+}
+
+/* ---- a point between the boundaries of a slab ---------------------------------------------------
+ * Both sides look alike: y is the source's distance from the boundary where light leaves. Both forms
+ * give leaves(t) e^(y^2 / (4 D t) + D (pi / L)^2 t), which varies slowly. */
+
+/* A cloud up to YOUNG L^2 / D is summed over poles, then over modes; so many of either leave out
+ * less than 1e-17. */
+#define YOUNG 0.12
+enum { POLES = 3, MODES = 7 };
+
+/* A positive pole at distance q and its negative mirror at q + 2 z_b beyond the boundary, from
+ * g(q) = e^(-q^2 / (4 D t)) / sqrt(4 pi D t): fluences subtract, fluxes D q / (2 D t) g add. Over
+ * e^(-y^2 / (4 D t)), like images(). */
+static double pair(const struct cloud *cloud, double time, double q) {
+  const double four_dt = 4 * cloud->diffusion * time;
+  const double two_zb = 2 * cloud->zb;
+  const real_exp_values mirror = real_exp(-two_zb * (2 * q + two_zb) / four_dt);
+  const double flux = (q + (q + two_zb) * mirror.exp) / (2 * time);
+  const double near = real_exp((cloud->y - q) * (cloud->y + q) / four_dt).exp;
+  return near * fma(cloud->c_flux, flux, cloud->c_phi * mirror.one_minus_exp) / sqrt(PI * four_dt);
+}
+
+/* The pair at q = middle - h - z_b less the one at middle + h - z_b, h = 1 + z_b: poles on both sides
+ * of one image of the far boundary, which nearly cancel in a thick slab. With T = 4 D t,
+ * A = 4 middle z_b / T, B = 4 middle h / T and C = 4 z_b h / T the four fluences are, over g(q),
+ *   1 - e^(C - A) - e^(C - B) + e^(-A - B)
+ *     = (1 - e^(-A)) (1 - e^(-B)) - (1 - e^(-C)) (e^(C - A) + e^(C - B)) */
+static double images(const struct cloud *cloud, double time, double middle, double q) {
+  const double four_dt = 4 * cloud->diffusion * time;
+  const double zb = cloud->zb;
+  const double h = 1 + zb;
+  const double a = 4 * zb / four_dt;
+  const double b = 4 * h / four_dt;
+  const real_exp_values nearer_a = real_exp(-a * (middle - h));  /* e^(C - A) */
+  const real_exp_values nearer_b = real_exp(-b * (middle - zb)); /* e^(C - B) */
+  const real_exp_values further_b = real_exp(-b * (middle + zb));
+  const double both = real_exp(-a * middle).one_minus_exp * real_exp(-b * middle).one_minus_exp;
+  const double fluence = both - real_exp(-a * h).one_minus_exp * (nearer_a.exp + nearer_b.exp);
+  const double real_flux = q * nearer_b.one_minus_exp - 2 * h * nearer_b.exp;
+  const double mirror_flux = (q + 2 * zb) * further_b.one_minus_exp - 2 * h * further_b.exp;
+  const double flux = fma(nearer_a.exp, mirror_flux, real_flux) / (2 * time);
+  const double near = real_exp((cloud->y - q) * (cloud->y + q) / four_dt).exp;
+  return near * fma(cloud->c_flux, flux, cloud->c_phi * fluence) / sqrt(PI * four_dt);
+}
+
+static double young(const struct cloud *cloud, double time) {
+  const double h_and_zb = 1 + 2 * cloud->zb;
+  double sum = 0;
+  for (int i = POLES; i >= 1; i--) {
+    const bool transmitted = cloud->transmitted > 0;
+    const double middle = (transmitted ? 2 * i - 1 : 2 * i) * cloud->period;
+    const double q = transmitted && i == 1 ? cloud->y : middle - h_and_zb;
+    sum += transmitted ? images(cloud, time, middle, q) : -images(cloud, time, middle, q);
+  }
+  const double wave = PI / cloud->period;
+  const double slow = real_exp(-cloud->diffusion * wave * wave * time).exp;
+  return (sum + (cloud->transmitted > 0 ? 0 : pair(cloud, time, cloud->y))) / slow;
+}
+
+struct angle {
+  double sine;
+  double cosine;
+};
+
+/* Of x from 0 to pi, by their power series. */
+static struct angle angle_of(double x) {
+  const double squared = x * x;
+  double sine = 0;
+  double cosine = 0;
+  for (int k = 14; k >= 1; k--) {
+    sine = (1 + sine) * -squared / ((2 * k) * (2 * k + 1));
+    cosine = (1 + cosine) * -squared / ((2 * k - 1) * (2 * k));
+  }
+  return (struct angle){x * (1 + sine), 1 + cosine};
+}
+
+static struct angle angle_sum(struct angle a, struct angle b) {
+  return (struct angle){fma(a.sine, b.cosine, a.cosine * b.sine),
+                        fma(a.cosine, b.cosine, -a.sine * b.sine)};
+}
+
+/* 2 / L sum_n sin(n pi (z + z_b) / L) sin(n pi h / L) e^(-D (n pi / L)^2 t) at z = 0, h = 1 + z_b;
+ * with alternating signs at the boundary far from the source. */
+static double grown(const struct cloud *cloud, double time) {
+  const double wave = PI / cloud->period;
+  const struct angle boundary = angle_of(wave * cloud->zb);
+  const struct angle source = angle_of(wave * (1 + cloud->zb));
+  struct angle at_boundary = boundary;
+  struct angle at_source = source;
+  double sum = 0;
+  double sign = 1;
+  for (int n = 1; n <= MODES; n++) {
+    const double faster = cloud->diffusion * wave * wave * ((n - 1) * (n + 1));
+    const double decayed = sign * real_exp(-faster * time).exp;
+    const double flux = cloud->diffusion * n * wave * at_boundary.cosine;
+    sum = fma(fma(cloud->c_flux, flux, cloud->c_phi * at_boundary.sine), at_source.sine * decayed,
+              sum);
+    at_boundary = angle_sum(at_boundary, boundary);
+    at_source = angle_sum(at_source, source);
+    sign = cloud->transmitted > 0 ? -sign : sign;
+  }
+  const double risen = real_exp(-cloud->y * cloud->y / (4 * cloud->diffusion * time)).exp;
+  return 2 / cloud->period * sum / risen;
+}
+
+/* ---- both -------------------------------------------------------------------------------------- */
+
+/* leaves(t) e^(y^2 / (4 D t) + (rate - sigma_a) t) */
+static double leaves(const void *context, double time) {
+  const struct cloud *cloud = context;
+  const double length = cloud->period;
+  return !(length > 0)                                       ? leaves_half_space(cloud, time)
+         : cloud->diffusion * time < YOUNG * length * length ? young(cloud, time)
+                                                             : grown(cloud, time);
+}
+
+/* The Gaussian of a node in time; its weight is times e^(y sqrt(rate / D)), the decay at r = 0. */
+static core_gaussian gaussian_at(const struct cloud *cloud, double time, double weight) {
+  const double four_dt = 4 * cloud->diffusion * time;
+  const double apart = sqrt(cloud->rate * time) - cloud->y / sqrt(four_dt);
+  const double exponent = cloud->y > 0 ? apart * apart : cloud->rate * time;
+  const double alive = real_exp(-exponent).exp;
+  const double squared = cloud->sigma_t_prime * cloud->sigma_t_prime;
+  /* In the first instants of a cloud far from the boundary nothing but rounding is left. */
+  const double source = cloud->source * weight * alive * fmax(leaves(cloud, time), 0);
+  return (core_gaussian){source * squared / (PI * four_dt), squared / four_dt};
+}
+
+double core_cloud_ln_R(const double *far, double r) {
+  struct cloud cloud;
+  memcpy(&cloud, far, sizeof cloud);
+  const double x = r * cloud.sigma_t_prime;
+  if (x > 1e100) {
+    return -(double)INFINITY;
+  }
+  const double rho = sqrt(fma(x, x, cloud.y * cloud.y));
+  const double ln = core_diffusion_ln(cloud.rate, cloud.diffusion, rho, leaves, &cloud);
+  return ln + real_log(cloud.source, 0) + 2 * real_log(cloud.sigma_t_prime, 0);
+}
+
+core_fault core_cloud_prepare(const core_inputs *inputs, core_preparation *preparation) {
+  preparation->notes = core_similarity_note(inputs);
+  const struct cloud cloud = make_cloud(inputs);
+  const bool slab = cloud.period > 0;
+  const double given = core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE,
+                                         slab ? SLAB_TOLERANCE : QUANTIZED_TOLERANCE);
+  const double tolerance = fmin(given, TOLERANCE_MOST);
+  /* dR/dr of what is transmitted, the steepest function of time, needs more of the rule. */
+  const double rule = cloud.transmitted > 0 ? 0.05 * tolerance : tolerance;
+  const double least = slab ? 0 : LEAST * tolerance;
+  const double mu = sqrt(cloud.rate / cloud.diffusion);
+  const bool fades = cloud.rate > LEAST_RATE;
+  /* Before the first node e^(-rate t - (r^2 + y^2) / (4 D t)) is less than e^-45 of what it is at its
+   * saddle point. */
+  const double c = slab ? mu + 45 / cloud.y : 0;
+  const double earliest = slab ? cloud.y / (2 * cloud.diffusion * (c + sqrt((c - mu) * (c + mu))))
+                               : least * least / (160 * cloud.diffusion);
+  const double latest =
+      fades ? core_times_latest(cloud.rate, mu * cloud.y + LAST_EXPONENT) : MOST * MOST * 1e12;
+  const core_times times = core_times_make(fades ? cloud.rate : MOST_RATE, earliest, latest, rule);
+  core_gaussian *gaussians = malloc(times.count * sizeof *gaussians);
+  if (gaussians == NULL) {
+    return CORE_OUT_OF_MEMORY;
+  }
+  for (size_t i = 0; i < times.count; i++) {
+    double time;
+    double weight;
+    core_times_node(&times, i, &time, &weight);
+    gaussians[i] = gaussian_at(&cloud, time, weight);
+  }
+  const double mfp_mm = 1 / cloud.sigma_t_prime;
+  const double reach = FAR_EXPONENT / mu;
+  core_gaussian_ends ends = {
+      .least_mm = least / cloud.sigma_t_prime,
+      .most_mm = fades ? (double)INFINITY : MOST * mfp_mm,
+      .shift = mu * cloud.y,
+      .far_mm = fades ? sqrt(reach * (reach + 2 * cloud.y)) * mfp_mm : (double)INFINITY,
+  };
+  memcpy(ends.far, &cloud, sizeof cloud);
+  const core_fault fault = core_gaussians_table(gaussians, times.count, &ends, preparation);
+  free(gaussians);
+  preparation->error = tolerance;
+  preparation->error_epsilons = 64 + 4 * ends.shift;
+  preparation->error_epsilons_per_mm = 4 * mu * cloud.sigma_t_prime;
+  return fault;
+}
