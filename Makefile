@@ -244,7 +244,7 @@ demo:
 check:
 	@sh .ci/install-packages
 	@$(MAKE) --no-print-directory -j2 all $(TESTS) $(BUILD)/tests/bits $(BUILD)/dipoled-counting $(BUILD)/wire-tables $(BUILD)/draw-figures $(BUILD)/trade-speed $(BUILD)/soak-load $(BUILD)/pipeline
-	+@bash tests/run-check.sh $(BUILD)/logs bits unit e2e+soak
+	+@bash tests/run-check.sh $(BUILD)/logs structure bits unit e2e+soak
 
 # What takes minutes by itself. .ci/run runs it as well.
 check-long:

@@ -12,7 +12,7 @@
  *    9 server/jobs/eval.c        checks the request, works slice by slice, fills the reply in
  *   10 proto/eval.c              takes the payload apart and lays the reply out
  *   11 proto/channels.c          likewise the media and parameters
- *   12 core/choices.c            looks ids up
+ *   12 core/choice_lists.c       looks ids up
  *   13 core/profile.c            checks that there is such a profile, and prepares it
  *   14 core/medium.c             checks a medium
  *   15 core/radii.c              checks radii
