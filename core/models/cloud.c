@@ -290,8 +290,8 @@ core_fault core_cloud_prepare(const core_inputs *inputs, core_preparation *prepa
   const double given = core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE,
                                          slab ? SLAB_TOLERANCE : QUANTIZED_TOLERANCE);
   const double tolerance = fmin(given, TOLERANCE_MOST);
-  /* dR/dr of what is transmitted, the steepest function of time, needs more of the rule. */
-  const double rule = cloud.transmitted > 0 ? 0.05 * tolerance : tolerance;
+  /* dR/dr of a slab is a steeper function of time than R, most of all when it is transmitted. */
+  const double rule = (cloud.transmitted > 0 ? 0.05 : slab ? 0.4 : 1) * tolerance;
   const double least = slab ? 0 : LEAST * tolerance;
   const double mu = sqrt(cloud.rate / cloud.diffusion);
   const bool fades = cloud.rate > LEAST_RATE;
