@@ -119,6 +119,12 @@ def test_errors_end_it_early(client):
     assert short.state == "photons" and short.photons == 13 * BATCH
 
 
+def test_an_error_that_no_light_can_reach(client):
+    """No light leaves a medium that does not scatter: its job ends all the same."""
+    energy = client.mc(Medium(1, 0, 0, 1.5), EDGES, error_rings=0.1, photons=2 * BATCH).energies[0]
+    assert energy.absorbed.value == 1 and energy.R.value == 0
+
+
 # ---- progress and the end ------------------------------------------------------------------------
 
 
