@@ -9,8 +9,8 @@
 #   make truth      stated errors against exact values, SECONDS=60 of them, SEED=N or a new one
 #   make bench      every benchmark; build/bench GROUP runs one
 #   make docs       the tables in proto/*.md, from proto/*.def, and the manual pages
-#   make model-errors  core/model_errors.def, measured anew against exact solutions
-#   make tradeoff   speed against accuracy, in build/tradeoff, and core/tradeoff.def (minutes)
+#   make model-errors  core/model_errors.def, measured anew against transport (minutes)
+#   make tradeoff   speed against accuracy, in build/tradeoff, and core/costs.def (minutes)
 #   make tables     core/transport/transport.table, solved anew (minutes; resumes)
 #   make figures    Figures 1 to 17 of d'Eon 2012, in build/figures (ten minutes; resumes)
 #   make install    to $(DESTDIR)$(PREFIX); make uninstall takes it away again
@@ -95,8 +95,11 @@ SERVER := $(call objects,$(wildcard server/*.c server/*/*.c))
 LIBRARY := $(call objects,$(wildcard clients/c/*.c))
 CLI := $(call objects,$(wildcard clients/cli/*.c))
 BENCH := $(call objects,$(wildcard tests/bench/*.c tests/bench/*/*.c))
-FIGURES := $(call objects,$(wildcard core/tools/figures/*.c))
-TRADEOFF := $(call objects,$(wildcard core/tools/tradeoff/*.c) $(addprefix core/tools/figures/,fail.c gnuplot.c panel.c progress.c table.c workers.c))
+# The tools of core share these; the command line draws and shows progress with the same two.
+TOOLS := $(call objects,core/tools/tools.c clients/cli/gnuplot.c clients/cli/progress.c)
+FIGURES := $(call objects,$(wildcard core/tools/figures/*.c)) $(TOOLS)
+TRADEOFF := $(call objects,$(wildcard core/tools/tradeoff/*.c)) $(TOOLS)
+TABLES := $(call objects,$(wildcard core/tools/transport_table/*.c)) $(TOOLS)
 SOAK := $(call objects,$(wildcard tests/soak/*.c))
 PIPELINE := $(call objects,$(wildcard tests/pipeline/*.c))
 TESTS := $(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/accuracy/test_*.c tests/fuzz/test_*.c tests/unit/test_*.c))
@@ -309,29 +312,25 @@ truth: $(BUILD)/tests/accuracy/truth
 bench: $(BUILD)/bench
 	$(BUILD)/bench
 
-$(BUILD)/model-errors: $(OBJ)/core/tools/model_errors.o $(BUILD)/libcore.a
-	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
-
-# Minutes; EXACT names a file of exact solutions, see core/tools/model_errors.c.
-EXACT ?= ../shared/vectors/transport.csv
-model-errors: $(BUILD)/model-errors
-	$(BUILD)/model-errors $(EXACT) > $(BUILD)/model_errors.def
-	cp $(BUILD)/model_errors.def core/model_errors.def
-
 $(BUILD)/trade-speed: $(TRADEOFF) $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
 	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
+
+# Minutes, on all cores: how far models are from exact solutions and from Monte Carlo.
+model-errors:
+	@$(MAKE) --no-print-directory -j2 $(BUILD)/trade-speed
+	$(BUILD)/trade-speed --output $(BUILD)/tradeoff errors
+	cp $(BUILD)/tradeoff/model_errors.def core/
 
 # On a machine that does little else: it times what is chosen by cost.
 tradeoff:
 	@sh .ci/install-packages demo
 	@$(MAKE) --no-print-directory -j2 $(BUILD)/trade-speed
-	$(BUILD)/trade-speed --output $(BUILD)/tradeoff
-	cp $(BUILD)/tradeoff/tradeoff.def core/tradeoff.def
+	$(BUILD)/trade-speed --output $(BUILD)/tradeoff costs
+	cp $(BUILD)/tradeoff/costs.def core/
 	cp $(BUILD)/tradeoff/front.svg $(BUILD)/tradeoff/map.svg core/tools/tradeoff/
 
-$(BUILD)/transport-table: $(call objects,$(wildcard core/tools/transport_table/*.c)) $(BUILD)/libcore.a
+$(BUILD)/transport-table: $(TABLES) $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
 	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
 

@@ -1,7 +1,7 @@
 /* choose: the cheapest model and evaluator that are near enough to radiative transport.
  *
- * What models are off by and what evaluators cost was measured by `make tradeoff` and is in
- * core/tradeoff.def. A choice depends on the request alone, not on the machine, on what is cached
+ * core/model_error.h knows what models are off by; what evaluators cost was measured by
+ * `make tradeoff` and is in core/costs.def. A choice depends on the request alone, not on the machine, on what is cached
  * or on how many radii are asked for: the same request gives the same values everywhere.
  *
  * Pure functions: nothing is allocated or kept.
@@ -43,8 +43,8 @@ typedef struct core_candidate {
 
 enum {
   CORE_CANDIDATES_MAX = 0
-#define CORE_TRADE_COST(model, evaluator, ns, prepare_ns, numerical, numerical_least, least) +1
-#include "core/tradeoff.def"
+#define CORE_COST(model, evaluator, ns, prepare_ns, numerical, numerical_least, least) +1
+#include "core/costs.def"
 };
 
 /* Lists every candidate of the precision that is asked for, and returns how many they are; 0 when
@@ -53,11 +53,9 @@ enum {
  * what is to be taken where preparing it fails. If none meets the tolerance, the one with the least
  * error comes first.
  *
- * What can be promised: transport itself everywhere within its domain where g is 0. Other models
- * where they were measured: ratios sigma_a / sigma_s' from 0 to 10, eta from 1 to 2, radii from
- * 0.01 to 20 mean free paths 1 / sigma_t', exact moments; of R, the albedo, and what is made of
- * them, not of the cdf and dR/dr. Where g is not 0, the error of the similarity relation comes on top, as
- * core/model_error.h has it: for radii from 0.1 to 20 mean free paths, not for the albedo. */
+ * What can be promised: transport itself everywhere within its domain where g is 0. Other models,
+ * and media with another g, where core/model_error.h knows their error; nothing of theirs is promised
+ * of the cdf and dR/dr. Transport's numerical error grows beyond its reach (core_reach). */
 size_t core_choose(const core_choose_request *request,
                    core_candidate candidates[CORE_CANDIDATES_MAX]);
 

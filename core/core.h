@@ -219,6 +219,21 @@ typedef struct core_radii_range {
   double most_mm;
 } core_radii_range;
 
+/* How far a model is from radiative transport for one medium; core/model_error.h finds it. */
+enum { CORE_MODEL_ERROR_BANDS = 10 };
+typedef struct core_model_errors {
+  bool exact; /* the model is transport itself: no error anywhere */
+  /* Relative errors of R in each band of radii, then that of the albedo. NAN: not measured. */
+  double error[CORE_MODEL_ERROR_BANDS + 1];
+} core_model_errors;
+
+/* Up to which radius a numerical error holds, and how it grows from there on: at radius r beyond
+ * most_mm, e^(growth ln^2(r / most_mm)) - 1 is added to it, or INFINITY in place of more than 1000. */
+typedef struct core_reach {
+  double most_mm; /* INFINITY: everywhere */
+  double growth;
+} core_reach;
+
 /* model + medium + evaluator, prepared. It may be copied; the copies share what one of them frees.
  * Read the public part; the rest belongs to the kernels. */
 typedef struct core_profile {
@@ -235,11 +250,12 @@ typedef struct core_profile {
    * evaluators) the albedo. It holds for dR/dr, pdf and 2 pi r R with sigma_t' from 1e-6 to 1e6 per
    * mm, sigma_a up to 1e6 sigma_s', eta from 0.2 to 5 and r 0 or from 1e-12 to 1e6 mean free paths
    * 1 / sigma_t', beyond which they may underflow too early. For ln R see core_eval_f64(). Where the
-   * albedo has underflowed to 0, cdf and pdf are 0. */
+   * albedo has underflowed to 0, cdf and pdf are 0. It holds for radii within the reach;
+   * core_profile_errors() has the error for any radii. */
   double numerical_error;
   double numerical_error_per_mm;
-  /* Model error: how far the model is from radiative transport, relative. NaN: not measured. */
-  double model_error;
+  core_reach reach;
+  core_model_errors model_errors;
   unsigned notes;         /* bits of enum core_note */
   core_radii_range radii; /* where the profile may be evaluated */
   double cost;            /* of a radius: about as many evaluations of a dipole */
@@ -282,6 +298,19 @@ bool core_worth_keeping(unsigned model, unsigned evaluator);
 core_fault core_profile_prepare(core_profile *profile, const core_isa *isa, unsigned model,
                                 unsigned moments, unsigned evaluator, const core_medium *medium,
                                 const core_parameters *parameters);
+
+/* What a reply states of a profile's values. */
+typedef struct core_stated_errors {
+  double numerical;        /* as numerical_error, */
+  double numerical_per_mm; /* and numerical_error_per_mm, for all of the radii */
+  double model;            /* how far they may be from radiative transport; NAN: not known */
+} core_stated_errors;
+
+/* The errors of the quantities that are wanted (bits) at radii from least to most; with least above
+ * most there are no radii. The model's error is relative, of
+ * ln R absolute; the cdf and dR/dr were not measured, and it does not speak of them. */
+core_stated_errors core_profile_errors(const core_profile *profile, unsigned wanted,
+                                       core_radii_range radii);
 
 /* Sets the angles of S to those of the parameters (normal when not given), as preparing with them
  * would; nothing else depends on them, so that one preparation serves all angles. */
@@ -358,7 +387,7 @@ typedef struct core_inversion {
 #define CORE_MEAN_FREE_PATH_MAX_MM 1e14
 
 /* mean_free_path_mm: 1 / sigma_t', in that range. The medium's albedo is within 1e-12 of the wanted
- * one, relative, where the model's albedo has so many digits. core/inversion.h has more. */
+ * one, relative, where the model's albedo has so many digits. core/inverter.h has more. */
 core_inversion core_invert_albedo(unsigned model, unsigned moments, double albedo,
                                   double mean_free_path_mm, double eta);
 
@@ -368,6 +397,11 @@ core_inversion core_invert_albedo(unsigned model, unsigned moments, double albed
 /* The first radius that is negative or NaN. -0.0 is 0. */
 core_fault core_radii_check_f64(size_t n, const double *r);
 core_fault core_radii_check_f32(size_t n, const float *r);
+
+/* From the least to the largest finite one of n radii that are not NaN: at an infinite radius, where
+ * R is 0, no model is off. Without a finite radius the range is from INFINITY to 0. */
+core_radii_range core_radii_range_f64(size_t n, const double *r);
+core_radii_range core_radii_range_f32(size_t n, const float *r);
 
 /* The first radius outside a profile's range, of radii that are not NaN. */
 core_fault core_radii_range_check_f64(const core_radii_range *range, size_t n, const double *r);

@@ -105,49 +105,20 @@ void core_eval_f64(const core_profile *profile, enum core_quantity quantity, siz
   evaluate_f64(profile, quantity, n, r, out);
 }
 
-static void sample(const core_profile *profile, size_t n, const double *u, double *r) {
-  if (profile->parts == NULL && profile->kernels->f64->sample != NULL) {
-    profile->kernels->f64->sample(
-        profile->table != NULL ? profile->table : profile->coefficients.f64, n, u, r);
-  } else {
-    core_invert_cdf(profile, n, u, r);
-  }
-}
-
-void core_sample_f64(const core_profile *profile, size_t n, const double *u, double *r) {
-  assert(profile->evaluator == CORE_EVALUATOR_F64);
-  sample(profile, n, u, r);
-}
-
 /* ---- single precision -------------------------------------------------------------------------
  */
 
-/* Whether the profile has kernels and coefficients of its own in single precision. */
-static bool is_narrow(const core_profile *profile) {
-  return profile->parts == NULL && profile->kernels->f32->evaluate[0] != NULL;
-}
-
-/* What its kernels read. */
-static const float *coefficients_f32(const core_profile *profile) {
-  return profile->lut != NULL ? profile->lut : profile->coefficients.f32;
-}
-
-/* quantity 0: samples. */
-static void widely(const core_profile *profile, unsigned quantity, size_t n, const float *in,
-                   float *out) {
-  /* A sum and a table hold doubles whichever evaluator was asked for. */
-  double wide_in[CHUNK];
+/* A sum and a table hold doubles whichever evaluator was asked for. */
+static void widely(const core_profile *profile, enum core_quantity quantity, size_t n,
+                   const float *r, float *out) {
+  double wide_r[CHUNK];
   double wide_out[CHUNK];
   for (size_t done = 0; done < n; done += CHUNK) {
     const size_t count = smaller(n - done, CHUNK);
     for (size_t i = 0; i < count; i++) {
-      wide_in[i] = (double)in[done + i];
+      wide_r[i] = (double)r[done + i];
     }
-    if (quantity == 0) {
-      sample(profile, count, wide_in, wide_out);
-    } else {
-      evaluate_f64(profile, quantity, count, wide_in, wide_out);
-    }
+    evaluate_f64(profile, quantity, count, wide_r, wide_out);
     for (size_t i = 0; i < count; i++) {
       /* rounding does not make 1 of a cdf that is not there yet */
       const bool less = quantity == CORE_QUANTITY_CDF && wide_out[i] < 1;
@@ -160,9 +131,9 @@ static void widely(const core_profile *profile, unsigned quantity, size_t n, con
 static void evaluate_f32(const core_profile *profile, enum core_quantity quantity, size_t n,
                          const float *r, float *out) {
   core_kernel_f32 *kernel =
-      is_narrow(profile) ? profile->kernels->f32->evaluate[position(quantity)] : NULL;
+      core_is_narrow(profile) ? profile->kernels->f32->evaluate[position(quantity)] : NULL;
   if (kernel != NULL) {
-    kernel(coefficients_f32(profile), n, r, out);
+    kernel(core_coefficients_f32(profile), n, r, out);
   } else {
     /* What a table does not hold comes from its source. */
     assert(profile->lut == NULL || profile->source != NULL);
@@ -181,14 +152,5 @@ void core_eval_f32(const core_profile *profile, enum core_quantity quantity, siz
   const double factor = S_per_R(profile);
   for (size_t i = 0; i < n; i++) {
     out[i] = factor > 0 ? (float)((double)out[i] * factor) : 0; /* R may be infinite */
-  }
-}
-
-void core_sample_f32(const core_profile *profile, size_t n, const float *u, float *r) {
-  assert(profile->evaluator != CORE_EVALUATOR_F64);
-  if (is_narrow(profile)) {
-    profile->kernels->f32->sample(coefficients_f32(profile), n, u, r);
-  } else {
-    widely(profile, 0, n, u, r);
   }
 }

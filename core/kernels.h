@@ -79,6 +79,7 @@ typedef struct core_preparation {
   double error_epsilons_per_mm; /* and more for each mm */
   double cost;                  /* see core_profile */
   double scale_mm;              /* see core_profile; 0: 1 / sigma_t' */
+  core_reach reach;             /* found as: everywhere */
   unsigned notes;               /* besides those that hold for all models */
 } core_preparation;
 
@@ -87,6 +88,12 @@ typedef struct core_preparation {
  * core_<formula>_prepare() for inputs without a fault: it finds what only shows then. */
 typedef core_fault core_check_function(const core_inputs *inputs, core_radii_range *radii);
 typedef core_fault core_prepare_function(const core_inputs *inputs, core_preparation *preparation);
+
+/* The reach of `transport` for a medium that scatters. */
+core_reach core_transport_reach(const core_medium *medium);
+
+/* What a reach adds to the numerical error at radii up to most_mm; 0 within it. */
+double core_error_beyond(core_reach reach, double most_mm);
 
 #define CORE_OUT_OF_MEMORY ((core_fault){CORE_FIELD_MEMORY, "less than what is left: try again", 0})
 
@@ -112,7 +119,14 @@ static inline unsigned core_similarity_note(const core_inputs *inputs) {
 void core_evaluate(const core_profile *profile, enum core_quantity quantity, size_t n,
                    const double *r, double *out);
 
-/* Radii with given cdf for any profile in double precision, by inverting its cdf. */
-void core_invert_cdf(const core_profile *profile, size_t n, const double *u, double *r);
+/* Whether a profile has kernels and coefficients of its own in single precision, and what these
+ * kernels read. */
+static inline bool core_is_narrow(const core_profile *profile) {
+  return profile->parts == NULL && profile->kernels->f32->evaluate[0] != NULL;
+}
+
+static inline const float *core_coefficients_f32(const core_profile *profile) {
+  return profile->lut != NULL ? profile->lut : profile->coefficients.f32;
+}
 
 #endif

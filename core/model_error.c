@@ -1,125 +1,315 @@
 #include "core/model_error.h"
 
 #include <math.h>
-#include <stddef.h>
 
-enum { RATIOS = 16, ETAS = 4, G_RATIOS = 5 };
+#include "core/kernels.h"
 
-static const double ratios[RATIOS] = {1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02,
-                                      0.05, 0.1,  0.2,  0.5,  1,    2,    5,    10};
-static const double etas[ETAS] = {1, 1.3, 1.5, 2};
-static const double g_ratios[G_RATIOS] = {1e-4, 1e-2, 0.1, 1, 10};
+#define CORE_REAL 64
+#include "core/kernel.h"
 
-struct isotropic {
-  unsigned model;
-  double worst[RATIOS][ETAS];
-};
+/* ---- codes ------------------------------------------------------------------------------------
+ */
 
-struct anisotropic {
-  double g;
-  double worst[G_RATIOS];
-};
+#define LEAST 1e-4
+#define STEP 1.04
+#define COARSE_FROM 230u
+#define COARSE_STEP 1.25
 
-#define ISOTROPIC(model, ...) {model, {__VA_ARGS__}},
-#define ANISOTROPIC(g, ...)
-static const struct isotropic isotropic[] = {
+/* error step^count by repeated squaring. */
+static double raised(double error, double step, unsigned count) {
+  for (double square = step; count > 0; count >>= 1) {
+    error = (count & 1) != 0 ? error * square : error;
+    square *= square;
+  }
+  return error;
+}
+
+double core_error_of_code(unsigned code) {
+  const unsigned fine = code < COARSE_FROM ? code : COARSE_FROM;
+  return code < CORE_ERROR_CODE_ANY ? raised(raised(LEAST, STEP, fine), COARSE_STEP, code - fine)
+                                    : (double)INFINITY;
+}
+
+unsigned core_error_code(double error) {
+  unsigned code = 0;
+  while (code < CORE_ERROR_CODE_ANY && !(error <= core_error_of_code(code))) {
+    code++;
+  }
+  return code;
+}
+
+/* ---- what was measured ------------------------------------------------------------------------
+ */
+
+static const double edges_mfp[] = {
+#define CORE_ERROR_EDGE(mfp) mfp,
 #include "core/model_errors.def"
 };
-#undef ISOTROPIC
-#undef ANISOTROPIC
 
-#define ISOTROPIC(model, ...)
-#define ANISOTROPIC(g, ...) {g, {__VA_ARGS__}},
-static const struct anisotropic anisotropic[] = {
+static const double ratios[] = {
+#define CORE_ERROR_RATIO(ratio) ratio,
+#include "core/model_errors.def"
+};
+
+static const double etas[] = {
+#define CORE_ERROR_ETA(eta) eta,
+#include "core/model_errors.def"
+};
+
+static const double g_ratios[] = {
+#define CORE_ERROR_G_RATIO(ratio) ratio,
 #include "core/model_errors.def"
 };
 
 enum {
-  ISOTROPICS = sizeof isotropic / sizeof isotropic[0],
-  ANISOTROPICS = sizeof anisotropic / sizeof anisotropic[0],
+  BANDS = CORE_MODEL_ERROR_BANDS,
+  RATIOS = sizeof ratios / sizeof ratios[0],
+  ETAS = sizeof etas / sizeof etas[0],
+  G_RATIOS = sizeof g_ratios / sizeof g_ratios[0],
+  DIGITS = 2,                  /* of a code */
+  NODE = (BANDS + 1) * DIGITS, /* a code for each band, then the albedo's */
 };
 
-/* The neighbours of a value in a rising list: first and last, the same where they meet; false
- * outside of the list. A ratio that was rounded on its way is not outside. */
+_Static_assert(sizeof edges_mfp / sizeof edges_mfp[0] == BANDS + 1, "as core.h has it");
+
+static const struct measured {
+  unsigned model;
+  bool similarity; /* g and sigma_s matter through sigma_s (1 - g) alone */
+  char codes[RATIOS][ETAS * NODE + 1];
+} measured[] = {
+#define CORE_ERROR_MODEL(model, similarity, ...) {model, similarity, {__VA_ARGS__}},
+#include "core/model_errors.def"
+};
+
+enum { MEASURED = sizeof measured / sizeof measured[0] };
+
+static const struct similarity {
+  double g;
+  char codes[G_RATIOS][NODE + 1];
+} similarities[] = {
+#define CORE_ERROR_SIMILARITY(g, ...) {g, {__VA_ARGS__}},
+#include "core/model_errors.def"
+};
+
+enum { GS = sizeof similarities / sizeof similarities[0] };
+
+/* Between nodes the error may be larger than at all nodes around:
+ * tests/accuracy/test_model_error.c draws media in between. */
+#define BETWEEN_NODES 1.08
+
+/* ---- where in the map -------------------------------------------------------------------------
+ */
+
+/* First and last of the neighbours of a value in a rising list; the same where they meet. */
 struct span {
   size_t first;
   size_t last;
 };
 
+#define SLACK 1e-9 /* what rounding may have moved out of the list */
+
+/* False: outside of the list. */
 static bool enclose(const double *list, size_t count, double value, struct span *span) {
-  const double slack = 1e-9;
-  if (!(value >= list[0] * (1 - slack) && value <= list[count - 1] * (1 + slack))) {
+  if (!(value >= list[0] * (1 - SLACK) && value <= list[count - 1] * (1 + SLACK))) {
     return false;
   }
-  span->first = 0;
-  while (span->first + 1 < count && list[span->first + 1] * (1 - slack) <= value) {
-    span->first++;
+  size_t low = 0, high = count; /* list[low] <= value < list[high] */
+  while (high - low > 1) {
+    const size_t middle = (low + high) / 2;
+    *(list[middle] * (1 - SLACK) <= value ? &low : &high) = middle;
   }
-  const bool met = fabs(list[span->first] - value) <= slack * value || span->first + 1 == count;
-  span->last = met ? span->first : span->first + 1;
+  span->first = low;
+  span->last = list[low] * (1 + SLACK) < value && low + 1 < count ? low + 1 : low;
   return true;
 }
 
-static double isotropic_error(const struct isotropic *of, struct span ratio, struct span eta) {
-  double worst = 0;
-  for (size_t i = ratio.first; i <= ratio.last; i++) {
-    for (size_t j = eta.first; j <= eta.last; j++) {
-      worst = fmax(worst, of->worst[i][j]);
-    }
+/* Likewise around g, of which 0, where there is no error, is a node that is not listed. */
+static bool enclose_g(double g, struct span *span) {
+  if (!(g >= similarities[0].g && g <= similarities[GS - 1].g)) {
+    return false;
   }
-  return worst;
+  span->first = span->last = 0;
+  while (similarities[span->last].g < g) {
+    span->last++;
+  }
+  const bool from_below =
+      span->last > 0 && similarities[span->last].g > g && similarities[span->last - 1].g > 0;
+  if (g < 0 && similarities[span->last].g > 0) {
+    span->last--;
+  }
+  span->first = from_below ? span->last - 1 : span->last;
+  return true;
 }
 
-/* The nodes around g, of which 0, where there is no error, is one. NAN: not measured. */
-static double similarity_error(double g, struct span ratio) {
-  double nodes[ANISOTROPICS];
-  for (size_t k = 0; k < ANISOTROPICS; k++) {
-    nodes[k] = anisotropic[k].g;
+static unsigned digit(char hexadecimal) {
+  return (unsigned)(hexadecimal <= '9' ? hexadecimal - '0' : hexadecimal - 'a' + 10);
+}
+
+/* Raises codes to those of a node. */
+static void merge_node(unsigned char codes[BANDS + 1], const char *node) {
+  for (size_t i = 0; i <= BANDS; i++) {
+    const unsigned code = 16 * digit(node[DIGITS * i]) + digit(node[DIGITS * i + 1]);
+    codes[i] = code > codes[i] ? (unsigned char)code : codes[i];
   }
-  if (!(g >= nodes[0] && g <= nodes[ANISOTROPICS - 1])) {
+}
+
+/* ---- the errors of a medium -------------------------------------------------------------------
+ */
+
+static bool find_isotropic(unsigned char codes[BANDS + 1], const struct measured *of, double ratio,
+                           double eta) {
+  struct span at_ratio, at_eta;
+  if (!enclose(ratios, RATIOS, ratio, &at_ratio) || !enclose(etas, ETAS, eta, &at_eta)) {
+    return false;
+  }
+  for (size_t i = at_ratio.first; i <= at_ratio.last; i++) {
+    for (size_t j = at_eta.first; j <= at_eta.last; j++) {
+      merge_node(codes, &of->codes[i][j * NODE]);
+    }
+  }
+  return true;
+}
+
+static bool find_similarity(unsigned char codes[BANDS + 1], double ratio, double eta, double g) {
+  struct span at_ratio, at_eta, at_g;
+  if (!enclose(g_ratios, G_RATIOS, ratio, &at_ratio) || !enclose(etas, ETAS, eta, &at_eta) ||
+      !enclose_g(g, &at_g)) {
+    return false;
+  }
+  for (size_t k = at_g.first; k <= at_g.last; k++) {
+    for (size_t i = at_ratio.first; i <= at_ratio.last; i++) {
+      merge_node(codes, similarities[k].codes[i]);
+    }
+  }
+  return true;
+}
+
+static double error_of(unsigned code) {
+  return code < CORE_ERROR_CODE_ANY ? core_error_of_code(code) * BETWEEN_NODES : (double)NAN;
+}
+
+/* A relative error upon another one. */
+static double upon(double a, double b) {
+  return (1 + a) * (1 + b) - 1;
+}
+
+static const struct measured *find_model(enum core_model model) {
+  for (size_t i = 0; i < MEASURED; i++) {
+    if (measured[i].model == (unsigned)model) {
+      return &measured[i];
+    }
+  }
+  return NULL;
+}
+
+core_model_errors core_model_errors_unknown(void) {
+  core_model_errors errors = {.exact = false};
+  for (size_t i = 0; i <= BANDS; i++) {
+    errors.error[i] = (double)NAN;
+  }
+  return errors;
+}
+
+core_model_errors core_model_errors_find(enum core_model model, enum core_moments moments,
+                                         const core_medium *medium) {
+  const bool exact = model == CORE_MODEL_TRANSPORT;
+  const bool isotropic = !(medium->g < 0 || medium->g > 0);
+  const double ratio = medium->sigma_a_per_mm / (medium->sigma_s_per_mm * (1 - medium->g));
+  const struct measured *of = find_model(model);
+  unsigned char codes[BANDS + 1] = {0}, similarity[BANDS + 1] = {0};
+  core_model_errors errors = {.exact = exact && isotropic};
+  const bool known =
+      errors.exact || ((exact || (of != NULL && moments == CORE_MOMENTS_EXACT &&
+                                  find_isotropic(codes, of, ratio, medium->eta))) &&
+                       (isotropic || ((exact || of->similarity) &&
+                                      find_similarity(similarity, ratio, medium->eta, medium->g))));
+  for (size_t i = 0; i <= BANDS; i++) {
+    const double first = exact ? 0 : error_of(codes[i]);
+    const double second = isotropic ? 0 : error_of(similarity[i]);
+    errors.error[i] = known ? upon(first, second) : (double)NAN;
+  }
+  return errors;
+}
+
+/* ---- the error of what is wanted --------------------------------------------------------------
+ */
+
+enum {
+  LIKE_R = CORE_QUANTITY_R | CORE_QUANTITY_RING | CORE_QUANTITY_S,
+  MEASURED_AT_RADII = LIKE_R | CORE_QUANTITY_LN_R | CORE_QUANTITY_PDF,
+};
+
+/* Of R at these radii. */
+static double error_of_R(const core_model_errors *errors, const core_medium *medium,
+                         core_radii_range radii) {
+  const double sigma_t_prime = medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g);
+  struct span least, most;
+  if (!enclose(edges_mfp, BANDS + 1, radii.least_mm * sigma_t_prime, &least) ||
+      !enclose(edges_mfp, BANDS + 1, radii.most_mm * sigma_t_prime, &most)) {
     return (double)NAN;
   }
-  size_t above = 0;
-  while (nodes[above] < g) {
-    above++;
-  }
-  const size_t below = nodes[above] > g && above > 0 ? above - 1 : above;
-  double worst = 0;
-  for (size_t k = below; k <= above; k++) {
-    /* a node on the other side of 0 says nothing here */
-    for (size_t i = ratio.first; i <= ratio.last && (nodes[k] > 0) == (g > 0); i++) {
-      const double error = anisotropic[k].worst[i];
-      worst = isnan(error) || isnan(worst) ? (double)NAN : fmax(worst, error);
+  const size_t first = least.first < BANDS ? least.first : BANDS - 1;
+  double error = 0;
+  for (size_t band = first; band == first || band < most.last; band++) {
+    const double here = errors->error[band];
+    error = here <= error ? error : here; /* which takes NAN over */
+    if (isnan(here)) {
+      return here;
     }
   }
-  return worst;
+  return error;
 }
 
-double core_model_error(enum core_model model, const core_medium *medium, bool similarity) {
-  const double g = medium->g;
-  const double ratio = medium->sigma_a_per_mm / (medium->sigma_s_per_mm * (1 - g));
-  const bool is_isotropic = !(g < 0 || g > 0);
-  struct span at_ratio, at_eta, at_g_ratio;
-  if (model == CORE_MODEL_TRANSPORT && is_isotropic) {
+/* NAN when either is. */
+static double larger(double a, double b) {
+  return isnan(a) || a > b ? a : b;
+}
+
+double core_model_errors_of(const core_model_errors *errors, const core_medium *medium,
+                            unsigned wanted, core_radii_range radii) {
+  if (errors->exact) {
     return 0;
   }
-  if (!enclose(ratios, RATIOS, ratio, &at_ratio) || !enclose(etas, ETAS, medium->eta, &at_eta) ||
-      !enclose(g_ratios, G_RATIOS, ratio, &at_g_ratio)) {
-    return (double)NAN;
+  const double albedo = errors->error[BANDS];
+  if (!(radii.least_mm <= radii.most_mm)) {
+    wanted &= CORE_QUANTITY_ALBEDO;
   }
-  if (!is_isotropic && !similarity) {
-    return (
-        double)NAN; /* single scattering alone, whose anisotropy is exact and was not measured */
+  const bool at_radii = (wanted & MEASURED_AT_RADII) != 0;
+  const double R = at_radii ? error_of_R(errors, medium, radii) : 0;
+  double error = at_radii || (wanted & CORE_QUANTITY_ALBEDO) != 0 ? 0 : (double)NAN;
+  if ((wanted & LIKE_R) != 0) {
+    error = larger(error, R);
   }
-  if (model == CORE_MODEL_TRANSPORT) {
-    return similarity_error(g, at_g_ratio);
+  if ((wanted & CORE_QUANTITY_ALBEDO) != 0) {
+    error = larger(error, albedo);
   }
-  for (size_t i = 0; i < ISOTROPICS; i++) {
-    if (isotropic[i].model == (unsigned)model) {
-      const double error = isotropic_error(&isotropic[i], at_ratio, at_eta);
-      const double more = is_isotropic ? 0 : similarity_error(g, at_g_ratio);
-      return (1 + error) * (1 + more) - 1;
-    }
+  if ((wanted & CORE_QUANTITY_LN_R) != 0) { /* -ln(1 - e) < e / (1 - e) */
+    error = larger(error, R < 1 ? R / (1 - R) : (double)NAN);
   }
-  return (double)NAN;
+  if ((wanted & CORE_QUANTITY_PDF) != 0) { /* (1 + R) / (1 - albedo) - 1 */
+    error = larger(error, albedo < 1 ? (R + albedo) / (1 - albedo) : (double)NAN);
+  }
+  return error;
+}
+
+double core_error_beyond(core_reach reach, double most_mm) {
+  if (!(most_mm > reach.most_mm)) {
+    return 0;
+  }
+  const double logarithm = real_log(fmin(most_mm / reach.most_mm, 1e300), 0);
+  const double exponent = reach.growth * logarithm * logarithm;
+  return exponent < 7 ? real_exp_signed(exponent) - 1 : (double)INFINITY;
+}
+
+/* What changes with R; the energy beyond a reach is next to nothing. */
+enum { FOLLOWS_R = MEASURED_AT_RADII | CORE_QUANTITY_SLOPE };
+
+core_stated_errors core_profile_errors(const core_profile *profile, unsigned wanted,
+                                       core_radii_range radii) {
+  const double most_mm = (wanted & FOLLOWS_R) != 0 ? radii.most_mm : 0;
+  return (core_stated_errors){
+      .numerical = profile->numerical_error + core_error_beyond(profile->reach, most_mm),
+      .numerical_per_mm = profile->numerical_error_per_mm,
+      .model = core_model_errors_of(&profile->model_errors, &profile->medium, wanted, radii),
+  };
 }

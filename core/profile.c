@@ -166,19 +166,22 @@ core_fault core_profile_check(unsigned model, unsigned moments, unsigned evaluat
 /* ---- preparing --------------------------------------------------------------------------------
  */
 
-/* What goes beyond the energy there is is wrong by at least that, measured or not. */
-static void set_model_error(core_profile *profile) {
-  const bool similarity = (profile->notes & CORE_NOTE_SIMILARITY) != 0;
-  profile->model_error = core_model_error(profile->model, &profile->medium, similarity);
+/* Burley's surface albedo was measured with its default alone. */
+static void set_model_errors(core_profile *profile, const core_parameters *parameters) {
+  profile->model_errors =
+      isnan(parameters->value[CORE_PARAMETER_SURFACE_ALBEDO])
+          ? core_model_errors_find(profile->model, profile->moments, &profile->medium)
+          : core_model_errors_unknown();
   if (profile->albedo > 1 + profile->numerical_error) {
     profile->notes |= CORE_NOTE_ALBEDO_ABOVE_1;
-    profile->model_error = fmax(profile->model_error, profile->albedo - 1); /* not NAN */
   }
 }
 
 static core_fault prepare_model(core_profile *profile, const struct model *model,
                                 const core_inputs *inputs) {
-  core_preparation preparation = {.cost = 1, .scale_mm = 1 / core_sigma_t_prime(inputs->medium)};
+  core_preparation preparation = {.cost = 1,
+                                  .scale_mm = 1 / core_sigma_t_prime(inputs->medium),
+                                  .reach = {.most_mm = (double)INFINITY}};
   const core_fault fault = model->prepare(inputs, &preparation);
   if (fault.field != NULL) {
     return fault;
@@ -191,6 +194,7 @@ static core_fault prepare_model(core_profile *profile, const struct model *model
   profile->numerical_error = preparation.error + preparation.error_epsilons * epsilon +
                              (single && wide ? (double)FLT_EPSILON : 0);
   profile->numerical_error_per_mm = preparation.error_epsilons_per_mm * epsilon;
+  profile->reach = preparation.reach;
   profile->notes = preparation.notes;
   profile->cost = preparation.cost;
   profile->scale_mm = preparation.scale_mm;
@@ -237,6 +241,8 @@ static core_fault prepare_sum(core_profile *profile, const struct model *model,
                              2 * DBL_EPSILON + (single ? (double)FLT_EPSILON : 0);
   profile->numerical_error_per_mm =
       fmax(parts[0].numerical_error_per_mm, parts[1].numerical_error_per_mm);
+  profile->reach =
+      parts[0].reach.most_mm < parts[1].reach.most_mm ? parts[0].reach : parts[1].reach;
   profile->notes = (parts[0].notes | parts[1].notes) & ~(unsigned)CORE_NOTE_ALBEDO_ABOVE_1;
   profile->cost = parts[0].cost + parts[1].cost;
   profile->scale_mm = fmin(parts[0].scale_mm, parts[1].scale_mm);
@@ -297,6 +303,7 @@ static core_fault prepare_table(core_profile *profile, const struct model *model
   profile->source = source;
   profile->kernels = core_isa_lut_kernels(inputs.isa);
   profile->albedo = source->albedo;
+  profile->reach = source->reach;
   profile->notes = source->notes & ~(unsigned)CORE_NOTE_ALBEDO_ABOVE_1;
   profile->cost = 1;
   profile->scale_mm = source->scale_mm;
@@ -324,7 +331,6 @@ static core_fault prepare(core_profile *profile, const struct model *model, core
       .model = model->id,
       .moments = inputs.moments,
       .evaluator = evaluator,
-      .model_error = (double)NAN,
       .radii = radii,
   };
   core_profile_set_angles(profile, inputs.parameters);
@@ -334,7 +340,7 @@ static core_fault prepare(core_profile *profile, const struct model *model, core
                            : model->check != NULL ? prepare_model(profile, model, &inputs)
                                                   : prepare_sum(profile, model, &inputs, radii);
   if (fault.field == NULL) {
-    set_model_error(profile);
+    set_model_errors(profile, inputs.parameters);
   }
   return fault;
 }

@@ -33,6 +33,20 @@
 DEFINE_CHECK(core_radii_check_f64, double)
 DEFINE_CHECK(core_radii_check_f32, float)
 
+#define DEFINE_RANGE(name, type)                                                                   \
+  core_radii_range name(size_t n, const type *r) {                                                 \
+    type least = (type)INFINITY, most = 0;                                                         \
+    for (size_t i = 0; i < n; i++) {                                                               \
+      least = r[i] < least ? r[i] : least;                                                         \
+      const type finite = r[i] < (type)INFINITY ? r[i] : 0;                                        \
+      most = finite > most ? finite : most;                                                        \
+    }                                                                                              \
+    return (core_radii_range){(double)least, (double)most};                                        \
+  }
+
+DEFINE_RANGE(core_radii_range_f64, double)
+DEFINE_RANGE(core_radii_range_f32, float)
+
 #define DEFINE_RANGE_CHECK(name, type)                                                             \
   core_fault name(const core_radii_range *range, size_t n, const type *r) {                        \
     const bool all = range->least_mm <= 0 && range->most_mm >= (double)INFINITY;                   \

@@ -53,6 +53,8 @@ void table_reply_put(uint8_t *at, const core_profile *profile, const core_parame
   const uint8_t *words = (const uint8_t *)profile->lut;
   const size_t word_bytes = profile->lut_count * sizeof *profile->lut;
   const core_radii_range pieces = core_table_pieces(profile);
+  /* A table may be evaluated at any radius that it covers. */
+  const double model_error = core_profile_errors(profile, CORE_QUANTITY_R, profile->radii).model;
   const wire_table_reply fixed = {
       .layout = TABLE_LAYOUT,
       .model = (uint16_t)profile->model,
@@ -68,7 +70,7 @@ void table_reply_put(uint8_t *at, const core_profile *profile, const core_parame
       .albedo = profile->albedo,
       .numerical_error = profile->numerical_error,
       .numerical_error_per_mm = profile->numerical_error_per_mm,
-      .model_error = profile->model_error,
+      .model_error = model_error,
       .pieces_from = pieces.least_mm,
       .pieces_to = pieces.most_mm,
       .radius_least = profile->radii.least_mm,

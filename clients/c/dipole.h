@@ -300,8 +300,8 @@ typedef struct dipole_channel {
    * numerical_error + numerical_error_per_mm * r, relative. */
   double numerical_error;
   double numerical_error_per_mm;
-  double model_error;    /* Error of the model against radiative transport, relative; NaN if it was
-                            not measured. With DIPOLE_ANY_MODEL it holds for the radii asked for. */
+  double model_error;    /* Error of the model against radiative transport, relative, for the radii
+                            that were asked for; NaN if it was not measured. */
   const double *R_f64;   /* [radius_count], 1/mm^2 */
   const double *cdf_f64; /* [radius_count] */
   const float *R_f32;

@@ -122,7 +122,6 @@ static bool set_profile(dipole_table *table, const wire_table_reply *fixed,
       .albedo = fixed->albedo,
       .numerical_error = fixed->numerical_error,
       .numerical_error_per_mm = fixed->numerical_error_per_mm,
-      .model_error = fixed->model_error,
       .notes = fixed->notes,
       .radii = {fixed->radius_least, fixed->radius_most},
   };

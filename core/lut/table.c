@@ -37,7 +37,7 @@ core_fault core_profile_from_table(core_profile *profile, const core_isa *isa, c
       .albedo = facts.albedo,
       .numerical_error = facts.numerical_error,
       .numerical_error_per_mm = facts.numerical_error_per_mm,
-      .model_error = facts.model_error,
+      .reach = {.most_mm = (double)INFINITY},
       .notes = facts.notes,
       .radii = facts.radii,
       .cost = 1,

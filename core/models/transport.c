@@ -21,9 +21,11 @@
  * LAST, the next term of that diffusion, in 1 / x^2, which makes it as good as the solution.
  * Error: the tolerance (TOLERANCE when none is asked for; at least TOLERANCE_LEAST, half of which is
  * the series'), relative, or the solver's own estimate where that is more, which an albedo below
- * 1e-6 or so may cause; up to the last radius. Beyond it, where R is 1e-13 of what it is at one mean
- * free path, and kappa is next to 1, R is off by some hundredths in the next decade. From the table:
- * the error that was measured of it and TOLERANCE_LEAST, where R is above TRANSPORT_TABLE_R_LEAST.
+ * 1e-6 or so may cause; up to the last radius, where R is 1e-13 of what it is at one mean free path.
+ * Beyond it the error grows, as core_transport_reach() says: measured against solutions to 110 / kappa
+ * (tests/accuracy/test_transport_far.c), where the continuation is off by .4 at most, for an albedo
+ * of 0.01. From the table: the error that was measured of it and TOLERANCE_LEAST, where R is above
+ * TRANSPORT_TABLE_R_LEAST.
  */
 #include "core/kernels.h"
 
@@ -390,6 +392,15 @@ static core_fault solve_and_fill(const core_inputs *inputs, double albedo, doubl
   return fault;
 }
 
+/* A table of solutions reaches less far than what is solved. */
+core_reach core_transport_reach(const core_medium *medium) {
+  const double sigma_t_prime = core_sigma_t_prime(medium);
+  const double albedo = medium->sigma_s_per_mm * (1 - medium->g) / sigma_t_prime;
+  const double kappa = transport_kappa(albedo);
+  return (core_reach){.most_mm = 1 / (kappa / LAST_EXPONENT + 1 / LAST) / sigma_t_prime,
+                      .growth = fmin(0.5, kappa + 1e-4)};
+}
+
 static core_fault look_up(const core_inputs *inputs, double albedo, const transport_table *table,
                           core_preparation *preparation) {
   transport_series series;
@@ -419,6 +430,7 @@ core_fault core_transport_prepare(const core_inputs *inputs, core_preparation *p
   if (albedo < ALBEDO_LEAST) {
     return fill_nothing(sigma_t_prime, preparation);
   }
+  preparation->reach = core_transport_reach(inputs->medium);
   const transport_table *table = table_for(inputs, albedo);
   return table != NULL ? look_up(inputs, albedo, table, preparation)
                        : solve_and_fill(inputs, albedo, asked, preparation);

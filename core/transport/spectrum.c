@@ -30,8 +30,8 @@
 /* lambda is the largest LAMBDA_MAX 2^(-level / LEVELS_PER_OCTAVE) up to kappa. */
 #define LAMBDA_MAX 0.97
 #define LEVELS_PER_OCTAVE 4.0
-/* Digits are kept to where e^(-kappa r) is e^-30 and algebraic factors have taken some more. */
-#define DECAY_KEPT 40.0
+/* Algebraic factors take some digits more than e^(-kappa r) does at the end of the reach. */
+#define DECAYS_MORE 10.0
 #define MU_MAX 1.15 /* wavenumbers keep so far from the imaginary axis, as nodes.h wants */
 /* Equations are solved up to it; beyond, X is extrapolated, ... */
 #define K_SOLVED 2e4
@@ -53,6 +53,10 @@ size_t transport_spectrum_level(double kappa) {
   return level < SPECTRUM_LEVEL_MAX ? (size_t)fmax(0, ceil(level)) : SPECTRUM_LEVEL_MAX;
 }
 
+double transport_spectrum_lambda(size_t level, double shrink) {
+  return shrink * LAMBDA_MAX * fn_exp(-LN2 / LEVELS_PER_OCTAVE * (double)level);
+}
+
 static double complex wavenumber(const spectrum_grid *grid, size_t j, double complex *dk) {
   double complex sine, cosine;
   fn_csinhcosh(CMPLX((double)j * grid->step, grid->mu), &sine, &cosine);
@@ -61,28 +65,31 @@ static double complex wavenumber(const spectrum_grid *grid, size_t j, double com
 }
 
 /* mu and the step balance both errors:
- * 2 pi mu / h = digits + DECAY_KEPT and 2 pi (pi / 2 - mu) / h >= digits. */
-static void choose_contour(spectrum_grid *grid, double accuracy, size_t level, double shrink) {
-  const double digits = -fn_log(accuracy);
-  grid->lambda = shrink * LAMBDA_MAX * fn_exp(-LN2 / LEVELS_PER_OCTAVE * (double)level);
-  grid->mu = fmin(MU_MAX, 0.5 * FN_PI * (digits + DECAY_KEPT) / (2 * digits + DECAY_KEPT));
-  grid->step = 2 * FN_PI * grid->mu / (digits + DECAY_KEPT);
+ * 2 pi mu / h = digits + decay_kept and 2 pi (pi / 2 - mu) / h >= digits. */
+static void choose_contour(spectrum_grid *grid, const spectrum_rules *rules, double lambda) {
+  const double digits = -fn_log(rules->accuracy);
+  const double decay_kept = rules->reach_decays + DECAYS_MORE;
+  grid->lambda = lambda;
+  grid->mu = fmin(MU_MAX, 0.5 * FN_PI * (digits + decay_kept) / (2 * digits + decay_kept));
+  grid->step = 2 * FN_PI * grid->mu / (digits + decay_kept);
   const double steps = fn_log(2 * K_SOLVED / grid->lambda) / grid->step;
   grid->n = steps < SPECTRUM_POINTS_MAX ? (size_t)steps : SPECTRUM_POINTS_MAX;
 }
 
-void transport_spectrum_rules(spectrum_rules *rules, double eta, double accuracy) {
+void transport_spectrum_rules(spectrum_rules *rules, double eta, double accuracy,
+                              double reach_decays) {
   rules->accuracy = accuracy;
+  rules->reach_decays = reach_decays;
   transport_nodes_rules(&rules->near, eta, fmax(ACCURACY_MIN, accuracy / NEAR_FINER));
   transport_nodes_rules(&rules->far, eta, accuracy);
 }
 
-spectrum_grid *transport_grid_new(const spectrum_rules *rules, size_t level, double shrink) {
+spectrum_grid *transport_grid_new(const spectrum_rules *rules, double lambda) {
   spectrum_grid *grid = malloc(sizeof *grid);
   if (grid == NULL) {
     return NULL;
   }
-  choose_contour(grid, rules->accuracy, level, shrink);
+  choose_contour(grid, rules, lambda);
   for (size_t j = 0; j < grid->n; j++) {
     double complex dk;
     const double complex k = wavenumber(grid, j, &dk);

@@ -18,13 +18,15 @@ enum {
  * they are all that reaches far, where most of their sum cancels. */
 typedef struct spectrum_rules {
   double accuracy;
+  double reach_decays; /* R is accurate to that many decay lengths, 1 / kappa */
   nodes_rules near;
   nodes_rules far;
 } spectrum_rules;
 
-void transport_spectrum_rules(spectrum_rules *rules, double eta, double accuracy);
+void transport_spectrum_rules(spectrum_rules *rules, double eta, double accuracy,
+                              double reach_decays);
 
-/* The wavenumbers of a level, each with its equation for one eta and accuracy. */
+/* The wavenumbers of a path, each with its equation for one eta and accuracy. */
 typedef struct spectrum_grid {
   double lambda; /* k = lambda sinh(y + i mu) */
   double mu;
@@ -36,9 +38,12 @@ typedef struct spectrum_grid {
 /* The level of media with this kappa (transport_kappa()), 0 to SPECTRUM_LEVEL_MAX. */
 size_t transport_spectrum_level(double kappa);
 
-/* shrink: 0.5 to 1, another contour for another value. Freed by transport_grid_free(). NULL: no
- * memory. */
-spectrum_grid *transport_grid_new(const spectrum_rules *rules, size_t level, double shrink);
+/* The lambda of a level. shrink: 0.5 to 1, another path for another value. */
+double transport_spectrum_lambda(size_t level, double shrink);
+
+/* lambda: up to kappa; the nearer to it, the fewer digits are lost far away. Freed by
+ * transport_grid_free(). NULL: no memory. */
+spectrum_grid *transport_grid_new(const spectrum_rules *rules, double lambda);
 void transport_grid_free(spectrum_grid *of);
 
 /* The exitance of light scattered more than once, at the grid's wavenumbers and beyond. */

@@ -22,7 +22,8 @@ enum { FINE, COARSE, BOTH };
 
 /* How much more accurate than the tolerance the rules are: the estimate is to be below it too. */
 static const double finer[BOTH] = {200, 12};
-static const double shrink[BOTH] = {1, 0.97}; /* of the contour */
+static const double shrink[BOTH] = {1, 0.97};         /* of the contour, */
+static const double shrink_far[BOTH] = {0.999, 0.98}; /* and of one that is made for one medium */
 static const double single_step[BOTH] = {0.27, 0.33};
 /* The total needs one wavenumber only, as good as 0. */
 static const double total_accuracy[BOTH] = {1e-14, 1e-12};
@@ -33,6 +34,7 @@ static const double total_accuracy[BOTH] = {1e-14, 1e-12};
 /* ---- boundaries ----------------------------------------------------------------------------- */
 
 struct transport_boundary {
+  double reach_decays;
   spectrum_rules rules[BOTH];
   nodes_rules total_rules[BOTH];
   equation total[BOTH];
@@ -54,7 +56,8 @@ static core_fault check_boundary(double eta, double tolerance) {
   return no_fault;
 }
 
-core_fault transport_boundary_create(transport_boundary **boundary, double eta, double tolerance) {
+static core_fault create(transport_boundary **boundary, double eta, double tolerance,
+                         double reach_decays) {
   *boundary = NULL;
   const core_fault fault = check_boundary(eta, tolerance);
   if (fault.field != NULL) {
@@ -64,9 +67,10 @@ core_fault transport_boundary_create(transport_boundary **boundary, double eta, 
   if (made == NULL) {
     return memory_fault;
   }
+  made->reach_decays = reach_decays;
   pthread_mutex_init(&made->lock, NULL);
   for (size_t i = 0; i < BOTH; i++) {
-    transport_spectrum_rules(&made->rules[i], eta, tolerance / finer[i]);
+    transport_spectrum_rules(&made->rules[i], eta, tolerance / finer[i], reach_decays);
     transport_nodes_rules(&made->total_rules[i], eta, total_accuracy[i]);
     transport_single_rule(&made->single[i], eta, single_step[i]);
     if (!transport_equation_make(&made->total[i], &made->total_rules[i], K_TOTAL)) {
@@ -76,6 +80,15 @@ core_fault transport_boundary_create(transport_boundary **boundary, double eta, 
   }
   *boundary = made;
   return no_fault;
+}
+
+core_fault transport_boundary_create(transport_boundary **boundary, double eta, double tolerance) {
+  return create(boundary, eta, tolerance, TRANSPORT_REACH_DECAYS);
+}
+
+core_fault transport_boundary_create_far(transport_boundary **boundary, double eta,
+                                         double tolerance) {
+  return create(boundary, eta, tolerance, TRANSPORT_REACH_DECAYS_FAR);
 }
 
 void transport_boundary_free(transport_boundary *boundary) {
@@ -96,7 +109,8 @@ void transport_boundary_free(transport_boundary *boundary) {
 static const spectrum_grid *grid_of(transport_boundary *boundary, size_t level, size_t i) {
   pthread_mutex_lock(&boundary->lock);
   if (boundary->grids[level][i] == NULL) {
-    boundary->grids[level][i] = transport_grid_new(&boundary->rules[i], level, shrink[i]);
+    boundary->grids[level][i] =
+        transport_grid_new(&boundary->rules[i], transport_spectrum_lambda(level, shrink[i]));
   }
   const spectrum_grid *grid = boundary->grids[level][i];
   pthread_mutex_unlock(&boundary->lock);
@@ -137,7 +151,7 @@ double transport_kappa(double albedo) {
  * the largest around is taken, because differences have zeros that errors have not. */
 #define TABLE_FIRST 1e-7
 #define TABLE_STEP 0.2
-#define TABLE_DECAYS 45.0 /* the last radius is so many 1 / kappa, ... */
+#define TABLE_REACHES 1.5 /* the last radius is so many reaches, ... */
 #define TABLE_LAST 1e7    /* ... or that */
 enum { TABLE_MAX = 164 };
 
@@ -168,8 +182,8 @@ static double relative(double fine, double coarse) {
   return fine == coarse ? 0 : fmin(1, SAFETY * fabs(fine - coarse) / fabs(fine));
 }
 
-static void fill_table(transport_solution *solution) {
-  const double last = fmin(TABLE_LAST, TABLE_DECAYS / fmax(solution->kappa, 1e-30));
+static void fill_table(transport_solution *solution, double reach_decays) {
+  const double last = fmin(TABLE_LAST, TABLE_REACHES * reach_decays / fmax(solution->kappa, 1e-30));
   for (size_t i = 0; i < TABLE_MAX && table_radius(i) <= last; i++) {
     const spectrum_values fine = transport_spectrum_at(&solution->spectra[FINE], table_radius(i));
     const spectrum_values coarse =
@@ -205,18 +219,23 @@ static bool solve_total(transport_solution *solution, const transport_boundary *
 
 static bool solve(transport_solution *solution, transport_boundary *boundary,
                   transport_work *work) {
+  const bool far = boundary->reach_decays > TRANSPORT_REACH_DECAYS;
   const size_t level = transport_spectrum_level(solution->kappa);
   for (size_t i = 0; i < BOTH; i++) {
-    const spectrum_grid *grid = grid_of(boundary, level, i);
-    if (grid == NULL || !transport_spectrum_make(&solution->spectra[i], grid, work,
-                                                 solution->albedo, solution->kappa)) {
+    spectrum_grid *own =
+        far ? transport_grid_new(&boundary->rules[i], shrink_far[i] * solution->kappa) : NULL;
+    const spectrum_grid *grid = far ? own : grid_of(boundary, level, i);
+    const bool made = grid != NULL && transport_spectrum_make(&solution->spectra[i], grid, work,
+                                                              solution->albedo, solution->kappa);
+    transport_grid_free(own);
+    if (!made) {
       return false;
     }
   }
   if (!solve_total(solution, boundary, work)) {
     return false;
   }
-  fill_table(solution);
+  fill_table(solution, boundary->reach_decays);
   return true;
 }
 

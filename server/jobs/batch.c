@@ -171,11 +171,26 @@ static const void *radii_of(const struct repeat_entry *entry, const uint8_t *pay
   return radii;
 }
 
+/* States the errors for the radii of this request. */
+static void put_errors(const struct repeat_entry *entry, const void *r, uint8_t *channel) {
+  const core_radii_range radii = entry->value_bytes == sizeof(float)
+                                     ? core_radii_range_f32(entry->count, r)
+                                     : core_radii_range_f64(entry->count, r);
+  const core_stated_errors errors =
+      core_profile_errors(profiles_at(entry->place), entry->wanted, radii);
+  wire_channel fixed;
+  wire_get_channel(channel, &fixed);
+  fixed.numerical_error = errors.numerical;
+  fixed.model_error = errors.model;
+  wire_put_channel(channel, &fixed);
+}
+
 void repeat_answer(const struct repeat_entry *entry, struct batch *batch, struct stats *stats,
                    const uint8_t *payload, double *radii, uint8_t *reply) {
   const size_t used = entry->count * entry->value_bytes;
   const void *r = radii_of(entry, payload, radii);
   memcpy(reply, entry->reply, REPEAT_REPLY_BYTES);
+  put_errors(entry, r, reply + WIRE_BYTES_eval_reply);
   uint8_t *to = reply + REPEAT_REPLY_BYTES;
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
     if (eval_is_array(entry->wanted, quantity->id)) {

@@ -24,21 +24,14 @@ static wire_error check_media(const core_medium *media, size_t count) {
   return wire_error_none();
 }
 
-/* The least and the largest radius of the list, or the ends of the grid. */
-static core_radii_range range_of(const eval_request *request) {
+core_radii_range choice_radii(const eval_request *request) {
   const wire_eval_request *fixed = &request->fixed;
   if (fixed->spacing != CORE_SPACING_LIST) {
     const double stop = fixed->radius_count > 1 ? fixed->radius_stop : fixed->radius_start;
     return (core_radii_range){fixed->radius_start, stop};
   }
-  core_radii_range range = {(double)INFINITY, 0};
-  for (uint64_t i = 0; i < fixed->radius_count; i++) {
-    const double r = is_single(fixed) ? (double)((const float *)request->radii)[i]
-                                      : ((const double *)request->radii)[i];
-    range.least_mm = fmin(range.least_mm, r);
-    range.most_mm = fmax(range.most_mm, r);
-  }
-  return range;
+  return is_single(fixed) ? core_radii_range_f32(fixed->radius_count, request->radii)
+                          : core_radii_range_f64(fixed->radius_count, request->radii);
 }
 
 /* Without radii, the quantities at radii have no error. */
@@ -68,7 +61,7 @@ void choice_list(const eval_request *request, struct choice *choice) {
       .media_count = fixed->medium_count,
       .moments = fixed->moments,
       .wanted = wanted_of(fixed),
-      .radii = range_of(request),
+      .radii = choice_radii(request),
       .single = is_single(fixed),
       .tolerance = request->parameters.value[CORE_PARAMETER_TOLERANCE],
   };

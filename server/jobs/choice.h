@@ -20,6 +20,10 @@ struct choice_state {
   size_t tried;       /* how many candidates have been chosen so far */
 };
 
+/* Returns the least and the largest radius of an eval request that has been checked: of its list,
+ * or the ends of its grid. */
+core_radii_range choice_radii(const eval_request *request);
+
 /* Checks the tolerance and the media of a request of model EVAL_ANY_MODEL. */
 wire_error choice_check(const eval_request *request);
 

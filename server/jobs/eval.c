@@ -195,7 +195,11 @@ static wire_error check(struct eval_job *eval, const struct job_request *request
   if (error.status == WIRE_STATUS_OK) {
     error = check_radii(eval);
   }
-  return error.status == WIRE_STATUS_OK ? check_range(eval, &range) : error;
+  if (error.status == WIRE_STATUS_OK) {
+    eval->radii = choice_radii(&eval->request);
+    error = check_range(eval, &range);
+  }
+  return error;
 }
 
 /* ---- evaluating a slice -------------------------------------------------------------------------
@@ -256,12 +260,13 @@ static void start_channel(struct eval_job *eval) {
   const core_profile *profile = &eval->lookup.profile;
   eval->notes |= profile->notes;
   const bool albedo_wanted = (eval->request.fixed.wanted & CORE_QUANTITY_ALBEDO) != 0;
+  const core_stated_errors errors =
+      core_profile_errors(profile, eval->request.fixed.wanted, eval->radii);
   const wire_channel channel = {
       .albedo = albedo_wanted ? profile->albedo : (double)NAN,
-      .numerical_error = profile->numerical_error,
-      .numerical_error_per_mm = profile->numerical_error_per_mm,
-      .model_error =
-          isnan(eval->choice.tolerance) ? profile->model_error : eval->choice.model_error,
+      .numerical_error = errors.numerical,
+      .numerical_error_per_mm = errors.numerical_per_mm,
+      .model_error = isnan(eval->choice.tolerance) ? errors.model : eval->choice.model_error,
   };
   wire_put_channel(eval->reply + eval->layout.channels_offset +
                        (size_t)eval->channel * WIRE_BYTES_channel,

@@ -17,6 +17,7 @@ struct eval_job {
   core_grid grid;
   struct choice_state choice; /* for a request that names a tolerance in place of a model */
   bool covers_all;            /* the model covers all radii */
+  core_radii_range radii;     /* least and largest, for which the reply states its errors */
 
   /* Draws the next n radii of the channel. NULL unless the job is a sample. */
   const void *(*draw_radii)(const struct eval_job *eval, size_t n);

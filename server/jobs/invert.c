@@ -1,7 +1,7 @@
 /* Invert: media whose albedo and length are given, looked for slice by slice. */
 #include <math.h>
 
-#include "core/inversion.h"
+#include "core/inverter.h"
 #include "proto/invert.h"
 #include "server/jobs/job.h"
 

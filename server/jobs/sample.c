@@ -23,6 +23,8 @@ static wire_error check_numbers(const struct eval_job *eval) {
 /* Any radius may be drawn, so the model has to cover all of them. */
 static wire_error check(struct eval_job *eval) {
   core_radii_range range;
+  /* The model error at 0 is known of transport alone, and so is that at any radius. */
+  eval->radii = (core_radii_range){0, 0};
   const wire_error error = eval_job_check_media(eval, &range);
   if (error.status != WIRE_STATUS_OK) {
     return error;

@@ -325,8 +325,9 @@ UNIT_TEST(outside_of_what_was_measured_only_transport_promises) {
   assert_true(others_promise(&request));
   request.radii.most_mm = 19.1;
   only_transport_promises(request);
-  request.radii.most_mm = (double)INFINITY;
-  only_transport_promises(request);
+  request.radii.most_mm = (double)INFINITY; /* where transport does not reach either */
+  assert_false(others_promise(&request));
+  assert_false(choose(&request).meets);
   static const core_medium media[] = {{10.1, 1, 0, 1.4}, {0.05, 1, 0, 0.99}, {0.05, 1, 0, 2.01}};
   for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
     request = easy(&media[i], 1);

@@ -145,7 +145,7 @@ def test_a_note_names_the_models_that_it_is_about():
 
 
 def test_model_error_is_shown_where_it_is_a_number(client):
-    """Albedos above 1 have one: of all models, one has it for a medium that only scatters."""
+    """An albedo above 1 is an error of the albedo, and where R is wanted, R's may be larger."""
     medium = ["--sigma-a", "0", "--sigma-s", "1", "--r", "1"]
     rows = eval_rows(*medium, "--model", "all", quiet=False)
     above = next(row for row in rows if "albedo-above-1" in row["notes"].split())

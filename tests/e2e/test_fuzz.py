@@ -194,9 +194,8 @@ def assert_well_formed_eval(payload: bytes, drawn: bool) -> None:
     if fixed.wanted & wire.QUANTITY_ALBEDO:
         # A published model may give out more than went in, and then says so.
         said = bool(fixed.notes & NOTES["albedo-above-1"])
-        albedo, numerical_error, model_error = channels[:, 0], channels[:, 1], channels[:, 3]
-        room = np.fmax(numerical_error, model_error) if said else numerical_error
-        assert np.all((albedo >= 0) & (albedo <= 1 + room))
+        albedo, numerical_error = channels[:, 0], channels[:, 1]
+        assert np.all((albedo >= 0) & (said | (albedo <= 1 + numerical_error)))
     for row, quantity in enumerate(quantities):
         values = np.frombuffer(payload, value_type, fixed.radius_count, start + row * row_bytes)
         least, most = RANGES.get(quantity, (0, np.inf))

@@ -94,7 +94,7 @@ def test_every_model_has_tables(client, model):
     np.testing.assert_array_equal(table.cdf(r).view(np.uint32), answer.cdf[0].view(np.uint32))
     assert table.albedo == answer.albedo[0]
     assert table.numerical_error_constant == answer.numerical_error_constant[0]
-    np.testing.assert_array_equal(table.model_error, answer.model_error[0])
+    assert table.model_error == 0 if model == "transport" else math.isnan(table.model_error)
 
 
 @pytest.mark.skipif("gaussians" not in MODELS, reason="built without the model")

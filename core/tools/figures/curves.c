@@ -2,18 +2,11 @@
 
 #include <math.h>
 
-#include "core/tools/figures/fail.h"
-#include "core/tools/figures/workers.h"
+#include "core/tools/tools.h"
 #include "core/transport/transport.h"
 
 #define TRANSPORT_TOLERANCE 1e-7
 #define MODEL_TOLERANCE 1e-6 /* of those that take one */
-
-static void check(core_fault fault, const char *what) {
-  if (fault.field != NULL) {
-    fail("%s refused %s: %s", what, fault.field, fault.allowed);
-  }
-}
 
 /* Gauss and Legendre's rule with 4 nodes on [-1, 1] (Abramowitz and Stegun 1964, 25.4.29). */
 enum { NODES = 4 };
@@ -37,7 +30,8 @@ static double ring_mean(const transport_solution *solution, size_t ring) {
 
 static void fill_transport(panel_data *panel, transport_boundary *boundary) {
   transport_solution *solution;
-  check(transport_solve(&solution, boundary, panel_medium(panel).sigma_s_per_mm), "transport");
+  tools_check(transport_solve(&solution, boundary, panel_medium(panel).sigma_s_per_mm),
+              "transport");
   for (size_t i = 0; i < PANEL_RINGS; i++) {
     const transport_number R = transport_at(solution, panel_radius(i)).R;
     panel->value[COLUMN_TRANSPORT][i] = R.value;
@@ -56,13 +50,14 @@ static void fill_model(panel_data *panel, size_t column) {
   parameters.value[CORE_PARAMETER_TOLERANCE] = MODEL_TOLERANCE;
   core_profile profile;
   double r[PANEL_RINGS];
-  check(core_profile_prepare(&profile, core_isa_select(NULL), panel_column_model(column),
-                             CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium, &parameters),
-        panel_column_name(column));
+  tools_check(core_profile_prepare(&profile, core_isa_select(NULL), panel_column_model(column),
+                                   CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium, &parameters),
+              panel_column_name(column));
   for (size_t i = 0; i < PANEL_RINGS; i++) {
     r[i] = panel_radius(i);
   }
-  check(core_radii_range_check_f64(&profile.radii, PANEL_RINGS, r), panel_column_name(column));
+  tools_check(core_radii_range_check_f64(&profile.radii, PANEL_RINGS, r),
+              panel_column_name(column));
   core_eval_f64(&profile, CORE_QUANTITY_R, PANEL_RINGS, r, panel->value[column]);
   panel->albedo[column] = profile.albedo;
   core_profile_free(&profile);
@@ -71,7 +66,7 @@ static void fill_model(panel_data *panel, size_t column) {
 typedef struct eta_curves {
   panel_data *const *panels;
   transport_boundary *boundary;
-  progress_bar *progress;
+  tools_progress *progress;
 } eta_curves;
 
 static void fill(void *context, size_t i) {
@@ -84,13 +79,13 @@ static void fill(void *context, size_t i) {
     }
   }
   panel->known[PANEL_CURVE] = true;
-  progress_add(all->progress, CURVES_COST_US);
+  tools_progress_add(all->progress, CURVES_COST_US);
 }
 
-void curves_run(panel_data *const *panels, size_t count, size_t threads, progress_bar *progress) {
+void curves_run(panel_data *const *panels, size_t count, size_t threads, tools_progress *progress) {
   eta_curves all = {.panels = panels, .progress = progress};
-  check(transport_boundary_create(&all.boundary, panel_eta(panels[0]), TRANSPORT_TOLERANCE),
-        "transport");
-  workers_each(threads, count, fill, &all);
+  tools_check(transport_boundary_create(&all.boundary, panel_eta(panels[0]), TRANSPORT_TOLERANCE),
+              "transport");
+  tools_each(threads, count, fill, &all);
   transport_boundary_free(all.boundary);
 }

@@ -3,13 +3,13 @@
 #define FIGURES_CURVES_H
 
 #include "core/tools/figures/panel.h"
-#include "core/tools/figures/progress.h"
+#include "core/tools/tools.h"
 
 /* Estimated work for a panel. */
 #define CURVES_COST_US 40e3
 
 /* Fills the columns of transport and of the models of count panels, all of one eta, which share
  * what transport needs of it, by so many threads. */
-void curves_run(panel_data *const *panels, size_t count, size_t threads, progress_bar *progress);
+void curves_run(panel_data *const *panels, size_t count, size_t threads, tools_progress *progress);
 
 #endif

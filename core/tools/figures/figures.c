@@ -9,21 +9,18 @@
  * Figure NN from 1 to 16 has the ratio of that position, and a panel for each eta; Figure 17 sets
  * the switches of the dipole one by one, for three ratios and three eta.
  */
-#include <errno.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
 
 #include "core/tools/figures/curves.h"
-#include "core/tools/figures/fail.h"
-#include "core/tools/figures/gnuplot.h"
 #include "core/tools/figures/options.h"
 #include "core/tools/figures/page.h"
 #include "core/tools/figures/summary.h"
 #include "core/tools/figures/table.h"
 #include "core/tools/figures/walk.h"
-#include "core/tools/figures/workers.h"
+#include "core/tools/tools.h"
 
 enum { PATH_BYTES = 4096, FIGURES = PANEL_RATIOS + 1, WANTED_MAX = PANEL_RATIOS * PANEL_ETAS };
 
@@ -33,12 +30,12 @@ typedef struct run {
   options options;
   uint64_t batches; /* 0: no Monte Carlo */
   panel_data panels[PANEL_ETAS][PANEL_RATIOS];
-  progress_bar progress;
+  tools_progress progress;
 } run;
 
 static void output_path(const run *all, char path[PATH_BYTES], const char *name) {
   if (snprintf(path, PATH_BYTES, "%s/%s", all->options.output, name) >= PATH_BYTES) {
-    fail("%s: the name is too long", all->options.output);
+    tools_fail("%s: the name is too long", all->options.output);
   }
 }
 
@@ -112,7 +109,7 @@ static void compute(run *all, size_t eta, enum panel_source source) {
   }
   snprintf(stage, sizeof stage, "%s, eta %s",
            source == PANEL_WALK ? "Monte Carlo" : "transport and models", panel_eta_names[eta]);
-  progress_stage(&all->progress, stage);
+  tools_progress_stage(&all->progress, stage);
   if (source == PANEL_WALK) {
     walk_run(panels, count, all->batches, all->options.threads, &all->progress);
   } else {
@@ -198,7 +195,7 @@ static void draw(void *context, size_t i) {
       table_write_albedos(path, figure + 1, p.panels, p.count);
     }
   }
-  progress_add(&all->progress, PAGE_COST_US);
+  tools_progress_add(&all->progress, PAGE_COST_US);
 }
 
 static void summarize(const run *all, const panel_data **panels, size_t count) {
@@ -213,18 +210,12 @@ static void summarize(const run *all, const panel_data **panels, size_t count) {
 /* ---- the run ----------------------------------------------------------------------------------
  */
 
-static void make_folder(const char *path) {
-  if (mkdir(path, 0777) != 0 && errno != EEXIST) {
-    fail("cannot make the folder %s: %s", path, strerror(errno));
-  }
-}
-
 static size_t start(run *all, const panel_data **wanted) {
   size_t count = 0;
   char path[PATH_BYTES];
-  make_folder(all->options.output);
+  tools_make_folder(all->options.output);
   output_path(all, path, "parts");
-  make_folder(path);
+  tools_make_folder(path);
   for (size_t ratio = 0; ratio < PANEL_RATIOS; ratio++) {
     for (size_t eta = 0; eta < PANEL_ETAS; eta++) {
       panel_data *one = &all->panels[eta][ratio];
@@ -246,18 +237,18 @@ int main(int argc, char **argv) {
   const panel_data *wanted[WANTED_MAX];
   all.options = options_read(argc, argv);
   all.batches = all.options.photons > 0 ? walk_batches(all.options.photons) : 0;
-  gnuplot_require();
+  tools_require_gnuplot();
   const size_t count = start(&all, wanted);
-  progress_start(&all.progress, estimated_us(&all));
+  tools_progress_start(&all.progress, estimated_us(&all));
   for (size_t eta = 0; eta < PANEL_ETAS; eta++) {
     compute(&all, eta, PANEL_CURVE);
   }
   for (size_t eta = 0; eta < PANEL_ETAS; eta++) {
     compute(&all, eta, PANEL_WALK);
   }
-  progress_stage(&all.progress, "pages");
-  workers_each(all.options.threads, FIGURES * PAGE_FORMS, draw, &all);
-  progress_end(&all.progress);
+  tools_progress_stage(&all.progress, "pages");
+  tools_each(all.options.threads, FIGURES * PAGE_FORMS, draw, &all);
+  tools_progress_end(&all.progress);
   summarize(&all, wanted, count);
   return EXIT_SUCCESS;
 }

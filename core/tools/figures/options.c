@@ -1,14 +1,11 @@
 #include "core/tools/figures/options.h"
+#include "core/tools/tools.h"
 
 #include <errno.h>
 #include <getopt.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <unistd.h>
-
-#include "core/tools/figures/fail.h"
-#include "core/tools/figures/workers.h"
 
 #define PHOTONS 16000000
 #define PHOTONS_MAX UINT64_C(1000000000000)
@@ -31,8 +28,8 @@ static uint64_t number(const char *option, const char *text, uint64_t least, uin
   errno = 0;
   const unsigned long long value = strtoull(text, &end, 10);
   if (*text < '0' || *text > '9' || *end != '\0' || errno != 0 || value < least || value > most) {
-    fail("--%s %s: a number from %llu to %llu is needed", option, text, (unsigned long long)least,
-         (unsigned long long)most);
+    tools_fail("--%s %s: a number from %llu to %llu is needed", option, text,
+               (unsigned long long)least, (unsigned long long)most);
   }
   return value;
 }
@@ -59,9 +56,7 @@ static void choose(const char *option, char *list, const char *const *names, siz
 }
 
 static options defaults(void) {
-  const long processors = sysconf(_SC_NPROCESSORS_ONLN);
-  options o = {.output = "build/figures", .photons = PHOTONS};
-  o.threads = processors < 1 ? 1 : processors > WORKERS_MAX ? WORKERS_MAX : (size_t)processors;
+  options o = {.output = "build/figures", .photons = PHOTONS, .threads = tools_processors()};
   memset(o.ratio, true, sizeof o.ratio);
   memset(o.eta, true, sizeof o.eta);
   return o;
@@ -89,7 +84,7 @@ options options_read(int argc, char **argv) {
       choose("etas", optarg, panel_eta_names, PANEL_ETAS, o.eta);
       break;
     case 't':
-      o.threads = number("threads", optarg, 1, WORKERS_MAX);
+      o.threads = number("threads", optarg, 1, TOOLS_THREADS_MAX);
       break;
     case 'f':
       o.fresh = true;
@@ -103,7 +98,7 @@ options options_read(int argc, char **argv) {
     }
   }
   if (optind < argc) {
-    fail("%s: no such argument; see --help", argv[optind]);
+    tools_fail("%s: no such argument; see --help", argv[optind]);
   }
   return o;
 }

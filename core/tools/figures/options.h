@@ -12,7 +12,7 @@
 typedef struct options {
   const char *output;
   uint64_t photons; /* for each eta; 0: no Monte Carlo */
-  size_t threads;   /* 1 to WORKERS_MAX */
+  size_t threads;   /* 1 to TOOLS_THREADS_MAX */
   bool fresh;
   bool ratio[PANEL_RATIOS];
   bool eta[PANEL_ETAS];

@@ -1,11 +1,7 @@
 #include "core/tools/figures/page.h"
+#include "core/tools/tools.h"
 
-#include <errno.h>
 #include <math.h>
-#include <string.h>
-
-#include "core/tools/figures/fail.h"
-#include "core/tools/figures/gnuplot.h"
 
 const char *const page_form_names[PAGE_FORMS] = {"log", "gamma"};
 
@@ -215,13 +211,19 @@ static void put_legend(FILE *script, const page_layout *page) {
         script);
 }
 
-static void put_script(FILE *script, const page_layout *page, enum page_form form) {
+struct script {
+  const page_layout *page;
+  enum page_form form;
+};
+
+static void put_script(FILE *script, const void *context) {
+  const struct script *what = context;
+  const page_layout *page = what->page;
+  const enum page_form form = what->form;
   fprintf(script,
-          "set terminal svg size %d,%d dynamic background rgb 'white' font 'sans,12' noenhanced\n"
-          "set encoding utf8\nset multiplot title '%s: %s' font ',17'\nset grid lt 1 lw 0.7 lc rgb "
-          "'#dddddd'\nunset key\n"
-          "set xlabel 'r (mean free paths)' offset 0,0.6\n",
-          WIDTH, HEIGHT, page->title,
+          "set multiplot title '%s: %s' font ',17'\nset grid lt 1 lw 0.7 lc rgb '#dddddd'\n"
+          "unset key\nset xlabel 'r (mean free paths)' offset 0,0.6\n",
+          page->title,
           form == PAGE_GAMMA ? "R to the power 1/2.2" : "R per squared mean free path");
   if (form == PAGE_GAMMA) {
     put_gamma_axes(script, page);
@@ -236,10 +238,6 @@ static void put_script(FILE *script, const page_layout *page, enum page_form for
 }
 
 void page_draw(const page_layout *page, enum page_form form, const char *path) {
-  FILE *script = tmpfile();
-  if (script == NULL) {
-    fail("cannot make a temporary file: %s", strerror(errno));
-  }
-  put_script(script, page, form);
-  gnuplot_draw(script, path);
+  const struct script script = {page, form};
+  tools_draw(path, WIDTH, HEIGHT, put_script, &script);
 }

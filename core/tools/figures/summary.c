@@ -4,6 +4,7 @@
 #include <stdlib.h>
 
 #include "core/tools/figures/table.h"
+#include "core/tools/tools.h"
 
 enum { PANELS_MAX = PANEL_RATIOS * PANEL_ETAS };
 
@@ -62,16 +63,6 @@ static bool in_group(const panel_data *medium, struct group group) {
          eta <= group.eta_most;
 }
 
-static int compare(const void *a, const void *b) {
-  const double x = *(const double *)a, y = *(const double *)b;
-  return (x > y) - (x < y);
-}
-
-static double median(double *values, size_t count) {
-  qsort(values, count, sizeof *values, compare);
-  return (values[(count - 1) / 2] + values[count / 2]) / 2;
-}
-
 typedef struct verdict {
   size_t panels, nearer;
   double median[2], worst[2]; /* factors, of the model and of what it is held against */
@@ -90,7 +81,7 @@ static verdict judge(const panel_data *const *panels, size_t count, struct pair 
     }
   }
   for (size_t k = 0; k < 2 && v.panels > 0; k++) {
-    v.median[k] = exp(median(offs[k], v.panels));
+    v.median[k] = exp(tools_median(offs[k], v.panels));
     v.worst[k] = exp(offs[k][v.panels - 1]);
   }
   return v;
@@ -125,7 +116,7 @@ static void put_row(FILE *file, const panel_data *const *panels, size_t count, s
 static const range the_albedo = {(double)NAN, (double)NAN};
 
 void summary_write(const char *path, const panel_data *const *panels, size_t count) {
-  FILE *file = table_open(path);
+  FILE *file = tools_open(path);
   fputs("model,against,ratio_from,ratio_to,eta_from,eta_to,r_from,r_to,panels,nearer,share,model_"
         "median,"
         "against_median,model_worst,against_worst\n",
@@ -141,7 +132,7 @@ void summary_write(const char *path, const panel_data *const *panels, size_t cou
       put_row(file, panels, count, pairs[p], groups[0], (range){panel_radius(i), panel_radius(i)});
     }
   }
-  table_close(file, path);
+  tools_close(file, path);
 }
 
 /* ---- Monte Carlo against transport ------------------------------------------------------------
@@ -173,7 +164,7 @@ static check check_panel(const panel_data *medium) {
 
 void summary_write_check(const char *path, const panel_data *const *panels, size_t count,
                          uint64_t batches) {
-  FILE *file = table_open(path);
+  FILE *file = tools_open(path);
   fputs("ratio,eta,rings,chi2,worst_sigmas,albedo_sigmas\n", file);
   for (size_t i = 0; i < count && batches >= SUMMARY_CHECK_BATCHES_MIN; i++) {
     if (panels[i]->known[PANEL_WALK]) {
@@ -182,7 +173,7 @@ void summary_write_check(const char *path, const panel_data *const *panels, size
               panel_eta_names[panels[i]->eta], c.rings, c.chi2, c.worst, c.albedo);
     }
   }
-  table_close(file, path);
+  tools_close(file, path);
 }
 
 /* ---- for people -------------------------------------------------------------------------------

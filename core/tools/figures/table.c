@@ -1,41 +1,12 @@
 #include "core/tools/figures/table.h"
+#include "core/tools/tools.h"
 
 #include <errno.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "core/tools/figures/fail.h"
-
-enum { PATH_BYTES = 4096, LINE_BYTES = 4096 };
-
-/* ---- files that are whole ---------------------------------------------------------------------
- */
-
-static void temporary_name(char name[PATH_BYTES], const char *path) {
-  if (snprintf(name, PATH_BYTES, "%s.part", path) >= PATH_BYTES) {
-    fail("%s: the name is too long", path);
-  }
-}
-
-FILE *table_open(const char *path) {
-  char name[PATH_BYTES];
-  temporary_name(name, path);
-  FILE *file = fopen(name, "we");
-  if (file == NULL) {
-    fail("cannot write %s: %s", name, strerror(errno));
-  }
-  return file;
-}
-
-void table_close(FILE *file, const char *path) {
-  char name[PATH_BYTES];
-  temporary_name(name, path);
-  const bool good = ferror(file) == 0;
-  if (fclose(file) != 0 || !good || rename(name, path) != 0) {
-    fail("cannot write %s: %s", path, strerror(errno));
-  }
-}
+enum { LINE_BYTES = 4096 };
 
 void table_put(FILE *file, double number) {
   char text[32] = "";
@@ -69,7 +40,7 @@ static void row_start(char *line, size_t bytes, const panel_data *panel, size_t 
 
 void table_keep(const char *path, const panel_data *panel, enum panel_source source) {
   char line[LINE_BYTES];
-  FILE *file = table_open(path);
+  FILE *file = tools_open(path);
   header(line, sizeof line, source);
   fputs(line, file);
   for (size_t ring = 0; ring < PANEL_RINGS; ring++) {
@@ -83,7 +54,7 @@ void table_keep(const char *path, const panel_data *panel, enum panel_source sou
     }
     fputc('\n', file);
   }
-  table_close(file, path);
+  tools_close(file, path);
 }
 
 /* A comma and a number or nothing. */
@@ -159,7 +130,7 @@ static void put_panel(FILE *file, size_t figure, const panel_data *panel) {
 
 void table_write_figure(const char *path, size_t figure, const panel_data *const *panels,
                         size_t count) {
-  FILE *file = table_open(path);
+  FILE *file = tools_open(path);
   fputs("figure,ratio,eta,r,ring_from,ring_to", file);
   for (size_t column = 0; column < COLUMNS; column++) {
     fprintf(file, ",%s", panel_column_name(column));
@@ -168,7 +139,7 @@ void table_write_figure(const char *path, size_t figure, const panel_data *const
   for (size_t i = 0; i < count; i++) {
     put_panel(file, figure, panels[i]);
   }
-  table_close(file, path);
+  tools_close(file, path);
 }
 
 /* A column's error is the next one, where there is one of that kind. */
@@ -180,7 +151,7 @@ static double error_of(const panel_data *panel, size_t column) {
 
 void table_write_albedos(const char *path, size_t figure, const panel_data *const *panels,
                          size_t count) {
-  FILE *file = table_open(path);
+  FILE *file = tools_open(path);
   fputs("figure,ratio,eta,curve,albedo,error,relative_to_transport\n", file);
   for (size_t i = 0; i < count; i++) {
     for (size_t column = 0; column < COLUMNS; column++) {
@@ -194,5 +165,5 @@ void table_write_albedos(const char *path, size_t figure, const panel_data *cons
       }
     }
   }
-  table_close(file, path);
+  tools_close(file, path);
 }

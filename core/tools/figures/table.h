@@ -1,16 +1,12 @@
 /* table: panels as CSV files. A value that is not known is an empty field; numbers are written so
- * that they read back as the same bits. A file is complete or not there: it gets its name when it
- * has been written. */
+ * that they read back as the same bits. */
 #ifndef FIGURES_TABLE_H
 #define FIGURES_TABLE_H
 
 #include <stdio.h>
 
 #include "core/tools/figures/panel.h"
-
-/* A file that is being written, under a temporary name. Both end the program when it fails. */
-FILE *table_open(const char *path);
-void table_close(FILE *file, const char *path);
+#include "core/tools/tools.h"
 
 /* A comma and the number, or a comma alone for NaN. */
 void table_put(FILE *file, double number);

@@ -4,15 +4,14 @@
 #include <pthread.h>
 
 #include "core/montecarlo/montecarlo.h"
-#include "core/tools/figures/fail.h"
-#include "core/tools/figures/workers.h"
+#include "core/tools/tools.h"
 
 #define SEED 20120101
 #define SLICE UINT64_MAX /* a batch is milliseconds, and nothing else waits */
 
 /* Batches that may be done or being walked before they are merged, for each thread: so that one
  * that is held up does not stop the others. */
-enum { BATCHES_PER_THREAD = 4, SLOTS_MAX = BATCHES_PER_THREAD * WORKERS_MAX };
+enum { BATCHES_PER_THREAD = 4, SLOTS_MAX = BATCHES_PER_THREAD * TOOLS_THREADS_MAX };
 
 _Static_assert((int)PANEL_RATIOS <= (int)CORE_MC_ALBEDOS_MAX, "one walk serves all ratios");
 
@@ -26,7 +25,7 @@ typedef struct walk {
   size_t slots;
   uint64_t next, batches;
   double batch_us;
-  progress_bar *progress;
+  tools_progress *progress;
 } walk;
 
 uint64_t walk_batches(uint64_t photons) {
@@ -48,7 +47,7 @@ static void merge_done(walk *w) {
     }
     core_mc_total_merge(w->total, w->slot[slot]);
     w->done[slot] = false;
-    progress_add(w->progress, w->batch_us);
+    tools_progress_add(w->progress, w->batch_us);
     pthread_cond_broadcast(&w->merged);
   }
 }
@@ -86,7 +85,7 @@ static void start(walk *w, panel_data *const *panels, size_t count) {
   }
   const core_fault fault = core_mc_check(&request);
   if (fault.field != NULL) {
-    fail("Monte Carlo refused %s: %s", fault.field, fault.allowed);
+    tools_fail("Monte Carlo refused %s: %s", fault.field, fault.allowed);
   }
   w->plan = core_mc_plan_create(&request);
   w->total = w->plan != NULL ? core_mc_total_create(w->plan) : NULL;
@@ -96,7 +95,7 @@ static void start(walk *w, panel_data *const *panels, size_t count) {
     good = w->slot[i] != NULL;
   }
   if (!good) {
-    fail("out of memory");
+    tools_fail("out of memory");
   }
   pthread_mutex_init(&w->lock, NULL);
   pthread_cond_init(&w->merged, NULL);
@@ -127,13 +126,13 @@ static void fill(panel_data *panel, const core_mc_total *total, size_t albedo) {
 }
 
 void walk_run(panel_data *const *panels, size_t count, uint64_t batches, size_t threads,
-              progress_bar *progress) {
+              tools_progress *progress) {
   walk w = {.slots = BATCHES_PER_THREAD * threads,
             .batches = batches,
             .batch_us = walk_cost_us(panel_eta(panels[0]), 1),
             .progress = progress};
   start(&w, panels, count);
-  workers_run(threads, walk_some, &w);
+  tools_in_threads(threads, walk_some, &w);
   for (size_t i = 0; i < count; i++) {
     fill(panels[i], w.total, i);
   }

@@ -3,7 +3,7 @@
 #define FIGURES_WALK_H
 
 #include "core/tools/figures/panel.h"
-#include "core/tools/figures/progress.h"
+#include "core/tools/tools.h"
 
 /* Photons are walked in batches: the number of them that holds so many photons, at least 2. */
 uint64_t walk_batches(uint64_t photons);
@@ -15,6 +15,6 @@ double walk_cost_us(double eta, uint64_t batches);
  * walk by so many threads. The same panels and batches give the same bits with any number of
  * threads. */
 void walk_run(panel_data *const *panels, size_t count, uint64_t batches, size_t threads,
-              progress_bar *progress);
+              tools_progress *progress);
 
 #endif

@@ -1,4 +1,5 @@
 #include "core/tools/tradeoff/costs.h"
+#include "core/tools/tools.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -31,16 +32,6 @@ static double now_ns(void) {
   return (double)now.tv_sec * 1e9 + (double)now.tv_nsec;
 }
 
-static int compare(const void *a, const void *b) {
-  const double x = *(const double *)a, y = *(const double *)b;
-  return (x > y) - (x < y);
-}
-
-double costs_median(double *values, size_t n) {
-  qsort(values, n, sizeof *values, compare);
-  return n % 2 ? values[n / 2] : 0.5 * (values[n / 2 - 1] + values[n / 2]);
-}
-
 /* False: this medium is refused. */
 static bool prepare(core_profile *profile, const subjects *of, size_t s,
                     const core_medium *medium) {
@@ -56,7 +47,7 @@ static double median_of_numbers(const double *values, size_t n) {
       numbers[count++] = values[i];
     }
   }
-  return count > 0 ? costs_median(numbers, count) : (double)NAN;
+  return count > 0 ? tools_median(numbers, count) : (double)NAN;
 }
 
 /* ---- evaluating -------------------------------------------------------------------------------
@@ -119,7 +110,7 @@ static void evaluate_all(const subjects *of, const core_medium *medium, double *
   for (size_t s = 0; s < of->count; s++) {
     ns[s] = (double)NAN;
     if (runs[s] > 0) {
-      ns[s] = costs_median(samples[s], ROUNDS);
+      ns[s] = tools_median(samples[s], ROUNDS);
       core_profile_free(&profiles[s]);
     }
   }
@@ -141,7 +132,7 @@ static double prepare_ns(const subjects *of, size_t s, const core_medium *medium
     samples[count++] = now_ns() - begin;
     core_profile_free(&profile);
   } while (count < PREPARATIONS_MAX && now_ns() - start < PREPARING_NS);
-  return costs_median(samples, count);
+  return tools_median(samples, count);
 }
 
 /* Four ratios by three eta. */
@@ -179,15 +170,15 @@ static void find_least(costs_of *cost, const subjects *of, size_t s) {
 /* ---- all of them ------------------------------------------------------------------------------
  */
 
-void costs_measure(costs_of *costs, const subjects *of, progress_bar *progress) {
+void costs_measure(costs_of *costs, const subjects *of, tools_progress *progress) {
   static double ns[EVALUATION_MEDIA][SUBJECTS_MAX];
   fill_arrays();
-  progress_stage(progress, "cost of evaluating");
+  tools_progress_stage(progress, "cost of evaluating");
   for (size_t m = 0; m < EVALUATION_MEDIA; m++) {
     evaluate_all(of, &evaluation_media[m], ns[m]);
-    progress_add(progress, EVALUATING_COST_US);
+    tools_progress_add(progress, EVALUATING_COST_US);
   }
-  progress_stage(progress, "cost of preparing");
+  tools_progress_stage(progress, "cost of preparing");
   for (size_t s = 0; s < of->count; s++) {
     double over_media[PREPARATION_MEDIA];
     for (size_t m = 0; m < EVALUATION_MEDIA; m++) {
@@ -200,6 +191,6 @@ void costs_measure(costs_of *costs, const subjects *of, progress_bar *progress) 
     }
     costs[s].prepare_ns = median_of_numbers(over_media, PREPARATION_MEDIA);
     find_least(&costs[s], of, s);
-    progress_add(progress, PREPARATION_MEDIA * PREPARING_COST_US / (double)of->count);
+    tools_progress_add(progress, PREPARATION_MEDIA * PREPARING_COST_US / (double)of->count);
   }
 }

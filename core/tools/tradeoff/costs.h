@@ -2,7 +2,7 @@
 #ifndef TRADEOFF_COSTS_H
 #define TRADEOFF_COSTS_H
 
-#include "core/tools/figures/progress.h"
+#include "core/tools/tools.h"
 #include "core/tools/tradeoff/subjects.h"
 
 enum { COSTS_LENGTH = 4096 };
@@ -22,9 +22,6 @@ double costs_cost_us(void);
 /* costs[of->count]. Evaluations of all subjects take turns, round after round, so that whatever
  * else the machine does meets all alike; each figure is the median over rounds, then over media;
  * NaN where no medium is accepted. */
-void costs_measure(costs_of *costs, const subjects *of, progress_bar *progress);
-
-/* The middle one of n > 0 values, which are sorted. */
-double costs_median(double *values, size_t n);
+void costs_measure(costs_of *costs, const subjects *of, tools_progress *progress);
 
 #endif

@@ -5,12 +5,11 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "core/tools/figures/fail.h"
-#include "core/tools/figures/workers.h"
+#include "core/tools/tools.h"
 #include "core/transport/transport.h"
 
-#define NODE_COST_US 110000.0  /* estimates, for the progress alone */
-#define PAPER_COST_US 150000.0 /* more for the nodes of the paper */
+/* Estimates, for the progress alone. */
+static const double cost_us[] = {[ERRORS_NODES] = 110000, [ERRORS_ROWS] = 200000};
 
 errors_node *errors_at_node(const errors_table *table, size_t eta, size_t ratio, size_t model) {
   return &table->nodes[(eta * NODES_RATIOS + ratio) * table->of->model_count + model];
@@ -20,15 +19,9 @@ errors_row *errors_at_row(const errors_table *table, size_t eta, size_t ratio, s
   return &table->rows[(eta * NODES_PAPER_RATIOS + ratio) * table->of->count + s];
 }
 
-double errors_cost_us(void) {
-  return NODES_ETAS * NODES_RATIOS * NODE_COST_US +
-         NODES_PAPER_ETAS * NODES_PAPER_RATIOS * PAPER_COST_US;
-}
-
-static void check(core_fault fault, const char *what) {
-  if (fault.field != NULL) {
-    fail("%s refused %s: %s", what, fault.field, fault.allowed);
-  }
+double errors_cost_us(enum errors_what what) {
+  return cost_us[what] *
+         (what == ERRORS_NODES ? NODES_ETAS * NODES_RATIOS : NODES_PAPER_ETAS * NODES_PAPER_RATIOS);
 }
 
 /* ---- one node ---------------------------------------------------------------------------------
@@ -42,7 +35,7 @@ struct truth {
 
 static void solve(struct truth *truth, transport_boundary *boundary, const core_medium *medium) {
   transport_solution *solution;
-  check(transport_solve(&solution, boundary, medium->sigma_s_per_mm), "transport");
+  tools_check(transport_solve(&solution, boundary, medium->sigma_s_per_mm), "transport");
   nodes_radii(truth->r);
   for (size_t i = 0; i < NODES_RADII; i++) {
     truth->R[i] = transport_at(solution, truth->r[i]).R.value;
@@ -58,7 +51,7 @@ static void deviations(const core_profile *profile, const struct truth *truth,
   for (size_t i = 0; i < NODES_RADII; i++) {
     off[i] = fabs(off[i] / truth->R[i] - 1);
     if (isnan(off[i])) {
-      fail("a model of the list is not a number at %g mean free paths", truth->r[i]);
+      tools_fail("a model of the list is not a number at %g mean free paths", truth->r[i]);
     }
   }
 }
@@ -82,11 +75,6 @@ static void refuse_node(errors_node *node) {
   node->albedo = (double)INFINITY;
 }
 
-static int compare(const void *a, const void *b) {
-  const double x = *(const double *)a, y = *(const double *)b;
-  return (x > y) - (x < y);
-}
-
 static void fill_row(errors_row *row, const core_profile *profile, const struct truth *truth) {
   double off[NODES_RADII];
   deviations(profile, truth, off);
@@ -95,8 +83,7 @@ static void fill_row(errors_row *row, const core_profile *profile, const struct 
     row->worst = fmax(row->worst, off[i]);
     row->worst_far = truth->r[i] >= ERRORS_FAR ? fmax(row->worst_far, off[i]) : row->worst_far;
   }
-  qsort(off, NODES_RADII, sizeof off[0], compare);
-  row->median = off[NODES_RADII / 2];
+  row->median = tools_median(off, NODES_RADII);
   row->albedo = fabs(profile->albedo / truth->albedo - 1);
   row->numerical =
       profile->numerical_error + profile->numerical_error_per_mm * truth->r[NODES_RADII - 1];
@@ -109,8 +96,9 @@ static void fill_row(errors_row *row, const core_profile *profile, const struct 
 struct eta_nodes {
   const errors_table *table;
   size_t eta;
+  enum errors_what what;
   transport_boundary *boundary;
-  progress_bar *progress;
+  tools_progress *progress;
 };
 
 static void measure_models(const struct eta_nodes *all, size_t ratio, const core_medium *medium,
@@ -161,32 +149,48 @@ static void measure(void *context, size_t ratio) {
   const struct eta_nodes *all = context;
   const core_medium medium = nodes_medium(ratio, all->eta);
   struct truth truth;
-  solve(&truth, all->boundary, &medium);
-  measure_models(all, ratio, &medium, &truth);
-  progress_add(all->progress, NODE_COST_US);
-  if (nodes_ratio_is_papers(ratio) && nodes_eta_is_papers(all->eta)) {
-    measure_subjects(all, ratio, &medium, &truth);
-    progress_add(all->progress, PAPER_COST_US);
+  if (all->what == ERRORS_ROWS && !nodes_ratio_is_papers(ratio)) {
+    return;
   }
+  solve(&truth, all->boundary, &medium);
+  if (all->what == ERRORS_NODES) {
+    measure_models(all, ratio, &medium, &truth);
+  } else {
+    measure_subjects(all, ratio, &medium, &truth);
+  }
+  tools_progress_add(all->progress, cost_us[all->what]);
 }
 
-void errors_measure(errors_table *table, const subjects *of, size_t threads,
-                    progress_bar *progress) {
+/* Zeroed. */
+static void *allocate(size_t count, size_t bytes) {
+  void *room = calloc(count, bytes);
+  if (room == NULL) {
+    tools_fail("out of memory");
+  }
+  return room;
+}
+
+void errors_measure(errors_table *table, const subjects *of, enum errors_what what, size_t threads,
+                    tools_progress *progress) {
   const size_t nodes = (size_t)NODES_ETAS * NODES_RATIOS * of->model_count;
   const size_t rows = (size_t)NODES_PAPER_ETAS * NODES_PAPER_RATIOS * of->count;
-  *table = (errors_table){.of = of,
-                          .nodes = calloc(nodes, sizeof *table->nodes),
-                          .rows = calloc(rows, sizeof *table->rows)};
-  if (table->nodes == NULL || table->rows == NULL) {
-    fail("out of memory");
+  *table = (errors_table){.of = of};
+  if (what == ERRORS_NODES) {
+    table->nodes = allocate(nodes, sizeof *table->nodes);
+  } else {
+    table->rows = allocate(rows, sizeof *table->rows);
   }
   for (size_t eta = 0; eta < NODES_ETAS; eta++) {
     char stage[64];
-    struct eta_nodes all = {.table = table, .eta = eta, .progress = progress};
+    struct eta_nodes all = {.table = table, .eta = eta, .what = what, .progress = progress};
+    if (what == ERRORS_ROWS && !nodes_eta_is_papers(eta)) {
+      continue;
+    }
     snprintf(stage, sizeof stage, "errors, eta %g", nodes_eta(eta));
-    progress_stage(progress, stage);
-    check(transport_boundary_create(&all.boundary, nodes_eta(eta), ERRORS_LEAST), "transport");
-    workers_each(threads, NODES_RATIOS, measure, &all);
+    tools_progress_stage(progress, stage);
+    tools_check(transport_boundary_create(&all.boundary, nodes_eta(eta), ERRORS_LEAST),
+                "transport");
+    tools_each(threads, NODES_RATIOS, measure, &all);
     transport_boundary_free(all.boundary);
   }
 }

@@ -2,7 +2,7 @@
 #ifndef TRADEOFF_ERRORS_H
 #define TRADEOFF_ERRORS_H
 
-#include "core/tools/figures/progress.h"
+#include "core/tools/tools.h"
 #include "core/tools/tradeoff/nodes.h"
 #include "core/tools/tradeoff/subjects.h"
 
@@ -26,17 +26,19 @@ typedef struct errors_row {
 
 typedef struct errors_table {
   const subjects *of;
-  errors_node *nodes; /* [eta][ratio][model] */
-  errors_row *rows;   /* [eta][ratio][subject], of the paper's */
+  errors_node *nodes; /* [eta][ratio][model]; NULL: not measured */
+  errors_row *rows;   /* [eta][ratio][subject], of the paper's; NULL: not measured */
 } errors_table;
 
-/* What errors_measure() adds to the progress. */
-double errors_cost_us(void);
+/* What is measured: all nodes, or the rows of the paper's nodes. */
+enum errors_what { ERRORS_NODES, ERRORS_ROWS };
 
-/* Solves transport at every node, by so many threads, and compares. To be freed with
- * errors_free(). */
-void errors_measure(errors_table *table, const subjects *of, size_t threads,
-                    progress_bar *progress);
+/* What errors_measure() adds to the progress. */
+double errors_cost_us(enum errors_what what);
+
+/* Solves transport at the nodes, by so many threads, and compares. To be freed with errors_free(). */
+void errors_measure(errors_table *table, const subjects *of, enum errors_what what, size_t threads,
+                    tools_progress *progress);
 void errors_free(errors_table *table);
 
 errors_node *errors_at_node(const errors_table *table, size_t eta, size_t ratio, size_t model);

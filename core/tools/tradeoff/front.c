@@ -4,7 +4,7 @@
 #include <string.h>
 
 #include "core/choose.h"
-#include "core/tools/tradeoff/picture.h"
+#include "core/tools/tools.h"
 
 enum { WIDTH = 1640, HEIGHT = 860, TOP = 84, BOTTOM = 64, LEFT = 84, RIGHT = 16, GAP = 96 };
 enum { PANELS = 2, MEDIA = NODES_PAPER_ETAS * NODES_PAPER_RATIOS };
@@ -40,7 +40,7 @@ static point make_point(const errors_table *errors, const costs_of *costs, size_
   if (count == 0 || isnan(costs[s].evaluate_ns)) {
     return (point){(double)NAN, (double)NAN, false};
   }
-  return (point){costs[s].evaluate_ns, fmax(costs_median(values, count), ERRORS_LEAST), false};
+  return (point){costs[s].evaluate_ns, fmax(tools_median(values, count), ERRORS_LEAST), false};
 }
 
 /* Cheaper or nearer, and not worse in the other, but for what measuring varies by. */
@@ -273,7 +273,7 @@ static void put(FILE *script, const void *context) {
 void front_draw(const char *path, const errors_table *errors, const costs_of *costs) {
   static fronts all;
   make(&all, errors, costs);
-  picture_draw(path, WIDTH, HEIGHT, put, &all);
+  tools_draw(path, WIDTH, HEIGHT, put, &all);
 }
 
 void front_print(FILE *out, const errors_table *errors, const costs_of *costs) {

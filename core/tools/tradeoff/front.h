@@ -7,7 +7,7 @@
 #include "core/tools/tradeoff/costs.h"
 #include "core/tools/tradeoff/errors.h"
 
-/* Draws <path>.svg and <path>.png: a point for each subject, the front as a line. The error is the
+/* Draws a picture, .svg or .png: a point for each subject, the front as a line. The error is the
  * median over the paper's media, on the left of the median over radii, on the right of the worst.
  */
 void front_draw(const char *path, const errors_table *errors, const costs_of *costs);

@@ -3,7 +3,7 @@
 #include <math.h>
 
 #include "core/choose.h"
-#include "core/tools/tradeoff/picture.h"
+#include "core/tools/tools.h"
 
 enum { COLUMNS = 3, ROWS = 2, PANELS = COLUMNS * ROWS, NONE = SUBJECTS_MAX };
 enum { WIDTH = 1500, HEIGHT = 900, TOP = 84, LEGEND = 220, LEFT = 64, GAP_X = 62, GAP_Y = 92 };
@@ -168,7 +168,7 @@ static void put(FILE *script, const void *context) {
 void map_draw(const char *path, const errors_table *errors, const costs_of *costs) {
   static maps all;
   make(&all, errors, costs);
-  picture_draw(path, WIDTH, HEIGHT, put, &all);
+  tools_draw(path, WIDTH, HEIGHT, put, &all);
 }
 
 void map_print(FILE *out, const errors_table *errors, const costs_of *costs) {

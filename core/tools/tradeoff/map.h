@@ -7,7 +7,7 @@
 #include "core/tools/tradeoff/costs.h"
 #include "core/tools/tradeoff/errors.h"
 
-/* Draws <path>.svg and <path>.png: panels for 1 %, 3 % and 10 %; above for all radii, below for
+/* Draws a picture, .svg or .png: panels for 1 %, 3 % and 10 %; above for all radii, below for
  * those from ERRORS_FAR on. The cheapest as core/choose.h has it: of costs that are alike the
  * nearest to transport. */
 void map_draw(const char *path, const errors_table *errors, const costs_of *costs);

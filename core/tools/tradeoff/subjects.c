@@ -1,8 +1,7 @@
 #include "core/tools/tradeoff/subjects.h"
+#include "core/tools/tools.h"
 
 #include <math.h>
-
-#include "core/tools/figures/fail.h"
 
 enum { CHUNK = 256, RADII = 8 };
 
@@ -92,7 +91,7 @@ static void add(subjects *all, const core_choice *model) {
   all->models[index] = (subject_model){model, is_similar(model->id)};
   for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
     if (all->count == SUBJECTS_MAX) {
-      fail("more evaluators than there is room for");
+      tools_fail("more evaluators than there is room for");
     }
     all->all[all->count++] = (subject){index, evaluator};
   }
@@ -102,7 +101,7 @@ void subjects_find(subjects *all) {
   all->model_count = all->count = all->left_out_count = 0;
   for (const core_choice *model = core_models; model->name != NULL; model++) {
     if (all->model_count + all->left_out_count == SUBJECTS_MODELS_MAX) {
-      fail("more models than there is room for");
+      tools_fail("more models than there is room for");
     }
     const char *why = why_left_out(model->id);
     if (why == NULL) {

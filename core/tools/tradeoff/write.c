@@ -2,8 +2,8 @@
 
 #include <math.h>
 
-#include "core/error_code.h"
-#include "core/tools/figures/table.h"
+#include "core/model_error.h"
+#include "core/tools/tools.h"
 
 enum { ETAS_A_LINE = 4 };
 
@@ -22,7 +22,7 @@ static double paper_eta(size_t k) {
 
 void write_csv(const char *path, const errors_table *errors, const costs_of *costs) {
   const subjects *of = errors->of;
-  FILE *file = table_open(path);
+  FILE *file = tools_open(path);
   fputs("model,evaluator,ratio,eta,cost_ns,prepare_ns,worst,median,worst_from_1_mfp,albedo_error,"
         "numerical_error\n",
         file);
@@ -42,35 +42,49 @@ void write_csv(const char *path, const errors_table *errors, const costs_of *cos
       }
     }
   }
-  table_close(file, path);
+  tools_close(file, path);
 }
 
-/* ---- the table that is chosen from ------------------------------------------------------------
+/* ---- the lists of core ------------------------------------------------------------
  */
 
 static void put_list(FILE *file, const char *name, const double *values, size_t count) {
   for (size_t i = 0; i < count; i++) {
-    fprintf(file, "CORE_TRADE_%s(%g)%s", name, values[i],
+    fprintf(file, "CORE_ERROR_%s(%g)%s", name, values[i],
             i % 3 == 2 || i + 1 == count ? "\n" : " ");
   }
+}
+
+static void put_codes(FILE *file, const double worst[NODES_BANDS], double albedo) {
+  for (size_t band = 0; band < NODES_BANDS; band++) {
+    fprintf(file, "%02x", core_error_code(worst[band]));
+  }
+  fprintf(file, "%02x", core_error_code(albedo));
 }
 
 /* One string for each ratio: the codes of each eta. */
 static void put_model(FILE *file, const errors_table *errors, size_t m) {
   const subject_model *model = &errors->of->models[m];
-  fprintf(file, "/* %s */\nCORE_TRADE_MODEL(%u, %s", model->model->name, model->model->id,
+  fprintf(file, "/* %s */\nCORE_ERROR_MODEL(%u, %s", model->model->name, model->model->id,
           model->similarity ? "true" : "false");
   for (size_t ratio = 0; ratio < NODES_RATIOS; ratio++) {
     fputc(',', file);
     for (size_t eta = 0; eta < NODES_ETAS; eta++) {
       const errors_node *node = errors_at_node(errors, eta, ratio, m);
       fputs(eta % ETAS_A_LINE == 0 ? "\n\"" : "", file);
-      for (size_t band = 0; band < NODES_BANDS; band++) {
-        fprintf(file, "%02x", core_error_code(node->worst[band]));
-      }
-      fprintf(file, "%02x", core_error_code(node->albedo));
+      put_codes(file, node->worst, node->albedo);
       fputs(eta % ETAS_A_LINE == ETAS_A_LINE - 1 || eta + 1 == NODES_ETAS ? "\"" : "", file);
     }
+  }
+  fputs(")\n", file);
+}
+
+static void put_similarity(FILE *file, size_t k, const similarity_node *nodes) {
+  fprintf(file, "CORE_ERROR_SIMILARITY(%g", similarity_gs[k]);
+  for (size_t ratio = 0; ratio < SIMILARITY_RATIOS; ratio++) {
+    fputs(",\n\"", file);
+    put_codes(file, nodes[ratio].worst, nodes[ratio].albedo);
+    fputc('"', file);
   }
   fputs(")\n", file);
 }
@@ -89,7 +103,7 @@ static void put_cost(FILE *file, const errors_table *errors, const costs_of *cos
     const double stated = errors->rows[i * of->count + s].numerical;
     numerical = isnan(stated) ? numerical : fmax(numerical, stated);
   }
-  fprintf(file, "/* %s, %s */\nCORE_TRADE_COST(%u, %u, %.3g, %.3g", model->name,
+  fprintf(file, "/* %s, %s */\nCORE_COST(%u, %u, %.3g, %.3g", model->name,
           of->all[s].evaluator->name, model->id, of->all[s].evaluator->id, costs[s].evaluate_ns,
           costs[s].prepare_ns);
   put_error(file, numerical);
@@ -97,55 +111,79 @@ static void put_cost(FILE *file, const errors_table *errors, const costs_of *cos
   fprintf(file, ", %g)\n", costs[s].tolerance_least);
 }
 
-static const char head[] =
-    "/* Measured by `make tradeoff` (core/tools/tradeoff/); core/choose.h says what it is for.\n"
+static const char errors_head[] =
+    "/* Measured by `make model-errors` (core/tools/tradeoff/); core/model_error.h says what it is "
+    "for.\n"
     " *\n"
-    " * CORE_TRADE_EDGE(mean free paths)   the edges of the bands of radii, rising\n"
-    " * CORE_TRADE_RATIO(sigma_a / sigma_s'), CORE_TRADE_ETA(eta)   the nodes, rising\n"
-    " * CORE_TRADE_MODEL(model, similarity, \"...\" for each ratio)\n"
+    " * CORE_ERROR_EDGE(mean free paths)   the edges of the bands of radii, rising\n"
+    " * CORE_ERROR_RATIO(sigma_a / sigma_s'), CORE_ERROR_ETA(eta)   the nodes of models, rising\n"
+    " * CORE_ERROR_MODEL(model, similarity, \"...\" for each ratio)\n"
     " *   similarity  g and sigma_s matter through sigma_s (1 - g) alone\n"
     " *   \"...\"       for each eta: for each band the largest |R / R_transport - 1|, then that "
-    "of "
-    "the\n"
-    " *               albedo, as codes of core/error_code.h, two hexadecimal digits each\n"
-    " * CORE_TRADE_COST(model, evaluator, ns for a radius, ns to prepare, numerical error by "
-    "default,\n"
-    " *                 numerical error when asked for the least tolerance, the least tolerance)\n"
+    "of the\n"
+    " *               albedo, as codes of core/model_error.h, two hexadecimal digits each\n"
+    " * CORE_ERROR_G_RATIO(sigma_a / sigma_s')   the nodes of the similarity relation, rising\n"
+    " * CORE_ERROR_SIMILARITY(g, \"...\" for each of these ratios)   likewise, with g rising\n"
     " */\n"
-    "/* clang-format off */\n"
-    "#ifndef CORE_TRADE_EDGE\n#define CORE_TRADE_EDGE(mfp)\n#endif\n"
-    "#ifndef CORE_TRADE_RATIO\n#define CORE_TRADE_RATIO(ratio)\n#endif\n"
-    "#ifndef CORE_TRADE_ETA\n#define CORE_TRADE_ETA(eta)\n#endif\n"
-    "#ifndef CORE_TRADE_MODEL\n#define CORE_TRADE_MODEL(model, similarity, ...)\n#endif\n"
-    "#ifndef CORE_TRADE_COST\n"
-    "#define CORE_TRADE_COST(model, evaluator, ns, prepare_ns, numerical, numerical_least, least)\n"
-    "#endif\n\n";
+    "/* clang-format off */\n";
 
-static const char tail[] = "\n#undef CORE_TRADE_EDGE\n#undef CORE_TRADE_RATIO\n"
-                           "#undef CORE_TRADE_ETA\n#undef CORE_TRADE_MODEL\n"
-                           "#undef CORE_TRADE_COST\n";
+/* The macros of the list, and their parameters. */
+static const char *const macros[][2] = {
+    {"EDGE", "mfp"},      {"RATIO", "ratio"},
+    {"ETA", "eta"},       {"MODEL", "model, similarity, ..."},
+    {"G_RATIO", "ratio"}, {"SIMILARITY", "g, ..."},
+};
 
-void write_table(const char *path, const errors_table *errors, const costs_of *costs) {
+enum { MACROS = sizeof macros / sizeof macros[0] };
+
+void write_errors(const char *path, const errors_table *errors,
+                  similarity_node similarity[SIMILARITY_GS][SIMILARITY_RATIOS]) {
   const subjects *of = errors->of;
   double etas[NODES_ETAS];
-  FILE *file = table_open(path);
+  FILE *file = tools_open(path);
   for (size_t i = 0; i < NODES_ETAS; i++) {
     etas[i] = nodes_eta(i);
   }
-  fputs(head, file);
+  fputs(errors_head, file);
+  for (size_t i = 0; i < MACROS; i++) {
+    fprintf(file, "#ifndef CORE_ERROR_%s\n#define CORE_ERROR_%s(%s)\n#endif\n", macros[i][0],
+            macros[i][0], macros[i][1]);
+  }
+  fputc('\n', file);
   put_list(file, "EDGE", nodes_edges, NODES_BANDS + 1);
   put_list(file, "RATIO", nodes_ratios, NODES_RATIOS);
   put_list(file, "ETA", etas, NODES_ETAS);
-  for (size_t s = 0; s < of->count; s++) {
-    if (!isnan(costs[s].evaluate_ns) && !isnan(costs[s].numerical_least)) {
-      put_cost(file, errors, costs, s);
-    }
-  }
   for (size_t m = 0; m < of->model_count; m++) {
     if (of->models[m].model->id != CORE_MODEL_TRANSPORT) {
       put_model(file, errors, m);
     }
   }
-  fputs(tail, file);
-  table_close(file, path);
+  put_list(file, "G_RATIO", similarity_ratios, SIMILARITY_RATIOS);
+  for (size_t k = 0; k < SIMILARITY_GS; k++) {
+    put_similarity(file, k, similarity[k]);
+  }
+  for (size_t i = 0; i < MACROS; i++) {
+    fprintf(file, "%s#undef CORE_ERROR_%s\n", i == 0 ? "\n" : "", macros[i][0]);
+  }
+  tools_close(file, path);
+}
+
+static const char costs_head[] =
+    "/* Measured by `make tradeoff` (core/tools/tradeoff/); core/choose.h says what it is for.\n"
+    " *\n"
+    " * CORE_COST(model, evaluator, ns for a radius, ns to prepare, numerical error by default,\n"
+    " *           numerical error when asked for the least tolerance, the least tolerance)\n"
+    " */\n"
+    "/* clang-format off */\n";
+
+void write_costs(const char *path, const errors_table *errors, const costs_of *costs) {
+  FILE *file = tools_open(path);
+  fputs(costs_head, file);
+  for (size_t s = 0; s < errors->of->count; s++) {
+    if (!isnan(costs[s].evaluate_ns) && !isnan(costs[s].numerical_least)) {
+      put_cost(file, errors, costs, s);
+    }
+  }
+  fputs("\n#undef CORE_COST\n", file);
+  tools_close(file, path);
 }

@@ -1,4 +1,5 @@
 #include "core/tools/transport_table/checks.h"
+#include "core/tools/tools.h"
 
 #include <math.h>
 
@@ -99,7 +100,7 @@ static void compare_radii(const table_sample *sample, size_t i, const transport_
     }
   }
   if (sample->R[i * RADII + 1] > TRANSPORT_TABLE_R_LEAST) {
-    fail("the table ends where there is still light");
+    tools_fail("the table ends where there is still light");
   }
 }
 

@@ -6,6 +6,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 
+#include "core/tools/tools.h"
 #include "core/tools/transport_table/checks.h"
 #include "core/tools/transport_table/nodes.h"
 
@@ -20,18 +21,6 @@ static const double fields[TRANSPORT_TABLE_FIELDS] = {
     [TRANSPORT_TABLE_REACH_MOST] = 1e4,         [TRANSPORT_TABLE_EDGES] = 1e-10,
     [TRANSPORT_TABLE_EDGES + 1] = 1e-3,         [TRANSPORT_TABLE_EDGES + 2] = 1,
 };
-
-static void write_file(const char *path, const uint8_t *bytes, size_t length) {
-  char unfinished[1024];
-  if (snprintf(unfinished, sizeof unfinished, "%s.unfinished", path) >= (int)sizeof unfinished) {
-    fail("the file's name is too long");
-  }
-  FILE *file = fopen(unfinished, "wb");
-  if (file == NULL || fwrite(bytes, length, 1, file) != 1 || fclose(file) != 0 ||
-      rename(unfinished, path) != 0) {
-    fail("cannot write the table");
-  }
-}
 
 /* Two digits, upwards, after the margin. */
 static double quoted(checks_result result) {
@@ -55,7 +44,7 @@ static void report(checks_result result, size_t length, double error) {
 
 int main(int argc, char **argv) {
   if (argc != 3) {
-    fail("usage: transport-table FOLDER FILE");
+    tools_fail("usage: transport-table FOLDER FILE");
   }
   static table_sample samples[NODES + CHECKS];
   nodes_make(fields, samples);
@@ -66,12 +55,14 @@ int main(int argc, char **argv) {
   nodes_seal(bytes, length, 0);
   transport_table table;
   if (!transport_table_open(&table, bytes, length)) {
-    fail("the table cannot be read back");
+    tools_fail("the table cannot be read back");
   }
   const checks_result result = checks_compare(&table, samples + NODES);
   const double error = quoted(result);
   nodes_seal(bytes, length, error);
-  write_file(argv[2], bytes, length);
+  FILE *file = tools_open(argv[2]);
+  fwrite(bytes, length, 1, file);
+  tools_close(file, argv[2]);
   report(result, length, error);
   free(bytes);
   for (size_t i = 0; i < NODES + CHECKS; i++) {

@@ -1,4 +1,5 @@
 #include "core/tools/transport_table/nodes.h"
+#include "core/tools/tools.h"
 
 #include <math.h>
 #include <stdbool.h>
@@ -113,7 +114,7 @@ struct writer {
 
 static void put_byte(struct writer *writer, size_t byte) {
   if (writer->length == BYTES_MAX) {
-    fail("the table is too large");
+    tools_fail("the table is too large");
   }
   writer->bytes[writer->length++] = (uint8_t)byte;
 }
@@ -152,12 +153,12 @@ static void put_series(struct writer *writer, double quantum, double *values, si
   transform_all(values, nx, nt, nv);
   int64_t *rounded = malloc(nx * nt * nv * sizeof *rounded);
   if (rounded == NULL) {
-    fail("out of memory");
+    tools_fail("out of memory");
   }
   for (size_t i = 0; i < nx * nt * nv; i++) {
     const double value = values[i] / quantum;
     if (!(fabs(value) < 0x1p47)) {
-      fail("a coefficient is too large, or not a number");
+      tools_fail("a coefficient is too large, or not a number");
     }
     rounded[i] = llrint(value);
   }
@@ -204,7 +205,7 @@ static void put_side(struct writer *writer, double quantum, const table_sample *
 uint8_t *nodes_encode(const double *field, const table_sample samples[NODES], size_t *length) {
   struct writer writer = {malloc(BYTES_MAX), TRANSPORT_TABLE_HEADER_BYTES};
   if (writer.bytes == NULL) {
-    fail("out of memory");
+    tools_fail("out of memory");
   }
   const double quantum = field[TRANSPORT_TABLE_QUANTUM];
   put_side(&writer, quantum, samples, NODES_BELOW_1);

@@ -27,7 +27,4 @@ void sample_free(table_sample *sample);
  * counts only for the same inputs and the same solver. */
 void samples_solve(const char *folder, double tolerance, table_sample *samples, size_t count);
 
-/* Says what went wrong and ends the program. */
-_Noreturn void fail(const char *what);
-
 #endif

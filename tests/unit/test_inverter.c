@@ -1,5 +1,5 @@
 /* From a wanted albedo and mean free path to a medium, and back. */
-#include "core/inversion.h"
+#include "core/inverter.h"
 
 #include <float.h>
 #include <math.h>

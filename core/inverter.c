@@ -3,7 +3,7 @@
  * secant through the last two probes converges in a few steps; a bracket keeps it safe, and halving
  * ln(rho) takes over where it does not help, down to neighbouring numbers.
  */
-#include "core/inversion.h"
+#include "core/inverter.h"
 
 #include <assert.h>
 #include <float.h>

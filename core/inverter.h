@@ -1,12 +1,12 @@
-/* inversion: from what artists have, a diffuse albedo and a length, to a medium, probe by probe:
+/* inverter: from what artists have, a diffuse albedo and a length, to a medium, probe by probe:
  * who searches prepares the media that the inverter names, and tells it their albedos. So preparing
  * may be done elsewhere, in turns with other work, and given up.
  *
  * An albedo depends on the ratio sigma_a / sigma_s' alone and falls as it grows; the length then
  * scales the medium. Same bits everywhere, as long as the albedos are.
  */
-#ifndef DIPOLED_CORE_INVERSION_H
-#define DIPOLED_CORE_INVERSION_H
+#ifndef DIPOLED_CORE_INVERTER_H
+#define DIPOLED_CORE_INVERTER_H
 
 #include "core/core.h"
 

@@ -1,9 +1,11 @@
-/* Radii with given cdf for models without a closed form or a kernel for it: Newton's method on
- * ln(cdf / (1 - cdf)) over ln r, kept inside a bracket that shrinks with every step.
+/* Sampling: radii with given cdf. Models that have a kernel for it use that kernel. For all others
+ * Newton's method is applied to ln(cdf / (1 - cdf)) over ln r, inside a bracket that shrinks with
+ * every step.
  *
- * Each number goes its own way whatever stands beside it, so that the bits do not depend on how an
- * array is cut; a chunk is evaluated together until all of it has arrived.
+ * What is done for a number does not depend on its neighbours, so the bits do not depend on how an
+ * array is cut. A chunk is evaluated together until all of its numbers have arrived.
  */
+#include <assert.h>
 #include <math.h>
 
 #include "core/kernels.h"
@@ -85,7 +87,7 @@ static void invert_chunk(const core_profile *profile, size_t n, const double *u,
   }
 }
 
-void core_invert_cdf(const core_profile *profile, size_t n, const double *u, double *r) {
+static void invert_cdf(const core_profile *profile, size_t n, const double *u, double *r) {
   for (size_t done = 0; done < n; done += CHUNK) {
     const size_t count = n - done < CHUNK ? n - done : CHUNK;
     if (profile->albedo > 0) {
@@ -93,6 +95,40 @@ void core_invert_cdf(const core_profile *profile, size_t n, const double *u, dou
     }
     for (size_t i = 0; i < count && !(profile->albedo > 0); i++) {
       r[done + i] = 0;
+    }
+  }
+}
+
+static void sample(const core_profile *profile, size_t n, const double *u, double *r) {
+  if (profile->parts == NULL && profile->kernels->f64->sample != NULL) {
+    profile->kernels->f64->sample(
+        profile->table != NULL ? profile->table : profile->coefficients.f64, n, u, r);
+  } else {
+    invert_cdf(profile, n, u, r);
+  }
+}
+
+void core_sample_f64(const core_profile *profile, size_t n, const double *u, double *r) {
+  assert(profile->evaluator == CORE_EVALUATOR_F64);
+  sample(profile, n, u, r);
+}
+
+void core_sample_f32(const core_profile *profile, size_t n, const float *u, float *r) {
+  assert(profile->evaluator != CORE_EVALUATOR_F64);
+  if (core_is_narrow(profile)) {
+    profile->kernels->f32->sample(core_coefficients_f32(profile), n, u, r);
+    return;
+  }
+  double wide_u[CHUNK];
+  double wide_r[CHUNK];
+  for (size_t done = 0; done < n; done += CHUNK) {
+    const size_t count = n - done < CHUNK ? n - done : CHUNK;
+    for (size_t i = 0; i < count; i++) {
+      wide_u[i] = (double)u[done + i];
+    }
+    sample(profile, count, wide_u, wide_r);
+    for (size_t i = 0; i < count; i++) {
+      r[done + i] = (float)wide_r[i];
     }
   }
 }

@@ -1,0 +1,167 @@
+#include "core/tools/tools.h"
+
+#include <errno.h>
+#include <stdarg.h>
+#include <stdatomic.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+enum { PATH_BYTES = 4096 };
+
+void tools_fail(const char *format, ...) {
+  va_list arguments;
+  va_start(arguments, format);
+  fprintf(stderr, "%s: ", program_invocation_short_name);
+  vfprintf(stderr, format, arguments);
+  fputc('\n', stderr);
+  va_end(arguments);
+  exit(EXIT_FAILURE);
+}
+
+void tools_check(core_fault fault, const char *what) {
+  if (fault.field != NULL) {
+    tools_fail("%s refused %s: %s", what, fault.field, fault.allowed);
+  }
+}
+
+/* ---- files ------------------------------------------------------------------------------------
+ */
+
+void tools_make_folder(const char *path) {
+  if (mkdir(path, 0777) != 0 && errno != EEXIST) {
+    tools_fail("cannot make the folder %s: %s", path, strerror(errno));
+  }
+}
+
+static void temporary_name(char name[PATH_BYTES], const char *path) {
+  if (snprintf(name, PATH_BYTES, "%s.part", path) >= PATH_BYTES) {
+    tools_fail("%s: the name is too long", path);
+  }
+}
+
+FILE *tools_open(const char *path) {
+  char name[PATH_BYTES];
+  temporary_name(name, path);
+  FILE *file = fopen(name, "we");
+  if (file == NULL) {
+    tools_fail("cannot write %s: %s", name, strerror(errno));
+  }
+  return file;
+}
+
+void tools_close(FILE *file, const char *path) {
+  char name[PATH_BYTES];
+  temporary_name(name, path);
+  const bool good = ferror(file) == 0;
+  if (fclose(file) != 0 || !good || rename(name, path) != 0) {
+    tools_fail("cannot write %s: %s", path, strerror(errno));
+  }
+}
+
+void tools_require_gnuplot(void) {
+  char error[CLI_GNUPLOT_ERROR_BYTES];
+  if (!cli_gnuplot_runs(error)) {
+    tools_fail("%s", error);
+  }
+}
+
+void tools_draw(const char *path, size_t width, size_t height, cli_gnuplot_script *write,
+                const void *context) {
+  char error[CLI_GNUPLOT_ERROR_BYTES];
+  if (!cli_gnuplot(path, width, height, write, context, error)) {
+    tools_fail("%s: %s", path, error);
+  }
+}
+
+/* ---- threads ----------------------------------------------------------------------------------
+ */
+
+size_t tools_processors(void) {
+  const long processors = sysconf(_SC_NPROCESSORS_ONLN);
+  return processors < 1                   ? 1
+         : processors > TOOLS_THREADS_MAX ? TOOLS_THREADS_MAX
+                                          : (size_t)processors;
+}
+
+struct job {
+  void (*work)(void *context);
+  void *context;
+};
+
+static void *start(void *argument) {
+  const struct job *job = argument;
+  job->work(job->context);
+  return NULL;
+}
+
+void tools_in_threads(size_t threads, void (*work)(void *context), void *context) {
+  pthread_t ids[TOOLS_THREADS_MAX];
+  struct job job = {work, context};
+  for (size_t i = 0; i < threads; i++) {
+    if (pthread_create(&ids[i], NULL, start, &job) != 0) {
+      tools_fail("cannot start a thread");
+    }
+  }
+  for (size_t i = 0; i < threads; i++) {
+    pthread_join(ids[i], NULL);
+  }
+}
+
+struct items {
+  void (*item)(void *context, size_t i);
+  void *context;
+  size_t count;
+  atomic_size_t next;
+};
+
+static void take_items(void *context) {
+  struct items *all = context;
+  for (size_t i; (i = atomic_fetch_add(&all->next, 1)) < all->count;) {
+    all->item(all->context, i);
+  }
+}
+
+void tools_each(size_t threads, size_t count, void (*item)(void *context, size_t i),
+                void *context) {
+  struct items all = {.item = item, .context = context, .count = count};
+  tools_in_threads(threads < count || count == 0 ? threads : count, take_items, &all);
+}
+
+void tools_progress_start(tools_progress *progress, double total_us) {
+  *progress = (tools_progress){.total_us = total_us};
+  pthread_mutex_init(&progress->lock, NULL);
+  cli_progress_start(&progress->bar, NULL);
+}
+
+void tools_progress_stage(tools_progress *progress, const char *stage) {
+  pthread_mutex_lock(&progress->lock);
+  snprintf(progress->bar.note, sizeof progress->bar.note, "%s", stage);
+  pthread_mutex_unlock(&progress->lock);
+}
+
+void tools_progress_add(tools_progress *progress, double us) {
+  pthread_mutex_lock(&progress->lock);
+  progress->done_us += us;
+  cli_progress_show(&progress->bar, progress->done_us / progress->total_us, 0);
+  pthread_mutex_unlock(&progress->lock);
+}
+
+void tools_progress_end(tools_progress *progress) {
+  cli_progress_wipe(&progress->bar);
+  pthread_mutex_destroy(&progress->lock);
+}
+
+/* ---- numbers ----------------------------------------------------------------------------------
+ */
+
+static int compare(const void *a, const void *b) {
+  const double x = *(const double *)a, y = *(const double *)b;
+  return (x > y) - (x < y);
+}
+
+double tools_median(double *values, size_t n) {
+  qsort(values, n, sizeof *values, compare);
+  return n % 2 ? values[n / 2] : 0.5 * (values[n / 2 - 1] + values[n / 2]);
+}
