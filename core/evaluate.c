@@ -144,7 +144,7 @@ static void evaluate_f32(const core_profile *profile, enum core_quantity quantit
 void core_eval_f32(const core_profile *profile, enum core_quantity quantity, size_t n,
                    const float *r, float *out) {
   assert(profile->evaluator != CORE_EVALUATOR_F64);
-  if (quantity != CORE_QUANTITY_S || !is_narrow(profile)) {
+  if (quantity != CORE_QUANTITY_S || !core_is_narrow(profile)) {
     evaluate_f32(profile, quantity, n, r, out);
     return;
   }
