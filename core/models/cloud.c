@@ -301,7 +301,7 @@ core_fault core_cloud_prepare(const core_inputs *inputs, core_preparation *prepa
   const double earliest = slab ? cloud.y / (2 * cloud.diffusion * (c + sqrt((c - mu) * (c + mu))))
                                : least * least / (160 * cloud.diffusion);
   const double latest =
-      fades ? core_times_latest(cloud.rate, mu * cloud.y + LAST_EXPONENT) : MOST * MOST * 1e12;
+      core_times_latest(fades ? cloud.rate : MOST_RATE, mu * cloud.y + LAST_EXPONENT);
   const core_times times = core_times_make(fades ? cloud.rate : MOST_RATE, earliest, latest, rule);
   core_gaussian *gaussians = malloc(times.count * sizeof *gaussians);
   if (gaussians == NULL) {
