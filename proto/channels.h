@@ -38,11 +38,11 @@ wire_error channels_parse(struct channels_cursor *cursor, uint32_t medium_count,
 wire_error channels_parse_parameters(const uint8_t *at, uint32_t count,
                                      core_parameters *parameters);
 
-/* Returns how many parameters are given. */
+/* Returns how many parameters are given, that is, not NaN. */
 uint32_t channels_count_parameters(const core_parameters *parameters);
 
-/* Writes the given parameters in the order of their ids, WIRE_BYTES_parameter each. Returns the
- * number of bytes written. */
+/* Writes those parameters that are not NaN, in the order of their ids, WIRE_BYTES_parameter each.
+ * Returns the number of bytes written. */
 size_t channels_put_parameters(uint8_t *at, const core_parameters *parameters);
 
 /* The names and messages that errors use for a list of numbers. */

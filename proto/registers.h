@@ -104,8 +104,8 @@ void registers_write(uint16_t image[REGISTERS_END], unsigned address, unsigned c
  * mirror. */
 bool registers_include(unsigned address, unsigned count, unsigned another);
 
-/* Returns the input register that a field of an eval request comes from; `index` is the position in
- * an array. Returns REGISTERS_AT_COMMIT if the field has no register. */
+/* Returns the register of block 2 or 3 that a field of an eval request comes from; `index` is the
+ * position in an array. Returns REGISTERS_AT_COMMIT if the field has no register. */
 unsigned registers_of_field(const char *field, uint64_t index);
 
 /* Read one value of an image. */

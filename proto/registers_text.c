@@ -97,7 +97,7 @@ static void describe_field(const struct description *to, const registers_field *
   to->print(to->context, row);
 }
 
-/* The next field of a block behind an address; NULL: there is none. */
+/* Returns the first field of a block that starts at `from` or after it; NULL if there is none. */
 static const registers_field *next_field(const registers_block *block, unsigned from) {
   const registers_field *next = NULL;
   for (const registers_field *field = registers_fields; field->name != NULL; field++) {

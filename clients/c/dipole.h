@@ -151,8 +151,8 @@ void dipole_set_call_timeout_ms(dipole_client *client, unsigned call_timeout_ms)
  * When the connection is lost, all outstanding requests fail with it if one of them cannot be sent
  * again. These are: a request of dipole_mc(); one of dipole_eval_parts() that has handed on a part;
  * and one for which DIPOLE_RETRY_KEPT_BYTES had no room. They also fail if the new daemon has other
- * lists: see dipole_get_info(), which goes on to describe the first daemon. A daemon that stays
- * connected and silent for timeout_ms is not asked again.
+ * lists: see dipole_get_info(), which goes on to describe the first daemon. If the list
+ * has a single address, requests fail when its daemon stays connected and silent for timeout_ms.
  *
  * Several daemons. The client connects to the first address that answers. When that connection is
  * lost, or its daemon is silent for timeout_ms, it tries the next address in the list, and so on in

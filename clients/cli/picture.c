@@ -323,7 +323,7 @@ enum {
   BOTTOM = 60,
   LEGEND_LINE = 20,
   LEGEND_CHARACTER = 8,
-  LEGEND_SAMPLE = 70, /* the piece of a line, and the room around it */
+  LEGEND_SAMPLE = 70, /* pixels: the piece of a line, and the room around it */
 };
 
 /* Rows of the picture repeat for each block of channels. */

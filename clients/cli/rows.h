@@ -16,7 +16,7 @@ typedef struct cli_column {
   const char *format;  /* of a number in a table; NULL for "%.6g" */
   const char *missing; /* what a table shows instead of NaN; NULL for "nan" */
   const char *over;    /* above the head in a table; NULL for none */
-  unsigned forms;      /* the forms in which the column appears; 0 for all */
+  unsigned forms;      /* output formats (CLI_IN_*) in which the column appears; 0: all */
 } cli_column;
 
 #define CLI_COLUMN(...) (&(const cli_column){.name = __VA_ARGS__})

@@ -105,8 +105,8 @@ struct repeat {
 void repeat_learn(struct repeat *repeat, const eval_request *request, const core_grid *grid,
                   const eval_layout *layout, const uint8_t *reply, struct profiles_place place);
 
-/* The request that this one repeats. NULL: none is known, its profile is gone, or the radii are not
- * right; the request then takes the usual way. */
+/* The request that this one repeats. NULL: none is known, its profile is gone, or a radius is
+ * out of range; the request is then answered like a new one. */
 const struct repeat_entry *repeat_find(struct repeat *repeat, const uint8_t *payload,
                                        size_t payload_bytes);
 

@@ -32,7 +32,7 @@ struct eval_job {
   uint64_t count; /* how many radii the part has */
 
   uint32_t channel;              /* the channel that is being evaluated */
-  uint64_t index;                /* next radius of that channel, within the part */
+  uint64_t index;                /* next radius of that channel, from the part's start */
   bool radii_done;               /* the radii have been written, or are not wanted */
   unsigned notes;                /* bits of the channels so far */
   struct profiles_lookup lookup; /* for the channel's profile */

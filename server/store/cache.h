@@ -103,7 +103,7 @@ enum cache_answer cache_look(struct cache *cache, const struct cache_key *key, b
 void cache_prepare(struct cache_entry *entry);
 
 /* Calls cache_prepare() on a thread of libuv's pool. Takes over the caller's reference. Call this
- * on the loop's thread; the loop runs until the entry has been prepared. */
+ * on the loop's thread. It returns at once; the loop does not end before the entry is prepared. */
 void cache_prepare_in_pool(struct cache_entry *entry, uv_loop_t *loop);
 
 /* A waiter of this queue whose entry has been prepared or has a fault. NULL: there is none. */

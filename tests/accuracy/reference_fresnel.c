@@ -118,7 +118,8 @@ static void escaping(struct scratch *s) {
   mpfr_clear(perpendicular);
 }
 
-/* Adds the points of one level to the sums of weight (1 - F) x and of that times mu. */
+/* Adds the nodes of one quadrature level. x is the cosine on the side of the nodes, mu the cosine
+ * inside. Adds weight (1 - F) x to `first` and weight (1 - F) x mu to `second`. */
 static void add_level(struct scratch *s, bool dense_inside, int index, mpfr_t first,
                       mpfr_t second) {
   const struct level *level = level_nodes(index);

@@ -1,4 +1,5 @@
-/* build/bench [--long] [GROUP...]: runs these groups of benchmarks, or all. */
+/* build/bench [--long] [GROUP...]: runs these groups of benchmarks, or all. --long takes more
+ * rounds and, in the group kernel, more lengths of arrays. */
 #include "tests/bench/bench.h"
 
 #include <stdarg.h>

@@ -1,5 +1,6 @@
 """The Python side of `build/bench clients`: for each line on standard input, the name of an
-evaluator, evaluates a million radii of three channels and prints the nanoseconds that it took."""
+evaluator, evaluates a million radii for each of three channels and prints the
+nanoseconds that it took."""
 
 import sys
 import time

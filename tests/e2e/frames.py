@@ -143,7 +143,7 @@ def assert_error(
 
 
 def assert_serves(connection: Connection) -> None:
-    """Asks for an albedo over the connection and checks the answer."""
+    """Sends a ping and an eval of an albedo over the connection, and checks both answers."""
     echo = ask(connection, PING, b"answered", request_id=901)
     assert echo == Frame(PING | wire.REPLY, 901, b"answered")
     payload = eval_payload([SPECTRALON], [], wanted=ALBEDO)

@@ -378,7 +378,8 @@ static void read_array(const uint8_t *payload, size_t payload_bytes, uint64_t of
   memcpy(copy, payload + offset, (size_t)length);
 }
 
-/* Every structure and array that the reply announces lies inside of it; every byte is read. */
+/* Checks that every structure and array that the reply announces lies inside of it. Reads all their
+ * bytes, so that a sanitizer sees an overrun. */
 static void check_reply(const uint8_t *payload, size_t payload_bytes, const wire_eval_reply *fixed,
                         const eval_layout *layout) {
   assert_int_equal(layout->payload_bytes, payload_bytes);
