@@ -37,7 +37,7 @@ chosen = client.eval(None, skin, r, tolerance=0.01)
 off = (chosen.model_error[:, None] + chosen.numerical_error()).max()
 print(f"\nwithin 1 %: {chosen.model} by {chosen.evaluator}, at most {off:.1g} off")
 
-# %% values() broadcasts: light that leaves within 1 mm of the entry point, for 40 x 40 media.
+# %% values() broadcasts: the fraction of the light that leaves within 1 mm, for 40 x 50 media.
 sigma_a = np.geomspace(0.01, 1, 40)[:, None]
 sigma_s = np.geomspace(0.3, 10, 50)[None, :]
 within = client.values("better", dipole.Medium(sigma_a, sigma_s), 1.0, "cdf").values
