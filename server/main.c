@@ -99,7 +99,8 @@ static bool start_workers(struct daemon *daemon) {
   struct server *server = &daemon->server;
   server->workers = calloc(server->options.workers, sizeof *server->workers);
   server->latencies = calloc(server->options.workers, sizeof *server->latencies);
-  server->cache = cache_new(server->isa, server->options.cache_bytes, &server->stats);
+  server->cache = cache_new(server->isa, server->options.cache_bytes,
+                            server->options.max_waiting_profiles, &server->stats);
   server->mc = mc_pool_new(server);
   if (server->workers == NULL || server->latencies == NULL || server->cache == NULL ||
       server->mc == NULL) {

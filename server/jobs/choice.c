@@ -3,7 +3,8 @@
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
+
+#include "server/store/profiles.h"
 
 static bool is_single(const wire_eval_request *fixed) {
   return core_evaluator_bytes(fixed->evaluator) == sizeof(float);
@@ -105,7 +106,7 @@ wire_error choice_first(struct choice_state *state, eval_request *request) {
 }
 
 bool choice_again(struct choice_state *state, core_fault fault, eval_request *request) {
-  if (isnan(state->tolerance) || strcmp(fault.field, CORE_FIELD_MEMORY) == 0) {
+  if (isnan(state->tolerance) || profiles_is_busy(fault)) {
     return false;
   }
   struct choice choice;

@@ -42,10 +42,11 @@ void job_end(struct job *job) {
 void job_init_lookup(struct profiles_lookup *lookup, const struct job_request *request) {
   lookup->on_ready = request->on_ready;
   lookup->context = request->owner;
+  lookup->owner = request->profiles;
   lookup->ready = false;
   lookup->place = (struct profiles_place){0};
   lookup->entry = NULL;
-  lookup->waiter = (struct cache_waiter){0};
+  lookup->waiter.entry = NULL;
   lookup->woken = false;
 }
 
@@ -106,7 +107,7 @@ wire_error job_error(core_fault fault) {
 wire_error job_fault(core_fault fault, uint32_t channel) {
   fault.index = channel;
   wire_error error = job_error(fault);
-  if (strcmp(fault.field, CORE_FIELD_MEMORY) == 0) {
+  if (profiles_is_busy(fault)) {
     error.status = WIRE_STATUS_BUSY;
     error.retry_after_ms = JOB_RETRY_AFTER_MS;
   }

@@ -77,6 +77,7 @@ struct job_request {
   void (*on_ready)(void *owner);
   void (*on_news)(void *owner);
   void *owner;
+  struct cache_owner *profiles; /* the client, in whose turns slow profiles are prepared */
   struct job **detached; /* the connection's list of detached jobs; NULL if there can be none */
 };
 
@@ -119,7 +120,7 @@ struct job {
 };
 
 /* Room for a job of any kind. Each kind asserts that its structure fits. */
-enum { JOB_SLOT_BYTES = 1536 };
+enum { JOB_SLOT_BYTES = 1600 };
 
 struct job_slot {
   _Alignas(16) uint8_t bytes[JOB_SLOT_BYTES];
@@ -163,7 +164,7 @@ enum job_outcome job_refuse(struct job *job, wire_error refusal);
 /* BAD_VALUE, for what core found to be wrong. */
 wire_error job_error(core_fault fault);
 
-/* The error of a fault in preparing a channel: BUSY where memory is lacking, else BAD_VALUE. */
+/* The error of a fault in preparing a channel: BUSY if it may succeed later, else BAD_VALUE. */
 wire_error job_fault(core_fault fault, uint32_t channel);
 
 /* BUSY: the budget of all buffers is exhausted. */

@@ -261,6 +261,7 @@ static void start(struct requests *r, const wire_header *header, const uint8_t *
                                       .on_ready = on_ready,
                                       .on_news = on_news,
                                       .owner = r,
+                                      .profiles = r->profiles,
                                       .detached = &r->detached};
   struct job *job;
   const enum job_outcome outcome = job_start(&r->slot, &request, &job);

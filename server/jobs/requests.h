@@ -12,7 +12,8 @@
 
 /* Zeroed, except for what requests_init() sets. */
 struct requests {
-  struct job_context *context; /* of the worker; set by the owner before the first step */
+  struct job_context *context;  /* of the worker; set by the owner before the first step */
+  struct cache_owner *profiles; /* in whose turns slow profiles are prepared; set likewise */
   struct input *input;
   struct output *output;
   void (*wake)(void *owner); /* called when requests_step() has something to do again */

@@ -43,7 +43,7 @@ static void on_closed(uv_handle_t *handle) {
   stats_subtract(stats_of(c), STATS_MODBUS_CONNECTIONS_OPEN, 1);
   close(c->fd);
   worker_forget(&c->client);
-  modbus_units_leave(c->units);
+  modbus_units_leave(c->units, &c->client);
   free(c);
 }
 

@@ -236,7 +236,7 @@ static void on_poll(uv_poll_t *poll, int status, int events) {
 static void note_closed(struct modbus_line *line) {
   if (--line->open_handles == 0) {
     worker_forget(&line->client);
-    modbus_units_leave(line->units);
+    modbus_units_leave(line->units, &line->client);
   }
 }
 

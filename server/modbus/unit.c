@@ -102,7 +102,7 @@ static void on_profile(void *context) {
   }
 }
 
-static wire_error evaluate(struct modbus_unit *unit) {
+static wire_error evaluate(struct modbus_unit *unit, struct client *client) {
   const wire_header header = {
       .type = WIRE_TYPE_EVAL,
       .payload_bytes = (uint32_t)modbus_translate_input(unit->registers, unit->question),
@@ -113,6 +113,7 @@ static wire_error evaluate(struct modbus_unit *unit) {
       .context = worker_context(unit->units->client.worker),
       .on_ready = on_profile,
       .owner = unit,
+      .profiles = &client->profiles,
   };
   const enum job_outcome outcome = job_start(&unit->slot, &request, &unit->job);
   return outcome == JOB_REFUSED ? unit->job->refusal : follow(unit, outcome);
@@ -143,7 +144,7 @@ static unsigned commit(struct modbus_unit *unit, unsigned address, unsigned coun
     before[2 * i + 1] = (uint8_t)unit->registers[address + i];
   }
   registers_write(unit->registers, address, count, values);
-  const wire_error error = evaluate(unit);
+  const wire_error error = evaluate(unit, client);
   if (error.status != WIRE_STATUS_OK) {
     registers_write(unit->registers, address, count, before);
     fail_job(unit, &error);
@@ -244,7 +245,8 @@ void modbus_units_join(struct modbus_units *units) {
   units->users++;
 }
 
-void modbus_units_leave(struct modbus_units *units) {
+void modbus_units_leave(struct modbus_units *units, struct client *client) {
+  cache_move_waiters(units->server->cache, &client->profiles, &units->client.profiles);
   units->users--;
   end_after_last_user(units);
 }

@@ -50,9 +50,11 @@ struct modbus_units *modbus_units_new(struct server *server);
 
 /* Call the functions that follow on the worker's thread only. */
 
-/* A connection or line begins and ends to use the units. */
+/* A connection or line begins and ends to use the units. Its jobs that wait for a profile go on
+ * waiting, because masters may come back for the results: all such jobs share one place among
+ * those that wait. */
 void modbus_units_join(struct modbus_units *units);
-void modbus_units_leave(struct modbus_units *units);
+void modbus_units_leave(struct modbus_units *units, struct client *client);
 
 /* The unit of a number from 1 to MODBUS_UNITS. If a job of it is in the batch, the batch is
  * evaluated first, so that requests take effect in their order. */

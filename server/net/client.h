@@ -26,6 +26,8 @@
 #include <stdint.h>
 #include <sys/queue.h>
 
+#include "server/store/cache.h"
+
 struct client;
 struct worker;
 
@@ -47,6 +49,7 @@ struct client {
   const struct client_kind *kind;
   struct worker *worker;        /* set before start() */
   struct client *next_in_inbox; /* before start(): in the worker's inbox */
+  struct cache_owner profiles;  /* its slow profiles that wait to be prepared */
   LIST_ENTRY(client) in_clients;
   TAILQ_ENTRY(client) in_run_queue;
   TAILQ_ENTRY(client) in_finish_queue;

@@ -382,6 +382,7 @@ static void start(struct client *client) {
   struct connection *c = of(client);
   uv_loop_t *loop = worker_loop(client->worker);
   c->requests.context = worker_context(client->worker);
+  c->requests.profiles = &client->profiles;
   c->active_ms = uv_now(loop);
   const int adopted = adopt(c, loop);
   c->uv.handle.data = c;

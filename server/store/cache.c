@@ -23,6 +23,7 @@ struct cache_entry {
 
   /* Guarded by the mutex. */
   bool under_way;               /* it is not prepared yet */
+  bool begun;                   /* a thread prepares it, or has prepared it */
   struct cache_waiters waiters; /* until it is prepared */
   LIST_ENTRY(cache_entry) in_bucket;
   TAILQ_ENTRY(cache_entry) in_list; /* of a kind, or of those that have been evicted */
@@ -52,6 +53,10 @@ struct cache {
   uint64_t bucket_count;
   uint64_t entry_count; /* in the buckets, prepared or not */
   struct list lists[KINDS];
+  TAILQ_HEAD(, cache_owner) turns; /* owners with waiters; the first has the next turn */
+  unsigned turn_count;             /* turns that have begun and have not ended */
+  unsigned turns_most;
+  uint64_t max_waiting;
 };
 
 /* ---- keys ------------------------------------------------------------------------------------ */
@@ -283,13 +288,39 @@ static void keep(struct cache *cache, struct cache_entry *entry, struct entries 
 
 /* ---- waiting --------------------------------------------------------------------------------- */
 
-static void wait_for(struct cache_entry *entry, struct cache_queue *queue,
-                     struct cache_waiter *waiter) {
+/* Appends the waiter to its owner's queue. */
+static void enqueue(struct cache *cache, struct cache_owner *owner, struct cache_waiter *waiter) {
+  if (owner->count++ == 0) {
+    TAILQ_INIT(&owner->waiters);
+    TAILQ_INSERT_TAIL(&cache->turns, owner, in_turns);
+  }
+  waiter->owner = owner;
+  TAILQ_INSERT_TAIL(&owner->waiters, waiter, in_owner);
+}
+
+/* Takes the waiter out of its owner's queue, if it is there. */
+static void dequeue(struct cache *cache, struct cache_waiter *waiter) {
+  struct cache_owner *owner = waiter->owner;
+  if (owner != NULL) {
+    TAILQ_REMOVE(&owner->waiters, waiter, in_owner);
+    waiter->owner = NULL;
+    if (--owner->count == 0) {
+      TAILQ_REMOVE(&cache->turns, owner, in_turns);
+    }
+  }
+}
+
+static void wait_for(struct cache_entry *entry, struct cache_owner *owner,
+                     struct cache_queue *queue, struct cache_waiter *waiter) {
   cache_hold(entry);
   waiter->entry = entry;
   waiter->queue = queue;
+  waiter->owner = NULL;
   waiter->list = &entry->waiters;
   LIST_INSERT_HEAD(waiter->list, waiter, in_list);
+  if (!entry->begun) {
+    enqueue(entry->cache, owner, waiter);
+  }
 }
 
 /* Takes a waiter out of the list that it is in, if any. */
@@ -312,8 +343,7 @@ static void wake_all(struct cache_entry *entry) {
   }
 }
 
-/* Takes a slow entry out of the table if nobody waits for it any more when it is to be prepared.
- * False: somebody does. */
+/* Takes a slow entry out of the table if nobody waits for it any more. False: somebody does. */
 static bool give_up(struct cache_entry *entry) {
   if (!entry->slow || !LIST_EMPTY(&entry->waiters)) {
     return false;
@@ -323,8 +353,25 @@ static bool give_up(struct cache_entry *entry) {
   return true;
 }
 
-/* An entry with two references: the table's, and that of the caller, who has it prepared. NULL: out
- * of memory. */
+static struct cache_entry *begin_turn(struct cache *cache) {
+  struct cache_owner *owner = TAILQ_FIRST(&cache->turns);
+  if (owner == NULL || cache->turn_count == cache->turns_most) {
+    return NULL;
+  }
+  TAILQ_REMOVE(&cache->turns, owner, in_turns);
+  TAILQ_INSERT_TAIL(&cache->turns, owner, in_turns);
+  struct cache_entry *entry = TAILQ_FIRST(&owner->waiters)->entry;
+  struct cache_waiter *waiter;
+  LIST_FOREACH(waiter, &entry->waiters, in_list) {
+    dequeue(cache, waiter);
+  }
+  entry->begun = true;
+  cache->turn_count++;
+  cache_hold(entry);
+  return entry;
+}
+
+/* An entry with one reference, the table's. NULL: out of memory. */
 static struct cache_entry *new_entry(struct cache *cache, const struct cache_key *key, bool slow) {
   struct cache_entry *entry = calloc(1, sizeof *entry);
   if (entry != NULL) {
@@ -332,47 +379,57 @@ static struct cache_entry *new_entry(struct cache *cache, const struct cache_key
     entry->key = *key;
     entry->slow = slow;
     entry->under_way = true;
-    atomic_init(&entry->references, 2);
+    entry->begun = !slow;
+    atomic_init(&entry->references, 1);
     add(cache, entry);
   }
   return entry;
 }
 
 static enum cache_answer look(struct cache *cache, const struct cache_key *key, bool slow,
-                              struct cache_queue *queue, struct cache_waiter *waiter,
-                              struct cache_entry **found) {
+                              struct cache_owner *owner, struct cache_queue *queue,
+                              struct cache_waiter *waiter, struct cache_entry **found) {
   struct cache_entry *entry = find(cache, key);
-  if (entry == NULL) {
-    *found = new_entry(cache, key, slow);
-    if (*found != NULL && slow) {
-      wait_for(*found, queue, waiter);
-    }
-    return *found != NULL ? CACHE_NEW : CACHE_NO_MEMORY;
+  const bool new = entry == NULL;
+  if ((new ? slow : !entry->begun) && owner->count >= cache->max_waiting) {
+    return CACHE_BUSY;
   }
-  if (entry->under_way) {
-    wait_for(entry, queue, waiter);
+  if (new) {
+    entry = new_entry(cache, key, slow);
+    if (entry == NULL) {
+      return CACHE_NO_MEMORY;
+    }
+  }
+  if (entry->under_way && !(new && !slow)) {
+    wait_for(entry, owner, queue, waiter);
     return CACHE_AWAITED;
   }
-  move_to_head(list_of(cache, entry), entry);
+  if (!new) {
+    move_to_head(list_of(cache, entry), entry);
+  }
   cache_hold(entry);
   *found = entry;
-  return CACHE_KEPT;
+  return new ? CACHE_NEW : CACHE_KEPT;
 }
 
 /* ---- public: takes the mutex ----------------------------------------------------------------- */
 
-struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, struct stats *stats) {
+struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, uint64_t max_waiting,
+                        struct stats *stats) {
   struct cache *cache = calloc(1, sizeof *cache);
   if (cache == NULL) {
     return NULL;
   }
   cache->isa = isa;
   cache->limit_bytes = limit_bytes;
+  cache->max_waiting = max_waiting;
+  cache->turns_most = uv_available_parallelism() < 4 ? 1 : 2; /* the others are for the workers */
   cache->stats = stats;
   cache->bucket_count = BUCKETS_MIN;
   cache->buckets = calloc(BUCKETS_MIN, sizeof *cache->buckets);
   TAILQ_INIT(&cache->lists[false].entries);
   TAILQ_INIT(&cache->lists[true].entries);
+  TAILQ_INIT(&cache->turns);
   if (cache->buckets == NULL || uv_mutex_init(&cache->mutex) != 0) {
     free(cache->buckets);
     free(cache);
@@ -399,12 +456,35 @@ void cache_free(struct cache *cache) {
 }
 
 enum cache_answer cache_look(struct cache *cache, const struct cache_key *key, bool slow,
-                             struct cache_queue *queue, struct cache_waiter *waiter,
-                             struct cache_entry **entry) {
+                             struct cache_owner *owner, struct cache_queue *queue,
+                             struct cache_waiter *waiter, struct cache_entry **entry) {
   uv_mutex_lock(&cache->mutex);
-  const enum cache_answer answer = look(cache, key, slow, queue, waiter, entry);
+  const enum cache_answer answer = look(cache, key, slow, owner, queue, waiter, entry);
   uv_mutex_unlock(&cache->mutex);
   return answer;
+}
+
+struct cache_entry *cache_begin_turn(struct cache *cache) {
+  uv_mutex_lock(&cache->mutex);
+  struct cache_entry *entry = begin_turn(cache);
+  uv_mutex_unlock(&cache->mutex);
+  return entry;
+}
+
+void cache_end_turn(struct cache *cache) {
+  uv_mutex_lock(&cache->mutex);
+  cache->turn_count--;
+  uv_mutex_unlock(&cache->mutex);
+}
+
+void cache_move_waiters(struct cache *cache, struct cache_owner *from, struct cache_owner *to) {
+  uv_mutex_lock(&cache->mutex);
+  while (from->count > 0) {
+    struct cache_waiter *waiter = TAILQ_FIRST(&from->waiters);
+    dequeue(cache, waiter);
+    enqueue(cache, to, waiter);
+  }
+  uv_mutex_unlock(&cache->mutex);
 }
 
 void cache_prepare(struct cache_entry *entry) {
@@ -436,13 +516,21 @@ static void prepare(uv_work_t *work) {
 
 static void on_prepared(uv_work_t *work, int status) {
   (void)status; /* it is never cancelled: cache_prepare() checks whether it is still wanted */
-  cache_release(work->data);
+  struct cache_entry *entry = work->data;
+  struct cache *cache = entry->cache;
+  uv_loop_t *loop = work->loop;
+  cache_release(entry);
+  cache_end_turn(cache);
+  cache_prepare_in_pool(cache, loop);
 }
 
-void cache_prepare_in_pool(struct cache_entry *entry, uv_loop_t *loop) {
-  entry->work.data = entry;
-  const int queued = uv_queue_work(loop, &entry->work, prepare, on_prepared);
-  assert(queued == 0); /* this only fails without a function */
+void cache_prepare_in_pool(struct cache *cache, uv_loop_t *loop) {
+  struct cache_entry *entry;
+  while ((entry = cache_begin_turn(cache)) != NULL) {
+    entry->work.data = entry;
+    const int queued = uv_queue_work(loop, &entry->work, prepare, on_prepared);
+    assert(queued == 0); /* this only fails without a function */
+  }
 }
 
 struct cache_waiter *cache_next_woken(struct cache *cache, struct cache_queue *queue) {
@@ -462,7 +550,12 @@ void cache_leave(struct cache_waiter *waiter) {
   }
   uv_mutex_lock(&entry->cache->mutex);
   delist(waiter);
+  dequeue(entry->cache, waiter);
+  const bool given_up = !entry->begun && give_up(entry);
   uv_mutex_unlock(&entry->cache->mutex);
-  *waiter = (struct cache_waiter){0};
+  waiter->entry = NULL;
+  if (given_up) {
+    cache_release(entry); /* the table's */
+  }
   cache_release(entry);
 }

@@ -8,6 +8,12 @@
  * The first thread that asks for a profile prepares it, or has it prepared. All threads that ask in
  * the meantime wait for the same entry and are woken. A fault goes to all of them and is not kept.
  *
+ * Slow profiles are prepared on libuv's pool, one at a time, or two on a machine with four cores or
+ * more. Each waiter waits in the queue of its owner, for example of a connection. Owners take
+ * turns: each turn prepares what the first waiter of one owner wants, and wakes all who wait for
+ * the same. So an owner with hundreds of waiters delays another one by one preparation in each
+ * turn. An entry that nobody waits for any more, and whose preparation has not begun, is removed.
+ *
  * Threading: one mutex guards the table, the lists for eviction and the lists of waiters. No
  * profile is prepared or freed while the mutex is held. Profiles are evaluated without it, and a
  * worker finds the entries in its local store (server/store/profiles.h) without it.
@@ -61,6 +67,14 @@ struct cache_entry;
 
 LIST_HEAD(cache_waiters, cache_waiter);
 
+/* Somebody whose waiters share one place among all that wait for slow profiles. Before the first
+ * use, set all members to 0. The cache's mutex guards them. */
+struct cache_owner {
+  TAILQ_HEAD(, cache_waiter) waiters; /* for entries whose preparation has not begun */
+  uint64_t count;                     /* of these waiters */
+  TAILQ_ENTRY(cache_owner) in_turns;  /* while count is above 0 */
+};
+
 /* The entries that one thread waits for. The cache calls `wake` on any thread whenever
  * cache_next_woken() has something new. `wake` may not call the cache. */
 struct cache_queue {
@@ -69,47 +83,61 @@ struct cache_queue {
   struct cache_waiters woken;
 };
 
-/* Waits for one entry on behalf of a job. All members are 0 while it waits for nothing. */
+/* Waits for one entry on behalf of a job. While it waits for nothing, `entry` is NULL, and the
+ * other members have no meaning. */
 struct cache_waiter {
   struct cache_entry *entry;
   struct cache_queue *queue;
+  struct cache_owner *owner; /* in whose queue it is; NULL: the preparation has begun */
+  TAILQ_ENTRY(cache_waiter) in_owner;
   struct cache_waiters *list; /* the entry's or the queue's; NULL: neither */
   LIST_ENTRY(cache_waiter) in_list;
 };
 
-/* Keeps at most limit_bytes of prepared profiles. NULL: out of memory. */
-struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, struct stats *stats);
+/* Keeps at most limit_bytes of prepared profiles. At most max_waiting waiters of one owner wait for
+ * preparations that have not begun. NULL: out of memory. */
+struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, uint64_t max_waiting,
+                        struct stats *stats);
 
 /* Asserts that nothing is being prepared and that all references have been released. */
 void cache_free(struct cache *cache);
 
 enum cache_answer {
   CACHE_KEPT, /* *entry is prepared */
-  CACHE_NEW,  /* the caller calls cache_prepare(*entry): at once if the profile is fast to prepare;
-                    on another thread if it is slow, and then the waiter waits for it */
-  CACHE_AWAITED, /* another thread prepares the profile, and the waiter waits for it */
+  CACHE_NEW,  /* the profile is fast to prepare: the caller calls cache_prepare(*entry) at once */
+  CACHE_AWAITED, /* the waiter waits for the profile; the caller calls cache_prepare_in_pool() */
   CACHE_NO_MEMORY,
+  CACHE_BUSY, /* max_waiting waiters of the owner wait already */
 };
 
 /* Looks for a profile. After KEPT and NEW, *entry is a reference that the caller releases. Before
- * the call all members of *waiter are 0. After NEW with `slow`, and after AWAITED, it belongs to
- * `queue` until cache_leave(). */
+ * the call waiter->entry is NULL. After AWAITED the waiter belongs to `queue` and `owner` until
+ * cache_leave(). */
 enum cache_answer cache_look(struct cache *cache, const struct cache_key *key, bool slow,
-                             struct cache_queue *queue, struct cache_waiter *waiter,
-                             struct cache_entry **entry);
+                             struct cache_owner *owner, struct cache_queue *queue,
+                             struct cache_waiter *waiter, struct cache_entry **entry);
 
-/* Prepares a NEW entry, on any thread, and wakes all who wait for it. If nobody waits any more for
- * a slow entry, it is removed from the cache instead. */
+/* Begins the turn of the next owner: returns a reference to the slow entry that its first waiter
+ * waits for. The caller calls cache_prepare(), releases the entry, and then calls cache_end_turn().
+ * NULL: nobody waits for an entry that has not begun, or enough are being prepared. */
+struct cache_entry *cache_begin_turn(struct cache *cache);
+void cache_end_turn(struct cache *cache);
+
+/* Prepares an entry, on any thread, and wakes all who wait for it. If nobody waits any more for a
+ * slow entry, it is removed from the cache instead. */
 void cache_prepare(struct cache_entry *entry);
 
-/* Calls cache_prepare() on a thread of libuv's pool. Takes over the caller's reference. Call this
- * on the loop's thread. It returns at once; the loop does not end before the entry is prepared. */
-void cache_prepare_in_pool(struct cache_entry *entry, uv_loop_t *loop);
+/* Prepares slow entries, turn by turn, on threads of libuv's pool. Call this on the loop's thread.
+ * It returns at once; the loop does not end before the entries that it has begun are prepared. */
+void cache_prepare_in_pool(struct cache *cache, uv_loop_t *loop);
+
+/* Makes all waiters of `from` waiters of `to`; `from` may then be freed. */
+void cache_move_waiters(struct cache *cache, struct cache_owner *from, struct cache_owner *to);
 
 /* A waiter of this queue whose entry has been prepared or has a fault. NULL: there is none. */
 struct cache_waiter *cache_next_woken(struct cache *cache, struct cache_queue *queue);
 
-/* Ends the waiting, whether the waiter has been woken or not, and sets all its members to 0. */
+/* Ends the waiting, if the waiter waits, whether it has been woken or not. */
 void cache_leave(struct cache_waiter *waiter);
 
 /* For an entry that was KEPT, that the caller has prepared, or that a waiter was woken for. The

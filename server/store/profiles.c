@@ -1,6 +1,7 @@
 #include "server/store/profiles.h"
 
 #include <assert.h>
+#include <string.h>
 
 /* ---- the table ------------------------------------------------------------------------------- */
 
@@ -150,21 +151,22 @@ static enum profiles_answer get_from_cache(struct profiles *profiles,
                                            struct profiles_lookup *lookup) {
   const bool slow = core_prepares_slowly(lookup->key.model, lookup->key.evaluator);
   struct cache_entry *entry;
-  const enum cache_answer answer = cache_look(profiles->server->cache, &lookup->key, slow,
-                                              &profiles->queue, &lookup->waiter, &entry);
+  const enum cache_answer answer =
+      cache_look(profiles->server->cache, &lookup->key, slow, lookup->owner, &profiles->queue,
+                 &lookup->waiter, &entry);
   count(profiles, answer == CACHE_KEPT);
   switch (answer) {
   case CACHE_KEPT:
     return take(profiles, lookup, entry);
   case CACHE_NEW:
-    if (!slow) {
-      cache_prepare(entry);
-      return take(profiles, lookup, entry);
-    }
-    cache_prepare_in_pool(entry, profiles->loop);
-    return PROFILES_WAIT;
+    cache_prepare(entry);
+    return take(profiles, lookup, entry);
   case CACHE_AWAITED:
+    cache_prepare_in_pool(profiles->server->cache, profiles->loop);
     return PROFILES_WAIT;
+  case CACHE_BUSY:
+    lookup->fault = (core_fault){PROFILES_FIELD_BUSY, "later: max_waiting_profiles wait", 0};
+    return PROFILES_FAULT;
   case CACHE_NO_MEMORY:
     break;
   }
@@ -225,6 +227,11 @@ void profiles_return(struct profiles_lookup *lookup) {
   lookup->ready = false;
   cache_leave(&lookup->waiter);
   lookup->woken = false;
+}
+
+bool profiles_is_busy(core_fault fault) {
+  return strcmp(fault.field, CORE_FIELD_MEMORY) == 0 ||
+         strcmp(fault.field, PROFILES_FIELD_BUSY) == 0;
 }
 
 void profiles_wake(struct profiles *profiles) {

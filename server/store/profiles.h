@@ -72,11 +72,12 @@ struct profiles {
   } sets[PROFILES_SETS];
 };
 
-/* Through this a job gets one profile after the other. Before profiles_start(), set on_ready and
- * context, and all other members to 0. */
+/* Through this a job gets one profile after the other. Before profiles_start(), set on_ready,
+ * context and owner, and all other members to 0. */
 struct profiles_lookup {
   void (*on_ready)(void *context); /* called after PROFILES_WAIT: call profiles_get() again */
   void *context;
+  struct cache_owner *owner; /* whose turns slow profiles are prepared in */
   struct cache_key key;
   core_parameters parameters;
   bool ready;                  /* `profile` may be evaluated until profiles_return() */
@@ -103,6 +104,12 @@ void profiles_wake(struct profiles *profiles);
 void profiles_sweep(struct profiles *profiles);
 
 enum profiles_answer { PROFILES_READY, PROFILES_FAULT, PROFILES_WAIT };
+
+/* The field of a fault when max_waiting_profiles of the owner wait already. */
+#define PROFILES_FIELD_BUSY "profiles"
+
+/* Whether the same request may succeed later: memory is lacking, or too many profiles wait. */
+bool profiles_is_busy(core_fault fault);
 
 /* Sets what the next profiles have in common; core_profile_check() has accepted the arguments. */
 void profiles_start(struct profiles_lookup *lookup, unsigned model, unsigned moments,

@@ -1,5 +1,6 @@
 /* The daemon's cache of prepared profiles, without a daemon: what is the same, what is kept and for
  * how long, and that many who ask at the same time cause one preparation. */
+#include <limits.h>
 #include <math.h>
 #include <uv.h>
 
@@ -22,16 +23,19 @@ static void not_woken(void *context) {
   (void)context;
 }
 
+enum { MAX_WAITING = 200 };
+
 /* A cache and one who asks. */
 struct fixture {
   struct stats stats;
   struct cache *cache;
+  struct cache_owner owner;
   struct cache_queue queue;
 };
 
 static void open_cache(struct fixture *f, uint64_t limit_bytes) {
   *f = (struct fixture){.queue = {.wake = not_woken}};
-  f->cache = cache_new(core_isa_select(NULL), limit_bytes, &f->stats);
+  f->cache = cache_new(core_isa_select(NULL), limit_bytes, MAX_WAITING, &f->stats);
   assert_non_null(f->cache);
 }
 
@@ -39,17 +43,44 @@ static uint64_t count(const struct fixture *f, enum stats_index index) {
   return stats_get(&f->stats, index);
 }
 
+/* Prepares slow entries on this thread, in so many turns at most; returns how many there were. */
+static unsigned take_turns(struct cache *cache, unsigned most) {
+  unsigned turns = 0;
+  struct cache_entry *entry;
+  while (turns < most && (entry = cache_begin_turn(cache)) != NULL) {
+    cache_prepare(entry);
+    cache_release(entry);
+    cache_end_turn(cache);
+    turns++;
+  }
+  return turns;
+}
+
+/* Looks for a slow profile that is not prepared. */
+static void wait_for(struct fixture *f, struct cache_owner *owner, uint64_t number,
+                     struct cache_waiter *waiter) {
+  const struct cache_key key = key_number(number);
+  struct cache_entry *none = NULL;
+  assert_true(cache_look(f->cache, &key, true, owner, &f->queue, waiter, &none) == CACHE_AWAITED);
+}
+
 /* A reference to an entry that is prepared, on this thread; whether it was there. */
 static struct cache_entry *ask(struct fixture *f, const struct cache_key *key, bool slow,
                                bool *was_there) {
   struct cache_waiter waiter = {0};
   struct cache_entry *entry = NULL;
-  const enum cache_answer answer = cache_look(f->cache, key, slow, &f->queue, &waiter, &entry);
-  assert_true(answer == CACHE_KEPT || answer == CACHE_NEW);
+  const enum cache_answer answer =
+      cache_look(f->cache, key, slow, &f->owner, &f->queue, &waiter, &entry);
+  assert_true(answer == CACHE_KEPT || answer == (slow ? CACHE_AWAITED : CACHE_NEW));
   *was_there = answer == CACHE_KEPT;
   if (answer == CACHE_NEW) {
     cache_prepare(entry);
-    assert_ptr_equal(cache_next_woken(f->cache, &f->queue), slow ? &waiter : NULL);
+    assert_null(cache_next_woken(f->cache, &f->queue));
+  } else if (answer == CACHE_AWAITED) {
+    take_turns(f->cache, 1);
+    assert_ptr_equal(cache_next_woken(f->cache, &f->queue), &waiter);
+    entry = waiter.entry;
+    cache_hold(entry);
     cache_leave(&waiter);
   }
   assert_null(cache_fault(entry).field);
@@ -293,20 +324,19 @@ UNIT_TEST(all_wait_for_one) {
   enum { WAITERS = 100 };
   struct fixture f;
   open_cache(&f, 0); /* nothing is kept: those that wait have it all the same */
-  const struct cache_key key = key_number(0);
   struct cache_waiter waiters[WAITERS] = {{0}};
-  struct cache_entry *entry = NULL;
-  assert_true(cache_look(f.cache, &key, true, &f.queue, &waiters[0], &entry) == CACHE_NEW);
-  struct cache_entry *none = NULL;
-  for (size_t i = 1; i < WAITERS; i++) {
-    assert_true(cache_look(f.cache, &key, true, &f.queue, &waiters[i], &none) == CACHE_AWAITED);
+  for (size_t i = 0; i < WAITERS; i++) {
+    wait_for(&f, &f.owner, 0, &waiters[i]);
   }
+  struct cache_entry *entry = cache_begin_turn(f.cache);
+  assert_ptr_equal(entry, waiters[0].entry);
   assert_null(cache_next_woken(f.cache, &f.queue));
   cache_leave(&waiters[0]); /* who asked first goes; the others still want it */
   cache_leave(&waiters[50]);
   cache_prepare(entry);
   assert_false(cache_keeps(entry));
   cache_release(entry);
+  cache_end_turn(f.cache);
   cache_leave(&waiters[99]); /* woken, and not told yet */
   size_t woken = 0;
   struct cache_waiter *waiter;
@@ -326,13 +356,16 @@ UNIT_TEST(all_wait_for_one) {
 UNIT_TEST(what_nobody_waits_for_is_not_prepared) {
   struct fixture f;
   open_cache(&f, 1 << 20);
-  const struct cache_key key = key_number(0);
   struct cache_waiter waiter = {0};
-  struct cache_entry *entry = NULL;
-  assert_true(cache_look(f.cache, &key, true, &f.queue, &waiter, &entry) == CACHE_NEW);
+  wait_for(&f, &f.owner, 0, &waiter);
   cache_leave(&waiter);
+  assert_int_equal(take_turns(f.cache, 1), 0);
+  wait_for(&f, &f.owner, 0, &waiter);
+  struct cache_entry *entry = cache_begin_turn(f.cache);
+  cache_leave(&waiter); /* after its turn has begun */
   cache_prepare(entry);
   cache_release(entry);
+  cache_end_turn(f.cache);
   assert_int_equal(count(&f, STATS_CACHE_BUILDS), 0);
   assert_false(visit(&f, 0));
   assert_int_equal(count(&f, STATS_CACHE_BUILDS), 1);
@@ -348,12 +381,12 @@ UNIT_TEST(a_fault_goes_to_all_and_is_not_kept) {
       key_of(CORE_MODEL_GAUSSIANS, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, SKIN, parameters);
   for (uint64_t time = 1; time <= 2; time++) {
     struct cache_waiter waiters[2] = {{0}};
-    struct cache_entry *entry = NULL;
     struct cache_entry *none = NULL;
-    assert_true(cache_look(f.cache, &key, true, &f.queue, &waiters[0], &entry) == CACHE_NEW);
-    assert_true(cache_look(f.cache, &key, true, &f.queue, &waiters[1], &none) == CACHE_AWAITED);
-    cache_prepare(entry);
-    cache_release(entry);
+    for (int i = 0; i < 2; i++) {
+      assert_true(cache_look(f.cache, &key, true, &f.owner, &f.queue, &waiters[i], &none) ==
+                  CACHE_AWAITED);
+    }
+    assert_int_equal(take_turns(f.cache, 2), 1);
     for (int i = 0; i < 2; i++) {
       struct cache_waiter *waiter = cache_next_woken(f.cache, &f.queue);
       assert_non_null(waiter);
@@ -362,6 +395,93 @@ UNIT_TEST(a_fault_goes_to_all_and_is_not_kept) {
     }
     assert_int_equal(count(&f, STATS_CACHE_BUILDS), time);
     assert_int_equal(count(&f, STATS_CACHE_ENTRIES), 0);
+  }
+  cache_free(f.cache);
+}
+
+/* ---- turns --------------------------------------------------------------------------------------
+ */
+
+UNIT_TEST(owners_take_turns) {
+  enum { MANY = 100 };
+  struct fixture f;
+  open_cache(&f, 1 << 20);
+  struct cache_owner other = {0};
+  struct cache_waiter waiters[MANY] = {{0}}, others[3] = {{0}};
+  for (size_t i = 0; i < MANY; i++) {
+    wait_for(&f, &f.owner, i, &waiters[i]);
+  }
+  wait_for(&f, &other, MANY, &others[0]);
+  wait_for(&f, &other, MANY - 1, &others[1]); /* what the first owner wants last */
+  wait_for(&f, &other, MANY + 1, &others[2]);
+  const struct cache_waiter *order[] = {&waiters[0], &others[0],  &waiters[1],
+                                        &others[1],  &waiters[2], &others[2]};
+  for (size_t i = 0; i < sizeof order / sizeof order[0]; i++) {
+    assert_non_null(order[i]->owner);
+    assert_int_equal(take_turns(f.cache, 1), 1);
+    assert_ptr_equal(order[i]->list, &f.queue.woken);
+  }
+  assert_ptr_equal(waiters[MANY - 1].list, &f.queue.woken);
+  cache_move_waiters(f.cache, &f.owner, &other);
+  assert_int_equal(f.owner.count, 0);
+  assert_int_equal(other.count, MANY - 4);
+  cache_leave(&waiters[3]); /* nobody else waits for it */
+  assert_int_equal(take_turns(f.cache, UINT_MAX), MANY - 5);
+  assert_int_equal(count(&f, STATS_CACHE_BUILDS), MANY + 1);
+  struct cache_waiter *waiter;
+  while ((waiter = cache_next_woken(f.cache, &f.queue)) != NULL) {
+    cache_leave(waiter);
+  }
+  cache_free(f.cache);
+}
+
+UNIT_TEST(an_owner_has_a_limit) {
+  struct fixture f;
+  open_cache(&f, 1 << 20);
+  struct cache_owner other = {0};
+  struct cache_waiter waiters[MAX_WAITING] = {{0}}, one = {0};
+  struct cache_entry *none = NULL;
+  for (size_t i = 0; i < MAX_WAITING; i++) {
+    wait_for(&f, &f.owner, i, &waiters[i]);
+  }
+  for (uint64_t i = 0; i <= MAX_WAITING; i += MAX_WAITING) { /* one that waits, and a new one */
+    const struct cache_key key = key_number(i);
+    assert_true(cache_look(f.cache, &key, true, &f.owner, &f.queue, &one, &none) == CACHE_BUSY);
+    assert_null(one.entry);
+  }
+  wait_for(&f, &other, MAX_WAITING, &one);
+  cache_leave(&one);
+  cache_leave(&waiters[7]);
+  wait_for(&f, &f.owner, MAX_WAITING, &waiters[7]);
+  for (size_t i = 0; i < MAX_WAITING; i++) {
+    cache_leave(&waiters[i]);
+  }
+  assert_int_equal(take_turns(f.cache, UINT_MAX), 0);
+  cache_free(f.cache);
+}
+
+UNIT_TEST(at_most_two_turns_at_a_time) {
+  struct fixture f;
+  open_cache(&f, 1 << 20);
+  struct cache_waiter waiters[3] = {{0}};
+  struct cache_entry *entries[3] = {NULL};
+  for (size_t i = 0; i < 3; i++) {
+    wait_for(&f, &f.owner, i, &waiters[i]);
+  }
+  const unsigned most = uv_available_parallelism() < 4 ? 1 : 2;
+  unsigned begun = 0;
+  while (begun < 3 && (entries[begun] = cache_begin_turn(f.cache)) != NULL) {
+    begun++;
+  }
+  assert_int_equal(begun, most);
+  for (unsigned i = 0; i < begun; i++) {
+    cache_prepare(entries[i]);
+    cache_release(entries[i]);
+    cache_end_turn(f.cache);
+  }
+  assert_int_equal(take_turns(f.cache, 3), 3 - most);
+  for (size_t i = 0; i < 3; i++) {
+    cache_leave(&waiters[i]);
   }
   cache_free(f.cache);
 }
@@ -375,6 +495,7 @@ struct thread {
   uv_thread_t id;
   struct fixture *f;
   uv_sem_t woken;
+  struct cache_owner owner;
   struct cache_queue queue;
   uint64_t seed;
   uint64_t found;
@@ -400,12 +521,14 @@ static void ask_at_random(struct thread *thread) {
   struct cache_waiter waiter = {0};
   struct cache_entry *entry = NULL;
   const enum cache_answer answer =
-      cache_look(thread->f->cache, &key, slow, &thread->queue, &waiter, &entry);
+      cache_look(thread->f->cache, &key, slow, &thread->owner, &thread->queue, &waiter, &entry);
   if (unit_random_below(&thread->seed, 8) == 0) {
     cache_leave(&waiter);
   }
   if (answer == CACHE_NEW) {
     cache_prepare(entry);
+  } else if (answer == CACHE_AWAITED) {
+    take_turns(thread->f->cache, UINT_MAX);
   }
   if (waiter.entry != NULL) {
     while (cache_next_woken(thread->f->cache, &thread->queue) == NULL) {

@@ -19,7 +19,7 @@ static void open_fixture(struct fixture *f, uint64_t cache_bytes) {
   memset(f, 0, sizeof *f);
   f->server.isa = core_isa_select(NULL);
   f->server.options.cache_bytes = cache_bytes;
-  f->server.cache = cache_new(f->server.isa, cache_bytes, &f->server.stats);
+  f->server.cache = cache_new(f->server.isa, cache_bytes, 1, &f->server.stats);
   assert_non_null(f->server.cache);
   assert_int_equal(uv_loop_init(&f->loop), 0);
   profiles_init(&f->profiles, &f->server, &f->loop, not_woken, NULL);
@@ -44,7 +44,8 @@ static void set_woken(void *context) {
 static double get_albedo(struct fixture *f, unsigned model, core_medium medium,
                          const core_parameters *parameters, double *cos_in) {
   bool woken = false;
-  struct profiles_lookup lookup = {.on_ready = set_woken, .context = &woken};
+  struct cache_owner owner = {0};
+  struct profiles_lookup lookup = {.on_ready = set_woken, .context = &woken, .owner = &owner};
   profiles_start(&lookup, model, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, parameters);
   enum profiles_answer answer = profiles_get(&f->profiles, &lookup, &medium);
   if (answer == PROFILES_WAIT) {
@@ -127,10 +128,12 @@ UNIT_TEST(what_has_been_evicted_is_not_held) {
   cache_key_set_medium(&key, &other);
   double cos_in;
   get_albedo(&f, CORE_MODEL_SINGLE, other, &none, &cos_in);
+  struct cache_owner owner = {0};
   struct cache_queue queue = {.wake = not_woken};
   struct cache_waiter waiter = {0};
   struct cache_entry *entry = NULL;
-  assert_true(cache_look(f.server.cache, &key, false, &queue, &waiter, &entry) == CACHE_KEPT);
+  assert_true(cache_look(f.server.cache, &key, false, &owner, &queue, &waiter, &entry) ==
+              CACHE_KEPT);
   get_albedo(&f, CORE_MODEL_SINGLE, SKIN, &none, &cos_in);
   assert_false(cache_keeps(entry));
   cache_release(entry);

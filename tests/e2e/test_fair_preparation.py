@@ -1,0 +1,159 @@
+"""Everybody who wants slow profiles gets a turn: neither a Modbus master with hundreds of units nor
+a client that asks without end keeps the others waiting."""
+
+from __future__ import annotations
+
+import statistics
+import threading
+import time
+from itertools import count
+
+import pytest
+from daemons import eventually
+from dipole import wire
+from frames import EVAL, ask, assert_error, assert_serves, eval_payload, frame
+from lists import MODELS
+from modbus_master import BUSY, TCP, Exception_, Tcp, input_block
+
+UNITS = range(1, 248)
+NUMBERS = count(1)
+
+
+def new_medium() -> tuple[float, ...]:
+    """A medium that no request has had."""
+    return (0.03 + 1e-4 * next(NUMBERS), 0.74, 0.0, 1.3)
+
+
+def request(deadline_ms: int = 0, medium=None) -> bytes:
+    payload = eval_payload([medium or new_medium()], [1.0], model=MODELS["transport"])
+    return frame(EVAL, 77, payload, deadline_ms)
+
+
+def commit(master: Tcp, unit: int) -> None:
+    block = input_block(1, new_medium(), [1.0], model=MODELS["transport"])
+    master.write(100, block, unit)
+
+
+def median_s(wait, times: int = 7) -> float:
+    waits = []
+    for _ in range(times):
+        start = time.monotonic()
+        wait()
+        waits.append(time.monotonic() - start)
+    return statistics.median(waits)
+
+
+def client_waits(client) -> None:
+    client.send_bytes(request())
+    assert client.receive_frame().type == EVAL | wire.REPLY
+
+
+def master_waits(master: Tcp) -> None:
+    commit(master, 1)
+    assert master.wait(1).status == 2
+
+
+class Meanwhile:
+    """Calls a function again and again until the end of the block."""
+
+    def __init__(self, act):
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, args=(act,))
+
+    def _run(self, act) -> None:
+        while not self._ended.is_set():
+            act()
+
+    def __enter__(self) -> None:
+        self._thread.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+
+
+def test_a_client_gets_its_turns_beside_a_master_of_all_units(daemon):
+    one = daemon(*TCP)
+    with Tcp(one) as master, one.connect() as client:
+        alone_s = median_s(lambda: client_waits(client))
+
+        rounds = []
+
+        def commit_all() -> None:
+            for unit in UNITS:
+                try:
+                    commit(master, unit)
+                except Exception_ as refused:
+                    assert refused.code == BUSY
+            rounds.append(unit)
+            time.sleep(0.2)  # far less than the units take
+
+        with Meanwhile(commit_all):
+            assert eventually(lambda: rounds)
+            beside_s = median_s(lambda: client_waits(client))
+    print(f"alone {alone_s:.3f} s, beside {beside_s:.3f} s, {beside_s / alone_s:.2f} times")
+    assert beside_s <= 4 * alone_s
+
+
+def test_a_master_gets_its_turns_beside_clients_that_ask_without_end(daemon):
+    one = daemon(*TCP)
+    with Tcp(one) as master, one.connect() as client:
+        alone_s = median_s(lambda: master_waits(master))
+        client.send_bytes(b"".join(request() for _ in range(200)))
+
+        def ask_again() -> None:
+            assert client.receive_frame().type == EVAL | wire.REPLY
+            client.send_bytes(request())
+
+        with Meanwhile(ask_again):
+            beside_s = median_s(lambda: master_waits(master))
+    print(f"alone {alone_s:.3f} s, beside {beside_s:.3f} s, {beside_s / alone_s:.2f} times")
+    assert beside_s <= 4 * alone_s
+
+
+def test_a_master_may_have_so_many_waiting(daemon):
+    """One more is refused with exception 06. Others may have as many."""
+    one = daemon(*TCP, "--max-waiting-profiles", "3")
+    with Tcp(one) as master, Tcp(one) as other:
+        for unit in range(1, 4):
+            commit(master, unit)
+        with pytest.raises(Exception_) as refused:
+            for unit in range(4, 10):  # some have begun, and do not wait any more
+                commit(master, unit)
+        assert refused.value.code == BUSY
+        commit(other, 100)
+        assert other.wait(100).status == 2
+        assert master.wait(1).status == 2
+
+
+def test_deadlines_count_while_a_profile_waits(daemon):
+    """A request whose time is over before its turn is answered then, and nothing is prepared for
+    it."""
+    one = daemon(*TCP)
+    with Tcp(one) as master, one.connect() as client, one.connect() as second:
+        alone_s = median_s(lambda: client_waits(client))
+        for unit in UNITS:
+            commit(master, unit)
+        medium = new_medium()
+        start = time.monotonic()
+        second.send_bytes(request(10, medium))
+        assert_error(second.receive_frame(), "deadline", "deadline_ms", "more")
+        assert time.monotonic() - start < max(1.0, 4 * alone_s)
+        assert_serves(second)
+
+
+def test_stopping_prepares_nothing_that_waits_for_masters(daemon):
+    """What has begun is finished. The rest is not waited for."""
+    one = daemon(*TCP)
+    with one.connect() as client:
+        alone_s = median_s(lambda: client_waits(client))
+    with Tcp(one) as master:
+        for unit in UNITS:
+            commit(master, unit)
+        start = time.monotonic()
+        one.terminate()
+        assert master.is_closed()
+    assert one.wait() == 0
+    took_s = time.monotonic() - start
+    print(f"{took_s:.2f} s")
+    assert took_s < max(1.0, 5 * alone_s)
