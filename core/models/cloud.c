@@ -49,7 +49,7 @@
 #define SLAB_TOLERANCE 1e-12
 #define TOLERANCE_MOST 0.1
 #define LEAST 1e-2
-#define MOST 1e13
+#define MOST 1e10
 #define MOST_RATE 1e-28   /* R(MOST) does not feel such an absorption, */
 #define LEAST_RATE 1e-250 /* nor R at 1e100 mean free paths this one */
 #define THICKNESS_LEAST 1.1

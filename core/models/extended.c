@@ -293,7 +293,7 @@ static void eval_cdf(const double *restrict c, size_t n, const double *restrict 
                      double *restrict out) {
   if (c[KAPPA] > 0) {
     for (size_t i = 0; i < n; i++) {
-      out[i] = energy_cdf(&c[ENERGY], r[i]);
+      out[i] = c[CDF_LIMIT] > 0 ? energy_cdf(&c[ENERGY], r[i]) : 0;
     }
   } else {
     eval_cdf_closed(c, n, r, out);
@@ -367,7 +367,7 @@ static double set_coefficients(const core_inputs *inputs, double *c) {
   c[SLOPE_SCALE] = c[R_SCALE] * sigma_t_prime;
   c[CDF_LIMIT] = source > 0;
   const double bracket = c[FLUX] * (1 + mirror.exp) + c[PHI] * c[PHI_SHARE];
-  c[CDF_SCALE] = (1 + c[MU]) / bracket;
+  c[CDF_SCALE] = source > 0 ? (1 + c[MU]) / bracket : 0;
   /* 1 - cdf is at most tail e^(-mu x) and tail / x, from x = 1 on */
   const double tail =
       c[CDF_SCALE] * (c[FLUX] * (2 + c[TWO_ZB]) + c[PHI] * c[TWO_ZB] * (1 + c[TWO_ZB]));

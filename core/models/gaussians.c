@@ -111,7 +111,9 @@ static inline double finish_ln_R(const double *c, double r, double x, double sum
 
 static inline double finish_cdf(const double *c, double r, double x, double sum) {
   const double inside = c[GAUSSIANS_LEAST_CDF] * (r < x ? r / x : 1);
-  return r > x ? c[GAUSSIANS_LIMIT] : real_min(inside + sum, c[GAUSSIANS_LIMIT]);
+  const bool whole = r > x || x * x * c[GAUSSIANS_SLOWEST] > 40; /* but for a rounding error */
+  const double less = c[GAUSSIANS_LIMIT] > 0 ? real_min(inside + sum, REAL_BELOW_1) : 0;
+  return whole ? c[GAUSSIANS_LIMIT] : less;
 }
 
 /* Below the least radius -dR/dr is R / r, not the sum's. */

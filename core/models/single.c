@@ -144,10 +144,11 @@ static inline double finish_ln_R(const double *c, double r, double near, double 
   return c[CDF_LIMIT] > 0 ? (r > 0 ? bounded : (double)INFINITY) : -(double)INFINITY;
 }
 
+/* 1 where what is left is less than a rounding error, and less than 1 before. */
 static inline double finish_cdf(const double *c, double r, double tau, double sum) {
   (void)r;
-  (void)tau;
-  return real_min(c[CDF_SCALE] * sum, c[CDF_LIMIT]);
+  const double inside = c[CDF_LIMIT] > 0 ? real_min(c[CDF_SCALE] * sum, REAL_BELOW_1) : 0;
+  return c[EXPONENT] * tau > 40 ? c[CDF_LIMIT] : inside;
 }
 
 BLOCK_KERNEL(eval_R, begin, sum_R, finish_R)
