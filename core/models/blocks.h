@@ -1,8 +1,9 @@
 /* blocks: kernels that sum many terms for each radius, or integrate over them.
  *
- * Radii are taken in blocks; the loop over the terms is outside and the loop over the block's radii
- * inside, where compilers vectorize it. Every radius sees the same operations in the same order,
- * whatever the length of its block. For files that have kernels in double precision alone.
+ * A kernel works on blocks of BLOCK_LANES radii. The loop over the terms is the outer one and the
+ * loop over the radii of a block is the inner one, so that compilers vectorize it. Every radius
+ * goes through the same operations in the same order, whatever the length of its block. This header
+ * serves files whose kernels exist in double precision only.
  */
 #ifndef DIPOLED_CORE_MODELS_BLOCKS_H
 #define DIPOLED_CORE_MODELS_BLOCKS_H
@@ -11,7 +12,8 @@
 
 enum { BLOCK_LANES = 32 };
 
-/* BLOCK_SUM(name, terms, term): *sum over the k from 0 to terms(c) - 1 of term(c, k, x). */
+/* BLOCK_SUM(name, terms, term) defines a function that sets sum[i] to the sum of term(c, k, x[i])
+ * over all k from 0 to terms(c) - 1, for each of the n numbers x. */
 #define BLOCK_SUM(name, terms, term)                                                               \
   static void name(const double *c, size_t n, const double *x, double *sum) {                      \
     const size_t count = terms(c);                                                                 \
@@ -25,8 +27,9 @@ enum { BLOCK_LANES = 32 };
     }                                                                                              \
   }
 
-/* BLOCK_KERNEL(name, begin, sum, finish): a kernel; x = begin(c, r) is what is summed over, and
- * finish(c, r, x, sum) is the value. */
+/* BLOCK_KERNEL(name, begin, sum_up, finish) defines a kernel as in core/kernels.h. For each radius
+ * r in mm, x = begin(c, r) is the argument of the sum, sum_up is a function that BLOCK_SUM made,
+ * and out = finish(c, r, x, sum). */
 #define BLOCK_KERNEL(name, begin, sum_up, finish)                                                  \
   static void name(const double *restrict c, size_t n, const double *restrict r,                   \
                    double *restrict out) {                                                         \
@@ -35,7 +38,7 @@ enum { BLOCK_LANES = 32 };
       double x[BLOCK_LANES];                                                                       \
       double sum[BLOCK_LANES];                                                                     \
       for (size_t i = 0; i < count; i++) {                                                         \
-        x[i] = begin(c, r[done + i] + 0); /* which makes 0 of -0 */                                \
+        x[i] = begin(c, r[done + i] + 0); /* adding 0 turns -0 into 0 */                           \
       }                                                                                            \
       sum_up(c, count, x, sum);                                                                    \
       for (size_t i = 0; i < count; i++) {                                                         \

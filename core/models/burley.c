@@ -6,8 +6,9 @@
  *
  *   R(r) = A (e^(-r/d) + e^(-r/(3d))) / (8 pi d r),  cdf = 1 - e^(-r/d) / 4 - 3 e^(-r/(3d)) / 4
  *
- * A is the surface albedo: the parameter, or the better dipole's albedo for the medium. With the
- * mean free path l = 1 / sigma_t' (for variant DMFP the diffuse one, 1 / mu_tr), d = l / s and
+ * A is the surface albedo: the parameter if it is given, else the albedo that the better dipole has
+ * for the medium. The width is d = l / s. The length l is the mean free path 1 / sigma_t'; for the
+ * variant DMFP it is the diffuse mean free path 1 / mu_tr. The divisor s is
  *
  *   SEARCHLIGHT  s = 1.85 - A + 7 |A - 0.8|^3
  *   DIFFUSE      s = 1.9 - A + 3.5 (A - 0.8)^2
@@ -15,8 +16,11 @@
  *
  * R is infinite at r = 0, where 2 pi r R is A / (2 d).
  *
- * Domain: every medium that core_medium_check() accepts; DMFP: sigma_a > 0. Radii to FAR widths.
- * Error: 8 epsilon (1 + r / d), relative; sampling: 4 epsilon of the cdf, at both of its ends.
+ * Domain: every medium that core_medium_check() accepts; DMFP also needs sigma_a > 0. Beyond FAR d
+ * R is 0 and the cdf is 1.
+ *
+ * Error: 8 epsilon (1 + r / d), relative. A sampled radius belongs to a cdf that differs from the
+ * wanted one by at most 4 epsilon, relative to the cdf and also to 1 - cdf.
  */
 #include "core/kernels.h"
 
@@ -25,8 +29,8 @@ enum coefficient {
   D,          /* mm */
   RING_SCALE, /* A / (4 d), in 1/mm */
   PDF_SCALE,  /* 1 / (4 d) */
-  R_SCALE,    /* A / (8 pi d), in 1/mm; over r it is R's */
-  LIMIT,      /* of the cdf: 1, or 0 when A is 0 */
+  R_SCALE,    /* A / (8 pi d), in 1/mm; R is this times the exponentials, divided by r */
+  LIMIT,      /* limit of the cdf at infinity: 1, or 0 if A is 0 */
 };
 
 #ifdef CORE_ISA
@@ -36,14 +40,15 @@ enum coefficient {
 #if CORE_REAL == 64
 
 #define FAR 1e100
-#define WHOLE                                                                                      \
-  120.0 /* 1 - cdf is less than a rounding error: rounding must not take it below 1 again */
+#define WHOLE 120.0 /* from r = WHOLE d on the kernel returns 1; the formula could round to less */
 
-/* What is divided by r, and r, times UP: what underflows is the quotient, not the exponential. */
+/* The kernels compute numerator 2^UP_EXPONENT / (r UP): so the quotient underflows only where R
+ * itself does, although the exponential in the numerator may underflow earlier. */
 #define UP_EXPONENT 64
 #define UP 0x1p64
 
-/* Everything is a polynomial of q = e^(-x / 3): e^(-x) + e^(-x/3) = q (1 + q^2). */
+/* Both exponentials are powers of q = e^(-x / 3), where x = r / d: e^(-x) + e^(-x/3) = q (1 + q^2).
+ * This function returns x, at most FAR. */
 static inline double burley_x(const double *c, double r) {
   return real_min(r * c[PER_D], FAR);
 }
@@ -67,7 +72,7 @@ static inline double burley_pdf(const double *c, double r) {
   return exponentials(c[PDF_SCALE], burley_x(c, r), 0);
 }
 
-/* -R' = A / (8 pi d r) [(1 + q^2) q / r + (1/3 + q^2) q / d] */
+/* -dR/dr = A / (8 pi d r) [(1 + q^2) q / r + (1/3 + q^2) q / d], with q = e^(-r / (3 d)) */
 static inline double burley_slope(const double *c, double r) {
   const double x = burley_x(c, r);
   const double third = x * (1.0 / 3);
@@ -82,7 +87,8 @@ static inline double burley_ln_R(const double *c, double r) {
   const double third = x * (1.0 / 3);
   const double q2 = real_exp(-2 * third).exp;
   const double kept = real_min(real_max(r, 1e-300), 1e300);
-  /* one logarithm where the quotient allows it: near R = 1 two would cancel */
+  /* Near R = 1 the difference of two logarithms would cancel, so the logarithm of the quotient is
+   * taken wherever the quotient is a normal number. */
   const double scale = c[R_SCALE] * (1 + q2);
   const double quotient = scale / kept;
   const bool normal = quotient > 1e-290 && quotient < 1e290;
@@ -92,7 +98,8 @@ static inline double burley_ln_R(const double *c, double r) {
   return c[LIMIT] > 0 ? (r > 0 ? bounded : (double)INFINITY) : -(double)INFINITY;
 }
 
-/* 1/4 (1 - e^(-x)) + 3/4 (1 - e^(-x/3)), with 1 - q^3 = (1 - q) (1 + q + q^2) */
+/* Returns the cdf, 1/4 (1 - e^(-x)) + 3/4 (1 - e^(-x/3)), at x = r / d. It uses 1 - q^3 = (1 - q)
+ * (1 + q + q^2) with q = e^(-x/3). */
 static inline double share(double x) {
   const real_exp_values e = real_exp(-x * (1.0 / 3));
   const double more = real_fma(e.exp, e.exp, e.exp) + 4;
@@ -104,11 +111,13 @@ static inline double burley_cdf(const double *c, double r) {
   return c[LIMIT] > 0 ? (x < WHOLE ? real_min(share(x), REAL_BELOW_1) : 1) : 0;
 }
 
-/* With w = 1 - q the cdf is w (6 - 3 w + w^2) / 4 = (1 + w^3 - (1 - w)^3 ... ) / 4: a cubic whose
- * root in closed form (Golubev 2018) cancels at small u. Newton's method on it, from u (2/3 + 0.33 u^2),
- * which is within 1.5 % of the root everywhere, gains digits by squares: three steps are enough;
- * x = -3 ln(1 - w) then keeps the digits of small w, and for u near 1 those of 1 - w come from
- * q: 4 (1 - u) = q (3 + q^2). */
+/* Returns the radius in mm at which the cdf is u. With q = e^(-r / (3 d)) and w = 1 - q the cdf is
+ * w (6 - 3 w + w^2) / 4. The closed form of this cubic's root (Golubev 2018) cancels at small u. So
+ * the code solves the cubic by Newton's method, which doubles the number of right digits in each
+ * step. It starts from u (2/3 + 0.33 u^2), which is within 1.5 % of the root everywhere; three
+ * steps are enough. The loop also solves 4 (1 - u) = q (3 + q^2) for q. The radius comes from x = r
+ * / d = -3 ln(1 - w) for u < 0.5, which keeps the digits of a small w, and from x = -3 ln q
+ * otherwise. */
 static inline double burley_sample(const double *c, double u) {
   const double outside = 1 - u;
   double w = u * real_fma(0.33, u * u, 2.0 / 3);
@@ -119,7 +128,7 @@ static inline double burley_sample(const double *c, double u) {
     const double beyond = q * real_fma(q, q, 3);
     q -= (beyond - 4 * outside) / real_fma(3 * q, q, 3);
   }
-  /* -ln(1 - w) for small w: 2 artanh(w / (2 - w)) */
+  /* for small w, -ln(1 - w) = 2 artanh(w / (2 - w)) */
   const double s = w / (2 - w);
   const double t = s * s;
   double series = 1.0 / 23;
@@ -140,7 +149,7 @@ static inline double burley_sample(const double *c, double u) {
   return c[LIMIT] > 0 && u > 0 ? r : 0;
 }
 
-/* Adding 0 makes 0 of -0. */
+/* Adding 0 turns the radius -0 into 0. */
 static inline double zero_R(const double *c, double r) {
   return burley_R(c, r + 0);
 }
@@ -179,7 +188,7 @@ CORE_KERNEL_TABLE_NONE(burley);
 
 #include <math.h>
 
-/* A smaller one is as good as nothing. */
+/* A surface albedo below this is taken as 0. */
 #define ALBEDO_LEAST 1e-250
 
 core_check_function core_burley_check;
@@ -226,7 +235,7 @@ core_fault core_burley_prepare(const core_inputs *inputs, core_preparation *prep
   const double albedo = asked >= ALBEDO_LEAST ? asked : 0;
   const double sigma_t_prime = core_sigma_t_prime(medium);
   const double absorbed = medium->sigma_a_per_mm / sigma_t_prime;
-  /* mu_tr with Grosjean's diffusion coefficient, which holds at every albedo */
+  /* mu_tr uses Grosjean's diffusion coefficient, which holds at every albedo */
   const double mu_tr = sigma_t_prime * sqrt(3 * absorbed / (1 + absorbed));
   const double per_length = inputs->variant == CORE_BURLEY_DMFP ? mu_tr : sigma_t_prime;
   double *c = preparation->coefficients;

@@ -1,39 +1,44 @@
-/* Light as a cloud that diffuses: quantized diffusion and the multipole, as sums of Gaussians.
+/* Quantized diffusion and the multipole: light as a cloud that diffuses, as sums of Gaussians.
  *
- * A cloud that starts at time 0 spreads like e^(-r^2 / (4 D t)) / (4 pi D t) across, and what leaves
- * at time t depends on depth alone. With lengths in mean free paths 1 / sigma_t' and times in mean
- * free paths of light,
+ * A cloud of light that starts at time 0 has at time t the profile e^(-r^2 / (4 D t)) / (4 pi D t)
+ * across the axis. A share leaves(t) of this light leaves the medium per unit of time; it depends
+ * on depths alone. With lengths in mean free paths 1 / sigma_t' and times in mean free paths of
+ * light,
  *
  *   R(r) = p int e^(-sigma_a t) leaves(t) e^(-r^2 / (4 D t)) / (4 pi D t) dt
  *
- * A rule for the integral over time (core/diffusion.h) makes R a sum of Gaussians, all of them
- * positive: R > 0 and exact at every r. D, z_b, C_phi and C_E are those of the dipole's switches
- * (d'Eon 2012, Table 2).
+ * A quadrature rule over time (core/diffusion.h) makes R a sum of Gaussians with positive weights.
+ * So R is positive, and accurate to the tolerance at every r. The variant's switches choose p, D,
+ * z_b, C_phi and C_E as they do for the dipole (d'Eon 2012, Table 2).
  *
  * Quantized diffusion (CORE_CLOUD_BEAM): d'Eon and Irving 2011, "A quantized-diffusion model for
- * rendering translucent materials"; the half space and the beam's source along all depths. The rule
- * takes the place of the paper's piecewise constant one. With v = 2 D t,
+ * rendering translucent materials". The medium is a half space and the source is a beam along all
+ * depths. The paper uses a piecewise constant rule over time; this file uses core/diffusion.h. With
+ * v = 2 D t,
  *
  *   w_phi(v, d) = 1 / 2 e^(-d^2 / (2 v)) erfcx((d + v) / sqrt(2 v))
  *   w_phiR = w_phi(v, 0) - w_phi(v, 2 z_b)
- *   w_E(v, d) = D [e^(-d^2 / (2 v)) / sqrt(2 pi v) - w_phi(v, d)],  w_ER = w_E(v, 0) + w_E(v, 2 z_b)
+ *   w_E(v, d) = D [e^(-d^2 / (2 v)) / sqrt(2 pi v) - w_phi(v, d)]
+ *   w_ER = w_E(v, 0) + w_E(v, 2 z_b)
  *   leaves(t) = C_phi w_phiR + C_E w_ER
  *
- * The exact formula is the continuous limit, the model `extended`.
+ * The model `extended` evaluates the exact continuous limit of this formula.
  *
- * Multipole: Donner, Jensen 2005, "Light diffusion in multi-layered translucent materials"; a slab of
- * thickness d and a point source at depth 1. With L = d + 2 z_b there are positive poles at 2 i L + 1
- * and negative ones at 2 i L - 1 - 2 z_b for every integer i. leaves(t) is a sum over these poles
- * while the cloud is young, and the sum over the boundaries' sine modes (Poisson's dual of that sum)
- * when it has grown as wide as the slab; both need a few terms. CORE_SLAB_TRANSMITTED: what leaves on
- * the other side. The beam that crosses the slab unscattered is in neither.
+ * Multipole: Donner, Jensen 2005, "Light diffusion in multi-layered translucent materials". The
+ * medium is a slab of thickness d and the source is a point at depth 1. With L = d + 2 z_b there
+ * are positive poles at 2 i L + 1 and negative poles at 2 i L - 1 - 2 z_b for every integer i.
+ * While the cloud is young, leaves(t) is a sum over these poles. When the cloud has grown as wide
+ * as the slab, leaves(t) is a sum over the sine modes between the boundaries (Poisson's dual of the
+ * first sum). Both sums need few terms. CORE_SLAB_TRANSMITTED selects the light that leaves on the
+ * far side. No variant contains the part of the beam that crosses the slab unscattered.
  *
- * Domain: quantized: every medium; below LEAST tolerance mean free paths R is continued like 1 / r,
- * and without absorption from MOST mean free paths on like 1 / r^3. Multipole: a thickness from
- * THICKNESS_LEAST to THICKNESS_MOST mean free paths (the source lies inside the slab; a thicker one
- * is a half space).
- * Error: the tolerance (QUANTIZED_TOLERANCE or SLAB_TOLERANCE when none is asked for), 64 epsilon,
- * and 4 epsilon of the exponent with which R falls, relative.
+ * Domain of quantized diffusion: every medium. Below LEAST tolerance mean free paths R is continued
+ * in proportion to 1 / r. Without absorption R is continued in proportion to 1 / r^3 from MOST mean
+ * free paths on. Domain of the multipole: a thickness from THICKNESS_LEAST to THICKNESS_MOST mean
+ * free paths, so that the source lies inside the slab; a thicker slab is a half space.
+ *
+ * Error, relative: the tolerance (QUANTIZED_TOLERANCE or SLAB_TOLERANCE if the request names none),
+ * plus 64 epsilon, plus 4 epsilon times the exponent with which R falls.
  */
 #include "core/diffusion.h"
 #include "core/models/gaussians.h"
@@ -50,13 +55,15 @@
 #define TOLERANCE_MOST 0.1
 #define LEAST 1e-2
 #define MOST 1e10
-#define MOST_RATE 1e-28   /* R(MOST) does not feel such an absorption, */
-#define LEAST_RATE 1e-250 /* nor R at 1e100 mean free paths this one */
+/* an absorption rate below this does not change R at MOST mean free paths */
+#define MOST_RATE 1e-28
+#define LEAST_RATE 1e-250 /* a decay rate below this does not change R at 1e100 mean free paths */
 #define THICKNESS_LEAST 1.1
 #define THICKNESS_MOST 1e6
 
-/* The largest exponent of decay, beyond that at r = 0, for which the Gaussians are made: R has
- * underflowed. From FAR_EXPONENT on ln R is found another way. */
+/* LAST_EXPONENT: the Gaussians serve radii where R has fallen by at most e^LAST_EXPONENT from its
+ * value at r = 0; beyond, R has underflowed. FAR_EXPONENT: where R has fallen by more than
+ * e^FAR_EXPONENT, core_cloud_ln_R() computes ln R instead of the Gaussians. */
 #define LAST_EXPONENT 826
 #define FAR_EXPONENT 700
 
@@ -81,7 +88,8 @@ core_fault core_cloud_check(const core_inputs *inputs, core_radii_range *radii) 
   return (core_fault){0};
 }
 
-/* In mean free paths. All fields are double, because the table of Gaussians keeps a copy. */
+/* The quantities of the formula above, with lengths in mean free paths. All fields are double,
+ * because the table of Gaussians keeps a copy of this structure. */
 struct cloud {
   double sigma_t_prime;
   double source; /* p */
@@ -90,10 +98,11 @@ struct cloud {
   double zb;
   double c_phi;
   double c_flux;
-  double period;      /* L; 0 in a half space */
-  double y;           /* the source's distance from the boundary where light leaves; 0: a beam */
-  double transmitted; /* 1 or 0 */
-  double rate;        /* of the slowest decay: sigma_a + D (pi / L)^2 */
+  double period; /* L in mean free paths, or 0 for a half space */
+  /* distance from the source to the boundary where light leaves, or 0 for a beam */
+  double y;
+  double transmitted; /* 1 for the far side of a slab, else 0 */
+  double rate;        /* rate of the slowest decay: sigma_a + D (pi / L)^2 */
 };
 _Static_assert(sizeof(struct cloud) <= GAUSSIANS_FAR_FIELDS * sizeof(double), "the table has room");
 
@@ -124,10 +133,10 @@ static struct cloud make_cloud(const core_inputs *inputs) {
   return cloud;
 }
 
-/* ---- a beam in a half space ------------------------------------------------------------------- */
+/* ---- a beam in a half space ----------------------------------------------------------------- */
 
-/* Nothing cancels: 1 / sqrt(2 pi v) - w_phi(v, 0) = 1 / 2 (1 / (sqrt(pi) y) - erfcx(y)),
- * y = sqrt(v / 2). */
+/* Returns leaves(t) of a beam in a half space, written so that no difference loses digits: with y =
+ * sqrt(v / 2), 1 / sqrt(2 pi v) - w_phi(v, 0) = 1 / 2 (1 / (sqrt(pi) y) - erfcx(y)). */
 static double leaves_half_space(const struct cloud *cloud, double time) {
   const double v = 2 * cloud->diffusion * time;
   const double y = sqrt(0.5 * v);
@@ -136,7 +145,7 @@ static double leaves_half_space(const struct cloud *cloud, double time) {
   const real_exp_values mirror = real_exp(-further * further);
   const double beyond = core_erfcx(mirrored);
   const double phi = core_erfcx_fall(y, further) + mirror.one_minus_exp * beyond;
-  /* 1 / (sqrt(pi) y) - erfcx(mirrored), from the shortfall at `mirrored` */
+  /* 1 / (sqrt(pi) y) - erfcx(mirrored) is `nearer` plus the shortfall at `mirrored` */
   const double per_root_pi = 0.56418958354775628695;
   const double nearer = per_root_pi * further / (y * mirrored);
   const double flux =
@@ -145,17 +154,21 @@ static double leaves_half_space(const struct cloud *cloud, double time) {
 }
 
 /* ---- a point between the boundaries of a slab ---------------------------------------------------
- * Both sides look alike: y is the source's distance from the boundary where light leaves. Both forms
- * give leaves(t) e^(y^2 / (4 D t) + D (pi / L)^2 t), which varies slowly. */
+ *
+ * The slab is symmetric: y is the distance from the source to the boundary where light leaves. The
+ * functions young() and grown() both return leaves(t) e^(y^2 / (4 D t) + D (pi / L)^2 t), which
+ * varies slowly with t.
+ */
 
-/* A cloud up to YOUNG L^2 / D is summed over poles, then over modes; so many of either leave out
- * less than 1e-17. */
+/* Up to the time YOUNG L^2 / D the code sums POLES pairs of poles, later it sums MODES modes. What
+ * these sums leave out is less than 1e-17. */
 #define YOUNG 0.12
 enum { POLES = 3, MODES = 7 };
 
-/* A positive pole at distance q and its negative mirror at q + 2 z_b beyond the boundary, from
- * g(q) = e^(-q^2 / (4 D t)) / sqrt(4 pi D t): fluences subtract, fluxes D q / (2 D t) g add. Over
- * e^(-y^2 / (4 D t)), like images(). */
+/* Returns the light from a positive pole at distance q from the boundary and from its negative
+ * mirror image at distance q + 2 z_b beyond it, both made of g(q) = e^(-q^2 / (4 D t)) / sqrt(4 pi
+ * D t). Their fluences subtract, and their fluxes D q / (2 D t) g(q) add. The result is divided by
+ * e^(-y^2 / (4 D t)), as is that of images(). */
 static double pair(const struct cloud *cloud, double time, double q) {
   const double four_dt = 4 * cloud->diffusion * time;
   const double two_zb = 2 * cloud->zb;
@@ -165,11 +178,14 @@ static double pair(const struct cloud *cloud, double time, double q) {
   return near * fma(cloud->c_flux, flux, cloud->c_phi * mirror.one_minus_exp) / sqrt(PI * four_dt);
 }
 
-/* The pair at q = middle - h - z_b less the one at middle + h - z_b, h = 1 + z_b: poles on both sides
- * of one image of the far boundary, which nearly cancel in a thick slab. With T = 4 D t,
- * A = 4 middle z_b / T, B = 4 middle h / T and C = 4 z_b h / T the four fluences are, over g(q),
+/* Returns pair() at q = middle - h - z_b less pair() at q = middle + h - z_b, with h = 1 + z_b:
+ * these poles lie on both sides of one image of the far boundary and nearly cancel in a thick slab.
+ * The result is divided by e^(-y^2 / (4 D t)). With T = 4 D t, A = 4 middle z_b / T, B = 4 middle h
+ * / T and C = 4 z_b h / T the sum of the four fluences divided by g(q) is
+ *
  *   1 - e^(C - A) - e^(C - B) + e^(-A - B)
- *     = (1 - e^(-A)) (1 - e^(-B)) - (1 - e^(-C)) (e^(C - A) + e^(C - B)) */
+ *     = (1 - e^(-A)) (1 - e^(-B)) - (1 - e^(-C)) (e^(C - A) + e^(C - B))
+ */
 static double images(const struct cloud *cloud, double time, double middle, double q) {
   const double four_dt = 4 * cloud->diffusion * time;
   const double zb = cloud->zb;
@@ -207,7 +223,7 @@ struct angle {
   double cosine;
 };
 
-/* Of x from 0 to pi, by their power series. */
+/* Returns sine and cosine of x, from 0 to pi, by their power series. */
 static struct angle angle_of(double x) {
   const double squared = x * x;
   double sine = 0;
@@ -224,8 +240,9 @@ static struct angle angle_sum(struct angle a, struct angle b) {
                         fma(a.cosine, b.cosine, -a.sine * b.sine)};
 }
 
-/* 2 / L sum_n sin(n pi (z + z_b) / L) sin(n pi h / L) e^(-D (n pi / L)^2 t) at z = 0, h = 1 + z_b;
- * with alternating signs at the boundary far from the source. */
+/* Returns the light from the modes of the slab, divided by e^(-y^2 / (4 D t) - D (pi / L)^2 t). The
+ * fluence is 2 / L sum_n sin(n pi (z + z_b) / L) sin(n pi h / L) e^(-D (n pi / L)^2 t) at z = 0
+ * with h = 1 + z_b. The signs alternate for the boundary far from the source. */
 static double grown(const struct cloud *cloud, double time) {
   const double wave = PI / cloud->period;
   const struct angle boundary = angle_of(wave * cloud->zb);
@@ -248,9 +265,9 @@ static double grown(const struct cloud *cloud, double time) {
   return 2 / cloud->period * sum / risen;
 }
 
-/* ---- both -------------------------------------------------------------------------------------- */
+/* ---- both ------------------------------------------------------------------------------------ */
 
-/* leaves(t) e^(y^2 / (4 D t) + (rate - sigma_a) t) */
+/* Returns leaves(t) e^(y^2 / (4 D t) + (rate - sigma_a) t) at t = time, for either model. */
 static double leaves(const void *context, double time) {
   const struct cloud *cloud = context;
   const double length = cloud->period;
@@ -259,14 +276,16 @@ static double leaves(const void *context, double time) {
                                                              : grown(cloud, time);
 }
 
-/* The Gaussian of a node in time; its weight is times e^(y sqrt(rate / D)), the decay at r = 0. */
+/* Returns the Gaussian of a node of the rule over time, in 1/mm^2. Its weight is multiplied by e^(y
+ * sqrt(rate / D)), which is the inverse of the decay at r = 0. */
 static core_gaussian gaussian_at(const struct cloud *cloud, double time, double weight) {
   const double four_dt = 4 * cloud->diffusion * time;
   const double apart = sqrt(cloud->rate * time) - cloud->y / sqrt(four_dt);
   const double exponent = cloud->y > 0 ? apart * apart : cloud->rate * time;
   const double alive = real_exp(-exponent).exp;
   const double squared = cloud->sigma_t_prime * cloud->sigma_t_prime;
-  /* In the first instants of a cloud far from the boundary nothing but rounding is left. */
+  /* Shortly after time 0 a cloud far from the boundary gives only rounding errors, which may be
+   * negative. */
   const double source = cloud->source * weight * alive * fmax(leaves(cloud, time), 0);
   return (core_gaussian){source * squared / (PI * four_dt), squared / four_dt};
 }
@@ -290,13 +309,14 @@ core_fault core_cloud_prepare(const core_inputs *inputs, core_preparation *prepa
   const double given = core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE,
                                          slab ? SLAB_TOLERANCE : QUANTIZED_TOLERANCE);
   const double tolerance = fmin(given, TOLERANCE_MOST);
-  /* dR/dr of a slab is a steeper function of time than R, most of all when it is transmitted. */
+  /* dR/dr of a slab is a steeper function of time than R, and steepest for the far side, so the
+   * rule over time needs a smaller tolerance there. */
   const double rule = (cloud.transmitted > 0 ? 0.05 : slab ? 0.4 : 1) * tolerance;
   const double least = slab ? 0 : LEAST * tolerance;
   const double mu = sqrt(cloud.rate / cloud.diffusion);
   const bool fades = cloud.rate > LEAST_RATE;
-  /* Before the first node e^(-rate t - (r^2 + y^2) / (4 D t)) is less than e^-45 of what it is at its
-   * saddle point. */
+  /* Before the first node e^(-rate t - (r^2 + y^2) / (4 D t)) is less than e^-45 times its value at
+   * its saddle point. */
   const double c = slab ? mu + 45 / cloud.y : 0;
   const double earliest = slab ? cloud.y / (2 * cloud.diffusion * (c + sqrt((c - mu) * (c + mu))))
                                : least * least / (160 * cloud.diffusion);

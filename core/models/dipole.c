@@ -1,8 +1,9 @@
 /* The dipole family: one kernel with three switches.
  *
  * Source: E. d'Eon, "A Better Dipole", 2012, Table 2 and Figure 17; the classical member is Jensen,
- * Marschner, Levoy, Hanrahan 2001 (Farrell, Patterson, Wilson 1992). With distances d1, d2 from the
- * real source at depth z1 = 1 / sigma_t' and its mirror image at height z2 = z1 + 4 A D,
+ * Marschner, Levoy, Hanrahan 2001 (Farrell, Patterson, Wilson 1992). The real source lies at depth
+ * z1 = 1 / sigma_t' and its mirror image at height z2 = z1 + 4 A D. With the distances d1 and d2
+ * from them,
  *
  *   R(r) = p / (4 pi) [ C_phi / D (e^(-mu d1) / d1 - e^(-mu d2) / d2)
  *                     + C_E (z1 (1 + mu d1) e^(-mu d1) / d1^3 + z2 (1 + mu d2) e^(-mu d2) / d2^3) ]
@@ -14,9 +15,11 @@
  *   EXITANCE  C_phi = 0, C_E = 1         C_phi = (1 - 2C1) / 4, C_E = (1 - 3C2) / 2
  *
  * Domain: every medium that core_medium_check() accepts; radii from 0 to infinity.
- * Error: DIPOLE_ERROR_EPSILONS epsilon (1 + mu_tr d1), relative, for R, dR/dr, pdf, albedo and cdf
- * (of ln R absolute, and as many epsilon of its own size; see core.h for where each holds), in the
- * epsilon of the evaluator; the factor in brackets is the condition of e^(-mu_tr d1).
+ *
+ * Error, in the epsilon of the evaluator: DIPOLE_ERROR_EPSILONS epsilon (1 + mu_tr d1), relative,
+ * for R, dR/dr, pdf, albedo and cdf. For ln R it is the same, absolute, plus as many epsilon of ln
+ * R itself. core.h says where each bound holds. The factor in brackets is the condition of
+ * e^(-mu_tr d1).
  *
  * Every subtraction that would lose digits is rewritten as a sum of positive terms:
  *
@@ -24,50 +27,53 @@
  *   e^(-mu d1) / d1 - e^(-mu d2) / d2
  *           = e^(-mu d1) / (d1 d2) [d2 - d1 + d1 (1 - e^(-mu (d2 - d1)))]
  *
- * and for the cdf, with a_i = d_i - z_i = r^2 / (d_i + z_i),
+ * For the cdf, with a_i = d_i - z_i = r^2 / (d_i + z_i), the sums are
  *
  *   1 - z_i / d_i e^(-mu a_i) = [a_i + z_i (1 - e^(-mu a_i))] / d_i
  *   a1 - a2 = r^2 (d2 - d1 + z2 - z1) / ((d1 + z1) (d2 + z2))
  */
 #include "core/kernels.h"
 
-/* The unit of length in the kernels is z1 / Z1: so small a Z1 that in single precision no square of
- * a distance overflows before R has underflowed. A power of two, so that it changes no digit. */
+/* The kernels' unit of length is z1 / Z1. Z1 is so small that in single precision no square of a
+ * distance overflows before R has underflowed. Z1 is a power of two, so that scaling by it changes
+ * no digit. */
 #define Z1 0x1p-40
 
-/* What preparation leaves for the kernels; lengths in that unit. */
+/* Coefficients that preparation computes for the kernels; lengths are in units of z1 / Z1. */
 enum coefficient {
   UNITS_PER_MM,
   MM_PER_UNIT,
-  MU,         /* effective attenuation */
-  INVERSE_MU, /* or a number so large that it stands for infinity */
+  MU,         /* effective attenuation mu_tr */
+  INVERSE_MU, /* the smaller of 1 / MU and 1e30, which stands for infinity */
   Z2,         /* height of the mirror source */
   Z2_LESS_Z1,
   Z2_SQUARED,
   Z2_SQUARED_LESS_Z1_SQUARED,
-  R_PHI,    /* weights of the fluence, */
-  R_FLUX_1, /* the flux of the real source */
-  R_FLUX_2, /* and of the mirror source in R; in 1/mm^2, times 2^-R_EXPONENT */
+  R_PHI,    /* weight of the fluence in R */
+  R_FLUX_1, /* weight of the real source's flux in R */
+  /* weight of the mirror source's flux in R; the three weights are in 1/mm^2, divided by
+   * 2^R_EXPONENT */
+  R_FLUX_2,
   R_EXPONENT,
-  SLOPE_PHI, /* the same in dR/dr, in 1/mm^3 */
+  SLOPE_PHI, /* the next four are the same for dR/dr, in 1/mm^3 */
   SLOPE_FLUX_1,
   SLOPE_FLUX_2,
   SLOPE_EXPONENT,
-  PDF_PHI, /* and in the density of radii, in 1/mm */
+  PDF_PHI, /* the next four are the same for the density of radii, in 1/mm */
   PDF_FLUX_1,
   PDF_FLUX_2,
   PDF_EXPONENT,
-  RING_PHI, /* and in 2 pi r R, in 1/mm */
+  RING_PHI, /* the next four are the same for 2 pi r R, in 1/mm */
   RING_FLUX_1,
   RING_FLUX_2,
   RING_EXPONENT,
-  CDF_FLUX_1,   /* shares of the energy, over the albedo: flux of the real source, */
-  CDF_FLUX_2,   /* of the mirror source, */
-  CDF_PHI_FAR,  /* fluence, by the attenuation of the sources' own depths */
-  CDF_PHI_NEAR, /* and by their difference in distance */
-  CDF_LIMIT,    /* the cdf at infinity: 1, or 0 when nothing scatters */
-  CDF_WHOLE,    /* the radius from which the cdf has rounded to that */
-  CORE,         /* the cdf is at most (x / CORE)^2, and near that for small x */
+  CDF_FLUX_1,   /* the flux of the real source as a share of the albedo */
+  CDF_FLUX_2,   /* the flux of the mirror source as a share of the albedo */
+  CDF_PHI_FAR,  /* the fluence's share of the albedo; multiplies 1 - e^(-mu a2) */
+  CDF_PHI_NEAR, /* the fluence's factor in the cdf for a1 - a2, per unit of length */
+  CDF_LIMIT,    /* limit of the cdf at infinity: 1, or 0 if nothing scatters */
+  CDF_WHOLE,    /* from this radius on, in kernel units, the cdf has rounded to CDF_LIMIT */
+  CORE,         /* the cdf is at most (x / CORE)^2, and nearly equal to it for small x */
   TAIL,         /* 1 - cdf is at most TAIL / d1 e^(-mu (d1 - z1)) */
   COEFFICIENTS
 };
@@ -81,11 +87,12 @@ _Static_assert((int)COEFFICIENTS <= CORE_COEFFICIENTS_MAX, "the profile has room
 
 #define REAL_Z1 ((real)Z1)
 
-/* FAR: radii beyond it are as good as infinite, in R (which has underflowed) and in the cdf (which
- * has rounded to its limit); up to it no product of two distances overflows. LN_R_FAR: up to it ln
- * R is taken of numbers that have not underflowed. SMALL_U: below it the cdf is (x / CORE)^2 to the
- * last digit. SAMPLE_STEPS: what Newton's method needs at most, and one more; see dipole_sample().
- */
+/* FAR: beyond this radius, in kernel units, R has underflowed and the cdf has rounded to its limit;
+ * up to it no product of two distances overflows. LN_R_FAR: up to this radius the numbers whose
+ * logarithm gives ln R have not underflowed. SMALL_U: for a smaller cdf, (x / CORE)^2 equals the
+ * cdf to the last digit. BRACKET_SLACK: dipole_sample() accepts a step that leaves its bracket by
+ * less than this, relative. SAMPLE_STEPS: the largest number of steps that Newton's method needs in
+ * dipole_sample(), and one more. */
 #if CORE_REAL == 64
 #define FAR 1e150
 #define LN_R_FAR (REAL_Z1 * 1e100)
@@ -102,7 +109,7 @@ enum { SAMPLE_STEPS = 9 };
 enum { SAMPLE_STEPS = 7 };
 #endif
 
-/* A radius as seen from both sources. */
+/* A radius x on the surface, and its distances d1 from the real and d2 from the mirror source. */
 struct view {
   real x;
   real d1;
@@ -126,13 +133,15 @@ static inline struct view look(const real *c, real x) {
   return v;
 }
 
-/* Adding 0 makes 0 of -0. */
+/* The view of the radius r mm, at most FAR. Adding 0 turns -0 into 0. */
 static inline struct view look_from(const real *c, real r) {
   return look(c, real_nearer_zero(real_fma(r, c[UNITS_PER_MM], 0), FAR));
 }
 
-/* The bracket of R times e^(mu d1), for weights of its parts. The weights are multiplied in first,
- * so that nothing underflows before the product does. */
+/* Returns the bracket in the formula of R, times e^(mu d1), where phi, flux1 and flux2 are the
+ * weights of the fluence, the real source's flux and the mirror source's flux. Each weight is
+ * multiplied in before the small factors, so that no intermediate result underflows before the
+ * product does. */
 static inline real bracket(struct view v, real mu, real phi, real flux1, real flux2) {
   const real i1 = v.inverse_d1;
   const real i2 = v.inverse_d2;
@@ -141,7 +150,7 @@ static inline real bracket(struct view v, real mu, real phi, real flux1, real fl
   const real mirror_flux = (flux2 * i2) * (i2 * (i2 + mu));
 #if CORE_REAL == 64
   const real fluence = near * real_fma(v.apart, i1, v.mirror.one_minus_exp);
-#else /* apart / d1 alone would underflow */
+#else /* in single precision apart / d1 alone would underflow */
   const real fluence = real_fma(near * v.apart, i1, near * v.mirror.one_minus_exp);
 #endif
   return real_fma(mirror_flux, v.mirror.exp, real_fma(flux1 * i1, real_flux, fluence));
@@ -153,7 +162,7 @@ static inline real dipole_R(const real *c, real r) {
   return real_times_exp(sum, -c[MU] * v.d1, c[R_EXPONENT]);
 }
 
-/* The density of radii, 2 pi r R / albedo. */
+/* The density of sampled radii, 2 pi r R / albedo, in 1/mm. */
 static inline real dipole_pdf(const real *c, real r) {
   const struct view v = look_from(c, r);
   const real sum = bracket(v, c[MU], c[PDF_PHI], c[PDF_FLUX_1], c[PDF_FLUX_2]);
@@ -174,11 +183,13 @@ static inline real dipole_ln_R(const real *c, real r) {
   return c[CDF_LIMIT] > 0 ? near_ln_R : -(real)INFINITY;
 }
 
-/* Differentiated term by term, in units of z1; with f(d) = (1 + mu d) e^(-mu d) / d^3 the fluence's
- * part is f(d1) - f(d2), again written as a sum of positive terms. */
+/* dR/dr in 1/mm^3, from R differentiated term by term, in units of z1. With f(d) = (1 + mu d)
+ * e^(-mu d) / d^3 the fluence contributes f(d1) - f(d2), which is again written as a sum of
+ * positive terms. */
 static inline real dipole_slope(const real *c, real r) {
   const struct view v = look_from(c, r);
-  /* Divided anew, because their errors count fourfold here. */
+  /* The inverse distances are computed by new divisions, because their errors count fourfold here.
+   */
   const real i1 = REAL_Z1 / v.d1;
   const real i2 = REAL_Z1 / v.d2;
   const real mu = c[MU] * REAL_Z1;
@@ -190,7 +201,7 @@ static inline real dipole_slope(const real *c, real r) {
   const real gone = (i2 + mu) * v.mirror.one_minus_exp * ratio;
   const real steeper = real_fma(mu_squares, i1 * i2, gone);
   const real phi = c[SLOPE_PHI] * sine * i2 * real_fma(apart, squares, steeper);
-  /* (3 + 3 mu d + (mu d)^2) / d^2, which does not overflow */
+  /* bend = (3 + 3 mu d + (mu d)^2) / d^2, in a form that does not overflow */
   const real bend1 = real_fma(mu, real_fma(i1, 3, mu), 3 * i1 * i1);
   const real bend2 = real_fma(mu, real_fma(i2, 3, mu), 3 * i2 * i2);
   const real flux1 = c[SLOPE_FLUX_1] * sine * (i1 * i1) * bend1;
@@ -199,7 +210,8 @@ static inline real dipole_slope(const real *c, real r) {
   return -real_times_exp(sum, -c[MU] * v.d1, c[SLOPE_EXPONENT]);
 }
 
-/* The way from the sources' depths to their distances: what has been attenuated within r. */
+/* The cdf at a radius, and the attenuation e^(-mu a1) with a1 = d1 - z1 as in the file's first
+ * comment. */
 struct within {
   real cdf;
   real real_left; /* e^(-mu a1) */
@@ -209,7 +221,8 @@ static inline struct within gather(const real *c, struct view v) {
   const real mu = c[MU];
   const real slope1 = v.x / (v.d1 + REAL_Z1); /* a1 / x */
   const real slope2 = v.x / (v.d2 + c[Z2]);
-  /* slopes apart is a1 - a2; both are scaled, so that no factor of it underflows before it does */
+  /* a1 - a2 = slopes apart; both factors are scaled, so that neither underflows before the product
+   */
   const real apart = (v.apart + c[Z2_LESS_Z1]) * SMALL_SCALE;
   const real slopes = (slope1 * (1 / SMALL_SCALE)) * slope2;
   const real_exp_values far = real_exp(-(mu * v.x) * slope2);
@@ -230,17 +243,21 @@ static inline struct within gather(const real *c, struct view v) {
 static inline real dipole_cdf(const real *c, real r) {
   const struct view v = look_from(c, r);
   const struct within within = gather(c, v);
-  /* Rounding must not take the sum to 1 and back again. */
+  /* Before CDF_WHOLE the cdf is kept below 1: rounding could make it 1 and then less again. */
   return v.x < c[CDF_WHOLE] ? real_min(within.cdf, REAL_BELOW_1) : c[CDF_LIMIT];
 }
 
-/* The inverse of the cdf, by Newton's method on ln(cdf / (1 - cdf)) over ln x, which is nearly a
- * straight line: its slope is 2 at the source, 1 in a tail without absorption, and 1 + mu x in a
- * tail with it. The root is bracketed from the start (R falls with r, so cdf <= (x / CORE)^2; and 1
- * - cdf <= TAIL / d1 e^(-mu (d1 - z1)), as e^(-mu d) / d does) and the bracket shrinks with every
- * step; a step that would leave it halves it instead. Over the whole domain no start needs more
- * than SAMPLE_STEPS - 1 steps; the round trip in tests/accuracy/test_sample.c rests on it. 1 - cdf
- * is summed from what lies beyond r, so that both tails keep their digits. */
+/* Returns the radius in mm at which the cdf is u, by Newton's method on ln(cdf / (1 - cdf)) as a
+ * function of ln x. That function is nearly a straight line: its slope is 2 at the source, 1 in a
+ * tail without absorption, and 1 + mu x in a tail with absorption.
+ *
+ * The first bracket of the root follows from two bounds: cdf <= (x / CORE)^2, since R falls with r;
+ * and 1 - cdf <= TAIL / d1 e^(-mu (d1 - z1)), since e^(-mu d) / d falls with d. Every step shrinks
+ * the bracket. A step that would leave the bracket is replaced by the bracket's geometric middle.
+ * From the start used here the method needs at most SAMPLE_STEPS - 1 steps for every medium of the
+ * domain; the round trip in tests/accuracy/test_sample.c checks this. The code sums 1 - cdf from
+ * the light beyond r, so that both tails keep their digits.
+ */
 static inline real dipole_sample(const real *c, real u) {
   const real inside = real_max(u, SMALL_U);
   const real outside = real_max(1 - inside, REAL_HALF_EPSILON);
@@ -265,7 +282,8 @@ static inline real dipole_sample(const real *c, real u) {
     high = excess < 0 ? high : x;
     const real newton = -excess * (within.cdf * beyond) / (x * density);
     const real next = x * real_exp(real_max(real_min(newton, 5), -5)).exp;
-    /* At the root rounding decides which side x is taken for; that must not throw it out. */
+    /* At the root, rounding decides which end of the bracket x becomes. BRACKET_SLACK makes sure
+     * that the next x is still accepted then. */
     const int kept = next > low * (1 - BRACKET_SLACK) && next < high * (1 + BRACKET_SLACK);
     x = kept ? next : real_sqrt(low * high);
   }
@@ -304,7 +322,8 @@ static const dd TWO = {2, 0};
 static const dd THREE = {3, 0};
 static const dd FOUR_PI = {0x1.921fb54442d18p+3, 0x1.1a62633145c07p-51};
 
-/* The quantities of Table 2, in units of z1. */
+/* The quantities of Table 2 (d'Eon 2012), in units of z1 = 1 / sigma_t'; sigma_t_prime is in 1/mm.
+ */
 struct dipole {
   dd sigma_t_prime;
   dd albedo_prime_power; /* p */
@@ -341,10 +360,10 @@ static struct dipole table_2(int variant, enum core_moments moments, const core_
   return dipole;
 }
 
-/* Weights of the bracket for a scale: phi scale, flux scale z1 and flux scale z2; with their
- * exponent, which brings the scale between 2^least and 2^most: so that in single precision no
- * weight underflows in the kernels' unit, no sum overflows near the source, and none underflows
- * before R does. */
+/* Sets weights[0..2] to phi scale, flux scale z1 and flux scale z2, divided by 2^exponent, and sets
+ * *exponent. The exponent brings the scale between 2^least and 2^most. With that range, in single
+ * precision, no weight underflows in the kernels' unit, no sum overflows near the source, and no
+ * sum underflows before R does. */
 static void set_weights(const struct dipole *dipole, dd scale, int least, int most, double *weights,
                         double *exponent) {
   const dd phi = dd_div(dipole->c_phi, dipole->diffusion);
@@ -367,21 +386,22 @@ static void set_scales(const struct dipole *dipole, double *c) {
   c[MM_PER_UNIT] = dd_round(dd_div(ONE, dipole->sigma_t_prime)) / Z1;
   set_weights(dipole, R_scale, 90, 100, &c[R_PHI], &c[R_EXPONENT]);
   set_weights(dipole, slope_scale, 70, 80, &c[SLOPE_PHI], &c[SLOPE_EXPONENT]);
-  /* In the kernels' unit of length: fluence is 1 / length here, flux 1 / length^3 times z. */
+  /* Conversion to the kernels' unit of length: the fluence term is 1 / length, and the flux term is
+   * z / length^3, of which the weight contains z in units of z1. */
   c[R_PHI] *= Z1;
   c[R_FLUX_1] *= Z1 * Z1 * Z1;
   c[R_FLUX_2] *= Z1 * Z1 * Z1;
 }
 
-/* The closed forms of the albedo and of the energy within r, divided by the albedo. In
- * double-double where it matters: with sigma_a = 0 the better dipole's albedo is 1 to the last bit.
- */
+/* Returns the albedo and sets the coefficients of the cdf, the pdf and 2 pi r R, from the closed
+ * forms of the albedo and of the energy within r. The sums are in double-double: with sigma_a = 0
+ * the better dipole's albedo is 1 to the last bit. */
 static double set_energy(const struct dipole *dipole, double *c) {
   const double reach = dd_round(dipole->mu) * dd_round(dipole->z2_less_1);
   const dd real_share = dd_from(real_exp(-dd_round(dipole->mu)).exp);
   const dd mirror_share = dd_mul(real_share, dd_from(real_exp(-reach).exp));
   const dd phi = dd_div(dipole->c_phi, dipole->diffusion);
-  /* phi (e^(-mu z1) - e^(-mu z2)) / mu */
+  /* between = phi (e^(-mu z1) - e^(-mu z2)) / mu */
   const dd between = dd_mul(dd_mul(phi, dd_mul(real_share, dipole->z2_less_1)),
                             dd_from(real_exp(-reach).quotient));
   const dd flux = dd_mul(dipole->c_flux, dd_add(real_share, mirror_share));
@@ -407,7 +427,8 @@ static double set_energy(const struct dipole *dipole, double *c) {
   return dd_round(albedo);
 }
 
-/* What brackets the inverse of the cdf; bounds, so plain double will do. */
+/* Sets the bounds that bracket the inverse of the cdf: CORE, TAIL, INVERSE_MU, CDF_WHOLE. Plain
+ * double is exact enough for bounds. */
 static void set_bracket(double *c) {
   const double z2 = c[Z2] / Z1;
   const double mu = c[MU] * Z1;
@@ -418,7 +439,8 @@ static void set_bracket(double *c) {
   c[CORE] = phi + flux > 0 ? Z1 * sqrt(2 / (phi + flux)) : 0;
   c[TAIL] = Z1 * (c[CDF_FLUX_1] * (1 + z2) + 0.5 * phi_near * (z2 * z2 - 1));
   c[INVERSE_MU] = fmin(1 / c[MU], 1e30);
-  /* 1 - cdf is less than 2^-56 where e^(-mu (d1 - z1)) alone makes it so, or TAIL / d1 alone. */
+  /* 1 - cdf is less than 2^-56 where e^(-mu (d1 - z1)) TAIL / z1 is less than that, and also where
+   * TAIL / d1 is. */
   const double tail = 0x1p56 * c[TAIL];
   const double decayed = tail > Z1 ? Z1 + real_log(tail / Z1, 0) / c[MU] : Z1;
   c[CDF_WHOLE] = fmin(fmin(tail, decayed), 1e19);
@@ -447,7 +469,7 @@ core_fault core_dipole_prepare(const core_inputs *inputs, core_preparation *prep
   set_scales(&dipole, c);
   preparation->albedo = set_energy(&dipole, c);
   set_bracket(c);
-  /* 1 + mu_tr d1 <= 1 + mu_tr (z1 + r) */
+  /* the bound 8 epsilon (1 + mu_tr d1) is written with 1 + mu_tr d1 <= 1 + mu_tr (z1 + r) */
   preparation->error_epsilons = DIPOLE_ERROR_EPSILONS * (1 + dd_round(dipole.mu));
   preparation->error_epsilons_per_mm = DIPOLE_ERROR_EPSILONS * c[MU] * c[UNITS_PER_MM];
   return (core_fault){0};

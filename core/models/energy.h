@@ -5,7 +5,8 @@
 #include "core/energy.h"
 #include "core/kernel.h"
 
-/* Clenshaw's sum of a Legendre series. */
+/* Returns the Legendre series with CORE_ENERGY_TERMS coefficients at s, from -1 to 1, by Clenshaw's
+ * recurrence. */
 static inline double energy_series(const double *series, double s) {
   double next = 0;
   double after = 0;
@@ -17,8 +18,9 @@ static inline double energy_series(const double *series, double s) {
   return series[0] + s * next - 0.5 * after;
 }
 
-/* The cdf at r mm, from 0 to infinity; 1 only where the table ends, so that rounding does not take it
- * from there below 1 again. */
+/* Returns the cdf at r mm, from 0 to infinity, from a table that core_energy_build() made. It
+ * returns 1 only from the end of the table on, and less than 1 before: so rounding cannot make the
+ * cdf fall. */
 static inline double energy_cdf(const double *table, double r) {
   const double first = table[CORE_ENERGY_FIRST_MM];
   const double panels = table[CORE_ENERGY_PANELS];

@@ -1,10 +1,10 @@
 /* The extended source: every depth of the entering beam is a dipole.
  *
  * Sources: d'Eon and Irving 2011, "A quantized-diffusion model for rendering translucent
- * materials", whose sum over time has this limit; Habel, Christensen, Jarosz 2013, "Photon beam
- * diffusion", for the same integral with the factor kappa. In units of the mean free path
- * 1 / sigma_t', with d1 and d2 the distances from the source at depth z and from its mirror image
- * at height z2 = z + 2 z_b:
+ * materials", whose sum over time has this integral as its limit; Habel, Christensen, Jarosz 2013,
+ * "Photon beam diffusion", for the same integral with the factor kappa. Lengths are in mean free
+ * paths 1 / sigma_t'. With d1 and d2 the distances from the source at depth z and from its mirror
+ * image at height z2 = z + 2 z_b,
  *
  *   R(x) = alpha'^2 / (4 pi) int_0^inf e^(-z) kappa { C_phi / D (e^(-mu d1) / d1 - e^(-mu d2) / d2)
  *        + C_E (z (1 + mu d1) e^(-mu d1) / d1^3 + z2 (1 + mu d2) e^(-mu d2) / d2^3) } dz
@@ -15,15 +15,16 @@
  *   variant 1: kappa = 1 - e^(-2 (d1 + z)), Habel et al. 2013, section 5.2, as Pharr, Jakob,
  *              Humphreys, "Physically Based Rendering", 3rd edition, section 15.5.5, writes it
  *
- * With z = x sinh(t) the integrand is smooth in t, however small or large x is: it varies near
- * t = 0, is nearly a straight line from there on, and ends like e^(-x e^t / 2) at z = DEPTH. Five
+ * With z = x sinh(t) the integrand is a smooth function of t for every x, small or large: it varies
+ * near t = 0, is nearly a straight line beyond, and ends like e^(-x e^t / 2) at z = DEPTH. Five
  * panels of a Gauss rule follow that shape.
  *
- * R is infinite at x = 0: like 1 / x (variant 0) or ln(1 / x) (variant 1).
+ * R is infinite at x = 0. It rises there like 1 / x for variant 0 and like ln(1 / x) for variant 1.
  *
- * Domain: every medium that core_medium_check() accepts, with alpha'^2 below SOURCE_LEAST as good as
- * nothing; radii from LEAST mean free paths (smaller ones are continued by the limit) to FAR ones
- * (from where R falls like 1 / x^3 or has underflowed).
+ * Domain: every medium that core_medium_check() accepts; an alpha'^2 below SOURCE_LEAST is taken as
+ * 0. The integral is computed for radii from LEAST to FAR mean free paths. Smaller radii are
+ * continued by the limit at x = 0. From FAR on, R has underflowed or falls like 1 / x^3.
+ *
  * Error: EXTENDED_ERROR + 8 epsilon (1 + mu x), relative.
  *
  * Every difference is written as a sum of positive terms, as in dipole.c.
@@ -33,25 +34,25 @@
 #define EXTENDED_ERROR 2.5e-13
 #define SOURCE_LEAST 1e-250
 
-/* The coefficients; lengths in mean free paths. Variant 1 has a table of them, which goes on with
- * the energy within r; see energy.h. */
+/* Coefficients that preparation computes; lengths are in mean free paths. Variant 1 keeps them in a
+ * table, and the table of the energy within r follows them there; see energy.h. */
 enum coefficient {
   MFP_PER_MM,
   MU,
   TWO_ZB,
   PHI,          /* C_phi / D */
   FLUX,         /* C_E */
-  KAPPA,        /* 1 when there is a factor kappa */
+  KAPPA,        /* 1 if the integrand contains the factor kappa (variant 1), else 0 */
   R_SCALE,      /* alpha'^2 / (4 pi) in 1/mm^2 */
-  RING_SCALE,   /* 2 pi of it, in 1/mm */
-  PDF_SCALE,    /* over the albedo */
-  SLOPE_SCALE,  /* in 1/mm^3 */
-  CDF_SCALE,    /* alpha'^2 / 2 over the albedo */
+  RING_SCALE,   /* 2 pi times alpha'^2 / (4 pi), in 1/mm */
+  PDF_SCALE,    /* RING_SCALE / albedo */
+  SLOPE_SCALE,  /* alpha'^2 / (4 pi) in 1/mm^3 */
+  CDF_SCALE,    /* alpha'^2 / (2 albedo) */
   MIRROR_SHARE, /* e^(-2 mu z_b) */
   PHI_SHARE,    /* (1 - e^(-2 mu z_b)) / mu */
-  CDF_LIMIT,    /* 1, or 0 when nothing scatters */
-  CDF_WHOLE,    /* in mean free paths, from where the cdf has rounded to that */
-  ENERGY,       /* the table of variant 1 begins here */
+  CDF_LIMIT,    /* limit of the cdf at infinity: 1, or 0 if nothing scatters */
+  CDF_WHOLE,    /* from this radius on the cdf has rounded to CDF_LIMIT */
+  ENERGY,       /* position where the table of the energy begins (variant 1) */
 };
 
 #ifdef CORE_ISA
@@ -63,13 +64,14 @@ enum coefficient {
 #include "core/gauss.h"
 #include "core/models/energy.h"
 
-#define DEPTH 38.0 /* what is deeper is less than a rounding error */
+/* the integral ends at this depth; light from deeper is less than a rounding error */
+#define DEPTH 38.0
 #define LEAST 1e-15
 #define FAR 1e100
 
 enum { LANES = 32, PANELS = 5 };
 
-/* A block of radii, and where their panels end. */
+/* A block of radii in mean free paths, and the ends of their panels in t. */
 struct block {
   double x[LANES]; /* kept between LEAST and FAR */
   double edge[PANELS + 1][LANES];
@@ -79,7 +81,8 @@ static void set_block(const double *c, size_t n, const double *r, struct block *
   for (size_t i = 0; i < n; i++) {
     const double x = real_min(real_max(r[i] * c[MFP_PER_MM], LEAST), FAR);
     const double y = DEPTH / x;
-    /* asinh(y) is less than both; the logarithm of next to 1 would round to 0 */
+    /* asinh(y) is less than y and less than ln(1 + 2 y). For a small y the logarithm would round to
+     * 0, so y is used. */
     const double end = y < 1 ? y : real_min(y, real_log(1 + 2 * y, 0));
     const double fifth = 0.2 * end;
     b->x[i] = x;
@@ -92,7 +95,8 @@ static void set_block(const double *c, size_t n, const double *r, struct block *
   }
 }
 
-/* A depth as seen from a radius. */
+/* A depth z = x sinh(t) as seen from the radius x: the distances from the source and its mirror
+ * image. */
 struct view {
   double e;    /* e^(-t) */
   double sine; /* x / d1 */
@@ -118,18 +122,20 @@ static inline struct view look(const double *c, double x, double t) {
   return v;
 }
 
-/* e^(-z - mu (d1 - x)), with d1 - x = x (1 - e)^2 / (2 e) */
+/* Returns e^(-z - mu (d1 - x)), with d1 - x = x (1 - e)^2 / (2 e). */
 static inline double attenuation(const double *c, double x, struct view v) {
   const double further = x * ((1 - v.e) * (1 - v.e) * (0.5 / v.e));
   return real_exp(-real_fma(c[MU], further, v.z)).exp;
 }
 
-/* kappa = 1 - e^(-2 (d1 + z)), with d1 + z = x / e */
+/* Returns kappa = 1 - e^(-2 (d1 + z)), or 1 for variant 0. `out` is real_exp(-2 x / e), because d1
+ * + z = x / e. */
 static inline double kappa_of(const double *c, real_exp_values out) {
   return c[KAPPA] > 0 ? out.one_minus_exp : 1;
 }
 
-/* The braces times d1 e^(mu d1), and those of -dR/dx. */
+/* braces() returns the braces in the formula of R, times d1 e^(mu d1); steepness() returns the
+ * braces in that of -dR/dx, times d1 e^(mu d1). */
 static inline double braces(const double *c, struct view v, real_exp_values mirror) {
   const double i1 = 1 / v.d1;
   const double i2 = 1 / v.d2;
@@ -169,7 +175,8 @@ static inline double slope_integrand(const double *c, double x, double t) {
   return attenuation(c, x, v) * (falls - rises);
 }
 
-/* The energy within x of the dipole at depth z (d'Eon 2012, integrated), times e^(-z) d1. */
+/* The energy that the dipole at depth z emits within the radius x (d'Eon 2012, integrated over the
+ * radius), times e^(-z) d1. */
 static inline double energy_integrand(const double *c, double x, double t) {
   const struct view v = look(c, x, t);
   const double a1 = x * v.e; /* d1 - z */
@@ -180,15 +187,16 @@ static inline double energy_integrand(const double *c, double x, double t) {
   const double gone2 = far.one_minus_exp;
   const double near_share = nearer * near.quotient * far.exp;
   const double gone1 = real_fma(c[MU], near_share, gone2);
-  const double flux1 = real_fma(v.z, gone1, a1); /* times d1 */
+  const double flux1 = real_fma(v.z, gone1, a1); /* flux of the real source, times d1 */
   const double flux2 = c[MIRROR_SHARE] * real_fma(v.z2, gone2, a2) * (v.d1 / v.d2);
   const double phi = real_fma(c[PHI_SHARE], gone2, near_share) * v.d1;
   const double sum = real_fma(c[PHI], phi, c[FLUX] * (flux1 + flux2));
   return real_exp(-real_fma(c[MU], v.z, v.z)).exp * sum;
 }
 
-/* INTEGRATE(name, integrand): a function that integrates over t for a block of radii. The loop over
- * radii is innermost, so that it is vectorized. */
+/* INTEGRATE(name, integrand) defines a function that sets sum[i] to the integral of integrand(c, x,
+ * t) over t for each radius of a block. The loop over radii is innermost, so that compilers
+ * vectorize it. */
 #define INTEGRATE(name, integrand)                                                                 \
   static void name(const double *c, size_t n, const struct block *b, double *sum) {                \
     for (size_t i = 0; i < n; i++) {                                                               \
@@ -213,8 +221,9 @@ INTEGRATE(integrate_R, R_integrand)
 INTEGRATE(integrate_slope, slope_integrand)
 INTEGRATE(integrate_energy, energy_integrand)
 
-/* FINISH: what a quantity is of the sum at x, the radius r in mm and the same in mean free paths;
- * `far` is how much x is less than that. */
+/* KERNEL(name, integrate, finish) defines a kernel as in core/kernels.h. finish(c, x, radius, sum)
+ * returns the quantity. `radius` is the radius in mean free paths, x is the same kept between LEAST
+ * and FAR, and `sum` is the integral at x. */
 #define KERNEL(name, integrate, finish)                                                            \
   static void name(const double *restrict c, size_t n, const double *restrict r,                   \
                    double *restrict out) {                                                         \
@@ -225,19 +234,21 @@ INTEGRATE(integrate_energy, energy_integrand)
       set_block(c, count, r + done, &b);                                                           \
       integrate(c, count, &b, sum);                                                                \
       for (size_t i = 0; i < count; i++) {                                                         \
-        /* adding 0 makes 0 of -0 */                                                               \
+        /* adding 0 turns -0 into 0 */                                                             \
         out[done + i] = finish(c, b.x[i], r[done + i] * c[MFP_PER_MM] + 0, sum[i]);                \
       }                                                                                            \
     }                                                                                              \
   }
 
-/* The sum at a radius below LEAST for kappa < 1: it rises like 4 C_E ln(1 / x). */
+/* Returns the integral at `radius`, given the integral `sum` at x. They differ only for variant 1
+ * below LEAST, where the integral rises in proportion to 4 C_E ln(1 / x). */
 static inline double risen(const double *c, double x, double radius, double sum) {
   const double ratio = radius < x ? x / real_max(radius, 1e-300) : 1;
   return real_fma(4 * c[KAPPA] * c[FLUX], real_log(ratio, 0), sum);
 }
 
-/* x sum is finite at x = 0 for kappa = 1; so R is x sum over the radius. */
+/* For variant 0 the product x sum has a finite limit at x = 0, so below LEAST R is x sum / radius.
+ */
 static inline double finish_R(const double *c, double x, double radius, double near_sum) {
   const double far = real_min(x / radius, 1);
   const double near = c[KAPPA] > 0 && radius > 0 ? 1 : real_max(x / radius, 1);
@@ -322,11 +333,12 @@ CORE_KERNEL_TABLE_NONE(extended);
 #include "core/energy.h"
 #include "core/kernel.h"
 
-/* Of a kernel evaluation of a dipole, measured with build/bench kernel. */
+/* The cost of one value in kernel evaluations of a dipole, measured with `build/bench kernel`. */
 #define COST 130
 
-/* Between these, in mean free paths, the table of variant 1 holds the energy; what is nearer is
- * less than 1e-13 of it, and so is what is further. */
+/* The table of variant 1 reaches from TABLE_FIRST to TABLE_LAST mean free paths, or to
+ * TABLE_EXPONENT / mu where that is less. Less than 1e-13 of the energy lies below the first
+ * radius, and less than 1e-13 lies beyond the last. */
 #define TABLE_FIRST 1e-7
 #define TABLE_LAST 1e13
 #define TABLE_EXPONENT 45.0
@@ -340,8 +352,9 @@ core_fault core_extended_check(const core_inputs *inputs, core_radii_range *radi
   return (core_fault){0};
 }
 
-/* The better dipole's quantities in mean free paths; returns the albedo for kappa = 1:
- * alpha'^2 / 2 / (1 + mu) [C_E (1 + e^(-2 mu z_b)) + C_phi / D (1 - e^(-2 mu z_b)) / mu]. */
+/* Sets the coefficients, which are the better dipole's quantities in mean free paths, and returns
+ * the albedo for kappa = 1, alpha'^2 / 2 / (1 + mu) [C_E (1 + e^(-2 mu z_b)) + C_phi / D (1 - e^(-2
+ * mu z_b)) / mu]. */
 static double set_coefficients(const core_inputs *inputs, double *c) {
   const core_medium *medium = inputs->medium;
   const double sigma_s_prime = medium->sigma_s_per_mm * (1 - medium->g);
@@ -368,7 +381,7 @@ static double set_coefficients(const core_inputs *inputs, double *c) {
   c[CDF_LIMIT] = source > 0;
   const double bracket = c[FLUX] * (1 + mirror.exp) + c[PHI] * c[PHI_SHARE];
   c[CDF_SCALE] = source > 0 ? (1 + c[MU]) / bracket : 0;
-  /* 1 - cdf is at most tail e^(-mu x) and tail / x, from x = 1 on */
+  /* from x = 1 on, 1 - cdf is at most tail e^(-mu x) and also at most tail / x */
   const double tail =
       c[CDF_SCALE] * (c[FLUX] * (2 + c[TWO_ZB]) + c[PHI] * c[TWO_ZB] * (1 + c[TWO_ZB]));
   const double many = 0x1p56 * tail;
@@ -376,7 +389,8 @@ static double set_coefficients(const core_inputs *inputs, double *c) {
   return source * bracket / (1 + c[MU]);
 }
 
-/* Variant 1 goes on with a table of the energy within r; its albedo is the table's end. */
+/* Moves the coefficients of variant 1 into a new table, adds the energy within r to it, and sets
+ * the albedo to the whole energy of that table. Returns false if memory runs out. */
 static bool add_energy(const core_inputs *inputs, core_preparation *preparation) {
   const double *c = preparation->coefficients;
   const double mfp_mm = 1 / c[MFP_PER_MM];

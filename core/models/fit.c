@@ -1,19 +1,21 @@
-/* A few Gaussians fitted to another model on a range of radii, for renderers that blur with them.
+/* A few Gaussians fitted to another model over a range of radii, for renderers that blur with
+ * Gaussians.
  *
- * The relative error (sum w_i e^(-b_i r^2)) / R(r) - 1 at POINTS radii in equal ratios is minimized
- * in the least squares sense over ln w_i and ln b_i, which keeps both positive, by the
- * Levenberg-Marquardt method of MINPACK (cminpack's lmder), from several starts: widths in equal
- * ratios over parts of the range. The best is rounded to 24 bits, so that the last digits of a
- * machine's linear algebra do not matter, and then measured: the numerical error is the largest
- * relative deviation from the model found at CHECKS radii, and MARGIN more for what lies between.
+ * The fit minimizes the sum of the squares of (sum w_i e^(-b_i r^2)) / R(r) - 1 at POINTS radii in
+ * equal ratios. The unknowns are ln w_i and ln b_i, which keeps w_i and b_i positive. The method is
+ * Levenberg-Marquardt as in MINPACK (cminpack's lmder), from STARTS starts: widths in equal ratios
+ * over parts of the range. The best result is rounded to 24 bits, so that the last digits of a
+ * machine's linear algebra do not matter. The numerical error is MARGIN times the largest relative
+ * deviation from the model at CHECKS radii; the margin is for the radii between them.
  *
- * With a tolerance, the smallest number of Gaussians up to the one asked for (or the most there
- * may be) that meets it is taken; when none does, that is the answer.
+ * If the request names a tolerance, the model takes the smallest number of Gaussians that meets it,
+ * up to the number that the request names, or up to GAUSSIANS_MOST. If no number meets the
+ * tolerance, the preparation fails with a fault of the field `tolerance`.
  *
- * A build without cminpack (make CMINPACK=no) refuses the model and says so.
+ * A build without cminpack (make CMINPACK=no) refuses this model with a fault of the field `model`.
  *
- * Domain: that of the model, and radii from fit_from to fit_to (FROM to TO mean free paths
- * 1 / sigma_t' when not given).
+ * Domain: the domain of the fitted model, and radii from fit_from to fit_to. The defaults are FROM
+ * and TO mean free paths 1 / sigma_t'.
  */
 #include "core/models/gaussians.h"
 
@@ -29,9 +31,10 @@
 #define FROM 0.1
 #define TO 10.0
 #define MARGIN 1.02
-#define FIRST_STEP 1.0 /* its bound, in units of the scaled unknowns */
+/* lmder's `factor`: bounds the first step, in units of the scaled unknowns */
+#define FIRST_STEP 1.0
 #define GAUSSIANS 6
-#define GAUSSIANS_MOST 12 /* of the parameter's range */
+#define GAUSSIANS_MOST 12 /* largest value of the parameter `gaussians` */
 
 enum { POINTS = 100, CHECKS = 1000, STARTS = 2, CALLS_MAX = 200, UNKNOWNS = 2 * GAUSSIANS_MOST };
 
@@ -62,7 +65,7 @@ core_fault core_fit_prepare(const core_inputs *inputs, core_preparation *prepara
 
 struct asked {
   unsigned model;
-  core_parameters parameters; /* of that model */
+  core_parameters parameters; /* parameters of the model that is fitted */
   double from_mm;
   double to_mm;
 };
@@ -115,8 +118,9 @@ struct samples {
   size_t count;
 };
 
-/* In equal ratios; a range that begins at 0 has its first radius there and the others in equal
- * ratios over three decades. False: the model is 0 or infinite somewhere. */
+/* Evaluates the model at `count` radii in equal ratios over the range. If the range begins at 0,
+ * the first radius is 0 and the others cover three decades. Returns false if R is 0 or infinite
+ * somewhere. */
 static bool sample_model(const core_profile *profile, const struct asked *asked, size_t count,
                          struct samples *samples) {
   const bool from_zero = !(asked->from_mm > 0);
@@ -150,12 +154,14 @@ static double deviation(const core_gaussian *gaussians, size_t count, const stru
 /* ---- fitting ----------------------------------------------------------------------------------
  */
 
-/* The unknowns are ln w_0, ln b_0, ln w_1, ...; they are kept where nothing overflows. */
+/* Returns e^x with x kept between -600 and 600, so that nothing overflows. The unknowns of the fit
+ * are ln w_0, ln b_0, ln w_1, ... */
 static double bounded_exp(double x) {
   return real_exp_signed(fmin(fmax(x, -600), 600));
 }
 
-/* As lmder() calls it: with task 1 the residuals f[m], with task 2 their derivatives J by columns. */
+/* The function that lmder() calls: for task 1 it sets the m residuals f, for task 2 their
+ * derivatives J, stored by columns. */
 static int residuals(void *context, int m, int n, const double *x, double *f, double *J, int rows,
                      int task) {
   const struct samples *samples = context;
@@ -178,8 +184,8 @@ static int residuals(void *context, int m, int n, const double *x, double *f, do
   return 0;
 }
 
-/* Widths in equal ratios over a part of the range; each Gaussian carries its share of R where it
- * bends. */
+/* Sets the unknowns of a start: widths in equal ratios over a part of the range. Each Gaussian's
+ * weight is R at the radius 1.5 times its width. */
 static void start_at(double *x, size_t count, const struct samples *samples, int start) {
   static const double parts[STARTS][2] = {{0.05, 0.75}, {0, 0.9}};
   for (size_t i = 0; i < count; i++) {
@@ -192,13 +198,14 @@ static void start_at(double *x, size_t count, const struct samples *samples, int
   }
 }
 
-/* To 24 bits. */
+/* Returns the value rounded to 24 bits. */
 static double rounded(double value) {
   const double huge = value * 0x1p29;
   return (value + huge) - huge;
 }
 
-/* The best of all starts for so many Gaussians; returns its largest deviation. */
+/* Fits `count` Gaussians from every start and puts those with the smallest deviation into `best`.
+ * Returns the largest relative deviation of these from the model over `checks`. */
 static double fit(struct samples *points, const struct samples *checks, size_t count,
                   core_gaussian *best) {
   const int unknowns = 2 * (int)count;
@@ -209,7 +216,7 @@ static double fit(struct samples *points, const struct samples *checks, size_t c
     int pivots[UNKNOWNS], calls, derivative_calls;
     core_gaussian gaussians[GAUSSIANS_MOST];
     start_at(x, count, points, start);
-    /* Where it stops is good whatever it says: what counts is the deviation. */
+    /* The code ignores why lmder() stopped: only the deviation that it then measures counts. */
     lmder(residuals, points, POINTS, unknowns, x, f, J, POINTS, 1e-12, 1e-10, 0, CALLS_MAX, scale,
           1, FIRST_STEP, 0, &calls, &derivative_calls, pivots, qtf, work[0], work[1], work[2],
           more_work);

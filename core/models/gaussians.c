@@ -1,17 +1,18 @@
-/* Sums of Gaussians: the kernels of every model that is one, and the published skin.
+/* Sums of Gaussians: the kernels of every model that is such a sum, and the published skin.
  *
  *   R(r) = sum w_i e^(-b_i r^2),  w_i >= 0
  *   energy within r = sum pi w_i / b_i (1 - e^(-b_i r^2))
  *
- * Domain: radii from 0 to infinity. Where a sum stands for a profile that diverges like 1 / r at the
- * source, it ends at a least radius, from where R is continued like 1 / r; core/models/gaussians.h
- * has the other ends.
- * Error: 16 epsilon and 2 epsilon b r^2 with the smallest b, on top of that of the weights.
+ * Domain: radii from 0 to infinity. For a model that diverges like 1 / r at the source, the sum
+ * holds from a least radius on, and below that radius R is continued in proportion to 1 / r.
+ * core/models/gaussians.h says how the sum is continued at the other ends.
+ *
+ * Error: 16 epsilon plus 2 epsilon b r^2 with the smallest b, in addition to the error of the
+ * weights.
  *
  * Skin: d'Eon, Luebke 2007, "Advanced techniques for realistic real-time skin rendering" (GPU Gems
- * 3, chapter 14): six Gaussians with given variances v, w e^(-r^2 / (2 v)) / (2 pi v), fitted to a
- * three-layer model; one of the variants 0, 1, 2 for red, green, blue. It does not depend on the
- * medium.
+ * 3, chapter 14): six Gaussians w e^(-r^2 / (2 v)) / (2 pi v) with given variances v, fitted to a
+ * three-layer model. The variants 0, 1 and 2 are red, green and blue. The medium does not matter.
  */
 #include "core/models/gaussians.h"
 
@@ -31,7 +32,8 @@ static inline double term(const double *c, size_t k, int field) {
   return c[GAUSSIANS_TERMS + k * GAUSSIANS_FIELDS + (size_t)field];
 }
 
-/* Kept where the squares of radii do not overflow; all has underflowed long before. */
+/* Returns r kept between the least and the largest radius, and at most 1e150, where r^2 does not
+ * overflow but every Gaussian has underflowed. */
 static inline double begin(const double *c, double r) {
   return real_min(real_min(real_max(r, c[GAUSSIANS_LEAST_MM]), c[GAUSSIANS_MOST_MM]), 1e150);
 }
@@ -60,17 +62,18 @@ static inline double exponent_of(const double *c, double x) {
   return real_fma(x * x, c[GAUSSIANS_SLOWEST], c[GAUSSIANS_SHIFT]);
 }
 
-/* The slowest Gaussian, which all terms share. */
+/* Returns sum times e^(-shift) and times the slowest Gaussian, which is a factor of every term. */
 static inline double shared(const double *c, double x, double sum) {
   return real_times_exp(sum, -exponent_of(c, x), 0);
 }
 
-/* x e^(-exponent) sum: what underflows is the product, not a factor of it. */
+/* Returns 2^64 x e^(-exponent) sum; the factor 2^64 prevents e^(-exponent) sum from underflowing
+ * before the product. */
 static inline double times_radius(double x, double sum, double exponent) {
   return x * real_times_exp(sum, -exponent, 64);
 }
 
-/* x / r: less than 1 beyond the largest radius, 1 below it. */
+/* Returns x / r, which is less than 1 if r lies beyond the largest radius, else 1. */
 static inline double beyond(double r, double x) {
   return r > x ? x / r : 1;
 }
@@ -116,7 +119,7 @@ static inline double finish_cdf(const double *c, double r, double x, double sum)
   return whole ? c[GAUSSIANS_LIMIT] : less;
 }
 
-/* Below the least radius -dR/dr is R / r, not the sum's. */
+/* Returns dR/dr below the least radius, where R is in proportion to 1 / r: -R / r. */
 static inline double finish_steep(const double *c, double r, double x, double sum) {
   const double R = finish_R(c, r, x, sum);
   return R > 0 ? -R / r : 0;
@@ -175,16 +178,16 @@ CORE_KERNEL_TABLE_NONE(gaussians);
 #define CORE_REAL 64
 #include "core/kernel.h"
 
-/* Of a term, in kernel evaluations of a dipole; measured with build/bench kernel. */
+/* The cost of one term in kernel evaluations of a dipole, measured with `build/bench kernel`. */
 #define COST_PER_TERM 0.25
 
-/* A smaller one is as good as nothing. */
+/* A sum with a smaller energy than this is taken as 0. */
 #define ALBEDO_LEAST 1e-250
 
 core_check_function core_gaussians_check;
 core_prepare_function core_gaussians_prepare;
 
-/* Of those that are there. */
+/* Returns the smallest rate of the Gaussians with a positive weight. */
 static double slowest_of(const core_gaussian *gaussians, size_t count) {
   double slowest = (double)INFINITY;
   for (size_t i = 0; i < count; i++) {
@@ -206,7 +209,8 @@ core_fault core_gaussians_table(const core_gaussian *gaussians, size_t count,
   }
   const double slowest = slowest_of(gaussians, count);
   double at_least = 0; /* R at the least radius */
-  double energy = 0;   /* beyond it; both times e^shift */
+  /* energy beyond the least radius; at_least and energy are multiplied by e^shift */
+  double energy = 0;
   for (size_t i = 0; i < count; i++) {
     double *to = &c[GAUSSIANS_TERMS + i * GAUSSIANS_FIELDS];
     const double left =
@@ -221,7 +225,7 @@ core_fault core_gaussians_table(const core_gaussian *gaussians, size_t count,
   const double whole = near_energy + energy;
   const double albedo = real_times_exp(whole, -given->shift, 0);
   const bool shines = whole >= ALBEDO_LEAST;
-  const bool scatters = shines && albedo > 0; /* else all shares are unknown */
+  const bool scatters = shines && albedo > 0; /* if false, the shares of the terms are unknown */
   const double per_whole = scatters ? 1 / whole : 0;
   for (size_t i = 0; i < count; i++) {
     double *to = &c[GAUSSIANS_TERMS + i * GAUSSIANS_FIELDS];
@@ -242,7 +246,7 @@ core_fault core_gaussians_table(const core_gaussian *gaussians, size_t count,
   preparation->albedo = scatters ? albedo : 0;
   preparation->cost = 1 + COST_PER_TERM * (double)count;
   preparation->error_epsilons = 16;
-  /* Where R has not underflowed, slowest r^2 < 745 and so less than r sqrt(745 slowest). */
+  /* Where R has not underflowed, slowest r^2 < 745, so slowest r^2 < r sqrt(745 slowest). */
   preparation->error_epsilons_per_mm = 2 * sqrt(745 * slowest);
   return (core_fault){0};
 }

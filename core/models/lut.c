@@ -1,10 +1,12 @@
-/* The kernels of tables: R, cdf, 2 pi r R, pdf, and radii for given cdf, in single precision.
+/* The kernels of tables, in single precision: R, cdf, 2 pi r R, pdf, and the radius for a given
+ * cdf.
  *
- * core/lut/lut.h says what a table holds. Every number is looked up as if it were inside; where a
- * chunk has some that are not, they are then replaced by the asymptotics: so the usual case pays
- * nothing for them, and what a number becomes does not depend on its neighbours.
+ * core/lut/lut.h describes a table. A kernel first looks up every argument as if it lay inside of
+ * the table. If a chunk has arguments outside, the kernel then replaces their values by the
+ * asymptotics. So chunks without such arguments pay nothing, and a value does not depend on its
+ * neighbours.
  *
- * Error: what core_lut_build() has measured.
+ * Error: the error that core_lut_build() has measured.
  */
 #ifdef CORE_ISA
 
@@ -16,8 +18,9 @@
 
 enum { CHUNK = 1024 };
 
-/* log2(x) for normal x; 2 artanh(s) / ln 2 of the mantissa (1 + s) / (1 - s), s from 0 to 1/3, to 1e-8;
- * no fused products, like all of a table. */
+/* Returns log2(x) for a normal x, to 1e-8. With the mantissa (1 + s) / (1 - s), s from 0 to 1/3,
+ * the logarithm of the mantissa is 2 artanh(s) / ln 2. No products are fused, as everywhere in the
+ * kernels of tables. */
 static inline float lut_log2(float x) {
   const uint32_t bits = core_lut_bits(x);
   const float exponent = (float)((int32_t)(bits >> 23 & 0xff) - 127);
@@ -33,21 +36,22 @@ static inline float lut_log2(float x) {
   return exponent + 2.88539008f * (s + s * t * series);
 }
 
-/* log2(FIRST_MM / r) */
+/* Returns log2(FIRST_MM / r). */
 static inline float octaves_below(const float *c, float r) {
   return lut_log2(c[CORE_LUT_FIRST_MM]) - (lut_log2(r * 0x1p24f) - 24);
 }
 
-/* ---- outside: below the first radius, from the last one on ------------------------------------ */
+/* ---- outside: below the first radius, from the last one on ---------------------------------- */
 
-/* R over SCALE, of a profile that is not steep. */
+/* Returns R / SCALE below the first radius, for a profile that does not rise like 1 / r. */
 static inline float near_flat(const float *c, float r) {
   const float log = c[CORE_LUT_NEAR_LOG];
   const float rising = r > 0 ? octaves_below(c, r) : (float)INFINITY;
   return log > 0 ? c[CORE_LUT_NEAR_R] + log * rising : c[CORE_LUT_NEAR_R];
 }
 
-/* The factors in the order in which none overflows or underflows before the product does. */
+/* Returns R below the first radius. The factors are multiplied in an order in which no intermediate
+ * product overflows or underflows before the result does. */
 static inline float near_R(const float *c, float r) {
   const float steep = r < 1 ? c[CORE_LUT_NEAR_R] * (c[CORE_LUT_SCALE] / r)
                             : c[CORE_LUT_NEAR_R] / r * c[CORE_LUT_SCALE];
@@ -55,19 +59,20 @@ static inline float near_R(const float *c, float r) {
                                     : near_flat(c, r) * c[CORE_LUT_SCALE];
 }
 
-/* The factors in the order in which nothing underflows before the product does. */
+/* Returns piece r scale, multiplied in an order in which no intermediate product underflows before
+ * the result does. */
 static inline float times_radius(float piece, float r, float scale) {
   return scale > 1 ? piece * (r * scale) : piece * r * scale;
 }
 
-/* r R times what `scale` is over SCALE */
+/* Returns r R scale / SCALE below the first radius. */
 static inline float near_ring(const float *c, float r, float scale) {
   return c[CORE_LUT_NEAR_POWER] > 0 ? c[CORE_LUT_NEAR_R] * scale
          : r > 0                    ? times_radius(near_flat(c, r), r, scale)
                                     : 0;
 }
 
-/* The cdf over r^2, of a profile that is not steep. */
+/* Returns cdf / r^2 below the first radius, for a profile that does not rise like 1 / r. */
 static inline float near_cdf_factor(const float *c, float r) {
   const float rising = r > 0 ? octaves_below(c, r) : 0;
   return c[CORE_LUT_NEAR_CDF] + c[CORE_LUT_NEAR_CDF_LOG] * rising;
@@ -77,7 +82,7 @@ static inline float near_cdf(const float *c, float r) {
   return c[CORE_LUT_NEAR_POWER] > 0 ? c[CORE_LUT_NEAR_CDF] * r : near_cdf_factor(c, r) * r * r;
 }
 
-/* R over SCALE, and r R over it */
+/* far_R() returns R / SCALE from the last radius on, and far_ring() returns r R / SCALE there. */
 static inline float far_R(const float *c, float r) {
   const float ratio = c[CORE_LUT_LAST_MM] / r;
   return c[CORE_LUT_FAR] * ratio * ratio * ratio;
@@ -88,7 +93,7 @@ static inline float far_ring(const float *c, float r) {
   return c[CORE_LUT_FAR] * c[CORE_LUT_LAST_MM] * ratio * ratio;
 }
 
-/* ---- the functions, inside and outside -------------------------------------------------------- */
+/* ---- the functions, inside and outside ------------------------------------------------------ */
 
 static inline float look_R(const float *c, float r) {
   return core_lut_look(c, CORE_LUT_R_OCTAVES, r);
@@ -128,16 +133,16 @@ static inline float outside_cdf(const float *c, float r) {
   return r < c[CORE_LUT_FIRST_MM] ? near_cdf(c, r) : c[CORE_LUT_LIMIT];
 }
 
-/* Both halves are looked up by what is next to their end: u, or 1 - u, which is exact. What is no
- * cdf at all must not be looked up beyond their octaves. */
+/* Looks up the radius for the cdf u: by u up to 1/2, and by 1 - u, which is exact, beyond. A u
+ * outside of 0 to 1 or NaN is looked up as 0 or 1, so that no index leaves the table. */
 static inline float inside_radius(const float *c, float u) {
   const float near = u <= 0.5f ? u : 1 - u;
   const int32_t octaves = u <= 0.5f ? CORE_LUT_RADIUS_OCTAVES : CORE_LUT_COMPLEMENT_OCTAVES;
   return core_lut_look(c, octaves, near > 0 ? near : 0);
 }
 
-/* Where the cdf is factor r^2 and the factor depends on ln r, which hardly moves it: each round
- * brings the radius nearer by more than a factor of 30. */
+/* Solves cdf = u for the radius where cdf = factor r^2. The factor depends on ln r and varies
+ * little with r: each round divides the error of the radius by more than 30. */
 static inline float near_radius(const float *c, float u) {
   const float root = real_sqrt(u);
   float r = c[CORE_LUT_NEAR_RADIUS] * root;
@@ -152,8 +157,9 @@ static inline float outside_radius(const float *c, float u) {
   return u < 1 ? near : c[CORE_LUT_LIMIT] > 0 ? (float)INFINITY : 0;
 }
 
-/* LUT_KERNEL(name, function, least, most): function(c, x) for all x, inside from least to below
- * most. Adding 0 makes 0 of -0. */
+/* LUT_KERNEL(name, function, least, most) defines a kernel as in core/kernels.h. It uses
+ * inside_<function>(c, x) for x from least to below most, and outside_<function>(c, x) for other x.
+ * Adding 0 turns -0 into 0. */
 #define LUT_KERNEL(name, function, least, most)                                                    \
   static unsigned name##_inside(const float *restrict c, size_t n, const float *restrict in,       \
                                 float *restrict out) {                                             \

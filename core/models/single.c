@@ -2,50 +2,52 @@
  *
  * Source: the radiative transfer equation's first order; e.g. Habel, Christensen, Jarosz 2013,
  * section 5.3. A photon goes down to depth t, scatters towards the surface at distance r and
- * leaves: with d = sqrt(r^2 + t^2) and mu = t / d the cosine at which it strikes the surface,
+ * leaves. With d = sqrt(r^2 + t^2) and mu = t / d, the cosine at which it strikes the surface,
  *
  *   R(r) = int_t sigma_s e^(-sigma_t t) p(-mu) e^(-sigma_t d) T(mu) mu / d^2 dt
  *
  * where T = 1 - F is the Fresnel transmittance from inside (0 beyond the critical angle) and p the
- * phase function of Henyey and Greenstein 1941, (1 - g^2) / (4 pi (1 + g^2 - 2 g cos)^(3/2)).
- * Substituting t = r sinh(u), so that mu = tanh(u) and t + d = r e^u,
+ * phase function of Henyey and Greenstein 1941, (1 - g^2) / (4 pi (1 + g^2 - 2 g cos)^(3/2)). The
+ * substitution t = r sinh(u) makes mu = tanh(u) and t + d = r e^u, so
  *
  *   R(r) = sigma_s / r  int_(u_c)^inf e^(-sigma_t r e^u) p T tanh(u) / cosh(u) du
  *
- * with cosh(u_c) = eta for eta > 1 and u_c = 0 else. All but the exponential does not depend on r:
- * a quadrature rule makes R(r) a sum over nodes, sigma_s / r sum w e^(-sigma_t r E) with E = e^u,
- * whose energy within r is 2 pi sigma_s / sigma_t sum w / E (1 - e^(-sigma_t r E)).
+ * with cosh(u_c) = eta for eta > 1 and u_c = 0 otherwise. Only the exponential depends on r. A
+ * quadrature rule therefore makes R(r) a sum over nodes, sigma_s / r sum w e^(-sigma_t r E) with E
+ * = e^u. The energy of this sum within r is 2 pi sigma_s / sigma_t sum w / E (1 - e^(-sigma_t r
+ * E)).
  *
- * T has square roots at the critical angle (and for eta < 1 close to grazing incidence). They are
- * removed by s = sqrt(|1 - eta^2|) / eta and
+ * T behaves like a square root at the critical angle, and for eta < 1 nearly so at grazing
+ * incidence. With s = sqrt(|1 - eta^2|) / eta, the substitutions
  *
  *   eta > 1: mu = s cosh(v), cosine outside = eta s sinh(v)
  *   eta < 1: mu = s sinh(v), cosine outside = eta s cosh(v)
  *
- * in the zone from u_c to u_c + ZONE, whose panels shrink towards u_c, where the tail at large r
- * comes from. No similarity relation: sigma_s and g are the medium's own.
+ * remove these roots. The code uses v in the zone from u_c to u_c + ZONE, whose panels shrink
+ * towards u_c, because the tail of R at large r comes from there. This model uses sigma_s and g of
+ * the medium itself, without a similarity relation.
  *
- * R is infinite at r = 0, where 2 pi r R is not.
+ * R is infinite at r = 0, where 2 pi r R is finite.
  *
- * Domain: eta from SINGLE_ETA_MIN to SINGLE_ETA_MAX, an albedo below ALBEDO_LEAST is as good as
- * nothing.
+ * Domain: eta from SINGLE_ETA_MIN to SINGLE_ETA_MAX. An albedo below ALBEDO_LEAST is taken as 0.
+ *
  * Error: SINGLE_ERROR + 4 epsilon (1 + sigma_t r e^(u_c)), relative.
  */
 #include "core/kernels.h"
 
 #define SINGLE_ERROR 1e-13
 
-/* What the table holds. */
+/* Positions in the table that preparation makes. */
 enum coefficient {
   SIGMA_T,          /* 1/mm */
   EXPONENT,         /* e^(u_c) */
-  R_SCALE,          /* sigma_s; over r it is R's */
+  R_SCALE,          /* sigma_s; R is this times the sum over the nodes, divided by r */
   RING_SCALE,       /* 2 pi sigma_s */
   PDF_SCALE,        /* 2 pi sigma_s / albedo */
   CDF_SCALE,        /* 2 pi sigma_s / (sigma_t albedo) */
-  CDF_LIMIT,        /* 1, or 0 when nothing scatters */
-  FAR_POWER,        /* the power of 1 / tau with which the sum falls far away */
-  NODES_BEGIN,      /* for each node: */
+  CDF_LIMIT,        /* limit of the cdf at infinity: 1, or 0 if nothing scatters */
+  FAR_POWER,        /* far away the sum falls in proportion to this power of 1 / tau */
+  NODES_BEGIN,      /* first of NODE_FIELDS numbers for each node */
   NODE_FURTHER = 0, /* E - e^(u_c) */
   NODE_WEIGHT,      /* w */
   NODE_ENERGY,      /* w / E */
@@ -64,7 +66,8 @@ enum { ZONE_PANELS = 18, TAIL_PANELS = 9, NODES = 16 * (ZONE_PANELS + TAIL_PANEL
 
 #define FAR 1e9
 
-/* What is divided by r, and r, times UP: what underflows is the quotient, not the exponential. */
+/* The kernels compute numerator 2^UP_EXPONENT / (r UP): so the quotient underflows only where R
+ * itself does, although the exponential in the numerator may underflow earlier. */
 #define UP_EXPONENT 64
 #define UP 0x1p64
 
@@ -77,12 +80,13 @@ static inline double node(const double *c, size_t k, int field) {
   return c[NODES_BEGIN + k * NODE_FIELDS + (size_t)field];
 }
 
-/* Terms of the sums over the nodes, for tau = sigma_t r; the first two times e^(tau e^(u_c)). */
+/* The terms of the sums over the nodes at tau = sigma_t r: R_term() and slope_term() return theirs
+ * times e^(tau e^(u_c)), energy_term() without that factor. */
 static inline double R_term(const double *c, size_t k, double tau) {
   return node(c, k, NODE_WEIGHT) * real_exp(-tau * node(c, k, NODE_FURTHER)).exp;
 }
 
-/* (1 + tau E) w e^(-tau E): what -dR/dr is made of */
+/* Returns a term of -dR/dr, (1 + tau E) w e^(-tau E), times e^(tau e^(u_c)). */
 static inline double slope_term(const double *c, size_t k, double tau) {
   const double further = node(c, k, NODE_FURTHER);
   const double falls = real_fma(tau, further + c[EXPONENT], 1);
@@ -98,7 +102,8 @@ BLOCK_SUM(sum_R, node_count, R_term)
 BLOCK_SUM(sum_slope, node_count, slope_term)
 BLOCK_SUM(sum_energy, node_count, energy_term)
 
-/* So far away that all has underflowed, but no product overflows. */
+/* Returns tau = sigma_t r, at most 1e100: there every term has underflowed and no product
+ * overflows. */
 static inline double begin(const double *c, double r) {
   return real_min(r * c[SIGMA_T], 1e100);
 }
@@ -123,8 +128,8 @@ static inline double finish_pdf(const double *c, double r, double tau, double su
   return real_times_exp(c[PDF_SCALE] * sum, -c[EXPONENT] * tau, 0);
 }
 
-/* The nodes resolve what is next to the critical angle up to FAR; from there on the sum falls by a
- * power of tau. */
+/* Returns tau for ln R, at most FAR. Up to FAR the nodes resolve the integrand next to the critical
+ * angle; beyond, finish_ln_R() lets the sum fall by a power of tau. */
 static inline double begin_ln_R(const double *c, double r) {
   return real_min(r * c[SIGMA_T], FAR);
 }
@@ -134,7 +139,8 @@ static inline double finish_ln_R(const double *c, double r, double near, double 
   const double positive = real_max(c[R_SCALE] * sum, 1e-300);
   const double further = tau > FAR && tau < 1e100 ? tau * (1 / FAR) : 1;
   const double kept = real_min(real_max(r, 1e-300), 1e300);
-  /* one logarithm where the quotient allows it: near R = 1 two would cancel */
+  /* Near R = 1 the difference of two logarithms would cancel, so the logarithm of the quotient is
+   * taken wherever the quotient is a normal number. */
   const double quotient = positive / kept;
   const bool normal = quotient > 1e-290 && quotient < 1e290;
   const double ratio = real_log(normal ? quotient : positive, 0) - real_log(normal ? 1 : kept, 0);
@@ -183,8 +189,10 @@ CORE_KERNEL_TABLE_NONE(single);
 #define SINGLE_ETA_MAX 10
 #define ALBEDO_LEAST 1e-250
 #define ZONE 0.5
-#define ZONE_SHRINK 0.25 /* of the panels' ends towards u_c, in mu */
-#define COST 110         /* of a kernel evaluation of a dipole, measured with build/bench kernel */
+/* the distance in mu from the critical angle shrinks by this factor from panel to panel */
+#define ZONE_SHRINK 0.25
+/* cost of one value in kernel evaluations of a dipole, measured with `build/bench kernel` */
+#define COST 110
 
 core_check_function core_single_check;
 core_prepare_function core_single_prepare;
@@ -210,18 +218,20 @@ struct rule {
   double eta;
   double g;
   double least; /* e^(u_c) */
-  double *next; /* where the next node is put */
+  double *next; /* where add_node() writes the next node */
 };
 
-/* A node at the cosines inside and outside, with q = 1 / cosh(u) and the weight of du. */
+/* Adds a node: mu is the cosine inside, `outside` the cosine outside, q = 1 / cosh(u), E = e^u, and
+ * `weight` the quadrature weight for du. */
 static void add_node(struct rule *rule, double mu, double outside, double q, double E,
                      double weight) {
   const double eta = rule->eta;
   const double s = fma(eta, mu, outside);
   const double p = fma(eta, outside, mu);
-  /* (T_s + T_p) / 2 */
+  /* the Fresnel transmittance (T_s + T_p) / 2 */
   const double transmitted = 2 * eta * mu * outside * (1 / (s * s) + 1 / (p * p));
-  /* 1 + g^2 + 2 g mu, with 1 - mu = 2 / (1 + E^2) where it would cancel */
+  /* squared = 1 + g^2 + 2 g mu; for g < 0 that form would cancel, so it is written with 1 - mu = 2
+   * / (1 + E^2). */
   const double g = rule->g;
   const double backward = (1 + g) * (1 + g) - 4 * g / fma(E, E, 1);
   const double forward = fma(g, g, 1) + 2 * g * mu;
@@ -234,7 +244,7 @@ static void add_node(struct rule *rule, double mu, double outside, double q, dou
   rule->next += NODE_FIELDS;
 }
 
-/* A panel of the zone next to the critical angle, in v. */
+/* Adds the nodes of one panel of the zone next to the critical angle, from `from` to `to` in v. */
 static void add_zone_panel(struct rule *rule, double from, double to) {
   const double eta = rule->eta;
   const double root = sqrt(fabs((1 - eta) * (1 + eta)));
@@ -255,7 +265,8 @@ static void add_zone_panel(struct rule *rule, double from, double to) {
   }
 }
 
-/* mu_c to the mu of u_c + ZONE, in panels whose ends come ever nearer to mu_c. */
+/* Adds the zone from mu_c to the cosine mu of u_c + ZONE, in panels whose ends approach mu_c
+ * geometrically. end_of_zone: e^(u_c + ZONE). */
 static void add_zone(struct rule *rule, double end_of_zone) {
   const double eta = rule->eta;
   const double s = sqrt(fabs((1 - eta) * (1 + eta))) / eta;
@@ -277,7 +288,7 @@ static void add_zone(struct rule *rule, double end_of_zone) {
   }
 }
 
-/* From there on, in u: panels that grow as the integrand falls like e^(-u). */
+/* Adds the tail beyond the zone, in u: the panels grow, because the integrand falls like e^(-u). */
 static void add_tail(struct rule *rule) {
   static const double ends[TAIL_PANELS + 1] = {ZONE, 1.5, 3, 5, 7.5, 10.5, 14, 19, 27, 40};
   const double eta = rule->eta;
@@ -322,8 +333,9 @@ core_fault core_single_prepare(const core_inputs *inputs, core_preparation *prep
   c[PDF_SCALE] = scatters ? c[RING_SCALE] / preparation->albedo : 0;
   c[CDF_SCALE] = 1 / energy;
   c[CDF_LIMIT] = scatters;
-  /* w is like a power of the distance from the critical angle: of T = 1, of T like its root, and of T
-   * at grazing incidence */
+  /* Next to the critical angle w is in proportion to (E - e^(u_c))^q, so that the sum falls in
+   * proportion to tau^-(q + 1). Here q is 1/2 for eta > 1, where T is like a square root; 1 for eta
+   * = 1, where T = 1; and 2 for eta < 1, where T is in proportion to mu at grazing incidence. */
   c[FAR_POWER] = medium->eta > 1 ? 1.5 : medium->eta < 1 ? 3 : 2;
   preparation->table = c;
   preparation->error = SINGLE_ERROR;

@@ -1,51 +1,59 @@
-/* Radiative transport itself, for isotropic scattering: the deterministic solution of
- * core/transport/, which is where the equations are.
+/* Radiative transport itself, for isotropic scattering: the model evaluates the deterministic
+ * solution of core/transport/, where the equations are.
  *
- * A profile is solved once, at points of ln x (x in mean free paths 1 / sigma_t'), and evaluated
- * from Legendre series of
+ * Preparation solves a medium once, at points of ln x (x is the radius in mean free paths 1 /
+ * sigma_t'). The kernels evaluate Legendre series of
  *
  *   L(ln x) = ln(x R(x)) + kappa x
  *
- * in panels of ln x: with 1 / x at the source and e^(-kappa x) far away divided out, a series of 16
- * terms is exact to half of TOLERANCE_LEAST. R stays positive whatever is between the points. The energy
- * within r is gathered from the same series (core/energy.h); the albedo is the solver's own total.
+ * in panels of ln x. Since 1 / x at the source and e^(-kappa x) far away are divided out, a series
+ * of 16 terms is exact to half of TOLERANCE_LEAST. R stays positive between the points. The energy
+ * within r is integrated from the same series (core/energy.h). The albedo is the solver's own
+ * total.
  *
- * Who is content with it gets the medium from a table of solutions instead (core/transport/table.h),
- * where that covers the medium and is as accurate as asked; all else is the same.
+ * If core_inputs allows it, preparation takes the profile from a table of solutions
+ * (core/transport/table.h) instead of solving, provided that the table covers the medium and is as
+ * accurate as asked.
  *
  * Anisotropic scattering goes through the similarity relation.
  *
- * Domain: eta from 0.25 to 4. Radii below FIRST mean free paths are continued like 1 / x; beyond
- * LAST_EXPONENT / kappa, or LAST mean free paths where that is less, like the diffusion of a dipole,
- * (1 + kappa x) e^(-kappa x) / x^3, times what goes on with the slope there: a power of x, or, beyond
- * LAST, the next term of that diffusion, in 1 / x^2, which makes it as good as the solution.
- * Error: the tolerance (TOLERANCE when none is asked for; at least TOLERANCE_LEAST, half of which is
- * the series'), relative, or the solver's own estimate where that is more, which an albedo below
- * 1e-6 or so may cause; up to the last radius, where R is 1e-13 of what it is at one mean free path.
- * Beyond it the error grows, as core_transport_reach() says: measured against solutions to 110 / kappa
- * (tests/accuracy/test_transport_far.c), where the continuation is off by .4 at most, for an albedo
- * of 0.01. From the table: the error that was measured of it and TOLERANCE_LEAST, where R is above
- * TRANSPORT_TABLE_R_LEAST.
+ * Domain: eta from 0.25 to 4. Below FIRST mean free paths R is continued in proportion to 1 / x.
+ * The last radius is LAST_EXPONENT / kappa or LAST mean free paths, whichever is less. Beyond it R
+ * is continued in proportion to the diffusion of a dipole, (1 + kappa x) e^(-kappa x) / x^3, times
+ * a factor that keeps the slope at the last radius. That factor is a power of x; if the last radius
+ * is LAST, it is instead the next term of that diffusion, in 1 / x^2, which is as accurate as the
+ * solution.
+ *
+ * Error, up to the last radius, where R is 1e-13 of its value at one mean free path: the tolerance,
+ * relative (TOLERANCE by default, at least TOLERANCE_LEAST, half of which is for the series), or
+ * the solver's own estimate where that is larger, which happens for albedos below about 1e-6.
+ * Beyond the last radius the error grows as core_transport_reach() says. It was measured against
+ * solutions to 110 / kappa (tests/accuracy/test_transport_far.c), where the continuation is off by
+ * 0.4 at most, for an albedo of 0.01. With the table: the table's measured error plus
+ * TOLERANCE_LEAST, where R is above TRANSPORT_TABLE_R_LEAST.
  */
 #include "core/kernels.h"
 
-/* The table; lengths in mean free paths. */
+/* Positions in the table that preparation makes; lengths are in mean free paths. */
 enum coefficient {
   MFP_PER_MM,
   KAPPA,
   PANELS,
   R_SCALE,    /* sigma_t'^2 */
   RING_SCALE, /* 2 pi sigma_t' */
-  PDF_SCALE,  /* over the whole energy */
+  PDF_SCALE,  /* 2 pi sigma_t' divided by the whole energy */
   SLOPE_SCALE,
-  LIMIT, /* of the cdf: 1, or 0 when nothing scatters */
+  LIMIT, /* limit of the cdf at infinity: 1, or 0 if nothing scatters */
   FIRST_X,
   LAST_X,
   LN_FIRST,
   PER_PANEL, /* ln x in units of a panel's width: 1 / width */
-  STEEPER,   /* the power of 1 / x that R falls by beyond the last radius, more than a dipole's, */
-  FADING,    /* or, of (1 - (LAST_X / x)^2) / 2, the factor by which its logarithm falls more */
-  SERIES,    /* TERMS coefficients for each panel, then the table of the energy */
+  /* STEEPER and FADING describe R beyond LAST_X relative to a dipole's diffusion, and one of them
+   * is 0. STEEPER: R falls by this power of 1 / x more. */
+  STEEPER,
+  /* FADING: ln R falls by FADING (1 - (LAST_X / x)^2) / 2 more than a dipole's diffusion */
+  FADING,
+  SERIES, /* TERMS coefficients for each panel; the table of the energy follows them */
 };
 
 enum { TERMS = 16 };
@@ -58,10 +66,10 @@ enum { TERMS = 16 };
 
 #include "core/models/energy.h"
 
-/* The Legendre series of a panel and of its derivative, by Clenshaw's recurrence. */
+/* The values of a panel's Legendre series and of its derivative, by Clenshaw's recurrence. */
 struct series {
   double value;
-  double slope; /* d / ds */
+  double slope; /* derivative by s, which runs from -1 to 1 in the panel */
 };
 
 static inline struct series sum_series(const double *a, double s) {
@@ -80,16 +88,16 @@ static inline struct series sum_series(const double *a, double s) {
                          real_fma(s, next_slope, real_fma(-0.5, after_slope, next))};
 }
 
-/* ln(x R) + kappa x at a radius, and its derivative by ln x. */
+/* L = ln(x R) + kappa x at a radius, and its derivative by ln x. */
 struct profile {
-  double x;   /* kept below infinity */
-  double far; /* how much less it is than the true one */
+  double x;   /* radius in mean free paths, at most 1e100 */
+  double far; /* x divided by the true radius, at most 1 */
   double value;
   double slope;
 };
 
 static inline struct profile look(const double *c, double r) {
-  const double true_x = r * c[MFP_PER_MM] + 0; /* adding 0 makes 0 of -0 */
+  const double true_x = r * c[MFP_PER_MM] + 0; /* adding 0 turns -0 into 0 */
   const double x = real_min(true_x, 1e100);
   const double kept = real_min(real_max(x, c[FIRST_X]), c[LAST_X]);
   const double y = (real_log(kept, 0) - c[LN_FIRST]) * c[PER_PANEL];
@@ -115,7 +123,7 @@ static inline struct profile look(const double *c, double r) {
   };
 }
 
-/* scale e^(L - kappa x), which may underflow, not overflow. */
+/* Returns scale e^(L - kappa x), written so that no factor overflows; the result may underflow. */
 static inline double exponential(double scale, const double *c, struct profile p) {
   const double shift = real_max(p.value, 0);
   const double up = 1 / real_exp(-shift).exp;
@@ -136,7 +144,7 @@ static inline double transport_R(const double *c, double r) {
   return c[LIMIT] > 0 ? R : 0;
 }
 
-/* dR/dx = R / x (d ln(x R) / d ln x - 1) */
+/* Returns dR/dr, from dR/dx = R / x (d ln(x R) / d ln x - 1). */
 static inline double transport_slope(const double *c, double r) {
   const struct profile p = look(c, r);
   const double steepness = 1 + c[KAPPA] * p.x - p.slope;
@@ -195,10 +203,11 @@ CORE_KERNEL_TABLE_NONE(transport);
 #define FIRST 1e-10
 #define LAST 1e4
 #define LAST_EXPONENT 30.0
-#define PANEL_WIDTH 0.75 /* in ln x, at most */
-#define COST 8           /* of a kernel evaluation of a dipole, measured with build/bench kernel */
+#define PANEL_WIDTH 0.75 /* largest width of a panel in ln x */
+/* cost of one value in kernel evaluations of a dipole, measured with `build/bench kernel` */
+#define COST 8
 
-/* Nothing worth solving is left of a smaller one. */
+/* A single-scattering albedo below this is taken as 0. */
 #define ALBEDO_LEAST 1e-12
 
 core_check_function core_transport_check;
@@ -227,25 +236,26 @@ static core_fault solve(const core_inputs *inputs, double albedo, double toleran
   return fault;
 }
 
-/* Where a profile comes from, a solution or a table's series, and where its panels lie. */
+/* The source of a profile, a solution or a table's series, and the positions of its panels. */
 struct source {
-  const transport_solution *solution; /* one of both */
+  const transport_solution *solution; /* NULL if `series` is the source */
   const transport_series *series;
-  double kappa;       /* of the medium */
-  double extra_kappa; /* of the solution, where it has more: see solvable_albedo() */
+  double kappa;       /* kappa of the medium */
+  double extra_kappa; /* kappa of the solution if the solver was given a smaller albedo, else 0 */
   double ln_first;
-  double width; /* of a panel, in ln x */
+  double width; /* width of a panel in ln x */
   size_t panels;
-  double error; /* the largest of the solver's own estimates */
+  double error; /* largest relative error that the solver has estimated so far */
 };
 
-/* An albedo of 1 is solved next to it, since the solver's bounds need some decay; what that changes,
- * a factor (1 + kappa x) e^(-kappa x) with kappa = 1.8e-8, is taken out again. */
+/* Returns the albedo that the solver is called with. The solver's bounds need some decay, so for an
+ * albedo of 1 it solves 1 - 2^-53, where kappa = 1.8e-8. logarithm_at() divides out the factor (1 +
+ * kappa x) e^(-kappa x) by which the two profiles differ. */
 static double solvable_albedo(double albedo) {
   return fmin(albedo, 1 - 0x1p-53);
 }
 
-/* ln(x R) + kappa x at y = ln x */
+/* Returns L = ln(x R) + kappa x at y = ln x, from the source. */
 static double logarithm_at(struct source *source, double y) {
   if (source->series != NULL) {
     return transport_series_at(source->series, y);
@@ -258,7 +268,8 @@ static double logarithm_at(struct source *source, double y) {
          (extra - real_log(1 + extra, 0));
 }
 
-/* The Legendre series through the Gauss points of a panel from ln x = y. */
+/* Sets `series` to the Legendre series through the Gauss points of the panel that begins at ln x =
+ * y. */
 static void fit_panel(struct source *source, double y, double *series) {
   memset(series, 0, TERMS * sizeof *series);
   for (int i = 0; i < 2 * CORE_GAUSS_HALF; i++) {
@@ -282,9 +293,10 @@ static void set_scales(double *c, double sigma_t_prime, bool scatters) {
   c[SLOPE_SCALE] = c[R_SCALE] * sigma_t_prime;
 }
 
-/* The slope by ln x at the end of a panel, less than that of a dipole's diffusion there. */
+/* Returns by how much the slope dL / d ln x at the end of a panel is less than that of a dipole's
+ * diffusion. kappa_last: kappa times the radius there. */
 static double steeper(const double *series, double width, double kappa_last) {
-  double slope = 0; /* of P_k at 1: k (k + 1) / 2 */
+  double slope = 0; /* derivative by s at s = 1; that of P_k is k (k + 1) / 2 */
   for (int k = TERMS - 1; k > 0; k--) {
     slope = fma(0.5 * k * (k + 1), series[k], slope);
   }
@@ -313,7 +325,7 @@ static void set_series(struct source *source, double *c) {
   c[FADING] = fades ? more : 0;
 }
 
-/* Panels from one logarithm to another, PANEL_WIDTH or less wide. */
+/* Divides the range from ln_first to ln_last into equal panels of at most PANEL_WIDTH. */
 static void lay_panels(struct source *source, double ln_first, double ln_last) {
   const double panels = ceil((ln_last - ln_first) / PANEL_WIDTH);
   source->ln_first = ln_first;
@@ -321,13 +333,14 @@ static void lay_panels(struct source *source, double ln_first, double ln_last) {
   source->panels = (size_t)panels;
 }
 
-/* The table of a profile. */
+/* Makes the table of a profile that scatters, and adds it to the preparation. */
 static core_fault fill(const core_inputs *inputs, struct source *source,
                        core_preparation *preparation) {
   const double sigma_t_prime = core_sigma_t_prime(inputs->medium);
   const double mfp_mm = 1 / sigma_t_prime;
   const double first = real_exp_signed(source->ln_first);
-  /* Further than 40 decay lengths, or 1e12 mean free paths, there is less than 1e-12 of it. */
+  /* Less than 1e-12 of the energy lies beyond 40 decay lengths 1 / kappa, or beyond 1e12 mean free
+   * paths. */
   const double energy_last =
       source->kappa * 1e12 > 40 ? fmax(40 / source->kappa, last_of(source)) : 1e12;
   const size_t before_energy = SERIES + source->panels * TERMS;
@@ -376,7 +389,8 @@ static core_fault solve_and_fill(const core_inputs *inputs, double albedo, doubl
   transport_solution *solution = NULL;
   core_fault fault = solve(inputs, solvable, tolerance, &solution);
   if (fault.field == NULL) {
-    /* Absorption that is too little for the albedo to show is left to the decay. */
+    /* If the absorption is too small to make the albedo differ from 1, kappa is computed from the
+     * absorption itself. */
     const bool shows = albedo <= solvable;
     const double absorbed = medium->sigma_a_per_mm / core_sigma_t_prime(medium);
     const double kappa = shows ? transport_kappa(albedo) : sqrt(3 * absorbed);
@@ -392,7 +406,8 @@ static core_fault solve_and_fill(const core_inputs *inputs, double albedo, doubl
   return fault;
 }
 
-/* A table of solutions reaches less far than what is solved. */
+/* The reach that the profile reports is that of the table of solutions, which is shorter than the
+ * solver's: so it does not depend on which of the two was used. */
 core_reach core_transport_reach(const core_medium *medium) {
   const double sigma_t_prime = core_sigma_t_prime(medium);
   const double albedo = medium->sigma_s_per_mm * (1 - medium->g) / sigma_t_prime;
@@ -412,7 +427,8 @@ static core_fault look_up(const core_inputs *inputs, double albedo, const transp
   return fill(inputs, &source, preparation);
 }
 
-/* The table, if it will do for this medium; NULL: it will not. */
+/* Returns the table of solutions if it covers this medium and is as accurate as inputs->tabulated
+ * asks, else NULL. */
 static const transport_table *table_for(const core_inputs *inputs, double albedo) {
   const transport_table *table = inputs->tabulated > 0 ? transport_table_shipped() : NULL;
   const bool serves = table != NULL && transport_table_covers(table, albedo, inputs->medium->eta) &&
