@@ -7,13 +7,16 @@
 #define EULER_GAMMA 0.57721566490153286061
 #define EPSILON 0x1p-52
 #define SERIES_UP_TO 2.0
-enum { TERMS_MAX = 200 }; /* of the continued fraction; 60 are needed at |w| = 2, fewer beyond */
+/* limit for the continued fraction, which needs 60 terms at |w| = 2 and fewer beyond */
+enum { TERMS_MAX = 200 };
 
-/* The ascending series (Abramowitz and Stegun, 9.6.10, 9.6.11 and 9.6.13). With t = w^2 / 4 and
+/* The ascending series (Abramowitz and Stegun, 9.6.10, 9.6.11 and 9.6.13). With t = w^2 / 4 and the
  * harmonic numbers h_m,
+ *
  *   I0 = sum t^m / m!^2,  I1 = w / 2 sum t^m / (m! (m + 1)!)
  *   K0 = -(ln(w / 2) + gamma) I0 + sum h_m t^m / m!^2
- *   K1 = 1 / w + ln(w / 2) I1 - w / 4 sum (h_m + h_(m+1) - 2 gamma) t^m / (m! (m + 1)!) */
+ *   K1 = 1 / w + ln(w / 2) I1 - w / 4 sum (h_m + h_(m+1) - 2 gamma) t^m / (m! (m + 1)!)
+ */
 static bessel_k ascending(double complex w) {
   const double complex t = 0.25 * w * w;
   double complex power = 1; /* t^m / m!^2 */
@@ -37,8 +40,8 @@ static bessel_k ascending(double complex w) {
 }
 
 /* Temme's continued fraction by Steed's algorithm (N. M. Temme, "On the numerical evaluation of the
- * modified Bessel function of the third kind", 1975; order 0): with z_n = U(n + 1/2, 1, 2 w),
- * it gives K1 / K0 and, summed with the coefficients c_n, K0 itself. */
+ * modified Bessel function of the third kind", 1975; order 0). With z_n = U(n + 1/2, 1, 2 w) the
+ * fraction gives K1 / K0. Summed with the coefficients c_n it gives K0 itself. */
 static bessel_k continued_fraction(double complex w) {
   double complex b = 2 * (1 + w);
   double complex d = fn_inverse(b);

@@ -2,27 +2,28 @@
  *
  *   S(z) = a e^(-z) + a int_0^inf [K(|z - z'|) + (K - K_T)(z + z')] S(z') dz'.
  *
- * With the first kernel alone the H function inverts it. Its Laplace transform is then
- * int_0^inf e^(-qz) S dz = H(q) V(q), where V is smooth (the diffusion mode is in H):
+ * The H function inverts the part with the first kernel. The Laplace transform of S is then
+ * int_0^inf e^(-qz) S dz = H(q) V(q), where V is smooth because H contains the diffusion mode:
  *
  *   V(q) = a H(1) / (1 + q) + a sum over nodes p of kernel H(p)^2 V(p) / (p + q).
  *
- * 1 / (p + q) has a low rank on the nodes. With pivots q_1, q_2, ... among them and
+ * The matrix 1 / (p + q) has a low rank on the nodes. With pivots q_1, q_2, ... among the nodes and
  *
  *   g_1(p) = 1,   g_(l+1)(p) = g_l(p) (p - q_l) / (p + q_l),
  *   phi_l(p) = g_l(p) sqrt(2 q_l) / (p + q_l)
  *
  * (Takenaka 1925, Malmquist 1926), elimination gives the identity
  *
- *   1 / (p + q) = sum over l <= n of phi_l(p) phi_l(q) + g_(n+1)(p) g_(n+1)(q) / (p + q),
+ *   1 / (p + q) = sum over l <= n of phi_l(p) phi_l(q) + g_(n+1)(p) g_(n+1)(q) / (p + q).
  *
- * so that V(q) = a H(1) / (1 + q) + a sum over l of phi_l(q) Y_l with n unknowns,
+ * So V(q) = a H(1) / (1 + q) + a sum over l of phi_l(q) Y_l with n unknowns Y_l, which solve
  *
  *   Y = b + a B Y,
  *   B_lm = sum of kernel H^2 phi_l phi_m,   b_l = sum of kernel H^2 phi_l a H(1) / (1 + p).
  *
- * The exitance of S is sum of exit H V. Of this the part of the light scattered once, which is
- * sum of exit a / (1 + p), is left out term by term, since for large k it is the larger by far.
+ * The exitance of S is the sum of exit H V. The light scattered once contributes the sum of exit a
+ * / (1 + p). The code leaves this part out of each term, because for large k it is by far the
+ * larger part.
  */
 #include "core/transport/equation.h"
 
@@ -33,8 +34,9 @@
 #include "core/transport/functions.h"
 #include "core/transport/h_function.h"
 
-/* How much of the kernel, weighed as it acts, may be left over. Tried against the full system: the
- * exitance is then off by less than the accuracy. */
+/* Pivots are added until the rest of the kernel, weighed as in choose_pivots(), is at most this
+ * times the accuracy. Comparisons with the full system show that the exitance is then off by less
+ * than the accuracy. */
 #define LEFT_OVER_PER_ACCURACY 30.0
 
 /* ---- what does not depend on the albedo ----------------------------------------------------- */
@@ -43,7 +45,8 @@ static double norm2(double complex z) {
   return creal(z) * creal(z) + cimag(z) * cimag(z);
 }
 
-/* Pivots are taken where most of the kernel is left, |kernel g^2 / p|. */
+/* Chooses the pivots: each is the node where the rest of the kernel, |kernel g^2 / p|, is largest.
+ * Returns false if memory runs out. */
 static bool choose_pivots(equation *to) {
   const nodes *at = &to->nodes;
   double complex *g = malloc(at->n * (sizeof *g + sizeof(double)));
@@ -100,16 +103,18 @@ void transport_equation_free(equation *of) {
 
 /* ---- the unknowns' equation ----------------------------------------------------------------- */
 
-/* Numbers are handled in groups of this many, which compilers turn into vectors; rows are filled
- * with zeros to a multiple of it. */
+/* Loops handle GROUP numbers at a time, which compilers turn into vectors. Rows are filled with
+ * zeros to a multiple of GROUP. */
 enum { GROUP = 4, RANK_PADDED = (EQUATION_RANK_MAX + GROUP - 1) / GROUP * GROUP };
 
 struct transport_work {
   h_function *h;
   size_t nodes_reserved;
-  size_t cells_reserved; /* nodes times functions phi */
+  size_t cells_reserved; /* number of nodes times number of functions phi */
   double complex *log_h;
-  /* By node: phi_1, phi_2, ... and kernel H^2 phi_1, ...; real and imaginary parts apart. */
+  /* Arrays by node, with real and imaginary parts apart: phi contains phi_1, phi_2, ..., and
+   * weighted contains kernel H^2 phi_1, kernel H^2 phi_2, ... All four share the block that phi_re
+   * points to. */
   double *phi_re, *phi_im, *weighted_re, *weighted_im;
   double matrix_re[RANK_PADDED][RANK_PADDED];
   double matrix_im[RANK_PADDED][RANK_PADDED];
@@ -160,7 +165,7 @@ static bool reserve(transport_work *work, size_t count, size_t padded) {
   return true;
 }
 
-/* phi_l of the nodes, one row for each, and those rows times kernel H^2. */
+/* Fills a row for each node with phi_l, and another one with kernel H^2 phi_l. */
 static void fill_rows(const equation *of, transport_work *work, size_t padded) {
   const nodes *at = &of->nodes;
   double complex q[RANK_PADDED], root[RANK_PADDED];
@@ -187,7 +192,8 @@ static void fill_rows(const equation *of, transport_work *work, size_t padded) {
   }
 }
 
-/* Rows l and l + 1 of 1 - a B, columns m to m + GROUP - 1. */
+/* Computes rows l and l + 1 of the matrix 1 - a B, columns m to m + GROUP - 1, and their mirror
+ * images. */
 static void fill_tile(transport_work *work, size_t n, size_t padded, double albedo, size_t l,
                       size_t m) {
   double re[2][GROUP] = {{0}}, im[2][GROUP] = {{0}};
@@ -221,8 +227,8 @@ static void fill_matrix(transport_work *work, size_t n, size_t padded, double al
   }
 }
 
-/* row `to` less factor times row `from`, from column `first` on, which is rounded down: what stands
- * before it is not used any more. */
+/* Subtracts factor times row `from` from row `to`, from the column `first`, rounded down to a
+ * multiple of GROUP, on. Nothing uses the columns before `first` any more. */
 static void subtract_row(transport_work *work, size_t padded, size_t to, size_t from, size_t first,
                          double complex factor) {
   const double re = creal(factor);
@@ -256,8 +262,9 @@ static void swap_rows(transport_work *work, size_t padded, size_t one, size_t ot
   work->right[other] = right;
 }
 
-/* Gauss's elimination with partial pivoting; the right side becomes the solution. Some tens of
- * unknowns: too few for a library to be faster, and its bits would differ between machines. */
+/* Solves the system by Gauss's elimination with partial pivoting; work->right becomes the solution.
+ * With some tens of unknowns no library would be faster, and a library's bits would differ between
+ * machines. */
 static void eliminate(transport_work *work, size_t rank, size_t padded) {
   for (size_t column = 0; column < rank; column++) {
     size_t largest = column;
@@ -285,9 +292,11 @@ static void eliminate(transport_work *work, size_t rank, size_t padded) {
 
 /* ---- solving -------------------------------------------------------------------------------- */
 
-/* The exitance without the unknowns, with h = H - 1:
- * sum of exit [H(p) a H(1) / (1 + p) - a / (1 + p)]
- *   = sum of exit a / (1 + p) [h(p) H(1) + h(1)]. */
+/* Returns the part of the exitance that does not contain the unknowns, with h = H - 1:
+ *
+ *   sum of exit [H(p) a H(1) / (1 + p) - a / (1 + p)]
+ *     = sum of exit a / (1 + p) [h(p) H(1) + h(1)].
+ */
 static double complex first_terms(const equation *of, const transport_work *work, double albedo) {
   const nodes *at = &of->nodes;
   const double complex h_1 = fn_cexpm1(work->log_h[at->n]);
@@ -301,7 +310,7 @@ static double complex first_terms(const equation *of, const transport_work *work
   return albedo * sum;
 }
 
-/* b_l and the sums of exit H phi_l. */
+/* Sets work->right to b_l and work->exit to the sums of exit H phi_l. */
 static void fill_vectors(const equation *of, transport_work *work, size_t padded, double albedo) {
   const nodes *at = &of->nodes;
   const double complex h_1 = fn_cexp(work->log_h[at->n]);

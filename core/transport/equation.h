@@ -11,29 +11,32 @@
 
 enum { EQUATION_RANK_MAX = 160 };
 
-/* What does not depend on the albedo. */
+/* The part of the equation at one wavenumber that does not depend on the albedo. */
 typedef struct equation {
   double complex k;
-  double accuracy; /* of the rules */
+  double accuracy; /* relative accuracy of the nodes' rules */
   nodes nodes;
   size_t rank;
-  uint16_t pivot[EQUATION_RANK_MAX]; /* nodes */
+  uint16_t pivot[EQUATION_RANK_MAX]; /* positions of the pivots among the nodes */
 } equation;
 
-/* For k and rules as transport_nodes_make() takes them; freed by transport_equation_free(). False:
- * no memory, and nothing to free. */
+/* Sets *to for a wavenumber k and rules as transport_nodes_make() accepts them. The caller frees it
+ * with transport_equation_free(). Returns false if memory runs out; then there is nothing to free.
+ */
 bool transport_equation_make(equation *to, const nodes_rules *rules, double complex k);
 void transport_equation_free(equation *of);
 
-/* Memory for solving; one for each thread. NULL: no memory. */
+/* Memory for solving equations one after another. Each thread needs its own. transport_work_new()
+ * returns NULL if memory runs out; the caller frees the memory with transport_work_free(), which
+ * accepts NULL. */
 typedef struct transport_work transport_work;
 
 transport_work *transport_work_new(void);
 void transport_work_free(transport_work *of);
 
-/* The exitance of light scattered at least twice, Fourier transformed over the plane, per power
- * that has entered. albedo in (0, 1], kappa its transport_kappa(); k^2 + kappa^2 not 0. False: no
- * memory. */
+/* Sets *exitance to the exitance of light scattered at least twice, Fourier transformed over the
+ * plane, per power that has entered. albedo: in (0, 1]; kappa: transport_kappa(albedo), with k^2 +
+ * kappa^2 not 0. Returns false if memory runs out. */
 bool transport_equation_solve(const equation *of, transport_work *work, double albedo, double kappa,
                               double complex *exitance);
 

@@ -5,7 +5,8 @@
 #include <string.h>
 
 #define LN2 0.69314718055994530942
-/* Adding it to a number rounds that to an integer, in its last bits. */
+/* Adding ROUND_MAGIC to a number rounds the number to an integer, which then stands in the last
+ * bits of the sum. */
 #define ROUND_MAGIC 0x1.8p52
 
 static uint64_t to_bits(double x) {
@@ -20,7 +21,7 @@ static double from_bits(uint64_t bits) {
   return x;
 }
 
-/* sum of coefficients[i] x^i */
+/* Returns the sum of coefficients[i] x^i over i from 0 to count - 1. */
 static double polynomial(double x, const double *coefficients, int count) {
   double sum = coefficients[count - 1];
   for (int i = count - 2; i >= 0; i--) {
@@ -29,8 +30,8 @@ static double polynomial(double x, const double *coefficients, int count) {
   return sum;
 }
 
-/* e^x = 2^k e^t with |t| <= ln(2) / 2, where 14 terms of Taylor's series are exact. So is the
- * product of k and ln2_high. */
+/* e^x = 2^k e^t with |t| <= ln(2) / 2, where 14 terms of Taylor's series are exact to rounding. The
+ * product of k and ln2_high is exact. */
 double fn_exp(double x) {
   static const double terms[] = {1,
                                  1,
@@ -58,7 +59,8 @@ double fn_exp(double x) {
   return power * polynomial(t, terms, sizeof terms / sizeof terms[0]);
 }
 
-/* x = 2^k m with m within sqrt(2) of 1; ln m = 2 artanh(s), s = (m - 1) / (m + 1), s^2 < 0.03. */
+/* x = 2^k m with m within a factor sqrt(2) of 1, and ln m = 2 artanh(s) with s = (m - 1) / (m + 1),
+ * s^2 < 0.03. */
 double fn_log(double x) {
   static const double terms[] = {2,        2.0 / 3,  2.0 / 5,  2.0 / 7,  2.0 / 9,
                                  2.0 / 11, 2.0 / 13, 2.0 / 15, 2.0 / 17, 2.0 / 19};
@@ -73,8 +75,8 @@ double fn_log(double x) {
          ((double)biased - 1023) * LN2;
 }
 
-/* x = k pi / 2 + t with |t| <= pi / 4; pi / 2 in three parts, of which the first two have exact
- * products with k. */
+/* x = k pi / 2 + t with |t| <= pi / 4. pi / 2 is split into three parts; the products of k with the
+ * first two are exact. */
 void fn_sincos(double x, double *sine, double *cosine) {
   static const double sine_terms[] = {1,
                                       -1.0 / 6,
@@ -110,8 +112,8 @@ void fn_sincos(double x, double *sine, double *cosine) {
   *cosine = quarter == 0 ? c : quarter == 1 ? -s : quarter == 2 ? -c : s;
 }
 
-/* atan t for t in [0, 1]: tan(i pi / 16) is taken out, i = 0, 1, ..., 4, so that at most
- * tan(pi / 32) = 0.0985 remains for the series. */
+/* Returns atan t for t in [0, 1]. The code subtracts the angle i pi / 16, i = 0, 1, ..., 4, that is
+ * nearest, so that the series gets at most tan(pi / 32) = 0.0985. */
 static double atan_up_to_1(double t) {
   static const double tangents[] = {0, 0.19891236737965800691, 0.41421356237309504880,
                                     0.66817863791929891999, 1};
@@ -174,8 +176,8 @@ double complex fn_cexpm1(double complex z) {
   return sum * z;
 }
 
-/* With m = e^z - 1: sinh z = (m + m / (1 + m)) / 2 and cosh z = 1 + m^2 / (2 (1 + m)), where
- * Re z >= 0. */
+/* For Re z >= 0 and m = e^z - 1, sinh z = (m + m / (1 + m)) / 2 and cosh z = 1 + m^2 / (2 (1 + m)).
+ */
 void fn_csinhcosh(double complex z, double complex *sine, double complex *cosine) {
   const double sign = creal(z) < 0 ? -1 : 1;
   const double complex m = fn_cexpm1(sign * z);

@@ -1,9 +1,9 @@
 /* functions: the elementary functions of the transport solver, real and complex.
  *
- * Only IEEE additions, products, quotients and square roots are used, so that a solution has the
- * same bits on every machine; the C library's functions differ with its version and with what the
- * processor can do. Each is within a few epsilon of the exact value, relative to its modulus. NaN
- * for arguments out of range.
+ * They use only IEEE additions, products, quotients and square roots, so that a solution has the
+ * same bits on every machine; the functions of C libraries differ with their version and with the
+ * processor. Each result is within a few epsilon of the exact value, relative to its modulus. The
+ * real functions return NaN for arguments out of range.
  */
 #ifndef DIPOLED_CORE_TRANSPORT_FUNCTIONS_H
 #define DIPOLED_CORE_TRANSPORT_FUNCTIONS_H
@@ -12,38 +12,39 @@
 
 #define FN_PI 3.14159265358979323846
 
-/* e^x for |x| up to 700; 0 for smaller x. */
+/* Returns e^x for |x| up to 700, and 0 for x below -700. */
 double fn_exp(double x);
 
-/* ln x for a positive, normal x. */
+/* Returns ln x for a positive, normal x. */
 double fn_log(double x);
 
-/* Sine and cosine of x; |x| up to 1e5. */
+/* Sets *sine and *cosine to those of x, for |x| up to 1e5. */
 void fn_sincos(double x, double *sine, double *cosine);
 
 #ifndef CMPLX
 #define CMPLX(x, y) __builtin_complex((double)(x), (double)(y))
 #endif
 
-/* 1 / z as textbooks have it; compilers' own quotients of complex numbers are made in many ways,
- * and slower. |z| from 1e-150 to 1e150. */
+/* Returns 1 / z by the textbook formula, for |z| from 1e-150 to 1e150. Compilers compute quotients
+ * of complex numbers in different ways, and more slowly. */
 static inline double complex fn_inverse(double complex z) {
   const double scale = 1 / (creal(z) * creal(z) + cimag(z) * cimag(z));
   return CMPLX(creal(z) * scale, -cimag(z) * scale);
 }
 
-/* The modulus; of moderate numbers: neither its square nor a component's may overflow. */
+/* Returns |z|. The square of |z| must not overflow. */
 double fn_abs(double complex z);
 
-/* Principal branches: the cuts lie on the negative real axis (square root, logarithm). */
+/* Square root, logarithm and exponential of z. The first two are principal branches, with cuts
+ * along the negative real axis. */
 double complex fn_csqrt(double complex z);
 double complex fn_clog(double complex z);
 double complex fn_cexp(double complex z);
 
-/* e^z - 1, without loss of digits near 0. */
+/* Returns e^z - 1 without loss of digits near z = 0. */
 double complex fn_cexpm1(double complex z);
 
-/* sinh z and cosh z, the former without loss of digits near 0. */
+/* Sets *sine to sinh z and *cosine to cosh z. sinh z loses no digits near z = 0. */
 void fn_csinhcosh(double complex z, double complex *sine, double complex *cosine);
 
 #endif

@@ -9,8 +9,8 @@ struct legendre {
   double slope;
 };
 
-/* P_n and its derivative at x in (-1, 1), by the three-term recurrence (Abramowitz and Stegun,
- * 8.5.3 and 8.5.4). */
+/* Returns P_n and its derivative at x in (-1, 1), by the three-term recurrence (Abramowitz and
+ * Stegun, 8.5.3 and 8.5.4). */
 static struct legendre legendre(size_t n, double x) {
   double before = 1;
   double now = x;
@@ -22,9 +22,10 @@ static struct legendre legendre(size_t n, double x) {
   return (struct legendre){now, (double)n * (x * now - before) / (x * x - 1)};
 }
 
-/* Newton's method from Tricomi's estimate of the i-th root from above, which is so near that three
- * steps are more than enough; the weight is 2 / ((1 - x^2) P_n'(x)^2) (Abramowitz and Stegun,
- * 25.4.29 and 22.16.6). Roots come in pairs +-x. */
+/* Each root comes from Newton's method, which starts from Tricomi's estimate of the i-th root from
+ * above. That estimate is so near that three steps are more than enough. On (-1, 1) the weight is 2
+ * / ((1 - x^2) P_n'(x)^2) (Abramowitz and Stegun, 25.4.29 and 22.16.6); on (0, 1) it is half of
+ * that. Roots come in pairs +-x. */
 void transport_gauss(gauss_rule *rule, size_t n) {
   assert(n >= 1 && n <= GAUSS_MAX);
   rule->n = n;

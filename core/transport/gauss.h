@@ -6,14 +6,15 @@
 
 enum { GAUSS_MAX = 256 };
 
-/* Nodes in (0, 1), ascending, and their weights, which add up to 1; within a few epsilon. */
+/* A rule for integrals from 0 to 1: n nodes in ascending order, and weights that add up to 1. Both
+ * are within a few epsilon. */
 typedef struct gauss_rule {
   size_t n;
   double x[GAUSS_MAX];
   double weight[GAUSS_MAX];
 } gauss_rule;
 
-/* n: 1 to GAUSS_MAX (asserted). */
+/* Sets *rule to the Gauss-Legendre rule with n nodes. n: 1 to GAUSS_MAX (asserted). */
 void transport_gauss(gauss_rule *rule, size_t n);
 
 #endif

@@ -2,17 +2,17 @@
  *
  *   ln H(p) = -(1 / pi) int_0^inf p L(w) / (p^2 + w^2) dw.
  *
- * L is even, so that the integral is half of that over the line w = sigma sinh(y), for which the
- * trapezoidal rule with step h is exact up to e^(-2 pi d / h), d the distance from the real axis to
- * the next singularity in y. These are: the zero of the logarithm's argument at w = +-i p0,
- * p0 = sqrt(k^2 + kappa^2); the branch points of atan at w = +-i sqrt(1 + k^2); and the poles
- * w = +-i p. sigma has the modulus of p0 and lies half way between the directions of the first two,
- * which keeps both at d > 1. The poles may be as near as they like: their part is known,
+ * L is even, so the integral is half of that over the whole line w = sigma sinh(y). The trapezoidal
+ * rule with step h over y is exact up to e^(-2 pi d / h), where d is the distance from the real
+ * axis to the next singularity in y. The singularities are the zero of the logarithm's argument at
+ * w = +-i p0 with p0 = sqrt(k^2 + kappa^2), the branch points of atan at w = +-i sqrt(1 + k^2), and
+ * the poles w = +-i p. sigma has the modulus of p0, and its direction lies half way between those
+ * of the first two singularities; this keeps both at d > 1. The poles may come arbitrarily near,
+ * because their contribution is known. By the theorem of residues (Trefethen and Weideman 2014 for
+ * trapezoidal rules),
  *
  *   ln H(p) = -(h / 2 pi) sum over all j of p L(w_j) w'_j / (p^2 + w_j^2)
- *             + L(i p) / (e^(-2 pi i y* / h) - 1),     sinh(y*) = i p / sigma,
- *
- * by the theorem of residues (Trefethen and Weideman 2014 for trapezoidal rules).
+ *             + L(i p) / (e^(-2 pi i y* / h) - 1),     sinh(y*) = i p / sigma.
  */
 #include "core/transport/h_function.h"
 
@@ -21,28 +21,31 @@
 
 #include "core/transport/functions.h"
 
-#define STRIP 1.05           /* d */
-#define BEYOND_LARGEST 100.0 /* the line ends there, in units of the largest decay rate */
-#define POLES_UP_TO 1.3      /* distance beyond which poles are as negligible as what is farther */
-enum { STEPS_MAX = 1024 };   /* ln(1e12) / 0.2 and room */
+/* least distance d from the line to a singularity other than the poles */
+#define STRIP 1.05
+#define BEYOND_LARGEST 100.0 /* the line ends at this multiple of the largest decay rate */
+#define POLES_UP_TO 1.3      /* poles at a larger distance from the line are negligible */
+enum { STEPS_MAX = 1024 };   /* the line needs at most about ln(1e12) / 0.2 steps */
 
 struct h_function {
   double albedo;
   double complex k;
   double complex sigma;
-  double cut; /* arg sigma */
+  double cut; /* argument of sigma */
   double h;
   size_t n;
-  /* w_j^2 and -(h / pi) L(w_j) w'_j, half of that for j = 0: both signs of j at once */
+  /* square is w_j^2. weight is -(h / pi) L(w_j) w'_j, which stands for both signs of j, and half of
+   * that for j = 0. */
   double square_re[STEPS_MAX];
   double square_im[STEPS_MAX];
   double weight_re[STEPS_MAX];
   double weight_im[STEPS_MAX];
 };
 
-/* ln(1 - a atan(Q) / Q) from Q^2. The cut of atan, which is principal along Q^2 < -1, is turned by
- * 2 cut > 0 about Q^2 = -1, as far as the line w is turned: between the old cut and the new one
- * another branch of atan is meant. Near Q = 0, where a may be 1, 1 - atan(Q) / Q is a series. */
+/* Returns ln(1 - a atan(Q) / Q) from Q^2. The principal branch of atan has its cut along Q^2 < -1.
+ * This function turns the cut by 2 cut > 0 about Q^2 = -1, as far as transport_h_set() turns the
+ * line w: between the old cut and the new one it uses another branch of atan. Near Q = 0, where a
+ * may be 1, it uses a series for 1 - atan(Q) / Q. */
 static double complex dispersion(double albedo, double complex q2, double cut) {
   if (fabs(creal(q2)) + fabs(cimag(q2)) < 0.06) {
     double complex series = 0;
@@ -92,7 +95,8 @@ void transport_h_set(h_function *to, double albedo, double kappa, double complex
   }
 }
 
-/* Up to LANES sums over j of weight_j / (p^2 + w_j^2). */
+/* line_sums() sets sums[i] to the sum over j of weight_j / (p^2 + w_j^2) at p = p[i], for n <=
+ * LANES. */
 enum { LANES = 16 };
 
 static void line_sums(const h_function *of, size_t n, const double complex *p,
@@ -121,8 +125,9 @@ static void line_sums(const h_function *of, size_t n, const double complex *p,
   }
 }
 
-/* L(i p) / (e^(-2 pi i y* / h) - 1) with -i y* = asin(zeta), zeta = p / sigma. Of the two forms of
- * asin, -+i ln(+-i zeta + sqrt(1 - zeta^2)), the one whose sum does not cancel. */
+/* Returns the contribution of the pole, L(i p) / (e^(-2 pi i y* / h) - 1) with -i y* = asin(zeta)
+ * and zeta = p / sigma. Of the two forms of asin, -+i ln(+-i zeta + sqrt(1 - zeta^2)), the code
+ * uses the one whose sum does not cancel. */
 static double complex pole(const h_function *of, double complex p) {
   const double complex zeta = p * fn_inverse(of->sigma);
   const double sign = cimag(zeta) > 0 ? -1 : 1;

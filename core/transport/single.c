@@ -2,15 +2,15 @@
  *
  *   R1(r) = a / (4 pi r) int_0^X (1 + x^2)^(-3/2) T(x) e^(-(r / x) (1 + sqrt(1 + x^2))) dx,
  *
- * X the critical angle's tangent. The exponent is -r E with E = coth(u / 2), x = sinh u, and
- * mu = 1 / cosh u = (E^2 - 1) / (E^2 + 1):
+ * where X is the tangent of the critical angle. The exponent is -r E with E = coth(u / 2), x = sinh
+ * u and mu = 1 / cosh u = (E^2 - 1) / (E^2 + 1), so that
  *
  *   R1(r) = a / (4 pi r) int_E0^inf w(E) e^(-rE) dE,   w(E) = 2 (E^2 - 1) / (E^2 + 1)^2 T,
- *   within r: a / 2 int_E0^inf w(E) (1 - e^(-rE)) / E dE,
+ *   energy within r = a / 2 int_E0^inf w(E) (1 - e^(-rE)) / E dE,
  *
  * with E0 = eta + sqrt(eta^2 - 1), or 1 if eta < 1. In y = ln(E - E0) the trapezoidal rule
- * converges exponentially, for every r: the root of T at E0 and the scale 1 / r are both smooth on
- * that axis.
+ * converges exponentially for every r, because both the root of T at E0 and the scale 1 / r are
+ * smooth in y.
  */
 #include "core/transport/single.h"
 
@@ -18,16 +18,16 @@
 
 #include "core/transport/functions.h"
 
-/* The ends: what is cut off is below 1e-13 for r up to 1e8, and for r = 0. */
+/* The rule covers y from Y_MIN to Y_MAX. The rest is below 1e-13 for r up to 1e8, and for r = 0. */
 #define Y_MIN (-40.0)
 #define Y_MAX 32.0
 
-/* The transmittance at E = E0 + distance. */
+/* Returns the transmittance T at E = E0 + distance, where mu is the cosine inside. */
 static double transmittance(double eta, double e0, double distance, double mu) {
   const double e = e0 + distance;
   double mu_t;
   if (eta > 1) {
-    /* mu - mu_c = 2 (E^2 - E0^2) / ((E^2 + 1) (E0^2 + 1)) */
+    /* beyond = mu - mu_c = 2 (E^2 - E0^2) / ((E^2 + 1) (E0^2 + 1)) */
     const double mu_c = sqrt((eta - 1) * (eta + 1)) / eta;
     const double beyond = 2 * distance * (e + e0) / ((e * e + 1) * (e0 * e0 + 1));
     mu_t = eta * sqrt(beyond * (mu + mu_c));
@@ -46,7 +46,7 @@ void transport_single_rule(single_rule *rule, double eta, double step) {
   for (double y = Y_MIN; y <= Y_MAX && rule->n < SINGLE_MAX; y += step) {
     const double distance = fn_exp(y);
     const double e = e0 + distance;
-    /* E^2 - 1 = (E0^2 - 1) + (E^2 - E0^2), and E0^2 - 1 = 2 root E0 */
+    /* above_one = E^2 - 1 = (E0^2 - 1) + (E^2 - E0^2), and E0^2 - 1 = 2 root E0 */
     const double above_one = 2 * root * e0 + distance * (e + e0);
     const double sum = e * e + 1;
     const double t = eta == 1 ? 1 : transmittance(eta, e0, distance, above_one / sum);

@@ -1,4 +1,4 @@
-/* single: light that is scattered once, exactly, in real space. */
+/* single: light that is scattered exactly once, without approximation, in real space. */
 #ifndef DIPOLED_CORE_TRANSPORT_SINGLE_H
 #define DIPOLED_CORE_TRANSPORT_SINGLE_H
 
@@ -6,18 +6,20 @@
 
 enum { SINGLE_MAX = 320 };
 
-/* A rule for one eta, for all radii and albedos. */
+/* A quadrature rule for one eta, which serves all radii and albedos. */
 typedef struct single_rule {
   size_t n;
   double rate[SINGLE_MAX];
   double weight[SINGLE_MAX];
 } single_rule;
 
-/* eta: 0.05 to 20; step of the rule: 0.25 to 0.6. The error is below e^(-7 / step), relative. */
+/* Sets *rule up. eta: 0.05 to 20; step: the step of the trapezoidal rule, 0.25 to 0.6. The relative
+ * error of values is below e^(-7 / step). */
 void transport_single_rule(single_rule *rule, double eta, double step);
 
-/* R(r) of light scattered once and the energy of it within r, per power entered, for albedo 1; both
- * are proportional to the albedo. r: 0 (where R is infinite) to infinity, in mean free paths. */
+/* R(r) of light scattered once, per squared mean free path, and the energy of this light within r,
+ * per power entered, both for albedo 1. Both are proportional to the albedo. r: 0 (where R is
+ * infinite) to infinity, in mean free paths. */
 typedef struct single_values {
   double r;
   double within;

@@ -1,4 +1,5 @@
-/* The assembler takes the file up as it is: no array to compile, no path to find at run time. */
+/* The assembler includes the file transport.table: no array needs compiling, and the program needs
+ * no path to a file at run time. */
 #include "core/transport/table_data.h"
 
 __asm__(".pushsection .rodata\n"
