@@ -26,6 +26,7 @@ enum job_outcome job_start(struct job_slot *slot, const struct job_request *requ
   job->header = *request->header;
   job->owed_radii = 0;
   job->rests = false;
+  job->large = false;
   job->latency = LATENCY_OTHER;
   return job->kind != NULL ? job->kind->start(job, request)
                            : job_refuse(job, wire_error_make(WIRE_STATUS_BAD_TYPE, "type",
@@ -34,6 +35,9 @@ enum job_outcome job_start(struct job_slot *slot, const struct job_request *requ
 
 void job_end(struct job *job) {
   job_pay(job, job->owed_radii);
+  if (job->large) {
+    LIST_REMOVE(job, in_large);
+  }
   if (job->kind->end != NULL) {
     job->kind->end(job);
   }
@@ -59,18 +63,46 @@ void job_init_lookup(struct profiles_lookup *lookup, const struct job_request *r
 /* Sums of this size are still exact, and far beyond what any worker can owe. */
 #define OWED_MOST_RADII 1e15
 
-wire_error job_admit(struct job *job, double radii, const char *field) {
+static uint64_t least(uint64_t a, uint64_t b) {
+  return a < b ? a : b;
+}
+
+/* By how many radii the large jobs under way delay a new one at most. */
+static uint64_t delay_radii(const struct job_context *context, uint64_t radii, uint64_t max_radii) {
+  const uint64_t each = least(radii, max_radii / JOB_BACKLOG_SHARES);
+  uint64_t sum = 0;
+  const struct job *other;
+  LIST_FOREACH(other, &context->large, in_large) {
+    sum += other->rests ? 0 : least(other->owed_radii, each);
+  }
+  return sum;
+}
+
+static wire_error admit_large(struct job *job, uint64_t radii, const char *field) {
   struct job_context *context = job->context;
-  const uint64_t backlog_ms = context->owed_radii * RADIUS_NS / 1000000;
-  const uint64_t owed = (uint64_t)(radii < OWED_MOST_RADII ? radii : OWED_MOST_RADII);
-  if (owed > JOB_SLICE_RADII && backlog_ms >= context->server->options.max_backlog_ms) {
+  const uint64_t max_radii = context->server->options.max_backlog_ms * 1000000 / RADIUS_NS;
+  const uint64_t delay = delay_radii(context, radii, max_radii);
+  if (delay >= max_radii) {
     wire_error error =
         wire_error_make(WIRE_STATUS_BUSY, field, "fewer, or later: max_backlog_ms is to do");
-    error.retry_after_ms = backlog_ms < 60000 ? (uint32_t)backlog_ms : 60000;
+    error.retry_after_ms = (uint32_t)least(delay * RADIUS_NS / 1000000, 60000);
     return error;
   }
+  job->large = true;
+  LIST_INSERT_HEAD(&context->large, job, in_large);
+  return wire_error_none();
+}
+
+wire_error job_admit(struct job *job, double radii, const char *field) {
+  const uint64_t owed = (uint64_t)(radii < OWED_MOST_RADII ? radii : OWED_MOST_RADII);
+  if (owed > JOB_SLICE_RADII) {
+    const wire_error error = admit_large(job, owed, field);
+    if (error.status != WIRE_STATUS_OK) {
+      return error;
+    }
+  }
   job->owed_radii = owed;
-  context->owed_radii += owed;
+  job->context->owed_radii += owed;
   return wire_error_none();
 }
 

@@ -55,9 +55,10 @@ struct job_context {
   uv_loop_t *loop;
   struct latency *latency;
   struct profiles profiles;
-  struct batch batch;   /* short requests, until batch_finish() writes their values */
-  struct repeat repeat; /* requests that can be answered like an earlier one */
-  uint64_t owed_radii;  /* radii of a dipole that the jobs under way still have to evaluate */
+  struct batch batch;     /* short requests, until batch_finish() writes their values */
+  struct repeat repeat;   /* requests that can be answered like an earlier one */
+  uint64_t owed_radii;    /* radii of a dipole that the jobs under way still have to evaluate */
+  LIST_HEAD(, job) large; /* the large jobs under way: at most one of each client */
   double radii[JOB_SLICE_RADII]; /* scratch: a slice's radii where the reply has no room for them */
   double numbers[JOB_DRAW_RADII]; /* scratch: a slice's random numbers */
 };
@@ -113,6 +114,8 @@ struct job {
   uint64_t part_bytes; /* with JOB_NEXT_PART: what begin_part() needs */
   uint64_t owed_radii; /* this job's part of context->owed_radii */
   bool rests;          /* owed_radii is not counted in the context at the moment */
+  bool large;          /* is in the context's list */
+  LIST_ENTRY(job) in_large;
   enum latency_class latency;
   struct job *next;   /* detached: in the connection's list */
   bool reader_idle;   /* detached: nothing else waits to be written, so that progress may be */
@@ -143,9 +146,15 @@ void job_init_lookup(struct profiles_lookup *lookup, const struct job_request *r
 /* ---- admission control ------------------------------------------------------------------------
  */
 
-/* Adds what the job will have to evaluate to what its worker owes; radii: of any size. A large job
- * is refused with BUSY and `field` while the worker owes more than max_backlog_ms. A small one is
- * always admitted, because it takes turns with the large ones. */
+/* Adds what the job will have to evaluate to what its worker owes; radii: of any size.
+ *
+ * A large job is refused with BUSY and `field` if the other large jobs would delay it by
+ * max_backlog_ms or more. Clients take turns. So each other job delays it by at most what that job
+ * still owes, and by at most what the new job costs itself. Besides, none counts for more than
+ * 1/JOB_BACKLOG_SHARES of max_backlog_ms: so a few clients with endless work keep nobody out.
+ *
+ * A small job is always admitted. */
+enum { JOB_BACKLOG_SHARES = 16 };
 wire_error job_admit(struct job *job, double radii, const char *field);
 
 /* The job has evaluated so many radii. */

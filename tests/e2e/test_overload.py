@@ -3,7 +3,9 @@ client that does not read harms nobody."""
 
 from __future__ import annotations
 
+import threading
 import time
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -39,20 +41,68 @@ def start(connection: Connection, watcher: Connection, payload: bytes) -> None:
     assert eventually(lambda: statistics(watcher)["radii_evaluated"] > before)
 
 
-def test_large_requests_are_refused_while_there_is_much_to_do(daemon):
-    one = daemon("--workers", "1", "--max-backlog-ms", "1")
-    with one.connect() as busy, one.connect() as other:
-        start(busy, other, LONG)
-        for payload in (LARGE, SMALLEST_LARGE):
-            reply = ask(other, EVAL, payload)
-            assert_error(reply, "busy", "radius_count", "max_backlog_ms")
-            assert 0 < wire.ERROR.unpack(reply.payload).retry_after_ms < 1000
-        assert ask(other, EVAL, LARGEST_SMALL).type == EVALUATED
-        for _ in range(20):
-            assert_serves(other)
-        assert statistics(other)["answers_busy"] == 2
-        assert receive_parts(busy)[0].fixed.radius_count == 1_000_000
-        assert ask(other, EVAL, LARGE).type == EVALUATED
+class Others:
+    """Connections that each have the same request under way, without reading its answer."""
+
+    def __init__(self, daemon, watcher: Connection, count: int, type: int, payload: bytes):
+        self._stack = ExitStack()
+        self.all = [self._stack.enter_context(daemon.connect()) for _ in range(count)]
+        self._request = frame(type, 1, payload)
+        self._watcher = watcher
+
+    def __enter__(self) -> None:
+        for connection in self.all:
+            before = statistics(self._watcher)["owed_radii"]
+            connection.send_bytes(self._request)
+            assert eventually(lambda: statistics(self._watcher)["owed_radii"] > before)
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+
+def test_large_requests_are_refused_while_many_connections_have_much_to_do(daemon):
+    """Each of the others counts for at most a sixteenth of the backlog that is allowed, which is
+    31,250 radii here, and for no more than the new request itself."""
+    one = daemon("--workers", "1", "--max-backlog-ms", "1", "--drain-timeout-ms", "100")
+    with one.connect() as other:
+        with Others(one, other, 16, EVAL, LONG):
+            for _ in range(2):
+                reply = ask(other, EVAL, LARGE)
+                assert_error(reply, "busy", "radius_count", "max_backlog_ms")
+                assert 0 < wire.ERROR.unpack(reply.payload).retry_after_ms < 1000
+            assert ask(other, EVAL, SMALLEST_LARGE).type == EVALUATED  # is not delayed so much
+            assert ask(other, EVAL, LARGEST_SMALL).type == EVALUATED
+            for _ in range(20):
+                assert_serves(other)
+            assert statistics(other)["answers_busy"] == 2
+
+
+def test_a_few_connections_with_endless_work_keep_nobody_out(daemon):
+    """Two requests of 96 bytes for 2^40 radii each, with readers that keep up."""
+    one = daemon("--workers", "1", "--drain-timeout-ms", "100")
+    endless = frame(EVAL, 1, eval_payload(radii=None, radius_count=2**40, wanted=R))
+    ended = threading.Event()
+
+    def read(connection: Connection) -> None:
+        connection.send_bytes(endless)
+        while not ended.is_set():
+            connection.receive_bytes(1 << 16)
+
+    with one.connect() as first, one.connect() as second, one.connect() as other:
+        readers = [threading.Thread(target=read, args=(c,)) for c in (first, second)]
+        for reader in readers:
+            reader.start()
+        try:
+            assert eventually(lambda: statistics(other)["owed_radii"] > 1.5 * 2**40)
+            assert ask(other, EVAL, LARGE).type == EVALUATED
+            for type, large in ((SAMPLE, sample(1000)), (INVERT, invert(100))):
+                assert ask(other, type, large).type == type | wire.REPLY
+            other.send_bytes(endless)  # the third may have as much
+            assert other.receive_frame().type == EVALUATED
+        finally:
+            ended.set()
+            for reader in readers:
+                reader.join()
 
 
 def test_the_default_takes_several(daemon):
@@ -139,16 +189,16 @@ def test_small_requests_do_not_wait_for_large_ones(daemon, kind, count, large):
 )
 def test_large_ones_are_refused_while_there_is_much_to_do(daemon, kind, large, field):
     type, small, *_ = KINDS[kind]
-    one = daemon("--workers", "1", "--max-backlog-ms", "1")
-    with one.connect() as first, one.connect() as second:
-        first.send_bytes(frame(type, 1, large))
-        while statistics(second)["owed_radii"] == 0:
+    one = daemon("--workers", "1", "--max-backlog-ms", "1", "--drain-timeout-ms", "100")
+    with one.connect() as second:
+        with Others(one, second, 16, type, large):
+            assert_error(ask(second, type, large), "busy", field, "max_backlog_ms")
+            assert ask(second, type, small).type == type | wire.REPLY
+    one = daemon("--workers", "1")
+    with one.connect() as second:
+        with Others(one, second, 1, type, large):
             pass
-        assert_error(ask(second, type, large), "busy", field, "max_backlog_ms")
-        assert ask(second, type, small).type == type | wire.REPLY
-        first.close()
-        while statistics(second)["owed_radii"] > 0:
-            pass
+        assert eventually(lambda: statistics(second)["owed_radii"] == 0)  # who has left owes nothing
         assert_serves(second)
 
 
