@@ -1,9 +1,10 @@
-/* dd: double-double arithmetic for preparation, about 106 bits.
+/* dd: does double-double arithmetic with about 106 bits, for preparing profiles.
  *
- * Coefficients that are computed here and rounded once carry half an ulp instead of the several
- * that a chain of double operations leaves. Only IEEE operations and fma are used, so that the bits
- * are the same on every machine. Sources: Dekker 1971; Knuth, TAOCP 2, 4.2.2 (two_sum); Joldes,
- * Muller, Popescu 2017 (products and quotients). Relative error of each operation: below 2^-100.
+ * A coefficient that is computed with these functions and then rounded once is off by half an ulp,
+ * where a chain of double operations would leave several ulp. Only IEEE operations and fma are
+ * used, so that the bits are the same on every machine. Sources: Dekker 1971; Knuth, TAOCP 2, 4.2.2
+ * (two_sum); Joldes, Muller, Popescu 2017 (products and quotients). Relative error of each
+ * operation: below 2^-100.
  */
 #ifndef DIPOLED_CORE_DD_H
 #define DIPOLED_CORE_DD_H
@@ -12,7 +13,7 @@
 
 typedef struct dd {
   double hi; /* the value rounded to double */
-  double lo; /* what is left, at most half an ulp of hi */
+  double lo; /* the value less hi, at most half an ulp of hi */
 } dd;
 
 static inline dd dd_from(double a) {
@@ -23,7 +24,7 @@ static inline double dd_round(dd a) {
   return a.hi;
 }
 
-/* |a| >= |b| or a == 0 */
+/* a + b. Requires |a| >= |b| or a == 0. */
 static inline dd dd_fast_two_sum(double a, double b) {
   const double sum = a + b;
   return (dd){sum, b - (sum - a)};
@@ -60,7 +61,7 @@ static inline dd dd_mul(dd a, dd b) {
   return dd_fast_two_sum(product.hi, product.lo + fma(a.hi, b.lo, a.lo * b.hi));
 }
 
-/* b.hi != 0 */
+/* a / b. Requires b.hi != 0. */
 static inline dd dd_div(dd a, dd b) {
   const double first = a.hi / b.hi;
   const dd rest = dd_sub(a, dd_mul(b, dd_from(first)));
@@ -70,7 +71,7 @@ static inline dd dd_div(dd a, dd b) {
   return dd_add(quotient, dd_from(rest2.hi / b.hi));
 }
 
-/* a.hi >= 0 */
+/* The square root of a. Requires a.hi >= 0. */
 static inline dd dd_sqrt(dd a) {
   if (a.hi == 0) {
     return dd_from(0);

@@ -1,8 +1,9 @@
-/* energy: the energy within r of models that have a formula for R alone, as a table.
+/* energy: tabulates the energy within r for models that have a formula for R only.
  *
- * Over y = ln r the energy is gathered panel by panel with a Gauss rule; within a panel it is the
- * integral of the Legendre series through the rule's points. The error is that of the series:
- * measured below 1e-11 of the albedo for the models that use it (tests/accuracy/test_models.c).
+ * The table covers y = ln r in panels and integrates each with a Gauss rule. Within a panel the
+ * energy is the integral of the Legendre series through the rule's points. The error of the series
+ * was measured to be below 1e-11 of the albedo for the models that use it
+ * (tests/accuracy/test_models.c).
  */
 #ifndef DIPOLED_CORE_ENERGY_H
 #define DIPOLED_CORE_ENERGY_H
@@ -12,20 +13,22 @@
 #include "core/kernels.h"
 
 enum core_energy_field {
-  CORE_ENERGY_PANELS,    /* how many */
-  CORE_ENERGY_FIRST_MM,  /* the radius where they begin */
-  CORE_ENERGY_PER_PANEL, /* ln r in units of a panel's width: 1 / width */
-  CORE_ENERGY_POWER,     /* below the first radius the energy is that power of r, */
-  CORE_ENERGY_RISE,   /* times 1 + RISE ln(first / r), where R rises towards the source like that */
-  CORE_ENERGY_SERIES, /* CORE_ENERGY_TERMS Legendre coefficients for each panel follow */
+  CORE_ENERGY_PANELS,    /* number of panels */
+  CORE_ENERGY_FIRST_MM,  /* the radius where the first panel begins */
+  CORE_ENERGY_PER_PANEL, /* panels per unit of ln r */
+  /* Below the first radius the energy is proportional to r^POWER (1 + RISE ln(first / r)). RISE is
+   * 0 unless R rises towards the source like a logarithm. */
+  CORE_ENERGY_POWER,
+  CORE_ENERGY_RISE,
+  CORE_ENERGY_SERIES, /* then CORE_ENERGY_TERMS Legendre coefficients for each panel */
   CORE_ENERGY_TERMS = 17
 };
 
-/* Numbers in a table that reaches from first_mm to last_mm. */
+/* How many numbers a table from first_mm to last_mm has. */
 size_t core_energy_length(double first_mm, double last_mm);
 
-/* Fills in such a table from ring(c, ...) = 2 pi r R in 1/mm; returns the whole energy, by which
- * the table has been divided (unless it is 0). */
+/* Fills in a table of core_energy_length() numbers from ring(c, ...) = 2 pi r R in 1/mm. Returns
+ * the whole energy and divides the table by it unless it is 0. */
 double core_energy_build(core_kernel_f64 *ring, const double *c, double first_mm, double last_mm,
                          double *table);
 

@@ -1,6 +1,6 @@
-/* gauss: nodes and weights of the Gauss-Legendre rule with 16 points on [-1, 1], which is symmetric:
- * the positive half. Roots of the Legendre polynomial, computed with 40 digits.
- */
+/* gauss: holds the positive nodes of the Gauss-Legendre rule with 16 points on [-1, 1], and their
+ * weights. The rule is symmetric. The nodes, roots of the Legendre polynomial, were computed with
+ * 40 digits. */
 #ifndef DIPOLED_CORE_GAUSS_H
 #define DIPOLED_CORE_GAUSS_H
 
@@ -17,7 +17,8 @@ static const double core_gauss[CORE_GAUSS_HALF][2] = {
     {0.9894009349916499326, 0.027152459411754094852},
 };
 
-/* Node i from 0 to 2 CORE_GAUSS_HALF - 1 for [0, 1], and its weight. */
+/* These return node i of the rule mapped to [0, 1], and its weight; i is 0 to 2 CORE_GAUSS_HALF -
+ * 1. */
 static inline double core_gauss_node(int i) {
   const double x = core_gauss[i / 2][0];
   return 0.5 + (i % 2 ? 0.5 * x : -0.5 * x);

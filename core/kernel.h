@@ -1,7 +1,8 @@
-/* kernel: what kernels are written with. Each file of core/models is compiled once for each
- * instruction set (CORE_ISA) and precision (CORE_REAL, 32 or 64); `real` is its number type.
+/* kernel: holds the functions and macros that kernels are written with. Each file of core/models is
+ * compiled once for each instruction set (CORE_ISA) and precision (CORE_REAL, 32 or 64); `real` is
+ * its number type.
  *
- * Everything here is elementwise and branch-free, so that compilers vectorize it, and uses IEEE
+ * All functions are elementwise and branch-free, so that compilers vectorize them. They use IEEE
  * operations and explicit fused multiply-adds only, so that all instruction sets give the same
  * bits. Setup code that needs the same functions defines CORE_REAL as 64 and includes this file.
  */
@@ -27,7 +28,8 @@ typedef uint64_t real_bits;
 #define REAL_BELOW_1 0x1.fffffffffffffp-1 /* the largest number below 1 */
 #define REAL_SQRT_HALF_BITS UINT64_C(0x3fe6a09e667f3bcd)
 #define REAL_ONE_BITS UINT64_C(0x3ff0000000000000)
-/* e^x of a smaller x is as good as 0 beside 1; it stays a normal number. */
+/* real_exp() raises x to at least this: e^x is then still a normal number, yet 1 + e^x rounds to 1.
+ */
 #define REAL_EXP_MIN (-700.0)
 #elif CORE_REAL == 32
 typedef float real;
@@ -68,15 +70,15 @@ static inline real real_from_bits(real_bits bits) {
   return x;
 }
 
-/* The one nearer to 0 of two numbers with the same sign: a minimum of integers, which is one
- * instruction where compilers make two of a minimum of numbers. */
+/* Returns the one nearer to 0 of two numbers with the same sign. A minimum of integers does it in
+ * one instruction; compilers need two for a minimum of floating-point numbers. */
 static inline real real_nearer_zero(real a, real b) {
   const real_bits a_bits = real_to_bits(a);
   const real_bits b_bits = real_to_bits(b);
   return real_from_bits(a_bits < b_bits ? a_bits : b_bits);
 }
 
-/* A number is rounded to an integer k by adding REAL_ROUND_MAGIC: the sum's last bits are k. */
+/* Adding REAL_ROUND_MAGIC rounds a number to an integer k: the last bits of the sum are k. */
 
 /* 2^k for an integral k in the exponent range of normal numbers. */
 static inline real real_power_of_two(real k) {
@@ -84,8 +86,8 @@ static inline real real_power_of_two(real k) {
                         << REAL_MANTISSA_BITS);
 }
 
-/* e^x = 2^k (1 + m), with |reduced| <= ln(2) / 2 the rest of the argument and
- * m = e^reduced - 1 = reduced (1 + reduced quotient). */
+/* The parts of e^x = 2^k (1 + m), where reduced = x - k ln(2), |reduced| <= ln(2) / 2, and m =
+ * e^reduced - 1 = reduced (1 + reduced quotient). */
 typedef struct real_exp_parts {
   real shifted; /* k + REAL_ROUND_MAGIC */
   real k;
@@ -95,8 +97,8 @@ typedef struct real_exp_parts {
 } real_exp_parts;
 
 /* The quotient (e^t - 1 - t) / t^2 is a polynomial that interpolates it at the Chebyshev points of
- * the reduced range; what it is off by is, relative to m, below 4e-17 in double and 2.3e-8 in
- * single precision. Even and odd powers are summed apart: two short chains keep the pipelines
+ * the reduced range; its error relative to m is below 4e-17 in double and 2.3e-8 in single
+ * precision. Even and odd powers are summed separately, because two short chains keep the pipelines
  * busier than one long one. */
 static inline real_exp_parts real_exp_split(real x) {
   real_exp_parts parts;
@@ -125,14 +127,14 @@ static inline real_exp_parts real_exp_split(real x) {
   return parts;
 }
 
-/* v e^x 2^exponent, with gradual underflow: the power of two is applied last and in two factors, so
- * that neither e^x alone nor a factor of it leaves the normal range. x <= 0; exponent:
- * integral, and such that v e^x 2^exponent is finite and 2^exponent within the square of the normal
- * range. Smaller x than the one where the result has long been 0 are taken for it. Error: that of v
- * and 1 ulp. */
+/* Returns v e^x 2^exponent with gradual underflow. The power of two is applied last and in two
+ * factors, so that neither e^x alone nor a factor of it leaves the normal range. x <= 0. The
+ * exponent is integral, 2^exponent lies within the square of the normal range, and v e^x 2^exponent
+ * is finite. x is raised to a limit at which the result has already underflowed to 0. The error is
+ * that of v plus 1 ulp. */
 static inline real real_times_exp(real v, real x, real exponent) {
 #if CORE_REAL == 64
-  /* The range of double precision has room for a result that is too large by a constant power. */
+  /* Double precision can hold the result times 2^800, which the last factor takes back. */
   const real least_x = (2 - REAL_EXPONENT_BIAS - 800 - exponent) * 0.69314718055994530942;
   const real_exp_parts parts = real_exp_split(real_nearer_zero(x, least_x));
   const real biased = parts.shifted + (exponent + REAL_EXPONENT_BIAS + 800);
@@ -142,7 +144,7 @@ static inline real real_times_exp(real v, real x, real exponent) {
   const real least_x = (3 - 2 * REAL_EXPONENT_BIAS - exponent) * 0.69314718f;
   const real_exp_parts parts = real_exp_split(real_nearer_zero(x, least_x));
   const real biased = parts.shifted + (exponent + 2 * REAL_EXPONENT_BIAS);
-  /* Only the last bits are the power; the others are shifted out. */
+  /* The last bits are the biased power; the shifts to the left drop all other bits. */
   const real_bits both = real_to_bits(biased);
   const real_bits half = both >> 1;
   return real_fma(v, parts.m, v) * real_from_bits(half << REAL_MANTISSA_BITS) *
@@ -150,8 +152,9 @@ static inline real real_times_exp(real v, real x, real exponent) {
 #endif
 }
 
-/* x <= 0, finite: e^x (never below the normal range), 1 - e^x, and (1 - e^x) / -x, 1 at x = 0.
- * Error: 1 ulp; 1.5 ulp for the quotient. What is not used costs nothing. */
+/* For finite x <= 0: e^x (which stays in the normal range), 1 - e^x, and the quotient (1 - e^x) /
+ * -x, which is 1 at x = 0. The error is 1 ulp, or 1.5 ulp for the quotient. The compiler removes
+ * values that the caller does not use. */
 typedef struct real_exp_values {
   real exp;
   real one_minus_exp;
@@ -173,16 +176,16 @@ static inline real_exp_values real_exp(real x) {
   return values;
 }
 
-/* e^x where neither it nor its inverse overflows. */
+/* Returns e^x for x of either sign; neither e^x nor e^-x may overflow. */
 static inline real real_exp_signed(real x) {
   const real e = real_exp(x < 0 ? x : -x).exp;
   return x > 0 ? 1 / e : e;
 }
 
-/* ln(x 2^exponent) for a positive, normal x and an integral exponent. With x = 2^k m, m within
- * sqrt(2) of 1, ln(m) = 2 artanh(s), s = (m - 1) / (m + 1); the series' first neglected term is,
- * relative to it, below 1e-17 in double and 4e-9 in single precision. Error: 2 ulp of the largest
- * of |ln(x 2^exponent)|, |exponent| and 1. */
+/* Returns ln(x 2^exponent) for a positive, normal x and an integral exponent. With x = 2^k m, and m
+ * from 1 / sqrt(2) to sqrt(2), ln(m) is 2 artanh(s) for s = (m - 1) / (m + 1). The first neglected
+ * term of the series, relative to ln(m), is below 1e-17 in double and 4e-9 in single precision. The
+ * error is 2 ulp of the largest of |ln(x 2^exponent)|, |exponent| and 1. */
 static inline real real_log(real x, real exponent) {
   const real_bits bits = real_to_bits(x);
   const real_bits biased = (bits + (REAL_ONE_BITS - REAL_SQRT_HALF_BITS)) >> REAL_MANTISSA_BITS;
@@ -223,20 +226,23 @@ static inline real real_log(real x, real exponent) {
 #define CORE_PASTE2_(a, b) a##b
 #define CORE_PASTE2(a, b) CORE_PASTE2_(a, b)
 
-/* CORE_KERNEL_TABLE(family, ...): the one symbol that this object exports. */
+/* CORE_KERNEL_TABLE(family, ...) defines the table of kernels, the only symbol that the object
+ * exports. */
 #define CORE_KERNEL_TABLE(family, ...)                                                             \
   extern const CORE_PASTE2(core_kernels_f, CORE_REAL)                                              \
       CORE_PASTE5(core_kernels_, family, _, CORE_ISA, CORE_PASTE2(_f, CORE_REAL));                 \
   const CORE_PASTE2(core_kernels_f, CORE_REAL)                                                     \
       CORE_PASTE5(core_kernels_, family, _, CORE_ISA, CORE_PASTE2(_f, CORE_REAL)) = {__VA_ARGS__}
 
-/* The same for a family whose single precision is its double precision, rounded: its file is
- * compiled for both, and has kernels where CORE_REAL is 64. */
+/* Defines an empty single precision table for a family whose single precision values are its double
+ * precision ones, rounded. The file is compiled for both but has kernels only where CORE_REAL is
+ * 64. */
 #define CORE_KERNEL_TABLE_NONE(family)                                                             \
   extern const core_kernels_f32 CORE_PASTE5(core_kernels_, family, _, CORE_ISA, _f32);             \
   const core_kernels_f32 CORE_PASTE5(core_kernels_, family, _, CORE_ISA, _f32) = {.sample = NULL}
 
-/* CORE_KERNEL(name, element): a loop that applies element(coefficients, x) to every number. */
+/* CORE_KERNEL(name, element) defines a kernel that applies element(coefficients, x) to every
+ * number. */
 #define CORE_KERNEL(name, element)                                                                 \
   static void name(const real *restrict coefficients, size_t n, const real *restrict in,           \
                    real *restrict out) {                                                           \

@@ -1,11 +1,12 @@
-/* kernels: the tables of elementwise functions that a profile evaluates with. Internal to core. */
+/* kernels: declares the tables of elementwise functions that evaluate a profile. Internal to core.
+ */
 #ifndef DIPOLED_CORE_KERNELS_H
 #define DIPOLED_CORE_KERNELS_H
 
 #include "core/core.h"
 
-/* The instruction sets that kernels are compiled for, worst first; the Makefile holds the compiler
- * flags of each under the same names. X(level, ...) */
+/* The instruction sets that kernels are compiled for, slowest first, each as X(level, ...). The
+ * Makefile holds the compiler flags of each under the same name. */
 #if defined(__x86_64__)
 #define CORE_ISA_LEVELS(X, ...)                                                                    \
   X(portable, __VA_ARGS__) X(sse2, __VA_ARGS__) X(avx2, __VA_ARGS__) X(avx512, __VA_ARGS__)
@@ -13,7 +14,7 @@
 #define CORE_ISA_LEVELS(X, ...) X(portable, __VA_ARGS__)
 #endif
 
-/* Positions of the elementwise quantities, in the order of the list. */
+/* Positions of the elementwise quantities, in the order of core/choices.def. */
 #define CORE_IF_ELEMENTWISE(...) __VA_ARGS__
 #define CORE_IF_CHANNEL(...)
 #define CORE_IF_RADII(...)
@@ -23,12 +24,14 @@ enum core_elementwise {
   CORE_ELEMENTWISE_COUNT
 };
 
-/* coefficients as preparation left them; in and out do not overlap, any n. */
+/* A kernel: writes out[n] from in[n] and the coefficients of a prepared profile. The arrays do not
+ * overlap; n may be any number, 0 included. */
 typedef void core_kernel_f64(const double *coefficients, size_t n, const double *in, double *out);
 typedef void core_kernel_f32(const float *coefficients, size_t n, const float *in, float *out);
 
-/* An entry is NULL where profile.c has a way for all models: S from R, sampling by inverting the
- * cdf. A table for f32 that is all NULL: single precision is double precision, rounded. */
+/* An entry is NULL where core has one method for all models: core/evaluate.c makes S from R, and
+ * core/sample.c inverts the cdf. If all entries of an f32 table are NULL, core evaluates in double
+ * precision and rounds. */
 typedef struct core_kernels_f64 {
   core_kernel_f64 *evaluate[CORE_ELEMENTWISE_COUNT]; /* in: radii in mm */
   core_kernel_f64 *sample;                           /* in: cdf values; out: radii in mm */
@@ -48,16 +51,16 @@ struct core_kernels {
 struct core_isa {
   const char *name;
   bool (*supported)(void); /* whether this machine can run it */
-  size_t index;            /* in the order of CORE_ISA_LEVELS, from 0 */
+  size_t index;            /* position in CORE_ISA_LEVELS, from 0 */
 };
 
-/* The kernels of a model (by id, in the list, not a sum) for an instruction set. */
+/* Returns the kernels of a model for an instruction set. The model must be known and not a sum. */
 const struct core_kernels *core_isa_kernels(const core_isa *isa, enum core_model model);
 
-/* The kernels of tables (core/models/lut.c), which have no f64. */
+/* Returns the kernels of tables (core/models/lut.c). They exist in single precision only. */
 const struct core_kernels *core_isa_lut_kernels(const core_isa *isa);
 
-/* What a model is prepared from; the medium, the moments and the parameters' ranges have been
+/* The inputs of preparing a model. The medium, the moments and the parameters' ranges have been
  * checked. */
 typedef struct core_inputs {
   int variant;
@@ -65,66 +68,71 @@ typedef struct core_inputs {
   const core_medium *medium;
   const core_parameters *parameters;
   const core_isa *isa;
-  double tabulated; /* how far a table of solutions may be off that is taken instead; 0: none is */
+  /* Accepted error of a table of solutions that may stand in for solving; 0 if none may. */
+  double tabulated;
 } core_inputs;
 
-/* What a formula's preparation fills in; it finds zeros, and 1 for cost. */
+/* The results of preparing. Beforehand the caller sets cost to 1, scale_mm to 1 / sigma_t', reach
+ * to "everywhere" (most_mm = INFINITY), and the other fields to 0. */
 typedef struct core_preparation {
   double coefficients[CORE_COEFFICIENTS_MAX];
-  double *table; /* malloc(), instead of the coefficients when they need more room; NULL: not */
+  double *table; /* malloc()ed, replaces coefficients if they need more room, else NULL */
   size_t table_bytes;
   double albedo;
-  double error;                 /* numerical, relative, of all values */
-  double error_epsilons;        /* and in units of the evaluator's epsilon: at r = 0 */
-  double error_epsilons_per_mm; /* and more for each mm */
+  double error;                 /* numerical error of all values, relative */
+  double error_epsilons;        /* added at r = 0, in epsilons of the evaluator */
+  double error_epsilons_per_mm; /* added for each mm of r, in the same unit */
   double cost;                  /* see core_profile */
-  double scale_mm;              /* see core_profile; 0: 1 / sigma_t' */
-  core_reach reach;             /* found as: everywhere */
-  unsigned notes;               /* besides those that hold for all models */
+  double scale_mm;              /* see core_profile */
+  core_reach reach;             /* see core_profile */
+  unsigned notes;               /* bits of enum core_note */
 } core_preparation;
 
-/* Each formula has core_<formula>_check(): the fault of inputs outside the model's domain, and the
- * radii it may be evaluated at (0 to infinity unless it says otherwise); and
- * core_<formula>_prepare() for inputs without a fault: it finds what only shows then. */
+/* Each formula has two functions. core_<formula>_check() returns the fault of inputs outside the
+ * model's domain and narrows *radii, which the caller sets to 0 to infinity, to where the model may
+ * be evaluated. core_<formula>_prepare() is called for inputs without such a fault and returns
+ * faults that show only in preparing. */
 typedef core_fault core_check_function(const core_inputs *inputs, core_radii_range *radii);
 typedef core_fault core_prepare_function(const core_inputs *inputs, core_preparation *preparation);
 
-/* The reach of `transport` for a medium that scatters. */
+/* Returns the reach of the model `transport` for a medium that scatters. */
 core_reach core_transport_reach(const core_medium *medium);
 
-/* What a reach adds to the numerical error at radii up to most_mm; 0 within it. */
+/* Returns the error that is added to the numerical error at radii up to most_mm: 0 within the
+ * reach. */
 double core_error_beyond(core_reach reach, double most_mm);
 
 #define CORE_OUT_OF_MEMORY ((core_fault){CORE_FIELD_MEMORY, "less than what is left: try again", 0})
 
-/* The value of a parameter, or another one where it is not given. */
+/* Returns the value of a parameter, or `otherwise` if the parameter is not given. */
 static inline double core_parameter_or(const core_inputs *inputs, enum core_parameter parameter,
                                        double otherwise) {
   const double value = inputs->parameters->value[parameter];
   return value == value ? value : otherwise;
 }
 
-/* sigma_a + sigma_s (1 - g) */
+/* Returns sigma_t' = sigma_a + sigma_s (1 - g). */
 static inline double core_sigma_t_prime(const core_medium *medium) {
   return medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g);
 }
 
-/* For models that see isotropic scattering of sigma_s (1 - g). */
+/* Returns the note of models that replace anisotropic scattering by isotropic scattering of sigma_s
+ * (1 - g). */
 static inline unsigned core_similarity_note(const core_inputs *inputs) {
   return inputs->medium->g < 0 || inputs->medium->g > 0 ? CORE_NOTE_SIMILARITY : 0;
 }
 
-/* core_eval_f64() for any quantity but S, and for profiles of either evaluator that hold their
- * coefficients in double precision: sums and those whose kernels have no f32. */
+/* Does what core_eval_f64() does for every quantity except S. The profile may have any evaluator as
+ * long as its coefficients are in double precision: it is of f64, a sum, or has no f32 kernels. */
 void core_evaluate(const core_profile *profile, enum core_quantity quantity, size_t n,
                    const double *r, double *out);
 
-/* Whether a profile has kernels and coefficients of its own in single precision, and what these
- * kernels read. */
+/* Whether a profile has kernels and coefficients in single precision. */
 static inline bool core_is_narrow(const core_profile *profile) {
   return profile->parts == NULL && profile->kernels->f32->evaluate[0] != NULL;
 }
 
+/* Returns the coefficients that the single precision kernels read. */
 static inline const float *core_coefficients_f32(const core_profile *profile) {
   return profile->lut != NULL ? profile->lut : profile->coefficients.f32;
 }

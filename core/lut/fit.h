@@ -1,40 +1,41 @@
-/* fit: one function of a table cut into pieces, octave by octave. Internal to core/lut. */
+/* fit: cuts one function of a table into pieces, octave by octave. Internal to core/lut. */
 #ifndef DIPOLED_CORE_LUT_FIT_H
 #define DIPOLED_CORE_LUT_FIT_H
 
 #include "core/lut/piece.h"
 
-/* y[i] of x[i] in double precision, for n numbers. */
+/* A function that writes its value at x[i] to y[i], for i from 0 to n - 1. */
 typedef void core_lut_function(const void *context, size_t n, const double *x, double *y);
 
-/* The function of a fit. Values below `negligible` may be off by as much as that. */
+/* The function of a fit. Any value may also be off by `negligible`, absolute. */
 struct lut_subject {
   core_lut_function *function;
   const void *context;
   double tolerance; /* relative, of each value */
   double negligible;
-  bool monotone; /* rounding must not make it turn back */
+  bool monotone; /* the rounded values must never fall where the function rises */
 };
 
-/* The pieces gathered so far, of all functions. */
+/* The pieces of all functions that have been fitted so far. */
 struct lut_pieces {
   float (*c)[CORE_LUT_TERMS]; /* malloc()ed */
   size_t count;
-  size_t room;
+  size_t room; /* pieces that c has memory for */
 };
 
 enum lut_fit { LUT_FITTED, LUT_TOO_ROUGH, LUT_NO_MEMORY };
 
-/* Appends the pieces for [2^exponent, 2^(exponent + 1)), as few as serve, from 2^*cuts of them on;
- * *entry finds them, *cuts is how many it took. */
+/* Appends the pieces for [2^exponent, 2^(exponent + 1)). It tries 2^*cuts equal pieces first, then
+ * doubles their number until they keep the tolerance. Sets *cuts to the log2 of that number and
+ * *entry to the entry that finds the pieces. */
 enum lut_fit lut_fit_octave(const struct lut_subject *subject, int exponent, unsigned *cuts,
                             struct lut_pieces *pieces, uint32_t *entry);
 
-/* One piece with the same value everywhere. */
+/* Appends one piece that has the same value everywhere. */
 enum lut_fit lut_fit_constant(float value, struct lut_pieces *pieces, uint32_t *entry);
 
-/* The largest relative error of the pieces of an octave at COUNT radii each, between those that
- * the fit has looked at. */
+/* Returns the largest relative error of the pieces of an octave. Each piece is compared at five
+ * arguments that the fit itself has not looked at. */
 double lut_fit_error(const struct lut_subject *subject, int exponent, uint32_t entry,
                      const struct lut_pieces *pieces);
 

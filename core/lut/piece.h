@@ -1,5 +1,5 @@
-/* piece: how a table's pieces are found and evaluated; for the kernels and for whoever builds the
- * tables. All of it is elementwise and branch-free, and rounds each sum and product by itself. */
+/* piece: finds and evaluates a table's pieces, for the kernels and for building tables. The
+ * functions are elementwise and branch-free, and round each sum and product separately. */
 #ifndef DIPOLED_CORE_LUT_PIECE_H
 #define DIPOLED_CORE_LUT_PIECE_H
 
@@ -21,14 +21,14 @@ static inline float core_lut_float(uint32_t bits) {
   return x;
 }
 
-/* Where a piece is in the words, and how far into it an argument is: t from 0 to 1. */
+/* The position of a piece's first word, and an argument's position t in the piece, from 0 to 1. */
 struct lut_place {
   int32_t at;
   float t;
 };
 
-/* The place of a positive x among the octaves whose entries begin at word `octaves`. Signed numbers
- * throughout: compilers gather with those. */
+/* Finds the place of a positive x, for a function whose entries begin at word `octaves`. The
+ * integers are signed, because compilers use gather instructions with signed indices. */
 static inline struct lut_place core_lut_find(const float *words, int32_t octaves, float x) {
   const int32_t bits = (int32_t)core_lut_bits(x);
   const int32_t octave = octaves + (bits >> CORE_LUT_MANTISSA_BITS & 0xff);
@@ -42,8 +42,8 @@ static inline struct lut_place core_lut_find(const float *words, int32_t octaves
                             (float)rest * unit};
 }
 
-/* A piece: |c0| + w (c1 + w (c2 + w c3)), where w is t, or 1 - t when c0 has a minus sign: the piece
- * is then written from its right end. */
+/* Evaluates the piece at word `at`: |c0| + w (c1 + w (c2 + w c3)). w is t, or 1 - t if c0 has a
+ * minus sign, which marks a piece that is written from its right end. */
 static inline float core_lut_piece(const float *c, int32_t at, float t) {
   const float c0 = c[at];
   const int32_t bits = (int32_t)core_lut_bits(c0);

@@ -1,4 +1,4 @@
-/* page: a figure as an SVG page: a panel for each medium, and a legend. */
+/* page: draws a figure as an SVG page with a panel for each medium and a legend. */
 #ifndef FIGURES_PAGE_H
 #define FIGURES_PAGE_H
 
@@ -6,11 +6,11 @@
 
 enum { PAGE_COLUMNS = 4, PAGE_ROWS = 3, PAGE_PANELS_MAX = PAGE_COLUMNS * PAGE_ROWS - 1 };
 
-/* logarithmic: both axes; gamma: R to the power 1 / 2.2, roughly as bright as a screen shows it,
- * over r, both axes linear. */
+/* LOGARITHMIC draws R over r with logarithmic axes. GAMMA draws R^(1 / 2.2), which is roughly the
+ * brightness on a screen, over r with linear axes. */
 enum page_form { PAGE_LOGARITHMIC, PAGE_GAMMA, PAGE_FORMS };
 
-/* Which curves: those of Figures 1 to 16, or the dipole's switches of Figure 17. */
+/* The curves of a page: the models of Figures 1 to 16, or the dipole's switches of Figure 17. */
 enum page_subject { PAGE_MODELS, PAGE_SWITCHES };
 
 typedef struct page_layout {
@@ -18,10 +18,10 @@ typedef struct page_layout {
   enum page_subject subject;
   size_t count; /* 1 to PAGE_PANELS_MAX */
   const panel_data *panels[PAGE_PANELS_MAX];
-  size_t cell[PAGE_PANELS_MAX]; /* where, row by row; the last cell is the legend's */
+  size_t cell[PAGE_PANELS_MAX]; /* cell of each panel, row by row; the legend has the last cell */
 } page_layout;
 
-/* The ending of the page's file, and of one that is meant for people. */
+/* Names of the forms, which are part of the pages' file names. */
 extern const char *const page_form_names[PAGE_FORMS];
 
 void page_draw(const page_layout *page, enum page_form form, const char *path);

@@ -1,9 +1,9 @@
-/* summary: which model is nearer to transport, in how many panels, by how much, at which radii; and
- * whether Monte Carlo agrees with transport.
+/* summary: finds which model is nearer to transport, in how many panels, by how much and at which
+ * radii. It also checks that Monte Carlo agrees with transport.
  *
- * How far off a model is at a radius is the factor between its R and transport's, whichever is
- * larger over the other, so that half and double are as far off; over several radii, which are
- * spaced evenly in ln r, the geometric mean of the factors. */
+ * The deviation of a model at a radius is the larger of R / R_transport and its inverse, so half
+ * and double count the same. Over several radii, which are spaced evenly in ln r, it is the
+ * geometric mean of these factors. */
 #ifndef FIGURES_SUMMARY_H
 #define FIGURES_SUMMARY_H
 
@@ -11,10 +11,11 @@
 
 #include "core/tools/figures/panel.h"
 
-/* A row for each pair of models, group of panels (from the least to the most ratio and eta that
- * are there), and range of radii, single radii included (r_from and r_to are equal then), and the
- * albedo (r_from and r_to are empty then):
- *   panels, nearer        how many there are, and in how many of them the model is nearer
+/* Writes a CSV file with a row for each pair of models, group of panels and range of radii. A group
+ * is named by its least and largest ratio and eta. For a single radius r_from and r_to are equal;
+ * for the albedo they are empty. The other columns are:
+ *   panels                the number of panels in the group
+ * nearer                the number of those in which the model is nearer
  *   share                 nearer / panels
  *   model_median, against_median, model_worst, against_worst    factors, over the panels */
 void summary_write(const char *path, const panel_data *const *panels, size_t count);
@@ -22,13 +23,13 @@ void summary_write(const char *path, const panel_data *const *panels, size_t cou
 /* With fewer batches the estimated errors are too uncertain to tell which rings are well known. */
 #define SUMMARY_CHECK_BATCHES_MIN 30
 
-/* A row for each panel with Monte Carlo of at least so many batches: chi2 over the rings whose
- * standard error is below 5 %, how many they are, and the worst deviation and that of the albedo in
- * standard errors. */
+/* Writes a CSV file with a row for each panel that has Monte Carlo values, if `batches` is at least
+ * SUMMARY_CHECK_BATCHES_MIN. A row has chi2 over the rings whose standard error is below 5 %, the
+ * number of these rings, and in standard errors their worst deviation and the albedo's. */
 void summary_write_check(const char *path, const panel_data *const *panels, size_t count,
                          uint64_t batches);
 
-/* The gist of both, for people. */
+/* Prints the main results of both files as text. */
 void summary_print(FILE *out, const panel_data *const *panels, size_t count, uint64_t batches);
 
 #endif
