@@ -11,7 +11,7 @@ static const struct cost {
   unsigned evaluator;
   double evaluate_ns;
   double prepare_ns;
-  double numerical; /* what a profile states by default */
+  double numerical; /* the error that a profile states by default */
   double numerical_least;
   double tolerance_least;
 } costs[] = {
@@ -30,7 +30,7 @@ enum {
 /* ---- the error of a model ---------------------------------------------------------------------
  */
 
-/* Whether the medium is in the model's domain, and the radii are. */
+/* Whether the medium and the radii are in the model's domain. */
 static bool accepts(const struct cost *cost, const core_choose_request *request,
                     const core_medium *medium) {
   core_radii_range domain;
@@ -42,7 +42,7 @@ static bool accepts(const struct cost *cost, const core_choose_request *request,
          (request->radii.least_mm >= domain.least_mm && request->radii.most_mm <= domain.most_mm);
 }
 
-/* The largest over the channels; INFINITY where nothing can be promised. */
+/* Returns the model's largest error over the channels, or INFINITY if it is not known for one. */
 static double model_error(const struct cost *cost, const core_choose_request *request) {
   double error = 0;
   for (size_t i = 0; i < request->media_count && error < (double)INFINITY; i++) {
@@ -65,7 +65,7 @@ static double sigma_t_prime(const core_medium *medium) {
   return medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g);
 }
 
-/* What transport is off by besides where its solutions do not reach. */
+/* Returns the error that is added to transport's numerical error at radii beyond its reach. */
 static double error_beyond(const struct cost *cost, const core_choose_request *request) {
   double error = 0;
   for (size_t i = 0; i < request->media_count && cost->model == CORE_MODEL_TRANSPORT &&
@@ -77,9 +77,9 @@ static double error_beyond(const struct cost *cost, const core_choose_request *r
   return error;
 }
 
-/* ln R is off by 8 epsilon |ln R| besides, absolute: core/core.h. Within 20 mean free paths of a
- * medium of the table R is above e^-64 per squared mean free path; beyond, it falls by 1 for each
- * at most. */
+/* Returns the bound 8 epsilon |ln R| that core/core.h adds to the error of ln R. Within 20 mean
+ * free paths of any medium that was measured, R is above e^-64 per squared mean free path. Beyond,
+ * ln R falls by at most 1 per mean free path. */
 static double logarithm_error(const core_choose_request *request) {
   double ln_R = 0;
   if ((request->wanted & CORE_QUANTITY_LN_R) == 0) {
@@ -91,8 +91,8 @@ static double logarithm_error(const core_choose_request *request) {
   return 8 * (request->single ? (double)FLT_EPSILON : DBL_EPSILON) * ln_R;
 }
 
-/* What to prepare with so that the numerical error takes a quarter of what the model leaves of the
- * tolerance; where the default takes less, the default. */
+/* Chooses the tolerance to prepare with. The numerical error may take a quarter of the tolerance
+ * that the model's error leaves. The default stays if its numerical error is smaller than that. */
 static void set_numerical_error(core_candidate *candidate, const struct cost *cost,
                                 const core_choose_request *request) {
   const double left = (request->tolerance - candidate->model_error) / (1 + candidate->model_error);
@@ -129,7 +129,7 @@ static core_candidate make_candidate(const struct cost *cost, const core_choose_
   return candidate;
 }
 
-/* The one to be taken of the candidates from first on. */
+/* Returns the position of the best candidate from position `first` on. */
 static size_t best_of(const core_candidate *candidates, size_t first, size_t count) {
   double least_ns = (double)INFINITY;
   size_t best = first;
@@ -148,7 +148,7 @@ static size_t best_of(const core_candidate *candidates, size_t first, size_t cou
   return best;
 }
 
-/* Moves one candidate up, before the others from `to` on. */
+/* Moves the candidate at position `from` up to position `to`; those between move down by one. */
 static void move_up(core_candidate *candidates, size_t from, size_t to) {
   const core_candidate moved = candidates[from];
   for (size_t i = from; i > to; i--) {

@@ -8,15 +8,15 @@
 /* ---- nodes in time ----------------------------------------------------------------------------
  */
 
-/* The integrand is analytic for |Im s| < pi / 2, which makes the error of a step h about
- * e^(-pi^2 / h); SAFETY holds what is in front of it. */
+/* The integrand is analytic for |Im s| < pi / 2, so a step h gives an error of about C e^(-pi^2 /
+ * h). SAFETY is an upper bound of ln C. */
 #define PI_SQUARED 9.86960440108935862
 #define SAFETY 8.0
 
-/* e^(-p^2) is less than a rounding error from here on. */
+/* For p of at least this, e^(-p^2) is less than a rounding error. */
 #define SADDLE_WIDTH 6.5
 
-/* ln(1 + e^s). The rounding error of 1 + e is known, and is taken back. */
+/* Returns ln(1 + e^s). The rounding error of 1 + e is known and is corrected for. */
 static double softplus(double s) {
   const double e = real_exp(-fabs(s)).exp;
   const double sum = 1 + e;
@@ -24,9 +24,9 @@ static double softplus(double s) {
   return s > 0 ? s + bend : bend;
 }
 
-/* scaled: positive, infinity included. */
+/* Returns the s at which rate t(s) = scaled, for scaled from above 0 to infinity. */
 static double s_of_time(double scaled) {
-  /* p + p^2 / 4 = scaled */
+  /* p solves p + p^2 / 4 = scaled, and s = ln(e^p - 1). */
   if (scaled > 1e6) {
     return 2 * sqrt(scaled);
   }
@@ -45,7 +45,8 @@ core_times core_times_make(double rate, double earliest, double latest, double t
   times.step = PI_SQUARED / (SAFETY - real_log(tolerance, 0));
   times.first = s_of_time(rate * earliest);
   const double last = s_of_time(rate * latest);
-  /* When the decay has ended everything before the earliest time, one node tells that. */
+  /* If `latest` lies before `earliest`, the decay leaves nothing to integrate: one node is enough.
+   */
   times.count = (size_t)fmax(ceil((last - times.first) / times.step), 0) + 1;
   return times;
 }
@@ -64,7 +65,7 @@ void core_times_node(const core_times *times, size_t i, double *time, double *we
 
 /* Hunter, Regan 1972 (after Goodwin 1949): with t_n = (n + 1/2) h,
  *   e^(x^2) erfc(x) = 2 h / pi sum_n e^(-t_n^2) x / (t_n^2 + x^2) + 2 e^(x^2) / (e^(2 pi x / h) + 1)
- * for x < pi / h, and without the last term beyond; its error is below e^(-(pi / h)^2). */
+ * for x < pi / h. For larger x the last term is left out. The error is below e^(-(pi / h)^2). */
 #define H 0.5
 enum { TERMS = 13 };
 #define LAST_POLE 6.28318530717958647693
@@ -85,7 +86,7 @@ double core_erfcx(double x) {
 }
 
 double core_erfcx_shortfall(double x) {
-  /* the sum of 2 h / pi e^(-t^2) is 1 / sqrt(pi), and 1 / x - x / (t^2 + x^2) = t^2 / (x (...)) */
+  /* 2 h / pi e^(-t^2) sums to 1 / sqrt(pi); 1 / x - x / (t^2 + x^2) is t^2 / (x (t^2 + x^2)). */
   double sum = 0;
   for (int n = 0; n < TERMS; n++) {
     const double t = (n + 0.5) * H;
@@ -111,7 +112,7 @@ double core_erfcx_fall(double x, double further) {
 /* ---- far away ---------------------------------------------------------------------------------
  */
 
-/* Gauss-Hermite for the weight e^(-w^2 / 2): the positive nodes and their weights. */
+/* The positive nodes and their weights of the Gauss-Hermite rule for the weight e^(-w^2 / 2). */
 static const double hermite[][2] = {
     {0.48493570751549764, 0.8638902213754461},   {1.4659890943911582, 0.3396072806420476},
     {2.4843258416389546, 0.047905628056117255},  {3.581823483551927, 0.0019002020381229435},

@@ -36,7 +36,8 @@ static float random_f32(uint64_t seed, uint64_t i) {
   return ((float)(random_bits(seed, i) >> 41) + 0.5f) * 0x1p-23f;
 }
 
-/* Regular and stratified, as drawn; it may round to 1. */
+/* Returns number i of the rules REGULAR and STRATIFIED. It may round to 1, which the caller
+ * corrects. */
 static double in_stratum(const core_draw *draw, uint64_t i) {
   const double within = draw->rule == CORE_DRAW_REGULAR ? 0.5 : random_f64(draw->seed, i);
   return ((double)i + within) / (double)draw->count;
@@ -81,8 +82,9 @@ DEFINE_CHECK(core_numbers_check_f32, float)
 /* ---- cost ------------------------------------------------------------------------------------
  */
 
-/* As measured for all models: a table is looked up once more; else the cdf is inverted, in some
- * eight steps of two evaluations at most beside what the steps themselves take. */
+/* The costs were measured for all models. A table needs one more look-up. Otherwise the cdf is
+ * inverted in about eight steps of at most two evaluations each, and 280 is the cost of the steps
+ * without the evaluations. */
 double core_draw_cost(const core_profile *profile) {
   return profile->evaluator == CORE_EVALUATOR_LUT ? 3 : 280 + 16 * profile->cost;
 }

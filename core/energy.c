@@ -6,8 +6,8 @@
 #include "core/gauss.h"
 #include "core/kernel.h"
 
-/* So wide that the series of a profile that falls like e^(-mu r) is still exact where that matters.
- */
+/* The width of a panel in ln r. For a profile that falls like e^(-mu r), the series is exact to
+ * double precision with this width wherever the panel has a noticeable share of the energy. */
 #define WIDTH 0.5
 
 enum { NODES = 2 * CORE_GAUSS_HALF };
@@ -20,7 +20,7 @@ size_t core_energy_length(double first_mm, double last_mm) {
   return CORE_ENERGY_SERIES + panels_between(first_mm, last_mm) * CORE_ENERGY_TERMS;
 }
 
-/* The Legendre polynomials P_0(s) to P_NODES(s). */
+/* Writes the Legendre polynomials P_0(s) to P_NODES(s) to p. */
 static void legendre(double s, double *p) {
   p[0] = 1;
   p[1] = s;
@@ -29,7 +29,7 @@ static void legendre(double s, double *p) {
   }
 }
 
-/* The series of the integral from s = -1 of a function given at the nodes:
+/* Writes the Legendre series of the integral from -1 to s of a function that is given at the nodes:
  * int P_k = (P_(k+1) - P_(k-1)) / (2 k + 1). */
 static void integrate_series(const double *g, double half_width, double *series) {
   double coefficients[NODES] = {0};
@@ -47,7 +47,7 @@ static void integrate_series(const double *g, double half_width, double *series)
   }
 }
 
-/* The energy of one panel, which begins at y = ln(r / first); its series is left in `series`. */
+/* Returns the energy of the panel that begins at y = ln(r / first), and writes its series. */
 static double build_panel(core_kernel_f64 *ring, const double *c, double first_mm, double y,
                           double *series) {
   double r[NODES];
@@ -71,8 +71,8 @@ double core_energy_build(core_kernel_f64 *ring, const double *c, double first_mm
   double ends[2] = {first_mm, first_mm * 1.0625};
   double density[2];
   ring(c, 2, ends, density);
-  /* Near the source R is like 1 / r, or like R0 + R1 ln(first / r), whose energy is
-   * pi r^2 (R0 + R1 / 2 + R1 ln(first / r)). */
+  /* Near the source R goes like 1 / r or like R0 + R1 ln(first / r). The energy within r of the
+   * latter is pi r^2 (R0 + R1 / 2 + R1 ln(first / r)). */
   const bool steep = !(density[1] > 1.03 * density[0]);
   const double rise = (1 - density[1] / density[0] / 1.0625) / real_log(1.0625, 0); /* R1 / R0 */
   const bool rises = !steep && rise > 0;

@@ -1,7 +1,7 @@
-/* Evaluating prepared profiles: straight through the kernels where a model has them, and the ways
- * that hold for all models: S from R, sums of two models, single precision by way of double.
+/* Evaluates prepared profiles. It calls the model's kernels where they exist, and otherwise uses
+ * methods for all models: S from R, sums of two models, and single precision rounded from double.
  *
- * Arrays are gone through in chunks that stay in the nearest cache; no value depends on where the
+ * Arrays are processed in chunks that fit into the first-level cache; no value depends on where the
  * chunks are cut.
  */
 #include <assert.h>
@@ -33,7 +33,7 @@ static size_t smaller(size_t a, size_t b) {
 /* ---- double precision -------------------------------------------------------------------------
  */
 
-/* ln(e^a + e^b); either may be -infinity. */
+/* Returns ln(e^a + e^b); a and b may be -infinity. */
 static double ln_of_sum(double a, double b) {
   const double more = real_max(a, b);
   const double less = real_min(a, b);
@@ -41,8 +41,9 @@ static double ln_of_sum(double a, double b) {
   return apart > -700 ? more + real_log(1 + real_exp(apart).exp, 0) : more;
 }
 
-/* The cdf of a sum is 1 where both parts have come to their ends, so that rounding does not take it
- * from 1 below it again. A part that scatters nothing has the cdf 0. */
+/* Returns the cdf of a sum of two models. It is exactly 1 where the cdf of each part is 1, or 0 for
+ * a part that scatters nothing, and below 1 elsewhere. Rounding the weighted sum would not ensure
+ * that. */
 static double whole(double sum, double first, double second) {
   const bool ended = real_max(first, second) >= 1 && (first >= 1 || !(first > 0)) &&
                      (second >= 1 || !(second > 0));
@@ -78,7 +79,7 @@ void core_evaluate(const core_profile *profile, enum core_quantity quantity, siz
   }
 }
 
-/* F_t(cos_in) F_t(cos_out) / (pi (1 - 2 C1(1 / eta))); made only for requests that want it. */
+/* Returns S / R = F_t(cos_in) F_t(cos_out) / (pi (1 - 2 C1(1 / eta))). */
 static double S_per_R(const core_profile *profile) {
   const double eta = profile->medium.eta;
   const double lost = core_fresnel_moments(CORE_MOMENTS_EXACT, 1 / eta).one_minus_2c1;
@@ -108,7 +109,7 @@ void core_eval_f64(const core_profile *profile, enum core_quantity quantity, siz
 /* ---- single precision -------------------------------------------------------------------------
  */
 
-/* A sum and a table hold doubles whichever evaluator was asked for. */
+/* Evaluates in double precision and rounds, for profiles without single precision kernels. */
 static void widely(const core_profile *profile, enum core_quantity quantity, size_t n,
                    const float *r, float *out) {
   double wide_r[CHUNK];
@@ -120,7 +121,7 @@ static void widely(const core_profile *profile, enum core_quantity quantity, siz
     }
     evaluate_f64(profile, quantity, count, wide_r, wide_out);
     for (size_t i = 0; i < count; i++) {
-      /* rounding does not make 1 of a cdf that is not there yet */
+      /* A cdf below 1 must not round to 1. */
       const bool less = quantity == CORE_QUANTITY_CDF && wide_out[i] < 1;
       const float rounded = (float)wide_out[i];
       out[done + i] = less && rounded >= 1 ? 1 - FLT_EPSILON / 2 : rounded;
@@ -135,7 +136,7 @@ static void evaluate_f32(const core_profile *profile, enum core_quantity quantit
   if (kernel != NULL) {
     kernel(core_coefficients_f32(profile), n, r, out);
   } else {
-    /* What a table does not hold comes from its source. */
+    /* The profile that a table was made from has the quantities that the table lacks. */
     assert(profile->lut == NULL || profile->source != NULL);
     widely(profile->lut != NULL ? profile->source : profile, quantity, n, r, out);
   }

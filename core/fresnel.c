@@ -1,4 +1,4 @@
-/* The first and second moment of the unpolarized Fresnel reflectance.
+/* Computes the first and second moment of the unpolarized Fresnel reflectance.
  *
  * Exact moments. Let a > b be eta mu and mu_t, the wave's normal components on both sides (for
  * eta < 1 mu_t and eta mu), which satisfy a^2 - b^2 = |eta^2 - 1|. In v = (a - b) / (a + b) every
@@ -12,11 +12,11 @@
  *   mu      = (eta + 1) / (2 eta) sqrt(v0 / v) (2 - u)                        eta > 1
  *           = (eta + 1) / (2 eta) sqrt(v0 / v) u                              eta < 1
  *
- * and total internal reflection is simply outside the range. All terms are positive, no digit is
- * lost for any eta, and the only singularities are v = 0 and a double pole beyond v = 1. Panels
- * that are never longer than their distance to either make the 16-point Gauss-Legendre rule exact
- * to double precision (Bernstein ellipse 3 + sqrt(8): 5.8^-32). Only IEEE operations are used: the
- * same bits on every machine.
+ * and total internal reflection lies outside the range. All terms are positive, so that no eta
+ * loses digits. The only singularities are v = 0 and a double pole beyond v = 1. Panels that are
+ * never longer than their distance to either make the 16-point Gauss-Legendre rule exact to double
+ * precision (Bernstein ellipse 3 + sqrt(8): 5.8^-32). Only IEEE operations are used, so that all
+ * machines give the same bits.
  *
  * Fits: E. d'Eon, "A Better Dipole", 2012, Eq. 2 (d'Eon and Irving 2011), and Jensen et al. 2001
  * (Egan and Hilgeman 1973). The terms of the former cancel to 1e-4 of the largest, so all fits are
@@ -29,7 +29,7 @@
 
 enum { NODES = 8 };
 
-/* Gauss-Legendre, 16 points: the positive nodes and their weights. */
+/* The positive nodes of the Gauss-Legendre rule with 16 points on [-1, 1], and their weights. */
 static const double gauss[NODES][2] = {
     {0.98940093499164993259, 0.02715245941175409485},
     {0.94457502307323257607, 0.06225352393864789286},
@@ -41,8 +41,8 @@ static const double gauss[NODES][2] = {
     {0.09501250983763744018, 0.18945061045506849628},
 };
 
-/* What does not change along the integral, in double-double: an error in it would not average out
- * as the nodes' own roundings do. */
+/* Constants of the integrals. They are double-double, because their errors would not average out as
+ * the nodes' rounding errors do. */
 struct boundary {
   bool denser_inside; /* eta > 1 */
   dd eta_squared;
@@ -56,7 +56,8 @@ struct moments {
   dd second;
 };
 
-/* weight: of dv; v and u = 1 - v */
+/* Adds the node at v to the sums. u is 1 - v; weight is the node's weight for an integral over v.
+ */
 static void add_node(const struct boundary *b, double weight, double v, double u,
                      struct moments *sum) {
   const double grazing = u * (2 - u);
@@ -73,8 +74,8 @@ static void add_node(const struct boundary *b, double weight, double v, double u
   sum->second = dd_add(sum->second, dd_from(measured * mu));
 }
 
-/* The part near normal incidence, where v may be tiny: in ratio = v / v0, panels that double away
- * from v = 0. */
+/* Integrates the part near normal incidence, where v may be tiny. The variable is ratio = v / v0,
+ * and each panel is twice as long as the one nearer to v = 0. */
 static struct moments sum_near_normal(const struct boundary *b) {
   struct moments sum = {{0, 0}, {0, 0}};
   const double end = 0.5 / dd_round(b->v0);
@@ -92,8 +93,8 @@ static struct moments sum_near_normal(const struct boundary *b) {
   return sum;
 }
 
-/* The part towards grazing incidence: in share = u / end, panels that double away from the pole
- * beyond u = 0. */
+/* Integrates the part towards grazing incidence. The variable is share = u / end, and the panels
+ * grow with their distance to the pole beyond u = 0. */
 static struct moments sum_near_grazing(const struct boundary *b, dd end, double pole) {
   struct moments sum = {{0, 0}, {0, 0}};
   double from = 0;
@@ -144,7 +145,7 @@ static core_fresnel exact_moments(double eta) {
   };
 }
 
-/* Polynomials with coefficients in millionths, from the highest power down. */
+/* Evaluates a polynomial whose coefficients are in millionths, from the highest power down. */
 static dd polynomial(dd x, const double *millionths, int count) {
   dd sum = dd_from(0);
   for (int i = 0; i < count; i++) {
@@ -176,8 +177,9 @@ static core_fresnel fitted_moments(double eta) {
   };
 }
 
-/* 2 C1 and 3 C2 from the polynomials of C1 and C2 in "Physically Based Rendering" (Pharr, Jakob,
- * Humphreys, 3rd edition, section 11.4.2), whose fewer digits move a profile by about 1e-4. */
+/* Computes 2 C1 and 3 C2 from the polynomials of C1 and C2 in "Physically Based Rendering" (Pharr,
+ * Jakob, Humphreys, 3rd edition, section 11.4.2). These have fewer digits than d'Eon's, which
+ * changes a profile by about 1e-4. */
 static core_fresnel pbrt_moments(double eta) {
   const dd x = dd_from(eta);
   dd first;
@@ -197,8 +199,9 @@ static core_fresnel pbrt_moments(double eta) {
   };
 }
 
-/* F_dr = 2 C1 in Jensen's dipole; its classical boundary needs no second moment. The coefficients
- * are Egan and Hilgeman's four digits, as Donner and Jensen 2005 print them for both sides of 1. */
+/* Computes F_dr of Jensen's dipole as 2 C1; the classical boundary condition does not need C2. The
+ * coefficients are Egan and Hilgeman's four digits, as Donner and Jensen 2005 print them for both
+ * sides of 1. */
 static core_fresnel jensen_moments(double eta) {
   const dd inverse = dd_div(dd_from(1), dd_from(eta));
   const dd f_dr = eta < 1 ? POLYNOMIAL(inverse, 63600, -331900, 709900, -439900)
@@ -239,9 +242,11 @@ core_fresnel core_fresnel_moments(enum core_moments moments, double eta) {
   return (core_fresnel){0, 0};
 }
 
-/* 1 - F = (T_s + T_p) / 2 with T = 4 eta cos cos' / (...)^2, in which nothing cancels. */
+/* Uses 1 - F = (T_s + T_p) / 2 with T_s and T_p = 4 eta cos cos' / (...)^2, where no terms cancel.
+ */
 double core_fresnel_transmittance(double eta, double cos_outside) {
-  /* cos_inside^2 = 1 - (1 - cos_outside^2) / eta^2, without cancelling near grazing incidence */
+  /* cos_inside^2 = 1 - (1 - cos_outside^2) / eta^2, in a form that does not cancel near grazing
+   * incidence */
   const double squared = fma(cos_outside, cos_outside, (eta - 1) * (eta + 1)) / (eta * eta);
   if (!(squared > 0) || !(cos_outside > 0)) {
     return 0;

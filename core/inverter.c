@@ -1,7 +1,7 @@
-/* With the ratio rho = sigma_a / sigma_s' as the unknown, ln(albedo / (most - albedo)) is nearly
- * linear in ln(rho) piecewise: with slope -1/2 where little is absorbed, and -1 where much is. So a
- * secant through the last two probes converges in a few steps; a bracket keeps it safe, and halving
- * ln(rho) takes over where it does not help, down to neighbouring numbers.
+/* Searches for the ratio rho = sigma_a / sigma_s' of a medium. ln(albedo / (most - albedo)) is
+ * nearly linear in ln(rho): its slope is -1/2 where little is absorbed and -1 where much is. So a
+ * secant through the last two probes converges in a few steps. A bracket encloses the root, and the
+ * search halves it in ln(rho) when the secant leaves it, until its ends are neighbouring numbers.
  */
 #include "core/inverter.h"
 
@@ -12,21 +12,21 @@
 #define CORE_REAL 64
 #include "core/kernel.h"
 
-/* The ratios between which the root is looked for; beyond them nothing but 0 is left of an albedo.
+/* The range of ratios that the search begins with. It is wider than any model's albedo can resolve.
  */
 #define RATIO_MIN 1e-80
 #define RATIO_MAX 1e30
 
-/* An albedo that is as good as the wanted one, and ratios as good as the same, relative: what
- * models round by, so that no probes are spent on that. */
+/* Albedos and ratios with a relative difference up to this count as equal, because models round by
+ * as much. */
 #define ALIKE (32 * DBL_EPSILON)
 
 enum {
-  SECANTS_MAX = 24, /* then only halving; the albedo may be noise by then */
-  STEPS_MAX = 400,  /* more than halving takes */
+  SECANTS_MAX = 24, /* the search only halves from then on, as albedos may be noise */
+  STEPS_MAX = 400,  /* more than halving the range in ln(rho) takes */
 };
 
-/* sigma_a and sigma_s' with the given sum and ratio, each to its last digits. */
+/* Returns the medium whose sigma_a and sigma_s' have this sum and ratio. */
 static core_medium medium_of_ratio(const core_inverter *inverter, double ratio,
                                    double sigma_t_prime) {
   return (core_medium){
@@ -42,7 +42,8 @@ static void probe(core_inverter *inverter, double ratio) {
   inverter->medium = medium_of_ratio(inverter, ratio, inverter->sigma_t_prime_per_mm);
 }
 
-/* Of a fit the albedo is what its range leaves of it, and neither rises nor falls. */
+/* Returns the fault of a medium. A fit is refused, as its albedo depends on the range of the fit
+ * and is not monotone. */
 static core_fault check_medium(const core_inverter *inverter, const core_medium *medium) {
   core_radii_range radii = {0, (double)INFINITY};
   core_fault fault = core_profile_check(inverter->model, inverter->moments, CORE_EVALUATOR_F64,
@@ -66,7 +67,7 @@ core_fault core_inverter_start(core_inverter *inverter, unsigned model, unsigned
       .sigma_t_prime_per_mm = sigma_t_prime_per_mm,
       .phase = CORE_INVERTER_MOST,
   };
-  if (!(g > -1 && g < 1)) { /* or there is no sigma_s to check */
+  if (!(g > -1 && g < 1)) { /* sigma_s = sigma_s' / (1 - g) would be undefined */
     const core_medium wrong = {0, 1, g, eta};
     return check_medium(inverter, &wrong);
   }
@@ -104,7 +105,7 @@ static double kept(double x) {
   return real_min(real_max(x, 1e-300), 1e300);
 }
 
-/* ln(albedo / (most - albedo)) less the same of what is wanted. */
+/* Returns ln(albedo / (most - albedo)) less the same for the wanted albedo; NaN if undefined. */
 static double distance(const core_inverter *inverter, double albedo) {
   const double most = inverter->albedo_most;
   if (!(albedo > 0 && albedo < most && inverter->wanted > 0 && inverter->wanted < most)) {
@@ -114,8 +115,8 @@ static double distance(const core_inverter *inverter, double albedo) {
          real_log(kept((most - inverter->wanted) / (most - albedo)), 0);
 }
 
-/* sigma_t' of a medium with this ratio and the wanted length; infinite or NaN when there is none.
- */
+/* Returns sigma_t' of a medium with this ratio and the wanted length; infinite or NaN if no such
+ * medium exists. */
 static double scale(const core_inverter *inverter, double ratio) {
   const double absorbed = ratio / (1 + ratio); /* sigma_a / sigma_t' */
   switch (inverter->length) {
@@ -128,7 +129,8 @@ static double scale(const core_inverter *inverter, double ratio) {
   }
 }
 
-/* The ratio is known: the medium itself is the last that is probed, if there can be one. */
+/* Makes the medium from the ratio that was found. If the medium is valid, it is the last one to be
+ * probed; otherwise returns true, because the search has ended without a medium. */
 static bool settle(core_inverter *inverter, double ratio) {
   inverter->medium = medium_of_ratio(inverter, ratio, scale(inverter, ratio));
   inverter->found = check_medium(inverter, &inverter->medium).field == NULL;
@@ -136,8 +138,8 @@ static bool settle(core_inverter *inverter, double ratio) {
   return !inverter->found;
 }
 
-/* Where little is absorbed an albedo a is about 1 - 3 sqrt(ratio), where much is about 0.1 / ratio.
- */
+/* Guesses the ratio. An albedo is about 1 - 3 sqrt(ratio) where little is absorbed, and about 0.1 /
+ * ratio where much is. */
 static double first_guess(const core_inverter *inverter) {
   const double odds = inverter->wanted / (inverter->albedo_most - inverter->wanted);
   return odds > 0.3 ? 0.1 / (odds * odds) : 0.3 / odds;
@@ -167,11 +169,12 @@ bool core_inverter_seek(core_inverter *inverter, double albedo, enum core_length
   return false;
 }
 
-/* Where the secant through the last two probes meets what is wanted; NaN: nowhere. */
+/* Returns the ratio at which the secant through the last two probes has the wanted albedo, or NaN.
+ */
 static double secant(const core_inverter *inverter) {
   const core_inversion_point *now = &inverter->now;
   const core_inversion_point *before = &inverter->before;
-  double step = now->distance; /* with slope -1, until there are two */
+  double step = now->distance; /* assumes the slope -1 after the first probe */
   if (!isnan(before->distance)) {
     const double apart = real_log(kept(now->ratio / before->ratio), 0);
     step = apart * (now->distance / (before->distance - now->distance));
@@ -187,7 +190,7 @@ static double next_ratio(const core_inverter *inverter) {
              : sqrt(inverter->low) * sqrt(inverter->high);
 }
 
-/* One probe of the search; true: no other could be nearer. */
+/* Takes the albedo of one probe. Returns true if no further probe could come nearer. */
 static bool narrow(core_inverter *inverter, double albedo) {
   core_inversion_point *now = &inverter->now;
   now->albedo = albedo - inverter->wanted;
@@ -198,7 +201,7 @@ static bool narrow(core_inverter *inverter, double albedo) {
   if (albedo >= inverter->wanted) {
     inverter->low = now->ratio;
   } else {
-    inverter->high = now->ratio; /* or the albedo is no number, which is not nearer */
+    inverter->high = now->ratio; /* also taken if the albedo is NaN */
   }
   inverter->steps++;
   return fabs(now->albedo) <= ALIKE * inverter->wanted || inverter->steps == STEPS_MAX ||
@@ -210,7 +213,7 @@ static bool search(core_inverter *inverter, double albedo) {
     return settle(inverter, inverter->best.ratio);
   }
   const double next = next_ratio(inverter);
-  if (!(next > inverter->low && next < inverter->high)) { /* they are neighbours */
+  if (!(next > inverter->low && next < inverter->high)) { /* no number lies between low and high */
     return settle(inverter, inverter->best.ratio);
   }
   inverter->before = inverter->now;
@@ -239,7 +242,7 @@ bool core_inverter_take(core_inverter *inverter, double albedo) {
 /* ---- at once ----------------------------------------------------------------------------------
  */
 
-/* Probes until what was begun has come to its end. */
+/* Probes until the reach or the search has ended. */
 static void run(core_inverter *inverter) {
   const core_isa *isa = core_isa_select("portable");
   double albedo;

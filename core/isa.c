@@ -1,4 +1,4 @@
-/* Which instruction sets there are and which a machine runs. */
+/* Lists the instruction sets and finds which of them this machine runs. */
 #include <string.h>
 
 #include "core/kernels.h"
@@ -11,7 +11,7 @@ static bool portable_supported(void) {
 }
 
 #if defined(__x86_64__)
-/* The compiler's run-time support asks CPUID and, for the wide registers, XGETBV. */
+/* __builtin_cpu_supports() asks CPUID and, for the wide registers, XGETBV. */
 static bool sse2_supported(void) {
   return true;
 }

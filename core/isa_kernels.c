@@ -1,5 +1,5 @@
-/* The kernels of the models by instruction set. The tables are immutable; choosing kernels is
- * choosing a pointer. */
+/* Holds the kernels of the models by instruction set. The tables are immutable, and choosing
+ * kernels means choosing a pointer. */
 #include <assert.h>
 
 #include "core/kernels.h"

@@ -3,7 +3,7 @@
 
 #include "core/core.h"
 
-/* Written so that NaN is out of every range. */
+/* The comparisons are false for NaN, so NaN is outside of every range. */
 static bool in_range(double value, double low, double high) {
   return value >= low && value <= high;
 }

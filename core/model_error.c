@@ -15,7 +15,7 @@
 #define COARSE_FROM 230u
 #define COARSE_STEP 1.25
 
-/* error step^count by repeated squaring. */
+/* Returns error * step^count, by repeated squaring. */
 static double raised(double error, double step, unsigned count) {
   for (double square = step; count > 0; count >>= 1) {
     error = (count & 1) != 0 ? error * square : error;
@@ -66,7 +66,7 @@ enum {
   RATIOS = sizeof ratios / sizeof ratios[0],
   ETAS = sizeof etas / sizeof etas[0],
   G_RATIOS = sizeof g_ratios / sizeof g_ratios[0],
-  DIGITS = 2,                  /* of a code */
+  DIGITS = 2,                  /* number of digits of a code */
   NODE = (BANDS + 1) * DIGITS, /* a code for each band, then the albedo's */
 };
 
@@ -93,22 +93,23 @@ static const struct similarity {
 
 enum { GS = sizeof similarities / sizeof similarities[0] };
 
-/* Between nodes the error may be larger than at all nodes around:
- * tests/accuracy/test_model_error.c draws media in between. */
+/* Between nodes the error may be larger than at the nodes around, by up to this factor.
+ * tests/accuracy/test_model_error.c checks it with media between the nodes. */
 #define BETWEEN_NODES 1.08
 
 /* ---- where in the map -------------------------------------------------------------------------
  */
 
-/* First and last of the neighbours of a value in a rising list; the same where they meet. */
+/* The positions of the two neighbours of a value in a rising list; they are equal if the value is
+ * in the list. */
 struct span {
   size_t first;
   size_t last;
 };
 
-#define SLACK 1e-9 /* what rounding may have moved out of the list */
+#define SLACK 1e-9 /* relative; rounding may move a value this far off a node */
 
-/* False: outside of the list. */
+/* Finds the neighbours of a value; returns false if it is outside of the list. */
 static bool enclose(const double *list, size_t count, double value, struct span *span) {
   if (!(value >= list[0] * (1 - SLACK) && value <= list[count - 1] * (1 + SLACK))) {
     return false;
@@ -123,7 +124,8 @@ static bool enclose(const double *list, size_t count, double value, struct span 
   return true;
 }
 
-/* Likewise around g, of which 0, where there is no error, is a node that is not listed. */
+/* Finds the neighbours of g among the measured g; returns false outside of them. g = 0 is a node as
+ * well, with the error 0, but is not in the list. */
 static bool enclose_g(double g, struct span *span) {
   if (!(g >= similarities[0].g && g <= similarities[GS - 1].g)) {
     return false;
@@ -145,7 +147,7 @@ static unsigned digit(char hexadecimal) {
   return (unsigned)(hexadecimal <= '9' ? hexadecimal - '0' : hexadecimal - 'a' + 10);
 }
 
-/* Raises codes to those of a node. */
+/* Raises each code to that of a node if the node's is larger. */
 static void merge_node(unsigned char codes[BANDS + 1], const char *node) {
   for (size_t i = 0; i <= BANDS; i++) {
     const unsigned code = 16 * digit(node[DIGITS * i]) + digit(node[DIGITS * i + 1]);
@@ -188,7 +190,7 @@ static double error_of(unsigned code) {
   return code < CORE_ERROR_CODE_ANY ? core_error_of_code(code) * BETWEEN_NODES : (double)NAN;
 }
 
-/* A relative error upon another one. */
+/* Combines two relative errors, of which one applies to the result of the other. */
 static double upon(double a, double b) {
   return (1 + a) * (1 + b) - 1;
 }
@@ -239,7 +241,7 @@ enum {
   MEASURED_AT_RADII = LIKE_R | CORE_QUANTITY_LN_R | CORE_QUANTITY_PDF,
 };
 
-/* Of R at these radii. */
+/* Returns the largest error of R at these radii, or NAN if it is not known. */
 static double error_of_R(const core_model_errors *errors, const core_medium *medium,
                          core_radii_range radii) {
   const double sigma_t_prime = medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g);
@@ -252,7 +254,7 @@ static double error_of_R(const core_model_errors *errors, const core_medium *med
   double error = 0;
   for (size_t band = first; band == first || band < most.last; band++) {
     const double here = errors->error[band];
-    error = here <= error ? error : here; /* which takes NAN over */
+    error = here <= error ? error : here; /* `here` may be NAN */
     if (isnan(here)) {
       return here;
     }
@@ -260,7 +262,7 @@ static double error_of_R(const core_model_errors *errors, const core_medium *med
   return error;
 }
 
-/* NAN when either is. */
+/* Returns the larger number, or NAN if either is NAN. */
 static double larger(double a, double b) {
   return isnan(a) || a > b ? a : b;
 }
@@ -301,7 +303,8 @@ double core_error_beyond(core_reach reach, double most_mm) {
   return exponent < 7 ? real_exp_signed(exponent) - 1 : (double)INFINITY;
 }
 
-/* What changes with R; the energy beyond a reach is next to nothing. */
+/* The quantities whose numerical error grows beyond the reach. The cdf and albedo are not among
+ * them, because almost no energy is left there. */
 enum { FOLLOWS_R = MEASURED_AT_RADII | CORE_QUANTITY_SLOPE };
 
 core_stated_errors core_profile_errors(const core_profile *profile, unsigned wanted,

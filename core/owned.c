@@ -1,5 +1,5 @@
-/* What a profile owns: apart from preparing, so that a program that only evaluates tables does
- * without all that prepares. */
+/* Counts and frees the memory that a profile owns. This file is separate from profile.c, so that a
+ * program that only evaluates tables need not link the code that prepares profiles. */
 #include <stdlib.h>
 
 #include "core/core.h"

@@ -1,4 +1,4 @@
-/* Profiles: checked, prepared, freed. */
+/* Checks and prepares profiles. */
 #include <assert.h>
 #include <float.h>
 #include <math.h>
@@ -18,15 +18,15 @@
 
 struct model {
   unsigned id;
-  core_check_function *check; /* NULL: a sum */
+  core_check_function *check; /* NULL for a sum */
   core_prepare_function *prepare;
   int variant;
-  unsigned parameters; /* bits of those that it takes */
-  unsigned parts[2];   /* of a sum */
+  unsigned parameters; /* bits of the parameters that the model takes */
+  unsigned parts[2];   /* ids of the two models of a sum */
 };
 
-#define SLOW 1u           /* no parameter has the id 0, */
-#define COSTLY (1u << 31) /* nor 31 */
+#define SLOW 1u           /* the bit of id 0, which no parameter has */
+#define COSTLY (1u << 31) /* the bit of id 31, which no parameter has */
 #define BIT(IDENT) (1u << CORE_PARAMETER_##IDENT)
 #define TAKEN_BY_ALL (BIT(TOLERANCE) | BIT(COS_IN) | BIT(COS_OUT))
 
@@ -109,7 +109,7 @@ static core_fault check_parameters(const struct model *model, const core_paramet
   return (core_fault){0};
 }
 
-/* The domain of the model itself: of a sum, of both its parts. */
+/* Checks the inputs against the model's domain; for a sum, against the domains of both parts. */
 static core_fault check_domain(const struct model *model, core_inputs inputs,
                                core_radii_range *radii) {
   inputs.variant = model->variant;
@@ -166,7 +166,8 @@ core_fault core_profile_check(unsigned model, unsigned moments, unsigned evaluat
 /* ---- preparing --------------------------------------------------------------------------------
  */
 
-/* Burley's surface albedo was measured with its default alone. */
+/* Errors were measured with the default of the surface albedo only; for others they are not known.
+ */
 static void set_model_errors(core_profile *profile, const core_parameters *parameters) {
   profile->model_errors =
       isnan(parameters->value[CORE_PARAMETER_SURFACE_ALBEDO])
@@ -213,7 +214,7 @@ static core_fault prepare_model(core_profile *profile, const struct model *model
 static core_fault prepare(core_profile *profile, const struct model *model, core_inputs inputs,
                           core_radii_range radii);
 
-/* Both parts in double precision; what is added is rounded once. */
+/* Prepares both parts in double precision. Their sum is rounded once. */
 static core_fault prepare_sum(core_profile *profile, const struct model *model,
                               const core_inputs *inputs, core_radii_range radii) {
   core_profile *parts = malloc(2 * sizeof *parts);
@@ -249,22 +250,23 @@ static core_fault prepare_sum(core_profile *profile, const struct model *model,
   return (core_fault){0};
 }
 
-/* What the source has to keep, as a share of what the table is asked for. */
+/* The tolerance for the profile from which a table is made, as a share of the table's tolerance. */
 #define SOURCE_SHARE 0.0625
 
-/* The same of a table of solutions, which costs nothing. */
+/* The same share for a transport profile that is looked up in the table of solutions. It is larger,
+ * as solving takes much longer than looking up. */
 #define TABULATED_SHARE 0.5
 
-/* What is said beyond what was found between the nodes. */
+/* The stated error is the one found between the nodes times this. */
 #define FOUND_MARGIN 1.1
 
-/* The tolerance of a fit is not the table's. */
+/* Whether the model is a fit to another model, whose tolerance is not derived from the table's. */
 static bool fits(const struct model *model) {
   return (model->parameters & BIT(GAUSSIANS)) != 0;
 }
 
 static core_fault build_table(core_profile *profile, const struct model *model, double asked) {
-  /* The table's arithmetic is counted there, but for the factors of 2 pi r R and the pdf. */
+  /* lut.error includes all rounding except that of the factors of 2 pi r R and the pdf. */
   const double rounding = 2 * (double)FLT_EPSILON;
   const core_profile *source = profile->source;
   const double spent = rounding + (fits(model) ? 0 : source->numerical_error);
@@ -279,7 +281,8 @@ static core_fault build_table(core_profile *profile, const struct model *model, 
   return fault;
 }
 
-/* A table of the model in double precision, which stays for what the table does not hold. */
+/* Makes a table of the model in double precision. The profile keeps that model as its source, for
+ * quantities that the table does not hold. */
 static core_fault prepare_table(core_profile *profile, const struct model *model,
                                 core_inputs inputs, core_radii_range radii) {
   core_parameters parameters = *inputs.parameters;

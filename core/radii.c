@@ -1,4 +1,4 @@
-/* Radii: listed ones checked, grids expanded. */
+/* Checks listed radii and expands grids. */
 #include <assert.h>
 #include <math.h>
 
@@ -12,8 +12,8 @@
 
 #define RADIUS_ALLOWED "0 to infinity, in mm"
 
-/* The whole list is looked at without a branch, which vectorizes; only a list with a fault is gone
- * through again to find the first. */
+/* The first loop checks the whole list without a branch, so that it vectorizes. Only if it finds a
+ * fault, a second loop searches for the first one. */
 #define DEFINE_CHECK(name, type)                                                                   \
   core_fault name(size_t n, const type *r) {                                                       \
     int good = 1;                                                                                  \
@@ -79,8 +79,8 @@ core_fault core_grid_check(const core_grid *grid) {
   return (core_fault){0};
 }
 
-/* ln(x) for a positive, normal x: the exponent and the series of artanh for a mantissa within
- * sqrt(2) of 1; its first neglected term is below 2e-18. */
+/* Returns ln(x) for a positive, normal x, from the exponent and the series of artanh for a mantissa
+ * from 1 / sqrt(2) to sqrt(2). The first neglected term of the series is below 2e-18. */
 static double natural_logarithm(double x) {
   int exponent;
   double mantissa = frexp(x, &exponent);
@@ -97,16 +97,16 @@ static double natural_logarithm(double x) {
   return fma(exponent, REAL_LN2_HI, fma(exponent, REAL_LN2_LO, 2 * s * series));
 }
 
-/* start e^x for x >= 0 whose result does not overflow: powers are applied in two halves, upwards.
- */
+/* Returns start e^x for x >= 0; the result must not overflow. The power of two is applied in two
+ * factors, because it may overflow by itself. */
 static double times_exp(double start, double x) {
   const real_exp_parts parts = real_exp_split(x);
   const double half = floor(0.5 * parts.k);
   return fma(start, parts.m, start) * real_power_of_two(half) * real_power_of_two(parts.k - half);
 }
 
-/* A grid's rule, ready to be applied. The step of a linear grid is taken of halves, so that a range
- * near the largest double does not overflow. */
+/* A grid with its step. The step of a linear grid is computed from halves, so that a range near the
+ * largest double does not overflow. */
 struct rule {
   const core_grid *grid;
   double step;
@@ -124,7 +124,8 @@ static struct rule make_rule(const core_grid *grid) {
   return rule;
 }
 
-/* The ends are exact; rounding never takes a radius between them beyond the last one. */
+/* Returns radius `index` of a grid. The ends are exact, and no other radius rounds to more than the
+ * last. */
 static double apply(const struct rule *rule, uint64_t index) {
   const core_grid *grid = rule->grid;
   if (index == 0) {

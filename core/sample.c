@@ -1,9 +1,9 @@
-/* Sampling: radii with given cdf. Models that have a kernel for it use that kernel. For all others
+/* Finds radii with a given cdf. Models that have a kernel for it use that kernel. For all others
  * Newton's method is applied to ln(cdf / (1 - cdf)) over ln r, inside a bracket that shrinks with
  * every step.
  *
- * What is done for a number does not depend on its neighbours, so the bits do not depend on how an
- * array is cut. A chunk is evaluated together until all of its numbers have arrived.
+ * The steps for a number do not depend on its neighbours, so the bits do not depend on how an array
+ * is cut. The numbers of a chunk are evaluated together until each of them has converged.
  */
 #include <assert.h>
 #include <math.h>
@@ -18,15 +18,16 @@ enum {
   STEPS_MAX = 400, /* more than halving ln r over all doubles takes */
 };
 
-/* Smaller u are taken for it: the radius is then next to 0 for every model. */
+/* Smaller u are raised to this: the radius is then close to 0 for every model. */
 #define SMALL_U 1e-300
 
-/* A step in ln r that is the last: Newton's method squares what is left. */
+/* A step in ln r of at most this size is the last one, because Newton's method squares the error.
+ */
 #define LAST_STEP 1e-8
 
 struct search {
   double u;
-  double x;    /* where it has come to */
+  double x;    /* the current radius */
   double low;  /* cdf(low) < u */
   double high; /* u <= cdf(high) */
   bool arrived;
@@ -36,7 +37,7 @@ static double logit(double u) {
   return real_log(u / real_max(1 - u, 0x1p-53), 0);
 }
 
-/* One step from x, where the cdf and its density are known. */
+/* Makes one step of Newton's method from x, where cdf and density are known. */
 static void step(struct search *s, double cdf, double density) {
   const double excess = cdf > 0 ? logit(cdf) - logit(s->u) : -700;
   s->low = cdf < s->u ? s->x : s->low;
@@ -47,7 +48,8 @@ static void step(struct search *s, double cdf, double density) {
   const real_exp_values factor = real_exp(-fabs(bounded));
   double next = bounded < 0 ? s->x * factor.exp : s->x / factor.exp;
   const bool last = fabs(newton) <= LAST_STEP && fabs(excess) <= sqrt(LAST_STEP);
-  /* At the root rounding decides which side x is taken for; that must not throw it out. */
+  /* At the root, rounding decides whether x becomes `low` or `high`, so the last step is not
+   * required to lie between them. */
   if (!last && !(next > s->low && next < s->high)) {
     const bool bracketed = s->low > 0 && s->high < (double)INFINITY;
     next = bracketed ? sqrt(s->low) * sqrt(s->high) : next;

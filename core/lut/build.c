@@ -1,5 +1,6 @@
-/* A table is built from the source outwards, octave by octave, until nothing that single precision
- * can show is left of R; then for radii of given cdf, likewise from both ends of u. */
+/* Builds a table octave by octave. The pieces of R and cdf begin near the source and end where R is
+ * too small for single precision or follows its asymptote. The pieces of the radius for a cdf begin
+ * at both ends of u, 0 and 1, and end at u = 1/2. */
 #include "core/lut/fit.h"
 
 #include <math.h>
@@ -7,10 +8,12 @@
 
 #include "core/kernels.h"
 
-/* Octaves below the scale of a profile where R follows its asymptote: 2^-34 is 6e-11. */
+/* The pieces begin at the scale of the profile times 2^-34 = 6e-11, where R follows its asymptote.
+ */
 #define OCTAVES_BELOW 34
 
-/* Single precision's normal exponents, with room for what pieces are multiplied by. */
+/* The range of exponents of the octaves. It is narrower than single precision's, so that the
+ * products of a piece with its factors stay in range. */
 enum {
   EXPONENT_MIN = -118,
   EXPONENT_MAX = 118,
@@ -18,15 +21,16 @@ enum {
   COMPLEMENT_EXPONENT_MIN = -24
 };
 
-/* Of the tolerance: what a fit may show; more may be found between the places that it looks at. */
+/* The tolerance of a fit is the table's times this, because the error may be larger between the
+ * places that the fit looks at. */
 #define FIT_SHARE 0.85
 
 struct build {
   const core_profile *source;
   double tolerance;
-  double scale; /* R over it is what the pieces hold */
-  int first;    /* exponents of the radii's octaves */
-  int last;     /* one more than the last one's */
+  double scale; /* the pieces hold R / scale */
+  int first;    /* exponent of the first octave of the radii */
+  int last;     /* exponent of the last octave plus 1 */
   double word[CORE_LUT_R_OCTAVES];
   uint32_t entries[CORE_LUT_PIECES - CORE_LUT_R_OCTAVES];
   struct lut_pieces pieces;
@@ -35,7 +39,8 @@ struct build {
 
 static const core_fault too_rough = {"tolerance", "larger: no table of this profile keeps it", 0};
 
-/* ---- the functions ---------------------------------------------------------------------------- */
+/* ---- the functions ----------------------------------------------------------------------------
+ */
 
 static void scaled_R(const void *context, size_t n, const double *x, double *y) {
   const struct build *b = context;
@@ -69,10 +74,11 @@ static double value(const struct build *b, enum core_quantity quantity, double r
   return v;
 }
 
-/* ---- where it begins and ends ----------------------------------------------------------------- */
+/* ---- where it begins and ends -----------------------------------------------------------------
+ */
 
-/* How R goes on below 2^first: like 1 / r, like a constant, or rising by as much in each octave.
- * False: not as any of these, to the tolerance, down to 20 octaves less. */
+/* Finds the asymptote of R below 2^first: like 1 / r, constant, or rising by the same amount in
+ * each octave. Returns false if R follows none of these, to the tolerance, for 20 octaves down. */
 static bool set_near(struct build *b) {
   const double first = ldexp(1, b->first);
   const double R = value(b, CORE_QUANTITY_R, first);
@@ -91,8 +97,8 @@ static bool set_near(struct build *b) {
   b->word[CORE_LUT_NEAR_POWER] = 0;
   b->word[CORE_LUT_NEAR_R] = R;
   b->word[CORE_LUT_NEAR_LOG] = rise;
-  /* int_0^r 2 pi r (R + rise log2(first / r)) dr = pi r^2 (R + rise (log2(first / r) + 1 / (2 ln 2)))
-   */
+  /* int_0^r 2 pi r (R + rise log2(first / r)) dr = pi r^2 (R + rise (log2(first / r) + 1 / (2 ln
+   * 2))) */
   const double per_rise = 0.72134752044448170368;
   const double factor = cdf_here / (first * first) / (R + rise * per_rise);
   b->word[CORE_LUT_NEAR_CDF] = factor * (R + rise * per_rise);
@@ -100,8 +106,8 @@ static bool set_near(struct build *b) {
   return rise >= 0 && fabs(R + 20 * rise - deep) <= allowed * deep;
 }
 
-/* Logarithms round too coarsely for a cdf that must not turn back: where R rises like one, the pieces
- * go on to where nothing is left of the cdf. */
+/* A cdf from a rounded logarithm would not be monotone. So where R rises like a logarithm, the
+ * pieces begin at radii so small that the cdf underflows below them. */
 static void lower_first(struct build *b) {
   while (b->word[CORE_LUT_NEAR_LOG] > 0 && b->first - 4 >= EXPONENT_MIN &&
          value(b, CORE_QUANTITY_CDF, ldexp(1, b->first)) >= 0x1p-150) {
@@ -114,7 +120,7 @@ static void lower_first(struct build *b) {
   }
 }
 
-/* Further in when what is near the source is smaller than the profile's scale. */
+/* Finds the first octave. It moves to smaller radii if R does not yet follow an asymptote there. */
 static bool find_first(struct build *b) {
   b->first = ilogb(b->source->scale_mm) - OCTAVES_BELOW;
   for (; b->first >= EXPONENT_MIN; b->first -= 8) {
@@ -126,10 +132,12 @@ static bool find_first(struct build *b) {
   return false;
 }
 
-/* Over the least scale that there is, R of next to no light is less than this, and has no digits. */
+/* A profile with so little light that R / 2^-126 near the source is less than this is refused,
+ * since R has no digits left. */
 #define SCALED_LEAST 0x1p-60
 
-/* So that the largest R fits into pieces and the smallest is kept as far down as can be. */
+/* Sets the scale such that the largest R / scale fits into a piece, and small R keep their digits
+ * as long as possible. Returns false if no table is possible. */
 static bool set_scale(struct build *b) {
   while (value(b, CORE_QUANTITY_R, ldexp(1, b->first)) > 0x1p120) {
     b->first++;
@@ -149,13 +157,13 @@ static bool set_scale(struct build *b) {
   return true;
 }
 
-/* Whether R and 2 pi r R have underflowed at a radius, in their own units and over the albedo. */
+/* Whether R, 2 pi r R and the pdf have underflowed at a radius. */
 static bool is_nothing(const struct build *b, double r) {
   const double factor = fmax(1, 6.3 * r * fmax(1, 1 / b->source->albedo));
   return value(b, CORE_QUANTITY_R, r) * factor < 0x1p-150;
 }
 
-/* Far away R has underflowed or falls like 1 / r^3. */
+/* Finds the last octave. Returns false unless R has underflowed beyond it or falls like 1 / r^3. */
 static bool find_last(struct build *b) {
   b->last = b->first + 1;
   while (b->last < EXPONENT_MAX && !is_nothing(b, ldexp(1, b->last)) &&
@@ -173,7 +181,8 @@ static bool find_last(struct build *b) {
   return fabs(8 * value(b, CORE_QUANTITY_R, 2 * last) - R) <= 1e-6 * R;
 }
 
-/* ---- gathering -------------------------------------------------------------------------------- */
+/* ---- gathering --------------------------------------------------------------------------------
+ */
 
 static core_fault from_fit(enum lut_fit fit) {
   return fit == LUT_FITTED      ? (core_fault){0}
@@ -181,8 +190,9 @@ static core_fault from_fit(enum lut_fit fit) {
                                 : too_rough;
 }
 
-/* Octaves from first to last - 1 of a subject; `octaves` is the word of exponent -127's entry. The
- * number of cuts of an octave is sought from next to that of the one before. */
+/* Fits the octaves from first to last - 1 of a subject. `octaves` is the word that holds the entry
+ * of exponent -127. The search for the number of cuts of an octave begins near the result of the
+ * one before. */
 static core_fault gather(struct build *b, const struct lut_subject *subject, uint32_t octaves,
                          int first, int last) {
   unsigned cuts = 0;
@@ -200,7 +210,8 @@ static core_fault gather(struct build *b, const struct lut_subject *subject, uin
   return (core_fault){0};
 }
 
-/* What the pieces of octaves are off by, wherever it is looked for. */
+/* Raises b->error to the largest error found in these octaves. Faults if it exceeds the tolerance.
+ */
 static core_fault measure(struct build *b, const struct lut_subject *subject, uint32_t octaves,
                           int first, int last) {
   for (int exponent = first; exponent < last; exponent++) {
@@ -220,7 +231,7 @@ static core_fault gather_R(struct build *b) {
       .function = scaled_R,
       .context = b,
       .tolerance = b->tolerance,
-      /* eight of the smallest numbers, where R cannot show in any quantity, and far beyond */
+      /* 8 of the smallest positive numbers in any quantity that is derived from R */
       .negligible = 0x1p-146 / factor / b->scale,
   };
   core_fault fault = gather(b, &subject, CORE_LUT_R_OCTAVES, b->first, b->last);
@@ -235,7 +246,7 @@ static core_fault gather_cdf(struct build *b) {
       .function = cdf,
       .context = b,
       .tolerance = b->tolerance,
-      .negligible = 0x1p-146, /* eight of the smallest numbers */
+      .negligible = 0x1p-146, /* 8 of the smallest positive numbers */
       .monotone = true,
   };
   core_fault fault = gather(b, &subject, CORE_LUT_CDF_OCTAVES, b->first, b->last);
@@ -245,7 +256,7 @@ static core_fault gather_cdf(struct build *b) {
   return fault;
 }
 
-/* The least exponent of u whose radii are normal numbers. */
+/* Returns the least exponent of u at which the radius is a normal number. */
 static int first_u(const struct build *b) {
   int exponent = U_EXPONENT_MIN;
   for (;; exponent++) {
@@ -258,7 +269,7 @@ static int first_u(const struct build *b) {
   }
 }
 
-/* Up to 1/2 by u, from there on by 1 - u. */
+/* Fits the radius as a function of u for u up to 1/2, and of 1 - u above. */
 static core_fault gather_radius(struct build *b) {
   const double half = 0.5;
   double middle;
@@ -291,7 +302,8 @@ static core_fault gather_radius(struct build *b) {
   return fault;
 }
 
-/* ---- the table -------------------------------------------------------------------------------- */
+/* ---- the table --------------------------------------------------------------------------------
+ */
 
 static core_fault gather_all(struct build *b) {
   if (!find_first(b) || !set_scale(b) || !find_last(b)) {
@@ -309,7 +321,7 @@ static core_fault gather_all(struct build *b) {
   return fault.field == NULL ? gather_radius(b) : fault;
 }
 
-/* Nothing scatters: 0 everywhere. */
+/* Makes the table of a medium that scatters nothing: all values are 0. */
 static core_fault gather_nothing(struct build *b) {
   b->word[CORE_LUT_FIRST_MM] = 1;
   b->word[CORE_LUT_LAST_MM] = 1;
@@ -339,7 +351,8 @@ static core_fault assemble(const struct build *b, core_lut *lut) {
 
 core_fault core_lut_build(core_lut *lut, const core_profile *source, double tolerance) {
   struct build b = {.source = source, .tolerance = tolerance};
-  /* The first piece is for arguments outside, whose values are replaced. */
+  /* Entries outside of the octaves point to the first piece. The kernels replace its values there
+   * by the asymptotes. */
   uint32_t outside;
   core_fault fault = from_fit(lut_fit_constant(0, &b.pieces, &outside));
   for (size_t i = 0; i < sizeof b.entries / sizeof b.entries[0]; i++) {

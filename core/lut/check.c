@@ -1,4 +1,4 @@
-/* A table that a peer or a file has given is not trusted: every entry has to lie within it. */
+/* Checks a table that a peer or a file has given: every entry must point to pieces inside of it. */
 #include <math.h>
 
 #include "core/lut/piece.h"

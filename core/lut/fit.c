@@ -1,26 +1,29 @@
-/* A piece is a polynomial through the function's values at both ends and in between. Written from
- * the end where its terms have one sign, it is rounded to its last digit or two, and rounding is
- * monotone: sums and products of numbers that do not fall do not fall. */
+/* Fits pieces. A piece is a polynomial through the function's values at both ends and at points
+ * between. It is written from the end where its terms have one sign. Its rounding error is then one
+ * or two units of the last digit, and it stays monotone: sums and products of rising positive
+ * numbers rise, or stay equal, after rounding. */
 #include "core/lut/fit.h"
 
 #include <math.h>
 #include <stdlib.h>
 
-/* Where in a piece, in 1/64: so all are exact in single precision. */
+/* The places in a piece where the fit is compared, in 1/64 of its length. All are exact in single
+ * precision. */
 enum { PLACES = 11, STEP = 64, FOUND_PER_PIECE = 5 };
 
 static const int places[PLACES] = {0, 3, 9, 16, 24, 32, 40, 48, 55, 61, 64};
 
-/* Places of the points of polynomials of degree 1, 2 and 3. */
+/* points[degree - 1] lists the places through which a polynomial of degree 1, 2 or 3 goes. */
 static const int points[3][4] = {{0, 10}, {0, 5, 10}, {0, 3, 7, 10}};
 
-/* Terms of the wrong sign that are as good as none. */
+/* A term of the wrong sign is set to 0 if its size is at most this, relative to the first term. */
 #define ALMOST_NONE 1e-9
 
-/* ---- candidates ------------------------------------------------------------------------------- */
+/* ---- candidates -------------------------------------------------------------------------------
+ */
 
-/* Coefficients of the polynomial of a degree through the values y at its points, in w, by divided
- * differences. */
+/* Computes, by divided differences, the coefficients in w of the polynomial of this degree through
+ * the values y at its points. */
 static void interpolate(int degree, bool from_right, const double *y, double *c) {
   double w[4];
   double d[4];
@@ -46,7 +49,8 @@ static void interpolate(int degree, bool from_right, const double *y, double *c)
   }
 }
 
-/* Makes all terms agree in sign with the whole change; false: they differ by more than rounding. */
+/* Makes all terms have the sign of the whole change. Returns false if a term of the other sign is
+ * larger than rounding errors. */
 static bool one_sign(double *c) {
   const double change = c[1] + c[2] + c[3];
   for (int k = 1; k < CORE_LUT_TERMS; k++) {
@@ -60,7 +64,8 @@ static bool one_sign(double *c) {
   return true;
 }
 
-/* Whether a polynomial stays positive on [0, 1]: all of its Bernstein coefficients are. */
+/* Whether all Bernstein coefficients of a polynomial are positive, so that it is positive on [0,
+ * 1]. */
 static bool positive(const double *c) {
   return c[0] > 0 && c[0] + c[1] / 3 > 0 && c[0] + 2 * c[1] / 3 + c[2] / 3 > 0 &&
          c[0] + c[1] + c[2] + c[3] > 0;
@@ -76,8 +81,8 @@ static void round_piece(const double *c, bool from_right, float *piece) {
   }
 }
 
-/* The far end of a piece of one sign is kept from going beyond the function's own value there, which
- * is where the next piece begins or ends: so the steps between pieces have the same direction. */
+/* Lowers a piece of one sign, if necessary, so that its far end does not pass the function's value
+ * there. The next piece starts from that value, so the function as a whole stays monotone. */
 static void stop_at(float *piece, bool from_right, double far_end) {
   const float limit = (float)far_end;
   const float t = from_right ? 0 : 1;
@@ -91,15 +96,16 @@ static void stop_at(float *piece, bool from_right, double far_end) {
     for (int k = 2; k < CORE_LUT_TERMS; k++) {
       largest = fabsf(piece[k]) > fabsf(*largest) ? &piece[k] : largest;
     }
-    /* towards 0, by at least the last place of either */
+    /* Moves the largest term towards 0, by at least one unit of its last place. */
     const float less = fmaxf(fabsf(end - limit), fabsf(*largest) * 0x1p-23f);
     *largest = copysignf(fmaxf(fabsf(*largest) - less, 0), *largest);
   }
 }
 
-/* ---- errors ----------------------------------------------------------------------------------- */
+/* ---- errors -----------------------------------------------------------------------------------
+ */
 
-/* The relative error of a value, less what is negligible. */
+/* Returns the relative error of a value, or 0 if its absolute error is negligible. */
 static double error_of(const struct lut_subject *subject, float value, double truth) {
   const double off = fabs((double)value - truth);
   return off <= subject->negligible ? 0 : truth > 0 ? off / truth : (double)INFINITY;
@@ -114,7 +120,8 @@ static double worst_of(const struct lut_subject *subject, const float *piece, co
   return worst;
 }
 
-/* The best piece for the values y at the places; false: none is good enough. */
+/* Finds the best piece for the values y at the places. Returns false if none keeps the tolerance.
+ */
 static bool fit_piece(const struct lut_subject *subject, const double *y, float *best) {
   double least = (double)INFINITY;
   for (int degree = 3; degree >= 1; degree--) {
@@ -138,7 +145,8 @@ static bool fit_piece(const struct lut_subject *subject, const double *y, float 
   return least <= subject->tolerance;
 }
 
-/* ---- octaves ---------------------------------------------------------------------------------- */
+/* ---- octaves ----------------------------------------------------------------------------------
+ */
 
 static bool make_room(struct lut_pieces *pieces, size_t more) {
   if (pieces->count + more <= pieces->room) {
@@ -153,7 +161,7 @@ static bool make_room(struct lut_pieces *pieces, size_t more) {
   return c != NULL;
 }
 
-/* The values at the places of one of 2^cuts pieces. */
+/* Writes the function's values at the places of piece `index` of 2^cuts. */
 static void sample_piece(const struct lut_subject *subject, int exponent, unsigned cuts,
                          uint32_t index, double *y) {
   double x[PLACES];
@@ -164,7 +172,7 @@ static void sample_piece(const struct lut_subject *subject, int exponent, unsign
   subject->function(subject->context, PLACES, x, y);
 }
 
-/* With that many cuts; false: too few. */
+/* Fits all 2^cuts pieces of an octave. Returns false if one of them does not keep the tolerance. */
 static bool fit_all(const struct lut_subject *subject, int exponent, unsigned cuts,
                     float (*c)[CORE_LUT_TERMS]) {
   for (uint32_t i = 0; i < UINT32_C(1) << cuts; i++) {
@@ -213,8 +221,8 @@ enum lut_fit lut_fit_constant(float value, struct lut_pieces *pieces, uint32_t *
 
 double lut_fit_error(const struct lut_subject *subject, int exponent, uint32_t entry,
                      const struct lut_pieces *pieces) {
-  /* Next to where polynomials through the points of degrees 3, 2 and 1 are off by most, off the
-   * places. */
+  /* Between the places, close to where polynomials through the points of degrees 3, 2 and 1 have
+   * their largest errors. */
   static const double between[FOUND_PER_PIECE] = {6.5 / 64, 13.5 / 64, 31.5 / 64, 50.5 / 64,
                                                   57.5 / 64};
   const unsigned cuts = CORE_LUT_MANTISSA_BITS - CORE_LUT_ENTRY_SHIFT(entry);

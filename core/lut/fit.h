@@ -25,7 +25,7 @@ struct lut_pieces {
 
 enum lut_fit { LUT_FITTED, LUT_TOO_ROUGH, LUT_NO_MEMORY };
 
-/* Appends the pieces for [2^exponent, 2^(exponent + 1)). It tries 2^*cuts equal pieces first, then
+/* Appends the pieces for [2^exponent, 2^(exponent + 1)). It begins with 2^*cuts equal pieces and
  * doubles their number until they keep the tolerance. Sets *cuts to the log2 of that number and
  * *entry to the entry that finds the pieces. */
 enum lut_fit lut_fit_octave(const struct lut_subject *subject, int exponent, unsigned *cuts,

@@ -1,5 +1,5 @@
-/* The kernels of tables by instruction set: apart from those of the models, so that a program that
- * only evaluates tables holds no others. */
+/* Holds the kernels of tables by instruction set. They are in a file of their own, so that a
+ * program that only evaluates tables links no other kernels. */
 #include "core/kernels.h"
 
 #define INDEX(level, unused) INDEX_##level,

@@ -1,4 +1,4 @@
-/* Profiles from tables that were made elsewhere. */
+/* Makes profiles from tables that were built elsewhere. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>

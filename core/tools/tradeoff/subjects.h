@@ -1,4 +1,4 @@
-/* subjects: which models are measured, and which are left out and why. */
+/* subjects: lists the models that are measured, and those that are left out with the reason. */
 #ifndef TRADEOFF_SUBJECTS_H
 #define TRADEOFF_SUBJECTS_H
 
@@ -11,7 +11,7 @@ enum { SUBJECTS_MODELS_MAX = 64, SUBJECTS_MAX = 4 * SUBJECTS_MODELS_MAX };
 
 typedef struct subject_model {
   const core_choice *model;
-  bool similarity; /* depends on g and sigma_s through sigma_s (1 - g) alone, as it was seen to */
+  bool similarity; /* R was found to depend on g and sigma_s only as sigma_s (1 - g) */
 } subject_model;
 
 /* A model with an evaluator. */
@@ -32,14 +32,15 @@ typedef struct subjects {
   size_t left_out_count;
 } subjects;
 
-/* Goes through the lists of models and evaluators. */
+/* Makes the lists from those of core's models and evaluators. */
 void subjects_find(subjects *all);
 
-/* A profile of a subject for a medium, exact moments; tolerance: NaN for the default. */
+/* Prepares a subject's profile for a medium with exact moments; NaN asks for the default tolerance.
+ */
 core_fault subjects_prepare(core_profile *profile, const subjects *all, const subject *of,
                             const core_medium *medium, double tolerance);
 
-/* R at n radii, in double precision, by the subject's evaluator. */
+/* Evaluates R at n radii with the subject's evaluator; the values are converted to double. */
 void subjects_evaluate(const core_profile *profile, size_t n, const double *r, double *R);
 
 #endif

@@ -1,4 +1,5 @@
-/* nodes: the media and radii that the table is made from, and the table's bytes from them. */
+/* nodes: makes the list of media and radii for the table, and the table's bytes from their
+ * solutions. */
 #ifndef DIPOLED_TOOLS_NODES_H
 #define DIPOLED_TOOLS_NODES_H
 
@@ -6,13 +7,13 @@
 
 enum { NODES_BELOW_1 = 24, NODES_FROM_1 = 32, NODES = NODES_BELOW_1 + NODES_FROM_1 };
 
-/* Chebyshev's points in all coordinates: a sample for each v of both sides. */
+/* Makes the samples at Chebyshev's points in all coordinates, one for each v on both sides. */
 void nodes_make(const double *field, table_sample samples[NODES]);
 
-/* The table's bytes, malloc(), without its error and its checksum: nodes_seal() sets them. */
+/* Returns the table's bytes, malloc()ed. nodes_seal() sets the error and the checksum in them. */
 uint8_t *nodes_encode(const double *field, const table_sample samples[NODES], size_t *length);
 
-/* Puts the error and the checksum into a table's bytes. */
+/* Writes the error and the checksum into a table's bytes. */
 void nodes_seal(uint8_t *bytes, size_t length, double error);
 
 #endif
