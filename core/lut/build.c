@@ -269,6 +269,20 @@ static int first_u(const struct build *b) {
   }
 }
 
+/* Where R rises like a logarithm, the radii below FIRST_U follow from NEAR_CDF and NEAR_CDF_LOG in
+ * single precision, which may put them up to 2 units in the last place too high. This lowers them by
+ * as much, so that the last of them does not exceed the first piece. Nothing else depends on these
+ * words then: the cdf itself has underflowed. */
+static void keep_order_at_first_u(struct build *b) {
+  const double slack = 0x1p-22; /* 2 units in the last place, relative */
+  if (b->word[CORE_LUT_NEAR_LOG] > 0 &&
+      value(b, CORE_QUANTITY_CDF, b->word[CORE_LUT_FIRST_MM]) < 0x1p-150) {
+    b->word[CORE_LUT_NEAR_CDF] *= 1 + 2 * slack;
+    b->word[CORE_LUT_NEAR_CDF_LOG] *= 1 + 2 * slack;
+    b->error = fmax(b->error, 2 * slack);
+  }
+}
+
 /* Fits the radius as a function of u for u up to 1/2, and of 1 - u above. */
 static core_fault gather_radius(struct build *b) {
   const double half = 0.5;
@@ -299,6 +313,7 @@ static core_fault gather_radius(struct build *b) {
   radius(b, 1, &u, &r);
   b->word[CORE_LUT_FIRST_U] = u;
   b->word[CORE_LUT_NEAR_RADIUS] = b->word[CORE_LUT_NEAR_POWER] > 0 ? r / u : r / sqrt(u);
+  keep_order_at_first_u(b);
   return fault;
 }
 
