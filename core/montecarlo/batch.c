@@ -1,7 +1,8 @@
-/* Batches: lanes are refilled as photons end, and what they leave behind is put down.
+/* Batches: each lane walks a photon and gets the next one when that photon has ended; the tally
+ * takes up what each photon leaves behind.
  *
- * The order of all sums is the order of the lanes at each step; it does not depend on the
- * instruction set, nor on the slices in which a batch is walked.
+ * All sums run in the order of the lanes at each step. So they do not depend on the instruction
+ * set, nor on the slices in which a batch is walked.
  */
 #include "core/montecarlo/batch.h"
 
@@ -37,8 +38,8 @@ static const walk_functions *functions_for(const core_isa *isa) {
 /* ---- the tally --------------------------------------------------------------------------------
  */
 
-/* A photon at the end of its walk: the weights that it has there, for each albedo, and what it has
- * left on its way. */
+/* A photon at the end of its walk: its stage, the stage's gain, and albedo^collisions for each
+ * albedo. */
 struct ended {
   const core_mc_plan *plan;
   double *tally;
@@ -54,8 +55,9 @@ static struct ended end_of(core_mc_batch *batch, uint32_t collisions, size_t sta
   return ended;
 }
 
-/* All of it: what was absorbed up to here, what roulette has added, and what is left, to a row: 1
- * time, or -1 where it is taken away. */
+/* Adds an ended photon to the tally for each albedo: what was absorbed up to here, what roulette
+ * has added, and `times` the remaining weight to `row`. times: 1, or -1 where the row counts the
+ * weight as taken away. */
 static void put_down(const struct ended *ended, enum mc_row row, double times) {
   const size_t albedos = ended->plan->albedos;
   const mc_stage_energy *at_stage = ended->plan->stage_energy[ended->stage];
@@ -67,7 +69,8 @@ static void put_down(const struct ended *ended, enum mc_row row, double times) {
   }
 }
 
-/* Where it left, in squared mean free paths from the axis. */
+/* Returns the squared distance from the axis at which the photon left, in squared mean free paths.
+ */
 static double exit_r_squared(const walk_lanes *lanes, size_t lane) {
   const double way = lanes->way[lane];
   const double x = lanes->x[lane] + lanes->ux[lane] * way;
@@ -88,7 +91,8 @@ static void score_exit(core_mc_batch *batch, size_t lane, size_t side) {
   batch->photons[side * plan->slots + slot]++;
 }
 
-/* Roulette ends a walk when it would begin a stage, before the stage's gain. */
+/* Scores a photon that ended inside. Roulette ends a walk when the walk would begin a stage, so the
+ * gain of the stage before applies. */
 static void score_inside(core_mc_batch *batch, size_t lane) {
   const core_mc_plan *plan = batch->plan;
   const uint32_t collisions = batch->lanes.collisions[lane];
@@ -152,8 +156,8 @@ static void move_lane(walk_lanes *lanes, size_t to, size_t from) {
   lanes->fate[to] = lanes->fate[from];
 }
 
-/* When no photons are left to launch, the lanes still in use close ranks, so that the last and
- * longest walks do not carry empty lanes along. */
+/* Moves the lanes still in use to the front. This happens when no photons are left to launch, so
+ * that the last and longest walks do not carry empty lanes along. */
 static void close_ranks(core_mc_batch *batch) {
   size_t kept = 0;
   for (size_t lane = 0; lane < batch->active; lane++) {
@@ -219,7 +223,8 @@ void core_mc_batch_start(core_mc_batch *batch, uint64_t index) {
   memset(batch->tally, 0, mc_rows(plan) * plan->albedos * sizeof *batch->tally);
 }
 
-/* Nothing is scattered: each photon is absorbed where it first collides. */
+/* Ends the batch of a medium that does not scatter: each photon is absorbed at its first collision.
+ */
 static void absorb_all(core_mc_batch *batch) {
   double *absorbed = batch->tally + MC_ROW_ABSORBED * batch->plan->albedos;
   for (size_t k = 0; k < batch->plan->albedos; k++) {

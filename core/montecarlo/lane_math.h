@@ -1,9 +1,10 @@
 /* lane_math: random numbers and elementary functions for photons that are walked in lanes.
  *
- * Elementwise and without branches, so that compilers vectorize the loops around them, and of
- * additions, multiplications, divisions and square roots alone, so that every instruction set gives
- * the same bits. Fused multiply-adds are left out: instruction sets without them would have to call
- * the C library in the walk's inner loop, and a random walk gains nothing from their last half ulp.
+ * The functions work on one element and have no branches, so that compilers vectorize the loops
+ * around them. They use only additions, multiplications, divisions and square roots, so that every
+ * instruction set gives the same bits. They do not use fused multiply-adds: instruction sets
+ * without them would have to call the C library in the walk's inner loop, and a random walk gains
+ * nothing from the last half ulp.
  */
 #ifndef DIPOLED_CORE_MONTECARLO_LANE_MATH_H
 #define DIPOLED_CORE_MONTECARLO_LANE_MATH_H
@@ -24,8 +25,8 @@ static inline float lane_float(uint32_t bits) {
   return x;
 }
 
-/* All bits of a mask are set where a condition holds. Conditions are kept so, and not as truth
- * values, because compilers vectorize the former in every case. */
+/* A mask has all bits set where a condition holds and no bit set elsewhere. Masks replace truth
+ * values, because compilers vectorize masks in every case. */
 typedef uint32_t lane_mask;
 
 static inline lane_mask lane_mask_if(int condition) {
@@ -47,8 +48,8 @@ typedef struct lane_random {
   uint32_t word[4];
 } lane_random;
 
-/* What Philox keeps a word of 32 bits in: where there are products of 64 bits, in as many, so that
- * nothing is shuffled between lanes; elsewhere in 32. */
+/* The type in which Philox keeps a word of 32 bits. Instruction sets with products of 64 bits use
+ * 64 bits, so that no words have to move between lanes; others use 32 bits. */
 #ifdef __AVX512DQ__
 typedef uint64_t lane_word;
 #else
@@ -56,8 +57,8 @@ typedef uint32_t lane_word;
 #endif
 
 /* Philox4x32-10: J. Salmon, M. Moraes, R. Dror, D. Shaw, "Parallel Random Numbers: As Easy as 1, 2,
- * 3", 2011. A bijection of the counter for each key: what a photon draws depends on its own counter
- * alone. If words are wider, the upper halves of c1 and c3 are garbage. */
+ * 3", 2011. For each key it is a bijection of the counter, so a photon's random numbers depend only
+ * on its own counter. If lane_word has 64 bits, the upper halves of c1 and c3 are garbage. */
 static inline lane_random lane_philox(const uint32_t counter[4], const uint32_t key[2]) {
   lane_word c0 = counter[0];
   lane_word c1 = counter[1];
@@ -78,8 +79,8 @@ static inline lane_random lane_philox(const uint32_t counter[4], const uint32_t 
   return (lane_random){{(uint32_t)c0, (uint32_t)c1, (uint32_t)c2, (uint32_t)c3}};
 }
 
-/* A number v from (0, 1) and w = 1 - v, each with the relative precision of its own: of the 2^31
- * equally likely points (i + 1/2) / 2^31. */
+/* A number v from (0, 1) and w = 1 - v, each to the relative precision of float. v is one of the
+ * 2^31 equally likely points (i + 1/2) / 2^31. */
 typedef struct lane_uniform {
   float v;
   float w;
@@ -94,8 +95,9 @@ static inline lane_uniform lane_uniform_from(uint32_t bits) {
 /* ---- functions --------------------------------------------------------------------------------
  */
 
-/* -ln(w) for w from 2^-100 to 1, given v = 1 - w as well, so that small results keep their digits.
- * With m = 2^k (1 + f): ln(1 + f) = 2 artanh(f / (2 + f)). Error: 2.5e-7, relative. */
+/* Returns -ln(w) for w from 2^-100 to 1. The caller also passes v = 1 - w, so that small results
+ * keep their digits. With w = 2^k (1 + f), ln(1 + f) = 2 artanh(f / (2 + f)). The relative error is
+ * 2.5e-7. */
 static inline float lane_minus_log(float v, float w) {
   const uint32_t one = UINT32_C(0x3f800000);
   const uint32_t sqrt_half = UINT32_C(0x3f3504f3);
@@ -113,9 +115,9 @@ static inline float lane_minus_log(float v, float w) {
   return -(k * 0x1.62e430p-1f + (2.0f * s + 2.0f * s * t * series));
 }
 
-/* cos and sin of an angle from 0 to 2 pi: an eighth of the circle, whose functions are polynomials
- * that interpolate them at Chebyshev points (error: 1.5e-7), and three bits that put it in its
- * place. */
+/* Cosine and sine of a random angle from 0 to 2 pi. 23 bits give an angle in an eighth of the
+ * circle, where polynomials interpolate both functions at Chebyshev points (error: 1.5e-7). Three
+ * more bits say which eighth it is. */
 typedef struct lane_direction {
   float cosine;
   float sine;

@@ -11,14 +11,16 @@
 /* ---- the unscattered light --------------------------------------------------------------------
  */
 
-/* Straight down a slab of optical thickness tau, light is weakened by e^-tau on each way and
- * reflected with F at each end, without end:
+/* Computes the unscattered light and the distribution of the first collision. Straight down a slab
+ * of optical thickness tau, light is weakened by e^-tau on each passage and reflected with F at
+ * each end, any number of times:
  *
  *   transmitted  (1 - F) e^-tau / (1 - q^2),  q = F e^-tau
  *   reflected    (1 - F) F e^-2tau / (1 - q^2)
  *   collides     (1 - e^-tau) / (1 - q), of this q / (1 + q) on ways up
  *
- * which are exact; what is walked begins at the first collision. In a half space all collides. */
+ * These are exact; the walk begins at the first collision. In a half space all light collides.
+ */
 static void prepare_first_flight(core_mc_plan *plan, double tau) {
   const double eta = plan->request.eta;
   const double amplitude = (eta - 1) / (eta + 1);
@@ -36,7 +38,7 @@ static void prepare_first_flight(core_mc_plan *plan, double tau) {
   plan->walk.first_turned = (float)(q / (1 + q));
 }
 
-/* Thicker than this is as good as infinite: no photon of single precision comes so deep. */
+/* A thicker slab is taken as a half space: no photon of single precision comes so deep. */
 #define THICKNESS_MAX_MFP 1e30
 
 static void prepare_walk(core_mc_plan *plan) {
@@ -45,8 +47,9 @@ static void prepare_walk(core_mc_plan *plan) {
   const double g = request->g;
   const double eta_squared = request->eta * request->eta;
   const double tau = request->thickness_mm * request->sigma_t_per_mm;
-  /* From Snell's law, ct^2 = 1 - eta^2 (1 - ci^2); near eta = 1 grazing light loses digits in the
-   * one form, with a large eta light near the normal in the other. */
+  /* Snell's law gives ct^2 = 1 - eta^2 (1 - ci^2). With the squared cosine ci^2, light near the
+   * normal loses digits if eta is large; with the squared sine 1 - ci^2, grazing light loses digits
+   * if eta is near 1. */
   const bool by_sine = request->eta > 1.2;
   *walk = (walk_medium){
       .isotropic = g == 0,
@@ -70,9 +73,11 @@ static void prepare_walk(core_mc_plan *plan) {
 
 #define ROULETTE_WEIGHT_DEFAULT 0.2
 #define SCATTERINGS_MAX_DEFAULT 1048576.0
-#define SURVIVAL_MIN 0x1p-20 /* those few who come so far are left alone */
+/* smallest chance of survival: the few photons that come so far are not reduced further */
+#define SURVIVAL_MIN 0x1p-20
 
-/* Beyond so many collisions (for g > 0: over 1 - g) a path is long even without absorption. */
+/* A path of more than LONG_PATH collisions (over 1 - g for g > 0) counts as long, even without
+ * absorption. */
 #define LONG_PATH 1024.0
 
 static double forward_scatterings(const core_mc_request *request) {
@@ -89,10 +94,11 @@ static void fill_in_defaults(core_mc_request *request) {
   }
 }
 
-/* Once a path's weight has fallen to the roulette weight, it is kept there. Paths without
- * absorption come back to the boundary of a half space with a probability of 1, but after n
- * collisions a share of 1 / sqrt(n) is still on its way: their mean length is infinite. With S
- * proportional to 1 / sqrt(n), each octave of n costs the same, and brings the same variance. */
+/* Returns the chance S that a path of n collisions survives, where `weight` is albedo^n. Once a
+ * path's weight has fallen to the roulette weight, S keeps it there. Without absorption, paths in a
+ * half space come back to the boundary with a probability of 1, but after n collisions a share of 1
+ * / sqrt(n) is still on its way, so their mean length is infinite. With S proportional to 1 /
+ * sqrt(n), each octave of n costs the same and brings the same variance. */
 static double wanted_survival(const core_mc_request *request, double weight, double n) {
   const double by_weight = weight / request->roulette_weight;
   const double by_length = sqrt(LONG_PATH * forward_scatterings(request) / n);
@@ -107,7 +113,8 @@ static double largest_albedo(const core_mc_plan *plan, const double *values) {
   return values[largest];
 }
 
-/* Each collision of the first ones begins a stage, later every 32nd part of a path so far. */
+/* Returns where the stage after `first` begins: at the next collision up to 64, later after 1/32 of
+ * the path so far. */
 static uint32_t next_stage(uint32_t first) {
   return first + (first < 64 ? 1 : first / 32);
 }
@@ -192,7 +199,7 @@ size_t mc_stage_of(const core_mc_plan *plan, uint32_t collisions) {
 }
 
 uint32_t mc_last_collision(const core_mc_plan *plan, uint32_t chance) {
-  /* The last stage that it lives to see; the first one's survival is never drawn. */
+  /* Finds the last stage that the photon lives to see. The first stage's survival is 1. */
   size_t low = 0;
   for (size_t n = plan->stages; n > 1;) {
     const size_t half = n / 2;
@@ -204,7 +211,7 @@ uint32_t mc_last_collision(const core_mc_plan *plan, uint32_t chance) {
 
 size_t mc_slot_of(const core_mc_plan *plan, double r_squared_mfp2) {
   const double *edges = plan->edges_squared_mfp2;
-  size_t below = 0; /* edges */
+  size_t below = 0; /* number of edges below or at this radius */
   for (size_t n = plan->slots - 1; n > 0;) {
     const size_t half = n - n / 2;
     below = edges[below + half - 1] <= r_squared_mfp2 ? below + half : below;

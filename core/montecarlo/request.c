@@ -1,10 +1,10 @@
-/* Monte Carlo requests, checked. */
+/* Checks of Monte Carlo requests. */
 #include <assert.h>
 #include <math.h>
 
 #include "core/montecarlo/montecarlo.h"
 
-/* Written so that NaN is out of every range. */
+/* The comparisons are written so that NaN is out of every range. */
 static bool in_range(double value, double low, double high) {
   return value >= low && value <= high;
 }
@@ -44,7 +44,7 @@ static core_fault check_medium(const core_mc_request *request) {
   return (core_fault){0};
 }
 
-/* Each ring is looked at, in the edges' own rounding, so that none is empty. */
+/* Checks the width of each ring, computed from the rounded edges, so that no ring is empty. */
 static core_fault check_ring_widths(const core_grid *edges) {
   enum { SLICE = 64 };
   double r_mm[SLICE + 1];

@@ -1,4 +1,4 @@
-/* Totals: batches merged, means and standard errors. */
+/* Totals: merging batches, means and standard errors. */
 #include <assert.h>
 #include <math.h>
 #include <stdlib.h>
@@ -6,8 +6,8 @@
 
 #include "core/montecarlo/batch.h"
 
-/* For each number of a tally, over the batches: its mean, and the sum of its squared deviations
- * from it. */
+/* mean[i] is the mean over the batches of number i of a tally, and deviation[i] the sum of its
+ * squared deviations from that mean. */
 struct core_mc_total {
   const core_mc_plan *plan;
   uint64_t batches;
@@ -46,7 +46,7 @@ uint64_t core_mc_total_batches(const core_mc_total *total) {
   return total->batches;
 }
 
-/* Welford 1962: means and squared deviations without cancellation. */
+/* Welford 1962: this update of means and squared deviations does not cancel. */
 void core_mc_total_merge(core_mc_total *total, const core_mc_batch *batch) {
   const core_mc_plan *plan = total->plan;
   assert(batch->plan == plan && batch->index == total->batches);
@@ -68,7 +68,8 @@ void core_mc_total_merge(core_mc_total *total, const core_mc_batch *batch) {
 /* ---- results ----------------------------------------------------------------------------------
  */
 
-/* Per unit of power that entered; the tally is per unit that collides. */
+/* Returns a row's value per unit of power that entered; the tally is per unit of power that
+ * collides. */
 static core_mc_value value_of(const core_mc_total *total, size_t row, size_t albedo) {
   const core_mc_plan *plan = total->plan;
   const size_t i = row * plan->albedos + albedo;

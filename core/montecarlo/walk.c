@@ -1,20 +1,20 @@
 /* The walk, compiled for each instruction set: one scattering and one flight of every lane.
  *
- * A flight is a whole event in one go, whatever boundaries it meets. Under a plane boundary, a
- * photon that is reflected flies on as its mirror image, and in a half space it cannot come back in
- * the same flight. In a slab all reflections of one flight are at the same angle, so the number of
- * those that it survives is drawn at once, from the geometric distribution, and the path unfolds
- * into a straight line. So no lane ever waits for another.
+ * One step treats a whole flight, whatever boundaries it meets, so no lane ever waits for another.
+ * A photon that a plane boundary reflects flies on as its mirror image; in a half space it cannot
+ * come back to the boundary in the same flight. In a slab all reflections of one flight are at the
+ * same angle. So the code draws the number of reflections that the photon survives at once, from
+ * the geometric distribution, and unfolds the path into a straight line.
  *
- * Each event draws four words from Philox, with the counter (collisions, photon, kind of event):
- * deflection, azimuth, path, reflection.
+ * Each step draws four words from Philox: for deflection, azimuth, path and reflection. The counter
+ * is (collisions, photon index, kind of event).
  */
 #include "core/montecarlo/walk.h"
 
 #include "core/kernels.h"
 #include "core/montecarlo/lane_math.h"
 
-/* The last word of the counter. */
+/* The kinds of event, which are the last word of Philox's counter. */
 enum { EVENT_SCATTERING = 0, EVENT_LAUNCH = 1 };
 
 struct vector {
@@ -26,16 +26,18 @@ struct vector {
 /* ---- scattering -------------------------------------------------------------------------------
  */
 
-/* Henyey and Greenstein 1941. With u uniform from (-1, 1), the mean cosine is g when
+/* The deflection by Henyey and Greenstein 1941. With u uniform from (-1, 1), the mean cosine is g
+ * if
  *
  *   cos(theta) = [1 + g^2 - ((1 - g^2) / (1 + g u))^2] / (2 g)
  *
- * which cancels for small g and for g near 1. With w = (1 + u) / 2, v = 1 - w, D = 1 - g + 2 g w:
+ * which cancels for small g and for g near 1. With w = (1 + u) / 2, v = 1 - w, D = 1 - g + 2 g w,
  *
  *   1 - cos = 2 (1 - g)^2 v (1 + g w) / D^2
  *   1 + cos = 2 (1 + g)^2 w (1 - g + g w) / D^2
  *
- * sums of positive terms for g >= 0; g < 0 is the mirror image. */
+ * are sums of positive terms for g >= 0. For g < 0 the code uses the mirror image.
+ */
 struct deflection {
   float cosine;
   float sine;
@@ -58,9 +60,9 @@ static inline struct vector isotropic(lane_uniform u, lane_direction azimuth) {
   return (struct vector){sine * azimuth.cosine, sine * azimuth.sine, u.w - u.v};
 }
 
-/* The direction turned by the deflection, in the frame of T. Duff et al., "Building an Orthonormal
- * Basis, Revisited", 2017. Its length is brought back to 1 by a step of Newton's method, so that
- * rounding does not add up over the walk. */
+/* Returns the direction u turned by the deflection, in the frame of T. Duff et al., "Building an
+ * Orthonormal Basis, Revisited", 2017. A step of Newton's method brings its length back to 1, so
+ * that rounding does not add up over the walk. */
 static inline struct vector turn(struct vector u, struct deflection by, lane_direction azimuth) {
   const float sign = lane_float((lane_bits(u.z) & UINT32_C(0x80000000)) | lane_bits(1.0f));
   const float a = -1.0f / (sign + u.z);
@@ -86,7 +88,7 @@ struct fresnel {
   float s_sum;
   float p_difference;
   float p_sum;
-  lane_mask total; /* reflection */
+  lane_mask total; /* all bits are set for total reflection */
 };
 
 static inline struct fresnel fresnel_amplitudes(const walk_medium *m, struct vector u) {
@@ -105,7 +107,7 @@ static inline struct fresnel fresnel_amplitudes(const walk_medium *m, struct vec
   };
 }
 
-/* chance < F, without a division. */
+/* Returns the mask of chance < F, computed without a division. */
 static inline lane_mask is_reflected(struct fresnel f, float chance) {
   const float s = f.s_difference * f.p_sum;
   const float p = f.p_difference * f.s_sum;
@@ -113,7 +115,7 @@ static inline lane_mask is_reflected(struct fresnel f, float chance) {
   return f.total | lane_mask_if(2.0f * chance * (both * both) < s * s + p * p);
 }
 
-/* -ln(F), at most 60; 0 for total reflection. */
+/* Returns -ln(F), at most 60, and 0 for total reflection. */
 static inline float minus_log_reflectance(struct fresnel f) {
   const float s = f.s_difference / f.s_sum;
   const float p = f.p_difference / f.p_sum;
@@ -127,16 +129,16 @@ static inline float minus_log_reflectance(struct fresnel f) {
 /* ---- flights ----------------------------------------------------------------------------------
  */
 
-/* How a flight ends. */
+/* The end of a flight: the photon's next collision, or the boundary through which it leaves. */
 struct landing {
   float z;
   float uz;
-  float way; /* to the boundary, when it leaves */
+  float way; /* path to the boundary, if the photon leaves */
   lane_mask leaves;
-  uint32_t fate; /* when it leaves */
+  uint32_t fate; /* fate of the photon, if it leaves */
 };
 
-#define REFLECTIONS_MAX 0x1p30f /* more than any flight meets */
+#define REFLECTIONS_MAX 0x1p30f /* more reflections than any flight meets */
 
 static inline struct landing land_in_half_space(const walk_medium *m, float z, struct vector u,
                                                 float path, lane_uniform chance) {
@@ -153,8 +155,8 @@ static inline struct landing land_in_half_space(const walk_medium *m, float z, s
   };
 }
 
-/* How many times a photon that meets the boundaries at this angle is reflected until it leaves: n
- * or more with the probability F^n. */
+/* Returns how many times a photon that meets the boundaries at this angle is reflected before it
+ * leaves: n or more times with the probability F^n. */
 static inline int32_t reflections(const walk_medium *m, struct vector u, lane_uniform chance) {
   const float log_chance = lane_minus_log(chance.w, chance.v);
   const float log_reflectance = minus_log_reflectance(fresnel_amplitudes(m, u));
@@ -162,8 +164,8 @@ static inline int32_t reflections(const walk_medium *m, struct vector u, lane_un
   return (int32_t)lane_select(endless, REFLECTIONS_MAX, log_chance / log_reflectance);
 }
 
-/* The first boundary is `ahead` away, measured along z; the path goes `beyond` it, and meets it
- * and, in turn, the opposite one, `turns` times more. */
+/* Lands a photon in a slab. The first boundary is `ahead` away, measured along z. The path
+ * continues `beyond` that boundary, and meets the boundaries in turn `turns` times more. */
 static inline struct landing land_in_slab(const walk_medium *m, float z, struct vector u,
                                           float path, lane_uniform chance) {
   const float speed = fabsf(u.z);
@@ -196,8 +198,8 @@ static inline struct landing land_in_slab(const walk_medium *m, float z, struct 
 /* ---- all lanes --------------------------------------------------------------------------------
  */
 
-/* Four random words for each lane. A loop of its own: its numbers are twice as wide as those of the
- * walk. */
+/* Four random words for each lane. A loop of its own fills them in, because its numbers are twice
+ * as wide as those of the walk. */
 typedef struct random_words {
   uint32_t word[4][WALK_LANES];
 } random_words;
@@ -216,8 +218,8 @@ static inline void draw(const walk_medium *m, size_t lanes, const uint32_t *rest
   }
 }
 
-/* is_isotropic and is_slab repeat the medium's, as constants: each combination is a loop of its
- * own. */
+/* Walks the lanes one step. is_isotropic and is_slab repeat the medium's fields as constants, so
+ * that the compiler makes a separate loop for each combination. */
 static inline __attribute__((always_inline)) void step(const walk_medium *medium, uint32_t high,
                                                        size_t lanes, walk_lanes *restrict w,
                                                        bool is_isotropic, bool is_slab) {

@@ -5,21 +5,23 @@
 
 #include "core/transport/functions.h"
 
-/* Below it the chords are short enough to be integrated along; above, their ends are. */
+/* For |k| below this the code integrates along the chords, which are short; above, along the arcs
+ * of their ends. */
 #define CHORDS_UP_TO 1.0
 
-/* The smallest cosine that leaves: cos of the critical angle, 0 where there is none. */
+/* Returns the smallest cosine of light that leaves: that of the critical angle, or 0 if there is
+ * none. */
 static double critical_mu(double eta) {
   return eta > 1 ? sqrt((eta - 1) * (eta + 1)) / eta : 0;
 }
 
-/* u = asinh x, the rapidity, of the critical angle; eta > 1. */
+/* Returns the rapidity u = asinh x of the critical angle, for eta > 1. */
 static double critical_rapidity(double eta) {
   return 0.5 * fn_log((eta + 1) / (eta - 1));
 }
 
-/* Fresnel's transmittance, unpolarized, from the cosines inside and outside:
- * T = 2 eta mu mu_t [1 / (eta mu + mu_t)^2 + 1 / (mu + eta mu_t)^2]. */
+/* Returns Fresnel's transmittance for unpolarized light, from the cosines mu inside and mu_t
+ * outside: T = 2 eta mu mu_t [1 / (eta mu + mu_t)^2 + 1 / (mu + eta mu_t)^2]. */
 static double complex transmittance(double eta, double complex mu, double complex mu_t) {
   const double complex s = eta * mu + mu_t;
   const double complex p = mu + eta * mu_t;
@@ -28,15 +30,15 @@ static double complex transmittance(double eta, double complex mu, double comple
 
 /* ---- how many points ------------------------------------------------------------------------ */
 
-/* Found by comparing with twice as many, over eta from 0.25 to 4 and |k| up to 1e4: the exitance is
- * then off by about the accuracy. */
+/* The numbers of points below were found by comparing with twice as many, over eta from 0.25 to 4
+ * and |k| up to 1e4. With these numbers the error of the exitance is about the accuracy. */
 
 static size_t at_most(double count, size_t limit) {
   return count < (double)limit ? (size_t)count : limit;
 }
 
-/* How many e-folds of mu the critical angle is from grazing, or for eta < 1 the branch point of
- * mu_t from the real axis. */
+/* Returns how many e-folds of mu separate the critical angle from grazing incidence or, for eta <
+ * 1, the branch point of mu_t from the real axis. */
 static double nearness(double eta) {
   return eta == 1 ? 0 : fn_log(1 + 1 / sqrt(fabs((eta - 1) * (eta + 1))));
 }
@@ -52,7 +54,8 @@ void transport_nodes_rules(nodes_rules *rules, double eta, double accuracy) {
   rules->chord_points = at_most(6 + 0.6 * digits, GAUSS_MAX);
 }
 
-/* What |k| is multiplied with where the arcs end: the tangent of the critical angle. */
+/* Returns |k| times the tangent of the critical angle, at which the arcs end; returns |k| if eta <=
+ * 1. */
 static double arc_size(double eta, double complex k) {
   return eta > 1 ? fn_abs(k) / sqrt((eta - 1) * (eta + 1)) : fn_abs(k);
 }
@@ -64,16 +67,19 @@ static size_t arc_points(const nodes_rules *rules, double complex k) {
 
 /* ---- paths through many scales -------------------------------------------------------------- */
 
-/* The parameter of a path: rho from 0 to infinity, and d(ln rho) / ds, for s from 0 to 1. */
+/* A point of a path: its parameter rho, from 0 to infinity, and d(ln rho) / ds, for s from 0 to 1.
+ */
 struct stretch {
   double rho;
   double slope;
 };
 
-/* Things change from the scale 1 / size up to 1.
- * Two ends: rho = c A / B^2 with A = e^(L s) - 1 and B = e^(M (1 - s)) - 1 goes through these
- * scales towards 0 and towards infinity at an even pace, and beyond them as s and (1 - s)^-2.
- * One end: from rho = 1 on all decays; B = 1 - s. */
+/* Returns the point at s of a path whose integrand varies on the scales from 1 / size to 1.
+ *
+ * With two ends, rho = c A / B^2 with A = e^(L s) - 1 and B = e^(M (1 - s)) - 1. This rho goes
+ * through the scales towards 0 and towards infinity at an even pace, and continues beyond them as s
+ * and (1 - s)^-2. With one end the integrand decays from rho = 1 on, and B = 1 - s.
+ */
 static struct stretch stretched(bool two_ends, double size, double s) {
   const double lower = fn_log(2 + 4 * size);
   const double at_s = fn_exp(lower * s);
@@ -92,9 +98,9 @@ static struct stretch stretched(bool two_ends, double size, double s) {
 
 /* ---- what is scattered ---------------------------------------------------------------------- */
 
-/* K(t) = int ds / (2 p) e^(-pt), p = sqrt(s^2 + k^2), s from 1 to infinity. In z = s + p this is
- * dz / (2 z) with p = (z + k^2 / z) / 2: no root is left. z runs from z0 = 1 + sqrt(1 + k^2) away
- * from 0, z = z0 / t^2 with t from 1 to 0. */
+/* Adds the nodes of K(t) = int ds / (2 p) e^(-pt), p = sqrt(s^2 + k^2), s from 1 to infinity. In z
+ * = s + p this is dz / (2 z) with p = (z + k^2 / z) / 2, which contains no root. z runs from z0 = 1
+ * + sqrt(1 + k^2) away from 0: z = z0 / t^2 with t from 1 to 0. */
 static void add_scattered(nodes *to, const nodes_rules *rules, double complex k) {
   const double complex z0 = 1 + fn_csqrt(1 + k * k);
   for (size_t i = 0; i < rules->scattered.n; i++) {
@@ -107,8 +113,9 @@ static void add_scattered(nodes *to, const nodes_rules *rules, double complex k)
   }
 }
 
-/* eta = 1: nothing is reflected, and X(t) = 1/2 int ds / s^2 e^(-pt). s starts at 1 and the rest
- * changes at |k|: z = z0 (1 + rho), with scales as on the arcs below. */
+/* Adds the nodes for eta = 1. Nothing is reflected, and X(t) = 1/2 int ds / s^2 e^(-pt). The factor
+ * 1 / s^2 varies on the scale 1 of s, and p on the scale |k|. So z = z0 (1 + rho), with rho from
+ * stretched(). */
 static void add_unreflected(nodes *to, double complex k, const gauss_rule *rule) {
   const double complex z0 = 1 + fn_csqrt(1 + k * k);
   for (size_t i = 0; i < rule->n; i++) {
@@ -126,17 +133,17 @@ static void add_unreflected(nodes *to, double complex k, const gauss_rule *rule)
 
 /* ---- what is transmitted, for small k ------------------------------------------------------- */
 
-/* One angle: mu, the tangent x, and the weight of 1/2 dmu / mu T. */
+/* One angle: the cosine mu, the tangent x, and the weight, which is that of 1/2 dmu / mu T. */
 struct angle {
   double mu;
   double x;
   double weight;
 };
 
-/* eta > 1: u = U (1 - t^2), t from 0 to 1, makes an analytic function of the root that T has at the
- * critical angle; mu_t^2 = eta^2 (mu - mu_c) (mu + mu_c) with
- * mu - mu_c = mu mu_c (cosh U - cosh u) = 2 mu mu_c sinh((U + u) / 2) sinh((U - u) / 2);
- * dmu / mu = tanh u du. */
+/* Returns the angle at t in (0, 1) for eta > 1. The substitution u = U (1 - t^2) removes the square
+ * root that T has at the critical angle. In it dmu / mu = tanh u du, mu_t^2 = eta^2 (mu - mu_c) (mu
+ * + mu_c) and mu - mu_c = mu mu_c (cosh U - cosh u) = 2 mu mu_c sinh((U + u) / 2) sinh((U - u) /
+ * 2). */
 static struct angle angle_inside_denser(double eta, double t, double weight) {
   const double limit = critical_rapidity(eta);
   const double mu_c = critical_mu(eta);
@@ -152,7 +159,7 @@ static struct angle angle_inside_denser(double eta, double t, double weight) {
   return (struct angle){mu, creal(sinh_u), 0.5 * measure * creal(transmittance(eta, mu, mu_t))};
 }
 
-/* eta < 1: every angle leaves; mu = t^2. */
+/* Returns the angle at t in (0, 1) for eta < 1, where light leaves at every angle; mu = t^2. */
 static struct angle angle_outside_denser(double eta, double t, double weight) {
   const double mu = t * t;
   const double mu_t = sqrt((1 - eta) * (1 + eta) + eta * eta * mu * mu);
@@ -161,8 +168,8 @@ static struct angle angle_outside_denser(double eta, double t, double weight) {
                         0.5 * measure * creal(transmittance(eta, mu, mu_t))};
 }
 
-/* J0(k t x) e^(-C t) is the mean of e^(-pt) over the chord p = C - i k x cos(phi), by the midpoint
- * rule in phi. */
+/* Adds the nodes of K_T and X for small k. J0(k t x) e^(-C t) is the mean of e^(-pt) over the chord
+ * p = C - i k x cos(phi), which the midpoint rule in phi computes. */
 static void add_chords(nodes *to, const nodes_rules *rules, double complex k) {
   for (size_t i = 0; i < rules->chords.n; i++) {
     const double t = rules->chords.x[i];
@@ -183,20 +190,21 @@ static void add_chords(nodes *to, const nodes_rules *rules, double complex k) {
 /* ---- what is transmitted, for large k ------------------------------------------------------- */
 
 /* The ends of all chords lie on the two arcs p = cosh u +- i k sinh u, u from 0 to the critical
- * rapidity U, which meet at p = 1. Each chord is deformed onto the part of the arcs between its
- * ends, which makes one measure of all of them: on an arc, with chords' C = cosh u beyond
- * C' = cosh u',
+ * rapidity U, which meet at p = 1. Each chord can be deformed onto the part of the arcs between its
+ * ends. This makes one measure of all chords. On an arc, at C' = cosh u', the chords with C = cosh
+ * u > C' give
  *
  *   dnu = +-1 / (2 pi i) m(u') dp(u'),    m(u') = int dmu / mu T(mu) / D(u, u')
  *   D^2 = (p - C)^2 + k^2 sinh^2 u = (1 + k^2) (C - C') (C - C''),  C'' = cosh(u' + 2 i psi),
  *
- * tan(psi) = +-k: it is a density of p that is analytic, so that the path of u' may leave the real
- * axis. It is bent such that p keeps away from the imaginary axis, where p + q of nodes on opposite
- * arcs would be small beside k: in v = e^u' it is a circular arc that leaves its ends under the
- * angle `bend`. */
+ * with tan(psi) = +-k. This density is an analytic function of p, so the path of u' may leave the
+ * real axis. The code bends the path so that p keeps away from the imaginary axis, where p + q of
+ * nodes on opposite arcs would be small compared with k. In v = e^u' the path is a circular arc
+ * that leaves its ends under the angle `bend`.
+ */
 
-/* A point of the path, with v = e^u': v - 1, dv / ds for the path's parameter s from 0 to 1, the
- * cosine mu' = 1 / C' = 2 v / (v^2 + 1), and mu' - mu_c. */
+/* A point of the path, with v = e^u': v - 1, dv / ds where s from 0 to 1 is the path's parameter,
+ * the cosine mu' = 1 / C' = 2 v / (v^2 + 1), and mu' - mu_c. */
 struct path_point {
   double complex v_less_1;
   double complex dv;
@@ -204,10 +212,10 @@ struct path_point {
   double complex beyond_critical;
 };
 
-/* bend: positive for the arc with +k, negative for the other. With V = e^U and
- * tau = rho e^(-i bend): for eta > 1 (v - 1) / (V - v) = tau, where
- * mu' - mu_c = mu' mu_c (cosh U - cosh u') = mu' mu_c (V - v) (V v - 1) / (2 V v);
- * for eta < 1 v - 1 = tau, which bends the path to infinity likewise. */
+/* Returns the point of the path at s. bend is positive for the arc with +k and negative for the
+ * other. With V = e^U and tau = rho e^(-i bend), (v - 1) / (V - v) = tau for eta > 1, where mu' -
+ * mu_c = mu' mu_c (cosh U - cosh u') = mu' mu_c (V - v) (V v - 1) / (2 V v). For eta < 1, v - 1 =
+ * tau, which bends the path to infinity in the same way. */
 static struct path_point path_at(const nodes_rules *rules, double size, double bend, double s) {
   const double eta = rules->eta;
   const struct stretch stretch = stretched(eta > 1, size, s);
@@ -230,9 +238,10 @@ static struct path_point path_at(const nodes_rules *rules, double size, double b
   return point;
 }
 
-/* The integrals of dmu / mu T / D and of dmu T / D from mu_c to mu', that is of C from C' to where
- * T ends. With mu = mu_c + (mu' - mu_c) cos^2(phi): C - C' = (mu' - mu_c) sin^2(phi) / (mu mu'),
- * which takes out the root of D, and mu_t^2 = eta^2 (mu - mu_c) (mu + mu_c) has one in cos(phi). */
+/* The integrals of dmu / mu T / D (kernel) and of dmu T / D (exit) over mu from mu_c to mu', which
+ * is C from C' to where T ends. The substitution mu = mu_c + (mu' - mu_c) cos^2(phi) makes C - C' =
+ * (mu' - mu_c) sin^2(phi) / (mu mu'). This removes the root of D, and also the root of mu_t^2 =
+ * eta^2 (mu - mu_c) (mu + mu_c), which becomes a factor cos(phi) of mu_t. */
 struct densities {
   double complex kernel;
   double complex exit;
@@ -261,20 +270,21 @@ static struct densities arc_densities(const nodes_rules *rules, double complex k
   return (struct densities){shared * sum.kernel, shared * sum.exit};
 }
 
-/* Not so far that it comes near u' = -i psi, where C' = C''. */
+/* Returns the angle under which the path leaves its ends. It is small enough that the path keeps
+ * away from u' = -i psi, where C' = C''. */
 static double bend_angle(double complex k) {
   const double complex ik = CMPLX(-cimag(k), creal(k));
   const double psi = 0.5 * cimag(fn_clog((1 + ik) * fn_inverse(1 - ik))); /* Re atan(k) */
   return fmax(0.15, 0.75 * (psi - 0.55));
 }
 
-/* side: 1 for the arc with +k, -1 for the other. */
+/* Adds the nodes of one arc. side: 1 for the arc with +k, -1 for the other. */
 static void add_arc(nodes *to, const nodes_rules *rules, double complex k, int side,
                     const gauss_rule *rule) {
   const double eta = rules->eta;
   const double size = arc_size(eta, k);
   const double complex ik = CMPLX(0, side) * k;
-  /* e^(2 i psi) = (1 + i tan(psi)) / (1 - i tan(psi)) */
+  /* turn = e^(2 i psi) = (1 + i tan(psi)) / (1 - i tan(psi)) */
   const double complex turn = (1 + ik) * fn_inverse(1 - ik);
   const double bend = side * bend_angle(k);
   for (size_t i = 0; i < rule->n; i++) {
@@ -298,7 +308,7 @@ static void add_arc(nodes *to, const nodes_rules *rules, double complex k, int s
 
 bool transport_nodes_make(nodes *to, const nodes_rules *rules, double complex k) {
   const bool chords = rules->eta != 1 && fn_abs(k) < CHORDS_UP_TO;
-  gauss_rule path; /* for each arc, or for what meets no boundary */
+  gauss_rule path; /* rule for each arc, or for all of X if eta is 1 */
   transport_gauss(&path, arc_points(rules, k));
   const size_t room = rules->scattered.n + 2 * path.n + rules->chords.n * rules->chord_points;
   double complex *block = malloc(3 * room * sizeof *block);

@@ -1,22 +1,23 @@
 /* With X(k) the exitance of light scattered more than once, Fourier transformed over the plane,
  *
- *   R(r) = 1 / (2 pi) Re int X(k) H0(kr) k dk,     H0 = H0^(1),
+ *   R(r) = 1 / (2 pi) Re int X(k) H0(kr) k dk,     H0 = H0^(1).
  *
- * along any path from the imaginary axis below i kappa to infinity in the first quadrant, since X
- * is analytic there and on the axis X is real and H0 k dk imaginary. On the hyperbola
+ * The path of k may be any that runs from the imaginary axis below i kappa to infinity in the first
+ * quadrant: X is analytic there, and on that part of the axis X is real and H0 k dk is imaginary.
+ * On the hyperbola
  *
  *   k = lambda sinh(y + i mu),   0 < mu < pi / 2,   lambda <= kappa,
  *
- * the integrand is even in y up to conjugation and decays without oscillating, exponentially for
- * every r at once; it is analytic for all mu from 0 (the real axis) to pi / 2 (where the path wraps
- * the cut of X from i kappa upwards). So the trapezoidal rule with step h is off by
- * e^(-2 pi mu / h) of R at r = 0 and e^(-2 pi (pi / 2 - mu) / h) of R (Lopez-Fernandez and Palencia
- * 2004; Weideman and Trefethen 2007 for the inverse Laplace transform). Energies:
+ * the integrand is even in y up to conjugation. It decays exponentially without oscillating, for
+ * every r. It is analytic for all mu from 0 (the real axis) to pi / 2 (where the path wraps the cut
+ * of X from i kappa upwards). So the trapezoidal rule with step h has the errors e^(-2 pi mu / h)
+ * times R at r = 0 and e^(-2 pi (pi / 2 - mu) / h) times R at r (Lopez-Fernandez and Palencia 2004;
+ * Weideman and Trefethen 2007 for the inverse Laplace transform). The energies are
  *
  *   int_r^inf 2 pi r' R dr' = -Re int X(k) r H1(kr) dk
  *   int_0^r   2 pi r' R dr' =  Re int X(k) [r H1(kr) + 2 i / (pi k)] dk
  *
- * The same with w = -i k r: H0(kr) = -2 i / pi K0(w), H1(kr) = -2 / pi K1(w), i / k = r / w.
+ * The code uses w = -i k r, with H0(kr) = -2 i / pi K0(w), H1(kr) = -2 / pi K1(w), i / k = r / w.
  */
 #include "core/transport/spectrum.h"
 
@@ -27,20 +28,23 @@
 #include "core/transport/functions.h"
 
 #define LN2 0.69314718055994530942
-/* lambda is the largest LAMBDA_MAX 2^(-level / LEVELS_PER_OCTAVE) up to kappa. */
+/* lambda is the largest LAMBDA_MAX 2^(-level / LEVELS_PER_OCTAVE) that is at most kappa. */
 #define LAMBDA_MAX 0.97
 #define LEVELS_PER_OCTAVE 4.0
-/* Algebraic factors take some digits more than e^(-kappa r) does at the end of the reach. */
+/* At the end of the reach, R is smaller than e^(-kappa r) by algebraic factors of up to
+ * e^-DECAYS_MORE. */
 #define DECAYS_MORE 10.0
-#define MU_MAX 1.15 /* wavenumbers keep so far from the imaginary axis, as nodes.h wants */
-/* Equations are solved up to it; beyond, X is extrapolated, ... */
+/* largest mu: wavenumbers keep away from the imaginary axis, as nodes.h demands */
+#define MU_MAX 1.15
+/* The code solves equations for k up to K_SOLVED and extrapolates X beyond that. */
 #define K_SOLVED 2e4
-/* ... up to here, ... */
+/* The sum over wavenumbers ends at K_END. */
 #define K_END 1e9
-/* ... and smaller radii than this are left to the limit. */
+/* For radii below R_LIMIT the code uses the limit for r -> 0. */
 #define R_LIMIT 1e-7
 
-/* Up to it wavenumbers are near, and their equations so much more accurate. */
+/* Equations with |k| below K_NEAR are NEAR_FINER times as accurate as others, at most ACCURACY_MIN.
+ */
 #define K_NEAR 4.0
 #define NEAR_FINER 300.0
 #define ACCURACY_MIN 1e-13
@@ -64,8 +68,8 @@ static double complex wavenumber(const spectrum_grid *grid, size_t j, double com
   return grid->lambda * sine;
 }
 
-/* mu and the step balance both errors:
- * 2 pi mu / h = digits + decay_kept and 2 pi (pi / 2 - mu) / h >= digits. */
+/* Chooses mu and the step so that both errors are balanced: 2 pi mu / h = digits + decay_kept and 2
+ * pi (pi / 2 - mu) / h >= digits. */
 static void choose_contour(spectrum_grid *grid, const spectrum_rules *rules, double lambda) {
   const double digits = -fn_log(rules->accuracy);
   const double decay_kept = rules->reach_decays + DECAYS_MORE;
@@ -114,7 +118,7 @@ void transport_grid_free(spectrum_grid *of) {
 
 /* ---- the exitance --------------------------------------------------------------------------- */
 
-/* X k^2 = far + (b ln k + c) / k + ..., from three wavenumbers. */
+/* The asymptote X k^2 = far + (b ln k + c) / k, which fit_asymptote() fits at three wavenumbers. */
 struct asymptote {
   double complex far;
   double complex b;
@@ -150,7 +154,8 @@ bool transport_spectrum_make(spectrum *to, const spectrum_grid *grid, transport_
                              double albedo, double kappa) {
   double complex exitance[SPECTRUM_POINTS_MAX];
   double complex dk;
-  /* Next to no absorption, at the smallest level: the path begins on the cut of X, 1e-9 from 0. */
+  /* With almost no absorption, at the smallest lambda, the path would begin on the cut of X, at a
+   * distance of 1e-9 from 0. */
   const bool cut_through = kappa < grid->lambda;
   for (size_t j = 0; j < grid->n; j++) {
     to->k[j] = wavenumber(grid, j, &dk);
@@ -161,7 +166,8 @@ bool transport_spectrum_make(spectrum *to, const spectrum_grid *grid, transport_
     to->weighted[j] = exitance[j] * dk;
   }
   if (cut_through) {
-    /* There X is linear in k; only its real part counts at the path's beginning. */
+    /* Near 0 X is linear in k, and only its real part counts at the path's beginning. So the code
+     * extrapolates X at the first wavenumber from the next two. */
     const double complex slope = (exitance[2] - exitance[1]) * fn_inverse(to->k[2] - to->k[1]);
     wavenumber(grid, 0, &dk);
     to->weighted[0] = creal(exitance[1] - slope * to->k[1]) * dk;
@@ -203,7 +209,7 @@ static spectrum_values sum_at(const spectrum *of, double r) {
   return sum;
 }
 
-/* X -> far / k^2 makes R(r) - R(r0) -> far / (2 pi) ln(r0 / r) as r and r0 go to 0. */
+/* Since X -> far / k^2 for large k, R(r) - R(r0) -> far / (2 pi) ln(r0 / r) as r and r0 go to 0. */
 spectrum_values transport_spectrum_at(const spectrum *of, double r) {
   if (r >= R_LIMIT) {
     return sum_at(of, r);

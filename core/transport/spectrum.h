@@ -1,4 +1,4 @@
-/* spectrum: wavenumbers, the exitance there, and the way back to radii. */
+/* spectrum: the wavenumbers of a path, the exitance at them, and the transform back to radii. */
 #ifndef DIPOLED_CORE_TRANSPORT_SPECTRUM_H
 #define DIPOLED_CORE_TRANSPORT_SPECTRUM_H
 
@@ -11,14 +11,14 @@
 
 enum {
   SPECTRUM_POINTS_MAX = 640,
-  SPECTRUM_LEVEL_MAX = 120, /* kappa down to 2^-30 */
+  SPECTRUM_LEVEL_MAX = 120, /* lambda is about 2^-30 at this level */
 };
 
-/* The rules of one eta. Small wavenumbers, of which there are few, are treated more accurately:
- * they are all that reaches far, where most of their sum cancels. */
+/* The rules for one eta. Few wavenumbers are small, and these are treated more accurately: they
+ * alone determine R at large radii, where most of their sum cancels. */
 typedef struct spectrum_rules {
   double accuracy;
-  double reach_decays; /* R is accurate to that many decay lengths, 1 / kappa */
+  double reach_decays; /* R is accurate up to this many decay lengths 1 / kappa */
   nodes_rules near;
   nodes_rules far;
 } spectrum_rules;
@@ -30,41 +30,45 @@ void transport_spectrum_rules(spectrum_rules *rules, double eta, double accuracy
 typedef struct spectrum_grid {
   double lambda; /* k = lambda sinh(y + i mu) */
   double mu;
-  double step; /* of y, from 0 on */
+  double step; /* step of y, which starts at 0 */
   size_t n;
   equation equations[SPECTRUM_POINTS_MAX];
 } spectrum_grid;
 
-/* The level of media with this kappa (transport_kappa()), 0 to SPECTRUM_LEVEL_MAX. */
+/* Returns the level of media with this kappa (see transport_kappa()), 0 to SPECTRUM_LEVEL_MAX. */
 size_t transport_spectrum_level(double kappa);
 
-/* The lambda of a level. shrink: 0.5 to 1, another path for another value. */
+/* Returns lambda for a level, times shrink, 0.5 to 1: another value gives another path, to compare
+ * with. */
 double transport_spectrum_lambda(size_t level, double shrink);
 
-/* lambda: up to kappa; the nearer to it, the fewer digits are lost far away. Freed by
- * transport_grid_free(). NULL: no memory. */
+/* Makes a grid, which the caller frees with transport_grid_free(), or returns NULL if memory runs
+ * out. lambda: at most the kappa of the media; the nearer it is to kappa, the more digits R keeps
+ * far away. */
 spectrum_grid *transport_grid_new(const spectrum_rules *rules, double lambda);
 void transport_grid_free(spectrum_grid *of);
 
 /* The exitance of light scattered more than once, at the grid's wavenumbers and beyond. */
 typedef struct spectrum {
   double lambda;
-  double far; /* exitance times k^2 as k goes to infinity */
+  double far; /* limit of exitance times k^2 as k goes to infinity */
   size_t n;
   double complex k[SPECTRUM_POINTS_MAX];
-  double complex weighted[SPECTRUM_POINTS_MAX]; /* exitance times dk of the rule */
+  double complex weighted[SPECTRUM_POINTS_MAX]; /* exitance times the rule's weight dk */
 } spectrum;
 
-/* albedo in (0, 1], its kappa, which is of the grid's level. False: no memory. */
+/* Sets *to to the spectrum of one medium. albedo: in (0, 1]; kappa: transport_kappa(albedo), which
+ * is of the level that the grid was made for. Returns false if memory runs out. */
 bool transport_spectrum_make(spectrum *to, const spectrum_grid *grid, transport_work *work,
                              double albedo, double kappa);
 
-/* Light scattered more than once, at the radius r, 1e-300 to 1e60. */
+/* Light scattered more than once, at a radius r: R per squared mean free path, and energies per
+ * power that has entered. */
 typedef struct spectrum_values {
-  double r;          /* R */
-  double r_rounding; /* what R may be off by for the rounding of its terms */
-  double within;     /* energy within r, of which no digits are lost for small r, */
-  double beyond;     /* and beyond r, for large r */
+  double r;          /* R per squared mean free path */
+  double r_rounding; /* bound of the error of R that comes from rounding its terms */
+  double within;     /* energy within r, accurate for small r */
+  double beyond;     /* energy beyond r, accurate for large r */
 } spectrum_values;
 
 spectrum_values transport_spectrum_at(const spectrum *of, double r);

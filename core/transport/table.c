@@ -1,4 +1,5 @@
-/* Tables are read as they lie, byte by byte: of any alignment and on machines of any byte order. */
+/* The code reads tables byte by byte, so that they may have any alignment, on machines of any byte
+ * order. */
 #include "core/transport/table.h"
 
 #include <assert.h>
@@ -16,7 +17,7 @@ enum { TERMS_MAX = TRANSPORT_TABLE_TERMS_MAX, SERIES = 1 + TRANSPORT_TABLE_PANEL
 
 double transport_table_t(double albedo) {
   const double s = sqrt(1 - albedo);
-  return fn_log(s * (1 + s) / albedo); /* 1 - s = a / (1 + s) */
+  return fn_log(s * (1 + s) / albedo); /* since 1 - s = a / (1 + s) */
 }
 
 double transport_table_albedo(double t) {
@@ -58,12 +59,12 @@ void transport_table_edges(const double *field, double kappa,
   }
 }
 
-/* Where x lies between the ends of a range, as -1 to 1. */
+/* Returns the position of x in a range, mapped to -1 to 1 and clamped to that. */
 static double mapped(double x, double from, double to) {
   return fmin(fmax(2 * (x - from) / (to - from) - 1, -1), 1);
 }
 
-/* T_0(s) to T_(TERMS_MAX - 1)(s). */
+/* Sets values[k] to T_k(s) for k from 0 to TERMS_MAX - 1. */
 static void chebyshev(double s, double *values) {
   values[0] = 1;
   values[1] = s;
@@ -110,7 +111,8 @@ static uint8_t read_byte(struct reader *reader) {
   return *reader->at++;
 }
 
-/* From 1 to TERMS_MAX where there must be one, from 0 else. */
+/* Reads a number of terms, from `least` (0 or 1) to TERMS_MAX; any other number makes the reader
+ * bad. */
 static size_t read_count(struct reader *reader, size_t least) {
   const size_t count = read_byte(reader);
   if (count < least || count > TERMS_MAX) {
@@ -120,7 +122,7 @@ static size_t read_count(struct reader *reader, size_t least) {
   return count;
 }
 
-/* Of at most 49 bits: a double holds it exactly. */
+/* Reads an integer of at most 49 bits, which a double holds exactly. */
 static int64_t read_integer(struct reader *reader) {
   uint64_t zigzag = 0;
   for (int shift = 0; shift < 49; shift += 7) {
@@ -134,8 +136,8 @@ static int64_t read_integer(struct reader *reader) {
   return 0;
 }
 
-/* A series, summed over i and j with the values of T_i and T_j: what is left is in units of the
- * quantum. Returns the number of terms left. */
+/* Reads a series and sums it over i and j with the values of T_i and T_j. Sets terms[k] to the
+ * coefficients of T_k that result, in units of the quantum, and returns their number. */
 static size_t read_series(struct reader *reader, const double *t, const double *v, double *terms) {
   const size_t count = read_count(reader, 1);
   for (size_t k = 0; k < count; k++) {
@@ -153,7 +155,7 @@ static size_t read_series(struct reader *reader, const double *t, const double *
   return count;
 }
 
-/* Reads one side as if to use it. */
+/* Reads one side completely, as a check. Returns whether it is well formed. */
 static bool pass_over_side(struct reader *reader) {
   static const double zeros[TERMS_MAX];
   double terms[TERMS_MAX];
@@ -256,7 +258,7 @@ void transport_table_look_up(const transport_table *table, double albedo, double
   }
 }
 
-/* Clenshaw's sum of a Chebyshev series. */
+/* Returns the Chebyshev series at s, from -1 to 1, by Clenshaw's recurrence. */
 static double sum_of(const double *terms, size_t count, double s) {
   double next = 0, after = 0;
   for (size_t k = count - 1; k >= 1; k--) {

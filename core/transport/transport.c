@@ -1,5 +1,5 @@
-/* Every number is computed twice, on two contours with two sets of nodes; the finer one is the
- * answer, and SAFETY times what they differ by is the error estimate. */
+/* The solver computes every number twice, on two contours with two sets of nodes. The finer one is
+ * the answer, and SAFETY times their difference is the error estimate. */
 #include "core/transport/transport.h"
 
 #include <assert.h>
@@ -20,12 +20,15 @@
 
 enum { FINE, COARSE, BOTH };
 
-/* How much more accurate than the tolerance the rules are: the estimate is to be below it too. */
+/* The rules are more accurate than the tolerance by these factors, so that the error estimate also
+ * stays below the tolerance. */
 static const double finer[BOTH] = {200, 12};
-static const double shrink[BOTH] = {1, 0.97};         /* of the contour, */
-static const double shrink_far[BOTH] = {0.999, 0.98}; /* and of one that is made for one medium */
+/* factors of lambda for contours that many media share */
+static const double shrink[BOTH] = {1, 0.97};
+/* factors of kappa, which give lambda, for contours made for one medium */
+static const double shrink_far[BOTH] = {0.999, 0.98};
 static const double single_step[BOTH] = {0.27, 0.33};
-/* The total needs one wavenumber only, as good as 0. */
+/* The total needs only one wavenumber, K_TOTAL, which stands for 0. */
 static const double total_accuracy[BOTH] = {1e-14, 1e-12};
 #define K_TOTAL 1e-15
 #define TOTAL_ROUNDING 1e-13
@@ -39,7 +42,7 @@ struct transport_boundary {
   nodes_rules total_rules[BOTH];
   equation total[BOTH];
   single_rule single[BOTH];
-  pthread_mutex_t lock; /* of what follows */
+  pthread_mutex_t lock; /* protects `grids` */
   spectrum_grid *grids[SPECTRUM_LEVEL_MAX + 1][BOTH];
 };
 
@@ -105,7 +108,8 @@ void transport_boundary_free(transport_boundary *boundary) {
   free(boundary);
 }
 
-/* The grid of a level, made when it is first asked for. NULL: no memory. */
+/* Returns the grid of a level, and makes it on the first call for that level. Returns NULL if
+ * memory runs out. */
 static const spectrum_grid *grid_of(transport_boundary *boundary, size_t level, size_t i) {
   pthread_mutex_lock(&boundary->lock);
   if (boundary->grids[level][i] == NULL) {
@@ -119,10 +123,12 @@ static const spectrum_grid *grid_of(transport_boundary *boundary, size_t level, 
 
 /* ---- decay ---------------------------------------------------------------------------------- */
 
-/* x = atanh(kappa) solves tanh(x) / x = a: Newton's method from x = 1 / a, from where it converges
- * from one side. For weak absorption digits would be lost, and kappa is the root of
+/* x = atanh(kappa) solves tanh(x) / x = a. The code uses Newton's method from x = 1 / a, from where
+ * it converges from one side. For weak absorption this would lose digits, so there the code solves
+ * for kappa in the series
  *
- *   atanh(kappa) / kappa = 1 + kappa^2 / 3 + kappa^4 / 5 + ... = 1 / a. */
+ *   atanh(kappa) / kappa = 1 + kappa^2 / 3 + kappa^4 / 5 + ... = 1 / a.
+ */
 double transport_kappa(double albedo) {
   if (albedo > 0.999) {
     const double excess = (1 - albedo) / albedo;
@@ -133,7 +139,7 @@ double transport_kappa(double albedo) {
     return sqrt(square);
   }
   if (albedo < 0.04) {
-    return 1; /* within 1e-20 */
+    return 1; /* kappa is 1 within 1e-20 here */
   }
   double x = 1 / albedo;
   double tanh_x = 1;
@@ -147,12 +153,14 @@ double transport_kappa(double albedo) {
 
 /* ---- solutions ------------------------------------------------------------------------------ */
 
-/* Relative errors of light scattered more than once, at radii FIRST e^(i STEP); between two of them
- * the largest around is taken, because differences have zeros that errors have not. */
+/* A solution holds a table of the relative errors of light scattered more than once, at the radii
+ * TABLE_FIRST e^(i TABLE_STEP). Between these radii the code uses the largest of the neighbouring
+ * errors, because a difference of two results may be 0 where their errors are not. */
 #define TABLE_FIRST 1e-7
 #define TABLE_STEP 0.2
-#define TABLE_REACHES 1.5 /* the last radius is so many reaches, ... */
-#define TABLE_LAST 1e7    /* ... or that */
+/* the table ends at this many reaches, or at TABLE_LAST where that is less */
+#define TABLE_REACHES 1.5
+#define TABLE_LAST 1e7 /* largest last radius of the table, in mean free paths */
 enum { TABLE_MAX = 164 };
 
 struct errors {
@@ -164,14 +172,15 @@ struct errors {
 struct transport_solution {
   double albedo;
   double kappa;
-  double least_error; /* relative, of light scattered more than once: what its rules are made for */
+  /* relative accuracy that the rules for light scattered more than once are made for */
+  double least_error;
   transport_number total;
   double multiple_total;
   single_rule single[BOTH];
   spectrum spectra[BOTH];
   size_t table_count;
   struct errors table[TABLE_MAX];
-  spectrum_values last; /* at the table's last radius */
+  spectrum_values last; /* values at the table's last radius */
 };
 
 static double table_radius(size_t i) {
@@ -275,7 +284,8 @@ transport_number transport_total(const transport_solution *solution) {
 
 /* ---- values --------------------------------------------------------------------------------- */
 
-/* Radii beyond are as good as 0 and infinity, and R or its products might overflow. */
+/* Radii below R_SMALLEST are taken as 0 and above R_LARGEST as infinity, because R or its products
+ * might overflow. */
 #define R_SMALLEST 1e-290
 #define R_LARGEST 1e60
 
@@ -283,7 +293,7 @@ static double off_by(double value, double fraction, double absolute) {
   return fabs(value) * fraction + absolute;
 }
 
-/* The largest relative errors of the table around r. */
+/* Returns the largest relative errors that the table holds around the radius r. */
 static struct errors errors_around(const transport_solution *solution, double r) {
   const double place = (fn_log(fmax(r, TABLE_FIRST)) - fn_log(TABLE_FIRST)) / TABLE_STEP;
   const size_t before = (size_t)place;
@@ -296,8 +306,9 @@ static struct errors errors_around(const transport_solution *solution, double r)
   return most;
 }
 
-/* Absolute errors of these values at r. Beyond the table, where nothing is known but that light
- * decays at least as fast as e^(-kappa r), they are the values themselves and that bound. */
+/* Returns the absolute errors of the values at r. Beyond the table, the only known bound is that
+ * light decays at least as fast as e^(-kappa r). So there the errors of R and of the energy beyond
+ * r are these values themselves plus that bound. */
 static struct errors errors_at(const transport_solution *solution, double r,
                                const spectrum_values *values) {
   const double least = solution->least_error;
@@ -308,7 +319,8 @@ static struct errors errors_at(const transport_solution *solution, double r,
                            off_by(values->within, least, off_by(solution->last.beyond, decay, 0)),
                            off_by(values->beyond, 1, decay * fabs(solution->last.beyond))};
   }
-  /* The smallest level's path leaves out what is nearer to 0 than its lambda; see spectrum.c. */
+  /* On the level with the smallest lambda, the path leaves out the wavenumbers nearer to 0 than
+   * lambda; see spectrum.c. */
   const double lambda = solution->spectra[FINE].lambda;
   const double missing = solution->kappa < lambda ? lambda * r : 0;
   const struct errors around = errors_around(solution, r);
@@ -317,8 +329,8 @@ static struct errors errors_at(const transport_solution *solution, double r,
                          off_by(values->beyond, around.beyond + missing + least, 0)};
 }
 
-/* The energy within r, of light scattered more than once. What is beyond is small, and then better
- * known, far away. */
+/* Returns the energy within r of light scattered more than once. Far away the energy beyond r is
+ * small and more accurate, so the code subtracts it from the total there. */
 static transport_number multiple_within(const transport_solution *solution,
                                         const spectrum_values *values,
                                         const struct errors *errors) {
@@ -337,7 +349,7 @@ static transport_number sum_of(transport_number one, transport_number other) {
   return (transport_number){one.value + other.value, one.error + other.error};
 }
 
-/* Where noise has made a value negative, 0 is nearer to the truth. */
+/* Returns the number with a negative value replaced by 0, which is nearer to the exact value. */
 static transport_number not_negative(transport_number number) {
   return (transport_number){number.value < 0 ? 0 : number.value, number.error};
 }
@@ -368,7 +380,7 @@ transport_values transport_at(const transport_solution *solution, double r) {
     return (transport_values){infinite, infinite, infinite, none};
   }
   if (r > R_LARGEST) {
-    /* No more than all the energy leaves beyond r / 2, and R decreases. */
+    /* The bound follows since R decreases, and at most all the energy leaves beyond r / 2. */
     const transport_number next_to_none = {0, 2 * solution->total.value / (r * r)};
     return (transport_values){next_to_none, next_to_none, next_to_none, solution->total};
   }

@@ -1,16 +1,16 @@
 /* transport: radiative transport without noise. A pencil beam enters a half space of isotropic
- * scatterers at right angles through a smooth boundary with Fresnel's reflectance; solved to an
- * asked tolerance, with an error estimate for every number.
+ * scatterers at right angles through a smooth boundary with Fresnel's reflectance. The solver keeps
+ * the tolerance that it is given and returns an error estimate with every number.
  *
  * Method: Fourier transform over the plane, Laplace transform over depth, H functions, a low-rank
  * system for each wavenumber (equation.c), wavenumbers on a hyperbola in the complex plane
- * (spectrum.c); light scattered once in real space (single.c).
+ * (spectrum.c). Light scattered once is computed in real space (single.c).
  *
- * Units: lengths in mean free paths, 1 / (sigma_a + sigma_s); R per squared mean free path; all
- * energies per power that has entered (specular reflection is no part of them).
+ * Units: lengths are in mean free paths, 1 / (sigma_a + sigma_s). R is per squared mean free path.
+ * All energies are per power that has entered, which excludes the specular reflection of the beam.
  *
- * The same input gives the same bits on every machine. This allocates; nothing here logs, and
- * threads wait for each other only where they share a boundary that one of them prepares.
+ * The same input gives the same bits on every machine. These functions allocate and do not log.
+ * Threads wait for each other only while one of them prepares a boundary that they share.
  */
 #ifndef DIPOLED_CORE_TRANSPORT_TRANSPORT_H
 #define DIPOLED_CORE_TRANSPORT_TRANSPORT_H
@@ -22,61 +22,67 @@
 #define TRANSPORT_TOLERANCE_MIN 1e-9
 #define TRANSPORT_TOLERANCE_MAX 1e-3
 
-/* What depends on eta and the wavenumbers alone, for a tolerance. Albedos with nearly the same
- * decay rate share a set of wavenumbers, which is made when the first of them is solved, and kept:
- * up to 5 MB each, of which there are 4 in every factor 2 of the decay rate. Any number of threads
- * may solve with one boundary at a time. */
+/* The part of the solution that depends on eta, the wavenumbers and the tolerance alone. Albedos
+ * with nearly the same decay rate share a set of wavenumbers. The boundary makes a set when the
+ * first of these albedos is solved, and keeps it. A set takes up to 5 MB, and there are 4 sets for
+ * every factor 2 of the decay rate. Any number of threads may solve with one boundary at the same
+ * time. */
 typedef struct transport_boundary transport_boundary;
 
-/* One medium, solved; about 60 kB. Immutable: any number of threads may read it; it needs its
- * boundary no more. */
+/* The solution for one medium, about 60 kB. It is immutable, so any number of threads may read it.
+ * It does not need its boundary any more. */
 typedef struct transport_solution transport_solution;
 
-/* eta: index inside over index outside; tolerance: relative, of R. Faults: `eta`, `tolerance`, and
- * `memory` when there is none. On a fault *boundary is NULL; else it belongs to the caller, who
- * frees it with transport_boundary_free(), NULL allowed. */
+/* Creates a boundary. eta: index inside over index outside, TRANSPORT_ETA_MIN to TRANSPORT_ETA_MAX.
+ * tolerance: relative, of R, TRANSPORT_TOLERANCE_MIN to TRANSPORT_TOLERANCE_MAX. Faults: `eta`,
+ * `tolerance`, and `memory` if memory runs out. On a fault *boundary is NULL. Otherwise the caller
+ * owns it and frees it with transport_boundary_free(), which accepts NULL. */
 core_fault transport_boundary_create(transport_boundary **boundary, double eta, double tolerance);
 void transport_boundary_free(transport_boundary *boundary);
 
-/* The same with R that keeps the tolerance to where e^(-kappa r) is e^-110. Its solutions take three
- * times as long and share nothing. Albedos up to 1 - 1e-12. */
+/* Creates a boundary whose solutions keep the tolerance of R up to where e^(-kappa r) is e^-110,
+ * instead of e^-30. They take three times as long to compute and share no wavenumbers. Albedos may
+ * be up to 1 - 1e-12. Arguments and faults are those of transport_boundary_create(). */
 #define TRANSPORT_REACH_DECAYS 30.0
 #define TRANSPORT_REACH_DECAYS_FAR 110.0
 core_fault transport_boundary_create_far(transport_boundary **boundary, double eta,
                                          double tolerance);
 
-/* albedo: of single scattering, sigma_s / (sigma_a + sigma_s), 0 to 1, both included. Faults:
- * `albedo`, `memory`. On a fault *solution is NULL; else it belongs to the caller, who frees it
- * with transport_solution_free(), NULL allowed. */
+/* Solves one medium. albedo: of single scattering, sigma_s / (sigma_a + sigma_s), 0 to 1, both
+ * included. Faults: `albedo`, `memory`. On a fault *solution is NULL. Otherwise the caller owns it
+ * and frees it with transport_solution_free(), which accepts NULL. */
 core_fault transport_solve(transport_solution **solution, transport_boundary *boundary,
                            double albedo);
 void transport_solution_free(transport_solution *solution);
 
-/* A number and how far it may be off, absolute. */
+/* A number and the estimate of its absolute error. */
 typedef struct transport_number {
   double value;
   double error;
 } transport_number;
 
-/* At one radius. R = single + multiple: light scattered once, and more often. */
+/* The values at one radius. R = single + multiple, where single is of light scattered once and
+ * multiple of light scattered more often. */
 typedef struct transport_values {
   transport_number R;
   transport_number single;
   transport_number multiple;
-  transport_number within; /* the energy that leaves within r, from 0 to the total */
+  transport_number within; /* energy that leaves within r, from 0 to the total */
 } transport_values;
 
-/* r: 0 to infinity (asserted). R keeps the tolerance from r = 0 to where e^(-kappa r) is e^-30,
- * that is for every albedo to 30 mean free paths, TRANSPORT_REACH_DECAYS; beyond, the error grows to the size of R itself
- * and says so. No value is negative. r below 1e-290: R is infinite, as are its parts (0 without
- * scattering); r = infinity: 0. */
+/* Returns the values at the radius r, from 0 to infinity (asserted). R keeps the tolerance from r =
+ * 0 to where e^(-kappa r) is e^-30 (TRANSPORT_REACH_DECAYS), which is 30 mean free paths or more
+ * for every albedo. Beyond, the error grows up to the size of R itself, and the error estimate with
+ * it. No value is negative. For r below 1e-290, R and its parts are infinite, or 0 without
+ * scattering. For r = infinity they are 0. */
 transport_values transport_at(const transport_solution *solution, double r);
 
-/* The energy that leaves anywhere; the error is below 1e-10, relative, whatever the tolerance. */
+/* Returns the total energy that leaves. Its relative error is below 1e-10, whatever the tolerance.
+ */
 transport_number transport_total(const transport_solution *solution);
 
-/* kappa, the rate at which diffuse light decays far away, per mean free path: 0 for albedo 1 to 1
- * for albedo 0, within 1e-11, relative. albedo: 0 to 1. */
+/* Returns kappa, the rate per mean free path at which diffuse light decays far away: from 0 for
+ * albedo 1 to 1 for albedo 0. The relative error is below 1e-11. albedo: 0 to 1. */
 double transport_kappa(double albedo);
 
 #endif
