@@ -6,7 +6,7 @@
 #include "core/transport/transport.h"
 
 #define TRANSPORT_TOLERANCE 1e-7
-#define MODEL_TOLERANCE 1e-6 /* of those that take one */
+#define MODEL_TOLERANCE 1e-6 /* for models with a tolerance */
 
 /* Gauss and Legendre's rule with 4 nodes on [-1, 1] (Abramowitz and Stegun 1964, 25.4.29). */
 enum { NODES = 4 };
@@ -15,8 +15,9 @@ static const double node[NODES] = {-0.861136311594053, -0.339981043584856, 0.339
 static const double weight[NODES] = {0.347854845137454, 0.652145154862546, 0.652145154862546,
                                      0.347854845137454};
 
-/* The mean over a ring, which is what Monte Carlo measures: the integral of 2 pi r R dr, over
- * ln r, by the area. (The difference of two energies has no digits in the tail.) */
+/* Returns the mean of R over a ring, which is what Monte Carlo measures: the integral of 2 pi r R
+ * dr divided by the ring's area, with ln r as the variable. A difference of two energies would have
+ * no digits left in the tail. */
 static double ring_mean(const transport_solution *solution, size_t ring) {
   const double from = panel_edge(ring), to = panel_edge(ring + 1);
   const double middle = log(from * to) / 2, half = log(to / from) / 2;

@@ -1,12 +1,12 @@
-/* draw-figures: the seventeen figures of "A Better Dipole" (d'Eon 2012), with Monte Carlo and
- * transport, as SVG pages with CSV files beside them.
+/* draw-figures: draws the seventeen figures of "A Better Dipole" (d'Eon 2012) with Monte Carlo and
+ * transport added. It writes SVG pages and CSV files with the same values:
  *
- *   parts/          what has been computed of each panel; a second run reads it
+ *   parts/          the values of each panel, which a second run reads
  *   figure_NN_log.svg, figure_NN_gamma.svg, figure_NN.csv, figure_NN_albedos.csv
- *   summary.csv     which model is nearer to transport: see summary.h
+ *   summary.csv     says which model is nearer to transport: see summary.h
  *   monte_carlo_check.csv
  *
- * Figure NN from 1 to 16 has the ratio of that position, and a panel for each eta; Figure 17 sets
+ * Figure NN from 1 to 16 has ratio number NN of the list, and a panel for each eta. Figure 17 sets
  * the switches of the dipole one by one, for three ratios and three eta.
  */
 #include <stdio.h>
@@ -28,7 +28,7 @@ enum { PATH_BYTES = 4096, FIGURES = PANEL_RATIOS + 1, WANTED_MAX = PANEL_RATIOS 
 
 typedef struct run {
   options options;
-  uint64_t batches; /* 0: no Monte Carlo */
+  uint64_t batches; /* of Monte Carlo for each eta; 0 means none */
   panel_data panels[PANEL_ETAS][PANEL_RATIOS];
   tools_progress progress;
 } run;
@@ -76,7 +76,8 @@ static void recall(run *all, panel_data *panel) {
   }
 }
 
-/* The panels of an eta that are wanted, and of which this is not known. */
+/* Lists the wanted panels of an eta that lack the values of this source, and returns their number.
+ */
 static size_t missing(run *all, size_t eta, enum panel_source source, panel_data **panels) {
   size_t count = 0;
   for (size_t ratio = 0; ratio < PANEL_RATIOS; ratio++) {
@@ -160,7 +161,7 @@ static page_layout switches_page(const run *all) {
   return p;
 }
 
-/* figure: from 0. */
+/* Makes the layout of a figure, which is counted from 0. */
 static page_layout figure_page(const run *all, size_t figure, char *title, size_t bytes) {
   page_layout p = {.subject = PAGE_MODELS};
   if (figure == PANEL_RATIOS) {

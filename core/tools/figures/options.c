@@ -12,16 +12,16 @@
 
 static const char help[] =
     "usage: " FIGURES_PROGRAM " [OPTION...]\n"
-    "Draws Figures 1 to 17 of d'Eon 2012, \"A Better Dipole\", with the data beside them.\n"
-    "What has been computed is kept in DIR/parts; a run computes what is missing there.\n\n"
-    "  --output DIR     default build/figures\n"
-    "  --photons N      walked for each eta, default 16000000; 0: no Monte Carlo\n"
-    "  --ratios LIST    some of sigma_a / sigma_s', as 0.01,1; default all sixteen\n"
-    "  --etas LIST      some of eta, as 1.0,1.4; default all eleven\n"
-    "  --threads N      default: as many as there are processors\n"
-    "  --fresh          use nothing that was kept (walks are kept whatever the program's age;\n"
-    "                   transport and the models are computed anew by a newer program)\n"
-    "  --help\n";
+    "Draws Figures 1 to 17 of d'Eon 2012, \"A Better Dipole\", and writes their data as CSV.\n"
+    "Computed values are kept in DIR/parts; a run computes only those that are missing.\n\n"
+    "  --output DIR     folder for figures and data, default build/figures\n"
+    "  --photons N      photons for each eta, default 16000000; 0 means no Monte Carlo\n"
+    "  --ratios LIST    ratios sigma_a / sigma_s', for example 0.01,1; default all sixteen\n"
+    "  --etas LIST      values of eta, for example 1.0,1.4; default all eleven\n"
+    "  --threads N      number of threads, default one for each processor\n"
+    "  --fresh          compute everything anew (without it, a newer program computes anew\n"
+    "                   transport and the models, but keeps Monte Carlo's values)\n"
+    "  --help           print this text\n";
 
 static uint64_t number(const char *option, const char *text, uint64_t least, uint64_t most) {
   char *end;

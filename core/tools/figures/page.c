@@ -6,10 +6,13 @@
 const char *const page_form_names[PAGE_FORMS] = {"log", "gamma"};
 
 #define GAMMA 2.2
-#define GAMMA_R_BRIGHT 0.2   /* mean free paths: the axis ends with transport's value there, */
-#define GAMMA_R_DARK 0.04    /* and where all of transport's are below this */
-#define DOT_ERROR_MAX 0.25   /* of R: dots that are less certain are left out */
-#define LOG_DECADES_MAX 14.0 /* below the largest value */
+/* The form GAMMA has an axis of values that ends at transport's largest value at the radius
+ * R_BRIGHT, in mean free paths. Its axis of radii ends where all of transport's values, as shown,
+ * are below R_DARK. */
+#define GAMMA_R_BRIGHT 0.2
+#define GAMMA_R_DARK 0.04
+#define DOT_ERROR_MAX 0.25   /* dots with a larger error, relative to R, are left out */
+#define LOG_DECADES_MAX 14.0 /* the longest axis of values */
 
 enum { WIDTH = 1640, HEIGHT = 1200, TOP = 70, BOTTOM = 55, LEFT = 75, GAP_X = 72, GAP_Y = 84 };
 
@@ -53,8 +56,8 @@ static double shown(double R, enum page_form form) {
   return form == PAGE_GAMMA ? pow(R, 1 / GAMMA) : R;
 }
 
-/* Monte Carlo's ring means, moved to the rings' middles by what transport says of the two, with a
- * standard error to either side. */
+/* Writes Monte Carlo's values with a standard error to either side. The ring means are converted to
+ * values at the rings' middles by transport's ratio of the two. */
 static void put_dots(FILE *script, const panel_data *panel, enum page_form form) {
   fputs("$dots << END\n", script);
   for (size_t i = 0; i < PANEL_RINGS; i++) {
@@ -104,7 +107,8 @@ static void put_logarithmic_axes(FILE *script, const page_layout *page) {
           PANEL_R_LEAST, PANEL_R_MOST, bottom, top);
 }
 
-/* The largest of transport's values, as shown, at the first ring from r on. */
+/* Returns the largest of transport's values, as shown, at the first ring whose middle is r
+ * or more. */
 static double brightest(const page_layout *page, double r) {
   double most = 0;
   size_t ring = 0;
@@ -151,7 +155,8 @@ static void put_albedo(FILE *script, size_t row, enum page_form form, const char
           form == PAGE_GAMMA ? 0.97 : 0.03, y, form == PAGE_GAMMA ? "right" : "left", colour);
 }
 
-/* From the top where the curves leave room there, else from the bottom. */
+/* Writes the albedos as text. It begins at the top if the curves leave room there, else at the
+ * bottom. */
 static void put_albedos(FILE *script, const page_layout *page, const panel_data *panel,
                         enum page_form form) {
   char text[96];
@@ -189,7 +194,7 @@ static void put_panel(FILE *script, const page_layout *page, size_t index, enum 
     fprintf(script, "$line%zu using 1:2 with lines lw %g dt %d lc rgb '%s', ", line->column,
             line->width, line->dash, line->colour);
   }
-  /* `with yerrorbars` would wipe the lines around the dots. */
+  /* `with yerrorbars` would erase the lines around the dots. */
   fputs("$dots using 1:3:(0):($4-$3) with vectors nohead lw 0.8 lc rgb '#555555', "
         "$dots using 1:2 with points pt 7 ps 0.36 lc rgb '#555555'\n",
         script);

@@ -8,8 +8,9 @@
 
 enum { PANELS_MAX = PANEL_RATIOS * PANEL_ETAS };
 
-/* What d'Eon 2012 says in its abstract: the better dipole improves upon the classical one, and is
- * not as accurate as quantized diffusion. The rest is what readers ask next. */
+/* The models that are compared. The abstract of d'Eon 2012 says that the better dipole improves
+ * upon the classical one and is less accurate than quantized diffusion. The other pairs are added.
+ */
 static const struct pair {
   size_t model, against;
 } pairs[] = {
@@ -21,7 +22,7 @@ static const struct pair {
 enum { PAIRS = sizeof pairs / sizeof pairs[0] };
 
 static const struct group {
-  double ratio_least, ratio_most; /* of sigma_a / sigma_s' */
+  double ratio_least, ratio_most; /* sigma_a / sigma_s' */
   double eta_least, eta_most;
 } groups[] = {
     {0, 100, 1, 2},   {0, 0.011, 1, 2},  {0.011, 0.6, 1, 2},
@@ -30,7 +31,7 @@ static const struct group {
 enum { GROUPS = sizeof groups / sizeof groups[0] };
 
 typedef struct range {
-  double from, to; /* mean free paths; both NaN: the albedo */
+  double from, to; /* mean free paths; both are NaN for the albedo */
 } range;
 
 static const range ranges[] = {
@@ -40,7 +41,7 @@ enum { RANGES = sizeof ranges / sizeof ranges[0] };
 /* ---- how far off ------------------------------------------------------------------------------
  */
 
-/* The logarithm of the factor. */
+/* Returns the logarithm of the factor by which a column deviates from transport. */
 static double off(const panel_data *medium, size_t column, range over) {
   double sum = 0;
   size_t radii = 0;
@@ -65,7 +66,7 @@ static bool in_group(const panel_data *medium, struct group group) {
 
 typedef struct verdict {
   size_t panels, nearer;
-  double median[2], worst[2]; /* factors, of the model and of what it is held against */
+  double median[2], worst[2]; /* factors of [0] the model and [1] the other of the pair */
 } verdict;
 
 static verdict judge(const panel_data *const *panels, size_t count, struct pair pair,
@@ -93,7 +94,8 @@ static verdict judge(const panel_data *const *panels, size_t count, struct pair 
 static void put_row(FILE *file, const panel_data *const *panels, size_t count, struct pair pair,
                     struct group group, range over) {
   const verdict v = judge(panels, count, pair, group, over);
-  struct group held = {(double)INFINITY, 0, (double)INFINITY, 0}; /* of the panels there are */
+  struct group held = {(double)INFINITY, 0, (double)INFINITY,
+                       0}; /* the range of the panels that were computed */
   if (v.panels == 0) {
     return;
   }

@@ -57,7 +57,7 @@ void table_keep(const char *path, const panel_data *panel, enum panel_source sou
   tools_close(file, path);
 }
 
-/* A comma and a number or nothing. */
+/* Reads a comma and a number, which is NaN if nothing follows the comma. */
 static bool take(const char **text, double *number) {
   char *end;
   if (**text != ',') {
@@ -142,7 +142,7 @@ void table_write_figure(const char *path, size_t figure, const panel_data *const
   tools_close(file, path);
 }
 
-/* A column's error is the next one, where there is one of that kind. */
+/* Returns the error of a column's albedo, or NaN if the column has none. */
 static double error_of(const panel_data *panel, size_t column) {
   return column == COLUMN_MONTE_CARLO ? panel->albedo[COLUMN_MONTE_CARLO_ERROR]
          : column == COLUMN_TRANSPORT ? panel->albedo[COLUMN_TRANSPORT_ERROR]

@@ -7,10 +7,10 @@
 #include "core/tools/tools.h"
 
 #define SEED 20120101
-#define SLICE UINT64_MAX /* a batch is milliseconds, and nothing else waits */
+#define SLICE UINT64_MAX /* walks a batch in one go: it takes milliseconds */
 
-/* Batches that may be done or being walked before they are merged, for each thread: so that one
- * that is held up does not stop the others. */
+/* Number of batches for each thread that may be under way or wait to be merged. With more than one,
+ * a slow thread does not stop the others. */
 enum { BATCHES_PER_THREAD = 4, SLOTS_MAX = BATCHES_PER_THREAD * TOOLS_THREADS_MAX };
 
 _Static_assert((int)PANEL_RATIOS <= (int)CORE_MC_ALBEDOS_MAX, "one walk serves all ratios");
@@ -33,7 +33,7 @@ uint64_t walk_batches(uint64_t photons) {
   return batches < 2 ? 2 : batches;
 }
 
-/* Measured with AVX-512: 2.4 us a photon at eta 1.3, 5 us at eta 2. */
+/* Fits the measured times of a photon with AVX-512: 2.4 us at eta 1.3 and 5 us at eta 2. */
 double walk_cost_us(double eta, uint64_t batches) {
   const double held_back = 1 / core_fresnel_moments(CORE_MOMENTS_EXACT, eta).one_minus_2c1;
   return (1 + 0.8 * held_back) * (double)(batches * CORE_MC_BATCH_PHOTONS);

@@ -13,9 +13,11 @@ enum {
   DECADES = 12,
 };
 
-#define SAMPLE_NS 100000.0     /* long beside the clock's own cost, short beside a time slice */
-#define PREPARING_NS 20e6      /* repeated within about that */
-#define EVALUATING_COST_US 4e6 /* estimates, for the progress alone */
+/* A sample takes at least this: far longer than reading the clock, far shorter than a time slice.
+ */
+#define SAMPLE_NS 100000.0
+#define PREPARING_NS 20e6      /* preparing is repeated for about this time */
+#define EVALUATING_COST_US 4e6 /* estimated work, for the progress bar only */
 #define PREPARING_COST_US 12e6
 
 double costs_cost_us(void) {
@@ -25,20 +27,20 @@ double costs_cost_us(void) {
 static const core_medium evaluation_media[EVALUATION_MEDIA] = {
     {0.001, 1, 0, 1.4}, {0.05, 1, 0, 1.4}, {0.5, 0.5, 0, 1.4}};
 
-/* The time that this thread has run: others on the machine are no part of it. */
+/* Returns the processor time of this thread, so that other programs do not count. */
 static double now_ns(void) {
   struct timespec now;
   clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
   return (double)now.tv_sec * 1e9 + (double)now.tv_nsec;
 }
 
-/* False: this medium is refused. */
+/* Prepares a subject's profile. Returns false if the subject refuses the medium. */
 static bool prepare(core_profile *profile, const subjects *of, size_t s,
                     const core_medium *medium) {
   return subjects_prepare(profile, of, &of->all[s], medium, (double)NAN).field == NULL;
 }
 
-/* Of the values that are numbers; NaN: none is. */
+/* Returns the median of the values that are numbers, or NaN if there are none. */
 static double median_of_numbers(const double *values, size_t n) {
   double numbers[PREPARATION_MEDIA];
   size_t count = 0;
@@ -60,7 +62,8 @@ static struct {
   float out_f32[COSTS_LENGTH];
 } arrays;
 
-/* Equal chance per ln r from 0.01 to 20 mm, in an order that no branch predictor learns. */
+/* Fills in radii with a uniform density in ln r from 0.01 to 20 mm. Their order is random, so that
+ * branch predictors cannot learn it. */
 static void fill_arrays(void) {
   uint32_t random = 1;
   for (size_t i = 0; i < COSTS_LENGTH; i++) {
@@ -82,7 +85,7 @@ static double run_ns(const core_profile *profile, size_t runs) {
   return now_ns() - start;
 }
 
-/* How many runs make a sample; also warms caches and clocks up. */
+/* Returns the number of runs for one sample. The runs also fill caches and raise the clock rate. */
 static size_t calibrate(const core_profile *profile) {
   size_t runs = 1;
   while (run_ns(profile, runs) < SAMPLE_NS) {
@@ -91,7 +94,8 @@ static size_t calibrate(const core_profile *profile) {
   return runs;
 }
 
-/* ns[subject] of one medium. */
+/* Times evaluating one medium: writes ns[subject], which is NaN if the subject refuses the medium.
+ */
 static void evaluate_all(const subjects *of, const core_medium *medium, double *ns) {
   static core_profile profiles[SUBJECTS_MAX];
   static double samples[SUBJECTS_MAX][ROUNDS];
@@ -102,7 +106,7 @@ static void evaluate_all(const subjects *of, const core_medium *medium, double *
   for (size_t round = 0; round < ROUNDS; round++) {
     for (size_t s = 0; s < of->count; s++) {
       if (runs[s] > 0) {
-        run_ns(&profiles[s], 1); /* its tables come into the nearest cache */
+        run_ns(&profiles[s], 1); /* loads its tables into the nearest cache */
         samples[s][round] = run_ns(&profiles[s], runs[s]) / (double)(runs[s] * COSTS_LENGTH);
       }
     }
@@ -135,14 +139,15 @@ static double prepare_ns(const subjects *of, size_t s, const core_medium *medium
   return tools_median(samples, count);
 }
 
-/* Four ratios by three eta. */
+/* Returns medium i of the twelve pairs of four ratios and three eta. */
 static core_medium preparation_medium(size_t i) {
   static const double ratios[] = {1e-3, 1e-2, 0.1, 1}, etas[] = {1.1, 1.4, 1.8};
   const double ratio = ratios[i % 4];
   return (core_medium){ratio / (1 + ratio), 1 / (1 + ratio), 0, etas[i / 4]};
 }
 
-/* The largest numerical error that profiles state, asked for this tolerance; NaN: refused. */
+/* Returns the largest numerical error that profiles with this tolerance state, or NaN if refused.
+ */
 static double stated(const subjects *of, size_t s, double tolerance) {
   double worst = 0;
   for (size_t m = 0; m < EVALUATION_MEDIA; m++) {

@@ -8,7 +8,7 @@
 #include "core/tools/tools.h"
 #include "core/transport/transport.h"
 
-/* Estimates, for the progress alone. */
+/* The estimated work for one node, for the progress bar only. */
 static const double cost_us[] = {[ERRORS_NODES] = 110000, [ERRORS_ROWS] = 200000};
 
 errors_node *errors_at_node(const errors_table *table, size_t eta, size_t ratio, size_t model) {
@@ -44,7 +44,7 @@ static void solve(struct truth *truth, transport_boundary *boundary, const core_
   transport_solution_free(solution);
 }
 
-/* |R / R_transport - 1| at each radius. */
+/* Writes |R / R_transport - 1| at each radius. */
 static void deviations(const core_profile *profile, const struct truth *truth,
                        double off[NODES_RADII]) {
   subjects_evaluate(profile, NODES_RADII, truth->r, off);
@@ -92,7 +92,7 @@ static void fill_row(errors_row *row, const core_profile *profile, const struct 
 /* ---- all of them ------------------------------------------------------------------------------
  */
 
-/* The nodes of one eta, which share a boundary. */
+/* The nodes of one eta. They share transport's solution for the boundary. */
 struct eta_nodes {
   const errors_table *table;
   size_t eta;
@@ -108,7 +108,7 @@ static void measure_models(const struct eta_nodes *all, size_t ratio, const core
     const subject *one = &of->all[s];
     const core_choice *model = of->models[one->model].model;
     core_profile profile;
-    /* Transport is what the others are measured by. */
+    /* The other models are measured against `transport`, which is left out. */
     if (one->evaluator->id == CORE_EVALUATOR_F64 && model->id != CORE_MODEL_TRANSPORT) {
       errors_node *node = errors_at_node(all->table, all->eta, ratio, one->model);
       if (subjects_prepare(&profile, of, one, medium, (double)NAN).field != NULL) {
@@ -121,7 +121,8 @@ static void measure_models(const struct eta_nodes *all, size_t ratio, const core
   }
 }
 
-/* The paper's figures have so many of the list up to this one. */
+/* Returns the position of a ratio in the paper's list: the number of the paper's ratios before it.
+ */
 static size_t paper_position(size_t ratio) {
   size_t position = 0;
   for (size_t i = 0; i < ratio; i++) {
@@ -161,7 +162,7 @@ static void measure(void *context, size_t ratio) {
   tools_progress_add(all->progress, cost_us[all->what]);
 }
 
-/* Zeroed. */
+/* Allocates memory that is all 0. */
 static void *allocate(size_t count, size_t bytes) {
   void *room = calloc(count, bytes);
   if (room == NULL) {

@@ -17,12 +17,12 @@ enum { COLOURS = sizeof colours / sizeof colours[0] };
 typedef struct point {
   double ns;
   double error;
-  bool front; /* nothing is both cheaper and nearer */
+  bool front; /* no other subject beats it */
 } point;
 
 typedef struct fronts {
   const subjects *of;
-  point points[PANELS][SUBJECTS_MAX]; /* ns is NaN where there is none */
+  point points[PANELS][SUBJECTS_MAX]; /* ns is NaN if the subject has no point */
 } fronts;
 
 /* ---- points -----------------------------------------------------------------------------------
@@ -43,7 +43,8 @@ static point make_point(const errors_table *errors, const costs_of *costs, size_
   return (point){costs[s].evaluate_ns, fmax(tools_median(values, count), ERRORS_LEAST), false};
 }
 
-/* Cheaper or nearer, and not worse in the other, but for what measuring varies by. */
+/* Whether a is cheaper or nearer to transport than b and not worse in the other respect.
+ * Differences within the variation of measurements count as equal. */
 static bool beats(const point *a, const point *b) {
   const double ns = CORE_CHOOSE_COST_ALIKE, error = 1.01;
   return a->ns <= b->ns * ns && a->error <= b->error * error &&
@@ -66,7 +67,8 @@ static void make(fronts *all, const errors_table *errors, const costs_of *costs)
   }
 }
 
-/* The subject of the front that is the next dearer one; the count: none is. */
+/* Returns the cheapest subject of the front that costs more than ns, or the number of subjects if
+ * there is none. */
 static size_t next_of_front(const fronts *all, size_t panel, double ns) {
   const point *points = all->points[panel];
   size_t next = all->of->count;
@@ -101,7 +103,7 @@ static axes make_axes(const fronts *all, size_t panel) {
     }
   }
   a.ns[0] /= 2;
-  a.ns[1] *= 3; /* room for names */
+  a.ns[1] *= 3; /* leaves room for names */
   a.error[0] = a.error[0] / 2;
   a.error[1] *= 2;
   const double width = (double)(WIDTH - LEFT - RIGHT - GAP) / PANELS;
@@ -121,8 +123,9 @@ typedef struct box {
   double x[2], y[2];
 } box;
 
-/* Names find room one after another: at the first of these places, in steps of their height, where
- * they touch nothing that is there. */
+/* Names are placed one after another. Each takes the first of PLACES places around its point where
+ * it overlaps nothing that is already placed. TURNS counts the places on a side, in steps of a
+ * name's height. */
 enum { TURNS = 48, PLACES = 4 * TURNS };
 
 #define LETTER_WIDTH 6.4
@@ -138,7 +141,8 @@ static bool is_free(const box *boxes, size_t count, const box *b) {
   return true;
 }
 
-/* Around a point: alternately to its right and its left, ever further up and down. */
+/* Returns the box of a name at one of the places around a point. The places alternate between right
+ * and left and move further up and down. */
 static box name_box(double x, double y, double width, int place) {
   const int side = place % 2, turn = place / 2 % TURNS;
   const double up = (turn % 2 == 0 ? 0.5 : -0.5) * (turn + turn % 2) * NAME_HEIGHT;
@@ -177,8 +181,8 @@ static void put_name(FILE *script, const axes *a, const fronts *all, size_t pane
           p->front ? "11" : "9");
 }
 
-/* Tables all cost the same and stand in one column below their models' own errors, and most models
- * cost the same in both precisions: one name is enough for those. */
+/* Whether a subject gets a name. Those of the front do. Otherwise tables get none, as they all cost
+ * the same and would crowd one column, and a model gets one name for precisions of equal cost. */
 static bool has_name(const fronts *all, size_t panel, size_t s) {
   const point *p = &all->points[panel][s];
   if (isnan(p->ns) || p->front) {

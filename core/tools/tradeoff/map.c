@@ -12,9 +12,9 @@ static const double within[COLUMNS] = {0.01, 0.03, 0.1};
 
 typedef struct maps {
   const subjects *of;
-  /* A subject, or NONE. */
+  /* position of the subject, or NONE */
   size_t cheapest[PANELS][NODES_PAPER_ETAS][NODES_PAPER_RATIOS];
-  size_t media[PANELS][SUBJECTS_MAX]; /* how many it is the cheapest for */
+  size_t media[PANELS][SUBJECTS_MAX]; /* number of media for which the subject is the cheapest */
 } maps;
 
 /* ---- choosing ---------------------------------------------------------------------------------
@@ -71,7 +71,8 @@ static bool appears(const maps *all, size_t s) {
 /* ---- drawing ----------------------------------------------------------------------------------
  */
 
-/* Colours in the order of appearance in the list. */
+/* Returns a subject's colour. Subjects that appear on a map get the colours in the order of the
+ * list. */
 static unsigned colour(const maps *all, size_t s) {
   static const unsigned colours[] = {0xc7c7c7, 0x0072b2, 0xe69f00, 0x009e73, 0xcc79a7, 0x56b4e9,
                                      0xd55e00, 0xf0e442, 0x8c564b, 0x9467bd, 0x2ca02c, 0x17becf,
@@ -131,7 +132,7 @@ static void put_panel(FILE *script, const maps *all, size_t panel) {
           NODES_PAPER_RATIOS - 1, NODES_PAPER_ETAS - 1, panel);
 }
 
-/* A square and a name for each subject that appears, four to a line. */
+/* Writes a square and a name for each subject that appears, four to a line. */
 static void put_legend(FILE *script, const maps *all) {
   size_t position = 0;
   for (size_t s = 0; s < all->of->count; s++) {

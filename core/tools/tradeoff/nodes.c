@@ -3,7 +3,8 @@
 #include <assert.h>
 #include <math.h>
 
-/* Ten a decade, so that 1, 2 and 5 are among them. */
+/* From 1e-4 on there are ten ratios to a decade, which include 1, 2 and 5 times its power of ten.
+ */
 const double nodes_ratios[NODES_RATIOS] = {
     0,      1e-6,  1e-5,    1e-4,    1.25e-4, 1.6e-4, 2e-4,   2.5e-4, 3.2e-4, 4e-4,   5e-4,
     6.3e-4, 8e-4,  1e-3,    1.25e-3, 1.6e-3,  2e-3,   2.5e-3, 3.2e-3, 4e-3,   5e-3,   6.3e-3,

@@ -10,9 +10,10 @@ enum { ETAS = 3, RINGS = 48, WALKS = SIMILARITY_GS * ETAS };
 
 #define SEED 20120101
 #define TRANSPORT_TOLERANCE 1e-6
-#define PHOTON_COST_US 3.0 /* for g = 0 */
+#define PHOTON_COST_US 3.0 /* time of a photon at g = 0 */
 
-/* Monte Carlo knows no smaller radius. */
+/* The bands below this one, with radii below 0.1 mean free paths, are not measured by Monte Carlo.
+ */
 #define FIRST_BAND 3
 
 const double similarity_gs[SIMILARITY_GS] = {-0.5, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98};
@@ -20,7 +21,8 @@ const double similarity_ratios[SIMILARITY_RATIOS] = {1e-4, 1e-3, 0.01, 0.03, 0.1
                                                      0.5,  1,    2,    5,    10};
 static const double etas[ETAS] = {1, 1.4, 2};
 
-/* Scattering forward takes 1 / (1 - g) times as long, and has the same range. */
+/* Returns the number of batches for a g. A photon takes 1 / (1 - g) times as long, so fewer photons
+ * are walked for g near 1. */
 static uint64_t batches_for(double g) {
   return (uint64_t)fmax(150, 400 * (1 - g));
 }
@@ -37,12 +39,12 @@ double similarity_cost_us(void) {
   return us;
 }
 
-/* sigma_t over sigma_t' of a medium. */
+/* Returns sigma_t / sigma_t' of a medium. */
 static double scale_of(double g, double ratio) {
   return (ratio + 1 / (1 - g)) / (ratio + 1);
 }
 
-/* One walk in mean free paths 1 / sigma_t, for all ratios at a time. */
+/* Runs one walk for all ratios at once, with lengths in mean free paths 1 / sigma_t. */
 static core_mc_total *walk(double g, double eta, core_mc_plan **plan) {
   core_mc_request request = {.sigma_t_per_mm = 1,
                              .g = g,
@@ -75,14 +77,16 @@ static core_mc_total *walk(double g, double eta, core_mc_plan **plan) {
   return total;
 }
 
-/* Of a value of isotropic scattering from that of Monte Carlo. */
+/* Returns the relative deviation of a value with isotropic scattering from Monte Carlo's value,
+ * plus two standard errors of the latter. INFINITY if that value is too uncertain. */
 static double deviation(double value, core_mc_value truth) {
   return truth.error < SIMILARITY_KNOWN * truth.value
              ? fabs(value / truth.value - 1) + 2 * truth.error / truth.value
              : (double)INFINITY;
 }
 
-/* The mean of R over a ring, in mean free paths 1 / sigma_t': Simpson's rule for r^2 R over ln r. */
+/* Returns the mean of R over a ring by Simpson's rule for r^2 R over ln r. Lengths are in mean free
+ * paths 1 / sigma_t'. */
 static double ring_mean(const transport_solution *solution, double from, double to) {
   const double r[] = {from, sqrt(from * to), to}, weight[] = {1, 4, 1};
   double sum = 0;
@@ -120,7 +124,7 @@ struct campaign {
 
 static void measure(void *context, size_t i) {
   struct campaign *all = context;
-  /* The slowest first. */
+  /* The largest g comes first, as it takes longest. */
   const size_t k = SIMILARITY_GS - 1 - i / ETAS;
   const double g = similarity_gs[k], eta = etas[i % ETAS];
   transport_boundary *boundary;

@@ -42,7 +42,7 @@ void subjects_evaluate(const core_profile *profile, size_t n, const double *r, d
 /* ---- which there are --------------------------------------------------------------------------
  */
 
-/* NULL: the model is for a half space and needs nothing but its medium. */
+/* Returns why a model is left out, or NULL if it is for a half space and needs only a medium. */
 static const char *why_left_out(unsigned model) {
   const core_medium medium = {0.05, 1, 0, 1.4};
   core_profile profile;
@@ -51,14 +51,14 @@ static const char *why_left_out(unsigned model) {
   }
   const core_fault fault = prepare(&profile, model, CORE_EVALUATOR_F64, &medium, (double)NAN);
   if (fault.field != NULL) {
-    return fault.field; /* what it needs besides */
+    return fault.field; /* the parameter that the model needs */
   }
   const bool fixed = (profile.notes & CORE_NOTE_MEDIUM_UNUSED) != 0;
   core_profile_free(&profile);
   return fixed ? "the same profile for every medium" : NULL;
 }
 
-/* R of two media that differ in g and sigma_s alone is the same. */
+/* Whether R is the same for media with the same sigma_s (1 - g) and different g. */
 static bool is_similar(unsigned model) {
   static const double r[RADII] = {0.01, 0.03, 0.1, 0.3, 1, 3, 10, 20};
   static const double gs[] = {-0.4, 0.5, 0.9};

@@ -1,12 +1,13 @@
 /* trade-speed [--output DIR] [--threads N] costs|errors: measures every model of a half space that
- * needs nothing but a medium.
+ * needs only a medium.
  *
- *   costs    how fast each evaluator is, and how far it is from transport at the media of the paper:
- *            DIR/costs.def, which `make tradeoff` copies to core/; DIR/tradeoff.csv, see write.h;
- *            DIR/front.svg and .png, see front.h; DIR/map.svg and .png, see map.h
- *   errors   how far each model is from transport, and isotropic scattering from anisotropic:
- *            DIR/model_errors.def, which `make model-errors` copies to core/. The same file comes out
- *            on every machine.
+ *   costs    measures the speed of each evaluator, and its error against transport at the media of
+ *            the paper. It writes DIR/costs.def, which `make tradeoff` copies to core/;
+ *            DIR/tradeoff.csv, see write.h; DIR/front.svg and .png, see front.h; DIR/map.svg and
+ *            .png, see map.h
+ *   errors   measures the error of each model against transport, and of isotropic scattering in
+ *            place of anisotropic. It writes DIR/model_errors.def, which `make model-errors` copies
+ *            to core/. Every machine writes the same file.
  */
 #include <getopt.h>
 #include <stdio.h>
@@ -23,14 +24,15 @@ enum { PATH_BYTES = 4096 };
 static const char help[] =
     "usage: trade-speed [OPTION...] costs|errors\n"
     "Measures what models and evaluators cost, or how far models are from radiative transport.\n\n"
-    "  --output DIR   of what is measured, default build/tradeoff\n"
-    "  --threads N    of comparing, which is not timed, default: as many as there are processors\n"
+    "  --output DIR   folder for the results, default build/tradeoff\n"
+    "  --threads N    threads that compare models with transport, default: one for each processor\n"
+    "                 (speed is always measured in one thread)\n"
     "  --help\n";
 
 typedef struct options {
   const char *output;
   size_t threads;
-  bool errors; /* else costs */
+  bool errors; /* true: measure errors; false: costs */
 } options;
 
 static options read_options(int argc, char **argv) {

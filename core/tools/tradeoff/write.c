@@ -7,7 +7,7 @@
 
 enum { ETAS_A_LINE = 4 };
 
-/* The k-th ratio of the paper's, and its eta. */
+/* These return ratio k and eta k of the paper's lists. */
 static double paper_ratio(size_t k) {
   size_t i = 0;
   while (!nodes_ratio_is_papers(i) || k-- > 0) {
@@ -62,7 +62,7 @@ static void put_codes(FILE *file, const double worst[NODES_BANDS], double albedo
   fprintf(file, "%02x", core_error_code(albedo));
 }
 
-/* One string for each ratio: the codes of each eta. */
+/* Writes a model's line: a string for each ratio, with the codes for each eta. */
 static void put_model(FILE *file, const errors_table *errors, size_t m) {
   const subject_model *model = &errors->of->models[m];
   fprintf(file, "/* %s */\nCORE_ERROR_MODEL(%u, %s", model->model->name, model->model->id,
@@ -89,7 +89,7 @@ static void put_similarity(FILE *file, size_t k, const similarity_node *nodes) {
   fputs(")\n", file);
 }
 
-/* Up, with three digits. */
+/* Writes an error, rounded up to three digits. */
 static void put_error(FILE *file, double error) {
   const double unit = error > 0 ? pow(10, floor(log10(error)) - 2) : 1;
   fprintf(file, ", %.3g", ceil(error / unit * (1 - 1e-12)) * unit);
@@ -112,22 +112,25 @@ static void put_cost(FILE *file, const errors_table *errors, const costs_of *cos
 }
 
 static const char errors_head[] =
-    "/* Measured by `make model-errors` (core/tools/tradeoff/); core/model_error.h says what it is "
-    "for.\n"
+    "/* Errors that `make model-errors` has measured (core/tools/tradeoff/). core/model_error.h "
+    "finds\n"
+    " * those of a medium.\n"
     " *\n"
     " * CORE_ERROR_EDGE(mean free paths)   the edges of the bands of radii, rising\n"
-    " * CORE_ERROR_RATIO(sigma_a / sigma_s'), CORE_ERROR_ETA(eta)   the nodes of models, rising\n"
+    " * CORE_ERROR_RATIO(sigma_a / sigma_s'), CORE_ERROR_ETA(eta)   the nodes of all models, "
+    "rising\n"
     " * CORE_ERROR_MODEL(model, similarity, \"...\" for each ratio)\n"
-    " *   similarity  g and sigma_s matter through sigma_s (1 - g) alone\n"
+    " *   similarity  true if g and sigma_s matter only as sigma_s (1 - g)\n"
     " *   \"...\"       for each eta: for each band the largest |R / R_transport - 1|, then that "
     "of the\n"
     " *               albedo, as codes of core/model_error.h, two hexadecimal digits each\n"
     " * CORE_ERROR_G_RATIO(sigma_a / sigma_s')   the nodes of the similarity relation, rising\n"
-    " * CORE_ERROR_SIMILARITY(g, \"...\" for each of these ratios)   likewise, with g rising\n"
+    " * CORE_ERROR_SIMILARITY(g, \"...\" for each of these ratios)   the same codes, with g "
+    "rising\n"
     " */\n"
     "/* clang-format off */\n";
 
-/* The macros of the list, and their parameters. */
+/* The macros of core/model_errors.def and their parameters. */
 static const char *const macros[][2] = {
     {"EDGE", "mfp"},      {"RATIO", "ratio"},
     {"ETA", "eta"},       {"MODEL", "model, similarity, ..."},
@@ -169,10 +172,12 @@ void write_errors(const char *path, const errors_table *errors,
 }
 
 static const char costs_head[] =
-    "/* Measured by `make tradeoff` (core/tools/tradeoff/); core/choose.h says what it is for.\n"
+    "/* Costs that `make tradeoff` has measured (core/tools/tradeoff/). core/choose.h chooses by "
+    "them.\n"
     " *\n"
-    " * CORE_COST(model, evaluator, ns for a radius, ns to prepare, numerical error by default,\n"
-    " *           numerical error when asked for the least tolerance, the least tolerance)\n"
+    " * CORE_COST(model id, evaluator id, ns for a radius, ns to prepare, numerical error by "
+    "default,\n"
+    " *           numerical error with the least tolerance, the least tolerance)\n"
     " */\n"
     "/* clang-format off */\n";
 

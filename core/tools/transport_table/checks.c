@@ -10,7 +10,7 @@ enum { ALBEDOS = 8, RADII = 96, RADII_FAR = 32 };
 
 /* ---- media ---------------------------------------------------------------------------------- */
 
-/* Vigna's splitmix64; from 0 to 1. */
+/* Returns a random number from 0 to 1, by Vigna's splitmix64. */
 static double next_random(uint64_t *state) {
   uint64_t z = *state += UINT64_C(0x9e3779b97f4a7c15);
   z = (z ^ z >> 30) * UINT64_C(0xbf58476d1ce4e5b9);
@@ -23,7 +23,8 @@ static double between(uint64_t *state, double low, double high) {
   return low + (high - low) * next_random(state);
 }
 
-/* The ends and around 1, before random ones; and what is worst once more, with other albedos. */
+/* The first samples have `etas`: the ends of the range and values around 1. Random eta follow. The
+ * last samples have `etas_again`, where errors are largest, with other albedos. */
 static const double etas[] = {0.7, 0.9999, 1, 1.0001, 2.2, 0.99, 1.01, 1.4};
 static const double etas_again[] = {1, 1, 1, 1, 1, 1, 2.2, 0.7};
 
@@ -40,7 +41,8 @@ static double eta_of(const double *field, size_t i, uint64_t *random) {
   return transport_table_eta(side, between(random, range[0], range[1]));
 }
 
-/* Both ends, then equally dense in t, then in the albedo itself. */
+/* Returns albedo i: first both ends of the range, then random ones that are uniform in t, and two
+ * that are uniform in the albedo. */
 static double albedo_of(const double *field, size_t i, uint64_t *random) {
   const double least = field[TRANSPORT_TABLE_ALBEDO_LEAST];
   const double most = field[TRANSPORT_TABLE_ALBEDO_MOST];
@@ -54,7 +56,7 @@ static double albedo_of(const double *field, size_t i, uint64_t *random) {
   return between(random, least, most);
 }
 
-/* Both ends, the far panels, then all. */
+/* Returns radius i: first both ends, then random ones in the far panels, then in all panels. */
 static double radius_of(const double *edge, size_t i, uint64_t *random) {
   if (i < 2) {
     return fn_exp(edge[i == 0 ? 0 : TRANSPORT_TABLE_PANELS]);

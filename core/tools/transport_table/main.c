@@ -1,7 +1,6 @@
 /* transport-table FOLDER FILE: solves for the media of the table of core/transport/table.h, makes
- * it, measures its error and writes it to FILE. What has been solved is kept in FOLDER: a run that
- * was interrupted goes on where it was. The same file comes out on every machine.
- */
+ * the table, measures its error and writes it to FILE. It keeps solutions in FOLDER, so that an
+ * interrupted run continues where it stopped. Every machine writes the same file. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -12,8 +11,8 @@
 
 #define SOLVER_TOLERANCE 1e-8
 
-/* A little more than is promised, so that rounding leaves no medium at an end out. The reach is
- * where R is far below TRANSPORT_TABLE_R_LEAST. */
+/* The ranges are a little wider than promised, so that rounding puts no promised medium outside. At
+ * the reach R is far below TRANSPORT_TABLE_R_LEAST. */
 static const double fields[TRANSPORT_TABLE_FIELDS] = {
     [TRANSPORT_TABLE_QUANTUM] = 0x1p-26,        [TRANSPORT_TABLE_ALBEDO_LEAST] = 0.0099,
     [TRANSPORT_TABLE_ALBEDO_MOST] = 1 - 9.9e-7, [TRANSPORT_TABLE_ETA_LEAST] = 0.699,
@@ -22,7 +21,7 @@ static const double fields[TRANSPORT_TABLE_FIELDS] = {
     [TRANSPORT_TABLE_EDGES + 1] = 1e-3,         [TRANSPORT_TABLE_EDGES + 2] = 1,
 };
 
-/* Two digits, upwards, after the margin. */
+/* Returns the largest error times the margin, rounded up to two digits. */
 static double quoted(checks_result result) {
   const double error = TRANSPORT_TABLE_MARGIN * fmax(result.R.error, result.total.error);
   double unit = 1;

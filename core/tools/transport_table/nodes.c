@@ -10,19 +10,20 @@
 #include "core/transport/table.h"
 #include "core/transport/transport.h"
 
-/* Points in each direction; the smallest coefficients left are below the quantum. */
+/* The number of points in each direction. They suffice for the last coefficients to be below the
+ * quantum. */
 enum { NODES_T = 72, NODES_X = 32, NODES_V_MAX = NODES_FROM_1, PANELS = TRANSPORT_TABLE_PANELS };
 
 enum { BYTES_MAX = 1 << 22 };
 
-/* cos(pi (i + 1/2) k / n) */
+/* Returns cos(pi (i + 1/2) k / n). */
 static double wave(size_t k, size_t i, size_t n) {
   double sine, cosine;
   fn_sincos(FN_PI * (double)((2 * i + 1) * k % (4 * n)) / (double)(2 * n), &sine, &cosine);
   return cosine;
 }
 
-/* Chebyshev's point i of n between two ends. */
+/* Returns Chebyshev's point i of n between two ends. */
 static double point(size_t i, size_t n, double from, double to) {
   return from + (to - from) * 0.5 * (1 + wave(1, i, n));
 }
@@ -62,8 +63,8 @@ void nodes_make(const double *field, table_sample samples[NODES]) {
 
 /* ---- series --------------------------------------------------------------------------------- */
 
-/* Values at Chebyshev's points to coefficients, along one direction of an array: n numbers that are
- * `stride` apart. */
+/* Replaces values at Chebyshev's points by the coefficients of their series, along one direction of
+ * an array: n numbers that are `stride` apart. */
 static void transform(double *values, size_t n, size_t stride) {
   double out[TRANSPORT_TABLE_TERMS_MAX];
   for (size_t k = 0; k < n; k++) {
@@ -78,7 +79,7 @@ static void transform(double *values, size_t n, size_t stride) {
   }
 }
 
-/* An array [x][t][v]. */
+/* Transforms an array [x][t][v] along all three directions. */
 static void transform_all(double *values, size_t nx, size_t nt, size_t nv) {
   for (size_t k = 0; k < nx; k++) {
     for (size_t i = 0; i < nt; i++) {
@@ -127,7 +128,7 @@ static void put_integer(struct writer *writer, int64_t value) {
   put_byte(writer, zigzag);
 }
 
-/* Without the zeros at the end. */
+/* Returns the length of a row without the zeros at its end. */
 static size_t used(const int64_t *row, size_t n) {
   while (n > 0 && row[n - 1] == 0) {
     n--;
@@ -173,7 +174,7 @@ static void put_series(struct writer *writer, double quantum, double *values, si
 
 /* ---- tables --------------------------------------------------------------------------------- */
 
-/* Q at node k of panel p. */
+/* Returns the quotient Q that the table holds (core/transport/table.h) at node k of panel p. */
 static double quotient(const table_sample *sample, size_t i, size_t p, size_t k) {
   const size_t at = (i * PANELS + p) * NODES_X + k;
   const double x = sample->x[at];

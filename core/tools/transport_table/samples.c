@@ -10,7 +10,7 @@
 
 enum { PATH_MAX_BYTES = 1024 };
 
-#define MEDIUM_COST_US 150e3 /* estimated, for the progress alone */
+#define MEDIUM_COST_US 150e3 /* estimated work, for the progress bar only */
 
 /* ---- samples -------------------------------------------------------------------------------- */
 
@@ -49,7 +49,8 @@ static void solve(table_sample *sample, double tolerance) {
 
 /* ---- files ---------------------------------------------------------------------------------- */
 
-/* All that the results depend on: besides the inputs, what the solver itself makes of a medium. */
+/* Identifies the inputs and the solver that a file's results depend on. `probe` has the solver's
+ * own results for one fixed medium, which change when the solver changes. */
 struct key {
   double tolerance, eta;
   double probe[4];
