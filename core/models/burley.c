@@ -72,7 +72,8 @@ static inline double burley_pdf(const double *c, double r) {
   return exponentials(c[PDF_SCALE], burley_x(c, r), 0);
 }
 
-/* -dR/dr = A / (8 pi d r) [(1 + q^2) q / r + (1/3 + q^2) q / d], with q = e^(-r / (3 d)) */
+/* Returns dR/dr = -A / (8 pi d r) [(1 + q^2) q / r + (1/3 + q^2) q / d], with q = e^(-r / (3 d)).
+ */
 static inline double burley_slope(const double *c, double r) {
   const double x = burley_x(c, r);
   const double third = x * (1.0 / 3);
@@ -184,7 +185,7 @@ CORE_KERNEL_TABLE(burley, .sample = sample,
 CORE_KERNEL_TABLE_NONE(burley);
 #endif
 
-#else /* preparation, compiled once */
+#else /* what follows prepares a profile, and is compiled once for all instruction sets */
 
 #include <math.h>
 

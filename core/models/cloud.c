@@ -92,7 +92,7 @@ core_fault core_cloud_check(const core_inputs *inputs, core_radii_range *radii) 
  * because the table of Gaussians keeps a copy of this structure. */
 struct cloud {
   double sigma_t_prime;
-  double source; /* p */
+  double source; /* p, the strength of the source */
   double absorbed;
   double diffusion;
   double zb;

@@ -133,7 +133,8 @@ static inline struct view look(const real *c, real x) {
   return v;
 }
 
-/* The view of the radius r mm, at most FAR. Adding 0 turns -0 into 0. */
+/* Returns the distances for the radius r in mm, at most FAR in kernel units. Adding 0 turns -0 into
+ * 0. */
 static inline struct view look_from(const real *c, real r) {
   return look(c, real_nearer_zero(real_fma(r, c[UNITS_PER_MM], 0), FAR));
 }
@@ -311,7 +312,7 @@ CORE_KERNEL_TABLE(dipole, .sample = sample,
                       [CORE_ELEMENTWISE_RING] = eval_ring,
                   });
 
-#else /* preparation, compiled once */
+#else /* what follows prepares a profile, and is compiled once for all instruction sets */
 
 #define CORE_REAL 64
 #include "core/dd.h"
@@ -326,7 +327,7 @@ static const dd FOUR_PI = {0x1.921fb54442d18p+3, 0x1.1a62633145c07p-51};
  */
 struct dipole {
   dd sigma_t_prime;
-  dd albedo_prime_power; /* p */
+  dd albedo_prime_power; /* p = alpha' or alpha'^2 */
   dd diffusion;          /* D */
   dd mu;
   dd z2_less_1;
@@ -439,8 +440,8 @@ static void set_bracket(double *c) {
   c[CORE] = phi + flux > 0 ? Z1 * sqrt(2 / (phi + flux)) : 0;
   c[TAIL] = Z1 * (c[CDF_FLUX_1] * (1 + z2) + 0.5 * phi_near * (z2 * z2 - 1));
   c[INVERSE_MU] = fmin(1 / c[MU], 1e30);
-  /* 1 - cdf is less than 2^-56 where e^(-mu (d1 - z1)) TAIL / z1 is less than that, and also where
-   * TAIL / d1 is. */
+  /* 1 - cdf is at most TAIL / z1 e^(-mu (d1 - z1)) and at most TAIL / d1. From CDF_WHOLE on one of
+   * these bounds is less than 2^-56. */
   const double tail = 0x1p56 * c[TAIL];
   const double decayed = tail > Z1 ? Z1 + real_log(tail / Z1, 0) / c[MU] : Z1;
   c[CDF_WHOLE] = fmin(fmin(tail, decayed), 1e19);

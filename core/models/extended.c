@@ -71,7 +71,8 @@ enum coefficient {
 
 enum { LANES = 32, PANELS = 5 };
 
-/* A block of radii in mean free paths, and the ends of their panels in t. */
+/* A block of radii x in mean free paths, and for each radius the ends in t = asinh(z / x) of the
+ * panels over the depth z. */
 struct block {
   double x[LANES]; /* kept between LEAST and FAR */
   double edge[PANELS + 1][LANES];
@@ -247,8 +248,8 @@ static inline double risen(const double *c, double x, double radius, double sum)
   return real_fma(4 * c[KAPPA] * c[FLUX], real_log(ratio, 0), sum);
 }
 
-/* For variant 0 the product x sum has a finite limit at x = 0, so below LEAST R is x sum / radius.
- */
+/* Returns R in 1/mm^2. For variant 0 x times the integral has a finite limit at x = 0, so below
+ * LEAST mean free paths R is continued in proportion to 1 / radius. */
 static inline double finish_R(const double *c, double x, double radius, double near_sum) {
   const double far = real_min(x / radius, 1);
   const double near = c[KAPPA] > 0 && radius > 0 ? 1 : real_max(x / radius, 1);
@@ -324,7 +325,7 @@ CORE_KERNEL_TABLE(extended, .evaluate = {
 CORE_KERNEL_TABLE_NONE(extended);
 #endif
 
-#else /* preparation, compiled once */
+#else /* what follows prepares a profile, and is compiled once for all instruction sets */
 
 #include <stdlib.h>
 #include <string.h>

@@ -114,7 +114,8 @@ static inline double finish_ln_R(const double *c, double r, double x, double sum
 
 static inline double finish_cdf(const double *c, double r, double x, double sum) {
   const double inside = c[GAUSSIANS_LEAST_CDF] * (r < x ? r / x : 1);
-  const bool whole = r > x || x * x * c[GAUSSIANS_SLOWEST] > 40; /* but for a rounding error */
+  /* from here on 1 - cdf is less than a rounding error */
+  const bool whole = r > x || x * x * c[GAUSSIANS_SLOWEST] > 40;
   const double less = c[GAUSSIANS_LIMIT] > 0 ? real_min(inside + sum, REAL_BELOW_1) : 0;
   return whole ? c[GAUSSIANS_LIMIT] : less;
 }
@@ -170,7 +171,7 @@ CORE_KERNEL_TABLE(gaussians, .evaluate = {
 CORE_KERNEL_TABLE_NONE(gaussians);
 #endif
 
-#else /* preparation, compiled once */
+#else /* what follows prepares a profile, and is compiled once for all instruction sets */
 
 #include <stdlib.h>
 #include <string.h>
@@ -255,7 +256,7 @@ enum { SKIN_GAUSSIANS = 6 };
 
 static const struct {
   double variance_mm2;
-  double weight[3]; /* red, green, blue */
+  double weight[3]; /* weights of the Gaussian for red, green and blue */
 } skin[SKIN_GAUSSIANS] = {
     {0.0064, {0.233, 0.455, 0.649}}, {0.0484, {0.100, 0.336, 0.344}}, {0.187, {0.118, 0.198, 0}},
     {0.567, {0.113, 0.007, 0.007}},  {1.99, {0.358, 0.004, 0}},       {7.41, {0.078, 0, 0}},

@@ -49,8 +49,8 @@ enum coefficient {
   FAR_POWER,        /* far away the sum falls in proportion to this power of 1 / tau */
   NODES_BEGIN,      /* first of NODE_FIELDS numbers for each node */
   NODE_FURTHER = 0, /* E - e^(u_c) */
-  NODE_WEIGHT,      /* w */
-  NODE_ENERGY,      /* w / E */
+  NODE_WEIGHT,      /* weight w of the node */
+  NODE_ENERGY,      /* w / E of the node */
   NODE_FIELDS
 };
 
@@ -150,7 +150,7 @@ static inline double finish_ln_R(const double *c, double r, double near, double 
   return c[CDF_LIMIT] > 0 ? (r > 0 ? bounded : (double)INFINITY) : -(double)INFINITY;
 }
 
-/* 1 where what is left is less than a rounding error, and less than 1 before. */
+/* Returns the cdf: 1 where 1 - cdf is less than a rounding error, and less than 1 before. */
 static inline double finish_cdf(const double *c, double r, double tau, double sum) {
   (void)r;
   const double inside = c[CDF_LIMIT] > 0 ? real_min(c[CDF_SCALE] * sum, REAL_BELOW_1) : 0;
@@ -177,7 +177,7 @@ CORE_KERNEL_TABLE(single, .evaluate = {
 CORE_KERNEL_TABLE_NONE(single);
 #endif
 
-#else /* preparation, compiled once */
+#else /* what follows prepares a profile, and is compiled once for all instruction sets */
 
 #include <stdlib.h>
 
@@ -260,7 +260,7 @@ static void add_zone_panel(struct rule *rule, double from, double to) {
     const double dmu = eta > 1 ? s * sinh : eta < 1 ? s * cosh : 1;
     const double q =
         eta > 1 ? sqrt((1 - outside) * (1 + outside)) / eta : sqrt((1 - mu) * (1 + mu));
-    /* du = dmu / (1 - mu^2) */
+    /* the weight of du follows from du = dmu / (1 - mu^2) */
     add_node(rule, mu, outside, q, (1 + mu) / q, weight * dmu / (q * q));
   }
 }

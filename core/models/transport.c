@@ -185,7 +185,7 @@ CORE_KERNEL_TABLE(transport, .evaluate = {
 CORE_KERNEL_TABLE_NONE(transport);
 #endif
 
-#else /* preparation, compiled once */
+#else /* what follows prepares a profile, and is compiled once for all instruction sets */
 
 #include <math.h>
 #include <stdlib.h>

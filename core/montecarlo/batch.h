@@ -12,7 +12,7 @@ struct core_mc_batch {
   walk_lanes lanes;
   walk_launch launch; /* the next WALK_LANES photons, each at its first collision */
   uint64_t *photons;  /* number of photons that left: [side][slot] */
-  /* [mc_rows()][albedos]: sums over the photons, each of which collides at least once */
+  /* [mc_rows()][albedos]: weights summed over the photons, each of which collides at least once */
   double *tally;
 };
 

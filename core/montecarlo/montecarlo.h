@@ -48,7 +48,8 @@ enum {
 #define CORE_MC_G_MAX 0.9999
 /* smallest thickness of a slab that is not empty, in mean free paths */
 #define CORE_MC_THICKNESS_MIN_MFP 1e-6
-#define CORE_MC_RADIUS_MIN_MFP 1e-8 /* smallest first edge of a logarithmic grid */
+/* smallest first edge of a logarithmic grid, in mean free paths */
+#define CORE_MC_RADIUS_MIN_MFP 1e-8
 #define CORE_MC_RADIUS_MAX_MFP 1e12
 #define CORE_MC_RING_WIDTH_MIN 1e-6 /* smallest width of a ring, relative to its inner radius */
 #define CORE_MC_SCATTERINGS_MAX (UINT32_C(1) << 30)
@@ -65,7 +66,7 @@ typedef struct core_mc_request {
   /* thickness of a slab: 0, or at least CORE_MC_THICKNESS_MIN_MFP mean free paths; INFINITY means a
    * half space */
   double thickness_mm;
-  size_t albedo_count;                /* 1 to CORE_MC_ALBEDOS_MAX */
+  size_t albedo_count;                /* number of albedos: 1 to CORE_MC_ALBEDOS_MAX */
   double albedo[CORE_MC_ALBEDOS_MAX]; /* sigma_s / sigma_t: 0 to 1 */
   /* 2 to CORE_MC_RINGS_MAX + 1 edges of rings, linear or logarithmic: ring i lies between edges i
    * and i + 1 */

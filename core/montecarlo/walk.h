@@ -18,7 +18,7 @@ typedef struct walk_medium {
   bool isotropic;
   bool slab;
   uint32_t key[2];
-  float g_sign; /* 1 or -1 */
+  float g_sign; /* sign of g: 1 or -1 */
   float g_size; /* |g| */
   float one_minus_g;
   float one_plus_g;

@@ -222,7 +222,8 @@ static struct path_point path_at(const nodes_rules *rules, double size, double b
   double sine, cosine;
   fn_sincos(bend, &sine, &cosine);
   const double complex tau = stretch.rho * CMPLX(cosine, -sine);
-  const double end = eta > 1 ? sqrt((eta + 1) / (eta - 1)) : 0; /* V */
+  /* V, the end of the path in v = e^u'; 0 for eta < 1, which does not use it */
+  const double end = eta > 1 ? sqrt((eta + 1) / (eta - 1)) : 0;
   const double complex share = fn_inverse(1 + tau);
   struct path_point point;
   point.v_less_1 = eta > 1 ? (end - 1) * tau * share : tau;
@@ -278,7 +279,8 @@ static double bend_angle(double complex k) {
   return fmax(0.15, 0.75 * (psi - 0.55));
 }
 
-/* Adds the nodes of one arc. side: 1 for the arc with +k, -1 for the other. */
+/* Adds the nodes of one of the two arcs of decay rates, p = cosh u + side i k sinh u. side: 1 or
+ * -1. */
 static void add_arc(nodes *to, const nodes_rules *rules, double complex k, int side,
                     const gauss_rule *rule) {
   const double eta = rules->eta;

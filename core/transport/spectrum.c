@@ -43,8 +43,8 @@
 /* For radii below R_LIMIT the code uses the limit for r -> 0. */
 #define R_LIMIT 1e-7
 
-/* Equations with |k| below K_NEAR are NEAR_FINER times as accurate as others, at most ACCURACY_MIN.
- */
+/* Equations with |k| below K_NEAR get rules NEAR_FINER times as accurate as others, but never finer
+ * than ACCURACY_MIN. */
 #define K_NEAR 4.0
 #define NEAR_FINER 300.0
 #define ACCURACY_MIN 1e-13

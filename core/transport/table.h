@@ -49,7 +49,8 @@
 #include <stdint.h>
 
 #define TRANSPORT_TABLE_MAGIC "dipoletr"
-#define TRANSPORT_TABLE_R_LEAST 1e-12 /* per squared mean free path */
+/* smallest R that the field ERROR holds for, per squared mean free path */
+#define TRANSPORT_TABLE_R_LEAST 1e-12
 #define TRANSPORT_TABLE_MARGIN 1.5
 
 enum {
@@ -108,7 +109,7 @@ double transport_table_error(const transport_table *table);
 
 /* One medium of the table: Chebyshev series in ln x. */
 typedef struct transport_series {
-  double kappa; /* transport_kappa() */
+  double kappa; /* transport_kappa() of the albedo */
   double total; /* the energy that leaves, per power that has entered */
   double ln_albedo;
   double edge[TRANSPORT_TABLE_PANELS + 1]; /* edges in ln x; the last one is the reach */
