@@ -267,7 +267,8 @@ static double grown(const struct cloud *cloud, double time) {
 
 /* ---- both ------------------------------------------------------------------------------------ */
 
-/* Returns leaves(t) e^(y^2 / (4 D t) + (rate - sigma_a) t) at t = time, for either model. */
+/* Returns the share of the light that leaves per unit of time at t = time, leaves(t), multiplied by
+ * e^(y^2 / (4 D t) + (rate - sigma_a) t), which makes it vary slowly. It serves both models. */
 static double leaves(const void *context, double time) {
   const struct cloud *cloud = context;
   const double length = cloud->period;

@@ -67,14 +67,15 @@ enum coefficient {
   RING_FLUX_1,
   RING_FLUX_2,
   RING_EXPONENT,
-  CDF_FLUX_1,   /* the flux of the real source as a share of the albedo */
-  CDF_FLUX_2,   /* the flux of the mirror source as a share of the albedo */
-  CDF_PHI_FAR,  /* the fluence's share of the albedo; multiplies 1 - e^(-mu a2) */
-  CDF_PHI_NEAR, /* the fluence's factor in the cdf for a1 - a2, per unit of length */
-  CDF_LIMIT,    /* limit of the cdf at infinity: 1, or 0 if nothing scatters */
-  CDF_WHOLE,    /* from this radius on, in kernel units, the cdf has rounded to CDF_LIMIT */
-  CORE,         /* the cdf is at most (x / CORE)^2, and nearly equal to it for small x */
-  TAIL,         /* 1 - cdf is at most TAIL / d1 e^(-mu (d1 - z1)) */
+  CDF_FLUX_1,  /* the flux of the real source as a share of the albedo */
+  CDF_FLUX_2,  /* the flux of the mirror source as a share of the albedo */
+  CDF_PHI_FAR, /* the fluence's share of the albedo; multiplies 1 - e^(-mu a2) */
+  /* factor of the fluence's second term in the cdf, which depends on a1 - a2; per unit of length */
+  CDF_PHI_NEAR,
+  CDF_LIMIT, /* limit of the cdf at infinity: 1, or 0 if nothing scatters */
+  CDF_WHOLE, /* from this radius on, in kernel units, the cdf has rounded to CDF_LIMIT */
+  CORE,      /* the cdf is at most (x / CORE)^2, and nearly equal to it for small x */
+  TAIL,      /* 1 - cdf is at most TAIL / d1 e^(-mu (d1 - z1)) */
   COEFFICIENTS
 };
 _Static_assert((int)COEFFICIENTS <= CORE_COEFFICIENTS_MAX, "the profile has room for them");
@@ -222,8 +223,8 @@ static inline struct within gather(const real *c, struct view v) {
   const real mu = c[MU];
   const real slope1 = v.x / (v.d1 + REAL_Z1); /* a1 / x */
   const real slope2 = v.x / (v.d2 + c[Z2]);
-  /* a1 - a2 = slopes apart; both factors are scaled, so that neither underflows before the product
-   */
+  /* `slopes` times `apart` is a1 - a2 with a_i = d_i - z_i; both are scaled, so that neither
+   * underflows before the product. */
   const real apart = (v.apart + c[Z2_LESS_Z1]) * SMALL_SCALE;
   const real slopes = (slope1 * (1 / SMALL_SCALE)) * slope2;
   const real_exp_values far = real_exp(-(mu * v.x) * slope2);
@@ -470,7 +471,7 @@ core_fault core_dipole_prepare(const core_inputs *inputs, core_preparation *prep
   set_scales(&dipole, c);
   preparation->albedo = set_energy(&dipole, c);
   set_bracket(c);
-  /* the bound 8 epsilon (1 + mu_tr d1) is written with 1 + mu_tr d1 <= 1 + mu_tr (z1 + r) */
+  /* the error bound contains 1 + mu_tr d1, which is at most 1 + mu_tr (z1 + r) */
   preparation->error_epsilons = DIPOLE_ERROR_EPSILONS * (1 + dd_round(dipole.mu));
   preparation->error_epsilons_per_mm = DIPOLE_ERROR_EPSILONS * c[MU] * c[UNITS_PER_MM];
   return (core_fault){0};

@@ -54,7 +54,7 @@ struct core_mc_plan {
   core_mc_request request; /* the request, with its defaults filled in */
   walk_medium walk;
   bool walks;                   /* false if no light is ever scattered */
-  double scattered_or_absorbed; /* share of the power that enters which collides */
+  double scattered_or_absorbed; /* share of the entered power that collides at least once */
   double unscattered[CORE_MC_SIDES];
   size_t albedos;
   size_t slots; /* number of slots on each side */

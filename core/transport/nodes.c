@@ -5,8 +5,8 @@
 
 #include "core/transport/functions.h"
 
-/* For |k| below this the code integrates along the chords, which are short; above, along the arcs
- * of their ends. */
+/* Below this |k| the measure of the boundary is integrated along chords in the plane of p, which
+ * are short then. Above it, it is integrated along the two arcs on which the chords end. */
 #define CHORDS_UP_TO 1.0
 
 /* Returns the smallest cosine of light that leaves: that of the critical angle, or 0 if there is

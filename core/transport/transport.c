@@ -180,7 +180,7 @@ struct transport_solution {
   spectrum spectra[BOTH];
   size_t table_count;
   struct errors table[TABLE_MAX];
-  spectrum_values last; /* values at the table's last radius */
+  spectrum_values last; /* values of light scattered more than once at the last radius of `table` */
 };
 
 static double table_radius(size_t i) {
