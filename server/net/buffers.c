@@ -90,6 +90,11 @@ size_t input_room(struct input *input, uint8_t **room) {
   return input->capacity - input->end;
 }
 
+size_t input_room_behind(struct input *input, uint8_t **room) {
+  *room = input->bytes + input->end;
+  return input->capacity - input->end;
+}
+
 static void take_skipped(struct input *input) {
   const size_t skipped = input->skip_bytes < held(input) ? (size_t)input->skip_bytes : held(input);
   input->begin += skipped;

@@ -54,6 +54,10 @@ void input_free(struct input *input);
  * is exhausted. May move the buffer, so no payload may be in use. */
 size_t input_room(struct input *input, uint8_t **room);
 
+/* Likewise, but only the room behind what has arrived: nothing is moved, and payloads may be in
+ * use. Returns 0 if there is none. */
+size_t input_room_behind(struct input *input, uint8_t **room);
+
 /* Takes note that so many bytes have been read into the room at this time. */
 void input_arrived(struct input *input, size_t bytes, uint64_t now_ns);
 

@@ -134,7 +134,8 @@ static void on_room_wanted(uv_handle_t *handle, size_t suggested, uv_buf_t *buff
   (void)suggested;
   struct connection *c = handle->data;
   uint8_t *room = NULL;
-  const size_t bytes = input_room(&c->input, &room);
+  const size_t bytes =
+      c->requests.job != NULL ? input_room_behind(&c->input, &room) : input_room(&c->input, &room);
   *buffer = uv_buf_init((char *)room, (unsigned)bytes);
 }
 
@@ -149,6 +150,27 @@ static void refuse_for_memory(struct connection *c) {
   } else if (!requests_refuse(&c->requests, header.request_id, &error)) {
     abort_connection(c);
   }
+}
+
+static void on_read(uv_stream_t *stream, ssize_t bytes, const uv_buf_t *buffer);
+
+static void set_reading(struct connection *c, bool wanted) {
+  if (wanted && !c->reading) {
+    c->reading = uv_read_start(&c->uv.stream, on_room_wanted, on_read) == 0;
+    if (!c->reading) {
+      abort_connection(c);
+    }
+  } else if (!wanted && c->reading) {
+    uv_read_stop(&c->uv.stream);
+    c->reading = false;
+  }
+}
+
+/* While a job uses its request, the connection reads only into the room behind it. So it knows when
+ * the next requests arrived, and their deadlines count. */
+static void read_behind(struct connection *c) {
+  uint8_t *room = NULL;
+  set_reading(c, !c->peer_done && input_room_behind(&c->input, &room) > 0);
 }
 
 /* Has the requests answered in the same round of the loop. Reading is stopped only if work is left
@@ -167,6 +189,10 @@ static void on_read(uv_stream_t *stream, ssize_t bytes, const uv_buf_t *buffer) 
       input_discard(&c->input);
       return;
     }
+    if (c->requests.job != NULL) {
+      read_behind(c);
+      return; /* the job wakes the connection */
+    }
   } else {
     uv_read_stop(stream);
     c->reading = false;
@@ -180,18 +206,6 @@ static void on_read(uv_stream_t *stream, ssize_t bytes, const uv_buf_t *buffer) 
   }
   if (!c->closing) {
     worker_run_later(&c->client);
-  }
-}
-
-static void set_reading(struct connection *c, bool wanted) {
-  if (wanted && !c->reading) {
-    c->reading = uv_read_start(&c->uv.stream, on_room_wanted, on_read) == 0;
-    if (!c->reading) {
-      abort_connection(c);
-    }
-  } else if (!wanted && c->reading) {
-    uv_read_stop(&c->uv.stream);
-    c->reading = false;
   }
 }
 
@@ -285,8 +299,8 @@ static void end_if_done(struct connection *c) {
 
 /* All that has arrived has been dealt with as far as possible: reads on, or ends. */
 static void read_on_or_end(struct connection *c) {
-  if (c->requests.waiting) {
-    set_reading(c, false);
+  if (c->requests.job != NULL) { /* waits for a profile, or for the reader */
+    read_behind(c);
     return;
   }
   end_if_done(c);
@@ -351,7 +365,11 @@ static void finish(struct client *client) {
     return;
   }
   if (c->more_to_do || (was_blocked && !output_is_full(&c->output))) {
-    set_reading(c, false); /* input_room() would move the payload under the job */
+    if (c->requests.job != NULL) {
+      read_behind(c);
+    } else {
+      set_reading(c, false);
+    }
     worker_run_later(&c->client);
   } else {
     read_on_or_end(c);

@@ -224,6 +224,21 @@ def test_behind_a_request_that_takes_long(daemon):
         assert replies[4] == Frame(PONG, 5, b"any time")
 
 
+def test_the_time_runs_from_the_arrival_behind_a_slow_request(daemon):
+    """The order of a connection is no excuse: who is late gets DEADLINE, not an answer."""
+    with daemon("--workers", "1").connect() as connection:
+        slow = eval_payload(radii=None, radius_count=30_000_000, wanted=R)
+        connection.send_bytes(frame(EVAL, 76, slow))
+        time.sleep(0.01)
+        connection.send_bytes(frame(EVAL, 77, eval_payload(), 1))
+        connection.send_bytes(frame(EVAL, 78, eval_payload(), 60_000))
+        time.sleep(0.01)
+        parts = receive_parts(connection, 76)
+        assert sum(part.fixed.radius_count for part in parts) == 30_000_000
+        assert_late(connection.receive_frame())
+        assert connection.receive_frame().type == EVALUATED
+
+
 def test_one_that_is_missed_does_not_hold_up_the_next(daemon):
     with daemon().connect() as connection:
         start = time.monotonic()
