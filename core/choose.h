@@ -11,7 +11,7 @@
 
 #include "core/core.h"
 
-/* What is asked for. */
+/* A request for a model and an evaluator. */
 typedef struct core_choose_request {
   const core_medium *media; /* one for each channel; they all get the same model */
   size_t media_count;       /* at least 1 */

@@ -24,7 +24,7 @@
 enum core_dipole_switch {
   CORE_DIPOLE_GROSJEAN = 1, /* Grosjean's diffusion coefficient and prefactor alpha'^2 */
   CORE_DIPOLE_BOUNDARY = 2, /* A = (1 + 3 C2) / (1 - 2 C1) */
-  CORE_DIPOLE_EXITANCE = 4, /* fluence and flux leave: (1 - 2 C1) / 4 and (1 - 3 C2) / 2 */
+  CORE_DIPOLE_EXITANCE = 4, /* exitance: (1 - 2 C1) / 4 fluence + (1 - 3 C2) / 2 flux */
 };
 
 /* The fit that gives the width of Burley's profile. */
@@ -396,7 +396,7 @@ typedef struct core_inversion {
   double albedo_most;
 } core_inversion;
 
-#define CORE_MEAN_FREE_PATH_MIN_MM 1e-14 /* inside the limits of a medium, with room to round */
+#define CORE_MEAN_FREE_PATH_MIN_MM 1e-14 /* narrower than a medium's limits, for rounding */
 #define CORE_MEAN_FREE_PATH_MAX_MM 1e14
 
 /* Finds a medium with a given albedo and mean free path 1 / sigma_t', which is from
@@ -435,7 +435,8 @@ typedef struct core_grid {
 #define CORE_GRID_COUNT_MAX ((uint64_t)1 << 53)
 #define CORE_GRID_LOG_MIN_MM 1e-300
 
-/* The faults name the fields of the wire: radius_count, radius_start, radius_stop. */
+/* Returns the fault of a grid. It names the field of the wire: radius_count, radius_start or
+ * radius_stop. */
 core_fault core_grid_check(const core_grid *grid);
 
 /* Writes the radii first, first + 1, ..., first + n - 1 of the grid to r[n]. */

@@ -20,7 +20,7 @@
 
 /* Equally spaced nodes in s. */
 typedef struct core_times {
-  double step;  /* in s */
+  double step;  /* distance of the nodes in s */
   double first; /* value of s at the first node */
   size_t count;
   double rate;

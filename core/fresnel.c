@@ -49,8 +49,8 @@ struct boundary {
   dd v0;
 };
 
-/* Sums of 1 - F times 2 mu dmu and times 3 mu^2 dmu, without the factors that are the same for all
- * nodes of a range. */
+/* Sums over nodes for the integrals of (1 - F) 2 mu dmu and (1 - F) 3 mu^2 dmu. Factors that are
+ * the same for all nodes of a range are left out and applied later. */
 struct moments {
   dd first;
   dd second;
@@ -131,7 +131,8 @@ static core_fresnel exact_moments(double eta) {
   const struct moments normal = sum_near_normal(&b);
   const struct moments grazing = sum_near_grazing(&b, end, pole);
 
-  /* dv = v0 dratio and v0 / v^2 = 1 / (v0 ratio^2); du = end dshare */
+  /* The factors that add_node() has left out follow from dv = v0 dratio, v0 / v^2 = 1 / (v0
+   * ratio^2) and du = end dshare. */
   const dd root = dd_sqrt(b.v0);
   const dd weight = dd_mul(b.v0, end);
   const dd first = dd_add(normal.first, dd_mul(weight, grazing.first));

@@ -23,7 +23,7 @@
 
 enum {
   SECANTS_MAX = 24, /* the search only halves from then on, as albedos may be noise */
-  STEPS_MAX = 400,  /* more than halving the range in ln(rho) takes */
+  STEPS_MAX = 400,  /* halving the range in ln(rho) takes fewer steps */
 };
 
 /* Returns the medium whose sigma_a and sigma_s' have this sum and ratio. */

@@ -80,7 +80,7 @@ static inline real real_nearer_zero(real a, real b) {
 
 /* Adding REAL_ROUND_MAGIC rounds a number to an integer k: the last bits of the sum are k. */
 
-/* 2^k for an integral k in the exponent range of normal numbers. */
+/* Returns 2^k for an integral k in the exponent range of normal numbers. */
 static inline real real_power_of_two(real k) {
   return real_from_bits((real_to_bits(k + REAL_ROUND_MAGIC) + REAL_EXPONENT_BIAS)
                         << REAL_MANTISSA_BITS);

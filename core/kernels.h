@@ -42,7 +42,7 @@ typedef struct core_kernels_f32 {
   core_kernel_f32 *sample;
 } core_kernels_f32;
 
-/* One model on one instruction set. */
+/* The kernels of one model for one instruction set. */
 struct core_kernels {
   const core_kernels_f64 *f64;
   const core_kernels_f32 *f32;
@@ -80,8 +80,8 @@ typedef struct core_preparation {
   size_t table_bytes;
   double albedo;
   double error;                 /* numerical error of all values, relative */
-  double error_epsilons;        /* added at r = 0, in epsilons of the evaluator */
-  double error_epsilons_per_mm; /* added for each mm of r, in the same unit */
+  double error_epsilons;        /* further error, in epsilons of the evaluator */
+  double error_epsilons_per_mm; /* further error for each mm of r, in epsilons */
   double cost;                  /* see core_profile */
   double scale_mm;              /* see core_profile */
   core_reach reach;             /* see core_profile */

@@ -37,7 +37,8 @@ core_fault core_medium_check(const core_medium *medium) {
     }                                                                                              \
   }
 
-/* Jensen, Marschner, Levoy, Hanrahan 2001, Figure 5: sigma_s' and sigma_a in 1/mm for R, G, B. */
+/* Each line has sigma_s' and sigma_a in 1/mm for red, green and blue, from Jensen, Marschner,
+ * Levoy, Hanrahan 2001, Figure 5. */
 const core_measured_medium core_measured_media[] = {
     MEDIUM("apple", 2.29, 2.39, 1.97, 0.0030, 0.0034, 0.046),
     MEDIUM("chicken1", 0.15, 0.21, 0.38, 0.015, 0.077, 0.19),

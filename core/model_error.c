@@ -74,7 +74,7 @@ _Static_assert(sizeof edges_mfp / sizeof edges_mfp[0] == BANDS + 1, "as core.h h
 
 static const struct measured {
   unsigned model;
-  bool similarity; /* g and sigma_s matter through sigma_s (1 - g) alone */
+  bool similarity; /* true if g and sigma_s matter only as sigma_s (1 - g) */
   char codes[RATIOS][ETAS * NODE + 1];
 } measured[] = {
 #define CORE_ERROR_MODEL(model, similarity, ...) {model, similarity, {__VA_ARGS__}},
@@ -285,7 +285,7 @@ double core_model_errors_of(const core_model_errors *errors, const core_medium *
   if ((wanted & CORE_QUANTITY_ALBEDO) != 0) {
     error = larger(error, albedo);
   }
-  if ((wanted & CORE_QUANTITY_LN_R) != 0) { /* -ln(1 - e) < e / (1 - e) */
+  if ((wanted & CORE_QUANTITY_LN_R) != 0) { /* ln R changes by < R / (1 - R) */
     error = larger(error, R < 1 ? R / (1 - R) : (double)NAN);
   }
   if ((wanted & CORE_QUANTITY_PDF) != 0) { /* (1 + R) / (1 - albedo) - 1 */

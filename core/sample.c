@@ -15,7 +15,7 @@
 
 enum {
   CHUNK = 64,
-  STEPS_MAX = 400, /* more than halving ln r over all doubles takes */
+  STEPS_MAX = 400, /* halving ln r over all doubles takes fewer steps */
 };
 
 /* Smaller u are raised to this: the radius is then close to 0 for every model. */

@@ -97,8 +97,8 @@ static bool set_near(struct build *b) {
   b->word[CORE_LUT_NEAR_POWER] = 0;
   b->word[CORE_LUT_NEAR_R] = R;
   b->word[CORE_LUT_NEAR_LOG] = rise;
-  /* int_0^r 2 pi r (R + rise log2(first / r)) dr = pi r^2 (R + rise (log2(first / r) + 1 / (2 ln
-   * 2))) */
+  /* The integral of 2 pi r (R + rise log2(first / r)) from 0 to r is
+ * pi r^2 (R + rise (log2(first / r) + 1 / (2 ln 2))). */
   const double per_rise = 0.72134752044448170368;
   const double factor = cdf_here / (first * first) / (R + rise * per_rise);
   b->word[CORE_LUT_NEAR_CDF] = factor * (R + rise * per_rise);
@@ -270,9 +270,9 @@ static int first_u(const struct build *b) {
 }
 
 /* Where R rises like a logarithm, the radii below FIRST_U follow from NEAR_CDF and NEAR_CDF_LOG in
- * single precision, which may put them up to 2 units in the last place too high. This lowers them by
- * as much, so that the last of them does not exceed the first piece. Nothing else depends on these
- * words then: the cdf itself has underflowed. */
+ * single precision, which may put them up to 2 units in the last place too high. This lowers them
+ * by as much, so that the last of them does not exceed the first piece. Nothing else depends on
+ * these words then: the cdf itself has underflowed. */
 static void keep_order_at_first_u(struct build *b) {
   const double slack = 0x1p-22; /* 2 units in the last place, relative */
   if (b->word[CORE_LUT_NEAR_LOG] > 0 &&

@@ -13,7 +13,7 @@ struct lut_subject {
   const void *context;
   double tolerance; /* relative, of each value */
   double negligible;
-  bool monotone; /* the rounded values must never fall where the function rises */
+  bool monotone; /* the function rises, and the rounded values must never fall */
 };
 
 /* The pieces of all functions that have been fitted so far. */

@@ -42,8 +42,8 @@ enum core_lut_word {
   CORE_LUT_NEAR_POWER, /* if 1, R below FIRST_MM is SCALE NEAR_R / r, NEAR_R in mm; */
   CORE_LUT_NEAR_R,     /* if 0, it is SCALE (NEAR_R + NEAR_LOG log2(FIRST_MM / r)) */
   CORE_LUT_NEAR_LOG,
-  CORE_LUT_NEAR_CDF,     /* cdf below FIRST_MM: with NEAR_POWER 1, NEAR_CDF r; with 0, */
-  CORE_LUT_NEAR_CDF_LOG, /* (NEAR_CDF + NEAR_CDF_LOG log2(FIRST_MM / r)) r^2, 1/mm^2 */
+  CORE_LUT_NEAR_CDF,     /* cdf below FIRST_MM = NEAR_CDF r if NEAR_POWER is 1, else */
+  CORE_LUT_NEAR_CDF_LOG, /* cdf = (NEAR_CDF + NEAR_CDF_LOG log2(FIRST_MM / r)) r^2 */
   CORE_LUT_FAR,          /* from LAST_MM on, R is SCALE FAR (LAST_MM / r)^3, and the cdf is LIMIT */
   CORE_LUT_LIMIT,        /* the cdf's limit for large r: 1, or 0 if nothing scatters */
   CORE_LUT_FIRST_U,      /* the least u that has a piece of the radius, a power of two */

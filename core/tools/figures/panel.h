@@ -1,8 +1,8 @@
-/* panel: one medium of the figures of "A Better Dipole" (d'Eon 2012): a ratio sigma_a / sigma_s'
- * and an eta, with isotropic scattering, and all values that are drawn for it.
+/* panel: holds one medium of the figures of "A Better Dipole" (d'Eon 2012) and all values that are
+ * drawn for it. The medium is a ratio sigma_a / sigma_s' and an eta; scattering is isotropic.
  *
- * Each of Figures 1 to 16 has one ratio and a panel for each eta. Lengths are in mean free paths 1
- * / sigma_t'. R is per squared mean free path and per power that entered. */
+ * Each of Figures 1 to 16 has one ratio and a panel for each eta. Lengths are in mean free paths,
+ * which are 1 / sigma_t'. R is per squared mean free path and per power that entered. */
 #ifndef FIGURES_PANEL_H
 #define FIGURES_PANEL_H
 

@@ -20,7 +20,7 @@
  *   model_median, against_median, model_worst, against_worst    factors, over the panels */
 void summary_write(const char *path, const panel_data *const *panels, size_t count);
 
-/* With fewer batches the estimated errors are too uncertain to tell which rings are well known. */
+/* With fewer batches the errors that Monte Carlo states are too uncertain for a check. */
 #define SUMMARY_CHECK_BATCHES_MIN 30
 
 /* Writes a CSV file with a row for each panel that has Monte Carlo values, if `batches` is at least

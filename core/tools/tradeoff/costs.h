@@ -9,8 +9,8 @@
 enum { COSTS_LENGTH = 4096 };
 
 typedef struct costs_of {
-  double evaluate_ns; /* of R at one radius of an array of COSTS_LENGTH */
-  double prepare_ns;
+  double evaluate_ns; /* time for R at one radius, in arrays of COSTS_LENGTH */
+  double prepare_ns;  /* time for one medium */
   /* The numerical error that profiles state if the request's tolerance is tolerance_least, which is
    * the least power of ten that they accept. */
   double numerical_least;

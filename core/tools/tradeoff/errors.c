@@ -51,7 +51,7 @@ static void deviations(const core_profile *profile, const struct truth *truth,
   for (size_t i = 0; i < NODES_RADII; i++) {
     off[i] = fabs(off[i] / truth->R[i] - 1);
     if (isnan(off[i])) {
-      tools_fail("a model of the list is not a number at %g mean free paths", truth->r[i]);
+      tools_fail("a model's R is not a number at %g mean free paths", truth->r[i]);
     }
   }
 }

@@ -15,13 +15,13 @@ typedef struct errors_node {
 /* The errors of one subject at one node of the paper's; NaN if it could not be prepared. */
 typedef struct errors_row {
   double worst;     /* largest over all radii */
-  double median;    /* over all radii */
+  double median;    /* median over all radii */
   double worst_far; /* largest over the radii from ERRORS_FAR on */
   double albedo;
   double numerical; /* numerical error that the profile states for the largest radius */
 } errors_row;
 
-#define ERRORS_FAR 1.0    /* mean free paths */
+#define ERRORS_FAR 1.0    /* a radius in mean free paths */
 #define ERRORS_LEAST 1e-7 /* transport's own tolerance; smaller errors cannot be measured */
 
 typedef struct errors_table {

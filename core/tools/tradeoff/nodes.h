@@ -26,7 +26,7 @@ extern const double nodes_ratios[NODES_RATIOS];
 extern const double nodes_edges[NODES_BANDS + 1]; /* in mean free paths */
 double nodes_eta(size_t index);
 
-/* Whether the paper's figures have this medium's ratio, or its eta. */
+/* Whether a figure of the paper has the ratio, or the eta, at this position of the list. */
 bool nodes_ratio_is_papers(size_t ratio);
 bool nodes_eta_is_papers(size_t eta);
 

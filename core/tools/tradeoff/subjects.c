@@ -91,7 +91,7 @@ static void add(subjects *all, const core_choice *model) {
   all->models[index] = (subject_model){model, is_similar(model->id)};
   for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
     if (all->count == SUBJECTS_MAX) {
-      tools_fail("more evaluators than there is room for");
+      tools_fail("there are more evaluators than SUBJECTS_MAX allows");
     }
     all->all[all->count++] = (subject){index, evaluator};
   }
@@ -101,7 +101,7 @@ void subjects_find(subjects *all) {
   all->model_count = all->count = all->left_out_count = 0;
   for (const core_choice *model = core_models; model->name != NULL; model++) {
     if (all->model_count + all->left_out_count == SUBJECTS_MODELS_MAX) {
-      tools_fail("more models than there is room for");
+      tools_fail("there are more models than SUBJECTS_MODELS_MAX allows");
     }
     const char *why = why_left_out(model->id);
     if (why == NULL) {

@@ -16,7 +16,7 @@ typedef struct subject_model {
 
 /* A model with an evaluator. */
 typedef struct subject {
-  size_t model; /* position in the models */
+  size_t model; /* position in subjects.models */
   const core_choice *evaluator;
 } subject;
 

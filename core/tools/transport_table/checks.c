@@ -102,7 +102,7 @@ static void compare_radii(const table_sample *sample, size_t i, const transport_
     }
   }
   if (sample->R[i * RADII + 1] > TRANSPORT_TABLE_R_LEAST) {
-    tools_fail("the table ends where there is still light");
+    tools_fail("R at the table's last radius is not negligible: the table must reach farther");
   }
 }
 

@@ -159,7 +159,7 @@ static void put_series(struct writer *writer, double quantum, double *values, si
   for (size_t i = 0; i < nx * nt * nv; i++) {
     const double value = values[i] / quantum;
     if (!(fabs(value) < 0x1p47)) {
-      tools_fail("a coefficient is too large, or not a number");
+      tools_fail("a coefficient of the table is too large or not a number");
     }
     rounded[i] = llrint(value);
   }
