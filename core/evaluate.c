@@ -96,7 +96,8 @@ static void evaluate_f64(const core_profile *profile, enum core_quantity quantit
   core_evaluate(profile, CORE_QUANTITY_R, n, r, out);
   const double factor = S_per_R(profile);
   for (size_t i = 0; i < n; i++) {
-    out[i] = factor > 0 ? out[i] * factor : 0; /* R may be infinite */
+    /* If the factor is 0, S is 0 even where R is infinite. */
+    out[i] = factor > 0 ? out[i] * factor : 0;
   }
 }
 
@@ -152,6 +153,7 @@ void core_eval_f32(const core_profile *profile, enum core_quantity quantity, siz
   evaluate_f32(profile, CORE_QUANTITY_R, n, r, out);
   const double factor = S_per_R(profile);
   for (size_t i = 0; i < n; i++) {
-    out[i] = factor > 0 ? (float)((double)out[i] * factor) : 0; /* R may be infinite */
+    /* If the factor is 0, S is 0 even where R is infinite. */
+    out[i] = factor > 0 ? (float)((double)out[i] * factor) : 0;
   }
 }

@@ -29,7 +29,7 @@ void summary_write(const char *path, const panel_data *const *panels, size_t cou
 void summary_write_check(const char *path, const panel_data *const *panels, size_t count,
                          uint64_t batches);
 
-/* Prints the main results of both files as text. */
+/* Prints the main results of summary_write() and summary_write_check() as text. */
 void summary_print(FILE *out, const panel_data *const *panels, size_t count, uint64_t batches);
 
 #endif
