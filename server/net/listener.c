@@ -122,6 +122,37 @@ static bool is_stale(const struct sockaddr_un *address) {
   return refused;
 }
 
+/* Why a path that exists cannot be bound. */
+static const char *occupant(const char *path) {
+  struct stat status;
+  if (lstat(path, &status) != 0) {
+    return "another process uses the path";
+  }
+  return S_ISSOCK(status.st_mode)  ? "another process listens there"
+         : S_ISDIR(status.st_mode) ? "the path is a folder"
+         : S_ISLNK(status.st_mode) ? "the path is a symbolic link"
+                                   : "the path is a file that is no socket";
+}
+
+/* Remembers the socket's file: somebody may remove it, and another daemon put its own there. */
+static void note_file(struct listener *listener, const char *path) {
+  struct stat status;
+  if (lstat(path, &status) == 0) {
+    listener->unix_path = strdup(path);
+    listener->unix_device = status.st_dev;
+    listener->unix_inode = status.st_ino;
+  }
+}
+
+static void remove_file(struct listener *listener) {
+  struct stat status;
+  if (lstat(listener->unix_path, &status) == 0 && status.st_dev == listener->unix_device &&
+      status.st_ino == listener->unix_inode) {
+    unlink(listener->unix_path);
+  }
+  free(listener->unix_path);
+}
+
 static bool open_unix(struct listener *listener, const char *url, const char *path) {
   struct sockaddr_un address = {.sun_family = AF_UNIX};
   if (*path == '\0' || strlen(path) >= sizeof address.sun_path) {
@@ -138,9 +169,9 @@ static bool open_unix(struct listener *listener, const char *url, const char *pa
     bound = bind(listener->fd, (struct sockaddr *)&address, sizeof address);
   }
   if (bound != 0 || listen(listener->fd, BACKLOG) != 0) {
-    return complain(url, errno == EADDRINUSE ? "another process listens there" : strerror(errno));
+    return complain(url, errno == EADDRINUSE ? occupant(path) : strerror(errno));
   }
-  listener->unix_path = strdup(path);
+  note_file(listener, path);
   log_line(LOG_LEVEL_INFO, "event=listening url=unix:%s", path);
   return true;
 }
@@ -253,9 +284,8 @@ bool listener_open_modbus(struct listener *listener, struct server *server, uv_l
 void listener_close(struct listener *listener) {
   uv_close((uv_handle_t *)&listener->poll, NULL);
   uv_close((uv_handle_t *)&listener->pause, NULL);
-  close(listener->fd);
   if (listener->unix_path != NULL) {
-    unlink(listener->unix_path);
-    free(listener->unix_path);
+    remove_file(listener); /* while the socket is open, no other file can have its inode */
   }
+  close(listener->fd);
 }

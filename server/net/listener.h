@@ -10,7 +10,9 @@ struct listener {
   uv_poll_t poll;
   uv_timer_t pause;
   int fd;
-  char *unix_path; /* a file to be removed in the end; NULL for TCP and adopted sockets */
+  char *unix_path;   /* a file to be removed in the end; NULL for TCP and adopted sockets */
+  dev_t unix_device; /* of that file */
+  ino_t unix_inode;
 };
 
 /* Listens at unix:PATH or tcp:HOST:PORT and logs the address. If that fails, it prints a message to

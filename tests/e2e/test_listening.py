@@ -75,9 +75,27 @@ def test_live_socket_file_is_left_alone(daemon, folder):
 
 def test_other_files_are_left_alone(folder):
     (folder / "precious").write_text("not a socket")
-    ended = run("--listen", f"unix:{folder}/precious")
-    assert ended.returncode == 1 and "precious" in ended.stderr
+    (folder / "folder").mkdir()
+    (folder / "link").symlink_to(folder / "nowhere")
+    for name, why in [
+        ("precious", "the path is a file that is no socket"),
+        ("folder", "the path is a folder"),
+        ("link", "the path is a symbolic link"),
+    ]:
+        ended = run("--listen", f"unix:{folder}/{name}")
+        assert ended.returncode == 1 and f"unix:{folder}/{name}: {why}\n" in ended.stderr
     assert (folder / "precious").read_text() == "not a socket"
+    assert (folder / "folder").is_dir() and (folder / "link").is_symlink()
+
+
+def test_the_socket_file_of_another_daemon_is_left_alone(daemon, folder):
+    first = daemon(listen=[f"unix:{folder}/s"])
+    (folder / "s").unlink()
+    with daemon(listen=[f"unix:{folder}/s"]).connect() as connection:
+        first.terminate()
+        assert first.wait() == 0
+        assert (folder / "s").is_socket()
+        assert_serves(connection)
 
 
 def test_port_in_use(daemon):
