@@ -27,7 +27,7 @@ static const char help[] =
     "  --output DIR   folder for the results, default build/tradeoff\n"
     "  --threads N    threads that compare models with transport, default: one for each processor\n"
     "                 (speed is always measured in one thread)\n"
-    "  --help\n";
+    "  --help         print this text\n";
 
 typedef struct options {
   const char *output;
