@@ -63,6 +63,12 @@ static void on_wake(void *owner) {
   worker_run_later(&c->client);
 }
 
+wire_error connection_refusal(void) {
+  wire_error error = wire_error_make(WIRE_STATUS_BUSY, "", "fewer connections: max_connections");
+  error.retry_after_ms = 1000;
+  return error;
+}
+
 struct client *connection_new(struct server *server, int fd, enum connection_purpose purpose) {
   struct connection *c = calloc(1, sizeof *c);
   if (c == NULL) {
@@ -411,9 +417,7 @@ static void start(struct client *client) {
     return;
   }
   if (c->purpose == CONNECTION_REFUSE) {
-    wire_error error = wire_error_make(WIRE_STATUS_BUSY, "", "fewer connections: max_connections");
-    error.retry_after_ms = 1000;
-    requests_end(&c->requests, 0, error);
+    requests_end(&c->requests, 0, connection_refusal());
   }
   worker_run_later(&c->client);
 }

@@ -5,6 +5,7 @@
 #ifndef DIPOLED_CONNECTION_H
 #define DIPOLED_CONNECTION_H
 
+#include "proto/wire.h"
 #include "server/net/client.h"
 #include "server/server.h"
 
@@ -18,5 +19,8 @@ enum connection_purpose {
  * owns fd from then on. Returns NULL if there is no memory; fd is still the caller's then. May be
  * called on any thread. */
 struct client *connection_new(struct server *server, int fd, enum connection_purpose purpose);
+
+/* BUSY: what a connection beyond max_connections is told. */
+wire_error connection_refusal(void);
 
 #endif

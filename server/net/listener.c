@@ -19,7 +19,7 @@ enum {
   BACKLOG = 1024,
   ACCEPTS_PER_ROUND = 64,
   PAUSE_MS = 100,        /* before accepting again, when no file descriptor is left */
-  REFUSALS_AT_ONCE = 64, /* connections that are refused with BUSY at a time; others are closed */
+  REFUSALS_AT_ONCE = 64, /* connections that read their BUSY at leisure; others get it at once */
 };
 
 static bool complain(const char *url, const char *why) {
@@ -50,6 +50,23 @@ static uint64_t held_connections(const struct server *server) {
   return held;
 }
 
+/* Sends BUSY and closes the socket. A new socket has room for the frame. A peer that has already
+ * sent something may lose it, because closing then resets the connection. */
+static void refuse_at_once(struct server *server, int fd) {
+  const wire_header header = {.magic = WIRE_MAGIC,
+                              .version = WIRE_VERSION,
+                              .type = WIRE_TYPE_ERROR,
+                              .payload_bytes = WIRE_BYTES_error};
+  const wire_error error = connection_refusal();
+  uint8_t frame[WIRE_BYTES_header + WIRE_BYTES_error];
+  wire_put_header(frame, &header);
+  wire_put_error(frame + WIRE_BYTES_header, &error);
+  if (send(fd, frame, sizeof frame, MSG_NOSIGNAL | MSG_DONTWAIT) == (ssize_t)sizeof frame) {
+    stats_count_answer(&server->stats, WIRE_STATUS_BUSY);
+  }
+  close(fd);
+}
+
 void listener_admit(struct server *server, int fd, bool inherited) {
   struct stats *stats = &server->stats;
   const bool full = stats_get(stats, STATS_CONNECTIONS_OPEN) >= server->options.max_connections;
@@ -62,7 +79,7 @@ void listener_admit(struct server *server, int fd, bool inherited) {
   struct client *connection =
       full && too_many_refusals ? NULL : connection_new(server, fd, purpose);
   if (connection == NULL) {
-    close(fd);
+    refuse_at_once(server, fd);
     return;
   }
   if (!full) {
