@@ -86,8 +86,8 @@ bool libdipole_address_parse(const char *text, libdipole_address *address, dipol
 
 /* ---- several ------------------------------------------------------------------------------- */
 
-/* The comma before the next address, or NULL if there is none. A comma that no scheme follows is
- * part of a path. */
+/* Returns the comma before the next address, or NULL if there is none. A comma that no scheme
+ * follows is part of a path. */
 static char *find_comma(char *text) {
   enum libdipole_address_kind kind;
   char *comma = strchr(text, ',');

@@ -1,4 +1,4 @@
-/* address: where daemons are, from text. */
+/* address: reads from text where daemons are. */
 #ifndef LIBDIPOLE_ADDRESS_H
 #define LIBDIPOLE_ADDRESS_H
 
@@ -26,12 +26,12 @@ typedef struct libdipole_addresses {
   const char *texts[DIPOLE_ADDRESSES_MAX];
 } libdipole_addresses;
 
-/* Reads a list of addresses. text: NULL is the default, $DIPOLED or a private daemon. The caller
- * frees *addresses with libdipole_addresses_free(), also after a failure. */
+/* Reads a list of addresses. If text is NULL, uses the default: $DIPOLED or a private daemon. The
+ * caller frees *addresses with libdipole_addresses_free(), also after a failure. */
 bool libdipole_addresses_parse(const char *text, libdipole_addresses *addresses,
                                dipole_error *error);
 
-/* Whether the daemon is to be started for this client alone. */
+/* Returns whether the daemon is to be started for this client alone. */
 bool libdipole_addresses_is_private(const libdipole_addresses *addresses);
 
 void libdipole_addresses_free(libdipole_addresses *addresses);

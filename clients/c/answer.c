@@ -37,8 +37,8 @@ static bool is_asked_for(const libdipole_pending *pending, const wire_eval_reply
              : fixed->evaluator == pending->evaluator;
 }
 
-/* Whether a part starts where it has to and has as many radii as it may. An answer in one frame is
- * one part. */
+/* Returns whether a part starts where it has to and has as many radii as it may. An answer in one
+ * frame is one part. */
 static bool is_next_part(const libdipole_pending *pending, const wire_eval_reply *fixed) {
   const uint64_t left = pending->radius_count - pending->next_radius;
   const bool is_last = fixed->part + 1 == fixed->part_count;
@@ -61,8 +61,8 @@ static bool parse(const libdipole_pending *pending, const libdipole_frame *frame
 
 /* ---- results ------------------------------------------------------------------------------- */
 
-/* The array of a quantity, or NULL. In the caller's memory the arrays lie one behind the other,
- * without padding, and without the radii. */
+/* Returns the array of a quantity, or NULL. In the caller's memory the arrays lie one behind the
+ * other, without padding, and without the radii. */
 static const void *array_at(const libdipole_frame *frame, const eval_layout *layout,
                             unsigned wanted, uint64_t values_bytes, uint32_t channel,
                             enum core_quantity quantity) {
@@ -171,17 +171,17 @@ const float *dipole_values_f32(const dipole_result *result, uint32_t channel, un
 }
 
 void dipole_result_free(dipole_result *result) {
-  free(result); /* It is the first member of the frame. */
+  free(result); /* The result is the first member of the frame, so this frees the whole frame. */
 }
 
 /* ---- parts --------------------------------------------------------------------------------- */
 
-/* The size of the fixed part and the channels, which are the same in all parts. */
+/* Returns the size of the fixed part and the channels, which are the same in all parts. */
 static size_t head_bytes(const libdipole_pending *pending) {
   return WIRE_BYTES_eval_reply + (size_t)pending->medium_count * WIRE_BYTES_channel;
 }
 
-/* Whether a part differs from the first one only in its radii and values. */
+/* Returns whether a part differs from the first one only in its radii and values. */
 static bool is_like_first(const libdipole_pending *pending, const libdipole_frame *frame,
                           const wire_eval_reply *fixed) {
   const libdipole_frame *gathered = pending->gathered;
@@ -194,7 +194,8 @@ static bool is_like_first(const libdipole_pending *pending, const libdipole_fram
                 head_bytes(pending) - WIRE_BYTES_eval_reply) == 0;
 }
 
-/* Whether the arrays went into the caller's memory: then only the head is in the frame. */
+/* Returns whether the arrays went into the caller's memory. In that case, the frame holds only the
+ * head. */
 static bool is_in_place(const libdipole_frame *part) {
   return part->stored_bytes < part->payload_bytes;
 }
@@ -345,7 +346,8 @@ static bool place_bytes(dipole_client *client, const libdipole_pending *pending)
     return false;
   }
   const size_t value_bytes = core_evaluator_bytes(into->fixed.evaluator);
-  const uint64_t values_bytes = into->fixed.radius_count * value_bytes; /* The rest is padding. */
+  const uint64_t values_bytes =
+      into->fixed.radius_count * value_bytes; /* After the values, the array has only padding. */
   if (into->done_bytes < values_bytes && !pending->dropped) {
     stream->target = array_start(into, pending, value_bytes) +
                      into->fixed.radius_first * value_bytes + into->done_bytes;

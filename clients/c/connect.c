@@ -58,7 +58,7 @@ static int connect_tcp_address(const struct addrinfo *to, unsigned timeout_ms, i
     return errno;
   }
   int number = connect(fd, to->ai_addr, to->ai_addrlen) == 0 ? 0 : errno;
-  if (number == EINPROGRESS || number == EINTR) { /* The kernel goes on after both. */
+  if (number == EINPROGRESS || number == EINTR) { /* The kernel still connects. */
     short ready;
     socklen_t bytes = sizeof number;
     if (!libdipole_wait(fd, POLLOUT, timeout_ms, &ready) ||
@@ -116,7 +116,7 @@ enum {
   END_TIMEOUT_MS = 5000 /* how long a daemon may take to end by itself, and then after SIGTERM */
 };
 
-/* Finds the daemon beside the running program. path: "" if there is none. */
+/* Finds the daemon beside the running program. Sets path to "" if there is none. */
 static void find_beside(char *path, size_t bytes) {
   const ssize_t length = readlink("/proc/self/exe", path, bytes - 1);
   path[length > 0 ? length : 0] = '\0';
@@ -160,7 +160,7 @@ static int set_attributes(posix_spawnattr_t *attributes) {
   return fault != 0 ? fault : posix_spawnattr_setflags(attributes, flags);
 }
 
-/* Whether a variable would make the daemon serve others, too. */
+/* Returns whether an environment variable would make the daemon serve other clients, too. */
 static bool serves_others(const char *variable) {
   static const char *const names[] = {"DIPOLED_LISTEN=", "DIPOLED_METRICS=", "DIPOLED_MODBUS="};
   for (size_t i = 0; i < sizeof names / sizeof names[0]; i++) {
@@ -171,7 +171,8 @@ static bool serves_others(const char *variable) {
   return false;
 }
 
-/* The program's environment without those variables. The caller frees it. */
+/* Returns the program's environment without the variables that would make the daemon serve other
+ * clients. The caller frees it. */
 static char **private_environment(void) {
   size_t count = 0;
   while (environ[count] != NULL) {

@@ -34,7 +34,8 @@ bool libdipole_fail_protocol(dipole_error *error, const char *what) {
 _Static_assert(sizeof((dipole_error *)0)->field == sizeof((wire_error *)0)->field, "field");
 _Static_assert(sizeof((dipole_error *)0)->allowed == sizeof((wire_error *)0)->allowed, "allowed");
 
-/* The daemon's name for a status, or this library's own if the daemon's lists lack it. */
+/* Returns the daemon's name for a status, or this library's own name if the daemon's lists lack it.
+ */
 static const char *status_name(const dipole_info *info, unsigned status) {
   for (size_t i = 0; i < info->choice_count; i++) {
     if (info->choices[i].kind == DIPOLE_STATUS && info->choices[i].id == status) {
@@ -50,7 +51,7 @@ static bool is_medium_field(const char *field) {
 #undef SAME_NAME
 }
 
-/* Whether the field is a list of numbers. */
+/* Returns whether the field is a list of numbers. */
 static bool is_listed_field(const char *field) {
   return strcmp(field, "r") == 0 || strcmp(field, "u") == 0 || strcmp(field, "albedo") == 0 ||
          strcmp(field, "length") == 0;
@@ -96,8 +97,8 @@ bool libdipole_fail_refused(dipole_error *error, const dipole_info *info, uint32
 
 /* ---- a peer's text ------------------------------------------------------------------------- */
 
-/* The number of bytes of the character at text, or 1 if it is not well-formed. Overlong forms and
- * surrogates pass as well-formed: a terminal shows nothing harmful for them. */
+/* Returns the number of bytes of the character at text, or 1 if it is not well-formed. Overlong
+ * forms and surrogates pass as well-formed: a terminal shows nothing harmful for them. */
 static size_t character_bytes(const unsigned char *text) {
   const size_t bytes = text[0] >= 0xf0 ? 4 : text[0] >= 0xe0 ? 3 : text[0] >= 0xc2 ? 2 : 1;
   if (text[0] > 0xf4) {

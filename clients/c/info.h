@@ -4,7 +4,7 @@
 
 #include "clients/c/request.h"
 
-/* Says hello and sets client->info. address: of the connection, for the info; it is copied. */
+/* Says hello and sets client->info, which gets a copy of the connection's address. */
 bool libdipole_hello(dipole_client *client, const char *address, dipole_error *error);
 
 #endif

@@ -16,7 +16,8 @@ struct inversion {
 
 /* ---- parts --------------------------------------------------------------------------------- */
 
-/* Whether this is the next part. Model, moments and the reach are the same in all parts. */
+/* Returns whether this is the next part of the answer. Model, moments and the reach are the same in
+ * all parts. */
 static bool is_next(const libdipole_pending *pending, const wire_invert_reply *fixed) {
   const uint64_t left = pending->radius_count - pending->next_radius;
   const bool is_last = fixed->part + 1 == fixed->part_count;

@@ -239,7 +239,7 @@ bool dipole_mc(dipole_client *client, const dipole_mc_query *query,
 }
 
 void dipole_mc_result_free(dipole_mc_result *result) {
-  mc_table *table = (mc_table *)(void *)result; /* It is the first member. */
+  mc_table *table = (mc_table *)(void *)result; /* The result is the first member of mc_table. */
   if (table != NULL) {
     free(table->frame);
     free(table);

@@ -46,7 +46,8 @@ static dipole_client *open_one(const char *text, unsigned limit_ms, dipole_error
 
 /* ---- of several ---------------------------------------------------------------------------- */
 
-/* Whether the numbers in requests mean what they meant: then any daemon's answer is right. */
+/* Returns whether the fresh daemon has all names of the other, with the same ids. If so, the
+ * numbers in requests mean the same to both. */
 static bool has_lists_of(const dipole_client *fresh, const dipole_client *like) {
   for (size_t i = 0; i < like->info->choice_count; i++) {
     const dipole_choice *choice = &like->info->choices[i];
@@ -70,8 +71,8 @@ static dipole_client *open_like(const char *text, unsigned limit_ms, const dipol
   return fresh;
 }
 
-/* How long one attempt may take: an equal part of the time that is left for it and for the other
- * addresses that are still to be tried. */
+/* Returns how long one attempt may take: an equal part of the time that is left for it and for the
+ * other addresses that are still to be tried. */
 static unsigned attempt_limit(unsigned connect_timeout_ms, int64_t until_ms, size_t others) {
   if (until_ms == INT64_MAX) {
     return connect_timeout_ms;

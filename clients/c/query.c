@@ -143,7 +143,7 @@ static bool send_query(dipole_client *client, const dipole_query *query, libdipo
   return libdipole_request_send(client, error);
 }
 
-/* Whether the caller has memory for all that is wanted, or for none of it. */
+/* Checks that a caller who has given memory has given it for everything that is wanted. */
 static bool check_into(const dipole_query *query, dipole_error *error) {
   bool arrays = false;
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
@@ -276,7 +276,8 @@ static bool get_offers(dipole_client *client, const libdipole_frame *frame, dipo
     return libdipole_bad_answer(client, "its offers do not have the length that they announce",
                                 error);
   }
-  *offers = calloc((size_t)fixed.count + 1, sizeof **offers); /* An empty list is not NULL. */
+  *offers =
+      calloc((size_t)fixed.count + 1, sizeof **offers); /* An empty list is a valid pointer, too. */
   if (*offers == NULL) {
     return libdipole_fail_memory(error);
   }

@@ -35,7 +35,7 @@ static libdipole_pending *find(dipole_client *client, uint64_t id) {
   return begin < client->pending_count && first[begin].id == id ? &first[begin] : NULL;
 }
 
-/* The oldest request that has an answer, or NULL. */
+/* Returns the oldest request that has an answer, or NULL. */
 static libdipole_pending *find_arrived(dipole_client *client) {
   libdipole_pending *first = client->pending + client->pending_begin;
   for (size_t i = 0; client->arrived_count > 0 && i < client->pending_count; i++) {
@@ -46,7 +46,7 @@ static libdipole_pending *find_arrived(dipole_client *client) {
   return NULL;
 }
 
-/* Makes room for one more. */
+/* Makes room for one more outstanding request. */
 static bool reserve(dipole_client *client, dipole_error *error) {
   if (client->pending_begin + client->pending_count < client->pending_capacity) {
     return true;
@@ -114,7 +114,8 @@ void libdipole_request_drop(dipole_client *client, uint64_t id) {
   if (entry == NULL || entry->dropped) {
     return;
   }
-  if (entry->frame == NULL && entry->again_ms == 0) { /* Its answer is still to come. */
+  if (entry->frame == NULL &&
+      entry->again_ms == 0) { /* The answer to this request is still to come. */
     entry->dropped = true;
     client->dropped_count++;
     if (entry->kind->discard != NULL && client->frame != NULL &&
@@ -203,13 +204,13 @@ bool libdipole_bad_answer(dipole_client *client, const char *what, dipole_error 
   return false;
 }
 
-/* Whether a frame with this id answers a request that waits for one. */
+/* Returns whether a frame with this id answers a request that waits for one. */
 static bool is_awaited(const libdipole_pending *pending) {
   return pending != NULL && (pending->frame == NULL || is_progress(pending));
 }
 
-/* Whether the header announces an answer that this request can have, or an error. An error may also
- * be about the connection as a whole: then there is no request with its id. */
+/* Returns whether the header announces an error or an answer that this request can have. An error
+ * may also be about the connection as a whole: then there is no request with its id. */
 static bool check_header(const wire_header *header, const libdipole_pending *pending,
                          dipole_error *error) {
   char what[160];
@@ -282,7 +283,8 @@ static void end_answer(dipole_client *client, libdipole_pending *pending) {
   }
 }
 
-/* Whether the request can be sent again: it is kept, and no reader has got a part. */
+/* Returns whether the request can be sent again: a copy of it is kept, and no reader has got a
+ * part. */
 static bool can_repeat(const libdipole_pending *pending) {
   return pending->kept != NULL && !pending->dropped &&
          (pending->reader == NULL || pending->next_part == 0);
@@ -523,7 +525,7 @@ static bool send_due(dipole_client *client, bool *moves, dipole_error *error) {
       if (!send_again(client, &first[i], error)) {
         return false;
       }
-      *moves = *moves && first[i].frame == NULL; /* else it was too late and is answered */
+      *moves = *moves && first[i].frame == NULL; /* an answer here means: it was too late to send */
     } else if (first[i].again_ms != 0 && first[i].again_ms < next_ms) {
       next_ms = first[i].again_ms;
     }
@@ -557,8 +559,8 @@ bool libdipole_is_temporary(const dipole_error *error) {
   }
 }
 
-/* Whether everything outstanding can be sent again. Removes what nobody wants any more. *until_ms:
- * when the time of one of the requests is over. */
+/* Returns whether every outstanding request can be sent again. Removes the requests that the caller
+ * has dropped. *until_ms: when the time of one of the requests is over. */
 static bool can_restore(dipole_client *client, int64_t *until_ms) {
   const int64_t now_ms = libdipole_now_ms();
   *until_ms = now_ms + client->retry.for_ms;
@@ -652,8 +654,8 @@ static dipole_client *connect_again(dipole_client *client, int64_t until_ms, dip
   return NULL;
 }
 
-/* Whether another connection may help. A daemon that was silent is not asked again, but another
- * daemon is. */
+/* Returns whether another connection may help. A daemon that was silent is not asked again, but
+ * another daemon is. */
 static bool may_be_restored(const dipole_client *client, const dipole_error *error) {
   return client->retry.for_ms != 0 && client->reopen != NULL &&
          (!client->stream.silent || client->addresses.count > 1) &&

@@ -30,7 +30,7 @@ typedef struct libdipole_frame {
   wire_header header;
   uint64_t payload_bytes; /* An answer of several parts may have more than a header can say. */
   uint64_t stored_bytes;  /* how many of them are in payload: all, or the head */
-  void *into_values;      /* where the rest is, in the caller's memory; else both NULL */
+  void *into_values; /* the caller's memory that holds the rest; both are NULL if there is none */
   void *into_radii;
   _Alignas(8) uint8_t payload[];
 } libdipole_frame;
@@ -49,12 +49,12 @@ typedef struct libdipole_kind {
   /* Every daemon gives the same right answer, however often it is asked: so it can be sent
    * again. */
   bool repeatable;
-  /* The call's time limit does not hold. */
+  /* The call's time limit does not apply to this kind of request. */
   bool endless;
   /* Takes the next frame of an answer of several over. When the answer is whole, it is in
    * pending->frame. NULL: every answer is one frame. */
   bool (*take)(libdipole_pending *pending, libdipole_frame *frame, dipole_error *error);
-  /* Whether more frames follow this one, which can be handed out all the same. */
+  /* Returns whether this frame only reports progress. It is handed out, and more frames follow. */
   bool (*is_progress)(const libdipole_frame *frame);
   /* The stream's target is full: sets the next one of the frame. *more: false if that was all.
    * NULL: a frame's whole payload is stored in the frame. */
@@ -76,8 +76,8 @@ struct libdipole_pending {
   uint16_t model, evaluator, wanted;         /* of an eval or sample */
   uint32_t medium_count;                     /* 0 if the request lists none */
   uint64_t radius_count;                     /* of an eval or sample; of an invert: its media */
-  libdipole_reader *reader;                  /* NULL: the parts are put together */
-  void *into_values;                         /* see dipole_query */
+  libdipole_reader *reader; /* gets each part as it comes; if NULL, the parts are put together */
+  void *into_values;        /* see dipole_query */
   void *into_radii;
 
   uint64_t id;
@@ -85,7 +85,7 @@ struct libdipole_pending {
   uint32_t next_part;        /* what the next part of the answer has to be */
   uint64_t next_radius;      /* likewise: the position of its first radius or medium */
   libdipole_frame *gathered; /* the parts so far; with a reader, without the arrays */
-  bool dropped;              /* Nobody wants the rest. reader and into_* must not be used. */
+  bool dropped;              /* The caller has dropped the request: do not use reader and into_*. */
 
   size_t frame_bytes;
   uint8_t *kept;      /* [frame_bytes] the request as it was sent; NULL: it cannot be sent again */

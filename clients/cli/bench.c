@@ -64,7 +64,7 @@ static int check(void *given) {
   return cli_medium_check(&settings->profile);
 }
 
-/* Checks what depends on the daemon. */
+/* Checks those settings whose limits depend on the daemon. */
 static int check_with_daemon(const report *of) {
   const bench_settings *settings = of->settings;
   const size_t bytes = (size_t)(settings->connections.value * settings->in_flight.value) *
@@ -143,7 +143,8 @@ static int measure(report *of) {
 
 /* ---- writing ------------------------------------------------------------------------------- */
 
-/* Puts a figure. A table shows three digits of it without an exponent, in the unit of its head. */
+/* Adds a figure to the rows. A table shows three digits of it without an exponent, in the unit of
+ * its head. */
 static void put_figure(cli_rows *rows, const char *name, const char *head, double unit,
                        double value) {
   char text[64];

@@ -12,31 +12,32 @@ typedef struct bench_times {
   uint32_t buckets[BENCH_BUCKETS];
 } bench_times;
 
-/* Returns the duration, in us, that a share of them did not exceed; 0 if there are none. */
+/* Returns the duration, in us, that this share of the durations did not exceed. Returns 0 if
+ * nothing was counted. */
 double bench_times_quantile_us(const bench_times *times, double share);
 
-/* How a daemon is asked. */
+/* The load that bench_run() puts on a daemon. */
 typedef struct bench_load {
   const char *name;
   const char *about;
   unsigned connections;
   unsigned in_flight; /* requests under way on each connection */
-  uint64_t radii;     /* how many a request has */
+  uint64_t radii;     /* how many radii each request has */
   double seconds;
 } bench_load;
 
 /* What was measured under a load. */
 typedef struct bench_result {
   bench_load load;
-  bench_times times;  /* of each request, from submitting it to having its answer */
+  bench_times times;  /* how long each request took, from submitting it to having its answer */
   double took_s;      /* from the first request to the last answer */
   double value_bytes; /* size of a radius and of a value */
   double values_per_radius;
 } bench_result;
 
 double bench_requests_per_s(const bench_result *result);
-double bench_radii_per_s(const bench_result *result); /* those of each channel count */
-double bench_bytes_per_s(const bench_result *result); /* radii sent and values received */
+double bench_radii_per_s(const bench_result *result); /* counts the radii of each channel */
+double bench_bytes_per_s(const bench_result *result); /* of radii and values together */
 
 /* Asks the query in this way, with as many of its radii as the load says. The first connection is
  * the client's own. Calls show() with the share that is done, 0 to 1, and the number of requests,

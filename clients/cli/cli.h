@@ -1,5 +1,5 @@
-/* cli: what every file of the command `dipole` needs: how a command is described, what options hold,
- * how to fail, and memory. */
+/* cli: what every file of the command `dipole` needs: how a command is described, what options
+ * hold, how to fail, and memory. */
 #ifndef DIPOLE_CLI_H
 #define DIPOLE_CLI_H
 
@@ -51,7 +51,7 @@ typedef struct cli_option {
   const char *argument; /* what --help calls its value; NULL if it has none */
   const char *help;
   enum cli_option_kind kind;
-  size_t offset;     /* of its value in the command's settings */
+  size_t offset;     /* where its value lies in the command's settings */
   const char *usual; /* the value when the option is not given, of CLI_TEXT, CLI_COUNT and
                         CLI_NUMBER; NULL for NULL or 0 */
 } cli_option;
@@ -75,10 +75,10 @@ typedef struct cli_command {
   const char *operand;  /* what --help calls it; NULL if the command takes none */
   const char *about;    /* one line */
   const char *more;     /* further text for --help, which ends with a newline; NULL if none */
-  const char *examples; /* lines; ends with a newline */
+  const char *examples; /* example command lines; the text ends with a newline */
   const char *formats;  /* the values of --format, separated by commas; the first is the default */
-  const cli_option *options;        /* its own; NULL if it has none */
-  const cli_option *shared_options; /* which some commands have in common; NULL if none */
+  const cli_option *options;        /* the options of this command only; NULL if it has none */
+  const cli_option *shared_options; /* those of several commands; NULL if none */
   const char *usual_file;           /* for options of kind CLI_FILES */
   size_t settings_bytes;            /* size of its settings, which are zeroed first */
 
@@ -102,10 +102,10 @@ const cli_command *cli_running(void);
 /* Writes "dipole COMMAND: " and the message to standard error. */
 void cli_say(const char *format, ...) __attribute__((format(printf, 1, 2)));
 
-/* The same for what is wrong. Returns CLI_FAILED. */
+/* Writes an error message as cli_say() does. Returns CLI_FAILED. */
 int cli_fail(const char *format, ...) __attribute__((format(printf, 1, 2)));
 
-/* The same for a wrong command line, with a hint at --help. Returns CLI_USAGE. */
+/* Writes what is wrong with the command line, and a hint at --help. Returns CLI_USAGE. */
 int cli_fail_usage(const char *format, ...) __attribute__((format(printf, 1, 2)));
 
 /* ---- memory: these end the program when there is none, for no command can go on without ---- */

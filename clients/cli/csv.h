@@ -16,13 +16,13 @@
 enum { CLI_CSV_INPUT_BYTES = 65536 };
 
 typedef struct cli_csv_cell {
-  size_t begin, end; /* in the record's bytes, quotes included */
+  size_t begin, end; /* where the cell lies in the record's bytes, with its quotes */
 } cli_csv_cell;
 
 typedef struct cli_csv_record {
-  char *bytes; /* as they were read, with the line's end */
+  char *bytes; /* the record as it was read, with the line's end */
   size_t length, capacity;
-  size_t ending_bytes; /* of the line's end: 0, 1 or 2 */
+  size_t ending_bytes; /* how many bytes the line's end has: 0, 1 or 2 */
   cli_csv_cell *cells;
   size_t cell_count, cell_capacity;
   bool malformed; /* text stands after a closing quote */

@@ -7,10 +7,10 @@
 /* Sets what --timeout-ms and --retry-ms say. */
 void cli_connection_options(const cli_common *common, dipole_options *options);
 
-/* Connects to --connect, $DIPOLED or a private daemon. Returns NULL, having said why, on failure. */
+/* Connects to --connect, $DIPOLED or a private daemon. On failure, says why and returns NULL. */
 dipole_client *cli_open(const cli_common *common);
 
-/* Milliseconds since some moment in the past. */
+/* Returns the milliseconds since some moment in the past. */
 int64_t cli_now_ms(void);
 
 /* Returns whether a call that failed is to be made again: the daemon was busy, and --retry-ms, or
@@ -22,10 +22,10 @@ int64_t cli_now_ms(void);
  *   } while (!good && cli_try_again(common, start_ms, &error)); */
 bool cli_try_again(const cli_common *common, int64_t start_ms, const dipole_error *error);
 
-/* Says what a call failed with and, if its field has one, by which option that is given: for example
- * "bad-value: radius_stop: allowed: 0 to 1e6 (--to)". Returns CLI_FAILED. */
+/* Says what a call failed with and, if its field has one, by which option that is given: for
+ * example "bad-value: radius_stop: allowed: 0 to 1e6 (--to)". Returns CLI_FAILED. */
 int cli_fail_error(const dipole_error *error);
-int cli_fail_error_of(const char *what, const dipole_error *error); /* with "WHAT: " before it */
+int cli_fail_error_of(const char *what, const dipole_error *error); /* puts "WHAT: " first */
 
 /* ---- names --------------------------------------------------------------------------------- */
 

@@ -38,7 +38,8 @@ static const cli_option options[] = {
     {0},
 };
 
-/* A file of tables says all about the profile. */
+/* A file of tables fixes the profile and needs no daemon, so this rejects options that concern
+ * either. */
 static int check_table(const cli_eval_settings *settings) {
   const cli_profile_settings *profile = &settings->profile;
   if (cli_medium_given(profile) || settings->model.count > 0 || profile->moments != NULL ||

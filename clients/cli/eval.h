@@ -6,7 +6,7 @@
 
 typedef struct cli_eval_settings {
   cli_profile_settings profile; /* `model` is not used */
-  const char *table;            /* a file, instead of a daemon */
+  const char *table;            /* the file of tables to evaluate; NULL to ask a daemon */
   cli_texts model;
   const char *reference; /* a model that is asked too, with what it takes of the parameters */
   cli_numbers r;
@@ -47,12 +47,12 @@ typedef struct cli_eval_settings {
 int cli_eval_check(const cli_eval_settings *settings);
 
 /* Fills a zeroed report by asking a daemon. Of all models, those are left out that refuse the
- * query, with a line each on standard error. Says what is wrong and returns an exit status; free the
- * report in any case. */
+ * query, with a line each on standard error. Says what is wrong and returns an exit status; free
+ * the report in any case. */
 int cli_eval_ask(const cli_eval_settings *settings, dipole_client *client, cli_eval_report *report);
 
-/* The same from the file of tables, without a daemon. The report refers to *info: free that after
- * it. */
+/* Fills a zeroed report from the file of tables, without a daemon. The report refers to *info, so
+ * free the report first. */
 int cli_eval_table(const cli_eval_settings *settings, cli_eval_report *report, dipole_info **info);
 
 /* The radii of one query. */
@@ -64,7 +64,8 @@ typedef struct cli_eval_radii {
   float *f32;        /* to be freed */
 } cli_eval_radii;
 
-/* Returns the radii that are asked for; none if no quantity has a value for each radius. */
+/* Returns the radii that are asked for. The list is empty if no quantity has a value for each
+ * radius. */
 cli_eval_radii cli_eval_make_radii(const cli_eval_settings *settings,
                                    const cli_eval_report *report);
 

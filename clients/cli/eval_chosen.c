@@ -56,8 +56,8 @@ static double rounded_up(double bound) {
   return bound > 0 && bound < (double)INFINITY ? unit * ceil(bound / unit * (1 - 1e-12)) : bound;
 }
 
-/* Returns whether an offer is listed for people: it is cheaper and off, and the first such of its
- * model. */
+/* Returns whether people see an offer in the list: it is cheaper, misses the tolerance, and is the
+ * first such offer of its model. */
 static bool is_listed(const cli_eval_offers *from, const dipole_offer *offer,
                       const dipole_offer *taken) {
   bool listed = is_cheaper_and_off(offer, taken);

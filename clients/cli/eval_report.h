@@ -4,7 +4,8 @@
 
 #include "clients/cli/profile.h"
 
-/* Of one model and channel. Single precision values are held as the doubles that they equal. */
+/* The values of one model and channel. Single precision values are held as the doubles that they
+ * equal. */
 typedef struct cli_eval_values {
   double albedo; /* NaN if it is not wanted */
   double numerical_error, numerical_error_per_mm;
@@ -29,11 +30,11 @@ typedef struct cli_eval_offers {
 typedef struct cli_eval_report {
   cli_profile profile; /* `model` is not used; each model takes what it can of the parameters */
   cli_quantities quantities;
-  size_t model_count; /* of those that answered */
+  size_t model_count; /* how many models answered */
   cli_eval_model *models;
   cli_eval_offers chosen_from;
   size_t radius_count;
-  double *radii;           /* mm, as the daemon took them */
+  double *radii;           /* the radii in mm, as the daemon used them */
   cli_eval_values *values; /* [model_count * channel_count], model by model */
   size_t values_capacity;  /* how many values have room, and may hold arrays */
 } cli_eval_report;

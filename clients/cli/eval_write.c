@@ -16,7 +16,7 @@ static bool has_albedo(const cli_eval_report *report) {
 
 /* ---- for people ---------------------------------------------------------------------------- */
 
-/* Some of the models, which share a table. */
+/* A run of models that are written side by side in one table. */
 typedef struct block {
   const cli_eval_report *report;
   size_t first, count; /* of models */

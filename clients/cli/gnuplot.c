@@ -22,7 +22,8 @@ static const struct {
     {".png", "pngcairo size %zu,%zu background rgb 'white' font 'sans,11' noenhanced"},
 };
 
-/* NULL: no picture can have this name. */
+/* Returns gnuplot's terminal for a file of this name; NULL if the name ends in neither .svg nor
+ * .png. */
 static const char *terminal_of(const char *path) {
   const size_t length = strlen(path);
   for (size_t i = 0; i < sizeof formats / sizeof formats[0]; i++) {
@@ -123,7 +124,7 @@ static bool draw(FILE *const files[FILES], cli_gnuplot_script *write, const void
                  char error[CLI_GNUPLOT_ERROR_BYTES]) {
   fputs("\nset encoding utf8\n", files[SCRIPT]);
   write(files[SCRIPT], context);
-  rewind(files[SCRIPT]); /* which flushes it as well */
+  rewind(files[SCRIPT]); /* rewind() flushes the script as well */
   if (!run(files, error)) {
     return false;
   }

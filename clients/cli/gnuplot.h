@@ -21,7 +21,7 @@ typedef void cli_gnuplot_script(FILE *script, const void *context);
 bool cli_gnuplot(const char *path, size_t width, size_t height, cli_gnuplot_script *write,
                  const void *context, char error[CLI_GNUPLOT_ERROR_BYTES]);
 
-/* The same as text onto a stream, `width` times `height` characters for each plot of the script. */
+/* Draws as text onto a stream, `width` times `height` characters for each plot of the script. */
 bool cli_gnuplot_text(FILE *to, bool coloured, size_t width, size_t height,
                       cli_gnuplot_script *write, const void *context,
                       char error[CLI_GNUPLOT_ERROR_BYTES]);

@@ -63,7 +63,7 @@ static facts gather(const dipole_info *info, const dipole_value *statistics, siz
   return all;
 }
 
-/* The number of facts from `first` on that are in one section. */
+/* Returns how many facts, from `first` on, are in the same section. */
 static size_t section_length(const facts *all, size_t first) {
   size_t end = first;
   while (end < all->count && strcmp(all->items[end].section, all->items[first].section) == 0) {

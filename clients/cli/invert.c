@@ -44,7 +44,7 @@ typedef struct wanted {
   double wanted_albedo, length_mm;
   bool found;
   dipole_medium medium;
-  double albedo; /* of that medium, evaluated; NaN if none was found */
+  double albedo; /* the albedo that the found medium has; NaN if no medium was found */
 } wanted;
 
 typedef struct report {

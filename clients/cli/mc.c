@@ -129,7 +129,8 @@ static int take_measured(const mc_settings *settings, dipole_client *client,
   }
   *medium = found.channel[colour_of(settings->channel)];
   if (settings->g.given) {
-    /* Only sigma_s' was measured: with another g, another sigma_s gives the same sigma_s'. */
+    /* Only sigma_s' was measured. So another g needs another sigma_s, which keeps sigma_s' the
+     * same. */
     medium->sigma_s_per_mm = medium->sigma_s_per_mm * (1 - medium->g) / (1 - settings->g.value);
     medium->g = settings->g.value;
   }
