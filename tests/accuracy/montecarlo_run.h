@@ -6,8 +6,8 @@
 
 #define MONTECARLO_SEED 20120101 /* tests of chance keep to one */
 
-/* A half space with sigma_t = 1 per mm, so that lengths are in mean free paths, one albedo, and
- * rings of logarithmic width; the rest is left at its defaults. */
+/* Returns a request for a half space with sigma_t = 1 per mm, so that lengths are in mean free
+ * paths, one albedo, and rings of logarithmic width; the rest is left at its defaults. */
 core_mc_request montecarlo_request(double albedo, double g, double eta);
 
 /* rings: 1 or more, in equal ratios */

@@ -19,7 +19,8 @@ typedef struct reference_fresnel {
 
 /* eta: any positive number with exact moments; with fitted ones wherever the polynomials are
  * wanted. Exact moments are good to 1e-33, relative. What is returned is kept for the next call
- * with the same arguments, and valid until reference_fresnel_forget(). Not for several threads. */
+ * with the same arguments, and valid until reference_fresnel_forget(). Only one thread may call
+ * this function. */
 const reference_fresnel *reference_fresnel_moments(enum core_moments moments, double eta);
 
 /* Frees everything that this file keeps. */

@@ -10,8 +10,8 @@ struct table_place {
   double thickness_mfp;
 };
 
-/* Media as they are met with: measured ones, and a grid of eta and absorption. In no order that
- * says anything, so that a few from anywhere are a fair choice. */
+/* Media as they are met with: measured ones, and a grid of eta and absorption. Their order is
+ * arbitrary, so that any few neighbours are a fair choice. */
 size_t table_ordinary_count(void);
 struct table_place table_ordinary(size_t index);
 
@@ -22,16 +22,17 @@ extern const size_t table_extremes_count;
 /* 1 / (sigma_a + sigma_s (1 - g)) */
 double table_mfp_mm(const core_medium *medium);
 
-/* The parameters of a model at a place: the thickness if it takes one; tolerance: NAN for none. */
+/* Returns the parameters of a model at a place, with the thickness if the model takes one. A
+ * tolerance of NAN is left out. */
 core_parameters table_parameters(unsigned model, const struct table_place *place, double tolerance);
 
-/* The model in double precision, as exact as it can be had. */
+/* Prepares the model in double precision with its smallest error. */
 core_fault table_truth(core_profile *truth, unsigned model, const struct table_place *place);
 
 core_fault table_prepare(core_profile *table, unsigned model, const struct table_place *place,
                          double tolerance);
 
-/* Whether a model comes with a tolerance of its own, so that that of a table's source matters. */
+/* Returns whether a model takes a tolerance, so that the tolerance of a table's source matters. */
 bool table_is_approximate(unsigned model);
 
 /* What is left of an error when what core.h allows for underflow is forgiven: of `value` in single

@@ -14,9 +14,9 @@ typedef struct tally_point {
   core_medium medium;
   enum core_moments moments;
   double r_mm;
-  bool in_domain; /* where every quantity keeps its bound; beyond it, its sign and range */
-  double bound;   /* as core states it for this point: relative, or absolute for ln R */
-  double epsilon; /* of the evaluator's precision */
+  bool in_domain; /* if false, only the sign and range are checked */
+  double bound;   /* the bound that core states for this point: relative, or absolute for ln R */
+  double epsilon; /* the epsilon of the evaluator's precision */
   double unit;    /* what errors are counted in: epsilon (1 + mu_tr d_r), for ln R more */
 } tally_point;
 
@@ -26,7 +26,7 @@ typedef struct tally {
   const char *quantity;
   double lower_limit; /* no value may be below it */
   double upper_limit; /* or above it */
-  bool absolute;      /* errors are, instead of relative to the truth */
+  bool absolute;      /* errors are absolute, instead of relative to the truth */
   bool everywhere;    /* the bound holds at every point, not in the promised domain alone */
   size_t points;
   size_t failures;

@@ -20,8 +20,8 @@ typedef struct vector {
 #define VECTORS_FILE "tests/accuracy/dipole_vectors.csv"
 #define VECTORS_FILE_ALL "../shared/vectors/dipole.csv"
 
-/* All rows of a file, to be freed; *count: how many. NULL when there is no such file; a file with
- * anything else in it fails the test. */
+/* Returns all rows of a file, which the caller frees, and sets *count to their number. Returns NULL
+ * if there is no such file. A malformed file fails the test. */
 vector *vectors_read(const char *path, size_t *count);
 
 #endif

@@ -7,7 +7,7 @@
 
 typedef void peer_script(int fd, void *context);
 
-/* Steps of scripts. They end the program where the other side does not do what it should. */
+/* Steps of scripts. They abort the program if the other side does not do what it should. */
 void peer_receive_or_abort(int fd, peer_frame *request);
 void peer_say_hello_or_abort(int fd);
 void peer_send_error(int fd, uint64_t id, enum wire_status status, uint32_t retry_after_ms);
@@ -27,16 +27,16 @@ peer_script peer_be_full;   /* refuses the connection for the next 30 ms */
 
 enum { PEER_PATIENCE_MS = 20000 }; /* a test that would hang fails after this */
 
-/* Default options, but with this patience for connecting, waiting and trying again. */
+/* Returns the default options, with PEER_PATIENCE_MS for connecting, waiting and trying again. */
 dipole_options peer_options(void);
 
-/* Opens a client with options (NULL: those above). Fails the test if it cannot. */
+/* Opens a client. If options is NULL, peer_options() are used. Fails the test if it cannot. */
 dipole_client *peer_open(const char *address, const dipole_options *options);
 
 /* Opens a client that does not try again, so that what the peer does shows as it is. */
 dipole_client *peer_open_once(const scripted_peer *peer);
 
-/* Starts a peer and opens such a client. */
+/* Starts a peer and opens a client that does not try again. */
 dipole_client *peer_begin(scripted_peer *peer, peer_script *script, void *context);
 
 /* Starts a peer and opens a client with options, as peer_open(). */
@@ -55,7 +55,7 @@ void peer_expect(bool good, const dipole_error *error);
 /* Evaluates; the caller frees the result. Fails the test if it cannot. */
 dipole_result *peer_eval(dipole_client *client, const dipole_query *query);
 
-/* "A,B,...": the caller frees it. */
+/* Returns the addresses as one text, "A,B,...", which the caller frees. */
 char *peer_list(const char *const *addresses, size_t count);
 
 int64_t peer_now_ms(void);
@@ -64,39 +64,39 @@ int64_t peer_now_ms(void);
 
 enum { PEER_RADII = 1000 };
 
-/* Radius i is i / 8 mm. They exist once a test program has called peer_make_radii(). */
+/* Radius i is i / 8 mm. Call peer_make_radii() before you use these arrays. */
 extern double peer_radii_f64[PEER_RADII];
 extern float peer_radii_f32[PEER_RADII];
 void peer_make_radii(void);
 
 extern const dipole_medium peer_media[2];
 
-/* A query for R and the albedo of the first medium at the first `count` radii. Queries differ in
- * this number, so that an answer to another query shows. */
+/* Returns a query for R and the albedo of the first medium at the first `count` radii. Queries
+ * differ in this number, so that an answer to another query shows. */
 dipole_query peer_query(uint64_t count);
 
-/* Checks that a result is the answer of peer_serve() to such a query, and frees it. */
+/* Checks that a result is what peer_serve() answers to peer_query(count), and frees it. */
 void peer_check_result(dipole_result *result, uint64_t count);
 
-/* Evaluates such a query and checks the result. */
+/* Evaluates peer_query(count) and checks the result. */
 void peer_check_eval(dipole_client *client, uint64_t count);
 
 /* Evaluates a query of 5 radii, which must fail with an error of this kind. */
 dipole_error peer_check_failure(dipole_client *client, enum dipole_error_kind kind);
 
-/* Submits such a query; returns its id. */
+/* Submits peer_query(count) and returns the request's id. */
 uint64_t peer_submit(dipole_client *client, uint64_t count);
 
-/* Scripts that receive until the client is gone and answer nothing, or nothing but hello. */
+/* Scripts that receive until the client ends. The first answers nothing, the second only hello. */
 peer_script peer_accept_only, peer_be_silent;
 
-/* Answers seven requests: a script. */
+/* A script that answers seven requests. */
 peer_script peer_answer_seven;
 
-/* Aborts: a script for a connection that must not be made. */
+/* A script that aborts. Use it for a connection that must not be made. */
 peer_script peer_must_not_come;
 
-/* Says hello with other lists than peer_say_hello(): a script. */
+/* A script that says hello with other lists than peer_say_hello(). */
 peer_script peer_serve_other_lists;
 
 #endif

@@ -27,14 +27,15 @@ typedef struct scripted_peer {
 /* Starts to listen; the script runs once somebody has connected. */
 void peer_start(scripted_peer *peer, void (*script)(int fd, void *context), void *context);
 
-/* The same for one connection after the other: each has the next script, up to NULL. */
+/* Starts to listen and accepts one connection after the other. Each one runs the next script of the
+ * list, which ends with NULL. */
 void peer_start_scripts(scripted_peer *peer, void (*const *scripts)(int fd, void *context),
                         void *context);
 
 /* Waits for the script to end. */
 void peer_end(scripted_peer *peer);
 
-/* For scripts. False: the other side is gone. */
+/* Scripts call these functions. They return false if the other side is gone. */
 bool peer_receive(int fd, peer_frame *frame);
 bool peer_send(int fd, uint16_t type, uint64_t id, const void *payload, size_t payload_bytes);
 bool peer_send_bytes(int fd, const void *bytes, size_t count);
@@ -42,16 +43,16 @@ bool peer_send_bytes(int fd, const void *bytes, size_t count);
 /* Answers hello with a model "better" and a status "bad-value". */
 bool peer_say_hello(int fd);
 
-/* The honest answer to an eval request with listed radii: R = 2 r, cdf = r / 4, S = 3 r, albedo =
- * the medium's sigma_a, model error = cos_in, notes = the number of parameters. *payload: to be
- * freed. Returns its length. */
+/* Makes the correct answer to an eval request with listed radii: R = 2 r, cdf = r / 4, S = 3 r,
+ * albedo = the medium's sigma_a, model error = cos_in, notes = the number of parameters. The caller
+ * frees *payload. Returns its length. */
 size_t peer_evaluate(const peer_frame *request, uint8_t **payload);
 
 /* The same for some of the radii: a part. Of a grid every value and radius is its position. */
 size_t peer_evaluate_part(const peer_frame *request, uint64_t radius_first, uint64_t radius_count,
                           uint32_t part, uint32_t part_count, uint8_t **payload);
 
-/* Hello and then honest answers until the client is gone: a script. */
+/* A script that says hello and then answers correctly until the client is gone. */
 void peer_serve(int fd, void *context);
 
 #endif

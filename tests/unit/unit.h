@@ -35,11 +35,11 @@
   }                                                                                                \
   static void name(void)
 
-/* For the macros above only. */
+/* Only the macros of this header use these names. */
 void unit_register(const char *name, CMUnitTestFunction test, int line);
 extern void (*unit_setup)(void), (*unit_teardown)(void);
 
-/* The arguments of the program; NULL follows the last. */
+/* The arguments of the program. The list ends with NULL. */
 extern char **unit_arguments;
 
 enum { UNIT_ROWS_MAX = 100 }; /* a bound for loops over lists that end with an empty entry */
@@ -48,7 +48,7 @@ enum { UNIT_ROWS_MAX = 100 }; /* a bound for loops over lists that end with an e
  * seed a failure can be repeated. */
 uint64_t unit_seed(void);
 
-/* Vigna's splitmix64: the next 64 random bits. */
+/* Returns the next 64 random bits of Vigna's splitmix64. */
 uint64_t unit_random(uint64_t *state);
 double unit_random_between(uint64_t *state, double low, double high);
 double unit_random_log(uint64_t *state, double low, double high); /* equal chance per decade */
@@ -59,8 +59,8 @@ void unit_random_bytes(uint64_t *state, void *to, size_t bytes);
  * there must be no fault. */
 void unit_assert_fault(core_fault fault, const char *field, size_t index);
 
-/* The parameters that a model needs for this medium (a slab: a thickness of 3 mean free paths), and
- * no others. */
+/* Returns only the parameters that a model needs for this medium. A slab gets a thickness of 3 mean
+ * free paths. */
 core_parameters unit_parameters(unsigned model, const core_medium *medium);
 
 /* Reads a whole file as text, which the caller frees. Returns NULL if there is no such file. */

@@ -21,7 +21,7 @@ enum { CHILDREN_MAX = 32, FILES_MAX = 16, PATH_BYTES = 64, STOP_MS = 5000 };
 /* Also read by the signal handler, which interrupts this process at any time: entries are complete
  * before they are counted. */
 static struct {
-  pid_t owner; /* 0: nothing has begun */
+  pid_t owner; /* 0 until child_begin() is called */
   cpu_set_t cores;
   char folder[PATH_BYTES - 16];
   char files[FILES_MAX][PATH_BYTES];
@@ -32,8 +32,8 @@ static struct {
 
 /* ---- the end ------------------------------------------------------------------------------ */
 
-/* Nothing but system calls, for the signal handler. Children inherit the handler and what is
- * registered with atexit(), but own nothing. */
+/* Makes only system calls, because the signal handler calls it. Children inherit the handler and
+ * what is registered with atexit(), but own nothing. */
 static void clean_up(void) {
   if (all.owner != getpid()) {
     return;

@@ -34,7 +34,7 @@ static void read_log(const char *path, char *text, size_t bytes) {
   }
 }
 
-/* The log says when all listeners are open, */
+/* Waits until the daemon's log says that all listeners are open. */
 static void wait_until_ready(pid_t child, const char *path, char *log, size_t bytes) {
   const struct timespec nap = {.tv_nsec = 1000000};
   for (int ms = 0; ms < READY_MS; ms++) {
@@ -48,7 +48,7 @@ static void wait_until_ready(pid_t child, const char *path, char *log, size_t by
   bench_fail("dipoled does not get ready");
 }
 
-/* and at which ports. */
+/* Finds in the daemon's log the port at which it listens. */
 static struct target_address find_port(const char *log, const char *scheme) {
   char text[64];
   snprintf(text, sizeof text, "url=%s:127.0.0.1:", scheme);

@@ -53,7 +53,7 @@ static void free_peer(struct peer *peer) {
   free(peer);
 }
 
-/* False: the peer is gone. */
+/* Returns false if the peer is gone. */
 static bool write_some(struct peer *peer) {
   while (peer->written < peer->to_write) {
     const ssize_t sent =
@@ -119,7 +119,8 @@ static void admit(int epoll, int listener, const struct target *target) {
   const int on = 1;
   const int fd = accept4(listener, NULL, NULL, SOCK_NONBLOCK | SOCK_CLOEXEC);
   if (fd >= 0) {
-    setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on); /* fails, rightly, on a Unix socket */
+    setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &on,
+               sizeof on); /* this call fails on a Unix socket, which is no error */
     set_events(epoll, EPOLL_CTL_ADD, new_peer(target, fd), EPOLLIN);
   }
 }

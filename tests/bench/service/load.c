@@ -168,7 +168,8 @@ static void issue(struct load *load, struct connection *c, uint64_t due_ns) {
   load->under_way++;
 }
 
-/* Requests that lie one behind the other make one piece; how many pieces. */
+/* Joins requests that lie one behind the other in memory into one piece. Returns the number of
+ * pieces. */
 static int gather(const struct load *load, const struct connection *c, struct iovec *pieces) {
   const size_t bytes = load->target->request_bytes;
   int count = 0;
@@ -219,7 +220,7 @@ static void send_more(struct load *load, struct connection *c) {
 
 /* ---- receiving ---------------------------------------------------------------------------- */
 
-/* The slot that a reply, of which the header has arrived, belongs to. */
+/* Returns the slot of the request that a reply answers. The reply's header has arrived. */
 static size_t slot_of(const struct load *load, const struct connection *c, const uint8_t *reply) {
   const uint64_t id = target_id(reply);
   const size_t number = load->target->framed ? id % IN_FLIGHT_MAX : peek(&c->order, 0);
@@ -355,7 +356,7 @@ void load_open(struct load *load, double rate_per_s, uint64_t duration_ns,
   load->issue_until_ns = 0;
   while (issued < total || load->under_way > 0) {
     issued = issue_due(load, issued, total, interval_ns, start_ns);
-    pump(load, 0); /* never sleeps: a sleep would end late */
+    pump(load, 0); /* with a timeout of 0 it never sleeps, because a sleep would end late */
   }
   samples_sort(samples);
 }

@@ -43,7 +43,7 @@ static uint8_t *put_float(uint8_t *at, float value) {
   return put_word(put_word(at, bits >> 16), bits & 0xffff);
 }
 
-/* One for each unit. */
+/* Returns the medium of a unit. Every unit has its own. */
 static core_medium medium_of(size_t unit) {
   return (core_medium){.sigma_a_per_mm = (float)(0.01 * (double)unit),
                        .sigma_s_per_mm = 1,
@@ -75,7 +75,7 @@ static void put_request(uint8_t *at, size_t unit) {
   put_float(put_float(at, START_MM), STOP_MM);
 }
 
-/* What is compared of a reply: R, its last bytes. */
+/* Writes the last bytes of the expected reply, R, which are compared with the reply. */
 static void put_values(uint8_t *at, size_t unit) {
   const core_grid grid = {CORE_SPACING_LINEAR, COUNT, (double)START_MM, (double)STOP_MM};
   const core_medium medium = medium_of(unit);
@@ -182,7 +182,7 @@ void modbus_start_rude(const struct target_address *address, pid_t rude[MODBUS_R
   for (size_t i = 0; i < MODBUS_RUDE; i++) {
     rude[i] = child_fork(CHILD_CLIENT);
     if (rude[i] == 0) {
-      close(ready[0]); /* so that nobody waits for who has ended */
+      close(ready[0]); /* only the parent reads from this pipe */
       run[i](address, ready[1]);
       _exit(EXIT_FAILURE);
     }
