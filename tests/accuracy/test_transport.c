@@ -45,7 +45,7 @@ struct worst {
   size_t count;
 };
 
-/* off: what the truth itself may be off by, absolute. */
+/* off: the largest absolute error of the truth itself. */
 static void compare(struct worst *to, transport_number number, double truth, double off) {
   const double error = fmax(0, fabs(number.value - truth) - off);
   assert_true(isfinite(number.value) && number.value >= 0 && number.error >= 0);
