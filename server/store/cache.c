@@ -54,6 +54,7 @@ struct cache {
   uint64_t entry_count; /* in the buckets, prepared or not */
   struct list lists[KINDS];
   TAILQ_HEAD(, cache_owner) turns; /* owners with waiters; the first has the next turn */
+  struct cache_owner *latest;      /* had the latest turn; new owners come before it. Or NULL */
   unsigned turn_count;             /* turns that have begun and have not ended */
   unsigned turns_most;
   uint64_t max_waiting;
@@ -292,7 +293,11 @@ static void keep(struct cache *cache, struct cache_entry *entry, struct entries 
 static void enqueue(struct cache *cache, struct cache_owner *owner, struct cache_waiter *waiter) {
   if (owner->count++ == 0) {
     TAILQ_INIT(&owner->waiters);
-    TAILQ_INSERT_TAIL(&cache->turns, owner, in_turns);
+    if (cache->latest != NULL) {
+      TAILQ_INSERT_BEFORE(cache->latest, owner, in_turns);
+    } else {
+      TAILQ_INSERT_TAIL(&cache->turns, owner, in_turns);
+    }
   }
   waiter->owner = owner;
   TAILQ_INSERT_TAIL(&owner->waiters, waiter, in_owner);
@@ -306,6 +311,7 @@ static void dequeue(struct cache *cache, struct cache_waiter *waiter) {
     waiter->owner = NULL;
     if (--owner->count == 0) {
       TAILQ_REMOVE(&cache->turns, owner, in_turns);
+      cache->latest = cache->latest == owner ? NULL : cache->latest;
     }
   }
 }
@@ -360,6 +366,7 @@ static struct cache_entry *begin_turn(struct cache *cache) {
   }
   TAILQ_REMOVE(&cache->turns, owner, in_turns);
   TAILQ_INSERT_TAIL(&cache->turns, owner, in_turns);
+  cache->latest = owner;
   struct cache_entry *entry = TAILQ_FIRST(&owner->waiters)->entry;
   struct cache_waiter *waiter;
   LIST_FOREACH(waiter, &entry->waiters, in_list) {

@@ -435,6 +435,30 @@ UNIT_TEST(owners_take_turns) {
   cache_free(f.cache);
 }
 
+UNIT_TEST(who_comes_during_a_turn_has_the_next) {
+  struct fixture f;
+  open_cache(&f, 1 << 20);
+  struct cache_owner other = {0};
+  struct cache_waiter waiters[3] = {{0}}, one = {0};
+  for (size_t i = 0; i < 3; i++) {
+    wait_for(&f, &f.owner, i, &waiters[i]);
+  }
+  assert_int_equal(take_turns(f.cache, 1), 1);
+  for (unsigned i = 1; i < 3; i++) {
+    wait_for(&f, &other, 10 + i, &one);
+    assert_int_equal(take_turns(f.cache, 1), 1);
+    assert_ptr_equal(one.list, &f.queue.woken);
+    cache_leave(&one);
+    assert_non_null(waiters[i].owner);
+    assert_int_equal(take_turns(f.cache, 1), 1);
+    assert_null(waiters[i].owner);
+  }
+  for (size_t i = 0; i < 3; i++) {
+    cache_leave(&waiters[i]);
+  }
+  cache_free(f.cache);
+}
+
 UNIT_TEST(an_owner_has_a_limit) {
   struct fixture f;
   open_cache(&f, 1 << 20);
