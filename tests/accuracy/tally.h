@@ -14,7 +14,7 @@ typedef struct tally_point {
   core_medium medium;
   enum core_moments moments;
   double r_mm;
-  bool in_domain; /* if false, only the sign and range are checked */
+  bool in_domain; /* if false, `bound` need not hold, save in tallies that check it everywhere */
   double bound;   /* the bound that core states for this point: relative, or absolute for ln R */
   double epsilon; /* the epsilon of the evaluator's precision */
   double unit;    /* what errors are counted in: epsilon (1 + mu_tr d_r), for ln R more */
