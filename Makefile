@@ -102,7 +102,9 @@ TRADEOFF := $(call objects,$(wildcard core/tools/tradeoff/*.c)) $(TOOLS)
 TABLES := $(call objects,$(wildcard core/tools/transport_table/*.c)) $(TOOLS)
 SOAK := $(call objects,$(wildcard tests/soak/*.c))
 PIPELINE := $(call objects,$(wildcard tests/pipeline/*.c))
-TESTS := $(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/accuracy/test_*.c tests/fuzz/test_*.c tests/unit/test_*.c))
+# The longest ones come first, so that no processor waits for them at the end.
+TESTS := $(addprefix $(BUILD)/tests/,unit/test_kernels accuracy/test_choose accuracy/test_dipole)
+TESTS += $(filter-out $(TESTS),$(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/accuracy/test_*.c tests/fuzz/test_*.c tests/unit/test_*.c)))
 TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/accuracy/truth.c tests/bench/*.c tests/bits/*.c tests/e2e/*.c tests/pipeline/*.c tests/soak/*.c),$(wildcard tests/*/*.c)))
 
 PROGRAMS := $(BUILD)/dipoled $(BUILD)/dipole $(BUILD)/bench
