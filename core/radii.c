@@ -40,7 +40,9 @@ enum { RANGE_LANES = 32 };
 #define DEFINE_RANGE(name, type)                                                                   \
   core_radii_range name(size_t n, const type *r) {                                                 \
     type least[RANGE_LANES], most[RANGE_LANES];                                                    \
-    for (size_t lane = 0; lane < RANGE_LANES; lane++) {                                            \
+    /* A short list, as most requests have, needs no lane but the first. */                        \
+    const size_t lanes = n < RANGE_LANES ? 1 : RANGE_LANES;                                        \
+    for (size_t lane = 0; lane < lanes; lane++) {                                                  \
       least[lane] = (type)INFINITY;                                                                \
       most[lane] = 0;                                                                              \
     }                                                                                              \
@@ -58,7 +60,7 @@ enum { RANGE_LANES = 32 };
       least[0] = r[i] < least[0] ? r[i] : least[0];                                                \
       most[0] = finite > most[0] ? finite : most[0];                                               \
     }                                                                                              \
-    for (size_t lane = 1; lane < RANGE_LANES; lane++) {                                            \
+    for (size_t lane = 1; lane < lanes; lane++) {                                                  \
       least[0] = least[lane] < least[0] ? least[lane] : least[0];                                  \
       most[0] = most[lane] > most[0] ? most[lane] : most[0];                                       \
     }                                                                                              \
