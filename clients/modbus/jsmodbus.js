@@ -5,7 +5,7 @@ const Modbus = require("jsmodbus");
 
 const RADII_MM = [0.1, 0.2, 0.5, 1, 1.5, 2, 3, 4, 6, 8];
 
-// The most significant word first.
+// Returns the bytes of registers that hold these floats, most significant word first.
 function floats(values) {
   const bytes = Buffer.alloc(4 * values.length);
   values.forEach((value, i) => bytes.writeFloatBE(value, 4 * i));
@@ -14,7 +14,7 @@ function floats(values) {
 
 async function ask(client) {
   await client.writeMultipleRegisters(106, floats([0.032, 0.74, 0, 1.3])); // sigma_a ... eta
-  await client.writeMultipleRegisters(114, [1, RADII_MM.length]); // a list of so many
+  await client.writeMultipleRegisters(114, [1, RADII_MM.length]); // spacing: a list; its length
   await client.writeMultipleRegisters(120, floats(RADII_MM));
   await client.writeSingleRegister(100, 1); // commit
   const status = await client.readHoldingRegisters(300, 2);

@@ -4,7 +4,7 @@ const ModbusRTU = require("modbus-serial");
 
 const RADII_MM = [0.1, 0.2, 0.5, 1, 1.5, 2, 3, 4, 6, 8];
 
-// Registers of floats, the most significant word first.
+// Returns the registers of these floats, most significant word first.
 function floats(values) {
   const bytes = Buffer.alloc(4 * values.length);
   values.forEach((value, i) => bytes.writeFloatBE(value, 4 * i));
@@ -18,7 +18,7 @@ async function main(where) {
   client.setID(1);
   client.setTimeout(2000);
   await client.writeRegisters(106, floats([0.032, 0.74, 0, 1.3])); // sigma_a, sigma_s, g, eta
-  await client.writeRegisters(114, [1, RADII_MM.length]); // a list of so many
+  await client.writeRegisters(114, [1, RADII_MM.length]); // spacing: a list; its length
   await client.writeRegisters(120, floats(RADII_MM));
   await client.writeRegister(100, 1); // commit
   const { data } = await client.readHoldingRegisters(300, 2);

@@ -1,4 +1,4 @@
-"""R of skin at ten distances, with pymodbus: profile.py HOST:PORT, or DEVICE,BAUD for a serial line.
+"""Reads R of skin at ten distances with pymodbus: profile.py HOST:PORT, or profile.py DEVICE,BAUD.
 
 One request of function 23 writes the medium and the distances, commits, and reads the values."""
 
@@ -20,8 +20,9 @@ else:
 if not client.connect():
     sys.exit(f"nobody answers at {where}")
 
-# The registers from 100 on: commit, model, evaluator, moments; tolerance (none), sigma_a, sigma_s,
-# g, eta; spacing, how many; start and stop (of a grid); the distances.
+# The fields of registers 100 and up: commit, model, evaluator, moments, tolerance (0: none),
+# sigma_a, sigma_s, g, eta, spacing, number of distances, start and stop of a grid (unused here),
+# distances.
 fields = [TOKEN, BETTER, F32, EXACT, 0, 0.032, 0.74, 0, 1.3, LIST, len(RADII_MM), 0, 0, *RADII_MM]
 job = struct.pack(f">4H5f2H2f{len(RADII_MM)}f", *fields)
 answer = client.readwrite_registers(

@@ -1,12 +1,13 @@
 #!/bin/sh
 # R of skin at ten distances, with mbpoll: profile.sh HOST:PORT, or DEVICE,BAUD for a serial line.
-# mbpoll -0 counts registers from 0, as PDU addresses are; -B: floats most significant word first.
+# Options of mbpoll: -0 counts registers from 0, as the protocol does; -B takes floats with the most
+# significant word first.
 set -eu
 case ${1?"profile.sh HOST:PORT, or profile.sh DEVICE,BAUD"} in
 /*) line="-m rtu -b ${1##*,} -P none -a 1 -0 -1 -q -B" where=${1%,*} ;;
 *) line="-m tcp -p ${1##*:} -a 1 -0 -1 -q -B" where=${1%:*} ;;
 esac
-# $line holds options, to be taken apart.
+# $line is not quoted: the shell splits it into options.
 # shellcheck disable=SC2086
 {
   mbpoll $line -r 106 -t 4:float "$where" 0.032 0.74 0 1.3 >/dev/null            # sigma_a ... eta

@@ -6,7 +6,7 @@
         result = client.eval("better", dipole.Medium(sigma_a=0.032, sigma_s=0.74), r=[0.5, 1, 2])
         print(result.R, result.albedo)
 
-Lengths in mm, coefficients in 1/mm, R in 1/mm^2 per unit of power that entered the medium.
+Lengths are in mm, coefficients in 1/mm, R in 1/mm^2 per unit of power that entered the medium.
 """
 
 from .aio import AsyncClient

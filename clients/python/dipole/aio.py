@@ -1,4 +1,4 @@
-"""The client for asyncio: the same calls, awaited, and any number of them at a time.
+"""The client for asyncio. It has the calls of Client as coroutines, and any number may run at once.
 
 async with dipole.AsyncClient("tcp:farm:4817") as client:
     near, far = await asyncio.gather(
@@ -26,15 +26,16 @@ from .values import Offers, Query, Result, Samples
 
 T = TypeVar("T")
 
-# Nothing more is read while so many pieces of answers have not been taken and no call waits.
+# While no call waits, the client stops reading when this many parts of answers are not yet taken.
 _PIECES_AHEAD = 16
 
 
 class AsyncClient:
-    """Connects when it is entered or open() is awaited. It belongs to one event loop.
+    """A client for asyncio, which belongs to one event loop. Entering it in an async with
+    statement, or awaiting open(), connects.
 
-    The arguments are those of Client, and so is what happens when the connection is lost or the
-    daemon is busy. A call that is cancelled leaves the others alone; a cancelled mc() also cancels
+    It has the arguments of Client, and like Client it retries when the connection is lost or the
+    daemon is busy. Cancelling a call does not disturb other calls; cancelling mc() also cancels
     its job on the daemon.
     """
 
@@ -50,17 +51,17 @@ class AsyncClient:
         self._info: Info | None = None
         self._exchange = Exchange(0.0)
         self._stream: _Stream | None = None
-        self._moved: dict[int, asyncio.Event] = {}  # something has come for a request
+        self._moved: dict[int, asyncio.Event] = {}  # by request: a part has come, or it has ended
         self._tasks: set[asyncio.Task[None]] = set()
-        self._connected = asyncio.Event()  # It is clear only while the client connects again.
-        self._read_on = asyncio.Event()  # A call waits, or has taken something.
-        self._waiting: set[int] = set()  # requests for which a call waits
-        self._waiting_since_s = 0.0  # since when there are any
+        self._connected = asyncio.Event()  # clear only before open() and while reconnecting
+        self._read_on = asyncio.Event()  # set when the reader that has paused may read again
+        self._waiting: set[int] = set()  # ids of the requests for which a call waits
+        self._waiting_since_s = 0.0  # when _waiting last became non-empty
         self._failed: DipoleError | None = None
 
     @property
     def info(self) -> Info:
-        """What the daemon said about itself."""
+        """The daemon's description of itself."""
         if self._info is None:
             raise ArgumentError("this client is not open")
         return self._info
@@ -88,8 +89,8 @@ class AsyncClient:
             self._start(self._watch(self._timeout_s))
 
     async def close(self) -> None:
-        """Closes the connection and ends a private daemon. Calls under way fail. Closing twice is
-        fine."""
+        """Closes the connection and ends a private daemon. Running calls fail. A second close()
+        does nothing."""
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
@@ -108,10 +109,10 @@ class AsyncClient:
         return await self._ask(evaluation.eval(self.info, Query.of(*query, **options)))
 
     async def eval_parts(self, *query: Any, **options: Any) -> AsyncIterator[Result]:
-        """See Client.eval_parts(). Gives an asynchronous iterator. A few parts are read ahead of
-        the caller, and more while another call waits for its own answer behind them."""
+        """See Client.eval_parts(). Returns an asynchronous iterator. The client reads up to 16
+        parts ahead of the caller, or more while another call waits for its own answer."""
         request_id = await self._send(
-            evaluation.eval(self.info, Query.of(*query, **options), hands_on=True)
+            evaluation.eval(self.info, Query.of(*query, **options), is_streamed=True)
         )
         try:
             while (part := await self._next(request_id)) is not None:
@@ -206,7 +207,7 @@ class AsyncClient:
                 await self._cancel(request_id)
 
     async def _cancel(self, job_id: int) -> None:
-        """Cancels a Monte Carlo job, unless the connection is lost: then there is none."""
+        """Cancels a Monte Carlo job. Does nothing without a connection: the job ended with it."""
         if self._stream is not None:
             request_id = self._exchange.begin(mc.cancellation(job_id))
             pieces = self._exchange.frame(request_id)
@@ -239,13 +240,13 @@ class AsyncClient:
         return request_id
 
     def _drop(self, request_id: int) -> None:
-        """Nobody wants more of this answer."""
+        """Forgets a request whose answer is complete or no longer wanted."""
         self._exchange.drop(request_id)
         self._moved.pop(request_id, None)
         self._read_on.set()
 
     async def _next(self, request_id: int) -> Any:
-        """Waits for the next piece of an answer; None if there is no other."""
+        """Waits for the next part of an answer. Returns None after the last one."""
         moved = self._moved[request_id]
         while not self._exchange.is_ready(request_id):
             if self._failed is not None:
@@ -283,12 +284,12 @@ class AsyncClient:
         moved = self._moved.get(request_id)
         if moved is not None and self._exchange.is_ready(request_id):
             moved.set()
-            self._waiting.discard(request_id)  # It will run, but the reader may run first.
+            self._waiting.discard(request_id)  # The call no longer waits, even if it runs later.
         elif frame.type == wire.TYPE_ERROR and moved is not None:
             self._start(self._send_later())
 
     async def _watch(self, timeout_s: float) -> None:
-        """Gives up on a daemon that is silent for too long."""
+        """Fails all calls when one waits and the daemon has sent nothing for timeout_s."""
         while True:
             await asyncio.sleep(timeout_s / 8)
             silent_s = time.monotonic() - max(self._waiting_since_s, self._stream.moved_s)
@@ -303,7 +304,7 @@ class AsyncClient:
         task.add_done_callback(self._tasks.discard)
 
     async def _send_later(self) -> None:
-        """Sends what a busy daemon has refused again when it is time."""
+        """Waits until a request that a busy daemon refused may be sent again, and sends it."""
         next_s = self._exchange.next_due_s()
         if next_s is not None:
             await asyncio.sleep(max(next_s - time.monotonic(), 0))
@@ -314,11 +315,12 @@ class AsyncClient:
             pieces = self._exchange.frame(request_id)
             if pieces:
                 await self._stream.send(pieces)
-            elif request_id in self._moved:  # Its deadline has passed.
+            elif request_id in self._moved:  # The deadline of the request has passed.
                 self._moved[request_id].set()
 
     async def _restore(self, lost: DipoleError) -> None:
-        """Connects again and sends again what has no answer. Raises `lost` if it cannot."""
+        """Connects again and sends the requests without an answer again. Raises `lost` if that
+        fails."""
         until_s = self._exchange.lost(lost)
         self._connected.clear()
         addresses = self._stream.connection.next_addresses()
@@ -336,7 +338,7 @@ class AsyncClient:
         self._start(self._send_again(sent))
 
     def _fail(self, error: DipoleError) -> None:
-        """Nothing more will come."""
+        """Ends all calls with an error: nothing more is received."""
         if self._failed is None:
             self._failed = error
         for moved in self._moved.values():
@@ -345,7 +347,8 @@ class AsyncClient:
 
 
 class _Stream:
-    """Whole frames over a connection, which it takes over. One task receives; any number send."""
+    """Sends and receives whole frames over a Connection, which it owns from now on. Only one task
+    may receive; any number may send."""
 
     def __init__(self, connection: Connection):
         self.connection = connection
@@ -357,9 +360,9 @@ class _Stream:
         connection.socket.setblocking(False)
 
     async def close(self) -> None:
-        """Closes the connection; a private daemon ends with it. Nobody may be receiving."""
+        """Closes the connection; a private daemon ends with it. No task may be receiving."""
         self._closed = True
-        try:  # Sends that wait for room then end, and those who wait for them go on.
+        try:  # so that sends end which wait for room
             self.connection.socket.shutdown(socket.SHUT_RDWR)
         except OSError:
             pass
@@ -367,8 +370,8 @@ class _Stream:
         await asyncio.to_thread(self.connection.close)
 
     async def send(self, pieces: list[bytes]) -> None:
-        """Sends a frame, all of it even if the caller is cancelled. It does not say whether the
-        connection was lost: receive_frame() does."""
+        """Sends a frame, completely even if the caller is cancelled. A lost connection raises
+        nothing here: receive_frame() reports it."""
         if not self._closed:
             send = asyncio.create_task(self._send(pieces))
             self._sends.add(send)
@@ -384,7 +387,7 @@ class _Stream:
                 pass
 
     async def receive_frame(self) -> Frame:
-        """The next frame, whatever its type."""
+        """Waits for the next frame, whatever its type."""
         incoming = self.connection.incoming
         while (frame := incoming.take_frame()) is None:
             try:

@@ -1,4 +1,4 @@
-"""Evaluates as numpy's functions do: media and radii have any shapes and are broadcast."""
+"""Client.values(): broadcasts media and radii of any shapes, as numpy's functions do."""
 
 from __future__ import annotations
 
@@ -11,30 +11,31 @@ from . import wire
 from .errors import ArgumentError
 from .values import Info, Medium, Result
 
-# How many queries are under way at a time: enough to keep the daemon busy while the client reads.
+# Number of queries that wait for answers at a time: enough to keep the daemon busy all the time.
 OUTSTANDING = 64
 
 
 class Values(NamedTuple):
-    """One quantity. All arrays have the shape that media and radii give when they are broadcast."""
+    """The values of one quantity. All arrays have the broadcast shape of media and radii."""
 
     values: np.ndarray  # of the evaluator's precision; units as in Result
-    numerical_error: np.ndarray  # relative, of each value against the model's exact formula
-    model_error: np.ndarray  # relative, of the model against transport; NaN: not measured
-    models: tuple[str, ...]  # those that were evaluated: one, unless a tolerance has chosen several
+    numerical_error: np.ndarray  # of each value against the model's exact formula, relative
+    model_error: np.ndarray  # of the model against transport, relative; NaN: not measured
+    models: tuple[str, ...]  # the models used: one, unless the tolerance chose several
 
 
 class _Media(NamedTuple):
-    """Media without repetitions."""
+    """The distinct media, and where they belong."""
 
     distinct: np.ndarray  # [C, 4]
-    index: np.ndarray  # [...] position in `distinct` of each medium that was asked for
+    index: np.ndarray  # [...] of each medium in the call: its position in `distinct`
 
 
 def plan(
     info: Info, media: Medium | Sequence[Any] | np.ndarray, r: Any, quantity: str
 ) -> tuple[Iterator[Places], Answers]:
-    """Plans the queries of Client.values(), and makes what collects their results."""
+    """Returns the queries that Client.values() has to send, and an object that collects their
+    results."""
     one = _media(media)
     radii = np.asarray(r, np.float64)
     try:
@@ -54,11 +55,11 @@ def plan(
 
 
 class Places(NamedTuple):
-    """One query, and where its values belong in the flattened result."""
+    """One query, and where its values go in the flattened result."""
 
     media: np.ndarray  # [C, 4]
     radii: np.ndarray  # [N]
-    places: tuple[tuple[int, np.ndarray], ...]  # (channel, [N]). A channel may be there repeatedly.
+    places: tuple[tuple[int, np.ndarray], ...]  # (channel, positions [N]); channels may repeat
 
 
 def _media(media: Medium | Sequence[Any] | np.ndarray) -> _Media:
@@ -81,14 +82,15 @@ def _media(media: Medium | Sequence[Any] | np.ndarray) -> _Media:
 
 
 def _most_media(info: Info) -> int:
-    """How many media a request may have: each part of the answer must hold 256 radii of each."""
+    """Returns how many media a request may have, so that a part of the answer has room for at least
+    256 radii of each medium."""
     limits = info.limits
     part_bytes = min(limits["max_part_bytes"], limits["max_frame_bytes"]) - wire.EVAL_REPLY.bytes
     return max(min(limits["max_media"], part_bytes // (wire.CHANNEL.bytes + 256 * 8)), 1)
 
 
 def _most_radii(info: Info) -> int:
-    """How many radii a request may have: a frame must hold them and the media."""
+    """Returns how many radii a request may have, so that a frame has room for radii and media."""
     return max(info.limits["max_frame_bytes"] // 16, 1)
 
 
@@ -97,19 +99,19 @@ def _aligned(shape: tuple[int, ...], dimensions: int) -> tuple[int, ...]:
 
 
 def _is_product(index: np.ndarray, radii: np.ndarray) -> bool:
-    """Whether each medium is evaluated at each radius."""
+    """Whether broadcasting combines every medium with every radius."""
     dimensions = max(index.ndim, radii.ndim)
     media_shape, radii_shape = _aligned(index.shape, dimensions), _aligned(radii.shape, dimensions)
     return all(m == 1 or n == 1 for m, n in zip(media_shape, radii_shape))
 
 
 def _product(info: Info, media: _Media, radii: np.ndarray, dimensions: int) -> Iterator[Places]:
-    """Asks for all media in as few requests as the daemon's limits allow."""
+    """Yields queries for all media at all radii, as few as the daemon's limits allow."""
     media_shape = _aligned(media.index.shape, dimensions)
     radii_shape = _aligned(radii.shape, dimensions)
     shape = tuple(m * n for m, n in zip(media_shape, radii_shape))
     places = np.arange(media.index.size * radii.size).reshape(shape)
-    # Transposed to [medium, radius]: the axes of the media come first.
+    # Transpose to [medium, radius]: the axes of the media come first.
     first = [i for i in range(dimensions) if media_shape[i] != 1]
     rest = [i for i in range(dimensions) if media_shape[i] == 1]
     places = places.transpose(first + rest).reshape(media.index.size, radii.size)
@@ -130,7 +132,7 @@ def _product(info: Info, media: _Media, radii: np.ndarray, dimensions: int) -> I
 def _groups(
     info: Info, media: _Media, radii: np.ndarray, shape: tuple[int, ...]
 ) -> Iterator[Places]:
-    """Asks for each medium at its own radii."""
+    """Yields queries that evaluate each medium at its own radii."""
     most_radii = _most_radii(info)
     index = np.broadcast_to(media.index, shape).reshape(-1)
     listed = np.broadcast_to(radii, shape).reshape(-1)
@@ -146,7 +148,7 @@ def _groups(
 
 
 class Answers:
-    """Collects results into arrays."""
+    """Collects the results of queries in arrays of the broadcast shape."""
 
     def __init__(self, shape: tuple[int, ...], quantity: str):
         self._shape = shape

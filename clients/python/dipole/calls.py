@@ -1,4 +1,4 @@
-"""What a daemon says about itself: hello, measured media, statistics and ping."""
+"""Requests about the daemon itself: hello, measured media, statistics and ping."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .values import Choice, Info, Medium
 
 
 def hello(address: str) -> Request[Info]:
-    """The first request of a client. address: of the connection, for the Info."""
+    """Makes the first request of a client. address: that of the connection, which Info repeats."""
     request = wire.HELLO_REQUEST.pack(version_min=wire.VERSION, version_max=wire.VERSION)
 
     def read(reply: bytes) -> Info:
@@ -20,7 +20,7 @@ def hello(address: str) -> Request[Info]:
         by_kind: dict[str, dict[str, Choice]] = {kind: {} for kind in wire.KINDS.values()}
         for choice in choices:
             kind = wire.KINDS.get(choice.kind)
-            if kind is not None:  # A later daemon may have kinds that this client does not know.
+            if kind is not None:  # A newer daemon may list kinds that this client does not know.
                 by_kind[kind][choice.name] = Choice(choice.id, choice.name, choice.about)
         return Info(
             address=address,

@@ -25,16 +25,17 @@ T = TypeVar("T")
 
 
 class Client:
-    """Connects, agrees on a protocol version and reads the daemon's lists.
+    """A connection to a daemon. The constructor connects, agrees on a protocol version and reads
+    the daemon's lists.
 
     address and timeout_s: see Connection. A client belongs to one thread at a time. Close it, or
-    use it in a with statement: a private daemon ends with it.
+    use it in a with statement: a private daemon ends with the client.
 
-    retry_s: how long a request that meets trouble is tried again. The default is 5 s, and 0 (not at
-    all) for a private daemon. Trouble is a lost connection, or a daemon that is busy or stops: the
-    client then connects again and sends again what has no answer. It cannot do so for mc(), for
-    eval_parts() once a part has come, and for what exceeds 64 MiB of waiting requests: then
-    ConnectionLost is raised. dipole_set_retry_ms() in dipole.h has the details.
+    retry_s: for how long the client tries again when the connection is lost, or when the daemon is
+    busy or stops. The default is 5 s; for a private daemon it is 0, which means never. The client
+    connects again and sends the requests without an answer again. It cannot repeat mc(),
+    eval_parts() once a part has come, and requests beyond 64 MiB of waiting ones: these raise
+    ConnectionLost. dipole_set_retry_ms() in dipole.h has the details.
     """
 
     def __init__(
@@ -62,24 +63,24 @@ class Client:
     # ---- evaluating ------------------------------------------------------------------------------
 
     def eval(self, *query: Any, **options: Any) -> Result:
-        """Evaluates a Query, or the same arguments: eval(model, media, r, tolerance=0.01). Waits
-        for the answer. Raises Refused, with the field at fault, if the daemon does not take the
-        query; its status is "deadline" if the answer would be too late."""
+        """Evaluates a Query, or its arguments: eval(model, media, r, tolerance=0.01). Waits for the
+        answer. Raises Refused, which names the field at fault, if the daemon refuses the query. The
+        status of Refused is "deadline" if the answer would be too late."""
         return self._ask(evaluation.eval(self.info, Query.of(*query, **options)))
 
     def values(
         self, model: Any, media: Any = None, r: Any = None, quantity: str = "R", **options: Any
     ) -> Values:
-        """Evaluates one quantity as numpy's functions do: media and radii have any shapes and are
-        broadcast against each other.
+        """Evaluates one quantity for media and radii of any shapes, which are broadcast against
+        each other as numpy's functions do.
 
         media: a Medium whose fields may be arrays, or an array [..., 4]. r: radii in mm, of any
-        shape. For example, sigma_a of shape [H, W, 1] and r of shape [N] give values [H, W, N]; an
-        r [H, W] gives every medium of an image its own radius. quantity: the name of one that has a
-        value for each radius. options: as of a Query.
+        shape. For example, sigma_a of shape [H, W, 1] and r of shape [N] give values [H, W, N]; for
+        an image of media, r of shape [H, W] gives each pixel its own radius. quantity: the name of
+        a quantity that has a value for each radius. options: as of a Query.
 
-        Equal media are asked for once, and there may be any number of media and radii. deadline_ms
-        holds for each of the queries that this takes.
+        The number of media and radii is not limited: this method sends as many queries as it needs.
+        deadline_ms holds for each query. Equal media are sent once.
         """
         template = Query(model, media, r, wanted=[quantity], **options)
         places, collected = broadcast.plan(self.info, media, r, quantity)
@@ -97,20 +98,21 @@ class Client:
                     collect_one()
             while under_way:
                 collect_one()
-        finally:  # After a refusal nobody waits for the other answers.
+        finally:  # After an error, the other answers are no longer wanted.
             for request_id in under_way:
                 self.forget(request_id)
         return collected.values()
 
     def submit(self, *query: Any, **options: Any) -> int:
-        """Sends a query like eval() without waiting. Returns its id, for collect()."""
+        """Sends a query like eval(), but does not wait. Returns the query's id for collect()."""
         request_id = self._send(evaluation.eval(self.info, Query.of(*query, **options)))
         self._submitted[request_id] = None
         return request_id
 
     def collect(self, request_id: int | None = None) -> tuple[int, Result]:
-        """Waits for the answer to one submitted query, or to any of them. Returns its id and the
-        result. A refusal is raised with the query's id in request_id; the other queries go on."""
+        """Waits for the answer to a submitted query; None means any of them. Returns the query's id
+        and its result. If the daemon refuses the query, raises Refused, whose request_id is the
+        query's id; the other queries go on."""
         if request_id is None and not self._submitted:
             raise ArgumentError("nothing is outstanding")
         if request_id is not None and request_id not in self._submitted:
@@ -124,30 +126,30 @@ class Client:
             self.forget(found)
 
     def forget(self, request_id: int) -> None:
-        """Gives up a submitted query. One that is not outstanding is fine."""
+        """Gives up a submitted query. Does nothing if the query is not outstanding."""
         if request_id in self._submitted:
             del self._submitted[request_id]
             self._exchange.drop(request_id)
 
     def eval_parts(self, *query: Any, **options: Any) -> Parts:
-        """Evaluates like eval() and gives the parts of the answer as they come: an iterator of
-        results, each of which begins at radius number radius_first. So an answer may be larger
-        than memory. The daemon chooses how many radii come at a time. Any step may raise Refused;
-        the parts before it are right."""
-        request = evaluation.eval(self.info, Query.of(*query, **options), hands_on=True)
+        """Evaluates like eval(), but returns an iterator that gives each part of the answer when it
+        arrives, so that an answer may be larger than memory. A part is a Result that begins at
+        radius number radius_first. The daemon chooses how many radii a part has. Any step of the
+        iterator may raise Refused; the parts before that are valid."""
+        request = evaluation.eval(self.info, Query.of(*query, **options), is_streamed=True)
         return Parts(self, self._send(request))
 
     def offers(self, media: Any, r: Any = None, **options: Any) -> Offers:
-        """Lists what could answer eval(None, ...) with the same arguments, cheapest first: how
-        exact each model and evaluator is measured to be, and how fast."""
+        """Lists the models and evaluators that could answer eval(None, ...) with the same
+        arguments, cheapest first, with the measured error and cost of each."""
         return self._ask(evaluation.offers(self.info, Query(None, media, r, **options)))
 
     def table(
         self, model: str | int, medium: Medium | Sequence[float], **options: Any
     ) -> Table:
-        """Fetches the table that the evaluator "lut" uses for a medium. It is then evaluated here,
-        without a daemon and with the same bits. options: moments, parameters, tolerance (relative,
-        from 1e-6, by default 1e-4) and deadline_ms, as of a Query."""
+        """Fetches the table that the evaluator "lut" uses for a medium. The Table evaluates it in
+        this process, with the daemon's bits. options: moments, parameters, deadline_ms and
+        tolerance (relative, at least 1e-6, by default 1e-4), as of a Query."""
         return self._ask(evaluation.table(self.info, Query(model, medium, **options)))
 
     def sample(
@@ -159,24 +161,23 @@ class Client:
         draw: Draw | None = None,
         **options: Any,
     ) -> Samples:
-        """Draws radii in proportion to r R(r): the radius for a number u has the cdf u.
+        """Draws radii with a density in proportion to r R(r): the radius for a number u has cdf u.
 
-        u: N numbers from 0 (0 mm) to 1 (infinity). draw: the numbers by a rule, in place of u;
-        Draw(1024) are 1024 random ones. All channels get the same numbers. options: as of a Query.
-        In `wanted`, which is ("r", "pdf") by default, "r" means the drawn radii; every other
-        quantity is evaluated at them. A model that does not cover all radii is refused.
+        u: N numbers from 0 (0 mm) to 1 (infinity). draw: a rule that makes the numbers, in place of
+        u; Draw(1024) makes 1024 random numbers. All channels get the same numbers. options: as of a
+        Query, whose `wanted` is ("r", "pdf") by default. "r" is the drawn radii; all other
+        quantities are evaluated at these. A model that does not cover all radii is refused.
         """
         return self._ask(evaluation.sample(self.info, Query(model, media, **options), u, draw))
 
     def invert(self, model: str | int, albedo: Any, length: Any, **options: Any) -> Inversion:
-        """Finds the media whose diffuse albedo under a model is the given one.
+        """Finds media that have given diffuse albedos under a model.
 
         albedo: from 0 to 1, of any shape, such as a texture [H, W, 3]. length: mm, of a shape that
-        can be broadcast with it. NaN stands for an albedo that the model cannot reach.
-        options: given="mean-free-path" says what length means: 1 / sigma_t' with
-        sigma_t' = sigma_a + sigma_s (1 - g), or "diffuse-mean-free-path", or another name in
-        info.choices["length"]. g=0.0 and eta=1.3 hold for all media. moments, deadline_ms: as of a
-        Query.
+        can be broadcast with that of albedo. Where the model cannot reach an albedo, the medium is
+        NaN. options: given names the kind of length, from info.choices["length"]. The default,
+        "mean-free-path", is 1 / (sigma_a + sigma_s (1 - g)). g=0.0 and eta=1.3 hold for all media.
+        moments, deadline_ms: as of a Query.
         """
         return self._ask(inversion.request(self.info, model, albedo, length, **options))
 
@@ -190,16 +191,16 @@ class Client:
         progress: Callable[[McProgress], bool | None] | None = None,
         **options: Any,
     ) -> McResult:
-        """Lets the daemon walk photons through a medium and waits for the table.
+        """Runs a Monte Carlo job on the daemon and waits for its result.
 
-        edges: of the rings, of which there is one less. progress: called a few times a second. If
-        it returns False the job is cancelled, and the table is what there is by then. An exception,
-        such as KeyboardInterrupt, cancels it too.
-        options: photons: how many to walk. The default is as many as the daemon allows if an error
-        is given, else a million. error_total, error_rings: the job ends as soon as the relative
-        standard error of R, or of every ring with light, is this small; given both, both must be.
-        thickness: of a slab, mm; None is a half space. albedos: up to 16 in place of the medium's
-        own, all served by one walk. seed: 1 by default.
+        edges: the edges of the rings; n edges make n - 1 rings. progress: is called a few times a
+        second. If it returns False, the job is cancelled, and the result holds the photons walked
+        so far. If it raises an exception, such as KeyboardInterrupt, the job is cancelled too.
+        options: photons: how many to walk. The default is a million, or the daemon's limit if an
+        error is given. error_total, error_rings: the job ends as soon as the relative standard
+        error of the total R, or of every ring with light, is at most this; if both are given, both
+        must hold. thickness: of a slab, mm; None means a half space. albedos: up to 16, in place of
+        the medium's own; one walk gives the results for all of them. seed: 1 by default.
         """
         request_id = self._send(mc.request(self.info, medium, edges, **options))
         cancelled = False
@@ -225,15 +226,16 @@ class Client:
     # ---- the rest --------------------------------------------------------------------------------
 
     def media(self) -> dict[str, tuple[Medium, Medium, Medium]]:
-        """The daemon's measured media by name: red, green, blue."""
+        """Returns the daemon's measured media by name, each with three channels: red, green,
+        blue."""
         return self._ask(calls.media())
 
     def statistics(self) -> dict[str, int]:
-        """The daemon's statistics by name. The end of a name is the unit."""
+        """Returns the daemon's statistics by name. A name ends in the unit of its number."""
         return self._ask(calls.statistics())
 
     def ping(self, payload: bytes = b"") -> float:
-        """Measures a round trip that does nothing else, in seconds. payload: up to 1024 bytes, a
+        """Returns the time of an empty round trip, in seconds. payload: up to 1024 bytes, a
         multiple of 8, which the daemon sends back."""
         request = calls.ping(payload)
         start = time.perf_counter()
@@ -243,11 +245,11 @@ class Client:
     def send_frame(
         self, type: int, request_id: int, payload: bytes = b"", deadline_ms: int = 0
     ) -> None:
-        """Sends a frame of any type as it is. Use receive_frame() for the reply."""
+        """Sends a frame of any type without checking it. Use receive_frame() for the reply."""
         self._connection.send_frame(type, request_id, payload, deadline_ms)
 
     def receive_frame(self) -> Frame:
-        """The next frame, unless another call took it. See send_frame()."""
+        """Waits for the next frame. Use it only with send_frame(): other calls take frames, too."""
         return self._connection.receive_frame()
 
     # ---- sending and receiving -------------------------------------------------------------------
@@ -278,7 +280,7 @@ class Client:
                 self._connection.send_bytes(data)
 
     def _next(self, request_id: int) -> Any:
-        """Waits for the next piece of an answer; None if there is no other."""
+        """Waits for the next part of an answer. Returns None after the last one."""
         while not self._exchange.is_ready(request_id):
             self._receive()
         return self._exchange.next(request_id)
@@ -289,7 +291,7 @@ class Client:
             due = self._exchange.due()
             self._send_again(due)
             next_s = self._exchange.next_due_s()
-            if due or (next_s is not None and not self._connection.moves_by(next_s)):
+            if due or (next_s is not None and not self._connection.arrives_by(next_s)):
                 return
             frame = self._connection.receive_frame()
         except ConnectionLost as lost:
@@ -297,11 +299,12 @@ class Client:
             return
         try:
             self._exchange.take(frame)
-        except Refused as refusal:  # It is about the connection as a whole.
+        except Refused as refusal:  # The daemon refuses the connection, not a request.
             self._restore(refusal)
 
     def _restore(self, lost: DipoleError) -> None:
-        """Connects again and sends again what has no answer. Raises `lost` if it cannot."""
+        """Connects again and sends the requests without an answer again. Raises `lost` if that
+        fails."""
         until_s = self._exchange.lost(lost)
         timeout_s = self._connection.timeout_s
         addresses = self._connection.next_addresses()
@@ -321,9 +324,9 @@ class Client:
 
 
 class Parts(Iterator[Result]):
-    """The parts of an answer, as Client.eval_parts() gives them. The client may be used between two
-    parts. To leave before the end, close it or use it in a with statement: what still comes is then
-    thrown away."""
+    """An iterator of the parts of an answer; Client.eval_parts() returns it. The client may make
+    other calls between two parts. To stop early, close the iterator or use it in a with statement:
+    the client then throws the other parts away."""
 
     def __init__(self, client: Client, request_id: int):
         self._client = client

@@ -1,4 +1,5 @@
-"""A connection to a dipoled: addresses, a private daemon, and whole frames in both directions."""
+"""A connection to a dipoled: reads addresses, starts a private daemon, and sends and receives whole
+frames."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ import numpy as np
 from . import wire
 from .errors import AddressError, ConnectError, ConnectionLost, ProtocolError
 
-LARGE_BYTES = 1 << 18  # A payload of this size is received to where it stays, without a copy.
+LARGE_BYTES = 1 << 18  # A payload of this size or more is received and sent without a copy.
 _PRIVATE_EXIT_S = 10.0
 
 
@@ -27,36 +28,36 @@ class Frame(NamedTuple):
 
     type: int
     request_id: int
-    payload: bytes | memoryview  # A large payload is a read-only view.
+    payload: bytes | memoryview  # a read-only view if it has LARGE_BYTES or more
 
 
 class Incoming:
-    """Received bytes, which are taken out in pieces of known length. It does no input itself: the
-    caller receives into room() and then calls add()."""
+    """A buffer of received bytes, which are taken out in pieces of known length. It does not read
+    the socket itself: the caller receives bytes into room() and then calls add()."""
 
     def __init__(self) -> None:
         self._bytes = bytearray()
         self._spare = memoryview(bytearray(LARGE_BYTES))
-        self._large: np.ndarray | None = None  # a large piece under way
-        self._large_bytes = 0  # how many bytes of it are here
-        self._header: wire.Structure | None = None
+        self._large: np.ndarray | None = None  # the large piece that is being received
+        self._large_bytes = 0  # how many bytes of the large piece have been received
+        self._header: wire.Structure | None = None  # of the frame whose payload comes next
 
     def __bool__(self) -> bool:
         return len(self._bytes) > 0 or self._large is not None
 
     def room(self) -> memoryview:
-        """Where the next bytes are to be received."""
+        """Returns the memory into which the caller receives the next bytes."""
         return self._spare if self._large is None else memoryview(self._large)[self._large_bytes :]
 
     def add(self, count: int) -> None:
-        """So many bytes have been received into room()."""
+        """Adds the first count bytes of room(), which the caller has received, to the buffer."""
         if self._large is None:
             self._bytes += self._spare[:count]
         else:
             self._large_bytes += count
 
     def take(self, count: int) -> bytes | memoryview | None:
-        """The next count bytes, or None if they are not all here."""
+        """Takes out the next count bytes. Returns None if they have not all been received."""
         if count < LARGE_BYTES:
             if len(self._bytes) < count:
                 return None
@@ -74,7 +75,7 @@ class Incoming:
         return view
 
     def take_frame(self) -> Frame | None:
-        """The next frame, or None if it is not all here."""
+        """Takes out the next frame. Returns None if it has not been received completely."""
         if self._header is None:
             data = self.take(wire.HEADER.bytes)
             if data is None:
@@ -96,8 +97,8 @@ class Connection:
         $DIPOLED if that is set, else private:, which starts a daemon that ends with the connection.
         Several unix: and tcp: addresses, separated by commas without blanks, are tried in turn;
         the attribute `address` is the one that answered.
-    timeout_s: how long a call waits while no byte arrives or leaves, and how long each address may
-        take to answer; None is no limit.
+    timeout_s: how long a call waits while no byte is sent or received, and how long each address
+        may take to answer; None means no limit.
     """
 
     def __init__(self, address: str | None = None, timeout_s: float | None = 30.0):
@@ -129,7 +130,8 @@ class Connection:
     # ---- connecting ------------------------------------------------------------------------------
 
     def next_addresses(self) -> str:
-        """All addresses in the order for connecting again: the lost one comes last."""
+        """Returns all addresses in the order in which they are tried after a loss: the address of
+        this connection comes last."""
         at = self._addresses.index(self.address) + 1
         return ",".join(self._addresses[at:] + self._addresses[:at])
 
@@ -180,7 +182,7 @@ class Connection:
         return connection
 
     def _open_private(self, program: str) -> socket.socket:
-        """Starts a daemon that logs only errors: to this program's standard error."""
+        """Starts a daemon. It logs only errors, to the standard error of this program."""
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
         kept = {k: v for k, v in os.environ.items() if k not in _SERVES_OTHERS}
         try:
@@ -191,7 +193,7 @@ class Connection:
                     stdin=subprocess.DEVNULL,
                     stdout=subprocess.DEVNULL,
                     env=kept,
-                    process_group=0,  # The interrupt key must not end the daemon first.
+                    process_group=0,  # so that the interrupt key does not end the daemon first
                 )
         except BaseException:
             ours.close()
@@ -202,8 +204,8 @@ class Connection:
     # ---- bytes -----------------------------------------------------------------------------------
 
     def send_bytes(self, data: bytes) -> None:
-        """Sends bytes as they are. What arrives meanwhile is kept: otherwise two ends that both
-        send much would wait for each other forever."""
+        """Sends all the bytes, and meanwhile buffers what arrives. If neither end read while it
+        sends, both could wait for each other forever."""
         view = memoryview(data)
         try:
             while view:
@@ -213,18 +215,18 @@ class Connection:
                 if writable:
                     view = view[self._send_some(view) :]
         except ConnectionLost:
-            # A daemon that hangs up says why first, and that is to be read before the loss.
+            # A daemon sends the reason before it hangs up: the caller reads that first.
             if not self.incoming:
                 raise
 
     def receive_bytes(self, count: int) -> bytes | memoryview:
-        """Exactly count bytes."""
+        """Waits for exactly count bytes."""
         while (data := self.incoming.take(count)) is None:
             self._receive()
         return data
 
     def receive_eof(self) -> bool:
-        """Waits for the peer's next move: True when it closes, False when it sends something."""
+        """Waits until the peer closes the connection (returns True) or sends a byte (False)."""
         if self.incoming:
             return False
         try:
@@ -235,13 +237,14 @@ class Connection:
             return True
         return False
 
-    def moves_by(self, time_s: float) -> bool:
-        """Whether something arrives before a moment of time.monotonic()."""
+    def arrives_by(self, time_s: float) -> bool:
+        """Waits for a byte until the time time_s, as of time.monotonic(). Returns whether one
+        came."""
         wait_ms = max(time_s - time.monotonic(), 0) * 1000
         return bool(self.incoming or _poll(self.socket, select.POLLIN, wait_ms))
 
     def half_close(self) -> None:
-        """Ends this side's sending. The peer's answers can still be read."""
+        """Tells the peer that nothing more is sent. Its answers can still be read."""
         self.socket.shutdown(socket.SHUT_WR)
 
     def _wait(self, writing: bool) -> tuple[bool, bool]:
@@ -276,7 +279,8 @@ class Connection:
         self.received(count)
 
     def received(self, count: int) -> None:
-        """So many bytes have come into incoming.room(); 0 is the end of the connection."""
+        """Buffers the first count bytes of incoming.room(). Raises ConnectionLost if count is 0:
+        the daemon has closed the connection."""
         if count == 0:
             raise ConnectionLost(f"{self.address}: the daemon closed the connection")
         self.incoming.add(count)
@@ -291,19 +295,20 @@ class Connection:
             self.send_bytes(data)
 
     def receive_frame(self) -> Frame:
-        """The next frame, whatever its type."""
+        """Waits for the next frame, whatever its type."""
         while (frame := self.incoming.take_frame()) is None:
             self._receive()
         return frame
 
 
+# Environment variables that would make a private daemon serve other clients, too.
 _SERVES_OTHERS = ("DIPOLED_LISTEN", "DIPOLED_METRICS", "DIPOLED_MODBUS")
 
 
 def frame_pieces(
     type: int, request_id: int, payload: bytes = b"", deadline_ms: int = 0
 ) -> list[bytes]:
-    """A whole frame in one piece, or in two if its payload is too large to be copied."""
+    """Makes a frame: one piece, or header and payload apart if the payload is too large to copy."""
     header = wire.HEADER.pack(
         magic=wire.MAGIC,
         version=wire.VERSION,
@@ -316,7 +321,7 @@ def frame_pieces(
 
 
 def _several(text: str) -> list[str]:
-    """Splits at each comma before a scheme. Any other comma belongs to a path."""
+    """Splits a list of addresses at each comma before a scheme. Other commas belong to a path."""
     addresses = re.split(",(?=unix:|tcp:|private:)", text)
     if len(addresses) > 1 and any(address.startswith("private:") for address in addresses):
         raise AddressError(f"{text}: private: cannot be one of several addresses")
@@ -324,7 +329,7 @@ def _several(text: str) -> list[str]:
 
 
 def _poll(connection: socket.socket, wanted: int, wait_ms: float | None) -> int:
-    """Waits for one socket. Returns its events, or 0 if there are none in time."""
+    """Waits for events of one socket. Returns them, or 0 if there are none within wait_ms."""
     poll = select.poll()
     poll.register(connection, wanted)
     events = poll.poll(wait_ms)
@@ -332,8 +337,8 @@ def _poll(connection: socket.socket, wanted: int, wait_ms: float | None) -> int:
 
 
 def _find_daemon() -> str:
-    """The dipoled beside the running program, else the one in $PATH, else the one that was built in
-    the repository that this module is a part of."""
+    """Finds the dipoled beside the running program, else the one in $PATH, else the one in build/
+    of the repository that holds this module."""
     beside = Path(sys.argv[0] or ".").resolve().parent / "dipoled"
     folder = Path(__file__).resolve().parent
     in_clone = folder.parts[-3:] == ("clients", "python", "dipole")

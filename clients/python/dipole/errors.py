@@ -1,23 +1,23 @@
-"""What can go wrong, as exceptions. DipoleError is the base of all of them."""
+"""The exceptions of this module. DipoleError is the base of all of them."""
 
 from __future__ import annotations
 
 
 class DipoleError(Exception):
-    """Any failure of this module."""
+    """The base of all exceptions of this module."""
 
 
 class AddressError(DipoleError, ValueError):
-    """The address is not written as an address."""
+    """The text of an address is malformed."""
 
 
 class ConnectError(DipoleError, ConnectionError):
-    """Nobody answers at the address, or the private daemon does not start."""
+    """No daemon answers at the address, or the private daemon does not start."""
 
 
 class ConnectionLost(DipoleError, ConnectionError):
-    """The connection ended or timed out; the client can only be closed. final: connecting again
-    would not help, for example because the client has been closed."""
+    """The connection ended or timed out. The client can only be closed. final: True if connecting
+    again would not help, for example because the client has been closed."""
 
     def __init__(self, text: str, final: bool = False):
         self.final = final
@@ -25,11 +25,11 @@ class ConnectionLost(DipoleError, ConnectionError):
 
 
 class ProtocolError(DipoleError):
-    """The peer does not speak this protocol; the client can only be closed."""
+    """The peer does not follow the protocol. The client can only be closed."""
 
 
 class ArgumentError(DipoleError, ValueError):
-    """The arguments of a call do not fit together; nothing was sent."""
+    """The arguments of a call do not fit together. The client has sent nothing."""
 
 
 class TableError(DipoleError, ValueError):
@@ -37,7 +37,7 @@ class TableError(DipoleError, ValueError):
 
 
 class Refused(DipoleError):
-    """The daemon refused a request; the client goes on working."""
+    """The daemon refused a request. The client goes on working."""
 
     def __init__(
         self,
@@ -54,7 +54,7 @@ class Refused(DipoleError):
         self.field = field  # name of the field at fault, or ""
         self.allowed = allowed  # what is allowed in that field, or ""
         self.index = index  # position of the value at fault in its array
-        self.retry_after_ms = retry_after_ms  # when to ask again if the daemon is busy; else 0
+        self.retry_after_ms = retry_after_ms  # how long to wait if the daemon is busy; else 0
         self.request_id = request_id  # of the request that was refused
         text = status
         if field:

@@ -1,4 +1,4 @@
-"""Queries as requests, and answers to them as results: eval, sample, offers and table."""
+"""Makes requests of queries, and results of the replies, for eval, sample, offers and table."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .values import Draw, Grid, Info, Medium, Offer, Offers, Query, Result, Samp
 
 
 def id_of(info: Info, kind: str, name: str | int) -> int:
-    """The id of a choice by its name. An id stays as it is: the daemon judges it."""
+    """Finds the id of a choice by its name. Returns an id unchanged: the daemon checks it."""
     if not isinstance(name, str):
         return name
     choices = info.choices[kind]
@@ -28,7 +28,7 @@ def id_of(info: Info, kind: str, name: str | int) -> int:
 
 
 def name_of(info: Info, kind: str, number: int) -> str:
-    """The daemon's name of a choice, by the number in a reply."""
+    """Finds the daemon's name for the id of a choice in a reply."""
     for choice in info.choices[kind].values():
         if choice.id == number:
             return choice.name
@@ -38,8 +38,8 @@ def name_of(info: Info, kind: str, number: int) -> str:
 def unpack_list(
     payload: bytes, fixed_structure: wire.Structure, **lists: wire.Structure
 ) -> tuple[Any, list[list[Any]]]:
-    """A payload that is a fixed part and then lists. lists: the field of the fixed part that holds
-    a list's length, and the structure of its entries."""
+    """Unpacks a payload of a fixed part and then lists. For each list, `lists` maps the field of
+    the fixed part that holds its length to the structure of its entries."""
     if len(payload) < fixed_structure.bytes:
         raise ProtocolError(f"a {fixed_structure.name} that is too short")
     fixed = fixed_structure.unpack(payload)
@@ -59,7 +59,7 @@ def unpack_list(
 
 
 def media_array(media: Medium | Iterable[Sequence[float]] | np.ndarray) -> np.ndarray:
-    """[C, 4]"""
+    """Makes an array [C, 4] of one medium or of several."""
     array = np.asarray(media if isinstance(media, (tuple, np.ndarray)) else list(media), "<f8")
     if array.ndim == 1:
         array = array[np.newaxis]
@@ -71,7 +71,7 @@ def media_array(media: Medium | Iterable[Sequence[float]] | np.ndarray) -> np.nd
 def _parameters_list(
     info: Info, parameters: Mapping[str, float | str] | None, tolerance: float | None
 ) -> list[bytes]:
-    """Parameter structures. The daemon judges their values."""
+    """Packs each parameter into its structure. The daemon checks the values."""
     structures = []
     all_parameters = dict(parameters or {})
     if tolerance is not None:
@@ -89,13 +89,14 @@ def _parameters_list(
     return structures
 
 
-def _numbers_array(numbers: Any, name: str, one: str, evaluator_id: int) -> np.ndarray:
-    """Listed numbers [N] in the precision of an evaluator. name, one: for errors."""
+def _in_precision(numbers: Any, argument: str, noun: str, evaluator_id: int) -> np.ndarray:
+    """Makes an array [N] of numbers, in the precision of an evaluator. An error message names the
+    caller's argument and uses the noun for one number: "r: one radius or an array [N]"."""
     if evaluator_id not in wire.EVALUATOR_TYPES:
         raise ArgumentError(f"evaluator {evaluator_id}: this module does not know its precision")
     array = np.asarray([] if numbers is None else numbers, wire.EVALUATOR_TYPES[evaluator_id])
     if array.ndim > 1:
-        raise ArgumentError(f"{name}: one {one} or an array [N]")
+        raise ArgumentError(f"{argument}: one {noun} or an array [N]")
     return np.ascontiguousarray(array.reshape(-1))
 
 
@@ -109,7 +110,7 @@ def _payload(
     listed: np.ndarray | None,
     **fields: Any,
 ) -> bytes:
-    """The payload of an eval or sample request: fixed part, media, parameters, listed numbers."""
+    """Packs an eval or sample request: the fixed part, media, parameters and listed numbers."""
     parameters = _parameters_list(info, query.parameters, query.tolerance)
     fixed = structure.pack(
         model=wire.ANY_MODEL if query.model is None else id_of(info, "model", query.model),
@@ -135,7 +136,7 @@ def _eval_payload(info: Info, query: Query) -> tuple[bytes, Shape]:
         raise ArgumentError("r, grid: one of them, not both")
     evaluator_id = id_of(info, "evaluator", evaluator)
     media = media_array(query.media)
-    radii = None if grid else _numbers_array(query.r, "r", "radius", evaluator_id)
+    radii = None if grid else _in_precision(query.r, "r", "radius", evaluator_id)
     shape = Shape(
         radii=radii,
         value_type=wire.EVALUATOR_TYPES.get(evaluator_id),
@@ -160,12 +161,12 @@ def _eval_payload(info: Info, query: Query) -> tuple[bytes, Shape]:
     return payload, shape
 
 
-def eval(info: Info, query: Query, hands_on: bool = False) -> Request[Result]:
-    """See Client.eval() and, for hands_on, Client.eval_parts()."""
+def eval(info: Info, query: Query, is_streamed: bool = False) -> Request[Result]:
+    """See Client.eval() and, for is_streamed, Client.eval_parts()."""
     payload, shape = _eval_payload(info, query)
 
     def answer() -> EvalAnswer:
-        return EvalAnswer(shape, lambda part: _result(part, shape, info), hands_on)
+        return EvalAnswer(shape, lambda part: _result(part, shape, info), is_streamed)
 
     return Request("eval", payload, answer, query.deadline_ms)
 
@@ -224,7 +225,7 @@ def sample(info: Info, query: Query, u: Any, draw: Draw | None) -> Request[Sampl
     if query.r is not None or query.grid is not None:
         raise ArgumentError("r, grid: a sample draws its radii")
     evaluator_id = id_of(info, "evaluator", query.evaluator or "f64")
-    listed = _numbers_array(u, "u", "number", evaluator_id)
+    listed = _in_precision(u, "u", "number", evaluator_id)
     media = media_array(query.media)
     wanted = ("r", "pdf") if query.wanted is None else query.wanted
     shape = Shape(
@@ -262,14 +263,14 @@ def sample(info: Info, query: Query, u: Any, draw: Draw | None) -> Request[Sampl
 
 
 class Shape(NamedTuple):
-    """What a reply has to fit, and what it does not repeat."""
+    """The facts about a request with which its reply is checked and read."""
 
-    radii: np.ndarray | None  # as listed; None for a grid or a sample
-    value_type: str | None  # numpy's, of radii and values; None if it is not known here
-    wanted: int
+    radii: np.ndarray | None  # the listed radii; None for a grid or a sample
+    value_type: str | None  # numpy's type of radii and values; None for an unknown evaluator
+    wanted: int  # sum of the ids of the quantities
     medium_count: int
     radius_count: int
-    drawn: bool = False  # the answer to a sample: each channel has its own radii
+    drawn: bool = False  # whether this is a sample, in which each channel has its own radii
 
 
 class Part(NamedTuple):
@@ -280,18 +281,18 @@ class Part(NamedTuple):
     arrays: dict[int, np.ndarray]  # by quantity: the radii [N] and values [C, N]
 
     def common(self) -> tuple[Any, bytes]:
-        """What is the same in all parts of an answer."""
+        """Returns the fields that must be the same in all parts of an answer."""
         fixed = self.fixed._replace(radius_count=0, radius_first=0, part=0)
         return fixed, self.channels.tobytes()
 
 
 class EvalAnswer(Answer[Any]):
-    """The answer to an eval or sample request. Its parts are put together, or with hands_on handed
-    on one by one. read: makes what the caller gets."""
+    """The answer to an eval or sample request. Unless is_streamed is set, the caller gets one
+    result of all parts. read: makes the caller's result of a Part."""
 
-    def __init__(self, shape: Shape, read: Any, hands_on: bool = False):
+    def __init__(self, shape: Shape, read: Any, is_streamed: bool = False):
         super().__init__()
-        self.hands_on = hands_on
+        self.is_streamed = is_streamed
         self._shape = shape
         self._read = read
         self._first: Part | None = None
@@ -305,16 +306,17 @@ class EvalAnswer(Answer[Any]):
         fixed = part.fixed
         if self._first is None:
             self._first = Part(fixed, part.channels.copy(), {})
-        if not self.hands_on and fixed.part_count > 1:
+        if not self.is_streamed and fixed.part_count > 1:
             part = self._gather(part)
         self._next_part += 1
         self._next_radius += fixed.radius_count
         self.ended = self._next_part == fixed.part_count
-        if self.hands_on or self.ended:
+        if self.is_streamed or self.ended:
             self.ready.append(self._read(part))
 
     def _check(self, part: Part) -> None:
-        """A caller that indexes with its own counts must stay inside the arrays."""
+        """Checks that a part has the counts of the query, so that a caller who indexes the arrays
+        by these counts stays inside."""
         fixed, shape = part.fixed, self._shape
         value_type = wire.EVALUATOR_TYPES.get(fixed.evaluator)
         found = (value_type, fixed.wanted, fixed.channel_count)
@@ -332,7 +334,7 @@ class EvalAnswer(Answer[Any]):
             raise ProtocolError("parts of an eval reply that do not belong together")
 
     def _gather(self, part: Part) -> Part:
-        """Copies a part to its place; returns all that has come so far."""
+        """Copies a part to its place in the whole answer; returns the whole as a Part."""
         count, begin = self._shape.radius_count, part.fixed.radius_first
         for quantity, array in part.arrays.items():
             if begin == 0:
@@ -345,8 +347,8 @@ class EvalAnswer(Answer[Any]):
 
 
 def _unpack(payload: bytes, drawn: bool) -> Part:
-    """Reads the arrays: the radii first unless they are drawn, then each channel's quantities. Each
-    array is padded to a multiple of 8 bytes."""
+    """Finds the arrays in a reply: first the radii, unless it answers a sample, then the quantities
+    of each channel. Each array is padded to a multiple of 8 bytes."""
     if len(payload) < wire.EVAL_REPLY.bytes:
         raise ProtocolError("an eval reply that is too short")
     fixed = wire.EVAL_REPLY.unpack(payload)
@@ -371,7 +373,7 @@ def _unpack(payload: bytes, drawn: bool) -> Part:
 
 
 def _common_fields(part: Part, info: Info) -> dict[str, Any]:
-    """The fields that Result and Samples share."""
+    """Makes the fields that Result and Samples share."""
     fixed, channels, arrays = part
     notes = info.choices["note"].values()
     quantities = info.choices["quantity"].values()
@@ -395,7 +397,7 @@ def _result(part: Part, shape: Shape, info: Info) -> Result:
     r = arrays.get(wire.QUANTITY_RADIUS)
     if r is None and shape.radii is not None:
         r = shape.radii[first : first + part.fixed.radius_count]
-    fields["values"].pop("r", None)  # The radii are the same for every channel.
+    fields["values"].pop("r", None)  # All channels have the same radii: they are in Result.r.
     return Result(
         r=r,
         R=arrays.get(wire.QUANTITY_R),
@@ -418,7 +420,7 @@ def _samples(part: Part, numbers: np.ndarray, info: Info) -> Samples:
 
 
 def numbers_of(draw: Draw, value_type: str = "<f8") -> np.ndarray:
-    """The numbers of a rule [count], with the daemon's bits. core/draw.h says how they are made."""
+    """Computes the numbers [count] of a Draw, with the daemon's bits: see core/draw.h."""
     i = np.arange(draw.count, dtype=np.uint64)
     if draw.rule == "random":
         with np.errstate(over="ignore"):
@@ -428,7 +430,8 @@ def numbers_of(draw: Draw, value_type: str = "<f8") -> np.ndarray:
 
 
 def _random(seed: int, i: np.ndarray, value_type: str) -> np.ndarray:
-    """Outputs i of SplitMix64 (Steele, Lea, Flood 2014), as numbers between 0 and 1."""
+    """Returns the outputs number i of SplitMix64 (Steele, Lea, Flood 2014), scaled to between 0 and
+    1."""
     with np.errstate(over="ignore"):
         z = np.uint64(seed) + (i + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
         z = (z ^ z >> np.uint64(30)) * np.uint64(0xBF58476D1CE4E5B9)

@@ -1,8 +1,8 @@
-"""Requests and their answers, without any input, output or waiting: what Client and AsyncClient
-share. They send what this gives them, hand it the frames that arrive, and do the waiting.
+"""Requests and their answers, without any input, output or waiting. Client and AsyncClient share
+this module: they send the frames that it makes, give it the frames that arrive, and do the waiting.
 
-A request that meets trouble is sent again where that is safe: where every daemon gives the same one
-right answer, however often it is asked. Nothing of an unfinished answer is used then.
+A request that fails is sent again if every daemon gives the same answer to it, however often it is
+asked. The parts of an unfinished answer are thrown away before that.
 """
 
 from __future__ import annotations
@@ -21,26 +21,26 @@ from .values import Info
 
 T = TypeVar("T")
 
-RETRY_S = 5.0  # how long clients of unix: and tcp: addresses try again by default
-KEPT_BYTES = 64 << 20  # the most payload bytes that are kept to be sent again
+RETRY_S = 5.0  # how long a client of a unix: or tcp: address tries again by default
+KEPT_BYTES = 64 << 20  # the most payload bytes that a client keeps to send them again
 
 _PAUSE_FIRST_S = 0.010
 _PAUSE_MOST_S = 1.0
-# All but hello, cancel and mc. The photons that a job has walked would be lost, and a new job would
-# delay those of others.
+# Requests that may be sent again. An mc request may not: the photons that its job has walked would
+# be lost, and a second job would delay the jobs of other clients.
 _REPEATABLE = ("eval", "sample", "invert", "offers", "table", "media", "statistics", "ping")
 _TEMPORARY = ("busy", "shutting-down", "timeout")
 
 
 class Answer(Generic[T]):
-    """Reads the replies to one request. Kinds of answers differ in _add()."""
+    """Reads the replies to one request. Each kind of answer is a subclass with its own _add()."""
 
-    hands_on = False  # The caller gets the answer piece by piece, and so may have some of it.
+    is_streamed = False  # whether the caller gets each part of the answer as soon as it has come
 
     def __init__(self) -> None:
-        self.ended = False  # No more replies will come.
-        self.begun = False  # Something has come.
-        self.ready: deque[T | DipoleError] = deque()  # what can be handed to the caller
+        self.ended = False  # whether the last reply has come
+        self.begun = False  # whether the first reply has come
+        self.ready: deque[T | DipoleError] = deque()  # what next() gives to the caller
 
     def add(self, payload: bytes) -> None:
         """Reads the payload of the next reply."""
@@ -50,7 +50,7 @@ class Answer(Generic[T]):
         self._add(payload)
 
     def refuse(self, error: DipoleError) -> None:
-        """An error takes the place of the next reply and ends the answer."""
+        """Ends the answer with an error in place of the next reply."""
         self.ended = True
         self.ready.append(error)
 
@@ -59,7 +59,7 @@ class Answer(Generic[T]):
 
 
 class Once(Answer[T]):
-    """An answer of one reply, which a function reads."""
+    """An answer that is one reply. read: makes the caller's result of the reply's payload."""
 
     def __init__(self, read: Callable[[bytes], T]):
         super().__init__()
@@ -72,7 +72,7 @@ class Once(Answer[T]):
 
 @dataclass(frozen=True)
 class Request(Generic[T]):
-    """One request, and what makes a reader of its replies."""
+    """One request. answer: makes the object that reads its replies."""
 
     message: str
     payload: bytes
@@ -80,25 +80,25 @@ class Request(Generic[T]):
     deadline_ms: int = 0
 
 
-class _UnderWay:
-    """A request that has been begun."""
+class _Pending:
+    """A request whose answer has not been handed out. Times are those of time.monotonic()."""
 
     def __init__(self, request: Request[Any], kept: bool):
         self.request = request
-        self.kept = kept  # It can be sent again.
+        self.kept = kept  # whether the client keeps the request to send it again
         self.answer = request.answer()
         self.first_sent_s: float | None = None
-        self.trouble_s: float | None = None  # when it first got no answer
-        self.again_s: float | None = None  # when it is to be sent again; None if it is sent
+        self.failed_s: float | None = None  # when the request first failed; None if it has not
+        self.again_s: float | None = None  # when to send the request again; None if it is sent
 
-    def trouble_since_s(self) -> float:
-        if self.trouble_s is None:
-            self.trouble_s = time.monotonic()
-        return self.trouble_s
+    def failed_since_s(self) -> float:
+        if self.failed_s is None:
+            self.failed_s = time.monotonic()
+        return self.failed_s
 
     def can_repeat(self) -> bool:
-        """Whether it can be sent again: the caller must not have a part of its answer."""
-        return self.kept and not (self.answer.hands_on and self.answer.begun)
+        """Whether the request can be sent again: not if the caller has a part of its answer."""
+        return self.kept and not (self.answer.is_streamed and self.answer.begun)
 
     def begin_again(self) -> None:
         self.answer = self.request.answer()
@@ -107,30 +107,30 @@ class _UnderWay:
 class Exchange:
     """The requests of one client.
 
-    retry_s: how long a request that meets trouble is tried again; 0 is not at all.
+    retry_s: for how long the client sends a failed request again; 0 means that it never does.
     """
 
     def __init__(self, retry_s: float):
         self.retry_s = retry_s
         self.last_id = 0
-        self._under_way: dict[int, _UnderWay] = {}
+        self._pending: dict[int, _Pending] = {}
         self._kept_bytes = 0
 
     # ---- sending ---------------------------------------------------------------------------------
 
     def begin(self, request: Request[Any]) -> int:
-        """Starts a request; returns its id. It is to be sent with frame()."""
+        """Starts a request; returns its id. The caller then sends what frame() gives."""
         fits = self._kept_bytes + len(request.payload) <= KEPT_BYTES
         kept = self.retry_s > 0 and request.message in _REPEATABLE and fits
         self.last_id += 1
-        self._under_way[self.last_id] = _UnderWay(request, kept)
+        self._pending[self.last_id] = _Pending(request, kept)
         self._kept_bytes += len(request.payload) if kept else 0
         return self.last_id
 
     def frame(self, request_id: int) -> list[bytes]:
-        """The pieces of a request's frame, with what is left of its deadline. If nothing is left
-        there are none, and the answer is the error that a daemon would send."""
-        entry = self._under_way.get(request_id)
+        """Returns the pieces of a request's frame, which states the rest of the deadline. If the
+        deadline has passed, returns no pieces and ends the answer with the daemon's error."""
+        entry = self._pending.get(request_id)
         if entry is None:
             return []
         request, deadline_ms = entry.request, entry.request.deadline_ms
@@ -146,37 +146,38 @@ class Exchange:
         return frame_pieces(type, request_id, request.payload, deadline_ms)
 
     def due(self) -> list[int]:
-        """The requests that are to be sent again now, after a daemon that was busy."""
+        """Returns the ids of the requests that a busy daemon refused and that may be sent again
+        now."""
         now_s = time.monotonic()
-        entries = self._under_way.items()
+        entries = self._pending.items()
         ids = [i for i, entry in entries if entry.again_s is not None and entry.again_s <= now_s]
         for request_id in ids:
-            self._under_way[request_id].again_s = None
+            self._pending[request_id].again_s = None
         return ids
 
     def next_due_s(self) -> float | None:
-        """When the next request is to be sent again; None if there is none."""
-        times = (entry.again_s for entry in self._under_way.values() if entry.again_s is not None)
+        """Returns when the next refused request may be sent again; None if there is none."""
+        times = (entry.again_s for entry in self._pending.values() if entry.again_s is not None)
         return min(times, default=None)
 
     # ---- answers ---------------------------------------------------------------------------------
 
     def take(self, frame: Frame) -> int:
-        """Gives a frame to its request, whose id is returned. Raises what the daemon says about the
-        connection as a whole."""
+        """Gives a frame to the request that it answers; returns the request's id. Raises an error
+        frame that concerns the whole connection."""
         request_id = frame.request_id
         if frame.type == wire.TYPE_ERROR and request_id == 0:
             raise refused(frame)
         if not 0 < request_id <= self.last_id:
             raise ProtocolError(f"a reply to request {request_id}, which was not made")
-        entry = self._under_way.get(request_id)
-        if entry is None:  # Nobody wants this answer any more.
+        entry = self._pending.get(request_id)
+        if entry is None:  # The request has been dropped.
             return request_id
         if frame.type == wire.TYPE_ERROR:
             error = refused(frame)
             if isinstance(error, ProtocolError):
                 raise error
-            if not self._ask_later(entry, error):
+            if not self._retry_later(entry, error):
                 entry.answer.refuse(error)
         elif frame.type == wire.MESSAGES[entry.request.message] | wire.REPLY:
             entry.answer.add(frame.payload)
@@ -187,66 +188,67 @@ class Exchange:
         return request_id
 
     def ended(self, request_id: int) -> bool:
-        """Whether the whole answer is here, or an error in its place."""
-        return self._under_way[request_id].answer.ended
+        """Whether the whole answer, or an error in its place, has arrived."""
+        return self._pending[request_id].answer.ended
 
     def is_ready(self, request_id: int) -> bool:
         """Whether next() has something to give."""
-        answer = self._under_way[request_id].answer
+        answer = self._pending[request_id].answer
         return bool(answer.ready) or answer.ended
 
     def next(self, request_id: int) -> Any:
-        """The next piece of an answer, or None after the last one. Raises an error in its place."""
-        ready = self._under_way[request_id].answer.ready
+        """Returns the next part of an answer, or None after the last one. Raises the daemon's error
+        if one has come instead."""
+        ready = self._pending[request_id].answer.ready
         item = ready.popleft() if ready else None
         if isinstance(item, DipoleError):
             raise item
         return item
 
     def ahead(self) -> int:
-        """How many pieces of answers have come and have not been taken."""
-        return sum(len(entry.answer.ready) for entry in self._under_way.values())
+        """Returns how many parts of answers have arrived that next() has not given out yet."""
+        return sum(len(entry.answer.ready) for entry in self._pending.values())
 
     def drop(self, request_id: int) -> None:
-        """Forgets a request: it is answered, or nobody wants its answer any more."""
-        entry = self._under_way.pop(request_id, None)
+        """Forgets a request that is answered, or whose answer the caller no longer wants."""
+        entry = self._pending.pop(request_id, None)
         if entry is not None and entry.kept:
             self._kept_bytes -= len(entry.request.payload)
 
-    # ---- trouble ---------------------------------------------------------------------------------
+    # ---- failures --------------------------------------------------------------------------------
 
-    def _ask_later(self, entry: _UnderWay, error: Refused) -> bool:
-        """Whether a refusal only means that the request is to be sent again later."""
+    def _retry_later(self, entry: _Pending, error: Refused) -> bool:
+        """Plans to send a refused request again. Returns False if the refusal is final."""
         if not entry.can_repeat() or error.status not in ("busy", "shutting-down"):
             return False
         pause_s = max(error.retry_after_ms / 1000, _PAUSE_FIRST_S) + _with_jitter(_PAUSE_FIRST_S)
         again_s = time.monotonic() + pause_s
-        if again_s > entry.trouble_since_s() + self.retry_s:
+        if again_s > entry.failed_since_s() + self.retry_s:
             return False
         entry.again_s = again_s
         entry.begin_again()
         return True
 
     def lost(self, error: DipoleError) -> float:
-        """The connection is lost. Returns until when to try to connect again; raises the error if
-        something under way cannot be asked again."""
-        unanswered = [entry for entry in self._under_way.values() if not entry.answer.ended]
+        """Handles the loss of the connection. Returns until when the client may try to connect
+        again. Raises the error if a request without an answer cannot be sent again."""
+        unanswered = [entry for entry in self._pending.values() if not entry.answer.ended]
         may_ask_again = all(entry.can_repeat() for entry in unanswered)
         if self.retry_s == 0 or not is_temporary(error) or not may_ask_again:
             raise error
-        began_s = [entry.trouble_since_s() for entry in unanswered]
+        began_s = [entry.failed_since_s() for entry in unanswered]
         return min(began_s, default=time.monotonic()) + self.retry_s
 
     def restored(self) -> list[int]:
-        """There is another connection. Returns the requests that are to be sent again now."""
-        ids = [i for i, entry in sorted(self._under_way.items()) if not entry.answer.ended]
+        """Handles a new connection: returns the ids of the requests that are sent over it now."""
+        ids = [i for i, entry in sorted(self._pending.items()) if not entry.answer.ended]
         for request_id in ids:
-            self._under_way[request_id].begin_again()
-        return [i for i in ids if self._under_way[i].again_s is None]
+            self._pending[request_id].begin_again()
+        return [i for i in ids if self._pending[i].again_s is None]
 
 
 def refused(frame: Frame) -> Refused | ProtocolError:
-    """An error frame as an exception."""
+    """Makes an exception of an error frame."""
     if len(frame.payload) != wire.ERROR.bytes:
         return ProtocolError("an error of an unexpected size")
     error = wire.ERROR.unpack(frame.payload)
@@ -262,14 +264,14 @@ def refused(frame: Frame) -> Refused | ProtocolError:
 
 
 def _too_late(request_id: int) -> Refused:
-    """What a daemon would say about a request whose deadline has passed."""
+    """Makes the exception for a request whose deadline passed while there was no connection."""
     code = wire.STATUS_DEADLINE
     allowed = "more: the connection was lost meanwhile"
     return Refused(wire.STATUSES[code], code, "deadline_ms", allowed, 0, 0, request_id)
 
 
 def is_temporary(error: DipoleError) -> bool:
-    """Whether what ended a connection, or prevented one, may be over soon."""
+    """Whether connecting again may help after this error."""
     if isinstance(error, Refused):
         return error.status in _TEMPORARY
     if isinstance(error, ConnectionLost):
@@ -283,7 +285,7 @@ def is_temporary(error: DipoleError) -> bool:
 def open_connection(
     address: str | None, timeout_s: float | None, hello: Callable[[str], Request[Info]]
 ) -> tuple[Connection, Info]:
-    """Connects and says hello; waits for both."""
+    """Connects, sends hello and waits for the reply. hello: makes the request for an address."""
     connection = Connection(address, timeout_s)
     try:
         exchange = Exchange(0.0)
@@ -304,9 +306,10 @@ def connect_again(
     until_s: float,
     lost: DipoleError,
 ) -> Connection:
-    """Connects with growing pauses until the time until_s. Raises `lost` if there is no hope.
+    """Tries to connect, with growing pauses, until the time until_s. Raises `lost` if that fails.
 
-    connect: is given how long it may take. info: what the lost daemon said about itself.
+    connect: tries once; its argument says how long it may take, in seconds. info: what the lost
+    daemon said about itself.
     """
     latest = lost
     pause_s = _PAUSE_FIRST_S
@@ -330,12 +333,14 @@ def connect_again(
 
 
 def _with_jitter(pause_s: float) -> float:
-    """A random pause, so that clients that lost a daemon together do not come back together."""
+    """Returns a random pause, so that clients that lost the same daemon do not all return at the
+    same moment."""
     return random.uniform(pause_s / 2, pause_s)
 
 
 def _has_lists_of(fresh: Info, info: Info) -> bool:
-    """Whether the numbers in requests still mean what they meant."""
+    """Whether each name in the lists of `info` has the same id in the lists of `fresh`, so that the
+    ids in requests keep their meaning."""
     return all(
         choice.name in fresh.choices[kind] and fresh.choices[kind][choice.name].id == choice.id
         for kind, choices in info.choices.items()

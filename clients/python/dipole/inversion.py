@@ -1,4 +1,4 @@
-"""From diffuse albedos and mean free paths to media: requests and answers."""
+"""Client.invert(): finds media from diffuse albedos and mean free paths."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _ARRAYS = 3  # sigma_a, sigma_s, albedo
 
 
 class Query(NamedTuple):
-    """What a reply has to fit, and what it does not repeat."""
+    """The facts about a request with which its reply is checked and read."""
 
     shape: tuple[int, ...]
     count: int
@@ -27,7 +27,7 @@ class Query(NamedTuple):
 
 
 class Answer(exchange.Answer[Inversion]):
-    """The answer to an invert request. Its parts are put together. info: for names."""
+    """The answer to an invert request: puts its parts together. info: names the ids."""
 
     def __init__(self, query: Query, info: Info):
         super().__init__()

@@ -16,9 +16,9 @@ from .values import Grid, Info, McEnergy, McProgress, McResult, McValue, Medium
 
 
 class _Answer(Answer[McProgress | McResult]):
-    """Reports of progress, and at last the table."""
+    """The answer to an mc request: reports of progress, and at last the result."""
 
-    hands_on = True
+    is_streamed = True
 
     def _add(self, payload: bytes) -> None:
         fixed = unpack_fixed(payload)
@@ -48,7 +48,7 @@ def request(
 
 
 def cancellation(job_id: int) -> Request[None]:
-    """Cancels the job of a request. The reply says nothing that the table does not."""
+    """Makes the request that cancels a job. Its reply is not read: the job's result follows."""
     payload = wire.CANCEL_REQUEST.pack(job_id=job_id)
     return Request("cancel", payload, lambda: Once(lambda _: None))
 
@@ -64,7 +64,7 @@ def pack_request(
     albedos: Iterable[float],
     seed: int,
 ) -> bytes:
-    """The payload of an mc request. The daemon judges the numbers."""
+    """Packs an mc request. The daemon checks the numbers."""
     listed = np.asarray(list(albedos), "<f8")
     fixed = wire.MC_REQUEST.pack(
         spacing=spacing,
@@ -82,14 +82,14 @@ def pack_request(
 
 
 def unpack_fixed(payload: bytes) -> Any:
-    """The part that all replies start with."""
+    """Unpacks the structure at the start of every mc reply."""
     if len(payload) < wire.MC_REPLY.bytes:
         raise ProtocolError("an mc reply that is too short")
     return wire.MC_REPLY.unpack(payload)
 
 
 def progress_of(fixed: Any) -> McProgress:
-    """What a reply that is not the last one says."""
+    """Makes a report of a reply to a job that goes on."""
     return McProgress(
         number=fixed.number,
         photons=fixed.photons,
@@ -117,7 +117,7 @@ def _energy(payload: bytes, offset: int) -> McEnergy:
 
 
 def unpack_result(payload: bytes) -> McResult:
-    """The table in the last reply of a job."""
+    """Makes the result of the last reply of a job."""
     fixed = unpack_fixed(payload)
     albedos, sides, rings = fixed.albedo_count, fixed.side_count, fixed.ring_count
     energies_at = wire.MC_REPLY.bytes + 8 * (rings + 1)

@@ -1,4 +1,4 @@
-"""Tables, which the evaluator `lut` uses, evaluated here with the daemon's own bits.
+"""Evaluates the tables of the evaluator `lut` without a daemon, and with the same bits.
 
 All arithmetic is in single precision. It rounds each sum and product, in the order of
 core/lut/lut.c, so it gives the daemon's bits on every machine.
@@ -20,7 +20,8 @@ from .values import Info, Medium
 
 LAYOUT = 1  # of the words: proto/PROTOCOL.md, "table"
 
-# Positions of the words: first numbers, then entries by octave of the argument, then pieces.
+# Positions of a table's words: first 16 numbers, then one entry for each octave of the argument of
+# R, of the cdf, and of the radius (by u and by 1 - u), then the pieces.
 _R_OCTAVES = 16
 _CDF_OCTAVES = _R_OCTAVES + 256
 _RADIUS_OCTAVES = _CDF_OCTAVES + 256
@@ -34,8 +35,8 @@ _CUTS_MAX = 11
 
 _Function = Callable[[np.ndarray], np.ndarray]
 
-# The names of the first words, which are numbers. A name starts with near for radii below the first
-# piece and with far for those beyond the last one.
+# The names of the first words. A name that starts with near holds for radii below the first piece,
+# and "far" for radii beyond the last piece.
 _NUMBERS = (
     "first_mm last_mm scale ring_scale pdf_scale near_power near_R near_log near_cdf near_cdf_log "
     "far limit first_u near_radius"
@@ -56,7 +57,7 @@ class Table:
     """
 
     def __init__(self, data: bytes, info: Info | None = None):
-        """data: the whole frame of a daemon's reply, or what save() wrote, and nothing more."""
+        """data: exactly one frame, as a daemon sent it or save() wrote it."""
         payload = _payload_of(data)
         fixed = wire.TABLE_REPLY.unpack(payload)
         if fixed.layout != LAYOUT:
@@ -75,7 +76,7 @@ class Table:
         self.moments: str | int = _name(info, "moments", fixed.moments)
         self.notes: tuple[str | int, ...] = _notes(info, fixed.notes)
         self.medium = Medium(fixed.sigma_a, fixed.sigma_s, fixed.g, fixed.eta)
-        self.parameters: dict[str | int, float] = {}  # those of the request
+        self.parameters: dict[str | int, float] = {}  # the parameters of the table request
         for at in range(wire.TABLE_REPLY.bytes, words_at, wire.PARAMETER.bytes):
             one = wire.PARAMETER.unpack(payload, at)
             self.parameters[_name(info, "parameter", one.parameter)] = one.value
@@ -83,10 +84,10 @@ class Table:
         self.numerical_error_constant: float = fixed.numerical_error
         self.numerical_error_per_mm: float = fixed.numerical_error_per_mm
         self.model_error: float = fixed.model_error  # against transport; NaN: not measured
-        self.pieces_from_mm: float = fixed.pieces_from  # The table has pieces between these radii.
-        self.pieces_to_mm: float = fixed.pieces_to  # Outside it uses known asymptotes.
-        self.radius_least_mm: float = fixed.radius_least  # the range that the model covers
-        self.radius_most_mm: float = fixed.radius_most
+        self.pieces_from_mm: float = fixed.pieces_from  # below this radius: an asymptotic formula
+        self.pieces_to_mm: float = fixed.pieces_to  # from this radius on: an asymptotic formula
+        self.radius_least_mm: float = fixed.radius_least  # the least radius that the model covers
+        self.radius_most_mm: float = fixed.radius_most  # the largest radius that it covers
         self.words = np.frombuffer(payload, "<u4", fixed.word_count, words_at)  # read-only
         _check(self.words)
         # Copies in the machine's byte order, for arithmetic.
@@ -100,12 +101,13 @@ class Table:
     # ---- files -----------------------------------------------------------------------------------
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes the table into a file. `dipole eval --table` and libdipole read it, too."""
+        """Writes the table into a file, which `dipole eval --table` and libdipole can read, too."""
         Path(path).write_bytes(self.data)
 
     @classmethod
     def load(cls, source: str | os.PathLike[str] | bytes, info: Info | None = None) -> Table:
-        """The only table in a file or in bytes. info: a client's, for names instead of ids."""
+        """Loads a file, or bytes, that holds exactly one table. info: that of a client; the table
+        then has names instead of ids."""
         tables = cls.load_all(source, info)
         if len(tables) != 1:
             raise TableError(f"{len(tables)} tables: use load_all()")
@@ -115,7 +117,7 @@ class Table:
     def load_all(
         cls, source: str | os.PathLike[str] | bytes, info: Info | None = None
     ) -> list[Table]:
-        """All tables in a file or in bytes, one behind the other: for example one a channel."""
+        """Loads a file, or bytes, that holds one or more tables, for example one per channel."""
         if isinstance(source, (bytes, bytearray, memoryview)):
             data = bytes(source)
         else:
@@ -130,26 +132,26 @@ class Table:
     # ---- evaluating ------------------------------------------------------------------------------
 
     def R(self, r: Any) -> np.ndarray:
-        """R in 1/mm^2 per unit of power that entered: float32, in the shape of r. r: radii in mm,
-        from 0 to infinity."""
+        """Returns R in 1/mm^2 per unit of power that entered, as float32 and in the shape of r. r:
+        radii in mm, from 0 to infinity."""
         return self._evaluate(r, self._inside_R, self._outside_R)
 
     def cdf(self, r: Any) -> np.ndarray:
-        """The energy within r over the albedo, from 0 to 1."""
+        """Returns the power that leaves within r over all power that leaves, from 0 to 1."""
         return self._evaluate(r, self._inside_cdf, self._outside_cdf)
 
     def pdf(self, r: Any) -> np.ndarray:
-        """The density of radii, 2 pi r R over the albedo, 1/mm."""
+        """Returns the probability density of radii in 1/mm: 2 pi r R over the albedo."""
         return self._evaluate_ring(r, self._pdf_scale)
 
     def ring(self, r: Any) -> np.ndarray:
-        """2 pi r R, the power that leaves per mm of radius, 1/mm. It is finite at r = 0, where R of
-        some models is infinite."""
+        """Returns 2 pi r R, the power that leaves per mm of radius, in 1/mm. It is finite even
+        where R is infinite at r = 0."""
         return self._evaluate_ring(r, self._ring_scale)
 
     def radius(self, u: Any) -> np.ndarray:
-        """Radii in mm with cdf(r) = u, for drawing them at random. u: from 0 to 1, which gives
-        infinity. All radii are 0 if nothing scatters."""
+        """Returns the radii in mm with cdf(r) = u: random u give radii that are distributed as the
+        light. u: from 0 to 1; 1 gives infinity. All radii are 0 if the medium does not scatter."""
         numbers = _floats(u)
         if not np.all((numbers >= 0) & (numbers <= 1)):
             raise ArgumentError("u: from 0 to 1")
@@ -158,8 +160,7 @@ class Table:
         return radii.reshape(np.shape(u))
 
     def numerical_error(self, r: Any) -> np.ndarray:
-        """How far a value at r (mm) may be from the model's exact formula, relative. It has been
-        measured between all nodes."""
+        """Returns how far a value at r (mm) may be from the model's exact formula, relative."""
         radii = np.asarray(r, np.float64)
         growth = np.zeros_like(radii)  # At infinity, 0 times infinity would be NaN.
         if self.numerical_error_per_mm > 0:
@@ -167,7 +168,7 @@ class Table:
         return self.numerical_error_constant + growth
 
     def _evaluate_ring(self, r: Any, scale: np.float32) -> np.ndarray:
-        """r R times 2 pi or what else the scale says."""
+        """Returns r R times a scale, for example 2 pi."""
         return self._evaluate(
             r, lambda x: self._inside_ring(x, scale), lambda x: self._outside_ring(x, scale)
         )
@@ -184,8 +185,8 @@ class Table:
     # ---- inside ----------------------------------------------------------------------------------
 
     def _piece(self, octaves: int, x: np.ndarray) -> np.ndarray:
-        """The piece's polynomial at x >= 0. The exponent of x and the leading bits of its mantissa
-        say which piece."""
+        """Evaluates the polynomial of the piece that holds x >= 0. The exponent of x and the
+        leading bits of its mantissa select the piece. octaves: position of the first entry."""
         bits = x.view(np.int32)
         entry = self._entries[octaves + (bits >> _MANTISSA_BITS)]
         shift = entry & 31
@@ -211,26 +212,27 @@ class Table:
         return np.where(value < 1, value, _ONE)
 
     def _inside_radius(self, u: np.ndarray) -> np.ndarray:
-        """Looks up the smaller one of u and 1 - u. The difference is exact."""
+        """Looks up the radius by the smaller one of u and 1 - u. The difference 1 - u is exact."""
         near = np.where(u <= _HALF, u, _ONE - u)
         by_u = self._piece(_RADIUS_OCTAVES, near)
         return np.where(u <= _HALF, by_u, self._piece(_COMPLEMENT_OCTAVES, near))
 
-    # ---- outside: below the first radius, from the last one on -----------------------------------
+    # ---- outside: below the first piece, and beyond the last one ---------------------------------
 
     def _octaves_below(self, r: np.ndarray) -> np.ndarray:
-        """log2(first_mm / r)"""
+        """Returns log2(first_mm / r)."""
         return _log2(self._first_mm.reshape(1)) - (_log2(r * _2_TO_THE_24) - np.float32(24))
 
     def _near_flat(self, r: np.ndarray) -> np.ndarray:
-        """R over the scale, if R does not grow like 1/r near 0."""
+        """Returns R over the scale near 0, for an R that does not grow like 1/r there."""
         if not self._near_log > 0:
             return np.full_like(r, self._near_R)
         rising = np.where(r > 0, self._octaves_below(r), _INFINITY)
         return self._near_R + self._near_log * rising
 
     def _near_R_at(self, r: np.ndarray) -> np.ndarray:
-        """R, in an order in which nothing overflows or underflows before the result does."""
+        """Returns R near 0. The order of operations lets no intermediate value overflow or
+        underflow unless the result does."""
         if not self._near_power > 0:
             return self._near_flat(r) * self._scale
         if not self._limit > 0:
@@ -239,13 +241,13 @@ class Table:
         return np.where(r < 1, nearest, self._near_R / r * self._scale)
 
     def _near_ring(self, r: np.ndarray, scale: np.float32) -> np.ndarray:
-        """r R, with `scale` in place of the scale of R."""
+        """Returns r R near 0, with `scale` in place of the scale of R."""
         if self._near_power > 0:
             return np.full_like(r, self._near_R * scale)
         return np.where(r > 0, _times_radius(self._near_flat(r), r, scale), _ZERO)
 
     def _near_cdf_factor(self, r: np.ndarray) -> np.ndarray:
-        """The cdf over r^2, if R does not grow like 1/r near 0."""
+        """Returns the cdf over r^2 near 0, for an R that does not grow like 1/r there."""
         rising = np.where(r > 0, self._octaves_below(r), _ZERO)
         return self._near_cdf + self._near_cdf_log * rising
 
@@ -255,8 +257,8 @@ class Table:
         return self._near_cdf_factor(r) * r * r
 
     def _near_radius_at(self, u: np.ndarray) -> np.ndarray:
-        """The cdf is a factor times r^2. The factor changes slowly, with ln r, so a few rounds of
-        iteration find r."""
+        """Returns the radius with cdf u near 0. The cdf is r^2 times a factor that changes only
+        with ln r, so four rounds of fixed-point iteration suffice."""
         if self._near_power > 0:
             return self._near_radius * u
         root = np.sqrt(u)
@@ -285,7 +287,7 @@ class Table:
 def _look_up(
     x: np.ndarray, inside: _Function, outside: _Function, least: np.float32, most: np.float32
 ) -> np.ndarray:
-    """inside(x) where least <= x < most, and outside(x) elsewhere."""
+    """Returns inside(x) where least <= x < most, and outside(x) elsewhere."""
     with np.errstate(all="ignore"):
         values = inside(x)
         beyond = (x < least) | (x >= most)
@@ -296,18 +298,19 @@ def _look_up(
 
 
 def _floats(values: Any) -> np.ndarray:
-    """A flat copy in single precision, in which -0 becomes 0."""
+    """Makes a flat copy in single precision. Adding 0 turns -0 into 0."""
     return np.array(values, np.float32).reshape(-1) + _ZERO
 
 
 def _times_radius(piece: np.ndarray, r: np.ndarray, scale: np.float32) -> np.ndarray:
-    """The product of all three, in an order in which nothing underflows before the result does."""
+    """Returns piece * r * scale, in an order in which no intermediate value underflows unless the
+    result does."""
     return piece * (r * scale) if scale > 1 else piece * r * scale
 
 
 def _log2(x: np.ndarray) -> np.ndarray:
-    """log2 of normal numbers, as core/lut/lut.c computes it: 2 artanh(s) / ln 2 of the mantissa
-    (1 + s) / (1 - s)."""
+    """Returns log2 of normal numbers, computed as in core/lut/lut.c: the exponent plus the log2 of
+    the mantissa m, which is 2 artanh(s) / ln 2 with s = (m - 1) / (m + 1)."""
     bits = x.view(np.int32)
     exponent = ((bits >> _MANTISSA_BITS & 0xFF) - 127).astype(np.float32)
     m = (bits & 0x7FFFFF | 0x3F800000).astype(np.int32).view(np.float32)
@@ -323,7 +326,7 @@ def _log2(x: np.ndarray) -> np.ndarray:
 
 
 def _frame_bytes(data: bytes) -> int:
-    """The length of the frame that data starts with."""
+    """Returns the length of the frame at the start of the data."""
     if len(data) < wire.HEADER.bytes + wire.TABLE_REPLY.bytes:
         raise TableError("not a table: too short")
     header = wire.HEADER.unpack(data)

@@ -1,7 +1,7 @@
-"""What users give to a client and what they get from it.
+"""The types of a client's arguments and results.
 
-Lengths are in mm and coefficients in 1/mm. In the shapes, C is the number of channels (media) and
-N the number of radii.
+Lengths are in mm and coefficients in 1/mm. In the shapes of arrays, C is the number of channels
+(media) and N the number of radii.
 """
 
 from __future__ import annotations
@@ -23,37 +23,39 @@ class Medium(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """`count` radii from start_mm to stop_mm, both included, in equal steps or equal ratios."""
+    """`count` radii from start_mm to stop_mm, both included. Neighbours have the same difference
+    (spacing "linear") or the same ratio ("logarithmic")."""
 
     start_mm: float
     stop_mm: float
     count: int
-    spacing: str = "linear"  # or "logarithmic"
+    spacing: str = "linear"
 
 
 @dataclass(frozen=True, eq=False)
 class Query:
-    """What is to be evaluated. A client's calls take either a Query or the same arguments:
+    """A description of what to evaluate. A client's calls take either a Query or its arguments:
     client.eval("better", skin, [0.5, 1.0]) is client.eval(Query("better", skin, [0.5, 1.0])).
 
-    model: a name or an id. None takes the cheapest model and evaluator that are measured to be
-        within `tolerance` of radiative transport, for all media and from the smallest to the
-        largest radius. The result says which ones were taken. The daemon refuses the query when no
-        model is known to be good enough.
+    model: a name or an id. With None, the daemon takes the cheapest model and evaluator that are
+        measured to be within `tolerance` of radiative transport, for all media and from the
+        smallest to the largest radius. The result names both. The daemon refuses the query if it
+        knows no model that is accurate enough.
     media: one Medium, several of them, or an array [C, 4] of sigma_a, sigma_s, g and eta.
     r: N radii in mm, from 0 to infinity.
-    grid: the radii by a rule, in place of r. A grid costs no bytes in the request.
-    evaluator: "f64" computes in double precision. "f32" computes and "lut" looks up in a table,
-        both in single precision. The default is "f64" for a model. For model None it only chooses
-        the precision, and the default is single precision.
-    moments: "exact", or "fit" for the polynomials.
+    grid: the radii by a rule, in place of r. The request then lists no radii.
+    evaluator: "f64" computes in double precision and "f32" in single precision. "lut" looks values
+        up in a table in single precision. If a model is named, the default is "f64". If the model
+        is None, the evaluator only says the precision, and the default is single precision.
+    moments: how Fresnel reflection is integrated: "exact", or "fit" by published polynomials.
     wanted: names of quantities. The default is R, albedo, cdf and, with a grid, r.
     parameters: optional numbers by name, for example {"cos_in": 0.8}. Their units and ranges are in
-        info.choices["parameter"]. The value of fit_model may also be the name of a model. A model
-        refuses a parameter that it does not take.
-    tolerance: the parameter of that name. With a model it is the numerical error that is allowed,
-        relative; with the evaluator "lut" it is what the table is built to.
-    deadline_ms: how long the answer may take from the arrival of the query; 0 is no limit.
+        info.choices["parameter"]. The value of fit_model may also be the name of a model. The
+        daemon refuses a parameter that the model does not have.
+    tolerance: the parameter "tolerance", a relative error. If the model is None, it limits the
+        deviation from transport. If a model is named, it limits the numerical error; for "lut",
+        the daemon builds the table to this error.
+    deadline_ms: how long the answer may take from the arrival of the query; 0 means no limit.
     """
 
     model: str | int | None
@@ -70,7 +72,7 @@ class Query:
 
     @classmethod
     def of(cls, *arguments: Any, **options: Any) -> Query:
-        """The query that is the only argument, or the one that the arguments describe."""
+        """Returns the only argument if that is a Query, else the Query with these arguments."""
         first = arguments[0] if arguments else options.get("model")
         if isinstance(first, Query) and len(arguments) + len(options) == 1:
             return first
@@ -78,7 +80,7 @@ class Query:
 
 
 class Choice(NamedTuple):
-    """One entry of a list of the daemon: a model, an evaluator, a status and so on."""
+    """One entry of the daemon's lists: a model, an evaluator, a status and so on."""
 
     id: int
     name: str
@@ -87,7 +89,7 @@ class Choice(NamedTuple):
 
 @dataclass(frozen=True)
 class Info:
-    """What a daemon says about itself."""
+    """A daemon's description of itself: its reply to hello."""
 
     address: str
     software: str
@@ -95,63 +97,63 @@ class Info:
     R_unit: str
     protocol_version: int
     workers: int
-    choices: dict[str, dict[str, Choice]]  # by kind, such as "model", then by name
-    limits: dict[str, int]  # by name. The end of the name is the unit: max_frame_bytes.
+    choices: dict[str, dict[str, Choice]]  # by kind and name: choices["model"]["better"]
+    limits: dict[str, int]  # by name; a name ends in the unit, for example max_frame_bytes
 
 
 class Offer(NamedTuple):
-    """A model and evaluator that could answer a query, how exact they are and how fast."""
+    """A model and an evaluator that could answer a query, with their error and their cost."""
 
     model: str
     evaluator: str
-    meets: bool  # whether it is known to keep the tolerance
-    error: float  # relative, against transport, for all that was asked about; inf if not known
-    numerical_error: float  # the evaluator's part of it. Of a table: the error it is built to.
-    cost_ns: float  # of one value, as measured once on one machine
-    prepare_ns: float  # of one medium, measured likewise
+    meets: bool  # whether the error is known to be within the tolerance
+    error: float  # the largest relative error against transport in the query; inf if not known
+    numerical_error: float  # the evaluator's share of `error`; a table is built to this error
+    cost_ns: float  # time for one value, as measured once on one machine
+    prepare_ns: float  # time to prepare one medium, as measured once on one machine
 
 
 class Offers(NamedTuple):
-    """What could answer a query, cheapest first."""
+    """The models and evaluators that could answer a query, cheapest first."""
 
     offers: tuple[Offer, ...]
-    taken: Offer | None  # the one that eval() would take; None if none keeps the tolerance
+    taken: Offer | None  # the offer that eval() would take; None if no offer meets the tolerance
 
 
 @dataclass(frozen=True)
 class Result:
     """The answer to one evaluation, or a part of it.
 
-    Arrays have the precision of the evaluator, float64 or float32. An array that was not wanted is
-    None. The arrays are read-only and may be views of one buffer.
+    Arrays have the precision of the evaluator, float64 or float32, unless their comment says
+    another one. The array of a quantity that was not wanted is None. The arrays are read-only and
+    may be views of one buffer.
     """
 
     model: str
     evaluator: str
     moments: str
-    r: np.ndarray | None  # [N] mm: the radii asked for. With a grid, only if "r" was wanted.
+    r: np.ndarray | None  # [N] mm: the radii of the query. For a grid: None unless r was wanted.
     R: np.ndarray | None  # [C, N] 1/mm^2 per unit of power that entered
-    cdf: np.ndarray | None  # [C, N] energy within r over the albedo, 0 to 1
+    cdf: np.ndarray | None  # [C, N] power that leaves within r over all that leaves, 0 to 1
     dR_dr: np.ndarray | None  # [C, N] 1/mm^3
-    ln_R: np.ndarray | None  # [C, N] also where R has underflowed. Its error is absolute.
+    ln_R: np.ndarray | None  # [C, N] finite even where R underflows; its error is absolute
     pdf: np.ndarray | None  # [C, N] 1/mm: density of radii, 2 pi r R over the albedo
-    two_pi_r_R: np.ndarray | None  # [C, N] 1/mm: finite at r = 0, where some models' R is inf
+    two_pi_r_R: np.ndarray | None  # [C, N] 1/mm: finite even where R is infinite at r = 0
     S: np.ndarray | None  # [C, N] 1/(mm^2 sr): the BSSRDF for the parameters cos_in and cos_out
     albedo: np.ndarray | None  # [C] float64: integral of 2 pi r R(r)
-    numerical_error_constant: np.ndarray  # [C] see numerical_error()
-    numerical_error_per_mm: np.ndarray  # [C] 1/mm
-    # [C] relative, of the model against transport; NaN if it was not measured. Of a model that a
-    # tolerance has chosen, it holds for the radii asked for.
+    numerical_error_constant: np.ndarray  # [C] numerical_error() adds this constant
+    numerical_error_per_mm: np.ndarray  # [C] 1/mm: and this number times the radius
+    # [C] error of the model against transport, relative; NaN if it was not measured for these radii
     model_error: np.ndarray
-    notes: tuple[str, ...]  # names of remarks that hold for at least one channel: info.choices
+    notes: tuple[str, ...]  # names of the notes, of info.choices["note"], that hold for any channel
     values: dict[str, np.ndarray]  # [C, N] each, by the daemon's names, such as "2_pi_r_R"
-    radius_first: int  # position of a part's first radius among those asked for; else 0
+    radius_first: int  # position in the query of the first radius of this part; 0 for the whole
 
     def numerical_error(self, r: np.ndarray | float | None = None) -> np.ndarray:
-        """How far a value at radius r may be from the model's exact formula: [C, N], relative.
-        r: mm, [N]; the default is the result's own radii."""
+        """Returns how far a value at radius r may be from the model's exact formula: [C, N],
+        relative. r: [N] mm; the default is the result's own radii."""
         radii = np.asarray(self.r if r is None else r, dtype=np.float64)
-        # inf * 0 is NaN, but an error that does not grow with r does not grow at infinity either.
+        # At r = infinity, an error that does not grow with r gives 0 * inf, which is NaN: it is 0.
         with np.errstate(invalid="ignore"):
             growth = np.multiply.outer(self.numerical_error_per_mm, radii)
         growth[np.isnan(growth)] = 0
@@ -159,10 +161,13 @@ class Result:
 
 
 class Draw(NamedTuple):
-    """Numbers u by a rule, between 0 and 1. For i from 0 to count - 1:
+    """`count` numbers u between 0 and 1 by a rule. Number i, for i from 0 to count - 1, is
 
-    "random" takes random number first + i of the seed, "stratified" (i + number i of the seed) /
-    count, and "regular" (i + 1/2) / count. The same seed gives the same bits everywhere.
+    "random": random number first + i of the sequence that belongs to the seed,
+    "stratified": (i + random number i of this sequence) / count,
+    "regular": (i + 1/2) / count.
+
+    The same seed gives the same bits on every machine.
     """
 
     count: int
@@ -173,56 +178,54 @@ class Draw(NamedTuple):
 
 @dataclass(frozen=True)
 class Samples:
-    """Radii drawn for C channels with N numbers, and what was evaluated at these radii.
-
-    Arrays are as in Result.
-    """
+    """N radii drawn for each of C channels, and the quantities evaluated at these radii. The arrays
+    are as in Result."""
 
     model: str
     evaluator: str
     moments: str
-    u: np.ndarray  # [N] the numbers, which are the same for every channel
+    u: np.ndarray  # [N] the numbers, between 0 and 1, that give the radii of every channel
     r: np.ndarray | None  # [C, N] mm
-    pdf: np.ndarray | None  # [C, N] 1/mm: density of radii. The density of points: pdf / (2 pi r).
+    pdf: np.ndarray | None  # [C, N] 1/mm: density of radii; pdf / (2 pi r) is that of points
     albedo: np.ndarray | None  # [C] float64: integral of 2 pi r R(r)
-    numerical_error_constant: np.ndarray  # [C] A value at radius r is off by at most this
-    numerical_error_per_mm: np.ndarray  # [C] 1/mm   plus this times r, relative.
-    model_error: np.ndarray  # [C] relative, of the model against transport; NaN if not measured
-    notes: tuple[str, ...]  # names of remarks that hold for at least one channel: info.choices
-    values: dict[str, np.ndarray]  # [C, N] all that was wanted, by name: "r", "pdf", "R" and so on
+    numerical_error_constant: np.ndarray  # [C] see Result.numerical_error()
+    numerical_error_per_mm: np.ndarray  # [C] 1/mm: see Result.numerical_error()
+    model_error: np.ndarray  # [C] error of the model against transport, relative; NaN: not measured
+    notes: tuple[str, ...]  # names of the notes, of info.choices["note"], that hold for any channel
+    values: dict[str, np.ndarray]  # [C, N] each quantity that was wanted, by name: "r", "pdf", "R"
 
 
 @dataclass(frozen=True)
 class Inversion:
-    """Media with given albedos. Arrays have the shape of what was given, and NaN where the model
-    cannot reach the albedo."""
+    """Media with given albedos. The arrays have the shape of the arguments of invert(), and NaN
+    where no medium has the albedo under the model."""
 
     model: str
     moments: str
     sigma_a: np.ndarray  # 1/mm
-    sigma_s: np.ndarray  # 1/mm. sigma_s (1 - g) is sigma_s'.
+    sigma_s: np.ndarray  # 1/mm
     g: float
     eta: float
-    albedo: np.ndarray  # which these media have under the model
-    albedo_least: float  # the range that the model can reach with this g and eta
-    albedo_most: float
-    missing: int  # how many media are NaN
+    albedo: np.ndarray  # the albedo of these media under the model
+    albedo_least: float  # the least albedo that media of this g and eta have under the model
+    albedo_most: float  # the largest one
+    missing: int  # number of media that are NaN
 
     @property
     def media(self) -> np.ndarray:
-        """[..., 4]: sigma_a, sigma_s, g, eta. eval() takes it when it is [C, 4]."""
+        """The media as an array [..., 4] of sigma_a, sigma_s, g, eta. eval() takes a [C, 4]."""
         g = np.full_like(self.sigma_a, self.g)
         eta = np.full_like(self.sigma_a, self.eta)
         return np.stack([self.sigma_a, self.sigma_s, g, eta], axis=-1)
 
 
 class McProgress(NamedTuple):
-    """How far a Monte Carlo job has come."""
+    """A report on the progress of a Monte Carlo job."""
 
-    number: int  # of this report: 1, 2, 3 and so on
-    photons: int  # walked so far
-    photons_expected: int  # how many it will take in all, as far as is known
-    error_total: float  # relative standard error of R, the largest of all albedos
+    number: int  # number of this report: 1, 2, 3 and so on
+    photons: int  # number of photons walked so far
+    photons_expected: int  # estimate of how many photons the job walks in all
+    error_total: float  # relative standard error of the total R, the largest of all albedos
     error_rings: float  # relative standard error of the worst ring with light; inf if not known yet
     worst_ring_mm: tuple[float, float]  # the edges of that ring; (0, 0) if there is none
 
@@ -235,16 +238,16 @@ class McValue(NamedTuple):
 
 
 class McEnergy(NamedTuple):
-    """Where the power went for one albedo, as fractions of what entered. Pairs are by side: where
-    light enters, then the other side of a slab."""
+    """The energy balance for one albedo, in fractions of the power that entered. The first value of
+    a pair is for the side where light enters, the second one for the other side of a slab."""
 
     albedo: float
-    R: McValue  # leaves where light enters: unscattered, under, rings and over together
-    T: McValue  # leaves on the other side of a slab, likewise
+    R: McValue  # leaves on the side where light enters: unscattered + under + all rings + over
+    T: McValue  # leaves on the other side of a slab: the same sum
     absorbed: McValue
-    unfinished: McValue  # was still inside when its walk was given up
-    roulette: McValue  # what roulette has added minus what it has removed
-    unscattered: tuple[float, float]  # leaves at r = 0, in no ring; exact
+    unfinished: McValue  # was still inside when the walk of its photon was cut off
+    roulette: McValue  # added by Russian roulette minus what roulette removed
+    unscattered: tuple[float, float]  # leaves at r = 0 and counts in no ring; exact
     under: tuple[McValue, McValue]  # leaves within the inner edge of the first ring
     over: tuple[McValue, McValue]  # leaves beyond the outer edge of the last ring
     imbalance: float  # R + T + absorbed + unfinished - roulette - 1, which is 0 up to rounding
@@ -252,27 +255,27 @@ class McEnergy(NamedTuple):
 
 @dataclass(frozen=True)
 class McResult:
-    """The table of a Monte Carlo job for K albedos, N rings and S sides. A half space has 1 side, a
-    slab has 2. Values are means over their ring, in 1/mm^2 per unit of power that entered."""
+    """The result of a Monte Carlo job for K albedos, N rings and S sides. A half space has 1 side,
+    a slab has 2. A value is the mean over a ring, in 1/mm^2 per unit of power that entered."""
 
     state: str  # why the job ended: "photons", "errors", "cancelled" or "stopped"
-    photons: int  # walked
+    photons: int  # number of photons walked
     error_total: float  # as in McProgress
-    error_rings: float
-    worst_ring_mm: tuple[float, float]
+    error_rings: float  # as in McProgress
+    worst_ring_mm: tuple[float, float]  # as in McProgress
     edges: np.ndarray  # [N + 1] mm
     energies: tuple[McEnergy, ...]  # [K]
-    ring_photons: np.ndarray  # [S, N] how many left in each ring, whatever their weight
+    ring_photons: np.ndarray  # [S, N] number of photons that left in each ring
     values: np.ndarray  # [K, S, N]
     errors: np.ndarray  # [K, S, N] standard errors
-    payload: bytes  # as received. The same request gives the same bytes unless it is ended early.
+    payload: bytes  # of the reply. Equal requests give equal bytes unless a job is ended early.
 
     @property
     def R(self) -> np.ndarray:
-        """What leaves where light enters, [K, N] 1/mm^2."""
+        """The profile on the side where light enters: `values` of side 0, [K, N] 1/mm^2."""
         return self.values[:, 0]
 
     @property
     def R_error(self) -> np.ndarray:
-        """Standard errors of R, [K, N] 1/mm^2."""
+        """The standard errors of the property R, [K, N] 1/mm^2."""
         return self.errors[:, 0]

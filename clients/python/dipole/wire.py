@@ -16,8 +16,8 @@ from .errors import ArgumentError
 MAGIC = 0x4C504944
 VERSION = 1
 REPLY = 0x8000  # The type of a reply is the type of its request plus this.
-TYPE_ERROR = 0xFFFF  # the type of an error, which takes the place of a reply
-ALIGNMENT = 8  # in bytes, of payloads, structures and arrays within a frame
+TYPE_ERROR = 0xFFFF  # the type of an error frame, which is sent in place of a reply
+ALIGNMENT = 8  # bytes: payloads, structures and arrays start at multiples of this in a frame
 PING_MAX_BYTES = 1024
 
 
@@ -29,7 +29,7 @@ def _numbered(names: str, first: int = 1) -> dict[int, str]:
 _TYPES = _numbered("hello eval media statistics ping mc cancel table offers sample invert")
 MESSAGES = {name: type for type, name in _TYPES.items()}
 
-# Names of statuses by code.
+# Maps the code of a status to its name.
 STATUSES = _numbered(
     "ok bad-magic bad-version bad-type bad-length bad-count bad-value too-large truncated timeout "
     "busy shutting-down deadline bad-address",
@@ -37,11 +37,11 @@ STATUSES = _numbered(
 )
 STATUS_DEADLINE = 12
 
-# Names of kinds of choices by number.
+# Maps the number of a kind of choices to its name.
 KINDS = _numbered("model evaluator moments quantity spacing status parameter note draw length")
 
 # Permanent ids that the layout of a payload depends on.
-EVALUATOR_TYPES = {1: "<f8", 2: "<f4", 3: "<f4"}  # numpy's type of radii and values
+EVALUATOR_TYPES = {1: "<f8", 2: "<f4", 3: "<f4"}  # by evaluator: the numpy type of its values
 QUANTITY_R = 1
 QUANTITY_ALBEDO = 2
 QUANTITY_CDF = 4
@@ -53,16 +53,16 @@ QUANTITY_RING = 128
 QUANTITY_S = 256
 # Quantities that have a value for each radius and channel, in the order of a reply's arrays.
 ELEMENTWISE = (1, 4, 16, 32, 64, 128, 256)
-# The same for a sample, in which each channel has its own radii.
+# Quantities that a sample has for each radius and channel: the radii are among them.
 DRAWN = tuple(sorted((*ELEMENTWISE, QUANTITY_RADIUS)))
 SPACING_LIST = 1
 DRAW_LIST = 1
 DRAW_REGULAR = 2
 DRAW_STRATIFIED = 3
 DRAW_RANDOM = 4
-ANY_MODEL = 0  # in place of a model: any model that keeps the parameter tolerance
+ANY_MODEL = 0  # in place of a model: the daemon chooses one by the parameter tolerance
 
-# States of an mc job. MC_STATES are those in which it has ended.
+# States of an mc job. MC_STATES holds the states in which a job has ended.
 MC_UNDER_WAY = 0
 MC_STATES = _numbered("photons errors cancelled stopped")
 
@@ -86,7 +86,7 @@ STRUCTURES: dict[str, Structure] = {}
 
 
 class Structure:
-    """A structure of fixed size, from declarations like "f64 eta, f64 g[3], text name[16]"."""
+    """A structure of fixed size, declared by a text like "f64 eta, f64 g[3], text name[16]"."""
 
     def __init__(self, name: str, declarations: str):
         self.name = name
@@ -99,7 +99,8 @@ class Structure:
         STRUCTURES[name] = self
 
     def pack(self, **values: Any) -> bytes:
-        """The structure's bytes. Give every field but those called zero, which are 0."""
+        """Returns the structure's bytes. Values: every field except those called zero or
+        zero_too."""
         flat: list[Any] = []
         for field in self.fields:
             is_zero = field.name in ("zero", "zero_too")
@@ -116,7 +117,8 @@ class Structure:
             raise ArgumentError(f"{self.name}: {error}") from error
 
     def unpack(self, data: bytes, offset: int = 0) -> Any:
-        """The structure at an offset of data as a named tuple. Arrays are tuples, texts are str."""
+        """Reads the structure at an offset of the data as a named tuple. An array becomes a tuple,
+        a text a str."""
         flat = iter(self._struct.unpack_from(data, offset))
         values: list[Any] = []
         for field in self.fields:

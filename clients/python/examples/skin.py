@@ -1,9 +1,9 @@
-"""Evaluates skin. An editor or a notebook can run it in cells (# %%); this runs all of it:
+"""Evaluates skin. An editor or a notebook can run this file cell by cell (# %%); or run all of it:
 
     python3 skin.py [PICTURE]
 
-It asks the dipoled in $DIPOLED, or a private one. It prints the numbers, and if matplotlib is
-installed it draws them into PICTURE, by default skin.png. Lengths are in mm.
+The program asks the dipoled that $DIPOLED names, or a private one. It prints numbers and, if
+matplotlib is installed, draws PICTURE, by default skin.png. Lengths are in mm.
 """
 
 # %% The daemon knows measured media, each with a red, a green and a blue channel.
@@ -19,8 +19,8 @@ print(f"{client.info.software} at {client.info.address}")
 for colour, medium in zip(("red", "green", "blue"), skin):
     print(f"  skin1, {colour}: {medium}")
 
-# %% This is how much light leaves at a distance r, by the exact solution and by two models. The
-# arrays are [channel, radius]. Each result says how far its values may be off.
+# %% R is how much light leaves at a distance r: by the exact solution, and by two models. Its shape
+# is [channel, radius]. Each result says how far its values may be off.
 r = np.geomspace(0.15, 10, 60)
 exact = client.eval("transport", skin, r, evaluator="lut")
 models = {name: client.eval(name, skin, r) for name in ("classical", "better")}
@@ -37,7 +37,7 @@ chosen = client.eval(None, skin, r, tolerance=0.01)
 off = (chosen.model_error[:, None] + chosen.numerical_error()).max()
 print(f"\nwithin 1 %: {chosen.model} by {chosen.evaluator}, at most {off:.1g} off")
 
-# %% values() broadcasts: the fraction of the light that leaves within 1 mm, for 40 x 50 media.
+# %% values() broadcasts media and radii: the fraction of light within 1 mm, for 40 x 50 media.
 sigma_a = np.geomspace(0.01, 1, 40)[:, None]
 sigma_s = np.geomspace(0.3, 10, 50)[None, :]
 within = client.values("better", dipole.Medium(sigma_a, sigma_s), 1.0, "cdf").values
