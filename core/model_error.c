@@ -107,7 +107,7 @@ struct span {
   size_t last;
 };
 
-#define SLACK 1e-9 /* relative; rounding may move a value this far off a node */
+#define SLACK 1e-7 /* relative; rounding to single precision may move a value this far off a node */
 
 /* Finds the neighbours of a value; returns false if it is outside of the list. */
 static bool enclose(const double *list, size_t count, double value, struct span *span) {

@@ -19,7 +19,8 @@
 
 /* Finds the errors of a model for a medium that has been checked. An error is the largest one at
  * the measured ratios, eta and g that enclose the medium, times 1.08, because it may be larger
- * between them. It is NAN where nothing was measured: outside of the measured ranges, for moments
+ * between them. Values within 1e-7 of a node, relative, count as the node, so that rounding to
+ * single precision moves nothing out of the measured range. It is NAN where nothing was measured: outside of the measured ranges, for moments
  * other than the exact ones, and for models that need more than a medium. The model `transport` is
  * exact where g is 0. */
 core_model_errors core_model_errors_find(enum core_model model, enum core_moments moments,

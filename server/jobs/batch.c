@@ -171,7 +171,8 @@ static const void *radii_of(const struct repeat_entry *entry, const uint8_t *pay
   return radii;
 }
 
-/* States the errors for the radii of this request. */
+/* States the errors for the listed radii of this request. Requests for a grid repeat that of the
+ * entry, whose reply states its errors already. */
 static void put_errors(const struct repeat_entry *entry, const void *r, uint8_t *channel) {
   const core_radii_range radii = entry->value_bytes == sizeof(float)
                                      ? core_radii_range_f32(entry->count, r)
@@ -190,7 +191,9 @@ void repeat_answer(const struct repeat_entry *entry, struct batch *batch, struct
   const size_t used = entry->count * entry->value_bytes;
   const void *r = radii_of(entry, payload, radii);
   memcpy(reply, entry->reply, REPEAT_REPLY_BYTES);
-  put_errors(entry, r, reply + WIRE_BYTES_eval_reply);
+  if (is_listed(entry)) {
+    put_errors(entry, r, reply + WIRE_BYTES_eval_reply);
+  }
   uint8_t *to = reply + REPEAT_REPLY_BYTES;
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
     if (eval_is_array(entry->wanted, quantity->id)) {

@@ -28,8 +28,10 @@ static wire_error check_media(const core_medium *media, size_t count) {
 core_radii_range choice_radii(const eval_request *request) {
   const wire_eval_request *fixed = &request->fixed;
   if (fixed->spacing != CORE_SPACING_LIST) {
-    const double stop = fixed->radius_count > 1 ? fixed->radius_stop : fixed->radius_start;
-    return (core_radii_range){fixed->radius_start, stop};
+    const double start = fixed->radius_start;
+    const double stop = fixed->radius_count > 1 ? fixed->radius_stop : start;
+    const float ends[] = {(float)start, (float)stop};
+    return is_single(fixed) ? core_radii_range_f32(2, ends) : (core_radii_range){start, stop};
   }
   return is_single(fixed) ? core_radii_range_f32(fixed->radius_count, request->radii)
                           : core_radii_range_f64(fixed->radius_count, request->radii);

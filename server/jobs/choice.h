@@ -21,7 +21,7 @@ struct choice_state {
 };
 
 /* Returns the least and the largest radius of an eval request that has been checked: of its list,
- * or the ends of its grid. */
+ * or the ends of its grid, in the precision in which they are evaluated. */
 core_radii_range choice_radii(const eval_request *request);
 
 /* Checks the tolerance and the media of a request of model EVAL_ANY_MODEL. */

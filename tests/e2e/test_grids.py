@@ -58,3 +58,20 @@ def test_a_grid_for_an_albedo_costs_nothing(client, count):
     """However many radii there are: none of them is needed for what is wanted."""
     result = client.eval("better", MEDIA, grid=Grid(0.0, 1.0, count), wanted=["albedo"])
     assert result.albedo[2] == 1.0
+
+
+@pytest.mark.parametrize("evaluator", EVALUATORS | {"lut": np.float32})
+def test_errors_are_those_of_the_list(client, evaluator):
+    """A grid's ends are rounded to the evaluator's precision before the errors are stated, so each
+    error is that of the list of its radii, the first time as well as when the request is repeated."""
+    for model, medium, grid in [
+        ("transport", Medium(0.35, 0.65, 0.0, 1.5), Grid(1.0, 70.3, 11)),  # grows with the radius
+        ("better", Medium(0.35, 0.65, 0.0, 1.5), Grid(0.01, 19.9, 11)),  # known from 0.01 mm on
+    ]:
+        how = {"evaluator": evaluator, "wanted": ["R", "albedo"]}
+        answers = [client.eval(model, medium, grid=grid, **how) for _ in range(3)]
+        r = client.eval(model, medium, grid=grid, evaluator=evaluator, wanted=["r"]).r
+        answers += [client.eval(model, medium, r, **how) for _ in range(2)]
+        assert len({answer.numerical_error_constant.tobytes() for answer in answers}) == 1
+        assert len({answer.model_error.tobytes() for answer in answers}) == 1
+        assert np.isfinite(answers[0].model_error).all()
