@@ -97,7 +97,6 @@ CLI := $(call objects,$(wildcard clients/cli/*.c))
 BENCH := $(call objects,$(wildcard tests/bench/*.c tests/bench/*/*.c))
 # The tools of core share these; the command line draws and shows progress with the same two.
 TOOLS := $(call objects,core/tools/tools.c clients/cli/gnuplot.c clients/cli/progress.c)
-FIGURES := $(call objects,$(wildcard core/tools/figures/*.c)) $(TOOLS)
 TRADEOFF := $(call objects,$(wildcard core/tools/tradeoff/*.c)) $(TOOLS)
 TABLES := $(call objects,$(wildcard core/tools/transport_table/*.c)) $(TOOLS)
 SOAK := $(call objects,$(wildcard tests/soak/*.c))
@@ -248,7 +247,7 @@ demo:
 
 check:
 	@sh .ci/install-packages
-	@$(MAKE) --no-print-directory -j2 all $(TESTS) $(BUILD)/tests/bits $(BUILD)/dipoled-counting $(BUILD)/wire-tables $(BUILD)/draw-figures $(BUILD)/trade-speed $(BUILD)/soak-load $(BUILD)/pipeline
+	@$(MAKE) --no-print-directory -j2 all $(TESTS) $(BUILD)/tests/bits $(BUILD)/dipoled-counting $(BUILD)/wire-tables $(BUILD)/trade-speed $(BUILD)/soak-load $(BUILD)/pipeline
 	+@bash tests/run-check.sh $(BUILD)/logs structure bits unit e2e+soak
 
 # What takes minutes by itself. .ci/run runs it as well.
@@ -273,7 +272,7 @@ check-bits-aarch64: $(BUILD)/tests/bits
 
 PYTEST = env DIPOLED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python:tests/e2e PYTHONDONTWRITEBYTECODE=1 $(PYTHON) -m pytest -q -rs -p no:cacheprovider
 
-check-e2e: all $(BUILD)/dipoled-counting $(BUILD)/draw-figures $(BUILD)/soak-load $(BUILD)/pipeline
+check-e2e: all $(BUILD)/dipoled-counting $(BUILD)/soak-load $(BUILD)/pipeline
 	$(PYTEST) -n 2 --dist loadfile --durations=20 tests/e2e
 
 # Runs beside the other tests, with the processor time that they leave.
@@ -340,15 +339,10 @@ $(BUILD)/transport-table: $(TABLES) $(BUILD)/libcore.a
 tables: $(BUILD)/transport-table
 	$(BUILD)/transport-table $(BUILD)/tables core/transport/transport.table
 
-# The folder has the name build/figures, so the program has another.
-$(BUILD)/draw-figures: $(FIGURES) $(BUILD)/libcore.a
-	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
-
 figures:
-	@sh .ci/install-packages demo
-	@$(MAKE) --no-print-directory -j2 $(BUILD)/draw-figures
-	$(BUILD)/draw-figures --output $(BUILD)/figures $(FIGURES_OPTIONS)
+	@sh .ci/install-packages demo figures
+	@$(MAKE) --no-print-directory -j2 $(BUILD)/dipoled
+	DIPOLED=private:$(BUILD)/dipoled $(PYTHON) core/tools/figures.py --output $(BUILD)/figures $(FIGURES_OPTIONS)
 
 docs: $(BUILD)/wire-tables
 	@sh .ci/install-packages docs

@@ -1,0 +1,501 @@
+"""Draws Figures 1 to 17 of d'Eon 2012, "A Better Dipole", with Monte Carlo and transport added.
+
+A daemon of its own computes all values. Written into the folder:
+
+    figure_NN_log.svg, figure_NN_gamma.svg, figure_NN.csv, figure_NN_albedos.csv
+    summary.csv             which model is nearer to transport
+    monte_carlo_check.csv   whether Monte Carlo agrees with transport
+    parts/                  tables of Monte Carlo, which a second run reads
+
+Figure NN from 1 to 16 has ratio number NN of sigma_a / sigma_s', and a panel for each eta. Figure
+17 sets the switches of the dipole one by one, for three ratios and three eta. Scattering is
+isotropic. Lengths are in mean free paths, which are 1 / sigma_t'; R is per squared mean free path
+and per power that entered.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import itertools
+import math
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "clients" / "python"))
+
+import dipole  # noqa: E402  (needs the path above)
+from dipole.mc import unpack_result  # noqa: E402
+
+RATIOS = "0.0001 0.0002 0.0005 0.001 0.002 0.005 0.01 0.02 0.05 0.1 0.2 0.5 1 2 5 10".split()
+ETAS = [f"{1 + i / 10:.1f}" for i in range(11)]
+RINGS = 64
+EDGES = dipole.Grid(0.01, 20.0, RINGS + 1, "logarithmic")
+MODELS = (
+    "classical better quantized quantized+single classical+single better+single grosjean boundary "
+    "exitance"
+).split()
+CURVES = ["monte_carlo", "transport", *MODELS]
+COLUMNS = "monte_carlo monte_carlo_error transport transport_error transport_ring".split() + MODELS
+
+SEED = 20120101
+TRANSPORT_TOLERANCE = 5e-7
+QUANTIZED_TOLERANCE = 1e-6
+
+
+class Panel(NamedTuple):
+    """One medium. Monte Carlo's values, and transport_ring, which compares with them, are means
+    over the rings; all others are values at the rings' middles, which are geometric means."""
+
+    ratio: str
+    eta: str
+    r: np.ndarray  # [RINGS]
+    edges: np.ndarray  # [RINGS + 1]
+    values: dict[str, np.ndarray]  # [RINGS] each, by the names in COLUMNS
+    albedos: dict[str, float]  # by the same names, but not of transport_ring
+
+
+# ---- values --------------------------------------------------------------------------------------
+
+
+def media_of(ratios: Sequence[str], eta: str) -> list[dipole.Medium]:
+    """The media of these ratios, with sigma_t' = 1 per mm."""
+    numbers = map(float, ratios)
+    return [dipole.Medium(x / (1 + x), 1 / (1 + x), 0, float(eta)) for x in numbers]
+
+
+def walk(
+    client: dipole.Client, ratios: Sequence[str], eta: str, photons: int, kept: Path
+) -> dipole.McResult:
+    """Monte Carlo for these ratios, which one walk serves; from the file `kept` if it is there."""
+    try:
+        return unpack_result(kept.read_bytes())
+    except (FileNotFoundError, dipole.ProtocolError):
+        pass
+    watched = sys.stderr.isatty()
+
+    def progress(now: dipole.McProgress) -> None:
+        if watched:
+            share = 100 * now.photons / now.photons_expected
+            print(f"\rMonte Carlo, eta {eta}: {share:3.0f} % ", end="", file=sys.stderr)
+
+    albedos = [1 / (1 + float(ratio)) for ratio in ratios]
+    found = client.mc(
+        media_of(ratios, eta)[0], EDGES, photons=photons, albedos=albedos,
+        seed=SEED + ETAS.index(eta), progress=progress,
+    )  # fmt: skip
+    if watched:
+        print("\r\033[K", end="", file=sys.stderr)
+    part = kept.with_suffix(".part")
+    part.write_bytes(found.payload)
+    part.replace(kept)
+    return found
+
+
+def ring_nodes(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Radii and weights [RINGS, 4] that give the mean over a ring, which is what Monte Carlo
+    measures: the integral of 2 pi r R dr over ln r, divided by the ring's area. A difference of two
+    energies would have no digits left in the tail."""
+    node, weight = np.polynomial.legendre.leggauss(4)
+    half = np.log(edges[1:] / edges[:-1])[:, None] / 2
+    r = np.sqrt(edges[1:] * edges[:-1])[:, None] * np.exp(half * node)
+    area = (edges[1:] - edges[:-1]) * (edges[1:] + edges[:-1])
+    return r, 2 * half * weight * r**2 / area[:, None]
+
+
+def panels_of(
+    client: dipole.Client, ratios: Sequence[str], eta: str, table: dipole.McResult | None
+) -> Iterator[Panel]:
+    """The panels of these ratios with all values."""
+    media = media_of(ratios, eta)
+    grid = client.eval("classical", media[:1], grid=EDGES, wanted=["r"])
+    edges = np.array(grid.r)
+    r = np.sqrt(edges[1:] * edges[:-1])
+    nodes, weights = ring_nodes(edges)
+    wanted = ["R", "albedo"]
+    transport = client.eval(
+        "transport", media, np.append(r, nodes), tolerance=TRANSPORT_TOLERANCE, wanted=wanted
+    )
+    errors = transport.numerical_error(r)
+    models = {
+        name: client.eval(
+            name, media, r, wanted=wanted,
+            tolerance=QUANTIZED_TOLERANCE if "quantized" in name else None,
+        )
+        for name in MODELS
+    }  # fmt: skip
+    for i, ratio in enumerate(ratios):
+        values = {name: result.R[i] for name, result in models.items()}
+        albedos = {name: float(result.albedo[i]) for name, result in models.items()}
+        R, albedo = transport.R[i, :RINGS], float(transport.albedo[i])
+        values |= {"transport": R, "transport_error": errors[i] * R}
+        values["transport_ring"] = (weights * transport.R[i, RINGS:].reshape(weights.shape)).sum(1)
+        albedos |= {"transport": albedo, "transport_error": float(errors[i, 0]) * albedo}
+        if table is not None:
+            values |= {"monte_carlo": table.R[i], "monte_carlo_error": table.R_error[i]}
+            total = table.energies[i].R
+            albedos |= {"monte_carlo": total.value, "monte_carlo_error": total.error}
+        yield Panel(ratio, eta, r, edges, values, albedos)
+
+
+# ---- tables --------------------------------------------------------------------------------------
+
+
+def text_of(number: float) -> str:
+    """The fewest digits that read back to the number; nothing for NaN."""
+    return "" if math.isnan(number) else repr(float(number))
+
+
+def write_csv(path: Path, names: Sequence[str], rows: Iterator[Sequence[Any]]) -> None:
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(names)
+        for row in rows:
+            writer.writerow(text_of(x) if isinstance(x, float) else x for x in row)
+
+
+def figure_rows(figure: int, panels: Sequence[Panel]) -> Iterator[Sequence[Any]]:
+    for p in panels:
+        for i in range(RINGS):
+            values = [p.values[name][i] if name in p.values else math.nan for name in COLUMNS]
+            yield [figure, p.ratio, p.eta, p.r[i], p.edges[i], p.edges[i + 1], *values]
+
+
+def albedo_rows(figure: int, panels: Sequence[Panel]) -> Iterator[Sequence[Any]]:
+    for p in panels:
+        for name in CURVES:
+            albedo = p.albedos.get(name, math.nan)
+            error = p.albedos.get(f"{name}_error", math.nan)
+            yield [figure, p.ratio, p.eta, name, albedo, error, albedo / p.albedos["transport"]]
+
+
+# ---- which model is nearer to transport ----------------------------------------------------------
+#
+# The deviation of a model at a radius is the larger of R / R_transport and its inverse, so that
+# half and double count the same. Over several radii, which are spaced evenly in ln r, it is the
+# geometric mean of these factors.
+
+# The abstract says that the better dipole improves upon the classical one and is less accurate than
+# quantized diffusion. The other pairs are added.
+PAIRS = [
+    ("better", "classical"),
+    ("better+single", "classical+single"),
+    ("better+single", "better"),
+    ("quantized", "classical"),
+    ("quantized", "better"),
+    ("quantized+single", "classical"),
+    ("quantized+single", "better"),
+    ("quantized+single", "better+single"),
+]
+# Least and largest ratio, least and largest eta. The first group has all panels.
+GROUPS = [
+    (0, 100, 1, 2),
+    (0, 0.011, 1, 2),
+    (0.011, 0.6, 1, 2),
+    (0.6, 100, 1, 2),
+    (0, 100, 1, 1.41),
+    (0, 100, 1.41, 2),
+]
+RANGES = [(0.01, 20.0), (0.01, 0.1), (0.1, 1), (1, 5), (5, 20.0)]
+ALBEDO = (math.nan, math.nan)  # in place of a range of radii
+
+
+def deviation(panel: Panel, name: str, radii: tuple[float, float]) -> float:
+    """The logarithm of the factor by which a model deviates from transport."""
+    if math.isnan(radii[0]):
+        return abs(math.log(panel.albedos[name] / panel.albedos["transport"]))
+    within = (panel.r >= radii[0]) & (panel.r <= radii[1])
+    return float(np.abs(np.log(panel.values[name] / panel.values["transport"]))[within].mean())
+
+
+def verdict(
+    panels: Sequence[Panel], pair: tuple[str, str], radii: tuple[float, float]
+) -> list[Any]:
+    """How many panels there are, in how many of them the first model of the pair is nearer, and the
+    factors of both models: their medians, then the largest."""
+    offs = np.array([[deviation(p, name, radii) for p in panels] for name in pair])
+    factors = np.exp([*np.median(offs, axis=1), *offs.max(axis=1)])
+    return [len(panels), int((offs[0] < offs[1]).sum()), *map(float, factors)]
+
+
+def summary_rows(panels: Sequence[Panel]) -> Iterator[Sequence[Any]]:
+    """A row for each pair, group of panels and range of radii. For a single radius r_from and r_to
+    are equal; for the albedo they are empty. A group is named by what it holds of the ratios and
+    eta that were computed."""
+    rings = [(float(r), float(r)) for r in panels[0].r]
+    for pair, group in itertools.product(PAIRS, GROUPS):
+        held = [
+            p
+            for p in panels
+            if group[0] <= float(p.ratio) <= group[1] and group[2] <= float(p.eta) <= group[3]
+        ]
+        if not held:
+            continue
+        ratios, etas = [float(p.ratio) for p in held], [float(p.eta) for p in held]
+        names = [f"{x:g}" for x in (min(ratios), max(ratios), min(etas), max(etas))]
+        for radii in [ALBEDO, *RANGES, *(rings if group is GROUPS[0] else [])]:
+            count, nearer, *factors = verdict(held, pair, radii)
+            share = f"{nearer / count:.4f}"
+            yield [*pair, *names, *radii, count, nearer, share, *(f"{x:.5g}" for x in factors)]
+
+
+# With fewer photons the errors that Monte Carlo states are too uncertain for a check.
+CHECK_PHOTONS_LEAST = 120_000
+CHECK_ERROR_MOST = 0.05  # of R; rings that are known less well are left out
+
+
+def check_rows(panels: Sequence[Panel], photons: int) -> Iterator[Sequence[Any]]:
+    """Monte Carlo against transport, for each panel. Deviations are in standard errors."""
+    for p in panels if photons >= CHECK_PHOTONS_LEAST else []:
+        R, error = p.values["monte_carlo"], p.values["monte_carlo_error"]
+        known = (R > 0) & (error < CHECK_ERROR_MOST * R)
+        off = (R - p.values["transport_ring"])[known] / error[known]
+        albedo = p.albedos["monte_carlo"] - p.albedos["transport"]
+        sigmas = albedo / p.albedos["monte_carlo_error"]
+        yield [p.ratio, p.eta, len(off), (off**2).sum(), np.abs(off).max(initial=0), sigmas]
+
+
+def print_summary(panels: Sequence[Panel], checks: Sequence[Sequence[Any]]) -> None:
+    if rings := sum(row[2] for row in checks):
+        chi2 = sum(row[3] for row in checks) / rings
+        worst, albedo = max(row[4] for row in checks), max(abs(row[5]) for row in checks)
+        print(
+            f"Monte Carlo against transport: {rings} rings known to 5 %, chi2 / rings {chi2:.3f}, "
+            f"worst {worst:.1f} standard errors; albedos, worst {albedo:.1f}"
+        )
+    print("nearer to transport, in panels; median factor by which they are off:")
+    for pair in PAIRS:
+        print(f"  {pair[0]}, not {pair[1]}:")
+        for radii in [*RANGES, ALBEDO]:
+            where = "albedo" if math.isnan(radii[0]) else f"r {radii[0]:g} to {radii[1]:g}"
+            count, nearer, *factors = verdict(panels, pair, radii)
+            print(f"    {where:14} {nearer:3} of {count:3}  {factors[0]:6.3f}  {factors[1]:6.3f}")
+
+
+# ---- pages ---------------------------------------------------------------------------------------
+
+WIDTH, HEIGHT = 1640, 1200
+PAGE_COLUMNS, PAGE_ROWS = 4, 3
+DOT_COLOUR = "#555555"
+DOT_ERROR_MOST = 0.25  # of R; dots with a larger error are left out
+
+# The curves of Figures 1 to 16, and those of Figure 17: column, title, colour, dash, width.
+MODEL_LINES = [
+    ("transport", "transport", "#000000", 1, 1.2),
+    ("classical", "classical dipole", "#d55e00", 1, 1.8),
+    ("better", "better dipole", "#0072b2", 1, 1.8),
+    ("quantized", "quantized diffusion", "#009e73", 2, 1.8),
+    ("quantized+single", "quantized + single", "#cc79a7", 2, 1.8),
+]
+SWITCH_LINES = [
+    ("transport", "transport", "#000000", 1, 1.2),
+    ("classical", "classical dipole", "#d55e00", 1, 1.8),
+    ("grosjean", "Grosjean D alone", "#56b4e9", 2, 1.8),
+    ("exitance", "exitance alone", "#009e73", 2, 1.8),
+    ("boundary", "boundary alone", "#e69f00", 2, 1.8),
+    ("better", "all: better dipole", "#0072b2", 1, 1.8),
+]
+SWITCH_RATIOS, SWITCH_ETAS = ["0.01", "0.1", "1"], ["1.0", "1.3", "2.0"]
+
+
+class Page(NamedTuple):
+    figure: int
+    title: str
+    lines: list[tuple[str, str, str, int, float]]
+    cells: dict[int, Panel]  # by the cell, row by row; the legend has the last cell
+
+
+def pages_of(panels: dict[tuple[str, str], Panel]) -> Iterator[Page]:
+    for number, ratio in enumerate(RATIOS):
+        cells = {i: panels[ratio, eta] for i, eta in enumerate(ETAS) if (ratio, eta) in panels}
+        yield Page(number + 1, f"Figure {number + 1}, σa / σs′ = {ratio}", MODEL_LINES, cells)
+    cells = {
+        row * PAGE_COLUMNS + column: panels[ratio, eta]
+        for column, eta in enumerate(SWITCH_ETAS)
+        for row, ratio in enumerate(SWITCH_RATIOS)
+        if (ratio, eta) in panels
+    }
+    yield Page(len(RATIOS) + 1, "Figure 17, the switches of the dipole", SWITCH_LINES, cells)
+
+
+def logarithmic_axes(page: Page) -> str:
+    R = np.array([p.values["transport"] for p in page.cells.values()])
+    top = math.ceil(math.log10(R.max()))
+    bottom = max(math.floor(math.log10(R.min())), top - 14)
+    return (
+        f"set logscale xy\nset format y '%.0e'\nset yrange [1e{bottom}:1e{top}]\n"
+        f"set xrange [{EDGES.start_mm:g}:{EDGES.stop_mm:g}]\n"
+    )
+
+
+def gamma_axes(page: Page) -> str:
+    """The axis of values ends at transport's largest value at 0.2 mean free paths. The axis of
+    radii ends where all of transport's values are so small that they look dark."""
+
+    def brightest(r: float) -> float:
+        shown = ((gamma(p.values["transport"]), p.r) for p in page.cells.values())
+        return max(R[np.searchsorted(radii, r)] for R, radii in shown)
+
+    end = EDGES.stop_mm
+    for shorter in (15, 10, 7, 5, 3, 2):
+        if brightest(shorter) >= 0.04:
+            break
+        end = shorter
+    return f"set format y '%g'\nset xrange [0:{end:g}]\nset yrange [0:{brightest(0.2):.3f}]\n"
+
+
+def gamma(R: np.ndarray) -> np.ndarray:
+    """Roughly the brightness on a screen."""
+    return np.power(R, 1 / 2.2)
+
+
+def panel_script(page: Page, panel: Panel, form: str) -> str:
+    """A panel's albedos as text, its data and its curves."""
+    shown = gamma if form == "gamma" else np.asarray
+    labels = [(f"{line[1]} {panel.albedos[line[0]]:.4g}", line[2]) for line in page.lines]
+    columns = [panel.values[name] for name, *_ in page.lines]
+    dots = np.full((3, RINGS), math.nan)
+    if "monte_carlo" in panel.values:
+        total, error = panel.albedos["monte_carlo"], panel.albedos["monte_carlo_error"]
+        labels.insert(0, (f"Monte Carlo {total:.4g} ± {error:.1g}", DOT_COLOUR))
+        # Transport's ratio of the two turns ring means into values at the rings' middles.
+        move = panel.values["transport"] / panel.values["transport_ring"]
+        R, error = panel.values["monte_carlo"] * move, panel.values["monte_carlo_error"] * move
+        good = (R > 0) & (error < DOT_ERROR_MOST * R)
+        dots[:, good] = np.array([R, R - error, R + error])[:, good]
+    with np.errstate(invalid="ignore"):
+        data = [panel.r, *(shown(np.where(c > 0, c, math.nan)) for c in [*columns, *dots])]
+    title = f"η = {panel.eta}"
+    if page.lines is SWITCH_LINES:
+        title += f", σa / σs′ = {panel.ratio}"
+    script = f"unset label\nset title '{title}' offset 0,-0.6\n"
+    for row, (text, colour) in enumerate(labels):  # from the corner that the curves leave free
+        up = 0.93 - 0.055 * row if form == "gamma" else 0.05 + 0.055 * (len(labels) - 1 - row)
+        place = f"0.97,{up:g} right" if form == "gamma" else f"0.03,{up:g} left"
+        script += f"set label '{text}' at graph {place} tc rgb '{colour}' font ',11' front\n"
+    script += "$data << END\n"
+    script += "".join(" ".join(f"{x:.9g}" for x in row) + "\n" for row in zip(*data))
+    script += "END\nplot "
+    for i, (_, _, colour, dash, width) in enumerate(page.lines):
+        script += f"$data using 1:{i + 2} with lines lw {width} dt {dash} lc rgb '{colour}', "
+    dot = len(page.lines) + 2
+    # `with yerrorbars` would erase the lines around the dots.
+    return script + (
+        f"$data using 1:{dot + 1}:(0):(${dot + 2}-${dot + 1}) with vectors nohead lw 0.8 "
+        f"lc rgb '{DOT_COLOUR}', "
+        f"$data using 1:{dot} with points pt 7 ps 0.36 lc rgb '{DOT_COLOUR}'\n"
+    )
+
+
+def legend_script(page: Page) -> str:
+    script = (
+        "unset label\nunset title\nunset logscale\nunset border\nunset tics\nunset grid\n"
+        "unset xlabel\nset xrange [0:1]\nset yrange [0:1]\n"
+        "set key at graph 0.02,0.98 left top Left reverse samplen 3 spacing 1.5 font ',14'\nplot "
+    )
+    for _, title, colour, dash, width in page.lines:
+        script += f"NaN with lines lw {width} dt {dash} lc rgb '{colour}' title \"{title}\", "
+    dots = f"points pt 7 ps 0.5 lc rgb '{DOT_COLOUR}'"
+    return script + f"NaN with {dots} title 'Monte Carlo, ± 1 standard error'\n"
+
+
+def draw(path: Path, page: Page, form: str) -> None:
+    what = "R to the power 1/2.2" if form == "gamma" else "R per squared mean free path"
+    script = (
+        f"set terminal svg size {WIDTH},{HEIGHT} dynamic background rgb 'white' font 'sans,14' "
+        "noenhanced\nset encoding utf8\nset grid lt 1 lw 0.7 lc rgb '#dddddd'\nunset key\n"
+        f"set multiplot layout {PAGE_ROWS},{PAGE_COLUMNS} margins 0.046,0.956,0.046,0.942 "
+        f"spacing 0.044,0.07 title '{page.title}: {what}' font ',17'\n"
+        "set xlabel 'r (mean free paths)' offset 0,0.6\n"
+    )
+    script += gamma_axes(page) if form == "gamma" else logarithmic_axes(page)
+    for cell in range(PAGE_ROWS * PAGE_COLUMNS - 1):
+        found = page.cells.get(cell)
+        script += panel_script(page, found, form) if found else "set multiplot next\n"
+    script += legend_script(page) + "unset multiplot\n"
+    run = subprocess.run(["gnuplot"], input=script.encode(), capture_output=True, check=False)
+    if run.returncode != 0:
+        sys.exit(f"{path}: gnuplot failed: {run.stderr.decode()}")
+    path.write_bytes(run.stdout)
+
+
+# ---- all of it -----------------------------------------------------------------------------------
+
+
+def some_of(known: Sequence[str]) -> Any:
+    """A reader of names, separated by commas."""
+
+    def read(text: str) -> list[str]:
+        for name in text.split(","):
+            if name not in known:
+                raise argparse.ArgumentTypeError(f"{name} is none of {' '.join(known)}")
+        return [name for name in known if name in text.split(",")]
+
+    return read
+
+
+def photons_of(text: str) -> int:
+    if not text.isdecimal() or int(text) > 10**10:
+        raise argparse.ArgumentTypeError(f"{text}: a whole number up to 1e10 is needed")
+    return int(text)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    for name, kind, usual, argument, text in (
+        ("--output", Path, Path("build/figures"), "DIR", "folder for figures and data"),
+        ("--photons", photons_of, 16_000_000, "N", "photons for each eta; 0: no Monte Carlo"),
+        ("--ratios", some_of(RATIOS), RATIOS, "LIST", "ratios sigma_a / sigma_s', such as 0.01,1"),
+        ("--etas", some_of(ETAS), ETAS, "LIST", "values of eta, such as 1.0,1.4"),
+    ):
+        text += " (default: all)" if argument == "LIST" else " (default: %(default)s)"
+        parser.add_argument(name, type=kind, default=usual, metavar=argument, help=text)
+    parser.add_argument("--fresh", action="store_true", help="walk all photons anew")
+    options = parser.parse_args()
+    if shutil.which("gnuplot") is None:
+        sys.exit("gnuplot is not installed; install the package gnuplot-nox")
+    parts = options.output / "parts"
+    parts.mkdir(parents=True, exist_ok=True)
+    panels: dict[tuple[str, str], Panel] = {}
+    which = "all" if options.ratios == RATIOS else "_".join(options.ratios)
+    with dipole.Client(timeout_s=None) as client:
+        for eta in options.etas:
+            kept = parts / f"walk_eta_{eta}_photons_{options.photons}_ratios_{which}"
+            if options.fresh:
+                kept.unlink(missing_ok=True)
+            of = (client, options.ratios, eta)
+            table = walk(*of, options.photons, kept) if options.photons > 0 else None
+            for panel in panels_of(*of, table):
+                panels[panel.ratio, eta] = panel
+    for page in pages_of(panels):
+        if page.cells:
+            name, shown = f"figure_{page.figure:02}", list(page.cells.values())
+            for form in ("log", "gamma"):
+                draw(options.output / f"{name}_{form}.svg", page, form)
+            names = ["figure", "ratio", "eta", "r", "ring_from", "ring_to", *COLUMNS]
+            write_csv(options.output / f"{name}.csv", names, figure_rows(page.figure, shown))
+            names = "figure ratio eta curve albedo error relative_to_transport".split()
+            rows = albedo_rows(page.figure, shown)
+            write_csv(options.output / f"{name}_albedos.csv", names, rows)
+    wanted = [panels[ratio, eta] for ratio in options.ratios for eta in options.etas]
+    names = (
+        "model against ratio_from ratio_to eta_from eta_to r_from r_to panels nearer share "
+        "model_median against_median model_worst against_worst"
+    ).split()
+    write_csv(options.output / "summary.csv", names, summary_rows(wanted))
+    checks = list(check_rows(wanted, options.photons))
+    names = "ratio eta rings chi2 worst_sigmas albedo_sigmas".split()
+    write_csv(options.output / "monte_carlo_check.csv", names, iter(checks))
+    print_summary(wanted, checks)
+
+
+if __name__ == "__main__":
+    main()
