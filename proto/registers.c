@@ -2,6 +2,8 @@
 
 #include <stdio.h>
 
+#include "core/lut/lut.h"
+
 const registers_block registers_blocks[REGISTERS_BLOCKS] = {
 #define REGISTERS_BLOCK(id, IDENT, first, length, name, about) {id, first, length, name, about},
 #include "proto/registers.def"
@@ -26,9 +28,11 @@ const registers_field registers_fields[] = {
 #define WIDTH_F32 2
 #define WIDTH_F64 4
 #define WIDTH_TEXT 1
+#define WIDTH_BITS 1
 
 unsigned registers_width(enum registers_type type) {
-  static const unsigned widths[] = {WIDTH_U16, WIDTH_U32, WIDTH_F32, WIDTH_F64, WIDTH_TEXT};
+  static const unsigned widths[] = {WIDTH_U16, WIDTH_U32,  WIDTH_F32,
+                                    WIDTH_F64, WIDTH_TEXT, WIDTH_BITS};
   return widths[type];
 }
 
@@ -66,9 +70,15 @@ static const registers_field *find(unsigned address) {
                                                           : NULL;
 }
 
+/* Registers and mirrors alternate: blocks from 0 on, mirrors from 2000 on, blocks from 4000 on, and so
+ * forth. */
+static bool is_mirror(unsigned address) {
+  return address / REGISTERS_MIRROR % 2 == 1;
+}
+
 /* Maps a mirror to its register, and a register to itself. */
 static unsigned unmirrored(unsigned address) {
-  return address >= REGISTERS_MIRROR ? address - REGISTERS_MIRROR : address;
+  return is_mirror(address) ? address - REGISTERS_MIRROR : address;
 }
 
 /* 1 for registers of floats, whose two words the mirror swaps. Floats start at even addresses. */
@@ -77,6 +87,7 @@ static unsigned unmirrored(unsigned address) {
 #define SWAP_F32 1
 #define SWAP_F64 0
 #define SWAP_TEXT 0
+#define SWAP_BITS 0
 
 static const uint8_t swap_at[REGISTERS_END] = {
 #define REGISTERS_FIELD(IDENT, address, count, TYPE, ACCESS, name, unit, least, most, list,        \
@@ -92,7 +103,7 @@ static const uint8_t swap_at[REGISTERS_END] = {
 
 static bool is_mirrored(unsigned address) {
   const unsigned mirror = address + REGISTERS_MIRROR;
-  return address < REGISTERS_MIRROR && mirror < REGISTERS_END && block_at[mirror] > 0;
+  return !is_mirror(address) && mirror < REGISTERS_END && block_at[mirror] > 0;
 }
 
 bool registers_readable(unsigned address, unsigned count) {
@@ -178,10 +189,39 @@ static bool is_given(const registers_field *field, double value) {
   return !(value == -1 || (value == 0 && field->least > 0));
 }
 
+/* Limits of floats besides the least and the most of their fields. */
+static const struct limit {
+  unsigned address;
+  double value;
+} limits[] = {
+#define CORE_MOMENTS(id, IDENT, name, eta_min, eta_max, about)                                     \
+  {REGISTERS_AT_ETA, eta_min}, {REGISTERS_AT_ETA, eta_max},
+#include "core/choices.def"
+    {REGISTERS_AT_PARAMETER_TOLERANCE, CORE_LUT_TOLERANCE_MIN},
+};
+
+double registers_number(const uint16_t image[REGISTERS_END], unsigned address) {
+  const registers_field *field = find(address);
+  const float value = registers_f32(image, address);
+  const double ends[] = {field->least, field->most};
+  for (size_t i = 0; i < sizeof ends / sizeof ends[0]; i++) {
+    if (value == (float)ends[i]) {
+      return ends[i];
+    }
+  }
+  for (size_t i = 0; i < sizeof limits / sizeof limits[0]; i++) {
+    if (limits[i].address == field->address && value == (float)limits[i].value) {
+      return limits[i].value;
+    }
+  }
+  return (double)value;
+}
+
 double registers_optional(const uint16_t image[REGISTERS_END], unsigned parameter) {
   const unsigned address = REGISTERS_PARAMETER_AT(parameter);
-  const double value = (double)registers_f32(image, address);
-  return is_given(find(address), value) ? value : (double)NAN;
+  return is_given(find(address), (double)registers_f32(image, address))
+             ? registers_number(image, address)
+             : (double)NAN;
 }
 
 /* ---- writing ----------------------------------------------------------------------------------
@@ -197,8 +237,14 @@ static bool is_in_range(const registers_field *field, double value) {
     return (value == 0 && field->least == 0) ||
            core_choice_by_id(field->list, (unsigned)value) != NULL;
   }
+  if (field->type == REGISTERS_BITS) {
+    return value >= field->least && ((unsigned)value & ~(unsigned)field->most) == 0;
+  }
   if (field->access == REGISTERS_OPTIONAL && !is_given(field, value)) {
     return true;
+  }
+  if (field->type == REGISTERS_F32) { /* the nearest to a limit counts as this limit */
+    return value >= (double)(float)field->least && value <= (double)(float)field->most;
   }
   return value >= field->least && value <= field->most; /* false for NaN */
 }
@@ -207,10 +253,25 @@ static wire_error bad_address(const char *allowed) {
   return wire_error_make(WIRE_STATUS_BAD_ADDRESS, "", allowed);
 }
 
+void registers_bits_text(const registers_field *field, char *text, size_t room) {
+  size_t length = (size_t)snprintf(text, room, "a sum of");
+  const char *before = " ";
+  for (unsigned bit = 1; bit <= (unsigned)field->most && length < room; bit *= 2) {
+    if ((unsigned)field->most & bit) {
+      length += (size_t)snprintf(text + length, room - length, "%s%u", before, bit);
+      before = ", ";
+    }
+  }
+}
+
 static wire_error out_of_range(const registers_field *field) {
   char allowed[80];
   if (field->list != NULL) {
     return wire_error_not_in_list(field->name, field->list, field->least == 0 ? "0," : "one of");
+  }
+  if (field->type == REGISTERS_BITS) {
+    registers_bits_text(field, allowed, sizeof allowed);
+    return wire_error_make(WIRE_STATUS_BAD_VALUE, field->name, allowed);
   }
   snprintf(allowed, sizeof allowed, "%.8g to %.8g%s", field->least, field->most,
            field->access == REGISTERS_OPTIONAL ? ", or -1: not given" : "");
@@ -229,34 +290,69 @@ static const registers_field *find_writable(unsigned address, unsigned *at) {
   return field->access != REGISTERS_RO ? field : NULL;
 }
 
+/* Sets *field to what a write of the value at `here` changes, *at to its first register outside the
+ * mirror, and *width to its registers. The write ends before `end`. */
+static wire_error check_address(unsigned here, unsigned end, unsigned *at,
+                                const registers_field **field, unsigned *width) {
+  *field = find_writable(here, at);
+  if (*field == NULL) {
+    return bad_address("a register of the map that can be written");
+  }
+  *width = registers_width((*field)->type);
+  const unsigned inside = (*at - (*field)->address) % *width;
+  *at -= inside;
+  return inside == 0 && end - here >= *width
+             ? wire_error_none()
+             : bad_address("both registers of a value in one request");
+}
+
+/* The value of a field that a write changes; `words` are its registers. `swapped`: it is written in
+ * the mirror. */
+static double value_of(const registers_field *field, const uint8_t *words, bool swapped) {
+  const uint16_t first = word_at(words, 0);
+  if (field->type != REGISTERS_F32) {
+    return first;
+  }
+  const uint16_t second = word_at(words, 1);
+  return (double)(swapped ? float_of(second, first) : float_of(first, second));
+}
+
 wire_error registers_check(unsigned address, unsigned count, const uint8_t *values, unsigned *at) {
   const unsigned end = address + count;
-  for (unsigned here = address; here < end;) {
-    const registers_field *field = find_writable(here, at);
-    if (field == NULL) {
-      return bad_address("a register of the map that can be written");
+  const registers_field *field;
+  unsigned width;
+  for (unsigned here = address; here < end; here += width) {
+    const wire_error error = check_address(here, end, at, &field, &width);
+    if (error.status != WIRE_STATUS_OK) {
+      return error;
     }
-    double value = word_at(values, here - address);
-    if (field->type == REGISTERS_F32) {
-      if (*at % 2 != 0 || end - here < WIDTH_F32) {
-        *at -= *at % 2;
-        return bad_address("both registers of a float in one request");
-      }
-      const uint16_t first = word_at(values, here - address);
-      const uint16_t second = word_at(values, here - address + 1);
-      value = (double)(here == *at ? float_of(first, second) : float_of(second, first));
-      here++;
-    }
-    if (!is_in_range(field, value)) {
+  }
+  for (unsigned here = address; here < end; here += width) {
+    check_address(here, end, at, &field, &width);
+    if (!is_in_range(field, value_of(field, values + 2 * (here - address), here != *at))) {
       return out_of_range(field);
     }
-    here++;
   }
   return wire_error_none();
 }
 
+static void set_initial(uint16_t image[REGISTERS_END], const registers_field *field);
+
+static void set_defaults(uint16_t image[REGISTERS_END]) {
+  for (const registers_field *field = registers_fields; field->name != NULL; field++) {
+    if (field->access != REGISTERS_RO) {
+      set_initial(image, field);
+    }
+  }
+}
+
 void registers_write(uint16_t image[REGISTERS_END], unsigned address, unsigned count,
                      const uint8_t *values) {
+  for (unsigned i = 0; i < count; i++) {
+    if (unmirrored(address + i) == REGISTERS_AT_DEFAULTS && word_at(values, i) != 0) {
+      set_defaults(image);
+    }
+  }
   for (unsigned i = 0; i < count; i++) {
     const unsigned here = address + i;
     const unsigned base = unmirrored(here);
@@ -268,6 +364,7 @@ void registers_write(uint16_t image[REGISTERS_END], unsigned address, unsigned c
       image[(base ^ swap_at[base]) + REGISTERS_MIRROR] = word;
     }
   }
+  registers_set_u16(image, REGISTERS_AT_DEFAULTS, 0);
 }
 
 /* ---- what is there from the start -------------------------------------------------------------
@@ -279,6 +376,7 @@ static void set_initial(uint16_t image[REGISTERS_END], const registers_field *fi
     const unsigned address = field->address + i * width;
     switch (field->type) {
     case REGISTERS_U16:
+    case REGISTERS_BITS:
     case REGISTERS_TEXT:
       registers_set_u16(image, address, (unsigned)field->initial);
       break;

@@ -18,11 +18,15 @@
 
 enum {
   REGISTERS_RADII_MAX = 50,
-  REGISTERS_MIRROR = 2000, /* distance from a register of blocks 2 to 4 to its mirror */
-  REGISTERS_END = 2660,    /* registers in an image */
+  REGISTERS_MIRROR = 2000, /* distance from a register to its mirror, if it has one */
+  REGISTERS_END = 6100,    /* registers in an image */
   REGISTERS_COILS = 100,   /* coils, from address 0 on */
   REGISTERS_ERROR_TEXT_BYTES = 80,
 };
+
+/* What can be wanted: the bits of the quantities that have output registers. */
+#define REGISTERS_QUANTITIES                                                                       \
+  (CORE_QUANTITY_R | CORE_QUANTITY_ALBEDO | CORE_QUANTITY_CDF | CORE_QUANTITY_S)
 
 /* PDU address of a parameter of core. */
 #define REGISTERS_PARAMETER_AT(id) ((id) == CORE_PARAMETER_TOLERANCE ? 104 : 216 + 2 * (id))
@@ -42,7 +46,14 @@ enum registers_address {
 #include "proto/registers.def"
 };
 
-enum registers_type { REGISTERS_U16, REGISTERS_U32, REGISTERS_F32, REGISTERS_F64, REGISTERS_TEXT };
+enum registers_type {
+  REGISTERS_U16,
+  REGISTERS_U32,
+  REGISTERS_F32,
+  REGISTERS_F64,
+  REGISTERS_TEXT,
+  REGISTERS_BITS
+};
 
 enum registers_access { REGISTERS_RO, REGISTERS_RW, REGISTERS_OPTIONAL };
 
@@ -90,13 +101,14 @@ void registers_reset(uint16_t image[REGISTERS_END]);
 /* Returns true if `count` registers, at least 1, can all be read from an address on. */
 bool registers_readable(unsigned address, unsigned count);
 
-/* Checks a write of `count` registers from an address on. `values` holds them as in a PDU. All of
- * them have to be writable, each value has to be whole and in its range. Returns status OK,
- * BAD_ADDRESS or BAD_VALUE. With a fault, *at is the first register of the value at fault, not its
- * mirror. */
+/* Checks a write of `count` registers from an address on. `values` holds them as in a PDU. First it
+ * checks that all of them are writable and each value is whole, then that each value is in its
+ * range. Returns status OK, BAD_ADDRESS or BAD_VALUE. With a fault, *at is the first register of the
+ * value at fault, not its mirror. */
 wire_error registers_check(unsigned address, unsigned count, const uint8_t *values, unsigned *at);
 
-/* Writes registers that registers_check() has passed, and their mirrors. */
+/* Writes registers that registers_check() has passed, and their mirrors. If that sets `defaults`, all
+ * other registers that can be written get their defaults before. */
 void registers_write(uint16_t image[REGISTERS_END], unsigned address, unsigned count,
                      const uint8_t *values);
 
@@ -130,8 +142,16 @@ void registers_set_f64(uint16_t image[REGISTERS_END], unsigned address, double v
 void registers_set_text(uint16_t image[REGISTERS_END], unsigned address, unsigned count,
                         const char *text);
 
+/* Returns the value of a float field. A float32 that is the nearest to a limit of the field counts as
+ * this limit: (float)0.001 is above 0.001, and (float)1e-6 is below 1e-6. The limits are those of the
+ * field's range, for eta also those of the moments, and for the tolerance also that of lut. */
+double registers_number(const uint16_t image[REGISTERS_END], unsigned address);
+
 /* Returns the value of a parameter, or NaN if it is not given. */
 double registers_optional(const uint16_t image[REGISTERS_END], unsigned parameter);
+
+/* Writes the bits that a field of type BITS may be a sum of, for example "a sum of 1, 2, 4". */
+void registers_bits_text(const registers_field *field, char *text, size_t room);
 
 /* Writes the tables of REGISTERS.md as Markdown. Calls print(context, text) for each piece. */
 void registers_describe(void (*print)(void *context, const char *text), void *context);

@@ -41,7 +41,7 @@ static void describe_blocks(const struct description *to) {
  */
 
 static const char *type_name(enum registers_type type) {
-  static const char *const names[] = {"uint16", "uint32", "float32", "float64", "text"};
+  static const char *const names[] = {"uint16", "uint32", "float32", "float64", "text", "uint16"};
   return names[type];
 }
 
@@ -64,6 +64,8 @@ static void print_range(const registers_field *field, char cell[CELL_BYTES]) {
   if (field->list != NULL) {
     const char *name = list_name(field->list);
     snprintf(cell, CELL_BYTES, "%sone of [%s](#%s)", field->least == 0 ? "0, or " : "", name, name);
+  } else if (field->type == REGISTERS_BITS) {
+    registers_bits_text(field, cell, CELL_BYTES);
   } else if (field->least == 0 && field->most == 0) {
     cell[0] = '\0';
   } else if (field->most == (double)FLT_MAX) {
@@ -112,7 +114,7 @@ static const registers_field *next_field(const registers_block *block, unsigned 
 static void describe_fields(const struct description *to) {
   for (unsigned i = 0; i < REGISTERS_BLOCKS; i++) {
     const registers_block *block = &registers_blocks[i];
-    if (block->first >= REGISTERS_MIRROR) {
+    if (block->first / REGISTERS_MIRROR % 2 == 1) { /* a mirror */
       continue;
     }
     char name[CELL_BYTES];

@@ -9,6 +9,7 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include "server/net/tcp.h"
 #include "server/net/worker.h"
 #include "server/observe/log.h"
 
@@ -34,6 +35,12 @@ static uint64_t now_ms(const struct modbus_connection *c) {
 
 static struct stats *stats_of(const struct modbus_connection *c) {
   return &c->units->server->stats;
+}
+
+static void log_closed(const struct modbus_connection *c, const char *reason) {
+  char peer[TCP_TEXT_BYTES];
+  tcp_peer(c->fd, peer);
+  log_peer_line(LOG_LEVEL_INFO, "event=modbus-closed reason=%s peer=%s", reason, peer);
 }
 
 /* ---- ending ---------------------------------------------------------------------------------- */
@@ -159,7 +166,7 @@ static void answer_late(struct modbus_connection *c) {
 
 /* The frames that follow cannot be told apart any more. */
 static void lose_framing(struct modbus_connection *c) {
-  log_peer_line(LOG_LEVEL_INFO, "event=modbus-closed reason=bad-frame");
+  log_closed(c, "bad-frame");
   stats_add(stats_of(c), STATS_MODBUS_BAD_FRAMES, 1);
   c->begin = c->end = 0;
   c->frame_started_ms = 0;
@@ -342,8 +349,7 @@ static void tick(struct client *client, uint64_t time_ms) {
   const uint64_t silence_ms = c->lingering ? LINGER_MS : options->modbus_idle_timeout_ms;
   if (late || time_ms - c->active_ms > silence_ms) {
     if (!c->lingering) {
-      log_peer_line(LOG_LEVEL_INFO, "event=modbus-closed reason=%s",
-                    late ? "frame-timeout" : "idle");
+      log_closed(c, late ? "frame-timeout" : "idle");
     }
     abort_connection(c);
   }

@@ -7,6 +7,7 @@
 #include "server/modbus/access.h"
 #include "server/modbus/connection.h"
 #include "server/modbus/line.h"
+#include "server/net/tcp.h"
 #include "server/net/worker.h"
 #include "server/observe/log.h"
 
@@ -86,8 +87,10 @@ void modbus_service_admit(struct server *server, int fd) {
   struct modbus_connection *connection =
       why == NULL ? modbus_connection_new(service->units, fd) : NULL;
   if (connection == NULL) {
-    log_peer_line(LOG_LEVEL_INFO, "event=modbus-refused reason=%s",
-                  why != NULL ? why : "out-of-memory");
+    char peer[TCP_TEXT_BYTES];
+    tcp_peer(fd, peer);
+    log_peer_line(LOG_LEVEL_INFO, "event=modbus-refused reason=%s peer=%s",
+                  why != NULL ? why : "out-of-memory", peer);
     stats_add(&server->stats, STATS_MODBUS_CONNECTIONS_REFUSED, 1);
     close(fd);
     return;

@@ -9,16 +9,12 @@ _Static_assert(REGISTERS_RADII_MAX % 2 == 0, "arrays of the most radii need no p
 
 /* ---- input ----------------------------------------------------------------------------------- */
 
-static double number(const uint16_t image[REGISTERS_END], unsigned address) {
-  return (double)registers_f32(image, address);
-}
-
 static size_t put_medium(uint8_t *at, const uint16_t image[REGISTERS_END]) {
   const wire_medium medium = {
-      .sigma_a = number(image, REGISTERS_AT_SIGMA_A),
-      .sigma_s = number(image, REGISTERS_AT_SIGMA_S),
-      .g = number(image, REGISTERS_AT_G),
-      .eta = number(image, REGISTERS_AT_ETA),
+      .sigma_a = registers_number(image, REGISTERS_AT_SIGMA_A),
+      .sigma_s = registers_number(image, REGISTERS_AT_SIGMA_S),
+      .g = registers_number(image, REGISTERS_AT_G),
+      .eta = registers_number(image, REGISTERS_AT_ETA),
   };
   wire_put_medium(at, &medium);
   return WIRE_BYTES_medium;
@@ -59,8 +55,8 @@ size_t modbus_translate_input(const uint16_t image[REGISTERS_END], uint8_t *ques
       .spacing = (uint16_t)spacing,
       .parameter_count = (uint16_t)channels_count_parameters(&parameters),
       .radius_count = registers_u16(image, REGISTERS_AT_RADIUS_COUNT),
-      .radius_start = grid ? number(image, REGISTERS_AT_RADIUS_START) : 0,
-      .radius_stop = grid ? number(image, REGISTERS_AT_RADIUS_STOP) : 0,
+      .radius_start = grid ? registers_number(image, REGISTERS_AT_RADIUS_START) : 0,
+      .radius_stop = grid ? registers_number(image, REGISTERS_AT_RADIUS_STOP) : 0,
   };
   wire_put_eval_request(question, &fixed);
   size_t bytes = WIRE_BYTES_eval_request;
@@ -184,9 +180,11 @@ void modbus_translate_reply(const uint8_t *question, const uint8_t *reply,
   const struct values radii = radii_of(question, &asked, room);
   const struct values R = array_of(reply, &layout, &start, CORE_QUANTITY_R);
   const struct values cdf = array_of(reply, &layout, &start, CORE_QUANTITY_CDF);
+  const struct values S = array_of(reply, &layout, &start, CORE_QUANTITY_S);
   const unsigned before = registers_u16(image, REGISTERS_AT_COUNT);
   set_values(image, REGISTERS_AT_R, REGISTERS_AT_R_DOUBLE, &R, count, before);
   set_values(image, REGISTERS_AT_CDF, REGISTERS_AT_CDF_DOUBLE, &cdf, count, before);
+  set_values(image, REGISTERS_AT_S, REGISTERS_AT_S_DOUBLE, &S, count, before);
   set_values(image, REGISTERS_AT_DISTANCES, 0, &radii, count, before);
   set_errors(image, &channel, largest(&radii, count), R.bytes == sizeof(double));
   registers_set_u16(image, REGISTERS_AT_COUNT, count);

@@ -12,7 +12,7 @@ enum {
                           CORE_PARAMETERS_END * (int)WIRE_BYTES_parameter +
                           REGISTERS_RADII_MAX * (int)sizeof(double),
   MODBUS_REPLY_BYTES = (int)WIRE_BYTES_eval_reply + (int)WIRE_BYTES_channel +
-                       2 * REGISTERS_RADII_MAX * (int)sizeof(double),
+                       3 * REGISTERS_RADII_MAX * (int)sizeof(double),
 };
 
 /* Writes the payload of the request to `question`, which is at a multiple of 8. Returns its length,

@@ -30,6 +30,12 @@ static void set_error(struct modbus_unit *unit, unsigned status, unsigned at, co
                      text);
 }
 
+static void clear_error(struct modbus_unit *unit) {
+  if (registers_u16(unit->registers, REGISTERS_AT_ERROR) != WIRE_STATUS_OK) {
+    set_error(unit, WIRE_STATUS_OK, 0, "");
+  }
+}
+
 void modbus_unit_note_refusal(struct modbus_unit *unit, const wire_error *error, unsigned at) {
   set_error(unit, error->status, at, error->allowed);
 }
@@ -54,9 +60,7 @@ static void finish_job(struct modbus_unit *unit) {
   registers_set_u16(unit->registers, REGISTERS_AT_STATUS, REGISTERS_STATUS_DONE);
   registers_set_u16(unit->registers, REGISTERS_AT_DONE, unit->token);
   registers_set_u16(unit->registers, REGISTERS_AT_SEQUENCE, sequence + 1);
-  if (registers_u16(unit->registers, REGISTERS_AT_ERROR) != WIRE_STATUS_OK) {
-    set_error(unit, WIRE_STATUS_OK, 0, "");
-  }
+  clear_error(unit);
   stats_add(&server_of(unit)->stats, STATS_MODBUS_EVALUATIONS, 1);
   if (client != NULL) {
     client->kind->finish(client);
@@ -150,6 +154,7 @@ static unsigned commit(struct modbus_unit *unit, unsigned address, unsigned coun
     fail_job(unit, &error);
     return exception_of(error.status);
   }
+  clear_error(unit);
   unit->token = registers_u16(unit->registers, REGISTERS_AT_COMMIT);
   unit->client = unit->evaluating ? client : NULL;
   if (unit->busy) {

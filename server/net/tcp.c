@@ -11,18 +11,27 @@
 
 enum { BACKLOG = 1024 };
 
-void tcp_bound(int fd, char text[TCP_TEXT_BYTES]) {
+static void describe(int fd, int (*name)(int fd, struct sockaddr *address, socklen_t *length),
+                     char text[TCP_TEXT_BYTES]) {
   struct sockaddr_storage address;
   socklen_t length = sizeof address;
   char host[128];
   char port[16];
   text[0] = '\0';
-  if (getsockname(fd, (struct sockaddr *)&address, &length) == 0 &&
+  if (name(fd, (struct sockaddr *)&address, &length) == 0 &&
       getnameinfo((struct sockaddr *)&address, length, host, sizeof host, port, sizeof port,
                   NI_NUMERICHOST | NI_NUMERICSERV) == 0) {
     const bool bracket = address.ss_family == AF_INET6;
     snprintf(text, TCP_TEXT_BYTES, "%s%s%s:%s", bracket ? "[" : "", host, bracket ? "]" : "", port);
   }
+}
+
+void tcp_bound(int fd, char text[TCP_TEXT_BYTES]) {
+  describe(fd, getsockname, text);
+}
+
+void tcp_peer(int fd, char text[TCP_TEXT_BYTES]) {
+  describe(fd, getpeername, text);
 }
 
 static int bind_to(const struct addrinfo *address) {

@@ -14,4 +14,7 @@ enum { TCP_TEXT_BYTES = 160 };
 /* Writes where the socket listens, as numeric HOST:PORT, or "" if that is unknown. */
 void tcp_bound(int fd, char text[TCP_TEXT_BYTES]);
 
+/* Likewise the address of the peer of a connected socket. */
+void tcp_peer(int fd, char text[TCP_TEXT_BYTES]);
+
 #endif

@@ -205,6 +205,10 @@ class Tcp(Master):
     def __exit__(self, *_: object) -> None:
         self.socket.close()
 
+    def own_address(self) -> str:
+        """HOST:PORT, as the daemon sees it."""
+        return "{}:{}".format(*self.socket.getsockname())
+
     def frame(self, unit: int, pdu: bytes) -> bytes:
         """The next request."""
         self.transaction = (self.transaction + 1) & 0xFFFF

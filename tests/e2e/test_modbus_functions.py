@@ -214,6 +214,8 @@ GOOD = {
     "RADII": [INF, -0.0],
     "PARAMETER_TOLERANCE": [0.0, -1.0],
     "PARAMETER_SURFACE_ALBEDO": [0.0],
+    "PARAMETER_THICKNESS": [1e-15, 1e30],
+    "PARAMETER_FIT_TO": [1e-30],
 }
 
 
@@ -230,7 +232,7 @@ IDS = {
     "MOMENTS": [0, 5],
     "SPACING": [0, 4],
     "RADIUS_COUNT": [0, 51],
-    "WANTED": [0, 8],
+    "WANTED": [0, 8, 16, 257 + 32, 512, 65535],
 }
 
 
@@ -245,6 +247,16 @@ def test_one_wrong_value_among_many(master):
     """Nothing of the request is written, and the address is that of the value."""
     expected = (3, BAD_VALUE_STATUS, AT["RADII"] + 6)
     assert refused(master, AT["RADII"], floats(1, 2, 3, NAN, 5), 44) == expected
+
+
+def test_addresses_are_checked_before_values(master):
+    """As the state diagrams of the specification have it: a value out of range at the beginning, and
+    registers that cannot be written at the end."""
+    bad = AT["PARAMETER_FIT_TO"]
+    assert refused(master, bad, floats(-5.0, 1.0), 48) == (2, BAD_ADDRESS_STATUS, bad + 2)
+    bad = AT["MODEL"]
+    half = words(9999) + bytes(8) + floats(1)[:2]
+    assert refused(master, bad, half, 48) == (2, BAD_ADDRESS_STATUS, AT["SIGMA_A"])
 
 
 def test_a_refused_read_changes_nothing(master):

@@ -10,8 +10,8 @@ from daemons import eventually
 from dipole import Grid, Refused
 from lists import EVALUATORS, MODELS, MOMENTS, needs
 from modbus_master import (
-    AT, BAD_ADDRESS, BAD_VALUE, BUSY, DONE, ERROR, IS_BUSY, TCP, WRITE_REGISTER, Tcp, as_doubles,
-    as_floats, as_words, exception, floats, input_block, write_read_pdu,
+    AT, BAD_ADDRESS, BAD_VALUE, BUSY, DONE, ERROR, IS_BUSY, MIRROR, TCP, WRITE_REGISTER, Tcp,
+    as_doubles, as_floats, as_words, exception, floats, input_block, swapped, write_read_pdu,
 )
 
 SKIN = (0.032, 0.74, 0.0, 1.3)
@@ -155,6 +155,58 @@ def test_what_is_wanted(master, client, wanted):
         assert np.isnan(found).all() if values is None else found.tolist() == values[0].tolist()
     albedo = as_floats(master.read(AT["ALBEDO"], 2, 65))[0]
     assert np.isnan(albedo) == (not wanted & 2)
+
+
+def test_S_at_two_angles(master, client):
+    """S is among what can be wanted, and cos_in and cos_out are its angles."""
+    cosines = dict(zip(["cos_in", "cos_out"], single([0.9, 0.3])))
+    master.write(AT["PARAMETER_COS_IN"], floats(*cosines.values()), 73)
+    master.write_one(AT["WANTED"], 1 + 256, 73)
+    for evaluator in EVALUATORS:
+        radii = single([0.5, 1.0, 2.0])
+        run(master, 73, input_block(1, SKIN, radii, evaluator=EVALUATORS[evaluator]))
+        how = {"evaluator": evaluator, "wanted": ["R", "S"], "parameters": cosines}
+        expected = client.eval("better", single(SKIN), radii, **how)
+        single_S = as_floats(master.read(AT["S"], 100, 73))
+        double_S = as_doubles(master.read(AT["S_DOUBLE"], 200, 73))
+        assert single_S[:3].tobytes() == expected.S[0].astype("f4").tobytes()
+        assert double_S[:3].tobytes() == expected.S[0].astype("f8").tobytes()
+        assert np.isnan(single_S[3:]).all() and np.isnan(double_S[3:]).all()
+        assert swapped(master.read(AT["S"], 100, 73)) == master.read(AT["S"] + MIRROR, 100, 73)
+        R = as_floats(master.read(AT["R"], 6, 73))
+        assert R.tobytes() == expected.R[0].astype("f4").tobytes()
+    master.write_one(AT["WANTED"], 1, 73)
+    run(master, 73, input_block(1, SKIN, [1.0]))
+    assert np.isnan(as_floats(master.read(AT["S"], 100, 73))).all()
+
+
+# ---- limits that no float32 hits -----------------------------------------------------------------
+
+AT_LIMITS = {
+    "the tolerance of lut": ({"evaluator": "lut"}, {"tolerance": 1e-6}, 1.3),
+    "the largest eta of jensen": ({"moments": "jensen"}, {}, 2.2),
+    "the least eta of jensen": ({"moments": "jensen"}, {}, 0.46),
+    "the largest eta of fit": ({"moments": "fit"}, {}, 2.485),
+    "the least eta of pbrt": ({"moments": "pbrt"}, {}, 0.195),
+    "the least eta": ({}, {}, 0.001),
+}
+
+
+@pytest.mark.parametrize("name", AT_LIMITS)
+def test_the_float32_nearest_to_a_limit_is_the_limit(daemon, name):
+    """All these limits are inclusive, and their float32 is on the wrong side or beside them."""
+    choice, parameters, eta = AT_LIMITS[name]
+    choice = {"evaluator": "f32", "moments": "exact", **choice}
+    medium = (*single(SKIN[:3]), eta if eta != SKIN[3] else single([eta])[0])
+    one = daemon(*TCP)
+    with Tcp(one) as master, one.client() as client:
+        expected = client.eval("better", medium, [1.0], parameters=parameters, **choice)
+        block = input_block(
+            1, medium, [1.0], evaluator=EVALUATORS[choice["evaluator"]],
+            moments=MOMENTS[choice["moments"]].id, tolerance=parameters.get("tolerance", 0.0),
+        )
+        run(master, 1, block)
+        assert_equal_answers(master, 1, expected, 1)
 
 
 # ---- a tolerance instead of a model --------------------------------------------------------------
@@ -306,6 +358,19 @@ def test_input_may_be_written_while_busy(daemon):
         assert master.wait().done == 1
         expected = client.eval("transport", medium, radii, evaluator="f64")
         assert_equal_answers(master, 1, expected, 2)
+
+
+def test_a_new_commit_clears_the_error_of_the_one_before(daemon):
+    """While it is busy, no error stands that is not its own."""
+    with Tcp(daemon(*TCP)) as master:
+        with exception(BAD_VALUE):
+            master.write(AT["ETA"], floats(0.0))
+        assert master.job().error == BAD_VALUE_STATUS
+        master.write(100, input_block(1, slow_medium(4), [1.0], **SLOW))
+        job = master.job()
+        assert (job.status, job.error, job.error_address) == (IS_BUSY, 0, 0)
+        assert not master.read(AT["ERROR_TEXT"], 40).rstrip(b"\0")
+        assert master.wait()[:3] == (DONE, 1, 0)
 
 
 def test_a_master_that_leaves_while_busy(daemon):

@@ -68,7 +68,9 @@ def test_frames_that_close_the_connection(daemon, name):
         good = master.frame(1, READ_ONE)
         master.socket.sendall(good + bytes.fromhex(BAD_FRAMES[name]) + bytes(5000))
         assert master.receive()[2] == b"\3\2\0\0"
+        peer = master.own_address()
         assert master.is_closed()
+    assert one.has_line(f"event=modbus-closed reason=bad-frame peer={peer}", 10)
     with Tcp(one) as master:
         assert master.statistic("modbus_bad_frames") == 1
 
@@ -94,8 +96,9 @@ def test_a_frame_that_does_not_arrive(daemon):
     for length in range(1, 12, 5):
         with Tcp(one) as master:
             master.socket.sendall(master.frame(1, READ_ONE)[:length])
+            peer = master.own_address()
             assert master.is_closed()
-    assert one.has_line("frame-timeout", 10)
+        assert one.has_line(f"event=modbus-closed reason=frame-timeout peer={peer}", 10)
 
 
 def test_a_slow_frame_delays_nobody_and_has_no_more_time(daemon):
@@ -197,9 +200,10 @@ def test_one_too_many(daemon):
     for master in masters:
         master.read(0, 1)
     with Tcp(one) as late:
+        peer = late.own_address()
         assert late.is_closed()
     assert masters[0].statistic("modbus_connections_refused") == 1
-    assert one.has_line("reason=max-modbus-connections", 10)
+    assert one.has_line(f"reason=max-modbus-connections peer={peer}", 10)
     masters[2].socket.close()
     assert eventually(lambda: masters[0].statistic("modbus_connections_open") <= 2)
     with Tcp(one) as again:
@@ -224,8 +228,9 @@ def test_who_is_allowed(daemon, network):
 def test_who_is_not(daemon, network):
     one = daemon(*TCP, "--modbus-allow", network)
     with Tcp(one) as master:
+        peer = master.own_address()
         assert master.is_closed()
-    assert one.has_line("event=modbus-refused reason=not-allowed", 5)
+    assert one.has_line(f"event=modbus-refused reason=not-allowed peer={peer}", 5)
     with one.connect() as connection:
         assert_serves(connection)
 

@@ -147,6 +147,35 @@ def test_doubles_are_the_values(master):
     assert np.isnan(as_doubles(master.read(AT["R_DOUBLE"] + 12, 120, 14))).all()
 
 
+# ---- defaults ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("side", [0, MIRROR])
+def test_a_register_restores_the_defaults(daemon, side):
+    """All registers that can be written, on both sides of the mirror; the results stay."""
+    with Tcp(daemon(*TCP)) as master:
+        writable = [(0, 260), (MIRROR + 100, 160)]
+        fresh = [master.read(*some) for some in writable]
+        master.write(0, words(*range(100)))
+        master.write_read(100, input_block(7, (0.1, 2.0, 0.5, 1.4), [0.5] * 50, model=1), 300, 8)
+        master.write(AT["PARAMETER_COS_IN"], floats(0.5, 0.5, 3.0, 0.5, 4.0, 2.0, 0.1, 5.0))
+        master.write_one(AT["WANTED"], 2)
+        results = master.read(300, 320)
+        master.write_one(side + AT["DEFAULTS"], 1)
+        assert [master.read(*some) for some in writable] == fresh
+        assert master.read(300, 320) == results and as_words(results[2:4]) == [7]
+        master.write_one(AT["DEFAULTS"], 0)
+        master.write_one(AT["COMMIT"], 8)
+        assert master.job()[:3] == (2, 8, 0)
+
+
+def test_defaults_come_before_the_rest_of_the_request(master):
+    master.write(AT["SIGMA_A"], floats(0.5), 79)
+    master.write(AT["WANTED"], words(2, 1), 79)
+    assert as_words(master.read(AT["WANTED"], 2, 79)) == [2, 0]
+    assert as_floats(master.read(AT["SIGMA_A"], 2, 79)).tolist() == [np.float32(0.032)]
+
+
 # ---- units ---------------------------------------------------------------------------------------
 
 
