@@ -13,7 +13,8 @@ static const struct {
 
 enum { SCHEMES = sizeof schemes / sizeof schemes[0] };
 
-/* Reads the scheme that the text starts with. Returns what follows it, or NULL if there is none. */
+/* Reads the scheme, such as "unix:", at the start of the text. Returns the text behind the scheme,
+ * or NULL if the text starts with no known scheme. */
 static const char *skip_scheme(const char *text, enum libdipole_address_kind *kind) {
   for (size_t i = 0; i < SCHEMES; i++) {
     const size_t bytes = strlen(schemes[i].scheme);
@@ -25,7 +26,7 @@ static const char *skip_scheme(const char *text, enum libdipole_address_kind *ki
   return NULL;
 }
 
-/* Copies length bytes and a terminating zero. Returns false if they do not fit or length is 0. */
+/* Copies length bytes and adds a zero byte. Returns false if they do not fit or length is 0. */
 static bool copy_part(char *to, size_t capacity, const char *from, size_t length) {
   if (length == 0 || length >= capacity) {
     return false;
@@ -86,8 +87,8 @@ bool libdipole_address_parse(const char *text, libdipole_address *address, dipol
 
 /* ---- several ------------------------------------------------------------------------------- */
 
-/* Returns the comma before the next address, or NULL if there is none. A comma that no scheme
- * follows is part of a path. */
+/* Returns the comma before the next address of the list, or NULL after the last address. A comma
+ * that no scheme follows is part of a path. */
 static char *find_comma(char *text) {
   enum libdipole_address_kind kind;
   char *comma = strchr(text, ',');

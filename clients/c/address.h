@@ -1,4 +1,4 @@
-/* address: reads from text where daemons are. */
+/* address: parses the addresses of daemons. */
 #ifndef LIBDIPOLE_ADDRESS_H
 #define LIBDIPOLE_ADDRESS_H
 
@@ -12,26 +12,26 @@ typedef struct libdipole_address {
   enum libdipole_address_kind kind;
   char host[256];      /* of TCP */
   char port[6];        /* of TCP */
-  char path[PATH_MAX]; /* Unix: the socket. Private: the program, or "" for any. */
+  char path[PATH_MAX]; /* Unix: of the socket. Private: of the program, or "" for the default. */
 } libdipole_address;
 
-/* Reads one address. Failures are of kind ADDRESS. */
+/* Parses one address. Failures are of kind ADDRESS. */
 bool libdipole_address_parse(const char *text, libdipole_address *address, dipole_error *error);
 
 /* The addresses of a client, at least one. */
 typedef struct libdipole_addresses {
   char *whole; /* the memory of all texts */
   size_t count;
-  size_t at; /* the one that the client is connected to or tries first */
+  size_t at; /* position of the address that the client is connected to or tries first */
   const char *texts[DIPOLE_ADDRESSES_MAX];
 } libdipole_addresses;
 
-/* Reads a list of addresses. If text is NULL, uses the default: $DIPOLED or a private daemon. The
+/* Parses a list of addresses. If text is NULL, takes $DIPOLED, or else a private daemon. The
  * caller frees *addresses with libdipole_addresses_free(), also after a failure. */
 bool libdipole_addresses_parse(const char *text, libdipole_addresses *addresses,
                                dipole_error *error);
 
-/* Returns whether the daemon is to be started for this client alone. */
+/* Returns whether the client starts a private daemon. */
 bool libdipole_addresses_is_private(const libdipole_addresses *addresses);
 
 void libdipole_addresses_free(libdipole_addresses *addresses);

@@ -5,7 +5,7 @@
 
 #include "clients/c/error.h"
 
-/* What is wanted as proto/eval.h has it: the radii of a sample are drawn. */
+/* Returns the wanted quantities as proto/eval.h takes them: with a flag for a sample's radii. */
 static unsigned wanted_of(uint16_t type, unsigned wanted) {
   return (type & ~WIRE_REPLY) == WIRE_TYPE_SAMPLE ? wanted | EVAL_DRAWN : wanted;
 }
@@ -30,15 +30,16 @@ void libdipole_answer_expect(libdipole_pending *pending, unsigned model, unsigne
 
 /* ---- checks -------------------------------------------------------------------------------- */
 
-/* With DIPOLE_ANY_MODEL the daemon chooses the evaluator, but not the type of the values. */
+/* Returns whether a reply has the model and the evaluator of the request. With DIPOLE_ANY_MODEL the
+ * daemon chooses both, but not the type of the values. */
 static bool is_asked_for(const libdipole_pending *pending, const wire_eval_reply *fixed) {
   return pending->model == DIPOLE_ANY_MODEL
              ? core_evaluator_bytes(fixed->evaluator) == core_evaluator_bytes(pending->evaluator)
              : fixed->evaluator == pending->evaluator;
 }
 
-/* Returns whether a part starts where it has to and has as many radii as it may. An answer in one
- * frame is one part. */
+/* Returns whether a part starts where the part before it ended, and has a valid number of radii. An
+ * answer in one frame is one part. */
 static bool is_next_part(const libdipole_pending *pending, const wire_eval_reply *fixed) {
   const uint64_t left = pending->radius_count - pending->next_radius;
   const bool is_last = fixed->part + 1 == fixed->part_count;
@@ -47,8 +48,8 @@ static bool is_next_part(const libdipole_pending *pending, const wire_eval_reply
          (fixed->radius_count > 0 || fixed->part_count == 1);
 }
 
-/* Checks that a frame is the next part of the answer in the shape that was asked for: a caller that
- * indexes with its own counts then stays inside the arrays. */
+/* Checks that a frame is the next part of the answer and has the counts of the request, so that a
+ * caller who indexes the arrays by these counts stays inside. */
 static bool parse(const libdipole_pending *pending, const libdipole_frame *frame,
                   wire_eval_reply *fixed, eval_layout *layout, dipole_error *error) {
   return (eval_reply_parse(frame->payload, (size_t)frame->payload_bytes,
@@ -61,8 +62,8 @@ static bool parse(const libdipole_pending *pending, const libdipole_frame *frame
 
 /* ---- results ------------------------------------------------------------------------------- */
 
-/* Returns the array of a quantity, or NULL. In the caller's memory the arrays lie one behind the
- * other, without padding, and without the radii. */
+/* Returns the array of a quantity, or NULL if there is none. In the caller's memory (into_values)
+ * the arrays lie one behind the other without padding, and the radii are not among them. */
 static const void *array_at(const libdipole_frame *frame, const eval_layout *layout,
                             unsigned wanted, uint64_t values_bytes, uint32_t channel,
                             enum core_quantity quantity) {
@@ -100,7 +101,7 @@ static void get_channel(const libdipole_frame *frame, const eval_layout *layout,
   }
 }
 
-/* Makes frame->result of the frame's own payload. */
+/* Fills in frame->result, whose arrays are those in the payload of the frame. */
 static dipole_result *make_result(libdipole_frame *frame, const wire_eval_reply *fixed,
                                   const eval_layout *layout) {
   const unsigned wanted = wanted_of(frame->header.type, fixed->wanted);
@@ -147,7 +148,8 @@ bool libdipole_result_take(dipole_client *client, libdipole_pending *pending,
   return true;
 }
 
-/* The layout follows from the result's counts, as it did when the answer was parsed. */
+/* Returns the array of a quantity; NULL if there is none or its values have another size. Computes
+ * the layout again from the counts of the result. */
 static const void *values(const dipole_result *result, uint32_t channel, unsigned quantity,
                           size_t value_bytes) {
   const libdipole_frame *frame = (const libdipole_frame *)(const void *)result;
@@ -176,7 +178,8 @@ void dipole_result_free(dipole_result *result) {
 
 /* ---- parts --------------------------------------------------------------------------------- */
 
-/* Returns the size of the fixed part and the channels, which are the same in all parts. */
+/* Returns the size of an answer's head: the fixed part and the channels. All parts have this head.
+ */
 static size_t head_bytes(const libdipole_pending *pending) {
   return WIRE_BYTES_eval_reply + (size_t)pending->medium_count * WIRE_BYTES_channel;
 }
@@ -194,13 +197,13 @@ static bool is_like_first(const libdipole_pending *pending, const libdipole_fram
                 head_bytes(pending) - WIRE_BYTES_eval_reply) == 0;
 }
 
-/* Returns whether the arrays went into the caller's memory. In that case, the frame holds only the
- * head. */
+/* Returns whether the arrays of a part went into the caller's memory, so that the frame holds only
+ * the head. */
 static bool is_in_place(const libdipole_frame *part) {
   return part->stored_bytes < part->payload_bytes;
 }
 
-/* Makes room for the whole answer, or for its head if the parts are handed to a reader. */
+/* Allocates the frame of the whole answer. If a reader gets the parts, it only holds the head. */
 static bool begin_gathering(libdipole_pending *pending, const libdipole_frame *first,
                             const wire_eval_reply *fixed, dipole_error *error) {
   const size_t head = head_bytes(pending);
@@ -221,7 +224,7 @@ static bool begin_gathering(libdipole_pending *pending, const libdipole_frame *f
   return true;
 }
 
-/* Copies what the part holds of one array to its place. */
+/* Copies the values that a part has for one array to their place in the whole answer. */
 static void copy_array(libdipole_frame *to, uint64_t to_offset, const libdipole_frame *part,
                        uint64_t part_offset, const wire_eval_reply *fixed) {
   const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
@@ -277,7 +280,7 @@ static bool take_part(libdipole_pending *pending, libdipole_frame *part, dipole_
   }
   const bool is_last = fixed.part + 1 == fixed.part_count;
   const uint64_t count = fixed.radius_count;
-  if (is_last) { /* What was gathered looks like an answer of one part from now on. */
+  if (is_last) { /* The gathered answer has the head of an answer of one part. */
     fixed.radius_count = pending->radius_count;
     fixed.radius_first = 0;
     fixed.part = 0;
@@ -304,7 +307,7 @@ const libdipole_kind libdipole_eval_kind = {.repeatable = true, .take = take};
 
 /* ---- into the caller's memory -------------------------------------------------------------- */
 
-/* The head is here and says what follows it. */
+/* Starts to receive arrays into the caller's memory: checks the head, which has arrived. */
 static bool begin_placing(dipole_client *client, const libdipole_pending *pending,
                           dipole_error *error) {
   libdipole_into *into = &client->into;
@@ -323,7 +326,7 @@ static bool begin_placing(dipole_client *client, const libdipole_pending *pendin
   return true;
 }
 
-/* Where the array under way begins, of the whole answer. */
+/* Returns the start, in the caller's memory, of the array that is being received. */
 static uint8_t *array_start(const libdipole_into *into, const libdipole_pending *pending,
                             size_t value_bytes) {
   const bool radii = (into->fixed.wanted & CORE_QUANTITY_RADIUS) != 0;
@@ -334,7 +337,7 @@ static uint8_t *array_start(const libdipole_into *into, const libdipole_pending 
          (into->array - radii) * pending->radius_count * value_bytes;
 }
 
-/* Finds a place for what comes next. Returns false if that was all. */
+/* Sets the memory that receives the next bytes. Returns false if the frame is complete. */
 static bool place_bytes(dipole_client *client, const libdipole_pending *pending) {
   libdipole_into *into = &client->into;
   libdipole_stream *stream = &client->stream;

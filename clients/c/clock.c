@@ -38,7 +38,7 @@ bool libdipole_wait(int fd, short events, unsigned timeout_ms, short *ready) {
   }
 }
 
-/* xorshift64* (Vigna 2016), of whose 64 bits the upper half is good. */
+/* xorshift64* (Vigna 2016). The upper 32 of its 64 bits are the better ones: these are returned. */
 uint32_t libdipole_random(uint64_t *state) {
   uint64_t x = *state;
   if (x == 0) {

@@ -25,8 +25,8 @@ extern char **environ;
 
 /* ---- running daemons ----------------------------------------------------------------------- */
 
-/* Returns 0 or an errno. A non-blocking Unix socket refuses at once when the daemon's queue is
- * full, so this one blocks for a limited time and becomes non-blocking afterwards. */
+/* Connects to a Unix socket. Returns 0 or an errno. connect() on a non-blocking Unix socket fails
+ * at once when the daemon's queue is full, so the socket becomes non-blocking only afterwards. */
 static int connect_unix(const char *path, unsigned timeout_ms, int *connected) {
   struct sockaddr_un name = {.sun_family = AF_UNIX};
   const struct timeval timeout = {.tv_sec = timeout_ms / 1000,
@@ -58,7 +58,7 @@ static int connect_tcp_address(const struct addrinfo *to, unsigned timeout_ms, i
     return errno;
   }
   int number = connect(fd, to->ai_addr, to->ai_addrlen) == 0 ? 0 : errno;
-  if (number == EINPROGRESS || number == EINTR) { /* The kernel still connects. */
+  if (number == EINPROGRESS || number == EINTR) { /* The kernel goes on connecting. */
     short ready;
     socklen_t bytes = sizeof number;
     if (!libdipole_wait(fd, POLLOUT, timeout_ms, &ready) ||
@@ -112,8 +112,8 @@ static bool connect_tcp(const libdipole_address *address, unsigned timeout_ms, i
 #define PROGRAM "dipoled"
 
 enum {
-  DAEMON_FD = 3,        /* the number that the connection has in the daemon */
-  END_TIMEOUT_MS = 5000 /* how long a daemon may take to end by itself, and then after SIGTERM */
+  DAEMON_FD = 3,        /* the connection's file descriptor in the daemon */
+  END_TIMEOUT_MS = 5000 /* how long to wait before SIGTERM, and then before SIGKILL */
 };
 
 /* Finds the daemon beside the running program. Sets path to "" if there is none. */
@@ -132,8 +132,8 @@ static void find_beside(char *path, size_t bytes) {
   }
 }
 
-/* What the daemon inherits: its connection, standard error, and nothing else. The connection comes
- * first, because files that are opened afterwards may get its number. Returns 0 or an errno. */
+/* Lets the daemon inherit its connection and standard error, and nothing else. Duplicates the
+ * connection first, because a file that is opened may get its number. Returns 0 or an errno. */
 static int set_files(posix_spawn_file_actions_t *actions, int fd) {
   int fault = posix_spawn_file_actions_adddup2(actions, fd, DAEMON_FD);
   fault =
@@ -143,8 +143,8 @@ static int set_files(posix_spawn_file_actions_t *actions, int fd) {
   return fault != 0 ? fault : posix_spawn_file_actions_addclosefrom_np(actions, DAEMON_FD + 1);
 }
 
-/* Gives the daemon a process group of its own, so that the interrupt key ends the program and not
- * the daemon first; and none of the program's blocked or ignored signals. Returns 0 or an errno. */
+/* Gives the daemon a process group of its own, so that the interrupt key does not end it before the
+ * program. Resets blocked and ignored signals to their defaults. Returns 0 or an errno. */
 static int set_attributes(posix_spawnattr_t *attributes) {
   const short flags = POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF | POSIX_SPAWN_SETPGROUP;
   sigset_t none, reset;
@@ -187,7 +187,7 @@ static char **private_environment(void) {
   return kept;
 }
 
-/* Starts a daemon that logs only errors. Returns 0 or an errno. */
+/* Starts a private daemon, which logs only errors. Returns 0 or an errno. */
 static int spawn(const char *program, int fd, pid_t *pid) {
   char number[16];
   char *arguments[] = {(char *)program, "--fd", number, "--log-level", "error", NULL};
@@ -212,7 +212,8 @@ static int spawn(const char *program, int fd, pid_t *pid) {
   return fault;
 }
 
-/* program: "" is the one beside the running program, else the one in PATH. */
+/* Starts a private daemon. program: its path; "" means the dipoled beside the running program, or
+ * else the one in PATH. */
 static bool start_daemon(const char *program, int *fd, pid_t *pid, dipole_error *error) {
   char beside[PATH_MAX];
   int pair[2];
@@ -241,8 +242,8 @@ static bool start_daemon(const char *program, int *fd, pid_t *pid, dipole_error 
   return libdipole_fail_errno(error, DIPOLE_ERROR_CONNECT, fault, what);
 }
 
-/* Returns whether the child is gone. A program that collects all its children may have collected it
- * already. There is no wait with a timeout, so this sleeps for short and growing times. */
+/* Waits for the end of a child process. Returns whether it has ended; the host program may already
+ * have collected it. Polls with growing sleeps, because waitpid() has no timeout. */
 static bool wait_for(pid_t pid, int timeout_ms) {
   const int64_t deadline_ms = libdipole_now_ms() + timeout_ms;
   struct timespec nap = {.tv_nsec = 100000};

@@ -6,15 +6,16 @@
 
 #include "clients/c/address.h"
 
-/* Connects to an address; starts the daemon of a private one. *fd is then a non-blocking socket,
- * which the caller closes. *daemon is the private daemon's process, or 0: the caller ends it with
- * libdipole_daemon_end(). timeout_ms: 0 is no limit. It does not hold for finding a host's
- * addresses by name, nor for a private daemon. Failures are of kind CONNECT. */
+/* Connects to an address, or starts a private daemon. *fd is then a non-blocking socket, which the
+ * caller closes. *daemon is the process of the private daemon, which the caller ends with
+ * libdipole_daemon_end(), or 0. timeout_ms: the longest time for connecting; 0 is no limit. It
+ * covers neither the look-up of a host name nor the start of a daemon. Failures are of kind
+ * CONNECT. */
 bool libdipole_connect(const libdipole_address *address, unsigned timeout_ms, int *fd,
                        pid_t *daemon, dipole_error *error);
 
-/* Waits until a private daemon whose connection is closed has ended. After some seconds it is
- * stopped by force. */
+/* Waits until a private daemon has ended, whose connection the caller has closed. Sends SIGTERM
+ * after 5 s and SIGKILL after 10 s. */
 void libdipole_daemon_end(pid_t daemon);
 
 #endif

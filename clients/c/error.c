@@ -57,7 +57,7 @@ static bool is_listed_field(const char *field) {
          strcmp(field, "length") == 0;
 }
 
-/* For example " of medium 2 of 3": says which of several the field belongs to, counted from 1. */
+/* Writes the place of the fault, counted from 1, if there are several: " of medium 2 of 3". */
 static void describe_place(const wire_error *from, uint32_t medium_count, uint64_t value_count,
                            char *place, size_t bytes) {
   const unsigned long long number = from->index + 1;
@@ -97,22 +97,22 @@ bool libdipole_fail_refused(dipole_error *error, const dipole_info *info, uint32
 
 /* ---- a peer's text ------------------------------------------------------------------------- */
 
-/* Returns the number of bytes of the character at text, or 1 if it is not well-formed. Overlong
- * forms and surrogates pass as well-formed: a terminal shows nothing harmful for them. */
+/* Returns the number of bytes of the UTF-8 character at text, or 1 if it is not well-formed. Does
+ * not reject overlong forms and surrogates, which are harmless on a terminal. */
 static size_t character_bytes(const unsigned char *text) {
   const size_t bytes = text[0] >= 0xf0 ? 4 : text[0] >= 0xe0 ? 3 : text[0] >= 0xc2 ? 2 : 1;
   if (text[0] > 0xf4) {
     return 1;
   }
   for (size_t i = 1; i < bytes; i++) {
-    if ((text[i] & 0xc0) != 0x80) { /* the terminating zero too */
+    if ((text[i] & 0xc0) != 0x80) { /* also true for the terminating zero */
       return 1;
     }
   }
   return bytes;
 }
 
-/* U+0080 to U+009F are control characters like those below U+0020. */
+/* Returns whether a character is a control character: below U+0020, or U+007F to U+009F. */
 static bool is_control(const unsigned char *text, size_t bytes) {
   return bytes == 1 ? text[0] < 0x20 || text[0] == 0x7f
                     : bytes == 2 && text[0] == 0xc2 && text[1] < 0xa0;

@@ -7,8 +7,8 @@
 #include "clients/c/error.h"
 #include "core/core.h"
 
-/* The longest list that is accepted. No daemon has thousands of models or media. With this limit,
- * no product of counts can overflow. */
+/* The longest list that the library accepts. It is far more than a daemon has, and small enough
+ * that no product of counts overflows. */
 #define LIST_MAX_BYTES ((uint64_t)1 << 20)
 
 static bool bad_list(dipole_client *client, const char *name, dipole_error *error) {
@@ -19,7 +19,7 @@ static bool bad_list(dipole_client *client, const char *name, dipole_error *erro
 
 /* ---- lists of choices ---------------------------------------------------------------------- */
 
-/* One block: the info and all that it points to. */
+/* A block of memory that holds an info and everything that the info points to. */
 typedef struct info_block {
   dipole_info info;
   wire_hello_reply hello;
@@ -29,7 +29,7 @@ typedef struct info_block {
   dipole_value *limits;
 } info_block;
 
-/* Makes a block with room for lists of these lengths and for an address, which it copies. */
+/* Allocates an info with room for lists of these lengths, and copies the address into it. */
 static info_block *new_block(size_t choice_count, size_t limit_count, const char *address,
                              dipole_error *error) {
   const size_t address_bytes = strlen(address) + 1;
@@ -162,7 +162,7 @@ unsigned dipole_id(const dipole_client *client, enum dipole_kind kind, const cha
 
 /* ---- lists --------------------------------------------------------------------------------- */
 
-/* Asks for a list of structures of one size. *count of them lie behind the list_reply. */
+/* Asks for a list of structures of one size. In the reply, *count structures follow list_reply. */
 static libdipole_frame *ask_list(dipole_client *client, enum wire_type type, size_t structure_bytes,
                                  size_t *count, dipole_error *error) {
   wire_list_reply list;
@@ -207,7 +207,7 @@ bool dipole_media(dipole_client *client, dipole_measured_medium **media, size_t 
   if (frame == NULL) {
     return false;
   }
-  *media = calloc(*count + 1, sizeof **media); /* An empty list is a valid pointer, too. */
+  *media = calloc(*count + 1, sizeof **media); /* not NULL for an empty list, either */
   for (size_t i = 0; *media != NULL && i < *count; i++) {
     get_measured_medium(frame->payload + WIRE_BYTES_list_reply + i * WIRE_BYTES_measured_medium,
                         &(*media)[i]);
@@ -223,7 +223,7 @@ bool dipole_statistics(dipole_client *client, dipole_value **values, size_t *cou
   if (frame == NULL) {
     return false;
   }
-  /* One block: the values, then the texts that they point to. */
+  /* One block holds the values and then the texts that they point to. */
   *values = calloc(*count + 1, sizeof **values + sizeof(wire_value));
   wire_value *texts = *values != NULL ? (wire_value *)(*values + *count) : NULL;
   for (size_t i = 0; *values != NULL && i < *count; i++) {

@@ -1,4 +1,4 @@
-/* From albedos to media. An answer of several parts is put together as it comes. */
+/* Finds media for albedos. The parts of an answer are put together as they arrive. */
 #include "proto/invert.h"
 
 #include <stdlib.h>
@@ -8,7 +8,7 @@
 #include "clients/c/query.h"
 #include "clients/c/request.h"
 
-/* The caller's inversion and the frame that holds its arrays. */
+/* The inversion that the caller gets, and the frame that holds its arrays. */
 struct inversion {
   dipole_inversion public;
   libdipole_frame *frame;
@@ -16,8 +16,8 @@ struct inversion {
 
 /* ---- parts --------------------------------------------------------------------------------- */
 
-/* Returns whether this is the next part of the answer. Model, moments and the reach are the same in
- * all parts. */
+/* Returns whether a reply is the next part of the answer. All parts must have the same model,
+ * moments and range of albedos. */
 static bool is_next(const libdipole_pending *pending, const wire_invert_reply *fixed) {
   const uint64_t left = pending->radius_count - pending->next_radius;
   const bool is_last = fixed->part + 1 == fixed->part_count;
@@ -123,7 +123,7 @@ static bool send(dipole_client *client, const dipole_invert_query *query,
   return libdipole_request_send(client, error);
 }
 
-/* Makes the caller's inversion of a frame, which it takes over. */
+/* Makes an inversion of a frame, which the inversion then owns. */
 static bool take(libdipole_frame *frame, uint64_t count, dipole_inversion **inversion,
                  dipole_error *error) {
   struct inversion *made = calloc(1, sizeof *made);

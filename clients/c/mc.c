@@ -1,4 +1,4 @@
-/* Monte Carlo jobs: how they are started, followed and cancelled, and their tables. */
+/* Starts, follows and cancels Monte Carlo jobs, and reads their results. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -15,7 +15,8 @@ _Static_assert((int)DIPOLE_MC_PHOTONS == (int)MC_PHOTONS_WALKED &&
                    (int)DIPOLE_MC_STOPPED == (int)MC_STOPPED,
                "ends");
 
-/* A result and its memory. The result comes first, so that it leads to the rest. */
+/* A result and the memory that it uses. The result is the first member, so a pointer to it is also
+ * a pointer to the mc_table. */
 typedef struct mc_table {
   dipole_mc_result result;
   mc_layout layout;
@@ -25,7 +26,7 @@ typedef struct mc_table {
 
 /* ---- asking -------------------------------------------------------------------------------- */
 
-/* Checks what the frame's layout depends on. The daemon judges the rest. */
+/* Checks the fields on which the layout of the frame depends. The daemon checks the others. */
 static bool check_query(const dipole_mc_query *query, dipole_error *error) {
   if (query->albedo_count > CORE_MC_ALBEDOS_MAX) {
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "albedo_count is at most %d",
@@ -55,7 +56,7 @@ static void put_query(uint8_t *at, const dipole_mc_query *query) {
   }
 }
 
-/* How many sides and albedos the answer has. */
+/* These return the number of sides and of albedos in the answer. */
 static uint32_t sides_of(const dipole_mc_query *query) {
   return isinf(query->thickness_mm) ? 1 : DIPOLE_MC_SIDES;
 }
@@ -66,11 +67,12 @@ static uint32_t albedos_of(const dipole_mc_query *query) {
 
 static bool is_progress(const libdipole_frame *frame) {
   wire_mc_reply reply;
-  wire_get_mc_reply(frame->payload, &reply); /* start() asks for no shorter one. */
+  wire_get_mc_reply(frame->payload, &reply); /* start() set reply_bytes_min to its size. */
   return reply.state == MC_UNDER_WAY;
 }
 
-/* A job is not repeated: its photons would be lost, and a new job would delay those of others. */
+/* The client never repeats a job: the photons walked so far would be lost, and a second job would
+ * delay the jobs of other clients. */
 static const libdipole_kind job_kind = {.endless = true, .is_progress = is_progress};
 static const libdipole_kind cancel_kind = {.endless = true};
 
@@ -82,7 +84,7 @@ static bool start(dipole_client *client, const dipole_mc_query *query, libdipole
                                  .type = WIRE_TYPE_MC,
                                  .reply_bytes_min = WIRE_BYTES_mc_reply,
                                  .reply_bytes_max = WIRE_BYTES_mc_reply};
-  /* Without a layout no table comes: the daemon refuses the request and says why. */
+  /* If there is no layout, the daemon refuses the request and says why. */
   if (mc_reply_layout(sides_of(query), albedos_of(query), query->ring_count, &layout)) {
     pending->reply_bytes_max = layout.payload_bytes;
   }
@@ -141,7 +143,7 @@ static dipole_mc_energy get_energy(const uint8_t *at) {
   return to;
 }
 
-/* Makes the result of the last frame, which it takes over. */
+/* Makes a result of the last frame of a job. The result then owns the frame. */
 static bool take_table(dipole_client *client, libdipole_frame *frame, const wire_mc_reply *fixed,
                        const mc_layout *layout, dipole_mc_result **result, dipole_error *error) {
   mc_table *table = malloc(sizeof *table + fixed->albedo_count * sizeof table->energies[0]);
@@ -174,8 +176,8 @@ static bool is_asked_for(const dipole_mc_query *query, const wire_mc_reply *fixe
          fixed->albedo_count == albedos_of(query) && fixed->ring_count == query->ring_count;
 }
 
-/* Waits for the next reply. *result: the table if it was the last; else NULL, and *progress says
- * how far the job is. */
+/* Waits for the next reply of a job. After the last reply, *result is the result. After another
+ * one, *result is NULL and *progress is set. */
 static bool next_reply(dipole_client *client, const dipole_mc_query *query, uint64_t id,
                        dipole_mc_progress *progress, dipole_mc_result **result,
                        dipole_error *error) {
@@ -203,8 +205,8 @@ static bool next_reply(dipole_client *client, const dipole_mc_query *query, uint
 
 /* ---- the public calls ---------------------------------------------------------------------- */
 
-/* Takes the answer to a cancel request, which says nothing that the table does not. It may not
- * come: a daemon that stops sends the table and closes. */
+/* Waits for the answer to a cancel request and ignores it: the result of the job says enough. There
+ * may be no answer, because a daemon that stops sends the result and closes. */
 static void finish(dipole_client *client, uint64_t cancel_id) {
   libdipole_pending pending;
   dipole_error unwanted;

@@ -1,4 +1,4 @@
-/* Connections: one to an address, and the first that can be had to one of several. */
+/* Opens clients: connects to one address, or to the first of several that answers. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -10,7 +10,7 @@
 
 /* ---- one ----------------------------------------------------------------------------------- */
 
-/* Connects and says hello. Each of the two may take limit_ms. */
+/* Connects and sends hello. Each of the two steps may take limit_ms. */
 static bool greet(dipole_client *client, const char *text, unsigned limit_ms, dipole_error *error) {
   libdipole_address address;
   int fd;
@@ -46,8 +46,8 @@ static dipole_client *open_one(const char *text, unsigned limit_ms, dipole_error
 
 /* ---- of several ---------------------------------------------------------------------------- */
 
-/* Returns whether the fresh daemon has all names of the other, with the same ids. If so, the
- * numbers in requests mean the same to both. */
+/* Returns whether the daemon of `fresh` has all names in the lists of `like`, with the same ids. If
+ * so, the ids in requests mean the same to both daemons. */
 static bool has_lists_of(const dipole_client *fresh, const dipole_client *like) {
   for (size_t i = 0; i < like->info->choice_count; i++) {
     const dipole_choice *choice = &like->info->choices[i];
@@ -71,8 +71,8 @@ static dipole_client *open_like(const char *text, unsigned limit_ms, const dipol
   return fresh;
 }
 
-/* Returns how long one attempt may take: an equal part of the time that is left for it and for the
- * other addresses that are still to be tried. */
+/* Returns how long an attempt at one address may take: the time until until_ms is shared equally
+ * among this address and the others that are still to be tried. */
 static unsigned attempt_limit(unsigned connect_timeout_ms, int64_t until_ms, size_t others) {
   if (until_ms == INT64_MAX) {
     return connect_timeout_ms;
@@ -83,8 +83,8 @@ static unsigned attempt_limit(unsigned connect_timeout_ms, int64_t until_ms, siz
                                                                   : (unsigned)least_ms;
 }
 
-/* Adds the failure of one address to those of the addresses before it. Of several times to try
- * again, the earliest counts. */
+/* Adds the failure at one address to `all`, the failures at the addresses before it. Keeps the
+ * earliest retry_after_ms. */
 static void add_failure(dipole_error *all, const dipole_error *one, size_t tried, size_t count) {
   const dipole_error before = *all;
   *all = *one;
@@ -96,10 +96,10 @@ static void add_failure(dipole_error *all, const dipole_error *one, size_t tried
   }
 }
 
-/* Tries each of the addresses once, from addresses->at on, which is then the one that answered.
- * until_ms: when all of it has to be over; INT64_MAX is never. like: the client whose lists the
- * daemon must have, or NULL. Returns NULL if no address works; *may_pass: trying again may help.
- * The new client has no addresses and options yet. */
+/* Tries each of the addresses once, starting at addresses->at, and sets addresses->at to the one
+ * that answers. until_ms: when to stop; INT64_MAX is never. like: the client whose lists the daemon
+ * must have, or NULL. Returns a client that has no addresses and options yet. Returns NULL if no
+ * address works; *may_pass then says whether trying again may help. */
 static dipole_client *try_each(libdipole_addresses *addresses, unsigned connect_timeout_ms,
                                int64_t until_ms, const dipole_client *like, bool *may_pass,
                                dipole_error *error) {
@@ -136,7 +136,7 @@ void dipole_options_init(dipole_options *options) {
                               .in_flight_max = DIPOLE_IN_FLIGHT_MAX};
 }
 
-/* Tries all addresses again and again for as long as the options say. */
+/* Tries all addresses in rounds, until one answers or open_ms of the options has passed. */
 static dipole_client *open_any(libdipole_addresses *addresses, const dipole_options *options,
                                dipole_error *error) {
   const bool private = libdipole_addresses_is_private(addresses);

@@ -1,4 +1,4 @@
-/* Queries: eval, sample and offers. */
+/* Sends the queries eval, sample and offers, and reads their answers. */
 #include "clients/c/query.h"
 
 #include <stdlib.h>
@@ -65,7 +65,8 @@ static bool check_media(const dipole_medium *media, uint32_t medium_count, unsig
   return true;
 }
 
-/* Checks listed numbers in the precision of a known evaluator. *bytes: the size of all of them. */
+/* Checks that a list of numbers is given and that its size, which goes to *bytes, is possible. The
+ * evaluator, which must be known, says the precision. */
 static bool check_list(const void *list, uint64_t count, unsigned evaluator, const char *name,
                        const char *count_name, uint64_t *bytes, dipole_error *error) {
   const size_t value_bytes = core_evaluator_bytes(evaluator);
@@ -82,7 +83,7 @@ static bool check_list(const void *list, uint64_t count, unsigned evaluator, con
   return true;
 }
 
-/* Writes media, parameters and listed numbers, which are padded. */
+/* Writes media, parameters, and a list of numbers with padding. */
 static void put_lists(uint8_t *at, const dipole_medium *media, uint32_t medium_count,
                       const dipole_parameter *parameters, size_t parameter_count, const void *list,
                       size_t list_bytes) {
@@ -110,7 +111,8 @@ static bool check_query(const dipole_query *query, uint64_t *radii_bytes, dipole
                      radii_bytes, error));
 }
 
-/* Checks a query and sends it as pending->type. Sets the deadline, the counts and the id. */
+/* Checks a query and sends it as a request of pending->type. Sets pending's deadline, counts and
+ * id. */
 static bool send_query(dipole_client *client, const dipole_query *query, libdipole_pending *pending,
                        dipole_error *error) {
   uint64_t radii_bytes;
@@ -143,7 +145,7 @@ static bool send_query(dipole_client *client, const dipole_query *query, libdipo
   return libdipole_request_send(client, error);
 }
 
-/* Checks that a caller who has given memory has given it for everything that is wanted. */
+/* Checks that a caller who has given memory for the answer has given it for all wanted arrays. */
 static bool check_into(const dipole_query *query, dipole_error *error) {
   bool arrays = false;
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
@@ -177,7 +179,7 @@ static bool submit(dipole_client *client, const dipole_query *query, libdipole_r
   return true;
 }
 
-/* Waits for the answer to one request, or to any if id is 0. */
+/* Waits for the answer to request *id, or to any request if *id is 0. Sets *id. */
 static bool collect(dipole_client *client, uint64_t *id, dipole_result **result,
                     dipole_error *error) {
   libdipole_pending pending;
@@ -197,7 +199,7 @@ bool dipole_eval(dipole_client *client, const dipole_query *query, dipole_result
   }
   const bool good = collect(client, &id, result, error);
   if (!good) {
-    libdipole_request_drop(client, id); /* if the answer has not come in time */
+    libdipole_request_drop(client, id); /* The answer may not have come in time. */
   }
   return good;
 }
@@ -251,7 +253,8 @@ bool dipole_collect_id(dipole_client *client, uint64_t id, dipole_result **resul
                  : libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "no query has the id 0");
 }
 
-/* No daemon has thousands of models. With this limit, no product of counts can overflow. */
+/* The longest list of offers that the library accepts. It is far more than a daemon sends, and
+ * small enough that no product of counts overflows. */
 #define OFFERS_MAX_BYTES ((uint64_t)1 << 20)
 
 static dipole_offer get_offer(const uint8_t *at) {
@@ -277,7 +280,7 @@ static bool get_offers(dipole_client *client, const libdipole_frame *frame, dipo
                                 error);
   }
   *offers =
-      calloc((size_t)fixed.count + 1, sizeof **offers); /* An empty list is a valid pointer, too. */
+      calloc((size_t)fixed.count + 1, sizeof **offers); /* not NULL for an empty list, either */
   if (*offers == NULL) {
     return libdipole_fail_memory(error);
   }
@@ -362,7 +365,7 @@ bool dipole_sample(dipole_client *client, const dipole_sample_query *query, dipo
   }
   const bool good = libdipole_request_wait(client, pending.id, &pending, error);
   if (!good) {
-    libdipole_request_drop(client, pending.id); /* if the answer has not come in time */
+    libdipole_request_drop(client, pending.id); /* The answer may not have come in time. */
   }
   return good && libdipole_result_take(client, &pending, result, error);
 }

@@ -9,11 +9,11 @@
 #include "clients/c/clock.h"
 #include "clients/c/error.h"
 
-/* A call waits until fewer bytes than this are unsent. */
+/* A call that sends waits until fewer bytes than this are unsent. */
 #define BACKLOG_MAX_BYTES ((size_t)1 << 20)
 
-/* Requests are held back up to so many bytes, and up to one in HELD_SHARE of those outstanding: a
- * system call for each request would cost more than all the rest of it. */
+/* To save system calls, which cost more than the rest of a short request, the client holds back
+ * requests until they have HELD_MAX_BYTES or are one in HELD_SHARE of the outstanding ones. */
 #define HELD_MAX_BYTES ((size_t)16 << 10)
 enum { HELD_SHARE = 4 };
 
@@ -67,7 +67,7 @@ static bool reserve(dipole_client *client, dipole_error *error) {
   return true;
 }
 
-/* Frees the request's copy. */
+/* Frees the copy of a request that was kept to send it again. */
 static void forget_copy(dipole_client *client, libdipole_pending *pending) {
   if (pending->kept != NULL) {
     client->retry.kept_bytes -= pending->frame_bytes;
@@ -98,7 +98,8 @@ static bool is_progress(const libdipole_pending *pending) {
          pending->kind->is_progress(pending->frame);
 }
 
-/* Hands out an entry that has an answer. After a report of progress the entry stays. */
+/* Copies an entry that has an answer to *out and removes it from the list. If the answer is a
+ * report of progress, the entry stays in the list. */
 static void hand_out(dipole_client *client, libdipole_pending *entry, libdipole_pending *out) {
   *out = *entry;
   client->arrived_count--;
@@ -115,7 +116,7 @@ void libdipole_request_drop(dipole_client *client, uint64_t id) {
     return;
   }
   if (entry->frame == NULL &&
-      entry->again_ms == 0) { /* The answer to this request is still to come. */
+      entry->again_ms == 0) { /* The request has been sent, and its answer is still to come. */
     entry->dropped = true;
     client->dropped_count++;
     if (entry->kind->discard != NULL && client->frame != NULL &&
@@ -166,7 +167,7 @@ libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload
   return frame;
 }
 
-/* Forgets the parts that have come. */
+/* Throws away the parts of an answer that have come. */
 static void drop_parts(libdipole_pending *pending) {
   free(pending->gathered);
   pending->gathered = NULL;
@@ -204,13 +205,13 @@ bool libdipole_bad_answer(dipole_client *client, const char *what, dipole_error 
   return false;
 }
 
-/* Returns whether a frame with this id answers a request that waits for one. */
+/* Returns whether the request waits for a frame. pending: NULL if no request has the frame's id. */
 static bool is_awaited(const libdipole_pending *pending) {
   return pending != NULL && (pending->frame == NULL || is_progress(pending));
 }
 
-/* Returns whether the header announces an error or an answer that this request can have. An error
- * may also be about the connection as a whole: then there is no request with its id. */
+/* Returns whether the header is of an error or of an answer that this request can have. pending:
+ * NULL if no request has the frame's id, as for an error that concerns the whole connection. */
 static bool check_header(const wire_header *header, const libdipole_pending *pending,
                          dipole_error *error) {
   char what[160];
@@ -236,7 +237,7 @@ static bool check_header(const wire_header *header, const libdipole_pending *pen
   return true;
 }
 
-/* Begins a frame: a whole header is in the buffer. */
+/* Starts to receive a frame whose complete header is in the buffer. */
 static bool begin_frame(dipole_client *client, dipole_error *error) {
   libdipole_stream *stream = &client->stream;
   wire_header header;
@@ -260,17 +261,17 @@ static bool begin_frame(dipole_client *client, dipole_error *error) {
   return true;
 }
 
-/* Takes what the daemon says about the connection as a whole. Returns false. */
-static bool take_farewell(dipole_client *client, libdipole_frame *frame, dipole_error *error) {
+/* Fails with an error that the daemon sent about the whole connection. Frees the frame. */
+static bool fail_connection(dipole_client *client, libdipole_frame *frame, dipole_error *error) {
   refused(client, NULL, frame, error);
   free(frame);
-  /* Before hello it is the reason why the client cannot be opened. Later it is the reason why the
-   * connection is lost. */
+  /* Before the reply to hello, opening the client fails with this error. Later, the connection is
+   * lost because of it. */
   error->kind = client->info != NULL ? DIPOLE_ERROR_CONNECTION : DIPOLE_ERROR_REFUSED;
   return false;
 }
 
-/* The answer is whole, or an error has ended it. */
+/* Ends a request whose answer is complete or is an error: frees its parts and its copy. */
 static void end_answer(dipole_client *client, libdipole_pending *pending) {
   free(pending->gathered); /* the parts before the error */
   pending->gathered = NULL;
@@ -283,24 +284,24 @@ static void end_answer(dipole_client *client, libdipole_pending *pending) {
   }
 }
 
-/* Returns whether the request can be sent again: a copy of it is kept, and no reader has got a
- * part. */
+/* Returns whether the request can be sent again: the client has a copy, and no reader has got a
+ * part of the answer. */
 static bool can_repeat(const libdipole_pending *pending) {
   return pending->kept != NULL && !pending->dropped &&
          (pending->reader == NULL || pending->next_part == 0);
 }
 
-/* When the request first had no answer, at the latest now. Its time to be tried again runs from
- * then on. */
-static int64_t trouble_since_ms(libdipole_pending *pending, int64_t now_ms) {
-  if (pending->trouble_ms == 0) {
-    pending->trouble_ms = now_ms;
+/* Returns when the request first failed; if this is its first failure, that is now. The client
+ * sends it again for retry.for_ms from then on. */
+static int64_t failed_since_ms(libdipole_pending *pending, int64_t now_ms) {
+  if (pending->failed_ms == 0) {
+    pending->failed_ms = now_ms;
   }
-  return pending->trouble_ms;
+  return pending->failed_ms;
 }
 
-/* Returns whether this answer only says that the request is to be sent later; then it will be, and
- * the frame is freed. */
+/* If the answer is a temporary refusal, plans to send the request again, frees the frame and
+ * returns true. */
 static bool send_later(dipole_client *client, libdipole_pending *pending, libdipole_frame *frame) {
   wire_error why;
   if (frame->header.type != WIRE_TYPE_ERROR || !can_repeat(pending)) {
@@ -315,7 +316,7 @@ static bool send_later(dipole_client *client, libdipole_pending *pending, libdip
       why.retry_after_ms > LIBDIPOLE_PAUSE_FIRST_MS ? why.retry_after_ms : LIBDIPOLE_PAUSE_FIRST_MS;
   const int64_t again_ms =
       now_ms + least_ms + libdipole_jitter(&client->retry.random, LIBDIPOLE_PAUSE_FIRST_MS);
-  if (again_ms > trouble_since_ms(pending, now_ms) + client->retry.for_ms) {
+  if (again_ms > failed_since_ms(pending, now_ms) + client->retry.for_ms) {
     return false;
   }
   free(frame);
@@ -325,13 +326,13 @@ static bool send_later(dipole_client *client, libdipole_pending *pending, libdip
   return true;
 }
 
-/* Gives a complete frame to its request. Of several reports of progress the latest is kept. */
+/* Gives a complete frame to its request. A report of progress replaces the one before it. */
 static bool end_frame(dipole_client *client, dipole_error *error) {
   libdipole_frame *frame = client->frame;
   libdipole_pending *pending = find(client, frame->header.request_id);
   client->frame = NULL;
   if (!is_awaited(pending)) {
-    return take_farewell(client, frame, error);
+    return fail_connection(client, frame, error);
   }
   if (pending->frame != NULL) {
     free(pending->frame);
@@ -356,7 +357,7 @@ static bool end_frame(dipole_client *client, dipole_error *error) {
   return true;
 }
 
-/* Finds the place of the next bytes of the frame. *more: false if it is complete. */
+/* Sets the memory that receives the next bytes of the frame. *more is false if it is complete. */
 static bool place_next(dipole_client *client, bool *more, dipole_error *error) {
   const libdipole_frame *frame = client->frame;
   *more = false;
@@ -367,7 +368,7 @@ static bool place_next(dipole_client *client, bool *more, dipole_error *error) {
   return pending->kind->place(client, pending, more, error);
 }
 
-/* Makes frames of the bytes in the buffer. */
+/* Makes frames of the received bytes. */
 static bool receive(dipole_client *client, dipole_error *error) {
   libdipole_stream *stream = &client->stream;
   bool more;
@@ -408,7 +409,8 @@ static bool fail_late(const dipole_client *client, dipole_error *error) {
                         client->call_timeout_ms);
 }
 
-/* Lowers *limit_ms (0 is no limit) to what is left of the call's time. Fails if nothing is. */
+/* Lowers *limit_ms to the time that is left for the call; 0 means no limit. Fails with kind TIMEOUT
+ * if no time is left. */
 static bool limit_to_call(const dipole_client *client, unsigned *limit_ms, dipole_error *error) {
   if (client->until_ms == 0) {
     return true;
@@ -423,8 +425,8 @@ static bool limit_to_call(const dipole_client *client, unsigned *limit_ms, dipol
   return true;
 }
 
-/* Waits until the connection moves, the daemon has been silent for too long, or the call's time is
- * over. In the last case the time counts towards the daemon's silence in the next call. */
+/* Waits until bytes are received or sent, the daemon has been silent for timeout_ms, or the time of
+ * the call is over. Silence at the end of a call counts on in the next call. */
 static bool wait_and_move(dipole_client *client, dipole_error *error) {
   libdipole_stream *stream = &client->stream;
   const unsigned timeout_ms = client->timeout_ms;
@@ -453,15 +455,15 @@ static bool wait_and_move(dipole_client *client, dipole_error *error) {
 
 /* ---- sending again ------------------------------------------------------------------------- */
 
-/* Keeps a copy of the request that was begun last, if it may be sent again and there is room. Its
- * frame is the end of stream.out. */
+/* Keeps a copy of the request that was begun last, if it may be sent again and
+ * DIPOLE_RETRY_KEPT_BYTES has room. The end of stream.out is the frame of the request. */
 static void keep_copy(dipole_client *client) {
   libdipole_pending *last = &client->pending[client->pending_begin + client->pending_count - 1];
   if (client->retry.for_ms == 0 || !last->kind->repeatable ||
       last->frame_bytes > DIPOLE_RETRY_KEPT_BYTES - client->retry.kept_bytes) {
     return;
   }
-  last->kept = malloc(last->frame_bytes); /* Without memory it cannot be sent again. */
+  last->kept = malloc(last->frame_bytes); /* If this fails, the request is sent only once. */
   if (last->kept != NULL) {
     const libdipole_stream *stream = &client->stream;
     memcpy(last->kept, stream->out + stream->out_end - last->frame_bytes, last->frame_bytes);
@@ -470,7 +472,7 @@ static void keep_copy(dipole_client *client) {
   }
 }
 
-/* Gives a request the error that the daemon would send after its deadline. */
+/* Gives a request the error that a daemon sends after the deadline. */
 static bool answer_late(dipole_client *client, libdipole_pending *pending, dipole_error *error) {
   const wire_header header = {.magic = WIRE_MAGIC,
                               .version = WIRE_VERSION,
@@ -489,8 +491,8 @@ static bool answer_late(dipole_client *client, libdipole_pending *pending, dipol
   return true;
 }
 
-/* Sends a request again with what is left of its deadline, which runs from when it was first sent.
- * If nothing is left it is answered at once. */
+/* Sends a request again with the rest of its deadline, which counts from the first sending. If
+ * nothing is left, gives the request the error "deadline" instead. */
 static bool send_again(dipole_client *client, libdipole_pending *pending, dipole_error *error) {
   libdipole_stream *stream = &client->stream;
   if (pending->deadline_ms != 0) {
@@ -511,8 +513,8 @@ static bool send_again(dipole_client *client, libdipole_pending *pending, dipole
   return true;
 }
 
-/* Sends the requests whose time to be sent again has come. Then waits for the connection to move,
- * but not beyond the next such time. *moves: there may be something to read or send. */
+/* Sends the requests that are due to be sent again. Then waits for the connection, at most until
+ * the next request is due. *moves: whether the connection may have bytes to read or send. */
 static bool send_due(dipole_client *client, bool *moves, dipole_error *error) {
   libdipole_pending *first = client->pending + client->pending_begin;
   const int64_t now_ms = libdipole_now_ms();
@@ -525,7 +527,7 @@ static bool send_due(dipole_client *client, bool *moves, dipole_error *error) {
       if (!send_again(client, &first[i], error)) {
         return false;
       }
-      *moves = *moves && first[i].frame == NULL; /* an answer here means: it was too late to send */
+      *moves = *moves && first[i].frame == NULL; /* send_again() may have answered it */
     } else if (first[i].again_ms != 0 && first[i].again_ms < next_ms) {
       next_ms = first[i].again_ms;
     }
@@ -560,7 +562,7 @@ bool libdipole_is_temporary(const dipole_error *error) {
 }
 
 /* Returns whether every outstanding request can be sent again. Removes the requests that the caller
- * has dropped. *until_ms: when the time of one of the requests is over. */
+ * has dropped. *until_ms: the first moment at which a request may no longer be sent again. */
 static bool can_restore(dipole_client *client, int64_t *until_ms) {
   const int64_t now_ms = libdipole_now_ms();
   *until_ms = now_ms + client->retry.for_ms;
@@ -577,7 +579,7 @@ static bool can_restore(dipole_client *client, int64_t *until_ms) {
       if (!can_repeat(entry)) {
         return false;
       }
-      const int64_t over_ms = trouble_since_ms(entry, now_ms) + client->retry.for_ms;
+      const int64_t over_ms = failed_since_ms(entry, now_ms) + client->retry.for_ms;
       *until_ms = over_ms < *until_ms ? over_ms : *until_ms;
     }
     i++;
@@ -585,8 +587,8 @@ static bool can_restore(dipole_client *client, int64_t *until_ms) {
   return true;
 }
 
-/* Moves the connection and the private daemon of a fresh client into this one. Frees the fresh one,
- * which ends what is left of this client's former daemon. */
+/* Gives this client the connection and the private daemon of a fresh client. Frees the fresh
+ * client, and ends this client's former daemon with it. */
 static void take_over(dipole_client *client, dipole_client *fresh) {
   const pid_t former = client->daemon;
   free(client->frame);
@@ -613,8 +615,8 @@ static bool send_all_again(dipole_client *client, dipole_error *error) {
   return true;
 }
 
-/* Waits before the next round. Returns false if there is no time for it: the requests' (*over), or
- * the call's, as *error says. */
+/* Waits before the next round of attempts. Returns false if no time is left: *over is true if the
+ * requests may no longer be sent again, else the call has no time left and *error says so. */
 static bool wait_for_round(dipole_client *client, int64_t until_ms, uint32_t retry_after_ms,
                            bool *over, dipole_error *error) {
   const unsigned usual_ms = libdipole_jitter(&client->retry.random, client->retry.pause_ms);
@@ -629,7 +631,8 @@ static bool wait_for_round(dipole_client *client, int64_t until_ms, uint32_t ret
   return limit_to_call(client, &call_ms, error);
 }
 
-/* Tries until the time is over or trying cannot help. NULL: *error says why. */
+/* Tries to connect again until until_ms, or until an error is not temporary. Returns NULL and sets
+ * *error if that fails. */
 static dipole_client *connect_again(dipole_client *client, int64_t until_ms, dipole_error *error) {
   const dipole_error first = *error;
   dipole_error latest = first;
@@ -654,16 +657,17 @@ static dipole_client *connect_again(dipole_client *client, int64_t until_ms, dip
   return NULL;
 }
 
-/* Returns whether another connection may help. A daemon that was silent is not asked again, but
- * another daemon is. */
+/* Returns whether another connection may help after this error. If the daemon was silent, only the
+ * connection to another daemon may help. */
 static bool may_be_restored(const dipole_client *client, const dipole_error *error) {
   return client->retry.for_ms != 0 && client->reopen != NULL &&
          (!client->stream.silent || client->addresses.count > 1) &&
          error->kind == DIPOLE_ERROR_CONNECTION && libdipole_is_temporary(error);
 }
 
-/* After the loss that *error describes: connects again and sends all that is outstanding again.
- * Fails with the reason for the loss; or with kind TIMEOUT, and then the next call goes on. */
+/* Connects again after the loss that *error describes, and sends all outstanding requests again.
+ * Fails with the reason for the loss. If the time of the call ends first, fails with kind TIMEOUT,
+ * and the next call goes on. */
 static bool restore(dipole_client *client, dipole_error *error) {
   int64_t until_ms;
   if (!may_be_restored(client, error) || !can_restore(client, &until_ms)) {
@@ -672,7 +676,7 @@ static bool restore(dipole_client *client, dipole_error *error) {
   if (client->retry.pause_ms == 0) { /* The connection has only just been lost. */
     client->retry.pause_ms = LIBDIPOLE_PAUSE_FIRST_MS;
     client->addresses.at = (client->addresses.at + 1) % client->addresses.count;
-    /* Closed at once, because a daemon that stops waits a while for its clients to close. */
+    /* Close at once, because a daemon that stops waits for its clients to close. */
     libdipole_stream_close(&client->stream);
   }
   dipole_client *fresh = connect_again(client, until_ms, error);
@@ -692,8 +696,8 @@ static bool advance(dipole_client *client, dipole_error *error) {
   return !moves || (wait_and_move(client, error) && receive(client, error));
 }
 
-/* Waits until bytes come or go, and takes what came. After a failure that another connection cannot
- * repair, every call fails in the same way. */
+/* Waits until bytes are received or sent, and reads the received frames. After a failure that
+ * another connection cannot repair, every later call fails in the same way. */
 static bool step(dipole_client *client, dipole_error *error) {
   if (client->broken.kind != DIPOLE_ERROR_NONE) {
     *error = client->broken;
@@ -810,7 +814,7 @@ bool libdipole_request_read(dipole_client *client, uint64_t id, const libdipole_
       hand_out(client, entry, pending);
       return true;
     }
-    if (reader->stopped) { /* The rest may have come already: then there is no entry any more. */
+    if (reader->stopped) { /* If the last part has come already, the request has no entry now. */
       pending->frame = NULL;
       return true;
     }

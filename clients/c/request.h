@@ -1,11 +1,11 @@
-/* request: sends requests, receives answers, and sends again what met trouble. It knows no kind of
- * message: a libdipole_kind tells how the answer to one is taken.
+/* request: sends requests, receives answers, and repeats requests that failed. It does not know the
+ * messages: a libdipole_kind says how the answers to one kind of request are read.
  *
- * A request is begun and sent, waits in client->pending until its answer is whole, and is then
- * handed out to the call that waits for it. With retries, a copy of it is kept until then. It is
- * sent again on another connection when the first one is lost, or on the same one when the daemon
- * was busy. Answers of a lost connection cannot come any more, and of an unfinished answer nothing
- * is used, so no answer is wrong and none comes twice. */
+ * A call begins and sends a request. The request stays in client->pending until its answer is
+ * complete, and then goes to the call that waits for it. If retries are on, the client keeps a copy
+ * of the request meanwhile. It sends the copy over a new connection when the old one is lost, or
+ * over the same one when the daemon was busy. A new connection brings no answers of the old one,
+ * and the parts of an unfinished answer are thrown away, so no answer comes twice. */
 #ifndef LIBDIPOLE_REQUEST_H
 #define LIBDIPOLE_REQUEST_H
 
@@ -16,100 +16,99 @@
 #include "proto/eval.h"
 #include "proto/wire.h"
 
-/* Arrays lie in frames as they lie in memory, and frames are little-endian. */
+/* Arrays are copied between frames and memory as they are. Frames are little-endian. */
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's arrays need swapping");
 
 /* ---- what is asked and answered ------------------------------------------------------------ */
 
-/* A frame that has arrived, or an answer that was put together of several frames. The result comes
- * first, so that the caller's result is the block that holds the payload. Behind the payload there
- * is room for the result's channels. Of an answer that goes into the caller's memory, only the head
- * is stored: the fixed part and the channels. */
+/* A received frame, or an answer that was put together of several frames. The result is the first
+ * member, so that freeing the caller's result frees the payload, too. Behind the payload there is
+ * room for the channels of the result. If the arrays go into the caller's memory, the payload holds
+ * only the head: the fixed part and the channels. */
 typedef struct libdipole_frame {
   dipole_result result;
   wire_header header;
-  uint64_t payload_bytes; /* An answer of several parts may have more than a header can say. */
-  uint64_t stored_bytes;  /* how many of them are in payload: all, or the head */
-  void *into_values; /* the caller's memory that holds the rest; both are NULL if there is none */
+  uint64_t payload_bytes; /* may be more than a header can say if the answer had several parts */
+  uint64_t stored_bytes;  /* the number of bytes in payload: all of them, or only the head */
+  void *into_values; /* the caller's memory that holds the arrays; both are NULL if there is none */
   void *into_radii;
   _Alignas(8) uint8_t payload[];
 } libdipole_frame;
 
-/* The caller's function that gets the parts of an answer as they come. */
+/* The caller's function that gets each part of an answer when it arrives. */
 typedef struct libdipole_reader {
   bool (*part)(void *context, const dipole_result *part, uint64_t radius_first);
   void *context;
-  bool stopped; /* The function wants no more. */
+  bool stopped; /* The function returned false. */
 } libdipole_reader;
 
 typedef struct libdipole_pending libdipole_pending;
 
-/* How the answers to one kind of request are taken. A function that is NULL is not needed. */
+/* How the answers to one kind of request are read. A function may be NULL. */
 typedef struct libdipole_kind {
-  /* Every daemon gives the same right answer, however often it is asked: so it can be sent
-   * again. */
+  /* Every daemon gives the same answer to such a request, so the client may send it again. */
   bool repeatable;
-  /* The call's time limit does not apply to this kind of request. */
+  /* The time limit of calls does not apply to this kind of request. */
   bool endless;
-  /* Takes the next frame of an answer of several over. When the answer is whole, it is in
+  /* Takes the next frame of an answer, and owns it. After the last frame, the answer is in
    * pending->frame. NULL: every answer is one frame. */
   bool (*take)(libdipole_pending *pending, libdipole_frame *frame, dipole_error *error);
-  /* Returns whether this frame only reports progress. It is handed out, and more frames follow. */
+  /* Returns whether this frame only reports progress, so that more frames follow. */
   bool (*is_progress)(const libdipole_frame *frame);
-  /* The stream's target is full: sets the next one of the frame. *more: false if that was all.
-   * NULL: a frame's whole payload is stored in the frame. */
+  /* Called when the stream's target is full: sets the target for the next bytes of the frame. *more
+   * is false if the frame is complete. NULL: the whole payload is stored in the frame. */
   bool (*place)(dipole_client *client, libdipole_pending *pending, bool *more, dipole_error *error);
-  /* The request has been dropped: the rest of the frame must not go into the caller's memory. */
+  /* Called when the request is dropped: keeps the rest of the frame out of the caller's memory. */
   void (*discard)(dipole_client *client, libdipole_pending *pending);
 } libdipole_kind;
 
 /* A repeatable request whose answer is one frame. */
 extern const libdipole_kind libdipole_plain;
 
-/* A request whose answer has not been handed out, and what the answer may look like. Whoever begins
- * it sets the fields of the first group. */
+/* A request whose answer has not been handed out. The function that begins the request sets the
+ * first group of fields, which say what the answer may look like. */
 struct libdipole_pending {
   const libdipole_kind *kind;
   uint16_t type; /* enum wire_type */
   uint32_t deadline_ms;
-  uint64_t reply_bytes_min, reply_bytes_max; /* of the payload of one frame */
+  uint64_t reply_bytes_min, reply_bytes_max; /* limits for the payload of each frame */
   uint16_t model, evaluator, wanted;         /* of an eval or sample */
-  uint32_t medium_count;                     /* 0 if the request lists none */
-  uint64_t radius_count;                     /* of an eval or sample; of an invert: its media */
-  libdipole_reader *reader; /* gets each part as it comes; if NULL, the parts are put together */
+  uint32_t medium_count;                     /* 0 if the request lists no media */
+  uint64_t radius_count;                     /* of an eval or sample; for an invert: its media */
+  libdipole_reader *reader; /* gets each part when it arrives; NULL: the parts are put together */
   void *into_values;        /* see dipole_query */
   void *into_radii;
 
   uint64_t id;
-  libdipole_frame *frame;    /* the answer; NULL if it is not here yet */
-  uint32_t next_part;        /* what the next part of the answer has to be */
-  uint64_t next_radius;      /* likewise: the position of its first radius or medium */
-  libdipole_frame *gathered; /* the parts so far; with a reader, without the arrays */
+  libdipole_frame *frame;    /* the answer; NULL if it is not complete yet */
+  uint32_t next_part;        /* the number of the next part of the answer */
+  uint64_t next_radius;      /* the position of the first radius or medium of the next part */
+  libdipole_frame *gathered; /* the parts so far; if there is a reader, only their head */
   bool dropped;              /* The caller has dropped the request: do not use reader and into_*. */
 
   size_t frame_bytes;
-  uint8_t *kept;      /* [frame_bytes] the request as it was sent; NULL: it cannot be sent again */
-  int64_t sent_ms;    /* when it was first sent, if it has a deadline */
-  int64_t trouble_ms; /* when it first got no answer; 0 if that has not happened */
-  int64_t again_ms;   /* when it is to be sent again; 0 if it has been sent */
+  uint8_t *kept;     /* [frame_bytes] copy of the request; NULL: it cannot be sent again */
+  int64_t sent_ms;   /* when the request was first sent, if it has a deadline */
+  int64_t failed_ms; /* when the request first failed; 0 if it has not */
+  int64_t again_ms;  /* when to send the request again; 0 if it has been sent */
 };
 
-/* The arrays of a frame that is received into the caller's memory. */
+/* State of receiving the arrays of a frame into the caller's memory. */
 typedef struct libdipole_into {
-  bool begun;            /* The head is here, and it is valid. */
-  wire_eval_reply fixed; /* the head */
-  uint64_t array_count;  /* in the frame, radii included */
-  uint64_t array_bytes;  /* of each, padding included */
-  uint64_t array;        /* the one under way */
-  uint64_t done_bytes;   /* how many of its bytes have been given a place */
+  bool begun;            /* whether the head has arrived and is valid */
+  wire_eval_reply fixed; /* the start of the head */
+  uint64_t array_count;  /* number of arrays in the frame, radii included */
+  uint64_t array_bytes;  /* size of each array, padding included */
+  uint64_t array;        /* position of the array that is being received */
+  uint64_t done_bytes;   /* number of bytes of this array that have been given a place */
   uint8_t discarded[16384];
 } libdipole_into;
 
-/* How a client connects again and sends again. */
+/* How a client retries: connects again, and sends requests again. */
 typedef struct libdipole_retry {
-  unsigned for_ms;    /* how long it tries; 0 is not at all */
+  unsigned for_ms;    /* for how long the client retries; 0 means never */
   unsigned pause_ms;  /* the next pause while there is no connection; else 0 */
-  size_t kept_bytes;  /* of the copies of all requests */
+  size_t kept_bytes;  /* size of the copies of all requests */
   size_t later_count; /* how many requests wait to be sent again */
   uint64_t random;    /* see libdipole_random() */
 } libdipole_retry;
@@ -118,91 +117,95 @@ struct dipole_client {
   libdipole_stream stream;
   pid_t daemon; /* a private daemon, or 0 */
   unsigned connect_timeout_ms, timeout_ms, call_timeout_ms, in_flight_max;
-  int64_t until_ms;    /* when the call under way has to end; 0 is never */
-  unsigned waited_ms;  /* by calls that ended before the daemon's answer */
+  int64_t until_ms;    /* when the running call has to end; 0 means never */
+  unsigned waited_ms;  /* how long earlier calls, whose time ended, saw no byte of the daemon */
   dipole_error lost;   /* why there is no connection; kind NONE if there is one */
-  dipole_error broken; /* why there never will be; kind NONE if the client works */
+  dipole_error broken; /* why there is no connection for good; kind NONE if the client works */
   libdipole_addresses addresses;
   libdipole_retry retry;
 
-  /* Opens a client at the first of the addresses that works, once each, until until_ms. NULL:
-   * *may_pass says whether trying again may help, and *error why it failed. */
+  /* Tries each address once, until until_ms, and opens a client at the first that works. Returns
+   * NULL if none works: *may_pass says whether trying again may help, and *error why it failed. */
   dipole_client *(*reopen)(dipole_client *client, int64_t until_ms, bool *may_pass,
                            dipole_error *error);
 
-  /* pending[pending_begin .. pending_begin + pending_count], in the order of their ids */
+  /* The outstanding requests are pending[pending_begin ... pending_begin + pending_count - 1], in
+   * the order of their ids. */
   uint64_t last_id;
   libdipole_pending *pending;
   size_t pending_begin, pending_count, pending_capacity;
-  size_t arrived_count;   /* how many of them have an answer */
-  size_t dropped_count;   /* how many of them nobody wants */
-  size_t held_count;      /* how many have been begun since bytes were last sent */
-  libdipole_frame *frame; /* being received; NULL: a header comes next */
+  size_t arrived_count;   /* number of pending requests that have an answer */
+  size_t dropped_count;   /* number of pending requests that the caller has dropped */
+  size_t held_count;      /* number of requests begun since bytes were last sent */
+  libdipole_frame *frame; /* the frame that is being received; NULL: a header comes next */
   libdipole_into into;
 
-  dipole_info *info; /* one block; NULL before the daemon has said hello */
+  dipole_info *info; /* one block; NULL before the reply to hello */
 };
 
 /* ---- one request --------------------------------------------------------------------------- */
 
-/* Begins a call: its time runs from now on. */
+/* Begins a call: its time limit counts from now. */
 void libdipole_call_begin(dipole_client *client, const libdipole_kind *kind);
 
-/* Begins a request. *payload is room for payload_bytes: the caller fills it before it calls
- * libdipole_request_send(). Sets pending->id. */
+/* Begins a request and sets pending->id. *payload is memory of payload_bytes, which the caller
+ * fills before it calls libdipole_request_send(). */
 bool libdipole_request_begin(dipole_client *client, libdipole_pending *pending,
                              uint64_t payload_bytes, uint8_t **payload, dipole_error *error);
 
-/* Sends the request that was begun last. It waits only if too many bytes are unsent. */
+/* Sends the request that was begun last. Waits only if too many bytes are unsent. */
 bool libdipole_request_send(dipole_client *client, dipole_error *error);
 
-/* Waits for the answer to request id, or to any request if id is 0, and hands it out in *pending.
- * The caller frees pending->frame, which may be an error frame. After a report of progress the
- * request goes on. */
+/* Waits for the answer to request id, or to any request if id is 0, and moves the request to
+ * *pending. The caller frees pending->frame, which may be an error frame. If the frame is a report
+ * of progress, the request goes on. */
 bool libdipole_request_wait(dipole_client *client, uint64_t id, libdipole_pending *pending,
                             dipole_error *error);
 
-/* Waits until a request's reader has got all parts of the answer, or wants no more, or an error
- * frame has ended the answer. The caller frees pending->frame, which is NULL if more may come. */
+/* Waits until a request's reader has got all parts of the answer, the reader has stopped, or an
+ * error frame has ended the answer. The caller frees pending->frame, which is NULL if the reader
+ * stopped before the last part. */
 bool libdipole_request_read(dipole_client *client, uint64_t id, const libdipole_reader *reader,
                             libdipole_pending *pending, dipole_error *error);
 
-/* Waits for the answer to request pending->id. Returns its frame, which the caller frees; NULL if
- * it failed or was refused. */
+/* Waits for the answer to request pending->id. Returns the frame, which the caller frees. Returns
+ * NULL if the request failed or was refused. */
 libdipole_frame *libdipole_reply(dipole_client *client, libdipole_pending *pending,
                                  dipole_error *error);
 
-/* Sends a request with this payload and waits for its answer, as libdipole_reply(). */
+/* Sends a request with this payload and waits for its answer like libdipole_reply(). */
 libdipole_frame *libdipole_ask(dipole_client *client, libdipole_pending *pending,
                                const uint8_t *payload, size_t payload_bytes, dipole_error *error);
 
-/* Gives up a request. If its answer is still to come, it is thrown away then. */
+/* Gives up a request. If its answer is still to come, the client throws it away on arrival. */
 void libdipole_request_drop(dipole_client *client, uint64_t id);
 
-/* Returns whether the answer is no error frame; else *error is what that says. */
+/* Returns true if the answer is a reply. If it is an error frame, sets *error and returns false. */
 bool libdipole_refusal_check(const dipole_client *client, const libdipole_pending *pending,
                              dipole_error *error);
 
 /* ---- for kinds of answers ------------------------------------------------------------------ */
 
-/* Makes a frame with this header. payload_bytes: of the answer. stored_bytes: room for those that
- * are stored. channel_count: room for so many channels. NULL if there is no memory. */
+/* Allocates a frame with this header, with room for stored_bytes of payload and for channel_count
+ * channels. payload_bytes: the size of the payload in the answer. Returns NULL if there is no
+ * memory. */
 libdipole_frame *libdipole_frame_new(const wire_header *header, uint64_t payload_bytes,
                                      uint64_t stored_bytes, uint32_t channel_count,
                                      dipole_error *error);
 
-/* A part has been taken. When it was the last, what was gathered becomes the answer. */
+/* Notes that a part of `count` radii or media has been taken. After the last part, the gathered
+ * parts become the answer. */
 void libdipole_part_end(libdipole_pending *pending, uint64_t count, bool is_last);
 
 /* Fails with kind PROTOCOL, after which the client can only be closed. Returns false. */
 bool libdipole_bad_answer(dipole_client *client, const char *what, dipole_error *error);
 
-/* Frees all requests and what is being received. */
+/* Frees all requests and the frame that is being received. */
 void libdipole_requests_free(dipole_client *client);
 
 /* ---- for connecting ------------------------------------------------------------------------ */
 
-/* Whether what ended a connection, or prevented one, may be over soon. */
+/* Returns whether connecting again may help after this error. */
 bool libdipole_is_temporary(const dipole_error *error);
 
 #endif

@@ -11,7 +11,7 @@
 #include "clients/c/clock.h"
 #include "clients/c/error.h"
 
-/* An output buffer that is empty and larger than this is freed. */
+/* The stream frees its output buffer when that is empty and larger than this. */
 #define OUTPUT_KEPT_BYTES ((size_t)1 << 20)
 
 void libdipole_stream_init(libdipole_stream *stream, int fd) {
@@ -84,7 +84,7 @@ void libdipole_stream_send(libdipole_stream *stream) {
   }
 }
 
-/* Reads once into the target, else into the buffer, which has room. */
+/* Reads once: into the target if there is one, else into the input buffer, which has room. */
 static bool receive(libdipole_stream *stream, dipole_error *error) {
   uint8_t *to = stream->target;
   size_t room = stream->target_bytes;
@@ -96,7 +96,7 @@ static bool receive(libdipole_stream *stream, dipole_error *error) {
     to = stream->in + unread;
     room = sizeof stream->in - unread;
   }
-  assert(room > 0); /* The caller takes all but an incomplete header out of the buffer. */
+  assert(room > 0); /* The caller leaves at most an incomplete header in the buffer. */
   const ssize_t got = recv(stream->fd, to, room, 0);
   if (got < 0) {
     return errno == EAGAIN || errno == EINTR ||
@@ -125,7 +125,7 @@ bool libdipole_stream_step(libdipole_stream *stream, unsigned timeout_ms, dipole
     stream->silent = errno == ETIMEDOUT;
     return libdipole_fail_errno(error, DIPOLE_ERROR_CONNECTION, errno, "poll");
   }
-  if ((ready & ~POLLOUT) != 0 && !receive(stream, error)) { /* recv() names errors. */
+  if ((ready & ~POLLOUT) != 0 && !receive(stream, error)) { /* recv() also reports POLLERR. */
     return false;
   }
   if ((ready & POLLOUT) != 0) {

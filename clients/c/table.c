@@ -1,4 +1,4 @@
-/* Tables: how they are fetched, loaded, saved and evaluated here, by the daemon's own code. */
+/* Fetches, loads, saves and evaluates tables. The evaluation is the daemon's own code. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -12,7 +12,7 @@
 struct dipole_table {
   dipole_table_info info;
   core_profile profile;
-  float radius_least_mm; /* the range of radii that are not negative and that the model covers */
+  float radius_least_mm; /* the least radius, 0 or more, that the model covers */
   float radius_most_mm;
   dipole_parameter parameters[CORE_PARAMETERS_END];
   size_t frame_bytes;
@@ -25,7 +25,7 @@ static bool damaged(dipole_error *error, const char *what) {
   return libdipole_fail(error, DIPOLE_ERROR_TABLE, "this is not an intact table: %s", what);
 }
 
-/* Finds the length of the frame at the start of the bytes. */
+/* Reads the header of the frame at the start of the bytes; sets *frame_bytes to its length. */
 static bool check_frame(const uint8_t *bytes, size_t count, size_t *frame_bytes,
                         dipole_error *error) {
   wire_header header;
@@ -52,7 +52,7 @@ static bool check_frame(const uint8_t *bytes, size_t count, size_t *frame_bytes,
   return true;
 }
 
-/* Makes a table whose frame has so many bytes. The caller fills them in. */
+/* Allocates a table with room for a frame of frame_bytes, which the caller fills in. */
 static dipole_table *make_room(size_t frame_bytes, dipole_error *error) {
   dipole_table *table = malloc(sizeof *table + frame_bytes);
   if (table == NULL) {
@@ -67,7 +67,7 @@ static dipole_table *make_room(size_t frame_bytes, dipole_error *error) {
 static void set_info(dipole_table *table, const wire_table_reply *fixed, const float *words) {
   const uint8_t *at = table->frame + WIRE_BYTES_header + WIRE_BYTES_table_reply;
   for (size_t i = 0; i < fixed->parameter_count;
-       i++) { /* Each known parameter is there at most once. */
+       i++) { /* Each known parameter may occur at most once. */
     wire_parameter parameter;
     wire_get_parameter(at + i * WIRE_BYTES_parameter, &parameter);
     table->parameters[i] = (dipole_parameter){parameter.parameter, parameter.value};
@@ -93,7 +93,7 @@ static void set_info(dipole_table *table, const wire_table_reply *fixed, const f
   };
 }
 
-/* Sets the range as numbers in single precision, which lie inside. */
+/* Sets the range of radii in single precision, rounded inwards. */
 static void set_range(dipole_table *table) {
   const double least = table->info.radius_least_mm > 0 ? table->info.radius_least_mm : 0;
   const double most = table->info.radius_most_mm;
@@ -102,14 +102,15 @@ static void set_range(dipole_table *table) {
   table->radius_most_mm = (double)far > most ? nextafterf(far, 0) : far;
 }
 
-/* Returns false if it is out of its range. *cosine: 1 if it is not given. */
+/* Sets *cosine to a parameter that is a cosine, or to 1 if it is not given. Returns false if it is
+ * out of range. */
 static bool get_cosine(const core_parameters *parameters, enum core_parameter id, double *cosine) {
   const double value = parameters->value[id];
   *cosine = value == value ? value : 1;
   return *cosine >= 0 && *cosine <= 1;
 }
 
-/* Makes the profile, which owns a copy of the words. */
+/* Makes the table's profile, which owns a copy of the words. */
 static bool set_profile(dipole_table *table, const wire_table_reply *fixed,
                         const core_parameters *parameters, const float *words,
                         dipole_error *error) {
@@ -145,7 +146,7 @@ static bool set_profile(dipole_table *table, const wire_table_reply *fixed,
          damaged(error, "its pieces are not where it says");
 }
 
-/* Reads the frame, which has been filled in. */
+/* Reads and checks the frame of a table. */
 static bool parse(dipole_table *table, dipole_error *error) {
   wire_table_reply fixed;
   core_parameters parameters;
@@ -159,7 +160,7 @@ static bool parse(dipole_table *table, dipole_error *error) {
   return set_profile(table, &fixed, &parameters, words, error);
 }
 
-/* Takes the table over and frees it if it is not intact. */
+/* Gives the caller a table whose frame is filled in, or frees it and fails if it is not intact. */
 static bool hand_out(dipole_table *made, dipole_table **table, dipole_error *error) {
   if (!parse(made, error)) {
     dipole_table_free(made);
@@ -217,7 +218,7 @@ static libdipole_frame *ask(dipole_client *client, const dipole_table_query *que
   return libdipole_request_send(client, error) ? libdipole_reply(client, &pending, error) : NULL;
 }
 
-/* Makes a table of the reply, whose frame it keeps as it came. */
+/* Makes a table of a daemon's reply, and keeps an unchanged copy of its frame. */
 static bool take(const libdipole_frame *frame, dipole_table **table, dipole_error *error) {
   uint8_t header[WIRE_BYTES_header];
   const size_t payload_bytes = frame->header.payload_bytes;
@@ -269,7 +270,8 @@ const dipole_table_info *dipole_table_get_info(const dipole_table *table) {
   return &table->info;
 }
 
-/* Blocks of a constant length without a branch: compilers vectorize them. */
+/* Values are checked in blocks of this constant length, without branches inside a block, so that
+ * the compiler vectorizes the checks. */
 enum { BLOCK = 64 };
 
 static bool is_between(const float *x, size_t n, float least, float most) {

@@ -1,22 +1,22 @@
-/* How a renderer uses libdipole: it computes the light that leaves a translucent plane.
+/* An example of a renderer that uses libdipole: computes the light that leaves a translucent plane.
  *
  *   cc -O2 irradiance.c $(pkg-config --cflags --libs dipole) -o irradiance
  *   ./irradiance [ADDRESS [PIXELS [POINTS]]]
  *
  * A square of skin, 20 mm wide, is lit on its left half and in a small disk on its right half. The
  * lit part is covered with sample points i, each of which stands for an area A_i and receives the
- * irradiance E_i, as renderers gather it in a first pass. What leaves at x, in W/mm^2, is
+ * irradiance E_i, as renderers gather it in a first pass. The power that leaves at x, in W/mm^2, is
  *
  *   M(x) = sum over i of R(|x - x_i|) E_i A_i
  *
- * for each of three channels. The program computes this in two ways. First it sends a request for
- * each pixel, with all distances. Many requests are under way at the same time, and their values
- * arrive in the program's own memory. Then it fetches a table for each channel, which takes one
- * request, and lets the library evaluate them here.
+ * for each of three channels. The program computes M in two ways. First it sends a request for each
+ * pixel, with all distances. Many requests are outstanding at the same time, and the library stores
+ * their values in the program's own memory. Then the program fetches a table for each channel, with
+ * one request, and evaluates the tables itself.
  *
  * It writes the picture irradiance.ppm and its numbers irradiance.csv to the current folder, and
- * prints how long each way took and how far they are apart. ADDRESS: see dipole_open(); "" is the
- * default. */
+ * prints the time of each way and the difference of their results. ADDRESS: see dipole_open(); ""
+ * means the default. */
 #include <dipole.h>
 #include <math.h>
 #include <stdio.h>
@@ -65,12 +65,12 @@ static int is_lit(float x, float y) {
   return x < 0.5f * SIDE_MM || dx * dx + dy * dy < 0.01f * SIDE_MM * SIDE_MM;
 }
 
-/* The middle of a cell. */
+/* Returns the middle of cell i of a side that is divided into `of` cells, mm. */
 static float middle(size_t i, size_t of) {
   return ((float)i + 0.5f) * (SIDE_MM / (float)of);
 }
 
-/* Divides the square into points x points cells and keeps the middles of those that are lit. */
+/* Divides the square into points x points cells and stores the middles of the lit cells. */
 static void place_points(scene *of, size_t points) {
   const float cell_mm = SIDE_MM / (float)points;
   of->x = allocate(points * points, sizeof *of->x);
@@ -102,7 +102,7 @@ static void find_medium(scene *of, dipole_client *client, const char *name) {
   free(media);
 }
 
-/* The distances of a pixel to all points. r: [count], mm. */
+/* Computes the distances of a pixel to all points. r: [count], mm. */
 static void distances(const scene *of, size_t pixel, float *r) {
   const float x = middle(pixel % of->pixels, of->pixels);
   const float y = middle(pixel / of->pixels, of->pixels);
@@ -122,11 +122,11 @@ static double gather(const scene *of, const float *R) {
 
 /* ---- asking the daemon --------------------------------------------------------------------- */
 
-/* A request under way. */
+/* The request for one pixel. */
 typedef struct job {
   uint64_t id;
   size_t pixel;
-  float *R; /* [CHANNELS][count], where its answer goes */
+  float *R; /* [CHANNELS][count], the memory for the answer */
 } job;
 
 static void submit(const scene *of, dipole_client *client, size_t pixel, float *r, job *to) {
@@ -141,14 +141,14 @@ static void submit(const scene *of, dipole_client *client, size_t pixel, float *
                               .radii = r,
                               .radius_count = of->count,
                               .into_values = to->R};
-  distances(of, pixel, r); /* The request copies r, so the next one may use the same memory. */
+  distances(of, pixel, r); /* dipole_submit() copies r, so the next request can reuse it. */
   if (!dipole_submit(client, &query, &to->id, &error)) {
     fail("submit", &error);
   }
   to->pixel = pixel;
 }
 
-/* Takes the next answer and returns its job, which is free then. */
+/* Waits for the next answer and stores the pixel's exitance. Returns the job, which is free now. */
 static job *collect(const scene *of, dipole_client *client, job *jobs, double *exitance) {
   dipole_result *result;
   dipole_error error;
@@ -167,7 +167,7 @@ static job *collect(const scene *of, dipole_client *client, job *jobs, double *e
   return &jobs[which];
 }
 
-/* exitance: [pixels * pixels][CHANNELS], W/mm^2. */
+/* Computes all pixels by requests to the daemon. exitance: [pixels * pixels][CHANNELS], W/mm^2. */
 static void ask(const scene *of, dipole_client *client, double *exitance) {
   const size_t all = of->pixels * of->pixels;
   job jobs[IN_FLIGHT] = {0};
