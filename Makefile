@@ -109,7 +109,7 @@ TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildc
 PROGRAMS := $(BUILD)/dipoled $(BUILD)/dipole $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-long check-structure check-unit check-bits check-bits-aarch64 check-e2e check-soak check-soak-long check-pipeline check-asan check-tsan soak truth bench docs model-errors tables tradeoff figures clean
+.PHONY: all setup demo check check-long check-structure check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-pipeline check-asan check-tsan soak truth bench docs model-errors tables tradeoff figures clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -254,7 +254,7 @@ check:
 check-long:
 	@sh .ci/install-packages demo check deb ci
 	@$(MAKE) --no-print-directory -j2 all $(BUILD)/tests/bits $(BUILD)/soak-load $(BUILD)/pipeline
-	+@bash tests/run-check.sh $(BUILD)/logs-long bits-aarch64 soak-long pipeline deb
+	+@bash tests/run-check.sh $(BUILD)/logs-long bits-aarch64 soak-long pipeline packages deb
 
 # Fails when modules include each other in a circle.
 check-structure:
@@ -273,11 +273,15 @@ check-bits-aarch64: $(BUILD)/tests/bits
 PYTEST = env DIPOLED_BUILD=$(abspath $(BUILD)) PYTHONPATH=clients/python:tests/e2e PYTHONDONTWRITEBYTECODE=1 $(PYTHON) -m pytest -q -rs -p no:cacheprovider
 
 check-e2e: all $(BUILD)/dipoled-counting $(BUILD)/soak-load $(BUILD)/pipeline
-	$(PYTEST) -n 2 --dist loadfile --durations=20 tests/e2e
+	$(PYTEST) -n 2 --dist loadfile --durations=20 --ignore=tests/e2e/test_packages.py tests/e2e
+
+# Builds the Debian packages twice.
+check-packages: all
+	$(PYTEST) tests/e2e/test_packages.py
 
 # Runs beside the other tests, with the processor time that they leave.
 check-soak: all $(BUILD)/soak-load
-	SOAK_S=30 nice -n 15 env $(PYTEST) -s tests/soak
+	SOAK_S=15 nice -n 15 env $(PYTEST) -s tests/soak
 
 check-soak-long: all $(BUILD)/soak-load
 	SOAK_S=120 $(PYTEST) -s tests/soak

@@ -13,6 +13,16 @@ from daemons import BUILD, Daemon  # noqa: E402  (needs the path above)
 from modbus_master import Tcp  # noqa: E402
 
 
+# Files that take longest, which begin first: with several processes none then waits for the last.
+SLOWEST = ["same_bits", "fuzz", "retry", "robustness", "overload", "cli_plot_command", "mc", "parts"]
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Puts the slowest files first."""
+    files = [f"test_{name}" for name in SLOWEST]
+    items.sort(key=lambda one: (*files, one.path.stem).index(one.path.stem))
+
+
 @pytest.fixture(scope="session")
 def build() -> Path:
     """The folder of the programs under test: $DIPOLED_BUILD, else build/."""

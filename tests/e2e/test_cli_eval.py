@@ -21,17 +21,20 @@ HEADER = "model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,cdf,numerical_error,mod
 
 @pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
 @pytest.mark.parametrize("moments", ["exact", "fit"])
-def test_points_says_the_same_as_eval(evaluator, moments):
+def test_points_says_the_same_as_eval(shared, evaluator, moments):
+    """They share a daemon, so that it builds each table once, and that of one medium only."""
+    of = ["--evaluator", evaluator, "--connect", shared.url()]
+    medium = [*MEDIUM[:1], "0.01" if evaluator == "lut" else "0.01,0.1", *MEDIUM[2:]]
     rows = eval_rows(
-        *[*MEDIUM, "--model", "all", "--r", "0,0.3,1,7.5,inf", "--want", "R,albedo,cdf"],
-        *["--evaluator", evaluator, "--moments", moments],
+        *[*medium, "--model", "all", "--r", "0,0.3,1,7.5,inf", "--want", "R,albedo,cdf"],
+        *[*of, "--moments", moments],
         quiet=False,  # it names the models that it leaves out
     )
     assert {row["model"] for row in rows} >= set(everywhere())
     columns = ["model", "sigma_a", "sigma_s", "g", "eta", "r"]
     lines = [",".join(row[column] for column in columns) + f",{moments}" for row in rows]
     text = "\n".join([",".join([*columns, "moments"]), *lines])
-    again = read_csv(points(text, "--evaluator", evaluator))
+    again = read_csv(points(text, *of))
     for row, other in zip(rows, again, strict=True):
         for column in ("R", "albedo", "cdf"):
             assert row[column] == other[column] != ""
@@ -262,13 +265,14 @@ def test_a_busy_daemon_is_asked_again(daemon):
 
 def test_a_daemon_that_stays_busy_is_given_up(daemon):
     with Proxy(daemon().url(), lambda number, request_id: busy(request_id)) as proxy:
-        run = dipole("eval", *MEDIUM, "--connect", proxy.url, "--timeout-ms", "50", status=1)
+        patience = ["--timeout-ms", "50", "--retry-ms", "300"]
+        run = dipole("eval", *MEDIUM, "--connect", proxy.url, *patience, status=1)
     assert "busy" in run.stderr
 
 
 def test_a_connection_that_is_lost(daemon):
     with Proxy(daemon().url(), lambda number, request_id: False) as proxy:
-        run = dipole("eval", *MEDIUM, "--connect", proxy.url, status=1)
+        run = dipole("eval", *MEDIUM, "--connect", proxy.url, "--retry-ms", "300", status=1)
     assert run.stdout == ""
     assert "the daemon closed the connection" in run.stderr
 

@@ -381,7 +381,8 @@ def test_a_busy_daemon_is_asked_again(daemon):
 def test_a_daemon_that_goes_away(daemon):
     text = "\n".join([f"id,{HEADER}", *(f"{i},0.01,1,0,1.4,{i}" for i in range(3000))])
     with Proxy(daemon().url(), lambda number, _: False if number == 1500 else None) as proxy:
-        run = dipole("points", "--connect", proxy.url, stdin=text, status=FAILED)
+        options = ["--connect", proxy.url, "--retry-ms", "300"]
+        run = dipole("points", *options, stdin=text, status=FAILED)
     assert "connection" in run.stderr
     whole = points(text)
     assert whole.startswith(run.stdout) and len(run.stdout) < len(whole)

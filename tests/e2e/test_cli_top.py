@@ -118,6 +118,7 @@ def watching(daemon):
     """A daemon, and a command that watches it: records of JSON."""
     one = daemon()
     options = ["--connect", one.url(), "--interval", "0.05", "--format", "json"]
+    options += ["--retry-ms", "300"]
     with subprocess.Popen(
         [str(PROGRAM), "top", *options],
         stdout=subprocess.PIPE,

@@ -474,7 +474,7 @@ def test_a_full_daemon_says_so(daemon):
 
 def test_a_daemon_that_goes_away(daemon):
     one = daemon()
-    with one.client() as client:
+    with dipole.Client(one.url(), retry_s=0.3) as client:
         one.kill()
         with pytest.raises(dipole.ConnectionLost):
             client.ping()

@@ -148,7 +148,7 @@ def test_libdipole_outlives_its_daemon(restarted, how):
             for load in loads:
                 lines = iter(load.stdout.readline, "")
                 progress = (line for line in lines if line.startswith("answered="))
-                assert list(itertools.islice(progress, 4)), load.stderr.read()
+                assert list(itertools.islice(progress, 2)), load.stderr.read()
             getattr(restarted, how)()
         for load in loads:
             load.stdin.close()
