@@ -1,43 +1,27 @@
-"""Reads R of skin at ten distances with pymodbus: profile.py HOST:PORT, or profile.py DEVICE,BAUD.
+"""Reads R of skin at ten distances with pymodbus: profile.py HOST:PORT [MODEL], or profile.py
+DEVICE,BAUD [MODEL] for a serial line. MODEL is an id of the list of models in REGISTERS.md.
 
-One request of function 23 writes the medium and the distances, commits, and reads the values."""
+One request writes the medium and the distances and commits them. The values are read when the job is
+done, which takes a while with the models whose tables have to be prepared, such as 29."""
 
-import struct
 import sys
 
-from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+from unit import DEFAULTS, Unit
 
 RADII_MM = [0.1, 0.2, 0.5, 1, 1.5, 2, 3, 4, 6, 8]
-TOKEN, BETTER, F32, EXACT, LIST = 1, 2, 2, 1, 1
+BETTER, F32, EXACT, LIST = 2, 2, 1, 1
 
-where = sys.argv[1]
-if where.startswith("/"):
-    device, _, baud = where.rpartition(",")
-    client = ModbusSerialClient(device, baudrate=int(baud), parity="N")
-else:
-    host, _, port = where.rpartition(":")
-    client = ModbusTcpClient(host, port=int(port))
-if not client.connect():
-    sys.exit(f"nobody answers at {where}")
-
+unit = Unit(sys.argv[1])
+model = int(sys.argv[2]) if len(sys.argv) > 2 else BETTER
+unit.write(DEFAULTS, "H", 1)  # other masters may have written anything
+token = unit.token()
 # The fields of registers 100 and up: commit, model, evaluator, moments, tolerance (0: none),
 # sigma_a, sigma_s, g, eta, spacing, number of distances, start and stop of a grid (unused here),
 # distances.
-fields = [TOKEN, BETTER, F32, EXACT, 0, 0.032, 0.74, 0, 1.3, LIST, len(RADII_MM), 0, 0, *RADII_MM]
-job = struct.pack(f">4H5f2H2f{len(RADII_MM)}f", *fields)
-answer = client.readwrite_registers(
-    write_address=100,
-    write_registers=list(struct.unpack(f">{len(job) // 2}H", job)),
-    read_address=300,
-    read_count=12 + 2 * len(RADII_MM),
-    unit=1,
-)
-client.close()
-if answer.isError():
-    sys.exit(str(answer))
-status, done, *_ = answer.registers
-if (status, done) != (2, TOKEN):
-    sys.exit(f"status {status}: see registers 302, 303 and 620")
-values = struct.pack(f">{2 * len(RADII_MM)}H", *answer.registers[12:])
-for r, value in zip(RADII_MM, struct.unpack(f">{len(RADII_MM)}f", values)):
-    print(f"{r:g} mm: {value:.9g} 1/mm^2")
+unit.write(
+    100, f"4H5f2H2f{len(RADII_MM)}f",
+    token, model, F32, EXACT, 0, 0.032, 0.74, 0, 1.3, LIST, len(RADII_MM), 0, 0, *RADII_MM,
+)  # fmt: skip
+unit.wait(token)
+for r, R in zip(RADII_MM, unit.floats(312, len(RADII_MM))):
+    print(f"{r:g} mm: {R:.9g} 1/mm^2")

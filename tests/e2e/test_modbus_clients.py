@@ -16,7 +16,7 @@ import dipole
 import numpy as np
 import pytest
 from daemons import BUILD, Daemon, eventually
-from modbus_master import Tcp, input_block, words
+from modbus_master import AT, BAD_VALUE, TCP, Tcp, exception, floats, input_block, words
 
 TOP = Path(__file__).parents[2]
 EXAMPLES = TOP / "clients/modbus"
@@ -102,6 +102,40 @@ def test_pymodbus(request, line, expected):
     check(run(sys.executable, script, request.getfixturevalue(line)), expected, 9)
 
 
+# The three names that pymodbus has had for the number of the unit, and methods that take no others:
+# those of version 2, of 3.0 to 3.9, and of 3.10 and later, where all but the first are keywords.
+GENERATIONS = {
+    "unit": "self, address, {}, **kwargs",
+    "slave": "self, address, {}, slave=0",
+    "device_id": "self, address, {}, *, device_id=1, no_response_expected=False",
+}
+NUMBERS = {"unit": "kwargs.pop('unit')", "slave": "slave", "device_id": "device_id"}
+SITE = """
+from pymodbus.client.mixin import ModbusClientMixin
+read, write = ModbusClientMixin.read_holding_registers, ModbusClientMixin.write_registers
+def read_holding_registers({reads}):
+    return read(self, address, count, slave={number})
+def write_registers({writes}):
+    return write(self, address, values, slave={number})
+ModbusClientMixin.read_holding_registers = read_holding_registers
+ModbusClientMixin.write_registers = write_registers
+"""
+
+
+@pytest.mark.parametrize("keyword", GENERATIONS)
+def test_pymodbus_of_every_generation(address, expected, tmp_path, keyword):
+    """pymodbus as it is here, behind the signatures that its generations have."""
+    pytest.importorskip("pymodbus")
+    form = GENERATIONS[keyword]
+    reads = form.format("*, count=1" if keyword == "device_id" else "count=1")
+    reads = reads.replace("*, count=1, *", "*, count=1")
+    site = SITE.format(reads=reads, writes=form.format("values"), number=NUMBERS[keyword])
+    (tmp_path / "sitecustomize.py").write_text(site)
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    script = str(EXAMPLES / "profile.py")
+    check(run(sys.executable, script, address, env=environment), expected, 9)
+
+
 @pytest.fixture(scope="module")
 def node_modules():
     """Where npm has put what the JavaScript examples need."""
@@ -126,6 +160,81 @@ def node_modules():
 def test_node(address, expected, node_modules, script):
     environment = {**os.environ, "NODE_PATH": str(node_modules)}
     check(run("node", str(EXAMPLES / script), address, env=environment), expected, 9)
+
+
+# ---- units that other masters have used ----------------------------------------------------------
+
+SCRIPTS = {"profile.sh": 6, "profile.py": 9, "profile.js": 9, "jsmodbus.js": 9}  # digits printed
+SLOW = {"model": 29, "evaluator": 3}
+
+
+@pytest.fixture(params=SCRIPTS)
+def example(request):
+    """A function that runs one of the examples, and the digits that it prints."""
+    name = request.param
+    environment = dict(os.environ)
+    if name.endswith(".js"):
+        environment["NODE_PATH"] = str(request.getfixturevalue("node_modules"))
+        command = ["node"]
+    elif name.endswith(".py"):
+        pytest.importorskip("pymodbus")
+        command = [sys.executable]
+    else:
+        if shutil.which("mbpoll") is None:
+            pytest.skip("mbpoll is not installed")
+        command = ["sh"]
+    command.append(str(EXAMPLES / name))
+    return lambda *arguments: run(*command, *arguments, env=environment), SCRIPTS[name]
+
+
+ODD = {
+    "only the albedo is wanted": [("WANTED", words(2))],
+    "a slab": [("PARAMETER_THICKNESS", floats(3.0)), ("MODEL", words(25))],
+    "a tolerance in place of a model": [("PARAMETER_TOLERANCE", floats(1e-12)), ("MODEL", words(0))],
+    "a grid and other moments": [
+        ("MODEL", words(1, 1, 4)), ("SPACING", words(3, 50) + floats(1.0, 2.0))
+    ],
+    "a medium of g .9": [("SIGMA_A", floats(1.0, 20.0, 0.9, 1.5))],
+}
+
+
+@pytest.mark.parametrize("state", ODD)
+def test_a_unit_in_an_odd_state(daemon, example, expected, state):
+    """What another master has left there does not change what the example prints."""
+    one = daemon(*TCP)
+    with Tcp(one) as master:
+        master.write(100, input_block(1, radii=[1.0]))
+        for field, data in ODD[state]:
+            master.write(AT[field], data)
+        with exception(BAD_VALUE):
+            master.write(AT["ETA"], floats(0.0))
+        ask, digits = example
+        check(ask(one.url("modbus-tcp").removeprefix("modbus-tcp:")), expected, digits)
+
+
+def test_a_unit_that_is_busy_and_a_model_that_takes_long(daemon, example):
+    """The example waits for the other master's job, and then for its own."""
+    one = daemon(*TCP)
+    with Tcp(one) as master, one.client() as client:
+        for unit in range(1, 9):  # other units before, so that unit 1 is busy for a while
+            medium = (0.01 * unit, 1.0, 0.0, 1.3)
+            master.write(100, input_block(1, medium, [1.0], **SLOW), 9 - unit)
+        ask, digits = example
+        result = ask(one.url("modbus-tcp").removeprefix("modbus-tcp:"), "29")
+        medium = dipole.Medium(*np.array([0.032, 0.74, 0, 1.3], np.float32).astype(float))
+        answer = client.eval("transport", medium, RADII_MM, evaluator="f32")
+        check(result, answer.R[0], digits)
+
+
+def test_an_example_says_why_it_fails(daemon, example):
+    """A slab without a thickness: the daemon's text, and a status that is not 0."""
+    one = daemon(*TCP)
+    ask, _ = example
+    result = ask(one.url("modbus-tcp").removeprefix("modbus-tcp:"), "25")
+    assert result.returncode != 0 and result.stdout == ""
+    with Tcp(one) as master:
+        text = master.read(AT["ERROR_TEXT"], 40).rstrip(b"\0").decode()
+        assert text and f"error 6 at register {AT['PARAMETER_THICKNESS']}: {text}" in result.stderr
 
 
 # ---- tools that judge ----------------------------------------------------------------------------

@@ -1,0 +1,87 @@
+"""One unit of dipoled over pymodbus, from version 3.0 on. The other Python examples use it.
+
+A program that shares the unit with other masters may find anything in its registers. So each job
+first sets all of them to their defaults, then writes what it depends on."""
+
+import inspect
+import struct
+import sys
+import time
+
+from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+
+ERROR, ERROR_TEXT, TEXT_REGISTERS, DEFAULTS = 302, 620, 40, 251
+BUSY, IS_BUSY, DONE = 6, 1, 2  # an exception, and values of the register `status`
+PATIENCE_S = 60
+
+
+class Unit:
+    """A unit at HOST:PORT, or on a serial line at DEVICE,BAUD."""
+
+    def __init__(self, where, number=1):
+        if where.startswith("/"):
+            device, _, baud = where.rpartition(",")
+            self.client = ModbusSerialClient(device, baudrate=int(baud), parity="N")
+        else:
+            host, _, port = where.rpartition(":")
+            self.client = ModbusTcpClient(host, port=int(port))
+        if not self.client.connect():
+            sys.exit(f"nobody answers at {where}")
+        # pymodbus has called the number of the unit first unit, then slave, then device_id.
+        names = inspect.signature(self.client.read_holding_registers).parameters
+        keyword = next((name for name in ("device_id", "slave") if name in names), "unit")
+        self.number = {keyword: number}
+
+    def read(self, address, count):
+        """Reads the bytes of registers, in requests of up to 124."""
+        data = b""
+        for first in range(0, count, 124):
+            some = min(124, count - first)
+            answer = self.client.read_holding_registers(address + first, count=some, **self.number)
+            if answer.isError():
+                sys.exit(f"registers {address + first} and up cannot be read: {answer}")
+            data += struct.pack(f">{some}H", *answer.registers)
+        return data
+
+    def floats(self, address, count):
+        """Reads floats, whose most significant word comes first."""
+        return struct.unpack(f">{count}f", self.read(address, 2 * count))
+
+    def fail(self, error=ERROR, text=ERROR_TEXT):
+        """Ends the program with what the daemon says of the last error."""
+        status, address = struct.unpack(">2H", self.read(error, 2))
+        allowed = self.read(text, TEXT_REGISTERS).rstrip(b"\0").decode("ascii")
+        sys.exit(f"error {status} at register {address}: {allowed}")
+
+    def write(self, address, form, *values):
+        """Writes registers. `form` says what they are, as in the module struct: "2H4f", for example.
+        While another master's job runs, a commit is refused as busy: writes it again until the job
+        has ended."""
+        data = struct.pack(f">{form}", *values)
+        registers = list(struct.unpack(f">{len(data) // 2}H", data))
+        give_up = time.monotonic() + PATIENCE_S
+        while (answer := self.client.write_registers(address, registers, **self.number)).isError():
+            if getattr(answer, "exception_code", 0) != BUSY or time.monotonic() > give_up:
+                if not hasattr(answer, "exception_code"):
+                    sys.exit(str(answer))  # nothing came back
+                self.fail()
+            time.sleep(0.05)
+
+    def token(self, status=300):
+        """A token that differs from that of the job that was done last."""
+        done = struct.unpack(">H", self.read(status + 1, 1))[0]
+        return done % 65535 + 1
+
+    def wait(self, token, status=300, error_text=ERROR_TEXT, show=lambda: None):
+        """Waits until the job with this token is done. Calls show() meanwhile. The register `done`
+        follows `status`, then come `error` and `error_address`."""
+        while True:
+            state, done = struct.unpack(">2H", self.read(status, 2))
+            if state != IS_BUSY:
+                break
+            show()
+            time.sleep(0.02)
+        if state != DONE:
+            self.fail(status + 2, error_text)
+        if done != token:
+            sys.exit(f"another master's job, {done}, has taken the place of {token}")
