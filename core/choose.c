@@ -27,8 +27,7 @@ enum {
   ELEMENTWISE = FOLLOWS_R | CORE_QUANTITY_CDF,
 };
 
-/* ---- the error of a model ---------------------------------------------------------------------
- */
+/* ---- the error of a model -------------------------------------------------------------------- */
 
 /* Whether the medium and the radii are in the model's domain. */
 static bool accepts(const struct cost *cost, const core_choose_request *request,
@@ -58,8 +57,7 @@ static double model_error(const struct cost *cost, const core_choose_request *re
   return error;
 }
 
-/* ---- the numerical error ----------------------------------------------------------------------
- */
+/* ---- the numerical error --------------------------------------------------------------------- */
 
 static double sigma_t_prime(const core_medium *medium) {
   return medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g);
@@ -107,8 +105,7 @@ static void set_numerical_error(core_candidate *candidate, const struct cost *co
   candidate->numerical_error += logarithm_error(request) + error_beyond(cost, request);
 }
 
-/* ---- choosing ---------------------------------------------------------------------------------
- */
+/* ---- choosing -------------------------------------------------------------------------------- */
 
 static core_candidate make_candidate(const struct cost *cost, const core_choose_request *request) {
   core_candidate candidate = {

@@ -18,8 +18,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* ---- lists ------------------------------------------------------------------------------------
- */
+/* ---- lists ----------------------------------------------------------------------------------- */
 
 enum core_dipole_switch {
   CORE_DIPOLE_GROSJEAN = 1, /* Grosjean's diffusion coefficient and prefactor alpha'^2 */
@@ -112,8 +111,7 @@ bool core_quantity_elementwise(unsigned bit);
 /* Size in bytes of a radius or value of an evaluator: 8 or 4, or 0 if the id is unknown. */
 size_t core_evaluator_bytes(unsigned evaluator);
 
-/* ---- faults -----------------------------------------------------------------------------------
- */
+/* ---- faults ---------------------------------------------------------------------------------- */
 
 /* What is wrong with an input: the field, the values that are allowed (both static strings), and
  * the position of the wrong value in its array, or 0 for a single value. If nothing is wrong, field
@@ -127,8 +125,7 @@ typedef struct core_fault {
 /* The field of a fault when no memory is left for a profile; trying again later may succeed. */
 #define CORE_FIELD_MEMORY "memory"
 
-/* ---- media ------------------------------------------------------------------------------------
- */
+/* ---- media ----------------------------------------------------------------------------------- */
 
 /* A homogeneous, semi-infinite medium. */
 typedef struct core_medium {
@@ -159,8 +156,7 @@ extern const size_t core_measured_media_count;
 /* Returns the measured medium with this name, or NULL if there is none. */
 const core_measured_medium *core_measured_medium_by_name(const char *name);
 
-/* ---- parameters -------------------------------------------------------------------------------
- */
+/* ---- parameters ------------------------------------------------------------------------------ */
 
 /* Optional numbers of a request: value[CORE_PARAMETER_...], or NaN if it is not given. */
 typedef struct core_parameters {
@@ -173,8 +169,7 @@ core_parameters core_parameters_none(void);
 /* Returns a fault if the value is outside the parameter's range, which holds for all models. */
 core_fault core_parameter_check(enum core_parameter parameter, double value);
 
-/* ---- Fresnel moments --------------------------------------------------------------------------
- */
+/* ---- Fresnel moments ------------------------------------------------------------------------- */
 
 /* C_k is the integral over mu in [0, 1] of F(mu) mu^k, where F is the unpolarized Fresnel
  * reflectance of light that strikes the boundary from inside (d'Eon 2012, section 2). The structure
@@ -197,8 +192,7 @@ core_fresnel core_fresnel_moments(enum core_moments moments, double eta);
  * has this cosine. It is 0 where light from outside is totally reflected. */
 double core_fresnel_transmittance(double eta, double cos_outside);
 
-/* ---- instruction sets -------------------------------------------------------------------------
- */
+/* ---- instruction sets ------------------------------------------------------------------------ */
 
 typedef struct core_isa core_isa;
 
@@ -213,8 +207,7 @@ const char *core_isa_name(const core_isa *isa);
  * machine may be unable to run some of them. */
 const char *core_isa_listed(size_t index);
 
-/* ---- profiles ---------------------------------------------------------------------------------
- */
+/* ---- profiles -------------------------------------------------------------------------------- */
 
 enum { CORE_COEFFICIENTS_MAX = 32 };
 
@@ -367,8 +360,7 @@ void core_sample_f32(const core_profile *profile, size_t n, const float *u, floa
 #define CORE_SAMPLE_ERROR_F64 1e-14
 #define CORE_SAMPLE_ERROR_F32 4e-7
 
-/* ---- tables -----------------------------------------------------------------------------------
- */
+/* ---- tables ---------------------------------------------------------------------------------- */
 
 /* The radii in mm between which the table of a profile of evaluator lut has pieces. At other radii
  * the profile follows its asymptotes. */
@@ -384,8 +376,7 @@ core_fault core_profile_from_table(core_profile *profile, const core_isa *isa, c
 /* Whether a table holds a quantity without help from the profile that it was made from. */
 bool core_table_has(enum core_quantity quantity);
 
-/* ---- from albedo to coefficients ---------------------------------------------------------------
- */
+/* ---- from albedo to coefficients ------------------------------------------------------------- */
 
 /* The medium whose albedo under a model is the wanted one. Its g is 0, so that sigma_s is sigma_s'.
  */
@@ -405,8 +396,7 @@ typedef struct core_inversion {
 core_inversion core_invert_albedo(unsigned model, unsigned moments, double albedo,
                                   double mean_free_path_mm, double eta);
 
-/* ---- radii ------------------------------------------------------------------------------------
- */
+/* ---- radii ----------------------------------------------------------------------------------- */
 
 /* Returns the fault of the first radius that is negative or NaN. -0.0 counts as 0. */
 core_fault core_radii_check_f64(size_t n, const double *r);

@@ -5,8 +5,7 @@
 #define CORE_REAL 64
 #include "core/kernel.h"
 
-/* ---- nodes in time ----------------------------------------------------------------------------
- */
+/* ---- nodes in time --------------------------------------------------------------------------- */
 
 /* The integrand is analytic for |Im s| < pi / 2, so a step h gives an error of about C e^(-pi^2 /
  * h). SAFETY is an upper bound of ln C. */
@@ -60,8 +59,7 @@ void core_times_node(const core_times *times, size_t i, double *time, double *we
   *weight = times->step * dp * fma(0.5, p, 1) / times->rate;
 }
 
-/* ---- the complementary error function ---------------------------------------------------------
- */
+/* ---- the complementary error function -------------------------------------------------------- */
 
 /* Hunter, Regan 1972 (after Goodwin 1949): with t_n = (n + 1/2) h,
  *   e^(x^2) erfc(x) = 2 h / pi sum_n e^(-t_n^2) x / (t_n^2 + x^2) + 2 e^(x^2) / (e^(2 pi x / h) + 1)
@@ -109,8 +107,7 @@ double core_erfcx_fall(double x, double further) {
   return 2 * H / 3.14159265358979323846 * sum;
 }
 
-/* ---- far away ---------------------------------------------------------------------------------
- */
+/* ---- far away -------------------------------------------------------------------------------- */
 
 /* The positive nodes and their weights of the Gauss-Hermite rule for the weight e^(-w^2 / 2). */
 static const double hermite[][2] = {

@@ -18,8 +18,7 @@ core_fault core_draw_check(const core_draw *draw) {
   return (core_fault){0};
 }
 
-/* ---- by rule ----------------------------------------------------------------------------------
- */
+/* ---- by rule --------------------------------------------------------------------------------- */
 
 static uint64_t random_bits(uint64_t seed, uint64_t i) {
   uint64_t z = seed + (i + 1) * UINT64_C(0x9e3779b97f4a7c15);
@@ -63,8 +62,7 @@ void core_draw_f32(const core_draw *draw, uint64_t begin, size_t n, float *u) {
   }
 }
 
-/* ---- by list ----------------------------------------------------------------------------------
- */
+/* ---- by list --------------------------------------------------------------------------------- */
 
 #define DEFINE_CHECK(name, type)                                                                   \
   core_fault name(size_t n, const type *u) {                                                       \
@@ -79,8 +77,7 @@ void core_draw_f32(const core_draw *draw, uint64_t begin, size_t n, float *u) {
 DEFINE_CHECK(core_numbers_check_f64, double)
 DEFINE_CHECK(core_numbers_check_f32, float)
 
-/* ---- cost ------------------------------------------------------------------------------------
- */
+/* ---- cost ------------------------------------------------------------------------------------ */
 
 /* The costs were measured for all models. A table needs one more look-up. Otherwise the cdf is
  * inverted in about eight steps of at most two evaluations each, and 280 is the cost of the steps

@@ -30,8 +30,7 @@ static size_t smaller(size_t a, size_t b) {
   return a < b ? a : b;
 }
 
-/* ---- double precision -------------------------------------------------------------------------
- */
+/* ---- double precision ------------------------------------------------------------------------ */
 
 /* Returns ln(e^a + e^b); a and b may be -infinity. */
 static double ln_of_sum(double a, double b) {
@@ -107,8 +106,7 @@ void core_eval_f64(const core_profile *profile, enum core_quantity quantity, siz
   evaluate_f64(profile, quantity, n, r, out);
 }
 
-/* ---- single precision -------------------------------------------------------------------------
- */
+/* ---- single precision ------------------------------------------------------------------------ */
 
 /* Evaluates in double precision and rounds, for profiles without single precision kernels. */
 static void widely(const core_profile *profile, enum core_quantity quantity, size_t n,

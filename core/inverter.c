@@ -54,8 +54,7 @@ static core_fault check_medium(const core_inverter *inverter, const core_medium 
   return fault;
 }
 
-/* ---- the reach --------------------------------------------------------------------------------
- */
+/* ---- the reach ------------------------------------------------------------------------------- */
 
 core_fault core_inverter_start(core_inverter *inverter, unsigned model, unsigned moments, double g,
                                double eta, double sigma_t_prime_per_mm) {
@@ -88,8 +87,7 @@ core_fault core_inverter_check(const core_inverter *inverter) {
              : (core_fault){"model", "a model whose albedo depends on the medium", 0};
 }
 
-/* ---- the search -------------------------------------------------------------------------------
- */
+/* ---- the search ------------------------------------------------------------------------------ */
 
 core_fault core_inversion_check(double albedo, double length_mm) {
   if (!(albedo >= 0 && albedo <= 1)) {
@@ -239,8 +237,7 @@ bool core_inverter_take(core_inverter *inverter, double albedo) {
   }
 }
 
-/* ---- at once ----------------------------------------------------------------------------------
- */
+/* ---- at once --------------------------------------------------------------------------------- */
 
 /* Probes until the reach or the search has ended. */
 static void run(core_inverter *inverter) {

@@ -214,8 +214,7 @@ static inline real real_log(real x, real exponent) {
   return real_fma(k, REAL_LN2_HI, real_fma(k, REAL_LN2_LO, logarithm));
 }
 
-/* ---- a family's table of kernels --------------------------------------------------------------
- */
+/* ---- a family's table of kernels ------------------------------------------------------------- */
 
 #ifdef CORE_ISA
 

@@ -7,8 +7,7 @@
 #define CORE_REAL 64
 #include "core/kernel.h"
 
-/* ---- codes ------------------------------------------------------------------------------------
- */
+/* ---- codes ----------------------------------------------------------------------------------- */
 
 #define LEAST 1e-4
 #define STEP 1.04
@@ -38,8 +37,7 @@ unsigned core_error_code(double error) {
   return code;
 }
 
-/* ---- what was measured ------------------------------------------------------------------------
- */
+/* ---- what was measured ----------------------------------------------------------------------- */
 
 static const double edges_mfp[] = {
 #define CORE_ERROR_EDGE(mfp) mfp,
@@ -97,8 +95,7 @@ enum { GS = sizeof similarities / sizeof similarities[0] };
  * tests/accuracy/test_model_error.c checks it with media between the nodes. */
 #define BETWEEN_NODES 1.08
 
-/* ---- where in the map -------------------------------------------------------------------------
- */
+/* ---- where in the map ------------------------------------------------------------------------ */
 
 /* The positions of the two neighbours of a value in a rising list; they are equal if the value is
  * in the list. */
@@ -155,8 +152,7 @@ static void merge_node(unsigned char codes[BANDS + 1], const char *node) {
   }
 }
 
-/* ---- the errors of a medium -------------------------------------------------------------------
- */
+/* ---- the errors of a medium ------------------------------------------------------------------ */
 
 static bool find_isotropic(unsigned char codes[BANDS + 1], const struct measured *of, double ratio,
                            double eta) {
@@ -233,8 +229,7 @@ core_model_errors core_model_errors_find(enum core_model model, enum core_moment
   return errors;
 }
 
-/* ---- the error of what is wanted --------------------------------------------------------------
- */
+/* ---- the error of what is wanted ------------------------------------------------------------- */
 
 enum {
   LIKE_R = CORE_QUANTITY_R | CORE_QUANTITY_RING | CORE_QUANTITY_S,

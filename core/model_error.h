@@ -36,8 +36,7 @@ core_model_errors core_model_errors_unknown(void);
 double core_model_errors_of(const core_model_errors *errors, const core_medium *medium,
                             unsigned wanted, core_radii_range radii);
 
-/* ---- errors as bytes, as core/model_errors.def holds them ---------------------------------------
- */
+/* ---- errors as bytes, as core/model_errors.def holds them ------------------------------------ */
 
 #define CORE_ERROR_CODE_ANY 255u
 

@@ -13,8 +13,7 @@
   extern core_prepare_function core_##formula##_prepare;
 #include "core/models.def"
 
-/* ---- the list, as a table ---------------------------------------------------------------------
- */
+/* ---- the list, as a table -------------------------------------------------------------------- */
 
 struct model {
   unsigned id;
@@ -66,8 +65,7 @@ bool core_worth_keeping(unsigned model, unsigned evaluator) {
          (evaluator == CORE_EVALUATOR_LUT || (parameters_of(found) & (SLOW | COSTLY)) != 0);
 }
 
-/* ---- checking ---------------------------------------------------------------------------------
- */
+/* ---- checking -------------------------------------------------------------------------------- */
 
 static const struct {
   unsigned id;
@@ -163,8 +161,7 @@ core_fault core_profile_check(unsigned model, unsigned moments, unsigned evaluat
   return fault;
 }
 
-/* ---- preparing --------------------------------------------------------------------------------
- */
+/* ---- preparing ------------------------------------------------------------------------------- */
 
 /* Errors were measured with the default of the surface albedo only; for others they are not known.
  */

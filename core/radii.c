@@ -7,8 +7,7 @@
 #define CORE_REAL 64
 #include "core/kernel.h"
 
-/* ---- lists ------------------------------------------------------------------------------------
- */
+/* ---- lists ----------------------------------------------------------------------------------- */
 
 #define RADIUS_ALLOWED "0 to infinity, in mm"
 
@@ -84,8 +83,7 @@ DEFINE_RANGE(core_radii_range_f32, float)
 DEFINE_RANGE_CHECK(core_radii_range_check_f64, double)
 DEFINE_RANGE_CHECK(core_radii_range_check_f32, float)
 
-/* ---- grids ------------------------------------------------------------------------------------
- */
+/* ---- grids ----------------------------------------------------------------------------------- */
 
 core_fault core_grid_check(const core_grid *grid) {
   const bool logarithmic = grid->spacing == CORE_SPACING_LOGARITHMIC;

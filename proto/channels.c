@@ -10,8 +10,7 @@ const struct channels_list CHANNELS_NUMBERS = {
     "u", "sample_count", "no more numbers than the payload holds after media and parameters",
     "nothing after the listed numbers but padding to a multiple of 8"};
 
-/* ---- choices ----------------------------------------------------------------------------------
- */
+/* ---- choices --------------------------------------------------------------------------------- */
 
 wire_error channels_check(unsigned evaluator, unsigned moments) {
   if (core_choice_by_id(core_evaluators, evaluator) == NULL) {
@@ -36,8 +35,7 @@ wire_error channels_check_wanted(unsigned wanted) {
              : wire_error_none();
 }
 
-/* ---- parameters -------------------------------------------------------------------------------
- */
+/* ---- parameters ------------------------------------------------------------------------------ */
 
 static wire_error parse_parameter(const uint8_t *at, core_parameters *parameters) {
   wire_parameter parameter;
@@ -93,8 +91,7 @@ size_t channels_put_parameters(uint8_t *at, const core_parameters *parameters) {
   return bytes;
 }
 
-/* ---- media and lists --------------------------------------------------------------------------
- */
+/* ---- media and lists ------------------------------------------------------------------------- */
 
 static void advance(struct channels_cursor *cursor, size_t bytes) {
   cursor->at += bytes;

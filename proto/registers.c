@@ -20,8 +20,7 @@ const registers_field registers_fields[] = {
     {0, 0, REGISTERS_U16, REGISTERS_RO, NULL, NULL, 0, 0, NULL, 0, NULL},
 };
 
-/* ---- what is at an address --------------------------------------------------------------------
- */
+/* ---- what is at an address ------------------------------------------------------------------- */
 
 #define WIDTH_U16 1
 #define WIDTH_U32 2
@@ -131,8 +130,7 @@ unsigned registers_of_field(const char *field, uint64_t index) {
   return REGISTERS_AT_COMMIT;
 }
 
-/* ---- values -----------------------------------------------------------------------------------
- */
+/* ---- values ---------------------------------------------------------------------------------- */
 
 static float float_of(uint16_t high, uint16_t low) {
   const uint32_t bits = (uint32_t)high << 16 | low;
@@ -224,8 +222,7 @@ double registers_optional(const uint16_t image[REGISTERS_END], unsigned paramete
              : (double)NAN;
 }
 
-/* ---- writing ----------------------------------------------------------------------------------
- */
+/* ---- writing --------------------------------------------------------------------------------- */
 
 /* Returns register number `index` of a PDU's values. */
 static uint16_t word_at(const uint8_t *values, unsigned index) {
@@ -367,8 +364,7 @@ void registers_write(uint16_t image[REGISTERS_END], unsigned address, unsigned c
   registers_set_u16(image, REGISTERS_AT_DEFAULTS, 0);
 }
 
-/* ---- what is there from the start -------------------------------------------------------------
- */
+/* ---- what is there from the start ------------------------------------------------------------ */
 
 static void set_initial(uint16_t image[REGISTERS_END], const registers_field *field) {
   const unsigned width = registers_width(field->type);

@@ -37,8 +37,7 @@ static void describe_blocks(const struct description *to) {
   to->print(to->context, "\n");
 }
 
-/* ---- fields ------------------------------------------------------------------------------------
- */
+/* ---- fields ---------------------------------------------------------------------------------- */
 
 static const char *type_name(enum registers_type type) {
   static const char *const names[] = {"uint16", "uint32", "float32", "float64", "text", "uint16"};
@@ -129,8 +128,7 @@ static void describe_fields(const struct description *to) {
   }
 }
 
-/* ---- lists -------------------------------------------------------------------------------------
- */
+/* ---- lists ----------------------------------------------------------------------------------- */
 
 /* Text for a cell, in which a bar has to be escaped. */
 static void escape(const char *text, char *cell, size_t room) {

@@ -5,8 +5,7 @@
 
 #include "core/core.h"
 
-/* ---- structures -------------------------------------------------------------------------------
- */
+/* ---- structures ------------------------------------------------------------------------------ */
 
 /* These loops are right for every byte order. Compilers turn them, unrolled, into single loads and
  * stores. */
@@ -103,8 +102,7 @@ void wire_set_text(char *field, size_t bytes, const char *text) {
   memset(field + length, 0, bytes + 1 - length);
 }
 
-/* ---- frames -----------------------------------------------------------------------------------
- */
+/* ---- frames ---------------------------------------------------------------------------------- */
 
 wire_error wire_error_none(void) {
   return (wire_error){.status = WIRE_STATUS_OK};
@@ -192,8 +190,7 @@ wire_error wire_error_not_in_list(const char *field, const core_choice *list, co
   return wire_error_make(WIRE_STATUS_BAD_VALUE, field, allowed);
 }
 
-/* ---- the list of choices ----------------------------------------------------------------------
- */
+/* ---- the list of choices --------------------------------------------------------------------- */
 
 static const core_choice statuses[] = {
 #define WIRE_STATUS(code, IDENT, modbus_exception, name, text) {code, name, text},
@@ -249,8 +246,7 @@ wire_choice wire_choice_at(size_t index) {
   return choice;
 }
 
-/* ---- documentation ----------------------------------------------------------------------------
- */
+/* ---- documentation --------------------------------------------------------------------------- */
 
 struct description {
   void (*print)(void *context, const char *text);

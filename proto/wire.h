@@ -46,8 +46,7 @@ enum wire_choice_kind {
   WIRE_CHOICE_LENGTH,
 };
 
-/* ---- structures -------------------------------------------------------------------------------
- */
+/* ---- structures ------------------------------------------------------------------------------ */
 
 /* There is one struct for each structure of messages.def: wire_header, wire_eval_request, and so
  * on. Text has room for a terminating zero, which the wire does not carry. */
@@ -95,8 +94,7 @@ enum wire_bytes {
 void wire_set_text(char *field, size_t bytes, const char *text);
 #define WIRE_SET_TEXT(field, text) wire_set_text((field), sizeof(field) - 1, (text))
 
-/* ---- frames -----------------------------------------------------------------------------------
- */
+/* ---- frames ---------------------------------------------------------------------------------- */
 
 /* Rounds up to a multiple of WIRE_ALIGNMENT. bytes is at most SIZE_MAX - 7. */
 static inline uint64_t wire_padded(uint64_t bytes) {
@@ -132,15 +130,13 @@ const char *wire_status_text(unsigned status);
  * others. */
 const char *wire_type_name(unsigned type);
 
-/* ---- the list of choices ----------------------------------------------------------------------
- */
+/* ---- the list of choices --------------------------------------------------------------------- */
 
 /* One list of everything that requests choose from: the lists of core/core.h, then the statuses. */
 size_t wire_choice_count(void);
 wire_choice wire_choice_at(size_t index); /* index is below wire_choice_count() */
 
-/* ---- documentation ----------------------------------------------------------------------------
- */
+/* ---- documentation --------------------------------------------------------------------------- */
 
 /* Writes the byte tables of PROTOCOL.md as Markdown. Calls print(context, text) for each piece. */
 void wire_describe(void (*print)(void *context, const char *text), void *context);

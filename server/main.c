@@ -35,8 +35,7 @@ struct daemon {
   bool stopping;
 };
 
-/* ---- stopping ----------------------------------------------------------------------------------
- */
+/* ---- stopping -------------------------------------------------------------------------------- */
 
 static void stop(struct daemon *daemon) {
   if (daemon->stopping) {
@@ -70,8 +69,7 @@ static void on_inherited_closed(uv_async_t *handle) {
   stop(handle->data);
 }
 
-/* ---- starting ----------------------------------------------------------------------------------
- */
+/* ---- starting -------------------------------------------------------------------------------- */
 
 static bool complain(const char *what, const char *why) {
   fprintf(stderr, "dipoled: %s: %s\n", what, why);

@@ -40,8 +40,7 @@ static void *place(struct options *options, const struct description *option) {
   return (char *)options + option->offset;
 }
 
-/* ---- values -----------------------------------------------------------------------------------
- */
+/* ---- values ---------------------------------------------------------------------------------- */
 
 static bool set_number(const struct description *option, const char *text, uint64_t *number) {
   char *end;
@@ -93,8 +92,7 @@ static bool set(struct options *options, const struct description *option, const
   return false;
 }
 
-/* ---- environment ------------------------------------------------------------------------------
- */
+/* ---- environment ----------------------------------------------------------------------------- */
 
 static const char *environment(const struct description *option) {
   char name[64] = "DIPOLED_";
@@ -140,8 +138,7 @@ static bool read_environment(struct options *options) {
   return true;
 }
 
-/* ---- help -------------------------------------------------------------------------------------
- */
+/* ---- help ------------------------------------------------------------------------------------ */
 
 static void print_wrapped(const char *text, int indent, int width) {
   int column = indent;
@@ -193,8 +190,7 @@ static void print_help(void) {
   printf("  %-25s this text\n  %-25s the version\n", "--help", "--version");
 }
 
-/* ---- command line -----------------------------------------------------------------------------
- */
+/* ---- command line ---------------------------------------------------------------------------- */
 
 static enum options_outcome read_command_line(int argc, char **argv, struct options *options) {
   struct option longs[OPTIONS + 3] = {{0}};

@@ -477,17 +477,17 @@ typedef struct dipole_invert_query {
 } dipole_invert_query;
 
 /* The media that were found. The arrays are [medium_count], in the order of the query, and have NaN
- * where no medium has the albedo. */
+ * where there is no medium: if the model cannot reach the albedo, or if only a medium without
+ * absorption has it and the length is a diffuse path, which is then infinite. */
 typedef struct dipole_inversion {
   uint64_t medium_count;
   uint64_t missing_count; /* number of media that are NaN */
   const double *sigma_a_per_mm;
   const double *sigma_s_per_mm;
-  const double
-      *albedos;        /* of these media under the model: within 1e-12 of the wanted ones, relative,
-                          or within a few units in the last place of what the model resolves */
-  double albedo_least; /* The model has media only for albedos from albedo_least to albedo_most */
-  double albedo_most;  /* with this g and eta. A medium without absorption has no diffuse path. */
+  const double *albedos; /* of these media under the model. They differ from the wanted ones by at
+                            most 1e-12, relative, or a few units in the last place of the model. */
+  double albedo_least;   /* the least albedo that the model reaches with this g and eta */
+  double albedo_most;    /* the largest albedo that the model reaches with this g and eta */
 } dipole_inversion;
 
 /* Finds the media that have the given albedos and lengths, and waits for the answer. The caller

@@ -39,8 +39,7 @@ struct build {
 
 static const core_fault too_rough = {"tolerance", "larger: no table of this profile keeps it", 0};
 
-/* ---- the functions ----------------------------------------------------------------------------
- */
+/* ---- the functions --------------------------------------------------------------------------- */
 
 static void scaled_R(const void *context, size_t n, const double *x, double *y) {
   const struct build *b = context;
@@ -74,8 +73,7 @@ static double value(const struct build *b, enum core_quantity quantity, double r
   return v;
 }
 
-/* ---- where it begins and ends -----------------------------------------------------------------
- */
+/* ---- where it begins and ends ---------------------------------------------------------------- */
 
 /* Finds the asymptote of R below 2^first: like 1 / r, constant, or rising by the same amount in
  * each octave. Returns false if R follows none of these, to the tolerance, for 20 octaves down. */
@@ -181,8 +179,7 @@ static bool find_last(struct build *b) {
   return fabs(8 * value(b, CORE_QUANTITY_R, 2 * last) - R) <= 1e-6 * R;
 }
 
-/* ---- gathering --------------------------------------------------------------------------------
- */
+/* ---- gathering ------------------------------------------------------------------------------- */
 
 static core_fault from_fit(enum lut_fit fit) {
   return fit == LUT_FITTED      ? (core_fault){0}
@@ -317,8 +314,7 @@ static core_fault gather_radius(struct build *b) {
   return fault;
 }
 
-/* ---- the table --------------------------------------------------------------------------------
- */
+/* ---- the table ------------------------------------------------------------------------------- */
 
 static core_fault gather_all(struct build *b) {
   if (!find_first(b) || !set_scale(b) || !find_last(b)) {

@@ -19,8 +19,7 @@ static const int points[3][4] = {{0, 10}, {0, 5, 10}, {0, 3, 7, 10}};
 /* A term of the wrong sign is set to 0 if its size is at most this, relative to the first term. */
 #define ALMOST_NONE 1e-9
 
-/* ---- candidates -------------------------------------------------------------------------------
- */
+/* ---- candidates ------------------------------------------------------------------------------ */
 
 /* Computes, by divided differences, the coefficients in w of the polynomial of this degree through
  * the values y at its points. */
@@ -102,8 +101,7 @@ static void stop_at(float *piece, bool from_right, double far_end) {
   }
 }
 
-/* ---- errors -----------------------------------------------------------------------------------
- */
+/* ---- errors ---------------------------------------------------------------------------------- */
 
 /* Returns the relative error of a value, or 0 if its absolute error is negligible. */
 static double error_of(const struct lut_subject *subject, float value, double truth) {
@@ -145,8 +143,7 @@ static bool fit_piece(const struct lut_subject *subject, const double *y, float 
   return least <= subject->tolerance;
 }
 
-/* ---- octaves ----------------------------------------------------------------------------------
- */
+/* ---- octaves --------------------------------------------------------------------------------- */
 
 static bool make_room(struct lut_pieces *pieces, size_t more) {
   if (pieces->count + more <= pieces->room) {

@@ -60,8 +60,7 @@ core_fault core_fit_prepare(const core_inputs *inputs, core_preparation *prepara
 
 #else
 
-/* ---- what is asked for ------------------------------------------------------------------------
- */
+/* ---- what is asked for ----------------------------------------------------------------------- */
 
 struct asked {
   unsigned model;
@@ -109,8 +108,7 @@ core_fault core_fit_check(const core_inputs *inputs, core_radii_range *radii) {
                             &asked.parameters, NULL);
 }
 
-/* ---- the model's values -----------------------------------------------------------------------
- */
+/* ---- the model's values ---------------------------------------------------------------------- */
 
 struct samples {
   double r[CHECKS];
@@ -151,8 +149,7 @@ static double deviation(const core_gaussian *gaussians, size_t count, const stru
   return worst;
 }
 
-/* ---- fitting ----------------------------------------------------------------------------------
- */
+/* ---- fitting --------------------------------------------------------------------------------- */
 
 /* Returns e^x with x kept between -600 and 600, so that nothing overflows. The unknowns of the fit
  * are ln w_0, ln b_0, ln w_1, ... */

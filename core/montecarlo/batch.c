@@ -12,8 +12,7 @@
 
 #include "core/kernels.h"
 
-/* ---- instruction sets -------------------------------------------------------------------------
- */
+/* ---- instruction sets ------------------------------------------------------------------------ */
 
 #define DECLARE(level, unused) extern const walk_functions walk_functions_##level;
 CORE_ISA_LEVELS(DECLARE, )
@@ -35,8 +34,7 @@ static const walk_functions *functions_for(const core_isa *isa) {
   return levels[i].functions;
 }
 
-/* ---- the tally --------------------------------------------------------------------------------
- */
+/* ---- the tally ------------------------------------------------------------------------------- */
 
 /* A photon at the end of its walk: its stage, the stage's gain, and albedo^collisions for each
  * albedo. */
@@ -119,8 +117,7 @@ static void score(core_mc_batch *batch, size_t lane) {
   assert(!"a photon that has ended");
 }
 
-/* ---- lanes ------------------------------------------------------------------------------------
- */
+/* ---- lanes ----------------------------------------------------------------------------------- */
 
 static void launch_into(core_mc_batch *batch, const walk_functions *functions, size_t lane) {
   const core_mc_plan *plan = batch->plan;
@@ -186,8 +183,7 @@ static void settle(core_mc_batch *batch, const walk_functions *functions) {
   }
 }
 
-/* ---- batches ----------------------------------------------------------------------------------
- */
+/* ---- batches --------------------------------------------------------------------------------- */
 
 core_mc_batch *core_mc_batch_create(const core_mc_plan *plan) {
   core_mc_batch *batch = calloc(1, sizeof *batch);

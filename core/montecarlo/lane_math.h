@@ -41,8 +41,7 @@ static inline float lane_select(lane_mask mask, float yes, float no) {
   return lane_float(lane_choose(mask, lane_bits(yes), lane_bits(no)));
 }
 
-/* ---- random numbers ---------------------------------------------------------------------------
- */
+/* ---- random numbers -------------------------------------------------------------------------- */
 
 typedef struct lane_random {
   uint32_t word[4];
@@ -92,8 +91,7 @@ static inline lane_uniform lane_uniform_from(uint32_t bits) {
   return (lane_uniform){((float)i + 0.5f) * 0x1p-31f, ((float)complement + 0.5f) * 0x1p-31f};
 }
 
-/* ---- functions --------------------------------------------------------------------------------
- */
+/* ---- functions ------------------------------------------------------------------------------- */
 
 /* Returns -ln(w) for w from 2^-100 to 1. The caller also passes v = 1 - w, so that small results
  * keep their digits. With w = 2^k (1 + f), ln(1 + f) = 2 artanh(f / (2 + f)). The relative error is

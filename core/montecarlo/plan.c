@@ -8,8 +8,7 @@
 #define CORE_REAL 64
 #include "core/kernel.h"
 
-/* ---- the unscattered light --------------------------------------------------------------------
- */
+/* ---- the unscattered light ------------------------------------------------------------------- */
 
 /* Computes the unscattered light and the distribution of the first collision. Straight down a slab
  * of optical thickness tau, light is weakened by e^-tau on each passage and reflected with F at
@@ -68,8 +67,7 @@ static void prepare_walk(core_mc_plan *plan) {
   prepare_first_flight(plan, walk->slab ? tau : 0);
 }
 
-/* ---- roulette ---------------------------------------------------------------------------------
- */
+/* ---- roulette -------------------------------------------------------------------------------- */
 
 #define ROULETTE_WEIGHT_DEFAULT 0.2
 #define SCATTERINGS_MAX_DEFAULT 1048576.0
@@ -150,8 +148,7 @@ static void prepare_stage_energies(core_mc_plan *plan, size_t k) {
   plan->weight_max[k] = weight_max;
 }
 
-/* ---- tables -----------------------------------------------------------------------------------
- */
+/* ---- tables ---------------------------------------------------------------------------------- */
 
 static void prepare_powers(core_mc_plan *plan, size_t k) {
   double base = plan->request.albedo[k];
@@ -220,8 +217,7 @@ size_t mc_slot_of(const core_mc_plan *plan, double r_squared_mfp2) {
   return below;
 }
 
-/* ---- plans ------------------------------------------------------------------------------------
- */
+/* ---- plans ----------------------------------------------------------------------------------- */
 
 core_mc_plan *core_mc_plan_create(const core_mc_request *request) {
   assert(core_mc_check(request).field == NULL);

@@ -65,8 +65,7 @@ void core_mc_total_merge(core_mc_total *total, const core_mc_batch *batch) {
   }
 }
 
-/* ---- results ----------------------------------------------------------------------------------
- */
+/* ---- results --------------------------------------------------------------------------------- */
 
 /* Returns a row's value per unit of power that entered; the tally is per unit of power that
  * collides. */

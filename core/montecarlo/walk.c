@@ -23,8 +23,7 @@ struct vector {
   float z;
 };
 
-/* ---- scattering -------------------------------------------------------------------------------
- */
+/* ---- scattering ------------------------------------------------------------------------------ */
 
 /* The deflection by Henyey and Greenstein 1941. With u uniform from (-1, 1), the mean cosine is g
  * if
@@ -76,8 +75,7 @@ static inline struct vector turn(struct vector u, struct deflection by, lane_dir
   return (struct vector){x * scale, y * scale, z * scale};
 }
 
-/* ---- the boundary -----------------------------------------------------------------------------
- */
+/* ---- the boundary ---------------------------------------------------------------------------- */
 
 /* Fresnel's equations for unpolarized light, with the cosines ci inside and ct outside:
  *
@@ -126,8 +124,7 @@ static inline float minus_log_reflectance(struct fresnel f) {
   return lane_select(f.total, 0.0f, log);
 }
 
-/* ---- flights ----------------------------------------------------------------------------------
- */
+/* ---- flights --------------------------------------------------------------------------------- */
 
 /* The end of a flight: the photon's next collision, or the boundary through which it leaves. */
 struct landing {
@@ -195,8 +192,7 @@ static inline struct landing land_in_slab(const walk_medium *m, float z, struct 
   };
 }
 
-/* ---- all lanes --------------------------------------------------------------------------------
- */
+/* ---- all lanes ------------------------------------------------------------------------------- */
 
 /* Four random words for each lane. A loop of its own fills them in, because its numbers are twice
  * as wide as those of the walk. */

@@ -26,8 +26,7 @@ void tools_check(core_fault fault, const char *what) {
   }
 }
 
-/* ---- files ------------------------------------------------------------------------------------
- */
+/* ---- files ----------------------------------------------------------------------------------- */
 
 void tools_make_folder(const char *path) {
   if (mkdir(path, 0777) != 0 && errno != EEXIST) {
@@ -75,8 +74,7 @@ void tools_draw(const char *path, size_t width, size_t height, cli_gnuplot_scrip
   }
 }
 
-/* ---- threads ----------------------------------------------------------------------------------
- */
+/* ---- threads --------------------------------------------------------------------------------- */
 
 size_t tools_processors(void) {
   const long processors = sysconf(_SC_NPROCESSORS_ONLN);
@@ -153,8 +151,7 @@ void tools_progress_end(tools_progress *progress) {
   pthread_mutex_destroy(&progress->lock);
 }
 
-/* ---- numbers ----------------------------------------------------------------------------------
- */
+/* ---- numbers --------------------------------------------------------------------------------- */
 
 static int compare(const void *a, const void *b) {
   const double x = *(const double *)a, y = *(const double *)b;

@@ -17,8 +17,7 @@ _Noreturn void tools_fail(const char *format, ...) __attribute__((format(printf,
 /* Calls tools_fail() if there is a fault. `what` names the function that refused the input. */
 void tools_check(core_fault fault, const char *what);
 
-/* ---- files ------------------------------------------------------------------------------------
- */
+/* ---- files ----------------------------------------------------------------------------------- */
 
 /* Makes a folder unless it exists. */
 void tools_make_folder(const char *path);
@@ -36,8 +35,7 @@ void tools_require_gnuplot(void);
 void tools_draw(const char *path, size_t width, size_t height, cli_gnuplot_script *write,
                 const void *context);
 
-/* ---- threads ----------------------------------------------------------------------------------
- */
+/* ---- threads --------------------------------------------------------------------------------- */
 
 enum { TOOLS_THREADS_MAX = 64 };
 
@@ -70,8 +68,7 @@ void tools_progress_add(tools_progress *progress, double us);
 /* Removes the bar. */
 void tools_progress_end(tools_progress *progress);
 
-/* ---- numbers ----------------------------------------------------------------------------------
- */
+/* ---- numbers --------------------------------------------------------------------------------- */
 
 /* Sorts n >= 1 numbers and returns their median. */
 double tools_median(double *values, size_t n);

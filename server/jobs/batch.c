@@ -3,8 +3,7 @@
 #include <assert.h>
 #include <string.h>
 
-/* ---- passes -----------------------------------------------------------------------------------
- */
+/* ---- passes ---------------------------------------------------------------------------------- */
 
 _Static_assert(BATCH_PIECES <= 1 << (STATS_BATCH_SIZES - 1), "the last size is for all others");
 
@@ -34,7 +33,7 @@ static void evaluate(struct batch_group *group, struct stats *stats) {
   group->piece_count = 0;
 }
 
-/* Evaluates a group and makes it free for another profile. */
+/* Evaluates a group, which is then free for another profile. */
 static void clear(struct batch_group *group, struct stats *stats) {
   if (group->slot != NULL) {
     evaluate(group, stats);
@@ -84,10 +83,10 @@ void batch_finish(struct batch *batch, struct stats *stats) {
 _Static_assert((int)REPEAT_REPLY_BYTES == (int)WIRE_BYTES_eval_reply + (int)WIRE_BYTES_channel,
                "what stands before the arrays");
 
-/* ---- finding repeated requests
- * --------------------------------------------------------------------------------- */
+/* ---- finding repeated requests --------------------------------------------------------------- */
 
-/* The bytes of a request up to its radii; 0 if it is not of a kind that can be repeated. */
+/* Returns the size of an eval request up to its radii, or 0 if it is a request that repeat_learn()
+ * never remembers. */
 static size_t start_bytes(const uint8_t *payload, size_t payload_bytes) {
   if (payload_bytes < WIRE_BYTES_eval_request) {
     return 0;
@@ -100,7 +99,8 @@ static size_t start_bytes(const uint8_t *payload, size_t payload_bytes) {
              : 0;
 }
 
-/* Mixes words of 8 bytes as server/store/cache.c does. */
+/* Returns a hash of a request up to its radii. It mixes words of 8 bytes as server/store/cache.c
+ * does. */
 static uint64_t hash_of(const uint8_t *request, size_t bytes) {
   uint64_t hash = 0;
   for (size_t i = 0; i < bytes; i += 8) {
@@ -112,7 +112,7 @@ static uint64_t hash_of(const uint8_t *request, size_t bytes) {
   return hash;
 }
 
-/* NULL: the request is not known. */
+/* Finds the entry with the same bytes up to the radii. Returns NULL if there is none. */
 static struct repeat_entry *look_up(struct repeat *repeat, const uint8_t *request, size_t bytes) {
   const uint64_t hash = hash_of(request, bytes);
   struct repeat_set *set = &repeat->sets[hash % REPEAT_SETS];
@@ -155,8 +155,7 @@ const struct repeat_entry *repeat_find(struct repeat *repeat, const uint8_t *pay
              : NULL;
 }
 
-/* ---- answering them
- * ------------------------------------------------------------------------------- */
+/* ---- answering them -------------------------------------------------------------------------- */
 
 static const void *radii_of(const struct repeat_entry *entry, const uint8_t *payload,
                             double *radii) {
@@ -171,8 +170,8 @@ static const void *radii_of(const struct repeat_entry *entry, const uint8_t *pay
   return radii;
 }
 
-/* States the errors for the listed radii of this request. Requests for a grid repeat that of the
- * entry, whose reply states its errors already. */
+/* Writes the errors that hold for the listed radii of this request. A request for a grid needs none
+ * of this: it has the radii of the entry, whose reply states their errors. */
 static void put_errors(const struct repeat_entry *entry, const void *r, uint8_t *channel) {
   const core_radii_range radii = entry->value_bytes == sizeof(float)
                                      ? core_radii_range_f32(entry->count, r)
@@ -208,10 +207,10 @@ void repeat_answer(const struct repeat_entry *entry, struct batch *batch, struct
   stats_add(stats, STATS_SLICES_EVALUATED, 1);
 }
 
-/* ---- remembering requests
- * ----------------------------------------------------------------------------- */
+/* ---- remembering requests -------------------------------------------------------------------- */
 
-/* RADIUS is not evaluated by a kernel, and S depends on angles. */
+/* Returns whether a request can be remembered. RADIUS and S exclude it: no kernel evaluates RADIUS,
+ * and S depends on angles. */
 static bool can_repeat(const wire_eval_request *fixed, const eval_layout *layout,
                        struct profiles_place place) {
   return fixed->medium_count == 1 && fixed->radius_count > 0 &&
@@ -221,7 +220,8 @@ static bool can_repeat(const wire_eval_request *fixed, const eval_layout *layout
          profiles_at(place) != NULL;
 }
 
-/* The entry for a request: the one that knows it, or else the one that its set replaces next. */
+/* Returns the entry for a request: the one that has it, or else the one that its set replaces next.
+ */
 static struct repeat_entry *make_room(struct repeat *repeat, const uint8_t *request, size_t bytes) {
   struct repeat_entry *entry = look_up(repeat, request, bytes);
   if (entry == NULL) {

@@ -10,7 +10,7 @@ static bool is_single(const wire_eval_request *fixed) {
   return core_evaluator_bytes(fixed->evaluator) == sizeof(float);
 }
 
-/* A medium has the same layout on the wire and in core, so the payload is used as an array. */
+/* A medium has the same layout on the wire and in core, so core reads the payload as an array. */
 _Static_assert(sizeof(core_medium) == WIRE_BYTES_medium, "one medium after the other");
 
 static wire_error check_media(const core_medium *media, size_t count) {
@@ -37,7 +37,7 @@ core_radii_range choice_radii(const eval_request *request) {
                           : core_radii_range_f64(fixed->radius_count, request->radii);
 }
 
-/* Without radii, the quantities at radii have no error. */
+/* Returns the quantities whose errors count. Without radii, only the albedo has a value. */
 static unsigned wanted_of(const wire_eval_request *fixed) {
   return fixed->radius_count > 0 ? fixed->wanted : fixed->wanted & CORE_QUANTITY_ALBEDO;
 }
@@ -84,7 +84,7 @@ static wire_error none_meets(const struct choice *choice) {
   return wire_error_make(WIRE_STATUS_BAD_VALUE, "tolerance", allowed);
 }
 
-/* Takes the candidate after those that have been tried; returns false if it does not exist or does
+/* Writes the next candidate into the request. Returns false if there is none left, or if it does
  * not keep the tolerance. */
 static bool take_next(struct choice_state *state, const struct choice *choice,
                       eval_request *request) {

@@ -19,8 +19,7 @@ static bool is_sample(const struct eval_job *eval) {
   return eval->draw_radii != NULL;
 }
 
-/* ---- checking ---------------------------------------------------------------------------------
- */
+/* ---- checking -------------------------------------------------------------------------------- */
 
 static core_medium medium_of(const struct eval_job *eval, uint32_t channel) {
   wire_medium medium;
@@ -51,7 +50,7 @@ wire_error eval_job_check_media(struct eval_job *eval, core_radii_range *radii) 
   return wire_error_none();
 }
 
-/* Checks that the model covers the radii. Some models are fitted to a range only. */
+/* Checks that the model covers the radii: some models are fitted to a range only. */
 static wire_error check_range(const struct eval_job *eval, const core_radii_range *range) {
   const wire_eval_request *fixed = &eval->request.fixed;
   if (fixed->spacing == CORE_SPACING_LIST) {
@@ -75,7 +74,8 @@ static wire_error check_range(const struct eval_job *eval, const core_radii_rang
   return wire_error_none();
 }
 
-/* A grid without radii is accepted, like an empty list, when only the albedo is wanted. */
+/* Checks the radii. If only the albedo is wanted, there may be none: a grid of 0 radii is accepted.
+ */
 static wire_error check_radii(const struct eval_job *eval) {
   const wire_eval_request *fixed = &eval->request.fixed;
   core_fault fault = {0};
@@ -102,7 +102,7 @@ static const char *count_field(const struct eval_job *eval) {
   return is_sample(eval) ? "sample_count" : "radius_count";
 }
 
-/* Takes the payload apart, which checks what the layout depends on. */
+/* Reads the payload and checks the fields on which its layout depends. */
 static wire_error parse(struct eval_job *eval, const struct job_request *request) {
   const wire_error error =
       eval_request_parse(request->payload, request->header->payload_bytes, &eval->request);
@@ -116,7 +116,7 @@ static wire_error parse(struct eval_job *eval, const struct job_request *request
   return error;
 }
 
-/* Checks all of a request that names a tolerance in place of a model. */
+/* Checks a request that names a tolerance in place of a model. */
 static wire_error check_tolerance(const struct eval_job *eval) {
   const uint64_t most = eval->job.context->server->options.max_media;
   if (eval->request.fixed.medium_count > most) {
@@ -136,7 +136,8 @@ wire_error eval_job_offers(struct eval_job *eval, const struct job_request *requ
              : check_tolerance(eval);
 }
 
-/* Lays out the part that begins at eval->first; returns false if it would exceed max_bytes. */
+/* Computes the layout of the part that begins at eval->first. Returns false if the part would
+ * exceed max_bytes. */
 static bool lay_out_part(struct eval_job *eval, uint64_t max_bytes) {
   const wire_eval_request *fixed = &eval->request.fixed;
   const uint64_t left = fixed->radius_count - eval->first;
@@ -145,9 +146,8 @@ static bool lay_out_part(struct eval_job *eval, uint64_t max_bytes) {
                            eval->count, max_bytes, &eval->layout);
 }
 
-/* Cuts the reply into parts and lays out the first. A reply that fits into a frame is one part. A
- * larger one has parts of max_part_bytes, so that the memory it takes does not depend on its size.
- */
+/* Cuts the reply into parts and computes the layout of the first. A reply that fits into a frame is
+ * one part. A larger reply has parts of up to max_part_bytes, which bounds its memory. */
 static wire_error cut(struct eval_job *eval, const struct options *options) {
   const wire_eval_request *fixed = &eval->request.fixed;
   if (fixed->radius_count > options->max_radii) {
@@ -202,10 +202,9 @@ static wire_error check(struct eval_job *eval, const struct job_request *request
   return error;
 }
 
-/* ---- evaluating a slice -------------------------------------------------------------------------
- */
+/* ---- evaluating a slice ---------------------------------------------------------------------- */
 
-/* Fills the rest of an array with zero bytes; all its values have been written. */
+/* Fills the end of an array, behind all its values, with zero bytes. */
 static void pad(const struct eval_job *eval, uint64_t array_offset) {
   const size_t used = (size_t)eval->count * eval_job_value_bytes(eval);
   memset(eval->reply + array_offset + used, 0, (size_t)eval->layout.array_bytes - used);
@@ -234,7 +233,7 @@ static void copy_radii(const struct eval_job *eval, size_t n) {
   }
 }
 
-/* The next n radii: from the request, from the reply if it holds them, or computed from the grid.
+/* Returns the next n radii: those in the request or in the reply, or else computed from the grid.
  */
 static const void *slice_radii(const struct eval_job *eval, size_t n) {
   const size_t offset = (size_t)eval->index * eval_job_value_bytes(eval);
@@ -248,14 +247,14 @@ static const void *slice_radii(const struct eval_job *eval, size_t n) {
   return eval->job.context->radii;
 }
 
-/* What one radius of a channel costs with the cheapest model, in radii of a dipole. */
+/* Returns the cost of one radius of a channel with the cheapest model, in radii of a dipole. */
 static uint64_t least_cost(const struct eval_job *eval) {
   const unsigned arrays = eval->layout.arrays_per_channel;
   const core_profile dipole = {.evaluator = eval->request.fixed.evaluator, .cost = 1};
   return arrays > 0 && is_sample(eval) ? arrays + (uint64_t)core_draw_cost(&dipole) : arrays;
 }
 
-/* Writes what the reply says of the channel as a whole. */
+/* Writes the channel's structure of the reply: its albedo and errors. */
 static void start_channel(struct eval_job *eval) {
   const core_profile *profile = &eval->lookup.profile;
   eval->notes |= profile->notes;
@@ -275,7 +274,7 @@ static void start_channel(struct eval_job *eval) {
 
 static void start_part(struct eval_job *eval) {
   const wire_eval_request *fixed = &eval->request.fixed;
-  /* put_notes() sets the notes when all channels have been prepared. */
+  /* The notes follow in put_notes(), when all channels have been prepared. */
   const wire_eval_reply start = {
       .model = fixed->model,
       .evaluator = fixed->evaluator,
@@ -300,19 +299,20 @@ static void start_profiles(struct eval_job *eval) {
                  &eval->request.parameters);
 }
 
-/* Begins again with the next best model for a tolerance; returns false if there is none. */
+/* Begins the request again with the next best model for its tolerance. Returns false if there is no
+ * other model. */
 static bool start_again(struct eval_job *eval) {
   if (!choice_again(&eval->choice, eval->lookup.fault, &eval->request)) {
     return false;
   }
-  /* Values that are gathered for earlier channels would be written over those that come now. */
+  /* Passes that still hold values for the old model must not write them over the new values. */
   batch_finish(&eval->job.context->batch, stats_of(eval));
   start_profiles(eval);
   start_part(eval);
   return true;
 }
 
-/* Gets the profile of a channel that has none yet. */
+/* Gets the profile of the current channel. */
 static enum job_outcome get_profile(struct eval_job *eval) {
   const core_medium medium = medium_of(eval, eval->channel);
   switch (profiles_get(&eval->job.context->profiles, &eval->lookup, &medium)) {
@@ -334,8 +334,7 @@ void *eval_job_array(const struct eval_job *eval, enum core_quantity quantity) {
          (size_t)eval->index * eval_job_value_bytes(eval);
 }
 
-/* Evaluates every array that is wanted at the n radii of a slice. Short requests go into the batch.
- */
+/* Evaluates every wanted array at the n radii of a slice, or adds a short request to the batch. */
 static void evaluate(struct eval_job *eval, size_t n) {
   const bool is_short = eval->count == n && n <= BATCH_SHORT_RADII && n > 0;
   const void *r = is_sample(eval) ? eval->draw_radii(eval, n) : slice_radii(eval, n);
@@ -357,7 +356,7 @@ static void evaluate(struct eval_job *eval, size_t n) {
   }
 }
 
-/* Pads all arrays of the channel, which follow each other. */
+/* Pads all arrays of the channel. */
 static void pad_channel(const struct eval_job *eval) {
   const uint64_t channel_bytes = eval->layout.arrays_per_channel * eval->layout.array_bytes;
   uint64_t offset = eval->layout.arrays_offset + eval->channel * channel_bytes;
@@ -367,7 +366,7 @@ static void pad_channel(const struct eval_job *eval) {
   }
 }
 
-/* Goes to the radii after a slice of n. Returns true if the slice was the last of its array. */
+/* Advances by a slice of n radii. Returns true if this was the last slice of its arrays. */
 static bool advance(struct eval_job *eval, size_t n) {
   eval->index += n;
   if (eval->index < eval->count) {
@@ -393,7 +392,8 @@ static void put_notes(const struct eval_job *eval) {
   wire_put_eval_reply(eval->reply, &start);
 }
 
-/* Later requests may repeat this one with other radii, unless its check depends on the radii. */
+/* Remembers the request, so that later requests can repeat it with other radii. A request whose
+ * check depends on the radii cannot be repeated. */
 static void learn(const struct eval_job *eval) {
   if (!is_sample(eval) && eval->part_count == 1 && eval->covers_all &&
       isnan(eval->choice.tolerance)) {
@@ -421,7 +421,7 @@ static void channel_step(struct eval_job *eval, size_t n) {
   }
 }
 
-/* Kernels that draw work on whole vectors, so slices of samples are multiples of one. */
+/* Slices of samples are multiples of this, because kernels that draw work on whole vectors. */
 enum { DRAW_VECTOR = 8 };
 
 static size_t slice_length(const struct eval_job *eval, double cost) {
@@ -433,14 +433,13 @@ static size_t slice_length(const struct eval_job *eval, double cost) {
   return left < most ? (size_t)left : most;
 }
 
-/* What one radius of the channel costs, in radii of a dipole. */
+/* Returns the cost of one radius of the channel, in radii of a dipole. */
 static double cost_of(const struct eval_job *eval) {
   const core_profile *profile = &eval->lookup.profile;
   return profile->cost + (is_sample(eval) ? core_draw_cost(profile) : 0);
 }
 
-/* ---- the job ---------------------------------------------------------------------------------
- */
+/* ---- the job --------------------------------------------------------------------------------- */
 
 enum job_outcome eval_job_start(struct eval_job *eval, wire_error error,
                                 const struct job_request *request) {
@@ -449,7 +448,7 @@ enum job_outcome eval_job_start(struct eval_job *eval, wire_error error,
     error = cut(eval, &eval->job.context->server->options);
   }
   if (error.status == WIRE_STATUS_OK) {
-    /* At most 2^40 radii (max_radii), 2^25 media in a frame, and eight arrays. */
+    /* The product is exact: at most 2^40 radii (max_radii), 2^25 media and eight arrays. */
     const double radii = (double)fixed->radius_count * fixed->medium_count;
     error = job_admit(&eval->job, radii * (double)least_cost(eval), count_field(eval));
   }
@@ -494,7 +493,7 @@ enum job_outcome eval_job_begin_part(struct job *job, uint8_t *payload) {
   return JOB_GOES_ON;
 }
 
-/* Goes to the next part, if there is one, and lays it out. */
+/* Ends a part. If another part follows, computes its layout. */
 static enum job_outcome end_part(struct eval_job *eval) {
   if (eval->part + 1 == eval->part_count) {
     return JOB_DONE;

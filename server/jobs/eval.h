@@ -10,67 +10,65 @@
 
 struct eval_job {
   struct job job;
-  const struct repeat_entry *repeated; /* answers the request; NULL if the members below do */
-  const uint8_t *payload;              /* of a request that is repeated */
+  const struct repeat_entry *repeated; /* the request that this one repeats; NULL: none */
+  const uint8_t *payload;              /* of the request, if it repeats another one */
 
-  eval_request request; /* of a sample: its radii are the numbers u */
+  eval_request request; /* if the job is a sample: its radii are the numbers u */
   core_grid grid;
   struct choice_state choice; /* for a request that names a tolerance in place of a model */
-  bool covers_all;            /* the model covers all radii */
-  core_radii_range radii;     /* least and largest, for which the reply states its errors */
+  bool covers_all;            /* whether the model covers all radii */
+  core_radii_range radii;     /* the range of radii for which the reply states its errors */
 
   /* Draws the next n radii of the channel. NULL unless the job is a sample. */
   const void *(*draw_radii)(const struct eval_job *eval, size_t n);
-  core_draw draw; /* of a sample: its numbers */
+  core_draw draw; /* the rule for the numbers of a sample */
 
-  eval_layout layout;  /* of the part */
-  uint8_t *reply;      /* payload of the part, layout.payload_bytes */
-  uint64_t part_radii; /* radii in each part but the last */
-  uint32_t part;       /* number of the part, from 0 */
+  eval_layout layout;  /* of the current part */
+  uint8_t *reply;      /* [layout.payload_bytes], payload of the current part */
+  uint64_t part_radii; /* radii in each part except the last */
+  uint32_t part;       /* number of the current part, from 0 */
   uint32_t part_count;
-  uint64_t first; /* number of the part's first radius */
-  uint64_t count; /* how many radii the part has */
+  uint64_t first; /* position in the request of the current part's first radius */
+  uint64_t count; /* how many radii the current part has */
 
   uint32_t channel;              /* the channel that is being evaluated */
-  uint64_t index;                /* next radius of that channel, from the part's start */
-  bool radii_done;               /* the radii have been written, or are not wanted */
-  unsigned notes;                /* bits of the channels so far */
+  uint64_t index;                /* position in the part of the channel's next radius */
+  bool radii_done;               /* whether the radii have been written or are not wanted */
+  unsigned notes;                /* the notes of all channels so far */
   struct profiles_lookup lookup; /* for the channel's profile */
 };
 
-/* ---- for sample.c -----------------------------------------------------------------------------
- */
+/* ---- for sample.c ---------------------------------------------------------------------------- */
 
-/* Checks the media of a request that has been taken apart. Sets eval->covers_all, and *radii to the
- * range in which all channels can be evaluated. */
+/* Checks the media of eval->request. Sets eval->covers_all, and *radii to the range in which all
+ * channels can be evaluated. */
 wire_error eval_job_check_media(struct eval_job *eval, core_radii_range *radii);
 
-/* Starts a request that has been checked, unless an error has been found. */
+/* Starts the job of eval->request. If the caller's checks have found an error, refuses it. */
 enum job_outcome eval_job_start(struct eval_job *eval, wire_error error,
                                 const struct job_request *request);
 
-/* These do what job.h says of the functions of a kind. */
+/* These are begin_part() and step() of struct job_kind in job.h. */
 enum job_outcome eval_job_begin_part(struct job *job, uint8_t *payload);
 enum job_outcome eval_job_step(struct job *job, uint64_t *budget);
 void eval_job_end(struct job *job);
 
-/* Bits of all that is wanted, as proto/eval.h has them. */
+/* Returns the bits of all wanted quantities, as proto/eval.h defines them. */
 unsigned eval_job_wanted(const struct eval_job *eval);
 
 static inline size_t eval_job_value_bytes(const struct eval_job *eval) {
   return core_evaluator_bytes(eval->request.fixed.evaluator);
 }
 
-/* Where the listed radii, or numbers u, go on. */
+/* Returns the address of the next listed radius, or of the next listed number u of a sample. */
 const uint8_t *eval_job_listed(const struct eval_job *eval);
 
-/* Where the channel's values of a wanted quantity go on in the reply. */
+/* Returns where the channel's next value of a wanted quantity goes in the reply. */
 void *eval_job_array(const struct eval_job *eval, enum core_quantity quantity);
 
-/* ---- for offers.c -----------------------------------------------------------------------------
- */
+/* ---- for offers.c ---------------------------------------------------------------------------- */
 
-/* Takes a request of model EVAL_ANY_MODEL apart and checks all of it. */
+/* Reads and checks a request of model EVAL_ANY_MODEL. */
 wire_error eval_job_offers(struct eval_job *eval, const struct job_request *request);
 
 #endif

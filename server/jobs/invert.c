@@ -1,12 +1,12 @@
-/* Invert: media whose albedo and length are given, looked for slice by slice. */
+/* Invert: finds media of given albedos and lengths, slice by slice. */
 #include <math.h>
 
 #include "core/inverter.h"
 #include "proto/invert.h"
 #include "server/jobs/job.h"
 
-/* What a probe costs the worker, in radii of a dipole. A profile that takes long is prepared on
- * another thread and costs the worker only the asking. */
+/* The cost of a probe, which prepares a profile to learn its albedo, in radii of a dipole. A slow
+ * profile is prepared on another thread and costs the worker only the request for it. */
 enum {
   PROBE_RADII = 1024,
   COSTLY_PROBE_RADII = JOB_SLICE_RADII,
@@ -18,18 +18,18 @@ struct invert_job {
   struct job job;
   invert_request request;
   core_inverter inverter;
-  bool reach_known;              /* which albedos the model reaches: the first probes find out */
-  bool seeking;                  /* the search for the medium at index has begun */
-  bool slow;                     /* probes take long and are prepared on another thread */
+  bool reach_known;              /* whether the range of albedos that the model reaches is known */
+  bool seeking;                  /* whether the search for the medium at index has begun */
+  bool slow;                     /* whether the profiles of probes are prepared on another thread */
   struct profiles_lookup lookup; /* gets the profiles of slow probes */
-  uint64_t probe_radii;          /* what a probe costs, in radii of a dipole */
-  uint8_t *reply;                /* payload of the part */
-  uint64_t part_media;           /* media in each part but the last */
-  uint64_t first;                /* number of the part's first medium */
-  uint64_t count;                /* how many media the part has */
-  uint64_t index;                /* within the part: the medium that is looked for */
-  uint64_t missing;              /* how many media before index do not exist */
-  uint32_t part;                 /* number of the part, from 0 */
+  uint64_t probe_radii;          /* the cost of a probe, in radii of a dipole */
+  uint8_t *reply;                /* payload of the current part */
+  uint64_t part_media;           /* media in each part except the last */
+  uint64_t first;                /* position in the request of the current part's first medium */
+  uint64_t count;                /* how many media the current part has */
+  uint64_t index;                /* position in the part of the medium that is searched for */
+  uint64_t missing;              /* how many media of the part before index do not exist */
+  uint32_t part;                 /* number of the current part, from 0 */
   uint32_t part_count;
 };
 
@@ -39,11 +39,10 @@ static struct invert_job *of(struct job *job) {
   return (struct invert_job *)(void *)job;
 }
 
-/* ---- checking ---------------------------------------------------------------------------------
- */
+/* ---- checking -------------------------------------------------------------------------------- */
 
-/* The first loop checks all values without a branch. The second one runs only if one of them is
- * wrong, to find it. */
+/* Checks albedos and lengths. The first loop checks all values without a branch. The second loop
+ * runs only if a value is wrong, and finds the first wrong one. */
 static wire_error check_media(const invert_request *request) {
   const uint64_t count = request->fixed.medium_count;
   const double *albedos = request->albedos;
@@ -129,8 +128,7 @@ static enum job_outcome start(struct job *job, const struct job_request *request
   return JOB_NEXT_PART;
 }
 
-/* ---- parts ------------------------------------------------------------------------------------
- */
+/* ---- parts ----------------------------------------------------------------------------------- */
 
 static enum job_outcome begin_part(struct job *job, uint8_t *payload) {
   struct invert_job *invert = of(job);
@@ -166,14 +164,13 @@ static enum job_outcome end_part(struct invert_job *invert) {
   return JOB_NEXT_PART;
 }
 
-/* ---- looking for media ------------------------------------------------------------------------
- */
+/* ---- looking for media ----------------------------------------------------------------------- */
 
 static double *array(const struct invert_job *invert, enum invert_array which) {
   return (double *)(void *)(invert->reply + invert_array_offset(which, invert->count));
 }
 
-/* Writes the result of the search for the medium at index. */
+/* Writes the medium at index, for which the search has ended. */
 static void put_medium(struct invert_job *invert) {
   const core_inverter *inverter = &invert->inverter;
   const bool found = inverter->found;
@@ -187,7 +184,7 @@ static void put_medium(struct invert_job *invert) {
   invert->seeking = false;
 }
 
-/* Sets *albedo to the albedo of the medium that the inverter wants to know about. */
+/* Sets *albedo to the albedo of the medium that the inverter tries next. */
 static enum job_outcome probe(struct invert_job *invert, double *albedo) {
   core_profile profile;
   struct job_context *context = invert->job.context;
@@ -232,8 +229,8 @@ static enum job_outcome take(struct invert_job *invert, double albedo) {
   return fault.field == NULL ? JOB_GOES_ON : job_refuse(&invert->job, job_error(fault));
 }
 
-/* One step of the search: begins with the next medium, or probes once more. A medium outside of the
- * model's reach needs no probe. */
+/* Does one step of the search: begins with the next medium, or probes once more. An albedo that the
+ * model cannot reach needs no probe. */
 static enum job_outcome seek(struct invert_job *invert) {
   const uint64_t i = invert->first + invert->index;
   if (invert->reach_known && !invert->seeking) {

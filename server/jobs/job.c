@@ -3,8 +3,7 @@
 #include <stdio.h>
 #include <string.h>
 
-/* ---- starting and ending ----------------------------------------------------------------------
- */
+/* ---- starting and ending --------------------------------------------------------------------- */
 
 static const struct job_kind *kind_of(unsigned type) {
   switch (type) {
@@ -54,20 +53,19 @@ void job_init_lookup(struct profiles_lookup *lookup, const struct job_request *r
   lookup->woken = false;
 }
 
-/* ---- admission control ------------------------------------------------------------------------
- */
+/* ---- admission control ----------------------------------------------------------------------- */
 
 /* About how long one radius of a dipole takes on a slow machine. */
 #define RADIUS_NS 2
 
-/* Sums of this size are still exact, and far beyond what any worker can owe. */
+/* A limit for the radii that one job owes. Sums of such numbers are exact in double precision. */
 #define OWED_MOST_RADII 1e15
 
 static uint64_t least(uint64_t a, uint64_t b) {
   return a < b ? a : b;
 }
 
-/* By how many radii the large jobs under way delay a new one at most. */
+/* Returns the most radii by which the running large jobs delay a new job of this many radii. */
 static uint64_t delay_radii(const struct job_context *context, uint64_t radii, uint64_t max_radii) {
   const uint64_t each = least(radii, max_radii / JOB_BACKLOG_SHARES);
   uint64_t sum = 0;
@@ -122,8 +120,7 @@ void job_resume(struct job *job) {
   job->rests = false;
 }
 
-/* ---- refusals ---------------------------------------------------------------------------------
- */
+/* ---- refusals -------------------------------------------------------------------------------- */
 
 enum job_outcome job_refuse(struct job *job, wire_error refusal) {
   job->refusal = refusal;

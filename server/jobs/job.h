@@ -1,8 +1,8 @@
-/* job: what every request is while it is being answered, whatever its message.
+/* job: the interface of all requests that are being answered, whatever their message.
  *
- * Each message of proto/messages.def has one `struct job_kind`, named job_kind_<IDENT>. Whoever
- * answers requests (server/jobs/requests.c for the binary protocol, server/modbus for registers)
- * calls these functions, and knows nothing else of a kind of job:
+ * Each message of proto/messages.def has one `struct job_kind`, named job_kind_<IDENT>. The callers
+ * (server/jobs/requests.c for the binary protocol, server/modbus for registers) know only its
+ * functions:
  *
  *   start() checks the request. It returns JOB_NEXT_PART if the size of the reply is known, or
  *   JOB_GOES_ON if that takes steps. begin_part() is then given room for part_bytes, and step() is
@@ -24,105 +24,104 @@
 #include "server/observe/latency.h"
 #include "server/store/profiles.h"
 
-/* What a call of a job's functions has come to. */
+/* The outcome of a call of a job's functions. */
 enum job_outcome {
   JOB_GOES_ON,   /* call step() */
-  JOB_WAITS,     /* for a profile; call step() when on_ready() has been called */
-  JOB_NEXT_PART, /* the part before, if any, is complete; call begin_part() for the next one */
+  JOB_WAITS,     /* the job waits for a profile; call step() after on_ready() */
+  JOB_NEXT_PART, /* the current part, if any, is complete; call begin_part() for the next one */
   JOB_DONE,      /* the reply is complete after batch_finish() */
-  JOB_REFUSED,   /* there will be no more of the reply; the job's refusal says why */
-  JOB_DETACHED,  /* start() only: the job answers later and needs the payload no more */
+  JOB_REFUSED,   /* the reply ends here; the job's refusal says why */
+  JOB_DETACHED,  /* start() only: the job answers later and no longer needs the payload */
 };
 
-/* A slice is as many evaluations of a dipole: about 25 to 100 microseconds. That is how long a
- * small request may have to wait while a large one is being evaluated on its worker. Profiles that
- * cost more get slices with fewer radii. */
+/* The work of one slice, in radii of a dipole: about 25 to 100 microseconds. A small request may
+ * have to wait for one slice of a large request on its worker. A slice of a profile that costs more
+ * has fewer radii. */
 enum { JOB_SLICE_RADII = 16384 };
 
-/* What a step costs besides its radii, in radii: preparing a profile, or taking a frame apart. */
+/* The cost of a step besides its radii, in radii: preparing a profile, or reading a frame. */
 enum { JOB_STEP_RADII = 64 };
 
-/* How long a client that is refused with BUSY should wait. A worker finishes what it has by then.
- */
+/* How long a client should wait after BUSY: a worker finishes a typical backlog in this time. */
 enum { JOB_RETRY_AFTER_MS = 20 };
 
-/* The most numbers that a slice draws: of tables, which cost least. */
+/* The most numbers that a slice draws. Tables, which cost least, draw so many. */
 enum { JOB_DRAW_RADII = JOB_SLICE_RADII / 4 };
 
-/* What the jobs of one worker share. Only that worker's thread touches it. */
+/* The state that all jobs of one worker share. Only the thread of that worker uses it. */
 struct job_context {
   struct server *server;
   uv_loop_t *loop;
   struct latency *latency;
   struct profiles profiles;
-  struct batch batch;     /* short requests, until batch_finish() writes their values */
-  struct repeat repeat;   /* requests that can be answered like an earlier one */
-  uint64_t owed_radii;    /* radii of a dipole that the jobs under way still have to evaluate */
-  LIST_HEAD(, job) large; /* the large jobs under way: at most one of each client */
-  double radii[JOB_SLICE_RADII]; /* scratch: a slice's radii where the reply has no room for them */
-  double numbers[JOB_DRAW_RADII]; /* scratch: a slice's random numbers */
+  struct batch batch;     /* short requests whose values batch_finish() writes */
+  struct repeat repeat;   /* requests that later ones may repeat */
+  uint64_t owed_radii;    /* work that all running jobs still have to do, in radii of a dipole */
+  LIST_HEAD(, job) large; /* the running large jobs: at most one of each client */
+  double radii[JOB_SLICE_RADII];  /* scratch for a slice's radii, if the reply does not hold them */
+  double numbers[JOB_DRAW_RADII]; /* scratch for a slice's random numbers */
 };
 
-/* Why a detached job is to end early. */
+/* Why a detached job has to end early. */
 enum job_stop { JOB_CANCELLED, JOB_DAEMON_STOPS };
 
 struct job;
 
-/* A request as it has arrived. */
+/* A request that has arrived. */
 struct job_request {
   const wire_header *header;
   const uint8_t *payload; /* header->payload_bytes, at a multiple of 8 */
   struct job_context *context;
-  /* Called on the worker's thread: when a job that waits can go on, and when a detached job has
-   * something new. */
+  /* Called on the worker's thread: on_ready() when a waiting job can go on, on_news() when a
+   * detached job has something to write. */
   void (*on_ready)(void *owner);
   void (*on_news)(void *owner);
   void *owner;
-  struct cache_owner *profiles; /* the client, in whose turns slow profiles are prepared */
-  struct job **detached; /* the connection's list of detached jobs; NULL if there can be none */
+  struct cache_owner *profiles; /* the client, whose turns are used to prepare slow profiles */
+  struct job **detached; /* the connection's list of detached jobs; NULL: jobs cannot be detached */
 };
 
-/* A message of the protocol. Functions may be NULL where it says so. */
+/* The functions of the jobs of one message. A function may be NULL where its comment says so. */
 struct job_kind {
-  /* Checks all of the request. The payload stays until the job ends, unless it becomes detached. A
-   * detached job allocates itself and appears in request->detached. Returns any outcome but DONE
-   * and WAITS; end() is called unless the outcome is REFUSED or DETACHED. */
+  /* Checks the whole request. The payload stays valid until the job ends or becomes detached. A
+   * detached job allocates itself and appears in request->detached. Returns any outcome except DONE
+   * and WAITS. The caller calls end() later unless the outcome is REFUSED or DETACHED. */
   enum job_outcome (*start)(struct job *job, const struct job_request *request);
 
-  /* Writes to part_bytes at a multiple of 8. The room stays until the part is complete. Returns
-   * GOES_ON or DONE. */
+  /* Begins to write a part to `payload`: part_bytes at a multiple of 8, which stay valid until the
+   * part is complete. Returns GOES_ON or DONE. */
   enum job_outcome (*begin_part)(struct job *job, uint8_t *payload);
 
-  /* Works for about one slice at most and subtracts what that cost, in radii of a dipole, from
-   * *budget, down to 0. Returns any outcome but DETACHED. NULL if begin_part() completes the
+  /* Does at most about one slice of work and subtracts its cost, in radii of a dipole, from
+   * *budget, down to 0. Returns any outcome except DETACHED. NULL if begin_part() completes the
    * reply. */
   enum job_outcome (*step)(struct job *job, uint64_t *budget);
 
-  /* Releases what the job holds or waits for, whether it is complete or given up. NULL if it holds
-   * nothing. */
+  /* Releases everything that the job holds, and ends its waiting. Also called for a job that is not
+   * complete. NULL if such a job holds nothing. */
   void (*end)(struct job *job);
 
-  /* Has a detached job end soon with what it has. NULL if jobs of this kind are never detached. */
+  /* Makes a detached job end soon with its results so far. NULL if such jobs are never detached. */
   void (*stop)(struct job *job, enum job_stop why);
 };
 
-/* Every kind's own structure begins with this. */
+/* The first member of each kind's own job structure. */
 struct job {
   const struct job_kind *kind;
   struct job_context *context;
   wire_header header;  /* of the request */
-  uint64_t part_bytes; /* with JOB_NEXT_PART: what begin_part() needs */
-  uint64_t owed_radii; /* this job's part of context->owed_radii */
-  bool rests;          /* owed_radii is not counted in the context at the moment */
-  bool large;          /* is in the context's list */
+  uint64_t part_bytes; /* after JOB_NEXT_PART: the size of the part, for begin_part() */
+  uint64_t owed_radii; /* work that this job still has to do, in radii of a dipole */
+  bool rests;          /* whether context->owed_radii leaves this job out, see job_rest() */
+  bool large;          /* whether the job is in context->large */
   LIST_ENTRY(job) in_large;
   enum latency_class latency;
-  struct job *next;   /* detached: in the connection's list */
-  bool reader_idle;   /* detached: nothing else waits to be written, so that progress may be */
+  struct job *next;   /* of a detached job: the next one in the connection's list */
+  bool reader_idle;   /* of a detached job: the output is empty, so it may report progress */
   wire_error refusal; /* set with JOB_REFUSED */
 };
 
-/* Room for a job of any kind. Each kind asserts that its structure fits. */
+/* The size of a slot, which can hold a job of any kind. Each kind asserts that it fits. */
 enum { JOB_SLOT_BYTES = 1600 };
 
 struct job_slot {
@@ -131,58 +130,57 @@ struct job_slot {
 
 #define JOB_FITS_SLOT(type) _Static_assert(sizeof(type) <= JOB_SLOT_BYTES, "a job fits its slot")
 
-/* Starts a job in a slot that no job is in; *job is that slot then. Returns what the kind's start()
- * returns, or REFUSED for an unknown message. */
+/* Starts a job in a free slot and sets *job. Returns what the kind's start() returns, or REFUSED
+ * for an unknown message. */
 enum job_outcome job_start(struct job_slot *slot, const struct job_request *request,
                            struct job **job);
 
-/* Ends a job that start() has neither refused nor detached: it owes nothing any more, and has
- * released what it held. */
+/* Ends a job that start() has neither refused nor detached: removes its work from the worker's
+ * owed_radii and calls the kind's end(). */
 void job_end(struct job *job);
 
-/* Prepares a lookup of profiles for a job. The request says whom to call when the job can go on. */
+/* Sets up a lookup of profiles for a job, which calls request->on_ready() after a wait. */
 void job_init_lookup(struct profiles_lookup *lookup, const struct job_request *request);
 
-/* ---- admission control ------------------------------------------------------------------------
- */
+/* ---- admission control ----------------------------------------------------------------------- */
 
-/* Adds what the job will have to evaluate to what its worker owes; radii: of any size.
+/* Admits a job and adds its work to the worker's owed_radii, or refuses it. radii: the work, of any
+ * size, in radii of a dipole.
  *
- * A large job is refused with BUSY and `field` if the other large jobs would delay it by
- * max_backlog_ms or more. Clients take turns. So each other job delays it by at most what that job
- * still owes, and by at most what the new job costs itself. Besides, none counts for more than
- * 1/JOB_BACKLOG_SHARES of max_backlog_ms: so a few clients with endless work keep nobody out.
- *
- * A small job is always admitted. */
+ * A small job is always admitted. A large job is refused with BUSY and `field` if the other large
+ * jobs would delay it by max_backlog_ms or more. Clients take turns, so another job delays the new
+ * one by at most the work that either of them has left. Besides, another job counts for at most
+ * 1/JOB_BACKLOG_SHARES of max_backlog_ms, so that a few endless jobs do not keep new ones out. */
 enum { JOB_BACKLOG_SHARES = 16 };
 wire_error job_admit(struct job *job, double radii, const char *field);
 
-/* The job has evaluated so many radii. */
+/* Subtracts radii that the job has evaluated from the work that it owes. */
 void job_pay(struct job *job, uint64_t radii);
 
-/* While a slow reader keeps a job from going on, what it owes keeps nobody else out. */
+/* Call these when a slow reader stops a job, and when the job goes on. The work of a stopped job
+ * does not count in admission control. */
 void job_rest(struct job *job);
 void job_resume(struct job *job);
 
-/* ---- refusals ---------------------------------------------------------------------------------
- */
+/* ---- refusals -------------------------------------------------------------------------------- */
 
 /* Sets the refusal and returns JOB_REFUSED. */
 enum job_outcome job_refuse(struct job *job, wire_error refusal);
 
-/* BAD_VALUE, for what core found to be wrong. */
+/* Makes the error BAD_VALUE of a fault that core has found. */
 wire_error job_error(core_fault fault);
 
-/* The error of a fault in preparing a channel: BUSY if it may succeed later, else BAD_VALUE. */
+/* Makes the error of a fault in preparing a channel: BUSY if the preparation may succeed later,
+ * else BAD_VALUE. */
 wire_error job_fault(core_fault fault, uint32_t channel);
 
-/* BUSY: the budget of all buffers is exhausted. */
+/* Makes the error BUSY for a budget of all buffers that is exhausted. */
 wire_error job_busy(void);
 
-/* BAD_LENGTH, for a payload that does not have the size that is allowed. */
+/* Makes the error BAD_LENGTH of a payload that has another size than `allowed` says. */
 wire_error job_bad_length(const char *allowed);
 
-/* TOO_LARGE: "at most MOST WHAT". */
+/* Makes the error TOO_LARGE, whose `allowed` is the text "at most MOST WHAT". */
 wire_error job_too_large(const char *field, uint64_t most, const char *what);
 
 #define WIRE_MESSAGE(type, IDENT, name) extern const struct job_kind job_kind_##IDENT;

@@ -1,5 +1,5 @@
-/* Monte Carlo: a detached job, whose request does not hold the connection's input. It is walked by
- * the pool's threads (mc_pool.h) and answers with progress and, in the end, with its table. */
+/* Monte Carlo: a detached job, so other requests of its connection go on. Threads of mc_pool.h walk
+ * its photons. It answers with reports of progress and, in the end, with its table of results. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -8,11 +8,11 @@
 
 struct mc {
   struct job job;
-  uv_async_t wake; /* sent by the pool when there is something new */
+  uv_async_t wake; /* The pool sends it when mc_job_look() has news. */
   void (*on_news)(void *owner);
   void *owner;
   struct mc_job *walk;
-  uint64_t progress_count; /* progress replies so far */
+  uint64_t progress_count; /* number of progress replies so far */
   bool complete;           /* the next part is the table, and not: */
   wire_mc_reply progress;
 };

@@ -12,17 +12,17 @@
 
 enum {
   THREADS_MAX = 64,       /* the limit of --mc-threads in options.def */
-  LOW_PRIORITY = 10,      /* nice value: a tenth of a worker's share when both want the same core */
-  BATCHES_PER_THREAD = 2, /* of each job: one can be walked while another waits to be merged */
-  RETRY_AFTER_MS = 1000,  /* for BUSY: jobs take seconds */
+  LOW_PRIORITY = 10,      /* nice value, which gives a tenth of the share of a worker on its core */
+  BATCHES_PER_THREAD = 2, /* per job: one batch can be walked while another waits to be merged */
+  RETRY_AFTER_MS = 1000,  /* of BUSY; jobs take seconds */
 };
 
 /* One batch of a job. */
 enum batch_state {
   BATCH_FREE,
-  BATCH_BEGUN, /* partly walked; waits for a thread */
+  BATCH_BEGUN, /* it is partly walked and waits for a thread */
   BATCH_HELD,  /* a thread is walking it */
-  BATCH_DONE,  /* walked; waits to be merged */
+  BATCH_DONE,  /* it is walked and waits to be merged */
 };
 
 struct batch {
@@ -36,16 +36,16 @@ struct mc_job {
   TAILQ_ENTRY(mc_job) in_pool; /* the first job of the list has the next turn */
   uv_async_t *wake;            /* NULL after mc_job_drop() */
   struct mc_task task;
-  uint64_t bytes; /* memory that it counts for in the server's budget */
+  uint64_t bytes; /* the job's memory, as counted in the server's budget */
 
   uint64_t next_start; /* index of the next batch to begin */
   uint64_t next_merge; /* index of the next batch to merge */
-  unsigned turns;      /* how many threads work on it now */
-  bool totalling;      /* a thread opens it, merges a batch, or writes the table */
-  bool open;           /* its memory has been allocated */
-  bool failed;         /* its memory could not be allocated */
-  enum mc_state state; /* why it has ended; MC_UNDER_WAY if it has not */
-  bool complete;       /* its table is written */
+  unsigned turns;      /* how many threads work on the job now */
+  bool totalling;      /* a thread opens the job, merges a batch, or writes the table */
+  bool open;           /* the job's memory has been allocated */
+  bool failed;         /* the job's memory could not be allocated */
+  enum mc_state state; /* why the job has ended; MC_UNDER_WAY if it has not */
+  bool complete;       /* the table is written */
 
   wire_mc_reply progress; /* copy of task.progress */
   bool progress_new;
@@ -57,7 +57,7 @@ struct mc_job {
 
 struct mc_pool {
   struct server *server;
-  uv_mutex_t mutex; /* guards all members, and those of jobs that no turn is about */
+  uv_mutex_t mutex; /* guards all members, and those of all jobs that no thread works on */
   uv_cond_t changed;
   TAILQ_HEAD(, mc_job) jobs;
   uint64_t job_count;
@@ -66,10 +66,9 @@ struct mc_pool {
   uv_thread_t threads[THREADS_MAX];
 };
 
-/* ---- turns ------------------------------------------------------------------------------------
- */
+/* ---- turns ----------------------------------------------------------------------------------- */
 
-/* What a thread does next. It does it without holding the mutex. */
+/* The kinds of work that a thread does next. It does not hold the mutex meanwhile. */
 enum turn_kind { TURN_NONE, TURN_OPEN, TURN_WALK, TURN_MERGE, TURN_TABLE };
 
 struct turn {
@@ -77,11 +76,11 @@ struct turn {
   struct mc_job *job;
   struct batch *batch;
   bool begins; /* WALK: the batch is new */
-  bool done;   /* WALK: the batch is complete; OPEN: the memory is there */
+  bool done;   /* WALK: the batch is complete; OPEN: the memory was allocated */
 };
 
-/* The batch in this state that has the lowest index, because later batches wait for it to be
- * merged. */
+/* Returns the batch in this state that has the lowest index, because the merging of later batches
+ * waits for it. NULL if no batch is in this state. */
 static struct batch *first_batch(struct mc_job *job, enum batch_state state) {
   struct batch *first = NULL;
   for (size_t i = 0; i < job->batch_count; i++) {
@@ -93,7 +92,7 @@ static struct batch *first_batch(struct mc_job *job, enum batch_state state) {
   return first;
 }
 
-/* A batch to walk: one that has been begun, or else a new one. NULL if there is none. */
+/* Returns a batch to walk: one that has been begun, or else a new one. NULL if there is none. */
 static struct batch *batch_to_walk(struct mc_job *job) {
   struct batch *batch = first_batch(job, BATCH_BEGUN);
   if (batch != NULL || job->next_start == job->task.batches_max) {
@@ -135,8 +134,8 @@ static struct turn walking_turn_of(struct mc_job *job) {
   return turn;
 }
 
-/* Merging, opening and writing tables come first: they are short, and a client may wait for them.
- */
+/* Finds the next work for a thread. Merging, opening and writing tables come before walking: they
+ * are short, and a client may wait for them. */
 static struct turn find_turn(struct mc_pool *pool) {
   struct turn turn = {.kind = TURN_NONE};
   struct mc_job *job;
@@ -173,8 +172,8 @@ static bool take_turn(struct mc_pool *pool, struct turn *turn) {
   return true;
 }
 
-/* Allocates what the job needs, which would take a worker too long. If there is not enough memory
- * for all batches, one is enough. */
+/* Allocates the memory of a job, which would take a worker too long. If memory is short, one batch
+ * is enough. */
 static bool open_job(struct mc_job *job) {
   const size_t wanted = job->batch_count;
   job->batch_count = 0;
@@ -245,8 +244,8 @@ static void end_open(struct turn *turn) {
   }
 }
 
-/* Removes a job from the list if it has been dropped and no thread works on it. Returns it, to be
- * freed without holding the mutex, or NULL if it is still in use. */
+/* Removes a job from the list if it has been dropped and no thread works on it. Returns the job,
+ * which the caller frees without holding the mutex, or NULL if the job is still in use. */
 static struct mc_job *take_if_unused(struct mc_job *job) {
   if (job->wake != NULL || job->turns > 0) {
     return NULL;
@@ -267,7 +266,7 @@ static void free_job(struct mc_job *job) {
   free(job);
 }
 
-/* Returns the job if it is to be freed, or NULL. */
+/* Ends a turn of a thread. Returns the job if the caller has to free it, or NULL. */
 static struct mc_job *end_turn(struct mc_pool *pool, struct turn *turn) {
   struct mc_job *job = turn->job;
   job->turns--;
@@ -293,10 +292,9 @@ static struct mc_job *end_turn(struct mc_pool *pool, struct turn *turn) {
   return take_if_unused(job);
 }
 
-/* ---- threads ----------------------------------------------------------------------------------
- */
+/* ---- threads --------------------------------------------------------------------------------- */
 
-/* On Linux every thread has a priority of its own; setpriority() takes the thread's id. */
+/* Lowers the priority of this thread: on Linux, setpriority() takes the id of a thread. */
 static void lower_priority(void) {
   if (setpriority(PRIO_PROCESS, (id_t)gettid(), LOW_PRIORITY) != 0) {
     log_line(LOG_LEVEL_ERROR, "event=priority-not-lowered reason=\"%s\"", strerror(errno));
@@ -326,7 +324,7 @@ static void thread_main(void *argument) {
   uv_mutex_unlock(&pool->mutex);
 }
 
-/* Returns false if no thread could be started. */
+/* Starts the threads that are missing. Returns false if there is no thread. */
 static bool start_threads(struct mc_pool *pool) {
   while (pool->thread_count < pool->server->options.mc_threads &&
          uv_thread_create(&pool->threads[pool->thread_count], thread_main, pool) == 0) {
@@ -371,8 +369,7 @@ void mc_pool_free(struct mc_pool *pool) {
   free(pool);
 }
 
-/* ---- jobs -------------------------------------------------------------------------------------
- */
+/* ---- jobs ------------------------------------------------------------------------------------ */
 
 static wire_error busy(const char *allowed) {
   wire_error error = wire_error_make(WIRE_STATUS_BUSY, "", allowed);
@@ -380,7 +377,7 @@ static wire_error busy(const char *allowed) {
   return error;
 }
 
-/* Returns NULL if there is no memory. */
+/* Makes a job. Returns NULL if there is no memory. */
 static struct mc_job *new_job(struct mc_pool *pool, const struct mc_task *task, uv_async_t *to) {
   const size_t batches = BATCHES_PER_THREAD * (size_t)pool->server->options.mc_threads;
   const uint64_t bytes = mc_task_bytes(task, batches);
@@ -401,7 +398,7 @@ static struct mc_job *new_job(struct mc_pool *pool, const struct mc_task *task, 
   return job;
 }
 
-/* Returns false if there are too many jobs, or no threads. */
+/* Adds a job to the pool. Returns false if there are too many jobs, or no threads. */
 static bool add_job(struct mc_pool *pool, struct mc_job *job) {
   uv_mutex_lock(&pool->mutex);
   const bool room = pool->job_count < pool->server->options.max_mc_jobs && start_threads(pool);
@@ -448,7 +445,7 @@ void mc_job_drop(struct mc_job *job) {
   struct mc_pool *pool = job->pool;
   uv_mutex_lock(&pool->mutex);
   job->wake = NULL;
-  pool->job_count--; /* another job may take its place, even if a thread still works on this one */
+  pool->job_count--; /* Another job may start, even if a thread still works on this one. */
   stats_subtract(&pool->server->stats, STATS_MC_JOBS_OPEN, 1);
   atomic_store(&job->task.ends, true);
   struct mc_job *unused = take_if_unused(job);

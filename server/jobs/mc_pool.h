@@ -15,25 +15,24 @@ enum { MC_PROGRESS_EVERY_MS = 200 };
 
 struct mc_pool;
 
-/* One Monte Carlo job. Only the worker that has started it calls mc_job_...(), until mc_job_drop().
- */
+/* A Monte Carlo job. Only the worker that has started a job calls mc_job_...() for it. */
 struct mc_job;
 
-/* Returns NULL if there is no memory. */
+/* Makes a pool. Returns NULL if there is no memory. */
 struct mc_pool *mc_pool_new(struct server *server);
 
 /* Ends the threads. Asserts that all jobs have been dropped. */
 void mc_pool_free(struct mc_pool *pool);
 
-/* Checks a request and starts its job, which the caller drops with mc_job_drop(). Until then,
- * `wake` is sent whenever mc_job_look() has something new. */
+/* Checks a request and starts its job, which the caller drops with mc_job_drop(). Until then, the
+ * pool sends `wake` whenever mc_job_look() has news. */
 wire_error mc_job_start(struct mc_pool *pool, const uint8_t *payload, size_t payload_bytes,
                         uv_async_t *wake, struct mc_job **job);
 
-/* Ends the job early: its table holds what has been walked so far. */
+/* Ends the job early: its table holds the results of the photons so far. */
 void mc_job_end(struct mc_job *job, enum mc_state state);
 
-/* Gives the job up. It is freed when no thread works on it any more. */
+/* Gives the job up. The pool frees it when no thread works on it any more. */
 void mc_job_drop(struct mc_job *job);
 
 enum mc_news {
@@ -43,10 +42,10 @@ enum mc_news {
   MC_NO_MEMORY, /* the job has ended because there was no memory for it */
 };
 
-/* What is new since the last call. */
+/* Returns what has changed since the last call. */
 enum mc_news mc_job_look(struct mc_job *job, wire_mc_reply *progress);
 
-/* The payload of the last reply. It stays valid until the job is dropped. */
+/* Returns the payload of the last reply, the table. It stays valid until the job is dropped. */
 const uint8_t *mc_job_table(const struct mc_job *job, size_t *payload_bytes);
 
 #endif

@@ -5,10 +5,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* ---- checking ---------------------------------------------------------------------------------
- */
+/* ---- checking -------------------------------------------------------------------------------- */
 
-/* Fields that have another name in core than on the wire. */
+/* Returns the name on the wire of a field that core has named. */
 static const char *wire_field(const char *field) {
   static const struct {
     const char *core, *wire;
@@ -31,7 +30,7 @@ static wire_error from_fault(core_fault fault) {
   return error;
 }
 
-/* NaN is refused, because it fails every comparison. */
+/* Returns whether the value can be a target for an error. NaN cannot: it fails every comparison. */
 static bool is_error_target(double target) {
   return target == 0 || (target >= 1e-9 && target <= 1);
 }
@@ -55,7 +54,7 @@ static wire_error check_targets(const wire_mc_request *fixed, uint64_t photons_m
   return wire_error_none();
 }
 
-/* Sets the request; the medium has been checked. */
+/* Makes the request for core. The medium has been checked. */
 static void set_request(struct mc_task *task, const mc_request *wire, const core_medium *medium) {
   core_mc_request *request = &task->request;
   core_mc_request_medium(request, medium);
@@ -109,11 +108,10 @@ wire_error mc_task_check(struct mc_task *task, const struct server *server, cons
   return error;
 }
 
-/* ---- memory -----------------------------------------------------------------------------------
- */
+/* ---- memory ---------------------------------------------------------------------------------- */
 
-/* For each albedo, a tally has a slot for each ring and two more on each side, and a few numbers.
- * There is also one count of photons for each slot. */
+/* Bounds the memory: for each albedo, a tally has a slot for each ring and two more on each side,
+ * and a few numbers. There is also one count of photons for each slot. */
 uint64_t mc_task_bytes(const struct mc_task *task, uint64_t batches) {
   const uint64_t plan_bytes = UINT64_C(512) << 10;
   const uint64_t slots = CORE_MC_SIDES * ((uint64_t)task->ring_count + 2);
@@ -147,10 +145,9 @@ void mc_task_close(struct mc_task *task) {
   free(task->table);
 }
 
-/* ---- how good it is ---------------------------------------------------------------------------
- */
+/* ---- errors ---------------------------------------------------------------------------------- */
 
-/* The largest relative error of R among the albedos; 0 if no scattered light leaves. */
+/* Returns the largest relative error of R among the albedos; 0 if no scattered light leaves. */
 static double total_error(const struct mc_task *task) {
   double worst = core_mc_total_batches(task->total) >= 2 ? 0 : (double)INFINITY;
   for (size_t k = 0; k < task->request.albedo_count; k++) {
@@ -164,7 +161,7 @@ static double total_error(const struct mc_task *task) {
   return worst;
 }
 
-/* Whether scattered light has left on any side. */
+/* Returns whether scattered light has left on any side. */
 static bool light_leaves(const struct mc_task *task) {
   for (size_t k = 0; k < task->request.albedo_count; k++) {
     core_mc_energy energy;
@@ -178,15 +175,15 @@ static bool light_leaves(const struct mc_task *task) {
   return false;
 }
 
-/* The next three functions find the largest relative error among the rings that light has reached:
- * begin, note each ring, end. The error is infinite while no ring has light, and 0 if no scattered
+/* begin_worst(), note_worst() for each ring, and end_worst() find the largest relative error among
+ * the rings that light has reached. It is infinite while no ring has light, and 0 if no scattered
  * light leaves at all. */
 static void begin_worst(struct mc_task *task) {
   task->progress.error_rings = -1;
   task->progress.worst_from = task->progress.worst_to = 0;
 }
 
-/* task->rings holds the rings of this albedo and side. */
+/* Takes the errors of task->rings, which are the rings of this albedo and side, into account. */
 static void note_worst(struct mc_task *task, uint32_t albedo, uint32_t side) {
   wire_mc_reply *progress = &task->progress;
   for (uint32_t i = 0; i < task->ring_count; i++) {
@@ -209,8 +206,8 @@ static void end_worst(struct mc_task *task) {
   }
 }
 
-/* With many rings and albedos this takes tens of milliseconds. It stops early when the job is to
- * end. */
+/* Finds the worst ring. With many rings and albedos this takes tens of milliseconds, so it stops
+ * early if the job has to end. */
 static void find_worst_ring(struct mc_task *task) {
   begin_worst(task);
   for (uint32_t k = 0; k < task->request.albedo_count; k++) {
@@ -222,7 +219,7 @@ static void find_worst_ring(struct mc_task *task) {
   end_worst(task);
 }
 
-/* The error of a mean falls with the root of the number of photons. */
+/* Estimates how many photons reach the wanted error, which falls with the root of their number. */
 static double photons_for(double error, double wanted, double photons) {
   return wanted > 0 ? photons * pow(error / wanted, 2) : 0;
 }
@@ -234,7 +231,7 @@ static bool is_enough(const struct mc_task *task) {
          (task->error_rings == 0 || task->progress.error_rings <= task->error_rings);
 }
 
-/* Computes the errors, and estimates how many photons the task will take. */
+/* Computes the errors, and estimates how many photons the task will need. */
 static void check_errors(struct mc_task *task) {
   wire_mc_reply *progress = &task->progress;
   const double photons = (double)progress->photons;
@@ -251,8 +248,9 @@ static void check_errors(struct mc_task *task) {
   }
 }
 
-/* Checks the errors more rarely the more batches there are, so that checking costs little. When it
- * checks depends on the number of batches only, so the same request ends after the same batch. */
+/* Adds a batch. The more batches there are, the more rarely this checks the errors, so that checks
+ * cost little. The number of batches alone says when to check, so that the same request always ends
+ * after the same batch. */
 void mc_task_merge(struct mc_task *task, const core_mc_batch *batch) {
   wire_mc_reply *progress = &task->progress;
   core_mc_total_merge(task->total, batch);
@@ -271,8 +269,7 @@ void mc_task_merge(struct mc_task *task, const core_mc_batch *batch) {
   }
 }
 
-/* ---- the table --------------------------------------------------------------------------------
- */
+/* ---- the table ------------------------------------------------------------------------------- */
 
 static wire_mc_energy energy_of(const struct mc_task *task, size_t albedo) {
   core_mc_energy from;
@@ -305,7 +302,7 @@ static void put_array(uint8_t *table, size_t offset, uint32_t index, const void 
   memcpy(table + offset + (size_t)index * 8, value, 8);
 }
 
-/* Writes the rings of one albedo and side. Edges and photons are the same for every albedo. */
+/* Writes the rings of one albedo and side. All albedos share the edges and the photons. */
 static void put_rings(struct mc_task *task, uint32_t albedo, uint32_t side) {
   const mc_layout *layout = &task->layout;
   const uint32_t sides = task->side_count, count = task->ring_count;
@@ -335,7 +332,8 @@ static void put_reply(struct mc_task *task, enum mc_state state) {
   wire_put_mc_reply(task->table, &reply);
 }
 
-/* Computes the errors once more, because a cancelled job ends between two checks. */
+/* Writes the table. It computes the errors once more, because a cancelled job ends between two
+ * checks. */
 void mc_task_write_table(struct mc_task *task, enum mc_state state) {
   begin_worst(task);
   for (uint32_t albedo = 0; albedo < task->request.albedo_count; albedo++) {

@@ -4,16 +4,15 @@
 #include "server/jobs/job.h"
 #include "server/observe/report.h"
 
-/* Accepts a request whose reply takes so many bytes. */
+/* Accepts a request whose reply has part_bytes. */
 static enum job_outcome reply_with(struct job *job, size_t part_bytes) {
   job->part_bytes = part_bytes;
   return JOB_NEXT_PART;
 }
 
-/* ---- hello ------------------------------------------------------------------------------------
- */
+/* ---- hello ----------------------------------------------------------------------------------- */
 
-/* Where the next value of a list goes; NULL to count the values only. */
+/* Where the next value of a list is written. `at` is NULL if the values are only counted. */
 struct value_cursor {
   uint8_t *at;
   uint32_t count;
@@ -90,8 +89,7 @@ static enum job_outcome put_hello(struct job *job, uint8_t *at) {
 
 const struct job_kind job_kind_HELLO = {.start = start_hello, .begin_part = put_hello};
 
-/* ---- lists ------------------------------------------------------------------------------------
- */
+/* ---- lists ----------------------------------------------------------------------------------- */
 
 /* Accepts a request without a payload, whose reply is a list. */
 static enum job_outcome start_list(struct job *job, const struct job_request *request, size_t count,
@@ -101,7 +99,7 @@ static enum job_outcome start_list(struct job *job, const struct job_request *re
              : reply_with(job, WIRE_BYTES_list_reply + count * entry_bytes);
 }
 
-/* Writes the count of a list. Returns where its entries go. */
+/* Writes the count of a list. Returns the address of the first entry. */
 static uint8_t *put_list(uint8_t *at, size_t count) {
   const wire_list_reply list = {.count = (uint32_t)count};
   wire_put_list_reply(at, &list);
@@ -155,8 +153,7 @@ static enum job_outcome put_statistics(struct job *job, uint8_t *at) {
 
 const struct job_kind job_kind_STATS = {.start = start_statistics, .begin_part = put_statistics};
 
-/* ---- ping -------------------------------------------------------------------------------------
- */
+/* ---- ping ------------------------------------------------------------------------------------ */
 
 struct ping {
   struct job job;
@@ -179,13 +176,12 @@ static enum job_outcome put_ping(struct job *job, uint8_t *at) {
 
 const struct job_kind job_kind_PING = {.start = start_ping, .begin_part = put_ping};
 
-/* ---- cancel -----------------------------------------------------------------------------------
- */
+/* ---- cancel ---------------------------------------------------------------------------------- */
 
 struct cancel {
   struct job job;
   uint64_t job_id;
-  struct job *detached; /* the connection's list */
+  struct job *detached; /* the connection's list of detached jobs */
 };
 
 JOB_FITS_SLOT(struct cancel);

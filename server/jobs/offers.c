@@ -1,4 +1,4 @@
-/* Offers: what could answer an eval that names a tolerance in place of a model. */
+/* Offers: lists the models and evaluators that could answer an eval with a tolerance. */
 #include "server/jobs/eval.h"
 
 static struct choice list(const struct job *job) {
@@ -7,7 +7,8 @@ static struct choice list(const struct job *job) {
   return choice;
 }
 
-/* The list is too large for a slot: it is made once for its size, and once more to write it. */
+/* Checks the request and finds the size of the list. The list itself is too large for a slot, so
+ * begin_part() makes it again. */
 static enum job_outcome start(struct job *job, const struct job_request *request) {
   const wire_error error = eval_job_offers((struct eval_job *)(void *)job, request);
   if (error.status != WIRE_STATUS_OK) {

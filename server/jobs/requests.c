@@ -19,8 +19,7 @@ static void note_latency(struct requests *r, enum latency_class kind) {
   latency_note(r->context->latency, kind, r->arrived_ns);
 }
 
-/* ---- frames -----------------------------------------------------------------------------------
- */
+/* ---- frames ---------------------------------------------------------------------------------- */
 
 /* Reserves a frame in the output and writes its header. Returns where its payload goes, or NULL if
  * there is no room. */
@@ -57,8 +56,7 @@ bool requests_refuse(struct requests *r, uint64_t request_id, const wire_error *
   return true;
 }
 
-/* ---- detached jobs ----------------------------------------------------------------------------
- */
+/* ---- detached jobs --------------------------------------------------------------------------- */
 
 static void drop_detached(struct requests *r) {
   while (r->detached != NULL) {
@@ -75,8 +73,8 @@ bool requests_stop_detached(struct requests *r, enum job_stop why) {
   return r->detached != NULL;
 }
 
-/* True if the last reply, or the refusal, has been committed. Without room for it the job is asked
- * again later. */
+/* Lets a detached job write. Returns true if the last reply or the refusal has been committed. If
+ * the output has no room, the job is asked again later. */
 static bool step_detached(struct requests *r, struct job *job) {
   uint64_t budget = JOB_SLICE_RADII;
   job->reader_idle = r->output->ready_bytes == 0;
@@ -111,10 +109,9 @@ void requests_step_detached(struct requests *r) {
   }
 }
 
-/* ---- the job that holds the input --------------------------------------------------------------
- */
+/* ---- the job that holds the input ------------------------------------------------------------ */
 
-/* The job has come to its end: its reply is in the output, or the refusal goes there now. */
+/* Ends the job that holds the input. Its reply is in the output; a refusal is written now. */
 static void finish(struct requests *r, const wire_error *refusal) {
   struct job *job = r->job;
   const wire_header *header = &job->header;
@@ -133,7 +130,8 @@ static void finish(struct requests *r, const wire_error *refusal) {
   input_next(r->input, header);
 }
 
-/* Ends the job with a refusal. Values that are gathered for its part must not be written there. */
+/* Ends the job with a refusal. If a part is open, first empties the batch, which may still hold
+ * values for it, and then cancels the part. */
 static void give_up(struct requests *r, const wire_error *refusal) {
   if (r->part_open) {
     batch_finish(&r->context->batch, stats_of(r));
@@ -146,7 +144,7 @@ static void begin_part(struct requests *r) {
   struct job *job = r->job;
   r->between_parts = false;
   uint8_t *payload = begin_reply(r, job);
-  if (payload == NULL) { /* parts that have been sent are all there will be */
+  if (payload == NULL) { /* no room: the reply ends with the parts that have been sent */
     const wire_error busy = job_busy();
     finish(r, &busy);
     return;
@@ -162,7 +160,7 @@ static void end_part(struct requests *r) {
   output_commit(r->output);
   r->part_open = false;
   r->between_parts = true;
-  requests_step_detached(r); /* or they would wait until the last part is complete */
+  requests_step_detached(r); /* so that detached jobs need not wait for the last part */
 }
 
 static void follow(struct requests *r, enum job_outcome outcome) {
@@ -223,8 +221,7 @@ void requests_end(struct requests *r, uint64_t request_id, wire_error error) {
   r->ended = true;
 }
 
-/* ---- taking requests up ------------------------------------------------------------------------
- */
+/* ---- taking requests up ---------------------------------------------------------------------- */
 
 static void on_ready(void *owner) {
   struct requests *r = owner;
@@ -237,7 +234,7 @@ static void on_news(void *owner) {
   r->wake(r->owner);
 }
 
-/* A request that no job has been started for, or whose job has refused at once. */
+/* Refuses a request that has no job, because its frame or its start was refused. */
 static void refuse(struct requests *r, const wire_header *header, const wire_error *error) {
   note_latency(r, LATENCY_REFUSED);
   if (requests_refuse(r, header->request_id, error)) {
@@ -275,7 +272,7 @@ static void start(struct requests *r, const wire_header *header, const uint8_t *
   }
 }
 
-/* Takes the next frame; returns false if none is there. */
+/* Takes the next frame. Returns false if no complete frame has arrived. */
 static bool take_frame(struct requests *r) {
   wire_header header;
   const uint8_t *payload = NULL;
@@ -298,7 +295,7 @@ static bool take_frame(struct requests *r) {
   return true;
 }
 
-/* Between two parts. A reader that does not keep up is waited for. */
+/* Begins the next part, or waits if the reader does not keep up. Returns false if it waits. */
 static bool step_between_parts(struct requests *r) {
   if (output_is_full(r->output)) {
     job_rest(r->job);

@@ -1,5 +1,6 @@
-/* requests: the requests of one connection, each from its frame in the input to its reply or
- * refusal in the output. One request at a time holds the input; detached jobs answer when they can.
+/* requests: answers the requests of one connection, each from its frame in the input to its reply
+ * or refusal in the output. One request at a time holds the input, because its job uses the payload
+ * in place. A detached job does not hold the input and answers when it can.
  *
  * This module frames all replies and refusals. It knows neither the connection, which moves the
  * bytes, nor any kind of job (server/jobs/job.h). Call it on the worker's thread only.
@@ -10,55 +11,56 @@
 #include "server/jobs/job.h"
 #include "server/net/buffers.h"
 
-/* Zeroed, except for what requests_init() sets. */
+/* The requests of one connection. The owner sets all members to 0 and calls requests_init(). Before
+ * the first step, it sets `context` and `profiles`. */
 struct requests {
-  struct job_context *context;  /* of the worker; set by the owner before the first step */
-  struct cache_owner *profiles; /* in whose turns slow profiles are prepared; set likewise */
+  struct job_context *context;  /* of the worker */
+  struct cache_owner *profiles; /* the client, whose turns are used to prepare slow profiles */
   struct input *input;
   struct output *output;
-  void (*wake)(void *owner); /* called when requests_step() has something to do again */
+  void (*wake)(void *owner); /* called when requests_step() can go on after it returned false */
   void *owner;
 
-  struct job *job; /* its request holds the input; NULL if no request does */
+  struct job *job; /* the job whose request holds the input; NULL if there is none */
   struct job_slot slot;
-  struct job *detached; /* jobs that answer later */
-  bool waiting;         /* the job waits for a profile */
-  bool part_open;       /* the output has a reservation, which the job is filling in */
-  bool between_parts;   /* the next part begins when the reader has made room */
-  bool ended;           /* no more frames are taken */
-  bool no_room;         /* not even an error fitted into the output: abort the connection */
-  uint64_t taken;       /* frames so far */
-  uint64_t arrived_ns;  /* when the request that is being answered had arrived */
-  uint64_t deadline_ms; /* of that request, on the loop's clock; 0 if it has none */
+  struct job *detached; /* the list of detached jobs */
+  bool waiting;         /* whether the job waits for a profile */
+  bool part_open;       /* whether the output has a reservation that the job is filling in */
+  bool between_parts;   /* whether the next part waits until the reader has made room */
+  bool ended;           /* whether no more frames are taken */
+  bool no_room;         /* whether not even an error fitted into the output: abort the connection */
+  uint64_t taken;       /* number of frames taken so far */
+  uint64_t arrived_ns;  /* when the request of the job had arrived */
+  uint64_t deadline_ms; /* of the request of the job, on the loop's clock; 0 if it has none */
 };
 
 void requests_init(struct requests *requests, struct input *input, struct output *output,
                    void (*wake)(void *owner), void *owner);
 
-/* Gives up all jobs at once, without a word. */
+/* Gives up all jobs at once, without answers. */
 void requests_drop(struct requests *requests);
 
-/* Does one step: takes the next frame, or goes on with its job. Subtracts what that cost from
- * *budget, down to 0. Returns false if there is nothing to do. */
+/* Does one step: takes the next frame, or goes on with the current job. Subtracts the cost of the
+ * step from *budget, down to 0. Returns false if there is nothing to do. */
 bool requests_step(struct requests *requests, uint64_t *budget);
 
-/* Puts what detached jobs have to say into the output, unless a job is filling it in: results, and
- * progress when nothing else waits to be written. */
+/* Lets detached jobs write their results into the output, and reports of progress if the output is
+ * empty. Does nothing while another job has a part open. */
 void requests_step_detached(struct requests *requests);
 
-/* The time at which requests_expire() should be called; 0 if nothing waits for a deadline. */
+/* Returns when the caller should call requests_expire(); 0 if no waiting request has a deadline. */
 uint64_t requests_deadline_ms(const struct requests *requests);
 
-/* Answers the request that waits with DEADLINE if it is late; returns whether it was. */
+/* If the deadline of the waiting request has passed, answers with DEADLINE and returns true. */
 bool requests_expire(struct requests *requests);
 
-/* Has all detached jobs end soon; returns whether there are any. */
+/* Makes all detached jobs end soon. Returns whether there are any. */
 bool requests_stop_detached(struct requests *requests, enum job_stop why);
 
-/* Refuses a request, with its id or 0; there may be no room to say so, which returns false. */
+/* Writes a refusal, with the id of a request or 0. Returns false if the output has no room. */
 bool requests_refuse(struct requests *requests, uint64_t request_id, const wire_error *error);
 
-/* Refuses likewise, takes no more frames, and drops all detached jobs. */
+/* Writes a refusal like requests_refuse(), takes no more frames, and drops all detached jobs. */
 void requests_end(struct requests *requests, uint64_t request_id, wire_error error);
 
 #endif

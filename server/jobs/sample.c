@@ -1,4 +1,5 @@
-/* Sample: radii that are drawn as light leaves the medium, and quantities at these radii. */
+/* Sample: draws radii that are distributed as the light that leaves, and evaluates quantities at
+ * these radii. */
 #include "proto/sample.h"
 
 #include <math.h>
@@ -20,10 +21,10 @@ static wire_error check_numbers(const struct eval_job *eval) {
   return fault.field == NULL ? wire_error_none() : job_error(fault);
 }
 
-/* Any radius may be drawn, so the model has to cover all of them. */
+/* Checks a sample request. Any radius may be drawn, so the model must cover all radii. */
 static wire_error check(struct eval_job *eval) {
   core_radii_range range;
-  /* The model error at 0 is known of transport alone, and so is that at any radius. */
+  /* Any radius may be drawn, 0 included, and the model error at 0 is known only for transport. */
   eval->radii = (core_radii_range){0, 0};
   const wire_error error = eval_job_check_media(eval, &range);
   if (error.status != WIRE_STATUS_OK) {
@@ -34,7 +35,7 @@ static wire_error check(struct eval_job *eval) {
              : wire_error_make(WIRE_STATUS_BAD_VALUE, "model", "a model that covers all radii");
 }
 
-/* Draws into the reply if the radii are wanted. */
+/* Draws the next n radii: into the reply if they are wanted, else into scratch memory. */
 static const void *draw_radii(const struct eval_job *eval, size_t n) {
   struct job_context *scratch = eval->job.context;
   const bool single = eval_job_value_bytes(eval) == sizeof(float);

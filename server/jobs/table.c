@@ -1,4 +1,4 @@
-/* Table: a model's lut for one medium, for clients that evaluate at home. */
+/* Table: sends the table of a model for one medium, so that the client can evaluate it itself. */
 #include "proto/table.h"
 #include "proto/channels.h"
 #include "server/jobs/job.h"

@@ -24,7 +24,7 @@ struct modbus_access {
 bool modbus_access_read(const struct options_list *list, struct modbus_access *access,
                         const char **wrong);
 
-/* Whether an address of IPv4 or IPv6 is in one of the networks. */
+/* Returns whether an address of IPv4 or IPv6 is in one of the networks. */
 bool modbus_access_allows(const struct modbus_access *access, const struct sockaddr *address);
 
 #endif

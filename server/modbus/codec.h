@@ -34,7 +34,7 @@ unsigned modbus_pdu_parse(const uint8_t *pdu, size_t bytes, struct modbus_reques
  * or the function is unknown. */
 size_t modbus_pdu_bytes(const uint8_t *pdu, size_t bytes);
 
-/* Whether the function of a number changes anything. */
+/* Returns whether the function of a number changes anything. */
 bool modbus_pdu_writes(unsigned number);
 
 /* ---- frames of serial lines: unit, PDU, checksum --------------------------------------------- */
@@ -45,7 +45,7 @@ enum { MODBUS_RTU_MIN = 4, MODBUS_RTU_MAX = 256 }; /* bytes of a frame */
  * first. */
 uint16_t modbus_rtu_checksum(const uint8_t *bytes, size_t count);
 
-/* Whether the bytes are one frame. */
+/* Returns whether the bytes are one frame. */
 bool modbus_rtu_is_frame(const uint8_t *bytes, size_t count);
 
 /* Finds the request, to `unit` or to all units (0), at the end of what has arrived before a

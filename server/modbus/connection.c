@@ -173,7 +173,7 @@ static void lose_framing(struct modbus_connection *c) {
   c->ending = true;
 }
 
-/* Whether the bytes that have arrived can be the beginning of a frame. */
+/* Returns whether the bytes that have arrived can be the beginning of a frame. */
 static bool is_frame(const uint8_t *frame, unsigned bytes) {
   if (bytes >= 4 && (frame[2] != 0 || frame[3] != 0)) {
     return false;

@@ -186,7 +186,7 @@ static void run(struct client *client) {
 
 /* ---- reading --------------------------------------------------------------------------------- */
 
-/* Whether what has arrived ends with a whole request. */
+/* Returns whether what has arrived ends with a whole request. */
 static bool is_whole(const struct modbus_line *line) {
   size_t begin;
   return modbus_rtu_find(line->input, line->bytes, line->number, &begin) > 0;

@@ -4,8 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* ---- input ------------------------------------------------------------------------------------
- */
+/* ---- input ----------------------------------------------------------------------------------- */
 
 /* A buffer begins with BASE_BYTES and grows for larger frames, at most by the factor GROWTH at a
  * time. */
@@ -214,8 +213,7 @@ bool input_partial(const struct input *input) {
   return input->skip_bytes > 0 || held(input) > 0;
 }
 
-/* ---- output -----------------------------------------------------------------------------------
- */
+/* ---- output ---------------------------------------------------------------------------------- */
 
 /* A chunk holds a few hundred small answers, which one system call then writes. */
 enum { CHUNK_BYTES = 65536, SPARE_BYTES = 4194304 };

@@ -1,9 +1,9 @@
 /* buffers: the bytes of one connection between its socket and its requests.
  *
- * The input holds bytes that have arrived and have not been dealt with, as frames. Payloads are used
- * in place. The output holds answers that wait to be written, in chunks. Kernels write their results
- * into a chunk and the socket reads them from there, so nothing is copied. Small answers share a
- * chunk; a large one has its own. Both count against the server's budget of bytes.
+ * The input holds bytes that have arrived and have not been dealt with, as frames. Payloads are
+ * used in place. The output holds answers that wait to be written, in chunks. Kernels write their
+ * results into a chunk and the socket reads them from there, so nothing is copied. Small answers
+ * share a chunk; a large one has its own. Both count against the server's budget of bytes.
  */
 #ifndef DIPOLED_BUFFERS_H
 #define DIPOLED_BUFFERS_H
@@ -15,8 +15,7 @@
 #include "proto/wire.h"
 #include "server/server.h"
 
-/* ---- input ------------------------------------------------------------------------------------
- */
+/* ---- input ----------------------------------------------------------------------------------- */
 
 /* At time `ns`, the first `total_bytes` bytes of the connection had arrived. */
 struct input_mark {
@@ -87,11 +86,10 @@ void input_trim(struct input *input, uint64_t now_ms);
 /* Drops everything that has arrived. */
 void input_discard(struct input *input);
 
-/* Whether a frame has begun to arrive and is not complete. */
+/* Returns whether a frame has begun to arrive and is not complete. */
 bool input_partial(const struct input *input);
 
-/* ---- output -----------------------------------------------------------------------------------
- */
+/* ---- output ---------------------------------------------------------------------------------- */
 
 struct output_chunk;
 
@@ -116,7 +114,7 @@ void output_release(struct output *output);
 /* Frees the spares when none has been used for a second. Call this several times a second. */
 void output_trim(struct output *output, uint64_t now_ms);
 
-/* Whether the reader does not keep up (--max-queued-bytes), so that its requests wait. */
+/* Returns whether the reader does not keep up (--max-queued-bytes), so that its requests wait. */
 static inline bool output_is_full(const struct output *output) {
   return output->ready_bytes > output->server->options.max_queued_bytes;
 }

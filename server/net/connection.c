@@ -55,8 +55,7 @@ static struct connection *of(struct client *client) {
   return (struct connection *)(void *)client;
 }
 
-/* ---- beginning and end ------------------------------------------------------------------------
- */
+/* ---- beginning and end ----------------------------------------------------------------------- */
 
 static void on_wake(void *owner) {
   struct connection *c = owner;
@@ -133,8 +132,7 @@ static void linger(struct connection *c) {
   input_discard(&c->input);
 }
 
-/* ---- reading ----------------------------------------------------------------------------------
- */
+/* ---- reading --------------------------------------------------------------------------------- */
 
 static void on_room_wanted(uv_handle_t *handle, size_t suggested, uv_buf_t *buffer) {
   (void)suggested;
@@ -215,8 +213,7 @@ static void on_read(uv_stream_t *stream, ssize_t bytes, const uv_buf_t *buffer) 
   }
 }
 
-/* ---- writing ----------------------------------------------------------------------------------
- */
+/* ---- writing --------------------------------------------------------------------------------- */
 
 static void wrote(struct connection *c, uint64_t bytes) {
   output_consume(&c->output, bytes);
@@ -263,8 +260,7 @@ static void write_more(struct connection *c) {
   }
 }
 
-/* ---- turns ------------------------------------------------------------------------------------
- */
+/* ---- turns ----------------------------------------------------------------------------------- */
 
 /* Notes when an unfinished frame began to arrive. Its time does not run while the connection does
  * not read. */
@@ -382,8 +378,7 @@ static void finish(struct client *client) {
   }
 }
 
-/* ---- starting, stopping, time ------------------------------------------------------------------
- */
+/* ---- starting, stopping, time ---------------------------------------------------------------- */
 
 static int adopt(struct connection *c, uv_loop_t *loop) {
   struct sockaddr_storage address = {.ss_family = AF_UNIX};

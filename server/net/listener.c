@@ -27,8 +27,7 @@ static bool complain(const char *url, const char *why) {
   return false;
 }
 
-/* ---- admission --------------------------------------------------------------------------------
- */
+/* ---- admission ------------------------------------------------------------------------------- */
 
 static struct worker *least_busy(struct server *server) {
   struct worker *best = &server->workers[0];
@@ -119,14 +118,13 @@ static void on_pause_over(uv_timer_t *timer) {
   uv_poll_start(&listener->poll, UV_READABLE, on_connections);
 }
 
-/* ---- Unix sockets ------------------------------------------------------------------------------
- */
+/* ---- Unix sockets ---------------------------------------------------------------------------- */
 
 static int unix_socket(void) {
   return socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
 }
 
-/* Whether nobody listens at a socket file, which a killed daemon leaves behind. */
+/* Returns whether nobody listens at a socket file, which a killed daemon leaves behind. */
 static bool is_stale(const struct sockaddr_un *address) {
   struct stat status;
   if (lstat(address->sun_path, &status) != 0 || !S_ISSOCK(status.st_mode)) {
@@ -193,8 +191,7 @@ static bool open_unix(struct listener *listener, const char *url, const char *pa
   return true;
 }
 
-/* ---- TCP ---------------------------------------------------------------------------------------
- */
+/* ---- TCP ------------------------------------------------------------------------------------- */
 
 static bool open_tcp(struct listener *listener, const char *url, const char *host_port,
                      const char *scheme) {
@@ -211,8 +208,7 @@ static bool open_tcp(struct listener *listener, const char *url, const char *hos
   return true;
 }
 
-/* ---- passed sockets ----------------------------------------------------------------------------
- */
+/* ---- passed sockets -------------------------------------------------------------------------- */
 
 static int socket_option(int fd, int name) {
   int value = -1;
@@ -244,8 +240,7 @@ static bool adopt(int fd) {
   return fcntl(fd, F_SETFL, O_NONBLOCK) == 0 && fcntl(fd, F_SETFD, FD_CLOEXEC) == 0;
 }
 
-/* ---- public ------------------------------------------------------------------------------------
- */
+/* ---- public ---------------------------------------------------------------------------------- */
 
 static bool watch(struct listener *listener, uv_loop_t *loop) {
   uv_poll_init(loop, &listener->poll, listener->fd);

@@ -16,7 +16,7 @@ static bool is_set(const char *variable) {
   return value != NULL && *value != '\0';
 }
 
-/* Whether the variables are meant for this process, and not left over from its parent. */
+/* Returns whether the variables are meant for this process, and not left over from its parent. */
 static bool has_sockets(void) {
   return is_set("LISTEN_FDS") && is_set("LISTEN_PID") &&
          strtol(getenv("LISTEN_PID"), NULL, 10) == (long)getpid();

@@ -3,8 +3,7 @@
 #include <assert.h>
 #include <string.h>
 
-/* ---- the run queue ----------------------------------------------------------------------------
- */
+/* ---- the run queue --------------------------------------------------------------------------- */
 
 static void on_awake(uv_idle_t *handle) {
   (void)handle;
@@ -64,8 +63,7 @@ static void run_round(struct worker *worker) {
   worker->round_ns = 0;
 }
 
-/* ---- all clients ------------------------------------------------------------------------------
- */
+/* ---- all clients ----------------------------------------------------------------------------- */
 
 static void start_client(struct worker *worker, struct client *client) {
   client->worker = worker;
@@ -111,8 +109,7 @@ static void for_each(struct worker *worker, void (*act)(struct client *client)) 
   }
 }
 
-/* ---- stopping ---------------------------------------------------------------------------------
- */
+/* ---- stopping -------------------------------------------------------------------------------- */
 
 /* The first round after the request to stop still reads what clients had sent before it. After
  * that, the clients are told to stop. */
@@ -133,8 +130,7 @@ static void stop_round(struct worker *worker) {
   }
 }
 
-/* ---- the loop ---------------------------------------------------------------------------------
- */
+/* ---- the loop -------------------------------------------------------------------------------- */
 
 static void take_from_inbox(struct worker *worker) {
   uv_mutex_lock(&worker->mutex);

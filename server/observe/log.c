@@ -81,8 +81,8 @@ void log_line(enum log_level level, const char *format, ...) {
   va_end(arguments);
 }
 
-/* Whether a peer line may be printed now. If so, *suppressed is the number of lines before it that
- * were not printed. */
+/* Returns whether a peer line may be printed now. If so, *suppressed is the number of lines before
+ * it that were not printed. */
 static bool spend(unsigned long *suppressed) {
   const time_t second = time(NULL);
   pthread_mutex_lock(&budget.mutex);

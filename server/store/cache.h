@@ -145,7 +145,7 @@ void cache_leave(struct cache_waiter *waiter);
 const core_profile *cache_profile(const struct cache_entry *entry);
 core_fault cache_fault(const struct cache_entry *entry);
 
-/* Whether the entry is in the cache. A local store releases entries that are not. */
+/* Returns whether the entry is in the cache. A local store releases entries that are not. */
 bool cache_keeps(const struct cache_entry *entry);
 
 /* Takes one more reference; releases one. */

@@ -108,7 +108,8 @@ enum profiles_answer { PROFILES_READY, PROFILES_FAULT, PROFILES_WAIT };
 /* The field of a fault when max_waiting_profiles of the owner wait already. */
 #define PROFILES_FIELD_BUSY "profiles"
 
-/* Whether the same request may succeed later: memory is lacking, or too many profiles wait. */
+/* Returns whether the same request may succeed later: memory is lacking, or too many profiles wait.
+ */
 bool profiles_is_busy(core_fault fault);
 
 /* Sets what the next profiles have in common; core_profile_check() has accepted the arguments. */

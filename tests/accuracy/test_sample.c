@@ -34,8 +34,7 @@ struct subject {
   core_profile judge;
 };
 
-/* ---- both precisions
- * ---------------------------------------------------------------------- */
+/* ---- both precisions ------------------------------------------------------------------------- */
 
 static void sample(const struct subject *subject, size_t n, const double *u, double *r) {
   assert_true(n <= COUNT_MAX);
@@ -65,8 +64,7 @@ static double pdf(const struct subject *subject, double r) {
   return (double)value;
 }
 
-/* ---- the numbers to sample with
- * ----------------------------------------------------------- */
+/* ---- the numbers to sample with -------------------------------------------------------------- */
 
 static int ascending(const void *a, const void *b) {
   const double x = *(const double *)a, y = *(const double *)b;
@@ -108,8 +106,7 @@ static size_t fill_u(double *u, bool single, uint64_t *random) {
   return n;
 }
 
-/* ---- the round trip and the order
- * --------------------------------------------------------- */
+/* ---- the round trip and the order ------------------------------------------------------------ */
 
 static void fail_at(const struct subject *subject, const char *what, double u, double r,
                     double got) {
@@ -170,8 +167,7 @@ static void check_ends(const struct subject *subject) {
   assert_true(isinf(r[4]) && r[4] > 0);
 }
 
-/* ---- the density
- * -------------------------------------------------------------------------- */
+/* ---- the density ----------------------------------------------------------------------------- */
 
 enum { NODES = 16 };
 static double nodes[NODES], weights[NODES]; /* Gauss and Legendre's, for [-1, 1] */
@@ -279,9 +275,7 @@ static void check_density(const struct subject *subject) {
   }
 }
 
-/* ---- media
- * --------------------------------------------------------------------------------
- */
+/* ---- media ----------------------------------------------------------------------------------- */
 
 typedef void subject_test(const struct subject *subject, uint64_t *random);
 
@@ -343,9 +337,7 @@ static void with_random_media(subject_test *test, uint64_t *random, int count) {
   }
 }
 
-/* ---- the tests
- * ----------------------------------------------------------------------------
- */
+/* ---- the tests ------------------------------------------------------------------------------- */
 
 static void check_samples(const struct subject *subject, uint64_t *random) {
   double u[COUNT_MAX], r[COUNT_MAX];

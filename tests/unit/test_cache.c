@@ -111,8 +111,7 @@ static uint64_t entry_bytes(void) {
   return bytes;
 }
 
-/* ---- keys --------------------------------------------------------------------------------------
- */
+/* ---- keys ------------------------------------------------------------------------------------ */
 
 static struct cache_key key_of(unsigned model, unsigned moments, unsigned evaluator,
                                core_medium medium, core_parameters parameters) {
@@ -193,8 +192,7 @@ UNIT_TEST(kept_profiles_are_those_that_core_prepares) {
   cache_free(f.cache);
 }
 
-/* ---- what is kept ------------------------------------------------------------------------------
- */
+/* ---- what is kept ---------------------------------------------------------------------------- */
 
 UNIT_TEST(the_least_recently_used_goes_first) {
   struct fixture f;
@@ -317,8 +315,7 @@ UNIT_TEST(many_entries_are_all_found) {
   cache_free(f.cache);
 }
 
-/* ---- waiting -----------------------------------------------------------------------------------
- */
+/* ---- waiting --------------------------------------------------------------------------------- */
 
 UNIT_TEST(all_wait_for_one) {
   enum { WAITERS = 100 };
@@ -399,8 +396,7 @@ UNIT_TEST(a_fault_goes_to_all_and_is_not_kept) {
   cache_free(f.cache);
 }
 
-/* ---- turns --------------------------------------------------------------------------------------
- */
+/* ---- turns ----------------------------------------------------------------------------------- */
 
 UNIT_TEST(owners_take_turns) {
   enum { MANY = 100 };
@@ -510,8 +506,7 @@ UNIT_TEST(at_most_two_turns_at_a_time) {
   cache_free(f.cache);
 }
 
-/* ---- threads -----------------------------------------------------------------------------------
- */
+/* ---- threads --------------------------------------------------------------------------------- */
 
 enum { THREADS = 4, ROUNDS = 3000, KEYS = 40 };
 

@@ -52,8 +52,7 @@ static double median_of_numbers(const double *values, size_t n) {
   return count > 0 ? tools_median(numbers, count) : (double)NAN;
 }
 
-/* ---- evaluating -------------------------------------------------------------------------------
- */
+/* ---- evaluating ------------------------------------------------------------------------------ */
 
 static struct {
   double f64[COSTS_LENGTH];
@@ -120,8 +119,7 @@ static void evaluate_all(const subjects *of, const core_medium *medium, double *
   }
 }
 
-/* ---- preparing --------------------------------------------------------------------------------
- */
+/* ---- preparing ------------------------------------------------------------------------------- */
 
 static double prepare_ns(const subjects *of, size_t s, const core_medium *medium) {
   double samples[PREPARATIONS_MAX];
@@ -172,8 +170,7 @@ static void find_least(costs_of *cost, const subjects *of, size_t s) {
   }
 }
 
-/* ---- all of them ------------------------------------------------------------------------------
- */
+/* ---- all of them ----------------------------------------------------------------------------- */
 
 void costs_measure(costs_of *costs, const subjects *of, tools_progress *progress) {
   static double ns[EVALUATION_MEDIA][SUBJECTS_MAX];

@@ -24,8 +24,7 @@ double errors_cost_us(enum errors_what what) {
          (what == ERRORS_NODES ? NODES_ETAS * NODES_RATIOS : NODES_PAPER_ETAS * NODES_PAPER_RATIOS);
 }
 
-/* ---- one node ---------------------------------------------------------------------------------
- */
+/* ---- one node -------------------------------------------------------------------------------- */
 
 struct truth {
   double r[NODES_RADII];
@@ -89,8 +88,7 @@ static void fill_row(errors_row *row, const core_profile *profile, const struct 
       profile->numerical_error + profile->numerical_error_per_mm * truth->r[NODES_RADII - 1];
 }
 
-/* ---- all of them ------------------------------------------------------------------------------
- */
+/* ---- all of them ----------------------------------------------------------------------------- */
 
 /* The nodes of one eta. They share transport's solution for the boundary. */
 struct eta_nodes {

@@ -25,8 +25,7 @@ typedef struct fronts {
   point points[PANELS][SUBJECTS_MAX]; /* ns is NaN if the subject has no point */
 } fronts;
 
-/* ---- points -----------------------------------------------------------------------------------
- */
+/* ---- points ---------------------------------------------------------------------------------- */
 
 static point make_point(const errors_table *errors, const costs_of *costs, size_t s, size_t panel) {
   double values[MEDIA];
@@ -81,8 +80,7 @@ static size_t next_of_front(const fronts *all, size_t panel, double ns) {
   return next;
 }
 
-/* ---- axes -------------------------------------------------------------------------------------
- */
+/* ---- axes ------------------------------------------------------------------------------------ */
 
 typedef struct axes {
   double ns[2];
@@ -116,8 +114,7 @@ static double pixel(const double value[2], const double place[2], double at) {
   return place[0] + (place[1] - place[0]) * log(at / value[0]) / log(value[1] / value[0]);
 }
 
-/* ---- names ------------------------------------------------------------------------------------
- */
+/* ---- names ----------------------------------------------------------------------------------- */
 
 typedef struct box {
   double x[2], y[2];
@@ -218,8 +215,7 @@ static void put_names(FILE *script, const axes *a, const fronts *all, size_t pan
   }
 }
 
-/* ---- the picture ------------------------------------------------------------------------------
- */
+/* ---- the picture ----------------------------------------------------------------------------- */
 
 static void put_data(FILE *script, const fronts *all, size_t panel) {
   for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {

@@ -17,8 +17,7 @@ typedef struct maps {
   size_t media[PANELS][SUBJECTS_MAX]; /* number of media for which the subject is the cheapest */
 } maps;
 
-/* ---- choosing ---------------------------------------------------------------------------------
- */
+/* ---- choosing -------------------------------------------------------------------------------- */
 
 static double error_of(const errors_row *row, size_t panel) {
   return panel / COLUMNS == 0 ? row->worst : row->worst_far;
@@ -68,8 +67,7 @@ static bool appears(const maps *all, size_t s) {
   return media > 0;
 }
 
-/* ---- drawing ----------------------------------------------------------------------------------
- */
+/* ---- drawing --------------------------------------------------------------------------------- */
 
 /* Returns a subject's colour. Subjects that appear on a map get the colours in the order of the
  * list. */

@@ -18,8 +18,7 @@ double nodes_eta(size_t index) {
   return (double)(20 + index) / 20;
 }
 
-/* ---- the paper's figures ----------------------------------------------------------------------
- */
+/* ---- the paper's figures --------------------------------------------------------------------- */
 
 bool nodes_ratio_is_papers(size_t ratio) {
   static const double papers[NODES_PAPER_RATIOS] = {1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02,
@@ -41,8 +40,7 @@ core_medium nodes_medium(size_t ratio, size_t eta) {
   return (core_medium){x / (1 + x), 1 / (1 + x), 0, nodes_eta(eta)};
 }
 
-/* ---- radii ------------------------------------------------------------------------------------
- */
+/* ---- radii ----------------------------------------------------------------------------------- */
 
 static size_t band_steps(size_t band) {
   return nodes_edges[band + 1] / nodes_edges[band] > 2.2 ? 16 : 12;

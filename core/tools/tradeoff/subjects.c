@@ -5,8 +5,7 @@
 
 enum { CHUNK = 256, RADII = 8 };
 
-/* ---- one subject ------------------------------------------------------------------------------
- */
+/* ---- one subject ----------------------------------------------------------------------------- */
 
 static core_fault prepare(core_profile *profile, unsigned model, unsigned evaluator,
                           const core_medium *medium, double tolerance) {
@@ -39,8 +38,7 @@ void subjects_evaluate(const core_profile *profile, size_t n, const double *r, d
   }
 }
 
-/* ---- which there are --------------------------------------------------------------------------
- */
+/* ---- which there are ------------------------------------------------------------------------- */
 
 /* Returns why a model is left out, or NULL if it is for a half space and needs only a medium. */
 static const char *why_left_out(unsigned model) {

@@ -45,8 +45,7 @@ void write_csv(const char *path, const errors_table *errors, const costs_of *cos
   tools_close(file, path);
 }
 
-/* ---- the lists of core ------------------------------------------------------------
- */
+/* ---- the lists of core ----------------------------------------------------------------------- */
 
 static void put_list(FILE *file, const char *name, const double *values, size_t count) {
   for (size_t i = 0; i < count; i++) {
