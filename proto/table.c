@@ -55,7 +55,7 @@ void table_reply_put(uint8_t *at, const core_profile *profile, const core_parame
   const core_radii_range pieces = core_table_pieces(profile);
   /* A table may be evaluated at any radius that it covers. */
   const double model_error = core_profile_errors(profile, CORE_QUANTITY_R, profile->radii).model;
-  const wire_table_reply fixed = {
+  wire_table_reply fixed = {
       .layout = TABLE_LAYOUT,
       .model = (uint16_t)profile->model,
       .moments = (uint16_t)profile->moments,
@@ -75,7 +75,11 @@ void table_reply_put(uint8_t *at, const core_profile *profile, const core_parame
       .pieces_to = pieces.most_mm,
       .radius_least = profile->radii.least_mm,
       .radius_most = profile->radii.most_mm,
+      .reach = profile->reach.most_mm,
+      .reach_growth = profile->reach.growth,
   };
+  _Static_assert(sizeof fixed.model_errors == sizeof profile->model_errors.error, "bands, albedo");
+  memcpy(fixed.model_errors, profile->model_errors.error, sizeof fixed.model_errors);
   wire_put_table_reply(at, &fixed);
   at += WIRE_BYTES_table_reply;
   at += channels_put_parameters(at, parameters);

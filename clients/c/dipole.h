@@ -515,25 +515,36 @@ typedef struct dipole_table_query {
 
 /* The facts that hold for all values of a table. The table owns them. */
 typedef struct dipole_table_info {
-  unsigned layout; /* of the words: see proto/PROTOCOL.md, "table" */
+  unsigned layout; /* see proto/PROTOCOL.md, "table" */
   unsigned model, moments;
   unsigned notes; /* sum of the ids of the notes (kind DIPOLE_NOTE) that hold for the table */
   dipole_medium medium;
   const dipole_parameter *parameters; /* [parameter_count]: the parameters of the query */
   size_t parameter_count;
   double albedo; /* integral of 2 pi r R(r) over all radii */
-  /* A value at radius r is off from the model's formula by at most
-   * numerical_error + numerical_error_per_mm * r, relative, as measured between all nodes. */
+  /* A value at radius r, up to reach_mm, is off from the model's formula by at most
+   * numerical_error + numerical_error_per_mm * r, relative, as measured between all nodes.
+   * model_error holds at all radii that the model covers: it is 0 for transport and NaN, which means
+   * not measured, for other models. dipole_table_errors() has the errors for the radii of a call. */
   double numerical_error;
   double numerical_error_per_mm;
-  double model_error;    /* of the model against radiative transport, relative; NaN: not measured */
-  double pieces_from_mm; /* Below this radius the table uses an asymptotic formula. */
-  double pieces_to_mm;   /* From this radius on the table uses an asymptotic formula. */
+  double model_error;
+  double pieces_from_mm;  /* Below this radius the table uses an asymptotic formula. */
+  double pieces_to_mm;    /* From this radius on the table uses an asymptotic formula. */
   double radius_least_mm; /* the range of radii that the model covers, both ends included */
   double radius_most_mm;
   const uint32_t *words; /* [word_count]: the bits of single precision numbers and of entries */
   size_t word_count;
+  double reach_mm; /* Further away R and the pdf are less exact than numerical_error says. INFINITY
+                      for all models but transport. */
 } dipole_table_info;
+
+/* How far values may be off, relative; see dipole_channel. */
+typedef struct dipole_errors {
+  double numerical_error; /* against the model's formula: a value at radius r is off by at most */
+  double numerical_error_per_mm; /* numerical_error + numerical_error_per_mm * r */
+  double model_error; /* of the model against radiative transport; NaN if it was not measured */
+} dipole_errors;
 
 /* Fetches a table from a daemon. The caller frees *table with dipole_table_free(). */
 bool dipole_table_fetch(dipole_client *client, const dipole_table_query *query,
@@ -557,6 +568,14 @@ const dipole_table_info *dipole_table_get_info(const dipole_table *table);
  * quantity, or if a radius is NaN, negative or not covered by the model. */
 bool dipole_table_values(const dipole_table *table, enum dipole_quantity quantity, size_t n,
                          const float *r, float *out);
+
+/* States the errors of quantities at the radii of a call: exactly those that a daemon states for an
+ * eval of this medium and model with DIPOLE_LUT and the same radii. wanted: sum of DIPOLE_ALBEDO and
+ * the quantities of dipole_table_values(). r: [n] in mm; only the smallest and the largest finite
+ * radius matter, so the two ends stand for all radii between them. Returns false and leaves *errors
+ * as it was if dipole_table_values() would refuse a quantity or a radius. */
+bool dipole_table_errors(const dipole_table *table, unsigned wanted, size_t n, const float *r,
+                         dipole_errors *errors);
 
 /* Computes the radii r[n] in mm with cdf(r) = u: random u give radii that are distributed as the
  * light. u: [n] from 0 to 1, both included; 1 gives INFINITY. All radii are 0 if the medium does

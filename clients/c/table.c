@@ -45,8 +45,9 @@ static bool check_frame(const uint8_t *bytes, size_t count, size_t *frame_bytes,
   wire_get_table_reply(bytes + WIRE_BYTES_header, &fixed);
   if (fixed.layout != TABLE_LAYOUT) {
     return libdipole_fail(error, DIPOLE_ERROR_TABLE,
-                          "this table has layout %u; this library knows layout %d", fixed.layout,
-                          TABLE_LAYOUT);
+                          "this table has layout %u, but this library reads layout %d: fetch the "
+                          "table again, from a daemon of this library's version",
+                          fixed.layout, TABLE_LAYOUT);
   }
   *frame_bytes = WIRE_BYTES_header + header.payload_bytes;
   return true;
@@ -90,6 +91,7 @@ static void set_info(dipole_table *table, const wire_table_reply *fixed, const f
       .radius_most_mm = fixed->radius_most,
       .words = (const uint32_t *)(const void *)words,
       .word_count = fixed->word_count,
+      .reach_mm = fixed->reach,
   };
 }
 
@@ -123,9 +125,15 @@ static bool set_profile(dipole_table *table, const wire_table_reply *fixed,
       .albedo = fixed->albedo,
       .numerical_error = fixed->numerical_error,
       .numerical_error_per_mm = fixed->numerical_error_per_mm,
+      .reach = {fixed->reach, fixed->reach_growth},
+      .model_errors = {.exact = fixed->model_error == 0},
       .notes = fixed->notes,
       .radii = {fixed->radius_least, fixed->radius_most},
   };
+  memcpy(profile->model_errors.error, fixed->model_errors, sizeof fixed->model_errors);
+  if (!(fixed->reach > 0 && fixed->reach_growth >= 0)) {
+    return damaged(error, "it does not say up to which radius its error holds");
+  }
   if (core_medium_check(&profile->medium).field != NULL ||
       !get_cosine(parameters, CORE_PARAMETER_COS_IN, &cos_in) ||
       !get_cosine(parameters, CORE_PARAMETER_COS_OUT, &cos_out)) {
@@ -296,6 +304,22 @@ bool dipole_table_values(const dipole_table *table, enum dipole_quantity quantit
     return false;
   }
   core_eval_f32(profile, (enum core_quantity)quantity, n, r, out);
+  return true;
+}
+
+bool dipole_table_errors(const dipole_table *table, unsigned wanted, size_t n, const float *r,
+                         dipole_errors *errors) {
+  for (unsigned bit = 1; bit != 0; bit <<= 1) {
+    if ((wanted & bit) != 0 && bit != DIPOLE_ALBEDO && !core_table_has((enum core_quantity)bit)) {
+      return false;
+    }
+  }
+  if (!is_between(r, n, table->radius_least_mm, table->radius_most_mm)) {
+    return false;
+  }
+  const core_stated_errors stated =
+      core_profile_errors(&table->profile, wanted, core_radii_range_f32(n, r));
+  *errors = (dipole_errors){stated.numerical, stated.numerical_per_mm, stated.model};
   return true;
 }
 

@@ -100,9 +100,6 @@ static int evaluate(const dipole_table *table, const float *r, const cli_eval_re
   const size_t n = report->radius_count;
   float probe = 0;
   values->albedo = (report->quantities.wanted & DIPOLE_ALBEDO) != 0 ? info->albedo : (double)NAN;
-  values->numerical_error = info->numerical_error;
-  values->numerical_error_per_mm = info->numerical_error_per_mm;
-  values->model_error = info->model_error;
   float *out = cli_allocate(n, sizeof *out);
   int status = CLI_OK;
   for (size_t q = 0; status == CLI_OK && q < report->quantities.count; q++) {
@@ -121,6 +118,17 @@ static int evaluate(const dipole_table *table, const float *r, const cli_eval_re
     }
   }
   free(out);
+  dipole_errors errors;
+  if (status == CLI_OK &&
+      !dipole_table_errors(table, report->quantities.wanted & ~(unsigned)DIPOLE_RADIUS, n, r,
+                           &errors)) {
+    status = fail_radius(info, report);
+  }
+  if (status == CLI_OK) {
+    values->numerical_error = errors.numerical_error;
+    values->numerical_error_per_mm = errors.numerical_error_per_mm;
+    values->model_error = errors.model_error;
+  }
   return status;
 }
 

@@ -119,6 +119,7 @@ static void put_table(cli_rows *rows, const void *context, size_t index) {
   if (rows->form == CLI_JSON) {
     cli_json_number(rows->json, "numerical_error", info->numerical_error);
     cli_json_number(rows->json, "numerical_error_per_mm", info->numerical_error_per_mm);
+    cli_json_number(rows->json, "reach", info->reach_mm);
     cli_json_number(rows->json, "model_error", info->model_error);
     cli_json_notes(rows->json, of->profile.info, info->notes);
   }
@@ -138,6 +139,7 @@ static void put_table(cli_rows *rows, const void *context, size_t index) {
   cli_put_count(rows, CLI_COLUMN("bytes"), bytes);
   cli_put_number(rows, CLI_COLUMN("numerical error", NULL, "relative, at most", "%.1e"),
                  info->numerical_error);
+  cli_put_number(rows, CLI_COLUMN("reach", "holds up to", "mm", "%.4g"), info->reach_mm);
   cli_put_number(rows, CLI_COLUMN("model error", NULL, "relative", "%.1e", "not measured"),
                  info->model_error);
 }
@@ -151,7 +153,9 @@ static void write_table(const report *of) {
   fputs("\n\n", stdout);
   cli_rows_print(stdout, 1, of->tables.count, put_table, of);
   puts("numerical error: of R and cdf against the model's formula, as measured\n"
-       "model error: of the model against radiative transport");
+       "holds up to: the numerical error of R is larger at radii beyond this one\n"
+       "model error: of the model against radiative transport, at all radii\n"
+       "`dipole eval --table` states both errors for the radii that it is asked for");
   for (size_t i = 0; i < of->tables.count; i++) {
     notes |= dipole_table_get_info(of->tables.items[i])->notes;
   }
@@ -210,7 +214,7 @@ static void write_json(const report *of) {
   cli_json_text(&json, "moments", profile->moments->name);
   cli_json_parameters(&json, profile);
   cli_json_texts(&json, "units", "sigma_a", "1/mm", "sigma_s", "1/mm", "pieces_from", "mm",
-                 "pieces_to", "mm", "radius_least", "mm", "radius_most", "mm", NULL);
+                 "pieces_to", "mm", "radius_least", "mm", "radius_most", "mm", "reach", "mm", NULL);
   cli_rows_json(&json, "tables", of->tables.count, put_table, of);
   cli_json_end(&json, '}');
 }
@@ -254,7 +258,7 @@ const cli_command cli_command_table = {
         "\n"
         "Each channel has a table, as the evaluator lut uses it. --tolerance says how exact it\n"
         "is, from 1e-6 to 0.1 (default: 1e-4). `dipole eval --table`, libdipole and the Python\n"
-        "module evaluate a file of --output to the same bits as the daemon.\n"
+        "module evaluate a file of --output to the same bits and errors as the daemon.\n"
         "\n"
         "CSV has a row for each constant, with its value in c0. Then it has a row for each piece\n"
         "of the functions R (times scale; 1/mm^2), cdf, radius_of_u (mm) and radius_of_1_minus_u\n"

@@ -77,7 +77,8 @@ def test_json_says_what_the_daemon_says(client):
         assert one["numerical_error_per_mm"] == table.numerical_error_per_mm
         assert (one["pieces_from"], one["pieces_to"]) == (table.pieces_from_mm, table.pieces_to_mm)
         assert (one["radius_least"], one["radius_most"]) == (0, "inf")
-        assert one["layout"] == 1 and one["pieces"] == (len(table.words) - PIECES) // 4
+        assert one["reach"] == "inf" and math.isinf(table.reach_mm)
+        assert one["layout"] == 2 and one["pieces"] == (len(table.words) - PIECES) // 4
     assert report["units"]["pieces_from"] == "mm"
 
 
@@ -174,27 +175,34 @@ def test_what_is_wrong_is_said(arguments, status, said):
 
 
 def assert_same_values(here: list[dict], there: list[dict]) -> None:
-    """Compares rows or channels of a file (here) with those of the daemon. A file states the errors
-    that its table has; the daemon states errors for the radii that are asked for, which can be known
-    where those of the table are not."""
-    def values(row):
-        return {key: value for key, value in row.items() if "error" not in key}
-
-    assert [values(row) for row in here] == [values(row) for row in there]
-    for row, asked in zip(here, there, strict=True):
-        assert float(row["numerical_error"]) <= float(asked["numerical_error"])
-        assert row["model_error"] in ("", None, asked["model_error"])
-
+    """Compares rows or channels of a file (here) with those of the daemon, errors included."""
+    assert here == there
+    assert all(float(row["numerical_error"]) > 0 for row in here)
 
 
 @pytest.mark.parametrize("model", ["better", "better+single", "transport"])
 def test_a_file_says_the_same_as_the_daemon(tmp_path, model):
     path = save(tmp_path, *MEDIA, "--model", model)
     wanted = ["--want", "R,cdf,pdf,2_pi_r_R,S,albedo"]
-    here = eval_rows("--table", path, *RADII, *wanted)
-    there = eval_rows(*MEDIA, "--model", model, "--evaluator", "lut", *RADII, *wanted)
-    assert_same_values(here, there)
-    assert {row["channel"] for row in here} == {"1", "2", "3"}
+    for radii in (RADII, ["--r", "0.1,1,3"], ["--r", "300"], ["--from", "20", "--to", "70.3"]):
+        here = eval_rows("--table", path, *radii, *wanted)
+        there = eval_rows(*MEDIA, "--model", model, "--evaluator", "lut", *radii, *wanted)
+        assert_same_values(here, there)
+        assert {row["channel"] for row in here} == {"1", "2", "3"}
+
+
+def test_errors_of_a_file_are_for_the_radii(tmp_path):
+    """transport is less exact far away; the model error of others is known near by only."""
+    medium = ["--sigma-a", "0.35", "--sigma-s", "0.65", "--eta", "1.5"]
+    path = save(tmp_path, *medium, "--model", "transport")
+    errors = [
+        float(eval_rows("--table", path, "--r", r, "--want", "R")[0]["numerical_error"])
+        for r in ("1", "60", "100")
+    ]
+    assert errors[0] < 1e-4 and 1e-2 < errors[1] < errors[2]
+    path = save(tmp_path, *medium)
+    assert eval_rows("--table", path, "--r", "100")[0]["model_error"] == ""
+    assert 0 < float(eval_rows("--table", path, "--r", "1,2")[0]["model_error"]) < 1
 
 
 def test_grids_from_a_file(tmp_path):
@@ -267,7 +275,7 @@ def test_files_that_are_none(tmp_path):
         (damaged, "table 1: this is not an intact table: its counts or its checksum are wrong"),
         (data + damaged, "table 2: this is not an intact table"),
         (data + b"\n", "table 2: this is not an intact table: it is too short"),
-        (data[:24] + b"\2" + data[25:], "this table has layout 2; this library knows layout 1"),
+        (data[:24] + b"\1" + data[25:], "this table has layout 1, but this library reads layout 2"),
     ]:
         bad = scratch(tmp_path, "bad", content)
         run = dipole("eval", "--table", bad, "--r", "1", status=FAILED)

@@ -180,13 +180,68 @@ def test_shapes(client):
             table.radius(wrong)
 
 
+# ---- the same errors -----------------------------------------------------------------------------
+
+
+def assert_same_errors(table: Table, client, model: str, medium: Medium, radii, wanted) -> None:
+    answer = client.eval(model, medium, radii, evaluator="lut", wanted=wanted)
+    errors = table.errors(radii, wanted)
+    expected = answer.numerical_error_constant[0]
+    assert errors.numerical_error_constant == pytest.approx(expected, rel=1e-12, abs=1e-14)
+    assert errors.numerical_error_per_mm == answer.numerical_error_per_mm[0]
+    np.testing.assert_array_equal(errors.model_error, answer.model_error[0])
+
+
+@pytest.mark.parametrize(
+    "model, medium",
+    [
+        *CASES.values(),
+        ("transport", Medium(0.35, 0.65, 0.0, 1.5)),
+        ("transport", Medium(1.0, 9.0, 0.5, 1.4)),
+        ("classical", Medium(0.1, 5.0, 0.7, 1.4)),
+        ("better", Medium(0.1, 1.0, 0.0, 2.5)),
+    ],
+)
+def test_same_errors_as_the_daemon(client, model, medium):
+    """At all magnitudes of radii, at the edges of bands, and far away; of any quantities."""
+    table = client.table(model, medium)
+    random = np.random.default_rng(1999)
+    mfp_mm = 1 / (medium.sigma_a + medium.sigma_s * (1 - medium.g))
+    lists = [[], [math.inf], [0.0, math.inf], [mfp_mm, math.inf]]
+    lists += [mfp_mm * np.array(edges) for edges in ([0.01, 20], [0.5, 0.5], [1, 2], [20, 20])]
+    lists += [mfp_mm * decays * np.array([0.1, 1.0]) for decays in (20, 40, 60, 100)]
+    lists += [mfp_mm * 10 ** random.uniform(-2, 1.3, random.integers(1, 4)) for _ in range(20)]
+    for r in lists:
+        names = ["R", "albedo", "cdf", "pdf", "2_pi_r_R", "S"]
+        wanted = random.choice(names, random.integers(1, 3), replace=False).tolist()
+        assert_same_errors(table, client, model, medium, np.float32(r), wanted)
+
+
+def test_errors_far_away(client):
+    """transport is solved to 30 decay lengths. Beyond, R is off by more, and this is stated."""
+    table = client.table("transport", Medium(0.35, 0.65, 0.0, 1.5))
+    assert 25 < table.reach_mm < 60
+    near, far = table.errors(table.reach_mm), table.errors([0.0, 2 * table.reach_mm])
+    assert near.numerical_error_constant == table.numerical_error_constant < 1e-4
+    assert far.numerical_error_constant > 1e-2
+    assert table.errors(100.0, ["cdf", "albedo"]).numerical_error_constant < 1e-4
+    at_each = table.numerical_error([0.0, table.reach_mm, 2 * table.reach_mm, math.inf])
+    assert at_each[0] == at_each[1] == at_each[3] == table.numerical_error_constant
+    assert at_each[2] == pytest.approx(far.numerical_error_constant, rel=1e-6)
+    with pytest.raises(dipole.ArgumentError):
+        table.errors(-1.0)
+    with pytest.raises(dipole.ArgumentError) as caught:
+        table.errors(1.0, ["ln_R"])
+    assert "ln_R" in str(caught.value)
+
+
 # ---- facts and files -----------------------------------------------------------------------------
 
 
 def test_facts(client):
     medium = Medium(0.1, 2.0, 0.5, 1.4)
     table = client.table("better", medium, moments="fit", parameters={"cos_in": 0.5})
-    assert (table.layout, table.model, table.moments) == (1, "better", "fit")
+    assert (table.layout, table.model, table.moments) == (2, "better", "fit")
     assert (table.model_id, table.moments_id) == (MODELS["better"], 2)
     assert table.medium == medium and table.parameters == {"cos_in": 0.5}
     assert table.notes == ("similarity",) and NOTES["similarity"] == 1
@@ -256,7 +311,15 @@ def test_entries_outside_are_found(client, entry, at):
 
 @pytest.mark.parametrize(
     "field, value",
-    [("layout", 2), ("word_count", 0), ("parameter_count", 1), ("pieces_from", 1.0)],
+    [
+        ("layout", 1),
+        ("word_count", 0),
+        ("parameter_count", 1),
+        ("pieces_from", 1.0),
+        ("reach", math.nan),
+        ("reach", 0.0),
+        ("reach_growth", -1.0),
+    ],
 )
 def test_facts_that_do_not_fit(client, field, value):
     data = client.table("better", SKIN).data

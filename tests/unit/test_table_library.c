@@ -3,6 +3,7 @@
 #include <math.h>
 
 #include "core/lut/lut.h"
+#include "core/transport/transport.h"
 #include "proto/channels.h"
 #include "proto/table.h"
 #include "tests/unit/peer_scripts.h"
@@ -108,6 +109,99 @@ static void assert_same_values(const dipole_table *table, const core_profile *pr
   assert_memory_equal(found, expected, sizeof found);
 }
 
+/* ---- errors -------------------------------------------------------------------------------- */
+
+enum { HELD = DIPOLE_R | DIPOLE_ALBEDO | DIPOLE_CDF | DIPOLE_PDF | DIPOLE_RING | DIPOLE_S };
+
+/* Both numbers have the same bits, or both are NaN. */
+static bool same(double a, double b) {
+  return a == b || (isnan(a) && isnan(b));
+}
+
+/* Returns how many of the model errors were known. */
+static size_t assert_same_errors(const dipole_table *table, const core_profile *profile,
+                                 uint64_t *random) {
+  static const float mfp[] = {0.01f, 0.02f, 0.05f, 1, 2, 20}; /* of bands; or far away */
+  const double mfp_mm = 1 / (profile->medium.sigma_a_per_mm +
+                             profile->medium.sigma_s_per_mm * (1 - profile->medium.g));
+  size_t known = 0;
+  for (int i = 0; i < 400; i++) {
+    float r[3] = {0, 0, (float)INFINITY};
+    for (size_t k = 0; k < 2; k++) {
+      r[k] = (float)(mfp_mm * (i % 4 == 0   ? (double)mfp[unit_random_below(random, 6)]
+                               : i % 4 == 1 ? unit_random_log(random, 1e-3, 1e4)
+                                            : unit_random_log(random, 0.01, 20)));
+    }
+    const size_t n = i % 16 == 0 ? 0 : 1 + unit_random_below(random, 3);
+    const unsigned wanted = (unsigned)unit_random(random) & HELD;
+    const core_stated_errors stated =
+        core_profile_errors(profile, wanted, core_radii_range_f32(n, r));
+    dipole_errors errors;
+    assert_true(dipole_table_errors(table, wanted, n, r, &errors));
+    assert_true(same(errors.numerical_error, stated.numerical));
+    assert_true(same(errors.numerical_error_per_mm, stated.numerical_per_mm));
+    assert_true(same(errors.model_error, stated.model));
+    known += !isnan(stated.model);
+  }
+  return known;
+}
+
+UNIT_TEST(tables_state_the_errors_of_their_profiles) {
+  static const struct {
+    const char *model;
+    core_medium medium;
+    bool known;
+  } cases[] = {{"better", {0.032, 0.74, 0, 1.3}, true}, {"classical", {0.1, 5, 0.7, 1.4}, true},
+               {"skin-red", {1, 1, 0, 1.3}, false},      {"transport", {0.35, 0.65, 0, 1.5}, true},
+               {"transport", {1, 9, 0.5, 1.5}, true},   {"better", {0.1, 1, 0, 2.5}, false}};
+  uint64_t random = unit_seed();
+  for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+    made_table made = make(cases[i].model, cases[i].medium);
+    dipole_table *table = load(&made);
+    const size_t known = assert_same_errors(table, &made.profile, &random);
+    assert_true(cases[i].known ? known > 20 : known == 0);
+    dipole_table_free(table);
+    unmake(&made);
+  }
+}
+
+/* R of transport far away, where its stated error grows, against solutions that reach further. */
+UNIT_TEST(errors_of_a_table_hold_far_away) {
+  static const double decays[] = {20, 40, 60, 100}, albedos[] = {0.1, 0.65, 0.95, 0.9999};
+  transport_boundary *boundary;
+  double most = 0;
+  unit_assert_fault(transport_boundary_create_far(&boundary, 1.5, 1e-6), NULL, 0);
+  for (size_t i = 0; i < sizeof albedos / sizeof albedos[0]; i++) {
+    made_table made = make("transport", (core_medium){1 - albedos[i], albedos[i], 0, 1.5});
+    dipole_table *table = load(&made);
+    transport_solution *solution;
+    unit_assert_fault(transport_solve(&solution, boundary, albedos[i]), NULL, 0);
+    for (size_t k = 0; k < sizeof decays / sizeof decays[0]; k++) {
+      const float r = (float)(decays[k] / transport_kappa(albedos[i]));
+      const transport_number R = transport_at(solution, (double)r).R;
+      float found;
+      dipole_errors errors;
+      assert_true(dipole_table_values(table, DIPOLE_R, 1, &r, &found));
+      assert_true(dipole_table_errors(table, DIPOLE_R, 1, &r, &errors));
+      const double stated = errors.numerical_error + errors.numerical_error_per_mm * (double)r;
+      const double allowed = fmax(stated * R.value, 16 * 0x1p-149) + R.error;
+      const double share = fabs((double)found - R.value) / allowed;
+      if (share > 1) {
+        print_error("albedo %g, %g decay lengths: %g, right is %g, states %g\n", albedos[i],
+                    decays[k], (double)found, R.value, stated);
+      }
+      most = fmax(most, share);
+      assert_true(errors.model_error == 0);
+    }
+    transport_solution_free(solution);
+    dipole_table_free(table);
+    unmake(&made);
+  }
+  transport_boundary_free(boundary);
+  printf("largest error %.3f of what was stated\n", most);
+  assert_true(most <= 1);
+}
+
 UNIT_TEST(tables_have_the_bits_of_their_profiles) {
   /* R constant, like -ln r and like 1 / r towards the source; 1 / r^3 far away; nothing at all. */
   static const struct {
@@ -210,6 +304,17 @@ UNIT_TEST(what_a_table_does_not_hold_is_refused) {
   assert_true(out[0] == 77 && out[1] == 77);
   assert_true(dipole_table_values(table, DIPOLE_R, 0, in, out));
   assert_true(dipole_table_radii(table, 0, in, out));
+  dipole_errors errors = {77, 77, 77};
+  for (size_t i = 1; i < sizeof others / sizeof others[0]; i++) {
+    assert_true(dipole_table_errors(table, others[i], 0, NULL, &errors) ==
+                (others[i] == DIPOLE_ALBEDO || others[i] == (DIPOLE_R | DIPOLE_CDF)));
+  }
+  errors.model_error = 77;
+  for (size_t i = 0; i < 3; i++) {
+    in[1] = bad[i];
+    assert_false(dipole_table_errors(table, DIPOLE_R, 2, in, &errors));
+  }
+  assert_true(errors.model_error == 77);
   dipole_table_free(table);
   unmake(&made);
 }
@@ -296,7 +401,11 @@ UNIT_TEST(impossible_facts_are_found) {
     wire_put_table_reply(made.bytes + WIRE_BYTES_header, &wrong);                                  \
     assert_damaged(&made, made.count);                                                             \
   } while (0)
-  WITH(layout, 2);
+  WITH(layout, 1);
+  WITH(reach, (double)NAN);
+  WITH(reach, 0);
+  WITH(reach_growth, -1);
+  WITH(reach_growth, (double)NAN);
   WITH(word_count, right.word_count - 4);
   WITH(word_count, 0);
   WITH(word_count, UINT32_MAX);

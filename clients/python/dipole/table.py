@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import os
 import zlib
-from collections.abc import Callable
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from . import wire
 from .errors import ArgumentError, TableError
 from .values import Info, Medium
 
-LAYOUT = 1  # of the words: proto/PROTOCOL.md, "table"
+LAYOUT = 2  # proto/PROTOCOL.md, "table"
 
 # Positions of a table's words: first 16 numbers, then one entry for each octave of the argument of
 # R, of the cdf, and of the radius (by u and by 1 - u), then the pieces.
@@ -32,6 +33,11 @@ _PIECES_MAX = 65536
 
 _MANTISSA_BITS = 23
 _CUTS_MAX = 11
+
+# The edges of the bands of radii for which a table holds model errors, in mean free paths, and how
+# close to an edge a radius counts as the edge, relative (PROTOCOL.md, T8).
+_BAND_EDGES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+_EDGE_WIDTH = 1e-7
 
 _Function = Callable[[np.ndarray], np.ndarray]
 
@@ -50,6 +56,14 @@ _TWO_OVER_LN_2 = np.float32(2.88539008)
 _2_TO_THE_24 = np.float32(2.0**24)
 
 
+class TableErrors(NamedTuple):
+    """How far values of a table at the radii of one call may be off, relative."""
+
+    numerical_error_constant: float  # A value at radius r is off from the model's formula by at
+    numerical_error_per_mm: float  # most the first plus the second number times r.
+    model_error: float  # of the model against radiative transport; NaN: not measured
+
+
 class Table:
     """Looks up one medium's R, cdf, pdf, 2 pi r R, and the radius for a given cdf.
 
@@ -61,7 +75,10 @@ class Table:
         payload = _payload_of(data)
         fixed = wire.TABLE_REPLY.unpack(payload)
         if fixed.layout != LAYOUT:
-            raise TableError(f"a table of layout {fixed.layout}: this module knows layout {LAYOUT}")
+            raise TableError(
+                f"a table of layout {fixed.layout}, but this module reads layout {LAYOUT}: fetch "
+                "it again, from a daemon of this module's version"
+            )
         parameters_bytes = fixed.parameter_count * wire.PARAMETER.bytes
         words_at = wire.TABLE_REPLY.bytes + parameters_bytes
         if len(payload) != words_at + 4 * fixed.word_count:
@@ -81,9 +98,15 @@ class Table:
             one = wire.PARAMETER.unpack(payload, at)
             self.parameters[_name(info, "parameter", one.parameter)] = one.value
         self.albedo: float = fixed.albedo  # integral of 2 pi r R(r) over all radii
+        # numerical_error() and errors() have the errors at given radii.
         self.numerical_error_constant: float = fixed.numerical_error
         self.numerical_error_per_mm: float = fixed.numerical_error_per_mm
-        self.model_error: float = fixed.model_error  # against transport; NaN: not measured
+        self.reach_mm: float = fixed.reach  # Further away R is less exact than the two above say.
+        self._reach_growth: float = fixed.reach_growth
+        if not (self.reach_mm > 0 and self._reach_growth >= 0):
+            raise TableError("a table that does not say up to which radius its error holds")
+        self.model_error: float = fixed.model_error  # at all radii; 0 or, if not measured, NaN
+        self._model_errors: tuple[float, ...] = fixed.model_errors
         self.pieces_from_mm: float = fixed.pieces_from  # below this radius: an asymptotic formula
         self.pieces_to_mm: float = fixed.pieces_to  # from this radius on: an asymptotic formula
         self.radius_least_mm: float = fixed.radius_least  # the least radius that the model covers
@@ -160,12 +183,63 @@ class Table:
         return radii.reshape(np.shape(u))
 
     def numerical_error(self, r: Any) -> np.ndarray:
-        """Returns how far a value at r (mm) may be from the model's exact formula, relative."""
+        """Returns how far R at r (mm) may be from the model's exact formula, relative. That of the
+        other values is not larger."""
         radii = np.asarray(r, np.float64)
         growth = np.zeros_like(radii)  # At infinity, 0 times infinity would be NaN.
         if self.numerical_error_per_mm > 0:
             growth = self.numerical_error_per_mm * radii
-        return self.numerical_error_constant + growth
+        beyond = self._beyond_reach(np.where(np.isfinite(radii), radii, 0))
+        return self.numerical_error_constant + growth + beyond
+
+    def errors(self, r: Any, wanted: Sequence[str] = ("R",)) -> TableErrors:
+        """Returns the errors of quantities at the radii of a call, r (mm): those that a daemon
+        states for an eval with evaluator lut at these radii. wanted: names of quantities that a
+        table holds: R, albedo, cdf, pdf, 2_pi_r_R, S."""
+        for name in wanted:
+            if name not in ("R", "albedo", "cdf", "pdf", "2_pi_r_R", "S"):
+                raise ArgumentError(f"wanted: {name!r}: a table does not hold it")
+        radii = self._radii(r)
+        finite = radii[np.isfinite(radii)].astype(np.float64)
+        numerical_error = self.numerical_error_constant
+        if finite.size > 0 and not {"R", "pdf", "2_pi_r_R", "S"}.isdisjoint(wanted):
+            numerical_error += float(self._beyond_reach(finite.max()))
+        model_error = self._model_error(finite, wanted)
+        return TableErrors(numerical_error, self.numerical_error_per_mm, model_error)
+
+    def _beyond_reach(self, r: np.ndarray) -> np.ndarray:
+        """Returns what the error of R at finite radii beyond the reach has in addition (T7)."""
+        logarithm = np.log(np.maximum(r / self.reach_mm, 1))
+        exponent = self._reach_growth * logarithm * logarithm
+        return np.where(exponent < 7, np.expm1(np.minimum(exponent, 7)), np.inf)
+
+    def _model_error(self, radii: np.ndarray, wanted: Sequence[str]) -> float:
+        """Returns the largest model error of the wanted quantities at finite radii (T8)."""
+        if self.model_error == 0:
+            return 0.0
+        of_albedo = self._model_errors[-1]
+        errors = []
+        if "albedo" in wanted:
+            errors.append(of_albedo)
+        if radii.size > 0:
+            of_R = self._model_error_of_R(float(radii.min()), float(radii.max()))
+            if not {"R", "2_pi_r_R", "S"}.isdisjoint(wanted):
+                errors.append(of_R)
+            if "pdf" in wanted:
+                errors.append((of_R + of_albedo) / (1 - of_albedo) if of_albedo < 1 else np.nan)
+        return float(np.max(errors)) if errors else np.nan  # NaN if one of them is NaN
+
+    def _model_error_of_R(self, least_mm: float, most_mm: float) -> float:
+        """Returns the largest model error of R in the bands that hold these radii."""
+        sigma_t_prime = self.medium.sigma_a + self.medium.sigma_s * (1 - self.medium.g)
+        starts = [edge * (1 - _EDGE_WIDTH) for edge in _BAND_EDGES]
+        first = bisect_right(starts, least_mm * sigma_t_prime) - 1
+        most = most_mm * sigma_t_prime
+        end = sum(edge * (1 + _EDGE_WIDTH) < most for edge in _BAND_EDGES)
+        if first < 0 or end == len(_BAND_EDGES):
+            return np.nan
+        first = min(first, len(_BAND_EDGES) - 2)
+        return float(np.max(self._model_errors[first : max(end, first + 1)]))
 
     def _evaluate_ring(self, r: Any, scale: np.float32) -> np.ndarray:
         """Returns r R times a scale, for example 2 pi."""
@@ -174,13 +248,17 @@ class Table:
         )
 
     def _evaluate(self, r: Any, inside: _Function, outside: _Function) -> np.ndarray:
+        values = _look_up(self._radii(r), inside, outside, self._first_mm, self._last_mm)
+        return values.reshape(np.shape(r))
+
+    def _radii(self, r: Any) -> np.ndarray:
+        """Returns the radii in single precision. The model has to cover them."""
         radii = _floats(r)
         wide = radii.astype(np.float64)
         if not np.all((wide >= 0) & (wide >= self.radius_least_mm) & (wide <= self.radius_most_mm)):
             least = max(self.radius_least_mm, 0.0)
             raise ArgumentError(f"r: from {least:g} to {self.radius_most_mm:g} mm")
-        values = _look_up(radii, inside, outside, self._first_mm, self._last_mm)
-        return values.reshape(np.shape(r))
+        return radii
 
     # ---- inside ----------------------------------------------------------------------------------
 
