@@ -7,6 +7,7 @@
 #   make soak       ten minutes at full load, SOAK_S seconds if given: answers and memory
 #   make check-pipeline  10 million requests from eight threads, each answer compared
 #   make truth      stated errors against exact values, SECONDS=60 of them, SEED=N or a new one
+#   make fuzz       coverage-guided fuzzing of all that reads foreign bytes, SECONDS=300 of it
 #   make bench      every benchmark; build/bench GROUP runs one
 #   make docs       the tables in proto/*.md, from proto/*.def, and the manual pages
 #   make model-errors  core/model_errors.def, measured anew against transport (minutes)
@@ -47,6 +48,8 @@ WARNINGS := -Wall -Wextra -Werror -Wshadow -Wstrict-prototypes -Wmissing-prototy
 BITS := -ffp-contract=off -fno-math-errno -fno-trapping-math
 ALL_CFLAGS = -std=c17 $(WARNINGS) $(BITS) -fPIC -pthread $(CFLAGS) $(SANITIZE)
 ALL_CPPFLAGS = -D_GNU_SOURCE -I. -DDIPOLED_VERSION='"$(VERSION)"' -MMD -MP $(CPPFLAGS)
+# Fuzzing does not follow the kernels: it would be slow, and they have hardly a branch.
+KERNEL_CFLAGS = $(filter-out -fsanitize=fuzzer-no-link,$(ALL_CFLAGS))
 ALL_LDFLAGS = -pthread $(LDFLAGS) $(SANITIZE)
 
 PKG_CONFIG ?= pkg-config
@@ -103,13 +106,13 @@ SOAK := $(call objects,$(wildcard tests/soak/*.c))
 PIPELINE := $(call objects,$(wildcard tests/pipeline/*.c))
 # The longest ones come first, so that no processor waits for them at the end.
 TESTS := $(addprefix $(BUILD)/tests/,unit/test_kernels accuracy/test_choose accuracy/test_dipole)
-TESTS += $(filter-out $(TESTS),$(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/accuracy/test_*.c tests/fuzz/test_*.c tests/unit/test_*.c)))
-TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/accuracy/truth.c tests/bench/*.c tests/bits/*.c tests/e2e/*.c tests/pipeline/*.c tests/soak/*.c),$(wildcard tests/*/*.c)))
+TESTS += $(filter-out $(TESTS),$(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/accuracy/test_*.c tests/unit/test_*.c)))
+TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/accuracy/truth.c tests/bench/*.c tests/bits/*.c tests/e2e/*.c tests/fuzz/*.c tests/pipeline/*.c tests/soak/*.c),$(wildcard tests/*/*.c)))
 
 PROGRAMS := $(BUILD)/dipoled $(BUILD)/dipole $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-long check-structure check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-pipeline check-asan check-tsan soak truth bench docs model-errors tables tradeoff figures clean
+.PHONY: all setup demo check check-long check-structure check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-pipeline check-asan check-tsan check-fuzz soak truth fuzz fuzz-merge bench docs model-errors tables tradeoff figures clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -128,7 +131,7 @@ define kernel_rule
 $(OBJ)/core/models/%.$(1).f$(2).o: core/models/%.c Makefile
 	@mkdir -p $$(@D)
 	$$(call SAY,CC,$$< $(1) f$(2))
-	$$(Q)$$(CC) $$(ALL_CPPFLAGS) -DCORE_ISA=$(1) -DCORE_REAL=$(2) $$(ALL_CFLAGS) $$(ISA_FLAGS_$(1)) -c -o $$@ $$<
+	$$(Q)$$(CC) $$(ALL_CPPFLAGS) -DCORE_ISA=$(1) -DCORE_REAL=$(2) $$(KERNEL_CFLAGS) $$(ISA_FLAGS_$(1)) -c -o $$@ $$<
 endef
 $(foreach isa,$(ISAS),$(foreach real,32 64,$(eval $(call kernel_rule,$(isa),$(real)))))
 
@@ -140,7 +143,7 @@ define walk_rule
 $(OBJ)/core/montecarlo/walk.$(1).o: core/montecarlo/walk.c Makefile
 	@mkdir -p $$(@D)
 	$$(call SAY,CC,$$< $(1))
-	$$(Q)$$(CC) $$(ALL_CPPFLAGS) -DCORE_ISA=$(1) $$(ALL_CFLAGS) $$(ISA_FLAGS_$(1)) -c -o $$@ $$<
+	$$(Q)$$(CC) $$(ALL_CPPFLAGS) -DCORE_ISA=$(1) $$(KERNEL_CFLAGS) $$(ISA_FLAGS_$(1)) -c -o $$@ $$<
 endef
 $(foreach isa,$(ISAS),$(eval $(call walk_rule,$(isa))))
 
@@ -208,6 +211,13 @@ $(BUILD)/tests/bits: $(OBJ)/tests/bits/bits.o $(BUILD)/libcore.a
 	@mkdir -p $(@D)
 	$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
 
+# For clang and its libFuzzer alone: `make fuzz` builds it in a folder of its own.
+FUZZED := $(filter-out $(call objects,server/main.c clients/cli/main.c),$(SERVER) $(CLI))
+$(OBJ)/tests/fuzz/fuzz.o: EXTRA_CPPFLAGS = $(UV_CFLAGS) $(MODBUS_CFLAGS)
+$(BUILD)/fuzz: $(OBJ)/tests/fuzz/fuzz.o $(FUZZED) $(BUILD)/libdipole.a
+	$(call SAY,LD,$@)
+	$(Q)$(CC) $(ALL_LDFLAGS) -fsanitize=fuzzer -o $@ $^ $(UV_LIBS) $(MODBUS_LIBS) $(CORE_LIBS) -lm
+
 $(BUILD)/tests/%: $(OBJ)/tests/%.o $(TEST_SUPPORT) $(BUILD)/libdipole.a
 	@mkdir -p $(@D)
 	$(call SAY,LD,$@)
@@ -248,7 +258,7 @@ demo:
 check:
 	@sh .ci/install-packages
 	@$(MAKE) --no-print-directory -j2 all $(TESTS) $(BUILD)/tests/bits $(BUILD)/dipoled-counting $(BUILD)/wire-tables $(BUILD)/trade-speed $(BUILD)/soak-load $(BUILD)/pipeline
-	+@bash tests/run-check.sh $(BUILD)/logs structure bits unit e2e+soak
+	+@bash tests/run-check.sh $(BUILD)/logs structure bits unit fuzz e2e+soak
 
 # What takes minutes by itself. .ci/run runs it as well.
 check-long:
@@ -308,11 +318,27 @@ check-tsan:
 	@sh .ci/install-packages
 	@$(MAKE) --no-print-directory BUILD=build-tsan SANITIZE='-fsanitize=thread' CFLAGS='-O1 -g' UNIT_LIMIT_S=3600 check
 
+# Coverage-guided fuzzing by clang's libFuzzer, with sanitizers, in a folder of its own. What `fuzz`
+# has found, `fuzz-merge` puts into tests/fuzz/corpus as far as it reaches new code.
+BUILD_FUZZ = $(MAKE) --no-print-directory -j2 BUILD=build-fuzz CC=clang CFLAGS='-O1 -g' SANITIZE='-fsanitize=fuzzer-no-link -fsanitize=address,undefined -fno-sanitize-recover=all' build-fuzz/fuzz
+check-fuzz:
+	@if ! command -v clang >/dev/null; then echo "fuzz: everything was skipped: there is no clang"; exit 0; fi; \
+	  $(BUILD_FUZZ) && $(PYTHON) tests/fuzz/fuzz.py build-fuzz/fuzz check
+
+fuzz:
+	@sh .ci/install-packages
+	@$(BUILD_FUZZ)
+	@$(PYTHON) tests/fuzz/fuzz.py build-fuzz/fuzz $(or $(SECONDS),300)
+
+fuzz-merge:
+	@$(BUILD_FUZZ)
+	@$(PYTHON) tests/fuzz/fuzz.py build-fuzz/fuzz merge
+
 # Random values of all models against their formulas in more digits, and the error that each states.
-SECONDS ?= 60
+SECONDS ?=
 SEED ?=
 truth: $(BUILD)/tests/accuracy/truth
-	$(BUILD)/tests/accuracy/truth $(SECONDS) $(SEED)
+	$(BUILD)/tests/accuracy/truth $(or $(SECONDS),60) $(SEED)
 
 bench: $(BUILD)/bench
 	$(BUILD)/bench
@@ -356,4 +382,4 @@ docs: $(BUILD)/wire-tables
 include clients/packaging/packaging.mk
 
 clean:
-	rm -rf $(BUILD) build-asan build-tsan
+	rm -rf $(BUILD) build-asan build-tsan build-fuzz

@@ -5,14 +5,17 @@
 
 #include "proto/channels.h"
 
-/* CRC-32 (ISO 3309, the one of Ethernet and gzip): reflected, polynomial 0x04c11db7. */
-static uint32_t checksum(const uint8_t *bytes, size_t count) {
+uint32_t table_checksum(const uint8_t *bytes, size_t count) {
+  /* what each value of four bits does to the sum */
+  static const uint32_t steps[] = {0x00000000, 0x1db71064, 0x3b6e20c8, 0x26d930ac,
+                                   0x76dc4190, 0x6b6b51f4, 0x4db26158, 0x5005713c,
+                                   0xedb88320, 0xf00f9344, 0xd6d6a3e8, 0xcb61b38c,
+                                   0x9b64c2b0, 0x86d3d2d4, 0xa00ae278, 0xbdbdf21c};
   uint32_t crc = UINT32_MAX;
   for (size_t i = 0; i < count; i++) {
     crc ^= bytes[i];
-    for (int bit = 0; bit < 8; bit++) {
-      crc = crc >> 1 ^ (crc & 1 ? UINT32_C(0xedb88320) : 0);
-    }
+    crc = crc >> 4 ^ steps[crc & 15];
+    crc = crc >> 4 ^ steps[crc & 15];
   }
   return ~crc;
 }
@@ -61,7 +64,7 @@ void table_reply_put(uint8_t *at, const core_profile *profile, const core_parame
       .moments = (uint16_t)profile->moments,
       .parameter_count = (uint16_t)channels_count_parameters(parameters),
       .word_count = (uint32_t)profile->lut_count,
-      .checksum = checksum(words, word_bytes),
+      .checksum = table_checksum(words, word_bytes),
       .notes = profile->notes,
       .sigma_a = profile->medium.sigma_a_per_mm,
       .sigma_s = profile->medium.sigma_s_per_mm,
@@ -102,5 +105,5 @@ bool table_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_table_
   }
   at += (size_t)fixed->parameter_count * WIRE_BYTES_parameter;
   *words = (const float *)(const void *)at;
-  return checksum(at, fixed->word_count * sizeof(float)) == fixed->checksum;
+  return table_checksum(at, fixed->word_count * sizeof(float)) == fixed->checksum;
 }

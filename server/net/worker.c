@@ -252,7 +252,7 @@ static int set_up_handles(struct worker *worker) {
   return uv_timer_start(&worker->clock, on_clock, period_ms, period_ms);
 }
 
-int worker_start(struct worker *worker, struct server *server) {
+int worker_open(struct worker *worker, struct server *server) {
   memset(worker, 0, sizeof *worker);
   worker->server = server;
   TAILQ_INIT(&worker->run_queue);
@@ -264,7 +264,11 @@ int worker_start(struct worker *worker, struct server *server) {
   int error = uv_mutex_init(&worker->mutex);
   error = error != 0 ? error : uv_loop_init(&worker->loop);
   error = error != 0 ? error : uv_async_init(&worker->loop, &worker->wake, on_wake);
-  error = error != 0 ? error : set_up_handles(worker);
+  return error != 0 ? error : set_up_handles(worker);
+}
+
+int worker_start(struct worker *worker, struct server *server) {
+  const int error = worker_open(worker, server);
   return error != 0 ? error : uv_thread_create(&worker->thread, thread_main, worker);
 }
 

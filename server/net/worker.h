@@ -82,7 +82,11 @@ struct worker {
   struct job_context context;
 };
 
-/* Starts the thread. Returns 0 or an error code of libuv. */
+/* Sets up a worker without a thread: whoever runs its loop is its thread. Returns 0 or an error code
+ * of libuv. */
+int worker_open(struct worker *worker, struct server *server);
+
+/* Opens the worker and starts its thread. Returns 0 or an error code of libuv. */
 int worker_start(struct worker *worker, struct server *server);
 
 /* Call these from any thread. worker_give() hands over a client (server/net/client.h). */

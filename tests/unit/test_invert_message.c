@@ -1,5 +1,5 @@
 /* The payloads of invert requests and replies: where things lie. What is refused is in
- * tests/fuzz/test_wire.c and tests/e2e/test_invert.py. */
+ * tests/fuzz/fuzz.c and tests/e2e/test_invert.py. */
 #include "proto/invert.h"
 
 #include "tests/unit/unit.h"

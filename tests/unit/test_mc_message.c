@@ -1,5 +1,5 @@
 /* The payloads of mc requests and replies: where things lie. What is refused is in
- * tests/fuzz/test_wire.c and tests/e2e/test_mc.py. */
+ * tests/fuzz/fuzz.c and tests/e2e/test_mc.py. */
 #include <math.h>
 
 #include "proto/mc.h"

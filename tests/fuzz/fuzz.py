@@ -1,0 +1,155 @@
+"""Fuzzes: runs each target of tests/fuzz/fuzz.c with libFuzzer, all on as many processors as there
+are, and prints what came of each.
+
+  fuzz.py PROGRAM check          a fixed number of inputs from a fixed seed, for `make check`
+  fuzz.py PROGRAM SECONDS        so many seconds in all; goes on from what earlier runs have found
+  fuzz.py PROGRAM merge          puts what was found, as far as it reaches new code, into the corpus
+
+The corpus is tests/fuzz/corpus: a target and an input in base64 on each line. The hexadecimal
+examples of PROTOCOL.md and REGISTERS.md are inputs as well. All of them are unpacked, and new ones
+are kept, in folders beside the program."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+FUZZ = Path(__file__).parent
+CORPUS = FUZZ / "corpus"
+PROTO = FUZZ.parent.parent / "proto"
+# What `make check` runs of each target beside the corpus: so many inputs, or as many as it can in so
+# many seconds.
+CHECK_RUNS = 20000
+CHECK_S = 5
+# A single input takes longer than this only if it hangs: the slowest profile takes some seconds.
+HANG_S = 60
+MEMORY_MB = 3000
+
+
+def targets() -> list[str]:
+    """The names that the program knows."""
+    environment = os.environ | {"FUZZ_TARGET": ""}
+    return subprocess.run([sys.argv[1]], env=environment, capture_output=True, text=True).stdout.split()
+
+
+# ---- inputs --------------------------------------------------------------------------------------
+
+
+def examples(path: str) -> dict[str, bytes]:
+    """The blocks ```hex NAME of a document: pairs of digits, and comments from # to the line's
+    end."""
+    blocks = re.findall(r"^```hex ([\w-]+)\n(.*?)^```", (PROTO / path).read_text(), re.M | re.S)
+    return {name: bytes.fromhex(re.sub(r"#.*", "", body)) for name, body in blocks}
+
+
+def seeds() -> Iterator[tuple[str, bytes]]:
+    """The documents' examples, as inputs of the targets that can use them."""
+    frames = examples("PROTOCOL.md")
+    asked = b"".join(data for name, data in frames.items() if name.endswith("-request"))
+    for data in [*frames.values(), asked]:
+        yield from [("frames", b"\x07" + data), ("requests", b"\x00" + data)]
+        yield from [("connection", b"\x00\x00" + data), ("messages", data[6:8] + data[24:])]
+        yield "replies", data[6:7] + b"\x00" + data
+    for data in examples("REGISTERS.md").values():
+        yield "modbus", b"\x00\x00" + data
+        yield "rtu", bytes([0x80 | (len(data) - 6)]) + data[6:]
+
+
+def kept() -> Iterator[tuple[str, bytes]]:
+    for line in CORPUS.read_text().splitlines():
+        name, text = line.split()
+        yield name, base64.b64decode(text)
+
+
+def unpack(folder: Path) -> None:
+    for name in targets():
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    for name, data in [*seeds(), *kept()]:
+        (folder / name / hashlib.sha1(data).hexdigest()).write_bytes(data)
+
+
+# ---- running -------------------------------------------------------------------------------------
+
+
+def libfuzzer(program: Path, name: str, log: Path, *arguments: str) -> int:
+    """Runs one target; its exit status."""
+    flags = [f"-timeout={HANG_S}", f"-rss_limit_mb={MEMORY_MB}", f"-artifact_prefix={log.parent}/{name}-"]
+    environment = os.environ | {"FUZZ_TARGET": name}
+    with log.open("wb") as output:
+        command = [str(program), *flags, "-print_final_stats=1", *arguments]
+        return subprocess.run(command, stdout=output, stderr=output, env=environment).returncode
+
+
+def report(name: str, status: int, log: Path, took_s: float) -> bool:
+    """Prints what a run came to; whether it found no fault."""
+    text = log.read_text(errors="replace")
+    executions = re.findall(r"stat::number_of_executed_units: (\d+)", text)
+    edges = re.findall(r" cov: (\d+) ", text)
+    inputs = re.findall(r" corp: (\d+)/", text)
+    shown = [(found or ["?"])[-1] for found in (executions, edges, inputs)]
+    good = status == 0
+    print(f"fuzz: {name:10} {shown[0]:>10} executions {shown[1]:>6} edges {shown[2]:>5} inputs"
+          f" {took_s:6.0f} s{'' if good else '  FAILED'}", flush=True)
+    if not good:
+        print("\n".join(text.splitlines()[-60:]))
+        for written in re.findall(r"Test unit written to (\S+)", text):
+            print(f"fuzz: {name}: reproduce: FUZZ_TARGET={name} {sys.argv[1]} {written}", flush=True)
+    return good
+
+
+def run_all(program: Path, folder: Path, arguments: list[str]) -> bool:
+    jobs = int(os.environ.get("FUZZ_JOBS", os.cpu_count() or 1))
+
+    def run_one(name: str) -> bool:
+        log = folder / f"{name}.log"
+        began = time.monotonic()
+        status = libfuzzer(program, name, log, *arguments, str(folder / "corpus" / name))
+        return report(name, status, log, time.monotonic() - began)
+
+    with ThreadPoolExecutor(jobs) as pool:
+        return all(list(pool.map(run_one, targets())))
+
+
+def merge(program: Path, folder: Path) -> None:
+    """Rewrites the corpus: the fewest inputs of each target that reach all that is reached."""
+    lines = []
+    for name in targets():
+        merged = folder / "merged" / name
+        merged.mkdir(parents=True, exist_ok=True)
+        for old in merged.iterdir():
+            old.unlink()
+        log = folder / f"{name}-merge.log"
+        source = folder / "corpus" / name
+        if libfuzzer(program, name, log, "-merge=1", str(merged), str(source)) != 0:
+            sys.exit(f"fuzz: {name}: merging failed: {log}")
+        inputs = sorted(path.read_bytes() for path in merged.iterdir())
+        lines += [f"{name} {base64.b64encode(data).decode()}\n" for data in inputs]
+        print(f"fuzz: {name:10} {len(inputs):5} inputs {sum(map(len, inputs)):8} bytes")
+    CORPUS.write_text("".join(lines))
+
+
+def main() -> None:
+    program, what = Path(sys.argv[1]).absolute(), sys.argv[2]
+    folder = program.parent / "fuzzing"
+    unpack(folder / "corpus")
+    if what == "merge":
+        merge(program, folder)
+        return
+    jobs = min(os.cpu_count() or 1, len(targets()))
+    if what == "check":
+        arguments = ["-seed=1", f"-runs={CHECK_RUNS}", f"-max_total_time={CHECK_S}"]
+    else:
+        arguments = [f"-max_total_time={max(1, int(what) * jobs // len(targets()))}"]
+    if not run_all(program, folder, arguments):
+        sys.exit(1)
+
+
+main()
