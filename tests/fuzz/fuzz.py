@@ -32,6 +32,7 @@ CHECK_S = 5
 # A single input takes longer than this only if it hangs: the slowest profile takes some seconds.
 HANG_S = 60
 MEMORY_MB = 3000
+JOBS = int(os.environ.get("FUZZ_JOBS", os.cpu_count() or 1))
 
 
 def targets() -> list[str]:
@@ -106,15 +107,13 @@ def report(name: str, status: int, log: Path, took_s: float) -> bool:
 
 
 def run_all(program: Path, folder: Path, arguments: list[str]) -> bool:
-    jobs = int(os.environ.get("FUZZ_JOBS", os.cpu_count() or 1))
-
     def run_one(name: str) -> bool:
         log = folder / f"{name}.log"
         began = time.monotonic()
         status = libfuzzer(program, name, log, *arguments, str(folder / "corpus" / name))
         return report(name, status, log, time.monotonic() - began)
 
-    with ThreadPoolExecutor(jobs) as pool:
+    with ThreadPoolExecutor(JOBS) as pool:
         return all(list(pool.map(run_one, targets())))
 
 
@@ -143,11 +142,10 @@ def main() -> None:
     if what == "merge":
         merge(program, folder)
         return
-    jobs = min(os.cpu_count() or 1, len(targets()))
     if what == "check":
         arguments = ["-seed=1", f"-runs={CHECK_RUNS}", f"-max_total_time={CHECK_S}"]
     else:
-        arguments = [f"-max_total_time={max(1, int(what) * jobs // len(targets()))}"]
+        arguments = [f"-max_total_time={max(1, int(what) * JOBS // len(targets()))}"]
     if not run_all(program, folder, arguments):
         sys.exit(1)
 
