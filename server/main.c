@@ -147,7 +147,8 @@ static bool open_modbus(struct daemon *daemon) {
   return true;
 }
 
-/* The runtime directory: systemd's, or the user's, or /run for root. NULL if there is none. */
+/* Returns the runtime directory: that of systemd, or of the user, or /run for root. NULL if there
+ * is none. */
 static const char *runtime_directory(void) {
   const char *directory = getenv("RUNTIME_DIRECTORY");
   if (directory == NULL || *directory == '\0') {
@@ -188,7 +189,7 @@ static bool admit_inherited(struct server *server) {
   return true;
 }
 
-/* Takes over the sockets that a service manager passes. */
+/* Listens at the sockets that a service manager passes. */
 static bool adopt_passed(struct daemon *daemon) {
   const char *why;
   int first = 0;
@@ -207,8 +208,8 @@ static bool adopt_passed(struct daemon *daemon) {
   return true;
 }
 
-/* A daemon with --fd is private to the program that has started it. A service manager's variables
- * are then meant for that program, and are ignored. */
+/* Opens all addresses. A daemon with --fd is private to the program that has started it: it ignores
+ * the variables of a service manager, which are meant for that program. */
 static bool open_addresses(struct daemon *daemon) {
   const struct options *options = &daemon->server.options;
   if (options->fd == NULL && !adopt_passed(daemon)) {
@@ -225,7 +226,8 @@ static bool open_addresses(struct daemon *daemon) {
   return daemon->listener_count > 0 || listen_by_default(daemon);
 }
 
-/* Called before clients can connect, so that a daemon that is ready can also be monitored. */
+/* Starts to serve the metrics, if --metrics is given. Called before clients can connect, so that a
+ * daemon that is ready can also be monitored. */
 static bool open_metrics(struct daemon *daemon) {
   const char *address = daemon->server.options.metrics;
   if (address != NULL) {
@@ -234,7 +236,8 @@ static bool open_metrics(struct daemon *daemon) {
   return address == NULL || daemon->metrics != NULL;
 }
 
-/* Called before the workers start, because the registers belong to one of them. */
+/* Sets up Modbus, if --modbus is given. Called before the workers start, because one of them gets
+ * the registers. */
 static bool set_up_modbus(struct server *server) {
   if (server->options.modbus.count > 0) {
     server->modbus = modbus_service_new(server);

@@ -16,7 +16,7 @@ struct description {
   const char *separators;
   const char *help;
   enum kind kind;
-  size_t offset; /* into struct options */
+  size_t offset; /* of its member in struct options */
   uint64_t least;
   uint64_t most;
   uint64_t default_value;
@@ -67,7 +67,8 @@ static bool add_item(const struct description *option, const char *text,
   return true;
 }
 
-/* text is NULL on the command line, where a flag has no value. */
+/* Sets a flag. text: NULL on the command line, where a flag has no value; "0" or "1" in the
+ * environment. */
 static bool set_flag(const struct description *option, const char *text, bool *flag) {
   if (text != NULL && strcmp(text, "0") != 0 && strcmp(text, "1") != 0) {
     fprintf(stderr, "dipoled: --%s is 0 or 1 in the environment, not '%s'\n", option->name, text);

@@ -11,7 +11,7 @@ enum { OPTIONS_LIST_MAX = 32 };
 struct options_list {
   const char *items[OPTIONS_LIST_MAX];
   size_t count;
-  char *copy; /* the text that items from the environment point into */
+  char *copy; /* the text that holds the items from the environment */
 };
 
 #define SERVER_NUMBER(field, name, default_value, least, most, help) uint64_t field;
@@ -24,13 +24,13 @@ struct options {
 
 enum options_outcome { OPTIONS_RUN, OPTIONS_EXIT_OK, OPTIONS_EXIT_USAGE };
 
-/* Reads the environment and then the command line, which takes precedence. Prints the help, the
- * version or an error where that is due. Texts point into argv and the environment. */
+/* Reads the environment and then the command line, which takes precedence. Prints the help or the
+ * version if it is asked for, or an error. Texts point into argv and the environment. */
 enum options_outcome options_read(int argc, char **argv, struct options *options);
 
 void options_free(struct options *options);
 
-/* Calls each(context, name, value) for every number, under its name with underscores. */
+/* Calls each(context, name, value) for every number. In the name, underscores replace hyphens. */
 void options_each_number(const struct options *options,
                          void (*each)(void *context, const char *name, uint64_t value),
                          void *context);

@@ -1,5 +1,5 @@
-/* server: what all threads of the daemon share. main() sets it up before the threads start. After
- * that, only the atomic members and what the pointers lead to change. */
+/* server: the state that all threads of the daemon share. main() sets it up before the threads
+ * start. After that, only the atomic members and the objects behind the pointers change. */
 #ifndef DIPOLED_SERVER_H
 #define DIPOLED_SERVER_H
 
@@ -22,15 +22,15 @@ struct server {
   _Atomic uint64_t buffer_bytes; /* memory that the buffers of all connections hold */
   uint64_t started_ns;
   struct worker *workers;        /* [options.workers] */
-  struct latency *latencies;     /* [options.workers], each counted by its worker */
+  struct latency *latencies;     /* [options.workers]; each worker writes its own */
   struct cache *cache;           /* prepared profiles */
   struct mc_pool *mc;            /* Monte Carlo jobs */
   struct modbus_service *modbus; /* NULL without --modbus */
-  uv_async_t inherited_closed;   /* on main's loop: sent when the connection of --fd has ended */
+  uv_async_t inherited_closed;   /* of main's loop: sent when the connection of --fd has ended */
 };
 
-/* Takes bytes from the budget of all buffers (--max-total-bytes). If fewer bytes are left, it takes
- * nothing and returns false. */
+/* Takes bytes from the budget of all buffers (--max-total-bytes). If too few bytes are left, takes
+ * none and returns false. */
 static inline bool server_take_bytes(struct server *server, uint64_t bytes) {
   if (atomic_fetch_add(&server->buffer_bytes, bytes) + bytes <= server->options.max_total_bytes) {
     return true;
@@ -39,9 +39,9 @@ static inline bool server_take_bytes(struct server *server, uint64_t bytes) {
   return false;
 }
 
-/* Counts the first buffers of a connection, which may exceed the budget. max_connections bounds
- * their number already. So small requests and errors are answered however much large requests hold.
- */
+/* Counts the first buffers of a connection, even beyond the budget, so that small requests and
+ * errors are answered however much memory large requests hold. max_connections bounds these
+ * buffers. */
 static inline void server_take_base_bytes(struct server *server, uint64_t bytes) {
   atomic_fetch_add(&server->buffer_bytes, bytes);
 }

@@ -12,7 +12,7 @@ static struct in6_addr mapped(struct in_addr ipv4) {
   return address;
 }
 
-/* Reads a number of bits up to `most`. False: the text is something else. */
+/* Reads a number of bits from 0 to `most`. Returns false if the text is anything else. */
 static bool read_bits(const char *text, unsigned most, unsigned *bits) {
   char *end;
   const unsigned long number = strtoul(text, &end, 10);
@@ -59,8 +59,8 @@ bool modbus_access_read(const struct options_list *list, struct modbus_access *a
   return true;
 }
 
-/* A network of IPv4 is one whose first 96 bits are those of ::ffff:0:0. So ::/0 is all of IPv6 and
- * contains no address of IPv4. */
+/* Returns whether a network is of IPv4: its first 96 bits are those of ::ffff:0:0. So ::/0 is all
+ * of IPv6 and contains no address of IPv4. */
 static bool is_ipv4(const struct modbus_network *network) {
   return IN6_IS_ADDR_V4MAPPED(&network->address) && network->bits >= IPV6_BITS - IPV4_BITS;
 }

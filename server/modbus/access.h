@@ -1,4 +1,4 @@
-/* access: the addresses that Modbus masters may connect from. */
+/* access: the addresses from which Modbus masters may connect. */
 #ifndef DIPOLED_MODBUS_ACCESS_H
 #define DIPOLED_MODBUS_ACCESS_H
 
@@ -8,7 +8,7 @@
 
 #include "server/options.h"
 
-/* All addresses that begin with the same bits. An address of IPv4 is kept as ::ffff:a.b.c.d. */
+/* A network: all addresses that begin with the same bits. An IPv4 address is ::ffff:a.b.c.d. */
 struct modbus_network {
   struct in6_addr address;
   unsigned bits;
@@ -19,8 +19,8 @@ struct modbus_access {
   size_t count;
 };
 
-/* Reads a list of networks, each as ADDRESS/BITS or ADDRESS. An empty list means this machine
- * alone. False: *wrong is the item that cannot be read. */
+/* Reads a list of networks, each as ADDRESS/BITS or ADDRESS. An empty list allows only this
+ * machine. Returns false if an item cannot be read, and sets *wrong to it. */
 bool modbus_access_read(const struct options_list *list, struct modbus_access *access,
                         const char **wrong);
 

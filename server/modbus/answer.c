@@ -26,7 +26,7 @@ static bool reads_statistics(const struct modbus_request *request) {
   return request->address < END_STATISTICS && request->address + request->count > FIRST_STATISTICS;
 }
 
-/* ---- functions: 0, or the exception ---------------------------------------------------------- */
+/* ---- functions: each returns 0 or an exception ----------------------------------------------- */
 
 static unsigned check_bits(const struct modbus_request *request) {
   return request->address + request->count <= REGISTERS_COILS
@@ -132,7 +132,7 @@ static size_t put_registers(const struct modbus_unit *unit, const struct modbus_
   return 2 + 2 * (size_t)request->count;
 }
 
-/* After a write, the answer repeats the beginning of the request. */
+/* Writes the answer to a valid request. The answer to a write repeats the start of the request. */
 static size_t put_result(const struct modbus_unit *unit, const struct modbus_request *request,
                          const uint8_t *pdu, uint8_t *answer) {
   switch (request->function) {

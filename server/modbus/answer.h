@@ -1,5 +1,5 @@
-/* answer: carries out a request on the registers of its unit, and makes the answer's PDU. It knows
- * neither sockets nor serial lines.
+/* answer: carries out a Modbus request on the registers of its unit, and makes the PDU of the
+ * answer. It knows neither sockets nor serial lines.
  */
 #ifndef DIPOLED_MODBUS_ANSWER_H
 #define DIPOLED_MODBUS_ANSWER_H
@@ -7,16 +7,15 @@
 #include "server/modbus/codec.h"
 #include "server/modbus/unit.h"
 
-/* Carries out a request to the unit of a number (0 if there is no such unit), and writes the
- * answer, which may be an exception. `pdu` has at least 1 byte, which is less than 0x80. Returns
- * the length of the answer. Returns 0 if the request has put a job into the batch: then *waits_for
- * is the unit, and the client's finish() is called when modbus_answer_late() can make the
- * answer. */
+/* Carries out a request to the unit of this number, which is 0 if there is no such unit, and writes
+ * the answer, which may be an exception. pdu: the request, whose first byte is less than 0x80.
+ * Returns the length of the answer. Returns 0 if the request has put a job into the batch:
+ * *waits_for is then the unit, and the client's finish() has to call modbus_answer_late(). */
 size_t modbus_answer(struct modbus_units *units, struct client *client, unsigned number,
                      const uint8_t *pdu, size_t bytes, uint8_t answer[MODBUS_PDU_MAX],
                      struct modbus_unit **waits_for);
 
-/* The answer to such a request; returns its length. */
+/* Makes the answer to a request whose job has been evaluated. Returns the length of the answer. */
 size_t modbus_answer_late(const struct modbus_unit *unit, const uint8_t *pdu, size_t bytes,
                           uint8_t answer[MODBUS_PDU_MAX]);
 

@@ -9,13 +9,13 @@ static unsigned word(const uint8_t *at) {
   return (unsigned)at[0] << 8 | at[1];
 }
 
-/* The shapes of a function's PDUs. */
+/* The lengths of the PDUs of each function. */
 static const struct function {
   uint8_t number;
-  uint8_t bytes;  /* of a request, without the values that are written */
-  uint8_t values; /* where a request says how many bytes of values follow; 0: none do */
-  uint8_t answer; /* bytes of an answer, where 2 are followed by as many as the second says; 0: the
-                     answer has the shape of the request, or one that is not needed */
+  uint8_t bytes;  /* length of a request, without the values that it writes */
+  uint8_t values; /* position of the byte that counts the bytes of values; 0: there are no values */
+  uint8_t answer; /* length of an answer. If 2, the second byte counts the bytes that follow. If 0,
+                     the answer is like the request, or its length is not needed. */
   bool writes;
 } functions[] = {
     {MODBUS_FC_READ_COILS, 5, 0, 2, false},
@@ -32,7 +32,7 @@ static const struct function {
     {MODBUS_FC_READ_DEVICE_ID, 4, 0, 0, false},
 };
 
-/* NULL: the function is unknown. */
+/* Finds a function by its number. Returns NULL if it is unknown. */
 static const struct function *find(unsigned number) {
   for (size_t i = 0; i < sizeof functions / sizeof functions[0]; i++) {
     if (functions[i].number == number) {
@@ -59,7 +59,7 @@ static bool within(unsigned count, unsigned most) {
   return count >= 1 && count <= most;
 }
 
-/* Reads the rest of a PDU whose length is right; false: a count or value is wrong. */
+/* Reads the fields of a PDU whose length is right. Returns false if a count or value is wrong. */
 static bool take_counts(const uint8_t *pdu, struct modbus_request *request) {
   switch (request->function) {
   case MODBUS_FC_READ_COILS:
@@ -125,7 +125,7 @@ unsigned modbus_pdu_parse(const uint8_t *pdu, size_t bytes, struct modbus_reques
 enum { CHECKSUM_BYTES = 2 };
 
 uint16_t modbus_rtu_checksum(const uint8_t *bytes, size_t count) {
-  /* what each value of four bits does to the sum */
+  /* the change of the checksum for each value of four bits */
   static const uint16_t steps[] = {0x0000, 0xcc01, 0xd801, 0x1400, 0xf001, 0x3c00, 0x2800, 0xe401,
                                    0xa001, 0x6c00, 0x7800, 0xb401, 0x5000, 0x9c01, 0x8801, 0x4400};
   uint16_t sum = 0xffff;
@@ -143,7 +143,8 @@ bool modbus_rtu_is_frame(const uint8_t *bytes, size_t count) {
              (bytes[count - 2] | bytes[count - 1] << 8);
 }
 
-/* The length of the answer's frame that begins with these bytes. 0: they do not say. */
+/* Returns the length of the answer's frame that begins with these bytes, or 0 if they do not say.
+ */
 static size_t answer_bytes(const uint8_t *bytes, size_t count) {
   const struct function *function = count >= 3 ? find(bytes[1]) : NULL;
   if (count >= 3 && bytes[1] >= 0x80) {
@@ -159,9 +160,9 @@ static bool is_frame_of(const uint8_t *bytes, size_t count, size_t length) {
   return length > 0 && length <= count && modbus_rtu_is_frame(bytes, length);
 }
 
-/* The length of the frame, a request or an answer, that the bytes begin with. 0: there is none. Of
- * two lengths that are possible, the shorter is right: a frame with a zero behind it, with which a
- * broadcast begins, is a frame again. */
+/* Returns the length of the frame, a request or an answer, at the start of the bytes. Returns 0 if
+ * there is none. If two lengths are possible, the shorter one is right: a frame followed by a zero,
+ * which starts a broadcast, also passes the checksum. */
 static size_t first_frame(const uint8_t *bytes, size_t count) {
   const size_t pdu = count > 1 ? modbus_pdu_bytes(bytes + 1, count - 1) : 0;
   const size_t request = pdu > 0 ? 1 + pdu + CHECKSUM_BYTES : 0;
@@ -180,7 +181,7 @@ static bool is_request(const uint8_t *bytes, size_t count, unsigned unit) {
 }
 
 size_t modbus_rtu_find(const uint8_t *bytes, size_t count, unsigned unit, size_t *begin) {
-  /* Goes from frame to frame. The last may be of an unknown function, whose length is not known. */
+  /* Step from frame to frame. The last frame may have an unknown function and unknown length. */
   size_t length;
   *begin = 0;
   while ((length = first_frame(bytes + *begin, count - *begin)) > 0 && length < count - *begin) {
@@ -190,7 +191,7 @@ size_t modbus_rtu_find(const uint8_t *bytes, size_t count, unsigned unit, size_t
   if (modbus_rtu_is_frame(bytes + *begin, left)) {
     return bytes[*begin] == unit || bytes[*begin] == 0 ? left : 0;
   }
-  /* There is noise, and maybe a request to this unit behind it. */
+  /* The bytes begin with noise. A request to this unit may follow it. */
   for (; *begin < count; ++*begin) {
     if (is_request(bytes + *begin, count - *begin, unit)) {
       return count - *begin;
@@ -201,11 +202,11 @@ size_t modbus_rtu_find(const uint8_t *bytes, size_t count, unsigned unit, size_t
 
 /* ---- identification -------------------------------------------------------------------------- */
 
-/* The third byte of a request of function 43/14. */
+/* Values of the third byte of a request of function 43/14. */
 enum { BASIC = 1, REGULAR, EXTENDED, INDIVIDUAL };
 
 enum {
-  CONFORMITY = 0x82, /* basic and regular objects, all at once and one by one */
+  CONFORMITY = 0x82, /* basic and regular objects can be read all at once or one by one */
   BASIC_LAST = 2,
 };
 
@@ -231,7 +232,7 @@ static size_t put_text(uint8_t *at, const char *text) {
 size_t modbus_identity_report(unsigned unit, uint8_t *answer) {
   answer[0] = MODBUS_FC_REPORT_SLAVE_ID;
   answer[2] = (uint8_t)unit;
-  answer[3] = 0xff; /* the unit runs */
+  answer[3] = 0xff; /* run indicator: on */
   const size_t bytes = 4 + put_text(answer + 4, "dipoled " DIPOLED_VERSION);
   answer[1] = (uint8_t)(bytes - 2);
   return bytes;
@@ -246,8 +247,8 @@ static bool is_there(unsigned id) {
   return false;
 }
 
-/* A request for all objects of a kind gets those from the named one on. If there is no such object,
- * it gets all. */
+/* Returns whether an object goes into the answer. A request for all objects of a kind gets those
+ * from object `id` on, or all if there is no object `id`. */
 static bool is_asked_for(const struct object *object, unsigned code, unsigned id) {
   if (code == INDIVIDUAL) {
     return object->id == id;
@@ -267,7 +268,7 @@ size_t modbus_identity_read(const uint8_t *pdu, uint8_t *answer, unsigned *excep
     *exception = MODBUS_EXCEPTION_ILLEGAL_DATA_ADDRESS;
     return 0;
   }
-  /* All objects fit into one answer, so that no more follow. */
+  /* The zeros say that no more objects follow: all fit into one answer. */
   const uint8_t head[] = {pdu[0], pdu[1], (uint8_t)code, CONFORMITY, 0, 0, 0};
   memcpy(answer, head, sizeof head);
   size_t bytes = sizeof head;

@@ -15,12 +15,12 @@
 
 enum {
   HEADER_BYTES = 7, /* transaction, protocol, length, unit */
-  LENGTH_MIN = 2,   /* unit and function */
+  LENGTH_MIN = 2,   /* least value of the field length: it counts the unit and the function */
   LENGTH_MAX = 254,
-  /* What the kernel keeps in each direction for a master that does not read. Without this limit it
-   * grows to megabytes. With one far below the size of a segment, segments are dropped. */
+  /* The kernel's buffer in each direction. Without a limit, it grows to megabytes for a master that
+   * does not read. With a limit far below the size of a segment, the kernel drops segments. */
   SOCKET_BUFFER_BYTES = 65536,
-  LINGER_MS = 1000, /* for a peer that does not close after the last answer */
+  LINGER_MS = 1000, /* how long the peer may take to close after the last answer */
 };
 
 static void on_poll(uv_poll_t *poll, int status, int events);
@@ -65,7 +65,7 @@ static void abort_connection(struct modbus_connection *c) {
   }
 }
 
-/* Waits for other events than before; this takes a system call if there is a change. */
+/* Sets the events that the poll waits for. A change takes a system call. */
 static void set_events(struct modbus_connection *c, int events) {
   if (c->closing || c->events == events) {
     return;
@@ -78,8 +78,9 @@ static void set_events(struct modbus_connection *c, int events) {
   }
 }
 
-/* Closing a socket with unread bytes resets the connection, and the peer may lose answers that it
- * has not read. So the connection reads and drops what still comes, until the peer closes. */
+/* Ends the connection so that the peer can read the last answer. Closing a socket with unread bytes
+ * would reset the connection, and the peer might lose that answer. So the connection reads and
+ * drops bytes until the peer closes. */
 static void linger(struct modbus_connection *c) {
   if (shutdown(c->fd, SHUT_WR) != 0) {
     abort_connection(c);
@@ -116,7 +117,8 @@ static void write_unsent(struct modbus_connection *c) {
 
 /* ---- answering ------------------------------------------------------------------------------- */
 
-/* Masters that know no units say 0 or 255. */
+/* Returns the unit of a number in a frame, or 0 if there is no such unit. Masters that know no
+ * units send 0 or 255, which mean unit 1. */
 static unsigned unit_of(uint8_t number) {
   return number == 0 || number == 255 ? 1 : number <= MODBUS_UNITS ? number : 0;
 }
@@ -125,7 +127,7 @@ static unsigned frame_bytes(const uint8_t *frame) {
   return 6 + ((unsigned)frame[4] << 8 | frame[5]);
 }
 
-/* Sends the answer, whose PDU is in its place in c->unsent, and steps to the next frame. */
+/* Sends the answer, whose PDU is already in c->unsent, and goes on to the next frame. */
 static void send_answer(struct modbus_connection *c, size_t pdu_bytes) {
   const uint8_t *frame = c->input + c->begin;
   const size_t length = 1 + pdu_bytes;
@@ -164,7 +166,7 @@ static void answer_late(struct modbus_connection *c) {
   send_answer(c, answered);
 }
 
-/* The frames that follow cannot be told apart any more. */
+/* Ends the connection after bytes that are no frame: where the next frame begins is unknown. */
 static void lose_framing(struct modbus_connection *c) {
   log_closed(c, "bad-frame");
   stats_add(stats_of(c), STATS_MODBUS_BAD_FRAMES, 1);
@@ -173,7 +175,7 @@ static void lose_framing(struct modbus_connection *c) {
   c->ending = true;
 }
 
-/* Returns whether the bytes that have arrived can be the beginning of a frame. */
+/* Returns whether these bytes can be the start of a frame. */
 static bool is_frame(const uint8_t *frame, unsigned bytes) {
   if (bytes >= 4 && (frame[2] != 0 || frame[3] != 0)) {
     return false;
@@ -183,7 +185,7 @@ static bool is_frame(const uint8_t *frame, unsigned bytes) {
          (bytes <= HEADER_BYTES || frame[HEADER_BYTES] < 0x80);
 }
 
-/* Answers the next frame. False: it has not arrived whole. */
+/* Answers the next frame. Returns false if it has not arrived completely. */
 static bool take_frame(struct modbus_connection *c) {
   const uint8_t *frame = c->input + c->begin;
   const unsigned bytes = c->end - c->begin;
@@ -198,7 +200,7 @@ static bool take_frame(struct modbus_connection *c) {
   return true;
 }
 
-/* Answers the frames that have arrived, as far as it can; one commit at a time. */
+/* One turn: answers the frames that have arrived, up to the first whose job goes into the batch. */
 static void run(struct client *client) {
   struct modbus_connection *c = connection_of(client);
   while (!c->closing && !c->ending && c->waits_for == NULL && !has_unsent(c) && c->begin < c->end &&
@@ -206,8 +208,8 @@ static void run(struct client *client) {
   }
 }
 
-/* Notes when an unfinished frame began to arrive. The time counts only while the peer could send
- * the rest. */
+/* Notes when an incomplete frame began to arrive. Its time counts only while the connection reads,
+ * so that the peer could send the rest. */
 static void note_partial_frame(struct modbus_connection *c) {
   if (c->begin == c->end) {
     c->frame_started_ms = 0;
@@ -225,8 +227,8 @@ static void discard(struct modbus_connection *c) {
   }
 }
 
-/* Reads what there is room for. There is always room for the rest of a frame, because whole frames
- * have been answered. */
+/* Reads as many bytes as the input has room for. It has room for the rest of any frame, because all
+ * complete frames have been answered and removed. */
 static void read_more(struct modbus_connection *c) {
   if (c->begin > 0) {
     memmove(c->input, c->input + c->begin, c->end - c->begin);
@@ -248,7 +250,7 @@ static void read_more(struct modbus_connection *c) {
   }
 }
 
-/* All that has arrived has been answered as far as it can be: sets what the poll waits for. */
+/* Sets the events that the poll waits for, after a turn has answered all frames that it can. */
 static void await_events(struct modbus_connection *c) {
   if (has_unsent(c)) {
     set_events(c, UV_WRITABLE);
@@ -263,8 +265,8 @@ static void await_events(struct modbus_connection *c) {
   }
 }
 
-/* The turn is over, or the unit that the first frame waits for has its results; in some rounds both
- * happen, one after the other. */
+/* Called after a turn, and when the unit for which the first frame waits has its results. Both may
+ * happen in the same round. */
 static void finish(struct client *client) {
   struct modbus_connection *c = connection_of(client);
   if (c->waits_for != NULL) {

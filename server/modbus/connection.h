@@ -14,35 +14,36 @@
 
 enum {
   MODBUS_FRAME_MAX = 260,    /* bytes of a frame over TCP */
-  MODBUS_INPUT_BYTES = 1040, /* that are read ahead */
+  MODBUS_INPUT_BYTES = 1040, /* size of the input: four frames */
 };
 
 struct modbus_connection {
-  struct client client; /* first */
+  struct client client; /* first member: see client.h */
   struct modbus_units *units;
   int fd;
   uv_poll_t poll;
-  int events; /* that the poll waits for */
+  int events; /* the events that the poll waits for */
 
-  struct modbus_unit *waits_for; /* the unit that evaluates the first frame; NULL: none does */
-  bool stopping;                 /* the peer has closed, or the daemon stops */
+  struct modbus_unit *waits_for; /* the unit that evaluates the first frame; NULL: there is none */
+  bool stopping;                 /* whether the peer has closed or the daemon stops */
   unsigned unread; /* bytes that had arrived when the daemon began to stop: they are still read */
-  bool ending;     /* no more frames are answered; closes when the answer has been written */
-  bool lingering;  /* has shut down, and waits for the peer to close after reading the answer */
-  bool closing;    /* uv_close() has been called */
+  bool ending;     /* whether to answer no more frames, and to close after the last answer */
+  bool lingering;  /* whether the sending side is shut down and the peer has still to close */
+  bool closing;    /* whether uv_close() has been called */
 
-  uint64_t active_ms;        /* when bytes last arrived or left */
-  uint64_t frame_started_ms; /* when the unfinished frame began to arrive; 0: there is none */
-  unsigned begin;            /* of the input that has not been answered */
+  uint64_t active_ms;        /* when bytes were last received or sent */
+  uint64_t frame_started_ms; /* when the incomplete frame began to arrive; 0: there is none */
+  unsigned begin;            /* start of the input that has not been answered */
   unsigned end;
-  unsigned unsent_begin; /* of the answer that has not been written */
+  unsigned unsent_begin; /* start of the part of the answer that has not been written */
   unsigned unsent_end;
   uint8_t input[MODBUS_INPUT_BYTES];
   uint8_t unsent[MODBUS_FRAME_MAX];
 };
 
-/* For a connected socket that does not block, which the connection then owns. NULL: out of memory;
- * the socket is still the caller's. The caller gives `client` to the worker that has the units. */
+/* Makes a connection of a connected, non-blocking socket, which the connection then owns. The
+ * caller gives `client` to the worker that has the units. Returns NULL if there is no memory; the
+ * socket is still the caller's then. */
 struct modbus_connection *modbus_connection_new(struct modbus_units *units, int fd);
 
 #endif

@@ -11,7 +11,7 @@
 #include "server/observe/log.h"
 
 enum {
-  CHARACTER_BITS = 11, /* at most, with start, parity and stop */
+  CHARACTER_BITS = 11, /* the most bits of a character, with start, parity and stop bits */
   SILENCE_LEAST_MS = 2,
   RETRY_FIRST_MS = 250,
   RETRY_MOST_MS = 30000,
@@ -47,7 +47,7 @@ static bool is_baud_rate(int baud) {
   return false;
 }
 
-/* False, with a message that says which part of the option is wrong. */
+/* Reads the option. Returns false and prints which part of the option is wrong. */
 static bool read_url(struct modbus_line *line, const char *url) {
   char baud[8] = "", parity[4] = "", unit[4] = "1", rest = '\0';
   _Static_assert(MODBUS_LINE_DEVICE_BYTES == 256, "the width in the format");
@@ -75,7 +75,7 @@ static bool read_url(struct modbus_line *line, const char *url) {
 
 /* ---- the device ------------------------------------------------------------------------------ */
 
-/* libmodbus opens the device without blocking, for this process alone, and sets it up. */
+/* Opens the device by libmodbus: non-blocking, and for this process alone. */
 static bool open_device(struct modbus_line *line) {
   line->context = modbus_new_rtu(line->device, line->baud, line->parity, 8, 1);
   if (line->context == NULL) {
@@ -118,8 +118,8 @@ static bool is_broadcast(struct modbus_line *line) {
   return frame_of(line)[0] == MODBUS_BROADCAST_ADDRESS;
 }
 
-/* Sends the frame whose PDU is behind its first byte. A broadcast is not answered. An answer that
- * the device does not take is lost, as it would be on the line. */
+/* Sends an answer, whose PDU begins at frame[1]; a broadcast gets none. If the device does not take
+ * the whole answer, it is lost, as it could be on the line. */
 static void send_answer(struct modbus_line *line, uint8_t frame[MODBUS_RTU_MAX], size_t bytes) {
   frame[0] = (uint8_t)line->number;
   const uint16_t sum = modbus_rtu_checksum(frame, 1 + bytes);
@@ -163,7 +163,7 @@ static void answer_late(struct modbus_line *line) {
   send_answer(line, frame, answered);
 }
 
-/* After a silence: what has arrived is a request, or nothing. */
+/* Called after a silence: answers a request in the bytes that have arrived, or drops them. */
 static void run(struct client *client) {
   struct modbus_line *line = line_of(client);
   if (line->context == NULL || line->waits_for != NULL) {
@@ -186,7 +186,7 @@ static void run(struct client *client) {
 
 /* ---- reading --------------------------------------------------------------------------------- */
 
-/* Returns whether what has arrived ends with a whole request. */
+/* Returns whether the bytes that have arrived end with a complete request. */
 static bool is_whole(const struct modbus_line *line) {
   size_t begin;
   return modbus_rtu_find(line->input, line->bytes, line->number, &begin) > 0;
@@ -195,7 +195,7 @@ static bool is_whole(const struct modbus_line *line) {
 static void on_silence(uv_timer_t *timer) {
   struct modbus_line *line = timer->data;
   worker_run_later(&line->client);
-  worker_stay_awake(line->client.worker); /* the turn comes after the next poll */
+  worker_stay_awake(line->client.worker); /* This turn comes only after the next poll. */
 }
 
 static void arrived(struct modbus_line *line, size_t bytes) {
@@ -215,9 +215,9 @@ static void on_poll(uv_poll_t *poll, int status, int events) {
     return;
   }
   if (line->client.to_run) {
-    return; /* read this in the next round, when the request before it has been answered */
+    return; /* Read these bytes in the next round, after the answer to the earlier request. */
   }
-  if (line->bytes == sizeof line->input) { /* no silence during four frames: this is noise */
+  if (line->bytes == sizeof line->input) { /* Four frames without a silence are noise. */
     line->bytes = 0;
   }
   const ssize_t got = read(modbus_get_socket(line->context), line->input + line->bytes,
@@ -244,7 +244,7 @@ static void on_timer_closed(uv_handle_t *handle) {
   note_closed(handle->data);
 }
 
-/* The device may not be closed earlier, because the loop knows it by its number. */
+/* Closes the device after its poll: the loop knows the device by its descriptor until then. */
 static void on_poll_closed(uv_handle_t *handle) {
   struct modbus_line *line = handle->data;
   close_device(line);
@@ -308,7 +308,7 @@ static void start(struct client *client) {
   }
 }
 
-/* The turn is over, or the unit that was waited for has its results. */
+/* Called after a turn, and when the unit for which the line waits has its results. */
 static void finish(struct client *client) {
   struct modbus_line *line = line_of(client);
   if (line->waits_for != NULL) {
@@ -323,8 +323,8 @@ static void finish(struct client *client) {
   }
 }
 
-/* A request that has arrived is still answered: after a silence, because a device may deliver bytes
- * some time after they were sent. */
+/* Stops the line. A request that has been sent is still answered, after a silence, because a device
+ * may deliver its bytes late. */
 static void stop(struct client *client) {
   struct modbus_line *line = line_of(client);
   if (!line->stopping) {

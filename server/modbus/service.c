@@ -66,7 +66,7 @@ void modbus_service_begin(struct modbus_service *service) {
   }
 }
 
-/* Why a peer may not connect; NULL: it may. */
+/* Returns the reason why a peer may not connect, or NULL if it may. */
 static const char *refusal(const struct modbus_service *service, int fd) {
   struct sockaddr_storage peer = {0};
   socklen_t length = sizeof peer;

@@ -5,20 +5,22 @@
 
 #include "server/server.h"
 
-/* Call this before the workers start. NULL, with a message on standard error: it failed. */
+/* Sets the service up. Call this before the workers start. If it fails, prints a message to
+ * standard error and returns NULL. */
 struct modbus_service *modbus_service_new(struct server *server);
 
-/* Call this after the workers have ended. `service` may be NULL. */
+/* Frees the service, which may be NULL. Call this after the workers have ended. */
 void modbus_service_free(struct modbus_service *service);
 
-/* Opens rtu:DEVICE,BAUD,PARITY[,UNIT] and logs it. Call this before modbus_service_begin(). False,
- * with a message on standard error: it failed. */
+/* Opens rtu:DEVICE,BAUD,PARITY[,UNIT] and logs it. Call this before modbus_service_begin(). If it
+ * fails, prints a message to standard error and returns false. */
 bool modbus_service_open_line(struct modbus_service *service, const char *url);
 
-/* The workers have started and all lines are open: gives the lines to the worker. */
+/* Gives the lines to the worker. Call this when the workers have started and all lines are open. */
 void modbus_service_begin(struct modbus_service *service);
 
-/* Takes a connected socket: gives it to the worker or closes it. For listeners. */
+/* Gives a connected socket to the worker, or closes it if its peer may not connect. Listeners call
+ * this. */
 void modbus_service_admit(struct server *server, int fd);
 
 #endif

@@ -28,7 +28,8 @@ static core_parameters parameters_of(const uint16_t image[REGISTERS_END]) {
   return parameters;
 }
 
-/* Writes the listed radii in the precision of the evaluator, and the padding; returns the bytes. */
+/* Writes the listed radii in the precision of the evaluator, and padding. Returns the bytes
+ * written. */
 static size_t put_list(uint8_t *at, const uint16_t image[REGISTERS_END], size_t value_bytes) {
   const unsigned count = registers_u16(image, REGISTERS_AT_RADIUS_COUNT);
   for (unsigned i = 0; i < count; i++) {
@@ -71,10 +72,10 @@ size_t modbus_translate_input(const uint16_t image[REGISTERS_END], uint8_t *ques
 
 /* ---- output ---------------------------------------------------------------------------------- */
 
-/* Values in the precision of the evaluator. `at` is NULL if there are none. */
+/* An array of values in the precision of the evaluator. `at` is NULL if there is no array. */
 struct values {
   const uint8_t *at;
-  size_t bytes; /* of one value */
+  size_t bytes; /* size of one value */
 };
 
 static double value_at(const struct values *values, unsigned index) {
@@ -88,8 +89,8 @@ static double value_at(const struct values *values, unsigned index) {
   return value;
 }
 
-/* Writes the values. Registers that the answer before has filled and this one does not become
- * NaN. */
+/* Writes the values into registers. Registers that held values of the previous answer, and get none
+ * now, become NaN. */
 static void set_values(uint16_t image[REGISTERS_END], unsigned single_at, unsigned double_at,
                        const struct values *values, unsigned count, unsigned count_before) {
   const unsigned most = count > count_before ? count : count_before;
@@ -103,13 +104,13 @@ static void set_values(uint16_t image[REGISTERS_END], unsigned single_at, unsign
   }
 }
 
-/* Rounds a bound of an error so that it remains a bound. */
+/* Rounds the bound of an error up to single precision, so that it remains a bound. */
 static float rounded_up(double bound) {
   const float nearest = (float)bound;
   return (double)nearest < bound ? nextafterf(nearest, INFINITY) : nearest;
 }
 
-/* The radii of the request; those of a grid are computed into `room`. */
+/* Returns the radii of the request. Those of a grid are computed into `room`. */
 static struct values radii_of(const uint8_t *question, const wire_eval_request *fixed,
                               double room[REGISTERS_RADII_MAX]) {
   const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
@@ -127,7 +128,7 @@ static struct values radii_of(const uint8_t *question, const wire_eval_request *
   return (struct values){(const uint8_t *)room, value_bytes};
 }
 
-/* The largest radius but infinity, at which R is exactly 0. */
+/* Returns the largest finite radius. Infinity does not count: R is exactly 0 there. */
 static double largest(const struct values *radii, unsigned count) {
   double most = 0;
   for (unsigned i = 0; i < count; i++) {
@@ -141,7 +142,7 @@ static void set_errors(uint16_t image[REGISTERS_END], const wire_channel *channe
                        bool rounded) {
   const double numerical =
       channel->numerical_error + channel->numerical_error_per_mm * r +
-      (rounded ? 0x1p-24 : 0); /* of rounding double precision to these registers */
+      (rounded ? 0x1p-24 : 0); /* the error of rounding double precision to float registers */
   registers_set_f32(image, REGISTERS_AT_NUMERICAL_ERROR, rounded_up(numerical));
   registers_set_f32(image, REGISTERS_AT_MODEL_ERROR, rounded_up(channel->model_error));
   registers_set_f32(image, REGISTERS_AT_ALBEDO, (float)channel->albedo);

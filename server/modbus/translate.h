@@ -1,5 +1,5 @@
-/* translate: makes an eval request of the binary protocol from the input registers, and fills in
- * the output registers from its reply. So the same code answers both protocols, with the same bits.
+/* translate: makes an eval request of the binary protocol from the input registers, and fills the
+ * output registers from the reply. So the same code answers both protocols, with the same bits.
  */
 #ifndef DIPOLED_MODBUS_TRANSLATE_H
 #define DIPOLED_MODBUS_TRANSLATE_H
@@ -15,12 +15,12 @@ enum {
                        3 * REGISTERS_RADII_MAX * (int)sizeof(double),
 };
 
-/* Writes the payload of the request to `question`, which is at a multiple of 8. Returns its length,
- * at most MODBUS_QUESTION_BYTES. */
+/* Writes the payload of the request to `question`, which is at a multiple of 8. Returns the length
+ * of the payload, at most MODBUS_QUESTION_BYTES. */
 size_t modbus_translate_input(const uint16_t image[REGISTERS_END], uint8_t *question);
 
-/* Writes the results of the reply to such a request into the output block and the float64 block.
- * Status, done, sequence and the error are left to the caller. */
+/* Writes the results of a reply into the output block and the float64 block of registers. question:
+ * the request. The caller sets the registers for status, done, sequence and the error. */
 void modbus_translate_reply(const uint8_t *question, const uint8_t *reply,
                             uint16_t image[REGISTERS_END]);
 

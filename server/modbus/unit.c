@@ -40,7 +40,7 @@ void modbus_unit_note_refusal(struct modbus_unit *unit, const wire_error *error,
   set_error(unit, error->status, at, error->allowed);
 }
 
-/* A commit has failed. */
+/* Writes the error of a failed commit into the registers. */
 static void fail(struct modbus_unit *unit, const wire_error *error, unsigned at) {
   registers_set_u16(unit->registers, REGISTERS_AT_STATUS, REGISTERS_STATUS_ERROR);
   modbus_unit_note_refusal(unit, error, at);
@@ -50,7 +50,7 @@ static void fail_job(struct modbus_unit *unit, const wire_error *error) {
   fail(unit, error, registers_of_field(error->field, error->index));
 }
 
-/* Puts the results in place and lets the client answer. */
+/* Writes the results into the registers and lets the client answer. */
 static void finish_job(struct modbus_unit *unit) {
   struct client *client = unit->client;
   unit->evaluating = false;
@@ -69,7 +69,7 @@ static void finish_job(struct modbus_unit *unit) {
 
 /* ---- the job --------------------------------------------------------------------------------- */
 
-/* The job's values are in the batch now. */
+/* Notes that the job's values are in the batch. */
 static void note_evaluating(struct modbus_unit *unit) {
   unit->evaluating = true;
   unit->next_evaluating = unit->units->evaluating;
@@ -77,8 +77,8 @@ static void note_evaluating(struct modbus_unit *unit) {
   worker_finish_later(&unit->units->client);
 }
 
-/* Runs the job until its values are in the batch, or it waits for its profile, or it is refused. It
- * has at most 50 radii, so that they fit into one slice, and the reply into one part. */
+/* Runs the job until its values are in the batch, it waits for its profile, or it is refused. A job
+ * has at most 50 radii, so it needs one slice only, and its reply is one part. */
 static wire_error follow(struct modbus_unit *unit, enum job_outcome outcome) {
   struct job *job = unit->job;
   while (outcome == JOB_GOES_ON || outcome == JOB_NEXT_PART) {
@@ -97,7 +97,7 @@ static wire_error follow(struct modbus_unit *unit, enum job_outcome outcome) {
   return outcome == JOB_REFUSED ? job->refusal : wire_error_none();
 }
 
-/* The profile that the job waited for has been prepared. */
+/* Goes on with a job whose profile has been prepared. */
 static void on_profile(void *context) {
   struct modbus_unit *unit = context;
   const wire_error error = follow(unit, JOB_GOES_ON);
@@ -127,7 +127,7 @@ static wire_error evaluate(struct modbus_unit *unit, struct client *client) {
 
 enum { WRITE_MAX = 123 }; /* registers in one request: the limit of Modbus */
 
-/* The value that a write gives to `commit`; 0 if it does not commit. */
+/* Returns the value that a write gives to the register `commit`; 0 if it does not write there. */
 static uint16_t token_of(unsigned address, unsigned count, const uint8_t *values) {
   if (!registers_include(address, count, REGISTERS_AT_COMMIT)) {
     return 0;
@@ -138,8 +138,7 @@ static uint16_t token_of(unsigned address, unsigned count, const uint8_t *values
   return (uint16_t)(values[2 * at] << 8 | values[2 * at + 1]);
 }
 
-/* Writes the registers and starts the job. If the job cannot be started, the registers get their
- * former values. */
+/* Writes the registers and starts the job. If the job cannot be started, restores the registers. */
 static unsigned commit(struct modbus_unit *unit, unsigned address, unsigned count,
                        const uint8_t *values, struct client *client) {
   uint8_t before[2 * WRITE_MAX];
@@ -195,10 +194,10 @@ static struct modbus_units *units_of(struct client *client) {
 }
 
 static void start(struct client *client) {
-  (void)client; /* the first request to a unit prepares its registers */
+  (void)client; /* There is nothing to do: the first request to a unit sets up its registers. */
 }
 
-/* The batch has been evaluated. */
+/* Called when the batch has been evaluated: writes the results of all units that were in it. */
 static void finish(struct client *client) {
   struct modbus_units *units = units_of(client);
   while (units->evaluating != NULL) {
@@ -227,7 +226,7 @@ static void stop(struct client *client) {
 }
 
 static void abort_units(struct client *client) {
-  (void)client; /* connections and lines end, and the units with the last of them */
+  (void)client; /* There is nothing to do: the units end with the last connection or line. */
 }
 
 struct modbus_units *modbus_units_new(struct server *server) {

@@ -1,9 +1,9 @@
 /* unit: the registers and coils of the Modbus units, and the jobs that the registers describe.
  *
- * Masters that name the same unit share its registers. So their requests need an order, and each of
- * them has to be atomic. Both hold without a lock because all units, connections and lines belong
- * to one worker, the first. What is evaluated for them goes through that worker's profiles, batch
- * and repeated requests, together with those of its other clients.
+ * Masters that name the same unit share its registers. So their requests need an order, and each
+ * request has to be atomic. Both hold without a lock because all units, connections and lines
+ * belong to one worker, the first. Their jobs use that worker's profiles, batch and repeated
+ * requests, like the jobs of its other clients.
  *
  * Writing to the register `commit` starts a job. If its profile takes long to prepare, the register
  * `status` says busy meanwhile, and the master asks again. Otherwise the job's values are in the
@@ -20,8 +20,8 @@ enum { MODBUS_UNITS = 247 }; /* they have the numbers 1 to 247 */
 
 struct modbus_unit {
   struct modbus_units *units; /* NULL: the unit has not been used yet */
-  bool busy;                  /* the job waits for its profile */
-  bool evaluating;            /* the job's values are in the batch */
+  bool busy;                  /* whether the job waits for its profile */
+  bool evaluating;            /* whether the job's values are in the batch */
   struct modbus_unit *next_evaluating;
   struct client
       *client;     /* finish() is called when the job has been evaluated; NULL: nobody waits */
@@ -34,44 +34,45 @@ struct modbus_unit {
   _Alignas(8) uint8_t reply[MODBUS_REPLY_BYTES];
 };
 
-/* All units. As a client of the worker they take the results from the batch, and they stay until
- * the last connection or line has ended. */
+/* All units. Together they are a client of the worker, which takes results from the batch. They
+ * exist until the last connection or line has ended. */
 struct modbus_units {
-  struct client client; /* first */
+  struct client client; /* first member: see client.h */
   struct server *server;
-  unsigned users; /* connections and lines */
+  unsigned users; /* number of connections and lines */
   bool stopping;
-  struct modbus_unit *evaluating; /* the list of those */
+  struct modbus_unit *evaluating; /* list of the units whose values are in the batch */
   struct modbus_unit units[MODBUS_UNITS + 1];
 };
 
-/* NULL: out of memory. Before the worker serves any Modbus client, `client` is given to it. */
+/* Makes the units. The caller gives `client` to the worker before the first Modbus client. Returns
+ * NULL if there is no memory. */
 struct modbus_units *modbus_units_new(struct server *server);
 
 /* Call the functions that follow on the worker's thread only. */
 
-/* A connection or line begins and ends to use the units. Its jobs that wait for a profile go on
- * waiting, because masters may come back for the results: all such jobs share one place among
- * those that wait. */
+/* Call these when a connection or line begins and ends to use the units. After the end, its jobs
+ * still wait for their profiles, because masters may come back for the results. All jobs of masters
+ * that have left share the turns of one client. */
 void modbus_units_join(struct modbus_units *units);
 void modbus_units_leave(struct modbus_units *units, struct client *client);
 
-/* The unit of a number from 1 to MODBUS_UNITS. If a job of it is in the batch, the batch is
- * evaluated first, so that requests take effect in their order. */
+/* Returns the unit of a number from 1 to MODBUS_UNITS. If a job of this unit is in the batch, first
+ * evaluates the batch, so that requests take effect in their order. */
 struct modbus_unit *modbus_units_get(struct modbus_units *units, unsigned number);
 
-/* Writes registers, and starts the job if `commit` is among them. `values` are as in a PDU. Returns
- * 0 if that was done; if unit->evaluating is true then, client's finish() will be called when the
- * results are in the registers. Otherwise returns the Modbus exception; then nothing but the error
- * registers has changed. */
+/* Writes registers, and starts the job if `commit` is among them. values: as in a PDU. Returns 0 on
+ * success; if unit->evaluating is then true, the worker calls the client's finish() when the
+ * results are in the registers. On failure, returns the Modbus exception and changes only the error
+ * registers. */
 unsigned modbus_unit_write(struct modbus_unit *unit, unsigned address, unsigned count,
                            const uint8_t *values, struct client *client);
 
-/* Notes in the error registers why a request to write was refused: the status, and the address of
- * the register at fault. */
+/* Writes the reason why a write was refused into the error registers. at: the address of the
+ * register at fault. */
 void modbus_unit_note_refusal(struct modbus_unit *unit, const wire_error *error, unsigned at);
 
-/* The client has ended and will not be called. */
+/* Forgets a client that has ended: the unit will not call it. */
 void modbus_unit_forget(struct modbus_unit *unit, const struct client *client);
 
 #endif

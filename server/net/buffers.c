@@ -10,7 +10,7 @@
  * time. */
 enum { BASE_BYTES = 65536, GROWTH = 8 };
 
-/* What has not been needed for so long is freed. */
+/* Memory that has not been needed for this time is freed. */
 enum { TRIM_MS = 1000 };
 
 void input_init(struct input *input, struct server *server) {
@@ -50,8 +50,8 @@ static size_t held(const struct input *input) {
   return input->end - input->begin;
 }
 
-/* Payloads have to be aligned to 8. A refused frame whose length is no multiple of 8 leaves the
- * next frame unaligned; moving it to the front aligns it again. */
+/* Moves the bytes to the front of the buffer. This also aligns the first frame to 8, as payloads
+ * need, after a refused frame whose length is not a multiple of 8. */
 static void move_to_front(struct input *input) {
   if (input->begin > 0) {
     memmove(input->bytes, input->bytes + input->begin, held(input));
@@ -60,8 +60,9 @@ static void move_to_front(struct input *input) {
   }
 }
 
-/* The size that the frame in the buffer needs, but at most GROWTH times the present size. The
- * buffer grows as bytes arrive, so a header that claims a large frame costs nothing by itself. */
+/* Returns the buffer size that the first frame needs, but at most GROWTH times the present size.
+ * The buffer grows only as bytes arrive, so that a header that claims a large frame costs no
+ * memory. */
 static size_t larger(const struct input *input) {
   wire_header header = {0};
   if (input->capacity == 0) {
@@ -100,8 +101,9 @@ static void take_skipped(struct input *input) {
   input->skip_bytes -= skipped;
 }
 
-/* Marks up to this byte are not needed. Those inside the first frame are not, because only the time
- * of a frame's last byte is asked for. Without a frame, marks of removed bytes are not. */
+/* Returns the number of bytes up to which marks are not needed. Marks inside the first frame are
+ * not needed, because only the time of a frame's last byte is asked for. If there is no frame,
+ * marks of removed bytes are not needed. */
 static uint64_t useless_bytes(const struct input *input) {
   const uint64_t done = input->total_bytes - held(input);
   if (input->skip_bytes > 0 || held(input) < WIRE_BYTES_header) {
@@ -112,7 +114,7 @@ static uint64_t useless_bytes(const struct input *input) {
   return done + WIRE_BYTES_header + header.payload_bytes - 1;
 }
 
-/* Drops the marks up to a byte. */
+/* Drops the marks of the first `bytes` bytes of the connection. */
 static void drop_marks(struct input *input, uint64_t bytes) {
   unsigned gone = 0;
   while (gone < input->mark_count && input->marks[gone].total_bytes <= bytes) {
@@ -122,9 +124,9 @@ static void drop_marks(struct input *input, uint64_t bytes) {
   memmove(input->marks, input->marks + gone, input->mark_count * sizeof input->marks[0]);
 }
 
-/* If there is no room for another mark, the last one also stands for the new bytes. Its time is
- * then too early, so that deadlines are never noticed too late. This takes many frames that arrive
- * in many pieces. */
+/* Adds a mark for bytes that have arrived. If there is no room, as after many frames in many
+ * pieces, the last mark also stands for the new bytes. Its time is then too early, never too late,
+ * so that no deadline is noticed too late. */
 static void mark(struct input *input, uint64_t now_ns) {
   drop_marks(input, useless_bytes(input));
   struct input_mark *last = &input->marks[input->mark_count > 0 ? input->mark_count - 1 : 0];
@@ -235,8 +237,8 @@ static void free_chunk(struct output *output, struct output_chunk *chunk) {
   free(chunk);
 }
 
-/* Keeps the first chunk as a spare if SPARE_BYTES allow it: the system then does not have to map
- * its pages again. */
+/* Removes the first chunk. Keeps it as a spare if SPARE_BYTES allow, so that the system does not
+ * have to map its pages again. */
 static void release_first(struct output *output) {
   struct output_chunk *chunk = output->first;
   output->first = chunk->next;
@@ -278,12 +280,13 @@ void output_trim(struct output *output, uint64_t now_ms) {
   }
 }
 
-/* Small answers do not get a large chunk, because it would be held longer than necessary. */
+/* Returns whether a spare suits an answer. A small answer does not get a large chunk, because it
+ * would keep the chunk longer than necessary. */
 static bool is_fit(const struct output_chunk *chunk, size_t bytes) {
   return chunk->capacity >= bytes && (chunk->capacity == CHUNK_BYTES || bytes > CHUNK_BYTES);
 }
 
-/* Takes the first spare that fits; returns NULL if there is none. */
+/* Takes the first spare that suits an answer. Returns NULL if there is none. */
 static struct output_chunk *take_spare(struct output *output, size_t bytes) {
   struct output_chunk **link = &output->spares;
   while (*link != NULL && !is_fit(*link, bytes)) {
@@ -320,7 +323,7 @@ static struct output_chunk *add_chunk(struct output *output, size_t bytes) {
   if (chunk == NULL) {
     chunk = new_chunk(output, bytes);
   }
-  if (chunk == NULL && output->spares != NULL) { /* too small, but they count against the budget */
+  if (chunk == NULL && output->spares != NULL) { /* Free the spares, which use up the budget. */
     free_spares(output);
     chunk = new_chunk(output, bytes);
   }
@@ -377,8 +380,8 @@ size_t output_buffers(struct output *output, uv_buf_t *buffers, size_t count) {
   return used;
 }
 
-/* Removes the first chunk, which has been written entirely. The last chunk stays and is used again
- * if it is small. Returns whether another chunk has become the first. */
+/* Removes the first chunk, which has been written completely. If it is the only chunk and small, it
+ * stays and is used again. Returns whether another chunk has become the first. */
 static bool finish_first(struct output *output) {
   struct output_chunk *chunk = output->first;
   if (chunk != output->last) {

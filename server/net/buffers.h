@@ -31,37 +31,37 @@ struct input {
   size_t capacity;
   size_t begin;         /* where the first frame begins that has not been dealt with */
   size_t end;           /* where the bytes that have arrived end */
-  bool large;           /* it has held much since input_trim() */
+  bool large;           /* whether it has needed more than its first size since input_trim() */
   uint64_t large_ms;    /* when input_trim() last found `large` set */
   uint64_t skip_bytes;  /* bytes of a refused payload that have still to arrive */
-  uint64_t total_bytes; /* arrived so far */
+  uint64_t total_bytes; /* number of bytes that have arrived so far */
   struct input_mark marks[INPUT_MARKS]; /* for what has not been dealt with; both members rise */
   unsigned mark_count;
 };
 
 enum input_outcome {
-  INPUT_INCOMPLETE, /* no whole frame has arrived */
-  INPUT_FRAME,      /* a frame, whole and well formed */
-  INPUT_REFUSED,    /* a frame whose header is wrong; input_next() skips its payload */
-  INPUT_LOST,       /* not a frame; where the next one begins is unknown */
+  INPUT_INCOMPLETE, /* no complete frame has arrived */
+  INPUT_FRAME,      /* a complete and well-formed frame has arrived */
+  INPUT_REFUSED,    /* the header of a frame is wrong; input_next() skips its payload */
+  INPUT_LOST,       /* the bytes are no frame; where the next frame begins is unknown */
 };
 
 void input_init(struct input *input, struct server *server);
 void input_free(struct input *input);
 
-/* Sets *room to where the next bytes are read to, and returns how many fit: 0 if the memory budget
- * is exhausted. May move the buffer, so no payload may be in use. */
+/* Sets *room to the memory for the next bytes and returns how many fit; 0 if the memory budget is
+ * exhausted. May move the buffer, so no payload may be in use. */
 size_t input_room(struct input *input, uint8_t **room);
 
-/* Likewise, but only the room behind what has arrived: nothing is moved, and payloads may be in
- * use. Returns 0 if there is none. */
+/* Sets *room to the free memory behind the bytes that have arrived, and returns how many bytes fit.
+ * Moves nothing, so payloads may be in use. Returns 0 if there is no such memory. */
 size_t input_room_behind(struct input *input, uint8_t **room);
 
-/* Takes note that so many bytes have been read into the room at this time. */
+/* Notes that this many bytes have been read into the room, at time now_ns. */
 void input_arrived(struct input *input, size_t bytes, uint64_t now_ns);
 
-/* When the last byte of the first frame arrived. May be too early when many frames are waiting, but
- * never too late. */
+/* Returns when the last byte of the first frame arrived. The time may be too early when many frames
+ * wait, but never too late. */
 uint64_t input_arrival_ns(const struct input *input, const wire_header *header);
 
 /* Looks at the first frame and sets *header unless it is INCOMPLETE. With FRAME, *payload is
@@ -69,11 +69,11 @@ uint64_t input_arrival_ns(const struct input *input, const wire_header *header);
 enum input_outcome input_frame(struct input *input, wire_header *header, const uint8_t **payload,
                                wire_error *error);
 
-/* Removes the first frame, which was a FRAME or REFUSED. */
+/* Removes the first frame, for which input_frame() returned INPUT_FRAME or INPUT_REFUSED. */
 void input_next(struct input *input, const wire_header *header);
 
-/* Skips a frame that has begun to arrive and cannot be kept. Returns false if not even its header
- * has arrived. */
+/* Skips an incomplete frame for which there is no memory. Returns false if not even its header has
+ * arrived. */
 bool input_refuse(struct input *input, wire_header *header);
 
 /* Frees the buffer if it is empty. */
@@ -99,10 +99,10 @@ struct output {
   struct output_chunk *last;
   struct output_chunk *spares; /* chunks that have been written, kept for the next answers */
   size_t spare_bytes;
-  bool spares_used;      /* since output_trim() */
+  bool spares_used;      /* whether a spare has been used since output_trim() */
   uint64_t spares_ms;    /* when output_trim() last found spares_used set */
-  uint64_t ready_bytes;  /* committed and not yet consumed */
-  size_t reserved_bytes; /* the reservation at the end of the last chunk */
+  uint64_t ready_bytes;  /* number of bytes that are committed and not yet consumed */
+  size_t reserved_bytes; /* size of the reservation at the end of the last chunk */
 };
 
 void output_init(struct output *output, struct server *server);
@@ -114,7 +114,8 @@ void output_release(struct output *output);
 /* Frees the spares when none has been used for a second. Call this several times a second. */
 void output_trim(struct output *output, uint64_t now_ms);
 
-/* Returns whether the reader does not keep up (--max-queued-bytes), so that its requests wait. */
+/* Returns whether more than --max-queued-bytes wait to be written, so that further requests wait.
+ */
 static inline bool output_is_full(const struct output *output) {
   return output->ready_bytes > output->server->options.max_queued_bytes;
 }
@@ -124,7 +125,7 @@ static inline bool output_is_full(const struct output *output) {
  * reservation at a time. */
 uint8_t *output_reserve(struct output *output, size_t bytes);
 
-/* The reserved bytes are complete and may be written. */
+/* Commits the reserved bytes: they are complete and may be written to the socket. */
 void output_commit(struct output *output);
 
 /* Gives up the reservation. */

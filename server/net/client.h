@@ -1,4 +1,4 @@
-/* client: somebody that a worker serves in turns, for example a connection.
+/* client: the interface of everything that a worker serves in turns, for example a connection.
  *
  * The worker (server/net/worker.h) knows its clients through this interface alone. A new kind of
  * client joins like this:
@@ -9,11 +9,11 @@
  *   2. worker_give() hands the client to a worker, from any thread. The worker then calls start()
  *      on its own thread. From there on only that thread touches the client.
  *   3. Whenever the client has something to do, for example in a callback of the loop, it calls
- *      worker_run_later(). The worker then calls run() once, which must be of bounded length. All
- *      that clients have put into the batch is evaluated when all of them have run. Then the worker
+ *      worker_run_later(). The worker then calls run() once, which must do a bounded amount of work.
+ *      After all clients have run, the worker evaluates what they have put into the batch. Then it
  *      calls finish(), which may write the results and may call worker_run_later() again.
- *   4. A client whose values were put into the batch by somebody else, and not by its own run(),
- *      calls worker_finish_later(): finish() is then called at the end of this round of the loop.
+ *   4. A client whose values are in the batch although its run() was not called in this round calls
+ *      worker_finish_later(): the worker then calls its finish() at the end of this round.
  *   5. When the daemon stops, the worker calls stop(). The client answers what has arrived and ends
  *      itself. After the drain timeout the worker calls abort(), after which it ends at once.
  *   6. A client that has ended (its handles are closed) calls worker_forget(), and may then free
@@ -31,16 +31,16 @@
 struct client;
 struct worker;
 
-/* What a worker does with clients of one kind. The worker calls these functions on its own thread
- * only. A member may be NULL where it says so. */
+/* The functions of clients of one kind. The worker calls them on its own thread only. A member may
+ * be NULL where its comment says so. */
 struct client_kind {
   void (*start)(struct client *client);                 /* once, after worker_give() */
   void (*run)(struct client *client);                   /* one turn of bounded length */
-  void (*finish)(struct client *client);                /* the batch has been evaluated; or NULL */
+  void (*finish)(struct client *client);                /* see 3 and 4 above; or NULL */
   void (*tick)(struct client *client, uint64_t now_ms); /* several times a second; or NULL */
-  void (*deadline)(struct client *client);              /* worker_wake_at()'s time came; or NULL */
-  void (*stop)(struct client *client);                  /* the daemon stops */
-  void (*abort)(struct client *client);                 /* the drain timeout has passed */
+  void (*deadline)(struct client *client);              /* at worker_wake_at()'s time; or NULL */
+  void (*stop)(struct client *client);                  /* once, when the daemon stops */
+  void (*abort)(struct client *client);                 /* once, after the drain timeout */
   /* The listener gives a new connection to the worker with the fewest clients that count. */
   bool counts;
 };
@@ -53,8 +53,8 @@ struct client {
   LIST_ENTRY(client) in_clients;
   TAILQ_ENTRY(client) in_run_queue;
   TAILQ_ENTRY(client) in_finish_queue;
-  bool to_run;    /* is in the run queue */
-  bool to_finish; /* is in the finish queue */
+  bool to_run;    /* whether the client is in the run queue */
+  bool to_finish; /* whether the client is in the finish queue */
 };
 
 #endif

@@ -9,9 +9,9 @@
 #include "server/observe/log.h"
 
 enum {
-  TURN_RADII = JOB_SLICE_RADII, /* what a turn may cost; each frame costs JOB_STEP_RADII of it */
+  TURN_RADII = JOB_SLICE_RADII, /* the work of one turn, in radii of a dipole */
   WRITE_BUFFERS = 16,
-  REST_MS = 1000,   /* after so much silence the connection releases its buffers */
+  REST_MS = 1000,   /* the silence after which the connection releases its buffers */
   LINGER_MS = 1000, /* how long the peer may take to close after the last answer */
 };
 
@@ -29,21 +29,21 @@ struct connection {
   } uv;
   uv_write_t write;
   uv_shutdown_t shutdown;
-  uint64_t writing_bytes; /* handed to the loop and not yet written */
+  uint64_t writing_bytes; /* number of bytes given to the loop and not yet written */
 
   struct input input;
   struct output output;
   struct requests requests;
 
-  bool more_to_do; /* work was left at the end of the last turn */
+  bool more_to_do; /* whether work was left at the end of the last turn */
   bool reading;
-  bool stopping;  /* the daemon stops: the connection ends when what has arrived is answered */
-  bool peer_done; /* the peer has shut down its side: nothing more will arrive */
-  bool lingering; /* shut down; the peer can read the last answer before it closes */
-  bool closing;   /* uv_close() has been called */
+  bool stopping;  /* whether the daemon stops: the connection then ends after its last answer */
+  bool peer_done; /* whether the peer has shut down its side, so that nothing more arrives */
+  bool lingering; /* whether this side is shut down and the peer has still to close */
+  bool closing;   /* whether uv_close() has been called */
 
-  uint64_t active_ms;        /* when bytes last arrived or left */
-  uint64_t frame_started_ms; /* when the unfinished frame began to arrive; 0 if there is none */
+  uint64_t active_ms;        /* when bytes were last received or sent */
+  uint64_t frame_started_ms; /* when the incomplete frame began to arrive; 0 if there is none */
   uint64_t lingering_ms;
 };
 
@@ -83,7 +83,7 @@ struct client *connection_new(struct server *server, int fd, enum connection_pur
   return &c->client;
 }
 
-/* Frees the connection; its handle has been closed. */
+/* Frees the connection, whose handle has been closed. */
 static void dispose(struct connection *c) {
   struct server *server = c->server;
   const enum connection_purpose purpose = c->purpose;
@@ -103,12 +103,12 @@ static void on_closed(uv_handle_t *handle) {
   dispose(handle->data);
 }
 
-/* Closes the connection at once, whatever is under way. */
+/* Closes the connection at once, with all its jobs. */
 static void abort_connection(struct connection *c) {
   if (!c->closing) {
     c->closing = true;
     uv_close(&c->uv.handle, on_closed);
-    requests_drop(&c->requests); /* so that no job wakes the connection any more */
+    requests_drop(&c->requests); /* so that no job calls the connection any more */
   }
 }
 
@@ -120,8 +120,8 @@ static void on_shut_down(uv_shutdown_t *request, int status) {
 }
 
 /* Ends the connection so that the peer can read all answers. Closing a socket that has unread bytes
- * would reset the connection, and the peer might lose answers. So this only shuts down the sending
- * side; what still arrives is read and dropped until the peer closes. */
+ * would reset the connection, and the peer might lose answers. So this shuts down the sending side
+ * only, and then reads and drops bytes until the peer closes. */
 static void linger(struct connection *c) {
   if (c->peer_done || uv_shutdown(&c->shutdown, &c->uv.stream, on_shut_down) != 0) {
     abort_connection(c);
@@ -143,7 +143,7 @@ static void on_room_wanted(uv_handle_t *handle, size_t suggested, uv_buf_t *buff
   *buffer = uv_buf_init((char *)room, (unsigned)bytes);
 }
 
-/* Refuses and skips a frame for whose rest there is no memory. */
+/* Refuses and skips an incomplete frame because there is no memory for the rest of it. */
 static void refuse_for_memory(struct connection *c) {
   wire_header header;
   wire_error error =
@@ -170,15 +170,16 @@ static void set_reading(struct connection *c, bool wanted) {
   }
 }
 
-/* While a job uses its request, the connection reads only into the room behind it. So it knows when
- * the next requests arrived, and their deadlines count. */
+/* Reads while a job uses its request in place: only into the free memory behind that request. So
+ * the arrival times of the next requests are known, and their deadlines count from then. */
 static void read_behind(struct connection *c) {
   uint8_t *room = NULL;
   set_reading(c, !c->peer_done && input_room_behind(&c->input, &room) > 0);
 }
 
-/* Has the requests answered in the same round of the loop. Reading is stopped only if work is left
- * after that: so a client that waits for each answer costs no calls to stop and start reading. */
+/* Takes the bytes that have been read; the connection answers their requests in the same round of
+ * the loop. It stops reading only if work is left after that, so that a client that waits for each
+ * answer costs no calls to stop and start reading. */
 static void on_read(uv_stream_t *stream, ssize_t bytes, const uv_buf_t *buffer) {
   (void)buffer;
   struct connection *c = stream->data;
@@ -195,7 +196,7 @@ static void on_read(uv_stream_t *stream, ssize_t bytes, const uv_buf_t *buffer) 
     }
     if (c->requests.job != NULL) {
       read_behind(c);
-      return; /* the job wakes the connection */
+      return; /* The job will wake the connection. */
     }
   } else {
     uv_read_stop(stream);
@@ -239,7 +240,7 @@ static void on_written(uv_write_t *request, int status) {
   }
 }
 
-/* Writes at once what the socket takes, and has libuv write the rest when it takes more. */
+/* Writes as much as the socket takes at once. libuv writes the rest when the socket takes more. */
 static void write_more(struct connection *c) {
   while (c->writing_bytes == 0 && c->output.ready_bytes > 0) {
     uv_buf_t buffers[WRITE_BUFFERS];
@@ -262,8 +263,8 @@ static void write_more(struct connection *c) {
 
 /* ---- turns ----------------------------------------------------------------------------------- */
 
-/* Notes when an unfinished frame began to arrive. Its time does not run while the connection does
- * not read. */
+/* Notes when an incomplete frame began to arrive. Its time counts only while the connection reads.
+ */
 static void note_partial_frame(struct connection *c) {
   if (!input_partial(&c->input) || output_is_full(&c->output)) {
     c->frame_started_ms = 0;
@@ -272,21 +273,21 @@ static void note_partial_frame(struct connection *c) {
   }
 }
 
-/* Detached jobs end with what they have when nobody can cancel them any more. Returns whether their
- * last replies are still to come. */
+/* If the peer is done or the daemon stops, makes the detached jobs end with their results so far:
+ * nobody can cancel them any more. Returns whether their last replies are still to come. */
 static bool awaits_detached(struct connection *c) {
   return (c->peer_done || c->stopping) &&
          requests_stop_detached(&c->requests, c->peer_done ? JOB_CANCELLED : JOB_DAEMON_STOPS);
 }
 
-/* All that has arrived has been answered. If the peer is done or the daemon stops, sends the last
- * error, if any, and takes no more frames. */
+/* Called when all complete frames have been answered. If the peer is done or the daemon stops,
+ * sends the last error, if any, and takes no more frames. */
 static void end_if_done(struct connection *c) {
   if (c->requests.ended || output_is_full(&c->output) || awaits_detached(c)) {
     return;
   }
   if (c->peer_done && input_partial(&c->input)) {
-    wire_header header = {0}; /* request id 0 unless the header has arrived */
+    wire_header header = {0}; /* The request id stays 0 if no header has arrived. */
     input_refuse(&c->input, &header);
     requests_end(&c->requests, header.request_id,
                  wire_error_make(WIRE_STATUS_TRUNCATED, "payload_bytes", "as many as announced"));
@@ -299,9 +300,9 @@ static void end_if_done(struct connection *c) {
   write_more(c);
 }
 
-/* All that has arrived has been dealt with as far as possible: reads on, or ends. */
+/* Called when a turn has done all work that it could: reads on, or ends the connection. */
 static void read_on_or_end(struct connection *c) {
-  if (c->requests.job != NULL) { /* waits for a profile, or for the reader */
+  if (c->requests.job != NULL) { /* The job waits for a profile, or for the reader. */
     read_behind(c);
     return;
   }
@@ -321,10 +322,10 @@ static void read_on_or_end(struct connection *c) {
   }
   note_partial_frame(c);
   set_reading(c, !output_is_full(&c->output) &&
-                     !c->peer_done); /* or the end of the stream would be read again */
+                     !c->peer_done); /* else it would read the end of the stream again */
 }
 
-/* The worker's clock watches the deadline of a request that waits. */
+/* Makes the worker wake the connection at the deadline of a request that waits. */
 static void watch_deadline(struct connection *c) {
   const uint64_t deadline_ms = requests_deadline_ms(&c->requests);
   if (deadline_ms != 0) {
@@ -336,7 +337,7 @@ static void run(struct client *client) {
   struct connection *c = of(client);
   struct requests *r = &c->requests;
   uint64_t budget = TURN_RADII;
-  /* At most max_in_flight requests have unwritten answers: the one under way is among them. */
+  /* A turn takes at most max_in_flight requests, the current job's among them. */
   const uint64_t before = r->taken;
   const uint64_t most = before + c->server->options.max_in_flight - (r->job != NULL);
   bool more = true;
@@ -358,7 +359,7 @@ static void run(struct client *client) {
 
 static void finish(struct client *client) {
   struct connection *c = of(client);
-  /* Frames wait while the output is full. If writing has just made room, they are taken up. */
+  /* Frames wait while the output is full. If writing makes room, the connection goes on. */
   const bool was_blocked = output_is_full(&c->output);
   if (!c->closing) {
     write_more(c);
@@ -391,8 +392,7 @@ static int adopt(struct connection *c, uv_loop_t *loop) {
   uv_tcp_init(loop, &c->uv.tcp);
   const int opened = uv_tcp_open(&c->uv.tcp, c->fd);
   if (opened == 0) {
-    uv_tcp_nodelay(&c->uv.tcp,
-                   1); /* small answers are sent together anyway; Nagle would only delay */
+    uv_tcp_nodelay(&c->uv.tcp, 1); /* no delay: small answers are already sent together */
   }
   return opened;
 }
@@ -455,7 +455,7 @@ static void tick(struct client *client, uint64_t now_ms) {
         &c->requests, 0,
         wire_error_make(WIRE_STATUS_TIMEOUT, "payload_bytes", "frames within frame_timeout_ms"));
     worker_run_later(&c->client);
-  } else if (c->requests.detached != NULL) { /* there may be room for a reply now */
+  } else if (c->requests.detached != NULL) { /* There may be room for a reply now. */
     worker_run_later(&c->client);
   } else if (now_ms - c->active_ms > options->idle_timeout_ms) {
     requests_end(

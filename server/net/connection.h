@@ -1,7 +1,6 @@
-/* connection: one client of the binary protocol. It moves bytes: it reads what arrives, has the
- * requests answered (server/jobs/requests.h), and writes the answers. It ends when the peer is
- * done, is too slow or too silent, or when the daemon stops.
- */
+/* connection: one client of the binary protocol. It reads bytes, calls server/jobs/requests.h to
+ * answer the requests in them, and writes the answers. It ends when the peer is done, is too slow
+ * or too silent, or when the daemon stops. */
 #ifndef DIPOLED_CONNECTION_H
 #define DIPOLED_CONNECTION_H
 
@@ -11,16 +10,16 @@
 
 enum connection_purpose {
   CONNECTION_SERVE,
-  CONNECTION_INHERITED, /* of --fd: the daemon stops when it is closed */
-  CONNECTION_REFUSE,    /* beyond max_connections: it gets BUSY and is closed */
+  CONNECTION_INHERITED, /* the connection of --fd: the daemon stops when it is closed */
+  CONNECTION_REFUSE,    /* a connection beyond max_connections: it gets BUSY and is closed */
 };
 
-/* Makes a connection of a connected stream socket, to be given to a worker with worker_give(). It
- * owns fd from then on. Returns NULL if there is no memory; fd is still the caller's then. May be
- * called on any thread. */
+/* Makes a connection of a connected stream socket, which the connection then owns. The caller gives
+ * it to a worker by worker_give(). Returns NULL if there is no memory; fd is still the caller's
+ * then. May be called on any thread. */
 struct client *connection_new(struct server *server, int fd, enum connection_purpose purpose);
 
-/* BUSY: what a connection beyond max_connections is told. */
+/* Makes the error BUSY, which a connection beyond max_connections gets. */
 wire_error connection_refusal(void);
 
 #endif

@@ -18,8 +18,8 @@
 enum {
   BACKLOG = 1024,
   ACCEPTS_PER_ROUND = 64,
-  PAUSE_MS = 100,        /* before accepting again, when no file descriptor is left */
-  REFUSALS_AT_ONCE = 64, /* connections that read their BUSY at leisure; others get it at once */
+  PAUSE_MS = 100,        /* pause before accepting again when no file descriptor is left */
+  REFUSALS_AT_ONCE = 64, /* refused connections that a worker serves; more are closed at once */
 };
 
 static bool complain(const char *url, const char *why) {
@@ -40,7 +40,7 @@ static struct worker *least_busy(struct server *server) {
   return best;
 }
 
-/* Connections of all workers, including those that are being refused. */
+/* Returns the number of connections of all workers, including those that are being refused. */
 static uint64_t held_connections(const struct server *server) {
   uint64_t held = 0;
   for (uint64_t i = 0; i < server->options.workers; i++) {
@@ -49,8 +49,8 @@ static uint64_t held_connections(const struct server *server) {
   return held;
 }
 
-/* Sends BUSY and closes the socket. A new socket has room for the frame. A peer that has already
- * sent something may lose it, because closing then resets the connection. */
+/* Sends BUSY and closes the socket. A new socket always has room for this frame. A peer that has
+ * already sent something may not get the frame, because closing then resets the connection. */
 static void refuse_at_once(struct server *server, int fd) {
   const wire_header header = {.magic = WIRE_MAGIC,
                               .version = WIRE_VERSION,
@@ -102,7 +102,7 @@ static void on_connections(uv_poll_t *poll, int status, int events) {
     if (fd >= 0) {
       listener->admit(listener->server, fd);
     } else if (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM) {
-      /* The connection goes on waiting, so the poll would return at once again and again. */
+      /* Stop the poll: the connection still waits, so the poll would return again and again. */
       log_peer_line(LOG_LEVEL_ERROR, "event=accept-paused reason=%s", strerror(errno));
       uv_poll_stop(&listener->poll);
       uv_timer_start(&listener->pause, on_pause_over, PAUSE_MS, 0);
@@ -124,7 +124,7 @@ static int unix_socket(void) {
   return socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
 }
 
-/* Returns whether nobody listens at a socket file, which a killed daemon leaves behind. */
+/* Returns whether a path is a socket file at which nobody listens, as a killed daemon leaves it. */
 static bool is_stale(const struct sockaddr_un *address) {
   struct stat status;
   if (lstat(address->sun_path, &status) != 0 || !S_ISSOCK(status.st_mode)) {
@@ -137,7 +137,7 @@ static bool is_stale(const struct sockaddr_un *address) {
   return refused;
 }
 
-/* Why a path that exists cannot be bound. */
+/* Returns the reason why a path that exists cannot be bound. */
 static const char *occupant(const char *path) {
   struct stat status;
   if (lstat(path, &status) != 0) {
@@ -149,7 +149,7 @@ static const char *occupant(const char *path) {
                                    : "the path is a file that is no socket";
 }
 
-/* Remembers the socket's file: somebody may remove it, and another daemon put its own there. */
+/* Remembers the identity of the socket's file: another daemon may replace it by its own file. */
 static void note_file(struct listener *listener, const char *path) {
   struct stat status;
   if (lstat(path, &status) == 0) {
@@ -297,7 +297,7 @@ void listener_close(struct listener *listener) {
   uv_close((uv_handle_t *)&listener->poll, NULL);
   uv_close((uv_handle_t *)&listener->pause, NULL);
   if (listener->unix_path != NULL) {
-    remove_file(listener); /* while the socket is open, no other file can have its inode */
+    remove_file(listener); /* before the socket is closed, so that no other file has its inode */
   }
   close(listener->fd);
 }

@@ -1,4 +1,4 @@
-/* listener: an address that clients connect to. Listeners belong to the main thread's loop. */
+/* listener: an address at which clients connect. Listeners belong to the main thread's loop. */
 #ifndef DIPOLED_LISTENER_H
 #define DIPOLED_LISTENER_H
 
@@ -6,12 +6,12 @@
 
 struct listener {
   struct server *server;
-  void (*admit)(struct server *server, int fd); /* takes over the connected socket */
+  void (*admit)(struct server *server, int fd); /* gets, and then owns, each connected socket */
   uv_poll_t poll;
   uv_timer_t pause;
   int fd;
-  char *unix_path;   /* a file to be removed in the end; NULL for TCP and adopted sockets */
-  dev_t unix_device; /* of that file */
+  char *unix_path;   /* the socket file to remove in the end; NULL for TCP and adopted sockets */
+  dev_t unix_device; /* of the socket file */
   ino_t unix_inode;
 };
 
@@ -20,12 +20,13 @@ struct listener {
 bool listener_open(struct listener *listener, struct server *server, uv_loop_t *loop,
                    const char *url);
 
-/* Takes over a stream socket (Unix or TCP) that already listens, and logs its address. The socket's
- * file, if any, stays when the listener is closed. If fd is not such a socket, it closes fd, prints
- * a message to standard error and returns false. */
+/* Makes a listener of a stream socket (Unix or TCP) that already listens, and logs its address. The
+ * socket's file, if any, stays when the listener is closed. If fd is no such socket, closes fd,
+ * prints a message to standard error and returns false. */
 bool listener_adopt(struct listener *listener, struct server *server, uv_loop_t *loop, int fd);
 
-/* Does the same for Modbus at tcp:HOST:PORT. take() takes over the connected sockets. */
+/* Listens for Modbus at tcp:HOST:PORT and logs the address. take() gets, and then owns, each
+ * connected socket. If it fails, prints a message to standard error and returns false. */
 bool listener_open_modbus(struct listener *listener, struct server *server, uv_loop_t *loop,
                           const char *url, void (*take)(struct server *server, int fd));
 

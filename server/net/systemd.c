@@ -16,7 +16,7 @@ static bool is_set(const char *variable) {
   return value != NULL && *value != '\0';
 }
 
-/* Returns whether the variables are meant for this process, and not left over from its parent. */
+/* Returns whether the variables are meant for this process and not for its parent. */
 static bool has_sockets(void) {
   return is_set("LISTEN_FDS") && is_set("LISTEN_PID") &&
          strtol(getenv("LISTEN_PID"), NULL, 10) == (long)getpid();
@@ -26,7 +26,8 @@ static bool load(struct systemd *systemd, const char **why) {
   void *library = dlopen(LIBRARY, RTLD_NOW | RTLD_LOCAL);
   void *address;
   bool found = library != NULL;
-  /* POSIX guarantees that a function's address fits into a void *; C has no conversion for it. */
+  /* POSIX guarantees that a function's address fits into a void *. C has no conversion between
+   * them, so the address is copied by memcpy(). */
 #define SYSTEMD_FUNCTION(name, parameters)                                                         \
   address = found ? dlsym(library, "sd_" #name) : NULL;                                            \
   found = address != NULL;                                                                         \
@@ -60,7 +61,7 @@ int systemd_sockets(const struct systemd *systemd, int *first, const char **why)
   return count < 0 || count > SYSTEMD_SOCKETS_MAX ? -1 : count;
 }
 
-/* A failure is ignored: then the manager has ended. */
+/* Notifies the manager. Ignores failures, because the manager has then ended. */
 static void tell(const struct systemd *systemd, const char *state) {
   if (systemd->notify != NULL) {
     systemd->notify(0, state);

@@ -1,6 +1,6 @@
-/* systemd: takes the sockets that a service manager passes, and notifies it, through libsystemd.
- * The library is loaded only if a service manager has set its variables. So dipoled also runs on
- * systems without libsystemd. */
+/* systemd: takes the sockets that a service manager passes, and notifies the manager, through
+ * libsystemd. The library is loaded only if a service manager has set its variables, so that
+ * dipoled also runs on systems without libsystemd. */
 #ifndef DIPOLED_SYSTEMD_H
 #define DIPOLED_SYSTEMD_H
 
@@ -12,7 +12,8 @@
   SYSTEMD_FUNCTION(listen_fds, (int unset_environment))                                            \
   SYSTEMD_FUNCTION(notify, (int unset_environment, const char *state))
 
-/* The functions. All are NULL if no service manager passes sockets or waits for notifications. */
+/* The functions of libsystemd. All are NULL if no service manager passes sockets or waits for
+ * notifications. */
 struct systemd {
 #define SYSTEMD_FUNCTION(name, parameters) int(*name) parameters;
   SYSTEMD_FUNCTIONS
@@ -21,16 +22,16 @@ struct systemd {
 
 enum { SYSTEMD_SOCKETS_MAX = 32 };
 
-/* Loads the library if it is needed; it stays loaded. Returns false and sets *why if sockets are
- * passed and the library cannot be loaded. If the manager only waits for notifications, this is
- * logged and is not a failure. */
+/* Loads the library if it is needed; it stays loaded. If it cannot be loaded: returns false and
+ * sets *why if a manager passes sockets, and only logs this if a manager waits for notifications.
+ */
 bool systemd_open(struct systemd *systemd, const char **why);
 
-/* Returns how many descriptors were passed, at most SYSTEMD_SOCKETS_MAX, and sets *first to the
- * first of them. The caller closes them. On failure it returns -1 and sets *why. */
+/* Returns how many descriptors the manager has passed, at most SYSTEMD_SOCKETS_MAX, and sets *first
+ * to the first of them. The caller closes the descriptors. On failure, returns -1 and sets *why. */
 int systemd_sockets(const struct systemd *systemd, int *first, const char **why);
 
-/* Notify the manager that all addresses are served, and that the daemon stops. */
+/* These notify the manager that the daemon serves all addresses, and that it stops. */
 void systemd_tell_ready(const struct systemd *systemd);
 void systemd_tell_stopping(const struct systemd *systemd);
 

@@ -50,7 +50,7 @@ static int bind_to(const struct addrinfo *address) {
   return -1;
 }
 
-/* Splits HOST:PORT; a host with colons is in brackets. Returns false if the text has another form.
+/* Splits HOST:PORT, where brackets enclose a HOST with colons. Returns false for any other text.
  */
 static bool split(const char *text, char *host, size_t room, const char **port) {
   const char *colon = strrchr(text, ':');

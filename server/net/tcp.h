@@ -4,14 +4,14 @@
 
 #include <stddef.h>
 
-/* Listens at HOST:PORT, or [HOST]:PORT for a host with colons; port 0 stands for any free port.
- * Returns a non-blocking socket. If that fails, it returns -1 and sets *why to the reason; errno is
- * EADDRINUSE if another process listens there. */
+/* Listens at HOST:PORT, or [HOST]:PORT for a host with colons; port 0 means any free port. Returns
+ * a non-blocking socket. On failure, returns -1 and sets *why to the reason; errno is EADDRINUSE if
+ * another process listens there. */
 int tcp_listen(const char *host_port, const char **why);
 
 enum { TCP_TEXT_BYTES = 160 };
 
-/* Writes where the socket listens, as numeric HOST:PORT, or "" if that is unknown. */
+/* Writes the address of a listening socket as numeric HOST:PORT, or "" if it is unknown. */
 void tcp_bound(int fd, char text[TCP_TEXT_BYTES]);
 
 /* Likewise the address of the peer of a connected socket. */

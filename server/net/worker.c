@@ -30,17 +30,17 @@ static void remove_from_run_queue(struct client *client) {
   client->to_run = false;
 }
 
-/* Lets other threads see the queue. */
+/* Publishes the length of the run queue and the owed work in the statistics. */
 static void publish_queue(struct worker *worker) {
   struct stats *stats = &worker->server->stats;
   stats_set(stats, STATS_QUEUED_CONNECTIONS, worker->run_count);
   stats_set(stats, STATS_OWED_RADII, worker->context.owed_radii);
 }
 
-/* Gives one turn to each client that is in the queue now. Clients that come back to the queue have
- * their next turn after new requests have been read. Short requests are evaluated together when all
- * clients have had their turns; then their answers are written. No client is freed meanwhile,
- * because that takes another round of the loop. */
+/* Gives one turn to each client that is in the queue now. A client that comes back to the queue has
+ * its next turn in a later round. After all turns, evaluates the short requests of all clients
+ * together and lets the clients write. No client is freed meanwhile, because that takes another
+ * round of the loop. */
 static void run_round(struct worker *worker) {
   struct client *client;
   publish_queue(worker);
@@ -111,8 +111,8 @@ static void for_each(struct worker *worker, void (*act)(struct client *client)) 
 
 /* ---- stopping -------------------------------------------------------------------------------- */
 
-/* The first round after the request to stop still reads what clients had sent before it. After
- * that, the clients are told to stop. */
+/* Stops the clients in two rounds. The first round after worker_stop() still reads the bytes that
+ * clients had sent before. The second round calls their stop(). */
 static void stop_round(struct worker *worker) {
   if (worker->stop_rounds == 0) {
     return;
@@ -160,13 +160,13 @@ static void wake(void *context) {
   uv_async_send(&worker->wake);
 }
 
-/* An active idle handle keeps libuv from sleeping. */
+/* Starts the idle handle, which keeps libuv from sleeping in its next poll. */
 void worker_stay_awake(struct worker *worker) {
   uv_idle_start(&worker->stay_awake, on_awake);
 }
 
-/* libuv runs timers before it polls. A client that a timer has put into the run queue must not wait
- * until bytes arrive for some other client. */
+/* Keeps the loop awake while clients are in the run queue. libuv runs timers before it polls, so a
+ * client that a timer puts into the queue would wait until bytes arrive for another client. */
 static void stay_awake_for_queue(struct worker *worker) {
   if (worker->run_count > 0) {
     worker_stay_awake(worker);
@@ -211,7 +211,8 @@ static uint64_t least(uint64_t a, uint64_t b) {
   return a < b ? a : b;
 }
 
-/* Timeouts are checked this often, so that they are exceeded by a quarter at most. */
+/* Returns the period at which timeouts are checked: short enough that the shortest timeout is
+ * exceeded by a quarter at most. */
 static uint64_t clock_period_ms(const struct options *options) {
   uint64_t shortest = least(options->frame_timeout_ms, options->idle_timeout_ms);
   shortest = least(shortest, options->modbus_frame_timeout_ms);
@@ -234,7 +235,7 @@ static void thread_main(void *argument) {
   assert(LIST_EMPTY(&worker->clients));
   uv_walk(&worker->loop, close_handle, NULL);
   uv_run(&worker->loop,
-         UV_RUN_DEFAULT); /* until all profiles that are being prepared are complete */
+         UV_RUN_DEFAULT); /* runs until the pool's threads have prepared their profiles */
   profiles_end(&worker->context.profiles);
   const int closed = uv_loop_close(&worker->loop);
   assert(closed == 0);

@@ -8,10 +8,10 @@
  *    5 proto/wire.c              reads and writes headers and structures
  *    6 server/observe/stats.c    counts
  *    7 server/jobs/job.c         starts the job of the message, admits and ends it
- *    8 server/jobs/batch.c       sees that it repeats no earlier request; evaluates short ones
+ *    8 server/jobs/batch.c       sees that it repeats no earlier request; gathers short requests
  *    9 server/jobs/eval.c        checks the request, works slice by slice, fills the reply in
  *   10 proto/eval.c              takes the payload apart and lays the reply out
- *   11 proto/channels.c          likewise the media and parameters
+ *   11 proto/channels.c          reads the media and parameters
  *   12 core/choice_lists.c       looks ids up
  *   13 core/profile.c            checks that there is such a profile, and prepares it
  *   14 core/medium.c             checks a medium
@@ -35,8 +35,8 @@
  *   4. writes their answers.
  * A large request takes one slice in each turn, so other clients wait for one slice at most.
  *
- * The alternative is an I/O thread that hands requests to workers and takes the answers back.
- * Prototypes of both were measured on two cores; they are in the history, as
+ * The alternative is an I/O thread that passes requests to workers and takes the answers back.
+ * Prototypes of both designs were measured on two cores; they are in the history, as
  * tests/bench/bench_threads.c. In each column the first figure is for connections that belong to a
  * worker, the second for an I/O thread in front:
  *
@@ -71,14 +71,15 @@ struct worker {
   struct client *inbox;
   bool stop_wanted;
 
-  LIST_HEAD(, client) clients; /* all of them */
+  LIST_HEAD(, client) clients; /* all clients of this worker */
   TAILQ_HEAD(, client) run_queue;
   TAILQ_HEAD(, client) finish_queue; /* clients whose finish() is called in this round */
   uint64_t run_count;                /* clients in the run queue */
   uint64_t round_ns; /* when this round of the loop began to read; 0 if it has not read anything */
-  unsigned stop_rounds; /* rounds of the loop since the stop was requested; 0 if it was not */
+  unsigned stop_rounds; /* rounds of the loop since worker_stop(); 0 before */
   uint64_t stop_began_ms;
-  _Atomic uint64_t client_count; /* clients that count, from worker_give() to worker_forget() */
+  _Atomic uint64_t
+      client_count; /* clients whose kind counts, between worker_give() and _forget() */
   struct job_context context;
 };
 
@@ -91,21 +92,22 @@ int worker_start(struct worker *worker, struct server *server);
 
 /* Call these from any thread. worker_give() hands over a client (server/net/client.h). */
 void worker_give(struct worker *worker, struct client *client);
-void worker_stop(struct worker *worker); /* answers what has arrived, closes all, ends the thread */
+void worker_stop(struct worker *worker); /* answers all requests, ends all clients and the thread */
 void worker_join(struct worker *worker);
 
 /* Clients call the functions that follow, on the worker's thread only. */
 uv_loop_t *worker_loop(struct worker *worker);
 struct job_context *worker_context(struct worker *worker);
-/* When this round of the loop began to read. It is the arrival time of all that is read in it. */
+/* Returns when this round of the loop began to read: the arrival time of all bytes of the round. */
 uint64_t worker_round_ns(struct worker *worker);
 /* Appends the client to the run queue unless it is there already. */
 void worker_run_later(struct client *client);
-/* Has finish() called in this round of the loop, after the batch has been evaluated. */
+/* Makes the worker call finish() in this round of the loop, after it has evaluated the batch. */
 void worker_finish_later(struct client *client);
 /* Removes a client that has ended; the worker does not touch it again. */
 void worker_forget(struct client *client);
-/* Calls deadline() of all clients at that time of the loop, or a little later. */
+/* Makes the worker call deadline() of all clients at the time at_ms of the loop, or a little later.
+ */
 void worker_wake_at(struct worker *worker, uint64_t at_ms);
 /* Keeps the loop from sleeping in its next poll, because there is work for the round after it. */
 void worker_stay_awake(struct worker *worker);

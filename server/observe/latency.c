@@ -9,8 +9,8 @@
 enum { LEAST_SHIFT = HISTOGRAM_LEAST_OCTAVE - 5 }; /* 2^5 buckets in an octave */
 _Static_assert(HISTOGRAM_SPLIT == 1 << 5, "LEAST_SHIFT");
 
-/* The octave 2^k to 2^(k+1) is split into pieces of 2^(k-5); its first bucket follows the last one
- * of the octave before. Below the least octave the pieces have that one's width. */
+/* Returns the bucket of a duration. The octave 2^k to 2^(k+1) ns has 32 buckets of 2^(k-5) ns.
+ * Below the least octave, buckets are as wide as in the least octave. */
 static size_t bucket_of(uint64_t ns) {
   const uint64_t least = ns | (UINT64_C(1) << HISTOGRAM_LEAST_OCTAVE);
   const unsigned octave = 63 - (unsigned)__builtin_clzll(least);
@@ -57,7 +57,7 @@ uint64_t histogram_quantile_ns(const struct histogram_sum *sum, double share) {
   if (sum->count == 0) {
     return 0;
   }
-  const double rank = ceil(share * (double)sum->count); /* of the sorted durations, from 1 */
+  const double rank = ceil(share * (double)sum->count); /* position in sorted durations, from 1 */
   uint64_t below = 0;
   size_t bucket = 0;
   for (; bucket + 1 < HISTOGRAM_BUCKETS; bucket++) {

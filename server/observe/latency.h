@@ -1,16 +1,15 @@
-/* latency: how long requests take. A latency begins when the worker has taken the request's last
- * byte from the socket. It ends when all parts of the answer have been written to the socket or,
- * for a slow reader, are ready to be written.
+/* latency: measures how long requests take. A latency begins when the worker has read the request's
+ * last byte from the socket. It ends when all parts of the answer have been written to the socket
+ * or, for a slow reader, are ready to be written.
  *
  * The worker reads the clock once when a round of its loop first reads, and once at the end of the
  * round, however many requests there are. Requests that arrived and were answered in the same
- * rounds are counted together. Measured: this takes 5 ns for a request of many that arrive
- * together, and 100 ns for one that arrives alone, out of the 6,300 ns that the daemon needs for
- * it.
+ * rounds are counted together. Measured: a request that arrives together with many others costs 5
+ * ns, and one that arrives alone 100 ns of the 6,300 ns that the daemon needs for it.
  *
- * Latencies are kept in histograms of the HdrHistogram form (G. Tene): a bucket is as wide as a
- * 32nd of the octave that it lies in. So every duration from 1 us to 100 s is known to within 1.6
- * %, in memory that does not grow.
+ * Histograms like HdrHistogram (G. Tene) hold the latencies: each octave of durations has 32
+ * buckets of equal width. So every duration from 1 us to 100 s is known to within 1.6 %, in
+ * constant memory.
  */
 #ifndef DIPOLED_LATENCY_H
 #define DIPOLED_LATENCY_H
@@ -21,26 +20,26 @@
 /* ---- histograms ------------------------------------------------------------------------------ */
 
 enum {
-  HISTOGRAM_SPLIT = 32,        /* buckets of an octave */
-  HISTOGRAM_LEAST_OCTAVE = 10, /* 2^10 ns; buckets below are as wide as in this octave */
-  HISTOGRAM_MOST_OCTAVE = 36,  /* to 2^37 ns, 137 s; longer durations are in the last bucket */
+  HISTOGRAM_SPLIT = 32,        /* number of buckets in an octave */
+  HISTOGRAM_LEAST_OCTAVE = 10, /* from 2^10 ns; buckets below are as wide as in this octave */
+  HISTOGRAM_MOST_OCTAVE = 36,  /* to 2^37 ns, 137 s; the last bucket has all longer durations */
   HISTOGRAM_BUCKETS = (HISTOGRAM_MOST_OCTAVE - HISTOGRAM_LEAST_OCTAVE + 2) * HISTOGRAM_SPLIT,
 };
 
-/* Starts with all members 0. One thread adds to it, without locks or locked instructions. Any other
- * thread may merge it meanwhile. */
+/* A histogram of durations. All members start as 0. One thread adds to it, without locks or locked
+ * instructions. Any other thread may merge it meanwhile. */
 struct histogram {
   _Atomic uint64_t counts[HISTOGRAM_BUCKETS];
   _Atomic uint64_t sum_ns;
   _Atomic uint64_t most_ns;
 };
 
-/* The sum of several histograms. Starts with all members 0. */
+/* The sum of several histograms. All members start as 0. */
 struct histogram_sum {
   uint64_t counts[HISTOGRAM_BUCKETS];
   uint64_t count;
   uint64_t sum_ns;
-  uint64_t most_ns; /* exact */
+  uint64_t most_ns; /* the longest duration, exactly */
 };
 
 /* Adds `count` durations of `ns` each. */
@@ -48,9 +47,9 @@ void histogram_add(struct histogram *histogram, uint64_t ns, uint64_t count);
 
 void histogram_merge(struct histogram_sum *sum, const struct histogram *histogram);
 
-/* The duration that a share of all durations (above 0, up to 1) do not exceed. This is the middle
- * of its bucket, or the longest duration if that is less; 0 if there are no durations. It does not
- * fall as the share rises. */
+/* Returns a quantile: the duration that this share of all durations (above 0, up to 1) does not
+ * exceed. The result is the middle of a bucket, or the longest duration if that is less; 0 if there
+ * are no durations. It does not fall as the share rises. */
 uint64_t histogram_quantile_ns(const struct histogram_sum *sum, double share);
 
 /* ---- latencies of one worker ----------------------------------------------------------------- */
@@ -63,23 +62,23 @@ enum latency_class {
 
 enum { LATENCY_GROUPS = 8 };
 
-/* Requests that arrived at the same time and have been answered in this round. */
+/* Requests that arrived at the same time and are answered in the current round. */
 struct latency_group {
   uint64_t arrived_ns;
   uint64_t counts[LATENCY_CLASSES];
 };
 
-/* Belongs to one worker. Starts with all members 0. Other threads may read the histograms. */
+/* The latencies of one worker. All members start as 0. Other threads may read the histograms. */
 struct latency {
   unsigned group_count;
   struct latency_group groups[LATENCY_GROUPS];
   struct histogram histograms[LATENCY_CLASSES];
 };
 
-/* Notes that a request which arrived at that time is answered in this round. */
+/* Notes that a request that arrived at arrived_ns is answered in the current round. */
 void latency_note(struct latency *latency, enum latency_class kind, uint64_t arrived_ns);
 
-/* The round's answers have been written: adds their latencies to the histograms. */
+/* Adds the latencies of the current round, whose answers have been written, to the histograms. */
 void latency_finish(struct latency *latency);
 
 #endif

@@ -11,7 +11,7 @@ static enum log_level highest = LOG_LEVEL_INFO;
 
 static const char *const level_names[] = {"error", "info"};
 
-/* How many peer lines have been printed in the current second, and how many have not. */
+/* How many peer lines were printed in the current second, and how many were suppressed. */
 static struct {
   pthread_mutex_t mutex;
   time_t second;
@@ -33,8 +33,8 @@ bool log_level_by_name(const char *name, enum log_level *level) {
   return false;
 }
 
-/* Copies text and escapes bytes that are not printable. Returns the length. The caller ends the
- * line. */
+/* Copies text and escapes bytes that are not printable. Returns the length of the copy, which has
+ * no end of line. */
 static size_t escape(const char *text, char *line, size_t room) {
   size_t length = 0;
   for (; *text != '\0' && length + 5 < room; text++) {
@@ -65,8 +65,8 @@ static void print(enum log_level level, unsigned long suppressed, const char *fo
     length += (size_t)snprintf(line + length, sizeof line - length, " suppressed=%lu", suppressed);
   }
   line[length++] = '\n';
-  /* One call of write() for the whole line keeps the lines of several threads apart. If it fails,
-   * there is nowhere to report that. */
+  /* One write() of the whole line keeps the lines of several threads apart. Its failure cannot be
+   * reported anywhere. */
   const ssize_t written = write(STDERR_FILENO, line, length);
   (void)written;
 }

@@ -6,18 +6,18 @@
 
 enum log_level { LOG_LEVEL_ERROR, LOG_LEVEL_INFO };
 
-/* Drops all lines above this level. Call this before the first thread is started. */
+/* Sets the level above which lines are dropped. Call this before the first thread is started. */
 void log_set_level(enum log_level level);
 
-/* Finds the level that is called "error" or "info". False: the name is another. */
+/* Finds the level that is called "error" or "info". Returns false for any other name. */
 bool log_level_by_name(const char *name, enum log_level *level);
 
 /* Prints one line. `format` gives the event and its keys: `event=NAME key=value`. Bytes that are
  * not printable are escaped as \xNN, so that text from a peer may be an argument. */
 void log_line(enum log_level level, const char *format, ...) __attribute__((format(printf, 2, 3)));
 
-/* The same for lines that a peer can cause. At most LOG_PEER_LINES_PER_SECOND are printed in a
- * second. The next line that is printed says with the key `suppressed` how many were not. */
+/* Prints a line that a peer can cause, or drops it: at most LOG_PEER_LINES_PER_SECOND such lines
+ * are printed. The key `suppressed` of the next printed line says how many were dropped. */
 void log_peer_line(enum log_level level, const char *format, ...)
     __attribute__((format(printf, 2, 3)));
 

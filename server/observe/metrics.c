@@ -13,7 +13,7 @@
 #include "server/observe/report.h"
 
 enum {
-  MOST_CONNECTIONS = 16, /* connections at a time; others wait */
+  MOST_CONNECTIONS = 16, /* the most connections at a time; others wait */
   SILENCE_S = 5,         /* seconds of silence after which a connection is closed */
   CONNECTION_BYTES = 16384,
 };
@@ -23,10 +23,10 @@ enum {
 
 /* ---- the library ----------------------------------------------------------------------------- */
 
-/* libmicrohttpd is loaded when metrics are asked for. When it was linked, it and its TLS library
- * took 2 ms of every start, and 2.7 MB of a daemon that serves no metrics. */
+/* libmicrohttpd is loaded only if --metrics is given. Linking it would cost every daemon 2 ms of
+ * its start and 2.7 MB, together with the TLS library that it needs. */
 
-/* HTTP_FUNCTION(name): each function of the library that is used. */
+/* HTTP_FUNCTION(name) for each function of the library that this file uses. */
 #define HTTP_FUNCTIONS                                                                             \
   HTTP_FUNCTION(start_daemon)                                                                      \
   HTTP_FUNCTION(stop_daemon)                                                                       \
@@ -41,15 +41,16 @@ struct http {
 #undef HTTP_FUNCTION
 };
 
-/* This version has the interface that microhttpd.h of the 0.9 and 1.0 releases declares. */
+/* The version of the library whose interface microhttpd.h of the 0.9 and 1.0 releases declares. */
 #define LIBRARY "libmicrohttpd.so.12"
 
-/* Loads the library for good. False: *why says why. */
+/* Loads the library for good. If that fails, returns false and sets *why to the reason. */
 static bool load(struct http *http, const char **why) {
   void *library = dlopen(LIBRARY, RTLD_NOW | RTLD_LOCAL);
   void *address;
   bool found = library != NULL;
-  /* In POSIX a function's address fits into a void *, but C does not convert it. */
+  /* POSIX guarantees that a function's address fits into a void *. C has no conversion between
+   * them, so the address is copied by memcpy(). */
 #define HTTP_FUNCTION(name)                                                                        \
   address = found ? dlsym(library, "MHD_" #name) : NULL;                                           \
   found = address != NULL;                                                                         \
@@ -64,7 +65,7 @@ static bool load(struct http *http, const char **why) {
 
 struct text {
   FILE *file;
-  const struct report_family *family; /* whose values are being written */
+  const struct report_family *family; /* the family whose values are being written */
 };
 
 static void start_family(struct text *text, const struct report_value *value) {
@@ -75,7 +76,7 @@ static void start_family(struct text *text, const struct report_value *value) {
       [REPORT_HISTOGRAM] = "histogram",
   };
   const struct report_family *family = value->family;
-  /* In this version of the format, a family of counters has the same name as its values. */
+  /* This version of the format wants the same name for a family of counters and for its values. */
   const char *suffix = family->type == REPORT_COUNTER ? value->suffix : "";
   fprintf(text->file, "# HELP dipoled_%s%s %s\n# TYPE dipoled_%s%s %s\n", family->name, suffix,
           family->help, family->name, suffix, types[family->type]);
@@ -98,7 +99,7 @@ static void write_value(void *context, const struct report_value *value) {
   }
 }
 
-/* All metrics, to be freed. NULL: out of memory. */
+/* Makes the text of all metrics, which the caller frees. Returns NULL if there is no memory. */
 static char *make_text(const struct server *server, size_t *bytes) {
   char *memory = NULL;
   struct text text = {open_memstream(&memory, bytes), NULL};
@@ -122,7 +123,7 @@ struct metrics {
   struct MHD_Daemon *daemon;
 };
 
-/* Takes over the response. If it is NULL, for lack of memory, the connection is closed. */
+/* Sends a response and frees it. If it is NULL, for lack of memory, closes the connection. */
 static enum MHD_Result send_response(const struct http *http, struct MHD_Connection *connection,
                                      unsigned status, const char *type,
                                      struct MHD_Response *response) {
@@ -164,7 +165,8 @@ static bool is_read(const char *method) {
   return strcmp(method, MHD_HTTP_METHOD_GET) == 0 || strcmp(method, MHD_HTTP_METHOD_HEAD) == 0;
 }
 
-/* The library calls this when it has a request's header. The answer does not depend on the body. */
+/* The library calls this after it has read a request's header. The answer does not depend on the
+ * body. */
 static enum MHD_Result on_request(void *context, struct MHD_Connection *connection, const char *url,
                                   const char *method, const char *version, const char *body,
                                   size_t *body_bytes, void **state) {
@@ -185,8 +187,8 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *connecti
                     : send_text(http, connection, MHD_HTTP_OK, ok);
 }
 
-/* Leaves escapes in paths as they are, because neither path needs any. Otherwise /metrics%00x would
- * be taken for /metrics. */
+/* Keeps the library from decoding escapes in paths. If it did, it would take /metrics%00x for
+ * /metrics. */
 static size_t leave_escaped(void *context, struct MHD_Connection *connection, char *text) {
   (void)context, (void)connection;
   return strlen(text);
@@ -241,7 +243,7 @@ struct metrics *metrics_open(struct server *server, const char *address) {
     return fail(address, why, fd, metrics);
   }
   metrics->server = server;
-  metrics->daemon = start(metrics, fd); /* it owns the socket from here on */
+  metrics->daemon = start(metrics, fd); /* The library owns the socket from here on. */
   if (metrics->daemon == NULL) {
     return fail(address, "the HTTP server does not start", fd, metrics);
   }

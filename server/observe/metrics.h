@@ -7,8 +7,9 @@
 
 struct metrics;
 
-/* Listens at [HOST]:PORT, on the loopback interface if there is no host, and logs the address. Call
- * this after the workers have started. NULL, with a message on standard error: it failed. */
+/* Listens at [HOST]:PORT, where no HOST means the loopback interface, and logs the address. Call
+ * this after the workers have started. On failure, prints a message to standard error and returns
+ * NULL. */
 struct metrics *metrics_open(struct server *server, const char *address);
 
 /* Stops the server and cuts off answers that are not complete. `metrics` may be NULL. */

@@ -5,7 +5,7 @@
 #include "server/observe/latency.h"
 #include "server/server.h"
 
-/* Where the values go. */
+/* The function that gets the values, and their source. */
 struct reporter {
   const struct server *server; /* NULL: all values are 0 */
   void (*each)(void *context, const struct report_value *value);
@@ -102,7 +102,7 @@ static void report_models(const struct reporter *to) {
 
 /* ---- batch sizes ----------------------------------------------------------------------------- */
 
-/* A histogram in the form of Prometheus: its counts are cumulative; then come the sum and the
+/* Reports the batch sizes as a histogram of Prometheus: cumulative counts, then the sum and the
  * count.
  */
 static void report_batches(const struct reporter *to) {
@@ -131,7 +131,7 @@ static void report_ns(const struct reporter *to, const char *name,
   to->each(to->context, &(struct report_value){name, family, suffix, labels, true, ns});
 }
 
-/* The latencies of one class of requests, of all workers together. */
+/* Returns the latencies of one class of requests, summed over all workers. */
 static struct histogram_sum sum_of(const struct reporter *to, enum latency_class kind) {
   struct histogram_sum sum = {.count = 0};
   for (uint64_t i = 0; to->server != NULL && i < to->server->options.workers; i++) {

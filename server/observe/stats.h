@@ -18,13 +18,13 @@ enum stats_index {
 #define WIRE_STATUS(code, IDENT, modbus_exception, name, text) STATS_ANSWERS_##IDENT,
 #include "proto/statuses.def"
 #undef WIRE_STATUS
-  STATS_RADII, /* by model */
+  STATS_RADII, /* the first of the radii by model */
   STATS_RADII_BEFORE = STATS_RADII - 1,
 #define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
   STATS_RADII_##IDENT,
 #define CORE_SUM(id, IDENT, name, FIRST, SECOND, source) STATS_RADII_##IDENT,
 #include "core/models.def"
-  STATS_BATCHES, /* by size */
+  STATS_BATCHES, /* the first of the batches by size */
   STATS_COUNT = STATS_BATCHES + STATS_BATCH_SIZES
 };
 
@@ -40,7 +40,7 @@ struct stats {
   struct stats_shard shards[STATS_SHARDS];
 };
 
-/* The shard of this thread. It is 0 until the thread calls stats_claim(). */
+/* The number of this thread's shard. It is 0 until the thread calls stats_claim(). */
 extern _Thread_local unsigned stats_shard;
 
 /* Gives this thread a shard, from 1 to STATS_SHARDS - 1, that no other thread has. */
@@ -62,7 +62,7 @@ static inline void stats_subtract(struct stats *stats, enum stats_index index, u
   stats_add(stats, index, UINT64_C(0) - amount);
 }
 
-/* Sets this worker's part of a gauge. */
+/* Sets this worker's share of a gauge, whose value is the sum over all workers. */
 static inline void stats_set(struct stats *stats, enum stats_index index, uint64_t value) {
   atomic_store_explicit(&stats->shards[stats_shard].values[index], value, memory_order_relaxed);
 }

@@ -7,28 +7,28 @@
 #include <uv.h>
 
 enum {
-  BUCKETS_MIN = 256, /* a power of two, as all numbers of buckets */
-  FAST_SHARE = 4,    /* fast profiles may hold one in so many bytes */
+  BUCKETS_MIN = 256, /* Each number of buckets is a power of two. */
+  FAST_SHARE = 4,    /* Fast profiles may hold a quarter of all bytes. */
   KINDS = 2,         /* fast, slow */
 };
 
 struct cache_entry {
-  uv_work_t work; /* while a thread of the pool prepares it */
+  uv_work_t work; /* in use while a thread of the pool prepares the profile */
   struct cache *cache;
   struct cache_key key;
   bool slow;
   _Atomic uint64_t references;
-  _Atomic bool kept; /* in the cache; set when it is prepared */
-  _Atomic bool used; /* since it was put at the head of its list */
+  _Atomic bool kept; /* whether the entry is prepared and in the cache */
+  _Atomic bool used; /* whether it was used since it was put at the head of its list */
 
-  /* Guarded by the mutex. */
-  bool under_way;               /* it is not prepared yet */
-  bool begun;                   /* a thread prepares it, or has prepared it */
-  struct cache_waiters waiters; /* until it is prepared */
+  /* The mutex guards the following members. */
+  bool under_way;               /* whether the profile is not prepared yet */
+  bool begun;                   /* whether its preparation has begun */
+  struct cache_waiters waiters; /* those who wait until the profile is prepared */
   LIST_ENTRY(cache_entry) in_bucket;
-  TAILQ_ENTRY(cache_entry) in_list; /* of a kind, or of those that have been evicted */
+  TAILQ_ENTRY(cache_entry) in_list; /* the list of its kind, or of evicted entries */
 
-  /* Set by the thread that prepares it, before others see it. */
+  /* The thread that prepares the profile sets these before other threads see them. */
   uint64_t bytes;
   core_fault fault;
   core_profile profile;
@@ -37,7 +37,7 @@ struct cache_entry {
 TAILQ_HEAD(entries, cache_entry);
 LIST_HEAD(bucket, cache_entry);
 
-/* The entries of one kind, the newest first. */
+/* The prepared entries of one kind, fast or slow, the newest first. */
 struct list {
   struct entries entries;
   uint64_t bytes;
@@ -48,14 +48,14 @@ struct cache {
   const core_isa *isa;
   struct stats *stats;
   uint64_t limit_bytes;
-  uv_mutex_t mutex; /* guards the rest */
+  uv_mutex_t mutex; /* guards the members that follow */
   struct bucket *buckets;
   uint64_t bucket_count;
-  uint64_t entry_count; /* in the buckets, prepared or not */
+  uint64_t entry_count; /* number of entries in the buckets, prepared or not */
   struct list lists[KINDS];
   TAILQ_HEAD(, cache_owner) turns; /* owners with waiters; the first has the next turn */
-  struct cache_owner *latest;      /* had the latest turn; new owners come before it. Or NULL */
-  unsigned turn_count;             /* turns that have begun and have not ended */
+  struct cache_owner *latest;      /* owner of the latest turn, or NULL; new owners go before it */
+  unsigned turn_count;             /* number of turns that have begun and not ended */
   unsigned turns_most;
   uint64_t max_waiting;
 };
@@ -71,8 +71,8 @@ static double normalized(double value) {
   return value == 0 ? 0.0 : value;
 }
 
-/* One word more: a multiplication by 2^64 over the golden ratio (Knuth 1998, section 6.4), and its
- * high bits, which depend on all of the word, folded onto the low ones. */
+/* Adds one word to a hash: multiplies by 2^64 over the golden ratio (Knuth 1998, section 6.4), and
+ * folds the high bits, which depend on all bits of the word, onto the low ones. */
 static uint64_t mix(uint64_t hash, double word) {
   uint64_t bits;
   memcpy(&bits, &word, sizeof bits);
@@ -122,7 +122,7 @@ void cache_hold(struct cache_entry *entry) {
 }
 
 void cache_release(struct cache_entry *entry) {
-  /* What others did with it comes before it is freed. */
+  /* This order makes all that other threads did with the entry come before it is freed. */
   if (atomic_fetch_sub_explicit(&entry->references, 1, memory_order_acq_rel) > 1) {
     return;
   }
@@ -153,7 +153,7 @@ bool cache_keeps(const struct cache_entry *entry) {
 }
 
 void cache_used(struct cache_entry *entry) {
-  /* Read first, so that threads that use the same entry do not take its line from each other. */
+  /* Read before writing, so that threads that use the same entry can share its cache line. */
   if (!atomic_load_explicit(&entry->used, memory_order_relaxed)) {
     atomic_store_explicit(&entry->used, true, memory_order_relaxed);
   }
@@ -175,7 +175,7 @@ static struct cache_entry *find(const struct cache *cache, const struct cache_ke
   return entry;
 }
 
-/* Doubles the number of buckets. Without memory for them, the old ones go on being used. */
+/* Doubles the number of buckets. If there is no memory, keeps the old buckets. */
 static void grow(struct cache *cache) {
   const uint64_t old_count = cache->bucket_count;
   struct bucket *old = cache->buckets;
@@ -220,8 +220,8 @@ static void move_to_head(struct list *list, struct cache_entry *entry) {
   TAILQ_INSERT_HEAD(&list->entries, entry, in_list);
 }
 
-/* The oldest entry of a list that is not empty. Entries that have been used since they were put at
- * the head are put there once more instead. */
+/* Returns the entry of a non-empty list that is evicted next: the oldest one that was not used
+ * since it was put at the head of the list. Older entries that were used move to the head again. */
 static struct cache_entry *choose(struct list *list) {
   for (uint64_t left = list->count; left > 0; left--) {
     struct cache_entry *oldest = TAILQ_LAST(&list->entries, entries);
@@ -254,9 +254,9 @@ static uint64_t limit_of(const struct cache *cache, bool slow) {
   return slow ? cache->limit_bytes : cache->limit_bytes / FAST_SHARE;
 }
 
-/* Makes room for an entry that is not larger than its limit. For a fast entry, fast ones are
- * evicted first until all of them keep their limit. Then slow ones are evicted while there are
- * any. */
+/* Makes room for an entry that is not larger than the limit of its kind. For a fast entry, first
+ * evicts fast entries until all of them are within their limit. Then evicts slow entries, as long
+ * as there are any, until all entries are within the cache's limit. */
 static void make_room(struct cache *cache, const struct cache_entry *entry,
                       struct entries *evicted) {
   struct list *fast = &cache->lists[false];
@@ -269,8 +269,8 @@ static void make_room(struct cache *cache, const struct cache_entry *entry,
   }
 }
 
-/* Keeps an entry that has just been prepared and is in the table. If it has a fault, or is larger
- * than all that may be kept, it is taken out and released with those that have been evicted. */
+/* Keeps an entry of the table that has just been prepared. If the entry has a fault, or is larger
+ * than the limit, removes it and adds it to the evicted entries. */
 static void keep(struct cache *cache, struct cache_entry *entry, struct entries *evicted) {
   if (entry->fault.field != NULL || entry->bytes > limit_of(cache, entry->slow)) {
     take_out(cache, entry);
@@ -303,7 +303,7 @@ static void enqueue(struct cache *cache, struct cache_owner *owner, struct cache
   TAILQ_INSERT_TAIL(&owner->waiters, waiter, in_owner);
 }
 
-/* Takes the waiter out of its owner's queue, if it is there. */
+/* Removes the waiter from its owner's queue, if it is there. */
 static void dequeue(struct cache *cache, struct cache_waiter *waiter) {
   struct cache_owner *owner = waiter->owner;
   if (owner != NULL) {
@@ -329,7 +329,7 @@ static void wait_for(struct cache_entry *entry, struct cache_owner *owner,
   }
 }
 
-/* Takes a waiter out of the list that it is in, if any. */
+/* Removes a waiter from the list of its entry or of its queue, if it is in one. */
 static void delist(struct cache_waiter *waiter) {
   if (waiter->list != NULL) {
     LIST_REMOVE(waiter, in_list);
@@ -337,7 +337,8 @@ static void delist(struct cache_waiter *waiter) {
   }
 }
 
-/* A thread cannot end while a waiter of its queue is in the list. So the queue may be woken. */
+/* Wakes the queues of all waiters of an entry. A queue is still valid while one of its waiters is
+ * in the list, because its thread cannot end before. */
 static void wake_all(struct cache_entry *entry) {
   struct cache_waiter *waiter;
   while ((waiter = LIST_FIRST(&entry->waiters)) != NULL) {
@@ -349,7 +350,7 @@ static void wake_all(struct cache_entry *entry) {
   }
 }
 
-/* Takes a slow entry out of the table if nobody waits for it any more. False: somebody does. */
+/* Removes a slow entry from the table if nobody waits for it any more. Returns whether it did. */
 static bool give_up(struct cache_entry *entry) {
   if (!entry->slow || !LIST_EMPTY(&entry->waiters)) {
     return false;
@@ -378,7 +379,7 @@ static struct cache_entry *begin_turn(struct cache *cache) {
   return entry;
 }
 
-/* An entry with one reference, the table's. NULL: out of memory. */
+/* Makes an entry with one reference, which the table holds. Returns NULL if there is no memory. */
 static struct cache_entry *new_entry(struct cache *cache, const struct cache_key *key, bool slow) {
   struct cache_entry *entry = calloc(1, sizeof *entry);
   if (entry != NULL) {
@@ -430,7 +431,7 @@ struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, uint64_t max_
   cache->isa = isa;
   cache->limit_bytes = limit_bytes;
   cache->max_waiting = max_waiting;
-  cache->turns_most = uv_available_parallelism() < 4 ? 1 : 2; /* the others are for the workers */
+  cache->turns_most = uv_available_parallelism() < 4 ? 1 : 2; /* leaves cores for the workers */
   cache->stats = stats;
   cache->bucket_count = BUCKETS_MIN;
   cache->buckets = calloc(BUCKETS_MIN, sizeof *cache->buckets);
@@ -522,7 +523,7 @@ static void prepare(uv_work_t *work) {
 }
 
 static void on_prepared(uv_work_t *work, int status) {
-  (void)status; /* it is never cancelled: cache_prepare() checks whether it is still wanted */
+  (void)status; /* The work is never cancelled: cache_prepare() checks whether it is wanted. */
   struct cache_entry *entry = work->data;
   struct cache *cache = entry->cache;
   uv_loop_t *loop = work->loop;
@@ -536,7 +537,7 @@ void cache_prepare_in_pool(struct cache *cache, uv_loop_t *loop) {
   while ((entry = cache_begin_turn(cache)) != NULL) {
     entry->work.data = entry;
     const int queued = uv_queue_work(loop, &entry->work, prepare, on_prepared);
-    assert(queued == 0); /* this only fails without a function */
+    assert(queued == 0); /* uv_queue_work() fails only if no function is given. */
   }
 }
 

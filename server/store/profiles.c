@@ -22,7 +22,7 @@ static bool is_evicted(const struct profiles_slot *slot) {
   return slot->entry != NULL && !cache_keeps(slot->entry);
 }
 
-/* NULL: the table does not have it. */
+/* Finds the slot of a profile. Returns NULL if the table does not have it. */
 static struct profiles_slot *find(struct profiles *profiles, const struct cache_key *key) {
   struct profiles_set *set = set_of(profiles, key->hash);
   for (size_t way = 0; way < PROFILES_WAYS; way++) {
@@ -34,7 +34,7 @@ static struct profiles_slot *find(struct profiles *profiles, const struct cache_
   return NULL;
 }
 
-/* The slot of a set that is to be replaced. NULL: all of them are pinned. */
+/* Returns the slot of a set that is replaced next. NULL if all slots are pinned. */
 static struct profiles_slot *choose(struct profiles_set *set, uint64_t hash) {
   for (size_t tries = 0; tries < PROFILES_WAYS; tries++) {
     const unsigned way = set->next;
@@ -47,7 +47,8 @@ static struct profiles_slot *choose(struct profiles_set *set, uint64_t hash) {
   return NULL;
 }
 
-/* The slot that the profile is in now. NULL: it cannot be kept. */
+/* Puts a profile into the table. Returns its slot, or NULL if all slots of its set are pinned or
+ * the table keeps nothing. */
 static struct profiles_slot *put(struct profiles *profiles, const struct cache_key *key,
                                  const core_profile *profile, struct cache_entry *entry) {
   const bool may_be_kept = entry != NULL ? cache_keeps(entry) : core_profile_bytes(profile) == 0;
@@ -55,7 +56,7 @@ static struct profiles_slot *put(struct profiles *profiles, const struct cache_k
     return NULL;
   }
   struct profiles_slot *slot = find(profiles, key);
-  if (slot != NULL) { /* another job of this worker waited for the same profile */
+  if (slot != NULL) { /* Another job of this worker waited for the same profile. */
     return slot;
   }
   slot = choose(set_of(profiles, key->hash), key->hash);
@@ -120,7 +121,7 @@ static enum profiles_answer get_from_table(struct profiles *profiles,
   return PROFILES_READY;
 }
 
-/* For a profile that does not go into the cache. */
+/* Prepares a profile that does not go into the cache. */
 static enum profiles_answer prepare_here(struct profiles *profiles,
                                          struct profiles_lookup *lookup) {
   count(profiles, false);
@@ -133,7 +134,7 @@ static enum profiles_answer prepare_here(struct profiles *profiles,
   return PROFILES_READY;
 }
 
-/* Takes over a reference to an entry that is prepared, or has a fault. */
+/* Takes the profile of an entry that is prepared or has a fault. Owns the caller's reference. */
 static enum profiles_answer take(struct profiles *profiles, struct profiles_lookup *lookup,
                                  struct cache_entry *entry) {
   lookup->fault = cache_fault(entry);
@@ -174,7 +175,8 @@ static enum profiles_answer get_from_cache(struct profiles *profiles,
   return PROFILES_FAULT;
 }
 
-/* Takes the entry that the job waited for. It may have been evicted since, but is still valid. */
+/* Takes the entry for which the job waited. The entry is valid even if it has been evicted since.
+ */
 static enum profiles_answer get_awaited(struct profiles *profiles, struct profiles_lookup *lookup) {
   assert(lookup->woken);
   struct cache_entry *entry = lookup->waiter.entry;

@@ -1,37 +1,37 @@
-/* profiles: a worker's one local store of prepared profiles, in front of the cache that all workers
+/* profiles: a worker's local store of prepared profiles, in front of the cache that all workers
  * share.
  *
  * The store is a table of constant size. A slot holds either a profile that owns no memory, or a
- * copy of a cache entry's profile together with a reference to the entry. What preparing a model
- * takes decides where its profiles come from:
- *   1 to 2 us (dipoles, Burley): the worker prepares them itself and keeps them in the table alone.
- *     So no stream of such media evicts anything from the cache.
+ * copy of a cache entry's profile together with a reference to the entry. The time of preparing a
+ * profile decides who prepares and who keeps it:
+ *   1 to 2 us (dipoles, Burley): the worker prepares it itself and keeps it only in its table, so
+ *     that no stream of such media evicts anything from the cache.
  *   25 to 500 us (single scattering, multipoles, quantized diffusion): the worker that asks first
- *     prepares them. They are in the cache and in the table.
- *   milliseconds and more (transport, tables): likewise, but a thread of libuv's pool prepares
- *     them, so that neither the worker nor another client's cheap request waits.
+ *     prepares it. Cache and table keep it.
+ *   milliseconds and more (transport, tables): a thread of libuv's pool prepares it, so that
+ *     neither the worker nor another client's cheap request waits. Cache and table keep it.
  *
- * Others (server/jobs/batch.h) remember a profile by its place in this table
- * and hold no copies of their own.
+ * Other modules, like server/jobs/batch.h, remember the place of a profile in this table. They hold
+ * no copies of their own.
  *
  * Why there is one table and no other store. Each store that the daemon once had was switched off
- * in a copy of the program, and both programs served the same load in turn: 25 ms each, 40 to 60
- * rounds, on two cores of a Xeon. A figure is how many times as much of the daemon's processor time
- * a request takes without the store (service.redis.dipoled.cpu, modbus.fc23.32.dipoled.cpu), as the
- * median of the rounds; two copies of the same program differ by up to 2 %. A store that earns less
- * than 5 % of a ratio is not kept.
+ * in a copy of the program. Both programs served the same load alternately: 25 ms each, 40 to 60
+ * rounds, on two cores of a Xeon. A figure is the daemon's processor time for a request without the
+ * store over that with it, as the median of the rounds (service.redis.dipoled.cpu and
+ * modbus.fc23.32.dipoled.cpu). Two copies of the same program differ by up to 2 %. A store that
+ * gains less than 5 % was removed.
  *
  *   switched off                              service.redis   modbus.fc23.32   kept
  *   repeated requests (server/jobs/batch.h)   2.8             1.11             yes
- *   with those off, and in relation to that:
+ *   with repeated requests off in both programs:
  *     dipoles' profiles, prepared each time   3.4             1.38             yes: this table
  *     dipoles' profiles, into the cache       1.00            0.99             no: see above
  *     cache entries, looked up each time      1.04            1.00             no: in this table
  *   profiles held by batch and repeat         0.95            0.98             no: places here
- *   the cache: a table is built for each request, which takes 0.9 to 340 ms (lut.<model>.prepare),
+ *   the cache: without it, a table is built for each request in 0.9 to 340 ms (lut.<model>.prepare)
  *   in place of 0.5 us.                                                       yes
  *
- * Cache entries are in this table because they cost it nothing: it is the same code for both kinds.
+ * The table also holds cache entries because that costs nothing: the code is the same for both.
  * To repeat a row, let find() in profiles.c or repeat_find() in batch.c return NULL, and run
  * `build/bench service modbus` with that build and with the right one in turn.
  */
@@ -47,53 +47,55 @@ enum { PROFILES_SETS = 64, PROFILES_WAYS = 4 };
 
 struct profiles_slot {
   uint64_t version;          /* rises whenever the slot gets another profile or is emptied */
-  unsigned pins;             /* the slot keeps its profile while this is above 0 */
-  struct cache_entry *entry; /* a reference; NULL: the profile owns no memory */
-  struct cache_key key;      /* of model 0 if the slot is empty: no model has this id */
+  unsigned pins;             /* The slot keeps its profile while this is above 0. */
+  struct cache_entry *entry; /* reference to the cache entry; NULL: the profile owns no memory */
+  struct cache_key key;      /* has model 0, which no model has, if the slot is empty */
   core_profile profile;
 };
 
-/* Names the profile that a slot had at one time. All members are 0 if there is none. */
+/* The place of a profile: its slot, and the version of the slot at that time. All members are 0 if
+ * there is no profile. */
 struct profiles_place {
   struct profiles_slot *slot;
   uint64_t version;
 };
 
-/* Belongs to one worker and is used on its thread only. */
+/* The store of one worker; only its thread uses it. */
 struct profiles {
   struct server *server;
   uv_loop_t *loop;
-  bool keeps; /* false with a cache of 0 bytes: then the table stays empty */
+  bool keeps; /* false if the cache has 0 bytes: the table then stays empty */
   struct cache_queue queue;
   struct profiles_set {
     uint64_t hashes[PROFILES_WAYS];
-    unsigned next; /* the slot that is replaced next */
+    unsigned next; /* position of the slot that is replaced next */
     struct profiles_slot slots[PROFILES_WAYS];
   } sets[PROFILES_SETS];
 };
 
-/* Through this a job gets one profile after the other. Before profiles_start(), set on_ready,
- * context and owner, and all other members to 0. */
+/* A job's lookup of one profile after the other. Before profiles_start(), set on_ready, context and
+ * owner, and all other members to 0. */
 struct profiles_lookup {
   void (*on_ready)(void *context); /* called after PROFILES_WAIT: call profiles_get() again */
   void *context;
-  struct cache_owner *owner; /* whose turns slow profiles are prepared in */
+  struct cache_owner *owner; /* the owner whose turns are used to prepare slow profiles */
   struct cache_key key;
   core_parameters parameters;
-  bool ready;                  /* `profile` may be evaluated until profiles_return() */
+  bool ready;                  /* whether `profile` is valid, until profiles_return() */
   core_profile profile;        /* a copy, with the angles of the request */
-  struct profiles_place place; /* of the same profile without the angles, if the table has it */
-  struct cache_entry *entry;   /* a reference to the entry that was copied; NULL: none */
+  struct profiles_place place; /* of the profile without the angles, if the table has it */
+  struct cache_entry *entry;   /* reference to the entry that was copied; NULL: none */
   core_fault fault;            /* after PROFILES_FAULT: why there is no profile */
   struct cache_waiter waiter;
   bool woken;
 };
 
-/* When profiles_wake() should be called, wake(context) is called on any thread. */
+/* Sets up the store. It calls wake(context), on any thread, when the worker should call
+ * profiles_wake(). */
 void profiles_init(struct profiles *profiles, struct server *server, uv_loop_t *loop,
                    void (*wake)(void *context), void *context);
 
-/* Empties the table. No job waits for a profile any more, and no slot is pinned. */
+/* Empties the table. Call it when no job waits for a profile and no slot is pinned. */
 void profiles_end(struct profiles *profiles);
 
 /* Calls on_ready() for the jobs whose profiles have been prepared. */
@@ -105,28 +107,28 @@ void profiles_sweep(struct profiles *profiles);
 
 enum profiles_answer { PROFILES_READY, PROFILES_FAULT, PROFILES_WAIT };
 
-/* The field of a fault when max_waiting_profiles of the owner wait already. */
+/* The field of the fault of an owner that has max_waiting_profiles waiters already. */
 #define PROFILES_FIELD_BUSY "profiles"
 
-/* Returns whether the same request may succeed later: memory is lacking, or too many profiles wait.
- */
+/* Returns whether a fault is temporary: memory is lacking, or too many profiles wait. */
 bool profiles_is_busy(core_fault fault);
 
-/* Sets what the next profiles have in common; core_profile_check() has accepted the arguments. */
+/* Sets the arguments that the next profiles share. core_profile_check() must have accepted them. */
 void profiles_start(struct profiles_lookup *lookup, unsigned model, unsigned moments,
                     unsigned evaluator, const core_parameters *parameters);
 
-/* Gets the profile for a medium; the one before has been returned. After PROFILES_WAIT and
- * on_ready(), call it again for the same medium. */
+/* Gets the profile for a medium. The caller has returned the previous profile. After PROFILES_WAIT
+ * and on_ready(), call it again for the same medium. */
 enum profiles_answer profiles_get(struct profiles *profiles, struct profiles_lookup *lookup,
                                   const core_medium *medium);
 
-/* Returns the profile, or gives up waiting for it. Does nothing if there is neither. */
+/* Returns the profile to the store, or gives up waiting for it. Does nothing if there is neither.
+ */
 void profiles_return(struct profiles_lookup *lookup);
 
-/* The profile at a place, without the angles of a request. NULL: the slot has another one now, or
- * the cache has evicted this one. It stays until the next call of profiles_get() or
- * profiles_sweep(), or while the slot is pinned. */
+/* Returns the profile at a place, without the angles of a request. It stays valid until the next
+ * profiles_get() or profiles_sweep(), and while the slot is pinned. Returns NULL if the slot has
+ * another profile now, or if the cache has evicted this one. */
 const core_profile *profiles_at(struct profiles_place place);
 
 #endif
