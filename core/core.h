@@ -398,14 +398,11 @@ core_inversion core_invert_albedo(unsigned model, unsigned moments, double albed
 
 /* ---- radii ----------------------------------------------------------------------------------- */
 
-/* Returns the fault of the first radius that is negative or NaN. -0.0 counts as 0. */
-core_fault core_radii_check_f64(size_t n, const double *r);
-core_fault core_radii_check_f32(size_t n, const float *r);
-
-/* The range of the finite ones among n radii that are not NaN. Infinite radii are left out, because
+/* Returns the fault of the first radius that is negative or NaN; -0.0 counts as 0. If there is none,
+ * sets *range to the least and the largest of the finite radii. Infinite radii are left out, because
  * every model has R = 0 there. Without a finite radius the range is from INFINITY to 0. */
-core_radii_range core_radii_range_f64(size_t n, const double *r);
-core_radii_range core_radii_range_f32(size_t n, const float *r);
+core_fault core_radii_check_f64(size_t n, const double *r, core_radii_range *range);
+core_fault core_radii_check_f32(size_t n, const float *r, core_radii_range *range);
 
 /* Returns the fault of the first radius outside a profile's range. No radius is NaN. */
 core_fault core_radii_range_check_f64(const core_radii_range *range, size_t n, const double *r);

@@ -11,63 +11,61 @@
 
 #define RADIUS_ALLOWED "0 to infinity, in mm"
 
-/* The first loop checks the whole list without a branch, so that it vectorizes. Only if it finds a
- * fault, a second loop searches for the first one. */
+static core_fault radius_fault(size_t index) {
+  return (core_fault){"r", RADIUS_ALLOWED, index};
+}
+
+#define LESS(a, b) ((a) < (b) ? (a) : (b))
+#define MORE(a, b) ((a) > (b) ? (a) : (b))
+
+/* One pass finds the range, and whether there is a NaN. A second pass, for the first bad radius or
+ * the largest finite one, is needed only if there is a NaN, a negative or an infinite radius.
+ *
+ * `omp simd` lets the compiler reorder the reductions, so that the loop vectorizes. Each turn takes
+ * a radius from each quarter of the list: if all radii went into one minimum, each would wait for
+ * the one before. */
+#define REDUCE _Pragma("omp simd reduction(min:least) reduction(max:most) reduction(|:has_nan)")
 #define DEFINE_CHECK(name, type)                                                                   \
-  core_fault name(size_t n, const type *r) {                                                       \
-    int good = 1;                                                                                  \
-    for (size_t i = 0; i < n; i++) {                                                               \
-      good &= r[i] >= 0;                                                                           \
+  core_fault name(size_t n, const type *r, core_radii_range *range) {                              \
+    type least = (type)INFINITY;                                                                   \
+    type most = 0;                                                                                 \
+    int has_nan = 0;                                                                               \
+    const size_t quarter = n / 4;                                                                  \
+    REDUCE                                                                                         \
+    for (size_t i = 0; i < quarter; i++) {                                                         \
+      const type a = r[i], b = r[quarter + i], c = r[2 * quarter + i], d = r[3 * quarter + i];     \
+      const type least_of_two = LESS(a, b), most_of_two = MORE(a, b);                              \
+      const type least_of_others = LESS(c, d), most_of_others = MORE(c, d);                        \
+      const type least_of_four = LESS(least_of_two, least_of_others);                              \
+      const type most_of_four = MORE(most_of_two, most_of_others);                                 \
+      least = LESS(least_of_four, least);                                                          \
+      most = MORE(most_of_four, most);                                                             \
+      has_nan |= isunordered(a, b) | isunordered(c, d);                                            \
     }                                                                                              \
-    if (good) {                                                                                    \
-      return (core_fault){0};                                                                      \
+    for (size_t i = 4 * quarter; i < n; i++) {                                                     \
+      least = LESS(r[i], least);                                                                   \
+      most = MORE(r[i], most);                                                                     \
+      has_nan |= isnan(r[i]);                                                                      \
     }                                                                                              \
-    size_t first = 0;                                                                              \
-    while (r[first] >= 0) {                                                                        \
-      first++;                                                                                     \
+    if (has_nan || least < 0) {                                                                    \
+      size_t first = 0;                                                                            \
+      while (r[first] >= 0) {                                                                      \
+        first++;                                                                                   \
+      }                                                                                            \
+      return radius_fault(first);                                                                  \
     }                                                                                              \
-    return (core_fault){"r", RADIUS_ALLOWED, first};                                               \
+    if (most == (type)INFINITY) {                                                                  \
+      most = 0;                                                                                    \
+      for (size_t i = 0; i < n; i++) {                                                             \
+        most = r[i] > most && r[i] < (type)INFINITY ? r[i] : most;                                 \
+      }                                                                                            \
+    }                                                                                              \
+    *range = (core_radii_range){(double)least + 0, (double)most}; /* -0.0 becomes 0 */             \
+    return (core_fault){0};                                                                        \
   }
 
 DEFINE_CHECK(core_radii_check_f64, double)
 DEFINE_CHECK(core_radii_check_f32, float)
-
-/* Each of RANGE_LANES lanes keeps its own least and largest radius, so that the loop vectorizes; a
- * reduction of floating-point numbers to one does not. */
-enum { RANGE_LANES = 32 };
-
-#define DEFINE_RANGE(name, type)                                                                   \
-  core_radii_range name(size_t n, const type *r) {                                                 \
-    type least[RANGE_LANES], most[RANGE_LANES];                                                    \
-    /* A short list, as most requests have, needs no lane but the first. */                        \
-    const size_t lanes = n < RANGE_LANES ? 1 : RANGE_LANES;                                        \
-    for (size_t lane = 0; lane < lanes; lane++) {                                                  \
-      least[lane] = (type)INFINITY;                                                                \
-      most[lane] = 0;                                                                              \
-    }                                                                                              \
-    size_t i = 0;                                                                                  \
-    for (; i + RANGE_LANES <= n; i += RANGE_LANES) {                                               \
-      for (size_t lane = 0; lane < RANGE_LANES; lane++) {                                          \
-        const type radius = r[i + lane];                                                           \
-        const type finite = radius < (type)INFINITY ? radius : 0;                                  \
-        least[lane] = radius < least[lane] ? radius : least[lane];                                 \
-        most[lane] = finite > most[lane] ? finite : most[lane];                                    \
-      }                                                                                            \
-    }                                                                                              \
-    for (; i < n; i++) {                                                                           \
-      const type finite = r[i] < (type)INFINITY ? r[i] : 0;                                        \
-      least[0] = r[i] < least[0] ? r[i] : least[0];                                                \
-      most[0] = finite > most[0] ? finite : most[0];                                               \
-    }                                                                                              \
-    for (size_t lane = 1; lane < lanes; lane++) {                                                  \
-      least[0] = least[lane] < least[0] ? least[lane] : least[0];                                  \
-      most[0] = most[lane] > most[0] ? most[lane] : most[0];                                       \
-    }                                                                                              \
-    return (core_radii_range){(double)least[0], (double)most[0]};                                  \
-  }
-
-DEFINE_RANGE(core_radii_range_f64, double)
-DEFINE_RANGE(core_radii_range_f32, float)
 
 #define DEFINE_RANGE_CHECK(name, type)                                                             \
   core_fault name(const core_radii_range *range, size_t n, const type *r) {                        \

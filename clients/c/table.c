@@ -314,11 +314,12 @@ bool dipole_table_errors(const dipole_table *table, unsigned wanted, size_t n, c
       return false;
     }
   }
-  if (!is_between(r, n, table->radius_least_mm, table->radius_most_mm)) {
+  core_radii_range range;
+  if (!is_between(r, n, table->radius_least_mm, table->radius_most_mm) ||
+      core_radii_check_f32(n, r, &range).field != NULL) {
     return false;
   }
-  const core_stated_errors stated =
-      core_profile_errors(&table->profile, wanted, core_radii_range_f32(n, r));
+  const core_stated_errors stated = core_profile_errors(&table->profile, wanted, range);
   *errors = (dipole_errors){stated.numerical, stated.numerical_per_mm, stated.model};
   return true;
 }

@@ -126,13 +126,14 @@ static struct repeat_entry *look_up(struct repeat *repeat, const uint8_t *reques
   return NULL;
 }
 
-static bool radii_are_right(const struct repeat_entry *entry, const uint8_t *radii) {
+static bool radii_are_right(const struct repeat_entry *entry, const uint8_t *radii,
+                            core_radii_range *range) {
   static const uint8_t zeros[WIRE_ALIGNMENT];
   const size_t bytes = entry->count * entry->value_bytes;
   const core_fault fault =
       entry->value_bytes == sizeof(float)
-          ? core_radii_check_f32(entry->count, (const float *)(const void *)radii)
-          : core_radii_check_f64(entry->count, (const double *)(const void *)radii);
+          ? core_radii_check_f32(entry->count, (const float *)(const void *)radii, range)
+          : core_radii_check_f64(entry->count, (const double *)(const void *)radii, range);
   return fault.field == NULL &&
          memcmp(radii + bytes, zeros, (size_t)wire_padded(bytes) - bytes) == 0;
 }
@@ -142,7 +143,7 @@ static bool is_listed(const struct repeat_entry *entry) {
 }
 
 const struct repeat_entry *repeat_find(struct repeat *repeat, const uint8_t *payload,
-                                       size_t payload_bytes) {
+                                       size_t payload_bytes, core_radii_range *radii) {
   const size_t bytes = start_bytes(payload, payload_bytes);
   if (bytes == 0) {
     return NULL;
@@ -150,7 +151,7 @@ const struct repeat_entry *repeat_find(struct repeat *repeat, const uint8_t *pay
   const struct repeat_entry *entry = look_up(repeat, payload, bytes);
   return entry != NULL && entry->payload_bytes == payload_bytes &&
                  profiles_at(entry->place) != NULL &&
-                 (!is_listed(entry) || radii_are_right(entry, payload + bytes))
+                 (!is_listed(entry) || radii_are_right(entry, payload + bytes, radii))
              ? entry
              : NULL;
 }
@@ -172,10 +173,7 @@ static const void *radii_of(const struct repeat_entry *entry, const uint8_t *pay
 
 /* Writes the errors that hold for the listed radii of this request. A request for a grid needs none
  * of this: it has the radii of the entry, whose reply states their errors. */
-static void put_errors(const struct repeat_entry *entry, const void *r, uint8_t *channel) {
-  const core_radii_range radii = entry->value_bytes == sizeof(float)
-                                     ? core_radii_range_f32(entry->count, r)
-                                     : core_radii_range_f64(entry->count, r);
+static void put_errors(const struct repeat_entry *entry, core_radii_range radii, uint8_t *channel) {
   const core_stated_errors errors =
       core_profile_errors(profiles_at(entry->place), entry->wanted, radii);
   wire_channel fixed;
@@ -186,12 +184,12 @@ static void put_errors(const struct repeat_entry *entry, const void *r, uint8_t 
 }
 
 void repeat_answer(const struct repeat_entry *entry, struct batch *batch, struct stats *stats,
-                   const uint8_t *payload, double *radii, uint8_t *reply) {
+                   const uint8_t *payload, core_radii_range range, double *radii, uint8_t *reply) {
   const size_t used = entry->count * entry->value_bytes;
   const void *r = radii_of(entry, payload, radii);
   memcpy(reply, entry->reply, REPEAT_REPLY_BYTES);
   if (is_listed(entry)) {
-    put_errors(entry, r, reply + WIRE_BYTES_eval_reply);
+    put_errors(entry, range, reply + WIRE_BYTES_eval_reply);
   }
   uint8_t *to = reply + REPEAT_REPLY_BYTES;
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {

@@ -104,14 +104,15 @@ void repeat_learn(struct repeat *repeat, const eval_request *request, const core
                   const eval_layout *layout, const uint8_t *reply, struct profiles_place place);
 
 /* Finds the remembered request that this one repeats. Returns NULL if there is none, if its profile
- * is gone, or if a radius is out of range; the caller then treats the request as a new one. */
+ * is gone, or if a radius is out of range; the caller then treats the request as a new one. If the
+ * radii are listed, sets *radii to their range (core_radii_check_f64()). */
 const struct repeat_entry *repeat_find(struct repeat *repeat, const uint8_t *payload,
-                                       size_t payload_bytes);
+                                       size_t payload_bytes, core_radii_range *radii);
 
-/* Fills in a reply of entry->reply_bytes, whose values follow in batch_finish(). radii: working
- * space for BATCH_SHORT_RADII numbers. Call it after repeat_find(), before another profile is got.
- */
+/* Fills in a reply of entry->reply_bytes, whose values follow in batch_finish(). range: set by
+ * repeat_find(); radii: working space for BATCH_SHORT_RADII numbers. Call it after repeat_find(),
+ * before another profile is got. */
 void repeat_answer(const struct repeat_entry *entry, struct batch *batch, struct stats *stats,
-                   const uint8_t *payload, double *radii, uint8_t *reply);
+                   const uint8_t *payload, core_radii_range range, double *radii, uint8_t *reply);
 
 #endif

@@ -6,10 +6,6 @@
 
 #include "server/store/profiles.h"
 
-static bool is_single(const wire_eval_request *fixed) {
-  return core_evaluator_bytes(fixed->evaluator) == sizeof(float);
-}
-
 /* A medium has the same layout on the wire and in core, so core reads the payload as an array. */
 _Static_assert(sizeof(core_medium) == WIRE_BYTES_medium, "one medium after the other");
 
@@ -23,18 +19,6 @@ static wire_error check_media(const core_medium *media, size_t count) {
     }
   }
   return wire_error_none();
-}
-
-core_radii_range choice_radii(const eval_request *request) {
-  const wire_eval_request *fixed = &request->fixed;
-  if (fixed->spacing != CORE_SPACING_LIST) {
-    const double start = fixed->radius_start;
-    const double stop = fixed->radius_count > 1 ? fixed->radius_stop : start;
-    const float ends[] = {(float)start, (float)stop};
-    return is_single(fixed) ? core_radii_range_f32(2, ends) : (core_radii_range){start, stop};
-  }
-  return is_single(fixed) ? core_radii_range_f32(fixed->radius_count, request->radii)
-                          : core_radii_range_f64(fixed->radius_count, request->radii);
 }
 
 /* Returns the quantities whose errors count. Without radii, only the albedo has a value. */
@@ -57,15 +41,15 @@ wire_error choice_check(const eval_request *request) {
                              : wire_error_make(WIRE_STATUS_BAD_VALUE, fault.field, fault.allowed);
 }
 
-void choice_list(const eval_request *request, struct choice *choice) {
+void choice_list(const eval_request *request, core_radii_range radii, struct choice *choice) {
   const wire_eval_request *fixed = &request->fixed;
   const core_choose_request asked = {
       .media = media_of(request),
       .media_count = fixed->medium_count,
       .moments = fixed->moments,
       .wanted = wanted_of(fixed),
-      .radii = choice_radii(request),
-      .single = is_single(fixed),
+      .radii = radii,
+      .single = core_evaluator_bytes(fixed->evaluator) == sizeof(float),
       .tolerance = request->parameters.value[CORE_PARAMETER_TOLERANCE],
   };
   choice->count = core_choose(&asked, choice->candidates);
@@ -99,21 +83,22 @@ static bool take_next(struct choice_state *state, const struct choice *choice,
   return true;
 }
 
-wire_error choice_first(struct choice_state *state, eval_request *request) {
+wire_error choice_first(struct choice_state *state, eval_request *request, core_radii_range radii) {
   struct choice choice;
-  choice_list(request, &choice);
+  choice_list(request, radii, &choice);
   state->tolerance = request->parameters.value[CORE_PARAMETER_TOLERANCE];
   state->tried = 0;
   return take_next(state, &choice, request) ? wire_error_none() : none_meets(&choice);
 }
 
-bool choice_again(struct choice_state *state, core_fault fault, eval_request *request) {
+bool choice_again(struct choice_state *state, core_fault fault, eval_request *request,
+                  core_radii_range radii) {
   if (isnan(state->tolerance) || profiles_is_busy(fault)) {
     return false;
   }
   struct choice choice;
   request->parameters.value[CORE_PARAMETER_TOLERANCE] = state->tolerance;
-  choice_list(request, &choice);
+  choice_list(request, radii, &choice);
   return take_next(state, &choice, request);
 }
 

@@ -21,25 +21,22 @@ struct choice_state {
   size_t tried;       /* how many candidates have been chosen so far */
 };
 
-/* Returns the least and the largest radius of an eval request that has been checked: of its list,
- * or the ends of its grid, in the precision in which they are evaluated. */
-core_radii_range choice_radii(const eval_request *request);
-
 /* Checks the tolerance and the media of a request of model EVAL_ANY_MODEL. */
 wire_error choice_check(const eval_request *request);
 
 /* Lists the candidates for a request of model EVAL_ANY_MODEL, after choice_check() and the check of
- * its radii. */
-void choice_list(const eval_request *request, struct choice *choice);
+ * its radii, which lie in the range `radii` unless they are infinite. */
+void choice_list(const eval_request *request, core_radii_range radii, struct choice *choice);
 
 /* Writes the best candidate into the request, as if the client had asked for it. Returns an error
  * if none keeps the tolerance; it says which tolerance the best one keeps. */
-wire_error choice_first(struct choice_state *state, eval_request *request);
+wire_error choice_first(struct choice_state *state, eval_request *request, core_radii_range radii);
 
 /* Writes the next candidate that keeps the tolerance into the request, after the preparation of a
  * candidate has failed with this fault. Returns false if there is none, if the request names a
  * model, or if memory was lacking: the same request must get the same model whenever it is sent. */
-bool choice_again(struct choice_state *state, core_fault fault, eval_request *request);
+bool choice_again(struct choice_state *state, core_fault fault, eval_request *request,
+                  core_radii_range radii);
 
 /* Sorts the candidates by cost. Returns the position of the candidate that an eval would get, or
  * choice->count if it would get none. */

@@ -74,24 +74,39 @@ static wire_error check_range(const struct eval_job *eval, const core_radii_rang
   return wire_error_none();
 }
 
-/* Checks the radii. If only the albedo is wanted, there may be none: a grid of 0 radii is accepted.
- */
-static wire_error check_radii(const struct eval_job *eval) {
+/* If only the albedo is wanted, there may be no radii: a grid of 0 radii is accepted. */
+static wire_error check_grid(const struct eval_job *eval) {
   const wire_eval_request *fixed = &eval->request.fixed;
-  core_fault fault = {0};
-  if (fixed->spacing != CORE_SPACING_LIST) {
-    if (fixed->wanted != CORE_QUANTITY_ALBEDO || fixed->radius_count > 0) {
-      fault = core_grid_check(&eval->grid);
-    }
-    if (fault.field != NULL && strcmp(fault.field, "radius_count") == 0) {
-      return wire_error_make(WIRE_STATUS_BAD_COUNT, fault.field, fault.allowed);
-    }
-  } else if (core_evaluator_bytes(fixed->evaluator) == sizeof(float)) {
-    fault = core_radii_check_f32(fixed->radius_count, eval->request.radii);
-  } else {
-    fault = core_radii_check_f64(fixed->radius_count, eval->request.radii);
+  if (fixed->wanted == CORE_QUANTITY_ALBEDO && fixed->radius_count == 0) {
+    return wire_error_none();
+  }
+  const core_fault fault = core_grid_check(&eval->grid);
+  if (fault.field != NULL && strcmp(fault.field, "radius_count") == 0) {
+    return wire_error_make(WIRE_STATUS_BAD_COUNT, fault.field, fault.allowed);
   }
   return fault.field == NULL ? wire_error_none() : job_error(fault);
+}
+
+/* Checks the radii, and sets eval->radii: the least and the largest of the list, or the ends of the
+ * grid, in the precision in which they are evaluated. */
+static wire_error check_radii(struct eval_job *eval) {
+  const wire_eval_request *fixed = &eval->request.fixed;
+  const bool single = core_evaluator_bytes(fixed->evaluator) == sizeof(float);
+  if (fixed->spacing == CORE_SPACING_LIST) {
+    const core_fault fault =
+        single ? core_radii_check_f32(fixed->radius_count, eval->request.radii, &eval->radii)
+               : core_radii_check_f64(fixed->radius_count, eval->request.radii, &eval->radii);
+    return fault.field == NULL ? wire_error_none() : job_error(fault);
+  }
+  const wire_error error = check_grid(eval);
+  const double start = eval->grid.start_mm;
+  const double stop = fixed->radius_count > 1 ? eval->grid.stop_mm : start;
+  eval->radii = (core_radii_range){start, stop};
+  if (error.status == WIRE_STATUS_OK && single) {
+    const float ends[] = {(float)start, (float)stop};
+    core_radii_check_f32(2, ends, &eval->radii);
+  }
+  return error;
 }
 
 unsigned eval_job_wanted(const struct eval_job *eval) {
@@ -117,7 +132,7 @@ static wire_error parse(struct eval_job *eval, const struct job_request *request
 }
 
 /* Checks a request that names a tolerance in place of a model. */
-static wire_error check_tolerance(const struct eval_job *eval) {
+static wire_error check_tolerance(struct eval_job *eval) {
   const uint64_t most = eval->job.context->server->options.max_media;
   if (eval->request.fixed.medium_count > most) {
     return job_too_large("medium_count", most, "media");
@@ -185,18 +200,17 @@ static wire_error check(struct eval_job *eval, const struct job_request *request
   if (error.status == WIRE_STATUS_OK && eval->request.fixed.model == EVAL_ANY_MODEL) {
     error = check_tolerance(eval);
     if (error.status == WIRE_STATUS_OK) {
-      error = choice_first(&eval->choice, &eval->request);
+      error = choice_first(&eval->choice, &eval->request, eval->radii);
     }
   }
   core_radii_range range;
   if (error.status == WIRE_STATUS_OK) {
     error = eval_job_check_media(eval, &range);
   }
-  if (error.status == WIRE_STATUS_OK) {
+  if (error.status == WIRE_STATUS_OK && isnan(eval->choice.tolerance)) { /* else it is done */
     error = check_radii(eval);
   }
   if (error.status == WIRE_STATUS_OK) {
-    eval->radii = choice_radii(&eval->request);
     error = check_range(eval, &range);
   }
   return error;
@@ -302,7 +316,7 @@ static void start_profiles(struct eval_job *eval) {
 /* Begins the request again with the next best model for its tolerance. Returns false if there is no
  * other model. */
 static bool start_again(struct eval_job *eval) {
-  if (!choice_again(&eval->choice, eval->lookup.fault, &eval->request)) {
+  if (!choice_again(&eval->choice, eval->lookup.fault, &eval->request, eval->radii)) {
     return false;
   }
   /* Passes that still hold values for the old model must not write them over the new values. */
@@ -464,8 +478,8 @@ enum job_outcome eval_job_start(struct eval_job *eval, wire_error error,
 
 static enum job_outcome start_eval(struct job *job, const struct job_request *request) {
   struct eval_job *eval = of(job);
-  eval->repeated =
-      repeat_find(&job->context->repeat, request->payload, request->header->payload_bytes);
+  eval->repeated = repeat_find(&job->context->repeat, request->payload,
+                               request->header->payload_bytes, &eval->radii);
   if (eval->repeated != NULL) {
     eval->payload = request->payload;
     job->latency = LATENCY_EVAL_SHORT;
@@ -484,8 +498,8 @@ enum job_outcome eval_job_begin_part(struct job *job, uint8_t *payload) {
   struct eval_job *eval = of(job);
   if (eval->repeated != NULL) {
     struct job_context *context = job->context;
-    repeat_answer(eval->repeated, &context->batch, stats_of(eval), eval->payload, context->radii,
-                  payload);
+    repeat_answer(eval->repeated, &context->batch, stats_of(eval), eval->payload, eval->radii,
+                  context->radii, payload);
     return JOB_DONE;
   }
   eval->reply = payload;

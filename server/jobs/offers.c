@@ -3,7 +3,8 @@
 
 static struct choice list(const struct job *job) {
   struct choice choice;
-  choice_list(&((const struct eval_job *)(const void *)job)->request, &choice);
+  const struct eval_job *eval = (const struct eval_job *)(const void *)job;
+  choice_list(&eval->request, eval->radii, &choice);
   return choice;
 }
 

@@ -12,10 +12,12 @@ enum { COUNT_MAX = 4096 };
 UNIT_TEST(lists_with_good_radii_pass) {
   static const double wide[] = {0, -0.0, 5e-324, 1e-300, 1, 1e300, DBL_MAX, INFINITY};
   static const float narrow[] = {0, -0.0f, 1e-45f, 1, FLT_MAX, INFINITY};
-  unit_assert_fault(core_radii_check_f64(sizeof wide / sizeof wide[0], wide), NULL, 0);
-  unit_assert_fault(core_radii_check_f32(sizeof narrow / sizeof narrow[0], narrow), NULL, 0);
-  unit_assert_fault(core_radii_check_f64(0, NULL), NULL, 0);
-  unit_assert_fault(core_radii_check_f32(0, NULL), NULL, 0);
+  core_radii_range range;
+  unit_assert_fault(core_radii_check_f64(sizeof wide / sizeof wide[0], wide, &range), NULL, 0);
+  unit_assert_fault(core_radii_check_f32(sizeof narrow / sizeof narrow[0], narrow, &range), NULL,
+                    0);
+  unit_assert_fault(core_radii_check_f64(0, NULL, &range), NULL, 0);
+  unit_assert_fault(core_radii_check_f32(0, NULL, &range), NULL, 0);
 }
 
 /* At every position of lists of every length, with another bad one after it. */
@@ -26,6 +28,7 @@ UNIT_TEST(lists_name_the_first_bad_radius) {
     for (size_t at = 0; at < n; at++) {
       double wide[LENGTHS];
       float narrow[LENGTHS];
+      core_radii_range range;
       for (size_t i = 0; i < n; i++) {
         wide[i] = (double)i;
         narrow[i] = (float)i;
@@ -33,12 +36,47 @@ UNIT_TEST(lists_name_the_first_bad_radius) {
       const double value = bad[(n + at) % (sizeof bad / sizeof bad[0])];
       wide[at] = value;
       wide[n - 1] = at == n - 1 ? value : -2;
-      unit_assert_fault(core_radii_check_f64(n, wide), "r", at);
+      unit_assert_fault(core_radii_check_f64(n, wide, &range), "r", at);
       narrow[at] = (float)value == 0 ? -1.0f : (float)value;
       narrow[n - 1] = at == n - 1 ? narrow[at] : -2;
-      unit_assert_fault(core_radii_check_f32(n, narrow), "r", at);
+      unit_assert_fault(core_radii_check_f32(n, narrow, &range), "r", at);
     }
   }
+}
+
+static void assert_range(core_radii_range range, double least_mm, double most_mm) {
+  assert_true(range.least_mm == least_mm && range.most_mm == most_mm);
+  assert_false(signbit(range.least_mm));
+}
+
+/* The least and the largest radius at every position of lists of every length. An infinite radius
+ * beside them does not count. */
+UNIT_TEST(lists_tell_their_range) {
+  enum { LENGTHS = 68 };
+  for (size_t n = 2; n < LENGTHS; n++) {
+    for (size_t at = 0; at < n; at++) {
+      double wide[LENGTHS];
+      float narrow[LENGTHS];
+      core_radii_range range;
+      for (size_t i = 0; i < n; i++) {
+        wide[i] = i == at ? 0.125 : i == (at + 1) % n ? 64.5 : 2;
+        wide[i] = i == (at + 2) % n && n > 2 ? (double)INFINITY : wide[i];
+        narrow[i] = (float)wide[i];
+      }
+      unit_assert_fault(core_radii_check_f64(n, wide, &range), NULL, 0);
+      assert_range(range, 0.125, 64.5);
+      unit_assert_fault(core_radii_check_f32(n, narrow, &range), NULL, 0);
+      assert_range(range, 0.125, 64.5);
+    }
+  }
+  static const double zeros[] = {-0.0, -0.0}, infinite[] = {INFINITY, INFINITY};
+  core_radii_range range;
+  unit_assert_fault(core_radii_check_f64(2, zeros, &range), NULL, 0);
+  assert_range(range, 0, 0);
+  unit_assert_fault(core_radii_check_f64(2, infinite, &range), NULL, 0);
+  assert_range(range, INFINITY, 0);
+  unit_assert_fault(core_radii_check_f64(0, NULL, &range), NULL, 0);
+  assert_range(range, INFINITY, 0);
 }
 
 /* ---- what its radii are ------------------------------------------------------------------- */

@@ -134,8 +134,9 @@ static size_t assert_same_errors(const dipole_table *table, const core_profile *
     }
     const size_t n = i % 16 == 0 ? 0 : 1 + unit_random_below(random, 3);
     const unsigned wanted = (unsigned)unit_random(random) & HELD;
-    const core_stated_errors stated =
-        core_profile_errors(profile, wanted, core_radii_range_f32(n, r));
+    core_radii_range range;
+    assert_null(core_radii_check_f32(n, r, &range).field);
+    const core_stated_errors stated = core_profile_errors(profile, wanted, range);
     dipole_errors errors;
     assert_true(dipole_table_errors(table, wanted, n, r, &errors));
     assert_true(same(errors.numerical_error, stated.numerical));
