@@ -9,27 +9,35 @@ static unsigned word(const uint8_t *at) {
   return (unsigned)at[0] << 8 | at[1];
 }
 
-/* The lengths of the PDUs of each function. */
+/* The lengths of the PDUs of each function. The list has functions that the daemon does not serve,
+ * because other devices on a serial line may use them. */
 static const struct function {
   uint8_t number;
-  uint8_t bytes;  /* length of a request, without the values that it writes */
-  uint8_t values; /* position of the byte that counts the bytes of values; 0: there are no values */
-  uint8_t answer; /* length of an answer. If 2, the second byte counts the bytes that follow. If 0,
-                     the answer is like the request, or its length is not needed. */
-  bool writes;
+  uint8_t request;        /* length of a request, without the values that it counts */
+  uint8_t request_values; /* position of the byte that counts their bytes; 0: there are no values */
+  uint8_t answer;         /* length of an answer, likewise; 0: the length is not known */
+  uint8_t answer_values;
+  enum { ELSEWHERE, READS, WRITES } here; /* what the function does here, if it is served */
 } functions[] = {
-    {MODBUS_FC_READ_COILS, 5, 0, 2, false},
-    {MODBUS_FC_READ_DISCRETE_INPUTS, 5, 0, 2, false},
-    {MODBUS_FC_READ_HOLDING_REGISTERS, 5, 0, 2, false},
-    {MODBUS_FC_READ_INPUT_REGISTERS, 5, 0, 2, false},
-    {MODBUS_FC_WRITE_SINGLE_COIL, 5, 0, 0, true},
-    {MODBUS_FC_WRITE_SINGLE_REGISTER, 5, 0, 0, true},
-    {MODBUS_FC_WRITE_MULTIPLE_COILS, 6, 5, 5, true},
-    {MODBUS_FC_WRITE_MULTIPLE_REGISTERS, 6, 5, 5, true},
-    {MODBUS_FC_REPORT_SLAVE_ID, 1, 0, 2, false},
-    {MODBUS_FC_MASK_WRITE_REGISTER, 7, 0, 0, true},
-    {MODBUS_FC_WRITE_AND_READ_REGISTERS, 10, 9, 2, true},
-    {MODBUS_FC_READ_DEVICE_ID, 4, 0, 0, false},
+    {MODBUS_FC_READ_COILS, 5, 0, 2, 1, READS},
+    {MODBUS_FC_READ_DISCRETE_INPUTS, 5, 0, 2, 1, READS},
+    {MODBUS_FC_READ_HOLDING_REGISTERS, 5, 0, 2, 1, READS},
+    {MODBUS_FC_READ_INPUT_REGISTERS, 5, 0, 2, 1, READS},
+    {MODBUS_FC_WRITE_SINGLE_COIL, 5, 0, 5, 0, WRITES},
+    {MODBUS_FC_WRITE_SINGLE_REGISTER, 5, 0, 5, 0, WRITES},
+    {MODBUS_FC_READ_EXCEPTION_STATUS, 1, 0, 2, 0, ELSEWHERE},
+    {MODBUS_FC_DIAGNOSTICS, 5, 0, 5, 0, ELSEWHERE}, /* lines answer it themselves */
+    {0x0b, 1, 0, 5, 0, ELSEWHERE},                  /* get comm event counter */
+    {0x0c, 1, 0, 2, 1, ELSEWHERE},                  /* get comm event log */
+    {MODBUS_FC_WRITE_MULTIPLE_COILS, 6, 5, 5, 0, WRITES},
+    {MODBUS_FC_WRITE_MULTIPLE_REGISTERS, 6, 5, 5, 0, WRITES},
+    {MODBUS_FC_REPORT_SLAVE_ID, 1, 0, 2, 1, READS},
+    {0x14, 2, 1, 2, 1, ELSEWHERE}, /* read file record */
+    {0x15, 2, 1, 2, 1, ELSEWHERE}, /* write file record */
+    {MODBUS_FC_MASK_WRITE_REGISTER, 7, 0, 7, 0, WRITES},
+    {MODBUS_FC_WRITE_AND_READ_REGISTERS, 10, 9, 2, 1, WRITES},
+    {0x18, 3, 0, 3, 2, ELSEWHERE}, /* read FIFO queue */
+    {MODBUS_FC_READ_DEVICE_ID, 4, 0, 0, 0, READS},
 };
 
 /* Finds a function by its number. Returns NULL if it is unknown. */
@@ -42,17 +50,23 @@ static const struct function *find(unsigned number) {
   return NULL;
 }
 
-size_t modbus_pdu_bytes(const uint8_t *pdu, size_t bytes) {
-  const struct function *function = bytes > 0 ? find(pdu[0]) : NULL;
-  if (function == NULL || bytes <= function->values) {
+/* Returns the length of a PDU of `fixed` bytes and of as many values as the byte at `values` says.
+ * Returns 0 if there are too few bytes to tell. */
+static size_t counted(const uint8_t *pdu, size_t bytes, size_t fixed, size_t values) {
+  if (bytes <= values) {
     return 0;
   }
-  return function->bytes + (function->values > 0 ? (size_t)pdu[function->values] : 0);
+  return fixed + (values > 0 ? (size_t)pdu[values] : 0);
+}
+
+size_t modbus_pdu_bytes(const uint8_t *pdu, size_t bytes) {
+  const struct function *function = bytes > 0 ? find(pdu[0]) : NULL;
+  return function == NULL ? 0 : counted(pdu, bytes, function->request, function->request_values);
 }
 
 bool modbus_pdu_writes(unsigned number) {
   const struct function *function = find(number);
-  return function != NULL && function->writes;
+  return function != NULL && function->here == WRITES;
 }
 
 static bool within(unsigned count, unsigned most) {
@@ -107,7 +121,8 @@ static bool take_counts(const uint8_t *pdu, struct modbus_request *request) {
 
 unsigned modbus_pdu_parse(const uint8_t *pdu, size_t bytes, struct modbus_request *request) {
   *request = (struct modbus_request){.function = pdu[0]};
-  if (find(request->function) == NULL ||
+  const struct function *function = find(request->function);
+  if (function == NULL || function->here == ELSEWHERE ||
       (request->function == MODBUS_FC_READ_DEVICE_ID && bytes > 1 && pdu[1] != 0x0e)) {
     return MODBUS_EXCEPTION_ILLEGAL_FUNCTION;
   }
@@ -143,61 +158,48 @@ bool modbus_rtu_is_frame(const uint8_t *bytes, size_t count) {
              (bytes[count - 2] | bytes[count - 1] << 8);
 }
 
-/* Returns the length of the answer's frame that begins with these bytes, or 0 if they do not say.
- */
-static size_t answer_bytes(const uint8_t *bytes, size_t count) {
-  const struct function *function = count >= 3 ? find(bytes[1]) : NULL;
-  if (count >= 3 && bytes[1] >= 0x80) {
-    return 3 + CHECKSUM_BYTES;
+/* Returns the length of the answer's PDU that begins with these bytes, or 0 if they do not say. */
+static size_t answer_bytes(const uint8_t *pdu, size_t bytes) {
+  if (bytes > 0 && pdu[0] >= 0x80) {
+    return 2;
   }
-  if (function == NULL || function->answer == 0) {
-    return 0;
-  }
-  return 1 + function->answer + (function->answer == 2 ? (size_t)bytes[2] : 0) + CHECKSUM_BYTES;
+  const struct function *function = bytes > 0 ? find(pdu[0]) : NULL;
+  return function == NULL || function->answer == 0
+             ? 0
+             : counted(pdu, bytes, function->answer, function->answer_values);
 }
 
-static bool is_frame_of(const uint8_t *bytes, size_t count, size_t length) {
-  return length > 0 && length <= count && modbus_rtu_is_frame(bytes, length);
+static bool begins_with_frame(const uint8_t *bytes, size_t count, size_t pdu_bytes) {
+  const size_t length = 1 + pdu_bytes + CHECKSUM_BYTES;
+  return pdu_bytes > 0 && length <= count && modbus_rtu_is_frame(bytes, length);
 }
 
 /* Returns the length of the frame, a request or an answer, at the start of the bytes. Returns 0 if
  * there is none. If two lengths are possible, the shorter one is right: a frame followed by a zero,
  * which starts a broadcast, also passes the checksum. */
 static size_t first_frame(const uint8_t *bytes, size_t count) {
-  const size_t pdu = count > 1 ? modbus_pdu_bytes(bytes + 1, count - 1) : 0;
-  const size_t request = pdu > 0 ? 1 + pdu + CHECKSUM_BYTES : 0;
-  const size_t answer = answer_bytes(bytes, count);
+  const size_t request = count > 1 ? modbus_pdu_bytes(bytes + 1, count - 1) : 0;
+  const size_t answer = count > 1 ? answer_bytes(bytes + 1, count - 1) : 0;
   const size_t shorter = request < answer ? request : answer;
   const size_t longer = request < answer ? answer : request;
-  if (is_frame_of(bytes, count, shorter)) {
-    return shorter;
+  const size_t pdu = begins_with_frame(bytes, count, shorter)  ? shorter
+                     : begins_with_frame(bytes, count, longer) ? longer
+                                                               : 0;
+  if (pdu > 0) {
+    return 1 + pdu + CHECKSUM_BYTES;
   }
-  return is_frame_of(bytes, count, longer) ? longer : 0;
+  return modbus_rtu_is_frame(bytes, count) ? count : 0;
 }
 
-static bool is_request(const uint8_t *bytes, size_t count, unsigned unit) {
-  const size_t pdu = count > 1 ? modbus_pdu_bytes(bytes + 1, count - 1) : 0;
-  return bytes[0] == unit && count == 1 + pdu + CHECKSUM_BYTES && modbus_rtu_is_frame(bytes, count);
-}
-
-size_t modbus_rtu_find(const uint8_t *bytes, size_t count, unsigned unit, size_t *begin) {
-  /* Step from frame to frame. The last frame may have an unknown function and unknown length. */
+struct modbus_rtu_frames modbus_rtu_split(const uint8_t *bytes, size_t count) {
+  struct modbus_rtu_frames frames = {0};
   size_t length;
-  *begin = 0;
-  while ((length = first_frame(bytes + *begin, count - *begin)) > 0 && length < count - *begin) {
-    *begin += length;
+  while ((length = first_frame(bytes + frames.bytes, count - frames.bytes)) > 0) {
+    frames.count++;
+    frames.last = frames.bytes;
+    frames.bytes += length;
   }
-  const size_t left = count - *begin;
-  if (modbus_rtu_is_frame(bytes + *begin, left)) {
-    return bytes[*begin] == unit || bytes[*begin] == 0 ? left : 0;
-  }
-  /* The bytes begin with noise. A request to this unit may follow it. */
-  for (; *begin < count; ++*begin) {
-    if (is_request(bytes + *begin, count - *begin, unit)) {
-      return count - *begin;
-    }
-  }
-  return 0;
+  return frames;
 }
 
 /* ---- identification -------------------------------------------------------------------------- */

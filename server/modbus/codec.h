@@ -10,7 +10,8 @@
 
 enum {
   MODBUS_PDU_MAX = 253,
-  MODBUS_FC_READ_DEVICE_ID = 0x2b, /* modbus.h lacks this function */
+  MODBUS_FC_DIAGNOSTICS = 0x08,    /* modbus.h lacks this function, */
+  MODBUS_FC_READ_DEVICE_ID = 0x2b, /* and this one */
 };
 
 /* A request whose lengths and counts are valid. Its addresses have not been checked. */
@@ -31,7 +32,7 @@ struct modbus_request {
 unsigned modbus_pdu_parse(const uint8_t *pdu, size_t bytes, struct modbus_request *request);
 
 /* Returns the length of the request's PDU that begins with these bytes. Returns 0 if there are too
- * few bytes to tell, or if the function is unknown. */
+ * few bytes to tell, or if the function is none of the standard's. */
 size_t modbus_pdu_bytes(const uint8_t *pdu, size_t bytes);
 
 /* Returns whether the function of a number changes anything. */
@@ -48,11 +49,17 @@ uint16_t modbus_rtu_checksum(const uint8_t *bytes, size_t count);
 /* Returns whether the bytes are one frame. */
 bool modbus_rtu_is_frame(const uint8_t *bytes, size_t count);
 
-/* Finds a request, to `unit` or to all units (0), at the end of the bytes that arrived before a
- * silence. Noise, and frames from and to other devices, may come before it, because adapters
- * deliver several frames together. Sets *begin to the start of the request and returns its length.
- * Returns 0 if there is no request; *begin is then `count` if there is noise. */
-size_t modbus_rtu_find(const uint8_t *bytes, size_t count, unsigned unit, size_t *begin);
+/* The frames, requests and answers, at the start of some bytes. They follow each other without
+ * anything between them. */
+struct modbus_rtu_frames {
+  unsigned count;
+  size_t last;  /* start of the last one */
+  size_t bytes; /* length of all of them together */
+};
+
+/* Finds these frames. A frame whose length is not known, because its function is not known, is
+ * found only if nothing follows it. */
+struct modbus_rtu_frames modbus_rtu_split(const uint8_t *bytes, size_t count);
 
 /* ---- identification -------------------------------------------------------------------------- */
 

@@ -1,23 +1,23 @@
 #include "server/modbus/line.h"
 
+#include <assert.h>
 #include <errno.h>
-#include <modbus.h>
-#include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
+#include <sys/ioctl.h>
+#include <time.h>
 #include <unistd.h>
 
 #include "server/net/worker.h"
 #include "server/observe/log.h"
 
 enum {
-  CHARACTER_BITS = 11, /* the most bits of a character, with start, parity and stop bits */
-  SILENCE_LEAST_MS = 2,
+  NS_PER_MS = 1000000,
+  SILENCE_LEAST_NS = 1750000, /* as the standard says for rates above 19200 */
+  RETRY_MS = 500,
   RETRY_FIRST_MS = 250,
   RETRY_MOST_MS = 30000,
+  PROBE_MS = 100, /* Adapters return a byte earlier; masters wait longer. */
 };
-
-#define DIGITS "0123456789"
 
 static void lose_device(struct modbus_line *line, const char *why);
 
@@ -29,125 +29,185 @@ static struct stats *stats_of(const struct modbus_line *line) {
   return &line->units->server->stats;
 }
 
-/* ---- the option ------------------------------------------------------------------------------ */
-
-static bool complain(const char *url, const char *why) {
-  fprintf(stderr, "dipoled: --modbus %s: %s\n", url, why);
-  return false;
+static uint64_t to_ms_up(uint64_t ns) {
+  return (ns + NS_PER_MS - 1) / NS_PER_MS;
 }
 
-static bool is_baud_rate(int baud) {
-  static const int rates[] = {1200,  2400,   4800,   9600,   19200, 38400,
-                              57600, 115200, 230400, 460800, 921600};
-  for (size_t i = 0; i < sizeof rates / sizeof rates[0]; i++) {
-    if (rates[i] == baud) {
-      return true;
-    }
-  }
-  return false;
+static bool is_open(const struct modbus_line *line) {
+  return line->device.context != NULL;
 }
 
-/* Reads the option. Returns false and prints which part of the option is wrong. */
-static bool read_url(struct modbus_line *line, const char *url) {
-  char baud[8] = "", parity[4] = "", unit[4] = "1", rest = '\0';
-  _Static_assert(MODBUS_LINE_DEVICE_BYTES == 256, "the width in the format");
-  const int parts =
-      sscanf(url, "rtu:%255[^,],%7[^,],%3[^,],%3[^,]%c", line->device, baud, parity, unit, &rest);
-  line->baud = atoi(baud);
-  line->parity = parity[0];
-  line->number = (unsigned)atoi(unit);
-  if (parts < 3) {
-    return complain(url, "the form is rtu:DEVICE,BAUD,PARITY[,UNIT]");
-  }
-  if (strspn(baud, DIGITS) != strlen(baud) || !is_baud_rate(line->baud)) {
-    return complain(url, "BAUD is 1200, 2400, 4800, ... 115200, 230400, 460800 or 921600");
-  }
-  if (strlen(parity) != 1 || strchr("NEO", line->parity) == NULL) {
-    return complain(url, "PARITY is N, E or O");
-  }
-  const bool number_is_there = url[strlen(url) - 1] != ',' && parts <= 4;
-  if (!number_is_there || strspn(unit, DIGITS) != strlen(unit) || line->number < 1 ||
-      line->number > MODBUS_UNITS) {
-    return complain(url, "UNIT is 1 to 247");
-  }
-  return true;
+/* Gives the line a turn. Timers call this; the turn comes after the next poll. */
+static void run_soon(struct modbus_line *line) {
+  worker_run_later(&line->client);
+  worker_stay_awake(line->client.worker);
 }
 
-/* ---- the device ------------------------------------------------------------------------------ */
+/* ---- sending --------------------------------------------------------------------------------- */
 
-/* Opens the device by libmodbus: non-blocking, and for this process alone. */
-static bool open_device(struct modbus_line *line) {
-  line->context = modbus_new_rtu(line->device, line->baud, line->parity, 8, 1);
-  if (line->context == NULL) {
-    return false;
+/* Writes the output. Bytes that the device does not take are lost, as they could be on the line. */
+static void write_output(struct modbus_line *line) {
+  const size_t count = line->output_end - line->output_begin;
+  const ssize_t sent =
+      write(modbus_device_fd(&line->device), line->output + line->output_begin, count);
+  line->output_begin = line->output_end;
+  if (sent > 0) {
+    stats_add(stats_of(line), STATS_SENT_BYTES, (uint64_t)sent);
   }
-  modbus_set_slave(line->context, (int)line->number);
-  if (modbus_connect(line->context) == 0) {
-    return true;
-  }
-  const int error = errno;
-  modbus_free(line->context);
-  line->context = NULL;
-  errno = error;
-  return false;
-}
-
-static void close_device(struct modbus_line *line) {
-  if (line->context != NULL) {
-    modbus_close(line->context);
-    modbus_free(line->context);
-    line->context = NULL;
+  if (sent < 0 || (size_t)sent < count) {
+    log_peer_line(LOG_LEVEL_INFO, "event=modbus-answer-lost device=%s reason=%s", line->device.path,
+                  sent < 0 ? strerror(errno) : "the device's buffer is full");
   }
 }
 
-void modbus_line_close(struct modbus_line *line) {
-  close_device(line);
+static void on_sent_timer(uv_timer_t *timer);
+
+/* Calls on_sent_timer() at a time. Timers count milliseconds and may be early, so the function sleeps
+ * for the rest of the last millisecond: RTS has to change soon after the last character, because
+ * the master may begin 3.5 characters later. */
+static void wait_until(struct modbus_line *line, uint64_t at_ns) {
+  const uint64_t now_ns = uv_hrtime();
+  const uint64_t left_ns = at_ns > now_ns ? at_ns - now_ns : 0;
+  if (left_ns >= NS_PER_MS) {
+    uv_timer_start(&line->sent_timer, on_sent_timer, left_ns / NS_PER_MS, 0);
+    return;
+  }
+  const struct timespec rest = {.tv_nsec = (long)left_ns};
+  nanosleep(&rest, NULL);
+  on_sent_timer(&line->sent_timer);
+}
+
+static void set_rts(struct modbus_line *line, bool sending) {
+  const int error = modbus_device_set_rts(&line->device, sending);
+  if (error != 0) {
+    log_peer_line(LOG_LEVEL_ERROR, "event=modbus-rts-failed device=%s reason=%s", line->device.path,
+                  strerror(error));
+  }
+}
+
+/* Takes the next step of sending with RTS by hand. */
+static void on_sent_timer(uv_timer_t *timer) {
+  struct modbus_line *line = timer->data;
+  const bool writes = line->sending == BEFORE_WRITING;
+  const uint64_t due_ns = writes ? line->write_ns : line->sent_ns;
+  if (!is_open(line) || line->sending == NOT_SENDING) {
+    line->sending = NOT_SENDING;
+  } else if (uv_hrtime() < due_ns) {
+    wait_until(line, due_ns);
+  } else if (writes) {
+    write_output(line);
+    line->sending = AFTER_WRITING;
+    wait_until(line, line->sent_ns);
+  } else {
+    set_rts(line, false);
+    line->sending = NOT_SENDING;
+    run_soon(line);
+  }
+}
+
+/* Sends the output up to `end`. RTS may still be set for the bytes before it. */
+static void transmit(struct modbus_line *line, size_t end) {
+  const struct modbus_device *device = &line->device;
+  const uint64_t delay_ns = device->rts_by_hand ? device->rts_delay_ms * UINT64_C(1000000) : 0;
+  const bool rts_is_set = line->sending == AFTER_WRITING;
+  assert(line->sending != BEFORE_WRITING && line->output_begin < end);
+  line->output_end = end;
+  line->write_ns = uv_hrtime() + (rts_is_set ? 0 : delay_ns);
+  line->sent_ns =
+      line->write_ns + modbus_device_duration_ns(device, end - line->output_begin) + delay_ns;
+  if (device->rts_by_hand && !rts_is_set) {
+    set_rts(line, true);
+    line->sending = BEFORE_WRITING;
+    wait_until(line, line->write_ns);
+  } else {
+    write_output(line);
+  }
+}
+
+/* Returns for how long the line still sends the last answer, by its speed. */
+static uint64_t sending_ns(const struct modbus_line *line) {
+  const uint64_t now_ns = uv_hrtime();
+  return is_open(line) && line->sent_ns > now_ns ? line->sent_ns - now_ns : 0;
+}
+
+static void on_probe_over(uv_timer_t *timer);
+
+/* Sends the answer whose PDU begins at output[1]. */
+static void send_answer(struct modbus_line *line, size_t pdu_bytes) {
+  uint8_t *frame = line->output;
+  frame[0] = (uint8_t)line->device.number;
+  const uint16_t sum = modbus_rtu_checksum(frame, 1 + pdu_bytes);
+  frame[1 + pdu_bytes] = (uint8_t)sum;
+  frame[2 + pdu_bytes] = (uint8_t)(sum >> 8);
+  if (!is_open(line)) {
+    return;
+  }
+  line->output_begin = 0;
+  line->frame_bytes = 3 + pdu_bytes;
+  line->probing = modbus_receiver_sent(&line->receiver, frame, line->frame_bytes);
+  transmit(line, line->probing ? 1 : line->frame_bytes);
+  if (line->probing) {
+    const uint64_t left_ms = to_ms_up(sending_ns(line));
+    uv_timer_start(&line->timer, on_probe_over, left_ms + PROBE_MS, 0);
+  }
+}
+
+/* Ends a probe: something has arrived after the first byte of the answer, or nothing has. Sends the
+ * rest of the answer. */
+static void end_probe(struct modbus_line *line) {
+  line->probing = false;
+  modbus_receiver_probed(&line->receiver);
+  if (is_open(line)) {
+    transmit(line, line->frame_bytes);
+  }
 }
 
 /* ---- answering ------------------------------------------------------------------------------- */
 
-static uint8_t *frame_of(struct modbus_line *line) {
-  return line->input + line->frame_begin;
+static size_t request_pdu_bytes(const struct modbus_line *line) {
+  return line->burst.bytes - 3;
 }
 
-static size_t pdu_bytes(const struct modbus_line *line) {
-  return line->frame_end - line->frame_begin - 3;
-}
-
-static bool is_broadcast(struct modbus_line *line) {
-  return frame_of(line)[0] == MODBUS_BROADCAST_ADDRESS;
-}
-
-/* Sends an answer, whose PDU begins at frame[1]; a broadcast gets none. If the device does not take
- * the whole answer, it is lost, as it could be on the line. */
-static void send_answer(struct modbus_line *line, uint8_t frame[MODBUS_RTU_MAX], size_t bytes) {
-  frame[0] = (uint8_t)line->number;
-  const uint16_t sum = modbus_rtu_checksum(frame, 1 + bytes);
-  frame[1 + bytes] = (uint8_t)sum;
-  frame[2 + bytes] = (uint8_t)(sum >> 8);
-  if (line->context == NULL || is_broadcast(line)) {
+/* Counts the answer whose PDU begins at output[1], and sends it unless the request is a broadcast. */
+static void finish_request(struct modbus_line *line, size_t pdu_bytes) {
+  if (line->burst.request[0] == MODBUS_BROADCAST_ADDRESS) {
+    line->diagnostics.counters[MODBUS_COUNTER_NO_RESPONSES]++;
     return;
   }
-  const ssize_t sent = write(modbus_get_socket(line->context), frame, 3 + bytes);
-  if (sent > 0) {
-    stats_add(stats_of(line), STATS_SENT_BYTES, (uint64_t)sent);
-  } else {
-    log_peer_line(LOG_LEVEL_INFO, "event=modbus-answer-lost device=%s reason=%s", line->device,
-                  strerror(errno));
-  }
+  modbus_diagnostics_count(&line->diagnostics, line->output + 1);
+  send_answer(line, pdu_bytes);
 }
 
-static void answer(struct modbus_line *line) {
-  uint8_t frame[MODBUS_RTU_MAX];
-  const uint8_t *pdu = frame_of(line) + 1;
-  struct modbus_unit *unit = NULL;
-  if (is_broadcast(line) && !modbus_pdu_writes(pdu[0])) {
-    return;
-  }
-  const size_t answered = modbus_answer(line->units, &line->client, line->number, pdu,
-                                        pdu_bytes(line), frame + 1, &unit);
+static void answer_diagnostics(struct modbus_line *line) {
+  uint8_t *pdu = line->output + 1;
+  const size_t answered = modbus_diagnostics_answer(&line->diagnostics, line->burst.request + 1,
+                                                    request_pdu_bytes(line), pdu);
+  const bool refused = answered > 0 && pdu[0] >= 0x80;
+  stats_add(stats_of(line), refused ? STATS_MODBUS_EXCEPTIONS : STATS_MODBUS_TRANSACTIONS, 1);
   if (answered > 0) {
-    send_answer(line, frame, answered);
+    finish_request(line, answered);
+  }
+}
+
+/* Carries out the burst's request. */
+static void answer(struct modbus_line *line) {
+  struct modbus_unit *unit = NULL;
+  const uint8_t *pdu = line->burst.request + 1;
+  const bool is_broadcast = line->burst.request[0] == MODBUS_BROADCAST_ADDRESS;
+  line->diagnostics.counters[MODBUS_COUNTER_SERVER_MESSAGES]++;
+  if ((is_broadcast && !modbus_pdu_writes(pdu[0])) ||
+      !modbus_diagnostics_allows(&line->diagnostics, pdu, request_pdu_bytes(line))) {
+    line->diagnostics.counters[MODBUS_COUNTER_NO_RESPONSES]++;
+    return;
+  }
+  if (pdu[0] == MODBUS_FC_DIAGNOSTICS) {
+    answer_diagnostics(line);
+    return;
+  }
+  const size_t answered = modbus_answer(line->units, &line->client, line->device.number, pdu,
+                                        request_pdu_bytes(line), line->output + 1, &unit);
+  if (answered > 0) {
+    finish_request(line, answered);
   } else {
     line->waits_for = unit;
   }
@@ -155,73 +215,64 @@ static void answer(struct modbus_line *line) {
 
 /* Answers the request whose commit has been evaluated. */
 static void answer_late(struct modbus_line *line) {
-  uint8_t frame[MODBUS_RTU_MAX];
-  const size_t answered =
-      modbus_answer_late(line->waits_for, frame_of(line) + 1, pdu_bytes(line), frame + 1);
+  const size_t answered = modbus_answer_late(line->waits_for, line->burst.request + 1,
+                                             request_pdu_bytes(line), line->output + 1);
   line->waits_for = NULL;
-  line->bytes = 0;
-  send_answer(line, frame, answered);
+  finish_request(line, answered);
 }
 
-/* Called after a silence: answers a request in the bytes that have arrived, or drops them. */
+static void note_burst(struct modbus_line *line, bool heard_before) {
+  const struct modbus_burst *burst = &line->burst;
+  const uint64_t overruns = modbus_device_overruns(&line->device);
+  line->diagnostics.counters[MODBUS_COUNTER_BUS_MESSAGES] += (uint16_t)burst->messages;
+  line->diagnostics.counters[MODBUS_COUNTER_BUS_ERRORS] += burst->bad;
+  line->diagnostics.counters[MODBUS_COUNTER_OVERRUNS] += overruns != line->overruns;
+  line->overruns = overruns;
+  stats_add(stats_of(line), STATS_MODBUS_BAD_FRAMES, burst->bad);
+  if (burst->echoed) {
+    line->diagnostics.diagnostic_register |= MODBUS_DIAGNOSTIC_ECHO;
+    if (!heard_before) {
+      log_peer_line(LOG_LEVEL_INFO, "event=modbus-echo device=%s", line->device.path);
+    }
+  }
+}
+
+/* Called after a silence: answers a request in the bytes that have arrived. */
 static void run(struct client *client) {
   struct modbus_line *line = line_of(client);
-  if (line->context == NULL || line->waits_for != NULL) {
+  if (!is_open(line) || line->waits_for != NULL || line->sending != NOT_SENDING || line->probing) {
     return;
   }
-  size_t begin;
-  const size_t bytes = modbus_rtu_find(line->input, line->bytes, line->number, &begin);
-  const bool noise = begin == line->bytes && line->bytes > 0;
-  if (bytes > 0 && line->input[begin + 1] < 0x80) {
-    line->frame_begin = (unsigned)begin;
-    line->frame_end = (unsigned)(begin + bytes);
+  const bool heard_before = line->receiver.echo == MODBUS_ECHO_HEARD;
+  modbus_receiver_end(&line->receiver, &line->burst);
+  note_burst(line, heard_before);
+  if (line->burst.bytes > 0) {
     answer(line);
-  } else if (noise) {
-    stats_add(stats_of(line), STATS_MODBUS_BAD_FRAMES, 1);
-  }
-  if (line->waits_for == NULL) {
-    line->bytes = 0;
   }
 }
 
 /* ---- reading --------------------------------------------------------------------------------- */
 
-/* Returns whether the bytes that have arrived end with a complete request. */
-static bool is_whole(const struct modbus_line *line) {
-  size_t begin;
-  return modbus_rtu_find(line->input, line->bytes, line->number, &begin) > 0;
-}
-
-static void on_silence(uv_timer_t *timer) {
-  struct modbus_line *line = timer->data;
-  worker_run_later(&line->client);
-  worker_stay_awake(line->client.worker); /* This turn comes only after the next poll. */
-}
+static void on_silence(uv_timer_t *timer);
 
 static void arrived(struct modbus_line *line, size_t bytes) {
   const struct options *options = &line->units->server->options;
   stats_add(stats_of(line), STATS_RECEIVED_BYTES, bytes);
-  line->bytes += (unsigned)bytes;
+  modbus_receiver_arrived(&line->receiver, bytes, uv_hrtime());
   line->retry_ms = RETRY_FIRST_MS;
-  const uint64_t wait_ms = is_whole(line) ? line->silence_ms : options->modbus_gap_ms;
+  if (line->probing && line->sending != BEFORE_WRITING) {
+    end_probe(line);
+  }
+  const uint64_t wait_ms = modbus_receiver_is_whole(&line->receiver)
+                               ? to_ms_up(line->receiver.silence_ns)
+                               : options->modbus_gap_ms;
   uv_timer_start(&line->timer, on_silence, wait_ms, 0);
 }
 
-static void on_poll(uv_poll_t *poll, int status, int events) {
-  (void)events;
-  struct modbus_line *line = poll->data;
-  if (status < 0) {
-    lose_device(line, uv_strerror(status));
-    return;
-  }
-  if (line->client.to_run) {
-    return; /* Read these bytes in the next round, after the answer to the earlier request. */
-  }
-  if (line->bytes == sizeof line->input) { /* Four frames without a silence are noise. */
-    line->bytes = 0;
-  }
-  const ssize_t got = read(modbus_get_socket(line->context), line->input + line->bytes,
-                           sizeof line->input - line->bytes);
+static void read_more(struct modbus_line *line) {
+  size_t room;
+  uint8_t *bytes = modbus_receiver_room(&line->receiver, &room);
+  const ssize_t got = read(modbus_device_fd(&line->device), bytes, room);
   if (got > 0) {
     arrived(line, (size_t)got);
   } else if (got == 0) {
@@ -229,6 +280,82 @@ static void on_poll(uv_poll_t *poll, int status, int events) {
   } else if (errno != EAGAIN && errno != EINTR) {
     lose_device(line, strerror(errno));
   }
+}
+
+/* Reads bytes that arrived before a timer fired, but that a busy worker has not read yet. Returns
+ * false if there are none. */
+static bool read_unseen(struct modbus_line *line) {
+  int waiting = 0;
+  if (!is_open(line) || ioctl(modbus_device_fd(&line->device), FIONREAD, &waiting) != 0 ||
+      waiting == 0) {
+    return false;
+  }
+  read_more(line);
+  return true;
+}
+
+static void on_silence(uv_timer_t *timer) {
+  struct modbus_line *line = timer->data;
+  if (line->stopping || !read_unseen(line)) {
+    run_soon(line);
+  }
+}
+
+static void on_probe_over(uv_timer_t *timer) {
+  struct modbus_line *line = timer->data;
+  if (line->sending == BEFORE_WRITING) {
+    uv_timer_start(&line->timer, on_probe_over, PROBE_MS, 0);
+  } else if (!read_unseen(line)) {
+    end_probe(line);
+    run_soon(line); /* If the daemon stops, this line has waited for the probe. */
+  }
+}
+
+static void on_poll(uv_poll_t *poll, int status, int events) {
+  (void)events;
+  struct modbus_line *line = poll->data;
+  if (status < 0) {
+    lose_device(line, uv_strerror(status));
+  } else if (!line->client.to_run) { /* If not, read in the next round, after the answer. */
+    read_more(line);
+  }
+}
+
+/* ---- opening --------------------------------------------------------------------------------- */
+
+static void log_open(struct modbus_line *line) {
+  const struct modbus_device *device = &line->device;
+  if (line->was_open) {
+    log_line(LOG_LEVEL_INFO, "event=modbus-device-back device=%s", device->path);
+    return;
+  }
+  line->was_open = true;
+  log_line(LOG_LEVEL_INFO, "event=listening url=modbus-rtu:%s,%d,%c,%u stop_bits=%d rts=%s",
+           device->path, device->baud, device->parity, device->number, device->stop_bits,
+           device->rts == MODBUS_RTS_UNUSED ? "unused"
+           : device->rts_by_hand            ? "by-hand"
+                                            : "by-driver");
+}
+
+/* Tries to open the device. Logs why it cannot be opened, unless the last attempt failed alike. */
+static bool open_device(struct modbus_line *line) {
+  const int error = modbus_device_open(&line->device);
+  if (error == 0) {
+    log_open(line);
+  } else if (error != line->open_error) {
+    log_line(LOG_LEVEL_ERROR, "event=modbus-device-missing device=%s reason=%s", line->device.path,
+             modbus_strerror(error));
+  }
+  line->open_error = error;
+  return error == 0;
+}
+
+/* Starts anew with a device that has been opened. */
+static void reset(struct modbus_line *line) {
+  modbus_receiver_reset(&line->receiver);
+  line->sending = NOT_SENDING;
+  line->probing = false;
+  line->overruns = modbus_device_overruns(&line->device);
 }
 
 /* ---- starting, losing, stopping -------------------------------------------------------------- */
@@ -247,7 +374,7 @@ static void on_timer_closed(uv_handle_t *handle) {
 /* Closes the device after its poll: the loop knows the device by its descriptor until then. */
 static void on_poll_closed(uv_handle_t *handle) {
   struct modbus_line *line = handle->data;
-  close_device(line);
+  modbus_device_close(&line->device);
   line->polling = false;
   note_closed(line);
 }
@@ -260,52 +387,61 @@ static void close_poll(struct modbus_line *line) {
 
 static bool start_polling(struct modbus_line *line) {
   uv_loop_t *loop = worker_loop(line->client.worker);
-  if (uv_poll_init(loop, &line->poll, modbus_get_socket(line->context)) != 0) {
-    close_device(line);
+  if (uv_poll_init(loop, &line->poll, modbus_device_fd(&line->device)) != 0) {
+    modbus_device_close(&line->device);
     return false;
   }
   line->poll.data = line;
   line->polling = true;
   line->open_handles++;
-  line->bytes = 0;
+  reset(line);
   return uv_poll_start(&line->poll, UV_READABLE, on_poll) == 0;
-}
-
-static void on_retry(uv_timer_t *timer);
-
-static void retry_later(struct modbus_line *line) {
-  uv_timer_start(&line->timer, on_retry, line->retry_ms, 0);
-  line->retry_ms = line->retry_ms * 2 < RETRY_MOST_MS ? line->retry_ms * 2 : RETRY_MOST_MS;
 }
 
 static void on_retry(uv_timer_t *timer) {
   struct modbus_line *line = timer->data;
   if (line->polling || !open_device(line) || !start_polling(line)) {
-    retry_later(line);
-    return;
+    line->retry_ms = RETRY_MS;
+    uv_timer_start(&line->timer, on_retry, RETRY_MS, 0);
   }
-  log_line(LOG_LEVEL_INFO, "event=modbus-device-back device=%s", line->device);
 }
 
 static void lose_device(struct modbus_line *line, const char *why) {
-  log_peer_line(LOG_LEVEL_ERROR, "event=modbus-device-lost device=%s reason=%s", line->device, why);
+  log_peer_line(LOG_LEVEL_ERROR, "event=modbus-device-lost device=%s reason=%s", line->device.path,
+                why);
+  line->sending = NOT_SENDING;
+  line->probing = false;
   close_poll(line);
   if (line->stopping) {
     worker_run_later(&line->client);
-  } else {
-    retry_later(line);
+    return;
   }
+  uv_timer_start(&line->timer, on_retry, line->retry_ms, 0);
+  line->retry_ms = line->retry_ms * 2 < RETRY_MOST_MS ? line->retry_ms * 2 : RETRY_MOST_MS;
+}
+
+static void start_timer(struct modbus_line *line, uv_timer_t *timer) {
+  uv_timer_init(worker_loop(line->client.worker), timer);
+  timer->data = line;
+  line->open_handles++;
 }
 
 static void start(struct client *client) {
   struct modbus_line *line = line_of(client);
   modbus_units_join(line->units);
-  uv_timer_init(worker_loop(client->worker), &line->timer);
-  line->timer.data = line;
-  line->open_handles++;
-  if (!start_polling(line)) {
+  start_timer(line, &line->timer);
+  start_timer(line, &line->sent_timer);
+  if (!is_open(line)) {
+    uv_timer_start(&line->timer, on_retry, RETRY_MS, 0);
+  } else if (!start_polling(line)) {
     lose_device(line, "poll");
   }
+}
+
+static void close_all(struct modbus_line *line) {
+  uv_close((uv_handle_t *)&line->timer, on_timer_closed);
+  uv_close((uv_handle_t *)&line->sent_timer, on_timer_closed);
+  close_poll(line);
 }
 
 /* Called after a turn, and when the unit for which the line waits has its results. */
@@ -317,9 +453,14 @@ static void finish(struct client *client) {
     }
     answer_late(line);
   }
-  if (line->stopping && !uv_is_closing((uv_handle_t *)&line->timer)) {
-    uv_close((uv_handle_t *)&line->timer, on_timer_closed);
-    close_poll(line);
+  if (!line->stopping || line->probing || uv_is_closing((uv_handle_t *)&line->timer)) {
+    return;
+  }
+  const uint64_t left_ns = sending_ns(line);
+  if (left_ns > 0 || line->sending != NOT_SENDING) { /* Closing now would cut the answer off. */
+    uv_timer_start(&line->timer, on_silence, to_ms_up(left_ns), 0);
+  } else {
+    close_all(line);
   }
 }
 
@@ -329,12 +470,18 @@ static void stop(struct client *client) {
   struct modbus_line *line = line_of(client);
   if (!line->stopping) {
     line->stopping = true;
-    uv_timer_start(&line->timer, on_silence, line->units->server->options.modbus_gap_ms, 0);
+    if (!line->probing) {
+      uv_timer_start(&line->timer, on_silence, line->units->server->options.modbus_gap_ms, 0);
+    }
   }
 }
 
 static void abort_line(struct client *client) {
-  line_of(client)->stopping = true;
+  struct modbus_line *line = line_of(client);
+  line->stopping = true;
+  line->sent_ns = 0;
+  line->sending = NOT_SENDING;
+  line->probing = false;
   worker_run_later(client);
 }
 
@@ -351,15 +498,16 @@ bool modbus_line_open(struct modbus_line *line, struct modbus_units *units, cons
       .units = units,
       .retry_ms = RETRY_FIRST_MS,
   };
-  if (!read_url(line, url)) {
+  if (!modbus_device_read_url(&line->device, url)) {
     return false;
   }
-  const uint64_t silence_ms = (7 * CHARACTER_BITS * 1000 / 2 - 1) / (uint64_t)line->baud + 1;
-  line->silence_ms = silence_ms > SILENCE_LEAST_MS ? silence_ms : SILENCE_LEAST_MS;
-  if (!open_device(line)) {
-    return complain(url, modbus_strerror(errno));
-  }
-  log_line(LOG_LEVEL_INFO, "event=listening url=modbus-rtu:%s,%d,%c,%u", line->device, line->baud,
-           line->parity, line->number);
+  const uint64_t silence_ns = modbus_device_duration_ns(&line->device, 7) / 2;
+  line->receiver.number = line->device.number;
+  line->receiver.silence_ns = silence_ns > SILENCE_LEAST_NS ? silence_ns : SILENCE_LEAST_NS;
+  open_device(line);
   return true;
+}
+
+void modbus_line_close(struct modbus_line *line) {
+  modbus_device_close(&line->device);
 }

@@ -1,51 +1,60 @@
 /* line: a serial line on which a master speaks Modbus RTU to one unit. It is a client of the
  * worker. Other devices may be on the same line.
  *
- * A frame ends with a silence. A complete request with the right checksum is answered after a
- * silence of 3.5 characters, as the standard says. Other bytes are dropped only after a longer
- * silence, because adapters deliver a frame in pieces: they are noise, or frames from and to other
- * devices. When a device disappears, the daemon tries to open it again: first after a quarter of a
- * second, and in the end every half minute.
+ * If whole frames have arrived, the request among them is answered after a silence of 3.5
+ * characters, as the standard says. An unfinished frame gets more time, because adapters deliver
+ * bytes in pieces (server/modbus/receiver.h).
+ *
+ * The device may be missing when the daemon starts, and it may disappear later. The line then tries
+ * to open it twice a second. A device that can be opened but is lost before any byte has arrived is
+ * opened more and more rarely, in the end every half minute.
  */
 #ifndef DIPOLED_MODBUS_LINE_H
 #define DIPOLED_MODBUS_LINE_H
 
-#include <modbus.h>
 #include <uv.h>
 
 #include "server/modbus/answer.h"
-
-enum {
-  MODBUS_LINE_DEVICE_BYTES = 256,
-  MODBUS_LINE_INPUT_BYTES = 1024, /* the most bytes that may arrive without a silence */
-};
+#include "server/modbus/device.h"
+#include "server/modbus/diagnostics.h"
+#include "server/modbus/receiver.h"
 
 struct modbus_line {
   struct client client; /* first member: see client.h */
   struct modbus_units *units;
-  char device[MODBUS_LINE_DEVICE_BYTES];
-  int baud;
-  char parity;
-  unsigned number;     /* of the unit */
-  uint64_t silence_ms; /* the time of 3.5 characters */
-  uint64_t retry_ms;   /* pause before the next attempt to open the device */
+  struct modbus_device device;
+  struct modbus_receiver receiver;
+  struct modbus_diagnostics diagnostics;
 
-  modbus_t *context; /* of libmodbus, for the device; NULL while the device cannot be opened */
   uv_poll_t poll;
-  uv_timer_t timer; /* for the silence, or for the next attempt to open the device */
+  uv_timer_t timer; /* for the silence, for the end of a probe, or for the next attempt to open */
+  uv_timer_t sent_timer; /* for the next step of sending with RTS by hand */
   unsigned open_handles;
   bool polling; /* whether the poll is in use or is being closed */
   bool stopping;
+  bool was_open;  /* whether the device could be opened at some time */
+  int open_error; /* errno of the last attempt to open the device; 0: it succeeded */
+  uint64_t
+      retry_ms; /* pause between the next loss of the device and the first attempt to open it */
+  uint64_t overruns; /* count of the device at the end of the last burst */
+
   struct modbus_unit *waits_for; /* the unit that evaluates the request; NULL: there is none */
-  unsigned frame_begin;          /* start of the request in the input */
-  unsigned frame_end;
-  unsigned bytes; /* number of bytes that have arrived since the last silence */
-  uint8_t input[MODBUS_LINE_INPUT_BYTES];
+  struct modbus_burst burst;     /* the last burst, with its request */
+
+  /* The answer that is being sent. */
+  enum { NOT_SENDING, BEFORE_WRITING, AFTER_WRITING } sending; /* with RTS by hand */
+  bool probing;        /* whether only its first byte has been sent (server/modbus/receiver.h) */
+  uint64_t write_ns;   /* when its bytes are written, after the delay of RTS */
+  uint64_t sent_ns;    /* when its last character, and the delay of RTS, will be over */
+  size_t output_begin; /* start of the bytes that have not been written, in the output */
+  size_t output_end;
+  size_t frame_bytes; /* length of the answer's frame */
+  uint8_t output[MODBUS_RTU_MAX];
 };
 
-/* Opens rtu:DEVICE,BAUD,PARITY[,UNIT] and logs it. The caller then gives `client` to the worker
- * that has the units. If the line cannot be opened, prints a message to standard error and returns
- * false. */
+/* Reads an option (server/modbus/device.h), opens the device and logs it. If the device cannot be
+ * opened, logs that, and the line opens it later. The caller then gives `client` to the worker that
+ * has the units. If the option is wrong, prints a message to standard error and returns false. */
 bool modbus_line_open(struct modbus_line *line, struct modbus_units *units, const char *url);
 
 /* Closes the device. Call it after the worker has ended, or if the worker never got the line. */

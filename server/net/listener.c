@@ -289,7 +289,7 @@ bool listener_open_modbus(struct listener *listener, struct server *server, uv_l
   const bool open =
       strncmp(url, "tcp:", 4) == 0
           ? open_tcp(listener, url, url + 4, "modbus-tcp")
-          : complain(url, "Modbus is served at tcp:HOST:PORT or rtu:DEVICE,BAUD,PARITY[,UNIT]");
+          : complain(url, "Modbus is served at tcp:HOST:PORT or rtu:DEVICE[,BAUD[,PARITY[,UNIT]]]");
   return start(listener, loop, open);
 }
 

@@ -1,18 +1,29 @@
 """Modbus RTU over a pseudo terminal: the same registers as over TCP, silence, noise, other devices,
-broadcasts, and a device that goes away."""
+broadcasts, adapters with echo and RTS, diagnostics, and a device that is missing or goes away."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pty
+import select
+import shutil
+import socket
 import struct
+import subprocess
+import termios
+import threading
+import time
 import tty
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+from daemons import eventually, read_log_line, sanitized
 from lists import MODELS
 from modbus_master import (
-    AT, BAD_ADDRESS, BAD_FUNCTION, READ_HOLDING, TCP, WRITE_REGISTER, Rtu, Tcp, as_words, exception,
-    input_block, words,
+    AT, BAD_ADDRESS, BAD_FUNCTION, BAD_VALUE, BUSY, READ_HOLDING, TCP, WRITE_REGISTER,
+    WRITE_REGISTERS, Rtu, Tcp, as_words, checksum, exception, input_block, words,
 )
 
 READ_ONE = struct.pack(">BHH", READ_HOLDING, 0, 1)
@@ -130,9 +141,78 @@ def test_behind_the_traffic_of_others(start):
     answer = master.frame(9, bytes([READ_HOLDING, 4]) + bytes(4))
     refusal = master.frame(9, bytes([0x83, 2]))
     echo = master.frame(9, struct.pack(">BHH", WRITE_REGISTER, 1, 2))
-    for before in (request + answer, request + refusal, echo + echo, b"\xff\x00\x17", request):
+    event = master.frame(9, b"\x0b") + master.frame(9, b"\x0b\0\0\0\0")  # not served here
+    for before in (request + answer, request + refusal, echo + echo, event, request):
         master.send(before + master.frame(7, READ_ONE))
         assert master.receive() == (7, b"\3\2\0\0")
+
+
+# ---- where a frame begins ------------------------------------------------------------------------
+
+
+def crc_state_to_all_ones(data: bytes) -> bytes:
+    """Two bytes behind which the checksum of the data is as it is at the beginning of a frame. Then
+    a frame behind them is right for itself, and together with the data."""
+    state = int.from_bytes(checksum(data), "little")
+    for value in range(65536):
+        if checksum_from(value) == 0xFFFF:
+            return struct.pack("<H", value ^ state)
+    raise AssertionError("no such bytes")
+
+
+def checksum_from(state: int) -> int:
+    """The checksum 16 bits later."""
+    for _ in range(16):
+        state = state >> 1 ^ (0xA001 if state & 1 else 0)
+    return state
+
+
+def frame_of_another_with_one_in_it(inner: bytes) -> tuple[bytes, bytes]:
+    """A write to unit 9 whose last bytes are a whole frame: what is before them, and that frame."""
+    head = struct.pack(">BBHHB", 9, WRITE_REGISTERS, 0, len(inner) // 2, len(inner))
+    return head + crc_state_to_all_ones(head), inner
+
+
+def test_the_tail_of_a_frame_of_another_is_no_frame(start):
+    """Whole, behind a pause within it, without its first bytes, and damaged."""
+    master, one = start()
+    write = master.frame(7, struct.pack(">BHH", WRITE_REGISTER, 3, 99))
+    head, tail = frame_of_another_with_one_in_it(write)
+    assert checksum(head + tail[:-2]) == tail[-2:]
+    for before in (head, head[3:], head[:4] + b"\x55" + head[5:], b"\x55"):
+        master.send(before + tail)
+        assert master.is_silent()
+        assert as_words(master.read(3, 1, 7)) == [0]
+    master.send(head)
+    assert master.is_silent(0.1)
+    master.send(tail)
+    assert master.is_silent()
+    assert as_words(master.read(3, 1, 7)) == [0]
+    master.send(write)
+    assert master.receive() == (7, write[1:-2])
+    assert as_words(master.read(3, 1, 7)) == [99]
+
+
+def test_a_request_behind_noise_and_silence(start):
+    """The silence is longer than 3.5 characters and shorter than --modbus-gap-ms."""
+    master, _ = start("19200,N,7", "--modbus-gap-ms", "1000")
+    master.send(b"\xff\x00\x17")
+    time.sleep(0.1)
+    master.send(master.frame(7, READ_ONE))
+    assert master.receive() == (7, b"\3\2\0\0")
+
+
+def test_a_request_to_this_unit_with_a_long_pause_in_it_is_dropped(start):
+    master, _ = start()
+    write = master.frame(7, struct.pack(">BHH", WRITE_REGISTER, 3, 99))
+    master.send(write[:5])
+    assert master.is_silent(0.1)
+    master.send(write[5:])
+    assert master.is_silent()
+    assert as_words(master.read(3, 1, 7)) == [0]
+
+
+# ---- broadcasts and other forms of requests ------------------------------------------------------
 
 
 def test_broadcasts_are_carried_out_and_not_answered(start):
@@ -179,8 +259,12 @@ def test_read_only(start):
     assert master.read(1200, 2, 7) == b"DIPL"
 
 
+# ---- devices that are missing --------------------------------------------------------------------
+
+
 def test_a_device_that_goes_away_and_comes_back(daemon, tmp_path):
-    """By a link, as udev makes them: it is looked for, less and less often, and found again."""
+    """By a link, as udev makes them. It is away for so long that a search with longer and longer
+    pauses would find it late."""
     first = Line()
     link = tmp_path / "tty"
     link.symlink_to(first.device)
@@ -189,12 +273,39 @@ def test_a_device_that_goes_away_and_comes_back(daemon, tmp_path):
     link.unlink()
     first.close()
     assert one.has_line("event=modbus-device-lost", 10)
+    time.sleep(4.5)
     second = Line()
     link.symlink_to(second.device)
+    began = time.monotonic()
     assert one.has_line("event=modbus-device-back", 20)
+    assert time.monotonic() - began < 1.5
     assert Rtu(second.fd).read(1200, 2, 1) == b"DIPL"
-    assert sum("modbus-device-" in text for text in one.log) == 2
+    lines = [read_log_line(text)["event"] for text in one.log if f"device={link}" in text]
+    assert lines == ["modbus-device-lost", "modbus-device-missing", "modbus-device-back"]
     second.close()
+
+
+@pytest.mark.parametrize("there", ["nothing", "no terminal"])
+def test_a_device_that_is_missing_at_the_start(daemon, tmp_path, there):
+    """One line says so, all else is served, and the line is opened when it appears."""
+    link = tmp_path / "tty"
+    if there == "no terminal":
+        link.write_text("")
+    one = daemon("--modbus", f"rtu:{link},19200,N,7", *TCP)
+    with Tcp(one) as tcp:
+        assert tcp.read(1200, 2) == b"DIPL"
+    time.sleep(1.2)
+    assert sum("event=modbus-device-missing" in text for text in one.log) == 1
+    link.unlink(missing_ok=True)
+    line = Line()
+    link.symlink_to(line.device)
+    assert one.has_line(f"event=listening url=modbus-rtu:{link},19200,N,7", 10)
+    assert Rtu(line.fd).read(1200, 2, 7) == b"DIPL"
+    line.close()
+
+
+def test_stopping_while_a_device_is_missing(daemon):
+    daemon("--modbus", "rtu:/nonexistent/tty,19200,N").terminate()
 
 
 def test_stopping_while_the_device_is_away(daemon, line):
@@ -209,3 +320,375 @@ def test_stopping_answers_what_has_arrived(start):
     master.send(master.frame(7, struct.pack(">BHH", WRITE_REGISTER, AT["COMMIT"], 9)))
     one.terminate()
     assert master.receive() == (7, struct.pack(">BHH", WRITE_REGISTER, AT["COMMIT"], 9))
+
+
+# ---- settings ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("settings", "stop_bits", "baud"),
+    [("", 1, 19200), (",9600", 1, 9600), (",9600,N", 2, 9600), (",9600,N1", 1, 9600),
+     (",9600,O2,3", 2, 9600), (",115200,E", 1, 115200)],
+)  # fmt: skip
+def test_speed_and_stop_bits(daemon, line, settings, stop_bits, baud):
+    """As the standard says unless the option says otherwise: even parity, and a second stop bit in
+    place of a parity bit. A pseudo terminal does not keep the parity."""
+    one = daemon("--modbus", f"rtu:{line.device}{settings}")
+    state = termios.tcgetattr(line.slave)
+    assert bool(state[2] & termios.CSTOPB) == (stop_bits == 2)
+    assert state[4] == state[5] == getattr(termios, f"B{baud}")
+    assert one.has_line(f"stop_bits={stop_bits} rts=unused", 1)
+
+
+# ---- adapters with echo --------------------------------------------------------------------------
+
+
+class Adapter(Rtu):
+    """A master on a line whose adapter returns to the daemon all that the daemon writes. delay_s:
+    how much later. `written` is what the daemon has written."""
+
+    def __init__(self, line: Line, delay_s: float = 0.0):
+        self.line, self.delay_s = line, delay_s
+        self.written = b""
+        ours, self._theirs = socket.socketpair()
+        self._ours = ours
+        super().__init__(ours.fileno())
+        self._ended = False
+        self._thread = threading.Thread(target=self._return_all, daemon=True)
+        self._thread.start()
+
+    def send(self, data: bytes) -> None:
+        assert os.write(self.line.fd, data) == len(data)
+
+    def _return_all(self) -> None:
+        while not self._ended:
+            if select.select([self.line.fd], [], [], 0.05)[0]:
+                data = os.read(self.line.fd, 1024)
+                self.written += data
+                time.sleep(self.delay_s)
+                os.write(self.line.fd, data)
+                self._theirs.sendall(data)
+
+    def close(self) -> None:
+        self._ended = True
+        self._thread.join()
+        self._ours.close()
+        self._theirs.close()
+
+
+@pytest.fixture(params=[0.0, 0.02], ids=["at once", "late"])
+def echo(daemon, line, request) -> Iterator[tuple[Adapter, Tcp]]:
+    """A master on a line with echo, and one over TCP."""
+    one = daemon("--modbus", f"rtu:{line.device},19200,N,7", *TCP)
+    adapter = Adapter(line, request.param)
+    with Tcp(one) as tcp:
+        yield adapter, tcp
+    adapter.close()
+
+
+def test_echo_of_function_6_at_first(echo):
+    """Nothing tells the echo from a repeated request but where it comes from."""
+    adapter, tcp = echo
+    for value in (77, 77, 78):
+        before = len(adapter.written), tcp.statistic("modbus_transactions")
+        adapter.write_one(5, value, 7)
+        assert adapter.is_silent(0.3)
+        assert len(adapter.written) == before[0] + 8
+        # ... and the request for the statistic itself
+        assert tcp.statistic("modbus_transactions") == before[1] + 2
+    assert as_words(tcp.read(5, 1, 7)) == [78]
+
+
+def test_echo_of_other_functions(echo):
+    """The echo of an answer to function 3 gets no exception."""
+    adapter, _ = echo
+    for _ in range(3):
+        assert adapter.read(1200, 60, 7)[:4] == b"DIPL"
+        adapter.write(0, words(1, 2), 7)
+        adapter.write_one(0, 5, 7)
+        assert adapter.read(0, 2, 7) == words(5, 2)
+        with exception(BAD_ADDRESS):
+            adapter.read(5000, 1, 7)
+        block = input_block(3, radii=[0.5, 1.0, 2.0])
+        assert as_words(adapter.write_read(100, block, 300, 20, 7)[:4]) == [2, 3]
+    assert adapter.is_silent(0.3)
+    one_round = (5 + 120) + 8 + 8 + (5 + 4) + 5 + (5 + 40)
+    assert len(adapter.written) == 3 * one_round
+
+
+def test_an_echo_and_the_repeated_request_in_one_piece(daemon, line):
+    """The master repeats its request, and the adapter delivers that together with the echo."""
+    daemon("--modbus", f"rtu:{line.device},19200,N,7")
+    master = Rtu(line.fd)
+    write = master.frame(7, struct.pack(">BHH", WRITE_REGISTER, 5, 1))
+    master.send(master.frame(7, READ_ONE))
+    answer = master.receive_bytes(7)
+    master.send(answer + write)
+    for _ in range(3):
+        assert master.receive_bytes(8) == write
+        master.send(write + write)
+    assert master.receive_bytes(8) == write
+    master.send(write)
+    assert master.is_silent(0.2)
+
+
+@pytest.mark.parametrize("first", ["function 6", "function 3"])
+def test_a_master_that_repeats_its_request_is_no_echo(start, first):
+    """As fast as a line without speed allows, and slowly."""
+    master, one = start()
+    if first == "function 3":
+        master.read(0, 1, 7)
+    with Tcp(one) as tcp:
+        before = tcp.statistic("modbus_transactions")
+        for _ in range(100):
+            master.write_one(5, 77, 7)
+        for _ in range(3):
+            assert master.is_silent(0.15)
+            master.write_one(5, 77, 7)
+        assert tcp.statistic("modbus_transactions") == before + 104
+    assert master.is_silent()
+
+
+# ---- diagnostics ---------------------------------------------------------------------------------
+
+RESTART, REGISTER, LISTEN_ONLY, CLEAR, CLEAR_OVERRUNS = 1, 2, 4, 10, 20
+MESSAGES, ERRORS, EXCEPTIONS, TO_US, UNANSWERED, NAKS, BUSIES, OVERRUNS = range(11, 19)
+
+
+def diagnose(master: Rtu, sub: int, data: int = 0) -> int:
+    """Function 8: the word that comes back."""
+    answer = master.ask(struct.pack(">BHH", 8, sub, data), 7)
+    assert answer[:2] == struct.pack(">H", sub) and len(answer) == 4
+    return int.from_bytes(answer[2:], "big")
+
+
+def counters(master: Rtu) -> list[int]:
+    """All of them, as they would be if nobody had asked."""
+    values = [diagnose(master, sub) for sub in range(MESSAGES, OVERRUNS + 1)]
+    values[0] -= 1
+    values[TO_US - MESSAGES] -= 1 + TO_US - MESSAGES
+    return values
+
+
+def test_query_data_comes_back(start):
+    master, _ = start()
+    assert diagnose(master, 0, 0xA537) == 0xA537
+    for data in (b"\1\2\3\4", bytes(range(250))):
+        query = master.frame(7, b"\x08\0\0" + data)
+        master.send(query)
+        assert master.receive_bytes(len(query)) == query
+
+
+def test_diagnostics_that_do_not_exist(start):
+    master, one = start()
+    for sub in (3, 5, 9, 19, 21, 0xFFFF):
+        with exception(BAD_FUNCTION):
+            diagnose(master, sub)
+    for pdu in (b"\x08", b"\x08\0", b"\x08\0\x0b", b"\x08\0\x0b\0\1", b"\x08\0\x0a\xff\0",
+                b"\x08\0\1\0\1", b"\x08\0\x0b\0\0\0\0", b"\x08\0\0\1"):  # fmt: skip
+        with exception(BAD_VALUE):
+            master.ask(pdu, 7)
+    with Tcp(one) as tcp:
+        for pdu in (b"\x08\0\0\1\2", b"\x08", b"\x08\0\x0b\0\0"):
+            with exception(BAD_FUNCTION):  # lines only
+                tcp.ask(pdu, 7)
+
+
+def test_counters(start):
+    master, _ = start()
+    assert counters(master) == [0] * 8
+    diagnose(master, CLEAR)
+    assert counters(master) == [0] * 8
+    diagnose(master, CLEAR)
+    expected = [0] * 8
+
+    def count(*names: int) -> None:
+        for name in names:
+            expected[name - MESSAGES] += 1
+
+    master.read(0, 1, 7)
+    count(MESSAGES, TO_US)
+    with exception(BAD_ADDRESS):
+        master.read(5000, 1, 7)
+    count(MESSAGES, TO_US, EXCEPTIONS)
+    request = master.frame(9, READ_ONE)
+    answer = master.frame(9, b"\3\2\0\0")
+    master.send(request)
+    assert master.is_silent(0.05)
+    master.send(answer)
+    assert master.is_silent(0.05)
+    count(MESSAGES, MESSAGES)
+    for broadcast in (struct.pack(">BHH", WRITE_REGISTER, 3, 99), READ_ONE):
+        master.send(master.frame(0, broadcast))
+        assert master.is_silent(0.05)
+        count(MESSAGES, TO_US, UNANSWERED)
+    master.send(request[:-1] + bytes([request[-1] ^ 1]))
+    assert master.is_silent(0.05)
+    count(ERRORS)
+    block = input_block(1, (0.0333, 0.74, 0, 1.3), [1.0], model=MODELS["transport"], evaluator=1)
+    master.write_read(100, block, 300, 2, 7)
+    with exception(BUSY):
+        master.write_one(AT["COMMIT"], 2, 7)
+    count(MESSAGES, MESSAGES, TO_US, TO_US, EXCEPTIONS, BUSIES)
+    assert counters(master) == expected
+    diagnose(master, CLEAR_OVERRUNS)
+    diagnose(master, CLEAR)
+    assert counters(master) == [0] * 8
+
+
+def test_listen_only(start):
+    """Only the request to restart is carried out, and it is not answered."""
+    master, one = start()
+    master.send(master.frame(7, struct.pack(">BHH", 8, LISTEN_ONLY, 0)))
+    assert master.is_silent()
+    write = struct.pack(">BHH", WRITE_REGISTER, 3, 99)
+    for unit, pdu in ((7, write), (0, write), (7, READ_ONE), (7, b"\x08\0\0\1\2"),
+                      (7, struct.pack(">BHH", 8, RESTART, 5))):  # fmt: skip
+        master.send(master.frame(unit, pdu))
+        assert master.is_silent(0.05)
+    with Tcp(one) as tcp:  # the unit is silent on the line only
+        assert tcp.read(3, 1, 7) == words(0)
+    master.send(master.frame(7, struct.pack(">BHH", 8, RESTART, 0)))
+    assert master.is_silent()
+    assert counters(master) == [0] * 8
+    master.write_one(3, 98, 7)
+    assert diagnose(master, RESTART, 0xFF00) == 0xFF00
+    assert counters(master) == [0] * 8
+
+
+def test_the_diagnostic_register_tells_of_echo(echo):
+    adapter, _ = echo
+    assert diagnose(adapter, REGISTER) == 0
+    assert diagnose(adapter, REGISTER) == 1
+
+
+# ---- what drivers do -----------------------------------------------------------------------------
+
+# A pseudo terminal has neither RTS nor errors. This stands between the daemon and the kernel: it
+# notes what the daemon asks a driver for, and when, and answers as a driver would.
+DRIVER = r"""
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <errno.h>
+#include <linux/serial.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/ioctl.h>
+#include <time.h>
+
+static void note(const char *what, unsigned a, unsigned b, unsigned c) {
+  struct timespec now;
+  FILE *file = fopen(getenv("DRIVER_NOTES"), "a");
+  clock_gettime(CLOCK_MONOTONIC, &now);
+  fprintf(file, "%lld.%09ld %s %u %u %u\n", (long long)now.tv_sec, now.tv_nsec, what, a, b, c);
+  fclose(file);
+}
+
+int ioctl(int fd, unsigned long request, ...) {
+  va_list arguments;
+  va_start(arguments, request);
+  void *argument = va_arg(arguments, void *);
+  va_end(arguments);
+  if (request == TIOCSRS485) {
+    const struct serial_rs485 *wanted = argument;
+    note("rs485", wanted->flags, wanted->delay_rts_before_send, wanted->delay_rts_after_send);
+    errno = ENOTTY;
+    return getenv("DRIVER_RS485") != NULL ? 0 : -1;
+  }
+  if (request == TIOCMBIS || request == TIOCMBIC) {
+    note(request == TIOCMBIS ? "set" : "clear", *(const unsigned *)argument, 0, 0);
+    return 0;
+  }
+  if (request == TIOCGICOUNT) {
+    FILE *file = fopen(getenv("DRIVER_OVERRUNS"), "r");
+    memset(argument, 0, sizeof(struct serial_icounter_struct));
+    if (file != NULL) {
+      fscanf(file, "%d", &((struct serial_icounter_struct *)argument)->overrun);
+      fclose(file);
+    }
+    return 0;
+  }
+  int (*next)(int, unsigned long, ...) = (int (*)(int, unsigned long, ...))dlsym(RTLD_NEXT, "ioctl");
+  return next(fd, request, argument);
+}
+"""
+RS485_ENABLED, RTS_ON_SEND, RTS_AFTER_SEND = 1, 2, 4
+
+
+class Driver:
+    """The environment of a daemon with this driver, and its notes."""
+
+    def __init__(self, folder: Path):
+        self.notes, self.overruns = folder / "notes", folder / "overruns"
+        source, library = folder / "driver.c", folder / "driver.so"
+        source.write_text(DRIVER)
+        options = ["-shared", "-fPIC", "-o", str(library), str(source), "-ldl"]
+        subprocess.run(["cc", *options], check=True)
+        self.environment = {"LD_PRELOAD": str(library), "DRIVER_NOTES": str(self.notes)}
+        self.environment |= {"DRIVER_OVERRUNS": str(self.overruns)}
+
+    def read(self) -> list[tuple[float, str, list[int]]]:
+        """When, what, and its numbers."""
+        with contextlib.suppress(FileNotFoundError):
+            lines = [line.split() for line in self.notes.read_text().splitlines()]
+            return [(float(at), what, list(map(int, numbers))) for at, what, *numbers in lines]
+        return []
+
+
+@pytest.fixture
+def driver(tmp_path):
+    if sanitized() or shutil.which("cc") is None:
+        pytest.skip("the driver is loaded before the daemon, which sanitizers do not allow")
+    return Driver(tmp_path)
+
+
+@pytest.mark.parametrize("level", ["high", "low"])
+def test_rts_by_the_driver(daemon, line, driver, level):
+    one = daemon("--modbus", f"rtu:{line.device},19200,E,7,rts={level},rts-delay-ms=3",
+                 env={**driver.environment, "DRIVER_RS485": "1"})  # fmt: skip
+    assert one.has_line("rts=by-driver", 1)
+    Rtu(line.fd).write_one(5, 77, 7)
+    flags = RS485_ENABLED | (RTS_ON_SEND if level == "high" else RTS_AFTER_SEND)
+    assert [note[1:] for note in driver.read()] == [("rs485", [flags, 3, 3])]
+
+
+@pytest.mark.parametrize("level", ["high", "low"])
+def test_rts_by_hand(daemon, line, driver, level):
+    """RTS says that the daemon sends: from before the first character until after the last."""
+    one = daemon("--modbus", f"rtu:{line.device},1200,E,7,rts={level},rts-delay-ms=50",
+                 env=driver.environment)  # fmt: skip
+    assert one.has_line("rts=by-hand", 1)
+    master = Rtu(line.fd)
+    sends, listens = ("set", "clear") if level == "high" else ("clear", "set")
+    assert [note[1:] for note in driver.read()[1:]] == [(listens, [termios.TIOCM_RTS, 0, 0])]
+    for _ in range(2):
+        before = len(driver.read())
+        assert master.read(1200, 2, 7) == b"DIPL"
+        arrived = time.clock_gettime(time.CLOCK_MONOTONIC)
+        assert eventually(lambda: len(driver.read()) == before + 2)
+        began, ended = driver.read()[before:]
+        assert (began[1], ended[1]) == (sends, listens)
+        assert began[0] + 0.05 <= arrived
+        wire_s = 9 * 11 / 1200
+        assert ended[0] - began[0] >= 0.05 + wire_s + 0.05
+        assert ended[0] - began[0] < 0.05 + wire_s + 0.05 + 0.5
+
+
+def test_a_line_without_rts(daemon, line):
+    """Without direction control nobody would hear the daemon: the line is not served."""
+    one = daemon("--modbus", f"rtu:{line.device},19200,E,7,rts=high")
+    assert one.has_line("event=modbus-device-missing", 5)
+
+
+def test_lost_characters_are_counted(daemon, line, driver):
+    driver.overruns.write_text("3")
+    daemon("--modbus", f"rtu:{line.device},19200,E,7", env=driver.environment)
+    master = Rtu(line.fd)
+    assert diagnose(master, OVERRUNS) == 0
+    driver.overruns.write_text("5")
+    assert diagnose(master, OVERRUNS) == 1
+    assert diagnose(master, OVERRUNS) == 1
+    assert diagnose(master, CLEAR_OVERRUNS) == 0
+    assert diagnose(master, OVERRUNS) == 0

@@ -4,7 +4,7 @@
 #include <modbus.h>
 
 #include "server/modbus/access.h"
-#include "server/modbus/codec.h"
+#include "server/modbus/receiver.h"
 #include "tests/unit/unit.h"
 
 /* ---- requests ----------------------------------------------------------------------------- */
@@ -82,24 +82,28 @@ UNIT_TEST(the_checksum_is_that_of_modbus) {
   assert_int_equal(modbus_rtu_checksum((const uint8_t *)"123456789", 9), 0x4b37);
 }
 
-UNIT_TEST(a_request_is_found) {
-  uint8_t bytes[64] = {7, 3, 0, 0, 0, 1};
-  const size_t count = close_frame(bytes, 6);
-  size_t begin;
-  assert_true(modbus_rtu_is_frame(bytes, count));
-  assert_int_equal(modbus_rtu_find(bytes, count, 7, &begin), count);
-  assert_int_equal(begin, 0);
-  assert_int_equal(modbus_rtu_find(bytes, count, 8, &begin), 0);
-  for (size_t some = 0; some < count; some++) {
-    assert_int_equal(modbus_rtu_find(bytes, some, 7, &begin), 0);
-  }
-  bytes[2] ^= 1;
-  assert_int_equal(modbus_rtu_find(bytes, count, 7, &begin), 0);
-  assert_int_equal(begin, count);
+static void check_frames(const uint8_t *bytes, size_t count, unsigned frames, size_t last,
+                         size_t covered) {
+  const struct modbus_rtu_frames found = modbus_rtu_split(bytes, count);
+  assert_int_equal(found.count, frames);
+  assert_int_equal(found.last, last);
+  assert_int_equal(found.bytes, covered);
 }
 
-/* Behind a request to another device, its answer, and noise. */
-UNIT_TEST(a_request_is_found_behind_others) {
+UNIT_TEST(a_frame_is_found) {
+  uint8_t bytes[64] = {7, 3, 0, 0, 0, 1};
+  const size_t count = close_frame(bytes, 6);
+  assert_true(modbus_rtu_is_frame(bytes, count));
+  check_frames(bytes, count, 1, 0, count);
+  for (size_t some = 0; some < count; some++) {
+    check_frames(bytes, some, 0, 0, 0);
+  }
+  bytes[2] ^= 1;
+  check_frames(bytes, count, 0, 0, 0);
+}
+
+/* A request to another device, its answer, and a broadcast; then noise and a frame. */
+UNIT_TEST(frames_follow_each_other) {
   uint8_t bytes[64] = {9, 3, 0, 0, 0, 1};
   size_t at = close_frame(bytes, 6);
   const uint8_t answer[] = {9, 3, 2, 0, 5};
@@ -108,33 +112,161 @@ UNIT_TEST(a_request_is_found_behind_others) {
   const uint8_t broadcast[] = {0, 6, 0, 0, 0, 1};
   memcpy(bytes + at, broadcast, sizeof broadcast);
   const size_t length = close_frame(bytes + at, sizeof broadcast);
-  size_t begin;
-  assert_int_equal(modbus_rtu_find(bytes, at + length, 7, &begin), length);
-  assert_int_equal(begin, at);
+  check_frames(bytes, at + length, 3, at, at + length);
 
   const uint8_t noise[] = {1, 2, 3};
   memcpy(bytes + at, noise, sizeof noise);
-  at += sizeof noise;
-  const uint8_t request[] = {7, 6, 0, 0, 0, 1};
-  memcpy(bytes + at, request, sizeof request);
-  const size_t mine = close_frame(bytes + at, sizeof request);
-  assert_int_equal(modbus_rtu_find(bytes, at + mine, 7, &begin), mine);
-  assert_int_equal(begin, at);
+  memcpy(bytes + at + sizeof noise, broadcast, sizeof broadcast);
+  const size_t behind = close_frame(bytes + at + sizeof noise, sizeof broadcast);
+  check_frames(bytes, at + sizeof noise + behind, 2, 8, at);
 }
 
-UNIT_TEST(any_bytes_can_be_searched) {
-  uint64_t random = unit_seed();
-  for (int i = 0; i < 20000; i++) {
-    uint8_t bytes[300];
-    const size_t count = unit_random_below(&random, sizeof bytes + 1);
-    unit_random_bytes(&random, bytes, sizeof bytes);
-    uint8_t *exact = malloc(count > 0 ? count : 1); /* so that a sanitizer sees what is beyond */
-    memcpy(exact, bytes, count);
-    size_t begin;
-    const size_t found = modbus_rtu_find(exact, count, bytes[0], &begin);
-    assert_true(begin <= count && found <= count - begin);
-    free(exact);
+/* The requests and answers of every function of the standard have their lengths. */
+UNIT_TEST(frames_of_functions_that_are_not_served) {
+  static const struct {
+    uint8_t bytes[16];
+    size_t count;
+  } pdus[] = {
+      {{7}, 1},           {{7, 0x6d}, 2},        {{8, 0, 0, 0xa5, 0x37}, 5},
+      {{11}, 1},          {{11, 0, 0, 1, 8}, 5}, {{12}, 1},
+      {{12, 2, 0, 0}, 4}, {{20, 3, 6, 0, 4}, 5}, {{21, 4, 6, 0, 4, 0}, 6},
+      {{24, 4, 0xde}, 3}, {{24, 0, 2, 0, 0}, 5}, {{0x99, 2}, 2},
+  };
+  for (size_t i = 0; i < sizeof pdus / sizeof pdus[0]; i++) {
+    uint8_t bytes[64] = {9};
+    memcpy(bytes + 1, pdus[i].bytes, pdus[i].count);
+    const size_t first = close_frame(bytes, 1 + pdus[i].count);
+    const uint8_t request[] = {7, 6, 0, 0, 0, 1};
+    memcpy(bytes + first, request, sizeof request);
+    const size_t all = first + close_frame(bytes + first, sizeof request);
+    check_frames(bytes, all, 2, first, all);
+    struct modbus_request parsed;
+    if (pdus[i].bytes[0] < 0x80) {
+      assert_int_equal(modbus_pdu_parse(bytes + 1, pdus[i].count, &parsed),
+                       MODBUS_EXCEPTION_ILLEGAL_FUNCTION);
+    }
   }
+}
+
+/* ---- what is received from a line --------------------------------------------------------- */
+
+enum { SILENCE_NS = 2000000 };
+
+/* Lets bytes arrive. `later_ns` is how long after those before. */
+static void arrive(struct modbus_receiver *receiver, const uint8_t *bytes, size_t count,
+                   uint64_t later_ns) {
+  size_t room;
+  uint8_t *at = modbus_receiver_room(receiver, &room);
+  assert_true(room >= count);
+  memcpy(at, bytes, count);
+  modbus_receiver_arrived(receiver, count, receiver->arrived_ns + later_ns);
+}
+
+static size_t end(struct modbus_receiver *receiver) {
+  struct modbus_burst burst;
+  modbus_receiver_end(receiver, &burst);
+  return burst.bytes;
+}
+
+/* A request in two pieces: with a short pause of the adapter it is one, with a long one it is none,
+ * and what is behind it is. */
+UNIT_TEST(pauses_within_a_request) {
+  uint8_t bytes[8] = {7, 6, 0, 0, 0, 1};
+  const size_t count = close_frame(bytes, 6);
+  struct modbus_receiver receiver = {.number = 7, .silence_ns = SILENCE_NS};
+  for (size_t cut = 1; cut < count; cut++) {
+    arrive(&receiver, bytes, cut, SILENCE_NS);
+    assert_false(modbus_receiver_is_whole(&receiver));
+    arrive(&receiver, bytes + cut, count - cut, SILENCE_NS);
+    assert_true(modbus_receiver_is_whole(&receiver));
+    assert_int_equal(end(&receiver), count);
+
+    arrive(&receiver, bytes, cut, SILENCE_NS);
+    assert_int_equal(end(&receiver), 0);
+    arrive(&receiver, bytes + cut, count - cut, SILENCE_NS);
+    assert_int_equal(end(&receiver), 0);
+
+    arrive(&receiver, bytes, cut, SILENCE_NS);
+    assert_int_equal(end(&receiver), 0);
+    arrive(&receiver, bytes, count, SILENCE_NS);
+    assert_int_equal(end(&receiver), count);
+  }
+}
+
+/* A request behind noise is one only if there is a silence between them. */
+UNIT_TEST(a_request_begins_behind_silence) {
+  const uint8_t noise[] = {0xff, 0x00, 0x17};
+  uint8_t bytes[8] = {7, 6, 0, 0, 0, 1};
+  const size_t count = close_frame(bytes, 6);
+  struct modbus_receiver receiver = {.number = 7, .silence_ns = SILENCE_NS};
+  for (uint64_t later_ns = SILENCE_NS - 1; later_ns <= SILENCE_NS; later_ns++) {
+    arrive(&receiver, noise, sizeof noise, SILENCE_NS);
+    arrive(&receiver, bytes, count, later_ns);
+    struct modbus_burst burst;
+    modbus_receiver_end(&receiver, &burst);
+    assert_true(burst.bad);
+    assert_int_equal(burst.bytes, later_ns == SILENCE_NS ? count : 0);
+    modbus_receiver_reset(&receiver);
+  }
+}
+
+/* A line on which nobody is ever silent costs no more memory and does not hide the request at its
+ * end, if all are frames. */
+UNIT_TEST(a_line_that_is_never_silent) {
+  uint8_t other[8] = {9, 6, 0, 0, 0, 1}, mine[8] = {7, 6, 0, 0, 0, 1};
+  close_frame(other, 6);
+  close_frame(mine, 6);
+  struct modbus_receiver receiver = {.number = 7, .silence_ns = SILENCE_NS};
+  for (int i = 0; i < 1000; i++) {
+    for (size_t k = 0; k < sizeof other; k += 4) {
+      arrive(&receiver, other + k, 4, 1);
+    }
+  }
+  arrive(&receiver, mine, sizeof mine, 1);
+  assert_int_equal(end(&receiver), sizeof mine);
+}
+
+/* For random pieces of frames, echo, noise and silences: nothing but a frame to the unit, or to all
+ * units, is taken for a request. */
+UNIT_TEST(any_bytes_can_be_received) {
+  uint64_t random = unit_seed();
+  struct modbus_receiver *receiver = calloc(1, sizeof *receiver);
+  receiver->number = 7;
+  receiver->silence_ns = SILENCE_NS;
+  size_t requests = 0;
+  for (int i = 0; i < 200000; i++) {
+    uint8_t bytes[300];
+    size_t count = 1 + unit_random_below(&random, unit_random_below(&random, 4) == 0 ? 290 : 12);
+    unit_random_bytes(&random, bytes, count);
+    bytes[0] = (uint8_t)(unit_random_below(&random, 3) * 7 / 2); /* 0, 3, or 7 */
+    bytes[1] = 6;
+    if (count >= 6 && unit_random_below(&random, 4) > 0) {
+      count = close_frame(bytes, count > 6 && count < 12 ? 6 : count);
+    }
+    size_t room;
+    uint8_t *at = modbus_receiver_room(receiver, &room);
+    assert_true(room >= 1);
+    count = count < room ? count : room;
+    memcpy(at, bytes, count);
+    modbus_receiver_arrived(receiver, count,
+                            receiver->arrived_ns + unit_random_below(&random, 2 * SILENCE_NS));
+    modbus_receiver_is_whole(receiver);
+    if (unit_random_below(&random, 2) == 0) {
+      continue;
+    }
+    struct modbus_burst burst;
+    modbus_receiver_end(receiver, &burst);
+    if (burst.bytes > 0) {
+      requests++;
+      assert_true(modbus_rtu_is_frame(burst.request, burst.bytes));
+      assert_true(burst.request[0] == 7 || burst.request[0] == 0);
+      if (modbus_receiver_sent(receiver, burst.request, burst.bytes)) {
+        modbus_receiver_probed(receiver);
+      }
+    }
+  }
+  assert_true(requests > 1000);
+  free(receiver);
 }
 
 /* ---- networks ----------------------------------------------------------------------------- */

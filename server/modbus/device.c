@@ -1,0 +1,181 @@
+#include "server/modbus/device.h"
+
+#include <errno.h>
+#include <linux/serial.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/ioctl.h>
+
+/* ---- the option ------------------------------------------------------------------------------ */
+
+enum {
+  UNIT_MOST = 247,
+  RTS_DELAY_MOST_MS = 1000,
+  URL_BYTES = 512,
+};
+
+static bool read_number(const char *text, int least, int most, int *value) {
+  *value = atoi(text);
+  return *text != '\0' && strspn(text, "0123456789") == strlen(text) && strlen(text) < 8 &&
+         *value >= least && *value <= most;
+}
+
+/* The functions below return NULL, or what is wrong. */
+
+static const char *read_path(struct modbus_device *device, const char *text) {
+  if (*text == '\0' || strlen(text) >= sizeof device->path) {
+    return "the form is rtu:DEVICE[,BAUD[,PARITY[,UNIT]]][,rts=high|low][,rts-delay-ms=N]";
+  }
+  memcpy(device->path, text, strlen(text) + 1);
+  return NULL;
+}
+
+static const char *read_baud(struct modbus_device *device, const char *text) {
+  static const int rates[] = {1200,  2400,   4800,   9600,   19200, 38400,
+                              57600, 115200, 230400, 460800, 921600};
+  for (size_t i = 0; i < sizeof rates / sizeof rates[0]; i++) {
+    if (read_number(text, rates[i], rates[i], &device->baud)) {
+      return NULL;
+    }
+  }
+  return "BAUD is 1200, 2400, 4800, ... 115200, 230400, 460800 or 921600";
+}
+
+/* A character has 11 bits unless the option says otherwise: without parity, it has a second stop bit
+ * (MODBUS over Serial Line V1.02, 2.5.1). */
+static const char *read_parity(struct modbus_device *device, const char *text) {
+  const size_t length = strlen(text);
+  device->parity = text[0];
+  device->stop_bits = length == 2 ? text[1] - '0' : text[0] == 'N' ? 2 : 1;
+  return length >= 1 && length <= 2 && strchr("NEO", text[0]) != NULL &&
+                 (device->stop_bits == 1 || device->stop_bits == 2)
+             ? NULL
+             : "PARITY is N, E or O, maybe with the number of stop bits: N1 or E2";
+}
+
+static const char *read_unit(struct modbus_device *device, const char *text) {
+  int number;
+  const bool right = read_number(text, 1, UNIT_MOST, &number);
+  device->number = (unsigned)number;
+  return right ? NULL : "UNIT is 1 to 247";
+}
+
+static const char *read_rts(struct modbus_device *device, const char *text) {
+  device->rts = strcmp(text, "high") == 0  ? MODBUS_RTS_HIGH
+                : strcmp(text, "low") == 0 ? MODBUS_RTS_LOW
+                                           : MODBUS_RTS_UNUSED;
+  return device->rts != MODBUS_RTS_UNUSED ? NULL : "rts is high or low: RTS while the daemon sends";
+}
+
+static const char *read_rts_delay(struct modbus_device *device, const char *text) {
+  int delay_ms;
+  const bool right = read_number(text, 0, RTS_DELAY_MOST_MS, &delay_ms);
+  device->rts_delay_ms = (unsigned)delay_ms;
+  return right ? NULL : "rts-delay-ms is 0 to 1000";
+}
+
+/* Reads a part of the option. Parts without a name come in a fixed order. */
+static const char *read_part(struct modbus_device *device, const char *text, unsigned *place) {
+  static const char *(*const in_order[])(struct modbus_device *, const char *) = {
+      read_path, read_baud, read_parity, read_unit};
+  static const struct {
+    const char *name;
+    const char *(*read)(struct modbus_device *, const char *);
+  } named[] = {{"rts=", read_rts}, {"rts-delay-ms=", read_rts_delay}};
+  for (size_t i = 0; i < sizeof named / sizeof named[0]; i++) {
+    const size_t length = strlen(named[i].name);
+    if (*place > 0 && strncmp(text, named[i].name, length) == 0) {
+      return named[i].read(device, text + length);
+    }
+  }
+  return *place < sizeof in_order / sizeof in_order[0] ? in_order[(*place)++](device, text)
+                                                       : read_path(device, "");
+}
+
+bool modbus_device_read_url(struct modbus_device *device, const char *url) {
+  char text[URL_BYTES];
+  char *rest = text;
+  const char *wrong = NULL;
+  unsigned place = 0;
+  *device = (struct modbus_device){.baud = 19200, .parity = 'E', .stop_bits = 1, .number = 1};
+  const int length = snprintf(text, sizeof text, "%s", url + strlen("rtu:"));
+  if (length < 0 || (size_t)length >= sizeof text) {
+    wrong = read_path(device, "");
+  }
+  while (wrong == NULL && rest != NULL) {
+    wrong = read_part(device, strsep(&rest, ","), &place);
+  }
+  if (wrong == NULL && device->rts_delay_ms > 0 && device->rts == MODBUS_RTS_UNUSED) {
+    wrong = "rts-delay-ms needs rts=high or rts=low";
+  }
+  if (wrong != NULL) {
+    fprintf(stderr, "dipoled: --modbus %s: %s\n", url, wrong);
+  }
+  return wrong == NULL;
+}
+
+/* ---- the device ------------------------------------------------------------------------------ */
+
+int modbus_device_fd(const struct modbus_device *device) {
+  return modbus_get_socket(device->context);
+}
+
+int modbus_device_set_rts(struct modbus_device *device, bool sending) {
+  const int rts = TIOCM_RTS;
+  const bool high = sending == (device->rts == MODBUS_RTS_HIGH);
+  return ioctl(modbus_device_fd(device), high ? TIOCMBIS : TIOCMBIC, &rts) == 0 ? 0 : errno;
+}
+
+/* Decides who sets RTS. Returns 0 or an errno. */
+static int set_direction(struct modbus_device *device) {
+  struct serial_rs485 rs485 = {
+      .flags = SER_RS485_ENABLED |
+               (device->rts == MODBUS_RTS_HIGH ? SER_RS485_RTS_ON_SEND : SER_RS485_RTS_AFTER_SEND),
+      .delay_rts_before_send = device->rts_delay_ms,
+      .delay_rts_after_send = device->rts_delay_ms,
+  };
+  device->rts_by_hand =
+      device->rts != MODBUS_RTS_UNUSED && ioctl(modbus_device_fd(device), TIOCSRS485, &rs485) != 0;
+  return device->rts_by_hand ? modbus_device_set_rts(device, false) : 0;
+}
+
+int modbus_device_open(struct modbus_device *device) {
+  device->context =
+      modbus_new_rtu(device->path, device->baud, device->parity, 8, device->stop_bits);
+  if (device->context == NULL) {
+    return errno;
+  }
+  if (modbus_connect(device->context) != 0) {
+    const int error = errno;
+    modbus_free(device->context);
+    device->context = NULL;
+    return error;
+  }
+  const int error = set_direction(device);
+  if (error != 0) {
+    modbus_device_close(device);
+  }
+  return error;
+}
+
+void modbus_device_close(struct modbus_device *device) {
+  if (device->context != NULL) {
+    modbus_close(device->context);
+    modbus_free(device->context);
+    device->context = NULL;
+  }
+}
+
+uint64_t modbus_device_overruns(const struct modbus_device *device) {
+  struct serial_icounter_struct counted;
+  if (ioctl(modbus_device_fd(device), TIOCGICOUNT, &counted) != 0) {
+    return 0;
+  }
+  return (uint64_t)counted.overrun + (uint64_t)counted.buf_overrun;
+}
+
+uint64_t modbus_device_duration_ns(const struct modbus_device *device, uint64_t characters) {
+  const uint64_t bits = 1 + 8 + (device->parity != 'N') + (uint64_t)device->stop_bits;
+  return characters * bits * 1000000000 / (uint64_t)device->baud;
+}
