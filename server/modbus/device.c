@@ -42,8 +42,8 @@ static const char *read_baud(struct modbus_device *device, const char *text) {
   return "BAUD is 1200, 2400, 4800, ... 115200, 230400, 460800 or 921600";
 }
 
-/* A character has 11 bits unless the option says otherwise: without parity, it has a second stop bit
- * (MODBUS over Serial Line V1.02, 2.5.1). */
+/* A character has 11 bits unless the option says otherwise: without parity, it has a second stop
+ * bit (MODBUS over Serial Line V1.02, 2.5.1). */
 static const char *read_parity(struct modbus_device *device, const char *text) {
   const size_t length = strlen(text);
   device->parity = text[0];

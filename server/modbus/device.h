@@ -27,8 +27,8 @@ struct modbus_device {
   bool rts_by_hand;  /* whether the caller has to set RTS */
 };
 
-/* Reads rtu:DEVICE[,BAUD[,PARITY[,UNIT]]][,rts=high|low][,rts-delay-ms=N]. The device need not exist.
- * If a part is wrong, prints which one to standard error and returns false. */
+/* Reads rtu:DEVICE[,BAUD[,PARITY[,UNIT]]][,rts=high|low][,rts-delay-ms=N]. The device need not
+ * exist. If a part is wrong, prints which one to standard error and returns false. */
 bool modbus_device_read_url(struct modbus_device *device, const char *url);
 
 /* Opens the device, and never blocks. Returns 0 or an errno; modbus_strerror() has its text. */

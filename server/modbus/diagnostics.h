@@ -1,6 +1,5 @@
-/* diagnostics: the counters of a serial line, and function 8, which returns them (MODBUS Application
- * Protocol Specification V1.1b3, section 6.8).
- */
+/* diagnostics: the counters of a serial line, and function 8, which returns them (MODBUS
+ * Application Protocol Specification V1.1b3, section 6.8). */
 #ifndef DIPOLED_MODBUS_DIAGNOSTICS_H
 #define DIPOLED_MODBUS_DIAGNOSTICS_H
 

@@ -62,9 +62,9 @@ static void write_output(struct modbus_line *line) {
 
 static void on_sent_timer(uv_timer_t *timer);
 
-/* Calls on_sent_timer() at a time. Timers count milliseconds and may be early, so the function sleeps
- * for the rest of the last millisecond: RTS has to change soon after the last character, because
- * the master may begin 3.5 characters later. */
+/* Calls on_sent_timer() at a time. Timers count milliseconds and may be early, so the function
+ * sleeps for the rest of the last millisecond: RTS has to change soon after the last character,
+ * because the master may begin 3.5 characters later. */
 static void wait_until(struct modbus_line *line, uint64_t at_ns) {
   const uint64_t now_ns = uv_hrtime();
   const uint64_t left_ns = at_ns > now_ns ? at_ns - now_ns : 0;
@@ -168,7 +168,8 @@ static size_t request_pdu_bytes(const struct modbus_line *line) {
   return line->burst.bytes - 3;
 }
 
-/* Counts the answer whose PDU begins at output[1], and sends it unless the request is a broadcast. */
+/* Counts the answer whose PDU begins at output[1], and sends it unless the request is a broadcast.
+ */
 static void finish_request(struct modbus_line *line, size_t pdu_bytes) {
   if (line->burst.request[0] == MODBUS_BROADCAST_ADDRESS) {
     line->diagnostics.counters[MODBUS_COUNTER_NO_RESPONSES]++;

@@ -3,15 +3,15 @@
  *
  * A frame begins after a silence of 3.5 characters (MODBUS over Serial Line V1.02, 2.5.1.1), or
  * right after another frame, because adapters deliver several frames together. Other bytes are
- * skipped up to the next silence. Adapters also deliver a frame in pieces, so a short silence may be
- * a pause within a frame. Only the caller's longer silence ends an unfinished frame. If the rest of
- * that frame arrives later, it is skipped, even if it looks like a frame of its own.
+ * skipped up to the next silence. Adapters also deliver a frame in pieces, so a short silence may
+ * be a pause within a frame. Only the caller's longer silence ends an unfinished frame. If the rest
+ * of that frame arrives later, it is skipped, even if it looks like a frame of its own.
  *
- * Some adapters return all bytes that the daemon writes to them: the echo. The receiver skips it. It
- * learns whether there is an echo from answers that cannot be requests, for example those of
- * function 3. An answer of function 6 has the same bytes as its request, so that its echo looks like
- * a request that the master repeats. If the first answer is such a one, the sender probes: it sends
- * the first byte alone and looks whether that comes back.
+ * Some adapters return all bytes that the daemon writes to them: the echo. The receiver skips it.
+ * It learns whether there is an echo from answers that cannot be requests, for example those of
+ * function 3. An answer of function 6 has the same bytes as its request, so that its echo looks
+ * like a request that the master repeats. If the first answer is such a one, the sender probes: it
+ * sends the first byte alone and looks whether that comes back.
  */
 #ifndef DIPOLED_MODBUS_RECEIVER_H
 #define DIPOLED_MODBUS_RECEIVER_H
@@ -61,17 +61,17 @@ uint8_t *modbus_receiver_room(struct modbus_receiver *receiver, size_t *room);
 /* Call it after `count` bytes have been put there. */
 void modbus_receiver_arrived(struct modbus_receiver *receiver, size_t count, uint64_t now_ns);
 
-/* Returns whether whole frames have arrived, and nothing else. A silence of 3.5 characters then ends
- * them. */
+/* Returns whether whole frames have arrived, and nothing else. A silence of 3.5 characters then
+ * ends them. */
 bool modbus_receiver_is_whole(const struct modbus_receiver *receiver);
 
 /* Call it when a silence has ended what has arrived. The request is the last frame, if that is one
  * to the unit or to all units (0). */
 void modbus_receiver_end(struct modbus_receiver *receiver, struct modbus_burst *burst);
 
-/* Call it when a frame is going to be sent. Drops what has arrived. If it returns true, the frame is a
- * probe: the caller sends the first byte, waits until something has arrived or until an echo would
- * have arrived, calls modbus_receiver_probed(), and sends the rest. */
+/* Call it when a frame is going to be sent. Drops what has arrived. If it returns true, the frame
+ * is a probe: the caller sends the first byte, waits until something has arrived or until an echo
+ * would have arrived, calls modbus_receiver_probed(), and sends the rest. */
 bool modbus_receiver_sent(struct modbus_receiver *receiver, const uint8_t *frame, size_t bytes);
 void modbus_receiver_probed(struct modbus_receiver *receiver);
 

@@ -12,8 +12,8 @@ struct modbus_service *modbus_service_new(struct server *server);
 /* Frees the service, which may be NULL. Call this after the workers have ended. */
 void modbus_service_free(struct modbus_service *service);
 
-/* Opens rtu:DEVICE[,BAUD[,PARITY[,UNIT]]] and logs it, or logs that the device is missing, which the
- * worker opens later. Call this before modbus_service_begin(). If the option is wrong, prints a
+/* Opens rtu:DEVICE[,BAUD[,PARITY[,UNIT]]] and logs it, or logs that the device is missing, which
+ * the worker opens later. Call this before modbus_service_begin(). If the option is wrong, prints a
  * message to standard error and returns false. */
 bool modbus_service_open_line(struct modbus_service *service, const char *url);
 
