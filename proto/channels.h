@@ -45,12 +45,12 @@ uint32_t channels_count_parameters(const core_parameters *parameters);
  * Returns the number of bytes written. */
 size_t channels_put_parameters(uint8_t *at, const core_parameters *parameters);
 
-/* The names and messages that errors use for a list of numbers. */
+/* The texts of errors in a list of numbers: names of fields, and what is allowed. */
 struct channels_list {
-  const char *field;       /* one number */
-  const char *count_field; /* the count */
-  const char *too_many;    /* allowed, if the count exceeds the payload */
-  const char *too_long;    /* allowed, if the payload exceeds the count */
+  const char *field;       /* name of the list */
+  const char *count_field; /* name of its count */
+  const char *too_many;    /* what is allowed if the payload is too short for the count */
+  const char *too_long;    /* what is allowed if the payload is too long for the count */
 };
 
 extern const struct channels_list CHANNELS_RADII;

@@ -1,6 +1,6 @@
 #include "proto/invert.h"
 
-/* Arrays are used in place, so they have this machine's byte order. */
+/* Arrays are used in place, so this machine must be little-endian like the protocol. */
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's arrays need swapping");
 
 enum { REQUEST_ARRAYS = 2 };

@@ -47,8 +47,8 @@ bool mc_reply_layout(uint32_t side_count, uint32_t albedo_count, uint32_t ring_c
 /* Returns the offset of the numbers of photons that left through a side, one for each ring. */
 size_t mc_photons_offset(const mc_layout *layout, uint32_t ring_count, uint32_t side);
 
-/* Returns the offset of R in the rings of one side, for one albedo, or of their standard errors if
- * `error`. Both are double[ring_count], 1/mm^2. */
+/* Returns the offset of the values of all rings of one side, for one albedo; if `error` is true, of
+ * their standard errors. Both arrays are double[ring_count], 1/mm^2. */
 size_t mc_rings_offset(const mc_layout *layout, uint32_t side_count, uint32_t ring_count,
                        uint32_t albedo, uint32_t side, bool error);
 

@@ -113,7 +113,7 @@ static const registers_field *next_field(const registers_block *block, unsigned 
 static void describe_fields(const struct description *to) {
   for (unsigned i = 0; i < REGISTERS_BLOCKS; i++) {
     const registers_block *block = &registers_blocks[i];
-    if (block->first / REGISTERS_MIRROR % 2 == 1) { /* a mirror */
+    if (block->first / REGISTERS_MIRROR % 2 == 1) { /* The block is a mirror. */
       continue;
     }
     char name[CELL_BYTES];
@@ -130,7 +130,7 @@ static void describe_fields(const struct description *to) {
 
 /* ---- lists ----------------------------------------------------------------------------------- */
 
-/* Text for a cell, in which a bar has to be escaped. */
+/* Writes text for a cell of a Markdown table, in which "|" has to be escaped. */
 static void escape(const char *text, char *cell, size_t room) {
   size_t length = 0;
   for (; *text != '\0' && length + 2 < room; text++) {

@@ -6,7 +6,7 @@
 #include "proto/channels.h"
 
 uint32_t table_checksum(const uint8_t *bytes, size_t count) {
-  /* what each value of four bits does to the sum */
+  /* the change of the checksum for each value of four bits */
   static const uint32_t steps[] = {0x00000000, 0x1db71064, 0x3b6e20c8, 0x26d930ac,
                                    0x76dc4190, 0x6b6b51f4, 0x4db26158, 0x5005713c,
                                    0xedb88320, 0xf00f9344, 0xd6d6a3e8, 0xcb61b38c,

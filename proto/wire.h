@@ -14,9 +14,9 @@ struct core_choice; /* declared in core/core.h */
 
 #define WIRE_MAGIC UINT32_C(0x4c504944)
 #define WIRE_VERSION 1
-#define WIRE_REPLY 0x8000      /* is added to a request's type to get its reply's */
-#define WIRE_TYPE_ERROR 0xffff /* type of an error, which takes the place of a reply */
-#define WIRE_ALIGNMENT 8       /* bytes; holds for payloads, structures and arrays in a frame */
+#define WIRE_REPLY 0x8000      /* the type of a reply is that of its request plus this */
+#define WIRE_TYPE_ERROR 0xffff /* type of an error frame, which is sent in place of a reply */
+#define WIRE_ALIGNMENT 8       /* payloads, structures and arrays start at multiples of 8 bytes */
 
 /* Constants that no option changes. */
 #define WIRE_PING_MAX_BYTES 1024
@@ -126,8 +126,8 @@ wire_error wire_header_check(const wire_header *header, uint64_t max_payload_byt
 const char *wire_status_name(unsigned status);
 const char *wire_status_text(unsigned status);
 
-/* Returns a message's name, for a request's type and for its reply's; "error" or "unknown" for
- * others. */
+/* Returns the name of a message for the type of its request or of its reply. Returns "error" for
+ * WIRE_TYPE_ERROR and "unknown" for other types. */
 const char *wire_type_name(unsigned type);
 
 /* ---- the list of choices --------------------------------------------------------------------- */

@@ -9,9 +9,9 @@
  *   2. worker_give() hands the client to a worker, from any thread. The worker then calls start()
  *      on its own thread. From there on only that thread touches the client.
  *   3. Whenever the client has something to do, for example in a callback of the loop, it calls
- *      worker_run_later(). The worker then calls run() once, which must do a bounded amount of work.
- *      After all clients have run, the worker evaluates what they have put into the batch. Then it
- *      calls finish(), which may write the results and may call worker_run_later() again.
+ *      worker_run_later(). The worker then calls run() once, which must do a bounded amount of
+ *      work. After all clients have run, the worker evaluates what they have put into the batch.
+ *      Then it calls finish(), which may write the results and call worker_run_later() again.
  *   4. A client whose values are in the batch although its run() was not called in this round calls
  *      worker_finish_later(): the worker then calls its finish() at the end of this round.
  *   5. When the daemon stops, the worker calls stop(). The client answers what has arrived and ends

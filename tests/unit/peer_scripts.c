@@ -130,7 +130,7 @@ void peer_serve_other_lists(int fd, void *context) {
   peer_send(fd, WIRE_TYPE_HELLO | WIRE_REPLY, request.header.request_id, payload, sizeof payload);
   free(request.payload);
   if (peer_receive(fd, &request)) {
-    abort(); /* Whatever it asks has another meaning here. */
+    abort(); /* This peer has other lists, so no request of the client means the right thing. */
   }
 }
 

@@ -1,5 +1,5 @@
-/* peer_scripts: what several tests of the client library share: scripts of peers, clients that are
- * connected to a peer, and queries whose answers can be checked. */
+/* peer_scripts: the parts that tests of the client library share: scripts for peers, clients that
+ * are connected to a peer, and queries whose answers can be checked. */
 #ifndef DIPOLED_TESTS_PEER_SCRIPTS_H
 #define DIPOLED_TESTS_PEER_SCRIPTS_H
 
@@ -13,8 +13,8 @@ void peer_say_hello_or_abort(int fd);
 void peer_send_error(int fd, uint64_t id, enum wire_status status, uint32_t retry_after_ms);
 void peer_answer(int fd, const peer_frame *request);
 
-/* The frame of the answer to a request, *count bytes. Of its payload, the bytes from `garbled` on
- * are not the answer's but 0xff. The caller frees it. */
+/* Makes the frame that answers a request, *count bytes, which the caller frees. The bytes of its
+ * payload from position `garbled` on are overwritten with 0xff. */
 uint8_t *peer_make_answer(const peer_frame *request, size_t garbled, size_t *count);
 
 /* Scripts: each closes the connection at its end. */
@@ -30,20 +30,21 @@ enum { PEER_PATIENCE_MS = 20000 }; /* a test that would hang fails after this */
 /* Returns the default options, with PEER_PATIENCE_MS for connecting, waiting and trying again. */
 dipole_options peer_options(void);
 
-/* Opens a client. If options is NULL, peer_options() are used. Fails the test if it cannot. */
+/* Opens a client. options: NULL means peer_options(). Fails the test if the client does not open.
+ */
 dipole_client *peer_open(const char *address, const dipole_options *options);
 
-/* Opens a client that does not try again, so that what the peer does shows as it is. */
+/* Opens a client without retries, so that the test sees each failure. */
 dipole_client *peer_open_once(const scripted_peer *peer);
 
-/* Starts a peer and opens a client that does not try again. */
+/* Starts a peer and opens a client without retries. */
 dipole_client *peer_begin(scripted_peer *peer, peer_script *script, void *context);
 
-/* Starts a peer and opens a client with options, as peer_open(). */
+/* Starts a peer and opens a client with options like peer_open(). */
 dipole_client *peer_begin_with(scripted_peer *peer, peer_script *script, void *context,
                                const dipole_options *options);
 
-/* Starts a peer with one script for each connection and opens a client that tries again. */
+/* Starts a peer with one script for each connection and opens a client with retries. */
 dipole_client *peer_begin_scripts(scripted_peer *peer, peer_script *const *scripts, void *context);
 
 /* Closes the client and waits for the peer's script to end. */
@@ -52,7 +53,7 @@ void peer_finish(scripted_peer *peer, dipole_client *client);
 /* Fails the test with the error's text unless a call was good. */
 void peer_expect(bool good, const dipole_error *error);
 
-/* Evaluates; the caller frees the result. Fails the test if it cannot. */
+/* Evaluates a query. The caller frees the result. Fails the test if there is none. */
 dipole_result *peer_eval(dipole_client *client, const dipole_query *query);
 
 /* Returns the addresses as one text, "A,B,...", which the caller frees. */
@@ -71,11 +72,11 @@ void peer_make_radii(void);
 
 extern const dipole_medium peer_media[2];
 
-/* Returns a query for R and the albedo of the first medium at the first `count` radii. Queries
- * differ in this number, so that an answer to another query shows. */
+/* Returns a query for R and the albedo of the first medium at the first `count` radii. The tests
+ * give each query another count, so that an answer to a wrong query is noticed. */
 dipole_query peer_query(uint64_t count);
 
-/* Checks that a result is what peer_serve() answers to peer_query(count), and frees it. */
+/* Checks that a result is the answer of peer_serve() to peer_query(count), and frees it. */
 void peer_check_result(dipole_result *result, uint64_t count);
 
 /* Evaluates peer_query(count) and checks the result. */
@@ -87,7 +88,8 @@ dipole_error peer_check_failure(dipole_client *client, enum dipole_error_kind ki
 /* Submits peer_query(count) and returns the request's id. */
 uint64_t peer_submit(dipole_client *client, uint64_t count);
 
-/* Scripts that receive until the client ends. The first answers nothing, the second only hello. */
+/* Scripts that receive until the client ends. peer_accept_only() answers nothing, and
+ * peer_be_silent() answers only hello. */
 peer_script peer_accept_only, peer_be_silent;
 
 /* A script that answers seven requests. */

@@ -52,7 +52,7 @@ void peer_start_scripts(scripted_peer *peer, void (*const *scripts)(int fd, void
 }
 
 void peer_end(scripted_peer *peer) {
-  shutdown(peer->listener, SHUT_RDWR); /* if nobody came, accept() ends by this */
+  shutdown(peer->listener, SHUT_RDWR); /* This ends accept() if no client has connected. */
   pthread_join(peer->thread, NULL);
   close(peer->listener);
   unlink(peer->address + strlen("unix:"));
@@ -123,7 +123,7 @@ bool peer_say_hello(int fd) {
                    sizeof payload);
 }
 
-/* Of the radii first, first + 1, ... */
+/* Writes factor times each of the radii number first, first + 1, ... */
 static void put_values(uint8_t *to, const eval_request *request, uint64_t first, uint64_t count,
                        double factor) {
   for (uint64_t i = 0; i < count; i++) {
@@ -166,7 +166,7 @@ static eval_request parse(const peer_frame *frame) {
   eval_request request;
   if (eval_request_parse(frame->payload, frame->header.payload_bytes, &request).status !=
       WIRE_STATUS_OK) {
-    abort(); /* the library makes well-formed requests */
+    abort(); /* The library makes only well-formed requests. */
   }
   return request;
 }

@@ -1,6 +1,5 @@
-/* scripted_peer: a daemon of a few lines for tests of the client library. It accepts one connection
- * on a Unix socket, or one after the other, and does there what a script of the test says, in a
- * thread of its own. */
+/* scripted_peer: a small daemon for tests of the client library. On a thread of its own, it accepts
+ * one connection at a time on a Unix socket and runs a script of the test on it. */
 #ifndef DIPOLED_TESTS_SCRIPTED_PEER_H
 #define DIPOLED_TESTS_SCRIPTED_PEER_H
 
@@ -11,20 +10,20 @@
 
 typedef struct peer_frame {
   wire_header header;
-  uint8_t *payload; /* to be freed */
+  uint8_t *payload; /* The receiver frees it. */
 } peer_frame;
 
 typedef struct scripted_peer {
   char folder[64];
   char address[96]; /* for dipole_open() */
   int listener;
-  void (*const *scripts)(int fd, void *context); /* NULL: script alone */
+  void (*const *scripts)(int fd, void *context); /* NULL: there is only `script` */
   void (*script)(int fd, void *context);
   void *context;
   pthread_t thread;
 } scripted_peer;
 
-/* Starts to listen; the script runs once somebody has connected. */
+/* Starts to listen. The script runs when a client has connected. */
 void peer_start(scripted_peer *peer, void (*script)(int fd, void *context), void *context);
 
 /* Starts to listen and accepts one connection after the other. Each one runs the next script of the
@@ -48,7 +47,8 @@ bool peer_say_hello(int fd);
  * frees *payload. Returns its length. */
 size_t peer_evaluate(const peer_frame *request, uint8_t **payload);
 
-/* The same for some of the radii: a part. Of a grid every value and radius is its position. */
+/* Makes one part of the correct answer, like peer_evaluate(). If the request has a grid, every
+ * radius and every value is its own position. */
 size_t peer_evaluate_part(const peer_frame *request, uint64_t radius_first, uint64_t radius_count,
                           uint32_t part, uint32_t part_count, uint8_t **payload);
 

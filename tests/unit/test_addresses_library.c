@@ -1,5 +1,5 @@
-/* libdipole and several daemons: lists of addresses, which one is taken, and what happens when it
- * is lost, silent, full or another one than it was. */
+/* libdipole and several daemons: lists of addresses, which daemon the client takes, and what it
+ * does when that daemon is lost, silent, full or replaced by another one. */
 #include <arpa/inet.h>
 #include <signal.h>
 #include <sys/socket.h>
@@ -74,7 +74,7 @@ UNIT_TEST(test_wrong_lists) {
 
 /* ---- opening ------------------------------------------------------------------------------- */
 
-/* A TCP port of this machine where nobody listens: one that is taken, but not for listening. */
+/* Takes a TCP port of this machine at which nobody listens: a bound socket that does not listen. */
 static int take_dead_port(char *address, size_t bytes) {
   struct sockaddr_in name = {.sin_family = AF_INET, .sin_addr.s_addr = htonl(INADDR_LOOPBACK)};
   socklen_t name_bytes = sizeof name;
@@ -109,7 +109,7 @@ UNIT_TEST(test_nobody_answers) {
   snprintf(list, sizeof list, "unix:/nonexistent/s,%s", dead);
   assert_false(dipole_open(list, &client, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_CONNECT);
-  assert_non_null(strstr(error.text, "/nonexistent/s: No such file")); /* each is named */
+  assert_non_null(strstr(error.text, "/nonexistent/s: No such file")); /* one of all failures */
   assert_non_null(strstr(error.text, strrchr(dead, ':') + 1));
   close(fd);
 }
@@ -147,7 +147,7 @@ UNIT_TEST(test_opening_again_and_again) {
   peer_start_scripts(&peer, scripts, NULL);
   const int64_t start_ms = peer_now_ms();
   dipole_client *client = peer_open(peer.address, &options);
-  assert_in_range(peer_now_ms() - start_ms, 60, SOON_MS); /* as long as those that were full said */
+  assert_in_range(peer_now_ms() - start_ms, 60, SOON_MS); /* twice retry_after_ms of 30 ms */
   peer_check_eval(client, 5);
   peer_finish(&peer, client);
 }
@@ -191,7 +191,7 @@ UNIT_TEST(test_clients_spread) {
   peer_end(&peers[0]);
   peer_end(&peers[1]);
   assert_int_equal(counts[0] + counts[1], CLIENTS);
-  assert_true(counts[0] > 0 && counts[1] > 0); /* by chance once in 2^63 */
+  assert_true(counts[0] > 0 && counts[1] > 0); /* fails by chance once in 2^63 runs */
   free(list);
 }
 
@@ -215,7 +215,8 @@ static void end_pair(pair *both) {
   free(both->list);
 }
 
-/* What the first one did not answer, the second one does; and once that is gone, the first. */
+/* The second daemon answers what the first one did not; after the second is lost, the first again.
+ */
 UNIT_TEST(test_round_and_round) {
   enum { QUERIES = 25 };
   peer_script *const first[] = {peer_answer_seven, peer_hang_up_after_request, peer_serve, NULL};
@@ -265,7 +266,8 @@ UNIT_TEST(test_a_silent_one_is_left) {
   end_pair(&both);
 }
 
-/* Its attempt ends when its share of the time is over, not with the time. */
+/* The attempt at a daemon that does not answer ends after a share of the time, so that time is left
+ * for the other daemon. */
 UNIT_TEST(test_a_dead_one_has_its_share) {
   peer_script *const first[] = {peer_hang_up_after_request, peer_serve, NULL};
   peer_script *const second[] = {peer_accept_only, NULL};
@@ -319,19 +321,19 @@ UNIT_TEST(test_all_are_gone) {
 
 /* ---- private daemons ----------------------------------------------------------------------- */
 
-/* The daemon of the build that this program is of. */
+/* Writes the address of a private daemon: the dipoled of the build that has made this program. */
 static void private_address(char *address, size_t bytes) {
   char path[PATH_MAX];
   const ssize_t length = readlink("/proc/self/exe", path, sizeof path - 1);
   assert_true(length > 0);
   path[length] = '\0';
-  for (unsigned i = 0; i < 3; i++) { /* BUILD/tests/unit/program */
+  for (unsigned i = 0; i < 3; i++) { /* from BUILD/tests/unit/program to BUILD */
     *strrchr(path, '/') = '\0';
   }
   snprintf(address, bytes, "private:%s/dipoled", path);
 }
 
-/* Where somebody wants that, there is another one in its place. */
+/* If the client has retries, another private daemon replaces one that has died. */
 UNIT_TEST(test_a_private_daemon_that_dies) {
   char address[PATH_MAX + 32];
   dipole_error error;
@@ -343,7 +345,7 @@ UNIT_TEST(test_a_private_daemon_that_dies) {
   assert_int_equal(kill(first, SIGKILL), 0);
   peer_expect(dipole_ping(client, &error), &error);
   assert_true(client->daemon > 0 && client->daemon != first);
-  assert_int_equal(kill(first, 0), -1); /* nothing is left of it */
+  assert_int_equal(kill(first, 0), -1); /* The process of the first daemon is gone. */
   dipole_set_retry_ms(client, 0);
   assert_int_equal(kill(client->daemon, SIGKILL), 0);
   assert_false(dipole_ping(client, &error));

@@ -1,5 +1,5 @@
-/* The daemon's cache of prepared profiles, without a daemon: what is the same, what is kept and for
- * how long, and that many who ask at the same time cause one preparation. */
+/* The cache of prepared profiles, without a daemon: which keys are the same, which profiles are
+ * kept for how long, and that many who ask for a profile at the same time cause one preparation. */
 #include <limits.h>
 #include <math.h>
 #include <uv.h>
@@ -9,7 +9,8 @@
 
 static const core_medium SKIN = {0.032, 0.74, 0, 1.3};
 
-/* Single scattering: a table whose size is the same for all media, quickly made. */
+/* Returns key number i. Its model is single scattering, whose profile is made quickly and has the
+ * same size for all media. */
 static struct cache_key key_number(unsigned i) {
   const core_parameters none = core_parameters_none();
   const core_medium medium = {0.01 + 0.001 * i, 0.74, 0, 1.3};
@@ -25,7 +26,7 @@ static void not_woken(void *context) {
 
 enum { MAX_WAITING = 200 };
 
-/* A cache and one who asks. */
+/* A cache, and an owner and a queue that ask it. */
 struct fixture {
   struct stats stats;
   struct cache *cache;
@@ -43,7 +44,7 @@ static uint64_t count(const struct fixture *f, enum stats_index index) {
   return stats_get(&f->stats, index);
 }
 
-/* Prepares slow entries on this thread, in so many turns at most; returns how many there were. */
+/* Prepares slow entries on this thread, in at most `most` turns. Returns the number of turns. */
 static unsigned take_turns(struct cache *cache, unsigned most) {
   unsigned turns = 0;
   struct cache_entry *entry;
@@ -56,7 +57,7 @@ static unsigned take_turns(struct cache *cache, unsigned most) {
   return turns;
 }
 
-/* Looks for a slow profile that is not prepared. */
+/* Makes a waiter wait for a slow profile that is not prepared. */
 static void wait_for(struct fixture *f, struct cache_owner *owner, uint64_t number,
                      struct cache_waiter *waiter) {
   const struct cache_key key = key_number(number);
@@ -64,7 +65,8 @@ static void wait_for(struct fixture *f, struct cache_owner *owner, uint64_t numb
   assert_true(cache_look(f->cache, &key, true, owner, &f->queue, waiter, &none) == CACHE_AWAITED);
 }
 
-/* A reference to an entry that is prepared, on this thread; whether it was there. */
+/* Returns a reference to an entry. *was_there: whether it was in the cache. If it was not, prepares
+ * it on this thread. */
 static struct cache_entry *ask(struct fixture *f, const struct cache_key *key, bool slow,
                                bool *was_there) {
   struct cache_waiter waiter = {0};
@@ -88,7 +90,7 @@ static struct cache_entry *ask(struct fixture *f, const struct cache_key *key, b
   return entry;
 }
 
-/* Asks and lets go; whether it was there. */
+/* Gets entry number i and releases it. Returns whether it was in the cache. */
 static bool visit_as(struct fixture *f, unsigned i, bool slow) {
   const struct cache_key key = key_number(i);
   bool was_there;
@@ -100,7 +102,7 @@ static bool visit(struct fixture *f, unsigned i) {
   return visit_as(f, i, true);
 }
 
-/* What one of these entries takes. */
+/* Returns the size of an entry of key_number(). */
 static uint64_t entry_bytes(void) {
   struct fixture f;
   open_cache(&f, 1 << 20);
@@ -131,7 +133,7 @@ UNIT_TEST(keys_that_mean_the_same_are_equal) {
   for (size_t i = 0; i < CORE_PARAMETERS_END; i++) {
     other.value[i] = -(double)NAN;
   }
-  other.value[CORE_PARAMETER_COS_IN] = 0.5; /* set in copies, not prepared */
+  other.value[CORE_PARAMETER_COS_IN] = 0.5; /* Angles are not part of the key. */
   other.value[CORE_PARAMETER_COS_OUT] = 0.25;
   same = key_of(1, 2, 1, (core_medium){0, 1, 0, 1.3}, other);
   assert_true(cache_key_equal(&key, &same));
@@ -199,9 +201,9 @@ UNIT_TEST(the_least_recently_used_goes_first) {
   open_cache(&f, 3 * entry_bytes());
   assert_false(visit(&f, 0) || visit(&f, 1) || visit(&f, 2));
   assert_true(visit(&f, 0) && visit(&f, 1) && visit(&f, 2) && visit(&f, 0));
-  assert_false(visit(&f, 3)); /* for 1 */
+  assert_false(visit(&f, 3)); /* evicts 1 */
   assert_true(visit(&f, 2) && visit(&f, 0) && visit(&f, 3));
-  assert_false(visit(&f, 1)); /* for 2 */
+  assert_false(visit(&f, 1)); /* evicts 2 */
   assert_true(visit(&f, 1) && visit(&f, 3) && visit(&f, 0));
   assert_int_equal(count(&f, STATS_CACHE_EVICTIONS), 2);
   assert_int_equal(count(&f, STATS_CACHE_BUILDS), 5);
@@ -217,12 +219,10 @@ UNIT_TEST(a_use_that_the_cache_did_not_see_counts_once) {
   struct cache_entry *entry = ask(&f, &key, true, &was_there);
   visit(&f, 1);
   cache_used(entry);
-  visit(&f, 2); /* for 1 */
+  visit(&f, 2); /* evicts 1 and moves 0 to the head */
   assert_true(cache_keeps(entry));
-  visit(&f, 3); /* for 2, which came before 0 was moved up: not for 0 */
+  visit(&f, 3); /* evicts 0, which was not used again */
   assert_int_equal(count(&f, STATS_CACHE_ENTRIES), 2);
-  visit(&f, 4);
-  visit(&f, 5);
   assert_false(cache_keeps(entry));
   cache_release(entry);
   cache_free(f.cache);
@@ -269,7 +269,7 @@ UNIT_TEST(what_is_in_use_survives_its_eviction) {
   assert_false(cache_keeps(entry));
   core_eval_f64(cache_profile(entry), CORE_QUANTITY_R, 3, r, after);
   assert_memory_equal(before, after, sizeof before);
-  assert_false(visit(&f, 0)); /* another entry, with the same content */
+  assert_false(visit(&f, 0)); /* makes a second entry with the same content */
   cache_release(entry);
   assert_true(visit(&f, 0));
   cache_free(f.cache);
@@ -292,15 +292,14 @@ UNIT_TEST(a_stream_of_fast_ones_leaves_the_slow_ones) {
   for (unsigned i = STREAM - ROOM / 4; i < STREAM; i++) {
     assert_true(visit_as(&f, SLOW + i, false));
   }
-  for (unsigned i = 0; i < ROOM;
-       i++) { /* slow ones take turns among themselves until they are in */
+  for (unsigned i = 0; i < ROOM; i++) { /* Slow entries evict each other until they are all kept. */
     visit(&f, 2000 + i);
   }
   assert_true(count(&f, STATS_CACHE_BYTES) <= ROOM * entry_bytes());
   cache_free(f.cache);
 }
 
-/* More entries than the table has buckets at first. */
+/* The table starts with fewer buckets than this many entries. */
 UNIT_TEST(many_entries_are_all_found) {
   enum { ENTRIES = 1500 };
   struct fixture f;
@@ -320,7 +319,7 @@ UNIT_TEST(many_entries_are_all_found) {
 UNIT_TEST(all_wait_for_one) {
   enum { WAITERS = 100 };
   struct fixture f;
-  open_cache(&f, 0); /* nothing is kept: those that wait have it all the same */
+  open_cache(&f, 0); /* The cache keeps nothing, and yet all waiters get the entry. */
   struct cache_waiter waiters[WAITERS] = {{0}};
   for (size_t i = 0; i < WAITERS; i++) {
     wait_for(&f, &f.owner, 0, &waiters[i]);
@@ -328,13 +327,13 @@ UNIT_TEST(all_wait_for_one) {
   struct cache_entry *entry = cache_begin_turn(f.cache);
   assert_ptr_equal(entry, waiters[0].entry);
   assert_null(cache_next_woken(f.cache, &f.queue));
-  cache_leave(&waiters[0]); /* who asked first goes; the others still want it */
+  cache_leave(&waiters[0]); /* The first waiter leaves; the others still wait. */
   cache_leave(&waiters[50]);
   cache_prepare(entry);
   assert_false(cache_keeps(entry));
   cache_release(entry);
   cache_end_turn(f.cache);
-  cache_leave(&waiters[99]); /* woken, and not told yet */
+  cache_leave(&waiters[99]); /* This waiter is woken, but cache_next_woken() has not returned it. */
   size_t woken = 0;
   struct cache_waiter *waiter;
   while ((waiter = cache_next_woken(f.cache, &f.queue)) != NULL) {
@@ -359,7 +358,7 @@ UNIT_TEST(what_nobody_waits_for_is_not_prepared) {
   assert_int_equal(take_turns(f.cache, 1), 0);
   wait_for(&f, &f.owner, 0, &waiter);
   struct cache_entry *entry = cache_begin_turn(f.cache);
-  cache_leave(&waiter); /* after its turn has begun */
+  cache_leave(&waiter); /* The waiter leaves after its turn has begun. */
   cache_prepare(entry);
   cache_release(entry);
   cache_end_turn(f.cache);
@@ -373,7 +372,7 @@ UNIT_TEST(a_fault_goes_to_all_and_is_not_kept) {
   struct fixture f;
   open_cache(&f, 1 << 20);
   core_parameters parameters = core_parameters_none();
-  parameters.value[CORE_PARAMETER_TOLERANCE] = 1e-11; /* no fit of Gaussians reaches it */
+  parameters.value[CORE_PARAMETER_TOLERANCE] = 1e-11; /* which no fit of Gaussians can meet */
   const struct cache_key key =
       key_of(CORE_MODEL_GAUSSIANS, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, SKIN, parameters);
   for (uint64_t time = 1; time <= 2; time++) {
@@ -408,7 +407,7 @@ UNIT_TEST(owners_take_turns) {
     wait_for(&f, &f.owner, i, &waiters[i]);
   }
   wait_for(&f, &other, MANY, &others[0]);
-  wait_for(&f, &other, MANY - 1, &others[1]); /* what the first owner wants last */
+  wait_for(&f, &other, MANY - 1, &others[1]); /* also the last entry of the first owner */
   wait_for(&f, &other, MANY + 1, &others[2]);
   const struct cache_waiter *order[] = {&waiters[0], &others[0],  &waiters[1],
                                         &others[1],  &waiters[2], &others[2]};
@@ -421,7 +420,7 @@ UNIT_TEST(owners_take_turns) {
   cache_move_waiters(f.cache, &f.owner, &other);
   assert_int_equal(f.owner.count, 0);
   assert_int_equal(other.count, MANY - 4);
-  cache_leave(&waiters[3]); /* nobody else waits for it */
+  cache_leave(&waiters[3]); /* No other waiter waits for this entry. */
   assert_int_equal(take_turns(f.cache, UINT_MAX), MANY - 5);
   assert_int_equal(count(&f, STATS_CACHE_BUILDS), MANY + 1);
   struct cache_waiter *waiter;
@@ -464,7 +463,7 @@ UNIT_TEST(an_owner_has_a_limit) {
   for (size_t i = 0; i < MAX_WAITING; i++) {
     wait_for(&f, &f.owner, i, &waiters[i]);
   }
-  for (uint64_t i = 0; i <= MAX_WAITING; i += MAX_WAITING) { /* one that waits, and a new one */
+  for (uint64_t i = 0; i <= MAX_WAITING; i += MAX_WAITING) { /* a known entry, and a new one */
     const struct cache_key key = key_number(i);
     assert_true(cache_look(f.cache, &key, true, &f.owner, &f.queue, &one, &none) == CACHE_BUSY);
     assert_null(one.entry);
@@ -518,7 +517,7 @@ struct thread {
   struct cache_queue queue;
   uint64_t seed;
   uint64_t found;
-  uint64_t wrong; /* another profile than was asked for */
+  uint64_t wrong; /* how often another profile came than was asked for */
 };
 
 static void on_woken(void *context) {
@@ -531,8 +530,8 @@ static void judge(struct thread *thread, const struct cache_entry *entry,
   thread->wrong += cache_profile(entry)->medium.sigma_a_per_mm != key->medium[0];
 }
 
-/* Prepares what is new itself, as a worker does with fast ones and libuv's pool with slow ones;
- * waits for what is not, or goes. */
+/* Asks for a random profile. If it is new, prepares it on this thread, as workers and libuv's pool
+ * do. If another thread prepares it, waits for it or leaves. */
 static void ask_at_random(struct thread *thread) {
   const unsigned i = (unsigned)unit_random_below(&thread->seed, KEYS);
   const bool slow = i % 2 == 0;
@@ -573,8 +572,8 @@ static void thread_main(void *argument) {
   }
 }
 
-/* Under the thread sanitizer this shows what is not guarded; under the address sanitizer what is
- * freed too early or never. */
+/* Under the thread sanitizer, this test finds data without a guard. Under the address sanitizer, it
+ * finds memory that is freed too early or never. */
 UNIT_TEST(threads_share_it) {
   const uint64_t seed = unit_seed();
   const uint64_t limits[] = {0, KEYS / 3 * entry_bytes(), 1 << 24};

@@ -1,4 +1,4 @@
-/* The lists that requests choose from: lookups, and what of them is permanent. */
+/* The lists from which requests choose: lookups, and the ids that must never change. */
 #include "tests/unit/unit.h"
 
 static const core_choice *const lists[] = {
@@ -31,7 +31,7 @@ UNIT_TEST(unknown_ones_are_not_found) {
   assert_null(core_choice_by_name(core_models, "classical "));
 }
 
-/* Ids travel in 16 bits and 0 means none; names have 28 bytes on the wire, explanations 96. */
+/* On the wire, an id has 16 bits and is not 0, a name has 28 bytes, and its explanation 96. */
 UNIT_TEST(entries_fit_the_wire) {
   for (size_t i = 0; i < LISTS; i++) {
     for (const core_choice *entry = lists[i]; entry->name != NULL; entry++) {
@@ -57,7 +57,8 @@ UNIT_TEST(quantities_and_notes_are_separate_bits) {
   assert_separate_bits(core_notes);
 }
 
-/* Ids below CORE_PARAMETERS_END index core_parameters and the bits of a model's parameters. */
+/* Every id of a parameter is below CORE_PARAMETERS_END, because it indexes core_parameters and the
+ * bits of a model's parameters. */
 UNIT_TEST(parameters_are_few) {
   const core_parameters none = core_parameters_none();
   assert_true(CORE_PARAMETERS_END <= 32);

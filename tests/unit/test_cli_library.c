@@ -1,5 +1,5 @@
-/* libdipole against a peer that follows a script: orders, sizes and lies that a real daemon does
- * not produce on demand. */
+/* libdipole against a peer that follows a script: orders and sizes of answers, and wrong answers,
+ * that a real daemon does not produce on demand. */
 #include <math.h>
 
 #include "tests/unit/peer_scripts.h"
@@ -45,7 +45,7 @@ UNIT_TEST(test_eval) {
   dipole_client *client = peer_begin(&peer, peer_serve, NULL);
   const dipole_info *info = dipole_get_info(client);
   assert_string_equal(info->address, peer.address);
-  assert_string_equal(info->software, "scripted?[31m"); /* no escape sequences for terminals */
+  assert_string_equal(info->software, "scripted?[31m"); /* The escape character was replaced. */
   assert_int_equal(dipole_id(client, DIPOLE_MODEL, "better"), 2);
   assert_int_equal(dipole_id(client, DIPOLE_MODEL, "bad-value"), 0);
   check_simple_result(peer_eval(client, &simple_query));
@@ -82,7 +82,7 @@ UNIT_TEST(test_eval_single) {
   assert_single_values(DIPOLE_LUT);
 }
 
-/* A list of five floats needs padding, and the parameters stand before it. */
+/* The request lists parameters and then five floats, which need padding. */
 UNIT_TEST(test_parameters_and_notes) {
   static const float r[5] = {1, 2, 3, 4, 5};
   static const dipole_parameter parameters[2] = {{CORE_PARAMETER_COS_OUT, 0.25},
@@ -107,7 +107,7 @@ UNIT_TEST(test_parameters_and_notes) {
     assert_true(dipole_values_f32(result, i, DIPOLE_S)[4] == 15);
   }
   dipole_result_free(result);
-  assert_true(dipole_eval(client, &simple_query, &result, &error)); /* none is given */
+  assert_true(dipole_eval(client, &simple_query, &result, &error)); /* without parameters */
   assert_int_equal(result->notes, 0);
   assert_true(isnan(result->channels[0].model_error));
   dipole_result_free(result);
@@ -116,7 +116,7 @@ UNIT_TEST(test_parameters_and_notes) {
 
 enum { ORDERED = 3 };
 
-/* Answers three requests in reverse, then a fourth. */
+/* A script that answers three requests in reverse order, and then a fourth. */
 static void answer_in_reverse(int fd, void *context) {
   peer_frame request[ORDERED + 1];
   (void)context;
@@ -130,7 +130,7 @@ static void answer_in_reverse(int fd, void *context) {
   }
 }
 
-/* Three queries are submitted and a fourth is waited for; their answers are kept meanwhile. */
+/* The client submits three queries and waits for a fourth. It keeps the answers to the three. */
 UNIT_TEST(test_answers_in_any_order) {
   scripted_peer peer;
   dipole_error error;
@@ -163,8 +163,8 @@ UNIT_TEST(test_answers_in_any_order) {
 
 enum { BIG_QUERIES = 64, BIG_RADII = 50000 };
 
-/* The peer writes each answer before it reads on, as a daemon does that stops reading from a client
- * that does not collect: 24 MiB in each direction, far more than sockets hold. */
+/* The peer writes each answer before it reads the next request, like a daemon that stops reading
+ * from a slow client. 24 MiB go in each direction, far more than the buffers of sockets hold. */
 UNIT_TEST(test_long_pipeline_does_not_deadlock) {
   scripted_peer peer;
   dipole_error error;
@@ -199,7 +199,7 @@ static const char *const refused_fields[] = {"sigma_a", "r", "model", ""};
 
 enum { REFUSALS = sizeof refused_fields / sizeof refused_fields[0] };
 
-/* Refuses some requests and answers the one after them. */
+/* A script that refuses some requests and answers the one after them. */
 static void refuse(int fd, void *context) {
   (void)context;
   peer_say_hello(fd);
@@ -244,7 +244,7 @@ UNIT_TEST(test_refusals_say_what_is_allowed) {
   peer_finish(&peer, client);
 }
 
-/* A daemon at its limit says so before anything has been asked. */
+/* A script of a daemon at its limit of connections: it refuses the connection with BUSY. */
 static void be_busy(int fd, void *context) {
   peer_frame request;
   (void)context;
@@ -269,10 +269,10 @@ UNIT_TEST(test_busy_at_connecting) {
 
 /* ---- lies ---------------------------------------------------------------------------------- */
 
-/* One number of an otherwise honest answer that is changed. */
+/* A change of one number in an otherwise correct answer. */
 typedef struct one_lie {
   const char *what;
-  size_t offset; /* from the start of the frame */
+  size_t offset; /* of the number, from the start of the frame */
   size_t bytes;
   uint64_t value;
 } one_lie;
@@ -324,7 +324,7 @@ UNIT_TEST(test_lies_are_noticed) {
     dipole_error error;
     dipole_result *result;
     dipole_client *client = peer_begin(&peer, tell_lie, &lies[i]);
-    for (int again = 0; again < 2; again++) { /* the client stays broken */
+    for (int again = 0; again < 2; again++) { /* The client stays broken after the first error. */
       if (dipole_eval(client, &simple_query, &result, &error)) {
         fail_msg("not noticed: %s", lies[i].what);
       }
@@ -336,7 +336,7 @@ UNIT_TEST(test_lies_are_noticed) {
   }
 }
 
-/* Counts in a hello that do not fit its length. */
+/* A script whose reply to hello has counts that do not fit its length. */
 static void lie_in_hello(int fd, void *context) {
   uint8_t payload[WIRE_BYTES_hello_reply + WIRE_BYTES_choice];
   const wire_hello_reply *reply = context;
@@ -421,7 +421,7 @@ UNIT_TEST(test_addresses) {
       {"unix:/nonexistent/dipoled.sock", DIPOLE_ERROR_CONNECT},
       {"private:/nonexistent/dipoled", DIPOLE_ERROR_CONNECT},
       {"private:/dev/null", DIPOLE_ERROR_CONNECT},
-      {"private:/bin/false", DIPOLE_ERROR_CONNECTION}, /* it starts and ends */
+      {"private:/bin/false", DIPOLE_ERROR_CONNECTION}, /* The program starts and ends at once. */
   };
   for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
     dipole_client *client;
@@ -457,7 +457,7 @@ UNIT_TEST(test_arguments) {
     assert_false(dipole_eval(client, &queries[i], &result, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
   }
-  check_simple_result(peer_eval(client, &simple_query)); /* nothing was sent */
+  check_simple_result(peer_eval(client, &simple_query)); /* The client sent none of the above. */
   peer_finish(&peer, client);
   dipole_close(NULL);
   dipole_result_free(NULL);

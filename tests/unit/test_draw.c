@@ -1,5 +1,5 @@
-/* Numbers by rule: known ones, each by itself, in (0, 1). What is wrong with a rule or a list is in
- * tests/e2e/test_sample.py. */
+/* Numbers that a rule makes: known values, independence of slices, and the range (0, 1). Invalid
+ * rules and lists are in tests/e2e/test_sample.py. */
 #include "core/draw.h"
 
 #include <float.h>
@@ -9,7 +9,7 @@
 
 enum { COUNT = 1000 };
 
-/* What Vigna's splitmix64.c gives for the seeds 1 and 1234567. */
+/* The outputs of Vigna's splitmix64.c for the seeds 1 and 1234567. */
 static const struct {
   uint64_t seed;
   uint64_t outputs[5];
@@ -48,7 +48,7 @@ static core_draw any_draw(uint64_t *random, enum core_draw_rule rule) {
   };
 }
 
-/* Wherever an array is cut, and whatever is asked for beside it. */
+/* A number has the same bits wherever the array is cut into slices. */
 UNIT_TEST(numbers_do_not_depend_on_slices) {
   uint64_t random = unit_seed();
   for (int round = 0; round < 300; round++) {
@@ -69,7 +69,7 @@ UNIT_TEST(numbers_do_not_depend_on_slices) {
   }
 }
 
-/* A sequence goes on where `first` says. */
+/* Draws with increasing `first` give the pieces of one sequence. */
 UNIT_TEST(a_sequence_can_be_had_in_pieces) {
   const core_draw whole = {CORE_DRAW_RANDOM, COUNT, 0, 7};
   const core_draw later = {CORE_DRAW_RANDOM, COUNT - 300, 300, 7};
@@ -95,7 +95,7 @@ UNIT_TEST(every_stratum_has_its_number) {
   assert_memory_equal(u, middles, sizeof u);
 }
 
-/* The last numbers of so many would round to 1. */
+/* With this many numbers, the last ones would round to 1. */
 UNIT_TEST(no_number_is_1) {
   const core_draw many = {CORE_DRAW_REGULAR, CORE_DRAW_COUNT_MAX, 0, 0};
   double u;
@@ -106,7 +106,7 @@ UNIT_TEST(no_number_is_1) {
   assert_true(u_f32 == 1 - FLT_EPSILON / 2);
 }
 
-/* Moments of uniform numbers, within five standard errors. */
+/* The moments of random numbers are those of uniform ones, within five standard errors. */
 UNIT_TEST(random_numbers_are_uniform) {
   enum { MANY = 100000 };
   static double u[MANY];

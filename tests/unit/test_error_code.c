@@ -1,4 +1,4 @@
-/* Errors as bytes: rounded up, never down, and by at most a step. */
+/* Errors stored in a byte are rounded up, never down, and by at most one step. */
 #include <math.h>
 
 #include "core/model_error.h"

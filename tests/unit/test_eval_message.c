@@ -1,5 +1,5 @@
-/* The payloads of eval requests and replies: where things lie, and that no count can wrap. What is
- * refused with which status is tested from outside, by tests/e2e/test_bad_requests.py. */
+/* The payloads of eval requests and replies: the offsets of their parts, and that no count can
+ * wrap. tests/e2e/test_bad_requests.py tests which status refuses an invalid request. */
 #include <math.h>
 
 #include "proto/eval.h"
@@ -9,7 +9,7 @@ enum { PAYLOAD_MAX = 4096 };
 
 /* ---- requests ----------------------------------------------------------------------------- */
 
-/* A request under construction. */
+/* A request that a test builds. */
 struct payload {
   _Alignas(8) uint8_t bytes[PAYLOAD_MAX];
   size_t length;
@@ -34,7 +34,8 @@ static wire_eval_request request_of(unsigned evaluator, uint32_t medium_count, u
   };
 }
 
-/* The fixed part followed by so many media and by `count` radii 1, 2, 3, ... of the evaluator. */
+/* Builds a request: the fixed part, `media` media, and `count` radii 1, 2, 3, ... in the precision
+ * of the evaluator. */
 static void build(struct payload *payload, const wire_eval_request *fixed, size_t media,
                   size_t count) {
   memset(payload, 0, sizeof *payload);
@@ -114,7 +115,7 @@ UNIT_TEST(grids_are_taken_apart) {
 
 enum { PARAMETERS_MAX = CORE_PARAMETERS_END };
 
-/* A request with two media, these parameters and a list of three radii. */
+/* Builds a request with two media, these parameters and a list of three radii. */
 static void build_with_parameters(struct payload *payload, const wire_parameter *parameters,
                                   size_t count) {
   wire_eval_request fixed = request_of(CORE_EVALUATOR_F32, 2, CORE_SPACING_LIST, 3);
@@ -140,8 +141,8 @@ static size_t parameter_list_length(void) {
   return length;
 }
 
-/* Requests with 0 to all parameters, in the reverse order of the list. A parameter that is not
- * given is NaN, and the radii are found behind the parameters. */
+/* Requests have none to all of the parameters, in the reverse order of the list. A parameter that
+ * is not given is NaN, and the radii are found behind the parameters. */
 UNIT_TEST(parameters_are_taken_apart) {
   const size_t all = parameter_list_length();
   assert_in_range(all, 1, PARAMETERS_MAX);
@@ -169,7 +170,7 @@ UNIT_TEST(parameters_are_taken_apart) {
 
 enum { ALL_QUANTITIES = 511 };
 
-/* Those with an array for each channel, in the order of their arrays. */
+/* The quantities that have an array for each channel, in the order of the arrays. */
 static const enum core_quantity order[] = {
     CORE_QUANTITY_R,   CORE_QUANTITY_CDF,  CORE_QUANTITY_SLOPE, CORE_QUANTITY_LN_R,
     CORE_QUANTITY_PDF, CORE_QUANTITY_RING, CORE_QUANTITY_S};
@@ -187,8 +188,8 @@ static unsigned array_count(unsigned wanted) {
   return count;
 }
 
-/* Written down as PROTOCOL.md says it: the channels, the radii once, then R and cdf for each
- * channel. */
+/* Checks a layout against the order in PROTOCOL.md: the channels, the radii once, then R and cdf
+ * for each channel. */
 static void assert_layout(unsigned evaluator, unsigned wanted, uint32_t channels, uint64_t count) {
   eval_layout layout;
   const uint64_t array = (count * (evaluator == CORE_EVALUATOR_F64 ? 8 : 4) + 7) / 8 * 8;
@@ -218,7 +219,7 @@ static void assert_layout(unsigned evaluator, unsigned wanted, uint32_t channels
   assert_false(eval_reply_layout(evaluator, wanted, channels, count, 0, &layout));
 }
 
-/* The lists above are those of the core. */
+/* The lists of this file, ALL_QUANTITIES and order, have all quantities of core. */
 UNIT_TEST(the_layout_covers_all_quantities) {
   unsigned all = 0, elementwise = 0;
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
@@ -241,7 +242,8 @@ UNIT_TEST(arrays_lie_where_the_protocol_says) {
   }
 }
 
-/* The expected result of eval_reply_layout(), computed in 128 bits so that nothing wraps. */
+/* Returns the expected result of eval_reply_layout(), computed in 128 bits so that nothing wraps.
+ */
 static bool fits(unsigned evaluator, unsigned wanted, uint32_t channels, uint64_t count,
                  uint64_t max_bytes) {
   const unsigned __int128 array =
@@ -264,7 +266,7 @@ static void assert_fits_as_it_should(unsigned evaluator, unsigned wanted, uint32
   }
 }
 
-/* Counts on both sides of every product that could wrap. */
+/* The counts lie on both sides of every limit at which a product could wrap. */
 UNIT_TEST(layouts_do_not_wrap) {
   static const uint64_t limits[] = {4096,           UINT32_MAX,      (uint64_t)1 << 40,
                                     UINT64_MAX / 2, UINT64_MAX - 65, UINT64_MAX};
@@ -277,7 +279,7 @@ UNIT_TEST(layouts_do_not_wrap) {
     const uint64_t limit = limits[unit_random_below(&random, 6)];
     const unsigned arrays = array_count(wanted);
     const uint64_t all = has(wanted, CORE_QUANTITY_RADIUS) + (uint64_t)arrays * channel_count;
-    /* near the largest count that fits, near a wrap, or anything */
+    /* counts near the largest one that fits, near a wrap, or random */
     const uint64_t largest = limit / (all > 0 ? all : 1) / core_evaluator_bytes(evaluator);
     const uint64_t bases[] = {largest, (uint64_t)1 << (58 + i % 6), unit_random(&random), 0};
     const uint64_t count = bases[i % 4] + unit_random_below(&random, 40) - 20;
@@ -321,7 +323,7 @@ UNIT_TEST(replies_are_taken_apart) {
   }
 }
 
-/* A client does not trust a daemon's counts either. */
+/* A client must not trust a daemon's counts: it refuses replies of another shape. */
 UNIT_TEST(replies_of_another_shape_are_refused) {
   uint8_t bytes[PAYLOAD_MAX];
   eval_layout layout;
@@ -346,8 +348,7 @@ UNIT_TEST(replies_of_another_shape_are_refused) {
 #undef REFUSED
 }
 
-/* eval_part_radii() returns the largest multiple of EVAL_PART_RADII that fits: one step more does
- * not fit. */
+/* eval_part_radii() returns the largest multiple of EVAL_PART_RADII that fits. */
 UNIT_TEST(parts_are_as_large_as_they_may_be) {
   uint64_t random = unit_seed();
   size_t none = 0;

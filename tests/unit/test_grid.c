@@ -1,5 +1,5 @@
-/* Radii: lists checked, and grids expanded. Which grids are refused is in
- * tests/e2e/test_bad_requests.py. */
+/* Radii: checks of lists, and expansion of grids. tests/e2e/test_bad_requests.py tests which grids
+ * are refused. */
 #include <float.h>
 #include <math.h>
 
@@ -20,7 +20,8 @@ UNIT_TEST(lists_with_good_radii_pass) {
   unit_assert_fault(core_radii_check_f32(0, NULL, &range), NULL, 0);
 }
 
-/* At every position of lists of every length, with another bad one after it. */
+/* The first bad radius is found at every position of lists of every length, also if another bad one
+ * follows. */
 UNIT_TEST(lists_name_the_first_bad_radius) {
   enum { LENGTHS = 68 };
   static const double bad[] = {-1, -5e-324, -INFINITY, NAN, -1e-44};
@@ -90,8 +91,9 @@ static long double expected_radius(const core_grid *grid, uint64_t index) {
                                               : start * powl(stop / start, part);
 }
 
-/* Linear radii are as near as their step can be: its rounding adds up, which only shows where the
- * step is subnormal. Both kinds never decrease. */
+/* Checks radii against the rule of their grid, and that they never decrease. The error of a linear
+ * radius is the rounding error of its step times its position, which is large only for a subnormal
+ * step. */
 static void assert_radii(const core_grid *grid, uint64_t first, size_t n, const double *r) {
   const long double relative = grid->spacing == CORE_SPACING_LINEAR ? 2 * DBL_EPSILON : 1e-12L;
   for (size_t i = 0; i < n; i++) {
@@ -139,7 +141,7 @@ UNIT_TEST(radii_follow_the_rule) {
   }
 }
 
-/* The largest grid, of which nobody needs more than a slice at once. */
+/* The radii of the largest grids follow the rule in any slice. */
 UNIT_TEST(slices_of_the_largest_grids_follow_the_rule) {
   enum { SLICE = 100 };
   static const enum core_spacing spacings[] = {CORE_SPACING_LINEAR, CORE_SPACING_LOGARITHMIC};
@@ -154,7 +156,7 @@ UNIT_TEST(slices_of_the_largest_grids_follow_the_rule) {
   }
 }
 
-/* A worker that evaluates a part of a grid sees the same bits as one that evaluates it whole. */
+/* A slice of a grid has the same bits as these radii of the whole grid. */
 UNIT_TEST(slices_equal_the_whole) {
   uint64_t random = unit_seed();
   for (size_t i = 0; i < GRIDS; i++) {

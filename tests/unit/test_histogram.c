@@ -1,4 +1,4 @@
-/* Histograms of durations: known ones come back within the bound that the header states. */
+/* Histograms of durations: quantiles are within the bound that server/observe/latency.h states. */
 #include <math.h>
 
 #include "server/observe/latency.h"
@@ -15,7 +15,8 @@ static uint64_t quantile_of(const struct histogram *histogram, double share) {
   return histogram_quantile_ns(&sum, share);
 }
 
-/* 1/64: half of the narrowest bucket's share of its octave. */
+/* Checks that a duration is found to within 1/64, half the width of a bucket relative to its
+ * octave. */
 static void assert_near(uint64_t found_ns, uint64_t ns) {
   assert_true(fabs((double)found_ns - (double)ns) <= (double)ns / 64 + 1);
 }
@@ -29,7 +30,8 @@ UNIT_TEST(nothing_is_zero) {
   assert_int_equal(histogram_quantile_ns(&sum, 1), 0);
 }
 
-/* Beside a longer one, by which it is not cut off. */
+/* Each duration is found when the histogram also holds a longer one. Otherwise the longest duration
+ * would limit the quantile. */
 UNIT_TEST(each_duration_is_known) {
   uint64_t random = unit_seed();
   for (int i = 0; i < 3000; i++) {
@@ -60,7 +62,7 @@ UNIT_TEST(ends_of_octaves) {
   }
 }
 
-/* What no bucket is made for: nothing is lost, and the longest is exact. */
+/* Durations below and above all buckets are counted, and the longest one is exact. */
 UNIT_TEST(very_short_and_very_long) {
   struct histogram both = {.sum_ns = 0};
   histogram_add(&both, 0, 1);
@@ -71,7 +73,7 @@ UNIT_TEST(very_short_and_very_long) {
   assert_int_equal(merged(&both).count, 3);
 }
 
-/* 1 to 1000 us, once each: the quantiles are the ranks. */
+/* With the durations 1 to 1000 us, once each, a quantile is its rank in us. */
 UNIT_TEST(quantiles_of_a_ramp) {
   static struct histogram ramp;
   for (uint64_t us = 1; us <= 1000; us++) {

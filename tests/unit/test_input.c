@@ -1,4 +1,4 @@
-/* When a frame had arrived: the time of the read that brought its last byte. */
+/* The arrival time of a frame is the time of the read that brought its last byte. */
 #include "server/net/buffers.h"
 #include "tests/unit/unit.h"
 
@@ -19,7 +19,7 @@ static size_t make_frame(uint8_t *to, uint32_t payload_bytes) {
   return WIRE_BYTES_header + (size_t)payload_bytes;
 }
 
-/* The first frame's arrival; the frame is then dealt with. */
+/* Returns the arrival time of the first frame, and removes the frame. */
 static uint64_t take(struct input *input) {
   wire_header header;
   const uint8_t *payload;
@@ -30,7 +30,7 @@ static uint64_t take(struct input *input) {
   return ns;
 }
 
-/* In many more pieces than there are marks. */
+/* The frame arrives in many more pieces than there are marks. */
 UNIT_TEST(a_frame_in_pieces_arrives_with_the_last) {
   struct input input;
   uint8_t frame[4096];
@@ -64,7 +64,8 @@ UNIT_TEST(frames_of_one_read_arrive_together_and_others_do_not) {
   input_free(&input);
 }
 
-/* More reads than marks while frames wait: never too late, and in order. */
+/* If there are more reads than marks while frames wait, arrival times are never too late, and in
+ * order. */
 UNIT_TEST(without_marks_it_is_earlier) {
   enum { FRAMES = 3 * INPUT_MARKS };
   struct input input;

@@ -1,5 +1,5 @@
-/* libdipole and answers into the caller's memory: the right values, and not a byte beside them,
- * whatever the shape, however the answer comes, and whatever happens to it. */
+/* libdipole and answers into the caller's memory: the library writes the right values and no byte
+ * beside them, for any shape, any cut into parts, and after errors. */
 #include "tests/unit/peer_scripts.h"
 #include "tests/unit/unit.h"
 
@@ -9,14 +9,14 @@ UNIT_SETUP(make_radii) {
   peer_make_radii();
 }
 
-/* What the peer makes of a radius; the order is that of the arrays. */
+/* The value that the peer gives for a radius, by quantity, in the order of the arrays. */
 static const struct {
   unsigned quantity;
   double factor;
 } quantities[] = {{DIPOLE_R, 2}, {DIPOLE_CDF, 0.25}, {DIPOLE_S, 3}};
 enum { QUANTITIES = sizeof quantities / sizeof quantities[0] };
 
-/* Memory of the caller with a guard on both sides. */
+/* The caller's memory, with guard bytes on both sides. */
 typedef struct room {
   uint8_t *bytes;
   size_t count;
@@ -91,7 +91,7 @@ static void check_array(const question *of, const void *values, const void *plac
   }
 }
 
-/* Where each array is, and what is in it; frees the result. */
+/* Checks the address and the values of each array, and frees the result. */
 static void check_result(const question *of, dipole_result *result) {
   const bool single = of->value_bytes == sizeof(float);
   const size_t array_bytes = of->query.radius_count * of->value_bytes;
@@ -214,7 +214,8 @@ UNIT_TEST(test_many_in_any_order) {
   peer_finish(&peer, client);
 }
 
-/* Far more in both directions than sockets hold, and nothing is collected before all is asked. */
+/* Requests and answers are far larger than the buffers of sockets, and the client collects nothing
+ * before it has submitted all queries. */
 UNIT_TEST(test_large_ones_both_ways) {
   enum { LARGE = 40001, MANY = 24 };
   double *radii = malloc(LARGE * sizeof *radii);
@@ -277,7 +278,7 @@ UNIT_TEST(test_a_place_for_all_or_for_nothing) {
   peer_finish(&peer, client);
 }
 
-/* Sends the answer up to so many bytes before its end, with values that must not stay. */
+/* A script that sends the answer except for its last *context bytes. */
 static void hang_up_before_the_end(int fd, void *context) {
   peer_frame request;
   size_t count;
@@ -332,8 +333,8 @@ UNIT_TEST(test_refused) {
   peer_finish(&peer, client);
 }
 
-/* Sends so many bytes of the first answer, waits for the second request, sends the rest and the
- * second answer. */
+/* A script that sends *context bytes of the first answer, waits for the second request, and then
+ * sends the rest and the second answer. */
 static void pause_in_the_answer(int fd, void *context) {
   const size_t before = *(const size_t *)context;
   peer_frame first, second;
@@ -351,7 +352,8 @@ static void pause_in_the_answer(int fd, void *context) {
   free(second.payload);
 }
 
-/* From then on the memory is the caller's own, wherever in the answer the call has ended. */
+/* After the client has given a query up, the library does not write to the caller's memory,
+ * wherever in the answer the call has ended. */
 UNIT_TEST(test_given_up) {
   static const size_t sent[] = {0, 1, 30, 200, 300, 304, 1000, 2000, 4000, 100000};
   for (size_t i = 0; i < sizeof sent / sizeof sent[0]; i++) {
@@ -364,7 +366,7 @@ UNIT_TEST(test_given_up) {
     dipole_set_call_timeout_ms(client, 20);
     const bool answered = dipole_eval(client, &asked.query, &result, &error);
     dipole_set_call_timeout_ms(client, 0);
-    if (answered) { /* all of it was sent at first */
+    if (answered) { /* The script sent the whole answer at first. */
       check_result(&asked, result);
     } else {
       assert_int_equal(error.kind, DIPOLE_ERROR_TIMEOUT);
@@ -379,7 +381,7 @@ UNIT_TEST(test_given_up) {
   }
 }
 
-/* Answers other radii than were asked for: too few, or some that are not at the beginning. */
+/* A script that answers for wrong radii: too few, or not the first ones. */
 static void lie(int fd, void *context) {
   const bool parts = *(const bool *)context;
   peer_frame request;

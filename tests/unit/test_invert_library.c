@@ -1,5 +1,5 @@
-/* dipole_invert() and dipole_sample(): answers in parts put together, and answers from a peer that
- * does not tell the truth. */
+/* dipole_invert() and dipole_sample(): the parts of answers are put together, and wrong answers are
+ * refused. */
 #include <math.h>
 
 #include "proto/invert.h"
@@ -26,19 +26,21 @@ static dipole_invert_query invert_query(void) {
 
 /* ---- inversions ---------------------------------------------------------------------------- */
 
-/* How a request is answered, part by part: counts[0], counts[1], ... media, up to 0. */
+/* How the peer answers a request: in parts of counts[0], counts[1], ... media, up to a count of 0.
+ */
 typedef struct invert_script {
   uint64_t counts[MEDIA + 2];
-  void (*spoil)(wire_invert_reply *fixed, size_t *bytes); /* of the last part; NULL: honest */
+  void (*spoil)(wire_invert_reply *fixed, size_t *bytes); /* changes the last part, unless NULL */
 } invert_script;
 
-/* sigma_a is the albedo, sigma_s the length, and the albedo 2 sigma_a: no model's. */
+/* Sends a part with made-up media: sigma_a is the wanted albedo, sigma_s the length, and the albedo
+ * is 2 sigma_a. */
 static bool send_part(int fd, const peer_frame *frame, const invert_request *request,
                       wire_invert_reply fixed, const invert_script *script) {
   uint8_t payload[PAYLOAD_MAX] = {0};
   size_t bytes = (size_t)invert_reply_bytes(fixed.medium_count);
   for (uint64_t i = 0; i < fixed.medium_count; i++) {
-    const uint64_t at = (fixed.medium_first + i) % MEDIA; /* it may tell of more than there are */
+    const uint64_t at = (fixed.medium_first + i) % MEDIA; /* A wrong part may have too many. */
     const double albedo = request->albedos[at];
     const double values[INVERT_ARRAYS] = {albedo, request->lengths[at], 2 * albedo};
     for (enum invert_array a = INVERT_SIGMA_A; a < INVERT_ARRAYS; a++) {
@@ -57,7 +59,7 @@ static bool answer_invert(int fd, const peer_frame *frame, const invert_script *
   invert_request request;
   if (invert_request_parse(frame->payload, frame->header.payload_bytes, &request).status !=
       WIRE_STATUS_OK) {
-    abort(); /* the library makes well-formed requests */
+    abort(); /* The library makes only well-formed requests. */
   }
   uint32_t parts = 0;
   while (script->counts[parts] > 0) {
@@ -107,7 +109,7 @@ static void assert_inversion(const dipole_inversion *inversion, uint64_t missing
   }
 }
 
-/* The answer is right, or it is an error of kind PROTOCOL. */
+/* Runs a script. expected: whether the call must succeed; else it must fail with kind PROTOCOL. */
 static void run_invert(invert_script script, bool expected, uint64_t missing) {
   const dipole_invert_query query = invert_query();
   scripted_peer peer;
@@ -178,7 +180,7 @@ UNIT_TEST(inversions_with_another_shape_end_the_connection) {
 
 enum { SAMPLES = 600, CHANNELS = 2 };
 
-/* Radius i of channel c is 1000 c + i, its pdf the negative of that; in parts of 256. */
+/* Sends samples in parts of 256: radius i of channel c is 1000 c + i, and its pdf is minus that. */
 static bool send_samples(int fd, const peer_frame *frame) {
   enum { PART = 256, PARTS = 3 };
   static uint8_t payload[CHANNELS * 2 * PART * sizeof(double) + 512];
@@ -187,7 +189,7 @@ static bool send_samples(int fd, const peer_frame *frame) {
   if (sample_request_parse(frame->payload, frame->header.payload_bytes, &draw, &request).status !=
           WIRE_STATUS_OK ||
       draw.count != SAMPLES || draw.seed != 7) {
-    abort(); /* the library makes well-formed requests */
+    abort(); /* The library makes only well-formed requests. */
   }
   for (uint32_t part = 0; part < PARTS; part++) {
     const uint64_t first = part * PART, left = SAMPLES - first;
@@ -304,7 +306,7 @@ UNIT_TEST(numbers_that_there_are_not_are_an_error) {
   assert_no_numbers(&query, 0, 1);
   query.draw = 77;
   assert_no_numbers(&query, 0, 1);
-  query.draw = DIPOLE_DRAW_REGULAR; /* which has no seed */
+  query.draw = DIPOLE_DRAW_REGULAR; /* This rule has no seed. */
   assert_no_numbers(&query, 0, 1);
   query = sample_query(&medium);
   query.evaluator = 9;

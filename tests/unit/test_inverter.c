@@ -1,4 +1,4 @@
-/* From a wanted albedo and mean free path to a medium, and back. */
+/* Inversion: from an albedo and a length to a medium, and back. */
 #include "core/inverter.h"
 
 #include <float.h>
@@ -22,7 +22,8 @@ static double albedo_of(unsigned model, unsigned moments, const core_medium *med
   return albedo;
 }
 
-/* A few ulp: the coefficients and their sum are rounded. */
+/* Checks the mean free path of a medium to within a few ulp, because its coefficients and their sum
+ * are rounded. */
 static void assert_mean_free_path(const core_medium *medium, double mean_free_path_mm) {
   const double sigma_t_prime = medium->sigma_a_per_mm + medium->sigma_s_per_mm;
   assert_true(fabs(sigma_t_prime * mean_free_path_mm - 1) <= 4 * DBL_EPSILON);
@@ -58,10 +59,10 @@ static bool round_trip(unsigned model, unsigned moments, double albedo, double m
   return true;
 }
 
-/* Every model, with the moments that hold, and every eta. */
+/* A test for one model, with moments that hold for eta. */
 typedef void member_test(unsigned model, unsigned moments, double eta, uint64_t *random);
 
-/* The two members that people invert: the first of the list. */
+/* Runs a test for the first two models of the list, which are those that people invert. */
 static void with_every_member(member_test *test) {
   uint64_t random = unit_seed();
   for (const core_choice *model = core_models; model->id <= CORE_MODEL_BETTER; model++) {
@@ -105,7 +106,7 @@ UNIT_TEST(random_albedos_come_back) {
   with_every_member(try_random_albedos);
 }
 
-/* A medium's own albedo gives back its coefficients. */
+/* Inverting the albedo and the mean free path of a medium gives its coefficients. */
 UNIT_TEST(coefficients_come_back) {
   for (size_t i = 0; i < core_measured_media_count; i++) {
     for (int c = 0; c < 3; c++) {
@@ -123,7 +124,7 @@ UNIT_TEST(coefficients_come_back) {
   }
 }
 
-/* Both ends of the range of mean free paths can be had. */
+/* The shortest and the longest allowed mean free path can be inverted. */
 UNIT_TEST(extreme_mean_free_paths_are_taken) {
   static const double ends_mm[] = {CORE_MEAN_FREE_PATH_MIN_MM, CORE_MEAN_FREE_PATH_MAX_MM};
   for (size_t i = 0; i < sizeof ends_mm / sizeof ends_mm[0]; i++) {
@@ -214,7 +215,7 @@ UNIT_TEST(faults_name_the_field) {
  * added, where the search bisects. */
 enum { PROBES_USUAL = 16, PROBES_MOST = 120 };
 
-/* Probes until the search ends. Returns the number of probes. */
+/* Probes until the search has ended. Returns the number of probes. */
 static unsigned probe_to_the_end(core_inverter *inverter) {
   unsigned probes = 0;
   double albedo;
@@ -226,7 +227,7 @@ static unsigned probe_to_the_end(core_inverter *inverter) {
   return probes;
 }
 
-/* The length that a medium has, by the list's formula. */
+/* Returns the length of a medium by the formula of its kind. */
 static double length_of(const core_medium *medium, enum core_length length) {
   const double reduced = medium->sigma_s_per_mm * (1 - medium->g);
   const double sigma_t_prime = medium->sigma_a_per_mm + reduced;
@@ -241,8 +242,8 @@ static double length_of(const core_medium *medium, enum core_length length) {
   }
 }
 
-/* Models that prepare quickly; the others are the same search, and are inverted by a daemon in
- * tests/e2e. */
+/* Returns whether these tests search with a model: only if it prepares quickly. The tests in
+ * tests/e2e invert slow models, whose search is the same. */
 static bool is_searched(const core_choice *model) {
   return !core_prepares_slowly(model->id, CORE_EVALUATOR_F64);
 }
@@ -274,12 +275,12 @@ UNIT_TEST(every_model_is_inverted_for_every_length) {
       const core_fault fault = core_inverter_start(&inverter, model->id, CORE_MOMENTS_EXACT,
                                                    i % 2 ? .8 : 0, 1 + .4 * (i / 2), 1);
       if (fault.field != NULL) {
-        assert_string_equal(fault.field, "thickness"); /* a slab needs it */
+        assert_string_equal(fault.field, "thickness"); /* A slab needs a thickness. */
         continue;
       }
       probe_to_the_end(&inverter);
       if (core_inverter_check(&inverter).field != NULL) {
-        assert_true(strncmp(model->name, "skin-", 5) == 0); /* the same for every medium */
+        assert_true(strncmp(model->name, "skin-", 5) == 0); /* It is the same for every medium. */
         continue;
       }
       const bool jumps = core_worth_keeping(model->id, CORE_EVALUATOR_F64);
@@ -290,7 +291,7 @@ UNIT_TEST(every_model_is_inverted_for_every_length) {
   assert_true(inverted >= 6 * 15);
 }
 
-/* The same albedo and length get the same bits whatever was looked for before. */
+/* The same albedo and length give the same bits, whatever was searched for before. */
 UNIT_TEST(searches_do_not_depend_on_each_other) {
   uint64_t random = unit_seed();
   core_inverter one, other;
@@ -321,7 +322,7 @@ UNIT_TEST(what_there_is_not_is_not_found) {
   probe_to_the_end(&inverter);
   assert_true(core_inverter_seek(&inverter, 0, CORE_LENGTH_FREE_PATH, 1));
   assert_false(inverter.found);
-  /* Without absorption nothing decays. */
+  /* Without absorption, both diffuse lengths are infinite. */
   assert_true(core_inverter_seek(&inverter, 1, CORE_LENGTH_DIFFUSE, 1));
   assert_true(core_inverter_seek(&inverter, 1, CORE_LENGTH_CLASSICAL_DIFFUSE, 1));
   assert_false(inverter.found);

@@ -1,19 +1,19 @@
-/* Every instruction set that this machine runs gives the portable kernels' bits: at every length,
- * offset, lane and slicing, whatever stands beside the values. */
+/* The kernels of every instruction set of this machine give the bits of the portable kernels: at
+ * every length, offset, lane and slicing, whatever values lie beside. */
 #include <float.h>
 #include <math.h>
 
 #include "tests/unit/unit.h"
 
 enum {
-  LENGTH_MAX = 67, /* more than four of the widest vectors, and a remainder */
-  OFFSETS = 16,    /* elements: a vector's worth of misalignments */
+  LENGTH_MAX = 67, /* four of the widest vectors and a remainder */
+  OFFSETS = 16,    /* offsets of the first element: all misalignments of the widest vector */
   GUARD = 0xa5,
 };
 
 /* ---- values of either precision ----------------------------------------------------------- */
 
-/* Aligned for a double; holds the values of either precision. */
+/* An array for values of either precision, aligned for a double. */
 typedef struct values {
   double storage[2 * OFFSETS + LENGTH_MAX];
 } values;
@@ -39,7 +39,7 @@ static double get(const void *from, unsigned evaluator, size_t index) {
                                          : (double)((const float *)from)[index];
 }
 
-/* What a profile does elementwise: one quantity, or, with quantity 0, the drawing of radii. */
+/* An elementwise operation of a profile: evaluating one quantity, or drawing radii (quantity 0). */
 typedef struct operation {
   unsigned quantity;
   const char *name;
@@ -73,7 +73,7 @@ static const core_medium media[] = {
 };
 enum { MEDIA = sizeof media / sizeof media[0] };
 
-/* The same profile for the portable kernels and for others, and what to do with it. */
+/* The same profile for the portable kernels and for others, and the operation to compare. */
 typedef struct kernel_pair {
   core_profile portable;
   core_profile other;
@@ -83,11 +83,11 @@ typedef struct kernel_pair {
 typedef void pair_test(const kernel_pair *pair, uint64_t *random);
 static pair_test compare_edges;
 
-/* False: the medium lies outside the domain of the model. The fault then names the field. */
+/* Prepares a profile. Returns false if the medium lies outside the domain of the model. */
 static bool prepare(core_profile *profile, const char *isa, unsigned model, unsigned evaluator,
                     const core_medium *medium) {
   core_parameters parameters = unit_parameters(model, medium);
-  if (evaluator == CORE_EVALUATOR_LUT) { /* the bits of a coarse table are no others */
+  if (evaluator == CORE_EVALUATOR_LUT) { /* A coarse table tests the kernels as well. */
     parameters.value[CORE_PARAMETER_TOLERANCE] = 0.01;
   }
   const core_fault fault = core_profile_prepare(profile, core_isa_select(isa), model,
@@ -101,7 +101,8 @@ static bool prepare(core_profile *profile, const char *isa, unsigned model, unsi
   return false;
 }
 
-/* What a table does not hold comes from double precision, whose kernels are tried by themselves. */
+/* Returns whether to compare a quantity. A quantity that a table does not hold is evaluated by the
+ * kernels of double precision, which are compared without a table. */
 static bool is_held(const core_profile *profile, unsigned quantity) {
   return profile->lut == NULL ||
          (quantity != CORE_QUANTITY_SLOPE && quantity != CORE_QUANTITY_LN_R);
@@ -125,8 +126,8 @@ static bool is_costly(const core_profile *profile) {
   return profile->cost > 2;
 }
 
-/* Models whose radii cost many times a dipole's are tried at fewer lengths and places, around the
- * lengths of the blocks they are evaluated in; drawing radii from them costs yet more. */
+/* Returns the step between the lengths and places that are tried. It is larger for expensive
+ * models, and larger yet for drawing radii from them, except around the lengths of their blocks. */
 static size_t stride(const kernel_pair *pair, size_t n) {
   const bool sampling = pair->todo.quantity == 0;
   return !is_costly(&pair->portable) ? 1 : sampling ? 67 : n == 31 || n == 32 ? 1 : 11;
@@ -142,7 +143,7 @@ static const struct {
 #include "core/models.def"
 };
 
-/* A profile that is kept, because every test needs it. */
+/* A profile that is prepared once for all tests. */
 typedef struct kept_profile {
   bool tried;
   bool valid; /* the medium lies in the domain of the model */
@@ -205,7 +206,8 @@ static bool same_way(size_t a, size_t b) {
   return same;
 }
 
-/* Models that differ in their coefficients alone: one of them is enough. */
+/* Returns whether a model has the kernels of an earlier one and differs only in its coefficients,
+ * so that the earlier one is enough. */
 static bool is_like_an_earlier_one(size_t model) {
   for (size_t i = 0; i < model; i++) {
     if (same_way(i, model)) {
@@ -215,14 +217,15 @@ static bool is_like_an_earlier_one(size_t model) {
   return false;
 }
 
-/* The kernels of tables are the same for all models: a flat and a steep one are enough. */
+/* Returns whether to test an evaluator with a model. All models share the kernels of tables, so
+ * that a flat and a steep model are enough for these. */
 static bool is_due(size_t model, unsigned evaluator) {
   return evaluator != CORE_EVALUATOR_LUT || strcmp(kernels_of[model].kernels, "dipole") == 0 ||
          kernels_of[model].model == CORE_MODEL_BURLEY;
 }
 
-/* Every instruction set of this machine (portable included, which must agree with itself whatever
- * the length), way of evaluating, evaluator and medium. */
+/* Runs a test for every instruction set of this machine, operation, evaluator and medium. The
+ * portable kernels are among them: they must agree with themselves at every length. */
 static void with_every_pair(pair_test *test) {
   uint64_t random = unit_seed();
   for (size_t model = 0; model < sizeof kernels_of / sizeof kernels_of[0]; model++) {
@@ -267,7 +270,7 @@ static double mfp_of(const core_profile *profile) {
   return 1 / (medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g));
 }
 
-/* Mostly a radius within the range of the profile, sometimes an edge. */
+/* Returns a random input: mostly a radius within the range of the profile, sometimes an edge. */
 static double random_input(uint64_t *random, const kernel_pair *pair) {
   const size_t kind = unit_random_below(random, 8);
   if (kind == 0) {
@@ -281,7 +284,7 @@ static double random_input(uint64_t *random, const kernel_pair *pair) {
                     : unit_random_log(random, 1e-40, 1);
 }
 
-/* Any value that a neighbouring lane might hold, also an invalid one. */
+/* Returns a value that a neighbouring lane might hold, perhaps an invalid one. */
 static double garbage(uint64_t *random) {
   static const double kinds[] = {NAN,     -NAN,   INFINITY, -INFINITY, -1,      -DBL_MAX,
                                  DBL_MAX, 5e-324, -5e-324,  0,         FLT_MAX, 1e-40};
@@ -312,13 +315,13 @@ static void assert_same_bits(const kernel_pair *pair, const void *expected, cons
 
 static void assert_guard(const unsigned char *from, const unsigned char *to) {
   for (; from < to; from++) {
-    if (*from != GUARD) { /* assert_int_equal() for each byte would take most of the time */
+    if (*from != GUARD) { /* assert_int_equal() for each byte would be too slow */
       fail_msg("byte %#x was written beside the values", *from);
     }
   }
 }
 
-/* The array of n values from `first` on is as expected and nothing around it was written. */
+/* Checks that n values from `first` on are as expected and that nothing around them was written. */
 static void assert_output(const kernel_pair *pair, const values *expected, values *output,
                           size_t first, size_t n) {
   const unsigned evaluator = pair->other.evaluator;
@@ -371,7 +374,7 @@ UNIT_TEST(every_length_and_offset_gives_the_same_bits) {
   with_every_pair(compare_lengths_and_offsets);
 }
 
-/* The value under test in each lane in turn, anything in the others. */
+/* Puts the value under test into each lane in turn, and garbage into the other lanes. */
 static void compare_lanes(const kernel_pair *pair, uint64_t *random) {
   enum { LANES = 2 * OFFSETS };
   const unsigned evaluator = pair->portable.evaluator;
@@ -396,7 +399,8 @@ UNIT_TEST(a_lane_does_not_see_its_neighbours) {
   with_every_pair(compare_lanes);
 }
 
-/* Arrays of exactly the size that is asked for, so that a sanitizer sees every access beyond. */
+/* Evaluates in slices. The arrays have exactly the needed size, so that a sanitizer sees every
+ * access beyond them. */
 static void compare_slicing(const kernel_pair *pair, uint64_t *random) {
   enum { COUNT = 1000 };
   const int repeats = is_costly(&pair->portable) ? 1 : 10;
@@ -428,7 +432,7 @@ UNIT_TEST(slicing_gives_the_same_bits) {
 
 /* ---- edges -------------------------------------------------------------------------------- */
 
-/* Nearer to the source some models are infinite in the limit, and the largest numbers overflow. */
+/* Nearer to the source than this, some models may give infinity. */
 #define NEAR_MM 1e-7
 
 static bool good_R(double r, double value, bool scatters) {
@@ -460,7 +464,7 @@ static bool good_sample(double u, double value, bool scatters) {
          (u < 1 || !scatters || isinf(value));
 }
 
-/* Whatever the input: no NaN, the sign of the quantity, and its limits. */
+/* Checks a value at any input: it is not NaN, and has the sign and the limits of its quantity. */
 static void check_edge(const kernel_pair *pair, double input, double value, bool scatters) {
   typedef bool good_value(double input, double value, bool scatters);
   static const struct {

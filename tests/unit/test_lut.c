@@ -1,5 +1,5 @@
-/* Tables in memory: invalid ones are refused, evaluating a valid one reads nothing outside of it,
- * and the kernels do what core/lut/lut.h describes, bit for bit. */
+/* Tables in memory: invalid tables are refused, evaluating a valid one reads nothing outside of it,
+ * and the kernels follow the description in core/lut/lut.h bit for bit. */
 #include <float.h>
 #include <math.h>
 
@@ -15,7 +15,7 @@ static const core_medium no_absorption = {0, 1, 0, 1.3};
 static const core_medium dense = {1e10, 1e12, 0, 1.3};
 static const core_medium nothing_scatters = {0.3, 0, 0, 1.3};
 
-/* Steep, rising and flat towards the source; without an end, and with one. */
+/* Profiles that are steep, rising or flat towards the source, some up to a largest radius. */
 static const struct subject {
   unsigned model;
   const core_medium *medium;
@@ -79,7 +79,7 @@ static float plain_radius(const float *words, float u) {
                    : plain_piece(words, CORE_LUT_COMPLEMENT_OCTAVES, 1 - u);
 }
 
-/* Inside of the octaves: the asymptotics outside are another test's. */
+/* Returns a random argument within the octaves of a table, where no asymptotic formula is used. */
 static float random_argument(uint64_t *random, float from, float to) {
   const uint32_t first = bits_of(from);
   const uint32_t bits = first + (uint32_t)unit_random_below(random, bits_of(to) - first);
@@ -176,7 +176,7 @@ UNIT_TEST(whole_tables_are_not_refused) {
   }
 }
 
-/* Each entry in turn, and every shift. */
+/* Each entry in turn gets every shift that points outside. */
 UNIT_TEST(entries_that_point_outside_are_refused) {
   core_profile profile = prepared(&subjects[0], NULL, 1e-3);
   const size_t count = profile.lut_count;
@@ -202,7 +202,7 @@ UNIT_TEST(entries_that_point_outside_are_refused) {
   core_profile_free(&profile);
 }
 
-/* Any numbers, and entries that lie within: a table as a malicious peer would send it. */
+/* Makes a table as a malicious peer would send it: random numbers, with entries that are valid. */
 static float *random_table(uint64_t *random, size_t pieces, size_t *count) {
   *count = CORE_LUT_PIECES + pieces * CORE_LUT_TERMS;
   float *words = malloc(*count * sizeof *words);
@@ -235,7 +235,8 @@ static float any_bits(uint64_t *random) {
   return x;
 }
 
-/* Arrays and tables of exactly their size, so that a sanitizer sees every access beyond. */
+/* Evaluates a table at random inputs. All arrays have exactly the needed size, so that a sanitizer
+ * sees every access beyond them. */
 static void evaluate_anything(core_profile *profile, float *words, size_t count, uint64_t *random) {
   enum { ANYTHING = 500 };
   float *in = malloc(ANYTHING * sizeof *in);

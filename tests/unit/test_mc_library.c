@@ -1,5 +1,5 @@
-/* dipole_mc() against a peer that follows a script: progress in any number and at any time, and
- * answers that are not what was asked for. */
+/* dipole_mc() against a peer that follows a script: any number of progress reports at any time, and
+ * answers that do not fit the request. */
 #include <math.h>
 
 #include "proto/mc.h"
@@ -15,11 +15,11 @@ static const dipole_mc_query query = {.medium = {0.1, 1, 0, 1.3},
                                       .radius_stop_mm = 2,
                                       .photons = 1000};
 
-/* What the peer does. */
+/* The behaviour of the peer. */
 struct script {
-  uint64_t progress; /* replies before the last one */
-  bool waits;        /* for a cancel request, before the table */
-  bool after;        /* progress comes after the table, too */
+  uint64_t progress; /* number of progress replies before the table */
+  bool waits;        /* whether the peer waits for a cancel request before it sends the table */
+  bool after;        /* whether the peer wrongly sends progress after the table */
   wire_mc_reply last;
   size_t last_bytes;
 };
@@ -42,7 +42,7 @@ static bool send_progress(int fd, uint64_t id, uint64_t number) {
   return peer_send(fd, WIRE_TYPE_MC | WIRE_REPLY, id, payload, sizeof payload);
 }
 
-/* Edges 1, 2, 3; photons 4, 5; R 6, 7; errors 8, 9. */
+/* Sends a table with the edges 1, 2, 3, photons 4, 5, values 6, 7 and errors 8, 9. */
 static bool send_table(int fd, uint64_t id, const struct script *script) {
   _Alignas(8) uint8_t payload[TABLE_BYTES + 64] = {0};
   const wire_mc_energy energy = {.albedo = 0.25, .reflected = 0.5, .over = {0.125, 0}};
@@ -93,14 +93,14 @@ static void follow_script(int fd, void *context) {
   if (script->after) {
     send_progress(fd, id, script->progress + 1);
   }
-  while (peer_receive(fd, &request)) { /* pings, and so on until the client is gone */
+  while (peer_receive(fd, &request)) { /* until the client is gone */
     peer_send(fd, (uint16_t)(request.header.type | WIRE_REPLY), request.header.request_id,
               request.payload, request.header.payload_bytes);
     free(request.payload);
   }
 }
 
-/* How often the caller was told, and when it has had enough. */
+/* Counts the calls of progress(), and says after how many to cancel. */
 struct listener {
   uint64_t told, photons, enough;
 };
@@ -127,7 +127,8 @@ static void assert_table(const dipole_mc_result *result) {
   assert_null(dipole_mc_photons(result, DIPOLE_MC_TRANSMITTED));
 }
 
-/* A table that is right comes, or the error PROTOCOL; the listener is asked to stop or not. */
+/* Runs a job against a script. expected: DIPOLE_ERROR_NONE for a correct table, or the kind of the
+ * error. */
 static void run(struct script script, struct listener *listener, enum dipole_error_kind expected) {
   scripted_peer peer;
   dipole_mc_result *result = NULL;
@@ -153,7 +154,7 @@ UNIT_TEST(tables_come_after_any_progress) {
     struct listener listener = {.enough = UINT64_MAX};
     run(honest(counts[i]), NULL, DIPOLE_ERROR_NONE);
     run(honest(counts[i]), &listener, DIPOLE_ERROR_NONE);
-    assert_true(listener.told <= counts[i]); /* the latest is told, older ones may be skipped */
+    assert_true(listener.told <= counts[i]); /* Older reports may be skipped. */
   }
 }
 
@@ -195,7 +196,7 @@ UNIT_TEST(progress_after_the_end_is_a_fault) {
   dipole_mc_result *result = NULL;
   dipole_error error = {0};
   dipole_client *client = peer_begin(&peer, follow_script, &script);
-  /* It may arrive with the table, or later. */
+  /* The wrong report may arrive together with the table, or only during the ping. */
   const bool good = dipole_mc(client, &query, NULL, NULL, &result, &error);
   assert_true(good ? !dipole_ping(client, &error) : error.kind == DIPOLE_ERROR_PROTOCOL);
   assert_int_equal(error.kind, DIPOLE_ERROR_PROTOCOL);

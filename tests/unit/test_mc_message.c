@@ -1,4 +1,4 @@
-/* The payloads of mc requests and replies: where things lie. What is refused is in
+/* The payloads of mc requests and replies: the offsets of their parts. Refusals are tested in
  * tests/fuzz/fuzz.c and tests/e2e/test_mc.py. */
 #include <math.h>
 

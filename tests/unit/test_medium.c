@@ -1,5 +1,5 @@
-/* Media: what is taken; the measured list; what preparing a profile refuses. More media that are
- * refused are in tests/e2e/test_bad_requests.py. */
+/* Media: which ones are valid, the measured ones, and what the preparation of a profile refuses.
+ * More refused media are in tests/e2e/test_bad_requests.py. */
 #include <math.h>
 
 #include "tests/unit/unit.h"
@@ -26,7 +26,7 @@ UNIT_TEST(accepts_the_whole_domain) {
   assert_medium(0, CORE_SIGMA_T_PRIME_MIN_PER_MM, 0, 1, NULL);
 }
 
-/* Media with no or almost no extinction, also because they scatter almost only forward. */
+/* Media with no or almost no extinction are refused, also if they scatter almost only forward. */
 UNIT_TEST(refuses_media_without_extinction) {
   assert_medium(0, 0, 0, 1.3, "sigma_s");
   assert_medium(1e-16, 1e-16, 0, 1.3, "sigma_s");
@@ -34,7 +34,7 @@ UNIT_TEST(refuses_media_without_extinction) {
   assert_medium(0, 5e-324, 0, 1.3, "sigma_s");
 }
 
-/* Several faults: the first field in the order of the structure. */
+/* If a medium has several faults, the error names the first field in the order of the structure. */
 UNIT_TEST(reports_the_first_field) {
   assert_medium(-1, -1, 2, 0, "sigma_a");
   assert_medium(1, -1, 2, 0, "sigma_s");
@@ -98,7 +98,7 @@ UNIT_TEST(a_profile_says_what_it_was_made_from) {
   }
 }
 
-/* Nothing comes back from a medium that does not scatter. */
+/* No light returns from a medium that does not scatter. */
 UNIT_TEST(without_scattering_everything_is_zero) {
   static const core_medium absorbing = {0.3, 0, 0.5, 1.3};
   static const double radii[] = {0, 1e-9, 1, 1e9, INFINITY};
@@ -109,7 +109,7 @@ UNIT_TEST(without_scattering_everything_is_zero) {
     const core_fault fault =
         core_profile_prepare(&profile, core_isa_select(NULL), model->id, CORE_MOMENTS_EXACT,
                              CORE_EVALUATOR_F64, &absorbing, &parameters);
-    if (model->id == CORE_MODEL_GAUSSIANS) { /* there is nothing to fit to */
+    if (model->id == CORE_MODEL_GAUSSIANS) { /* R is 0, so there is nothing to fit. */
       unit_assert_fault(fault, "fit_from", 0);
       continue;
     }

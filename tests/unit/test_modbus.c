@@ -1,4 +1,4 @@
-/* What Modbus is made of, without a daemon: requests taken apart, frames of serial lines, networks.
+/* The parts of Modbus without a daemon: parsing of requests, frames of serial lines, and networks.
  */
 #include <arpa/inet.h>
 #include <modbus.h>
@@ -21,8 +21,7 @@ UNIT_TEST(requests_are_taken_apart) {
   assert_ptr_equal(request.values, pdu + 10);
 }
 
-/* For random bytes: a request that is accepted has the length and counts that the codec relies
- * on. */
+/* Of random bytes, the codec accepts only requests with valid lengths and counts. */
 UNIT_TEST(what_is_let_through_is_whole) {
   uint64_t random = unit_seed();
   size_t passed = 0;
@@ -31,11 +30,11 @@ UNIT_TEST(what_is_let_through_is_whole) {
     static const uint8_t functions[] = {1, 2, 3, 4, 5, 6, 15, 16, 17, 22, 23, 43};
     unit_random_bytes(&random, pdu, sizeof pdu);
     pdu[0] = functions[unit_random_below(&random, sizeof functions)];
-    pdu[3] = pdu[0] == 5 ? 0xff * (pdu[3] & 1) : 0; /* counts are small, */
+    pdu[3] = pdu[0] == 5 ? 0xff * (pdu[3] & 1) : 0; /* so that counts are small */
     pdu[4] = pdu[0] == 5 ? 0 : pdu[4];
     pdu[7] = 0;
     pdu[5] = pdu[0] == 15 ? (uint8_t)((pdu[4] + 7) / 8) : pdu[0] == 16 ? 2 * pdu[4] : pdu[5];
-    pdu[9] = 2 * pdu[8]; /* and fit, more often than not */
+    pdu[9] = 2 * pdu[8]; /* so that the number of bytes mostly fits the count */
     const size_t length = modbus_pdu_bytes(pdu, sizeof pdu);
     const size_t bytes =
         unit_random_below(&random, 4) == 0 ? 1 + unit_random_below(&random, sizeof pdu) : length;
@@ -77,7 +76,7 @@ static size_t close_frame(uint8_t *frame, size_t bytes) {
   return bytes + 2;
 }
 
-/* "123456789" is what everybody checks a checksum with. */
+/* "123456789" is the usual input for checking an implementation of a checksum. */
 UNIT_TEST(the_checksum_is_that_of_modbus) {
   assert_int_equal(modbus_rtu_checksum((const uint8_t *)"123456789", 9), 0x4b37);
 }

@@ -1,5 +1,5 @@
-/* Monte Carlo requests: what is refused, what is answered at the extremes, the same bits from every
- * instruction set, slicing and number of threads. */
+/* Monte Carlo: refusals, results at the extremes, and the same bits for every instruction set,
+ * slicing and number of threads. */
 #include <math.h>
 #include <pthread.h>
 
@@ -9,7 +9,7 @@
 
 /* ---- what a request may be ---------------------------------------------------------------- */
 
-/* The other fields, and what is refused of them, are in tests/e2e/test_mc.py. */
+/* Requests are accepted up to the limits of each field. tests/e2e/test_mc.py tests more fields. */
 UNIT_TEST(requests_are_taken_up_to_their_limits) {
 #define CHECK(member, value, field)                                                                \
   do {                                                                                             \
@@ -57,7 +57,7 @@ UNIT_TEST(media_become_requests) {
 
 /* ---- random numbers and functions of lanes ------------------------------------------------ */
 
-/* The known answers that the authors of Philox publish with their code. */
+/* The outputs of Philox are the known answers that its authors publish with their code. */
 UNIT_TEST(philox_gives_its_known_answers) {
   static const struct {
     uint32_t counter[4], key[2], expected[4];
@@ -81,7 +81,7 @@ UNIT_TEST(lane_functions_are_accurate) {
   double worst_log = 0;
   double worst_azimuth = 0;
   for (int i = 0; i < 200000; i++) {
-    /* At both ends too, where few random bits are set. */
+    /* Numbers with few bits set, or few bits clear, also test both ends of the range. */
     uint32_t bits = (uint32_t)unit_random(&random) >> (i % 32);
     bits = i & 32 ? ~bits : bits;
     const lane_uniform u = lane_uniform_from(bits);
@@ -104,7 +104,7 @@ UNIT_TEST(lane_functions_are_accurate) {
   assert_true(worst_azimuth <= 1.5e-7);
 }
 
-/* Each eighth of the circle is chosen by three bits. */
+/* Three bits of the random number choose the eighth of the circle: all eight occur. */
 UNIT_TEST(azimuths_cover_the_circle) {
   unsigned seen = 0;
   for (uint32_t bits = 0; bits < 8; bits++) {
@@ -119,7 +119,7 @@ UNIT_TEST(azimuths_cover_the_circle) {
 
 enum { RINGS = 30, BIT_BATCHES = 3 };
 
-/* All that a run has to say about an albedo. */
+/* All results of a run for one albedo. */
 struct answer {
   core_mc_energy energy;
   core_mc_ring rings[CORE_MC_SIDES][RINGS];
@@ -144,7 +144,8 @@ static void assert_same(const core_mc_request *request, const core_mc_total *a,
   }
 }
 
-/* Every loop of the walk: isotropic or not, half space or slab. */
+/* Returns request number i. Together they run every loop of the walk: isotropic or not, in a half
+ * space or a slab. */
 static core_mc_request bit_request(size_t i) {
   static const double g[] = {0, 0.85, -0.4};
   static const double thickness_mm[] = {(double)INFINITY, 1.5, 0.001};
@@ -180,7 +181,8 @@ UNIT_TEST(instruction_sets_and_slices_give_the_same_bits) {
   }
 }
 
-/* Workers take the next index and merge when it is their turn. */
+/* Threads that walk batches. Each takes the next index, and merges its batch when all earlier ones
+ * are merged. */
 struct pool {
   pthread_mutex_t lock;
   pthread_cond_t merged;
@@ -241,8 +243,8 @@ UNIT_TEST(threads_give_the_same_bits) {
   }
 }
 
-/* Another seed, and the upper half of the seed, give other walks; an abandoned batch leaves nothing
- * behind. */
+/* Seeds that differ, even only in their upper half, give different walks. An abandoned batch does
+ * not change the next one. */
 UNIT_TEST(seeds_differ_and_batches_start_afresh) {
   core_mc_request request = bit_request(0);
   montecarlo_run first = montecarlo_run_batches(&request, 1);
@@ -287,7 +289,7 @@ UNIT_TEST(nothing_is_known_before_the_second_batch) {
   }
 }
 
-/* A ring that no photon reaches has an error all the same. */
+/* A ring that no photon has reached has an error that is not 0. */
 UNIT_TEST(empty_rings_have_errors) {
   core_mc_request request = montecarlo_request(0.5, 0, 1.4);
   montecarlo_rings(&request, RINGS, 1000, 2000);
@@ -305,7 +307,7 @@ UNIT_TEST(empty_rings_have_errors) {
   montecarlo_run_free(&run);
 }
 
-/* What leaves is in a ring, under or over, or unscattered. */
+/* All light that leaves counts in a ring, under, over, or as unscattered. */
 UNIT_TEST(rings_add_up_to_the_total) {
   for (size_t i = 0; i < BIT_REQUESTS; i++) {
     core_mc_request request = bit_request(i);
@@ -328,7 +330,7 @@ UNIT_TEST(rings_add_up_to_the_total) {
   }
 }
 
-/* Nothing scatters: Beer and Lambert between two mirrors, without an error. */
+/* Without scattering, the result is the law of Beer and Lambert between two mirrors, exactly. */
 UNIT_TEST(without_scattering_the_answer_is_exact) {
   static const double etas[] = {1, 1.5, 0.7, 30};
   static const double thicknesses_mm[] = {0, 1e-6, 0.3, 2, 50, 1e6, 1e300, (double)INFINITY};
@@ -353,7 +355,7 @@ UNIT_TEST(without_scattering_the_answer_is_exact) {
   }
 }
 
-/* An empty slab is two mirrors and no medium, whatever its albedo. */
+/* A slab of zero optical thickness acts like two mirrors, whatever its albedo. */
 UNIT_TEST(empty_slabs_let_everything_through) {
   static const double albedos[] = {0, 0.5, 1};
   for (size_t i = 0; i < sizeof albedos / sizeof albedos[0]; i++) {
@@ -407,7 +409,7 @@ UNIT_TEST(without_absorption_all_comes_back) {
   }
 }
 
-/* Roulette changes the work, not what comes out. */
+/* Russian roulette changes the cost, but not the expected results. */
 UNIT_TEST(roulette_is_unbiased) {
   static const double weights[] = {CORE_MC_ROULETTE_WEIGHT_MIN, 0.01, 1};
   enum { WEIGHTS = 3, BATCHES = 100 };
@@ -434,8 +436,8 @@ UNIT_TEST(roulette_is_unbiased) {
   }
 }
 
-/* The results for an albedo do not depend on the other albedos of the request. Roulette goes by the
- * largest albedo, which is the same in both requests here. */
+/* The results for an albedo do not depend on the other albedos of the request. Both requests have
+ * the same largest albedo, because roulette depends on it. */
 UNIT_TEST(albedos_are_independent) {
   enum { BATCHES = 5 };
   core_mc_request many = montecarlo_request(0.9, 0, 1.4);
@@ -460,7 +462,7 @@ UNIT_TEST(albedos_are_independent) {
   montecarlo_run_free(&one_run);
 }
 
-/* Media that strain single precision end, and keep their energy. */
+/* Walks in media at the limits of single precision end, and conserve energy. */
 UNIT_TEST(corners_end) {
   static const double g[] = {-CORE_MC_G_MAX, -1e-9, 1e-300, CORE_MC_G_MAX};
   static const double eta[] = {CORE_ETA_MIN, 0.999999, 1.0000001, CORE_ETA_MAX};

@@ -1,5 +1,5 @@
-/* libdipole where the daemon chooses: offers, and answers to queries of any model, from a peer that
- * does not always tell the truth. */
+/* libdipole when the daemon chooses the model: offers, and answers to queries of any model, from a
+ * peer that sometimes sends wrong answers. */
 #include <math.h>
 
 #include "proto/eval.h"
@@ -34,7 +34,7 @@ typedef struct offers_script {
   size_t payload_bytes;
 } offers_script;
 
-/* Answers one request with offers, others with themselves. */
+/* A script that answers an offers request with offers, and echoes all other requests. */
 static void offer(int fd, void *context) {
   const offers_script *script = context;
   uint8_t payload[OFFERS_BYTES + 64] = {0};
@@ -59,7 +59,7 @@ static void offer(int fd, void *context) {
              WIRE_STATUS_OK ||
          parsed.fixed.model != EVAL_ANY_MODEL ||
          !(parsed.parameters.value[CORE_PARAMETER_TOLERANCE] == 0.01))) {
-      abort(); /* the library makes well-formed requests */
+      abort(); /* The library makes only well-formed requests. */
     }
     good = peer_send(fd, (uint16_t)(request.header.type | WIRE_REPLY), request.header.request_id,
                      asked ? payload : request.payload,
@@ -78,7 +78,7 @@ static void assert_offers(const dipole_offer *offers) {
   }
 }
 
-/* The offers are right, or it is an error of kind PROTOCOL. */
+/* Runs a script. expected: whether the call must succeed; else it must fail with kind PROTOCOL. */
 static void run_offers(offers_script script, bool expected) {
   const dipole_query query = query_of(DIPOLE_ANY_MODEL, DIPOLE_LUT);
   scripted_peer peer;
@@ -145,10 +145,10 @@ UNIT_TEST(wrong_queries_are_not_sent) {
 /* ---- queries of any model ------------------------------------------------------------------ */
 
 typedef struct choice_script {
-  uint16_t model, evaluator; /* that the peer says it took */
+  uint16_t model, evaluator; /* as the peer's answer states them */
 } choice_script;
 
-/* Answers eval requests honestly but for that. */
+/* A script that answers eval requests correctly, except for the stated model and evaluator. */
 static void answer_with_choice(int fd, void *context) {
   const choice_script *script = context;
   peer_frame request;

@@ -1,5 +1,5 @@
-/* libdipole and answers in parts: put together, handed on, broken off, and with parts that do not
- * belong together. */
+/* libdipole and answers in parts: the parts are put together or passed to the caller one by one;
+ * answers that end early or whose parts do not belong together are refused. */
 #include <math.h>
 
 #include "tests/unit/peer_scripts.h"
@@ -22,7 +22,7 @@ static dipole_query query_of(unsigned evaluator, unsigned wanted, uint64_t count
                         .radius_count = count};
 }
 
-/* Checks a part against what the peer makes of the radii from `first` on. */
+/* Checks the values of a part whose first radius has position `first`. */
 static void check_values(const dipole_result *result, uint64_t first) {
   const bool single = result->evaluator != DIPOLE_F64;
   assert_int_equal(result->channel_count, 2);
@@ -69,7 +69,7 @@ static bool send_part(int fd, const peer_frame *request, uint32_t part, uint64_t
   return good;
 }
 
-/* Answers every request in parts of so many radii. */
+/* A script that answers every request in parts of *context radii. */
 static void serve_parts(int fd, void *context) {
   const uint64_t each = *(const uint64_t *)context;
   peer_frame request;
@@ -104,11 +104,11 @@ UNIT_TEST(test_parts_are_put_together) {
   }
 }
 
-/* What has been handed on, and when to stop. */
+/* Counts the parts and radii that the caller got, and says when to stop. */
 typedef struct reading {
   uint64_t next;
   unsigned parts;
-  unsigned stop_after; /* parts; 0: never */
+  unsigned stop_after; /* number of parts after which to stop; 0: never */
 } reading;
 
 static bool read_part(void *context, const dipole_result *part, uint64_t radius_first) {
@@ -135,7 +135,7 @@ UNIT_TEST(test_parts_are_handed_on) {
   }
 }
 
-/* An answer without radii has one part, too. */
+/* An answer without radii has one part. */
 UNIT_TEST(test_nothing_is_handed_on) {
   scripted_peer peer;
   dipole_error error;
@@ -152,7 +152,7 @@ UNIT_TEST(test_nothing_is_handed_on) {
 
 enum { BETWEEN = 3, EACH = 300 };
 
-/* Two answers in parts and one in one frame, all mixed. */
+/* A script that mixes the frames of three answers: two in parts, and one in a single frame. */
 static void mix(int fd, void *context) {
   peer_frame request[BETWEEN];
   (void)context;
@@ -210,7 +210,7 @@ UNIT_TEST(test_other_answers_may_come_in_between) {
 
 /* ---- answers that end early ---------------------------------------------------------------- */
 
-/* Two parts and an error in place of the third; then answers in parts. */
+/* A script that sends two parts and then an error, and answers all later requests in parts. */
 static void be_late(int fd, void *context) {
   static const uint64_t each = EACH;
   peer_frame request;
@@ -245,13 +245,13 @@ UNIT_TEST(test_an_error_ends_an_answer) {
   assert_int_equal(error.kind, DIPOLE_ERROR_REFUSED);
   assert_int_equal(so_far.next, 2 * EACH);
   query.deadline_ms = 252;
-  assert_true(dipole_eval(client, &query, &result, &error)); /* the client goes on */
+  assert_true(dipole_eval(client, &query, &result, &error)); /* The client goes on working. */
   check_values(result, 0);
   dipole_result_free(result);
   peer_finish(&peer, client);
 }
 
-/* Stops after each number of parts that there is, and asks for something else. */
+/* The reader stops after 1, 2, ... parts; the client's next query is then answered correctly. */
 UNIT_TEST(test_a_reader_may_stop) {
   static const uint64_t each = EACH;
   const dipole_query query = query_of(DIPOLE_F64, wanted_f64, PEER_RADII);
@@ -265,9 +265,9 @@ UNIT_TEST(test_a_reader_may_stop) {
     assert_false(dipole_eval_parts(client, &query, read_part, &so_far, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_STOPPED);
     assert_int_equal(so_far.parts, stop_after);
-    assert_false(dipole_collect(client, &id, &result, &error)); /* waits for none of the rest */
+    assert_false(dipole_collect(client, &id, &result, &error)); /* Nothing is outstanding. */
     assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
-    if (stop_after != 2) { /* else two of them are left behind at a time */
+    if (stop_after != 2) { /* After 2, the next reader starts while old parts still arrive. */
       assert_true(dipole_eval(client, &query, &result, &error));
       check_values(result, 0);
       dipole_result_free(result);
@@ -278,7 +278,7 @@ UNIT_TEST(test_a_reader_may_stop) {
   peer_finish(&peer, client);
 }
 
-/* Two parts, and the end. */
+/* A script that sends two parts and closes the connection. */
 static void break_off(int fd, void *context) {
   peer_frame request;
   (void)context;
@@ -305,7 +305,8 @@ UNIT_TEST(test_lost_between_parts) {
   }
 }
 
-/* The first of 2^40 radii, whose values no memory could hold, and a word why no more come. */
+/* A script that sends the first part of an answer for 2^40 radii, which no memory could hold, and
+ * then an error. */
 static void begin_something_huge(int fd, void *context) {
   peer_frame request;
   uint8_t *payload;
@@ -346,14 +347,14 @@ UNIT_TEST(test_answers_beyond_memory) {
 
 /* ---- parts that do not belong together ----------------------------------------------------- */
 
-/* The parts of an answer to PEER_RADII radii, each of EACH but for the changes. */
+/* A change of one part in an otherwise correct answer of PEER_RADII radii in parts of EACH. */
 typedef struct lie {
   const char *what;
-  uint32_t part;  /* that is changed */
-  size_t offset;  /* in its payload */
-  size_t bytes;   /* of the number that is changed; 0: the part is sent twice or left out */
-  uint64_t value; /* of the number, or how often the part is sent */
-  int64_t radii;  /* more than EACH in that part */
+  uint32_t part;  /* number of the part that is changed */
+  size_t offset;  /* of the changed number in the payload of the part */
+  size_t bytes;   /* size of the changed number; 0: no number is changed, see `value` */
+  uint64_t value; /* the new number; if bytes is 0, how often the part is sent */
+  int64_t radii;  /* how many radii the part has beyond EACH */
 } lie;
 
 #define CHANNEL_OF(index) (WIRE_BYTES_eval_reply + (index)*WIRE_BYTES_channel)
@@ -399,7 +400,7 @@ static void tell_lie(int fd, void *context) {
     const bool is_it = part == told->part;
     const uint64_t honest = PEER_RADII - part * EACH < EACH ? PEER_RADII - part * EACH : EACH;
     const uint64_t count = is_it ? honest + (uint64_t)told->radii : honest;
-    const uint64_t from = first + count <= PEER_RADII ? first : 0; /* of values that there are */
+    const uint64_t from = first + count <= PEER_RADII ? first : 0; /* stays inside the radii */
     uint8_t *payload;
     const size_t bytes =
         peer_evaluate_part(&request, from, count, part, parts_of(PEER_RADII, EACH), &payload);
@@ -444,7 +445,7 @@ UNIT_TEST(test_lies_are_noticed) {
                   : how == 1 ? dipole_eval_parts(client, &query, take_all, NULL, &error)
                              : dipole_eval_parts(client, &query, take_one, NULL, &error);
       if (how == 2 && error.kind == DIPOLE_ERROR_STOPPED) {
-        good = dipole_ping(client, &error); /* what is thrown away is looked at, too */
+        good = dipole_ping(client, &error); /* Parts that are thrown away are checked, too. */
       }
       if (good) {
         fail_msg("not noticed: part %u: %s", lies[i].part, lies[i].what);
@@ -452,7 +453,8 @@ UNIT_TEST(test_lies_are_noticed) {
       if (error.kind != DIPOLE_ERROR_PROTOCOL) {
         fail_msg("part %u: %s: %s", lies[i].part, lies[i].what, error.text);
       }
-      assert_false(dipole_ping(client, &error)); /* the client stays broken */
+      assert_false(
+          dipole_ping(client, &error)); /* The client stays broken after the first error. */
       peer_finish(&peer, client);
     }
   }

@@ -1,5 +1,5 @@
-/* libdipole with many queries under way: answers in any order, how many may be outstanding, and
- * calls that are limited in time. */
+/* libdipole with many outstanding queries: answers in any order, the limit of their number, and
+ * time limits of calls. */
 #include <unistd.h>
 
 #include "tests/unit/peer_scripts.h"
@@ -36,10 +36,10 @@ UNIT_TEST(test_by_id_in_any_order) {
   }
   assert_int_equal(dipole_outstanding(client), QUERIES);
   for (uint64_t k = 0; k < QUERIES; k++) {
-    const uint64_t i = k * 27 % QUERIES; /* all of them: 27 and 40 have no common factor */
+    const uint64_t i = k * 27 % QUERIES; /* visits all: 27 and 40 have no common factor */
     collect_id(client, ids[i], i + 1);
     assert_int_equal(dipole_outstanding(client), QUERIES - k - 1);
-    fail_collect_id(client, ids[i], DIPOLE_ERROR_ARGUMENT); /* it does not come twice */
+    fail_collect_id(client, ids[i], DIPOLE_ERROR_ARGUMENT); /* The result comes only once. */
   }
   fail_collect_id(client, 0, DIPOLE_ERROR_ARGUMENT);
   fail_collect_id(client, UINT64_MAX, DIPOLE_ERROR_ARGUMENT);
@@ -47,7 +47,7 @@ UNIT_TEST(test_by_id_in_any_order) {
   peer_finish(&peer, client);
 }
 
-/* By id and whatever comes, in turns. */
+/* The client collects alternately by id and in the order of arrival. */
 UNIT_TEST(test_both_ways) {
   uint64_t ids[QUERIES];
   scripted_peer peer;
@@ -61,7 +61,7 @@ UNIT_TEST(test_both_ways) {
     collect_id(client, ids[last - 1], last);
     uint64_t id = 0;
     assert_true(dipole_collect(client, &id, &result, &error));
-    assert_true(id == ids[QUERIES - last]); /* the peer keeps to the order */
+    assert_true(id == ids[QUERIES - last]); /* The peer answers in order. */
     peer_check_result(result, QUERIES - last + 1);
   }
   peer_finish(&peer, client);
@@ -85,7 +85,7 @@ UNIT_TEST(test_no_more_than_may_be_outstanding) {
     assert_false(dipole_submit(client, &query, &id, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_FULL);
   }
-  peer_check_eval(client, 11); /* one that is waited for is none of them */
+  peer_check_eval(client, 11); /* dipole_eval() does not count in the limit. */
   assert_int_equal(dipole_outstanding(client), MOST);
   collect_id(client, ids[1], 2);
   const uint64_t next = peer_submit(client, 9);
@@ -115,7 +115,7 @@ UNIT_TEST(test_as_many_as_one_likes) {
 
 enum { BURST = 30 };
 
-/* Says so on a pipe when all of a burst are here. */
+/* A script that writes to a pipe when all requests of a burst have arrived. */
 static void note_burst(int fd, void *context) {
   const int *pipe_ends = context;
   peer_say_hello_or_abort(fd);
@@ -139,7 +139,7 @@ UNIT_TEST(test_flush) {
     peer_submit(client, 1 + i);
   }
   dipole_flush(client);
-  assert_int_equal(read(pipe_ends[0], &byte, 1), 1); /* and nothing else is called */
+  assert_int_equal(read(pipe_ends[0], &byte, 1), 1); /* without another call of the library */
   peer_finish(&peer, client);
   close(pipe_ends[0]);
   close(pipe_ends[1]);
@@ -147,7 +147,7 @@ UNIT_TEST(test_flush) {
 
 /* ---- calls that take too long -------------------------------------------------------------- */
 
-/* Answers a request only when the next one is there. */
+/* A script that answers a request only when the next one has arrived. */
 static void serve_one_behind(int fd, void *context) {
   peer_frame before, request;
   (void)context;
@@ -180,7 +180,7 @@ UNIT_TEST(test_what_is_submitted_stays) {
   collect_id(client, first, 3);
   peer_submit(client, 5);
   collect_id(client, second, 4);
-  dipole_close(client); /* with one outstanding */
+  dipole_close(client); /* while one query is outstanding */
   peer_end(&peer);
 }
 
@@ -200,7 +200,7 @@ UNIT_TEST(test_what_nobody_waits_for_is_thrown_away) {
   peer_finish(&peer, client);
 }
 
-/* Silence is as long as it is, however short the calls. */
+/* The silence of a daemon counts across calls, even if each call is short. */
 UNIT_TEST(test_silence_counts_over_calls) {
   dipole_options options = peer_options();
   scripted_peer peer;
@@ -218,7 +218,7 @@ UNIT_TEST(test_silence_counts_over_calls) {
   peer_finish(&peer, client);
 }
 
-/* A call ends while the connection is being restored; the next one goes on with that. */
+/* A call ends in time while the client reconnects, and the next call goes on reconnecting. */
 UNIT_TEST(test_reconnecting_takes_no_longer) {
   peer_script *const scripts[] = {peer_hang_up_after_request, peer_accept_only, peer_serve, NULL};
   dipole_options options = peer_options();

@@ -1,5 +1,5 @@
-/* A worker's local store of profiles, without a daemon: what it keeps and for how long, and what it
- * puts into the cache. */
+/* A worker's local store of profiles, without a daemon: which profiles it keeps for how long, and
+ * which ones it puts into the cache. */
 #include "server/store/profiles.h"
 #include "tests/unit/unit.h"
 
@@ -117,11 +117,11 @@ UNIT_TEST(one_preparation_serves_all_angles) {
   close_fixture(&f);
 }
 
-/* The local store releases what the cache has evicted when it is swept. */
+/* profiles_sweep() releases the entries that the cache has evicted. */
 UNIT_TEST(what_has_been_evicted_is_not_held) {
   const core_parameters none = core_parameters_none();
   static struct fixture f;
-  open_fixture(&f, 4 * 20000); /* a quarter of it: one of these, and no second */
+  open_fixture(&f, 4 * 20000); /* A quarter of it holds one fast profile, but not two. */
   const core_medium other = {0.1, 1, 0, 1.3};
   struct cache_key key;
   cache_key_start(&key, CORE_MODEL_SINGLE, CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &none);
@@ -146,8 +146,8 @@ UNIT_TEST(what_has_been_evicted_is_not_held) {
   close_fixture(&f);
 }
 
-/* The list says which models are worth keeping: all that are slow, and of the others those that own
- * a table that is worth the name. */
+/* The list of models says which profiles the cache keeps: the slow ones, and of the fast ones those
+ * that own a large table. */
 UNIT_TEST(the_list_knows_what_is_worth_keeping) {
   for (const core_choice *model = core_models; model->name != NULL; model++) {
     if (core_prepares_slowly(model->id, CORE_EVALUATOR_F64)) {

@@ -1,5 +1,5 @@
-/* The Modbus register map: its list, and that REGISTERS.md is current. What may be read and written
- * is tested from outside, by tests/e2e/test_modbus_map.py and test_modbus_functions.py. */
+/* The Modbus register map: its list, and that REGISTERS.md is current. tests/e2e/test_modbus_map.py
+ * and test_modbus_functions.py test which registers can be read and written. */
 #include "proto/registers.h"
 #include "tests/unit/unit.h"
 
@@ -32,13 +32,13 @@ UNIT_TEST(blocks_are_numbered_and_within_the_image) {
     assert_true(block->first + block->length <= REGISTERS_END);
     assert_true(i == 0 ||
                 block->first >= registers_blocks[i - 1].first + registers_blocks[i - 1].length);
-    if (block->first / REGISTERS_MIRROR % 2 == 1) { /* a mirror */
+    if (block->first / REGISTERS_MIRROR % 2 == 1) { /* The block is a mirror. */
       assert_int_equal(block_of(block->first - REGISTERS_MIRROR)->length, block->length);
     }
   }
 }
 
-/* What one function 23 may write and read holds a whole job and its values. */
+/* One request of function 23 can write a whole job and read all its values. */
 UNIT_TEST(a_job_fits_one_request) {
   assert_true(REGISTERS_AT_RADII + 2 * REGISTERS_RADII_MAX - REGISTERS_AT_COMMIT <= 121);
   assert_true(REGISTERS_AT_NOTES + 1 - REGISTERS_AT_STATUS <= 125);
@@ -74,7 +74,7 @@ UNIT_TEST(optional_values) {
 
 UNIT_TEST(doubles_and_text) {
   registers_reset(image);
-  registers_set_f64(image, REGISTERS_AT_ALBEDO_DOUBLE, 123456.0); /* 40fe 2400 0000 0000 */
+  registers_set_f64(image, REGISTERS_AT_ALBEDO_DOUBLE, 123456.0); /* words 40fe 2400 0000 0000 */
   assert_int_equal(image[REGISTERS_AT_ALBEDO_DOUBLE], 0x40fe);
   assert_int_equal(image[REGISTERS_AT_ALBEDO_DOUBLE + 1], 0x2400);
   registers_set_text(image, REGISTERS_AT_ERROR_TEXT, 40, "abc");

@@ -1,5 +1,5 @@
-/* libdipole when connections are lost and daemons are busy: what is asked again, what is not, and
- * that every query has one answer, the right one. */
+/* libdipole when connections are lost and daemons are busy: which requests it repeats, and that
+ * every query has exactly one, correct answer. */
 #include <math.h>
 #include <time.h>
 #include <unistd.h>
@@ -85,7 +85,7 @@ UNIT_TEST(test_each_submitted_query_has_one_answer) {
       i++;
     }
     assert_true(i <= QUERIES);
-    ids[i] = 0; /* it does not come a second time */
+    ids[i] = 0; /* so that a second answer to this query is noticed */
     peer_check_result(result, i);
   }
   uint64_t id;
@@ -119,7 +119,7 @@ UNIT_TEST(test_a_fault_of_the_client_is_none_of_the_connection) {
 static void stay_silent(int fd, void *context) {
   peer_frame request;
   peer_hang_up_after_request(fd, context);
-  if (peer_receive(fd, &request)) { /* until the client closes */
+  if (peer_receive(fd, &request)) { /* waits until the client closes */
     abort();
   }
 }
@@ -191,7 +191,7 @@ UNIT_TEST(test_what_is_too_large_to_keep) {
 
 /* ---- busy ---------------------------------------------------------------------------------- */
 
-/* Refuses each request twice; *context counts what it received. */
+/* A script that refuses each request twice. *context counts the requests that it received. */
 static void serve_the_third_time(int fd, void *context) {
   unsigned *received = context;
   peer_frame request;
@@ -219,7 +219,7 @@ UNIT_TEST(test_busy) {
   assert_int_equal(received, 6);
 }
 
-/* Refuses the second of three requests at first. */
+/* A script that refuses the second of three requests when it first arrives. */
 static void serve_out_of_turn(int fd, void *context) {
   unsigned received = 0;
   peer_frame request;
@@ -256,7 +256,7 @@ UNIT_TEST(test_others_do_not_wait_for_the_busy_one) {
   peer_finish(&peer, client);
 }
 
-/* *context: retry_after_ms. */
+/* A script that refuses every request with BUSY. *context: retry_after_ms. */
 static void stay_busy(int fd, void *context) {
   peer_frame request;
   peer_say_hello_or_abort(fd);
@@ -279,7 +279,7 @@ UNIT_TEST(test_busy_for_longer_than_that) {
     assert_true(peer_now_ms() - start_ms < 5000);
     assert_int_equal(error.status, WIRE_STATUS_BUSY);
     assert_int_equal(error.retry_after_ms, after_ms);
-    peer_check_failure(client, DIPOLE_ERROR_REFUSED); /* it goes on working */
+    peer_check_failure(client, DIPOLE_ERROR_REFUSED); /* The client goes on working. */
     peer_finish(&peer, client);
   }
 }
@@ -304,7 +304,7 @@ static void hang_up_after_a_while(int fd, void *context) {
   usleep(50000);
 }
 
-/* *context: the deadline that arrives. */
+/* A script that stores the deadline of the request in *context. */
 static void note_deadline(int fd, void *context) {
   peer_frame request;
   peer_say_hello_or_abort(fd);

@@ -1,4 +1,4 @@
-/* The payload of a sample request, and where the arrays of its reply lie. */
+/* The payload of a sample request, and the offsets of the arrays of its reply. */
 #include "proto/sample.h"
 
 #include "tests/unit/unit.h"
@@ -7,8 +7,8 @@ enum { PAYLOAD_MAX = 1024 };
 
 typedef struct sample {
   wire_sample_request fixed;
-  unsigned listed; /* numbers in the payload */
-  unsigned tail;   /* bytes of them and of padding */
+  unsigned listed; /* how many numbers the payload lists */
+  unsigned tail;   /* size of these numbers and their padding */
 } sample;
 
 static sample right(unsigned draw, unsigned count) {

@@ -1,5 +1,5 @@
-/* libdipole's tables: loaded, saved and evaluated with the bits of the profile that they are from,
- * whatever the bytes say; and fetched from a peer that does not always tell the truth. */
+/* Tables of libdipole: they are loaded, saved and evaluated with the bits of their profile, damaged
+ * bytes are refused, and so are wrong answers of a peer. */
 #include <math.h>
 
 #include "core/lut/lut.h"
@@ -13,7 +13,7 @@ static const core_medium skin = {0.032, 0.74, 0, 1.3};
 
 /* ---- frames -------------------------------------------------------------------------------- */
 
-/* A whole reply, to be freed, and the profile that it is from, likewise. */
+/* A table: the frame of a whole reply, and its profile. The test frees both. */
 typedef struct made_table {
   core_profile profile;
   uint8_t *bytes;
@@ -64,7 +64,7 @@ static dipole_table *load(const made_table *made) {
 
 enum { RADII = 6000 };
 
-/* Over all magnitudes, and the places where the ways to evaluate meet. */
+/* Chooses radii of all magnitudes, and radii around the ends of the pieces. */
 static void choose_radii(const core_profile *profile, float *r) {
   uint64_t random = unit_seed();
   const core_radii_range pieces = core_table_pieces(profile);
@@ -118,10 +118,10 @@ static bool same(double a, double b) {
   return a == b || (isnan(a) && isnan(b));
 }
 
-/* Returns how many of the model errors were known. */
+/* Checks that a table states the errors of its profile. Returns how many model errors are known. */
 static size_t assert_same_errors(const dipole_table *table, const core_profile *profile,
                                  uint64_t *random) {
-  static const float mfp[] = {0.01f, 0.02f, 0.05f, 1, 2, 20}; /* of bands; or far away */
+  static const float mfp[] = {0.01f, 0.02f, 0.05f, 1, 2, 20}; /* ends of bands of radii */
   const double mfp_mm = 1 / (profile->medium.sigma_a_per_mm +
                              profile->medium.sigma_s_per_mm * (1 - profile->medium.g));
   size_t known = 0;
@@ -153,7 +153,7 @@ UNIT_TEST(tables_state_the_errors_of_their_profiles) {
     core_medium medium;
     bool known;
   } cases[] = {{"better", {0.032, 0.74, 0, 1.3}, true}, {"classical", {0.1, 5, 0.7, 1.4}, true},
-               {"skin-red", {1, 1, 0, 1.3}, false},      {"transport", {0.35, 0.65, 0, 1.5}, true},
+               {"skin-red", {1, 1, 0, 1.3}, false},     {"transport", {0.35, 0.65, 0, 1.5}, true},
                {"transport", {1, 9, 0.5, 1.5}, true},   {"better", {0.1, 1, 0, 2.5}, false}};
   uint64_t random = unit_seed();
   for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
@@ -166,7 +166,8 @@ UNIT_TEST(tables_state_the_errors_of_their_profiles) {
   }
 }
 
-/* R of transport far away, where its stated error grows, against solutions that reach further. */
+/* Far away, where the stated error of transport grows, R is compared with a solution that reaches
+ * further. */
 UNIT_TEST(errors_of_a_table_hold_far_away) {
   static const double decays[] = {20, 40, 60, 100}, albedos[] = {0.1, 0.65, 0.95, 0.9999};
   transport_boundary *boundary;
@@ -204,7 +205,8 @@ UNIT_TEST(errors_of_a_table_hold_far_away) {
 }
 
 UNIT_TEST(tables_have_the_bits_of_their_profiles) {
-  /* R constant, like -ln r and like 1 / r towards the source; 1 / r^3 far away; nothing at all. */
+  /* Towards the source, R is constant, or grows like -ln r or like 1 / r. Far away it falls like
+   * 1 / r^3, or is 0. */
   static const struct {
     const char *model;
     core_medium medium;
@@ -268,7 +270,7 @@ UNIT_TEST(saved_tables_are_loaded_one_behind_the_other) {
   dipole_error error;
   dipole_table *table;
   assert_non_null(file);
-  uint8_t *at = file + 1; /* not aligned */
+  uint8_t *at = file + 1; /* so that no table is aligned */
   memcpy(at, first.bytes, first.count);
   memcpy(at + first.count, second.bytes, second.count);
   assert_true(dipole_table_load(at, first.count + second.count, &table, &error));
@@ -344,7 +346,7 @@ UNIT_TEST(radii_that_a_model_does_not_cover_are_refused) {
 /* ---- damage -------------------------------------------------------------------------------- */
 
 static void put_checksum(made_table *made) {
-  /* The table itself is not changed: what it says of itself is made right. */
+  /* Recomputes the checksum, and the facts that follow from the profile, for changed words. */
   core_profile changed = made->profile;
   wire_table_reply fixed;
   wire_get_table_reply(made->bytes + WIRE_BYTES_header, &fixed);
@@ -369,7 +371,7 @@ static void assert_damaged(const made_table *made, size_t count) {
   assert_null(table);
 }
 
-/* Every bit of the words is under the checksum; every length but the right one is wrong. */
+/* A change of any bit of the words breaks the checksum, and any wrong length is refused. */
 UNIT_TEST(damaged_bytes_are_found) {
   made_table made = make("better", skin);
   uint64_t random = unit_seed();
@@ -389,7 +391,7 @@ UNIT_TEST(damaged_bytes_are_found) {
   unmake(&made);
 }
 
-/* What must not be in the fixed part. */
+/* Impossible values in the fixed part are refused. */
 UNIT_TEST(impossible_facts_are_found) {
   made_table made = make("better", skin);
   wire_table_reply right, wrong;
@@ -436,8 +438,8 @@ UNIT_TEST(impossible_facts_are_found) {
   unmake(&made);
 }
 
-/* Entries that point outside are found although the checksum is right; whatever else the words say
- * evaluates to something, without a word outside being read. */
+/* Entries that point outside are refused although the checksum is right. Any other words can be
+ * evaluated without reading outside of the table. */
 UNIT_TEST(entries_outside_are_found) {
   made_table made = make("better", skin);
   uint64_t random = unit_seed();
@@ -459,7 +461,7 @@ UNIT_TEST(entries_outside_are_found) {
     words[at] = before;
   }
   for (int round = 0; round < 50; round++) {
-    for (size_t i = 2; i < 16; i++) { /* all but the two that the fixed part repeats */
+    for (size_t i = 2; i < 16; i++) { /* The fixed part repeats words 0 and 1. */
       words[i] = (uint32_t)unit_random(&random);
     }
     for (size_t i = CORE_LUT_R_OCTAVES; i < CORE_LUT_PIECES; i++) {
@@ -479,7 +481,7 @@ UNIT_TEST(entries_outside_are_found) {
 
 /* ---- fetching ------------------------------------------------------------------------------ */
 
-/* Answers table requests with these bytes, pings with a ping. */
+/* A script answers table requests with these bytes, and echoes pings. */
 typedef struct answer {
   const uint8_t *payload;
   size_t payload_bytes;
@@ -495,7 +497,7 @@ static void answer_requests(int fd, void *context) {
     if (!ping &&
         table_request_parse(request.payload, request.header.payload_bytes, &parsed).status !=
             WIRE_STATUS_OK) {
-      abort(); /* the library makes well-formed requests */
+      abort(); /* The library makes only well-formed requests. */
     }
     good = peer_send(fd, (uint16_t)(request.header.type | WIRE_REPLY), request.header.request_id,
                      ping ? request.payload : with->payload,
@@ -507,7 +509,8 @@ static void answer_requests(int fd, void *context) {
 static const dipole_table_query skin_query = {
     .model = CORE_MODEL_BETTER, .moments = DIPOLE_EXACT, .medium = {0.032, 0.74, 0, 1.3}};
 
-/* The table, or NULL after an error of kind PROTOCOL. */
+/* Fetches a table from a peer that answers with this payload. Returns NULL if the call fails, which
+ * must be with kind PROTOCOL. */
 static dipole_table *fetch(const dipole_table_query *query, const uint8_t *payload,
                            size_t payload_bytes) {
   answer with = {payload, payload_bytes};

@@ -1,5 +1,5 @@
-/* What the transport solver computes with: elementary functions, Bessel functions, Gauss's rules.
- */
+/* The functions that the transport solver uses: elementary functions, Bessel functions, Gauss's
+ * rules. */
 #include <complex.h>
 #include <float.h>
 #include <math.h>
@@ -9,7 +9,8 @@
 #include "core/transport/gauss.h"
 #include "tests/unit/unit.h"
 
-/* The C library's long double functions are the reference: their error is far below these bounds.
+/* Bounds of the errors, in epsilons. The reference is the C library's long double functions, whose
+ * errors are far smaller.
  */
 #define REAL_EPSILONS 2.0
 #define COMPLEX_EPSILONS 4.0
@@ -47,7 +48,7 @@ UNIT_TEST(real_functions_end_where_they_say) {
   assert_true(sine == 0 && cosine == 1);
 }
 
-/* In all quadrants and on the axes, over many scales. */
+/* Returns a random point of any quadrant or axis, over many scales. */
 static double complex random_point(uint64_t *random) {
   const double x = unit_random_log(random, 1e-6, 1e6);
   const double y = unit_random_log(random, 1e-6, 1e6);
@@ -114,7 +115,7 @@ UNIT_TEST(bessel_functions_have_known_values) {
   }
 }
 
-/* The series and the continued fraction meet where |w| = 2. */
+/* The series and the continued fraction agree where they meet, at |w| = 2. */
 UNIT_TEST(bessel_functions_have_no_seam) {
   for (int i = 0; i <= 15; i++) {
     double sine, cosine;

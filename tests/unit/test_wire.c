@@ -6,9 +6,9 @@ enum { REPEATS = 50, MARGIN = 16, GUARD = 0xa5 };
 
 /* ---- structures: every one of the list ---------------------------------------------------- */
 
-/* Bytes that decode and encode to themselves, at every offset: none is zero, so that no text ends
- * early. Nothing before or after the structure is written. That numbers are little-endian is known
- * from the Python client, which packs them by its own list. */
+/* Random bytes decode and encode to themselves at every offset, and nothing around them is written.
+ * No byte is zero, so that no text ends early. The tests with the Python client, which has a list
+ * of its own, show that numbers are little-endian. */
 #define WIRE_STRUCTURE(name, about)                                                                \
   static void round_trip_##name(uint64_t *random) {                                                \
     for (size_t offset = 0; offset < MARGIN; offset++) {                                           \
@@ -35,7 +35,7 @@ UNIT_TEST(structures_survive_the_round_trip) {
   }
 }
 
-/* Their sizes are part of the protocol. */
+/* The sizes of structures are part of the protocol. */
 UNIT_TEST(structures_have_their_sizes) {
   assert_int_equal(WIRE_BYTES_header, 24);
   assert_int_equal(WIRE_BYTES_hello_request, 8);
@@ -112,7 +112,7 @@ static void assert_header(wire_header header, uint64_t max_payload_bytes, enum w
   assert_int_equal(strlen(error.allowed) > 0, status != WIRE_STATUS_OK);
 }
 
-/* The first fault counts: magic, version, then the length against the limit and the alignment. */
+/* The first fault of a header counts, in this order: magic, version, length. */
 UNIT_TEST(headers_are_checked) {
   static const struct {
     uint32_t magic;
@@ -132,7 +132,7 @@ UNIT_TEST(headers_are_checked) {
       {WIRE_MAGIC, 99, 64, 63, WIRE_STATUS_BAD_VERSION, "version"},
       {WIRE_MAGIC, 0, 64, 1024, WIRE_STATUS_BAD_VERSION, "version"},
       {0, 99, 64, 1024, WIRE_STATUS_BAD_MAGIC, "magic"},
-      {0x4449504c, WIRE_VERSION, 64, 1024, WIRE_STATUS_BAD_MAGIC, "magic"}, /* bytes swapped */
+      {0x4449504c, WIRE_VERSION, 64, 1024, WIRE_STATUS_BAD_MAGIC, "magic"}, /* big-endian magic */
   };
   wire_header header = good_header;
   for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
@@ -187,7 +187,7 @@ static void assert_choices_hold(enum wire_choice_kind kind, const core_choice *l
   }
 }
 
-/* Every list of the core, uncut, then the statuses. */
+/* The choices are all lists of core, complete, and then the statuses. */
 UNIT_TEST(choices_hold_every_list) {
   static const core_choice statuses[] = {
 #define WIRE_STATUS(code, IDENT, modbus_exception, name, text) {code, name, text},

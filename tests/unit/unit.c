@@ -4,7 +4,7 @@
 
 enum { TESTS_MAX = 64 };
 
-/* Entries without a name are not run. */
+/* The tests by line of their file. cmocka does not run entries without a name. */
 static struct CMUnitTest tests[TESTS_MAX];
 static int lines[TESTS_MAX];
 static size_t test_count;

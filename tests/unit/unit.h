@@ -1,4 +1,4 @@
-/* unit: what the test programs in C share: main(), cmocka with the headers that it needs first,
+/* unit: the parts that all test programs in C share: main(), cmocka and the headers that it needs,
  * random numbers from a printed seed, and an assertion on faults. */
 #ifndef DIPOLED_TESTS_UNIT_H
 #define DIPOLED_TESTS_UNIT_H
@@ -66,8 +66,8 @@ core_parameters unit_parameters(unsigned model, const core_medium *medium);
 /* Reads a whole file as text, which the caller frees. Returns NULL if there is no such file. */
 char *unit_read_file(const char *path);
 
-/* Checks that the tables of a document, which `make docs` writes, are what a describe function
- * appends now. */
+/* Checks that the tables in a document are current, that is, what describe() appends now. `make
+ * docs` writes them. */
 void unit_assert_tables(const char *path,
                         void (*describe)(void (*append)(void *context, const char *text),
                                          void *context));
