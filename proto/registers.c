@@ -9,6 +9,13 @@ const registers_block registers_blocks[REGISTERS_BLOCKS] = {
 #include "proto/registers.def"
 };
 
+const registers_job registers_jobs[REGISTERS_JOBS] = {
+#define REGISTERS_JOB(IDENT, MESSAGE, commit, cancel, deadline, status, place, progress,           \
+                      error_text)                                                                  \
+  {WIRE_TYPE_##MESSAGE, commit, cancel, deadline, status, place, progress, error_text},
+#include "proto/registers.def"
+};
+
 const registers_field registers_fields[] = {
 #define REGISTERS_FIELD(IDENT, address, count, TYPE, ACCESS, name, unit, least, most, list,        \
                         initial, about)                                                            \
@@ -69,8 +76,8 @@ static const registers_field *find(unsigned address) {
                                                           : NULL;
 }
 
-/* Registers and mirrors alternate: blocks from 0 on, mirrors from 2000 on, blocks from 4000 on, and so
- * forth. */
+/* Registers and mirrors alternate: blocks from 0 on, mirrors from 2000 on, blocks from 4000 on, and
+ * so forth. */
 static bool is_mirror(unsigned address) {
   return address / REGISTERS_MIRROR % 2 == 1;
 }
@@ -80,9 +87,9 @@ static unsigned unmirrored(unsigned address) {
   return is_mirror(address) ? address - REGISTERS_MIRROR : address;
 }
 
-/* 1 for registers of floats, whose two words the mirror swaps. Floats start at even addresses. */
+/* 1 for values of two words, which the mirror swaps. They start at even addresses. */
 #define SWAP_U16 0
-#define SWAP_U32 0
+#define SWAP_U32 1
 #define SWAP_F32 1
 #define SWAP_F64 0
 #define SWAP_TEXT 0
@@ -121,13 +128,25 @@ bool registers_include(unsigned address, unsigned count, unsigned another) {
   return another - address < count || another + REGISTERS_MIRROR - address < count;
 }
 
-unsigned registers_of_field(const char *field, uint64_t index) {
+static bool is_input_block(unsigned block) {
+  return block == block_at[REGISTERS_AT_COMMIT] || block == block_at[REGISTERS_AT_WANTED];
+}
+
+unsigned registers_of_field(const registers_job *job, const char *field, uint64_t index) {
+  const unsigned own = block_at[job->commit];
+  const registers_field *found = NULL;
   for (const registers_field *at = registers_fields; at->name != NULL; at++) {
-    if (at->access != REGISTERS_RO && strcmp(at->name, field) == 0) {
-      return at->address + (unsigned)(index < at->count ? index : 0) * registers_width(at->type);
+    const unsigned block = block_at[at->address];
+    if (at->access != REGISTERS_RO && strcmp(at->name, field) == 0 &&
+        (block == own || (found == NULL && is_input_block(block)))) {
+      found = at;
     }
   }
-  return REGISTERS_AT_COMMIT;
+  if (found == NULL) {
+    return job->commit;
+  }
+  return found->address +
+         (unsigned)(index < found->count ? index : 0) * registers_width(found->type);
 }
 
 /* ---- values ---------------------------------------------------------------------------------- */
@@ -215,8 +234,7 @@ double registers_number(const uint16_t image[REGISTERS_END], unsigned address) {
   return (double)value;
 }
 
-double registers_optional(const uint16_t image[REGISTERS_END], unsigned parameter) {
-  const unsigned address = REGISTERS_PARAMETER_AT(parameter);
+double registers_optional(const uint16_t image[REGISTERS_END], unsigned address) {
   return is_given(find(address), (double)registers_f32(image, address))
              ? registers_number(image, address)
              : (double)NAN;
@@ -306,12 +324,14 @@ static wire_error check_address(unsigned here, unsigned end, unsigned *at,
 /* The value of a field that a write changes; `words` are its registers. `swapped`: it is written in
  * the mirror. */
 static double value_of(const registers_field *field, const uint8_t *words, bool swapped) {
-  const uint16_t first = word_at(words, 0);
-  if (field->type != REGISTERS_F32) {
-    return first;
+  const uint16_t one = word_at(words, 0);
+  if (registers_width(field->type) == 1) {
+    return one;
   }
-  const uint16_t second = word_at(words, 1);
-  return (double)(swapped ? float_of(second, first) : float_of(first, second));
+  const uint16_t other = word_at(words, 1);
+  const uint16_t high = swapped ? other : one, low = swapped ? one : other;
+  return field->type == REGISTERS_F32 ? (double)float_of(high, low)
+                                      : (double)((uint32_t)high << 16 | low);
 }
 
 wire_error registers_check(unsigned address, unsigned count, const uint8_t *values, unsigned *at) {

@@ -19,7 +19,7 @@
 enum {
   REGISTERS_RADII_MAX = 50,
   REGISTERS_MIRROR = 2000, /* distance from a register to its mirror, if it has one */
-  REGISTERS_END = 6100,    /* registers in an image */
+  REGISTERS_END = 8000,    /* registers in an image */
   REGISTERS_COILS = 100,   /* coils, from address 0 on */
   REGISTERS_ERROR_TEXT_BYTES = 80,
 };
@@ -35,6 +35,15 @@ enum {
   REGISTERS_BLOCKS = 0
 #define REGISTERS_BLOCK(id, IDENT, first, length, name, about) +1
 #include "proto/registers.def"
+};
+
+/* The kinds of jobs, from 0 on. */
+enum registers_job_kind {
+#define REGISTERS_JOB(IDENT, MESSAGE, commit, cancel, deadline, status, place, progress,           \
+                      error_text)                                                                  \
+  REGISTERS_JOB_##IDENT,
+#include "proto/registers.def"
+  REGISTERS_JOBS
 };
 
 /* The PDU address of each field: REGISTERS_AT_COMMIT and so on. */
@@ -62,8 +71,30 @@ enum registers_status {
   REGISTERS_STATUS_IDLE,
   REGISTERS_STATUS_BUSY,
   REGISTERS_STATUS_DONE,
-  REGISTERS_STATUS_ERROR
+  REGISTERS_STATUS_ERROR,
+  REGISTERS_STATUS_CANCELLED
 };
+
+/* Where the other fields of a job are, from `status` on. */
+enum registers_behind_status {
+  REGISTERS_BEHIND_DONE = 1,
+  REGISTERS_BEHIND_ERROR,
+  REGISTERS_BEHIND_ERROR_ADDRESS,
+  REGISTERS_BEHIND_SEQUENCE,
+  REGISTERS_BEHIND_COUNT,
+};
+
+/* The PDU addresses of the fields that all kinds of jobs have. */
+typedef struct registers_job {
+  unsigned message; /* of the protocol */
+  unsigned commit;
+  unsigned cancel;
+  unsigned deadline; /* 0: there is none */
+  unsigned status;
+  unsigned place;
+  unsigned progress; /* 0: there is none */
+  unsigned error_text;
+} registers_job;
 
 typedef struct registers_block {
   unsigned id;
@@ -89,6 +120,8 @@ typedef struct registers_field {
 
 extern const registers_block registers_blocks[REGISTERS_BLOCKS];
 
+extern const registers_job registers_jobs[REGISTERS_JOBS];
+
 /* The fields in the order of registers.def. The last entry has the name NULL. */
 extern const registers_field registers_fields[];
 
@@ -103,12 +136,12 @@ bool registers_readable(unsigned address, unsigned count);
 
 /* Checks a write of `count` registers from an address on. `values` holds them as in a PDU. First it
  * checks that all of them are writable and each value is whole, then that each value is in its
- * range. Returns status OK, BAD_ADDRESS or BAD_VALUE. With a fault, *at is the first register of the
- * value at fault, not its mirror. */
+ * range. Returns status OK, BAD_ADDRESS or BAD_VALUE. With a fault, *at is the first register of
+ * the value at fault, not its mirror. */
 wire_error registers_check(unsigned address, unsigned count, const uint8_t *values, unsigned *at);
 
-/* Writes registers that registers_check() has passed, and their mirrors. If that sets `defaults`, all
- * other registers that can be written get their defaults before. */
+/* Writes registers that registers_check() has passed, and their mirrors. If that sets `defaults`,
+ * all other registers that can be written get their defaults before. */
 void registers_write(uint16_t image[REGISTERS_END], unsigned address, unsigned count,
                      const uint8_t *values);
 
@@ -116,9 +149,10 @@ void registers_write(uint16_t image[REGISTERS_END], unsigned address, unsigned c
  * mirror. */
 bool registers_include(unsigned address, unsigned count, unsigned another);
 
-/* Returns the register of block 2 or 3 that a field of an eval request comes from; `index` is the
- * position in an array. Returns REGISTERS_AT_COMMIT if the field has no register. */
-unsigned registers_of_field(const char *field, uint64_t index);
+/* Returns the register that a field of a job's request comes from: in the block of its commit, or
+ * else in block 2 or 3. `index` is the position in an array. Returns that commit if the field has
+ * no register. */
+unsigned registers_of_field(const registers_job *job, const char *field, uint64_t index);
 
 /* Read one value of an image. */
 static inline uint16_t registers_u16(const uint16_t image[REGISTERS_END], unsigned address) {
@@ -132,6 +166,10 @@ static inline float registers_f32(const uint16_t image[REGISTERS_END], unsigned 
   return value;
 }
 
+static inline uint32_t registers_u32(const uint16_t image[REGISTERS_END], unsigned address) {
+  return (uint32_t)image[address] << 16 | image[address + 1];
+}
+
 /* Set one value and its mirror, if it has one. */
 void registers_set_u16(uint16_t image[REGISTERS_END], unsigned address, unsigned value);
 void registers_set_u32(uint16_t image[REGISTERS_END], unsigned address, uint32_t value);
@@ -142,13 +180,14 @@ void registers_set_f64(uint16_t image[REGISTERS_END], unsigned address, double v
 void registers_set_text(uint16_t image[REGISTERS_END], unsigned address, unsigned count,
                         const char *text);
 
-/* Returns the value of a float field. A float32 that is the nearest to a limit of the field counts as
- * this limit: (float)0.001 is above 0.001, and (float)1e-6 is below 1e-6. The limits are those of the
- * field's range, for eta also those of the moments, and for the tolerance also that of lut. */
+/* Returns the value of a field of type F32. A float32 that is the nearest to a limit of the field
+ * counts as this limit: (float)0.001 is above 0.001, and (float)1e-6 is below 1e-6. The limits are
+ * those of the field's range, for eta also those of the moments, and for the tolerance also that of
+ * lut. */
 double registers_number(const uint16_t image[REGISTERS_END], unsigned address);
 
-/* Returns the value of a parameter, or NaN if it is not given. */
-double registers_optional(const uint16_t image[REGISTERS_END], unsigned parameter);
+/* Returns the value of an optional field, or NaN if it is not given. */
+double registers_optional(const uint16_t image[REGISTERS_END], unsigned address);
 
 /* Writes the bits that a field of type BITS may be a sum of, for example "a sum of 1, 2, 4". */
 void registers_bits_text(const registers_field *field, char *text, size_t room);

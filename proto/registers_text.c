@@ -56,6 +56,8 @@ static const char *list_name(const core_choice *list) {
   return list == core_models         ? "models"
          : list == core_evaluators   ? "evaluators"
          : list == core_moments_list ? "moments"
+         : list == core_draws        ? "draws"
+         : list == core_lengths      ? "lengths"
                                      : "spacings";
 }
 
@@ -173,6 +175,8 @@ void registers_describe(void (*print)(void *context, const char *text), void *co
   describe_list(&to, "Evaluators", core_evaluators);
   describe_list(&to, "Moments", core_moments_list);
   describe_list(&to, "Spacings", core_spacings);
+  describe_list(&to, "Draws", core_draws);
+  describe_list(&to, "Lengths", core_lengths);
   describe_list(&to, "Notes", core_notes);
   describe_errors(&to);
 }

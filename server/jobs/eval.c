@@ -470,7 +470,7 @@ enum job_outcome eval_job_start(struct eval_job *eval, wire_error error,
     return job_refuse(&eval->job, error);
   }
   eval->repeated = NULL;
-  job_init_lookup(&eval->lookup, request);
+  job_init_lookup(&eval->job, &eval->lookup, request);
   start_profiles(eval);
   eval->job.part_bytes = eval->layout.payload_bytes;
   return JOB_NEXT_PART;

@@ -121,7 +121,7 @@ static enum job_outcome start(struct job *job, const struct job_request *request
   invert->reach_known = false;
   invert->seeking = false;
   const core_parameters none = core_parameters_none();
-  job_init_lookup(&invert->lookup, request);
+  job_init_lookup(job, &invert->lookup, request);
   profiles_start(&invert->lookup, fixed->model, fixed->moments, CORE_EVALUATOR_F64, &none);
   cut(invert, &job->context->server->options);
   job->part_bytes = invert_reply_bytes(invert->count);

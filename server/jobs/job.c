@@ -27,6 +27,7 @@ enum job_outcome job_start(struct job_slot *slot, const struct job_request *requ
   job->rests = false;
   job->large = false;
   job->latency = LATENCY_OTHER;
+  job->lookup = NULL;
   return job->kind != NULL ? job->kind->start(job, request)
                            : job_refuse(job, wire_error_make(WIRE_STATUS_BAD_TYPE, "type",
                                                              "a message of the protocol"));
@@ -42,7 +43,9 @@ void job_end(struct job *job) {
   }
 }
 
-void job_init_lookup(struct profiles_lookup *lookup, const struct job_request *request) {
+void job_init_lookup(struct job *job, struct profiles_lookup *lookup,
+                     const struct job_request *request) {
+  job->lookup = lookup;
   lookup->on_ready = request->on_ready;
   lookup->context = request->owner;
   lookup->owner = request->profiles;

@@ -116,7 +116,8 @@ struct job {
   bool large;          /* whether the job is in context->large */
   LIST_ENTRY(job) in_large;
   enum latency_class latency;
-  struct job *next;   /* of a detached job: the next one in the connection's list */
+  struct profiles_lookup *lookup; /* gets the job's profiles; NULL if it has none */
+  struct job *next;               /* of a detached job: the next one in the connection's list */
   bool reader_idle;   /* of a detached job: the output is empty, so it may report progress */
   wire_error refusal; /* set with JOB_REFUSED */
 };
@@ -139,8 +140,9 @@ enum job_outcome job_start(struct job_slot *slot, const struct job_request *requ
  * owed_radii and calls the kind's end(). */
 void job_end(struct job *job);
 
-/* Sets up a lookup of profiles for a job, which calls request->on_ready() after a wait. */
-void job_init_lookup(struct profiles_lookup *lookup, const struct job_request *request);
+/* Sets up the lookup of a job's profiles, which calls request->on_ready() after a wait. */
+void job_init_lookup(struct job *job, struct profiles_lookup *lookup,
+                     const struct job_request *request);
 
 /* ---- admission control ----------------------------------------------------------------------- */
 

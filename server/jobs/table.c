@@ -28,7 +28,7 @@ static enum job_outcome start(struct job *job, const struct job_request *from) {
   if (fault.field != NULL) {
     return job_refuse(job, job_error(fault));
   }
-  job_init_lookup(&table->lookup, from);
+  job_init_lookup(&table->job, &table->lookup, from);
   profiles_start(&table->lookup, fixed->model, fixed->moments, CORE_EVALUATOR_LUT,
                  &request->parameters);
   return JOB_GOES_ON;

@@ -49,6 +49,7 @@ static unsigned read_registers(struct modbus_unit *unit, const struct modbus_req
   if (reads_statistics(request)) {
     refresh_statistics(unit);
   }
+  modbus_unit_refresh(unit, request->address, request->count);
   return 0;
 }
 
@@ -71,8 +72,10 @@ static unsigned write_and_read(struct modbus_unit *unit, const struct modbus_req
     modbus_unit_note_refusal(unit, &error, request->address);
     return exception;
   }
-  return modbus_unit_write(unit, request->write_address, request->write_count, request->values,
-                           client);
+  const unsigned refused = modbus_unit_write(unit, request->write_address, request->write_count,
+                                             request->values, client);
+  modbus_unit_refresh(unit, request->address, request->count);
+  return refused;
 }
 
 static unsigned carry_out(struct modbus_unit *unit, const struct modbus_request *request,

@@ -6,6 +6,20 @@
 #include "proto/channels.h"
 
 _Static_assert(REGISTERS_RADII_MAX % 2 == 0, "arrays of the most radii need no padding");
+_Static_assert(WIRE_BYTES_eval_request + WIRE_BYTES_medium +
+                       CORE_PARAMETERS_END * WIRE_BYTES_parameter +
+                       REGISTERS_RADII_MAX * sizeof(double) <=
+                   MODBUS_QUESTION_BYTES,
+               "the request of an eval is shorter");
+_Static_assert(WIRE_BYTES_sample_request + WIRE_BYTES_medium +
+                       CORE_PARAMETERS_END * WIRE_BYTES_parameter +
+                       REGISTERS_RADII_MAX * sizeof(double) <=
+                   MODBUS_QUESTION_BYTES,
+               "the request of a sample is shorter");
+_Static_assert(WIRE_BYTES_eval_reply + WIRE_BYTES_channel +
+                       3 * REGISTERS_RADII_MAX * sizeof(double) <=
+                   MODBUS_REPLY_BYTES,
+               "the reply to an eval is shorter");
 
 /* ---- input ----------------------------------------------------------------------------------- */
 
@@ -23,17 +37,18 @@ static size_t put_medium(uint8_t *at, const uint16_t image[REGISTERS_END]) {
 static core_parameters parameters_of(const uint16_t image[REGISTERS_END]) {
   core_parameters parameters;
   for (unsigned id = 0; id < CORE_PARAMETERS_END; id++) {
-    parameters.value[id] = id > 0 ? registers_optional(image, id) : (double)NAN;
+    parameters.value[id] =
+        id > 0 ? registers_optional(image, REGISTERS_PARAMETER_AT(id)) : (double)NAN;
   }
   return parameters;
 }
 
-/* Writes the listed radii in the precision of the evaluator, and padding. Returns the bytes
- * written. */
-static size_t put_list(uint8_t *at, const uint16_t image[REGISTERS_END], size_t value_bytes) {
-  const unsigned count = registers_u16(image, REGISTERS_AT_RADIUS_COUNT);
+/* Writes `count` floats from an address on, in the precision of the evaluator, and padding. Returns
+ * the bytes written. */
+static size_t put_list(uint8_t *at, const uint16_t image[REGISTERS_END], unsigned address,
+                       unsigned count, size_t value_bytes) {
   for (unsigned i = 0; i < count; i++) {
-    const float r = registers_f32(image, REGISTERS_AT_RADII + 2 * i);
+    const float r = registers_f32(image, address + 2 * i);
     const double wide = (double)r;
     memcpy(at + i * value_bytes, value_bytes == sizeof r ? (const void *)&r : (const void *)&wide,
            value_bytes);
@@ -43,7 +58,7 @@ static size_t put_list(uint8_t *at, const uint16_t image[REGISTERS_END], size_t 
   return bytes;
 }
 
-size_t modbus_translate_input(const uint16_t image[REGISTERS_END], uint8_t *question) {
+static size_t put_eval(const uint16_t image[REGISTERS_END], uint8_t *question) {
   const core_parameters parameters = parameters_of(image);
   const unsigned spacing = registers_u16(image, REGISTERS_AT_SPACING);
   const bool grid = spacing != CORE_SPACING_LIST;
@@ -64,8 +79,97 @@ size_t modbus_translate_input(const uint16_t image[REGISTERS_END], uint8_t *ques
   bytes += put_medium(question + bytes, image);
   bytes += channels_put_parameters(question + bytes, &parameters);
   if (!grid) {
-    bytes += put_list(question + bytes, image, core_evaluator_bytes(fixed.evaluator));
+    bytes += put_list(question + bytes, image, REGISTERS_AT_RADII, (unsigned)fixed.radius_count,
+                      core_evaluator_bytes(fixed.evaluator));
   }
+  return bytes;
+}
+
+/* The quantities of a sample that have registers. */
+#define SAMPLE_WANTED (CORE_QUANTITY_RADIUS | CORE_QUANTITY_PDF)
+
+static size_t put_sample(const uint16_t image[REGISTERS_END], uint8_t *question) {
+  const core_parameters parameters = parameters_of(image);
+  const unsigned draw = registers_u16(image, REGISTERS_AT_SAMPLE_DRAW);
+  const bool seeded = draw == CORE_DRAW_RANDOM || draw == CORE_DRAW_STRATIFIED;
+  const wire_sample_request fixed = {
+      .model = registers_u16(image, REGISTERS_AT_MODEL),
+      .evaluator = registers_u16(image, REGISTERS_AT_EVALUATOR),
+      .moments = registers_u16(image, REGISTERS_AT_MOMENTS),
+      .wanted = SAMPLE_WANTED,
+      .medium_count = 1,
+      .draw = (uint16_t)draw,
+      .parameter_count = (uint16_t)channels_count_parameters(&parameters),
+      .sample_count = registers_u16(image, REGISTERS_AT_SAMPLE_SAMPLE_COUNT),
+      .sample_first =
+          draw == CORE_DRAW_RANDOM ? registers_u32(image, REGISTERS_AT_SAMPLE_SAMPLE_FIRST) : 0,
+      .seed = seeded ? registers_u32(image, REGISTERS_AT_SAMPLE_SEED) : 0,
+  };
+  wire_put_sample_request(question, &fixed);
+  size_t bytes = WIRE_BYTES_sample_request;
+  bytes += put_medium(question + bytes, image);
+  bytes += channels_put_parameters(question + bytes, &parameters);
+  if (draw == CORE_DRAW_LIST) {
+    bytes += put_list(question + bytes, image, REGISTERS_AT_SAMPLE_U, (unsigned)fixed.sample_count,
+                      core_evaluator_bytes(fixed.evaluator));
+  }
+  return bytes;
+}
+
+static size_t put_numbers(uint8_t *at, const uint16_t image[REGISTERS_END], unsigned address,
+                          unsigned count) {
+  for (unsigned i = 0; i < count; i++) {
+    const double value = registers_number(image, address + 2 * i);
+    memcpy(at + i * sizeof value, &value, sizeof value);
+  }
+  return count * sizeof(double);
+}
+
+static size_t put_invert(const uint16_t image[REGISTERS_END], uint8_t *question) {
+  const unsigned count = registers_u16(image, REGISTERS_AT_INVERT_MEDIUM_COUNT);
+  const wire_invert_request fixed = {
+      .model = registers_u16(image, REGISTERS_AT_MODEL),
+      .moments = registers_u16(image, REGISTERS_AT_MOMENTS),
+      .given = registers_u16(image, REGISTERS_AT_INVERT_GIVEN),
+      .medium_count = count,
+      .g = registers_number(image, REGISTERS_AT_G),
+      .eta = registers_number(image, REGISTERS_AT_ETA),
+  };
+  wire_put_invert_request(question, &fixed);
+  size_t bytes = WIRE_BYTES_invert_request;
+  bytes += put_numbers(question + bytes, image, REGISTERS_AT_INVERT_ALBEDO, count);
+  return bytes + put_numbers(question + bytes, image, REGISTERS_AT_INVERT_LENGTH, count);
+}
+
+static size_t put_mc(const uint16_t image[REGISTERS_END], uint8_t *question) {
+  const double thickness = registers_optional(image, REGISTERS_AT_PARAMETER_THICKNESS);
+  const double error_total = registers_optional(image, REGISTERS_AT_MC_ERROR_TOTAL);
+  const double error_rings = registers_optional(image, REGISTERS_AT_MC_ERROR_RINGS);
+  const wire_mc_request fixed = {
+      .spacing = registers_u16(image, REGISTERS_AT_MC_SPACING),
+      .ring_count = registers_u16(image, REGISTERS_AT_MC_RING_COUNT),
+      .radius_start = registers_number(image, REGISTERS_AT_RADIUS_START),
+      .radius_stop = registers_number(image, REGISTERS_AT_RADIUS_STOP),
+      .thickness = isnan(thickness) ? (double)INFINITY : thickness,
+      .seed = registers_u32(image, REGISTERS_AT_MC_SEED),
+      .photons = (uint64_t)registers_number(image, REGISTERS_AT_MC_PHOTONS),
+      .error_total = isnan(error_total) ? 0 : error_total,
+      .error_rings = isnan(error_rings) ? 0 : error_rings,
+  };
+  wire_put_mc_request(question, &fixed);
+  return WIRE_BYTES_mc_request + put_medium(question + WIRE_BYTES_mc_request, image);
+}
+
+size_t modbus_translate_input(enum registers_job_kind kind, const uint16_t image[REGISTERS_END],
+                              uint8_t *question) {
+  static size_t (*const put[REGISTERS_JOBS])(const uint16_t image[REGISTERS_END],
+                                             uint8_t *question) = {
+      [REGISTERS_JOB_EVAL] = put_eval,
+      [REGISTERS_JOB_SAMPLE] = put_sample,
+      [REGISTERS_JOB_INVERT] = put_invert,
+      [REGISTERS_JOB_MC] = put_mc,
+  };
+  const size_t bytes = put[kind](image, question);
   assert(bytes <= MODBUS_QUESTION_BYTES);
   return bytes;
 }
@@ -138,12 +242,16 @@ static double largest(const struct values *radii, unsigned count) {
   return most;
 }
 
+/* Returns the largest numerical error of values at radii up to r. rounded: the values have been
+ * rounded from double precision to float registers. */
+static float stated_error(const wire_channel *channel, double r, bool rounded) {
+  return rounded_up(channel->numerical_error + channel->numerical_error_per_mm * r +
+                    (rounded ? 0x1p-24 : 0));
+}
+
 static void set_errors(uint16_t image[REGISTERS_END], const wire_channel *channel, double r,
                        bool rounded) {
-  const double numerical =
-      channel->numerical_error + channel->numerical_error_per_mm * r +
-      (rounded ? 0x1p-24 : 0); /* the error of rounding double precision to float registers */
-  registers_set_f32(image, REGISTERS_AT_NUMERICAL_ERROR, rounded_up(numerical));
+  registers_set_f32(image, REGISTERS_AT_NUMERICAL_ERROR, stated_error(channel, r, rounded));
   registers_set_f32(image, REGISTERS_AT_MODEL_ERROR, rounded_up(channel->model_error));
   registers_set_f32(image, REGISTERS_AT_ALBEDO, (float)channel->albedo);
   registers_set_f64(image, REGISTERS_AT_NUMERICAL_ERROR_DOUBLE, channel->numerical_error);
@@ -162,8 +270,8 @@ static struct values array_of(const uint8_t *reply, const eval_layout *layout,
                          value_bytes};
 }
 
-void modbus_translate_reply(const uint8_t *question, const uint8_t *reply,
-                            uint16_t image[REGISTERS_END]) {
+static void take_eval(const uint8_t *question, const uint8_t *reply, size_t reply_bytes,
+                      uint16_t image[REGISTERS_END]) {
   wire_eval_request asked;
   wire_eval_reply start;
   wire_channel channel;
@@ -172,7 +280,7 @@ void modbus_translate_reply(const uint8_t *question, const uint8_t *reply,
   wire_get_eval_reply(reply, &start);
   const unsigned count = (unsigned)start.radius_count;
   const bool fits =
-      eval_reply_layout(start.evaluator, start.wanted, 1, count, MODBUS_REPLY_BYTES, &layout);
+      eval_reply_layout(start.evaluator, start.wanted, 1, count, reply_bytes, &layout);
   assert(fits && count <= REGISTERS_RADII_MAX);
   wire_get_channel(reply + layout.channels_offset, &channel);
 
@@ -192,4 +300,135 @@ void modbus_translate_reply(const uint8_t *question, const uint8_t *reply,
   registers_set_u16(image, REGISTERS_AT_MODEL_TAKEN, start.model);
   registers_set_u16(image, REGISTERS_AT_EVALUATOR_TAKEN, start.evaluator);
   registers_set_u16(image, REGISTERS_AT_NOTES, start.notes);
+}
+
+static void take_sample(const uint8_t *question, const uint8_t *reply, size_t reply_bytes,
+                        uint16_t image[REGISTERS_END]) {
+  (void)question;
+  wire_eval_reply start;
+  wire_channel channel;
+  eval_layout layout;
+  const bool whole = eval_reply_parse(reply, reply_bytes, true, &start, &layout);
+  assert(whole && start.radius_count <= REGISTERS_RADII_MAX);
+  wire_get_channel(reply + layout.channels_offset, &channel);
+  const size_t value_bytes = core_evaluator_bytes(start.evaluator);
+  const unsigned drawn = SAMPLE_WANTED | EVAL_DRAWN;
+  const struct values radii = {reply + eval_array_offset(&layout, drawn, 0, CORE_QUANTITY_RADIUS),
+                               value_bytes};
+  const struct values pdf = {reply + eval_array_offset(&layout, drawn, 0, CORE_QUANTITY_PDF),
+                             value_bytes};
+  const unsigned count = (unsigned)start.radius_count;
+  const unsigned before = registers_u16(image, REGISTERS_AT_SAMPLE_COUNT);
+  set_values(image, REGISTERS_AT_SAMPLE_R, 0, &radii, count, before);
+  set_values(image, REGISTERS_AT_SAMPLE_PDF, 0, &pdf, count, before);
+  registers_set_f32(image, REGISTERS_AT_SAMPLE_NUMERICAL_ERROR,
+                    stated_error(&channel, largest(&radii, count), value_bytes == sizeof(double)));
+  registers_set_f32(image, REGISTERS_AT_SAMPLE_MODEL_ERROR, rounded_up(channel.model_error));
+  registers_set_u16(image, REGISTERS_AT_SAMPLE_COUNT, count);
+  registers_set_u16(image, REGISTERS_AT_SAMPLE_NOTES, start.notes);
+}
+
+static void take_invert(const uint8_t *question, const uint8_t *reply, size_t reply_bytes,
+                        uint16_t image[REGISTERS_END]) {
+  static const unsigned at[INVERT_ARRAYS] = {
+      REGISTERS_AT_INVERT_SIGMA_A, REGISTERS_AT_INVERT_SIGMA_S, REGISTERS_AT_INVERT_ALBEDO_FOUND};
+  (void)question;
+  wire_invert_reply start;
+  const bool whole = invert_reply_parse(reply, reply_bytes, &start);
+  assert(whole && start.part_count == 1 && start.medium_count <= REGISTERS_RADII_MAX);
+  const unsigned count = (unsigned)start.medium_count;
+  const unsigned before = registers_u16(image, REGISTERS_AT_INVERT_COUNT);
+  for (unsigned i = 0; i < INVERT_ARRAYS; i++) {
+    const struct values values = {reply + invert_array_offset(i, count), sizeof(double)};
+    set_values(image, at[i], 0, &values, count, before);
+  }
+  registers_set_u16(image, REGISTERS_AT_INVERT_COUNT, count);
+  registers_set_u16(image, REGISTERS_AT_INVERT_MISSING_COUNT, (unsigned)start.missing_count);
+  registers_set_f32(image, REGISTERS_AT_INVERT_ALBEDO_LEAST, (float)start.albedo_least);
+  registers_set_f32(image, REGISTERS_AT_INVERT_ALBEDO_MOST, (float)start.albedo_most);
+}
+
+/* Writes the progress of an mc job, which every reply to its request has. */
+static void set_progress(uint16_t image[REGISTERS_END], const wire_mc_reply *reply) {
+  const double expected = (double)reply->photons_expected;
+  const double progress = expected > 0 ? (double)reply->photons / expected : 0;
+  registers_set_f32(image, REGISTERS_AT_MC_PROGRESS, (float)progress);
+  registers_set_f32(image, REGISTERS_AT_MC_PHOTONS_WALKED, (float)reply->photons);
+  registers_set_f32(image, REGISTERS_AT_MC_PHOTONS_EXPECTED, (float)expected);
+  registers_set_f32(image, REGISTERS_AT_MC_ERROR_TOTAL_NOW, rounded_up(reply->error_total));
+  registers_set_f32(image, REGISTERS_AT_MC_ERROR_RINGS_NOW, rounded_up(reply->error_rings));
+}
+
+static void set_energy(uint16_t image[REGISTERS_END], const wire_mc_energy *energy) {
+  const struct {
+    unsigned at;
+    double value;
+  } numbers[] = {
+      {REGISTERS_AT_MC_REFLECTED, energy->reflected},
+      {REGISTERS_AT_MC_TRANSMITTED, energy->transmitted},
+      {REGISTERS_AT_MC_ABSORBED, energy->absorbed},
+      {REGISTERS_AT_MC_UNFINISHED, energy->unfinished},
+      {REGISTERS_AT_MC_IMBALANCE, energy->imbalance},
+      {REGISTERS_AT_MC_UNSCATTERED, energy->unscattered[0]},
+      {REGISTERS_AT_MC_UNSCATTERED + 2, energy->unscattered[1]},
+      {REGISTERS_AT_MC_UNDER, energy->under[0]},
+      {REGISTERS_AT_MC_UNDER + 2, energy->under[1]},
+      {REGISTERS_AT_MC_OVER, energy->over[0]},
+      {REGISTERS_AT_MC_OVER + 2, energy->over[1]},
+  };
+  for (size_t i = 0; i < sizeof numbers / sizeof numbers[0]; i++) {
+    registers_set_f32(image, numbers[i].at, (float)numbers[i].value);
+  }
+  registers_set_f32(image, REGISTERS_AT_MC_REFLECTED_ERROR, rounded_up(energy->reflected_error));
+  registers_set_f32(image, REGISTERS_AT_MC_TRANSMITTED_ERROR,
+                    rounded_up(energy->transmitted_error));
+  registers_set_f32(image, REGISTERS_AT_MC_ABSORBED_ERROR, rounded_up(energy->absorbed_error));
+}
+
+static void take_mc(const uint8_t *question, const uint8_t *reply, size_t reply_bytes,
+                    uint16_t image[REGISTERS_END]) {
+  static const unsigned at[CORE_MC_SIDES][2] = {
+      {REGISTERS_AT_MC_R, REGISTERS_AT_MC_R_ERROR},
+      {REGISTERS_AT_MC_T, REGISTERS_AT_MC_T_ERROR},
+  };
+  (void)question;
+  wire_mc_reply start;
+  wire_mc_energy energy;
+  mc_layout layout;
+  const bool whole = mc_reply_parse(reply, reply_bytes, &start, &layout);
+  assert(whole);
+  set_progress(image, &start);
+  if (start.state == MC_UNDER_WAY) {
+    return;
+  }
+  wire_get_mc_energy(reply + layout.energies_offset, &energy);
+  set_energy(image, &energy);
+  const unsigned count = start.ring_count;
+  const unsigned before = registers_u16(image, REGISTERS_AT_MC_COUNT);
+  const struct values edges = {reply + layout.edges_offset, sizeof(double)};
+  set_values(image, REGISTERS_AT_MC_EDGES, 0, &edges, count + 1, before > 0 ? before + 1 : 0);
+  for (unsigned i = 0; i < 2 * CORE_MC_SIDES; i++) {
+    const unsigned side = i / 2;
+    struct values values = {NULL, sizeof(double)};
+    if (side < start.side_count) {
+      values.at = reply + mc_rings_offset(&layout, start.side_count, count, 0, side, i % 2);
+    }
+    set_values(image, at[side][i % 2], 0, &values, count, before);
+  }
+  registers_set_u16(image, REGISTERS_AT_MC_COUNT, count);
+  registers_set_u16(image, REGISTERS_AT_MC_STATE, start.state);
+  registers_set_f32(image, REGISTERS_AT_MC_PROGRESS, 1);
+}
+
+void modbus_translate_reply(enum registers_job_kind kind, const uint8_t *question,
+                            const uint8_t *reply, size_t reply_bytes,
+                            uint16_t image[REGISTERS_END]) {
+  static void (*const take[REGISTERS_JOBS])(const uint8_t *question, const uint8_t *reply,
+                                            size_t reply_bytes, uint16_t image[REGISTERS_END]) = {
+      [REGISTERS_JOB_EVAL] = take_eval,
+      [REGISTERS_JOB_SAMPLE] = take_sample,
+      [REGISTERS_JOB_INVERT] = take_invert,
+      [REGISTERS_JOB_MC] = take_mc,
+  };
+  take[kind](question, reply, reply_bytes, image);
 }

@@ -1,27 +1,34 @@
-/* translate: makes an eval request of the binary protocol from the input registers, and fills the
- * output registers from the reply. So the same code answers both protocols, with the same bits.
+/* translate: for each kind of job, makes a request of the binary protocol from the input registers,
+ * and fills the output registers from the reply. So the same code answers both protocols, with the
+ * same bits.
  */
 #ifndef DIPOLED_MODBUS_TRANSLATE_H
 #define DIPOLED_MODBUS_TRANSLATE_H
 
 #include "proto/eval.h"
+#include "proto/invert.h"
+#include "proto/mc.h"
 #include "proto/registers.h"
 
 enum {
-  MODBUS_QUESTION_BYTES = (int)WIRE_BYTES_eval_request + (int)WIRE_BYTES_medium +
-                          CORE_PARAMETERS_END * (int)WIRE_BYTES_parameter +
-                          REGISTERS_RADII_MAX * (int)sizeof(double),
-  MODBUS_REPLY_BYTES = (int)WIRE_BYTES_eval_reply + (int)WIRE_BYTES_channel +
-                       3 * REGISTERS_RADII_MAX * (int)sizeof(double),
+  /* Bytes of the longest request, that of an invert. */
+  MODBUS_QUESTION_BYTES =
+      (int)WIRE_BYTES_invert_request + 2 * REGISTERS_RADII_MAX * (int)sizeof(double),
+  /* Bytes of the longest reply, that of an mc: edges, photons, and R with its errors. */
+  MODBUS_REPLY_BYTES =
+      (int)WIRE_BYTES_mc_reply + (int)WIRE_BYTES_mc_energy +
+      (REGISTERS_RADII_MAX + 1 + 3 * CORE_MC_SIDES * REGISTERS_RADII_MAX) * (int)sizeof(double),
 };
 
 /* Writes the payload of the request to `question`, which is at a multiple of 8. Returns the length
  * of the payload, at most MODBUS_QUESTION_BYTES. */
-size_t modbus_translate_input(const uint16_t image[REGISTERS_END], uint8_t *question);
+size_t modbus_translate_input(enum registers_job_kind kind, const uint16_t image[REGISTERS_END],
+                              uint8_t *question);
 
-/* Writes the results of a reply into the output block and the float64 block of registers. question:
+/* Writes the results of a reply into the output registers, or the progress of an mc job. question:
  * the request. The caller sets the registers for status, done, sequence and the error. */
-void modbus_translate_reply(const uint8_t *question, const uint8_t *reply,
+void modbus_translate_reply(enum registers_job_kind kind, const uint8_t *question,
+                            const uint8_t *reply, size_t reply_bytes,
                             uint16_t image[REGISTERS_END]);
 
 #endif

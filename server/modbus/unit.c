@@ -6,11 +6,7 @@
 
 #include "server/net/worker.h"
 
-static struct server *server_of(const struct modbus_unit *unit) {
-  return unit->units->server;
-}
-
-/* ---- what the registers say of a job --------------------------------------------------------- */
+/* ---- errors ---------------------------------------------------------------------------------- */
 
 static unsigned exception_of(enum wire_status status) {
   switch (status) {
@@ -23,143 +19,78 @@ static unsigned exception_of(enum wire_status status) {
   return MODBUS_EXCEPTION_SLAVE_OR_SERVER_FAILURE;
 }
 
-static void set_error(struct modbus_unit *unit, unsigned status, unsigned at, const char *text) {
-  registers_set_u16(unit->registers, REGISTERS_AT_ERROR, status);
+void modbus_unit_note_refusal(struct modbus_unit *unit, const wire_error *error, unsigned at) {
+  registers_set_u16(unit->registers, REGISTERS_AT_ERROR, error->status);
   registers_set_u16(unit->registers, REGISTERS_AT_ERROR_ADDRESS, at);
   registers_set_text(unit->registers, REGISTERS_AT_ERROR_TEXT, REGISTERS_ERROR_TEXT_BYTES / 2,
-                     text);
+                     error->allowed);
 }
 
-static void clear_error(struct modbus_unit *unit) {
-  if (registers_u16(unit->registers, REGISTERS_AT_ERROR) != WIRE_STATUS_OK) {
-    set_error(unit, WIRE_STATUS_OK, 0, "");
-  }
-}
-
-void modbus_unit_note_refusal(struct modbus_unit *unit, const wire_error *error, unsigned at) {
-  set_error(unit, error->status, at, error->allowed);
-}
-
-/* Writes the error of a failed commit into the registers. */
-static void fail(struct modbus_unit *unit, const wire_error *error, unsigned at) {
-  registers_set_u16(unit->registers, REGISTERS_AT_STATUS, REGISTERS_STATUS_ERROR);
+/* Writes the reason why a write was refused into the error registers, and those of the task that it
+ * would have committed. Returns the exception. */
+static unsigned refuse(struct modbus_unit *unit, struct modbus_task *committed,
+                       const wire_error *error, unsigned at) {
   modbus_unit_note_refusal(unit, error, at);
-}
-
-static void fail_job(struct modbus_unit *unit, const wire_error *error) {
-  fail(unit, error, registers_of_field(error->field, error->index));
-}
-
-/* Writes the results into the registers and lets the client answer. */
-static void finish_job(struct modbus_unit *unit) {
-  struct client *client = unit->client;
-  unit->evaluating = false;
-  unit->client = NULL;
-  modbus_translate_reply(unit->question, unit->reply, unit->registers);
-  const unsigned sequence = registers_u16(unit->registers, REGISTERS_AT_SEQUENCE);
-  registers_set_u16(unit->registers, REGISTERS_AT_STATUS, REGISTERS_STATUS_DONE);
-  registers_set_u16(unit->registers, REGISTERS_AT_DONE, unit->token);
-  registers_set_u16(unit->registers, REGISTERS_AT_SEQUENCE, sequence + 1);
-  clear_error(unit);
-  stats_add(&server_of(unit)->stats, STATS_MODBUS_EVALUATIONS, 1);
-  if (client != NULL) {
-    client->kind->finish(client);
+  if (committed != NULL && !modbus_task_busy(committed)) {
+    modbus_task_fail(committed, error, at);
   }
-}
-
-/* ---- the job --------------------------------------------------------------------------------- */
-
-/* Notes that the job's values are in the batch. */
-static void note_evaluating(struct modbus_unit *unit) {
-  unit->evaluating = true;
-  unit->next_evaluating = unit->units->evaluating;
-  unit->units->evaluating = unit;
-  worker_finish_later(&unit->units->client);
-}
-
-/* Runs the job until its values are in the batch, it waits for its profile, or it is refused. A job
- * has at most 50 radii, so it needs one slice only, and its reply is one part. */
-static wire_error follow(struct modbus_unit *unit, enum job_outcome outcome) {
-  struct job *job = unit->job;
-  while (outcome == JOB_GOES_ON || outcome == JOB_NEXT_PART) {
-    uint64_t budget = JOB_SLICE_RADII;
-    assert(outcome == JOB_GOES_ON || job->part_bytes <= MODBUS_REPLY_BYTES);
-    outcome = outcome == JOB_GOES_ON ? job->kind->step(job, &budget)
-                                     : job->kind->begin_part(job, unit->reply);
-  }
-  unit->busy = outcome == JOB_WAITS;
-  if (!unit->busy) {
-    job_end(job);
-  }
-  if (outcome == JOB_DONE) {
-    note_evaluating(unit);
-  }
-  return outcome == JOB_REFUSED ? job->refusal : wire_error_none();
-}
-
-/* Goes on with a job whose profile has been prepared. */
-static void on_profile(void *context) {
-  struct modbus_unit *unit = context;
-  const wire_error error = follow(unit, JOB_GOES_ON);
-  if (error.status != WIRE_STATUS_OK) {
-    fail_job(unit, &error);
-  }
-}
-
-static wire_error evaluate(struct modbus_unit *unit, struct client *client) {
-  const wire_header header = {
-      .type = WIRE_TYPE_EVAL,
-      .payload_bytes = (uint32_t)modbus_translate_input(unit->registers, unit->question),
-  };
-  const struct job_request request = {
-      .header = &header,
-      .payload = unit->question,
-      .context = worker_context(unit->units->client.worker),
-      .on_ready = on_profile,
-      .owner = unit,
-      .profiles = &client->profiles,
-  };
-  const enum job_outcome outcome = job_start(&unit->slot, &request, &unit->job);
-  return outcome == JOB_REFUSED ? unit->job->refusal : follow(unit, outcome);
+  return exception_of(error->status);
 }
 
 /* ---- writing --------------------------------------------------------------------------------- */
 
 enum { WRITE_MAX = 123 }; /* registers in one request: the limit of Modbus */
 
-/* Returns the value that a write gives to the register `commit`; 0 if it does not write there. */
-static uint16_t token_of(unsigned address, unsigned count, const uint8_t *values) {
-  if (!registers_include(address, count, REGISTERS_AT_COMMIT)) {
+/* Returns the value that a write gives to a register; 0 if it does not write there. */
+static uint16_t written(unsigned address, unsigned count, const uint8_t *values, unsigned at) {
+  if (!registers_include(address, count, at)) {
     return 0;
   }
-  const unsigned at = REGISTERS_AT_COMMIT - address < count
-                          ? REGISTERS_AT_COMMIT - address
-                          : REGISTERS_AT_COMMIT + REGISTERS_MIRROR - address;
-  return (uint16_t)(values[2 * at] << 8 | values[2 * at + 1]);
+  const unsigned i = at - address < count ? at - address : at + REGISTERS_MIRROR - address;
+  return (uint16_t)(values[2 * i] << 8 | values[2 * i + 1]);
+}
+
+/* Returns the task that a write commits, or NULL. No request is long enough to commit two. */
+static struct modbus_task *committed_by(struct modbus_unit *unit, unsigned address, unsigned count,
+                                        const uint8_t *values) {
+  for (unsigned kind = 0; kind < REGISTERS_JOBS; kind++) {
+    if (written(address, count, values, registers_jobs[kind].commit) != 0) {
+      return &unit->tasks[kind];
+    }
+  }
+  return NULL;
 }
 
 /* Writes the registers and starts the job. If the job cannot be started, restores the registers. */
-static unsigned commit(struct modbus_unit *unit, unsigned address, unsigned count,
-                       const uint8_t *values, struct client *client) {
+static unsigned commit(struct modbus_unit *unit, struct modbus_task *task, unsigned address,
+                       unsigned count, const uint8_t *values, struct client *client) {
   uint8_t before[2 * WRITE_MAX];
   for (unsigned i = 0; i < count; i++) {
     before[2 * i] = (uint8_t)(unit->registers[address + i] >> 8);
     before[2 * i + 1] = (uint8_t)unit->registers[address + i];
   }
   registers_write(unit->registers, address, count, values);
-  const wire_error error = evaluate(unit, client);
+  const wire_error error = modbus_task_commit(task, client);
   if (error.status != WIRE_STATUS_OK) {
     registers_write(unit->registers, address, count, before);
-    fail_job(unit, &error);
-    return exception_of(error.status);
+    return refuse(unit, task, &error,
+                  registers_of_field(&registers_jobs[task->kind], error.field, error.index));
   }
-  clear_error(unit);
-  unit->token = registers_u16(unit->registers, REGISTERS_AT_COMMIT);
+  unit->evaluating = task->state == MODBUS_TASK_EVALUATED;
+  unit->awaited = unit->evaluating ? task : NULL;
   unit->client = unit->evaluating ? client : NULL;
-  if (unit->busy) {
-    registers_set_u16(unit->registers, REGISTERS_AT_STATUS, REGISTERS_STATUS_BUSY);
-  }
   return 0;
+}
+
+/* Ends the jobs whose register `cancel` a write sets, and sets these registers to 0. */
+static void cancel(struct modbus_unit *unit, unsigned address, unsigned count,
+                   const uint8_t *values) {
+  for (unsigned kind = 0; kind < REGISTERS_JOBS; kind++) {
+    if (written(address, count, values, registers_jobs[kind].cancel) != 0) {
+      modbus_task_cancel(&unit->tasks[kind]);
+      registers_set_u16(unit->registers, registers_jobs[kind].cancel, 0);
+    }
+  }
 }
 
 unsigned modbus_unit_write(struct modbus_unit *unit, unsigned address, unsigned count,
@@ -167,24 +98,35 @@ unsigned modbus_unit_write(struct modbus_unit *unit, unsigned address, unsigned 
   assert(count <= WRITE_MAX && !unit->evaluating);
   unsigned at = 0;
   wire_error error = registers_check(address, count, values, &at);
-  const bool commits = token_of(address, count, values) != 0;
-  if (error.status == WIRE_STATUS_OK && commits && unit->busy) {
+  struct modbus_task *task = committed_by(unit, address, count, values);
+  if (error.status == WIRE_STATUS_OK && task != NULL && modbus_task_busy(task)) {
     error = wire_error_make(WIRE_STATUS_BUSY, "commit", "0, until status is not busy");
-    at = REGISTERS_AT_COMMIT;
+    at = registers_jobs[task->kind].commit;
   }
   if (error.status != WIRE_STATUS_OK) {
-    if (commits && !unit->busy) {
-      fail(unit, &error, at);
-    } else {
-      modbus_unit_note_refusal(unit, &error, at);
+    return refuse(unit, task, &error, at);
+  }
+  unsigned exception = 0;
+  if (task != NULL) {
+    exception = commit(unit, task, address, count, values, client);
+  } else {
+    registers_write(unit->registers, address, count, values);
+  }
+  if (exception == 0) {
+    cancel(unit, address, count, values);
+  }
+  return exception;
+}
+
+void modbus_unit_refresh(struct modbus_unit *unit, unsigned address, unsigned count) {
+  for (unsigned kind = 0; kind < REGISTERS_JOBS; kind++) {
+    const registers_job *fields = &registers_jobs[kind];
+    if (registers_include(address, count, fields->place) ||
+        (fields->progress > 0 && (registers_include(address, count, fields->progress) ||
+                                  registers_include(address, count, fields->progress + 1)))) {
+      modbus_task_refresh(&unit->tasks[kind]);
     }
-    return exception_of(error.status);
   }
-  if (commits) {
-    return commit(unit, address, count, values, client);
-  }
-  registers_write(unit->registers, address, count, values);
-  return 0;
 }
 
 /* ---- all units ------------------------------------------------------------------------------- */
@@ -197,25 +139,41 @@ static void start(struct client *client) {
   (void)client; /* There is nothing to do: the first request to a unit sets up its registers. */
 }
 
-/* Called when the batch has been evaluated: writes the results of all units that were in it. */
-static void finish(struct client *client) {
-  struct modbus_units *units = units_of(client);
-  while (units->evaluating != NULL) {
-    struct modbus_unit *unit = units->evaluating;
-    units->evaluating = unit->next_evaluating;
-    finish_job(unit);
+static void run(struct client *client) {
+  modbus_queue_run(&units_of(client)->queue);
+}
+
+/* Notes that the unit's last commit has been evaluated, and lets its client answer. */
+static void finish_unit(struct modbus_unit *unit) {
+  struct client *waits = unit->client;
+  unit->evaluating = false;
+  unit->awaited = NULL;
+  unit->client = NULL;
+  if (waits != NULL) {
+    waits->kind->finish(waits);
   }
+}
+
+/* Called when the batch has been evaluated: writes the results of all tasks that were in it. */
+static void finish(struct client *client) {
+  struct modbus_task *task;
+  while ((task = modbus_queue_finish(&units_of(client)->queue)) != NULL) {
+    struct modbus_unit *unit = task->owner;
+    if (unit->awaited == task) {
+      finish_unit(unit);
+    }
+  }
+}
+
+static void deadline(struct client *client) {
+  modbus_queue_expire(&units_of(client)->queue);
 }
 
 static void end_after_last_user(struct modbus_units *units) {
   if (!units->stopping || units->users > 0) {
     return;
   }
-  for (unsigned number = 1; number <= MODBUS_UNITS; number++) {
-    if (units->units[number].busy) {
-      job_end(units->units[number].job);
-    }
-  }
+  modbus_queue_end(&units->queue);
   worker_forget(&units->client);
 }
 
@@ -232,8 +190,9 @@ static void abort_units(struct client *client) {
 struct modbus_units *modbus_units_new(struct server *server) {
   static const struct client_kind kind = {
       .start = start,
-      .run = start,
+      .run = run,
       .finish = finish,
+      .deadline = deadline,
       .stop = stop,
       .abort = abort_units,
   };
@@ -241,6 +200,7 @@ struct modbus_units *modbus_units_new(struct server *server) {
   if (units != NULL) {
     units->client.kind = &kind;
     units->server = server;
+    modbus_queue_init(&units->queue, server, &units->client);
   }
   return units;
 }
@@ -250,7 +210,7 @@ void modbus_units_join(struct modbus_units *units) {
 }
 
 void modbus_units_leave(struct modbus_units *units, struct client *client) {
-  cache_move_waiters(units->server->cache, &client->profiles, &units->client.profiles);
+  modbus_queue_move(&units->queue, client, &units->client);
   units->users--;
   end_after_last_user(units);
 }
@@ -260,6 +220,13 @@ struct modbus_unit *modbus_units_get(struct modbus_units *units, unsigned number
   if (unit->units == NULL) {
     unit->units = units;
     registers_reset(unit->registers);
+    for (unsigned kind = 0; kind < REGISTERS_JOBS; kind++) {
+      struct modbus_task *task = &unit->tasks[kind];
+      task->queue = &units->queue;
+      task->kind = kind;
+      task->registers = unit->registers;
+      task->owner = unit;
+    }
   } else if (unit->evaluating) {
     batch_finish(&worker_context(units->client.worker)->batch, &units->server->stats);
     finish(&units->client);

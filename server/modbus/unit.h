@@ -1,47 +1,40 @@
-/* unit: the registers and coils of the Modbus units, and the jobs that the registers describe.
+/* unit: the registers and coils of the Modbus units, and what a write to them does.
  *
  * Masters that name the same unit share its registers. So their requests need an order, and each
  * request has to be atomic. Both hold without a lock because all units, connections and lines
  * belong to one worker, the first. Their jobs use that worker's profiles, batch and repeated
  * requests, like the jobs of its other clients.
  *
- * Writing to the register `commit` starts a job. If its profile takes long to prepare, the register
- * `status` says busy meanwhile, and the master asks again. Otherwise the job's values are in the
- * worker's batch, and the master gets its answer when the batch has been evaluated.
+ * Writing to a register `commit` starts a job (server/modbus/task.h). If it takes longer than a
+ * slice, its register `status` says busy meanwhile, and the master asks again. Otherwise the job's
+ * values are in the worker's batch, and the master gets its answer when the batch has been
+ * evaluated.
  */
 #ifndef DIPOLED_MODBUS_UNIT_H
 #define DIPOLED_MODBUS_UNIT_H
 
-#include "server/jobs/job.h"
-#include "server/modbus/translate.h"
-#include "server/net/client.h"
+#include "server/modbus/task.h"
 
 enum { MODBUS_UNITS = 247 }; /* they have the numbers 1 to 247 */
 
 struct modbus_unit {
-  struct modbus_units *units; /* NULL: the unit has not been used yet */
-  bool busy;                  /* whether the job waits for its profile */
-  bool evaluating;            /* whether the job's values are in the batch */
-  struct modbus_unit *next_evaluating;
-  struct client
-      *client;     /* finish() is called when the job has been evaluated; NULL: nobody waits */
-  uint16_t token;  /* the value of `commit` that has started the job */
-  struct job *job; /* in the slot */
-  struct job_slot slot;
+  struct modbus_units *units;  /* NULL: the unit has not been used yet */
+  bool evaluating;             /* whether the values of the last commit are in the batch */
+  struct modbus_task *awaited; /* the task of that commit */
+  struct client *client;       /* its finish() is called then; NULL: nobody waits */
+  struct modbus_task tasks[REGISTERS_JOBS];
   uint16_t registers[REGISTERS_END];
   uint8_t coils[REGISTERS_COILS]; /* 0 or 1 each */
-  _Alignas(8) uint8_t question[MODBUS_QUESTION_BYTES];
-  _Alignas(8) uint8_t reply[MODBUS_REPLY_BYTES];
 };
 
-/* All units. Together they are a client of the worker, which takes results from the batch. They
- * exist until the last connection or line has ended. */
+/* All units. Together they are a client of the worker, which gives turns to their tasks and takes
+ * results from the batch. They exist until the last connection or line has ended. */
 struct modbus_units {
   struct client client; /* first member: see client.h */
   struct server *server;
   unsigned users; /* number of connections and lines */
   bool stopping;
-  struct modbus_unit *evaluating; /* list of the units whose values are in the batch */
+  struct modbus_queue queue;
   struct modbus_unit units[MODBUS_UNITS + 1];
 };
 
@@ -51,9 +44,9 @@ struct modbus_units *modbus_units_new(struct server *server);
 
 /* Call the functions that follow on the worker's thread only. */
 
-/* Call these when a connection or line begins and ends to use the units. After the end, its jobs
- * still wait for their profiles, because masters may come back for the results. All jobs of masters
- * that have left share the turns of one client. */
+/* Call these when a connection or line begins and ends to use the units. After the end, its jobs go
+ * on, because masters may come back for the results. All jobs of masters that have left share the
+ * turns of one client. */
 void modbus_units_join(struct modbus_units *units);
 void modbus_units_leave(struct modbus_units *units, struct client *client);
 
@@ -61,12 +54,15 @@ void modbus_units_leave(struct modbus_units *units, struct client *client);
  * evaluates the batch, so that requests take effect in their order. */
 struct modbus_unit *modbus_units_get(struct modbus_units *units, unsigned number);
 
-/* Writes registers, and starts the job if `commit` is among them. values: as in a PDU. Returns 0 on
- * success; if unit->evaluating is then true, the worker calls the client's finish() when the
- * results are in the registers. On failure, returns the Modbus exception and changes only the error
- * registers. */
+/* Writes registers, and starts a job if a `commit` is among them, or ends one if a `cancel` is.
+ * values: as in a PDU. Returns 0 on success; if unit->evaluating is then true, the worker calls the
+ * client's finish() when the results are in the registers. On failure, returns the Modbus exception
+ * and changes only the error registers. */
 unsigned modbus_unit_write(struct modbus_unit *unit, unsigned address, unsigned count,
                            const uint8_t *values, struct client *client);
+
+/* Brings `progress` and `place` up to date, if they are among these registers. */
+void modbus_unit_refresh(struct modbus_unit *unit, unsigned address, unsigned count);
 
 /* Writes the reason why a write was refused into the error registers. at: the address of the
  * register at fault. */

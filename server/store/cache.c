@@ -420,6 +420,28 @@ static enum cache_answer look(struct cache *cache, const struct cache_key *key, 
   return new ? CACHE_NEW : CACHE_KEPT;
 }
 
+/* Until its turn, the owner of the waiter has had `turns` turns. Owners that come before it in a
+ * round have one turn more, if they have so many waiters. */
+static uint64_t place_of(const struct cache *cache, const struct cache_waiter *waiter) {
+  uint64_t turns = 0;
+  for (const struct cache_waiter *before = waiter;
+       (before = TAILQ_PREV(before, cache_waiting, in_owner)) != NULL;) {
+    turns++;
+  }
+  uint64_t place = turns + cache->turn_count;
+  bool earlier = true;
+  const struct cache_owner *owner;
+  TAILQ_FOREACH(owner, &cache->turns, in_turns) {
+    if (owner == waiter->owner) {
+      earlier = false;
+    } else {
+      const uint64_t most = turns + earlier;
+      place += owner->count < most ? owner->count : most;
+    }
+  }
+  return place;
+}
+
 /* ---- public: takes the mutex ----------------------------------------------------------------- */
 
 struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, uint64_t max_waiting,
@@ -483,6 +505,17 @@ void cache_end_turn(struct cache *cache) {
   uv_mutex_lock(&cache->mutex);
   cache->turn_count--;
   uv_mutex_unlock(&cache->mutex);
+}
+
+uint64_t cache_place(const struct cache_waiter *waiter) {
+  if (waiter->entry == NULL) {
+    return 0;
+  }
+  struct cache *cache = waiter->entry->cache;
+  uv_mutex_lock(&cache->mutex);
+  const uint64_t place = waiter->owner != NULL ? place_of(cache, waiter) : 0;
+  uv_mutex_unlock(&cache->mutex);
+  return place;
 }
 
 void cache_move_waiters(struct cache *cache, struct cache_owner *from, struct cache_owner *to) {

@@ -72,9 +72,9 @@ LIST_HEAD(cache_waiters, cache_waiter);
 /* The owner of waiters for slow profiles, for example a connection. Owners take turns. Before the
  * first use, set all members to 0. The cache's mutex guards them. */
 struct cache_owner {
-  TAILQ_HEAD(, cache_waiter) waiters; /* for entries whose preparation has not begun */
-  uint64_t count;                     /* number of these waiters */
-  TAILQ_ENTRY(cache_owner) in_turns;  /* while count is above 0 */
+  TAILQ_HEAD(cache_waiting, cache_waiter) waiters; /* for entries whose preparation has not begun */
+  uint64_t count;                                  /* number of these waiters */
+  TAILQ_ENTRY(cache_owner) in_turns;               /* while count is above 0 */
 };
 
 /* The woken waiters of one thread. The cache calls `wake`, on any thread, whenever
@@ -138,6 +138,10 @@ void cache_move_waiters(struct cache *cache, struct cache_owner *from, struct ca
 
 /* Returns a waiter of this queue whose entry has been prepared or has a fault, or NULL. */
 struct cache_waiter *cache_next_woken(struct cache *cache, struct cache_queue *queue);
+
+/* Returns how many preparations come before that of the waiter's entry; 0 if it has begun, or the
+ * waiter does not wait. Waiters that come or give up change the number. */
+uint64_t cache_place(const struct cache_waiter *waiter);
 
 /* Ends the waiting of a waiter, woken or not. Does nothing if it does not wait. */
 void cache_leave(struct cache_waiter *waiter);

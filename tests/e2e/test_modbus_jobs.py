@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import struct
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from daemons import eventually
-from dipole import Grid, Refused
-from lists import EVALUATORS, MODELS, MOMENTS, needs
+from dipole import Draw, Grid, Refused
+from lists import EVALUATORS, MODELS, MOMENTS, choices, needs
 from modbus_master import (
-    AT, BAD_ADDRESS, BAD_VALUE, BUSY, DONE, ERROR, IS_BUSY, MIRROR, TCP, WRITE_REGISTER, Tcp,
-    as_doubles, as_floats, as_words, exception, floats, input_block, swapped, write_read_pdu,
+    AT, BAD_ADDRESS, BAD_VALUE, BLOCKS, BUSY, DONE, ERROR, IS_BUSY, MIRROR, TCP, WRITE_REGISTER,
+    Tcp, as_doubles, as_floats, as_words, exception, floats, input_block, swapped, words,
+    write_read_pdu,
 )
 
 SKIN = (0.032, 0.74, 0.0, 1.3)
@@ -448,3 +450,391 @@ def test_words_are_checked_before_anything_is_written(master):
     job = master.job(72)
     assert (job.status, job.error_address) == (ERROR, AT["SIGMA_S"])
     assert master.read(100, 120, 72) == before
+
+
+# ---- sample, invert, mc --------------------------------------------------------------------------
+
+CANCELLED = 4
+DEADLINE_STATUS = 12
+KINDS = ["SAMPLE", "INVERT", "MC"]
+DRAWS, LENGTHS = choices("CORE_DRAW"), choices("CORE_LENGTH")
+
+
+class Head(NamedTuple):
+    """The first registers of a job's output."""
+
+    status: int
+    done: int
+    error: int
+    error_address: int
+    sequence: int
+    count: int
+    place: int
+
+
+def head(master: Tcp, kind: str, unit: int = 1) -> Head:
+    return Head(*as_words(master.read(AT[f"{kind}_STATUS"], 7, unit)))
+
+
+def ended(master: Tcp, kind: str, unit: int = 1) -> Head:
+    """The head, once the job is not busy."""
+    assert eventually(lambda: head(master, kind, unit).status != IS_BUSY, 60)
+    return head(master, kind, unit)
+
+
+def numbers(master: Tcp, field: str, count: int, unit: int = 1) -> np.ndarray:
+    return as_floats(master.read(AT[field], 2 * count, unit))
+
+
+def setting(master: Tcp, unit: int = 1, **registers: int | bytes) -> None:
+    """Writes registers by name: a number for one of them, or bytes."""
+    for field, value in registers.items():
+        data = value if isinstance(value, bytes) else words(value)
+        master.write(AT[field], data, unit)
+
+
+def set_medium(master: Tcp, unit: int, medium, model: str = "better", evaluator: str = "f32"):
+    master.write_one(AT["DEFAULTS"], 1, unit)
+    setting(master, unit, MODEL=words(MODELS[model], EVALUATORS[evaluator]))
+    setting(master, unit, SIGMA_A=floats(*medium))
+
+
+# A job of each kind that takes long. The number makes it a medium that nobody has asked for yet.
+def commit_slow(master: Tcp, kind: str, unit: int = 1, number: int = 1) -> None:
+    if kind == "SAMPLE":
+        set_medium(master, unit, slow_medium(100 + number), "transport", "f64")
+    elif kind == "INVERT":
+        set_medium(master, unit, slow_medium(number), "transport", "f64")
+        setting(master, unit, INVERT_MEDIUM_COUNT=50)
+        setting(master, unit, INVERT_ALBEDO=floats(*np.linspace(0.1, 0.6 + number / 1e4, 50)))
+    else:
+        set_medium(master, unit, (1e-4, 10.0, 0.9, 1.4))
+        setting(master, unit, MC_PHOTONS=floats(1e10))
+    master.write_one(AT[f"{kind}_COMMIT"], 7, unit)
+
+
+@pytest.mark.parametrize("evaluator", EVALUATORS)
+@pytest.mark.parametrize("draw", DRAWS)
+def test_a_sample_has_the_wires_bits(master, client, draw, evaluator):
+    unit = 110 + DRAWS[draw]
+    u = single([0.0, 0.25, 0.5, 0.999, 1.0])
+    set_medium(master, unit, SKIN, "classical", evaluator)
+    setting(master, unit, SAMPLE_DRAW=words(DRAWS[draw], 5, 0, 3, 0x1234, 0x5678))
+    setting(master, unit, SAMPLE_U=floats(*u))
+    answer = master.write_read(AT["SAMPLE_COMMIT"], words(9), AT["SAMPLE_STATUS"], 7, unit)
+    at_once = Head(*as_words(answer))[:3] == (DONE, 9, 0)
+    assert at_once or evaluator == "lut"  # whose table is prepared first
+    assert ended(master, "SAMPLE", unit)[:3] == (DONE, 9, 0)
+    rule = None if draw == "list" else Draw(
+        5, draw, 0 if draw == "regular" else 0x12345678, 3 if draw == "random" else 0
+    )
+    how = {"evaluator": evaluator, "draw": rule}
+    expected = client.sample("classical", single(SKIN), u if draw == "list" else None, **how)
+    for field, values in [("SAMPLE_R", expected.r), ("SAMPLE_PDF", expected.pdf)]:
+        found = numbers(master, field, 50, unit)
+        assert found[:5].tobytes() == values[0].astype("f4").tobytes()
+        assert np.isnan(found[5:]).all()
+    stated = numbers(master, "SAMPLE_NUMERICAL_ERROR", 2, unit)
+    largest = expected.r[0][np.isfinite(expected.r[0])].max()
+    wire = expected.numerical_error_constant[0] + expected.numerical_error_per_mm[0] * largest
+    assert wire <= stated[0] <= 1.001 * wire + 2.0**-23
+    assert np.isnan(stated[1])
+    assert numbers(master, "SAMPLE_PROGRESS", 1, unit).tolist() == [1.0]
+
+
+@pytest.mark.parametrize("given", LENGTHS)
+def test_an_invert_has_the_wires_values(master, client, given):
+    """One albedo is out of reach, and fewer media than before leave NaN behind."""
+    unit, albedos, lengths = 120 + LENGTHS[given], [0.02, 0.9, 0.013], [1.3, 1.0, 0.67]
+    set_medium(master, unit, (0, 0, 0.25, 1.4), "single")
+    setting(master, unit, INVERT_GIVEN=words(LENGTHS[given], 50), INVERT_COMMIT=1)
+    assert ended(master, "INVERT", unit)[:2] == (DONE, 1)
+    setting(master, unit, INVERT_MEDIUM_COUNT=3, INVERT_ALBEDO=floats(*albedos))
+    setting(master, unit, INVERT_LENGTH=floats(*lengths), INVERT_COMMIT=2)
+    assert ended(master, "INVERT", unit) == (DONE, 2, 0, 0, 2, 3, 0)
+    how = {"given": given, "g": 0.25, "eta": single([1.4])[0]}
+    expected = client.invert("single", single(albedos), single(lengths), **how)
+    for field, values in [
+        ("INVERT_SIGMA_A", expected.sigma_a), ("INVERT_SIGMA_S", expected.sigma_s),
+        ("INVERT_ALBEDO_FOUND", expected.albedo),
+    ]:
+        found = numbers(master, field, 50, unit)
+        assert found[:3].tobytes() == values.astype("f4").tobytes()
+        assert np.isnan(found[3:]).all()
+    assert as_words(master.read(AT["INVERT_MISSING_COUNT"], 1, unit)) == [expected.missing] == [1]
+    reach = numbers(master, "INVERT_ALBEDO_LEAST", 2, unit)
+    assert reach.tolist() == [np.float32(expected.albedo_least), np.float32(expected.albedo_most)]
+
+
+@pytest.mark.parametrize("thickness", [None, 2.0])
+@pytest.mark.parametrize("spacing", ["linear", "logarithmic"])
+def test_an_mc_has_the_wires_values(master, client, spacing, thickness):
+    unit, medium = 130, single([0.1, 0.9, 0.3, 1.3])
+    start, stop = single([0.2, 5.0])
+    set_medium(master, unit, medium)
+    setting(master, unit, MC_SPACING=2 if spacing == "linear" else 3)
+    setting(master, unit, RADIUS_START=floats(start, stop), MC_RING_COUNT=7)
+    setting(master, unit, MC_PHOTONS=floats(20000), MC_SEED=words(1, 2), MC_ERROR_TOTAL=floats(-1))
+    if thickness is not None:
+        setting(master, unit, PARAMETER_THICKNESS=floats(thickness))
+    setting(master, unit, MC_COMMIT=3)
+    assert ended(master, "MC", unit)[:3] == (DONE, 3, 0)
+    expected = client.mc(
+        medium, Grid(start, stop, 8, spacing), photons=20000, seed=0x10002, thickness=thickness
+    )
+    sides = [("MC_R", "MC_R_ERROR"), ("MC_T", "MC_T_ERROR")]
+    for side, fields in enumerate(sides):
+        for field, array in zip(fields, (expected.values, expected.errors)):
+            found = numbers(master, field, 50, unit)
+            assert np.isnan(found[7:]).all()
+            if side == 0 or thickness is not None:
+                assert found[:7].tobytes() == array[0, side].astype("f4").tobytes()
+            else:
+                assert np.isnan(found[:7]).all()
+    edges = numbers(master, "MC_EDGES", 51, unit)
+    assert edges[:8].tobytes() == expected.edges.astype("f4").tobytes()
+    assert np.isnan(edges[8:]).all()
+    energy = expected.energies[0]
+    found = numbers(master, "MC_REFLECTED", 14, unit)
+    want = [energy.R.value, energy.R.error, energy.T.value, energy.T.error, energy.absorbed.value]
+    want += [energy.absorbed.error, *energy.unscattered, *(part.value for part in energy.under)]
+    want += [*(part.value for part in energy.over), energy.unfinished.value, energy.imbalance]
+    np.testing.assert_allclose(found, want, rtol=2**-23)
+    assert as_words(master.read(AT["MC_STATE"], 1, unit)) == [1]
+    progress = numbers(master, "MC_PROGRESS", 5, unit)
+    assert progress[:3].tolist() == [1.0, expected.photons, expected.photons]
+    np.testing.assert_allclose(
+        progress[3:], [expected.error_total, expected.error_rings], rtol=2**-23
+    )
+
+
+def test_an_mc_ends_when_its_errors_are_small(master):
+    set_medium(master, 131, (0.1, 0.9, 0.0, 1.3))
+    setting(master, 131, MC_PHOTONS=floats(1e9), MC_ERROR_TOTAL=floats(0.02))
+    setting(master, 131, MC_COMMIT=1)
+    assert ended(master, "MC", 131).status == DONE
+    assert as_words(master.read(AT["MC_STATE"], 1, 131)) == [2]
+    assert 0 < numbers(master, "MC_ERROR_TOTAL_NOW", 1, 131)[0] <= np.float32(0.02)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_job_through_both_sides_of_the_mirror(master, kind):
+    """CDAB for floats and uint32."""
+    unit = 140 + KINDS.index(kind)
+    set_medium(master, unit, (0.1, 0.9, 0.0, 1.3))
+    setting(master, unit, MC_PHOTONS=floats(4096))
+    side = {"SAMPLE": "SAMPLE_SEED", "INVERT": "INVERT_LENGTH", "MC": "MC_SEED"}[kind]
+    master.write(MIRROR + AT[side], swapped(words(0x3F80, 0x1234)), unit)
+    assert as_words(master.read(AT[side], 2, unit)) == [0x3F80, 0x1234]
+    with exception(BAD_ADDRESS):
+        master.write(AT[side], words(1), unit)
+    master.write_one(MIRROR + AT[f"{kind}_COMMIT"], 5, unit)
+    assert ended(master, kind, unit)[:2] == (DONE, 5)
+    first, length = BLOCKS[13 + KINDS.index(kind)]
+    plain, mirrored = master.read(first, length, unit), master.read(MIRROR + first, length, unit)
+    field = {"SAMPLE": "SAMPLE_R", "INVERT": "INVERT_SIGMA_A", "MC": "MC_R"}[kind]
+    at = 2 * (AT[field] - first)
+    assert swapped(plain[at : at + 200]) == mirrored[at : at + 200]
+    assert plain[:8] == mirrored[:8]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_slow_job_says_how_far_it_is_and_can_be_cancelled(daemon, kind):
+    one = daemon(*TCP)
+    with Tcp(one) as master:
+        commit_slow(master, kind)
+        assert head(master, kind)[:3] == (IS_BUSY, 0, 0)
+        with exception(BUSY):
+            master.write_one(AT[f"{kind}_COMMIT"], 8)
+        if kind != "SAMPLE":  # which prepares one profile, and then is done
+            assert eventually(lambda: 0 < numbers(master, f"{kind}_PROGRESS", 1)[0] < 1, 60)
+        assert run(master, 1, input_block(3, SKIN, [1.0]))[:2] == (DONE, 3)  # it delays no other
+        assert head(master, kind)[:2] == (IS_BUSY, 0)
+        master.write_one(AT[f"{kind}_CANCEL"], 1)
+        assert as_words(master.read(AT[f"{kind}_CANCEL"], 1)) == [0]
+        last = ended(master, kind)
+        assert (last.status, last.error) == (CANCELLED, 0)
+        if kind == "MC":  # which has results so far
+            assert last.done == 7 and last.count == 10
+            assert as_words(master.read(AT["MC_STATE"], 1)) == [3]
+            assert (numbers(master, "MC_R", 10) >= 0).all()
+        else:
+            assert (last.done, last.sequence) == (0, 0)
+        with one.client() as client:
+            assert eventually(lambda: client.statistics()["mc_jobs_open"] == 0)
+        master.write_one(AT[f"{kind}_CANCEL"], 1)  # there is nothing to end
+        assert head(master, kind) == last
+        set_medium(master, 1, (0.1, 0.9, 0.0, 1.3))
+        setting(master, 1, MC_PHOTONS=floats(4096))
+        master.write_one(AT[f"{kind}_COMMIT"], 9)
+        assert ended(master, kind)[:3] == (DONE, 9, 0)
+
+
+def test_an_eval_can_be_cancelled(daemon):
+    one = daemon(*TCP)
+    with Tcp(one) as master:
+        for unit in range(1, 30):
+            master.write(100, input_block(1, slow_medium(unit), [1.0], **SLOW), unit)
+        master.write_one(AT["CANCEL"], 1, 29)
+        assert master.job(29)[:3] == (CANCELLED, 0, 0)
+        assert run(master, 29, input_block(2, SKIN, [1.0]))[:3] == (DONE, 2, 0)
+
+
+@pytest.mark.parametrize("kind", ["SAMPLE", "INVERT"])
+def test_a_job_has_a_place_in_the_queue(daemon, kind):
+    """One profile is prepared after the other, or two at a time: the last master's place is that of
+    all before it, and gets less."""
+    one = daemon(*TCP)
+    with Tcp(one) as master:
+        for unit in range(2, 30):
+            master.write(100, input_block(1, slow_medium(unit), [1.0], **SLOW), unit)
+        commit_slow(master, kind)
+        first = head(master, kind).place
+        assert 20 < first <= 28
+        assert as_words(master.read(AT["PLACE"], 1, 28))[0] < 28
+        assert eventually(lambda: head(master, kind).place < first, 60)
+        master.write_one(AT[f"{kind}_CANCEL"], 1)
+        assert head(master, kind).place == 0
+
+
+@pytest.mark.parametrize("kind", ["SAMPLE", "INVERT", "EVAL"])
+def test_a_deadline_counts_while_a_job_waits(daemon, kind):
+    one = daemon(*TCP)
+    prefix = "" if kind == "EVAL" else f"{kind}_"
+    with Tcp(one) as master:
+        for unit in range(2, 60):
+            master.write(100, input_block(1, slow_medium(unit), [1.0], **SLOW), unit)
+        master.write_one(AT["DEFAULTS"], 1)
+        if kind == "EVAL":
+            master.write(AT["DEADLINE_MS"], floats(30.0))
+            master.write(100, input_block(7, slow_medium(99), [1.0], **SLOW))
+        else:
+            set_medium(master, 1, slow_medium(99), "transport", "f64")
+            master.write(AT[f"{kind}_DEADLINE_MS"], floats(30.0))
+            master.write_one(AT[f"{kind}_COMMIT"], 7)
+        status = AT[f"{prefix}STATUS"]
+        assert eventually(lambda: as_words(master.read(status, 1)) != [IS_BUSY])
+        expected = [ERROR, 0, DEADLINE_STATUS, AT[f"{prefix}DEADLINE_MS"]]
+        assert as_words(master.read(status, 4)) == expected
+        assert b"more" in master.read(AT[f"{prefix}ERROR_TEXT"], 40)
+        assert master.job(59).status == IS_BUSY  # the others go on
+        if kind != "EVAL":
+            assert master.job()[:3] == (0, 0, 0)
+
+
+FAULTS = {
+    "a model that is fitted": ("SAMPLE", {"MODEL": MODELS["gaussians"]}, "MODEL"),
+    "no model": ("SAMPLE", {"MODEL": 0}, "MODEL"),
+    "a slab without thickness": ("SAMPLE", {"MODEL": 25}, "PARAMETER_THICKNESS"),
+    "a profile for every medium": ("INVERT", {"MODEL": MODELS["skin-red"]}, "MODEL"),
+    "a list in place of rings": ("MC", {"MC_SPACING": 1}, "MC_SPACING"),
+    "rings that run backwards": ("MC", {"RADIUS_START": floats(5.0, 1.0)}, "RADIUS_STOP"),
+    "too many photons": ("MC", {"MC_PHOTONS": floats(1e14)}, "MC_PHOTONS"),
+    "no medium": ("MC", {"SIGMA_A": floats(0, 0)}, "SIGMA_S"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_job_that_cannot_be(master, name):
+    """Its own registers say why, and the unit's; nothing else has changed."""
+    kind, registers, at = FAULTS[name]
+    unit = 150 + KINDS.index(kind)
+    set_medium(master, unit, (0.1, 0.9, 0.0, 1.3))
+    setting(master, unit, **registers)
+    before = master.read(300, 2, unit), head(master, kind, unit).sequence
+    with exception(BAD_VALUE):
+        master.write_one(AT[f"{kind}_COMMIT"], 4, unit)
+    job = head(master, kind, unit)
+    assert job[0] == ERROR and job.error in (6, 7) and job.error_address == AT[at]
+    assert master.job(unit)[2:4] == job[2:4]
+    text = master.read(AT[f"{kind}_ERROR_TEXT"], 40, unit)
+    assert text.rstrip(b"\0") and text == master.read(AT["ERROR_TEXT"], 40, unit)
+    assert as_words(master.read(AT[f"{kind}_COMMIT"], 1, unit)) == [0]
+    assert (master.read(300, 2, unit), job.sequence) == before
+
+
+VALUES = [
+    ("SAMPLE_DRAW", words(0)), ("SAMPLE_DRAW", words(5)), ("SAMPLE_SAMPLE_COUNT", words(51)),
+    ("SAMPLE_SAMPLE_COUNT", words(0)), ("SAMPLE_U", floats(1.5)), ("SAMPLE_CANCEL", words(2)),
+    ("SAMPLE_DEADLINE_MS", floats(-1)), ("INVERT_GIVEN", words(4)),
+    ("INVERT_MEDIUM_COUNT", words(51)), ("INVERT_ALBEDO", floats(0.5, 1.5)),
+    ("INVERT_LENGTH", floats(0)), ("INVERT_LENGTH", floats(2e14)), ("MC_RING_COUNT", words(0)),
+    ("MC_RING_COUNT", words(51)), ("MC_PHOTONS", floats(0)), ("MC_ERROR_TOTAL", floats(1e-10)),
+]
+
+
+@pytest.mark.parametrize("field, data", VALUES)
+def test_values_of_jobs_out_of_range(master, field, data):
+    with exception(BAD_VALUE):
+        master.write(AT[field], data, 160)
+    at = AT[field] + (2 if len(data) == 8 else 0)
+    assert master.job(160)[2:4] == (BAD_VALUE_STATUS, at)
+
+
+def test_limits_of_jobs_can_be_reached(master, client):
+    """1e14 and 1e-14 mm, and an error of 1e-9, have no float32."""
+    set_medium(master, 161, (0, 0, 0.0, 1.3))
+    setting(master, 161, INVERT_MEDIUM_COUNT=2, INVERT_LENGTH=floats(1e14, 1e-14), INVERT_COMMIT=1)
+    assert ended(master, "INVERT", 161)[:3] == (DONE, 1, 0)
+    expected = client.invert("better", [0.5, 0.5], [1e14, 1e-14], eta=single([1.3])[0])
+    assert numbers(master, "INVERT_SIGMA_S", 2, 161).tolist() == expected.sigma_s.astype("f4").tolist()
+    set_medium(master, 161, (0.1, 0.9, 0.0, 1.3))
+    setting(master, 161, MC_PHOTONS=floats(1), MC_ERROR_RINGS=floats(1e-9), MC_COMMIT=2)
+    assert ended(master, "MC", 161)[:3] == (DONE, 2, 0)
+
+
+def test_one_monte_carlo_job_too_many(daemon):
+    """The limit of the binary protocol holds for the jobs of both."""
+    one = daemon(*TCP, "--max-mc-jobs", "2")
+    with Tcp(one) as master:
+        for unit in (1, 2):
+            commit_slow(master, "MC", unit)
+        with exception(BUSY):
+            commit_slow(master, "MC", 3)
+        assert head(master, "MC", 3)[:3] == (ERROR, 0, BUSY_STATUS)
+        assert b"max_mc_jobs" in master.read(AT["MC_ERROR_TEXT"], 40, 3)
+        with one.client() as client, pytest.raises(Refused, match="max_mc_jobs"):
+            client.mc((0.1, 0.9, 0.0, 1.3), Grid(0.0, 1.0, 3), photons=1)
+        master.write_one(AT["MC_CANCEL"], 1, 1)
+        assert ended(master, "MC", 1).status == CANCELLED
+        commit_slow(master, "MC", 3)
+        assert head(master, "MC", 3)[:3] == (IS_BUSY, 0, 0)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_job_goes_on_when_its_master_leaves(daemon, kind):
+    """Even one that needs another profile afterwards, and so another place in the queue."""
+    one = daemon(*TCP)
+    with Tcp(one) as master:
+        commit_slow(master, kind)
+        if kind == "INVERT":
+            assert numbers(master, "INVERT_PROGRESS", 1)[0] < 0.5
+    with Tcp(one) as master:
+        if kind == "SAMPLE":
+            assert ended(master, kind)[:2] == (DONE, 7)
+        else:
+            progress = numbers(master, f"{kind}_PROGRESS", 1)[0]
+            assert eventually(lambda: numbers(master, f"{kind}_PROGRESS", 1)[0] > progress, 60)
+
+
+def test_stopping_while_jobs_of_all_kinds_run(daemon):
+    one = daemon(*TCP)
+    with Tcp(one) as master:
+        for unit, kind in enumerate(KINDS, 1):
+            commit_slow(master, kind, unit)
+        assert eventually(lambda: numbers(master, "MC_PROGRESS", 1, 3)[0] > 0)
+        one.terminate()
+        assert master.is_closed()
+
+
+def test_slow_jobs_of_many_units_leave_others_their_turns(daemon):
+    """Inverts on ten units; an eval of the binary protocol is answered meanwhile."""
+    one = daemon(*TCP, "--workers", "1")
+    with Tcp(one) as master, one.client() as client:
+        for unit in range(1, 11):
+            set_medium(master, unit, SKIN, "quantized")
+            setting(master, unit, INVERT_MEDIUM_COUNT=50, INVERT_COMMIT=1)
+        assert client.eval("better", SKIN, [1.0]).R[0, 0] > 0
+        assert head(master, "INVERT", 10).status == IS_BUSY
+        for unit in range(1, 11):
+            assert ended(master, "INVERT", unit)[:3] == (DONE, 1, 0)

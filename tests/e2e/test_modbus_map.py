@@ -8,7 +8,7 @@ import struct
 
 import numpy as np
 import pytest
-from daemons import REPOSITORY
+from daemons import REPOSITORY, eventually
 from modbus_master import (
     AT, BAD_ADDRESS, BAD_VALUE, BLOCKS, DEVICE_ID, MIRROR, NO_UNIT, READ_HOLDING, READ_INPUT,
     REPORT_ID, TCP, Tcp, as_doubles, as_floats, as_words, exception, floats, input_block, swapped,
@@ -91,7 +91,7 @@ def test_statistics_are_the_daemons(daemon):
     with Tcp(one) as master, one.client() as client:
         master.write_read(100, input_block(1, radii=[1.0]), 300, 8)
         with exception(BAD_ADDRESS):
-            master.read(5000, 1)
+            master.read(9000, 1)
         counted = client.statistics()
         for name in ("transactions", "exceptions", "evaluations", "connections_open"):
             assert counted[f"modbus_{name}"] == 1
@@ -226,11 +226,17 @@ EXAMPLES = examples()
 
 @pytest.mark.parametrize("name", [n[:-8] for n in EXAMPLES if n.endswith("-request")])
 def test_examples(daemon, name):
+    """Those whose names end with read come after the job that they read, and when that is done."""
     with Tcp(daemon(*TCP)) as master:
-        master.socket.sendall(EXAMPLES[f"{name}-request"])
-        expected = EXAMPLES[f"{name}-answer"]
-        assert master.receive_bytes(len(expected)).hex() == expected.hex()
+        names = [name.split("-")[0]] if name.endswith("-read") else []
+        for one in [*names, name]:
+            master.socket.sendall(EXAMPLES[f"{one}-request"])
+            expected = EXAMPLES[f"{one}-answer"]
+            assert master.receive_bytes(len(expected)).hex() == expected.hex()
+            assert eventually(lambda: as_words(master.read(AT["MC_STATUS"], 1)) != [1])
 
 
 def test_there_are_examples():
-    assert {"job-request", "job-answer", "discovery-request", "refused-request"} <= set(EXAMPLES)
+    assert {"job", "discovery", "refused", "sample", "invert", "mc"} <= {
+        name.removesuffix("-request") for name in EXAMPLES
+    }

@@ -66,10 +66,10 @@ UNIT_TEST(the_defaults_may_be_written) {
 UNIT_TEST(optional_values) {
   registers_reset(image);
   for (unsigned id = 1; id < CORE_PARAMETERS_END; id++) {
-    assert_true(isnan(registers_optional(image, id)));
+    assert_true(isnan(registers_optional(image, REGISTERS_PARAMETER_AT(id))));
   }
   registers_set_f32(image, REGISTERS_AT_PARAMETER_THICKNESS, 2.5F);
-  assert_true(registers_optional(image, CORE_PARAMETER_THICKNESS) == 2.5);
+  assert_true(registers_optional(image, REGISTERS_AT_PARAMETER_THICKNESS) == 2.5);
 }
 
 UNIT_TEST(doubles_and_text) {
@@ -85,10 +85,14 @@ UNIT_TEST(doubles_and_text) {
 }
 
 UNIT_TEST(fields_of_requests_have_registers) {
-  assert_int_equal(registers_of_field("sigma_a", 0), REGISTERS_AT_SIGMA_A);
-  assert_int_equal(registers_of_field("r", 3), REGISTERS_AT_RADII + 6);
-  assert_int_equal(registers_of_field("thickness", 0), REGISTERS_AT_PARAMETER_THICKNESS);
-  assert_int_equal(registers_of_field("memory", 0), REGISTERS_AT_COMMIT);
+  assert_int_equal(registers_of_field(&registers_jobs[REGISTERS_JOB_EVAL], "sigma_a", 0),
+                   REGISTERS_AT_SIGMA_A);
+  assert_int_equal(registers_of_field(&registers_jobs[REGISTERS_JOB_EVAL], "r", 3),
+                   REGISTERS_AT_RADII + 6);
+  assert_int_equal(registers_of_field(&registers_jobs[REGISTERS_JOB_EVAL], "thickness", 0),
+                   REGISTERS_AT_PARAMETER_THICKNESS);
+  assert_int_equal(registers_of_field(&registers_jobs[REGISTERS_JOB_EVAL], "memory", 0),
+                   REGISTERS_AT_COMMIT);
 }
 
 UNIT_TEST(inclusion_sees_the_mirror) {

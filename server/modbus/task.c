@@ -1,0 +1,296 @@
+#include "server/modbus/task.h"
+
+#include <assert.h>
+
+#include "server/net/worker.h"
+
+static const registers_job *fields_of(const struct modbus_task *task) {
+  return &registers_jobs[task->kind];
+}
+
+static struct stats *stats_of(const struct modbus_task *task) {
+  return &task->queue->server->stats;
+}
+
+static uint64_t now_ms(const struct modbus_queue *queue) {
+  return uv_now(worker_loop(queue->client->worker));
+}
+
+/* ---- what the registers say ------------------------------------------------------------------ */
+
+static void set_status(struct modbus_task *task, enum registers_status status) {
+  registers_set_u16(task->registers, fields_of(task)->status, status);
+}
+
+static void set_error(struct modbus_task *task, unsigned status, unsigned at, const char *text) {
+  const registers_job *fields = fields_of(task);
+  registers_set_u16(task->registers, fields->status + REGISTERS_BEHIND_ERROR, status);
+  registers_set_u16(task->registers, fields->status + REGISTERS_BEHIND_ERROR_ADDRESS, at);
+  registers_set_text(task->registers, fields->error_text, REGISTERS_ERROR_TEXT_BYTES / 2, text);
+}
+
+static void clear_error(struct modbus_task *task) {
+  if (registers_u16(task->registers, fields_of(task)->status + REGISTERS_BEHIND_ERROR) !=
+      WIRE_STATUS_OK) {
+    set_error(task, WIRE_STATUS_OK, 0, "");
+  }
+}
+
+void modbus_task_fail(struct modbus_task *task, const wire_error *error, unsigned at) {
+  set_status(task, REGISTERS_STATUS_ERROR);
+  set_error(task, error->status, at, error->allowed);
+}
+
+static void set_progress(struct modbus_task *task, double progress) {
+  if (fields_of(task)->progress > 0) {
+    registers_set_f32(task->registers, fields_of(task)->progress, (float)progress);
+  }
+}
+
+void modbus_task_refresh(struct modbus_task *task) {
+  const struct job *job = task->job;
+  if (task->state != MODBUS_TASK_RUNS && task->state != MODBUS_TASK_WAITS) {
+    return;
+  }
+  const uint64_t place = job->lookup != NULL ? cache_place(&job->lookup->waiter) : 0;
+  registers_set_u16(task->registers, fields_of(task)->place,
+                    place < UINT16_MAX ? (unsigned)place : UINT16_MAX);
+  if (task->detached == NULL && task->owed_radii > 0) {
+    set_progress(task, 1 - (double)job->owed_radii / (double)task->owed_radii);
+  }
+}
+
+/* ---- states ---------------------------------------------------------------------------------- */
+
+static void enter(struct modbus_task *task, enum modbus_task_state state) {
+  struct modbus_queue *queue = task->queue;
+  if (task->state != MODBUS_TASK_IDLE) {
+    TAILQ_REMOVE(&queue->tasks, task, in_queue);
+  }
+  task->state = state;
+  if (state != MODBUS_TASK_IDLE) {
+    TAILQ_INSERT_TAIL(&queue->tasks, task, in_queue);
+  }
+  if (state == MODBUS_TASK_RUNS) {
+    worker_run_later(queue->client);
+  } else if (state == MODBUS_TASK_EVALUATED) {
+    worker_finish_later(queue->client);
+  } else if (state == MODBUS_TASK_IDLE) {
+    registers_set_u16(task->registers, fields_of(task)->place, 0);
+  }
+}
+
+/* The job can go on: its profile has been prepared, or Monte Carlo has something new. */
+static void on_ready(void *owner) {
+  struct modbus_task *task = owner;
+  if (task->state == MODBUS_TASK_WAITS) {
+    enter(task, MODBUS_TASK_RUNS);
+  }
+}
+
+/* Does what the job wants next, and subtracts what that cost from *budget. */
+static enum job_outcome step(struct modbus_task *task, enum job_outcome outcome, uint64_t *budget) {
+  struct job *job = task->job;
+  if (outcome != JOB_NEXT_PART) {
+    job->reader_idle = true;
+    return job->kind->step(job, budget);
+  }
+  assert(job->part_bytes <= MODBUS_REPLY_BYTES);
+  task->reply_bytes = (size_t)job->part_bytes;
+  outcome = job->kind->begin_part(job, task->reply);
+  if (outcome == JOB_GOES_ON && task->detached != NULL) { /* this part was progress */
+    modbus_translate_reply(task->kind, task->question, task->reply, task->reply_bytes,
+                           task->registers);
+  }
+  return outcome;
+}
+
+/* Runs the job until the budget is spent, or it waits, or it ends. Returns why it has failed, or
+ * OK. */
+static wire_error follow(struct modbus_task *task, enum job_outcome outcome, uint64_t *budget) {
+  while ((outcome == JOB_GOES_ON && *budget > 0) || outcome == JOB_NEXT_PART) {
+    outcome = step(task, outcome, budget);
+  }
+  if (outcome == JOB_GOES_ON) {
+    enter(task, MODBUS_TASK_RUNS);
+  } else if (outcome == JOB_WAITS || outcome == JOB_DETACHED) {
+    enter(task, MODBUS_TASK_WAITS);
+  } else {
+    const wire_error refusal = task->job->refusal;
+    job_end(task->job);
+    enter(task, outcome == JOB_DONE ? MODBUS_TASK_EVALUATED : MODBUS_TASK_IDLE);
+    return outcome == JOB_DONE ? wire_error_none() : refusal;
+  }
+  return wire_error_none();
+}
+
+/* Ends the job without results. What is gathered for its reply must not be written later. */
+static void give_up(struct modbus_task *task) {
+  batch_finish(&worker_context(task->queue->client->worker)->batch, stats_of(task));
+  job_end(task->job);
+  enter(task, MODBUS_TASK_IDLE);
+}
+
+static void fail_job(struct modbus_task *task, const wire_error *error) {
+  modbus_task_fail(task, error, registers_of_field(fields_of(task), error->field, error->index));
+}
+
+/* ---- committing and cancelling --------------------------------------------------------------- */
+
+static void set_deadline(struct modbus_task *task) {
+  const registers_job *fields = fields_of(task);
+  struct worker *worker = task->queue->client->worker;
+  const double limit_ms =
+      fields->deadline > 0 ? registers_number(task->registers, fields->deadline) : 0;
+  task->deadline_ms = limit_ms > 0 ? worker_round_ns(worker) / 1000000 + (uint64_t)limit_ms : 0;
+  if (task->deadline_ms > 0) {
+    worker_wake_at(worker, task->deadline_ms);
+  }
+}
+
+wire_error modbus_task_commit(struct modbus_task *task, struct client *master) {
+  struct worker *worker = task->queue->client->worker;
+  const wire_header header = {
+      .type = (uint16_t)fields_of(task)->message,
+      .payload_bytes =
+          (uint32_t)modbus_translate_input(task->kind, task->registers, task->question),
+  };
+  task->detached = NULL;
+  const struct job_request request = {
+      .header = &header,
+      .payload = task->question,
+      .context = worker_context(worker),
+      .on_ready = on_ready,
+      .on_news = on_ready,
+      .owner = task,
+      .profiles = &master->profiles,
+      .detached = &task->detached,
+  };
+  enum job_outcome outcome = job_start(&task->slot, &request, &task->job);
+  if (outcome == JOB_REFUSED) {
+    return task->job->refusal;
+  }
+  task->job = outcome == JOB_DETACHED ? task->detached : task->job;
+  task->cancelled = false;
+  task->owed_radii = task->job->owed_radii;
+  set_deadline(task);
+  uint64_t budget = JOB_SLICE_RADII;
+  const wire_error error = follow(task, outcome, &budget);
+  if (error.status != WIRE_STATUS_OK) {
+    return error;
+  }
+  task->token = registers_u16(task->registers, fields_of(task)->commit);
+  clear_error(task);
+  set_progress(task, 0);
+  if (task->state != MODBUS_TASK_EVALUATED) {
+    set_status(task, REGISTERS_STATUS_BUSY);
+  }
+  return error;
+}
+
+void modbus_task_cancel(struct modbus_task *task) {
+  if (task->state != MODBUS_TASK_RUNS && task->state != MODBUS_TASK_WAITS) {
+    return;
+  }
+  if (task->detached != NULL) {
+    task->cancelled = true;
+    task->job->kind->stop(task->job, JOB_CANCELLED);
+    return;
+  }
+  give_up(task);
+  set_status(task, REGISTERS_STATUS_CANCELLED);
+}
+
+/* ---- all tasks that are not idle ------------------------------------------------------------- */
+
+void modbus_queue_init(struct modbus_queue *queue, struct server *server, struct client *client) {
+  queue->server = server;
+  queue->client = client;
+  TAILQ_INIT(&queue->tasks);
+}
+
+static struct modbus_task *first(const struct modbus_queue *queue, enum modbus_task_state state) {
+  struct modbus_task *task = TAILQ_FIRST(&queue->tasks);
+  while (task != NULL && task->state != state) {
+    task = TAILQ_NEXT(task, in_queue);
+  }
+  return task;
+}
+
+void modbus_queue_run(struct modbus_queue *queue) {
+  uint64_t budget = JOB_SLICE_RADII;
+  struct modbus_task *task;
+  modbus_queue_expire(queue);
+  while (budget > 0 && (task = first(queue, MODBUS_TASK_RUNS)) != NULL) {
+    budget -= budget < JOB_STEP_RADII ? budget : JOB_STEP_RADII;
+    const wire_error error = follow(task, JOB_GOES_ON, &budget);
+    if (error.status != WIRE_STATUS_OK) {
+      fail_job(task, &error);
+    }
+  }
+  if (first(queue, MODBUS_TASK_RUNS) != NULL) {
+    worker_run_later(queue->client);
+  }
+}
+
+struct modbus_task *modbus_queue_finish(struct modbus_queue *queue) {
+  struct modbus_task *task = first(queue, MODBUS_TASK_EVALUATED);
+  if (task == NULL) {
+    return NULL;
+  }
+  const registers_job *fields = fields_of(task);
+  const unsigned sequence =
+      registers_u16(task->registers, fields->status + REGISTERS_BEHIND_SEQUENCE);
+  modbus_translate_reply(task->kind, task->question, task->reply, task->reply_bytes,
+                         task->registers);
+  set_status(task, task->cancelled ? REGISTERS_STATUS_CANCELLED : REGISTERS_STATUS_DONE);
+  registers_set_u16(task->registers, fields->status + REGISTERS_BEHIND_DONE, task->token);
+  registers_set_u16(task->registers, fields->status + REGISTERS_BEHIND_SEQUENCE, sequence + 1);
+  clear_error(task);
+  set_progress(task, 1);
+  enter(task, MODBUS_TASK_IDLE);
+  stats_add(stats_of(task), STATS_MODBUS_EVALUATIONS, 1);
+  return task;
+}
+
+static bool is_late(const struct modbus_task *task) {
+  return (task->state == MODBUS_TASK_RUNS || task->state == MODBUS_TASK_WAITS) &&
+         task->deadline_ms != 0 && now_ms(task->queue) >= task->deadline_ms;
+}
+
+void modbus_queue_expire(struct modbus_queue *queue) {
+  const wire_error error =
+      wire_error_make(WIRE_STATUS_DEADLINE, "deadline_ms", "more: the results take longer");
+  struct modbus_task *next;
+  for (struct modbus_task *task = TAILQ_FIRST(&queue->tasks); task != NULL; task = next) {
+    next = TAILQ_NEXT(task, in_queue);
+    if (is_late(task)) {
+      give_up(task);
+      fail_job(task, &error);
+    } else if (task->deadline_ms != 0 && task->state != MODBUS_TASK_EVALUATED) {
+      worker_wake_at(queue->client->worker, task->deadline_ms);
+    }
+  }
+}
+
+void modbus_queue_move(struct modbus_queue *queue, struct client *from, struct client *to) {
+  struct modbus_task *task;
+  cache_move_waiters(queue->server->cache, &from->profiles, &to->profiles);
+  TAILQ_FOREACH(task, &queue->tasks, in_queue) {
+    struct profiles_lookup *lookup =
+        task->state != MODBUS_TASK_EVALUATED ? task->job->lookup : NULL;
+    if (lookup != NULL && lookup->owner == &from->profiles) {
+      lookup->owner = &to->profiles;
+    }
+  }
+}
+
+void modbus_queue_end(struct modbus_queue *queue) {
+  struct modbus_task *task;
+  while ((task = TAILQ_FIRST(&queue->tasks)) != NULL) {
+    if (task->state != MODBUS_TASK_EVALUATED) {
+      job_end(task->job);
+    }
+    enter(task, MODBUS_TASK_IDLE);
+  }
+}
