@@ -775,13 +775,11 @@ static void frames(const uint8_t *data, size_t size) {
 
 /* Each input finds all registers as they are after a start. */
 static void reset_units(void) {
-  CHECK(units->evaluating == NULL);
+  modbus_queue_end(&units->queue);
   for (unsigned number = 1; number <= MODBUS_UNITS; number++) {
     struct modbus_unit *unit = &units->units[number];
     if (unit->units != NULL) {
-      if (unit->busy) {
-        job_end(unit->job);
-      }
+      CHECK(!unit->evaluating);
       memset(unit, 0, sizeof *unit);
     }
   }
