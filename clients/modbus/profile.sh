@@ -47,7 +47,8 @@ token=$(($(number 301) % 65535 + 1))              # not that of the job that was
 tries=0
 until register 4 100 "$token"; do # commit
   tries=$((tries + 1))
-  [ "$(number 302)" = 10 ] && [ $tries -lt 200 ] || fail # 10: another master's job is under way
+  # 10: another master's job is under way
+  if [ "$(number 302)" != 10 ] || [ $tries -ge 200 ]; then fail; fi
   sleep 0.1
 done
 while state=$(number 300) && [ "$state" = 1 ]; do sleep 0.05; done

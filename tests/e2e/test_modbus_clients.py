@@ -237,6 +237,57 @@ def test_an_example_says_why_it_fails(daemon, example):
         assert text and f"error 6 at register {AT['PARAMETER_THICKNESS']}: {text}" in result.stderr
 
 
+# ---- the longer jobs -----------------------------------------------------------------------------
+
+
+def job(one: Daemon, name: str) -> subprocess.CompletedProcess[str]:
+    pytest.importorskip("pymodbus")
+    address = one.url("modbus-tcp").removeprefix("modbus-tcp:")
+    return run(sys.executable, str(EXAMPLES / "jobs.py"), address, name)
+
+
+def test_the_jobs_of_an_odd_unit(daemon):
+    """What jobs.py prints is what the binary protocol answers, whatever was in the registers."""
+    one = daemon(*TCP)
+    skin = np.array([0.032, 0.74, 0, 1.3], np.float32).astype(float)
+    with Tcp(one) as master, one.client() as client:
+        master.write(AT["MODEL"], words(29, 3, 2))
+        master.write(AT["PARAMETER_THICKNESS"], floats(5.0))
+        master.write(AT["RADIUS_START"], floats(3.0, 4.0))
+        master.write(AT["SAMPLE_DRAW"], words(4, 50, 1, 2, 3, 4))
+        master.write(AT["INVERT_GIVEN"], words(3, 50))
+        master.write(AT["MC_RING_COUNT"], words(50, 2) + floats(1e9) + words(8, 9))
+        result = job(one, "sample")
+        expected = client.sample("better", skin, evaluator="f32", draw=dipole.Draw(10, "regular", 0))
+        assert result.returncode == 0, result.stderr
+        found = re.findall(r"([\d.]+)% of .* within (\S+) mm", result.stdout)
+        assert [text for _, text in found] == [f"{r:.6g}" for r in expected.r[0]]
+        result = job(one, "invert")
+        lengths = np.array([1.3, 0.95, 0.67], np.float32).astype(float)
+        albedos = np.array([0.44, 0.22, 0.13], np.float32).astype(float)
+        expected = client.invert("better", albedos, lengths, eta=skin[3])
+        found = re.findall(r"sigma_a (\S+), sigma_s (\S+) 1/mm", result.stdout)
+        pairs = zip(expected.sigma_a.astype("f4"), expected.sigma_s.astype("f4"))
+        assert found == [(f"{a:.6g}", f"{s:.6g}") for a, s in pairs]
+        result = job(one, "mc")
+        edges = dipole.Grid(float(np.float32(0.1)), 10.0, 6, "logarithmic")
+        expected = client.mc(skin, edges, photons=1_000_000)
+        found = re.findall(r": (\S+) \+- (\S+) 1/mm", result.stdout)
+        assert found == [
+            (f"{R:.4g}", f"{error:.2g}")
+            for R, error in zip(expected.R[0].astype("f4"), expected.R_error[0].astype("f4"))
+        ]
+        assert "%" in result.stderr
+
+
+def test_a_job_that_is_refused_says_why(daemon):
+    """A million photons are too many for this daemon."""
+    one = daemon(*TCP, "--max-mc-photons", "1000")
+    result = job(one, "mc")
+    assert result.returncode == 1
+    assert f"error 7 at register {AT['MC_PHOTONS']}: " in result.stderr
+
+
 # ---- tools that judge ----------------------------------------------------------------------------
 
 

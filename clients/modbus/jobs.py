@@ -1,0 +1,69 @@
+"""Runs one of the longer jobs of a unit with pymodbus, shows how far it is, and cancels it when the
+user presses Ctrl-C:
+
+    jobs.py HOST:PORT sample    ten radii, distributed as the light that leaves skin
+    jobs.py HOST:PORT invert    the coefficients of three media of known albedo and mean free path
+    jobs.py HOST:PORT mc        R of skin by Monte Carlo in five rings, with standard errors
+
+DEVICE,BAUD in place of HOST:PORT names a serial line."""
+
+import sys
+
+from unit import DEFAULTS, Unit
+
+REGULAR, FREE_PATH, LOGARITHMIC = 2, 1, 3
+SKIN = 0.032, 0.74, 0, 1.3  # sigma_a, sigma_s (1/mm), g, eta
+
+
+def run(unit, commit, status, progress, error_text):
+    """Commits a job, whose register `cancel` follows `commit`, and waits until it is done."""
+    token = unit.token(status)
+
+    def show():
+        place = int.from_bytes(unit.read(status + 6, 1), "big")
+        before = f", {place} before it" if place else ""
+        print(f"\r{unit.floats(progress, 1)[0]:4.0%}{before} ", end="", file=sys.stderr, flush=True)
+
+    unit.write(commit, "H", token)
+    try:
+        unit.wait(token, status, error_text, show)
+    except KeyboardInterrupt:
+        unit.write(commit + 1, "H", 1)  # cancel
+        sys.exit("\ncancelled")
+    print("\r" + 30 * " " + "\r", end="", file=sys.stderr)
+
+
+def sample(unit):
+    unit.write(4304, "2H", REGULAR, 10)  # draw, sample_count
+    run(unit, 4300, 4420, 4428, 4640)
+    for i, r in enumerate(unit.floats(4440, 10)):
+        print(f"{(i + 0.5) / 10:.0%} of the light within {r:.6g} mm")
+
+
+def invert(unit):
+    albedos, lengths_mm = [0.44, 0.22, 0.13], [1.3, 0.95, 0.67]
+    unit.write(4704, "2H3f", FREE_PATH, 3, *albedos)  # given, medium_count
+    unit.write(4806, "3f", *lengths_mm)
+    run(unit, 4700, 4920, 4928, 5240)
+    for albedo, a, s in zip(albedos, unit.floats(4940, 3), unit.floats(5040, 3)):
+        print(f"albedo {albedo:g}: sigma_a {a:.6g}, sigma_s {s:.6g} 1/mm")
+
+
+def mc(unit):
+    unit.write(116, "2f", 0.1, 10)  # radius_start, radius_stop
+    unit.write(5302, "2HfI", 5, LOGARITHMIC, 1e6, 1)  # ring_count, spacing, photons, seed
+    run(unit, 5300, 5320, 5328, 5868)
+    edges = unit.floats(5366, 6)
+    rings = zip(edges, edges[1:], unit.floats(5468, 5), unit.floats(5568, 5))
+    for start, stop, R, error in rings:
+        print(f"{start:.3g} to {stop:.3g} mm: {R:.4g} +- {error:.2g} 1/mm^2")
+
+
+def main(where, job):
+    unit = Unit(where)
+    unit.write(DEFAULTS, "H", 1)  # other masters may have written anything
+    unit.write(106, "4f", *SKIN)
+    {"sample": sample, "invert": invert, "mc": mc}[job](unit)
+
+
+main(*sys.argv[1:])
