@@ -61,7 +61,7 @@ def seeds() -> Iterator[tuple[str, bytes]]:
         yield "replies", data[6:7] + b"\x00" + data
     for data in examples("REGISTERS.md").values():
         yield "modbus", b"\x00\x00" + data
-        yield "rtu", bytes([0x80 | (len(data) - 6)]) + data[6:]
+        yield "rtu", bytes([5, len(data) - 6]) + data[6:]  # with a checksum, before a silence
 
 
 def kept() -> Iterator[tuple[str, bytes]]:
@@ -100,7 +100,8 @@ def report(name: str, status: int, log: Path, took_s: float) -> bool:
     print(f"fuzz: {name:10} {shown[0]:>10} executions {shown[1]:>6} edges {shown[2]:>5} inputs"
           f" {took_s:6.0f} s{'' if good else '  FAILED'}", flush=True)
     if not good:
-        print("\n".join(text.splitlines()[-60:]))
+        told = [line for line in text.splitlines() if not line.startswith("#")]
+        print("\n".join(told[-60:]))
         for written in re.findall(r"Test unit written to (\S+)", text):
             print(f"fuzz: {name}: reproduce: FUZZ_TARGET={name} {sys.argv[1]} {written}", flush=True)
     return good
