@@ -63,7 +63,8 @@ core_fault core_inverter_start(core_inverter *inverter, unsigned model, unsigned
       .moments = moments,
       .g = g,
       .eta = eta,
-      .sigma_t_prime_per_mm = sigma_t_prime_per_mm,
+      /* An albedo does not depend on this scale, which keeps sigma_s in range for g next to 1. */
+      .sigma_t_prime_per_mm = real_min(sigma_t_prime_per_mm, 0.5 * CORE_SIGMA_MAX_PER_MM * (1 - g)),
       .phase = CORE_INVERTER_MOST,
   };
   if (!(g > -1 && g < 1)) { /* sigma_s = sigma_s' / (1 - g) would be undefined */

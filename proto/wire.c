@@ -115,6 +115,12 @@ wire_error wire_error_make(enum wire_status status, const char *field, const cha
   return error;
 }
 
+wire_error wire_error_busy(const char *field, const char *allowed, uint32_t retry_after_ms) {
+  wire_error error = wire_error_make(WIRE_STATUS_BUSY, field, allowed);
+  error.retry_after_ms = retry_after_ms;
+  return error;
+}
+
 wire_error wire_header_check(const wire_header *header, uint64_t max_payload_bytes) {
   char allowed[64];
   if (header->magic != WIRE_MAGIC) {

@@ -242,7 +242,11 @@ enum options_outcome options_read(int argc, char **argv, struct options *options
   if (!read_environment(options)) {
     return OPTIONS_EXIT_USAGE;
   }
-  return read_command_line(argc, argv, options);
+  const enum options_outcome outcome = read_command_line(argc, argv, options);
+  if (options->max_part_bytes > options->max_frame_bytes) {
+    options->max_part_bytes = options->max_frame_bytes; /* A part is a frame, too. */
+  }
+  return outcome;
 }
 
 void options_free(struct options *options) {

@@ -156,7 +156,8 @@ typedef struct core_mc_energy {
   double unscattered[CORE_MC_SIDES];
   core_mc_value under[CORE_MC_SIDES]; /* scattered light that left within the first edge */
   core_mc_value over[CORE_MC_SIDES];  /* scattered light that left beyond the last edge */
-  /* left + absorbed + unfinished - roulette - 1, which is 0 up to rounding, within 1e-12 */
+  /* left + absorbed + unfinished - roulette - 1, which is 0 up to rounding, within 1e-12; 0 before
+   * any batch has been merged */
   double imbalance;
 } core_mc_energy;
 

@@ -161,6 +161,21 @@ static bool lay_out_part(struct eval_job *eval, uint64_t max_bytes) {
                            eval->count, max_bytes, &eval->layout);
 }
 
+/* Returns the refusal of a request for which a part of most_bytes is too small. It says how many
+ * media would fit, or that even one does not. */
+static wire_error no_room_in_part(const struct eval_job *eval, uint64_t most_bytes) {
+  const unsigned evaluator = eval->request.fixed.evaluator;
+  const unsigned wanted = eval_job_wanted(eval);
+  uint32_t media = 0;
+  while (eval_part_radii(evaluator, wanted, media + 1, most_bytes) > 0) {
+    media++;
+  }
+  return media > 0 ? job_too_large("medium_count", media, "media fit into a part (max_part_bytes)")
+                   : wire_error_make(WIRE_STATUS_TOO_LARGE, "wanted",
+                                     "fewer quantities, or radii: they do not fit into a part "
+                                     "(max_part_bytes)");
+}
+
 /* Cuts the reply into parts and computes the layout of the first. A reply that fits into a frame is
  * one part. A larger reply has parts of up to max_part_bytes, which bounds its memory. */
 static wire_error cut(struct eval_job *eval, const struct options *options) {
@@ -175,14 +190,11 @@ static wire_error cut(struct eval_job *eval, const struct options *options) {
   if (lay_out_part(eval, options->max_frame_bytes)) {
     return wire_error_none();
   }
-  const uint64_t most_bytes = options->max_part_bytes < options->max_frame_bytes
-                                  ? options->max_part_bytes
-                                  : options->max_frame_bytes;
+  const uint64_t most_bytes = options->max_part_bytes;
   eval->part_radii =
       eval_part_radii(fixed->evaluator, eval_job_wanted(eval), fixed->medium_count, most_bytes);
   if (eval->part_radii == 0) {
-    return wire_error_make(WIRE_STATUS_TOO_LARGE, "medium_count",
-                           "fewer: a part of max_part_bytes has no room for them");
+    return no_room_in_part(eval, most_bytes);
   }
   const uint64_t parts = (fixed->radius_count - 1) / eval->part_radii + 1;
   if (parts > UINT32_MAX) { /* for example 2^40 radii in parts of 256 */

@@ -67,9 +67,7 @@ static void cut(struct invert_job *invert, const struct options *options) {
   const uint64_t count = invert->request.fixed.medium_count;
   invert->part_media = count;
   if (invert_reply_bytes(count) > options->max_frame_bytes) {
-    invert->part_media = invert_part_media(options->max_part_bytes < options->max_frame_bytes
-                                               ? options->max_part_bytes
-                                               : options->max_frame_bytes);
+    invert->part_media = invert_part_media(options->max_part_bytes);
   }
   invert->first = 0;
   invert->count = invert->part_media;

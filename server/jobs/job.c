@@ -84,10 +84,9 @@ static wire_error admit_large(struct job *job, uint64_t radii, const char *field
   const uint64_t max_radii = context->server->options.max_backlog_ms * 1000000 / RADIUS_NS;
   const uint64_t delay = delay_radii(context, radii, max_radii);
   if (delay >= max_radii) {
-    wire_error error =
-        wire_error_make(WIRE_STATUS_BUSY, field, "fewer, or later: max_backlog_ms is to do");
-    error.retry_after_ms = (uint32_t)least(delay * RADIUS_NS / 1000000, 60000);
-    return error;
+    return wire_error_busy(field,
+                           "fewer, or later: others' work would delay it by max_backlog_ms or more",
+                           (uint32_t)least(delay * RADIUS_NS / 1000000, 60000));
   }
   job->large = true;
   LIST_INSERT_HEAD(&context->large, job, in_large);
@@ -147,10 +146,8 @@ wire_error job_fault(core_fault fault, uint32_t channel) {
 }
 
 wire_error job_busy(void) {
-  wire_error error =
-      wire_error_make(WIRE_STATUS_BUSY, "", "less at a time: max_total_bytes is in use");
-  error.retry_after_ms = JOB_RETRY_AFTER_MS;
-  return error;
+  return wire_error_busy("max_total_bytes", "less at a time in all buffers; try again later",
+                         JOB_RETRY_AFTER_MS);
 }
 
 wire_error job_bad_length(const char *allowed) {

@@ -31,9 +31,8 @@ static void on_closed(uv_handle_t *handle) {
 }
 
 static wire_error no_memory(void) {
-  wire_error error = wire_error_make(WIRE_STATUS_BUSY, "", "less at a time: out of memory");
-  error.retry_after_ms = JOB_RETRY_AFTER_MS;
-  return error;
+  return wire_error_busy(CORE_FIELD_MEMORY, "less than what is left: try again later",
+                         JOB_RETRY_AFTER_MS);
 }
 
 static struct mc *new_mc(const struct job *job, const struct job_request *request) {

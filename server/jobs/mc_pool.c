@@ -371,12 +371,6 @@ void mc_pool_free(struct mc_pool *pool) {
 
 /* ---- jobs ------------------------------------------------------------------------------------ */
 
-static wire_error busy(const char *allowed) {
-  wire_error error = wire_error_make(WIRE_STATUS_BUSY, "", allowed);
-  error.retry_after_ms = RETRY_AFTER_MS;
-  return error;
-}
-
 /* Makes a job. Returns NULL if there is no memory. */
 static struct mc_job *new_job(struct mc_pool *pool, const struct mc_task *task, uv_async_t *to) {
   const size_t batches = BATCHES_PER_THREAD * (size_t)pool->server->options.mc_threads;
@@ -421,11 +415,13 @@ wire_error mc_job_start(struct mc_pool *pool, const uint8_t *payload, size_t pay
   }
   *job = new_job(pool, &task, to);
   if (*job == NULL) {
-    return busy("less at a time: max_total_bytes is in use");
+    return wire_error_busy("max_total_bytes", "less at a time in all buffers; try again later",
+                           RETRY_AFTER_MS);
   }
   if (!add_job(pool, *job)) {
     free_job(*job);
-    return busy("fewer Monte Carlo jobs at a time: max_mc_jobs");
+    return wire_error_busy("max_mc_jobs", "fewer Monte Carlo jobs at a time; try again later",
+                           RETRY_AFTER_MS);
   }
   return wire_error_none();
 }

@@ -176,6 +176,7 @@ enum input_outcome input_frame(struct input *input, wire_header *header, const u
 }
 
 void input_next(struct input *input, const wire_header *header) {
+  input->skip_id = header->request_id;
   input->skip_bytes = WIRE_BYTES_header + (uint64_t)header->payload_bytes;
   take_skipped(input);
 }
@@ -213,6 +214,17 @@ void input_discard(struct input *input) {
 
 bool input_partial(const struct input *input) {
   return input->skip_bytes > 0 || held(input) > 0;
+}
+
+uint64_t input_partial_id(const struct input *input) {
+  wire_header header = {.request_id = input->skip_id};
+  if (input->skip_bytes == 0) {
+    header.request_id = 0;
+    if (held(input) >= WIRE_BYTES_header) {
+      wire_get_header(input->bytes + input->begin, &header);
+    }
+  }
+  return header.request_id;
 }
 
 /* ---- output ---------------------------------------------------------------------------------- */

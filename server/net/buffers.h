@@ -34,6 +34,7 @@ struct input {
   bool large;           /* whether it has needed more than its first size since input_trim() */
   uint64_t large_ms;    /* when input_trim() last found `large` set */
   uint64_t skip_bytes;  /* bytes of a refused payload that have still to arrive */
+  uint64_t skip_id;     /* request id of that payload */
   uint64_t total_bytes; /* number of bytes that have arrived so far */
   struct input_mark marks[INPUT_MARKS]; /* for what has not been dealt with; both members rise */
   unsigned mark_count;
@@ -88,6 +89,10 @@ void input_discard(struct input *input);
 
 /* Returns whether a frame has begun to arrive and is not complete. */
 bool input_partial(const struct input *input);
+
+/* Returns the request id of this frame, which may have been refused already; 0 if its header is not
+ * complete. */
+uint64_t input_partial_id(const struct input *input);
 
 /* ---- output ---------------------------------------------------------------------------------- */
 

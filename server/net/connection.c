@@ -63,9 +63,7 @@ static void on_wake(void *owner) {
 }
 
 wire_error connection_refusal(void) {
-  wire_error error = wire_error_make(WIRE_STATUS_BUSY, "", "fewer connections: max_connections");
-  error.retry_after_ms = 1000;
-  return error;
+  return wire_error_busy("max_connections", "fewer open connections; try again later", 1000);
 }
 
 struct client *connection_new(struct server *server, int fd, enum connection_purpose purpose) {
@@ -146,9 +144,8 @@ static void on_room_wanted(uv_handle_t *handle, size_t suggested, uv_buf_t *buff
 /* Refuses and skips an incomplete frame because there is no memory for the rest of it. */
 static void refuse_for_memory(struct connection *c) {
   wire_header header;
-  wire_error error =
-      wire_error_make(WIRE_STATUS_BUSY, "payload_bytes", "less at a time: max_total_bytes in use");
-  error.retry_after_ms = 1000;
+  const wire_error error = wire_error_busy(
+      "payload_bytes", "less at a time: max_total_bytes are in use; try again later", 1000);
   if (!input_refuse(&c->input, &header)) {
     abort_connection(c);
   } else if (!requests_refuse(&c->requests, header.request_id, &error)) {
@@ -287,14 +284,13 @@ static void end_if_done(struct connection *c) {
     return;
   }
   if (c->peer_done && input_partial(&c->input)) {
-    wire_header header = {0}; /* The request id stays 0 if no header has arrived. */
-    input_refuse(&c->input, &header);
-    requests_end(&c->requests, header.request_id,
-                 wire_error_make(WIRE_STATUS_TRUNCATED, "payload_bytes", "as many as announced"));
+    requests_end(&c->requests, input_partial_id(&c->input),
+                 wire_error_make(WIRE_STATUS_TRUNCATED, "payload_bytes",
+                                 "as many bytes as the header announces"));
   } else if (c->stopping && !c->peer_done) {
-    requests_end(
-        &c->requests, 0,
-        wire_error_make(WIRE_STATUS_SHUTTING_DOWN, "", "another daemon, or this one later"));
+    requests_end(&c->requests, 0,
+                 wire_error_make(WIRE_STATUS_SHUTTING_DOWN, "daemon",
+                                 "another one, or this one when it has been started again"));
   }
   c->requests.ended |= c->peer_done;
   write_more(c);
@@ -451,16 +447,16 @@ static void tick(struct client *client, uint64_t now_ms) {
     return;
   }
   if (c->frame_started_ms != 0 && now_ms - c->frame_started_ms > options->frame_timeout_ms) {
-    requests_end(
-        &c->requests, 0,
-        wire_error_make(WIRE_STATUS_TIMEOUT, "payload_bytes", "frames within frame_timeout_ms"));
+    requests_end(&c->requests, 0,
+                 wire_error_make(WIRE_STATUS_TIMEOUT, "payload_bytes",
+                                 "a whole frame within frame_timeout_ms"));
     worker_run_later(&c->client);
   } else if (c->requests.detached != NULL) { /* There may be room for a reply now. */
     worker_run_later(&c->client);
   } else if (now_ms - c->active_ms > options->idle_timeout_ms) {
     requests_end(
         &c->requests, 0,
-        wire_error_make(WIRE_STATUS_TIMEOUT, "", "no silence longer than idle_timeout_ms"));
+        wire_error_make(WIRE_STATUS_TIMEOUT, "idle_timeout_ms", "no longer silence than this"));
     worker_run_later(&c->client);
   } else if (now_ms - c->active_ms > REST_MS) {
     input_release(&c->input);

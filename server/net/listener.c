@@ -19,6 +19,7 @@ enum {
   BACKLOG = 1024,
   ACCEPTS_PER_ROUND = 64,
   PAUSE_MS = 100,        /* pause before accepting again when no file descriptor is left */
+  PAUSE_LOG_MS = 10000,  /* how often such pauses are logged while they last */
   REFUSALS_AT_ONCE = 64, /* refused connections that a worker serves; more are closed at once */
 };
 
@@ -93,6 +94,18 @@ static void admit(struct server *server, int fd) {
 
 static void on_pause_over(uv_timer_t *timer);
 
+/* Stops accepting for a while. The connection goes on waiting, so the poll would return at once
+ * again and again. */
+static void pause_accepting(struct listener *listener, const char *reason) {
+  const uint64_t now_ms = uv_now(listener->poll.loop);
+  if (listener->pause_logged_ms == 0 || now_ms - listener->pause_logged_ms >= PAUSE_LOG_MS) {
+    listener->pause_logged_ms = now_ms;
+    log_peer_line(LOG_LEVEL_ERROR, "event=accept-paused reason=%s", reason);
+  }
+  uv_poll_stop(&listener->poll);
+  uv_timer_start(&listener->pause, on_pause_over, PAUSE_MS, 0);
+}
+
 static void on_connections(uv_poll_t *poll, int status, int events) {
   (void)status;
   (void)events;
@@ -102,10 +115,7 @@ static void on_connections(uv_poll_t *poll, int status, int events) {
     if (fd >= 0) {
       listener->admit(listener->server, fd);
     } else if (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM) {
-      /* Stop the poll: the connection still waits, so the poll would return again and again. */
-      log_peer_line(LOG_LEVEL_ERROR, "event=accept-paused reason=%s", strerror(errno));
-      uv_poll_stop(&listener->poll);
-      uv_timer_start(&listener->pause, on_pause_over, PAUSE_MS, 0);
+      pause_accepting(listener, strerror(errno));
       return;
     } else if (errno == EAGAIN) {
       return;

@@ -9,6 +9,7 @@ struct listener {
   void (*admit)(struct server *server, int fd); /* gets, and then owns, each connected socket */
   uv_poll_t poll;
   uv_timer_t pause;
+  uint64_t pause_logged_ms; /* when a pause was last logged; 0 if never */
   int fd;
   char *unix_path;   /* the socket file to remove in the end; NULL for TCP and adopted sockets */
   dev_t unix_device; /* of the socket file */

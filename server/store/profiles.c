@@ -166,7 +166,8 @@ static enum profiles_answer get_from_cache(struct profiles *profiles,
     cache_prepare_in_pool(profiles->server->cache, profiles->loop);
     return PROFILES_WAIT;
   case CACHE_BUSY:
-    lookup->fault = (core_fault){PROFILES_FIELD_BUSY, "later: max_waiting_profiles wait", 0};
+    lookup->fault =
+        (core_fault){PROFILES_FIELD_BUSY, "fewer profiles that wait; try again later", 0};
     return PROFILES_FAULT;
   case CACHE_NO_MEMORY:
     break;

@@ -108,7 +108,7 @@ void profiles_sweep(struct profiles *profiles);
 enum profiles_answer { PROFILES_READY, PROFILES_FAULT, PROFILES_WAIT };
 
 /* The field of the fault of an owner that has max_waiting_profiles waiters already. */
-#define PROFILES_FIELD_BUSY "profiles"
+#define PROFILES_FIELD_BUSY "max_waiting_profiles"
 
 /* Returns whether a fault is temporary: memory is lacking, or too many profiles wait. */
 bool profiles_is_busy(core_fault fault);

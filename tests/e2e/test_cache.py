@@ -302,7 +302,7 @@ def test_stopping_answers_who_waits(daemon):
         one.terminate()
         for connection in (first, second):
             assert connection.receive_frame().type == REPLY
-            assert_error(connection.receive_frame(), "shutting-down", "", "", request_id=0)
+            assert_error(connection.receive_frame(), "shutting-down", "daemon", "another one", request_id=0)
             assert_closed(connection)
     assert one.wait() == 0
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import dipole
 import numpy as np
 import pytest
-from dipole import Draw, inversion, wire
+from dipole import Draw, Medium, inversion, wire
 from frames import INVERT, SKIN, ask, assert_refused, assert_serves, frame, invert_payload, refused
 from known import receive_answer
 from lists import MODELS
@@ -96,6 +96,16 @@ def test_out_of_reach(client):
     assert list(np.isnan(found.sigma_a)) == [False, True, True, True]
     assert list(np.isnan(found.albedo)) == [False, True, True, True]
     assert found.missing == 3 and 0 < found.albedo_least < 0.01 < found.albedo_most < 0.1
+
+
+@pytest.mark.parametrize("g", [1 - 2**-53, 1 - 2**-50, -1 + 2**-53])
+def test_g_next_to_1(client, g):
+    """sigma_s is sigma_s' / (1 - g), up to 9e15 times as much; it is found where it is in range."""
+    found = client.invert("better", [0.5, 0.5], [1e3, 1e-14], g=g, eta=1.3)
+    medium = Medium(found.sigma_a[0], found.sigma_s[0], g, 1.3)
+    assert client.eval("better", medium, [1.0]).albedo[0] == pytest.approx(0.5, rel=1e-12)
+    assert medium.sigma_a + medium.sigma_s * (1 - g) == pytest.approx(1e-3, rel=1e-12)
+    assert (found.missing == 1) == np.isnan(found.sigma_s[1]) == (g > 0)
 
 
 def test_shapes(client):

@@ -89,9 +89,17 @@ def test_media_that_do_not_fit_a_part(daemon):
         # A frame holds these, but a part has no room for 256 radii of each.
         few = eval_payload([SKIN] * 2, radii=None, radius_count=400, wanted=R)
         assert wire.EVAL_REPLY.unpack(ask(connection, EVAL, few).payload).part_count == 1
-        reply = ask(connection, EVAL, eval_payload([SKIN] * 2, radii=None, radius_count=800))
-        assert_error(reply, "too-large", "medium_count", "max_part_bytes")
+        reply = ask(connection, EVAL, eval_payload([SKIN] * 2, radii=None, radius_count=800, wanted=R))
+        assert_error(reply, "too-large", "medium_count", "at most 1 media fit into a part")
+        # Of all quantities not even one medium's fit, so fewer media would not help.
+        reply = ask(connection, EVAL, eval_payload(radii=None, radius_count=800, wanted=511))
+        assert_error(reply, "too-large", "wanted", "max_part_bytes")
         assert_serves(connection)
+
+
+def test_parts_are_no_larger_than_frames(daemon):
+    with daemon("--max-frame-bytes", "8192").client() as client:
+        assert client.info.limits["max_part_bytes"] == 8192
 
 
 def test_max_media(daemon):
@@ -114,7 +122,7 @@ def test_max_connections(daemon, scheme):
     for _ in range(3):
         with one.connect(scheme) as too_many:
             reply = too_many.receive_frame()
-            assert_error(reply, "busy", "", "max_connections", request_id=0)
+            assert_error(reply, "busy", "max_connections", "fewer", request_id=0)
             assert_closed(too_many)
     for connection in open_ones:
         assert_serves(connection)
@@ -240,7 +248,7 @@ def test_max_total_bytes(daemon):
         # A large buffer is kept for a moment, for the next large answer.
         assert eventually(lambda: free() == free_bytes)
         reply = ask(connection, EVAL, reply_payload_that_takes(free_bytes + 8))
-        assert_error(reply, "busy", "", "max_total_bytes")
+        assert_error(reply, "busy", "max_total_bytes", "less")
         assert_serves(connection)
 
 
@@ -306,14 +314,14 @@ def test_idle_timeout(daemon):
         while not select.select([silent.socket], [], [], 0.02)[0]:
             assert_serves(busy)
         reply = silent.receive_frame()
-        assert_error(reply, "timeout", "", "idle_timeout_ms", request_id=0)
+        assert_error(reply, "timeout", "idle_timeout_ms", "silence", request_id=0)
         assert_closed(silent)
         assert_serves(busy)
 
 
 def test_idle_timeout_of_one_that_never_said_anything(daemon):
     with daemon("--idle-timeout-ms", "100").connect("tcp") as silent:
-        assert_error(silent.receive_frame(), "timeout", "", "idle_timeout_ms", request_id=0)
+        assert_error(silent.receive_frame(), "timeout", "idle_timeout_ms", "silence", request_id=0)
         assert_closed(silent)
 
 

@@ -156,6 +156,7 @@ def test_cancelled_jobs_have_a_table(daemon, threads):
         energy = result.energies[0]
         whole = energy.R.value + energy.absorbed.value + energy.unfinished.value
         assert result.photons == 0 or abs(whole - energy.roulette.value - 1) < 1e-9
+        assert abs(energy.imbalance) < 1e-9
         assert_serves(connection)
         assert cancel(connection, 77) == 0
 
@@ -237,7 +238,7 @@ def test_stopping_ends_jobs_with_what_there_is(daemon, how):
     one.terminate(how)
     for connection in connections:
         assert receive_table(connection).state == "stopped"
-        assert_error(connection.receive_frame(), "shutting-down", "", "", request_id=0)
+        assert_error(connection.receive_frame(), "shutting-down", "daemon", "another one", request_id=0)
         assert_closed(connection)
         connection.close()
     assert one.wait() == 0
@@ -352,7 +353,7 @@ def test_max_mc_jobs(daemon):
         connection.send_bytes(frame(MC, 3, mc_payload()))
         while (reply := connection.receive_frame()).request_id != 3:
             assert unpack_fixed(reply.payload).state == wire.MC_UNDER_WAY
-        assert_error(reply, "busy", "", "max_mc_jobs", request_id=3)
+        assert_error(reply, "busy", "max_mc_jobs", "fewer", request_id=3)
         assert cancel(connection, 2) == 1
         while (reply := connection.receive_frame()).request_id != 2 or (
             unpack_fixed(reply.payload).state == wire.MC_UNDER_WAY
@@ -392,7 +393,7 @@ def test_memory_is_from_the_budget(daemon):
     with daemon("--max-total-bytes", "1048576").connect() as connection:
         large = mc_payload(edges=Grid(0.0, 5.0, 4097), albedos=[0.5] * 16)
         reply = ask(connection, MC, large)
-        assert_error(reply, "busy", "", "max_total_bytes")
+        assert_error(reply, "busy", "max_total_bytes", "less")
         connection.send_bytes(frame(MC, 77, mc_payload()))
         assert receive_table(connection).state == "photons"
         assert_serves(connection)

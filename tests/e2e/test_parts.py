@@ -296,7 +296,7 @@ def test_stopping_lets_an_answer_end(daemon):
         while parts[-1].part + 1 < parts[-1].part_count:
             parts.append(wire.EVAL_REPLY.unpack(connection.receive_frame().payload))
         assert sum(part.radius_count for part in parts) == count
-        assert_error(connection.receive_frame(), "shutting-down", "", "", request_id=0)
+        assert_error(connection.receive_frame(), "shutting-down", "daemon", "another one", request_id=0)
         assert_closed(connection)
     assert one.wait() == 0
 
@@ -330,7 +330,7 @@ def test_an_answer_that_memory_does_not_let_go_on(daemon):
             assert statistics(watcher)["buffer_bytes"] > 2 << 20
         second.send_bytes(frame(EVAL, 77, eval_payload(**ENDLESS)))
         assert take_apart(second.receive_frame().payload).fixed.part == 0
-        assert_error(second.receive_frame(), "busy", "", "max_total_bytes")
+        assert_error(second.receive_frame(), "busy", "max_total_bytes", "less")
         first.close()
         assert_serves(second)
 

@@ -385,6 +385,7 @@ def processor_s(daemon: Daemon) -> float:
 
 def test_out_of_file_descriptors(daemon):
     one = daemon(prefix=["prlimit", "--nofile=48:48"])
+    began_s = time.monotonic()
     known = known_answers(one, short_requests(40))
     with contextlib.ExitStack() as all_of_them:
         # The system completes a connection before the daemon takes it, so all of these succeed.
@@ -413,7 +414,7 @@ def test_out_of_file_descriptors(daemon):
             waiting -= set(served)
     assert eventually(lambda: serves(one))
     paused = [line for line in one.log if "event=accept-paused" in line]
-    assert len(paused) < 100
+    assert 1 <= len(paused) <= 2 + (time.monotonic() - began_s) / 5  # once in 10 s, by 2 listeners
 
 
 def wait_for_answers(

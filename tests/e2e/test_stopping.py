@@ -36,7 +36,7 @@ def test_requests_in_flight_are_answered(daemon, scheme):
         assert all(reply.type == EVAL | wire.REPLY for reply in replies)
         assert all(reply.payload == expected for reply in replies)
         last = connection.receive_frame()
-        assert_error(last, "shutting-down", "", "", request_id=0)
+        assert_error(last, "shutting-down", "daemon", "another one", request_id=0)
         assert_closed(connection)
     assert one.wait() == 0
 
@@ -48,7 +48,7 @@ def test_every_connection_is_told(daemon):
         assert_serves(connection)
     one.terminate()
     for connection in connections:
-        assert_error(connection.receive_frame(), "shutting-down", "", "", request_id=0)
+        assert_error(connection.receive_frame(), "shutting-down", "daemon", "another one", request_id=0)
         assert_closed(connection)
         connection.close()
     assert one.wait() == 0

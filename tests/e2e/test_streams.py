@@ -96,6 +96,16 @@ def test_truncated_frame_with_full_close(shared, connection, length):
     assert_daemon_serves(shared)
 
 
+def test_truncated_frame_that_has_been_refused(shared, connection):
+    """The end is told with the id of the frame that is cut, as of any other."""
+    connection.send_bytes(header(type=EVAL, request_id=77, payload_bytes=1 << 30) + bytes(100))
+    assert_error(connection.receive_frame(), "too-large", "payload_bytes", "", request_id=77)
+    connection.half_close()
+    assert_error(connection.receive_frame(), "truncated", "payload_bytes", "", request_id=77)
+    assert_closed(connection)
+    assert_daemon_serves(shared)
+
+
 def test_earlier_requests_are_answered_before_the_truncated_one(connection):
     payload = eval_payload(radii=[1.0] * 10_000)
     connection.send_bytes(frame(EVAL, 1, payload) * 5 + REQUEST[:50])

@@ -281,6 +281,7 @@ UNIT_TEST(nothing_is_known_before_the_second_batch) {
     const core_mc_value R = answer.energy.left[CORE_MC_REFLECTED];
     assert_true(batches < 2 ? isinf(R.error) : R.error > 0 && R.error < 0.1);
     assert_true(batches == 0 ? R.value == 0 : R.value > 0.1);
+    assert_true(fabs(answer.energy.imbalance) < 1e-12);
     for (size_t i = 0; i < RINGS; i++) {
       const core_mc_ring *ring = &answer.rings[CORE_MC_REFLECTED][i];
       assert_true(batches < 2 ? isinf(ring->error_per_mm2) : ring->error_per_mm2 > 0);
