@@ -99,7 +99,7 @@ LIBRARY := $(call objects,$(wildcard clients/c/*.c))
 CLI := $(call objects,$(wildcard clients/cli/*.c))
 BENCH := $(call objects,$(wildcard tests/bench/*.c tests/bench/*/*.c))
 # The tools of core share these; the command line draws and shows progress with the same two.
-TOOLS := $(call objects,core/tools/tools.c clients/cli/gnuplot.c clients/cli/progress.c)
+TOOLS := $(call objects,core/tools/tools.c clients/cli/progress.c)
 TRADEOFF := $(call objects,$(wildcard core/tools/tradeoff/*.c)) $(TOOLS)
 TABLES := $(call objects,$(wildcard core/tools/transport_table/*.c)) $(TOOLS)
 SOAK := $(call objects,$(wildcard tests/soak/*.c))
@@ -355,9 +355,10 @@ model-errors:
 
 # On a machine that does little else: it times what is chosen by cost.
 tradeoff:
-	@sh .ci/install-packages demo
+	@sh .ci/install-packages demo figures
 	@$(MAKE) --no-print-directory -j2 $(BUILD)/trade-speed
 	$(BUILD)/trade-speed --output $(BUILD)/tradeoff costs
+	$(PYTHON) core/tools/tradeoff/draw.py $(BUILD)/tradeoff
 	cp $(BUILD)/tradeoff/costs.def core/
 	cp $(BUILD)/tradeoff/front.svg $(BUILD)/tradeoff/map.svg core/tools/tradeoff/
 

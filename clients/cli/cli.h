@@ -70,6 +70,8 @@ typedef struct cli_common {
 
 /* ---- commands ------------------------------------------------------------------------------ */
 
+enum { CLI_LISTS_MAX = 6 };
+
 typedef struct cli_command {
   const char *name;
   const char *operand;  /* what --help calls it; NULL if the command takes none */
@@ -77,10 +79,9 @@ typedef struct cli_command {
   const char *more;     /* further text for --help, which ends with a newline; NULL if none */
   const char *examples; /* example command lines; the text ends with a newline */
   const char *formats;  /* the values of --format, separated by commas; the first is the default */
-  const cli_option *options;        /* the options of this command only; NULL if it has none */
-  const cli_option *shared_options; /* those of several commands; NULL if none */
-  const char *usual_file;           /* for options of kind CLI_FILES */
-  size_t settings_bytes;            /* size of its settings, which are zeroed first */
+  const cli_option *options[CLI_LISTS_MAX]; /* lists of its options, in the order of --help */
+  const char *usual_file;                   /* for options of kind CLI_FILES */
+  size_t settings_bytes;                    /* size of its settings, which are zeroed first */
 
   /* Checks and completes the settings before any daemon is asked. NULL if there is nothing to
    * check. Returns an exit status; the command goes on if that is CLI_OK. */

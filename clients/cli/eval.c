@@ -11,8 +11,7 @@
 
 #define FIELD(name) offsetof(cli_eval_settings, name)
 
-static const cli_option options[] = {
-    CLI_MEDIUM_OPTIONS,
+static const cli_option radii_options[] = {
     {"table", "FILE",
      "evaluate the tables in a file of `dipole table`, without a daemon;\n"
      "-: standard input",
@@ -24,7 +23,28 @@ static const cli_option options[] = {
     {"count", "N", "how many radii the grid has (default: 21)", CLI_COUNT, FIELD(count), "21"},
     {"log", NULL, "make the ratios between radii equal instead of the steps; needs --from",
      CLI_SWITCH, FIELD(logarithmic), NULL},
-    CLI_EVAL_OPTIONS,
+    {0},
+};
+
+const cli_option cli_eval_options[] = {
+    {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
+    {"model", "NAME[,NAME...]",
+     "`dipole info` lists them; all: every model that accepts the query, while\n"
+     "standard error names those that refuse it (default: better; with\n"
+     "--tolerance the cheapest that is so near to radiative transport)",
+     CLI_NAMES, FIELD(model), NULL},
+    {CLI_MOMENTS_OPTION, NULL},
+    {"evaluator", "NAME",
+     "f64 or f32: double or single precision; lut: single, by a table\n"
+     "(default: f64; if --tolerance chooses the model, the cheapest)",
+     CLI_TEXT, FIELD(profile.evaluator), NULL},
+    {"deadline-ms", "N",
+     "ask the daemon to answer each query within N ms or to refuse it; 0: no\nlimit (default: 0)",
+     CLI_COUNT, FIELD(profile.deadline_ms), NULL},
+    {0},
+};
+
+static const cli_option output_options[] = {
     {"want", "NAME[,NAME...]",
      "what to evaluate. R: 1/mm^2 per unit of power that entered; albedo; cdf:\n"
      "the share of the albedo within r; S: 1/(mm^2 sr); `dipole info` lists\n"
@@ -127,8 +147,8 @@ const cli_command cli_command_eval = {
         "line below the table says which it took and why. With --model, --tolerance is a bound\n"
         "on the numerical error.\n",
     .formats = "table,csv,json",
-    .options = options,
-    .shared_options = cli_parameter_options,
+    .options = {cli_medium_options, radii_options, cli_eval_options, output_options,
+                cli_parameter_options},
     .usual_file = PLOT_FILE,
     .examples = "  dipole eval --medium skin1 --model classical,better --plot skin1.svg\n"
                 "  dipole eval --sigma-a 0.01,0.1 --sigma-s 10 --g 0.9 --eta 1.4 --r 0,0.5,1,2\n"

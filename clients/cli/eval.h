@@ -17,31 +17,8 @@ typedef struct cli_eval_settings {
   cli_texts plot;
 } cli_eval_settings;
 
-/* The options of all evaluations, for settings that start with a cli_eval_settings. */
-#define CLI_EVAL_OPTIONS                                                                           \
-  {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},                                                \
-      {"model",                                                                                    \
-       "NAME[,NAME...]",                                                                           \
-       "`dipole info` lists them; all: every model that accepts the query, while\n"                \
-       "standard error names those that refuse it (default: better; with\n"                        \
-       "--tolerance the cheapest that is so near to radiative transport)",                         \
-       CLI_NAMES,                                                                                  \
-       offsetof(cli_eval_settings, model),                                                         \
-       NULL},                                                                                      \
-      CLI_MOMENTS_OPTION(NULL),                                                                    \
-      {"evaluator",                                                                                \
-       "NAME",                                                                                     \
-       "f64 or f32: double or single precision; lut: single, by a table\n"                         \
-       "(default: f64; if --tolerance chooses the model, the cheapest)",                           \
-       CLI_TEXT,                                                                                   \
-       offsetof(cli_profile_settings, evaluator),                                                  \
-       NULL},                                                                                      \
-  {                                                                                                \
-    "deadline-ms", "N",                                                                            \
-        "ask the daemon to answer each query within N ms or to refuse it; 0: no\n"                 \
-        "limit (default: 0)",                                                                      \
-        CLI_COUNT, offsetof(cli_profile_settings, deadline_ms), NULL                               \
-  }
+/* The options of an evaluation, for settings that start with a cli_eval_settings. */
+extern const cli_option cli_eval_options[];
 
 /* Checks everything that can be checked without a daemon. Returns an exit status. */
 int cli_eval_check(const cli_eval_settings *settings);
@@ -68,14 +45,6 @@ typedef struct cli_eval_radii {
  * radius. */
 cli_eval_radii cli_eval_make_radii(const cli_eval_settings *settings,
                                    const cli_eval_report *report);
-
-/* Returns whether a tolerance instead of a model was given. */
-bool cli_eval_is_chosen(const cli_eval_report *report);
-
-/* Writes what was chosen and why, as in "took transport by table (lut): ..."; nothing if a model
- * was named. */
-void cli_eval_write_chosen(const cli_eval_report *report, FILE *file);
-void cli_eval_write_chosen_json(const cli_eval_report *report, cli_json *json);
 
 /* Writes the report to standard output; nothing for CLI_NONE. */
 void cli_eval_write(const cli_eval_report *report, enum cli_form form);

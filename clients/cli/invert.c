@@ -34,8 +34,8 @@ static const cli_option options[] = {
     {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
     {"model", "NAME", "the model that gives the albedo; see `dipole info` (default: better)",
      CLI_TEXT, FIELD(profile.model), "better"},
-    CLI_MOMENTS_OPTION("exact"),
-    CLI_DEADLINE_OPTION,
+    {CLI_MOMENTS_OPTION, "exact"},
+    {CLI_DEADLINE_OPTION, NULL},
     {0},
 };
 
@@ -310,7 +310,7 @@ const cli_command cli_command_invert = {
         "them by a model. sigma_t' is sigma_a + sigma_s (1 - g). As a check, the albedo of that\n"
         "medium is evaluated. The exit status is 3 if there is no such medium for some channel.\n",
     .formats = "table,csv,json",
-    .options = options,
+    .options = {options},
     .settings_bytes = sizeof(invert_settings),
     .check = check,
     .run = run,

@@ -490,7 +490,7 @@ const cli_command cli_command_mc = {
         "of R and T and what was absorbed. The exit status is 1 if the job was cancelled or\n"
         "missed the error that was asked for.\n",
     .formats = "table,csv,json",
-    .options = options,
+    .options = {options},
     .examples = "  dipole mc --medium skin1 --channel red\n"
                 "  dipole mc --medium skin1 --channel blue --g 0.8 --error 0.02 --to 3\n"
                 "  dipole mc --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --thickness 2\n"

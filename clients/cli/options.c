@@ -32,10 +32,10 @@ enum { OPTIONS_MAX = 64 };
 
 /* Fills `all` with the options of a command, headings included, in the order of --help. */
 static size_t gather(const cli_command *command, const cli_option *all[OPTIONS_MAX]) {
-  const cli_option *const lists[] = {command->options, command->shared_options, common_options};
   size_t count = 0;
-  for (size_t i = 0; i < sizeof lists / sizeof lists[0]; i++) {
-    for (const cli_option *option = lists[i]; option != NULL && option->name != NULL; option++) {
+  for (size_t i = 0; i <= CLI_LISTS_MAX; i++) {
+    const cli_option *option = i < CLI_LISTS_MAX ? command->options[i] : common_options;
+    for (; option != NULL && option->name != NULL; option++) {
       assert(count < OPTIONS_MAX);
       all[count++] = option;
     }

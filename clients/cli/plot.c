@@ -29,8 +29,6 @@ typedef struct plot_settings {
 #define FIELD(name) offsetof(plot_settings, name)
 
 static const cli_option options[] = {
-    CLI_MEDIUM_OPTIONS,
-    CLI_EVAL_OPTIONS,
     {"Radii", NULL, NULL, CLI_HEADING, 0, NULL},
     {"r", "X[,X...]", "these radii, mm", CLI_NUMBERS, FIELD(eval.r), NULL},
     {"from", "X", "the first radius, mm (default: 0; on a logarithmic axis --to / 1000)",
@@ -333,8 +331,7 @@ const cli_command cli_command_plot = {
         "gnuplot draws all pictures. Text has colours only on a terminal, unless NO_COLOR is "
         "set.\n",
     .formats = "none,table,csv,json",
-    .options = options,
-    .shared_options = cli_parameter_options,
+    .options = {cli_medium_options, cli_eval_options, options, cli_parameter_options},
     .usual_file = PLOT_FILE,
     .examples =
         "  dipole plot --medium skin1 --model classical,better,transport\n"

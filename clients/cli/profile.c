@@ -12,6 +12,25 @@
 
 #define FIELD(name) offsetof(cli_profile_settings, name)
 
+const cli_option cli_medium_options[] = {
+    {"Medium", NULL, NULL, CLI_HEADING, 0, NULL},
+    {"medium", "NAME[,NAME...]",
+     "measured media: red, green and blue of each; `dipole media` lists them", CLI_TEXT,
+     FIELD(medium), NULL},
+    {"channel", "COLOUR[,...]", "red, green or blue. Only these channels are taken (default: all)",
+     CLI_NAMES, FIELD(channel), NULL},
+    {"sigma-a", "X[,X...]", "absorption coefficient, 1/mm; one value for each channel", CLI_NUMBERS,
+     FIELD(sigma_a), NULL},
+    {"sigma-s", "X[,X...]", "scattering coefficient, 1/mm; a single value is for all channels",
+     CLI_NUMBERS, FIELD(sigma_s), NULL},
+    {"g", "X[,X...]", "mean cosine of the scattering angle (default: 0)", CLI_NUMBERS, FIELD(g),
+     NULL},
+    {"eta", "X[,X...]",
+     "refractive index inside over outside (default: that of the measured\nmedium, else 1.3)",
+     CLI_NUMBERS, FIELD(eta), NULL},
+    {0},
+};
+
 const cli_option cli_parameter_options[] = {
     {"Parameters, for the models that take them", NULL, NULL, CLI_HEADING, 0, NULL},
     {"tolerance", "X",

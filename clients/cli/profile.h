@@ -24,56 +24,17 @@ typedef struct cli_profile_settings {
 /* An option for each parameter of the protocol; its name is the parameter's, with - for _. */
 extern const cli_option cli_parameter_options[];
 
-#define CLI_MEDIUM_OPTIONS                                                                         \
-  {"Medium", NULL, NULL, CLI_HEADING, 0, NULL},                                                    \
-      {"medium",                                                                                   \
-       "NAME[,NAME...]",                                                                           \
-       "measured media: red, green and blue of each; `dipole media` lists them",                   \
-       CLI_TEXT,                                                                                   \
-       offsetof(cli_profile_settings, medium),                                                     \
-       NULL},                                                                                      \
-      {"channel",                                                                                  \
-       "COLOUR[,...]",                                                                             \
-       "red, green or blue. Only these channels are taken (default: all)",                         \
-       CLI_NAMES,                                                                                  \
-       offsetof(cli_profile_settings, channel),                                                    \
-       NULL},                                                                                      \
-      {"sigma-a",                                                                                  \
-       "X[,X...]",                                                                                 \
-       "absorption coefficient, 1/mm; one value for each channel",                                 \
-       CLI_NUMBERS,                                                                                \
-       offsetof(cli_profile_settings, sigma_a),                                                    \
-       NULL},                                                                                      \
-      {"sigma-s",                                                                                  \
-       "X[,X...]",                                                                                 \
-       "scattering coefficient, 1/mm; a single value is for all channels",                         \
-       CLI_NUMBERS,                                                                                \
-       offsetof(cli_profile_settings, sigma_s),                                                    \
-       NULL},                                                                                      \
-      {"g",                                                                                        \
-       "X[,X...]",                                                                                 \
-       "mean cosine of the scattering angle (default: 0)",                                         \
-       CLI_NUMBERS,                                                                                \
-       offsetof(cli_profile_settings, g),                                                          \
-       NULL},                                                                                      \
-  {                                                                                                \
-    "eta", "X[,X...]",                                                                             \
-        "refractive index inside over outside (default: that of the measured\nmedium, else 1.3)",  \
-        CLI_NUMBERS, offsetof(cli_profile_settings, eta), NULL                                     \
-  }
+/* The options of the medium: the members from medium to eta. */
+extern const cli_option cli_medium_options[];
 
-#define CLI_MOMENTS_OPTION(usual)                                                                  \
-  {                                                                                                \
-    "moments", "NAME", "Fresnel moments; `dipole info` lists them (default: exact)", CLI_TEXT,     \
-        offsetof(cli_profile_settings, moments), usual                                             \
-  }
-
+/* One option each; what follows is the value when it is not given. */
+#define CLI_MOMENTS_OPTION                                                                         \
+  "moments", "NAME", "Fresnel moments; `dipole info` lists them (default: exact)", CLI_TEXT,       \
+      offsetof(cli_profile_settings, moments)
 #define CLI_DEADLINE_OPTION                                                                        \
-  {                                                                                                \
-    "deadline-ms", "N",                                                                            \
-        "ask the daemon to answer within N ms or to refuse; 0: no limit\n(default: 0)", CLI_COUNT, \
-        offsetof(cli_profile_settings, deadline_ms), NULL                                          \
-  }
+  "deadline-ms", "N",                                                                              \
+      "ask the daemon to answer within N ms or to refuse; 0: no limit\n(default: 0)", CLI_COUNT,   \
+      offsetof(cli_profile_settings, deadline_ms)
 
 /* Check the options above without a daemon, and return an exit status. */
 int cli_medium_check(const cli_profile_settings *settings);

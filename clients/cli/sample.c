@@ -24,7 +24,6 @@ typedef struct sample_settings {
 #define FIELD(name) offsetof(sample_settings, name)
 
 static const cli_option options[] = {
-    CLI_MEDIUM_OPTIONS,
     {"Numbers", NULL, NULL, CLI_HEADING, 0, NULL},
     {"u", "X[,X...]", "take these numbers, from 0 (which gives 0 mm) to 1 (which gives inf)",
      CLI_NUMBERS, FIELD(u), NULL},
@@ -40,7 +39,7 @@ static const cli_option options[] = {
     {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
     {"model", "NAME", "a model that covers all radii; see `dipole info` (default: better)",
      CLI_TEXT, FIELD(profile.model), "better"},
-    CLI_MOMENTS_OPTION("exact"),
+    {CLI_MOMENTS_OPTION, "exact"},
     {"evaluator", "NAME",
      "f64 or f32: double or single precision; lut: single, by a table, which\n"
      "draws fastest (default: f64)",
@@ -50,7 +49,7 @@ static const cli_option options[] = {
      "times that of points on the surface; `dipole info` lists all, at these\n"
      "radii (default: r,pdf)",
      CLI_NAMES, FIELD(want), NULL},
-    CLI_DEADLINE_OPTION,
+    {CLI_DEADLINE_OPTION, NULL},
     {"Output", NULL, NULL, CLI_HEADING, 0, NULL},
     {"plot", "[FILE]",
      "also draw a histogram of the radii, and their density, into FILE.svg or\n"
@@ -439,8 +438,7 @@ const cli_command cli_command_sample = {
             "uniform numbers give radii in proportion to r R(r). All channels get the same\n"
             "numbers.\n",
     .formats = "table,csv,json",
-    .options = options,
-    .shared_options = cli_parameter_options,
+    .options = {cli_medium_options, options, cli_parameter_options},
     .usual_file = PLOT_FILE,
     .settings_bytes = sizeof(sample_settings),
     .check = check,

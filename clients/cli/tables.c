@@ -14,11 +14,10 @@ typedef struct table_settings {
 } table_settings;
 
 static const cli_option options[] = {
-    CLI_MEDIUM_OPTIONS,
     {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
     {"model", "NAME", "see `dipole info` (default: better)", CLI_TEXT,
      offsetof(cli_profile_settings, model), "better"},
-    CLI_MOMENTS_OPTION("exact"),
+    {CLI_MOMENTS_OPTION, "exact"},
     {"Output", NULL, NULL, CLI_HEADING, 0, NULL},
     {"output", "FILE",
      "write the tables into FILE, binary, one behind the other; -: only write\n"
@@ -268,8 +267,7 @@ const cli_command cli_command_table = {
         "words as integers. proto/PROTOCOL.md describes them, and what holds outside of the\n"
         "pieces.\n",
     .formats = "table,csv,json",
-    .options = options,
-    .shared_options = cli_parameter_options,
+    .options = {cli_medium_options, options, cli_parameter_options},
     .examples = "  dipole table --medium skin1 --model transport --output skin1.table\n"
                 "  dipole eval --table skin1.table --r 0.1,1,10 --want R,cdf\n"
                 "  dipole table --sigma-a 0.01 --sigma-s 1 --tolerance 1e-5 --format csv\n",

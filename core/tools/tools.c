@@ -59,21 +59,6 @@ void tools_close(FILE *file, const char *path) {
   }
 }
 
-void tools_require_gnuplot(void) {
-  char error[CLI_GNUPLOT_ERROR_BYTES];
-  if (!cli_gnuplot_runs(error)) {
-    tools_fail("%s", error);
-  }
-}
-
-void tools_draw(const char *path, size_t width, size_t height, cli_gnuplot_script *write,
-                const void *context) {
-  char error[CLI_GNUPLOT_ERROR_BYTES];
-  if (!cli_gnuplot(path, width, height, write, context, error)) {
-    tools_fail("%s: %s", path, error);
-  }
-}
-
 /* ---- threads --------------------------------------------------------------------------------- */
 
 size_t tools_processors(void) {
@@ -83,30 +68,6 @@ size_t tools_processors(void) {
                                           : (size_t)processors;
 }
 
-struct job {
-  void (*work)(void *context);
-  void *context;
-};
-
-static void *start(void *argument) {
-  const struct job *job = argument;
-  job->work(job->context);
-  return NULL;
-}
-
-void tools_in_threads(size_t threads, void (*work)(void *context), void *context) {
-  pthread_t ids[TOOLS_THREADS_MAX];
-  struct job job = {work, context};
-  for (size_t i = 0; i < threads; i++) {
-    if (pthread_create(&ids[i], NULL, start, &job) != 0) {
-      tools_fail("cannot start a thread");
-    }
-  }
-  for (size_t i = 0; i < threads; i++) {
-    pthread_join(ids[i], NULL);
-  }
-}
-
 struct items {
   void (*item)(void *context, size_t i);
   void *context;
@@ -114,17 +75,26 @@ struct items {
   atomic_size_t next;
 };
 
-static void take_items(void *context) {
-  struct items *all = context;
+static void *take_items(void *argument) {
+  struct items *all = argument;
   for (size_t i; (i = atomic_fetch_add(&all->next, 1)) < all->count;) {
     all->item(all->context, i);
   }
+  return NULL;
 }
 
 void tools_each(size_t threads, size_t count, void (*item)(void *context, size_t i),
                 void *context) {
+  pthread_t ids[TOOLS_THREADS_MAX];
   struct items all = {.item = item, .context = context, .count = count};
-  tools_in_threads(threads < count || count == 0 ? threads : count, take_items, &all);
+  for (size_t i = 0; i < threads; i++) {
+    if (pthread_create(&ids[i], NULL, take_items, &all) != 0) {
+      tools_fail("cannot start a thread");
+    }
+  }
+  for (size_t i = 0; i < threads; i++) {
+    pthread_join(ids[i], NULL);
+  }
 }
 
 void tools_progress_start(tools_progress *progress, double total_us) {

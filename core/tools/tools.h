@@ -7,7 +7,6 @@
 #include <stddef.h>
 #include <stdio.h>
 
-#include "clients/cli/gnuplot.h"
 #include "clients/cli/progress.h"
 #include "core/core.h"
 
@@ -27,23 +26,12 @@ void tools_make_folder(const char *path);
 FILE *tools_open(const char *path);
 void tools_close(FILE *file, const char *path);
 
-/* Fails if gnuplot does not run here. Programs that work for long call this before they begin. */
-void tools_require_gnuplot(void);
-
-/* Runs gnuplot with the script that write(context) makes, and stores its picture as an .svg or .png
- * file of width by height pixels. */
-void tools_draw(const char *path, size_t width, size_t height, cli_gnuplot_script *write,
-                const void *context);
-
 /* ---- threads --------------------------------------------------------------------------------- */
 
 enum { TOOLS_THREADS_MAX = 64 };
 
 /* Returns the number of processors, at most TOOLS_THREADS_MAX. */
 size_t tools_processors(void);
-
-/* Calls work(context) once in each of 1 to TOOLS_THREADS_MAX threads and waits for all of them. */
-void tools_in_threads(size_t threads, void (*work)(void *context), void *context);
 
 /* Calls item(context, i) once for each i below count; the threads share the items. */
 void tools_each(size_t threads, size_t count, void (*item)(void *context, size_t i), void *context);

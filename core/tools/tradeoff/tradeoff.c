@@ -2,9 +2,8 @@
  * needs only a medium.
  *
  *   costs    measures the speed of each evaluator, and its error against transport at the media of
- *            the paper. It writes DIR/costs.def, which `make tradeoff` copies to core/;
- *            DIR/tradeoff.csv, see write.h; DIR/front.svg and .png, see front.h; DIR/map.svg and
- *            .png, see map.h
+ *            the paper. It writes DIR/costs.def, which `make tradeoff` copies to core/, and
+ *            DIR/tradeoff.csv, which draw.py reads; see write.h
  *   errors   measures the error of each model against transport, and of isotropic scattering in
  *            place of anisotropic. It writes DIR/model_errors.def, which `make model-errors` copies
  *            to core/. Every machine writes the same file.
@@ -15,8 +14,6 @@
 #include <string.h>
 
 #include "core/tools/tools.h"
-#include "core/tools/tradeoff/front.h"
-#include "core/tools/tradeoff/map.h"
 #include "core/tools/tradeoff/write.h"
 
 enum { PATH_BYTES = 4096 };
@@ -74,21 +71,13 @@ static void measure_costs(const options *o, const subjects *of) {
   char path[PATH_BYTES];
   errors_table errors;
   tools_progress progress;
-  tools_require_gnuplot();
   tools_progress_start(&progress,
                        costs_cost_us() + errors_cost_us(ERRORS_ROWS) / (double)o->threads);
   costs_measure(costs, of, &progress);
   errors_measure(&errors, of, ERRORS_ROWS, o->threads, &progress);
-  tools_progress_stage(&progress, "pictures");
   write_csv(in_output(path, o, "tradeoff.csv"), &errors, costs);
   write_costs(in_output(path, o, "costs.def"), &errors, costs);
-  front_draw(in_output(path, o, "front.svg"), &errors, costs);
-  front_draw(in_output(path, o, "front.png"), &errors, costs);
-  map_draw(in_output(path, o, "map.svg"), &errors, costs);
-  map_draw(in_output(path, o, "map.png"), &errors, costs);
   tools_progress_end(&progress);
-  front_print(stdout, &errors, costs);
-  map_print(stdout, &errors, costs);
   errors_free(&errors);
 }
 
