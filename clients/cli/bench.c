@@ -473,7 +473,7 @@ static void put_figure(cli_rows *rows, const char *name, const char *head, doubl
 }
 
 static void put_result(cli_rows *rows, const void *context, size_t index) {
-  const bench_result *result = (const bench_result *)context + index;
+  const bench_result *result = &((const report *)context)->results[index];
   const bench_load *load = &result->load;
   cli_put_text(rows, CLI_COLUMN("name", "requests", .forms = CLI_IN_TABLE | CLI_IN_JSON),
                load->name);
@@ -493,7 +493,8 @@ static void put_result(cli_rows *rows, const void *context, size_t index) {
   put_figure(rows, "bytes_per_s", "MB/s", 1e6, bench_bytes_per_s(result));
 }
 
-static void write_table(const report *of) {
+static void write_table(const void *context) {
+  const report *of = context;
   const dipole_info *info = of->profile.info;
   const char *medium = of->profile.medium;
   const size_t channels = of->profile.channel_count;
@@ -501,22 +502,20 @@ static void write_table(const report *of) {
          info->workers, info->instruction_set, of->profile.model->name, of->profile.evaluator->name,
          medium != NULL ? medium : "", medium != NULL ? ", " : "", channels,
          channels == 1 ? "" : "s");
-  cli_rows_print(stdout, 1, MEASUREMENTS, put_result, of->results);
+  cli_rows_print(stdout, 1, MEASUREMENTS, put_result, of);
 }
 
-static void write_json(const report *of) {
+static void put_members(cli_json *json, const void *context) {
+  const report *of = context;
   const dipole_info *info = of->profile.info;
-  cli_json json = {.file = stdout};
-  cli_json_begin(&json, NULL, '{');
-  cli_json_text(&json, "software", info->software);
-  cli_json_text(&json, "address", info->address);
-  cli_json_text(&json, "instruction_set", info->instruction_set);
-  cli_json_count(&json, "workers", info->workers);
-  cli_json_text(&json, "model", of->profile.model->name);
-  cli_json_text(&json, "evaluator", of->profile.evaluator->name);
-  cli_json_count(&json, "channels", of->profile.channel_count);
-  cli_rows_json(&json, "measurements", MEASUREMENTS, put_result, of->results);
-  cli_json_end(&json, '}');
+  cli_json_text(json, "software", info->software);
+  cli_json_text(json, "address", info->address);
+  cli_json_text(json, "instruction_set", info->instruction_set);
+  cli_json_count(json, "workers", info->workers);
+  cli_json_text(json, "model", of->profile.model->name);
+  cli_json_text(json, "evaluator", of->profile.evaluator->name);
+  cli_json_count(json, "channels", of->profile.channel_count);
+  cli_rows_json(json, "measurements", MEASUREMENTS, put_result, of);
 }
 
 /* ---- the command --------------------------------------------------------------------------- */
@@ -532,13 +531,9 @@ static int measure_and_write(const bench_settings *settings, report *of) {
   if (status != CLI_OK) {
     return status;
   }
-  if (settings->profile.common.form == CLI_TABLE) {
-    write_table(of);
-  } else if (settings->profile.common.form == CLI_CSV) {
-    cli_rows_csv(stdout, true, MEASUREMENTS, put_result, of->results);
-  } else {
-    write_json(of);
-  }
+  const cli_output output = {
+      .table = write_table, .rows = MEASUREMENTS, .put_row = put_result, .members = put_members};
+  cli_write(&output, settings->profile.common.form, of);
   return CLI_OK;
 }
 

@@ -15,12 +15,21 @@ int64_t cli_now_ms(void);
 
 /* Returns whether a call that failed is to be made again: the daemon was busy, and --retry-ms, or
  * else --timeout-ms, have not passed since start_ms. If so, waits first as long as the daemon asks
- * for, a second at most. Example:
- *   const int64_t start_ms = cli_now_ms();
- *   do {
- *     good = dipole_eval(client, &query, &result, &error);
- *   } while (!good && cli_try_again(common, start_ms, &error)); */
+ * for, a second at most. */
 bool cli_try_again(const cli_common *common, int64_t start_ms, const dipole_error *error);
+
+/* Makes a call of libdipole, again and again while cli_try_again() says so. Its value is that of the
+ * last call. Example:
+ *   good = CLI_ASK(common, &error, dipole_eval(client, &query, &result, &error)); */
+#define CLI_ASK(common, error, call)                                                               \
+  __extension__({                                                                                  \
+    const int64_t ask_start_ms = cli_now_ms();                                                     \
+    bool ask_good;                                                                                 \
+    do {                                                                                           \
+      ask_good = (call);                                                                           \
+    } while (!ask_good && cli_try_again((common), ask_start_ms, (error)));                         \
+    ask_good;                                                                                      \
+  })
 
 /* Says what a call failed with and, if its field has one, by which option that is given: for
  * example "bad-value: radius_stop: allowed: 0 to 1e6 (--to)". Returns CLI_FAILED. */

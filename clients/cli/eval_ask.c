@@ -207,12 +207,8 @@ static bool ask_piece(const asking *ask, size_t place, const cli_parameters *par
   const dipole_query query = make_query(ask, place, parameters, first, count);
   dipole_error unusable = {0};
   receiving to = {.ask = ask, .place = place, .first = first, .error = &unusable};
-  const int64_t start_ms = cli_now_ms();
-  bool good;
-  do {
-    good = dipole_eval_parts(ask->client, &query, receive, &to, error);
-  } while (!good && cli_try_again(&ask->settings->profile.common, start_ms, error));
-  if (good) {
+  if (CLI_ASK(&ask->settings->profile.common, error,
+              dipole_eval_parts(ask->client, &query, receive, &to, error))) {
     return true;
   }
   if (error->kind == DIPOLE_ERROR_STOPPED) {
@@ -314,14 +310,12 @@ static bool ask_offers(const asking *ask, bool *taken, dipole_error *error) {
   cli_eval_offers *offers = &ask->report->chosen_from;
   const dipole_query query =
       make_query(ask, 0, &ask->report->profile.parameters, 0, ask->radii->count);
-  const int64_t start_ms = cli_now_ms();
   size_t at;
-  bool good;
   free(offers->offers);
   offers->offers = NULL;
-  do {
-    good = dipole_offers(ask->client, &query, &offers->offers, &offers->count, &at, error);
-  } while (!good && cli_try_again(&ask->settings->profile.common, start_ms, error));
+  const bool good =
+      CLI_ASK(&ask->settings->profile.common, error,
+              dipole_offers(ask->client, &query, &offers->offers, &offers->count, &at, error));
   *taken = good && at < offers->count;
   return good;
 }

@@ -291,7 +291,8 @@ static void write_notes(const cli_eval_report *report) {
   }
 }
 
-static void write_table(const cli_eval_report *report) {
+static void write_table(const void *context) {
+  const cli_eval_report *report = context;
   const cli_profile *profile = &report->profile;
   cli_write_medium(profile, stdout);
   printf("R in %s; evaluator %s, moments %s", profile->info->R_unit, profile->evaluator->name,
@@ -392,41 +393,36 @@ static void put_model(cli_rows *rows, const void *context, size_t index) {
   cli_json_end(rows->json, ']');
 }
 
-static void write_json(const cli_eval_report *report) {
+static void put_members(cli_json *json, const void *context) {
+  const cli_eval_report *report = context;
   const cli_profile *profile = &report->profile;
-  cli_json json = {.file = stdout};
-  cli_json_begin(&json, NULL, '{');
-  cli_json_head(&json, profile);
-  cli_json_text(&json, "evaluator", profile->evaluator->name);
-  cli_json_text(&json, "moments", profile->moments->name);
-  cli_json_parameters(&json, profile);
-  write_chosen_json(report, &json);
-  cli_json_begin(&json, "units", '{');
-  cli_json_text(&json, "sigma_a", "1/mm");
-  cli_json_text(&json, "sigma_s", "1/mm");
-  cli_json_text(&json, "r", unit_of(report, DIPOLE_RADIUS));
-  cli_json_text(&json, "R", profile->info->R_unit);
-  cli_json_text(&json, "albedo", unit_of(report, DIPOLE_ALBEDO));
-  cli_json_text(&json, "cdf", unit_of(report, DIPOLE_CDF));
+  cli_json_head(json, profile);
+  cli_json_text(json, "evaluator", profile->evaluator->name);
+  cli_json_text(json, "moments", profile->moments->name);
+  cli_json_parameters(json, profile);
+  write_chosen_json(report, json);
+  cli_json_begin(json, "units", '{');
+  cli_json_text(json, "sigma_a", "1/mm");
+  cli_json_text(json, "sigma_s", "1/mm");
+  cli_json_text(json, "r", unit_of(report, DIPOLE_RADIUS));
+  cli_json_text(json, "R", profile->info->R_unit);
+  cli_json_text(json, "albedo", unit_of(report, DIPOLE_ALBEDO));
+  cli_json_text(json, "cdf", unit_of(report, DIPOLE_CDF));
   for (size_t q = 0; q < report->quantities.count; q++) {
     if (is_appended(report->quantities.items[q])) {
-      cli_json_text(&json, report->quantities.items[q]->name, report->quantities.items[q]->about);
+      cli_json_text(json, report->quantities.items[q]->name, report->quantities.items[q]->about);
     }
   }
-  cli_json_end(&json, '}');
-  cli_json_numbers(&json, "r", report->radii, report->radius_count);
-  cli_rows_json(&json, "models", report->model_count, put_model, report);
-  cli_json_end(&json, '}');
+  cli_json_end(json, '}');
+  cli_json_numbers(json, "r", report->radii, report->radius_count);
+  cli_rows_json(json, "models", report->model_count, put_model, report);
 }
 
 void cli_eval_write(const cli_eval_report *report, enum cli_form form) {
-  if (form == CLI_TABLE) {
-    write_table(report);
-  } else if (form == CLI_CSV) {
-    cli_rows_csv(stdout, true,
-                 report->model_count * report->profile.channel_count * rows_of_channel(report),
-                 put_value, report);
-  } else if (form == CLI_JSON) {
-    write_json(report);
-  }
+  const cli_output output = {.table = write_table,
+                             .rows = report->model_count * report->profile.channel_count *
+                                     rows_of_channel(report),
+                             .put_row = put_value,
+                             .members = put_members};
+  cli_write(&output, form, report);
 }

@@ -72,7 +72,8 @@ static size_t section_length(const facts *all, size_t first) {
   return end - first;
 }
 
-static void write_table(const facts *all) {
+static void write_table(const void *context) {
+  const facts *all = context;
   for (size_t first = 0, length; first < all->count; first += length) {
     const bool daemon = first == 0;
     cli_table table = {.columns = daemon ? 2 : 3,
@@ -105,7 +106,7 @@ static void put_value(cli_rows *rows, const char *name, const fact *one) {
 }
 
 static void put_fact(cli_rows *rows, const void *context, size_t index) {
-  const fact *one = (const fact *)context + index;
+  const fact *one = &((const facts *)context)->items[index];
   cli_put_text(rows, CLI_COLUMN("section"), one->section);
   cli_put_text(rows, CLI_COLUMN("name"), one->name);
   put_value(rows, "value", one);
@@ -123,27 +124,25 @@ static void put_member(cli_rows *rows, const void *context, size_t index) {
   put_value(rows, one->name, one);
 }
 
-static void write_json(const facts *all) {
-  cli_json json = {.file = stdout};
-  cli_json_begin(&json, NULL, '{');
+static void put_members(cli_json *json, const void *context) {
+  const facts *all = context;
   for (size_t first = 0, length; first < all->count; first += length) {
     const fact *first_fact = &all->items[first];
     length = section_length(all, first);
     if (first_fact->choice != NULL) {
-      cli_rows_json(&json, first_fact->section, length, put_choice, first_fact);
+      cli_rows_json(json, first_fact->section, length, put_choice, first_fact);
       continue;
     }
     if (first > 0) { /* the daemon's own members belong to the outermost object */
-      cli_json_begin(&json, first_fact->section, '{');
+      cli_json_begin(json, first_fact->section, '{');
     }
     for (size_t i = 0; i < length; i++) {
-      cli_rows_members(&json, put_member, first_fact, i);
+      cli_rows_members(json, put_member, first_fact, i);
     }
     if (first > 0) {
-      cli_json_end(&json, '}');
+      cli_json_end(json, '}');
     }
   }
-  cli_json_end(&json, '}');
 }
 
 static int run(void *settings, dipole_client *client) {
@@ -155,13 +154,9 @@ static int run(void *settings, dipole_client *client) {
     return cli_fail_error(&error);
   }
   facts all = gather(dipole_get_info(client), statistics, count);
-  if (common->form == CLI_TABLE) {
-    write_table(&all);
-  } else if (common->form == CLI_CSV) {
-    cli_rows_csv(stdout, true, all.count, put_fact, all.items);
-  } else {
-    write_json(&all);
-  }
+  const cli_output output = {
+      .table = write_table, .rows = all.count, .put_row = put_fact, .members = put_members};
+  cli_write(&output, common->form, &all);
   free(all.items);
   free(statistics);
   return CLI_OK;

@@ -129,7 +129,6 @@ static void take(report *of, const invert_settings *settings, const dipole_inver
 
 static bool ask(dipole_client *client, const invert_settings *settings, report *of,
                 dipole_error *error) {
-  const int64_t start_ms = cli_now_ms();
   double *albedos = cli_allocate(of->count, sizeof *albedos);
   double *lengths_mm = cli_allocate(of->count, sizeof *lengths_mm);
   for (size_t i = 0; i < of->count; i++) {
@@ -146,10 +145,8 @@ static bool ask(dipole_client *client, const invert_settings *settings, report *
                                      .medium_count = of->count,
                                      .deadline_ms = (unsigned)settings->profile.deadline_ms.value};
   dipole_inversion *inversion;
-  bool good;
-  do {
-    good = dipole_invert(client, &query, &inversion, error);
-  } while (!good && cli_try_again(&settings->profile.common, start_ms, error));
+  const bool good =
+      CLI_ASK(&settings->profile.common, error, dipole_invert(client, &query, &inversion, error));
   if (good) {
     take(of, settings, inversion);
     dipole_inversion_free(inversion);
@@ -163,7 +160,9 @@ static bool ask(dipole_client *client, const invert_settings *settings, report *
 static bool verify(dipole_client *client, const invert_settings *settings, report *of,
                    dipole_error *error) {
   for (size_t i = 0; i < of->count; i++) {
-    const int64_t start_ms = cli_now_ms();
+    if (!of->items[i].found) {
+      continue;
+    }
     const dipole_query query = {.model = of->model->id,
                                 .evaluator = DIPOLE_F64,
                                 .moments = of->moments->id,
@@ -173,16 +172,11 @@ static bool verify(dipole_client *client, const invert_settings *settings, repor
                                 .spacing = DIPOLE_LIST,
                                 .deadline_ms = (unsigned)settings->profile.deadline_ms.value};
     dipole_result *result;
-    bool good = !of->items[i].found;
-    while (!good && !(good = dipole_eval(client, &query, &result, error))) {
-      if (!cli_try_again(&settings->profile.common, start_ms, error)) {
-        return false;
-      }
+    if (!CLI_ASK(&settings->profile.common, error, dipole_eval(client, &query, &result, error))) {
+      return false;
     }
-    if (of->items[i].found) {
-      of->items[i].albedo = result->channels[0].albedo;
-      dipole_result_free(result);
-    }
+    of->items[i].albedo = result->channels[0].albedo;
+    dipole_result_free(result);
   }
   return true;
 }
@@ -223,7 +217,8 @@ static void put_medium(cli_rows *rows, const void *context, size_t index) {
   cli_put_text(rows, CLI_COLUMN("status", .forms = CLI_IN_CSV), status_of(of, one));
 }
 
-static void write_table(const report *of) {
+static void write_table(const void *context) {
+  const report *of = context;
   printf("media of given albedo; model %s, moments %s\n%s: %s\n\n", of->model->name,
          of->moments->name, of->given->name, of->given->about);
   cli_rows_print(stdout, 1, of->count, put_medium, of);
@@ -231,30 +226,24 @@ static void write_table(const report *of) {
          of->albedo_least, of->albedo_most);
 }
 
-static void write_json(const report *of) {
-  cli_json json = {.file = stdout};
-  cli_json_begin(&json, NULL, '{');
-  cli_json_text(&json, "software", of->info->software);
-  cli_json_text(&json, "model", of->model->name);
-  cli_json_text(&json, "moments", of->moments->name);
-  cli_json_text(&json, "given", of->given->name);
-  cli_json_number(&json, "albedo_least", of->albedo_least);
-  cli_json_number(&json, "albedo_most", of->albedo_most);
-  cli_json_texts(&json, "units", "length", "mm", "sigma_a", "1/mm", "sigma_s", "1/mm", "albedo",
-                 "1", NULL);
-  cli_rows_json(&json, "channels", of->count, put_medium, of);
-  cli_json_end(&json, '}');
+static void put_members(cli_json *json, const void *context) {
+  const report *of = context;
+  cli_json_text(json, "software", of->info->software);
+  cli_json_text(json, "model", of->model->name);
+  cli_json_text(json, "moments", of->moments->name);
+  cli_json_text(json, "given", of->given->name);
+  cli_json_number(json, "albedo_least", of->albedo_least);
+  cli_json_number(json, "albedo_most", of->albedo_most);
+  cli_json_texts(json, "units", "length", "mm", "sigma_a", "1/mm", "sigma_s", "1/mm", "albedo", "1",
+                 NULL);
+  cli_rows_json(json, "channels", of->count, put_medium, of);
 }
 
 /* Everything is written in any case; then the user is told which media there are not. */
 static int write_and_judge(const invert_settings *settings, const report *of) {
-  if (settings->profile.common.form == CLI_TABLE) {
-    write_table(of);
-  } else if (settings->profile.common.form == CLI_CSV) {
-    cli_rows_csv(stdout, true, of->count, put_medium, of);
-  } else {
-    write_json(of);
-  }
+  const cli_output output = {
+      .table = write_table, .rows = of->count, .put_row = put_medium, .members = put_members};
+  cli_write(&output, settings->profile.common.form, of);
   if (of->missing == 0) {
     return CLI_OK;
   }

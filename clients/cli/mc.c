@@ -321,7 +321,8 @@ static void write_title(const report *of) {
            : "");
 }
 
-static void write_table(const report *of) {
+static void write_table(const void *context) {
+  const report *of = context;
   part parts[PARTS_MAX];
   write_title(of);
   for (uint32_t albedo = 0; albedo < of->result->albedo_count; albedo++) {
@@ -362,7 +363,8 @@ static void put_value(cli_rows *rows, const void *context, size_t index) {
   }
 }
 
-static void write_csv(const dipole_mc_result *result) {
+static void write_csv(const void *context) {
+  const dipole_mc_result *result = ((const report *)context)->result;
   part parts[PARTS_MAX];
   for (uint32_t albedo = 0; albedo < result->albedo_count; albedo++) {
     const one_albedo one = {result, albedo};
@@ -402,37 +404,35 @@ static void put_query(cli_rows *rows, const void *context, size_t index) {
   cli_put_count(rows, CLI_COLUMN("seed"), query->seed);
 }
 
-static void write_json(const report *of) {
+static void put_members(cli_json *json, const void *context) {
+  const report *of = context;
   static const char *const ends[] = {[DIPOLE_MC_PHOTONS] = "photons",
                                      [DIPOLE_MC_ERRORS] = "errors",
                                      [DIPOLE_MC_CANCELLED] = "cancelled",
                                      [DIPOLE_MC_STOPPED] = "stopped"};
   const dipole_mc_result *result = of->result;
-  cli_json json = {.file = stdout};
-  cli_json_begin(&json, NULL, '{');
-  cli_json_text(&json, "software", of->info->software);
+  cli_json_text(json, "software", of->info->software);
   if (of->medium != NULL) {
-    cli_json_text(&json, "medium", of->medium);
-    cli_json_text(&json, "channel", of->channel);
+    cli_json_text(json, "medium", of->medium);
+    cli_json_text(json, "channel", of->channel);
   }
-  cli_rows_members(&json, put_query, &of->query, 0);
-  cli_json_texts(&json, "units", "sigma_a", "1/mm", "sigma_s", "1/mm", "thickness", "mm", "edges",
+  cli_rows_members(json, put_query, &of->query, 0);
+  cli_json_texts(json, "units", "sigma_a", "1/mm", "sigma_s", "1/mm", "thickness", "mm", "edges",
                  "mm", "R", of->info->R_unit, "T", of->info->R_unit, "shares",
                  "per unit of power that entered", NULL);
-  cli_json_text(&json, "ended_by", ends[result->end]);
-  cli_json_count(&json, "photons", result->last.photons);
-  cli_json_number(&json, "error_total", result->last.error_total);
-  cli_json_number(&json, "error_rings", result->last.error_rings);
-  cli_json_numbers(&json, "edges", result->edges_mm, (size_t)result->ring_count + 1);
+  cli_json_text(json, "ended_by", ends[result->end]);
+  cli_json_count(json, "photons", result->last.photons);
+  cli_json_number(json, "error_total", result->last.error_total);
+  cli_json_number(json, "error_rings", result->last.error_rings);
+  cli_json_numbers(json, "edges", result->edges_mm, (size_t)result->ring_count + 1);
   for (uint32_t side = 0; side < result->side_count; side++) {
-    cli_json_begin(&json, sides[side].photons, '[');
+    cli_json_begin(json, sides[side].photons, '[');
     for (uint32_t i = 0; i < result->ring_count; i++) {
-      cli_json_count(&json, NULL, dipole_mc_photons(result, side)[i]);
+      cli_json_count(json, NULL, dipole_mc_photons(result, side)[i]);
     }
-    cli_json_end(&json, ']');
+    cli_json_end(json, ']');
   }
-  cli_rows_json(&json, "albedos", result->albedo_count, put_albedo, result);
-  cli_json_end(&json, '}');
+  cli_rows_json(json, "albedos", result->albedo_count, put_albedo, result);
 }
 
 /* ---- the command --------------------------------------------------------------------------- */
@@ -467,13 +467,8 @@ static int run(void *given, dipole_client *client) {
   if (!run_job(client, &settings->common, &of, &error)) {
     return cli_fail_error(&error);
   }
-  if (settings->common.form == CLI_TABLE) {
-    write_table(&of);
-  } else if (settings->common.form == CLI_CSV) {
-    write_csv(of.result);
-  } else {
-    write_json(&of);
-  }
+  const cli_output output = {.table = write_table, .csv = write_csv, .members = put_members};
+  cli_write(&output, settings->common.form, &of);
   const int judged = judge(&of);
   dipole_mc_result_free(of.result);
   return judged;

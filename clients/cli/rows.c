@@ -139,3 +139,18 @@ void cli_rows_json(cli_json *json, const char *key, size_t count, cli_put_row *p
   }
   cli_json_end(json, ']');
 }
+
+void cli_write(const cli_output *output, enum cli_form form, const void *context) {
+  if (form == CLI_TABLE) {
+    output->table(context);
+  } else if (form == CLI_CSV && output->csv != NULL) {
+    output->csv(context);
+  } else if (form == CLI_CSV) {
+    cli_rows_csv(stdout, true, output->rows, output->put_row, context);
+  } else if (form == CLI_JSON) {
+    cli_json json = {.file = stdout};
+    cli_json_begin(&json, NULL, '{');
+    output->members(&json, context);
+    cli_json_end(&json, '}');
+  }
+}

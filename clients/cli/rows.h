@@ -59,4 +59,16 @@ void cli_rows_json(cli_json *json, const char *key, size_t count, cli_put_row *p
 /* Puts one row as members of the JSON object that is open. */
 void cli_rows_members(cli_json *json, cli_put_row *put, const void *context, size_t index);
 
+/* How a command writes what `context` holds to standard output, in each form. */
+typedef struct cli_output {
+  void (*table)(const void *context);
+  void (*csv)(const void *context); /* NULL: CSV has `rows` rows by put_row() */
+  size_t rows;
+  cli_put_row *put_row;
+  void (*members)(cli_json *json, const void *context); /* the members of the JSON object */
+} cli_output;
+
+/* Writes nothing for CLI_NONE. */
+void cli_write(const cli_output *output, enum cli_form form, const void *context);
+
 #endif

@@ -158,16 +158,13 @@ static dipole_sample_query make_query(const sample_settings *settings, const rep
 }
 
 static int ask(const sample_settings *settings, dipole_client *client, report *of) {
-  const int64_t start_ms = cli_now_ms();
   const bool listed = settings->u.count > 0, single = of->profile.evaluator->id != DIPOLE_F64;
   void *numbers = listed ? list_numbers(&settings->u, single) : NULL;
   dipole_error error;
-  bool good;
   of->query = make_query(settings, of);
   of->query.numbers = numbers;
-  do {
-    good = dipole_sample(client, &of->query, &of->result, &error);
-  } while (!good && cli_try_again(&settings->profile.common, start_ms, &error));
+  bool good = CLI_ASK(&settings->profile.common, &error,
+                      dipole_sample(client, &of->query, &of->result, &error));
   if (good) {
     of->count = (size_t)of->query.sample_count;
     numbers = listed ? numbers : cli_allocate(of->count, sizeof(double));
@@ -249,7 +246,8 @@ static void put_sample(cli_rows *rows, const void *context, size_t index) {
   }
 }
 
-static void write_table(const report *of) {
+static void write_table(const void *context) {
+  const report *of = context;
   const cli_profile *profile = &of->profile;
   cli_write_medium(profile, stdout);
   printf("radii drawn of the model %s; evaluator %s, moments %s", profile->model->name,
@@ -271,29 +269,27 @@ static void write_table(const report *of) {
   cli_write_notes(profile->info, of->result->notes, stdout);
 }
 
-static void write_json(const report *of) {
+static void put_members(cli_json *json, const void *context) {
+  const report *of = context;
   const cli_profile *profile = &of->profile;
-  cli_json json = {.file = stdout};
-  cli_json_begin(&json, NULL, '{');
-  cli_json_head(&json, profile);
-  cli_json_text(&json, "model", profile->model->name);
-  cli_json_text(&json, "evaluator", profile->evaluator->name);
-  cli_json_text(&json, "moments", profile->moments->name);
-  cli_json_text(&json, "draw", of->draw->name);
-  cli_json_count(&json, "seed", of->query.seed);
-  cli_json_count(&json, "first", of->query.sample_first);
-  cli_json_begin(&json, "units", '{');
-  cli_json_text(&json, "sigma_a", "1/mm");
-  cli_json_text(&json, "sigma_s", "1/mm");
-  cli_json_text(&json, "u", "1");
+  cli_json_head(json, profile);
+  cli_json_text(json, "model", profile->model->name);
+  cli_json_text(json, "evaluator", profile->evaluator->name);
+  cli_json_text(json, "moments", profile->moments->name);
+  cli_json_text(json, "draw", of->draw->name);
+  cli_json_count(json, "seed", of->query.seed);
+  cli_json_count(json, "first", of->query.sample_first);
+  cli_json_begin(json, "units", '{');
+  cli_json_text(json, "sigma_a", "1/mm");
+  cli_json_text(json, "sigma_s", "1/mm");
+  cli_json_text(json, "u", "1");
   for (size_t q = 0; q < of->quantities.count; q++) {
-    cli_json_text(&json, of->quantities.items[q]->name, of->quantities.items[q]->about);
+    cli_json_text(json, of->quantities.items[q]->name, of->quantities.items[q]->about);
   }
-  cli_json_end(&json, '}');
-  cli_json_notes(&json, profile->info, of->result->notes);
-  cli_json_numbers(&json, "u", of->u, of->count);
-  cli_rows_json(&json, "channels", profile->channel_count, put_channel, of);
-  cli_json_end(&json, '}');
+  cli_json_end(json, '}');
+  cli_json_notes(json, profile->info, of->result->notes);
+  cli_json_numbers(json, "u", of->u, of->count);
+  cli_rows_json(json, "channels", profile->channel_count, put_channel, of);
 }
 
 /* ---- the picture: a histogram, and over it the density that the radii were drawn from -------- */
@@ -403,14 +399,12 @@ static int ask_and_write(const sample_settings *settings, dipole_client *client,
   if (status != CLI_OK) {
     return status;
   }
-  if (settings->profile.common.form == CLI_TABLE) {
-    write_table(of);
-  } else if (settings->profile.common.form == CLI_CSV) {
-    cli_rows_csv(stdout, true, of->profile.channel_count * of->count, put_sample, of);
-  } else {
-    of->values = cli_allocate(of->count, sizeof *of->values);
-    write_json(of);
-  }
+  of->values = cli_allocate(of->count, sizeof *of->values);
+  const cli_output output = {.table = write_table,
+                             .rows = of->profile.channel_count * of->count,
+                             .put_row = put_sample,
+                             .members = put_members};
+  cli_write(&output, settings->profile.common.form, of);
   for (size_t i = 0; status == CLI_OK && i < settings->plot.count; i++) {
     status = draw(of, settings->plot.items[i]);
     if (status == CLI_OK) {

@@ -48,7 +48,6 @@ static int fetch(const table_settings *settings, dipole_client *client, report *
   const cli_profile *profile = &of->profile;
   char place[48] = "";
   for (size_t i = 0; i < profile->channel_count; i++) {
-    const int64_t start_ms = cli_now_ms();
     const dipole_table_query query = {.model = profile->model->id,
                                       .moments = profile->moments->id,
                                       .medium = profile->media[i],
@@ -56,11 +55,8 @@ static int fetch(const table_settings *settings, dipole_client *client, report *
                                       .parameter_count = profile->parameters.count};
     dipole_table *table;
     dipole_error error;
-    bool good;
-    do {
-      good = dipole_table_fetch(client, &query, &table, &error);
-    } while (!good && cli_try_again(&settings->profile.common, start_ms, &error));
-    if (!good) {
+    if (!CLI_ASK(&settings->profile.common, &error,
+                 dipole_table_fetch(client, &query, &table, &error))) {
       if (profile->channel_count > 1) {
         snprintf(place, sizeof place, "channel %s: ", profile->channels[i].name);
       }
@@ -143,7 +139,8 @@ static void put_table(cli_rows *rows, const void *context, size_t index) {
                  info->model_error);
 }
 
-static void write_table(const report *of) {
+static void write_table(const void *context) {
+  const report *of = context;
   const cli_profile *profile = &of->profile;
   unsigned notes = 0;
   cli_write_medium(profile, stdout);
@@ -196,26 +193,25 @@ static void write_csv_table(const char *channel, const dipole_table_info *info) 
   }
 }
 
-static void write_csv(const report *of) {
+static void write_csv(const void *context) {
+  const report *of = context;
   puts("channel,function,from,to,written_from,c0,c1,c2,c3");
   for (size_t i = 0; i < of->tables.count; i++) {
     write_csv_table(of->profile.channels[i].name, dipole_table_get_info(of->tables.items[i]));
   }
 }
 
-static void write_json(const report *of) {
+static void put_members(cli_json *json, const void *context) {
+  const report *of = context;
   const cli_profile *profile = &of->profile;
-  cli_json json = {.file = stdout};
-  cli_json_begin(&json, NULL, '{');
-  cli_json_head(&json, profile);
-  cli_json_text(&json, "model", profile->model->name);
-  cli_json_text(&json, "source", profile->model->about);
-  cli_json_text(&json, "moments", profile->moments->name);
-  cli_json_parameters(&json, profile);
-  cli_json_texts(&json, "units", "sigma_a", "1/mm", "sigma_s", "1/mm", "pieces_from", "mm",
+  cli_json_head(json, profile);
+  cli_json_text(json, "model", profile->model->name);
+  cli_json_text(json, "source", profile->model->about);
+  cli_json_text(json, "moments", profile->moments->name);
+  cli_json_parameters(json, profile);
+  cli_json_texts(json, "units", "sigma_a", "1/mm", "sigma_s", "1/mm", "pieces_from", "mm",
                  "pieces_to", "mm", "radius_least", "mm", "radius_most", "mm", "reach", "mm", NULL);
-  cli_rows_json(&json, "tables", of->tables.count, put_table, of);
-  cli_json_end(&json, '}');
+  cli_rows_json(json, "tables", of->tables.count, put_table, of);
 }
 
 /* ---- the command --------------------------------------------------------------------------- */
@@ -232,13 +228,8 @@ static int ask_and_write(const table_settings *settings, dipole_client *client, 
   if (is_to_standard(settings)) {
     return CLI_OK;
   }
-  if (settings->profile.common.form == CLI_TABLE) {
-    write_table(of);
-  } else if (settings->profile.common.form == CLI_CSV) {
-    write_csv(of);
-  } else {
-    write_json(of);
-  }
+  const cli_output output = {.table = write_table, .csv = write_csv, .members = put_members};
+  cli_write(&output, settings->profile.common.form, of);
   return CLI_OK;
 }
 

@@ -214,3 +214,40 @@ def test_near_the_source_no_dipole_replaces_single_scattering(summary):
     assert 5 < found["against_median"] < found["model_median"]
     with_single = summary[1.0, "better+single", "better", 0.01, 0.1]
     assert with_single["share"] == 1 and with_single["model_median"] < 1.5
+
+
+# ---- `make tradeoff` -----------------------------------------------------------------------------
+
+MEASURED = """model,evaluator,ratio,eta,cost_ns,prepare_ns,worst,median,worst_from_1_mfp
+better,f32,0.1,1.0,1.1,9,0.9,0.2,0.08
+better,f32,0.1,1.4,1.1,9,0.9,0.2,0.02
+single,f64,0.1,1.0,300,9,,,
+single,f64,0.1,1.4,300,9,0.5,0.4,0.3
+slow,f64,0.1,1.0,5,9,0.9,0.3,0.5
+slow,f64,0.1,1.4,5,9,0.9,0.3,0.5
+transport,lut,0.1,1.0,1.6,9,1e-4,1e-4,1e-4
+transport,lut,0.1,1.4,1.6,9,1e-4,1e-4,1e-4
+"""
+
+
+def test_tradeoff(tmp_path):
+    (tmp_path / "tradeoff.csv").write_text(MEASURED)
+    program = PROGRAM.parent / "tradeoff" / "draw.py"
+    told = subprocess.run(
+        [sys.executable, str(program), str(tmp_path)], capture_output=True, text=True, check=True
+    ).stdout.splitlines()
+    # Of slow, better and transport are both cheaper and nearer; of better, transport is nearer.
+    assert [line.split()[0] for line in told[1:3]] == ["better", "transport"]
+    assert told[-6].startswith("cheapest within 1 %, r from 0.01 to 20 mean free paths")
+    assert told[-6].endswith("of 2 media: transport/lut 2")
+    assert told[-1].endswith("of 2 media: better/f32 2")
+    assert told[-2].endswith("of 2 media: better/f32 1 transport/lut 1")
+    names = {text.strip() for text in svg_texts(tmp_path / "front.svg")}
+    assert {"better", "single", "slow", "transport"} <= names
+    assert {"better, f32", "transport, lut"} <= {t.strip() for t in svg_texts(tmp_path / "map.svg")}
+    assert all((tmp_path / name).stat().st_size > 1000 for name in ("front.png", "map.png"))
+
+
+def svg_texts(path: Path) -> list[str]:
+    root = ElementTree.parse(path).getroot()
+    return ["".join(text.itertext()) for text in root.iter(f"{SVG}text")]
