@@ -37,8 +37,8 @@ def dipole(
     quiet: bool = True,
     cwd: Path | None = None,
 ) -> subprocess.CompletedProcess[str]:
-    """Runs a command, with a private daemon unless told otherwise, and checks its exit status.
-    quiet: when all is well it says nothing on standard error."""
+    """Runs a command, by default with a private daemon, and checks its exit status. quiet: also
+    checks that a command that succeeds writes nothing to standard error."""
     run = subprocess.run(
         [str(PROGRAM), *arguments],
         input=stdin.encode() if isinstance(stdin, str) else stdin,
@@ -73,17 +73,17 @@ def says(status: int, command: list[str], cases: list[tuple[list[str], str]]):
 
 
 def eval_rows(*arguments: str, quiet: bool = True) -> list[dict[str, str]]:
-    """The rows of `dipole eval --format csv`."""
+    """Returns the rows of `dipole eval --format csv`."""
     return read_csv(dipole("eval", "--format", "csv", *arguments, quiet=quiet).stdout)
 
 
 def eval_json(*arguments: str, quiet: bool = True) -> dict:
-    """The object of `dipole eval --format json`."""
+    """Returns the object of `dipole eval --format json`."""
     return json.loads(dipole("eval", "--format", "json", *arguments, quiet=quiet).stdout)
 
 
 def points(text: str | bytes, *arguments: str, status: int = OK) -> str:
-    """The output of `dipole points` for a CSV text."""
+    """Returns the output of `dipole points` for a CSV text."""
     return dipole("points", *arguments, stdin=text, status=status).stdout
 
 
@@ -106,7 +106,7 @@ class Terminal:
             variables.pop("NO_COLOR", None)
         ends = {0: stdin, 1: subprocess.PIPE, 2: subprocess.PIPE} | dict.fromkeys(on, other)
         session = {}
-        if 0 in on:  # Ctrl-C comes from its own terminal
+        if 0 in on:  # so that Ctrl-C comes from this terminal
             session["start_new_session"] = True
             session["preexec_fn"] = lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0)
         self.process = subprocess.Popen(
@@ -121,7 +121,7 @@ class Terminal:
             return True
         try:
             data = os.read(self.fd, 65536)
-        except OSError:  # what Linux says when the other end has been closed
+        except OSError:  # Linux reports this when the other end is closed.
             return False
         self.seen += data.decode().replace("\r\n", "\n")
         return bool(data)
@@ -133,7 +133,7 @@ class Terminal:
             assert time.monotonic() < deadline and self.read(), self.seen
 
     def end(self) -> tuple[int, str]:
-        """Reads the rest. Returns the exit status and what the command wrote to a pipe as its
+        """Reads until the end. Returns the exit status and what the command wrote to a pipe as its
         standard output."""
         deadline = time.monotonic() + TIMEOUT_S
         while self.read():
@@ -144,13 +144,10 @@ class Terminal:
 
 
 class Proxy:
-    """Stands between a client and a daemon and does something to the client's eval requests and,
-    if on_reply is given, to what comes back.
-
-    on_eval(number, request_id) says what: None passes the request on, bytes are answered instead,
-    and False ends the connection. on_reply(type, payload) says what the client gets instead of a
-    payload; as many bytes.
-    """
+    """A proxy between a client and a daemon. It can change the client's eval requests and, if
+    on_reply is given, the daemon's replies. on_eval(number, request_id) returns None to pass a
+    request on, bytes to answer it in the daemon's place, or False to close the connection.
+    on_reply(type, payload) returns the payload that the client gets, of the same length."""
 
     def __init__(self, url: str, on_eval, on_reply=lambda type, payload: payload):
         self._daemon_path = url.removeprefix("unix:")
@@ -178,7 +175,7 @@ class Proxy:
         client, _ = self._listener.accept()
         with client, socket.socket(socket.AF_UNIX) as daemon:
             daemon.connect(self._daemon_path)
-            lock = threading.Lock()  # an answer of ours does not fall into one of the daemon's
+            lock = threading.Lock()  # keeps the frames of proxy and daemon apart
             back = threading.Thread(target=self._pass_back, args=(daemon, client, lock))
             back.start()
             try:
@@ -223,7 +220,7 @@ class Proxy:
 
 
 def busy(request_id: int, retry_after_ms: int = 1) -> bytes:
-    """The error frame of a daemon at its limit."""
+    """Makes the error frame of a daemon at its limit."""
     code = next(code for code, name in wire.STATUSES.items() if name == "busy")
     error = wire.ERROR.pack(
         status=code, zero=0, retry_after_ms=retry_after_ms, index=0, field="", allowed=""
@@ -232,7 +229,7 @@ def busy(request_id: int, retry_after_ms: int = 1) -> bytes:
 
 
 def scratch(tmp_path: Path, name: str, text: str | bytes) -> str:
-    """A file with this text."""
+    """Makes a file with this text. Returns its path."""
     path = tmp_path / name
     path.write_bytes(text.encode() if isinstance(text, str) else text)
     return str(path)

@@ -1,4 +1,4 @@
-"""Fixtures: a daemon for one test, or one for all tests that change nothing in it."""
+"""Fixtures: daemons for one test, and daemons that all tests share."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from daemons import BUILD, Daemon  # noqa: E402  (needs the path above)
 from modbus_master import Tcp  # noqa: E402
 
 
-# Files that take longest, which begin first: with several processes none then waits for the last.
+# The files that take longest. They begin first, so that parallel processes end at about the same
+# time.
 SLOWEST = ["same_bits", "fuzz", "retry", "robustness", "overload", "cli_plot_command", "mc", "parts"]
 
 
@@ -25,14 +26,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def build() -> Path:
-    """The folder of the programs under test: $DIPOLED_BUILD, else build/."""
+    """Returns the folder of the programs under test: $DIPOLED_BUILD, else build/."""
     return BUILD
 
 
 @pytest.fixture
 def daemon():
-    """Starts daemons: daemon(*options, env=..., listen=...). At the end of the test each is
-    stopped, and its end is checked."""
+    """Returns a function that starts daemons: daemon(*options, env=..., listen=...). At the end of
+    the test, each daemon is stopped and its exit is checked."""
     started: list[Daemon] = []
 
     def start(*options: str, **how) -> Daemon:
@@ -52,7 +53,7 @@ def daemon():
 
 @pytest.fixture(scope="session")
 def shared():
-    """A daemon with default options, for tests that change nothing in it."""
+    """Returns a daemon with default options, shared by tests that change nothing in it."""
     one = Daemon()
     yield one
     one.close()
@@ -60,21 +61,22 @@ def shared():
 
 @pytest.fixture(params=["unix", "tcp"])
 def connection(request, shared):
-    """A bare connection to the shared daemon, over each transport."""
+    """Returns a dipole.Connection to the shared daemon, over each transport in turn."""
     with shared.connect(request.param) as one:
         yield one
 
 
 @pytest.fixture
 def client(shared):
-    """A client of the shared daemon."""
+    """Returns a client of the shared daemon."""
     with shared.client() as one:
         yield one
 
 
 @pytest.fixture(scope="session")
 def slave():
-    """A daemon with Modbus over TCP, shared by tests that each use unit numbers of their own."""
+    """Returns a daemon with Modbus over TCP, shared by tests that each use unit numbers of their
+    own."""
     one = Daemon("--modbus", "tcp:127.0.0.1:0")
     yield one
     one.close()
@@ -82,6 +84,6 @@ def slave():
 
 @pytest.fixture
 def master(slave):
-    """A Modbus master of that daemon."""
+    """Returns a Modbus master that is connected to `slave`."""
     with Tcp(slave) as one:
         yield one

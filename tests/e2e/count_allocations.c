@@ -1,6 +1,7 @@
-/* Makes build/dipoled-counting of dipoled's objects: --wrap sends each of their calls of malloc,
- * calloc and realloc through here, and libuv is told to call the same functions. The number of calls
- * is the first 8 bytes of the file that ALLOCATIONS_FILE names, where a test reads it. */
+/* Counts allocations in build/dipoled-counting, which is made of dipoled's objects. The linker's
+ * --wrap sends each of their calls of malloc, calloc and realloc through this file, and libuv is
+ * told to call the same functions. A test reads the number of calls from the first 8 bytes of the
+ * file that ALLOCATIONS_FILE names. */
 #include <fcntl.h>
 #include <stdatomic.h>
 #include <stddef.h>
@@ -35,7 +36,7 @@ void *__wrap_realloc(void *pointer, size_t bytes) {
   return __real_realloc(pointer, bytes);
 }
 
-/* Before main(), which uses libuv. */
+/* Starts to count before main() uses libuv. */
 __attribute__((constructor)) static void begin(void) {
   const char *path = getenv("ALLOCATIONS_FILE");
   const int fd = path != NULL ? open(path, O_RDWR | O_CREAT, 0600) : -1;

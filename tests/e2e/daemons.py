@@ -22,34 +22,34 @@ COUNTING_PROGRAM = BUILD / "dipoled-counting"
 
 
 def sanitized(*kinds: str) -> bool:
-    """Whether the build has a sanitizer. A sanitizer makes the daemon slower and its memory
-    larger."""
+    """Whether the build has one of these sanitizers, or any if none is named. A sanitizer makes the
+    daemon slower and its memory larger."""
     code = PROGRAM.read_bytes()
     return any(f"__{kind}_init".encode() in code for kind in kinds or ("asan", "tsan"))
 
 
-# A preparation under way is finished first: 0.1 s, some 70 times as much under that sanitizer.
+# How long a daemon may take to stop. It finishes a running preparation first, which takes 0.1 s, or
+# 70 times as long under the thread sanitizer.
 END_S = 60.0 if sanitized("tsan") else 10.0
 
 
 def environment(**variables: str) -> dict[str, str]:
-    """This process's environment without any option of dipoled but the given ones."""
+    """Returns this process's environment without options of dipoled, and with the given
+    variables."""
     kept = {k: v for k, v in os.environ.items() if not k.startswith("DIPOLED")}
     return {**kept, **variables}
 
 
 def read_log_line(line: str) -> dict[str, str]:
-    """The pairs of a line key=value key=value; values with blanks are quoted or escaped."""
+    """Reads a log line key=value key=value, in which values with blanks are quoted or escaped."""
     return dict(pair.split("=", 1) for pair in line.split() if "=" in pair)
 
 
 class Daemon:
-    """A dipoled that runs. Listens on a Unix socket and on a free TCP port unless told otherwise.
-
-    env: variables besides the usual ones. listen: addresses. quiet: it logs nothing, so that the
-    address is the one it was told. prefix: a program that starts it. pass_fds: what it inherits.
-    counting: allocations() is to work.
-    """
+    """A running dipoled. Without `listen`, it listens on a Unix socket and on a free TCP port. env:
+    additional environment variables. listen: addresses. quiet: the daemon logs nothing, so its
+    address is the one in `listen`. prefix: a program that starts the daemon. pass_fds: file
+    descriptors that it inherits. counting: allocations() works."""
 
     def __init__(
         self,
@@ -70,7 +70,7 @@ class Daemon:
             command += ["--listen", url]
         self._lines: list[str] = []
         self._changed = threading.Condition()
-        self._ended = False  # no more lines will come
+        self._ended = False  # whether the log is complete
         self._stopping = False
         self._killed = False
         self._quiet = quiet
@@ -120,13 +120,13 @@ class Daemon:
 
     @property
     def log(self) -> list[str]:
-        """The lines that the daemon has logged so far."""
+        """Returns the lines that the daemon has logged so far."""
         with self._changed:
             return list(self._lines)
 
     def has_line(self, text: str, timeout_s: float) -> bool:
-        """Whether the log has a line with this text, or gets one before the timeout and before it
-        ends."""
+        """Waits for a line with this text in the log. Returns False after the timeout or at the end
+        of the log."""
         with self._changed:
 
             def found() -> bool:
@@ -138,27 +138,27 @@ class Daemon:
     # ---- connecting ------------------------------------------------------------------------------
 
     def url(self, scheme: str = "unix") -> str:
-        """The first address of this scheme that the daemon has logged as one it listens on."""
+        """Returns the first address of this scheme at which the daemon says that it listens."""
         return next(url for url in self.urls if url.startswith(scheme + ":"))
 
     def connect(self, scheme: str = "unix") -> dipole.Connection:
-        """A bare connection."""
+        """Opens a dipole.Connection, which sends no hello."""
         return dipole.Connection(self.url(scheme))
 
     def client(self, scheme: str = "unix") -> dipole.Client:
-        """A client that has said hello."""
+        """Opens a dipole.Client."""
         return dipole.Client(self.url(scheme))
 
     # ---- looking at it ---------------------------------------------------------------------------
 
     def resident_bytes(self) -> int:
-        """The resident memory of the daemon."""
+        """Returns the resident memory of the daemon."""
         status = Path(f"/proc/{self.process.pid}/status").read_text()
         line = next(line for line in status.splitlines() if line.startswith("VmRSS:"))
         return int(line.split()[1]) * 1024
 
     def allocations(self) -> int:
-        """How often it has called malloc, calloc or realloc so far."""
+        """Returns how often the daemon has called malloc, calloc or realloc so far."""
         return int.from_bytes(self._allocations.read_bytes(), "little")
 
     # ---- ending it -------------------------------------------------------------------------------
@@ -167,8 +167,8 @@ class Daemon:
         """Sends the daemon a signal to stop, and does not wait for its end."""
         self._stopping = True
         self.process.send_signal(how)
-        # gcc 12's thread sanitizer loses a signal that comes just when libuv's loop begins to wait,
-        # in the smallest of programs; the daemon's log shows whether it arrived.
+        # The signal is sent again if the log does not show it: gcc 12's thread sanitizer loses a
+        # signal that arrives just when libuv's loop begins to wait.
         for _ in range(5):
             if self._quiet or not sanitized("tsan") or self.has_line("event=stopping", 1.0):
                 break
@@ -176,7 +176,7 @@ class Daemon:
                 self.process.send_signal(how)
 
     def kill(self) -> None:
-        """Kills the daemon. close() then checks nothing."""
+        """Kills the daemon. close() then does not check its end."""
         self._killed = True
         self.process.kill()
         self.wait()
@@ -189,8 +189,8 @@ class Daemon:
         return status
 
     def close(self) -> None:
-        """Stops the daemon and checks its end: it did not end before, it ends in time and with
-        status 0, and no sanitizer has reported anything."""
+        """Stops the daemon. Checks that it was still running, ends in time and with status 0, and
+        that no sanitizer has reported anything."""
         if self._killed:
             return
         if not self._stopping:
@@ -223,7 +223,7 @@ def run(*options: str, env: dict[str, str] | None = None) -> subprocess.Complete
 
 
 def eventually(condition, timeout_s: float = 10.0, interval_s: float = 0.005) -> bool:
-    """Whether a condition comes true before the timeout."""
+    """Waits until a condition holds. Returns False if it does not hold before the timeout."""
     deadline = time.monotonic() + timeout_s
     while not condition():
         if time.monotonic() > deadline:

@@ -6,7 +6,7 @@ import numpy as np
 from dipole import Connection, ConnectionLost, Frame, wire
 
 SKIN = (0.032, 0.74, 0.0, 1.3)  # skin1, red
-SPECTRALON = (0.0, 11.6, 0.0, 1.3)  # does not absorb: the better dipole's albedo is exactly 1
+SPECTRALON = (0.0, 11.6, 0.0, 1.3)  # no absorption: the better dipole's albedo is exactly 1
 
 CLASSICAL, BETTER = 1, 2
 F64, F32 = 1, 2
@@ -24,7 +24,7 @@ INVERT = wire.MESSAGES["invert"]
 
 
 def header(**changes: int) -> bytes:
-    """A valid header in which some fields are replaced."""
+    """Makes a valid header, with some fields changed."""
     fields = {
         "magic": wire.MAGIC,
         "version": wire.VERSION,
@@ -37,30 +37,30 @@ def header(**changes: int) -> bytes:
 
 
 def frame(type: int, request_id: int, payload: bytes = b"", deadline_ms: int = 0) -> bytes:
-    """A whole frame."""
+    """Makes a frame."""
     fields = {"request_id": request_id, "deadline_ms": deadline_ms}
     return header(type=type, payload_bytes=len(payload), **fields) + payload
 
 
 def media_bytes(media) -> bytes:
-    """Medium structures."""
+    """Makes medium structures."""
     return np.asarray(media, "<f8").reshape(-1, 4).tobytes()
 
 
 def radii_bytes(radii, evaluator: int = F64) -> bytes:
-    """Listed radii with their padding."""
+    """Makes a list of radii with its padding."""
     listed = np.asarray(radii, wire.EVALUATOR_TYPES[evaluator]).tobytes()
     return listed + bytes(wire.padded(len(listed)) - len(listed))
 
 
 def parameters_bytes(parameters) -> bytes:
-    """Parameter structures, from pairs of id and value."""
+    """Makes parameter structures from pairs of id and value."""
     return b"".join(wire.PARAMETER.pack(parameter=id, value=value) for id, value in parameters)
 
 
 def eval_payload(media=(SKIN,), radii=(0.5, 1.0), parameters=(), **fixed: float) -> bytes:
-    """The payload of an eval request: counts that fit and a list, unless told otherwise. radii:
-    None for a grid. parameters: pairs of id and value, or bytes in their place."""
+    """Makes the payload of an eval request with a list of radii. Its counts fit unless `fixed` has
+    others. radii: None for a grid. parameters: pairs of id and value, or their bytes."""
     parameter_count = len(parameters)
     if isinstance(parameters, bytes):
         parameter_count //= wire.PARAMETER.bytes
@@ -85,8 +85,8 @@ def eval_payload(media=(SKIN,), radii=(0.5, 1.0), parameters=(), **fixed: float)
 
 
 def sample_payload(media=(SKIN,), u=(0.25, 0.5), parameters=(), **fixed: int) -> bytes:
-    """The payload of a sample request: counts that fit and a list, unless told otherwise. u: None
-    for numbers by rule. parameters: pairs of id and value."""
+    """Makes the payload of a sample request with a list of numbers. Its counts fit unless `fixed`
+    has others. u: None for numbers by a rule. parameters: pairs of id and value."""
     fields = {
         "model": BETTER,
         "evaluator": F64,
@@ -107,7 +107,7 @@ def sample_payload(media=(SKIN,), u=(0.25, 0.5), parameters=(), **fixed: int) ->
 
 
 def invert_payload(albedos=(0.5, 0.9), lengths=(1.0, 2.0), **fixed: float) -> bytes:
-    """The payload of an invert request; the count fits unless told otherwise."""
+    """Makes the payload of an invert request. Its count fits unless `fixed` has another."""
     fields = {
         "model": BETTER,
         "moments": EXACT,
@@ -122,7 +122,7 @@ def invert_payload(albedos=(0.5, 0.9), lengths=(1.0, 2.0), **fixed: float) -> by
 
 
 def ask(connection: Connection, type: int, payload: bytes = b"", request_id: int = 77) -> Frame:
-    """Sends one request and waits for what comes back."""
+    """Sends one request and waits for one frame."""
     connection.send_bytes(frame(type, request_id, payload))
     return connection.receive_frame()
 
@@ -130,7 +130,8 @@ def ask(connection: Connection, type: int, payload: bytes = b"", request_id: int
 def assert_error(
     reply: Frame, status: str, field: str, allowed: str, index: int = 0, request_id: int = 77
 ) -> None:
-    """The reply is an error that names status, field and position, and says what is allowed."""
+    """Checks that the reply is an error that names status, field and position, and says what is
+    allowed."""
     assert reply.type == wire.TYPE_ERROR, f"a reply of type {reply.type:#x}, not an error"
     assert reply.request_id == request_id
     assert len(reply.payload) == wire.ERROR.bytes
@@ -153,9 +154,9 @@ def assert_serves(connection: Connection) -> None:
 
 
 def refused(status: str, field: str, allowed: str, payloads: dict) -> dict[str, tuple]:
-    """Takes invalid payloads by name that all get the same error. Returns the arguments of
-    assert_refused() for each. A payload may come as a pair with the index of the medium or value
-    that is invalid; otherwise the index is 0."""
+    """Makes the arguments of assert_refused() for invalid payloads by name, which all get the same
+    error. A payload may be a pair with the index of the invalid medium or value; otherwise the
+    index is 0."""
     cases = {}
     for name, payload in payloads.items():
         payload, index = payload if isinstance(payload, tuple) else (payload, 0)
@@ -164,25 +165,26 @@ def refused(status: str, field: str, allowed: str, payloads: dict) -> dict[str, 
 
 
 def assert_refused(connection: Connection, type: int, payload: bytes, *error) -> None:
-    """The daemon answers the request with this error and goes on serving the connection."""
+    """Checks that the daemon answers the request with this error and goes on serving the
+    connection."""
     assert_error(ask(connection, type, payload), *error)
     assert_serves(connection)
 
 
 def statistics(connection: Connection) -> dict[str, int]:
-    """The daemon's statistics, read over this connection."""
+    """Reads the daemon's statistics over this connection."""
     return read_statistics(ask(connection, STATISTICS).payload)
 
 
 def read_statistics(payload: bytes) -> dict[str, int]:
-    """The named numbers of a statistics reply."""
+    """Reads the numbers in a statistics reply, by name."""
     count = wire.LIST_REPLY.unpack(payload).count
     offsets = (wire.LIST_REPLY.bytes + i * wire.VALUE.bytes for i in range(count))
     return dict(wire.VALUE.unpack(payload, offset) for offset in offsets)
 
 
 def assert_closed(connection: Connection) -> None:
-    """The daemon sends nothing more and closes the connection."""
+    """Checks that the daemon sends nothing more and closes the connection."""
     assert connection.receive_eof(), "the daemon went on instead of closing"
 
 
@@ -196,6 +198,6 @@ def serves(daemon, scheme: str = "unix") -> bool:
 
 
 def assert_daemon_serves(daemon) -> None:
-    """The daemon answers on a new connection."""
+    """Checks that the daemon answers on a new connection."""
     with daemon.connect() as fresh:
         assert_serves(fresh)

@@ -1,4 +1,4 @@
-"""Runs make and the programs that it needs, apart from the make that runs the tests."""
+"""Runs make and other programs, independently of the make that runs the tests."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ TIMEOUT_S = 120.0
 
 
 def run(*command: str | Path, env: dict[str, str] | None = None, cwd: Path | None = None) -> str:
-    """The standard output of a program, which succeeds and says nothing else."""
+    """Runs a program, which must succeed and write nothing to standard error. Returns its standard
+    output."""
     done = subprocess.run(
         list(map(str, command)),
         stdin=subprocess.DEVNULL,
@@ -31,17 +32,17 @@ def run(*command: str | Path, env: dict[str, str] | None = None, cwd: Path | Non
 
 
 def make(target: str, **variables: str | Path) -> None:
-    """A target of the Makefile, for the build under test."""
-    # A make that runs the tests has flags and a job server of its own.
+    """Makes a target of the Makefile for the build under test."""
+    # The flags and the job server of a make that runs the tests must not reach this one.
     kept = {k: "" for k in ("MAKEFLAGS", "MFLAGS", "MAKELEVEL", "MAKEOVERRIDES") if k in os.environ}
-    # The Makefile's rules know the folder by its name relative to the repository.
+    # The rules of the Makefile name the build folder relative to the repository.
     build = BUILD.relative_to(REPOSITORY) if BUILD.is_relative_to(REPOSITORY) else BUILD
     given = [f"{name}={value}" for name, value in {"BUILD": build, **variables}.items()]
     run("make", "--no-print-directory", target, *given, env=kept)
 
 
 def needs(*programs: str) -> None:
-    """Skips a test where a program is not installed."""
+    """Skips a test if one of these programs is not installed."""
     for program in programs:
         if shutil.which(program) is None:
             pytest.skip(f"{program} is not installed")

@@ -18,24 +18,24 @@ OFFERS = wire.MESSAGES["offers"]
 TABLE = wire.MESSAGES["table"]
 
 
-# Of a daemon that answers the largest request of every_kind() in parts.
+# Options of a daemon that answers the largest request of every_kind() in parts.
 PARTS = ("--max-frame-bytes", "1048576", "--max-part-bytes", "65536")
 
 
 class Known(NamedTuple):
-    """A request and its only right answer: the payloads of all its frames."""
+    """A request and its only correct answer: the payloads of all its frames."""
 
     type: int
     payload: bytes
     answer: tuple[bytes, ...]
 
     def frame(self, request_id: int) -> bytes:
-        """The request, to be sent."""
+        """Makes the frame of the request."""
         return frame(self.type, request_id, self.payload)
 
 
 def receive_answer(connection: Connection) -> tuple[Frame, tuple[bytes, ...]]:
-    """The next answer: its first frame, and the payloads of all its parts."""
+    """Receives the next answer. Returns its first frame, and the payloads of all its parts."""
     first = connection.receive_frame()
     parts = [first.payload]
     last = first
@@ -58,20 +58,20 @@ def is_last(reply: Frame) -> bool:
 
 
 def assert_answer(known: Known, first: Frame, parts: tuple[bytes, ...]) -> None:
-    """It is the right one, to the bit."""
+    """Checks that an answer is the known one, bit for bit."""
     assert first.type == known.type | wire.REPLY, f"{first.type:#x}: {refusal(first)}"
     assert parts == known.answer, "an answer with other bits"
 
 
 def refusal(reply: Frame) -> str:
-    """The name of the status of an error frame, "" of any other."""
+    """Returns the name of the status of an error frame, or "" for any other frame."""
     if reply.type != wire.TYPE_ERROR:
         return ""
     return wire.STATUSES[wire.ERROR.unpack(reply.payload).status]
 
 
 def known_answers(daemon: Daemon, requests: list[tuple[int, bytes]]) -> list[Known]:
-    """Asks a daemon for one thing at a time and returns its answers."""
+    """Sends requests to a daemon, one at a time, and returns them with their answers."""
     with daemon.connect() as connection:
         answers = []
         for type, payload in requests:
@@ -83,7 +83,8 @@ def known_answers(daemon: Daemon, requests: list[tuple[int, bytes]]) -> list[Kno
 
 
 def short_requests(count: int, seed: int = 7) -> list[tuple[int, bytes]]:
-    """Different eval requests of a few radii each, for several models, media and precisions."""
+    """Makes different eval requests of a few radii each, for several models, media and
+    precisions."""
     rng = random.Random(seed)
     requests = []
     for i in range(count):
@@ -100,7 +101,7 @@ def short_requests(count: int, seed: int = 7) -> list[tuple[int, bytes]]:
 
 
 def every_kind() -> list[tuple[int, bytes]]:
-    """One request of each kind whose answer is always the same."""
+    """Makes one request of each kind whose answer is always the same."""
     grid = {"radii": None, "radius_stop": 20.0}
     tolerance = PARAMETERS["tolerance"].id
     table = wire.TABLE_REQUEST.pack(model=BETTER, moments=1, parameter_count=0)

@@ -1,5 +1,5 @@
-"""Reads the lists of X macros that the daemon is built from. So a new entry is tested without a
-change here. What the lists do not say about a model is asked from a daemon."""
+"""Reads the lists of X macros from which the daemon is built, so that tests cover a new entry
+without a change here. Asks a daemon what the lists do not say about a model."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from frames import SKIN
 
 
 def read_list(path: str) -> str:
-    """A list of X macros without its comments and with its lines joined."""
+    """Reads a list of X macros, without its comments and with its lines joined."""
     text = (REPOSITORY / path).read_text()
     text = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
     return re.sub(r"\\\n", " ", text)
 
 
 def choices(macro: str, path: str = "core/choices.def") -> dict[str, int]:
-    """Ids by name of the entries MACRO(id, IDENT, "name", ...)."""
+    """Returns the ids by name of the entries MACRO(id, IDENT, "name", ...)."""
     entries = re.findall(rf'^{macro}\((\d+), [^"]*"(.*?)"', read_list(path), re.M)
     return {name: int(number) for number, name in entries}
 
 
 class Parameter(NamedTuple):
-    """An optional number of a request: its id and what it may be."""
+    """A parameter of requests: its id and its range."""
 
     id: int
     least: float
@@ -36,14 +36,14 @@ class Parameter(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """A kind of Fresnel moments, and the eta that it holds for."""
+    """A kind of Fresnel moments, and the range of eta for which it holds."""
 
     id: int
     eta_min: float
     eta_max: float
 
 
-# Those whose radii cost next to nothing.
+# Models whose radii cost next to nothing.
 DIPOLES = {
     name: int(number)
     for number, name in re.findall(
@@ -77,7 +77,7 @@ QUANTITIES = choices("CORE_QUANTITY")
 
 @functools.cache
 def asked() -> dipole.Client:
-    """A client of a separate daemon, for questions about models."""
+    """Returns a client of a separate daemon, which answers questions about models."""
     daemon = Daemon()
     atexit.register(daemon.close)
     client = daemon.client()
@@ -86,14 +86,14 @@ def asked() -> dipole.Client:
 
 
 def some_value(name: str) -> float:
-    """A value within a parameter's range."""
+    """Returns a value within a parameter's range."""
     parameter = PARAMETERS[name]
     return min(max(0.5 if parameter.most <= 1 else 2.0, parameter.least), parameter.most)
 
 
 @functools.cache
 def needs(model: str) -> dict[str, float]:
-    """The parameters that a model requires, with valid values."""
+    """Returns the parameters that a model requires, with valid values."""
     parameters: dict[str, float] = {}
     while True:
         try:
@@ -106,7 +106,7 @@ def needs(model: str) -> dict[str, float]:
 
 @functools.cache
 def takes(model: str) -> tuple[str, ...]:
-    """The parameters that a model takes."""
+    """Returns the names of the parameters that a model takes."""
     taken = []
     for name in PARAMETERS:
         parameters = {**needs(model), name: some_value(name)}
@@ -121,7 +121,7 @@ def takes(model: str) -> tuple[str, ...]:
 
 @functools.cache
 def covers(model: str, r: float) -> bool:
-    """Whether a model may be evaluated at a radius, in SKIN."""
+    """Whether a model can be evaluated at a radius, for the medium SKIN."""
     try:
         asked().eval(model, SKIN, [r], parameters=needs(model))
     except dipole.Refused as refusal:

@@ -11,15 +11,16 @@ from lists import (
 )
 
 ALL_QUANTITIES = sum(QUANTITIES.values())
-# So many are asked of the cheapest models only: what is tested with them is not the models.
+# Only the cheapest models are evaluated at this many radii: such requests do not test the models.
 MANY_RADII = 2000
-# Preparing one medium of it takes a third of a second, so each request for it has one medium.
+# Preparing one medium of this model takes a third of a second, so its requests have one medium
+# each.
 SLOW = "transport"
 EDGE_RADII = [0.0, -0.0, 5e-324, 1e-300, 1e-45, 1e30, 1e300, np.inf]
 
 
 def random_medium(rng: random.Random, moments: Moments) -> tuple[float, float, float, float]:
-    """A medium from anywhere in the domain, mostly from its middle."""
+    """Returns a medium of the domain, mostly from its middle."""
     wide = rng.random() < 0.25
     decades = 14 if wide else 2
     sigma_a = 0.0 if rng.random() < 0.1 else 10 ** rng.uniform(-decades, decades)
@@ -30,7 +31,7 @@ def random_medium(rng: random.Random, moments: Moments) -> tuple[float, float, f
 
 
 def random_radii(rng: random.Random, count: int) -> np.ndarray:
-    """Radii over ten decades, with the ends of the domain among them."""
+    """Returns radii over ten decades, with the ends of the domain among them."""
     radii = 10 ** np.random.default_rng(rng.getrandbits(32)).uniform(-6, 4, count)
     for i in range(0, count, 7):
         radii[i] = rng.choice(EDGE_RADII)
@@ -38,7 +39,7 @@ def random_radii(rng: random.Random, count: int) -> np.ndarray:
 
 
 def random_parameters(rng: random.Random, model: str) -> dict[str, float]:
-    """What the model needs and, now and then, angles."""
+    """Returns the parameters that the model needs and, now and then, angles."""
     given = dict(needs(model))
     if rng.random() < 0.3:
         given |= {"cos_in": rng.random(), "cos_out": rng.random()}
@@ -48,7 +49,7 @@ def random_parameters(rng: random.Random, model: str) -> dict[str, float]:
 def tame_payload(
     rng: random.Random, parameters, count: int, medium_count: int, **fields
 ) -> bytes:
-    """A request from the middle of what any model takes."""
+    """Makes a request that any model can answer."""
     media = [
         (rng.uniform(0.01, 0.2), rng.uniform(0.8, 1.2), 0.0, rng.uniform(1.2, 1.5))
         for _ in range(medium_count)
@@ -58,8 +59,8 @@ def tame_payload(
 
 
 def random_payload(rng: random.Random, count: int) -> bytes:
-    """The payload of a valid eval request with this number of radii. Models that do not take the
-    medium or any radius get those of the middle."""
+    """Makes the payload of a valid eval request with this number of radii. If the model does not
+    take the random medium or radii, the request has ordinary ones."""
     moments = rng.choice(list(MOMENTS.values()))
     model = rng.choice(list(MODELS if count < MANY_RADII else DIPOLES))
     fields = {
@@ -92,7 +93,8 @@ def random_payload(rng: random.Random, count: int) -> bytes:
 
 
 def broad_mix(seed: int, sizes: dict[int, int] | None = None) -> list[bytes]:
-    """Payloads: short lists of every length, and as many of each longer size as sizes says."""
+    """Makes payloads: short lists of every length, and as many of each longer size as `sizes`
+    says."""
     rng = random.Random(seed)
     payloads = [random_payload(rng, length) for length in range(68) for _ in range(3)]
     for size, times in (sizes or {}).items():

@@ -25,12 +25,12 @@ WRITE_COIL, WRITE_REGISTER, WRITE_COILS, WRITE_REGISTERS = 5, 6, 15, 16
 REPORT_ID, MASK_WRITE, WRITE_READ, DEVICE_ID = 17, 22, 23, 43
 BAD_FUNCTION, BAD_ADDRESS, BAD_VALUE, BUSY, NO_UNIT = 1, 2, 3, 6, 11
 
-IDLE, IS_BUSY, DONE, ERROR = range(4)  # of the register `status`
+IDLE, IS_BUSY, DONE, ERROR = range(4)  # values of the register `status`
 MIRROR = 2000
 
 
 def addresses() -> dict[str, int]:
-    """PDU addresses by the fields' identifiers."""
+    """Returns the PDU addresses by the fields' identifiers."""
     fields = {}
     text = read_list("proto/registers.def")
     for ident, address in re.findall(r"REGISTERS_(?:FIELD|STATISTIC)\((\w+), (\d+),", text):
@@ -64,7 +64,7 @@ class Lost(Exception):
 
 @contextlib.contextmanager
 def exception(code: int) -> Iterator[None]:
-    """Checks that a request within the block gets this exception."""
+    """Checks that a request within the with block gets this exception."""
     with pytest.raises(Exception_) as refused:
         yield
     assert refused.value.code == code
@@ -84,7 +84,7 @@ def floats(*values: float) -> bytes:
 
 
 def swapped(data: bytes) -> bytes:
-    """The words of each float exchanged."""
+    """Exchanges the two words of each float."""
     return np.frombuffer(data, ">u2").reshape(-1, 2)[:, ::-1].tobytes()
 
 
@@ -104,7 +104,7 @@ def as_words(data: bytes) -> list[int]:
 
 
 def write_read_pdu(address: int, data: bytes, read_address: int, count: int) -> bytes:
-    """A request of function 23."""
+    """Makes the PDU of function 23, which writes and then reads registers."""
     registers = read_address, count, address, len(data) // 2
     return struct.pack(">BHHHHB", WRITE_READ, *registers, len(data)) + data
 
@@ -126,13 +126,14 @@ class Job(NamedTuple):
 
 
 class Master:
-    """The base of both masters. Each has its own exchange(unit, pdu)."""
+    """The base of both masters. Each of them has its own exchange(unit, pdu)."""
 
     def exchange(self, unit: int, pdu: bytes) -> bytes:
         raise NotImplementedError
 
     def ask(self, pdu: bytes, unit: int = 1) -> bytes:
-        """The answer's PDU without the function; raises Exception_."""
+        """Sends a request. Returns the answer's PDU without the function code; raises
+        Exception_."""
         answer = self.exchange(unit, pdu)
         if answer[0] == pdu[0] | 0x80:
             assert len(answer) == 2
@@ -141,7 +142,7 @@ class Master:
         return answer[1:]
 
     def read(self, address: int, count: int, unit: int = 1, function: int = READ_HOLDING) -> bytes:
-        """Registers, in at most 125 a request."""
+        """Reads registers, at most 125 with one request."""
         data = b""
         for first in range(0, count, 125):
             some = min(125, count - first)
@@ -151,7 +152,7 @@ class Master:
         return data
 
     def write(self, address: int, data: bytes, unit: int = 1) -> None:
-        """Registers, with function 16."""
+        """Writes registers with function 16."""
         count = len(data) // 2
         answer = self.ask(
             struct.pack(">BHHB", WRITE_REGISTERS, address, count, len(data)) + data, unit
@@ -161,13 +162,13 @@ class Master:
     def write_read(
         self, address: int, data: bytes, read_address: int, count: int, unit: int = 1
     ) -> bytes:
-        """Function 23."""
+        """Writes and then reads registers with function 23."""
         answer = self.ask(write_read_pdu(address, data, read_address, count), unit)
         assert answer[0] == len(answer) - 1 == 2 * count
         return answer[1:]
 
     def write_one(self, address: int, value: int, unit: int = 1) -> None:
-        """Function 6."""
+        """Writes one register with function 6."""
         data = struct.pack(">HH", address, value)
         assert self.ask(bytes([WRITE_REGISTER]) + data, unit) == data
 
@@ -183,12 +184,12 @@ class Master:
         return job
 
     def statistic(self, name: str) -> int:
-        """A statistic of block 7."""
+        """Reads a statistic of register block 7."""
         return struct.unpack(">I", self.read(AT[name.upper()], 2))[0]
 
 
 class Tcp(Master):
-    """A master over TCP. slave: a daemon, or the HOST:PORT that its log has after modbus-tcp:."""
+    """A master over TCP. slave: a daemon, or the HOST:PORT that its log gives for Modbus."""
 
     def __init__(self, slave: Daemon | str, timeout_s: float = 20.0, source: str | None = None):
         address = slave if isinstance(slave, str) else slave.url("modbus-tcp")
@@ -206,11 +207,11 @@ class Tcp(Master):
         self.socket.close()
 
     def own_address(self) -> str:
-        """HOST:PORT, as the daemon sees it."""
+        """Returns the HOST:PORT from which this master is connected, as the daemon sees it."""
         return "{}:{}".format(*self.socket.getsockname())
 
     def frame(self, unit: int, pdu: bytes) -> bytes:
-        """The next request."""
+        """Makes the frame of a request, with the next transaction number."""
         self.transaction = (self.transaction + 1) & 0xFFFF
         return struct.pack(">HHHB", self.transaction, 0, 1 + len(pdu), unit) + pdu
 
@@ -228,7 +229,7 @@ class Tcp(Master):
         return bytes(data)
 
     def receive(self) -> tuple[int, int, bytes]:
-        """An answer: transaction, unit, PDU."""
+        """Receives an answer: transaction, unit, PDU."""
         transaction, protocol, length, unit = struct.unpack(">HHHB", self.receive_bytes(7))
         assert protocol == 0 and 3 <= length <= 254
         return transaction, unit, self.receive_bytes(length - 1)
@@ -240,7 +241,7 @@ class Tcp(Master):
         return answer
 
     def is_closed(self) -> bool:
-        """Whether the slave closes the connection, without another answer."""
+        """Whether the slave closes the connection without sending another answer."""
         try:
             self.receive_bytes(1)
             return False
@@ -249,7 +250,7 @@ class Tcp(Master):
 
 
 def checksum(data: bytes) -> bytes:
-    """CRC-16 of Modbus, low byte first."""
+    """Returns the CRC-16 of Modbus, low byte first."""
     sum = 0xFFFF
     for byte in data:
         sum ^= byte
@@ -259,7 +260,7 @@ def checksum(data: bytes) -> bytes:
 
 
 class Rtu(Master):
-    """A master on a serial line. fd: its end of the line."""
+    """A master on a serial line. fd: the master's end of the line."""
 
     def __init__(self, fd: int, timeout_s: float = 20.0):
         self.fd = fd
@@ -267,7 +268,7 @@ class Rtu(Master):
 
     @staticmethod
     def frame(unit: int, pdu: bytes) -> bytes:
-        """Unit, PDU, checksum."""
+        """Makes a frame: unit, PDU, checksum."""
         data = bytes([unit]) + pdu
         return data + checksum(data)
 
@@ -286,7 +287,7 @@ class Rtu(Master):
         return data
 
     def receive(self) -> tuple[int, bytes]:
-        """An answer: unit, PDU."""
+        """Receives an answer: unit, PDU."""
         data = self.receive_bytes(3)
         function = data[1]
         if function >= 0x80:
@@ -302,7 +303,7 @@ class Rtu(Master):
         return data[0], data[1:-2]
 
     def is_silent(self, for_s: float = 0.1) -> bool:
-        """Whether nothing comes."""
+        """Whether no byte arrives for this time."""
         return not select.select([self.fd], [], [], for_s)[0]
 
     def exchange(self, unit: int, pdu: bytes) -> bytes:
@@ -325,7 +326,8 @@ def input_block(
     moments: int = 1,
     tolerance: float = 0.0,
 ) -> bytes:
-    """The input from `commit` on: a list of radii, or a grid as (spacing, count, start, stop)."""
+    """Makes the input registers from `commit` on. r: a list of radii, or a grid as (spacing, count,
+    start, stop)."""
     spacing, count, start, stop = grid if grid else (1, len(radii), 0.0, 0.0)
     data = words(token, model, evaluator, moments) + floats(tolerance, *medium)
     data += words(spacing, count) + floats(start, stop)

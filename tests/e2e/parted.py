@@ -1,4 +1,4 @@
-"""Answers to evals in parts, taken from a connection and put together by hand."""
+"""Receives answers to eval requests in parts, and puts the parts together."""
 
 from __future__ import annotations
 
@@ -12,15 +12,17 @@ EVALUATED = EVAL | wire.REPLY
 
 
 class Part(NamedTuple):
-    """A reply to an eval, taken apart."""
+    """The arrays and fields of an eval reply."""
 
     fixed: Any
     channels: bytes
-    rows: list[np.ndarray]  # the radii if they are in it, then each channel's arrays; as bits
+    # The radii, if they are in the reply, and then each channel's arrays, as bits.
+    rows: list[np.ndarray]
 
 
 def take_apart(payload: bytes) -> Part:
-    """A part must be a whole reply: every array is there, padded with zero bytes."""
+    """Reads a part, and checks that it is a whole reply: every array is there, padded with zero
+    bytes."""
     fixed = wire.EVAL_REPLY.unpack(payload)
     value_bytes = np.dtype(wire.EVALUATOR_TYPES[fixed.evaluator]).itemsize
     arrays = fixed.channel_count * sum(1 for q in wire.ELEMENTWISE if fixed.wanted & q)
@@ -47,7 +49,7 @@ def receive_parts(connection: Connection, request_id: int = 77) -> list[Part]:
 
 
 def put_together(parts: list[Part]) -> Part:
-    """One reply out of the parts, which must follow each other and agree."""
+    """Makes one reply of the parts, which must follow each other and agree."""
     first = parts[0]
     radii = 0
     for number, part in enumerate(parts):
@@ -64,7 +66,7 @@ def put_together(parts: list[Part]) -> Part:
 
 
 def assert_same(one: Part, other: Part) -> None:
-    """Bit for bit."""
+    """Checks that two replies are the same, bit for bit."""
     assert one.fixed == other.fixed
     assert one.channels == other.channels
     for row, other_row in zip(one.rows, other.rows, strict=True):

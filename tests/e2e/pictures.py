@@ -1,4 +1,4 @@
-"""What is in a picture that `dipole` has drawn."""
+"""Reads pictures that `dipole` has drawn."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SVG = "{http://www.w3.org/2000/svg}"
 
 
 def svg_lines(root: ElementTree.Element) -> list[ElementTree.Element]:
-    """The groups that gnuplot draws the lines of a plot in."""
+    """Returns the groups in which gnuplot draws the lines of a plot."""
     groups = []
     for group in root.iter(f"{SVG}g"):
         title = group.find(f"{SVG}title")
@@ -42,7 +42,8 @@ def check_png(path: Path) -> None:
 
 
 def path_points(group: ElementTree.Element) -> list[tuple[float, float]]:
-    """The corners of a line, in pixels: of its longest piece, for one is in the legend."""
+    """Returns the corners of a line in pixels. They are those of its longest piece, because another
+    piece is in the legend."""
     pieces = []
     for path in group.iter(f"{SVG}path"):
         for letter, x, y in re.findall(r"([ML])(-?[\d.]+),(-?[\d.]+)", path.get("d", "")):
@@ -53,7 +54,7 @@ def path_points(group: ElementTree.Element) -> list[tuple[float, float]]:
 
 
 def places(root: ElementTree.Element, words) -> list[tuple[str, str]]:
-    """Where the texts stand that are among these words: x and y."""
+    """Returns the x and y of the texts that are among these words."""
     found = []
     for group in root.iter(f"{SVG}g"):
         text = group.find(f"{SVG}text")
@@ -64,7 +65,7 @@ def places(root: ElementTree.Element, words) -> list[tuple[str, str]]:
 
 
 def style(group: ElementTree.Element) -> tuple:
-    """Colour and dashes of a line: of its longest path."""
+    """Returns the colour and dashes of a line, which are those of its longest path."""
     longest = max(group.iter(f"{SVG}path"), key=lambda path: len(path.get("d", "")))
     parents = {child: parent for parent in group.iter() for child in parent}
     colour = longest.get("stroke")

@@ -16,7 +16,7 @@ from frames import (
 from lists import EVALUATORS, MODELS, MOMENTS
 
 INF, NAN = math.inf, math.nan
-above = np.nextafter  # above(x, inf): the next double
+above = np.nextafter  # above(x, inf) is the next double.
 
 
 def medium(**changes: float) -> tuple[float, float, float, float]:
@@ -26,22 +26,23 @@ def medium(**changes: float) -> tuple[float, float, float, float]:
 
 
 def with_bad(bad, at: int = 1) -> tuple[bytes, int]:
-    """A request with three media of which one, by default the second, is bad, and its position."""
+    """Makes a request with three media of which one, by default the second, is invalid. Returns it
+    with the position of that medium."""
     return eval_payload([SKIN] * at + [bad] + [SKIN] * (2 - at)), at
 
 
 def with_ids(field: str, *ids: int) -> dict[str, bytes]:
-    """Requests with these ids in a field."""
+    """Makes requests with these ids in a field."""
     return {f"{id:#x}": eval_payload(**{field: id}) for id in ids}
 
 
 def grid(**fixed: float) -> bytes:
-    """An eval payload with a grid."""
+    """Makes an eval payload with a grid."""
     return eval_payload(radii=None, **fixed)
 
 
 def log_grid(start: float, stop: float = 1.0) -> bytes:
-    """The same with logarithmic spacing."""
+    """Makes an eval payload with a logarithmic grid."""
     return grid(spacing=LOGARITHMIC, radius_start=start, radius_stop=stop)
 
 
@@ -55,7 +56,7 @@ CHOICES = {
         with_ids("evaluator", 0, 9, 65535),
     ),
     **refused("bad-value", "moments", "1 (exact), 2 (fit)", with_ids("moments", 0, 999, 65535)),
-    # 257 would be a list if only eight bits were looked at.
+    # 257 would mean a list if the daemon read only eight bits.
     **refused("bad-value", "spacing", "1 (list), 2 (lin", with_ids("spacing", 0, 257, 999, 65535)),
     **refused(
         "bad-value",
@@ -150,7 +151,7 @@ GRIDS = {
     ),
 }
 
-# Near these counts the bytes wrap in 32 or 64 bits, to none or to those that are there.
+# Near these counts, the size in bytes wraps in 32 or 64 bits, to 0 or to the size of the payload.
 WRAPPING = [2**29, 2**32, 2**61, 2**62, 2**63, 2**64]
 
 COUNTS = {
@@ -164,7 +165,7 @@ COUNTS = {
         "with a medium cut": eval_payload()[:64],
     }),
     **refused("bad-count", "radius_count", "no more radii than the payload holds", {
-        # There are bytes enough for the media, so the list is what comes up short.
+        # The payload has enough bytes for the media, so the list is too short.
         "one medium too many": eval_payload([SKIN], [1, 2, 3, 4], medium_count=2),
         **{
             f"evaluator {evaluator}, {count:#x}": eval_payload(
@@ -237,7 +238,8 @@ def test_a_long_list_is_cut_between_its_entries(connection):
 
 
 def test_faults_are_named_in_the_order_of_the_tables(connection):
-    # Everything at once: the first of the table's fields, then the first medium, is what is named.
+    # If a request has several faults, the error names the first of the table's fields, and then the
+    # first medium.
     media = [SKIN, medium(g=1.0, eta=0.0), medium(sigma_a=-1.0)]
     both = eval_payload(media, radii=[-1.0])
     assert_error(ask(connection, EVAL, both), "bad-value", "g", "exclusive", 1)
@@ -305,7 +307,7 @@ def test_header(shared, name):
 
 
 def test_a_skipped_payload_is_not_read_as_frames(connection):
-    # What is skipped looks like pings, none of which may be answered.
+    # The skipped payload looks like pings, which the daemon must not answer.
     inside = header(request_id=5) * 3
     connection.send_bytes(header(version=9, request_id=4, payload_bytes=len(inside)) + inside)
     assert_error(connection.receive_frame(), "bad-version", "version", "1", request_id=4)
@@ -313,7 +315,7 @@ def test_a_skipped_payload_is_not_read_as_frames(connection):
 
 
 def test_wanted_quantities_are_what_is_sent(connection):
-    # The reply to R alone, for comparison: no error, 2 radii, one array.
+    # For comparison, this is the reply to R alone: no error, 2 radii, one array.
     reply = ask(connection, EVAL, eval_payload(wanted=R))
     assert len(reply.payload) == wire.EVAL_REPLY.bytes + wire.CHANNEL.bytes + 2 * 8
     reply = ask(connection, EVAL, eval_payload(wanted=R | CDF | RADIUS, spacing=LINEAR, radii=None))

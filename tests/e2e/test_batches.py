@@ -1,5 +1,5 @@
-"""Short requests that arrive together are evaluated together. Their answers are the same as alone,
-and in steady state they allocate no memory."""
+"""Short requests that arrive together are evaluated together. Their answers are the same as those
+of single requests, and in steady state they allocate no memory."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ SEED = 7041
 
 
 def similar_payload(rng: random.Random) -> bytes:
-    """One of a few profiles, so that many requests are for the same one: any quantities, precision,
-    parameters and length."""
+    """Makes a request for one of a few profiles, so that many requests share a profile. Quantities,
+    precision, parameters and length are random."""
     media = rng.choice([[SKIN], [SPECTRALON], [SKIN, SPECTRALON], [(0.5, 1.0, 0.0, 1.4)] * 3])
     count = rng.choice([0, 1, 2, 3, 7, 8, 15, 16, 16, 16, 17, 100, 127, 128, 129, 200])
     angles = [(PARAMETERS[name].id, rng.choice([0.25, 1.0])) for name in ("cos_in", "cos_out")]
@@ -37,7 +37,7 @@ def similar_payload(rng: random.Random) -> bytes:
     }
     if fields["evaluator"] == LUT and model in ("better", "classical"):
         fields["parameters"] = [(PARAMETERS["tolerance"].id, rng.choice([1e-3, 1e-4]))]
-    elif fields["evaluator"] == LUT and model != "beam":  # whose tables take long
+    elif fields["evaluator"] == LUT and model != "beam":  # Its tables take long.
         fields["evaluator"] = F32
     if rng.random() < 0.6 or count == 0:
         radii = np.random.default_rng(rng.getrandbits(32)).uniform(0.0, 5.0, count)
@@ -54,7 +54,7 @@ def similar_payload(rng: random.Random) -> bytes:
 
 
 def random_lut(rng: random.Random) -> bytes:
-    """A table of any model that has one everywhere."""
+    """Makes a request for a table of a random model that covers all radii."""
     model = rng.choice([name for name in everywhere() if "transport" not in name])
     radii = np.random.default_rng(rng.getrandbits(32)).uniform(0.0, 5.0, rng.randint(0, 200))
     fields = {"model": MODELS[model], "evaluator": LUT, "wanted": R | CDF | ALBEDO}
@@ -62,7 +62,8 @@ def random_lut(rng: random.Random) -> bytes:
 
 
 def takes_long(payload: bytes) -> bool:
-    """Transport, a second for each medium; it is asked for elsewhere."""
+    """Whether a request is for transport, which takes a second for each medium. Other tests
+    evaluate it."""
     return wire.EVAL_REQUEST.unpack(payload).model == MODELS["transport"]
 
 
@@ -77,7 +78,8 @@ def mixed_payloads(seed: int) -> list[bytes]:
 
 
 class Pipeline(threading.Thread):
-    """Sends requests over a connection of its own without waiting, and collects the answers."""
+    """A thread that sends requests over a connection of its own without waiting, and collects the
+    answers."""
 
     def __init__(self, daemon, requests: dict[int, bytes], scheme: str):
         super().__init__()
@@ -96,7 +98,7 @@ class Pipeline(threading.Thread):
 
 
 def pipelined(daemon, payloads: list[bytes], connections: int) -> list[tuple[int, bytes]]:
-    """The answers to all, spread over some connections."""
+    """Returns the answers to all requests, which are spread over some connections."""
     threads = []
     for i in range(connections):
         share = {k: payloads[k] for k in range(i, len(payloads), connections)}
@@ -113,7 +115,8 @@ def pipelined(daemon, payloads: list[bytes], connections: int) -> list[tuple[int
 
 @pytest.fixture(scope="module")
 def alone():
-    """What each request of the mix gets from a daemon that has nothing else to do."""
+    """Returns the answers that each request of the mix gets from a daemon that has nothing else to
+    do."""
     one = Daemon("--workers", "1")
     payloads = mixed_payloads(SEED)
     with one.connect() as connection:
@@ -128,7 +131,7 @@ def alone():
 def test_together_as_alone(daemon, alone, options, connections):
     payloads, expected = alone
     one = daemon(*options)
-    for times in range(2):  # the second time all is known
+    for times in range(2):  # In the second round, the daemon knows all requests.
         answers = pipelined(one, payloads, connections)
         for i, (answer, right) in enumerate(zip(answers, expected, strict=True)):
             assert answer == right, (times, i, wire.EVAL_REQUEST.unpack(payloads[i]))
@@ -152,7 +155,7 @@ def test_a_fault_among_many(daemon):
 
 
 def test_leaving_within_a_batch(daemon):
-    """Clients that are gone before their answers have been evaluated."""
+    """Clients leave before their answers have been evaluated. The daemon goes on serving."""
     one = daemon("--workers", "1")
     payload = eval_payload([SKIN], np.linspace(0, 3, 16), wanted=R)
     with one.connect() as staying:
@@ -197,7 +200,8 @@ def test_a_pipeline_is_evaluated_in_few_passes(daemon):
 
 @pytest.mark.parametrize("most", [1, 2, 10])
 def test_max_in_flight(daemon, most):
-    """No more requests of a connection are under way at a time, so no more go together."""
+    """At most this many requests of a connection are answered at a time, so no more are evaluated
+    together."""
     one = daemon("--workers", "1", "--max-in-flight", str(most))
     with one.connect() as connection, one.connect() as watcher:
         before = batch_counts(watcher)
@@ -246,7 +250,8 @@ STEADY = {
 
 
 def fill_queue(connection: Connection, watcher: Connection, payload: bytes) -> None:
-    """Leaves as much unread as a connection may, so that it has had all the buffers that it can."""
+    """Leaves as many answers unread as a connection may have, so that it has allocated all its
+    buffers."""
     reply = ask(connection, EVAL, payload)
     times = 1 + MAX_QUEUED_BYTES // (wire.HEADER.bytes + len(reply.payload))
     expected = statistics(watcher)["requests_eval"] + times
@@ -258,9 +263,9 @@ def fill_queue(connection: Connection, watcher: Connection, payload: bytes) -> N
 
 @pytest.mark.parametrize("name", STEADY)
 def test_steady_requests_allocate_nothing(daemon, name):
-    """Five thousand requests over each transport, a hundred at a time and then one by one, over a
-    connection that has had its buffers. These are given back after a second of silence, which on a
-    machine with much else to do comes about: then it is tried again."""
+    """Sends five thousand requests over each transport, a hundred at a time and then one by one,
+    over a connection that has all its buffers. It gives these back after a second of silence, which
+    happens on a busy machine: the test is then repeated."""
     fields = {"media": [SKIN], "radii": np.linspace(0.1, 3, 16), "wanted": R, **STEADY[name]}
     payload = eval_payload(**fields)
     one = daemon("--workers", "1", "--max-queued-bytes", str(MAX_QUEUED_BYTES), counting=True)

@@ -1,5 +1,5 @@
-"""Programs that are compiled against the installed library, as its users do it: the header, the
-library and its options are found by pkg-config, and nothing of this repository is."""
+"""Compiles programs against the installed library, as its users do: pkg-config finds the header,
+the library and its options, and no file of this repository is used."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SIDE_MM = np.float32(20)
 
 
 class Installed:
-    """What `make install` has put below a folder."""
+    """The files that `make install` has put below a folder."""
 
     def __init__(self, folder: Path):
         self.folder = folder
@@ -33,7 +33,8 @@ class Installed:
         self._lib = folder / "usr/local/lib"
 
     def compile(self, compiler: list[str], source: Path, program: Path) -> None:
-        """In a folder of its own, with the library's own options and those of a sanitizer."""
+        """Compiles a program in a folder of its own, with the library's options and those of a
+        sanitizer."""
         copy = program.parent / source.name
         shutil.copy(source, copy)
         found = subprocess.run(
@@ -58,7 +59,7 @@ class Installed:
         assert done.returncode == 0 and done.stderr == "", done.stderr
 
     def run(self, program: Path, *arguments: str) -> str:
-        """What it prints, with the installed library and dipoled."""
+        """Runs a program with the installed library and dipoled. Returns its output."""
         done = subprocess.run(
             [str(program), *arguments],
             cwd=program.parent,
@@ -83,7 +84,7 @@ def installed(tmp_path_factory) -> Installed:
 
 @pytest.fixture
 def irradiance(installed, tmp_path) -> Path:
-    """The example, compiled."""
+    """Compiles the example. Returns the program."""
     source = REPOSITORY / "clients/c/examples/irradiance.c"
     program = tmp_path / "irradiance"
     warnings = ["-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic"]
@@ -96,7 +97,7 @@ def middles(count: int) -> np.ndarray:
 
 
 def gathered(client, pixels: int, points: int) -> np.ndarray:
-    """The same sums, by numpy: [pixels, pixels, 3]."""
+    """Computes the sums of the example by numpy: [pixels, pixels, 3]."""
     y, x = (axis.ravel() for axis in np.meshgrid(middles(points), middles(points), indexing="ij"))
     disk = (x - 15) ** 2 + (y - 10) ** 2 < 4
     lit = (x < 10) | disk

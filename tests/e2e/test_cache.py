@@ -22,7 +22,7 @@ S = QUANTITIES["S"]
 
 
 def payload(model: str, media=MEDIA[:1], **fixed) -> bytes:
-    """An eval request for a model of the list."""
+    """Makes an eval request for a model of the list."""
     return eval_payload(media, model=MODELS[model], **fixed)
 
 
@@ -32,7 +32,7 @@ def media(count: int) -> list[tuple[float, ...]]:
 
 
 class Counted:
-    """How the statistics of the cache change meanwhile."""
+    """The change of the cache's statistics within a with block."""
 
     def __init__(self, daemon):
         self.daemon = daemon
@@ -78,7 +78,8 @@ def test_every_channel_is_a_hit_or_a_miss(daemon):
 
 
 def test_what_differs_is_not_the_same(daemon):
-    """In any part of what a profile is made from. What is evaluated differently is the same."""
+    """Profiles are different if any part of their key differs. Requests that differ only in the
+    evaluation share a profile."""
     one = daemon()
     counted = Counted(one)
     tolerance = PARAMETERS["tolerance"].id
@@ -107,7 +108,7 @@ def test_what_differs_is_not_the_same(daemon):
 
 
 def test_the_bound_is_kept(daemon):
-    """A small cache and many profiles: the ones used last are kept."""
+    """A small cache keeps those of many profiles that were used last."""
     one = daemon("--cache-bytes", "60000")
     counted = Counted(one)
     many = media(60)
@@ -142,7 +143,7 @@ def test_streams_of_cheap_media_evict_nothing(daemon):
 def test_memory_is_returned(daemon):
     """An evicted profile is freed even if a worker's local cache had it. The test evicts 4000
     profiles of 17 KiB."""
-    # The address sanitizer else keeps what is freed for a while, to see whether it is used.
+    # This setting keeps the address sanitizer from holding on to freed memory.
     one = daemon("--cache-bytes", "200000", env={"ASAN_OPTIONS": "quarantine_size_mb=1"})
     with one.connect() as connection:
         ask(connection, EVAL, payload("better+single", media(64), radii=[1.0]))
@@ -158,8 +159,10 @@ def test_memory_is_returned(daemon):
 
 @pytest.mark.parametrize("model", KINDS)
 def test_answers_do_not_depend_on_the_cache(daemon, model):
-    """The first answer, the second, one after eviction, without a cache, with more workers."""
-    some = MEDIA[:1] if model == "transport" else MEDIA  # it takes a tenth of a second each time
+    """All answers are the same: the first, the second, one after eviction, without a cache, and
+    with more workers."""
+    # Each preparation takes a tenth of a second.
+    some = MEDIA[:1] if model == "transport" else MEDIA
     requests = [
         payload(model, some, wanted=sum(QUANTITIES.values())),
         payload(model, some[::-1], wanted=R, evaluator=F32),
@@ -199,7 +202,8 @@ def test_angles_share_a_profile(daemon):
 
 @pytest.fixture
 def connections():
-    """Opens so many connections to a daemon; file descriptors are no limit."""
+    """Returns a function that opens many connections to a daemon, with a raised limit of
+    descriptors."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
     opened = []
@@ -229,7 +233,7 @@ def test_a_thousand_clients_cause_one_build(daemon, connections, workers):
         assert client.receive_frame() == expected
     assert counted["builds"] == 1
     assert counted["hits"] + counted["misses"] == CLIENTS
-    assert counted["misses"] > 1  # some did wait
+    assert counted["misses"] > 1  # Some requests waited for the same profile.
 
 
 def test_simultaneous_askers_share_even_what_is_not_kept(daemon, connections):
@@ -241,7 +245,7 @@ def test_simultaneous_askers_share_even_what_is_not_kept(daemon, connections):
         client.send_bytes(request)
     replies = [client.receive_frame() for client in clients]
     assert replies == replies[:1] * 50 and replies[0].type == REPLY
-    assert counted["builds"] < 25  # one, or some more if sending took longer than preparing
+    assert counted["builds"] < 25  # one, or a few more if sending took longer than preparing
     assert (counted["entries"], counted["bytes"], counted["hits"]) == (0, 0, 0)
 
 
@@ -256,7 +260,7 @@ def test_a_fault_goes_to_all_who_wait(daemon, connections):
         assert_error(client.receive_frame(), "bad-value", "tolerance", "")
     counted = Counted(one)
     assert_error(ask(clients[0], EVAL, request), "bad-value", "tolerance", "")
-    assert counted["builds"] == 1  # tried anew
+    assert counted["builds"] == 1  # The later request prepares again.
     assert counted["entries"] == 0
     assert_daemon_serves(one)
 
@@ -265,12 +269,12 @@ def test_a_fault_goes_to_all_who_wait(daemon, connections):
 
 
 def under_way(counted: Counted, builds: int = 1) -> bool:
-    """Whether so many preparations begin in time."""
+    """Waits until this many preparations have begun."""
     return eventually(lambda: counted["builds"] == builds)
 
 
 def test_who_leaves_takes_nothing_along(daemon):
-    """The preparation goes on for those who stay, and for who comes later."""
+    """A preparation goes on for the clients that stay and for those that come later."""
     one = daemon()
     counted = Counted(one)
     request = frame(EVAL, 77, payload("transport"))
@@ -318,8 +322,8 @@ def test_stopping_while_nobody_waits(daemon):
 
 
 def test_stopping_waits_for_what_has_begun_alone(daemon, connections):
-    """Twenty seconds of preparations are asked for, twice as many as it has for stopping; those
-    that have not begun when time is up never do."""
+    """Clients ask for twenty seconds of preparations, twice the time that the daemon has for
+    stopping. Those that have not begun by then never begin."""
     one = daemon("--drain-timeout-ms", "100")
     counted = Counted(one)
     for client, medium in zip(connections(one, 400), media(400), strict=True):

@@ -1,4 +1,4 @@
-"""`dipole bench`: what it measures adds up, in every format; how fast it is, is no test's business."""
+"""`dipole bench`: its figures add up, in every format. No test checks how fast it is."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def check_figures(figures: dict, channels: int, value_bytes: int, seconds: float
     )
     quantiles = [figures[name] for name in ("p50_us", "p99_us", "max_us")]
     assert quantiles == sorted(quantiles) and quantiles[0] > 0
-    # Requests under way at the same time share the time.
+    # Requests that are outstanding at the same time share the time.
     under_way = figures["connections"] * figures["in_flight"]
     assert quantiles[0] / 1e6 * requests <= 2.1 * under_way * figures["seconds"]
 
@@ -78,7 +78,7 @@ def test_the_load_is_the_one_that_was_asked_for(daemon):
     for figures in measurements:
         check_figures(figures, channels=3, value_bytes=4)
     assert after["connections_accepted"] - before["connections_accepted"] == 3
-    # One more on each connection to warm up.
+    # Each connection sends one more request to warm up.
     requests = [figures["requests"] for figures in measurements]
     evals = after["requests_eval"] - before["requests_eval"]
     assert evals == sum(requests) + 1 + 3 + 1
@@ -115,7 +115,7 @@ test_wrong_command_lines = says(USAGE, ["bench"], [
 
 
 def test_a_bar_when_it_takes_long():
-    """From two seconds on, on a terminal; the report stands alone."""
+    """The progress bar appears after two seconds on a terminal, and leaves the report unchanged."""
     run = Terminal("bench", "--seconds", "0.9", "--format", "json", on=[2])
     status, output = run.end()
     assert status == 0 and len(json.loads(output)["measurements"]) == 3

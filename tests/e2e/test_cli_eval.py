@@ -1,4 +1,4 @@
-"""`dipole eval`: the same numbers as a table, as CSV and as JSON, for any way to ask."""
+"""`dipole eval`: the same numbers as a table, as CSV and as JSON, for all kinds of arguments."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ HEADER = "model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,cdf,numerical_error,mod
 @pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
 @pytest.mark.parametrize("moments", ["exact", "fit"])
 def test_points_says_the_same_as_eval(shared, evaluator, moments):
-    """They share a daemon, so that it builds each table once, and that of one medium only."""
+    """Both commands use one daemon, so that it builds each table once, and for one medium only."""
     of = ["--evaluator", evaluator, "--connect", shared.url()]
     medium = [*MEDIUM[:1], "0.01" if evaluator == "lut" else "0.01,0.1", *MEDIUM[2:]]
     rows = eval_rows(
         *[*medium, "--model", "all", "--r", "0,0.3,1,7.5,inf", "--want", "R,albedo,cdf"],
         *[*of, "--moments", moments],
-        quiet=False,  # it names the models that it leaves out
+        quiet=False,  # The command names the models that it leaves out.
     )
     assert {row["model"] for row in rows} >= set(everywhere())
     columns = ["model", "sigma_a", "sigma_s", "g", "eta", "r"]
@@ -85,7 +85,7 @@ def test_grids():
     assert ratios == pytest.approx([0.01, 0.1, 1, 10, 100], rel=1e-12)
     grid = ["--from", "0.1", "--to", "0.1", "--count", "1"]
     single = eval_json(*MEDIUM, *grid, "--evaluator", "f32")
-    assert single["r"] == [0.10000000149011612]  # the radius that the evaluator took
+    assert single["r"] == [0.10000000149011612]  # the radius in single precision
 
 
 def test_models_are_asked_for_once_each():
@@ -104,8 +104,9 @@ def test_csv():
     assert len(text.splitlines()) == 1 + 2 * 3
     for row in read_csv(text):
         assert 0 < float(row["numerical_error"]) < 1e-12
-        assert row["cdf"] == ""  # not wanted
-        assert row["model_error"] == "" or float(row["model_error"]) > 0  # measured or not
+        assert row["cdf"] == ""  # The cdf was not wanted.
+        # Empty if it was not measured.
+        assert row["model_error"] == "" or float(row["model_error"]) > 0
 
 
 def test_csv_without_radii():
@@ -168,9 +169,9 @@ def test_table_is_aligned_and_has_units():
     for line in [*lines[:3], *lines[4:]]:
         cells = [(line + " ")[end : end + 2].strip() for end in ends]
         assert len(line) == len(lines[3])
-        assert all(cell != "" for cell in cells[1:])  # every column ends where its line ends
+        assert all(cell != "" for cell in cells[1:])  # Columns are aligned.
     rows = eval_rows("--medium", "skin1", "--model", "classical,better")
-    first = [float(cell) for cell in lines[5].split()]  # the second radius
+    first = [float(cell) for cell in lines[5].split()]  # of the second radius
     exact = [float(rows[1]["r"])] + [float(row["R"]) for row in rows[1::21]]
     assert first == pytest.approx(exact, rel=1e-4)
     assert "albedo" in channels and "numerical error" in channels and "model error" in channels
@@ -245,7 +246,8 @@ def test_a_private_daemon_listens_for_nobody_else(tmp_path):
 
 
 def test_a_private_daemon_serves_nothing_else(daemon):
-    """Where another daemon does, which would keep it from starting."""
+    """An environment that makes another daemon serve other clients does not affect a private
+    one."""
     one = daemon("--modbus", "tcp:127.0.0.1:0", "--metrics", "127.0.0.1:0")
     modbus = one.url("modbus-tcp").removeprefix("modbus-")
     line = next(line for line in map(read_log_line, one.log) if line.get("event") == "metrics")

@@ -1,4 +1,4 @@
-"""`dipole` for newcomers: help, versions, and command lines that are wrong."""
+"""`dipole`: help, versions, and wrong command lines."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_examples_work(command):
         if "--plot" in words:
             at = words.index("--plot")
             del words[at : at + 2]
-        # Of all models it says which it leaves out.
+        # With all models, the command names those that it leaves out.
         assert dipole(*words[1:], quiet="all" not in words).stdout != ""
 
 

@@ -1,4 +1,4 @@
-"""`dipole invert`: media with given albedos in every format, and what to do when there are none."""
+"""`dipole invert`: media with given albedos in every format, and albedos that no medium has."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ GIVEN = ["mean-free-path", "diffuse-mean-free-path", "classical-diffuse-path"]
 
 
 def rows(*arguments: str, status: int = OK) -> list[dict[str, str]]:
-    """The rows of `dipole invert --format csv`."""
+    """Returns the rows of `dipole invert --format csv`."""
     return read_csv(dipole("invert", "--format", "csv", *arguments, status=status).stdout)
 
 

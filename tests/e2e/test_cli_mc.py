@@ -15,7 +15,7 @@ ENDLESS = ["--sigma-a", "1e-4", "--sigma-s", "10", "--g", "0.9", "--photons", "1
 
 
 def mc_json(*arguments: str) -> dict:
-    """The object of `dipole mc --format json`."""
+    """Returns the object of `dipole mc --format json`."""
     return json.loads(dipole("mc", "--format", "json", *arguments).stdout)
 
 

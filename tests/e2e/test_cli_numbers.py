@@ -13,19 +13,20 @@ SMALLEST = 2.0**-1074
 
 
 def significant_digits(text: str) -> str:
-    """The digits of a decimal without sign, point, exponent and the zeros around them."""
+    """Returns the digits of a decimal number without sign, point, exponent and outer zeros."""
     return text.lstrip("-").split("e")[0].replace(".", "").strip("0")
 
 
 def assert_shortest(text: str, value: float) -> None:
-    """As few digits as Python's repr, which finds the fewest, in no more characters."""
+    """Checks that a text has as few digits as Python's repr, which is shortest, and is not
+    longer."""
     assert float(text) == value, text
     assert len(significant_digits(text)) == len(significant_digits(repr(value))), text
     assert len(text) <= len(repr(value)), text
 
 
 def many_numbers(count: int) -> list[float]:
-    """Positive doubles of all magnitudes, from random bits."""
+    """Returns positive doubles of all magnitudes, from random bits."""
     source = random.Random(20240229)
     numbers = []
     while len(numbers) < count:
@@ -55,7 +56,7 @@ NUMBERS = {
 
 @pytest.mark.parametrize("kind", NUMBERS)
 def test_numbers_read_back_and_are_short(kind):
-    """The radii of eval come out as they went in, so they can be any doubles from 0 on."""
+    """The radii that eval prints are those that it was given: any doubles from 0 on."""
     numbers = NUMBERS[kind]
     rows = eval_rows(
         *["--sigma-a", "0", "--sigma-s", "1", "--want", "R"],

@@ -1,4 +1,4 @@
-"""Parameters and notes on the command line, and what `--model all` makes of models that refuse."""
+"""Parameters and notes on the command line, and `--model all` when some models refuse the query."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ ROW = "0.032,0.74,0,1.3,1"
 
 
 def options(parameters: dict[str, float]) -> list[str]:
-    """As options of the command line."""
+    """Returns parameters as options of the command line."""
     words = [[f"--{name.replace('_', '-')}", repr(value)] for name, value in parameters.items()]
     return [word for pair in words for word in pair]
 
 
 def some_parameters(model: str) -> dict[str, float]:
-    """Parameters that a model takes, with values that go together: not a fit's range, nor an error
-    that its number of Gaussians does not reach."""
+    """Returns parameters that a model takes, with values that fit together. The range of a fit is
+    not among them, nor a tolerance that a fit with so many Gaussians does not meet."""
     apart = ("fit_", "tolerance") if "gaussians" in takes(model) else ()
     given = {name: some_value(name) for name in takes(model) if not name.startswith(apart)}
     return given | {"cos_in": 0.75} | needs(model)
@@ -97,7 +97,8 @@ def test_parameters_are_repeated_in_the_answer():
 
 
 def without_parameters(type: int, payload: bytes) -> bytes:
-    """A hello of a daemon that knows no parameters: they are made statuses."""
+    """Changes the reply to hello so that the daemon has no parameters: it turns them into
+    statuses."""
     if type != HELLO | wire.REPLY:
         return payload
     data = bytearray(payload)
@@ -145,7 +146,7 @@ def test_a_note_names_the_models_that_it_is_about():
 
 
 def test_model_error_is_shown_where_it_is_a_number(client):
-    """An albedo above 1 is an error of the albedo, and where R is wanted, R's may be larger."""
+    """An albedo above 1 is an error of the albedo. If R is wanted, the error of R may be larger."""
     medium = ["--sigma-a", "0", "--sigma-s", "1", "--r", "1"]
     rows = eval_rows(*medium, "--model", "all", quiet=False)
     above = next(row for row in rows if "albedo-above-1" in row["notes"].split())
@@ -158,7 +159,7 @@ def test_model_error_is_shown_where_it_is_a_number(client):
 
 
 def infinite_at_0(client) -> str:
-    """A model whose R at r = 0 is infinite."""
+    """Returns the name of a model whose R at r = 0 is infinite."""
     for model in MODELS:
         if not needs(model) and covers(model, 0.0):
             if np.isinf(client.eval(model, Medium(0.032, 0.74), [0.0]).R[0, 0]):
@@ -199,7 +200,7 @@ def test_models_that_refuse_are_left_out():
 
 
 def test_all_models_take_what_they_can():
-    """Each model answers as if it had been asked by itself for the parameters that it takes."""
+    """Each model answers as if it alone had been asked, with the parameters that it takes."""
     given = {"cos_in": 0.5}
     for model in MODELS:
         given |= needs(model)
@@ -219,7 +220,7 @@ def test_a_model_that_is_named_is_not_left_out():
         run = dipole(*asked, names, status=FAILED)
         assert run.stdout == "" and "left out" not in run.stderr
         assert ": allowed: " in run.stderr and f"(--{next(iter(needs(needy)))})" in run.stderr
-    # And it is asked with what is given, taken or not.
+    # A model that is named gets all given parameters, whether it takes them or not.
     run = dipole(*asked, "all,better", *options(needs(needy)), status=FAILED)
     assert "allowed: nothing" in run.stderr
 
@@ -239,7 +240,8 @@ def test_what_all_models_refuse_is_said_once(arguments, said):
 
 
 def test_a_value_out_of_range_is_not_dropped():
-    """A model that takes a parameter is not asked without it because its value is wrong."""
+    """If the value of a parameter is out of range, a model that takes it refuses; the parameter is
+    not dropped."""
     needy = next(model for model in MODELS if needs(model))
     name = next(iter(needs(needy)))
     wrong = options({name: -1.0})
@@ -254,7 +256,7 @@ def test_a_value_out_of_range_is_not_dropped():
 
 
 def test_other_refusals_end_it(daemon):
-    """A daemon's limit is no model's fault."""
+    """A refusal because of a daemon's limit ends the command: the model is not at fault."""
     small = daemon("--max-media", "1").url()
     run = dipole(
         *["eval", "--medium", "skin1", "--model", "all", "--r", "1", "--connect", small],
@@ -265,7 +267,8 @@ def test_other_refusals_end_it(daemon):
 
 
 def test_a_long_list_that_a_model_refuses_in_its_second_half(daemon):
-    """Its first half has been answered by then: nothing of it may show."""
+    """The first half of a list has been answered when a model refuses the second half. No value of
+    this model is shown."""
     small = daemon("--max-frame-bytes", "4096").url()
     radii = ",".join(str(1 + i / 500) for i in range(900)) + ",0"
     asked = [*MEDIUM, "--model", "all", "--r", radii, "--want", "R,cdf"]
@@ -284,7 +287,8 @@ def covers_or_needs(model: str) -> bool:
 
 
 def test_columns_of_parameters(client):
-    """Each row has its own; an empty cell gives none."""
+    """Each row of a file has its own parameters. An empty cell means that the row does not have
+    one."""
     lines = []
     names = [name for name in PARAMETERS if not name.startswith("fit_")]
     for model in MODELS:

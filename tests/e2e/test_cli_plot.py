@@ -1,4 +1,4 @@
-"""Pictures: `dipole eval --plot`, and the demonstration that draws two of them."""
+"""Pictures of `dipole eval --plot`, and of the demonstration, which draws two."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ def test_svg_and_png_in_one_run(tmp_path):
     for model in ("classical", "better"):
         for colour in ("red", "green", "blue"):
             assert f"{model}, {colour}" in texts
-    assert "1e-03" in texts and "1e-05" in texts  # decades: the axis is logarithmic
+    # Labels at decades show that the axis is logarithmic.
+    assert "1e-03" in texts and "1e-05" in texts
 
 
 def test_dashes_by_model_and_colours_by_channel(tmp_path):
@@ -55,7 +56,7 @@ def test_dashes_by_model_and_colours_by_channel(tmp_path):
         ["--from", "0.01", "--to", "100", "--log"],
         ["--r", "1"],
         ["--r", "0,1,2,inf"],
-        ["--to", "1e4"],  # R underflows to 0 on the way
+        ["--to", "1e4"],  # R underflows to 0 within this range.
         ["--evaluator", "f32"],
     ],
 )
@@ -75,7 +76,7 @@ def test_nothing_to_draw(tmp_path):
 
 
 def test_names_are_no_commands(tmp_path):
-    """gnuplot would run what stands behind a | in a file name of its own."""
+    """A file name that starts with | is only a name. gnuplot itself would run it as a command."""
     run = subprocess.run(
         [str(BUILD / "dipole"), *SKIN, "--plot", "|touch hit;.svg"],
         cwd=tmp_path,
@@ -151,7 +152,8 @@ def test_other_options_still_need_their_values():
 
 
 def test_all_models_together(tmp_path):
-    """A panel for each channel, each with a line for each model that answers, and one legend."""
+    """The picture has a panel for each channel, each with a line for each model that answers, and
+    one legend."""
     arguments = ["eval", "--medium", "skin1", "--model", "all"]
     run = dipole(*arguments, "--format", "csv", "--plot", cwd=tmp_path, quiet=False)
     answered = list(dict.fromkeys(row["model"] for row in read_csv(run.stdout)))
@@ -166,8 +168,8 @@ def test_all_models_together(tmp_path):
     legend = [text for text in texts if text in MODELS]
     assert legend == answered
     lowest = max(float(key[1]) for key in places(root, MODELS))
-    assert lowest < float(root.get("viewBox").split()[3])  # nothing is cut off
-    # No two models look the same, and each looks the same in every panel.
+    assert lowest < float(root.get("viewBox").split()[3])  # The legend is not cut off.
+    # No two models look the same, and a model looks the same in every panel.
     styles = [style(group) for group in groups]
     assert len(set(styles)) == len(answered)
     assert styles[: len(answered)] == styles[len(answered) : 2 * len(answered)]
@@ -189,8 +191,8 @@ def test_panels_for_any_number_of_channels(tmp_path, channels):
 
 
 def test_infinite_values_are_left_out(tmp_path):
-    """R at r = 0 of some models: the line starts at the next radius; there is nothing to draw of it
-    when that is the only one."""
+    """A line starts at the second radius if R is infinite at r = 0. If that is the only radius,
+    there is no line."""
     rows = dipole(
         *["eval", "--medium", "skin1", "--model", "all", "--r", "0", "--format", "csv"], quiet=False
     ).stdout
@@ -221,7 +223,7 @@ def run_demo(build: Path, folder: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture
 def copied_build(tmp_path):
-    """The programs alone, so that the demonstration's files do not land in the build folder."""
+    """Copies the programs to a folder, so that the demonstration writes its files there."""
     build = tmp_path / "build"
     build.mkdir()
     for name in ("dipole", "dipoled"):
@@ -241,7 +243,7 @@ def test_demo(tmp_path, copied_build):
         assert f"{copied_build}/demo/skin1.{suffix}" in run.stdout
     check_png(copied_build / "demo" / "skin1.png")
     assert len(svg_lines(ElementTree.parse(copied_build / "demo" / "skin1.svg").getroot())) == 6
-    assert list(folder.iterdir()) == []  # the socket is gone, and so is its daemon
+    assert list(folder.iterdir()) == []  # The daemon and its socket are gone.
 
 
 def test_demo_without_programs(tmp_path):

@@ -1,4 +1,4 @@
-"""Pictures: `dipole plot`, into files and onto a terminal."""
+"""Pictures of `dipole plot`, in files and on a terminal."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ UNIT = "1/mm^2 per unit of power that entered"
 
 
 def draw(tmp_path: Path, *arguments: str, quiet: bool = True) -> ElementTree.Element:
-    """The SVG that a command draws."""
+    """Returns the SVG that a command draws."""
     svg = tmp_path / "r.svg"
     assert dipole(*arguments, "--plot", str(svg), quiet=quiet).stdout == ""
     return ElementTree.parse(svg).getroot()
 
 
 def numbers(*arguments: str, quiet: bool = True) -> list[dict[str, str]]:
-    """What a command draws, in numbers."""
+    """Returns the numbers that a command draws."""
     return read_csv(dipole(*arguments, "--format", "csv", quiet=quiet).stdout)
 
 
@@ -40,10 +40,10 @@ def column(rows: list[dict[str, str]], name: str) -> np.ndarray:
 
 
 def assert_straight(pixels: np.ndarray, expected: np.ndarray) -> None:
-    """The pixels are where an axis has the values: up to a scale and an offset."""
+    """Checks that pixels are a linear function of the expected values."""
     scale, offset = np.polyfit(expected, pixels, 1)
     assert np.abs(scale * expected + offset - pixels).max() < 0.1
-    assert abs(scale) * np.ptp(expected) > 100  # it is a curve and no dot
+    assert abs(scale) * np.ptp(expected) > 100  # The line is not just a dot.
 
 
 AXES = {
@@ -103,8 +103,9 @@ def test_several_axes_and_an_error_below_each_other(tmp_path):
         assert texts.count(label) == 1
     for model in models:
         for colour in ("red", "green", "blue"):
-            assert texts.count(f"{model}, {colour}") == 1  # one legend for all
-    assert texts.count("r (mm)") == 2  # of the logarithmic one, and of the two below
+            assert texts.count(f"{model}, {colour}") == 1  # All panels share one legend.
+    # One label belongs to the logarithmic panel, the other one to the two panels below it.
+    assert texts.count("r (mm)") == 2
     styles = [style(line) for line in lines]
     assert len(set(styles)) == 6 and styles[:6] == styles[6:12] == styles[12:]
     tops = [min(y for _, y in path_points(line)) for line in lines[::6]]
@@ -127,7 +128,8 @@ def test_a_panel_for_each_channel_of_many_models(tmp_path):
 
 
 def test_a_peak_leaves_a_linear_axis(tmp_path):
-    """Single scattering has no bound near r = 0, where it would hide all the rest."""
+    """The peak of single scattering near r = 0 does not set the range of a linear axis, because it
+    would hide everything else."""
     root = draw(tmp_path, *SKIN, "--model", "single", "--channel", "red", "--axes", "linear")
     tics = [float(text) for text in svg_texts(root) if re.fullmatch(r"[\d.]+", text)]
     rows = numbers(*SKIN, "--model", "single", "--channel", "red", "--axes", "linear")
@@ -302,7 +304,8 @@ def test_without_gnuplot(tmp_path):
 
 
 def inside(lines: list[str]) -> tuple[int, list[str]]:
-    """Of a drawing's first panel: the column where the inside of the frame begins, and its rows."""
+    """Returns the first panel of a drawing in text: the column where the inside of its frame
+    begins, and its rows."""
     first, last = [at for at, line in enumerate(lines) if re.search(r"\+-{10,}\+$", line)][:2]
     left = lines[first].index("+-") + 1
     assert lines[last].index("+-") + 1 == left
@@ -310,7 +313,8 @@ def inside(lines: list[str]) -> tuple[int, list[str]]:
 
 
 def tics(lines: list[str]) -> list[tuple[int, float]]:
-    """The rows of the first panel's inside that have labels, and these; -1 is the upper end."""
+    """Returns the labelled rows inside the first panel, with their labels. Row -1 is the upper
+    end."""
     left, rows = inside(lines)
     top = next(at for at, line in enumerate(lines) if re.search(r"\+-{10,}\+$", line))
     labels = [line[: left - 1].strip() for line in lines[top : top + len(rows) + 2]]
@@ -331,10 +335,10 @@ def test_marks_stand_where_the_values_are(axes):
     values = numbers(*arguments)
     r = on_r(column(values, "r"))
     shown = on_value(column(values, "R"))
-    # The labels of the axes gamma are of the power.
+    # The labels of gamma axes are powers of the values.
     heights = labels if axes == "gamma" else on_value(labels)
     scale, offset = np.polyfit(heights, [row for row, _ in marked], 1)
-    # The first and the last radius stand on the sides of the frame.
+    # The first and the last radius are at the sides of the frame.
     x = np.rint((r - r[0]) / (r[-1] - r[0]) * (columns + 1)).astype(int) - 1
     y = scale * shown + offset
     checked = 0
@@ -385,7 +389,7 @@ def test_eval_draws_text_too():
 
 
 def shown(*arguments: str, on: int = 1, **how) -> str:
-    """What a command writes onto its terminal."""
+    """Returns the text that a command writes to its terminal."""
     run = Terminal(*arguments, on=[on], **how)
     assert run.end()[0] == 0
     return run.seen
@@ -395,7 +399,7 @@ COLOUR = r"\033\[38;5;(\d+)m"
 
 
 def plain(text: str) -> str:
-    """The text without colours and the blanks at line ends."""
+    """Returns a text without colours and without blanks at line ends."""
     bare = re.sub(r"\033\[[\d;]*m", "", text)
     assert "\033" not in bare
     return "".join(line.rstrip() + "\n" for line in bare.splitlines()).rstrip("\n") + "\n"
@@ -439,7 +443,7 @@ def test_a_tiny_terminal_gets_what_can_be_read():
 
 
 def test_a_bar_with_rate_and_time_left(daemon):
-    """The daemon lets the first models wait until the bar is due."""
+    """A proxy delays the answers of the first models until the bar is due."""
     start = time.monotonic()
 
     def on_eval(number: int, request_id: int):

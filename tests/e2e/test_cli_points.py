@@ -1,4 +1,4 @@
-"""`dipole points`: rows in, the same rows with R, albedo, cdf and status out."""
+"""`dipole points`: reads rows, and writes the same rows with R, albedo, cdf and status."""
 
 from __future__ import annotations
 
@@ -289,7 +289,7 @@ def test_many_rows_keep_their_order():
 
 
 def test_memory_is_bounded(tmp_path):
-    """Rows of 100 kB each: far more than the window holds at a time."""
+    """Memory stays bounded for rows of 100 kB each, far more than the command holds at a time."""
     path = tmp_path / "wide.csv"
     note = "x" * 100_000
     with path.open("w") as file:
@@ -316,14 +316,14 @@ def test_memory_is_bounded(tmp_path):
         kilobytes, status = map(int, run.stdout.split())
         assert status == 0
         sizes[name] = kilobytes
-    assert sizes["wide"] - sizes["plain"] < 24_000  # of 60,000
+    assert sizes["wide"] - sizes["plain"] < 24_000  # The file has 60,000 kB.
 
 
 # ---- while it runs -------------------------------------------------------------------------------
 
 
 def read_until(stream: int, text: bytes, timeout_s: float = 30.0) -> bytes:
-    """What comes out of a file descriptor until a text does."""
+    """Reads from a file descriptor until a text comes. Returns all that was read."""
     deadline = time.monotonic() + timeout_s
     got = b""
     while text not in got:
@@ -365,7 +365,7 @@ def test_a_bar_is_shown_on_a_terminal_when_it_takes_long():
     run.process.stdin.close()
     run.process.stdin = None
     assert run.end()[0] == 0
-    assert run.seen.endswith("\r\033[K")  # wiped at the end
+    assert run.seen.endswith("\r\033[K")  # The bar was wiped at the end.
 
 
 def test_a_busy_daemon_is_asked_again(daemon):

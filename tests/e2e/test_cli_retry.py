@@ -1,5 +1,5 @@
-"""`dipole --connect` with several addresses, and `--retry-ms`: daemons that are not there yet, that
-are lost, and that stay busy."""
+"""`dipole --connect` with several addresses, and `--retry-ms`: daemons that start late, are lost,
+or stay busy."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LONG = ("--retry-ms", "60000")
 
 @pytest.fixture
 def known():
-    """What a daemon of its own answers."""
+    """Returns the answer of a daemon that no other test uses."""
     return eval_rows(*ARGUMENTS)
 
 
@@ -65,7 +65,7 @@ def test_a_daemon_that_comes_later(tmp_path):
             env=environment(),
             text=True,
         ) as waiting:
-            early.accept()[0].close()  # it has tried in vain
+            early.accept()[0].close()  # The command's first attempt fails.
             early.close()
             (tmp_path / "s").unlink()
             late = Daemon(listen=[f"unix:{path}"])

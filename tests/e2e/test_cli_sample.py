@@ -1,4 +1,4 @@
-"""`dipole sample`: the daemon's radii in every format, a picture, and what is wrong when it is."""
+"""`dipole sample`: the daemon's radii in every format, a picture, and wrong command lines."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MEDIUM = ["--sigma-a", "0.032", "--sigma-s", "0.74"]  # skin1, red
 
 
 def rows(*arguments: str) -> list[dict[str, str]]:
-    """The rows of `dipole sample --format csv`."""
+    """Returns the rows of `dipole sample --format csv`."""
     return read_csv(dipole("sample", "--format", "csv", *arguments).stdout)
 
 

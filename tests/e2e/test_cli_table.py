@@ -1,4 +1,5 @@
-"""`dipole table`, and `dipole eval` by table: from a daemon, and from a file without one."""
+"""`dipole table`, and `dipole eval` with the evaluator lut: from a daemon, and from a file without
+a daemon."""
 
 from __future__ import annotations
 
@@ -18,23 +19,23 @@ MEDIA = ["--sigma-a", "0.032,0.17,0.48", "--sigma-s", "0.74,0.88,1.01"]
 RADII = ["--r", "0,1e-40,1e-12,0.001,0.1,1,2.5,30,1e4,1e30,inf"]
 PIECES = 784
 
-# In the order of the words.
+# The names of the first words, in their order.
 CONSTANTS = ["pieces_from", "pieces_to", "scale", "ring_scale", "pdf_scale", "near_power", "near_R"]
 CONSTANTS += ["near_log", "near_cdf", "near_cdf_log", "far", "limit", "first_u", "near_radius"]
 
 
 def table_json(*arguments: str) -> dict:
-    """The object of `dipole table --format json`."""
+    """Returns the object of `dipole table --format json`."""
     return json.loads(dipole("table", "--format", "json", *arguments).stdout)
 
 
 def table_rows(*arguments: str) -> list[dict[str, str]]:
-    """The rows of `dipole table --format csv`."""
+    """Returns the rows of `dipole table --format csv`."""
     return read_csv(dipole("table", "--format", "csv", *arguments).stdout)
 
 
 def save(tmp_path, *arguments: str) -> str:
-    """A file of `dipole table --output`."""
+    """Writes a file by `dipole table --output`. Returns its path."""
     path = str(tmp_path / "file.table")
     dipole("table", *arguments, "--output", path)
     return path
@@ -83,7 +84,7 @@ def test_json_says_what_the_daemon_says(client):
 
 
 def entries_of(words: np.ndarray) -> list[tuple[str, int, int]]:
-    """The octaves that have pieces: function, exponent, entry."""
+    """Returns the octaves that have pieces: function, exponent, entry."""
     functions = [("R", 16, 272), ("cdf", 272, 528), ("radius_of_u", 528, 656)]
     functions.append(("radius_of_1_minus_u", 656, 784))
     return [
@@ -96,7 +97,8 @@ def entries_of(words: np.ndarray) -> list[tuple[str, int, int]]:
 
 @pytest.mark.parametrize("model", ["better", "extended", "better+single"])
 def test_csv_has_the_words_of_json(model):
-    """Every number comes back bit by bit from nine digits; pieces stand where they hold."""
+    """Nine digits in the CSV give every number back, bit for bit. Each piece has the range in which
+    it holds."""
     words = np.array(table_json(*MEDIUM, "--model", model)["tables"][0]["words"], np.uint32)
     rows = table_rows(*MEDIUM, "--model", model)
     numbers = words.view(np.float32)
@@ -192,7 +194,8 @@ def test_a_file_says_the_same_as_the_daemon(tmp_path, model):
 
 
 def test_errors_of_a_file_are_for_the_radii(tmp_path):
-    """transport is less exact far away; the model error of others is known near by only."""
+    """The stated errors are those for the radii of the command: transport is less exact far away,
+    and the model error of other models is known only near the source."""
     medium = ["--sigma-a", "0.35", "--sigma-s", "0.65", "--eta", "1.5"]
     path = save(tmp_path, *medium, "--model", "transport")
     errors = [

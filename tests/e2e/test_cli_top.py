@@ -1,4 +1,5 @@
-"""`dipole top`: tables, CSV and JSON by interval, and a terminal where the table is shown anew."""
+"""`dipole top`: tables, CSV and JSON for each interval, and a terminal on which each table replaces
+the one before."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ from lists import MODELS
 
 @pytest.fixture
 def busy(daemon):
-    """A daemon with a client that asks all the time: evals, and one in ten of them wrong."""
+    """A daemon with a client that sends eval requests all the time, one in ten of them wrong."""
     one = daemon()
     stop = threading.Event()
 
@@ -44,7 +45,7 @@ def top(daemon, *arguments: str) -> str:
 
 
 def check_record(record: dict[str, float]) -> None:
-    """What must hold while the busy client asks."""
+    """Checks a record of the statistics while the busy client asks."""
     assert 0.15 < record["interval_s"] < 5
     evals, errors = record["requests_eval_per_s"], record["errors_per_s"]
     assert evals > 10
@@ -59,7 +60,7 @@ def check_record(record: dict[str, float]) -> None:
     assert record["radii_classical_per_s"] == 0
     assert record["received_bytes_per_s"] > 0 and record["sent_bytes_per_s"] > 0
     assert record["connections_open"] == 2
-    # Numbers that rise while they are read one after the other.
+    # These numbers rise while they are read one after the other.
     assert record["requests_per_batch"] == pytest.approx(1, rel=0.05)
     quantiles = [record[f"latency_eval_short_{q}_us"] for q in ("p50", "p90", "p99", "p999", "max")]
     assert quantiles == sorted(quantiles) and quantiles[0] > 0
@@ -115,7 +116,7 @@ test_wrong_command_lines = says(USAGE, ["top"], [
 
 @pytest.fixture
 def watching(daemon):
-    """A daemon, and a command that watches it: records of JSON."""
+    """A daemon, and a command that watches it and writes records of JSON."""
     one = daemon()
     options = ["--connect", one.url(), "--interval", "0.05", "--format", "json"]
     options += ["--retry-ms", "300"]
@@ -139,7 +140,7 @@ def test_a_daemon_that_ends(watching):
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_well(watching, how):
-    """Between records, which are whole."""
+    """A signal ends the command between two records, so that all records are whole."""
     process = watching[1]
     process.send_signal(how)
     lines = process.stdout.read()
@@ -151,8 +152,8 @@ LARGE = {"size": (40, 100)}
 
 
 def watch(terminal: Terminal, count: int) -> str:
-    """What is shown until there were so many tables and Ctrl-C is typed, which is a good end and
-    leaves the terminal as it was."""
+    """Reads the terminal until it has shown this many tables, then types Ctrl-C. Checks that the
+    command ends well and restores the terminal. Returns the text."""
     before = termios.tcgetattr(terminal.fd)
     terminal.read_until(lambda seen: seen.count("\033[J") >= count)
     os.write(terminal.fd, b"\x03")
@@ -164,7 +165,7 @@ def watch(terminal: Terminal, count: int) -> str:
 
 
 def screens(text: str) -> list[str]:
-    """What was shown, one after the other."""
+    """Splits the text of a terminal into its screens."""
     return text.split("\033[H")[1:]
 
 
@@ -174,7 +175,8 @@ def test_on_a_terminal(busy, colour):
     terminal = Terminal("top", "--connect", busy.url(), "--interval", "0.1", **variables, **LARGE)
     text = watch(terminal, 4)
     assert text.startswith("\033[?25l\033[2J")
-    assert "\033[?25h" in text.rpartition("\033[J")[2]  # the cursor is back, behind the table
+    # The cursor is visible again, behind the table.
+    assert "\033[?25h" in text.rpartition("\033[J")[2]
     shown = screens(text)
     assert "Each second, since its start" in shown[0]
     for screen in shown[1:4]:
@@ -198,4 +200,5 @@ def test_on_a_small_terminal(daemon):
 def test_count_on_a_terminal(daemon):
     terminal = Terminal("top", "--connect", daemon().url(), "--interval", "0.1", "--count", "2")
     assert terminal.end()[0] == 0 and "\033[?25h" in terminal.seen
-    assert len(screens(terminal.seen)) == 3  # since its start, and two intervals
+    # One table since the start of the daemon, and two intervals.
+    assert len(screens(terminal.seen)) == 3

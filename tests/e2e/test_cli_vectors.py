@@ -1,4 +1,4 @@
-"""`dipole points` on the 3,000 rows of the dipole family whose true values are known."""
+"""`dipole points` on 3,000 rows for the dipoles whose true values are known."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SMALLEST_NORMAL = 2.0**-1022
 
 
 def mu_tr_per_mm(row: dict[str, str]) -> float:
-    """The effective transport coefficient: sqrt(sigma_a / D) with the model's D."""
+    """Returns the effective transport coefficient: sqrt(sigma_a / D) with the model's D."""
     sigma_a, sigma_s, g = (float(row[name]) for name in ("sigma_a", "sigma_s", "g"))
     scattering = sigma_s * (1 - g)
     total = sigma_a + scattering
@@ -26,7 +26,8 @@ def mu_tr_per_mm(row: dict[str, str]) -> float:
 
 
 def bound(row: dict[str, str], column: str) -> float:
-    """64 epsilon (1 + mu_tr d_r), relative; d_r = z_r for the albedo."""
+    """Returns the bound of the relative error: 64 epsilon (1 + mu_tr d_r), where d_r is z_r for the
+    albedo."""
     z_r = 1 / (float(row["sigma_a"]) + float(row["sigma_s"]) * (1 - float(row["g"])))
     d_r = z_r if column == "albedo" else math.hypot(float(row["r"]), z_r)
     return 64 * EPSILON * (1 + mu_tr_per_mm(row) * d_r)
@@ -43,7 +44,7 @@ def test_every_value_is_within_its_bound():
         assert row["status"] == "ok"
         for column in ("R", "albedo", "cdf"):
             value, true_value = float(row[column]), float(true_row[column])
-            if true_value == 0:  # it stands for one below the smallest double
+            if true_value == 0:  # 0 stands for a value below the smallest double.
                 assert 0 <= value < SMALLEST_NORMAL, (column, true_row)
             else:
                 error = abs(value - true_value) / true_value

@@ -1,4 +1,4 @@
-"""Completion of command lines by bash, as somebody who types them has it; zsh's for its syntax."""
+"""Completion of command lines by bash, as a user gets it; for zsh, the syntax of its file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from daemons import BUILD, REPOSITORY
 from daemons import PROGRAM as DAEMON
 from installing import needs, run
 
-# Readline's COMP_WORDS for a line: cut at blanks, and around runs of the other breaks.
+# Sets COMP_WORDS as readline does: it cuts the line at blanks, and around runs of other break
+# characters.
 DRIVER = """
 source "$1"
 COMP_LINE=$2
@@ -42,8 +43,8 @@ def words_of(line: str, breaks: str) -> list[str]:
 
 @pytest.fixture(scope="module")
 def complete():
-    """The replies for a line that ends at the cursor: what may stand for its last word (as readline
-    cuts words)."""
+    """Returns a function that gives the replies for a line that ends at the cursor: the possible
+    last words, as readline cuts words."""
 
     def replies(line: str, breaks: str = BREAKS, cwd: Path | None = None) -> list[str]:
         words = words_of(line, breaks)
@@ -55,7 +56,7 @@ def complete():
 
 @pytest.fixture(scope="module")
 def known() -> dict[str, list[str]]:
-    """The names in a daemon's lists, and its media."""
+    """Returns the names in a daemon's lists, and its media."""
     info = json.loads(dipole("info", "--format", "json").stdout)
     lists = {key: value for key, value in info.items() if isinstance(value, list)}
     names = {key: [entry["name"] for entry in value] for key, value in lists.items()}
@@ -72,7 +73,7 @@ def commands() -> list[str]:
 
 
 def options_in(text: str) -> dict[str, str]:
-    """What the value of each option is called; "": it has none."""
+    """Returns the name of the value of each option, or "" for an option without a value."""
     return dict(re.findall(r"^  (--[a-z-]+)(?: (\S+))?(?= |$)", text, re.M))
 
 
@@ -156,7 +157,7 @@ def test_addresses(complete, tmp_path, breaks):
     replies = complete(f"dipole info --connect unix:{tmp_path}/o", breaks)
     assert replies == [f"{before}{tmp_path}/one.sock"]
     assert complete("dipoled --listen u", breaks) == ["unix:"]
-    # What follows an address is not a part of it.
+    # The text behind an address is not a part of the address.
     assert complete("dipole info --connect private: --form", breaks) == ["--format"]
 
 
@@ -168,7 +169,7 @@ def test_files(complete, tmp_path):
         assert sorted(replies) == ["a.csv", "a.table", "b.csv", "with blank"], line
     assert sorted(complete("dipole points a", cwd=tmp_path)) == ["a.csv", "a.table"]
     assert complete("dipole eval --plot=b", cwd=tmp_path) == ["b.csv"]
-    # A value that may be left out is followed by an option as well.
+    # An option may also follow an option whose value may be left out.
     assert complete("dipole eval --plot --wan", cwd=tmp_path) == ["--want"]
 
 
@@ -179,8 +180,8 @@ def test_the_script_registers_itself_for_both_programs():
     assert registered == "complete -F _dipole dipole\ncomplete -F _dipole dipoled\n"
 
 
-# Completes a command line in zsh, with stand-ins for zsh's own functions that print what they get.
-# The action of the option $OPTION is carried out as _arguments does it.
+# This script completes a command line in zsh. Stand-ins for zsh's own functions print their
+# arguments. If $OPTION is set, the action of that option is carried out as _arguments does it.
 ZSH = r"""
 _describe() { print -rl -- "${(@P)@[-1]}" }
 _values() { print -rl -- "${@[4,-1]}" }
@@ -199,7 +200,8 @@ source $1
 
 @pytest.fixture(scope="module")
 def offer():
-    """What zsh offers for the last of some words, and for the value of an option."""
+    """Returns a function that gives zsh's replies for the last of some words, and for the value of
+    an option."""
     needs("zsh")
 
     def offered(*words: str, option: str = "") -> list[str]:

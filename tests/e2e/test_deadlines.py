@@ -21,12 +21,12 @@ PONG = PING | wire.REPLY
 TABLE = wire.MESSAGES["table"]
 MC = wire.MESSAGES["mc"]
 
-# Late by the machine's mood; and by a sanitizer's.
+# How late a refusal may come: a busy machine or a sanitizer delays it.
 GRACE_S = 0.4 if sanitized() else 0.08
 
 
 def slow_payload(media: int = 30) -> bytes:
-    """Media that nobody has asked for: each takes a tenth of a second to prepare."""
+    """Makes a request for new media, each of which takes a tenth of a second to prepare."""
     rng = np.random.default_rng(time.monotonic_ns())
     several = [(rng.uniform(0.01, 0.2), 1.0, 0.0, 1.4) for _ in range(media)]
     return eval_payload(several, [0.5, 1.0], model=MODELS["transport"])
@@ -37,8 +37,8 @@ def assert_late(reply: Frame, request_id: int = 77) -> None:
 
 
 def assert_refused_in_time(ask_late, deadline_ms: int) -> None:
-    """ask_late() asks, and returns with the refusal: never before the deadline, and soon after it
-    unless the machine has something else to do at that moment."""
+    """Checks that the refusal for which ask_late() waits comes after the deadline, and soon after
+    it. Tries again if it was late, because the machine may have been busy."""
     took = []
     for _ in range(6):
         start = time.monotonic()
@@ -150,7 +150,7 @@ def test_of_two_who_wait_for_the_same(daemon):
 
 
 def test_while_much_is_evaluated(daemon):
-    """One part, whose values take seconds."""
+    """The deadline passes while the values of a single part are evaluated, which takes seconds."""
     one = daemon("--workers", "1")
     payload = eval_payload(
         model=MODELS["beam+single"], radii=None, radius_count=8_000_000, wanted=R
@@ -166,7 +166,7 @@ def test_while_much_is_evaluated(daemon):
 
 
 def read_until_late(connection: Connection) -> int:
-    """How many parts come before the error that ends the answer."""
+    """Returns how many parts come before the error that ends the answer."""
     number = 0
     while (reply := connection.receive_frame()).type == EVALUATED:
         assert take_apart(reply.payload).fixed.part == number
@@ -190,7 +190,8 @@ def test_in_the_middle_of_an_answer_in_parts(daemon):
 
 
 def test_while_nobody_reads(daemon):
-    """The parts that were ready are there, and then the error, however late they are read."""
+    """A client that reads late gets the parts that were ready before the deadline, and then the
+    error."""
     one = daemon("--workers", "1")
     payload = eval_payload(radii=None, radius_count=2**31, wanted=R)
     with one.connect() as connection, one.connect() as other:
@@ -207,7 +208,7 @@ def test_while_nobody_reads(daemon):
 
 
 def test_behind_a_request_that_takes_long(daemon):
-    """The answers of a connection come in order, and each request has a time of its own."""
+    """The answers of a connection come in order, but each request has its own deadline."""
     with daemon().connect() as connection:
         connection.send_bytes(
             frame(EVAL, 1, slow_payload(8))
@@ -225,7 +226,8 @@ def test_behind_a_request_that_takes_long(daemon):
 
 
 def test_the_time_runs_from_the_arrival_behind_a_slow_request(daemon):
-    """The order of a connection is no excuse: who is late gets DEADLINE, not an answer."""
+    """The deadline of a request counts from its arrival, also while an earlier request of the
+    connection runs. A late request gets DEADLINE."""
     with daemon("--workers", "1").connect() as connection:
         slow = eval_payload(radii=None, radius_count=30_000_000, wanted=R)
         connection.send_bytes(frame(EVAL, 76, slow))
@@ -251,7 +253,7 @@ def test_one_that_is_missed_does_not_hold_up_the_next(daemon):
 
 
 def test_many_in_a_row(daemon):
-    """Of a deadline nothing is left for the next request."""
+    """The deadline of a request does not affect later requests."""
     one = daemon()
     with one.connect() as connection:
         alone = ask(connection, EVAL, eval_payload()).payload
@@ -281,7 +283,7 @@ def test_a_faulty_request_is_told_its_fault(connection):
 
 
 def test_a_monte_carlo_job_has_to_start_in_time(daemon):
-    """Its table may come later."""
+    """The deadline of a Monte Carlo job is for its start. The table may come later."""
     fixed = {
         "spacing": 2,
         "albedo_count": 0,

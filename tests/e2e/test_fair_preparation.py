@@ -1,5 +1,5 @@
-"""Everybody who wants slow profiles gets a turn: neither a Modbus master with hundreds of units nor
-a client that asks without end keeps the others waiting."""
+"""Every client that wants slow profiles gets its turns: neither a Modbus master with hundreds of
+units nor a client that asks without end keeps the others waiting."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NUMBERS = count(1)
 
 
 def new_medium() -> tuple[float, ...]:
-    """A medium that no request has had."""
+    """Returns a medium that no request has had."""
     return (0.03 + 1e-4 * next(NUMBERS), 0.74, 0.0, 1.3)
 
 
@@ -54,7 +54,7 @@ def master_waits(master: Tcp) -> None:
 
 
 class Meanwhile:
-    """Calls a function again and again until the end of the block."""
+    """Calls a function again and again, on a thread, until the end of the with block."""
 
     def __init__(self, act):
         self._ended = threading.Event()
@@ -86,7 +86,7 @@ def test_a_client_gets_its_turns_beside_a_master_of_all_units(daemon):
                 except Exception_ as refused:
                     assert refused.code == BUSY
             rounds.append(unit)
-            time.sleep(0.2)  # far less than the units take
+            time.sleep(0.2)  # much less than the preparations for all units take
 
         with Meanwhile(commit_all):
             assert eventually(lambda: rounds)
@@ -112,13 +112,14 @@ def test_a_master_gets_its_turns_beside_clients_that_ask_without_end(daemon):
 
 
 def test_a_master_may_have_so_many_waiting(daemon):
-    """One more is refused with exception 06. Others may have as many."""
+    """A master may have this many waiting profiles. One more is refused with exception 06. Other
+    masters may have as many."""
     one = daemon(*TCP, "--max-waiting-profiles", "3")
     with Tcp(one) as master, Tcp(one) as other:
         for unit in range(1, 4):
             commit(master, unit)
         with pytest.raises(Exception_) as refused:
-            for unit in range(4, 10):  # some have begun, and do not wait any more
+            for unit in range(4, 10):  # Some preparations have begun and no longer count.
                 commit(master, unit)
         assert refused.value.code == BUSY
         commit(other, 100)
@@ -127,8 +128,8 @@ def test_a_master_may_have_so_many_waiting(daemon):
 
 
 def test_deadlines_count_while_a_profile_waits(daemon):
-    """A request whose time is over before its turn is answered then, and nothing is prepared for
-    it."""
+    """A request whose deadline passes before its turn is refused at its deadline, and its profile
+    is not prepared."""
     one = daemon(*TCP)
     with Tcp(one) as master, one.connect() as client, one.connect() as second:
         alone_s = median_s(lambda: client_waits(client))
@@ -143,7 +144,8 @@ def test_deadlines_count_while_a_profile_waits(daemon):
 
 
 def test_stopping_prepares_nothing_that_waits_for_masters(daemon):
-    """What has begun is finished. The rest is not waited for."""
+    """When the daemon stops, it finishes a preparation that has begun, and does not begin the
+    others."""
     one = daemon(*TCP)
     with one.connect() as client:
         alone_s = median_s(lambda: client_waits(client))

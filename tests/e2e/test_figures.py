@@ -1,4 +1,5 @@
-"""`make figures`: a few of the figures, how they resume, and what they say of the models."""
+"""`make figures`: some of the figures, how a run resumes, and what the figures say about the
+models."""
 
 from __future__ import annotations
 
@@ -63,10 +64,11 @@ def test_pages(drawn, figure, panels, curves, form):
     root = ElementTree.parse(drawn / f"figure_{figure}_{form}.svg").getroot()
     texts = ["".join(text.itertext()).strip() for text in root.iter(f"{SVG}text")]
     assert sum(text.startswith("η = ") for text in texts) == panels
-    assert sum(text.startswith("Monte Carlo 0.") for text in texts) == panels  # its albedo
+    # The label has the albedo of the medium.
+    assert sum(text.startswith("Monte Carlo 0.") for text in texts) == panels
     assert sum(text.startswith("transport 0.") for text in texts) == panels
     ids = [group.get("id") or "" for group in root.iter(f"{SVG}g")]
-    # Each panel has dots and their bars, too; then the legend.
+    # Each panel also has dots and error bars; the legend follows.
     drawn_ids = [name for name in ids if name.startswith("gnuplot_plot_")]
     assert len(drawn_ids) == panels * (curves + 2) + curves + 1
 
@@ -139,7 +141,7 @@ def test_other_photons_are_another_walk(drawn):
     after = parts(drawn)
     assert set(after) - set(before) == {"walk_eta_1.0_photons_8000_ratios_1"}
     assert all(after[name] == before[name] for name in before)
-    assert rows_of(drawn / "monte_carlo_check.csv") == []  # so few photons tell nothing of errors
+    assert rows_of(drawn / "monte_carlo_check.csv") == []  # So few photons give no standard errors.
 
 
 @pytest.mark.parametrize(
@@ -165,7 +167,8 @@ DECADES = "0.0001,0.001,0.01,0.1,1,10"
 
 @pytest.fixture(scope="module")
 def summary(tmp_path_factory) -> dict[tuple, dict[str, float]]:
-    """Rows over all ratios, by the least eta, model, against, and the range of radii."""
+    """Returns the rows for all ratios, by the least eta, the model, the model that it is compared
+    with, and the range of radii."""
     folder = tmp_path_factory.mktemp("summary") / "out"
     draw(folder, "--photons", "0", "--ratios", DECADES, "--etas", "1.0,1.3,1.6,2.0")
     numbers = {}
@@ -184,11 +187,13 @@ def summary(tmp_path_factory) -> dict[tuple, dict[str, float]]:
 @pytest.mark.parametrize(
     "model, against, radii, least",
     [
-        # d'Eon 2012, abstract: it "improves significantly upon the classical dipole", ...
+        # The abstract of d'Eon 2012 says that this model "improves significantly upon the classical
+        # dipole".
         ("better", "classical", (1, 5), 0.7),
         ("better", "classical", (5, 20), 0.7),
         ("better+single", "classical+single", (0.1, 1), 0.7),
-        # ... and is "not as accurate as a diffusion model using an extended source".
+        # The abstract of d'Eon 2012 says that the dipole is "not as accurate as a diffusion model
+        # using an extended source".
         ("quantized", "better", (1, 5), 0.7),
         ("quantized", "better", (5, 20), 0.7),
     ],
@@ -207,8 +212,8 @@ def test_better_dipole_is_nearer_in_every_panel_of_large_eta(summary, radii):
 
 
 def test_near_the_source_no_dipole_replaces_single_scattering(summary):
-    """The paper's claim does not reach there: without single scattering both dipoles are off by
-    factors within a tenth of a mean free path, the better one by more."""
+    """The paper's claim does not hold near the source: without single scattering, both dipoles are
+    off by factors within a tenth of a mean free path, the better one by more."""
     found = summary[1.0, "better", "classical", 0.01, 0.1]
     assert found["share"] < 0.1
     assert 5 < found["against_median"] < found["model_median"]

@@ -1,5 +1,5 @@
-"""Radii by rule evaluate like the same radii in a list. tests/unit/test_grid.c tests that they are
-what the rule says."""
+"""A grid gives the same values as the list of its radii. tests/unit/test_grid.c tests the radii
+themselves."""
 
 from __future__ import annotations
 
@@ -55,18 +55,20 @@ def test_listed_radii_come_back_when_wanted(client):
 
 @pytest.mark.parametrize("count", [0, 2**40])
 def test_a_grid_for_an_albedo_costs_nothing(client, count):
-    """However many radii there are: none of them is needed for what is wanted."""
+    """If only the albedo is wanted, any number of radii costs nothing."""
     result = client.eval("better", MEDIA, grid=Grid(0.0, 1.0, count), wanted=["albedo"])
     assert result.albedo[2] == 1.0
 
 
 @pytest.mark.parametrize("evaluator", EVALUATORS | {"lut": np.float32})
 def test_errors_are_those_of_the_list(client, evaluator):
-    """A grid's ends are rounded to the evaluator's precision before the errors are stated, so each
-    error is that of the list of its radii, the first time as well as when the request is repeated."""
+    """The ends of a grid are rounded to the evaluator's precision before the errors are stated. So
+    the errors are those of the list of its radii, also when the request is repeated."""
     for model, medium, grid in [
-        ("transport", Medium(0.35, 0.65, 0.0, 1.5), Grid(1.0, 70.3, 11)),  # grows with the radius
-        ("better", Medium(0.35, 0.65, 0.0, 1.5), Grid(0.01, 19.9, 11)),  # known from 0.01 mm on
+        # The error grows with the radius.
+        ("transport", Medium(0.35, 0.65, 0.0, 1.5), Grid(1.0, 70.3, 11)),
+        # The error is known from 0.01 mm on.
+        ("better", Medium(0.35, 0.65, 0.0, 1.5), Grid(0.01, 19.9, 11)),
     ]:
         how = {"evaluator": evaluator, "wanted": ["R", "albedo"]}
         answers = [client.eval(model, medium, grid=grid, **how) for _ in range(3)]

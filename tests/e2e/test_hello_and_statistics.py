@@ -1,4 +1,4 @@
-"""What the daemon says of itself: versions, lists, limits and statistics."""
+"""The daemon's description of itself: versions, lists, limits and statistics."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_the_lists(client):
 
 
 def test_permanent_ids(client):
-    """Clients in the field have these compiled in."""
+    """Old clients have these ids compiled in."""
     permanent = {
         "model": {"classical": 1, "better": 2},
         "evaluator": {"f64": 1, "f32": 2, "lut": 3},
@@ -105,7 +105,7 @@ def test_statistics_count(daemon, name):
         after = client.statistics()
     assert after[name] == before[name] + 5
     counted = {key for key in after if key.startswith("answers_") and after[key] != before[key]}
-    # The statistics themselves are answered too, before or after they count themselves.
+    # A statistics request counts itself, before or after it is answered.
     assert counted - {"answers_ok"} == ({name} if name in ERRORS else set())
     well = after["answers_ok"] - before["answers_ok"]
     assert well == (1 if name in ERRORS else 6)
@@ -153,7 +153,7 @@ def test_statistics_of_bytes(daemon):
     before, after = read_statistics(first.payload), read_statistics(second.payload)
     header_bytes = wire.HEADER.bytes
     received = after["received_bytes"] - before["received_bytes"]
-    assert received == len(sent) + header_bytes  # the request and the second statistics request
+    assert received == len(sent) + header_bytes  # the request, and the second statistics request
     answered = after["sent_bytes"] - before["sent_bytes"]
     assert answered == 2 * header_bytes + len(first.payload) + len(reply.payload)
     assert after["uptime_ms"] >= before["uptime_ms"]

@@ -1,4 +1,5 @@
-"""`make install`: what is installed works by itself, and `make uninstall` takes all of it away."""
+"""`make install`: the installed files work without the sources, and `make uninstall` removes all of
+them."""
 
 from __future__ import annotations
 
@@ -13,13 +14,13 @@ from installing import make, needs, run
 
 PREFIX = "/usr/local"
 
-# What links to the library of a sanitized build has to be sanitized itself.
+# A program that links to a sanitized library must be sanitized itself.
 unsanitized = pytest.mark.skipif(sanitized(), reason="the build is sanitized")
 
 
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory) -> Path:
-    """A folder into which everything is installed."""
+    """Returns a folder into which everything is installed."""
     root = tmp_path_factory.mktemp("root")
     make("install", DESTDIR=root, PREFIX=PREFIX)
     return root
@@ -65,7 +66,8 @@ def test_files_are_readable_for_all_and_name_no_staging(tree):
 
 
 def test_no_built_program_is_run(tree, tmp_path):
-    """A cross-build installs programs that this machine cannot run."""
+    """`make install` runs none of the built programs: a cross-build installs programs that this
+    machine cannot run."""
     run("cp", "-al", BUILD, tmp_path / "build")
     for program in ("dipoled", "dipole"):
         (tmp_path / "build" / program).unlink()
@@ -143,7 +145,7 @@ def test_a_program_builds_and_runs(tree, prefix, tmp_path, language, kind):
     source.write_text(C_PROGRAM.replace("= {0};", "= {};") if language == "cc" else C_PROGRAM)
     flags = pkg_config(tree, *(["--static"] if kind == "static" else []))
     if kind == "static":
-        # The library itself from its archive; the C library as usual.
+        # Links libdipole from its archive, and the C library as usual.
         flags = ["-l:libdipole.a" if flag == "-ldipole" else flag for flag in flags]
     run(*compiler, source, "-o", tmp_path / "program", *flags)
     needed = "libdipole.so.0" in run("readelf", "-d", tmp_path / "program")
@@ -173,7 +175,7 @@ def test_the_library_has_its_soname(prefix):
 
 
 def test_the_programs_find_each_other(prefix, tmp_path):
-    """A private daemon is the one beside the client."""
+    """The client starts the private daemon beside it."""
     text = run(prefix / "bin/dipole", "info", env={"PATH": "/nowhere"}, cwd=tmp_path)
     assert "private:" in text
 
@@ -198,7 +200,8 @@ def test_the_python_module(tree, prefix, tmp_path):
 
 
 def test_python_looks_where_the_module_is_installed(tree):
-    """For prefixes that Debian's Python looks below."""
+    """For the prefixes that Debian's Python searches, the module is installed in a folder that it
+    searches."""
     script = REPOSITORY / "clients/packaging/python_folder.py"
     for place in (PREFIX, "/usr"):
         folder = run(sys.executable, script, place).strip()

@@ -1,5 +1,5 @@
-"""From albedos to media: what is found has the albedo and the length, whatever is asked for beside
-it; and a request of any size is answered in turns, in parts and in time."""
+"""Inversion: the media have the given albedos and lengths, whatever else is asked; a request of any
+size is answered in turns, in parts and in time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LENGTHS_MM = np.array([0.01, 0.1, 0.7, 1.0, 3.0, 10.0, 100.0, 1000.0])
 
 
 def lengths_of(inversion: dipole.Inversion) -> dict[str, np.ndarray]:
-    """The lengths that media have, by the formulas of PROTOCOL.md."""
+    """Returns the lengths of media, by the formulas of PROTOCOL.md."""
     sigma_t_prime = inversion.sigma_a + inversion.sigma_s * (1 - inversion.g)
     absorbed = inversion.sigma_a / sigma_t_prime
     with np.errstate(divide="ignore"):
@@ -37,7 +37,7 @@ GIVEN = ["mean-free-path", "diffuse-mean-free-path", "classical-diffuse-path"]
 @pytest.mark.parametrize("given", GIVEN)
 @pytest.mark.parametrize("model", ["classical", "better", "extended", "better+single", "burley"])
 def test_media_have_the_albedos_and_lengths(client, model, given):
-    """By another path: an eval of the albedos."""
+    """Checks the albedos of the media by an eval, which computes them independently."""
     for g, eta in ((0.0, 1.3), (0.9, 1.0), (-0.5, 2.0)):
         found = client.invert(model, ALBEDOS, LENGTHS_MM, given=given, g=g, eta=eta)
         reached = ALBEDOS <= found.albedo_most
@@ -52,7 +52,7 @@ def test_media_have_the_albedos_and_lengths(client, model, given):
 
 
 def test_costly_models(client):
-    """quantized's albedo has as many digits as its Gaussians: each jumps when one is added."""
+    """The albedo of the model quantized jumps when a Gaussian is added, so it has few digits."""
     found = client.invert("quantized", [0.05, 0.5, 0.9], 1.0)
     judged = client.eval("quantized", found.media, wanted=["albedo"])
     np.testing.assert_array_equal(judged.albedo, found.albedo)
@@ -61,7 +61,7 @@ def test_costly_models(client):
 
 @pytest.mark.parametrize("model", ["beam", "beam+single"])
 def test_slow_models(client, model):
-    """They are prepared on other threads, and kept."""
+    """The profiles of slow models are prepared on other threads, and are kept."""
     found = client.invert(model, [0.1, 0.5, 0.8], [1.0, 0.5, 2.0], eta=1.41)
     judged = client.eval(model, found.media, wanted=["albedo"])
     np.testing.assert_array_equal(judged.albedo, found.albedo)
@@ -109,7 +109,7 @@ def test_g_next_to_1(client, g):
 
 
 def test_shapes(client):
-    """A texture, and one length for each of its channels."""
+    """The albedos are a texture, with one length for each of its channels."""
     texture = np.random.default_rng(3).uniform(0.05, 0.95, (4, 5, 3))
     found = client.invert("better", texture, [1.0, 0.5, 0.25], g=0.8)
     assert found.sigma_a.shape == found.sigma_s.shape == found.albedo.shape == texture.shape
@@ -130,7 +130,8 @@ def test_what_is_found_is_what_an_eval_and_a_sample_take(client):
 
 
 def test_answers_that_do_not_fit_are_not_taken(client):
-    """A caller who counts on what it asked for must not be mistaken."""
+    """A client refuses a reply that does not fit its request, because its caller relies on the
+    shape."""
     query = inversion.Query((4,), 4, 2, 1, 1, 0.0, 1.3)
     right = {
         "model": 2,
@@ -232,12 +233,12 @@ def test_as_many_slow_ones_as_media_are_allowed(daemon):
 
 
 def test_in_parts_the_same_bits(daemon):
-    """At the size of a frame, and beyond it; however the texels are cut."""
+    """A reply has the same bits when it fits into a frame exactly and when it is cut into parts."""
     one = daemon("--max-frame-bytes", "65536", "--max-part-bytes", "8192")
     whole = daemon()
     room = (65536 - wire.INVERT_REPLY.bytes) // 24
     texels = np.random.default_rng(5).uniform(0.0, 1.0, room + 1)
-    texels[::100] = 1.0  # which has no diffuse path
+    texels[::100] = 1.0  # An albedo of 1 has no diffuse path.
     how = {"given": "diffuse-mean-free-path", "g": 0.3}
     with one.client() as small, whole.client() as large, one.connect() as connection:
         at_once = large.invert("better", texels, 1.5, **how)
@@ -292,7 +293,8 @@ def test_behind_another(daemon):
 
 
 def test_a_client_asks_again_when_the_daemon_is_gone(daemon):
-    """Both messages have one right answer, whoever gives it."""
+    """Clients repeat invert and sample requests when the daemon is gone: every daemon gives the
+    same answer."""
     one = daemon()
     with dipole.Client(one.url("unix"), retry_s=20.0) as client:
         before = client.invert("better", 0.5, 1.0), client.sample("better", SKIN, draw=Draw(5))

@@ -23,7 +23,7 @@ EVALUATED = EVAL | wire.REPLY
 
 @pytest.fixture
 def small_frames(daemon):
-    """A connection to a daemon with the smallest frames that there are."""
+    """A connection to a daemon with the smallest possible frames."""
     with daemon("--max-frame-bytes", "4096").connect() as connection:
         yield connection
 
@@ -76,7 +76,7 @@ def test_max_radii(daemon):
 
 
 def test_more_parts_than_can_be_counted(daemon):
-    """2^40 radii in parts of 256 would be 2^32."""
+    """A request is refused if it has too many parts: 2^40 radii in parts of 256 would be 2^32."""
     with daemon("--max-part-bytes", "4096").connect() as connection:
         payload = eval_payload(radii=None, radius_count=2**40, wanted=R)
         reply = ask(connection, EVAL, payload)
@@ -86,7 +86,7 @@ def test_more_parts_than_can_be_counted(daemon):
 
 def test_media_that_do_not_fit_a_part(daemon):
     with daemon("--max-frame-bytes", "8192", "--max-part-bytes", "4096").connect() as connection:
-        # A frame holds these, but a part has no room for 256 radii of each.
+        # These radii fit into a frame, but a part has no room for 256 radii of each medium.
         few = eval_payload([SKIN] * 2, radii=None, radius_count=400, wanted=R)
         assert wire.EVAL_REPLY.unpack(ask(connection, EVAL, few).payload).part_count == 1
         reply = ask(connection, EVAL, eval_payload([SKIN] * 2, radii=None, radius_count=800, wanted=R))
@@ -136,7 +136,7 @@ def test_max_connections(daemon, scheme):
 
 
 class SlowReader:
-    """Sends pings without end and reads nothing, until nothing moves any more."""
+    """A client that sends pings without reading until no bytes move any more."""
 
     def __init__(self, daemon: Daemon):
         self.daemon = daemon
@@ -154,7 +154,7 @@ class SlowReader:
         self.watcher.close()
 
     def statistics(self) -> dict[str, int]:
-        """The daemon's, without what it sent to the watcher itself."""
+        """Returns the daemon's statistics, without the bytes sent to the watcher itself."""
         reply = ask(self.watcher, STATISTICS)
         values = read_statistics(reply.payload)
         values["sent_bytes"] -= self.watched_bytes
@@ -172,15 +172,15 @@ class SlowReader:
             pass
 
     def queued_bytes(self) -> int:
-        """Answers that the daemon holds for it."""
+        """Returns how many bytes of answers the daemon holds for this client."""
         now = self.statistics()
         return now["requests_ping"] * wire.HEADER.bytes - now["sent_bytes"]
 
 
 @pytest.mark.parametrize("limit", [0, 1, 1000, 1008, 1016, 65536, 1048576])
 def test_max_queued_bytes(daemon, limit):
-    """Answers are queued while what waits is not more than the limit: so it ends within one answer
-    beyond it."""
+    """Answers are queued until more than the limit waits, so the queue exceeds the limit by less
+    than one answer."""
     with SlowReader(daemon("--max-queued-bytes", str(limit))) as slow:
 
         def observe() -> int:
@@ -197,7 +197,7 @@ def test_max_queued_bytes(daemon, limit):
 
 
 def test_slow_reader_costs_bounded_memory_and_loses_nothing(daemon):
-    # A sanitizer that keeps what was freed would hide what is held.
+    # This setting keeps the address sanitizer from holding on to freed memory.
     one = daemon(env={"ASAN_OPTIONS": os.environ.get("ASAN_OPTIONS", "") + ":quarantine_size_mb=1"})
     request_bytes = frame(EVAL, 1, eval_payload(radii=None, radius_count=100_000))
     with one.connect() as slow, one.connect() as other:
@@ -230,7 +230,7 @@ TOTAL_BYTES = 1 << 20
 
 
 def reply_payload_that_takes(free_bytes: int) -> bytes:
-    """An eval request whose answer's frame has this length: as much as there is in a buffer."""
+    """Makes an eval request whose answer's frame has this length."""
     fixed_bytes = wire.HEADER.bytes + wire.EVAL_REPLY.bytes + wire.CHANNEL.bytes
     return eval_payload(radii=None, radius_count=(free_bytes - fixed_bytes) // 8, wanted=R)
 
@@ -245,7 +245,7 @@ def test_max_total_bytes(daemon):
         assert 0 < free_bytes < TOTAL_BYTES and free_bytes % 8 == 0
         assert ask(connection, EVAL, reply_payload_that_takes(free_bytes)).type == EVALUATED
         assert_serves(connection)
-        # A large buffer is kept for a moment, for the next large answer.
+        # The daemon keeps a large buffer for a moment, for the next large answer.
         assert eventually(lambda: free() == free_bytes)
         reply = ask(connection, EVAL, reply_payload_that_takes(free_bytes + 8))
         assert_error(reply, "busy", "max_total_bytes", "less")
@@ -294,7 +294,7 @@ def test_frame_timeout(daemon, name):
         reply = late.receive_frame()
         assert_error(reply, "timeout", "payload_bytes", "frame_timeout_ms", request_id=0)
         assert_closed(late)
-        assert_serves(idle)  # between frames there is no such limit
+        assert_serves(idle)  # This limit does not apply between frames.
 
 
 def test_dripping_bytes_do_not_prolong_a_frame(daemon):
@@ -339,7 +339,8 @@ def test_idle_timeout_of_one_that_never_reads(daemon):
 
 
 def test_a_client_that_does_not_close_after_its_error(daemon):
-    """The daemon lets go of the connection by itself, and of its place among the connections."""
+    """If a client does not close after its error, the daemon closes the connection and frees its
+    place."""
     one = daemon("--max-connections", "2")
     with one.connect() as watcher, one.connect() as rude:
         assert_serves(watcher)

@@ -1,4 +1,5 @@
-"""Where the daemon listens: Unix sockets, TCP, several of them, or one connection it inherits."""
+"""The daemon's addresses: Unix sockets, TCP, several of them, or one connection that it
+inherits."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ from frames import EVAL, PING, ask, assert_serves, eval_payload, frame
 
 @pytest.fixture
 def folder(tmp_path_factory) -> Path:
-    """A folder whose path is short enough for sockets."""
+    """Returns a folder whose path is short enough for sockets."""
     return tmp_path_factory.mktemp("l")
 
 
@@ -141,7 +142,7 @@ def test_all_addresses_or_none(folder):
 
 
 def start_with_fd(one: socket.socket, *options: str) -> subprocess.Popen[str]:
-    """A dipoled that serves a socket of ours."""
+    """Starts a dipoled that serves a socket of this process."""
     return subprocess.Popen(
         [str(PROGRAM), "--fd", str(one.fileno()), *options],
         pass_fds=[one.fileno()],
@@ -153,13 +154,13 @@ def start_with_fd(one: socket.socket, *options: str) -> subprocess.Popen[str]:
 
 
 def exchange(one: socket.socket, request: bytes, reply_bytes: int) -> bytes:
-    """Sends a request and reads so many bytes."""
+    """Sends a request and reads reply_bytes bytes."""
     one.sendall(request)
     return receive(one, reply_bytes)
 
 
 def receive(one: socket.socket, reply_bytes: int) -> bytes:
-    """Reads so many bytes, or until the end."""
+    """Reads reply_bytes bytes, or until the end of the stream."""
     one.settimeout(END_S)
     reply = b""
     while len(reply) < reply_bytes and (more := one.recv(reply_bytes - len(reply))):
@@ -246,8 +247,8 @@ def test_private_daemon_of_the_python_client(monkeypatch):
 
 @pytest.mark.parametrize("besides", [[], ["--modbus", "tcp:127.0.0.1:0"]])
 def test_the_usual_addresses(folder, besides):
-    """Nobody has named any; that it serves Modbus, too, is no matter. The port may be in use here:
-    then the daemon says so."""
+    """Without --listen, the daemon listens at its default addresses, with or without Modbus. If the
+    default port is in use on this machine, it must say so."""
     process = subprocess.Popen(
         [str(PROGRAM), *besides],
         stdin=subprocess.DEVNULL,

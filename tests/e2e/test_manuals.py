@@ -1,4 +1,4 @@
-"""The manual pages among the sources: current, complete, and without a formatter's warning."""
+"""The manual pages in the sources are current and complete, and a formatter has no warnings."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ PAGES = sorted(FOLDER.iterdir())
 
 
 def shown(page: Path) -> str:
-    """A page as somebody reads it, on lines that are long enough for names to stay whole."""
+    """Formats a page as a reader sees it, with lines long enough not to break names."""
     env = {"MANWIDTH": "200", "LC_ALL": "C.UTF-8", "MAN_KEEP_FORMATTING": ""}
     return run("man", "-P", "cat", "-l", page, env=env)
 
 
 def hear_warnings(page: Path) -> None:
-    """Fails where the formatter says anything, for paper or for a narrow terminal."""
+    """Checks that the formatter gives no warning, neither for paper nor for a narrow terminal."""
     env = {"LC_ALL": "C.UTF-8", "MANWIDTH": "80"}
     run("man", "--warnings", "-E", "UTF-8", "-l", "-Tutf8", "-Z", page, env={"LC_ALL": "C.UTF-8"})
     run("man", "--warnings", "-P", "cat", "-l", page, env=env)
@@ -49,7 +49,7 @@ def test_no_page_makes_the_formatter_warn(page):
 
 @pytest.mark.parametrize("program, section", [("dipoled", 8), ("dipole", 1)])
 def test_pages_of_programs_hold_what_help_says(program, section):
-    """Every word of it, but for headings' case."""
+    """A program's manual page has every word of its help text. Only headings differ in case."""
     needs("man")
     text = shown(FOLDER / f"{program}.{section}").lower()
     helps = [run(BUILD / program, "--help")]
@@ -78,7 +78,7 @@ def test_the_pages_of_texts_hold_their_words():
         name = page.stem.removeprefix("dipole-").upper()
         source = (REPOSITORY / f"proto/{name}.md").read_text()
         words = set(re.findall(r"\b[a-z_]{4,}\b", re.sub(r"<!--.*?-->|```.*", "", source)))
-        page_text = shown(page).replace("\n", " ").lower()  # headings are in capitals
+        page_text = shown(page).replace("\n", " ").lower()  # Headings are in capitals.
         folded = re.sub(r"\s+", "", page_text)
         assert {word for word in words if word not in page_text and word not in folded} == set()
 

@@ -1,4 +1,4 @@
-"""Monte Carlo jobs: their tables, their progress, their end, and what they leave alone."""
+"""Monte Carlo jobs: tables, progress, how jobs end, and that they do not disturb other work."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ MC, CANCEL = wire.MESSAGES["mc"], wire.MESSAGES["cancel"]
 BATCH = 4096
 EDGES = Grid(0.0, 5.0, 11)
 TISSUE = Medium(sigma_a=0.1, sigma_s=0.9, g=0.3, eta=1.3)
-# Hours of work: for what has to be under way while something else happens.
+# A job with hours of work, for tests that need a running job.
 ENDLESS = {"medium": Medium(1e-4, 10.0, 0.9, 1.4), "photons": 10**10}
 
 
 def mc_payload(**changes) -> bytes:
-    """The payload of an mc request."""
+    """Makes the payload of an mc request."""
     fields = {"medium": TISSUE, "edges": EDGES, "spacing": LINEAR, "photons": 2 * BATCH}
     fields |= {"error_total": 0.0, "error_rings": 0.0, "thickness": math.inf, "albedos": ()}
     return pack_request(**{**fields, "seed": 1, **changes})
 
 
 def receive_table(connection: dipole.Connection, request_id: int = 77) -> McResult:
-    """The last reply to an mc request, after any progress."""
+    """Receives the last reply to an mc request, after any reports of progress."""
     while True:
         reply = connection.receive_frame()
         assert (reply.type, reply.request_id) == (MC | wire.REPLY, request_id)
@@ -43,7 +43,7 @@ def receive_table(connection: dipole.Connection, request_id: int = 77) -> McResu
 
 
 def start_endless(connection: dipole.Connection, request_id: int = 77) -> None:
-    """Starts a job and waits for a sign of life."""
+    """Starts a job that does not end, and waits for its first report."""
     connection.send_bytes(frame(MC, request_id, mc_payload(**ENDLESS)))
     reply = connection.receive_frame()
     assert (reply.type, reply.request_id) == (MC | wire.REPLY, request_id)
@@ -51,7 +51,8 @@ def start_endless(connection: dipole.Connection, request_id: int = 77) -> None:
 
 
 def cancel(connection: dipole.Connection, job_id: int, request_id: int = 500) -> int:
-    """Sends a cancel request; what was found, after any progress of jobs."""
+    """Sends a cancel request. Returns the field `found` of its reply, which may come after reports
+    of progress."""
     connection.send_bytes(frame(CANCEL, request_id, wire.CANCEL_REQUEST.pack(job_id=job_id)))
     while True:
         reply = connection.receive_frame()
@@ -105,7 +106,8 @@ def test_own_albedo_is_the_default(client):
 
 def test_errors_end_it_early(client):
     total = client.mc(TISSUE, EDGES, error_total=0.01)
-    assert total.state == "errors" and total.photons == 32 * BATCH  # fewer are not believed
+    # Standard errors need at least 32 batches.
+    assert total.state == "errors" and total.photons == 32 * BATCH
     assert 0 < total.error_total <= 0.01 < total.error_rings
     rings = client.mc(TISSUE, EDGES, error_rings=0.05)
     assert rings.state == "errors" and rings.error_rings <= 0.05
@@ -120,7 +122,7 @@ def test_errors_end_it_early(client):
 
 
 def test_an_error_that_no_light_can_reach(client):
-    """No light leaves a medium that does not scatter: its job ends all the same."""
+    """The job for a medium that does not scatter ends, although no light reaches a ring."""
     energy = client.mc(Medium(1, 0, 0, 1.5), EDGES, error_rings=0.1, photons=2 * BATCH).energies[0]
     assert energy.absorbed.value == 1 and energy.R.value == 0
 
@@ -185,7 +187,7 @@ def test_jobs_of_others_cannot_be_cancelled(daemon):
 
 
 def statistic(one, name: str) -> int:
-    """A statistic of a daemon, over a connection of its own."""
+    """Reads a statistic of a daemon, over a new connection."""
     with one.client() as client:
         return client.statistics()[name]
 
@@ -266,7 +268,7 @@ def test_others_are_served_meanwhile(daemon):
             assert client.ping() < 5
             assert (client.eval("better", SKIN, [0.5, 1.0]).R == expected.R).all()
         assert client.statistics()["mc_jobs_open"] == 1
-        # And on the connection that has the job.
+        # Requests on the connection of the job are answered, too.
         answered = 0
         payload = eval_payload(wanted=R)
         busy.send_bytes(b"".join(frame(EVAL, 1000 + i, payload) for i in range(50)))
@@ -310,7 +312,7 @@ def test_many_clients_at_a_time(daemon):
 
 
 def niceness(one) -> list[int]:
-    """That of each thread of a daemon."""
+    """Returns the nice value of each thread of a daemon."""
     tasks = Path(f"/proc/{one.process.pid}/task").iterdir()
     stats = [(task / "stat").read_text().rpartition(")")[2].split() for task in tasks]
     return sorted(int(stat[16]) for stat in stats)
@@ -366,7 +368,7 @@ def test_max_mc_jobs(daemon):
 
 
 def test_one_job_after_the_other(daemon):
-    """The room of a job that has answered is there at once."""
+    """When a job has answered, its place is free at once."""
     with daemon("--max-mc-jobs", "1", "--mc-threads", "4").client() as client:
         for photons in [BATCH, 20 * BATCH, 3 * BATCH] * 10:
             assert client.mc(TISSUE, EDGES, photons=photons).photons == photons
@@ -409,7 +411,7 @@ def test_the_largest_job(connection):
 
 
 def changed(**fields: int) -> bytes:
-    """A payload with other numbers in its fixed part, whatever follows."""
+    """Makes a reply with other numbers in its fixed part, which need not fit the rest."""
     payload = mc_payload()
     fixed = wire.MC_REQUEST.unpack(payload)._replace(**fields)
     return wire.MC_REQUEST.pack(**fixed._asdict()) + payload[wire.MC_REQUEST.bytes :]

@@ -1,4 +1,4 @@
-"""--metrics: Prometheus' text format over HTTP, and /healthz."""
+"""--metrics: the text format of Prometheus over HTTP, and /healthz."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TIMEOUT_S = 10
 
 
 def address_of(daemon) -> str:
-    """HOST:PORT, as the daemon said itself."""
+    """Returns the HOST:PORT of the metrics, which the daemon has logged."""
     lines = map(read_log_line, daemon.log)
     url = next(line["url"] for line in lines if line.get("event") == "metrics")
     return re.fullmatch(r"http://(.+:\d+)/metrics", url)[1]
@@ -27,12 +27,12 @@ def address_of(daemon) -> str:
 
 @pytest.fixture
 def watched(daemon):
-    """A daemon with metrics at a free port."""
+    """A daemon that serves metrics at a free port."""
     return daemon("--metrics", "127.0.0.1:0")
 
 
 def fetch(daemon, path: str, method: str = "GET", body: bytes | None = None):
-    """Status, headers and body."""
+    """Makes an HTTP request. Returns the status, headers and body."""
     request = urllib.request.Request(f"http://{address_of(daemon)}{path}", body, method=method)
     try:
         with urllib.request.urlopen(request, timeout=TIMEOUT_S) as answer:
@@ -49,8 +49,8 @@ SUFFIXES = {"summary": ["", "_sum", "_count"], "histogram": ["_bucket", "_sum", 
 
 
 def parse(text: str) -> dict[str, tuple[str, dict[str, float]]]:
-    """Families: their types, and their samples by what stands before the value. Every line has to
-    have its place: HELP, TYPE, then nothing but the family's samples, none twice."""
+    """Parses metrics. Returns the type of each family, and its samples by name and labels. Checks
+    the order of lines: HELP, TYPE, and then only the family's samples, none of them twice."""
     families: dict[str, tuple[str, dict[str, float]]] = {}
     lines = text.split("\n")
     assert lines.pop() == ""
@@ -81,7 +81,7 @@ def parse(text: str) -> dict[str, tuple[str, dict[str, float]]]:
 
 
 def scrape(daemon) -> dict[str, float]:
-    """All samples."""
+    """Fetches and parses the metrics. Returns all samples."""
     status, headers, text = fetch(daemon, "/metrics")
     assert status == 200
     assert headers["Content-Type"] == "text/plain; version=0.0.4; charset=utf-8"
@@ -90,7 +90,8 @@ def scrape(daemon) -> dict[str, float]:
 
 
 def scrape_when(daemon, metric: str, least: float) -> dict[str, float]:
-    """All samples, as soon as one has so much: latencies are counted behind the answers."""
+    """Fetches the metrics until one has this value. Latencies are counted only after the
+    answers."""
     assert eventually(lambda: scrape(daemon)[metric] >= least)
     return scrape(daemon)
 
@@ -196,7 +197,7 @@ def test_a_query_changes_nothing(watched):
 
 
 def raw(daemon) -> socket.socket:
-    """A connection that speaks no HTTP by itself."""
+    """Opens a bare TCP connection."""
     host, _, port = address_of(daemon).rpartition(":")
     return socket.create_connection((host, int(port)), TIMEOUT_S)
 
@@ -233,7 +234,8 @@ def test_stop_while_scrapes_hang(watched):
 
 
 def test_many_that_hang_are_let_go(watched):
-    """As many as there is room for: the next one waits until they have been silent for too long."""
+    """Silent connections take all places. The next connection waits until they are closed for their
+    silence."""
     hanging = [raw(watched) for _ in range(20)]
     assert fetch(watched, "/healthz")[0] == 200
     with watched.client() as client:
@@ -289,7 +291,7 @@ def test_wrong_addresses(watched):
 def test_connections_close(watched):
     host, _, port = address_of(watched).rpartition(":")
     connection = http.client.HTTPConnection(host, int(port), timeout=TIMEOUT_S)
-    for _ in range(3):  # http.client connects anew where the daemon has closed
+    for _ in range(3):  # http.client connects again if the daemon has closed.
         connection.request("GET", "/healthz")
         assert connection.getresponse().read() == b"ok\n"
     connection.close()

@@ -1,5 +1,5 @@
-"""Modbus masters that others have made: each example of clients/modbus reads R at ten distances, and
-independent tools decode, identify and exercise the daemon."""
+"""Modbus masters that others have made: each example of clients/modbus reads R at ten distances,
+and other tools decode, identify and exercise the daemon."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ EXAMPLES = TOP / "clients/modbus"
 SUITE = Path("/usr/share/doc/libmodbus-dev/examples/random-test-client.c")
 RADII_MM = np.array([0.1, 0.2, 0.5, 1, 1.5, 2, 3, 4, 6, 8], np.float32)
 LIMIT_S = 60
-# What npm fetches, where there is npm: versions that are known to work.
+# The packages that npm fetches, if npm is installed: versions that are known to work.
 NODE_MODULES = {"modbus-serial": "8.0.25", "jsmodbus": "5.0.0"}
 
 
@@ -39,13 +39,13 @@ def run(*command: str, **options) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def address(slave) -> str:
-    """HOST:PORT of the daemon's Modbus."""
+    """Returns the HOST:PORT of the daemon's Modbus."""
     return slave.url("modbus-tcp").removeprefix("modbus-tcp:")
 
 
 @pytest.fixture(scope="module")
 def expected(slave):
-    """What the binary protocol answers."""
+    """Returns the answer of the binary protocol."""
     with slave.client() as client:
         medium = dipole.Medium(*np.array([0.032, 0.74, 0, 1.3], np.float32).astype(float))
         return client.eval("better", medium, RADII_MM, evaluator="f32").R[0]
@@ -53,7 +53,7 @@ def expected(slave):
 
 @pytest.fixture(scope="module")
 def serial(tmp_path_factory):
-    """A daemon at one end of a pair of pseudo terminals; the other end."""
+    """A daemon at one end of a pair of pseudo terminals. Returns the other end."""
     if shutil.which("socat") is None:
         pytest.skip("socat is not installed")
     folder = tmp_path_factory.mktemp("line")
@@ -70,13 +70,14 @@ def serial(tmp_path_factory):
 
 
 def values_of(output: str) -> np.ndarray:
-    """The numbers of lines such as `0.1 mm: 2.5 1/mm^2` and mbpoll's `[312]: 2.5`."""
+    """Returns the numbers of lines such as `0.1 mm: 2.5 1/mm^2` and mbpoll's `[312]: 2.5`."""
     found = re.findall(r"(?:mm|\]): *\t? *([-+0-9.eE]+)", output)
     return np.array([float(text) for text in found])
 
 
 def check(result: subprocess.CompletedProcess[str], expected: np.ndarray, digits: int) -> None:
-    """digits: that the client prints; with 9 a float is told apart from its neighbours."""
+    """Checks the output of an example. digits: how many digits it prints; 9 digits identify a
+    float."""
     assert result.returncode == 0, result.stdout + result.stderr
     found = values_of(result.stdout)
     assert len(found) == 10, result.stdout
@@ -102,8 +103,8 @@ def test_pymodbus(request, line, expected):
     check(run(sys.executable, script, request.getfixturevalue(line)), expected, 9)
 
 
-# The three names that pymodbus has had for the number of the unit, and methods that take no others:
-# those of version 2, of 3.0 to 3.9, and of 3.10 and later, where all but the first are keywords.
+# pymodbus has had three names for the number of the unit. Each entry has the parameters of methods
+# that accept only one of the names: those of versions 2, 3.0 to 3.9, and 3.10 and later.
 GENERATIONS = {
     "unit": "self, address, {}, **kwargs",
     "slave": "self, address, {}, slave=0",
@@ -124,7 +125,8 @@ ModbusClientMixin.write_registers = write_registers
 
 @pytest.mark.parametrize("keyword", GENERATIONS)
 def test_pymodbus_of_every_generation(address, expected, tmp_path, keyword):
-    """pymodbus as it is here, behind the signatures that its generations have."""
+    """Runs the example with the installed pymodbus, whose methods get the signatures of each
+    generation."""
     pytest.importorskip("pymodbus")
     form = GENERATIONS[keyword]
     reads = form.format("*, count=1" if keyword == "device_id" else "count=1")
@@ -138,7 +140,7 @@ def test_pymodbus_of_every_generation(address, expected, tmp_path, keyword):
 
 @pytest.fixture(scope="module")
 def node_modules():
-    """Where npm has put what the JavaScript examples need."""
+    """Returns the folder in which npm has installed the packages of the JavaScript examples."""
     if shutil.which("node") is None or shutil.which("npm") is None:
         pytest.skip("node and npm are not installed")
     folder = BUILD / "node"
@@ -164,13 +166,14 @@ def test_node(address, expected, node_modules, script):
 
 # ---- units that other masters have used ----------------------------------------------------------
 
-SCRIPTS = {"profile.sh": 6, "profile.py": 9, "profile.js": 9, "jsmodbus.js": 9}  # digits printed
+# The digits that each example prints.
+SCRIPTS = {"profile.sh": 6, "profile.py": 9, "profile.js": 9, "jsmodbus.js": 9}
 SLOW = {"model": 29, "evaluator": 3}
 
 
 @pytest.fixture(params=SCRIPTS)
 def example(request):
-    """A function that runs one of the examples, and the digits that it prints."""
+    """Returns a function that runs one of the examples, and the digits that the example prints."""
     name = request.param
     environment = dict(os.environ)
     if name.endswith(".js"):
@@ -200,7 +203,8 @@ ODD = {
 
 @pytest.mark.parametrize("state", ODD)
 def test_a_unit_in_an_odd_state(daemon, example, expected, state):
-    """What another master has left there does not change what the example prints."""
+    """The state in which another master has left the unit does not change the output of the
+    example."""
     one = daemon(*TCP)
     with Tcp(one) as master:
         master.write(100, input_block(1, radii=[1.0]))
@@ -216,7 +220,7 @@ def test_a_unit_that_is_busy_and_a_model_that_takes_long(daemon, example):
     """The example waits for the other master's job, and then for its own."""
     one = daemon(*TCP)
     with Tcp(one) as master, one.client() as client:
-        for unit in range(1, 9):  # other units before, so that unit 1 is busy for a while
+        for unit in range(1, 9):  # Jobs of other units keep unit 1 busy for a while.
             medium = (0.01 * unit, 1.0, 0.0, 1.3)
             master.write(100, input_block(1, medium, [1.0], **SLOW), 9 - unit)
         ask, digits = example
@@ -227,7 +231,8 @@ def test_a_unit_that_is_busy_and_a_model_that_takes_long(daemon, example):
 
 
 def test_an_example_says_why_it_fails(daemon, example):
-    """A slab without a thickness: the daemon's text, and a status that is not 0."""
+    """If the job fails, the example prints the daemon's text and ends with a status that is not
+    0."""
     one = daemon(*TCP)
     ask, _ = example
     result = ask(one.url("modbus-tcp").removeprefix("modbus-tcp:"), "25")
@@ -293,7 +298,7 @@ def test_a_job_that_is_refused_says_why(daemon):
 
 @needs("cc")
 def test_libmodbus_random_test_client(address, tmp_path):
-    """Debian's copy, compiled where it is; only its port is another one."""
+    """Debian's copy of the test client passes. Only its port is changed before it is compiled."""
     if not SUITE.exists():
         pytest.skip("libmodbus-dev's examples are not installed")
     port = address.rpartition(":")[2]
@@ -327,14 +332,15 @@ _TCP, _ACK_AND_PUSH = 6, 0x18
 
 
 class Exchange(NamedTuple):
-    """What a client sent, and what came back."""
+    """A request of a client, and the answer."""
 
     sent: bytes
     received: bytes
 
 
 def write_capture(path: Path, exchanges: list[Exchange], port: int) -> None:
-    """A TCP connection to the port, whose every message has a packet of its own."""
+    """Writes a capture of a TCP connection to the port, in which every message has its own
+    packet."""
     packets = []
     client_at = server_at = 1
     for exchange in exchanges:
@@ -370,7 +376,7 @@ def _checksum(header: bytes) -> int:
 
 
 class Recorded(Tcp):
-    """Keeps what was said."""
+    """A master that records its exchanges."""
 
     def __init__(self, address: str):
         super().__init__(address)
@@ -385,7 +391,7 @@ class Recorded(Tcp):
 
 
 def conversation(master: Recorded) -> None:
-    """Every function, and three exceptions."""
+    """Sends requests of every function, and three that get exceptions."""
     master.write(0, words(1, 2, 3))
     master.write_one(5, 7)
     master.exchange(1, struct.pack(">BHHBB", 15, 0, 3, 1, 5))

@@ -1,4 +1,4 @@
-"""Every Modbus function, right and wrong, over TCP."""
+"""Every Modbus function over TCP, with valid and invalid requests."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NAN, INF = float("nan"), float("inf")
 
 
 def code_of(master: Tcp, pdu: bytes, unit: int = 1) -> int:
-    """The exception that a request gets."""
+    """Returns the exception that a request gets."""
     with pytest.raises(Exception_) as refused:
         master.ask(pdu, unit)
     return refused.value.code
@@ -35,7 +35,8 @@ def bits(values: list[int]) -> bytes:
 
 
 def test_scratch_registers_and_coils(master):
-    """Everything that libmodbus's random-test-client does, from every address on."""
+    """Reads and writes scratch registers and coils from every address on, with all functions that
+    libmodbus's random-test-client uses."""
     dice = random.Random(1)
     for first in range(100):
         count = 100 - first
@@ -64,7 +65,7 @@ def test_mask_write(master):
     master.write_one(7, 0x12)
     pdu = struct.pack(">BHHH", MASK_WRITE, 7, 0xF2, 0x25)
     assert master.ask(pdu) == pdu[1:]
-    assert as_words(master.read(7, 1)) == [0x17]  # the example of the specification
+    assert as_words(master.read(7, 1)) == [0x17]  # The specification has this example.
     assert code_of(master, struct.pack(">BHHH", MASK_WRITE, AT["ETA"], 0, 0)) == BAD_ADDRESS
     assert code_of(master, struct.pack(">BHHH", MASK_WRITE, AT["MODEL"], 0, 300)) == BAD_VALUE
     assert code_of(master, struct.pack(">BHHH", MASK_WRITE, 65535, 0, 0)) == BAD_ADDRESS
@@ -109,7 +110,7 @@ WHOLE = {
 
 @pytest.mark.parametrize("function", FUNCTIONS)
 def test_lengths(master, function):
-    """A byte more, or any number fewer, and it is refused."""
+    """A request with a byte too many, or with any number of bytes too few, is refused."""
     whole = bytes([function]) + WHOLE[function]
     master.ask(whole)
     assert code_of(master, whole + b"\0") == BAD_VALUE
@@ -135,7 +136,8 @@ def test_counts_to_write(master):
     for read, write in [(0, 1), (126, 1), (1, 0), (1, 122)]:
         pdu = struct.pack(">BHHHHB", WRITE_READ, 0, read, 0, write, min(2 * write, 242))
         assert code_of(master, pdu + bytes(min(2 * write, 242))) == BAD_VALUE
-    data = bytes(2 * 121)  # the most that there can be: zeros into scratch, and 21 of the input
+    # The most that a request can have: zeros into scratch, and 21 registers of the input.
+    data = bytes(2 * 121)
     assert code_of(master, struct.pack(">BHHHHB", WRITE_READ, 0, 125, 0, 121, 242) + data) != 1
 
 
@@ -150,7 +152,8 @@ def test_bits_beyond_the_end(master):
 
 
 def refused(master: Tcp, address: int, data: bytes, unit: int) -> tuple[int, int, int]:
-    """The exception, the error and the address that a write gets; nothing else has changed."""
+    """Returns the exception, the error and the address that a write gets. Checks that it changed
+    nothing else."""
     before = master.read(100, 160, unit)
     with pytest.raises(Exception_) as why:
         master.write(address, data, unit)
@@ -207,7 +210,7 @@ def test_floats_out_of_range(master, name, value):
     assert refused(master, MIRROR + AT[name], swapped(floats(value)), 42) == expected
 
 
-# Within their ranges, at the ends. A tolerance or an albedo of 0 or -1 means none.
+# Values at the ends of their ranges. A tolerance or an albedo of 0 or -1 means none.
 GOOD = {
     "ETA": [1000.0],
     "G": [0.99999994, 0.0],
@@ -244,14 +247,15 @@ def test_integers_out_of_range(master, name, value):
 
 
 def test_one_wrong_value_among_many(master):
-    """Nothing of the request is written, and the address is that of the value."""
+    """If one value of a request is wrong, nothing is written, and the error has the address of that
+    value."""
     expected = (3, BAD_VALUE_STATUS, AT["RADII"] + 6)
     assert refused(master, AT["RADII"], floats(1, 2, 3, NAN, 5), 44) == expected
 
 
 def test_addresses_are_checked_before_values(master):
-    """As the state diagrams of the specification have it: a value out of range at the beginning, and
-    registers that cannot be written at the end."""
+    """Addresses are checked first, as in the state diagrams of the specification. The request
+    begins with a value out of range and ends with registers that cannot be written."""
     bad = AT["PARAMETER_FIT_TO"]
     assert refused(master, bad, floats(-5.0, 1.0), 48) == (2, BAD_ADDRESS_STATUS, bad + 2)
     bad = AT["MODEL"]

@@ -1,4 +1,4 @@
-"""Jobs over Modbus: the bits of the binary protocol, errors, tolerances, and what takes long."""
+"""Jobs over Modbus: the same bits as by the binary protocol, errors, tolerances, and slow jobs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def client(slave):
 
 
 def single(values) -> tuple[float, ...]:
-    """What float32 makes of numbers."""
+    """Rounds numbers to float32."""
     return tuple(float(np.float32(value)) for value in values)
 
 
@@ -40,14 +40,14 @@ def run(master: Tcp, unit: int, block: bytes):
 
 
 def register_of(refusal: Refused) -> int:
-    """The register that the field of a request is made from."""
+    """Returns the register from which a field of the request is made."""
     if refusal.field == "r":
         return AT["RADII"] + 2 * refusal.index
     return AT.get(refusal.field.upper()) or AT[f"PARAMETER_{refusal.field.upper()}"]
 
 
 def assert_equal_answers(master: Tcp, unit: int, expected, count: int) -> None:
-    """The results of a unit are those of a client, bit for bit."""
+    """Checks that the results of a unit are those of a client, bit for bit."""
     job = master.job(unit)
     assert (job.status, job.error, job.count) == (DONE, 0, count)
     for name, values in [("R", expected.R), ("CDF", expected.cdf)]:
@@ -126,7 +126,7 @@ def test_grids(master, client, spacing, number, evaluator, count):
 
 
 def test_a_list_of_the_most_distances_in_one_request(master, client):
-    """The largest function 23: 120 registers written, 115 read."""
+    """The largest request of function 23 writes 120 registers and reads 115."""
     radii = single(np.linspace(0.0, 20.0, 49).tolist() + [np.inf])
     block = input_block(9, SKIN, radii)
     assert len(block) == 2 * 120
@@ -138,7 +138,7 @@ def test_a_list_of_the_most_distances_in_one_request(master, client):
 
 
 def test_fewer_distances_than_before(master):
-    """What is left of an earlier answer is NaN."""
+    """Registers that held values of an earlier answer become NaN."""
     run(master, 64, input_block(1, SKIN, [1.0, 2.0, 3.0]))
     run(master, 64, input_block(2, SKIN, [1.0]))
     for name in ("R", "CDF", "DISTANCES"):
@@ -160,7 +160,7 @@ def test_what_is_wanted(master, client, wanted):
 
 
 def test_S_at_two_angles(master, client):
-    """S is among what can be wanted, and cos_in and cos_out are its angles."""
+    """S can be wanted, and the registers cos_in and cos_out are its angles."""
     cosines = dict(zip(["cos_in", "cos_out"], single([0.9, 0.3])))
     master.write(AT["PARAMETER_COS_IN"], floats(*cosines.values()), 73)
     master.write_one(AT["WANTED"], 1 + 256, 73)
@@ -196,7 +196,8 @@ AT_LIMITS = {
 
 @pytest.mark.parametrize("name", AT_LIMITS)
 def test_the_float32_nearest_to_a_limit_is_the_limit(daemon, name):
-    """All these limits are inclusive, and their float32 is on the wrong side or beside them."""
+    """The float32 nearest to a limit counts as the limit, although it is on the wrong side or
+    beside it. All these limits are inclusive."""
     choice, parameters, eta = AT_LIMITS[name]
     choice = {"evaluator": "f32", "moments": "exact", **choice}
     medium = (*single(SKIN[:3]), eta if eta != SKIN[3] else single([eta])[0])
@@ -270,7 +271,7 @@ def test_combinations_that_cannot_be(master, name):
 
 
 def test_a_distance_that_a_model_does_not_cover(master):
-    """The address is that of the distance."""
+    """The error has the address of the distance."""
     master.write(AT["PARAMETER_FIT_FROM"], floats(0.5, 2.0), 68)
     with exception(BAD_VALUE):
         run(master, 68, input_block(1, SKIN, [0.6, 1.0, 3.0], model=MODELS["gaussians"]))
@@ -281,7 +282,7 @@ def test_a_distance_that_a_model_does_not_cover(master):
 
 
 def test_step_by_step(master):
-    """As a tool does that writes one register after the other."""
+    """A tool may write one register after the other."""
     master.write(AT["SIGMA_A"], floats(0.1), 70)
     master.write_one(AT["RADIUS_COUNT"], 2, 70)
     master.write(AT["RADII"], floats(1.0, 2.0), 70)
@@ -297,8 +298,8 @@ def test_step_by_step(master):
 
 @pytest.mark.parametrize("unit_step", [1, 0])
 def test_many_masters_at_once(slave, client, unit_step):
-    """Each on its own unit, or all on one: what function 23 reads is what it wrote, whoever else is
-    at it."""
+    """Many masters, each on its own unit or all on one, read with function 23 the results of the
+    job that they wrote."""
     masters = [Tcp(slave) for _ in range(32)]
     media = [(0.01 * (i + 1), 1.0, 0.0, 1.3) for i in range(32)]
     expected = [
@@ -324,7 +325,7 @@ SLOW = {"model": MODELS["transport"], "evaluator": EVALUATORS["f64"]}
 
 
 def slow_medium(number: int) -> tuple[float, ...]:
-    """One that nobody has asked for yet."""
+    """Returns a medium that no request has had."""
     return single((0.032 + 1e-3 * number, 0.74, 0.0, 1.3))
 
 
@@ -340,17 +341,18 @@ def test_busy_then_done(daemon):
         job = master.job()
         assert (job.status, job.error, job.error_address) == (IS_BUSY, BUSY_STATUS, AT["COMMIT"])
         assert master.read(100, 120) == before
-        assert run(master, 2, input_block(7, SKIN, [1.0])).done == 7  # others do not wait
+        assert run(master, 2, input_block(7, SKIN, [1.0])).done == 7  # Other units do not wait.
         job = master.wait()
         assert (job.status, job.done, job.error, job.sequence) == (DONE, 1, 0, 1)
         expected = client.eval("transport", medium, radii, evaluator="f64")
         assert_equal_answers(master, 1, expected, 2)
         again = master.write_read(100, input_block(2, medium, radii, **SLOW), 300, 8)
-        assert as_words(again[:4]) == [DONE, 2]  # at once, now
+        # The answer comes at once, because the profile is prepared now.
+        assert as_words(again[:4]) == [DONE, 2]
 
 
 def test_input_may_be_written_while_busy(daemon):
-    """The job is the one that was committed."""
+    """Writing the input while the unit is busy does not change the committed job."""
     one = daemon(*TCP)
     with Tcp(one) as master, one.client() as client:
         medium, radii = slow_medium(2), single([0.5, 1.0])
@@ -363,7 +365,7 @@ def test_input_may_be_written_while_busy(daemon):
 
 
 def test_a_new_commit_clears_the_error_of_the_one_before(daemon):
-    """While it is busy, no error stands that is not its own."""
+    """A new commit clears the error of the job before, also while the unit is busy."""
     with Tcp(daemon(*TCP)) as master:
         with exception(BAD_VALUE):
             master.write(AT["ETA"], floats(0.0))
@@ -393,7 +395,7 @@ def test_stopping_while_busy(daemon):
 
 
 def test_preparing_that_fails(daemon):
-    """A fit that does not reach its tolerance: only preparing shows it."""
+    """A preparation may fail: that a fit does not reach its tolerance shows only then."""
     one = daemon(*TCP)
     with Tcp(one) as master:
         block = input_block(1, SKIN, [1.0], model=MODELS["gaussians"], tolerance=1e-11)
@@ -443,7 +445,7 @@ def test_answering_takes_nothing_from_the_heap(daemon):
 
 
 def test_words_are_checked_before_anything_is_written(master):
-    """A commit with NaN among the input: status 3, and the input is what it was."""
+    """A commit with NaN in the input gets status 3, and the input is not changed."""
     before = master.read(100, 120, 72)
     with exception(BAD_VALUE):
         master.write(100, input_block(1, (0.1, float("nan"), 0.0, 1.3), [1.0]), 72)

@@ -1,4 +1,5 @@
-"""Modbus over TCP with masters that are slow, many, elsewhere or wrong, and how it ends."""
+"""Modbus over TCP: masters that are slow, many, not allowed or wrong, and the end of
+connections."""
 
 from __future__ import annotations
 
@@ -76,7 +77,7 @@ def test_frames_that_close_the_connection(daemon, name):
 
 
 def test_a_master_that_has_said_all_is_answered(daemon):
-    """A master closes its side right after sending, as nc does."""
+    """A master that closes its side right after sending, as nc does, gets its answer."""
     one = daemon(*TCP)
     with Tcp(one) as master:
         master.socket.sendall(
@@ -130,7 +131,7 @@ MOST_SENT = 2_000_000
 
 
 def fill(master: Tcp, frames: bytes) -> int:
-    """Sends the same frames until no more are taken; how many bytes that were."""
+    """Sends the same frames until the socket takes no more. Returns how many bytes it took."""
     sent = 0
     master.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 16384)
     master.socket.setblocking(False)
@@ -175,7 +176,8 @@ def test_a_master_that_never_reads_is_closed(daemon):
 
 
 def test_2000_connections(daemon):
-    """File descriptors beyond 1024, which libmodbus's own server could not hold."""
+    """The daemon serves connections with file descriptors beyond 1024, which libmodbus's own server
+    could not."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = 2000
     if hard < 2 * wanted + 200:
@@ -332,7 +334,7 @@ def test_stopping_answers_what_has_arrived(daemon):
     one = daemon(*TCP)
     with Tcp(one) as master, Tcp(one) as partial:
         partial.socket.sendall(partial.frame(1, READ_ONE)[:7])
-        assert master.read(0, 1) == b"\0\0"  # so the partial frame has been read
+        assert master.read(0, 1) == b"\0\0"  # The daemon has read the partial frame by now.
         for i in range(300):
             master.socket.sendall(master.frame(1, struct.pack(">BHH", 6, 100, i + 1)))
         one.terminate()

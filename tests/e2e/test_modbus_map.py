@@ -36,7 +36,7 @@ def test_discovery(master, function):
 
 
 def test_all_that_can_be_read_is_the_blocks(master):
-    """Every block as a whole, with functions 3 and 4; nothing just outside."""
+    """Functions 3 and 4 can read every block as a whole, and no register outside of blocks."""
     inside = set()
     for first, length in BLOCKS.values():
         inside |= set(range(first, first + length))
@@ -59,7 +59,7 @@ def test_report_server_id(master):
 
 
 def objects(answer: bytes) -> dict[int, str]:
-    """The objects of an answer to function 43/14, after its function."""
+    """Returns the objects of an answer to function 43/14."""
     count, data, found = answer[5], answer[6:], {}
     while data:
         found[data[0]] = data[2 : 2 + data[1]].decode()
@@ -79,8 +79,9 @@ def test_device_identification(master):
     assert set(regular) == {0, 1, 2, 4, 5} and objects(ask(3, 0)) == regular
     for number, text in regular.items():
         assert objects(ask(4, number)) == {number: text}
-    assert set(objects(ask(2, 2))) == {2, 4, 5}  # a stream from an object on
-    assert objects(ask(2, 99)) == regular  # one that is not there: from the first on
+    assert set(objects(ask(2, 2))) == {2, 4, 5}  # all objects from object 2 on
+    # If the object does not exist, the answer begins with the first one.
+    assert objects(ask(2, 99)) == regular
     for code, number, expected in [(4, 3, BAD_ADDRESS), (0, 0, BAD_VALUE), (5, 0, BAD_VALUE)]:
         with exception(expected):
             ask(code, number)
@@ -116,7 +117,8 @@ def test_the_defaults_can_be_committed(master):
 
 
 def test_both_sides_of_the_mirror(master):
-    """Written on one side, read on the other: floats with their words swapped, all else alike."""
+    """A value that is written on one side can be read on the other: floats with their words
+    swapped, all else alike."""
     master.write(AT["SIGMA_A"], floats(0.5, 2.0, 0.25, 1.25), 11)
     mirrored = master.read(MIRROR + AT["SIGMA_A"], 8, 11)
     assert mirrored == swapped(floats(0.5, 2.0, 0.25, 1.25))
@@ -152,7 +154,8 @@ def test_doubles_are_the_values(master):
 
 @pytest.mark.parametrize("side", [0, MIRROR])
 def test_a_register_restores_the_defaults(daemon, side):
-    """All registers that can be written, on both sides of the mirror; the results stay."""
+    """The register restores all registers that can be written, on both sides of the mirror. The
+    results stay."""
     with Tcp(daemon(*TCP)) as master:
         writable = [(0, 260), (MIRROR + 100, 160)]
         fresh = [master.read(*some) for some in writable]
@@ -213,7 +216,8 @@ def test_units_that_are_not_there(master, unit):
 
 
 def examples() -> dict[str, bytes]:
-    """The frames in blocks ```hex NAME: pairs of digits, and comments from # to the line's end."""
+    """Reads the frames in blocks ```hex NAME: pairs of digits, and comments from # to the end of
+    the line."""
     text = (REPOSITORY / "proto/REGISTERS.md").read_text()
     return {
         name: bytes.fromhex(re.sub(r"#.*", "", body))

@@ -30,7 +30,7 @@ READ_ONE = struct.pack(">BHH", READ_HOLDING, 0, 1)
 
 
 class Line:
-    """A pseudo terminal: the master's end, and the name of the slave's."""
+    """A pseudo terminal: the master's end, and the name of the daemon's end."""
 
     def __init__(self):
         self.fd, self.slave = pty.openpty()
@@ -53,7 +53,8 @@ def line():
 
 @pytest.fixture
 def start(daemon, line):
-    """Starts a daemon on the line, and over TCP; the master on the line, and the daemon."""
+    """Returns a function that starts a daemon on the line, and over TCP. It returns the master on
+    the line, and the daemon."""
 
     def on_line(settings: str = "19200,N,7", *options: str):
         one = daemon("--modbus", f"rtu:{line.device},{settings}", *TCP, *options)
@@ -131,17 +132,19 @@ def test_requests_for_others_are_not_answered(start):
     for unit in (1, 6, 8, 247):
         master.send(master.frame(unit, struct.pack(">BHH", WRITE_REGISTER, 0, unit)))
         assert master.is_silent(0.05)
-        assert master.read(0, 1, 7) == b"\0\0"  # and the next request is not lost
+        assert master.read(0, 1, 7) == b"\0\0"  # The next request is answered, too.
 
 
 def test_behind_the_traffic_of_others(start):
-    """As adapters deliver it: in one piece."""
+    """A request is found behind the traffic of other devices, when an adapter delivers all in one
+    piece."""
     master, _ = start()
     request = master.frame(9, struct.pack(">BHH", READ_HOLDING, 0, 2))
     answer = master.frame(9, bytes([READ_HOLDING, 4]) + bytes(4))
     refusal = master.frame(9, bytes([0x83, 2]))
     echo = master.frame(9, struct.pack(">BHH", WRITE_REGISTER, 1, 2))
-    event = master.frame(9, b"\x0b") + master.frame(9, b"\x0b\0\0\0\0")  # not served here
+    # The daemon does not serve this function.
+    event = master.frame(9, b"\x0b") + master.frame(9, b"\x0b\0\0\0\0")
     for before in (request + answer, request + refusal, echo + echo, event, request):
         master.send(before + master.frame(7, READ_ONE))
         assert master.receive() == (7, b"\3\2\0\0")
@@ -151,8 +154,8 @@ def test_behind_the_traffic_of_others(start):
 
 
 def crc_state_to_all_ones(data: bytes) -> bytes:
-    """Two bytes behind which the checksum of the data is as it is at the beginning of a frame. Then
-    a frame behind them is right for itself, and together with the data."""
+    """Returns two bytes after which the checksum is in its initial state again. A frame behind them
+    is then valid both by itself and together with the data."""
     state = int.from_bytes(checksum(data), "little")
     for value in range(65536):
         if checksum_from(value) == 0xFFFF:
@@ -161,20 +164,22 @@ def crc_state_to_all_ones(data: bytes) -> bytes:
 
 
 def checksum_from(state: int) -> int:
-    """The checksum 16 bits later."""
+    """Returns the state of the checksum after 16 more bits."""
     for _ in range(16):
         state = state >> 1 ^ (0xA001 if state & 1 else 0)
     return state
 
 
 def frame_of_another_with_one_in_it(inner: bytes) -> tuple[bytes, bytes]:
-    """A write to unit 9 whose last bytes are a whole frame: what is before them, and that frame."""
+    """Makes a write to unit 9 whose last bytes are a whole frame. Returns the bytes before that
+    frame, and the frame."""
     head = struct.pack(">BBHHB", 9, WRITE_REGISTERS, 0, len(inner) // 2, len(inner))
     return head + crc_state_to_all_ones(head), inner
 
 
 def test_the_tail_of_a_frame_of_another_is_no_frame(start):
-    """Whole, behind a pause within it, without its first bytes, and damaged."""
+    """The end of a frame to another device is never taken for a request: not if that frame is
+    whole, has a pause within it, lacks its first bytes, or is damaged."""
     master, one = start()
     write = master.frame(7, struct.pack(">BHH", WRITE_REGISTER, 3, 99))
     head, tail = frame_of_another_with_one_in_it(write)
@@ -194,7 +199,8 @@ def test_the_tail_of_a_frame_of_another_is_no_frame(start):
 
 
 def test_a_request_behind_noise_and_silence(start):
-    """The silence is longer than 3.5 characters and shorter than --modbus-gap-ms."""
+    """A request behind noise is found if the silence between them is longer than 3.5 characters,
+    even if it is shorter than --modbus-gap-ms."""
     master, _ = start("19200,N,7", "--modbus-gap-ms", "1000")
     master.send(b"\xff\x00\x17")
     time.sleep(0.1)
@@ -232,7 +238,7 @@ def test_broadcasts_are_carried_out_and_not_answered(start):
 
 
 def test_a_request_in_pieces(start):
-    """What comes within the gap belongs together."""
+    """The pieces of a request that come within the gap belong together."""
     master, _ = start("19200,N,7", "--modbus-gap-ms", "1000")
     frame = master.frame(7, struct.pack(">BHHB", 16, 0, 3, 6) + words(1, 2, 3))
     for byte in frame:
@@ -263,8 +269,8 @@ def test_read_only(start):
 
 
 def test_a_device_that_goes_away_and_comes_back(daemon, tmp_path):
-    """By a link, as udev makes them. It is away for so long that a search with longer and longer
-    pauses would find it late."""
+    """The device of a link, as udev makes it, disappears and comes back. It is away for so long
+    that a search with growing pauses alone would find it late."""
     first = Line()
     link = tmp_path / "tty"
     link.symlink_to(first.device)
@@ -287,7 +293,8 @@ def test_a_device_that_goes_away_and_comes_back(daemon, tmp_path):
 
 @pytest.mark.parametrize("there", ["nothing", "no terminal"])
 def test_a_device_that_is_missing_at_the_start(daemon, tmp_path, there):
-    """One line says so, all else is served, and the line is opened when it appears."""
+    """If a device is missing at the start, one log line says so, everything else is served, and the
+    line is opened when the device appears."""
     link = tmp_path / "tty"
     if there == "no terminal":
         link.write_text("")
@@ -331,8 +338,8 @@ def test_stopping_answers_what_has_arrived(start):
      (",9600,O2,3", 2, 9600), (",115200,E", 1, 115200)],
 )  # fmt: skip
 def test_speed_and_stop_bits(daemon, line, settings, stop_bits, baud):
-    """As the standard says unless the option says otherwise: even parity, and a second stop bit in
-    place of a parity bit. A pseudo terminal does not keep the parity."""
+    """Unless the option says otherwise, lines have even parity, or a second stop bit in place of
+    parity, as the standard says. A pseudo terminal does not keep the parity."""
     one = daemon("--modbus", f"rtu:{line.device}{settings}")
     state = termios.tcgetattr(line.slave)
     assert bool(state[2] & termios.CSTOPB) == (stop_bits == 2)
@@ -344,8 +351,8 @@ def test_speed_and_stop_bits(daemon, line, settings, stop_bits, baud):
 
 
 class Adapter(Rtu):
-    """A master on a line whose adapter returns to the daemon all that the daemon writes. delay_s:
-    how much later. `written` is what the daemon has written."""
+    """A master on a line whose adapter returns to the daemon all bytes that the daemon writes.
+    delay_s: how much later. written: what the daemon has written."""
 
     def __init__(self, line: Line, delay_s: float = 0.0):
         self.line, self.delay_s = line, delay_s
@@ -378,7 +385,7 @@ class Adapter(Rtu):
 
 @pytest.fixture(params=[0.0, 0.02], ids=["at once", "late"])
 def echo(daemon, line, request) -> Iterator[tuple[Adapter, Tcp]]:
-    """A master on a line with echo, and one over TCP."""
+    """Starts a daemon on a line with echo. Returns a master on this line, and one over TCP."""
     one = daemon("--modbus", f"rtu:{line.device},19200,N,7", *TCP)
     adapter = Adapter(line, request.param)
     with Tcp(one) as tcp:
@@ -387,14 +394,15 @@ def echo(daemon, line, request) -> Iterator[tuple[Adapter, Tcp]]:
 
 
 def test_echo_of_function_6_at_first(echo):
-    """Nothing tells the echo from a repeated request but where it comes from."""
+    """The echo of an answer to function 6 is not taken for a repeated request, although its bytes
+    are the same."""
     adapter, tcp = echo
     for value in (77, 77, 78):
         before = len(adapter.written), tcp.statistic("modbus_transactions")
         adapter.write_one(5, value, 7)
         assert adapter.is_silent(0.3)
         assert len(adapter.written) == before[0] + 8
-        # ... and the request for the statistic itself
+        # The request for the statistic counts, too.
         assert tcp.statistic("modbus_transactions") == before[1] + 2
     assert as_words(tcp.read(5, 1, 7)) == [78]
 
@@ -417,7 +425,8 @@ def test_echo_of_other_functions(echo):
 
 
 def test_an_echo_and_the_repeated_request_in_one_piece(daemon, line):
-    """The master repeats its request, and the adapter delivers that together with the echo."""
+    """The master repeats its request, and the adapter delivers the repeated request together with
+    the echo."""
     daemon("--modbus", f"rtu:{line.device},19200,N,7")
     master = Rtu(line.fd)
     write = master.frame(7, struct.pack(">BHH", WRITE_REGISTER, 5, 1))
@@ -434,7 +443,7 @@ def test_an_echo_and_the_repeated_request_in_one_piece(daemon, line):
 
 @pytest.mark.parametrize("first", ["function 6", "function 3"])
 def test_a_master_that_repeats_its_request_is_no_echo(start, first):
-    """As fast as a line without speed allows, and slowly."""
+    """A request that the master repeats, at once or slowly, is answered again: it is no echo."""
     master, one = start()
     if first == "function 3":
         master.read(0, 1, 7)
@@ -456,14 +465,14 @@ MESSAGES, ERRORS, EXCEPTIONS, TO_US, UNANSWERED, NAKS, BUSIES, OVERRUNS = range(
 
 
 def diagnose(master: Rtu, sub: int, data: int = 0) -> int:
-    """Function 8: the word that comes back."""
+    """Sends function 8. Returns the word of its answer."""
     answer = master.ask(struct.pack(">BHH", 8, sub, data), 7)
     assert answer[:2] == struct.pack(">H", sub) and len(answer) == 4
     return int.from_bytes(answer[2:], "big")
 
 
 def counters(master: Rtu) -> list[int]:
-    """All of them, as they would be if nobody had asked."""
+    """Returns all counters, corrected for the requests that read them."""
     values = [diagnose(master, sub) for sub in range(MESSAGES, OVERRUNS + 1)]
     values[0] -= 1
     values[TO_US - MESSAGES] -= 1 + TO_US - MESSAGES
@@ -490,7 +499,7 @@ def test_diagnostics_that_do_not_exist(start):
             master.ask(pdu, 7)
     with Tcp(one) as tcp:
         for pdu in (b"\x08\0\0\1\2", b"\x08", b"\x08\0\x0b\0\0"):
-            with exception(BAD_FUNCTION):  # lines only
+            with exception(BAD_FUNCTION):  # Only serial lines have this function.
                 tcp.ask(pdu, 7)
 
 
@@ -537,7 +546,8 @@ def test_counters(start):
 
 
 def test_listen_only(start):
-    """Only the request to restart is carried out, and it is not answered."""
+    """In listen-only mode, the unit carries out only the request to restart, and does not answer
+    it."""
     master, one = start()
     master.send(master.frame(7, struct.pack(">BHH", 8, LISTEN_ONLY, 0)))
     assert master.is_silent()
@@ -546,7 +556,7 @@ def test_listen_only(start):
                       (7, struct.pack(">BHH", 8, RESTART, 5))):  # fmt: skip
         master.send(master.frame(unit, pdu))
         assert master.is_silent(0.05)
-    with Tcp(one) as tcp:  # the unit is silent on the line only
+    with Tcp(one) as tcp:  # The unit is silent only on the line.
         assert tcp.read(3, 1, 7) == words(0)
     master.send(master.frame(7, struct.pack(">BHH", 8, RESTART, 0)))
     assert master.is_silent()
@@ -564,8 +574,8 @@ def test_the_diagnostic_register_tells_of_echo(echo):
 
 # ---- what drivers do -----------------------------------------------------------------------------
 
-# A pseudo terminal has neither RTS nor errors. This stands between the daemon and the kernel: it
-# notes what the daemon asks a driver for, and when, and answers as a driver would.
+# A pseudo terminal has neither RTS nor errors. This library between the daemon and the kernel notes
+# each request to a driver, with its time, and answers as a driver would.
 DRIVER = r"""
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -618,7 +628,7 @@ RS485_ENABLED, RTS_ON_SEND, RTS_AFTER_SEND = 1, 2, 4
 
 
 class Driver:
-    """The environment of a daemon with this driver, and its notes."""
+    """The environment of a daemon that uses this driver, and the driver's notes."""
 
     def __init__(self, folder: Path):
         self.notes, self.overruns = folder / "notes", folder / "overruns"
@@ -630,7 +640,7 @@ class Driver:
         self.environment |= {"DRIVER_OVERRUNS": str(self.overruns)}
 
     def read(self) -> list[tuple[float, str, list[int]]]:
-        """When, what, and its numbers."""
+        """Returns the notes: time, request, and numbers."""
         with contextlib.suppress(FileNotFoundError):
             lines = [line.split() for line in self.notes.read_text().splitlines()]
             return [(float(at), what, list(map(int, numbers))) for at, what, *numbers in lines]
@@ -656,7 +666,7 @@ def test_rts_by_the_driver(daemon, line, driver, level):
 
 @pytest.mark.parametrize("level", ["high", "low"])
 def test_rts_by_hand(daemon, line, driver, level):
-    """RTS says that the daemon sends: from before the first character until after the last."""
+    """RTS is on from before the first character of an answer until after the last."""
     one = daemon("--modbus", f"rtu:{line.device},1200,E,7,rts={level},rts-delay-ms=50",
                  env=driver.environment)  # fmt: skip
     assert one.has_line("rts=by-hand", 1)
@@ -677,7 +687,8 @@ def test_rts_by_hand(daemon, line, driver, level):
 
 
 def test_a_line_without_rts(daemon, line):
-    """Without direction control nobody would hear the daemon: the line is not served."""
+    """With the option rts=high, a line that has no RTS is not served, because no master could hear
+    the daemon."""
     one = daemon("--modbus", f"rtu:{line.device},19200,E,7,rts=high")
     assert one.has_line("event=modbus-device-missing", 5)
 

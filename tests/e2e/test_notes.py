@@ -1,4 +1,4 @@
-"""What replies remark: each note is there exactly when it holds."""
+"""The notes of replies: each note is set exactly when it holds."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def answers(client, model: str, medium: Medium):
 
 @pytest.mark.parametrize("model", MODELS)
 def test_similarity(client, model):
-    """A model that sees anisotropic scattering as isotropic says so, and only then."""
+    """The note is set if, and only if, a model takes anisotropic scattering for isotropic."""
     isotropic = answers(client, model, Medium(0.05, 1.0, 0.0, 1.3))
     anisotropic = answers(client, model, Medium(0.05, 2.0, 0.5, 1.3))
     assert "similarity" not in isotropic.notes

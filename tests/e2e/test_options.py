@@ -1,4 +1,4 @@
-"""Options: from the command line, from the environment, and wrong ones."""
+"""Options from the command line and the environment, valid and invalid."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 import pytest
 from daemons import REPOSITORY, run
 
-# name: (default, least, most), from the one list that there is
+# Maps each name to (default, least, most), as server/options.def has them.
 NUMBERS = {
     name: (int(default), int(least), int(most))
     for name, default, least, most in re.findall(
@@ -32,7 +32,7 @@ NOWHERE = ["--listen", "tcp:127.0.0.1:0"]
 
 
 def variable(name: str) -> str:
-    """The option's name in the environment."""
+    """Returns the option's name in the environment."""
     return "DIPOLED_" + name.upper().replace("-", "_")
 
 
@@ -96,7 +96,7 @@ def test_numbers_out_of_range(name):
 
 @pytest.mark.parametrize("name", NUMBERS)
 def test_numbers_at_the_ends_of_their_range(name):
-    """Taken, which shows in the complaint about the option after it."""
+    """Both ends of the range are accepted: the daemon complains only about the option after it."""
     for value in NUMBERS[name][1:]:
         ended = run(*NOWHERE, f"--{name}", str(value), "--no-such-option")
         assert ended.returncode == 2
@@ -152,7 +152,7 @@ def test_help_comes_before_any_start():
 
 
 def test_log_level_error_is_quiet(daemon, tmp_path_factory):
-    # A daemon that does not say where it listens: at a socket that the test chose.
+    # A daemon that logs nothing listens at a socket that the test chose.
     path = tmp_path_factory.mktemp("q") / "s"
     quiet = daemon("--log-level", "error", listen=[f"unix:{path}"], quiet=True)
     with quiet.client() as client:
@@ -169,7 +169,7 @@ def test_a_flag_in_the_environment(daemon):
 
 
 def test_two_lists_from_the_environment(daemon, tmp_path_factory):
-    """Each keeps its own items."""
+    """Two options that are lists each get their own items from the environment."""
     folder = tmp_path_factory.mktemp("l")
     env = {
         "DIPOLED_LISTEN": f"unix:{folder}/a,unix:{folder}/b",

@@ -25,11 +25,11 @@ def invert(count: int, model: str = "better") -> bytes:
     return invert_payload(albedos, np.ones(count), model=MODELS[model], eta=1.37)
 
 
-# About a second of work, in one frame.
+# A request for about a second of work, whose reply fits into one frame.
 LONG = eval_payload(model=MODELS["beam+single"], radii=None, radius_count=1_000_000, wanted=R)
-# A fraction of a millisecond.
+# A request for a fraction of a millisecond of work.
 LARGE = eval_payload(radii=None, radius_count=100_000, wanted=R)
-# What counts as small, and one radius more.
+# The largest request that counts as small. The next one has one radius more.
 LARGEST_SMALL = eval_payload(radii=None, radius_count=16384, wanted=R)
 SMALLEST_LARGE = eval_payload(radii=None, radius_count=16385, wanted=R)
 
@@ -42,7 +42,7 @@ def start(connection: Connection, watcher: Connection, payload: bytes) -> None:
 
 
 class Others:
-    """Connections that each have the same request under way, without reading its answer."""
+    """Connections that each have the same request running and do not read its answer."""
 
     def __init__(self, daemon, watcher: Connection, count: int, type: int, payload: bytes):
         self._stack = ExitStack()
@@ -61,8 +61,9 @@ class Others:
 
 
 def test_large_requests_are_refused_while_many_connections_have_much_to_do(daemon):
-    """Each of the others counts for at most a sixteenth of the backlog that is allowed, which is
-    31,250 radii here, and for no more than the new request itself."""
+    """A large request is refused when the other connections together would delay it by too much.
+    Each counts for at most a sixteenth of the allowed backlog, here 31,250 radii, and for at most
+    the work of the new request."""
     one = daemon("--workers", "1", "--max-backlog-ms", "1", "--drain-timeout-ms", "100")
     with one.connect() as other:
         with Others(one, other, 16, EVAL, LONG):
@@ -70,7 +71,8 @@ def test_large_requests_are_refused_while_many_connections_have_much_to_do(daemo
                 reply = ask(other, EVAL, LARGE)
                 assert_error(reply, "busy", "radius_count", "max_backlog_ms")
                 assert 0 < wire.ERROR.unpack(reply.payload).retry_after_ms < 1000
-            assert ask(other, EVAL, SMALLEST_LARGE).type == EVALUATED  # is not delayed so much
+            # This request is not delayed by as much.
+            assert ask(other, EVAL, SMALLEST_LARGE).type == EVALUATED
             assert ask(other, EVAL, LARGEST_SMALL).type == EVALUATED
             for _ in range(20):
                 assert_serves(other)
@@ -78,7 +80,8 @@ def test_large_requests_are_refused_while_many_connections_have_much_to_do(daemo
 
 
 def test_a_few_connections_with_endless_work_keep_nobody_out(daemon):
-    """Two requests of 96 bytes for 2^40 radii each, with readers that keep up."""
+    """Two connections each have a request of 96 bytes for 2^40 radii and read as fast as they can.
+    Other requests are still admitted."""
     one = daemon("--workers", "1", "--drain-timeout-ms", "100")
     endless = frame(EVAL, 1, eval_payload(radii=None, radius_count=2**40, wanted=R))
     ended = threading.Event()
@@ -97,7 +100,7 @@ def test_a_few_connections_with_endless_work_keep_nobody_out(daemon):
             assert ask(other, EVAL, LARGE).type == EVALUATED
             for type, large in ((SAMPLE, sample(1000)), (INVERT, invert(100))):
                 assert ask(other, type, large).type == type | wire.REPLY
-            other.send_bytes(endless)  # the third may have as much
+            other.send_bytes(endless)  # A third connection may have an endless request, too.
             assert other.receive_frame().type == EVALUATED
         finally:
             ended.set()
@@ -137,7 +140,8 @@ def test_who_does_not_read_gives_nobody_a_backlog(daemon, count):
 def test_a_request_larger_than_the_backlog_is_taken_when_there_is_none(daemon):
     one = daemon("--workers", "1", "--max-backlog-ms", "1", "--max-frame-bytes", "65536")
     with one.connect() as connection:
-        for _ in range(3):  # one after the other on a connection: none is in another's way
+        # The requests of one connection run one after the other and do not delay each other.
+        for _ in range(3):
             payload = eval_payload(radii=None, radius_count=2_000_000, wanted=R)
             connection.send_bytes(frame(EVAL, 77, payload) * 2)
             for _ in range(2):
@@ -146,7 +150,7 @@ def test_a_request_larger_than_the_backlog_is_taken_when_there_is_none(daemon):
 
 # ---- samples and inversions ----------------------------------------------------------------------
 
-# Each: type, a small request, how its work is counted, and how much of it a small one is.
+# Each entry has: type, a small request, how its work is counted, and the work of a small request.
 KINDS = {
     "sample": (SAMPLE, sample_payload(), "radii_drawn", 2),
     "invert": (INVERT, invert_payload(), "media_inverted", 2),
@@ -198,7 +202,8 @@ def test_large_ones_are_refused_while_there_is_much_to_do(daemon, kind, large, f
     with one.connect() as second:
         with Others(one, second, 1, type, large):
             pass
-        assert eventually(lambda: statistics(second)["owed_radii"] == 0)  # who has left owes nothing
+        # A client that has left owes no work.
+        assert eventually(lambda: statistics(second)["owed_radii"] == 0)
         assert_serves(second)
 
 
@@ -207,7 +212,7 @@ def test_large_ones_are_refused_while_there_is_much_to_do(daemon, kind, large, f
     [
         ("sample", sample(4_000_000)),
         ("invert", invert(1_000_000)),
-        ("invert", invert(60, "transport")),  # which waits for what is prepared elsewhere
+        ("invert", invert(60, "transport")),  # It waits for profiles that other threads prepare.
     ],
     ids=["sample", "invert", "prepared"],
 )

@@ -28,7 +28,7 @@ def packages(tmp_path_factory) -> dict[str, Path]:
 
 
 def contents(package: Path) -> set[str]:
-    """The files of a package, not its folders."""
+    """Returns the files of a package, without its folders."""
     lines = run("dpkg-deb", "--contents", package).splitlines()
     return {line.split()[5].removeprefix(".") for line in lines if not line.startswith("d")}
 
@@ -85,7 +85,8 @@ def test_the_library_tells_its_symbols(packages):
 
 
 def test_the_service_starts_and_modules_are_compiled(packages):
-    """debhelper writes these scripts; here, that it was told of the units and of the module."""
+    """The scripts of the packages, which debhelper writes, start the service and compile the
+    module."""
     script = run("dpkg-deb", "--info", packages["dipoled"], "postinst")
     assert "enable 'dipoled.service'" in script and "enable 'dipoled.socket'" in script
     assert "py3compile -p python3-dipole" in run(

@@ -21,7 +21,7 @@ COS_IN, COS_OUT = PARAMETERS["cos_in"].id, PARAMETERS["cos_out"].id
 
 
 def padded(**changes: int) -> bytes:
-    """Two parameters, the second with something in its padding."""
+    """Makes two parameter structures. The padding of the second one has the given values."""
     fields = {"parameter": COS_IN, "value": 0.5, **changes}
     return parameters_bytes([(COS_OUT, 0.5)]) + wire.PARAMETER.pack(**fields)
 
@@ -50,7 +50,7 @@ SHAPES = {
     **refused("bad-value", "zero_too", "0", {
         "2^31": (eval_payload(parameters=padded(zero_too=2**31)), 1),
     }),
-    # There are 16 bytes of radii behind the media.
+    # The payload has 16 bytes of radii behind the media.
     **refused("bad-count", "parameter_count", "no more parameters than the payload holds", {
         **{f"{n:#x}": eval_payload(parameter_count=n) for n in [2, 3, 2**12, 2**15, 2**16 - 1]},
         "cut, with a grid": given((COS_IN, 0.5), **GRID)[:-8],
@@ -81,7 +81,8 @@ def model_that_takes(name: str) -> str:
 
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_range(client, name):
-    """Both ends are refused by a model that takes the parameter, with the range."""
+    """A model that takes the parameter refuses values just beyond both ends of the range, and
+    states the range."""
     model = model_that_takes(name)
     parameter = PARAMETERS[name]
     for value in (
@@ -97,7 +98,8 @@ def test_range(client, name):
 
 @pytest.mark.parametrize("model", MODELS)
 def test_parameters_that_a_model_does_not_take(client, model):
-    """They are refused in a way that a program can tell from others."""
+    """A parameter that a model does not take is refused with an error of its own, which a program
+    can recognize."""
     for name in set(PARAMETERS) - set(takes(model)):
         with pytest.raises(Refused) as caught:
             client.eval(model, SKIN, [1.0], parameters={**needs(model), name: some_value(name)})
@@ -142,8 +144,8 @@ def test_their_order_counts_for_nothing(connection):
 
 
 def transmittance(eta: float, cos_outside):
-    """Fresnel's, unpolarized, from outside to inside: one minus the squares of the amplitudes of
-    reflection, put so that nothing cancels."""
+    """Returns Fresnel's transmittance for unpolarized light from outside to inside: one minus the
+    squares of the amplitudes of reflection, in a form without cancellation."""
     cos_outside = np.asarray(cos_outside, dtype=float)
     squared = ((eta - 1) * (eta + 1) + cos_outside**2) / eta**2
     inside = np.sqrt(np.maximum(squared, 0))
@@ -154,8 +156,9 @@ def transmittance(eta: float, cos_outside):
 
 
 def transmitted_flux(eta: float) -> float:
-    """1 - 2 C1(1 / eta): the integral of 2 mu F_t over the cosines outside. From the critical angle
-    on, where the integrand starts like a square root, in that root."""
+    """Returns 1 - 2 C1(1 / eta), the integral of 2 mu F_t over the cosines outside. From the
+    critical angle on, the integrand starts like a square root, so the root is the variable of
+    integration."""
     nodes, weights = np.polynomial.legendre.leggauss(200)
     start = math.sqrt(1 - eta**2) if eta < 1 else 0.0
     root = (nodes + 1) / 2
@@ -164,7 +167,7 @@ def transmitted_flux(eta: float) -> float:
 
 
 def expected_factor(eta: float, cos_in: float, cos_out: float) -> float:
-    """S over R: d'Eon 2012, Eq. 1; Jensen et al. 2001, Eq. 5."""
+    """Returns S over R: d'Eon 2012, Eq. 1; Jensen et al. 2001, Eq. 5."""
     ends = float(transmittance(eta, cos_in) * transmittance(eta, cos_out))
     return ends / (math.pi * transmitted_flux(eta))
 
@@ -207,7 +210,8 @@ def test_S_of_every_model(client, model, evaluator, bound):
 
 @pytest.mark.parametrize("evaluator", ["f64", "f32"])
 def test_S_at_the_ends(client, evaluator):
-    """Where R is infinite so is S, but not along the surface, where nothing goes in or out."""
+    """S is infinite where R is infinite, but 0 for directions along the surface, where no light
+    enters or leaves."""
     for model in everywhere():
         for cos in (0.0, 0.6, 1.0):
             answer = client.eval(
@@ -259,8 +263,8 @@ def test_ring_is_finite_where_R_is_not(client, evaluator):
 
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-4])
 def test_tolerance_bounds_the_error(client, tolerance):
-    """Whoever asks for a tolerance gets an error within it and some roundings; but a fit with a
-    given number of Gaussians has the error that it has."""
+    """The stated error is within the tolerance that was asked for, up to a few roundings. A fit
+    with a given number of Gaussians has the error that it has."""
     for model in MODELS:
         if "gaussians" not in takes(model):
             given = {**needs(model), "tolerance": tolerance}

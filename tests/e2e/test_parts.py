@@ -21,7 +21,7 @@ from parted import EVALUATED, Part, assert_same, put_together, receive_parts, ta
 LUT = 3
 THREE = [SKIN, SPECTRALON, (0.17, 0.88, 0.0, 1.4)]
 EVERYTHING = sum(QUANTITIES.values())
-# More than anybody reads here, 16 GB, and less than max_backlog_ms.
+# An answer of 16 GB, more than any test reads. Its work is less than max_backlog_ms.
 ENDLESS = {"radii": None, "radius_count": 2**31, "wanted": R}
 
 
@@ -60,7 +60,7 @@ GRIDS = {
 @pytest.mark.parametrize("count", [504, 513, 1537, 10_000])
 def test_grids(shared, tiny, grid, evaluator, wanted, count):
     if wanted == R | RADIUS and evaluator == F64:
-        wanted = RADIUS  # two such arrays have no room for 256 radii
+        wanted = RADIUS  # A part has no room for 256 radii of two such arrays.
     fields = {**GRIDS[grid], "evaluator": evaluator, "wanted": wanted, "radius_count": count}
     payload = eval_payload(radii=None, **fields)
     with tiny.connect() as in_parts, shared.connect() as at_once:
@@ -73,7 +73,7 @@ def test_grids(shared, tiny, grid, evaluator, wanted, count):
 
 
 def media_and_quantities():
-    """Of each kind of model, and all models that cost little."""
+    """Yields media and quantities for one model of each kind and for all cheap models."""
     for name in [*DIPOLES, "single", "beam", "burley", "quantized", "better+single", "multipole"]:
         yield name, THREE, EVERYTHING
     yield "better", THREE[:1], R | CDF
@@ -83,8 +83,8 @@ def media_and_quantities():
 @pytest.mark.parametrize("name, media, wanted", media_and_quantities())
 @pytest.mark.parametrize("evaluator", [F64, F32])
 def test_lists(shared, small, name, media, wanted, evaluator):
-    """The values of a part are those of a request for its radii alone. Its errors hold for the radii
-    of the whole request, as those of every part do."""
+    """The values of a part are those of a request for its radii alone. Its errors hold for the
+    radii of the whole request."""
     count = 10_000 if evaluator == F64 else 20_000
     radii = np.random.default_rng(5).uniform(0.01, 6.0, count)
     given = {**needs(name), "cos_in": 0.75, "cos_out": 0.5}
@@ -109,7 +109,7 @@ def test_lists(shared, small, name, media, wanted, evaluator):
 
 
 def test_tables_and_slow_models(shared, tiny):
-    """What is prepared once serves all parts."""
+    """A profile that is slow to prepare is prepared once for all parts."""
     gaussians = [(PARAMETERS["gaussians"].id, 6.0)]
     grid = {"radii": None, "radius_count": 3000, "radius_start": 0.5, "radius_stop": 4.0}
     for fields in (
@@ -154,7 +154,7 @@ def test_sizes(daemon, frame_bytes, part_bytes):
             parts = answer(connection, eval_payload(radius_count=fits + 1, **fields))
             counts = [part.fixed.radius_count for part in parts]
             assert len(parts) > 1 and sum(counts) == fits + 1
-            # As large as they may be, in steps of 256 radii.
+            # Parts are as large as possible, in steps of 256 radii.
             assert set(counts[:-1]) == {(most - head) // value_bytes // 256 * 256}
             assert 0 < counts[-1] <= counts[0]
 
@@ -180,7 +180,8 @@ def test_an_answer_in_parts_counts_once(daemon):
         parts = answer(connection, eval_payload(radii=None, radius_count=10_000, wanted=R))
         after = statistics(watcher)
     assert len(parts) > 10
-    assert after["answers_ok"] == before["answers_ok"] + 2  # with one of the statistics
+    # One for the eval, and one for the statistics.
+    assert after["answers_ok"] == before["answers_ok"] + 2
     assert after["requests_eval"] == before["requests_eval"] + 1
     assert after["radii_evaluated"] == before["radii_evaluated"] + 10_000
 
@@ -189,7 +190,7 @@ def test_an_answer_in_parts_counts_once(daemon):
 
 
 def settled(read) -> bool:
-    """Whether a number does not change any more."""
+    """Whether a number has stopped changing."""
     before = read()
     time.sleep(0.05)
     return read() == before
@@ -201,15 +202,15 @@ def test_a_reader_that_stops_costs_bounded_memory_and_no_time(daemon):
         stuck.send_bytes(frame(EVAL, 1, eval_payload(**ENDLESS)))
         for _ in range(20):
             assert stuck.receive_frame().type == EVALUATED
-        # What it has asked for goes no further than what is queued for it.
+        # The daemon evaluates only as much as it queues for this reader.
         assert eventually(lambda: settled(lambda: statistics(other)["radii_evaluated"]))
-        limits = 4 * (1 << 20)  # max_queued_bytes, a part that was begun before, and a spare one
+        limits = 4 * (1 << 20)  # max_queued_bytes, a part that had begun, and a spare
         for _ in range(20):
             assert statistics(other)["buffer_bytes"] < limits
             assert_serves(other)
         evaluated = statistics(other)["radii_evaluated"]
         number = 20
-        for _ in range(20):  # and it goes on where it stopped
+        for _ in range(20):  # When the client reads again, the answer goes on where it stopped.
             part = take_apart(stuck.receive_frame().payload)
             assert part.fixed.part == number
             number += 1
@@ -244,7 +245,7 @@ def test_a_client_that_says_no_more_still_gets_all(tiny):
 
 
 class Stream:
-    """Reads an answer that never ends, until it is told to stop."""
+    """A thread that reads an answer that never ends, until it is told to stop."""
 
     def __init__(self, daemon):
         self._connection = daemon.connect()
@@ -271,7 +272,7 @@ class Stream:
 
 
 def test_small_requests_are_answered_between_parts(daemon):
-    """While two clients read as much as they can from the only worker there is."""
+    """Small requests are answered while two clients read endless answers of the only worker."""
     one = daemon("--workers", "1")
     with Stream(one) as first, Stream(one) as second, one.connect() as other:
         assert eventually(lambda: first.parts > 3 and second.parts > 3)

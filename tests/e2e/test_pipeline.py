@@ -1,5 +1,5 @@
-"""Eight threads with many requests under way through libdipole: each answer is the right one, and
-none is lost; also when they have several daemons, of which now one and now another is killed."""
+"""Eight threads have many outstanding requests through libdipole. Each request gets its own,
+correct answer, also with several daemons of which one after the other is killed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def check_output(output: str, errors: str, status: int, requests: int) -> None:
 
 
 def test_each_answer_is_matched(daemon):
-    """`make check-pipeline` asks for many more in $PIPELINE_REQUESTS."""
+    """The number of requests is in $PIPELINE_REQUESTS; `make check-pipeline` sets a large one."""
     usual = 20_000 if sanitized() else 200_000
     requests = int(os.environ.get("PIPELINE_REQUESTS") or usual)
     command = [PROGRAM, str(requests), daemon().url()]

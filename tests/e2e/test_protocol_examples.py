@@ -1,4 +1,4 @@
-"""The examples of proto/PROTOCOL.md, sent to a daemon as they stand there."""
+"""Sends the examples in proto/PROTOCOL.md to a daemon, as the document has them."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from lists import QUANTITIES
 
 # The requests whose documented replies are compared byte by byte.
 DETERMINISTIC = {"eval", "parameter", "ping", "mc", "cancel", "sample", "invert", "error"}
-# Types of requests by the names of examples, which are the messages' but for two more evals.
+# The types of requests by the names of examples, which are the names of messages and two more.
 TYPES = {**wire.MESSAGES, "parameter": wire.MESSAGES["eval"], "error": wire.MESSAGES["eval"]}
 
 
 def read_examples() -> dict[str, bytes]:
-    """The frames in blocks ```hex NAME: pairs of digits, and comments from # to the line's end."""
+    """Reads the frames in blocks ```hex NAME: pairs of digits, and comments from # to the end of
+    the line."""
     text = (REPOSITORY / "proto/PROTOCOL.md").read_text()
     examples = {}
     for name, body in re.findall(r"^```hex ([\w-]+)\n(.*?)^```", text, re.M | re.S):

@@ -1,5 +1,5 @@
-"""The Python client for asyncio: it gives the other client's answers, many at a time. Calls are given
-up, and the daemon goes away."""
+"""The Python client for asyncio: it gives the same answers as the other client, many at a time,
+also when calls are cancelled and when the daemon goes away."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LIMIT_S = 60
 
 
 def run(coroutine):
-    """Runs a test's coroutine, with an end."""
+    """Runs a test's coroutine, with a time limit."""
 
     async def limited():
         return await asyncio.wait_for(coroutine, LIMIT_S)
@@ -98,7 +98,7 @@ def test_large_requests_and_replies(shared, count):
 
 
 def test_parts(daemon):
-    """With other calls between the parts, whose answers come behind the parts."""
+    """Other calls are made between two parts. Their answers come behind the parts."""
 
     async def ask() -> None:
         async with AsyncClient(one.url()) as client:
@@ -164,7 +164,7 @@ def test_a_call_that_is_given_up_takes_no_other_with_it(shared):
             radii = np.linspace(0, 9, 500_000)
             slow = asyncio.create_task(client.eval("better", SKIN, radii))
             quick = asyncio.create_task(client.eval("better", SKIN, [1.0]))
-            await asyncio.sleep(0)  # both are being sent
+            await asyncio.sleep(0)  # The client now sends both requests.
             slow.cancel()
             assert (await quick).R > 0
             with pytest.raises(asyncio.CancelledError):
@@ -215,7 +215,8 @@ def test_a_closed_client(shared):
 
 
 def test_a_silent_daemon(shared):
-    """Everything passes through here until it is told to hold back."""
+    """A client whose daemon is silent for too long fails. A proxy passes everything on until the
+    test makes it hold back."""
 
     async def ask() -> None:
         forwarding = True
@@ -342,7 +343,8 @@ def test_busy_is_asked_again(daemon):
 
 
 def test_a_loss_while_much_is_being_sent(restarted):  # noqa: F811
-    """Those who wait until their requests have been sent wait on, and are answered."""
+    """When the connection is lost, calls that still wait to send their requests go on, and are
+    answered."""
     radii = np.linspace(0.0, 9.0, 100_000)
 
     async def ask() -> None:

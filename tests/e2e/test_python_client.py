@@ -1,4 +1,5 @@
-"""The Python client itself: what it gives, what it refuses to send, and how it reports errors."""
+"""The Python client: its results, the requests that it refuses to send, and how it reports
+errors."""
 
 from __future__ import annotations
 
@@ -216,7 +217,7 @@ def small(daemon):
 
 
 def assert_same_result(one: dipole.Result, other: dipole.Result, radii=slice(None)) -> None:
-    """Bit for bit, of some of the radii of the other."""
+    """Checks that a result is the same, bit for bit, as that for some of the radii of another."""
     for field in ("model", "evaluator", "moments", "notes"):
         assert getattr(one, field) == getattr(other, field)
     for field in ("albedo", "numerical_error_constant", "numerical_error_per_mm", "model_error"):
@@ -257,7 +258,7 @@ def test_parts(client, small, name):
 
 
 def test_parts_among_others(small):
-    """Answers in parts, some of them read part by part, and short ones, all at once."""
+    """Answers in parts, some of which are read part by part, and short answers, all at once."""
     grid = Grid(0.0, 5.0, 10_000)
     expected = small.eval("better", SKIN, grid=grid)
     ids = [small.submit("better", SKIN, grid=grid) for _ in range(3)]
@@ -305,7 +306,7 @@ EVAL_REPLY = wire.MESSAGES["eval"] | wire.REPLY
 
 
 def part_payload(**changes: int) -> bytes:
-    """A part of an answer about one medium, R in double precision, 10 radii in two parts."""
+    """Makes a part of an answer for one medium: R in double precision, 10 radii in two parts."""
     fields = {
         "model": 2,
         "evaluator": 1,
@@ -324,7 +325,7 @@ def part_payload(**changes: int) -> bytes:
 
 
 SECOND = {"radius_first": 5, "part": 1}
-# name: what comes instead of the two parts
+# By name: the payloads that come in place of the two parts.
 LIES = {
     "the second first": [part_payload(**SECOND)],
     "the first twice": [part_payload(), part_payload()],
@@ -348,7 +349,8 @@ LIES = {
 
 @pytest.mark.parametrize("name", LIES)
 def test_parts_that_do_not_belong_together(shared, name):
-    """A socket pair takes the daemon's place after its hello."""
+    """Parts that do not belong together are refused. A socket pair sends them in place of the
+    daemon."""
     ours, theirs = socket.socketpair()
     with shared.client() as client, ours, theirs:
         connection = client._connection
@@ -363,7 +365,8 @@ def test_parts_that_do_not_belong_together(shared, name):
 
 
 def test_much_may_be_submitted_before_anything_is_collected(client):
-    """Both ends have megabytes to say: neither may wait for the other for ever."""
+    """A client may submit megabytes of requests before it collects answers: neither end waits for
+    the other forever."""
     r = np.linspace(0, 10, 50_000)
     ids = [client.submit("better", SKIN, r) for _ in range(30)]
     results = dict(client.collect() for _ in ids)
@@ -408,7 +411,7 @@ def test_port_where_nobody_answers():
 
 
 def run_in_clone(folder: Path, has_build: bool, **variables: str):
-    """Runs a program that imports the module of a fresh clone, without PATH and DIPOLED."""
+    """Runs a program that imports the module of a fresh clone. PATH and DIPOLED are not set."""
     shutil.copytree(Path(dipole.__file__).parent, folder / "clients/python/dipole")
     if has_build:
         (folder / "build").mkdir()
@@ -420,7 +423,8 @@ def run_in_clone(folder: Path, has_build: bool, **variables: str):
 
 
 def test_daemon_of_a_clone(tmp_path):
-    """It is found, serves nobody else, and writes nothing."""
+    """The module of a clone finds the daemon of that clone, which serves no other client and writes
+    nothing."""
     listen = f"unix:{tmp_path}/s"
     run = run_in_clone(tmp_path, True, DIPOLED_LISTEN=listen)
     assert (run.returncode, run.stdout, run.stderr) == (0, "private:\n", "")
@@ -428,7 +432,7 @@ def test_daemon_of_a_clone(tmp_path):
 
 
 def test_pip_installs_it(tmp_path):
-    """From a copy, because the build leaves files in the source folder."""
+    """pip installs the module, from a copy because pip leaves files in the source folder."""
     source, target = tmp_path / "source", tmp_path / "target"
     shutil.copytree(REPOSITORY / "clients/python", source)
     options = ["--quiet", "--no-build-isolation", "--no-deps", "--no-index", "--target", target]
@@ -481,7 +485,7 @@ def test_a_daemon_that_goes_away(daemon):
 
 
 def answer_with(data: bytes) -> tuple[str, threading.Thread]:
-    """A server that answers the first bytes of one connection with data and closes."""
+    """Starts a server that answers the first bytes of one connection with data, and closes it."""
     server = socket.create_server(("127.0.0.1", 0))
 
     def serve() -> None:

@@ -14,7 +14,7 @@ EXAMPLE = Path(__file__).parents[2] / "clients/python/examples/skin.py"
 
 
 def run_example(shared, folder: Path, *before: str) -> subprocess.CompletedProcess[str]:
-    """before: statements that are executed first, as a site would."""
+    """Runs the example. before: statements that are executed first."""
     (folder / "sitecustomize.py").write_text("\n".join(before))
     paths = [str(folder), str(EXAMPLE.parents[1])]
     environment = {**os.environ, "DIPOLED": shared.url(), "PYTHONPATH": os.pathsep.join(paths)}

@@ -13,7 +13,7 @@ SIGMA_S = np.array([medium.sigma_s for medium in SKIN1])
 
 
 def one_by_one(client, media: np.ndarray, r: np.ndarray, quantity: str, **options) -> np.ndarray:
-    """What values() is to give, from an eval for each value. media: [..., 4]"""
+    """Computes the expected result of values() by one eval for each value. media: [..., 4]"""
     shape = np.broadcast_shapes(media.shape[:-1], r.shape)
     all_media = np.broadcast_to(media, (*shape, 4))
     all_r = np.broadcast_to(r, shape)
@@ -25,7 +25,7 @@ def one_by_one(client, media: np.ndarray, r: np.ndarray, quantity: str, **option
 
 
 def random_media(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
-    """Few different ones, so that some are equal."""
+    """Returns random media of which some are equal."""
     few = np.stack([rng.choice([0.03, 0.2], shape), rng.choice([0.7, 0.9, 1.0], shape)], axis=-1)
     return np.concatenate([few, np.zeros((*shape, 1)), np.full((*shape, 1), 1.3)], axis=-1)
 
@@ -75,7 +75,7 @@ def test_more_media_and_radii_than_a_request_may_have(daemon):
         r = np.linspace(0, 4, 700)
         expected = large.values("better", media, r)
         np.testing.assert_array_equal(small.values("better", media, r).values, expected.values)
-        one = Medium(np.full(700, 0.3), 1.0)  # pairs, all of one medium
+        one = Medium(np.full(700, 0.3), 1.0)  # all pairs have the same medium
         expected = large.values("better", one, r)
         np.testing.assert_array_equal(small.values("better", one, r).values, expected.values)
 
@@ -121,7 +121,7 @@ def test_what_does_not_fit_is_not_sent(client, media, r, text):
 
 
 def test_a_refusal_among_many_leaves_the_client_as_it_was(client):
-    sigma_a = np.linspace(-1, 5, 100)  # the first are refused
+    sigma_a = np.linspace(-1, 5, 100)  # The first media are refused.
     with pytest.raises(dipole.Refused) as caught:
         client.values("better", Medium(sigma_a, 1.0), np.linspace(0, 1, 100))
     assert caught.value.field == "sigma_a"
@@ -138,7 +138,7 @@ def test_collecting_a_certain_one(client):
         assert found == request_id
         np.testing.assert_array_equal(result.R, expected[request_id])
     client.forget(ids[0])
-    client.forget(ids[0])  # is fine
+    client.forget(ids[0])  # A query that has been collected may be forgotten.
     rest = [client.collect()[0] for _ in range(4)]
     assert rest == ids[1:5]
     with pytest.raises(dipole.ArgumentError, match="not outstanding"):

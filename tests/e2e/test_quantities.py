@@ -1,5 +1,5 @@
-"""What can be had of a profile beside R: from the daemon and on the command line. That it agrees with
-R is tested by tests/accuracy/test_distributions.c."""
+"""The quantities of a profile besides R, from the daemon and on the command line.
+tests/accuracy/test_distributions.c tests that they agree with R."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def test_logarithm_goes_on_where_R_has_underflowed(client):
     assert np.all(answer.R[0, 1:] == 0) and np.all(answer.dR_dr[0, 1:] == 0)
     assert np.all(np.diff(answer.ln_R[0]) < 0)
     assert np.isfinite(answer.ln_R[0, :3]).all() and answer.ln_R[0, 3] == -np.inf
-    # Far out ln R falls by mu_tr for each mm: here sqrt(0.1 * 3 * 1.1^2 / (2 * 0.1 + 1)).
+    # Far away, ln R falls by mu_tr for each mm, here sqrt(0.1 * 3 * 1.1^2 / (2 * 0.1 + 1)).
     mu_tr = np.sqrt(0.1 * 3 * 1.1**2 / 1.2)
     slope = (answer.ln_R[0, 2] - answer.ln_R[0, 1]) / (r[2] - r[1])
     assert slope == pytest.approx(-mu_tr, rel=1e-3)
@@ -59,7 +59,8 @@ def test_every_format_of_the_command_line_has_them(client, evaluator):
 
 
 def sums_for_quantities(type: int, payload: bytes) -> bytes:
-    """A hello whose quantity pdf is said to be the bits of R and cdf."""
+    """Changes a reply to hello: the id of the quantity pdf becomes the sum of the bits of R and
+    cdf."""
     if type != HELLO | wire.REPLY:
         return payload
     data = bytearray(payload)
@@ -75,7 +76,7 @@ def sums_for_quantities(type: int, payload: bytes) -> bytes:
 
 @pytest.mark.parametrize("want", ["R", "pdf"])
 def test_a_daemon_whose_quantities_are_not_bits(daemon, want):
-    """The command line must not look for an array that the answer does not have."""
+    """The command must not look for an array that the answer lacks."""
     arguments = ["--sigma-a", "0.1", "--sigma-s", "1", "--r", "0.5,2"]
     with Proxy(daemon().url(), lambda number, request_id: None, sums_for_quantities) as proxy:
         rows = eval_rows(*arguments, "--want", want, "--connect", proxy.url)

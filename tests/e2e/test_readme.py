@@ -1,4 +1,4 @@
-"""What the README shows works as it stands there."""
+"""The examples in the README work."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LIMIT_S = 120
 
 
 def blocks() -> list[str]:
-    """The indented blocks."""
+    """Returns the indented blocks of the README."""
     found = re.findall(r"(?:^    .*\n(?:\n(?=    ))?)+", README, re.M)
     return [re.sub("^    ", "", block, flags=re.M) for block in found]
 
@@ -29,7 +29,7 @@ def lines_of(program: str) -> list[str]:
 
 @pytest.fixture
 def folder(tmp_path):
-    """Where the examples are run: the programs are in build/, as in the repository."""
+    """Makes a folder for the examples, with the programs in build/ as in the repository."""
     (tmp_path / "build").symlink_to(BUILD)
     (tmp_path / "clients").symlink_to(TOP / "clients")
     (tmp_path / "samples.csv").write_text("sigma_a,sigma_s,g,eta,r\n0.032,0.74,0,1.3,1\n")

@@ -1,5 +1,5 @@
-"""Daemons that are killed or stopped under load and come back at the same address: clients connect
-again and ask again, and every answer is the right one, once."""
+"""Daemons are killed or stopped under load and come back at the same address. Clients connect again
+and repeat their requests, and every request gets its correct answer once."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ RESTARTS = 4
 
 
 class Restarted:
-    """A daemon at one address that is ended, and followed by another."""
+    """A daemon that can be ended and replaced by another one at the same address."""
 
     def __init__(self, url: str):
         self._options = ("--max-frame-bytes", "1048576", "--max-part-bytes", "65536")
         self._daemon = Daemon(*self._options, listen=[url])
         self._late: threading.Timer | None = None
-        self.url = self._daemon.urls[0]  # with the port that it got
+        self.url = self._daemon.urls[0]  # This address has the actual port.
 
     def kill(self) -> None:
-        """SIGKILL, and another one."""
+        """Kills the daemon, and starts another."""
         self._daemon.kill()
         self._daemon = Daemon(*self._options, listen=[self.url])
 
     def pause_and_come_back(self) -> None:
-        """SIGKILL; another one only once clients have tried in vain."""
+        """Kills the daemon, and starts another only after clients have tried in vain."""
         self._daemon.kill()
         self._late = threading.Timer(0.3, self._begin)
         self._late.start()
@@ -40,12 +40,12 @@ class Restarted:
         self._daemon = Daemon(*self._options, listen=[self.url])
 
     def stop(self) -> None:
-        """SIGTERM, a clean end, and another one."""
+        """Stops the daemon, checks its end, and starts another."""
         self._daemon.close()
         self._daemon = Daemon(*self._options, listen=[self.url])
 
     def close(self) -> None:
-        """Stops the last one."""
+        """Stops the current daemon."""
         if self._late is not None:
             self._late.join()
         self._daemon.close()
@@ -60,7 +60,7 @@ def restarted(request, tmp_path):
 
 
 def result_bytes(result: dipole.Result) -> tuple:
-    """All values of a result, as bytes."""
+    """Returns all values of a result as bytes."""
     return result.R.tobytes(), result.albedo.tobytes(), result.r.tobytes()
 
 
@@ -80,7 +80,7 @@ QUESTIONS = [
 
 
 class Asking(threading.Thread):
-    """Asks without a pause, 16 ahead, and checks every answer."""
+    """A thread that always has 16 outstanding requests, and checks every answer."""
 
     def __init__(self, url: str, known: list[tuple]):
         super().__init__()
@@ -94,7 +94,7 @@ class Asking(threading.Thread):
         try:
             with self._client:
                 self._ask()
-        except BaseException as failure:  # shown by the test's own thread
+        except BaseException as failure:  # The test's own thread raises it.
             self.failure = failure
 
     def _ask(self) -> None:
@@ -132,7 +132,8 @@ def test_python_clients_outlive_their_daemon(restarted, how):
 
 @pytest.mark.parametrize("how", ["kill", "stop"])
 def test_libdipole_outlives_its_daemon(restarted, how):
-    """soak-load compares each answer with what it learnt from the first daemon."""
+    """A libdipole client outlives its daemon. soak-load compares each answer with that of the first
+    daemon."""
     loads = [
         subprocess.Popen(
             [str(BUILD / "soak-load"), restarted.url, str(seed), "evals"],
@@ -197,7 +198,8 @@ def test_no_retries_where_none_are_wanted(restarted):
 
 @pytest.mark.parametrize("what", ["eval", "parts", "table"])
 def test_deadlines_go_on_while_nobody_is_there(restarted, what):
-    """What cannot be sent again in time is late, and nothing else is."""
+    """While there is no daemon, deadlines go on: a request that cannot be sent again in time fails
+    as late, and no other does."""
     with dipole.Client(restarted.url, retry_s=RETRY_S) as client:
         ask = {
             "eval": lambda: client.eval("better", SKIN, [1.0], deadline_ms=1),
@@ -222,7 +224,8 @@ def test_nobody_comes_back(daemon):
 
 
 def test_busy_is_asked_again(daemon):
-    """The budget for buffers is in use by somebody else, and then it is not."""
+    """A request that is refused with BUSY is repeated. Another client uses up the budget for
+    buffers, and then releases it."""
     one = daemon("--max-total-bytes", "1048576")
     grid = dipole.Grid(0.1, 10.0, 100_000)
     with one.connect() as holder, one.client() as impatient:
@@ -243,7 +246,7 @@ def test_busy_is_asked_again(daemon):
 
 
 def holding_frame() -> bytes:
-    """All but the last byte of a request of half a megabyte."""
+    """Returns a request of half a megabyte without its last byte."""
     return frame(EVAL, 1, eval_payload(radii=[1.0] * 70_000, wanted=R))[:-1]
 
 

@@ -1,5 +1,5 @@
-"""A thousand connections, clients that die or do not read, a stop under load, and no descriptors
-left. In each case a valid request gets its correct answer exactly once."""
+"""A thousand connections, clients that die or do not read, a stop under load, and no free
+descriptors. In each case, every valid request gets its correct answer exactly once."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from known import (
 
 
 def assert_all_right(connection: Connection, known: list[Known], order: list[int]) -> None:
-    """Sends these of the known requests at once; each is answered, once and rightly."""
+    """Sends these of the known requests at once. Checks that each gets its correct answer once."""
     connection.send_bytes(b"".join(known[which].frame(i) for i, which in enumerate(order)))
     open_ones = dict(enumerate(order))
     while open_ones:
@@ -36,7 +36,8 @@ def assert_all_right(connection: Connection, known: list[Known], order: list[int
 
 
 class Others:
-    """Connections that keep asking in threads of their own. Every answer is checked."""
+    """Connections that send requests all the time, in threads of their own, and check every
+    answer."""
 
     def __init__(self, daemon: Daemon, known: list[Known], count: int = 2):
         self.answered = 0
@@ -74,13 +75,13 @@ class Others:
             raise self._failures[0]
 
     def have_gone_on(self, answers: int = 16) -> None:
-        """Waits until they have been answered anew: they are not held up."""
+        """Waits until the connections have got this many more answers."""
         until = self.answered + answers
         assert eventually(lambda: self._failures or self.answered > until, 30)
 
 
 def reset(connection: Connection) -> None:
-    """Closes as a host does whose program has died: at once, with a reset over TCP."""
+    """Closes a connection like a host whose program has died: at once, over TCP with a reset."""
     if connection.socket.family != socket.AF_UNIX:
         linger = struct.pack("ii", 1, 0)
         connection.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
@@ -89,7 +90,7 @@ def reset(connection: Connection) -> None:
 
 @pytest.fixture
 def descriptors():
-    """As many file descriptors as this process may have."""
+    """Raises the limit of this process's file descriptors as far as possible."""
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (before[1], before[1]))
     yield before[1]
@@ -110,7 +111,7 @@ def test_a_thousand_connections_at_once(daemon, descriptors, scheme):
         for i, connection in enumerate(connections):
             connection.send_bytes(b"".join(known[(i + k) % 40].frame(k) for k in range(4)))
         for i, connection in enumerate(connections):
-            for k in range(4):  # of one worker: in their order
+            for k in range(4):  # Short requests of one connection are answered in their order.
                 first, parts = receive_answer(connection)
                 assert first.request_id == k
                 assert_answer(known[(i + k) % 40], first, parts)
@@ -144,7 +145,7 @@ def test_a_flood_beyond_max_connections(daemon, descriptors):
 
 
 def test_bytes_one_at_a_time_of_many(shared):
-    """Fifty requests that all grow by a byte in turn."""
+    """Fifty connections each send a request, one byte at a time in turn."""
     known = known_answers(shared, short_requests(50))
     with contextlib.ExitStack() as all_of_them:
         connections = [
@@ -177,19 +178,20 @@ def test_half_close_with_everything_outstanding(daemon, scheme):
 
 # ---- clients that die, do not read, or talk nonsense ---------------------------------------------
 
-# What of it a client sends before it dies; the answer is large and in parts.
+# A client sends some bytes of this request before it dies. The answer is large and in parts.
 LARGE = frame(EVAL, 1, eval_payload(radii=None, radius_count=400_000, evaluator=F32, wanted=R))
 
 
 def all_is_given_back(daemon: Daemon, idle_bytes: int) -> bool:
-    """Whether no connection but the one asking is left, and no buffer of the others."""
+    """Whether the daemon has only the asking connection left, and has freed the buffers of all
+    others."""
     with daemon.connect() as watcher:
         now = statistics(watcher)
         return now["connections_open"] == 1 and now["buffer_bytes"] <= idle_bytes
 
 
 def idle_buffer_bytes(daemon: Daemon) -> int:
-    """What the buffers take of a daemon that only tells how much they take."""
+    """Returns the size of the buffers of a daemon that answers only statistics requests."""
     with daemon.connect() as watcher:
         statistics(watcher)
         return statistics(watcher)["buffer_bytes"]
@@ -197,7 +199,8 @@ def idle_buffer_bytes(daemon: Daemon) -> int:
 
 @pytest.mark.parametrize("scheme", ["unix", "tcp"])
 def test_connections_that_break_anywhere(daemon, scheme):
-    """In the middle of a header, of a payload, of an answer and of one of its parts."""
+    """Connections break in the middle of a header, of a payload, of an answer and of a part of an
+    answer."""
     one = daemon(*PARTS)
     known = known_answers(one, every_kind())
     idle_bytes = idle_buffer_bytes(one)
@@ -307,20 +310,20 @@ def test_garbage_beside_good_work(daemon):
 
 
 class Load:
-    """Sends known requests without a pause, and keeps count of every answer."""
+    """A thread that sends known requests without a pause, and counts and checks every answer."""
 
     def __init__(self, connection: Connection, known: list[Known]):
-        self.sent = 0  # whole requests
+        self.sent = 0  # number of requests that were sent completely
         self.answered = 0
-        self.refused: list[str] = []  # the status of each refusal
-        self.last_words = ""  # the status of what was said of the connection as a whole
+        self.refused: list[str] = []  # The status of each refusal.
+        self.last_words = ""  # the status of the error about the whole connection
         self.failure: BaseException | None = None
         self._connection = connection
         self._known = known
         self.thread = threading.Thread(target=self._run)
 
     def _send_some(self) -> None:
-        """Up to 64 requests ahead."""
+        """Sends requests until 64 are outstanding."""
         while self.sent < self.answered + len(self.refused) + 64:
             self._connection.send_bytes(self._known[self.sent % len(self._known)].frame(self.sent))
             self.sent += 1
@@ -329,7 +332,8 @@ class Load:
         try:
             with contextlib.suppress(ConnectionLost):
                 while not self.last_words:
-                    with contextlib.suppress(ConnectionLost):  # what it said before is to be read
+                    # Frames that came before are still read.
+                    with contextlib.suppress(ConnectionLost):
                         self._send_some()
                     self._take(*receive_answer(self._connection))
         except BaseException as failure:  # shown by the test's own thread
@@ -340,8 +344,8 @@ class Load:
             self.last_words = refusal(first)
             assert self._connection.receive_eof()
             return
-        # Answers to evals come in the order of the requests: so one that is left out shows, and one
-        # that comes twice too.
+        # Answers to evals come in the order of the requests, so this finds an answer that is
+        # missing or comes twice.
         assert first.request_id == self.answered + len(self.refused)
         if refusal(first):
             self.refused.append(refusal(first))
@@ -352,8 +356,8 @@ class Load:
 
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
 def test_stopping_under_load(daemon, how):
-    """What was sent is answered in its order up to some request, and the rest is refused as a
-    whole: nothing is lost silently, nothing comes twice."""
+    """Requests are answered in their order up to one of them, and all later ones are refused
+    together: no answer is lost, and none comes twice."""
     one = daemon(*PARTS)
     known = known_answers(one, every_kind())
     connections = [one.connect(("unix", "tcp")[i % 2]) for i in range(8)]
@@ -378,7 +382,7 @@ def test_stopping_under_load(daemon, how):
 
 
 def processor_s(daemon: Daemon) -> float:
-    """The processor time that a daemon has used."""
+    """Returns the processor time that a daemon has used."""
     fields = Path(f"/proc/{daemon.process.pid}/stat").read_text().rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -388,7 +392,7 @@ def test_out_of_file_descriptors(daemon):
     began_s = time.monotonic()
     known = known_answers(one, short_requests(40))
     with contextlib.ExitStack() as all_of_them:
-        # The system completes a connection before the daemon takes it, so all of these succeed.
+        # The system completes a connection before the daemon accepts it, so all of these succeed.
         connections = [
             all_of_them.enter_context(one.connect(("unix", "tcp")[i % 2])) for i in range(80)
         ]
@@ -399,12 +403,13 @@ def test_out_of_file_descriptors(daemon):
         assert 16 <= len(served) < 48
         before_s = processor_s(one)
         start_s = time.monotonic()
-        while time.monotonic() - start_s < 1.0:  # those within are served meanwhile
+        while time.monotonic() - start_s < 1.0:  # Accepted connections are served meanwhile.
             for i in served[:4]:
                 assert_all_right(connections[i], known, [i % 40])
             time.sleep(0.05)
         assert processor_s(one) - before_s < (0.9 if sanitized() else 0.4)
-        # As some leave, as many others come in, until all have been served.
+        # When some connections close, as many waiting ones are accepted, until all have been
+        # served.
         waiting = set(range(80)) - set(served)
         while waiting:
             for i in served:

@@ -1,5 +1,5 @@
 """The same request gives the same bytes: on every instruction set, with any number of workers, and
-whatever else the daemon is asked at the time."""
+whatever other requests the daemon has."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LEVELS = {
 
 
 def machine_flags() -> set[str]:
-    """What the processor says that it can do."""
+    """Returns the features that the processor states."""
     for line in Path("/proc/cpuinfo").read_text().splitlines():
         if line.startswith("flags"):
             return set(line.split(":")[1].split())
@@ -40,7 +40,7 @@ def mix() -> list[bytes]:
 
 
 def answers(daemon: Daemon, payloads: list[bytes]) -> list[bytes]:
-    """The reply to each request, asked one after another."""
+    """Returns the reply to each request, sent one after another."""
     with daemon.connect() as connection:
         replies = [ask(connection, EVAL, payload) for payload in payloads]
     assert all(reply.type == EVAL | wire.REPLY for reply in replies)
@@ -83,7 +83,8 @@ def test_number_of_workers(daemon, expected, workers):
 
 
 def ask_all(connection: Connection, payloads: list[bytes], order: list[int], window: int) -> str:
-    """Asks in this order, several at a time; what is wrong with the answers, or nothing."""
+    """Sends requests in this order, several at a time. Returns what is wrong with the answers, or
+    ""."""
     waiting: set[int] = set()
     rest = list(order)
     while rest or waiting:
@@ -118,7 +119,7 @@ def test_thirty_two_clients_at_once(shared):
             with shared.connect("unix" if number % 2 else "tcp") as connection:
                 start.wait(30)
                 outcomes[number] = ask_all(connection, crowd_mix, order, 1 + number % 8)
-        except Exception as error:  # a thread's exception would be lost
+        except Exception as error:  # An exception in a thread would be lost.
             outcomes[number] = repr(error)
 
     threads = [threading.Thread(target=client, args=(number,)) for number in range(32)]

@@ -1,5 +1,5 @@
-"""Drawing radii: the cdf of a radius is the number it was drawn for, numbers by rule are the
-documented ones, and large requests come in parts."""
+"""Drawing radii: the cdf of a radius is the number for which it was drawn, numbers by a rule are
+the documented ones, and large requests are answered in parts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lists import MODELS, PARAMETERS, needs
 SAMPLED = SAMPLE | wire.REPLY
 OTHER = (0.3, 2.0, 0.0, 1.4)
 U = np.array([0.0, 1e-9, 1e-3, 0.1, 0.25, 0.5, 0.75, 0.9, 0.999, 1 - 1e-6, 1.0])
-# |cdf(r) - u|: see PROTOCOL.md; of a table: what it was built to.
+# Bounds of |cdf(r) - u|: see PROTOCOL.md. For a table, this is the tolerance to which it was built.
 BOUNDS = {"f64": 1e-14, "f32": 4e-7, "lut": 1e-4}
 
 
@@ -27,7 +27,7 @@ DRAWN = ["classical", "better", "burley", "quantized", "single", "skin-red"]
 @pytest.mark.parametrize("evaluator", BOUNDS)
 @pytest.mark.parametrize("model", DRAWN)
 def test_the_cdf_of_a_radius_is_its_number(client, model, evaluator):
-    """By another path: an eval of the cdf at the radii that were drawn."""
+    """Checks the drawn radii by an eval of their cdf, which is computed independently."""
     sampled = client.sample(model, [SKIN, OTHER], U, evaluator=evaluator)
     assert sampled.r.shape == (2, len(U)) and sampled.model == model
     assert np.all(sampled.r[:, 0] == 0) and np.all(np.isinf(sampled.r[:, -1]))
@@ -62,7 +62,7 @@ def test_quantities_are_those_of_an_eval_at_these_radii(client, evaluator):
 @pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
 @pytest.mark.parametrize("rule", ["random", "stratified", "regular"])
 def test_numbers_by_rule_are_those_that_the_client_makes(client, rule, evaluator):
-    """The same numbers, listed, get the same bits."""
+    """Numbers that the client makes by a rule, and then lists, give the same bits as the rule."""
     draw = Draw(2311, rule, seed=12345678901234567890, first=10**15 if rule == "random" else 0)
     by_rule = client.sample("better", [SKIN, OTHER], draw=draw, evaluator=evaluator)
     listed = client.sample("better", [SKIN, OTHER], by_rule.u, evaluator=evaluator)
@@ -125,7 +125,7 @@ def test_arguments_that_do_not_fit(client):
 COS_IN = PARAMETERS["cos_in"].id
 WRONG = {
     **refused("bad-value", "model", "classical", {
-        "0": sample_payload(model=0),  # a tolerance cannot choose here
+        "0": sample_payload(model=0),  # A sample needs a model: a tolerance cannot choose it.
         "999": sample_payload(model=999),
     }),
     **refused("bad-value", "evaluator", "f64", {"9": sample_payload(evaluator=9)}),
@@ -201,7 +201,7 @@ def test_what_is_wrong_is_said(connection, name):
 
 
 def test_in_parts_the_same_bits(daemon):
-    """At the size of a frame, and beyond it."""
+    """A reply has the same bits when it fits into a frame exactly and when it is cut into parts."""
     one = daemon("--max-frame-bytes", "32768", "--max-part-bytes", "16384")
     whole = daemon()
     room = (32768 - wire.EVAL_REPLY.bytes - 2 * wire.CHANNEL.bytes) // 8 // 4

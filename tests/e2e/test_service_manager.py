@@ -1,4 +1,5 @@
-"""What a service manager does: passes sockets that listen, and waits for word (sd_notify)."""
+"""A service manager passes listening sockets to the daemon, and waits for its notifications
+(sd_notify)."""
 
 from __future__ import annotations
 
@@ -25,8 +26,8 @@ def has_libsystemd() -> bool:
 
 pytestmark = pytest.mark.skipif(not has_libsystemd(), reason="there is no libsystemd")
 
-# Puts the sockets where a service manager does, from descriptor 3 on, and becomes the daemon:
-# LISTEN_PID has to be that process.
+# This program passes sockets as a service manager does, from descriptor 3 on, and then becomes the
+# daemon, because LISTEN_PID must be the daemon's process.
 BECOME_SERVICE = """
 import fcntl, os, sys
 count, *passed = map(int, sys.argv[1].split(","))
@@ -39,7 +40,8 @@ os.execv(sys.argv[2], sys.argv[2:])
 
 
 def passing(*sockets: socket.socket, count: int | None = None) -> dict:
-    """How to start a daemon to which these sockets are passed. count: how many it is told of."""
+    """Returns the arguments that start a daemon to which these sockets are passed. count: how many
+    the daemon is told of."""
     numbers = tuple(one.fileno() for one in sockets)
     said = ",".join(map(str, [len(sockets) if count is None else count, *numbers]))
     prefix = [sys.executable, "-c", BECOME_SERVICE, said]
@@ -63,7 +65,7 @@ def start(*sockets: socket.socket, **how) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture
 def folder(tmp_path_factory) -> Path:
-    """A folder whose path is short enough for sockets."""
+    """Returns a folder whose path is short enough for sockets."""
     return tmp_path_factory.mktemp("m")
 
 
@@ -87,7 +89,7 @@ def url_of(one: socket.socket) -> str:
 
 
 class Manager:
-    """The socket at which a service manager waits for word."""
+    """The socket at which a service manager waits for notifications."""
 
     def __init__(self, name: str):
         self.name = name
@@ -96,7 +98,7 @@ class Manager:
         self.socket.settimeout(START_S)
 
     def hear(self) -> list[str]:
-        """The lines of the next word."""
+        """Returns the lines of the next notification."""
         return self.socket.recv(4096).decode().splitlines()
 
     def has_word(self) -> bool:
@@ -136,7 +138,8 @@ def test_who_came_before_the_daemon_is_served(daemon, unix_listener):
 
 
 def test_passed_sockets_stay(daemon, unix_listener, tcp_listener):
-    """Whoever passed them goes on listening, and starts another daemon when somebody comes."""
+    """Passed sockets stay open when the daemon ends: the manager still listens at them and can
+    start another daemon."""
     passed = [unix_listener, tcp_listener]
     first = daemon(**passing(*passed))
     first.terminate()
@@ -171,7 +174,8 @@ def test_an_abstract_socket(daemon, folder):
 
 
 def test_sockets_for_another_process_are_left_alone(daemon, unix_listener):
-    """The variables of a parent, which the daemon has inherited and which are not about it."""
+    """The daemon ignores variables that it has inherited from its parent and that name another
+    process."""
     env = {"LISTEN_FDS": "1", "LISTEN_PID": str(os.getpid())}
     one = daemon(env=env, pass_fds=(unix_listener.fileno(),))
     assert url_of(unix_listener) not in one.urls

@@ -1,5 +1,5 @@
-"""Profiles that take long to prepare are made beside the service: nobody waits for them but who
-asked. Leaving or stopping meanwhile is in test_cache.py."""
+"""Slow profiles are prepared on other threads: only the clients that asked for them wait.
+test_cache.py tests leaving and stopping meanwhile."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ FIT = {"gaussians": 12}
 
 
 def test_cheap_requests_overtake(daemon):
-    """Dozens of fits of one client take a second; a thousand answers of another come meanwhile."""
+    """Dozens of fits for one client take a second. Another client gets a thousand answers
+    meanwhile."""
     one = daemon("--workers", "1")
     with one.client() as slow, one.client() as fast:
         fits = [slow.submit("gaussians", SKIN * 10, RADII, parameters=FIT) for _ in range(2)]
@@ -27,7 +28,8 @@ def test_cheap_requests_overtake(daemon):
 
 
 def test_the_second_channel_is_refused(client):
-    """The reply had been begun; the error replaces it, and the connection goes on."""
+    """The second channel is refused after the reply has begun. The error replaces the reply, and
+    the connection goes on."""
     with pytest.raises(Refused) as refused:
         client.eval("gaussians", [SKIN[0], (900.0, 1e-3, 0, 1.3)], [0.01], parameters={
             "fit_from": 0.001, "fit_to": 2.0})

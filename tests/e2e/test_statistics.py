@@ -14,10 +14,10 @@ from frames import (
 from lists import MODELS
 
 KINDS = ["eval_short", "eval_long", "other", "refused"]
-PART, PART_AT = struct.Struct("<II"), 32  # part and part_count of an eval_reply
+PART, PART_AT = struct.Struct("<II"), 32  # the fields part and part_count of an eval_reply
 QUANTILES = ["p50", "p90", "p99", "p999", "max"]
 
-# What is asked, and where its latency is counted; EVAL of 128 radii is short.
+# Requests, and the class in which their latency is counted. An eval of 128 radii is short.
 ASKED = {
     "short list": (EVAL, eval_payload([SKIN], [1.0] * 16), "eval_short"),
     "longest short": (EVAL, eval_payload([SKIN], [1.0] * 128), "eval_short"),
@@ -33,7 +33,7 @@ ASKED = {
 
 
 def latency_counts(statistics: dict[str, int]) -> dict[str, int]:
-    """How many requests of each kind have a latency."""
+    """Returns how many latencies are counted in each class."""
     return {kind: statistics[f"latency_{kind}_count"] for kind in KINDS}
 
 
@@ -48,7 +48,7 @@ def test_every_request_has_one_latency(daemon, name):
         looks = after["requests_statistics"] - before["requests_statistics"]
     expected = latency_counts(before)
     expected[kind] += 7
-    expected["other"] += looks  # but for the last, which is being answered
+    expected["other"] += looks  # all but the last one, which is still being answered
     assert latency_counts(after) == expected
 
 
@@ -57,8 +57,8 @@ def total(statistics: dict[str, int]) -> int:
 
 
 def look_when(client, condition) -> dict[str, int]:
-    """The statistics as soon as a condition holds: a latency is counted when the answer has been
-    written, which its receiver may know earlier than another worker."""
+    """Returns the statistics as soon as a condition holds. A latency is counted only after the
+    answer is written, so a receiver may ask another worker before that."""
     found = []
 
     def look() -> bool:
@@ -70,7 +70,7 @@ def look_when(client, condition) -> dict[str, int]:
 
 
 def client_connection(client) -> Connection:
-    """Another connection to the same daemon."""
+    """Opens another connection to the same daemon."""
     return Connection(client.info.address)
 
 
@@ -88,14 +88,14 @@ def test_latencies_are_plausible(daemon):
     found = [now[f"latency_eval_short_{q}_us"] for q in QUANTILES]
     assert found == sorted(found)
     assert now["latency_eval_short_count"] == 300
-    # What the daemon took is part of what the client waited for.
+    # The daemon's time is part of the time that the client waited.
     assert 0 < found[-1] <= slowest * 1e6 + 1
     assert 0 < now["latency_eval_short_sum_us"] <= taken_us
     assert now["latency_eval_long_max_us"] == now["latency_refused_max_us"] == 0
 
 
 def test_a_slow_answer_is_slow(daemon):
-    """A grid that takes long to evaluate: the time until its last part."""
+    """The latency of a grid that takes long to evaluate is the time until its last part."""
     payload = eval_payload([SKIN], None, radius_count=20_000_000, wanted=R, evaluator=F32)
     with daemon().client() as client, client_connection(client) as connection:
         connection.send_bytes(frame(EVAL, 1, payload))
@@ -108,7 +108,7 @@ def test_a_slow_answer_is_slow(daemon):
         now = look_when(client, lambda now: now["latency_eval_long_count"] >= 1)
     assert part_count > 10
     assert now["latency_eval_long_count"] == 1
-    # The same moment at both ends, but for what lies in the socket.
+    # Both ends measure until the same moment, except for bytes that lie in the socket.
     assert waited_us / 2 - 20_000 < now["latency_eval_long_p50_us"] < waited_us + 20_000
 
 
@@ -128,7 +128,7 @@ def test_the_wait_for_the_last_byte_does_not_count(daemon):
 def test_radii_by_model(daemon):
     with daemon().client() as client, client_connection(client) as connection:
         ask(connection, EVAL, eval_payload([SKIN] * 3, [1.0] * 1000, model=BETTER))
-        for _ in range(5):  # the repeated ones, too
+        for _ in range(5):  # Repeated requests count, too.
             ask(connection, EVAL, eval_payload([SKIN], [1.0, 2.0], model=CLASSICAL))
         now = client.statistics()
     radii = {name: now[f"radii_{name}"] for name in MODELS}
@@ -160,7 +160,7 @@ def test_queues(daemon):
     with daemon("--workers", "1").client() as client:
         idle = client.statistics()
         assert idle["owed_radii"] == 0
-        assert idle["queued_connections"] == 1  # the one that asks
+        assert idle["queued_connections"] == 1  # the connection of this request
         with client_connection(client) as connection:
             connection.send_bytes(frame(EVAL, 1, grid))
             connection.receive_bytes(1)

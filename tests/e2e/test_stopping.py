@@ -14,7 +14,7 @@ LARGE = eval_payload(radii=None, radius_count=200_000)
 
 
 def refused(url: str) -> bool:
-    """Whether nobody answers at an address any more."""
+    """Whether no daemon listens at an address any more."""
     try:
         with Connection(url) as connection:
             ask(connection, PING)
@@ -29,7 +29,7 @@ def test_requests_in_flight_are_answered(daemon, scheme):
     with one.connect(scheme) as connection:
         expected = ask(connection, EVAL, LARGE).payload
         connection.send_bytes(b"".join(frame(EVAL, i, LARGE) for i in range(100, 130)))
-        replies = [connection.receive_frame()]  # the first: so all of them have arrived there
+        replies = [connection.receive_frame()]  # After the first reply, all requests have arrived.
         one.terminate()
         replies += [connection.receive_frame() for _ in range(29)]
         assert [reply.request_id for reply in replies] == list(range(100, 130))

@@ -1,4 +1,4 @@
-"""Frames arrive cut anywhere, several at once, or end too soon."""
+"""Frames arrive in any pieces, several at once, or incomplete."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ PONG = PING | wire.REPLY
 
 @pytest.mark.parametrize("cut", [1, 23, 24, 25, 64, 111, 135])
 def test_frames_cut_anywhere(connection, cut):
-    """Two requests in two writes, with the cut in the first header, payload or the second frame."""
+    """Sends two requests in two writes, which cut them in the first header, the first payload or
+    the second frame."""
     alone = ask(connection, EVAL, eval_payload()).payload
     requests = frame(EVAL, 6, eval_payload()) + frame(PING, 7, b"8 bytes!")
     connection.send_bytes(requests[:cut])
@@ -35,7 +36,8 @@ def test_two_hundred_requests_in_flight(connection):
 
 
 def test_request_ids_are_the_clients_affair(connection):
-    """Any id comes back, and one that is used twice comes back twice."""
+    """The reply has the id of its request, whatever it is. An id that is used twice comes back
+    twice."""
     ids = [0, 1, 1, 2**63, 2**64 - 1]
     connection.send_bytes(b"".join(frame(PING, i) for i in ids))
     assert sorted(connection.receive_frame().request_id for _ in ids) == ids

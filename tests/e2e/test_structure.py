@@ -23,7 +23,7 @@ def copy(tmp_path) -> Path:
 
 
 def report(root: Path) -> tuple[int, list[str]]:
-    """The exit status of structure.py, and the lines that name circles."""
+    """Runs structure.py. Returns its exit status, and the lines that name circles."""
     command = [sys.executable, str(REPOSITORY / "tests/structure.py"), str(root)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     return done.returncode, [line for line in done.stdout.splitlines() if "->" in line]
@@ -44,7 +44,8 @@ def test_a_circle_is_named(tmp_path):
 
 @pytest.mark.parametrize("folder", structure.FOLDERS)
 def test_a_circle_put_into_a_copy_is_found(copy, folder):
-    """The header of a module that another one includes gets to include that one's header."""
+    """Adds an include to a header so that it includes the header of a module by which it is
+    included."""
     graph = structure.modules(copy)
 
     def may_serve(module: str) -> bool:

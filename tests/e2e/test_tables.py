@@ -18,7 +18,8 @@ from lists import MODELS, NOTES, PARAMETERS, QUANTITIES, needs
 TABLE = wire.MESSAGES["table"]
 TOLERANCE = PARAMETERS["tolerance"].id
 
-# R towards the source is constant, like -ln r, like 1 / r; far away like 1 / r^3; or nothing.
+# Towards the source, R is constant or grows like -ln r or 1 / r. Far away, it falls like 1 / r^3 or
+# is 0.
 CASES = {
     "constant": ("better", Medium(*SKIN)),
     "logarithm": ("beam", Medium(0.1, 5.0, 0.7, 1.4)),
@@ -40,7 +41,7 @@ def case(request) -> tuple[str, Medium]:
 
 @functools.cache
 def radii(first: float, last: float) -> np.ndarray:
-    """Thousands of radii of all magnitudes, and those where ways to evaluate meet."""
+    """Returns thousands of radii of all magnitudes, and radii around the ends of the pieces."""
     random = np.random.default_rng(20120101)
     first_mm, last_mm = np.float32(first), np.float32(last)
     edges = [0.0, -0.0, math.inf, 2.0**-149, 3e-42, 2.0**-126, 3.4028235e38]
@@ -111,7 +112,7 @@ def test_radii_that_a_model_does_not_cover(client):
 
 
 def from_library(table: Table, quantity: int, x: np.ndarray) -> np.ndarray:
-    """What libdipole makes of a saved table: values of a quantity, or radii for quantity 0."""
+    """Evaluates a saved table by libdipole: values of a quantity, or radii for quantity 0."""
     library = ctypes.CDLL(str(BUILD / "libdipole.so"))
     handle, out = ctypes.c_void_p(), np.empty_like(x)
     at = [array.ctypes.data_as(ctypes.POINTER(ctypes.c_float)) for array in (x, out)]
@@ -129,7 +130,8 @@ def from_library(table: Table, quantity: int, x: np.ndarray) -> np.ndarray:
 
 @pytest.mark.skipif(sanitized(), reason="a sanitized library cannot be loaded here")
 def test_same_bits_as_the_library(client, case):
-    """In all that it evaluates, and in radii for given cdf, of which the daemon gives none."""
+    """Python and the library give the same bits for all quantities, and for radii of a given cdf,
+    which the daemon does not evaluate."""
     table = client.table(*case)
     r = radii(table.pieces_from_mm, table.pieces_to_mm)
     random = np.random.default_rng(20120101)
@@ -143,7 +145,7 @@ def test_same_bits_as_the_library(client, case):
 
 
 def test_radii_for_given_cdf(client, case):
-    """Of all shares, also the smallest, and those beside the ends of octaves; and back."""
+    """Radii for given u, from the smallest up and around the ends of octaves, have the cdf u."""
     table = client.table(*case)
     u = np.linspace(0, 1, 4001, dtype=np.float32)
     ends = 2.0 ** np.arange(-149.0, 0.0)
@@ -167,7 +169,7 @@ def test_shapes(client):
     assert table.R(1.0).shape == () and table.R([[1.0, 2.0]]).shape == (1, 2)
     assert table.cdf([]).shape == (0,) and table.radius(0.5).shape == ()
     assert table.R(1).dtype == np.float32
-    r = np.linspace(0, 5, 7)  # other types are rounded first
+    r = np.linspace(0, 5, 7)  # Other types are first rounded to float32.
     assert table.R(r).tobytes() == table.R(r.astype(np.float32)).tobytes()
     strided = np.linspace(0, 5, 14, dtype=np.float32)[::2]
     assert table.pdf(strided).tobytes() == table.pdf(strided.copy()).tobytes()
@@ -203,7 +205,8 @@ def assert_same_errors(table: Table, client, model: str, medium: Medium, radii, 
     ],
 )
 def test_same_errors_as_the_daemon(client, model, medium):
-    """At all magnitudes of radii, at the edges of bands, and far away; of any quantities."""
+    """A table states the daemon's errors at radii of all magnitudes, at the edges of bands and far
+    away, and for any quantities."""
     table = client.table(model, medium)
     random = np.random.default_rng(1999)
     mfp_mm = 1 / (medium.sigma_a + medium.sigma_s * (1 - medium.g))
@@ -218,7 +221,8 @@ def test_same_errors_as_the_daemon(client, model, medium):
 
 
 def test_errors_far_away(client):
-    """transport is solved to 30 decay lengths. Beyond, R is off by more, and this is stated."""
+    """transport is solved up to 30 decay lengths. Beyond that, R has a larger error, which is
+    stated."""
     table = client.table("transport", Medium(0.35, 0.65, 0.0, 1.5))
     assert 25 < table.reach_mm < 60
     near, far = table.errors(table.reach_mm), table.errors([0.0, 2 * table.reach_mm])
@@ -257,7 +261,7 @@ def test_save_and_load(client, tmp_path):
     first.save(tmp_path / "one")
     again = Table.load(tmp_path / "one")
     assert again.data == first.data == (tmp_path / "one").read_bytes()
-    assert again.model == MODELS["better"]  # no lists, no names
+    assert again.model == MODELS["better"]  # Without the daemon's lists, the table has no names.
     assert Table.load(str(tmp_path / "one"), client.info).model == "better"
     assert Table.load(first.data).R(1.0) == first.R(1.0)
     both = first.data + second.data
@@ -271,7 +275,7 @@ def test_save_and_load(client, tmp_path):
 
 
 def with_words(data: bytes, change) -> bytes:
-    """A table whose words are changed, with the right checksum."""
+    """Makes a table with changed words and the right checksum."""
     fixed = wire.TABLE_REPLY.unpack(data, wire.HEADER.bytes)
     words_at = len(data) - 4 * fixed.word_count
     words = np.frombuffer(data, "<u4", -1, words_at).copy()
@@ -333,7 +337,7 @@ def test_facts_that_do_not_fit(client, field, value):
 
 
 def table_payload(medium=SKIN, parameters=(), **fixed: int) -> bytes:
-    """The payload of a table request."""
+    """Makes the payload of a table request."""
     fields = {"model": BETTER, "moments": EXACT, "parameter_count": len(parameters), "zero": 0}
     fields.update(fixed)
     return (

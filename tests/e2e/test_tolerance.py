@@ -1,5 +1,5 @@
-"""Clients ask for a tolerance instead of a model: which model is chosen, and what the answer says
-about it."""
+"""Clients give a tolerance in place of a model: which model is chosen, and what the answer says
+about its error."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ RANGE = ["--from", "0.5", "--to", "8", "--count", "3"]
 
 
 def error_of(answer: python_client.Result) -> float:
-    """What the answer says that it may be off from transport."""
+    """Returns the error against transport that the answer states."""
     return float(np.max(answer.model_error[:, np.newaxis] + answer.numerical_error()))
 
 
@@ -104,7 +104,7 @@ def test_a_model_keeps_its_numerical_tolerance(client):
 
 
 def any_model(tolerance=0.01, **fixed) -> bytes:
-    """The payload of an eval or offers request."""
+    """Makes the payload of an eval or offers request of any model."""
     parameters = [(TOLERANCE, tolerance)] if tolerance is not None else []
     fields = {"model": 0, "wanted": R | ALBEDO, **fixed}
     return eval_payload(parameters=parameters, **fields)
@@ -175,7 +175,7 @@ def test_people_are_told_what_was_taken_and_why(client):
     cheaper = {}
     for offer in offers:
         if not offer.meets and offer.cost_ns < taken.cost_ns:
-            cheaper.setdefault(offer.model, offer)  # with its cheapest evaluator
+            cheaper.setdefault(offer.model, offer)  # with the cheapest evaluator of each model
     nearest = min(cheaper.values(), key=lambda offer: offer.error)
     assert f"{nearest.model} ({nearest.evaluator}) {nearest.error:.2g}" in said[3]
     assert f"evaluator {taken.evaluator}, moments exact, tolerance 0.1" in text

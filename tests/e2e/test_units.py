@@ -1,4 +1,4 @@
-"""The units for systemd: without faults, and confined."""
+"""The systemd units have no faults, and confine the daemon."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from installing import make, needs, run
 
 @pytest.fixture(scope="module")
 def units(tmp_path_factory) -> Path:
-    """The units as they are installed, but that they start the daemon under test."""
+    """Returns the units as they are installed, changed so that they start the daemon under test."""
     root = tmp_path_factory.mktemp("units")
     make("install", DESTDIR=root, UNITDIR="/units")
     service = root / "units/dipoled.service"
@@ -31,14 +31,15 @@ def test_systemd_finds_no_fault(units):
 
 
 def test_the_service_is_confined(units):
-    """By systemd's own scale, on which 10 is a service that may do all."""
+    """systemd's own scale of exposure goes up to 10, for a service that may do everything."""
     needs("systemd-analyze")
-    limit = "--threshold=20"  # 2.0
+    limit = "--threshold=20"  # The scale is in tenths: 2.0.
     run("systemd-analyze", "security", "--offline=yes", limit, units / "dipoled.service")
 
 
 def test_the_sockets_are_where_a_daemon_of_root_listens(units):
-    """So that clients need not know who has started it."""
+    """The units listen at the addresses of a daemon that root starts, so that clients need not know
+    who has started it."""
     listens = re.findall(r"^ListenStream=(.*)$", (units / "dipoled.socket").read_text(), re.M)
     main = (REPOSITORY / "server/main.c").read_text()
     port = re.search(r'#define DEFAULT_TCP "tcp:(.*)"', main)[1]

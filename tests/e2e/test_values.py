@@ -1,4 +1,4 @@
-"""Right answers: published numbers, closed forms, and the edges of what is valid."""
+"""Values: published numbers, closed forms, and the edges of the valid range."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MODELS = ["classical", "better"]
 EVALUATORS = ["f64", "f32"]
 INF = math.inf
 
-# Fresnel moments by 30-digit quadrature: eta -> (C1, C2).
+# Fresnel moments, computed by quadrature with 30 digits: eta -> (C1, C2).
 MOMENTS = {
     0.5: (0.0802983185, 0.0446550277),
     1.0: (0.0, 0.0),
@@ -24,7 +24,7 @@ MOMENTS = {
 
 
 def closed_form(model, medium, r):
-    """R, cdf and albedo of d'Eon 2012, Table 2, written down plainly."""
+    """Computes R, cdf and albedo by d'Eon 2012, Table 2."""
     sigma_a, sigma_s, g, eta = medium
     c1, c2 = MOMENTS[eta]
     sigma_s_prime = sigma_s * (1 - g)
@@ -67,7 +67,7 @@ def test_closed_forms_in_every_channel(client, model, evaluator):
     result = client.eval(model, CHANNELS, r, evaluator=evaluator)
     assert result.R.shape == result.cdf.shape == (4, 5)
     assert result.R.dtype == result.cdf.dtype == {"f64": "f8", "f32": "f4"}[evaluator]
-    tolerance = 1e-7 if evaluator == "f64" else 1e-5  # the moments above have ten digits
+    tolerance = 1e-7 if evaluator == "f64" else 1e-5  # The moments above have ten digits.
     for i, medium in enumerate(CHANNELS):
         R, cdf, albedo = closed_form(model, medium, r)
         np.testing.assert_allclose(result.R[i], R, rtol=tolerance)
@@ -75,11 +75,11 @@ def test_closed_forms_in_every_channel(client, model, evaluator):
         np.testing.assert_allclose(result.albedo[i], albedo, rtol=1e-7)
 
 
-PUBLISHED_SKIN2 = [0.72775656, 0.54408776, 0.44055470]  # at eta = 1: red, green, blue
+PUBLISHED_SKIN2 = [0.72775656, 0.54408776, 0.44055470]  # at eta = 1, for red, green and blue
 
 
 def classical_albedo(medium: Medium, first_moment_twice: float) -> float:
-    """The classical dipole's, with 2 C1 given."""
+    """Computes the albedo of the classical dipole from the given 2 C1."""
     alpha = medium.sigma_s / (medium.sigma_a + medium.sigma_s)
     root = math.sqrt(3 * (1 - alpha))
     A = (1 + first_moment_twice) / (1 - first_moment_twice)
@@ -89,7 +89,7 @@ def classical_albedo(medium: Medium, first_moment_twice: float) -> float:
 def test_skin2_with_the_polynomials_of_eq_2(client):
     media = [medium._replace(eta=1.0) for medium in client.media()["skin2"]]
     result = client.eval("classical", media, moments="fit", wanted=["albedo"])
-    twice = -9.23372 + 22.2272 - 20.9292 + 10.2291 - 2.54396 + 0.254913  # 0.004333
+    twice = -9.23372 + 22.2272 - 20.9292 + 10.2291 - 2.54396 + 0.254913  # The sum is 0.004333.
     expected = [classical_albedo(medium, twice) for medium in media]
     np.testing.assert_allclose(result.albedo, expected, rtol=1e-13)
 
@@ -108,7 +108,7 @@ def test_skin2_as_published(client):
 def test_nothing_absorbs(client, model, evaluator):
     media = [(0.0, 2.0, 0.0, eta) for eta in (0.5, 1.0, 1.33, 2.0)]
     result = client.eval(model, media, [0.0, 0.1, 1.0, 10.0, 1e4], evaluator=evaluator)
-    # As in the closed forms, with mu = 0: nothing is lost, so that all energy comes back.
+    # This is the closed form with mu = 0: without absorption, all energy returns.
     np.testing.assert_allclose(result.albedo, 1.0, rtol=0 if model == "better" else 1e-14)
     assert np.all(result.R > 0) and np.all(np.diff(result.R) < 0)
     assert np.all(result.cdf[:, 0] == 0) and np.all(np.diff(result.cdf) > 0)
@@ -175,10 +175,10 @@ def test_quantities_that_were_not_wanted(client):
 
 @pytest.mark.parametrize("model", MODELS)
 def test_g_near_its_ends(client, model):
-    """Only sigma_s (1 - g) counts, however near to the ends g is."""
+    """Only sigma_s (1 - g) matters, even if g is near its ends."""
     r = [0.01, 0.1, 1.0]
     for g in (math.nextafter(1, 0), 1 - 2**-30, -1 + 2**-30, math.nextafter(-1, 0)):
-        reduced = 3.0 * (1 - g)  # exact: 1 - g is
+        reduced = 3.0 * (1 - g)  # This is exact, because 1 - g is exact.
         result = client.eval(model, Medium(0.1, 3.0, g, 1.4), r)
         same = client.eval(model, Medium(0.1, reduced, 0.0, 1.4), r)
         np.testing.assert_allclose(result.R, same.R, rtol=1e-14)
@@ -216,12 +216,12 @@ def test_fitted_moments_at_the_ends_of_their_range(client, name):
 
 
 def test_cdf_is_the_integral_of_R(client):
-    """2 pi r R summed up gives the cdf times the albedo: the two arrays belong together."""
+    """The integral of 2 pi r R is the cdf times the albedo, so the two arrays belong together."""
     for model in MODELS:
         grid = np.linspace(0, 4, 4001)
         result = client.eval(model, CHANNELS, grid)
         density = 2 * math.pi * grid * result.R
-        # Simpson's rule
+        # This is Simpson's rule.
         total = (density[:, 0] + density[:, -1]) + 4 * density[:, 1::2].sum(1)
         total = (total + 2 * density[:, 2:-1:2].sum(1)) * (grid[1] / 3)
         np.testing.assert_allclose(total, result.cdf[:, -1] * result.albedo, rtol=1e-6)
@@ -233,7 +233,7 @@ def test_errors_are_stated(client):
         error = result.numerical_error()
         assert error.shape == (2, 3)
         assert np.all(error >= at_least) and np.all(error < at_least * 2**10)
-        assert error[0, 2] > error[0, 0]  # the condition of the problem grows with r
+        assert error[0, 2] > error[0, 0]  # The condition number of the problem grows with r.
         assert np.all(np.isnan(result.model_error) | (result.model_error >= 0))
 
 

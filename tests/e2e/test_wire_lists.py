@@ -1,4 +1,4 @@
-"""The Python client's structures and codes against proto/ and core/: one protocol in both."""
+"""The structures and codes of the Python client are those of proto/ and core/."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lists import choices, read_list
 
 
 def structures_of_the_list() -> dict[str, list[tuple[str, str, int]]]:
-    """name -> [(kind, field, count)] as proto/messages.def has them."""
+    """Reads proto/messages.def: name -> [(kind, field, count)]."""
     structures = {}
     for name, body in re.findall(
         r"#define WIRE_FIELDS_(\w+)\(F, A, T\)(.*)", read_list("proto/messages.def")
