@@ -35,6 +35,9 @@ double bench_median(double *values, size_t n);
 /* Prepares the red channel of skin1, as a slab of 4 mm for models that need a thickness. */
 core_profile bench_profile(const core_isa *isa, unsigned model, unsigned evaluator);
 
+/* Arrays that kernels work on are aligned to cache lines. */
+enum { BENCH_ALIGNMENT = 64 };
+
 /* Fills r[n], of floats or doubles by their size in bytes, with radii from 0.01 to 10 mm in an order
  * that no branch predictor learns. */
 void bench_fill_radii(size_t value_bytes, void *r, size_t n);

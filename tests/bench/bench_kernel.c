@@ -182,8 +182,8 @@ static void measure(const core_choice *model, const core_choice *evaluator,
 /* ---- all of them -------------------------------------------------------------------------- */
 
 void bench_kernel(void) {
-  const struct arrays arrays = {malloc(LENGTH_MAX * sizeof(double)),
-                                calloc(LENGTH_MAX, sizeof(double))};
+  const struct arrays arrays = {aligned_alloc(BENCH_ALIGNMENT, LENGTH_MAX * sizeof(double)),
+                                aligned_alloc(BENCH_ALIGNMENT, LENGTH_MAX * sizeof(double))};
   if (arrays.r == NULL || arrays.R == NULL) {
     bench_fail("out of memory");
   }
