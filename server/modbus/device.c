@@ -161,6 +161,9 @@ int modbus_device_open(struct modbus_device *device) {
 
 void modbus_device_close(struct modbus_device *device) {
   if (device->context != NULL) {
+    if (device->rts_by_hand) { /* no other device could send */
+      modbus_device_set_rts(device, false);
+    }
     modbus_close(device->context);
     modbus_free(device->context);
     device->context = NULL;

@@ -222,7 +222,7 @@ static void answer_late(struct modbus_line *line) {
   finish_request(line, answered);
 }
 
-static void note_burst(struct modbus_line *line, bool heard_before) {
+static void note_burst(struct modbus_line *line) {
   const struct modbus_burst *burst = &line->burst;
   const uint64_t overruns = modbus_device_overruns(&line->device);
   line->diagnostics.counters[MODBUS_COUNTER_BUS_MESSAGES] += (uint16_t)burst->messages;
@@ -232,8 +232,9 @@ static void note_burst(struct modbus_line *line, bool heard_before) {
   stats_add(stats_of(line), STATS_MODBUS_BAD_FRAMES, burst->bad);
   if (burst->echoed) {
     line->diagnostics.diagnostic_register |= MODBUS_DIAGNOSTIC_ECHO;
-    if (!heard_before) {
-      log_peer_line(LOG_LEVEL_INFO, "event=modbus-echo device=%s", line->device.path);
+    if (!line->echo_is_logged) {
+      line->echo_is_logged = true;
+      log_line(LOG_LEVEL_INFO, "event=modbus-echo device=%s", line->device.path);
     }
   }
 }
@@ -244,9 +245,8 @@ static void run(struct client *client) {
   if (!is_open(line) || line->waits_for != NULL || line->sending != NOT_SENDING || line->probing) {
     return;
   }
-  const bool heard_before = line->receiver.echo == MODBUS_ECHO_HEARD;
   modbus_receiver_end(&line->receiver, &line->burst);
-  note_burst(line, heard_before);
+  note_burst(line);
   if (line->burst.bytes > 0) {
     answer(line);
   }
@@ -356,6 +356,7 @@ static void reset(struct modbus_line *line) {
   modbus_receiver_reset(&line->receiver);
   line->sending = NOT_SENDING;
   line->probing = false;
+  line->echo_is_logged = false;
   line->overruns = modbus_device_overruns(&line->device);
 }
 

@@ -32,6 +32,7 @@ struct modbus_line {
   unsigned open_handles;
   bool polling; /* whether the poll is in use or is being closed */
   bool stopping;
+  bool echo_is_logged;
   bool was_open;  /* whether the device could be opened at some time */
   int open_error; /* errno of the last attempt to open the device; 0: it succeeded */
   uint64_t

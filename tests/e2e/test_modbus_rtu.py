@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import os
 import pty
+import random
 import select
 import shutil
 import socket
@@ -218,6 +219,24 @@ def test_a_request_to_this_unit_with_a_long_pause_in_it_is_dropped(start):
     assert as_words(master.read(3, 1, 7)) == [0]
 
 
+def test_garbage_between_frames(start):
+    """Noise, parts of frames, and frames of others with a write to this unit in them. None of it is
+    carried out, and the request behind each is answered."""
+    master, _ = start()
+    rng = random.Random(2026)
+    write = master.frame(7, struct.pack(">BHH", WRITE_REGISTER, 3, 99))
+    whole = b"".join(frame_of_another_with_one_in_it(write))
+    for _ in range(60):
+        garbage = rng.choice([rng.randbytes(rng.randint(1, 60)), b"\x55", whole, write[:-1]])
+        cut = rng.randrange(len(garbage))
+        garbage = rng.choice([garbage, garbage[:cut] + b"\x55" + garbage[cut:], garbage[cut:]])
+        if garbage in (write, b""):
+            continue
+        master.send(garbage)
+        assert master.is_silent(0.03), garbage.hex()
+        assert as_words(master.read(3, 1, 7)) == [0], garbage.hex()
+
+
 # ---- broadcasts and other forms of requests ------------------------------------------------------
 
 
@@ -391,6 +410,7 @@ def echo(daemon, line, request) -> Iterator[tuple[Adapter, Tcp]]:
     with Tcp(one) as tcp:
         yield adapter, tcp
     adapter.close()
+    assert sum("event=modbus-echo" in text for text in one.log) == 1
 
 
 def test_echo_of_function_6_at_first(echo):
@@ -684,6 +704,20 @@ def test_rts_by_hand(daemon, line, driver, level):
         wire_s = 9 * 11 / 1200
         assert ended[0] - began[0] >= 0.05 + wire_s + 0.05
         assert ended[0] - began[0] < 0.05 + wire_s + 0.05 + 0.5
+
+
+def test_stopping_sends_the_answer_and_takes_rts_back(daemon, line, driver):
+    one = daemon("--modbus", f"rtu:{line.device},1200,E,7,rts=high,rts-delay-ms=50",
+                 env=driver.environment)  # fmt: skip
+    master = Rtu(line.fd)
+    master.send(master.frame(7, READ_ONE))
+    assert eventually(lambda: driver.read()[-1][1] == "set")
+    one.terminate()
+    assert master.receive() == (7, b"\3\2\0\0")
+    one.close()
+    began, ended = driver.read()[2:4]
+    assert (began[1], ended[1]) == ("set", "clear")
+    assert ended[0] - began[0] >= 0.05 + 7 * 11 / 1200 + 0.05
 
 
 def test_a_line_without_rts(daemon, line):
