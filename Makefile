@@ -124,7 +124,7 @@ $(OBJ)/%.o: %.c Makefile
 	$(Q)$(CC) $(ALL_CPPFLAGS) $(EXTRA_CPPFLAGS) $(ALL_CFLAGS) -c -o $@ $<
 
 # Whose loop over listed radii is to be vectorized, and as fast wherever the linker puts it.
-$(OBJ)/core/radii.o: CFLAGS := $(CFLAGS) -O3 -fopenmp-simd -falign-loops=64 -falign-functions=64
+$(OBJ)/core/radii.o: override CFLAGS := $(CFLAGS) -O3 -fopenmp-simd -falign-loops=64 -falign-functions=64
 
 # core/models/NAME.ISA.fREAL.o
 define kernel_rule
