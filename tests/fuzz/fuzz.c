@@ -23,9 +23,8 @@
 #include "clients/c/address.h"
 #include "clients/c/info.h"
 #include "clients/c/request.h"
-#include "clients/cli/cli.h"
+#include "clients/cli/csv.h"
 #include "clients/cli/number.h"
-#include "clients/cli/points_row.h"
 #include "core/lut/lut.h"
 #include "proto/channels.h"
 #include "proto/invert.h"
@@ -1226,61 +1225,44 @@ static void replies(const uint8_t *data, size_t size) {
 /* ---- the command line ---------------------------------------------------------------------------- */
 
 static FILE *nowhere;
-static dipole_info *info;
 static int file;
 
 /* The command line complains on standard error. */
 static void start_command_line(void) {
-  static const cli_command command = {.name = "points"};
   nowhere = fopen("/dev/null", "w");
   file = memfd_create("fuzz", MFD_CLOEXEC);
-  CHECK(nowhere != NULL && file >= 0 && dipole_local_info(&info, NULL));
+  CHECK(nowhere != NULL && file >= 0);
   stderr = nowhere;
-  cli_start(&command);
 }
 
-/* A file of `dipole points`: the first record that is no comment is its header. What was read is
- * all of the file. */
+/* A file. What is read of it are all of its bytes, in their order. */
 static void csv(const uint8_t *data, size_t size) {
   static cli_csv_reader reader;
-  points_columns columns;
-  bool has_columns = false;
-  points_row row = {0};
-  const cli_parameters usual = {0};
+  cli_csv_record record = {0};
   CHECK(ftruncate(file, 0) == 0 && pwrite(file, data, size, 0) == (ssize_t)size &&
         lseek(file, 0, SEEK_SET) == 0);
   reader = (cli_csv_reader){.fd = file};
   size_t done = 0;
   enum cli_csv_kind kind;
-  while ((kind = cli_csv_read(&reader, &row.record)) == CLI_CSV_RECORD || kind == CLI_CSV_COMMENT) {
-    const cli_csv_record *record = &row.record;
-    CHECK(record->length > 0 && record->length <= size - done);
-    CHECK(memcmp(record->bytes, data + done, record->length) == 0);
-    done += record->length;
-    for (size_t i = 0; kind == CLI_CSV_RECORD && i < record->cell_count; i++) {
+  while ((kind = cli_csv_read(&reader, &record)) == CLI_CSV_RECORD || kind == CLI_CSV_COMMENT) {
+    CHECK(record.length > 0 && record.length <= size - done);
+    CHECK(memcmp(record.bytes, data + done, record.length) == 0);
+    done += record.length;
+    for (size_t i = 0; kind == CLI_CSV_RECORD && i < record.cell_count; i++) {
       size_t length;
-      CHECK(record->cells[i].begin <= record->cells[i].end &&
-            record->cells[i].end <= record->length);
-      char *text = cli_csv_cell_text(record, i, &length);
+      double value;
+      CHECK(record.cells[i].begin <= record.cells[i].end && record.cells[i].end <= record.length);
+      char *text = cli_csv_cell_text(&record, i, &length);
       CHECK(text[length] == '\0');
+      cli_number_parse(text, &value);
+      cli_csv_copy_cell(&record, i, nowhere);
       cli_csv_write_cell(text, nowhere);
       free(text);
     }
-    if (kind == CLI_CSV_COMMENT) {
-      continue;
-    }
-    if (!has_columns) {
-      has_columns = points_find_columns("fuzz", info, record, &columns);
-      if (has_columns) {
-        points_write_header(&columns, record, nowhere);
-      }
-    } else {
-      row.state = points_parse(&columns, info, &usual, &row) ? POINTS_GOOD : POINTS_BAD;
-      points_write_row(&columns, &row, nowhere);
-    }
+    cli_csv_record_trim(&record);
   }
   CHECK(kind != CLI_CSV_END || done == size);
-  cli_csv_record_free(&row.record);
+  cli_csv_record_free(&record);
 }
 
 /* Options of the daemon, one behind each zero byte; and each of them as an address, a network and a
