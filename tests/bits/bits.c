@@ -8,6 +8,8 @@
 #include <string.h>
 
 #include "core/core.h"
+#include "core/transport/anisotropic.h"
+#include "core/transport/halfspace.h"
 
 enum { MEDIA = 61, RADII = 257 };
 
@@ -193,6 +195,34 @@ static bool is_due(const core_choice *model, const core_choice *evaluator,
          (evaluator->id == CORE_EVALUATOR_F64 && needed);
 }
 
+/* The solver for any phase function: totals, and one wavenumber in real and in complex numbers. */
+static void print_anisotropic(void) {
+  static const double etas[] = {0.8, 1, 1.4};
+  enum { ETAS = sizeof etas / sizeof etas[0], MOMENTS = 12 };
+  const transport_phase phase = {0.8, 0, NULL};
+  transport_number totals[ETAS];
+  uint64_t sum = CHECKSUM_START;
+  if (transport_anisotropic_totals(totals, 0.05, &phase, etas, ETAS).field == NULL) {
+    sum = checksum(sum, totals, sizeof totals);
+  }
+  double moment[MOMENTS] = {1};
+  for (size_t l = 1; l < MOMENTS; l++) {
+    moment[l] = 0.6 * moment[l - 1];
+  }
+  const halfspace_rules rules = {4, 9, 3};
+  const halfspace_medium medium = {0.9, MOMENTS, moment};
+  halfspace *expansion = transport_halfspace_new(&rules, &medium, etas, ETAS);
+  halfspace_exitance exitance[ETAS];
+  for (int imaginary = 0; imaginary < 2; imaginary++) {
+    const double complex k = 1.25 + 0.125 * imaginary * (double complex)I;
+    if (expansion != NULL && transport_halfspace_solve(expansion, k, 0.25, exitance)) {
+      sum = checksum(sum, exitance, sizeof exitance);
+    }
+  }
+  transport_halfspace_free(expansion);
+  printf("anisotropic %016" PRIx64 "\n", sum);
+}
+
 int main(int argc, char **argv) {
   const core_isa *isa = core_isa_select(argc > 1 ? argv[1] : "portable");
   if (isa == NULL) {
@@ -222,5 +252,6 @@ int main(int argc, char **argv) {
     }
   }
   print_grids();
+  print_anisotropic();
   return EXIT_SUCCESS;
 }

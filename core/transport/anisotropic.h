@@ -1,0 +1,68 @@
+/* anisotropic: radiative transport without noise for any phase function. A pencil beam enters a half
+ * space at right angles through a smooth boundary with Fresnel's reflectance.
+ *
+ * Method: Fourier transform over the plane, half-range expansion in angle, the half space's
+ * reflection by doubling (halfspace.c), wavenumbers on a line in the complex plane. Light scattered
+ * once is computed in real space with the true phase function. Every solution is computed on two
+ * grids, and their difference is the error estimate.
+ *
+ * Units: lengths are in reduced mean free paths, 1 / (sigma_a + sigma_s (1 - g)) with g the mean
+ * cosine of scattering. R is per squared reduced mean free path. All energies are per power that has
+ * entered, which excludes the specular reflection of the beam.
+ *
+ * The same input gives the same bits on every machine. These functions allocate and do not log. They
+ * have no state: threads may call them at the same time.
+ */
+#ifndef DIPOLED_CORE_TRANSPORT_ANISOTROPIC_H
+#define DIPOLED_CORE_TRANSPORT_ANISOTROPIC_H
+
+#include "core/core.h"
+#include "core/transport/transport.h"
+
+/* How light is scattered. Either Henyey and Greenstein's function (1941) with the mean cosine g,
+ * then moments is 0; or a function that is given by its Legendre moments: moment[l] is the mean of
+ * P_l over directions, moment[0] is 1, and the moments from `moments` on are 0. */
+typedef struct transport_phase {
+  double g;       /* -0.99 to 0.99; without meaning if moments is not 0 */
+  size_t moments; /* 0, or 2 to TRANSPORT_PHASE_MOMENTS_MAX */
+  const double *moment;
+} transport_phase;
+
+enum { TRANSPORT_PHASE_MOMENTS_MAX = 4096, TRANSPORT_ANISOTROPIC_ETAS_MAX = 32 };
+
+/* How finely a solution is computed, with the largest relative error of R from 0.01 to 20 reduced
+ * mean free paths, for g from -0.5 to 0.95. */
+typedef enum transport_effort {
+  TRANSPORT_EFFORT_QUICK,  /* 1e-3 */
+  TRANSPORT_EFFORT_NORMAL, /* 1e-4 to 3e-4 */
+  TRANSPORT_EFFORT_FINEST  /* for reference values */
+} transport_effort;
+
+typedef struct transport_anisotropic transport_anisotropic;
+
+/* Solves one medium for some boundaries together, which takes little longer than for one.
+ * sigma_a_ratio: sigma_a / (sigma_s (1 - g)), 1e-6 to 100. etas: index inside over index outside,
+ * TRANSPORT_ETA_MIN to TRANSPORT_ETA_MAX, 1 to TRANSPORT_ANISOTROPIC_ETAS_MAX of them. Faults:
+ * `sigma_a_ratio`, `phase`, `eta`, `memory`. On a fault *solution is NULL. Otherwise the caller owns
+ * it and frees it with transport_anisotropic_free(), which accepts NULL. */
+core_fault transport_anisotropic_solve(transport_anisotropic **solution, double sigma_a_ratio,
+                                       const transport_phase *phase, const double *etas,
+                                       size_t count, transport_effort effort);
+void transport_anisotropic_free(transport_anisotropic *solution);
+
+/* Returns R at the radius r for the boundary etas[eta], with an estimate of its absolute error. r: 0
+ * (where R is infinite) to infinity. Beyond 30 decay lengths the error grows up to the size of R. */
+transport_number transport_anisotropic_at(const transport_anisotropic *solution, size_t eta,
+                                          double r);
+
+/* Returns the part of R that was scattered once. It has no error of the grids. */
+double transport_anisotropic_single_at(const transport_anisotropic *solution, size_t eta, double r);
+
+/* Sets totals[i] to the energy that leaves through the boundary etas[i], per power that has entered,
+ * with an estimate of its absolute error. Arguments and faults are those of
+ * transport_anisotropic_solve(). It takes milliseconds. */
+core_fault transport_anisotropic_totals(transport_number *totals, double sigma_a_ratio,
+                                        const transport_phase *phase, const double *etas,
+                                        size_t count);
+
+#endif

@@ -1,0 +1,245 @@
+#include "core/transport/dense.h"
+
+#include <math.h>
+#include <stdint.h>
+
+/* Products are computed in tiles of TILE_ROWS by TILE_COLUMNS numbers, which stay in registers. */
+enum { GROUP = 8, TILE_ROWS = 4, TILE_COLUMNS = 4, PANEL = 16 };
+
+typedef double lanes __attribute__((vector_size(TILE_COLUMNS * sizeof(double)), aligned(32)));
+
+static size_t padded(size_t columns) {
+  return (columns + GROUP - 1) / GROUP * GROUP;
+}
+
+size_t transport_dense_size(size_t rows, size_t columns) {
+  return rows * padded(columns);
+}
+
+dense transport_dense_at(double **memory, size_t rows, size_t columns, bool is_complex) {
+  const size_t size = transport_dense_size(rows, columns);
+  const dense made = {rows, columns, padded(columns), *memory, is_complex ? *memory + size : NULL};
+  *memory += is_complex ? 2 * size : size;
+  return made;
+}
+
+/* A rectangle of one part of a matrix. */
+typedef struct part {
+  double *at;
+  size_t stride;
+} part;
+
+/* Adds sign times a b to `to`, for TILE_ROWS rows or fewer. Columns are multiples of TILE_COLUMNS.
+ */
+static inline __attribute__((always_inline)) void
+add_rows(part to, part a, part b, size_t rows, size_t inner, size_t columns, double sign) {
+  for (size_t column = 0; column < columns; column += TILE_COLUMNS) {
+    lanes sum[TILE_ROWS] = {{0}};
+    for (size_t i = 0; i < inner; i++) {
+      const lanes right = *(const lanes *)(b.at + i * b.stride + column);
+#pragma GCC unroll 4
+      for (size_t row = 0; row < rows; row++) {
+        sum[row] += a.at[row * a.stride + i] * right;
+      }
+    }
+    for (size_t row = 0; row < rows; row++) {
+      lanes *here = (lanes *)(to.at + row * to.stride + column);
+      *here += sign * sum[row];
+    }
+  }
+}
+
+#if defined(__x86_64__)
+/* The clones have the same bits: no product is contracted with a sum. */
+__attribute__((target_clones("avx512f", "avx2", "default")))
+#endif
+static void
+add_product(part to, part a, part b, size_t rows, size_t inner, size_t columns, double sign) {
+  size_t row = 0;
+  for (; row + TILE_ROWS <= rows; row += TILE_ROWS) {
+    const part to_rows = {to.at + row * to.stride, to.stride};
+    const part a_rows = {a.at + row * a.stride, a.stride};
+    add_rows(to_rows, a_rows, b, TILE_ROWS, inner, columns, sign);
+  }
+  for (; row < rows; row++) {
+    const part to_row = {to.at + row * to.stride, to.stride};
+    const part a_row = {a.at + row * a.stride, a.stride};
+    add_rows(to_row, a_row, b, 1, inner, columns, sign);
+  }
+}
+
+/* A rectangle of a matrix, real or complex. */
+static dense within(const dense *of, size_t row, size_t column, size_t rows, size_t columns) {
+  const size_t skip = row * of->stride + column;
+  return (dense){rows, columns, of->stride, of->re + skip, of->im == NULL ? NULL : of->im + skip};
+}
+
+/* Adds sign times a b to `to`. Each row of b and `to` is padded to a multiple of TILE_COLUMNS. */
+static void add(const dense *to, const dense *a, const dense *b, double sign) {
+  const part to_re = {to->re, to->stride}, to_im = {to->im, to->stride};
+  const part a_re = {a->re, a->stride}, a_im = {a->im, a->stride};
+  const part b_re = {b->re, b->stride}, b_im = {b->im, b->stride};
+  const size_t rows = to->rows, inner = a->columns;
+  const size_t columns = (to->columns + TILE_COLUMNS - 1) / TILE_COLUMNS * TILE_COLUMNS;
+  add_product(to_re, a_re, b_re, rows, inner, columns, sign);
+  if (to->im != NULL) {
+    add_product(to_re, a_im, b_im, rows, inner, columns, -sign);
+    add_product(to_im, a_re, b_im, rows, inner, columns, sign);
+    add_product(to_im, a_im, b_re, rows, inner, columns, sign);
+  }
+}
+
+static void clear(const dense *of) {
+  for (size_t i = 0; i < of->rows * of->stride; i++) {
+    of->re[i] = 0;
+    if (of->im != NULL) {
+      of->im[i] = 0;
+    }
+  }
+}
+
+void transport_dense_multiply(const dense *to, const dense *a, const dense *b) {
+  clear(to);
+  add(to, a, b, 1);
+}
+
+/* ---- elimination ---------------------------------------------------------------------------- */
+
+typedef struct number {
+  double re, im;
+} number;
+
+static number get(const dense *of, size_t row, size_t column) {
+  const size_t at = row * of->stride + column;
+  return (number){of->re[at], of->im == NULL ? 0 : of->im[at]};
+}
+
+static void set(const dense *of, size_t row, size_t column, number to) {
+  const size_t at = row * of->stride + column;
+  of->re[at] = to.re;
+  if (of->im != NULL) {
+    of->im[at] = to.im;
+  }
+}
+
+static number product(number a, number b) {
+  return (number){a.re * b.re - a.im * b.im, a.re * b.im + a.im * b.re};
+}
+
+/* Subtracts factor times a row from another one, in the columns from `first` to before `end`. */
+static void subtract_row(const dense *of, size_t to, size_t from, number factor, size_t first,
+                         size_t end) {
+  double *to_re = of->re + to * of->stride;
+  const double *from_re = of->re + from * of->stride;
+  if (of->im == NULL) {
+    for (size_t i = first; i < end; i++) {
+      to_re[i] -= factor.re * from_re[i];
+    }
+    return;
+  }
+  double *to_im = of->im + to * of->stride;
+  const double *from_im = of->im + from * of->stride;
+  for (size_t i = first; i < end; i++) {
+    const double re = factor.re * from_re[i] - factor.im * from_im[i];
+    const double im = factor.re * from_im[i] + factor.im * from_re[i];
+    to_re[i] -= re;
+    to_im[i] -= im;
+  }
+}
+
+static void swap_rows(const dense *of, size_t one, size_t other) {
+  if (one == other) {
+    return;
+  }
+  for (size_t i = 0; i < of->columns; i++) {
+    const number kept = get(of, one, i);
+    set(of, one, i, get(of, other, i));
+    set(of, other, i, kept);
+  }
+}
+
+/* Factors the columns first to before end: below the diagonal the factors of elimination are left,
+ * and the reciprocals of the pivots stand on the diagonal. Rows of b are exchanged as those of a
+ * are. Returns false if a is singular. */
+static bool factor_panel(const dense *a, const dense *b, size_t first, size_t end) {
+  for (size_t column = first; column < end; column++) {
+    size_t pivot = column;
+    double largest = 0;
+    for (size_t row = column; row < a->rows; row++) {
+      const number here = get(a, row, column);
+      const double size = here.re * here.re + here.im * here.im;
+      if (size > largest) {
+        largest = size;
+        pivot = row;
+      }
+    }
+    if (!(largest > 0) || !isfinite(largest)) {
+      return false;
+    }
+    swap_rows(a, column, pivot);
+    swap_rows(b, column, pivot);
+    const number at = get(a, column, column);
+    const number inverse = {at.re / largest, -at.im / largest};
+    set(a, column, column, inverse);
+    for (size_t row = column + 1; row < a->rows; row++) {
+      const number factor = product(get(a, row, column), inverse);
+      set(a, row, column, factor);
+      subtract_row(a, row, column, factor, column + 1, end);
+    }
+  }
+  return true;
+}
+
+/* Applies the factors of one panel, which stand in the rows and columns first to before end of a,
+ * to the columns of `to` from `column` on: first to the panel's own rows, then to those below. */
+static void apply_panel(const dense *a, const dense *to, size_t first, size_t end, size_t column) {
+  if (column >= to->columns) {
+    return;
+  }
+  for (size_t row = first + 1; row < end; row++) {
+    for (size_t from = first; from < row; from++) {
+      subtract_row(to, row, from, get(a, row, from), column, to->columns);
+    }
+  }
+  if (end < a->rows) {
+    const dense below = within(to, end, column, a->rows - end, to->columns - column);
+    const dense factors = within(a, end, first, a->rows - end, end - first);
+    const dense rows = within(to, first, column, end - first, to->columns - column);
+    add(&below, &factors, &rows, -1);
+  }
+}
+
+static void scale_row(const dense *of, size_t row, number by) {
+  for (size_t i = 0; i < of->columns; i++) {
+    set(of, row, i, product(get(of, row, i), by));
+  }
+}
+
+bool transport_dense_solve(const dense *a, const dense *b) {
+  const size_t n = a->rows;
+  for (size_t first = 0; first < n; first += PANEL) {
+    const size_t end = first + PANEL < n ? first + PANEL : n;
+    if (!factor_panel(a, b, first, end)) {
+      return false;
+    }
+    apply_panel(a, a, first, end, end);
+    apply_panel(a, b, first, end, 0);
+  }
+  for (size_t end = n; end > 0;) {
+    const size_t first = (end - 1) / PANEL * PANEL;
+    for (size_t row = end; row-- > first;) {
+      for (size_t from = row + 1; from < end; from++) {
+        subtract_row(b, row, from, get(a, row, from), 0, b->columns);
+      }
+      scale_row(b, row, get(a, row, row));
+    }
+    if (first > 0) {
+      const dense above = within(b, 0, 0, first, b->columns);
+      const dense factors = within(a, 0, first, first, end - first);
+      const dense rows = within(b, first, 0, end - first, b->columns);
+      add(&above, &factors, &rows, -1);
+    }
+    end = first;
+  }
+  return true;
+}

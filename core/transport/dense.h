@@ -1,0 +1,35 @@
+/* dense: products and solutions of small dense systems, real and complex.
+ *
+ * The functions use IEEE products and sums in a fixed order, so that the results have the same bits
+ * on every machine. A library of linear algebra would choose another order on each processor. */
+#ifndef DIPOLED_CORE_TRANSPORT_DENSE_H
+#define DIPOLED_CORE_TRANSPORT_DENSE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+
+/* A matrix, row by row. The real and the imaginary parts are apart. im is NULL for a real matrix.
+ * Rows are stride numbers apart, and stride is a multiple of 8. Numbers behind the last column
+ * exist and have no meaning. */
+typedef struct dense {
+  size_t rows, columns, stride;
+  double *re, *im;
+} dense;
+
+/* Returns the number of doubles that one part of a matrix takes. */
+size_t transport_dense_size(size_t rows, size_t columns);
+
+/* Returns a matrix whose parts lie at *memory, and moves *memory behind them. The matrix is not
+ * filled. *memory: 64-byte aligned, with room for transport_dense_size() numbers, or for twice as
+ * many for a complex matrix. */
+dense transport_dense_at(double **memory, size_t rows, size_t columns, bool is_complex);
+
+/* Sets to = a b. The three are all real or all complex, their shapes fit, and `to` is neither of
+ * the others. */
+void transport_dense_multiply(const dense *to, const dense *a, const dense *b);
+
+/* Replaces b by the solution x of a x = b, by elimination with partial pivoting in blocks. The
+ * content of a, which is square, is lost. Returns false if a is singular; then b has no meaning. */
+bool transport_dense_solve(const dense *a, const dense *b);
+
+#endif

@@ -1,0 +1,228 @@
+/* The solver for any phase function against what it did not make: the solver for isotropic
+ * scattering, totals by adding-doubling, values of another implementation, MCML's rings; and against
+ * itself: a phase function given by its moments, several boundaries at once.
+ */
+#include <float.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core/transport/anisotropic.h"
+#include "tests/unit/unit.h"
+
+static transport_anisotropic *solve(double ratio, const transport_phase *phase, const double *etas,
+                                    size_t count) {
+  transport_anisotropic *solution;
+  unit_assert_fault(
+      transport_anisotropic_solve(&solution, ratio, phase, etas, count, TRANSPORT_EFFORT_QUICK),
+      NULL, 0);
+  return solution;
+}
+
+/* Asserts that a value of the solver is within `bound`, relative, of a true one, and that the error
+ * that it states is not smaller than the true one by more than the factor 2. `off` is the relative
+ * error of the true value itself. Returns the relative error. */
+static double hold(const char *what, double r, transport_number number, double truth, double off,
+                   double bound) {
+  const double error = fabs(number.value / truth - 1);
+  if (!(error <= bound + off) || !(error <= 2 * number.error / number.value + off)) {
+    fail_msg("%s at %g: %.9g, not %.9g: off by %.2g, stated %.2g", what, r, number.value, truth,
+             error, number.error / number.value);
+  }
+  return error;
+}
+
+/* ---- isotropic scattering ------------------------------------------------------------------- */
+
+UNIT_TEST(isotropic_scattering_is_that_of_the_other_solver) {
+  static const double etas[] = {0.8, 1, 1.3, 2};
+  enum { ETAS = sizeof etas / sizeof etas[0] };
+  const double ratio = 0.03;
+  const double albedo = 1 / (1 + ratio);
+  const transport_phase phase = {0, 0, NULL};
+  transport_anisotropic *solution = solve(ratio, &phase, etas, ETAS);
+  transport_number totals[ETAS];
+  unit_assert_fault(transport_anisotropic_totals(totals, ratio, &phase, etas, ETAS), NULL, 0);
+  double worst = 0;
+  for (size_t i = 0; i < ETAS; i++) {
+    transport_boundary *boundary;
+    transport_solution *truth;
+    unit_assert_fault(transport_boundary_create(&boundary, etas[i], 1e-6), NULL, 0);
+    unit_assert_fault(transport_solve(&truth, boundary, albedo), NULL, 0);
+    for (double r = 0.01; r < 21; r *= 1.4) {
+      const transport_values values = transport_at(truth, r);
+      const double single = transport_anisotropic_single_at(solution, i, r);
+      assert_true(fabs(single / values.single.value - 1) < 1e-9);
+      if (values.R.value > 1e-12) {
+        worst = fmax(worst, hold("isotropic", r, transport_anisotropic_at(solution, i, r),
+                                 values.R.value, 2e-6, 1e-3));
+      }
+    }
+    const double total = transport_total(truth).value;
+    hold("isotropic total", etas[i], totals[i], total, 1e-7, 1e-6);
+    transport_solution_free(truth);
+    transport_boundary_free(boundary);
+  }
+  printf("g = 0, sigma_a / sigma_s' %g: R off by at most %.1e\n", ratio, worst);
+  transport_anisotropic_free(solution);
+}
+
+/* ---- numbers of others ---------------------------------------------------------------------- */
+
+/* Totals by adding-doubling, per launched power with the specular reflection, and how far their
+ * last digit may be off. */
+UNIT_TEST(totals_are_those_of_adding_doubling) {
+  static const struct {
+    double albedo, g, eta, total, off;
+  } known[] = {{0.9, 0.9, 1.4, 0.0573000, 3e-7},
+               {0.95, 0.8, 1, 0.238946, 1e-6},
+               {0.9, 0, 1.5, 0.2599186, 1e-7},
+               {0.998003992, 0.8, 1.4, 0.63166, 1e-5},
+               {0.99, 0.8, 1.4, 0.38586, 1e-5}};
+  for (size_t i = 0; i < sizeof known / sizeof known[0]; i++) {
+    const transport_phase phase = {known[i].g, 0, NULL};
+    const double ratio = (1 - known[i].albedo) / (known[i].albedo * (1 - known[i].g));
+    const double specular = pow((known[i].eta - 1) / (known[i].eta + 1), 2);
+    transport_number total;
+    unit_assert_fault(transport_anisotropic_totals(&total, ratio, &phase, &known[i].eta, 1), NULL,
+                      0);
+    assert_true(total.error < 1e-6 * total.value);
+    const double launched = specular + (1 - specular) * total.value;
+    assert_true(fabs(launched - known[i].total) < known[i].off);
+  }
+}
+
+/* Values of another implementation of the method, with their error bounds. The phase function is
+ * given by g for one medium, and by its moments for the other. */
+UNIT_TEST(values_of_another_implementation_hold) {
+  static const struct {
+    double ratio, g, eta;
+    double rows[6][3]; /* radius, R, relative error bound */
+  } known[] = {
+      {0.2,
+       -0.5,
+       1.2,
+       {{0.01, 1.2339050e+01, 3e-4},
+        {0.1, 7.6711391e-01, 3e-4},
+        {0.5, 5.0520357e-02, 1.2e-4},
+        {2, 1.7483365e-03, 2.4e-4},
+        {7, 1.5160711e-05, 2.4e-4},
+        {20, 1.3814202e-09, 5.7e-5}}},
+      {1,
+       0.9,
+       1.3,
+       {{0.01, 8.3751397e-01, 1.1e-3},
+        {0.1, 6.3725090e-02, 7.6e-4},
+        {0.5, 7.0293575e-03, 2e-4},
+        {2, 4.8525568e-04, 6e-5},
+        {7, 8.8925556e-07, 6e-5},
+        {20, 2.4547242e-13, 6e-5}}},
+  };
+  for (size_t i = 0; i < sizeof known / sizeof known[0]; i++) {
+    enum { MOMENTS = 60 };
+    double moment[MOMENTS] = {1};
+    for (size_t l = 1; l < MOMENTS; l++) {
+      moment[l] = known[i].g * moment[l - 1];
+    }
+    const transport_phase phase = {known[i].g, known[i].g < 0.5 ? MOMENTS : 0, moment};
+    transport_anisotropic *solution = solve(known[i].ratio, &phase, &known[i].eta, 1);
+    for (size_t row = 0; row < 6; row++) {
+      const double *at = known[i].rows[row];
+      hold("another implementation", at[0], transport_anisotropic_at(solution, 0, at[0]), at[1],
+           at[2], 1e-3);
+    }
+    assert_true(isinf(transport_anisotropic_at(solution, 0, 0).value));
+    assert_true(transport_anisotropic_at(solution, 0, INFINITY).value == 0);
+    transport_anisotropic_free(solution);
+  }
+}
+
+/* The mean of R over a ring. */
+static double ring_mean(const transport_anisotropic *solution, double from, double to) {
+  enum { POINTS = 8 };
+  double sum = 0;
+  for (int i = 0; i < POINTS; i++) {
+    const double r = sqrt(from * from + (to * to - from * from) * (i + 0.5) / POINTS);
+    sum += transport_anisotropic_at(solution, 0, r).value;
+  }
+  return sum / POINTS;
+}
+
+UNIT_TEST(rings_are_those_of_monte_carlo) {
+  char *text = unit_read_file("../shared/mcml/r0.05_n1.4_g0.9.csv");
+  if (text == NULL) {
+    printf("skipped: ../shared/mcml is not there\n");
+    skip();
+  }
+  const double eta = 1.4;
+  const transport_phase phase = {0.9, 0, NULL};
+  transport_anisotropic *solution = solve(0.05, &phase, &eta, 1);
+  double chi_squared = 0, largest = 0;
+  size_t rings = 0;
+  for (char *line = strtok(text, "\n"); line != NULL; line = strtok(NULL, "\n")) {
+    double from, to, R, sigma;
+    if (sscanf(line, "%lf,%lf,%lf,%lf", &from, &to, &R, &sigma) == 4 && from >= 0.05 &&
+        sigma < 0.03) {
+      const double off = (R / ring_mean(solution, from, to) - 1) / sigma;
+      chi_squared += off * off;
+      largest = fmax(largest, fabs(off));
+      rings++;
+    }
+  }
+  printf("%zu rings, chi-squared per ring %.2f (sigma is an upper bound), largest %.1f sigma\n",
+         rings, chi_squared / (double)rings, largest);
+  assert_true(rings > 40 && chi_squared < 1.2 * (double)rings && largest < 4.5);
+  transport_anisotropic_free(solution);
+  free(text);
+}
+
+/* ---- the interface -------------------------------------------------------------------------- */
+
+UNIT_TEST(totals_by_moments_are_those_by_g) {
+  enum { MOMENTS = 60 };
+  double moment[MOMENTS];
+  for (size_t l = 0; l < MOMENTS; l++) {
+    moment[l] = pow(0.3, (double)l);
+  }
+  const transport_phase by_g = {0.3, 0, NULL}, by_moments = {0, MOMENTS, moment};
+  static const double etas[] = {1.4, 0.9};
+  transport_number one[2], other[2];
+  unit_assert_fault(transport_anisotropic_totals(one, 0.1, &by_g, etas, 2), NULL, 0);
+  unit_assert_fault(transport_anisotropic_totals(other, 0.1, &by_moments, etas, 2), NULL, 0);
+  for (size_t i = 0; i < 2; i++) {
+    assert_true(fabs(one[i].value / other[i].value - 1) < 1e-12);
+  }
+}
+
+UNIT_TEST(faults_name_their_field) {
+  const double eta = 1.4, bad_eta[] = {1.4, 4.1};
+  const double moments[] = {0.5, 0};
+  const transport_phase good = {0.9, 0, NULL}, peaked = {0.999, 0, NULL}, unknown = {NAN, 0, NULL};
+  const transport_phase unnormalized = {0, 2, moments};
+  transport_anisotropic *solution;
+  const struct {
+    double ratio;
+    const transport_phase *phase;
+    const double *etas;
+    size_t count;
+    const char *field;
+    size_t index;
+  } faults[] = {
+      {NAN, &good, &eta, 1, "sigma_a_ratio", 0},
+      {1e-7, &good, &eta, 1, "sigma_a_ratio", 0},
+      {1, &peaked, &eta, 1, "phase", 0},
+      {1, &unknown, &eta, 1, "phase", 0},
+      {1, &unnormalized, &eta, 1, "phase", 0},
+      {1, &good, bad_eta, 2, "eta", 1},
+      {1, &good, &eta, 0, "eta", 0},
+  };
+  for (size_t i = 0; i < sizeof faults / sizeof faults[0]; i++) {
+    unit_assert_fault(transport_anisotropic_solve(&solution, faults[i].ratio, faults[i].phase,
+                                                  faults[i].etas, faults[i].count,
+                                                  TRANSPORT_EFFORT_QUICK),
+                      faults[i].field, faults[i].index);
+    assert_null(solution);
+  }
+  transport_anisotropic_free(NULL);
+}
