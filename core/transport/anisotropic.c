@@ -58,17 +58,34 @@ struct tier {
 struct grid_rules {
   double moment_least; /* the series of the phase function ends at a moment as small as this */
   size_t moments_most;
+  double floor;            /* least relative error that is stated */
   double shift;            /* c / kappa */
   size_t nodes;            /* on each panel */
   struct tier tier[TIERS]; /* the last one's k_most is K */
 };
 
 static const struct grid_rules rules[] = {
-    {1e-4, 40, 0.80, 8, {{0.3, {4, 9, 3}}, {1, {6, 10, 3}}, {3, {7, 12, 4}}, {6, {8, 14, 5}}}},
-    {1e-4, 48, 0.85, 9, {{0.3, {5, 11, 4}}, {1, {7, 12, 4}}, {3, {9, 15, 5}}, {8, {10, 18, 6}}}},
-    {1e-5, 64, 0.88, 10, {{0.3, {6, 13, 5}}, {1, {8, 14, 5}}, {4, {11, 17, 6}}, {12, {12, 23, 8}}}},
+    {1e-4,
+     40,
+     1e-3,
+     0.80,
+     8,
+     {{0.3, {4, 9, 3}}, {1, {6, 10, 3}}, {3, {7, 12, 4}}, {6, {8, 14, 5}}}},
+    {1e-4,
+     48,
+     6e-5,
+     0.85,
+     9,
+     {{0.3, {5, 11, 4}}, {1, {7, 12, 4}}, {3, {9, 15, 5}}, {8, {10, 18, 6}}}},
+    {1e-5,
+     64,
+     1e-5,
+     0.88,
+     10,
+     {{0.3, {6, 13, 5}}, {1, {8, 14, 5}}, {4, {11, 17, 6}}, {12, {12, 23, 8}}}},
     {1e-6,
      96,
+     3e-6,
      0.86,
      12,
      {{0.3, {7, 15, 6}}, {1, {10, 16, 6}}, {4, {13, 20, 8}}, {16, {15, 28, 9}}}},
@@ -563,7 +580,9 @@ static double value_at(const transport_anisotropic *of, const struct grid *grid,
 }
 
 /* The grids' difference changes its sign here and there as r grows. The error estimate is therefore
- * the largest relative difference at r and at its two neighbours. */
+ * made from the largest relative difference at r and at its two neighbours. It is at least `floor`,
+ * since the two grids share a part of their errors: comparisons with the solver for isotropic
+ * scattering found up to a third of it. */
 transport_number transport_anisotropic_at(const transport_anisotropic *solution, size_t eta,
                                           double r) {
   static const double neighbour[] = {1, 0.75, 1.3};
@@ -581,6 +600,7 @@ transport_number transport_anisotropic_at(const transport_anisotropic *solution,
     value = i == 0 ? fmax(fine, 0) : value;
     error = fmax(error, fine > 0 ? fabs(1 - coarse / fine) : 1);
   }
+  error = fmax(2 * error, solution->grid[0].rules->floor);
   return (transport_number){value, error * value};
 }
 
