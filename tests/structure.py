@@ -16,7 +16,7 @@ Graph = dict[str, set[str]]
 
 
 def modules(root: Path) -> Graph:
-    """The modules of the folders above, and for each the modules that it includes."""
+    """Returns the modules of the folders above, and for each the modules that it includes."""
     files = [
         path.relative_to(root)
         for folder in FOLDERS
@@ -28,7 +28,7 @@ def modules(root: Path) -> Graph:
     for path in files:
         module = str(path.with_suffix(""))
         for name in INCLUDE.findall((root / path).read_text()):
-            # A path is taken from the root first, as the compiler's -I. does, then from the file.
+            # A path is relative to the root, as by the compiler's -I., or else to the file.
             beside = (root / path.parent / name).resolve()
             candidates = [Path(name)]
             if beside.is_relative_to(root):
@@ -40,7 +40,7 @@ def modules(root: Path) -> Graph:
 
 
 def chain(graph: Graph, start: str, end: str) -> list[str] | None:
-    """The shortest chain of includes from one module to another, both named."""
+    """Returns the shortest chain of includes from one module to another, with both ends."""
     chains = [[start]]
     seen = {start}
     for one in chains:
@@ -54,8 +54,8 @@ def chain(graph: Graph, start: str, end: str) -> list[str] | None:
 
 
 def circles(graph: Graph) -> list[list[str]]:
-    """For each group of modules that include each other, the shortest circle in the group. A circle
-    begins and ends with the same module."""
+    """Returns the shortest circle in each group of modules that include each other. A circle begins
+    and ends with the same module."""
     reach = {}
     for module in graph:
         todo, reach[module] = [module], set()

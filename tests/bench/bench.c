@@ -70,8 +70,9 @@ double bench_median(double *values, size_t n) {
 /* ---- comparing ---------------------------------------------------------------------------- */
 
 enum { CONTENDERS_MAX = 16, ROUNDS_MIN = 7, ROUNDS_MAX = 51 };
-#define SAMPLE_NS 500000 /* long beside the clock's own cost, short beside a time slice */
-/* Rounds are added until a comparison has taken about that. */
+#define SAMPLE_NS                                                                                  \
+  500000 /* long in comparison to reading the clock, and short in comparison to a time slice */
+/* A comparison adds rounds until it has taken about this time. */
 #define COMPARISON_NS 150000000
 #define LONG_COMPARISON_NS 1000000000
 
@@ -83,7 +84,7 @@ static double sample_ns(const bench_contender *contender, uint64_t runs) {
   return (double)(bench_now_ns() - start);
 }
 
-/* How many runs make a sample; also warms caches and clocks up. */
+/* Returns how many runs make a sample. Also warms caches and clocks up. */
 static uint64_t calibrate(const bench_contender *contender) {
   uint64_t runs = 1;
   while (sample_ns(contender, runs) < SAMPLE_NS) {

@@ -21,7 +21,7 @@ extern bool bench_is_long;
 __attribute__((format(printf, 3, 4))) void bench_figure(double value, const char *unit,
                                                         const char *format, ...);
 
-/* Shows what is being measured on standard error if that is a terminal. "" clears the line. */
+/* Shows on standard error, if that is a terminal, what is being measured. "" clears the line. */
 void bench_progress(const char *what);
 
 /* Prints why the benchmark cannot go on and exits 1. */
@@ -35,16 +35,16 @@ double bench_median(double *values, size_t n);
 /* Prepares the red channel of skin1, as a slab of 4 mm for models that need a thickness. */
 core_profile bench_profile(const core_isa *isa, unsigned model, unsigned evaluator);
 
-/* Arrays that kernels work on are aligned to cache lines. */
+/* The alignment of arrays for kernels: that of cache lines. */
 enum { BENCH_ALIGNMENT = 64 };
 
-/* Fills r[n], of floats or doubles by their size in bytes, with radii from 0.01 to 10 mm in an order
- * that no branch predictor learns. */
+/* Fills r[n], of floats or doubles by their size in bytes, with radii from 0.01 to 10 mm in an
+ * order that no branch predictor learns. */
 void bench_fill_radii(size_t value_bytes, void *r, size_t n);
 
-/* One of several things that are compared. bench_compare() runs them in turn, round after round, so
- * that whatever else the machine does slows all of them down alike. One call of run(context) is one
- * unit of work. bench_compare() sets ns to the median time of a unit. */
+/* One of the programs that bench_compare() compares. It runs them in turn, round after round, so
+ * that other work of the machine slows all of them down alike. One call of run(context) is one unit
+ * of work. bench_compare() sets ns to the median time of a unit. */
 typedef struct bench_contender {
   void (*run)(const void *context);
   const void *context;

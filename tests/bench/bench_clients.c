@@ -1,12 +1,12 @@
-/* The Python client beside libdipole: a million listed radii of skin1's three channels, the better
- * dipole, R alone, over a Unix socket to one daemon. Both ask in turn; the time is that of the call,
- * in the client's own process, with the answer as an array. The last value of each answer is
- * compared.
+/* Compares the Python client with libdipole: a query for R of skin1's three channels by the better
+ * dipole, at a million listed radii, over a Unix socket to one daemon. Both clients ask in turn.
+ * The time is that of the call in the client's own process, until the answer is an array. The last
+ * values of both answers are compared.
  *
  *   clients.<evaluator>.<c or python>    the median time of a call                        ms
  *   ratio.clients.python.<evaluator>     Python's over C's, the median of the rounds' ratios
  *
- * To be started at the repository's top, where the Python module is.
+ * Start it at the top of the repository, where it finds the Python module.
  */
 #include <inttypes.h>
 #include <stdio.h>
@@ -25,7 +25,7 @@ enum { RADII = 1000000, CHANNELS = 3, ROUNDS = 21, WARM_UP = 3, LIMIT_S = 120 };
 #define PYTHON "/usr/bin/python3"
 #define SCRIPT "tests/bench/clients_python.py"
 
-/* The process that runs the script, a line to it for each line from it. */
+/* The process that runs the script. It gets one line, and answers with one line, for each call. */
 struct python {
   pid_t child;
   FILE *to;
@@ -34,7 +34,7 @@ struct python {
 
 struct call {
   double ms;
-  double last; /* value of the answer */
+  double last; /* the last value of the answer */
 };
 
 static struct python start_python(const char *address) {
@@ -53,7 +53,7 @@ static struct python start_python(const char *address) {
     snprintf(step, sizeof step, "%.17g", STEP_MM);
     dup2(to[0], STDIN_FILENO);
     dup2(from[1], STDOUT_FILENO);
-    close(to[1]); /* else it would never see the end */
+    close(to[1]); /* so that the process sees the end of its input */
     execl(PYTHON, PYTHON, SCRIPT, address, count, start, step, (char *)NULL);
     _exit(EXIT_FAILURE);
   }
@@ -126,7 +126,7 @@ static dipole_client *open_client(const char *address) {
   return client;
 }
 
-/* Of skin1, which the daemon knows. */
+/* Finds the three media of skin1 in the daemon's list. */
 static void find_media(dipole_client *client, dipole_medium *media) {
   dipole_measured_medium *measured;
   size_t count;

@@ -1,6 +1,6 @@
-/* Evaluating R for arrays of radii: every instruction set of this machine, a plain loop over the C
- * library's functions, and memcpy of the same bytes, one after another in the same run. Tables of
- * the better dipole only: those of other models run the same kernel.
+/* Measures the evaluation of R for arrays of radii: by every instruction set of this machine, by a
+ * plain loop over the C library's functions, and beside memcpy of the same bytes, in turn and in
+ * the same run. Of tables, only that of the better dipole is measured: all models share its kernel.
  *
  *   kernel.<model>.<evaluator>.<instruction set, libm or memcpy>.<array length>   values/s
  *   ratio.kernel.<model>.<evaluator>    the best instruction set over libm, at 4096 values
@@ -19,13 +19,13 @@ enum { LENGTH_MAX = 1048576, RATIO_LENGTH = 4096, CONTENDERS_MAX = 8 };
 static const size_t lengths[] = {16, RATIO_LENGTH};
 static const size_t long_lengths[] = {1, 16, 256, RATIO_LENGTH, LENGTH_MAX};
 
-/* Arrays of the longest length; those of floats fill half. */
+/* Arrays with room for the longest length in doubles. Floats fill half of them. */
 struct arrays {
   void *r;
   void *R;
 };
 
-/* What a run needs; the precision is the profile's. */
+/* The argument of a run. The profile says the precision. */
 struct work {
   const char *name;
   core_profile profile;
@@ -70,7 +70,7 @@ struct comparison {
   struct work work[CONTENDERS_MAX];
   bench_contender contenders[CONTENDERS_MAX];
   size_t count;
-  size_t kernels; /* the first of them are kernels */
+  size_t kernels; /* how many contenders, from the first on, are kernels */
 };
 
 static struct work *add(struct comparison *comparison, const char *name,
@@ -85,7 +85,8 @@ static struct work *add(struct comparison *comparison, const char *name,
   return work;
 }
 
-/* The switches of a model of the dipole family; -1 for others, which have no plain loop. */
+/* Returns the switches of a dipole for the plain loop, or -1 for other models, which have no plain
+ * loop. */
 static int plain_switches(unsigned model) {
   switch (model) {
 #define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
@@ -119,7 +120,7 @@ static void make_comparison(struct comparison *comparison, unsigned model, unsig
   add(comparison, "memcpy", run_memcpy, &profile, arrays);
 }
 
-/* A comparison with a loop that computes something else would be worth nothing. */
+/* Checks that the plain loop computes the same values as the kernel. */
 static void check_plain_loop(const struct work *plain) {
   enum { CHECKED = 64 };
   const size_t bytes = CHECKED * (single(plain) ? sizeof(float) : sizeof(double));

@@ -1,12 +1,12 @@
-/* Tables of one medium (the red channel of skin1, the default tolerance) beside direct evaluation
- * in single precision: R at 4096 radii, on the best instruction set, one after another in the same
- * run.
+/* Compares tables of one medium (the red channel of skin1, the default tolerance) with direct
+ * evaluation in single precision: R at 4096 radii, by the best instruction set, in turn and in the
+ * same run.
  *
  *   lut.<model>.table, lut.<model>.f32    values/s
  *   lut.<model>.prepare                   s, to build the table
- *   lut.<model>.bytes                     of the table
+ *   lut.<model>.bytes                     size of the table
  *   ratio.lut.<model>                     the table over the model itself
- *   ratio.lut.quantized_diffusion         the same of the model `quantized`
+ *   ratio.lut.quantized_diffusion         ratio.lut of the model `quantized`
  *   ratio.lut.transport_over_better_dipole   the table of transport over the better dipole itself
  */
 #include <stdio.h>
@@ -37,7 +37,8 @@ static double median_s_to_prepare(unsigned model) {
   return bench_median(seconds, PREPARATIONS);
 }
 
-/* How many times faster the table of one model is than another one itself. */
+/* Compares the table of one model with the direct evaluation of another. Returns how many times
+ * faster the table is. */
 static double compare(const char *what, const core_profile *table, const core_profile *direct,
                       bench_contender contenders[CONTENDERS]) {
   char progress[128];

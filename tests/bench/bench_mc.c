@@ -1,14 +1,14 @@
-/* Monte Carlo: photons per second on one core, for three half spaces whose speed with MCML 1.2.2 is
- * known (on one core of a 2-core Xeon; MCML itself is not run here), on every instruction set of
- * this machine and with a plain scalar walk that treats weights as MCML does, in turn.
+/* Measures Monte Carlo in photons per second on one core: by every instruction set of this machine,
+ * and by a plain scalar walk that treats weights as MCML does, in turn. MCML itself is not run. Its
+ * speed (version 1.2.2, one core of a 2-core Xeon) is known for the three half spaces measured.
  *
  *   mc.<medium>.<instruction set or plain>   photons/s
  *   ratio.mc.<medium>.plain                  the best instruction set over the plain walk
  *   ratio.mc.<medium>.mcml                   the best instruction set over MCML's known speed
- *   mc.<medium>.worth.total, .worth.r5       the variance of total R and of the ring at 5 mm from
- *                                            as many photons that are kept down to MCML's weight of
- *                                            1e-4, over that from these: what one photon is worth
- *                                            in the figures above, which count photons alone
+ *   mc.<medium>.worth.total, .worth.r5       what a photon is worth, since the figures above count
+ *                                            photons only: the variance of the total R, or of the
+ *                                            ring at 5 mm, for as many photons that are kept down
+ *                                            to MCML's weight of 1e-4, over that of our photons
  */
 #include <math.h>
 #include <stdio.h>
@@ -45,10 +45,11 @@ static core_mc_request make_request(size_t i) {
 
 /* ---- speed -------------------------------------------------------------------------------- */
 
-/* One unit of work is a batch, of the core's size for the plain walk as well. */
+/* The argument of a run. A unit of work is one batch, which has the same size for the plain
+ * walk. */
 struct work {
   const char *name;
-  const core_isa *isa; /* NULL: plain */
+  const core_isa *isa; /* NULL: the plain walk */
   core_mc_batch *batch;
   plain_medium plain;
 };

@@ -1,17 +1,18 @@
-/* dipoled's Modbus over TCP, beside an echo server that does nothing else. Servers run on one core
- * and clients on another (service/child.h), each server in its own process; all sides take turns, a
- * fraction of a second each; a figure is the median over the rounds, a ratio the median of the
- * rounds' ratios. A transaction is function 23: it writes 20 registers (commit, model, medium, a grid
- * of 4 distances), evaluates and reads 20 (status, errors, R). Values are checked in each answer.
+/* Compares dipoled's Modbus over TCP with an echo server. Servers run on one core and clients on
+ * another (service/child.h), each server in its own process. All sides take turns, a fraction of a
+ * second each. A figure is the median over the rounds, and a ratio is the median of the ratios of
+ * the rounds. A transaction is function 23: it writes 20 registers (commit, model, medium, a grid
+ * of 4 distances), evaluates, and reads 20 (status, errors, R). The values of each answer are
+ * checked.
  *
  *   modbus.fc23.<n>.<side>.rate       transactions, over n connections with one in flight each   1/s
- *   modbus.fc23.<n>.<side>.p50 ...    their latency                                               us
- *   modbus.fc23.<n>.<side>.cpu        processor time of the server for one                        us
+ *   modbus.fc23.<n>.<side>.p50 ...    latency of transactions                                     us
+ *   modbus.fc23.<n>.<side>.cpu        processor time of the server for one transaction            us
  *   ratio.modbus.fc23.<n>             dipoled's rate over the echo's
  *   modbus.beside.<whom>.p50 ...      round trip of one master beside nobody, or beside one that sends
  *                                     a byte every 0.4 s, one that never reads, and one that asks
  *                                     for unknown functions                                       us
- *   ratio.modbus.beside               the 99th percentile beside the rude over that beside nobody
+ *   ratio.modbus.beside               the 99th percentile beside all three over that beside nobody
  */
 #include <string.h>
 
@@ -30,7 +31,7 @@ enum { ROUNDS = 15, LIMIT_S = 120 };
 
 static struct samples samples;
 
-/* One of those that take turns, and a figure of each round. */
+/* A side: a server or a situation whose figures are measured in turn with those of the others. */
 struct side {
   const char *name;
   const struct target *target;

@@ -1,32 +1,32 @@
-/* dipoled as a service, beside an echo server that does nothing else and, if it is installed,
- * redis-server. Servers run on one core and clients on another (service/child.h), each server in
- * its own process, and dipoled with one worker, as it has one core (with two on that core it takes
- * as much processor time for a request, within 2 %). All sides take turns, a fraction of a second
- * each; a figure is the median over the rounds, a ratio the median of the rounds' ratios. Requests
- * are evaluations of R, better dipole, single precision, listed radii, over a Unix socket unless
- * it says tcp. Answers are checked: their headers, and all values (of large ones, in every 16th).
+/* Compares dipoled as a service with an echo server and, if it is installed, redis-server. Servers
+ * run on one core and clients on another (service/child.h), each server in its own process. dipoled
+ * has one worker, because it has one core; with two workers on that core, the processor time of a
+ * request is the same within 2 %. All sides take turns, a fraction of a second each. A figure is
+ * the median over the rounds, a ratio the median of the rounds' ratios. Requests evaluate R by the
+ * better dipole in single precision at listed radii, over a Unix socket unless a name has tcp. The
+ * header of each answer is checked, and all its values (of large answers, those of every 16th).
  *
- *   service.bulk[.tcp].<side>          round trip of 65,536 radii, one at a time; kernel: of the
- *                                      evaluation alone, in this process                      us
- *   service.bulk[.tcp].<side>.rate     bytes both ways in that time                         MB/s
+ *   service.bulk[.tcp].<side>          round trip of 65,536 radii, one at a time; the side kernel
+ *                                      is the evaluation alone, in this process               us
+ *   service.bulk[.tcp].<side>.rate     bytes both ways over this time                       MB/s
  *   ratio.service.bulk[.tcp]           dipoled over the sum of echo and kernel
  *   service.rtt.<side>.p50 ...         round trip of 16 radii, one at a time                  us
  *   ratio.service.rtt[.p99]            dipoled over echo
  *   service.redis.<side>.rate          requests of 16 radii, or GETs of 64 bytes that exist, over
  *                                      32 connections with 16 in flight on each       requests/s
- *   service.redis.<side>.p50 ...       their latency                                          us
- *   service.redis.<side>.cpu           processor time of the server for one                   us
+ *   service.redis.<side>.p50 ...       latency of these requests                              us
+ *   service.redis.<side>.cpu           processor time of the server for one request           us
  *   ratio.service.redis                dipoled's rate over redis's
  *   service.fair.<idle or streaming>.p50 ...   round trip of 16 radii beside two other clients that
- *                                      are silent, or stream the largest requests there are   us
- *   service.fair.streamed              what those get                                       MB/s
+ *                                      are silent, or stream the largest possible answers     us
+ *   service.fair.streamed              rate of the streaming clients                        MB/s
  *   ratio.service.fair                 the 99th percentile beside streaming over beside silent ones
  *   service.open.<n>.rate, .p50 ...    requests of 16 radii that are due at n % of the rate of
  *                                      service.redis.dipoled: rate, latency from when they were due
  *
- * One more of bulk and rtt each, with .onecore: clients are on the servers' core, too. Then nothing
- * is done at the same time, and no core has to be woken: what is left is the work, the client's
- * included, and the figures hardly depend on the machine's mood.
+ * bulk and rtt are also measured with clients on the servers' core: names with .onecore. No two
+ * processes then run at the same time, and no core has to be woken. These figures show the work,
+ * that of the client included, and hardly depend on what else the machine does.
  */
 #include <math.h>
 #include <stdio.h>
@@ -52,16 +52,17 @@ enum {
   OPEN_IN_FLIGHT = 256,
   STREAMERS = 2,
   FAIR_ROUNDS_MIN = 3,
-  LIMIT_S = 300, /* it takes a fifth of that, if the machine does nothing else */
+  LIMIT_S = 300, /* five times as long as the group takes on a machine that does nothing else */
 };
 #define MS UINT64_C(1000000)
 #define ROUND_NS (150 * MS)
 #define WARM_UP_NS (20 * MS)
 #define KERNEL_NS (20 * MS)
 #define OPEN_NS (1000 * MS)
-#define FAIR_NS (15000 * MS) /* no new round after that: answers are read to their ends */
+#define FAIR_NS                                                                                    \
+  (15000 * MS) /* no new round begins after this time; one that has begun is finished */
 
-/* All servers, and what is asked. */
+/* All servers, and the requests that they get. */
 struct setting {
   struct daemon daemon;
   struct target eval;
@@ -76,13 +77,13 @@ static struct samples samples;
 
 /* ---- sides -------------------------------------------------------------------------------- */
 
-/* One of those that take turns: its target, and a figure of each round. */
+/* A side: a server whose figures are measured in turn with those of the others. */
 struct side {
   const char *name;
   const struct target *target;
   struct ping ping;
   struct load *load;
-  size_t rounds; /* so far */
+  size_t rounds; /* number of rounds so far */
   double p50_us[ROUNDS];
   double p99_us[ROUNDS];
   double p999_us[ROUNDS];
@@ -146,7 +147,7 @@ static void ping_round(struct side *sides, size_t count) {
 
 /* ---- bulk --------------------------------------------------------------------------------- */
 
-/* The evaluation of what a bulk request holds. */
+/* The evaluation of the radii of a bulk request in this process. */
 struct kernel {
   core_profile profile;
   const float *r;
@@ -248,7 +249,7 @@ static void load_round(struct side *side) {
   note_percentiles(side);
 }
 
-/* dipoled's rate. */
+/* Measures many requests. Returns dipoled's rate. */
 static double measure_redis(const struct setting *setting) {
   bench_progress("service: many requests");
   struct side sides[] = {side_of(&setting->eval), side_of(&setting->echo),
@@ -302,7 +303,7 @@ static uint64_t all_streamed(const struct streamer *streamers) {
   return bytes;
 }
 
-/* A round beside streaming clients; the megabytes per second that they got. */
+/* Measures a round beside streaming clients. Returns the megabytes per second that they got. */
 static double streaming_round(struct side *side, struct streamer *streamers) {
   for (size_t i = 0; i < STREAMERS; i++) {
     stream_begin(&streamers[i]);
@@ -335,7 +336,7 @@ static void measure_fairness(const struct setting *setting) {
   size_t rounds = 0;
   while (rounds < FAIR_ROUNDS_MIN || (rounds < ROUNDS && bench_now_ns() < end_ns)) {
     ping_round(&idle, 1);
-    streaming.ping.count = idle.ping.count; /* they share a connection, and its ids */
+    streaming.ping.count = idle.ping.count; /* both pings share a connection and its request ids */
     streamed[rounds++] = streaming_round(&streaming, streamers);
     idle.ping.count = streaming.ping.count;
   }

@@ -38,7 +38,7 @@ static transport_boundary *boundary_for(double eta, double tolerance) {
   return boundary;
 }
 
-/* Seconds for count albedos of one eta, evenly from first on. */
+/* Returns the seconds for `count` albedos of one eta, in equal steps from `first` on. */
 static double time_s(double eta, double first, int count, double tolerance) {
   const uint64_t start = bench_now_ns();
   transport_boundary *boundary = boundary_for(eta, tolerance);

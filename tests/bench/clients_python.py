@@ -1,6 +1,6 @@
-"""The Python side of `build/bench clients`: for each line on standard input, the name of an
-evaluator, evaluates a million radii for each of three channels and prints the
-nanoseconds that it took."""
+"""The Python side of `build/bench clients`. For each line on standard input, which names an
+evaluator, it evaluates a million radii for each of three channels and prints the time in
+nanoseconds."""
 
 import sys
 import time

@@ -2,7 +2,8 @@
 
 #include <math.h>
 
-/* One value at a time, whatever the compiler's level: that is what is compared with. */
+/* Keeps the compiler from vectorizing a loop, at any optimization level: the kernels are compared
+ * with a scalar loop. */
 #if defined(__clang__)
 #define ONE_AT_A_TIME _Pragma("clang loop vectorize(disable) interleave(disable)")
 #else
@@ -31,8 +32,8 @@ plain_dipole plain_dipole_prepare(int switches, const core_medium *medium) {
   };
 }
 
-/* The loop without the fluence's terms is a loop of its own, as it would be in a renderer that
- * knows the classical dipole only. */
+/* DEFINE_PLAIN defines two loops. The one without the terms of the fluence is what a renderer has
+ * that knows only the classical dipole. */
 #define DEFINE_PLAIN(name, real, sqrt_of, exp_of)                                                  \
   static void name##_flux(const plain_dipole *dipole, size_t n, const real *r, real *R) {          \
     const real scale = (real)(dipole->scale * dipole->flux);                                       \

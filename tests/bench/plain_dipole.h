@@ -1,11 +1,11 @@
-/* plain_dipole: the dipole family as one would write it down for a scalar machine and the C
- * library: what the kernels' speed is compared with. */
+/* plain_dipole: the dipoles as a simple scalar program computes them with the C library. The
+ * benchmark compares the kernels' speed with it. */
 #ifndef DIPOLED_BENCH_PLAIN_DIPOLE_H
 #define DIPOLED_BENCH_PLAIN_DIPOLE_H
 
 #include "core/core.h"
 
-/* The formula's constants; lengths in mm. */
+/* The constants of the formula. Lengths are in mm. */
 typedef struct plain_dipole {
   double scale; /* p / (4 pi) */
   double mu_tr;

@@ -1,9 +1,8 @@
-/* plain_walk: Monte Carlo as one would write it down for a scalar machine and the C library: one
- * photon after the other, one boundary after the other, in double precision, weights and roulette
- * as in MCML (L. Wang, S. Jacques, L. Zheng 1995). The tests hold the core's walk against it, the
- * benchmark its speed.
+/* plain_walk: Monte Carlo as a simple scalar program: one photon after the other, in double
+ * precision, with weights and roulette as in MCML (L. Wang, S. Jacques, L. Zheng 1995). The tests
+ * compare the results of core's walk with it, and the benchmark compares the speed.
  *
- * Lengths in mean free paths.
+ * Lengths are in mean free paths.
  */
 #ifndef DIPOLED_BENCH_PLAIN_WALK_H
 #define DIPOLED_BENCH_PLAIN_WALK_H
@@ -16,12 +15,12 @@ typedef struct plain_medium {
   double albedo;
   double g;
   double eta;
-  double thickness; /* INFINITY: half space */
+  double thickness; /* INFINITY means a half space */
 } plain_medium;
 
 enum plain_fate { PLAIN_REFLECTED, PLAIN_TRANSMITTED, PLAIN_INSIDE };
 
-/* Where a photon was last. weight: that it had left with. */
+/* The last position of a photon. weight: that with which it left, or still has. */
 typedef struct plain_photon {
   double x, y, z;
   double ux, uy, uz;
@@ -33,7 +32,7 @@ typedef struct plain_photon {
 #define PLAIN_ROULETTE_WEIGHT 1e-4
 #define PLAIN_ROULETTE_CHANCE 0.1
 
-/* Vigna's splitmix64; from (0, 1). */
+/* Returns a random number from (0, 1), by Vigna's splitmix64. */
 static inline double plain_random(uint64_t *state) {
   uint64_t z = *state += UINT64_C(0x9e3779b97f4a7c15);
   z = (z ^ (z >> 30)) * UINT64_C(0xbf58476d1ce4e5b9);
@@ -41,7 +40,7 @@ static inline double plain_random(uint64_t *state) {
   return ((double)((z ^ (z >> 31)) >> 12) + 0.5) * 0x1p-52;
 }
 
-/* The unpolarized Fresnel reflectance from inside. */
+/* Returns the Fresnel reflectance of unpolarized light from inside. */
 static inline double plain_reflectance(double eta, double ci) {
   const double st_squared = eta * eta * (1 - ci) * (1 + ci);
   if (st_squared >= 1) {
@@ -53,7 +52,7 @@ static inline double plain_reflectance(double eta, double ci) {
   return 0.5 * (s * s + p * p);
 }
 
-/* Flies to the next collision; false: it has left. */
+/* Moves a photon to its next collision. Returns false if it has left the medium. */
 static inline bool plain_fly(const plain_medium *medium, plain_photon *p, uint64_t *random) {
   double path = -log(plain_random(random));
   for (;;) {
@@ -104,7 +103,7 @@ static inline void plain_scatter(const plain_medium *medium, plain_photon *p, ui
   p->scattered = true;
 }
 
-/* One photon, launched straight down inside the medium. */
+/* Walks one photon, which starts straight down inside the medium. */
 static inline plain_photon plain_walk(const plain_medium *medium, uint64_t *random) {
   plain_photon p = {.uz = 1, .weight = 1, .fate = PLAIN_INSIDE};
   while (plain_fly(medium, &p, random)) {

@@ -13,10 +13,11 @@
 
 enum { MEDIA = 61, RADII = 257 };
 
-/* For models whose radii or preparation cost many times a dipole's, and one kind of moments. */
+/* Limits for models whose radii or preparation cost many times a dipole's, and for these only one
+ * kind of moments. */
 enum { COSTLY = 4, COSTLY_MEDIA = 8, SLOW_MEDIA = 1, TABLES = 2, COSTLY_RADII = 37 };
 
-/* FNV-1a, 64 bits. */
+/* Adds bytes to a checksum: FNV-1a with 64 bits. */
 static uint64_t checksum(uint64_t sum, const void *bytes, size_t n) {
   const unsigned char *at = bytes;
   for (size_t i = 0; i < n; i++) {
@@ -27,7 +28,7 @@ static uint64_t checksum(uint64_t sum, const void *bytes, size_t n) {
 
 static const uint64_t CHECKSUM_START = UINT64_C(0xcbf29ce484222325);
 
-/* splitmix64: the same numbers everywhere. */
+/* Returns a random number of splitmix64, which is the same on every machine. */
 static uint64_t random_bits(uint64_t *state) {
   uint64_t z = (*state += UINT64_C(0x9e3779b97f4a7c15));
   z = (z ^ (z >> 30)) * UINT64_C(0xbf58476d1ce4e5b9);
@@ -39,7 +40,8 @@ static double uniform(uint64_t *state) {
   return (double)(random_bits(state) >> 11) * 0x1p-53;
 }
 
-/* A power of two with a random mantissa: spread over many magnitudes without calling pow(). */
+/* Returns a power of two with a random mantissa, so that numbers spread over many magnitudes
+ * without pow(). */
 static double spread(uint64_t *state, int least_exponent, int most_exponent) {
   const uint64_t biased = (uint64_t)(1023 + least_exponent) +
                           random_bits(state) % (uint64_t)(most_exponent - least_exponent + 1);
@@ -58,7 +60,7 @@ static core_medium random_medium(uint64_t *state) {
   return medium;
 }
 
-/* Number of radii at which a profile is evaluated. */
+/* Returns the number of radii at which a profile is evaluated. */
 static int radii_of(const core_profile *profile) {
   return profile->cost > COSTLY ? COSTLY_RADII : RADII;
 }
@@ -100,7 +102,7 @@ static uint64_t add_samples(uint64_t sum, const core_profile *profile, uint64_t 
   return checksum(sum, r, (size_t)radii * sizeof *r);
 }
 
-/* Number of media that a model is evaluated for: fewer if it is slow. */
+/* Returns for how many media a model is evaluated: fewer if it is slow. */
 static int media_of(const core_choice *model, const core_choice *evaluator) {
   return core_prepares_slowly(model->id, CORE_EVALUATOR_F64) ? SLOW_MEDIA
          : evaluator->id == CORE_EVALUATOR_LUT               ? TABLES
@@ -175,15 +177,15 @@ static void print_inversions(const core_choice *model) {
   printf("%s inversions %016" PRIx64 "\n", model->name, sum);
 }
 
-/* Whether tables of a model are compared. The code for tables does not depend on the model, so that
- * three models with different shapes are enough. */
+/* Returns whether tables of a model are compared. The code for tables does not depend on the model,
+ * so three models of different shapes are enough. */
 static bool is_tabulated(const core_choice *model) {
   return model->id == CORE_MODEL_BETTER || model->id == CORE_MODEL_BURLEY ||
          model->id == CORE_MODEL_SKIN_RED;
 }
 
-/* Whether a combination is compared. Slow models, which take minutes under an emulator, are prepared
- * only twice: for R and for the cdf. */
+/* Returns whether a combination is compared. Slow models take minutes under an emulator, so they
+ * are prepared only twice: for R and for the cdf. */
 static bool is_due(const core_choice *model, const core_choice *evaluator,
                    const core_choice *quantity) {
   const bool needed =

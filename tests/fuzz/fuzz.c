@@ -1,12 +1,12 @@
-/* fuzz: what libFuzzer calls with bytes that nobody should send. `fuzz_targets` lists the entry
- * points. The variable FUZZ_TARGET names the one that this process serves; without it the process
- * prints the names and exits with 2:
+/* fuzz: the functions that libFuzzer calls with arbitrary bytes. `fuzz_targets` lists them. The
+ * variable FUZZ_TARGET names the target that this process runs; without it, the process prints the
+ * names and exits with 2:
  *
  *   FUZZ_TARGET=modbus build-fuzz/fuzz build-fuzz/corpus/modbus     searches
  *   FUZZ_TARGET=modbus build-fuzz/fuzz FILE                         runs one input again
  *
- * tests/fuzz/fuzz.py runs all of them. Besides what the sanitizers see, each target checks what has
- * to hold for any bytes, and aborts if it does not. */
+ * tests/fuzz/fuzz.py runs all targets. Besides the checks of the sanitizers, each target checks the
+ * properties that must hold for any bytes, and aborts if one does not. */
 #include <errno.h>
 #include <fcntl.h>
 #include <getopt.h>
@@ -56,7 +56,8 @@ static _Noreturn void fail_check(const char *text) {
 
 /* ---- inputs --------------------------------------------------------------------------------- */
 
-/* A copy in a block of exactly its size, at a multiple of 8: a read past its end is seen. */
+/* Returns a copy in a block of exactly its size, at a multiple of 8, so that a sanitizer sees each
+ * read past its end. The caller frees it. */
 static uint8_t *exact_copy(const uint8_t *data, size_t size) {
   uint8_t *copy = malloc(size > 0 ? size : 1);
   CHECK(copy != NULL);
@@ -64,9 +65,9 @@ static uint8_t *exact_copy(const uint8_t *data, size_t size) {
   return copy;
 }
 
-/* The first bytes of an input say how the others are delivered. */
+/* How the bytes of an input are delivered, which its first bytes say. */
 struct delivery {
-  unsigned piece; /* 0: all at once; else pieces of 1 to so many bytes */
+  unsigned piece; /* 0: all at once; else pieces of 1 to this many bytes */
   uint32_t random;
   const uint8_t *at;
   size_t left;
@@ -76,7 +77,7 @@ static struct delivery begin_delivery(const uint8_t *data, size_t size) {
   return (struct delivery){.piece = data[0], .random = data[0], .at = data + 1, .left = size - 1};
 }
 
-/* The next piece; 0 at the end. */
+/* Sets *piece to the next piece and returns its length, which is 0 at the end. */
 static size_t next_piece(struct delivery *delivery, const uint8_t **piece) {
   size_t bytes = delivery->left;
   if (delivery->piece > 0) {
@@ -90,7 +91,7 @@ static size_t next_piece(struct delivery *delivery, const uint8_t **piece) {
   return bytes;
 }
 
-/* Bytes that are gathered. */
+/* A buffer that gathers bytes. */
 struct gathered {
   uint8_t *bytes;
   size_t count;
@@ -108,7 +109,7 @@ static uint8_t *gather_room(struct gathered *gathered, size_t bytes) {
 
 /* ---- messages: payloads are decoded, and what was decoded is encoded ------------------------- */
 
-/* What was read from any bytes, written and read again is the same. */
+/* A structure that is read from any bytes, written and read again is the same. */
 #define WIRE_STRUCTURE(name, about)                                                                \
   static void round_trip_##name(const uint8_t *data) {                                             \
     uint8_t once[WIRE_BYTES_##name], twice[WIRE_BYTES_##name];                                     \
@@ -141,13 +142,13 @@ static bool is_good(const wire_error *error) {
   return false;
 }
 
-/* Reads all of an array, which has to lie in the payload. */
+/* Reads all bytes of an array, and checks that it lies in the payload. */
 static void read_array(const uint8_t *payload, size_t size, uint64_t offset, uint64_t bytes) {
   CHECK(offset <= size && bytes <= size - offset);
   free(exact_copy(payload + offset, (size_t)bytes));
 }
 
-/* The parameters, encoded and decoded once more. */
+/* Encodes and decodes parameters once more, and checks that they are the same. */
 static void check_parameters(const core_parameters *parameters, uint32_t count) {
   uint8_t bytes[CORE_PARAMETERS_END * WIRE_BYTES_parameter];
   core_parameters again;
@@ -246,7 +247,7 @@ static void check_values(const uint8_t *values, uint64_t count, unsigned evaluat
   }
 }
 
-/* A published model may give out more than went in, and then says so. */
+/* Checks the albedo of a channel. It may exceed 1 for a published model, if the notes say so. */
 static void check_albedo(const wire_eval_reply *fixed, const uint8_t *at) {
   wire_channel channel;
   wire_get_channel(at, &channel);
@@ -255,7 +256,8 @@ static void check_albedo(const wire_eval_reply *fixed, const uint8_t *at) {
                                  channel.albedo <= 1 + channel.numerical_error)));
 }
 
-/* `honest`: from the daemon, so that the values are right, too. */
+/* Decodes the reply to an eval or sample, and checks it. honest: whether it is the daemon's, so
+ * that its values must be valid, too. */
 static bool decode_eval_reply(const uint8_t *payload, size_t size, bool drawn, bool honest) {
   wire_eval_reply fixed;
   eval_layout layout;
@@ -329,7 +331,7 @@ static void decode_table_reply(const uint8_t *payload, size_t size) {
   }
 }
 
-/* An input is the type of a message, in two bytes, and a payload. */
+/* The target for messages. An input is the type of a message, in two bytes, and a payload. */
 static void messages(const uint8_t *data, size_t size) {
   bool under_way;
   if (size < 2) {
@@ -377,7 +379,8 @@ static void messages(const uint8_t *data, size_t size) {
   free(payload);
 }
 
-/* ---- the daemon in this process: one worker, whose loop this thread runs ---------------------- */
+/* ---- the daemon in this process: one worker, whose loop this thread runs ----------------------
+ */
 
 static struct server server;
 static struct worker worker;
@@ -410,10 +413,11 @@ static void start_modbus(void) {
   uv_run(&worker.loop, UV_RUN_NOWAIT);
 }
 
-/* ---- requests of the binary protocol ---------------------------------------------------------- */
+/* ---- requests of the binary protocol ----------------------------------------------------------
+ */
 
-/* Some profiles take a second to prepare under the sanitizers. Requests for them may take a tenth of
- * the time, the first one always. */
+/* The time of all slow requests so far. Some profiles take a second to prepare under the
+ * sanitizers, so requests for them get a tenth of the time; the first one always runs. */
 static uint64_t slow_ns;
 
 static bool names_slow_profile(unsigned type, const uint8_t *payload, size_t size) {
@@ -432,12 +436,13 @@ static bool names_slow_profile(unsigned type, const uint8_t *payload, size_t siz
          core_prepares_slowly(eval.fixed.model, eval.fixed.evaluator);
 }
 
-/* What a stream gets: one answer for each whole frame, for each header that is refused, and for what
- * is broken off. After a wrong magic number, Monte Carlo jobs may end without one. */
+/* The number of answers to a stream: one for each whole frame, each refused header, and an
+ * incomplete frame at the end. After a wrong magic number, Monte Carlo jobs may end without an
+ * answer. */
 struct expected {
   size_t least;
   size_t most;
-  bool slow; /* a request may take long */
+  bool slow; /* whether a request may take long */
 };
 
 static struct expected expect_answers(const uint8_t *at, size_t left) {
@@ -466,14 +471,14 @@ static struct expected expect_answers(const uint8_t *at, size_t left) {
   return (struct expected){count, count, slow};
 }
 
-/* The parts of an answer follow each other, unless an error ends it. */
+/* Checks that the parts of an answer follow each other. An error may end it. */
 static bool check_part(uint32_t part, uint32_t part_count, uint32_t *next_part) {
   CHECK(part == *next_part || part == 0);
   *next_part = part + 1 < part_count ? part + 1 : 0;
   return *next_part == 0;
 }
 
-/* Checks one answer. Returns whether it is the last to its request. */
+/* Checks one frame of an answer. Returns whether it is the last one for its request. */
 static bool check_answer(const wire_header *header, const uint8_t *payload, size_t size,
                          uint32_t *next_part) {
   bool under_way = false;
@@ -508,7 +513,7 @@ static bool check_answer(const wire_header *header, const uint8_t *payload, size
   }
 }
 
-/* Checks whole answers. Returns how many requests they have answered to the end. */
+/* Checks all answers to a stream. Returns how many requests they have answered completely. */
 static size_t check_answers(const struct gathered *answers, bool may_be_cut) {
   size_t done = 0, last = 0;
   uint32_t next_part = 0;
@@ -529,7 +534,7 @@ static size_t check_answers(const struct gathered *answers, bool may_be_cut) {
   return last;
 }
 
-/* True if the time for slow requests is used up. */
+/* Returns true if the request is slow and the time for slow requests is used up. */
 static bool skip_slow(bool slow) {
   static uint64_t began_ns;
   began_ns = began_ns == 0 ? uv_hrtime() : began_ns;
@@ -570,8 +575,8 @@ static bool send_pieces(int fd, struct delivery *delivery, struct gathered *answ
   return end;
 }
 
-/* The peer of a client: sends all, shuts down, reads to the end. Or, if `rude`, it is gone after
- * the last byte. Frees the client. */
+/* Plays the peer of a client: sends all bytes, shuts down its side, and reads to the end. If
+ * `rude`, closes after the last byte. Frees the client. */
 static void talk(int fd, struct delivery *delivery, unsigned manners, struct gathered *answers) {
   const bool rude = manners & 1, reads = !(manners & 2);
   bool end = send_pieces(fd, delivery, answers, reads);
@@ -585,8 +590,8 @@ static void talk(int fd, struct delivery *delivery, unsigned manners, struct gat
   close(fd);
 }
 
-/* A connection from its socket on. The first byte says in which pieces the stream arrives, the
- * second how the peer behaves. */
+/* The target for a connection with its socket. The first byte of an input says in which pieces the
+ * stream arrives, and the second how the peer behaves. */
 static void connection(const uint8_t *data, size_t size) {
   int fds[2];
   struct gathered answers = {0};
@@ -617,7 +622,7 @@ static void connection(const uint8_t *data, size_t size) {
   slow_ns += expected.slow ? uv_hrtime() - began_ns : 0;
 }
 
-/* The same without a socket and without the connection: bytes in, bytes out. */
+/* Requests without a socket and a connection: bytes go into an input, and come out of an output. */
 struct pipe {
   struct input input;
   struct output output;
@@ -655,7 +660,7 @@ static void answer_all(struct pipe *pipe, bool to_the_end) {
       return;
     }
     if (requests->waiting || requests->job == NULL) {
-      run_worker(UV_RUN_ONCE); /* until a profile or a Monte Carlo job is ready */
+      run_worker(UV_RUN_ONCE); /* runs until a profile or a Monte Carlo job is ready */
     }
   }
 }
@@ -707,15 +712,16 @@ static void requests(const uint8_t *data, size_t size) {
   requests_drop(&pipe.requests);
   input_free(&pipe.input);
   output_free(&pipe.output);
-  run_worker(UV_RUN_NOWAIT); /* frees the handles of jobs */
+  run_worker(UV_RUN_NOWAIT); /* so that the handles of jobs are freed */
   CHECK(atomic_load(&server.buffer_bytes) == 0 && worker.context.owed_radii == 0);
   free(pipe.answers.bytes);
   slow_ns += expected.slow ? uv_hrtime() - began_ns : 0;
 }
 
-/* ---- frames: the connection's input ----------------------------------------------------------- */
+/* ---- frames: the connection's input -----------------------------------------------------------
+ */
 
-/* All frames of a stream: what input_frame() says of each. */
+/* Cuts a stream into frames, and gathers the results of input_frame() for all of them. */
 static void cut_frames(struct delivery delivery, struct gathered *seen) {
   struct input input;
   const uint8_t *piece;
@@ -763,7 +769,8 @@ static void cut_frames(struct delivery delivery, struct gathered *seen) {
   input_free(&input);
 }
 
-/* The pieces in which a stream arrives change nothing. */
+/* The target for the input of connections: a stream gives the same frames, in whatever pieces it
+ * arrives. */
 static void frames(const uint8_t *data, size_t size) {
   struct gathered whole = {0}, pieces = {0};
   if (size < 1) {
@@ -779,9 +786,10 @@ static void frames(const uint8_t *data, size_t size) {
   free(pieces.bytes);
 }
 
-/* ---- Modbus ------------------------------------------------------------------------------------ */
+/* ---- Modbus ------------------------------------------------------------------------------------
+ */
 
-/* Each input finds all registers as they are after a start. */
+/* Resets all registers, so that each input finds them as after a start. */
 static void reset_units(void) {
   modbus_queue_end(&units->queue);
   for (unsigned number = 1; number <= MODBUS_UNITS; number++) {
@@ -802,7 +810,8 @@ static void check_pdu(const uint8_t *request, size_t request_bytes, const uint8_
         exact_bytes[answer[0]] == request_bytes);
 }
 
-/* The answers to a stream, in its order. The daemon closes behind a frame that is none. */
+/* Checks the answers to a stream, which come in its order. The daemon closes the connection after
+ * bytes that are no frame. */
 static void check_modbus(const uint8_t *at, size_t left, const struct gathered *answers) {
   const uint8_t *answer = answers->bytes;
   size_t rest = answers->count;
@@ -820,7 +829,8 @@ static void check_modbus(const uint8_t *at, size_t left, const struct gathered *
   CHECK(rest == 0);
 }
 
-/* Modbus TCP from its socket on; the first two bytes as of `connection`. */
+/* The target for Modbus TCP with its socket. The first two bytes of an input have the meaning that
+ * they have for connection(). */
 static void modbus(const uint8_t *data, size_t size) {
   int fds[2];
   struct gathered answers = {0};
@@ -850,7 +860,7 @@ struct serial {
   struct client client;
   struct modbus_receiver receiver;
   struct modbus_diagnostics diagnostics;
-  bool echoes; /* the adapter returns what is written to it */
+  bool echoes; /* whether the adapter returns the bytes that are written to it */
   uint64_t now_ns;
 };
 
@@ -915,10 +925,11 @@ static void on_serial_finish(struct client *client) {
   (void)client;
 }
 
-/* What may arrive after what, by the bits of a byte. */
+/* The bits of a byte that say how a piece arrives. */
 enum { WITH_CHECKSUM = 1, AFTER_A_PAUSE = 2, BEFORE_A_SILENCE = 4, WITH_ECHO = 8 };
 
-/* Modbus RTU. An input is a row of pieces: how it arrives, its length, its bytes. */
+/* The target for Modbus RTU. An input is a row of pieces: how a piece arrives, its length, its
+ * bytes. */
 static void rtu(const uint8_t *data, size_t size) {
   static const struct client_kind kind = {.finish = on_serial_finish};
   struct serial line = {.client = {.kind = &kind, .worker = &worker},
@@ -946,9 +957,10 @@ static void rtu(const uint8_t *data, size_t size) {
   reset_units();
 }
 
-/* ---- tables from elsewhere --------------------------------------------------------------------- */
+/* ---- tables from elsewhere ---------------------------------------------------------------------
+ */
 
-static uint8_t *whole_table; /* a right one: the frame of a table reply */
+static uint8_t *whole_table; /* a valid table: the frame of a table reply */
 static size_t whole_table_bytes;
 
 static void make_table(void) {
@@ -974,8 +986,8 @@ static void make_table(void) {
   core_profile_free(&profile);
 }
 
-/* The octaves of positive floats. Of each there are two radii, its first and its last, which are in
- * its first and last piece; then come 0 and infinity. */
+/* The octaves of positive floats, from OCTAVE_FIRST to OCTAVE_END - 1. The radii are the first and
+ * the last float of each octave, and then 0 and infinity. */
 enum { OCTAVE_FIRST = -149, OCTAVE_END = 128, RADII = 2 * (OCTAVE_END - OCTAVE_FIRST) + 2 };
 
 static void check_same(const float *a, const float *b) {
@@ -984,8 +996,8 @@ static void check_same(const float *a, const float *b) {
   }
 }
 
-/* Evaluates the table at all of these radii, by the best instruction set, and by the portable one,
- * whose every read the sanitizer sees. */
+/* Evaluates the table at all radii, by the best instruction set and by the portable one, of which
+ * the sanitizer sees every read. */
 static void check_table(const dipole_table *table, const uint8_t *payload, size_t payload_bytes) {
   float r[RADII], u[RADII], best[RADII], portable[RADII];
   wire_table_reply fixed;
@@ -1009,7 +1021,7 @@ static void check_table(const dipole_table *table, const uint8_t *payload, size_
             .field == NULL);
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
     if (dipole_table_values(table, (enum dipole_quantity)quantity->id, RADII, r, best) &&
-        quantity->id != CORE_QUANTITY_S) { /* which depends on the angles */
+        quantity->id != CORE_QUANTITY_S) { /* S depends on the angles. */
       core_eval_f32(&profile, (enum core_quantity)quantity->id, RADII, r, portable);
       check_same(best, portable);
     }
@@ -1020,9 +1032,9 @@ static void check_table(const dipole_table *table, const uint8_t *payload, size_
   core_profile_free(&profile);
 }
 
-/* An input is a row of changes to a right table: the number of a word, two bytes, and its new value,
- * four bytes. A word that the table does not have cuts it short by so many words. The checksum and
- * what repeats words are then put right, unless the last byte is odd. */
+/* The target for tables. An input is a row of changes to a valid table: the number of a word, two
+ * bytes, and its new value, four bytes. A number beyond the words cuts the table short. Afterwards
+ * the checksum, and fields that repeat words, are corrected, unless the last byte is odd. */
 static void table(const uint8_t *data, size_t size) {
   size_t bytes = whole_table_bytes;
   uint8_t *frame = exact_copy(whole_table, bytes);
@@ -1066,7 +1078,8 @@ static void table(const uint8_t *data, size_t size) {
   free(frame);
 }
 
-/* ---- answers to a client ------------------------------------------------------------------------ */
+/* ---- answers to a client ------------------------------------------------------------------------
+ */
 
 static bool take_part(void *context, const dipole_result *part, uint64_t radius_first) {
   const uint64_t *limit = context;
@@ -1078,7 +1091,7 @@ static bool see_progress(void *context, const dipole_mc_progress *now) {
   return now->photons < *limit;
 }
 
-/* Asks for what the type of the first frame answers. */
+/* Makes the call whose answer has this type. */
 static bool ask(dipole_client *client, unsigned type, unsigned how, dipole_error *error) {
   static const dipole_medium media[] = {{0.032, 0.74, 0, 1.3}, {0.17, 0.88, 0, 1.3}};
   static const double radii[] = {0.5, 1}, albedos[] = {0.5, 0.3, 1};
@@ -1195,8 +1208,8 @@ static bool ask(dipole_client *client, unsigned type, unsigned how, dipole_error
   }
 }
 
-/* What a daemon answers. The first byte is the message that the client asks for, the second how;
- * the rest are the daemon's bytes. */
+/* The target for a client. The first byte of an input says which call the client makes, and the
+ * second how. The other bytes are the daemon's answer. */
 static void replies(const uint8_t *data, size_t size) {
   int fds[2];
   if (size < 2 + WIRE_BYTES_header || size > 65536) {
@@ -1222,12 +1235,13 @@ static void replies(const uint8_t *data, size_t size) {
   dipole_close(client);
 }
 
-/* ---- the command line ---------------------------------------------------------------------------- */
+/* ---- the command line
+ * ---------------------------------------------------------------------------- */
 
 static FILE *nowhere;
 static int file;
 
-/* The command line complains on standard error. */
+/* Discards what the command line writes to standard error. */
 static void start_command_line(void) {
   nowhere = fopen("/dev/null", "w");
   file = memfd_create("fuzz", MFD_CLOEXEC);
@@ -1235,7 +1249,8 @@ static void start_command_line(void) {
   stderr = nowhere;
 }
 
-/* A file. What is read of it are all of its bytes, in their order. */
+/* The target for files of `dipole points`. The bytes that are read are all bytes of the file, in
+ * their order. */
 static void csv(const uint8_t *data, size_t size) {
   static cli_csv_reader reader;
   cli_csv_record record = {0};
@@ -1265,8 +1280,8 @@ static void csv(const uint8_t *data, size_t size) {
   cli_csv_record_free(&record);
 }
 
-/* Options of the daemon, one behind each zero byte; and each of them as an address, a network and a
- * number. */
+/* The target for options of the daemon, one behind each zero byte. Each is also read as an address,
+ * a network and a number. */
 static void texts(const uint8_t *data, size_t size) {
   enum { WORDS = 40 };
   char *words[WORDS + 2] = {"dipoled"};
@@ -1304,7 +1319,7 @@ static void texts(const uint8_t *data, size_t size) {
     cli_count_parse(word, &number);
   }
   struct options options;
-  optind = 0; /* getopt_long() starts anew */
+  optind = 0; /* so that getopt_long() starts anew */
   options_read(count, words, &options);
   options_free(&options);
   free(copy);
@@ -1315,11 +1330,12 @@ static void start_texts(void) {
   stdout = nowhere;
 }
 
-/* ---- the list ------------------------------------------------------------------------------------ */
+/* ---- the list
+ * ------------------------------------------------------------------------------------ */
 
 static const struct fuzz_target {
   const char *name;
-  void (*start)(void); /* once; NULL: nothing to do */
+  void (*start)(void); /* called once before the first input; NULL: there is nothing to do */
   void (*run)(const uint8_t *data, size_t size);
 } fuzz_targets[] = {
     {"frames", start_daemon, frames},     {"messages", NULL, messages},

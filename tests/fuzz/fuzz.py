@@ -1,13 +1,13 @@
-"""Fuzzes: runs each target of tests/fuzz/fuzz.c with libFuzzer, all on as many processors as there
-are, and prints what came of each.
+"""Runs each target of tests/fuzz/fuzz.c with libFuzzer, on all processors, and prints the outcome
+of each.
 
-  fuzz.py PROGRAM check          a fixed number of inputs from a fixed seed, for `make check`
-  fuzz.py PROGRAM SECONDS        so many seconds in all; goes on from what earlier runs have found
-  fuzz.py PROGRAM merge          puts what was found, as far as it reaches new code, into the corpus
+  fuzz.py PROGRAM check          runs a fixed number of inputs from a fixed seed, for `make check`
+  fuzz.py PROGRAM SECONDS        runs for SECONDS in all, and goes on from what earlier runs found
+  fuzz.py PROGRAM merge          adds the found inputs that reach new code to the corpus
 
 The corpus is tests/fuzz/corpus: a target and an input in base64 on each line. The hexadecimal
-examples of PROTOCOL.md and REGISTERS.md are inputs as well. All of them are unpacked, and new ones
-are kept, in folders beside the program."""
+examples of PROTOCOL.md and REGISTERS.md are inputs as well. All inputs are unpacked into folders
+beside the program, and new ones are kept there."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from pathlib import Path
 FUZZ = Path(__file__).parent
 CORPUS = FUZZ / "corpus"
 PROTO = FUZZ.parent.parent / "proto"
-# What `make check` runs of each target beside the corpus: so many inputs, or as many as it can in so
-# many seconds.
+# `make check` runs the corpus and this many more inputs of each target, or fewer if that would take
+# longer than CHECK_S seconds.
 CHECK_RUNS = 20000
 CHECK_S = 5
 # A single input takes longer than this only if it hangs: the slowest profile takes some seconds.
@@ -36,7 +36,7 @@ JOBS = int(os.environ.get("FUZZ_JOBS", os.cpu_count() or 1))
 
 
 def targets() -> list[str]:
-    """The names that the program knows."""
+    """Returns the names of the program's targets."""
     environment = os.environ | {"FUZZ_TARGET": ""}
     return subprocess.run([sys.argv[1]], env=environment, capture_output=True, text=True).stdout.split()
 
@@ -45,14 +45,14 @@ def targets() -> list[str]:
 
 
 def examples(path: str) -> dict[str, bytes]:
-    """The blocks ```hex NAME of a document: pairs of digits, and comments from # to the line's
-    end."""
+    """Reads the blocks ```hex NAME of a document: pairs of digits, and comments from # to the end
+    of the line."""
     blocks = re.findall(r"^```hex ([\w-]+)\n(.*?)^```", (PROTO / path).read_text(), re.M | re.S)
     return {name: bytes.fromhex(re.sub(r"#.*", "", body)) for name, body in blocks}
 
 
 def seeds() -> Iterator[tuple[str, bytes]]:
-    """The documents' examples, as inputs of the targets that can use them."""
+    """Yields the examples in the documents as inputs of the targets that can use them."""
     frames = examples("PROTOCOL.md")
     asked = b"".join(data for name, data in frames.items() if name.endswith("-request"))
     for data in [*frames.values(), asked]:
@@ -61,7 +61,7 @@ def seeds() -> Iterator[tuple[str, bytes]]:
         yield "replies", data[6:7] + b"\x00" + data
     for data in examples("REGISTERS.md").values():
         yield "modbus", b"\x00\x00" + data
-        yield "rtu", bytes([5, len(data) - 6]) + data[6:]  # with a checksum, before a silence
+        yield "rtu", bytes([5, len(data) - 6]) + data[6:]  # with a checksum, and before a silence
 
 
 def kept() -> Iterator[tuple[str, bytes]]:
@@ -81,7 +81,7 @@ def unpack(folder: Path) -> None:
 
 
 def libfuzzer(program: Path, name: str, log: Path, *arguments: str) -> int:
-    """Runs one target; its exit status."""
+    """Runs one target. Returns its exit status."""
     flags = [f"-timeout={HANG_S}", f"-rss_limit_mb={MEMORY_MB}", f"-artifact_prefix={log.parent}/{name}-"]
     environment = os.environ | {"FUZZ_TARGET": name}
     with log.open("wb") as output:
@@ -90,7 +90,7 @@ def libfuzzer(program: Path, name: str, log: Path, *arguments: str) -> int:
 
 
 def report(name: str, status: int, log: Path, took_s: float) -> bool:
-    """Prints what a run came to; whether it found no fault."""
+    """Prints the outcome of a run. Returns whether it found no fault."""
     text = log.read_text(errors="replace")
     executions = re.findall(r"stat::number_of_executed_units: (\d+)", text)
     edges = re.findall(r" cov: (\d+) ", text)
@@ -119,7 +119,8 @@ def run_all(program: Path, folder: Path, arguments: list[str]) -> bool:
 
 
 def merge(program: Path, folder: Path) -> None:
-    """Rewrites the corpus: the fewest inputs of each target that reach all that is reached."""
+    """Rewrites the corpus with the fewest inputs of each target that reach all code that is reached
+    now."""
     lines = []
     for name in targets():
         merged = folder / "merged" / name

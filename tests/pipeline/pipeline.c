@@ -1,10 +1,10 @@
-/* pipeline REQUESTS ADDRESS: eight threads, each with a connection of its own and many queries
- * under way, send so many requests in all through libdipole and collect the answers in random
- * order: some by id, some as they come, some into memory of their own. No two requests are alike,
- * and every answer is compared, bit for bit, with what the same kernels make of its own radii in
- * this process: so that an answer to another request is noticed. ADDRESS may name several
- * daemons. Prints how many were answered, and how fast;
- * exits with 1 at the first answer that is wrong, doubled or missing. */
+/* pipeline REQUESTS ADDRESS: sends REQUESTS requests through libdipole. Eight threads each have a
+ * connection and many outstanding queries, and collect the answers in random order: some by id,
+ * some in the order of arrival, some into memory of their own. No two requests are alike. The
+ * program compares every answer, bit for bit, with its own evaluation of the same radii, so that an
+ * answer to another request is noticed. ADDRESS may name several daemons. It prints how many
+ * requests were answered, and how fast. It exits with 1 at the first answer that is wrong, doubled
+ * or missing. */
 #include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -32,7 +32,7 @@ static const dipole_medium media[MEDIA] = {
 
 static core_profile profiles[MODELS][MEDIA][EVALUATORS];
 
-/* A request and its values. */
+/* A request, and the memory for its values. */
 typedef struct slot {
   unsigned model, medium, evaluator;
   size_t count;
@@ -44,7 +44,7 @@ typedef struct slot {
 typedef struct worker {
   pthread_t thread;
   const char *address;
-  uint64_t first, count; /* it sends the requests first, ..., first + count - 1 */
+  uint64_t first, count; /* the thread sends the requests first, ..., first + count - 1 */
   uint64_t answered;
   uint64_t random;
   unsigned model_ids[MODELS];
@@ -62,7 +62,7 @@ static _Noreturn void fail(const char *what, const dipole_error *error) {
   exit(1);
 }
 
-/* splitmix64 (Steele, Lea, Flood 2014). */
+/* Returns the next random number of splitmix64 (Steele, Lea, Flood 2014). */
 static uint64_t next_random(uint64_t *state) {
   uint64_t z = *state += 0x9e3779b97f4a7c15u;
   z = (z ^ z >> 30) * 0xbf58476d1ce4e5b9u;
@@ -72,7 +72,8 @@ static uint64_t next_random(uint64_t *state) {
 
 /* ---- requests ------------------------------------------------------------------------------ */
 
-/* Up to 15 million requests have different first radii, also in single precision. */
+/* Makes the radii of a request. Up to 15 million requests have different first radii, even in
+ * single precision. */
 static void make_radii(slot *to, uint64_t number) {
   for (size_t i = 0; i < to->count; i++) {
     const double r = 0.5 + 0x1p-21 * (double)(number % (15 << 20)) + (double)i;
@@ -135,7 +136,7 @@ static void check(const slot *asked, const dipole_result *result) {
   }
 }
 
-/* Frees the slot with this id and returns it. */
+/* Finds the slot of the request with this id, frees it and returns it. */
 static const slot *take(worker *of, uint64_t id) {
   for (size_t i = 0; i < of->used; i++) {
     if (of->ids[i] == id) {
@@ -150,7 +151,7 @@ static const slot *take(worker *of, uint64_t id) {
   fail("an answer to nothing, or a second one", NULL);
 }
 
-/* Collects one answer and checks it: half of the time the answer with a random id, else any. */
+/* Collects and checks one answer: half of the time that with a random id, else any. */
 static void collect(worker *of) {
   const uint64_t random = next_random(&of->random);
   dipole_result *result;
@@ -184,8 +185,8 @@ static void open_client(worker *of) {
   }
 }
 
-/* Submits until IN_FLIGHT requests are in flight, collects a random number of answers, and repeats
- * that. At the end it collects all answers. */
+/* The work of a thread: again and again submits queries until IN_FLIGHT are outstanding, and
+ * collects a random number of answers. At the end it collects all answers. */
 static void *work(void *argument) {
   worker *of = argument;
   uint64_t submitted = 0;

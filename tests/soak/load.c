@@ -1,9 +1,9 @@
-/* soak-load ADDRESS SEED all|evals: sends a dipoled every kind of request through libdipole, as fast
- * as it answers, until standard input ends. It first sends each request alone, and compares every
- * later answer with that first one, bit for bit. It prints "answered=N" from time to time and all
- * counts at the end. It exits with 1 at the first answer that is wrong, doubled or missing. The
- * daemon may be killed and started again meanwhile. With `evals` it sends no Monte Carlo jobs, breaks
- * off no answer, and uses only models that prepare quickly. */
+/* soak-load ADDRESS SEED all|evals: sends a dipoled every kind of request through libdipole, as
+ * fast as it answers, until standard input ends. It first sends each request alone, and compares
+ * every later answer with that first one, bit for bit. It prints "answered=N" from time to time and
+ * all counts at the end. It exits with 1 at the first answer that is wrong, doubled or missing. The
+ * daemon may be killed and started again meanwhile. With `evals` it sends no Monte Carlo jobs,
+ * breaks off no answer, and uses only models that prepare quickly. */
 #include <math.h>
 #include <poll.h>
 #include <stdio.h>
@@ -14,10 +14,10 @@
 
 enum {
   QUESTIONS_MAX = 512,
-  VARIANTS = 3, /* media of each model */
+  VARIANTS = 3, /* how many media each model gets */
   FEW = 16,
   MANY = 65536,
-  PARTS = 2000000, /* more than a frame of the daemon under test holds */
+  PARTS = 2000000, /* radii of an answer that is too large for one frame of the daemon under test */
   IN_FLIGHT = 24,
   RETRY_MS = 60000,
 };
@@ -43,7 +43,7 @@ static _Noreturn void fail(const char *what, const dipole_error *error) {
   exit(1);
 }
 
-/* splitmix64 (Steele, Lea, Flood 2014). */
+/* Returns the next random number of splitmix64 (Steele, Lea, Flood 2014). */
 static uint64_t next_random(uint64_t *state) {
   uint64_t z = *state += 0x9e3779b97f4a7c15u;
   z = (z ^ z >> 30) * 0xbf58476d1ce4e5b9u;
@@ -103,7 +103,8 @@ static void check(const question *asked, dipole_result *result) {
 
 /* ---- questions ----------------------------------------------------------------------------- */
 
-/* Adds the parameter that a refusal has named. Returns false if there is no such parameter. */
+/* Adds a parameter, which a refusal has named, to a query. Returns false if there is no such
+ * parameter. */
 static bool add_parameter(const dipole_client *client, question *asked, const char *name) {
   const unsigned id = dipole_id(client, DIPOLE_PARAMETER, name);
   const size_t count = asked->query.parameter_count;
@@ -118,7 +119,7 @@ static bool add_parameter(const dipole_client *client, question *asked, const ch
   return true;
 }
 
-/* Sends a request alone and keeps it with its answer. A request that is refused is not kept. */
+/* Sends a request alone, and keeps it together with its answer. Forgets it if it is refused. */
 static void learn(dipole_client *client, const question *from) {
   question *asked = &questions[question_count];
   dipole_result *result;
@@ -175,7 +176,7 @@ static void learn_grid(dipole_client *client, const char *model, unsigned evalua
   learn(client, &asked);
 }
 
-/* Whether a model prepares quickly. Only such models are used while daemons are killed. */
+/* Returns whether a model prepares quickly. Only such models are used while daemons are killed. */
 static bool is_quick(const char *model) {
   return strcmp(model, "better") == 0 || strcmp(model, "classical") == 0;
 }
@@ -208,7 +209,8 @@ typedef struct slot {
 } slot;
 
 static const question *choose(uint64_t *random) {
-  /* The last one is large. If it were as frequent as the others, it would take all the time. */
+  /* The last question is large. If it were as frequent as the others, it would take all the time.
+   */
   const uint64_t which = next_random(random) % (64 * question_count);
   return which == 0 ? &questions[question_count - 1] : &questions[which % (question_count - 1)];
 }
@@ -254,7 +256,7 @@ static void collect(dipole_client *client, slot slots[IN_FLIGHT]) {
   late++;
 }
 
-/* Fetches a table and compares it with the first one. */
+/* Fetches a table, and compares it with the first one that was fetched. */
 static void fetch_table(dipole_client *client) {
   static uint8_t *known;
   static size_t known_bytes;
@@ -277,8 +279,8 @@ static void fetch_table(dipole_client *client) {
   tables++;
 }
 
-/* Runs a Monte Carlo job and compares it with the first one. libdipole does not send a job again, so
- * that a job which the daemon refuses for now is no failure. */
+/* Runs a Monte Carlo job, and compares its result with that of the first job. libdipole does not
+ * repeat jobs, so a temporary refusal is no failure. */
 static void walk(dipole_client *client) {
   static double known[8];
   const dipole_mc_query query = {.medium = medium_number(0),
@@ -297,7 +299,7 @@ static void walk(dipole_client *client) {
     return;
   }
   const double *R = dipole_mc_values(result, 0, DIPOLE_MC_REFLECTED);
-  if (known[0] == 0) { /* R is never 0, so this is the first job */
+  if (known[0] == 0) { /* No job has run yet: R is never 0. */
     memcpy(known, R, sizeof known);
   } else if (memcmp(known, R, sizeof known) != 0) {
     fail("a wrong table of photons", NULL);
@@ -306,12 +308,13 @@ static void walk(dipole_client *client) {
   jobs++;
 }
 
-/* Compares the first two parts of a long answer, then stops it. */
+/* Compares the first two parts of a long answer, and then ends the answer. */
 static bool read_two_parts(void *context, const dipole_result *part, uint64_t radius_first) {
   unsigned *parts = context;
   const question *asked = &questions[question_count - 1];
   const size_t head_bytes =
-      asked->known_bytes - asked->query.radius_count * sizeof(float); /* R comes last */
+      asked->known_bytes -
+      asked->query.radius_count * sizeof(float); /* The values of R are the last bytes. */
   if (memcmp(part->channels[0].R_f32, asked->known + head_bytes + radius_first * sizeof(float),
              part->radius_count * sizeof(float)) != 0) {
     fail("a wrong part", NULL);

@@ -1,5 +1,5 @@
-"""Full load for SOAK_S seconds: everything that a client can ask for, and clients that are killed,
-do not read or talk nonsense beside it. Every answer is right, and memory does not grow."""
+"""Full load for SOAK_S seconds: requests of every kind, and beside them clients that are killed, do
+not read, or send garbage. Every answer is correct, and memory does not grow."""
 
 from __future__ import annotations
 
@@ -15,21 +15,22 @@ from dipole import DipoleError, wire
 from frames import EVAL, F32, STATISTICS, R, ask, eval_payload, frame
 
 SOAK_S = float(os.environ.get("SOAK_S") or 40)
-CACHE_BYTES = 1 << 20  # less than all profiles take
+CACHE_BYTES = 1 << 20  # This is less than all profiles take.
 TOTAL_BYTES = 256 << 20
 OPTIONS = (
     *("--max-frame-bytes", str(1 << 20), "--max-part-bytes", str(1 << 16)),
     *("--cache-bytes", str(CACHE_BYTES), "--max-total-bytes", str(TOTAL_BYTES)),
 )
-# Beyond the most that it held in the first third, when it had met everything: of what a heap that
-# is asked for blocks of all sizes does not fill, and of a sanitizer's records.
+# The daemon's memory may grow by this much beyond its maximum in the first third of the time, when
+# it has met everything: for gaps in a heap with blocks of all sizes, and for records of a
+# sanitizer.
 GROWTH_BYTES = (128 if sanitized() else 24) << 20
-PATIENCE_S = 300.0  # for the beginning and the end, where nothing is measured
+PATIENCE_S = 300.0  # for waiting before and after the measured time
 ENDLESS = eval_payload(radii=None, radius_count=64_000_000, evaluator=F32, wanted=R)
 
 
 class Load:
-    """A soak-load that runs; see load.c."""
+    """A running soak-load, see load.c."""
 
     def __init__(self, url: str, seed: int):
         self.process = subprocess.Popen(
@@ -52,12 +53,12 @@ class Load:
         self._has_begun.set()
 
     def wait_until_begun(self) -> None:
-        """Until it knows all answers, and has checked some."""
+        """Waits until it knows all answers and has checked some."""
         assert self._has_begun.wait(PATIENCE_S)
         assert self.process.poll() is None, self.process.stderr.read()
 
     def end(self) -> dict[str, int]:
-        """Its counts, when it has been content to the end."""
+        """Ends it, and checks that it found no fault. Returns its counts."""
         self.process.stdin.close()
         status = self.process.wait(PATIENCE_S)
         self._reader.join()
@@ -65,13 +66,13 @@ class Load:
         return {k: int(v) for k, v in (pair.split("=") for pair in self.last_line.split())}
 
     def kill(self) -> None:
-        """Ends it at once."""
+        """Kills it."""
         self.process.kill()
         self.process.wait()
 
 
 class Rude:
-    """Does to a daemon what nobody should, until it is told to stop."""
+    """A thread of bad clients of a daemon, until it is told to stop."""
 
     def __init__(self, daemon: Daemon):
         self.done = 0
@@ -96,11 +97,12 @@ class Rude:
             while not self._stop.is_set():
                 self._round()
                 self.done += 1
-        except BaseException as failure:  # shown by the test's own thread
+        except BaseException as failure:  # The test's own thread raises it.
             self.failure = failure
 
     def _round(self) -> None:
-        """Two that never read for a second, and meanwhile others that die or send garbage."""
+        """Opens two clients that do not read for a second. Meanwhile, others die or send
+        garbage."""
         with self._daemon.connect("unix") as one, self._daemon.connect("tcp") as other:
             for stuck in (one, other):
                 stuck.send_bytes(frame(EVAL, 1, ENDLESS) * 8)
@@ -124,7 +126,7 @@ class Rude:
 
 
 def statistics(connection) -> dict[str, int]:
-    """The daemon's, read over this connection."""
+    """Reads the daemon's statistics over this connection."""
     payload = ask(connection, STATISTICS).payload
     count = wire.LIST_REPLY.unpack(payload).count
     offsets = (wire.LIST_REPLY.bytes + i * wire.VALUE.bytes for i in range(count))
@@ -132,13 +134,13 @@ def statistics(connection) -> dict[str, int]:
 
 
 def watch(daemon: Daemon) -> list[int]:
-    """Looks at the daemon twice a second; what it held each time."""
+    """Reads the daemon's memory twice a second, and checks its limits. Returns all sizes."""
     resident_bytes = []
     end_s = time.monotonic() + SOAK_S
     with daemon.connect() as watcher:
         while time.monotonic() < end_s:
             now = statistics(watcher)
-            # The first 128 KiB of each connection are beside the budget.
+            # The first 128 KiB of each connection do not count in the budget.
             beside_bytes = now["connections_open"] * (128 << 10)
             assert now["buffer_bytes"] <= TOTAL_BYTES + beside_bytes
             assert now["cache_bytes"] <= CACHE_BYTES
@@ -148,7 +150,7 @@ def watch(daemon: Daemon) -> list[int]:
 
 
 def test_soak():
-    # A sanitizer that keeps what was freed would hide what is held.
+    # This setting keeps the address sanitizer from holding on to freed memory.
     asan = os.environ.get("ASAN_OPTIONS", "") + ":quarantine_size_mb=8"
     daemon = Daemon(*OPTIONS, env={"ASAN_OPTIONS": asan})
     try:
@@ -173,7 +175,7 @@ def test_soak():
     print(f"soak: resident MiB: {curve} {resident_bytes[-1] / 2**20:.0f}")
     print(f"soak: cache_bytes {now['cache_bytes']}, evictions {now['cache_evictions']}")
     assert rude.done > 0
-    # Whether anything is late depends on the machine.
+    # Whether an answer is late depends on the machine.
     assert all(count > 0 for name, count in total.items() if name != "late"), total
     first_third = resident_bytes[: max(len(resident_bytes) // 3, 1)]
     assert max(resident_bytes) <= max(first_third) + GROWTH_BYTES

@@ -18,15 +18,15 @@ extern char **environ;
 
 enum { CHILDREN_MAX = 32, FILES_MAX = 16, PATH_BYTES = 64, STOP_MS = 5000 };
 
-/* Also read by the signal handler, which interrupts this process at any time: entries are complete
- * before they are counted. */
+/* The processes and files to clean up. The signal handler, which may interrupt this process at any
+ * time, also reads them, so an entry is complete before it is counted. */
 static struct {
   pid_t owner; /* 0 until child_begin() is called */
   cpu_set_t cores;
   char folder[PATH_BYTES - 16];
   char files[FILES_MAX][PATH_BYTES];
   volatile sig_atomic_t file_count;
-  volatile pid_t children[CHILDREN_MAX]; /* 0: ended */
+  volatile pid_t children[CHILDREN_MAX]; /* 0: it has ended */
   volatile sig_atomic_t child_count;
 } all;
 

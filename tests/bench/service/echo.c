@@ -14,12 +14,12 @@ enum { BUFFER_BYTES = 65536, EVENTS = 64 };
 
 struct peer {
   int fd;
-  uint8_t *input; /* bytes of requests that are not complete, and what else has been read */
+  uint8_t *input; /* the incomplete request, and other bytes that have been read */
   size_t input_bytes;
   size_t have;
-  uint8_t *output; /* as many replies as it has room for, complete but for their ids */
+  uint8_t *output; /* complete replies, as many as fit; only their ids are still to be set */
   size_t output_replies;
-  size_t to_write; /* bytes of output that wait for the socket, from written on */
+  size_t to_write; /* number of bytes of output, from written on, that wait for the socket */
   size_t written;
 };
 
@@ -67,7 +67,7 @@ static bool write_some(struct peer *peer) {
   return true;
 }
 
-/* Answers what is complete, as far as the output and the socket have room for it. */
+/* Answers the complete requests, as long as output and socket have room. */
 static bool answer(struct peer *peer, const struct target *target) {
   size_t at = 0;
   bool alive = true;
@@ -120,7 +120,7 @@ static void admit(int epoll, int listener, const struct target *target) {
   const int fd = accept4(listener, NULL, NULL, SOCK_NONBLOCK | SOCK_CLOEXEC);
   if (fd >= 0) {
     setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &on,
-               sizeof on); /* this call fails on a Unix socket, which is no error */
+               sizeof on); /* This call fails on a Unix socket, where it is not needed. */
     set_events(epoll, EPOLL_CTL_ADD, new_peer(target, fd), EPOLLIN);
   }
 }

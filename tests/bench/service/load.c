@@ -15,15 +15,15 @@
 enum { IN_FLIGHT_MAX = 4096, INPUT_BYTES = 65536, EVENTS = 64, PIECES = 64 };
 #define SILENCE_NS (TARGET_SILENCE_S * UINT64_C(1000000000))
 
-/* Numbers of slots, first in, first out. */
+/* A queue of numbers of slots, first in, first out. */
 struct queue {
   uint16_t *at;
-  size_t room; /* all slots */
+  size_t room; /* one place for each slot */
   size_t first;
   size_t count;
 };
 
-/* A request that may be under way. Its bytes are made once; only the id changes. */
+/* A request, which may be in flight. Its bytes are made once; only the id changes. */
 struct slot {
   uint64_t id;
   uint64_t due_ns;
@@ -36,14 +36,14 @@ struct connection {
   struct slot *slots;
   uint8_t *requests; /* [in_flight][request_bytes] */
   struct queue free;
-  struct queue to_send; /* sent_bytes of the first have been sent */
-  struct queue order;   /* under way, in the order in which they were sent; if not framed */
+  struct queue to_send; /* slots that wait to be sent; sent_bytes of the first have been sent */
+  struct queue order;   /* slots in flight in the order of sending, if the target is not framed */
   size_t sent_bytes;
   uint64_t sequence;
   uint8_t *input;
   size_t input_bytes;
   size_t have;
-  bool blocked; /* the socket takes no more for now */
+  bool blocked; /* whether the socket takes no more for now */
 };
 
 struct load {
@@ -54,9 +54,9 @@ struct load {
   int epoll;
   struct samples *samples;
   uint64_t under_way;
-  uint64_t answered;       /* ever */
-  uint64_t heard_ns;       /* when an answer last arrived, or a run began */
-  uint64_t issue_until_ns; /* closed loop: no request after an answer that comes later; else 0 */
+  uint64_t answered;       /* number of answers so far */
+  uint64_t heard_ns;       /* when the last answer arrived, or the run began */
+  uint64_t issue_until_ns; /* closed loop: later answers are not followed by a request; else 0 */
 };
 
 /* ---- queues ------------------------------------------------------------------------------- */
@@ -151,8 +151,8 @@ void load_free(struct load *load) {
 
 /* ---- sending ------------------------------------------------------------------------------ */
 
-/* The request waits to be sent; a slot is free. An id names slot and turn, so that an answer that
- * comes twice, or late, is found out. */
+/* Puts a request into a free slot and into the queue for sending. Its id names the slot and its
+ * turn, so that an answer that comes late or twice is noticed. */
 static void issue(struct load *load, struct connection *c, uint64_t due_ns) {
   const size_t number = pop(&c->free);
   struct slot *slot = &c->slots[number];
@@ -220,7 +220,7 @@ static void send_more(struct load *load, struct connection *c) {
 
 /* ---- receiving ---------------------------------------------------------------------------- */
 
-/* Returns the slot of the request that a reply answers. The reply's header has arrived. */
+/* Returns the slot of the request that a reply, whose header has arrived, answers. */
 static size_t slot_of(const struct load *load, const struct connection *c, const uint8_t *reply) {
   const uint64_t id = target_id(reply);
   const size_t number = load->target->framed ? id % IN_FLIGHT_MAX : peek(&c->order, 0);
@@ -278,7 +278,7 @@ static void receive(struct load *load, struct connection *c) {
   }
 }
 
-/* Deals with what is ready; waits for it up to timeout_ms. */
+/* Receives and sends on all sockets that are ready. Waits for one up to timeout_ms. */
 static void pump(struct load *load, int timeout_ms) {
   struct epoll_event events[EVENTS];
   const int count = epoll_wait(load->epoll, events, EVENTS, timeout_ms);
@@ -326,8 +326,8 @@ double load_closed(struct load *load, uint64_t duration_ns, struct samples *samp
   return per_s;
 }
 
-/* Issues what is due. A connection whose requests are all under way holds up those behind it, which
- * keep the times at which they were due. */
+/* Issues the requests that are due. If all requests of a connection are in flight, those behind it
+ * wait, but keep the times at which they were due. */
 static uint64_t issue_due(struct load *load, uint64_t issued, uint64_t total, double interval_ns,
                           uint64_t start_ns) {
   const double now_ns = (double)(bench_now_ns() - start_ns);
@@ -356,7 +356,7 @@ void load_open(struct load *load, double rate_per_s, uint64_t duration_ns,
   load->issue_until_ns = 0;
   while (issued < total || load->under_way > 0) {
     issued = issue_due(load, issued, total, interval_ns, start_ns);
-    pump(load, 0); /* with a timeout of 0 it never sleeps, because a sleep would end late */
+    pump(load, 0); /* does not sleep, because a sleep would end late */
   }
   samples_sort(samples);
 }

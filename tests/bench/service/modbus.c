@@ -22,7 +22,7 @@ enum {
   REPLY_BYTES = MBAP_BYTES + 2 + 2 * READ,
   COUNT = 4,
   R_BYTES = COUNT * 4,
-  WRITE_FROM = 100, /* proto/REGISTERS.md: commit, and status */
+  WRITE_FROM = 100, /* the registers commit and status, see proto/REGISTERS.md */
   READ_FROM = 300,
   BLOCKED_MS = 20,
 };
@@ -61,11 +61,11 @@ static void put_request(uint8_t *at, size_t unit) {
   at = put_word(put_word(at, READ_FROM), READ);
   at = put_word(put_word(at, WRITE_FROM), WRITTEN);
   *at++ = 2 * WRITTEN;
-  at = put_word(at, 1); /* commit, with this token */
+  at = put_word(at, 1); /* the value of commit */
   at = put_word(at, CORE_MODEL_BETTER);
   at = put_word(at, CORE_EVALUATOR_F32);
   at = put_word(at, CORE_MOMENTS_EXACT);
-  at = put_float(at, 0); /* no tolerance */
+  at = put_float(at, 0); /* tolerance: none */
   at = put_float(at, (float)medium.sigma_a_per_mm);
   at = put_float(at, (float)medium.sigma_s_per_mm);
   at = put_float(at, (float)medium.g);
@@ -75,7 +75,7 @@ static void put_request(uint8_t *at, size_t unit) {
   put_float(put_float(at, START_MM), STOP_MM);
 }
 
-/* Writes the last bytes of the expected reply, R, which are compared with the reply. */
+/* Writes the expected values R, the last bytes of a reply, with which replies are compared. */
 static void put_values(uint8_t *at, size_t unit) {
   const core_grid grid = {CORE_SPACING_LINEAR, COUNT, (double)START_MM, (double)STOP_MM};
   const core_medium medium = medium_of(unit);
@@ -122,7 +122,8 @@ static void nap(long ns) {
   nanosleep(&time, NULL);
 }
 
-/* Whole requests, a byte at a time; the deadline of one ends the connection: then the next. */
+/* Sends requests one byte at a time. When the deadline of a frame ends the connection, opens the
+ * next one. */
 static _Noreturn void trickle(const struct target_address *address, int ready) {
   if (write(ready, "", 1) != 1) {
     _exit(EXIT_FAILURE);
@@ -138,7 +139,8 @@ static _Noreturn void trickle(const struct target_address *address, int ready) {
   }
 }
 
-/* It is ready when the daemon takes no more of it, which small buffers bring about soon. */
+/* Sends requests and never reads. Writes to `ready` when the daemon takes no more bytes, which
+ * happens soon because the buffers are small. */
 static _Noreturn void never_read(const struct target_address *address, int ready) {
   const int small = 4096;
   uint8_t request[REQUEST_BYTES];
@@ -182,7 +184,7 @@ void modbus_start_rude(const struct target_address *address, pid_t rude[MODBUS_R
   for (size_t i = 0; i < MODBUS_RUDE; i++) {
     rude[i] = child_fork(CHILD_CLIENT);
     if (rude[i] == 0) {
-      close(ready[0]); /* only the parent reads from this pipe */
+      close(ready[0]); /* Only the parent process reads from this pipe. */
       run[i](address, ready[1]);
       _exit(EXIT_FAILURE);
     }

@@ -35,7 +35,7 @@ static void send_all(int fd, const uint8_t *bytes, size_t count) {
   }
 }
 
-/* Returns when the reply has arrived. A wrong header is found before the rest is waited for. */
+/* Waits for a reply. Checks the header before it waits for the rest. */
 static void receive(const struct ping *ping, size_t variant) {
   const struct target *target = ping->target;
   size_t have = 0;

@@ -13,7 +13,7 @@
 #include "tests/bench/bench.h"
 #include "tests/bench/service/child.h"
 
-/* A read of so much keeps the core for some ten microseconds. */
+/* The size of one read. It keeps the core for some ten microseconds. */
 enum { READ_BYTES = 65536 };
 #define SILENCE_NS (TARGET_SILENCE_S * UINT64_C(1000000000))
 
@@ -66,7 +66,7 @@ static void receive_some(int fd, uint8_t *bytes, size_t count, struct stream_sha
   }
 }
 
-/* Reads a frame; how many bytes of values it holds. */
+/* Reads a frame. Returns how many bytes of values it has. */
 static uint64_t receive_frame(int fd, uint8_t *buffer, struct stream_shared *shared) {
   wire_header header;
   const uint64_t besides = WIRE_BYTES_eval_reply + WIRE_BYTES_channel;
@@ -90,7 +90,7 @@ static void tell(int control, char what) {
   }
 }
 
-/* One request and its answer. */
+/* Sends one request and reads its answer. */
 static void stream_once(int fd, struct stream_shared *shared) {
   static uint8_t buffer[READ_BYTES];
   const size_t bytes = make_request(buffer);

@@ -13,7 +13,7 @@
 enum { STREAM_RADII = 64000000 };
 
 struct streamer {
-  int control; /* our end of a socket pair with the process */
+  int control; /* the benchmark's end of a socket pair with the process */
   struct stream_shared *shared;
 };
 

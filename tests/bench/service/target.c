@@ -66,11 +66,11 @@ int target_connect(const struct target_address *address) {
 enum {
   SMALL_VARIANTS = 64,
   SMALL_BYTES = 4096,
-  CHECK_LARGE_EVERY = 16, /* comparing one takes a good part of the time that is measured */
+  CHECK_LARGE_EVERY = 16, /* because a comparison takes a good part of the measured time */
 };
 static const enum core_model model = CORE_MODEL_BETTER;
 
-/* 0.01 to 10 mm, in no order. */
+/* Fills r with random radii from 0.01 to 10 mm. */
 static void fill_radii(float *r, size_t n, uint32_t *random) {
   for (size_t i = 0; i < n; i++) {
     *random = *random * 1664525u + 1013904223u;
@@ -78,7 +78,7 @@ static void fill_radii(float *r, size_t n, uint32_t *random) {
   }
 }
 
-/* A channel of skin1 for each variant, in turn. */
+/* Returns the medium of a variant: the channels of skin1 in turn. */
 static const core_medium *medium_of(size_t variant) {
   return &core_measured_medium_by_name("skin1")->channel[variant % 3];
 }
@@ -183,8 +183,8 @@ void target_free(struct target *target) {
 
 /* ---- frames ------------------------------------------------------------------------------- */
 
-/* Where a header has its request id (proto/PROTOCOL.md). Little-endian, as is every machine that
- * this runs on; were it not, an id would still come back as it was sent. */
+/* The offset of the request id in a header, see proto/PROTOCOL.md. The id comes back as it was
+ * sent, so its byte order does not matter. */
 enum { ID_OFFSET = 8, ID_END = 16 };
 
 void target_set_id(uint8_t *request, uint64_t id) {

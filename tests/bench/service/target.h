@@ -1,5 +1,6 @@
-/* target: a server and the requests that a benchmark sends it again and again. All requests have one
- * size and all replies have one size. The replies are known beforehand, and each reply is checked.
+/* target: a server and the requests that a benchmark sends it again and again. All requests have
+ * one size and all replies have one size. The replies are known beforehand, and each reply is
+ * checked.
  *
  * If a target is framed as in proto/PROTOCOL.md, a reply names its request and replies may come in
  * any order. Otherwise they come in the order of the requests.
@@ -28,7 +29,7 @@ struct target {
   uint8_t *requests;  /* [variants][request_bytes]; request ids are 0 if framed */
   uint8_t *replies;   /* [variants][reply_bytes]; request ids are 0 if framed */
   size_t values_from; /* offset of the first byte of a reply that is compared, after the header */
-  size_t check_every; /* values are compared in one of so many replies, headers in all of them */
+  size_t check_every; /* values are compared in one of this many replies, headers in all replies */
 };
 
 /* Makes the address of a Unix socket, or of a port of 127.0.0.1. */
