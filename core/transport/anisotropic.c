@@ -606,7 +606,14 @@ transport_number transport_anisotropic_at(const transport_anisotropic *solution,
 
 /* ---- totals --------------------------------------------------------------------------------- */
 
-core_fault transport_anisotropic_totals(transport_number *totals, double sigma_a_ratio,
+/* Enters a value of grid i: the first grid's is the value, and the next one's difference from it is
+ * the error. */
+static void enter(transport_number *to, size_t i, double value) {
+  *to = i == 0 ? (transport_number){value, 0}
+               : (transport_number){to->value, fabs(to->value - value)};
+}
+
+core_fault transport_anisotropic_totals(transport_totals *totals, double sigma_a_ratio,
                                         const transport_phase *phase, const double *etas,
                                         size_t count) {
   const core_fault fault = check(sigma_a_ratio, phase, etas, count);
@@ -633,10 +640,10 @@ core_fault transport_anisotropic_totals(transport_number *totals, double sigma_a
       single_rule rule;
       transport_single_rule(&rule, etas[eta], SINGLE_STEP);
       weigh_single(&rule, phase);
-      const double total = creal(exitance[eta].all - exitance[eta].single) +
-                           scaled.single * transport_single_at(&rule, INFINITY).within;
-      totals[eta] = i == 0 ? (transport_number){total, 0}
-                           : (transport_number){totals[eta].value, fabs(totals[eta].value - total)};
+      enter(&totals[eta].normal, i,
+            creal(exitance[eta].all - exitance[eta].single) +
+                scaled.single * transport_single_at(&rule, INFINITY).within);
+      enter(&totals[eta].diffuse, i, creal(exitance[eta].diffuse));
     }
   }
   return no_fault;

@@ -58,10 +58,17 @@ transport_number transport_anisotropic_at(const transport_anisotropic *solution,
 /* Returns the part of R that was scattered once. It has no error of the grids. */
 double transport_anisotropic_single_at(const transport_anisotropic *solution, size_t eta, double r);
 
-/* Sets totals[i] to the energy that leaves through the boundary etas[i], per power that has entered,
- * with an estimate of its absolute error. Arguments and faults are those of
+/* The energy that leaves per power that has entered, specular reflection excluded, with estimates of
+ * the absolute errors. */
+typedef struct transport_totals {
+  transport_number normal;  /* of a beam that enters at right angles */
+  transport_number diffuse; /* of light that strikes the surface with the same radiance from all
+                             * directions */
+} transport_totals;
+
+/* Sets totals[i] for the boundary etas[i]. Arguments and faults are those of
  * transport_anisotropic_solve(). It takes milliseconds. */
-core_fault transport_anisotropic_totals(transport_number *totals, double sigma_a_ratio,
+core_fault transport_anisotropic_totals(transport_totals *totals, double sigma_a_ratio,
                                         const transport_phase *phase, const double *etas,
                                         size_t count);
 

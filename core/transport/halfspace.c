@@ -25,6 +25,9 @@
  *
  *   (W + 1 - rho V) r_b = a (b- + rho b+),   (1 - rho F) I- = r_b,   exitance = <mu T psi>.I-.
  *
+ * Diffuse light has the radiance T(mu) / <mu T> behind the boundary, per power that has entered:
+ * (1 - rho F) I- = rho <mu T psi> / <mu T>.
+ *
  * rho and r_b do not depend on eta.
  */
 #include "core/transport/halfspace.h"
@@ -68,6 +71,7 @@ struct halfspace {
   size_t boundaries;
   blocks reflection[HALFSPACE_ETAS_MAX];        /* <psi mu F psi> */
   double exit[HALFSPACE_ETAS_MAX][DEGREES_MAX]; /* <mu T psi>, m = 0 */
+  double entering[HALFSPACE_ETAS_MAX];          /* <mu T> */
   double *memory;                               /* for the matrices of one solution */
 };
 
@@ -253,6 +257,7 @@ static void integrate_boundary(halfspace *to, size_t boundary, double eta, const
         mu_outside = sqrt((1 - eta * sine) * (1 + eta * sine));
       }
       weight *= mu * (eta == 1 ? 1 : transmittance(eta, mu, mu_outside));
+      to->entering[boundary] += weight;
       for (size_t m = 0; m <= to->orders; m++) {
         functions_at(&of[m], m, to->degrees[m], mu, sine, values);
         add_outer(to->reflection[boundary].order[m], to->degrees[m], -weight, values);
@@ -579,20 +584,26 @@ bool transport_halfspace_solve(halfspace *of, double complex k, double kappa,
     add_blocks(of, t, 1, &of->reflection[boundary]);
     transport_dense_multiply(&spare[0], r, t);
     combine(&spare[0], -1, &spare[0], 0, t, 1);
-    dense at_boundary = spare[1];
-    at_boundary.columns = 1;
-    at_boundary.stride = up.stride;
-    memcpy(at_boundary.re, up.re, n * up.stride * sizeof *up.re);
-    if (is_complex) {
-      memcpy(at_boundary.im, up.im, n * up.stride * sizeof *up.im);
+    /* the light on its way up, of a beam and of diffuse light */
+    dense lit = spare[1];
+    lit.columns = 2;
+    lit.stride = up.stride;
+    for (size_t i = 0; i < n; i++) {
+      double complex diffuse = 0;
+      for (size_t j = 0; j < of->degrees[0]; j++) {
+        diffuse += number_at(r, i, j) * of->exit[boundary][j];
+      }
+      put(&lit, i, 0, number_at(&up, i, 0));
+      put(&lit, i, 1, diffuse / of->entering[boundary]);
     }
-    if (!transport_dense_solve(&spare[0], &at_boundary)) {
+    if (!transport_dense_solve(&spare[0], &lit)) {
       return false;
     }
-    exitance[boundary] = (halfspace_exitance){0, 0};
+    exitance[boundary] = (halfspace_exitance){0, 0, 0};
     for (size_t i = 0; i < of->degrees[0]; i++) {
-      exitance[boundary].all += of->exit[boundary][i] * number_at(&at_boundary, i, 0);
+      exitance[boundary].all += of->exit[boundary][i] * number_at(&lit, i, 0);
       exitance[boundary].single += of->exit[boundary][i] * number_at(&once, i, 0);
+      exitance[boundary].diffuse += of->exit[boundary][i] * number_at(&lit, i, 1);
     }
   }
   return true;

@@ -46,7 +46,8 @@ void transport_halfspace_free(halfspace *of);
 /* The exitance at one wavenumber, per power that has entered, for one boundary. */
 typedef struct halfspace_exitance {
   double complex all;
-  double complex single; /* the part of `all` that was scattered once */
+  double complex single;  /* the part of `all` that was scattered once */
+  double complex diffuse; /* if diffuse light (of the same radiance from all directions) enters */
 } halfspace_exitance;
 
 /* Sets exitance[i] for boundary i. k: Re k >= 0, 0 <= Im k < kappa, in reciprocal scaled mean free

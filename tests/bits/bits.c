@@ -202,7 +202,7 @@ static void print_anisotropic(void) {
   static const double etas[] = {0.8, 1, 1.4};
   enum { ETAS = sizeof etas / sizeof etas[0], MOMENTS = 12 };
   const transport_phase phase = {0.8, 0, NULL};
-  transport_number totals[ETAS];
+  transport_totals totals[ETAS];
   uint64_t sum = CHECKSUM_START;
   if (transport_anisotropic_totals(totals, 0.05, &phase, etas, ETAS).field == NULL) {
     sum = checksum(sum, totals, sizeof totals);
