@@ -70,7 +70,7 @@ static const uint8_t field_at[REGISTERS_END] = {
 
 _Static_assert(FIELDS < UINT8_MAX, "one byte holds each");
 
-/* Returns the field of a register outside the mirror, or NULL. */
+/* Returns the field of a register outside the mirror, or NULL if the register has none. */
 static const registers_field *find(unsigned address) {
   return address < REGISTERS_END && field_at[address] > 0 ? &registers_fields[field_at[address] - 1]
                                                           : NULL;
@@ -87,7 +87,8 @@ static unsigned unmirrored(unsigned address) {
   return is_mirror(address) ? address - REGISTERS_MIRROR : address;
 }
 
-/* 1 for values of two words, which the mirror swaps. They start at even addresses. */
+/* 1 for the types whose values have two words, which the mirror swaps. Such values start at even
+ * addresses. */
 #define SWAP_U16 0
 #define SWAP_U32 1
 #define SWAP_F32 1
@@ -206,7 +207,8 @@ static bool is_given(const registers_field *field, double value) {
   return !(value == -1 || (value == 0 && field->least > 0));
 }
 
-/* Limits of floats besides the least and the most of their fields. */
+/* Further limits of float fields. A float32 that is the nearest to one of them counts as this
+ * limit. */
 static const struct limit {
   unsigned address;
   double value;
@@ -258,7 +260,8 @@ static bool is_in_range(const registers_field *field, double value) {
   if (field->access == REGISTERS_OPTIONAL && !is_given(field, value)) {
     return true;
   }
-  if (field->type == REGISTERS_F32) { /* the nearest to a limit counts as this limit */
+  if (field->type ==
+      REGISTERS_F32) { /* The float32 that is the nearest to a limit counts as the limit. */
     return value >= (double)(float)field->least && value <= (double)(float)field->most;
   }
   return value >= field->least && value <= field->most; /* false for NaN */
@@ -305,8 +308,9 @@ static const registers_field *find_writable(unsigned address, unsigned *at) {
   return field->access != REGISTERS_RO ? field : NULL;
 }
 
-/* Sets *field to what a write of the value at `here` changes, *at to its first register outside the
- * mirror, and *width to its registers. The write ends before `end`. */
+/* For a write of a value at `here`, sets *field to the field that it changes, *at to the first
+ * register of the value outside the mirror, and *width to the number of its registers. The write
+ * has the registers up to `end` - 1. */
 static wire_error check_address(unsigned here, unsigned end, unsigned *at,
                                 const registers_field **field, unsigned *width) {
   *field = find_writable(here, at);

@@ -24,7 +24,7 @@ enum {
   REGISTERS_ERROR_TEXT_BYTES = 80,
 };
 
-/* What can be wanted: the bits of the quantities that have output registers. */
+/* The quantities that can be wanted: those that have output registers. */
 #define REGISTERS_QUANTITIES                                                                       \
   (CORE_QUANTITY_R | CORE_QUANTITY_ALBEDO | CORE_QUANTITY_CDF | CORE_QUANTITY_S)
 
@@ -75,7 +75,7 @@ enum registers_status {
   REGISTERS_STATUS_CANCELLED
 };
 
-/* Where the other fields of a job are, from `status` on. */
+/* The distances of a job's other registers from its register `status`. */
 enum registers_behind_status {
   REGISTERS_BEHIND_DONE = 1,
   REGISTERS_BEHIND_ERROR,
@@ -154,7 +154,7 @@ bool registers_include(unsigned address, unsigned count, unsigned another);
  * no register. */
 unsigned registers_of_field(const registers_job *job, const char *field, uint64_t index);
 
-/* Read one value of an image. */
+/* These read one value of an image. */
 static inline uint16_t registers_u16(const uint16_t image[REGISTERS_END], unsigned address) {
   return image[address];
 }
@@ -170,7 +170,7 @@ static inline uint32_t registers_u32(const uint16_t image[REGISTERS_END], unsign
   return (uint32_t)image[address] << 16 | image[address + 1];
 }
 
-/* Set one value and its mirror, if it has one. */
+/* These set one value, and its mirror if it has one. */
 void registers_set_u16(uint16_t image[REGISTERS_END], unsigned address, unsigned value);
 void registers_set_u32(uint16_t image[REGISTERS_END], unsigned address, uint32_t value);
 void registers_set_f32(uint16_t image[REGISTERS_END], unsigned address, float value);

@@ -56,7 +56,7 @@ void table_reply_put(uint8_t *at, const core_profile *profile, const core_parame
   const uint8_t *words = (const uint8_t *)profile->lut;
   const size_t word_bytes = profile->lut_count * sizeof *profile->lut;
   const core_radii_range pieces = core_table_pieces(profile);
-  /* A table may be evaluated at any radius that it covers. */
+  /* The reply states the largest error for all radii that the table covers. */
   const double model_error = core_profile_errors(profile, CORE_QUANTITY_R, profile->radii).model;
   wire_table_reply fixed = {
       .layout = TABLE_LAYOUT,

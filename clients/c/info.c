@@ -207,7 +207,7 @@ bool dipole_media(dipole_client *client, dipole_measured_medium **media, size_t 
   if (frame == NULL) {
     return false;
   }
-  *media = calloc(*count + 1, sizeof **media); /* not NULL for an empty list, either */
+  *media = calloc(*count + 1, sizeof **media); /* so that *media is not NULL for an empty list */
   for (size_t i = 0; *media != NULL && i < *count; i++) {
     get_measured_medium(frame->payload + WIRE_BYTES_list_reply + i * WIRE_BYTES_measured_medium,
                         &(*media)[i]);

@@ -279,8 +279,8 @@ static bool get_offers(dipole_client *client, const libdipole_frame *frame, dipo
     return libdipole_bad_answer(client, "its offers do not have the length that they announce",
                                 error);
   }
-  *offers =
-      calloc((size_t)fixed.count + 1, sizeof **offers); /* not NULL for an empty list, either */
+  *offers = calloc((size_t)fixed.count + 1,
+                   sizeof **offers); /* so that *offers is not NULL for an empty list */
   if (*offers == NULL) {
     return libdipole_fail_memory(error);
   }

@@ -30,7 +30,7 @@ typedef struct libdipole_frame {
   wire_header header;
   uint64_t payload_bytes; /* may be more than a header can say if the answer had several parts */
   uint64_t stored_bytes;  /* the number of bytes in payload: all of them, or only the head */
-  void *into_values; /* the caller's memory that holds the arrays; both are NULL if there is none */
+  void *into_values;      /* the caller's memory for the values; NULL if there is none */
   void *into_radii;
   _Alignas(8) uint8_t payload[];
 } libdipole_frame;
@@ -120,7 +120,7 @@ struct dipole_client {
   int64_t until_ms;    /* when the running call has to end; 0 means never */
   unsigned waited_ms;  /* how long earlier calls, whose time ended, saw no byte of the daemon */
   dipole_error lost;   /* why there is no connection; kind NONE if there is one */
-  dipole_error broken; /* why there is no connection for good; kind NONE if the client works */
+  dipole_error broken; /* why the client can never connect again; kind NONE if it can */
   libdipole_addresses addresses;
   libdipole_retry retry;
 

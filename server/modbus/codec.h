@@ -10,8 +10,8 @@
 
 enum {
   MODBUS_PDU_MAX = 253,
-  MODBUS_FC_DIAGNOSTICS = 0x08,    /* modbus.h lacks this function, */
-  MODBUS_FC_READ_DEVICE_ID = 0x2b, /* and this one */
+  MODBUS_FC_DIAGNOSTICS = 0x08,    /* modbus.h lacks this function */
+  MODBUS_FC_READ_DEVICE_ID = 0x2b, /* modbus.h lacks this function */
 };
 
 /* A request whose lengths and counts are valid. Its addresses have not been checked. */
@@ -40,25 +40,25 @@ bool modbus_pdu_writes(unsigned number);
 
 /* ---- frames of serial lines: unit, PDU, checksum --------------------------------------------- */
 
-enum { MODBUS_RTU_MIN = 4, MODBUS_RTU_MAX = 256 }; /* bytes of a frame */
+enum { MODBUS_RTU_MIN = 4, MODBUS_RTU_MAX = 256 }; /* limits for the length of a frame */
 
 /* Returns the checksum: CRC-16 with the reflected polynomial 0xa001 and the start value 0xffff. In
  * a frame, its low byte comes first. */
 uint16_t modbus_rtu_checksum(const uint8_t *bytes, size_t count);
 
-/* Returns whether the bytes are one frame. */
+/* Returns whether the bytes are exactly one frame. */
 bool modbus_rtu_is_frame(const uint8_t *bytes, size_t count);
 
 /* The frames, requests and answers, at the start of some bytes. They follow each other without
  * anything between them. */
 struct modbus_rtu_frames {
   unsigned count;
-  size_t last;  /* start of the last one */
-  size_t bytes; /* length of all of them together */
+  size_t last;  /* start of the last frame */
+  size_t bytes; /* length of all frames together */
 };
 
-/* Finds these frames. A frame whose length is not known, because its function is not known, is
- * found only if nothing follows it. */
+/* Finds the frames at the start of the bytes. A frame of an unknown function, whose length is
+ * unknown, is found only if nothing follows it. */
 struct modbus_rtu_frames modbus_rtu_split(const uint8_t *bytes, size_t count);
 
 /* ---- identification -------------------------------------------------------------------------- */

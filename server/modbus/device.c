@@ -21,7 +21,7 @@ static bool read_number(const char *text, int least, int most, int *value) {
          *value >= least && *value <= most;
 }
 
-/* The functions below return NULL, or what is wrong. */
+/* Each read_ function reads a part of the option. It returns NULL, or the text of what is wrong. */
 
 static const char *read_path(struct modbus_device *device, const char *text) {
   if (*text == '\0' || strlen(text) >= sizeof device->path) {
@@ -161,7 +161,7 @@ int modbus_device_open(struct modbus_device *device) {
 
 void modbus_device_close(struct modbus_device *device) {
   if (device->context != NULL) {
-    if (device->rts_by_hand) { /* no other device could send */
+    if (device->rts_by_hand) { /* Without RTS, no other device could send. */
       modbus_device_set_rts(device, false);
     }
     modbus_close(device->context);

@@ -19,9 +19,10 @@ struct modbus_device {
   int baud;
   char parity; /* 'N', 'E' or 'O' */
   int stop_bits;
-  unsigned number; /* of the unit that the line serves */
+  unsigned number; /* number of the unit that the line serves */
   enum modbus_rts rts;
-  unsigned rts_delay_ms; /* from RTS to the first character, and from the last one to RTS */
+  /* Delay between RTS and the first character, and between the last character and RTS. */
+  unsigned rts_delay_ms;
 
   modbus_t *context; /* of libmodbus; NULL while the device is not open */
   bool rts_by_hand;  /* whether the caller has to set RTS */

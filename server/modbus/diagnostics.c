@@ -29,7 +29,7 @@ void modbus_diagnostics_count(struct modbus_diagnostics *diagnostics, const uint
   counters[MODBUS_COUNTER_BUSY] += exception == MODBUS_EXCEPTION_SLAVE_OR_SERVER_BUSY;
 }
 
-/* Returns whether the data of a request is what its sub-function asks for. */
+/* Returns whether the data of a request is what its sub-function requires. */
 static bool has_right_data(const uint8_t *pdu, size_t bytes) {
   const unsigned sub = word(pdu + 1);
   if (sub == RETURN_QUERY_DATA) {
@@ -57,7 +57,7 @@ static size_t put_exception(unsigned exception, uint8_t *answer) {
   return 2;
 }
 
-/* Replaces the data in a copy of the request. */
+/* Writes a word as the data of an answer, which is a copy of the request. Returns the length. */
 static size_t put_word(uint16_t value, uint8_t *answer) {
   answer[3] = (uint8_t)(value >> 8);
   answer[4] = (uint8_t)value;

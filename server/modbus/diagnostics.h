@@ -11,7 +11,7 @@ enum modbus_counter {
   MODBUS_COUNTER_BUS_ERRORS,      /* wrong checksums, unfinished frames, noise */
   MODBUS_COUNTER_EXCEPTIONS,      /* answers that were exceptions */
   MODBUS_COUNTER_SERVER_MESSAGES, /* requests to the unit or to all units */
-  MODBUS_COUNTER_NO_RESPONSES,    /* those of them that were not answered */
+  MODBUS_COUNTER_NO_RESPONSES,    /* requests to the unit or to all units that were not answered */
   MODBUS_COUNTER_NAKS,            /* exceptions 07 */
   MODBUS_COUNTER_BUSY,            /* exceptions 06 */
   MODBUS_COUNTER_OVERRUNS,        /* silences before which the device lost characters */

@@ -12,7 +12,7 @@
 
 enum {
   NS_PER_MS = 1000000,
-  SILENCE_LEAST_NS = 1750000, /* as the standard says for rates above 19200 */
+  SILENCE_LEAST_NS = 1750000, /* the least silence, which the standard sets for rates above 19200 */
   RETRY_MS = 500,
   RETRY_FIRST_MS = 250,
   RETRY_MOST_MS = 30000,
@@ -190,7 +190,7 @@ static void answer_diagnostics(struct modbus_line *line) {
   }
 }
 
-/* Carries out the burst's request. */
+/* Carries out the request of the last burst. */
 static void answer(struct modbus_line *line) {
   struct modbus_unit *unit = NULL;
   const uint8_t *pdu = line->burst.request + 1;
@@ -317,7 +317,8 @@ static void on_poll(uv_poll_t *poll, int status, int events) {
   struct modbus_line *line = poll->data;
   if (status < 0) {
     lose_device(line, uv_strerror(status));
-  } else if (!line->client.to_run) { /* If not, read in the next round, after the answer. */
+  } else if (!line->client
+                  .to_run) { /* Otherwise the bytes are read in the next round, after the answer. */
     read_more(line);
   }
 }

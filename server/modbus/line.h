@@ -43,11 +43,11 @@ struct modbus_line {
   struct modbus_burst burst;     /* the last burst, with its request */
 
   /* The answer that is being sent. */
-  enum { NOT_SENDING, BEFORE_WRITING, AFTER_WRITING } sending; /* with RTS by hand */
-  bool probing;        /* whether only its first byte has been sent (server/modbus/receiver.h) */
-  uint64_t write_ns;   /* when its bytes are written, after the delay of RTS */
-  uint64_t sent_ns;    /* when its last character, and the delay of RTS, will be over */
-  size_t output_begin; /* start of the bytes that have not been written, in the output */
+  enum { NOT_SENDING, BEFORE_WRITING, AFTER_WRITING } sending; /* step, if RTS is set by hand */
+  bool probing; /* whether the line probes for echo: only the first byte of the answer is sent */
+  uint64_t write_ns; /* when the bytes of the answer are written, after the delay of RTS */
+  uint64_t sent_ns;  /* when the last character of the answer, and the delay of RTS, will be over */
+  size_t output_begin; /* start of the bytes of the output that have not been written */
   size_t output_end;
   size_t frame_bytes; /* length of the answer's frame */
   uint8_t output[MODBUS_RTU_MAX];

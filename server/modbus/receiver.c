@@ -3,8 +3,8 @@
 #include <assert.h>
 #include <string.h>
 
-/* After so many equal answers, the receiver learns again whether there is an echo. If it was wrong
- * about that, the daemon would otherwise answer itself for ever. */
+/* After this many equal answers, the receiver learns again whether there is an echo. If it were
+ * wrong about the echo, the daemon could answer itself forever. */
 enum { REPEATS_MOST = 64 };
 
 /* Drops the first bytes that are kept. */
@@ -24,7 +24,7 @@ void modbus_receiver_reset(struct modbus_receiver *receiver) {
 
 /* ---- echo ------------------------------------------------------------------------------------ */
 
-/* Returns whether the bytes could be a request, too. */
+/* Returns whether an answer has bytes that could also be a request. */
 static bool could_be_request(const uint8_t *frame, size_t bytes) {
   return frame[1] == MODBUS_FC_DIAGNOSTICS || modbus_pdu_bytes(frame + 1, bytes - 3) == bytes - 3;
 }
@@ -51,7 +51,7 @@ static bool begins_with_sent(const struct modbus_receiver *receiver) {
   return most > 0 && memcmp(receiver->bytes, receiver->sent, most) == 0;
 }
 
-/* Notes that something other than the frame that was sent has arrived, or nothing. */
+/* Notes that there was no echo: other bytes have arrived, or none. */
 static void miss_echo(struct modbus_receiver *receiver) {
   receiver->sent_count = 0;
   receiver->echo = receiver->echo == MODBUS_ECHO_HEARD ? MODBUS_ECHO_UNKNOWN : MODBUS_ECHO_NONE;
@@ -71,7 +71,7 @@ static bool take_echo(struct modbus_receiver *receiver, struct modbus_burst *bur
     return true;
   }
   if (!begins_with_sent(receiver)) {
-    burst->bad = receiver->fresh > 0; /* those bytes were no echo */
+    burst->bad = receiver->fresh > 0; /* Bytes before the echo were noise. */
     miss_echo(receiver);
     return true;
   }
@@ -106,8 +106,8 @@ void modbus_receiver_arrived(struct modbus_receiver *receiver, size_t count, uin
   receiver->arrived_ns = now_ns;
 }
 
-/* Finds frames that begin after a silence, at *begin, and reach to the end of what has arrived.
- * Returns false if there are none. */
+/* Finds frames that begin after a silence, at *begin, and reach to the end of the bytes that have
+ * arrived. Returns false if there are none. */
 static bool find_frames(const struct modbus_receiver *receiver, size_t *begin,
                         struct modbus_rtu_frames *frames) {
   const size_t begins[] = {0, receiver->fresh, receiver->late};
@@ -133,7 +133,7 @@ bool modbus_receiver_is_whole(const struct modbus_receiver *receiver) {
   return find_frames(receiver, &begin, &frames);
 }
 
-/* Counts the frames, and keeps the bytes behind them: the rest of their frame may follow. */
+/* Counts the complete frames, and keeps the bytes behind them, whose frame may go on. */
 static void keep_unfinished(struct modbus_receiver *receiver, struct modbus_burst *burst) {
   const struct modbus_rtu_frames frames =
       modbus_rtu_split(receiver->bytes + receiver->fresh, receiver->count - receiver->fresh);

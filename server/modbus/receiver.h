@@ -19,7 +19,7 @@
 #include "server/modbus/codec.h"
 
 enum {
-  MODBUS_RECEIVER_BYTES = 1024, /* that may arrive without a silence */
+  MODBUS_RECEIVER_BYTES = 1024, /* the most bytes that may arrive without a silence */
 };
 
 enum modbus_echo {
@@ -34,8 +34,8 @@ struct modbus_receiver {
   enum modbus_echo echo;
   uint64_t arrived_ns; /* when bytes last arrived */
   size_t count;        /* number of bytes that are kept */
-  size_t fresh;        /* start of the bytes that arrived after the last end */
-  size_t late;         /* start of the bytes that arrived after the last silence since then */
+  size_t fresh;        /* start of the bytes that arrived after the last modbus_receiver_end() */
+  size_t late;         /* start of the bytes after the last short silence, if later than fresh */
   unsigned repeats;    /* number of answers in a row that were equal */
   size_t sent_count;   /* length of the frame that was sent and may come back; 0: none may */
   uint8_t sent[MODBUS_RTU_MAX];
@@ -58,15 +58,15 @@ void modbus_receiver_reset(struct modbus_receiver *receiver);
  * silent for very long, drops the first frames that are kept, or all if they are no frames. */
 uint8_t *modbus_receiver_room(struct modbus_receiver *receiver, size_t *room);
 
-/* Call it after `count` bytes have been put there. */
+/* Call it after `count` bytes have been put into the room, at time now_ns. */
 void modbus_receiver_arrived(struct modbus_receiver *receiver, size_t count, uint64_t now_ns);
 
 /* Returns whether whole frames have arrived, and nothing else. A silence of 3.5 characters then
  * ends them. */
 bool modbus_receiver_is_whole(const struct modbus_receiver *receiver);
 
-/* Call it when a silence has ended what has arrived. The request is the last frame, if that is one
- * to the unit or to all units (0). */
+/* Call it when a silence has ended the bytes that have arrived. Sets *burst. Its request is the
+ * last frame, if that is addressed to the unit or to all units (0). */
 void modbus_receiver_end(struct modbus_receiver *receiver, struct modbus_burst *burst);
 
 /* Call it when a frame is going to be sent. Drops what has arrived. If it returns true, the frame

@@ -80,7 +80,7 @@ static void enter(struct modbus_task *task, enum modbus_task_state state) {
   }
 }
 
-/* The job can go on: its profile has been prepared, or Monte Carlo has something new. */
+/* Called when the job can go on, because its profile has been prepared or Monte Carlo has news. */
 static void on_ready(void *owner) {
   struct modbus_task *task = owner;
   if (task->state == MODBUS_TASK_WAITS) {
@@ -88,7 +88,7 @@ static void on_ready(void *owner) {
   }
 }
 
-/* Does what the job wants next, and subtracts what that cost from *budget. */
+/* Calls the function of the job that its last outcome asks for. Subtracts the cost from *budget. */
 static enum job_outcome step(struct modbus_task *task, enum job_outcome outcome, uint64_t *budget) {
   struct job *job = task->job;
   if (outcome != JOB_NEXT_PART) {
@@ -98,15 +98,15 @@ static enum job_outcome step(struct modbus_task *task, enum job_outcome outcome,
   assert(job->part_bytes <= MODBUS_REPLY_BYTES);
   task->reply_bytes = (size_t)job->part_bytes;
   outcome = job->kind->begin_part(job, task->reply);
-  if (outcome == JOB_GOES_ON && task->detached != NULL) { /* this part was progress */
+  if (outcome == JOB_GOES_ON && task->detached != NULL) { /* This part was a report of progress. */
     modbus_translate_reply(task->kind, task->question, task->reply, task->reply_bytes,
                            task->registers);
   }
   return outcome;
 }
 
-/* Runs the job until the budget is spent, or it waits, or it ends. Returns why it has failed, or
- * OK. */
+/* Runs the job until the budget is spent, the job waits, or it ends. Returns the reason why it has
+ * failed, or OK. */
 static wire_error follow(struct modbus_task *task, enum job_outcome outcome, uint64_t *budget) {
   while ((outcome == JOB_GOES_ON && *budget > 0) || outcome == JOB_NEXT_PART) {
     outcome = step(task, outcome, budget);
@@ -124,7 +124,7 @@ static wire_error follow(struct modbus_task *task, enum job_outcome outcome, uin
   return wire_error_none();
 }
 
-/* Ends the job without results. What is gathered for its reply must not be written later. */
+/* Ends the job without results. First evaluates the batch, which may still write to its reply. */
 static void give_up(struct modbus_task *task) {
   batch_finish(&worker_context(task->queue->client->worker)->batch, stats_of(task));
   job_end(task->job);

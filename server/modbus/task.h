@@ -1,11 +1,11 @@
 /* task: one kind of job of a unit, from the commit to its results in the registers.
  *
- * A commit starts the job, which then gets a slice at once. Most jobs are done by then. The others
- * go on in the turns of the queue, one slice after the other, or wait for a profile or for the
- * threads of Monte Carlo. The values of a job that is done may still be in the worker's batch. They
+ * A commit starts the job and gives it a slice at once, which is enough for most jobs. The other
+ * jobs go on in the turns of the queue, one slice after the other, or wait for a profile or for the
+ * threads of Monte Carlo. The values of a job that is done may still be in the worker's batch; they
  * are in the registers after the batch has been evaluated.
  *
- * A task knows neither the master nor the functions of Modbus. All functions belong on the worker's
+ * A task knows neither the master nor the functions of Modbus. Call all functions on the worker's
  * thread.
  */
 #ifndef DIPOLED_MODBUS_TASK_H
@@ -17,9 +17,9 @@
 
 enum modbus_task_state {
   MODBUS_TASK_IDLE,
-  MODBUS_TASK_RUNS,      /* has the next slice in its turn */
-  MODBUS_TASK_WAITS,     /* for a profile, or for the threads of Monte Carlo */
-  MODBUS_TASK_EVALUATED, /* its results come with the batch */
+  MODBUS_TASK_RUNS,      /* the job has its next slice when its turn comes */
+  MODBUS_TASK_WAITS,     /* the job waits for a profile, or for the threads of Monte Carlo */
+  MODBUS_TASK_EVALUATED, /* the results are in the registers after the batch */
 };
 
 struct modbus_queue;
@@ -28,15 +28,15 @@ struct modbus_unit;
 struct modbus_task {
   struct modbus_queue *queue;
   enum registers_job_kind kind;
-  uint16_t *registers; /* the unit's */
+  uint16_t *registers; /* registers of the unit */
   struct modbus_unit *owner;
   enum modbus_task_state state;
-  TAILQ_ENTRY(modbus_task) in_queue; /* unless it is idle */
+  TAILQ_ENTRY(modbus_task) in_queue; /* in the queue's list unless the task is idle */
   uint16_t token;                    /* the value of `commit` that has started the job */
-  bool cancelled;                    /* ends with what it has */
-  uint64_t deadline_ms;              /* on the loop's clock; 0: there is none */
-  uint64_t owed_radii;               /* of the job when it started */
-  struct job *job;                   /* in the slot, or detached */
+  bool cancelled;                    /* whether the job ends early with its results so far */
+  uint64_t deadline_ms;              /* of the job, on the loop's clock; 0: there is none */
+  uint64_t owed_radii;               /* owed_radii of the job when it started */
+  struct job *job;                   /* the job, in the slot or detached */
   struct job *detached;
   struct job_slot slot;
   size_t reply_bytes;
@@ -46,24 +46,25 @@ struct modbus_task {
 
 /* The tasks of all units that are not idle. */
 struct modbus_queue {
-  struct client *client; /* gets the turns of all of them */
+  struct client *client; /* the client in whose turns all tasks run */
   struct server *server;
-  TAILQ_HEAD(modbus_tasks, modbus_task) tasks; /* those that had a turn come last */
+  TAILQ_HEAD(modbus_tasks, modbus_task) tasks; /* the task that had the latest turn comes last */
 };
 
 void modbus_queue_init(struct modbus_queue *queue, struct server *server, struct client *client);
 
-/* One turn of the client: slices for the first tasks that run. */
+/* Takes one turn of the client: gives slices to the first tasks that run. */
 void modbus_queue_run(struct modbus_queue *queue);
 
-/* The batch has been evaluated: puts the results of a task that was in it into its registers, and
- * returns the task, which is idle again. NULL: there is none. */
+/* Call this when the batch has been evaluated. Writes the results of one task that was in the batch
+ * into its registers and returns the task, which is then idle. Returns NULL if there is no such
+ * task. */
 struct modbus_task *modbus_queue_finish(struct modbus_queue *queue);
 
 /* Ends the jobs whose deadline has passed. */
 void modbus_queue_expire(struct modbus_queue *queue);
 
-/* `from` ends: the jobs that it has committed go on in the turns of `to`. */
+/* Moves the jobs that `from` has committed, when `from` ends: they go on in the turns of `to`. */
 void modbus_queue_move(struct modbus_queue *queue, struct client *from, struct client *to);
 
 /* Ends all jobs without results. */
@@ -73,18 +74,19 @@ static inline bool modbus_task_busy(const struct modbus_task *task) {
   return task->state != MODBUS_TASK_IDLE;
 }
 
-/* Starts the job that the registers describe, for a master whose profiles are prepared in the turns
- * of `master`. The task is idle. After OK it is in any other state, and the registers say busy
- * unless it is EVALUATED. */
+/* Starts the job that the registers describe, for a master whose slow profiles are prepared in the
+ * turns of `master`. The task must be idle. If this returns OK, the task is in another state, and
+ * the registers say busy unless the state is EVALUATED. */
 wire_error modbus_task_commit(struct modbus_task *task, struct client *master);
 
-/* Notes in the task's registers why a commit has failed. `at`: the register at fault. */
+/* Writes the reason why a commit has failed into the task's registers. at: the register at
+ * fault. */
 void modbus_task_fail(struct modbus_task *task, const wire_error *error, unsigned at);
 
-/* Ends the job, if one is under way: at once, or a Monte Carlo job soon, with what it has. */
+/* Ends the running job, if any: at once, or soon with its results so far if it is Monte Carlo. */
 void modbus_task_cancel(struct modbus_task *task);
 
-/* Writes progress and place of the job that is under way into the registers. */
+/* Writes progress and place of the running job into the registers. */
 void modbus_task_refresh(struct modbus_task *task);
 
 #endif

@@ -39,7 +39,7 @@ static unsigned refuse(struct modbus_unit *unit, struct modbus_task *committed,
 
 /* ---- writing --------------------------------------------------------------------------------- */
 
-enum { WRITE_MAX = 123 }; /* registers in one request: the limit of Modbus */
+enum { WRITE_MAX = 123 }; /* the most registers in one request, by the limit of Modbus */
 
 /* Returns the value that a write gives to a register; 0 if it does not write there. */
 static uint16_t written(unsigned address, unsigned count, const uint8_t *values, unsigned at) {

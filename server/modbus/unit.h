@@ -1,30 +1,30 @@
-/* unit: the registers and coils of the Modbus units, and what a write to them does.
+/* unit: the registers and coils of the Modbus units, and the effect of a write to them.
  *
  * Masters that name the same unit share its registers. So their requests need an order, and each
  * request has to be atomic. Both hold without a lock because all units, connections and lines
  * belong to one worker, the first. Their jobs use that worker's profiles, batch and repeated
  * requests, like the jobs of its other clients.
  *
- * Writing to a register `commit` starts a job (server/modbus/task.h). If it takes longer than a
- * slice, its register `status` says busy meanwhile, and the master asks again. Otherwise the job's
- * values are in the worker's batch, and the master gets its answer when the batch has been
- * evaluated.
+ * Writing to a register `commit` starts a job (server/modbus/task.h). If the job takes longer than
+ * a slice, its register `status` says busy meanwhile, and the master asks again. Otherwise the
+ * values are in the worker's batch, and the master gets its answer when the worker has evaluated
+ * the batch.
  */
 #ifndef DIPOLED_MODBUS_UNIT_H
 #define DIPOLED_MODBUS_UNIT_H
 
 #include "server/modbus/task.h"
 
-enum { MODBUS_UNITS = 247 }; /* they have the numbers 1 to 247 */
+enum { MODBUS_UNITS = 247 }; /* numbers of units go from 1 to this */
 
 struct modbus_unit {
   struct modbus_units *units;  /* NULL: the unit has not been used yet */
   bool evaluating;             /* whether the values of the last commit are in the batch */
-  struct modbus_task *awaited; /* the task of that commit */
-  struct client *client;       /* its finish() is called then; NULL: nobody waits */
+  struct modbus_task *awaited; /* the task of the last commit, if its values are in the batch */
+  struct client *client;       /* its finish() is called after the batch; NULL: there is none */
   struct modbus_task tasks[REGISTERS_JOBS];
   uint16_t registers[REGISTERS_END];
-  uint8_t coils[REGISTERS_COILS]; /* 0 or 1 each */
+  uint8_t coils[REGISTERS_COILS]; /* each is 0 or 1 */
 };
 
 /* All units. Together they are a client of the worker, which gives turns to their tasks and takes
@@ -61,7 +61,7 @@ struct modbus_unit *modbus_units_get(struct modbus_units *units, unsigned number
 unsigned modbus_unit_write(struct modbus_unit *unit, unsigned address, unsigned count,
                            const uint8_t *values, struct client *client);
 
-/* Brings `progress` and `place` up to date, if they are among these registers. */
+/* Updates `progress` and `place`, if they are among these registers. */
 void modbus_unit_refresh(struct modbus_unit *unit, unsigned address, unsigned count);
 
 /* Writes the reason why a write was refused into the error registers. at: the address of the

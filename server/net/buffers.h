@@ -3,7 +3,8 @@
  * The input holds bytes that have arrived and have not been dealt with, as frames. Payloads are
  * used in place. The output holds answers that wait to be written, in chunks. Kernels write their
  * results into a chunk and the socket reads them from there, so nothing is copied. Small answers
- * share a chunk; a large one has its own. Both count against the server's budget of bytes.
+ * share a chunk; a large one has its own. The input and the output count against the server's
+ * budget of bytes.
  */
 #ifndef DIPOLED_BUFFERS_H
 #define DIPOLED_BUFFERS_H

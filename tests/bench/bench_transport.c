@@ -1,6 +1,6 @@
-/* The transport solver, on one core.
+/* Measures the transport solver on one core.
  *
- *   transport.<medium>.<tolerance>       one medium: boundary and solution, nothing shared       s
+ *   transport.<medium>.<tolerance>       one medium by itself: boundary and solution             s
  *   transport.albedos64.<tolerance>      64 albedos of one eta                                   s
  *   transport.at                         one radius of a solution: R, its parts, energy, errors  us
  */

@@ -131,7 +131,7 @@ def covers(model: str, r: float) -> bool:
 
 
 def takes_media(model: str, media, moments: int, parameters: dict[str, float]) -> bool:
-    """Whether all of these media are in a model's domain."""
+    """Whether all these media are in the domain of a model."""
     try:
         asked().eval(model, media, moments=moments, parameters=parameters, wanted=["albedo"])
     except dipole.Refused as refusal:
@@ -142,5 +142,5 @@ def takes_media(model: str, media, moments: int, parameters: dict[str, float]) -
 
 @functools.cache
 def everywhere() -> tuple[str, ...]:
-    """The models that need no parameter and may be evaluated at every radius."""
+    """Returns the models that need no parameter and can be evaluated at every radius."""
     return tuple(m for m in MODELS if not needs(m) and covers(m, 0.0) and covers(m, math.inf))

@@ -271,7 +271,7 @@ def test_combinations_that_cannot_be(master, name):
 
 
 def test_a_distance_that_a_model_does_not_cover(master):
-    """The error has the address of the distance."""
+    """If a model does not cover a distance, the error has the address of that distance."""
     master.write(AT["PARAMETER_FIT_FROM"], floats(0.5, 2.0), 68)
     with exception(BAD_VALUE):
         run(master, 68, input_block(1, SKIN, [0.6, 1.0, 3.0], model=MODELS["gaussians"]))

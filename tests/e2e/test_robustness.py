@@ -221,7 +221,7 @@ def test_connections_that_break_anywhere(daemon, scheme):
     assert eventually(lambda: all_is_given_back(one, idle_bytes))
 
 
-# Sends its input over and over and reads what comes, until it is killed.
+# This program sends its input over and over and reads the answers, until it is killed.
 VICTIM = """
 import select, socket, sys
 requests = sys.stdin.buffer.read()
@@ -267,7 +267,8 @@ def test_processes_that_are_killed_at_full_speed(daemon):
 
 
 def test_twenty_clients_that_never_read(daemon):
-    """Each asks for 64 million radii, several times, and looks away."""
+    """Twenty clients each ask several times for 64 million radii and never read. The others are
+    served."""
     one = daemon("--max-part-bytes", "65536", "--max-queued-bytes", "65536")
     known = known_answers(one, short_requests(40))
     endless = eval_payload(radii=None, radius_count=64_000_000, evaluator=F32, wanted=R)
@@ -277,10 +278,11 @@ def test_twenty_clients_that_never_read(daemon):
         for connection in stuck:
             connection.send_bytes(b"".join(frame(EVAL, k, endless) for k in range(4)))
         with one.connect() as watcher:
-            for connection in stuck:  # has something to read: so its answer has begun
+            for connection in stuck:  # When there is something to read, the answer has begun.
                 assert select.select([connection.socket], [], [], 30)[0]
             others.have_gone_on(2000)
-            # Each: its first 128 KiB, what may be queued, a part, and what a part is rounded up to.
+            # A connection holds at most 512 KiB: its first 128 KiB, what may be queued, a part, and
+            # the rounding of a part.
             assert statistics(watcher)["buffer_bytes"] < 23 * (512 << 10)
         slack_bytes = (64 if sanitized() else 24) << 20
         assert one.resident_bytes() < before_bytes + slack_bytes

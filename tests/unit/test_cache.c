@@ -292,7 +292,7 @@ UNIT_TEST(a_stream_of_fast_ones_leaves_the_slow_ones) {
   for (unsigned i = STREAM - ROOM / 4; i < STREAM; i++) {
     assert_true(visit_as(&f, SLOW + i, false));
   }
-  for (unsigned i = 0; i < ROOM; i++) { /* Slow entries evict each other until they are all kept. */
+  for (unsigned i = 0; i < ROOM; i++) { /* evicts all fast entries */
     visit(&f, 2000 + i);
   }
   assert_true(count(&f, STATS_CACHE_BYTES) <= ROOM * entry_bytes());

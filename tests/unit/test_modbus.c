@@ -101,7 +101,8 @@ UNIT_TEST(a_frame_is_found) {
   check_frames(bytes, count, 0, 0, 0);
 }
 
-/* A request to another device, its answer, and a broadcast; then noise and a frame. */
+/* The frames are a request to another device, its answer, and a broadcast. Noise and a frame
+ * follow. */
 UNIT_TEST(frames_follow_each_other) {
   uint8_t bytes[64] = {9, 3, 0, 0, 0, 1};
   size_t at = close_frame(bytes, 6);
@@ -151,7 +152,7 @@ UNIT_TEST(frames_of_functions_that_are_not_served) {
 
 enum { SILENCE_NS = 2000000 };
 
-/* Lets bytes arrive. `later_ns` is how long after those before. */
+/* Gives bytes to the receiver. later_ns: how long after the last bytes they arrive. */
 static void arrive(struct modbus_receiver *receiver, const uint8_t *bytes, size_t count,
                    uint64_t later_ns) {
   size_t room;
@@ -167,8 +168,8 @@ static size_t end(struct modbus_receiver *receiver) {
   return burst.bytes;
 }
 
-/* A request in two pieces: with a short pause of the adapter it is one, with a long one it is none,
- * and what is behind it is. */
+/* A request in two pieces is found if the pause between them is short, as adapters make it. If the
+ * pause is long, the pieces are no request, but a request behind them is found. */
 UNIT_TEST(pauses_within_a_request) {
   uint8_t bytes[8] = {7, 6, 0, 0, 0, 1};
   const size_t count = close_frame(bytes, 6);
@@ -209,8 +210,8 @@ UNIT_TEST(a_request_begins_behind_silence) {
   }
 }
 
-/* A line on which nobody is ever silent costs no more memory and does not hide the request at its
- * end, if all are frames. */
+/* A line without any silence costs no more memory. If all its bytes are frames, the request at
+ * their end is found. */
 UNIT_TEST(a_line_that_is_never_silent) {
   uint8_t other[8] = {9, 6, 0, 0, 0, 1}, mine[8] = {7, 6, 0, 0, 0, 1};
   close_frame(other, 6);
@@ -225,8 +226,8 @@ UNIT_TEST(a_line_that_is_never_silent) {
   assert_int_equal(end(&receiver), sizeof mine);
 }
 
-/* For random pieces of frames, echo, noise and silences: nothing but a frame to the unit, or to all
- * units, is taken for a request. */
+/* Of random pieces of frames, echo, noise and silences, only frames to the unit or to all units are
+ * taken for requests. */
 UNIT_TEST(any_bytes_can_be_received) {
   uint64_t random = unit_seed();
   struct modbus_receiver *receiver = calloc(1, sizeof *receiver);

@@ -163,7 +163,7 @@ static job *collect(const scene *of, dipole_client *client, job *jobs, double *e
   for (size_t c = 0; c < CHANNELS; c++) {
     exitance[jobs[which].pixel * CHANNELS + c] = gather(of, result->channels[c].R_f32);
   }
-  dipole_result_free(result); /* The values are in the job's memory. */
+  dipole_result_free(result); /* The values stay valid: they are in the job's own memory. */
   return &jobs[which];
 }
 
