@@ -794,8 +794,8 @@ def test_one_monte_carlo_job_too_many(daemon):
         with exception(BUSY):
             commit_slow(master, "MC", 3)
         assert head(master, "MC", 3)[:3] == (ERROR, 0, BUSY_STATUS)
-        assert b"max_mc_jobs" in master.read(AT["MC_ERROR_TEXT"], 40, 3)
-        with one.client() as client, pytest.raises(Refused, match="max_mc_jobs"):
+        assert b"Monte Carlo jobs" in master.read(AT["MC_ERROR_TEXT"], 40, 3)
+        with one.client() as client, pytest.raises(Refused, match="Monte Carlo jobs"):
             client.mc((0.1, 0.9, 0.0, 1.3), Grid(0.0, 1.0, 3), photons=1)
         master.write_one(AT["MC_CANCEL"], 1, 1)
         assert ended(master, "MC", 1).status == CANCELLED

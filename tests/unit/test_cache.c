@@ -430,6 +430,45 @@ UNIT_TEST(owners_take_turns) {
   cache_free(f.cache);
 }
 
+/* Three owners with 6, 3 and 1 waiters: after as many turns as its place says, each has the next. */
+UNIT_TEST(a_place_is_the_number_of_preparations_before) {
+  enum { MANY = 10 };
+  struct fixture f;
+  open_cache(&f, 1 << 20);
+  struct cache_owner second = {0}, third = {0};
+  struct cache_waiter waiters[MANY] = {{0}};
+  uint64_t places[MANY];
+  assert_int_equal(cache_place(&waiters[0]), 0);
+  for (size_t i = 0; i < MANY; i++) {
+    wait_for(&f, i < 6 ? &f.owner : i < 9 ? &second : &third, i, &waiters[i]);
+  }
+  for (size_t i = 0; i < MANY; i++) {
+    places[i] = cache_place(&waiters[i]);
+  }
+  for (uint64_t turn = 0; turn < MANY; turn++) {
+    for (size_t i = 0; i < MANY; i++) {
+      assert_int_equal(waiters[i].owner != NULL, places[i] >= turn);
+      assert_int_equal(cache_place(&waiters[i]), places[i] > turn ? places[i] - turn : 0);
+    }
+    assert_int_equal(take_turns(f.cache, 1), 1);
+  }
+  struct cache_entry *entry;
+  cache_leave(&waiters[0]);
+  wait_for(&f, &f.owner, MANY, &waiters[0]);
+  cache_leave(&waiters[1]);
+  wait_for(&f, &f.owner, MANY + 1, &waiters[1]);
+  entry = cache_begin_turn(f.cache);
+  assert_int_equal(cache_place(&waiters[0]), 0);
+  assert_int_equal(cache_place(&waiters[1]), 1); /* behind the preparation that has begun */
+  cache_prepare(entry);
+  cache_release(entry);
+  cache_end_turn(f.cache);
+  for (size_t i = 0; i < MANY; i++) {
+    cache_leave(&waiters[i]);
+  }
+  cache_free(f.cache);
+}
+
 UNIT_TEST(who_comes_during_a_turn_has_the_next) {
   struct fixture f;
   open_cache(&f, 1 << 20);
