@@ -42,24 +42,14 @@ enum { SHOW_EVERY_MS = 50 };
 
 /* ---- durations ----------------------------------------------------------------------------- */
 
-/* Below BENCH_OCTAVE ns, every ns has a bucket of its own; from there on a bucket is a 64th of an
- * octave. */
 static size_t bucket_of(uint64_t ns) {
-  if (ns < BENCH_OCTAVE) {
-    return (size_t)ns;
-  }
-  const unsigned octave = 63U - (unsigned)__builtin_clzll(ns) - 6; /* 2^6 = BENCH_OCTAVE */
-  const size_t bucket = (size_t)octave * BENCH_OCTAVE + (size_t)(ns >> octave);
-  return bucket < BENCH_BUCKETS ? bucket : BENCH_BUCKETS - 1;
+  const double bucket = BENCH_OCTAVE * log2((double)(ns > 0 ? ns : 1));
+  return bucket < BENCH_BUCKETS ? (size_t)bucket : BENCH_BUCKETS - 1;
 }
 
 /* Returns the middle of a bucket. */
 static double ns_of(size_t bucket) {
-  if (bucket < BENCH_OCTAVE) {
-    return (double)bucket;
-  }
-  const int octave = (int)(bucket / BENCH_OCTAVE) - 1;
-  return ldexp((double)(bucket - (size_t)octave * BENCH_OCTAVE) + 0.5, octave);
+  return exp2(((double)bucket + 0.5) / BENCH_OCTAVE);
 }
 
 static void add_time(bench_times *times, uint64_t ns) {

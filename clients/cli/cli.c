@@ -2,6 +2,9 @@
 
 #include <stdarg.h>
 #include <stdlib.h>
+#include <string.h>
+#include <sys/ioctl.h>
+#include <unistd.h>
 
 static const cli_command *running;
 
@@ -13,34 +16,37 @@ const cli_command *cli_running(void) {
   return running;
 }
 
-static void write_message(const char *format, va_list arguments) {
+int cli_say(enum cli_status status, const char *format, ...) {
+  va_list arguments;
+  va_start(arguments, format);
   fprintf(stderr, "dipole %s: ", running->name);
   vfprintf(stderr, format, arguments);
   fputc('\n', stderr);
+  va_end(arguments);
+  if (status == CLI_USAGE) {
+    fprintf(stderr, "`dipole %s --help` tells more.\n", running->name);
+  }
+  return (int)status;
 }
 
-void cli_say(const char *format, ...) {
-  va_list arguments;
-  va_start(arguments, format);
-  write_message(format, arguments);
-  va_end(arguments);
+enum { COLUMNS_USUAL = 80, ROWS_USUAL = 24 };
+
+/* NO_COLOR counts if it is set to any text but the empty one: https://no-color.org. */
+static bool may_be_styled(void) {
+  const char *no_color = getenv("NO_COLOR"), *term = getenv("TERM");
+  return (no_color == NULL || no_color[0] == '\0') && (term == NULL || strcmp(term, "dumb") != 0);
 }
 
-int cli_fail(const char *format, ...) {
-  va_list arguments;
-  va_start(arguments, format);
-  write_message(format, arguments);
-  va_end(arguments);
-  return CLI_FAILED;
-}
-
-int cli_fail_usage(const char *format, ...) {
-  va_list arguments;
-  va_start(arguments, format);
-  write_message(format, arguments);
-  va_end(arguments);
-  fprintf(stderr, "`dipole %s --help` tells more.\n", running->name);
-  return CLI_USAGE;
+cli_terminal cli_terminal_look(void) {
+  struct winsize size = {0};
+  cli_terminal terminal = {.columns = COLUMNS_USUAL, .rows = ROWS_USUAL};
+  const bool is_terminal = isatty(STDOUT_FILENO) == 1;
+  terminal.styled = is_terminal && may_be_styled();
+  if (is_terminal && ioctl(STDOUT_FILENO, TIOCGWINSZ, &size) == 0) {
+    terminal.columns = size.ws_col > 0 ? size.ws_col : COLUMNS_USUAL;
+    terminal.rows = size.ws_row > 0 ? size.ws_row : ROWS_USUAL;
+  }
+  return terminal;
 }
 
 static void *checked(void *block) {

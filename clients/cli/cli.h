@@ -100,14 +100,23 @@ const cli_command *cli_running(void);
 
 /* ---- failing ------------------------------------------------------------------------------- */
 
-/* Writes "dipole COMMAND: " and the message to standard error. */
-void cli_say(const char *format, ...) __attribute__((format(printf, 1, 2)));
+/* Writes "dipole COMMAND: " and the message to standard error, and after CLI_USAGE a hint at --help.
+ * Returns the status. */
+int cli_say(enum cli_status status, const char *format, ...) __attribute__((format(printf, 2, 3)));
 
-/* Writes an error message as cli_say() does. Returns CLI_FAILED. */
-int cli_fail(const char *format, ...) __attribute__((format(printf, 1, 2)));
+#define cli_fail(...) cli_say(CLI_FAILED, __VA_ARGS__)
+#define cli_fail_usage(...) cli_say(CLI_USAGE, __VA_ARGS__) /* the command line is wrong */
 
-/* Writes what is wrong with the command line, and a hint at --help. Returns CLI_USAGE. */
-int cli_fail_usage(const char *format, ...) __attribute__((format(printf, 1, 2)));
+/* ---- the terminal that standard output is ----------------------------------------------------- */
+
+typedef struct cli_terminal {
+  bool styled; /* standard output is a terminal that may get colours and bold type: NO_COLOR is not
+                  set, and TERM is not dumb */
+  size_t columns, rows; /* 80 and 24 if standard output does not say, or is no terminal */
+} cli_terminal;
+
+/* Returns the terminal as it is now: the user may change its size. */
+cli_terminal cli_terminal_look(void);
 
 /* ---- memory: these end the program when there is none, for no command can go on without ---- */
 

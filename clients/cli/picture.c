@@ -6,7 +6,6 @@
 #include <string.h>
 
 #include "clients/cli/gnuplot.h"
-#include "clients/cli/terminal.h"
 
 enum { TEXT_BYTES = 160 };
 
@@ -308,81 +307,52 @@ static void write_axes(FILE *script, const cli_picture *picture, size_t row) {
           axes->scale == CLI_LOGARITHMIC ? "%.0e" : "%g", r.low, r.high, value.low, value.high);
 }
 
-/* ---- files: all panels in one picture, in pixels ------------------------------------------- */
+/* ---- files: all panels in one picture ------------------------------------------------------- */
 
+/* Sizes in pixels. */
 enum {
   COLUMNS_MAX = 3,
   WIDE = 580, /* a panel that has its rows to itself, and the gap beside it */
   NARROW = 400,
   HEIGHT = 480,
-  LOW_HEIGHT = 220, /* of a deviation, which is read less closely */
+  HEIGHT_OF_SEVERAL = 380, /* where there is more than one row of panels */
   GAP_X = 60,
-  GAP_Y = 56,
+  GAP_Y = 84,
   LEFT = 90,
   TOP = 64,
   BOTTOM = 60,
   LEGEND_LINE = 20,
   LEGEND_CHARACTER = 8,
-  LEGEND_SAMPLE = 70, /* pixels: the piece of a line, and the room around it */
+  LEGEND_SAMPLE = 70, /* the piece of a line, and the room around it */
 };
 
-/* Rows of the picture repeat for each block of channels. */
+/* The panels' rows and columns. The rows of the picture repeat for each block of channels. */
 typedef struct grid {
   layout places;
-  size_t columns, blocks;
+  size_t columns, blocks, rows;
   double width, height, legend_width, legend_height;
-  double stretch; /* of the panels' heights */
 } grid;
-
-static double height_of(const cli_picture *picture, size_t row) {
-  return picture->rows[row].axes.scale == CLI_PERCENT ? LOW_HEIGHT : HEIGHT;
-}
-
-static double legend_width(const cli_picture *picture, const layout *places) {
-  size_t longest = 0;
-  for (size_t i = 0; i < places->curves; i++) {
-    const curve one = curve_of(picture->report, 0, i);
-    longest = strlen(one.title) > longest ? strlen(one.title) : longest;
-  }
-  return LEGEND_SAMPLE + LEGEND_CHARACTER * (double)longest;
-}
 
 static grid make_grid(const cli_picture *picture) {
   grid g = {.places = layout_of(picture->report)};
-  double heights = 0;
+  size_t longest = 0;
+  for (size_t i = 0; i < g.places.curves; i++) {
+    const curve one = curve_of(picture->report, 0, i);
+    longest = strlen(one.title) > longest ? strlen(one.title) : longest;
+  }
   g.columns = g.places.panels < COLUMNS_MAX ? g.places.panels : COLUMNS_MAX;
   g.blocks = (g.places.panels + g.columns - 1) / g.columns;
-  for (size_t row = 0; row < picture->row_count; row++) {
-    heights += height_of(picture, row) * (double)g.blocks;
-  }
-  const double gaps = GAP_Y * ((double)(picture->row_count * g.blocks) - 1);
-  g.legend_width = legend_width(picture, &g.places);
+  g.rows = g.blocks * picture->row_count;
+  g.legend_width = LEGEND_SAMPLE + LEGEND_CHARACTER * (double)longest;
   g.legend_height = LEGEND_LINE * (double)(g.places.curves + 1);
   g.width = LEFT + (double)g.columns * (g.columns > 1 ? NARROW : WIDE) + g.legend_width;
-  g.height = fmax(TOP + BOTTOM + gaps + heights, TOP + g.legend_height);
+  g.height = (double)g.rows * ((g.rows > 1 ? HEIGHT_OF_SEVERAL : HEIGHT) + GAP_Y) - GAP_Y;
+  g.height = TOP + fmax(g.height + BOTTOM, g.legend_height);
   if (picture->width_px > 0) {
     g.width = (double)picture->width_px;
     g.height = (double)picture->height_px;
   }
-  g.stretch = (g.height - TOP - BOTTOM - gaps) / heights;
   return g;
-}
-
-/* Writes the margins of the panel in a row of a block, and a column. */
-static void write_place(FILE *script, const cli_picture *picture, const grid *g, size_t block,
-                        size_t row, size_t column) {
-  const double pitch = (g->width - LEFT - g->legend_width) / (double)g->columns;
-  const double left = LEFT + pitch * (double)column;
-  double top = TOP;
-  for (size_t i = 0; i < block * picture->row_count + row; i++) {
-    top += height_of(picture, i % picture->row_count) * g->stretch + GAP_Y;
-  }
-  const double bottom = top + height_of(picture, row) * g->stretch;
-  fprintf(script,
-          "set lmargin at screen %.5f\nset rmargin at screen %.5f\n"
-          "set tmargin at screen %.5f\nset bmargin at screen %.5f\n",
-          left / g->width, (left + pitch - GAP_X) / g->width, 1 - top / g->height,
-          1 - bottom / g->height);
 }
 
 /* Writes one legend for all panels, beside them. */
@@ -397,22 +367,12 @@ static void write_legend(FILE *script, const grid *g, bool first) {
   }
 }
 
-/* Returns whether no panel with the same radii stands below, so that r has to be named. */
-static bool is_r_named(const cli_picture *picture, const grid *g, size_t panel, size_t row) {
-  if (row + 1 < picture->row_count) {
-    return picture->rows[row].axes.logarithmic_r != picture->rows[row + 1].axes.logarithmic_r;
-  }
-  return panel + g->columns >= g->places.panels;
-}
-
 static void write_panel(FILE *script, const cli_picture *picture, const grid *g, size_t panel,
                         size_t row) {
   char text[TEXT_BYTES];
   const bool line = picture->report->radius_count > 1; /* else a point */
-  write_place(script, picture, g, panel / g->columns, row, panel % g->columns);
   panel_title(picture, panel, text);
   write_set(script, "title", row == 0 ? text : "");
-  write_set(script, "xlabel", is_r_named(picture, g, panel, row) ? "r (mm)" : "");
   value_label(picture, row, text);
   write_set(script, "ylabel", panel % g->columns == 0 ? text : "");
   write_legend(script, g, panel == 0 && row == 0);
@@ -432,14 +392,23 @@ static void write_file_script(FILE *script, const void *context) {
   const char *medium = picture->report->profile.medium;
   const grid g = make_grid(picture);
   char text[TEXT_BYTES];
-  fputs("set grid\n", script);
-  write_data(script, picture);
   snprintf(text, sizeof text, "%s%s", medium != NULL ? medium : quantity_of(picture, 0)->name,
            medium != NULL ? "" : "(r)");
-  write_set(script, "multiplot title", text);
-  for (size_t panel = 0; panel < g.places.panels; panel++) {
-    for (size_t row = 0; row < picture->row_count; row++) {
-      write_panel(script, picture, &g, panel, row);
+  fputs("set grid\nset xlabel 'r (mm)' offset 0,0.5\n", script);
+  write_data(script, picture);
+  fprintf(script,
+          "set multiplot layout %zu,%zu margins %.5f,%.5f,%.5f,%.5f spacing %.5f,%.5f title ",
+          g.rows, g.columns, LEFT / g.width, 1 - (g.legend_width + GAP_X) / g.width,
+          BOTTOM / g.height, 1 - TOP / g.height, GAP_X / g.width, GAP_Y / g.height);
+  cli_gnuplot_quote(script, text);
+  fputc('\n', script);
+  for (size_t place = 0; place < g.rows * g.columns; place++) {
+    const size_t row = place / g.columns;
+    const size_t panel = row / picture->row_count * g.columns + place % g.columns;
+    if (panel < g.places.panels) {
+      write_panel(script, picture, &g, panel, row % picture->row_count);
+    } else {
+      fputs("set multiplot next\n", script);
     }
   }
   fputs("unset multiplot\n", script);
@@ -567,7 +536,7 @@ int cli_picture_draw(const cli_picture *picture, const cli_texts *paths) {
 
 void cli_picture_tell(const char *path) {
   if (strcmp(path, cli_running()->usual_file) == 0) {
-    cli_say("the picture is %s", path);
+    cli_say(CLI_OK, "the picture is %s", path);
   }
 }
 

@@ -236,10 +236,8 @@ static void write_row(const points_columns *columns, const points_row *row, FILE
 /* How much of a wrong cell is shown in its row's status. */
 enum { SHOWN_BYTES = 40 };
 
-static bool make_bad(points_row *row, const char *format, ...)
-    __attribute__((format(printf, 2, 3)));
-
-static bool make_bad(points_row *row, const char *format, ...) {
+__attribute__((format(printf, 2, 3))) static bool make_bad(points_row *row, const char *format,
+                                                           ...) {
   va_list arguments;
   va_start(arguments, format);
   vsnprintf(row->status, sizeof row->status, format, arguments);
@@ -385,9 +383,8 @@ static points_row *row_at(points_run *points, size_t index) {
 }
 
 /* Says what is wrong with the input or the connection, and ends the work. Returns false. */
-static bool fail(points_run *points, const char *format, ...) __attribute__((format(printf, 2, 3)));
-
-static bool fail(points_run *points, const char *format, ...) {
+__attribute__((format(printf, 2, 3))) static bool fail(points_run *points, const char *format,
+                                                       ...) {
   char text[512];
   va_list arguments;
   va_start(arguments, format);

@@ -8,7 +8,6 @@
 
 #include "clients/cli/daemon.h"
 #include "clients/cli/rows.h"
-#include "clients/cli/terminal.h"
 
 #define INTERVAL_LEAST_S 0.05
 #define INTERVAL_MOST_S 86400.0

@@ -15,7 +15,7 @@ from modbus_master import Tcp  # noqa: E402
 
 # The files that take longest. They begin first, so that parallel processes end at about the same
 # time.
-SLOWEST = ["same_bits", "fuzz", "retry", "robustness", "overload", "cli_plot_command", "mc", "parts"]
+SLOWEST = ["same_bits", "retry", "robustness", "overload", "cli_plot_command", "mc", "parts"]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -104,8 +104,7 @@ def test_several_axes_and_an_error_below_each_other(tmp_path):
     for model in models:
         for colour in ("red", "green", "blue"):
             assert texts.count(f"{model}, {colour}") == 1  # All panels share one legend.
-    # One label belongs to the logarithmic panel, the other one to the two panels below it.
-    assert texts.count("r (mm)") == 2
+    assert texts.count("r (mm)") == 3  # Each panel has one.
     styles = [style(line) for line in lines]
     assert len(set(styles)) == 6 and styles[:6] == styles[6:12] == styles[12:]
     tops = [min(y for _, y in path_points(line)) for line in lines[::6]]
@@ -122,7 +121,7 @@ def test_a_panel_for_each_channel_of_many_models(tmp_path):
     root = draw(tmp_path, *arguments, quiet=False)
     assert len(svg_lines(root)) == 2 * 3 * len(models)
     texts = svg_texts(root)
-    assert texts.count("r (mm)") == 3 and texts.count("deviation from transport (%)") == 1
+    assert texts.count("r (mm)") == 6 and texts.count("deviation from transport (%)") == 1
     for text in ("red", "green", "blue", *models):
         assert texts.count(text) == 1
 
