@@ -893,13 +893,14 @@ static void send_serial(struct serial *line, uint8_t *frame, size_t pdu_bytes) {
 
 static void answer_serial(struct serial *line, const struct modbus_burst *burst) {
   uint8_t frame[MODBUS_RTU_MAX];
-  const uint8_t *pdu = burst->request + 1;
   const size_t bytes = burst->bytes - 3;
   struct modbus_unit *unit = NULL;
   size_t answered;
   CHECK(modbus_rtu_is_frame(burst->request, burst->bytes) && burst->request[0] <= 1);
+  uint8_t *pdu = exact_copy(burst->request + 1, bytes);
   if ((burst->request[0] == 0 && !modbus_pdu_writes(pdu[0])) ||
       !modbus_diagnostics_allows(&line->diagnostics, pdu, bytes)) {
+    free(pdu);
     return;
   }
   if (pdu[0] == MODBUS_FC_DIAGNOSTICS) {
@@ -919,6 +920,7 @@ static void answer_serial(struct serial *line, const struct modbus_burst *burst)
     modbus_diagnostics_count(&line->diagnostics, frame + 1);
     send_serial(line, frame, answered);
   }
+  free(pdu);
 }
 
 static void on_serial_finish(struct client *client) {
