@@ -36,8 +36,8 @@ uint64_t invert_array_offset(enum invert_array array, uint64_t medium_count);
 /* Returns how many media fit into a reply of max_payload_bytes. */
 uint64_t invert_part_media(uint64_t max_payload_bytes);
 
-/* Parses the fixed part of a reply. Returns false if the payload does not have the shape that it
- * announces. */
+/* Parses the fixed part of a reply. Returns false if the payload does not have the shape that its
+ * fixed part announces. */
 bool invert_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_invert_reply *fixed);
 
 #endif

@@ -125,8 +125,8 @@ static inline bool wire_header_is_good(const wire_header *header, uint64_t max_p
  * the framing is lost. After any other fault the next frame starts payload_bytes further on. */
 wire_error wire_header_check(const wire_header *header, uint64_t max_payload_bytes);
 
-/* Return a status's name ("ok", "busy") and its text for people. A code that is not in the list has
- * the name "unknown". */
+/* These return the name of a status, for example "busy", and its text for people. A code that is
+ * not in the list has the name "unknown". */
 const char *wire_status_name(unsigned status);
 const char *wire_status_text(unsigned status);
 

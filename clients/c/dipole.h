@@ -522,10 +522,10 @@ typedef struct dipole_table_info {
   const dipole_parameter *parameters; /* [parameter_count]: the parameters of the query */
   size_t parameter_count;
   double albedo; /* integral of 2 pi r R(r) over all radii */
-  /* A value at radius r, up to reach_mm, is off from the model's formula by at most
-   * numerical_error + numerical_error_per_mm * r, relative, as measured between all nodes.
-   * model_error holds at all radii that the model covers: it is 0 for transport and NaN, which means
-   * not measured, for other models. dipole_table_errors() has the errors for the radii of a call. */
+  /* A value at radius r, up to reach_mm, is off from the model's formula by at most numerical_error
+   * + numerical_error_per_mm * r, relative, as measured between all nodes. model_error holds at all
+   * radii that the model covers: it is 0 for transport and NaN, which means not measured, for other
+   * models. dipole_table_errors() has the errors for the radii of a call. */
   double numerical_error;
   double numerical_error_per_mm;
   double model_error;
@@ -539,10 +539,11 @@ typedef struct dipole_table_info {
                       for all models but transport. */
 } dipole_table_info;
 
-/* How far values may be off, relative; see dipole_channel. */
+/* The relative errors of values. At radius r, a value is off from the model's formula by at most
+ * numerical_error + numerical_error_per_mm * r. */
 typedef struct dipole_errors {
-  double numerical_error; /* against the model's formula: a value at radius r is off by at most */
-  double numerical_error_per_mm; /* numerical_error + numerical_error_per_mm * r */
+  double numerical_error;        /* constant part of the numerical error */
+  double numerical_error_per_mm; /* growth of the numerical error with the radius */
   double model_error; /* of the model against radiative transport; NaN if it was not measured */
 } dipole_errors;
 
@@ -570,10 +571,10 @@ bool dipole_table_values(const dipole_table *table, enum dipole_quantity quantit
                          const float *r, float *out);
 
 /* States the errors of quantities at the radii of a call: exactly those that a daemon states for an
- * eval of this medium and model with DIPOLE_LUT and the same radii. wanted: sum of DIPOLE_ALBEDO and
- * the quantities of dipole_table_values(). r: [n] in mm; only the smallest and the largest finite
- * radius matter, so the two ends stand for all radii between them. Returns false and leaves *errors
- * as it was if dipole_table_values() would refuse a quantity or a radius. */
+ * eval of this medium and model with DIPOLE_LUT and the same radii. wanted: sum of DIPOLE_ALBEDO
+ * and the quantities of dipole_table_values(). r: [n] in mm; only the smallest and the largest
+ * finite radius matter, so the two ends stand for all radii between them. Returns false and leaves
+ * *errors as it was if dipole_table_values() would refuse a quantity or a radius. */
 bool dipole_table_errors(const dipole_table *table, unsigned wanted, size_t n, const float *r,
                          dipole_errors *errors);
 
@@ -614,7 +615,7 @@ typedef struct dipole_mc_query {
   uint64_t photons;   /* at least 1, at most the daemon's limit max_mc_photons */
   double error_total; /* The job ends when the relative standard error of the total R is at most
                          this; 0 means no such end. If both errors are given, both must hold. */
-  double error_rings; /* The same for the error of every ring with light. */
+  double error_rings; /* The job ends when that of every ring with light is at most this. */
 } dipole_mc_query;
 
 enum dipole_mc_side { DIPOLE_MC_REFLECTED, DIPOLE_MC_TRANSMITTED, DIPOLE_MC_SIDES };
@@ -623,7 +624,7 @@ typedef struct dipole_mc_progress {
   uint64_t photons;          /* number of photons walked so far */
   uint64_t photons_expected; /* estimate of how many the job walks in all */
   double error_total;        /* relative standard error of the total R, largest of all albedos */
-  double error_rings;        /* that of the worst ring with light; INFINITY: not known yet */
+  double error_rings;        /* the error of the worst ring with light; INFINITY: not known yet */
   double worst_from_mm;      /* inner edge of the worst ring; both edges are 0 if there is none */
   double worst_to_mm;
   unsigned worst_side;   /* enum dipole_mc_side: the side of the worst ring */
@@ -653,8 +654,8 @@ typedef struct dipole_mc_energy {
 enum dipole_mc_end {
   DIPOLE_MC_PHOTONS = 1, /* All photons have been walked. */
   DIPOLE_MC_ERRORS,      /* The errors are small enough. */
-  DIPOLE_MC_CANCELLED,   /* The caller cancelled the job: the result is of the photons by then. */
-  DIPOLE_MC_STOPPED,     /* The daemon stopped: the result is of the photons by then. */
+  DIPOLE_MC_CANCELLED,   /* The caller cancelled the job. The result holds the photons so far. */
+  DIPOLE_MC_STOPPED,     /* The daemon stopped. The result holds the photons so far. */
 };
 
 typedef struct dipole_mc_result {

@@ -105,7 +105,7 @@ static size_t character_bytes(const unsigned char *text) {
     return 1;
   }
   for (size_t i = 1; i < bytes; i++) {
-    if ((text[i] & 0xc0) != 0x80) { /* also true for the terminating zero */
+    if ((text[i] & 0xc0) != 0x80) { /* This is also true for the terminating zero. */
       return 1;
     }
   }

@@ -199,7 +199,7 @@ bool dipole_eval(dipole_client *client, const dipole_query *query, dipole_result
   }
   const bool good = collect(client, &id, result, error);
   if (!good) {
-    libdipole_request_drop(client, id); /* The answer may not have come in time. */
+    libdipole_request_drop(client, id); /* in case no answer came in time */
   }
   return good;
 }
@@ -365,7 +365,7 @@ bool dipole_sample(dipole_client *client, const dipole_sample_query *query, dipo
   }
   const bool good = libdipole_request_wait(client, pending.id, &pending, error);
   if (!good) {
-    libdipole_request_drop(client, pending.id); /* The answer may not have come in time. */
+    libdipole_request_drop(client, pending.id); /* in case no answer came in time */
   }
   return good && libdipole_result_take(client, &pending, result, error);
 }

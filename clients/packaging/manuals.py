@@ -24,7 +24,7 @@ PUNCTUATION = re.compile(r"([^\w\s])")
 
 
 def plain(text: str) -> str:
-    """Text in which only `code` keeps its meaning, on one line."""
+    """Returns text on one line, with its punctuation escaped except in `code`."""
     parts = " ".join(text.split()).split("`")
     escaped = [PUNCTUATION.sub(r"\\\1", part) for part in parts[::2]]
     code = [f"`{part}`" for part in parts[1::2]] + [""]

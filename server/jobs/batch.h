@@ -43,7 +43,7 @@ struct batch_group {
   size_t radius_count;
   size_t piece_count;
   struct batch_piece pieces[BATCH_PIECES];
-  double radii[BATCH_RADII]; /* or as many floats */
+  double radii[BATCH_RADII]; /* the radii, as doubles or as floats */
 };
 
 /* The passes that one worker gathers; only its thread uses them. All members start as 0. */

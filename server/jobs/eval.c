@@ -219,7 +219,8 @@ static wire_error check(struct eval_job *eval, const struct job_request *request
   if (error.status == WIRE_STATUS_OK) {
     error = eval_job_check_media(eval, &range);
   }
-  if (error.status == WIRE_STATUS_OK && isnan(eval->choice.tolerance)) { /* else it is done */
+  if (error.status == WIRE_STATUS_OK &&
+      isnan(eval->choice.tolerance)) { /* A request with a tolerance has been checked. */
     error = check_radii(eval);
   }
   if (error.status == WIRE_STATUS_OK) {

@@ -45,7 +45,7 @@ enum { JOB_STEP_RADII = 64 };
 /* How long a client should wait after BUSY: a worker finishes a typical backlog in this time. */
 enum { JOB_RETRY_AFTER_MS = 20 };
 
-/* The most numbers that a slice draws. Tables, which cost least, draw so many. */
+/* The most numbers that one slice draws. This many are drawn from tables, which cost least. */
 enum { JOB_DRAW_RADII = JOB_SLICE_RADII / 4 };
 
 /* The state that all jobs of one worker share. Only the thread of that worker uses it. */

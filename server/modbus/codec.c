@@ -14,10 +14,11 @@ static unsigned word(const uint8_t *at) {
 static const struct function {
   uint8_t number;
   uint8_t request;        /* length of a request, without the values that it counts */
-  uint8_t request_values; /* position of the byte that counts their bytes; 0: there are no values */
-  uint8_t answer;         /* length of an answer, likewise; 0: the length is not known */
+  uint8_t request_values; /* position of the byte that counts the bytes of values, or 0 */
+  uint8_t answer; /* length of an answer, without the values that it counts; 0: it is not known */
   uint8_t answer_values;
-  enum { ELSEWHERE, READS, WRITES } here; /* what the function does here, if it is served */
+  /* What the daemon does for this function. ELSEWHERE: the daemon does not serve it. */
+  enum { ELSEWHERE, READS, WRITES } here;
 } functions[] = {
     {MODBUS_FC_READ_COILS, 5, 0, 2, 1, READS},
     {MODBUS_FC_READ_DISCRETE_INPUTS, 5, 0, 2, 1, READS},

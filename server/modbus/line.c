@@ -152,8 +152,8 @@ static void send_answer(struct modbus_line *line, size_t pdu_bytes) {
   }
 }
 
-/* Ends a probe: something has arrived after the first byte of the answer, or nothing has. Sends the
- * rest of the answer. */
+/* Ends a probe: called when bytes have arrived after the first byte of the answer, or when its echo
+ * would have arrived. Sends the rest of the answer. */
 static void end_probe(struct modbus_line *line) {
   line->probing = false;
   modbus_receiver_probed(&line->receiver);

@@ -43,7 +43,8 @@ struct modbus_line {
   struct modbus_burst burst;     /* the last burst, with its request */
 
   /* The answer that is being sent. */
-  enum { NOT_SENDING, BEFORE_WRITING, AFTER_WRITING } sending; /* step, if RTS is set by hand */
+  /* The current step of sending, if RTS is set by hand. */
+  enum { NOT_SENDING, BEFORE_WRITING, AFTER_WRITING } sending;
   bool probing; /* whether the line probes for echo: only the first byte of the answer is sent */
   uint64_t write_ns; /* when the bytes of the answer are written, after the delay of RTS */
   uint64_t sent_ns;  /* when the last character of the answer, and the delay of RTS, will be over */

@@ -318,7 +318,7 @@ static void read_on_or_end(struct connection *c) {
   }
   note_partial_frame(c);
   set_reading(c, !output_is_full(&c->output) &&
-                     !c->peer_done); /* else it would read the end of the stream again */
+                     !c->peer_done); /* Without this it would read the end of the stream again. */
 }
 
 /* Makes the worker wake the connection at the deadline of a request that waits. */

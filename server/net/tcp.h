@@ -14,7 +14,8 @@ enum { TCP_TEXT_BYTES = 160 };
 /* Writes the address of a listening socket as numeric HOST:PORT, or "" if it is unknown. */
 void tcp_bound(int fd, char text[TCP_TEXT_BYTES]);
 
-/* Likewise the address of the peer of a connected socket. */
+/* Writes the address of the peer of a connected socket as numeric HOST:PORT, or "" if it is
+ * unknown. */
 void tcp_peer(int fd, char text[TCP_TEXT_BYTES]);
 
 #endif

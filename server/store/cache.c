@@ -420,8 +420,8 @@ static enum cache_answer look(struct cache *cache, const struct cache_key *key, 
   return new ? CACHE_NEW : CACHE_KEPT;
 }
 
-/* Until its turn, the owner of the waiter has had `turns` turns. Owners that come before it in a
- * round have one turn more, if they have so many waiters. */
+/* Returns how many turns come before that of a waiter. Its owner has `turns` turns before. An owner
+ * that comes earlier in a round has one turn more than that, if it has enough waiters. */
 static uint64_t place_of(const struct cache *cache, const struct cache_waiter *waiter) {
   uint64_t turns = 0;
   for (const struct cache_waiter *before = waiter;

@@ -22,8 +22,8 @@ COUNTING_PROGRAM = BUILD / "dipoled-counting"
 
 
 def sanitized(*kinds: str) -> bool:
-    """Whether the build has one of these sanitizers, or any if none is named. A sanitizer makes the
-    daemon slower and its memory larger."""
+    """Returns whether the build has one of these sanitizers, or any if none is named. A sanitizer
+    makes the daemon slower and its memory larger."""
     code = PROGRAM.read_bytes()
     return any(f"__{kind}_init".encode() in code for kind in kinds or ("asan", "tsan"))
 

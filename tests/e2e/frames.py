@@ -189,7 +189,7 @@ def assert_closed(connection: Connection) -> None:
 
 
 def serves(daemon, scheme: str = "unix") -> bool:
-    """Whether the daemon accepts a new connection and answers on it."""
+    """Returns whether the daemon accepts a new connection and answers on it."""
     try:
         with daemon.connect(scheme) as fresh:
             return ask(fresh, PING).type == PING | wire.REPLY

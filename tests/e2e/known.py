@@ -47,7 +47,7 @@ def receive_answer(connection: Connection) -> tuple[Frame, tuple[bytes, ...]]:
 
 
 def is_last(reply: Frame) -> bool:
-    """Whether no further frame belongs to the same answer."""
+    """Returns whether no further frame belongs to the same answer."""
     if reply.type in (EVAL | wire.REPLY, SAMPLE | wire.REPLY):
         fixed = wire.EVAL_REPLY.unpack(reply.payload)
     elif reply.type == INVERT | wire.REPLY:

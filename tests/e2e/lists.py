@@ -121,7 +121,7 @@ def takes(model: str) -> tuple[str, ...]:
 
 @functools.cache
 def covers(model: str, r: float) -> bool:
-    """Whether a model can be evaluated at a radius, for the medium SKIN."""
+    """Returns whether a model can be evaluated at a radius, for the medium SKIN."""
     try:
         asked().eval(model, SKIN, [r], parameters=needs(model))
     except dipole.Refused as refusal:
@@ -131,7 +131,7 @@ def covers(model: str, r: float) -> bool:
 
 
 def takes_media(model: str, media, moments: int, parameters: dict[str, float]) -> bool:
-    """Whether all these media are in the domain of a model."""
+    """Returns whether all these media are in the domain of a model."""
     try:
         asked().eval(model, media, moments=moments, parameters=parameters, wanted=["albedo"])
     except dipole.Refused as refusal:

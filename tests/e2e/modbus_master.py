@@ -216,7 +216,7 @@ class Tcp(Master):
         return struct.pack(">HHHB", self.transaction, 0, 1 + len(pdu), unit) + pdu
 
     def receive_bytes(self, count: int) -> bytes:
-        """Exactly so many."""
+        """Receives exactly count bytes."""
         data = bytearray()
         while len(data) < count:
             try:
@@ -241,7 +241,7 @@ class Tcp(Master):
         return answer
 
     def is_closed(self) -> bool:
-        """Whether the slave closes the connection without sending another answer."""
+        """Returns whether the slave closes the connection without sending another answer."""
         try:
             self.receive_bytes(1)
             return False
@@ -277,7 +277,7 @@ class Rtu(Master):
         assert os.write(self.fd, data) == len(data)
 
     def receive_bytes(self, count: int) -> bytes:
-        """Exactly so many."""
+        """Receives exactly count bytes."""
         data = b""
         deadline = time.monotonic() + self.timeout_s
         while len(data) < count:
@@ -303,7 +303,7 @@ class Rtu(Master):
         return data[0], data[1:-2]
 
     def is_silent(self, for_s: float = 0.1) -> bool:
-        """Whether no byte arrives for this time."""
+        """Returns whether no byte arrives for this time."""
         return not select.select([self.fd], [], [], for_s)[0]
 
     def exchange(self, unit: int, pdu: bytes) -> bytes:

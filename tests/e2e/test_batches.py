@@ -37,7 +37,7 @@ def similar_payload(rng: random.Random) -> bytes:
     }
     if fields["evaluator"] == LUT and model in ("better", "classical"):
         fields["parameters"] = [(PARAMETERS["tolerance"].id, rng.choice([1e-3, 1e-4]))]
-    elif fields["evaluator"] == LUT and model != "beam":  # Its tables take long.
+    elif fields["evaluator"] == LUT and model != "beam":  # The tables of beam take long.
         fields["evaluator"] = F32
     if rng.random() < 0.6 or count == 0:
         radii = np.random.default_rng(rng.getrandbits(32)).uniform(0.0, 5.0, count)
@@ -62,7 +62,7 @@ def random_lut(rng: random.Random) -> bytes:
 
 
 def takes_long(payload: bytes) -> bool:
-    """Whether a request is for transport, which takes a second for each medium. Other tests
+    """Returns whether a request is for transport, which takes a second for each medium. Other tests
     evaluate it."""
     return wire.EVAL_REQUEST.unpack(payload).model == MODELS["transport"]
 

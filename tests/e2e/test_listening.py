@@ -21,7 +21,7 @@ def folder(tmp_path_factory) -> Path:
 
 
 def has_ipv6() -> bool:
-    """Whether the loopback of this machine has an IPv6 address."""
+    """Returns whether the loopback of this machine has an IPv6 address."""
     try:
         with socket.socket(socket.AF_INET6) as one:
             one.bind(("::1", 0))

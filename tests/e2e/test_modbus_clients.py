@@ -252,7 +252,7 @@ def job(one: Daemon, name: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_the_jobs_of_an_odd_unit(daemon):
-    """What jobs.py prints is what the binary protocol answers, whatever was in the registers."""
+    """jobs.py prints the answers of the binary protocol, whatever was in the registers before."""
     one = daemon(*TCP)
     skin = np.array([0.032, 0.74, 0, 1.3], np.float32).astype(float)
     with Tcp(one) as master, one.client() as client:

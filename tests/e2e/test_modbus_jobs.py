@@ -501,7 +501,7 @@ def set_medium(master: Tcp, unit: int, medium, model: str = "better", evaluator:
     setting(master, unit, SIGMA_A=floats(*medium))
 
 
-# A job of each kind that takes long. The number makes it a medium that nobody has asked for yet.
+# Commits a slow job of a kind. `number` selects a medium that no request has had.
 def commit_slow(master: Tcp, kind: str, unit: int = 1, number: int = 1) -> None:
     if kind == "SAMPLE":
         set_medium(master, unit, slow_medium(100 + number), "transport", "f64")
@@ -525,7 +525,7 @@ def test_a_sample_has_the_wires_bits(master, client, draw, evaluator):
     setting(master, unit, SAMPLE_U=floats(*u))
     answer = master.write_read(AT["SAMPLE_COMMIT"], words(9), AT["SAMPLE_STATUS"], 7, unit)
     at_once = Head(*as_words(answer))[:3] == (DONE, 9, 0)
-    assert at_once or evaluator == "lut"  # whose table is prepared first
+    assert at_once or evaluator == "lut"  # A table is prepared first.
     assert ended(master, "SAMPLE", unit)[:3] == (DONE, 9, 0)
     rule = None if draw == "list" else Draw(
         5, draw, 0 if draw == "regular" else 0x12345678, 3 if draw == "random" else 0
@@ -648,15 +648,16 @@ def test_a_slow_job_says_how_far_it_is_and_can_be_cancelled(daemon, kind):
         assert head(master, kind)[:3] == (IS_BUSY, 0, 0)
         with exception(BUSY):
             master.write_one(AT[f"{kind}_COMMIT"], 8)
-        if kind != "SAMPLE":  # which prepares one profile, and then is done
+        if kind != "SAMPLE":  # A sample prepares one profile, and is then done.
             assert eventually(lambda: 0 < numbers(master, f"{kind}_PROGRESS", 1)[0] < 1, 60)
-        assert run(master, 1, input_block(3, SKIN, [1.0]))[:2] == (DONE, 3)  # it delays no other
+        # The running job does not delay this one.
+        assert run(master, 1, input_block(3, SKIN, [1.0]))[:2] == (DONE, 3)
         assert head(master, kind)[:2] == (IS_BUSY, 0)
         master.write_one(AT[f"{kind}_CANCEL"], 1)
         assert as_words(master.read(AT[f"{kind}_CANCEL"], 1)) == [0]
         last = ended(master, kind)
         assert (last.status, last.error) == (CANCELLED, 0)
-        if kind == "MC":  # which has results so far
+        if kind == "MC":  # A cancelled Monte Carlo job has results.
             assert last.done == 7 and last.count == 10
             assert as_words(master.read(AT["MC_STATE"], 1)) == [3]
             assert (numbers(master, "MC_R", 10) >= 0).all()
@@ -738,7 +739,8 @@ FAULTS = {
 
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_job_that_cannot_be(master, name):
-    """Its own registers say why, and the unit's; nothing else has changed."""
+    """If a commit is refused, the registers of its kind and of the unit say why, and nothing else
+    changes."""
     kind, registers, at = FAULTS[name]
     unit = 150 + KINDS.index(kind)
     set_medium(master, unit, (0.1, 0.9, 0.0, 1.3))

@@ -230,7 +230,8 @@ EXAMPLES = examples()
 
 @pytest.mark.parametrize("name", [n[:-8] for n in EXAMPLES if n.endswith("-request")])
 def test_examples(daemon, name):
-    """Those whose names end with read come after the job that they read, and when that is done."""
+    """The examples in REGISTERS.md get their documented answers. An example whose name ends in
+    -read is sent after the job that it reads has ended."""
     with Tcp(daemon(*TCP)) as master:
         names = [name.split("-")[0]] if name.endswith("-read") else []
         for one in [*names, name]:

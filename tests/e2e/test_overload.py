@@ -212,7 +212,8 @@ def test_large_ones_are_refused_while_there_is_much_to_do(daemon, kind, large, f
     [
         ("sample", sample(4_000_000)),
         ("invert", invert(1_000_000)),
-        ("invert", invert(60, "transport")),  # It waits for profiles that other threads prepare.
+        # An inversion of a slow model waits for profiles that other threads prepare.
+        ("invert", invert(60, "transport")),
     ],
     ids=["sample", "invert", "prepared"],
 )

@@ -190,7 +190,7 @@ def test_an_answer_in_parts_counts_once(daemon):
 
 
 def settled(read) -> bool:
-    """Whether a number has stopped changing."""
+    """Returns whether a number has stopped changing."""
     before = read()
     time.sleep(0.05)
     return read() == before

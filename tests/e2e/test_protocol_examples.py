@@ -82,7 +82,7 @@ def test_request_is_answered_as_documented(connection, name):
 
 
 def is_progress(reply) -> bool:
-    """Whether more replies to the same request follow."""
+    """Returns whether more replies to the same request follow."""
     if reply.type != wire.MESSAGES["mc"] | wire.REPLY:
         return False
     return wire.MC_REPLY.unpack(reply.payload).state == wire.MC_UNDER_WAY

@@ -183,8 +183,8 @@ LARGE = frame(EVAL, 1, eval_payload(radii=None, radius_count=400_000, evaluator=
 
 
 def all_is_given_back(daemon: Daemon, idle_bytes: int) -> bool:
-    """Whether the daemon has only the asking connection left, and has freed the buffers of all
-    others."""
+    """Returns whether the daemon has only the asking connection left, and has freed the buffers of
+    all others."""
     with daemon.connect() as watcher:
         now = statistics(watcher)
         return now["connections_open"] == 1 and now["buffer_bytes"] <= idle_bytes

@@ -14,7 +14,7 @@ LARGE = eval_payload(radii=None, radius_count=200_000)
 
 
 def refused(url: str) -> bool:
-    """Whether no daemon listens at an address any more."""
+    """Returns whether no daemon listens at an address any more."""
     try:
         with Connection(url) as connection:
             ask(connection, PING)

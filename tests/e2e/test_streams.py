@@ -99,7 +99,7 @@ def test_truncated_frame_with_full_close(shared, connection, length):
 
 
 def test_truncated_frame_that_has_been_refused(shared, connection):
-    """The end is told with the id of the frame that is cut, as of any other."""
+    """If a refused frame is cut off, the error about that has the id of the frame."""
     connection.send_bytes(header(type=EVAL, request_id=77, payload_bytes=1 << 30) + bytes(100))
     assert_error(connection.receive_frame(), "too-large", "payload_bytes", "", request_id=77)
     connection.half_close()

@@ -49,7 +49,7 @@ def test_a_circle_put_into_a_copy_is_found(copy, folder):
     graph = structure.modules(copy)
 
     def may_serve(module: str) -> bool:
-        """Whether a module has a header and is in no circle yet."""
+        """Returns whether a module has a header and is in no circle yet."""
         return (copy / f"{module}.h").exists() and not structure.chain(graph, module, module)
 
     module, other = next(

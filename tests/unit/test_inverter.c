@@ -280,7 +280,8 @@ UNIT_TEST(every_model_is_inverted_for_every_length) {
       }
       probe_to_the_end(&inverter);
       if (core_inverter_check(&inverter).field != NULL) {
-        assert_true(strncmp(model->name, "skin-", 5) == 0); /* It is the same for every medium. */
+        assert_true(strncmp(model->name, "skin-", 5) ==
+                    0); /* The skin- models are the same for every medium. */
         continue;
       }
       const bool jumps = core_worth_keeping(model->id, CORE_EVALUATOR_F64);

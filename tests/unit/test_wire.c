@@ -82,7 +82,7 @@ UNIT_TEST(full_text_needs_no_zero_on_the_wire) {
   assert_int_equal(strlen(value.name), sizeof value.name - 1);
 }
 
-/* What follows the zero byte of a text is dropped. */
+/* The bytes behind the zero byte of a text are dropped. */
 UNIT_TEST(text_ends_at_its_zero_byte) {
   uint8_t bytes[WIRE_BYTES_value];
   wire_value value;

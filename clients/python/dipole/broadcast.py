@@ -99,7 +99,7 @@ def _aligned(shape: tuple[int, ...], dimensions: int) -> tuple[int, ...]:
 
 
 def _is_product(index: np.ndarray, radii: np.ndarray) -> bool:
-    """Whether broadcasting combines every medium with every radius."""
+    """Returns whether broadcasting combines every medium with every radius."""
     dimensions = max(index.ndim, radii.ndim)
     media_shape, radii_shape = _aligned(index.shape, dimensions), _aligned(radii.shape, dimensions)
     return all(m == 1 or n == 1 for m, n in zip(media_shape, radii_shape))

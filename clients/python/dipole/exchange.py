@@ -97,7 +97,8 @@ class _Pending:
         return self.failed_s
 
     def can_repeat(self) -> bool:
-        """Whether the request can be sent again: not if the caller has a part of its answer."""
+        """Returns whether the request can be sent again: not if the caller has a part of its
+        answer."""
         return self.kept and not (self.answer.is_streamed and self.answer.begun)
 
     def begin_again(self) -> None:
@@ -188,11 +189,11 @@ class Exchange:
         return request_id
 
     def ended(self, request_id: int) -> bool:
-        """Whether the whole answer, or an error in its place, has arrived."""
+        """Returns whether the whole answer, or an error in its place, has arrived."""
         return self._pending[request_id].answer.ended
 
     def is_ready(self, request_id: int) -> bool:
-        """Whether next() has something to give."""
+        """Returns whether next() has something to give."""
         answer = self._pending[request_id].answer
         return bool(answer.ready) or answer.ended
 
@@ -271,7 +272,7 @@ def _too_late(request_id: int) -> Refused:
 
 
 def is_temporary(error: DipoleError) -> bool:
-    """Whether connecting again may help after this error."""
+    """Returns whether connecting again may help after this error."""
     if isinstance(error, Refused):
         return error.status in _TEMPORARY
     if isinstance(error, ConnectionLost):
@@ -339,8 +340,8 @@ def _with_jitter(pause_s: float) -> float:
 
 
 def _has_lists_of(fresh: Info, info: Info) -> bool:
-    """Whether each name in the lists of `info` has the same id in the lists of `fresh`, so that the
-    ids in requests keep their meaning."""
+    """Returns whether each name in the lists of `info` has the same id in the lists of `fresh`, so
+    that the ids in requests keep their meaning."""
     return all(
         choice.name in fresh.choices[kind] and fresh.choices[kind][choice.name].id == choice.id
         for kind, choices in info.choices.items()

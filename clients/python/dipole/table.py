@@ -57,11 +57,11 @@ _2_TO_THE_24 = np.float32(2.0**24)
 
 
 class TableErrors(NamedTuple):
-    """How far values of a table at the radii of one call may be off, relative."""
+    """The relative errors of values of a table, for the radii of one call."""
 
-    numerical_error_constant: float  # A value at radius r is off from the model's formula by at
-    numerical_error_per_mm: float  # most the first plus the second number times r.
-    model_error: float  # of the model against radiative transport; NaN: not measured
+    numerical_error_constant: float  # constant part of the numerical error
+    numerical_error_per_mm: float  # this number times r is added to the constant part
+    model_error: float  # of the model against radiative transport; NaN if it was not measured
 
 
 class Table:

@@ -53,7 +53,7 @@ static void free_peer(struct peer *peer) {
   free(peer);
 }
 
-/* Returns false if the peer is gone. */
+/* Writes output to the socket. Returns false if the peer is gone. */
 static bool write_some(struct peer *peer) {
   while (peer->written < peer->to_write) {
     const ssize_t sent =
