@@ -30,7 +30,7 @@ static wire_error check_choices(const wire_eval_request *fixed) {
   return error.status == WIRE_STATUS_OK ? channels_check_wanted(fixed->wanted) : error;
 }
 
-/* The list of radii has to be exactly what remains after the media and the parameters. */
+/* Parses the list of radii, which must be all that is left after the media and the parameters. */
 static wire_error parse_radii(struct channels_cursor *cursor, eval_request *request) {
   const wire_eval_request *fixed = &request->fixed;
   if (fixed->spacing != CORE_SPACING_LIST) {

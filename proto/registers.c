@@ -325,8 +325,8 @@ static wire_error check_address(unsigned here, unsigned end, unsigned *at,
              : bad_address("both registers of a value in one request");
 }
 
-/* The value of a field that a write changes; `words` are its registers. `swapped`: it is written in
- * the mirror. */
+/* Returns the value that a write gives to a field. words: the registers that are written. swapped:
+ * whether they are written in the mirror. */
 static double value_of(const registers_field *field, const uint8_t *words, bool swapped) {
   const uint16_t one = word_at(words, 0);
   if (registers_width(field->type) == 1) {

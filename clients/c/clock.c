@@ -38,7 +38,8 @@ bool libdipole_wait(int fd, short events, unsigned timeout_ms, short *ready) {
   }
 }
 
-/* xorshift64* (Vigna 2016). The upper 32 of its 64 bits are the better ones: these are returned. */
+/* Implements xorshift64* (Vigna 2016). Returns the upper 32 of its 64 bits, which are the better
+ * ones. */
 uint32_t libdipole_random(uint64_t *state) {
   uint64_t x = *state;
   if (x == 0) {

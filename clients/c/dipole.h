@@ -535,8 +535,8 @@ typedef struct dipole_table_info {
   double radius_most_mm;
   const uint32_t *words; /* [word_count]: the bits of single precision numbers and of entries */
   size_t word_count;
-  double reach_mm; /* Further away R and the pdf are less exact than numerical_error says. INFINITY
-                      for all models but transport. */
+  double
+      reach_mm; /* At larger radii, R and the pdf have larger errors than numerical_error says. INFINITY for all models except transport. */
 } dipole_table_info;
 
 /* The relative errors of values. At radius r, a value is off from the model's formula by at most

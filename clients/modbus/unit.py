@@ -68,7 +68,7 @@ class Unit:
             time.sleep(0.05)
 
     def token(self, status=300):
-        """A token that differs from that of the job that was done last."""
+        """Returns a token that differs from that of the last job."""
         done = struct.unpack(">H", self.read(status + 1, 1))[0]
         return done % 65535 + 1
 

@@ -128,7 +128,7 @@ def comment_text(comment: str) -> str:
 
 
 def library_text() -> tuple[str, str]:
-    """The declarations of the header, each with the comment before it."""
+    """Returns the declarations of the header, each with the comment before it."""
     header = (TREE / "clients/c/dipole.h").read_text()
     about, first, rest = re.match(r"/\*\s*\w+: (.*?)([.:\n].*?)\*/\n(.*)", header, re.S).groups()
     rest = re.sub(r"#(ifndef|define) \w+_H\n|#include .*\n", "", rest)

@@ -197,7 +197,8 @@ static bool is_due(const core_choice *model, const core_choice *evaluator,
          (evaluator->id == CORE_EVALUATOR_F64 && needed);
 }
 
-/* The solver for any phase function: totals, and one wavenumber in real and in complex numbers. */
+/* Prints checksums of the solver for any phase function: totals, and one wavenumber in real and in
+ * complex numbers. */
 static void print_anisotropic(void) {
   static const double etas[] = {0.8, 1, 1.4};
   enum { ETAS = sizeof etas / sizeof etas[0], MOMENTS = 12 };

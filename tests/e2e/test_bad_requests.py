@@ -254,7 +254,7 @@ def hello(version_min: int, version_max: int, zero: int = 0) -> bytes:
     return wire.HELLO_REQUEST.pack(version_min=version_min, version_max=version_max, zero=zero)
 
 
-# name: (type, payload, status, field, allowed)
+# Maps names to invalid requests: (type, payload, status, field, allowed).
 OTHERS = {
     "hello newer": (HELLO, hello(2, 9), "bad-version", "version_max", "1"),
     "hello older": (HELLO, hello(0, 0), "bad-version", "version_max", "1"),
@@ -282,7 +282,7 @@ def test_other_message(shared, name):
 
 ALIGNED = "bad-length", "payload_bytes", "a multiple of 8"
 NO_SUCH_VERSION = "bad-version", "version", "1"
-# name: (header fields, payload, (status, field, allowed))
+# Maps names to invalid headers: (header fields, payload, (status, field, allowed)).
 HEADERS = {
     "version 0": ({"version": 0}, b"", NO_SUCH_VERSION),
     "version 2": ({"version": 2}, b"", NO_SUCH_VERSION),

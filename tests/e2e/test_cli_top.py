@@ -22,7 +22,8 @@ from lists import MODELS
 
 @pytest.fixture
 def busy(daemon):
-    """A daemon with a client that sends eval requests all the time, one in ten of them wrong."""
+    """Returns a daemon with a client that sends eval requests all the time, one in ten of them
+    wrong."""
     one = daemon()
     stop = threading.Event()
 
@@ -116,7 +117,7 @@ test_wrong_command_lines = says(USAGE, ["top"], [
 
 @pytest.fixture
 def watching(daemon):
-    """A daemon, and a command that watches it and writes records of JSON."""
+    """Returns a daemon, and a command that watches it and writes records of JSON."""
     one = daemon()
     options = ["--connect", one.url(), "--interval", "0.05", "--format", "json"]
     options += ["--retry-ms", "300"]

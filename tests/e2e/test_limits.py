@@ -23,7 +23,7 @@ EVALUATED = EVAL | wire.REPLY
 
 @pytest.fixture
 def small_frames(daemon):
-    """A connection to a daemon with the smallest possible frames."""
+    """Returns a connection to a daemon with the smallest possible frames."""
     with daemon("--max-frame-bytes", "4096").connect() as connection:
         yield connection
 

@@ -27,7 +27,7 @@ def address_of(daemon) -> str:
 
 @pytest.fixture
 def watched(daemon):
-    """A daemon that serves metrics at a free port."""
+    """Returns a daemon that serves metrics at a free port."""
     return daemon("--metrics", "127.0.0.1:0")
 
 

@@ -53,7 +53,7 @@ def expected(slave):
 
 @pytest.fixture(scope="module")
 def serial(tmp_path_factory):
-    """A daemon at one end of a pair of pseudo terminals. Returns the other end."""
+    """Starts a daemon at one end of a pair of pseudo terminals. Returns the other end."""
     if shutil.which("socat") is None:
         pytest.skip("socat is not installed")
     folder = tmp_path_factory.mktemp("line")

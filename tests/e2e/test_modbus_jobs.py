@@ -23,7 +23,7 @@ BAD_VALUE_STATUS, BUSY_STATUS = 6, 10
 
 @pytest.fixture
 def client(slave):
-    """A client of the binary protocol."""
+    """Returns a client of the binary protocol."""
     with slave.client() as one:
         yield one
 

@@ -32,7 +32,8 @@ def answer(connection: Connection, payload: bytes) -> list[Part]:
 
 @pytest.fixture(scope="module")
 def tiny():
-    """A daemon whose parts have a few hundred values, for one channel and one or two quantities."""
+    """Returns a daemon whose parts have a few hundred values, for one channel and one or two
+    quantities."""
     one = Daemon("--max-frame-bytes", "4096", "--max-part-bytes", "4096")
     yield one
     one.close()
@@ -40,7 +41,7 @@ def tiny():
 
 @pytest.fixture(scope="module")
 def small():
-    """A daemon whose frames hold more than its parts."""
+    """Returns a daemon whose frames hold more than its parts."""
     one = Daemon("--max-frame-bytes", "131072", "--max-part-bytes", "65536")
     yield one
     one.close()

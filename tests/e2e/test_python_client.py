@@ -211,7 +211,7 @@ def test_submit_and_collect(client):
 
 @pytest.fixture
 def small(daemon):
-    """A client of a daemon whose parts are small."""
+    """Returns a client of a daemon whose parts are small."""
     with daemon("--max-frame-bytes", "65536", "--max-part-bytes", "32768").client() as one:
         yield one
 

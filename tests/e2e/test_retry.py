@@ -53,7 +53,7 @@ class Restarted:
 
 @pytest.fixture(params=["unix", "tcp"])
 def restarted(request, tmp_path):
-    """A daemon that can be restarted, over each transport."""
+    """Returns a daemon that can be restarted, over each transport in turn."""
     one = Restarted(f"unix:{tmp_path}/s" if request.param == "unix" else "tcp:127.0.0.1:0")
     yield one
     one.close()

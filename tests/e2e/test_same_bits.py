@@ -49,7 +49,7 @@ def answers(daemon: Daemon, payloads: list[bytes]) -> list[bytes]:
 
 @pytest.fixture(scope="module")
 def expected(shared) -> list[bytes]:
-    """The answers of the shared daemon."""
+    """Returns the answers of the shared daemon."""
     return answers(shared, mix())
 
 

@@ -113,7 +113,7 @@ static void assert_same_values(const dipole_table *table, const core_profile *pr
 
 enum { HELD = DIPOLE_R | DIPOLE_ALBEDO | DIPOLE_CDF | DIPOLE_PDF | DIPOLE_RING | DIPOLE_S };
 
-/* Both numbers have the same bits, or both are NaN. */
+/* Returns whether two numbers are equal or are both NaN. */
 static bool same(double a, double b) {
   return a == b || (isnan(a) && isnan(b));
 }

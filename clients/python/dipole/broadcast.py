@@ -25,7 +25,7 @@ class Values(NamedTuple):
 
 
 class _Media(NamedTuple):
-    """The distinct media, and where they belong."""
+    """The distinct media of a call, and which of them each medium of the call is."""
 
     distinct: np.ndarray  # [C, 4]
     index: np.ndarray  # [...] of each medium in the call: its position in `distinct`

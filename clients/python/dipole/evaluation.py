@@ -274,7 +274,7 @@ class Shape(NamedTuple):
 
 
 class Part(NamedTuple):
-    """A part of an answer, or all of it."""
+    """One part of an answer, or a whole answer."""
 
     fixed: Any  # the eval_reply structure
     channels: np.ndarray  # [C, 4], the channel structures

@@ -55,7 +55,7 @@ void target_make_echo(struct target *target, const struct target *eval);
 
 void target_free(struct target *target);
 
-/* Write and read the request id of a frame; only for framed targets. */
+/* These write and read the request id of a frame, for framed targets only. */
 void target_set_id(uint8_t *request, uint64_t id);
 uint64_t target_id(const uint8_t *reply);
 
