@@ -6,14 +6,15 @@ core_fault core_draw_check(const core_draw *draw) {
   const bool by_rule = draw->rule != CORE_DRAW_LIST;
   const bool seeded = draw->rule == CORE_DRAW_STRATIFIED || draw->rule == CORE_DRAW_RANDOM;
   if (by_rule && (draw->count < 1 || draw->count > CORE_DRAW_COUNT_MAX)) {
-    return (core_fault){"sample_count", "1 to 2^52 by rule", 0};
+    return (core_fault){"sample_count", "1 to 2^52", 0};
   }
   if (draw->first > (draw->rule == CORE_DRAW_RANDOM ? CORE_DRAW_COUNT_MAX : 0)) {
-    return draw->rule == CORE_DRAW_RANDOM ? (core_fault){"sample_first", "0 to 2^52", 0}
-                                          : (core_fault){"sample_first", "0 unless random", 0};
+    return draw->rule == CORE_DRAW_RANDOM
+               ? (core_fault){"sample_first", "0 to 2^52", 0}
+               : (core_fault){"sample_first", "0 unless the draw is random", 0};
   }
   if (draw->seed != 0 && !seeded) {
-    return (core_fault){"seed", "0 unless random or stratified", 0};
+    return (core_fault){"seed", "0 unless the draw is random or stratified", 0};
   }
   return (core_fault){0};
 }

@@ -32,6 +32,7 @@ struct daemon {
   size_t listener_count;
   struct metrics *metrics; /* NULL without --metrics */
   uint64_t workers_started;
+  bool ready; /* It has started. If it could not, it stops without a word more. */
   bool stopping;
 };
 
@@ -42,7 +43,9 @@ static void stop(struct daemon *daemon) {
     return;
   }
   daemon->stopping = true;
-  log_line(LOG_LEVEL_INFO, "event=stopping");
+  if (daemon->ready) {
+    log_line(LOG_LEVEL_INFO, "event=stopping");
+  }
   systemd_tell_stopping(&daemon->systemd);
   metrics_close(daemon->metrics);
   daemon->metrics = NULL;
@@ -283,9 +286,9 @@ static int run(struct daemon *daemon) {
   signal(SIGPIPE, SIG_IGN);
   raise_descriptor_limit();
   set_up_loop(daemon);
-  const bool ready = set_up_modbus(server) && start_workers(daemon) && open_metrics(daemon) &&
-                     open_addresses(daemon) && open_modbus(daemon);
-  if (ready) {
+  daemon->ready = set_up_modbus(server) && start_workers(daemon) && open_metrics(daemon) &&
+                  open_addresses(daemon) && open_modbus(daemon);
+  if (daemon->ready) {
     log_line(LOG_LEVEL_INFO, "event=ready workers=%llu isa=%s",
              (unsigned long long)server->options.workers, core_isa_name(server->isa));
     systemd_tell_ready(&daemon->systemd);
@@ -299,10 +302,10 @@ static int run(struct daemon *daemon) {
   free(server->latencies);
   cache_free(server->cache);
   mc_pool_free(server->mc);
-  if (ready) {
+  if (daemon->ready) {
     log_line(LOG_LEVEL_INFO, "event=stopped");
   }
-  return ready ? EXIT_SUCCESS : EXIT_FAILURE;
+  return daemon->ready ? EXIT_SUCCESS : EXIT_FAILURE;
 }
 
 int main(int argc, char **argv) {

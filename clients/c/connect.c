@@ -233,8 +233,9 @@ static bool start_daemon(const char *program, int *fd, pid_t *pid, dipole_error 
   close(pair[0]);
   if (fault == ENOENT) {
     return libdipole_fail(error, DIPOLE_ERROR_CONNECT,
-                          "cannot start a private daemon: %.120s is neither beside this program "
-                          "nor in PATH; name a running daemon, for example in $DIPOLED",
+                          "cannot start a private daemon: there is no program %.80s beside this "
+                          "program or in PATH. Install dipoled, or name a running daemon, as in "
+                          "DIPOLED=tcp:HOST:PORT",
                           program);
   }
   char what[PATH_MAX];

@@ -69,6 +69,13 @@ static void describe_place(const wire_error *from, uint32_t medium_count, uint64
   }
 }
 
+/* Returns whether the daemon or the time is at fault, and not a value that the caller has chosen.
+ * The text of such a status says more than the field does. */
+static bool is_about_the_daemon(unsigned status) {
+  return status == WIRE_STATUS_BUSY || status == WIRE_STATUS_SHUTTING_DOWN ||
+         status == WIRE_STATUS_TIMEOUT || status == WIRE_STATUS_DEADLINE;
+}
+
 bool libdipole_fail_refused(dipole_error *error, const dipole_info *info, uint32_t medium_count,
                             uint64_t value_count, const uint8_t *payload) {
   wire_error from;
@@ -77,15 +84,19 @@ bool libdipole_fail_refused(dipole_error *error, const dipole_info *info, uint32
   libdipole_clean_text(from.field);
   libdipole_clean_text(from.allowed);
   const char *name = status_name(info, from.status);
+  char what[192] = "", later[32] = "";
   if (from.field[0] != '\0') {
     describe_place(&from, medium_count, value_count, place, sizeof place);
-    libdipole_fail(error, DIPOLE_ERROR_REFUSED, "%s: %s%s: allowed: %s", name, from.field, place,
-                   from.allowed);
-  } else if (from.retry_after_ms > 0) {
-    libdipole_fail(error, DIPOLE_ERROR_REFUSED, "%s: %s (in %lu ms)", name,
-                   wire_status_text(from.status), (unsigned long)from.retry_after_ms);
+    snprintf(what, sizeof what, ": %s%s: allowed: %s", from.field, place, from.allowed);
+  }
+  if (from.retry_after_ms > 0) {
+    snprintf(later, sizeof later, " (in %lu ms)", (unsigned long)from.retry_after_ms);
+  }
+  if (what[0] != '\0' && !is_about_the_daemon(from.status)) {
+    libdipole_fail(error, DIPOLE_ERROR_REFUSED, "%s%s", name, what);
   } else {
-    libdipole_fail(error, DIPOLE_ERROR_REFUSED, "%s: %s", name, wire_status_text(from.status));
+    libdipole_fail(error, DIPOLE_ERROR_REFUSED, "%s: %s%s%s", name, wire_status_text(from.status),
+                   later, what);
   }
   error->status = from.status;
   error->index = from.index;

@@ -101,7 +101,8 @@ static bool take_hello(dipole_client *client, const libdipole_frame *frame, cons
   }
   if (hello.version != WIRE_VERSION) {
     return libdipole_fail(error, DIPOLE_ERROR_PROTOCOL,
-                          "the daemon speaks protocol versions %u to %u, this library version %d",
+                          "the daemon speaks the protocol's versions %u to %u, this library only "
+                          "version %d: use the library of the daemon's release",
                           hello.version_min, hello.version_max, WIRE_VERSION);
   }
   info_block *block = new_block(hello.choice_count, hello.limit_count, address, error);

@@ -13,7 +13,7 @@
 
 bool libdipole_check_u16(unsigned all, const char *names, dipole_error *error) {
   return all <= UINT16_MAX ||
-         libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s: at most 65535", names);
+         libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s: no id is above 65535", names);
 }
 
 bool libdipole_parameters_check(const dipole_parameter *parameters, size_t count,
@@ -250,7 +250,8 @@ bool dipole_collect_id(dipole_client *client, uint64_t id, dipole_result **resul
   error = error != NULL ? error : &(dipole_error){0};
   libdipole_call_begin(client, &libdipole_eval_kind);
   return id != 0 ? collect(client, &id, result, error)
-                 : libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "no query has the id 0");
+                 : libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
+                                  "no query has the id 0: take the id that dipole_submit() gave");
 }
 
 /* The longest list of offers that the library accepts. It is far more than a daemon sends, and

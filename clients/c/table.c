@@ -151,7 +151,7 @@ static bool set_profile(dipole_table *table, const wire_table_reply *fixed,
   profile->cos_out = cos_out;
   const core_radii_range pieces = core_table_pieces(profile);
   return (pieces.least_mm == fixed->pieces_from && pieces.most_mm == fixed->pieces_to) ||
-         damaged(error, "its pieces are not where it says");
+         damaged(error, "the radii of its pieces differ from those that it states");
 }
 
 /* Reads and checks the frame of a table. */

@@ -32,10 +32,11 @@ dipole_client *cli_open(const cli_common *common) {
   const char *address = common->connect != NULL ? common->connect : getenv("DIPOLED");
   if (error.kind == DIPOLE_ERROR_CONNECT && address != NULL &&
       strncmp(address, "private:", strlen("private:")) != 0) {
-    fputs(
-        "Start a daemon there (dipoled --listen ADDRESS), or have a private one: no --connect, no "
-        "$DIPOLED.\n",
-        stderr);
+    fprintf(stderr,
+            "The address is from %s. Start a daemon there, with `dipoled --listen %s`. Or %s: "
+            "dipole then starts a daemon for itself.\n",
+            common->connect != NULL ? "--connect" : "the environment variable DIPOLED", address,
+            common->connect != NULL ? "leave --connect out" : "unset that variable");
   }
   return NULL;
 }

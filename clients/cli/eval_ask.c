@@ -270,6 +270,17 @@ static int tell_left_out(const left_out *models, size_t count, bool all) {
   return all ? CLI_FAILED : CLI_OK;
 }
 
+/* Says why a model has not answered. Names it if another model might have, as with a parameter that
+ * this one needs or does not take. */
+static int fail_model(const asking *ask, const dipole_choice *model, const dipole_error *error) {
+  char what[96] = "";
+  if (error->kind == DIPOLE_ERROR_REFUSED && error->status == ask->bad_value &&
+      cli_choice(ask->report->profile.info, DIPOLE_PARAMETER, error->field) != NULL) {
+    snprintf(what, sizeof what, "model %s: ", model->name);
+  }
+  return cli_fail_error_of(what, error);
+}
+
 /* Asks model by model. Those that answer move up in the report to fill the gaps. */
 static int ask_all(asking *ask) {
   cli_eval_report *report = ask->report;
@@ -289,7 +300,7 @@ static int ask_all(asking *ask) {
       out[out_count++] = (left_out){asked->choice->name, error};
     } else {
       cli_progress_wipe(ask->progress);
-      status = cli_fail_error(&error);
+      status = fail_model(ask, asked->choice, &error);
     }
     ask->models_done++;
   }

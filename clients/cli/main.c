@@ -19,11 +19,12 @@ static const cli_command *const commands[] = {
 enum { COMMANDS = sizeof commands / sizeof commands[0] };
 
 static void print_help(FILE *file) {
-  fputs("Usage: dipole COMMAND [OPTION]...\n\n"
-        "Asks the daemon dipoled how much light leaves a translucent medium at distance r from\n"
-        "where it entered: R(r) in 1/mm^2 per unit of power that entered. Without --connect and\n"
-        "$DIPOLED, it starts a daemon of its own.\n\nCommands\n",
-        file);
+  fputs(
+      "Usage: dipole COMMAND [OPTION]...\n\n"
+      "Asks the daemon dipoled how much light leaves a translucent medium at distance r from\n"
+      "where it entered: R(r) in 1/mm^2 per unit of power that entered. Unless --connect\n"
+      "or the environment variable DIPOLED names a daemon, it starts one of its own.\n\nCommands\n",
+      file);
   for (size_t i = 0; i < COMMANDS; i++) {
     fprintf(file, "  %-8s %s\n", commands[i]->name, commands[i]->about);
   }

@@ -85,7 +85,11 @@ static int check_medium(const mc_settings *settings) {
     if (!settings->sigma_a.given || !settings->sigma_s.given) {
       return cli_fail_usage("give --medium NAME and --channel, or --sigma-a and --sigma-s");
     }
-    return settings->channel == NULL ? CLI_OK : cli_fail_usage("--channel goes with --medium NAME");
+    return settings->channel == NULL
+               ? CLI_OK
+               : cli_fail_usage(
+                     "--channel chooses a channel of --medium NAME: add --medium NAME, or leave "
+                     "--channel out");
   }
   if (settings->sigma_a.given || settings->sigma_s.given) {
     return cli_fail_usage("--medium NAME stands for --sigma-a and --sigma-s: leave these "
@@ -93,7 +97,9 @@ static int check_medium(const mc_settings *settings) {
   }
   return colour_of(settings->channel) < CLI_COLOURS
              ? CLI_OK
-             : cli_fail_usage("--medium NAME needs --channel red, green or blue");
+             : cli_fail_usage(
+                   "--medium NAME has three channels, and mc takes one: add --channel red, "
+                   "green or blue");
 }
 
 static int check(void *given) {

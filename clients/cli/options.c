@@ -15,7 +15,8 @@ static const cli_option common_options[] = {
     {"Options of all commands", NULL, NULL, CLI_HEADING, 0, NULL},
     {"connect", "ADDRESS",
      "unix:PATH or tcp:HOST:PORT; private: for a daemon of its own. Several,\n"
-     "separated by commas, are tried in turn (default: $DIPOLED, else private:)",
+     "separated by commas, are tried in turn (default: the environment\n"
+     "variable DIPOLED, else private:)",
      CLI_TEXT, offsetof(cli_common, connect), NULL},
     {"format", NULL, NULL, CLI_TEXT, offsetof(cli_common, format), NULL},
     {"timeout-ms", "N", "give up if the daemon is silent for N ms; 0: never (default: 30000)",

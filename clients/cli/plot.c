@@ -140,7 +140,8 @@ static int check(void *given) {
     return status;
   }
   if (settings->gamma.given && !cli_texts_have(&settings->axes, "gamma")) {
-    return cli_fail_usage("--gamma is of the axes gamma: add --axes gamma");
+    return cli_fail_usage("--gamma changes nothing but the axes gamma: add --axes gamma, or leave "
+                          "--gamma out");
   }
   if (!(settings->gamma.value > 0 && isfinite(settings->gamma.value))) {
     return cli_fail_usage("--gamma: give a number above 0");

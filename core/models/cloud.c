@@ -80,10 +80,11 @@ core_fault core_cloud_check(const core_inputs *inputs, core_radii_range *radii) 
     return (core_fault){0};
   }
   if (isnan(mm)) {
-    return (core_fault){"thickness", "a thickness in mm: a slab needs it", 0};
+    return (core_fault){"thickness", "the thickness of the slab in mm: this model needs it", 0};
   }
   if (!(thickness >= THICKNESS_LEAST && thickness <= THICKNESS_MOST)) {
-    return (core_fault){"thickness", "1.1 to 1e6 mean free paths 1 / sigma_t'", 0};
+    return (core_fault){"thickness",
+                        "1.1 to 1e6 mean free paths; one is 1 / (sigma_a + sigma_s (1 - g)) mm", 0};
   }
   return (core_fault){0};
 }

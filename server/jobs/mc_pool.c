@@ -415,13 +415,11 @@ wire_error mc_job_start(struct mc_pool *pool, const uint8_t *payload, size_t pay
   }
   *job = new_job(pool, &task, to);
   if (*job == NULL) {
-    return wire_error_busy("max_total_bytes", "less at a time in all buffers; try again later",
-                           RETRY_AFTER_MS);
+    return wire_error_busy("max_total_bytes", "less at a time in all buffers", RETRY_AFTER_MS);
   }
   if (!add_job(pool, *job)) {
     free_job(*job);
-    return wire_error_busy("max_mc_jobs", "fewer Monte Carlo jobs at a time; try again later",
-                           RETRY_AFTER_MS);
+    return wire_error_busy("max_mc_jobs", "fewer Monte Carlo jobs at a time", RETRY_AFTER_MS);
   }
   return wire_error_none();
 }

@@ -63,7 +63,7 @@ static void on_wake(void *owner) {
 }
 
 wire_error connection_refusal(void) {
-  return wire_error_busy("max_connections", "fewer open connections; try again later", 1000);
+  return wire_error_busy("max_connections", "fewer open connections", 1000);
 }
 
 struct client *connection_new(struct server *server, int fd, enum connection_purpose purpose) {
@@ -144,8 +144,8 @@ static void on_room_wanted(uv_handle_t *handle, size_t suggested, uv_buf_t *buff
 /* Refuses and skips an incomplete frame because there is no memory for the rest of it. */
 static void refuse_for_memory(struct connection *c) {
   wire_header header;
-  const wire_error error = wire_error_busy(
-      "payload_bytes", "less at a time: max_total_bytes are in use; try again later", 1000);
+  const wire_error error =
+      wire_error_busy("payload_bytes", "less at a time: max_total_bytes are in use", 1000);
   if (!input_refuse(&c->input, &header)) {
     abort_connection(c);
   } else if (!requests_refuse(&c->requests, header.request_id, &error)) {

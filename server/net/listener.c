@@ -288,7 +288,7 @@ bool listener_open(struct listener *listener, struct server *server, uv_loop_t *
   } else if (strncmp(url, "tcp:", 4) == 0) {
     open = open_tcp(listener, url, url + 4, "tcp");
   } else {
-    open = complain(url, "the address has the form unix:PATH or tcp:HOST:PORT");
+    open = complain(url, "write unix:PATH or tcp:HOST:PORT, as in tcp:127.0.0.1:4817");
   }
   return start(listener, loop, open);
 }

@@ -81,17 +81,17 @@ int tcp_listen(const char *host_port, const char **why) {
   char host[256];
   const char *port;
   if (!split(host_port, host, sizeof host, &port)) {
-    return refuse("the address has the form HOST:PORT, [::1]:PORT for IPv6", why);
+    return refuse("write a host and a port, as in 127.0.0.1:4817 or [::1]:4817", why);
   }
   char *port_end;
   if (strtoul(port, &port_end, 10) > 65535 || *port_end != '\0') {
-    return refuse("the port is a number from 0 to 65535", why);
+    return refuse("the port, behind the last colon, has to be a number from 0 to 65535", why);
   }
   const struct addrinfo hints = {.ai_socktype = SOCK_STREAM, .ai_flags = AI_PASSIVE};
   struct addrinfo *found = NULL;
   const int looked_up = getaddrinfo(host, port, &hints, &found);
   if (looked_up != 0) {
-    return refuse(gai_strerror(looked_up), why);
+    return refuse(looked_up == EAI_NONAME ? "no host has this name" : gai_strerror(looked_up), why);
   }
   const int fd = bind_to(found);
   const int error = errno;

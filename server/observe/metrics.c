@@ -214,8 +214,8 @@ static int listen_at(const char *address) {
   }
   const int fd = tcp_listen(port != NULL ? local : address, &why);
   if (fd < 0) {
-    fprintf(stderr, "dipoled: --metrics %s: %s\n", address,
-            errno == EADDRINUSE ? "another process listens there" : why);
+    fprintf(stderr, "dipoled: --metrics %s: %s. Write HOST:PORT, or a PORT of this machine\n",
+            address, errno == EADDRINUSE ? "another process listens there" : why);
   }
   return fd;
 }

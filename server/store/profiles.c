@@ -166,8 +166,7 @@ static enum profiles_answer get_from_cache(struct profiles *profiles,
     cache_prepare_in_pool(profiles->server->cache, profiles->loop);
     return PROFILES_WAIT;
   case CACHE_BUSY:
-    lookup->fault =
-        (core_fault){PROFILES_FIELD_BUSY, "fewer profiles that wait; try again later", 0};
+    lookup->fault = (core_fault){PROFILES_FIELD_BUSY, "fewer profiles that wait at a time", 0};
     return PROFILES_FAULT;
   case CACHE_NO_MEMORY:
     break;

@@ -120,8 +120,23 @@ test_what_the_daemon_refuses_or_cannot_be_reached = says(FAILED, ["eval"], [
     ([*EVAL[1:], "--count", "99999999999999"], "too-large: radius_count: allowed: "),
     ([*EVAL[1:], "--connect", "localhost"], "write unix:PATH, tcp:HOST:PORT or private:"),
     ([*EVAL[1:], "--connect", "unix:/nonexistent"], "cannot connect to the socket /nonexist"),
-    ([*EVAL[1:], "--connect", "private:/nonexistent"], "cannot start a private daemon"),
+    ([*EVAL[1:], "--connect", "private:/nonexistent"], "Install dipoled, or name a running daemon"),
+    ([*EVAL[1:], "--model", "better,multipole"], "model multipole: bad-value: thickness: allowed: "
+     "the thickness of the slab in mm: this model needs it (--thickness)"),
+    ([*EVAL[1:], "--model", "multipole,better", "--thickness", "9"], "model better: bad-value: "
+     "thickness: allowed: nothing: this model does not take it"),
 ])
+
+
+def test_an_address_without_a_daemon_is_explained():
+    """It says where the address is from, and both ways out."""
+    there = "unix:/nonexistent/d"
+    run = dipole("media", "--connect", there, status=FAILED)
+    assert f"from --connect. Start a daemon there, with `dipoled --listen {there}`" in run.stderr
+    assert "Or leave --connect out" in run.stderr
+    run = dipole("media", status=FAILED, env={"DIPOLED": there})
+    assert "from the environment variable DIPOLED" in run.stderr
+    assert "Or unset that variable" in run.stderr
 
 
 def test_a_refused_field_is_named_by_its_option_too():

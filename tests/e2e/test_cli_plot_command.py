@@ -465,7 +465,7 @@ def test_a_bar_with_rate_and_time_left(daemon):
         ([*SKIN, "--axes", "log"], "--axes: 'log' is unknown; they are linear, semilog"),
         ([*SKIN, "--axes", ""], "--axes: '' is unknown"),
         ([*SKIN, "--axes", "gamma,linear,gamma"], "--axes: name gamma only once"),
-        ([*SKIN, "--gamma", "2"], "--gamma is of the axes gamma: add --axes gamma"),
+        ([*SKIN, "--gamma", "2"], "--gamma changes nothing but the axes gamma: add"),
         ([*SKIN, "--axes", "gamma", "--gamma", "0"], "--gamma: give a number above 0"),
         ([*SKIN, "--axes", "gamma", "--gamma", "inf"], "--gamma: give a number above 0"),
         ([*SKIN, "--axes", "gamma", "--gamma", "nan"], "--gamma: give a number above 0"),

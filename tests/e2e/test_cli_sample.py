@@ -111,9 +111,9 @@ test_wrong_command_lines_say_what_to_do = says(USAGE, ["sample"], [
 
 test_what_the_daemon_refuses = says(FAILED, ["sample"], [
     ([*MEDIUM, "--u", "0.5,1.5"], "bad-value: u number 2 of 2: allowed: 0 to 1"),
-    ([*MEDIUM, "--count", "0"], "sample_count: allowed: 1 to 2^52 by rule (--count)"),
-    ([*MEDIUM, "--draw", "regular", "--seed", "3"], "seed: allowed: 0 unless random or strat"),
-    ([*MEDIUM, "--draw", "regular", "--first", "3"], "0 unless random (--first)"),
+    ([*MEDIUM, "--count", "0"], "sample_count: allowed: 1 to 2^52 (--count)"),
+    ([*MEDIUM, "--draw", "regular", "--seed", "3"], "seed: allowed: 0 unless the draw is random or"),
+    ([*MEDIUM, "--draw", "regular", "--first", "3"], "0 unless the draw is random (--first)"),
     ([*MEDIUM, "--g", "1"], "bad-value: g: allowed: "),
     ([*MEDIUM, "--model", "gaussians"], "model: allowed: a model that covers all radii"),
     (["--sigma-a", "0,-1", "--sigma-s", "1"], "sigma_a of medium 2 of 2: allowed: "),

@@ -130,6 +130,15 @@ def test_wrong_address(url):
     ended = run("--listen", url)
     assert ended.returncode == 1
     assert "cannot listen at" in ended.stderr and url in ended.stderr
+    assert "event=stopping" not in ended.stderr  # it has not been ready
+
+
+def test_a_wrong_address_comes_with_an_example():
+    for url, said in {
+        "tcp:localhost": "write a host and a port, as in 127.0.0.1:4817",
+        "localhost:80": "write unix:PATH or tcp:HOST:PORT, as in tcp:127.0.0.1:4817",
+    }.items():
+        assert said in run("--listen", url).stderr
 
 
 def test_all_addresses_or_none(folder):

@@ -282,6 +282,7 @@ def test_wrong_addresses(watched):
         "127.0.0.1:x": "port",
         "127.0.0.1:65536": "port",
         "no.such.host.invalid:0": "no.such.host.invalid",
+        "tcp:127.0.0.1:0": "Write HOST:PORT, or a PORT of this machine",
     }.items():
         ended = run("--listen", "tcp:127.0.0.1:0", "--metrics", value)
         assert ended.returncode == 1, value

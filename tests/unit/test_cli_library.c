@@ -195,7 +195,7 @@ UNIT_TEST(test_long_pipeline_does_not_deadlock) {
 
 /* ---- refusals ------------------------------------------------------------------------------ */
 
-static const char *const refused_fields[] = {"sigma_a", "r", "model", ""};
+static const char *const refused_fields[] = {"sigma_a", "r", "model", "", "max_mc_jobs"};
 
 enum { REFUSALS = sizeof refused_fields / sizeof refused_fields[0] };
 
@@ -211,8 +211,9 @@ static void refuse(int fd, void *context) {
       wire_error error = {.status = WIRE_STATUS_BAD_VALUE, .index = 1};
       WIRE_SET_TEXT(error.field, refused_fields[i]);
       WIRE_SET_TEXT(error.allowed, "0 to 1e15");
-      if (refused_fields[i][0] == '\0') {
-        error = (wire_error){.status = WIRE_STATUS_BUSY, .retry_after_ms = 7};
+      if (i >= 3) {
+        error.status = WIRE_STATUS_BUSY;
+        error.retry_after_ms = 7;
       }
       wire_put_error(bytes, &error);
       peer_send(fd, WIRE_TYPE_ERROR, request.header.request_id, bytes, sizeof bytes);
@@ -227,7 +228,9 @@ UNIT_TEST(test_refusals_say_what_is_allowed) {
   static const char *const texts[REFUSALS] = {
       "bad-value: sigma_a of medium 2 of 2: allowed: 0 to 1e15",
       "bad-value: r number 2 of 3: allowed: 0 to 1e15", "bad-value: model: allowed: 0 to 1e15",
-      "busy: the daemon is at its limit; try again later (in 7 ms)"};
+      "busy: the daemon is at its limit; try again later (in 7 ms)",
+      "busy: the daemon is at its limit; try again later (in 7 ms): max_mc_jobs: allowed: 0 to "
+      "1e15"};
   scripted_peer peer;
   dipole_error error;
   dipole_result *result;

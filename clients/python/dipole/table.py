@@ -117,7 +117,7 @@ class Table:
         self._entries = self.words.astype(np.int32)
         self._c = self.words.view("<f4").astype(np.float32)
         if (float(self._c[0]), float(self._c[1])) != (self.pieces_from_mm, self.pieces_to_mm):
-            raise TableError("a table whose pieces are not where it says")
+            raise TableError("a damaged table: the radii of its pieces differ from those that it states")
         for name, number in zip(_NUMBERS, self._c):
             setattr(self, "_" + name, number)
 
