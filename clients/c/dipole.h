@@ -464,10 +464,10 @@ enum dipole_length {
 };
 
 typedef struct dipole_invert_query {
-  unsigned model;   /* the model under which the media have the albedos; it depends on the medium */
-  unsigned moments; /* enum dipole_moments */
-  unsigned given;   /* enum dipole_length: the kind of lengths_mm */
-  double g, eta;    /* of all media */
+  unsigned model;           /* the model of the albedos; its R must depend on the medium */
+  unsigned moments;         /* enum dipole_moments */
+  unsigned given;           /* enum dipole_length: the kind of lengths_mm */
+  double g, eta;            /* of all media */
   const double *albedos;    /* [medium_count], 0 to 1: the integral of 2 pi r R(r) */
   const double *lengths_mm; /* [medium_count], 1e-14 to 1e14 */
   uint64_t medium_count; /* At least 1. The lists must fit into a frame (limit max_frame_bytes). For
@@ -535,8 +535,9 @@ typedef struct dipole_table_info {
   double radius_most_mm;
   const uint32_t *words; /* [word_count]: the bits of single precision numbers and of entries */
   size_t word_count;
-  double
-      reach_mm; /* At larger radii, R and the pdf have larger errors than numerical_error says. INFINITY for all models except transport. */
+  /* At larger radii, R and the pdf have larger errors than numerical_error says. INFINITY for all
+   * models except transport. */
+  double reach_mm;
 } dipole_table_info;
 
 /* The relative errors of values. At radius r, a value is off from the model's formula by at most

@@ -37,7 +37,7 @@ struct input {
   uint64_t skip_bytes;  /* bytes of a refused payload that have still to arrive */
   uint64_t skip_id;     /* request id of that payload */
   uint64_t total_bytes; /* number of bytes that have arrived so far */
-  struct input_mark marks[INPUT_MARKS]; /* for what has not been dealt with; both members rise */
+  struct input_mark marks[INPUT_MARKS]; /* when the bytes in the buffer arrived, in order */
   unsigned mark_count;
 };
 
