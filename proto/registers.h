@@ -37,7 +37,7 @@ enum {
 #include "proto/registers.def"
 };
 
-/* The kinds of jobs, from 0 on. */
+/* The kinds of jobs that a unit can have, from 0 on. */
 enum registers_job_kind {
 #define REGISTERS_JOB(IDENT, MESSAGE, commit, cancel, deadline, status, place, progress,           \
                       error_text)                                                                  \

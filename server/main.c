@@ -32,7 +32,7 @@ struct daemon {
   size_t listener_count;
   struct metrics *metrics; /* NULL without --metrics */
   uint64_t workers_started;
-  bool ready; /* It has started. If it could not, it stops without a word more. */
+  bool ready; /* whether the daemon has started; if not, it stops without another message */
   bool stopping;
 };
 

@@ -82,8 +82,8 @@ struct worker {
   struct job_context context;
 };
 
-/* Sets up a worker without a thread: whoever runs its loop is its thread. Returns 0 or an error code
- * of libuv. */
+/* Sets up a worker without a thread. The thread that runs its loop is the worker's thread. Returns
+ * 0 or an error code of libuv. */
 int worker_open(struct worker *worker, struct server *server);
 
 /* Opens the worker and starts its thread. Returns 0 or an error code of libuv. */

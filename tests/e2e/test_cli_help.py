@@ -129,7 +129,7 @@ test_what_the_daemon_refuses_or_cannot_be_reached = says(FAILED, ["eval"], [
 
 
 def test_an_address_without_a_daemon_is_explained():
-    """It says where the address is from, and both ways out."""
+    """The error says where the address comes from, and how to do without it."""
     there = "unix:/nonexistent/d"
     run = dipole("media", "--connect", there, status=FAILED)
     assert f"from --connect. Start a daemon there, with `dipoled --listen {there}`" in run.stderr

@@ -241,7 +241,8 @@ def test_tradeoff(tmp_path):
     told = subprocess.run(
         [sys.executable, str(program), str(tmp_path)], capture_output=True, text=True, check=True
     ).stdout.splitlines()
-    # Of slow, better and transport are both cheaper and nearer; of better, transport is nearer.
+    # The program lists the models that are both cheaper and more accurate than another: for slow
+    # they are better and transport, for better only transport.
     assert [line.split()[0] for line in told[1:3]] == ["better", "transport"]
     assert told[-6].startswith("cheapest within 1 %, r from 0.01 to 20 mean free paths")
     assert told[-6].endswith("of 2 media: transport/lut 2")
