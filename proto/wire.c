@@ -7,8 +7,8 @@
 
 /* ---- structures ------------------------------------------------------------------------------ */
 
-/* These loops are right for every byte order. Compilers turn them, unrolled, into single loads and
- * stores. */
+/* Writes an integer of `bytes` bytes. The loop is right for every byte order, and compilers turn
+ * it, unrolled, into a single store. */
 static inline uint8_t *put_u64_bytes(uint8_t *at, uint64_t value, unsigned bytes) {
 #pragma GCC unroll 8
   for (unsigned i = 0; i < bytes; i++) {

@@ -80,7 +80,8 @@ def show_entries(shown: list[tuple[str, str, str]]) -> str:
 
 
 def show_blocks(blocks: list[list[str]], level: int, omitted: list = ()) -> str:
-    """Blocks of a --help; titles become headings of a level. omitted: entries that are left out."""
+    """Returns the blocks of a help text. Its titles become headings of this level. omitted: the
+    entries to leave out."""
     text = ""
     for block in sorted(blocks, key=lambda block: "xample" in block[0] and is_titled(block)):
         title = block[0].rstrip(":")

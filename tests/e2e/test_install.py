@@ -200,8 +200,8 @@ def test_the_python_module(tree, prefix, tmp_path):
 
 
 def test_python_looks_where_the_module_is_installed(tree):
-    """The script gives a folder that Debian's Python searches, for prefixes below which it searches
-    any."""
+    """The script prints the folder for modules below a prefix. For the prefixes that Debian's
+    Python searches, this folder is in its search path."""
     script = REPOSITORY / "clients/packaging/python_folder.py"
     for place in (PREFIX, "/usr"):
         folder = run(sys.executable, script, place).strip()
