@@ -40,7 +40,7 @@ typedef struct bench_result {
 
 enum { SHOW_EVERY_MS = 50 };
 
-/* ---- durations ----------------------------------------------------------------------------- */
+/* ---- durations ------------------------------------------------------------------------------- */
 
 static size_t bucket_of(uint64_t ns) {
   const double bucket = BENCH_OCTAVE * log2((double)(ns > 0 ? ns : 1));
@@ -80,7 +80,7 @@ static double bench_times_quantile_us(const bench_times *times, double share) {
   return 0;
 }
 
-/* ---- a connection: a thread, which keeps so many requests under way --------------------------- */
+/* ---- a connection: a thread, which keeps so many requests under way -------------------------- */
 
 /* A request that is under way, or room for one. */
 typedef struct slot {
@@ -121,8 +121,8 @@ static bool submit(worker *of) {
   return good;
 }
 
-/* Takes an answer: its slot moves behind those that are under way. The search starts with the oldest
- * request, whose answer is the likeliest to come. */
+/* Takes an answer: its slot moves behind those that are under way. The search starts with the
+ * oldest request, whose answer is the likeliest to come. */
 static void take(worker *of, uint64_t id, uint64_t at_ns) {
   for (unsigned i = 0; i < of->used; i++) {
     if (of->slots[i].id == id) {
@@ -165,7 +165,7 @@ static void *work(void *argument) {
   return NULL;
 }
 
-/* ---- all of them --------------------------------------------------------------------------- */
+/* ---- all of them ----------------------------------------------------------------------------- */
 
 static size_t quantities(unsigned wanted) {
   return (size_t)__builtin_popcount(wanted & ~(unsigned)(DIPOLE_ALBEDO | DIPOLE_RADIUS));
@@ -298,7 +298,7 @@ static bool bench_run(dipole_client *client, const cli_common *common, const dip
   return good;
 }
 
-/* ---- rates --------------------------------------------------------------------------------- */
+/* ---- rates ----------------------------------------------------------------------------------- */
 
 static double bench_requests_per_s(const bench_result *result) {
   return result->took_s > 0 ? (double)result->times.count / result->took_s : 0;
@@ -346,7 +346,7 @@ typedef struct report {
   bench_result results[MEASUREMENTS];
 } report;
 
-/* ---- the command line ---------------------------------------------------------------------- */
+/* ---- the command line ------------------------------------------------------------------------ */
 
 static int check(void *given) {
   bench_settings *settings = given;
@@ -392,7 +392,7 @@ static int check_with_daemon(const report *of) {
   return CLI_OK;
 }
 
-/* ---- what is asked ------------------------------------------------------------------------- */
+/* ---- what is asked --------------------------------------------------------------------------- */
 
 static void make_query(report *of) {
   const uint64_t small = of->settings->radii.value, large = of->settings->large_radii.value;
@@ -420,7 +420,7 @@ static void make_query(report *of) {
                              .parameter_count = of->profile.parameters.count};
 }
 
-/* ---- measuring ----------------------------------------------------------------------------- */
+/* ---- measuring ------------------------------------------------------------------------------- */
 
 static void show(void *context, double share, uint64_t requests) {
   report *of = context;
@@ -450,7 +450,7 @@ static int measure(report *of) {
   return good ? CLI_OK : cli_fail_error(&error);
 }
 
-/* ---- writing ------------------------------------------------------------------------------- */
+/* ---- writing --------------------------------------------------------------------------------- */
 
 /* Adds a figure to the rows. A table shows three digits of it without an exponent, in the unit of
  * its head. */
@@ -508,7 +508,7 @@ static void put_members(cli_json *json, const void *context) {
   cli_rows_json(json, "measurements", MEASUREMENTS, put_result, of);
 }
 
-/* ---- the command --------------------------------------------------------------------------- */
+/* ---- the command ----------------------------------------------------------------------------- */
 
 static int measure_and_write(const bench_settings *settings, report *of) {
   int status = cli_profile_take(&settings->profile, of->client, &of->profile);

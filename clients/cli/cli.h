@@ -12,7 +12,7 @@
 
 enum cli_status { CLI_OK = 0, CLI_FAILED = 1, CLI_USAGE = 2, CLI_BAD_ROWS = 3 };
 
-/* ---- options ------------------------------------------------------------------------------- */
+/* ---- options --------------------------------------------------------------------------------- */
 
 typedef struct cli_count {
   bool given;
@@ -42,8 +42,8 @@ enum cli_option_kind {
   CLI_NUMBER,  /* cli_number */
   CLI_NUMBERS, /* cli_numbers, separated by commas */
   CLI_NAMES,   /* cli_texts, separated by commas */
-  CLI_FILES,   /* cli_texts, one more each time the option is given; without a value the command's
-                  usual file */
+  CLI_FILES,   /* cli_texts: each use of the option adds one. Without a value it adds the command's
+                  usual file. */
 };
 
 typedef struct cli_option {
@@ -52,10 +52,11 @@ typedef struct cli_option {
   const char *help;
   enum cli_option_kind kind;
   size_t offset;     /* where its value lies in the command's settings */
-  const char *usual; /* the value when the option is not given, of CLI_TEXT, CLI_COUNT and
-                        CLI_NUMBER; NULL for NULL or 0 */
+  const char *usual; /* the value if the option is not given, for CLI_TEXT, CLI_COUNT and
+                        CLI_NUMBER; NULL stands for NULL or 0 */
 } cli_option;
 
+/* What --format can say. CLI_NONE: the command writes no values, but for example a picture. */
 enum cli_form { CLI_NONE, CLI_TABLE, CLI_CSV, CLI_JSON };
 
 /* The settings of every command start with these. */
@@ -68,7 +69,7 @@ typedef struct cli_common {
   const char *operand; /* NULL if there is none */
 } cli_common;
 
-/* ---- commands ------------------------------------------------------------------------------ */
+/* ---- commands -------------------------------------------------------------------------------- */
 
 enum { CLI_LISTS_MAX = 6 };
 
@@ -98,16 +99,16 @@ typedef struct cli_command {
 void cli_start(const cli_command *command);
 const cli_command *cli_running(void);
 
-/* ---- failing ------------------------------------------------------------------------------- */
+/* ---- failing --------------------------------------------------------------------------------- */
 
-/* Writes "dipole COMMAND: " and the message to standard error, and after CLI_USAGE a hint at --help.
- * Returns the status. */
+/* Writes "dipole COMMAND: " and the message to standard error, and after CLI_USAGE a hint at
+ * --help. Returns the status. */
 int cli_say(enum cli_status status, const char *format, ...) __attribute__((format(printf, 2, 3)));
 
 #define cli_fail(...) cli_say(CLI_FAILED, __VA_ARGS__)
 #define cli_fail_usage(...) cli_say(CLI_USAGE, __VA_ARGS__) /* the command line is wrong */
 
-/* ---- the terminal that standard output is ----------------------------------------------------- */
+/* ---- the terminal that standard output is ---------------------------------------------------- */
 
 typedef struct cli_terminal {
   bool styled; /* standard output is a terminal that may get colours and bold type: NO_COLOR is not
@@ -118,7 +119,7 @@ typedef struct cli_terminal {
 /* Returns the terminal as it is now: the user may change its size. */
 cli_terminal cli_terminal_look(void);
 
-/* ---- memory: these end the program when there is none, for no command can go on without ---- */
+/* ---- memory: these functions end the program when no memory is left -------------------------- */
 
 void *cli_allocate(size_t count, size_t size_bytes); /* zeroed */
 void *cli_resize(void *block, size_t count, size_t size_bytes);

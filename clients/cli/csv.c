@@ -10,7 +10,7 @@
 
 enum { BYTE_ORDER_MARK_BYTES = 3 };
 
-/* ---- bytes --------------------------------------------------------------------------------- */
+/* ---- bytes ----------------------------------------------------------------------------------- */
 
 static bool fill(cli_csv_reader *reader) {
   struct pollfd wait = {.fd = reader->fd, .events = POLLIN};
@@ -56,7 +56,7 @@ static void end_cell(cli_csv_record *record, size_t begin, size_t end) {
   record->cells[record->cell_count++] = (cli_csv_cell){begin, end};
 }
 
-/* ---- records ------------------------------------------------------------------------------- */
+/* ---- records --------------------------------------------------------------------------------- */
 
 enum state { CELL_START, IN_CELL, IN_QUOTES, QUOTE_IN_QUOTES, IN_COMMENT };
 
@@ -170,7 +170,7 @@ void cli_csv_record_trim(cli_csv_record *record) {
   }
 }
 
-/* ---- cells --------------------------------------------------------------------------------- */
+/* ---- cells ----------------------------------------------------------------------------------- */
 
 char *cli_csv_cell_text(const cli_csv_record *record, size_t index, size_t *length) {
   const cli_csv_cell cell = record->cells[index];

@@ -71,7 +71,7 @@ int cli_fail_error(const dipole_error *error) {
   return cli_fail_error_of("", error);
 }
 
-/* ---- names --------------------------------------------------------------------------------- */
+/* ---- names ----------------------------------------------------------------------------------- */
 
 const dipole_choice *cli_next_choice(const dipole_info *info, enum dipole_kind kind, size_t *from) {
   while (*from < info->choice_count) {

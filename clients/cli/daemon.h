@@ -18,8 +18,8 @@ int64_t cli_now_ms(void);
  * for, a second at most. */
 bool cli_try_again(const cli_common *common, int64_t start_ms, const dipole_error *error);
 
-/* Makes a call of libdipole, again and again while cli_try_again() says so. Its value is that of the
- * last call. Example:
+/* Makes a call of libdipole, again and again while cli_try_again() says so. Its value is that of
+ * the last call. Example:
  *   good = CLI_ASK(common, &error, dipole_eval(client, &query, &result, &error)); */
 #define CLI_ASK(common, error, call)                                                               \
   __extension__({                                                                                  \
@@ -36,7 +36,7 @@ bool cli_try_again(const cli_common *common, int64_t start_ms, const dipole_erro
 int cli_fail_error(const dipole_error *error);
 int cli_fail_error_of(const char *what, const dipole_error *error); /* puts "WHAT: " first */
 
-/* ---- names --------------------------------------------------------------------------------- */
+/* ---- names ----------------------------------------------------------------------------------- */
 
 /* Returns the first choice of a kind at position *from or later, and sets *from behind it; NULL if
  * there is none. */

@@ -9,7 +9,7 @@
 #define MODEL_DEFAULT "better"
 #define MODEL_ALL "all"
 
-/* ---- models -------------------------------------------------------------------------------- */
+/* ---- models ---------------------------------------------------------------------------------- */
 
 static bool choose_model(const char *name, cli_eval_report *report) {
   const dipole_choice *model = cli_named(report->profile.info, DIPOLE_MODEL, "model", name);
@@ -54,7 +54,7 @@ static bool choose_reference(const char *name, cli_eval_report *report) {
   return true;
 }
 
-/* ---- radii --------------------------------------------------------------------------------- */
+/* ---- radii ----------------------------------------------------------------------------------- */
 
 cli_eval_radii cli_eval_make_radii(const cli_eval_settings *settings,
                                    const cli_eval_report *report) {
@@ -78,7 +78,7 @@ cli_eval_radii cli_eval_make_radii(const cli_eval_settings *settings,
   return radii;
 }
 
-/* ---- asking -------------------------------------------------------------------------------- */
+/* ---- asking ---------------------------------------------------------------------------------- */
 
 typedef struct asking {
   const cli_eval_settings *settings;
@@ -126,8 +126,8 @@ static void keep(const asking *ask, size_t place, size_t first, const dipole_res
   }
 }
 
-/* Returns what the model at a place is asked: for `count` radii of a list from number `first` on, or
- * for the whole grid. */
+/* Returns what the model at a place is asked: for `count` radii of a list from number `first` on,
+ * or for the whole grid. */
 static dipole_query make_query(const asking *ask, size_t place, const cli_parameters *parameters,
                                size_t first, uint64_t count) {
   const cli_eval_radii *radii = ask->radii;
@@ -224,7 +224,8 @@ static bool ask_piece(const asking *ask, size_t place, const cli_parameters *par
   return false;
 }
 
-/* Returns whether a parameter was refused because the model does not take it, whatever its value. */
+/* Returns whether a parameter was refused because the model does not take it, whatever its value.
+ */
 static bool is_not_taken(const dipole_error *error) {
   return strncmp(error->allowed, "nothing", strlen("nothing")) == 0;
 }
@@ -313,7 +314,7 @@ static int ask_all(asking *ask) {
   return status;
 }
 
-/* ---- a tolerance instead of a model -------------------------------------------------------- */
+/* ---- a tolerance instead of a model ---------------------------------------------------------- */
 
 /* Asks which models could answer with the report's evaluator. Sets *taken if one of them keeps the
  * tolerance. */
@@ -352,7 +353,7 @@ static int choose_precision(const asking *ask) {
   return CLI_OK;
 }
 
-/* ---- all of it ----------------------------------------------------------------------------- */
+/* ---- all of it ------------------------------------------------------------------------------- */
 
 static int ask_with(const cli_eval_settings *settings, dipole_client *client,
                     cli_eval_report *report) {

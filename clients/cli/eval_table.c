@@ -7,7 +7,7 @@
 #include "clients/cli/eval.h"
 #include "clients/cli/tables_file.h"
 
-/* ---- what the tables are ------------------------------------------------------------------- */
+/* ---- what the tables are --------------------------------------------------------------------- */
 
 static bool is_same_profile(const dipole_table_info *a, const dipole_table_info *b) {
   bool same =
@@ -58,10 +58,10 @@ static int describe(const char *path, const cli_tables *tables, cli_eval_report 
   return CLI_OK;
 }
 
-/* ---- values -------------------------------------------------------------------------------- */
+/* ---- values ---------------------------------------------------------------------------------- */
 
-/* Takes the radii. Returns them in single precision, to be freed; says what is wrong and returns NULL
- * if it cannot. */
+/* Takes the radii. Returns them in single precision, to be freed; says what is wrong and returns
+ * NULL if it cannot. */
 static float *take_radii(const cli_eval_settings *settings, cli_eval_report *report) {
   cli_eval_radii radii = cli_eval_make_radii(settings, report);
   dipole_error error;

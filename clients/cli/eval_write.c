@@ -16,7 +16,7 @@ static bool has_albedo(const cli_eval_report *report) {
   return (report->quantities.wanted & DIPOLE_ALBEDO) != 0;
 }
 
-/* ---- what a tolerance has chosen, and the cheaper offers that it did not choose ---------------- */
+/* ---- what a tolerance has chosen, and the cheaper offers that it did not choose -------------- */
 
 /* How many cheaper offers are listed for people. */
 enum { LISTED_MAX = 4 };
@@ -114,8 +114,8 @@ static void write_cheaper(const cli_eval_report *report, const dipole_offer *tak
   free(listed);
 }
 
-/* Writes what was chosen and why, as in "took transport by table (lut): ..."; nothing if a model was
- * named. */
+/* Writes what was chosen and why, as in "took transport by table (lut): ..."; nothing if a model
+ * was named. */
 static void write_chosen(const cli_eval_report *report, FILE *file) {
   if (!is_chosen(report)) {
     return;
@@ -178,7 +178,7 @@ static void write_chosen_json(const cli_eval_report *report, cli_json *json) {
   cli_json_end(json, '}');
 }
 
-/* ---- for people ---------------------------------------------------------------------------- */
+/* ---- for people ------------------------------------------------------------------------------ */
 
 /* A run of models that are written side by side in one table. */
 typedef struct block {
@@ -315,7 +315,7 @@ static void write_table(const void *context) {
   write_chosen(report, stdout);
 }
 
-/* ---- CSV ----------------------------------------------------------------------------------- */
+/* ---- CSV ------------------------------------------------------------------------------------- */
 
 /* Writes the names of a model's notes with blanks between them. */
 static const char *join_notes(const cli_profile *profile, unsigned notes, char *text,
@@ -375,7 +375,7 @@ static void put_value(cli_rows *rows, const void *context, size_t index) {
   }
 }
 
-/* ---- JSON ---------------------------------------------------------------------------------- */
+/* ---- JSON ------------------------------------------------------------------------------------ */
 
 static void put_model(cli_rows *rows, const void *context, size_t index) {
   const cli_eval_report *report = context;

@@ -47,7 +47,7 @@ void cli_gnuplot_quote(FILE *script, const char *text) {
   fputc('\'', script);
 }
 
-/* ---- running ------------------------------------------------------------------------------- */
+/* ---- running --------------------------------------------------------------------------------- */
 
 /* The nameless files that gnuplot works with, in the order of its standard streams. */
 enum { SCRIPT, PICTURE, COMPLAINTS, FILES };
@@ -117,7 +117,7 @@ static bool open_all(FILE *files[FILES], char error[CLI_GNUPLOT_ERROR_BYTES]) {
   return true;
 }
 
-/* ---- drawing ------------------------------------------------------------------------------- */
+/* ---- drawing --------------------------------------------------------------------------------- */
 
 /* Runs gnuplot on a script whose first lines are in files[SCRIPT] already. */
 static bool draw(FILE *const files[FILES], cli_gnuplot_script *write, const void *context,

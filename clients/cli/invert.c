@@ -55,7 +55,7 @@ typedef struct report {
   wanted *items;
 } report;
 
-/* ---- lengths ------------------------------------------------------------------------------- */
+/* ---- lengths --------------------------------------------------------------------------------- */
 
 /* Returns the one length that is given, and its name, which is that of the option and of the
  * daemon's choice. Returns NULL if none or several are given. */
@@ -98,7 +98,7 @@ static int check(void *given) {
   return cli_deadline_check(&settings->profile);
 }
 
-/* ---- asking -------------------------------------------------------------------------------- */
+/* ---- asking ---------------------------------------------------------------------------------- */
 
 static int choose(const invert_settings *settings, const char *length, report *of) {
   of->model = cli_named(of->info, DIPOLE_MODEL, "model", settings->profile.model);
@@ -181,7 +181,7 @@ static bool verify(dipole_client *client, const invert_settings *settings, repor
   return true;
 }
 
-/* ---- writing ------------------------------------------------------------------------------- */
+/* ---- writing --------------------------------------------------------------------------------- */
 
 static const char *status_of(const report *of, const wanted *one) {
   if (one->found) {
@@ -254,7 +254,7 @@ static int write_and_judge(const invert_settings *settings, const report *of) {
   return CLI_BAD_ROWS;
 }
 
-/* ---- the command --------------------------------------------------------------------------- */
+/* ---- the command ----------------------------------------------------------------------------- */
 
 static double pick(const cli_numbers *numbers, size_t index) {
   return numbers->items[numbers->count == 1 ? 0 : index];

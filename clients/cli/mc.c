@@ -69,7 +69,7 @@ typedef struct report {
   dipole_mc_result *result;
 } report;
 
-/* ---- without a daemon ---------------------------------------------------------------------- */
+/* ---- without a daemon ------------------------------------------------------------------------ */
 
 /* Returns which channel of a measured medium has this name; CLI_COLOURS if there is none. */
 static size_t colour_of(const char *name) {
@@ -124,7 +124,7 @@ static int check(void *given) {
   return CLI_OK;
 }
 
-/* ---- the query ----------------------------------------------------------------------------- */
+/* ---- the query ------------------------------------------------------------------------------- */
 
 static int take_measured(const mc_settings *settings, dipole_client *client,
                          dipole_medium *medium) {
@@ -177,7 +177,7 @@ static int make_query(const mc_settings *settings, dipole_client *client, report
   return settings->medium == NULL ? CLI_OK : take_measured(settings, client, &of->query.medium);
 }
 
-/* ---- following the job --------------------------------------------------------------------- */
+/* ---- following the job ----------------------------------------------------------------------- */
 
 static volatile sig_atomic_t interrupted;
 
@@ -222,7 +222,7 @@ static bool run_job(dipole_client *client, const cli_common *common, report *of,
   return good;
 }
 
-/* ---- writing ------------------------------------------------------------------------------- */
+/* ---- writing --------------------------------------------------------------------------------- */
 
 /* The two sides of a slab. A half space has the first only. */
 static const struct {
@@ -441,7 +441,7 @@ static void put_members(cli_json *json, const void *context) {
   cli_rows_json(json, "albedos", result->albedo_count, put_albedo, result);
 }
 
-/* ---- the command --------------------------------------------------------------------------- */
+/* ---- the command ----------------------------------------------------------------------------- */
 
 /* The table is written in any case; then the user is told if it is less than what was asked for. */
 static int judge(const report *of) {

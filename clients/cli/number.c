@@ -9,7 +9,7 @@
 #include <string.h>
 #include <strings.h>
 
-/* ---- reading ------------------------------------------------------------------------------- */
+/* ---- reading --------------------------------------------------------------------------------- */
 
 bool cli_number_parse(const char *text, double *value) {
   const char *bare = text + (*text == '+' || *text == '-');
@@ -29,7 +29,7 @@ bool cli_count_parse(const char *text, uint64_t *value) {
   return text[0] != '\0' && text[strspn(text, "0123456789")] == '\0' && errno == 0;
 }
 
-/* ---- writing ------------------------------------------------------------------------------- */
+/* ---- writing --------------------------------------------------------------------------------- */
 
 /* Writes `count` digits of a value in scientific notation. Returns whether they read back to it. */
 static bool write_digits(double value, int count, int rounding, char text[CLI_NUMBER_BYTES]) {

@@ -31,7 +31,8 @@ static const cli_option common_options[] = {
 
 enum { OPTIONS_MAX = 64 };
 
-/* Fills `all` with the options of a command, headings included, in the order of --help. */
+/* Fills `all` with the options of a command, headings included, in the order of --help. Returns how
+ * many there are. */
 static size_t gather(const cli_command *command, const cli_option *all[OPTIONS_MAX]) {
   size_t count = 0;
   for (size_t i = 0; i <= CLI_LISTS_MAX; i++) {
@@ -48,7 +49,7 @@ static bool is_format(const cli_option *option) {
   return strcmp(option->name, "format") == 0;
 }
 
-/* ---- looking up ---------------------------------------------------------------------------- */
+/* ---- looking up ------------------------------------------------------------------------------ */
 
 /* Fields of requests whose options have another name. */
 static const struct {
@@ -58,7 +59,7 @@ static const struct {
     {"sample_count", "count"}, {"sample_first", "first"},  {"ring_count", "rings"},
     {"error_rings", "error"},  {"albedo_count", "albedo"}, {"error_total", "total-error"}};
 
-/* `field` of a request is `option` of a command line. */
+/* Returns whether an option has the name of a field, where - stands for _. */
 static bool is_same_name(const char *option, const char *field) {
   while (*option != '\0' && *option == (*field == '_' ? '-' : *field)) {
     option++;
@@ -92,7 +93,7 @@ bool cli_texts_have(const cli_texts *texts, const char *text) {
   return false;
 }
 
-/* ---- values -------------------------------------------------------------------------------- */
+/* ---- values ---------------------------------------------------------------------------------- */
 
 static void add_text(cli_texts *texts, const char *text, size_t length) {
   char *copy = cli_allocate(length + 1, 1);
@@ -175,7 +176,7 @@ void cli_options_free(void *settings) {
   }
 }
 
-/* ---- the command line ---------------------------------------------------------------------- */
+/* ---- the command line ------------------------------------------------------------------------ */
 
 static bool in_list(const char *list, const char *name) {
   const size_t length = strlen(name);
@@ -197,7 +198,7 @@ static enum cli_form form_of(const char *format) {
   return form;
 }
 
-/* Takes the operand and the format, and checks the bounds that getopt does not know of. */
+/* Reads the operand and the format, and checks what getopt does not. Returns an exit status. */
 static int finish(int argc, char **argv, cli_common *common) {
   const cli_command *command = cli_running();
   const int operands = command->operand != NULL ? 1 : 0;
@@ -243,7 +244,7 @@ static bool take_option(const cli_option *option, char **argv, void *settings, i
   return expected == NULL;
 }
 
-/* What getopt returns for option i: more than any character. */
+/* getopt returns FIRST_RESULT + i for option i. No character has such a number. */
 enum { FIRST_RESULT = 256 };
 
 bool cli_options_read(int argc, char **argv, void *settings, int *status) {
@@ -285,7 +286,7 @@ bool cli_options_read(int argc, char **argv, void *settings, int *status) {
   }
 }
 
-/* ---- help ---------------------------------------------------------------------------------- */
+/* ---- help ------------------------------------------------------------------------------------ */
 
 enum { HELP_COLUMN = 24 };
 

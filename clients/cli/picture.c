@@ -26,7 +26,7 @@ const cli_axes *cli_axes_find(const char *name) {
   return NULL;
 }
 
-/* ---- curves -------------------------------------------------------------------------------- */
+/* ---- curves ---------------------------------------------------------------------------------- */
 
 static const char *const palette[] = {"#000000", "#e69f00", "#56b4e9", "#009e73",
                                       "#cc79a7", "#d55e00", "#0072b2", "#999999"};
@@ -90,7 +90,8 @@ static curve curve_of(const cli_eval_report *report, size_t panel, size_t index)
   return one;
 }
 
-/* Returns what stands at a radius, in the numbers of the axis's labels; NaN if nothing can. */
+/* Returns the value that the axis shows at a radius, deviations in percent. Returns NaN if the axis
+ * cannot show it. */
 static double shown_at(const cli_picture *picture, size_t row, const curve *of, size_t radius) {
   const cli_eval_report *report = picture->report;
   const cli_axes *axes = &picture->rows[row].axes;
@@ -104,9 +105,9 @@ static double shown_at(const cli_picture *picture, size_t row, const curve *of, 
   return axes->scale == CLI_PERCENT ? 100 * value : value;
 }
 
-/* ---- ranges: the same for all panels of a row, so that they compare ------------------------- */
+/* ---- ranges, which all panels of a row share ------------------------------------------------- */
 
-/* The ends of an axis, or the extent of something; low > high: it is empty. */
+/* The ends of an axis, or the extent of curves. If low > high, the extent is empty. */
 typedef struct range {
   double low, high;
 } range;
@@ -118,8 +119,9 @@ static void widen(range *all, double low, double high) {
   all->high = fmax(all->high, high);
 }
 
-/* Finds the extent of all curves of a row at radii from r_mm on, of each curve that is there, and of
- * the radii at which a curve is. Returns the number of these curves. */
+/* Finds the extent of each curve of a row at radii from r_mm on, of all of them together, and of
+ * the radii at which they have values. Leaves out curves without values. Returns how many are left.
+ */
 static size_t extents_from(const cli_picture *picture, size_t row, double r_mm, range *each,
                            range *all, range *radii) {
   const layout places = layout_of(picture->report);
@@ -166,8 +168,8 @@ static int compare(const void *a, const void *b) {
   return (x > y) - (x < y);
 }
 
-/* Decades below the least value of the middle curve: some models fall off so much faster than
- * others that an axis for all of a curve shows nothing of the rest. */
+/* A logarithmic axis ends at most so many decades below the least value of the middle curve. Some
+ * models fall off so fast that an axis with all of their values would show little of the others. */
 enum { TAIL_DECADES = 4 };
 
 static range logarithmic_range(range *extents, size_t count, double most) {
@@ -197,8 +199,8 @@ static range linear_range(range all, enum cli_scale scale) {
   return (range){all.low - room, all.high + room};
 }
 
-/* Near r = 0 some quantities rise without bound. A peak within this share of the radii that is more
- * than so many times as high as the rest leaves a linear axis. */
+/* Near r = 0 some quantities rise without bound. So a linear axis leaves out a peak in the first
+ * PEAK_SHARE of the radii that is more than PEAK_RATIO times as high as the rest. */
 #define PEAK_SHARE 0.02
 #define PEAK_RATIO 4.0
 
@@ -231,7 +233,7 @@ static bool find_ranges(const cli_picture *picture, size_t row, range *r, range 
   return count > 0;
 }
 
-/* ---- parts of a script --------------------------------------------------------------------- */
+/* ---- parts of a script ----------------------------------------------------------------------- */
 
 static const dipole_choice *quantity_of(const cli_picture *picture, size_t row) {
   return picture->report->quantities.items[picture->rows[row].quantity];
@@ -251,7 +253,7 @@ static void value_label(const cli_picture *picture, size_t row, char text[TEXT_B
   }
 }
 
-/* Writes the channel that a panel has to itself; "" if the panel has all channels. */
+/* Writes the name of the channel that a panel shows; "" if the panel shows all channels. */
 static void panel_title(const cli_picture *picture, size_t panel, char text[TEXT_BYTES]) {
   text[0] = '\0';
   if (layout_of(picture->report).by_channel) {
@@ -307,7 +309,7 @@ static void write_axes(FILE *script, const cli_picture *picture, size_t row) {
           axes->scale == CLI_LOGARITHMIC ? "%.0e" : "%g", r.low, r.high, value.low, value.high);
 }
 
-/* ---- files: all panels in one picture ------------------------------------------------------- */
+/* ---- files: all panels in one picture -------------------------------------------------------- */
 
 /* Sizes in pixels. */
 enum {
@@ -355,7 +357,7 @@ static grid make_grid(const cli_picture *picture) {
   return g;
 }
 
-/* Writes one legend for all panels, beside them. */
+/* Writes one legend for all panels, to their right, with the first panel. */
 static void write_legend(FILE *script, const grid *g, bool first) {
   const double room = (g->height - TOP) / g->legend_height;
   if (first) {
@@ -414,7 +416,7 @@ static void write_file_script(FILE *script, const void *context) {
   fputs("unset multiplot\n", script);
 }
 
-/* ---- text: panel below panel, each as large as the terminal --------------------------------- */
+/* ---- text: panel below panel, each as large as the terminal ---------------------------------- */
 
 enum { TEXT_COLUMNS_LEAST = 32, TEXT_ROWS_LEAST = 14 };
 
@@ -471,7 +473,7 @@ static bool draw_text(const cli_picture *picture, char error[CLI_GNUPLOT_ERROR_B
       rows > TEXT_ROWS_LEAST ? rows : TEXT_ROWS_LEAST, write_text_script, picture, error);
 }
 
-/* ---- drawing ------------------------------------------------------------------------------- */
+/* ---- drawing --------------------------------------------------------------------------------- */
 
 static bool is_terminal(const char *path) {
   return strcmp(path, CLI_PICTURE_TERMINAL) == 0;
@@ -540,9 +542,10 @@ void cli_picture_tell(const char *path) {
   }
 }
 
-/* ---- the picture of R ---------------------------------------------------------------------- */
+/* ---- the picture of R ------------------------------------------------------------------------ */
 
-/* Radii in equal ratios are evenly spread on a logarithmic axis only. */
+/* Returns whether the ratios between radii are equal, so that a logarithmic axis spreads them
+ * evenly. */
 static bool has_equal_ratios(const cli_eval_report *report) {
   const double *r = report->radii;
   const size_t n = report->radius_count;

@@ -24,7 +24,7 @@ typedef struct cli_axes {
 /* Returns the axes of this name; NULL if there are none. */
 const cli_axes *cli_axes_find(const char *name);
 
-/* A row of panels that differ in channels alone. */
+/* A row of panels, which differ only in their channels. */
 typedef struct cli_picture_row {
   cli_axes axes;
   size_t quantity;   /* by its position in the report */
@@ -41,19 +41,19 @@ typedef struct cli_picture {
   size_t width_px, height_px;                 /* of a file; 0: as large as the panels need */
 } cli_picture;
 
-/* Returns whether a picture can have this name; says what is wrong if it cannot. */
+/* Returns whether a picture can have this name. If it cannot, says what is wrong. */
 bool cli_picture_check(const char *path);
 
-/* Returns the picture of R, on logarithmic axes if the radii are in equal ratios, else over a linear
- * one. The report must have R. */
+/* Returns the picture of R, on logarithmic axes if the radii are in equal ratios, else over a
+ * linear one. The report must have R. */
 cli_picture cli_picture_of_R(const cli_eval_report *report);
 
 /* Draws into files, or for CLI_PICTURE_TERMINAL onto standard output, and tells which file that is.
  * Says what is wrong and returns an exit status. */
 int cli_picture_draw(const cli_picture *picture, const cli_texts *paths);
 
-/* Says which file a picture is in if that is the command's usual one: the user may not have named
- * it. */
+/* Says which file a picture is in if it is the command's usual file, which the user may not have
+ * named. */
 void cli_picture_tell(const char *path);
 
 /* Returns the colour of a channel's curve, such as "#d62728". */

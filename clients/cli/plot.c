@@ -64,7 +64,7 @@ static const cli_option options[] = {
     {0},
 };
 
-/* ---- the command line ---------------------------------------------------------------------- */
+/* ---- the command line ------------------------------------------------------------------------ */
 
 static int check_axes(const cli_texts *names) {
   for (size_t i = 0; i < names->count; i++) {
@@ -116,7 +116,7 @@ static bool has_logarithmic_r(const plot_settings *settings) {
   return settings->axes.count == 0; /* the default */
 }
 
-/* Completes what is not given, where it differs from `dipole eval`. */
+/* Sets the defaults that differ from those of `dipole eval`. */
 static void set_defaults(plot_settings *settings) {
   cli_eval_settings *eval = &settings->eval;
   if (settings->error) {
@@ -158,9 +158,9 @@ static int check(void *given) {
   return CLI_OK;
 }
 
-/* ---- derived quantities: added to a report, so that they are drawn and written as all are ---- */
+/* ---- derived quantities: a report draws and writes them like those of the daemon ------------- */
 
-/* What a derived quantity is called; lives as long as the report that it is added to. */
+/* The name of a derived quantity. It must live as long as the report that holds the quantity. */
 typedef struct derived {
   dipole_choice choice; /* with an id that no quantity has */
   char name[64], about[96];
@@ -240,7 +240,7 @@ static int take_deviation(cli_eval_report *report, derived *names, size_t *posit
                         "another --model");
 }
 
-/* ---- the picture --------------------------------------------------------------------------- */
+/* ---- the picture ----------------------------------------------------------------------------- */
 
 /* Makes the panels, and adds to the report what they show. */
 static int make_picture(const plot_settings *settings, cli_eval_report *report,
@@ -282,7 +282,7 @@ static int write_and_draw(const plot_settings *settings, cli_eval_report *report
              : CLI_OK;
 }
 
-/* ---- the command --------------------------------------------------------------------------- */
+/* ---- the command ----------------------------------------------------------------------------- */
 
 /* Checks that a quantity has a value for each radius. */
 static int check_quantity(const char *name, dipole_client *client) {

@@ -22,7 +22,7 @@ enum { POINTS_INPUTS = 7, POINTS_OUTPUTS = 4 };
 /* The position of a column that the header does not have. */
 #define POINTS_ABSENT SIZE_MAX
 
-/* Where the columns stand. */
+/* The positions of the columns in the header. */
 typedef struct points_columns {
   size_t count; /* cells of the header */
   size_t input_at[POINTS_INPUTS];
@@ -55,7 +55,7 @@ typedef struct points_row {
 
 #define AT(row, offset) ((double *)(void *)((char *)(row) + (offset)))
 
-/* The columns that are read, names first. */
+/* The columns that are read. Those with names come first. */
 enum { MODEL, MOMENTS, FIRST_NUMBER };
 
 static const struct {
@@ -86,7 +86,7 @@ static const struct {
     {"status", 0},
 };
 
-/* ---- the header ---------------------------------------------------------------------------- */
+/* ---- the header ------------------------------------------------------------------------------ */
 
 /* Returns the place for the position of a parameter's column, and adds it if there is none. */
 static size_t *parameter_place(points_columns *columns, const dipole_choice *parameter) {
@@ -170,7 +170,7 @@ static bool find_columns(const char *source, const dipole_info *info, const cli_
   return true;
 }
 
-/* ---- writing ------------------------------------------------------------------------------- */
+/* ---- writing --------------------------------------------------------------------------------- */
 
 /* Writes the line's end as it was read; the last line of a file may lack one. */
 static void write_ending(const cli_csv_record *record, FILE *file) {
@@ -231,7 +231,7 @@ static void write_row(const points_columns *columns, const points_row *row, FILE
   write_ending(record, file);
 }
 
-/* ---- reading ------------------------------------------------------------------------------- */
+/* ---- reading --------------------------------------------------------------------------------- */
 
 /* How much of a wrong cell is shown in its row's status. */
 enum { SHOWN_BYTES = 40 };
@@ -304,8 +304,8 @@ static bool parse_parameters(const points_columns *columns, const dipole_info *i
   return good;
 }
 
-/* Reads the row's cells. usual: the parameters of a row that has none in its cells. Returns false if
- * the row is bad; its status then says why. */
+/* Reads the row's cells. usual: the parameters of a row that has none in its cells. Returns false
+ * if the row is bad; its status then says why. */
 static bool parse_row(const points_columns *columns, const dipole_info *info,
                       const cli_parameters *usual, points_row *row) {
   if (row->record.malformed) {
@@ -321,7 +321,7 @@ static bool parse_row(const points_columns *columns, const dipole_info *info,
          parse_numbers(columns, row) && parse_parameters(columns, info, usual, row);
 }
 
-/* ---- asking -------------------------------------------------------------------------------- */
+/* ---- asking ---------------------------------------------------------------------------------- */
 
 /* Sends the row's query; the row then waits for the answer. */
 static bool submit_row(dipole_client *client, unsigned evaluator, points_row *row,
@@ -396,7 +396,7 @@ __attribute__((format(printf, 2, 3))) static bool fail(points_run *points, const
   return false;
 }
 
-/* ---- answers ------------------------------------------------------------------------------- */
+/* ---- answers --------------------------------------------------------------------------------- */
 
 static points_row *find_row(points_run *points, uint64_t id) {
   for (size_t i = 0; i < points->count; i++) {
@@ -450,7 +450,7 @@ static bool collect(points_run *points) {
   return row != NULL || fail(points, "an answer came to a query that was not sent");
 }
 
-/* ---- the window ---------------------------------------------------------------------------- */
+/* ---- the window ------------------------------------------------------------------------------ */
 
 static void write_first(points_run *points) {
   points_row *row = row_at(points, 0);
@@ -493,7 +493,7 @@ static void write_before_wait(void *context) {
   }
 }
 
-/* ---- reading ------------------------------------------------------------------------------- */
+/* ---- reading --------------------------------------------------------------------------------- */
 
 /* Returns whether a record or a comment was read. If not, this is the end of the input, or the work
  * has failed. */
@@ -551,7 +551,8 @@ static bool read_rows(points_run *points) {
         return false;
       }
     }
-    /* Reading may write rows. That moves the start of the window, but not the place behind its end. */
+    /* Reading may write rows. That moves the start of the window, but not the place behind its end.
+     */
     points_row *row = row_at(points, points->count);
     if (!read_record(points, &row->record, &kind)) {
       return !points->failed && write_down(points, 0);
@@ -567,7 +568,7 @@ static bool read_rows(points_run *points) {
   }
 }
 
-/* ---- the command --------------------------------------------------------------------------- */
+/* ---- the command ----------------------------------------------------------------------------- */
 
 /* Opens the input and learns its size. */
 static bool open_input(points_run *points, const char *operand) {

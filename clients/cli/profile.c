@@ -56,7 +56,7 @@ const cli_option cli_parameter_options[] = {
     {0},
 };
 
-/* ---- parameters ---------------------------------------------------------------------------- */
+/* ---- parameters ------------------------------------------------------------------------------ */
 
 bool cli_parameters_remove(cli_parameters *parameters, unsigned id) {
   for (size_t i = 0; i < parameters->count; i++) {
@@ -151,7 +151,7 @@ bool cli_parameters_take(const dipole_info *info, const cli_profile_settings *se
   return true;
 }
 
-/* ---- the medium's options ------------------------------------------------------------------ */
+/* ---- the medium's options -------------------------------------------------------------------- */
 
 const char *const cli_colours[CLI_COLOURS] = {"red", "green", "blue"};
 
@@ -200,7 +200,7 @@ int cli_deadline_check(const cli_profile_settings *settings) {
              : cli_fail_usage("--deadline-ms: give at most %lu", (unsigned long)UINT32_MAX);
 }
 
-/* ---- media --------------------------------------------------------------------------------- */
+/* ---- media ----------------------------------------------------------------------------------- */
 
 static int fail_unknown_medium(const char *name, const dipole_measured_medium *media,
                                size_t count) {
@@ -231,14 +231,13 @@ int cli_find_medium(dipole_client *client, const char *name, dipole_measured_med
   return status;
 }
 
-/* Returns value number `channel` of an option that has one value for all channels or one for each.
- */
+/* Returns the value for a channel. An option has one value for all channels, or one for each. */
 static double pick(const cli_numbers *numbers, size_t channel, double otherwise) {
   return numbers->count == 0 ? otherwise : numbers->items[numbers->count == 1 ? 0 : channel];
 }
 
-/* Fills in the asked channels of a measured medium from channel *at on. Where there are several
- * media, the channels are named after them, too. */
+/* Adds the channels of a measured medium that are asked for, from position *at on. If there are
+ * several media, the names of the channels begin with that of the medium. */
 static void add_measured(const cli_profile_settings *settings, const dipole_measured_medium *medium,
                          bool several, cli_profile *profile, size_t *at) {
   for (size_t i = 0; i < CLI_COLOURS; i++) {
@@ -295,7 +294,7 @@ static size_t count_measured(const cli_profile_settings *settings) {
   return media * asked;
 }
 
-/* Counts the channels: all options with more than one value must have the same number of them. */
+/* Counts the channels. All options that have more than one value must have the same number. */
 static bool count_channels(const cli_profile_settings *settings, size_t *count) {
   const struct {
     const char *name;
@@ -321,7 +320,7 @@ static bool count_channels(const cli_profile_settings *settings, size_t *count) 
   return true;
 }
 
-/* ---- all of it ----------------------------------------------------------------------------- */
+/* ---- the whole profile ----------------------------------------------------------------------- */
 
 static bool take_names(const cli_profile_settings *settings, cli_profile *profile) {
   const struct {
@@ -404,7 +403,7 @@ bool cli_quantities_take(const dipole_info *info, const cli_texts *names, unsign
   return true;
 }
 
-/* ---- what every report says of it ---------------------------------------------------------- */
+/* ---- what reports say of a profile ----------------------------------------------------------- */
 
 void cli_write_medium(const cli_profile *profile, FILE *file) {
   if (profile->medium != NULL) {

@@ -5,9 +5,9 @@
 #include "clients/cli/cli.h"
 #include "clients/cli/json.h"
 
-/* ---- options ------------------------------------------------------------------------------- */
+/* ---- options --------------------------------------------------------------------------------- */
 
-/* Where a member is not used by a command, the command has no option for it. */
+/* A command has options only for the members that it uses. */
 typedef struct cli_profile_settings {
   cli_common common;
   cli_number tolerance, cos_in, cos_out, thickness, surface_albedo, gaussians, fit_from, fit_to;
@@ -44,11 +44,11 @@ int cli_deadline_check(const cli_profile_settings *settings);
 bool cli_medium_given(const cli_profile_settings *settings);
 bool cli_parameters_given(const cli_profile_settings *settings);
 
-/* ---- parameters ---------------------------------------------------------------------------- */
+/* ---- parameters ------------------------------------------------------------------------------ */
 
 enum { CLI_PARAMETERS_MAX = 32 };
 
-/* Those that are given, each once. */
+/* The parameters that are given, each of them once. */
 typedef struct cli_parameters {
   size_t count;
   dipole_parameter items[CLI_PARAMETERS_MAX];
@@ -60,8 +60,8 @@ void cli_parameters_set(cli_parameters *parameters, unsigned id, double value);
 /* Removes a parameter. Returns false if it is not set. */
 bool cli_parameters_remove(cli_parameters *parameters, unsigned id);
 
-/* Takes what the options give. Says what is wrong and returns false if the daemon does not know a
- * parameter, or the model that one names. */
+/* Reads the parameters from the options. Says what is wrong and returns false if the daemon does
+ * not know a parameter, or the model that one names. */
 bool cli_parameters_take(const dipole_info *info, const cli_profile_settings *settings,
                          cli_parameters *parameters);
 
@@ -69,7 +69,7 @@ bool cli_parameters_take(const dipole_info *info, const cli_profile_settings *se
 bool cli_parameter_parse(const dipole_info *info, const dipole_choice *parameter, const char *text,
                          double *value);
 
-/* ---- media --------------------------------------------------------------------------------- */
+/* ---- media ----------------------------------------------------------------------------------- */
 
 enum { CLI_COLOURS = 3 };
 
@@ -84,7 +84,7 @@ typedef struct cli_channel {
   dipole_medium medium;
 } cli_channel;
 
-/* ---- all of it ----------------------------------------------------------------------------- */
+/* ---- the whole profile ----------------------------------------------------------------------- */
 
 typedef struct cli_profile {
   const dipole_info *info;
@@ -96,30 +96,31 @@ typedef struct cli_profile {
   dipole_medium *media;  /* [channel_count]: those of the channels */
 } cli_profile;
 
-/* Takes names, parameters and media from the settings. Says what is wrong and returns an exit
- * status. Free *profile in any case. */
+/* Looks up the names in the settings, and reads the parameters and media. Says what is wrong and
+ * returns an exit status. Free *profile in any case. */
 int cli_profile_take(const cli_profile_settings *settings, dipole_client *client,
                      cli_profile *profile);
 void cli_profile_free(cli_profile *profile);
 
-/* Sets the channels' number, and room for them. */
+/* Sets the number of channels and allocates their arrays. */
 void cli_profile_set_channels(cli_profile *profile, size_t count);
 
-/* What --want asks for. */
+/* The quantities that --want asks for. */
 enum { CLI_QUANTITIES_MAX = 32 };
 
 typedef struct cli_quantities {
-  unsigned wanted;                                /* the sum of their ids */
-  size_t count;                                   /* of those that have a value for each radius */
+  unsigned wanted;                                /* the sum of the ids of all of them */
+  size_t count;                                   /* how many have a value for each radius */
   const dipole_choice *items[CLI_QUANTITIES_MAX]; /* in the daemon's order */
 } cli_quantities;
 
-/* Takes the names; if there are none, the quantities in the sum `usual`. Those in the sum `single`
- * are wanted, but not listed as items. Says what is wrong and returns false if a name is unknown. */
+/* Looks up the names. Without names, the quantities in the sum `usual` are wanted. Quantities in
+ * the sum `single` can be wanted, but are not listed as items. Says what is wrong and returns false
+ * if a name is unknown. */
 bool cli_quantities_take(const dipole_info *info, const cli_texts *names, unsigned usual,
                          unsigned single, cli_quantities *quantities);
 
-/* ---- what every report says of it ---------------------------------------------------------- */
+/* ---- what reports say of a profile ----------------------------------------------------------- */
 
 /* "skin1: ", or nothing if there is no measured medium. */
 void cli_write_medium(const cli_profile *profile, FILE *file);

@@ -17,9 +17,9 @@ typedef struct cli_progress {
 /* Starts the clock. Nothing is shown for the first two seconds. */
 void cli_progress_start(cli_progress *progress, const char *unit);
 
-/* Shows a bar, the count, its rate and the time left, at most ten times a second. share: how much of
- * the work is done, 0 to 1; NAN if that is unknown, which shows no bar and no time left. count: how
- * many units are done. Several threads must take turns. */
+/* Shows a bar, the count, its rate and the time left, at most ten times a second. share: how much
+ * of the work is done, 0 to 1; NAN if that is unknown, which shows no bar and no time left. count:
+ * how many units are done. Several threads must take turns. */
 void cli_progress_show(cli_progress *progress, double share, double count);
 
 /* Removes the bar, so that the next line starts in the first column. */

@@ -6,8 +6,8 @@
 #include "clients/cli/csv.h"
 #include "clients/cli/number.h"
 
-/* Puts the column's part of a header, if that is what is written. Returns whether the value is to
- * be put. */
+/* Writes the column's cell of the header if a line of the header is being written. Returns whether
+ * the value is to be written instead. */
 static bool begin_value(cli_rows *rows, const cli_column *column) {
   if (column->forms != 0 && (column->forms & 1U << rows->form) == 0) {
     return false;
@@ -81,9 +81,9 @@ void cli_put_medium(cli_rows *rows, const dipole_medium *medium) {
   cli_put_number(rows, CLI_COLUMN("eta"), medium->eta);
 }
 
-/* ---- all rows ------------------------------------------------------------------------------ */
+/* ---- all rows -------------------------------------------------------------------------------- */
 
-/* Takes the cells from `first` on away again if all of them are empty. */
+/* Removes the cells from `first` on if all of them are empty. Returns whether it kept them. */
 static bool keep_filled(cli_table *table, size_t first) {
   bool filled = false;
   for (size_t i = first; i < table->cell_count; i++) {

@@ -1,4 +1,5 @@
-/* rows: a list of like things, described once and written as an aligned table, as CSV or as JSON. */
+/* rows: a list of like things, described once and written as an aligned table, as CSV or as JSON.
+ */
 #ifndef DIPOLE_CLI_ROWS_H
 #define DIPOLE_CLI_ROWS_H
 
@@ -21,42 +22,49 @@ typedef struct cli_column {
 
 #define CLI_COLUMN(...) (&(const cli_column){.name = __VA_ARGS__})
 
-/* The lines of a table's header, of which CSV has the second only, and then the values. */
-enum cli_pass { CLI_ROWS_OVER, CLI_ROWS_HEAD, CLI_ROWS_UNIT, CLI_ROWS_VALUES };
+/* Which line of the output is being written. The header of a table has up to three lines. That of
+ * CSV is the line of names. */
+enum cli_pass {
+  CLI_ROWS_OVER,   /* the header's line above the names; see cli_column.over */
+  CLI_ROWS_HEAD,   /* the header's line of names */
+  CLI_ROWS_UNIT,   /* the header's line of units */
+  CLI_ROWS_VALUES, /* a row of values */
+};
 
-/* Where a row goes. */
+/* What a row is written to. */
 typedef struct cli_rows {
   enum cli_form form;
   enum cli_pass pass;
   FILE *file;
   cli_table *table;
-  cli_json *json; /* of CLI_JSON, for further members of the row's object; else NULL */
-  bool filled;    /* a cell of this line of CSV has been written */
+  cli_json *json; /* for CLI_JSON, where a row may write further members of its object; else NULL */
+  bool filled;    /* this line of CSV has a cell already */
 } cli_rows;
 
-/* Puts row `index` by one call of the functions below for each column, for every row the same
- * columns in the same order. It is also called for row 0 where only the columns are needed. */
+/* Writes row `index`: calls one of the functions below for each column, always for the same columns
+ * in the same order. For a line of the header, `index` is 0 and the values do not matter. */
 typedef void cli_put_row(cli_rows *rows, const void *context, size_t index);
 
-/* A number that is NaN is an empty cell in CSV and null in JSON. */
+/* These write one cell. A number that is NaN is an empty cell in CSV and null in JSON. */
 void cli_put_number(cli_rows *rows, const cli_column *column, double value);
 void cli_put_count(cli_rows *rows, const cli_column *column, uint64_t value);
 void cli_put_text(cli_rows *rows, const cli_column *column, const char *text);
 
-/* A number that a table shows as this text. */
+/* Writes a number. A table shows `text` in its place, unless `text` is NULL. */
 void cli_put_shown(cli_rows *rows, const cli_column *column, double value, const char *text);
 
-/* Puts the four coefficients of a medium, as every command writes them. */
+/* Writes the four coefficients of a medium. */
 void cli_put_medium(cli_rows *rows, const dipole_medium *medium);
 
-/* Write `count` rows, at least one: as an aligned table, whose first `left` columns are aligned
- * left; as CSV, with the line of names where `names` is true; as an array of objects with a key. */
+/* These write `count` rows, at least one: as an aligned table, whose first `left` columns are
+ * aligned left; as CSV, after a line of names if `names` is true; or as an array of objects with
+ * this key. */
 void cli_rows_print(FILE *file, size_t left, size_t count, cli_put_row *put, const void *context);
 void cli_rows_csv(FILE *file, bool names, size_t count, cli_put_row *put, const void *context);
 void cli_rows_json(cli_json *json, const char *key, size_t count, cli_put_row *put,
                    const void *context);
 
-/* Puts one row as members of the JSON object that is open. */
+/* Writes one row as members of the innermost JSON object. */
 void cli_rows_members(cli_json *json, cli_put_row *put, const void *context, size_t index);
 
 /* How a command writes what `context` holds to standard output, in each form. */

@@ -66,7 +66,7 @@ typedef struct report {
   size_t count;
   double *u; /* [count] */
   dipole_result *result;
-  double *values; /* [count]: for the moment, one quantity of one channel */
+  double *values; /* [count], for the values of one quantity and channel while they are written */
 } report;
 
 static int check(void *given) {
@@ -89,7 +89,7 @@ static int check(void *given) {
   return cli_deadline_check(&settings->profile);
 }
 
-/* ---- asking -------------------------------------------------------------------------------- */
+/* ---- asking ---------------------------------------------------------------------------------- */
 
 static int choose(const sample_settings *settings, report *of) {
   const char *draw = settings->draw != NULL ? settings->draw : "random";
@@ -121,8 +121,8 @@ static void *list_numbers(const cli_numbers *u, bool single) {
   return numbers;
 }
 
-/* Keeps the numbers that radii were drawn with, as doubles. numbers: the listed ones, or room for
- * as many as were drawn. */
+/* Stores the numbers that radii were drawn with in of->u. numbers: the listed ones, or an array in
+ * which the drawn ones are stored first. */
 static bool keep_numbers(report *of, void *numbers, bool listed, bool single, dipole_error *error) {
   if (!listed && !dipole_sample_numbers(&of->query, 0, of->count, numbers, error)) {
     return false;
@@ -182,13 +182,13 @@ static double value_of(const report *of, size_t channel, unsigned quantity, size
                      : (double)dipole_values_f32(of->result, (uint32_t)channel, quantity)[index];
 }
 
-/* ---- writing ------------------------------------------------------------------------------- */
+/* ---- writing --------------------------------------------------------------------------------- */
 
 static bool has_albedo(const report *of) {
   return (of->query.wanted & DIPOLE_ALBEDO) != 0;
 }
 
-/* Puts a channel, and in JSON its samples. */
+/* Writes a channel, and in JSON its samples. */
 static void put_channel(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
   const dipole_channel *channel = &of->result->channels[index];
@@ -211,7 +211,7 @@ static void put_channel(cli_rows *rows, const void *context, size_t index) {
   }
 }
 
-/* Puts a number u and what it gives in all channels, for people. */
+/* Writes a number u and its values in all channels, for people. */
 static void put_number(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
   cli_put_number(rows, CLI_COLUMN("u"), of->u[index]);
@@ -229,7 +229,7 @@ static void put_number(cli_rows *rows, const void *context, size_t index) {
   }
 }
 
-/* Puts a number u and what it gives in one channel, for CSV. */
+/* Writes a number u and its values in one channel, for CSV. */
 static void put_sample(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
   const size_t channel = index / of->count, i = index % of->count;
@@ -315,8 +315,8 @@ static int compare(const void *a, const void *b) {
   return (x > y) - (x < y);
 }
 
-/* Writes $hist0, the middles of the bins and how many radii are in them, as a density; and $pdf0,
- * the density at the radii that were drawn. */
+/* Writes two blocks of data. For channel 0 these are $hist0, the middle of each bin and the density
+ * of the radii in it, and $pdf0, the radii that were drawn and the density that they come from. */
 static void write_data(FILE *script, const histogram *picture, size_t channel) {
   const size_t count = picture->of->count;
   const point *points = picture->points + channel * count;
@@ -390,7 +390,7 @@ static int draw(const report *of, const char *path) {
   return status;
 }
 
-/* ---- the command --------------------------------------------------------------------------- */
+/* ---- the command ----------------------------------------------------------------------------- */
 
 static int ask_and_write(const sample_settings *settings, dipole_client *client, report *of) {
   int status = cli_profile_take(&settings->profile, client, &of->profile);

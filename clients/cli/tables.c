@@ -1,4 +1,5 @@
-/* dipole table: the tables by which the evaluator lut works, fetched to be evaluated elsewhere. */
+/* dipole table: fetches the tables that the evaluator lut uses, so that they can be evaluated
+ * without a daemon. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -67,11 +68,11 @@ static int fetch(const table_settings *settings, dipole_client *client, report *
   return CLI_OK;
 }
 
-/* ---- the words of a table, as proto/PROTOCOL.md has them ----------------------------------- */
+/* ---- the words of a table, as proto/PROTOCOL.md has them ------------------------------------- */
 
 enum { WORDS_BEFORE_PIECES = 784, PIECE_WORDS = 4, MANTISSA_BITS = 23 };
 
-/* The entry of an octave that has no pieces of its own: it refers to the first piece, uncut. */
+/* The entry of an octave that has no pieces. */
 enum { ENTRY_OUTSIDE = MANTISSA_BITS };
 
 static const char *const constants[] = {
@@ -80,8 +81,8 @@ static const char *const constants[] = {
     "far",         "limit",     "first_u",  "near_radius",
 };
 
-/* A function that is stored in pieces, and where its entries stand: one for each exponent of its
- * argument. */
+/* The functions that are stored in pieces. Each has `count` entries, one for each exponent of its
+ * argument, from word number `entries` on. */
 static const struct {
   const char *name;
   size_t entries, count;
@@ -100,9 +101,9 @@ static double number_of(uint32_t word) {
   return (double)number;
 }
 
-/* ---- writing ------------------------------------------------------------------------------- */
+/* ---- writing --------------------------------------------------------------------------------- */
 
-/* Puts the table of a channel, for people and in JSON. */
+/* Writes the table of a channel, for people and in JSON. */
 static void put_table(cli_rows *rows, const void *context, size_t index) {
   const report *of = context;
   const dipole_table_info *info = dipole_table_get_info(of->tables.items[index]);
@@ -214,7 +215,7 @@ static void put_members(cli_json *json, const void *context) {
   cli_rows_json(json, "tables", of->tables.count, put_table, of);
 }
 
-/* ---- the command --------------------------------------------------------------------------- */
+/* ---- the command ----------------------------------------------------------------------------- */
 
 static int ask_and_write(const table_settings *settings, dipole_client *client, report *of) {
   int status = cli_profile_take(&settings->profile, client, &of->profile);

@@ -22,7 +22,7 @@ static bool is_standard(const char *path) {
   return strcmp(path, "-") == 0;
 }
 
-/* ---- reading ------------------------------------------------------------------------------- */
+/* ---- reading --------------------------------------------------------------------------------- */
 
 /* Returns the whole of a file, to be freed; NULL if it cannot be read. */
 static char *read_whole(FILE *from, size_t *count) {
@@ -77,7 +77,7 @@ bool cli_tables_read(const char *path, cli_tables *tables) {
   return good;
 }
 
-/* ---- writing ------------------------------------------------------------------------------- */
+/* ---- writing --------------------------------------------------------------------------------- */
 
 static bool write_all(const cli_tables *tables, FILE *to) {
   for (size_t i = 0; i < tables->count; i++) {

@@ -18,7 +18,7 @@ typedef struct top_settings {
   cli_count count;
 } top_settings;
 
-/* One look. Starts all 0, which is how a daemon starts. */
+/* The statistics at one moment. All 0 stands for the daemon's start. */
 typedef struct top_look {
   dipole_value *values; /* to be freed */
   size_t count;
@@ -31,7 +31,7 @@ typedef struct top_record {
   double interval_s;
 } top_record;
 
-/* ---- statistics ---------------------------------------------------------------------------- */
+/* ---- statistics ------------------------------------------------------------------------------ */
 
 static uint64_t find(const top_look *look, const char *name) {
   for (size_t i = 0; i < look->count; i++) {
@@ -52,7 +52,7 @@ static uint64_t rise(const top_record *record, const char *name) {
   return now > before ? now - before : 0;
 }
 
-/* What a statistic has risen by each second. */
+/* Returns by how much a statistic has risen each second. */
 static double rate(const top_record *record, const char *name) {
   return record->interval_s > 0 ? (double)rise(record, name) / record->interval_s : 0;
 }
@@ -123,7 +123,7 @@ static uint64_t latency(const top_record *record, const char *kind, const char *
   return top_value(record, name);
 }
 
-/* ---- for people ---------------------------------------------------------------------------- */
+/* ---- for people ------------------------------------------------------------------------------ */
 
 /* Puts 950, 12.3 k or 4.56 M: three figures; a count has no part of one. */
 static void put_figures(cli_rows *rows, const char *head, double value, bool is_count) {
@@ -228,7 +228,7 @@ static void top_write_table(const dipole_info *info, const top_record *record, F
   write_active(record, "answers_", "answers_ok", "errors", file);
 }
 
-/* ---- for programs: always the same names from the same daemon ------------------------------- */
+/* ---- for programs: always the same names from the same daemon -------------------------------- */
 
 static void put_rates_of(cli_rows *rows, const top_record *record, const char *prefix) {
   const char *name;
@@ -354,7 +354,7 @@ static void show_on_screen(const dipole_info *info, const top_record *record) {
   }
 }
 
-/* ---- the end, at any time ---------------------------------------------------------------------- */
+/* ---- signals that end the command ------------------------------------------------------------ */
 
 static void block_end(int how) {
   sigset_t signals;
@@ -378,7 +378,7 @@ static void end_on_signals(void) {
   sigaction(SIGTERM, &action, NULL);
 }
 
-/* ---- looking ----------------------------------------------------------------------------------- */
+/* ---- looking --------------------------------------------------------------------------------- */
 
 static bool look(dipole_client *client, top_look *one) {
   dipole_error error;
@@ -390,7 +390,7 @@ static bool look(dipole_client *client, top_look *one) {
   return true;
 }
 
-/* Makes the later look the earlier one. */
+/* Makes the statistics of now those of before. */
 static void turn_over(top_record *record) {
   free(record->before.values);
   record->before = record->now;
@@ -450,7 +450,7 @@ static int watch(const top_settings *settings, dipole_client *client, top_record
   return CLI_OK;
 }
 
-/* ---- the command ------------------------------------------------------------------------------- */
+/* ---- the command ----------------------------------------------------------------------------- */
 
 static int check(void *given) {
   const top_settings *settings = given;

@@ -28,7 +28,7 @@ static double point(size_t i, size_t n, double from, double to) {
   return from + (to - from) * 0.5 * (1 + wave(1, i, n));
 }
 
-/* ---- points --------------------------------------------------------------------------------- */
+/* ---- points ---------------------------------------------------------------------------------- */
 
 static size_t nodes_of(enum transport_table_side side) {
   return side == TRANSPORT_TABLE_BELOW_1 ? NODES_BELOW_1 : NODES_FROM_1;
@@ -61,7 +61,7 @@ void nodes_make(const double *field, table_sample samples[NODES]) {
   }
 }
 
-/* ---- series --------------------------------------------------------------------------------- */
+/* ---- series ---------------------------------------------------------------------------------- */
 
 /* Replaces values at Chebyshev's points by the coefficients of their series, along one direction of
  * an array: n numbers that are `stride` apart. */
@@ -94,7 +94,7 @@ static void transform_all(double *values, size_t nx, size_t nt, size_t nv) {
   }
 }
 
-/* ---- bytes ---------------------------------------------------------------------------------- */
+/* ---- bytes ----------------------------------------------------------------------------------- */
 
 static void put_number(uint8_t *at, uint64_t value, size_t bytes) {
   for (size_t i = 0; i < bytes; i++) {
@@ -172,7 +172,7 @@ static void put_series(struct writer *writer, double quantum, double *values, si
   free(rounded);
 }
 
-/* ---- tables --------------------------------------------------------------------------------- */
+/* ---- tables ---------------------------------------------------------------------------------- */
 
 /* Returns the quotient Q that the table holds (core/transport/table.h) at node k of panel p. */
 static double quotient(const table_sample *sample, size_t i, size_t p, size_t k) {

@@ -12,7 +12,7 @@ enum { PATH_MAX_BYTES = 1024 };
 
 #define MEDIUM_COST_US 150e3 /* estimated work, for the progress bar only */
 
-/* ---- samples -------------------------------------------------------------------------------- */
+/* ---- samples --------------------------------------------------------------------------------- */
 
 void sample_make(table_sample *sample, double eta, size_t albedos, size_t radii) {
   const size_t numbers = 2 * albedos * (1 + radii);
@@ -47,7 +47,7 @@ static void solve(table_sample *sample, double tolerance) {
   transport_boundary_free(boundary);
 }
 
-/* ---- files ---------------------------------------------------------------------------------- */
+/* ---- files ----------------------------------------------------------------------------------- */
 
 /* Identifies the inputs and the solver that a file's results depend on. `probe` has the solver's
  * own results for one fixed medium, which change when the solver changes. */
@@ -111,7 +111,7 @@ static void write_sample(const char *path, const table_sample *sample) {
   tools_close(file, path);
 }
 
-/* ---- threads -------------------------------------------------------------------------------- */
+/* ---- threads --------------------------------------------------------------------------------- */
 
 struct run {
   const char *folder;
