@@ -31,8 +31,9 @@ static wire_error parse_numbers(struct channels_cursor *cursor, const wire_sampl
   request->radii = NULL;
   return cursor->remaining == 0
              ? wire_error_none()
-             : wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes",
-                               "the length without numbers: only draw 1 (list) has some");
+             : wire_error_make(
+                   WIRE_STATUS_BAD_LENGTH, "payload_bytes",
+                   "nothing after the media and parameters unless the draw is 1 (list)");
 }
 
 wire_error sample_request_parse(const uint8_t *payload, size_t payload_bytes, core_draw *draw,

@@ -163,7 +163,7 @@ WRONG = {
     **refused("bad-length", "payload_bytes", "nothing after the listed numbers", {
         "one more": sample_payload(sample_count=1), "trailing bytes": sample_payload() + bytes(8)
     }),
-    **refused("bad-length", "payload_bytes", "nothing after media", {
+    **refused("bad-length", "payload_bytes", "nothing after the media and parameters", {
         "numbers after a rule": sample_payload(draw=wire.DRAW_REGULAR),
     }),
     **refused("bad-length", "payload_bytes", "at least 40", {"none": b"", "too short": bytes(32)}),
