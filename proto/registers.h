@@ -113,7 +113,7 @@ typedef struct registers_field {
   const char *unit;
   double least;
   double most;
-  const core_choice *list; /* if NULL, least to most is allowed */
+  const core_choice *list; /* the allowed ids; NULL: all values from least to most are allowed */
   double initial;
   const char *about;
 } registers_field;
