@@ -271,6 +271,10 @@ static wire_error bad_address(const char *allowed) {
   return wire_error_make(WIRE_STATUS_BAD_ADDRESS, "", allowed);
 }
 
+int registers_digits(enum registers_type type) {
+  return type == REGISTERS_U32 ? 10 : 8;
+}
+
 void registers_bits_text(const registers_field *field, char *text, size_t room) {
   size_t length = (size_t)snprintf(text, room, "a sum of");
   const char *before = " ";
@@ -291,7 +295,8 @@ static wire_error out_of_range(const registers_field *field) {
     registers_bits_text(field, allowed, sizeof allowed);
     return wire_error_make(WIRE_STATUS_BAD_VALUE, field->name, allowed);
   }
-  snprintf(allowed, sizeof allowed, "%.8g to %.8g%s", field->least, field->most,
+  snprintf(allowed, sizeof allowed, "%.*g to %.*g%s", registers_digits(field->type), field->least,
+           registers_digits(field->type), field->most,
            field->access == REGISTERS_OPTIONAL ? ", or -1: not given" : "");
   return wire_error_make(WIRE_STATUS_BAD_VALUE, field->name, allowed);
 }

@@ -72,7 +72,8 @@ static void print_range(const registers_field *field, char cell[CELL_BYTES]) {
   } else if (field->most == (double)FLT_MAX) {
     snprintf(cell, CELL_BYTES, "%.8g, finite", field->least);
   } else {
-    snprintf(cell, CELL_BYTES, "%.8g to %.8g", field->least, field->most);
+    const int digits = registers_digits(field->type);
+    snprintf(cell, CELL_BYTES, "%.*g to %.*g", digits, field->least, digits, field->most);
   }
 }
 
