@@ -161,8 +161,7 @@ int modbus_device_open(struct modbus_device *device) {
 
 void modbus_device_close(struct modbus_device *device) {
   if (device->context != NULL) {
-    if (device
-            ->rts_by_hand) { /* Set RTS to its level for receiving: otherwise no other device could send. */
+    if (device->rts_by_hand) { /* Otherwise RTS would keep other devices from sending. */
       modbus_device_set_rts(device, false);
     }
     modbus_close(device->context);

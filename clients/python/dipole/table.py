@@ -1,7 +1,7 @@
 """Evaluates the tables of the evaluator `lut` without a daemon, and with the same bits.
 
 All arithmetic is in single precision. It rounds each sum and product, in the order of
-core/lut/lut.c, so it gives the daemon's bits on every machine.
+core/models/lut.c, so it gives the daemon's bits on every machine.
 """
 
 from __future__ import annotations
@@ -387,7 +387,7 @@ def _times_radius(piece: np.ndarray, r: np.ndarray, scale: np.float32) -> np.nda
 
 
 def _log2(x: np.ndarray) -> np.ndarray:
-    """Returns log2 of normal numbers, computed as in core/lut/lut.c: the exponent plus the log2 of
+    """Returns log2 of normal numbers, computed as in core/models/lut.c: the exponent plus the log2 of
     the mantissa m, which is 2 artanh(s) / ln 2 with s = (m - 1) / (m + 1)."""
     bits = x.view(np.int32)
     exponent = ((bits >> _MANTISSA_BITS & 0xFF) - 127).astype(np.float32)
