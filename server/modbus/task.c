@@ -65,11 +65,11 @@ void modbus_task_refresh(struct modbus_task *task) {
 static void enter(struct modbus_task *task, enum modbus_task_state state) {
   struct modbus_queue *queue = task->queue;
   if (task->state != MODBUS_TASK_IDLE) {
-    TAILQ_REMOVE(&queue->tasks, task, in_queue);
+    TAILQ_REMOVE(&queue->tasks[task->state], task, in_queue);
   }
   task->state = state;
   if (state != MODBUS_TASK_IDLE) {
-    TAILQ_INSERT_TAIL(&queue->tasks, task, in_queue);
+    TAILQ_INSERT_TAIL(&queue->tasks[state], task, in_queue);
   }
   if (state == MODBUS_TASK_RUNS) {
     worker_run_later(queue->client);
@@ -206,35 +206,40 @@ void modbus_task_cancel(struct modbus_task *task) {
 void modbus_queue_init(struct modbus_queue *queue, struct server *server, struct client *client) {
   queue->server = server;
   queue->client = client;
-  TAILQ_INIT(&queue->tasks);
+  for (unsigned state = 0; state < MODBUS_TASK_STATES; state++) {
+    TAILQ_INIT(&queue->tasks[state]);
+  }
 }
 
-static struct modbus_task *first(const struct modbus_queue *queue, enum modbus_task_state state) {
-  struct modbus_task *task = TAILQ_FIRST(&queue->tasks);
-  while (task != NULL && task->state != state) {
-    task = TAILQ_NEXT(task, in_queue);
+/* Ends the job if its deadline has passed. Returns whether it has. */
+static bool expire(struct modbus_task *task) {
+  if (task->deadline_ms == 0 || now_ms(task->queue) < task->deadline_ms) {
+    return false;
   }
-  return task;
+  const wire_error error =
+      wire_error_make(WIRE_STATUS_DEADLINE, "deadline_ms", "more: the results take longer");
+  give_up(task);
+  fail_job(task, &error);
+  return true;
 }
 
 void modbus_queue_run(struct modbus_queue *queue) {
   uint64_t budget = JOB_SLICE_RADII;
   struct modbus_task *task;
-  modbus_queue_expire(queue);
-  while (budget > 0 && (task = first(queue, MODBUS_TASK_RUNS)) != NULL) {
+  while (budget > 0 && (task = TAILQ_FIRST(&queue->tasks[MODBUS_TASK_RUNS])) != NULL) {
     budget -= budget < JOB_STEP_RADII ? budget : JOB_STEP_RADII;
-    const wire_error error = follow(task, JOB_GOES_ON, &budget);
+    const wire_error error = expire(task) ? wire_error_none() : follow(task, JOB_GOES_ON, &budget);
     if (error.status != WIRE_STATUS_OK) {
       fail_job(task, &error);
     }
   }
-  if (first(queue, MODBUS_TASK_RUNS) != NULL) {
+  if (!TAILQ_EMPTY(&queue->tasks[MODBUS_TASK_RUNS])) {
     worker_run_later(queue->client);
   }
 }
 
 struct modbus_task *modbus_queue_finish(struct modbus_queue *queue) {
-  struct modbus_task *task = first(queue, MODBUS_TASK_EVALUATED);
+  struct modbus_task *task = TAILQ_FIRST(&queue->tasks[MODBUS_TASK_EVALUATED]);
   if (task == NULL) {
     return NULL;
   }
@@ -253,44 +258,46 @@ struct modbus_task *modbus_queue_finish(struct modbus_queue *queue) {
   return task;
 }
 
-static bool is_late(const struct modbus_task *task) {
-  return (task->state == MODBUS_TASK_RUNS || task->state == MODBUS_TASK_WAITS) &&
-         task->deadline_ms != 0 && now_ms(task->queue) >= task->deadline_ms;
+void modbus_queue_expire(struct modbus_queue *queue) {
+  static const enum modbus_task_state states[] = {MODBUS_TASK_RUNS, MODBUS_TASK_WAITS};
+  for (unsigned i = 0; i < sizeof states / sizeof states[0]; i++) {
+    struct modbus_task *next;
+    for (struct modbus_task *task = TAILQ_FIRST(&queue->tasks[states[i]]); task != NULL;
+         task = next) {
+      next = TAILQ_NEXT(task, in_queue);
+      if (!expire(task) && task->deadline_ms != 0) {
+        worker_wake_at(queue->client->worker, task->deadline_ms);
+      }
+    }
+  }
 }
 
-void modbus_queue_expire(struct modbus_queue *queue) {
-  const wire_error error =
-      wire_error_make(WIRE_STATUS_DEADLINE, "deadline_ms", "more: the results take longer");
-  struct modbus_task *next;
-  for (struct modbus_task *task = TAILQ_FIRST(&queue->tasks); task != NULL; task = next) {
-    next = TAILQ_NEXT(task, in_queue);
-    if (is_late(task)) {
-      give_up(task);
-      fail_job(task, &error);
-    } else if (task->deadline_ms != 0 && task->state != MODBUS_TASK_EVALUATED) {
-      worker_wake_at(queue->client->worker, task->deadline_ms);
-    }
+static void move(struct modbus_task *task, struct client *from, struct client *to) {
+  struct profiles_lookup *lookup = task->job->lookup;
+  if (lookup != NULL && lookup->owner == &from->profiles) {
+    lookup->owner = &to->profiles;
   }
 }
 
 void modbus_queue_move(struct modbus_queue *queue, struct client *from, struct client *to) {
   struct modbus_task *task;
   cache_move_waiters(queue->server->cache, &from->profiles, &to->profiles);
-  TAILQ_FOREACH(task, &queue->tasks, in_queue) {
-    struct profiles_lookup *lookup =
-        task->state != MODBUS_TASK_EVALUATED ? task->job->lookup : NULL;
-    if (lookup != NULL && lookup->owner == &from->profiles) {
-      lookup->owner = &to->profiles;
-    }
+  TAILQ_FOREACH(task, &queue->tasks[MODBUS_TASK_RUNS], in_queue) {
+    move(task, from, to);
+  }
+  TAILQ_FOREACH(task, &queue->tasks[MODBUS_TASK_WAITS], in_queue) {
+    move(task, from, to);
   }
 }
 
 void modbus_queue_end(struct modbus_queue *queue) {
-  struct modbus_task *task;
-  while ((task = TAILQ_FIRST(&queue->tasks)) != NULL) {
-    if (task->state != MODBUS_TASK_EVALUATED) {
-      job_end(task->job);
+  for (unsigned state = 0; state < MODBUS_TASK_STATES; state++) {
+    struct modbus_task *task;
+    while ((task = TAILQ_FIRST(&queue->tasks[state])) != NULL) {
+      if (state != MODBUS_TASK_EVALUATED) {
+        job_end(task->job);
+      }
+      enter(task, MODBUS_TASK_IDLE);
     }
-    enter(task, MODBUS_TASK_IDLE);
   }
 }

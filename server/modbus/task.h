@@ -20,6 +20,7 @@ enum modbus_task_state {
   MODBUS_TASK_RUNS,      /* the job has its next slice when its turn comes */
   MODBUS_TASK_WAITS,     /* the job waits for a profile, or for the threads of Monte Carlo */
   MODBUS_TASK_EVALUATED, /* the results are in the registers after the batch */
+  MODBUS_TASK_STATES
 };
 
 struct modbus_queue;
@@ -31,7 +32,7 @@ struct modbus_task {
   uint16_t *registers; /* registers of the unit */
   struct modbus_unit *owner;
   enum modbus_task_state state;
-  TAILQ_ENTRY(modbus_task) in_queue; /* in the queue's list unless the task is idle */
+  TAILQ_ENTRY(modbus_task) in_queue; /* in the list of its state, unless the task is idle */
   uint16_t token;                    /* the value of `commit` that has started the job */
   bool cancelled;                    /* whether the job ends early with its results so far */
   uint64_t deadline_ms;              /* of the job, on the loop's clock; 0: there is none */
@@ -48,7 +49,8 @@ struct modbus_task {
 struct modbus_queue {
   struct client *client; /* the client in whose turns all tasks run */
   struct server *server;
-  TAILQ_HEAD(modbus_tasks, modbus_task) tasks; /* the task that had the latest turn comes last */
+  /* A list for each state. The task that had the latest turn comes last. */
+  TAILQ_HEAD(modbus_tasks, modbus_task) tasks[MODBUS_TASK_STATES];
 };
 
 void modbus_queue_init(struct modbus_queue *queue, struct server *server, struct client *client);
