@@ -106,15 +106,16 @@ struct span {
 
 #define SLACK 1e-7 /* relative; rounding to single precision may move a value this far off a node */
 
-/* Finds the neighbours of a value; returns false if it is outside of the list. */
-static bool enclose(const double *list, size_t count, double value, struct span *span) {
+/* Finds the neighbours of a value; returns false if it is outside of the list. Each short request
+ * looks for its radii, and no branch predictor learns where they lie: comparing with all values of
+ * the list is faster than a binary search. */
+static inline bool enclose(const double *list, size_t count, double value, struct span *span) {
   if (!(value >= list[0] * (1 - SLACK) && value <= list[count - 1] * (1 + SLACK))) {
     return false;
   }
-  size_t low = 0, high = count; /* list[low] <= value < list[high] */
-  while (high - low > 1) {
-    const size_t middle = (low + high) / 2;
-    *(list[middle] * (1 - SLACK) <= value ? &low : &high) = middle;
+  size_t low = 0; /* the last one with list[low] <= value */
+  for (size_t i = 1; i < count; i++) {
+    low += list[i] * (1 - SLACK) <= value;
   }
   span->first = low;
   span->last = list[low] * (1 + SLACK) < value && low + 1 < count ? low + 1 : low;

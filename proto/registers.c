@@ -315,19 +315,17 @@ static const registers_field *find_writable(unsigned address, unsigned *at) {
 
 /* For a write of a value at `here`, sets *field to the field that it changes, *at to the first
  * register of the value outside the mirror, and *width to the number of its registers. The write
- * has the registers up to `end` - 1. */
-static wire_error check_address(unsigned here, unsigned end, unsigned *at,
-                                const registers_field **field, unsigned *width) {
+ * has the registers up to `end` - 1. Returns NULL, or what is allowed if such a write is not. */
+static const char *check_address(unsigned here, unsigned end, unsigned *at,
+                                 const registers_field **field, unsigned *width) {
   *field = find_writable(here, at);
   if (*field == NULL) {
-    return bad_address("a register of the map that can be written");
+    return "a register of the map that can be written";
   }
   *width = registers_width((*field)->type);
-  const unsigned inside = (*at - (*field)->address) % *width;
+  const unsigned inside = *width > 1 ? (*at - (*field)->address) % *width : 0;
   *at -= inside;
-  return inside == 0 && end - here >= *width
-             ? wire_error_none()
-             : bad_address("both registers of a value in one request");
+  return inside == 0 && end - here >= *width ? NULL : "both registers of a value in one request";
 }
 
 /* Returns the value that a write gives to a field. words: the registers that are written. swapped:
@@ -345,19 +343,22 @@ static double value_of(const registers_field *field, const uint8_t *words, bool 
 
 wire_error registers_check(unsigned address, unsigned count, const uint8_t *values, unsigned *at) {
   const unsigned end = address + count;
-  const registers_field *field;
-  unsigned width;
+  const registers_field *field, *wrong = NULL; /* wrong: the first with a wrong value */
+  unsigned width, wrong_at = 0;
   for (unsigned here = address; here < end; here += width) {
-    const wire_error error = check_address(here, end, at, &field, &width);
-    if (error.status != WIRE_STATUS_OK) {
-      return error;
+    const char *allowed = check_address(here, end, at, &field, &width);
+    if (allowed != NULL) { /* counts before any wrong value */
+      return bad_address(allowed);
+    }
+    if (wrong == NULL &&
+        !is_in_range(field, value_of(field, values + 2 * (here - address), here != *at))) {
+      wrong = field;
+      wrong_at = *at;
     }
   }
-  for (unsigned here = address; here < end; here += width) {
-    check_address(here, end, at, &field, &width);
-    if (!is_in_range(field, value_of(field, values + 2 * (here - address), here != *at))) {
-      return out_of_range(field);
-    }
+  if (wrong != NULL) {
+    *at = wrong_at;
+    return out_of_range(wrong);
   }
   return wire_error_none();
 }
