@@ -105,17 +105,11 @@ typedef struct worker {
   bench_times times;
 } worker;
 
-static uint64_t now_ns(void) {
-  struct timespec now;
-  clock_gettime(CLOCK_MONOTONIC, &now);
-  return (uint64_t)now.tv_sec * 1000000000 + (uint64_t)now.tv_nsec;
-}
-
 static bool submit(worker *of) {
   slot *to = &of->slots[of->used];
   dipole_query query = *of->query;
   query.into_values = to->values;
-  to->sent_ns = now_ns();
+  to->sent_ns = cli_now_ns();
   const bool good = dipole_submit(of->client, &query, &to->id, &of->error);
   of->used += good;
   return good;
@@ -142,7 +136,7 @@ static bool collect(worker *of) {
     return false;
   }
   dipole_result_free(result);
-  take(of, id, now_ns());
+  take(of, id, cli_now_ns());
   atomic_fetch_add_explicit(&of->answered, 1, memory_order_relaxed);
   return true;
 }
@@ -155,12 +149,12 @@ static void *work(void *argument) {
       good = submit(of);
     }
     good = good && collect(of);
-  } while (good && now_ns() < of->until_ns);
+  } while (good && cli_now_ns() < of->until_ns);
   while (good && of->used > 0) {
     good = collect(of);
   }
   of->failed = !good;
-  of->ended_ns = now_ns();
+  of->ended_ns = cli_now_ns();
   atomic_store(&of->done, true);
   return NULL;
 }
@@ -219,7 +213,7 @@ static void watch(worker *workers, const bench_load *load, uint64_t start_ns,
   const struct timespec nap = {.tv_nsec = SHOW_EVERY_MS * 1000000L};
   for (bool done = false; !done;) {
     const uint64_t answered = count_answers(workers, load->connections, &done);
-    const double share = (double)(now_ns() - start_ns) / 1e9 / load->seconds;
+    const double share = (double)(cli_now_ns() - start_ns) / 1e9 / load->seconds;
     show(context, share < 1 ? share : 1, answered);
     if (!done) {
       nanosleep(&nap, NULL);
@@ -243,7 +237,7 @@ static unsigned start(worker *workers, const bench_load *load, uint64_t start_ns
 static bool run_all(worker *workers, const bench_load *load,
                     void (*show)(void *context, double share, uint64_t requests), void *context,
                     bench_result *result, dipole_error *error) {
-  const uint64_t start_ns = now_ns();
+  const uint64_t start_ns = cli_now_ns();
   const unsigned running = start(workers, load, start_ns, error);
   bool good = running == load->connections;
   uint64_t ended_ns = start_ns;

@@ -41,10 +41,14 @@ dipole_client *cli_open(const cli_common *common) {
   return NULL;
 }
 
-int64_t cli_now_ms(void) {
+uint64_t cli_now_ns(void) {
   struct timespec now;
   clock_gettime(CLOCK_MONOTONIC, &now);
-  return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
+  return (uint64_t)now.tv_sec * 1000000000 + (uint64_t)now.tv_nsec;
+}
+
+int64_t cli_now_ms(void) {
+  return (int64_t)(cli_now_ns() / 1000000);
 }
 
 bool cli_try_again(const cli_common *common, int64_t start_ms, const dipole_error *error) {

@@ -10,7 +10,8 @@ void cli_connection_options(const cli_common *common, dipole_options *options);
 /* Connects to --connect, $DIPOLED or a private daemon. On failure, says why and returns NULL. */
 dipole_client *cli_open(const cli_common *common);
 
-/* Returns the milliseconds since some moment in the past. */
+/* These return the time since some moment in the past. */
+uint64_t cli_now_ns(void);
 int64_t cli_now_ms(void);
 
 /* Returns whether a call that failed is to be made again: the daemon was busy, and --retry-ms, or

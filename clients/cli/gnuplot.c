@@ -203,10 +203,3 @@ bool cli_gnuplot_text(FILE *to, bool coloured, size_t width, size_t height,
   close_all(files);
   return good;
 }
-
-bool cli_gnuplot_runs(char error[CLI_GNUPLOT_ERROR_BYTES]) {
-  FILE *files[FILES] = {NULL};
-  const bool good = open_all(files, error) && run(files, error);
-  close_all(files);
-  return good;
-}

@@ -1,5 +1,4 @@
-/* gnuplot: runs the program of that name. It depends on no other file of this folder, so that
- * core's tools draw with it too. */
+/* gnuplot: runs the program of that name. */
 #ifndef DIPOLE_CLI_GNUPLOT_H
 #define DIPOLE_CLI_GNUPLOT_H
 
@@ -25,10 +24,6 @@ bool cli_gnuplot(const char *path, size_t width, size_t height, cli_gnuplot_scri
 bool cli_gnuplot_text(FILE *to, bool coloured, size_t width, size_t height,
                       cli_gnuplot_script *write, const void *context,
                       char error[CLI_GNUPLOT_ERROR_BYTES]);
-
-/* Returns whether gnuplot runs here, for callers who work for long before they draw; if it does
- * not, `error` says what to do. */
-bool cli_gnuplot_runs(char error[CLI_GNUPLOT_ERROR_BYTES]);
 
 /* Writes a text into a script as a quoted string. */
 void cli_gnuplot_quote(FILE *script, const char *text);

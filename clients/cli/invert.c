@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "clients/cli/daemon.h"
+#include "clients/cli/options.h"
 #include "clients/cli/profile.h"
 #include "clients/cli/rows.h"
 
@@ -256,10 +257,6 @@ static int write_and_judge(const invert_settings *settings, const report *of) {
 
 /* ---- the command ----------------------------------------------------------------------------- */
 
-static double pick(const cli_numbers *numbers, size_t index) {
-  return numbers->items[numbers->count == 1 ? 0 : index];
-}
-
 static int ask_and_write(const invert_settings *settings, dipole_client *client, report *of) {
   const char *length = NULL;
   const cli_numbers *lengths = length_of(settings, &length);
@@ -267,8 +264,8 @@ static int ask_and_write(const invert_settings *settings, dipole_client *client,
   of->count = settings->albedo.count > lengths->count ? settings->albedo.count : lengths->count;
   of->items = cli_allocate(of->count, sizeof *of->items);
   for (size_t i = 0; i < of->count; i++) {
-    of->items[i].wanted_albedo = pick(&settings->albedo, i);
-    of->items[i].length_mm = pick(lengths, i);
+    of->items[i].wanted_albedo = cli_numbers_pick(&settings->albedo, i, 0);
+    of->items[i].length_mm = cli_numbers_pick(lengths, i, 0);
   }
   const int status = choose(settings, length, of);
   if (status != CLI_OK) {

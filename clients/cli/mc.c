@@ -71,15 +71,6 @@ typedef struct report {
 
 /* ---- without a daemon ------------------------------------------------------------------------ */
 
-/* Returns which channel of a measured medium has this name; CLI_COLOURS if there is none. */
-static size_t colour_of(const char *name) {
-  size_t i = 0;
-  while (i < CLI_COLOURS && (name == NULL || strcmp(name, cli_colours[i]) != 0)) {
-    i++;
-  }
-  return i;
-}
-
 static int check_medium(const mc_settings *settings) {
   if (settings->medium == NULL) {
     if (!settings->sigma_a.given || !settings->sigma_s.given) {
@@ -95,7 +86,7 @@ static int check_medium(const mc_settings *settings) {
     return cli_fail_usage("--medium NAME stands for --sigma-a and --sigma-s: leave these "
                           "out; --g and --eta may stay");
   }
-  return colour_of(settings->channel) < CLI_COLOURS
+  return cli_colour(settings->channel) < CLI_COLOURS
              ? CLI_OK
              : cli_fail_usage(
                    "--medium NAME has three channels, and mc takes one: add --channel red, "
@@ -133,7 +124,7 @@ static int take_measured(const mc_settings *settings, dipole_client *client,
   if (status != CLI_OK) {
     return status;
   }
-  *medium = found.channel[colour_of(settings->channel)];
+  *medium = found.channel[cli_colour(settings->channel)];
   if (settings->g.given) {
     /* Only sigma_s' was measured. So another g needs another sigma_s, which keeps sigma_s' the
      * same. */

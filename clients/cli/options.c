@@ -23,7 +23,7 @@ static const cli_option common_options[] = {
      CLI_COUNT, offsetof(cli_common, timeout_ms), "30000"},
     {"retry-ms", "N",
      "try again for N ms if the daemon is not there, is lost or is busy; 0: do\n"
-     "not (default: 5000 if it is lost, --timeout-ms if it is busy)",
+     "not (default: 5000; if it is busy, --timeout-ms if that is more)",
      CLI_COUNT, offsetof(cli_common, retry_ms), NULL},
     {"help", NULL, "print this text", CLI_SWITCH, 0, NULL},
     {0},
@@ -84,6 +84,10 @@ const cli_option *cli_options_find(const char *field) {
   return NULL;
 }
 
+double cli_numbers_pick(const cli_numbers *numbers, size_t channel, double otherwise) {
+  return numbers->count == 0 ? otherwise : numbers->items[numbers->count == 1 ? 0 : channel];
+}
+
 bool cli_texts_have(const cli_texts *texts, const char *text) {
   for (size_t i = 0; i < texts->count; i++) {
     if (strcmp(texts->items[i], text) == 0) {
@@ -110,7 +114,7 @@ static void free_texts(cli_texts *texts) {
   *texts = (cli_texts){0};
 }
 
-/* "a,b" is two texts, "" is one that is empty. */
+/* Splits a text at its commas: "a,b" gives two parts, "" gives one empty part. */
 static void split(const char *text, cli_texts *parts) {
   free_texts(parts);
   for (const char *comma; (comma = strchr(text, ',')) != NULL; text = comma + 1) {
@@ -132,7 +136,7 @@ static bool read_numbers(const char *text, cli_numbers *numbers) {
   return good;
 }
 
-/* Returns what the value should have been; NULL if it is good. */
+/* Stores the value of an option. Returns NULL, or what kind of value is expected if it is wrong. */
 static const char *take_value(const cli_option *option, const char *text, bool given,
                               void *settings) {
   switch (option->kind) {
@@ -218,8 +222,8 @@ static int finish(int argc, char **argv, cli_common *common) {
   return CLI_OK;
 }
 
-/* The value of an option of kind CLI_FILES may be left out: then another option follows, which
- * getopt has taken for the value, or nothing. */
+/* Returns the value of an option. That of kind CLI_FILES may lack one; then nothing follows it, or
+ * getopt has taken the next option for its value, and this gives that option back. */
 static const char *value_or_usual(const cli_option *option, char **argv) {
   if (option->kind == CLI_FILES && optarg != NULL && strncmp(optarg, "--", 2) == 0 &&
       optarg == argv[optind - 1]) {
@@ -229,7 +233,7 @@ static const char *value_or_usual(const cli_option *option, char **argv) {
   return option->kind == CLI_FILES && optarg == NULL ? cli_running()->usual_file : optarg;
 }
 
-/* Returns false if the command is over. */
+/* Returns false if the command ends here; *status is then its exit status. */
 static bool take_option(const cli_option *option, char **argv, void *settings, int *status) {
   if (strcmp(option->name, "help") == 0) {
     cli_options_help(cli_running());
@@ -290,7 +294,7 @@ bool cli_options_read(int argc, char **argv, void *settings, int *status) {
 
 enum { HELP_COLUMN = 24 };
 
-/* Prints an option and its explanation, each line of which starts in the same column. */
+/* Prints an option and its explanation, whose lines all start in the same column. */
 static void print_option(const cli_option *option, const char *help) {
   const char *value = is_format(option) ? "FORMAT" : option->argument;
   int column =

@@ -5,11 +5,11 @@
 #include "clients/cli/cli.h"
 
 /* Reads the command line of the running command into *settings, which starts with a cli_common and
- * is zero at first. Returns false if the command is over; *status is then its exit status, 0 after
- * --help. */
+ * is zero at first. Returns false if the command ends here; *status is then its exit status, which
+ * is 0 after --help. */
 bool cli_options_read(int argc, char **argv, void *settings, int *status);
 
-/* Frees what the values hold. */
+/* Frees the lists and texts that the settings hold. */
 void cli_options_free(void *settings);
 
 /* Returns the running command's option for a field of a request, such as --sigma-a for sigma_a or
@@ -19,7 +19,11 @@ const cli_option *cli_options_find(const char *field);
 /* Writes what --help says to standard output. */
 void cli_options_help(const cli_command *command);
 
-/* Returns whether one of the texts is this one. */
+/* Returns the value for a channel: an option has one value for all channels, or one for each.
+ * Returns `otherwise` if the option is not given. */
+double cli_numbers_pick(const cli_numbers *numbers, size_t channel, double otherwise);
+
+/* Returns whether `text` is one of the texts. */
 bool cli_texts_have(const cli_texts *texts, const char *text);
 
 #endif

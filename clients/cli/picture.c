@@ -33,8 +33,9 @@ static const char *const palette[] = {"#000000", "#e69f00", "#56b4e9", "#009e73"
 
 enum { PALETTE = sizeof palette / sizeof palette[0], FEW_MODELS = 4, FEW_CHANNELS = PALETTE };
 
-/* Few models: one panel has all curves, a dash for each model and a colour for each channel. Many
- * models, or many channels, or one channel: a panel for each channel, a colour for each model. */
+/* With few models and channels, one panel has all curves: each model has a dash and each channel
+ * has a colour. With many of either, or with one channel, each channel has a panel and each model
+ * has a colour. */
 typedef struct layout {
   bool by_channel;
   size_t panels; /* side by side */
@@ -56,19 +57,18 @@ void cli_channel_title(const cli_profile *profile, size_t channel, char *text, s
 
 const char *cli_channel_colour(const cli_profile *profile, size_t channel) {
   static const char *const rgb[CLI_COLOURS] = {"#d62728", "#2ca02c", "#1f4fd8"};
-  for (size_t i = 0; i < CLI_COLOURS; i++) {
-    if (strcmp(profile->channels[channel].name, cli_colours[i]) == 0) {
-      return rgb[i];
-    }
+  const size_t colour = cli_colour(profile->channels[channel].name);
+  if (colour < CLI_COLOURS) {
+    return rgb[colour];
   }
   return profile->channel_count == CLI_COLOURS ? rgb[channel] : palette[channel % PALETTE];
 }
 
 typedef struct curve {
   size_t model, channel;
-  size_t dash;            /* from 1, a solid line */
+  size_t dash;            /* gnuplot's number of it; 1 is a solid line */
   const char *colour;     /* "#rrggbb" */
-  char title[TEXT_BYTES]; /* the same in all panels if each has a channel of its own */
+  char title[TEXT_BYTES]; /* names the channel, too, unless each channel has a panel */
 } curve;
 
 static curve curve_of(const cli_eval_report *report, size_t panel, size_t index) {
@@ -184,7 +184,7 @@ static range logarithmic_range(range *extents, size_t count, double most) {
 /* A deviation by more than this, in percent, is beyond the axis. */
 #define PERCENT_MAX 200.0
 
-/* Room beyond the curves. */
+/* An axis extends beyond its curves by this share of their extent. */
 #define ROOM 0.05
 
 static range linear_range(range all, enum cli_scale scale) {
@@ -204,7 +204,7 @@ static range linear_range(range all, enum cli_scale scale) {
 #define PEAK_SHARE 0.02
 #define PEAK_RATIO 4.0
 
-/* Returns an end of a linear axis, from the curves without their peaks and with them. */
+/* Returns an end of a linear axis: `whole`, that of all values, or `inner`, that without peaks. */
 static double end_of(double inner, double whole) {
   return fabs(whole) <= PEAK_RATIO * fabs(inner) ? whole : inner;
 }
@@ -239,7 +239,7 @@ static const dipole_choice *quantity_of(const cli_picture *picture, size_t row) 
   return picture->report->quantities.items[picture->rows[row].quantity];
 }
 
-/* Writes what the values are, such as "R (1/mm^2 ...)". */
+/* Writes the label of the axis of values, such as "R (1/mm^2 ...)". */
 static void value_label(const cli_picture *picture, size_t row, char text[TEXT_BYTES]) {
   const dipole_choice *quantity = quantity_of(picture, row);
   const char *unit =
@@ -268,8 +268,8 @@ static void write_set(FILE *script, const char *what, const char *text) {
   fputc('\n', script);
 }
 
-/* Writes the points of all curves as named blocks: the radius, and a column for each row of the
- * picture. */
+/* Writes a block of data for each curve. Its columns are the radius and, for each row of the
+ * picture, the value that is shown there. */
 static void write_data(FILE *script, const cli_picture *picture) {
   const layout places = layout_of(picture->report);
   for (size_t c = 0; c < places.panels * places.curves; c++) {
@@ -314,7 +314,7 @@ static void write_axes(FILE *script, const cli_picture *picture, size_t row) {
 /* Sizes in pixels. */
 enum {
   COLUMNS_MAX = 3,
-  WIDE = 580, /* a panel that has its rows to itself, and the gap beside it */
+  WIDE = 580, /* width of a panel that is alone in its row, with the gap beside it */
   NARROW = 400,
   HEIGHT = 480,
   HEIGHT_OF_SEVERAL = 380, /* where there is more than one row of panels */
@@ -325,10 +325,11 @@ enum {
   BOTTOM = 60,
   LEGEND_LINE = 20,
   LEGEND_CHARACTER = 8,
-  LEGEND_SAMPLE = 70, /* the piece of a line, and the room around it */
+  LEGEND_SAMPLE = 70, /* width of the sample line in the legend, with the room around it */
 };
 
-/* The panels' rows and columns. The rows of the picture repeat for each block of channels. */
+/* How panels are laid out. A block has the panels of up to COLUMNS_MAX channels; all rows of the
+ * picture repeat in each block. */
 typedef struct grid {
   layout places;
   size_t columns, blocks, rows;
@@ -420,11 +421,11 @@ static void write_file_script(FILE *script, const void *context) {
 
 enum { TEXT_COLUMNS_LEAST = 32, TEXT_ROWS_LEAST = 14 };
 
-/* Curve i is drawn with mark i; more curves than these share some. */
+/* Curve i is drawn with mark i. If there are more curves than marks, some curves share a mark. */
 static const char marks[] = "*o+x#@%&=$abcdefghijklmnpqrstuvwyzABCDEFGHIJKLMNOPQRSTUVWXYZ";
 
-/* The curves that are named first are drawn last, so that no other curve covers them; but they come
- * first in the legend. */
+/* Draws the curves that are named first last, so that no other curve covers them. The legend lists
+ * them first. */
 static void write_text_panel(FILE *script, const cli_picture *picture, size_t panel, size_t row) {
   const cli_eval_report *report = picture->report;
   const char *medium = report->profile.medium;
@@ -467,7 +468,7 @@ static void write_text_script(FILE *script, const void *context) {
 
 static bool draw_text(const cli_picture *picture, char error[CLI_GNUPLOT_ERROR_BYTES]) {
   const cli_terminal terminal = cli_terminal_look();
-  const size_t columns = terminal.columns, rows = terminal.rows - 1; /* one is for the prompt */
+  const size_t columns = terminal.columns, rows = terminal.rows - 1; /* one row is for the prompt */
   return cli_gnuplot_text(
       stdout, terminal.styled, columns > TEXT_COLUMNS_LEAST ? columns : TEXT_COLUMNS_LEAST,
       rows > TEXT_ROWS_LEAST ? rows : TEXT_ROWS_LEAST, write_text_script, picture, error);

@@ -13,7 +13,7 @@
 #define PLOT_FILE "dipole.svg"
 #define REFERENCE "transport"
 #define AXES_DEFAULT "logarithmic"
-#define FROM_SHARE 1e-3 /* of --to, where a logarithmic axis needs a radius above 0 */
+#define FROM_SHARE 1e-3 /* on a logarithmic axis, --from is this share of --to by default */
 
 enum { SIDE_LEAST_PX = 320, SIDE_MOST_PX = 8192 };
 
@@ -83,7 +83,8 @@ static int check_axes(const cli_texts *names) {
   return CLI_OK;
 }
 
-/* Reads a size such as "900x600"; 0 by 0 if there is no text. */
+/* Reads a size such as "900x600". Without a text, sets both sides to 0. Returns whether the text is
+ * good. */
 static bool parse_size(const char *text, size_t *width_px, size_t *height_px) {
   char first[16];
   uint64_t width, height;
@@ -181,7 +182,8 @@ static size_t add_quantity(cli_eval_report *report, derived *names) {
   return at;
 }
 
-/* Adds the power 1 / gamma of the first quantity; NaN where that is negative. */
+/* Adds the first quantity to the power 1 / gamma; NaN where the quantity is negative. Returns its
+ * position. */
 static size_t add_gamma(cli_eval_report *report, double gamma, derived *names) {
   const dipole_choice *of = report->quantities.items[0];
   const bool plain = strcmp(of->about, "1") == 0;
@@ -200,8 +202,8 @@ static size_t add_gamma(cli_eval_report *report, double gamma, derived *names) {
   return at;
 }
 
-/* Adds how far the first quantity of each model is from that of the reference, relative to the
- * latter; NaN where that is 0 or either is infinite. */
+/* Adds the relative deviation of the first quantity from its value in the reference model. It is
+ * NaN where that value is 0 or either value is infinite. Returns its position. */
 static size_t add_deviation(cli_eval_report *report, size_t reference, derived *names) {
   const size_t channels = report->profile.channel_count;
   snprintf(names->name, sizeof names->name, "deviation");
@@ -218,8 +220,8 @@ static size_t add_deviation(cli_eval_report *report, size_t reference, derived *
   return at;
 }
 
-/* Finds the model that others are compared with, and adds the deviations from it. A model that was
- * asked only for that is removed. */
+/* Finds the reference model and adds the deviations from it. Removes the reference if it was asked
+ * for this purpose only. */
 static int take_deviation(cli_eval_report *report, derived *names, size_t *position) {
   size_t reference = 0;
   while (reference < report->model_count &&
@@ -242,7 +244,7 @@ static int take_deviation(cli_eval_report *report, derived *names, size_t *posit
 
 /* ---- the picture ----------------------------------------------------------------------------- */
 
-/* Makes the panels, and adds to the report what they show. */
+/* Makes the picture, and adds the quantities that it shows to the report. */
 static int make_picture(const plot_settings *settings, cli_eval_report *report,
                         derived names[DERIVED], cli_picture *picture) {
   const size_t count = settings->axes.count;

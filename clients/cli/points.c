@@ -1,5 +1,6 @@
-/* dipole points: evaluates the rows of a CSV file. The rows that wait for their answers form a
- * window, so that many queries are under way while memory stays bounded and the order is kept. */
+/* dipole points: evaluates the rows of a CSV file. The rows that wait for an answer are kept in a
+ * window of bounded size. So many queries are under way at a time, and rows are written in their
+ * order. */
 #include <errno.h>
 #include <fcntl.h>
 #include <math.h>
@@ -24,17 +25,17 @@ enum { POINTS_INPUTS = 7, POINTS_OUTPUTS = 4 };
 
 /* The positions of the columns in the header. */
 typedef struct points_columns {
-  size_t count; /* cells of the header */
+  size_t count; /* number of cells in the header */
   size_t input_at[POINTS_INPUTS];
   size_t output_at[POINTS_OUTPUTS];
-  size_t parameter_count; /* columns that have the name of a parameter of the daemon */
+  size_t parameter_count; /* number of columns that are named after a parameter */
   const dipole_choice *parameters[CLI_PARAMETERS_MAX];
   size_t parameter_at[CLI_PARAMETERS_MAX];
 } points_columns;
 
 enum points_state {
   POINTS_COPIED,  /* written as it was read */
-  POINTS_WAITING, /* for the answer to query id */
+  POINTS_WAITING, /* waits for the answer to query `id` */
   POINTS_GOOD,
   POINTS_BAD,
 };
@@ -49,8 +50,8 @@ typedef struct points_row {
   double r_mm;
   cli_parameters parameters;
   uint64_t id;
-  double R, albedo, cdf;            /* of a good row */
-  char status[POINTS_STATUS_BYTES]; /* what is wrong with a bad row */
+  double R, albedo, cdf;            /* set if the row is good */
+  char status[POINTS_STATUS_BYTES]; /* says what is wrong if the row is bad */
 } points_row;
 
 #define AT(row, offset) ((double *)(void *)((char *)(row) + (offset)))
@@ -61,8 +62,8 @@ enum { MODEL, MOMENTS, FIRST_NUMBER };
 static const struct {
   const char *name;
   bool required;
-  size_t offset;     /* of a number in the row */
-  const char *usual; /* the name where the cell is empty or absent */
+  size_t offset;     /* where the number lies in a points_row */
+  const char *usual; /* the name if the cell is empty or absent */
 } inputs[POINTS_INPUTS] = {
     {"model", false, 0, "better"},
     {"moments", false, 0, "exact"},
@@ -78,7 +79,7 @@ enum { STATUS = POINTS_OUTPUTS - 1 };
 
 static const struct {
   const char *name;
-  size_t offset; /* of a number in the row */
+  size_t offset; /* where the number lies in a points_row */
 } outputs[POINTS_OUTPUTS] = {
     {"R", offsetof(points_row, R)},
     {"albedo", offsetof(points_row, albedo)},
@@ -88,7 +89,8 @@ static const struct {
 
 /* ---- the header ------------------------------------------------------------------------------ */
 
-/* Returns the place for the position of a parameter's column, and adds it if there is none. */
+/* Returns where the position of a parameter's column is stored. Adds the parameter if it is new; if
+ * there is no room for it, returns NULL. */
 static size_t *parameter_place(points_columns *columns, const dipole_choice *parameter) {
   size_t i = 0;
   while (i < columns->parameter_count && columns->parameters[i] != parameter) {
@@ -105,7 +107,8 @@ static size_t *parameter_place(points_columns *columns, const dipole_choice *par
   return &columns->parameter_at[i];
 }
 
-/* Returns the place for the position of a column of this name; NULL if the column is not ours. */
+/* Returns where the position of a column with this name is stored. Returns NULL if the column is
+ * neither read nor written. */
 static size_t *place_of(points_columns *columns, const dipole_info *info, const char *name) {
   for (size_t i = 0; i < POINTS_INPUTS; i++) {
     if (strcmp(inputs[i].name, name) == 0) {
@@ -172,7 +175,8 @@ static bool find_columns(const char *source, const dipole_info *info, const cli_
 
 /* ---- writing --------------------------------------------------------------------------------- */
 
-/* Writes the line's end as it was read; the last line of a file may lack one. */
+/* Writes the end of the line as it was read. The last line of a file may lack one; then writes \n.
+ */
 static void write_ending(const cli_csv_record *record, FILE *file) {
   if (record->ending_bytes == 0) {
     fputc('\n', file);
@@ -181,7 +185,7 @@ static void write_ending(const cli_csv_record *record, FILE *file) {
   }
 }
 
-/* Writes the header with the columns that are missing. */
+/* Writes the header and appends the output columns that it lacks. */
 static void write_header(const points_columns *columns, const cli_csv_record *header, FILE *file) {
   fwrite(header->bytes, 1, header->length - header->ending_bytes, file);
   for (size_t i = 0; i < POINTS_OUTPUTS; i++) {
@@ -224,7 +228,8 @@ static void write_row(const points_columns *columns, const points_row *row, FILE
       write_output(row, output, file);
     }
   }
-  for (size_t i = columns->count; i < record->cell_count; i++) { /* more than the header has */
+  for (size_t i = columns->count; i < record->cell_count;
+       i++) { /* cells beyond those of the header */
     fputc(',', file);
     cli_csv_copy_cell(record, i, file);
   }
@@ -233,7 +238,7 @@ static void write_row(const points_columns *columns, const points_row *row, FILE
 
 /* ---- reading --------------------------------------------------------------------------------- */
 
-/* How much of a wrong cell is shown in its row's status. */
+/* The status of a row shows at most so many bytes of a wrong cell. */
 enum { SHOWN_BYTES = 40 };
 
 __attribute__((format(printf, 2, 3))) static bool make_bad(points_row *row, const char *format,
@@ -281,7 +286,7 @@ static bool parse_numbers(const points_columns *columns, points_row *row) {
   return good;
 }
 
-/* Sets the parameters of the row: the usual ones, and then those in its cells. */
+/* Sets the parameters of the row: first the usual ones, then those in its cells. */
 static bool parse_parameters(const points_columns *columns, const dipole_info *info,
                              const cli_parameters *usual, points_row *row) {
   bool good = true;
@@ -304,8 +309,8 @@ static bool parse_parameters(const points_columns *columns, const dipole_info *i
   return good;
 }
 
-/* Reads the row's cells. usual: the parameters of a row that has none in its cells. Returns false
- * if the row is bad; its status then says why. */
+/* Reads the row's cells. usual: parameters for which the row's cells are empty or absent. Returns
+ * false if the row is bad; its status then says why. */
 static bool parse_row(const points_columns *columns, const dipole_info *info,
                       const cli_parameters *usual, points_row *row) {
   if (row->record.malformed) {
@@ -354,7 +359,8 @@ static void take_answer(points_row *row, const dipole_result *result) {
 
 /* ---- the work -------------------------------------------------------------------------------- */
 
-/* A full window is written down to half before more is read, so that many queries leave at once. */
+/* When the window is full, half of its rows are written before more are read. So many queries are
+ * sent together. */
 enum { WINDOW_ROWS = 512 };
 
 /* How many bytes of text the rows of the window may hold together. */
@@ -365,7 +371,7 @@ typedef struct points_run {
   const char *source; /* name of the input, for messages */
   dipole_client *client;
   unsigned evaluator;
-  cli_parameters parameters; /* of every row that has none in its cells */
+  cli_parameters parameters; /* for rows whose cells are empty or absent */
   cli_csv_reader reader;
   points_columns columns;
   cli_progress progress;
@@ -373,7 +379,7 @@ typedef struct points_run {
   uint64_t rows_written, rows_bad;
   int64_t answer_ms; /* when the last answer came */
   bool failed;
-  size_t first, count; /* the window: rows[(first + i) % WINDOW_ROWS] */
+  size_t first, count; /* row i of the window is rows[(first + i) % WINDOW_ROWS] */
   size_t window_bytes;
   points_row rows[WINDOW_ROWS];
 } points_run;
@@ -414,8 +420,8 @@ static bool submit(points_run *points, points_row *row) {
          fail(points, "%s", error.text);
 }
 
-/* Asks a busy daemon again. A refusal that names a field is the row's own fault; any other error
- * ends the work. */
+/* Handles an error: asks a busy daemon again, and marks the row as bad if the refusal names a
+ * field. Any other error ends the work. */
 static bool take_refusal(points_run *points, uint64_t id, const dipole_error *error) {
   points_row *row = error->kind == DIPOLE_ERROR_REFUSED ? find_row(points, id) : NULL;
   if (row == NULL || (error->retry_after_ms == 0 && error->field[0] == '\0')) {
@@ -471,7 +477,8 @@ static void write_first(points_run *points) {
                     (double)points->rows_written);
 }
 
-/* Waits for the oldest rows and writes them, until no more than `left` are in the window. */
+/* Writes the oldest rows, and waits for their answers, until at most `left` rows are in the window.
+ */
 static bool write_down(points_run *points, size_t left) {
   while (!points->failed && points->count > left) {
     if (row_at(points, 0)->state != POINTS_WAITING) {
@@ -486,7 +493,8 @@ static bool write_down(points_run *points, size_t left) {
   return !points->failed;
 }
 
-/* Nothing can be read yet: whoever writes row by row gets the answers to what has come so far. */
+/* Is called when the next read would wait. Answers all rows that have come, so that a program that
+ * writes row by row gets each answer before it writes the next row. */
 static void write_before_wait(void *context) {
   if (write_down(context, 0)) {
     fflush(stdout);
@@ -516,7 +524,7 @@ static bool read_record(points_run *points, cli_csv_record *record, enum cli_csv
     what = strerror(points->reader.read_errno);
     break;
   }
-  if (points->failed || !write_down(points, 0)) { /* the rows before this one are still answered */
+  if (points->failed || !write_down(points, 0)) { /* answer the rows before this one */
     return false;
   }
   return fail(points, "line %llu: %s", (unsigned long long)points->reader.lines + 1, what);

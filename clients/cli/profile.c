@@ -165,12 +165,12 @@ static bool is_asked(const cli_profile_settings *settings, size_t colour) {
   return settings->channel.count == 0 || cli_texts_have(&settings->channel, cli_colours[colour]);
 }
 
-static bool is_colour(const char *name) {
+size_t cli_colour(const char *name) {
   size_t i = 0;
-  while (i < CLI_COLOURS && strcmp(cli_colours[i], name) != 0) {
+  while (i < CLI_COLOURS && (name == NULL || strcmp(cli_colours[i], name) != 0)) {
     i++;
   }
-  return i < CLI_COLOURS;
+  return i;
 }
 
 int cli_medium_check(const cli_profile_settings *settings) {
@@ -186,7 +186,7 @@ int cli_medium_check(const cli_profile_settings *settings) {
     return cli_fail_usage("--channel is one of a measured medium: give --medium too");
   }
   for (size_t i = 0; i < settings->channel.count; i++) {
-    if (!is_colour(settings->channel.items[i])) {
+    if (cli_colour(settings->channel.items[i]) == CLI_COLOURS) {
       return cli_fail_usage("--channel: '%s' is unknown; it is red, green or blue",
                             settings->channel.items[i]);
     }
@@ -231,11 +231,6 @@ int cli_find_medium(dipole_client *client, const char *name, dipole_measured_med
   return status;
 }
 
-/* Returns the value for a channel. An option has one value for all channels, or one for each. */
-static double pick(const cli_numbers *numbers, size_t channel, double otherwise) {
-  return numbers->count == 0 ? otherwise : numbers->items[numbers->count == 1 ? 0 : channel];
-}
-
 /* Adds the channels of a measured medium that are asked for, from position *at on. If there are
  * several media, the names of the channels begin with that of the medium. */
 static void add_measured(const cli_profile_settings *settings, const dipole_measured_medium *medium,
@@ -246,7 +241,7 @@ static void add_measured(const cli_profile_settings *settings, const dipole_meas
       snprintf(channel->name, sizeof channel->name, "%s%s%s", several ? medium->name : "",
                several ? " " : "", cli_colours[i]);
       channel->medium = medium->channel[i];
-      channel->medium.eta = pick(&settings->eta, *at, channel->medium.eta);
+      channel->medium.eta = cli_numbers_pick(&settings->eta, *at, channel->medium.eta);
       ++*at;
     }
   }
@@ -276,10 +271,10 @@ static void take_given(const cli_profile_settings *settings, cli_profile *profil
   for (size_t i = 0; i < profile->channel_count; i++) {
     cli_channel *channel = &profile->channels[i];
     snprintf(channel->name, sizeof channel->name, "%zu", i + 1);
-    channel->medium = (dipole_medium){.sigma_a_per_mm = pick(&settings->sigma_a, i, 0),
-                                      .sigma_s_per_mm = pick(&settings->sigma_s, i, 0),
-                                      .g = pick(&settings->g, i, G_DEFAULT),
-                                      .eta = pick(&settings->eta, i, ETA_DEFAULT)};
+    channel->medium = (dipole_medium){.sigma_a_per_mm = cli_numbers_pick(&settings->sigma_a, i, 0),
+                                      .sigma_s_per_mm = cli_numbers_pick(&settings->sigma_s, i, 0),
+                                      .g = cli_numbers_pick(&settings->g, i, G_DEFAULT),
+                                      .eta = cli_numbers_pick(&settings->eta, i, ETA_DEFAULT)};
   }
 }
 

@@ -76,6 +76,9 @@ enum { CLI_COLOURS = 3 };
 /* The channels of a measured medium: red, green, blue. */
 extern const char *const cli_colours[CLI_COLOURS];
 
+/* Returns which of them has this name; CLI_COLOURS if none has, or if name is NULL. */
+size_t cli_colour(const char *name);
+
 /* Finds a measured medium by its name. Says what is wrong and returns an exit status. */
 int cli_find_medium(dipole_client *client, const char *name, dipole_measured_medium *medium);
 

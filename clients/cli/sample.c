@@ -1,4 +1,4 @@
-/* dipole sample: radii drawn in proportion to the light that leaves there. */
+/* dipole sample: draws radii in proportion to the light that leaves there. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -107,7 +107,7 @@ static int choose(const sample_settings *settings, report *of) {
              : CLI_USAGE;
 }
 
-/* Returns the numbers that are listed, in the evaluator's precision; to be freed. */
+/* Returns a copy of the listed numbers in the evaluator's precision. Free it. */
 static void *list_numbers(const cli_numbers *u, bool single) {
   if (!single) {
     double *numbers = cli_allocate(u->count, sizeof *numbers);
@@ -141,7 +141,7 @@ static dipole_sample_query make_query(const sample_settings *settings, const rep
       .model = profile->model->id,
       .evaluator = profile->evaluator->id,
       .moments = profile->moments->id,
-      /* A picture draws these two, whether they are written or not. */
+      /* A picture needs these two, even if they are not written. */
       .wanted = of->quantities.wanted |
                 (settings->plot.count > 0 ? (unsigned)DIPOLE_RADIUS | DIPOLE_PDF : 0),
       .media = profile->media,
@@ -149,7 +149,7 @@ static dipole_sample_query make_query(const sample_settings *settings, const rep
       .draw = of->draw->id,
       .sample_count = settings->u.count > 0 ? settings->u.count : settings->count.value,
       .sample_first = settings->first.value,
-      /* A seed that has no use is sent only if it was given; the daemon then refuses it. */
+      /* A seed that has no use is sent if it was given, so that the daemon refuses it. */
       .seed = seeded || settings->seed.given ? settings->seed.value : 0,
       .parameters = profile->parameters.items,
       .parameter_count = profile->parameters.count,
@@ -175,7 +175,7 @@ static int ask(const sample_settings *settings, dipole_client *client, report *o
   return good ? CLI_OK : cli_fail_error(&error);
 }
 
-/* Returns a value of the result; one in single precision as the double that it equals. */
+/* Returns a value of the result. A value in single precision becomes the double that equals it. */
 static double value_of(const report *of, size_t channel, unsigned quantity, size_t index) {
   const double *f64 = dipole_values_f64(of->result, (uint32_t)channel, quantity);
   return f64 != NULL ? f64[index]
@@ -296,7 +296,7 @@ static void put_members(cli_json *json, const void *context) {
 
 enum { BINS = 60, WIDTH_PX = 900, HEIGHT_PX = 600 };
 
-/* This share of the radii is shown: the largest ones would leave the others no room. */
+/* The picture shows this share of the radii. The largest ones would leave the others no room. */
 #define SHOWN_SHARE 0.99
 
 typedef struct point {

@@ -22,7 +22,7 @@ void cli_table_add(cli_table *table, const char *format, ...) {
   table->cells[table->cell_count++] = cell;
 }
 
-/* Counts characters, not bytes: every byte but the continuation bytes of UTF-8. */
+/* Returns the number of characters: counts all bytes except the continuation bytes of UTF-8. */
 static size_t width_of(const char *text) {
   size_t width = 0;
   for (; *text != '\0'; text++) {
@@ -50,7 +50,7 @@ static void print_cell(const char *cell, size_t width, bool left, FILE *file) {
   }
 }
 
-/* Prints a row without its empty last cells. */
+/* Prints a row. Leaves out empty cells at its end. */
 static void print_row(const cli_table *table, char *const *cells, const size_t *widths,
                       FILE *file) {
   size_t count = table->columns;

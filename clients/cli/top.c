@@ -1,4 +1,4 @@
-/* dipole top: shows again and again what a daemon does. */
+/* dipole top: shows a daemon's statistics at regular intervals. */
 #include <math.h>
 #include <signal.h>
 #include <stdlib.h>
@@ -22,7 +22,7 @@ typedef struct top_settings {
 typedef struct top_look {
   dipole_value *values; /* to be freed */
   size_t count;
-  double at_s; /* of a clock that does not jump */
+  double at_s; /* by a monotonic clock */
 } top_look;
 
 typedef struct top_record {
@@ -42,7 +42,7 @@ static uint64_t find(const top_look *look, const char *name) {
   return 0;
 }
 
-/* Returns a statistic of the later look; 0 if the daemon has none of this name. */
+/* Returns a statistic of now; 0 if the daemon has none of this name. */
 static uint64_t top_value(const top_record *record, const char *name) {
   return find(&record->now, name);
 }
@@ -69,7 +69,7 @@ static const char *next(const top_record *record, const char *prefix, size_t *fr
   return NULL;
 }
 
-/* The sum of the rates of all statistics with a prefix but one. */
+/* Returns the sum of the rates of all statistics that begin with a prefix, except for `but`. */
 static double sum_of_rates(const top_record *record, const char *prefix, const char *but) {
   double sum = 0;
   const char *name;
@@ -87,13 +87,14 @@ static double errors_rate(const top_record *record) {
   return sum_of_rates(record, "answers_", "answers_ok");
 }
 
-/* How many requests were evaluated in one pass, on average over the interval; 0 if none were. */
+/* Returns how many requests were evaluated in one pass, on average over the interval; 0 if none
+ * were. */
 static double batch_mean(const top_record *record) {
   const uint64_t batches = rise(record, "batches_evaluated");
   return batches > 0 ? (double)rise(record, "batched_requests") / (double)batches : 0;
 }
 
-/* The quantiles of latencies that are written: as statistics call them, and for people. */
+/* The quantiles of latencies: their names in statistics, and those in the table. */
 static const char *const latencies[][2] = {{"p50_us", "p50"},
                                            {"p90_us", "p90"},
                                            {"p99_us", "p99"},
@@ -101,8 +102,8 @@ static const char *const latencies[][2] = {{"p50_us", "p50"},
                                            {"max_us", "max"}};
 enum { LATENCIES = sizeof latencies / sizeof latencies[0] };
 
-/* Sets `kind` to the next class of requests whose latencies are known. Returns false if there is no
- * more. */
+/* Copies the name of the next class of requests with known latencies into `kind`. Returns false if
+ * there is none left. */
 static bool next_latency(const top_record *record, size_t *from, char *kind, size_t bytes) {
   static const char prefix[] = "latency_", suffix[] = "_count";
   const char *name;
@@ -125,7 +126,8 @@ static uint64_t latency(const top_record *record, const char *kind, const char *
 
 /* ---- for people ------------------------------------------------------------------------------ */
 
-/* Puts 950, 12.3 k or 4.56 M: three figures; a count has no part of one. */
+/* Writes a number with three figures, such as 950, 12.3 k or 4.56 M. A count below 1000 has no
+ * decimals. */
 static void put_figures(cli_rows *rows, const char *head, double value, bool is_count) {
   static const char *const units[] = {"", " k", " M", " G", " T", " P"};
   char text[32];
@@ -165,7 +167,7 @@ static void put_gauges(cli_rows *rows, const void *context, size_t index) {
   }
 }
 
-/* Puts a class of requests and its latencies. */
+/* Writes a class of requests and its latencies. */
 static void put_latency(cli_rows *rows, const void *context, size_t index) {
   char kind[64] = "";
   size_t from = 0;
@@ -179,7 +181,7 @@ static void put_latency(cli_rows *rows, const void *context, size_t index) {
   put_figures(rows, "requests", (double)latency(context, kind, "count"), true);
 }
 
-/* Writes the statistics of a prefix that rose, all but one of them. */
+/* Writes the rates of those statistics that rose and begin with a prefix, except for `but`. */
 static void write_active(const top_record *record, const char *prefix, const char *but,
                          const char *head, FILE *file) {
   cli_table table = {.columns = 2, .left = 1, .heads = 1};
@@ -202,8 +204,8 @@ static void write_active(const top_record *record, const char *prefix, const cha
   }
 }
 
-/* Writes a table for people, about 80 columns wide. Models and errors are listed if there have been
- * some. */
+/* Writes a table for people, about 80 columns wide. It lists models that were evaluated and errors
+ * that were sent, if there are any. */
 static void top_write_table(const dipole_info *info, const top_record *record, FILE *file) {
   const uint64_t up_s = top_value(record, "uptime_ms") / 1000;
   char kind[64];
@@ -267,12 +269,12 @@ static void put_record(cli_rows *rows, const void *context, size_t index) {
   }
 }
 
-/* Writes a line of CSV; names: with the line of names before it. */
+/* Writes a line of CSV, after a line of names if `names` is true. */
 static void top_write_csv(const top_record *record, bool names, FILE *file) {
   cli_rows_csv(file, names, 1, put_record, record);
 }
 
-/* Writes a JSON object with the same names on a line of its own. */
+/* Writes a JSON object with the same names as CSV on one line. */
 static void top_write_json(const top_record *record, FILE *file) {
   cli_json json = {.file = file, .one_line = true};
   cli_json_begin(&json, NULL, '{');
@@ -281,12 +283,6 @@ static void top_write_json(const top_record *record, FILE *file) {
 }
 
 /* ---- time ------------------------------------------------------------------------------------ */
-
-static double now_s(void) {
-  struct timespec now;
-  clock_gettime(CLOCK_MONOTONIC, &now);
-  return (double)now.tv_sec + (double)now.tv_nsec / 1e9;
-}
 
 static void sleep_until(double at_s) {
   const struct timespec at = {.tv_sec = (time_t)at_s,
@@ -308,7 +304,7 @@ static void sleep_until(double at_s) {
 
 static volatile sig_atomic_t has_screen;
 
-/* Takes the screen if standard output is a terminal. */
+/* Clears the terminal and hides its cursor, if standard output is a terminal. */
 static void begin_screen(void) {
   if (isatty(STDOUT_FILENO) == 1) {
     has_screen = 1;
@@ -316,7 +312,7 @@ static void begin_screen(void) {
   }
 }
 
-/* Gives the terminal back with the last table on it. A signal's handler may call this. */
+/* Shows the cursor again and leaves the last table in place. A signal handler may call this. */
 static void restore_screen(void) {
   if (has_screen) {
     has_screen = 0;
@@ -364,8 +360,8 @@ static void block_end(int how) {
   sigprocmask(how, &signals, NULL);
 }
 
-/* A signal ends the command at once, but only while it asks or waits, which may take long. So every
- * table is written whole, and there is nothing to tidy up but the screen. */
+/* SIGINT and SIGTERM end the command at once. They are blocked while a table is written, so that
+ * every table is whole. */
 static void on_end(int signal_number) {
   (void)signal_number;
   restore_screen();
@@ -386,7 +382,7 @@ static bool look(dipole_client *client, top_look *one) {
     cli_fail_error(&error);
     return false;
   }
-  one->at_s = now_s();
+  one->at_s = (double)cli_now_ns() / 1e9;
   return true;
 }
 
@@ -414,7 +410,7 @@ static void show(enum cli_form form, const dipole_info *info, const top_record *
   fflush(stdout);
 }
 
-/* On a screen, shows at once what has happened since the daemon's start. */
+/* On a terminal, shows the statistics since the daemon's start before the first interval ends. */
 static void show_beginning(const dipole_info *info, top_record *record) {
   if (has_screen) {
     record->interval_s = (double)top_value(record, "uptime_ms") / 1000;
