@@ -837,7 +837,7 @@ def test_slow_jobs_of_many_units_leave_others_their_turns(daemon):
     with Tcp(one) as master, one.client() as client:
         for unit in range(1, 11):
             set_medium(master, unit, SKIN, "quantized")
-            setting(master, unit, INVERT_MEDIUM_COUNT=50, INVERT_COMMIT=1)
+            setting(master, unit, INVERT_MEDIUM_COUNT=20, INVERT_COMMIT=1)
         assert client.eval("better", SKIN, [1.0]).R[0, 0] > 0
         assert head(master, "INVERT", 10).status == IS_BUSY
         for unit in range(1, 11):
