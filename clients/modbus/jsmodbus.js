@@ -1,5 +1,5 @@
-// R of skin at ten distances, with jsmodbus (npm): node jsmodbus.js HOST:PORT [MODEL]. MODEL is an id
-// of the list of models in REGISTERS.md.
+// R of skin at ten distances, with jsmodbus (npm): node jsmodbus.js HOST:PORT [MODEL].
+// MODEL is an id of the list of models in REGISTERS.md.
 "use strict";
 const net = require("net");
 const Modbus = require("jsmodbus");

@@ -1,5 +1,5 @@
-// R of skin at ten distances, with modbus-serial (npm): node profile.js HOST:PORT [MODEL]. MODEL is an
-// id of the list of models in REGISTERS.md.
+// R of skin at ten distances, with modbus-serial (npm): node profile.js HOST:PORT [MODEL].
+// MODEL is an id of the list of models in REGISTERS.md.
 "use strict";
 const ModbusRTU = require("modbus-serial");
 const { printProfile } = require("./unit.js");

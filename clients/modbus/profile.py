@@ -1,8 +1,8 @@
 """Reads R of skin at ten distances with pymodbus: profile.py HOST:PORT [MODEL], or profile.py
 DEVICE,BAUD [MODEL] for a serial line. MODEL is an id of the list of models in REGISTERS.md.
 
-One request writes the medium and the distances and commits them. The values are read when the job is
-done, which takes a while with the models whose tables have to be prepared, such as 29."""
+One request writes the medium and the distances and commits them. The values are read when the job
+is done, which takes a while with the models whose tables have to be prepared, such as 29."""
 
 import sys
 

@@ -38,12 +38,12 @@ fail() { # error_text has two characters in each register
   exit 1
 }
 
-register 4 251 1 || fail                          # defaults: other masters may have written anything
-register 4 101 "$model" || fail                   # the evaluator stays f32, the moments exact
-register 4:float 106 0.032 0.74 0 1.3 || fail     # sigma_a, sigma_s, g, eta
-register 4 115 10 || fail                         # a list of ten distances
+register 4 251 1 || fail                      # defaults: other masters may have left anything
+register 4 101 "$model" || fail               # the evaluator stays f32, the moments exact
+register 4:float 106 0.032 0.74 0 1.3 || fail # sigma_a, sigma_s, g, eta
+register 4 115 10 || fail                     # a list of ten distances
 register 4:float 120 0.1 0.2 0.5 1 1.5 2 3 4 6 8 || fail # in mm
-token=$(($(number 301) % 65535 + 1))              # not that of the job that was done last
+token=$(($(number 301) % 65535 + 1)) # not that of the job that was done last
 tries=0
 until register 4 100 "$token"; do # commit
   tries=$((tries + 1))

@@ -1,7 +1,8 @@
 // What both JavaScript examples do with a unit: they read R of skin at ten distances. A `unit` has
 //   write(address, registers)  which writes an array of registers
 //   read(address, count)       which resolves to a Buffer with the bytes of `count` registers
-// When the daemon answers with an exception, both reject with an error whose `exception` is its code.
+// When the daemon answers with an exception, both reject with an error whose `exception` is its
+// code.
 "use strict";
 
 const RADII_MM = [0.1, 0.2, 0.5, 1, 1.5, 2, 3, 4, 6, 8];

@@ -54,9 +54,9 @@ class Unit:
         sys.exit(f"error {status} at register {address}: {allowed}")
 
     def write(self, address, form, *values):
-        """Writes registers. `form` says what they are, as in the module struct: "2H4f", for example.
-        While another master's job runs, a commit is refused as busy: writes it again until the job
-        has ended."""
+        """Writes values as registers. form: their types, as in the module struct, such as "2H4f".
+        While another master's job runs, a commit is refused as busy: this method then writes it
+        again until that job has ended."""
         data = struct.pack(f">{form}", *values)
         registers = list(struct.unpack(f">{len(data) // 2}H", data))
         give_up = time.monotonic() + PATIENCE_S

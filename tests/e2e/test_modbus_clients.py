@@ -193,7 +193,9 @@ def example(request):
 ODD = {
     "only the albedo is wanted": [("WANTED", words(2))],
     "a slab": [("PARAMETER_THICKNESS", floats(3.0)), ("MODEL", words(25))],
-    "a tolerance in place of a model": [("PARAMETER_TOLERANCE", floats(1e-12)), ("MODEL", words(0))],
+    "a tolerance in place of a model": [
+        ("PARAMETER_TOLERANCE", floats(1e-12)), ("MODEL", words(0))
+    ],
     "a grid and other moments": [
         ("MODEL", words(1, 1, 4)), ("SPACING", words(3, 50) + floats(1.0, 2.0))
     ],
@@ -263,7 +265,8 @@ def test_the_jobs_of_an_odd_unit(daemon):
         master.write(AT["INVERT_GIVEN"], words(3, 50))
         master.write(AT["MC_RING_COUNT"], words(50, 2) + floats(1e9) + words(8, 9))
         result = job(one, "sample")
-        expected = client.sample("better", skin, evaluator="f32", draw=dipole.Draw(10, "regular", 0))
+        draw = dipole.Draw(10, "regular", 0)
+        expected = client.sample("better", skin, evaluator="f32", draw=draw)
         assert result.returncode == 0, result.stderr
         found = re.findall(r"([\d.]+)% of .* within (\S+) mm", result.stdout)
         assert [text for _, text in found] == [f"{r:.6g}" for r in expected.r[0]]
