@@ -272,10 +272,10 @@ static int tell_left_out(const left_out *models, size_t count, bool all) {
 }
 
 /* Says why a model has not answered. Names it if another model might have, as with a parameter that
- * this one needs or does not take. */
+ * this one needs or does not take. model: NULL if the daemon was to choose it. */
 static int fail_model(const asking *ask, const dipole_choice *model, const dipole_error *error) {
   char what[96] = "";
-  if (error->kind == DIPOLE_ERROR_REFUSED && error->status == ask->bad_value &&
+  if (model != NULL && error->kind == DIPOLE_ERROR_REFUSED && error->status == ask->bad_value &&
       cli_choice(ask->report->profile.info, DIPOLE_PARAMETER, error->field) != NULL) {
     snprintf(what, sizeof what, "model %s: ", model->name);
   }
