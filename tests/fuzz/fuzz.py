@@ -15,10 +15,11 @@ import base64
 import hashlib
 import os
 import re
+import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -64,16 +65,20 @@ def seeds() -> Iterator[tuple[str, bytes]]:
         yield "rtu", bytes([5, len(data) - 6]) + data[6:]  # with a checksum, and before a silence
 
 
-def kept() -> Iterator[tuple[str, bytes]]:
-    for line in CORPUS.read_text().splitlines():
+def kept(lines: list[str]) -> Iterator[tuple[str, bytes]]:
+    """Yields the inputs in lines of the corpus. A stream of requests is one of a connection, too."""
+    for line in lines:
         name, text = line.split()
-        yield name, base64.b64decode(text)
+        data = base64.b64decode(text)
+        yield name, data
+        if name == "requests":
+            yield "connection", data[:1] + b"\x00" + data[1:]
 
 
-def unpack(folder: Path) -> None:
+def unpack(inputs: Iterable[tuple[str, bytes]], folder: Path) -> None:
     for name in targets():
         (folder / name).mkdir(parents=True, exist_ok=True)
-    for name, data in [*seeds(), *kept()]:
+    for name, data in inputs:
         (folder / name / hashlib.sha1(data).hexdigest()).write_bytes(data)
 
 
@@ -119,19 +124,19 @@ def run_all(program: Path, folder: Path, arguments: list[str]) -> bool:
 
 
 def merge(program: Path, folder: Path) -> None:
-    """Rewrites the corpus with the fewest inputs of each target that reach all code that is reached
-    now."""
-    lines = []
+    """Rewrites the corpus with the fewest inputs of each target that reach all edges that are
+    reached now."""
+    lines: list[str] = []
     for name in targets():
+        shutil.rmtree(folder / "merged", ignore_errors=True)
+        unpack([*seeds(), *kept(lines)], folder / "merged")
         merged = folder / "merged" / name
-        merged.mkdir(parents=True, exist_ok=True)
-        for old in merged.iterdir():
-            old.unlink()
+        free = set(merged.iterdir())
         log = folder / f"{name}-merge.log"
-        source = folder / "corpus" / name
-        if libfuzzer(program, name, log, "-merge=1", str(merged), str(source)) != 0:
+        source = str(folder / "corpus" / name)
+        if libfuzzer(program, name, log, "-merge=1", "-use_counters=0", str(merged), source) != 0:
             sys.exit(f"fuzz: {name}: merging failed: {log}")
-        inputs = sorted(path.read_bytes() for path in merged.iterdir())
+        inputs = sorted(path.read_bytes() for path in set(merged.iterdir()) - free)
         lines += [f"{name} {base64.b64encode(data).decode()}\n" for data in inputs]
         print(f"fuzz: {name:10} {len(inputs):5} inputs {sum(map(len, inputs)):8} bytes")
     CORPUS.write_text("".join(lines))
@@ -140,7 +145,7 @@ def merge(program: Path, folder: Path) -> None:
 def main() -> None:
     program, what = Path(sys.argv[1]).absolute(), sys.argv[2]
     folder = program.parent / "fuzzing"
-    unpack(folder / "corpus")
+    unpack([*seeds(), *kept(CORPUS.read_text().splitlines())], folder / "corpus")
     if what == "merge":
         merge(program, folder)
         return
