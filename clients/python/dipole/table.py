@@ -387,8 +387,8 @@ def _times_radius(piece: np.ndarray, r: np.ndarray, scale: np.float32) -> np.nda
 
 
 def _log2(x: np.ndarray) -> np.ndarray:
-    """Returns log2 of normal numbers, computed as in core/models/lut.c: the exponent plus the log2 of
-    the mantissa m, which is 2 artanh(s) / ln 2 with s = (m - 1) / (m + 1)."""
+    """Returns log2 of normal numbers, computed as in core/models/lut.c: the exponent plus the log2
+    of the mantissa m, which is 2 artanh(s) / ln 2 with s = (m - 1) / (m + 1)."""
     bits = x.view(np.int32)
     exponent = ((bits >> _MANTISSA_BITS & 0xFF) - 127).astype(np.float32)
     m = (bits & 0x7FFFFF | 0x3F800000).astype(np.int32).view(np.float32)
