@@ -134,7 +134,8 @@ static enum profiles_answer prepare_here(struct profiles *profiles,
   return PROFILES_READY;
 }
 
-/* Takes the profile of an entry that is prepared or has a fault. Owns the caller's reference. */
+/* Takes the profile of an entry that is prepared or has a fault, and the caller's reference to the
+ * entry. */
 static enum profiles_answer take(struct profiles *profiles, struct profiles_lookup *lookup,
                                  struct cache_entry *entry) {
   lookup->fault = cache_fault(entry);

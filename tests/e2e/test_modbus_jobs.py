@@ -196,8 +196,8 @@ AT_LIMITS = {
 
 @pytest.mark.parametrize("name", AT_LIMITS)
 def test_the_float32_nearest_to_a_limit_is_the_limit(daemon, name):
-    """The float32 nearest to a limit counts as the limit, although it is on the wrong side or
-    beside it. All these limits are inclusive."""
+    """The float32 that is the nearest to a limit counts as the limit, even if it lies beyond the
+    limit. All these limits are inclusive."""
     choice, parameters, eta = AT_LIMITS[name]
     choice = {"evaluator": "f32", "moments": "exact", **choice}
     medium = (*single(SKIN[:3]), eta if eta != SKIN[3] else single([eta])[0])
