@@ -343,7 +343,7 @@ static double value_of(const registers_field *field, const uint8_t *words, bool 
 
 wire_error registers_check(unsigned address, unsigned count, const uint8_t *values, unsigned *at) {
   const unsigned end = address + count;
-  const registers_field *field, *wrong = NULL; /* wrong: the first with a wrong value */
+  const registers_field *field, *wrong = NULL; /* wrong: the first field whose value is wrong */
   unsigned width, wrong_at = 0;
   for (unsigned here = address; here < end; here += width) {
     const char *allowed = check_address(here, end, at, &field, &width);

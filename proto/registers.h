@@ -150,8 +150,8 @@ void registers_write(uint16_t image[REGISTERS_END], unsigned address, unsigned c
 bool registers_include(unsigned address, unsigned count, unsigned another);
 
 /* Returns the register that a field of a job's request comes from: in the block of its commit, or
- * else in block 2 or 3. `index` is the position in an array. Returns that commit if the field has
- * no register. */
+ * else in block 2 or 3. `index` is the position in an array. Returns the register of the commit if
+ * the field has no register. */
 unsigned registers_of_field(const registers_job *job, const char *field, uint64_t index);
 
 /* These read one value of an image. */
