@@ -1,6 +1,5 @@
 #include "clients/cli/eval_report.h"
 
-#include <math.h>
 #include <stdlib.h>
 
 void cli_eval_add_model(cli_eval_report *report, const dipole_choice *model, bool named) {
@@ -22,32 +21,6 @@ void cli_eval_make_values(cli_eval_report *report) {
 const cli_eval_values *cli_eval_values_of(const cli_eval_report *report, size_t model,
                                           size_t channel) {
   return &report->values[model * report->profile.channel_count + channel];
-}
-
-const double *cli_eval_array(const cli_eval_report *report, const cli_eval_values *values,
-                             unsigned quantity) {
-  for (size_t q = 0; q < report->quantities.count; q++) {
-    if (report->quantities.items[q]->id == quantity) {
-      return values->arrays[q];
-    }
-  }
-  return NULL;
-}
-
-double cli_eval_numerical_error(const cli_eval_values *values, double r_mm) {
-  /* 0 times infinity is not a number, but a rate of 0 adds nothing at any radius. */
-  return values->numerical_error +
-         (values->numerical_error_per_mm > 0 ? values->numerical_error_per_mm * r_mm : 0);
-}
-
-double cli_eval_radius_max(const cli_eval_report *report) {
-  double max = 0;
-  for (size_t i = 0; i < report->radius_count; i++) {
-    if (isfinite(report->radii[i]) && report->radii[i] > max) {
-      max = report->radii[i];
-    }
-  }
-  return max;
 }
 
 void cli_eval_report_free(cli_eval_report *report) {

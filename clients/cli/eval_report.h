@@ -48,16 +48,6 @@ void cli_eval_make_values(cli_eval_report *report);
 const cli_eval_values *cli_eval_values_of(const cli_eval_report *report, size_t model,
                                           size_t channel);
 
-/* Returns the values of a quantity at the report's radii; NULL if it is not wanted. */
-const double *cli_eval_array(const cli_eval_report *report, const cli_eval_values *values,
-                             unsigned quantity);
-
-/* Returns the relative numerical error of the values at a radius. */
-double cli_eval_numerical_error(const cli_eval_values *values, double r_mm);
-
-/* Returns the largest finite radius of the report; 0 if there is none. */
-double cli_eval_radius_max(const cli_eval_report *report);
-
 void cli_eval_report_free(cli_eval_report *report);
 
 #endif

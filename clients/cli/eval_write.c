@@ -16,6 +16,35 @@ static bool has_albedo(const cli_eval_report *report) {
   return (report->quantities.wanted & DIPOLE_ALBEDO) != 0;
 }
 
+/* Returns the values of a quantity at the report's radii; NULL if it is not wanted. */
+static const double *array_of(const cli_eval_report *report, const cli_eval_values *values,
+                              unsigned quantity) {
+  for (size_t q = 0; q < report->quantities.count; q++) {
+    if (report->quantities.items[q]->id == quantity) {
+      return values->arrays[q];
+    }
+  }
+  return NULL;
+}
+
+/* Returns the relative numerical error of the values at a radius. */
+static double numerical_error(const cli_eval_values *values, double r_mm) {
+  /* 0 times infinity is not a number, but a rate of 0 adds nothing at any radius. */
+  return values->numerical_error +
+         (values->numerical_error_per_mm > 0 ? values->numerical_error_per_mm * r_mm : 0);
+}
+
+/* Returns the largest finite radius of the report; 0 if there is none. */
+static double radius_max(const cli_eval_report *report) {
+  double max = 0;
+  for (size_t i = 0; i < report->radius_count; i++) {
+    if (isfinite(report->radii[i]) && report->radii[i] > max) {
+      max = report->radii[i];
+    }
+  }
+  return max;
+}
+
 /* ---- what a tolerance has chosen, and the cheaper offers that it did not choose -------------- */
 
 /* How many cheaper offers are listed for people. */
@@ -237,7 +266,7 @@ static void put_channel(cli_rows *rows, const void *context, size_t index) {
   }
   cli_put_number(
       rows, CLI_COLUMN("numerical error", NULL, "relative, at most", "%.1e", .forms = CLI_IN_TABLE),
-      cli_eval_numerical_error(values, cli_eval_radius_max(report)));
+      numerical_error(values, radius_max(report)));
   cli_put_number(rows, CLI_COLUMN("numerical_error", .forms = CLI_IN_JSON),
                  values->numerical_error);
   cli_put_number(rows, CLI_COLUMN("numerical_error_per_mm", .forms = CLI_IN_JSON),
@@ -306,9 +335,8 @@ static void write_table(const void *context) {
     first += models.count;
   }
   cli_rows_print(stdout, 2, report->model_count * profile->channel_count, put_channel, report);
-  if (cli_eval_radius_max(report) > 0) {
-    printf("numerical error: against the model's formula, up to r = %.6g mm\n",
-           cli_eval_radius_max(report));
+  if (radius_max(report) > 0) {
+    printf("numerical error: against the model's formula, up to r = %.6g mm\n", radius_max(report));
   }
   puts("model error: of the model against radiative transport");
   write_notes(report);
@@ -348,8 +376,8 @@ static void put_value(cli_rows *rows, const void *context, size_t index) {
   const cli_channel *channel = &report->profile.channels[profile % report->profile.channel_count];
   const cli_eval_values *values = &report->values[profile];
   const bool any = report->radius_count > 0;
-  const double *R = any ? cli_eval_array(report, values, DIPOLE_R) : NULL;
-  const double *cdf = any ? cli_eval_array(report, values, DIPOLE_CDF) : NULL;
+  const double *R = any ? array_of(report, values, DIPOLE_R) : NULL;
+  const double *cdf = any ? array_of(report, values, DIPOLE_CDF) : NULL;
   const double r_mm = any ? report->radii[radius] : (double)NAN;
   char notes[256];
   cli_put_text(rows, CLI_COLUMN("model"), model->choice->name);
@@ -359,8 +387,7 @@ static void put_value(cli_rows *rows, const void *context, size_t index) {
   cli_put_number(rows, CLI_COLUMN("R"), R != NULL ? R[radius] : (double)NAN);
   cli_put_number(rows, CLI_COLUMN("albedo"), values->albedo);
   cli_put_number(rows, CLI_COLUMN("cdf"), cdf != NULL ? cdf[radius] : (double)NAN);
-  cli_put_number(rows, CLI_COLUMN("numerical_error"),
-                 cli_eval_numerical_error(values, any ? r_mm : 0));
+  cli_put_number(rows, CLI_COLUMN("numerical_error"), numerical_error(values, any ? r_mm : 0));
   cli_put_number(rows, CLI_COLUMN("model_error"), values->model_error);
   cli_put_text(rows, CLI_COLUMN("notes"),
                join_notes(&report->profile, model->notes, notes, sizeof notes));

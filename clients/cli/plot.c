@@ -86,25 +86,15 @@ static int check_axes(const cli_texts *names) {
 /* Reads a size such as "900x600". Without a text, sets both sides to 0. Returns whether the text is
  * good. */
 static bool parse_size(const char *text, size_t *width_px, size_t *height_px) {
-  char first[16];
-  uint64_t width, height;
+  int length = 0;
+  *width_px = *height_px = 0;
   if (text == NULL) {
-    *width_px = *height_px = 0;
     return true;
   }
-  const size_t length = strcspn(text, "x");
-  if (length >= sizeof first || text[length] == '\0') {
-    return false;
-  }
-  snprintf(first, sizeof first, "%.*s", (int)length, text);
-  if (!cli_count_parse(first, &width) || !cli_count_parse(text + length + 1, &height) ||
-      width < SIDE_LEAST_PX || width > SIDE_MOST_PX || height < SIDE_LEAST_PX ||
-      height > SIDE_MOST_PX) {
-    return false;
-  }
-  *width_px = (size_t)width;
-  *height_px = (size_t)height;
-  return true;
+  return strspn(text, "0123456789x") == strlen(text) &&
+         sscanf(text, "%zux%zu%n", width_px, height_px, &length) == 2 && text[length] == '\0' &&
+         *width_px >= SIDE_LEAST_PX && *width_px <= SIDE_MOST_PX && *height_px >= SIDE_LEAST_PX &&
+         *height_px <= SIDE_MOST_PX;
 }
 
 static bool has_logarithmic_r(const plot_settings *settings) {
