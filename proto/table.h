@@ -25,8 +25,8 @@ size_t table_request_bytes(uint32_t parameter_count);
 /* Returns the payload bytes of a reply with a table of word_count words. */
 size_t table_reply_bytes(uint32_t parameter_count, size_t word_count);
 
-/* Returns the checksum of a table's words: CRC-32 (ISO 3309, the one of Ethernet and gzip), reflected,
- * with the polynomial 0x04c11db7. */
+/* Returns the checksum of a table's words: CRC-32 (ISO 3309, the one of Ethernet and gzip),
+ * reflected, with the polynomial 0x04c11db7. */
 uint32_t table_checksum(const uint8_t *bytes, size_t count);
 
 /* Writes the reply for a profile of evaluator lut, table_reply_bytes() long. `at` is a multiple of

@@ -32,7 +32,7 @@ def plain(text: str) -> str:
 
 
 def indented(lines: list[str]) -> str:
-    """Lines that are shown as they are."""
+    """Returns a block of lines that are shown unchanged."""
     least = min((len(line) - len(line.lstrip()) for line in lines if line.strip()), default=0)
     return "\n" + "".join(f"    {line[least:]}\n" for line in lines) + "\n"
 
@@ -41,7 +41,7 @@ def indented(lines: list[str]) -> str:
 
 
 def help_of(program: Path, *command: str) -> list[list[str]]:
-    """The blocks of a --help: lines between empty lines."""
+    """Returns the blocks of a help text, which are separated by empty lines."""
     said = subprocess.run(
         [program, *command, "--help"], stdout=subprocess.PIPE, text=True, check=True
     )
@@ -49,8 +49,8 @@ def help_of(program: Path, *command: str) -> list[list[str]]:
 
 
 def entries(lines: list[str]) -> list[tuple[str, str, str]]:
-    """Names, values and explanations of the options or commands that the lines describe; the empty
-    list when they describe something else."""
+    """Returns names, values and explanations of the options or commands that the lines describe; an
+    empty list if they describe something else."""
     found: list[tuple[str, str, str]] = []
     for line in lines:
         match = OPTION.match(line) or COMMAND.match(line)
@@ -102,7 +102,7 @@ def daemon_text(build: Path) -> tuple[str, str]:
 
 
 def client_text(build: Path) -> tuple[str, str]:
-    """All commands in one page; options that every command has are described once."""
+    """Writes all commands into one page. Options that every command has are described once."""
     blocks = help_of(build / "dipole")
     commands = next(entries(block[1:]) for block in blocks if block[0].startswith("Commands"))
     helps = {name: help_of(build / "dipole", name) for name, _, _ in commands if name != "help"}
@@ -119,7 +119,8 @@ def client_text(build: Path) -> tuple[str, str]:
 
 
 def comment_text(comment: str) -> str:
-    """The paragraphs of a C comment; lines that are indented further are shown as they are."""
+    """Returns the paragraphs of a C comment. Lines that are indented further are shown
+    unchanged."""
     lines = [re.sub(r"^ ?\*? ?", "", line).rstrip() for line in comment.split("\n")]
     text = ""
     for block in re.findall(r"(?:^  .*\n?)+|(?:^(?!  ).+\n?)+", "\n".join(lines), re.M):
@@ -152,7 +153,8 @@ def library_text() -> tuple[str, str]:
 
 
 def text_of(name: str) -> tuple[str, str]:
-    """The title and the rest of a text in proto/, without comments; its headings one level up."""
+    """Returns the title and the rest of a text in proto/, without comments, and with its headings
+    one level up."""
     text = re.sub(r"<!--.*?-->\n?", "", (TREE / TEXTS[name]).read_text(), flags=re.DOTALL)
     title, text = re.match(r"# ([^\n]*)\n(.*)", text, re.DOTALL).groups()
     return title, "# Description\n" + re.sub(r"^#(#+ )", r"\1", text, flags=re.M)

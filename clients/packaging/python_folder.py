@@ -1,4 +1,5 @@
-"""python_folder.py PREFIX: where this Python looks for modules that are installed below it."""
+"""python_folder.py PREFIX: prints the folder below PREFIX in which this Python looks for
+modules."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-/* wire-tables PROTOCOL.md REGISTERS.md: replaces what stands between the markers of these two documents
- * by the byte tables of the wire and the tables of the register map. It makes them from the same lists
- * as the code. */
+/* wire-tables PROTOCOL.md REGISTERS.md: replaces what stands between the markers of these two
+ * documents by the byte tables of the wire and the tables of the register map. It makes them from
+ * the same lists as the code. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>

@@ -16,7 +16,7 @@ enum {
   RETRY_MS = 500,
   RETRY_FIRST_MS = 250,
   RETRY_MOST_MS = 30000,
-  PROBE_MS = 100, /* Adapters return a byte earlier; masters wait longer. */
+  PROBE_MS = 100, /* Adapters return a byte sooner than this, and masters wait longer. */
 };
 
 static void lose_device(struct modbus_line *line, const char *why);

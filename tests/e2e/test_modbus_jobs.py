@@ -479,7 +479,7 @@ def head(master: Tcp, kind: str, unit: int = 1) -> Head:
 
 
 def ended(master: Tcp, kind: str, unit: int = 1) -> Head:
-    """The head, once the job is not busy."""
+    """Waits until the job is not busy. Returns the head of its output block."""
     assert eventually(lambda: head(master, kind, unit).status != IS_BUSY, 60)
     return head(master, kind, unit)
 

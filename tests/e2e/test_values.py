@@ -95,7 +95,8 @@ def test_skin2_with_the_polynomials_of_eq_2(client):
 
 
 def test_skin2_as_published(client):
-    """The published numbers belong to the fit of Jensen et al., which is 0.0017 at eta = 1."""
+    """The published numbers were computed with the fit of Jensen et al. for 2 C1, which gives
+    0.0017 at eta = 1."""
     media = [medium._replace(eta=1.0) for medium in client.media()["skin2"]]
     result = client.eval("classical", media, moments="jensen", wanted=["albedo"])
     np.testing.assert_allclose(result.albedo, PUBLISHED_SKIN2, rtol=1e-7)

@@ -430,7 +430,8 @@ UNIT_TEST(owners_take_turns) {
   cache_free(f.cache);
 }
 
-/* Three owners with 6, 3 and 1 waiters: after as many turns as its place says, each has the next. */
+/* Three owners with 6, 3 and 1 waiters: after as many turns as its place says, each has the next.
+ */
 UNIT_TEST(a_place_is_the_number_of_preparations_before) {
   enum { MANY = 10 };
   struct fixture f;

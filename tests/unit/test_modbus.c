@@ -193,7 +193,8 @@ UNIT_TEST(pauses_within_a_request) {
   }
 }
 
-/* A request behind noise is one only if there is a silence between them. */
+/* Bytes behind noise are taken for a request only if there is a silence between them and the
+ * noise. */
 UNIT_TEST(a_request_begins_behind_silence) {
   const uint8_t noise[] = {0xff, 0x00, 0x17};
   uint8_t bytes[8] = {7, 6, 0, 0, 0, 1};

@@ -1,5 +1,5 @@
-/* child: starts and ends the processes of a benchmark. Each child is pinned to a core, ends when the
- * benchmark ends for whatever reason, and leaves no file behind.
+/* child: starts and ends the processes of a benchmark. Each child is pinned to a core, ends when
+ * the benchmark ends for whatever reason, and leaves no file behind.
  *
  * Servers run on the first core that this process may use and clients on the last one, so that the
  * scheduler moves neither. With a single core both run on it. No process burns spare time to keep

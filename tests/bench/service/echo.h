@@ -8,8 +8,8 @@
 
 #include "tests/bench/service/target.h"
 
-/* Starts a server at target->address that runs until the benchmark ends. If it is a TCP address with
- * port 0, target->address gets the port that the system chose. */
+/* Starts a server at target->address that runs until the benchmark ends. If it is a TCP address
+ * with port 0, target->address gets the port that the system chose. */
 void echo_start(struct target *target);
 
 #endif

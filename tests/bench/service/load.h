@@ -14,8 +14,8 @@
 
 struct load;
 
-/* Opens the connections. Each may have in_flight unanswered requests, at most 4096. The caller keeps
- * the target and frees it after load_free(). */
+/* Opens the connections. Each may have in_flight unanswered requests, at most 4096. The caller
+ * keeps the target and frees it after load_free(). */
 struct load *load_new(const struct target *target, size_t connections, size_t in_flight);
 void load_free(struct load *load);
 
@@ -24,8 +24,8 @@ void load_free(struct load *load);
  * answers per second that arrived within duration_ns. */
 double load_closed(struct load *load, uint64_t duration_ns, struct samples *samples);
 
-/* Sends requests at an even rate for duration_ns, over the connections in turn, and returns when the
- * last one is answered. Replaces the contents of *samples by the sorted latencies. */
+/* Sends requests at an even rate for duration_ns, over the connections in turn, and returns when
+ * the last one is answered. Replaces the contents of *samples by the sorted latencies. */
 void load_open(struct load *load, double rate_per_s, uint64_t duration_ns, struct samples *samples);
 
 #endif

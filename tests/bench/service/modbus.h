@@ -5,8 +5,8 @@
 #include "tests/bench/service/target.h"
 
 /* Makes one job for each of 32 units, which all have different media. A job is one transaction:
- * function 23 writes 20 registers (commit, model, medium, a grid of 4 distances) and reads 20 (status
- * to R). The expected values are computed in this process. */
+ * function 23 writes 20 registers (commit, model, medium, a grid of 4 distances) and reads 20
+ * (status to R). The expected values are computed in this process. */
 enum { MODBUS_UNITS = 32 };
 void modbus_make_jobs(struct target *target);
 

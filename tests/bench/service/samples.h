@@ -20,9 +20,9 @@ void samples_add(struct samples *samples, uint64_t ns);
 
 void samples_sort(struct samples *samples);
 
-/* Returns a percentile in us, for example the median for share 0.5: the smallest time that this share
- * of the samples does not exceed. share is in (0, 1]; there is at least one sample, and they are
- * sorted. */
+/* Returns a percentile in us, for example the median for share 0.5: the smallest time that this
+ * share of the samples does not exceed. share is in (0, 1]; there is at least one sample, and they
+ * are sorted. */
 double samples_us(const struct samples *samples, double share);
 
 #endif
