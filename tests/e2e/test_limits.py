@@ -91,7 +91,8 @@ def test_media_that_do_not_fit_a_part(daemon):
         assert wire.EVAL_REPLY.unpack(ask(connection, EVAL, few).payload).part_count == 1
         reply = ask(connection, EVAL, eval_payload([SKIN] * 2, radii=None, radius_count=800, wanted=R))
         assert_error(reply, "too-large", "medium_count", "at most 1 media fit into a part")
-        # Of all quantities not even one medium's fit, so fewer media would not help.
+        # A part has no room for 256 radii of all quantities even of one medium, so that fewer media
+        # would not help.
         reply = ask(connection, EVAL, eval_payload(radii=None, radius_count=800, wanted=511))
         assert_error(reply, "too-large", "wanted", "max_part_bytes")
         assert_serves(connection)

@@ -430,8 +430,8 @@ UNIT_TEST(owners_take_turns) {
   cache_free(f.cache);
 }
 
-/* Three owners with 6, 3 and 1 waiters: after as many turns as its place says, each has the next.
- */
+/* Three owners have 6, 3 and 1 waiters. The place of a waiter is the number of turns that come
+ * before its own. */
 UNIT_TEST(a_place_is_the_number_of_preparations_before) {
   enum { MANY = 10 };
   struct fixture f;
