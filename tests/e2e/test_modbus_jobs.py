@@ -489,7 +489,8 @@ def numbers(master: Tcp, field: str, count: int, unit: int = 1) -> np.ndarray:
 
 
 def setting(master: Tcp, unit: int = 1, **registers: int | bytes) -> None:
-    """Writes registers by name: a number for one of them, or bytes."""
+    """Writes registers by the names of their fields. A value is a number for a single register, or
+    the bytes of several."""
     for field, value in registers.items():
         data = value if isinstance(value, bytes) else words(value)
         master.write(AT[field], data, unit)
