@@ -72,7 +72,7 @@ DEFINE_CHECK(core_radii_check_f32, float)
     const bool all = range->least_mm <= 0 && range->most_mm >= (double)INFINITY;                   \
     for (size_t i = 0; !all && i < n; i++) {                                                       \
       if ((double)r[i] < range->least_mm || (double)r[i] > range->most_mm) {                       \
-        return (core_fault){"r", "fit_from to fit_to: what the fit covers", i};                    \
+        return (core_fault){"r", "the radii that the fit covers: fit_from to fit_to", i};          \
       }                                                                                            \
     }                                                                                              \
     return (core_fault){0};                                                                        \

@@ -84,7 +84,7 @@ static bool choose_isa(struct server *server) {
   if (server->isa != NULL) {
     return true;
   }
-  char have[128] = "this machine can run:";
+  char have[128] = "";
   size_t length = strlen(have);
   const char *name;
   for (size_t i = 0; (name = core_isa_listed(i)) != NULL; i++) {
@@ -92,7 +92,8 @@ static bool choose_isa(struct server *server) {
       length += (size_t)snprintf(have + length, sizeof have - length, " %s", name);
     }
   }
-  fprintf(stderr, "dipoled: --isa %s: %s\n", server->options.isa, have);
+  fprintf(stderr, "dipoled: --isa is one that this machine can run, not '%s':%s\n",
+          server->options.isa, have);
   return false;
 }
 
@@ -186,7 +187,11 @@ static bool admit_inherited(struct server *server) {
   socklen_t length = sizeof type;
   if (*end != '\0' || fd < 0 || fd > 1048576 ||
       getsockopt((int)fd, SOL_SOCKET, SO_TYPE, &type, &length) != 0 || type != SOCK_STREAM) {
-    return complain("--fd", "the number of a connected stream socket that this process inherits");
+    fprintf(stderr,
+            "dipoled: --fd %s is not the number of a connected stream socket that this "
+            "process has inherited\n",
+            server->options.fd);
+    return false;
   }
   listener_admit(server, (int)fd, true);
   return true;
@@ -262,7 +267,8 @@ static void set_up_loop(struct daemon *daemon) {
 static bool set_log_level(const struct options *options) {
   enum log_level level = LOG_LEVEL_INFO;
   if (options->log_level != NULL && !log_level_by_name(options->log_level, &level)) {
-    return complain("--log-level", "error or info");
+    fprintf(stderr, "dipoled: --log-level is error or info, not '%s'\n", options->log_level);
+    return false;
   }
   log_set_level(level);
   return true;

@@ -95,14 +95,14 @@ static bool set(struct options *options, const struct description *option, const
 
 /* ---- environment ----------------------------------------------------------------------------- */
 
-static const char *environment(const struct description *option) {
-  char name[64] = "DIPOLED_";
-  size_t length = strlen(name);
-  for (const char *c = option->field_name; *c != '\0' && length + 1 < sizeof name; c++) {
-    name[length++] = (char)toupper((unsigned char)*c);
+enum { VARIABLE_BYTES = 64 };
+
+/* Writes the name of an option's environment variable: DIPOLED_ and its field in capitals. */
+static void name_variable(const struct description *option, char name[VARIABLE_BYTES]) {
+  snprintf(name, VARIABLE_BYTES, "DIPOLED_%s", option->field_name);
+  for (char *c = name; *c != '\0'; c++) {
+    *c = (char)toupper((unsigned char)*c);
   }
-  name[length] = '\0';
-  return getenv(name);
 }
 
 static bool read_environment_list(struct options *options, const struct description *option,
@@ -126,13 +126,16 @@ static bool read_environment_list(struct options *options, const struct descript
 static bool read_environment(struct options *options) {
   for (int i = 0; i < OPTIONS; i++) {
     const struct description *option = &descriptions[i];
-    const char *text = environment(option);
+    char name[VARIABLE_BYTES];
+    name_variable(option, name);
+    const char *text = getenv(name);
     if (text == NULL || *text == '\0') {
       continue;
     }
     const bool good = option->kind == LIST ? read_environment_list(options, option, text)
                                            : set(options, option, text);
     if (!good) {
+      fprintf(stderr, "dipoled: the value is that of the environment variable %s\n", name);
       return false;
     }
   }

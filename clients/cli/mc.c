@@ -107,7 +107,7 @@ static int check(void *given) {
     return cli_fail_usage("--rings: give at most %lu", (unsigned long)UINT32_MAX);
   }
   if (!(photons >= 1 && photons <= 0x1p53 && photons == floor(photons))) {
-    return cli_fail_usage("--photons: give a whole number, such as 2000000 or 2e6");
+    return cli_fail_usage("--photons: give a whole number from 1 to 9e15, such as 2000000 or 2e6");
   }
   if (settings->albedo.count > UINT16_MAX) {
     return cli_fail_usage("--albedo: give at most %d", UINT16_MAX);

@@ -103,6 +103,7 @@ static wire_error check_radii(struct eval_job *eval) {
   const double stop = fixed->radius_count > 1 ? eval->grid.stop_mm : start;
   eval->radii = (core_radii_range){start, stop};
   if (error.status == WIRE_STATUS_OK && single) {
+    /* GCC 12 would drop a pair of roundings to float whose results it sees become double again. */
     const float ends[] = {(float)start, (float)stop};
     core_radii_check_f32(2, ends, &eval->radii);
   }

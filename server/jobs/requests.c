@@ -189,7 +189,8 @@ static void follow(struct requests *r, enum job_outcome outcome) {
 }
 
 static wire_error late(void) {
-  return wire_error_make(WIRE_STATUS_DEADLINE, "deadline_ms", "more: the answer takes longer");
+  return wire_error_make(WIRE_STATUS_DEADLINE, "deadline_ms",
+                         "more milliseconds, or 0 for no limit");
 }
 
 uint64_t requests_deadline_ms(const struct requests *r) {

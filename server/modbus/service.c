@@ -38,8 +38,12 @@ struct modbus_service *modbus_service_new(struct server *server) {
   }
   const char *wrong = "";
   if (!modbus_access_read(&server->options.modbus_allow, &service->access, &wrong)) {
-    fprintf(stderr, "dipoled: '%s': ", wrong);
-    return fail(service, "--modbus-allow", "an address, or ADDRESS/BITS");
+    fprintf(stderr,
+            "dipoled: --modbus-allow takes numeric addresses, as 192.0.2.7 or 192.0.2.0/24, "
+            "not '%s'\n",
+            wrong);
+    modbus_service_free(service);
+    return NULL;
   }
   return service;
 }

@@ -103,7 +103,7 @@ test_wrong_command_lines_say_what_to_do = says(USAGE, ["mc"], [
     ([*MEDIUM, "--medium", "skin1"], "--medium NAME stands for --sigma-a and --sigma-s"),
     ([*MEDIUM, "--channel", "red"], "--channel chooses a channel of --medium NAME"),
     ([*MEDIUM, "--log"], "--log needs --from, above 0"),
-    ([*MEDIUM, "--photons", "1.5"], "--photons: give a whole number, such as 2000000 or 2e6"),
+    ([*MEDIUM, "--photons", "1.5"], "--photons: give a whole number from 1 to 9e15, such as 2000000"),
     ([*MEDIUM, "--photons", "0"], "--photons: give a whole number"),
     ([*MEDIUM, "--rings", "99999999999"], "--rings: give at most"),
 ])

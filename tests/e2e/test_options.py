@@ -92,6 +92,7 @@ def test_numbers_out_of_range(name):
         assert ended.stdout == ""
     ended = run(*NOWHERE, env={variable(name): beyond[0]})
     assert ended.returncode == 2 and name in ended.stderr
+    assert f"that of the environment variable {variable(name)}\n" in ended.stderr
 
 
 @pytest.mark.parametrize("name", NUMBERS)
@@ -127,6 +128,15 @@ def test_wrong_usage(name):
     ended = run(*NOWHERE, *WRONG[name])
     assert ended.returncode == 2
     assert WRONG[name][0].lstrip("-") in ended.stderr
+
+
+def test_a_wrong_value_is_quoted():
+    for arguments in (WRONG["log level"], WRONG["isa"], ["--fd", "99"]):
+        assert arguments[1] in run(*NOWHERE, *arguments).stderr
+    allow = ["--modbus", "tcp:127.0.0.1:0", "--modbus-allow", "10.0.0.0/33"]
+    said = run("--listen", "tcp:127.0.0.1:0", *allow).stderr.splitlines()[-1]
+    assert said.startswith("dipoled: --modbus-allow takes numeric addresses")
+    assert said.endswith("not '10.0.0.0/33'")
 
 
 def test_help():
