@@ -1037,6 +1037,10 @@ static void check_table(const dipole_table *table, const uint8_t *payload, size_
       check_same(best, portable);
     }
   }
+  dipole_errors errors;
+  if (dipole_table_errors(table, DIPOLE_R, RADII, r, &errors)) {
+    CHECK(!(errors.numerical_error < fixed.numerical_error));
+  }
   CHECK(dipole_table_radii(table, RADII, u, best));
   core_sample_f32(&profile, RADII, u, portable);
   check_same(best, portable);
