@@ -266,12 +266,12 @@ typedef struct core_profile {
   double *table;                      /* holds the coefficients if they need more room; owned */
   size_t table_bytes;
   float *lut;                  /* table of the evaluator lut (core/lut/lut.h); owned */
-  size_t lut_count;            /* number of its words */
+  size_t lut_count;            /* number of words of lut */
   struct core_profile *source; /* from which lut was made, NULL if downloaded; owned */
   double scale_mm;             /* order of magnitude of the radii that matter */
   double cos_in;               /* cosines of the angles of S */
   double cos_out;
-  double part_shares[2]; /* of a sum: each part's share of the albedo */
+  double part_shares[2]; /* share of the albedo of each part, if the model is a sum of two parts */
   union {
     double f64[CORE_COEFFICIENTS_MAX];
     float f32[CORE_COEFFICIENTS_MAX];

@@ -29,7 +29,7 @@ enum core_inverter_phase {
 /* Callers read medium, found, albedo, albedo_least and albedo_most. The inverter keeps the other
  * fields for itself. */
 typedef struct core_inverter {
-  core_medium medium;  /* to be probed next; at the end of a search, the result */
+  core_medium medium;  /* the medium to probe next, or at the end of a search the one found */
   bool found;          /* true if a medium has the wanted albedo and length */
   double albedo;       /* albedo of the medium that was found */
   double albedo_least; /* range of reachable albedos, known before the first search */

@@ -134,7 +134,8 @@ static inline real_exp_parts real_exp_split(real x) {
  * that of v plus 1 ulp. */
 static inline real real_times_exp(real v, real x, real exponent) {
 #if CORE_REAL == 64
-  /* Double precision can hold the result times 2^800, which the last factor takes back. */
+  /* Computes 2^800 times the power, so that it is a normal number, and removes this factor at the
+   * end. */
   const real least_x = (2 - REAL_EXPONENT_BIAS - 800 - exponent) * 0.69314718055994530942;
   const real_exp_parts parts = real_exp_split(real_nearer_zero(x, least_x));
   const real biased = parts.shifted + (exponent + REAL_EXPONENT_BIAS + 800);
