@@ -101,7 +101,9 @@ static void on_sent_timer(uv_timer_t *timer) {
   } else {
     set_rts(line, false);
     line->sending = NOT_SENDING;
-    run_soon(line);
+    if (line->stopping || !uv_is_active((uv_handle_t *)&line->timer)) {
+      run_soon(line); /* for what has arrived meanwhile, if no timer waits for a silence */
+    }
   }
 }
 
