@@ -3,12 +3,14 @@ and other tools decode, identify and exercise the daemon."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import shutil
 import struct
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -51,22 +53,28 @@ def expected(slave):
         return client.eval("better", medium, RADII_MM, evaluator="f32").R[0]
 
 
-@pytest.fixture(scope="module")
-def serial(tmp_path_factory):
+@contextlib.contextmanager
+def serial_line(folder: Path) -> Iterator[Path]:
     """Starts a daemon at one end of a pair of pseudo terminals. Returns the other end."""
     if shutil.which("socat") is None:
         pytest.skip("socat is not installed")
-    folder = tmp_path_factory.mktemp("line")
     near, far = folder / "near", folder / "far"
     link = subprocess.Popen(["socat", f"pty,raw,echo=0,link={near}", f"pty,raw,echo=0,link={far}"])
     try:
         assert eventually(lambda: near.exists() and far.exists())
         one = Daemon("--modbus", f"rtu:{near},19200,N")
-        yield f"{far},19200"
+        yield far
         one.close()
     finally:
         link.terminate()
         link.wait()
+
+
+@pytest.fixture(scope="module")
+def serial(tmp_path_factory):
+    """Returns the master's end of a serial line as the examples take it."""
+    with serial_line(tmp_path_factory.mktemp("line")) as far:
+        yield f"{far},19200"
 
 
 def values_of(output: str) -> np.ndarray:
@@ -94,6 +102,41 @@ def check(result: subprocess.CompletedProcess[str], expected: np.ndarray, digits
 @pytest.mark.parametrize("line", ["address", "serial"])
 def test_mbpoll(request, line, expected):
     check(run(str(EXAMPLES / "profile.sh"), request.getfixturevalue(line)), expected, 6)
+
+
+@needs("mbpoll")
+def test_mbpoll_begins_with_function_6(tmp_path):
+    """The daemon has not learned yet whether the adapter has an echo, so it sends its first answer
+    with a pause in it."""
+    with serial_line(tmp_path) as far:
+        for value in ("77", "77", "78"):
+            options = ["-m", "rtu", "-b", "19200", "-P", "none", "-a", "1", "-0", "-q", "-r", "5"]
+            written = run("mbpoll", *options, str(far), value)
+            assert written.returncode == 0, written.stdout + written.stderr
+            assert f"[5]: \t{value}" in run("mbpoll", *options, "-1", str(far)).stdout
+
+
+def test_pymodbus_begins_with_function_6_and_reads_the_counters(tmp_path):
+    client_module = pytest.importorskip("pymodbus.client")
+    diagnostics = pytest.importorskip("pymodbus.diag_message")
+    with serial_line(tmp_path) as far:
+        client = client_module.ModbusSerialClient(str(far), baudrate=19200, parity="N", retries=0)
+        assert client.connect()
+
+        def ask(name: str) -> int:
+            answer = client.execute(getattr(diagnostics, f"{name}Request")(unit=1))
+            assert not answer.isError(), answer
+            return answer.message if isinstance(answer.message, int) else answer.message[0]
+
+        for value in (77, 77, 78):
+            assert not client.write_register(5, value, slave=1).isError()
+        assert client.read_holding_registers(60000, 1, slave=1).isError()
+        assert ask("ReturnSlaveMessageCount") == 5
+        assert ask("ReturnBusExceptionErrorCount") == 1
+        assert ask("ReturnBusCommunicationErrorCount") == 0
+        assert ask("ClearCounters") == 0
+        assert ask("ReturnBusMessageCount") == 1
+        client.close()
 
 
 @pytest.mark.parametrize("line", ["address", "serial"])
