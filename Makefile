@@ -112,7 +112,7 @@ TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildc
 PROGRAMS := $(BUILD)/dipoled $(BUILD)/dipole $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-long check-structure check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-pipeline check-asan check-tsan check-fuzz soak truth fuzz fuzz-merge bench docs model-errors tables tradeoff figures clean
+.PHONY: all setup demo check check-long check-structure check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-pipeline check-asan check-tsan check-fuzz check-truth soak truth fuzz fuzz-merge bench docs model-errors tables tradeoff figures clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -202,7 +202,7 @@ $(BUILD)/wire-tables: $(OBJ)/proto/tools/wire_tables.o $(BUILD)/libproto.a $(BUI
 	$(call SAY,LD,$@)
 	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
 
-$(BUILD)/tests/accuracy/truth: $(call objects,tests/accuracy/truth.c tests/accuracy/reference.c tests/accuracy/reference_fresnel.c) $(BUILD)/libcore.a
+$(BUILD)/tests/accuracy/truth: $(call objects,tests/accuracy/truth.c tests/accuracy/forms.c tests/accuracy/reference.c tests/accuracy/reference_fresnel.c) $(BUILD)/libcore.a
 	@mkdir -p $(@D)
 	$(call SAY,LD,$@)
 	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lmpfr -lgmp $(CORE_LIBS) -lm
@@ -257,8 +257,8 @@ demo:
 
 check:
 	@sh .ci/install-packages
-	@$(MAKE) --no-print-directory -j2 all $(TESTS) $(BUILD)/tests/bits $(BUILD)/dipoled-counting $(BUILD)/wire-tables $(BUILD)/trade-speed $(BUILD)/soak-load $(BUILD)/pipeline
-	+@bash tests/run-check.sh $(BUILD)/logs structure bits unit fuzz e2e+soak
+	@$(MAKE) --no-print-directory -j2 all $(TESTS) $(BUILD)/tests/bits $(BUILD)/tests/accuracy/truth $(BUILD)/dipoled-counting $(BUILD)/wire-tables $(BUILD)/trade-speed $(BUILD)/soak-load $(BUILD)/pipeline
+	+@bash tests/run-check.sh $(BUILD)/logs structure bits unit truth fuzz e2e+soak
 
 # What takes minutes by itself. .ci/run runs it as well.
 check-long:
@@ -338,8 +338,11 @@ fuzz-merge:
 # Random values of all models against their formulas in more digits, and the error that each states.
 SECONDS ?=
 SEED ?=
+check-truth: $(BUILD)/tests/accuracy/truth
+	@$(BUILD)/tests/accuracy/truth --rounds 32 --seed 1
+
 truth: $(BUILD)/tests/accuracy/truth
-	$(BUILD)/tests/accuracy/truth $(or $(SECONDS),60) $(SEED)
+	$(BUILD)/tests/accuracy/truth --seconds $(or $(SECONDS),60) $(SEED:%=--seed %)
 
 bench: $(BUILD)/bench
 	$(BUILD)/bench

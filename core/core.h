@@ -137,6 +137,9 @@ typedef struct core_medium {
 
 #define CORE_SIGMA_MAX_PER_MM 1e15
 #define CORE_SIGMA_T_PRIME_MIN_PER_MM 1e-15 /* least sigma_a + sigma_s (1 - g) */
+/* A medium either scatters nothing or has at least this ratio of sigma_s (1 - g) to sigma_t'. Below,
+ * its albedo would underflow. */
+#define CORE_SCATTERED_MIN 1e-32
 #define CORE_ETA_MIN 1e-3
 #define CORE_ETA_MAX 1e3
 
@@ -246,13 +249,14 @@ typedef struct core_profile {
   /* Numerical error: a value at radius r is off from the model's exact formula by at most
    * numerical_error + numerical_error_per_mm * r, relative, or by 16 of the smallest subnormal
    * numbers, whichever is more. A value that is larger than the largest finite number of its
-   * precision is infinity. S is R times a number: what R loses by underflow or overflow, S loses
-   * times that number. The bound holds for R, S and cdf, and for the albedo with r = 0, since every
-   * evaluator computes the albedo in double precision. It holds for dR/dr, pdf and 2 pi r R with
-   * sigma_t' from 1e-6 to 1e6 per mm, sigma_a up to 1e6 sigma_s', eta from 0.2 to 5, and r either 0
-   * or from 1e-12 to 1e6 mean free paths 1 / sigma_t'; beyond, these three may underflow too early.
-   * For ln R see core_eval_f64(). Where the albedo has underflowed to 0, cdf and pdf are 0. The
-   * bound holds for radii within `reach`; core_profile_errors() gives the error for any radii. */
+   * precision is infinity. S is R times a number: its relative error is CORE_S_ERROR more, and what
+   * R loses by underflow or overflow, S loses times that number. The bound holds for R, S and cdf,
+   * and for the albedo with r = 0, since every evaluator computes the albedo in double precision. It
+   * holds for dR/dr, pdf and 2 pi r R with sigma_t' from 1e-6 to 1e6 per mm, sigma_a up to 1e6
+   * sigma_s', eta from 0.2 to 5, and r either 0 or from 1e-12 to 1e6 mean free paths 1 / sigma_t';
+   * beyond, these three may underflow too early. For ln R see core_eval_f64(). Where the albedo has
+   * underflowed to 0, cdf and pdf are 0 at every radius, infinity included. The bound holds for radii
+   * within `reach`; core_profile_errors() gives the error for any radii and quantities. */
   double numerical_error;
   double numerical_error_per_mm;
   core_reach reach;
@@ -300,6 +304,9 @@ bool core_worth_keeping(unsigned model, unsigned evaluator);
 core_fault core_profile_prepare(core_profile *profile, const core_isa *isa, unsigned model,
                                 unsigned moments, unsigned evaluator, const core_medium *medium,
                                 const core_parameters *parameters);
+
+/* The relative error of S / R: of the Fresnel moment and of both transmittances. */
+#define CORE_S_ERROR 0x1p-49
 
 /* The errors of a profile's values that a reply states. */
 typedef struct core_stated_errors {

@@ -25,6 +25,10 @@ core_fault core_medium_check(const core_medium *medium) {
   if (sigma_t_prime < CORE_SIGMA_T_PRIME_MIN_PER_MM) {
     return (core_fault){"sigma_s", "sigma_a + sigma_s (1 - g) of at least 1e-15 per mm", 0};
   }
+  const double sigma_s_prime = medium->sigma_s_per_mm * (1 - medium->g);
+  if (medium->sigma_s_per_mm > 0 && sigma_s_prime < CORE_SCATTERED_MIN * sigma_t_prime) {
+    return (core_fault){"sigma_s", "0, or sigma_s (1 - g) of at least 1e-32 sigma_a", 0};
+  }
   return (core_fault){0};
 }
 

@@ -307,7 +307,8 @@ core_stated_errors core_profile_errors(const core_profile *profile, unsigned wan
                                        core_radii_range radii) {
   const double most_mm = (wanted & FOLLOWS_R) != 0 ? radii.most_mm : 0;
   return (core_stated_errors){
-      .numerical = profile->numerical_error + core_error_beyond(profile->reach, most_mm),
+      .numerical = profile->numerical_error + core_error_beyond(profile->reach, most_mm) +
+                   ((wanted & CORE_QUANTITY_S) != 0 ? CORE_S_ERROR : 0),
       .numerical_per_mm = profile->numerical_error_per_mm,
       .model = core_model_errors_of(&profile->model_errors, &profile->medium, wanted, radii),
   };

@@ -213,7 +213,7 @@ static core_fault measure(struct build *b, const struct lut_subject *subject, ui
                           int first, int last) {
   for (int exponent = first; exponent < last; exponent++) {
     const uint32_t entry = b->entries[octaves - CORE_LUT_R_OCTAVES + (uint32_t)(exponent + 127)];
-    const double error = lut_fit_error(subject, exponent, entry, &b->pieces);
+    const double error = lut_fit_error(subject, exponent, entry, &b->pieces, b->error);
     if (!(error <= subject->tolerance)) {
       return too_rough;
     }

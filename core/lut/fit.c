@@ -9,7 +9,11 @@
 
 /* The places in a piece where the fit is compared, in 1/64 of its length. All are exact in single
  * precision. */
-enum { PLACES = 11, STEP = 64, FOUND_PER_PIECE = 5 };
+enum { PLACES = 11, STEP = 64, FOUND_PER_PIECE = 5, SCANNED_PER_PIECE = 16 };
+
+/* A piece whose error at its FOUND_PER_PIECE arguments is more than this share of the largest one
+ * known is compared at SCANNED_PER_PIECE arguments more. */
+#define SCAN_SHARE 0.8
 
 static const int places[PLACES] = {0, 3, 9, 16, 24, 32, 40, 48, 55, 61, 64};
 
@@ -194,7 +198,7 @@ enum lut_fit lut_fit_octave(const struct lut_subject *subject, int exponent, uns
     }
     *entry = CORE_LUT_ENTRY(pieces->count, CORE_LUT_MANTISSA_BITS - *cuts);
     if (fit_all(subject, exponent, *cuts, &pieces->c[pieces->count]) &&
-        lut_fit_error(subject, exponent, *entry, pieces) <= subject->tolerance) {
+        lut_fit_error(subject, exponent, *entry, pieces, (double)INFINITY) <= subject->tolerance) {
       pieces->count += more;
       return LUT_FITTED;
     }
@@ -216,26 +220,44 @@ enum lut_fit lut_fit_constant(float value, struct lut_pieces *pieces, uint32_t *
   return LUT_FITTED;
 }
 
+/* Returns the largest relative error of piece `index` of 2^cuts at n arguments, which are given as
+ * shares of the piece. */
+static double error_at(const struct lut_subject *subject, int exponent, unsigned cuts,
+                       uint32_t index, const float *piece, size_t n, const double *shares) {
+  double x[SCANNED_PER_PIECE];
+  double y[SCANNED_PER_PIECE];
+  double worst = 0;
+  for (size_t k = 0; k < n; k++) {
+    x[k] = ldexp(1 + ldexp((double)index + shares[k], -(int)cuts), exponent);
+  }
+  subject->function(subject->context, n, x, y);
+  for (size_t k = 0; k < n; k++) {
+    const double error = error_of(subject, core_lut_piece(piece, 0, (float)shares[k]), y[k]);
+    worst = error > worst || isnan(error) ? error : worst;
+  }
+  return worst;
+}
+
 double lut_fit_error(const struct lut_subject *subject, int exponent, uint32_t entry,
-                     const struct lut_pieces *pieces) {
+                     const struct lut_pieces *pieces, double known) {
   /* Between the places, close to where polynomials through the points of degrees 3, 2 and 1 have
    * their largest errors. */
   static const double between[FOUND_PER_PIECE] = {6.5 / 64, 13.5 / 64, 31.5 / 64, 50.5 / 64,
                                                   57.5 / 64};
   const unsigned cuts = CORE_LUT_MANTISSA_BITS - CORE_LUT_ENTRY_SHIFT(entry);
+  double scanned[SCANNED_PER_PIECE];
+  for (int k = 0; k < SCANNED_PER_PIECE; k++) {
+    scanned[k] = (k + 0.5) / SCANNED_PER_PIECE;
+  }
   double worst = 0;
   for (uint32_t i = 0; i < UINT32_C(1) << cuts; i++) {
-    double x[FOUND_PER_PIECE];
-    double y[FOUND_PER_PIECE];
-    for (int k = 0; k < FOUND_PER_PIECE; k++) {
-      x[k] = ldexp(1 + ldexp((double)i + between[k], -(int)cuts), exponent);
+    const float *piece = pieces->c[CORE_LUT_ENTRY_PIECE(entry) + i];
+    double error = error_at(subject, exponent, cuts, i, piece, FOUND_PER_PIECE, between);
+    if (error > SCAN_SHARE * fmax(known, worst)) {
+      const double more = error_at(subject, exponent, cuts, i, piece, SCANNED_PER_PIECE, scanned);
+      error = more > error || isnan(more) ? more : error;
     }
-    subject->function(subject->context, FOUND_PER_PIECE, x, y);
-    for (int k = 0; k < FOUND_PER_PIECE; k++) {
-      const float *piece = pieces->c[CORE_LUT_ENTRY_PIECE(entry) + i];
-      const double error = error_of(subject, core_lut_piece(piece, 0, (float)between[k]), y[k]);
-      worst = error > worst || isnan(error) ? error : worst;
-    }
+    worst = error > worst || isnan(error) ? error : worst;
   }
   return worst;
 }

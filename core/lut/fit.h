@@ -35,8 +35,9 @@ enum lut_fit lut_fit_octave(const struct lut_subject *subject, int exponent, uns
 enum lut_fit lut_fit_constant(float value, struct lut_pieces *pieces, uint32_t *entry);
 
 /* Returns the largest relative error of the pieces of an octave. Each piece is compared at five
- * arguments that the fit itself has not looked at. */
+ * arguments that the fit itself has not looked at, and at many more if its error there is among the
+ * largest of the octave and of those that are `known`. */
 double lut_fit_error(const struct lut_subject *subject, int exponent, uint32_t entry,
-                     const struct lut_pieces *pieces);
+                     const struct lut_pieces *pieces, double known);
 
 #endif

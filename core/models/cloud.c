@@ -34,7 +34,7 @@
  *
  * Domain of quantized diffusion: every medium. Below LEAST tolerance mean free paths R is continued
  * in proportion to 1 / r. Without absorption R is continued in proportion to 1 / r^3 from MOST mean
- * free paths on. Domain of the multipole: a thickness from THICKNESS_LEAST to THICKNESS_MOST mean
+ * free paths on, or from 1e-3 z_b MOST where that is more. Domain of the multipole: a thickness from THICKNESS_LEAST to THICKNESS_MOST mean
  * free paths, so that the source lies inside the slab; a thicker slab is a half space.
  *
  * Error, relative: the tolerance (QUANTIZED_TOLERANCE or SLAB_TOLERANCE if the request names none),
@@ -313,18 +313,24 @@ core_fault core_cloud_prepare(const core_inputs *inputs, core_preparation *prepa
   const double tolerance = fmin(given, TOLERANCE_MOST);
   /* dR/dr of a slab is a steeper function of time than R, and steepest for the far side, so the
    * rule over time needs a smaller tolerance there. */
-  const double rule = (cloud.transmitted > 0 ? 0.05 : slab ? 0.4 : 1) * tolerance;
+  /* So is dR/dr of a beam, the more the smaller the tolerance is. */
+  const double digits = 9.25 / -real_log(tolerance, 0);
+  const double beam = digits < 1 ? digits * digits : 1;
+  const double rule = (cloud.transmitted > 0 ? 0.05 : slab ? 0.4 : beam) * tolerance;
   const double least = slab ? 0 : LEAST * tolerance;
   const double mu = sqrt(cloud.rate / cloud.diffusion);
   const bool fades = cloud.rate > LEAST_RATE;
+  /* R falls like 1 / r^3 where r is many times z_b */
+  const double wider = fmax(1, 1e-3 * cloud.zb);
+  const double most = MOST * wider;
+  const double rate = fades ? cloud.rate : MOST_RATE / (wider * wider);
   /* Before the first node e^(-rate t - (r^2 + y^2) / (4 D t)) is less than e^-45 times its value at
    * its saddle point. */
   const double c = slab ? mu + 45 / cloud.y : 0;
   const double earliest = slab ? cloud.y / (2 * cloud.diffusion * (c + sqrt((c - mu) * (c + mu))))
                                : least * least / (160 * cloud.diffusion);
-  const double latest =
-      core_times_latest(fades ? cloud.rate : MOST_RATE, mu * cloud.y + LAST_EXPONENT);
-  const core_times times = core_times_make(fades ? cloud.rate : MOST_RATE, earliest, latest, rule);
+  const double latest = core_times_latest(rate, mu * cloud.y + LAST_EXPONENT);
+  const core_times times = core_times_make(rate, earliest, latest, rule);
   core_gaussian *gaussians = malloc(times.count * sizeof *gaussians);
   if (gaussians == NULL) {
     return CORE_OUT_OF_MEMORY;
@@ -339,7 +345,7 @@ core_fault core_cloud_prepare(const core_inputs *inputs, core_preparation *prepa
   const double reach = FAR_EXPONENT / mu;
   core_gaussian_ends ends = {
       .least_mm = least / cloud.sigma_t_prime,
-      .most_mm = fades ? (double)INFINITY : MOST * mfp_mm,
+      .most_mm = fades ? (double)INFINITY : most * mfp_mm,
       .shift = mu * cloud.y,
       .far_mm = fades ? sqrt(reach * (reach + 2 * cloud.y)) * mfp_mm : (double)INFINITY,
   };

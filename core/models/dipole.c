@@ -93,21 +93,24 @@ _Static_assert((int)COEFFICIENTS <= CORE_COEFFICIENTS_MAX, "the profile has room
  * logarithm gives ln R have not underflowed. SMALL_U: for a smaller cdf, (x / CORE)^2 equals the
  * cdf to the last digit. BRACKET_SLACK: dipole_sample() accepts a step that leaves its bracket by
  * less than this, relative. SAMPLE_STEPS: the largest number of steps that Newton's method needs in
- * dipole_sample(), and one more. */
+ * find_radius(), and one more, if the mirror source is no higher than WIDE_Z2. SAMPLE_STEPS_WIDE:
+ * the same for higher ones, where the cdf hardly rises between z1 and z2 and most steps halve the
+ * bracket. */
+#define WIDE_Z2 (256 * REAL_Z1)
 #if CORE_REAL == 64
 #define FAR 1e150
 #define LN_R_FAR (REAL_Z1 * 1e100)
 #define SMALL_U 1e-30
 #define BRACKET_SLACK 1e-13
 #define SMALL_SCALE 0x1p-40
-enum { SAMPLE_STEPS = 9 };
+enum { SAMPLE_STEPS = 9, SAMPLE_STEPS_WIDE = 48 };
 #else
 #define FAR 1e19f
 #define LN_R_FAR (REAL_Z1 * 1e12f)
 #define SMALL_U 1e-13f
 #define BRACKET_SLACK 1e-5f
 #define SMALL_SCALE 0x1p-40f
-enum { SAMPLE_STEPS = 7 };
+enum { SAMPLE_STEPS = 7, SAMPLE_STEPS_WIDE = 32 };
 #endif
 
 /* A radius x on the surface, and its distances d1 from the real and d2 from the mirror source. */
@@ -256,11 +259,11 @@ static inline real dipole_cdf(const real *c, real r) {
  * The first bracket of the root follows from two bounds: cdf <= (x / CORE)^2, since R falls with r;
  * and 1 - cdf <= TAIL / d1 e^(-mu (d1 - z1)), since e^(-mu d) / d falls with d. Every step shrinks
  * the bracket. A step that would leave the bracket is replaced by the bracket's geometric middle.
- * From the start used here the method needs at most SAMPLE_STEPS - 1 steps for every medium of the
+ * From the start used here the method needs at most steps - 1 steps for every medium of the
  * domain; the round trip in tests/accuracy/test_sample.c checks this. The code sums 1 - cdf from
  * the light beyond r, so that both tails keep their digits.
  */
-static inline real dipole_sample(const real *c, real u) {
+static inline real find_radius(const real *c, real u, int steps) {
   const real inside = real_max(u, SMALL_U);
   const real outside = real_max(1 - inside, REAL_HALF_EPSILON);
   const real wanted = real_log(inside / outside, 0);
@@ -269,7 +272,7 @@ static inline real dipole_sample(const real *c, real u) {
   const real decayed = real_fma(real_log(spread / REAL_Z1, 0), c[INVERSE_MU], REAL_Z1);
   real high = real_max(real_min(spread, decayed), low);
   real x = real_min(low * real_sqrt(1 / outside), high);
-  for (int step = 0; step < SAMPLE_STEPS; step++) {
+  for (int step = 0; step < steps; step++) {
     const struct view v = look(c, x);
     const struct within within = gather(c, v);
     const real mirror_beyond = c[Z2] * v.inverse_d2 * v.mirror.exp;
@@ -295,13 +298,26 @@ static inline real dipole_sample(const real *c, real u) {
   return c[CDF_LIMIT] > 0 && u > 0 ? bounded : 0;
 }
 
+static inline real dipole_sample(const real *c, real u) {
+  return find_radius(c, u, SAMPLE_STEPS);
+}
+
+static inline real dipole_sample_wide(const real *c, real u) {
+  return find_radius(c, u, SAMPLE_STEPS_WIDE);
+}
+
 CORE_KERNEL(eval_R, dipole_R)
 CORE_KERNEL(eval_cdf, dipole_cdf)
 CORE_KERNEL(eval_slope, dipole_slope)
 CORE_KERNEL(eval_ln_R, dipole_ln_R)
 CORE_KERNEL(eval_pdf, dipole_pdf)
 CORE_KERNEL(eval_ring, dipole_ring)
-CORE_KERNEL(sample, dipole_sample)
+CORE_KERNEL(sample_near, dipole_sample)
+CORE_KERNEL(sample_wide, dipole_sample_wide)
+
+static void sample(const real *restrict c, size_t n, const real *restrict u, real *restrict r) {
+  (c[Z2] > WIDE_Z2 ? sample_wide : sample_near)(c, n, u, r);
+}
 
 CORE_KERNEL_TABLE(dipole, .sample = sample,
                   .evaluate = {

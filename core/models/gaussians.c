@@ -99,8 +99,11 @@ static inline double finish_pdf(const double *c, double r, double x, double sum)
 
 static inline double finish_slope(const double *c, double r, double x, double sum) {
   const double far = beyond(r, x);
-  const double falling = 2 * times_radius(x, sum, exponent_of(c, x));
-  return -falling * (far * far) * (far * far) * 0x1p-64;
+  /* The factor 2^64 of times_radius() must not make a sum overflow: the largest sums, next to the
+   * source, are made smaller before. */
+  const bool large = sum > 0x1p100;
+  const double falling = 2 * times_radius(x, large ? sum * 0x1p-160 : sum, exponent_of(c, x));
+  return -falling * (far * far) * (far * far) * (large ? 0x1p96 : 0x1p-64);
 }
 
 static inline double finish_ln_R(const double *c, double r, double x, double sum) {
@@ -115,9 +118,11 @@ static inline double finish_ln_R(const double *c, double r, double x, double sum
 static inline double finish_cdf(const double *c, double r, double x, double sum) {
   const double inside = c[GAUSSIANS_LEAST_CDF] * (r < x ? r / x : 1);
   /* from here on 1 - cdf is less than a rounding error */
-  const bool whole = r > x || x * x * c[GAUSSIANS_SLOWEST] > 40;
+  const bool whole = x * x * c[GAUSSIANS_SLOWEST] > 40;
   const double less = c[GAUSSIANS_LIMIT] > 0 ? real_min(inside + sum, REAL_BELOW_1) : 0;
-  return whole ? c[GAUSSIANS_LIMIT] : less;
+  /* where R falls like 1 / r^3 the energy beyond r falls like 1 / r */
+  const double further = 1 - (1 - less) * beyond(r, x);
+  return whole || !(c[GAUSSIANS_LIMIT] > 0) ? c[GAUSSIANS_LIMIT] : r > x ? further : less;
 }
 
 /* Returns dR/dr below the least radius, where R is in proportion to 1 / r: -R / r. */
@@ -197,6 +202,23 @@ static double slowest_of(const core_gaussian *gaussians, size_t count) {
   return slowest < (double)INFINITY ? slowest : gaussians[0].rate;
 }
 
+/* Returns the energy beyond the least radius if R falls like 1 / r^3 from the largest one on: the
+ * energy of the Gaussians up to there, and 2 pi R r^2 beyond. */
+static double energy_with_tail(const core_gaussian *gaussians, size_t count,
+                               const core_gaussian_ends *ends) {
+  const double pi = 3.14159265358979323846;
+  const double least = ends->least_mm, most = ends->most_mm;
+  double energy = 0;
+  for (size_t i = 0; i < count; i++) {
+    const double rate = gaussians[i].rate;
+    const double left = gaussians[i].weight * real_exp(-rate * least * least).exp;
+    const double at_most = gaussians[i].weight * real_exp(-rate * most * most).exp;
+    const double within = real_exp(-rate * (most - least) * (most + least)).one_minus_exp;
+    energy += pi * left / rate * within + 2 * pi * at_most * (most * most);
+  }
+  return energy;
+}
+
 core_fault core_gaussians_table(const core_gaussian *gaussians, size_t count,
                                 const core_gaussian_ends *ends, core_preparation *preparation) {
   static const core_gaussian_ends none = {.most_mm = (double)INFINITY, .far_mm = (double)INFINITY};
@@ -223,7 +245,9 @@ core_fault core_gaussians_table(const core_gaussian *gaussians, size_t count,
     energy += to[GAUSSIANS_SHARE];
   }
   const double near_energy = 2 * pi * least_mm * least_mm * at_least;
-  const double whole = near_energy + energy;
+  const double whole =
+      near_energy +
+      (given->most_mm < (double)INFINITY ? energy_with_tail(gaussians, count, given) : energy);
   const double albedo = real_times_exp(whole, -given->shift, 0);
   const bool shines = whole >= ALBEDO_LEAST;
   const bool scatters = shines && albedo > 0; /* if false, the shares of the terms are unknown */

@@ -39,14 +39,19 @@
 
 /* Positions in the table that preparation makes. */
 enum coefficient {
-  SIGMA_T,          /* 1/mm */
-  EXPONENT,         /* e^(u_c) */
-  R_SCALE,          /* sigma_s; R is this times the sum over the nodes, divided by r */
-  RING_SCALE,       /* 2 pi sigma_s */
-  PDF_SCALE,        /* 2 pi sigma_s / albedo */
-  CDF_SCALE,        /* 2 pi sigma_s / (sigma_t albedo) */
-  CDF_LIMIT,        /* limit of the cdf at infinity: 1, or 0 if nothing scatters */
-  FAR_POWER,        /* far away the sum falls in proportion to this power of 1 / tau */
+  SIGMA_T,    /* 1/mm */
+  EXPONENT,   /* e^(u_c) */
+  R_SCALE,    /* sigma_s; R is this times the sum over the nodes, divided by r */
+  RING_SCALE, /* 2 pi sigma_s */
+  PDF_SCALE,  /* 2 pi sigma_s / albedo */
+  CDF_SCALE,  /* 2 pi sigma_s / (sigma_t albedo) */
+  CDF_LIMIT,  /* limit of the cdf at infinity: 1, or 0 if nothing scatters */
+  /* Beyond tau = FAR the sum falls like f^-FAR_POWER (1 + FAR_BEND f^-FAR_BEND_POWER), with f = tau
+   * / FAR. */
+  FAR_POWER,
+  FAR_BEND,
+  FAR_BEND_POWER,
+  NODE_COUNT,
   NODES_BEGIN,      /* first of NODE_FIELDS numbers for each node */
   NODE_FURTHER = 0, /* E - e^(u_c) */
   NODE_WEIGHT,      /* weight w of the node */
@@ -54,7 +59,15 @@ enum coefficient {
   NODE_FIELDS
 };
 
-enum { ZONE_PANELS = 18, TAIL_PANELS = 9, NODES = 16 * (ZONE_PANELS + TAIL_PANELS) };
+/* Up to this tau the nodes resolve the integrand next to the critical angle. */
+#define FAR 1e12
+
+/* TAIL_FINE: g below which the tail has panels of width 1, up to TAIL_PEAK beyond the largest value
+ * of the phase function. */
+#define TAIL_FINE (-0.25)
+#define TAIL_PEAK 6.0
+
+enum { ZONE_PANELS = 18, TAIL_PANELS_MAX = 56 };
 
 #ifdef CORE_ISA
 
@@ -64,16 +77,13 @@ enum { ZONE_PANELS = 18, TAIL_PANELS = 9, NODES = 16 * (ZONE_PANELS + TAIL_PANEL
 
 #include "core/models/blocks.h"
 
-#define FAR 1e9
-
 /* The kernels compute numerator 2^UP_EXPONENT / (r UP): so the quotient underflows only where R
  * itself does, although the exponential in the numerator may underflow earlier. */
 #define UP_EXPONENT 64
 #define UP 0x1p64
 
 static inline size_t node_count(const double *c) {
-  (void)c;
-  return NODES;
+  return (size_t)c[NODE_COUNT];
 }
 
 static inline double node(const double *c, size_t k, int field) {
@@ -115,7 +125,11 @@ static inline double finish_R(const double *c, double r, double tau, double sum)
 
 static inline double finish_slope(const double *c, double r, double tau, double sum) {
   const double ring = real_times_exp(c[R_SCALE] * sum, -c[EXPONENT] * tau, UP_EXPONENT);
-  return c[CDF_LIMIT] > 0 ? -(ring / r) / (r * UP) : 0;
+  const double near = (ring / r) / (r * UP);
+  /* Where the exponential is small, the slope is too, although 1 / r^2 may be large. */
+  const double far =
+      real_times_exp(c[R_SCALE] * sum / real_max(r * r, 1e-300), -c[EXPONENT] * tau, 0);
+  return c[CDF_LIMIT] > 0 ? -(c[EXPONENT] * tau > 300 ? far : near) : 0;
 }
 
 static inline double finish_ring(const double *c, double r, double tau, double sum) {
@@ -128,8 +142,7 @@ static inline double finish_pdf(const double *c, double r, double tau, double su
   return real_times_exp(c[PDF_SCALE] * sum, -c[EXPONENT] * tau, 0);
 }
 
-/* Returns tau for ln R, at most FAR. Up to FAR the nodes resolve the integrand next to the critical
- * angle; beyond, finish_ln_R() lets the sum fall by a power of tau. */
+/* Returns tau for ln R, at most FAR. Beyond FAR finish_ln_R() continues the sum by powers of tau. */
 static inline double begin_ln_R(const double *c, double r) {
   return real_min(r * c[SIGMA_T], FAR);
 }
@@ -137,14 +150,16 @@ static inline double begin_ln_R(const double *c, double r) {
 static inline double finish_ln_R(const double *c, double r, double near, double sum) {
   const double tau = real_max(r * c[SIGMA_T], near);
   const double positive = real_max(c[R_SCALE] * sum, 1e-300);
-  const double further = tau > FAR && tau < 1e100 ? tau * (1 / FAR) : 1;
+  const double ln_further = tau > FAR && tau < 1e100 ? real_log(tau * (1 / FAR), 0) : 0;
+  const double bend = 1 + c[FAR_BEND] * real_exp(-c[FAR_BEND_POWER] * ln_further).exp;
+  const double bent = tau > FAR ? real_log(bend / (1 + c[FAR_BEND]), 0) : 0;
   const double kept = real_min(real_max(r, 1e-300), 1e300);
   /* Near R = 1 the difference of two logarithms would cancel, so the logarithm of the quotient is
    * taken wherever the quotient is a normal number. */
   const double quotient = positive / kept;
   const bool normal = quotient > 1e-290 && quotient < 1e290;
   const double ratio = real_log(normal ? quotient : positive, 0) - real_log(normal ? 1 : kept, 0);
-  const double fallen = real_fma(-c[FAR_POWER], real_log(further, 0), ratio);
+  const double fallen = real_fma(-c[FAR_POWER], ln_further, ratio) + bent;
   const double ln_R = real_fma(-c[EXPONENT], real_min(tau, 1e100), fallen);
   const double bounded = tau < 1e100 ? ln_R : -(double)INFINITY;
   return c[CDF_LIMIT] > 0 ? (r > 0 ? bounded : (double)INFINITY) : -(double)INFINITY;
@@ -288,11 +303,31 @@ static void add_zone(struct rule *rule, double end_of_zone) {
   }
 }
 
-/* Adds the tail beyond the zone, in u: the panels grow, because the integrand falls like e^(-u). */
+/* Writes the ends of the tail's panels, in u less u_c, and returns their number less 1. The panels
+ * grow, because the integrand falls like e^(-u). For g near -1 it first rises like e^(2 u), as far as
+ * the phase function rises: up to E = 2 / (1 + g). */
+static int tail_ends(double g, double *ends) {
+  static const double growing[] = {1, 2.5, 4.5, 7, 10, 13.5, 18.5, 26.5, 39.5};
+  const double peak = g < TAIL_FINE ? real_log(2 / (1 + g), 0) + TAIL_PEAK : ZONE;
+  int count = 0;
+  ends[0] = ZONE;
+  while (ends[count] < peak) {
+    ends[count + 1] = ends[count] + 1;
+    count++;
+  }
+  const double from = ends[count];
+  for (size_t i = 0; i < sizeof growing / sizeof growing[0]; i++) {
+    ends[++count] = from + growing[i];
+  }
+  return count;
+}
+
+/* Adds the tail beyond the zone, in u. */
 static void add_tail(struct rule *rule) {
-  static const double ends[TAIL_PANELS + 1] = {ZONE, 1.5, 3, 5, 7.5, 10.5, 14, 19, 27, 40};
+  double ends[TAIL_PANELS_MAX + 1];
   const double eta = rule->eta;
-  for (int panel = 0; panel < TAIL_PANELS; panel++) {
+  const int panels = tail_ends(rule->g, ends);
+  for (int panel = 0; panel < panels; panel++) {
     const double width = ends[panel + 1] - ends[panel];
     for (int i = 0; i < 2 * CORE_GAUSS_HALF; i++) {
       const double E = rule->least * real_exp_signed(fma(width, core_gauss_node(i), ends[panel]));
@@ -304,12 +339,40 @@ static void add_tail(struct rule *rule) {
   }
 }
 
+/* Returns the sum of R_term() at tau. */
+static double sum_at(const double *c, double tau) {
+  double sum = 0;
+  for (size_t k = 0; k < (size_t)c[NODE_COUNT]; k++) {
+    const double *node = &c[NODES_BEGIN + k * NODE_FIELDS];
+    sum += node[NODE_WEIGHT] * real_exp(-tau * node[NODE_FURTHER]).exp;
+  }
+  return sum;
+}
+
+/* Next to the critical angle w is in proportion to (E - e^(u_c))^q, so that the sum falls in
+ * proportion to tau^-(q + 1). Here q is 1/2 for eta > 1, where T is like a square root; 1 for eta =
+ * 1, where T = 1; and 2 for eta < 1, where T is in proportion to mu at grazing incidence. The next
+ * term of w has a power that is larger by 1/2 for eta > 1, else by 1. Its factor, FAR_BEND, follows
+ * from the sum at FAR and at an earlier tau. */
+static void set_far(double *c, double eta) {
+  const double earlier = 16;
+  const double power = eta > 1 ? 1.5 : eta < 1 ? 3 : 2;
+  const double rise = eta > 1 ? 4 : 16;                    /* earlier^FAR_BEND_POWER */
+  const double fall = eta > 1 ? 64 : eta < 1 ? 4096 : 256; /* earlier^power */
+  const double ratio = sum_at(c, FAR / earlier) / fall / sum_at(c, FAR);
+  c[FAR_POWER] = power;
+  c[FAR_BEND_POWER] = eta > 1 ? 0.5 : 1;
+  c[FAR_BEND] = (ratio - 1) / (rise - ratio);
+}
+
 core_fault core_single_prepare(const core_inputs *inputs, core_preparation *preparation) {
   const core_medium *medium = inputs->medium;
   const double eta = medium->eta;
   const double sigma_s = medium->sigma_s_per_mm;
   const double sigma_t = medium->sigma_a_per_mm + sigma_s;
-  preparation->table_bytes = (NODES_BEGIN + NODES * NODE_FIELDS) * sizeof(double);
+  double ends[TAIL_PANELS_MAX + 1];
+  const size_t nodes = 2 * CORE_GAUSS_HALF * (size_t)(ZONE_PANELS + tail_ends(medium->g, ends));
+  preparation->table_bytes = (NODES_BEGIN + nodes * NODE_FIELDS) * sizeof(double);
   double *c = malloc(preparation->table_bytes);
   if (c == NULL) {
     return CORE_OUT_OF_MEMORY;
@@ -319,7 +382,7 @@ core_fault core_single_prepare(const core_inputs *inputs, core_preparation *prep
   add_zone(&rule, rule.least * real_exp_signed(ZONE));
   add_tail(&rule);
   double energy = 0;
-  for (size_t k = 0; k < NODES; k++) {
+  for (size_t k = 0; k < nodes; k++) {
     energy += c[NODES_BEGIN + k * NODE_FIELDS + NODE_ENERGY];
   }
   const double two_pi = 6.28318530717958647693;
@@ -333,10 +396,8 @@ core_fault core_single_prepare(const core_inputs *inputs, core_preparation *prep
   c[PDF_SCALE] = scatters ? c[RING_SCALE] / preparation->albedo : 0;
   c[CDF_SCALE] = 1 / energy;
   c[CDF_LIMIT] = scatters;
-  /* Next to the critical angle w is in proportion to (E - e^(u_c))^q, so that the sum falls in
-   * proportion to tau^-(q + 1). Here q is 1/2 for eta > 1, where T is like a square root; 1 for eta
-   * = 1, where T = 1; and 2 for eta < 1, where T is in proportion to mu at grazing incidence. */
-  c[FAR_POWER] = medium->eta > 1 ? 1.5 : medium->eta < 1 ? 3 : 2;
+  c[NODE_COUNT] = (double)nodes;
+  set_far(c, eta);
   preparation->table = c;
   preparation->error = SINGLE_ERROR;
   preparation->error_epsilons = 4;

@@ -207,7 +207,8 @@ CORE_KERNEL_TABLE_NONE(transport);
 /* cost of one value in kernel evaluations of a dipole, measured with `build/bench kernel` */
 #define COST 8
 
-/* A single-scattering albedo below this is taken as 0. */
+/* For a smaller single-scattering albedo the medium is solved with this one, and the result is
+ * scaled: R is then in proportion to the albedo, to that many digits. */
 #define ALBEDO_LEAST 1e-12
 
 core_check_function core_transport_check;
@@ -252,7 +253,7 @@ struct source {
  * albedo of 1 it solves 1 - 2^-53, where kappa = 1.8e-8. logarithm_at() divides out the factor (1 +
  * kappa x) e^(-kappa x) by which the two profiles differ. */
 static double solvable_albedo(double albedo) {
-  return fmin(albedo, 1 - 0x1p-53);
+  return fmin(fmax(albedo, ALBEDO_LEAST), 1 - 0x1p-53);
 }
 
 /* Returns L = ln(x R) + kappa x at y = ln x, from the source. */
@@ -285,11 +286,12 @@ static void fit_panel(struct source *source, double y, double *series) {
   }
 }
 
-static void set_scales(double *c, double sigma_t_prime, bool scatters) {
+/* share: factor of R; 0 if nothing scatters. */
+static void set_scales(double *c, double sigma_t_prime, double share) {
   c[MFP_PER_MM] = sigma_t_prime;
-  c[LIMIT] = scatters;
-  c[R_SCALE] = scatters ? sigma_t_prime * sigma_t_prime : 0;
-  c[RING_SCALE] = scatters ? 6.28318530717958647693 * sigma_t_prime : 0;
+  c[LIMIT] = share > 0;
+  c[R_SCALE] = share * (sigma_t_prime * sigma_t_prime);
+  c[RING_SCALE] = share * (6.28318530717958647693 * sigma_t_prime);
   c[SLOPE_SCALE] = c[R_SCALE] * sigma_t_prime;
 }
 
@@ -333,8 +335,9 @@ static void lay_panels(struct source *source, double ln_first, double ln_last) {
   source->panels = (size_t)panels;
 }
 
-/* Makes the table of a profile that scatters, and adds it to the preparation. */
-static core_fault fill(const core_inputs *inputs, struct source *source,
+/* Makes the table of a profile that scatters, `share` times the source, and adds it to the
+ * preparation. */
+static core_fault fill(const core_inputs *inputs, struct source *source, double share,
                        core_preparation *preparation) {
   const double sigma_t_prime = core_sigma_t_prime(inputs->medium);
   const double mfp_mm = 1 / sigma_t_prime;
@@ -350,7 +353,7 @@ static core_fault fill(const core_inputs *inputs, struct source *source,
   if (c == NULL) {
     return CORE_OUT_OF_MEMORY;
   }
-  set_scales(c, sigma_t_prime, true);
+  set_scales(c, sigma_t_prime, share);
   set_series(source, c);
   core_kernel_f64 *ring =
       core_isa_kernels(inputs->isa, CORE_MODEL_TRANSPORT)->f64->evaluate[CORE_ELEMENTWISE_RING];
@@ -368,7 +371,7 @@ static core_fault fill_nothing(double sigma_t_prime, core_preparation *preparati
   if (c == NULL) {
     return CORE_OUT_OF_MEMORY;
   }
-  set_scales(c, sigma_t_prime, false);
+  set_scales(c, sigma_t_prime, 0);
   c[PANELS] = 1;
   c[FIRST_X] = FIRST;
   c[LAST_X] = LAST;
@@ -386,6 +389,7 @@ static core_fault solve_and_fill(const core_inputs *inputs, double albedo, doubl
   const core_medium *medium = inputs->medium;
   const double tolerance = fmin(0.5 * asked, TRANSPORT_TOLERANCE_MAX);
   const double solvable = solvable_albedo(albedo);
+  const double share = albedo < ALBEDO_LEAST ? albedo / ALBEDO_LEAST : 1;
   transport_solution *solution = NULL;
   core_fault fault = solve(inputs, solvable, tolerance, &solution);
   if (fault.field == NULL) {
@@ -393,13 +397,13 @@ static core_fault solve_and_fill(const core_inputs *inputs, double albedo, doubl
      * absorption itself. */
     const bool shows = albedo <= solvable;
     const double absorbed = medium->sigma_a_per_mm / core_sigma_t_prime(medium);
-    const double kappa = shows ? transport_kappa(albedo) : sqrt(3 * absorbed);
+    const double kappa = shows ? transport_kappa(solvable) : sqrt(3 * absorbed);
     const double reach = kappa * LAST > LAST_EXPONENT ? LAST_EXPONENT / kappa : LAST;
     struct source source = {
         .solution = solution, .kappa = kappa, .extra_kappa = shows ? 0 : transport_kappa(solvable)};
     lay_panels(&source, real_log(FIRST, 0), real_log(reach, 0));
-    fault = fill(inputs, &source, preparation);
-    preparation->albedo = transport_total(solution).value;
+    fault = fill(inputs, &source, share, preparation);
+    preparation->albedo = transport_total(solution).value * share;
     preparation->error = fmax(asked, source.error);
   }
   transport_solution_free(solution);
@@ -424,7 +428,7 @@ static core_fault look_up(const core_inputs *inputs, double albedo, const transp
   lay_panels(&source, series.edge[0], series.edge[TRANSPORT_TABLE_PANELS]);
   preparation->albedo = series.total;
   preparation->error = transport_table_error(table) + TOLERANCE_LEAST;
-  return fill(inputs, &source, preparation);
+  return fill(inputs, &source, 1, preparation);
 }
 
 /* Returns the table of solutions if it covers this medium and is as accurate as inputs->tabulated
@@ -443,7 +447,7 @@ core_fault core_transport_prepare(const core_inputs *inputs, core_preparation *p
   preparation->notes = core_similarity_note(inputs);
   preparation->error = asked;
   preparation->cost = COST;
-  if (albedo < ALBEDO_LEAST) {
+  if (!(albedo > 0)) {
     return fill_nothing(sigma_t_prime, preparation);
   }
   preparation->reach = core_transport_reach(inputs->medium);

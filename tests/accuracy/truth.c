@@ -1,26 +1,43 @@
-/* truth [SECONDS [SEED]]: is every stated error true?
+/* truth: is every stated error true?
  *
- * Until the time is over, a model, a medium, moments and parameters are drawn from the whole domain,
- * more often from the usual part of it. Each evaluator's values at random radii are compared with
- * the model's formula in 113 bits (the dipoles: in MPFR, tests/accuracy/reference.c), written as the
- * papers print it or integrated another way than the kernels do, and the difference with the error
- * that the profile states. Two models have no such formula: `transport` is compared with itself at
- * its tightest tolerance, and `gaussians` with the model that it was fitted to.
+ *   truth [--seconds N | --rounds N] [--seed N] [--model ID] [--workers N]
  *
- * The program prints its seed, how many values of each class it compared, and each class's largest
- * error as a share of what was stated. Its exit status is 1 if one was larger than stated.
+ * A round draws, for every model, a medium, moments and parameters from the whole domain, more
+ * often from the usual part of it. The program compares each evaluator's values at random radii
+ * with the model's formula and their difference with the error that the profile states:
+ *
+ * - f64 and f32 at a few radii with the formula in 113 bits, or in 64 bits where it is an integral
+ *   (tests/accuracy/forms.c; one of 24 radii in 113 bits), and models of the dipole family at
+ *   some radii also with MPFR (tests/accuracy/reference.c);
+ * - f32, lut, and an f64 to whose request a tolerance was added, at many radii with f64 at its
+ *   tightest tolerance, which the first comparison checks in the same round. A value that differs
+ *   by more than 0.9 of its stated error is compared with the formula itself.
+ *
+ * Two models have no formula: `transport` is compared with itself at its tightest tolerance, and
+ * the stated errors of both are added; `gaussians` is compared with the model that it was fitted to.
+ * Besides values the rounds check samples (core_sample), inversions (core_invert_albedo), that a cdf
+ * never falls once it is 1, and the stated errors of models against solutions of transport.
+ *
+ * Each processor runs rounds of its own. The program prints its seed, how many values of each class
+ * it compared, and each class's largest error as a share of what was stated. Its exit status is 1
+ * if one was larger than stated. The same seed and number of rounds give the same comparisons.
  */
+#include <assert.h>
 #include <float.h>
+#include <getopt.h>
 #include <math.h>
+#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/mman.h>
+#include <sys/prctl.h>
+#include <sys/wait.h>
 #include <time.h>
+#include <unistd.h>
 
-#include "core/kernels.h"
-#include "tests/accuracy/reference.h"
-
-typedef _Float128 quad;
+#include "core/transport/transport.h"
+#include "tests/accuracy/forms.h"
 
 /* ---- random numbers (Vigna's splitmix64) --------------------------------------------------------- */
 
@@ -43,673 +60,63 @@ static double log_between(uint64_t *state, double low, double high) {
   return exp(between(state, log(low), log(high)));
 }
 
-static const quad pi = 3.14159265358979323846264338327950288Q;
+/* ---- what is counted ---------------------------------------------------------------------------- */
 
-/* ---- what is drawn ----------------------------------------------------------------------------- */
+/* The classes of checks: the elementwise quantities, then those below. */
+enum check {
+  ALBEDO = CORE_ELEMENTWISE_COUNT,
+  CDF_END, /* a cdf stays 1 */
+  SAMPLE,
+  INVERSION,
+  MODEL_ERROR,
+  CHECKS
+};
 
-enum family { DIPOLE, EXTENDED, QUANTIZED, SINGLE, BURLEY, SKIN, SLAB, FIT, TRANSPORT, SUM };
+static const char *const check_names[CHECKS] = {
+#define CORE_QUANTITY(bit, IDENT, name, unit, SHAPE)                                               \
+  CORE_IF_##SHAPE([CORE_ELEMENTWISE_##IDENT] = name, )
+#include "core/choices.def"
+    [ALBEDO] = "albedo",
+    [CDF_END] = "cdf stays 1",
+    [SAMPLE] = "sample",
+    [INVERSION] = "inversion",
+    [MODEL_ERROR] = "model error"};
 
-static const struct formula {
-  unsigned id;
-  const char *name;
-  int variant;
-  unsigned parts[2]; /* of a sum */
-} formulas[] = {
-#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source)                 \
-  {id, #formula, variant, {0}},
-#define CORE_SUM(id, IDENT, name, FIRST, SECOND, source)                                           \
-  {id, "sum", 0, {CORE_MODEL_##FIRST, CORE_MODEL_##SECOND}},
+static const enum core_quantity quantities[CORE_ELEMENTWISE_COUNT] = {
+#define CORE_QUANTITY(bit, IDENT, name, unit, SHAPE)                                               \
+  CORE_IF_##SHAPE([CORE_ELEMENTWISE_##IDENT] = CORE_QUANTITY_##IDENT, )
+#include "core/choices.def"
+};
+
+static const unsigned models[] = {
+#define CORE_MODEL(id, IDENT, name, formula, kernels, variant, parameters, source) id,
+#define CORE_SUM(id, IDENT, name, FIRST, SECOND, source) id,
 #include "core/models.def"
 };
-enum { MODELS = sizeof formulas / sizeof formulas[0], EVALUATORS = 3 };
 
-static enum family family_of(const struct formula *formula) {
-  static const char *const names[] = {"dipole",    "extended", "",    "single",    "burley",
-                                      "gaussians", "cloud",    "fit", "transport", "sum"};
-  if (formula->id == CORE_MODEL_QUANTIZED) {
-    return QUANTIZED;
-  }
-  for (enum family f = DIPOLE;; f++) {
-    if (strcmp(formula->name, names[f]) == 0) {
-      return f;
-    }
-  }
-}
+/* FINE is f64 at its tightest tolerance. */
+enum evaluator { F64, F32, LUT, FINE, EVALUATORS };
 
-static const struct formula *formula_of(unsigned model) {
-  size_t i = 0;
-  while (formulas[i].id != model) {
-    i++;
-  }
-  return &formulas[i];
-}
+static const unsigned evaluator_ids[EVALUATORS] = {CORE_EVALUATOR_F64, CORE_EVALUATOR_F32,
+                                                   CORE_EVALUATOR_LUT, CORE_EVALUATOR_F64};
+static const char *const evaluator_names[EVALUATORS] = {"f64", "f32", "lut", "f64"};
 
-struct subject {
-  const struct formula *formula;
-  enum family family;
-  enum core_moments moments;
-  core_medium medium;
-  core_parameters parameters;
-  quad sigma_t_prime, scattered, absorbed; /* 1/mm; the others per sigma_t' */
-  quad diffusion, mu, two_zb, c_phi, c_flux, prefactor;
-  quad albedo; /* NaN: not known */
-  quad S_per_R;
+enum { MODELS = sizeof models / sizeof models[0], SHOWN = 3 };
+
+struct class {
+  unsigned long long values, by_form, violations; /* by_form: of these, compared with the formula */
+  double worst;                                   /* error over what was stated */
 };
 
-static quad to_quad(const mpfr_t x) {
-  if (!mpfr_regular_p(x)) {
-    return (quad)mpfr_get_d(x, MPFR_RNDN);
-  }
-  mpfr_t rest;
-  mpfr_init2(rest, mpfr_get_prec(x));
-  const long exponent = mpfr_get_exp(x);
-  mpfr_mul_2si(rest, x, -exponent, MPFR_RNDN);
-  quad sum = 0;
-  for (int i = 0; i < 3; i++) {
-    const double part = mpfr_get_d(rest, MPFR_RNDN);
-    sum += (quad)part;
-    mpfr_sub_d(rest, rest, part, MPFR_RNDN);
-  }
-  mpfr_clear(rest);
-  return scalbnf128(sum, exponent < -30000 ? -30000 : exponent > 30000 ? 30000 : (int)exponent);
-}
-
-/* Fresnel's transmittance from outside, unpolarized. */
-static quad transmittance(quad eta, quad outside) {
-  const quad squared = 1 - (1 - outside * outside) / (eta * eta);
-  if (squared <= 0 || outside <= 0) {
-    return 0;
-  }
-  const quad inside = sqrtf128(squared);
-  const quad s = eta * inside + outside;
-  const quad p = eta * outside + inside;
-  return 2 * eta * inside * outside * (1 / (s * s) + 1 / (p * p));
-}
-
-/* The coefficients of d'Eon 2012, Table 2, in mean free paths. */
-static void set_table_2(struct subject *s) {
-  const core_medium *m = &s->medium;
-  const enum family family = s->family;
-  const int switches = family == SLAB || family == DIPOLE ? s->formula->variant : 7;
-  const reference_fresnel *fresnel = reference_fresnel_moments(s->moments, m->eta);
-  const quad lost1 = to_quad(fresnel->one_minus_2c1);
-  const quad lost2 = to_quad(fresnel->one_minus_3c2);
-  const quad sigma_s_prime = (quad)m->sigma_s_per_mm * (1 - (quad)m->g);
-  s->sigma_t_prime = (quad)m->sigma_a_per_mm + sigma_s_prime;
-  s->absorbed = (quad)m->sigma_a_per_mm / s->sigma_t_prime;
-  s->scattered = sigma_s_prime / s->sigma_t_prime;
-  s->diffusion = (switches & CORE_DIPOLE_GROSJEAN) != 0 ? (1 + s->absorbed) / 3 : (quad)1 / 3;
-  s->prefactor =
-      (switches & CORE_DIPOLE_GROSJEAN) != 0 ? s->scattered * s->scattered : s->scattered;
-  s->mu = sqrtf128(s->absorbed / s->diffusion);
-  const quad lost = (switches & CORE_DIPOLE_BOUNDARY) != 0 ? lost2 : lost1;
-  s->two_zb = 4 * (2 - lost) / lost1 * s->diffusion;
-  s->c_phi = (switches & CORE_DIPOLE_EXITANCE) != 0 ? lost1 / 4 : 0;
-  s->c_flux = (switches & CORE_DIPOLE_EXITANCE) != 0 ? lost2 / 2 : 1;
-}
-
-/* ---- the models' formulas ---------------------------------------------------------------------- */
-
-/* At one radius: R e^shift, -dR/dr e^shift, the energy within r, and that over the albedo. NaN: not
- * known. */
-struct truth {
-  quad R, slope, shift, cdf;
+/* Shared by all workers; each writes its own counts. */
+struct worker {
+  struct class classes[MODELS][EVALUATORS][CHECKS];
+  double seconds[MODELS];
 };
 
-static reference_dipole dipole;
-static reference_values dipole_values;
-
-static struct truth dipole_truth(struct subject *s, double r) {
-  reference_dipole_evaluate(&dipole, r, &dipole_values);
-  const quad ln_R = to_quad(dipole_values.of[CORE_ELEMENTWISE_LN_R]);
-  s->albedo = to_quad(dipole.albedo);
-  const quad shift = ln_R < -10000 && !isinf(ln_R) ? -ln_R : 0;
-  return (struct truth){
-      .R = shift > 0 ? 1 : to_quad(dipole_values.of[CORE_ELEMENTWISE_R]),
-      .slope = shift > 0 ? 0 : -to_quad(dipole_values.of[CORE_ELEMENTWISE_SLOPE]),
-      .shift = shift,
-      .cdf = to_quad(dipole_values.of[CORE_ELEMENTWISE_CDF]),
-  };
-}
-
-/* The integral over depth z = e^s by the trapezoidal rule. */
-static struct truth extended_truth(struct subject *s, double r) {
-  const bool kappa = s->family == EXTENDED && s->formula->variant == 1;
-  const quad x = (quad)r * s->sigma_t_prime, mu = s->mu, step = 0.19Q;
-  const quad source = s->prefactor / (4 * pi);
-  const quad share = -expm1f128(-mu * s->two_zb), mirrored = 1 - share;
-  const quad spread = mu > 0 ? share / mu : s->two_zb;
-  const quad all = s->c_flux * (1 + mirrored) + s->c_phi / s->diffusion * spread;
-  s->albedo = kappa ? (quad)NAN : s->prefactor / 2 * all / (1 + mu);
-  quad R = 0, slope = 0, energy = 0;
-  const quad near = fmaxf128(fminf128(x, 1), 1e-60Q);
-  for (quad t = logf128(near) - 50; t < 4.6Q; t += step) {
-    const quad z = expf128(t), z2 = z + s->two_zb;
-    const quad d1 = hypotf128(x, z), d2 = hypotf128(x, z2);
-    const quad a1 = x * (x / (d1 + z)), a2 = x * (x / (d2 + z2));
-    const quad e1 = expf128(-mu * (d1 - x) - z), e2 = expf128(-mu * (d2 - x) - z);
-    const quad apart = s->two_zb * (z + z2) / (d1 + d2);
-    const quad f1 = e1 / d1, f2 = e2 / d2;
-    const quad g1 = f1 / d1 * (mu + 1 / d1), g2 = f2 / d2 * (mu + 1 / d2);
-    const quad h1 = f1 * (mu * mu + 3 * mu / d1 + 3 / (d1 * d1)) / (d1 * d1);
-    const quad h2 = f2 * (mu * mu + 3 * mu / d2 + 3 / (d2 * d2)) / (d2 * d2);
-    /* f1 - f2 and g1 - g2 with the digits of d2 - d1 */
-    const quad lost = -expm1f128(-mu * apart), i1 = 1 / d1, i2 = 1 / d2;
-    const quad fluence = e1 * i1 * i2 * (apart + d1 * lost);
-    const quad squares = apart * i1 * i2 * (i1 + i2);
-    const quad steeper = e1 * (mu * squares + apart * i1 * i2 * (i1 * i1 + i1 * i2 + i2 * i2) +
-                               (mu * i2 * i2 + i2 * i2 * i2) * lost);
-    const quad braces = s->c_phi / s->diffusion * fluence + s->c_flux * (z * g1 + z2 * g2);
-    const quad steep = x * (s->c_phi / s->diffusion * steeper + s->c_flux * (z * h1 + z2 * h2));
-    const quad factor = kappa ? -expm1f128(-2 * (d1 + z)) : 1;
-    const quad rising = kappa ? 2 * x / d1 * expf128(-2 * (d1 + z)) : 0;
-    R += z * factor * braces;
-    slope += z * (factor * steep - rising * braces);
-    const quad gone1 = -expm1f128(-mu * a1), gone2 = -expm1f128(-mu * a2);
-    const quad flux = (a1 + z * gone1) / d1 + mirrored * (a2 + z2 * gone2) / d2;
-    const quad left = expf128(-mu * a1) * (mu > 0 ? lost / mu : apart);
-    const quad phi = x > 1 ? spread - left : mu > 0 ? (gone1 - mirrored * gone2) / mu : a1 - a2;
-    energy += z * expf128(-z * (1 + mu)) * (s->c_flux * flux + s->c_phi / s->diffusion * phi);
-  }
-  const quad squared = s->sigma_t_prime * s->sigma_t_prime;
-  return (struct truth){.R = r > 0 ? source * squared * step * R : (quad)INFINITY,
-                        .slope = r > 0 ? source * squared * s->sigma_t_prime * step * slope
-                                       : (quad)INFINITY,
-                        .shift = mu * x,
-                        .cdf = kappa ? (quad)NAN : step * energy * (1 + mu) / all};
-}
-
-/* The integral over u = u_c + ln(1 + e^s); its nodes do not depend on r. */
-enum { SINGLE_NODES = 1100, SINGLE_BELOW = 700 };
-static struct {
-  quad further[SINGLE_NODES], weight[SINGLE_NODES], energy[SINGLE_NODES], sum, least;
-} beam;
-
-static void prepare_single(struct subject *s) {
-  const quad eta = (quad)s->medium.eta, g = (quad)s->medium.g, step = 0.14Q;
-  const quad above = eta > 1 ? eta - 1 + sqrtf128((eta - 1) * (eta + 1)) : 0; /* e^(u_c) - 1 */
-  beam.least = 1 + above;
-  beam.sum = 0;
-  for (int i = 0; i < SINGLE_NODES; i++) {
-    const quad e = expf128((i - SINGLE_BELOW) * step);
-    const quad E1 = above + beam.least * e, E = 1 + E1, cosh = (E + 1 / E) / 2; /* E = e^u */
-    const quad mu = E1 * (2 + E1) / (E * E + 1);
-    /* mu^2 - cos_c^2 = sinh(u - u_c) sinh(u + u_c) / (cosh(u) cosh(u_c))^2, and cosh(u_c) = eta */
-    const quad sum1 = above * (2 + above) + beam.least * beam.least * e; /* e^(u + u_c) - 1 */
-    const quad over = e * (2 + e) / (1 + e) * sum1 * (2 + sum1) / (1 + sum1) / (4 * cosh * cosh);
-    const quad outside = sqrtf128(eta > 1 ? over : (1 - eta) * (1 + eta) + eta * eta * mu * mu);
-    const quad S = eta * mu + outside, P = eta * outside + mu;
-    const quad T = 2 * eta * mu * outside * (1 / (S * S) + 1 / (P * P));
-    const quad turned = (1 + g) * (1 + g) - 4 * g / (1 + E * E); /* 1 + g^2 + 2 g mu */
-    const quad phase = (1 - g) * (1 + g) / (4 * pi * turned * sqrtf128(turned));
-    beam.further[i] = beam.least * e;
-    beam.weight[i] = step * e / (1 + e) * phase * T * mu / cosh;
-    beam.energy[i] = beam.weight[i] / E;
-    beam.sum += beam.energy[i];
-  }
-  const quad sigma_s = (quad)s->medium.sigma_s_per_mm;
-  s->albedo = 2 * pi * sigma_s / (sigma_s + (quad)s->medium.sigma_a_per_mm) * beam.sum;
-}
-
-static struct truth single_truth(struct subject *s, double r) {
-  const quad sigma_t = (quad)s->medium.sigma_a_per_mm + (quad)s->medium.sigma_s_per_mm;
-  const quad tau = sigma_t * (quad)r;
-  quad sum = 0, steep = 0, energy = 0;
-  for (int i = 0; i < SINGLE_NODES; i++) {
-    const quad exponent = tau * beam.further[i];
-    if (exponent < 100) {
-      const quad left = beam.weight[i] * expf128(-exponent);
-      sum += left;
-      steep += left * (1 + tau * (beam.further[i] + beam.least));
-    }
-    energy -= beam.energy[i] * expm1f128(-exponent - tau * beam.least);
-  }
-  const quad ring = (quad)s->medium.sigma_s_per_mm / (quad)r;
-  return (struct truth){.R = r > 0 ? ring * sum : (quad)INFINITY,
-                        .slope = r > 0 ? ring / (quad)r * steep : (quad)INFINITY,
-                        .shift = tau * beam.least,
-                        .cdf = energy / beam.sum};
-}
-
-static struct truth burley_truth(struct subject *s, double r) {
-  const double given = s->parameters.value[CORE_PARAMETER_SURFACE_ALBEDO];
-  quad A = (quad)given;
-  if (isnan(given)) {
-    reference_dipole_prepare(&dipole, 7, s->moments, &s->medium);
-    A = fminf128(to_quad(dipole.albedo), 1);
-  }
-  const int variant = s->formula->variant;
-  const quad away = A - 0.8Q, third = A - 0.33Q;
-  const quad ratio = variant == CORE_BURLEY_SEARCHLIGHT
-                         ? 1.85Q - A + 7 * fabsf128(away * away * away)
-                     : variant == CORE_BURLEY_DIFFUSE ? 1.9Q - A + 3.5Q * away * away
-                                                      : 3.5Q + 100 * third * third * third * third;
-  const quad mu_tr = s->sigma_t_prime * s->mu;
-  const quad d = 1 / (ratio * (variant == CORE_BURLEY_DMFP ? mu_tr : s->sigma_t_prime));
-  const quad x = (quad)r / d, fast = expf128(-2 * x / 3);
-  const quad R = A * (1 + fast) / (8 * pi * d * (quad)r);
-  s->albedo = A;
-  return (struct truth){.R = R,
-                        .slope = r > 0 ? R / (quad)r +
-                                             A * (1 / (quad)3 + fast) / (8 * pi * d * d * (quad)r)
-                                       : (quad)INFINITY,
-                        .shift = x / 3,
-                        .cdf = -(expm1f128(-x) + 3 * expm1f128(-x / 3)) / 4};
-}
-
-static struct truth skin_truth(struct subject *s, double r) {
-  static const double v[] = {0.0064, 0.0484, 0.187, 0.567, 1.99, 7.41};
-  static const double w[][6] = {{0.233, 0.100, 0.118, 0.113, 0.358, 0.078},
-                                {0.455, 0.336, 0.198, 0.007, 0.004, 0},
-                                {0.649, 0.344, 0, 0.007, 0, 0}};
-  static const double widest[] = {7.41, 1.99, 0.567};
-  const quad squared = (quad)r * (quad)r;
-  struct truth truth = {.shift = squared / (2 * (quad)widest[s->formula->variant])};
-  s->albedo = 0;
-  for (int i = 0; i < 6; i++) {
-    const quad weight = (quad)w[s->formula->variant][i], variance = (quad)v[i];
-    const quad part =
-        weight > 0 ? weight / (2 * pi * variance) * expf128(truth.shift - squared / (2 * variance))
-                   : 0;
-    truth.R += part;
-    truth.slope += part * (quad)r / variance;
-    truth.cdf -= weight * expm1f128(-squared / (2 * variance));
-    s->albedo += weight;
-  }
-  truth.cdf /= s->albedo;
-  return truth;
-}
-
-/* What leaves a slab at time t, times e^(y^2 / (4 D t)): all images while the cloud is young, else
- * all modes, one by one. */
-struct slab {
-  quad y, length, wave, rate;
-};
-
-static quad leaves_slab(const struct subject *s, const struct slab *slab, quad time) {
-  const quad dt = s->diffusion * time, zb = s->two_zb / 2;
-  quad sum = 0;
-  if (dt < slab->length * slab->length / 10) {
-    for (int i = -3; i <= 3; i++) {
-      for (int sign = -1; sign <= 1; sign += 2) {
-        /* seen from the boundary: images at 2 i L + y and 2 i L - y - 2 z_b */
-        const quad q = 2 * i * slab->length + (sign > 0 ? slab->y : -slab->y - 2 * zb);
-        const quad g = expf128((slab->y * slab->y - q * q) / (4 * dt)) / sqrtf128(4 * pi * dt);
-        sum += sign * g * (s->c_phi + s->c_flux * q / (2 * time));
-      }
-    }
-    return sum;
-  }
-  for (int n = 1; n <= 13; n++) {
-    const quad k = n * slab->wave;
-    const quad flux = s->diffusion * k * cosf128(k * zb);
-    sum += sinf128(k * (slab->y + zb)) * expf128(slab->y * slab->y / (4 * dt) - dt * k * k) *
-           (s->c_phi * sinf128(k * zb) + s->c_flux * flux);
-  }
-  return 2 / slab->length * sum;
-}
-
-/* The integral over time t = t_0 e^u by the trapezoidal rule, around the saddle point t_0 of
- * e^(-rate t - (x^2 + y^2) / (4 D t)). energy: of all radii and within x, else R. */
-static void integrate_slab(const struct subject *s, const struct slab *slab, quad x, bool energy,
-                           quad sums[2]) {
-  const quad rho = hypotf128(energy ? 0 : x, slab->y);
-  const quad sharp = rho * sqrtf128(slab->rate / s->diffusion);
-  const quad middle = rho / (2 * sqrtf128(slab->rate * s->diffusion));
-  const quad step = fminf128(0.18Q, 0.5Q / sqrtf128(sharp));
-  const int most = (int)(acoshf128(1 + 90 / sharp) / step) + 1;
-  sums[0] = sums[1] = 0;
-  for (int i = -most; i <= most; i++) {
-    const quad time = middle * expf128(i * step), fourth = 4 * s->diffusion * time;
-    const quad alive = expf128(sharp - s->absorbed * time - rho * rho / fourth);
-    const quad part = step * time * alive * leaves_slab(s, slab, time) * s->prefactor;
-    const quad across = energy ? 1 : part / (pi * fourth);
-    sums[0] += energy ? part : across;
-    sums[1] += energy ? -part * expm1f128(-x * x / fourth) : across * 2 * x / fourth;
-  }
-}
-
-static struct truth slab_truth(struct subject *s, double r) {
-  const quad thickness = (quad)s->parameters.value[CORE_PARAMETER_THICKNESS] * s->sigma_t_prime;
-  struct slab slab = {.length = thickness + s->two_zb};
-  slab.y = (s->formula->variant & CORE_SLAB_TRANSMITTED) != 0 ? thickness - 1 : 1;
-  slab.wave = pi / slab.length;
-  slab.rate = s->absorbed + s->diffusion * slab.wave * slab.wave;
-  const quad x = (quad)r * s->sigma_t_prime;
-  const quad kappa = sqrtf128(slab.rate / s->diffusion);
-  quad energy[2], at[2];
-  integrate_slab(s, &slab, x, true, energy);
-  s->albedo = energy[0] * expf128(-kappa * slab.y);
-  integrate_slab(s, &slab, x, false, at);
-  const quad squared = s->sigma_t_prime * s->sigma_t_prime;
-  return (struct truth){at[0] * squared, at[1] * squared * s->sigma_t_prime,
-                        kappa * hypotf128(x, slab.y), energy[1] / energy[0]};
-}
-
-/* A member of the family alone; a sum's truth is that of both parts. */
-static struct truth truth_of(struct subject *s, double r) {
-  if (isinf(r) || !(s->scattered > 0)) {
-    return (struct truth){0, 0, 0, s->scattered > 0};
-  }
-  switch (s->family) {
-  case DIPOLE:
-    return dipole_truth(s, r);
-  case EXTENDED:
-  case QUANTIZED:
-    return extended_truth(s, r);
-  case SINGLE:
-    return single_truth(s, r);
-  case BURLEY:
-    return burley_truth(s, r);
-  case SKIN:
-    return skin_truth(s, r);
-  case SLAB:
-    return slab_truth(s, r);
-  default:
-    return (struct truth){(quad)NAN, (quad)NAN, 0, (quad)NAN};
-  }
-}
-
-static void set_subject(struct subject *s, unsigned model) {
-  s->formula = formula_of(model);
-  s->family = family_of(s->formula);
-  s->albedo = (quad)NAN;
-  set_table_2(s);
-  if (s->family == DIPOLE) {
-    reference_dipole_prepare(&dipole, s->formula->variant, s->moments, &s->medium);
-    s->albedo = to_quad(dipole.albedo);
-  } else if (s->family == SINGLE) {
-    prepare_single(s);
-  }
-}
-
-/* ---- comparing --------------------------------------------------------------------------------- */
-
-enum { QUANTITIES = CORE_ELEMENTWISE_COUNT + 1, ALBEDO = CORE_ELEMENTWISE_COUNT, SHOWN = 3 };
-
-static const struct {
-  enum core_quantity quantity;
-  const char *name;
-} quantities[QUANTITIES] = {
-#define CORE_QUANTITY(bit, IDENT, name, unit, SHAPE)                                               \
-  CORE_IF_##SHAPE([CORE_ELEMENTWISE_##IDENT] = {CORE_QUANTITY_##IDENT, name}, )
-#include "core/choices.def"
-    [ALBEDO] = {CORE_QUANTITY_ALBEDO, "albedo"}};
-
-static const unsigned evaluators[EVALUATORS] = {CORE_EVALUATOR_F64, CORE_EVALUATOR_F32,
-                                                CORE_EVALUATOR_LUT};
-static const char *const evaluator_names[EVALUATORS] = {"f64", "f32", "lut"};
-
-static struct class {
-  unsigned long long values, violations;
-  double worst; /* error over what was stated */
-} classes[MODELS][EVALUATORS][QUANTITIES];
-
-static void compare(const struct subject *s, const core_profile *profile, int evaluator,
-                    int quantity, double r, double value, quad truth) {
-  const bool wide = evaluator == 0 || quantity == ALBEDO;
-  const bool is_ln = quantity == CORE_ELEMENTWISE_LN_R;
-  const quad epsilon = wide ? (quad)DBL_EPSILON : (quad)FLT_EPSILON;
-  const quad carried = quantity == CORE_ELEMENTWISE_S ? fmaxf128(s->S_per_R, 1) : 1;
-  const quad quanta = 16 * carried * (wide ? (quad)DBL_TRUE_MIN : (quad)FLT_TRUE_MIN);
-  const quad most = wide ? (quad)DBL_MAX : (quad)FLT_MAX;
-  const quad relative =
-      (quad)profile->numerical_error +
-      (quad)(quantity == ALBEDO || isinf(r) ? 0 : profile->numerical_error_per_mm * r);
-  const quad size = fabsf128(truth);
-  if (isnan(truth)) {
-    return;
-  }
-  struct class *class = &classes[s->formula - formulas][evaluator][quantity];
-  class->values++;
-  const quad allowed = is_ln ? relative + 8 * epsilon * size : relative * size;
-  const quad error = fabsf128((quad)value - truth);
-  const quad R = quantity == CORE_ELEMENTWISE_S && s->S_per_R > 0 ? size / s->S_per_R : size;
-  const bool beyond = fmaxf128(size, R) * (1 + relative) > most; /* infinity is right */
-  const bool good = isinf(truth) ? (quad)value == truth
-                                 : error <= allowed || (!is_ln && error <= quanta) ||
-                                       (beyond && isinf(value) && (value > 0) == (truth > 0));
-  const double share =
-      isinf(truth) || error <= quanta || isinf(value) ? 0 : (double)(error / allowed);
-  class->worst = share > class->worst ? share : class->worst;
-  if (!good && class->violations++ < SHOWN) {
-    const core_medium *m = &s->medium;
-    printf("%s %s %s: %.17g, not %.17g: %.3g of %.3g; --sigma-a %.17g --sigma-s %.17g --g %.17g "
-           "--eta %.17g --r %.17g (%.3g mfp) moments %d",
-           s->formula->name, evaluator_names[evaluator], quantities[quantity].name, value,
-           (double)truth, (double)(is_ln ? error : error / size),
-           (double)(is_ln ? allowed : relative), m->sigma_a_per_mm, m->sigma_s_per_mm, m->g, m->eta,
-           r, r * (double)s->sigma_t_prime, (int)s->moments);
-    for (const core_choice *p = core_parameter_list; p->name != NULL; p++) {
-      if (!isnan(s->parameters.value[p->id])) {
-        printf(" %s %.17g", p->name, s->parameters.value[p->id]);
-      }
-    }
-    printf(" --model %u\n", s->formula->id);
-  }
-}
-
-static double value_of(const core_profile *profile, enum core_quantity quantity, double r) {
-  double value;
-  float r_f32 = (float)r, value_f32;
-  if (profile->evaluator == CORE_EVALUATOR_F64) {
-    core_eval_f64(profile, quantity, 1, &r, &value);
-    return value;
-  }
-  core_eval_f32(profile, quantity, 1, &r_f32, &value_f32);
-  return (double)value_f32;
-}
-
-/* Where dR/dr, pdf and 2 pi r R keep what is stated. */
-static bool is_promised(const struct subject *s, int quantity, double r) {
-  const double x = r * (double)s->sigma_t_prime;
-  return (quantity != CORE_ELEMENTWISE_SLOPE && quantity != CORE_ELEMENTWISE_PDF &&
-          quantity != CORE_ELEMENTWISE_RING) ||
-         (s->sigma_t_prime >= 1e-6Q && s->sigma_t_prime <= 1e6Q &&
-          s->absorbed <= 1e6Q * s->scattered && s->medium.eta >= 0.2 && s->medium.eta <= 5 &&
-          (r == 0 || (x >= 1e-12 && x <= 1e6)));
-}
-
-static void compare_all(const struct subject *s, const core_profile *profile, int evaluator,
-                        double r, struct truth truth) {
-  const quad R = truth.R * expf128(-truth.shift), ring = r > 0 ? 2 * pi * (quad)r * R : (quad)NAN;
-  const double far = evaluator == 0 ? 1e100 : 1e12;
-  const bool near = r * (double)s->sigma_t_prime < far;
-  const quad ln_R =
-      s->scattered > 0 && !isinf(r) ? logf128(truth.R) - truth.shift : -(quad)INFINITY;
-  const quad truths[QUANTITIES] = {
-      [CORE_ELEMENTWISE_R] = R,
-      [CORE_ELEMENTWISE_CDF] = s->albedo < 16 * (quad)DBL_TRUE_MIN ? (quad)NAN : truth.cdf,
-      [CORE_ELEMENTWISE_SLOPE] = -truth.slope * expf128(-truth.shift),
-      [CORE_ELEMENTWISE_LN_R] = near || isinf(ln_R) ? ln_R : (quad)NAN,
-      [CORE_ELEMENTWISE_PDF] = s->albedo < 16 * (quad)DBL_TRUE_MIN ? (quad)NAN : ring / s->albedo,
-      [CORE_ELEMENTWISE_RING] = ring,
-      [CORE_ELEMENTWISE_S] = s->S_per_R > 0 ? R * s->S_per_R : 0,
-  };
-  for (int q = 0; q < CORE_ELEMENTWISE_COUNT; q++) {
-    if (is_promised(s, q, r)) {
-      compare(s, profile, evaluator, q, r, value_of(profile, quantities[q].quantity, r), truths[q]);
-    }
-  }
-}
-
-/* Once the cdf is 1 it stays 1. */
-static void check_end(const struct subject *s, const core_profile *profile, int evaluator,
-                      uint64_t *random) {
-  double r = profile->scale_mm * log_between(random, 0.1, 10);
-  const double factor = 1 + log_between(random, 1e-6, 0.3);
-  double most = 0;
-  for (int i = 0; i < 400 && r < 1e30; i++, r *= factor) {
-    const double value = value_of(profile, CORE_QUANTITY_CDF, r);
-    if (most >= 1 || value > 1) {
-      compare(s, profile, evaluator, CORE_ELEMENTWISE_CDF, r, value >= 1 && value <= 1 ? 1 : 2, 1);
-    }
-    most = value > most ? value : most;
-  }
-}
-
-/* ---- the campaign ------------------------------------------------------------------------------ */
-
-enum { RADII = 12, ETAS = 48 };
-
-static double etas[ETAS];
-
-static core_medium draw_medium(uint64_t *random) {
-  const bool usual = below(random, 3) > 0;
-  const double sigma_t = usual ? log_between(random, 1e-2, 1e2) : log_between(random, 1e-14, 1e14);
-  const double ratio = usual ? log_between(random, 1e-5, 10) : log_between(random, 1e-30, 1e12);
-  const size_t kind = below(random, 8);
-  const double g = between(random, -1, 1);
-  core_medium medium = {.eta = etas[below(random, usual ? ETAS / 2 : ETAS)]};
-  medium.g = kind < 4 ? 0 : usual ? 0.95 * g : kind < 6 ? g : 1 - log_between(random, 1e-12, 1);
-  medium.sigma_s_per_mm = fmin(sigma_t / (1 - medium.g) / (1 + ratio), CORE_SIGMA_MAX_PER_MM);
-  medium.sigma_a_per_mm = kind == 3 ? 0 : sigma_t * (ratio / (1 + ratio));
-  return medium;
-}
-
-static core_parameters draw_parameters(const struct subject *s, uint64_t *random, int evaluator) {
-  core_parameters parameters = core_parameters_none();
-  double *value = parameters.value;
-  value[CORE_PARAMETER_COS_IN] = between(random, 0, 1);
-  value[CORE_PARAMETER_COS_OUT] = between(random, 0, 1);
-  if (s->family == SLAB) {
-    const double most = below(random, 2) ? 100 : 0.99e6;
-    value[CORE_PARAMETER_THICKNESS] =
-        log_between(random, 1.11, most) / core_sigma_t_prime(&s->medium);
-  }
-  if (s->family == BURLEY && below(random, 2)) {
-    value[CORE_PARAMETER_SURFACE_ALBEDO] = between(random, 0, 1);
-  }
-  if (s->family != FIT && below(random, 2)) {
-    value[CORE_PARAMETER_TOLERANCE] =
-        evaluator == 2 ? log_between(random, 1e-5, 1e-2) : log_between(random, 1e-12, 0.1);
-  }
-  return parameters;
-}
-
-static double draw_radius(const core_profile *profile, uint64_t *random) {
-  static const double ends[][2] = {
-      {1e-3, 1e2}, {1e-2, 1e3}, {1e-12, 1e6}, {1e-30, 1e30}, {1e2, 1e4}};
-  const size_t kind = below(random, 30);
-  const double *range = ends[kind < 12 ? 0 : kind < 18 ? 1 : kind < 22 ? 2 : kind < 24 ? 3 : 4];
-  const double r = profile->scale_mm * log_between(random, range[0], range[1]);
-  const bool narrow = r < 1e38 && r > 1e-44 && below(random, 8) > 0;
-  return kind == 29 ? 0 : kind == 28 ? (double)INFINITY : narrow ? (double)(float)r : r;
-}
-
-static core_profile profiles[EVALUATORS];
-static core_profile judge; /* of a model without a formula here */
-
-static bool prepare(core_profile *profile, const struct subject *s, unsigned model, int evaluator,
-                    const core_parameters *parameters) {
-  const core_isa *isa = core_isa_select(NULL);
-  return core_profile_prepare(profile, isa, model, s->moments, evaluators[evaluator], &s->medium,
-                              parameters)
-             .field == NULL;
-}
-
-static struct truth judged(double r) {
-  const quad R = (quad)value_of(&judge, CORE_QUANTITY_R, r);
-  const bool inside = r >= judge.radii.least_mm && r <= judge.radii.most_mm && R > 1e-280Q;
-  return (struct truth){inside ? R : (quad)NAN, (quad)NAN, 0, (quad)NAN};
-}
-
-/* One subject: evaluators `from` to `to`, of which each profile is there. */
-static void compare_subject(struct subject *s, int from, int to, uint64_t *random) {
-  struct subject parts[2] = {*s, *s};
-  for (int i = 0; s->family == SUM && i < 2; i++) {
-    set_subject(&parts[i], s->formula->parts[i]);
-  }
-  for (int i = 0; i < RADII; i++) {
-    const double r = draw_radius(&profiles[from], random);
-    struct truth truth;
-    if (s->family == SUM) {
-      const struct truth a = truth_of(&parts[0], r), b = truth_of(&parts[1], r);
-      const quad shift = a.R > 0 && b.R > 0 ? fminf128(a.shift, b.shift)
-                         : a.R > 0          ? a.shift
-                                            : b.shift;
-      const quad left_a = expf128(shift - a.shift), left_b = expf128(shift - b.shift);
-      s->albedo = parts[0].albedo + parts[1].albedo;
-      truth =
-          (struct truth){a.R * left_a + b.R * left_b, a.slope * left_a + b.slope * left_b, shift,
-                         (parts[0].albedo * a.cdf + parts[1].albedo * b.cdf) / s->albedo};
-    } else {
-      truth = s->family == FIT || s->family == TRANSPORT ? judged(r) : truth_of(s, r);
-    }
-    for (int e = from; e <= to; e++) {
-      if (e == 0 || r == (double)(float)r) {
-        compare_all(s, &profiles[e], e, r, truth);
-        compare(s, &profiles[e], e, ALBEDO, 0, profiles[e].albedo, s->albedo);
-      }
-    }
-  }
-  for (int e = from; e <= to; e++) {
-    check_end(s, &profiles[e], e, random);
-  }
-}
-
-/* Draws a subject, f64 and f32 or, once in a while, a table; those that prepare slowly less often. */
-static void draw(uint64_t *random, unsigned only) {
-  const struct formula *formula = &formulas[below(random, MODELS)];
-  const bool table = below(random, 10) == 0;
-  struct subject s = {.formula = formula, .family = family_of(formula), .moments = 1};
-  s.medium = draw_medium(random);
-  const bool slow = s.family == TRANSPORT || s.family == FIT;
-  if ((only != 0 && only != formula->id) || (slow && below(random, 100) > 0)) {
-    return;
-  }
-  s.moments = 1 + (unsigned)below(random, 4);
-  s.moments =
-      core_fresnel_check(s.moments, s.medium.eta).field == NULL ? s.moments : CORE_MOMENTS_EXACT;
-  const int from = table ? 2 : 0, to = table ? 2 : 1;
-  s.parameters = draw_parameters(&s, random, from);
-  int ready = from;
-  while (ready <= to && prepare(&profiles[ready], &s, formula->id, ready, &s.parameters)) {
-    ready++;
-  }
-  core_parameters tightest = s.parameters;
-  tightest.value[CORE_PARAMETER_TOLERANCE] = s.family == TRANSPORT ? 1e-8 : (double)NAN;
-  const unsigned model = s.family == FIT ? CORE_MODEL_BETTER : formula->id;
-  const bool judging = slow && ready > to && prepare(&judge, &s, model, 0, &tightest);
-  if (ready > to && judging == slow) {
-    const double least = profiles[from].radii.least_mm, most = profiles[from].radii.most_mm;
-    judge.radii = s.family == TRANSPORT ? (core_radii_range){0, 20 * profiles[from].scale_mm}
-                                        : (core_radii_range){least, most};
-    const quad eta = (quad)s.medium.eta;
-    const reference_fresnel *inverse =
-        reference_fresnel_moments(CORE_MOMENTS_EXACT, 1 / s.medium.eta);
-    s.S_per_R = transmittance(eta, (quad)s.parameters.value[CORE_PARAMETER_COS_IN]) *
-                transmittance(eta, (quad)s.parameters.value[CORE_PARAMETER_COS_OUT]) /
-                (pi * to_quad(inverse->one_minus_2c1));
-    set_subject(&s, formula->id);
-    compare_subject(&s, from, to, random);
-  }
-  for (int e = from; e < ready; e++) {
-    core_profile_free(&profiles[e]);
-  }
-  if (judging) {
-    core_profile_free(&judge);
-  }
-}
-
-static unsigned long long print_classes(void) {
-  unsigned long long values = 0, violations = 0;
-  printf("%-30s %-4s %-9s %12s %7s %s\n", "model", "", "", "values", "worst", "violations");
-  for (const struct class *class = &classes[0][0][0];
-       class < &classes[0][0][0] + sizeof classes / sizeof *class; class ++) {
-    const size_t at = (size_t)(class - &classes[0][0][0]);
-    if (class->values > 0) {
-      printf("%-30s %-4s %-9s %12llu %7.3f %llu\n",
-             core_choice_by_id(core_models, formulas[at / (EVALUATORS * QUANTITIES)].id)->name,
-             evaluator_names[at / QUANTITIES % EVALUATORS], quantities[at % QUANTITIES].name,
-             class->values, class->worst, class->violations);
-    }
-    values += class->values;
-    violations += class->violations;
-  }
-  printf("%llu values, %llu off by more than stated\n", values, violations);
-  return violations;
-}
+static struct worker *worker;
+static unsigned long long *rounds_begun;
+static unsigned long long round_now;
 
 static double now_s(void) {
   struct timespec now;
@@ -717,21 +124,709 @@ static double now_s(void) {
   return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
-int main(int count, char **arguments) {
-  const double start_s = now_s();
-  const double seconds = count > 1 ? atof(arguments[1]) : 60;
-  uint64_t random = count > 2 ? strtoull(arguments[2], NULL, 0) : (uint64_t)(start_s * 1e6);
-  const unsigned only = count > 3 ? (unsigned)atoi(arguments[3]) : 0;
-  printf("seed %llu\n", (unsigned long long)random);
-  reference_dipole_init(&dipole);
-  reference_values_init(&dipole_values);
+/* ---- a subject ---------------------------------------------------------------------------------- */
+
+/* A model, a medium and a request's parameters, prepared by each evaluator. */
+struct subject {
+  size_t model; /* its position in the list */
+  enum form_family family;
+  enum core_moments moments;
+  core_medium medium;
+  core_parameters parameters;
+  bool ready[EVALUATORS];
+  core_profile profiles[EVALUATORS];
+  core_radii_range judged; /* where FINE may judge a model without a formula */
+  form_model form;
+};
+
+static void print_subject(const struct subject *s) {
+  const core_medium *m = &s->medium;
+  printf("  --sigma-a %.17g --sigma-s %.17g --g %.17g --eta %.17g moments %d", m->sigma_a_per_mm,
+         m->sigma_s_per_mm, m->g, m->eta, (int)s->moments);
+  for (const core_choice *p = core_parameter_list; p->name != NULL; p++) {
+    if (!isnan(s->parameters.value[p->id])) {
+      printf(" %s %.17g", p->name, s->parameters.value[p->id]);
+    }
+  }
+  printf(" --model %u, round %llu\n", models[s->model], round_now);
+}
+
+static const char *model_name(size_t model) {
+  return core_choice_by_id(core_models, models[model])->name;
+}
+
+/* Counts a check. share: the error over what was stated. */
+static void count(const struct subject *s, enum evaluator evaluator, int check, bool good,
+                  double share, double at, double value, double truth) {
+  struct class *class = &worker->classes[s->model][evaluator][check];
+  class->values++;
+  class->worst = share > class->worst ? share : class->worst;
+  if (!good && class->violations++ < SHOWN) {
+    printf("%s %s %s at %.17g: %.17g, not %.17g: %.3f of what is stated\n", model_name(s->model),
+           evaluator_names[evaluator], check_names[check], at, value, truth, share);
+    print_subject(s);
+    fflush(stdout);
+  }
+}
+
+/* ---- comparing ---------------------------------------------------------------------------------- */
+
+/* Compares a value with the truth, which may itself be off by `unsure`. */
+static void compare(const struct subject *s, enum evaluator e, int check, double r, double value,
+                    quad truth, quad unsure) {
+  if (!isnan(truth)) {
+    const double share = form_share(&s->form, &s->profiles[e], check, r, value, truth, unsure);
+    count(s, e, check, share <= 1, share, r, value, (double)truth);
+  }
+}
+
+static void evaluate(const core_profile *profile, enum core_quantity quantity, size_t n,
+                     const double *r, double *out) {
+  enum { MOST = 2048 };
+  static float narrow_r[MOST], narrow_out[MOST];
+  if (profile->evaluator == CORE_EVALUATOR_F64) {
+    core_eval_f64(profile, quantity, n, r, out);
+    return;
+  }
+  assert(n <= MOST);
+  for (size_t i = 0; i < n; i++) {
+    narrow_r[i] = (float)r[i];
+  }
+  core_eval_f32(profile, quantity, n, narrow_r, narrow_out);
+  for (size_t i = 0; i < n; i++) {
+    out[i] = (double)narrow_out[i];
+  }
+}
+
+/* Where dR/dr, pdf and 2 pi r R keep what is stated (core.h). */
+static bool is_promised(const struct subject *s, int quantity, double r) {
+  const form_part *part = &s->form.part[0];
+  const double x = r * (double)part->sigma_t_prime;
+  return (quantity != CORE_ELEMENTWISE_SLOPE && quantity != CORE_ELEMENTWISE_PDF &&
+          quantity != CORE_ELEMENTWISE_RING) ||
+         (part->sigma_t_prime >= 1e-6Q && part->sigma_t_prime <= 1e6Q &&
+          part->absorbed <= 1e6Q * part->scattered && s->medium.eta >= 0.2 && s->medium.eta <= 5 &&
+          (r == 0 || (x >= 1e-12 && x <= 1e6)));
+}
+
+/* Whether ln R is finite at this radius: only up to so many mean free paths. */
+static bool has_ln_R(const struct subject *s, enum evaluator e, double r) {
+  const double far = e == F64 || e == FINE ? 1e100 : 1e12;
+  return r * (double)s->form.part[0].sigma_t_prime < far;
+}
+
+enum { EXACT_MOST = 64, DENSE = 512, RADII = EXACT_MOST + DENSE };
+
+struct values {
+  size_t count;
+  double r[RADII];
+  double of[EVALUATORS][CORE_ELEMENTWISE_COUNT][RADII];
+};
+
+static bool is_narrow(double r) {
+  return r == (double)(float)r;
+}
+
+/* Compares all values at a radius with the formula, or only those of one quantity and evaluator. */
+static void compare_exactly(const struct subject *s, const struct values *values, size_t i,
+                            form_values at, int only_evaluator, int only_quantity) {
+  const double r = values->r[i];
+  for (int e = 0; e < EVALUATORS; e++) {
+    for (int q = 0; q < CORE_ELEMENTWISE_COUNT; q++) {
+      const bool wanted = (only_evaluator < 0 || (e == only_evaluator && q == only_quantity)) &&
+                          s->ready[e] && (e == F64 || e == FINE || is_narrow(r)) &&
+                          is_promised(s, q, r);
+      const quad truth = wanted ? form_truth(&s->form, at, q, r) : (quad)NAN;
+      if (!isnan(truth) && (q != CORE_ELEMENTWISE_LN_R || isinf(truth) || has_ln_R(s, e, r))) {
+        compare(s, e, q, r, values->of[e][q][i], truth, 0);
+        worker->classes[s->model][e][q].by_form++;
+      }
+    }
+  }
+}
+
+/* ---- many radii at once ------------------------------------------------------------------------- */
+
+/* Compares a value with FINE's. Returns false if that does not decide. */
+static bool is_near(const struct subject *s, const struct values *values, size_t i,
+                    enum evaluator e, int q) {
+  const double r = values->r[i], value = values->of[e][q][i], fine = values->of[FINE][q][i];
+  if (!isfinite(value) || !isfinite(fine)) {
+    return false;
+  }
+  const double share = form_share(&s->form, &s->profiles[e], q, r, value, (quad)fine, 0);
+  if (!(share <= 0.9)) {
+    return false;
+  }
+  count(s, e, q, true, share, r, value, fine);
+  return true;
+}
+
+/* Compares with FINE where a model has no formula. */
+static void compare_with_fine(const struct subject *s, const struct values *values, size_t i,
+                              enum evaluator e, int q) {
+  const double r = values->r[i];
+  const quad fine = (quad)values->of[FINE][q][i];
+  const bool is_R = q == CORE_ELEMENTWISE_R || q == CORE_ELEMENTWISE_S;
+  if ((s->family == FORM_FIT && !is_R) || !(r >= s->judged.least_mm && r <= s->judged.most_mm) ||
+      !(fabsf128(fine) > 1e-280Q) || isinf(fine)) {
+    return;
+  }
+  compare(s, e, q, r, values->of[e][q][i], fine, form_allowed(&s->profiles[FINE], q, r, fine));
+}
+
+static void compare_densely(const struct subject *s, const struct values *values, size_t from) {
+  for (size_t i = from; i < values->count; i++) {
+    const double r = values->r[i];
+    for (int e = F64; e <= LUT; e++) {
+      /* f64 at its tightest tolerance is no judge of itself */
+      const bool itself = e == F64 && s->ready[F64] &&
+                          s->profiles[F64].numerical_error == s->profiles[FINE].numerical_error;
+      for (int q = 0; s->ready[e] && !itself && q < CORE_ELEMENTWISE_COUNT; q++) {
+        const bool asked = is_promised(s, q, r) && (e == F64 || is_narrow(r)) &&
+                           (q != CORE_ELEMENTWISE_LN_R || has_ln_R(s, e, r));
+        if (asked && !s->form.known) {
+          compare_with_fine(s, values, i, e, q);
+        } else if (asked && !is_near(s, values, i, e, q)) {
+          compare_exactly(s, values, i, form_at(&s->form, r, true), e, q);
+        }
+      }
+    }
+  }
+}
+
+/* Once the cdf is 1 it stays 1. */
+static void check_end(const struct subject *s, enum evaluator e, uint64_t *random) {
+  enum { STEPS = 128 };
+  const core_profile *profile = &s->profiles[e];
+  const double factor = 1 + log_between(random, 1e-6, 1);
+  double r[STEPS], cdf[STEPS], most = 0;
+  r[0] = fmin(profile->scale_mm * log_between(random, 0.1, 30), 1e38);
+  for (int i = 1; i < STEPS; i++) {
+    r[i] = fmin(r[i - 1] * factor, 1e38);
+  }
+  evaluate(profile, CORE_QUANTITY_CDF, STEPS, r, cdf);
+  for (int i = 0; i < STEPS; i++) {
+    const bool good = cdf[i] <= 1 && (most < 1 || cdf[i] == 1);
+    count(s, e, CDF_END, good, 0, r[i], cdf[i], most);
+    most = fmax(most, cdf[i]);
+  }
+}
+
+/* ---- samples and inversions ---------------------------------------------------------------------- */
+
+/* The cdf at a sampled radius is the number that it was sampled for. */
+static void check_samples(const struct subject *s, enum evaluator e, uint64_t *random) {
+  enum { SAMPLES = 64 };
+  const core_profile *profile = &s->profiles[e], *fine = &s->profiles[FINE];
+  double u[SAMPLES], r[SAMPLES], low[SAMPLES], high[SAMPLES], cdf_low[SAMPLES], cdf_high[SAMPLES];
+  float narrow_u[SAMPLES], narrow_r[SAMPLES];
+  for (int i = 0; i < SAMPLES; i++) {
+    const size_t kind = below(random, 4);
+    u[i] = kind == 0   ? log_between(random, 1e-30, 0.5)
+           : kind == 1 ? 1 - log_between(random, 1.2e-7, 0.5)
+                       : between(random, 0, 1);
+    narrow_u[i] = (float)u[i];
+    u[i] = e == F64 ? u[i] : (double)narrow_u[i];
+  }
+  if (e == F64) {
+    core_sample_f64(profile, SAMPLES, u, r);
+  } else {
+    core_sample_f32(profile, SAMPLES, narrow_u, narrow_r);
+    for (int i = 0; i < SAMPLES; i++) {
+      r[i] = (double)narrow_r[i];
+    }
+  }
+  const double off = e == LUT ? profile->numerical_error : 0;
+  for (int i = 0; i < SAMPLES; i++) {
+    low[i] = r[i] / (1 + off);
+    high[i] = r[i] * (1 + off);
+  }
+  core_eval_f64(fine, CORE_QUANTITY_CDF, SAMPLES, low, cdf_low);
+  core_eval_f64(fine, CORE_QUANTITY_CDF, SAMPLES, high, cdf_high);
+  for (int i = 0; i < SAMPLES; i++) {
+    const bool inside = r[i] > (e == F64 ? DBL_MIN : (double)FLT_MIN) &&
+                        r[i] < (e == F64 ? 1e300 : (double)FLT_MAX) && u[i] <= 1 - 1e-7;
+    const double error = profile->numerical_error + profile->numerical_error_per_mm * r[i] +
+                         fine->numerical_error + fine->numerical_error_per_mm * r[i];
+    const double fixed = e == F64 ? CORE_SAMPLE_ERROR_F64 : e == F32 ? CORE_SAMPLE_ERROR_F32 : 0;
+    const double allowed = fixed + (e == LUT ? 0 : error) * u[i] +
+                           (fine->numerical_error + fine->numerical_error_per_mm * r[i]) * u[i];
+    const double wrong = fmax(cdf_low[i] - u[i], u[i] - cdf_high[i]);
+    if (inside) {
+      count(s, e, SAMPLE, wrong <= allowed, fmax(wrong, 0) / allowed, u[i], r[i], cdf_low[i]);
+    }
+  }
+}
+
+/* The medium that core_invert_albedo() finds has the wanted albedo. */
+static void check_inversion(struct subject *s, uint64_t *random) {
+  static form_model found;
+  const double wanted = below(random, 2) ? between(random, 0.01, 1) : log_between(random, 1e-6, 1);
+  const double mfp_mm = log_between(random, 1e-6, 1e6);
+  const core_inversion inversion =
+      core_invert_albedo(models[s->model], s->moments, wanted, mfp_mm, s->medium.eta);
+  core_profile profile;
+  if (inversion.fault.field == NULL &&
+      core_profile_prepare(&profile, core_isa_select(NULL), models[s->model], s->moments,
+                           CORE_EVALUATOR_F64, &inversion.medium, NULL)
+              .field == NULL) {
+    core_parameters parameters = core_parameters_none();
+    parameters.value[CORE_PARAMETER_COS_IN] = parameters.value[CORE_PARAMETER_COS_OUT] = 1;
+    form_prepare(&found, models[s->model], s->moments, &inversion.medium, &parameters);
+    const double allowed = 1e-12 + profile.numerical_error;
+    core_profile_free(&profile);
+    const double error = fabs((double)(found.albedo / (quad)wanted - 1));
+    if (!isnan(error)) {
+      count(s, F64, INVERSION, error <= allowed, error / allowed, wanted, (double)found.albedo,
+            wanted);
+    }
+  }
+}
+
+/* ---- drawing ------------------------------------------------------------------------------------ */
+
+enum { ETAS = 64 };
+
+static double etas[ETAS];
+
+static void draw_etas(uint64_t *random) {
   for (int i = 0; i < ETAS; i++) {
-    etas[i] = i == 0         ? 1
-              : i < ETAS / 2 ? 1 + 0.02 * (double)below(&random, 60)
-                             : log_between(&random, CORE_ETA_MIN, CORE_ETA_MAX);
+    etas[i] = i == 0          ? 1
+              : i < ETAS / 2  ? 1 + 0.02 * (double)below(random, 60)
+              : i < ETAS - 12 ? log_between(random, CORE_ETA_MIN, CORE_ETA_MAX)
+              : i % 2 == 0    ? 1 + log_between(random, 1e-15, 0.01)
+                              : 1 - log_between(random, 1e-15, 0.01);
+    for (unsigned moments = 1; moments <= 4; moments++) {
+      if (core_fresnel_check(moments, etas[i]).field == NULL) {
+        reference_fresnel_moments(moments, etas[i]);
+      }
+    }
+    reference_fresnel_moments(CORE_MOMENTS_EXACT, 1 / etas[i]);
   }
-  while (now_s() - start_s < seconds) {
-    draw(&random, only);
+}
+
+static core_medium draw_medium(uint64_t *random) {
+  const bool usual = below(random, 3) > 0;
+  const double sigma_t = usual ? log_between(random, 1e-2, 1e2) : log_between(random, 1e-14, 1e14);
+  const double ratio = usual                   ? log_between(random, 1e-5, 10)
+                       : below(random, 8) == 0 ? log_between(random, 1e-250, 1e31)
+                                               : log_between(random, 1e-30, 1e12);
+  const size_t kind = below(random, 8);
+  const double g = between(random, -1, 1);
+  core_medium medium = {.eta = etas[below(random, usual ? ETAS / 2 : ETAS)]};
+  const double nearly_1 = 1 - log_between(random, 1e-12, 1);
+  medium.g = kind < 4 ? 0 : usual ? 0.95 * g : kind < 6 ? g : kind < 7 ? nearly_1 : -nearly_1;
+  medium.sigma_s_per_mm = fmin(sigma_t / (1 - medium.g) / (1 + ratio), CORE_SIGMA_MAX_PER_MM);
+  medium.sigma_a_per_mm = kind == 3 ? 0 : sigma_t * (ratio / (1 + ratio));
+  return medium;
+}
+
+static core_parameters draw_parameters(const struct subject *s, uint64_t *random) {
+  core_parameters parameters = core_parameters_none();
+  double *value = parameters.value;
+  value[CORE_PARAMETER_COS_IN] = between(random, 0, 1);
+  value[CORE_PARAMETER_COS_OUT] = between(random, 0, 1);
+  if (s->family == FORM_SLAB) {
+    const double most = below(random, 2) ? 100 : 0.99e6;
+    value[CORE_PARAMETER_THICKNESS] =
+        log_between(random, 1.11, most) / core_sigma_t_prime(&s->medium);
   }
-  return print_classes() > 0;
+  if (s->family == FORM_BURLEY && below(random, 2)) {
+    value[CORE_PARAMETER_SURFACE_ALBEDO] = between(random, 0, 1);
+  }
+  return parameters;
+}
+
+static double draw_radius(double scale_mm, bool narrow, uint64_t *random) {
+  static const double ends[][2] = {
+      {1e-3, 1e2}, {1e-2, 1e3}, {1e-12, 1e6}, {1e-30, 1e30}, {1e2, 1e4}};
+  const size_t kind = below(random, 60);
+  const double *range = ends[kind < 25 ? 0 : kind < 38 ? 1 : kind < 46 ? 2 : kind < 50 ? 3 : 4];
+  const double r = scale_mm * log_between(random, range[0], range[1]);
+  return kind == 59 ? 0 : kind == 58 ? (double)INFINITY : narrow ? (double)(float)r : r;
+}
+
+static void prepare(struct subject *s, enum evaluator e, double tolerance) {
+  core_parameters parameters = s->parameters;
+  parameters.value[CORE_PARAMETER_TOLERANCE] = tolerance;
+  const bool judge = e == FINE && s->family == FORM_FIT;
+  s->ready[e] = core_profile_prepare(&s->profiles[e], core_isa_select(NULL),
+                                     judge ? CORE_MODEL_BETTER : models[s->model], s->moments,
+                                     evaluator_ids[e], &s->medium, &parameters)
+                    .field == NULL;
+}
+
+/* ---- the campaign ------------------------------------------------------------------------------- */
+
+/* Radii that are compared with the formula, by the time that it takes. */
+static size_t exact_radii(enum form_family family) {
+  switch (family) {
+  case FORM_DIPOLE:
+  case FORM_BURLEY:
+  case FORM_SKIN:
+    return EXACT_MOST;
+  case FORM_SLAB:
+    return 8;
+  default:
+    return 24;
+  }
+}
+
+static void compare_subject(struct subject *s, uint64_t *random) {
+  static struct values values;
+  static reference_dipole dipole;
+  static bool ready;
+  const size_t exact = s->form.known ? exact_radii(s->family) : 0;
+  values.count = exact + DENSE;
+  for (size_t i = 0; i < values.count; i++) {
+    const bool narrow = i >= exact || below(random, 4) > 0;
+    values.r[i] = draw_radius(s->profiles[FINE].scale_mm, narrow, random);
+  }
+  for (int e = 0; e < EVALUATORS; e++) {
+    for (int q = 0; s->ready[e] && q < CORE_ELEMENTWISE_COUNT; q++) {
+      evaluate(&s->profiles[e], quantities[q], values.count, values.r, values.of[e][q]);
+    }
+  }
+  for (size_t i = 0; i < exact; i++) {
+    compare_exactly(s, &values, i, form_at(&s->form, values.r[i], i % 24 > 0), -1, 0);
+  }
+  if (s->family == FORM_DIPOLE) {
+    if (!ready) {
+      reference_dipole_init(&dipole);
+      ready = true;
+    }
+    reference_dipole_prepare(&dipole, s->form.part[0].variant, s->moments, &s->medium);
+    for (size_t i = 0; i < exact; i += 8) {
+      compare_exactly(s, &values, i, form_by_mpfr(&dipole, values.r[i]), -1, 0);
+    }
+  }
+  compare_densely(s, &values, exact);
+  for (int e = 0; e < EVALUATORS; e++) {
+    if (s->ready[e] && s->form.known) {
+      compare(s, e, ALBEDO, 0, s->profiles[e].albedo, s->form.albedo, 0);
+    }
+    if (s->ready[e] && e != FINE) {
+      check_end(s, e, random);
+      if (s->form.known) {
+        check_samples(s, e, random);
+      }
+    }
+  }
+}
+
+/* Draws a subject of a model. `slow` is true in rounds that prepare what takes long. */
+static void draw_subject(size_t model, bool slow, bool table, uint64_t *random) {
+  static struct subject s;
+  s.model = model;
+  s.family = form_family_of(models[model]);
+  s.medium = draw_medium(random);
+  s.moments = 1 + (unsigned)below(random, 4);
+  s.moments =
+      core_fresnel_check(s.moments, s.medium.eta).field == NULL ? s.moments : CORE_MOMENTS_EXACT;
+  s.parameters = draw_parameters(&s, random);
+  memset(s.ready, 0, sizeof s.ready);
+  const bool fit = s.family == FORM_FIT, transport = s.family == FORM_TRANSPORT;
+  const bool given = !fit && below(random, 2);
+  const double tolerance = given ? log_between(random, transport ? 1e-8 : 1e-12, 0.1) : (double)NAN;
+  if ((fit || transport) && !slow) {
+    return;
+  }
+  prepare(&s, F64, tolerance);
+  s.parameters.value[CORE_PARAMETER_TOLERANCE] = tolerance;
+  if (!s.ready[F64]) {
+    return;
+  }
+  prepare(&s, F32, tolerance);
+  if (table) {
+    prepare(&s, LUT, given ? log_between(random, 1e-5, 1e-2) : (double)NAN);
+  }
+  prepare(&s, FINE, transport ? 1e-8 : fit ? (double)NAN : 1e-12);
+  form_prepare(&s.form, models[model], s.moments, &s.medium, &s.parameters);
+  s.judged =
+      transport ? (core_radii_range){0, 20 * s.profiles[F64].scale_mm} : s.profiles[F64].radii;
+  if (s.ready[FINE]) {
+    compare_subject(&s, random);
+    if (s.form.known && below(random, 4) == 0) {
+      check_inversion(&s, random);
+    }
+  }
+  for (int e = 0; e < EVALUATORS; e++) {
+    if (s.ready[e]) {
+      core_profile_free(&s.profiles[e]);
+    }
+  }
+}
+
+/* ---- the stated errors of models ----------------------------------------------------------------- */
+
+enum { SOLVED = 60, RANGES = 40 };
+
+/* Solutions of transport at rising radii, for one medium whose sigma_t' is 1 per mm. */
+struct solved {
+  double r[SOLVED], R[SOLVED], albedo;
+};
+
+static int by_size(const void *a, const void *b) {
+  const double x = *(const double *)a, y = *(const double *)b;
+  return (x > y) - (x < y);
+}
+
+static bool solve(struct solved *solved, const core_medium *medium, uint64_t *random) {
+  transport_boundary *boundary;
+  transport_solution *solution = NULL;
+  if (transport_boundary_create(&boundary, medium->eta, 1e-6).field == NULL &&
+      transport_solve(&solution, boundary, medium->sigma_s_per_mm).field == NULL) {
+    for (size_t i = 0; i < SOLVED; i++) {
+      solved->r[i] = log_between(random, 0.005, 40);
+    }
+    qsort(solved->r, SOLVED, sizeof solved->r[0], by_size);
+    for (size_t i = 0; i < SOLVED; i++) {
+      solved->R[i] = transport_at(solution, solved->r[i]).R.value;
+    }
+    solved->albedo = transport_total(solution).value;
+  }
+  const bool done = solution != NULL;
+  transport_solution_free(solution);
+  transport_boundary_free(boundary);
+  return done;
+}
+
+/* Returns how far the wanted quantities of a profile are off at radii first to last. */
+static double deviation(const core_profile *profile, const struct solved *solved, unsigned wanted,
+                        size_t first, size_t last) {
+  const size_t n = last - first + 1;
+  const double *r = &solved->r[first], *R = &solved->R[first];
+  double value[SOLVED];
+  double worst =
+      (wanted & CORE_QUANTITY_ALBEDO) != 0 ? fabs(profile->albedo / solved->albedo - 1) : 0;
+  for (unsigned quantity = 1; quantity <= CORE_QUANTITY_RING; quantity *= 2) {
+    if ((wanted & quantity) == 0 || !core_quantity_elementwise(quantity) ||
+        quantity == CORE_QUANTITY_CDF) {
+      continue;
+    }
+    core_eval_f64(profile, quantity, n, r, value);
+    for (size_t i = 0; i < n; i++) {
+      const double ring = 2 * (double)M_PI * r[i] * R[i];
+      const double truth = quantity == CORE_QUANTITY_PDF    ? ring / solved->albedo
+                           : quantity == CORE_QUANTITY_RING ? ring
+                                                            : R[i];
+      const double off =
+          quantity == CORE_QUANTITY_LN_R ? fabs(value[i] - log(truth)) : fabs(value[i] / truth - 1);
+      worst = fmax(worst, off);
+    }
+  }
+  return worst;
+}
+
+/* No model is further from transport than it states for a request's radii and quantities. */
+static void check_model_errors(uint64_t *random) {
+  static const unsigned wants[] = {
+      CORE_QUANTITY_R,      CORE_QUANTITY_RING,
+      CORE_QUANTITY_ALBEDO, CORE_QUANTITY_R | CORE_QUANTITY_ALBEDO | CORE_QUANTITY_CDF,
+      CORE_QUANTITY_PDF,    CORE_QUANTITY_LN_R};
+  static struct subject s;
+  struct solved solved;
+  const double ratio = below(random, 6) == 0 ? 0
+                       : below(random, 4)    ? log_between(random, 1e-4, 12)
+                                             : log_between(random, 1e-8, 1e-4);
+  const double eta =
+      below(random, 4) ? between(random, 0.9, 2.1) : 1 + 0.5 * (double)below(random, 3);
+  s.moments = CORE_MOMENTS_EXACT;
+  s.medium = (core_medium){ratio / (1 + ratio), 1 / (1 + ratio), 0, eta};
+  s.parameters = core_parameters_none();
+  if (!solve(&solved, &s.medium, random)) {
+    return;
+  }
+  for (s.model = 0; s.model < MODELS; s.model++) {
+    core_profile *profile = &s.profiles[F64];
+    if (models[s.model] == CORE_MODEL_TRANSPORT || /* what the others are held against */
+        core_profile_prepare(profile, core_isa_select(NULL), models[s.model], s.moments,
+                             CORE_EVALUATOR_F64, &s.medium, NULL)
+                .field != NULL) {
+      continue;
+    }
+    for (size_t i = 0; i < RANGES; i++) {
+      const unsigned wanted = wants[below(random, sizeof wants / sizeof wants[0])];
+      const size_t a = below(random, SOLVED), b = below(random, SOLVED);
+      const size_t first = a < b ? a : b, last = a < b ? b : a;
+      const core_stated_errors errors =
+          core_profile_errors(profile, wanted, (core_radii_range){solved.r[first], solved.r[last]});
+      if (!isnan(errors.model)) {
+        const double off = deviation(profile, &solved, wanted, first, last);
+        const double share = off / (errors.model + errors.numerical + 1e-6);
+        count(&s, F64, MODEL_ERROR, share <= 1, share, solved.r[first], off, errors.model);
+      }
+    }
+    core_profile_free(profile);
+  }
+}
+
+static void run_round(uint64_t seed, unsigned only) {
+  uint64_t random = seed + round_now * UINT64_C(0xd1342543de82ef95);
+  random_bits(&random);
+  for (size_t model = 0; model < MODELS; model++) {
+    uint64_t own = random_bits(&random);
+    if (only == 0 || only == models[model]) {
+      const double start_s = now_s();
+      const bool slow = (round_now + model) % 16 == 0 || only != 0;
+      draw_subject(model, slow, (round_now + model) % 8 == 0, &own);
+      worker->seconds[model] += now_s() - start_s;
+    }
+  }
+  if (only == 0 && round_now % 4 == 0) {
+    check_model_errors(&random);
+  }
+}
+
+static unsigned long long print_classes(const struct worker *workers, size_t count_of_workers,
+                                        bool all) {
+  unsigned long long values = 0, by_form = 0, violations = 0, of_f64 = 0;
+  if (all) {
+    printf("%-30s %-4s %-11s %12s %12s %7s %s\n", "model", "", "", "values", "by formula", "worst",
+           "violations");
+  }
+  for (size_t model = 0; model < MODELS; model++) {
+    for (int at = 0; at < EVALUATORS * CHECKS; at++) {
+      struct class sum = {0};
+      for (size_t w = 0; w < count_of_workers; w++) {
+        const struct class *one = &workers[w].classes[model][at / CHECKS][at % CHECKS];
+        sum.values += one->values;
+        sum.by_form += one->by_form;
+        sum.violations += one->violations;
+        sum.worst = fmax(sum.worst, one->worst);
+      }
+      if (all && sum.values > 0) {
+        printf("%-30s %-4s %-11s %12llu %12llu %7.3f %llu\n", model_name(model),
+               at / CHECKS == FINE ? "fine" : evaluator_names[at / CHECKS],
+               check_names[at % CHECKS], sum.values, sum.by_form, sum.worst, sum.violations);
+      }
+      values += sum.values;
+      by_form += sum.by_form;
+      of_f64 += at / CHECKS == F64 || at / CHECKS == FINE ? sum.values : 0;
+      violations += sum.violations;
+    }
+  }
+  for (size_t model = 0; all && model < MODELS; model++) {
+    double seconds = 0;
+    for (size_t w = 0; w < count_of_workers; w++) {
+      seconds += workers[w].seconds[model];
+    }
+    printf("%s%s %.0f s", model == 0 ? "time: " : ", ", model_name(model), seconds);
+  }
+  printf("%s%llu rounds, %llu values (%llu of f64, %llu compared with the formula), %llu off by "
+         "more than "
+         "stated\n",
+         all ? "\n" : "", *rounds_begun, values, of_f64, by_form, violations);
+  fflush(stdout);
+  return violations;
+}
+
+struct options {
+  double seconds;
+  unsigned long long rounds;
+  uint64_t seed;
+  unsigned only;
+  size_t workers;
+};
+
+static void work(const struct options *options, double start_s) {
+  while (now_s() - start_s < options->seconds) {
+    round_now = __atomic_fetch_add(rounds_begun, 1, __ATOMIC_RELAXED);
+    if (round_now >= options->rounds) {
+      return;
+    }
+    run_round(options->seed, options->only);
+  }
+}
+
+static void *shared(size_t bytes) {
+  void *memory = mmap(NULL, bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
+  if (memory == MAP_FAILED) {
+    perror("mmap");
+    exit(2);
+  }
+  return memory;
+}
+
+static struct options read_options(int argc, char **argv) {
+  static const struct option names[] = {{"seconds", 1, NULL, 's'}, {"rounds", 1, NULL, 'r'},
+                                        {"seed", 1, NULL, 'e'},    {"model", 1, NULL, 'm'},
+                                        {"workers", 1, NULL, 'w'}, {0}};
+  struct options options = {.seconds = (double)INFINITY,
+                            .rounds = UINT64_MAX,
+                            .seed = (uint64_t)(now_s() * 1e6),
+                            .workers = (size_t)sysconf(_SC_NPROCESSORS_ONLN)};
+  for (int c; (c = getopt_long(argc, argv, "", names, NULL)) != -1;) {
+    switch (c) {
+    case 's':
+      options.seconds = atof(optarg);
+      break;
+    case 'r':
+      options.rounds = strtoull(optarg, NULL, 0);
+      break;
+    case 'e':
+      options.seed = strtoull(optarg, NULL, 0);
+      break;
+    case 'm':
+      options.only = (unsigned)atoi(optarg);
+      break;
+    case 'w':
+      options.workers = (size_t)atoi(optarg);
+      break;
+    default:
+      fprintf(stderr, "usage: truth [--seconds N | --rounds N] [--seed N] [--model ID] "
+                      "[--workers N]\n");
+      exit(2);
+    }
+  }
+  if (isinf(options.seconds) && options.rounds == UINT64_MAX) {
+    options.seconds = 60;
+  }
+  return options;
+}
+
+int main(int argc, char **argv) {
+  const double start_s = now_s();
+  const struct options options = read_options(argc, argv);
+  printf("seed %llu\n", (unsigned long long)options.seed);
+  uint64_t random = options.seed;
+  draw_etas(&random);
+  struct worker *workers = shared(options.workers * sizeof *workers);
+  rounds_begun = shared(sizeof *rounds_begun);
+  fflush(stdout);
+  for (size_t w = 0; w < options.workers; w++) {
+    const pid_t child = fork();
+    if (child < 0) {
+      perror("fork");
+      return 2;
+    }
+    if (child == 0) {
+      prctl(PR_SET_PDEATHSIG, SIGTERM);
+      worker = &workers[w];
+      work(&options, start_s);
+      _exit(0);
+    }
+  }
+  bool crashed = false;
+  for (size_t left = options.workers; left > 0;) {
+    int status;
+    double next_s = now_s() + 300;
+    pid_t child;
+    while ((child = waitpid(-1, &status, WNOHANG)) == 0) {
+      usleep(20000);
+      if (now_s() >= next_s) {
+        printf("%.0f s: ", now_s() - start_s);
+        print_classes(workers, options.workers, false);
+        next_s += 300;
+      }
+    }
+    crashed = crashed || status != 0;
+    left--;
+  }
+  const unsigned long long violations = print_classes(workers, options.workers, true);
+  if (crashed) {
+    printf("a worker has crashed\n");
+  }
+  return violations > 0 || crashed;
 }

@@ -34,6 +34,14 @@ UNIT_TEST(refuses_media_without_extinction) {
   assert_medium(0, 5e-324, 0, 1.3, "sigma_s");
 }
 
+/* A medium is refused if it scatters so little that its albedo would underflow. */
+UNIT_TEST(refuses_media_that_scatter_next_to_nothing) {
+  assert_medium(1, 1.01e-32, 0, 1.3, NULL);
+  assert_medium(1, 0.99e-32, 0, 1.3, "sigma_s");
+  assert_medium(1, 1.01e-32, 0.5, 1.3, "sigma_s");
+  assert_medium(1, 5e-324, 0, 1.3, "sigma_s");
+}
+
 /* If a medium has several faults, the error names the first field in the order of the structure. */
 UNIT_TEST(reports_the_first_field) {
   assert_medium(-1, -1, 2, 0, "sigma_a");

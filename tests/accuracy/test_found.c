@@ -1,0 +1,275 @@
+/* Values that were once further off than their profile stated, most of them found by
+ * tests/accuracy/truth.c, and what else one of its rounds is too rare to meet. */
+#include <math.h>
+
+#include "tests/accuracy/forms.h"
+#include "tests/unit/unit.h"
+
+static const struct found {
+  unsigned model;
+  unsigned moments;
+  core_medium medium;
+  double tolerance; /* 0: not given */
+  double thickness; /* 0: not given */
+  enum core_elementwise quantity;
+  double r;
+} all[] = {
+    /* ln R beyond the radii where the nodes of single scattering resolve the critical angle */
+    {12,
+     3,
+     {.048342114715528794, 3.9371245834975133, .7068965829280961, 1.64},
+     0,
+     0,
+     CORE_ELEMENTWISE_LN_R,
+     1172310016},
+    {12,
+     3,
+     {3.6002109438601964e-13, 1e-13, .0516, 1.0000000000000513},
+     0,
+     0,
+     CORE_ELEMENTWISE_LN_R,
+     2.4857153660020284e+25},
+    {12, 1, {1, 1, 0, 1 - 3e-15}, 0, 0, CORE_ELEMENTWISE_LN_R, 3e12},
+    /* a phase function that peaks where the light returns */
+    {12,
+     2,
+     {6.4838038657429128e-16, 1.4245756587699197e-05, -.99356405350349442, 1},
+     0,
+     0,
+     CORE_ELEMENTWISE_SLOPE,
+     2641.4901407906523},
+    {12, 1, {.1, 1, -.999999, 1.4}, 0, 0, CORE_ELEMENTWISE_R, 1e-7},
+    {12, 1, {.1, 1, -.9999999999, 1.4}, 0, 0, CORE_ELEMENTWISE_CDF, 1e-3},
+    /* dR/dr that has nearly underflowed, next to the source of a medium with a large sigma_s */
+    {12,
+     1,
+     {6.2936497868660206, 1e15, .99999999999830125, 1.78},
+     0,
+     0,
+     CORE_ELEMENTWISE_SLOPE,
+     2.4562380666719175e-13},
+    /* dR/dr of quantized diffusion at tight tolerances, and next to the source */
+    {10,
+     3,
+     {.11021964541377137, .018809542588493627, -.64702573831986154, 1.28},
+     1e-12,
+     0,
+     CORE_ELEMENTWISE_SLOPE,
+     70.552864074707031},
+    {10,
+     3,
+     {.00014008569579366506, 8.857997343145616, -.28100640199629984, 1.38},
+     1e-12,
+     0,
+     CORE_ELEMENTWISE_SLOPE,
+     79.417472839355469},
+    {16,
+     2,
+     {4.0191784427857262e-07, 46330.611244221116, 0, 1.16},
+     3.6335016179573366e-10,
+     0,
+     CORE_ELEMENTWISE_SLOPE,
+     1.9687290331500164e-16},
+    /* the cdf where quantized diffusion is continued in proportion to 1 / r^3 */
+    {10, 1, {0, 10.179499265782718, 0, 1.66}, 1e-12, 0, CORE_ELEMENTWISE_CDF, 3216388352},
+    {10,
+     1,
+     {0, .00036684443309304576, 0, 125.77969001203752},
+     1e-12,
+     0,
+     CORE_ELEMENTWISE_CDF,
+     27168.576171875},
+    {10, 1, {0, 5.7032039914085173, 0, 732.20349396291783}, 1e-12, 0, CORE_ELEMENTWISE_CDF, .01},
+    {10, 1, {0, 5.7032039914085173, 0, 732.20349396291783}, 1e-12, 0, CORE_ELEMENTWISE_R, 1e12},
+    /* slabs beyond 30 decay lengths, and thick ones */
+    {26,
+     1,
+     {28.86681077934717, 6.451839023028399, 0, 1.3},
+     0,
+     1.5153297352142563,
+     CORE_ELEMENTWISE_R,
+     .02},
+    {26,
+     1,
+     {1.8161687420845836, .45904645480932443, 0, 1},
+     0,
+     15.62543662979096,
+     CORE_ELEMENTWISE_R,
+     0},
+    {25,
+     1,
+     {.0006677488597191519, 26.936460962945098, 0, 1.5},
+     0,
+     41.88794671213062,
+     CORE_ELEMENTWISE_R,
+     0},
+    {25,
+     1,
+     {.051633312953143065, .2196883399787797, 0, 1},
+     0,
+     19.861599357368725,
+     CORE_ELEMENTWISE_LN_R,
+     5000},
+    /* the least share of scattering that a medium may have */
+    {10,
+     3,
+     {.026307168967803912, 2.7e-32, 0, .99999532156521787},
+     0,
+     0,
+     CORE_ELEMENTWISE_LN_R,
+     20843.052734375},
+    {27, 1, {2e7, 2.1e-23, 0, 3.3}, 0, 8.7e-7, CORE_ELEMENTWISE_LN_R, 2.43e-5},
+    {16, 1, {1.8e-13, 1.9e-43, 0, 1.92}, 0, 0, CORE_ELEMENTWISE_LN_R, 9e14},
+    {20, 1, {1.8e-13, 1.9e-43, 0, 1.92}, 0, 0, CORE_ELEMENTWISE_R, 9e12},
+};
+
+static core_parameters parameters_of(const struct found *one) {
+  core_parameters parameters = core_parameters_none();
+  parameters.value[CORE_PARAMETER_COS_IN] = parameters.value[CORE_PARAMETER_COS_OUT] = 1;
+  if (one->tolerance > 0) {
+    parameters.value[CORE_PARAMETER_TOLERANCE] = one->tolerance;
+  }
+  if (one->thickness > 0) {
+    parameters.value[CORE_PARAMETER_THICKNESS] = one->thickness;
+  }
+  return parameters;
+}
+
+UNIT_TEST(what_was_found_is_right) {
+  static form_model form;
+  static const unsigned bits[CORE_ELEMENTWISE_COUNT] = {
+      [CORE_ELEMENTWISE_R] = CORE_QUANTITY_R,
+      [CORE_ELEMENTWISE_CDF] = CORE_QUANTITY_CDF,
+      [CORE_ELEMENTWISE_LN_R] = CORE_QUANTITY_LN_R,
+      [CORE_ELEMENTWISE_SLOPE] = CORE_QUANTITY_SLOPE,
+  };
+  size_t wrong = 0;
+  for (size_t i = 0; i < sizeof all / sizeof all[0]; i++) {
+    const core_parameters parameters = parameters_of(&all[i]);
+    core_profile profile;
+    double value;
+    unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), all[i].model,
+                                           all[i].moments, CORE_EVALUATOR_F64, &all[i].medium,
+                                           &parameters),
+                      NULL, 0);
+    core_eval_f64(&profile, bits[all[i].quantity], 1, &all[i].r, &value);
+    form_prepare(&form, all[i].model, all[i].moments, &all[i].medium, &parameters);
+    const quad truth =
+        form_truth(&form, form_at(&form, all[i].r, false), all[i].quantity, all[i].r);
+    const double share = form_share(&form, &profile, all[i].quantity, all[i].r, value, truth, 0);
+    if (!(share <= 1)) {
+      print_error("case %zu: %.17g, not %.17g: %.3f of what is stated\n", i, value, (double)truth,
+                  share);
+      wrong++;
+    }
+    core_profile_free(&profile);
+  }
+  assert_int_equal(wrong, 0);
+}
+
+/* An albedo that has underflowed to 0 has no cdf: it is 0 at infinity, too (core.h). */
+UNIT_TEST(an_albedo_that_has_underflowed_has_no_cdf) {
+  const core_medium medium = {1.115581921955049e-06, .0015423923707965296, -.19034407250105878,
+                              1.06};
+  const struct found slab = {.thickness = 74046473.510515705};
+  const core_parameters parameters = parameters_of(&slab);
+  const double r = (double)INFINITY;
+  const float r_f32 = INFINITY;
+  double cdf;
+  float cdf_f32;
+  core_profile profile;
+  for (unsigned evaluator = CORE_EVALUATOR_F64; evaluator <= CORE_EVALUATOR_F32; evaluator++) {
+    unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL),
+                                           CORE_MODEL_BETTER_MULTIPOLE_TRANSMITTED, 1, evaluator,
+                                           &medium, &parameters),
+                      NULL, 0);
+    assert_true(profile.albedo == 0);
+    if (evaluator == CORE_EVALUATOR_F64) {
+      core_eval_f64(&profile, CORE_QUANTITY_CDF, 1, &r, &cdf);
+      assert_true(cdf == 0);
+    } else {
+      core_eval_f32(&profile, CORE_QUANTITY_CDF, 1, &r_f32, &cdf_f32);
+      assert_true(cdf_f32 == 0);
+    }
+    core_profile_free(&profile);
+  }
+}
+
+/* Samples where the cdf has a long plateau between the real and the mirrored source. */
+UNIT_TEST(samples_are_right_where_the_mirrored_source_is_far) {
+  const core_medium media[] = {{0, 1, 0, 43.936506262824352}, {1e-9, 1, 0, 900}, {0, 1, 0, .002}};
+  enum { SAMPLES = 400 };
+  double u[SAMPLES], r[SAMPLES], cdf[SAMPLES];
+  float u_f32[SAMPLES], r_f32[SAMPLES];
+  for (size_t m = 0; m < sizeof media / sizeof media[0]; m++) {
+    for (unsigned model = CORE_MODEL_CLASSICAL; model <= CORE_MODEL_BOUNDARY_EXITANCE; model++) {
+      core_profile f64, f32;
+      unit_assert_fault(core_profile_prepare(&f64, core_isa_select(NULL), model, 1,
+                                             CORE_EVALUATOR_F64, &media[m], NULL),
+                        NULL, 0);
+      unit_assert_fault(core_profile_prepare(&f32, core_isa_select(NULL), model, 1,
+                                             CORE_EVALUATOR_F32, &media[m], NULL),
+                        NULL, 0);
+      for (int i = 0; i < SAMPLES; i++) {
+        u[i] = (i + 0.5) / SAMPLES;
+        u_f32[i] = (float)u[i];
+      }
+      core_sample_f64(&f64, SAMPLES, u, r);
+      core_eval_f64(&f64, CORE_QUANTITY_CDF, SAMPLES, r, cdf);
+      for (int i = 0; i < SAMPLES; i++) {
+        assert_true(fabs(cdf[i] - u[i]) <= CORE_SAMPLE_ERROR_F64 + 2 * f64.numerical_error);
+      }
+      core_sample_f32(&f32, SAMPLES, u_f32, r_f32);
+      for (int i = 0; i < SAMPLES; i++) {
+        r[i] = (double)r_f32[i];
+      }
+      core_eval_f64(&f64, CORE_QUANTITY_CDF, SAMPLES, r, cdf);
+      for (int i = 0; i < SAMPLES; i++) {
+        assert_true(fabs(cdf[i] - (double)u_f32[i]) <= CORE_SAMPLE_ERROR_F32 + f32.numerical_error +
+                                                           f32.numerical_error_per_mm * r[i]);
+      }
+      core_profile_free(&f64);
+      core_profile_free(&f32);
+    }
+  }
+}
+
+/* A table's stated error holds between the arguments where building it has looked. */
+UNIT_TEST(a_table_states_its_largest_error) {
+  const struct {
+    unsigned model;
+    core_medium medium;
+    double tolerance, from, to;
+    enum core_quantity quantity;
+  } tables[] = {
+      {CORE_MODEL_SKIN_GREEN, {.034, .86, .56, 1.72}, 0, .1, 1, CORE_QUANTITY_R},
+      {CORE_MODEL_BETTER, {0, 5e-9, 0, 1}, 0, 1e8, 4e8, CORE_QUANTITY_CDF},
+  };
+  double worst = 0;
+  for (size_t i = 0; i < sizeof tables / sizeof tables[0]; i++) {
+    for (double tolerance = 1e-5; tolerance < 0.05; tolerance *= 1.3) {
+      core_parameters parameters = core_parameters_none();
+      parameters.value[CORE_PARAMETER_TOLERANCE] = tolerance;
+      core_profile lut, f64;
+      unit_assert_fault(core_profile_prepare(&lut, core_isa_select(NULL), tables[i].model, 3,
+                                             CORE_EVALUATOR_LUT, &tables[i].medium, &parameters),
+                        NULL, 0);
+      unit_assert_fault(core_profile_prepare(&f64, core_isa_select(NULL), tables[i].model, 3,
+                                             CORE_EVALUATOR_F64, &tables[i].medium, NULL),
+                        NULL, 0);
+      for (double at = tables[i].from; at < tables[i].to; at *= 1.0003) {
+        const float r_f32 = (float)at;
+        const double r = (double)r_f32;
+        float value;
+        double truth;
+        core_eval_f32(&lut, tables[i].quantity, 1, &r_f32, &value);
+        core_eval_f64(&f64, tables[i].quantity, 1, &r, &truth);
+        worst = fmax(worst, fabs((double)value / truth - 1) / lut.numerical_error);
+      }
+      core_profile_free(&lut);
+      core_profile_free(&f64);
+    }
+  }
+  printf("tables: at most %.3f of what is stated\n", worst);
+  assert_true(worst <= 1);
+}
