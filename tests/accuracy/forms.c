@@ -480,6 +480,16 @@ quad form_truth(const form_model *form, form_values at, enum core_elementwise qu
   }
 }
 
+bool form_promises(const form_model *form, int quantity, double r) {
+  const form_part *part = &form->part[0];
+  const double x = r * (double)part->sigma_t_prime;
+  return (quantity != CORE_ELEMENTWISE_SLOPE && quantity != CORE_ELEMENTWISE_PDF &&
+          quantity != CORE_ELEMENTWISE_RING) ||
+         (part->sigma_t_prime >= 1e-6Q && part->sigma_t_prime <= 1e6Q &&
+          part->absorbed <= 1e6Q * part->scattered && part->medium.eta >= 0.2 &&
+          part->medium.eta <= 5 && (!(r > 0) || (x >= 1e-12 && x <= 1e6)));
+}
+
 static bool is_wide(const core_profile *profile, int quantity) {
   return profile->evaluator == CORE_EVALUATOR_F64 || quantity == FORM_ALBEDO;
 }

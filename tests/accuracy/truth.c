@@ -198,17 +198,6 @@ static void evaluate(const core_profile *profile, enum core_quantity quantity, s
   }
 }
 
-/* Where dR/dr, pdf and 2 pi r R keep what is stated (core.h). */
-static bool is_promised(const struct subject *s, int quantity, double r) {
-  const form_part *part = &s->form.part[0];
-  const double x = r * (double)part->sigma_t_prime;
-  return (quantity != CORE_ELEMENTWISE_SLOPE && quantity != CORE_ELEMENTWISE_PDF &&
-          quantity != CORE_ELEMENTWISE_RING) ||
-         (part->sigma_t_prime >= 1e-6Q && part->sigma_t_prime <= 1e6Q &&
-          part->absorbed <= 1e6Q * part->scattered && s->medium.eta >= 0.2 && s->medium.eta <= 5 &&
-          (r == 0 || (x >= 1e-12 && x <= 1e6)));
-}
-
 /* Whether ln R is finite at this radius: only up to so many mean free paths. */
 static bool has_ln_R(const struct subject *s, enum evaluator e, double r) {
   const double far = e == F64 || e == FINE ? 1e100 : 1e12;
@@ -235,7 +224,7 @@ static void compare_exactly(const struct subject *s, const struct values *values
     for (int q = 0; q < CORE_ELEMENTWISE_COUNT; q++) {
       const bool wanted = (only_evaluator < 0 || (e == only_evaluator && q == only_quantity)) &&
                           s->ready[e] && (e == F64 || e == FINE || is_narrow(r)) &&
-                          is_promised(s, q, r);
+                          form_promises(&s->form, q, r);
       const quad truth = wanted ? form_truth(&s->form, at, q, r) : (quad)NAN;
       if (!isnan(truth) && (q != CORE_ELEMENTWISE_LN_R || isinf(truth) || has_ln_R(s, e, r))) {
         compare(s, e, q, r, values->of[e][q][i], truth, 0);
@@ -283,7 +272,7 @@ static void compare_densely(const struct subject *s, const struct values *values
       const bool itself = e == F64 && s->ready[F64] &&
                           s->profiles[F64].numerical_error == s->profiles[FINE].numerical_error;
       for (int q = 0; s->ready[e] && !itself && q < CORE_ELEMENTWISE_COUNT; q++) {
-        const bool asked = is_promised(s, q, r) && (e == F64 || is_narrow(r)) &&
+        const bool asked = form_promises(&s->form, q, r) && (e == F64 || is_narrow(r)) &&
                            (q != CORE_ELEMENTWISE_LN_R || has_ln_R(s, e, r));
         if (asked && !s->form.known) {
           compare_with_fine(s, values, i, e, q);
