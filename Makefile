@@ -229,8 +229,6 @@ $(CACHE_TESTS:%=$(BUILD)/tests/unit/%): $(call objects,server/store/cache.c serv
 $(CACHE_TESTS:%=$(BUILD)/tests/unit/%): TEST_LIBS = $(UV_LIBS)
 $(CACHE_TESTS:%=$(OBJ)/tests/unit/%.o): EXTRA_CPPFLAGS = $(UV_CFLAGS)
 
-$(BUILD)/tests/accuracy/test_models: TEST_LIBS = $(shell $(PKG_CONFIG) --libs gsl)
-
 # Its input and histograms likewise.
 $(BUILD)/tests/unit/test_histogram: $(call objects,server/observe/latency.c)
 $(BUILD)/tests/unit/test_histogram: TEST_LIBS = $(UV_LIBS)
