@@ -461,10 +461,21 @@ static size_t slice_length(const struct eval_job *eval, double cost) {
   return left < most ? (size_t)left : most;
 }
 
+/* Returns the cost of computing a radius of the grid, in radii of a dipole; 0 for listed radii. One
+ * takes 3.6 ns of a linear and 42 ns of a logarithmic grid, a dipole 1.3 (f32) or 3.8 ns (f64). */
+static double grid_cost(const struct eval_job *eval) {
+  const unsigned spacing = eval->request.fixed.spacing;
+  return is_sample(eval) || spacing == CORE_SPACING_LIST ? 0
+         : spacing == CORE_SPACING_LINEAR                ? 2
+                                                         : 20;
+}
+
 /* Returns the cost of one radius of the channel, in radii of a dipole. */
 static double cost_of(const struct eval_job *eval) {
   const core_profile *profile = &eval->lookup.profile;
-  return profile->cost + (is_sample(eval) ? core_draw_cost(profile) : 0);
+  const bool in_reply = eval_is_array(eval_job_wanted(eval), CORE_QUANTITY_RADIUS);
+  return profile->cost + (is_sample(eval) ? core_draw_cost(profile) : 0) +
+         (in_reply ? 0 : grid_cost(eval));
 }
 
 /* ---- the job --------------------------------------------------------------------------------- */
@@ -539,6 +550,7 @@ enum job_outcome eval_job_step(struct job *job, uint64_t *budget) {
   size_t n;
   double cost = 1;
   if (!eval->radii_done) {
+    cost += grid_cost(eval);
     n = slice_length(eval, cost);
     radii_step(eval, n);
   } else {

@@ -45,6 +45,8 @@ struct client_kind {
   bool counts;
 };
 
+TAILQ_HEAD(client_queue, client);
+
 struct client {
   const struct client_kind *kind;
   struct worker *worker;        /* set before start() */
@@ -53,7 +55,8 @@ struct client {
   LIST_ENTRY(client) in_clients;
   TAILQ_ENTRY(client) in_run_queue;
   TAILQ_ENTRY(client) in_finish_queue;
-  bool to_run;    /* whether the client is in the run queue */
+  bool to_run;    /* whether the client is in a queue of clients to run */
+  bool goes_on;   /* to_run: whether it is in worker.going_on, and not in worker.arrived */
   bool to_finish; /* whether the client is in the finish queue */
 };
 

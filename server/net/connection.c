@@ -11,8 +11,9 @@
 enum {
   TURN_RADII = JOB_SLICE_RADII, /* the work of one turn, in radii of a dipole */
   WRITE_BUFFERS = 16,
-  REST_MS = 1000,   /* the silence after which the connection releases its buffers */
-  LINGER_MS = 1000, /* how long the peer may take to close after the last answer */
+  WRITE_BYTES = 262144, /* at most in one turn: about 60 microseconds */
+  REST_MS = 1000,       /* the silence after which the connection releases its buffers */
+  LINGER_MS = 1000,     /* how long the peer may take to close after the last answer */
 };
 
 struct connection {
@@ -231,20 +232,32 @@ static void on_written(uv_write_t *request, int status) {
     return;
   }
   wrote(c, bytes);
-  write_more(c);
-  if (!c->closing) {
-    worker_run_later(&c->client);
-  }
+  worker_run_later(&c->client); /* its turn writes more */
 }
 
-/* Writes as much as the socket takes at once. libuv writes the rest when the socket takes more. */
+/* Cuts the buffers off after so many bytes. Returns how many buffers are left. */
+static unsigned cut_off(uv_buf_t *buffers, unsigned count, size_t bytes) {
+  unsigned i = 0;
+  for (; i < count && bytes > 0; i++) {
+    buffers[i].len = buffers[i].len < bytes ? buffers[i].len : bytes;
+    bytes -= buffers[i].len;
+  }
+  return i;
+}
+
+/* Writes as much as the socket takes at once, up to WRITE_BYTES: a reader on another core may empty
+ * the socket as fast as it is filled, and the other clients wait meanwhile. If the socket takes
+ * nothing, libuv writes when it does. */
 static void write_more(struct connection *c) {
-  while (c->writing_bytes == 0 && c->output.ready_bytes > 0) {
+  size_t left = WRITE_BYTES;
+  while (c->writing_bytes == 0 && c->output.ready_bytes > 0 && left > 0) {
     uv_buf_t buffers[WRITE_BUFFERS];
-    const unsigned count = (unsigned)output_buffers(&c->output, buffers, WRITE_BUFFERS);
+    const unsigned count =
+        cut_off(buffers, (unsigned)output_buffers(&c->output, buffers, WRITE_BUFFERS), left);
     const int written = uv_try_write(&c->uv.stream, buffers, count);
     if (written > 0) {
       wrote(c, (uint64_t)written);
+      left -= (size_t)written;
       continue;
     }
     for (unsigned i = 0; i < count; i++) {
@@ -372,6 +385,9 @@ static void finish(struct client *client) {
     worker_run_later(&c->client);
   } else {
     read_on_or_end(c);
+  }
+  if (!c->closing && c->writing_bytes == 0 && c->output.ready_bytes > 0) {
+    worker_run_later(&c->client); /* WRITE_BYTES have been written, and there is more */
   }
 }
 

@@ -9,10 +9,15 @@ static void on_awake(uv_idle_t *handle) {
   (void)handle;
 }
 
+static struct client_queue *queue_of(struct client *client) {
+  return client->goes_on ? &client->worker->going_on : &client->worker->arrived;
+}
+
 void worker_run_later(struct client *client) {
   if (!client->to_run) {
     client->to_run = true;
-    TAILQ_INSERT_TAIL(&client->worker->run_queue, client, in_run_queue);
+    client->goes_on = client->worker->in_round;
+    TAILQ_INSERT_TAIL(queue_of(client), client, in_run_queue);
     client->worker->run_count++;
   }
 }
@@ -24,8 +29,8 @@ void worker_finish_later(struct client *client) {
   }
 }
 
-static void remove_from_run_queue(struct client *client) {
-  TAILQ_REMOVE(&client->worker->run_queue, client, in_run_queue);
+static void remove_from(struct client_queue *queue, struct client *client) {
+  TAILQ_REMOVE(queue, client, in_run_queue);
   client->worker->run_count--;
   client->to_run = false;
 }
@@ -37,16 +42,12 @@ static void publish_queue(struct worker *worker) {
   stats_set(stats, STATS_OWED_RADII, worker->context.owed_radii);
 }
 
-/* Gives one turn to each client that is in the queue now. A client that comes back to the queue has
- * its next turn in a later round. After all turns, evaluates the short requests of all clients
- * together and lets the clients write. No client is freed meanwhile, because that takes another
- * round of the loop. */
-static void run_round(struct worker *worker) {
+/* Gives one turn to each client of the queue. After all turns, evaluates the short requests of these
+ * clients together and lets the clients write. */
+static void serve(struct worker *worker, struct client_queue *queue) {
   struct client *client;
-  publish_queue(worker);
-  for (uint64_t left = worker->run_count; left > 0; left--) {
-    client = TAILQ_FIRST(&worker->run_queue);
-    remove_from_run_queue(client);
+  while ((client = TAILQ_FIRST(queue)) != NULL) {
+    remove_from(queue, client);
     client->kind->run(client);
     worker_finish_later(client);
   }
@@ -59,6 +60,22 @@ static void run_round(struct worker *worker) {
     }
   }
   latency_finish(worker->context.latency);
+}
+
+/* Serves the clients that something has arrived for, and then those that go on with earlier work:
+ * so a short request waits for a turn of each large one at most once. A client that comes back to
+ * the queue has its next turn in a later round. No client is freed meanwhile, because that takes
+ * another round of the loop. */
+static void run_round(struct worker *worker) {
+  struct client_queue earlier = TAILQ_HEAD_INITIALIZER(earlier);
+  publish_queue(worker);
+  TAILQ_CONCAT(&earlier, &worker->going_on, in_run_queue);
+  worker->in_round = true;
+  serve(worker, &worker->arrived);
+  if (!TAILQ_EMPTY(&earlier)) {
+    serve(worker, &earlier);
+  }
+  worker->in_round = false;
   publish_queue(worker);
   worker->round_ns = 0;
 }
@@ -75,7 +92,7 @@ void worker_forget(struct client *client) {
   struct worker *worker = client->worker;
   assert(!client->to_finish);
   if (client->to_run) {
-    remove_from_run_queue(client);
+    remove_from(queue_of(client), client);
   }
   LIST_REMOVE(client, in_clients);
   atomic_fetch_sub_explicit(&worker->client_count, client->kind->counts, memory_order_relaxed);
@@ -256,7 +273,8 @@ static int set_up_handles(struct worker *worker) {
 int worker_open(struct worker *worker, struct server *server) {
   memset(worker, 0, sizeof *worker);
   worker->server = server;
-  TAILQ_INIT(&worker->run_queue);
+  TAILQ_INIT(&worker->arrived);
+  TAILQ_INIT(&worker->going_on);
   TAILQ_INIT(&worker->finish_queue);
   worker->context.server = server;
   worker->context.loop = &worker->loop;

@@ -30,10 +30,12 @@
  * the fewest. From then on that worker reads, evaluates and writes for it on its own thread, so a
  * request crosses no threads. In each round of its loop, a worker
  *   1. reads what has arrived for all of its clients,
- *   2. gives each client that has work one turn of bounded length,
- *   3. evaluates the short requests of all clients together (server/jobs/batch.h),
- *   4. writes their answers.
- * A large request takes one slice in each turn, so other clients wait for one slice at most.
+ *   2. gives each client that something has arrived for one turn of bounded length,
+ *   3. evaluates the short requests of these clients together (server/jobs/batch.h),
+ *   4. writes their answers,
+ *   5. does the same for the clients that go on with work of earlier rounds.
+ * A large request takes one slice in each turn. So a short request waits for one slice, and one
+ * write of bounded size, of each client with a large one.
  *
  * The alternative is an I/O thread that passes requests to workers and takes the answers back.
  * Prototypes of both designs were measured on two cores; they are in the history, as
@@ -62,7 +64,7 @@ struct worker {
   uv_loop_t loop;
   uv_async_t wake;
   uv_check_t after_poll;
-  uv_idle_t stay_awake; /* active while the run queue is not empty */
+  uv_idle_t stay_awake; /* active while clients are to run */
   uv_timer_t clock;
   uv_timer_t deadline; /* fires at wake_ms */
   uint64_t wake_ms;    /* the next deadline of a client that waits; 0 if there is none */
@@ -71,10 +73,12 @@ struct worker {
   struct client *inbox;
   bool stop_wanted;
 
-  LIST_HEAD(, client) clients; /* all clients of this worker */
-  TAILQ_HEAD(, client) run_queue;
+  LIST_HEAD(, client) clients;       /* all clients of this worker */
+  struct client_queue arrived;       /* clients to run that something has arrived for */
+  struct client_queue going_on;      /* clients to run that came back in a round: work is left */
   TAILQ_HEAD(, client) finish_queue; /* clients whose finish() is called in this round */
-  uint64_t run_count;                /* clients in the run queue */
+  uint64_t run_count;                /* clients in both queues of clients to run */
+  bool in_round;                     /* clients are having their turns */
   uint64_t round_ns; /* when this round of the loop began to read; 0 if it has not read anything */
   unsigned stop_rounds; /* rounds of the loop since worker_stop(); 0 before */
   uint64_t stop_began_ms;
@@ -99,7 +103,8 @@ uv_loop_t *worker_loop(struct worker *worker);
 struct job_context *worker_context(struct worker *worker);
 /* Returns when this round of the loop began to read: the arrival time of all bytes of the round. */
 uint64_t worker_round_ns(struct worker *worker);
-/* Appends the client to the run queue unless it is there already. */
+/* Gives the client a turn: in this round of the loop, or if clients are having their turns now, in
+ * the next one. Does nothing if it is to have a turn anyway. */
 void worker_run_later(struct client *client);
 /* Makes the worker call finish() in this round of the loop, after it has evaluated the batch. */
 void worker_finish_later(struct client *client);

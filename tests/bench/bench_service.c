@@ -19,8 +19,12 @@
  *   ratio.service.redis                dipoled's rate over redis's
  *   service.fair.<idle or streaming>.p50 ...   round trip of 16 radii beside two other clients that
  *                                      are silent, or stream the largest possible answers     us
+ *   service.fair.echo.p50 ...          the same round trip to the echo server, beside the same
+ *                                      streams in the same seconds: what the machine adds,
+ *                                      because both servers share a core                      us
  *   service.fair.streamed              rate of the streaming clients                        MB/s
  *   ratio.service.fair                 the 99th percentile beside streaming over beside silent ones
+ *   ratio.service.fair.echo            dipoled's 99th percentile beside streams over the echo's
  *   service.open.<n>.rate, .p50 ...    requests of 16 radii that are due at n % of the rate of
  *                                      service.redis.dipoled: rate, latency from when they were due
  *
@@ -303,14 +307,15 @@ static uint64_t all_streamed(const struct streamer *streamers) {
   return bytes;
 }
 
-/* Measures a round beside streaming clients. Returns the megabytes per second that they got. */
-static double streaming_round(struct side *side, struct streamer *streamers) {
+/* Measures a round of each side beside streaming clients. Returns the megabytes per second that these
+ * got. */
+static double streaming_round(struct side *sides, size_t count, struct streamer *streamers) {
   for (size_t i = 0; i < STREAMERS; i++) {
     stream_begin(&streamers[i]);
   }
   const uint64_t start_ns = bench_now_ns();
   const uint64_t start_bytes = all_streamed(streamers);
-  ping_round(side, 1);
+  ping_round(sides, count);
   const double bytes = (double)(all_streamed(streamers) - start_bytes);
   const double taken_us = (double)(bench_now_ns() - start_ns) * 1e-3;
   for (size_t i = 0; i < STREAMERS; i++) {
@@ -322,29 +327,35 @@ static double streaming_round(struct side *side, struct streamer *streamers) {
 static void measure_fairness(const struct setting *setting) {
   bench_progress("service: fairness");
   struct side idle = side_of(&setting->eval);
-  struct side streaming = side_of(&setting->eval);
+  struct side beside[] = {side_of(&setting->eval), side_of(&setting->echo)};
+  struct side *streaming = &beside[0], *echo = &beside[1];
   struct streamer streamers[STREAMERS];
   double streamed[ROUNDS];
   idle.name = "idle";
-  streaming.name = "streaming";
+  streaming->name = "streaming";
   for (size_t i = 0; i < STREAMERS; i++) {
     stream_start(&streamers[i], &setting->eval.address);
   }
   open_pings(&idle, 1);
-  streaming.ping = idle.ping;
+  open_pings(echo, 1);
+  streaming->ping = idle.ping;
   const uint64_t end_ns = bench_now_ns() + FAIR_NS;
   size_t rounds = 0;
   while (rounds < FAIR_ROUNDS_MIN || (rounds < ROUNDS && bench_now_ns() < end_ns)) {
     ping_round(&idle, 1);
-    streaming.ping.count = idle.ping.count; /* both pings share a connection and its request ids */
-    streamed[rounds++] = streaming_round(&streaming, streamers);
-    idle.ping.count = streaming.ping.count;
+    streaming->ping.count = idle.ping.count; /* both pings share a connection and its request ids */
+    streamed[rounds++] = streaming_round(beside, 2, streamers);
+    idle.ping.count = streaming->ping.count;
   }
   close_pings(&idle, 1);
+  close_pings(echo, 1);
   report_percentiles(&idle, "fair", "");
-  report_percentiles(&streaming, "fair", "");
+  report_percentiles(streaming, "fair", "");
+  report_percentiles(echo, "fair", "");
   bench_figure(median(streamed, rounds), "MB/s", "service.fair.streamed");
-  bench_figure(median_ratio(streaming.p99_us, idle.p99_us, rounds), "times", "ratio.service.fair");
+  bench_figure(median_ratio(streaming->p99_us, idle.p99_us, rounds), "times", "ratio.service.fair");
+  bench_figure(median_ratio(streaming->p99_us, echo->p99_us, rounds), "times",
+               "ratio.service.fair.echo");
 }
 
 /* ---- all of them -------------------------------------------------------------------------- */
