@@ -93,8 +93,8 @@ static struct moments sum_near_normal(const struct boundary *b) {
   return sum;
 }
 
-/* Integrates the part towards grazing incidence. The variable is share = u / end, and the panels
- * grow with their distance to the pole beyond u = 0. */
+/* Integrates the part near grazing incidence: u = 1 - v from 0 to end. The variable is share = u /
+ * end. A pole lies at u = -pole, so the panels grow with their distance to it. */
 static struct moments sum_near_grazing(const struct boundary *b, dd end, double pole) {
   struct moments sum = {{0, 0}, {0, 0}};
   double from = 0;

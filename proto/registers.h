@@ -189,7 +189,7 @@ double registers_number(const uint16_t image[REGISTERS_END], unsigned address);
 /* Returns the value of an optional field, or NaN if it is not given. */
 double registers_optional(const uint16_t image[REGISTERS_END], unsigned address);
 
-/* Returns the digits that a limit of such a field needs in a text. */
+/* Returns how many digits a text needs for a limit of a field of this type. */
 int registers_digits(enum registers_type type);
 
 /* Writes the bits that a field of type BITS may be a sum of, for example "a sum of 1, 2, 4". */

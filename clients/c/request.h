@@ -80,11 +80,12 @@ struct libdipole_pending {
   void *into_radii;
 
   uint64_t id;
-  libdipole_frame *frame;    /* the answer; NULL if it is not complete yet */
-  uint32_t next_part;        /* the number of the next part of the answer */
-  uint64_t next_radius;      /* the position of the first radius or medium of the next part */
-  libdipole_frame *gathered; /* the parts so far; if there is a reader, only their head */
-  bool dropped;              /* The caller has dropped the request: do not use reader and into_*. */
+  libdipole_frame *frame; /* the answer; NULL if it is not complete yet */
+  uint32_t next_part;     /* the number of the next part of the answer */
+  uint64_t next_radius;   /* the position of the first radius or medium of the next part */
+  /* The parts so far, as one answer. If there is a reader, this frame has no arrays. */
+  libdipole_frame *gathered;
+  bool dropped; /* The caller has dropped the request: do not use reader and into_*. */
 
   size_t frame_bytes;
   uint8_t *kept;     /* [frame_bytes] copy of the request; NULL: it cannot be sent again */

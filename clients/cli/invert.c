@@ -89,7 +89,7 @@ static int check(void *given) {
     return cli_fail_usage("give --albedo, and --mean-free-path in mm");
   }
   if (lengths == NULL) {
-    return cli_fail_usage("give one of --mean-free-path, --diffuse-mean-free-path and "
+    return cli_fail_usage("give exactly one of --mean-free-path, --diffuse-mean-free-path and "
                           "--classical-diffuse-path, in mm");
   }
   if (albedos > 1 && lengths->count > 1 && albedos != lengths->count) {

@@ -34,8 +34,9 @@ struct h_function {
   double cut; /* argument of sigma */
   double h;
   size_t n;
-  /* square is w_j^2. weight is -(h / pi) L(w_j) w'_j, which stands for both signs of j, and half of
-   * that for j = 0. */
+  /* The terms of the sum for ln H(p) at the top of this file, for j >= 0. square is w_j^2.
+   * For j > 0, weight is -(h / pi) L(w_j) w'_j, which counts the terms of j and -j. For j = 0,
+   * weight is half of that. */
   double square_re[STEPS_MAX];
   double square_im[STEPS_MAX];
   double weight_re[STEPS_MAX];

@@ -212,10 +212,14 @@ struct path_point {
   double complex beyond_critical;
 };
 
-/* Returns the point of the path at s. bend is positive for the arc with +k and negative for the
- * other. With V = e^U and tau = rho e^(-i bend), (v - 1) / (V - v) = tau for eta > 1, where mu' -
- * mu_c = mu' mu_c (cosh U - cosh u') = mu' mu_c (V - v) (V v - 1) / (2 V v). For eta < 1, v - 1 =
- * tau, which bends the path to infinity in the same way. */
+/* Returns the point of the path at s. bend is the angle at the path's ends, positive for the arc
+ * with +k and negative for the arc with -k. stretched() gives rho at s, and tau = rho e^(-i bend).
+ *
+ *   eta > 1:   (v - 1) / (V - v) = tau with V = e^U. The path goes from v = 1 to v = V.
+ *   eta < 1:   v - 1 = tau. The path goes from v = 1 to infinity.
+ *
+ * For eta > 1 the critical cosine is mu_c = 1 / cosh U, and mu' = 1 / cosh u' with v = e^u'. So
+ * mu' - mu_c = mu' mu_c (cosh U - cosh u') = mu' mu_c (V - v) (V v - 1) / (2 V v). */
 static struct path_point path_at(const nodes_rules *rules, double size, double bend, double s) {
   const double eta = rules->eta;
   const struct stretch stretch = stretched(eta > 1, size, s);

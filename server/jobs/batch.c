@@ -207,8 +207,9 @@ void repeat_answer(const struct repeat_entry *entry, struct batch *batch, struct
 
 /* ---- remembering requests -------------------------------------------------------------------- */
 
-/* Returns whether a request can be remembered. RADIUS and S exclude it: no kernel evaluates RADIUS,
- * and S depends on angles. */
+/* Returns whether repeat_learn() may keep a request, so that repeat_find() finds it when a client
+ * sends it again. A request for RADIUS or S is not kept: no kernel evaluates RADIUS, and S depends
+ * on angles, which the profiles in the table do not have. */
 static bool can_repeat(const wire_eval_request *fixed, const eval_layout *layout,
                        struct profiles_place place) {
   return fixed->medium_count == 1 && fixed->radius_count > 0 &&

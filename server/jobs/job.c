@@ -146,7 +146,9 @@ wire_error job_fault(core_fault fault, uint32_t channel) {
 }
 
 wire_error job_busy(void) {
-  return wire_error_busy("max_total_bytes", "less at a time in all buffers", JOB_RETRY_AFTER_MS);
+  return wire_error_busy("max_total_bytes",
+                         "fewer bytes at a time in the buffers of all connections",
+                         JOB_RETRY_AFTER_MS);
 }
 
 wire_error job_bad_length(const char *allowed) {

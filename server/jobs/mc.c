@@ -8,7 +8,7 @@
 
 struct mc {
   struct job job;
-  uv_async_t wake; /* The pool sends it when mc_job_look() has news. */
+  uv_async_t wake; /* The pool sends it when mc_job_look() has something new to return. */
   void (*on_news)(void *owner);
   void *owner;
   struct mc_job *walk;

@@ -415,7 +415,9 @@ wire_error mc_job_start(struct mc_pool *pool, const uint8_t *payload, size_t pay
   }
   *job = new_job(pool, &task, to);
   if (*job == NULL) {
-    return wire_error_busy("max_total_bytes", "less at a time in all buffers", RETRY_AFTER_MS);
+    return wire_error_busy("max_total_bytes",
+                           "fewer bytes at a time in the buffers of all connections",
+                           RETRY_AFTER_MS);
   }
   if (!add_job(pool, *job)) {
     free_job(*job);

@@ -25,7 +25,7 @@ struct mc_pool *mc_pool_new(struct server *server);
 void mc_pool_free(struct mc_pool *pool);
 
 /* Checks a request and starts its job, which the caller drops with mc_job_drop(). Until then, the
- * pool sends `wake` whenever mc_job_look() has news. */
+ * pool sends `wake` whenever mc_job_look() has something new to return. */
 wire_error mc_job_start(struct mc_pool *pool, const uint8_t *payload, size_t payload_bytes,
                         uv_async_t *wake, struct mc_job **job);
 

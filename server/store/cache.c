@@ -337,8 +337,8 @@ static void delist(struct cache_waiter *waiter) {
   }
 }
 
-/* Wakes the queues of all waiters of an entry. A queue is still valid while one of its waiters is
- * in the list, because its thread cannot end before. */
+/* Wakes the queues of all waiters of an entry. These queues are valid: the thread of a queue takes
+ * its waiters out of this list before it ends. */
 static void wake_all(struct cache_entry *entry) {
   struct cache_waiter *waiter;
   while ((waiter = LIST_FIRST(&entry->waiters)) != NULL) {

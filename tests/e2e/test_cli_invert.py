@@ -86,8 +86,8 @@ BOTH = ["--albedo", "0.5", "--mean-free-path", "1"]
 test_wrong_command_lines_say_what_to_do = says(USAGE, ["invert"], [
     ([], "give --albedo, and --mean-free-path in mm"),
     (["--mean-free-path", "1"], "give --albedo, and --mean-free-path in mm"),
-    (["--albedo", "0.5"], "give one of --mean-free-path, --diffuse-mean-free-path and"),
-    ([*BOTH, "--diffuse-mean-free-path", "1"], "give one of --mean-free-path, --diffuse-me"),
+    (["--albedo", "0.5"], "give exactly one of --mean-free-path, --diffuse-mean-free-"),
+    ([*BOTH, "--diffuse-mean-free-path", "1"], "give exactly one of --mean-free-path, --di"),
     (
         ["--albedo", "0.1,0.2", "--mean-free-path", "1,2,3"],
         "--mean-free-path has 3 values and --albedo has 2: give one value or as many",

@@ -249,7 +249,7 @@ static bool fits(unsigned evaluator, unsigned wanted, uint32_t channels, uint64_
   const unsigned __int128 array =
       ((unsigned __int128)count * core_evaluator_bytes(evaluator) + 7) / 8 * 8;
   const unsigned arrays = array_count(wanted);
-  /* at most 2^33 arrays of 2^67 bytes */
+  /* at most 2^35 arrays of 2^67 bytes: this fits into 128 bits */
   const unsigned __int128 bytes =
       40 + 32 * (unsigned __int128)channels +
       array * (has(wanted, CORE_QUANTITY_RADIUS) + (unsigned __int128)arrays * channels);

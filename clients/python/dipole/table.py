@@ -430,12 +430,12 @@ def _check(words: np.ndarray) -> None:
     """Checks that the pieces of every entry lie within the words."""
     pieces = (len(words) - _PIECES) // _TERMS
     if len(words) % _TERMS or not 1 <= pieces <= _PIECES_MAX:
-        raise TableError("a table with too few or too many words")
+        raise TableError("a damaged table: it has too few or too many words")
     entries = words[_R_OCTAVES:_PIECES].astype(np.int64)
     cuts = _MANTISSA_BITS - (entries & 31)
     fits = (cuts >= 0) & (cuts <= _CUTS_MAX)
     if not np.all(fits) or not np.all((entries >> 5) + (1 << cuts) <= pieces):
-        raise TableError("a table with an entry that points outside of it")
+        raise TableError("a damaged table: an entry points outside of it")
 
 
 def _name(info: Info | None, kind: str, number: int) -> str | int:

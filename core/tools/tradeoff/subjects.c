@@ -40,7 +40,8 @@ void subjects_evaluate(const core_profile *profile, size_t n, const double *r, d
 
 /* ---- which there are ------------------------------------------------------------------------- */
 
-/* Returns why a model is left out, or NULL if it is for a half space and needs only a medium. */
+/* Returns why the comparison leaves a model out, or NULL if it does not. It leaves out a fit to
+ * another model, a model that needs a parameter, and one that ignores the medium. */
 static const char *why_left_out(unsigned model) {
   const core_medium medium = {0.05, 1, 0, 1.4};
   core_profile profile;
