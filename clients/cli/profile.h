@@ -27,7 +27,7 @@ extern const cli_option cli_parameter_options[];
 /* The options of the medium: the members from medium to eta. */
 extern const cli_option cli_medium_options[];
 
-/* One option each; what follows is the value when it is not given. */
+/* Each macro gives the members of one cli_option except the last, `usual`. */
 #define CLI_MOMENTS_OPTION                                                                         \
   "moments", "NAME", "Fresnel moments; `dipole info` lists them (default: exact)", CLI_TEXT,       \
       offsetof(cli_profile_settings, moments)

@@ -268,8 +268,9 @@ static double grown(const struct cloud *cloud, double time) {
 
 /* ---- both ------------------------------------------------------------------------------------ */
 
-/* Returns the share of the light that leaves per unit of time at t = time, leaves(t), multiplied by
- * e^(y^2 / (4 D t) + (rate - sigma_a) t), which makes it vary slowly. It serves both models. */
+/* Returns the share of the light that leaves per unit of time, at t = time. The share is multiplied
+ * by e^(y^2 / (4 D t) + (rate - sigma_a) t), so that it varies slowly. y, D and rate are y,
+ * diffusion and rate of struct cloud. Slabs and beams both use this function. */
 static double leaves(const void *context, double time) {
   const struct cloud *cloud = context;
   const double length = cloud->period;
@@ -311,9 +312,9 @@ core_fault core_cloud_prepare(const core_inputs *inputs, core_preparation *prepa
   const double given = core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE,
                                          slab ? SLAB_TOLERANCE : QUANTIZED_TOLERANCE);
   const double tolerance = fmin(given, TOLERANCE_MOST);
-  /* dR/dr of a slab is a steeper function of time than R, and steepest for the far side, so the
-   * rule over time needs a smaller tolerance there. */
-  /* So is dR/dr of a beam, the more the smaller the tolerance is. */
+  /* dR/dr is a steeper function of time than R, so the rule over time needs a smaller tolerance
+   * than R alone would. The rule's tolerance is smallest for the far side of a slab.
+   * For a beam, it is a smaller share of the wanted tolerance if the wanted one is below 1e-4. */
   const double digits = 9.25 / -real_log(tolerance, 0);
   const double beam = digits < 1 ? digits * digits : 1;
   const double rule = (cloud.transmitted > 0 ? 0.05 : slab ? 0.4 : beam) * tolerance;

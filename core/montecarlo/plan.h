@@ -31,7 +31,7 @@ typedef struct mc_stage {
 /* The balance of 1 unit of power at the end of a stage's first collision, for one albedo. */
 typedef struct mc_stage_energy {
   double weight;   /* albedo^first, without 1 / S */
-  double absorbed; /* power absorbed up to and including that collision */
+  double absorbed; /* power absorbed up to and including the stage's first collision */
   double added;    /* power that roulette has added, including at the beginning of this stage */
 } mc_stage_energy;
 

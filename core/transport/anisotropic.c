@@ -535,7 +535,8 @@ static double multiple_at(const struct grid *of, size_t eta, double r) {
     for (size_t i = 0; i < parts; i++) {
       double begin = p->begin + width * (double)i / (double)parts;
       const double end = p->begin + width * (double)(i + 1) / (double)parts;
-      /* H0 is not smooth at k = 0. */
+      /* The Hankel function H0(kr) is not smooth at k = 0, so the interval that begins there is cut
+       * in halves, the lower one again and again. */
       for (size_t halving = HALVINGS; begin == 0 && halving > 0; halving--) {
         const double next = end * fn_exp(-0.69314718055994531 * (double)(halving - 1));
         const double from = halving == HALVINGS ? 0 : next / 2;

@@ -560,7 +560,7 @@ bool transport_halfspace_solve(halfspace *of, double complex k, double kappa,
     return false;
   }
 
-  /* W = (plus + minus) / 2, V = (plus - minus) / 2 */
+  /* t becomes W + 1 - r V, because V = (plus - minus) / 2 and W = (plus + minus) / 2. */
   combine(t, 0.5, plus, -0.5, minus, 0);
   transport_dense_multiply(&spare[0], r, t);
   combine(t, 0.5, plus, 0.5, minus, 1);

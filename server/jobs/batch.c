@@ -219,8 +219,8 @@ static bool can_repeat(const wire_eval_request *fixed, const eval_layout *layout
          profiles_at(place) != NULL;
 }
 
-/* Returns the entry for a request: the one that has it, or else the one that its set replaces next.
- */
+/* Returns the entry for a request: the one that already holds it, or else the one that is to be
+ * replaced next among the entries of the request's hash. */
 static struct repeat_entry *make_room(struct repeat *repeat, const uint8_t *request, size_t bytes) {
   struct repeat_entry *entry = look_up(repeat, request, bytes);
   if (entry == NULL) {

@@ -40,8 +40,8 @@ struct eval_job {
 
 /* ---- for sample.c ---------------------------------------------------------------------------- */
 
-/* Checks the media of eval->request. Sets eval->covers_all, and *radii to the range in which all
- * channels can be evaluated. */
+/* Checks the media of eval->request. Sets *radii to the range in which all channels can be
+ * evaluated, and eval->covers_all to whether this range has all radii. */
 wire_error eval_job_check_media(struct eval_job *eval, core_radii_range *radii);
 
 /* Starts the job of eval->request. If the caller's checks have found an error, refuses it. */

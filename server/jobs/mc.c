@@ -31,7 +31,8 @@ static void on_closed(uv_handle_t *handle) {
 }
 
 static wire_error no_memory(void) {
-  return wire_error_busy(CORE_FIELD_MEMORY, "less than what is left", JOB_RETRY_AFTER_MS);
+  return wire_error_busy(CORE_FIELD_MEMORY, "less than what is left: try again",
+                         JOB_RETRY_AFTER_MS);
 }
 
 static struct mc *new_mc(const struct job *job, const struct job_request *request) {

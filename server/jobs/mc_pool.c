@@ -134,8 +134,8 @@ static struct turn walking_turn_of(struct mc_job *job) {
   return turn;
 }
 
-/* Finds the next work for a thread. Merging, opening and writing tables come before walking: they
- * are short, and a client may wait for them. */
+/* Finds the next work for a thread. Walking comes last. Allocating the memory of a job, merging a
+ * batch and writing a table come before it: they are short, and a client may wait for them. */
 static struct turn find_turn(struct mc_pool *pool) {
   struct turn turn = {.kind = TURN_NONE};
   struct mc_job *job;

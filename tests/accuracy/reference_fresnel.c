@@ -145,7 +145,8 @@ static bool agree(const mpfr_t a, const mpfr_t b) {
   return close;
 }
 
-/* The integrals of (1 - F) x dx and (1 - F) mu x dx over the smaller cosine x. */
+/* Integrates (1 - F) x and (1 - F) x mu over x from 0 to 1. x is the smaller cosine, which is the
+ * one on the optically thinner side. mu is the cosine inside. */
 static void integrate(struct scratch *s, bool dense_inside, mpfr_t first, mpfr_t second) {
   mpfr_t first_sum, second_sum, first_before, second_before;
   mpfr_inits2(REFERENCE_BITS, first_sum, second_sum, first_before, second_before, (mpfr_ptr)NULL);

@@ -50,9 +50,9 @@ const struct table_place table_extremes[] = {
     {{1e-12, 1e-14, 0.99, 900}, 3},
     {{1e-300, 1, 0.999999999, 3}, 3},
     {{1e12, 1e4, 0, 0.25}, 3},
-    {{1, 1e-15, 0, 1.3}, 3}, /* next to no light, */
+    {{1, 1e-15, 0, 1.3}, 3}, /* almost no light */
     {{0.1, 1e-30, 0, 1.3}, 3},
-    {{1e-15, 2.3e-308, 0, 1.3}, 3}, /* and less than doubles hold of R */
+    {{1e-15, 2.3e-308, 0, 1.3}, 3}, /* R is too small for a double */
     {{1e-5, 1e-320, 0.9, 0.46}, 3},
 };
 const size_t table_extremes_count = sizeof table_extremes / sizeof table_extremes[0];

@@ -4,7 +4,8 @@
 
 enum { TESTS_MAX = 64 };
 
-/* The tests by line of their file. cmocka does not run entries without a name. */
+/* The tests, sorted by their lines in the file. The entries behind the last test have no name, and
+ * cmocka does not run them. */
 static struct CMUnitTest tests[TESTS_MAX];
 static int lines[TESTS_MAX];
 static size_t test_count;

@@ -221,7 +221,7 @@ def table(info: Info, query: Query) -> Request[Table]:
 def sample(info: Info, query: Query, u: Any, draw: Draw | None) -> Request[Samples]:
     """See Client.sample(). query: without radii."""
     if (u is None) == (draw is None):
-        raise ArgumentError("u, draw: one of them")
+        raise ArgumentError("u, draw: give exactly one of them")
     if query.r is not None or query.grid is not None:
         raise ArgumentError("r, grid: a sample draws its radii")
     evaluator_id = id_of(info, "evaluator", query.evaluator or "f64")

@@ -325,7 +325,7 @@ class Table:
         return np.where(r > 0, _times_radius(self._near_flat(r), r, scale), _ZERO)
 
     def _near_cdf_factor(self, r: np.ndarray) -> np.ndarray:
-        """Returns the cdf over r^2 near 0, for an R that does not grow like 1/r there."""
+        """Returns the cdf divided by r^2 near r = 0, for an R that does not grow like 1/r there."""
         rising = np.where(r > 0, self._octaves_below(r), _ZERO)
         return self._near_cdf + self._near_cdf_log * rising
 
