@@ -99,13 +99,18 @@ struct cloud {
   double zb;
   double c_phi;
   double c_flux;
-  double period; /* L in mean free paths, or 0 for a half space */
+  double thickness; /* d, or 0 for a half space */
   /* distance from the source to the boundary where light leaves, or 0 for a beam */
   double y;
   double transmitted; /* 1 for the far side of a slab, else 0 */
   double rate;        /* rate of the slowest decay: sigma_a + D (pi / L)^2 */
 };
 _Static_assert(sizeof(struct cloud) <= GAUSSIANS_FAR_FIELDS * sizeof(double), "the table has room");
+
+/* Returns L. */
+static double period_of(const struct cloud *cloud) {
+  return cloud->thickness + 2 * cloud->zb;
+}
 
 static struct cloud make_cloud(const core_inputs *inputs) {
   const core_medium *medium = inputs->medium;
@@ -124,12 +129,11 @@ static struct cloud make_cloud(const core_inputs *inputs) {
   cloud.c_flux = exitance ? 0.5 * fresnel.one_minus_3c2 : 1;
   cloud.rate = cloud.absorbed;
   if ((inputs->variant & CORE_CLOUD_BEAM) == 0) {
-    const double thickness =
-        inputs->parameters->value[CORE_PARAMETER_THICKNESS] * cloud.sigma_t_prime;
+    cloud.thickness = inputs->parameters->value[CORE_PARAMETER_THICKNESS] * cloud.sigma_t_prime;
     cloud.transmitted = (inputs->variant & CORE_SLAB_TRANSMITTED) != 0;
-    cloud.y = cloud.transmitted > 0 ? thickness - 1 : 1;
-    cloud.period = thickness + 2 * cloud.zb;
-    cloud.rate += cloud.diffusion * (PI / cloud.period) * (PI / cloud.period);
+    cloud.y = cloud.transmitted > 0 ? cloud.thickness - 1 : 1;
+    const double period = period_of(&cloud);
+    cloud.rate += cloud.diffusion * (PI / period) * (PI / period);
   }
   return cloud;
 }
@@ -161,10 +165,17 @@ static double leaves_half_space(const struct cloud *cloud, double time) {
  * varies slowly with t.
  */
 
-/* Up to the time YOUNG L^2 / D the code sums POLES pairs of poles, later it sums MODES modes. What
- * these sums leave out is less than 1e-17. */
+/* Up to the time YOUNG L^2 / D the code sums POLES pairs of poles, later it sums MODES modes. If the
+ * slab is thinner than z_b, poles on both sides of it nearly cancel after the time YOUNG_THIN L^2 /
+ * D, and the code sums MODES_THIN modes from then on. What these sums leave out is less than 1e-17.
+ */
 #define YOUNG 0.12
-enum { POLES = 3, MODES = 7 };
+#define YOUNG_THIN 0.015
+enum { POLES = 3, MODES = 7, MODES_THIN = 17 };
+
+static bool is_thin(const struct cloud *cloud) {
+  return cloud->thickness < cloud->zb;
+}
 
 /* Returns the light from a positive pole at distance q from the boundary and from its negative
  * mirror image at distance q + 2 z_b beyond it, both made of g(q) = e^(-q^2 / (4 D t)) / sqrt(4 pi
@@ -210,11 +221,11 @@ static double young(const struct cloud *cloud, double time) {
   double sum = 0;
   for (int i = POLES; i >= 1; i--) {
     const bool transmitted = cloud->transmitted > 0;
-    const double middle = (transmitted ? 2 * i - 1 : 2 * i) * cloud->period;
+    const double middle = (transmitted ? 2 * i - 1 : 2 * i) * period_of(cloud);
     const double q = transmitted && i == 1 ? cloud->y : middle - h_and_zb;
     sum += transmitted ? images(cloud, time, middle, q) : -images(cloud, time, middle, q);
   }
-  const double wave = PI / cloud->period;
+  const double wave = PI / period_of(cloud);
   const double slow = real_exp(-cloud->diffusion * wave * wave * time).exp;
   return (sum + (cloud->transmitted > 0 ? 0 : pair(cloud, time, cloud->y))) / slow;
 }
@@ -241,18 +252,30 @@ static struct angle angle_sum(struct angle a, struct angle b) {
                         fma(a.cosine, b.cosine, -a.sine * b.sine)};
 }
 
+/* Returns sine and cosine of wave times the distance of a depth z from the extrapolated boundary,
+ * z + z_b. In a thin slab this is almost a right angle, and the code takes its complement, so that
+ * the cosine keeps its digits. */
+static struct angle angle_at(const struct cloud *cloud, double wave, double z) {
+  if (!is_thin(cloud)) {
+    return angle_of(wave * (z + cloud->zb));
+  }
+  const struct angle complement = angle_of(wave * (0.5 * cloud->thickness - z));
+  return (struct angle){complement.cosine, complement.sine};
+}
+
 /* Returns the light from the modes of the slab, divided by e^(-y^2 / (4 D t) - D (pi / L)^2 t). The
  * fluence is 2 / L sum_n sin(n pi (z + z_b) / L) sin(n pi h / L) e^(-D (n pi / L)^2 t) at z = 0
  * with h = 1 + z_b. The signs alternate for the boundary far from the source. */
 static double grown(const struct cloud *cloud, double time) {
-  const double wave = PI / cloud->period;
-  const struct angle boundary = angle_of(wave * cloud->zb);
-  const struct angle source = angle_of(wave * (1 + cloud->zb));
+  const double wave = PI / period_of(cloud);
+  const struct angle boundary = angle_at(cloud, wave, 0);
+  const struct angle source = angle_at(cloud, wave, 1);
+  const int modes = is_thin(cloud) ? MODES_THIN : MODES;
   struct angle at_boundary = boundary;
   struct angle at_source = source;
   double sum = 0;
   double sign = 1;
-  for (int n = 1; n <= MODES; n++) {
+  for (int n = 1; n <= modes; n++) {
     const double faster = cloud->diffusion * wave * wave * ((n - 1) * (n + 1));
     const double decayed = sign * real_exp(-faster * time).exp;
     const double flux = cloud->diffusion * n * wave * at_boundary.cosine;
@@ -263,7 +286,7 @@ static double grown(const struct cloud *cloud, double time) {
     sign = cloud->transmitted > 0 ? -sign : sign;
   }
   const double risen = real_exp(-cloud->y * cloud->y / (4 * cloud->diffusion * time)).exp;
-  return 2 / cloud->period * sum / risen;
+  return 2 / period_of(cloud) * sum / risen;
 }
 
 /* ---- both ------------------------------------------------------------------------------------ */
@@ -273,10 +296,12 @@ static double grown(const struct cloud *cloud, double time) {
  * diffusion and rate of struct cloud. Slabs and beams both use this function. */
 static double leaves(const void *context, double time) {
   const struct cloud *cloud = context;
-  const double length = cloud->period;
-  return !(length > 0)                                       ? leaves_half_space(cloud, time)
-         : cloud->diffusion * time < YOUNG * length * length ? young(cloud, time)
-                                                             : grown(cloud, time);
+  if (!(cloud->thickness > 0)) {
+    return leaves_half_space(cloud, time);
+  }
+  const double length = period_of(cloud);
+  const double until = (is_thin(cloud) ? YOUNG_THIN : YOUNG) * length * length;
+  return cloud->diffusion * time < until ? young(cloud, time) : grown(cloud, time);
 }
 
 /* Returns the Gaussian of a node of the rule over time, in 1/mm^2. Its weight is multiplied by e^(y
@@ -308,7 +333,7 @@ double core_cloud_ln_R(const double *far, double r) {
 core_fault core_cloud_prepare(const core_inputs *inputs, core_preparation *preparation) {
   preparation->notes = core_similarity_note(inputs);
   const struct cloud cloud = make_cloud(inputs);
-  const bool slab = cloud.period > 0;
+  const bool slab = cloud.thickness > 0;
   const double given = core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE,
                                          slab ? SLAB_TOLERANCE : QUANTIZED_TOLERANCE);
   const double tolerance = fmin(given, TOLERANCE_MOST);

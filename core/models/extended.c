@@ -337,9 +337,10 @@ CORE_KERNEL_TABLE_NONE(extended);
 /* The cost of one value in kernel evaluations of a dipole, measured with `build/bench kernel`. */
 #define COST 130
 
-/* The table of variant 1 reaches from TABLE_FIRST to TABLE_LAST mean free paths, or to
- * TABLE_EXPONENT / mu where that is less. Less than 1e-13 of the energy lies below the first
- * radius, and less than 1e-13 lies beyond the last. */
+/* The table of variant 1 reaches from TABLE_FIRST mean free paths to TABLE_LAST times the larger of
+ * 2 z_b and one mean free path, or to TABLE_EXPONENT / mu where that is less. Less than 1e-13 of
+ * the energy lies below the first radius, and a few 1e-13 lie beyond the last: without absorption
+ * the energy beyond x is about (2 + 2 z_b) / x. */
 #define TABLE_FIRST 1e-7
 #define TABLE_LAST 1e13
 #define TABLE_EXPONENT 45.0
@@ -395,7 +396,8 @@ static double set_coefficients(const core_inputs *inputs, double *c) {
 static bool add_energy(const core_inputs *inputs, core_preparation *preparation) {
   const double *c = preparation->coefficients;
   const double mfp_mm = 1 / c[MFP_PER_MM];
-  const double reach = c[MU] * TABLE_LAST > TABLE_EXPONENT ? TABLE_EXPONENT / c[MU] : TABLE_LAST;
+  const double last = TABLE_LAST * fmax(1, c[TWO_ZB]);
+  const double reach = c[MU] * last > TABLE_EXPONENT ? TABLE_EXPONENT / c[MU] : last;
   const double first_mm = TABLE_FIRST * mfp_mm;
   const double last_mm = reach * mfp_mm;
   preparation->table_bytes = (ENERGY + core_energy_length(first_mm, last_mm)) * sizeof(double);

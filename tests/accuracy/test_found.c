@@ -110,6 +110,15 @@ static const struct found {
      19.861599357368725,
      CORE_ELEMENTWISE_LN_R,
      5000},
+    /* a slab that is thin beside z_b, where poles on both sides of it nearly cancel */
+    {25,
+     1,
+     {3.2641259552527675e-23, 4.3818072133481084e-06, 0, 98.552248512778107},
+     1e-12,
+     6978581.7805150477,
+     CORE_ELEMENTWISE_R,
+     134306267136},
+    {26, 1, {1e-20, 1, 0, 900}, 1e-12, 3, CORE_ELEMENTWISE_R, 3e8},
     /* the least share of scattering that a medium may have */
     {10,
      3,
@@ -232,6 +241,24 @@ UNIT_TEST(samples_are_right_where_the_mirrored_source_is_far) {
       core_profile_free(&f32);
     }
   }
+}
+
+/* The energy of a beam behind a boundary that hardly lets it out: the largest radii that matter are
+ * many z_b away. */
+UNIT_TEST(samples_of_a_beam_reach_as_far_as_its_energy) {
+  const core_medium medium = {6.6146687839737058e-125, 2140064168.7218938, 0, 834.73977330846378};
+  const double u[] = {0.5, 0.99999917, 1 - 1e-9};
+  double r[3], cdf[3];
+  core_profile profile;
+  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_BEAM, 1,
+                                         CORE_EVALUATOR_F64, &medium, NULL),
+                    NULL, 0);
+  core_sample_f64(&profile, 3, u, r);
+  core_eval_f64(&profile, CORE_QUANTITY_CDF, 3, r, cdf);
+  for (int i = 0; i < 3; i++) {
+    assert_true(fabs(cdf[i] - u[i]) <= CORE_SAMPLE_ERROR_F64 + 2 * profile.numerical_error);
+  }
+  core_profile_free(&profile);
 }
 
 /* A table's stated error holds between the arguments where building it has looked. */
