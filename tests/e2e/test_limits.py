@@ -249,7 +249,7 @@ def test_max_total_bytes(daemon):
         # The daemon keeps a large buffer for a moment, for the next large answer.
         assert eventually(lambda: free() == free_bytes)
         reply = ask(connection, EVAL, reply_payload_that_takes(free_bytes + 8))
-        assert_error(reply, "busy", "max_total_bytes", "less")
+        assert_error(reply, "busy", "max_total_bytes", "fewer bytes")
         assert_serves(connection)
 
 

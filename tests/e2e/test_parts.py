@@ -332,7 +332,7 @@ def test_an_answer_that_memory_does_not_let_go_on(daemon):
             assert statistics(watcher)["buffer_bytes"] > 2 << 20
         second.send_bytes(frame(EVAL, 77, eval_payload(**ENDLESS)))
         assert take_apart(second.receive_frame().payload).fixed.part == 0
-        assert_error(second.receive_frame(), "busy", "max_total_bytes", "less")
+        assert_error(second.receive_frame(), "busy", "max_total_bytes", "fewer bytes")
         first.close()
         assert_serves(second)
 
