@@ -294,9 +294,12 @@ static struct mc_job *end_turn(struct mc_pool *pool, struct turn *turn) {
 
 /* ---- threads --------------------------------------------------------------------------------- */
 
-/* Lowers the priority of this thread: on Linux, setpriority() takes the id of a thread. */
+/* Lowers the priority of this thread: on Linux, these functions take the id of a thread. A daemon
+ * that was started with a still lower priority keeps it. */
 static void lower_priority(void) {
-  if (setpriority(PRIO_PROCESS, (id_t)gettid(), LOW_PRIORITY) != 0) {
+  const id_t thread = (id_t)gettid();
+  if (getpriority(PRIO_PROCESS, thread) < LOW_PRIORITY &&
+      setpriority(PRIO_PROCESS, thread, LOW_PRIORITY) != 0) {
     log_line(LOG_LEVEL_ERROR, "event=priority-not-lowered reason=\"%s\"", strerror(errno));
   }
 }
