@@ -179,12 +179,6 @@ static void truncate_phase(struct scaled *to, double ratio, const transport_phas
 
 /* ---- light that is scattered twice near the source -------------------------------------------- */
 
-static double transmittance(double eta, double mu) {
-  const double mu_outside = sqrt(fmax(0, 1 - eta * eta * (1 - mu) * (1 + mu)));
-  const double s = eta * mu + mu_outside, p = mu + eta * mu_outside;
-  return 2 * eta * mu * mu_outside * (1 / (s * s) + 1 / (p * p));
-}
-
 /* Returns arcsin(x) for 0 < x <= 1. */
 static double arcsine(double x) {
   return cimag(fn_clog(CMPLX(sqrt((1 - x) * (1 + x)), x)));
@@ -225,7 +219,8 @@ static double far_of(const struct scaled *scaled, const transport_phase *phase, 
     const double v = angles.x[i];
     double sine, mu;
     fn_sincos(most * (1 - v * v), &sine, &mu);
-    const double t = eta == 1 ? 1 : transmittance(eta, mu);
+    const double mu_outside = sqrt(fmax(0, 1 - eta * eta * (1 - mu) * (1 + mu)));
+    const double t = eta == 1 ? 1 : transport_transmittance(eta, mu, mu_outside);
     sum += 2 * v * most * angles.weight[i] * t * mu *
            second_deflections(phase, &deflections, most * (1 - v * v));
   }

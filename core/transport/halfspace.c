@@ -40,6 +40,7 @@
 #include "core/transport/dense.h"
 #include "core/transport/functions.h"
 #include "core/transport/gauss.h"
+#include "core/transport/single.h"
 
 enum { ORDERS_MAX = 40, DEGREES_MAX = 64, DOUBLINGS_MAX = 60, ALIGNMENT_BYTES = 64 };
 
@@ -224,12 +225,6 @@ static void integrate_slant(halfspace *to, size_t m) {
   }
 }
 
-static double transmittance(double eta, double mu, double mu_outside) {
-  const double s = eta * mu + mu_outside;
-  const double p = mu + eta * mu_outside;
-  return 2 * eta * mu * mu_outside * (1 / (s * s) + 1 / (p * p));
-}
-
 /* Fills reflection[boundary] and exit[boundary]. F = 1 - T, and <psi mu psi> = 1. T is integrated
  * over the cosine outside for eta > 1, so that its root at the critical angle does no harm, and
  * over the cosine inside for eta < 1. */
@@ -256,7 +251,7 @@ static void integrate_boundary(halfspace *to, size_t boundary, double eta, const
       } else if (eta < 1) {
         mu_outside = sqrt((1 - eta * sine) * (1 + eta * sine));
       }
-      weight *= mu * (eta == 1 ? 1 : transmittance(eta, mu, mu_outside));
+      weight *= mu * (eta == 1 ? 1 : transport_transmittance(eta, mu, mu_outside));
       to->entering[boundary] += weight;
       for (size_t m = 0; m <= to->orders; m++) {
         functions_at(&of[m], m, to->degrees[m], mu, sine, values);

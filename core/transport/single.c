@@ -22,6 +22,12 @@
 #define Y_MIN (-40.0)
 #define Y_MAX 32.0
 
+double transport_transmittance(double eta, double mu, double mu_outside) {
+  const double s = eta * mu + mu_outside;
+  const double p = mu + eta * mu_outside;
+  return 2 * eta * mu * mu_outside * (1 / (s * s) + 1 / (p * p));
+}
+
 /* Returns the transmittance T at E = E0 + distance, where mu is the cosine inside. */
 static double transmittance(double eta, double e0, double distance, double mu) {
   const double e = e0 + distance;
@@ -34,9 +40,7 @@ static double transmittance(double eta, double e0, double distance, double mu) {
   } else {
     mu_t = sqrt((1 - eta) * (1 + eta) + eta * eta * mu * mu);
   }
-  const double s = eta * mu + mu_t;
-  const double p = mu + eta * mu_t;
-  return 2 * eta * mu * mu_t * (1 / (s * s) + 1 / (p * p));
+  return transport_transmittance(eta, mu, mu_t);
 }
 
 void transport_single_rule(single_rule *rule, double eta, double step) {

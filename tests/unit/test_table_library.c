@@ -327,7 +327,7 @@ UNIT_TEST(radii_that_a_model_does_not_cover_are_refused) {
   parameters.value[CORE_PARAMETER_FIT_FROM] = 0.5;
   parameters.value[CORE_PARAMETER_FIT_TO] = 8;
   if (core_choice_by_name(core_models, "gaussians") == NULL) {
-    skip(); /* built without GSL */
+    skip(); /* built without cminpack */
   }
   made_table made = make_with("gaussians", skin, &parameters);
   dipole_table *table = load(&made);
