@@ -89,10 +89,11 @@ ISA_FLAGS_avx512 := -O3 -mavx512f -mavx512dq -mavx512vl -mfma -mprefer-vector-wi
 MODELS := $(patsubst core/models/%.c,%,$(shell grep -l CORE_KERNEL_TABLE core/models/*.c))
 KERNELS := $(foreach isa,$(ISAS),$(foreach real,32 64,$(MODELS:%=$(OBJ)/core/models/%.$(isa).f$(real).o)))
 
-# The walk of Monte Carlo: once for each instruction set.
-WALKS := $(ISAS:%=$(OBJ)/core/montecarlo/walk.%.o)
+# Other inner loops that are compiled once for each instruction set.
+LOOPS := core/montecarlo/walk core/transport/dense_product
+KERNELS += $(foreach isa,$(ISAS),$(LOOPS:%=$(OBJ)/%.$(isa).o))
 
-CORE := $(call objects,$(filter-out core/montecarlo/walk.c,$(wildcard core/*.c core/models/*.c core/montecarlo/*.c core/transport/*.c core/lut/*.c))) $(KERNELS) $(WALKS)
+CORE := $(call objects,$(filter-out $(LOOPS:%=%.c),$(wildcard core/*.c core/models/*.c core/montecarlo/*.c core/transport/*.c core/lut/*.c))) $(KERNELS)
 PROTO := $(call objects,$(wildcard proto/*.c))
 SERVER := $(call objects,$(wildcard server/*.c server/*/*.c))
 LIBRARY := $(call objects,$(wildcard clients/c/*.c))
@@ -138,14 +139,14 @@ $(foreach isa,$(ISAS),$(foreach real,32 64,$(eval $(call kernel_rule,$(isa),$(re
 # A table's lookups gather: 16 at a time take longer than twice 8.
 $(OBJ)/core/models/lut.avx512.f32.o: ISA_FLAGS_avx512 += -mprefer-vector-width=256
 
-# core/montecarlo/walk.ISA.o
-define walk_rule
-$(OBJ)/core/montecarlo/walk.$(1).o: core/montecarlo/walk.c Makefile
+# NAME.ISA.o
+define loop_rule
+$(OBJ)/%.$(1).o: %.c Makefile
 	@mkdir -p $$(@D)
 	$$(call SAY,CC,$$< $(1))
 	$$(Q)$$(CC) $$(ALL_CPPFLAGS) -DCORE_ISA=$(1) $$(KERNEL_CFLAGS) $$(ISA_FLAGS_$(1)) -c -o $$@ $$<
 endef
-$(foreach isa,$(ISAS),$(eval $(call walk_rule,$(isa))))
+$(foreach isa,$(ISAS),$(eval $(call loop_rule,$(isa))))
 
 $(SERVER) $(OBJ)/tests/e2e/count_allocations.o: EXTRA_CPPFLAGS = $(UV_CFLAGS) $(HTTP_CFLAGS) $(MODBUS_CFLAGS)
 

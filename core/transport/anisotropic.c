@@ -240,6 +240,7 @@ struct exitance {
 };
 
 struct grid {
+  const core_isa *isa;
   const struct grid_rules *rules;
   struct scaled scaled;
   double shift; /* c */
@@ -320,8 +321,8 @@ static bool fit_tail(const struct grid *of, struct exitance *at, const double co
   const size_t nodes = of->rules->nodes;
   const double last = of->rules->tier[TIERS - 1].k_most;
   double memory[TAIL_TERMS * 16] __attribute__((aligned(64))) = {0}, *next = memory;
-  const dense normal = transport_dense_at(&next, TAIL_TERMS, TAIL_TERMS, false);
-  const dense right = transport_dense_at(&next, TAIL_TERMS, 1, false);
+  const dense normal = transport_dense_at(of->isa, &next, TAIL_TERMS, TAIL_TERMS, false);
+  const dense right = transport_dense_at(of->isa, &next, TAIL_TERMS, 1, false);
   for (size_t i = 0; i < of->panels * nodes; i++) {
     const double s = node_of(of, i / nodes, i % nodes);
     if (s < TAIL_FROM * last) {
@@ -367,7 +368,7 @@ static bool solve_tier(struct grid *of, const struct tier *tier, const double *e
   for (size_t i = 0; i < 2 && ok; i++) {
     halfspace_rules at = tier->rules;
     at.orders += i;
-    expansion[i] = transport_halfspace_new(&at, &of->scaled.medium, etas, count);
+    expansion[i] = transport_halfspace_new(of->isa, &at, &of->scaled.medium, etas, count);
     ok = expansion[i] != NULL;
   }
   for (; *next < of->panels * nodes && ok; ++*next) {
@@ -388,8 +389,10 @@ static bool solve_tier(struct grid *of, const struct tier *tier, const double *e
   return ok;
 }
 
-static bool solve_grid(struct grid *to, const struct grid_rules *by, double ratio,
-                       const transport_phase *phase, const double *etas, size_t count) {
+static bool solve_grid(struct grid *to, const core_isa *isa, const struct grid_rules *by,
+                       double ratio, const transport_phase *phase, const double *etas,
+                       size_t count) {
+  to->isa = isa;
   to->rules = by;
   truncate_phase(&to->scaled, ratio, phase, by->moment_least, by->moments_most);
   to->shift = by->shift * to->scaled.kappa;
@@ -455,9 +458,9 @@ static core_fault check(double ratio, const transport_phase *phase, const double
   return no_fault;
 }
 
-core_fault transport_anisotropic_solve(transport_anisotropic **solution, double sigma_a_ratio,
-                                       const transport_phase *phase, const double *etas,
-                                       size_t count, transport_effort effort) {
+core_fault transport_anisotropic_solve(transport_anisotropic **solution, const core_isa *isa,
+                                       double sigma_a_ratio, const transport_phase *phase,
+                                       const double *etas, size_t count, transport_effort effort) {
   *solution = NULL;
   const core_fault fault = check(sigma_a_ratio, phase, etas, count);
   if (fault.field != NULL) {
@@ -475,7 +478,7 @@ core_fault transport_anisotropic_solve(transport_anisotropic **solution, double 
     weigh_single(&made->single[i], phase);
   }
   for (size_t i = 0; i < GRIDS && ok; i++) {
-    ok = solve_grid(&made->grid[i], &rules[effort + 1 - i], sigma_a_ratio, phase, etas, count);
+    ok = solve_grid(&made->grid[i], isa, &rules[effort + 1 - i], sigma_a_ratio, phase, etas, count);
   }
   if (!ok) {
     transport_anisotropic_free(made);
@@ -609,9 +612,9 @@ static void enter(transport_number *to, size_t i, double value) {
                : (transport_number){to->value, fabs(to->value - value)};
 }
 
-core_fault transport_anisotropic_totals(transport_totals *totals, double sigma_a_ratio,
-                                        const transport_phase *phase, const double *etas,
-                                        size_t count) {
+core_fault transport_anisotropic_totals(transport_totals *totals, const core_isa *isa,
+                                        double sigma_a_ratio, const transport_phase *phase,
+                                        const double *etas, size_t count) {
   const core_fault fault = check(sigma_a_ratio, phase, etas, count);
   if (fault.field != NULL) {
     return fault;
@@ -624,7 +627,7 @@ core_fault transport_anisotropic_totals(transport_totals *totals, double sigma_a
   for (size_t i = 0; i < GRIDS; i++) {
     struct scaled scaled;
     truncate_phase(&scaled, sigma_a_ratio, phase, by[i].moment_least, by[i].moments_most);
-    halfspace *expansion = transport_halfspace_new(&by[i].rules, &scaled.medium, etas, count);
+    halfspace *expansion = transport_halfspace_new(isa, &by[i].rules, &scaled.medium, etas, count);
     halfspace_exitance exitance[TRANSPORT_ANISOTROPIC_ETAS_MAX];
     const bool ok =
         expansion != NULL && transport_halfspace_solve(expansion, 0, scaled.kappa, exitance);

@@ -10,8 +10,8 @@
  * cosine of scattering. R is per squared reduced mean free path. All energies are per power that has
  * entered, which excludes the specular reflection of the beam.
  *
- * The same input gives the same bits on every machine. These functions allocate and do not log. They
- * have no state: threads may call them at the same time.
+ * The same input gives the same bits on every machine and for every instruction set `isa`. These
+ * functions allocate and do not log. They have no state: threads may call them at the same time.
  */
 #ifndef DIPOLED_CORE_TRANSPORT_ANISOTROPIC_H
 #define DIPOLED_CORE_TRANSPORT_ANISOTROPIC_H
@@ -45,9 +45,9 @@ typedef struct transport_anisotropic transport_anisotropic;
  * TRANSPORT_ETA_MIN to TRANSPORT_ETA_MAX, 1 to TRANSPORT_ANISOTROPIC_ETAS_MAX of them. Faults:
  * `sigma_a_ratio`, `phase`, `eta`, `memory`. On a fault *solution is NULL. Otherwise the caller owns
  * it and frees it with transport_anisotropic_free(), which accepts NULL. */
-core_fault transport_anisotropic_solve(transport_anisotropic **solution, double sigma_a_ratio,
-                                       const transport_phase *phase, const double *etas,
-                                       size_t count, transport_effort effort);
+core_fault transport_anisotropic_solve(transport_anisotropic **solution, const core_isa *isa,
+                                       double sigma_a_ratio, const transport_phase *phase,
+                                       const double *etas, size_t count, transport_effort effort);
 void transport_anisotropic_free(transport_anisotropic *solution);
 
 /* Returns R at the radius r for the boundary etas[eta], with an estimate of its absolute error. r: 0
@@ -68,8 +68,8 @@ typedef struct transport_totals {
 
 /* Sets totals[i] for the boundary etas[i]. Arguments and faults are those of
  * transport_anisotropic_solve(). It takes milliseconds. */
-core_fault transport_anisotropic_totals(transport_totals *totals, double sigma_a_ratio,
-                                        const transport_phase *phase, const double *etas,
-                                        size_t count);
+core_fault transport_anisotropic_totals(transport_totals *totals, const core_isa *isa,
+                                        double sigma_a_ratio, const transport_phase *phase,
+                                        const double *etas, size_t count);
 
 #endif

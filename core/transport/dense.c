@@ -1,12 +1,10 @@
 #include "core/transport/dense.h"
 
 #include <math.h>
-#include <stdint.h>
 
-/* Products are computed in tiles of TILE_ROWS by TILE_COLUMNS numbers, which stay in registers. */
-enum { GROUP = 8, TILE_ROWS = 4, TILE_COLUMNS = 4, PANEL = 16 };
+#include "core/kernels.h"
 
-typedef double lanes __attribute__((vector_size(TILE_COLUMNS * sizeof(double)), aligned(32)));
+enum { GROUP = 8, PANEL = 16 };
 
 static size_t padded(size_t columns) {
   return (columns + GROUP - 1) / GROUP * GROUP;
@@ -16,71 +14,43 @@ size_t transport_dense_size(size_t rows, size_t columns) {
   return rows * padded(columns);
 }
 
-dense transport_dense_at(double **memory, size_t rows, size_t columns, bool is_complex) {
+dense transport_dense_at(const core_isa *isa, double **memory, size_t rows, size_t columns,
+                         bool is_complex) {
   const size_t size = transport_dense_size(rows, columns);
-  const dense made = {rows, columns, padded(columns), *memory, is_complex ? *memory + size : NULL};
+  const dense made = {
+      isa, rows, columns, padded(columns), *memory, is_complex ? *memory + size : NULL};
   *memory += is_complex ? 2 * size : size;
   return made;
 }
 
-/* A rectangle of one part of a matrix. */
-typedef struct part {
-  double *at;
-  size_t stride;
-} part;
+/* ---- instruction sets ----------------------------------------------------------------------- */
 
-/* Adds sign times a b to `to`, for TILE_ROWS rows or fewer. Columns are multiples of TILE_COLUMNS.
- */
-static inline __attribute__((always_inline)) void
-add_rows(part to, part a, part b, size_t rows, size_t inner, size_t columns, double sign) {
-  for (size_t column = 0; column < columns; column += TILE_COLUMNS) {
-    lanes sum[TILE_ROWS] = {{0}};
-    for (size_t i = 0; i < inner; i++) {
-      const lanes right = *(const lanes *)(b.at + i * b.stride + column);
-#pragma GCC unroll 4
-      for (size_t row = 0; row < rows; row++) {
-        sum[row] += a.at[row * a.stride + i] * right;
-      }
-    }
-    for (size_t row = 0; row < rows; row++) {
-      lanes *here = (lanes *)(to.at + row * to.stride + column);
-      *here += sign * sum[row];
-    }
-  }
-}
+#define INDEX(level, unused) INDEX_##level,
+enum { CORE_ISA_LEVELS(INDEX, ) LEVELS };
 
-#if defined(__x86_64__)
-/* The clones have the same bits: no product is contracted with a sum. */
-__attribute__((target_clones("avx512f", "avx2", "default")))
-#endif
-static void
-add_product(part to, part a, part b, size_t rows, size_t inner, size_t columns, double sign) {
-  size_t row = 0;
-  for (; row + TILE_ROWS <= rows; row += TILE_ROWS) {
-    const part to_rows = {to.at + row * to.stride, to.stride};
-    const part a_rows = {a.at + row * a.stride, a.stride};
-    add_rows(to_rows, a_rows, b, TILE_ROWS, inner, columns, sign);
-  }
-  for (; row < rows; row++) {
-    const part to_row = {to.at + row * to.stride, to.stride};
-    const part a_row = {a.at + row * a.stride, a.stride};
-    add_rows(to_row, a_row, b, 1, inner, columns, sign);
-  }
-}
+#define DECLARE(level, unused) extern dense_add_product transport_dense_product_##level;
+CORE_ISA_LEVELS(DECLARE, )
+
+#define PRODUCT(level, unused) [INDEX_##level] = transport_dense_product_##level,
+static dense_add_product *const products[LEVELS] = {CORE_ISA_LEVELS(PRODUCT, )};
+
+/* ---- products ------------------------------------------------------------------------------- */
 
 /* A rectangle of a matrix, real or complex. */
 static dense within(const dense *of, size_t row, size_t column, size_t rows, size_t columns) {
   const size_t skip = row * of->stride + column;
-  return (dense){rows, columns, of->stride, of->re + skip, of->im == NULL ? NULL : of->im + skip};
+  return (dense){of->isa,    rows,          columns,
+                 of->stride, of->re + skip, of->im == NULL ? NULL : of->im + skip};
 }
 
-/* Adds sign times a b to `to`. Each row of b and `to` is padded to a multiple of TILE_COLUMNS. */
+/* Adds sign times a b to `to`. Each row of b and `to` is padded to a multiple of DENSE_TILE. */
 static void add(const dense *to, const dense *a, const dense *b, double sign) {
-  const part to_re = {to->re, to->stride}, to_im = {to->im, to->stride};
-  const part a_re = {a->re, a->stride}, a_im = {a->im, a->stride};
-  const part b_re = {b->re, b->stride}, b_im = {b->im, b->stride};
+  dense_add_product *const add_product = products[to->isa->index];
+  const dense_part to_re = {to->re, to->stride}, to_im = {to->im, to->stride};
+  const dense_part a_re = {a->re, a->stride}, a_im = {a->im, a->stride};
+  const dense_part b_re = {b->re, b->stride}, b_im = {b->im, b->stride};
   const size_t rows = to->rows, inner = a->columns;
-  const size_t columns = (to->columns + TILE_COLUMNS - 1) / TILE_COLUMNS * TILE_COLUMNS;
+  const size_t columns = (to->columns + DENSE_TILE - 1) / DENSE_TILE * DENSE_TILE;
   add_product(to_re, a_re, b_re, rows, inner, columns, sign);
   if (to->im != NULL) {
     add_product(to_re, a_im, b_im, rows, inner, columns, -sign);

@@ -8,10 +8,13 @@
 #include <stdbool.h>
 #include <stddef.h>
 
+#include "core/core.h"
+
 /* A matrix, row by row. The real and the imaginary parts are apart. im is NULL for a real matrix.
  * Rows are stride numbers apart, and stride is a multiple of 8. Numbers behind the last column
  * exist and have no meaning. */
 typedef struct dense {
+  const core_isa *isa; /* the instruction set that products with this result use */
   size_t rows, columns, stride;
   double *re, *im;
 } dense;
@@ -22,7 +25,8 @@ size_t transport_dense_size(size_t rows, size_t columns);
 /* Returns a matrix whose parts lie at *memory, and moves *memory behind them. The matrix is not
  * filled. *memory: 64-byte aligned, with room for transport_dense_size() numbers, or for twice as
  * many for a complex matrix. */
-dense transport_dense_at(double **memory, size_t rows, size_t columns, bool is_complex);
+dense transport_dense_at(const core_isa *isa, double **memory, size_t rows, size_t columns,
+                         bool is_complex);
 
 /* Sets to = a b. The three are all real or all complex, their shapes fit, and `to` is neither of
  * the others. */
@@ -31,5 +35,20 @@ void transport_dense_multiply(const dense *to, const dense *a, const dense *b);
 /* Replaces b by the solution x of a x = b, by elimination with partial pivoting in blocks. The
  * content of a, which is square, is lost. Returns false if a is singular; then b has no meaning. */
 bool transport_dense_solve(const dense *a, const dense *b);
+
+/* ---- dense_product.c, for dense.c alone ----------------------------------------------------- */
+
+enum { DENSE_TILE = 4 };
+
+/* A rectangle of the real or the imaginary part of a matrix. */
+typedef struct dense_part {
+  double *at;
+  size_t stride;
+} dense_part;
+
+/* Adds sign times a b to `to`. a: rows by inner numbers. b: inner by columns numbers. columns: a
+ * multiple of DENSE_TILE. b and `to`: 32-byte aligned. */
+typedef void dense_add_product(dense_part to, dense_part a, dense_part b, size_t rows, size_t inner,
+                               size_t columns, double sign);
 
 #endif

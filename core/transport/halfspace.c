@@ -55,6 +55,7 @@ typedef struct blocks {
 } blocks;
 
 struct halfspace {
+  const core_isa *isa;
   halfspace_medium medium;
   size_t orders;
   size_t n;
@@ -303,8 +304,9 @@ static bool reserve(halfspace *to) {
   return true;
 }
 
-halfspace *transport_halfspace_new(const halfspace_rules *rules, const halfspace_medium *medium,
-                                   const double *etas, size_t count) {
+halfspace *transport_halfspace_new(const core_isa *isa, const halfspace_rules *rules,
+                                   const halfspace_medium *medium, const double *etas,
+                                   size_t count) {
   assert(rules->orders <= ORDERS_MAX && rules->degrees <= DEGREES_MAX && rules->degrees >= 2);
   assert(rules->degrees_least >= 2 && rules->degrees_least <= DEGREES_MAX);
   assert(medium->moments >= 1 && medium->moments <= HALFSPACE_MOMENTS_MAX);
@@ -316,6 +318,7 @@ halfspace *transport_halfspace_new(const halfspace_rules *rules, const halfspace
     free(of);
     return NULL;
   }
+  made->isa = isa;
   made->medium = *medium;
   made->orders = rules->orders;
   made->boundaries = count;
@@ -526,11 +529,11 @@ bool transport_halfspace_solve(halfspace *of, double complex k, double kappa,
   double *memory = of->memory;
   dense matrix[MATRICES];
   for (size_t i = 0; i < MATRICES; i++) {
-    matrix[i] = transport_dense_at(&memory, n, n, is_complex);
+    matrix[i] = transport_dense_at(of->isa, &memory, n, n, is_complex);
   }
-  const dense both = transport_dense_at(&memory, n, 2 * matrix[0].stride, is_complex);
-  const dense up = transport_dense_at(&memory, n, 1, is_complex);
-  const dense once = transport_dense_at(&memory, n, 1, is_complex);
+  const dense both = transport_dense_at(of->isa, &memory, n, 2 * matrix[0].stride, is_complex);
+  const dense up = transport_dense_at(of->isa, &memory, n, 1, is_complex);
+  const dense once = transport_dense_at(of->isa, &memory, n, 1, is_complex);
   const dense *e = &matrix[0], *minus = &matrix[1], *plus = &matrix[2], *r = &matrix[3],
               *t = &matrix[4], *spare = &matrix[5];
   fill_streaming(of, e, k);

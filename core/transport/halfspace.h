@@ -12,6 +12,8 @@
 #include <stdbool.h>
 #include <stddef.h>
 
+#include "core/core.h"
+
 enum {
   HALFSPACE_MOMENTS_MAX = 256, /* largest number of moments of a truncated phase function */
   HALFSPACE_ETAS_MAX = 32,     /* largest number of boundaries that are solved together */
@@ -36,11 +38,12 @@ typedef struct halfspace_rules {
 typedef struct halfspace halfspace;
 
 /* Returns the angular integrals for one medium and some boundaries, and memory for solving with
- * them; or NULL if memory runs out. Each thread needs its own. The caller frees it with
+ * them on an instruction set; or NULL if memory runs out. Each thread needs its own. The caller frees it with
  * transport_halfspace_free(), which accepts NULL. medium: it has to outlive the result. etas: index
  * inside over index outside, 1 to HALFSPACE_ETAS_MAX of them, each 0.2 to 5. */
-halfspace *transport_halfspace_new(const halfspace_rules *rules, const halfspace_medium *medium,
-                                   const double *etas, size_t count);
+halfspace *transport_halfspace_new(const core_isa *isa, const halfspace_rules *rules,
+                                   const halfspace_medium *medium, const double *etas,
+                                   size_t count);
 void transport_halfspace_free(halfspace *of);
 
 /* The exitance at one wavenumber, per power that has entered, for one boundary. */

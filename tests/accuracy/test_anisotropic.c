@@ -14,9 +14,9 @@
 static transport_anisotropic *solve(double ratio, const transport_phase *phase, const double *etas,
                                     size_t count) {
   transport_anisotropic *solution;
-  unit_assert_fault(
-      transport_anisotropic_solve(&solution, ratio, phase, etas, count, TRANSPORT_EFFORT_QUICK),
-      NULL, 0);
+  unit_assert_fault(transport_anisotropic_solve(&solution, core_isa_select(NULL), ratio, phase,
+                                                etas, count, TRANSPORT_EFFORT_QUICK),
+                    NULL, 0);
   return solution;
 }
 
@@ -43,7 +43,9 @@ UNIT_TEST(isotropic_scattering_is_that_of_the_other_solver) {
   const transport_phase phase = {0, 0, NULL};
   transport_anisotropic *solution = solve(ratio, &phase, etas, ETAS);
   transport_totals totals[ETAS];
-  unit_assert_fault(transport_anisotropic_totals(totals, ratio, &phase, etas, ETAS), NULL, 0);
+  unit_assert_fault(
+      transport_anisotropic_totals(totals, core_isa_select(NULL), ratio, &phase, etas, ETAS), NULL,
+      0);
   double worst = 0;
   for (size_t i = 0; i < ETAS; i++) {
     transport_boundary *boundary;
@@ -85,8 +87,9 @@ UNIT_TEST(totals_are_those_of_adding_doubling) {
     const double ratio = (1 - known[i].albedo) / (known[i].albedo * (1 - known[i].g));
     const double specular = pow((known[i].eta - 1) / (known[i].eta + 1), 2);
     transport_totals total;
-    unit_assert_fault(transport_anisotropic_totals(&total, ratio, &phase, &known[i].eta, 1), NULL,
-                      0);
+    unit_assert_fault(transport_anisotropic_totals(&total, core_isa_select(NULL), ratio, &phase,
+                                                   &known[i].eta, 1),
+                      NULL, 0);
     assert_true(total.normal.error < 1e-6 * total.normal.value);
     const double launched = specular + (1 - specular) * total.normal.value;
     assert_true(fabs(launched - known[i].total) < known[i].off);
@@ -102,7 +105,8 @@ UNIT_TEST(diffuse_light_is_reflected_as_h_functions_say) {
   const double eta = 1;
   for (size_t i = 0; i < 2; i++) {
     transport_totals total;
-    unit_assert_fault(transport_anisotropic_totals(&total, 1 / known[i][0] - 1, &phase, &eta, 1),
+    unit_assert_fault(transport_anisotropic_totals(&total, core_isa_select(NULL),
+                                                   1 / known[i][0] - 1, &phase, &eta, 1),
                       NULL, 0);
     hold("diffuse total", known[i][0], total.diffuse, known[i][1], 1e-8, 1e-6);
   }
@@ -203,8 +207,11 @@ UNIT_TEST(totals_by_moments_are_those_by_g) {
   const transport_phase by_g = {0.3, 0, NULL}, by_moments = {0, MOMENTS, moment};
   static const double etas[] = {1.4, 0.9};
   transport_totals one[2], other[2];
-  unit_assert_fault(transport_anisotropic_totals(one, 0.1, &by_g, etas, 2), NULL, 0);
-  unit_assert_fault(transport_anisotropic_totals(other, 0.1, &by_moments, etas, 2), NULL, 0);
+  unit_assert_fault(transport_anisotropic_totals(one, core_isa_select(NULL), 0.1, &by_g, etas, 2),
+                    NULL, 0);
+  unit_assert_fault(
+      transport_anisotropic_totals(other, core_isa_select(NULL), 0.1, &by_moments, etas, 2), NULL,
+      0);
   for (size_t i = 0; i < 2; i++) {
     assert_true(fabs(one[i].diffuse.value / other[i].diffuse.value - 1) < 1e-12);
   }
@@ -233,8 +240,8 @@ UNIT_TEST(faults_name_their_field) {
       {1, &good, &eta, 0, "eta", 0},
   };
   for (size_t i = 0; i < sizeof faults / sizeof faults[0]; i++) {
-    unit_assert_fault(transport_anisotropic_solve(&solution, faults[i].ratio, faults[i].phase,
-                                                  faults[i].etas, faults[i].count,
+    unit_assert_fault(transport_anisotropic_solve(&solution, core_isa_select(NULL), faults[i].ratio,
+                                                  faults[i].phase, faults[i].etas, faults[i].count,
                                                   TRANSPORT_EFFORT_QUICK),
                       faults[i].field, faults[i].index);
     assert_null(solution);

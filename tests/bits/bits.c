@@ -199,13 +199,13 @@ static bool is_due(const core_choice *model, const core_choice *evaluator,
 
 /* Prints checksums of the solver for any phase function: totals, and one wavenumber in real and in
  * complex numbers. */
-static void print_anisotropic(void) {
+static void print_anisotropic(const core_isa *isa) {
   static const double etas[] = {0.8, 1, 1.4};
   enum { ETAS = sizeof etas / sizeof etas[0], MOMENTS = 12 };
   const transport_phase phase = {0.8, 0, NULL};
   transport_totals totals[ETAS];
   uint64_t sum = CHECKSUM_START;
-  if (transport_anisotropic_totals(totals, 0.05, &phase, etas, ETAS).field == NULL) {
+  if (transport_anisotropic_totals(totals, isa, 0.05, &phase, etas, ETAS).field == NULL) {
     sum = checksum(sum, totals, sizeof totals);
   }
   double moment[MOMENTS] = {1};
@@ -214,7 +214,7 @@ static void print_anisotropic(void) {
   }
   const halfspace_rules rules = {4, 9, 3};
   const halfspace_medium medium = {0.9, MOMENTS, moment};
-  halfspace *expansion = transport_halfspace_new(&rules, &medium, etas, ETAS);
+  halfspace *expansion = transport_halfspace_new(isa, &rules, &medium, etas, ETAS);
   halfspace_exitance exitance[ETAS];
   for (int imaginary = 0; imaginary < 2; imaginary++) {
     const double complex k = 1.25 + 0.125 * imaginary * (double complex)I;
@@ -255,6 +255,6 @@ int main(int argc, char **argv) {
     }
   }
   print_grids();
-  print_anisotropic();
+  print_anisotropic(isa);
   return EXIT_SUCCESS;
 }
