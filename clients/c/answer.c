@@ -14,7 +14,7 @@ void libdipole_answer_expect(libdipole_pending *pending, unsigned model, unsigne
                              unsigned wanted, uint32_t medium_count, uint64_t radius_count) {
   const bool drawn = pending->type == WIRE_TYPE_SAMPLE;
   eval_layout layout;
-  pending->model = (uint16_t)model;
+  pending->model = model;
   pending->evaluator = (uint16_t)evaluator;
   pending->wanted = (uint16_t)wanted;
   pending->medium_count = medium_count;

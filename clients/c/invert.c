@@ -84,7 +84,8 @@ static const libdipole_kind kind = {.repeatable = true, .take = take_frame};
 /* ---- asking -------------------------------------------------------------------------------- */
 
 static bool check(const dipole_invert_query *query, dipole_error *error) {
-  if (!libdipole_check_u16(query->model | query->moments | query->given, "model, moments and given",
+  if (!libdipole_model_check(query->model, error) ||
+      !libdipole_check_u16(query->model | query->moments | query->given, "model, moments and given",
                            error)) {
     return false;
   }

@@ -16,6 +16,12 @@ bool libdipole_check_u16(unsigned all, const char *names, dipole_error *error) {
          libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s: no id is above 65535", names);
 }
 
+bool libdipole_model_check(unsigned model, dipole_error *error) {
+  return model != 0 || libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
+                                      "model is 0, which is what dipole_id() returns for a name "
+                                      "that the daemon does not have");
+}
+
 bool libdipole_parameters_check(const dipole_parameter *parameters, size_t count,
                                 dipole_error *error) {
   if (parameters == NULL && count > 0) {
@@ -26,6 +32,12 @@ bool libdipole_parameters_check(const dipole_parameter *parameters, size_t count
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "parameter_count is at most 65535");
   }
   for (size_t i = 0; i < count; i++) {
+    if (parameters[i].id == 0) {
+      return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
+                            "the id of parameters[%zu] is 0, which is what dipole_id() returns for "
+                            "a name that the daemon does not have",
+                            i);
+    }
     if (parameters[i].id > UINT16_MAX) {
       return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "the id of a parameter is at most 65535");
     }
@@ -99,10 +111,24 @@ static void put_lists(uint8_t *at, const dipole_medium *media, uint32_t medium_c
 
 /* ---- eval and offers ----------------------------------------------------------------------- */
 
+void dipole_query_init(dipole_query *query) {
+  *query = (dipole_query){.model = CORE_MODEL_TRANSPORT,
+                          .evaluator = DIPOLE_LUT,
+                          .moments = DIPOLE_EXACT,
+                          .wanted = DIPOLE_R,
+                          .spacing = DIPOLE_LIST};
+}
+
+/* Returns the model as the protocol gives it. */
+static unsigned model_on_wire(unsigned model) {
+  return model == DIPOLE_ANY_MODEL ? EVAL_ANY_MODEL : model;
+}
+
 static bool check_query(const dipole_query *query, uint64_t *radii_bytes, dipole_error *error) {
   *radii_bytes = 0;
-  return libdipole_check_u16(query->model | query->evaluator | query->moments | query->wanted |
-                                 query->spacing,
+  return libdipole_model_check(query->model, error) &&
+         libdipole_check_u16(model_on_wire(query->model) | query->evaluator | query->moments |
+                                 query->wanted | query->spacing,
                              "model, evaluator, moments, wanted and spacing", error) &&
          libdipole_parameters_check(query->parameters, query->parameter_count, error) &&
          check_media(query->media, query->medium_count, query->evaluator, error) &&
@@ -129,7 +155,7 @@ static bool send_query(dipole_client *client, const dipole_query *query, libdipo
     return false;
   }
   const bool list = query->spacing == DIPOLE_LIST;
-  const wire_eval_request fixed = {.model = (uint16_t)query->model,
+  const wire_eval_request fixed = {.model = (uint16_t)model_on_wire(query->model),
                                    .evaluator = (uint16_t)query->evaluator,
                                    .moments = (uint16_t)query->moments,
                                    .wanted = (uint16_t)query->wanted,
@@ -316,7 +342,8 @@ bool dipole_offers(dipole_client *client, const dipole_query *query, dipole_offe
 static bool check_sample(const dipole_sample_query *query, uint64_t *number_bytes,
                          dipole_error *error) {
   *number_bytes = 0;
-  return libdipole_check_u16(query->model | query->evaluator | query->moments | query->wanted |
+  return libdipole_model_check(query->model, error) &&
+         libdipole_check_u16(query->model | query->evaluator | query->moments | query->wanted |
                                  query->draw,
                              "model, evaluator, moments, wanted and draw", error) &&
          libdipole_parameters_check(query->parameters, query->parameter_count, error) &&

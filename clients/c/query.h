@@ -5,6 +5,9 @@
 
 #include "clients/c/dipole.h"
 
+/* Fails if dipole_id() did not find the model. */
+bool libdipole_model_check(unsigned model, dipole_error *error);
+
 /* Checks the count and the ids of parameters. */
 bool libdipole_parameters_check(const dipole_parameter *parameters, size_t count,
                                 dipole_error *error);

@@ -72,7 +72,8 @@ struct libdipole_pending {
   uint16_t type; /* enum wire_type */
   uint32_t deadline_ms;
   uint64_t reply_bytes_min, reply_bytes_max; /* limits for the payload of each frame */
-  uint16_t model, evaluator, wanted;         /* of an eval or sample */
+  unsigned model;                            /* of an eval or sample; may be DIPOLE_ANY_MODEL */
+  uint16_t evaluator, wanted;                /* of an eval or sample */
   uint32_t medium_count;                     /* 0 if the request lists no media */
   uint64_t radius_count;                     /* of an eval or sample; for an invert: its media */
   libdipole_reader *reader; /* gets each part when it arrives; NULL: the parts are put together */

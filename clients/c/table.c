@@ -243,7 +243,8 @@ bool dipole_table_fetch(dipole_client *client, const dipole_table_query *query,
                         dipole_table **table, dipole_error *error) {
   dipole_table *fetched = NULL;
   error = error != NULL ? error : &(dipole_error){0};
-  if (!libdipole_check_u16(query->model | query->moments, "model and moments", error) ||
+  if (!libdipole_model_check(query->model, error) ||
+      !libdipole_check_u16(query->model | query->moments, "model and moments", error) ||
       !libdipole_parameters_check(query->parameters, query->parameter_count, error)) {
     return false;
   }

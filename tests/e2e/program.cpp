@@ -1,5 +1,5 @@
 // A C++ program that uses libdipole: each kind of call once. Prints R at 1 mm as it came in each
-// way; exits with 1 when they differ.
+// way; exits with 1 when they differ, or when the model of a query is unknown and is not refused.
 #include <dipole.h>
 
 #include <cstdio>
@@ -36,14 +36,13 @@ Owner<dipole_client> open(const char *address) {
 std::vector<float> evaluate(dipole_client *client, const dipole_medium &skin, float radius) {
   dipole_error error;
   dipole_result *result = nullptr;
-  dipole_query query{};
+  dipole_query query;
+  dipole_query_init(&query);
   query.model = dipole_id(client, DIPOLE_MODEL, "better");
   query.evaluator = DIPOLE_F32;
-  query.moments = DIPOLE_EXACT;
-  query.wanted = DIPOLE_R | DIPOLE_ALBEDO;
+  query.wanted |= DIPOLE_ALBEDO;
   query.media = &skin;
   query.medium_count = 1;
-  query.spacing = DIPOLE_LIST;
   query.radii = &radius;
   query.radius_count = 1;
   check(dipole_eval(client, &query, &result, &error), error);
@@ -59,11 +58,51 @@ std::vector<float> evaluate(dipole_client *client, const dipole_medium &skin, fl
   return {whole->channels[0].R_f32[0], place};
 }
 
-float look_up(dipole_client *client, const dipole_medium &skin, float radius) {
+// Evaluates a query of which only the medium and the radius are set.
+float evaluate_usual(dipole_client *client, const dipole_medium &skin, float radius) {
+  dipole_error error;
+  dipole_result *result = nullptr;
+  dipole_query query;
+  dipole_query_init(&query);
+  query.media = &skin;
+  query.medium_count = 1;
+  query.radii = &radius;
+  query.radius_count = 1;
+  check(dipole_eval(client, &query, &result, &error), error);
+  const Owner<dipole_result> owner(result);
+  if (result->model != dipole_id(client, DIPOLE_MODEL, "transport")) {
+    throw std::runtime_error("the usual model is not transport");
+  }
+  return result->channels[0].R_f32[0];
+}
+
+// Asks for the model "classicall", which does not exist, with a tolerance. Returns whether the
+// library refuses the query.
+bool refuses_unknown(dipole_client *client, const dipole_medium &skin, float radius) {
+  dipole_error error;
+  dipole_result *result = nullptr;
+  const dipole_parameter tolerance{dipole_id(client, DIPOLE_PARAMETER, "tolerance"), 0.1};
+  dipole_query query;
+  dipole_query_init(&query);
+  query.model = dipole_id(client, DIPOLE_MODEL, "classicall");
+  query.media = &skin;
+  query.medium_count = 1;
+  query.radii = &radius;
+  query.radius_count = 1;
+  query.parameters = &tolerance;
+  query.parameter_count = 1;
+  const bool refused = !dipole_eval(client, &query, &result, &error);
+  query.model = DIPOLE_ANY_MODEL;
+  check(dipole_eval(client, &query, &result, refused ? &error : nullptr), error);
+  const Owner<dipole_result> owner(result);
+  return refused && result->model != 0;
+}
+
+float look_up(dipole_client *client, const char *model, const dipole_medium &skin, float radius) {
   dipole_error error;
   dipole_table *table = nullptr;
   dipole_table_query query{};
-  query.model = dipole_id(client, DIPOLE_MODEL, "better");
+  query.model = dipole_id(client, DIPOLE_MODEL, model);
   query.moments = DIPOLE_EXACT;
   query.medium = skin;
   check(dipole_table_fetch(client, &query, &table, &error), error);
@@ -82,9 +121,14 @@ int main(int argc, char **argv) {
     const Owner<dipole_client> client = open(argc > 1 ? argv[1] : nullptr);
     const dipole_medium skin{0.032, 0.74, 0, 1.3};
     const std::vector<float> R = evaluate(client.get(), skin, 1.0f);
-    const float near = look_up(client.get(), skin, 1.0f);
+    const float near = look_up(client.get(), "better", skin, 1.0f);
+    const float usual = evaluate_usual(client.get(), skin, 1.0f);
     std::printf("%.9g %.9g %.9g\n", double(R[0]), double(R[1]), double(near));
-    return R[0] == R[1] && near > 0.999f * R[0] && near < 1.001f * R[0] ? 0 : 1;
+    return refuses_unknown(client.get(), skin, 1.0f) &&
+                   usual == look_up(client.get(), "transport", skin, 1.0f) && R[0] == R[1] &&
+                   near > 0.999f * R[0] && near < 1.001f * R[0]
+               ? 0
+               : 1;
   } catch (const std::exception &failure) {
     std::fprintf(stderr, "%s\n", failure.what());
     return 1;

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import csv
 import os
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from daemons import BUILD, REPOSITORY, environment, sanitized
+from test_readme import blocks
 
 TIMEOUT_S = 300.0
 SIDE_MM = np.float32(20)
@@ -151,3 +153,35 @@ def test_a_cpp_program(installed, tmp_path, shared):
         R = client.eval("better", (0.032, 0.74, 0, 1.3), [1.0], evaluator="f32").R[0, 0]
     assert np.float32(whole) == np.float32(in_place) == R
     assert table == pytest.approx(R, rel=1.1e-4)
+
+
+README_FRAME = """
+#include <dipole.h>
+#include <stdio.h>
+
+int main(int argc, char **argv) {
+  const dipole_medium media[3] = {{0.03, 0.7, 0, 1.3}, {0.1, 0.9, 0, 1.3}, {0.2, 1, 0, 1.3}};
+  const float radii[2] = {0.5f, 2};
+  const unsigned n = 2;
+  dipole_error error = {0};
+  dipole_result *result = NULL;
+  (void)argc;
+%s
+  printf("%%.9g\\n", (double)result->channels[2].R_f32[1]);
+  dipole_result_free(result);
+  dipole_close(client);
+  return error.kind;
+}
+"""
+
+
+def test_the_readme(installed, tmp_path, shared):
+    (block,) = [block for block in blocks() if block.startswith("dipole_client *client")]
+    block = re.sub(r'"unix:/run.*?"', "argv[1]", block)
+    (tmp_path / "readme.c").write_text(README_FRAME % block)
+    (tmp_path / "built").mkdir()
+    program = tmp_path / "built/readme"
+    installed.compile(["cc", "-std=c17", "-Wall", "-Wextra"], tmp_path / "readme.c", program)
+    with shared.client() as client:
+        R = client.eval("transport", (0.2, 1, 0, 1.3), [2.0], evaluator="lut").R[0, 0]
+    assert np.float32(installed.run(program, shared.url())) == R

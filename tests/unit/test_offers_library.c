@@ -123,18 +123,23 @@ UNIT_TEST(wrong_queries_are_not_sent) {
   dipole_offer *offers = NULL;
   dipole_error error;
   size_t count;
-  dipole_query wrong[3];
-  for (size_t i = 0; i < 3; i++) {
+  dipole_query wrong[5];
+  for (size_t i = 0; i < 5; i++) {
     wrong[i] = query_of(DIPOLE_ANY_MODEL, DIPOLE_LUT);
   }
   wrong[0].evaluator = 4;
   wrong[1].radii = NULL;
   wrong[2].parameters = NULL;
   dipole_client *client = peer_begin(&peer, offer, &script);
-  for (size_t i = 0; i < 3; i++) {
+  const dipole_parameter misspelt = {dipole_id(client, DIPOLE_PARAMETER, "tolerence"), 0.01};
+  wrong[3].model = dipole_id(client, DIPOLE_MODEL, "classicall");
+  wrong[4].parameters = &misspelt;
+  wrong[4].parameter_count = 1;
+  for (size_t i = 0; i < 5; i++) {
     assert_false(dipole_offers(client, &wrong[i], &offers, &count, NULL, &error));
     assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
   }
+  assert_non_null(strstr(error.text, "parameters[0]"));
   const dipole_query right = query_of(DIPOLE_ANY_MODEL, DIPOLE_F64);
   assert_true(dipole_offers(client, &right, &offers, &count, NULL, NULL));
   assert_offers(offers);
