@@ -41,12 +41,23 @@ static bool accepts(const struct cost *cost, const core_choose_request *request,
          (request->radii.least_mm >= domain.least_mm && request->radii.most_mm <= domain.most_mm);
 }
 
+/* Returns the errors of a model. Those of the similarity relation are not known of transport, so that
+ * no tolerance is answered with it. */
+static core_model_errors errors_of(const struct cost *cost, const core_choose_request *request,
+                                   const core_medium *medium) {
+  core_added_errors added;
+  return cost->model != CORE_MODEL_TRANSPORT
+             ? core_model_errors_find(cost->model, request->moments, medium)
+         : core_transport_added_errors(medium, &added) ? core_model_errors_exact()
+                                                       : core_model_errors_unknown();
+}
+
 /* Returns the model's largest error over the channels, or INFINITY if it is not known for one. */
 static double model_error(const struct cost *cost, const core_choose_request *request) {
   double error = 0;
   for (size_t i = 0; i < request->media_count && error < (double)INFINITY; i++) {
     const core_medium *medium = &request->media[i];
-    const core_model_errors errors = core_model_errors_find(cost->model, request->moments, medium);
+    const core_model_errors errors = errors_of(cost, request, medium);
     const double here = core_model_errors_of(&errors, medium, request->wanted, request->radii);
     const bool promised =
         here < (double)INFINITY || (request->wanted & (ELEMENTWISE | CORE_QUANTITY_ALBEDO)) == 0;
@@ -63,14 +74,18 @@ static double sigma_t_prime(const core_medium *medium) {
   return medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g);
 }
 
-/* Returns the error that is added to transport's numerical error at radii beyond its reach. */
-static double error_beyond(const struct cost *cost, const core_choose_request *request) {
+/* Returns the error that is added to transport's numerical error at radii beyond its reach and for
+ * anisotropic scattering. */
+static double added_error(const struct cost *cost, const core_choose_request *request) {
   double error = 0;
-  for (size_t i = 0; i < request->media_count && cost->model == CORE_MODEL_TRANSPORT &&
-                     (request->wanted & FOLLOWS_R) != 0;
-       i++) {
-    const core_reach reach = core_transport_reach(&request->media[i]);
-    error = fmax(error, core_error_beyond(reach, request->radii.most_mm));
+  for (size_t i = 0; i < request->media_count && cost->model == CORE_MODEL_TRANSPORT; i++) {
+    const core_medium *medium = &request->media[i];
+    const double most_mm = (request->wanted & FOLLOWS_R) != 0 ? request->radii.most_mm : 0;
+    core_added_errors added;
+    core_transport_added_errors(medium, &added);
+    error = fmax(error, core_error_beyond(core_transport_reach(medium), most_mm) +
+                            core_banded_error(added.banded, added.all, medium, request->wanted,
+                                              request->radii));
   }
   return error;
 }
@@ -102,7 +117,7 @@ static void set_numerical_error(core_candidate *candidate, const struct cost *co
     candidate->numerical_tolerance = fmax(share - floor, cost->tolerance_least);
     candidate->numerical_error = candidate->numerical_tolerance + floor;
   }
-  candidate->numerical_error += logarithm_error(request) + error_beyond(cost, request);
+  candidate->numerical_error += logarithm_error(request) + added_error(cost, request);
 }
 
 /* ---- choosing -------------------------------------------------------------------------------- */

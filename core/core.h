@@ -259,6 +259,10 @@ typedef struct core_profile {
    * within `reach`; core_profile_errors() gives the error for any radii and quantities. */
   double numerical_error;
   double numerical_error_per_mm;
+  /* The same for R, 2 pi r R, S and ln R in each band of radii of core_model_errors, then for the
+   * albedo. None is larger than numerical_error, and all are equal to it unless the model is
+   * `transport` and g is not 0. Below the first band and above the last one, their errors hold. */
+  double numerical_errors[CORE_MODEL_ERROR_BANDS + 1];
   core_reach reach;
   core_model_errors model_errors;
   unsigned notes;         /* bits of enum core_note */

@@ -72,6 +72,14 @@ typedef struct core_inputs {
   double tabulated;
 } core_inputs;
 
+/* What the table of anisotropic scattering adds to the numerical error of `transport`, relative: to
+ * that of R in each band of radii of core_model_errors, then of the albedo; and to that of any other
+ * quantity at any radius. */
+typedef struct core_added_errors {
+  double banded[CORE_MODEL_ERROR_BANDS + 1];
+  double all; /* at least as large as each of `banded` */
+} core_added_errors;
+
 /* The results of preparing. Beforehand the caller sets cost to 1, scale_mm to 1 / sigma_t', reach
  * to "everywhere" (most_mm = INFINITY), and the other fields to 0. */
 typedef struct core_preparation {
@@ -79,8 +87,9 @@ typedef struct core_preparation {
   double *table; /* malloc()ed, replaces coefficients if they need more room, else NULL */
   size_t table_bytes;
   double albedo;
-  double error;                 /* numerical error of all values, relative */
-  double error_epsilons;        /* further error, in epsilons of the evaluator */
+  double error;            /* numerical error of all values, relative */
+  core_added_errors added; /* further error by band of radii, 0 for every model but transport */
+  double error_epsilons;   /* further error, in epsilons of the evaluator */
   double error_epsilons_per_mm; /* further error for each mm of r, in epsilons */
   double cost;                  /* see core_profile */
   double scale_mm;              /* see core_profile */
@@ -97,6 +106,17 @@ typedef core_fault core_prepare_function(const core_inputs *inputs, core_prepara
 
 /* Returns the reach of the model `transport` for a medium that scatters. */
 core_reach core_transport_reach(const core_medium *medium);
+
+/* Returns whether the model `transport` evaluates the scattering of a medium as it is: g is 0, or
+ * the table of anisotropic scattering covers the medium. Otherwise it uses the similarity relation.
+ * Sets *added, to zeros if g is 0 or the result is false. */
+bool core_transport_added_errors(const core_medium *medium, core_added_errors *added);
+
+/* Returns the numerical error of the wanted quantities at radii from least to most; there are no
+ * radii if least is above most. errors: as core_profile.numerical_errors, or as
+ * core_added_errors.banded; all: the error of any quantity at any radius. */
+double core_banded_error(const double errors[CORE_MODEL_ERROR_BANDS + 1], double all,
+                         const core_medium *medium, unsigned wanted, core_radii_range radii);
 
 /* Returns the error that is added to the numerical error at radii up to most_mm: 0 within the
  * reach. */

@@ -201,6 +201,10 @@ static const struct measured *find_model(enum core_model model) {
   return NULL;
 }
 
+core_model_errors core_model_errors_exact(void) {
+  return (core_model_errors){.exact = true};
+}
+
 core_model_errors core_model_errors_unknown(void) {
   core_model_errors errors = {.exact = false};
   for (size_t i = 0; i <= BANDS; i++) {
@@ -299,6 +303,33 @@ double core_error_beyond(core_reach reach, double most_mm) {
   return exponent < 7 ? real_exp_signed(exponent) - 1 : (double)INFINITY;
 }
 
+/* Returns how many edges between two bands lie below a radius in mean free paths. */
+static size_t edges_below(double mfp) {
+  size_t count = 0;
+  for (size_t i = 1; i < BANDS; i++) {
+    count += edges_mfp[i] < mfp;
+  }
+  return count;
+}
+
+double core_banded_error(const double errors[CORE_MODEL_ERROR_BANDS + 1], double all,
+                         const core_medium *medium, unsigned wanted, core_radii_range radii) {
+  enum { ANY = CORE_QUANTITY_CDF | CORE_QUANTITY_SLOPE | CORE_QUANTITY_PDF };
+  const double sigma_t_prime = core_sigma_t_prime(medium);
+  const bool at_radii = radii.least_mm <= radii.most_mm;
+  if (at_radii && (wanted & ANY) != 0) {
+    return all;
+  }
+  const bool of_R = at_radii && (wanted & (LIKE_R | CORE_QUANTITY_LN_R)) != 0;
+  double error = of_R && (wanted & CORE_QUANTITY_ALBEDO) == 0 ? 0 : errors[BANDS];
+  const size_t first = edges_below(radii.least_mm * sigma_t_prime * (1 + SLACK));
+  const size_t last = edges_below(radii.most_mm * sigma_t_prime * (1 - SLACK));
+  for (size_t band = first; of_R && (band == first || band <= last); band++) {
+    error = fmax(error, errors[band]);
+  }
+  return error;
+}
+
 /* The quantities whose numerical error grows beyond the reach. The cdf and albedo are not among
  * them, because almost no energy is left there. */
 enum { FOLLOWS_R = MEASURED_AT_RADII | CORE_QUANTITY_SLOPE };
@@ -306,8 +337,10 @@ enum { FOLLOWS_R = MEASURED_AT_RADII | CORE_QUANTITY_SLOPE };
 core_stated_errors core_profile_errors(const core_profile *profile, unsigned wanted,
                                        core_radii_range radii) {
   const double most_mm = (wanted & FOLLOWS_R) != 0 ? radii.most_mm : 0;
+  const double numerical = core_banded_error(profile->numerical_errors, profile->numerical_error,
+                                             &profile->medium, wanted, radii);
   return (core_stated_errors){
-      .numerical = profile->numerical_error + core_error_beyond(profile->reach, most_mm) +
+      .numerical = numerical + core_error_beyond(profile->reach, most_mm) +
                    ((wanted & CORE_QUANTITY_S) != 0 ? CORE_S_ERROR : 0),
       .numerical_per_mm = profile->numerical_error_per_mm,
       .model = core_model_errors_of(&profile->model_errors, &profile->medium, wanted, radii),

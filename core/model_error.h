@@ -22,9 +22,12 @@
  * between them. Values within 1e-7 of a node, relative, count as the node, so that rounding to
  * single precision moves nothing out of the measured range. It is NAN where nothing was measured: outside of the measured ranges, for moments
  * other than the exact ones, and for models that need more than a medium. The model `transport` is
- * exact where g is 0. */
+ * exact where g is 0; its errors for another g are those of the similarity relation. */
 core_model_errors core_model_errors_find(enum core_model model, enum core_moments moments,
                                          const core_medium *medium);
+
+/* Returns the errors of a model that is transport itself. */
+core_model_errors core_model_errors_exact(void);
 
 /* Returns errors that are all NAN, which means not known. */
 core_model_errors core_model_errors_unknown(void);

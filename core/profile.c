@@ -166,12 +166,24 @@ core_fault core_profile_check(unsigned model, unsigned moments, unsigned evaluat
 /* Errors were measured with the default of the surface albedo only; for others they are not known.
  */
 static void set_model_errors(core_profile *profile, const core_parameters *parameters) {
+  const bool exact =
+      profile->model == CORE_MODEL_TRANSPORT && (profile->notes & CORE_NOTE_SIMILARITY) == 0;
   profile->model_errors =
-      isnan(parameters->value[CORE_PARAMETER_SURFACE_ALBEDO])
+      exact ? core_model_errors_exact()
+      : isnan(parameters->value[CORE_PARAMETER_SURFACE_ALBEDO])
           ? core_model_errors_find(profile->model, profile->moments, &profile->medium)
           : core_model_errors_unknown();
   if (profile->albedo > 1 + profile->numerical_error) {
     profile->notes |= CORE_NOTE_ALBEDO_ABOVE_1;
+  }
+}
+
+/* Sets the numerical errors to `error` and what the table of anisotropic scattering adds. */
+static void set_numerical_errors(core_profile *profile, double error,
+                                 const core_added_errors *added) {
+  profile->numerical_error = error + added->all;
+  for (size_t i = 0; i <= CORE_MODEL_ERROR_BANDS; i++) {
+    profile->numerical_errors[i] = error + added->banded[i];
   }
 }
 
@@ -189,8 +201,10 @@ static core_fault prepare_model(core_profile *profile, const struct model *model
   const bool wide = profile->kernels->f32->evaluate[0] == NULL;
   const double epsilon = single && !wide ? (double)FLT_EPSILON : DBL_EPSILON;
   profile->albedo = preparation.albedo;
-  profile->numerical_error = preparation.error + preparation.error_epsilons * epsilon +
-                             (single && wide ? (double)FLT_EPSILON : 0);
+  set_numerical_errors(profile,
+                       preparation.error + preparation.error_epsilons * epsilon +
+                           (single && wide ? (double)FLT_EPSILON : 0),
+                       &preparation.added);
   profile->numerical_error_per_mm = preparation.error_epsilons_per_mm * epsilon;
   profile->reach = preparation.reach;
   profile->notes = preparation.notes;
@@ -235,8 +249,11 @@ static core_fault prepare_sum(core_profile *profile, const struct model *model,
   profile->part_shares[0] = scatters ? parts[0].albedo / profile->albedo : 0;
   profile->part_shares[1] = scatters ? parts[1].albedo / profile->albedo : 0;
   const bool single = profile->evaluator == CORE_EVALUATOR_F32;
-  profile->numerical_error = fmax(parts[0].numerical_error, parts[1].numerical_error) +
-                             2 * DBL_EPSILON + (single ? (double)FLT_EPSILON : 0);
+  const core_added_errors none = {{0}, 0};
+  set_numerical_errors(profile,
+                       fmax(parts[0].numerical_error, parts[1].numerical_error) + 2 * DBL_EPSILON +
+                           (single ? (double)FLT_EPSILON : 0),
+                       &none);
   profile->numerical_error_per_mm =
       fmax(parts[0].numerical_error_per_mm, parts[1].numerical_error_per_mm);
   profile->reach =
@@ -262,17 +279,29 @@ static bool fits(const struct model *model) {
   return (model->parameters & BIT(GAUSSIANS)) != 0;
 }
 
+/* Whether the profile comes from the table of anisotropic scattering, whose error does not depend on
+ * a tolerance. */
+static bool is_anisotropic(const core_profile *profile) {
+  return profile->numerical_errors[CORE_MODEL_ERROR_BANDS] < profile->numerical_error;
+}
+
 static core_fault build_table(core_profile *profile, const struct model *model, double asked) {
   /* lut.error includes all rounding except that of the factors of 2 pi r R and the pdf. */
   const double rounding = 2 * (double)FLT_EPSILON;
   const core_profile *source = profile->source;
-  const double spent = rounding + (fits(model) ? 0 : source->numerical_error);
+  const double spent = rounding + (fits(model)              ? 0
+                                   : is_anisotropic(source) ? TABULATED_SHARE * asked
+                                                            : source->numerical_error);
   core_lut lut;
   const core_fault fault = core_lut_build(&lut, source, (asked - spent) / FOUND_MARGIN);
   if (fault.field == NULL) {
     profile->lut = lut.words;
     profile->lut_count = lut.count;
-    profile->numerical_error = FOUND_MARGIN * lut.error + rounding + source->numerical_error;
+    const double own = FOUND_MARGIN * lut.error + rounding;
+    profile->numerical_error = own + source->numerical_error;
+    for (size_t i = 0; i <= CORE_MODEL_ERROR_BANDS; i++) {
+      profile->numerical_errors[i] = own + source->numerical_errors[i];
+    }
     profile->numerical_error_per_mm = source->numerical_error_per_mm;
   }
   return fault;

@@ -83,6 +83,7 @@ void table_reply_put(uint8_t *at, const core_profile *profile, const core_parame
   };
   _Static_assert(sizeof fixed.model_errors == sizeof profile->model_errors.error, "bands, albedo");
   memcpy(fixed.model_errors, profile->model_errors.error, sizeof fixed.model_errors);
+  memcpy(fixed.numerical_errors, profile->numerical_errors, sizeof fixed.numerical_errors);
   wire_put_table_reply(at, &fixed);
   at += WIRE_BYTES_table_reply;
   at += channels_put_parameters(at, parameters);

@@ -131,6 +131,7 @@ static bool set_profile(dipole_table *table, const wire_table_reply *fixed,
       .radii = {fixed->radius_least, fixed->radius_most},
   };
   memcpy(profile->model_errors.error, fixed->model_errors, sizeof fixed->model_errors);
+  memcpy(profile->numerical_errors, fixed->numerical_errors, sizeof fixed->numerical_errors);
   if (!(fixed->reach > 0 && fixed->reach_growth >= 0)) {
     return damaged(error, "it does not say up to which radius its error holds");
   }

@@ -49,5 +49,6 @@ core_fault core_profile_from_table(core_profile *profile, const core_isa *isa, c
       .cos_in = 1,
       .cos_out = 1,
   };
+  memcpy(profile->numerical_errors, facts.numerical_errors, sizeof facts.numerical_errors);
   return (core_fault){0};
 }

@@ -108,6 +108,17 @@ core_fault core_fit_check(const core_inputs *inputs, core_radii_range *radii) {
                             &asked.parameters, NULL);
 }
 
+/* Returns what the fitted model's own error adds where it is known to matter: for `transport` with g
+ * other than 0. */
+static double error_of_model(const core_inputs *inputs, const struct asked *asked) {
+  core_added_errors added = {{0}, 0};
+  if (asked->model == CORE_MODEL_TRANSPORT) {
+    core_transport_added_errors(inputs->medium, &added);
+  }
+  return core_banded_error(added.banded, added.all, inputs->medium, CORE_QUANTITY_R,
+                           (core_radii_range){asked->from_mm, asked->to_mm});
+}
+
 /* ---- the model's values ---------------------------------------------------------------------- */
 
 struct samples {
@@ -244,10 +255,11 @@ static core_fault fit_profile(const core_inputs *inputs, const core_profile *pro
                                                 asks ? GAUSSIANS_MOST : GAUSSIANS);
   core_gaussian gaussians[GAUSSIANS_MOST];
   size_t count = asks ? 1 : most;
-  double error = MARGIN * fit(&points, &checks, count, gaussians);
+  const double of_model = error_of_model(inputs, asked);
+  double error = MARGIN * fit(&points, &checks, count, gaussians) + of_model;
   while (asks && error > tolerance && count < most) {
     count++;
-    error = MARGIN * fit(&points, &checks, count, gaussians);
+    error = MARGIN * fit(&points, &checks, count, gaussians) + of_model;
   }
   if (asks && error > tolerance) {
     return (core_fault){"tolerance", "what a fit reaches: more gaussians or a shorter range", 0};

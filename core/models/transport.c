@@ -420,6 +420,11 @@ core_reach core_transport_reach(const core_medium *medium) {
                       .growth = fmin(0.5, kappa + 1e-4)};
 }
 
+bool core_transport_added_errors(const core_medium *medium, core_added_errors *added) {
+  *added = (core_added_errors){{0}, 0};
+  return !(medium->g < 0 || medium->g > 0);
+}
+
 static core_fault look_up(const core_inputs *inputs, double albedo, const transport_table *table,
                           core_preparation *preparation) {
   transport_series series;

@@ -287,8 +287,10 @@ static void start_channel(struct eval_job *eval) {
   const core_profile *profile = &eval->lookup.profile;
   eval->notes |= profile->notes;
   const bool albedo_wanted = (eval->request.fixed.wanted & CORE_QUANTITY_ALBEDO) != 0;
-  const core_stated_errors errors =
-      core_profile_errors(profile, eval->request.fixed.wanted, eval->radii);
+  /* A sample's values are as exact as the cdf that gives the radii. */
+  const unsigned wanted =
+      eval->request.fixed.wanted | (is_sample(eval) ? (unsigned)CORE_QUANTITY_CDF : 0);
+  const core_stated_errors errors = core_profile_errors(profile, wanted, eval->radii);
   const wire_channel channel = {
       .albedo = albedo_wanted ? profile->albedo : (double)NAN,
       .numerical_error = errors.numerical,

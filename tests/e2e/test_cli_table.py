@@ -79,7 +79,7 @@ def test_json_says_what_the_daemon_says(client):
         assert (one["pieces_from"], one["pieces_to"]) == (table.pieces_from_mm, table.pieces_to_mm)
         assert (one["radius_least"], one["radius_most"]) == (0, "inf")
         assert one["reach"] == "inf" and math.isinf(table.reach_mm)
-        assert one["layout"] == 2 and one["pieces"] == (len(table.words) - PIECES) // 4
+        assert one["layout"] == 3 and one["pieces"] == (len(table.words) - PIECES) // 4
     assert report["units"]["pieces_from"] == "mm"
 
 
@@ -273,12 +273,12 @@ def test_files_that_are_none(tmp_path):
     damaged = data[:-1] + bytes([data[-1] ^ 1])
     for content, said in [
         (b"", "table 1: this is not an intact table: it is too short"),
-        (b"sigma_a,sigma_s\n" * 20, "table 1: this is not an intact table: it does not start as"),
+        (b"sigma_a,sigma_s\n" * 30, "table 1: this is not an intact table: it does not start as"),
         (data[:-8], "table 1: this is not an intact table: its end is missing"),
         (damaged, "table 1: this is not an intact table: its counts or its checksum are wrong"),
         (data + damaged, "table 2: this is not an intact table"),
         (data + b"\n", "table 2: this is not an intact table: it is too short"),
-        (data[:24] + b"\1" + data[25:], "this table has layout 1, but this library reads layout 2"),
+        (data[:24] + b"\1" + data[25:], "this table has layout 1, but this library reads layout 3"),
     ]:
         bad = scratch(tmp_path, "bad", content)
         run = dipole("eval", "--table", bad, "--r", "1", status=FAILED)

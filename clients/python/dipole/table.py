@@ -19,7 +19,7 @@ from . import wire
 from .errors import ArgumentError, TableError
 from .values import Info, Medium
 
-LAYOUT = 2  # proto/PROTOCOL.md, "table"
+LAYOUT = 3  # proto/PROTOCOL.md, "table"
 
 # Positions of a table's words: first 16 numbers, then one entry for each octave of the argument of
 # R, of the cdf, and of the radius (by u and by 1 - u), then the pieces.
@@ -93,6 +93,7 @@ class Table:
         self.moments: str | int = _name(info, "moments", fixed.moments)
         self.notes: tuple[str | int, ...] = _notes(info, fixed.notes)
         self.medium = Medium(fixed.sigma_a, fixed.sigma_s, fixed.g, fixed.eta)
+        self._sigma_t_prime = fixed.sigma_a + fixed.sigma_s * (1 - fixed.g)
         self.parameters: dict[str | int, float] = {}  # the parameters of the table request
         for at in range(wire.TABLE_REPLY.bytes, words_at, wire.PARAMETER.bytes):
             one = wire.PARAMETER.unpack(payload, at)
@@ -107,6 +108,7 @@ class Table:
             raise TableError("a table that does not say up to which radius its error holds")
         self.model_error: float = fixed.model_error  # at all radii; 0 or, if not measured, NaN
         self._model_errors: tuple[float, ...] = fixed.model_errors
+        self._numerical_errors: tuple[float, ...] = fixed.numerical_errors
         self.pieces_from_mm: float = fixed.pieces_from  # below this radius: an asymptotic formula
         self.pieces_to_mm: float = fixed.pieces_to  # from this radius on: an asymptotic formula
         self.radius_least_mm: float = fixed.radius_least  # the least radius that the model covers
@@ -184,13 +186,14 @@ class Table:
 
     def numerical_error(self, r: Any) -> np.ndarray:
         """Returns how far R at r (mm) may be from the model's exact formula, relative. That of the
-        other values is not larger."""
+        other values is not larger, except that cdf and pdf may be off by numerical_error_constant."""
         radii = np.asarray(r, np.float64)
         growth = np.zeros_like(radii)  # At infinity, 0 times infinity would be NaN.
         if self.numerical_error_per_mm > 0:
             growth = self.numerical_error_per_mm * radii
         beyond = self._beyond_reach(np.where(np.isfinite(radii), radii, 0))
-        return self.numerical_error_constant + growth + beyond
+        bands = np.searchsorted(_BAND_EDGES[1:-1], radii * self._sigma_t_prime)
+        return np.asarray(self._numerical_errors)[bands] + growth + beyond
 
     def errors(self, r: Any, wanted: Sequence[str] = ("R",)) -> TableErrors:
         """Returns the errors of quantities at the radii of a call, r (mm): those that a daemon
@@ -201,7 +204,7 @@ class Table:
                 raise ArgumentError(f"wanted: {name!r}: a table does not hold it")
         radii = self._radii(r)
         finite = radii[np.isfinite(radii)].astype(np.float64)
-        numerical_error = self.numerical_error_constant
+        numerical_error = self._numerical_error(finite, wanted)
         if finite.size > 0 and not {"R", "pdf", "2_pi_r_R", "S"}.isdisjoint(wanted):
             numerical_error += float(self._beyond_reach(finite.max()))
         model_error = self._model_error(finite, wanted)
@@ -212,6 +215,18 @@ class Table:
         logarithm = np.log(np.maximum(r / self.reach_mm, 1))
         exponent = self._reach_growth * logarithm * logarithm
         return np.where(exponent < 7, np.expm1(np.minimum(exponent, 7)), np.inf)
+
+    def _numerical_error(self, radii: np.ndarray, wanted: Sequence[str]) -> float:
+        """Returns the numerical error of the wanted quantities at finite radii up to the reach (T7)."""
+        if radii.size > 0 and not {"cdf", "pdf"}.isdisjoint(wanted):
+            return self.numerical_error_constant
+        of_R = radii.size > 0 and not {"R", "2_pi_r_R", "S"}.isdisjoint(wanted)
+        errors = [] if of_R and "albedo" not in wanted else [self._numerical_errors[-1]]
+        if of_R:
+            ends = np.array([radii.min() * (1 + _EDGE_WIDTH), radii.max() * (1 - _EDGE_WIDTH)])
+            first, last = np.searchsorted(_BAND_EDGES[1:-1], ends * self._sigma_t_prime)
+            errors += self._numerical_errors[first : max(first, last) + 1]
+        return max(errors)
 
     def _model_error(self, radii: np.ndarray, wanted: Sequence[str]) -> float:
         """Returns the largest model error of the wanted quantities at finite radii (T8)."""
@@ -231,10 +246,9 @@ class Table:
 
     def _model_error_of_R(self, least_mm: float, most_mm: float) -> float:
         """Returns the largest model error of R in the bands that hold these radii."""
-        sigma_t_prime = self.medium.sigma_a + self.medium.sigma_s * (1 - self.medium.g)
         starts = [edge * (1 - _EDGE_WIDTH) for edge in _BAND_EDGES]
-        first = bisect_right(starts, least_mm * sigma_t_prime) - 1
-        most = most_mm * sigma_t_prime
+        first = bisect_right(starts, least_mm * self._sigma_t_prime) - 1
+        most = most_mm * self._sigma_t_prime
         end = sum(edge * (1 + _EDGE_WIDTH) < most for edge in _BAND_EDGES)
         if first < 0 or end == len(_BAND_EDGES):
             return np.nan

@@ -196,7 +196,7 @@ TABLE_REPLY = Structure(
     "u32 notes, u32 zero, f64 sigma_a, f64 sigma_s, f64 g, f64 eta, f64 albedo, "
     "f64 numerical_error, f64 numerical_error_per_mm, f64 model_error, f64 pieces_from, "
     "f64 pieces_to, f64 radius_least, f64 radius_most, f64 reach, f64 reach_growth, "
-    "f64 model_errors[11]",
+    "f64 model_errors[11], f64 numerical_errors[11]",
 )
 OFFERS_REPLY = Structure("offers_reply", "u32 count, u32 taken")
 OFFER = Structure(
