@@ -1,3 +1,4 @@
+#include <ctype.h>
 #include <math.h>
 #include <string.h>
 
@@ -104,6 +105,32 @@ const core_choice *core_choice_by_name(const core_choice *list, const char *name
     }
   }
   return NULL;
+}
+
+static int folded(char c) {
+  return c == '-' ? '_' : tolower((unsigned char)c);
+}
+
+/* Levenshtein (1966). cost[k] is the distance of what has been read of `a` to the first k characters
+ * of `b`. */
+unsigned core_name_distance(const char *a, const char *b) {
+  enum { MOST = 64 };
+  unsigned cost[MOST + 1];
+  const size_t a_length = strnlen(a, MOST), b_length = strnlen(b, MOST);
+  for (size_t k = 0; k <= b_length; k++) {
+    cost[k] = (unsigned)k;
+  }
+  for (size_t i = 0; i < a_length; i++) {
+    unsigned diagonal = cost[0];
+    cost[0] = (unsigned)i + 1;
+    for (size_t k = 1; k <= b_length; k++) {
+      const unsigned replaced = diagonal + (folded(a[i]) != folded(b[k - 1]));
+      const unsigned shorter = (cost[k] < cost[k - 1] ? cost[k] : cost[k - 1]) + 1;
+      diagonal = cost[k];
+      cost[k] = replaced < shorter ? replaced : shorter;
+    }
+  }
+  return cost[b_length];
 }
 
 core_parameters core_parameters_none(void) {

@@ -105,6 +105,10 @@ extern const core_choice core_notes[];
 const core_choice *core_choice_by_id(const core_choice *list, unsigned id);
 const core_choice *core_choice_by_name(const core_choice *list, const char *name);
 
+/* Returns how far two names are apart: the number of characters to insert, remove or replace, where
+ * capitals do not differ from small letters, nor '-' from '_'. Only 64 characters count. */
+unsigned core_name_distance(const char *a, const char *b);
+
 /* True for quantities with one value for each radius and channel. bit: of enum core_quantity. */
 bool core_quantity_elementwise(unsigned bit);
 

@@ -3,9 +3,13 @@
 #include <ctype.h>
 #include <errno.h>
 #include <getopt.h>
+#include <limits.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
+
+#include "core/core.h"
 
 enum kind { NUMBER, TEXT, LIST, FLAG };
 
@@ -96,10 +100,11 @@ static bool set(struct options *options, const struct description *option, const
 /* ---- environment ----------------------------------------------------------------------------- */
 
 enum { VARIABLE_BYTES = 64 };
+#define VARIABLE_PREFIX "DIPOLED_"
 
 /* Writes the name of an option's environment variable: DIPOLED_ and its field in capitals. */
 static void name_variable(const struct description *option, char name[VARIABLE_BYTES]) {
-  snprintf(name, VARIABLE_BYTES, "DIPOLED_%s", option->field_name);
+  snprintf(name, VARIABLE_BYTES, VARIABLE_PREFIX "%s", option->field_name);
   for (char *c = name; *c != '\0'; c++) {
     *c = (char)toupper((unsigned char)*c);
   }
@@ -121,6 +126,45 @@ static bool read_environment_list(struct options *options, const struct descript
     }
   }
   return true;
+}
+
+/* Returns the option whose variable has the name that is nearest to a name. */
+static const struct description *nearest_variable(const char *name, unsigned *distance) {
+  const struct description *nearest = &descriptions[0];
+  *distance = UINT_MAX;
+  for (int i = 0; i < OPTIONS; i++) {
+    char known[VARIABLE_BYTES];
+    name_variable(&descriptions[i], known);
+    const unsigned apart = strcmp(known, name) == 0 ? 0 : 1 + core_name_distance(known, name);
+    if (apart < *distance) {
+      nearest = &descriptions[i];
+      *distance = apart;
+    }
+  }
+  return nearest;
+}
+
+/* Refuses variables that look like an option but are none, so that none is ignored in silence. */
+static bool check_variables(void) {
+  bool good = true;
+  for (char **variable = environ; *variable != NULL; variable++) {
+    char name[2 * VARIABLE_BYTES], known[VARIABLE_BYTES];
+    unsigned distance;
+    if (strncmp(*variable, VARIABLE_PREFIX, strlen(VARIABLE_PREFIX)) != 0) {
+      continue;
+    }
+    snprintf(name, sizeof name, "%.*s", (int)strcspn(*variable, "="), *variable);
+    const struct description *nearest = nearest_variable(name, &distance);
+    if (distance > 0) {
+      name_variable(nearest, known);
+      fprintf(stderr,
+              "dipoled: the environment variable %s is no option; the nearest is %s. "
+              "dipoled --help lists them\n",
+              name, known);
+      good = false;
+    }
+  }
+  return good;
 }
 
 static bool read_environment(struct options *options) {
@@ -185,7 +229,9 @@ static void print_help(void) {
       "\n"
       "Stop it with SIGTERM: it answers what is in flight and exits with 0. Ask it with `dipole`.\n"
       "Each option is also read from the environment, as DIPOLED_ and its name in capitals with\n"
-      "underscores (DIPOLED_MAX_MEDIA); the command line wins.\n"
+      "underscores (DIPOLED_MAX_MEDIA); the command line wins. Any other variable that starts "
+      "with\n"
+      "DIPOLED_ is an error.\n"
       "\n"
       "options (default; range):\n");
   for (int i = 0; i < OPTIONS; i++) {
@@ -242,7 +288,7 @@ enum options_outcome options_read(int argc, char **argv, struct options *options
       *(uint64_t *)place(options, &descriptions[i]) = descriptions[i].default_value;
     }
   }
-  if (!read_environment(options)) {
+  if (!read_environment(options) || !check_variables()) {
     return OPTIONS_EXIT_USAGE;
   }
   const enum options_outcome outcome = read_command_line(argc, argv, options);

@@ -26,7 +26,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def build() -> Path:
-    """Returns the folder of the programs under test: $DIPOLED_BUILD, else build/."""
+    """Returns the folder of the programs under test: $TESTED_BUILD, else build/."""
     return BUILD
 
 

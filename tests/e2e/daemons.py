@@ -16,7 +16,10 @@ import dipole
 START_S = 30.0
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-BUILD = Path(os.environ.get("DIPOLED_BUILD") or REPOSITORY / "build").resolve()
+# A daemon refuses variables DIPOLED_* that it does not know, so DIPOLED_BUILD goes no further.
+_build = os.environ.pop("DIPOLED_BUILD", None) or os.environ.get("TESTED_BUILD")
+BUILD = Path(_build or REPOSITORY / "build").resolve()
+os.environ["TESTED_BUILD"] = str(BUILD)
 PROGRAM = BUILD / "dipoled"
 COUNTING_PROGRAM = BUILD / "dipoled-counting"
 

@@ -75,6 +75,21 @@ def test_addresses_from_the_environment(daemon, tmp_path_factory):
     assert [url[:4] for url in two.urls] == ["tcp:"]
 
 
+@pytest.mark.parametrize(
+    "name, nearest",
+    [
+        ("DIPOLED_WORKER", "DIPOLED_WORKERS"),
+        ("DIPOLED_LOGLEVEL", "DIPOLED_LOG_LEVEL"),
+        ("DIPOLED_max_media", "DIPOLED_MAX_MEDIA"),
+        ("DIPOLED_", "DIPOLED_FD"),
+    ],
+)
+def test_an_unknown_variable_is_refused_with_the_nearest_name(name, nearest):
+    ended = run(*NOWHERE, env={name: "3", "DIPOLED_WORKERS": "2"})
+    assert ended.returncode == 2 and ended.stdout == ""
+    assert f"environment variable {name} is no option; the nearest is {nearest}." in ended.stderr
+
+
 def test_an_empty_variable_is_none(daemon):
     with daemon(env={"DIPOLED_MAX_MEDIA": ""}).client() as client:
         assert client.info.limits["max_media"] == NUMBERS["max-media"][0]

@@ -48,9 +48,9 @@ int main(int argc, char **argv) {
 }
 
 uint64_t unit_seed(void) {
-  const char *chosen = getenv("DIPOLED_TEST_SEED");
+  const char *chosen = getenv("TEST_SEED");
   const uint64_t seed = chosen != NULL ? strtoull(chosen, NULL, 0) : 20120101;
-  printf("seed %llu (DIPOLED_TEST_SEED chooses another)\n", (unsigned long long)seed);
+  printf("seed %llu (TEST_SEED chooses another)\n", (unsigned long long)seed);
   return seed;
 }
 

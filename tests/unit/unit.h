@@ -44,7 +44,7 @@ extern char **unit_arguments;
 
 enum { UNIT_ROWS_MAX = 100 }; /* a bound for loops over lists that end with an empty entry */
 
-/* Returns and prints the seed of this run: $DIPOLED_TEST_SEED, or a fixed one. With the printed
+/* Returns and prints the seed of this run: $TEST_SEED, or a fixed one. With the printed
  * seed a failure can be repeated. */
 uint64_t unit_seed(void);
 
