@@ -113,7 +113,7 @@ TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildc
 PROGRAMS := $(BUILD)/dipoled $(BUILD)/dipole $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-long check-structure check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-pipeline check-asan check-tsan check-fuzz check-truth soak truth fuzz fuzz-merge bench docs model-errors tables tradeoff figures clean
+.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-pipeline check-asan check-tsan check-fuzz check-truth soak truth fuzz fuzz-merge bench docs model-errors tables tradeoff figures clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -257,7 +257,7 @@ demo:
 check:
 	@sh .ci/install-packages
 	@$(MAKE) --no-print-directory -j2 all $(TESTS) $(BUILD)/tests/bits $(BUILD)/tests/accuracy/truth $(BUILD)/dipoled-counting $(BUILD)/wire-tables $(BUILD)/trade-speed $(BUILD)/soak-load $(BUILD)/pipeline
-	+@bash tests/run-check.sh $(BUILD)/logs structure bits unit truth fuzz e2e+soak
+	+@bash tests/run-check.sh $(BUILD)/logs structure types bits unit truth fuzz e2e+soak
 
 # What takes minutes by itself. .ci/run runs it as well.
 check-long:
@@ -268,6 +268,10 @@ check-long:
 # Fails when modules include each other in a circle.
 check-structure:
 	@$(PYTHON) tests/structure.py
+
+# Checks the types of the Python module and of the examples in Python.
+check-types:
+	@MYPYPATH=clients/python:clients/modbus $(PYTHON) -m mypy --strict --cache-dir $(BUILD)/mypy clients/python/dipole clients/python/examples clients/modbus
 
 # Each test program by itself, so that one that crashes takes no other with it.
 check-unit: $(TESTS)

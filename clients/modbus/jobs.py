@@ -15,11 +15,11 @@ REGULAR, FREE_PATH, LOGARITHMIC = 2, 1, 3
 SKIN = 0.032, 0.74, 0, 1.3  # sigma_a, sigma_s (1/mm), g, eta
 
 
-def run(unit, commit, status, progress, error_text):
+def run(unit: Unit, commit: int, status: int, progress: int, error_text: int) -> None:
     """Commits a job, whose register `cancel` follows `commit`, and waits until it is done."""
     token = unit.token(status)
 
-    def show():
+    def show() -> None:
         place = int.from_bytes(unit.read(status + 6, 1), "big")
         before = f", {place} before it" if place else ""
         print(f"\r{unit.floats(progress, 1)[0]:4.0%}{before} ", end="", file=sys.stderr, flush=True)
@@ -33,14 +33,14 @@ def run(unit, commit, status, progress, error_text):
     print("\r" + 30 * " " + "\r", end="", file=sys.stderr)
 
 
-def sample(unit):
+def sample(unit: Unit) -> None:
     unit.write(4304, "2H", REGULAR, 10)  # draw, sample_count
     run(unit, 4300, 4420, 4428, 4640)
     for i, r in enumerate(unit.floats(4440, 10)):
         print(f"{(i + 0.5) / 10:.0%} of the light within {r:.6g} mm")
 
 
-def invert(unit):
+def invert(unit: Unit) -> None:
     albedos, lengths_mm = [0.44, 0.22, 0.13], [1.3, 0.95, 0.67]
     unit.write(4704, "2H3f", FREE_PATH, 3, *albedos)  # given, medium_count
     unit.write(4806, "3f", *lengths_mm)
@@ -49,7 +49,7 @@ def invert(unit):
         print(f"albedo {albedo:g}: sigma_a {a:.6g}, sigma_s {s:.6g} 1/mm")
 
 
-def mc(unit):
+def mc(unit: Unit) -> None:
     unit.write(116, "2f", 0.1, 10)  # radius_start, radius_stop
     unit.write(5302, "2HfI", 5, LOGARITHMIC, 1e6, 1)  # ring_count, spacing, photons, seed
     run(unit, 5300, 5320, 5328, 5868)
@@ -59,7 +59,7 @@ def mc(unit):
         print(f"{start:.3g} to {stop:.3g} mm: {R:.4g} +- {error:.2g} 1/mm^2")
 
 
-def main(where, job):
+def main(where: str, job: str) -> None:
     unit = Unit(where)
     unit.write(DEFAULTS, "H", 1)  # other masters may have written anything
     unit.write(106, "4f", *SKIN)

@@ -3,12 +3,22 @@
 A program that shares the unit with other masters may find anything in its registers. So each job
 first sets all of them to their defaults, then writes what it depends on."""
 
+from __future__ import annotations
+
 import inspect
 import struct
 import sys
 import time
+from collections.abc import Callable
+from typing import Any
 
-from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+try:
+    from pymodbus.client import ModbusSerialClient, ModbusTcpClient  # type: ignore[import]
+except ImportError:
+    sys.exit(
+        f"{sys.executable} has no pymodbus: install Debian's python3-pymodbus and run "
+        "/usr/bin/python3, or run pip install 'pymodbus[serial]'"
+    )
 
 ERROR, ERROR_TEXT, TEXT_REGISTERS, DEFAULTS = 302, 620, 40, 251
 BUSY, IS_BUSY, DONE = 6, 1, 2  # an exception, and values of the register `status`
@@ -18,7 +28,8 @@ PATIENCE_S = 60
 class Unit:
     """A unit at HOST:PORT, or on a serial line at DEVICE,BAUD."""
 
-    def __init__(self, where, number=1):
+    def __init__(self, where: str, number: int = 1):
+        self.client: Any
         if where.startswith("/"):
             device, _, baud = where.rpartition(",")
             self.client = ModbusSerialClient(device, baudrate=int(baud), parity="N")
@@ -32,7 +43,7 @@ class Unit:
         keyword = next((name for name in ("device_id", "slave") if name in names), "unit")
         self.number = {keyword: number}
 
-    def read(self, address, count):
+    def read(self, address: int, count: int) -> bytes:
         """Reads the bytes of registers, in requests of up to 124."""
         data = b""
         for first in range(0, count, 124):
@@ -43,17 +54,17 @@ class Unit:
             data += struct.pack(f">{some}H", *answer.registers)
         return data
 
-    def floats(self, address, count):
+    def floats(self, address: int, count: int) -> tuple[float, ...]:
         """Reads floats, whose most significant word comes first."""
         return struct.unpack(f">{count}f", self.read(address, 2 * count))
 
-    def fail(self, error=ERROR, text=ERROR_TEXT):
+    def fail(self, error: int = ERROR, text: int = ERROR_TEXT) -> None:
         """Ends the program with what the daemon says of the last error."""
         status, address = struct.unpack(">2H", self.read(error, 2))
         allowed = self.read(text, TEXT_REGISTERS).rstrip(b"\0").decode("ascii")
         sys.exit(f"error {status} at register {address}: {allowed}")
 
-    def write(self, address, form, *values):
+    def write(self, address: int, form: str, *values: float) -> None:
         """Writes values as registers. form: their types, as in the module struct, such as "2H4f".
         While another master's job runs, a commit is refused as busy: this method then writes it
         again until that job has ended."""
@@ -67,12 +78,18 @@ class Unit:
                 self.fail()
             time.sleep(0.05)
 
-    def token(self, status=300):
+    def token(self, status: int = 300) -> int:
         """Returns a token that differs from that of the last job."""
-        done = struct.unpack(">H", self.read(status + 1, 1))[0]
+        done: int = struct.unpack(">H", self.read(status + 1, 1))[0]
         return done % 65535 + 1
 
-    def wait(self, token, status=300, error_text=ERROR_TEXT, show=lambda: None):
+    def wait(
+        self,
+        token: int,
+        status: int = 300,
+        error_text: int = ERROR_TEXT,
+        show: Callable[[], None] = lambda: None,
+    ) -> None:
         """Waits until the job with this token is done. Calls show() meanwhile. The register `done`
         follows `status`, then come `error` and `error_address`."""
         while True:

@@ -42,7 +42,7 @@ def test_result_of_a_grid(client):
     np.testing.assert_array_equal(result.r, [0, 0.25, 0.5, 0.75, 1])
     assert result.R.shape == (1, 5)
     without = client.eval("classical", THREE[0], grid=Grid(0.0, 1.0, 5), wanted=["cdf"])
-    assert without.r is None and without.R is None and without.cdf.shape == (1, 5)
+    assert not hasattr(without, "r") and not hasattr(without, "R") and without.cdf.shape == (1, 5)
 
 
 def test_a_query_object_is_the_same_as_its_arguments(client):
@@ -91,11 +91,20 @@ def test_media_may_be_given_in_many_ways(client):
         ({"wanted": ["R", "flux"]}, "R, albedo, cdf, r"),
         ({"r": [1.0], "grid": Grid(0.0, 1.0, 2)}, "not both"),
         ({"r": None, "grid": Grid(0.0, 1.0, 2, "cubic")}, "linear, logarithmic"),
-        ({"r": None, "grid": Grid(0.0, 1.0, -2)}, "eval_request"),
+        ({"r": None, "grid": Grid(0.0, 1.0, -2)}, "radius_count: "),
         ({"media": [1.0, 2.0]}, "array [C, 4]"),
         ({"r": [[1.0]]}, "array [N]"),
         ({"evaluator": 7}, "evaluator 7"),
-        ({"model": 70000}, "eval_request"),
+        ({"model": 70000}, "model: "),
+        ({"model": "bettr"}, "Did you mean better?"),
+        ({"model": None}, "tolerance=0.01"),
+        ({"media": "wholmilk"}, "Did you mean wholemilk?"),
+        ({"media": ["a", "b"]}, "could not convert"),
+        ({"r": None}, "give radii, or a grid"),
+        ({"r": None, "wanted": ["R", "albedo"]}, "give radii, or a grid"),
+        ({"r": ["near"]}, "r: one radius or an array [N]: could not convert"),
+        ({"r": None, "grid": (0, 1, 2)}, "grid: a Grid"),
+        ({"deadline_ms": -1}, "deadline_ms"),
     ],
 )
 def test_arguments_that_do_not_fit(client, arguments, text):
@@ -118,6 +127,82 @@ def test_refusal(client):
     assert client.eval("better", SKIN, [1.0]).R.shape == (1, 1)
 
 
+def test_the_name_of_a_measured_medium(client):
+    skin = client.media()["skin1"]
+    r = np.array([[0.5, 1.0], [2.0, 4.0]])
+    np.testing.assert_array_equal(
+        client.eval("better", "skin1", r[0]).R, client.eval("better", skin, r[0]).R
+    )
+    each = client.values("better", "skin1", r).values
+    assert each.shape == (3, 2, 2)
+    np.testing.assert_array_equal(each[:, 0], client.eval("better", skin, r[0]).R)
+    for one_medium_only in (
+        lambda: client.table("better", "skin1"),
+        lambda: client.mc("skin1", Grid(0.0, 5.0, 6)),
+    ):
+        with pytest.raises(dipole.ArgumentError, match="one Medium, not 3"):
+            one_medium_only()
+    with pytest.raises(dipole.ArgumentError, match="Did you mean skin1?"):
+        client.values("better", "skim1", 1.0)
+
+
+def test_a_quantity_that_was_not_wanted_is_named(client):
+    result = client.eval("better", SKIN, [1.0], wanted="cdf")
+    assert list(result.values) == ["cdf"]
+    with pytest.raises(AttributeError, match="R: was not wanted. The answer has: cdf, r"):
+        result.R
+
+
+def test_what_is_printed_fits_three_lines(client):
+    r = np.linspace(0.1, 9.0, 500)
+    whole = [name for name in client.info.choices["quantity"] if name != "S"]
+    with client.__class__() as private:
+        shown = [repr(private)]
+    assert "private:" in shown[0]
+    shown += map(repr, [
+        client, client.info, dipole.AsyncClient("unix:/nowhere"),
+        client.table("better", SKIN),
+        client.eval("better", THREE, r),
+        client.eval("better", THREE, grid=Grid(0.1, 9.0, 500), wanted=whole),
+        client.eval("better", SKIN, wanted=["albedo"]),
+        client.sample("better", THREE, draw=dipole.Draw(500)),
+        client.sample("better", THREE, draw=dipole.Draw(500), wanted=[*whole, "S"]),
+        client.offers(THREE, r, tolerance=0.01), client.offers(SKIN, r, tolerance=1e-12),
+        client.values("better", "skin1", r),
+        client.invert("better", np.full((40, 50), 0.3), 1.0),
+        client.mc(SKIN, Grid(0.0, 5.0, 51), photons=4096, albedos=[0.5, 0.9], thickness=3),
+    ])  # fmt: skip
+    for text in shown:
+        assert text.count("\n") < 3 and max(map(len, text.splitlines())) <= 102, text
+        assert re.fullmatch(r"<\w+: (.|\n)+>|<\w+: (.|\n)+ \.\.\.", text), text
+    closed = dipole.Client(client.info.address)
+    closed.close()
+    assert "closed" in repr(closed)
+
+
+def test_the_version_is_that_of_the_daemon(client):
+    assert client.info.software == f"dipoled {dipole.__version__}"
+
+
+@pytest.mark.parametrize(
+    "before, said",
+    [
+        ("sys.modules['numpy'] = None", r"numpy, which .* python3-numpy .* -m pip install numpy"),
+        ("sys.version_info = (3, 9)", r"Python 3\.11 or newer"),
+    ],
+)
+def test_an_unfit_python_is_told_what_to_do(before, said):
+    run = subprocess.run(
+        [sys.executable, "-c", f"import sys; {before}; import dipole"],
+        env=environment(PYTHONPATH=str(REPOSITORY / "clients/python")),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 1
+    assert re.match(f"ImportError: dipole needs {said}", run.stderr.splitlines()[-1])
+
+
 def test_ids_are_left_to_the_daemon(client):
     with pytest.raises(dipole.Refused) as caught:
         client.eval(999, SKIN, [1.0])
@@ -132,14 +217,14 @@ def test_parameters(client):
     assert set(answer.values) == {"S", "2_pi_r_R"}
     np.testing.assert_array_equal(answer.values["S"], answer.S)
     np.testing.assert_array_equal(answer.values["2_pi_r_R"], answer.two_pi_r_R)
-    assert answer.R is None and answer.albedo is None
+    assert not hasattr(answer, "R") and not hasattr(answer, "albedo")
     again = client.submit("better", THREE, [1.0], wanted=["S"], parameters=angles)
     assert dict([client.collect()])[again].S.tobytes() == answer.S.tobytes()
     as_text = {"cos_in": "0.5", "cos_out": np.float32(0.25)}
     np.testing.assert_array_equal(
         client.eval("better", THREE, [1.0], wanted=["S"], parameters=as_text).S, answer.S
     )
-    assert client.eval("better", SKIN, [1.0], parameters={}).S is None
+    assert not hasattr(client.eval("better", SKIN, [1.0], parameters={}), "S")
 
 
 def test_a_fit_model_by_name(client):
@@ -220,12 +305,14 @@ def assert_same_result(one: dipole.Result, other: dipole.Result, radii=slice(Non
     """Checks that a result is the same, bit for bit, as that for some of the radii of another."""
     for field in ("model", "evaluator", "moments", "notes"):
         assert getattr(one, field) == getattr(other, field)
-    for field in ("albedo", "numerical_error_constant", "numerical_error_per_mm", "model_error"):
+    for field in ("numerical_error_constant", "numerical_error_per_mm", "model_error"):
         np.testing.assert_array_equal(getattr(one, field), getattr(other, field))
-    assert one.values.keys() == other.values.keys()
+    assert one.quantities.keys() == other.quantities.keys()
+    if "albedo" in one.quantities:
+        np.testing.assert_array_equal(one.albedo, other.albedo)
     for name in one.values:
         np.testing.assert_array_equal(one.values[name], other.values[name][:, radii])
-    if other.r is not None:
+    if "r" in other.quantities:
         np.testing.assert_array_equal(one.r, other.r[radii])
 
 

@@ -9,6 +9,22 @@
 Lengths are in mm, coefficients in 1/mm, R in 1/mm^2 per unit of power that entered the medium.
 """
 
+import sys
+
+if sys.version_info < (3, 11):
+    raise ImportError(f"dipole needs Python 3.11 or newer; {sys.executable} is older")
+try:
+    import numpy
+except ModuleNotFoundError as error:
+    if error.name != "numpy":
+        raise
+    raise ImportError(
+        f"dipole needs numpy, which {sys.executable} does not have. Debian's package "
+        "python3-numpy serves /usr/bin/python3; for another Python, run "
+        f"{sys.executable} -m pip install numpy"
+    ) from None
+del numpy, sys
+
 from .aio import AsyncClient
 from .broadcast import Values
 from .client import Client, Parts
@@ -18,6 +34,8 @@ from .errors import ProtocolError, Refused, TableError
 from .table import Table, TableErrors
 from .values import Choice, Draw, Grid, Info, Inversion, McEnergy, McProgress, McResult, McValue
 from .values import Medium, Offer, Offers, Query, Result, Samples
+
+__version__ = "0.1.0"  # the version of the whole project, as in the Makefile
 
 # fmt: off
 __all__ = [

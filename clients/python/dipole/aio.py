@@ -11,7 +11,7 @@ from __future__ import annotations
 import asyncio
 import socket
 import time
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterable
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -21,7 +21,7 @@ from .connection import Connection, Frame
 from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
 from .exchange import RETRY_S, Exchange, Request, connect_again, open_connection
 from .table import Table
-from .values import Draw, Grid, Info, Inversion, McProgress, McResult, Medium
+from .values import Draw, Grid, Info, Inversion, McProgress, McResult, Media, Medium
 from .values import Offers, Query, Result, Samples
 
 T = TypeVar("T")
@@ -49,6 +49,7 @@ class AsyncClient:
         self._timeout_s = timeout_s
         self._retry_s = retry_s
         self._info: Info | None = None
+        self._measured: dict[str, tuple[Medium, Medium, Medium]] = {}
         self._exchange = Exchange(0.0)
         self._stream: _Stream | None = None
         self._moved: dict[int, asyncio.Event] = {}  # by request: a part has come, or it has ended
@@ -65,6 +66,11 @@ class AsyncClient:
         if self._info is None:
             raise ArgumentError("this client is not open")
         return self._info
+
+    def __repr__(self) -> str:
+        if self._stream is None or self._info is None:
+            return f"<AsyncClient: {self._address}, not open>"
+        return f"<AsyncClient: {self._info.software} at {self._name()}>"
 
     # ---- opening and closing ---------------------------------------------------------------------
 
@@ -99,6 +105,10 @@ class AsyncClient:
             stream, self._stream = self._stream, None
             await stream.close()
 
+    def _opened(self) -> _Stream:
+        assert self._stream is not None
+        return self._stream
+
     def _name(self) -> str:
         return str(self._address) if self._stream is None else self._stream.connection.address
 
@@ -106,14 +116,14 @@ class AsyncClient:
 
     async def eval(self, *query: Any, **options: Any) -> Result:
         """See Client.eval()."""
-        return await self._ask(evaluation.eval(self.info, Query.of(*query, **options)))
+        made = await self._query(*query, **options)
+        return await self._ask(evaluation.eval(self.info, made))
 
     async def eval_parts(self, *query: Any, **options: Any) -> AsyncIterator[Result]:
         """See Client.eval_parts(). Returns an asynchronous iterator. The client reads up to 16
         parts ahead of the caller, or more while another call waits for its own answer."""
-        request_id = await self._send(
-            evaluation.eval(self.info, Query.of(*query, **options), is_streamed=True)
-        )
+        made = await self._query(*query, **options)
+        request_id = await self._send(evaluation.eval(self.info, made, is_streamed=True))
         try:
             while (part := await self._next(request_id)) is not None:
                 yield part
@@ -121,10 +131,12 @@ class AsyncClient:
             self._drop(request_id)
 
     async def values(
-        self, model: Any, media: Any = None, r: Any = None, quantity: str = "R", **options: Any
+        self, model: str | int | None, media: Media, r: Any, quantity: str = "R", **options: Any
     ) -> Values:
         """See Client.values()."""
         template = Query(model, media, r, wanted=[quantity], **options)
+        if isinstance(media, str):
+            media = broadcast.first_axis(await self._media_of(media), r)
         places, collected = broadcast.plan(self.info, media, r, quantity)
 
         async def ask() -> None:
@@ -141,27 +153,27 @@ class AsyncClient:
             await asyncio.gather(*tasks, return_exceptions=True)
         return collected.values()
 
-    async def offers(self, media: Any, r: Any = None, **options: Any) -> Offers:
+    async def offers(self, media: Media, r: Any = None, **options: Any) -> Offers:
         """See Client.offers()."""
-        return await self._ask(evaluation.offers(self.info, Query(None, media, r, **options)))
+        query = await self._query(None, media, r, **options)
+        return await self._ask(evaluation.offers(self.info, query))
 
-    async def table(
-        self, model: str | int, medium: Medium | Sequence[float], **options: Any
-    ) -> Table:
+    async def table(self, model: str | int, medium: Media, **options: Any) -> Table:
         """See Client.table()."""
-        return await self._ask(evaluation.table(self.info, Query(model, medium, **options)))
+        query = await self._query(model, medium, **options)
+        return await self._ask(evaluation.table(self.info, query))
 
     async def sample(
         self,
         model: str | int,
-        media: Any,
+        media: Media,
         u: Any = None,
         *,
         draw: Draw | None = None,
         **options: Any,
     ) -> Samples:
         """See Client.sample()."""
-        query = Query(model, media, **options)
+        query = await self._query(model, media, **options)
         return await self._ask(evaluation.sample(self.info, query, u, draw))
 
     async def invert(self, model: str | int, albedo: Any, length: Any, **options: Any) -> Inversion:
@@ -185,13 +197,14 @@ class AsyncClient:
 
     async def mc(
         self,
-        medium: Medium | Sequence[float],
+        medium: Media,
         edges: Grid,
         *,
         progress: Callable[[McProgress], bool | None] | None = None,
         **options: Any,
     ) -> McResult:
         """See Client.mc()."""
+        medium = await self._media_of(medium)
         request_id = await self._send(mc.request(self.info, medium, edges, **options))
         cancelled = ended = False
         try:
@@ -214,12 +227,24 @@ class AsyncClient:
             self._exchange.drop(request_id)
             await self._stream.send(pieces)
 
+    async def _query(self, *query: Any, **options: Any) -> Query:
+        made = Query.of(*query, **options)
+        return replace(made, media=await self._media_of(made.media))
+
+    async def _media_of(self, media: Media) -> Media:
+        """Returns the channels of a measured medium for its name, and other media unchanged."""
+        if not isinstance(media, str):
+            return media
+        self._measured = self._measured or await self.media()
+        return evaluation.known("medium", media, self._measured)
+
     # ---- requests and answers --------------------------------------------------------------------
 
     async def _ask(self, request: Request[T]) -> T:
         request_id = await self._send(request)
         try:
-            return await self._next(request_id)
+            answer: T = await self._next(request_id)
+            return answer
         finally:
             self._drop(request_id)
 
@@ -233,7 +258,7 @@ class AsyncClient:
         request_id = self._exchange.begin(request)
         self._moved[request_id] = asyncio.Event()
         try:
-            await self._stream.send(self._exchange.frame(request_id))
+            await self._opened().send(self._exchange.frame(request_id))
         except BaseException:
             self._drop(request_id)
             raise
@@ -270,7 +295,7 @@ class AsyncClient:
         try:
             while True:
                 try:
-                    self._take(await self._stream.receive_frame())
+                    self._take(await self._opened().receive_frame())
                 except (ConnectionLost, Refused) as lost:
                     await self._restore(lost)
                 while not self._waiting and self._exchange.ahead() >= _PIECES_AHEAD:
@@ -292,7 +317,7 @@ class AsyncClient:
         """Fails all calls when one waits and the daemon has sent nothing for timeout_s."""
         while True:
             await asyncio.sleep(timeout_s / 8)
-            silent_s = time.monotonic() - max(self._waiting_since_s, self._stream.moved_s)
+            silent_s = time.monotonic() - max(self._waiting_since_s, self._opened().moved_s)
             if self._waiting and self._connected.is_set() and silent_s > timeout_s:
                 break
         text = f"{self._name()}: nothing moved for {timeout_s} s"
@@ -314,7 +339,7 @@ class AsyncClient:
         for request_id in request_ids:
             pieces = self._exchange.frame(request_id)
             if pieces:
-                await self._stream.send(pieces)
+                await self._opened().send(pieces)
             elif request_id in self._moved:  # The deadline of the request has passed.
                 self._moved[request_id].set()
 
@@ -323,8 +348,8 @@ class AsyncClient:
         fails."""
         until_s = self._exchange.lost(lost)
         self._connected.clear()
-        addresses = self._stream.connection.next_addresses()
-        await self._stream.close()
+        addresses = self._opened().connection.next_addresses()
+        await self._opened().close()
 
         def connect(left_s: float) -> tuple[Connection, Info]:
             limit_s = left_s if self._timeout_s is None else min(left_s, self._timeout_s)

@@ -9,7 +9,8 @@ import numpy as np
 
 from . import wire
 from .errors import ArgumentError
-from .values import Info, Medium, Result
+from .evaluation import media_array
+from .values import Array, Info, Media, Result, counted, in_short, span
 
 # Number of queries that wait for answers at a time: enough to keep the daemon busy all the time.
 OUTSTANDING = 64
@@ -18,31 +19,44 @@ OUTSTANDING = 64
 class Values(NamedTuple):
     """The values of one quantity. All arrays have the broadcast shape of media and radii."""
 
-    values: np.ndarray  # of the evaluator's precision; units as in Result
-    numerical_error: np.ndarray  # of each value against the model's exact formula, relative
-    model_error: np.ndarray  # of the model against transport, relative; NaN: not measured
+    values: Array  # of the evaluator's precision; units as in Result
+    numerical_error: Array  # of each value against the model's exact formula, relative
+    model_error: Array  # of the model against transport, relative; NaN: not measured
     models: tuple[str, ...]  # the models used: one, unless the tolerance chose several
+
+    def __repr__(self) -> str:
+        return in_short(
+            f"<Values: {', '.join(self.models)}; {counted(self.values.size, 'value', 'values')} of "
+            f"shape {self.values.shape}, {span(self.values)}",
+            f"numerical_error {span(self.numerical_error)}, model_error {span(self.model_error)}>",
+        )
 
 
 class _Media(NamedTuple):
     """The distinct media of a call, and which of them each medium of the call is."""
 
-    distinct: np.ndarray  # [C, 4]
-    index: np.ndarray  # [...] of each medium in the call: its position in `distinct`
+    distinct: Array  # [C, 4]
+    index: Array  # type: ignore[assignment]  # [...] of each medium in the call: its position in `distinct`
 
 
 def plan(
-    info: Info, media: Medium | Sequence[Any] | np.ndarray, r: Any, quantity: str
+    info: Info, media: Media, r: Any, quantity: str
 ) -> tuple[Iterator[Places], Answers]:
     """Returns the queries that Client.values() has to send, and an object that collects their
     results."""
     one = _media(media)
-    radii = np.asarray(r, np.float64)
+    try:
+        radii = np.asarray(r, np.float64)
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"r: radii of any shape: {error}") from error
     try:
         shape = np.broadcast_shapes(one.index.shape, radii.shape)
     except ValueError as error:
         shapes = f"{one.index.shape} and {radii.shape}"
-        raise ArgumentError(f"media, r: shapes {shapes} do not broadcast") from error
+        raise ArgumentError(
+            f"media, r: shapes {shapes} do not broadcast. For each medium at each radius, give the "
+            "media a further axis: np.array(media)[:, None]"
+        ) from error
     collected = Answers(shape, quantity)
     if radii.size == 0 or one.index.size == 0:
         return iter(()), collected
@@ -51,25 +65,35 @@ def plan(
     return _groups(info, one, radii, shape), collected
 
 
+def first_axis(media: Media, r: Any) -> Array:
+    """Gives media [C, 4] as many axes that each of them meets each of the radii."""
+    array = media_array(media)
+    return array.reshape(len(array), *(1,) * np.ndim(r), 4)
+
+
 # ---- what is asked -------------------------------------------------------------------------------
 
 
 class Places(NamedTuple):
     """One query, and where its values go in the flattened result."""
 
-    media: np.ndarray  # [C, 4]
-    radii: np.ndarray  # [N]
-    places: tuple[tuple[int, np.ndarray], ...]  # (channel, positions [N]); channels may repeat
+    media: Array  # [C, 4]
+    radii: Array  # [N]
+    places: tuple[tuple[int, Array], ...]  # (channel, positions [N]); channels may repeat
 
 
-def _media(media: Medium | Sequence[Any] | np.ndarray) -> _Media:
-    if isinstance(media, tuple):
-        fields = [np.asarray(field, np.float64) for field in media]
-    else:
-        array = np.asarray(media, np.float64)
-        fields = list(np.moveaxis(array, -1, 0)) if array.ndim else []
+def _media(media: Media) -> _Media:
+    form = "media: a Medium, whose fields may be arrays, or an array [..., 4]"
+    try:
+        if isinstance(media, tuple) and not isinstance(media[0], tuple):
+            fields = [np.asarray(field, np.float64) for field in media]
+        else:
+            array = np.asarray(media, np.float64)
+            fields = list(np.moveaxis(array, -1, 0)) if array.ndim else []
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"{form}: {error}") from error
     if len(fields) != 4:
-        raise ArgumentError("media: a Medium, whose fields may be arrays, or an array [..., 4]")
+        raise ArgumentError(form)
     try:
         fields = np.broadcast_arrays(*fields)
     except ValueError as error:
@@ -98,14 +122,14 @@ def _aligned(shape: tuple[int, ...], dimensions: int) -> tuple[int, ...]:
     return (1,) * (dimensions - len(shape)) + shape
 
 
-def _is_product(index: np.ndarray, radii: np.ndarray) -> bool:
+def _is_product(index: Array, radii: Array) -> bool:
     """Returns whether broadcasting combines every medium with every radius."""
     dimensions = max(index.ndim, radii.ndim)
     media_shape, radii_shape = _aligned(index.shape, dimensions), _aligned(radii.shape, dimensions)
     return all(m == 1 or n == 1 for m, n in zip(media_shape, radii_shape))
 
 
-def _product(info: Info, media: _Media, radii: np.ndarray, dimensions: int) -> Iterator[Places]:
+def _product(info: Info, media: _Media, radii: Array, dimensions: int) -> Iterator[Places]:
     """Yields queries for all media at all radii, as few as the daemon's limits allow."""
     media_shape = _aligned(media.index.shape, dimensions)
     radii_shape = _aligned(radii.shape, dimensions)
@@ -130,7 +154,7 @@ def _product(info: Info, media: _Media, radii: np.ndarray, dimensions: int) -> I
 
 
 def _groups(
-    info: Info, media: _Media, radii: np.ndarray, shape: tuple[int, ...]
+    info: Info, media: _Media, radii: Array, shape: tuple[int, ...]
 ) -> Iterator[Places]:
     """Yields queries that evaluate each medium at its own radii."""
     most_radii = _most_radii(info)
@@ -153,7 +177,7 @@ class Answers:
     def __init__(self, shape: tuple[int, ...], quantity: str):
         self._shape = shape
         self._quantity = quantity
-        self._values: np.ndarray | None = None
+        self._values: Array | None = None
         self._numerical_error = np.zeros(int(np.prod(shape)))
         self._model_error = np.full(int(np.prod(shape)), np.nan)
         self._models: set[str] = set()

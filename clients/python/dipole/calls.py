@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from . import wire
 from .errors import ArgumentError, ProtocolError
 from .evaluation import unpack_list
@@ -42,13 +44,15 @@ def media() -> Request[dict[str, tuple[Medium, Medium, Medium]]]:
     def read(reply: bytes) -> dict[str, tuple[Medium, Medium, Medium]]:
         entries = unpack_list(reply, wire.LIST_REPLY, count=wire.MEASURED_MEDIUM)[1][0]
         return {
-            entry.name: tuple(
-                Medium(entry.sigma_a[i], entry.sigma_s[i], entry.g, entry.eta) for i in range(3)
-            )
+            entry.name: (_channel(entry, 0), _channel(entry, 1), _channel(entry, 2))
             for entry in entries
         }
 
     return Request("media", b"", lambda: Once(read))
+
+
+def _channel(entry: Any, i: int) -> Medium:
+    return Medium(entry.sigma_a[i], entry.sigma_s[i], entry.g, entry.eta)
 
 
 def statistics() -> Request[dict[str, int]]:

@@ -18,7 +18,7 @@ from .connection import Connection, Frame
 from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
 from .exchange import RETRY_S, Exchange, Request, connect_again, open_connection
 from .table import Table
-from .values import Draw, Grid, Info, Inversion, McProgress, McResult, Medium
+from .values import Draw, Grid, Info, Inversion, McProgress, McResult, Media, Medium
 from .values import Offers, Query, Result, Samples
 
 T = TypeVar("T")
@@ -49,6 +49,7 @@ class Client:
         default_s = 0.0 if self._connection.is_private else RETRY_S
         self._exchange = Exchange(default_s if retry_s is None else retry_s)
         self._submitted: dict[int, None] = {}
+        self._measured: dict[str, tuple[Medium, Medium, Medium]] = {}
 
     def __enter__(self) -> Client:
         return self
@@ -60,22 +61,27 @@ class Client:
         """Closes the connection and ends a private daemon. Closing twice is fine."""
         self._connection.close()
 
+    def __repr__(self) -> str:
+        closed = ", closed" if self._connection.is_closed else ""
+        software, address = self.info.software, self._connection.address
+        return f"<Client: {software} at {address}{closed}>"
+
     # ---- evaluating ------------------------------------------------------------------------------
 
     def eval(self, *query: Any, **options: Any) -> Result:
         """Evaluates a Query, or its arguments: eval(model, media, r, tolerance=0.01). Waits for the
         answer. Raises Refused, which names the field at fault, if the daemon refuses the query. The
         status of Refused is "deadline" if the answer would be too late."""
-        return self._ask(evaluation.eval(self.info, Query.of(*query, **options)))
+        return self._ask(evaluation.eval(self.info, self._query(*query, **options)))
 
     def values(
-        self, model: Any, media: Any = None, r: Any = None, quantity: str = "R", **options: Any
+        self, model: str | int | None, media: Media, r: Any, quantity: str = "R", **options: Any
     ) -> Values:
         """Evaluates one quantity for media and radii of any shapes, which are broadcast against
         each other as numpy's functions do.
 
-        media: a Medium whose fields may be arrays, or an array [..., 4]. r: radii in mm, of any
-        shape. For example, sigma_a of shape [H, W, 1] and r of shape [N] give values [H, W, N]; for
+        media: a Medium whose fields may be arrays, or an array [..., 4], or the name of a measured
+        medium, whose three channels become the first axis. r: radii in mm, of any shape. For example, sigma_a of shape [H, W, 1] and r of shape [N] give values [H, W, N]; for
         an image of media, r of shape [H, W] gives each pixel its own radius. quantity: the name of
         a quantity that has a value for each radius. options: as of a Query.
 
@@ -83,6 +89,7 @@ class Client:
         deadline_ms holds for each query. Equal media are sent once.
         """
         template = Query(model, media, r, wanted=[quantity], **options)
+        media = broadcast.first_axis(self._media_of(media), r) if isinstance(media, str) else media
         places, collected = broadcast.plan(self.info, media, r, quantity)
         under_way: dict[int, broadcast.Places] = {}
 
@@ -105,7 +112,7 @@ class Client:
 
     def submit(self, *query: Any, **options: Any) -> int:
         """Sends a query like eval(), but does not wait. Returns the query's id for collect()."""
-        request_id = self._send(evaluation.eval(self.info, Query.of(*query, **options)))
+        request_id = self._send(evaluation.eval(self.info, self._query(*query, **options)))
         self._submitted[request_id] = None
         return request_id
 
@@ -136,26 +143,24 @@ class Client:
         arrives, so that an answer may be larger than memory. A part is a Result that begins at
         radius number radius_first. The daemon chooses how many radii a part has. Any step of the
         iterator may raise Refused; the parts before that are valid."""
-        request = evaluation.eval(self.info, Query.of(*query, **options), is_streamed=True)
+        request = evaluation.eval(self.info, self._query(*query, **options), is_streamed=True)
         return Parts(self, self._send(request))
 
-    def offers(self, media: Any, r: Any = None, **options: Any) -> Offers:
+    def offers(self, media: Media, r: Any = None, **options: Any) -> Offers:
         """Lists the models and evaluators that could answer eval(None, ...) with the same
         arguments, cheapest first, with the measured error and cost of each."""
-        return self._ask(evaluation.offers(self.info, Query(None, media, r, **options)))
+        return self._ask(evaluation.offers(self.info, self._query(None, media, r, **options)))
 
-    def table(
-        self, model: str | int, medium: Medium | Sequence[float], **options: Any
-    ) -> Table:
+    def table(self, model: str | int, medium: Media, **options: Any) -> Table:
         """Fetches the table that the evaluator "lut" uses for a medium. The Table evaluates it in
         this process, with the daemon's bits. options: moments, parameters, deadline_ms and
         tolerance (relative, at least 1e-6, by default 1e-4), as of a Query."""
-        return self._ask(evaluation.table(self.info, Query(model, medium, **options)))
+        return self._ask(evaluation.table(self.info, self._query(model, medium, **options)))
 
     def sample(
         self,
         model: str | int,
-        media: Any,
+        media: Media,
         u: Any = None,
         *,
         draw: Draw | None = None,
@@ -168,7 +173,8 @@ class Client:
         Query, whose `wanted` is ("r", "pdf") by default. "r" is the drawn radii; all other
         quantities are evaluated at these. A model that does not cover all radii is refused.
         """
-        return self._ask(evaluation.sample(self.info, Query(model, media, **options), u, draw))
+        query = self._query(model, media, **options)
+        return self._ask(evaluation.sample(self.info, query, u, draw))
 
     def invert(self, model: str | int, albedo: Any, length: Any, **options: Any) -> Inversion:
         """Finds media that have given diffuse albedos under a model.
@@ -185,7 +191,7 @@ class Client:
 
     def mc(
         self,
-        medium: Medium | Sequence[float],
+        medium: Media,
         edges: Grid,
         *,
         progress: Callable[[McProgress], bool | None] | None = None,
@@ -202,7 +208,8 @@ class Client:
         must hold. thickness: of a slab, mm; None means a half space. albedos: up to 16, in place of
         the medium's own; one walk gives the results for all of them. seed: 1 by default.
         """
-        request_id = self._send(mc.request(self.info, medium, edges, **options))
+        request = mc.request(self.info, self._media_of(medium), edges, **options)
+        request_id = self._send(request)
         cancelled = False
         try:
             while not isinstance(report := self._next(request_id), McResult):
@@ -252,12 +259,24 @@ class Client:
         """Waits for the next frame. Use it only with send_frame(): other calls take frames, too."""
         return self._connection.receive_frame()
 
+    def _query(self, *query: Any, **options: Any) -> Query:
+        made = Query.of(*query, **options)
+        return replace(made, media=self._media_of(made.media))
+
+    def _media_of(self, media: Media) -> Media:
+        """Returns the channels of a measured medium for its name, and other media unchanged."""
+        if not isinstance(media, str):
+            return media
+        self._measured = self._measured or self.media()
+        return evaluation.known("medium", media, self._measured)
+
     # ---- sending and receiving -------------------------------------------------------------------
 
     def _ask(self, request: Request[T]) -> T:
         request_id = self._send(request)
         try:
-            return self._next(request_id)
+            answer: T = self._next(request_id)
+            return answer
         finally:
             self._exchange.drop(request_id)
 
@@ -335,7 +354,7 @@ class Parts(Iterator[Result]):
 
     def __next__(self) -> Result:
         try:
-            part = self._client._next(self._request_id) if self._open else None
+            part: Result | None = self._client._next(self._request_id) if self._open else None
         except BaseException:
             self.close()
             raise

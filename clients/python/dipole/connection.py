@@ -12,12 +12,13 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from . import wire
 from .errors import AddressError, ConnectError, ConnectionLost, ProtocolError
+from .values import Array
 
 LARGE_BYTES = 1 << 18  # A payload of this size or more is received and sent without a copy.
 _PRIVATE_EXIT_S = 10.0
@@ -38,16 +39,16 @@ class Incoming:
     def __init__(self) -> None:
         self._bytes = bytearray()
         self._spare = memoryview(bytearray(LARGE_BYTES))
-        self._large: np.ndarray | None = None  # the large piece that is being received
+        self._large: Array | None = None  # the large piece that is being received
         self._large_bytes = 0  # how many bytes of the large piece have been received
-        self._header: wire.Structure | None = None  # of the frame whose payload comes next
+        self._header: Any = None  # of the frame whose payload comes next
 
     def __bool__(self) -> bool:
         return len(self._bytes) > 0 or self._large is not None
 
     def room(self) -> memoryview:
         """Returns the memory into which the caller receives the next bytes."""
-        return self._spare if self._large is None else memoryview(self._large)[self._large_bytes :]
+        return self._spare if self._large is None else self._large.data[self._large_bytes :]
 
     def add(self, count: int) -> None:
         """Adds the first count bytes of room(), which the caller has received, to the buffer."""
@@ -71,7 +72,7 @@ class Incoming:
             del self._bytes[: self._large_bytes]
         if self._large_bytes < count:
             return None
-        view, self._large = memoryview(self._large).toreadonly(), None
+        view, self._large = self._large.data.toreadonly(), None
         return view
 
     def take_frame(self) -> Frame | None:
@@ -119,6 +120,10 @@ class Connection:
     def is_private(self) -> bool:
         """Whether the daemon was started for this connection."""
         return self.address.startswith("private:")
+
+    @property
+    def is_closed(self) -> bool:
+        return self.socket.fileno() < 0
 
     def close(self) -> None:
         """Closes the connection and waits until a private daemon has ended."""
@@ -248,7 +253,7 @@ class Connection:
         self.socket.shutdown(socket.SHUT_WR)
 
     def _wait(self, writing: bool) -> tuple[bool, bool]:
-        if self.socket.fileno() < 0:
+        if self.is_closed:
             raise ConnectionLost(f"{self.address}: this client is closed", final=True)
         wanted = select.POLLIN | (select.POLLOUT if writing else 0)
         wait_ms = None if self.timeout_s is None else self.timeout_s * 1000

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+import difflib
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -12,7 +13,9 @@ from .connection import frame_pieces
 from .errors import ArgumentError, ProtocolError, TableError
 from .exchange import Answer, Once, Request
 from .table import Table
-from .values import Draw, Grid, Info, Medium, Offer, Offers, Query, Result, Samples
+from .values import Array, Draw, Grid, Info, Media, Medium, Offer, Offers, Query, Result, Samples
+
+T = TypeVar("T")
 
 # ---- names and numbers ---------------------------------------------------------------------------
 
@@ -21,10 +24,16 @@ def id_of(info: Info, kind: str, name: str | int) -> int:
     """Finds the id of a choice by its name. Returns an id unchanged: the daemon checks it."""
     if not isinstance(name, str):
         return name
-    choices = info.choices[kind]
+    return known(kind, name, info.choices[kind]).id
+
+
+def known(kind: str, name: str, choices: Mapping[str, T]) -> T:
+    """Returns the choice of that name. If there is none, the error names the nearest one."""
     if name not in choices:
-        raise ArgumentError(f"{kind} {name}: not one of {', '.join(choices)}")
-    return choices[name].id
+        near = difflib.get_close_matches(name, choices, 1)
+        hint = f". Did you mean {near[0]}?" if near else ""
+        raise ArgumentError(f"{kind} {name}: not one of {', '.join(choices)}{hint}")
+    return choices[name]
 
 
 def name_of(info: Info, kind: str, number: int) -> str:
@@ -58,14 +67,38 @@ def unpack_list(
 # ---- requests ------------------------------------------------------------------------------------
 
 
-def media_array(media: Medium | Iterable[Sequence[float]] | np.ndarray) -> np.ndarray:
+def media_array(media: Media) -> Array:
     """Makes an array [C, 4] of one medium or of several."""
-    array = np.asarray(media if isinstance(media, (tuple, np.ndarray)) else list(media), "<f8")
+    try:
+        listed = media if isinstance(media, (tuple, np.ndarray)) else list(media)
+        array: Array = np.asarray(listed, "<f8")
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"media: a Medium, or several, or an array [C, 4]: {error}") from error
     if array.ndim == 1:
         array = array[np.newaxis]
     if array.ndim != 2 or array.shape[1] != 4:
         raise ArgumentError("media: a Medium, or several, or an array [C, 4]")
     return array
+
+
+def one_medium(media: Media) -> Medium:
+    """Makes a Medium of an argument that may be only one."""
+    if isinstance(media, (tuple, list)) and 2 <= len(media) <= 4 and np.isscalar(media[0]):
+        return Medium(*media)
+    array = media_array(media)
+    if len(array) != 1:
+        raise ArgumentError(
+            f"medium: one Medium, not {len(array)}. Of a measured medium, take one channel: "
+            'client.media()["skin1"][0] is red'
+        )
+    return Medium(*array[0])
+
+
+def _names(wanted: str | Iterable[str] | None, default: tuple[str, ...]) -> tuple[str, ...]:
+    """Returns the names of the wanted quantities."""
+    if wanted is None:
+        return default
+    return (wanted,) if isinstance(wanted, str) else tuple(wanted)
 
 
 def _parameters_list(
@@ -79,7 +112,8 @@ def _parameters_list(
             raise ArgumentError("tolerance: as an argument or in parameters, not both")
         all_parameters["tolerance"] = tolerance
     for name, given in all_parameters.items():
-        value = id_of(info, "model", given) if name == "fit_model" else given
+        by_name = name == "fit_model" and isinstance(given, str)
+        value = id_of(info, "model", str(given)) if by_name else given
         try:
             number = float(value)
         except (TypeError, ValueError) as error:
@@ -89,12 +123,15 @@ def _parameters_list(
     return structures
 
 
-def _in_precision(numbers: Any, argument: str, noun: str, evaluator_id: int) -> np.ndarray:
+def _in_precision(numbers: Any, argument: str, noun: str, evaluator_id: int) -> Array:
     """Makes an array [N] of numbers, in the precision of an evaluator. An error message names the
     caller's argument and uses the noun for one number: "r: one radius or an array [N]"."""
     if evaluator_id not in wire.EVALUATOR_TYPES:
         raise ArgumentError(f"evaluator {evaluator_id}: this module does not know its precision")
-    array = np.asarray([] if numbers is None else numbers, wire.EVALUATOR_TYPES[evaluator_id])
+    try:
+        array = np.asarray([] if numbers is None else numbers, wire.EVALUATOR_TYPES[evaluator_id])
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"{argument}: one {noun} or an array [N]: {error}") from error
     if array.ndim > 1:
         raise ArgumentError(f"{argument}: one {noun} or an array [N]")
     return np.ascontiguousarray(array.reshape(-1))
@@ -106,14 +143,14 @@ def _payload(
     query: Query,
     shape: Shape,
     evaluator_id: int,
-    media: np.ndarray,
-    listed: np.ndarray | None,
+    media: Array,
+    listed: Array | None,
     **fields: Any,
 ) -> bytes:
     """Packs an eval or sample request: the fixed part, media, parameters and listed numbers."""
     parameters = _parameters_list(info, query.parameters, query.tolerance)
     fixed = structure.pack(
-        model=wire.ANY_MODEL if query.model is None else id_of(info, "model", query.model),
+        model=_model_id(info, query),
         evaluator=evaluator_id,
         moments=id_of(info, "moments", query.moments),
         wanted=shape.wanted,
@@ -121,28 +158,39 @@ def _payload(
         parameter_count=len(parameters),
         **fields,
     )
-    numbers = memoryview(b"" if listed is None else listed)
+    numbers = memoryview(b"") if listed is None else listed.data
     padding = bytes(wire.padded(numbers.nbytes) - numbers.nbytes)
     return b"".join([fixed, media.tobytes(), *parameters, numbers, padding])
 
 
+def _model_id(info: Info, query: Query) -> int:
+    return wire.ANY_MODEL if query.model is None else id_of(info, "model", query.model)
+
+
+def _check_model(query: Query) -> None:
+    has_tolerance = query.tolerance is not None or "tolerance" in (query.parameters or ())
+    if query.model is None and not has_tolerance:
+        raise ArgumentError("model: a name, or None with a tolerance, such as tolerance=0.01")
+
+
 def _eval_payload(info: Info, query: Query) -> tuple[bytes, Shape]:
-    grid, wanted, evaluator = query.grid, query.wanted, query.evaluator
-    if wanted is None:
-        wanted = ("R", "albedo", "cdf") if grid is None else ("R", "albedo", "cdf", "r")
+    grid, evaluator = query.grid, query.evaluator
+    wanted = _names(query.wanted, ("R", "albedo", "cdf", "r")[: 3 if grid is None else 4])
+    if grid is not None and not isinstance(grid, Grid):
+        raise ArgumentError("grid: a Grid, such as Grid(0.1, 10, 100)")
     if evaluator is None:
         evaluator = "f64" if query.model is not None else "lut"
     if grid is not None and query.r is not None:
         raise ArgumentError("r, grid: one of them, not both")
     evaluator_id = id_of(info, "evaluator", evaluator)
     media = media_array(query.media)
-    radii = None if grid else _in_precision(query.r, "r", "radius", evaluator_id)
+    radii = None if grid is not None else _in_precision(query.r, "r", "radius", evaluator_id)
     shape = Shape(
         radii=radii,
         value_type=wire.EVALUATOR_TYPES.get(evaluator_id),
         wanted=sum({id_of(info, "quantity", name) for name in wanted}),
         medium_count=len(media),
-        radius_count=len(radii) if grid is None else grid.count,
+        radius_count=grid.count if grid is not None else 0 if radii is None else len(radii),
     )
     rule = grid or Grid(0.0, 0.0, shape.radius_count)
     payload = _payload(
@@ -163,6 +211,9 @@ def _eval_payload(info: Info, query: Query) -> tuple[bytes, Shape]:
 
 def eval(info: Info, query: Query, is_streamed: bool = False) -> Request[Result]:
     """See Client.eval() and, for is_streamed, Client.eval_parts()."""
+    _check_model(query)
+    if query.r is None and query.grid is None and _names(query.wanted, ("R",)) != ("albedo",):
+        raise ArgumentError('r: give radii, or a grid. Only wanted=["albedo"] needs none')
     payload, shape = _eval_payload(info, query)
 
     def answer() -> EvalAnswer:
@@ -197,12 +248,10 @@ def offers(info: Info, query: Query) -> Request[Offers]:
 
 def table(info: Info, query: Query) -> Request[Table]:
     """See Client.table()."""
-    medium = media_array(query.media)
-    if len(medium) != 1:
-        raise ArgumentError("medium: one Medium")
+    medium = one_medium(query.media)
     parameters = _parameters_list(info, query.parameters, query.tolerance)
     fixed = wire.TABLE_REQUEST.pack(
-        model=id_of(info, "model", query.model),
+        model=_model_id(info, query),
         moments=id_of(info, "moments", query.moments),
         parameter_count=len(parameters),
     )
@@ -214,12 +263,13 @@ def table(info: Info, query: Query) -> Request[Table]:
         except TableError as error:
             raise ProtocolError(f"a table reply that is not a table: {error}") from error
 
-    payload = b"".join([fixed, medium.tobytes(), *parameters])
+    payload = b"".join([fixed, wire.MEDIUM.pack(**medium._asdict()), *parameters])
     return Request("table", payload, lambda: Once(read), query.deadline_ms)
 
 
 def sample(info: Info, query: Query, u: Any, draw: Draw | None) -> Request[Samples]:
     """See Client.sample(). query: without radii."""
+    _check_model(query)
     if (u is None) == (draw is None):
         raise ArgumentError("u, draw: give exactly one of them")
     if query.r is not None or query.grid is not None:
@@ -227,10 +277,11 @@ def sample(info: Info, query: Query, u: Any, draw: Draw | None) -> Request[Sampl
     evaluator_id = id_of(info, "evaluator", query.evaluator or "f64")
     listed = _in_precision(u, "u", "number", evaluator_id)
     media = media_array(query.media)
-    wanted = ("r", "pdf") if query.wanted is None else query.wanted
+    wanted = _names(query.wanted, ("r", "pdf"))
+    value_type = wire.EVALUATOR_TYPES[evaluator_id]
     shape = Shape(
         radii=None,
-        value_type=wire.EVALUATOR_TYPES[evaluator_id],
+        value_type=value_type,
         wanted=sum({id_of(info, "quantity", name) for name in wanted}),
         medium_count=len(media),
         radius_count=len(listed) if draw is None else draw.count,
@@ -249,12 +300,12 @@ def sample(info: Info, query: Query, u: Any, draw: Draw | None) -> Request[Sampl
         draw=draw_id,
         sample_count=shape.radius_count,
         sample_first=0 if draw is None else draw.first,
-        seed=draw.seed if seeded else 0,
+        seed=draw.seed if draw is not None and seeded else 0,
     )
 
     def read(part: Part) -> Samples:
-        numbers = listed if draw is None else numbers_of(draw, shape.value_type)
-        return _samples(part, numbers, info)
+        numbers = listed if draw is None else numbers_of(draw, value_type)
+        return Samples(u=numbers, **_common_fields(part, info))
 
     return Request("sample", payload, lambda: EvalAnswer(shape, read), query.deadline_ms)
 
@@ -265,7 +316,7 @@ def sample(info: Info, query: Query, u: Any, draw: Draw | None) -> Request[Sampl
 class Shape(NamedTuple):
     """The facts about a request with which its reply is checked and read."""
 
-    radii: np.ndarray | None  # the listed radii; None for a grid or a sample
+    radii: Array | None  # the listed radii; None for a grid or a sample
     value_type: str | None  # numpy's type of radii and values; None for an unknown evaluator
     wanted: int  # sum of the ids of the quantities
     medium_count: int
@@ -277,8 +328,8 @@ class Part(NamedTuple):
     """One part of an answer, or a whole answer."""
 
     fixed: Any  # the eval_reply structure
-    channels: np.ndarray  # [C, 4], the channel structures
-    arrays: dict[int, np.ndarray]  # by quantity: the radii [N] and values [C, N]
+    channels: Array  # [C, 4], the channel structures
+    arrays: dict[int, Array]  # by quantity: the radii [N] and values [C, N]
 
     def common(self) -> tuple[Any, bytes]:
         """Returns the fields that must be the same in all parts of an answer."""
@@ -298,7 +349,7 @@ class EvalAnswer(Answer[Any]):
         self._first: Part | None = None
         self._next_part = 0
         self._next_radius = 0
-        self._whole: dict[int, np.ndarray] = {}
+        self._whole: dict[int, Array] = {}
 
     def _add(self, payload: bytes) -> None:
         part = _unpack(payload, self._shape.drawn)
@@ -343,6 +394,7 @@ class EvalAnswer(Answer[Any]):
             if part.fixed.part + 1 == part.fixed.part_count:
                 self._whole[quantity].setflags(write=False)
         fixed = part.fixed._replace(radius_count=count, radius_first=0)
+        assert self._first is not None
         return Part(fixed, self._first.channels, self._whole)
 
 
@@ -365,7 +417,7 @@ def _unpack(payload: bytes, drawn: bool) -> Part:
         raise ProtocolError("an eval reply whose size does not fit its counts")
     channels = np.frombuffer(payload, "<f8", channels_bytes // 8, at).reshape(-1, 4)
     values = np.frombuffer(payload, value_type, -1, at + channels_bytes)
-    rows = values.reshape(array_count, -1)[:, : fixed.radius_count] if array_count else None
+    rows = values.reshape(array_count, -1 if array_count else 0)[:, : fixed.radius_count]
     arrays = {wire.QUANTITY_RADIUS: rows[0]} if wanted_r else {}
     for i, quantity in enumerate(per_channel):
         arrays[quantity] = rows[wanted_r + i :: len(per_channel)]
@@ -375,51 +427,33 @@ def _unpack(payload: bytes, drawn: bool) -> Part:
 def _common_fields(part: Part, info: Info) -> dict[str, Any]:
     """Makes the fields that Result and Samples share."""
     fixed, channels, arrays = part
+    if fixed.wanted & wire.QUANTITY_ALBEDO:
+        arrays[wire.QUANTITY_ALBEDO] = channels[:, 0]
     notes = info.choices["note"].values()
     quantities = info.choices["quantity"].values()
     return {
         "model": name_of(info, "model", fixed.model),
         "evaluator": name_of(info, "evaluator", fixed.evaluator),
         "moments": name_of(info, "moments", fixed.moments),
-        "pdf": arrays.get(wire.QUANTITY_PDF),
-        "albedo": channels[:, 0] if fixed.wanted & wire.QUANTITY_ALBEDO else None,
         "numerical_error_constant": channels[:, 1],
         "numerical_error_per_mm": channels[:, 2],
         "model_error": channels[:, 3],
         "notes": tuple(note.name for note in notes if note.id and fixed.notes & note.id),
-        "values": {one.name: arrays[one.id] for one in quantities if one.id in arrays},
+        "quantities": {one.name: arrays[one.id] for one in quantities if one.id in arrays},
     }
 
 
 def _result(part: Part, shape: Shape, info: Info) -> Result:
-    fields = _common_fields(part, info)
-    first, arrays = part.fixed.radius_first, part.arrays
-    r = arrays.get(wire.QUANTITY_RADIUS)
-    if r is None and shape.radii is not None:
-        r = shape.radii[first : first + part.fixed.radius_count]
-    fields["values"].pop("r", None)  # All channels have the same radii: they are in Result.r.
-    return Result(
-        r=r,
-        R=arrays.get(wire.QUANTITY_R),
-        cdf=arrays.get(wire.QUANTITY_CDF),
-        dR_dr=arrays.get(wire.QUANTITY_SLOPE),
-        ln_R=arrays.get(wire.QUANTITY_LN_R),
-        two_pi_r_R=arrays.get(wire.QUANTITY_RING),
-        S=arrays.get(wire.QUANTITY_S),
-        radius_first=first,
-        **fields,
-    )
-
-
-def _samples(part: Part, numbers: np.ndarray, info: Info) -> Samples:
-    r = part.arrays.get(wire.QUANTITY_RADIUS)
-    return Samples(u=numbers, r=r, **_common_fields(part, info))
+    first = part.fixed.radius_first
+    if shape.radii is not None:
+        part.arrays[wire.QUANTITY_RADIUS] = shape.radii[first : first + part.fixed.radius_count]
+    return Result(radius_first=first, **_common_fields(part, info))
 
 
 # ---- numbers for drawing -------------------------------------------------------------------------
 
 
-def numbers_of(draw: Draw, value_type: str = "<f8") -> np.ndarray:
+def numbers_of(draw: Draw, value_type: str = "<f8") -> Array:
     """Computes the numbers [count] of a Draw, with the daemon's bits: see core/draw.h."""
     i = np.arange(draw.count, dtype=np.uint64)
     if draw.rule == "random":
@@ -429,7 +463,7 @@ def numbers_of(draw: Draw, value_type: str = "<f8") -> np.ndarray:
     return _below_1((i.astype("<f8") + within) / draw.count, value_type)
 
 
-def _random(seed: int, i: np.ndarray, value_type: str) -> np.ndarray:
+def _random(seed: int, i: Array, value_type: str) -> Array:
     """Returns the outputs number i of SplitMix64 (Steele, Lea, Flood 2014), scaled to between 0 and
     1."""
     with np.errstate(over="ignore"):
@@ -441,6 +475,6 @@ def _random(seed: int, i: np.ndarray, value_type: str) -> np.ndarray:
     return ((z >> np.uint64(64 - bits)).astype("<f8") + 0.5) * 2.0**-bits
 
 
-def _below_1(u: np.ndarray, value_type: str) -> np.ndarray:
+def _below_1(u: Array, value_type: str) -> Array:
     rounded = u.astype(value_type)
     return np.minimum(rounded, np.nextafter(np.ones((), value_type), np.zeros((), value_type)))

@@ -16,7 +16,7 @@ from typing import Any, Generic, TypeVar
 
 from . import wire
 from .connection import Connection, Frame, frame_pieces
-from .errors import ConnectError, ConnectionLost, DipoleError, ProtocolError, Refused
+from .errors import ArgumentError, ConnectError, ConnectionLost, DipoleError, ProtocolError, Refused
 from .values import Info
 
 T = TypeVar("T")
@@ -78,6 +78,10 @@ class Request(Generic[T]):
     payload: bytes
     answer: Callable[[], Answer[T]]
     deadline_ms: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.deadline_ms < 1 << 32:
+            raise ArgumentError("deadline_ms: a whole number from 0 to 4294967295")
 
 
 class _Pending:

@@ -18,7 +18,7 @@ class Query(NamedTuple):
     """The facts about a request with which its reply is checked and read."""
 
     shape: tuple[int, ...]
-    count: int
+    count: int  # type: ignore[assignment]  # hides tuple.count()
     model: int
     moments: int
     given: int
@@ -68,7 +68,8 @@ class Answer(exchange.Answer[Inversion]):
             self.ready.append(self._result())
 
     def _result(self) -> Inversion:
-        query = self._query
+        query, reach = self._query, self._reach
+        assert reach is not None
         self._arrays.setflags(write=False)
         sigma_a, sigma_s, albedo = self._arrays.reshape(_ARRAYS, *query.shape)
         return Inversion(
@@ -79,8 +80,8 @@ class Answer(exchange.Answer[Inversion]):
             g=query.g,
             eta=query.eta,
             albedo=albedo,
-            albedo_least=self._reach[0],
-            albedo_most=self._reach[1],
+            albedo_least=reach[0],
+            albedo_most=reach[1],
             missing=self._missing,
         )
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from . import wire
-from .errors import ProtocolError
-from .evaluation import id_of
+from .errors import ArgumentError, ProtocolError
+from .evaluation import id_of, one_medium
 from .exchange import Answer, Once, Request
-from .values import Grid, Info, McEnergy, McProgress, McResult, McValue, Medium
+from .values import Grid, Info, McEnergy, McProgress, McResult, McValue, Media
 
 
 class _Answer(Answer[McProgress | McResult]):
@@ -28,7 +28,7 @@ class _Answer(Answer[McProgress | McResult]):
 
 def request(
     info: Info,
-    medium: Medium | Sequence[float],
+    medium: Media,
     edges: Grid,
     *,
     photons: int | None = None,
@@ -42,6 +42,8 @@ def request(
     if photons is None:
         wishes = error_total or error_rings
         photons = info.limits["max_mc_photons"] if wishes else 1_000_000
+    if not isinstance(edges, Grid):
+        raise ArgumentError("edges: a Grid, such as Grid(0, 10, 21) for 20 rings up to 10 mm")
     spacing = id_of(info, "spacing", edges.spacing)
     numbers = (photons, error_total, error_rings, thickness, albedos, seed)
     return Request("mc", pack_request(medium, edges, spacing, *numbers), _Answer)
@@ -54,7 +56,7 @@ def cancellation(job_id: int) -> Request[None]:
 
 
 def pack_request(
-    medium: Medium | Sequence[float],
+    medium: Media,
     edges: Grid,
     spacing: int,
     photons: int,
@@ -78,7 +80,7 @@ def pack_request(
         error_total=error_total,
         error_rings=error_rings,
     )
-    return fixed + wire.MEDIUM.pack(**Medium(*medium)._asdict()) + listed.tobytes()
+    return fixed + wire.MEDIUM.pack(**one_medium(medium)._asdict()) + listed.tobytes()
 
 
 def unpack_fixed(payload: bytes) -> Any:
@@ -100,6 +102,10 @@ def progress_of(fixed: Any) -> McProgress:
     )
 
 
+def _sides(values: Sequence[float], errors: Sequence[float]) -> tuple[McValue, McValue]:
+    return McValue(values[0], errors[0]), McValue(values[1], errors[1])
+
+
 def _energy(payload: bytes, offset: int) -> McEnergy:
     one = wire.MC_ENERGY.unpack(payload, offset)
     return McEnergy(
@@ -110,8 +116,8 @@ def _energy(payload: bytes, offset: int) -> McEnergy:
         unfinished=McValue(one.unfinished, one.unfinished_error),
         roulette=McValue(one.roulette, one.roulette_error),
         unscattered=one.unscattered,
-        under=tuple(map(McValue, one.under, one.under_error)),
-        over=tuple(map(McValue, one.over, one.over_error)),
+        under=_sides(one.under, one.under_error),
+        over=_sides(one.over, one.over_error),
         imbalance=one.imbalance,
     )
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from . import wire
 from .errors import ArgumentError, TableError
-from .values import Info, Medium
+from .values import Array, Info, Medium, in_short, span
 
 LAYOUT = 3  # proto/PROTOCOL.md, "table"
 
@@ -39,14 +39,7 @@ _CUTS_MAX = 11
 _BAND_EDGES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 _EDGE_WIDTH = 1e-7
 
-_Function = Callable[[np.ndarray], np.ndarray]
-
-# The names of the first words. A name that starts with near holds for radii below the first piece,
-# and "far" for radii beyond the last piece.
-_NUMBERS = (
-    "first_mm last_mm scale ring_scale pdf_scale near_power near_R near_log near_cdf near_cdf_log "
-    "far limit first_u near_radius"
-).split()
+_Function = Callable[[Array], Array]
 
 _ZERO = np.float32(0)
 _ONE = np.float32(1)
@@ -62,6 +55,26 @@ class TableErrors(NamedTuple):
     numerical_error_constant: float  # constant part of the numerical error
     numerical_error_per_mm: float  # this number times r is added to the constant part
     model_error: float  # of the model against radiative transport; NaN if it was not measured
+
+
+class _Numbers(NamedTuple):
+    """The first words. Those whose names start with near hold for radii below the first piece, and
+    far for radii beyond the last piece."""
+
+    first_mm: np.float32
+    last_mm: np.float32
+    scale: np.float32
+    ring_scale: np.float32
+    pdf_scale: np.float32
+    near_power: np.float32
+    near_R: np.float32
+    near_log: np.float32
+    near_cdf: np.float32
+    near_cdf_log: np.float32
+    far: np.float32
+    limit: np.float32
+    first_u: np.float32
+    near_radius: np.float32
 
 
 class Table:
@@ -119,9 +132,18 @@ class Table:
         self._entries = self.words.astype(np.int32)
         self._c = self.words.view("<f4").astype(np.float32)
         if (float(self._c[0]), float(self._c[1])) != (self.pieces_from_mm, self.pieces_to_mm):
-            raise TableError("a damaged table: the radii of its pieces differ from those that it states")
-        for name, number in zip(_NUMBERS, self._c):
-            setattr(self, "_" + name, number)
+            raise TableError(
+                "a damaged table: the radii of its pieces differ from those that it states"
+            )
+        self._n = _Numbers(*self._c[: len(_Numbers._fields)])
+
+    def __repr__(self) -> str:
+        medium = ", ".join(f"{key} {value:.6g}" for key, value in self.medium._asdict().items())
+        return in_short(
+            f"<Table: {self.model}; {medium}",
+            f"albedo {self.albedo:.4g}, numerical error {self.numerical_error_constant:.2g}, "
+            f"model_error {span(self._model_errors)}, {len(self.data)} bytes>",
+        )
 
     # ---- files -----------------------------------------------------------------------------------
 
@@ -156,35 +178,35 @@ class Table:
 
     # ---- evaluating ------------------------------------------------------------------------------
 
-    def R(self, r: Any) -> np.ndarray:
+    def R(self, r: Any) -> Array:
         """Returns R in 1/mm^2 per unit of power that entered, as float32 and in the shape of r. r:
         radii in mm, from 0 to infinity."""
         return self._evaluate(r, self._inside_R, self._outside_R)
 
-    def cdf(self, r: Any) -> np.ndarray:
+    def cdf(self, r: Any) -> Array:
         """Returns the power that leaves within r over all power that leaves, from 0 to 1."""
         return self._evaluate(r, self._inside_cdf, self._outside_cdf)
 
-    def pdf(self, r: Any) -> np.ndarray:
+    def pdf(self, r: Any) -> Array:
         """Returns the probability density of radii in 1/mm: 2 pi r R over the albedo."""
-        return self._evaluate_ring(r, self._pdf_scale)
+        return self._evaluate_ring(r, self._n.pdf_scale)
 
-    def ring(self, r: Any) -> np.ndarray:
+    def ring(self, r: Any) -> Array:
         """Returns 2 pi r R, the power that leaves per mm of radius, in 1/mm. It is finite even
         where R is infinite at r = 0."""
-        return self._evaluate_ring(r, self._ring_scale)
+        return self._evaluate_ring(r, self._n.ring_scale)
 
-    def radius(self, u: Any) -> np.ndarray:
+    def radius(self, u: Any) -> Array:
         """Returns the radii in mm with cdf(r) = u: random u give radii that are distributed as the
         light. u: from 0 to 1; 1 gives infinity. All radii are 0 if the medium does not scatter."""
         numbers = _floats(u)
         if not np.all((numbers >= 0) & (numbers <= 1)):
             raise ArgumentError("u: from 0 to 1")
-        ends = (self._first_u, _ONE)
+        ends = (self._n.first_u, _ONE)
         radii = _look_up(numbers, self._inside_radius, self._outside_radius, *ends)
         return radii.reshape(np.shape(u))
 
-    def numerical_error(self, r: Any) -> np.ndarray:
+    def numerical_error(self, r: Any) -> Array:
         """Returns how far R at r (mm) may be from the model's exact formula, relative. That of the
         other values is not larger, except that cdf and pdf may be off by numerical_error_constant."""
         radii = np.asarray(r, np.float64)
@@ -210,13 +232,13 @@ class Table:
         model_error = self._model_error(finite, wanted)
         return TableErrors(numerical_error, self.numerical_error_per_mm, model_error)
 
-    def _beyond_reach(self, r: np.ndarray) -> np.ndarray:
+    def _beyond_reach(self, r: Array) -> Array:
         """Returns what the error of R at finite radii beyond the reach has in addition (T7)."""
         logarithm = np.log(np.maximum(r / self.reach_mm, 1))
         exponent = self._reach_growth * logarithm * logarithm
         return np.where(exponent < 7, np.expm1(np.minimum(exponent, 7)), np.inf)
 
-    def _numerical_error(self, radii: np.ndarray, wanted: Sequence[str]) -> float:
+    def _numerical_error(self, radii: Array, wanted: Sequence[str]) -> float:
         """Returns the numerical error of the wanted quantities at finite radii up to the reach (T7)."""
         if radii.size > 0 and not {"cdf", "pdf"}.isdisjoint(wanted):
             return self.numerical_error_constant
@@ -228,7 +250,7 @@ class Table:
             errors += self._numerical_errors[first : max(first, last) + 1]
         return max(errors)
 
-    def _model_error(self, radii: np.ndarray, wanted: Sequence[str]) -> float:
+    def _model_error(self, radii: Array, wanted: Sequence[str]) -> float:
         """Returns the largest model error of the wanted quantities at finite radii (T8)."""
         if self.model_error == 0:
             return 0.0
@@ -255,17 +277,17 @@ class Table:
         first = min(first, len(_BAND_EDGES) - 2)
         return float(np.max(self._model_errors[first : max(end, first + 1)]))
 
-    def _evaluate_ring(self, r: Any, scale: np.float32) -> np.ndarray:
+    def _evaluate_ring(self, r: Any, scale: np.float32) -> Array:
         """Returns r R times a scale, for example 2 pi."""
         return self._evaluate(
             r, lambda x: self._inside_ring(x, scale), lambda x: self._outside_ring(x, scale)
         )
 
-    def _evaluate(self, r: Any, inside: _Function, outside: _Function) -> np.ndarray:
-        values = _look_up(self._radii(r), inside, outside, self._first_mm, self._last_mm)
+    def _evaluate(self, r: Any, inside: _Function, outside: _Function) -> Array:
+        values = _look_up(self._radii(r), inside, outside, self._n.first_mm, self._n.last_mm)
         return values.reshape(np.shape(r))
 
-    def _radii(self, r: Any) -> np.ndarray:
+    def _radii(self, r: Any) -> Array:
         """Returns the radii in single precision. The model has to cover them."""
         radii = _floats(r)
         wide = radii.astype(np.float64)
@@ -276,7 +298,7 @@ class Table:
 
     # ---- inside ----------------------------------------------------------------------------------
 
-    def _piece(self, octaves: int, x: np.ndarray) -> np.ndarray:
+    def _piece(self, octaves: int, x: Array) -> Array:
         """Evaluates the polynomial of the piece that holds x >= 0. The exponent of x and the
         leading bits of its mantissa select the piece. octaves: position of the first entry."""
         bits = x.view(np.int32)
@@ -291,19 +313,20 @@ class Table:
         c0 = self._c[at]
         # A minus sign means that the polynomial counts from the piece's right end.
         w = np.where(np.signbit(c0), _ONE - t, t)
-        return np.abs(c0) + w * (self._c[at + 1] + w * (self._c[at + 2] + w * self._c[at + 3]))
+        value: Array = np.abs(c0) + w * (self._c[at + 1] + w * (self._c[at + 2] + w * self._c[at + 3]))
+        return value
 
-    def _inside_R(self, r: np.ndarray) -> np.ndarray:
-        return self._piece(_R_OCTAVES, r) * self._scale
+    def _inside_R(self, r: Array) -> Array:
+        return self._piece(_R_OCTAVES, r) * self._n.scale
 
-    def _inside_ring(self, r: np.ndarray, scale: np.float32) -> np.ndarray:
+    def _inside_ring(self, r: Array, scale: np.float32) -> Array:
         return _times_radius(self._piece(_R_OCTAVES, r), r, scale)
 
-    def _inside_cdf(self, r: np.ndarray) -> np.ndarray:
+    def _inside_cdf(self, r: Array) -> Array:
         value = self._piece(_CDF_OCTAVES, r)
         return np.where(value < 1, value, _ONE)
 
-    def _inside_radius(self, u: np.ndarray) -> np.ndarray:
+    def _inside_radius(self, u: Array) -> Array:
         """Looks up the radius by the smaller one of u and 1 - u. The difference 1 - u is exact."""
         near = np.where(u <= _HALF, u, _ONE - u)
         by_u = self._piece(_RADIUS_OCTAVES, near)
@@ -311,74 +334,75 @@ class Table:
 
     # ---- outside: below the first piece, and beyond the last one ---------------------------------
 
-    def _octaves_below(self, r: np.ndarray) -> np.ndarray:
+    def _octaves_below(self, r: Array) -> Array:
         """Returns log2(first_mm / r)."""
-        return _log2(self._first_mm.reshape(1)) - (_log2(r * _2_TO_THE_24) - np.float32(24))
+        octaves: Array = _log2(self._n.first_mm.reshape(1)) - (_log2(r * _2_TO_THE_24) - np.float32(24))
+        return octaves
 
-    def _near_flat(self, r: np.ndarray) -> np.ndarray:
+    def _near_flat(self, r: Array) -> Array:
         """Returns R over the scale near 0, for an R that does not grow like 1/r there."""
-        if not self._near_log > 0:
-            return np.full_like(r, self._near_R)
+        if not self._n.near_log > 0:
+            return np.full_like(r, self._n.near_R)
         rising = np.where(r > 0, self._octaves_below(r), _INFINITY)
-        return self._near_R + self._near_log * rising
+        return self._n.near_R + self._n.near_log * rising
 
-    def _near_R_at(self, r: np.ndarray) -> np.ndarray:
+    def _near_R_at(self, r: Array) -> Array:
         """Returns R near 0. The order of operations lets no intermediate value overflow or
         underflow unless the result does."""
-        if not self._near_power > 0:
-            return self._near_flat(r) * self._scale
-        if not self._limit > 0:
+        if not self._n.near_power > 0:
+            return self._near_flat(r) * self._n.scale
+        if not self._n.limit > 0:
             return np.zeros_like(r)
-        nearest = self._near_R * (self._scale / r)
-        return np.where(r < 1, nearest, self._near_R / r * self._scale)
+        nearest = self._n.near_R * (self._n.scale / r)
+        return np.where(r < 1, nearest, self._n.near_R / r * self._n.scale)
 
-    def _near_ring(self, r: np.ndarray, scale: np.float32) -> np.ndarray:
+    def _near_ring(self, r: Array, scale: np.float32) -> Array:
         """Returns r R near 0, with `scale` in place of the scale of R."""
-        if self._near_power > 0:
-            return np.full_like(r, self._near_R * scale)
+        if self._n.near_power > 0:
+            return np.full_like(r, self._n.near_R * scale)
         return np.where(r > 0, _times_radius(self._near_flat(r), r, scale), _ZERO)
 
-    def _near_cdf_factor(self, r: np.ndarray) -> np.ndarray:
+    def _near_cdf_factor(self, r: Array) -> Array:
         """Returns the cdf divided by r^2 near r = 0, for an R that does not grow like 1/r there."""
         rising = np.where(r > 0, self._octaves_below(r), _ZERO)
-        return self._near_cdf + self._near_cdf_log * rising
+        return self._n.near_cdf + self._n.near_cdf_log * rising
 
-    def _near_cdf_at(self, r: np.ndarray) -> np.ndarray:
-        if self._near_power > 0:
-            return self._near_cdf * r
+    def _near_cdf_at(self, r: Array) -> Array:
+        if self._n.near_power > 0:
+            return self._n.near_cdf * r
         return self._near_cdf_factor(r) * r * r
 
-    def _near_radius_at(self, u: np.ndarray) -> np.ndarray:
+    def _near_radius_at(self, u: Array) -> Array:
         """Returns the radius with cdf u near 0. The cdf is r^2 times a factor that changes only
         with ln r, so four rounds of fixed-point iteration suffice."""
-        if self._near_power > 0:
-            return self._near_radius * u
+        if self._n.near_power > 0:
+            return self._n.near_radius * u
         root = np.sqrt(u)
-        r = self._near_radius * root
+        r = self._n.near_radius * root
         for _ in range(4):
             r = root / np.sqrt(self._near_cdf_factor(r))
         return r
 
-    def _outside_R(self, r: np.ndarray) -> np.ndarray:
-        ratio = self._last_mm / r
-        far = self._far * ratio * ratio * ratio
-        return np.where(r < self._first_mm, self._near_R_at(r), far * self._scale)
+    def _outside_R(self, r: Array) -> Array:
+        ratio = self._n.last_mm / r
+        far = self._n.far * ratio * ratio * ratio
+        return np.where(r < self._n.first_mm, self._near_R_at(r), far * self._n.scale)
 
-    def _outside_ring(self, r: np.ndarray, scale: np.float32) -> np.ndarray:
-        ratio = self._last_mm / r
-        far = self._far * self._last_mm * ratio * ratio
-        return np.where(r < self._first_mm, self._near_ring(r, scale), far * scale)
+    def _outside_ring(self, r: Array, scale: np.float32) -> Array:
+        ratio = self._n.last_mm / r
+        far = self._n.far * self._n.last_mm * ratio * ratio
+        return np.where(r < self._n.first_mm, self._near_ring(r, scale), far * scale)
 
-    def _outside_cdf(self, r: np.ndarray) -> np.ndarray:
-        return np.where(r < self._first_mm, self._near_cdf_at(r), self._limit)
+    def _outside_cdf(self, r: Array) -> Array:
+        return np.where(r < self._n.first_mm, self._near_cdf_at(r), self._n.limit)
 
-    def _outside_radius(self, u: np.ndarray) -> np.ndarray:
-        return np.where(u < 1, self._near_radius_at(u), _INFINITY if self._limit > 0 else _ZERO)
+    def _outside_radius(self, u: Array) -> Array:
+        return np.where(u < 1, self._near_radius_at(u), _INFINITY if self._n.limit > 0 else _ZERO)
 
 
 def _look_up(
-    x: np.ndarray, inside: _Function, outside: _Function, least: np.float32, most: np.float32
-) -> np.ndarray:
+    x: Array, inside: _Function, outside: _Function, least: np.float32, most: np.float32
+) -> Array:
     """Returns inside(x) where least <= x < most, and outside(x) elsewhere."""
     with np.errstate(all="ignore"):
         values = inside(x)
@@ -389,18 +413,20 @@ def _look_up(
     return values
 
 
-def _floats(values: Any) -> np.ndarray:
+def _floats(values: Any) -> Array:
     """Makes a flat copy in single precision. Adding 0 turns -0 into 0."""
-    return np.array(values, np.float32).reshape(-1) + _ZERO
+    flat: Array = np.array(values, np.float32).reshape(-1) + _ZERO
+    return flat
 
 
-def _times_radius(piece: np.ndarray, r: np.ndarray, scale: np.float32) -> np.ndarray:
+def _times_radius(piece: Array, r: Array, scale: np.float32) -> Array:
     """Returns piece * r * scale, in an order in which no intermediate value underflows unless the
     result does."""
-    return piece * (r * scale) if scale > 1 else piece * r * scale
+    product: Array = piece * (r * scale) if scale > 1 else piece * r * scale
+    return product
 
 
-def _log2(x: np.ndarray) -> np.ndarray:
+def _log2(x: Array) -> Array:
     """Returns log2 of normal numbers, computed as in core/models/lut.c: the exponent plus the log2
     of the mantissa m, which is 2 artanh(s) / ln 2 with s = (m - 1) / (m + 1)."""
     bits = x.view(np.int32)
@@ -425,7 +451,7 @@ def _frame_bytes(data: bytes) -> int:
     known = (header.magic, header.version) == (wire.MAGIC, wire.VERSION)
     if not known or header.type != wire.MESSAGES["table"] | wire.REPLY:
         raise TableError("not a table: it does not start as one")
-    end = wire.HEADER.bytes + header.payload_bytes
+    end: int = wire.HEADER.bytes + header.payload_bytes
     if len(data) < end:
         raise TableError("a table whose end is missing")
     return end
@@ -440,7 +466,7 @@ def _payload_of(data: bytes) -> bytes:
     return payload
 
 
-def _check(words: np.ndarray) -> None:
+def _check(words: Array) -> None:
     """Checks that the pieces of every entry lie within the words."""
     pieces = (len(words) - _PIECES) // _TERMS
     if len(words) % _TERMS or not 1 <= pieces <= _PIECES_MAX:

@@ -6,20 +6,50 @@ Lengths are in mm and coefficients in 1/mm. In the shapes of arrays, C is the nu
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Union
 
 import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+_LINE_MOST = 100  # columns of a line that describes an object
+
+
+def in_short(*lines: str) -> str:
+    """Makes the repr of an object: at most three lines, of which each fits a terminal."""
+    assert len(lines) <= 3
+    return "\n  ".join(textwrap.shorten(line, _LINE_MOST, placeholder=" ...") for line in lines)
+
+
+def span(array: Any) -> str:
+    """Describes numbers by the least and the largest of them."""
+    numbers = np.asarray(array, np.float64)
+    numbers = numbers[~np.isnan(numbers)]
+    if numbers.size == 0:
+        return "nan" if np.size(array) else "none"
+    low, high = f"{numbers.min():.3g}", f"{numbers.max():.3g}"
+    return low if low == high else f"{low} to {high}"
+
+
+def counted(count: int, one: str, several: str) -> str:
+    return f"{count} {one if count == 1 else several}"
 
 
 class Medium(NamedTuple):
-    """A homogeneous, semi-infinite medium."""
+    """A homogeneous, semi-infinite medium. Its fields are numbers; for Client.values(), they may be
+    arrays that broadcast against each other."""
 
-    sigma_a: float  # 1/mm: absorption coefficient, 0 to 1e15
-    sigma_s: float  # 1/mm: scattering coefficient, 0 to 1e15
-    g: float = 0.0  # mean cosine of the phase function, between -1 and 1
-    eta: float = 1.3  # index of refraction inside over that outside, 0.001 to 1000
+    sigma_a: Any  # 1/mm: absorption coefficient, 0 to 1e15
+    sigma_s: Any  # 1/mm: scattering coefficient, 0 to 1e15
+    g: Any = 0.0  # mean cosine of the phase function, between -1 and 1
+    eta: Any = 1.3  # index of refraction inside over that outside, 0.001 to 1000
+
+
+Media = Union[Medium, str, Iterable[Sequence[float]], Array]
 
 
 class Grid(NamedTuple):
@@ -28,7 +58,7 @@ class Grid(NamedTuple):
 
     start_mm: float
     stop_mm: float
-    count: int
+    count: int  # type: ignore[assignment]  # hides tuple.count()
     spacing: str = "linear"
 
 
@@ -41,14 +71,18 @@ class Query:
         measured to be within `tolerance` of radiative transport, for all media and from the
         smallest to the largest radius. The result names both. The daemon refuses the query if it
         knows no model that is accurate enough.
-    media: one Medium, several of them, or an array [C, 4] of sigma_a, sigma_s, g and eta.
-    r: N radii in mm, from 0 to infinity.
+    media: one Medium, several of them, an array [C, 4] of sigma_a, sigma_s, g and eta, or the name
+        of a measured medium, which stands for its red, green and blue channel.
+    r: N radii in mm, from 0 to infinity. Only wanted=["albedo"] needs no radii.
     grid: the radii by a rule, in place of r. The request then lists no radii.
     evaluator: "f64" computes in double precision and "f32" in single precision. "lut" looks values
         up in a table in single precision. If a model is named, the default is "f64". If the model
         is None, the evaluator only says the precision, and the default is single precision.
+        A fit needs "f64": the step by which a least-squares routine usually changes a coefficient
+        (1.5e-8 of it) does not change a value in single precision, so that the routine sees no
+        slope, stops at its first guess and reports success. examples/fit.py shows a fit.
     moments: how Fresnel reflection is integrated: "exact", or "fit" by published polynomials.
-    wanted: names of quantities. The default is R, albedo, cdf and, with a grid, r.
+    wanted: names of quantities, or one name. The default is R, albedo, cdf and, with a grid, r.
     parameters: optional numbers by name, for example {"cos_in": 0.8}. Their units and ranges are in
         info.choices["parameter"]. The value of fit_model may also be the name of a model. The
         daemon refuses a parameter that the model does not have.
@@ -59,13 +93,13 @@ class Query:
     """
 
     model: str | int | None
-    media: Medium | Iterable[Sequence[float]] | np.ndarray
+    media: Media
     r: Any = None
     _: KW_ONLY
     grid: Grid | None = None
     evaluator: str | int | None = None
     moments: str | int = "exact"
-    wanted: Iterable[str] | None = None
+    wanted: str | Iterable[str] | None = None
     parameters: Mapping[str, float | str] | None = None
     tolerance: float | None = None
     deadline_ms: int = 0
@@ -87,7 +121,7 @@ class Choice(NamedTuple):
     about: str  # source of a model, unit of a quantity, or meaning
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Info:
     """A daemon's description of itself: its reply to hello."""
 
@@ -99,6 +133,16 @@ class Info:
     workers: int
     choices: dict[str, dict[str, Choice]]  # by kind and name: choices["model"]["better"]
     limits: dict[str, int]  # by name; a name ends in the unit, for example max_frame_bytes
+
+    def __repr__(self) -> str:
+        lists = ", ".join(f"{kind} {len(names)}" for kind, names in self.choices.items())
+        return in_short(
+            f"<Info: {self.software} at {self.address}, {self.instruction_set}, protocol "
+            f"{self.protocol_version}, {counted(self.workers, 'worker', 'workers')}",
+            f"limits: {len(self.limits)}, of them max_frame_bytes "
+            f"{self.limits.get('max_frame_bytes')}",
+            f"choices: {lists}>",
+        )
 
 
 class Offer(NamedTuple):
@@ -119,45 +163,128 @@ class Offers(NamedTuple):
     offers: tuple[Offer, ...]
     taken: Offer | None  # the offer that eval() would take; None if no offer meets the tolerance
 
+    def __repr__(self) -> str:
+        taken = self.taken
+        if taken is None:
+            return f"<Offers: {len(self.offers)}, of which none meets the tolerance>"
+        return in_short(
+            f"<Offers: {len(self.offers)}, of which {sum(one.meets for one in self.offers)} meet "
+            "the tolerance",
+            f"taken: {taken.model} by {taken.evaluator}, error {taken.error:.3g}, "
+            f"{taken.cost_ns:.3g} ns a value, {taken.prepare_ns:.3g} ns to prepare a medium>",
+        )
 
-@dataclass(frozen=True)
-class Result:
-    """The answer to one evaluation, or a part of it.
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Evaluated:
+    """The fields that Result and Samples share.
 
     Arrays have the precision of the evaluator, float64 or float32, unless their comment says
-    another one. The array of a quantity that was not wanted is None. The arrays are read-only and
-    may be views of one buffer.
+    another one. Reading a quantity that was not wanted raises AttributeError. The arrays are
+    read-only and may be views of one buffer.
     """
 
     model: str
     evaluator: str
     moments: str
-    r: np.ndarray | None  # [N] mm: the radii of the query. For a grid: None unless r was wanted.
-    R: np.ndarray | None  # [C, N] 1/mm^2 per unit of power that entered
-    cdf: np.ndarray | None  # [C, N] power that leaves within r over all that leaves, 0 to 1
-    dR_dr: np.ndarray | None  # [C, N] 1/mm^3
-    ln_R: np.ndarray | None  # [C, N] finite even where R underflows; its error is absolute
-    pdf: np.ndarray | None  # [C, N] 1/mm: density of radii, 2 pi r R over the albedo
-    two_pi_r_R: np.ndarray | None  # [C, N] 1/mm: finite even where R is infinite at r = 0
-    S: np.ndarray | None  # [C, N] 1/(mm^2 sr): the BSSRDF for the parameters cos_in and cos_out
-    albedo: np.ndarray | None  # [C] float64: integral of 2 pi r R(r)
-    numerical_error_constant: np.ndarray  # [C] numerical_error() adds this constant
-    numerical_error_per_mm: np.ndarray  # [C] 1/mm: and this number times the radius
+    numerical_error_constant: Array  # [C] numerical_error() adds this constant
+    numerical_error_per_mm: Array  # [C] 1/mm: and this number times the radius
     # [C] error of the model against transport, relative; NaN if it was not measured for these radii
-    model_error: np.ndarray
+    model_error: Array
     notes: tuple[str, ...]  # names of the notes, of info.choices["note"], that hold for any channel
-    values: dict[str, np.ndarray]  # [C, N] each, by the daemon's names, such as "2_pi_r_R"
+    quantities: dict[str, Array]  # every quantity of the answer by the daemon's name
+
+    @property
+    def values(self) -> dict[str, Array]:
+        """The quantities that have a value for each channel and radius, [C, N], by the daemon's
+        names, such as "2_pi_r_R"."""
+        return {name: array for name, array in self.quantities.items() if array.ndim == 2}
+
+    @property
+    def pdf(self) -> Array:
+        """[C, N] 1/mm: density of radii, 2 pi r R over the albedo."""
+        return self._quantity("pdf")
+
+    @property
+    def albedo(self) -> Array:
+        """[C] float64: integral of 2 pi r R(r)."""
+        return self._quantity("albedo")
+
+    def _quantity(self, name: str) -> Array:
+        if name not in self.quantities:
+            found = ", ".join(self.quantities) or "none"
+            raise AttributeError(f"{name}: was not wanted. The answer has: {found}")
+        return self.quantities[name]
+
+    def _in_short(self, radii: str) -> str:
+        listed = (f"{name} {span(array)}" for name, array in self.quantities.items() if name != "r")
+        notes = f"; notes: {', '.join(self.notes)}" if self.notes else ""
+        channels = counted(len(self.model_error), "medium", "media")
+        return in_short(
+            f"<{type(self).__name__}: {self.model} by {self.evaluator}; {channels}, {radii}",
+            ", ".join(listed),
+            f"model_error {span(self.model_error)}{notes}>",
+        )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result(_Evaluated):
+    """The answer to one evaluation, or a part of it."""
+
     radius_first: int  # position in the query of the first radius of this part; 0 for the whole
 
-    def numerical_error(self, r: np.ndarray | float | None = None) -> np.ndarray:
+    @property
+    def r(self) -> Array:
+        """[N] mm: the radii of the query. A grid has them only if r was wanted."""
+        return self._quantity("r")
+
+    @property
+    def R(self) -> Array:
+        """[C, N] 1/mm^2 per unit of power that entered."""
+        return self._quantity("R")
+
+    @property
+    def cdf(self) -> Array:
+        """[C, N] power that leaves within r over all that leaves, 0 to 1."""
+        return self._quantity("cdf")
+
+    @property
+    def dR_dr(self) -> Array:
+        """[C, N] 1/mm^3."""
+        return self._quantity("dR_dr")
+
+    @property
+    def ln_R(self) -> Array:
+        """[C, N]: finite even where R underflows. Its error is absolute."""
+        return self._quantity("ln_R")
+
+    @property
+    def two_pi_r_R(self) -> Array:
+        """[C, N] 1/mm: finite even where R is infinite at r = 0."""
+        return self._quantity("2_pi_r_R")
+
+    @property
+    def S(self) -> Array:
+        """[C, N] 1/(mm^2 sr): the BSSRDF for the parameters cos_in and cos_out."""
+        return self._quantity("S")
+
+    def numerical_error(self, r: Array | float | None = None) -> Array:
         """Returns how far a value at radius r may be from the model's exact formula: [C, N],
         relative. r: [N] mm; the default is the result's own radii."""
         radii = np.asarray(self.r if r is None else r, dtype=np.float64)
         # At r = infinity, an error that does not grow with r gives 0 * inf, which is NaN: it is 0.
         with np.errstate(invalid="ignore"):
-            growth = np.multiply.outer(self.numerical_error_per_mm, radii)
+            growth: Array = np.multiply.outer(self.numerical_error_per_mm, radii)
         growth[np.isnan(growth)] = 0
-        return self.numerical_error_constant.reshape((-1,) + (1,) * radii.ndim) + growth
+        constant: Array = self.numerical_error_constant.reshape((-1,) + (1,) * radii.ndim)
+        return constant + growth
+
+    def __repr__(self) -> str:
+        r = self.quantities.get("r")
+        if r is None:
+            return self._in_short("a grid of radii")
+        listed = f", {span(r)} mm" if r.size else ""
+        return self._in_short(counted(r.size, "radius", "radii") + listed)
 
 
 class Draw(NamedTuple):
@@ -170,49 +297,53 @@ class Draw(NamedTuple):
     The same seed gives the same bits on every machine.
     """
 
-    count: int
+    count: int  # type: ignore[assignment]  # hides tuple.count()
     rule: str = "random"
     seed: int = 1
     first: int = 0
 
 
-@dataclass(frozen=True)
-class Samples:
-    """N radii drawn for each of C channels, and the quantities evaluated at these radii. The arrays
-    are as in Result."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Samples(_Evaluated):
+    """N radii drawn for each of C channels, and the quantities evaluated at these radii."""
 
-    model: str
-    evaluator: str
-    moments: str
-    u: np.ndarray  # [N] the numbers, between 0 and 1, that give the radii of every channel
-    r: np.ndarray | None  # [C, N] mm
-    pdf: np.ndarray | None  # [C, N] 1/mm: density of radii; pdf / (2 pi r) is that of points
-    albedo: np.ndarray | None  # [C] float64: integral of 2 pi r R(r)
-    numerical_error_constant: np.ndarray  # [C] see Result.numerical_error()
-    numerical_error_per_mm: np.ndarray  # [C] 1/mm: see Result.numerical_error()
-    model_error: np.ndarray  # [C] error of the model against transport, relative; NaN: not measured
-    notes: tuple[str, ...]  # names of the notes, of info.choices["note"], that hold for any channel
-    values: dict[str, np.ndarray]  # [C, N] each quantity that was wanted, by name: "r", "pdf", "R"
+    u: Array  # [N] the numbers, between 0 and 1, that give the radii of every channel
+
+    @property
+    def r(self) -> Array:
+        """[C, N] mm. A point at this distance in any direction has the density pdf / (2 pi r)."""
+        return self._quantity("r")
+
+    def __repr__(self) -> str:
+        return self._in_short(f"{counted(self.u.size, 'radius', 'radii')} drawn for each")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Inversion:
     """Media with given albedos. The arrays have the shape of the arguments of invert(), and NaN
     where no medium has the albedo under the model."""
 
     model: str
     moments: str
-    sigma_a: np.ndarray  # 1/mm
-    sigma_s: np.ndarray  # 1/mm
+    sigma_a: Array  # 1/mm
+    sigma_s: Array  # 1/mm
     g: float
     eta: float
-    albedo: np.ndarray  # the albedo of these media under the model
+    albedo: Array  # the albedo of these media under the model
     albedo_least: float  # the least albedo that media of this g and eta have under the model
     albedo_most: float  # the largest one
     missing: int  # number of media that are NaN
 
+    def __repr__(self) -> str:
+        return in_short(
+            f"<Inversion: {self.model}; {counted(self.sigma_a.size, 'medium', 'media')} of shape "
+            f"{self.sigma_a.shape}, g {self.g:.3g}, eta {self.eta:.4g}, {self.missing} missing",
+            f"sigma_a {span(self.sigma_a)} 1/mm, sigma_s {span(self.sigma_s)} 1/mm, "
+            f"albedo {span(self.albedo)}>",
+        )
+
     @property
-    def media(self) -> np.ndarray:
+    def media(self) -> Array:
         """The media as an array [..., 4] of sigma_a, sigma_s, g, eta. eval() takes a [C, 4]."""
         g = np.full_like(self.sigma_a, self.g)
         eta = np.full_like(self.sigma_a, self.eta)
@@ -253,7 +384,7 @@ class McEnergy(NamedTuple):
     imbalance: float  # R + T + absorbed + unfinished - roulette - 1, which is 0 up to rounding
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class McResult:
     """The result of a Monte Carlo job for K albedos, N rings and S sides. A half space has 1 side,
     a slab has 2. A value is the mean over a ring, in 1/mm^2 per unit of power that entered."""
@@ -263,19 +394,30 @@ class McResult:
     error_total: float  # as in McProgress
     error_rings: float  # as in McProgress
     worst_ring_mm: tuple[float, float]  # as in McProgress
-    edges: np.ndarray  # [N + 1] mm
+    edges: Array  # [N + 1] mm
     energies: tuple[McEnergy, ...]  # [K]
-    ring_photons: np.ndarray  # [S, N] number of photons that left in each ring
-    values: np.ndarray  # [K, S, N]
-    errors: np.ndarray  # [K, S, N] standard errors
+    ring_photons: Array  # [S, N] number of photons that left in each ring
+    values: Array  # [K, S, N]
+    errors: Array  # [K, S, N] standard errors
     payload: bytes  # of the reply. Equal requests give equal bytes unless a job is ended early.
 
+    def __repr__(self) -> str:
+        albedos, sides, rings = self.values.shape
+        return in_short(
+            f"<McResult: {self.photons} photons, ended by {self.state}; "
+            f"{counted(albedos, 'albedo', 'albedos')}, {counted(sides, 'side', 'sides')}, "
+            f"{counted(rings, 'ring', 'rings')}, {span(self.edges)} mm",
+            f"R {span(self.R)} 1/mm^2; in all {span([one.R.value for one in self.energies])}",
+            f"relative standard error of the total {self.error_total:.2g}, of the worst ring "
+            f"{self.error_rings:.2g}>",
+        )
+
     @property
-    def R(self) -> np.ndarray:
+    def R(self) -> Array:
         """The profile on the side where light enters: `values` of side 0, [K, N] 1/mm^2."""
         return self.values[:, 0]
 
     @property
-    def R_error(self) -> np.ndarray:
+    def R_error(self) -> Array:
         """The standard errors of the property R, [K, N] 1/mm^2."""
         return self.errors[:, 0]

@@ -74,7 +74,7 @@ class Field(NamedTuple):
 
     kind: str
     name: str
-    count: int
+    count: int  # type: ignore[assignment]  # hides tuple.count()
 
     @property
     def is_array(self) -> bool:
@@ -94,7 +94,7 @@ class Structure:
         self.fields = tuple(Field(kind, field, int(count or 1)) for kind, field, count in parts)
         formats = (f"{field.count}{_FORMATS[field.kind]}" for field in self.fields)
         self._struct = struct.Struct("<" + "".join(formats))
-        self._tuple = namedtuple(name, [field.name for field in self.fields])
+        self._tuple = namedtuple(name, [field.name for field in self.fields])  # type: ignore[misc]
         self.bytes = self._struct.size  # its size on the wire
         STRUCTURES[name] = self
 
@@ -114,7 +114,19 @@ class Structure:
         try:
             return self._struct.pack(*flat)
         except struct.error as error:
-            raise ArgumentError(f"{self.name}: {error}") from error
+            raise ArgumentError(f"{self._misfit(flat)}: {error}") from error
+
+    def _misfit(self, flat: list[Any]) -> str:
+        """Returns the name of the field whose value does not fit it."""
+        at = 0
+        for field in self.fields:
+            count = field.count if field.is_array else 1
+            try:
+                struct.pack(f"<{field.count}{_FORMATS[field.kind]}", *flat[at : at + count])
+            except struct.error:
+                return field.name
+            at += count
+        return self.name
 
     def unpack(self, data: bytes, offset: int = 0) -> Any:
         """Reads the structure at an offset of the data as a named tuple. An array becomes a tuple,

@@ -46,7 +46,7 @@ print(f"\nenergy within 1 mm: {within.min():.0%} to {within.max():.0%} of {withi
 # %% The last cell draws the pictures.
 client.close()
 try:
-    import matplotlib
+    import matplotlib  # type: ignore[import]
 except ImportError:
     print("no pictures without matplotlib: the package python3-matplotlib", file=sys.stderr)
     sys.exit()
