@@ -51,7 +51,7 @@ except ImportError:
     print("no pictures without matplotlib: the package python3-matplotlib", file=sys.stderr)
     sys.exit()
 matplotlib.use("Agg")
-import matplotlib.pyplot as plt
+import matplotlib.pyplot as plt  # type: ignore[import]
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
 for channel, colour in enumerate(("red", "green", "blue")):
