@@ -215,7 +215,8 @@ class Table:
             growth = self.numerical_error_per_mm * radii
         beyond = self._beyond_reach(np.where(np.isfinite(radii), radii, 0))
         bands = np.searchsorted(_BAND_EDGES[1:-1], radii * self._sigma_t_prime)
-        return np.asarray(self._numerical_errors)[bands] + growth + beyond
+        error: Array = np.asarray(self._numerical_errors)[bands] + growth + beyond
+        return error
 
     def errors(self, r: Any, wanted: Sequence[str] = ("R",)) -> TableErrors:
         """Returns the errors of quantities at the radii of a call, r (mm): those that a daemon
