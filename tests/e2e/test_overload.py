@@ -159,12 +159,12 @@ KINDS = {
 
 @pytest.mark.parametrize(
     "kind, count, large",
-    [("sample", 100_000, sample(100_000)), ("invert", 60_000, invert(60_000))],
+    [("sample", 50_000, sample(50_000)), ("invert", 20_000, invert(20_000))],
     ids=KINDS,
 )
 def test_small_requests_do_not_wait_for_large_ones(daemon, kind, count, large):
     """Requests on one worker take turns. The small ones are answered while the large one is far
-    from its end."""
+    from its end: 1,200 of its values or fewer are done on a machine that does little else."""
     type, small, counted, done = KINDS[kind]
     one = daemon("--workers", "1")
     with one.connect() as busy, one.connect() as other:
@@ -175,7 +175,7 @@ def test_small_requests_do_not_wait_for_large_ones(daemon, kind, count, large):
             assert_serves(other)
             assert ask(other, type, small).type == type | wire.REPLY
         now = statistics(other)
-        assert now[counted] < count and now["owed_radii"] > 0
+        assert now[counted] < count / 2 and now["owed_radii"] > 0
         reply = busy.receive_frame()
         assert (reply.type, reply.request_id) == (type | wire.REPLY, 1)
         now = statistics(other)
@@ -186,8 +186,8 @@ def test_small_requests_do_not_wait_for_large_ones(daemon, kind, count, large):
 @pytest.mark.parametrize(
     "kind, large, field",
     [
-        ("sample", sample(50_000, "extended"), "sample_count"),
-        ("invert", invert(50_000), "medium_count"),
+        ("sample", sample(20_000, "extended"), "sample_count"),
+        ("invert", invert(20_000), "medium_count"),
     ],
     ids=KINDS,
 )
