@@ -71,6 +71,13 @@ enum core_length {
 #include "core/choices.def"
 };
 
+/* Tolerances of tables, which core/choices.def quotes. A request may give the least up to 1. */
+#define CORE_LUT_TOLERANCE_MIN 1e-6
+#define CORE_LUT_TOLERANCE_MAX 0.1 /* larger values are clamped to this limit */
+#define CORE_LUT_TOLERANCE 1e-4    /* used if a request gives none */
+#define CORE_TEXT_(number) #number
+#define CORE_TEXT(number) CORE_TEXT_(number)
+
 #define CORE_PARAMETER(id, IDENT, name, unit, least, most, about) CORE_PARAMETER_##IDENT = (id),
 enum core_parameter {
 #include "core/choices.def"

@@ -141,7 +141,7 @@ static core_fault check(const struct model *model, unsigned moments, unsigned ev
   }
   if (fault.field == NULL && evaluator == CORE_EVALUATOR_LUT &&
       inputs->parameters->value[CORE_PARAMETER_TOLERANCE] < CORE_LUT_TOLERANCE_MIN) {
-    fault = (core_fault){"tolerance", "1e-6 to 1 with lut", 0};
+    fault = (core_fault){"tolerance", CORE_TEXT(CORE_LUT_TOLERANCE_MIN) " to 1 with lut", 0};
   }
   *radii = (core_radii_range){0, (double)INFINITY};
   return fault.field == NULL ? check_domain(model, *inputs, radii) : fault;

@@ -231,7 +231,8 @@ enum dipole_evaluator {
   DIPOLE_F64 = 1, /* computes in double precision */
   DIPOLE_F32 = 2, /* computes in single precision */
   DIPOLE_LUT = 3  /* looks values up in a table, in single precision. The parameter tolerance is
-                     the error that the table is built to: at least 1e-6, by default 1e-4. */
+                     the error that the table is built to: at least 1e-6, by default 1e-4. A value
+                     above 0.1 counts as 0.1. */
 };
 enum dipole_moments { DIPOLE_EXACT = 1, DIPOLE_FIT = 2, DIPOLE_JENSEN = 3 };
 enum dipole_quantity {

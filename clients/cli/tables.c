@@ -248,8 +248,9 @@ const cli_command cli_command_table = {
     .more =
         "\n"
         "Each channel has a table, as the evaluator lut uses it. --tolerance says how exact it\n"
-        "is, from 1e-6 to 0.1 (default: 1e-4). `dipole eval --table`, libdipole and the Python\n"
-        "module evaluate a file of --output to the same bits and errors as the daemon.\n"
+        "is, from 1e-6 to 1 (default: 1e-4). A value above 0.1 counts as 0.1. `dipole eval\n"
+        "--table`, libdipole and the Python module evaluate a file of --output to the same bits\n"
+        "and errors as the daemon.\n"
         "\n"
         "CSV has a row for each constant, with its value in c0. Then it has a row for each piece\n"
         "of the functions R (times scale; 1/mm^2), cdf, radius_of_u (mm) and radius_of_1_minus_u\n"

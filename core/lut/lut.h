@@ -60,9 +60,6 @@ enum core_lut_word {
 };
 
 #define CORE_LUT_PIECES_MAX 65536
-#define CORE_LUT_TOLERANCE 1e-4 /* used if a request gives none */
-#define CORE_LUT_TOLERANCE_MIN 1e-6
-#define CORE_LUT_TOLERANCE_MAX 0.1 /* larger values are clamped to this limit */
 
 /* An entry holds the number of its octave's first piece and a shift. The mantissa shifted right by
  * that many bits gives the position of a piece, counted from the first one. */

@@ -75,6 +75,13 @@ def test_same_bits_as_the_daemon(client, case):
     assert_same_bits(client.table(model, medium), client, model, medium)
 
 
+def test_a_tolerance_above_a_tenth_counts_as_a_tenth(client):
+    most, tenth = (client.table("better", SKIN, tolerance=value) for value in (1, 0.1))
+    assert 1e-3 < most.numerical_error_constant <= 0.1
+    r = np.float32([0.0, 0.01, 0.5, 1.0, 3.0, 50.0])
+    assert most.R(r).tobytes() == tenth.R(r).tobytes()
+
+
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-3, 0.1])
 def test_same_bits_at_other_tolerances(client, tolerance):
     table = client.table("better", SKIN, tolerance=tolerance)
