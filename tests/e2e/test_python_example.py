@@ -1,25 +1,28 @@
-"""The example of the Python module runs as it stands, with and without matplotlib."""
+"""The examples of the Python module run as they stand, with and without matplotlib."""
 
 from __future__ import annotations
 
 import importlib.util
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-EXAMPLE = Path(__file__).parents[2] / "clients/python/examples/skin.py"
+EXAMPLES = Path(__file__).parents[2] / "clients/python/examples"
 
 
-def run_example(shared, folder: Path, *before: str) -> subprocess.CompletedProcess[str]:
+def run_example(
+    shared, folder: Path, *before: str, name: str = "skin"
+) -> subprocess.CompletedProcess[str]:
     """Runs the example. before: statements that are executed first."""
     (folder / "sitecustomize.py").write_text("\n".join(before))
-    paths = [str(folder), str(EXAMPLE.parents[1])]
+    paths = [str(folder), str(EXAMPLES.parent)]
     environment = {**os.environ, "DIPOLED": shared.url(), "PYTHONPATH": os.pathsep.join(paths)}
     return subprocess.run(
-        [sys.executable, str(EXAMPLE), str(folder / "skin.png")],
+        [sys.executable, str(EXAMPLES / f"{name}.py"), str(folder / "skin.png")],
         env=environment,
         capture_output=True,
         text=True,
@@ -36,6 +39,18 @@ def check_numbers(shared, output: str) -> None:
     assert first.split()[-1] == f"{nearest:.4g}"
     assert "within 1 %: transport by lut" in output
     assert "(40, 50) media" in output
+
+
+def test_a_fit_of_six_readings(shared, tmp_path):
+    """The readings are those of sigma_a 0.05 and sigma_s 1.2, with errors of 2 %."""
+    result = run_example(shared, tmp_path, name="fit")
+    assert result.returncode == 0, result.stderr
+    found = re.findall(r"(\w+) ([\d.]+) 1/mm, \+- ([\d.]+)%", result.stdout)
+    assert [name for name, _, _ in found] == ["sigma_a", "sigma_s"]
+    for (_, value, error), true in zip(found, (0.05, 1.2)):
+        assert 0.5 < float(error) < 3
+        assert abs(float(value) / true - 1) < 3 * float(error) / 100
+    assert float(re.search(r"chi squared ([\d.]+)", result.stdout)[1]) < 13.3  # 99 % for 4
 
 
 def test_without_matplotlib(shared, tmp_path):
