@@ -516,3 +516,37 @@ def test_a_refusal_in_the_python_client(client):
     submitted = client.submit("better", SKIN, [1.0])
     client.mc(TISSUE, EDGES, photons=BATCH)
     assert client.collect()[0] == submitted
+
+
+# ---- beside models -------------------------------------------------------------------------------
+
+
+THREE = [Medium(0.032, 0.74), Medium(0.17, 0.88), Medium(0.48, 1.01)]
+
+
+@pytest.mark.parametrize("model", ["better", "transport", "burley", "quantized", "beam"])
+@pytest.mark.parametrize("edges", [Grid(0.0, 10.0, 21), Grid(0.01, 20.0, 8, "logarithmic"), [0, 4]])
+def test_ring_means_are_differences_of_the_cdf(client, model, edges):
+    means = client.ring_means(model, THREE, edges)
+    of_edges = client.eval(model, THREE, means.edges, wanted=["cdf", "albedo"])
+    powers = np.diff(of_edges.cdf, axis=1) * of_edges.albedo[:, None]
+    lost = 1e-15 * of_edges.albedo[:, None] / powers  # digits of the difference
+    assert means.R.shape == (3, len(means.edges) - 1)
+    error = np.abs(means.R * np.pi * np.diff(means.edges**2) / powers - 1)
+    assert (error <= 1e-8 + 10 * lost).all()
+    assert (means.numerical_error > 0).all() and means.model_error.shape == (3,)
+
+
+def test_the_rings_of_a_job_beside_means_of_transport(client):
+    rings = client.mc(SKIN, Grid(0.05, 8.0, 13, "logarithmic"), photons=400_000)
+    apart = (rings.R[0] - client.ring_means("transport", SKIN, rings.edges).R[0]) / rings.R_error[0]
+    assert np.abs(apart).max() < 4.5 and 0.2 < np.mean(apart**2) < 2.5
+    better = client.ring_means("better", SKIN, rings.edges)
+    assert np.abs((rings.R[0] - better.R[0]) / rings.R_error[0]).max() > 20
+    assert better.model_error[0] > 0.3
+
+
+@pytest.mark.parametrize("edges", [[1.0], [2.0, 1.0], [-1.0, 1.0], [1.0, np.inf], "ab", [[0.0, 1.0]]])
+def test_edges_that_are_none(client, edges):
+    with pytest.raises(dipole.ArgumentError, match="edges: "):
+        client.ring_means("better", SKIN, edges)

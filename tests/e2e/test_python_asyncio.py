@@ -61,6 +61,8 @@ def test_every_call_answers_as_the_other_client(shared):
             walk = {"photons": 20000, "seed": 3}
             result = await client.mc(SKIN, Grid(0, 4, 5), **walk)
             expected = known.mc(SKIN, Grid(0, 4, 5), **walk)
+            means = await client.ring_means("better", "skin1", result.edges)
+            assert (means.R == known.ring_means("better", "skin1", Grid(0, 4, 5)).R).all()
             np.testing.assert_array_equal(result.values, expected.values)
 
     with shared.client() as known:

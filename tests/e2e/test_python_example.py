@@ -39,6 +39,8 @@ def check_numbers(shared, output: str) -> None:
     assert first.split()[-1] == f"{nearest:.4g}"
     assert "within 1 %: transport by lut" in output
     assert "(40, 50) media" in output
+    deviations = [float(number) for number in re.findall(r" ([+-][\d.]+) errors", output)]
+    assert len(deviations) == 4 and max(map(abs, deviations)) < 4.5
 
 
 def test_a_fit_of_six_readings(shared, tmp_path):

@@ -31,6 +31,7 @@ from .client import Client, Parts
 from .connection import Connection, Frame
 from .errors import AddressError, ArgumentError, ConnectError, ConnectionLost, DipoleError
 from .errors import ProtocolError, Refused, TableError
+from .rings import RingMeans
 from .table import Table, TableErrors
 from .values import Choice, Draw, Grid, Info, Inversion, McEnergy, McProgress, McResult, McValue
 from .values import Medium, Offer, Offers, Query, Result, Samples
@@ -42,6 +43,6 @@ __all__ = [
     "AddressError", "ArgumentError", "AsyncClient", "Choice", "Client", "ConnectError",
     "Connection", "ConnectionLost", "DipoleError", "Draw", "Frame", "Grid", "Info", "Inversion",
     "McEnergy", "McProgress", "McResult", "McValue", "Medium", "Offer", "Offers", "Parts",
-    "ProtocolError", "Query", "Refused", "Result", "Samples", "Table", "TableError", "TableErrors",
-    "Values",
+    "ProtocolError", "Query", "Refused", "Result", "RingMeans", "Samples", "Table", "TableError",
+    "TableErrors", "Values",
 ]

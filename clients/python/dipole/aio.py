@@ -15,11 +15,12 @@ from collections.abc import AsyncIterator, Callable, Coroutine, Iterable
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from . import broadcast, calls, evaluation, inversion, mc, wire
+from . import broadcast, calls, evaluation, inversion, mc, rings, wire
 from .broadcast import Values
 from .connection import Connection, Frame
 from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
 from .exchange import RETRY_S, Exchange, Request, connect_again, open_connection
+from .rings import RingMeans
 from .table import Table
 from .values import Draw, Grid, Info, Inversion, McProgress, McResult, Media, Medium
 from .values import Offers, Query, Result, Samples
@@ -218,6 +219,13 @@ class AsyncClient:
             self._drop(request_id)
             if not ended:
                 await self._cancel(request_id)
+
+    async def ring_means(
+        self, model: str | int | None, media: Media, edges: Any, **options: Any
+    ) -> RingMeans:
+        """See Client.ring_means()."""
+        over = rings.Rings(edges)
+        return over.means(await self.eval(over.query(model, media, options)))
 
     async def _cancel(self, job_id: int) -> None:
         """Cancels a Monte Carlo job. Does nothing without a connection: the job ended with it."""

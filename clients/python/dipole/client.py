@@ -12,11 +12,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from . import broadcast, calls, evaluation, inversion, mc
+from . import broadcast, calls, evaluation, inversion, mc, rings
 from .broadcast import Values
 from .connection import Connection, Frame
 from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
 from .exchange import RETRY_S, Exchange, Request, connect_again, open_connection
+from .rings import RingMeans
 from .table import Table
 from .values import Draw, Grid, Info, Inversion, McProgress, McResult, Media, Medium
 from .values import Offers, Query, Result, Samples
@@ -229,6 +230,18 @@ class Client:
 
     def _cancel(self, job_id: int) -> None:
         self._exchange.drop(self._send(mc.cancellation(job_id)))
+
+    def ring_means(
+        self, model: str | int | None, media: Media, edges: Any, **options: Any
+    ) -> RingMeans:
+        """Returns a model's means of R over rings, to compare with those of mc().
+
+        edges: mm, a Grid as for mc(), or the edges [N + 1] of its result. options: as of a Query.
+        The means are integrals of 2 pi r R over the ring, over the ring's area. The model error is
+        NaN for rings that start at 0: it is measured from 0.01 mean free paths on.
+        """
+        over = rings.Rings(edges)
+        return over.means(self.eval(over.query(model, media, options)))
 
     # ---- the rest --------------------------------------------------------------------------------
 

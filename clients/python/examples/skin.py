@@ -37,6 +37,15 @@ chosen = client.eval(None, skin, r, tolerance=0.01)
 off = (chosen.model_error[:, None] + chosen.numerical_error()).max()
 print(f"\nwithin 1 %: {chosen.model} by {chosen.evaluator}, at most {off:.1g} off")
 
+# %% Monte Carlo gives means over rings. A model's means over the same rings stand beside them.
+walked = client.mc(skin[0], dipole.Grid(0.2, 10, 11, "logarithmic"), photons=300_000)
+means = client.ring_means("transport", skin[0], walked.edges)
+deviation = (walked.R[0] - means.R[0]) / walked.R_error[0]  # in standard errors
+print("\nred, rings of mm     Monte Carlo   transport   apart by")
+for i in range(0, len(deviation), 3):
+    ring = f"{walked.edges[i]:.3f} to {walked.edges[i + 1]:.3f}"
+    print(f"{ring:16} {walked.R[0, i]:15.4g} {means.R[0, i]:11.4g} {deviation[i]:+8.1f} errors")
+
 # %% values() broadcasts media and radii: the fraction of light within 1 mm, for 40 x 50 media.
 sigma_a = np.geomspace(0.01, 1, 40)[:, None]
 sigma_s = np.geomspace(0.3, 10, 50)[None, :]
@@ -57,6 +66,8 @@ figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained"
 for channel, colour in enumerate(("red", "green", "blue")):
     left.loglog(r, exact.R[channel], color=colour, label=f"{colour}: transport")
     left.loglog(r, models["better"].R[channel], ":", color=colour, label="better dipole")
+middle = np.sqrt(walked.edges[1:] * walked.edges[:-1])
+left.errorbar(middle, walked.R[0], walked.R_error[0], fmt="k.", label="red: Monte Carlo")
 left.set(xlabel="r, mm", ylabel="R, 1/mm²", title="skin1")
 left.legend()
 image = right.pcolormesh(sigma_s[0], sigma_a[:, 0], within, shading="nearest")
