@@ -243,12 +243,21 @@ core_fresnel core_fresnel_moments(enum core_moments moments, double eta) {
   return (core_fresnel){0, 0};
 }
 
+/* Returns (eta cos_inside)^2 = cos_outside^2 + eta^2 - 1. Both parts are positive for eta > 1; for eta < 1 they cancel at
+ * the critical angle and are summed in double-double. */
+static double eta_cos_inside_squared(double eta, double cos_outside) {
+  if (eta >= 1) {
+    return fma(cos_outside, cos_outside, (eta - 1) * (eta + 1));
+  }
+  const dd lacks = dd_sub(dd_from(1), dd_two_product(eta, eta));
+  return dd_round(dd_sub(dd_two_product(cos_outside, cos_outside), lacks));
+}
+
 /* Uses 1 - F = (T_s + T_p) / 2 with T_s and T_p = 4 eta cos cos' / (...)^2, where no terms cancel.
  */
 double core_fresnel_transmittance(double eta, double cos_outside) {
-  /* cos_inside^2 = 1 - (1 - cos_outside^2) / eta^2, in a form that does not cancel near grazing
-   * incidence */
-  const double squared = fma(cos_outside, cos_outside, (eta - 1) * (eta + 1)) / (eta * eta);
+  /* cos_inside^2 = 1 - (1 - cos_outside^2) / eta^2 */
+  const double squared = eta_cos_inside_squared(eta, cos_outside) / (eta * eta);
   if (!(squared > 0) || !(cos_outside > 0)) {
     return 0;
   }

@@ -19,7 +19,9 @@
  * Error, in the epsilon of the evaluator: DIPOLE_ERROR_EPSILONS epsilon (1 + mu_tr d1), relative,
  * for R, dR/dr, pdf, albedo and cdf. For ln R it is the same, absolute, plus as many epsilon of ln
  * R itself. core.h says where each bound holds. The factor in brackets is the condition of
- * e^(-mu_tr d1).
+ * e^(-mu_tr d1). Where the mirror source is higher than 50 z1, the condition of
+ * e^(-mu_tr (d2 - d1)) counts as well: 3 epsilon for each unit of it beyond 4
+ * (mirrored_condition()).
  *
  * Every subtraction that would lose digits is rewritten as a sum of positive terms:
  *
@@ -95,8 +97,14 @@ _Static_assert((int)COEFFICIENTS <= CORE_COEFFICIENTS_MAX, "the profile has room
  * less than this, relative. SAMPLE_STEPS: the largest number of steps that Newton's method needs in
  * find_radius(), and one more, if the mirror source is no higher than WIDE_Z2. SAMPLE_STEPS_WIDE:
  * the same for higher ones, where the cdf hardly rises between z1 and z2 and most steps halve the
- * bracket. */
+ * bracket. DENSE: up to this many kernel units in a mm, that is up to a sigma_t' of 2^16 per mm, R in
+ * single precision has underflowed before 1 - e^(-mu (d2 - d1)) loses digits that matter. DENSE_SMALL:
+ * for a smaller mu (d2 - d1), 1 - e^(-mu (d2 - d1)) equals it to the last digit; both are multiplied
+ * by DENSE_SCALE, as in dipole_R_dense(). */
 #define WIDE_Z2 (256 * REAL_Z1)
+#define DENSE (REAL_Z1 * 0x1p16f)
+#define DENSE_SCALE 0x1p64f
+#define DENSE_SMALL (0x1p-100f * DENSE_SCALE)
 #if CORE_REAL == 64
 #define FAR 1e150
 #define LN_R_FAR (REAL_Z1 * 1e100)
@@ -164,6 +172,19 @@ static inline real bracket(struct view v, real mu, real phi, real flux1, real fl
 static inline real dipole_R(const real *c, real r) {
   const struct view v = look_from(c, r);
   const real sum = bracket(v, c[MU], c[R_PHI], c[R_FLUX_1], c[R_FLUX_2]);
+  return real_times_exp(sum, -c[MU] * v.d1, c[R_EXPONENT]);
+}
+
+/* dipole_R() in single precision for a medium that is denser than DENSE. There R is a normal number
+ * at radii where 1 - e^(-mu (d2 - d1)) has underflowed. This function therefore takes that number
+ * times DENSE_SCALE. */
+static inline real dipole_R_dense(const real *c, real r) {
+  struct view v = look_from(c, r);
+  v.apart *= DENSE_SCALE;
+  v.mirror.one_minus_exp *= DENSE_SCALE;
+  const real small = c[MU] * v.apart;
+  v.mirror.one_minus_exp = small < DENSE_SMALL ? small : v.mirror.one_minus_exp;
+  const real sum = bracket(v, c[MU], c[R_PHI] / DENSE_SCALE, c[R_FLUX_1], c[R_FLUX_2]);
   return real_times_exp(sum, -c[MU] * v.d1, c[R_EXPONENT]);
 }
 
@@ -306,7 +327,8 @@ static inline real dipole_sample_wide(const real *c, real u) {
   return find_radius(c, u, SAMPLE_STEPS_WIDE);
 }
 
-CORE_KERNEL(eval_R, dipole_R)
+CORE_KERNEL(eval_R_usual, dipole_R)
+CORE_KERNEL(eval_R_dense, dipole_R_dense)
 CORE_KERNEL(eval_cdf, dipole_cdf)
 CORE_KERNEL(eval_slope, dipole_slope)
 CORE_KERNEL(eval_ln_R, dipole_ln_R)
@@ -314,6 +336,11 @@ CORE_KERNEL(eval_pdf, dipole_pdf)
 CORE_KERNEL(eval_ring, dipole_ring)
 CORE_KERNEL(sample_near, dipole_sample)
 CORE_KERNEL(sample_wide, dipole_sample_wide)
+
+static void eval_R(const real *restrict c, size_t n, const real *restrict r, real *restrict R) {
+  const int dense = CORE_REAL == 32 && c[UNITS_PER_MM] > DENSE;
+  (dense ? eval_R_dense : eval_R_usual)(c, n, r, R);
+}
 
 static void sample(const real *restrict c, size_t n, const real *restrict u, real *restrict r) {
   (c[Z2] > WIDE_Z2 ? sample_wide : sample_near)(c, n, u, r);
@@ -464,6 +491,13 @@ static void set_bracket(double *c) {
   c[CDF_WHOLE] = fmin(fmin(tail, decayed), 1e19);
 }
 
+/* Returns the largest mu (d2 - d1) at which the mirror source still matters: it is at most mu (z2 -
+ * z1), and the mirror source's flux is at most z2 / z1 e^(-mu (d2 - d1)) times the real one's. */
+static double mirrored_condition(const struct dipole *dipole) {
+  const double z2_less_1 = dd_round(dipole->z2_less_1);
+  return fmin(dd_round(dipole->mu) * z2_less_1, real_log(1 + z2_less_1, 0));
+}
+
 core_check_function core_dipole_check;
 core_prepare_function core_dipole_prepare;
 
@@ -488,7 +522,8 @@ core_fault core_dipole_prepare(const core_inputs *inputs, core_preparation *prep
   preparation->albedo = set_energy(&dipole, c);
   set_bracket(c);
   /* the error bound contains 1 + mu_tr d1, which is at most 1 + mu_tr (z1 + r) */
-  preparation->error_epsilons = DIPOLE_ERROR_EPSILONS * (1 + dd_round(dipole.mu));
+  preparation->error_epsilons = DIPOLE_ERROR_EPSILONS * (1 + dd_round(dipole.mu)) +
+                                3 * fmax(mirrored_condition(&dipole) - 4, 0);
   preparation->error_epsilons_per_mm = DIPOLE_ERROR_EPSILONS * c[MU] * c[UNITS_PER_MM];
   return (core_fault){0};
 }

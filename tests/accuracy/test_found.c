@@ -13,7 +13,7 @@ static const struct found {
   double thickness; /* 0: not given */
   enum core_elementwise quantity;
   double r;
-} all[] = {
+} in_f64[] = {
     /* ln R beyond the radii where the nodes of single scattering resolve the critical angle */
     {12,
      3,
@@ -130,6 +130,26 @@ static const struct found {
     {27, 1, {2e7, 2.1e-23, 0, 3.3}, 0, 8.7e-7, CORE_ELEMENTWISE_LN_R, 2.43e-5},
     {16, 1, {1.8e-13, 1.9e-43, 0, 1.92}, 0, 0, CORE_ELEMENTWISE_LN_R, 9e14},
     {20, 1, {1.8e-13, 1.9e-43, 0, 1.92}, 0, 0, CORE_ELEMENTWISE_R, 9e12},
+    /* a mirror source so high that its decay loses more digits than the real one's */
+    {4,
+     1,
+     {2.3033910920041483e-28, 2.4839093460471816e-11, .88958312730094535, 1000},
+     0,
+     0,
+     CORE_ELEMENTWISE_R,
+     5.4575372017930732e+18},
+};
+
+static const struct found in_f32[] = {
+    /* a dense medium at radii where one factor of R has underflowed in single precision */
+    {8,
+     1,
+     {1.324748585496003e-32, 1357309046064.0171, -.6469590153608511, .99999998742762908},
+     0,
+     0,
+     CORE_ELEMENTWISE_R,
+     233095008},
+    {7, 1, {8.8995801120268256e-36, 17099814532338.553, 0, 1}, 0, 0, CORE_ELEMENTWISE_S, 66938120},
 };
 
 static core_parameters parameters_of(const struct found *one) {
@@ -144,36 +164,78 @@ static core_parameters parameters_of(const struct found *one) {
   return parameters;
 }
 
-UNIT_TEST(what_was_found_is_right) {
+/* Returns whether the value is as near to the truth as its profile states. */
+static bool is_right(const struct found *one, enum core_evaluator evaluator) {
   static form_model form;
   static const unsigned bits[CORE_ELEMENTWISE_COUNT] = {
-      [CORE_ELEMENTWISE_R] = CORE_QUANTITY_R,
-      [CORE_ELEMENTWISE_CDF] = CORE_QUANTITY_CDF,
-      [CORE_ELEMENTWISE_LN_R] = CORE_QUANTITY_LN_R,
-      [CORE_ELEMENTWISE_SLOPE] = CORE_QUANTITY_SLOPE,
+      [CORE_ELEMENTWISE_R] = CORE_QUANTITY_R,       [CORE_ELEMENTWISE_CDF] = CORE_QUANTITY_CDF,
+      [CORE_ELEMENTWISE_LN_R] = CORE_QUANTITY_LN_R, [CORE_ELEMENTWISE_SLOPE] = CORE_QUANTITY_SLOPE,
+      [CORE_ELEMENTWISE_S] = CORE_QUANTITY_S,
   };
+  const core_parameters parameters = parameters_of(one);
+  core_profile profile;
+  double value;
+  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), one->model, one->moments,
+                                         evaluator, &one->medium, &parameters),
+                    NULL, 0);
+  if (evaluator == CORE_EVALUATOR_F32) {
+    const float r = (float)one->r;
+    float narrow;
+    core_eval_f32(&profile, bits[one->quantity], 1, &r, &narrow);
+    value = (double)narrow;
+  } else {
+    core_eval_f64(&profile, bits[one->quantity], 1, &one->r, &value);
+  }
+  form_prepare(&form, one->model, one->moments, &one->medium, &parameters);
+  const quad truth = form_truth(&form, form_at(&form, one->r, false), one->quantity, one->r);
+  const double share = form_share(&form, &profile, one->quantity, one->r, value, truth, 0);
+  core_profile_free(&profile);
+  if (!(share <= 1)) {
+    print_error("model %u, %s at %.9g: %.17g, not %.17g: %.3f of what is stated\n", one->model,
+                evaluator == CORE_EVALUATOR_F32 ? "f32" : "f64", one->r, value, (double)truth,
+                share);
+  }
+  return share <= 1;
+}
+
+UNIT_TEST(what_was_found_is_right) {
   size_t wrong = 0;
-  for (size_t i = 0; i < sizeof all / sizeof all[0]; i++) {
-    const core_parameters parameters = parameters_of(&all[i]);
-    core_profile profile;
-    double value;
-    unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), all[i].model,
-                                           all[i].moments, CORE_EVALUATOR_F64, &all[i].medium,
-                                           &parameters),
-                      NULL, 0);
-    core_eval_f64(&profile, bits[all[i].quantity], 1, &all[i].r, &value);
-    form_prepare(&form, all[i].model, all[i].moments, &all[i].medium, &parameters);
-    const quad truth =
-        form_truth(&form, form_at(&form, all[i].r, false), all[i].quantity, all[i].r);
-    const double share = form_share(&form, &profile, all[i].quantity, all[i].r, value, truth, 0);
-    if (!(share <= 1)) {
-      print_error("case %zu: %.17g, not %.17g: %.3f of what is stated\n", i, value, (double)truth,
-                  share);
-      wrong++;
-    }
-    core_profile_free(&profile);
+  for (size_t i = 0; i < sizeof in_f64 / sizeof in_f64[0]; i++) {
+    wrong += !is_right(&in_f64[i], CORE_EVALUATOR_F64);
+  }
+  for (size_t i = 0; i < sizeof in_f32 / sizeof in_f32[0]; i++) {
+    wrong += !is_right(&in_f32[i], CORE_EVALUATOR_F32);
   }
   assert_int_equal(wrong, 0);
+}
+
+/* S where light from outside strikes a thinner medium next to the critical angle. */
+UNIT_TEST(S_is_right_next_to_the_critical_angle) {
+  static form_model form;
+  const double r = 1;
+  double value, worst = 0;
+  size_t beyond = 0; /* at so many angles light enters */
+  for (double eta = 0.0101; eta < 1; eta += 0.01) {
+    const core_medium medium = {0, 1, 0, eta};
+    core_parameters parameters = core_parameters_none();
+    double cosine = sqrt(1 - eta * eta);
+    for (double more = 1; more < 1e3; more *= 1.5) {
+      core_profile profile;
+      cosine = nextafter(cosine * (1 + more * 0x1p-52), 1);
+      parameters.value[CORE_PARAMETER_COS_IN] = parameters.value[CORE_PARAMETER_COS_OUT] = cosine;
+      unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_BETTER, 1,
+                                             CORE_EVALUATOR_F64, &medium, &parameters),
+                        NULL, 0);
+      core_eval_f64(&profile, CORE_QUANTITY_S, 1, &r, &value);
+      form_prepare(&form, CORE_MODEL_BETTER, 1, &medium, &parameters);
+      const quad truth = form_truth(&form, form_at(&form, r, false), CORE_ELEMENTWISE_S, r);
+      beyond += truth > 0;
+      worst = fmax(worst, form_share(&form, &profile, CORE_ELEMENTWISE_S, r, value, truth, 0));
+      core_profile_free(&profile);
+    }
+  }
+  printf("S next to the critical angle: at most %.3f of what is stated\n", worst);
+  assert_true(worst <= 1 && beyond > 1000);
 }
 
 /* An albedo that has underflowed to 0 has no cdf: it is 0 at infinity, too (core.h). */

@@ -398,9 +398,11 @@ static void draw_etas(uint64_t *random) {
 static core_medium draw_medium(uint64_t *random) {
   const bool usual = below(random, 3) > 0;
   const double sigma_t = usual ? log_between(random, 1e-2, 1e2) : log_between(random, 1e-14, 1e14);
-  const double ratio = usual                   ? log_between(random, 1e-5, 10)
-                       : below(random, 8) == 0 ? log_between(random, 1e-250, 1e31)
-                                               : log_between(random, 1e-30, 1e12);
+  const size_t absorbs = below(random, 8);
+  const double ratio = usual          ? log_between(random, 1e-5, 10)
+                       : absorbs == 0 ? log_between(random, 1e-250, 1e31)
+                       : absorbs == 1 ? log_between(random, 1e-60, 1e-20)
+                                      : log_between(random, 1e-30, 1e12);
   const size_t kind = below(random, 8);
   const double g = between(random, -1, 1);
   core_medium medium = {.eta = etas[below(random, usual ? ETAS / 2 : ETAS)]};
@@ -427,12 +429,21 @@ static core_parameters draw_parameters(const struct subject *s, uint64_t *random
   return parameters;
 }
 
-static double draw_radius(double scale_mm, bool narrow, uint64_t *random) {
-  static const double ends[][2] = {
-      {1e-3, 1e2}, {1e-2, 1e3}, {1e-12, 1e6}, {1e-30, 1e30}, {1e2, 1e4}};
-  const size_t kind = below(random, 60);
-  const double *range = ends[kind < 25 ? 0 : kind < 38 ? 1 : kind < 46 ? 2 : kind < 50 ? 3 : 4];
-  const double r = scale_mm * log_between(random, range[0], range[1]);
+/* Radii around the medium's own scale and, one in ten, around its decay length. */
+static double draw_radius(const struct subject *s, bool narrow, uint64_t *random) {
+  static const double ends[][2] = {{1e-3, 1e2},   {1e-2, 1e3}, {1e-12, 1e6},
+                                   {1e-30, 1e30}, {1e2, 1e4},  {1e-4, 1e2}};
+  const form_part *part = &s->form.part[0];
+  const double per_mm = (double)(part->mu * part->sigma_t_prime);
+  const size_t kind = below(random, 66);
+  const size_t range = kind < 25   ? 0
+                       : kind < 38 ? 1
+                       : kind < 46 ? 2
+                       : kind < 50 ? 3
+                       : kind < 60 ? 4
+                                   : 5;
+  const double scale_mm = range == 5 && per_mm > 0 ? 1 / per_mm : s->profiles[FINE].scale_mm;
+  const double r = scale_mm * log_between(random, ends[range][0], ends[range][1]);
   return kind == 59 ? 0 : kind == 58 ? (double)INFINITY : narrow ? (double)(float)r : r;
 }
 
@@ -470,7 +481,7 @@ static void compare_subject(struct subject *s, uint64_t *random) {
   values.count = exact + DENSE;
   for (size_t i = 0; i < values.count; i++) {
     const bool narrow = i >= exact || below(random, 4) > 0;
-    values.r[i] = draw_radius(s->profiles[FINE].scale_mm, narrow, random);
+    values.r[i] = draw_radius(s, narrow, random);
   }
   for (int e = 0; e < EVALUATORS; e++) {
     for (int q = 0; s->ready[e] && q < CORE_ELEMENTWISE_COUNT; q++) {
