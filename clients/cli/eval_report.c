@@ -2,6 +2,12 @@
 
 #include <stdlib.h>
 
+const dipole_choice cli_monte_carlo = {.kind = DIPOLE_MODEL, .name = "mc", .about = "Monte Carlo"};
+
+bool cli_is_walked(const cli_eval_model *model) {
+  return model->choice == &cli_monte_carlo;
+}
+
 void cli_eval_add_model(cli_eval_report *report, const dipole_choice *model, bool named) {
   for (size_t i = 0; i < report->model_count; i++) {
     if (report->models[i].choice == model) {

@@ -14,7 +14,7 @@ typedef struct cli_eval_values {
 } cli_eval_values;
 
 typedef struct cli_eval_model {
-  const dipole_choice *choice; /* NULL until the daemon has chosen it */
+  const dipole_choice *choice; /* NULL until the daemon has chosen it; or cli_monte_carlo */
   bool named;     /* on the command line, and not only as one of all: its refusal is a failure */
   bool unlisted;  /* asked for as the reference only; it is then the last model */
   unsigned notes; /* ids of the daemon's notes */
@@ -39,8 +39,14 @@ typedef struct cli_eval_report {
   size_t values_capacity;  /* how many values have room, and may hold arrays */
 } cli_eval_report;
 
+/* What stands in place of a model for means over rings by Monte Carlo. */
+extern const dipole_choice cli_monte_carlo;
+
 /* Adds a model, or notes that it is named if it is there already. */
 void cli_eval_add_model(cli_eval_report *report, const dipole_choice *model, bool named);
+
+/* Returns whether the values of a model are those of Monte Carlo, which have standard errors. */
+bool cli_is_walked(const cli_eval_model *model);
 
 /* Makes room for the values of all models and channels. */
 void cli_eval_make_values(cli_eval_report *report);

@@ -105,6 +105,24 @@ static double shown_at(const cli_picture *picture, size_t row, const curve *of, 
   return axes->scale == CLI_PERCENT ? 100 * value : value;
 }
 
+/* Returns the standard error of the value that the axis shows, by the derivative of what is shown;
+ * NaN if there is none. */
+static double shown_error_at(const cli_picture *picture, size_t row, const curve *of,
+                             size_t radius) {
+  const cli_eval_values *values = cli_eval_values_of(picture->report, of->model, of->channel);
+  const double relative =
+      values->arrays[picture->error_quantity][radius] / values->arrays[0][radius];
+  const double shown = shown_at(picture, row, of, radius);
+  switch (picture->rows[row].axes.scale) {
+  case CLI_PERCENT: /* 100 (R / reference - 1) */
+    return relative * (100 + shown);
+  case CLI_GAMMA: /* R to a power, which is the ratio of the logarithms' derivatives */
+    return relative * shown * log(shown) / log(values->arrays[0][radius]);
+  default:
+    return relative * shown;
+  }
+}
+
 /* ---- ranges, which all panels of a row share ------------------------------------------------- */
 
 /* The ends of an axis, or the extent of curves. If low > high, the extent is empty. */
@@ -268,8 +286,8 @@ static void write_set(FILE *script, const char *what, const char *text) {
   fputc('\n', script);
 }
 
-/* Writes a block of data for each curve. Its columns are the radius and, for each row of the
- * picture, the value that is shown there. */
+/* Writes a block of data for each curve. Its columns are the radius, for each row of the picture the
+ * value that is shown there and, if there are standard errors, for each row that of the value. */
 static void write_data(FILE *script, const cli_picture *picture) {
   const layout places = layout_of(picture->report);
   for (size_t c = 0; c < places.panels * places.curves; c++) {
@@ -282,6 +300,10 @@ static void write_data(FILE *script, const cli_picture *picture) {
       for (size_t row = 0; row < picture->row_count; row++) {
         const double shown = shown_at(picture, row, &one, i);
         fprintf(script, isfinite(shown) ? " %.17g" : " NaN", shown);
+      }
+      for (size_t row = 0; picture->error_quantity > 0 && row < picture->row_count; row++) {
+        const double error = shown_error_at(picture, row, &one, i);
+        fprintf(script, isfinite(error) ? " %.17g" : " NaN", error);
       }
       fputc('\n', script);
     }
@@ -382,9 +404,15 @@ static void write_panel(FILE *script, const cli_picture *picture, const grid *g,
   write_axes(script, picture, row);
   for (size_t index = 0; index < g->places.curves; index++) {
     const curve one = curve_of(picture->report, panel, index);
-    fprintf(script, "%s$curve%zu_%zu using 1:%zu with %s %zu lw 2 lc rgb '%s' title ",
-            index > 0 ? ", " : "plot ", panel, index, 2 + row, line ? "lines dt" : "points pt",
-            one.dash, one.colour);
+    fprintf(script, "%s$curve%zu_%zu using 1:%zu", index > 0 ? ", " : "plot ", panel, index,
+            2 + row);
+    if (cli_is_walked(&picture->report->models[one.model])) {
+      fprintf(script, ":%zu with yerrorbars pt 7 ps 0.4 lw 1 lc rgb '%s' title ",
+              2 + picture->row_count + row, one.colour);
+    } else {
+      fprintf(script, " with %s %zu lw 2 lc rgb '%s' title ", line ? "lines dt" : "points pt",
+              one.dash, one.colour);
+    }
     cli_gnuplot_quote(script, one.title);
   }
   fputc('\n', script);

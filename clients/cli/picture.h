@@ -38,6 +38,7 @@ typedef struct cli_picture {
   const cli_eval_report *report; /* with a model at least */
   size_t row_count;
   cli_picture_row rows[CLI_PICTURE_ROWS_MAX]; /* from the top */
+  size_t error_quantity;                      /* standard errors; 0: there are none */
   size_t width_px, height_px;                 /* of a file; 0: as large as the panels need */
 } cli_picture;
 

@@ -9,19 +9,22 @@
 #include "clients/cli/number.h"
 #include "clients/cli/options.h"
 #include "clients/cli/picture.h"
+#include "clients/cli/plot_rings.h"
 
 #define PLOT_FILE "dipole.svg"
 #define REFERENCE "transport"
 #define AXES_DEFAULT "logarithmic"
-#define FROM_SHARE 1e-3 /* on a logarithmic axis, --from is this share of --to by default */
+#define RINGS_DEFAULT 24 /* so many rings with --mc, without --count */
+#define FROM_SHARE 1e-3  /* on a logarithmic axis, --from is this share of --to by default */
 
-enum { SIDE_LEAST_PX = 320, SIDE_MOST_PX = 8192 };
+enum { SIDE_LEAST_PX = 320, SIDE_MOST_PX = 8192, RINGS_MAX = 4096 };
 
 typedef struct plot_settings {
   cli_eval_settings eval;
   cli_texts axes;
   const char *quantity;
   cli_number gamma;
+  cli_number photons; /* for Monte Carlo beside the models */
   bool error;
   const char *size;
 } plot_settings;
@@ -34,8 +37,8 @@ static const cli_option options[] = {
     {"from", "X", "the first radius, mm (default: 0; on a logarithmic axis --to / 1000)",
      CLI_NUMBER, FIELD(eval.from), "0"},
     {"to", "X", "the last radius, mm (default: 10)", CLI_NUMBER, FIELD(eval.to), "10"},
-    {"count", "N", "how many radii a curve has (default: 401)", CLI_COUNT, FIELD(eval.count),
-     "401"},
+    {"count", "N", "how many radii a curve has (default: 401); with --mc, how many rings (24)",
+     CLI_COUNT, FIELD(eval.count), "401"},
     {"log", NULL,
      "make the ratios between radii equal instead of the steps (default: if an\n"
      "axis of r is logarithmic and --from is above 0)",
@@ -54,6 +57,10 @@ static const cli_option options[] = {
      FIELD(gamma), "2.2"},
     {"error", NULL, "add a panel with the relative deviation from " REFERENCE, CLI_SWITCH,
      FIELD(error), NULL},
+    {"mc", "PHOTONS",
+     "walk so many photons in each channel, such as 1e6, and draw means over\n"
+     "rings: of Monte Carlo with standard errors, and of the models",
+     CLI_NUMBER, FIELD(photons), NULL},
     {"size", "WxH", "of a picture in a file, in pixels (default: what its panels need)", CLI_TEXT,
      FIELD(size), NULL},
     {"plot", "[FILE]",
@@ -113,12 +120,37 @@ static void set_defaults(plot_settings *settings) {
   if (settings->error) {
     eval->reference = REFERENCE;
   }
+  if (settings->photons.given && !eval->count.given) {
+    eval->count.value = RINGS_DEFAULT;
+  }
   if (eval->r.count == 0 && has_logarithmic_r(settings)) {
     if (!eval->from.given && eval->to.value > 0 && isfinite(eval->to.value)) {
       eval->from = (cli_number){true, FROM_SHARE * eval->to.value};
     }
     eval->logarithmic = eval->logarithmic || eval->from.value > 0;
   }
+}
+
+static int check_walk(const plot_settings *settings) {
+  const double photons = settings->photons.value;
+  if (!(photons >= 1 && photons <= 0x1p53 && photons == floor(photons))) {
+    return cli_fail_usage("--mc: give a whole number of photons from 1 to 9e15, such as 1e6");
+  }
+  if (settings->eval.r.count > 0) {
+    return cli_fail_usage("--mc needs rings, not single radii: give --from, --to and --count in "
+                          "place of --r");
+  }
+  if (strcmp(settings->quantity, "R") != 0) {
+    return cli_fail_usage("--mc compares R: leave --quantity out");
+  }
+  if (settings->eval.count.value < 1 || settings->eval.count.value > RINGS_MAX) {
+    return cli_fail_usage("--count: with --mc, give 1 to %d rings", RINGS_MAX);
+  }
+  if (!(settings->eval.from.value >= 0 && settings->eval.to.value > settings->eval.from.value &&
+        isfinite(settings->eval.to.value))) {
+    return cli_fail_usage("--mc: rings are from --from, 0 or more, to --to, which is larger");
+  }
+  return CLI_OK;
 }
 
 static int check(void *given) {
@@ -142,6 +174,12 @@ static int check(void *given) {
                           "to %d pixels",
                           settings->size, SIDE_LEAST_PX, SIDE_MOST_PX);
   }
+  if (settings->photons.given && status == CLI_OK) {
+    status = check_walk(settings);
+  }
+  if (status != CLI_OK) {
+    return status;
+  }
   if (settings->error && settings->eval.profile.thickness.given) {
     return cli_fail_usage("--error compares with " REFERENCE ", which has no slabs: leave "
                           "--thickness out");
@@ -157,7 +195,7 @@ typedef struct derived {
   char name[64], about[96];
 } derived;
 
-enum { GAMMA, DEVIATION, DERIVED };
+enum { ERROR, GAMMA, DEVIATION, DERIVED };
 
 /* Adds a quantity with room for the values of all models and channels. Returns its position. */
 static size_t add_quantity(cli_eval_report *report, derived *names) {
@@ -168,6 +206,23 @@ static size_t add_quantity(cli_eval_report *report, derived *names) {
   report->quantities.items[at] = &names->choice;
   for (size_t i = 0; i < report->model_count * report->profile.channel_count; i++) {
     report->values[i].arrays[at] = cli_allocate(report->radius_count, sizeof(double));
+  }
+  return at;
+}
+
+/* Adds the standard errors of the model `mc`, [channel_count * radius_count]; those of the other
+ * models are NaN. Returns its position. */
+static size_t add_errors(cli_eval_report *report, const double *errors, derived *names) {
+  const size_t channels = report->profile.channel_count;
+  snprintf(names->name, sizeof names->name, "R_error");
+  snprintf(names->about, sizeof names->about, "1/mm^2");
+  const size_t at = add_quantity(report, names);
+  for (size_t k = 0; k < report->model_count * channels; k++) {
+    const bool walked = cli_is_walked(&report->models[k / channels]);
+    for (size_t i = 0; i < report->radius_count; i++) {
+      report->values[k].arrays[at][i] =
+          walked ? errors[k % channels * report->radius_count + i] : (double)NAN;
+    }
   }
   return at;
 }
@@ -256,7 +311,9 @@ static int make_picture(const plot_settings *settings, cli_eval_report *report,
   return take_deviation(report, &names[DEVIATION], &row->quantity);
 }
 
-static int write_and_draw(const plot_settings *settings, cli_eval_report *report) {
+/* errors: the standard errors of the model `mc`; NULL without it. */
+static int write_and_draw(const plot_settings *settings, cli_eval_report *report,
+                          const double *errors) {
   static char terminal[] = CLI_PICTURE_TERMINAL;
   char *terminal_items[] = {terminal};
   const cli_texts onto_terminal = {1, terminal_items};
@@ -264,7 +321,9 @@ static int write_and_draw(const plot_settings *settings, cli_eval_report *report
   const enum cli_form form = settings->eval.profile.common.form;
   derived names[DERIVED];
   cli_picture picture;
+  const size_t error_quantity = errors != NULL ? add_errors(report, errors, &names[ERROR]) : 0;
   const int status = make_picture(settings, report, names, &picture);
+  picture.error_quantity = error_quantity;
   if (status != CLI_OK) {
     return status;
   }
@@ -287,22 +346,49 @@ static int check_quantity(const char *name, dipole_client *client) {
   return quantity != NULL ? CLI_OK : CLI_USAGE;
 }
 
-static int run(void *given, dipole_client *client) {
-  const plot_settings *settings = given;
+/* Asks for one quantity at the radii of `eval`. */
+static int ask(cli_eval_settings eval, const char *name, dipole_client *client,
+               cli_eval_report *report) {
   char quantity[64];
   char *wanted[] = {quantity};
+  snprintf(quantity, sizeof quantity, "%s", name);
+  eval.want = (cli_texts){1, wanted};
+  return cli_eval_ask(&eval, client, report);
+}
+
+/* Asks for means over rings, and walks photons beside them. */
+static int ask_rings(const plot_settings *settings, dipole_client *client, cli_eval_report *report,
+                     double **errors) {
+  const cli_number *thickness = &settings->eval.profile.thickness;
   cli_eval_settings eval = settings->eval;
+  cli_rings rings =
+      cli_rings_make(eval.from.value, eval.to.value, eval.logarithmic, (size_t)eval.count.value);
+  eval.r = (cli_numbers){.count = rings.node_count, .items = rings.nodes_mm};
+  int status = ask(eval, "2_pi_r_R", client, report);
+  if (status == CLI_OK) {
+    cli_rings_take_means(&rings, report);
+    status = cli_rings_walk(&rings, settings->photons.value,
+                            thickness->given ? thickness->value : (double)INFINITY, client, report,
+                            errors);
+  }
+  cli_rings_free(&rings);
+  return status;
+}
+
+static int run(void *given, dipole_client *client) {
+  const plot_settings *settings = given;
   cli_eval_report report = {0};
+  double *errors = NULL;
   int status = check_quantity(settings->quantity, client);
   if (status == CLI_OK) {
-    snprintf(quantity, sizeof quantity, "%s", settings->quantity);
-    eval.want = (cli_texts){1, wanted};
-    status = cli_eval_ask(&eval, client, &report);
+    status = settings->photons.given ? ask_rings(settings, client, &report, &errors)
+                                     : ask(settings->eval, settings->quantity, client, &report);
   }
   if (status == CLI_OK) {
-    status = write_and_draw(settings, &report);
+    status = write_and_draw(settings, &report, errors);
   }
   cli_eval_report_free(&report);
+  free(errors);
   return status;
 }
 
@@ -321,6 +407,10 @@ const cli_command cli_command_plot = {
         "high as the rest. On a logarithmic axis: values more than 4 decades below the least\n"
         "value of the middle curve. Of deviations: those beyond 200 %.\n"
         "\n"
+        "With --mc, a value is the mean over a ring, and stands at the radius that halves the "
+        "ring's\n"
+        "area. Monte Carlo is drawn as points with their standard errors.\n"
+        "\n"
         "gnuplot draws all pictures. Text has colours only on a terminal, unless NO_COLOR is "
         "set.\n",
     .formats = "none,table,csv,json",
@@ -334,7 +424,8 @@ const cli_command cli_command_plot = {
         "  dipole plot --medium marble,wholemilk --channel green --model better,transport --plot\n"
         "  dipole plot --sigma-a 0.01,0.1,1 --sigma-s 1 --eta 1.4 --quantity 2_pi_r_R \\\n"
         "    --axes linear --to 20 --size 1200x800 --plot a.png --plot a.svg\n"
-        "  dipole plot --medium skin1 --quantity cdf --axes linear --format csv\n",
+        "  dipole plot --medium skin1 --quantity cdf --axes linear --format csv\n"
+        "  dipole plot --medium skin1 --channel red --model better,transport --mc 1e5 --error\n",
     .settings_bytes = sizeof(plot_settings),
     .check = check,
     .run = run,

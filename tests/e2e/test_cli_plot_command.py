@@ -9,11 +9,12 @@ import time
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
+import dipole as dipole_module
 import numpy as np
 import pytest
 from command_line import FAILED, USAGE, Proxy, Terminal, busy, dipole, eval_rows, read_csv, says
 from lists import everywhere
-from pictures import check_png, path_points, png_size, style, svg_lines, svg_size, svg_texts
+from pictures import SVG, check_png, path_points, png_size, style, svg_lines, svg_size, svg_texts
 
 SKIN = ["plot", "--medium", "skin1"]
 GAMMA = 2.2
@@ -455,6 +456,62 @@ def test_a_bar_with_rate_and_time_left(daemon):
     assert text.endswith("\r\033[K")
 
 
+# ---- Monte Carlo ---------------------------------------------------------------------------------
+
+RINGS = ["--from", "0.05", "--to", "8", "--count", "12"]
+
+
+@pytest.mark.parametrize("scale", ["logarithmic", "linear"])
+def test_monte_carlo_beside_means_of_models(client, scale):
+    """The numbers are those of the Python client's ring_means() and mc()."""
+    arguments = [*SKIN, "--model", "better,transport", "--axes", scale, *RINGS, "--mc", "50000"]
+    rows = numbers(*arguments, "--error")
+    edges = dipole_module.Grid(0.05, 8.0, 13, scale)
+    skin = client.media()["skin1"]
+    reference = client.ring_means("transport", "skin1", edges)
+    middle = np.sqrt((reference.edges[1:] ** 2 + reference.edges[:-1] ** 2) / 2)
+    for model in ("better", "transport", "mc"):
+        for i, colour in enumerate(("red", "green", "blue")):
+            of = [row for row in rows if (row["model"], row["channel"]) == (model, colour)]
+            np.testing.assert_allclose(column(of, "r"), middle, 1e-12)
+            if model == "mc":
+                walked = client.mc(skin[i], edges, photons=50_000)
+                R, error = walked.R[0], walked.R_error[0]
+                assert (column(of, "R_error") == error).all()
+            else:
+                R = client.ring_means(model, skin[i], edges).R[0]
+                assert np.isnan(column(of, "R_error")).all()
+            np.testing.assert_allclose(column(of, "R"), R, 1e-12)
+            np.testing.assert_allclose(column(of, "deviation"), R / reference.R[i] - 1, atol=1e-9)
+
+
+def test_monte_carlo_has_points_with_errors(tmp_path):
+    """The bars are those of the numbers: one standard error up and down."""
+    arguments = [*SKIN, "--channel", "red", *RINGS, "--axes", "linear", "--mc", "20000", "--error"]
+    root = draw(tmp_path, *arguments, "--model", "transport")
+    assert "mc" in svg_texts(root)
+    rows = [row for row in numbers(*arguments) if row["model"] == "mc"]
+    expected = 2 * column(rows, "R_error") / column(rows, "R") * (1 + column(rows, "deviation"))
+    paths = " ".join(path.get("d", "") for path in svg_lines(root)[3].iter(f"{SVG}path"))
+    corners = re.findall(r"([ML])\s*([\d.]+),([\d.]+)", paths)
+    bars = {}  # by their place: the lengths of vertical lines
+    for (_, x, y), (letter, to_x, to_y) in zip(corners, corners[1:]):
+        if letter == "L" and x == to_x:
+            bars[float(x)] = max(bars.get(float(x), 0), abs(float(y) - float(to_y)))
+    lengths = np.array([length for _, length in sorted(bars.items())])
+    assert len(lengths) == len(rows) == 12
+    inside = slice(0, 10)  # The bars of the last two may end at the frame.
+    assert np.corrcoef(lengths[inside], expected[inside])[0, 1] > 0.99
+
+
+def test_monte_carlo_of_a_slab(client):
+    medium = ["plot", "--sigma-a", "0.1", "--sigma-s", "2", "--eta", "1.4", "--thickness", "1.5"]
+    rows = numbers(*medium, "--model", "better-multipole", *RINGS, "--mc", "50000")
+    walked = client.mc((0.1, 2.0, 0.0, 1.4), dipole_module.Grid(0.05, 8.0, 13, "logarithmic"),
+                       photons=50_000, thickness=1.5)  # fmt: skip
+    assert (column(rows[12:], "R") == walked.R[0]).all()
+
+
 # ---- wrong command lines -------------------------------------------------------------------------
 
 
@@ -485,6 +542,11 @@ def test_a_bar_with_rate_and_time_left(daemon):
         ([*SKIN, "--model", "best"], "--model: 'best' is unknown; this daemon has classical, be"),
         ([*SKIN, "--channel", "pink"], "--channel: 'pink' is unknown; it is red, green or blue"),
         ([*SKIN, "--want", "R"], "--want: no such option"),
+        ([*SKIN, "--mc", "0"], "--mc: give a whole number of photons"),
+        ([*SKIN, "--mc", "1e3", "--r", "1,2"], "--mc needs rings, not single radii"),
+        ([*SKIN, "--mc", "1e3", "--quantity", "cdf"], "--mc compares R: leave --quantity out"),
+        ([*SKIN, "--mc", "1e3", "--count", "4097"], "--count: with --mc, give 1 to 4096 rings"),
+        ([*SKIN, "--mc", "1e3", "--from", "3", "--to", "2"], "--mc: rings are from --from, 0 or"),
         (["plot", "--medium", "skin1,skin"], "--medium: 'skin' is unknown; this daemon has apple"),
         (["plot", "--medium", "skin1,"], "--medium: '' is unknown; this daemon has apple"),
         (["plot", "--sigma-a", "1", "--sigma-s", "1", "--channel", "red"], "give --medium too"),

@@ -1,0 +1,164 @@
+#include "clients/cli/plot_rings.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "clients/cli/daemon.h"
+#include "clients/cli/progress.h"
+#include "core/gauss.h"
+
+/* A ring is cut into parts whose outer edge is at most twice the inner one, since R may fall by
+ * orders of magnitude within a ring. A ring that starts at 0 is cut into so many octaves and the
+ * rest of it. */
+enum { OCTAVES_OF_DISC = 16, NODES = 2 * CORE_GAUSS_HALF };
+
+/* ---- rings ----------------------------------------------------------------------------------- */
+
+static void add_part(cli_rings *rings, size_t ring, double from_mm, double to_mm) {
+  const size_t first = rings->node_count;
+  rings->node_count += NODES;
+  rings->nodes_mm = cli_resize(rings->nodes_mm, rings->node_count, sizeof *rings->nodes_mm);
+  rings->weights = cli_resize(rings->weights, rings->node_count, sizeof *rings->weights);
+  rings->ring_of = cli_resize(rings->ring_of, rings->node_count, sizeof *rings->ring_of);
+  for (int i = 0; i < NODES; i++) {
+    rings->nodes_mm[first + (size_t)i] = from_mm + (to_mm - from_mm) * core_gauss_node(i);
+    rings->weights[first + (size_t)i] = (to_mm - from_mm) * core_gauss_weight(i);
+    rings->ring_of[first + (size_t)i] = ring;
+  }
+}
+
+static void add_ring(cli_rings *rings, size_t ring) {
+  const double to_mm = rings->edges_mm[ring + 1];
+  double from_mm = rings->edges_mm[ring];
+  int octaves = OCTAVES_OF_DISC;
+  if (from_mm > 0) {
+    octaves = (int)fmax(ceil(log2(to_mm / from_mm)), 1);
+  } else {
+    from_mm = ldexp(to_mm, -octaves);
+    add_part(rings, ring, 0, from_mm);
+  }
+  const double ratio = pow(to_mm / from_mm, 1.0 / octaves);
+  for (int i = 0; i < octaves; i++) {
+    add_part(rings, ring, from_mm * pow(ratio, i),
+             i + 1 < octaves ? from_mm * pow(ratio, i + 1) : to_mm);
+  }
+}
+
+cli_rings cli_rings_make(double from_mm, double to_mm, bool logarithmic, size_t count) {
+  cli_rings rings = {.spacing = logarithmic ? DIPOLE_LOGARITHMIC : DIPOLE_LINEAR,
+                     .count = count,
+                     .edges_mm = cli_allocate(count + 1, sizeof(double))};
+  for (size_t i = 0; i <= count; i++) {
+    const double share = (double)i / (double)count;
+    rings.edges_mm[i] =
+        logarithmic ? from_mm * pow(to_mm / from_mm, share) : from_mm + (to_mm - from_mm) * share;
+  }
+  rings.edges_mm[count] = to_mm;
+  for (size_t i = 0; i < count; i++) {
+    add_ring(&rings, i);
+  }
+  return rings;
+}
+
+void cli_rings_free(cli_rings *rings) {
+  free(rings->edges_mm);
+  free(rings->nodes_mm);
+  free(rings->weights);
+  free(rings->ring_of);
+  *rings = (cli_rings){0};
+}
+
+/* ---- means of models ------------------------------------------------------------------------- */
+
+void cli_rings_take_means(const cli_rings *rings, cli_eval_report *report) {
+  const double pi = acos(-1), *edges_mm = rings->edges_mm;
+  for (size_t k = 0; k < report->model_count * report->profile.channel_count; k++) {
+    double *powers = cli_allocate(rings->count, sizeof *powers);
+    double *of_nodes = report->values[k].arrays[0];
+    for (size_t i = 0; i < rings->node_count; i++) {
+      powers[rings->ring_of[i]] += rings->weights[i] * of_nodes[i];
+    }
+    for (size_t i = 0; i < rings->count; i++) {
+      powers[i] /= pi * (edges_mm[i + 1] * edges_mm[i + 1] - edges_mm[i] * edges_mm[i]);
+    }
+    free(of_nodes);
+    report->values[k].arrays[0] = powers;
+  }
+  report->quantities.items[0] = cli_choice_of_id(report->profile.info, DIPOLE_QUANTITY, DIPOLE_R);
+  report->quantities.wanted = DIPOLE_R;
+  report->radius_count = rings->count;
+  for (size_t i = 0; i < rings->count; i++) {
+    report->radii[i] = hypot(edges_mm[i], edges_mm[i + 1]) / sqrt(2);
+  }
+}
+
+/* ---- Monte Carlo ----------------------------------------------------------------------------- */
+
+/* Adds a model, as the last but an unlisted one. Returns its values, [channel_count]. */
+static cli_eval_values *insert_model(cli_eval_report *report, const dipole_choice *choice) {
+  const size_t channels = report->profile.channel_count, count = report->model_count;
+  const size_t after = report->models[count - 1].unlisted ? 1 : 0, at = count - after;
+  report->models = cli_resize(report->models, count + 1, sizeof *report->models);
+  memmove(&report->models[at + 1], &report->models[at], after * sizeof *report->models);
+  report->models[at] = (cli_eval_model){.choice = choice, .named = true};
+  cli_eval_values *values = cli_allocate((count + 1) * channels, sizeof *values);
+  memcpy(values, report->values, at * channels * sizeof *values);
+  memcpy(values + (at + 1) * channels, report->values + at * channels,
+         after * channels * sizeof *values);
+  for (size_t i = count * channels; i < report->values_capacity; i++) {
+    free(report->values[i].arrays[0]); /* of a model that refused the rest of a query */
+  }
+  free(report->values);
+  report->values = values;
+  report->values_capacity = (count + 1) * channels;
+  report->model_count++;
+  return values + at * channels;
+}
+
+typedef struct walk {
+  cli_progress progress;
+  size_t channel, channels;
+} walk;
+
+static bool follow(void *context, const dipole_mc_progress *now) {
+  walk *of = context;
+  const double expected = (double)now->photons_expected, done = (double)now->photons;
+  cli_progress_show(&of->progress,
+                    ((double)of->channel + done / fmax(expected, done)) / (double)of->channels,
+                    done);
+  return true;
+}
+
+int cli_rings_walk(const cli_rings *rings, double photons, double thickness_mm,
+                   dipole_client *client, cli_eval_report *report, double **errors) {
+  walk of = {.channels = report->profile.channel_count};
+  dipole_error error = {0};
+  bool good = true;
+  cli_eval_values *values = insert_model(report, &cli_monte_carlo);
+  *errors = cli_allocate(of.channels * rings->count, sizeof **errors);
+  cli_progress_start(&of.progress, "photons");
+  for (; good && of.channel < of.channels; of.channel++) {
+    const dipole_mc_query query = {.medium = report->profile.media[of.channel],
+                                   .thickness_mm = thickness_mm,
+                                   .spacing = rings->spacing,
+                                   .ring_count = (uint32_t)rings->count,
+                                   .radius_start_mm = rings->edges_mm[0],
+                                   .radius_stop_mm = rings->edges_mm[rings->count],
+                                   .seed = 1,
+                                   .photons = (uint64_t)photons};
+    cli_eval_values *one = &values[of.channel];
+    *one = (cli_eval_values){.albedo = (double)NAN, .model_error = (double)NAN};
+    one->arrays[0] = cli_allocate(rings->count, sizeof(double));
+    dipole_mc_result *result = NULL;
+    good = dipole_mc(client, &query, follow, &of, &result, &error);
+    for (size_t i = 0; good && i < rings->count; i++) {
+      one->arrays[0][i] = dipole_mc_values(result, 0, DIPOLE_MC_REFLECTED)[i];
+      (*errors)[of.channel * rings->count + i] =
+          dipole_mc_errors(result, 0, DIPOLE_MC_REFLECTED)[i];
+    }
+    dipole_mc_result_free(result);
+  }
+  cli_progress_wipe(&of.progress);
+  return good ? CLI_OK : cli_fail_error(&error);
+}
