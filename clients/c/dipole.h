@@ -274,9 +274,10 @@ typedef struct dipole_query {
   unsigned moments;   /* enum dipole_moments */
   unsigned wanted;    /* sum of enum dipole_quantity */
   const dipole_medium *media; /* [medium_count], one for each channel */
-  uint32_t medium_count;
-  unsigned spacing;  /* enum dipole_spacing */
-  const void *radii; /* for LIST: [radius_count] of double (F64) or float, mm, 0 to infinity */
+  uint32_t medium_count; /* At most the daemon's limit max_media, by default 64. For more media,
+                            submit several queries: see dipole_submit(). */
+  unsigned spacing;      /* enum dipole_spacing */
+  const void *radii;     /* for LIST: [radius_count] of double (F64) or float, mm, 0 to infinity */
   uint64_t radius_count;
   double radius_start_mm;             /* the first radius, for LINEAR and LOGARITHMIC */
   double radius_stop_mm;              /* the last radius, for LINEAR and LOGARITHMIC */

@@ -163,14 +163,12 @@ int main(int argc, char **argv) {
   const dipole_medium media[3] = {{0.03, 0.7, 0, 1.3}, {0.1, 0.9, 0, 1.3}, {0.2, 1, 0, 1.3}};
   const float radii[2] = {0.5f, 2};
   const unsigned n = 2;
-  dipole_error error = {0};
-  dipole_result *result = NULL;
   (void)argc;
 %s
   printf("%%.9g\\n", (double)result->channels[2].R_f32[1]);
   dipole_result_free(result);
   dipole_close(client);
-  return error.kind;
+  return 0;
 }
 """
 
