@@ -51,6 +51,12 @@ const core_choice core_lengths[] = {
     END,
 };
 
+#define CORE_PHASE(id, IDENT, name, about) {id, name, about},
+const core_choice core_phases[] = {
+#include "core/choices.def"
+    END,
+};
+
 #define CORE_PARAMETER(id, IDENT, name, unit, least, most, about)                                  \
   {id, name, unit ": " about " (" #least " to " #most ")"},
 const core_choice core_parameter_list[] = {

@@ -78,6 +78,11 @@ enum core_length {
 #define CORE_TEXT_(number) #number
 #define CORE_TEXT(number) CORE_TEXT_(number)
 
+#define CORE_PHASE(id, IDENT, name, about) CORE_PHASE_##IDENT = (id),
+enum core_phase {
+#include "core/choices.def"
+};
+
 #define CORE_PARAMETER(id, IDENT, name, unit, least, most, about) CORE_PARAMETER_##IDENT = (id),
 enum core_parameter {
 #include "core/choices.def"
@@ -105,6 +110,7 @@ extern const core_choice core_quantities[];
 extern const core_choice core_spacings[];
 extern const core_choice core_draws[];
 extern const core_choice core_lengths[];
+extern const core_choice core_phases[];
 extern const core_choice core_parameter_list[];
 extern const core_choice core_notes[];
 

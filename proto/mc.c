@@ -2,14 +2,28 @@
 
 #include <string.h>
 
+#include "proto/channels.h"
+
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "this machine's arrays need swapping");
 
-size_t mc_request_bytes(uint32_t albedo_count) {
-  return WIRE_BYTES_mc_request + WIRE_BYTES_medium + albedo_count * sizeof(double);
+size_t mc_request_bytes(uint32_t albedo_count, uint32_t parameter_count) {
+  return WIRE_BYTES_mc_request + WIRE_BYTES_medium + albedo_count * sizeof(double) +
+         (size_t)parameter_count * WIRE_BYTES_parameter;
+}
+
+static const char nothing_after[] =
+    "nothing after the medium but albedo_count albedos and then parameters";
+
+/* All that is left after the albedos is parameters. */
+static wire_error parse_parameters(const uint8_t *at, size_t bytes, core_parameters *parameters) {
+  if (bytes % WIRE_BYTES_parameter != 0) {
+    return wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes", nothing_after);
+  }
+  return channels_parse_parameters(at, (uint32_t)(bytes / WIRE_BYTES_parameter), parameters);
 }
 
 wire_error mc_request_parse(const uint8_t *payload, size_t payload_bytes, mc_request *request) {
-  if (payload_bytes < mc_request_bytes(0)) {
+  if (payload_bytes < mc_request_bytes(0, 0)) {
     return wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes",
                            "at least 96: an mc_request and a medium");
   }
@@ -18,13 +32,13 @@ wire_error mc_request_parse(const uint8_t *payload, size_t payload_bytes, mc_req
   if (request->fixed.albedo_count > CORE_MC_ALBEDOS_MAX) {
     return wire_error_make(WIRE_STATUS_BAD_COUNT, "albedo_count", "0 to 16");
   }
-  if (payload_bytes != mc_request_bytes(request->fixed.albedo_count)) {
-    return wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes",
-                           "nothing after the medium but albedo_count albedos");
+  const size_t before = mc_request_bytes(request->fixed.albedo_count, 0);
+  if (payload_bytes < before) {
+    return wire_error_make(WIRE_STATUS_BAD_LENGTH, "payload_bytes", nothing_after);
   }
-  memcpy(request->albedo, payload + mc_request_bytes(0),
+  memcpy(request->albedo, payload + mc_request_bytes(0, 0),
          request->fixed.albedo_count * sizeof *request->albedo);
-  return wire_error_none();
+  return parse_parameters(payload + before, payload_bytes - before, &request->parameters);
 }
 
 bool mc_reply_layout(uint32_t side_count, uint32_t albedo_count, uint32_t ring_count,

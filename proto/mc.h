@@ -23,13 +23,14 @@ typedef struct mc_request {
   wire_mc_request fixed;
   wire_medium medium;
   double albedo[CORE_MC_ALBEDOS_MAX]; /* the first fixed.albedo_count are set */
+  core_parameters parameters;
 } mc_request;
 
 /* Parses a payload. Checks its shape only. The server and core check the values. */
 wire_error mc_request_parse(const uint8_t *payload, size_t payload_bytes, mc_request *request);
 
 /* Returns the payload bytes of a request. */
-size_t mc_request_bytes(uint32_t albedo_count);
+size_t mc_request_bytes(uint32_t albedo_count, uint32_t parameter_count);
 
 /* Layout of the last reply's payload. Offsets count from its start. */
 typedef struct mc_layout {

@@ -178,6 +178,7 @@ void registers_describe(void (*print)(void *context, const char *text), void *co
   describe_list(&to, "Spacings", core_spacings);
   describe_list(&to, "Draws", core_draws);
   describe_list(&to, "Lengths", core_lengths);
+  describe_list(&to, "Phases", core_phases);
   describe_list(&to, "Notes", core_notes);
   describe_errors(&to);
 }

@@ -219,6 +219,7 @@ static const struct {
     {WIRE_CHOICE_NOTE, core_notes},
     {WIRE_CHOICE_DRAW, core_draws},
     {WIRE_CHOICE_LENGTH, core_lengths},
+    {WIRE_CHOICE_PHASE, core_phases},
 };
 
 enum { CHOICE_LISTS = sizeof choice_lists / sizeof choice_lists[0] };

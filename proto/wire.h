@@ -44,6 +44,7 @@ enum wire_choice_kind {
   WIRE_CHOICE_NOTE,
   WIRE_CHOICE_DRAW,
   WIRE_CHOICE_LENGTH,
+  WIRE_CHOICE_PHASE,
 };
 
 /* ---- structures ------------------------------------------------------------------------------ */

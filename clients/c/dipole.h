@@ -184,6 +184,7 @@ enum dipole_kind {
   DIPOLE_NOTE,
   DIPOLE_DRAW,
   DIPOLE_LENGTH,
+  DIPOLE_PHASE,
 };
 
 typedef struct dipole_choice {
@@ -625,6 +626,10 @@ typedef struct dipole_mc_query {
   double error_total; /* The job ends when the relative standard error of the total R is at most
                          this; 0 means no such end. If both errors are given, both must hold. */
   double error_rings; /* The job ends when that of every ring with light is at most this. */
+  /* [parameter_count]: phase, whose values are the ids of the choices of kind DIPOLE_PHASE,
+   * phase_share and phase_g; NULL for none, which means Henyey and Greenstein's phase function */
+  const dipole_parameter *parameters;
+  size_t parameter_count;
 } dipole_mc_query;
 
 enum dipole_mc_side { DIPOLE_MC_REFLECTED, DIPOLE_MC_TRANSMITTED, DIPOLE_MC_SIDES };

@@ -35,7 +35,8 @@ static bool check_query(const dipole_mc_query *query, dipole_error *error) {
   if (query->albedos == NULL && query->albedo_count > 0) {
     return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "albedos is NULL, albedo_count is not 0");
   }
-  return libdipole_check_u16(query->spacing, "spacing", error);
+  return libdipole_check_u16(query->spacing, "spacing", error) &&
+         libdipole_parameters_check(query->parameters, query->parameter_count, error);
 }
 
 static void put_query(uint8_t *at, const dipole_mc_query *query) {
@@ -54,6 +55,8 @@ static void put_query(uint8_t *at, const dipole_mc_query *query) {
   if (query->albedo_count > 0) {
     memcpy(at, query->albedos, query->albedo_count * sizeof *query->albedos);
   }
+  libdipole_parameters_put(at + query->albedo_count * sizeof *query->albedos, query->parameters,
+                           query->parameter_count);
 }
 
 /* These return the number of sides and of albedos in the answer. */
@@ -88,8 +91,9 @@ static bool start(dipole_client *client, const dipole_mc_query *query, libdipole
   if (mc_reply_layout(sides_of(query), albedos_of(query), query->ring_count, &layout)) {
     pending->reply_bytes_max = layout.payload_bytes;
   }
-  if (!libdipole_request_begin(client, pending, mc_request_bytes(query->albedo_count), &payload,
-                               error)) {
+  const size_t payload_bytes =
+      mc_request_bytes(query->albedo_count, (uint32_t)query->parameter_count);
+  if (!libdipole_request_begin(client, pending, payload_bytes, &payload, error)) {
     return false;
   }
   put_query(payload, query);

@@ -13,7 +13,7 @@ static const struct {
     {DIPOLE_MODEL, "models"},         {DIPOLE_EVALUATOR, "evaluators"}, {DIPOLE_MOMENTS, "moments"},
     {DIPOLE_QUANTITY, "quantities"},  {DIPOLE_SPACING, "spacings"},     {DIPOLE_STATUS, "statuses"},
     {DIPOLE_PARAMETER, "parameters"}, {DIPOLE_NOTE, "notes"},           {DIPOLE_DRAW, "draws"},
-    {DIPOLE_LENGTH, "lengths"},
+    {DIPOLE_LENGTH, "lengths"},       {DIPOLE_PHASE, "phases"},
 };
 
 #define DAEMON "daemon"

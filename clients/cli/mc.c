@@ -13,6 +13,8 @@ typedef struct mc_settings {
   const char *medium, *channel;
   cli_number sigma_a, sigma_s, g, eta;
   cli_number thickness;
+  const char *phase;
+  cli_number phase_share, phase_g;
   cli_numbers albedo;
   cli_number from, to;
   cli_count rings;
@@ -38,6 +40,14 @@ static const cli_option options[] = {
     {"eta", "X",
      "refractive index inside over outside (default: that of the measured\nmedium, else 1.3)",
      CLI_NUMBER, FIELD(eta), "1.3"},
+    {"phase", "NAME",
+     "phase function: henyey-greenstein, modified or two-term; `dipole info`\n"
+     "describes them; their mean cosine is that of --g (default:\nhenyey-greenstein)",
+     CLI_TEXT, FIELD(phase), NULL},
+    {"phase-share", "X", "share of Henyey and Greenstein's function in modified and two-term",
+     CLI_NUMBER, FIELD(phase_share), NULL},
+    {"phase-g", "X", "mean cosine of the second term of two-term", CLI_NUMBER, FIELD(phase_g),
+     NULL},
     {"thickness", "X", "of a slab, mm (default: half space)", CLI_NUMBER, FIELD(thickness), "inf"},
     {"albedo", "X[,X...]",
      "up to 16 single-scattering albedos in place of the medium's own; the\nsame walks serve all",
@@ -65,6 +75,8 @@ static const cli_option options[] = {
 typedef struct report {
   const dipole_info *info;
   const char *medium, *channel; /* of a measured medium; NULL if it is given by numbers */
+  const dipole_choice *phase;
+  cli_parameters parameters;
   dipole_mc_query query;
   dipole_mc_result *result;
 } report;
@@ -146,6 +158,32 @@ static uint64_t photons_of(const mc_settings *settings, const dipole_info *info)
   return (uint64_t)settings->photons.value;
 }
 
+static void set_parameter(report *of, const char *name, double value) {
+  const dipole_choice *parameter = cli_choice(of->info, DIPOLE_PARAMETER, name);
+  if (parameter != NULL) {
+    cli_parameters_set(&of->parameters, parameter->id, value);
+  }
+}
+
+static int take_phase(const mc_settings *settings, report *of) {
+  if (settings->phase != NULL) {
+    of->phase = cli_named(of->info, DIPOLE_PHASE, "phase", settings->phase);
+    if (of->phase == NULL) {
+      return CLI_USAGE;
+    }
+    set_parameter(of, "phase", of->phase->id);
+  }
+  if (settings->phase_share.given) {
+    set_parameter(of, "phase_share", settings->phase_share.value);
+  }
+  if (settings->phase_g.given) {
+    set_parameter(of, "phase_g", settings->phase_g.value);
+  }
+  of->query.parameters = of->parameters.items;
+  of->query.parameter_count = of->parameters.count;
+  return CLI_OK;
+}
+
 static int make_query(const mc_settings *settings, dipole_client *client, report *of) {
   of->info = dipole_get_info(client);
   of->medium = settings->medium;
@@ -165,7 +203,10 @@ static int make_query(const mc_settings *settings, dipole_client *client, report
       .error_total = settings->total_error.value,
       .error_rings = settings->error.value,
   };
-  return settings->medium == NULL ? CLI_OK : take_measured(settings, client, &of->query.medium);
+  const int status = take_phase(settings, of);
+  return status != CLI_OK || settings->medium == NULL
+             ? status
+             : take_measured(settings, client, &of->query.medium);
 }
 
 /* ---- following the job ----------------------------------------------------------------------- */
@@ -311,6 +352,13 @@ static void write_title(const report *of) {
   } else {
     puts("half space");
   }
+  if (of->phase != NULL) {
+    printf("phase function %s: %s", of->phase->name, of->phase->about);
+    for (size_t i = 1; i < of->parameters.count; i++) {
+      printf(", %s %.6g", i == 1 ? "phase_share" : "phase_g", of->parameters.items[i].value);
+    }
+    putchar('\n');
+  }
   printf("%llu photons, seed %llu", (unsigned long long)result->last.photons,
          (unsigned long long)query->seed);
   puts(result->end == DIPOLE_MC_CANCELLED || result->end == DIPOLE_MC_STOPPED
@@ -414,6 +462,10 @@ static void put_members(cli_json *json, const void *context) {
     cli_json_text(json, "channel", of->channel);
   }
   cli_rows_members(json, put_query, &of->query, 0);
+  cli_json_text(json, "phase", of->phase != NULL ? of->phase->name : "henyey-greenstein");
+  for (size_t i = 1; i < of->parameters.count; i++) {
+    cli_json_number(json, i == 1 ? "phase_share" : "phase_g", of->parameters.items[i].value);
+  }
   cli_json_texts(json, "units", "sigma_a", "1/mm", "sigma_s", "1/mm", "thickness", "mm", "edges",
                  "mm", "R", of->info->R_unit, "T", of->info->R_unit, "shares",
                  "per unit of power that entered", NULL);
@@ -486,6 +538,8 @@ const cli_command cli_command_mc = {
     .examples = "  dipole mc --medium skin1 --channel red\n"
                 "  dipole mc --medium skin1 --channel blue --g 0.8 --error 0.02 --to 3\n"
                 "  dipole mc --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --thickness 2\n"
+                "  dipole mc --sigma-a 0.1 --sigma-s 50 --g 0.8 --eta 1.4 --phase modified \\\n"
+                "    --phase-share 0.889\n"
                 "  dipole mc --sigma-a 0.1 --sigma-s 1 --albedo 0.5,0.9,0.99 --from 0.01 --log\n",
     .settings_bytes = sizeof(mc_settings),
     .check = check,

@@ -21,6 +21,7 @@ _dipole_daemon_names() { # PROGRAM OPTION
   --model | --fit-model) list=models ;;
   --evaluator) list=evaluators ;;
   --moments) list=moments ;;
+  --phase) list=phases ;;
   --want | --quantity) list=quantities ;;
   --draw) list=draws ;;
   --medium)

@@ -46,6 +46,7 @@ enum {
 
 /* limit of |g|, because directions are in single precision */
 #define CORE_MC_G_MAX 0.9999
+#define CORE_MC_SHARE_MIN 1e-6 /* smallest share of the first function of a mixture */
 /* smallest thickness of a slab that is not empty, in mean free paths */
 #define CORE_MC_THICKNESS_MIN_MFP 1e-6
 /* smallest first edge of a logarithmic grid, in mean free paths */
@@ -59,9 +60,8 @@ enum {
 typedef struct core_mc_request {
   double sigma_t_per_mm; /* sigma_a + sigma_s: CORE_SIGMA_T_PRIME_MIN_PER_MM to twice
                             CORE_SIGMA_MAX_PER_MM */
-  /* asymmetry of the phase function of Henyey and Greenstein: -CORE_MC_G_MAX to CORE_MC_G_MAX */
-  double g;
-  double eta; /* index inside over outside, the same on both sides of a slab:
+  double g;              /* mean cosine of the phase function: -CORE_MC_G_MAX to CORE_MC_G_MAX */
+  double eta;            /* index inside over outside, the same on both sides of a slab:
                             CORE_ETA_MIN to CORE_ETA_MAX */
   /* thickness of a slab: 0, or at least CORE_MC_THICKNESS_MIN_MFP mean free paths; INFINITY means a
    * half space */
@@ -82,14 +82,34 @@ typedef struct core_mc_request {
    * (1 - g), at most CORE_MC_SCATTERINGS_MAX. Photons live so long only if there is almost no
    * absorption. */
   uint32_t scatterings_max;
+  /* The phase function p of the cosine mu, HG being Henyey and Greenstein's function (1941):
+   *
+   *   0 or CORE_PHASE_HENYEY_GREENSTEIN   HG with the mean cosine g
+   *   CORE_PHASE_MODIFIED   share HG + (1 - share) 3 mu^2 / (4 pi): Bevilacqua, Depeursinge 1999
+   *   CORE_PHASE_TWO_TERM   share HG + (1 - share) HG with the mean cosine phase_g
+   *
+   * The mean cosine of the first HG of the last two is such that g is that of p: it is g / share,
+   * or (g - (1 - share) phase_g) / share. */
+  unsigned phase;
+  double phase_share; /* CORE_MC_SHARE_MIN to 1; 0 for Henyey and Greenstein's function */
+  double phase_g;     /* of two terms: -CORE_MC_G_MAX to CORE_MC_G_MAX; 0 for the others */
 } core_mc_request;
 
 /* Sets sigma_t, g, eta and one albedo of the request from a medium that core_medium_check() accepts
  * (asserted). The other fields of the request do not change. */
 void core_mc_request_medium(core_mc_request *request, const core_medium *medium);
 
-/* Returns the first fault of the request. Its field is one of sigma_t, g, eta, thickness,
- * albedo_count, albedo (with its index), radius_spacing, radius_count, radius_start, radius_stop,
+/* Sets the phase function from the parameters phase, phase_share and phase_g. Returns a fault, whose
+ * field is a parameter's name, if one is out of its range, is not taken by the phase function or is
+ * missing, or if any other parameter is given. */
+core_fault core_mc_request_phase(core_mc_request *request, const core_parameters *parameters);
+
+/* Returns the mean cosine of the first of Henyey and Greenstein's functions that the phase function
+ * consists of. */
+double core_mc_first_g(const core_mc_request *request);
+
+/* Returns the first fault of the request. Its field is one of sigma_t, g, phase, phase_share,
+ * phase_g, eta, thickness, albedo_count, albedo (with its index), radius_spacing, radius_count, radius_start, radius_stop,
  * roulette_weight, scatterings_max. */
 core_fault core_mc_check(const core_mc_request *request);
 

@@ -40,10 +40,35 @@ static void prepare_first_flight(core_mc_plan *plan, double tau) {
 /* A thicker slab is taken as a half space: no photon of single precision comes so deep. */
 #define THICKNESS_MAX_MFP 1e30
 
+static walk_hg hg_of(double g) {
+  return (walk_hg){
+      .sign = g < 0 ? -1.0f : 1.0f,
+      .size = (float)fabs(g),
+      .one_minus = (float)(1 - fabs(g)),
+      .one_plus = (float)(1 + fabs(g)),
+  };
+}
+
+static enum walk_phase walk_phase_of(const core_mc_request *request) {
+  return request->phase == CORE_PHASE_MODIFIED   ? WALK_MODIFIED
+         : request->phase == CORE_PHASE_TWO_TERM ? WALK_TWO_TERM
+         : request->g == 0                       ? WALK_ISOTROPIC
+                                                 : WALK_HENYEY_GREENSTEIN;
+}
+
+static void prepare_phase(walk_medium *walk, const core_mc_request *request) {
+  const uint32_t share = (uint32_t)(request->phase_share * WALK_POINTS);
+  walk->phase = walk_phase_of(request);
+  walk->hg[0] = hg_of(core_mc_first_g(request));
+  walk->hg[1] = hg_of(request->phase_g);
+  walk->share = share;
+  walk->share_inverse = (float)(1 / fmax(share, 1));
+  walk->rest_inverse = (float)(share < WALK_POINTS ? 1.0 / (WALK_POINTS - share) : 0);
+}
+
 static void prepare_walk(core_mc_plan *plan) {
   const core_mc_request *request = &plan->request;
   walk_medium *walk = &plan->walk;
-  const double g = request->g;
   const double eta_squared = request->eta * request->eta;
   const double tau = request->thickness_mm * request->sigma_t_per_mm;
   /* Snell's law gives ct^2 = 1 - eta^2 (1 - ci^2). With the squared cosine ci^2, light near the
@@ -51,19 +76,15 @@ static void prepare_walk(core_mc_plan *plan) {
    * if eta is near 1. */
   const bool by_sine = request->eta > 1.2;
   *walk = (walk_medium){
-      .isotropic = g == 0,
       .slab = tau < THICKNESS_MAX_MFP,
       .key = {(uint32_t)request->seed, (uint32_t)(request->seed >> 32)},
-      .g_sign = g < 0 ? -1.0f : 1.0f,
-      .g_size = (float)fabs(g),
-      .one_minus_g = (float)(1 - fabs(g)),
-      .one_plus_g = (float)(1 + fabs(g)),
       .thickness = (float)tau,
       .eta = (float)request->eta,
       .by_sine = by_sine ? ~UINT32_C(0) : 0,
       .cosine_constant = (float)(by_sine ? 1 : 1 - eta_squared),
       .cosine_factor = (float)(by_sine ? -eta_squared : eta_squared),
   };
+  prepare_phase(walk, request);
   prepare_first_flight(plan, walk->slab ? tau : 0);
 }
 

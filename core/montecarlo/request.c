@@ -1,4 +1,4 @@
-/* Checks of Monte Carlo requests. */
+/* Monte Carlo requests: their phase functions and their checks. */
 #include <assert.h>
 #include <math.h>
 
@@ -9,6 +9,9 @@ static bool in_range(double value, double low, double high) {
   return value >= low && value <= high;
 }
 
+static const char phase_ids[] = "1 henyey-greenstein, 2 modified or 3 two-term";
+static const char untaken[] = "nothing: this phase function does not take it";
+
 void core_mc_request_medium(core_mc_request *request, const core_medium *medium) {
   assert(core_medium_check(medium).field == NULL);
   request->sigma_t_per_mm = medium->sigma_a_per_mm + medium->sigma_s_per_mm;
@@ -17,6 +20,80 @@ void core_mc_request_medium(core_mc_request *request, const core_medium *medium)
   request->albedo_count = 1;
   request->albedo[0] = medium->sigma_s_per_mm / request->sigma_t_per_mm;
 }
+
+/* ---- the phase function ----------------------------------------------------------------------- */
+
+double core_mc_first_g(const core_mc_request *request) {
+  switch (request->phase) {
+  case CORE_PHASE_MODIFIED:
+    return request->g / request->phase_share;
+  case CORE_PHASE_TWO_TERM:
+    return (request->g - (1 - request->phase_share) * request->phase_g) / request->phase_share;
+  default:
+    return request->g;
+  }
+}
+
+core_fault core_mc_request_phase(core_mc_request *request, const core_parameters *parameters) {
+  for (unsigned id = 1; id < CORE_PARAMETERS_END; id++) {
+    const double value = parameters->value[id];
+    const bool taken = id == CORE_PARAMETER_PHASE || id == CORE_PARAMETER_PHASE_SHARE ||
+                       id == CORE_PARAMETER_PHASE_G;
+    if (!isnan(value) && !taken) {
+      return (core_fault){core_choice_by_id(core_parameter_list, id)->name,
+                          "nothing: Monte Carlo does not take it", 0};
+    }
+    const core_fault fault = isnan(value) ? (core_fault){0} : core_parameter_check(id, value);
+    if (fault.field != NULL) {
+      return fault;
+    }
+  }
+  const double phase = parameters->value[CORE_PARAMETER_PHASE];
+  const double share = parameters->value[CORE_PARAMETER_PHASE_SHARE];
+  const double g = parameters->value[CORE_PARAMETER_PHASE_G];
+  if (!isnan(phase) &&
+      (phase != floor(phase) || core_choice_by_id(core_phases, (unsigned)phase) == NULL)) {
+    return (core_fault){"phase", phase_ids, 0};
+  }
+  request->phase = isnan(phase) ? CORE_PHASE_HENYEY_GREENSTEIN : (unsigned)phase;
+  if (isnan(share) != (request->phase == CORE_PHASE_HENYEY_GREENSTEIN)) {
+    return (core_fault){
+        "phase_share",
+        isnan(share) ? "1e-6 to 1: the phase functions modified and two-term need it" : untaken, 0};
+  }
+  if (isnan(g) != (request->phase != CORE_PHASE_TWO_TERM)) {
+    return (core_fault){
+        "phase_g", isnan(g) ? "-0.9999 to 0.9999: the phase function two-term needs it" : untaken,
+        0};
+  }
+  request->phase_share = isnan(share) ? 0 : share;
+  request->phase_g = isnan(g) ? 0 : g;
+  return (core_fault){0};
+}
+
+static core_fault check_phase(const core_mc_request *request) {
+  const bool mixed = request->phase == CORE_PHASE_MODIFIED || request->phase == CORE_PHASE_TWO_TERM;
+  if (request->phase != 0 && core_choice_by_id(core_phases, request->phase) == NULL) {
+    return (core_fault){"phase", phase_ids, 0};
+  }
+  if (mixed ? !in_range(request->phase_share, CORE_MC_SHARE_MIN, 1) : request->phase_share != 0) {
+    return (core_fault){"phase_share", mixed ? "1e-6 to 1" : untaken, 0};
+  }
+  if (request->phase == CORE_PHASE_TWO_TERM
+          ? !in_range(request->phase_g, -CORE_MC_G_MAX, CORE_MC_G_MAX)
+          : request->phase_g != 0) {
+    return (core_fault){"phase_g", mixed ? "-0.9999 to 0.9999" : untaken, 0};
+  }
+  if (!in_range(core_mc_first_g(request), -CORE_MC_G_MAX, CORE_MC_G_MAX)) {
+    return request->phase == CORE_PHASE_TWO_TERM
+               ? (core_fault){"phase_g", "such that the first term's mean cosine is within 0.9999",
+                              0}
+               : (core_fault){"phase_share", "at least |g| / 0.9999", 0};
+  }
+  return (core_fault){0};
+}
+
+/* ---- checks ----------------------------------------------------------------------------------- */
 
 static core_fault check_medium(const core_mc_request *request) {
   if (!in_range(request->sigma_t_per_mm, CORE_SIGMA_T_PRIME_MIN_PER_MM,
@@ -86,6 +163,9 @@ static core_fault check_edges(const core_mc_request *request) {
 
 core_fault core_mc_check(const core_mc_request *request) {
   core_fault fault = check_medium(request);
+  if (fault.field == NULL) {
+    fault = check_phase(request);
+  }
   if (fault.field == NULL) {
     fault = check_edges(request);
   }

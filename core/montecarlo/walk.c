@@ -42,15 +42,70 @@ struct deflection {
   float sine;
 };
 
-static inline struct deflection deflect(const walk_medium *m, lane_uniform u) {
-  const float inverse = 1.0f / (m->one_minus_g + 2.0f * m->g_size * u.w);
-  const float near = m->one_minus_g * inverse;
-  const float far = m->one_plus_g * inverse;
-  const float one_minus = 2.0f * near * near * u.v * (1.0f + m->g_size * u.w);
-  const float one_plus = 2.0f * far * far * u.w * (m->one_minus_g + m->g_size * u.w);
+static inline struct deflection deflect(walk_hg by, lane_uniform u) {
+  const float inverse = 1.0f / (by.one_minus + 2.0f * by.size * u.w);
+  const float near = by.one_minus * inverse;
+  const float far = by.one_plus * inverse;
+  const float one_minus = 2.0f * near * near * u.v * (1.0f + by.size * u.w);
+  const float one_plus = 2.0f * far * far * u.w * (by.one_minus + by.size * u.w);
   return (struct deflection){
-      .cosine = m->g_sign * (0.5f * (one_plus - one_minus)),
+      .cosine = by.sign * (0.5f * (one_plus - one_minus)),
       .sine = sqrtf(one_plus * one_minus),
+  };
+}
+
+/* The deflection in proportion to cos^2: with t = 2 v - 1, the inverse of its distribution is cos =
+ * t^(1/3). 1 - cos = (1 - t) / (1 + cos + cos^2), and likewise 1 + cos, keep their digits. `t` is
+ * passed as well, so that it keeps its digits near 0. */
+static inline struct deflection deflect_by_square(float t, lane_uniform u) {
+  const float cosine = lane_cube_root(t);
+  const float even = 1.0f + cosine * cosine;
+  const float one_minus = 2.0f * u.w / (even + cosine);
+  const float one_plus = 2.0f * u.v / (even - cosine);
+  return (struct deflection){.cosine = cosine, .sine = sqrtf(one_plus * one_minus)};
+}
+
+/* A mixture of two functions: points of the random number below m->share draw from the first one, and
+ * the place among these points is the uniform number that it inverts. */
+struct drawn {
+  lane_mask first;
+  uint32_t count; /* number of points of the function that is drawn from */
+  uint32_t i;     /* the point among them */
+  float inverse;  /* 1 / count */
+};
+
+static inline struct drawn draw_function(const walk_medium *m, uint32_t bits) {
+  const uint32_t point = bits >> 1;
+  const lane_mask first = lane_mask_if(point < m->share);
+  return (struct drawn){
+      .first = first,
+      .count = lane_choose(first, m->share, WALK_POINTS - m->share),
+      .i = lane_choose(first, point, point - m->share),
+      .inverse = lane_select(first, m->share_inverse, m->rest_inverse),
+  };
+}
+
+static inline struct deflection deflect_two_term(const walk_medium *m, uint32_t bits) {
+  const struct drawn drawn = draw_function(m, bits);
+  const walk_hg *a = &m->hg[0], *b = &m->hg[1];
+  const walk_hg by = {
+      .sign = lane_select(drawn.first, a->sign, b->sign),
+      .size = lane_select(drawn.first, a->size, b->size),
+      .one_minus = lane_select(drawn.first, a->one_minus, b->one_minus),
+      .one_plus = lane_select(drawn.first, a->one_plus, b->one_plus),
+  };
+  return deflect(by, lane_uniform_within(drawn.i, drawn.count, drawn.inverse));
+}
+
+static inline struct deflection deflect_modified(const walk_medium *m, uint32_t bits) {
+  const struct drawn drawn = draw_function(m, bits);
+  const lane_uniform u = lane_uniform_within(drawn.i, drawn.count, drawn.inverse);
+  const int32_t twice = (int32_t)(2 * drawn.i + 1 - drawn.count);
+  const struct deflection one = deflect(m->hg[0], u);
+  const struct deflection other = deflect_by_square((float)twice * drawn.inverse, u);
+  return (struct deflection){
+      .cosine = lane_select(drawn.first, one.cosine, other.cosine),
+      .sine = lane_select(drawn.first, one.sine, other.sine),
   };
 }
 
@@ -214,24 +269,35 @@ static inline void draw(const walk_medium *m, size_t lanes, const uint32_t *rest
   }
 }
 
-/* Walks the lanes one step. is_isotropic and is_slab repeat the medium's fields as constants, so
- * that the compiler makes a separate loop for each combination. */
+/* Returns the direction u after a scattering. phase: the medium's, as a constant. */
+static inline struct vector scatter(const walk_medium *m, struct vector u, uint32_t bits,
+                                    lane_direction azimuth, enum walk_phase phase) {
+  if (phase == WALK_ISOTROPIC) {
+    return isotropic(lane_uniform_from(bits), azimuth);
+  }
+  const struct deflection by = phase == WALK_MODIFIED ? deflect_modified(m, bits)
+                               : phase == WALK_TWO_TERM
+                                   ? deflect_two_term(m, bits)
+                                   : deflect(m->hg[0], lane_uniform_from(bits));
+  return turn(u, by, azimuth);
+}
+
+/* Walks the lanes one step. phase and is_slab repeat the medium's fields as constants, so that the
+ * compiler makes a separate loop for each combination. */
 static inline __attribute__((always_inline)) void step(const walk_medium *medium, uint32_t high,
                                                        size_t lanes, walk_lanes *restrict w,
-                                                       bool is_isotropic, bool is_slab) {
+                                                       enum walk_phase phase, bool is_slab) {
   const walk_medium m = *medium;
   const size_t whole_groups = lanes & ~(size_t)(WALK_GROUP - 1);
   random_words random;
   draw(&m, whole_groups, w->collisions, w->photon, high, EVENT_SCATTERING, &random);
   for (size_t i = 0; i < whole_groups; i++) {
-    const lane_uniform deflection = lane_uniform_from(random.word[0][i]);
     const lane_direction azimuth = lane_azimuth(random.word[1][i]);
     const lane_uniform flight = lane_uniform_from(random.word[2][i]);
     const lane_uniform chance = lane_uniform_from(random.word[3][i]);
 
     const struct vector before = {w->ux[i], w->uy[i], w->uz[i]};
-    const struct vector u = is_isotropic ? isotropic(deflection, azimuth)
-                                         : turn(before, deflect(&m, deflection), azimuth);
+    const struct vector u = scatter(&m, before, random.word[0][i], azimuth, phase);
     const float path = lane_minus_log(flight.v, flight.w);
     const struct landing landing = is_slab ? land_in_slab(&m, w->z[i], u, path, chance)
                                            : land_in_half_space(&m, w->z[i], u, path, chance);
@@ -251,16 +317,19 @@ static inline __attribute__((always_inline)) void step(const walk_medium *medium
 }
 
 static void step_any(const walk_medium *medium, uint32_t high, size_t lanes, walk_lanes *walk) {
-  if (medium->isotropic) {
-    if (medium->slab) {
-      step(medium, high, lanes, walk, true, true);
-    } else {
-      step(medium, high, lanes, walk, true, false);
-    }
-  } else if (medium->slab) {
-    step(medium, high, lanes, walk, false, true);
-  } else {
-    step(medium, high, lanes, walk, false, false);
+  switch (medium->phase) {
+#define STEPS(phase)                                                                               \
+  case phase:                                                                                      \
+    if (medium->slab) {                                                                            \
+      step(medium, high, lanes, walk, phase, true);                                                \
+    } else {                                                                                       \
+      step(medium, high, lanes, walk, phase, false);                                               \
+    }                                                                                              \
+    break;
+    STEPS(WALK_ISOTROPIC)
+    STEPS(WALK_HENYEY_GREENSTEIN)
+    STEPS(WALK_MODIFIED)
+    STEPS(WALK_TWO_TERM)
   }
 }
 

@@ -13,16 +13,31 @@
  * which is the number of floats in the widest register of any instruction set. */
 enum { WALK_LANES = 64, WALK_GROUP = 16 };
 
+#define WALK_POINTS (UINT32_C(1) << 31) /* number of points of a uniform number */
+
+/* How a photon is deflected. WALK_MODIFIED and WALK_TWO_TERM mix two functions. */
+enum walk_phase { WALK_ISOTROPIC, WALK_HENYEY_GREENSTEIN, WALK_MODIFIED, WALK_TWO_TERM };
+
+/* Henyey and Greenstein's function */
+typedef struct walk_hg {
+  float sign; /* sign of g: 1 or -1 */
+  float size; /* |g| */
+  float one_minus;
+  float one_plus;
+} walk_hg;
+
 /* The medium and geometry as the walk uses them. */
 typedef struct walk_medium {
-  bool isotropic;
+  enum walk_phase phase;
   bool slab;
   uint32_t key[2];
-  float g_sign; /* sign of g: 1 or -1 */
-  float g_size; /* |g| */
-  float one_minus_g;
-  float one_plus_g;
-  float thickness; /* thickness of a slab; INFINITY for a half space */
+  walk_hg hg[2]; /* hg[1] is for WALK_TWO_TERM only */
+  /* Of the 2^31 points of a uniform number, the first `share` draw from hg[0] and the others from
+   * the second function of a mixture. */
+  uint32_t share;
+  float share_inverse; /* 1 / share */
+  float rest_inverse;  /* 1 / (2^31 - share), or 0 */
+  float thickness;     /* thickness of a slab; INFINITY for a half space */
   /* The squared cosine outside is cosine_constant + cosine_factor s. If all bits of by_sine are
    * set, s is the squared sine inside, and if no bit is set, the squared cosine inside; the plan
    * chooses the one that loses fewer digits. */

@@ -123,7 +123,7 @@ struct job {
 };
 
 /* The size of a slot, which can hold a job of any kind. Each kind asserts that it fits. */
-enum { JOB_SLOT_BYTES = 1696 };
+enum { JOB_SLOT_BYTES = 1888 };
 
 struct job_slot {
   _Alignas(16) uint8_t bytes[JOB_SLOT_BYTES];

@@ -157,7 +157,15 @@ static size_t put_mc(const uint16_t image[REGISTERS_END], uint8_t *question) {
       .error_rings = isnan(error_rings) ? 0 : error_rings,
   };
   wire_put_mc_request(question, &fixed);
-  return WIRE_BYTES_mc_request + put_medium(question + WIRE_BYTES_mc_request, image);
+  const size_t bytes = WIRE_BYTES_mc_request + put_medium(question + WIRE_BYTES_mc_request, image);
+  const core_parameters given = parameters_of(image);
+  core_parameters taken = core_parameters_none();
+  static const unsigned phase[] = {CORE_PARAMETER_PHASE, CORE_PARAMETER_PHASE_SHARE,
+                                   CORE_PARAMETER_PHASE_G};
+  for (size_t i = 0; i < sizeof phase / sizeof phase[0]; i++) {
+    taken.value[phase[i]] = given.value[phase[i]];
+  }
+  return bytes + channels_put_parameters(question + bytes, &taken);
 }
 
 size_t modbus_translate_input(enum registers_job_kind kind, const uint16_t image[REGISTERS_END],

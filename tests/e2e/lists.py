@@ -60,14 +60,19 @@ MOMENTS = {
     )
 }
 EVALUATORS = choices("CORE_EVALUATOR")
-PARAMETERS = {
-    name: Parameter(int(number), float(least), float(most))
-    for number, name, least, most in re.findall(
-        r'^CORE_PARAMETER\((\d+), \w+, "(.*?)", ".*?", ([^,]+), ([^,]+),',
+_PARAMETERS = {
+    name: (Parameter(int(number), float(least), float(most)), about)
+    for number, name, least, most, about in re.findall(
+        r'^CORE_PARAMETER\((\d+), \w+, "(.*?)", ".*?", ([^,]+), ([^,]+),\s*"(.*?)"',
         read_list("core/choices.def"),
         re.M,
     )
 }
+# The parameters of profiles, and those that only mc takes.
+MC_PARAMETERS = {
+    name: one for name, (one, about) in _PARAMETERS.items() if about.startswith("of mc:")
+}
+PARAMETERS = {name: one for name, (one, _) in _PARAMETERS.items() if name not in MC_PARAMETERS}
 NOTES = choices("CORE_NOTE")
 QUANTITIES = choices("CORE_QUANTITY")
 

@@ -144,3 +144,16 @@ def test_no_bar_is_left_behind(photons):
     status, output = run.end()
     assert status == 0 and "R, total" in output
     assert run.seen == "" or run.seen.endswith("\r\033[K")
+
+
+def test_phase_functions():
+    given = [*SHORT, "--g", "0.5", "--phase", "two-term", "--phase-share", "0.8"]
+    text = dipole("mc", *given, "--phase-g", "-0.2").stdout
+    assert "phase function two-term: " in text and ", phase_share 0.8, phase_g -0.2\n" in text
+    report = mc_json(*given, "--phase-g", "-0.2")
+    assert [report[key] for key in ("phase", "phase_share", "phase_g")] == ["two-term", 0.8, -0.2]
+    assert mc_json(*SHORT)["phase"] == "henyey-greenstein"
+    refusal = dipole("mc", *given, status=FAILED)
+    assert "phase_g" in refusal.stderr
+    unknown = dipole("mc", *SHORT, "--phase", "mie", status=USAGE)
+    assert "henyey-greenstein, modified, two-term" in unknown.stderr

@@ -9,7 +9,7 @@ from frames import (
     BETTER, EVAL, HELLO, MEDIA, PING, SKIN, STATISTICS, ask, assert_serves, eval_payload, frame,
     read_statistics,
 )
-from lists import MODELS, NOTES, PARAMETERS, choices
+from lists import MC_PARAMETERS, MODELS, NOTES, PARAMETERS, choices
 
 
 def versions(low: int, high: int) -> bytes:
@@ -40,10 +40,12 @@ def test_the_lists(client):
     assert ids["moments"] == choices("CORE_MOMENTS")
     assert ids["quantity"] == choices("CORE_QUANTITY")
     assert ids["spacing"] == choices("CORE_SPACING")
-    assert ids["parameter"] == {name: one.id for name, one in PARAMETERS.items()}
+    assert ids["parameter"] == choices("CORE_PARAMETER")
+    assert set(ids["parameter"]) == {*PARAMETERS, *MC_PARAMETERS}
     assert ids["note"] == NOTES
     assert ids["draw"] == choices("CORE_DRAW")
     assert ids["length"] == choices("CORE_LENGTH")
+    assert ids["phase"] == choices("CORE_PHASE")
     assert ids["status"] == {name: code for code, name in wire.STATUSES.items()}
     assert "d'Eon" in listed["model"]["better"].about
     assert listed["quantity"]["R"].about == "1/mm^2"

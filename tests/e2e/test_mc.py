@@ -15,8 +15,9 @@ from dipole import Grid, Medium, wire
 from dipole.mc import McResult, pack_request, progress_of, unpack_fixed, unpack_result
 from frames import (
     EVAL, LINEAR, LOGARITHMIC, PING, R, SKIN, ask, assert_closed, assert_error, assert_refused,
-    assert_serves, eval_payload, frame, refused,
+    assert_serves, eval_payload, frame, parameters_bytes, refused,
 )
+from lists import MC_PARAMETERS, choices
 
 MC, CANCEL = wire.MESSAGES["mc"], wire.MESSAGES["cancel"]
 BATCH = 4096
@@ -425,6 +426,13 @@ def with_edges(start: float, stop: float) -> bytes:
     return mc_payload(edges=Grid(start, stop, 11))
 
 
+PHASE, SHARE, PHASE_G = (choices("CORE_PARAMETER")[name] for name in MC_PARAMETERS)
+
+
+def with_parameters(*parameters: tuple[int, float]) -> bytes:
+    return mc_payload() + parameters_bytes(parameters)
+
+
 WRONG = {
     **refused("bad-value", "sigma_a", "1e15", {"-1": with_medium(-1, 1, 0, 1.3)}),
     **refused("bad-value", "sigma_s", "1e15", {"NaN": with_medium(1, math.nan, 0, 1.3)}),
@@ -473,6 +481,45 @@ WRONG = {
         f"{error}": mc_payload(error_total=error) for error in (-0.1, 1.1)
     }),
     **refused("bad-value", "error_rings", "0 (none)", {"NaN": mc_payload(error_rings=math.nan)}),
+    **refused("bad-value", "parameter", "one of", {
+        "unknown": with_parameters((99, 1.0)),
+        "of no use in another place": (with_parameters((PHASE, 1.0), (0, 1.0)), 1),
+    }),
+    **refused("bad-value", "parameter", "at most once", {
+        "twice": (with_parameters((PHASE, 1.0), (PHASE, 1.0)), 1),
+    }),
+    **refused("bad-value", "thickness", "nothing", {
+        "as a parameter": with_parameters((choices("CORE_PARAMETER")["thickness"], 1.0)),
+    }),
+    **refused("bad-value", "phase", "henyey-greenstein", {
+        f"{phase}": with_parameters((PHASE, phase)) for phase in (1.5, 4.0)
+    }),
+    **refused("bad-value", "phase", "", {
+        f"{phase}": with_parameters((PHASE, phase)) for phase in (0.0, -1.0, math.inf, math.nan)
+    }),
+    **refused("bad-value", "phase_share", "nothing", {"with HG": with_parameters((SHARE, 0.5))}),
+    **refused("bad-value", "phase_share", "need", {
+        f"{phase}": with_parameters((PHASE, phase)) for phase in (2.0, 3.0)
+    }),
+    **refused("bad-value", "phase_share", "1e-6 to 1", {
+        f"{share}": with_parameters((PHASE, 2.0), (SHARE, share)) for share in (0.0, 1.01)
+    }),
+    **refused("bad-value", "phase_share", "at least |g|", {
+        "smaller than g": with_parameters((PHASE, 2.0), (SHARE, 0.29)),
+    }),
+    **refused("bad-value", "phase_g", "nothing", {
+        "with modified": with_parameters((PHASE, 2.0), (SHARE, 0.5), (PHASE_G, 0.1)),
+    }),
+    **refused("bad-value", "phase_g", "need", {
+        "none": with_parameters((PHASE, 3.0), (SHARE, 0.5)),
+    }),
+    **refused("bad-value", "phase_g", "-0.9999 to 0.9999", {
+        "1": with_parameters((PHASE, 3.0), (SHARE, 0.5), (PHASE_G, 1.0)),
+    }),
+    **refused("bad-value", "phase_g", "first term's mean cosine", {
+        "what the first term cannot make up for":
+            with_parameters((PHASE, 3.0), (SHARE, 0.5), (PHASE_G, -0.5)),
+    }),
     **refused("bad-length", "payload_bytes", "at least 96", {
         "short": mc_payload()[:-8], "empty": b""
     }),
@@ -491,6 +538,32 @@ def test_bad_requests_name_the_field(connection, name):
 def test_bad_cancel_requests(connection, payload):
     assert_error(ask(connection, CANCEL, payload), "bad-length", "payload_bytes", "8")
     assert ask(connection, PING).type == PING | wire.REPLY
+
+
+# ---- phase functions -----------------------------------------------------------------------------
+
+
+def test_phase_functions_change_R_as_they_should(client):
+    """At the same sigma_s' more light comes back close to the source if the phase function has
+    backward scattering, and far away hardly anything changes. A share of 1 is Henyey and
+    Greenstein's function. The protocol's values by name and by id are the same."""
+    medium, edges = Medium(0.1, 50.0, 0.8, 1.4), Grid(0.0, 0.5, 11)
+    asked = {"medium": medium, "edges": edges, "photons": 40 * BATCH}
+    usual = client.mc(**asked)
+    named = client.mc(**asked, parameters={"phase": "henyey-greenstein"})
+    assert named.payload == usual.payload
+    modified = {"phase": "modified", "phase_share": 0.889}
+    one = client.mc(**asked, parameters=modified)
+    assert one.values[0][0][0] > 1.5 * usual.values[0][0][0]
+    assert one.payload == client.mc(**asked, parameters={**modified, "phase": 2}).payload
+    two = client.mc(**asked, parameters={"phase": "two-term", "phase_share": 0.9, "phase_g": -0.1})
+    assert two.values[0][0][0] > 1.2 * usual.values[0][0][0]
+    for other in (one, two):
+        assert abs(other.energies[0].R.value / usual.energies[0].R.value - 1) < 0.1
+        assert abs(other.energies[0].imbalance) < 1e-11
+    whole = client.mc(**asked, parameters={"phase": "modified", "phase_share": 1.0})
+    far = np.abs(whole.values - usual.values) / np.hypot(whole.errors, usual.errors)
+    assert far.max() < 4.5
 
 
 # ---- the Python client ---------------------------------------------------------------------------

@@ -611,6 +611,20 @@ def test_an_mc_has_the_wires_values(master, client, spacing, thickness):
     )
 
 
+def test_an_mc_takes_a_phase_function(master, client):
+    unit, medium = 133, single([0.125, 8.0, 0.75, 1.375])
+    set_medium(master, unit, medium)
+    setting(master, unit, RADIUS_START=floats(0, 1), MC_RING_COUNT=5, MC_PHOTONS=floats(20000))
+    setting(master, unit, PARAMETER_PHASE=floats(2), PARAMETER_PHASE_SHARE=floats(0.875))
+    setting(master, unit, MC_COMMIT=3)
+    assert ended(master, "MC", unit)[:3] == (DONE, 3, 0)
+    expected = client.mc(
+        medium, Grid(0, 1, 6), photons=20000, seed=0,
+        parameters={"phase": "modified", "phase_share": 0.875},
+    )
+    assert (numbers(master, "MC_R", 5, unit) == np.float32(expected.values[0][0])).all()
+
+
 def test_an_mc_ends_when_its_errors_are_small(master):
     set_medium(master, 131, (0.1, 0.9, 0.0, 1.3))
     setting(master, 131, MC_PHOTONS=floats(1e9), MC_ERROR_TOTAL=floats(0.02))
@@ -735,6 +749,8 @@ FAULTS = {
     "rings that run backwards": ("MC", {"RADIUS_START": floats(5.0, 1.0)}, "RADIUS_STOP"),
     "too many photons": ("MC", {"MC_PHOTONS": floats(1e14)}, "MC_PHOTONS"),
     "no medium": ("MC", {"SIGMA_A": floats(0, 0)}, "SIGMA_S"),
+    "a phase function without its share": ("MC", {"PARAMETER_PHASE": floats(2)},
+                                           "PARAMETER_PHASE_SHARE"),
 }
 
 

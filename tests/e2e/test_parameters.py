@@ -11,7 +11,7 @@ from frames import (
     BETTER, EVAL, SKIN, ask, assert_daemon_serves, assert_error, assert_refused, eval_payload,
     parameters_bytes, refused,
 )
-from lists import MODELS, PARAMETERS, everywhere, needs, some_value, takes
+from lists import MODELS, PARAMETERS, choices, everywhere, needs, some_value, takes
 
 INF, NAN = math.inf, math.nan
 COS_IN, COS_OUT = PARAMETERS["cos_in"].id, PARAMETERS["cos_out"].id
@@ -31,7 +31,7 @@ def given(*parameters: tuple[int, float], **fixed) -> bytes:
 
 
 GRID = {"radii": None, "radius_count": 2}
-IDS = [0, max(one.id for one in PARAMETERS.values()) + 1, 256 + COS_IN, 999, 65535]
+IDS = [0, max(choices("CORE_PARAMETER").values()) + 1, 256 + COS_IN, 999, 65535]
 SHAPES = {
     **refused("bad-value", "parameter", "one of 1 (tolerance), 2 (cos_in)", {
         **{f"{id}": given((id, 0.5)) for id in IDS},

@@ -215,7 +215,8 @@ static void decode_mc(const uint8_t *payload, size_t size) {
   const wire_error error = mc_request_parse(payload, size, &request);
   if (is_good(&error)) {
     CHECK(request.fixed.albedo_count <= CORE_MC_ALBEDOS_MAX);
-    CHECK(mc_request_bytes(request.fixed.albedo_count) == size);
+    CHECK(mc_request_bytes(request.fixed.albedo_count,
+                           channels_count_parameters(&request.parameters)) == size);
   }
 }
 

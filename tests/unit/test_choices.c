@@ -3,7 +3,7 @@
 
 static const core_choice *const lists[] = {
     core_models,         core_evaluators, core_moments_list, core_quantities, core_spacings,
-    core_parameter_list, core_notes,      core_draws,        core_lengths,
+    core_parameter_list, core_notes,      core_draws,        core_lengths,    core_phases,
 };
 #define LEAST CORE_TEXT(CORE_LUT_TOLERANCE_MIN)
 #define MOST CORE_TEXT(CORE_LUT_TOLERANCE_MAX)

@@ -2,6 +2,7 @@
  * tests/fuzz/fuzz.c and tests/e2e/test_mc.py. */
 #include <math.h>
 
+#include "proto/channels.h"
 #include "proto/mc.h"
 #include "tests/unit/unit.h"
 
@@ -23,7 +24,7 @@ static size_t build(uint8_t *payload, uint32_t albedo_count) {
     const double albedo = 1.0 / (i + 1);
     memcpy(at + i * sizeof albedo, &albedo, sizeof albedo);
   }
-  return mc_request_bytes(albedo_count);
+  return mc_request_bytes(albedo_count, 0);
 }
 
 UNIT_TEST(requests_are_taken_apart) {
@@ -39,6 +40,25 @@ UNIT_TEST(requests_are_taken_apart) {
     for (uint32_t i = 0; i < albedos; i++) {
       assert_true(request.albedo[i] == 1.0 / (i + 1));
     }
+  }
+}
+
+/* Parameters follow the albedos. */
+UNIT_TEST(requests_may_have_parameters) {
+  for (uint32_t albedos = 0; albedos <= CORE_MC_ALBEDOS_MAX; albedos += 8) {
+    uint8_t payload[PAYLOAD_MAX];
+    mc_request request;
+    const size_t before = build(payload, albedos);
+    core_parameters parameters = core_parameters_none();
+    parameters.value[CORE_PARAMETER_PHASE] = CORE_PHASE_MODIFIED;
+    parameters.value[CORE_PARAMETER_PHASE_SHARE] = 0.75;
+    const size_t bytes = before + channels_put_parameters(payload + before, &parameters);
+    assert_int_equal(bytes, mc_request_bytes(albedos, 2));
+    assert_int_equal(mc_request_parse(payload, bytes, &request).status, WIRE_STATUS_OK);
+    assert_true(request.parameters.value[CORE_PARAMETER_PHASE] == CORE_PHASE_MODIFIED);
+    assert_true(request.parameters.value[CORE_PARAMETER_PHASE_SHARE] == 0.75);
+    assert_true(isnan(request.parameters.value[CORE_PARAMETER_PHASE_G]));
+    assert_int_equal(mc_request_parse(payload, bytes - 8, &request).status, WIRE_STATUS_BAD_LENGTH);
   }
 }
 

@@ -4,6 +4,7 @@
 #include <pthread.h>
 
 #include "core/montecarlo/lane_math.h"
+#include "core/montecarlo/plan.h"
 #include "tests/accuracy/montecarlo_run.h"
 #include "tests/unit/unit.h"
 
@@ -80,6 +81,7 @@ UNIT_TEST(lane_functions_are_accurate) {
   uint64_t random = unit_seed();
   double worst_log = 0;
   double worst_azimuth = 0;
+  double worst_root = 0;
   for (int i = 0; i < 200000; i++) {
     /* Numbers with few bits set, or few bits clear, also test both ends of the range. */
     uint32_t bits = (uint32_t)unit_random(&random) >> (i % 32);
@@ -92,6 +94,10 @@ UNIT_TEST(lane_functions_are_accurate) {
     const double path = -log1p(-v);
     worst_log = fmax(worst_log, fabs((double)lane_minus_log(u.v, u.w) - path) / path);
 
+    const float t = u.v - u.w;
+    const double root = cbrt((double)t);
+    worst_root = fmax(worst_root, fabs((double)lane_cube_root(t) - root) / fmax(fabs(root), 1e-9));
+
     const lane_direction azimuth = lane_azimuth(bits);
     const double length = hypot((double)azimuth.cosine, (double)azimuth.sine);
     const double eighth = ((bits >> 9) + 0.5) * 0x1p-23 * acos(-1) / 4;
@@ -99,9 +105,13 @@ UNIT_TEST(lane_functions_are_accurate) {
     worst_azimuth = fmax(worst_azimuth, fabs(length - 1));
     worst_azimuth = fmax(worst_azimuth, fabs(smaller - sin(eighth)));
   }
-  printf("-ln: %.1e relative, directions: %.1e\n", worst_log, worst_azimuth);
+  printf("-ln: %.1e relative, directions: %.1e, cube roots: %.1e relative\n", worst_log,
+         worst_azimuth, worst_root);
   assert_true(worst_log <= 2.5e-7);
   assert_true(worst_azimuth <= 1.5e-7);
+  assert_true(worst_root <= 2.5e-7);
+  assert_true(fabs((double)lane_cube_root(0)) <= 2e-10);
+  assert_true(lane_cube_root(1) == 1 && lane_cube_root(-1) == -1);
 }
 
 /* Three bits of the random number choose the eighth of the circle: all eight occur. */
@@ -115,9 +125,161 @@ UNIT_TEST(azimuths_cover_the_circle) {
   assert_int_equal(seen, 0xff);
 }
 
+/* ---- phase functions ---------------------------------------------------------------------- */
+
+/* Phase functions of three kinds; g is the mean cosine. */
+static const struct phase_case {
+  unsigned phase;
+  double g, share, second;
+} phase_cases[] = {
+    {CORE_PHASE_HENYEY_GREENSTEIN, 0.9, 0, 0}, {CORE_PHASE_HENYEY_GREENSTEIN, -0.3, 0, 0},
+    {CORE_PHASE_MODIFIED, 0.8, 0.889, 0},      {CORE_PHASE_MODIFIED, -0.2, 0.5, 0},
+    {CORE_PHASE_MODIFIED, 0, 1e-6, 0},         {CORE_PHASE_MODIFIED, 0.9, 1, 0},
+    {CORE_PHASE_TWO_TERM, 0.9, 0.95, -0.3},    {CORE_PHASE_TWO_TERM, 0.3, 0.4, 0.1},
+    {CORE_PHASE_TWO_TERM, -0.1, 0.3, 0.2},     {CORE_PHASE_TWO_TERM, 0, 0.5, 0},
+};
+enum { PHASE_CASES = sizeof phase_cases / sizeof phase_cases[0] };
+
+static void set_phase(core_mc_request *request, const struct phase_case *of) {
+  request->g = of->g;
+  request->phase = of->phase;
+  request->phase_share = of->share;
+  request->phase_g = of->second;
+}
+
+/* The part of Henyey and Greenstein's function at cosines below mu. */
+static double hg_below(double g, double mu) {
+  return fabs(g) < 1e-12 ? 0.5 * (1 + mu)
+                         : (1 - g * g) / (2 * g) * (1 / sqrt(1 + g * g - 2 * g * mu) - 1 / (1 + g));
+}
+
+static double below(const core_mc_request *request, double mu) {
+  const double share = request->phase == CORE_PHASE_HENYEY_GREENSTEIN ? 1 : request->phase_share;
+  const double other = request->phase == CORE_PHASE_MODIFIED ? 0.5 * (1 + mu * mu * mu)
+                                                             : hg_below(request->phase_g, mu);
+  return share * hg_below(core_mc_first_g(request), mu) + (1 - share) * other;
+}
+
+static int rising(const void *a, const void *b) {
+  const double x = *(const double *)a, y = *(const double *)b;
+  return (x > y) - (x < y);
+}
+
+extern const walk_functions walk_functions_portable;
+
+/* Scatters photons that fly straight down, and stores the cosines of their deflections. They are so
+ * deep that none of them meets the boundary. */
+static void scatter(const core_mc_request *request, double *cosines, uint32_t count) {
+  core_mc_plan *plan = core_mc_plan_create(request);
+  assert_non_null(plan);
+  for (uint32_t first = 0; first < count; first += WALK_LANES) {
+    walk_lanes lanes = {.x = {0}};
+    for (uint32_t i = 0; i < WALK_LANES; i++) {
+      lanes.z[i] = 1e9f;
+      lanes.uz[i] = 1;
+      lanes.photon[i] = first + i;
+    }
+    walk_functions_portable.step(&plan->walk, 0, WALK_LANES, &lanes);
+    for (uint32_t i = 0; i < WALK_LANES; i++) {
+      const double ux = (double)lanes.ux[i], uy = (double)lanes.uy[i], uz = (double)lanes.uz[i];
+      assert_true(fabs(ux * ux + uy * uy + uz * uz - 1) < 1e-6);
+      cosines[first + i] = uz;
+    }
+  }
+  core_mc_plan_free(plan);
+}
+
+/* Kolmogorov and Smirnov's test: of right samples the largest distance between both distributions
+ * exceeds 2.2 / sqrt(n) once in 8,000 cases. */
+UNIT_TEST(deflections_have_the_phase_functions_distribution) {
+  enum { COUNT = 1 << 20 };
+  double *cosines = malloc(COUNT * sizeof *cosines);
+  assert_non_null(cosines);
+  for (size_t i = 0; i < PHASE_CASES; i++) {
+    core_mc_request request = montecarlo_request(0.9, 0, 1);
+    set_phase(&request, &phase_cases[i]);
+    unit_assert_fault(core_mc_check(&request), NULL, 0);
+    scatter(&request, cosines, COUNT);
+    qsort(cosines, COUNT, sizeof *cosines, rising);
+    double worst = 0, mean = 0;
+    for (size_t n = 0; n < COUNT; n++) {
+      worst = fmax(worst, fabs(below(&request, cosines[n]) - (n + 0.5) / COUNT));
+      mean += cosines[n] / COUNT;
+    }
+    if (!(worst * sqrt(COUNT) < 2.2 && fabs(mean - request.g) < 4 / sqrt(COUNT))) {
+      fail_msg("case %zu: distance %g / sqrt(n), mean cosine %g, not %g", i, worst * sqrt(COUNT),
+               mean, request.g);
+    }
+  }
+  free(cosines);
+}
+
+UNIT_TEST(phase_functions_are_taken_from_parameters) {
+  static const struct {
+    double phase, share, g;
+    const char *field;
+  } rows[] = {
+      {(double)NAN, (double)NAN, (double)NAN, NULL},
+      {1, (double)NAN, (double)NAN, NULL},
+      {2, 0.9, (double)NAN, NULL},
+      {3, 0.9, -0.5, NULL},
+      {(double)NAN, 0.9, (double)NAN, "phase_share"},
+      {1, 0.9, (double)NAN, "phase_share"},
+      {1, (double)NAN, 0.1, "phase_g"},
+      {2, (double)NAN, (double)NAN, "phase_share"},
+      {2, 0.9, 0.1, "phase_g"},
+      {3, (double)NAN, 0.1, "phase_share"},
+      {3, 0.9, (double)NAN, "phase_g"},
+      {1.5, 0.9, (double)NAN, "phase"},
+      {2, 0, (double)NAN, "phase_share"},
+      {2, 1.1, (double)NAN, "phase_share"},
+      {3, 0.9, 1, "phase_g"},
+      {0, (double)NAN, (double)NAN, "phase"},
+  };
+  for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
+    core_mc_request request = montecarlo_request(0.9, 0.5, 1);
+    core_parameters parameters = core_parameters_none();
+    parameters.value[CORE_PARAMETER_PHASE] = rows[i].phase;
+    parameters.value[CORE_PARAMETER_PHASE_SHARE] = rows[i].share;
+    parameters.value[CORE_PARAMETER_PHASE_G] = rows[i].g;
+    unit_assert_fault(core_mc_request_phase(&request, &parameters), rows[i].field, 0);
+    if (rows[i].field == NULL) {
+      unit_assert_fault(core_mc_check(&request), NULL, 0);
+    }
+  }
+  core_mc_request request = montecarlo_request(0.9, 0.5, 1);
+  core_parameters parameters = core_parameters_none();
+  parameters.value[CORE_PARAMETER_THICKNESS] = 1;
+  unit_assert_fault(core_mc_request_phase(&request, &parameters), "thickness", 0);
+}
+
+/* Combinations that no Henyey-Greenstein function completes to the mean cosine g. */
+UNIT_TEST(phase_functions_that_cannot_be_are_refused) {
+  static const struct {
+    struct phase_case of;
+    const char *field;
+  } rows[] = {
+      {{CORE_PHASE_MODIFIED, 0.9, 0.9, 0}, "phase_share"},
+      {{CORE_PHASE_MODIFIED, 0.9, 0.91, 0}, NULL},
+      {{CORE_PHASE_MODIFIED, 0.9, 0, 0}, "phase_share"},
+      {{CORE_PHASE_MODIFIED, 0.9, (double)NAN, 0}, "phase_share"},
+      {{CORE_PHASE_MODIFIED, 0.1, 0.9, 0.1}, "phase_g"},
+      {{CORE_PHASE_HENYEY_GREENSTEIN, 0.1, 0.9, 0}, "phase_share"},
+      {{CORE_PHASE_TWO_TERM, 0.9, 0.9, -0.5}, "phase_g"},
+      {{CORE_PHASE_TWO_TERM, -0.9, 0.5, 0.5}, "phase_g"},
+      {{CORE_PHASE_TWO_TERM, 0.9, 0.9, (double)NAN}, "phase_g"},
+      {{4, 0.9, 0, 0}, "phase"},
+  };
+  for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
+    core_mc_request request = montecarlo_request(0.9, 0, 1);
+    set_phase(&request, &rows[i].of);
+    unit_assert_fault(core_mc_check(&request), rows[i].field, 0);
+  }
+}
+
 /* ---- the same bits ------------------------------------------------------------------------ */
 
-enum { RINGS = 30, BIT_BATCHES = 3 };
+enum { RINGS = 30, BIT_BATCHES = 3, BIT_REQUESTS_HG = 18, BIT_REQUESTS = BIT_REQUESTS_HG + 12 };
 
 /* All results of a run for one albedo. */
 struct answer {
@@ -144,7 +306,7 @@ static void assert_same(const core_mc_request *request, const core_mc_total *a,
   }
 }
 
-/* Returns request number i. Together they run every loop of the walk: isotropic or not, in a half
+/* Returns request number i. Together they run every loop of the walk: each phase function, in a half
  * space or a slab. */
 static core_mc_request bit_request(size_t i) {
   static const double g[] = {0, 0.85, -0.4};
@@ -157,9 +319,11 @@ static core_mc_request bit_request(size_t i) {
     request.albedo[k] = 0.2 * (double)k;
   }
   request.seed = UINT64_C(0x123456789abcdef0) + i;
+  if (i >= BIT_REQUESTS_HG) {
+    set_phase(&request, &phase_cases[i % PHASE_CASES]);
+  }
   return request;
 }
-enum { BIT_REQUESTS = 18 };
 
 UNIT_TEST(instruction_sets_and_slices_give_the_same_bits) {
   static const uint64_t slices[] = {1, 1000, 12345, UINT64_MAX};

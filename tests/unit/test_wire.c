@@ -206,6 +206,7 @@ UNIT_TEST(choices_hold_every_list) {
   assert_choices_hold(WIRE_CHOICE_NOTE, core_notes, &index);
   assert_choices_hold(WIRE_CHOICE_DRAW, core_draws, &index);
   assert_choices_hold(WIRE_CHOICE_LENGTH, core_lengths, &index);
+  assert_choices_hold(WIRE_CHOICE_PHASE, core_phases, &index);
   assert_int_equal(index, wire_choice_count());
 }
 

@@ -208,6 +208,9 @@ class Client:
         error of the total R, or of every ring with light, is at most this; if both are given, both
         must hold. thickness: of a slab, mm; None means a half space. albedos: up to 16, in place of
         the medium's own; one walk gives the results for all of them. seed: 1 by default.
+        parameters: a phase function in place of Henyey and Greenstein's, by name, for example
+        {"phase": "two-term", "phase_share": 0.95, "phase_g": -0.3}; info.choices["phase"]
+        describes them. The medium's g is their mean cosine.
         """
         request = mc.request(self.info, self._media_of(medium), edges, **options)
         request_id = self._send(request)

@@ -101,8 +101,12 @@ def _names(wanted: str | Iterable[str] | None, default: tuple[str, ...]) -> tupl
     return (wanted,) if isinstance(wanted, str) else tuple(wanted)
 
 
-def _parameters_list(
-    info: Info, parameters: Mapping[str, float | str] | None, tolerance: float | None
+# Parameters whose values may be names: the kinds of choices that these are.
+_NAMED = {"fit_model": "model", "phase": "phase"}
+
+
+def parameters_list(
+    info: Info, parameters: Mapping[str, float | str] | None, tolerance: float | None = None
 ) -> list[bytes]:
     """Packs each parameter into its structure. The daemon checks the values."""
     structures = []
@@ -112,8 +116,8 @@ def _parameters_list(
             raise ArgumentError("tolerance: as an argument or in parameters, not both")
         all_parameters["tolerance"] = tolerance
     for name, given in all_parameters.items():
-        by_name = name == "fit_model" and isinstance(given, str)
-        value = id_of(info, "model", str(given)) if by_name else given
+        by_name = name in _NAMED and isinstance(given, str)
+        value = id_of(info, _NAMED[name], str(given)) if by_name else given
         try:
             number = float(value)
         except (TypeError, ValueError) as error:
@@ -148,7 +152,7 @@ def _payload(
     **fields: Any,
 ) -> bytes:
     """Packs an eval or sample request: the fixed part, media, parameters and listed numbers."""
-    parameters = _parameters_list(info, query.parameters, query.tolerance)
+    parameters = parameters_list(info, query.parameters, query.tolerance)
     fixed = structure.pack(
         model=_model_id(info, query),
         evaluator=evaluator_id,
@@ -249,7 +253,7 @@ def offers(info: Info, query: Query) -> Request[Offers]:
 def table(info: Info, query: Query) -> Request[Table]:
     """See Client.table()."""
     medium = one_medium(query.media)
-    parameters = _parameters_list(info, query.parameters, query.tolerance)
+    parameters = parameters_list(info, query.parameters, query.tolerance)
     fixed = wire.TABLE_REQUEST.pack(
         model=_model_id(info, query),
         moments=id_of(info, "moments", query.moments),

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from . import wire
 from .errors import ArgumentError, ProtocolError
-from .evaluation import id_of, one_medium
+from .evaluation import id_of, one_medium, parameters_list
 from .exchange import Answer, Once, Request
 from .values import Grid, Info, McEnergy, McProgress, McResult, McValue, Media
 
@@ -37,6 +37,7 @@ def request(
     thickness: float | None = None,
     albedos: Iterable[float] = (),
     seed: int = 1,
+    parameters: Mapping[str, float | str] | None = None,
 ) -> Request[McProgress | McResult]:
     """See Client.mc()."""
     if photons is None:
@@ -46,7 +47,8 @@ def request(
         raise ArgumentError("edges: a Grid, such as Grid(0, 10, 21) for 20 rings up to 10 mm")
     spacing = id_of(info, "spacing", edges.spacing)
     numbers = (photons, error_total, error_rings, thickness, albedos, seed)
-    return Request("mc", pack_request(medium, edges, spacing, *numbers), _Answer)
+    payload = pack_request(medium, edges, spacing, *numbers)
+    return Request("mc", payload + b"".join(parameters_list(info, parameters)), _Answer)
 
 
 def cancellation(job_id: int) -> Request[None]:

@@ -84,7 +84,7 @@ class Query:
     moments: how Fresnel reflection is integrated: "exact", or "fit" by published polynomials.
     wanted: names of quantities, or one name. The default is R, albedo, cdf and, with a grid, r.
     parameters: optional numbers by name, for example {"cos_in": 0.8}. Their units and ranges are in
-        info.choices["parameter"]. The value of fit_model may also be the name of a model. The
+        info.choices["parameter"]. The values of fit_model and phase may also be names. The
         daemon refuses a parameter that the model does not have.
     tolerance: the parameter "tolerance", a relative error. If the model is None, it limits the
         deviation from transport. If a model is named, it limits the numerical error; for "lut",

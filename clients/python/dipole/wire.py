@@ -38,7 +38,7 @@ STATUSES = _numbered(
 STATUS_DEADLINE = 12
 
 # Maps the number of a kind of choices to its name.
-KINDS = _numbered("model evaluator moments quantity spacing status parameter note draw length")
+KINDS = _numbered("model evaluator moments quantity spacing status parameter note draw length phase")
 
 # Permanent ids that the layout of a payload depends on.
 EVALUATOR_TYPES = {1: "<f8", 2: "<f4", 3: "<f4"}  # by evaluator: the numpy type of its values
