@@ -9,16 +9,21 @@
 static const struct cost {
   unsigned model;
   unsigned evaluator;
-  double evaluate_ns;
-  double prepare_ns;
   double numerical; /* the error that a profile states by default */
   double numerical_least;
   double tolerance_least;
+  /* With each of the tolerances. */
+  struct {
+    double evaluate_ns;
+    double prepare_ns;
+  } with[CORE_CHOOSE_TOLERANCE_COUNT];
 } costs[] = {
-#define CORE_COST(model, evaluator, ns, prepare_ns, numerical, numerical_least, least)             \
-  {model, evaluator, ns, prepare_ns, numerical, numerical_least, least},
+#define CORE_COST(model, evaluator, numerical, numerical_least, least, ...)                        \
+  {model, evaluator, numerical, numerical_least, least, {__VA_ARGS__}},
 #include "core/costs.def"
 };
+
+static const double tolerances[CORE_CHOOSE_TOLERANCE_COUNT] = CORE_CHOOSE_TOLERANCES;
 
 enum {
   UNMEASURED = CORE_QUANTITY_CDF | CORE_QUANTITY_SLOPE,
@@ -104,15 +109,33 @@ static double logarithm_error(const core_choose_request *request) {
   return 8 * (request->single ? (double)FLT_EPSILON : DBL_EPSILON) * ln_R;
 }
 
+#define SAVES 0.95 /* a cost that is less than this share of another is less */
+
+/* Returns which of the tolerances to prepare with if the numerical error may be `most`: the smallest
+ * of those that are cheapest. */
+static size_t cheapest_tolerance(const struct cost *cost, double most) {
+  size_t best = 0;
+  for (size_t i = 1; i < CORE_CHOOSE_TOLERANCE_COUNT && tolerances[i] <= most; i++) {
+    if (cost->with[i].prepare_ns < SAVES * cost->with[best].prepare_ns ||
+        cost->with[i].evaluate_ns < SAVES * cost->with[best].evaluate_ns) {
+      best = i;
+    }
+  }
+  return best;
+}
+
 /* Chooses the tolerance to prepare with. The numerical error may take a quarter of the tolerance
- * that the model's error leaves. The default stays if its numerical error is smaller than that. */
+ * that the model's error leaves. */
 static void set_numerical_error(core_candidate *candidate, const struct cost *cost,
                                 const core_choose_request *request) {
   const double left = (request->tolerance - candidate->model_error) / (1 + candidate->model_error);
   const double floor = cost->numerical_least - cost->tolerance_least;
   const double share = left / 4;
-  candidate->numerical_tolerance = (double)NAN;
-  candidate->numerical_error = cost->numerical;
+  const size_t which = cheapest_tolerance(cost, share - floor);
+  candidate->numerical_tolerance = tolerances[which];
+  candidate->numerical_error = which > 0 ? tolerances[which] + floor : cost->numerical;
+  candidate->cost_ns = cost->with[which].evaluate_ns;
+  candidate->prepare_ns = cost->with[which].prepare_ns;
   if (left > 0 && share < cost->numerical && cost->numerical_least < cost->numerical) {
     candidate->numerical_tolerance = fmax(share - floor, cost->tolerance_least);
     candidate->numerical_error = candidate->numerical_tolerance + floor;
@@ -122,6 +145,15 @@ static void set_numerical_error(core_candidate *candidate, const struct cost *co
 
 /* ---- choosing -------------------------------------------------------------------------------- */
 
+/* Returns how many values a medium has: one for each radius and elementwise quantity. */
+static double value_count(const core_choose_request *request) {
+  unsigned quantities = 0;
+  for (unsigned left = request->wanted & ELEMENTWISE; left != 0; left &= left - 1) {
+    quantities++;
+  }
+  return (double)request->radius_count * quantities;
+}
+
 static core_candidate make_candidate(const struct cost *cost, const core_choose_request *request) {
   core_candidate candidate = {
       .model = cost->model,
@@ -130,13 +162,15 @@ static core_candidate make_candidate(const struct cost *cost, const core_choose_
       .model_error = model_error(cost, request),
       .numerical_error = (double)INFINITY,
       .error = (double)INFINITY,
-      .cost_ns = cost->evaluate_ns,
-      .prepare_ns = cost->prepare_ns,
+      .cost_ns = cost->with[0].evaluate_ns,
+      .prepare_ns = cost->with[0].prepare_ns,
   };
   if (candidate.model_error < (double)INFINITY) {
     set_numerical_error(&candidate, cost, request);
-    candidate.error = (1 + candidate.model_error) * (1 + candidate.numerical_error) - 1;
+    candidate.error =
+        candidate.model_error + (1 + candidate.model_error) * candidate.numerical_error;
   }
+  candidate.total_ns = candidate.prepare_ns + value_count(request) * candidate.cost_ns;
   candidate.meets = candidate.error <= request->tolerance;
   return candidate;
 }
@@ -146,13 +180,13 @@ static size_t best_of(const core_candidate *candidates, size_t first, size_t cou
   double least_ns = (double)INFINITY;
   size_t best = first;
   for (size_t i = first; i < count; i++) {
-    least_ns = candidates[i].meets ? fmin(least_ns, candidates[i].cost_ns) : least_ns;
+    least_ns = candidates[i].meets ? fmin(least_ns, candidates[i].total_ns) : least_ns;
   }
   for (size_t i = first + 1; i < count; i++) {
     const core_candidate *one = &candidates[i], *other = &candidates[best];
     const double alike_ns = least_ns * CORE_CHOOSE_COST_ALIKE;
-    const bool one_may = one->meets && one->cost_ns <= alike_ns;
-    const bool other_may = other->meets && other->cost_ns <= alike_ns;
+    const bool one_may = one->meets && one->total_ns <= alike_ns;
+    const bool other_may = other->meets && other->total_ns <= alike_ns;
     if (one_may != other_may ? one_may : one->error < other->error) {
       best = i;
     }

@@ -2,7 +2,8 @@
  *
  * core/model_error.h gives the errors of models; core/costs.def has the costs of evaluators, which
  * `make tradeoff` measured. A choice depends on the request alone: the same request gives the same
- * choice on every machine, whatever is cached and however many radii are asked for.
+ * choice on every machine, whatever is cached. The number of radii is part of the request: few radii
+ * are not worth a long preparation.
  *
  * The functions are pure: they allocate nothing and keep no state.
  */
@@ -18,6 +19,7 @@ typedef struct core_choose_request {
   unsigned moments;       /* enum core_moments; only EXACT was measured, and transport reads none */
   unsigned wanted;        /* bits of enum core_quantity */
   core_radii_range radii; /* read only if an elementwise quantity is wanted */
+  uint64_t radius_count;  /* number of radii, the same for each medium */
   bool single; /* true: values of single precision are asked for; false: double precision */
   /* The largest accepted error of any value against radiative transport with Henyey-Greenstein
    * scattering and a Fresnel boundary. It is relative, but absolute for ln R. */
@@ -36,22 +38,31 @@ typedef struct core_candidate {
   double error;      /* model_error and numerical_error together */
   double cost_ns;    /* time for one radius, as measured on one machine */
   double prepare_ns; /* time to prepare one medium, as measured there */
+  double total_ns;   /* time for one medium: preparing it and evaluating all wanted quantities */
   bool meets;        /* the error is at most the tolerance */
 } core_candidate;
 
 /* Costs within this factor count as equal, because measured costs vary by as much. */
 #define CORE_CHOOSE_COST_ALIKE 1.1
 
+/* The tolerances that a request is prepared with if the one that it asks for allows it; NAN: the
+ * default. Tolerances between them are not used, so that requests share prepared profiles. Larger
+ * ones save hardly any time: a table of the better dipole takes 6.6 ms with 1e-4, 2.7 ms with 1e-3
+ * and 2.6 ms with 1e-2. */
+#define CORE_CHOOSE_TOLERANCES                                                                     \
+  { (double)NAN, 1e-4, 1e-3 }
+
 enum {
+  CORE_CHOOSE_TOLERANCE_COUNT = 3,
   CORE_CANDIDATES_MAX = 0
-#define CORE_COST(model, evaluator, ns, prepare_ns, numerical, numerical_least, least) +1
+#define CORE_COST(model, evaluator, numerical, numerical_least, least, ...) +1
 #include "core/costs.def"
 };
 
 /* Lists every candidate of the precision that is asked for and returns their number, or 0 if there
- * are no media. The first one is the choice: the cheapest of those that meet the tolerance. Among
- * costs that count as equal the least error wins, then the earlier line of core/costs.def. The
- * caller takes the next candidate if it cannot prepare one. If none meets the tolerance, the
+ * are no media. The first one is the choice: the one with the least total_ns of those that meet the
+ * tolerance. Among costs that count as equal the least error wins, then the earlier line of
+ * core/costs.def. The caller takes the next candidate if it cannot prepare one. If none meets the tolerance, the
  * candidate with the least error comes first.
  *
  * For g = 0 the errors of `transport` are known everywhere in its domain. For other models and

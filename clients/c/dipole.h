@@ -268,7 +268,8 @@ typedef struct dipole_parameter {
 typedef struct dipole_query {
   /* dipole_id(client, DIPOLE_MODEL, name). With DIPOLE_ANY_MODEL the daemon takes the cheapest
    * model and evaluator that are measured to be within the parameter `tolerance` of radiative
-   * transport, for all media and from the smallest to the largest radius. The result names both. */
+   * transport, for all media and from the smallest to the largest radius. The time to prepare a
+   * medium counts, so that few radii may get another model than many. The result names both. */
   unsigned model;
   unsigned evaluator; /* enum dipole_evaluator. It sets the type of radii and values, too. With
                          DIPOLE_ANY_MODEL it sets only the type: F32 and LUT then mean the same. */
@@ -417,7 +418,8 @@ typedef struct dipole_offer {
 /* Lists the models and evaluators that could answer a query whose model is DIPOLE_ANY_MODEL,
  * cheapest first. The caller frees *offers, an array of *count, with free(). *taken is the position
  * of the offer that dipole_eval() would take, or *count if it would take none; taken may be NULL.
- * Of listed radii, only the smallest and the largest matter. */
+ * Cheapest are those with the least prepare_ns + cost_ns * radius_count * wanted quantities with a
+ * value for each radius. Of listed radii, only the smallest, the largest and their number matter. */
 bool dipole_offers(dipole_client *client, const dipole_query *query, dipole_offer **offers,
                    size_t *count, size_t *taken, dipole_error *error);
 

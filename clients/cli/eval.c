@@ -143,7 +143,8 @@ const cli_command cli_command_eval = {
         "tables and CSV then say inf, JSON \"inf\". NaN is an empty cell or null.\n"
         "\n"
         "With --tolerance and without --model, the daemon takes the cheapest model and evaluator\n"
-        "that are measured to be so near to radiative transport, for all channels and radii. A\n"
+        "that are measured to be so near to radiative transport, for all channels and radii; the\n"
+        "time to prepare a medium counts, so that few radii may get another model than many. A\n"
         "line below the table says which it took and why. With --model, --tolerance is a bound\n"
         "on the numerical error.\n",
     .formats = "table,csv,json",

@@ -72,8 +72,9 @@ static const dipole_offer *find_taken(const cli_eval_report *report) {
   return NULL;
 }
 
+/* Both are in the same list, which is in the order of the costs for all radii. */
 static bool is_cheaper_and_off(const dipole_offer *offer, const dipole_offer *taken) {
-  return !offer->meets && offer->cost_ns < taken->cost_ns;
+  return !offer->meets && offer < taken;
 }
 
 static void write_range(const cli_eval_report *report, FILE *file) {
@@ -156,7 +157,8 @@ static void write_chosen(const cli_eval_report *report, FILE *file) {
   if (taken != NULL) {
     fprintf(file, ": within %.2g of transport", rounded_up(taken->error));
     write_range(report, file);
-    fprintf(file, ", %.2g ns a value", taken->cost_ns);
+    fprintf(file, ", %.2g ns a value after %.2g ms of preparing", taken->cost_ns,
+            taken->prepare_ns / 1e6);
     write_cheaper(report, taken, file);
   }
   fputc('\n', file);

@@ -1,4 +1,5 @@
-/* dipole info: the daemon, what it offers, its limits and its statistics. */
+/* dipole info: the daemon, what it offers, its limits, its statistics
+ * and what evaluating costs. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -30,7 +31,13 @@ typedef struct fact {
 typedef struct facts {
   size_t count;
   fact *items;
+  const dipole_info *info;
+  dipole_offer *offers; /* of all models and evaluators, for their costs */
+  size_t offer_count;
 } facts;
+
+#define COSTS "costs"
+enum { COSTS_OF_OFFER = 2 }; /* that of a value and that of preparing */
 
 static void add(facts *all, fact one) {
   all->items = cli_resize(all->items, all->count + 1, sizeof *all->items);
@@ -62,6 +69,84 @@ static facts gather(const dipole_info *info, const dipole_value *statistics, siz
   add_values(&all, "statistics", statistics, count);
   return all;
 }
+
+/* ---- what evaluating costs ------------------------------------------------------------------- */
+
+/* Asks for the offers of one precision and appends them. The costs of offers for a tolerance that is
+ * as small as this one are those by default. */
+static bool ask_costs(dipole_client *client, unsigned evaluator, facts *all, dipole_error *error) {
+  const unsigned tolerance = dipole_id(client, DIPOLE_PARAMETER, "tolerance");
+  const dipole_parameter parameter = {tolerance, 1e-5};
+  const dipole_medium medium = {.sigma_a_per_mm = 0.05, .sigma_s_per_mm = 1, .eta = 1.4};
+  const dipole_query query = {.model = DIPOLE_ANY_MODEL,
+                              .evaluator = evaluator,
+                              .moments = dipole_id(client, DIPOLE_MOMENTS, "exact"),
+                              .wanted = DIPOLE_R,
+                              .media = &medium,
+                              .medium_count = 1,
+                              .spacing = DIPOLE_LINEAR,
+                              .radius_count = 1,
+                              .radius_start_mm = 1,
+                              .radius_stop_mm = 1,
+                              .parameters = &parameter,
+                              .parameter_count = 1};
+  dipole_offer *offers;
+  size_t count;
+  if (!dipole_offers(client, &query, &offers, &count, NULL, error)) {
+    return false;
+  }
+  all->offers = cli_resize(all->offers, all->offer_count + count, sizeof *all->offers);
+  memcpy(all->offers + all->offer_count, offers, count * sizeof *offers);
+  all->offer_count += count;
+  free(offers);
+  return true;
+}
+
+static int by_model(const void *a, const void *b) {
+  const dipole_offer *x = a, *y = b;
+  return x->model != y->model ? (x->model > y->model) - (x->model < y->model)
+                              : (x->evaluator > y->evaluator) - (x->evaluator < y->evaluator);
+}
+
+static bool gather_costs(dipole_client *client, facts *all, dipole_error *error) {
+  all->info = dipole_get_info(client);
+  const bool good = ask_costs(client, DIPOLE_F64, all, error) &&
+                    ask_costs(client, DIPOLE_F32, all, error);
+  if (good) {
+    qsort(all->offers, all->offer_count, sizeof *all->offers, by_model);
+  }
+  return good;
+}
+
+static const char *name_of(const facts *all, enum dipole_kind kind, unsigned id) {
+  const dipole_choice *choice = cli_choice_of_id(all->info, kind, id);
+  return choice != NULL ? choice->name : "?";
+}
+
+/* Puts the costs of an offer, for people and in JSON. */
+static void put_offer(cli_rows *rows, const void *context, size_t index) {
+  const facts *all = context;
+  const dipole_offer *offer = &all->offers[index];
+  cli_put_text(rows, CLI_COLUMN("model"), name_of(all, DIPOLE_MODEL, offer->model));
+  cli_put_text(rows, CLI_COLUMN("evaluator"), name_of(all, DIPOLE_EVALUATOR, offer->evaluator));
+  cli_put_number(rows, CLI_COLUMN("cost_ns", "a value", "ns", "%.3g"), offer->cost_ns);
+  cli_put_number(rows, CLI_COLUMN("prepare_ns", "to prepare a medium", "ns", "%.3g"),
+                 offer->prepare_ns);
+}
+
+/* Puts one cost of an offer, in CSV. */
+static void put_cost(cli_rows *rows, const facts *all, size_t index) {
+  const dipole_offer *offer = &all->offers[index / COSTS_OF_OFFER];
+  const bool prepare = index % COSTS_OF_OFFER == 1;
+  char name[128];
+  snprintf(name, sizeof name, "%s %s %s", name_of(all, DIPOLE_MODEL, offer->model),
+           name_of(all, DIPOLE_EVALUATOR, offer->evaluator), prepare ? "prepare_ns" : "cost_ns");
+  cli_put_text(rows, CLI_COLUMN("section"), COSTS);
+  cli_put_text(rows, CLI_COLUMN("name"), name);
+  cli_put_number(rows, CLI_COLUMN("value"), prepare ? offer->prepare_ns : offer->cost_ns);
+}
+
+/* ---- writing --------------------------------------------------------------------------------- */
 
 /* Returns how many facts, from `first` on, are in the same section. */
 static size_t section_length(const facts *all, size_t first) {
@@ -95,6 +180,8 @@ static void write_table(const void *context) {
     }
     cli_table_print(&table, stdout);
   }
+  puts("\n" COSTS ", as measured on one machine");
+  cli_rows_print(stdout, 2, all->offer_count, put_offer, all);
 }
 
 static void put_value(cli_rows *rows, const char *name, const fact *one) {
@@ -106,7 +193,12 @@ static void put_value(cli_rows *rows, const char *name, const fact *one) {
 }
 
 static void put_fact(cli_rows *rows, const void *context, size_t index) {
-  const fact *one = &((const facts *)context)->items[index];
+  const facts *all = context;
+  if (index >= all->count) {
+    put_cost(rows, all, index - all->count);
+    return;
+  }
+  const fact *one = &all->items[index];
   cli_put_text(rows, CLI_COLUMN("section"), one->section);
   cli_put_text(rows, CLI_COLUMN("name"), one->name);
   put_value(rows, "value", one);
@@ -143,6 +235,7 @@ static void put_members(cli_json *json, const void *context) {
       cli_json_end(json, '}');
     }
   }
+  cli_rows_json(json, COSTS, all->offer_count, put_offer, all);
 }
 
 static int run(void *settings, dipole_client *client) {
@@ -154,17 +247,23 @@ static int run(void *settings, dipole_client *client) {
     return cli_fail_error(&error);
   }
   facts all = gather(dipole_get_info(client), statistics, count);
-  const cli_output output = {
-      .table = write_table, .rows = all.count, .put_row = put_fact, .members = put_members};
-  cli_write(&output, common->form, &all);
+  const bool good = gather_costs(client, &all, &error);
+  if (good) {
+    const cli_output output = {.table = write_table,
+                               .rows = all.count + COSTS_OF_OFFER * all.offer_count,
+                               .put_row = put_fact,
+                               .members = put_members};
+    cli_write(&output, common->form, &all);
+  }
+  free(all.offers);
   free(all.items);
   free(statistics);
-  return CLI_OK;
+  return good ? CLI_OK : cli_fail_error(&error);
 }
 
 const cli_command cli_command_info = {
     .name = "info",
-    .about = "Show a daemon: models, evaluators, instruction set, limits, statistics",
+    .about = "Show a daemon: models, evaluators, instruction set, limits, statistics, costs",
     .formats = "table,csv,json",
     .settings_bytes = sizeof(cli_common),
     .run = run,

@@ -11,9 +11,9 @@
  * within r is integrated from the same series (core/energy.h). The albedo is the solver's own
  * total.
  *
- * If core_inputs allows it, preparation takes the profile from a table of solutions
- * (core/transport/table.h) instead of solving, provided that the table covers the medium and is as
- * accurate as asked.
+ * If a tolerance is given, or core_inputs allows it, preparation takes the profile from a table of
+ * solutions (core/transport/table.h) instead of solving, provided that the table covers the medium
+ * and is as accurate as asked.
  *
  * Anisotropic scattering goes through the similarity relation.
  *
@@ -437,11 +437,13 @@ static core_fault look_up(const core_inputs *inputs, double albedo, const transp
 }
 
 /* Returns the table of solutions if it covers this medium and is as accurate as inputs->tabulated
- * asks, else NULL. */
+ * or a tolerance that was given asks, else NULL. */
 static const transport_table *table_for(const core_inputs *inputs, double albedo) {
-  const transport_table *table = inputs->tabulated > 0 ? transport_table_shipped() : NULL;
+  const double accepted =
+      fmax(inputs->tabulated, core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, 0));
+  const transport_table *table = transport_table_shipped();
   const bool serves = table != NULL && transport_table_covers(table, albedo, inputs->medium->eta) &&
-                      transport_table_error(table) + TOLERANCE_LEAST <= inputs->tabulated;
+                      transport_table_error(table) + TOLERANCE_LEAST <= accepted;
   return serves ? table : NULL;
 }
 

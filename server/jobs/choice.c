@@ -49,6 +49,7 @@ void choice_list(const eval_request *request, core_radii_range radii, struct cho
       .moments = fixed->moments,
       .wanted = wanted_of(fixed),
       .radii = radii,
+      .radius_count = fixed->radius_count,
       .single = core_evaluator_bytes(fixed->evaluator) == sizeof(float),
       .tolerance = request->parameters.value[CORE_PARAMETER_TOLERANCE],
   };
@@ -104,7 +105,7 @@ bool choice_again(struct choice_state *state, core_fault fault, eval_request *re
 
 static int by_cost(const void *a, const void *b) {
   const core_candidate *left = a, *right = b;
-  const int cost = (left->cost_ns > right->cost_ns) - (left->cost_ns < right->cost_ns);
+  const int cost = (left->total_ns > right->total_ns) - (left->total_ns < right->total_ns);
   const int model = (int)left->model - (int)right->model;
   const int evaluator = (int)left->evaluator - (int)right->evaluator;
   return cost != 0 ? cost : model != 0 ? model : evaluator;

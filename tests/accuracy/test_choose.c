@@ -11,7 +11,7 @@
 
 /* ---- promises against transport -------------------------------------------------------------- */
 
-enum { ETAS = 8, MEDIA_AN_ETA = 10, REQUESTS_A_MEDIUM = 25, RADII = 200 };
+enum { ETAS = 8, MEDIA_AN_ETA = 10, REQUESTS_A_MEDIUM = 25, RADII = 200, PROFILES_MAX = 1000 };
 
 #define KEPT_SHARE 0.995
 #define MISSED_BY_AT_MOST 2.0
@@ -28,7 +28,8 @@ struct truth {
   double r[RADII];
   double R[RADII];
   double albedo;
-  core_profile profiles[CORE_CANDIDATES_MAX];
+  core_profile profiles[PROFILES_MAX];
+  double tolerances[PROFILES_MAX]; /* that they were prepared with */
   size_t profile_count;
 };
 
@@ -68,17 +69,24 @@ static void draw_truth(struct truth *truth, transport_boundary *boundary, double
   transport_solution_free(solution);
 }
 
-/* Profiles with the default tolerance are kept: transport takes its time. */
+/* Whether two tolerances are the same; NAN is the default. */
+static bool are_same(double a, double b) {
+  return a == b || (isnan(a) && isnan(b));
+}
+
+/* Profiles are kept: transport takes its time. */
 static const core_profile *profile_of(struct truth *truth, const core_candidate *candidate) {
   core_parameters parameters = core_parameters_none();
   parameters.value[CORE_PARAMETER_TOLERANCE] = candidate->numerical_tolerance;
-  for (size_t i = 0; i < truth->profile_count && isnan(candidate->numerical_tolerance); i++) {
+  for (size_t i = 0; i < truth->profile_count; i++) {
     const core_profile *kept = &truth->profiles[i];
-    if (kept->model == candidate->model && kept->evaluator == candidate->evaluator) {
+    if (kept->model == candidate->model && kept->evaluator == candidate->evaluator &&
+        are_same(truth->tolerances[i], candidate->numerical_tolerance)) {
       return kept;
     }
   }
-  assert_true(truth->profile_count < CORE_CANDIDATES_MAX);
+  assert_true(truth->profile_count < PROFILES_MAX);
+  truth->tolerances[truth->profile_count] = candidate->numerical_tolerance;
   core_profile *profile = &truth->profiles[truth->profile_count++];
   unit_assert_fault(core_profile_prepare(profile, core_isa_select(NULL), candidate->model,
                                          CORE_MOMENTS_EXACT, candidate->evaluator, &truth->medium,
@@ -172,6 +180,7 @@ static void ask(struct truth *truth, struct tally *chosen, struct tally *all, ui
       .moments = CORE_MOMENTS_EXACT,
       .wanted = wants[unit_random_below(random, sizeof wants / sizeof wants[0])],
       .radii = {truth->r[first], truth->r[last]},
+      .radius_count = (uint64_t)unit_random_log(random, 1, 1e9),
       .single = truth->single,
       .tolerance = unit_random_log(random, 1e-3, 0.5),
   };
@@ -243,6 +252,7 @@ static core_choose_request easy(const core_medium *media, size_t media_count) {
       .moments = CORE_MOMENTS_EXACT,
       .wanted = CORE_QUANTITY_R,
       .radii = {5, 10},
+      .radius_count = 1000000,
       .tolerance = 0.3,
   };
 }
@@ -303,13 +313,75 @@ UNIT_TEST(the_list_is_in_order) {
     for (size_t i = 1; i < n; i++) {
       const core_candidate *a = &candidates[i - 1], *b = &candidates[i];
       if (i < meeting) {
-        assert_true(a->cost_ns <= b->cost_ns * CORE_CHOOSE_COST_ALIKE);
-        assert_true(a->cost_ns * CORE_CHOOSE_COST_ALIKE < b->cost_ns || a->error <= b->error ||
-                    a->cost_ns < b->cost_ns);
+        assert_true(a->total_ns <= b->total_ns * CORE_CHOOSE_COST_ALIKE);
+        assert_true(a->total_ns * CORE_CHOOSE_COST_ALIKE < b->total_ns || a->error <= b->error ||
+                    a->total_ns < b->total_ns);
       } else if (i > meeting) {
         assert_true(a->error <= b->error);
       }
     }
+  }
+}
+
+/* ---- preparing ------------------------------------------------------------------------------- */
+
+static core_candidate choose_for(core_choose_request request, uint64_t radius_count) {
+  request.radius_count = radius_count;
+  return choose(&request);
+}
+
+/* A formula is ready at once, a table is faster from some thousands of radii on; each quantity that
+ * is wanted counts. */
+UNIT_TEST(the_choice_counts_preparing) {
+  core_choose_request request = easy(&ordinary, 1);
+  request.single = true;
+  request.tolerance = 0.03;
+  const core_candidate few = choose_for(request, 10), many = choose_for(request, 1000000000);
+  assert_true(few.meets && many.meets);
+  assert_true(few.prepare_ns < many.prepare_ns && few.cost_ns > many.cost_ns);
+  const uint64_t same =
+      (uint64_t)((many.prepare_ns - few.prepare_ns) / (few.cost_ns - many.cost_ns));
+  assert_int_equal(choose_for(request, same / 4).evaluator, few.evaluator);
+  assert_int_equal(choose_for(request, same * 4).evaluator, many.evaluator);
+  request.wanted = CORE_QUANTITY_R | CORE_QUANTITY_RING | CORE_QUANTITY_S | CORE_QUANTITY_ALBEDO;
+  assert_int_equal(choose_for(request, same / 2).evaluator, many.evaluator);
+  request.wanted = CORE_QUANTITY_ALBEDO; /* no radius counts */
+  assert_true(choose_for(request, 1000000000).prepare_ns < 1e6);
+}
+
+/* Every candidate's total follows from its costs. */
+UNIT_TEST(the_total_is_that_of_a_medium) {
+  core_choose_request request = easy(&ordinary, 1);
+  core_candidate candidates[CORE_CANDIDATES_MAX];
+  request.wanted =
+      CORE_QUANTITY_R | CORE_QUANTITY_PDF | CORE_QUANTITY_ALBEDO | CORE_QUANTITY_RADIUS;
+  request.radius_count = 1234;
+  const size_t n = core_choose(&request, candidates);
+  for (size_t i = 0; i < n; i++) {
+    const core_candidate *one = &candidates[i];
+    assert_true(one->total_ns == one->prepare_ns + 2 * 1234 * one->cost_ns);
+  }
+}
+
+/* A table is built to the tolerance that the request leaves it, not to the default. */
+UNIT_TEST(a_table_is_built_to_what_is_asked) {
+  static const struct {
+    double tolerance, built;
+  } tables[] = {{1e-2, 1e-3}, {1e-3, (double)NAN}, {1e-4, 2.5e-5}};
+  core_choose_request request = easy(&ordinary, 1);
+  core_candidate candidates[CORE_CANDIDATES_MAX];
+  request.single = true;
+  for (size_t i = 0; i < sizeof tables / sizeof tables[0]; i++) {
+    request.tolerance = tables[i].tolerance;
+    const size_t n = core_choose(&request, candidates);
+    size_t k = 0;
+    while (k < n && !(candidates[k].model == CORE_MODEL_TRANSPORT &&
+                      candidates[k].evaluator == CORE_EVALUATOR_LUT)) {
+      k++;
+    }
+    assert_true(k < n && candidates[k].meets);
+    const double built = candidates[k].numerical_tolerance;
+    assert_true(isnan(tables[i].built) ? isnan(built) : fabs(built / tables[i].built - 1) < 0.05);
   }
 }
 

@@ -69,7 +69,8 @@ class Query:
 
     model: a name or an id. With None, the daemon takes the cheapest model and evaluator that are
         measured to be within `tolerance` of radiative transport, for all media and from the
-        smallest to the largest radius. The result names both. The daemon refuses the query if it
+        smallest to the largest radius. The time to prepare a medium counts, so that few radii may
+        get another model than many. The result names both. The daemon refuses the query if it
         knows no model that is accurate enough.
     media: one Medium, several of them, an array [C, 4] of sigma_a, sigma_s, g and eta, or the name
         of a measured medium, which stands for its red, green and blue channel.
@@ -158,7 +159,8 @@ class Offer(NamedTuple):
 
 
 class Offers(NamedTuple):
-    """The models and evaluators that could answer a query, cheapest first."""
+    """The models and evaluators that could answer a query, cheapest first: by prepare_ns + cost_ns
+    for each radius and wanted quantity."""
 
     offers: tuple[Offer, ...]
     taken: Offer | None  # the offer that eval() would take; None if no offer meets the tolerance

@@ -21,7 +21,8 @@ enum {
 #define PREPARING_COST_US 12e6
 
 double costs_cost_us(void) {
-  return EVALUATION_MEDIA * EVALUATING_COST_US + PREPARATION_MEDIA * PREPARING_COST_US;
+  return CORE_CHOOSE_TOLERANCE_COUNT *
+         (EVALUATION_MEDIA * EVALUATING_COST_US + PREPARATION_MEDIA * PREPARING_COST_US);
 }
 
 static const core_medium evaluation_media[EVALUATION_MEDIA] = {
@@ -34,10 +35,12 @@ static double now_ns(void) {
   return (double)now.tv_sec * 1e9 + (double)now.tv_nsec;
 }
 
+static const double tolerances[CORE_CHOOSE_TOLERANCE_COUNT] = CORE_CHOOSE_TOLERANCES;
+
 /* Prepares a subject's profile. Returns false if the subject refuses the medium. */
-static bool prepare(core_profile *profile, const subjects *of, size_t s,
-                    const core_medium *medium) {
-  return subjects_prepare(profile, of, &of->all[s], medium, (double)NAN).field == NULL;
+static bool prepare(core_profile *profile, const subjects *of, size_t s, const core_medium *medium,
+                    double tolerance) {
+  return subjects_prepare(profile, of, &of->all[s], medium, tolerance).field == NULL;
 }
 
 /* Returns the median of the values that are numbers, or NaN if there are none. */
@@ -95,12 +98,13 @@ static size_t calibrate(const core_profile *profile) {
 
 /* Times evaluating one medium: writes ns[subject], which is NaN if the subject refuses the medium.
  */
-static void evaluate_all(const subjects *of, const core_medium *medium, double *ns) {
+static void evaluate_all(const subjects *of, const core_medium *medium, double tolerance,
+                         double *ns) {
   static core_profile profiles[SUBJECTS_MAX];
   static double samples[SUBJECTS_MAX][ROUNDS];
   size_t runs[SUBJECTS_MAX];
   for (size_t s = 0; s < of->count; s++) {
-    runs[s] = prepare(&profiles[s], of, s, medium) ? calibrate(&profiles[s]) : 0;
+    runs[s] = prepare(&profiles[s], of, s, medium, tolerance) ? calibrate(&profiles[s]) : 0;
   }
   for (size_t round = 0; round < ROUNDS; round++) {
     for (size_t s = 0; s < of->count; s++) {
@@ -121,14 +125,15 @@ static void evaluate_all(const subjects *of, const core_medium *medium, double *
 
 /* ---- preparing ------------------------------------------------------------------------------- */
 
-static double prepare_ns(const subjects *of, size_t s, const core_medium *medium) {
+static double prepare_ns(const subjects *of, size_t s, const core_medium *medium,
+                         double tolerance) {
   double samples[PREPARATIONS_MAX];
   size_t count = 0;
   const double start = now_ns();
   do {
     core_profile profile;
     const double begin = now_ns();
-    if (!prepare(&profile, of, s, medium)) {
+    if (!prepare(&profile, of, s, medium, tolerance)) {
       return (double)NAN;
     }
     samples[count++] = now_ns() - begin;
@@ -172,12 +177,12 @@ static void find_least(costs_of *cost, const subjects *of, size_t s) {
 
 /* ---- all of them ----------------------------------------------------------------------------- */
 
-void costs_measure(costs_of *costs, const subjects *of, tools_progress *progress) {
+/* Measures the costs with one of the tolerances. */
+static void measure(costs_of *costs, const subjects *of, size_t k, tools_progress *progress) {
   static double ns[EVALUATION_MEDIA][SUBJECTS_MAX];
-  fill_arrays();
   tools_progress_stage(progress, "cost of evaluating");
   for (size_t m = 0; m < EVALUATION_MEDIA; m++) {
-    evaluate_all(of, &evaluation_media[m], ns[m]);
+    evaluate_all(of, &evaluation_media[m], tolerances[k], ns[m]);
     tools_progress_add(progress, EVALUATING_COST_US);
   }
   tools_progress_stage(progress, "cost of preparing");
@@ -186,13 +191,22 @@ void costs_measure(costs_of *costs, const subjects *of, tools_progress *progress
     for (size_t m = 0; m < EVALUATION_MEDIA; m++) {
       over_media[m] = ns[m][s];
     }
-    costs[s].evaluate_ns = median_of_numbers(over_media, EVALUATION_MEDIA);
+    costs[s].evaluate_ns[k] = median_of_numbers(over_media, EVALUATION_MEDIA);
     for (size_t m = 0; m < PREPARATION_MEDIA; m++) {
       const core_medium medium = preparation_medium(m);
-      over_media[m] = prepare_ns(of, s, &medium);
+      over_media[m] = prepare_ns(of, s, &medium, tolerances[k]);
     }
-    costs[s].prepare_ns = median_of_numbers(over_media, PREPARATION_MEDIA);
-    find_least(&costs[s], of, s);
+    costs[s].prepare_ns[k] = median_of_numbers(over_media, PREPARATION_MEDIA);
     tools_progress_add(progress, PREPARATION_MEDIA * PREPARING_COST_US / (double)of->count);
+  }
+}
+
+void costs_measure(costs_of *costs, const subjects *of, tools_progress *progress) {
+  fill_arrays();
+  for (size_t k = 0; k < CORE_CHOOSE_TOLERANCE_COUNT; k++) {
+    measure(costs, of, k, progress);
+  }
+  for (size_t s = 0; s < of->count; s++) {
+    find_least(&costs[s], of, s);
   }
 }

@@ -3,14 +3,16 @@
 #ifndef TRADEOFF_COSTS_H
 #define TRADEOFF_COSTS_H
 
+#include "core/choose.h"
 #include "core/tools/tools.h"
 #include "core/tools/tradeoff/subjects.h"
 
 enum { COSTS_LENGTH = 4096 };
 
 typedef struct costs_of {
-  double evaluate_ns; /* time for R at one radius, in arrays of COSTS_LENGTH */
-  double prepare_ns;  /* time for one medium */
+  /* With each of CORE_CHOOSE_TOLERANCES. */
+  double evaluate_ns[CORE_CHOOSE_TOLERANCE_COUNT]; /* for R at one radius of COSTS_LENGTH */
+  double prepare_ns[CORE_CHOOSE_TOLERANCE_COUNT];  /* for one medium */
   /* The numerical error that profiles state if the request's tolerance is tolerance_least, which is
    * the least power of ten that they accept. */
   double numerical_least;

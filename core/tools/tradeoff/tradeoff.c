@@ -100,8 +100,12 @@ static void write_csv(const char *path, const errors_table *errors, const costs_
     for (size_t ratio = 0; ratio < NODES_PAPER_RATIOS; ratio++) {
       for (size_t eta = 0; eta < NODES_PAPER_ETAS; eta++) {
         const errors_row *row = errors_at_row(errors, eta, ratio, s);
-        const double numbers[] = {costs[s].evaluate_ns, costs[s].prepare_ns, row->worst,
-                                  row->median,          row->worst_far,      row->albedo,
+        const double numbers[] = {costs[s].evaluate_ns[0],
+                                  costs[s].prepare_ns[0],
+                                  row->worst,
+                                  row->median,
+                                  row->worst_far,
+                                  row->albedo,
                                   row->numerical};
         fprintf(file, "%s,%s,%g,%.1f", of->models[of->all[s].model].model->name,
                 of->all[s].evaluator->name, paper_ratio(ratio), paper_eta(eta));
@@ -172,12 +176,15 @@ static void put_cost(FILE *file, const errors_table *errors, const costs_of *cos
     const double stated = errors->rows[i * of->count + s].numerical;
     numerical = isnan(stated) ? numerical : fmax(numerical, stated);
   }
-  fprintf(file, "/* %s, %s */\nCORE_COST(%u, %u, %.3g, %.3g", model->name,
-          of->all[s].evaluator->name, model->id, of->all[s].evaluator->id, costs[s].evaluate_ns,
-          costs[s].prepare_ns);
+  fprintf(file, "/* %s, %s */\nCORE_COST(%u, %u", model->name, of->all[s].evaluator->name,
+          model->id, of->all[s].evaluator->id);
   put_error(file, numerical);
   put_error(file, costs[s].numerical_least);
-  fprintf(file, ", %g)\n", costs[s].tolerance_least);
+  fprintf(file, ", %g", costs[s].tolerance_least);
+  for (size_t k = 0; k < CORE_CHOOSE_TOLERANCE_COUNT; k++) {
+    fprintf(file, ", {%.3g, %.3g}", costs[s].evaluate_ns[k], costs[s].prepare_ns[k]);
+  }
+  fputs(")\n", file);
 }
 
 static const char errors_head[] =
@@ -245,9 +252,9 @@ static const char costs_head[] =
     "/* Costs that `make tradeoff` has measured (core/tools/tradeoff/). core/choose.h chooses by "
     "them.\n"
     " *\n"
-    " * CORE_COST(model id, evaluator id, ns for a radius, ns to prepare, numerical error by "
-    "default,\n"
-    " *           numerical error with the least tolerance, the least tolerance)\n"
+    " * CORE_COST(model id, evaluator id, numerical error by default, numerical error with the\n"
+    " *           least tolerance, the least tolerance, and for each of CORE_CHOOSE_TOLERANCES:\n"
+    " *           {ns for a radius, ns to prepare})\n"
     " */\n"
     "/* clang-format off */\n";
 
@@ -256,7 +263,7 @@ static void write_costs(const char *path, const errors_table *errors, const cost
   FILE *file = tools_open(path);
   fputs(costs_head, file);
   for (size_t s = 0; s < errors->of->count; s++) {
-    if (!isnan(costs[s].evaluate_ns) && !isnan(costs[s].numerical_least)) {
+    if (!isnan(costs[s].evaluate_ns[0]) && !isnan(costs[s].numerical_least)) {
       put_cost(file, errors, costs, s);
     }
   }
