@@ -22,11 +22,14 @@
 #define DEFAULT_TCP "tcp:127.0.0.1:4817"
 #define DEFAULT_SOCKET "dipoled.sock"
 
+/* The signals that stop the daemon. SIGHUP is left alone where it is ignored, as by nohup. */
+static const int stop_signals[] = {SIGTERM, SIGINT, SIGHUP};
+enum { STOP_SIGNALS = sizeof stop_signals / sizeof stop_signals[0] };
+
 struct daemon {
   struct server server;
   uv_loop_t loop;
-  uv_signal_t terminate;
-  uv_signal_t interrupt;
+  uv_signal_t signals[STOP_SIGNALS];
   struct systemd systemd;
   struct listener listeners[SYSTEMD_SOCKETS_MAX + 2 * OPTIONS_LIST_MAX + 2];
   size_t listener_count;
@@ -38,38 +41,59 @@ struct daemon {
 
 /* ---- stopping -------------------------------------------------------------------------------- */
 
-static void stop(struct daemon *daemon) {
+/* Says how many requests the drain timeout has left without a complete answer. */
+static void log_abandoned(const struct server *server, uint64_t workers) {
+  unsigned requests = 0, clients = 0;
+  for (uint64_t i = 0; i < workers; i++) {
+    requests += server->workers[i].abandoned_requests;
+    clients += server->workers[i].abandoned_clients;
+  }
+  if (requests > 0) {
+    log_line(LOG_LEVEL_ERROR,
+             "event=drain-timeout abandoned_requests=%u connections=%u drain_timeout_ms=%llu",
+             requests, clients, (unsigned long long)server->options.drain_timeout_ms);
+  }
+}
+
+/* Stops the daemon because of a signal, or, if that is 0, because nothing is left to serve. */
+static void stop(struct daemon *daemon, int signal_number) {
   if (daemon->stopping) {
     return;
   }
   daemon->stopping = true;
+  atomic_store(&daemon->server.draining, true);
   if (daemon->ready) {
-    log_line(LOG_LEVEL_INFO, "event=stopping");
+    log_line(LOG_LEVEL_INFO, "event=stopping reason=%s",
+             signal_number == 0        ? "connection-closed"
+             : signal_number == SIGHUP ? "SIGHUP"
+             : signal_number == SIGINT ? "SIGINT"
+                                       : "SIGTERM");
   }
   systemd_tell_stopping(&daemon->systemd);
-  metrics_close(daemon->metrics);
-  daemon->metrics = NULL;
   for (size_t i = 0; i < daemon->listener_count; i++) {
     listener_close(&daemon->listeners[i]);
   }
   for (uint64_t i = 0; i < daemon->workers_started; i++) {
     worker_stop(&daemon->server.workers[i]);
   }
-  uv_close((uv_handle_t *)&daemon->terminate, NULL);
-  uv_close((uv_handle_t *)&daemon->interrupt, NULL);
+  for (size_t i = 0; i < STOP_SIGNALS; i++) {
+    uv_close((uv_handle_t *)&daemon->signals[i], NULL);
+  }
   for (uint64_t i = 0; i < daemon->workers_started; i++) {
     worker_join(&daemon->server.workers[i]);
   }
+  log_abandoned(&daemon->server, daemon->workers_started);
+  metrics_close(daemon->metrics); /* It has answered until now, so that a drain can be watched. */
+  daemon->metrics = NULL;
   uv_close((uv_handle_t *)&daemon->server.inherited_closed, NULL);
 }
 
 static void on_signal(uv_signal_t *handle, int signal_number) {
-  (void)signal_number;
-  stop(handle->data);
+  stop(handle->data, signal_number);
 }
 
 static void on_inherited_closed(uv_async_t *handle) {
-  stop(handle->data);
+  stop(handle->data, 0);
 }
 
 /* ---- starting -------------------------------------------------------------------------------- */
@@ -253,15 +277,22 @@ static bool set_up_modbus(struct server *server) {
   return server->options.modbus.count == 0 || server->modbus != NULL;
 }
 
+static bool is_ignored(int signal_number) {
+  struct sigaction action;
+  return sigaction(signal_number, NULL, &action) == 0 && action.sa_handler == SIG_IGN;
+}
+
 static void set_up_loop(struct daemon *daemon) {
   uv_loop_init(&daemon->loop);
   uv_async_init(&daemon->loop, &daemon->server.inherited_closed, on_inherited_closed);
-  uv_signal_init(&daemon->loop, &daemon->terminate);
-  uv_signal_init(&daemon->loop, &daemon->interrupt);
   daemon->server.inherited_closed.data = daemon;
-  daemon->terminate.data = daemon->interrupt.data = daemon;
-  uv_signal_start(&daemon->terminate, on_signal, SIGTERM);
-  uv_signal_start(&daemon->interrupt, on_signal, SIGINT);
+  for (size_t i = 0; i < STOP_SIGNALS; i++) {
+    uv_signal_init(&daemon->loop, &daemon->signals[i]);
+    daemon->signals[i].data = daemon;
+    if (stop_signals[i] != SIGHUP || !is_ignored(SIGHUP)) {
+      uv_signal_start(&daemon->signals[i], on_signal, stop_signals[i]);
+    }
+  }
 }
 
 static bool set_log_level(const struct options *options) {
@@ -299,7 +330,7 @@ static int run(struct daemon *daemon) {
              (unsigned long long)server->options.workers, core_isa_name(server->isa));
     systemd_tell_ready(&daemon->systemd);
   } else {
-    stop(daemon);
+    stop(daemon, 0);
   }
   uv_run(&daemon->loop, UV_RUN_DEFAULT);
   uv_loop_close(&daemon->loop);

@@ -21,6 +21,7 @@ struct server {
   struct stats stats;
   _Atomic uint64_t buffer_bytes; /* memory that the buffers of all connections hold */
   uint64_t started_ns;
+  _Atomic bool draining;         /* whether the daemon stops and takes no new clients */
   struct worker *workers;        /* [options.workers] */
   struct latency *latencies;     /* [options.workers]; each worker writes its own */
   struct cache *cache;           /* prepared profiles */

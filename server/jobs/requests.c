@@ -206,6 +206,15 @@ bool requests_expire(struct requests *r) {
   return true;
 }
 
+unsigned requests_count(const struct requests *r) {
+  unsigned count =
+      input_count(r->input) + output_count(r->output, r->job != NULL ? r->job->header.request_id : 0);
+  for (const struct job *job = r->detached; job != NULL; job = job->next) {
+    count++;
+  }
+  return count;
+}
+
 void requests_drop(struct requests *r) {
   drop_detached(r);
   if (r->job != NULL) {

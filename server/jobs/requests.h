@@ -37,6 +37,10 @@ struct requests {
 void requests_init(struct requests *requests, struct input *input, struct output *output,
                    void (*wake)(void *owner), void *owner);
 
+/* Returns how many requests have arrived completely and are not answered, or whose answers are not
+ * written completely. */
+unsigned requests_count(const struct requests *requests);
+
 /* Gives up all jobs at once, without answers. */
 void requests_drop(struct requests *requests);
 

@@ -340,6 +340,11 @@ static void abort_client(struct client *client) {
   abort_connection(connection_of(client));
 }
 
+static unsigned count_requests(const struct client *client) {
+  const struct modbus_connection *c = (const struct modbus_connection *)(const void *)client;
+  return !c->closing && (c->waits_for != NULL || has_unsent(c)) ? 1 : 0;
+}
+
 static void tick(struct client *client, uint64_t time_ms) {
   struct modbus_connection *c = connection_of(client);
   const struct options *options = &c->units->server->options;
@@ -365,6 +370,7 @@ struct modbus_connection *modbus_connection_new(struct modbus_units *units, int 
       .tick = tick,
       .stop = stop,
       .abort = abort_client,
+      .count = count_requests,
   };
   struct modbus_connection *c = calloc(1, sizeof *c);
   if (c != NULL) {

@@ -496,6 +496,11 @@ static void abort_client(struct client *client) {
   abort_connection(of(client));
 }
 
+static unsigned count_requests(const struct client *client) {
+  const struct connection *c = (const struct connection *)(const void *)client;
+  return c->closing ? 0 : requests_count(&c->requests);
+}
+
 static const struct client_kind kind = {
     .start = start,
     .run = run,
@@ -504,5 +509,6 @@ static const struct client_kind kind = {
     .deadline = deadline,
     .stop = stop,
     .abort = abort_client,
+    .count = count_requests,
     .counts = true,
 };

@@ -82,7 +82,8 @@ struct worker {
   uint64_t round_ns; /* when this round of the loop began to read; 0 if it has not read anything */
   unsigned stop_rounds; /* rounds of the loop since worker_stop(); 0 before */
   uint64_t stop_began_ms;
-  _Atomic uint64_t client_count; /* number of clients with kind->counts */
+  unsigned abandoned_requests, abandoned_clients; /* by the drain timeout; read after the join */
+  _Atomic uint64_t client_count;                  /* number of clients with kind->counts */
   struct job_context context;
 };
 

@@ -170,7 +170,7 @@ static bool is_read(const char *method) {
 static enum MHD_Result on_request(void *context, struct MHD_Connection *connection, const char *url,
                                   const char *method, const char *version, const char *body,
                                   size_t *body_bytes, void **state) {
-  static char ok[] = "ok\n";
+  static char ok[] = "ok\n", draining[] = "draining\n";
   static char not_found[] = "There is /metrics, and /healthz.\n";
   static char not_allowed[] = "It is only for reading: GET or HEAD.\n";
   const struct metrics *metrics = context;
@@ -184,7 +184,9 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *connecti
     return send_text(http, connection, MHD_HTTP_METHOD_NOT_ALLOWED, not_allowed);
   }
   return is_metrics ? send_metrics(http, connection, metrics->server)
-                    : send_text(http, connection, MHD_HTTP_OK, ok);
+         : atomic_load(&metrics->server->draining)
+             ? send_text(http, connection, MHD_HTTP_SERVICE_UNAVAILABLE, draining)
+             : send_text(http, connection, MHD_HTTP_OK, ok);
 }
 
 /* Keeps the library from decoding escapes in paths. If it did, it would take /metrics%00x for

@@ -3,12 +3,14 @@ status 0."""
 
 from __future__ import annotations
 
+import signal
 import time
 
 import pytest
-from daemons import eventually
+from daemons import eventually, read_log_line
 from dipole import ConnectError, Connection, ConnectionLost, wire
 from frames import EVAL, PING, ask, assert_closed, assert_error, assert_serves, eval_payload, frame
+from test_metrics import fetch
 
 LARGE = eval_payload(radii=None, radius_count=200_000)
 
@@ -80,3 +82,64 @@ def test_a_partial_frame_does_not_hold_it_up(daemon):
         assert_closed(connection)
     assert one.wait() == 0
     assert time.monotonic() - start < 5
+
+
+def test_a_drain_that_times_out_says_what_it_abandons(daemon):
+    """A client never reads the answers to ten requests, another one has read all of its own."""
+    one = daemon("--drain-timeout-ms", "300")
+    with one.connect() as slow, one.connect() as quick:
+        slow.send_bytes(b"".join(frame(EVAL, i, LARGE) for i in range(1, 11)))
+        slow.receive_frame()
+        ask(quick, PING)
+        one.terminate()
+        assert one.wait() == 0
+    (line,) = [line for line in one.log if "event=drain-timeout" in line]
+    assert "level=error" in line and " drain_timeout_ms=300" in line
+    fields = read_log_line(line)
+    assert int(fields["abandoned_requests"]) == 9 and fields["connections"] == "1"
+
+
+def test_a_drain_in_time_abandons_nothing(daemon):
+    one = daemon()
+    with one.connect() as connection:
+        ask(connection, PING)
+        one.terminate()
+        assert one.wait() == 0
+    assert not any("drain-timeout" in line for line in one.log)
+    assert any("event=stopping reason=SIGTERM" in line for line in one.log)
+
+
+def test_hanging_up_stops_it_as_well(daemon):
+    one = daemon()
+    with one.connect() as connection:
+        connection.send_bytes(b"".join(frame(EVAL, i, LARGE) for i in range(100, 110)))
+        connection.receive_frame()
+        one.terminate(signal.SIGHUP)
+        assert [connection.receive_frame().request_id for _ in range(9)] == list(range(101, 110))
+    assert one.wait() == 0
+    assert any("event=stopping reason=SIGHUP" in line for line in one.log)
+    assert one.log[-1].endswith("event=stopped")
+
+
+def test_hanging_up_is_ignored_under_nohup(daemon):
+    one = daemon(prefix=["env", "--ignore-signal=HUP"])
+    one.process.send_signal(signal.SIGHUP)
+    with one.connect() as connection:
+        assert_serves(connection)
+    assert not any("event=stopping" in line for line in one.log)
+
+
+def test_health_and_metrics_until_the_end(daemon):
+    one = daemon("--metrics", "127.0.0.1:0", "--drain-timeout-ms", "5000")
+    assert fetch(one, "/healthz")[0] == 200
+    with one.connect() as slow:
+        slow.send_bytes(frame(EVAL, 1, LARGE) * 10)
+        slow.receive_frame()
+        one.terminate()
+        assert eventually(lambda: fetch(one, "/healthz")[0] == 503)
+        assert fetch(one, "/healthz")[2] == "draining\n"
+        status, _, text = fetch(one, "/metrics")
+        assert status == 200 and "dipoled_connections_open 1\n" in text
+        for _ in range(9):
+            slow.receive_frame()
+    assert one.wait() == 0
