@@ -12,7 +12,7 @@
 #   make docs       the tables in proto/*.md, from proto/*.def, and the manual pages
 #   make model-errors  core/model_errors.def, measured anew against transport (minutes)
 #   make tradeoff   speed against accuracy, in build/tradeoff, and core/costs.def (minutes)
-#   make tables     core/transport/transport.table, solved anew (minutes; resumes)
+#   make tables     core/transport/transport.table, solved anew (two hours; resumes)
 #   make figures    Figures 1 to 17 of d'Eon 2012, in build/figures (ten minutes; resumes)
 #   make install    to $(DESTDIR)$(PREFIX); make uninstall takes it away again
 #   make deb        Debian packages, in build/deb; make check-deb installs them in a new system
@@ -375,7 +375,7 @@ $(BUILD)/transport-table: $(TABLES) $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
 	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
 
-# Minutes, on all cores; after an interruption it goes on where it was.
+# At most two hours on two cores; after an interruption it goes on where it was.
 tables: $(BUILD)/transport-table
 	$(BUILD)/transport-table $(BUILD)/tables core/transport/transport.table
 

@@ -428,11 +428,12 @@ bool core_transport_added_errors(const core_medium *medium, core_added_errors *a
 static core_fault look_up(const core_inputs *inputs, double albedo, const transport_table *table,
                           core_preparation *preparation) {
   transport_series series;
-  transport_table_look_up(table, albedo, inputs->medium->eta, &series);
+  transport_table_look_up(table, albedo, 0, inputs->medium->eta, &series);
   struct source source = {.series = &series, .kappa = series.kappa};
   lay_panels(&source, series.edge[0], series.edge[TRANSPORT_TABLE_PANELS]);
   preparation->albedo = series.total;
-  preparation->error = transport_table_error(table) + TOLERANCE_LEAST;
+  preparation->error =
+      transport_table_error(table, albedo, 0, inputs->medium->eta, 0, INFINITY) + TOLERANCE_LEAST;
   return fill(inputs, &source, 1, preparation);
 }
 
@@ -441,9 +442,11 @@ static core_fault look_up(const core_inputs *inputs, double albedo, const transp
 static const transport_table *table_for(const core_inputs *inputs, double albedo) {
   const double accepted =
       fmax(inputs->tabulated, core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, 0));
+  const double eta = inputs->medium->eta;
   const transport_table *table = transport_table_shipped();
-  const bool serves = table != NULL && transport_table_covers(table, albedo, inputs->medium->eta) &&
-                      transport_table_error(table) + TOLERANCE_LEAST <= accepted;
+  const bool serves =
+      table != NULL && transport_table_covers(table, albedo, 0, eta) &&
+      transport_table_error(table, albedo, 0, eta, 0, INFINITY) + TOLERANCE_LEAST <= accepted;
   return serves ? table : NULL;
 }
 

@@ -132,14 +132,14 @@ static double phase_at(const transport_phase *phase, double cosine) {
 
 /* Returns the rate at which diffuse light decays: 1 / kappa is the largest eigenvalue of the
  * symmetric tridiagonal matrix with l / sqrt(h_(l-1) h_l) beside its diagonal, h_l = (2 l + 1) (1 -
- * a g_l). Bisection, with the signs of Sturm's sequence. */
-static double decay_rate(const halfspace_medium *medium) {
+ * a g_l). Bisection, with the signs of Sturm's sequence. absorbed: 1 - a. */
+static double decay_rate(const halfspace_medium *medium, double absorbed) {
   enum { TERMS = 600, STEPS = 60 };
   double low = 0, high = 1;
   for (int step = 0; step < STEPS; step++) {
     const double middle = 0.5 * (low + high); /* a candidate for kappa */
     /* pivots of (1 / middle) H - T, positive as long as 1 / middle is above all eigenvalues */
-    double pivot = (1 - medium->albedo) / middle;
+    double pivot = absorbed / middle;
     bool above = pivot > 0;
     for (size_t l = 1; l < TERMS && above; l++) {
       const double g = l < medium->moments ? medium->moment[l] : 0;
@@ -174,7 +174,20 @@ static void truncate_phase(struct scaled *to, double ratio, const transport_phas
   to->medium = (halfspace_medium){albedo * (1 - forward) / kept, count, to->moment};
   to->unit = 1 / (kept * sigma_t);
   to->single = albedo / kept;
-  to->kappa = decay_rate(&to->medium);
+  to->kappa = decay_rate(&to->medium, 1 - to->medium.albedo);
+}
+
+double transport_anisotropic_kappa(double albedo, double g) {
+  enum { MOMENTS = 200 };
+  assert(albedo > 0 && albedo <= 1 && fabs(g) <= 0.99);
+  double moment[MOMENTS];
+  moment[0] = 1;
+  for (size_t l = 1; l < MOMENTS; l++) {
+    moment[l] = g * moment[l - 1];
+  }
+  const double sigma_s = albedo / (1 - g), sigma_t = 1 - albedo + sigma_s;
+  const halfspace_medium medium = {sigma_s / sigma_t, MOMENTS, moment};
+  return sigma_t * decay_rate(&medium, (1 - albedo) / sigma_t);
 }
 
 /* ---- light that is scattered twice near the source -------------------------------------------- */
@@ -251,6 +264,7 @@ struct grid {
 
 struct transport_anisotropic {
   size_t count;
+  size_t grids;        /* number of grids that were solved, 1 or GRIDS */
   single_rule *single; /* one for each boundary, with the phase function in its weights */
   struct grid grid[GRIDS];
 };
@@ -458,9 +472,9 @@ static core_fault check(double ratio, const transport_phase *phase, const double
   return no_fault;
 }
 
-core_fault transport_anisotropic_solve(transport_anisotropic **solution, const core_isa *isa,
-                                       double sigma_a_ratio, const transport_phase *phase,
-                                       const double *etas, size_t count, transport_effort effort) {
+static core_fault solve(transport_anisotropic **solution, const core_isa *isa, double sigma_a_ratio,
+                        const transport_phase *phase, const double *etas, size_t count,
+                        transport_effort effort, size_t grids) {
   *solution = NULL;
   const core_fault fault = check(sigma_a_ratio, phase, etas, count);
   if (fault.field != NULL) {
@@ -471,13 +485,14 @@ core_fault transport_anisotropic_solve(transport_anisotropic **solution, const c
     return memory_fault;
   }
   made->count = count;
+  made->grids = grids;
   made->single = malloc(count * sizeof *made->single);
   bool ok = made->single != NULL;
   for (size_t i = 0; i < count && ok; i++) {
     transport_single_rule(&made->single[i], etas[i], SINGLE_STEP);
     weigh_single(&made->single[i], phase);
   }
-  for (size_t i = 0; i < GRIDS && ok; i++) {
+  for (size_t i = 0; i < grids && ok; i++) {
     ok = solve_grid(&made->grid[i], isa, &rules[effort + 1 - i], sigma_a_ratio, phase, etas, count);
   }
   if (!ok) {
@@ -486,6 +501,19 @@ core_fault transport_anisotropic_solve(transport_anisotropic **solution, const c
   }
   *solution = made;
   return no_fault;
+}
+
+core_fault transport_anisotropic_solve(transport_anisotropic **solution, const core_isa *isa,
+                                       double sigma_a_ratio, const transport_phase *phase,
+                                       const double *etas, size_t count, transport_effort effort) {
+  return solve(solution, isa, sigma_a_ratio, phase, etas, count, effort, GRIDS);
+}
+
+core_fault transport_anisotropic_solve_once(transport_anisotropic **solution, const core_isa *isa,
+                                            double sigma_a_ratio, const transport_phase *phase,
+                                            const double *etas, size_t count,
+                                            transport_effort effort) {
+  return solve(solution, isa, sigma_a_ratio, phase, etas, count, effort, 1);
 }
 
 void transport_anisotropic_free(transport_anisotropic *solution) {
@@ -591,6 +619,9 @@ transport_number transport_anisotropic_at(const transport_anisotropic *solution,
   }
   if (isinf(r)) {
     return (transport_number){0, 0};
+  }
+  if (solution->grids == 1) {
+    return (transport_number){fmax(value_at(solution, &solution->grid[0], eta, r), 0), (double)NAN};
   }
   double value = 0, error = 0;
   for (size_t i = 0; i < sizeof neighbour / sizeof neighbour[0]; i++) {

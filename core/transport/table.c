@@ -7,11 +7,20 @@
 #include <pthread.h>
 #include <string.h>
 
+#include "core/transport/anisotropic.h"
 #include "core/transport/functions.h"
 #include "core/transport/table_data.h"
 #include "core/transport/transport.h"
 
-enum { TERMS_MAX = TRANSPORT_TABLE_TERMS_MAX, SERIES = 1 + TRANSPORT_TABLE_PANELS };
+enum {
+  TERMS_MAX = TRANSPORT_TABLE_TERMS_MAX,
+  PANELS = TRANSPORT_TABLE_PANELS,
+  SIDES = TRANSPORT_TABLE_SIDES,
+  DIMENSIONS = 3, /* of a coefficient of D, besides y */
+};
+
+/* the s at which u has its pole */
+#define U_END 1.02
 
 /* ---- coordinates ---------------------------------------------------------------------------- */
 
@@ -24,6 +33,15 @@ double transport_table_albedo(double t) {
   const double e = fn_exp(t);
   const double s = e / (1 + e);
   return (1 + s) / (1 + e);
+}
+
+double transport_table_u(double albedo) {
+  return -fn_log(U_END - sqrt(1 - albedo));
+}
+
+double transport_table_albedo_of_u(double u) {
+  const double s = U_END - fn_exp(-u);
+  return (1 - s) * (1 + s);
 }
 
 enum transport_table_side transport_table_side(double eta) {
@@ -45,10 +63,13 @@ void transport_table_v_range(const double *field, enum transport_table_side side
                                                                      : TRANSPORT_TABLE_ETA_MOST]);
 }
 
-void transport_table_edges(const double *field, double kappa,
-                           double edge[TRANSPORT_TABLE_PANELS + 1]) {
-  const double reach =
-      1 / (kappa / field[TRANSPORT_TABLE_REACH_DECAYS] + 1 / field[TRANSPORT_TABLE_REACH_MOST]);
+void transport_table_edges(const double *field, bool of_difference, double kappa,
+                           double edge[PANELS + 1]) {
+  const double decays =
+      field[of_difference ? TRANSPORT_TABLE_D_REACH_DECAYS : TRANSPORT_TABLE_REACH_DECAYS];
+  const double most =
+      field[of_difference ? TRANSPORT_TABLE_D_REACH_MOST : TRANSPORT_TABLE_REACH_MOST];
+  const double reach = 1 / (kappa / decays + 1 / most);
   for (int i = 0; i <= TRANSPORT_TABLE_NEAR; i++) {
     edge[i] = fn_log(field[TRANSPORT_TABLE_EDGES + i]);
   }
@@ -136,36 +157,50 @@ static int64_t read_integer(struct reader *reader) {
   return 0;
 }
 
-/* Reads a series and sums it over i and j with the values of T_i and T_j. Sets terms[k] to the
- * coefficients of T_k that result, in units of the quantum, and returns their number. */
-static size_t read_series(struct reader *reader, const double *t, const double *v, double *terms) {
+/* Reads a sum over some indices, where basis[0] has the values of the first index's polynomials,
+ * basis[1] those of the next one's, and so on. */
+static double read_sum(struct reader *reader, const double (*basis)[TERMS_MAX], size_t indices) {
+  if (indices == 0) {
+    return (double)read_integer(reader);
+  }
+  double sum = 0;
+  const size_t count = read_count(reader, 0);
+  for (size_t i = 0; i < count; i++) {
+    sum += read_sum(reader, basis + 1, indices - 1) * basis[0][i];
+  }
+  return sum;
+}
+
+/* Reads a series and sums it over all indices but k. Sets terms[k] to the coefficients of T_k that
+ * result, in units of the quantum, and returns their number. */
+static size_t read_series(struct reader *reader, const double (*basis)[TERMS_MAX], size_t indices,
+                          double *terms) {
   const size_t count = read_count(reader, 1);
   for (size_t k = 0; k < count; k++) {
-    terms[k] = 0;
-    const size_t rows = read_count(reader, 0);
-    for (size_t i = 0; i < rows; i++) {
-      double sum = 0;
-      const size_t columns = read_count(reader, 0);
-      for (size_t j = 0; j < columns; j++) {
-        sum += (double)read_integer(reader) * v[j];
-      }
-      terms[k] += sum * t[i];
-    }
+    terms[k] = read_sum(reader, basis, indices);
   }
   return count;
 }
 
-/* Reads one side completely, as a check. Returns whether it is well formed. */
-static bool pass_over_side(struct reader *reader) {
-  static const double zeros[TERMS_MAX];
+/* Reads one side of one part completely, as a check. Returns whether it is well formed. */
+static bool pass_over_side(struct reader *reader, size_t totals, size_t indices) {
+  static const double zeros[DIMENSIONS][TERMS_MAX];
   double terms[TERMS_MAX];
-  for (int i = 0; i < SERIES; i++) {
-    const size_t count = read_series(reader, zeros, zeros, terms);
-    if (i == 0 && count != 1) {
+  for (size_t i = 0; i < totals + PANELS; i++) {
+    const size_t count = read_series(reader, zeros, indices, terms);
+    if (i < totals && count != 1) {
       reader->good = false;
     }
   }
   return reader->good;
+}
+
+/* Returns whether a part reaches beyond the last fixed edge for every albedo. decays and most: as in
+ * the formula of the reach. */
+static bool reaches(const double *field, double decays, double most) {
+  const double kappa_most = 1;
+  return decays > 0 && most > 0 &&
+         1 / (kappa_most / decays + 1 / most) > field[TRANSPORT_TABLE_EDGES + TRANSPORT_TABLE_NEAR];
 }
 
 static bool sane(const double *field) {
@@ -176,13 +211,19 @@ static bool sane(const double *field) {
               field[TRANSPORT_TABLE_ETA_LEAST] >= TRANSPORT_ETA_MIN &&
               field[TRANSPORT_TABLE_ETA_LEAST] < 1 && field[TRANSPORT_TABLE_ETA_MOST] > 1 &&
               field[TRANSPORT_TABLE_ETA_MOST] <= TRANSPORT_ETA_MAX &&
-              field[TRANSPORT_TABLE_REACH_DECAYS] > 0 && field[TRANSPORT_TABLE_EDGES] > 0;
+              field[TRANSPORT_TABLE_EDGES] > 0 && field[TRANSPORT_TABLE_D_QUANTUM] > 0 &&
+              field[TRANSPORT_TABLE_G_LEAST] > -1 && field[TRANSPORT_TABLE_G_LEAST] < 0 &&
+              field[TRANSPORT_TABLE_G_MOST] > 0 && field[TRANSPORT_TABLE_G_MOST] < 1 &&
+              field[TRANSPORT_TABLE_TOTALS_ERROR] >= 0;
   for (int i = 0; i < TRANSPORT_TABLE_NEAR; i++) {
     good &= field[TRANSPORT_TABLE_EDGES + i] < field[TRANSPORT_TABLE_EDGES + i + 1];
   }
-  const double shortest =
-      1 / (1 / field[TRANSPORT_TABLE_REACH_DECAYS] + 1 / field[TRANSPORT_TABLE_REACH_MOST]);
-  return good && shortest > field[TRANSPORT_TABLE_EDGES + TRANSPORT_TABLE_NEAR];
+  for (int i = 0; i < TRANSPORT_TABLE_REGIONS; i++) {
+    good &= field[TRANSPORT_TABLE_D_ERRORS + i] >= 0;
+  }
+  return good &&
+         reaches(field, field[TRANSPORT_TABLE_REACH_DECAYS], field[TRANSPORT_TABLE_REACH_MOST]) &&
+         reaches(field, field[TRANSPORT_TABLE_D_REACH_DECAYS], field[TRANSPORT_TABLE_D_REACH_MOST]);
 }
 
 bool transport_table_open(transport_table *table, const uint8_t *bytes, size_t length) {
@@ -196,13 +237,13 @@ bool transport_table_open(transport_table *table, const uint8_t *bytes, size_t l
     table->field[i] = number_at(bytes + 24 + 8 * i);
   }
   struct reader reader = {bytes + TRANSPORT_TABLE_HEADER_BYTES, bytes + length, true};
-  for (int side = 0; side < TRANSPORT_TABLE_SIDES; side++) {
+  for (int side = 0; side < 2 * SIDES; side++) {
     table->side[side] = reader.at;
-    if (!pass_over_side(&reader)) {
+    if (!pass_over_side(&reader, side < SIDES ? 1 : 2, side < SIDES ? 2 : 3)) {
       return false;
     }
   }
-  table->side[TRANSPORT_TABLE_SIDES] = reader.at;
+  table->side[2 * SIDES] = reader.at;
   return reader.at == reader.end && sane(table->field);
 }
 
@@ -222,39 +263,130 @@ const transport_table *transport_table_shipped(void) {
 
 /* ---- looking up ----------------------------------------------------------------------------- */
 
-bool transport_table_covers(const transport_table *table, double albedo, double eta) {
-  return albedo >= table->field[TRANSPORT_TABLE_ALBEDO_LEAST] &&
-         albedo <= table->field[TRANSPORT_TABLE_ALBEDO_MOST] &&
-         eta >= table->field[TRANSPORT_TABLE_ETA_LEAST] &&
-         eta <= table->field[TRANSPORT_TABLE_ETA_MOST];
+bool transport_table_covers_difference(const transport_table *table, double albedo, double g,
+                                       double eta) {
+  const double *field = table->field;
+  return albedo >= field[TRANSPORT_TABLE_ALBEDO_LEAST] && albedo <= 1 &&
+         g >= field[TRANSPORT_TABLE_G_LEAST] && g <= field[TRANSPORT_TABLE_G_MOST] &&
+         eta >= field[TRANSPORT_TABLE_ETA_LEAST] && eta <= field[TRANSPORT_TABLE_ETA_MOST];
 }
 
-double transport_table_error(const transport_table *table) {
-  return table->field[TRANSPORT_TABLE_ERROR];
+bool transport_table_covers(const transport_table *table, double albedo, double g, double eta) {
+  return transport_table_covers_difference(table, albedo, g, eta) &&
+         albedo <= table->field[TRANSPORT_TABLE_ALBEDO_MOST];
 }
 
-void transport_table_look_up(const transport_table *table, double albedo, double eta,
+/* Returns the number of limits that a number has reached. */
+static size_t band(double x, const double *limits, size_t count) {
+  size_t i = 0;
+  while (i < count && x >= limits[i]) {
+    i++;
+  }
+  return i;
+}
+
+size_t transport_table_region(double albedo, double g, double eta, double x) {
+  static const double g_limits[TRANSPORT_TABLE_BANDS_G - 1] = {0.6, 0.85};
+  static const double albedo_limits[TRANSPORT_TABLE_BANDS_ALBEDO - 1] = {1.0 / 11, 0.5, 0.9};
+  static const double eta_limits[TRANSPORT_TABLE_BANDS_ETA - 1] = {1.5};
+  static const double x_limits[TRANSPORT_TABLE_BANDS_X - 1] = {0.05, 1, 10};
+  size_t region = band(g, g_limits, TRANSPORT_TABLE_BANDS_G - 1);
+  region = region * TRANSPORT_TABLE_BANDS_ALBEDO +
+           band(albedo, albedo_limits, TRANSPORT_TABLE_BANDS_ALBEDO - 1);
+  region =
+      region * TRANSPORT_TABLE_BANDS_ETA + band(eta, eta_limits, TRANSPORT_TABLE_BANDS_ETA - 1);
+  return region * TRANSPORT_TABLE_BANDS_X + band(x, x_limits, TRANSPORT_TABLE_BANDS_X - 1);
+}
+
+double transport_table_error(const transport_table *table, double albedo, double g, double eta,
+                             double x_least, double x_most) {
+  assert(x_least >= 0 && x_least <= x_most);
+  const double isotropic = table->field[TRANSPORT_TABLE_ERROR];
+  double error = 0;
+  const size_t first = transport_table_region(albedo, g, eta, x_least);
+  /* a range that ends where a band begins does not touch that band */
+  const size_t last = transport_table_region(albedo, g, eta, fmax(x_least, x_most * (1 - 0x1p-40)));
+  for (size_t i = first; i <= last && g != 0; i++) {
+    error = fmax(error, table->field[TRANSPORT_TABLE_D_ERRORS + i]);
+  }
+  return g == 0 ? isotropic : error;
+}
+
+double transport_table_total_error(const transport_table *table, double g) {
+  return table->field[g == 0 ? TRANSPORT_TABLE_ERROR : TRANSPORT_TABLE_TOTALS_ERROR];
+}
+
+/* Sets values to the polynomials of v on the side of this eta. */
+static void polynomials_of_v(const double *field, double eta, double *values) {
+  double range[2];
+  transport_table_v_range(field, transport_table_side(eta), range);
+  chebyshev(mapped(transport_table_v(eta), range[0], range[1]), values);
+}
+
+static void read_panels(struct reader *reader, const double (*basis)[TERMS_MAX], size_t indices,
+                        double quantum, size_t terms[PANELS], double term[PANELS][TERMS_MAX]) {
+  for (int i = 0; i < PANELS; i++) {
+    terms[i] = read_series(reader, basis, indices, term[i]);
+    for (size_t k = 0; k < terms[i]; k++) {
+      term[i][k] *= quantum;
+    }
+  }
+}
+
+/* Reads a series of one term for the logarithm of a total per albedo, and returns the total. */
+static double read_total(struct reader *reader, const double (*basis)[TERMS_MAX], size_t indices,
+                         double quantum, double albedo) {
+  double logarithm[TERMS_MAX];
+  read_series(reader, basis, indices, logarithm);
+  return albedo * fn_exp(logarithm[0] * quantum);
+}
+
+void transport_table_difference(const transport_table *table, double albedo, double g, double eta,
+                                transport_difference *difference) {
+  assert(transport_table_covers_difference(table, albedo, g, eta));
+  const double *field = table->field;
+  const int side = SIDES + (int)transport_table_side(eta);
+  double basis[DIMENSIONS][TERMS_MAX];
+  chebyshev(mapped(g, field[TRANSPORT_TABLE_G_LEAST], field[TRANSPORT_TABLE_G_MOST]), basis[0]);
+  chebyshev(mapped(transport_table_u(albedo), transport_table_u(1),
+                   transport_table_u(field[TRANSPORT_TABLE_ALBEDO_LEAST])),
+            basis[1]);
+  polynomials_of_v(field, eta, basis[2]);
+  struct reader reader = {table->side[side], table->side[side + 1], true};
+  const double quantum = field[TRANSPORT_TABLE_QUANTUM];
+  difference->total = read_total(&reader, basis, 3, quantum, albedo);
+  difference->total_diffuse = read_total(&reader, basis, 3, quantum, albedo);
+  difference->kappa = transport_anisotropic_kappa(albedo, g);
+  difference->kappa_isotropic = transport_kappa(albedo);
+  transport_table_edges(field, true, difference->kappa_isotropic, difference->edge);
+  read_panels(&reader, basis, 3, field[TRANSPORT_TABLE_D_QUANTUM], difference->terms,
+              difference->term);
+}
+
+void transport_table_look_up(const transport_table *table, double albedo, double g, double eta,
                              transport_series *series) {
-  assert(transport_table_covers(table, albedo, eta));
+  assert(transport_table_covers(table, albedo, g, eta));
   const double *field = table->field;
   const enum transport_table_side side = transport_table_side(eta);
-  double range[2], t[TERMS_MAX], v[TERMS_MAX], total[TERMS_MAX];
-  transport_table_v_range(field, side, range);
-  chebyshev(mapped(transport_table_v(eta), range[0], range[1]), v);
+  const double quantum = field[TRANSPORT_TABLE_QUANTUM];
+  double basis[2][TERMS_MAX];
   chebyshev(mapped(transport_table_t(albedo), transport_table_t(field[TRANSPORT_TABLE_ALBEDO_MOST]),
                    transport_table_t(field[TRANSPORT_TABLE_ALBEDO_LEAST])),
-            t);
+            basis[0]);
+  polynomials_of_v(field, eta, basis[1]);
   struct reader reader = {table->side[side], table->side[side + 1], true};
-  read_series(&reader, t, v, total);
+  series->g = g;
   series->kappa = transport_kappa(albedo);
-  series->total = albedo * fn_exp(total[0] * field[TRANSPORT_TABLE_QUANTUM]);
+  series->total = read_total(&reader, basis, 2, quantum, albedo);
+  series->total_diffuse = (double)NAN;
   series->ln_albedo = fn_log(albedo);
-  transport_table_edges(field, series->kappa, series->edge);
-  for (int i = 0; i < TRANSPORT_TABLE_PANELS; i++) {
-    series->terms[i] = read_series(&reader, t, v, series->term[i]);
-    for (size_t k = 0; k < series->terms[i]; k++) {
-      series->term[i][k] *= field[TRANSPORT_TABLE_QUANTUM];
-    }
+  transport_table_edges(field, false, series->kappa, series->edge);
+  read_panels(&reader, basis, 2, quantum, series->terms, series->term);
+  if (g != 0) {
+    transport_table_difference(table, albedo, g, eta, &series->difference);
+    series->kappa = series->difference.kappa;
+    series->total = series->difference.total;
+    series->total_diffuse = series->difference.total_diffuse;
   }
 }
 
@@ -269,14 +401,28 @@ static double sum_of(const double *terms, size_t count, double s) {
   return terms[0] + s * next - after;
 }
 
-double transport_series_at(const transport_series *series, double y) {
-  const double *edge = series->edge;
-  assert(y >= edge[0] - 1e-9 && y <= edge[TRANSPORT_TABLE_PANELS] + 1e-9);
+/* Returns the series of the panel that y is in. Outside all panels it is constant. */
+static double sum_at(const double edge[PANELS + 1], const size_t terms[PANELS],
+                     const double term[PANELS][TERMS_MAX], double y) {
   int panel = 0;
-  while (panel < TRANSPORT_TABLE_PANELS - 1 && y > edge[panel + 1]) {
+  while (panel < PANELS - 1 && y > edge[panel + 1]) {
     panel++;
   }
-  const double q =
-      sum_of(series->term[panel], series->terms[panel], mapped(y, edge[panel], edge[panel + 1]));
-  return q + series->ln_albedo + fn_log(1 + series->kappa * fn_exp(y));
+  return sum_of(term[panel], terms[panel], mapped(y, edge[panel], edge[panel + 1]));
+}
+
+double transport_difference_at(const transport_difference *difference, double y) {
+  const double x = fn_exp(y);
+  return sum_at(difference->edge, difference->terms, difference->term, y) +
+         fn_log((1 + difference->kappa * x) / (1 + difference->kappa_isotropic * x));
+}
+
+double transport_series_at(const transport_series *series, double y) {
+  const double *edge = series->edge;
+  const bool isotropic = series->g == 0;
+  assert(y >= edge[0] - 1e-9 && y <= edge[PANELS] + 1e-9);
+  const double q = sum_at(edge, series->terms, series->term, y);
+  const double kappa = isotropic ? series->kappa : series->difference.kappa_isotropic;
+  const double sum = q + series->ln_albedo + fn_log(1 + kappa * fn_exp(y));
+  return isotropic ? sum : sum + transport_difference_at(&series->difference, y);
 }

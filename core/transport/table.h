@@ -1,26 +1,42 @@
-/* table: a table of solutions of radiative transport (see transport.h), as a series over albedo,
- * eta and radius. The table is part of the program (transport.table, made by `make tables`).
+/* table: a table of solutions of radiative transport (see transport.h and anisotropic.h), as a series
+ * over albedo, g, eta and radius. The table is part of the program (transport.table, made by `make
+ * tables`). Scattering is that of Henyey and Greenstein (1941) with the mean cosine g.
  *
- * The table holds what is left of R (per squared mean free path, x in mean free paths) after its
- * source and its decay have been divided out:
+ * Lengths are in reduced mean free paths 1 / (sigma_a + sigma_s'), sigma_s' = sigma_s (1 - g), and R
+ * is per squared reduced mean free path. The albedo is the reduced one, sigma_s' / (sigma_a +
+ * sigma_s'). x is the radius.
+ *
+ * The table holds what is left of R after its source and its decay have been divided out:
  *
  *   Q = ln(x R / a) + kappa x - ln(1 + kappa x).
  *
  * Near the source R is in proportion to a / x, up to terms of relative size x ln x. Far away, where
  * R is diffusion, R is in proportion to (1 + kappa x) e^(-kappa x) / x^3. Q is smooth at both ends
- * in ln x, and smooth in the coordinates
+ * in ln x. The table has two parts: Q for isotropic scattering, and the difference
  *
- *   t = ln(s / (1 - s)), s = sqrt(1 - a):   kappa and all that diffuses is smooth in s near a = 1;
+ *   D = Q(g) - Q(0),
+ *
+ * each with the medium's own kappa. The parts are smooth in the coordinates
+ *
+ *   t = ln(s / (1 - s)), s = sqrt(1 - a):   for isotropic scattering: kappa and all that diffuses is
+ *                                           smooth in s near a = 1;
+ *   u = -ln(1.02 - s)                       for D: like s near a = 1, like ln(1 - s) near a = 0,
+ *                                           where single scattering takes over;
+ *   g                                       for D;
  *   v = sqrt(1 - 1 / eta^2) for eta >= 1,   Fresnel's reflectance is not smooth at eta = 1, so each
  *       sqrt(1 - eta^2)     for eta < 1:    side has a table of its own;
  *   y = ln x, in panels: each panel reaches from one edge to the next. The last edge, the reach, is
- *       x = 1 / (kappa / decays + 1 / most), so that panels end where R does, and Q with them is a
- *       smooth function of kappa. The panels between the last fixed edge and the reach have the
- *       same width in y.
+ *       x = 1 / (kappa / decays + 1 / most) with the kappa of isotropic scattering, so that panels
+ *       end where R does, and Q with them is a smooth function of kappa. The panels between the last
+ *       fixed edge and the reach have the same width in y. The two parts have the same fixed edges
+ *       and different reaches. Beyond its reach D is constant: R is diffusion there, or so small
+ *       that the errors below do not hold for it.
  *
- * The table holds the total (the energy that leaves per power that has entered) as ln(total / a).
+ * For isotropic scattering the table holds the total (the energy that leaves per power that has
+ * entered) as ln(total / a). For other media it holds ln(total / a) for a beam at right angles and
+ * for diffuse light, which strikes the surface with the same radiance from all directions.
  *
- * FORMAT, version 1. Numbers are little-endian.
+ * FORMAT, version 2. Numbers are little-endian.
  *
  *   bytes    what
  *   0-7      "dipoletr"
@@ -28,18 +44,22 @@
  *   12-15    length of the whole table in bytes, u32
  *   16-23    checksum of all bytes from 24 on, u64: FNV-1a (Fowler, Noll, Vo)
  *   24-...   TRANSPORT_TABLE_FIELDS numbers, f64, see transport_table_field
- *   ...      eta < 1, then eta >= 1: the total, then each panel from the source outwards, as series
+ *   ...      isotropic scattering, eta < 1, then eta >= 1: the total, then each panel from the source
+ *            outwards, as series
+ *   ...      D, eta < 1, then eta >= 1: the total for the beam, the total for diffuse light, then
+ *            each panel, as series
  *
- * A series is a sum of c_kij T_k T_i T_j: Chebyshev polynomials of y (in the panel), t and v (in
- * the table's range), each mapped to -1 to 1. The bytes of a series are the number of k (one byte;
- * 1 for the total), for each k the number of i (one byte), for each i the number of j (one byte),
- * and for each j the integer c / quantum. An integer is written in zigzag order (0, -1, 1, -2, ...
- * become 0, 1, 2, 3, ...), seven bits to a byte, the lowest first; the eighth bit of a byte is set
- * if another byte follows.
+ * A series is a sum of c_kij T_k T_i T_j, Chebyshev polynomials of y (in the panel), t and v (in
+ * the table's range), each mapped to -1 to 1. A series of D is a sum of c_klij T_k T_l T_i T_j over
+ * y, g, u and v. The bytes of a series are the number of k (one byte; 1 for a total), for each k the
+ * number of the next index (one byte), and so on, and for each j the integer c / quantum. An
+ * integer is written in zigzag order (0, -1, 1, -2, ... become 0, 1, 2, 3, ...), seven bits to a
+ * byte, the lowest first; the eighth bit of a byte is set if another byte follows.
  *
- * ERROR: the table was compared with the solver at media and radii that were not used to make it.
- * The field ERROR is TRANSPORT_TABLE_MARGIN times the largest relative error that was found, of R
- * where R is above TRANSPORT_TABLE_R_LEAST and of the total.
+ * ERROR: the table was compared with the solvers at media and radii that were not used to make it.
+ * The stated errors are TRANSPORT_TABLE_MARGIN times the largest relative error that was found, of
+ * R where R is above TRANSPORT_TABLE_R_LEAST and of the totals, plus the error of the solver itself.
+ * For g other than 0 there is an error for each region: a band of g, of the albedo, of eta and of x.
  */
 #ifndef DIPOLED_CORE_TRANSPORT_TABLE_H
 #define DIPOLED_CORE_TRANSPORT_TABLE_H
@@ -54,16 +74,23 @@
 #define TRANSPORT_TABLE_MARGIN 1.5
 
 enum {
-  TRANSPORT_TABLE_VERSION = 1,
+  TRANSPORT_TABLE_VERSION = 2,
   TRANSPORT_TABLE_NEAR = 2, /* number of panels between the fixed edges */
   TRANSPORT_TABLE_FAR = 2,  /* number of panels from the last fixed edge to the reach */
   TRANSPORT_TABLE_PANELS = TRANSPORT_TABLE_NEAR + TRANSPORT_TABLE_FAR,
   TRANSPORT_TABLE_TERMS_MAX = 96, /* largest number of terms in each direction */
+  /* numbers of bands whose errors are stated, for g other than 0: see transport_table_region() */
+  TRANSPORT_TABLE_BANDS_G = 3,
+  TRANSPORT_TABLE_BANDS_ALBEDO = 4,
+  TRANSPORT_TABLE_BANDS_ETA = 2,
+  TRANSPORT_TABLE_BANDS_X = 4,
+  TRANSPORT_TABLE_REGIONS = TRANSPORT_TABLE_BANDS_G * TRANSPORT_TABLE_BANDS_ALBEDO *
+                            TRANSPORT_TABLE_BANDS_ETA * TRANSPORT_TABLE_BANDS_X
 };
 
 enum transport_table_field {
-  TRANSPORT_TABLE_ERROR,        /* largest relative error, see ERROR above */
-  TRANSPORT_TABLE_QUANTUM,      /* unit of the coefficients */
+  TRANSPORT_TABLE_ERROR,        /* of isotropic scattering, largest relative error, see above */
+  TRANSPORT_TABLE_QUANTUM,      /* unit of the coefficients, of isotropic scattering and totals */
   TRANSPORT_TABLE_ALBEDO_LEAST, /* smallest albedo that the table covers */
   TRANSPORT_TABLE_ALBEDO_MOST,
   TRANSPORT_TABLE_ETA_LEAST,
@@ -72,7 +99,15 @@ enum transport_table_field {
   TRANSPORT_TABLE_REACH_MOST,   /* `most` in the formula of the reach above, in mean free paths */
   /* first of TRANSPORT_TABLE_NEAR + 1 fixed edges, in mean free paths */
   TRANSPORT_TABLE_EDGES,
-  TRANSPORT_TABLE_FIELDS = TRANSPORT_TABLE_EDGES + TRANSPORT_TABLE_NEAR + 1
+  /* of D */
+  TRANSPORT_TABLE_D_QUANTUM = TRANSPORT_TABLE_EDGES + TRANSPORT_TABLE_NEAR + 1,
+  TRANSPORT_TABLE_G_LEAST,
+  TRANSPORT_TABLE_G_MOST,
+  TRANSPORT_TABLE_D_REACH_DECAYS,
+  TRANSPORT_TABLE_D_REACH_MOST,
+  TRANSPORT_TABLE_TOTALS_ERROR, /* largest relative error of the totals for g other than 0 */
+  TRANSPORT_TABLE_D_ERRORS,     /* first of TRANSPORT_TABLE_REGIONS largest relative errors of R */
+  TRANSPORT_TABLE_FIELDS = TRANSPORT_TABLE_D_ERRORS + TRANSPORT_TABLE_REGIONS
 };
 
 enum { TRANSPORT_TABLE_HEADER_BYTES = 24 + 8 * TRANSPORT_TABLE_FIELDS };
@@ -86,8 +121,9 @@ enum transport_table_side {
 /* An opened table. It points into the bytes that it was opened from. */
 typedef struct transport_table {
   double field[TRANSPORT_TABLE_FIELDS];
-  /* position where each side begins, and the end of the last */
-  const uint8_t *side[TRANSPORT_TABLE_SIDES + 1];
+  /* position where each side begins, first those of isotropic scattering, then those of D; and the
+   * end of the last */
+  const uint8_t *side[2 * TRANSPORT_TABLE_SIDES + 1];
 } transport_table;
 
 /* Opens a table after checking all of its bytes. Returns false if the bytes are damaged or of
@@ -99,27 +135,62 @@ bool transport_table_open(transport_table *table, const uint8_t *bytes, size_t l
  * with the program, and all processes share it. Any thread may call this at any time. */
 const transport_table *transport_table_shipped(void);
 
-/* Returns whether the table covers a medium with this single-scattering albedo and eta. Any numbers
- * may be passed. */
-bool transport_table_covers(const transport_table *table, double albedo, double eta);
+/* Returns whether the table covers a medium with this albedo, g and eta. Any numbers may be passed. */
+bool transport_table_covers(const transport_table *table, double albedo, double g, double eta);
 
-/* Returns the largest relative error of R, where R is above TRANSPORT_TABLE_R_LEAST, and of the
- * total. */
-double transport_table_error(const transport_table *table);
+/* The same for transport_table_difference() alone, which also serves albedos up to 1. */
+bool transport_table_covers_difference(const transport_table *table, double albedo, double g,
+                                       double eta);
 
-/* One medium of the table: Chebyshev series in ln x. */
+/* Returns the largest relative error of R for radii from x_least to x_most, where R is above
+ * TRANSPORT_TABLE_R_LEAST. Of isotropic scattering, this is the error for all media and radii, and
+ * that of the total as well. x_least: 0 to x_most. x_most: up to infinity. The table has to cover
+ * the difference of the medium (asserted), or g has to be 0. */
+double transport_table_error(const transport_table *table, double albedo, double g, double eta,
+                             double x_least, double x_most);
+
+/* Returns the largest relative error of the totals. */
+double transport_table_total_error(const transport_table *table, double g);
+
+/* By how much a medium differs from the one with the same albedo and eta that scatters
+ * isotropically: Chebyshev series in ln x. */
+typedef struct transport_difference {
+  double kappa;           /* of the medium */
+  double kappa_isotropic; /* of the isotropic one */
+  double total;           /* the energy that leaves, per power that has entered at right angles */
+  double total_diffuse;   /* the same for diffuse light */
+  double edge[TRANSPORT_TABLE_PANELS + 1]; /* edges in ln x */
+  size_t terms[TRANSPORT_TABLE_PANELS];
+  double term[TRANSPORT_TABLE_PANELS][TRANSPORT_TABLE_TERMS_MAX];
+} transport_difference;
+
+/* Sets *difference to the difference of a medium, which the table has to cover
+ * (transport_table_covers_difference(), asserted). The result has the same bits on every machine.
+ * For g = 0 all terms are 0 up to the table's accuracy. */
+void transport_table_difference(const transport_table *table, double albedo, double g, double eta,
+                                transport_difference *difference);
+
+/* Returns what has to be added to L_0 = ln(x R_0) + kappa_isotropic x, where R_0 is of the isotropic
+ * medium, in order to get ln(x R) + kappa x of the medium, at y = ln x for any y. So R_0 may come
+ * from the table or from the solver. */
+double transport_difference_at(const transport_difference *difference, double y);
+
+/* One medium of the table: Chebyshev series in ln x of isotropic scattering, and the difference. */
 typedef struct transport_series {
-  double kappa; /* transport_kappa() of the albedo */
-  double total; /* the energy that leaves, per power that has entered */
+  double g;
+  double kappa;         /* the rate at which diffuse light decays far away */
+  double total;         /* the energy that leaves, per power that has entered at right angles */
+  double total_diffuse; /* the same for diffuse light; NAN for g = 0 */
   double ln_albedo;
   double edge[TRANSPORT_TABLE_PANELS + 1]; /* edges in ln x; the last one is the reach */
   size_t terms[TRANSPORT_TABLE_PANELS];
   double term[TRANSPORT_TABLE_PANELS][TRANSPORT_TABLE_TERMS_MAX];
+  transport_difference difference; /* set if g is not 0 */
 } transport_series;
 
 /* Sets *series to the series of a medium, which the table has to cover (asserted). The result has
  * the same bits on every machine. */
-void transport_table_look_up(const transport_table *table, double albedo, double eta,
+void transport_table_look_up(const transport_table *table, double albedo, double g, double eta,
                              transport_series *series);
 
 /* Returns ln(x R) + kappa x at y = ln x, for y from the first edge to the last (asserted, up to
@@ -128,10 +199,12 @@ double transport_series_at(const transport_series *series, double y);
 
 /* ---- for making tables --------------------------------------------------------------------- */
 
-/* These convert between albedo and t and between eta and its side and v, as the table's first
+/* These convert between albedo and t or u, and between eta and its side and v, as the table's first
  * comment defines them. */
 double transport_table_t(double albedo);
 double transport_table_albedo(double t);
+double transport_table_u(double albedo);
+double transport_table_albedo_of_u(double u);
 enum transport_table_side transport_table_side(double eta);
 double transport_table_v(double eta);
 double transport_table_eta(enum transport_table_side side, double v);
@@ -140,9 +213,15 @@ double transport_table_eta(enum transport_table_side side, double v);
  */
 void transport_table_v_range(const double *field, enum transport_table_side side, double range[2]);
 
-/* Sets edge to the edges in ln x for a medium with this kappa. */
-void transport_table_edges(const double *field, double kappa,
+/* Sets edge to the edges in ln x, of the part for isotropic scattering or of D. kappa: that of
+ * isotropic scattering with the same albedo. */
+void transport_table_edges(const double *field, bool of_difference, double kappa,
                            double edge[TRANSPORT_TABLE_PANELS + 1]);
+
+/* Returns the region of the table's errors that a medium and a radius belong to: bands of g end at
+ * 0.6 and 0.85, bands of the albedo at 1 / 11, 0.5 and 0.9 (sigma_a / sigma_s' = 10, 1, 0.11), of
+ * eta at 1.5, of x at 0.05, 1 and 10. A number at the end of a band belongs to the next one. */
+size_t transport_table_region(double albedo, double g, double eta, double x);
 
 /* Returns the checksum of `length` bytes, which in a table are those from byte 24 to the end. */
 uint64_t transport_table_checksum(const uint8_t *bytes, size_t length);

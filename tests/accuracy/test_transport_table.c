@@ -2,6 +2,7 @@
 #include <math.h>
 
 #include "core/kernels.h"
+#include "core/transport/anisotropic.h"
 #include "core/transport/table.h"
 #include "core/transport/transport.h"
 #include "tests/unit/unit.h"
@@ -40,7 +41,7 @@ static double evaluate(const core_preparation *preparation, enum core_elementwis
 static double shipped_error(void) {
   const transport_table *table = transport_table_shipped();
   assert_non_null(table);
-  return transport_table_error(table);
+  return transport_table_error(table, 0.5, 0, 1, 0, (double)INFINITY);
 }
 
 /* ---- the error ---------------------------------------------------------------------------- */
@@ -153,6 +154,178 @@ UNIT_TEST(the_energy_is_the_albedo) {
   }
 }
 
+/* ---- scattering that is not isotropic ------------------------------------------------------- */
+
+/* Asserts that R of the table is as near to a true value as the table says. off: the relative error
+ * of the true value itself. Returns the relative error. */
+static double hold_forward(const transport_series *series, double albedo, double g, double eta,
+                           double x, double R, double off) {
+  const double y = log(x);
+  const double error = fabs(exp(transport_series_at(series, y) - series->kappa * x - y) / R - 1);
+  const double stated =
+      transport_table_error(transport_table_shipped(), albedo, g, eta, x, x) + off;
+  if (!(error <= stated)) {
+    fail_msg("albedo %.9g, g %g, eta %g, x %g: off by %.2g, not %.2g", albedo, g, eta, x, error,
+             stated);
+  }
+  return error;
+}
+
+/* Values of another implementation (../shared/vectors/anisotropic.csv), with their error bounds. */
+UNIT_TEST(the_difference_agrees_with_another_implementation) {
+  static const struct {
+    double ratio, g, eta;
+    double rows[4][3]; /* radius, R, relative error bound */
+  } known[] = {
+      {0.0001,
+       0.9,
+       1,
+       {{0.02, 1.3984231e+00, 6.0e-04},
+        {0.2, 1.6262979e-01, 2.0e-04},
+        {2, 1.2662261e-02, 6.0e-05},
+        {12, 1.4544293e-04, 6.0e-05}}},
+      {0.01,
+       0.95,
+       0.8,
+       {{0.02, 1.2530397e+00, 1.1e-03},
+        {0.2, 1.4687168e-01, 2.0e-04},
+        {2, 1.1566337e-02, 6.0e-05},
+        {12, 5.7431398e-05, 6.0e-05}}},
+      {0.02,
+       0.3,
+       2,
+       {{0.02, 8.7539968e-01, 9.3e-04},
+        {0.2, 5.6152919e-02, 6.1e-04},
+        {2, 4.2531321e-03, 6.0e-05},
+        {12, 4.4846836e-05, 3.0e-05}}},
+      {0.1,
+       0.5,
+       1.5,
+       {{0.02, 9.7887076e-01, 3.3e-04},
+        {0.2, 7.5861861e-02, 1.9e-04},
+        {2, 3.7155577e-03, 3.0e-05},
+        {12, 2.6222986e-06, 3.0e-05}}},
+      {0.2,
+       -0.5,
+       1.2,
+       {{0.02, 5.7308992e+00, 3.0e-04},
+        {0.2, 2.6910775e-01, 1.2e-04},
+        {2, 1.7483365e-03, 2.4e-04},
+        {12, 3.6497109e-07, 1.0e-04}}},
+      {1,
+       0.9,
+       1.3,
+       {{0.02, 4.0176122e-01, 1.1e-03},
+        {0.2, 2.6069663e-02, 2.0e-04},
+        {2, 4.8525568e-04, 6.0e-05},
+        {12, 2.3936894e-09, 6.0e-05}}},
+  };
+  double worst = 0;
+  for (size_t i = 0; i < sizeof known / sizeof known[0]; i++) {
+    const double albedo = 1 / (1 + known[i].ratio);
+    transport_series series;
+    transport_table_look_up(transport_table_shipped(), albedo, known[i].g, known[i].eta, &series);
+    for (size_t row = 0; row < 4; row++) {
+      const double *at = known[i].rows[row];
+      worst =
+          fmax(worst, hold_forward(&series, albedo, known[i].g, known[i].eta, at[0], at[1], at[2]));
+    }
+  }
+  printf("another implementation: off by at most %.2g\n", worst);
+}
+
+/* One random medium against the solver. */
+UNIT_TEST(the_difference_agrees_with_the_solver) {
+  enum { BOUNDARIES = 8 };
+  uint64_t random = unit_seed();
+  const double ratio = unit_random_log(&random, 1e-4, 5), albedo = 1 / (1 + ratio);
+  const transport_phase phase = {unit_random_between(&random, -0.5, 0.95), 0, NULL};
+  double etas[BOUNDARIES] = {0.7, 1, 2.2}, worst = 0;
+  for (size_t i = 3; i < BOUNDARIES; i++) {
+    etas[i] = unit_random_between(&random, 0.7, 2.2);
+  }
+  transport_anisotropic *solution;
+  unit_assert_fault(transport_anisotropic_solve(&solution, core_isa_select(NULL), ratio, &phase,
+                                                etas, BOUNDARIES, TRANSPORT_EFFORT_QUICK),
+                    NULL, 0);
+  for (size_t i = 0; i < BOUNDARIES; i++) {
+    transport_series series;
+    transport_table_look_up(transport_table_shipped(), albedo, phase.g, etas[i], &series);
+    for (double x = 1e-4; x < 30; x *= 1.3) {
+      const transport_number R = transport_anisotropic_at(solution, i, x);
+      if (R.value > TRANSPORT_TABLE_R_LEAST) {
+        worst = fmax(
+            worst, hold_forward(&series, albedo, phase.g, etas[i], x, R.value, R.error / R.value));
+      }
+    }
+  }
+  printf("ratio %g, g %g: off from the solver by at most %.2g\n", ratio, phase.g, worst);
+  transport_anisotropic_free(solution);
+}
+
+static double hold_total(double total, transport_number truth, double stated) {
+  const double error = fabs(total - truth.value) / truth.value;
+  assert_true(error <= stated + truth.error / truth.value);
+  return error;
+}
+
+UNIT_TEST(totals_of_all_g_hold) {
+  uint64_t random = unit_seed();
+  double worst = 0;
+  for (size_t i = 0; i < 40; i++) {
+    const double eta = unit_random_between(&random, 0.7, 2.2), albedo = random_albedo(&random, i);
+    const transport_phase phase = {unit_random_between(&random, -0.5, 0.95), 0, NULL};
+    transport_totals truth;
+    unit_assert_fault(transport_anisotropic_totals(&truth, core_isa_select(NULL),
+                                                   (1 - albedo) / albedo, &phase, &eta, 1),
+                      NULL, 0);
+    transport_difference difference;
+    transport_table_difference(transport_table_shipped(), albedo, phase.g, eta, &difference);
+    const double stated = transport_table_total_error(transport_table_shipped(), phase.g);
+    worst = fmax(worst, hold_total(difference.total, truth.normal, stated));
+    worst = fmax(worst, hold_total(difference.total_diffuse, truth.diffuse, stated));
+  }
+  printf("totals: off by at most %.2g\n", worst);
+}
+
+/* The difference vanishes with g, and albedo 1 is included. */
+UNIT_TEST(the_difference_is_continuous) {
+  const transport_table *table = transport_table_shipped();
+  transport_series isotropic, series;
+  transport_table_look_up(table, 0.97, 0, 1.4, &isotropic);
+  transport_table_look_up(table, 0.97, 1e-9, 1.4, &series);
+  for (double y = isotropic.edge[0]; y < isotropic.edge[TRANSPORT_TABLE_PANELS]; y += 0.5) {
+    const double off = transport_series_at(&series, y) - transport_series_at(&isotropic, y);
+    assert_true(fabs(off) < transport_table_error(table, 0.97, 1e-9, 1.4, exp(y), exp(y)));
+  }
+  transport_difference conservative, nearly;
+  transport_table_difference(table, 1, 0.9, 1.4, &conservative);
+  transport_table_difference(table, 1 - 1e-9, 0.9, 1.4, &nearly);
+  assert_true(conservative.kappa == 0 && fabs(conservative.total - 1) < 1e-4);
+  for (double y = -25; y < 15; y += 0.5) {
+    const double off =
+        transport_difference_at(&conservative, y) - transport_difference_at(&nearly, y);
+    assert_true(fabs(off) < 1e-3);
+  }
+}
+
+UNIT_TEST(the_table_says_what_it_covers) {
+  const transport_table *table = transport_table_shipped();
+  const double none = (double)NAN;
+  assert_true(transport_table_covers(table, 0.01, -0.5, 0.7));
+  assert_true(transport_table_covers(table, 1 - 1e-6, 0.95, 2.2));
+  assert_false(transport_table_covers(table, 1, 0.9, 1.4));
+  assert_true(transport_table_covers_difference(table, 1, 0.9, 1.4));
+  assert_false(transport_table_covers(table, 0.9, 0.96, 1.4));
+  assert_false(transport_table_covers(table, 0.9, -0.6, 1.4));
+  assert_false(transport_table_covers(table, 0.005, 0.9, 1.4));
+  assert_false(transport_table_covers(table, 0.9, none, 1.4));
+  const double near = transport_table_error(table, 0.9, 0.9, 1.4, 0, 0.01);
+  const double far = transport_table_error(table, 0.9, 0.9, 1.4, 2, 3);
+  assert_true(near > 0 && far > 0);
+  assert_true(transport_table_error(table, 0.9, 0.9, 1.4, 0, 3) >= fmax(near, far));
+}
+
 /* ---- what it is used for ------------------------------------------------------------------ */
 
 static void assert_source(double albedo, double eta, double tabulated, bool from_table) {
@@ -177,8 +350,8 @@ UNIT_TEST(the_table_serves_what_it_covers) {
   assert_source(0.9, 2.4, 1e-4, false);
   assert_source(1, 1, 1e-4, false);
   const transport_table *table = transport_table_shipped();
-  assert_false(transport_table_covers(table, none, 1.4));
-  assert_false(transport_table_covers(table, 0.9, none));
+  assert_false(transport_table_covers(table, none, 0, 1.4));
+  assert_false(transport_table_covers(table, 0.9, 0, none));
 }
 
 /* Far outside, where only the asymptotics are left, nothing is lost but light. */
@@ -207,7 +380,7 @@ static struct copy copy_shipped(uint8_t **memory) {
   const transport_table *table = transport_table_shipped();
   assert_non_null(table);
   const uint8_t *begin = table->side[0] - TRANSPORT_TABLE_HEADER_BYTES;
-  const size_t length = (size_t)(table->side[TRANSPORT_TABLE_SIDES] - begin);
+  const size_t length = (size_t)(table->side[2 * TRANSPORT_TABLE_SIDES] - begin);
   *memory = malloc(length + 2);
   assert_non_null(*memory);
   memcpy(*memory + 1, begin, length);

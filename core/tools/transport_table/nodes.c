@@ -6,15 +6,37 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "core/transport/anisotropic.h"
 #include "core/transport/functions.h"
 #include "core/transport/table.h"
 #include "core/transport/transport.h"
 
-/* The number of points in each direction. They suffice for the last coefficients to be below the
- * quantum. */
-enum { NODES_T = 72, NODES_X = 32, NODES_V_MAX = NODES_FROM_1, PANELS = TRANSPORT_TABLE_PANELS };
+enum {
+  PANELS = TRANSPORT_TABLE_PANELS,
+  SIDES = TRANSPORT_TABLE_SIDES,
+  /* The number of points in each direction. For isotropic scattering they suffice for the last
+   * coefficients to be below the quantum. */
+  NODES_T = 72,
+  NODES_X = 32,
+  NODES_D_X = 24,
+  NODES_D_BELOW_1 = 10,
+  NODES_D_FROM_1 = 16,
+  NODES_D_V = NODES_D_BELOW_1 + NODES_D_FROM_1,
+  TOTALS_G = 18,
+  TOTALS_U = 40,
+  TOTALS_BELOW_1 = 12,
+  TOTALS_FROM_1 = 20,
+  DIMENSIONS_MAX = 4,
+  BYTES_MAX = 1 << 22
+};
 
-enum { BYTES_MAX = 1 << 22 };
+static void *allocate(size_t count, size_t size) {
+  void *memory = calloc(count, size);
+  if (memory == NULL) {
+    tools_fail("out of memory");
+  }
+  return memory;
+}
 
 /* Returns cos(pi (i + 1/2) k / n). */
 static double wave(size_t k, size_t i, size_t n) {
@@ -30,33 +52,69 @@ static double point(size_t i, size_t n, double from, double to) {
 
 /* ---- points ---------------------------------------------------------------------------------- */
 
-static size_t nodes_of(enum transport_table_side side) {
-  return side == TRANSPORT_TABLE_BELOW_1 ? NODES_BELOW_1 : NODES_FROM_1;
+/* Sets x to the points of all panels: [PANELS][n]. */
+static void make_radii(const double *field, bool of_difference, double albedo, size_t n,
+                       double *x) {
+  double edge[PANELS + 1];
+  transport_table_edges(field, of_difference, transport_kappa(albedo), edge);
+  for (size_t p = 0; p < PANELS; p++) {
+    for (size_t k = 0; k < n; k++) {
+      x[p * n + k] = fn_exp(point(k, n, edge[p], edge[p + 1]));
+    }
+  }
 }
 
-static void make_radii(const double *field, table_sample *sample, size_t i) {
-  double edge[PANELS + 1];
-  transport_table_edges(field, transport_kappa(sample->albedo[i]), edge);
-  for (size_t p = 0; p < PANELS; p++) {
-    for (size_t k = 0; k < NODES_X; k++) {
-      sample->x[(i * PANELS + p) * NODES_X + k] = fn_exp(point(k, NODES_X, edge[p], edge[p + 1]));
-    }
+/* Sets etas to the points of one side. */
+static void make_etas(const double *field, enum transport_table_side side, size_t n, double *etas) {
+  double range[2];
+  transport_table_v_range(field, side, range);
+  for (size_t j = 0; j < n; j++) {
+    etas[j] = transport_table_eta(side, point(j, n, range[0], range[1]));
   }
 }
 
 void nodes_make(const double *field, table_sample samples[NODES]) {
   const double t_first = transport_table_t(field[TRANSPORT_TABLE_ALBEDO_MOST]);
   const double t_last = transport_table_t(field[TRANSPORT_TABLE_ALBEDO_LEAST]);
-  for (enum transport_table_side side = 0; side < TRANSPORT_TABLE_SIDES; side++) {
-    double range[2];
-    transport_table_v_range(field, side, range);
-    for (size_t j = 0; j < nodes_of(side); j++, samples++) {
-      const double v = point(j, nodes_of(side), range[0], range[1]);
-      sample_make(samples, transport_table_eta(side, v), NODES_T, PANELS * NODES_X);
-      for (size_t i = 0; i < NODES_T; i++) {
-        samples->albedo[i] = transport_table_albedo(point(i, NODES_T, t_first, t_last));
-        make_radii(field, samples, i);
-      }
+  double etas[NODES];
+  make_etas(field, TRANSPORT_TABLE_BELOW_1, NODES_BELOW_1, etas);
+  make_etas(field, TRANSPORT_TABLE_FROM_1, NODES_FROM_1, etas + NODES_BELOW_1);
+  for (size_t j = 0; j < NODES; j++) {
+    sample_make(&samples[j], 0, NODES_T, PANELS * NODES_X);
+    for (size_t i = 0; i < NODES_T; i++) {
+      samples[j].eta[i] = etas[j];
+      samples[j].albedo[i] = transport_table_albedo(point(i, NODES_T, t_first, t_last));
+      make_radii(field, false, samples[j].albedo[i], NODES_X, samples[j].x + i * PANELS * NODES_X);
+    }
+  }
+}
+
+static double g_point(const double *field, size_t l, size_t n) {
+  return point(l, n, field[TRANSPORT_TABLE_G_LEAST], field[TRANSPORT_TABLE_G_MOST]);
+}
+
+static double u_point(const double *field, size_t i, size_t n) {
+  return point(i, n, transport_table_u(1), transport_table_u(field[TRANSPORT_TABLE_ALBEDO_LEAST]));
+}
+
+/* The sample of point l of g and point i of u, where g is not 0. */
+static size_t sample_of(size_t l, size_t i) {
+  return (l < NODES_D_G_ZERO ? l : l - 1) * NODES_D_U + i;
+}
+
+void nodes_make_difference(const double *field, table_sample samples[NODES_D]) {
+  for (size_t li = 0; li < NODES_D_G * NODES_D_U; li++) {
+    const size_t l = li / NODES_D_U, i = li % NODES_D_U;
+    if (l == NODES_D_G_ZERO) {
+      continue;
+    }
+    table_sample *sample = &samples[sample_of(l, i)];
+    sample_make(sample, g_point(field, l, NODES_D_G), NODES_D_V, PANELS * NODES_D_X);
+    make_etas(field, TRANSPORT_TABLE_BELOW_1, NODES_D_BELOW_1, sample->eta);
+    make_etas(field, TRANSPORT_TABLE_FROM_1, NODES_D_FROM_1, sample->eta + NODES_D_BELOW_1);
+    for (size_t j = 0; j < NODES_D_V; j++) {
+      sample->albedo[j] = transport_table_albedo_of_u(u_point(field, i, NODES_D_U));
+      make_radii(field, true, sample->albedo[j], NODES_D_X, sample->x + j * PANELS * NODES_D_X);
     }
   }
 }
@@ -79,18 +137,29 @@ static void transform(double *values, size_t n, size_t stride) {
   }
 }
 
-/* Transforms an array [x][t][v] along all three directions. */
-static void transform_all(double *values, size_t nx, size_t nt, size_t nv) {
-  for (size_t k = 0; k < nx; k++) {
-    for (size_t i = 0; i < nt; i++) {
-      transform(values + (k * nt + i) * nv, nv, 1);
-    }
-    for (size_t j = 0; j < nv; j++) {
-      transform(values + k * nt * nv + j, nt, nv);
-    }
+/* An array of values or terms whose last index is the fastest. */
+struct shape {
+  size_t dimensions;
+  size_t n[DIMENSIONS_MAX];
+};
+
+/* Returns the number of elements from dimension d on. */
+static size_t size_from(const struct shape *shape, size_t d) {
+  size_t size = 1;
+  for (; d < shape->dimensions; d++) {
+    size *= shape->n[d];
   }
-  for (size_t ij = 0; ij < nt * nv && nx > 1; ij++) {
-    transform(values + ij, nx, nt * nv);
+  return size;
+}
+
+/* Transforms an array along all directions, the last one first. */
+static void transform_all(double *values, const struct shape *shape) {
+  const size_t size = size_from(shape, 0);
+  for (size_t d = shape->dimensions; d-- > 0;) {
+    const size_t n = shape->n[d], stride = size_from(shape, d + 1);
+    for (size_t line = 0; line < size / n; line++) {
+      transform(values + line / stride * n * stride + line % stride, n, stride);
+    }
   }
 }
 
@@ -108,19 +177,14 @@ static void put_double(uint8_t *at, double value) {
   put_number(at, bits, sizeof bits);
 }
 
-struct writer {
-  uint8_t *bytes;
-  size_t length;
-};
-
-static void put_byte(struct writer *writer, size_t byte) {
+static void put_byte(table_bytes *writer, size_t byte) {
   if (writer->length == BYTES_MAX) {
     tools_fail("the table is too large");
   }
   writer->bytes[writer->length++] = (uint8_t)byte;
 }
 
-static void put_integer(struct writer *writer, int64_t value) {
+static void put_integer(table_bytes *writer, int64_t value) {
   uint64_t zigzag = value < 0 ? (uint64_t)(-2 * value - 1) : (uint64_t)(2 * value);
   for (; zigzag >= 0x80; zigzag >>= 7) {
     put_byte(writer, (zigzag & 0x7f) | 0x80);
@@ -136,43 +200,41 @@ static size_t used(const int64_t *row, size_t n) {
   return n;
 }
 
-static void put_rows(struct writer *writer, const int64_t *rows, size_t nt, size_t nv) {
-  const size_t last = used(rows, nt * nv);
-  const size_t count = (last + nv - 1) / nv;
+/* Writes the terms from dimension d on: their number without the zeros at their end, but at least
+ * `least`, and each of them. */
+static void put_terms(table_bytes *writer, const int64_t *terms, const struct shape *shape,
+                      size_t d, size_t least) {
+  if (d == shape->dimensions) {
+    put_integer(writer, *terms);
+    return;
+  }
+  const size_t stride = size_from(shape, d + 1);
+  const size_t last = (used(terms, shape->n[d] * stride) + stride - 1) / stride;
+  const size_t count = last > least ? last : least;
   put_byte(writer, count);
   for (size_t i = 0; i < count; i++) {
-    const size_t columns = used(rows + i * nv, nv);
-    put_byte(writer, columns);
-    for (size_t j = 0; j < columns; j++) {
-      put_integer(writer, rows[i * nv + j]);
-    }
+    put_terms(writer, terms + i * stride, shape, d + 1, 0);
   }
 }
 
-static void put_series(struct writer *writer, double quantum, double *values, size_t nx, size_t nt,
-                       size_t nv) {
-  transform_all(values, nx, nt, nv);
-  int64_t *rounded = malloc(nx * nt * nv * sizeof *rounded);
-  if (rounded == NULL) {
-    tools_fail("out of memory");
-  }
-  for (size_t i = 0; i < nx * nt * nv; i++) {
+/* Writes the series through values at Chebyshev's points, which it overwrites. */
+static void put_series(table_bytes *writer, double quantum, double *values,
+                       const struct shape *shape) {
+  transform_all(values, shape);
+  const size_t size = size_from(shape, 0);
+  int64_t *rounded = allocate(size, sizeof *rounded);
+  for (size_t i = 0; i < size; i++) {
     const double value = values[i] / quantum;
     if (!(fabs(value) < 0x1p47)) {
       tools_fail("a coefficient of the table is too large or not a number");
     }
     rounded[i] = llrint(value);
   }
-  const size_t last = used(rounded, nx * nt * nv);
-  const size_t count = last > 0 ? (last + nt * nv - 1) / (nt * nv) : 1;
-  put_byte(writer, count);
-  for (size_t k = 0; k < count; k++) {
-    put_rows(writer, rounded + k * nt * nv, nt, nv);
-  }
+  put_terms(writer, rounded, shape, 0, 1);
   free(rounded);
 }
 
-/* ---- tables ---------------------------------------------------------------------------------- */
+/* ---- isotropic scattering --------------------------------------------------------------------- */
 
 /* Returns the quotient Q that the table holds (core/transport/table.h) at node k of panel p. */
 static double quotient(const table_sample *sample, size_t i, size_t p, size_t k) {
@@ -182,15 +244,14 @@ static double quotient(const table_sample *sample, size_t i, size_t p, size_t k)
   return fn_log(x * sample->R[at] / sample->albedo[i]) + kx - fn_log(1 + kx);
 }
 
-static void put_side(struct writer *writer, double quantum, const table_sample *samples,
-                     size_t nv) {
-  static double values[NODES_X * NODES_T * NODES_V_MAX];
+static void put_side(table_bytes *writer, double quantum, const table_sample *samples, size_t nv) {
+  double *values = allocate(NODES_X * NODES_T * nv, sizeof *values);
   for (size_t i = 0; i < NODES_T; i++) {
     for (size_t j = 0; j < nv; j++) {
       values[i * nv + j] = fn_log(samples[j].total[i] / samples[j].albedo[i]);
     }
   }
-  put_series(writer, quantum, values, 1, NODES_T, nv);
+  put_series(writer, quantum, values, &(struct shape){3, {1, NODES_T, nv}});
   for (size_t p = 0; p < PANELS; p++) {
     for (size_t k = 0; k < NODES_X; k++) {
       for (size_t i = 0; i < NODES_T; i++) {
@@ -199,29 +260,141 @@ static void put_side(struct writer *writer, double quantum, const table_sample *
         }
       }
     }
-    put_series(writer, quantum, values, NODES_X, NODES_T, nv);
+    put_series(writer, quantum, values, &(struct shape){3, {NODES_X, NODES_T, nv}});
   }
+  free(values);
 }
 
-uint8_t *nodes_encode(const double *field, const table_sample samples[NODES], size_t *length) {
-  struct writer writer = {malloc(BYTES_MAX), TRANSPORT_TABLE_HEADER_BYTES};
-  if (writer.bytes == NULL) {
-    tools_fail("out of memory");
-  }
+/* Writes a series that is 0. */
+static void put_zero(table_bytes *writer) {
+  double zero = 0;
+  put_series(writer, 1, &zero, &(struct shape){4, {1, 1, 1, 1}});
+}
+
+table_bytes nodes_encode(const double *field, const table_sample samples[NODES]) {
+  table_bytes writer = {allocate(BYTES_MAX, 1), TRANSPORT_TABLE_HEADER_BYTES};
   const double quantum = field[TRANSPORT_TABLE_QUANTUM];
   put_side(&writer, quantum, samples, NODES_BELOW_1);
   put_side(&writer, quantum, samples + NODES_BELOW_1, NODES_FROM_1);
-  memcpy(writer.bytes, TRANSPORT_TABLE_MAGIC, 8);
-  put_number(writer.bytes + 8, TRANSPORT_TABLE_VERSION, 4);
-  put_number(writer.bytes + 12, writer.length, 4);
-  for (size_t i = 0; i < TRANSPORT_TABLE_FIELDS; i++) {
-    put_double(writer.bytes + 24 + 8 * i, field[i]);
+  for (size_t i = 0; i < SIDES * (2 + PANELS); i++) {
+    put_zero(&writer);
   }
-  *length = writer.length;
-  return writer.bytes;
+  return writer;
 }
 
-void nodes_seal(uint8_t *bytes, size_t length, double error) {
-  put_double(bytes + 24 + 8 * TRANSPORT_TABLE_ERROR, error);
-  put_number(bytes + 16, transport_table_checksum(bytes + 24, length - 24), 8);
+/* ---- the difference --------------------------------------------------------------------------- */
+
+/* The totals at the points of g and u, for the boundaries of both sides: [g][u][eta]. */
+struct totals {
+  const double *field;
+  transport_totals (*at)[TOTALS_BELOW_1 + TOTALS_FROM_1];
+};
+
+static void solve_totals(void *context, size_t li) {
+  const struct totals *totals = context;
+  const double *field = totals->field;
+  double etas[TOTALS_BELOW_1 + TOTALS_FROM_1];
+  make_etas(field, TRANSPORT_TABLE_BELOW_1, TOTALS_BELOW_1, etas);
+  make_etas(field, TRANSPORT_TABLE_FROM_1, TOTALS_FROM_1, etas + TOTALS_BELOW_1);
+  const transport_phase phase = {g_point(field, li / TOTALS_U, TOTALS_G), 0, NULL};
+  const double albedo = transport_table_albedo_of_u(u_point(field, li % TOTALS_U, TOTALS_U));
+  tools_check(transport_anisotropic_totals(totals->at[li], core_isa_select(NULL),
+                                           (1 - albedo) / albedo, &phase, etas,
+                                           TOTALS_BELOW_1 + TOTALS_FROM_1),
+              "transport");
+}
+
+static void put_totals(table_bytes *writer, const struct totals *totals,
+                       enum transport_table_side side, bool diffuse) {
+  const size_t first = side == TRANSPORT_TABLE_BELOW_1 ? 0 : TOTALS_BELOW_1;
+  const size_t nv = side == TRANSPORT_TABLE_BELOW_1 ? TOTALS_BELOW_1 : TOTALS_FROM_1;
+  double *values = allocate(TOTALS_G * TOTALS_U * nv, sizeof *values);
+  for (size_t li = 0; li < TOTALS_G * TOTALS_U; li++) {
+    const double albedo =
+        transport_table_albedo_of_u(u_point(totals->field, li % TOTALS_U, TOTALS_U));
+    for (size_t j = 0; j < nv; j++) {
+      const transport_totals *at = &totals->at[li][first + j];
+      values[li * nv + j] = fn_log((diffuse ? at->diffuse : at->normal).value / albedo);
+    }
+  }
+  put_series(writer, totals->field[TRANSPORT_TABLE_QUANTUM], values,
+             &(struct shape){4, {1, TOTALS_G, TOTALS_U, nv}});
+  free(values);
+}
+
+/* Returns D at radius k, a number that counts through all panels, of medium j of a sample. series:
+ * of isotropic scattering. */
+static double difference(const table_sample *sample, size_t j, size_t k,
+                         const transport_series *series) {
+  const size_t at = j * sample->radii + k;
+  const double x = sample->x[at], y = fn_log(x);
+  const double kx = transport_anisotropic_kappa(sample->albedo[j], sample->g) * x;
+  const double kx_isotropic = series->kappa * x;
+  return fn_log(x * sample->R[at]) + kx - transport_series_at(series, y) -
+         fn_log((1 + kx) / (1 + kx_isotropic));
+}
+
+/* Sets values to D at all points of one side: [panel][x][g][u][eta]. */
+static void fill_differences(const transport_table *isotropic, const table_sample samples[NODES_D],
+                             size_t first, size_t nv, double *values) {
+  for (size_t li = 0; li < NODES_D_G * NODES_D_U; li++) {
+    const size_t l = li / NODES_D_U, i = li % NODES_D_U;
+    if (l == NODES_D_G_ZERO) {
+      continue; /* D is 0 */
+    }
+    const table_sample *sample = &samples[sample_of(l, i)];
+    for (size_t j = 0; j < nv; j++) {
+      transport_series series;
+      transport_table_look_up(isotropic, sample->albedo[first + j], 0, sample->eta[first + j],
+                              &series);
+      for (size_t k = 0; k < PANELS * NODES_D_X; k++) {
+        values[(k * NODES_D_G * NODES_D_U + li) * nv + j] =
+            difference(sample, first + j, k, &series);
+      }
+    }
+  }
+}
+
+static void put_differences(table_bytes *writer, const transport_table *isotropic,
+                            const table_sample samples[NODES_D], enum transport_table_side side) {
+  const size_t first = side == TRANSPORT_TABLE_BELOW_1 ? 0 : NODES_D_BELOW_1;
+  const size_t nv = side == TRANSPORT_TABLE_BELOW_1 ? NODES_D_BELOW_1 : NODES_D_FROM_1;
+  const size_t size = NODES_D_X * NODES_D_G * NODES_D_U * nv;
+  double *values = allocate(PANELS * size, sizeof *values);
+  fill_differences(isotropic, samples, first, nv, values);
+  for (size_t p = 0; p < PANELS; p++) {
+    put_series(writer, isotropic->field[TRANSPORT_TABLE_D_QUANTUM], values + p * size,
+               &(struct shape){4, {NODES_D_X, NODES_D_G, NODES_D_U, nv}});
+  }
+  free(values);
+}
+
+void nodes_encode_difference(table_bytes *table, const table_sample samples[NODES_D]) {
+  transport_table isotropic;
+  if (!transport_table_open(&isotropic, table->bytes, table->length)) {
+    tools_fail("the table cannot be read back");
+  }
+  struct totals totals = {isotropic.field, allocate(TOTALS_G * TOTALS_U, sizeof *totals.at)};
+  tools_each(tools_processors(), TOTALS_G * TOTALS_U, solve_totals, &totals);
+  table_bytes writer = {allocate(BYTES_MAX, 1), (size_t)(isotropic.side[SIDES] - table->bytes)};
+  memcpy(writer.bytes, table->bytes, writer.length);
+  for (enum transport_table_side side = 0; side < TRANSPORT_TABLE_SIDES; side++) {
+    put_totals(&writer, &totals, side, false);
+    put_totals(&writer, &totals, side, true);
+    put_differences(&writer, &isotropic, samples, side);
+  }
+  nodes_seal(writer, isotropic.field);
+  free(totals.at);
+  free(table->bytes);
+  *table = writer;
+}
+
+void nodes_seal(table_bytes table, const double *field) {
+  memcpy(table.bytes, TRANSPORT_TABLE_MAGIC, 8);
+  put_number(table.bytes + 8, TRANSPORT_TABLE_VERSION, 4);
+  put_number(table.bytes + 12, table.length, 4);
+  for (size_t i = 0; i < TRANSPORT_TABLE_FIELDS; i++) {
+    put_double(table.bytes + 24 + 8 * i, field[i]);
+  }
+  put_number(table.bytes + 16, transport_table_checksum(table.bytes + 24, table.length - 24), 8);
 }

@@ -5,37 +5,47 @@
 #include <string.h>
 
 #include "core/tools/tools.h"
+#include "core/transport/anisotropic.h"
 #include "core/transport/table.h"
 #include "core/transport/transport.h"
 
 enum { PATH_MAX_BYTES = 1024 };
 
-#define MEDIUM_COST_US 150e3 /* estimated work, for the progress bar only */
+#define TOLERANCE 1e-8 /* of the solver for isotropic scattering */
+
+/* estimated work, for the progress bar only: of a medium that scatters isotropically, and of a
+ * sample of others */
+#define MEDIUM_COST_US 150e3
+#define SAMPLE_COST_US 16e6
+#define FINEST_COST_US 80e6
 
 /* ---- samples --------------------------------------------------------------------------------- */
 
-void sample_make(table_sample *sample, double eta, size_t albedos, size_t radii) {
-  const size_t numbers = 2 * albedos * (1 + radii);
-  *sample = (struct table_sample){.eta = eta, .albedos = albedos, .radii = radii};
+void sample_make(table_sample *sample, double g, size_t media, size_t radii) {
+  const size_t numbers = media * (4 + 2 * radii);
+  *sample = (struct table_sample){
+      .g = g, .effort = TRANSPORT_EFFORT_NORMAL, .media = media, .radii = radii};
   sample->bytes = numbers * sizeof(double);
   sample->numbers = calloc(numbers, sizeof(double));
   if (sample->numbers == NULL) {
     tools_fail("out of memory");
   }
   sample->albedo = sample->numbers;
-  sample->x = sample->albedo + albedos;
-  sample->total = sample->x + albedos * radii;
-  sample->R = sample->total + albedos;
+  sample->eta = sample->albedo + media;
+  sample->x = sample->eta + media;
+  sample->total = sample->x + media * radii;
+  sample->diffuse = sample->total + media;
+  sample->R = sample->diffuse + media;
 }
 
 void sample_free(table_sample *sample) {
   free(sample->numbers);
 }
 
-static void solve(table_sample *sample, double tolerance) {
+static void solve_isotropic(table_sample *sample) {
   transport_boundary *boundary;
-  tools_check(transport_boundary_create(&boundary, sample->eta, tolerance), "transport");
-  for (size_t i = 0; i < sample->albedos; i++) {
+  tools_check(transport_boundary_create(&boundary, sample->eta[0], TOLERANCE), "transport");
+  for (size_t i = 0; i < sample->media; i++) {
     transport_solution *solution;
     tools_check(transport_solve(&solution, boundary, sample->albedo[i]), "transport");
     sample->total[i] = transport_total(solution).value;
@@ -47,25 +57,66 @@ static void solve(table_sample *sample, double tolerance) {
   transport_boundary_free(boundary);
 }
 
+static void solve_anisotropic(table_sample *sample) {
+  const transport_phase phase = {sample->g, 0, NULL};
+  const core_isa *isa = core_isa_select(NULL);
+  const double ratio = (1 - sample->albedo[0]) / sample->albedo[0];
+  transport_totals totals[TRANSPORT_ANISOTROPIC_ETAS_MAX];
+  transport_anisotropic *solution;
+  tools_check(transport_anisotropic_totals(totals, isa, ratio, &phase, sample->eta, sample->media),
+              "transport");
+  tools_check(transport_anisotropic_solve_once(&solution, isa, ratio, &phase, sample->eta,
+                                               sample->media, sample->effort),
+              "transport");
+  for (size_t i = 0; i < sample->media; i++) {
+    sample->total[i] = totals[i].normal.value;
+    sample->diffuse[i] = totals[i].diffuse.value;
+    for (size_t j = i * sample->radii; j < (i + 1) * sample->radii; j++) {
+      sample->R[j] = transport_anisotropic_at(solution, i, sample->x[j]).value;
+    }
+  }
+  transport_anisotropic_free(solution);
+}
+
+static void solve(table_sample *sample) {
+  if (sample->g == 0) {
+    solve_isotropic(sample);
+  } else {
+    solve_anisotropic(sample);
+  }
+}
+
+static double cost_us(const table_sample *sample) {
+  const bool finest = sample->effort == TRANSPORT_EFFORT_FINEST;
+  return sample->g == 0 ? (double)sample->media * MEDIUM_COST_US
+         : finest       ? FINEST_COST_US
+                        : SAMPLE_COST_US;
+}
+
 /* ---- files ----------------------------------------------------------------------------------- */
 
 /* Identifies the inputs and the solver that a file's results depend on. `probe` has the solver's
  * own results for one fixed medium, which change when the solver changes. */
 struct key {
-  double tolerance, eta;
+  double g, effort;
   double probe[4];
   uint64_t inputs;
 };
 
-static void probe_solver(double tolerance, double probe[4]) {
-  table_sample sample;
-  sample_make(&sample, 1.3, 1, 3);
-  sample.albedo[0] = 0.9;
-  memcpy(sample.x, (double[]){1e-3, 1, 20}, 3 * sizeof(double));
-  solve(&sample, tolerance);
-  probe[0] = sample.total[0];
-  memcpy(probe + 1, sample.R, 3 * sizeof(double));
-  sample_free(&sample);
+/* Solves one medium with each solver, for the keys of its samples: probe[0] if g is 0, else
+ * probe[1]. */
+static void probe_solvers(double probe[2][4]) {
+  for (size_t i = 0; i < 2; i++) {
+    table_sample sample;
+    sample_make(&sample, i == 0 ? 0 : 0.1, 1, 3);
+    sample.albedo[0] = 0.9;
+    sample.eta[0] = 1.3;
+    memcpy(sample.x, (double[]){1e-3, 1, 20}, 3 * sizeof(double));
+    solve(&sample);
+    probe[i][0] = sample.total[0];
+    memcpy(probe[i] + 1, sample.R, 3 * sizeof(double));
+    sample_free(&sample);
+  }
 }
 
 static size_t input_bytes(const table_sample *sample) {
@@ -88,7 +139,7 @@ static bool read_sample(const char *path, table_sample *sample) {
   }
   struct table_sample copy;
   uint64_t checksum;
-  sample_make(&copy, sample->eta, sample->albedos, sample->radii);
+  sample_make(&copy, sample->g, sample->media, sample->radii);
   const bool good =
       fread(copy.numbers, copy.bytes, 1, file) == 1 &&
       fread(&checksum, sizeof checksum, 1, file) == 1 &&
@@ -115,8 +166,7 @@ static void write_sample(const char *path, const table_sample *sample) {
 
 struct run {
   const char *folder;
-  double tolerance;
-  double probe[4];
+  double probe[2][4];
   table_sample *samples;
   tools_progress progress;
 };
@@ -124,27 +174,27 @@ struct run {
 static void solve_or_read(void *context, size_t i) {
   struct run *run = context;
   table_sample *sample = &run->samples[i];
-  struct key key = {.tolerance = run->tolerance, .eta = sample->eta};
-  memcpy(key.probe, run->probe, sizeof key.probe);
+  struct key key = {.g = sample->g, .effort = sample->effort};
+  memcpy(key.probe, run->probe[sample->g != 0], sizeof key.probe);
   key.inputs = transport_table_checksum((const uint8_t *)sample->numbers, input_bytes(sample));
   char path[PATH_MAX_BYTES];
   path_of(path, run->folder, &key);
   if (!read_sample(path, sample)) {
-    solve(sample, run->tolerance);
+    solve(sample);
     write_sample(path, sample);
   }
-  tools_progress_add(&run->progress, (double)sample->albedos * MEDIUM_COST_US);
+  tools_progress_add(&run->progress, cost_us(sample));
 }
 
-void samples_solve(const char *folder, double tolerance, table_sample *samples, size_t count) {
-  struct run run = {.folder = folder, .tolerance = tolerance, .samples = samples};
-  double media = 0;
+void samples_solve(const char *folder, table_sample *samples, size_t count) {
+  struct run run = {.folder = folder, .samples = samples};
+  double work_us = 0;
   for (size_t i = 0; i < count; i++) {
-    media += (double)samples[i].albedos;
+    work_us += cost_us(&samples[i]);
   }
   tools_make_folder(folder);
-  probe_solver(tolerance, run.probe);
-  tools_progress_start(&run.progress, media * MEDIUM_COST_US);
+  probe_solvers(run.probe);
+  tools_progress_start(&run.progress, work_us);
   tools_each(tools_processors(), count, solve_or_read, &run);
   tools_progress_end(&run.progress);
 }

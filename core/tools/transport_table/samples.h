@@ -6,24 +6,31 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* Media of one eta with several albedos. The sample owns all arrays. */
+#include "core/transport/anisotropic.h"
+
+/* Media that are solved together: of one eta with several albedos for isotropic scattering (g = 0),
+ * or of one albedo and g with several eta. The sample owns all arrays. */
 typedef struct table_sample {
-  double eta;
-  size_t albedos, radii;
-  double *albedo;  /* [albedos] */
-  double *x;       /* [albedos][radii], mean free paths */
-  double *total;   /* [albedos], solved: the energy that leaves in all */
-  double *R;       /* [albedos][radii], solved */
+  double g;
+  transport_effort effort; /* without meaning for isotropic scattering */
+  size_t media, radii;
+  double *albedo;  /* [media] */
+  double *eta;     /* [media] */
+  double *x;       /* [media][radii], reduced mean free paths */
+  double *total;   /* [media], solved: the energy that leaves in all */
+  double *diffuse; /* [media], solved: the same for diffuse light; 0 for isotropic scattering */
+  double *R;       /* [media][radii], solved */
   size_t bytes;    /* size of numbers */
-  double *numbers; /* memory that holds the four arrays */
+  double *numbers; /* memory that holds the six arrays */
 } table_sample;
 
-/* Allocates the arrays. If no memory is left, the program ends with a message. */
-void sample_make(table_sample *sample, double eta, size_t albedos, size_t radii);
+/* Allocates the arrays. The effort is TRANSPORT_EFFORT_NORMAL. If no memory is left, the program ends
+ * with a message. */
+void sample_make(table_sample *sample, double g, size_t media, size_t radii);
 void sample_free(table_sample *sample);
 
 /* Fills in total and R of all samples. The files are in the folder, which is made if necessary. A
  * file is used only if it was written for the same inputs and solver. */
-void samples_solve(const char *folder, double tolerance, table_sample *samples, size_t count);
+void samples_solve(const char *folder, table_sample *samples, size_t count);
 
 #endif
