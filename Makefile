@@ -7,12 +7,14 @@
 #   make soak       ten minutes at full load, SOAK_S seconds if given: answers and memory
 #   make check-pipeline  10 million requests from eight threads, each answer compared
 #   make truth      stated errors against exact values, SECONDS=60 of them, SEED=N or a new one
+#   make rings      Monte Carlo against the solver, 100 million photons for each g (minutes)
 #   make fuzz       coverage-guided fuzzing of all that reads foreign bytes, SECONDS=300 of it
 #   make bench      every benchmark; build/bench GROUP runs one
 #   make docs       the tables in proto/*.md, from proto/*.def, and the manual pages
 #   make model-errors  core/model_errors.def, measured anew against transport (minutes)
 #   make tradeoff   speed against accuracy, in build/tradeoff, and core/costs.def (minutes)
 #   make tables     core/transport/transport.table, solved anew (two hours; resumes)
+#   make reference  core/transport/reference.csv, R(r) for any g, solved anew (an hour; resumes)
 #   make figures    Figures 1 to 17 of d'Eon 2012, in build/figures (ten minutes; resumes)
 #   make install    to $(DESTDIR)$(PREFIX); make uninstall takes it away again
 #   make deb        Debian packages, in build/deb; make check-deb installs them in a new system
@@ -104,17 +106,18 @@ BENCH := $(call objects,$(wildcard tests/bench/*.c tests/bench/*/*.c))
 TOOLS := $(call objects,core/tools/tools.c clients/cli/progress.c)
 TRADEOFF := $(call objects,$(wildcard core/tools/tradeoff/*.c)) $(TOOLS)
 TABLES := $(call objects,$(wildcard core/tools/transport_table/*.c)) $(TOOLS)
+REFERENCE := $(call objects,$(wildcard core/tools/reference/*.c)) $(TOOLS)
 SOAK := $(call objects,$(wildcard tests/soak/*.c))
 PIPELINE := $(call objects,$(wildcard tests/pipeline/*.c))
 # The longest ones come first, so that no processor waits for them at the end.
 TESTS := $(addprefix $(BUILD)/tests/,unit/test_kernels accuracy/test_choose accuracy/test_dipole)
 TESTS += $(filter-out $(TESTS),$(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/accuracy/test_*.c tests/unit/test_*.c)))
-TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/accuracy/truth.c tests/bench/*.c tests/bits/*.c tests/e2e/*.c tests/fuzz/*.c tests/pipeline/*.c tests/soak/*.c),$(wildcard tests/*/*.c)))
+TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/accuracy/rings.c tests/accuracy/truth.c tests/bench/*.c tests/bits/*.c tests/e2e/*.c tests/fuzz/*.c tests/pipeline/*.c tests/soak/*.c),$(wildcard tests/*/*.c)))
 
 PROGRAMS := $(BUILD)/dipoled $(BUILD)/dipole $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-pipeline check-asan check-tsan check-fuzz check-truth soak truth fuzz fuzz-merge bench docs model-errors tables tradeoff figures clean
+.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-pipeline check-asan check-tsan check-fuzz check-truth check-rings rings soak truth fuzz fuzz-merge bench docs model-errors tables reference tradeoff figures clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -209,6 +212,11 @@ $(BUILD)/tests/accuracy/truth: $(call objects,tests/accuracy/truth.c tests/accur
 	$(call SAY,LD,$@)
 	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lmpfr -lgmp $(CORE_LIBS) -lm
 
+$(BUILD)/tests/accuracy/rings: $(call objects,tests/accuracy/rings.c core/tools/reference/walks.c) $(TOOLS) $(BUILD)/libcore.a
+	@mkdir -p $(@D)
+	$(call SAY,LD,$@)
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
+
 $(BUILD)/tests/bits: $(OBJ)/tests/bits/bits.o $(BUILD)/libcore.a
 	@mkdir -p $(@D)
 	$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
@@ -264,7 +272,7 @@ check:
 check-long:
 	@sh .ci/install-packages demo check deb ci
 	@$(MAKE) --no-print-directory -j2 all $(BUILD)/tests/bits $(BUILD)/soak-load $(BUILD)/pipeline
-	+@bash tests/run-check.sh $(BUILD)/logs-long bits-aarch64 soak-long pipeline packages deb
+	+@bash tests/run-check.sh $(BUILD)/logs-long bits-aarch64 soak-long pipeline rings packages deb
 
 # Fails when modules include each other in a circle.
 check-structure:
@@ -349,6 +357,13 @@ check-truth: $(BUILD)/tests/accuracy/truth
 truth: $(BUILD)/tests/accuracy/truth
 	$(BUILD)/tests/accuracy/truth --seconds $(or $(SECONDS),60) $(SEED:%=--seed %)
 
+# Monte Carlo against the solver, ring by ring, MILLIONS of photons for each g.
+check-rings: MILLIONS = 4
+check-rings rings: $(BUILD)/tests/accuracy/rings
+	$(BUILD)/tests/accuracy/rings $(MILLIONS)
+
+MILLIONS ?= 100
+
 bench: $(BUILD)/bench
 	$(BUILD)/bench
 
@@ -378,6 +393,15 @@ $(BUILD)/transport-table: $(TABLES) $(BUILD)/libcore.a
 # At most two hours on two cores; after an interruption it goes on where it was.
 tables: $(BUILD)/transport-table
 	$(BUILD)/transport-table $(BUILD)/tables core/transport/transport.table
+
+$(BUILD)/reference: $(REFERENCE) $(BUILD)/libcore.a
+	$(call SAY,LD,$@)
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
+
+# Up to an hour, on all cores; after an interruption it goes on where it was. EFFORT=normal: minutes.
+EFFORT ?= finest
+reference: $(BUILD)/reference
+	$(BUILD)/reference $(BUILD)/reference-parts core/transport/reference.csv $(EFFORT)
 
 figures:
 	@sh .ci/install-packages demo figures
