@@ -1,16 +1,18 @@
-"""Draws Figures 1 to 17 of d'Eon 2012, "A Better Dipole", with Monte Carlo and transport added.
+"""Draws Figures 1 to 17 of d'Eon 2012, "A Better Dipole", with Monte Carlo and transport added, and
+the README's figure of tissue, which scatters forward.
 
 A daemon of its own computes all values. Written into the folder:
 
     figure_NN_log.svg, figure_NN_gamma.svg, figure_NN.csv, figure_NN_albedos.csv
     summary.csv             which model is nearer to transport
     monte_carlo_check.csv   whether Monte Carlo agrees with transport
+    tissue.svg, tissue.csv  R of tissue by transport, by its similarity approximation, by dipoles
     parts/                  tables of Monte Carlo, which a second run reads
 
 Figure NN from 1 to 16 has ratio number NN of sigma_a / sigma_s', and a panel for each eta. Figure
-17 sets the switches of the dipole one by one, for three ratios and three eta. Scattering is
-isotropic. Lengths are in mean free paths, which are 1 / sigma_t'; R is per squared mean free path
-and per power that entered.
+17 sets the switches of the dipole one by one, for three ratios and three eta. Their scattering is
+isotropic; their lengths are in mean free paths, which are 1 / sigma_t', and R is per squared mean
+free path and per power that entered.
 """
 
 from __future__ import annotations
@@ -71,9 +73,15 @@ def media_of(ratios: Sequence[str], eta: str) -> list[dipole.Medium]:
 
 
 def walk(
-    client: dipole.Client, ratios: Sequence[str], eta: str, photons: int, kept: Path
+    client: dipole.Client,
+    medium: dipole.Medium,
+    edges: dipole.Grid,
+    name: str,
+    photons: int,
+    kept: Path,
+    **how: Any,
 ) -> dipole.McResult:
-    """Monte Carlo for these ratios, which one walk serves; from the file `kept` if it is there."""
+    """Monte Carlo, from the file `kept` if it is there. how: options of Client.mc()."""
     try:
         return unpack_result(kept.read_bytes())
     except (FileNotFoundError, dipole.ProtocolError):
@@ -83,30 +91,15 @@ def walk(
     def progress(now: dipole.McProgress) -> None:
         if watched:
             share = 100 * now.photons / now.photons_expected
-            print(f"\rMonte Carlo, eta {eta}: {share:3.0f} % ", end="", file=sys.stderr)
+            print(f"\rMonte Carlo, {name}: {share:3.0f} % ", end="", file=sys.stderr)
 
-    albedos = [1 / (1 + float(ratio)) for ratio in ratios]
-    found = client.mc(
-        media_of(ratios, eta)[0], EDGES, photons=photons, albedos=albedos,
-        seed=SEED + ETAS.index(eta), progress=progress,
-    )  # fmt: skip
+    found = client.mc(medium, edges, photons=photons, progress=progress, **how)
     if watched:
         print("\r\033[K", end="", file=sys.stderr)
     part = kept.with_suffix(".part")
     part.write_bytes(found.payload)
     part.replace(kept)
     return found
-
-
-def ring_nodes(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Radii and weights [RINGS, 4] that give the mean over a ring, which is what Monte Carlo
-    measures: the integral of 2 pi r R dr over ln r, divided by the ring's area. A difference of two
-    energies would have no digits left in the tail."""
-    node, weight = np.polynomial.legendre.leggauss(4)
-    half = np.log(edges[1:] / edges[:-1])[:, None] / 2
-    r = np.sqrt(edges[1:] * edges[:-1])[:, None] * np.exp(half * node)
-    area = (edges[1:] - edges[:-1]) * (edges[1:] + edges[:-1])
-    return r, 2 * half * weight * r**2 / area[:, None]
 
 
 def panels_of(
@@ -117,11 +110,9 @@ def panels_of(
     grid = client.eval("classical", media[:1], grid=EDGES, wanted=["r"])
     edges = np.array(grid.r)
     r = np.sqrt(edges[1:] * edges[:-1])
-    nodes, weights = ring_nodes(edges)
     wanted = ["R", "albedo"]
-    transport = client.eval(
-        "transport", media, np.append(r, nodes), tolerance=TRANSPORT_TOLERANCE, wanted=wanted
-    )
+    transport = client.eval("transport", media, r, tolerance=TRANSPORT_TOLERANCE, wanted=wanted)
+    rings = client.ring_means("transport", media, edges, tolerance=TRANSPORT_TOLERANCE)
     errors = transport.numerical_error(r)
     models = {
         name: client.eval(
@@ -133,9 +124,9 @@ def panels_of(
     for i, ratio in enumerate(ratios):
         values = {name: result.R[i] for name, result in models.items()}
         albedos = {name: float(result.albedo[i]) for name, result in models.items()}
-        R, albedo = transport.R[i, :RINGS], float(transport.albedo[i])
+        R, albedo = transport.R[i], float(transport.albedo[i])
         values |= {"transport": R, "transport_error": errors[i] * R}
-        values["transport_ring"] = (weights * transport.R[i, RINGS:].reshape(weights.shape)).sum(1)
+        values["transport_ring"] = rings.R[i]
         albedos |= {"transport": albedo, "transport_error": float(errors[i, 0]) * albedo}
         if table is not None:
             values |= {"monte_carlo": table.R[i], "monte_carlo_error": table.R_error[i]}
@@ -419,10 +410,85 @@ def draw(path: Path, page: Page, form: str) -> None:
         found = page.cells.get(cell)
         script += panel_script(page, found, form) if found else "set multiplot next\n"
     script += legend_script(page) + "unset multiplot\n"
+    plot(path, script)
+
+
+def plot(path: Path, script: str) -> None:
     run = subprocess.run(["gnuplot"], input=script.encode(), capture_output=True, check=False)
     if run.returncode != 0:
         sys.exit(f"{path}: gnuplot failed: {run.stderr.decode()}")
     path.write_bytes(run.stdout)
+
+
+# ---- tissue --------------------------------------------------------------------------------------
+
+TISSUE = dipole.Medium(0.05, 10.0, 0.9, 1.4)
+TISSUE_EDGES = dipole.Grid(0.01, 20.0, 33, "logarithmic")  # mm
+SIMILAR = dipole.Medium(0.05, 10.0 * (1 - 0.9), 0.0, 1.4)
+TISSUE_LINES = [
+    ("transport", TISSUE, "transport", "#000000", 1),
+    ("transport", SIMILAR, "transport, isotropic with the same σs′", "#009e73", 2),
+    ("better", TISSUE, "better dipole", "#0072b2", 1),
+    ("classical", TISSUE, "classical dipole", "#d55e00", 1),
+]
+
+
+def tissue_columns(client: dipole.Client, photons: int, kept: Path) -> dict[str, np.ndarray]:
+    """The columns of tissue.csv. All values are means over the same rings."""
+    walked = walk(client, TISSUE, TISSUE_EDGES, "tissue", photons, kept, seed=SEED)
+    edges = walked.edges
+    columns = {"r": np.sqrt(edges[1:] * edges[:-1]), "ring_from": edges[:-1], "ring_to": edges[1:]}
+    columns |= {"monte_carlo": walked.R[0], "monte_carlo_error": walked.R_error[0]}
+    names = "transport similarity better classical".split()
+    for name, (model, medium, *_) in zip(names, TISSUE_LINES):
+        columns[name] = client.ring_means(model, medium, edges, evaluator="lut").R[0]
+    return columns
+
+
+def draw_tissue(path: Path, columns: dict[str, np.ndarray]) -> None:
+    """R, and below it the ratios to transport."""
+    a, s, g, eta = TISSUE
+    title = f"σa {a:g}/mm, σs {s:g}/mm, g {g:g}, η {eta:g}"
+    lines = list(columns)[5:]
+    names = ["monte_carlo", *lines]
+    data = np.array([columns["r"], *(columns[name] for name in names)])
+    error = columns["monte_carlo_error"]
+    ratios = data[1:] / columns["transport"]
+    rows = np.vstack([data, error, ratios, error / columns["transport"]]).T
+    rows[error > DOT_ERROR_MOST * columns["monte_carlo"], 1] = math.nan
+    script = (
+        "set terminal svg size 900,820 dynamic background rgb 'white' font 'sans,14' noenhanced\n"
+        "set encoding utf8\nset grid lt 1 lw 0.7 lc rgb '#dddddd'\nset logscale xy\n"
+        f"set xrange [{TISSUE_EDGES.start_mm:g}:{TISSUE_EDGES.stop_mm:g}]\n$data << END\n"
+        + "".join(" ".join(f"{x:.9g}" for x in row) + "\n" for row in rows)
+        + f"END\nset multiplot title '{title}' font ',17'\nset lmargin at screen 0.11\n"
+        "set rmargin at screen 0.97\nset key bottom left Left reverse samplen 3 spacing 1.3\n"
+    )
+    panels = (
+        (0, "top", 0.93, 0.42, "R (1/mm² per power that entered)", "[1e-7:1e2]", "%.0e"),
+        (len(names) + 1, "bottom", 0.37, 0.08, "over transport", "[0.1:5]", "%g"),
+    )
+    for shift, where, top, bottom, label, span, form in panels:
+        script += (
+            f"set tmargin at screen {top}\nset bmargin at screen {bottom}\n"
+            f"set ylabel '{label}'\nset yrange {span}\nset format y '{form}'\n"
+            + ("set ytics (0.1, 0.2, 0.5, 1, 2, 5)\nunset key\nset xlabel 'r (mm)'\n"
+               if where == "bottom" else "")
+            + "plot "
+        )
+        for i, (_, _, name, colour, dash) in enumerate(TISSUE_LINES):
+            script += (
+                f"$data using 1:{shift + i + 3} with lines lw 2 dt {dash} lc rgb '{colour}' "
+                f"title '{name}', "
+            )
+        dot, end = shift + 2, shift + len(names) + 2
+        script += (
+            f"$data using 1:(${dot}-${end}):(0):(2*${end}) with vectors nohead lw 1 "
+            f"lc rgb '{DOT_COLOUR}' notitle, "
+            f"$data using 1:{dot} with points pt 7 ps 0.5 lc rgb '{DOT_COLOUR}' "
+            "title 'Monte Carlo, ± 1 standard error'\n"
+        )
+    plot(path, script + "unset multiplot\n")
 
 
 # ---- all of it -----------------------------------------------------------------------------------
@@ -453,6 +519,7 @@ def main() -> None:
     for name, kind, usual, argument, text in (
         ("--output", Path, Path("build/figures"), "DIR", "folder for figures and data"),
         ("--photons", photons_of, 16_000_000, "N", "photons for each eta; 0: no Monte Carlo"),
+        ("--tissue-photons", photons_of, 40_000_000, "N", "photons for tissue; 0: no figure of it"),
         ("--ratios", some_of(RATIOS), RATIOS, "LIST", "ratios sigma_a / sigma_s', such as 0.01,1"),
         ("--etas", some_of(ETAS), ETAS, "LIST", "values of eta, such as 1.0,1.4"),
     ):
@@ -471,10 +538,22 @@ def main() -> None:
             kept = parts / f"walk_eta_{eta}_photons_{options.photons}_ratios_{which}"
             if options.fresh:
                 kept.unlink(missing_ok=True)
-            of = (client, options.ratios, eta)
-            table = walk(*of, options.photons, kept) if options.photons > 0 else None
-            for panel in panels_of(*of, table):
+            table = None
+            if options.photons > 0:
+                first = media_of(options.ratios, eta)[0]
+                albedos = [1 / (1 + float(ratio)) for ratio in options.ratios]
+                seed = SEED + ETAS.index(eta)
+                how = {"albedos": albedos, "seed": seed}
+                table = walk(client, first, EDGES, f"eta {eta}", options.photons, kept, **how)
+            for panel in panels_of(client, options.ratios, eta, table):
                 panels[panel.ratio, eta] = panel
+        if options.tissue_photons > 0:
+            kept = parts / f"walk_tissue_photons_{options.tissue_photons}"
+            if options.fresh:
+                kept.unlink(missing_ok=True)
+            columns = tissue_columns(client, options.tissue_photons, kept)
+            write_csv(options.output / "tissue.csv", list(columns), zip(*columns.values()))
+            draw_tissue(options.output / "tissue.svg", columns)
     for page in pages_of(panels):
         if page.cells:
             name, shown = f"figure_{page.figure:02}", list(page.cells.values())

@@ -20,11 +20,12 @@ TIMEOUT_S = 240
 RINGS = 64
 RATIOS, ETAS = ["0.01", "1"], ["1.0", "1.3", "2.0"]
 SELECTION = ["--ratios", ",".join(RATIOS), "--etas", ",".join(ETAS), "--photons", "120000"]
+TISSUE = ["--tissue-photons", "100000"]
 
 
 def draw(folder: Path, *options: str, status: int = 0) -> subprocess.CompletedProcess[str]:
     run = subprocess.run(
-        [sys.executable, str(PROGRAM), "--output", str(folder), *options],
+        [*(sys.executable, str(PROGRAM), "--output", str(folder)), *TISSUE, *options],
         env=os.environ | {"DIPOLED": f"private:{BUILD}/dipoled"},
         capture_output=True,
         text=True,
@@ -76,7 +77,8 @@ def test_pages(drawn, figure, panels, curves, form):
 def test_only_figures_with_wanted_panels(drawn):
     pages = {path.name for path in drawn.glob("*.svg")}
     forms = ("log", "gamma")
-    assert pages == {f"figure_{n}_{form}.svg" for n in ("07", "13", "17") for form in forms}
+    figures = {f"figure_{n}_{form}.svg" for n in ("07", "13", "17") for form in forms}
+    assert pages == figures | {"tissue.svg"}
     assert not list(drawn.rglob("*.part"))
 
 
@@ -123,7 +125,8 @@ def test_monte_carlo_agrees_with_transport(drawn):
 
 def test_second_run_walks_what_is_missing(drawn):
     before = parts(drawn)
-    assert set(before) == {f"walk_eta_{eta}_photons_120000_ratios_0.01_1" for eta in ETAS}
+    walks = {f"walk_eta_{eta}_photons_120000_ratios_0.01_1" for eta in ETAS}
+    assert set(before) == walks | {"walk_tissue_photons_100000"}
     lost, damaged = (f"walk_eta_{eta}_photons_120000_ratios_0.01_1" for eta in ETAS[1:])
     (drawn / "parts" / lost).unlink()
     (drawn / "parts" / damaged).write_bytes(before[damaged][1][:-100])
