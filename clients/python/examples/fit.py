@@ -27,7 +27,9 @@ def ln_R(client: dipole.Client, logarithms: np.ndarray) -> np.ndarray:  # type: 
     """Returns ln R [medium, radius] for rows of ln sigma_a, ln sigma_s, in a single request."""
     sigma = np.exp(np.atleast_2d(logarithms))
     known = np.broadcast_to([G, ETA], sigma.shape)
-    return client.eval("transport", np.hstack([sigma, known]), r, wanted="ln_R").ln_R
+    media = np.hstack([sigma, known])
+    # With a tolerance the daemon looks transport up; without one it solves it anew for each medium.
+    return client.eval("transport", media, r, wanted="ln_R", tolerance=1e-4).ln_R
 
 
 with dipole.Client() as client:
