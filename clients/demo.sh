@@ -57,6 +57,10 @@ say "\$ $build/dipole eval --medium $medium --model $models --from 0 --to 10"
 "$build/dipole" eval --connect "$address" --medium "$medium" --model "$models" --from 0 --to 10 ||
   fail "the evaluation failed"
 
+say "\$ $build/dipole eval --sigma-a 0.05 --sigma-s 9.5 --g 0.9 --eta 1.4 --tolerance 0.01 --r 0.1,1,5"
+"$build/dipole" eval --connect "$address" --sigma-a 0.05 --sigma-s 9.5 --g 0.9 --eta 1.4 \
+  --tolerance 0.01 --r 0.1,1,5 || fail "tissue with g = 0.9 was not answered"
+
 # The pictures have more radii than a table that people read.
 "$build/dipole" eval --connect "$address" --medium "$medium" --model "$models" --from 0 --to 10 \
   --count 401 --format csv --plot "$build/demo/$medium.svg" --plot "$build/demo/$medium.png" \

@@ -65,8 +65,9 @@ enum {
  * core/costs.def. The caller takes the next candidate if it cannot prepare one. If none meets the tolerance, the
  * candidate with the least error comes first.
  *
- * For g = 0 the errors of `transport` are known everywhere in its domain. For other models and
- * other g they are known where core/model_error.h has them, but those of the cdf and dR/dr are not.
+ * The errors of `transport` are known everywhere in its domain for g = 0, and for other g where it
+ * does not use the similarity relation. For other models they are known where core/model_error.h has
+ * them, but those of the cdf and dR/dr are not.
  * The numerical error of `transport` grows beyond its reach (core_reach). */
 size_t core_choose(const core_choose_request *request,
                    core_candidate candidates[CORE_CANDIDATES_MAX]);

@@ -9,6 +9,8 @@
 #include <float.h>
 #include <math.h>
 
+#include "core/kernels.h"
+
 #define CORE_REAL 64
 #include "core/kernel.h"
 
@@ -71,6 +73,9 @@ core_fault core_inverter_start(core_inverter *inverter, unsigned model, unsigned
     const core_medium wrong = {0, 1, g, eta};
     return check_medium(inverter, &wrong);
   }
+  inverter->ratio_most = model == CORE_MODEL_TRANSPORT
+                             ? real_min(core_transport_ratio_most(g, eta), RATIO_MAX)
+                             : RATIO_MAX;
   probe(inverter, 0);
   core_fault fault = check_medium(inverter, &inverter->medium);
   if (fault.field != NULL) {
@@ -159,12 +164,12 @@ bool core_inverter_seek(core_inverter *inverter, double albedo, enum core_length
   }
   inverter->phase = CORE_INVERTER_SEARCH;
   inverter->low = RATIO_MIN;
-  inverter->high = RATIO_MAX;
+  inverter->high = inverter->ratio_most;
   inverter->before.distance = (double)NAN;
   inverter->best.albedo = (double)INFINITY;
   inverter->steps = 0;
   const double guess = first_guess(inverter);
-  probe(inverter, guess > RATIO_MIN && guess < RATIO_MAX ? guess : 1);
+  probe(inverter, guess > RATIO_MIN && guess < inverter->ratio_most ? guess : 1);
   return false;
 }
 
@@ -225,7 +230,7 @@ bool core_inverter_take(core_inverter *inverter, double albedo) {
   case CORE_INVERTER_MOST:
     inverter->albedo_most = albedo;
     inverter->phase = CORE_INVERTER_LEAST;
-    probe(inverter, RATIO_MAX);
+    probe(inverter, inverter->ratio_most);
     return false;
   case CORE_INVERTER_LEAST:
     inverter->albedo_least = albedo;

@@ -41,6 +41,7 @@ typedef struct core_inverter {
   double eta;
   double sigma_t_prime_per_mm; /* of the medium that is probed */
   double ratio_least;          /* positive for models that need absorption, else 0 */
+  double ratio_most;
   enum core_inverter_phase phase;
   double wanted;
   enum core_length length;

@@ -112,6 +112,10 @@ core_reach core_transport_reach(const core_medium *medium);
  * Sets *added, to zeros if g is 0 or the result is false. */
 bool core_transport_added_errors(const core_medium *medium, core_added_errors *added);
 
+/* Returns the largest ratio sigma_a / sigma_s' at which `transport` evaluates scattering with this g
+ * and eta as it is, or INFINITY if there is none or the model uses the similarity relation. */
+double core_transport_ratio_most(double g, double eta);
+
 /* Returns the numerical error of the wanted quantities at radii from least to most; there are no
  * radii if least is above most. errors: as core_profile.numerical_errors, or as
  * core_added_errors.banded; all: the error of any quantity at any radius. */

@@ -39,7 +39,7 @@ unsigned core_error_code(double error) {
 
 /* ---- what was measured ----------------------------------------------------------------------- */
 
-static const double edges_mfp[] = {
+const double core_error_edges_mfp[] = {
 #define CORE_ERROR_EDGE(mfp) mfp,
 #include "core/model_errors.def"
 };
@@ -68,7 +68,8 @@ enum {
   NODE = (BANDS + 1) * DIGITS, /* a code for each band, then the albedo's */
 };
 
-_Static_assert(sizeof edges_mfp / sizeof edges_mfp[0] == BANDS + 1, "as core.h has it");
+_Static_assert(sizeof core_error_edges_mfp / sizeof core_error_edges_mfp[0] == BANDS + 1,
+               "as core.h has it");
 
 static const struct measured {
   unsigned model;
@@ -246,8 +247,8 @@ static double error_of_R(const core_model_errors *errors, const core_medium *med
                          core_radii_range radii) {
   const double sigma_t_prime = medium->sigma_a_per_mm + medium->sigma_s_per_mm * (1 - medium->g);
   struct span least, most;
-  if (!enclose(edges_mfp, BANDS + 1, radii.least_mm * sigma_t_prime, &least) ||
-      !enclose(edges_mfp, BANDS + 1, radii.most_mm * sigma_t_prime, &most)) {
+  if (!enclose(core_error_edges_mfp, BANDS + 1, radii.least_mm * sigma_t_prime, &least) ||
+      !enclose(core_error_edges_mfp, BANDS + 1, radii.most_mm * sigma_t_prime, &most)) {
     return (double)NAN;
   }
   const size_t first = least.first < BANDS ? least.first : BANDS - 1;
@@ -307,7 +308,7 @@ double core_error_beyond(core_reach reach, double most_mm) {
 static size_t edges_below(double mfp) {
   size_t count = 0;
   for (size_t i = 1; i < BANDS; i++) {
-    count += edges_mfp[i] < mfp;
+    count += core_error_edges_mfp[i] < mfp;
   }
   return count;
 }

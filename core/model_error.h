@@ -26,6 +26,9 @@
 core_model_errors core_model_errors_find(enum core_model model, enum core_moments moments,
                                          const core_medium *medium);
 
+/* The edges of the bands of radii that errors are stated for, in mean free paths 1 / sigma_t'. */
+extern const double core_error_edges_mfp[CORE_MODEL_ERROR_BANDS + 1];
+
 /* Returns the errors of a model that is transport itself. */
 core_model_errors core_model_errors_exact(void);
 

@@ -3,6 +3,7 @@
 #include <float.h>
 #include <math.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "core/kernels.h"
 #include "core/lut/lut.h"
@@ -290,7 +291,7 @@ static core_fault build_table(core_profile *profile, const struct model *model, 
   const double rounding = 2 * (double)FLT_EPSILON;
   const core_profile *source = profile->source;
   const double spent = rounding + (fits(model)              ? 0
-                                   : is_anisotropic(source) ? TABULATED_SHARE * asked
+                                   : is_anisotropic(source) ? SOURCE_SHARE * asked
                                                             : source->numerical_error);
   core_lut lut;
   const core_fault fault = core_lut_build(&lut, source, (asked - spent) / FOUND_MARGIN);
@@ -305,6 +306,10 @@ static core_fault build_table(core_profile *profile, const struct model *model, 
     profile->numerical_error_per_mm = source->numerical_error_per_mm;
   }
   return fault;
+}
+
+static bool is_tolerance(core_fault fault) {
+  return fault.field != NULL && strcmp(fault.field, "tolerance") == 0;
 }
 
 /* Makes a table of the model in double precision. The profile keeps that model as its source, for
@@ -337,6 +342,12 @@ static core_fault prepare_table(core_profile *profile, const struct model *model
   profile->cost = 1;
   profile->scale_mm = source->scale_mm;
   fault = build_table(profile, model, asked);
+  /* Where a part of the error does not depend on the tolerance, a table that misses it is still of
+   * use; it states its error. */
+  for (double looser = 4 * asked; is_tolerance(fault) && is_anisotropic(source) && looser <= 0.01;
+       looser *= 4) {
+    fault = build_table(profile, model, looser);
+  }
   if (fault.field != NULL) {
     core_profile_free(profile);
   }

@@ -157,6 +157,7 @@ const cli_command cli_command_eval = {
                 "  dipole eval --medium skin2 --eta 1 --moments fit --want albedo\n"
                 "  dipole eval --medium skin1 --want S --cos-in 0.8 --cos-out 0.5 --r 0.5,1,2\n"
                 "  dipole eval --medium skin1 --tolerance 0.01\n"
+                "  dipole eval --sigma-a 0.05 --sigma-s 9.5 --g 0.9 --eta 1.4 --tolerance 0.01\n"
                 "  dipole eval --medium skin1 --model transport --evaluator lut --want R,cdf\n"
                 "  dipole eval --medium skin1 --model all --plot\n",
     .settings_bytes = sizeof(cli_eval_settings),

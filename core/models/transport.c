@@ -1,5 +1,5 @@
-/* Radiative transport itself, for isotropic scattering: the model evaluates the deterministic
- * solution of core/transport/, where the equations are.
+/* Radiative transport itself: the model evaluates the deterministic solutions of core/transport/,
+ * where the equations are.
  *
  * Preparation solves a medium once, at points of ln x (x is the radius in mean free paths 1 /
  * sigma_t'). The kernels evaluate Legendre series of
@@ -15,7 +15,10 @@
  * solutions (core/transport/table.h) instead of solving, provided that the table covers the medium
  * and is as accurate as asked.
  *
- * Anisotropic scattering goes through the similarity relation.
+ * Anisotropic scattering (Henyey and Greenstein 1941, g from -0.5 to 0.95) always comes from that
+ * table, which covers sigma_a up to 100 sigma_s' and eta from 0.7 to 2.2. Solving it would take
+ * seconds. The table's error is larger than that for g = 0, whatever the tolerance, and is stated by
+ * band of radii. Other media go through the similarity relation, with a note.
  *
  * Domain: eta from 0.25 to 4. Below FIRST mean free paths R is continued in proportion to 1 / x.
  * The last radius is LAST_EXPONENT / kappa or LAST mean free paths, whichever is less. Beyond it R
@@ -30,7 +33,8 @@
  * Beyond the last radius the error grows as core_transport_reach() says. It was measured against
  * solutions to 110 / kappa (tests/accuracy/test_transport_far.c), where the continuation is off by
  * 0.4 at most, for an albedo of 0.01. With the table: the table's measured error plus
- * TOLERANCE_LEAST, where R is above TRANSPORT_TABLE_R_LEAST.
+ * TOLERANCE_LEAST, where R is above TRANSPORT_TABLE_R_LEAST. For g other than 0 the table's error by
+ * region is added (core_added_errors).
  */
 #include "core/kernels.h"
 
@@ -195,6 +199,7 @@ CORE_KERNEL_TABLE_NONE(transport);
 #include "core/energy.h"
 #include "core/gauss.h"
 #include "core/kernel.h"
+#include "core/model_error.h"
 #include "core/transport/table.h"
 #include "core/transport/transport.h"
 
@@ -206,6 +211,9 @@ CORE_KERNEL_TABLE_NONE(transport);
 #define PANEL_WIDTH 0.75 /* largest width of a panel in ln x */
 /* cost of one value in kernel evaluations of a dipole, measured with `build/bench kernel` */
 #define COST 8
+
+/* Up to this sigma_a / sigma_s' an albedo is inverted if g is not 0, as the table ends there. */
+#define RATIO_MOST 100.0
 
 /* For a smaller single-scattering albedo the medium is solved with this one, and the result is
  * scaled: R is then in proportion to the albedo, to that many digits. */
@@ -239,14 +247,18 @@ static core_fault solve(const core_inputs *inputs, double albedo, double toleran
 
 /* The source of a profile, a solution or a table's series, and the positions of its panels. */
 struct source {
-  const transport_solution *solution; /* NULL if `series` is the source */
+  const transport_solution *solution;     /* NULL if `series` is the source */
+  const transport_difference *difference; /* to be added to the solution, NULL if g is 0 */
   const transport_series *series;
-  double kappa;       /* kappa of the medium */
+  double kappa;          /* kappa of the medium */
+  double solution_kappa; /* kappa of the solution's albedo */
   double extra_kappa; /* kappa of the solution if the solver was given a smaller albedo, else 0 */
   double ln_first;
   double width; /* width of a panel in ln x */
   size_t panels;
   double error; /* largest relative error that the solver has estimated so far */
+  bool
+      joined; /* g is not 0: the panels are to be joined, as the table is not smooth at its edges */
 };
 
 /* Returns the albedo that the solver is called with. The solver's bounds need some decay, so for an
@@ -264,9 +276,11 @@ static double logarithm_at(struct source *source, double y) {
   const double x = real_exp_signed(y);
   const transport_number R = transport_at(source->solution, x).R;
   const double extra = source->extra_kappa * x;
+  const double more =
+      source->difference != NULL ? transport_difference_at(source->difference, y) : 0;
   source->error = fmax(source->error, R.error / fmax(R.value, 1e-300));
-  return real_log(fmax(x * R.value, 1e-300), 0) + source->kappa * x +
-         (extra - real_log(1 + extra, 0));
+  return real_log(fmax(x * R.value, 1e-300), 0) + source->solution_kappa * x +
+         (extra - real_log(1 + extra, 0)) + more;
 }
 
 /* Sets `series` to the Legendre series through the Gauss points of the panel that begins at ln x =
@@ -319,6 +333,9 @@ static void set_series(struct source *source, double *c) {
   c[PER_PANEL] = 1 / source->width;
   for (size_t i = 0; i < source->panels; i++) {
     fit_panel(source, fma((double)i, source->width, source->ln_first), &c[SERIES + i * TERMS]);
+  }
+  if (source->joined) {
+    transport_join_panels(source->panels, TERMS, &c[SERIES]);
   }
   const double more =
       steeper(&c[SERIES + (source->panels - 1) * TERMS], source->width, source->kappa * last);
@@ -384,7 +401,10 @@ static core_fault fill_nothing(double sigma_t_prime, core_preparation *preparati
   return (core_fault){0};
 }
 
+/* Solves the medium with isotropic scattering. difference: what the medium's g adds to the solution,
+ * or NULL if there is none. */
 static core_fault solve_and_fill(const core_inputs *inputs, double albedo, double asked,
+                                 const transport_difference *difference,
                                  core_preparation *preparation) {
   const core_medium *medium = inputs->medium;
   const double tolerance = fmin(0.5 * asked, TRANSPORT_TOLERANCE_MAX);
@@ -399,71 +419,138 @@ static core_fault solve_and_fill(const core_inputs *inputs, double albedo, doubl
     const double absorbed = medium->sigma_a_per_mm / core_sigma_t_prime(medium);
     const double kappa = shows ? transport_kappa(solvable) : sqrt(3 * absorbed);
     const double reach = kappa * LAST > LAST_EXPONENT ? LAST_EXPONENT / kappa : LAST;
-    struct source source = {
-        .solution = solution, .kappa = kappa, .extra_kappa = shows ? 0 : transport_kappa(solvable)};
+    struct source source = {.solution = solution,
+                            .difference = difference,
+                            .joined = difference != NULL,
+                            .kappa = difference != NULL && shows ? difference->kappa : kappa,
+                            .solution_kappa = kappa,
+                            .extra_kappa = shows ? 0 : transport_kappa(solvable)};
     lay_panels(&source, real_log(FIRST, 0), real_log(reach, 0));
     fault = fill(inputs, &source, share, preparation);
-    preparation->albedo = transport_total(solution).value * share;
+    preparation->albedo =
+        difference != NULL ? difference->total : transport_total(solution).value * share;
     preparation->error = fmax(asked, source.error);
   }
   transport_solution_free(solution);
   return fault;
 }
 
+static double albedo_of(const core_medium *medium) {
+  return medium->sigma_s_per_mm * (1 - medium->g) / core_sigma_t_prime(medium);
+}
+
+/* Returns the table of solutions if it covers the anisotropic scattering of this medium, else NULL.
+ */
+static const transport_table *table_for_g(const core_medium *medium) {
+  const bool isotropic = !(medium->g < 0 || medium->g > 0);
+  const transport_table *table = isotropic ? NULL : transport_table_shipped();
+  const bool serves = table != NULL && transport_table_covers_difference(table, albedo_of(medium),
+                                                                         medium->g, medium->eta);
+  return serves ? table : NULL;
+}
+
 /* The reach that the profile reports is that of the table of solutions, which is shorter than the
- * solver's: so it does not depend on which of the two was used. */
+ * solver's: so it does not depend on which of the two was used. For g other than 0 it is where the
+ * difference from isotropic scattering ends, and the growth is an upper bound of what was measured
+ * against the solver up to 30 decay lengths. */
 core_reach core_transport_reach(const core_medium *medium) {
   const double sigma_t_prime = core_sigma_t_prime(medium);
-  const double albedo = medium->sigma_s_per_mm * (1 - medium->g) / sigma_t_prime;
-  const double kappa = transport_kappa(albedo);
+  const double kappa = transport_kappa(albedo_of(medium));
+  const transport_table *table = table_for_g(medium);
+  if (table != NULL) {
+    double edge[TRANSPORT_TABLE_PANELS + 1];
+    transport_table_edges(table->field, true, kappa, edge);
+    return (core_reach){
+        .most_mm = real_exp_signed(edge[TRANSPORT_TABLE_PANELS]) / sigma_t_prime,
+        .growth = 0.05 + 8 * fmin(kappa, 0.5),
+    };
+  }
   return (core_reach){.most_mm = 1 / (kappa / LAST_EXPONENT + 1 / LAST) / sigma_t_prime,
                       .growth = fmin(0.5, kappa + 1e-4)};
 }
 
-bool core_transport_added_errors(const core_medium *medium, core_added_errors *added) {
-  *added = (core_added_errors){{0}, 0};
-  return !(medium->g < 0 || medium->g > 0);
+double core_transport_ratio_most(double g, double eta) {
+  const core_medium medium = {RATIO_MOST, 1 / (1 - g), g, eta};
+  return table_for_g(&medium) != NULL ? RATIO_MOST : (double)INFINITY;
 }
 
-static core_fault look_up(const core_inputs *inputs, double albedo, const transport_table *table,
-                          core_preparation *preparation) {
+bool core_transport_added_errors(const core_medium *medium, core_added_errors *added) {
+  *added = (core_added_errors){{0}, 0};
+  const transport_table *table = table_for_g(medium);
+  if (table == NULL) {
+    return !(medium->g < 0 || medium->g > 0) || !(medium->sigma_s_per_mm > 0);
+  }
+  const double albedo = albedo_of(medium), g = medium->g;
+  const size_t bands = CORE_MODEL_ERROR_BANDS;
+  for (size_t i = 0; i < bands; i++) {
+    const double least = i == 0 ? 0 : core_error_edges_mfp[i];
+    const double most =
+        i + 1 == bands ? (double)INFINITY : core_error_edges_mfp[i + 1] * (1 - 1e-6);
+    added->banded[i] = transport_table_error(table, albedo, g, medium->eta, least, most);
+    added->all = fmax(added->all, added->banded[i]);
+  }
+  added->banded[bands] = transport_table_total_error(table, g);
+  /* The cdf and the pdf have the error of R and that of the energy that they are divided by. */
+  added->all = 2 * fmax(added->all, added->banded[bands]);
+  return true;
+}
+
+static double isotropic_error(const transport_table *table) {
+  return transport_table_error(table, 0.5, 0, 1, 0, INFINITY) + TOLERANCE_LEAST;
+}
+
+static core_fault look_up(const core_inputs *inputs, double albedo, double g,
+                          const transport_table *table, core_preparation *preparation) {
   transport_series series;
-  transport_table_look_up(table, albedo, 0, inputs->medium->eta, &series);
-  struct source source = {.series = &series, .kappa = series.kappa};
+  transport_table_look_up(table, albedo, g, inputs->medium->eta, &series);
+  struct source source = {.series = &series, .kappa = series.kappa, .joined = g < 0 || g > 0};
   lay_panels(&source, series.edge[0], series.edge[TRANSPORT_TABLE_PANELS]);
   preparation->albedo = series.total;
-  preparation->error =
-      transport_table_error(table, albedo, 0, inputs->medium->eta, 0, INFINITY) + TOLERANCE_LEAST;
+  preparation->error = isotropic_error(table);
   return fill(inputs, &source, 1, preparation);
 }
 
-/* Returns the table of solutions if it covers this medium and is as accurate as inputs->tabulated
- * or a tolerance that was given asks, else NULL. */
+/* Prepares a medium whose scattering the table covers. */
+static core_fault prepare_anisotropic(const core_inputs *inputs, double albedo, double asked,
+                                      const transport_table *table, core_preparation *preparation) {
+  const core_medium *medium = inputs->medium;
+  transport_difference difference;
+  if (transport_table_covers(table, albedo, medium->g, medium->eta)) {
+    return look_up(inputs, albedo, medium->g, table, preparation);
+  }
+  transport_table_difference(table, albedo, medium->g, medium->eta, &difference);
+  return solve_and_fill(inputs, albedo, asked, &difference, preparation);
+}
+
+/* Returns the table of solutions if it covers this medium with isotropic scattering and is as
+ * accurate as inputs->tabulated or a tolerance that was given asks, else NULL. */
 static const transport_table *table_for(const core_inputs *inputs, double albedo) {
   const double accepted =
       fmax(inputs->tabulated, core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, 0));
-  const double eta = inputs->medium->eta;
   const transport_table *table = transport_table_shipped();
-  const bool serves =
-      table != NULL && transport_table_covers(table, albedo, 0, eta) &&
-      transport_table_error(table, albedo, 0, eta, 0, INFINITY) + TOLERANCE_LEAST <= accepted;
+  const bool serves = table != NULL &&
+                      transport_table_covers(table, albedo, 0, inputs->medium->eta) &&
+                      isotropic_error(table) <= accepted;
   return serves ? table : NULL;
 }
 
 core_fault core_transport_prepare(const core_inputs *inputs, core_preparation *preparation) {
-  const double sigma_t_prime = core_sigma_t_prime(inputs->medium);
-  const double albedo = inputs->medium->sigma_s_per_mm * (1 - inputs->medium->g) / sigma_t_prime;
+  const double albedo = albedo_of(inputs->medium);
   const double asked = core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, TOLERANCE);
-  preparation->notes = core_similarity_note(inputs);
+  preparation->notes = core_transport_added_errors(inputs->medium, &preparation->added)
+                           ? 0
+                           : (unsigned)CORE_NOTE_SIMILARITY;
   preparation->error = asked;
   preparation->cost = COST;
   if (!(albedo > 0)) {
-    return fill_nothing(sigma_t_prime, preparation);
+    return fill_nothing(core_sigma_t_prime(inputs->medium), preparation);
   }
   preparation->reach = core_transport_reach(inputs->medium);
+  const transport_table *for_g = table_for_g(inputs->medium);
   const transport_table *table = table_for(inputs, albedo);
-  return table != NULL ? look_up(inputs, albedo, table, preparation)
-                       : solve_and_fill(inputs, albedo, asked, preparation);
+  return for_g != NULL   ? prepare_anisotropic(inputs, albedo, asked, for_g, preparation)
+         : table != NULL ? look_up(inputs, albedo, 0, table, preparation)
+                         : solve_and_fill(inputs, albedo, asked, NULL, preparation);
 }
 
 #endif

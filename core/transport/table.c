@@ -341,6 +341,10 @@ static double read_total(struct reader *reader, const double (*basis)[TERMS_MAX]
   return albedo * fn_exp(logarithm[0] * quantum);
 }
 
+/* From these terms on, a panel's series of D is nothing but the solver's noise, which would put kinks
+ * into profiles. */
+static const size_t terms_of_D[PANELS] = {10, 16, 12, 12};
+
 void transport_table_difference(const transport_table *table, double albedo, double g, double eta,
                                 transport_difference *difference) {
   assert(transport_table_covers_difference(table, albedo, g, eta));
@@ -359,8 +363,15 @@ void transport_table_difference(const transport_table *table, double albedo, dou
   difference->kappa = transport_anisotropic_kappa(albedo, g);
   difference->kappa_isotropic = transport_kappa(albedo);
   transport_table_edges(field, true, difference->kappa_isotropic, difference->edge);
+  memset(difference->term, 0, sizeof difference->term);
   read_panels(&reader, basis, 3, field[TRANSPORT_TABLE_D_QUANTUM], difference->terms,
               difference->term);
+  for (size_t i = 0; i < PANELS; i++) {
+    const size_t most = terms_of_D[i] < difference->terms[i] ? terms_of_D[i] : difference->terms[i];
+    memset(&difference->term[i][most], 0, (TERMS_MAX - most) * sizeof(double));
+    difference->terms[i] = most < 2 ? 2 : most;
+  }
+  transport_join_panels(PANELS, TERMS_MAX, difference->term[0]);
 }
 
 void transport_table_look_up(const transport_table *table, double albedo, double g, double eta,
@@ -390,6 +401,26 @@ void transport_table_look_up(const transport_table *table, double albedo, double
   }
 }
 
+/* Returns the sum of a panel's terms at its beginning or its end, where each polynomial is -1 or 1. */
+static double at_end(const double *term, size_t count, bool begin) {
+  double sum = 0;
+  for (size_t k = 0; k < count; k++) {
+    sum += begin && k % 2 == 1 ? -term[k] : term[k];
+  }
+  return sum;
+}
+
+void transport_join_panels(size_t panels, size_t count, double *terms) {
+  for (size_t i = 0; i + 1 < panels; i++) {
+    double *one = terms + i * count, *other = one + count;
+    const double half = 0.5 * (at_end(other, count, true) - at_end(one, count, false));
+    one[0] += 0.5 * half;
+    one[1] += 0.5 * half;
+    other[0] -= 0.5 * half;
+    other[1] += 0.5 * half;
+  }
+}
+
 /* Returns the Chebyshev series at s, from -1 to 1, by Clenshaw's recurrence. */
 static double sum_of(const double *terms, size_t count, double s) {
   double next = 0, after = 0;
@@ -411,9 +442,23 @@ static double sum_at(const double edge[PANELS + 1], const size_t terms[PANELS],
   return sum_of(term[panel], terms[panel], mapped(y, edge[panel], edge[panel + 1]));
 }
 
+/* Returns what is added to D beyond its last edge: there the series goes on with its slope, the less
+ * the fewer decay lengths that edge is away from the source, as D is constant where R is diffusion. */
+static double beyond_D(const transport_difference *difference, double y) {
+  const double *term = difference->term[PANELS - 1], *edge = difference->edge;
+  const double decays = difference->kappa_isotropic * fn_exp(edge[PANELS]);
+  double slope = 0; /* of the series at s = 1 */
+  for (size_t k = 1; k < difference->terms[PANELS - 1]; k++) {
+    slope += (double)(k * k) * term[k];
+  }
+  const double share = decays / (decays + 2);
+  return share * slope * 2 / (edge[PANELS] - edge[PANELS - 1]) * (y - edge[PANELS]);
+}
+
 double transport_difference_at(const transport_difference *difference, double y) {
   const double x = fn_exp(y);
-  return sum_at(difference->edge, difference->terms, difference->term, y) +
+  const double beyond = y > difference->edge[PANELS] ? beyond_D(difference, y) : 0;
+  return sum_at(difference->edge, difference->terms, difference->term, y) + beyond +
          fn_log((1 + difference->kappa * x) / (1 + difference->kappa_isotropic * x));
 }
 

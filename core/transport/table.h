@@ -29,8 +29,8 @@
  *       x = 1 / (kappa / decays + 1 / most) with the kappa of isotropic scattering, so that panels
  *       end where R does, and Q with them is a smooth function of kappa. The panels between the last
  *       fixed edge and the reach have the same width in y. The two parts have the same fixed edges
- *       and different reaches. Beyond its reach D is constant: R is diffusion there, or so small
- *       that the errors below do not hold for it.
+ *       and different reaches. Beyond its reach D is continued with its slope or less: R is
+ *       diffusion there, or so small that the errors below do not hold for it.
  *
  * For isotropic scattering the table holds the total (the energy that leaves per power that has
  * entered) as ln(total / a). For other media it holds ln(total / a) for a beam at right angles and
@@ -196,6 +196,12 @@ void transport_table_look_up(const transport_table *table, double albedo, double
 /* Returns ln(x R) + kappa x at y = ln x, for y from the first edge to the last (asserted, up to
  * rounding). */
 double transport_series_at(const transport_series *series, double y);
+
+/* Makes the series of neighbouring panels meet: adds to each one a line, such that both have the mean
+ * of their values at the edge between them, and the value at the other edge stays. Jumps there would
+ * be smaller than the table's error, but a table of the profile (core/lut) could not follow them.
+ * terms: `count` (at least 2) for each panel, of Chebyshev or Legendre polynomials. */
+void transport_join_panels(size_t panels, size_t count, double *terms);
 
 /* ---- for making tables --------------------------------------------------------------------- */
 

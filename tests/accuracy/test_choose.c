@@ -513,8 +513,8 @@ UNIT_TEST(the_choice_holds_for_all_channels) {
   assert_int_equal(core_choose(&request, candidates), 0);
 }
 
-/* sigma_s' is all that the models see, so the similarity relation's error comes on top, where it is
- * known; single scattering sees g, and nothing is known of it. */
+/* transport sees g. sigma_s' is all that the other models see, so the similarity relation's error
+ * comes on top, where it is known; single scattering sees g, and nothing is known of it. */
 UNIT_TEST(anisotropy_costs) {
   const core_medium forward = {0.05, 10, 0.9, 1.4};
   core_choose_request isotropic = easy(&ordinary, 1), request = easy(&forward, 1);
@@ -536,15 +536,18 @@ UNIT_TEST(anisotropy_costs) {
     assert_true(candidates[i].model != CORE_MODEL_BETTER_SINGLE || isinf(candidates[i].error));
   }
   assert_true(known > 0);
+  request.tolerance = 0.01;
+  request.radii = (core_radii_range){0.001, 10};
+  request.wanted |= CORE_QUANTITY_ALBEDO;
+  assert_true(choose(&request).meets && choose(&request).model == CORE_MODEL_TRANSPORT);
+  request.wanted = CORE_QUANTITY_CDF;
+  assert_true(choose(&request).meets && choose(&request).model == CORE_MODEL_TRANSPORT);
+  const core_medium further = {0.05, 33, 0.97, 1.4}; /* than transport's table */
+  request = easy(&further, 1);
+  assert_false(choose(&request).meets);
   request.radii.least_mm = 0.09; /* below 0.1 mean free paths */
   assert_true(isinf(choose(&request).error));
-  request = easy(&forward, 1);
-  request.radii = known_mm;
-  request.wanted |= CORE_QUANTITY_ALBEDO;
-  assert_true(choose(&request).error < (double)INFINITY);
-  request.radii.most_mm = 10;
-  assert_true(isinf(choose(&request).error));
-  request = easy(&forward, 1);
+  request = easy(&further, 1);
   request.wanted = CORE_QUANTITY_CDF;
   assert_true(isinf(choose(&request).error));
 }

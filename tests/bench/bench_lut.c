@@ -7,7 +7,9 @@
  *   lut.<model>.bytes                     size of the table
  *   ratio.lut.<model>                     the table over the model itself
  *   ratio.lut.quantized_diffusion         ratio.lut of the model `quantized`
- *   ratio.lut.transport_over_better_dipole   the table of transport over the better dipole itself
+ *   ratio.lut.transport_over_better_dipole   the table of transport over the better dipole itself,
+ *                                            both for tissue with g = 0.9
+ *   lut.transport_with_g.prepare          s, to build that table
  */
 #include <stdio.h>
 #include <stdlib.h>
@@ -26,11 +28,26 @@ static void run_R(const void *context) {
   core_eval_f32(context, CORE_QUANTITY_R, RADII, radii, values);
 }
 
-static double median_s_to_prepare(unsigned model) {
+static core_profile tissue_profile(unsigned model, unsigned evaluator) {
+  const core_medium tissue = {0.05, 9.5, 0.9, 1.4};
+  core_profile profile;
+  if (core_profile_prepare(&profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT, evaluator,
+                           &tissue, NULL)
+          .field != NULL) {
+    bench_fail("tissue with g = 0.9 was refused");
+  }
+  return profile;
+}
+
+static core_profile measured_profile(unsigned model, unsigned evaluator) {
+  return bench_profile(core_isa_select(NULL), model, evaluator);
+}
+
+static double median_s_to_prepare(unsigned model, core_profile (*prepare)(unsigned, unsigned)) {
   double seconds[PREPARATIONS];
   for (int i = 0; i < PREPARATIONS; i++) {
     const uint64_t start = bench_now_ns();
-    core_profile profile = bench_profile(core_isa_select(NULL), model, CORE_EVALUATOR_LUT);
+    core_profile profile = prepare(model, CORE_EVALUATOR_LUT);
     seconds[i] = (double)(bench_now_ns() - start) * 1e-9;
     core_profile_free(&profile);
   }
@@ -57,7 +74,8 @@ static void measure_model(const core_choice *model) {
   const double ratio = compare(model->name, &table, &direct, contenders);
   bench_figure(RADII / contenders[0].ns * 1e9, "values/s", "lut.%s.table", model->name);
   bench_figure(RADII / contenders[1].ns * 1e9, "values/s", "lut.%s.f32", model->name);
-  bench_figure(median_s_to_prepare(model->id), "s", "lut.%s.prepare", model->name);
+  bench_figure(median_s_to_prepare(model->id, measured_profile), "s", "lut.%s.prepare",
+               model->name);
   bench_figure((double)(table.lut_count * sizeof *table.lut), "bytes", "lut.%s.bytes", model->name);
   bench_figure(ratio, "times", "ratio.lut.%s", model->name);
   if (model->id == CORE_MODEL_QUANTIZED) {
@@ -69,11 +87,12 @@ static void measure_model(const core_choice *model) {
 
 static void measure_transport(void) {
   bench_contender contenders[CONTENDERS];
-  core_profile table =
-      bench_profile(core_isa_select(NULL), CORE_MODEL_TRANSPORT, CORE_EVALUATOR_LUT);
-  core_profile direct = bench_profile(core_isa_select(NULL), CORE_MODEL_BETTER, CORE_EVALUATOR_F32);
+  core_profile table = tissue_profile(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_LUT);
+  core_profile direct = tissue_profile(CORE_MODEL_BETTER, CORE_EVALUATOR_F32);
   const double ratio = compare("transport over better", &table, &direct, contenders);
   bench_figure(ratio, "times", "ratio.lut.transport_over_better_dipole");
+  bench_figure(median_s_to_prepare(CORE_MODEL_TRANSPORT, tissue_profile), "s",
+               "lut.transport_with_g.prepare");
   core_profile_free(&table);
   core_profile_free(&direct);
 }

@@ -197,6 +197,33 @@ static bool is_due(const core_choice *model, const core_choice *evaluator,
          (evaluator->id == CORE_EVALUATOR_F64 && needed);
 }
 
+/* Prints a checksum for each evaluator of transport with tissue's g, from the table of solutions. */
+static void print_transport_with_g(const core_isa *isa) {
+  static const core_medium media[] = {{0.05, 9.5, 0.9, 1.4}, {2, 1.25, -0.3, 0.8}};
+  for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {
+    uint64_t sum = CHECKSUM_START, state = 1941;
+    for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
+      core_profile profile;
+      if (core_profile_prepare(&profile, isa, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
+                               evaluator->id, &media[i], NULL)
+              .field != NULL) {
+        continue;
+      }
+      sum = checksum(sum, &profile.albedo, sizeof profile.albedo);
+      sum = checksum(sum, profile.numerical_errors, sizeof profile.numerical_errors);
+      sum = checksum(sum, profile.lut, profile.lut_count * sizeof *profile.lut);
+      for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
+        if (core_quantity_elementwise(quantity->id)) {
+          sum = add_quantity(sum, &profile, quantity->id, &state);
+        }
+      }
+      sum = add_samples(sum, &profile, &state);
+      core_profile_free(&profile);
+    }
+    printf("transport with g %s %016" PRIx64 "\n", evaluator->name, sum);
+  }
+}
+
 /* Prints checksums of the solver for any phase function: totals, and one wavenumber in real and in
  * complex numbers. */
 static void print_anisotropic(const core_isa *isa) {
@@ -254,6 +281,7 @@ int main(int argc, char **argv) {
       print_inversions(model);
     }
   }
+  print_transport_with_g(isa);
   print_grids();
   print_anisotropic(isa);
   return EXIT_SUCCESS;

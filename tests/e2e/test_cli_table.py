@@ -59,9 +59,11 @@ def test_table_for_people():
 
 
 def test_notes_are_told():
-    text = dipole("table", *MEDIUM, "--g", "0.5").stdout
+    text = dipole("table", *MEDIUM, "--g", "0.97").stdout
     assert "note: similarity: " in text
-    assert table_json(*MEDIUM, "--g", "0.5")["tables"][0]["notes"] == ["similarity"]
+    assert table_json(*MEDIUM, "--g", "0.97")["tables"][0]["notes"] == ["similarity"]
+    transport = table_json(*MEDIUM, "--g", "0.9", "--model", "transport")
+    assert transport["tables"][0]["notes"] == []
 
 
 def test_json_says_what_the_daemon_says(client):

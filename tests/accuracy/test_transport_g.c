@@ -1,0 +1,405 @@
+/* The model transport for g other than 0: its values and stated errors against numbers that others
+ * made (../shared) and against the solver, and its quantities and evaluators against each other. */
+#include <math.h>
+
+#include "core/choose.h"
+#include "core/inverter.h"
+#include "core/kernels.h"
+#include "core/transport/anisotropic.h"
+#include "tests/unit/unit.h"
+
+#define PI 3.14159265358979323846
+
+static core_profile prepare(const core_medium *medium, unsigned evaluator, double tolerance) {
+  core_parameters parameters = core_parameters_none();
+  core_profile profile;
+  parameters.value[CORE_PARAMETER_TOLERANCE] = tolerance;
+  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
+                                         CORE_MOMENTS_EXACT, evaluator, medium, &parameters),
+                    NULL, 0);
+  return profile;
+}
+
+static double value_at(const core_profile *profile, enum core_quantity quantity, double r) {
+  if (profile->evaluator == CORE_EVALUATOR_F64) {
+    double out;
+    core_eval_f64(profile, quantity, 1, &r, &out);
+    return out;
+  }
+  const float single = (float)r;
+  float out;
+  core_eval_f32(profile, quantity, 1, &single, &out);
+  return (double)out;
+}
+
+static double stated(const core_profile *profile, unsigned wanted, double least, double most) {
+  const core_stated_errors errors =
+      core_profile_errors(profile, wanted, (core_radii_range){least, most});
+  assert_true(errors.model == 0 && errors.numerical_per_mm == 0);
+  return errors.numerical;
+}
+
+/* Lengths in mean free paths 1 / sigma_t'. */
+static core_medium medium_of(double ratio, double g, double eta) {
+  return (core_medium){ratio / (1 + ratio), 1 / (1 + ratio) / (1 - g), g, eta};
+}
+
+/* ---- numbers of others ---------------------------------------------------------------------- */
+
+static const unsigned evaluators[] = {CORE_EVALUATOR_F64, CORE_EVALUATOR_F32, CORE_EVALUATOR_LUT};
+
+/* A selection of ../shared/vectors/anisotropic.csv: ratio, g, eta, radius, R, its error bound. */
+static const double selected[][6] = {
+    {0.0001, 0.9, 1, 0.05, 5.7952365e-01, 6.0e-04},  {0.0001, 0.9, 1, 20, 3.1503938e-05, 6.0e-05},
+    {0.01, 0.95, 0.8, 0.01, 2.4694328e+00, 1.1e-03}, {0.01, 0.95, 0.8, 2, 1.1566337e-02, 6.0e-05},
+    {0.02, 0.3, 2, 0.1, 1.3196148e-01, 6.1e-04},     {0.02, 0.3, 2, 7, 3.1780277e-04, 3.0e-05},
+    {0.1, 0.5, 1.5, 0.2, 7.5861861e-02, 1.9e-04},    {0.1, 0.5, 1.5, 12, 2.6222986e-06, 3.0e-05},
+    {0.2, -0.5, 1.2, 0.5, 5.0520357e-02, 1.2e-04},   {0.2, -0.5, 1.2, 4, 1.8985658e-04, 2.4e-04},
+    {1, 0.9, 1.3, 1, 2.2504001e-03, 6.0e-05},        {1, 0.9, 1.3, 20, 2.4547242e-13, 6.0e-05}};
+
+struct worst {
+  double off, share, stated;
+  size_t count;
+};
+
+/* row: as above. Each evaluator is within what it states for this radius. */
+static void compare_row(const double row[6], struct worst *worst) {
+  const core_medium medium = medium_of(row[0], row[1], row[2]);
+  for (size_t i = 0; i < sizeof evaluators / sizeof evaluators[0]; i++) {
+    core_profile profile = prepare(&medium, evaluators[i], (double)NAN);
+    assert_int_equal(profile.notes, 0);
+    const double allowed = stated(&profile, CORE_QUANTITY_R, row[3], row[3]);
+    const double off = fabs(value_at(&profile, CORE_QUANTITY_R, row[3]) / row[4] - 1);
+    if (!(off <= allowed + row[5])) {
+      fail_msg("ratio %g, g %g, eta %g, r %g, evaluator %u: off by %g, stated %g, the vector's %g",
+               row[0], row[1], row[2], row[3], evaluators[i], off, allowed, row[5]);
+    }
+    assert_true(allowed <= 0.1);
+    worst->off = fmax(worst->off, off);
+    worst->share = fmax(worst->share, off / (allowed + row[5]));
+    worst->stated = fmax(worst->stated, allowed);
+    worst->count++;
+    core_profile_free(&profile);
+  }
+}
+
+UNIT_TEST(values_of_another_implementation_are_within_the_stated_error) {
+  struct worst worst = {0};
+  for (size_t i = 0; i < sizeof selected / sizeof selected[0]; i++) {
+    compare_row(selected[i], &worst);
+  }
+  char *text = unit_read_file("../shared/vectors/anisotropic.csv");
+  printf("%s", text == NULL ? "the rest skipped: ../shared/vectors is not there\n" : "");
+  for (char *line = text != NULL ? strtok(text, "\n") : NULL; line != NULL;
+       line = strtok(NULL, "\n")) {
+    double row[6];
+    if (sscanf(line, "%lf,%lf,%lf,%lf,%lf,%lf", &row[0], &row[1], &row[2], &row[3], &row[4],
+               &row[5]) == 6) {
+      compare_row(row, &worst);
+    }
+  }
+  printf("%zu values: off by at most %.1e, %.2f of what is allowed; stated at most %.1e\n",
+         worst.count, worst.off, worst.share, worst.stated);
+  free(text);
+}
+
+/* R of a ring is the energy in it over its area. MCML counts 0.05 mean free paths a ring. */
+UNIT_TEST(rings_are_those_of_mcml) {
+  char *text = unit_read_file("../shared/mcml/r0.05_n1.4_g0.9.csv");
+  if (text == NULL) {
+    printf("skipped: ../shared/mcml is not there\n");
+    skip();
+  }
+  const core_medium medium = medium_of(0.05, 0.9, 1.4);
+  core_profile profile = prepare(&medium, CORE_EVALUATOR_F64, (double)NAN);
+  double chi_squared = 0, largest = 0;
+  size_t rings = 0;
+  for (char *line = strtok(text, "\n"); line != NULL; line = strtok(NULL, "\n")) {
+    double from, to, R, sigma;
+    if (sscanf(line, "%lf,%lf,%lf,%lf", &from, &to, &R, &sigma) == 4 && sigma < 0.1) {
+      const double within =
+          value_at(&profile, CORE_QUANTITY_CDF, to) - value_at(&profile, CORE_QUANTITY_CDF, from);
+      const double off = (R * PI * (to * to - from * from) / (within * profile.albedo) - 1) / sigma;
+      chi_squared += off * off;
+      largest = fmax(largest, fabs(off));
+      rings++;
+    }
+  }
+  const double total = 0.369692; /* of 3e6 photons */
+  printf(
+      "%zu rings, chi-squared per ring %.2f (sigma is an upper bound), largest %.1f sigma; albedo "
+      "%.6f, by MCML %.6f\n",
+      rings, chi_squared / (double)rings, largest, profile.albedo, total);
+  assert_true(rings > 80 && chi_squared < 1.2 * (double)rings && largest < 4.5);
+  assert_true(fabs(profile.albedo - total) < 4.5 * sqrt(total / 3e6));
+  core_profile_free(&profile);
+  free(text);
+}
+
+/* Totals by adding-doubling, per launched power with the specular reflection, and how far their last
+ * digit may be off. */
+UNIT_TEST(albedos_are_those_of_adding_doubling) {
+  static const double known[][5] = {{0.9, 0.9, 1.4, 0.0573000, 3e-7},
+                                    {0.95, 0.8, 1, 0.238946, 1e-6},
+                                    {0.998003992, 0.8, 1.4, 0.63166, 1e-5},
+                                    {0.99, 0.8, 1.4, 0.38586, 1e-5}};
+  for (size_t i = 0; i < sizeof known / sizeof known[0]; i++) {
+    const double albedo = known[i][0], g = known[i][1], eta = known[i][2];
+    const core_medium medium = {1 - albedo, albedo, g, eta};
+    core_profile profile = prepare(&medium, CORE_EVALUATOR_F64, (double)NAN);
+    const double specular = (eta - 1) / (eta + 1) * (eta - 1) / (eta + 1);
+    const double total = (known[i][3] - specular) / (1 - specular);
+    const double error = stated(&profile, CORE_QUANTITY_ALBEDO, 1, 0);
+    assert_true(fabs(profile.albedo / total - 1) <= error + 2 * known[i][4] / total);
+    core_profile_free(&profile);
+  }
+}
+
+/* ---- the solver ----------------------------------------------------------------------------- */
+
+/* dR/dr by differences of the solver's R, which is smooth, whatever its error. */
+static double slope_of(const transport_anisotropic *solution, size_t eta, double r) {
+  double by[2];
+  for (int i = 0; i < 2; i++) {
+    const double h = i == 0 ? 0.02 * r : 0.04 * r;
+    by[i] = (transport_anisotropic_at(solution, eta, r + h).value -
+             transport_anisotropic_at(solution, eta, r - h).value) /
+            (2 * h);
+  }
+  return (4 * by[0] - by[1]) / 3;
+}
+
+UNIT_TEST(values_are_those_of_the_solver) {
+  enum { ETAS = 3, RADII = 24, MEDIA = 2 };
+  static const double ends[MEDIA][2] = {{0.6, 0.95}, {-0.5, 0.6}};
+  uint64_t random = unit_seed();
+  double worst_R = 0, worst_slope = 0;
+  for (size_t m = 0; m < MEDIA; m++) {
+    const double g = unit_random_between(&random, ends[m][0], ends[m][1]);
+    const double ratio = unit_random_log(&random, 1e-4, 2);
+    const double etas[ETAS] = {unit_random_between(&random, 0.7, 1), 1,
+                               unit_random_between(&random, 1, 2.2)};
+    const transport_phase phase = {g, 0, NULL};
+    transport_anisotropic *solution;
+    unit_assert_fault(transport_anisotropic_solve(&solution, core_isa_select(NULL), ratio, &phase,
+                                                  etas, ETAS, TRANSPORT_EFFORT_QUICK),
+                      NULL, 0);
+    for (size_t e = 0; e < ETAS; e++) {
+      const core_medium medium = medium_of(ratio, g, etas[e]);
+      core_profile profile = prepare(&medium, CORE_EVALUATOR_F64, (double)NAN);
+      for (size_t i = 0; i < RADII; i++) {
+        const double r = unit_random_log(&random, 0.01, 20);
+        const transport_number truth = transport_anisotropic_at(solution, e, r);
+        const double error = truth.error / truth.value;
+        if (truth.value < 1e-12 || error > 2e-3) {
+          continue;
+        }
+        const double off = fabs(value_at(&profile, CORE_QUANTITY_R, r) / truth.value - 1);
+        const double allowed = stated(&profile, CORE_QUANTITY_R, r, r) + error;
+        const double off_slope =
+            fabs(value_at(&profile, CORE_QUANTITY_SLOPE, r) / slope_of(solution, e, r) - 1);
+        const double allowed_slope = stated(&profile, CORE_QUANTITY_SLOPE, r, r) + 3 * error;
+        if (!(off <= allowed && off_slope <= allowed_slope)) {
+          fail_msg(
+              "ratio %g, g %g, eta %g, r %g: R is off by %g, allowed %g, dR/dr by %g, allowed %g",
+              ratio, g, etas[e], r, off, allowed, off_slope, allowed_slope);
+        }
+        worst_R = fmax(worst_R, off / allowed);
+        worst_slope = fmax(worst_slope, off_slope / allowed_slope);
+      }
+      core_profile_free(&profile);
+    }
+    transport_anisotropic_free(solution);
+  }
+  printf("of what is allowed: R %.2f, dR/dr %.2f\n", worst_R, worst_slope);
+}
+
+/* ---- quantities and evaluators ----------------------------------------------------------------- */
+
+static core_medium random_medium(uint64_t *random) {
+  const double kind = unit_random_between(random, 0, 1);
+  const double ratio = kind < 0.1 ? 0 : kind < 0.2 ? 100 : unit_random_log(random, 1e-8, 100);
+  const double g = kind > 0.9 ? 0.95 : kind > 0.8 ? -0.5 : unit_random_between(random, -0.5, 0.95);
+  core_medium medium = medium_of(ratio, g, unit_random_between(random, 0.7, 2.2));
+  const double scale = unit_random_log(random, 0.01, 100);
+  medium.sigma_a_per_mm *= scale;
+  medium.sigma_s_per_mm *= scale;
+  return medium;
+}
+
+/* Checks that all quantities of a profile follow from R, with the table's error left out. */
+static void check_quantities(const core_profile *profile, double mfp_mm, uint64_t *random) {
+  const bool lut = profile->evaluator == CORE_EVALUATOR_LUT;
+  const double epsilon = profile->evaluator == CORE_EVALUATOR_F64 ? 1e-12 : lut ? 3e-4 : 1e-6;
+  double before = 0;
+  for (int i = 0; i < 40; i++) {
+    const double r =
+        (double)(float)(mfp_mm * exp(-9 + 12.0 * i / 40 + unit_random_between(random, 0, 0.3)));
+    const double R = value_at(profile, CORE_QUANTITY_R, r);
+    const double ring = value_at(profile, CORE_QUANTITY_RING, r);
+    const double pdf = value_at(profile, CORE_QUANTITY_PDF, r);
+    const double cdf = value_at(profile, CORE_QUANTITY_CDF, r);
+    const double ln_R = value_at(profile, CORE_QUANTITY_LN_R, r);
+    const double slope = value_at(profile, CORE_QUANTITY_SLOPE, r);
+    const double S = value_at(profile, CORE_QUANTITY_S, r);
+    if (R * mfp_mm * mfp_mm < 1e-20) {
+      continue;
+    }
+    assert_true(fabs(ring / (2 * PI * r * R) - 1) < epsilon);
+    assert_true(fabs(pdf * profile->albedo / ring - 1) < 2e-3);
+    assert_true(fabs(ln_R - log(R)) < epsilon * (1 + fabs(ln_R)));
+    assert_true(S > 0 && S < R);
+    assert_true(cdf >= before && cdf <= 1);
+    before = cdf;
+    const double h = 1e-3 * r, up = value_at(profile, CORE_QUANTITY_LN_R, r + h),
+                 down = value_at(profile, CORE_QUANTITY_LN_R, r - h);
+    if (profile->evaluator == CORE_EVALUATOR_F64) {
+      /* where two panels of the series meet, their slopes differ a little */
+      assert_true(fabs((up - down) / (2 * h) * R / slope - 1) < 5e-3);
+      const double more = value_at(profile, CORE_QUANTITY_CDF, r + h),
+                   less = value_at(profile, CORE_QUANTITY_CDF, r - h);
+      assert_true(more > 0.9999 || fabs((more - less) / (2 * h) / pdf - 1) < 1e-3);
+      const double u = cdf;
+      double back;
+      core_sample_f64(profile, 1, &u, &back);
+      assert_true(u > 0.999999 || fabs(back / r - 1) < 1e-6);
+    }
+  }
+  assert_true(value_at(profile, CORE_QUANTITY_CDF, (double)INFINITY) == 1);
+}
+
+UNIT_TEST(quantities_and_evaluators_agree) {
+  uint64_t random = unit_seed();
+  for (int m = 0; m < 40; m++) {
+    const core_medium medium = random_medium(&random);
+    const double mfp_mm = 1 / core_sigma_t_prime(&medium);
+    core_profile f64 = prepare(&medium, CORE_EVALUATOR_F64, (double)NAN);
+    core_profile f32 = prepare(&medium, CORE_EVALUATOR_F32, (double)NAN);
+    core_profile lut = prepare(&medium, CORE_EVALUATOR_LUT, (double)NAN);
+    assert_true(f64.notes == 0 && f32.notes == 0 && lut.notes == 0);
+    assert_true(f64.albedo == f32.albedo && f64.albedo == lut.albedo);
+    for (int i = 0; i < 60; i++) {
+      const double r = (double)(float)(mfp_mm * unit_random_log(&random, 1e-6, 30));
+      const double R = value_at(&f64, CORE_QUANTITY_R, r);
+      if (R * mfp_mm * mfp_mm > 1e-14) {
+        assert_true(fabs(value_at(&f32, CORE_QUANTITY_R, r) / R - 1) < 1e-6);
+        assert_true(fabs(value_at(&lut, CORE_QUANTITY_R, r) / R - 1) < 1e-4);
+        assert_true(
+            fabs(value_at(&lut, CORE_QUANTITY_CDF, r) / value_at(&f64, CORE_QUANTITY_CDF, r) - 1) <
+            1e-4);
+      }
+    }
+    check_quantities(&f64, mfp_mm, &random);
+    check_quantities(&f32, mfp_mm, &random);
+    check_quantities(&lut, mfp_mm, &random);
+    core_profile_free(&f64);
+    core_profile_free(&f32);
+    core_profile_free(&lut);
+  }
+}
+
+/* A tolerance below the table's error changes neither the values nor what is stated, and no fault
+ * follows from it. */
+UNIT_TEST(the_stated_error_is_the_tables_whatever_the_tolerance) {
+  const core_medium medium = {0.05, 9.5, 0.9, 1.4};
+  for (size_t i = 0; i < sizeof evaluators / sizeof evaluators[0]; i++) {
+    core_profile loose = prepare(&medium, evaluators[i], (double)NAN);
+    core_profile tight = prepare(&medium, evaluators[i], 1e-6);
+    assert_true(stated(&tight, CORE_QUANTITY_R, 1, 1) > 1e-5);
+    assert_true(stated(&tight, CORE_QUANTITY_R, 1, 1) <= stated(&loose, CORE_QUANTITY_R, 1, 1));
+    assert_true(stated(&loose, CORE_QUANTITY_R, 0.001, 1) >= stated(&loose, CORE_QUANTITY_R, 1, 1));
+    assert_true(stated(&loose, CORE_QUANTITY_CDF, 1, 1) >= stated(&loose, CORE_QUANTITY_R, 1, 1));
+    assert_true(stated(&loose, CORE_QUANTITY_R, 1, 1000) > 0.01);
+    core_profile_free(&loose);
+    core_profile_free(&tight);
+  }
+}
+
+/* ---- outside ---------------------------------------------------------------------------------- */
+
+UNIT_TEST(outside_of_the_table_the_similarity_relation_is_named) {
+  static const core_medium outside[] = {{0.05, 9.5, 0.96, 1.4},      {0.05, 9.5, -0.55, 1.4},
+                                        {0.05, 9.5, 0.9, 0.65},      {0.05, 9.5, 0.9, 2.3},
+                                        {101 * 0.95, 9.5, 0.9, 1.4}, {1e-3, 9.5, 0.999999, 1.4},
+                                        {0.05, 9.5, -0.9999, 1.4},   {1e15, 9.5, 0.9, 1.4}};
+  for (size_t i = 0; i < sizeof outside / sizeof outside[0]; i++) {
+    core_profile profile = prepare(&outside[i], CORE_EVALUATOR_F32, 1e-3);
+    assert_int_equal(profile.notes, CORE_NOTE_SIMILARITY);
+    const core_radii_range radii = {1 / core_sigma_t_prime(&outside[i]),
+                                    2 / core_sigma_t_prime(&outside[i])};
+    const double error = core_profile_errors(&profile, CORE_QUANTITY_R, radii).model;
+    assert_true(isnan(error) || error > 0.01);
+    core_choose_request request = {.media = &outside[i],
+                                   .media_count = 1,
+                                   .moments = CORE_MOMENTS_EXACT,
+                                   .wanted = CORE_QUANTITY_R,
+                                   .radii = radii,
+                                   .tolerance = 1};
+    core_candidate candidates[CORE_CANDIDATES_MAX];
+    const size_t n = core_choose(&request, candidates);
+    for (size_t k = 0; k < n; k++) {
+      assert_true(candidates[k].model != CORE_MODEL_TRANSPORT || !candidates[k].meets);
+    }
+    core_profile_free(&profile);
+  }
+  const core_medium nothing = {1, 0, 0.9, 1.4};
+  core_profile profile = prepare(&nothing, CORE_EVALUATOR_F64, (double)NAN);
+  assert_int_equal(profile.notes, 0);
+  assert_true(value_at(&profile, CORE_QUANTITY_R, 1) == 0);
+  core_profile_free(&profile);
+}
+
+UNIT_TEST(a_tolerance_is_answered) {
+  const core_medium tissue = {0.05, 9.5, 0.9, 1.4};
+  for (int single = 0; single < 2; single++) {
+    core_choose_request request = {.media = &tissue,
+                                   .media_count = 1,
+                                   .moments = CORE_MOMENTS_EXACT,
+                                   .wanted = CORE_QUANTITY_R | CORE_QUANTITY_ALBEDO,
+                                   .radii = {0.1, 5},
+                                   .single = single,
+                                   .tolerance = 0.01};
+    core_candidate candidates[CORE_CANDIDATES_MAX];
+    core_choose(&request, candidates);
+    assert_int_equal(candidates[0].model, CORE_MODEL_TRANSPORT);
+    assert_true(candidates[0].meets);
+    core_profile profile =
+        prepare(&tissue, candidates[0].evaluator, candidates[0].numerical_tolerance);
+    assert_true(stated(&profile, request.wanted, 0.1, 5) <= candidates[0].error);
+    core_profile_free(&profile);
+    request.tolerance = 1e-5; /* less than the table's error */
+    core_choose(&request, candidates);
+    assert_false(candidates[0].meets);
+    assert_true(candidates[0].error > 1e-5 && candidates[0].error < 0.01);
+  }
+}
+
+static double probe(const core_medium *medium) {
+  core_profile profile = prepare(medium, CORE_EVALUATOR_F64, (double)NAN);
+  const double albedo = profile.albedo;
+  assert_int_equal(profile.notes, 0);
+  core_profile_free(&profile);
+  return albedo;
+}
+
+/* An inversion stays where the table holds. */
+UNIT_TEST(albedos_are_inverted_with_g) {
+  core_inverter inverter;
+  unit_assert_fault(
+      core_inverter_start(&inverter, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT, 0.9, 1.4, 1), NULL,
+      0);
+  while (!core_inverter_take(&inverter, probe(&inverter.medium))) {
+  }
+  assert_true(inverter.albedo_least > 1e-6 && inverter.albedo_least < 1e-3);
+  assert_true(inverter.albedo_most > 0.9999);
+  for (double albedo = 2e-4; albedo < 0.9; albedo *= 1.7) {
+    assert_false(core_inverter_seek(&inverter, albedo, CORE_LENGTH_FREE_PATH, 2));
+    int steps = 0;
+    while (!core_inverter_take(&inverter, probe(&inverter.medium))) {
+      assert_true(steps++ < 100);
+    }
+    assert_true(inverter.found && fabs(inverter.albedo / albedo - 1) < 1e-12);
+    assert_true(inverter.medium.g == 0.9);
+  }
+  assert_true(core_inverter_seek(&inverter, inverter.albedo_least / 2, CORE_LENGTH_FREE_PATH, 2));
+}
