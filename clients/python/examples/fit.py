@@ -11,9 +11,8 @@ scipy.optimize.least_squares, whose own step is 1.5e-8, would see no slope in si
 at its first guess and report success; diff_step=1e-3 gives it the step that is taken here.
 """
 
-import numpy as np
-
 import dipole
+import numpy as np
 
 G, ETA = 0.0, 1.4  # known beforehand
 STEP = 1e-3  # of the logarithms of sigma_a and sigma_s

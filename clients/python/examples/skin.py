@@ -9,9 +9,8 @@ matplotlib is installed, draws PICTURE, by default skin.png. Lengths are in mm.
 # %% The daemon knows measured media, each with a red, a green and a blue channel.
 import sys
 
-import numpy as np
-
 import dipole
+import numpy as np
 
 client = dipole.Client()
 skin = client.media()["skin1"]
