@@ -30,14 +30,11 @@ const cli_option cli_eval_options[] = {
     {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
     {"model", "NAME[,NAME...]",
      "`dipole info` lists them; all: every model that accepts the query, while\n"
-     "standard error names those that refuse it (default: better; with\n"
-     "--tolerance the cheapest that is so near to radiative transport)",
+     "standard error names those that refuse it (default: transport; with\n"
+     "--tolerance the cheapest that is so near to it)",
      CLI_NAMES, FIELD(model), NULL},
     {CLI_MOMENTS_OPTION, NULL},
-    {"evaluator", "NAME",
-     "f64 or f32: double or single precision; lut: single, by a table\n"
-     "(default: f64; if --tolerance chooses the model, the cheapest)",
-     CLI_TEXT, FIELD(profile.evaluator), NULL},
+    {CLI_EVALUATOR_OPTION, NULL},
     {"deadline-ms", "N",
      "ask the daemon to answer each query within N ms or to refuse it; 0: no\nlimit (default: 0)",
      CLI_COUNT, FIELD(profile.deadline_ms), NULL},
@@ -146,7 +143,7 @@ const cli_command cli_command_eval = {
         "that are measured to be so near to radiative transport, for all channels and radii; the\n"
         "time to prepare a medium counts, so that few radii may get another model than many. A\n"
         "line below the table says which it took and why. With --model, --tolerance is a bound\n"
-        "on the numerical error.\n",
+        "on the numerical error.\n" CLI_DEFAULT_TEXT,
     .formats = "table,csv,json",
     .options = {cli_medium_options, radii_options, cli_eval_options, output_options,
                 cli_parameter_options},
@@ -158,7 +155,7 @@ const cli_command cli_command_eval = {
                 "  dipole eval --medium skin1 --want S --cos-in 0.8 --cos-out 0.5 --r 0.5,1,2\n"
                 "  dipole eval --medium skin1 --tolerance 0.01\n"
                 "  dipole eval --sigma-a 0.05 --sigma-s 9.5 --g 0.9 --eta 1.4 --tolerance 0.01\n"
-                "  dipole eval --medium skin1 --model transport --evaluator lut --want R,cdf\n"
+                "  dipole eval --medium skin1 --model better --evaluator f32 --want R,cdf\n"
                 "  dipole eval --medium skin1 --model all --plot\n",
     .settings_bytes = sizeof(cli_eval_settings),
     .check = check,

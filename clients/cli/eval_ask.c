@@ -4,9 +4,9 @@
 
 #include "clients/cli/daemon.h"
 #include "clients/cli/eval.h"
+#include "clients/cli/number.h"
 #include "clients/cli/progress.h"
 
-#define MODEL_DEFAULT "better"
 #define MODEL_ALL "all"
 
 /* ---- models ---------------------------------------------------------------------------------- */
@@ -38,7 +38,7 @@ static bool choose_models(const cli_eval_settings *settings, cli_eval_report *re
       cli_eval_add_model(report, model, false);
     }
   }
-  return names->count > 0 || choose_model(MODEL_DEFAULT, report);
+  return names->count > 0 || choose_model(CLI_MODEL_DEFAULT, report);
 }
 
 /* Like one of all models, the reference takes what it can of the parameters. */
@@ -93,7 +93,7 @@ typedef struct asking {
 
 static void copy_values(double *to, const double *f64, const float *f32, size_t count) {
   for (size_t i = 0; i < count; i++) {
-    to[i] = f64 != NULL ? f64[i] : (double)f32[i];
+    to[i] = f64 != NULL ? f64[i] : cli_number_of_single(f32[i]);
   }
 }
 
@@ -109,6 +109,9 @@ static void keep(const asking *ask, size_t place, size_t first, const dipole_res
   report->radius_count = (size_t)ask->radii->count;
   report->radii = make_room(report->radii, report->radius_count);
   copy_values(report->radii + first, part->radius_f64, part->radius_f32, count);
+  for (size_t i = first; ask->radii->spacing != DIPOLE_LIST && i < first + count; i++) {
+    report->radii[i] = cli_number_rounded(report->radii[i]);
+  }
   report->models[place].notes |= part->notes;
   for (size_t i = 0; i < report->profile.channel_count; i++) {
     const dipole_channel *channel = &part->channels[i];
@@ -379,7 +382,10 @@ int cli_eval_ask(const cli_eval_settings *settings, dipole_client *client,
                  cli_eval_report *report) {
   cli_profile_settings profile = settings->profile;
   profile.moments = profile.moments != NULL ? profile.moments : "exact";
-  profile.evaluator = profile.evaluator != NULL ? profile.evaluator : "f64";
+  if (profile.evaluator == NULL) {
+    profile.evaluator =
+        cli_usual_evaluator(settings->model.count > 0 ? settings->model.items[0] : NULL);
+  }
   const int status = cli_profile_take(&profile, client, &report->profile);
   if (status != CLI_OK) {
     return status;

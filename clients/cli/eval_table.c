@@ -5,6 +5,7 @@
 
 #include "clients/cli/daemon.h"
 #include "clients/cli/eval.h"
+#include "clients/cli/number.h"
 #include "clients/cli/tables_file.h"
 
 /* ---- what the tables are --------------------------------------------------------------------- */
@@ -77,7 +78,7 @@ static float *take_radii(const cli_eval_settings *settings, cli_eval_report *rep
   report->radius_count = (size_t)radii.count;
   report->radii = cli_allocate(report->radius_count, sizeof *report->radii);
   for (size_t i = 0; i < report->radius_count; i++) {
-    report->radii[i] = (double)radii.f32[i];
+    report->radii[i] = cli_number_of_single(radii.f32[i]);
   }
   return radii.f32 != NULL ? radii.f32 : cli_allocate(0, sizeof *radii.f32);
 }
@@ -113,7 +114,7 @@ static int evaluate(const dipole_table *table, const float *r, const cli_eval_re
     } else {
       values->arrays[q] = cli_allocate(n, sizeof(double));
       for (size_t i = 0; i < n; i++) {
-        values->arrays[q][i] = (double)out[i];
+        values->arrays[q][i] = cli_number_of_single(out[i]);
       }
     }
   }

@@ -33,8 +33,10 @@ static const cli_option options[] = {
     {"eta", "X", "refractive index inside over outside (default: 1.3)", CLI_NUMBER, FIELD(eta),
      "1.3"},
     {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"model", "NAME", "the model that gives the albedo; see `dipole info` (default: better)",
-     CLI_TEXT, FIELD(profile.model), "better"},
+    {"model", "NAME",
+     "the model that gives the albedo; see `dipole info` (default:\n"
+     "transport, which takes a second for each medium; better takes\nmicroseconds)",
+     CLI_TEXT, FIELD(profile.model), CLI_MODEL_DEFAULT},
     {CLI_MOMENTS_OPTION, "exact"},
     {CLI_DEADLINE_OPTION, NULL},
     {0},

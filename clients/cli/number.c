@@ -97,3 +97,21 @@ const char *cli_number_format(double value, char text[CLI_NUMBER_BYTES]) {
   }
   return text;
 }
+
+double cli_number_of_single(float value) {
+  char text[CLI_NUMBER_BYTES];
+  for (int count = FLT_DIG; isfinite(value) && count <= FLT_DECIMAL_DIG; count++) {
+    snprintf(text, sizeof text, "%.*e", count - 1, (double)value);
+    if (strtof(text, NULL) == value) {
+      return strtod(text, NULL);
+    }
+  }
+  return (double)value;
+}
+
+double cli_number_rounded(double value) {
+  char text[CLI_NUMBER_BYTES];
+  snprintf(text, sizeof text, "%.*e", DBL_DIG - 1, value);
+  const double rounded = strtod(text, NULL);
+  return isfinite(rounded) ? rounded : value;
+}

@@ -3,6 +3,7 @@
  * order. */
 #include <errno.h>
 #include <fcntl.h>
+#include <limits.h>
 #include <math.h>
 #include <stdarg.h>
 #include <stdlib.h>
@@ -15,22 +16,52 @@
 #include "clients/cli/number.h"
 #include "clients/cli/profile.h"
 #include "clients/cli/progress.h"
+#include "core/core.h"
+
+typedef struct points_settings {
+  cli_profile_settings profile;
+  cli_texts want;
+  cli_numbers r;
+} points_settings;
+
+static const cli_option options[] = {
+    {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
+    {"model", "NAME",
+     "the model of the rows whose cell is empty or absent (default: transport;\n"
+     "with a tolerance, the cheapest that is so near to radiative transport)",
+     CLI_TEXT, offsetof(cli_profile_settings, model), NULL},
+    {CLI_EVALUATOR_OPTION, NULL},
+    {"r", "X[,X...]",
+     "for files without a column r: each row is written once for each of these\nradii, mm",
+     CLI_NUMBERS, offsetof(points_settings, r), NULL},
+    {"want", "NAME[,NAME...]",
+     "the quantities to write; `dipole info` lists all (default: R,albedo,cdf)", CLI_NAMES,
+     offsetof(points_settings, want), NULL},
+    {0},
+};
 
 /* ---- a row: its cells, a query, and what came of it ------------------------------------------ */
 
-enum { POINTS_INPUTS = 7, POINTS_OUTPUTS = 4 };
+enum { POINTS_INPUTS = 9, POINTS_OUTPUTS_MAX = CLI_QUANTITIES_MAX + 2 };
 
 /* The position of a column that the header does not have. */
 #define POINTS_ABSENT SIZE_MAX
+
+/* A column that is written. */
+typedef struct points_output {
+  const char *name;
+  size_t at; /* its position in the header */
+} points_output;
 
 /* The positions of the columns in the header. */
 typedef struct points_columns {
   size_t count; /* number of cells in the header */
   size_t input_at[POINTS_INPUTS];
-  size_t output_at[POINTS_OUTPUTS];
   size_t parameter_count; /* number of columns that are named after a parameter */
   const dipole_choice *parameters[CLI_PARAMETERS_MAX];
   size_t parameter_at[CLI_PARAMETERS_MAX];
+  size_t output_count; /* with --r the radius, then the quantities, then the status */
+  points_output outputs[POINTS_OUTPUTS_MAX];
 } points_columns;
 
 enum points_state {
@@ -45,47 +76,50 @@ enum { POINTS_STATUS_BYTES = 256 };
 typedef struct points_row {
   cli_csv_record record;
   enum points_state state;
-  unsigned model, moments;
+  unsigned model, evaluator, moments;
   dipole_medium medium;
-  double r_mm;
+  double r_mm; /* of its cell */
   cli_parameters parameters;
   uint64_t id;
-  double R, albedo, cdf;            /* set if the row is good */
+  double *values;                   /* [radii][quantities], set if the row is good */
   char status[POINTS_STATUS_BYTES]; /* says what is wrong if the row is bad */
 } points_row;
 
 #define AT(row, offset) ((double *)(void *)((char *)(row) + (offset)))
 
 /* The columns that are read. Those with names come first. */
-enum { MODEL, MOMENTS, FIRST_NUMBER };
-
-static const struct {
-  const char *name;
-  bool required;
-  size_t offset;     /* where the number lies in a points_row */
-  const char *usual; /* the name if the cell is empty or absent */
-} inputs[POINTS_INPUTS] = {
-    {"model", false, 0, "better"},
-    {"moments", false, 0, "exact"},
-    {"sigma_a", true, offsetof(points_row, medium.sigma_a_per_mm), NULL},
-    {"sigma_s", true, offsetof(points_row, medium.sigma_s_per_mm), NULL},
-    {"g", true, offsetof(points_row, medium.g), NULL},
-    {"eta", true, offsetof(points_row, medium.eta), NULL},
-    {"r", true, offsetof(points_row, r_mm), NULL},
-};
-
-/* The columns that are written. The last one has the status. */
-enum { STATUS = POINTS_OUTPUTS - 1 };
+enum { MODEL, MOMENTS, MEDIUM, CHANNEL, FIRST_NUMBER, R = POINTS_INPUTS - 1 };
 
 static const struct {
   const char *name;
   size_t offset; /* where the number lies in a points_row */
-} outputs[POINTS_OUTPUTS] = {
-    {"R", offsetof(points_row, R)},
-    {"albedo", offsetof(points_row, albedo)},
-    {"cdf", offsetof(points_row, cdf)},
-    {"status", 0},
+} inputs[POINTS_INPUTS] = {
+    {"model", 0},
+    {"moments", 0},
+    {"medium", 0},
+    {"channel", 0},
+    {"sigma_a", offsetof(points_row, medium.sigma_a_per_mm)},
+    {"sigma_s", offsetof(points_row, medium.sigma_s_per_mm)},
+    {"g", offsetof(points_row, medium.g)},
+    {"eta", offsetof(points_row, medium.eta)},
+    {"r", offsetof(points_row, r_mm)},
 };
+
+/* What holds for all rows. */
+typedef struct points_usual {
+  const points_settings *settings;
+  const dipole_info *info;
+  cli_parameters parameters; /* for rows whose cells are empty or absent */
+  cli_quantities quantities;
+  size_t radius_count; /* of each row: those of --r, or 1 */
+  float *r_f32;        /* [radius_count]; NULL without --r */
+  dipole_measured_medium *media;
+  size_t medium_count;
+} points_usual;
+
+static bool has_radii(const points_usual *usual) {
+  return usual->settings->r.count > 0;
+}
 
 /* ---- the header ------------------------------------------------------------------------------ */
 
@@ -115,13 +149,54 @@ static size_t *place_of(points_columns *columns, const dipole_info *info, const 
       return &columns->input_at[i];
     }
   }
-  for (size_t i = 0; i < POINTS_OUTPUTS; i++) {
-    if (strcmp(outputs[i].name, name) == 0) {
-      return &columns->output_at[i];
+  for (size_t i = 0; i < columns->output_count; i++) {
+    if (strcmp(columns->outputs[i].name, name) == 0) {
+      return &columns->outputs[i].at;
     }
   }
   const dipole_choice *parameter = cli_choice(info, DIPOLE_PARAMETER, name);
   return parameter != NULL ? parameter_place(columns, parameter) : NULL;
+}
+
+/* Keeps the nearest of several names, which is so near that `name` is probably it misspelt. */
+static void compare_name(const char *name, const char *known, unsigned *distance,
+                         const char **nearest) {
+  const unsigned apart = core_name_distance(name, known);
+  if (apart <= strlen(known) / 4 && apart < *distance) {
+    *distance = apart;
+    *nearest = known;
+  }
+}
+
+/* Refuses a column that is not read although its name is nearly that of one that is, or is that of
+ * an option. Others are copied. */
+static bool check_unread(const points_usual *usual, const char *source, const char *name) {
+  const dipole_choice *parameter;
+  const char *nearest = NULL;
+  unsigned distance = UINT_MAX;
+  if (cli_choice(usual->info, DIPOLE_QUANTITY, name) != NULL) {
+    return true;
+  }
+  for (size_t i = 0; i < POINTS_INPUTS; i++) {
+    compare_name(name, inputs[i].name, &distance, &nearest);
+  }
+  for (size_t from = 0;
+       (parameter = cli_next_choice(usual->info, DIPOLE_PARAMETER, &from)) != NULL;) {
+    compare_name(name, parameter->name, &distance, &nearest);
+  }
+  if (nearest != NULL) {
+    cli_fail("%s: the column %s is not read; the nearest that is read is %s: rename it", source,
+             name, nearest);
+  }
+  for (const cli_option *option = options; nearest == NULL && option->name != NULL; option++) {
+    if (option->kind != CLI_HEADING && core_name_distance(option->name, name) == 0) {
+      cli_fail("%s: the column %s is not read; the nearest is the option --%s, which holds for all "
+               "rows: give it, and rename the column",
+               source, name, option->name);
+      return false;
+    }
+  }
+  return nearest == NULL;
 }
 
 static bool fail_missing(const char *source, const char *missing, const cli_csv_record *header) {
@@ -136,41 +211,77 @@ static bool fail_missing(const char *source, const char *missing, const cli_csv_
   if (found != NULL) {
     fclose(found);
   }
-  cli_fail("%s: the column %s is missing; the header has %s; it needs sigma_a, sigma_s, g, eta "
-           "and r, and may have model, moments and parameters",
-           source, missing, text != NULL ? text : "others");
+  const char *separator = header->cell_count > 1 || text == NULL ? NULL : strpbrk(text, ";\t");
+  if (separator != NULL) {
+    cli_fail("%s: the cells of the header are separated by %s; this command reads commas, and "
+             "points in numbers: convert the file, for example with tr '%s' '%s'",
+             source, *separator == ';' ? "semicolons" : "tabs", *separator == ';' ? ",;" : ",\\t",
+             ".,");
+  } else {
+    cli_fail("%s: the column %s is missing; the header has %s; it needs sigma_a, sigma_s, g and "
+             "eta, or medium and channel; and r unless --r is given; and may have model, moments "
+             "and parameters",
+             source, missing, text != NULL ? text : "others");
+  }
   free(text);
   return false;
 }
 
+static bool is_required(const points_usual *usual, const points_columns *columns, size_t input) {
+  return input == R ? !has_radii(usual)
+                    : input >= FIRST_NUMBER && columns->input_at[MEDIUM] == POINTS_ABSENT;
+}
+
+static void list_outputs(const points_usual *usual, points_columns *columns) {
+  if (has_radii(usual)) {
+    columns->outputs[columns->output_count++].name = inputs[R].name;
+  }
+  for (size_t i = 0; i < usual->quantities.count; i++) {
+    columns->outputs[columns->output_count++].name = usual->quantities.items[i]->name;
+  }
+  columns->outputs[columns->output_count++].name = "status";
+}
+
+/* Takes one column of the header. */
+static bool take_column(const points_usual *usual, const char *source, const char *name, size_t at,
+                        points_columns *columns) {
+  size_t *place = place_of(columns, usual->info, name);
+  if (place == NULL) {
+    return check_unread(usual, source, name);
+  }
+  if (*place != POINTS_ABSENT) {
+    cli_fail("%s: the header has the column %s twice: rename one", source, name);
+    return false;
+  }
+  *place = at;
+  return true;
+}
+
 /* Finds the columns in the header of `source`. Says what is wrong and returns false if one is
- * missing or stands there twice. */
-static bool find_columns(const char *source, const dipole_info *info, const cli_csv_record *header,
-                         points_columns *columns) {
+ * missing, misspelt or stands there twice. */
+static bool find_columns(const points_usual *usual, const char *source,
+                         const cli_csv_record *header, points_columns *columns) {
   size_t length;
+  bool good = true;
   memset(columns, 0xff, sizeof *columns); /* POINTS_ABSENT everywhere */
   columns->count = header->cell_count;
-  columns->parameter_count = 0;
-  for (size_t i = 0; i < header->cell_count; i++) {
+  columns->parameter_count = columns->output_count = 0;
+  list_outputs(usual, columns);
+  for (size_t i = 0; good && i < header->cell_count; i++) {
     char *name = cli_csv_cell_text(header, i, &length);
-    size_t *place = place_of(columns, info, name);
-    const bool twice = place != NULL && *place != POINTS_ABSENT;
-    if (twice) {
-      cli_fail("%s: the header has the column %s twice: rename one", source, name);
-    } else if (place != NULL) {
-      *place = i;
-    }
+    good = take_column(usual, source, name, i, columns);
     free(name);
-    if (twice) {
-      return false;
-    }
   }
-  for (size_t i = 0; i < POINTS_INPUTS; i++) {
-    if (inputs[i].required && columns->input_at[i] == POINTS_ABSENT) {
+  if (good && has_radii(usual) && columns->input_at[R] != POINTS_ABSENT) {
+    cli_fail("%s: the header has the column r: leave --r out, or rename the column", source);
+    return false;
+  }
+  for (size_t i = 0; good && i < POINTS_INPUTS; i++) {
+    if (is_required(usual, columns, i) && columns->input_at[i] == POINTS_ABSENT) {
       return fail_missing(source, inputs[i].name, header);
     }
   }
-  return true;
+  return good;
 }
 
 /* ---- writing --------------------------------------------------------------------------------- */
@@ -188,44 +299,50 @@ static void write_ending(const cli_csv_record *record, FILE *file) {
 /* Writes the header and appends the output columns that it lacks. */
 static void write_header(const points_columns *columns, const cli_csv_record *header, FILE *file) {
   fwrite(header->bytes, 1, header->length - header->ending_bytes, file);
-  for (size_t i = 0; i < POINTS_OUTPUTS; i++) {
-    if (columns->output_at[i] == POINTS_ABSENT) {
-      fprintf(file, ",%s", outputs[i].name);
+  for (size_t i = 0; i < columns->output_count; i++) {
+    if (columns->outputs[i].at == POINTS_ABSENT) {
+      fprintf(file, ",%s", columns->outputs[i].name);
     }
   }
   write_ending(header, file);
 }
 
-static void write_output(const points_row *row, size_t output, FILE *file) {
+/* A cell of the row's line for radius number `radius`. */
+static void write_output(const points_usual *usual, const points_row *row, size_t radius,
+                         size_t output, FILE *file) {
   char text[CLI_NUMBER_BYTES];
   const bool good = row->state == POINTS_GOOD;
-  if (output == STATUS) {
+  const size_t first = has_radii(usual) ? 1 : 0, count = usual->quantities.count;
+  if (output == first + count) {
     cli_csv_write_cell(good ? "ok" : row->status, file);
+  } else if (good && output < first) {
+    fputs(cli_number_format(usual->settings->r.items[radius], text), file);
   } else if (good) {
-    const void *at = (const char *)row + outputs[output].offset;
-    fputs(cli_number_format(*(const double *)at, text), file);
+    const double value = row->values[radius * count + output - first];
+    fputs(isnan(value) ? "" : cli_number_format(value, text), file);
   }
 }
 
-/* Writes a row that is good or bad. */
-static void write_row(const points_columns *columns, const points_row *row, FILE *file) {
+/* Writes the line of a row, which is good or bad, for radius number `radius`. */
+static void write_line(const points_usual *usual, const points_columns *columns,
+                       const points_row *row, size_t radius, FILE *file) {
   const cli_csv_record *record = &row->record;
   for (size_t i = 0; i < columns->count; i++) {
     size_t output = 0;
-    while (output < POINTS_OUTPUTS && columns->output_at[output] != i) {
+    while (output < columns->output_count && columns->outputs[output].at != i) {
       output++;
     }
     fputs(i > 0 ? "," : "", file);
-    if (output < POINTS_OUTPUTS) {
-      write_output(row, output, file);
+    if (output < columns->output_count) {
+      write_output(usual, row, radius, output, file);
     } else if (i < record->cell_count) {
       cli_csv_copy_cell(record, i, file);
     }
   }
-  for (size_t output = 0; output < POINTS_OUTPUTS; output++) {
-    if (columns->output_at[output] == POINTS_ABSENT) {
+  for (size_t output = 0; output < columns->output_count; output++) {
+    if (columns->outputs[output].at == POINTS_ABSENT) {
       fputc(',', file);
-      write_output(row, output, file);
+      write_output(usual, row, radius, output, file);
     }
   }
   for (size_t i = columns->count; i < record->cell_count;
@@ -251,17 +368,27 @@ __attribute__((format(printf, 2, 3))) static bool make_bad(points_row *row, cons
   return false;
 }
 
-/* Reads the name of a model or a kind of moments. */
-static bool parse_name(const points_columns *columns, const dipole_info *info, points_row *row,
-                       size_t input, enum dipole_kind kind, unsigned *id) {
-  char known[160];
+/* Returns the text of an input's cell, which the caller frees; NULL if it is empty or absent. */
+static char *text_of(const points_columns *columns, const points_row *row, size_t input) {
   size_t length = 0;
   const size_t at = columns->input_at[input];
   char *text = at == POINTS_ABSENT ? NULL : cli_csv_cell_text(&row->record, at, &length);
-  const char *name = length == 0 ? inputs[input].usual : text;
-  const dipole_choice *choice = cli_choice(info, kind, name);
+  if (length == 0) {
+    free(text);
+    return NULL;
+  }
+  return text;
+}
+
+/* Reads the name of a model or a kind of moments, `otherwise` if the cell is empty or absent. */
+static bool parse_name(const points_usual *usual, const points_columns *columns, points_row *row,
+                       size_t input, enum dipole_kind kind, const char *otherwise, unsigned *id) {
+  char known[160];
+  char *text = text_of(columns, row, input);
+  const char *name = text != NULL ? text : otherwise;
+  const dipole_choice *choice = cli_choice(usual->info, kind, name);
   if (choice == NULL) {
-    cli_list_names(info, kind, known, sizeof known);
+    cli_list_names(usual->info, kind, known, sizeof known);
     make_bad(row, "%s: '%.*s' is unknown: allowed: %s", inputs[input].name, SHOWN_BYTES, name,
              known);
   } else {
@@ -271,33 +398,111 @@ static bool parse_name(const points_columns *columns, const dipole_info *info, p
   return choice != NULL;
 }
 
-static bool parse_numbers(const points_columns *columns, points_row *row) {
+static bool has_parameter(const points_usual *usual, const points_row *row, const char *name) {
+  const dipole_choice *parameter = cli_choice(usual->info, DIPOLE_PARAMETER, name);
+  size_t i = 0;
+  while (i < row->parameters.count &&
+         (parameter == NULL || row->parameters.items[i].id != parameter->id)) {
+    i++;
+  }
+  return i < row->parameters.count;
+}
+
+/* Chooses the model and the evaluator, as `dipole eval` does. The parameters are known already. */
+static bool parse_model(const points_usual *usual, const points_columns *columns, points_row *row) {
+  const cli_profile_settings *settings = &usual->settings->profile;
+  char *text = text_of(columns, row, MODEL);
+  const char *name = text != NULL ? text : settings->model;
+  const dipole_choice *evaluator =
+      cli_choice(usual->info, DIPOLE_EVALUATOR,
+                 settings->evaluator != NULL ? settings->evaluator : cli_usual_evaluator(name));
+  bool good = evaluator != NULL;
+  if (good && name == NULL && has_parameter(usual, row, "tolerance")) {
+    row->model = DIPOLE_ANY_MODEL;
+  } else if (good) {
+    good = parse_name(usual, columns, row, MODEL, DIPOLE_MODEL,
+                      name != NULL ? name : CLI_MODEL_DEFAULT, &row->model);
+  }
+  row->evaluator = good ? evaluator->id : 0;
+  free(text);
+  return good;
+}
+
+/* Reads a cell with a number into the row. */
+static bool parse_number(points_row *row, size_t input, const char *text, size_t length) {
+  return (strlen(text) == length && cli_number_parse(text, AT(row, inputs[input].offset))) ||
+         make_bad(row,
+                  "%s: '%.*s' is no number: allowed: decimal numbers within the range of "
+                  "doubles",
+                  inputs[input].name, SHOWN_BYTES, text);
+}
+
+/* measured: whether the row has the coefficients of a measured medium, which its cells override. */
+static bool parse_numbers(const points_usual *usual, const points_columns *columns, bool measured,
+                          points_row *row) {
   bool good = true;
   for (size_t i = FIRST_NUMBER; good && i < POINTS_INPUTS; i++) {
-    size_t length;
-    char *text = cli_csv_cell_text(&row->record, columns->input_at[i], &length);
-    good = strlen(text) == length && cli_number_parse(text, AT(row, inputs[i].offset));
-    if (!good) {
-      make_bad(row, "%s: '%.*s' is no number: allowed: decimal numbers within the range of doubles",
-               inputs[i].name, SHOWN_BYTES, text);
+    size_t length = 0;
+    const bool needed = i == R ? !has_radii(usual) : !measured;
+    const size_t at = columns->input_at[i];
+    char *text = at != POINTS_ABSENT ? cli_csv_cell_text(&row->record, at, &length) : NULL;
+    if (needed || length > 0) {
+      good = parse_number(row, i, text != NULL ? text : "", length);
     }
     free(text);
   }
   return good;
 }
 
+/* Finds the coefficients of a channel of a measured medium. */
+static bool take_measured(const points_usual *usual, const char *name, const char *channel,
+                          points_row *row) {
+  size_t i = 0;
+  const size_t colour = cli_colour(channel);
+  while (i < usual->medium_count && strcmp(usual->media[i].name, name) != 0) {
+    i++;
+  }
+  if (i == usual->medium_count) {
+    return make_bad(row,
+                    "medium: '%.*s' is unknown: allowed: those of `dipole media`, or any "
+                    "text with sigma_a and sigma_s",
+                    SHOWN_BYTES, name);
+  }
+  if (colour == CLI_COLOURS) {
+    return make_bad(row, "channel: '%.*s': allowed: red, green, blue", SHOWN_BYTES,
+                    channel != NULL ? channel : "");
+  }
+  row->medium = usual->media[i].channel[colour];
+  return true;
+}
+
+/* Reads the medium and the radius. The coefficients are those in the cells or, if sigma_a and
+ * sigma_s are both empty, those of a measured medium. */
+static bool parse_medium(const points_usual *usual, const points_columns *columns,
+                         points_row *row) {
+  char *cells[] = {text_of(columns, row, MEDIUM), text_of(columns, row, CHANNEL),
+                   text_of(columns, row, FIRST_NUMBER), text_of(columns, row, FIRST_NUMBER + 1)};
+  const bool measured = cells[0] != NULL && cells[2] == NULL && cells[3] == NULL;
+  const bool good = (!measured || take_measured(usual, cells[0], cells[1], row)) &&
+                    parse_numbers(usual, columns, measured, row);
+  for (size_t i = 0; i < sizeof cells / sizeof cells[0]; i++) {
+    free(cells[i]);
+  }
+  return good;
+}
+
 /* Sets the parameters of the row: first the usual ones, then those in its cells. */
-static bool parse_parameters(const points_columns *columns, const dipole_info *info,
-                             const cli_parameters *usual, points_row *row) {
+static bool parse_parameters(const points_usual *usual, const points_columns *columns,
+                             points_row *row) {
   bool good = true;
-  row->parameters = *usual;
+  row->parameters = usual->parameters;
   for (size_t i = 0; good && i < columns->parameter_count; i++) {
     const dipole_choice *parameter = columns->parameters[i];
     size_t length;
     double value;
     char *text = cli_csv_cell_text(&row->record, columns->parameter_at[i], &length);
     good = length == 0 ||
-           (strlen(text) == length && cli_parameter_parse(info, parameter, text, &value));
+           (strlen(text) == length && cli_parameter_parse(usual->info, parameter, text, &value));
     if (!good) {
       make_bad(row, "%s: '%.*s' is no value: allowed: %s", parameter->name, SHOWN_BYTES, text,
                parameter->about);
@@ -309,10 +514,8 @@ static bool parse_parameters(const points_columns *columns, const dipole_info *i
   return good;
 }
 
-/* Reads the row's cells. usual: parameters for which the row's cells are empty or absent. Returns
- * false if the row is bad; its status then says why. */
-static bool parse_row(const points_columns *columns, const dipole_info *info,
-                      const cli_parameters *usual, points_row *row) {
+/* Reads the row's cells. Returns false if the row is bad; its status then says why. */
+static bool parse_row(const points_usual *usual, const points_columns *columns, points_row *row) {
   if (row->record.malformed) {
     return make_bad(row, "the row: text after a closing quote: allowed: quotes around whole cells, "
                          "doubled within");
@@ -321,27 +524,28 @@ static bool parse_row(const points_columns *columns, const dipole_info *info,
     return make_bad(row, "the row: %zu cells: allowed: %zu, as many as in the header",
                     row->record.cell_count, columns->count);
   }
-  return parse_name(columns, info, row, MODEL, DIPOLE_MODEL, &row->model) &&
-         parse_name(columns, info, row, MOMENTS, DIPOLE_MOMENTS, &row->moments) &&
-         parse_numbers(columns, row) && parse_parameters(columns, info, usual, row);
+  return parse_parameters(usual, columns, row) && parse_model(usual, columns, row) &&
+         parse_name(usual, columns, row, MOMENTS, DIPOLE_MOMENTS, "exact", &row->moments) &&
+         parse_medium(usual, columns, row);
 }
 
 /* ---- asking ---------------------------------------------------------------------------------- */
 
 /* Sends the row's query; the row then waits for the answer. */
-static bool submit_row(dipole_client *client, unsigned evaluator, points_row *row,
+static bool submit_row(const points_usual *usual, dipole_client *client, points_row *row,
                        dipole_error *error) {
   const float r_f32_mm = (float)row->r_mm;
+  const void *f64 = has_radii(usual) ? usual->settings->r.items : &row->r_mm;
+  const void *f32 = has_radii(usual) ? usual->r_f32 : &r_f32_mm;
   const dipole_query query = {.model = row->model,
-                              .evaluator = evaluator,
+                              .evaluator = row->evaluator,
                               .moments = row->moments,
-                              .wanted = DIPOLE_R | DIPOLE_ALBEDO | DIPOLE_CDF,
+                              .wanted = usual->quantities.wanted,
                               .media = &row->medium,
                               .medium_count = 1,
                               .spacing = DIPOLE_LIST,
-                              .radii = evaluator == DIPOLE_F64 ? (const void *)&row->r_mm
-                                                               : (const void *)&r_f32_mm,
-                              .radius_count = 1,
+                              .radii = row->evaluator == DIPOLE_F64 ? f64 : f32,
+                              .radius_count = usual->radius_count,
                               .parameters = row->parameters.items,
                               .parameter_count = row->parameters.count};
   row->state = POINTS_WAITING;
@@ -349,12 +553,22 @@ static bool submit_row(dipole_client *client, unsigned evaluator, points_row *ro
 }
 
 /* Takes the answer; the row is then good. */
-static void take_answer(points_row *row, const dipole_result *result) {
-  const dipole_channel *channel = &result->channels[0];
+static void take_answer(const points_usual *usual, points_row *row, const dipole_result *result) {
+  const size_t count = usual->quantities.count;
   row->state = POINTS_GOOD;
-  row->albedo = channel->albedo;
-  row->R = channel->R_f64 != NULL ? channel->R_f64[0] : (double)channel->R_f32[0];
-  row->cdf = channel->cdf_f64 != NULL ? channel->cdf_f64[0] : (double)channel->cdf_f32[0];
+  if (row->values == NULL) {
+    row->values = cli_allocate(usual->radius_count * count, sizeof *row->values);
+  }
+  for (size_t q = 0; q < count; q++) {
+    const unsigned id = usual->quantities.items[q]->id;
+    const double *f64 = dipole_values_f64(result, 0, id);
+    const float *f32 = dipole_values_f32(result, 0, id);
+    for (size_t i = 0; i < usual->radius_count; i++) {
+      row->values[i * count + q] = f64 != NULL   ? f64[i]
+                                   : f32 != NULL ? cli_number_of_single(f32[i])
+                                                 : result->channels[0].albedo;
+    }
+  }
 }
 
 /* ---- the work -------------------------------------------------------------------------------- */
@@ -367,11 +581,9 @@ enum { WINDOW_ROWS = 512 };
 #define WINDOW_BYTES ((size_t)4 << 20)
 
 typedef struct points_run {
-  const cli_profile_settings *settings;
+  points_usual usual;
   const char *source; /* name of the input, for messages */
   dipole_client *client;
-  unsigned evaluator;
-  cli_parameters parameters; /* for rows whose cells are empty or absent */
   cli_csv_reader reader;
   points_columns columns;
   cli_progress progress;
@@ -416,8 +628,7 @@ static points_row *find_row(points_run *points, uint64_t id) {
 
 static bool submit(points_run *points, points_row *row) {
   dipole_error error;
-  return submit_row(points->client, points->evaluator, row, &error) ||
-         fail(points, "%s", error.text);
+  return submit_row(&points->usual, points->client, row, &error) || fail(points, "%s", error.text);
 }
 
 /* Handles an error: asks a busy daemon again, and marks the row as bad if the refusal names a
@@ -432,7 +643,7 @@ static bool take_refusal(points_run *points, uint64_t id, const dipole_error *er
     memcpy(row->status, error->text, sizeof row->status);
     return true;
   }
-  return cli_try_again(&points->settings->common, points->answer_ms, error)
+  return cli_try_again(&points->usual.settings->profile.common, points->answer_ms, error)
              ? submit(points, row)
              : fail(points, "%s", error->text);
 }
@@ -450,7 +661,7 @@ static bool collect(points_run *points) {
   points->answer_ms = cli_now_ms();
   points_row *row = find_row(points, id);
   if (row != NULL) {
-    take_answer(row, result);
+    take_answer(&points->usual, row, result);
   }
   dipole_result_free(result);
   return row != NULL || fail(points, "an answer came to a query that was not sent");
@@ -463,7 +674,10 @@ static void write_first(points_run *points) {
   if (row->state == POINTS_COPIED) {
     fwrite(row->record.bytes, 1, row->record.length, stdout);
   } else {
-    write_row(&points->columns, row, stdout);
+    const size_t lines = row->state == POINTS_GOOD ? points->usual.radius_count : 1;
+    for (size_t i = 0; i < lines; i++) {
+      write_line(&points->usual, &points->columns, row, i, stdout);
+    }
     points->rows_written++;
     points->rows_bad += row->state == POINTS_BAD;
   }
@@ -538,20 +752,19 @@ static bool read_header(points_run *points) {
     fwrite(header.bytes, 1, header.length, stdout);
   }
   if (good) {
-    good = find_columns(points->source, dipole_get_info(points->client), &header, &points->columns);
+    good = find_columns(&points->usual, points->source, &header, &points->columns);
     if (good) {
       write_header(&points->columns, &header, stdout);
     }
   } else if (!points->failed) {
     fail(points, "there is no header line; it names the columns: sigma_a, sigma_s, g, eta, r, if "
-                 "need be model, moments and parameters");
+                 "need be model, moments, medium, channel and parameters");
   }
   cli_csv_record_free(&header);
   return good;
 }
 
 static bool read_rows(points_run *points) {
-  const dipole_info *info = dipole_get_info(points->client);
   enum cli_csv_kind kind;
   for (;;) {
     if (points->count == WINDOW_ROWS || points->window_bytes > WINDOW_BYTES) {
@@ -569,8 +782,7 @@ static bool read_rows(points_run *points) {
     points->window_bytes += row->record.length;
     if (kind == CLI_CSV_COMMENT) {
       row->state = POINTS_COPIED;
-    } else if (parse_row(&points->columns, info, &points->parameters, row) &&
-               !submit(points, row)) {
+    } else if (parse_row(&points->usual, &points->columns, row) && !submit(points, row)) {
       return false;
     }
   }
@@ -596,14 +808,40 @@ static bool open_input(points_run *points, const char *operand) {
   return true;
 }
 
-static int work(points_run *points) {
-  const dipole_info *info = dipole_get_info(points->client);
-  const dipole_choice *evaluator =
-      cli_named(info, DIPOLE_EVALUATOR, "evaluator", points->settings->evaluator);
-  if (evaluator == NULL || !cli_parameters_take(info, points->settings, &points->parameters)) {
+/* Reads the options, and asks for the measured media. Returns an exit status. */
+static int prepare(points_run *points) {
+  points_usual *usual = &points->usual;
+  const points_settings *settings = usual->settings;
+  const cli_profile_settings *profile = &settings->profile;
+  dipole_error error;
+  usual->info = dipole_get_info(points->client);
+  if ((profile->evaluator != NULL &&
+       cli_named(usual->info, DIPOLE_EVALUATOR, "evaluator", profile->evaluator) == NULL) ||
+      (profile->model != NULL &&
+       cli_named(usual->info, DIPOLE_MODEL, "model", profile->model) == NULL) ||
+      !cli_parameters_take(usual->info, profile, &usual->parameters) ||
+      !cli_quantities_take(usual->info, &settings->want, DIPOLE_R | DIPOLE_ALBEDO | DIPOLE_CDF, 0,
+                           &usual->quantities)) {
     return CLI_USAGE;
   }
-  points->evaluator = evaluator->id;
+  if ((usual->quantities.wanted & DIPOLE_RADIUS) != 0) {
+    return cli_fail_usage("--want r: r is a column of the input, or of --r: leave it out");
+  }
+  usual->radius_count = has_radii(usual) ? settings->r.count : 1;
+  usual->r_f32 = cli_allocate(usual->radius_count, sizeof *usual->r_f32);
+  for (size_t i = 0; i < settings->r.count; i++) {
+    usual->r_f32[i] = (float)settings->r.items[i];
+  }
+  return dipole_media(points->client, &usual->media, &usual->medium_count, &error)
+             ? CLI_OK
+             : cli_fail_error(&error);
+}
+
+static int work(points_run *points) {
+  const int status = prepare(points);
+  if (status != CLI_OK) {
+    return status;
+  }
   points->answer_ms = cli_now_ms();
   cli_progress_start(&points->progress, "rows");
   const bool good = read_header(points) && read_rows(points);
@@ -621,10 +859,10 @@ static int work(points_run *points) {
 
 static int run(void *settings, dipole_client *client) {
   points_run *points = cli_allocate(1, sizeof *points);
-  points->settings = settings;
+  points->usual.settings = settings;
   points->client = client;
   int status = CLI_FAILED;
-  if (open_input(points, points->settings->common.operand)) {
+  if (open_input(points, points->usual.settings->profile.common.operand)) {
     status = work(points);
     if (points->reader.fd != STDIN_FILENO) {
       close(points->reader.fd);
@@ -632,19 +870,13 @@ static int run(void *settings, dipole_client *client) {
   }
   for (size_t i = 0; i < WINDOW_ROWS; i++) {
     cli_csv_record_free(&points->rows[i].record);
+    free(points->rows[i].values);
   }
+  free(points->usual.r_f32);
+  free(points->usual.media);
   free(points);
   return status;
 }
-
-static const cli_option options[] = {
-    {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"evaluator", "NAME",
-     "f64 or f32: double or single precision; lut: single, by a table, which is\n"
-     "faster if many rows have the same medium (default: f64)",
-     CLI_TEXT, offsetof(cli_profile_settings, evaluator), "f64"},
-    {0},
-};
 
 const cli_command cli_command_points = {
     .name = "points",
@@ -653,18 +885,24 @@ const cli_command cli_command_points = {
     .more =
         "\n"
         "The header names the columns, in any order. These are needed: sigma_a, sigma_s (1/mm),\n"
-        "g, eta and r (mm). These may be absent or empty: model (default: better), moments\n"
-        "(default: exact), and the parameters below, whose columns have _ where the options have\n"
-        "-. An option is for the rows whose cell is empty.\n"
+        "g, eta and r (mm). In place of the coefficients, a row may name a measured medium in the\n"
+        "columns medium and channel (red, green, blue). These may be absent or empty: model,\n"
+        "moments (default: exact), and the parameters below, whose columns have _ where the\n"
+        "options have -. An option is for the rows whose cell is empty. A column whose name is\n"
+        "nearly one of these is an error; all others are copied.\n"
         "\n"
-        "Each row is written as it is, with four columns appended, or replaced if they exist: R\n"
+        "Each row is written as it is, with columns appended, or replaced if they exist: R\n"
         "(1/mm^2 per unit of power that entered; it may be inf), albedo, cdf (the share of the\n"
         "albedo within r) and status. status is ok or says what is wrong with the row; then the\n"
-        "exit status is 3, but the other rows are evaluated. Lines that start with # are copied.\n",
+        "exit status is 3, but the other rows are evaluated. Lines that start with # are "
+        "copied.\n" CLI_DEFAULT_TEXT,
     .formats = "csv",
     .options = {options, cli_parameter_options},
     .examples = "  dipole points media.csv > profiles.csv\n"
+                "  dipole media --format csv | dipole points --r 0.5,1,2 --want R,cdf\n"
+                "  dipole invert --albedo 0.4,0.2 --mean-free-path 1 --format csv |\n"
+                "    dipole points --r 1 --model better\n"
                 "  printf 'sigma_a,sigma_s,g,eta,r\\n0.01,1,0,1.4,2\\n' | dipole points\n",
-    .settings_bytes = sizeof(cli_profile_settings),
+    .settings_bytes = sizeof(points_settings),
     .run = run,
 };

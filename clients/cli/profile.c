@@ -56,6 +56,10 @@ const cli_option cli_parameter_options[] = {
     {0},
 };
 
+const char *cli_usual_evaluator(const char *model) {
+  return model == NULL ? "lut" : "f64";
+}
+
 /* ---- parameters ------------------------------------------------------------------------------ */
 
 bool cli_parameters_remove(cli_parameters *parameters, unsigned id) {

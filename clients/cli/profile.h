@@ -36,6 +36,24 @@ extern const cli_option cli_medium_options[];
       "ask the daemon to answer within N ms or to refuse; 0: no limit\n(default: 0)", CLI_COUNT,   \
       offsetof(cli_profile_settings, deadline_ms)
 
+#define CLI_EVALUATOR_OPTION                                                                       \
+  "evaluator", "NAME",                                                                             \
+      "f64 or f32: double or single precision; lut: single, by a table\n"                          \
+      "(default: f64; lut if no model is named)",                                                  \
+      CLI_TEXT, offsetof(cli_profile_settings, evaluator)
+
+/* The model if none is given, and the reason, for --help. */
+#define CLI_MODEL_DEFAULT "transport"
+#define CLI_DEFAULT_TEXT                                                                           \
+  "\n"                                                                                             \
+  "If no model is named, it is transport by table: all other models approximate it, and by\n"      \
+  "table they cost the same. The table is within 1e-4 and takes milliseconds to prepare,\n"        \
+  "where f64 takes .1 s for a medium. --model better, which many renderers use, takes\n"           \
+  "microseconds.\n"
+
+/* Returns the evaluator that is taken if none is given. model: NULL if none is named. */
+const char *cli_usual_evaluator(const char *model);
+
 /* Check the options above without a daemon, and return an exit status. */
 int cli_medium_check(const cli_profile_settings *settings);
 int cli_deadline_check(const cli_profile_settings *settings);

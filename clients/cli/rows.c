@@ -96,7 +96,12 @@ static bool keep_filled(cli_table *table, size_t first) {
 }
 
 void cli_rows_print(FILE *file, size_t left, size_t count, cli_put_row *put, const void *context) {
-  cli_table table = {.left = left};
+  cli_rows_fit(file, 0, left, count, put, context);
+}
+
+void cli_rows_fit(FILE *file, size_t width, size_t left, size_t count, cli_put_row *put,
+                  const void *context) {
+  cli_table table = {.left = left, .width = width};
   cli_rows rows = {.form = CLI_TABLE, .table = &table};
   for (rows.pass = CLI_ROWS_OVER; rows.pass < CLI_ROWS_VALUES; rows.pass++) {
     const size_t first = table.cell_count;

@@ -60,6 +60,9 @@ void cli_put_medium(cli_rows *rows, const dipole_medium *medium);
  * aligned left; as CSV, after a line of names if `names` is true; or as an array of objects with
  * this key. */
 void cli_rows_print(FILE *file, size_t left, size_t count, cli_put_row *put, const void *context);
+/* Like cli_rows_print(), for a terminal of a width in characters; see cli_table.width. */
+void cli_rows_fit(FILE *file, size_t width, size_t left, size_t count, cli_put_row *put,
+                  const void *context);
 void cli_rows_csv(FILE *file, bool names, size_t count, cli_put_row *put, const void *context);
 void cli_rows_json(cli_json *json, const char *key, size_t count, cli_put_row *put,
                    const void *context);

@@ -5,6 +5,7 @@
 
 #include "clients/cli/daemon.h"
 #include "clients/cli/gnuplot.h"
+#include "clients/cli/number.h"
 #include "clients/cli/picture.h"
 #include "clients/cli/profile.h"
 #include "clients/cli/rows.h"
@@ -37,13 +38,10 @@ static const cli_option options[] = {
     {"first", "N", "for random: start with number N of the seed (default: 0)", CLI_COUNT,
      FIELD(first), NULL},
     {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"model", "NAME", "a model that covers all radii; see `dipole info` (default: better)",
-     CLI_TEXT, FIELD(profile.model), "better"},
+    {"model", "NAME", "a model that covers all radii; see `dipole info` (default: transport)",
+     CLI_TEXT, FIELD(profile.model), CLI_MODEL_DEFAULT},
     {CLI_MOMENTS_OPTION, "exact"},
-    {"evaluator", "NAME",
-     "f64 or f32: double or single precision; lut: single, by a table, which\n"
-     "draws fastest (default: f64)",
-     CLI_TEXT, FIELD(profile.evaluator), "f64"},
+    {CLI_EVALUATOR_OPTION, NULL},
     {"want", "NAME[,NAME...]",
      "what to write. r: the radii; pdf: their density, 1/mm, which is 2 pi r\n"
      "times that of points on the surface; `dipole info` lists all, at these\n"
@@ -129,7 +127,8 @@ static bool keep_numbers(report *of, void *numbers, bool listed, bool single, di
   }
   of->u = cli_allocate(of->count, sizeof *of->u);
   for (size_t i = 0; i < of->count; i++) {
-    of->u[i] = single ? (double)((const float *)numbers)[i] : ((const double *)numbers)[i];
+    of->u[i] =
+        single ? cli_number_of_single(((const float *)numbers)[i]) : ((const double *)numbers)[i];
   }
   return true;
 }
@@ -175,11 +174,12 @@ static int ask(const sample_settings *settings, dipole_client *client, report *o
   return good ? CLI_OK : cli_fail_error(&error);
 }
 
-/* Returns a value of the result. A value in single precision becomes the double that equals it. */
+/* Returns a value of the result. */
 static double value_of(const report *of, size_t channel, unsigned quantity, size_t index) {
   const double *f64 = dipole_values_f64(of->result, (uint32_t)channel, quantity);
   return f64 != NULL ? f64[index]
-                     : (double)dipole_values_f32(of->result, (uint32_t)channel, quantity)[index];
+                     : cli_number_of_single(
+                           dipole_values_f32(of->result, (uint32_t)channel, quantity)[index]);
 }
 
 /* ---- writing --------------------------------------------------------------------------------- */
@@ -393,7 +393,11 @@ static int draw(const report *of, const char *path) {
 /* ---- the command ----------------------------------------------------------------------------- */
 
 static int ask_and_write(const sample_settings *settings, dipole_client *client, report *of) {
-  int status = cli_profile_take(&settings->profile, client, &of->profile);
+  cli_profile_settings profile = settings->profile;
+  if (profile.evaluator == NULL) {
+    profile.evaluator = cli_usual_evaluator(profile.model);
+  }
+  int status = cli_profile_take(&profile, client, &of->profile);
   status = status == CLI_OK ? choose(settings, of) : status;
   status = status == CLI_OK ? ask(settings, client, of) : status;
   if (status != CLI_OK) {
@@ -430,7 +434,7 @@ const cli_command cli_command_sample = {
     .more = "\n"
             "Each number u gives the radius within which the share u of the light leaves. So\n"
             "uniform numbers give radii in proportion to r R(r). All channels get the same\n"
-            "numbers.\n",
+            "numbers.\n" CLI_DEFAULT_TEXT,
     .formats = "table,csv,json",
     .options = {cli_medium_options, options, cli_parameter_options},
     .usual_file = PLOT_FILE,
@@ -442,5 +446,5 @@ const cli_command cli_command_sample = {
                 "  dipole sample --sigma-a 0.01 --sigma-s 1 --count 1000 --draw stratified "
                 "--seed 7 --format csv\n"
                 "  dipole sample --medium marble --model burley --count 10000 --plot marble.svg\n"
-                "  dipole sample --medium skin1 --model transport --evaluator lut --count 1000\n",
+                "  dipole sample --medium skin1 --model better --evaluator f32 --count 1000\n",
 };

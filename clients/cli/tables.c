@@ -16,8 +16,8 @@ typedef struct table_settings {
 
 static const cli_option options[] = {
     {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
-    {"model", "NAME", "see `dipole info` (default: better)", CLI_TEXT,
-     offsetof(cli_profile_settings, model), "better"},
+    {"model", "NAME", "see `dipole info` (default: transport)", CLI_TEXT,
+     offsetof(cli_profile_settings, model), CLI_MODEL_DEFAULT},
     {CLI_MOMENTS_OPTION, "exact"},
     {"Output", NULL, NULL, CLI_HEADING, 0, NULL},
     {"output", "FILE",
@@ -261,7 +261,7 @@ const cli_command cli_command_table = {
         "pieces.\n",
     .formats = "table,csv,json",
     .options = {cli_medium_options, options, cli_parameter_options},
-    .examples = "  dipole table --medium skin1 --model transport --output skin1.table\n"
+    .examples = "  dipole table --medium skin1 --output skin1.table\n"
                 "  dipole eval --table skin1.table --r 0.1,1,10 --want R,cdf\n"
                 "  dipole table --sigma-a 0.01 --sigma-s 1 --tolerance 1e-5 --format csv\n",
     .settings_bytes = sizeof(table_settings),

@@ -205,8 +205,9 @@ static void write_active(const top_record *record, const char *prefix, const cha
 }
 
 /* Writes a table for people, about 80 columns wide. It lists models that were evaluated and errors
- * that were sent, if there are any. */
-static void top_write_table(const dipole_info *info, const top_record *record, FILE *file) {
+ * that were sent, if there are any. width: that of the terminal; 0 if there is none. */
+static void top_write_table(const dipole_info *info, const top_record *record, size_t width,
+                            FILE *file) {
   const uint64_t up_s = top_value(record, "uptime_ms") / 1000;
   char kind[64];
   size_t kinds = 0;
@@ -218,14 +219,14 @@ static void top_write_table(const dipole_info *info, const top_record *record, F
   } else {
     fputs("Each second, since its start\n\n", file);
   }
-  cli_rows_print(file, 0, 1, put_rates, record);
+  cli_rows_fit(file, width, 0, 1, put_rates, record);
   fputs("\nNow\n", file);
-  cli_rows_print(file, 0, 1, put_gauges, record);
+  cli_rows_fit(file, width, 0, 1, put_gauges, record);
   fputs("\n", file);
   for (size_t from = 0; next_latency(record, &from, kind, sizeof kind);) {
     kinds++;
   }
-  cli_rows_print(file, 1, kinds, put_latency, record);
+  cli_rows_fit(file, width, 1, kinds, put_latency, record);
   write_active(record, "radii_", "radii_evaluated", "radii of model", file);
   write_active(record, "answers_", "answers_ok", "errors", file);
 }
@@ -321,17 +322,18 @@ static void restore_screen(void) {
   }
 }
 
-/* Draws as much of a text as the terminal has room for, from its upper left corner. The first line
- * is bold. The last line of the terminal is left for the cursor. */
+/* Draws as much of a text as the terminal has room for, from its upper left corner. Lines that are
+ * too long go on in the next row. The first row is bold. The last row of the terminal is left for
+ * the cursor. */
 static void draw(const char *text) {
   const cli_terminal terminal = cli_terminal_look();
   const size_t columns = terminal.columns, rows = terminal.rows > 1 ? terminal.rows - 1 : 1;
   fputs(HOME, stdout);
   for (size_t row = 0; row < rows && *text != '\0'; row++) {
-    const size_t length = strcspn(text, "\n");
+    const size_t all = strcspn(text, "\n"), length = all < columns ? all : columns;
     const bool bold = row == 0 && terminal.styled;
-    printf("%s%.*s%s" CLEAR_LINE_REST "\n", bold ? BOLD : "",
-           (int)(length < columns ? length : columns), text, bold ? NOT_BOLD : "");
+    printf("%s%.*s%s" CLEAR_LINE_REST "\n", bold ? BOLD : "", (int)length, text,
+           bold ? NOT_BOLD : "");
     text += length + (text[length] == '\n');
   }
   fputs(CLEAR_BELOW, stdout);
@@ -342,7 +344,7 @@ static void show_on_screen(const dipole_info *info, const top_record *record) {
   size_t bytes = 0;
   FILE *file = open_memstream(&text, &bytes);
   if (file != NULL) {
-    top_write_table(info, record, file);
+    top_write_table(info, record, cli_terminal_look().columns, file);
     if (fclose(file) == 0) {
       draw(text);
     }
@@ -376,10 +378,8 @@ static void end_on_signals(void) {
 
 /* ---- looking --------------------------------------------------------------------------------- */
 
-static bool look(dipole_client *client, top_look *one) {
-  dipole_error error;
-  if (!dipole_statistics(client, &one->values, &one->count, &error)) {
-    cli_fail_error(&error);
+static bool look(dipole_client *client, top_look *one, dipole_error *error) {
+  if (!dipole_statistics(client, &one->values, &one->count, error)) {
     return false;
   }
   one->at_s = (double)cli_now_ns() / 1e9;
@@ -400,7 +400,7 @@ static void show(enum cli_form form, const dipole_info *info, const top_record *
       show_on_screen(info, record);
     } else {
       fputs(number > 0 ? "\n" : "", stdout);
-      top_write_table(info, record, stdout);
+      top_write_table(info, record, 0, stdout);
     }
   } else if (form == CLI_CSV) {
     top_write_csv(record, number == 0, stdout);
@@ -418,32 +418,109 @@ static void show_beginning(const dipole_info *info, top_record *record) {
   }
 }
 
+/* ---- a daemon that has gone ------------------------------------------------------------------ */
+
+enum { ANSWER_MS = 2000 }; /* how long the daemon may take before the screen says that it is gone */
+
+typedef struct watched {
+  const top_settings *settings;
+  dipole_client *client; /* the present one; NULL while the daemon is gone */
+  dipole_client *given;  /* the first one, which the caller closes */
+  double gone_s;         /* since when the daemon is gone */
+} watched;
+
+static void forget(watched *of) {
+  if (of->client != of->given) {
+    dipole_close(of->client);
+  }
+  of->client = NULL;
+}
+
+/* On a screen, answers are awaited for a short time only: numbers that are out of date must not
+ * stay. */
+static void hurry(dipole_client *client) {
+  dipole_set_retry_ms(client, 0);
+  dipole_set_timeout_ms(client, ANSWER_MS);
+}
+
+static bool connect_again(watched *of, dipole_error *error) {
+  dipole_options options;
+  cli_connection_options(&of->settings->common, &options);
+  options.open_ms = options.retry_ms = 0;
+  options.connect_timeout_ms = ANSWER_MS;
+  if (!dipole_open_with(of->settings->common.connect, &options, &of->client, error)) {
+    return false;
+  }
+  hurry(of->client);
+  return true;
+}
+
+/* Replaces the numbers on the screen by the reason why there are none. */
+static void show_gone(const watched *of, const dipole_error *error) {
+  char text[512];
+  const char *address = of->settings->common.connect;
+  snprintf(text, sizeof text,
+           "No answer from %s for %.0f s\n%s\n\nTrying again. Ctrl-C ends this.\n",
+           address != NULL ? address : dipole_get_info(of->given)->address,
+           (double)cli_now_ns() / 1e9 - of->gone_s, error->text);
+  draw(text);
+  fflush(stdout);
+}
+
+/* Looks at the daemon. If it does not answer, returns false and, on a screen, says so. */
+static bool look_or_tell(watched *of, top_look *now) {
+  dipole_error error;
+  if ((of->client != NULL || connect_again(of, &error)) && look(of->client, now, &error)) {
+    of->gone_s = 0;
+    return true;
+  }
+  if (!has_screen) {
+    cli_fail_error(&error);
+    return false;
+  }
+  of->gone_s = of->gone_s > 0 ? of->gone_s : (double)cli_now_ns() / 1e9;
+  forget(of);
+  show_gone(of, &error);
+  return false;
+}
+
+/* Shows one interval. Returns false if the command has to end. */
+static bool watch_once(watched *of, top_record *record, uint64_t number, double *next_s) {
+  const double interval_s = of->settings->interval_s.value;
+  turn_over(record);
+  block_end(SIG_UNBLOCK);
+  sleep_until(*next_s);
+  block_end(SIG_BLOCK);
+  const bool looked = look_or_tell(of, &record->now);
+  *next_s = fmax(*next_s + interval_s, (double)cli_now_ns() / 1e9);
+  if (looked && record->before.count > 0) {
+    record->interval_s = record->now.at_s - record->before.at_s;
+    show(of->settings->common.form, dipole_get_info(of->client), record, number);
+  } else if (looked) { /* It is back. */
+    show_beginning(dipole_get_info(of->client), record);
+  }
+  return (looked || has_screen) && !ferror(stdout); /* main() will say why */
+}
+
 static int watch(const top_settings *settings, dipole_client *client, top_record *record) {
-  const dipole_info *info = dipole_get_info(client);
-  const double interval_s = settings->interval_s.value;
-  if (!look(client, &record->now)) {
+  watched of = {.settings = settings, .client = client, .given = client};
+  bool good = true;
+  if (has_screen) {
+    hurry(client);
+  }
+  if (!look_or_tell(&of, &record->now) && !has_screen) {
     return CLI_FAILED;
   }
   block_end(SIG_BLOCK);
-  show_beginning(info, record);
-  double next_s = record->now.at_s + interval_s;
-  for (uint64_t i = 0; !settings->count.given || i < settings->count.value; i++) {
-    turn_over(record);
-    block_end(SIG_UNBLOCK);
-    sleep_until(next_s);
-    const bool looked = look(client, &record->now);
-    block_end(SIG_BLOCK);
-    if (!looked) {
-      return CLI_FAILED;
-    }
-    next_s = fmax(next_s + interval_s, record->now.at_s);
-    record->interval_s = record->now.at_s - record->before.at_s;
-    show(settings->common.form, info, record, i);
-    if (ferror(stdout)) {
-      return CLI_FAILED; /* main() will say why */
-    }
+  if (record->now.count > 0) {
+    show_beginning(dipole_get_info(client), record);
   }
-  return CLI_OK;
+  double next_s = (double)cli_now_ns() / 1e9 + settings->interval_s.value;
+  for (uint64_t i = 0; good && (!settings->count.given || i < settings->count.value); i++) {
+    good = watch_once(&of, record, i, &next_s);
+  }
+  forget(&of);
+  return good && (record->now.count > 0 || !has_screen) ? CLI_OK : CLI_FAILED;
 }
 
 /* ---- the command ----------------------------------------------------------------------------- */
@@ -488,6 +565,7 @@ const cli_command cli_command_top = {
     .about = "Watch a daemon: requests, radii and bytes each second, latencies, queues",
     .more =
         "\nOn a terminal, each table takes the place of the one before; Ctrl-C ends the command.\n"
+        "While the daemon does not answer, its reason stands there, and `top` tries again.\n"
         "Elsewhere, each interval gives a table, a line of CSV or a line of JSON. Names end\n"
         "with their units. Those that end in _per_s are rates over the interval. Latencies\n"
         "are those of all requests since the daemon's start. If NO_COLOR is set, there is no\n"

@@ -1,7 +1,5 @@
 #include "server/jobs/requests.h"
 
-#include "server/observe/log.h"
-
 void requests_init(struct requests *requests, struct input *input, struct output *output,
                    void (*wake)(void *owner), void *owner) {
   *requests = (struct requests){.input = input, .output = output, .wake = wake, .owner = owner};
@@ -207,8 +205,8 @@ bool requests_expire(struct requests *r) {
 }
 
 unsigned requests_count(const struct requests *r) {
-  unsigned count =
-      input_count(r->input) + output_count(r->output, r->job != NULL ? r->job->header.request_id : 0);
+  unsigned count = input_count(r->input) +
+                   output_count(r->output, r->job != NULL ? r->job->header.request_id : 0);
   for (const struct job *job = r->detached; job != NULL; job = job->next) {
     count++;
   }
@@ -224,8 +222,9 @@ void requests_drop(struct requests *r) {
 }
 
 void requests_end(struct requests *r, uint64_t request_id, wire_error error) {
-  log_peer_line(LOG_LEVEL_INFO, "event=connection-ended status=%s field=%s",
-                wire_status_name(error.status), error.field);
+  if (r->tell_end != NULL) {
+    r->tell_end(r->owner, &error);
+  }
   requests_refuse(r, request_id, &error);
   drop_detached(r);
   r->ended = true;

@@ -20,6 +20,9 @@ struct requests {
   struct output *output;
   void (*wake)(void *owner); /* called when requests_step() can go on after it returned false */
   void *owner;
+  /* Set by the owner after requests_init(), or NULL. Is called when requests_end() ends the
+   * connection with an error. */
+  void (*tell_end)(void *owner, const wire_error *error);
 
   struct job *job; /* the job whose request holds the input; NULL if there is none */
   struct job_slot slot;

@@ -40,7 +40,8 @@ static struct stats *stats_of(const struct modbus_connection *c) {
 static void log_closed(const struct modbus_connection *c, const char *reason) {
   char peer[TCP_TEXT_BYTES];
   tcp_peer(c->fd, peer);
-  log_peer_line(LOG_LEVEL_INFO, "event=modbus-closed reason=%s peer=%s", reason, peer);
+  log_peer_line(LOG_LEVEL_INFO, "event=modbus-closed reason=%s%s%s", reason,
+                LOG_FIELD(" peer=", peer));
 }
 
 /* ---- ending ---------------------------------------------------------------------------------- */

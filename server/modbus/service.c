@@ -93,8 +93,8 @@ void modbus_service_admit(struct server *server, int fd) {
   if (connection == NULL) {
     char peer[TCP_TEXT_BYTES];
     tcp_peer(fd, peer);
-    log_peer_line(LOG_LEVEL_INFO, "event=modbus-refused reason=%s peer=%s",
-                  why != NULL ? why : "out-of-memory", peer);
+    log_peer_line(LOG_LEVEL_INFO, "event=modbus-refused reason=%s%s%s",
+                  why != NULL ? why : "out-of-memory", LOG_FIELD(" peer=", peer));
     stats_add(&server->stats, STATS_MODBUS_CONNECTIONS_REFUSED, 1);
     close(fd);
     return;

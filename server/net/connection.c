@@ -5,6 +5,7 @@
 #include <unistd.h>
 
 #include "server/jobs/requests.h"
+#include "server/net/tcp.h"
 #include "server/net/worker.h"
 #include "server/observe/log.h"
 
@@ -63,6 +64,16 @@ static void on_wake(void *owner) {
   worker_run_later(&c->client);
 }
 
+static void log_end(void *owner, const wire_error *error) {
+  const struct connection *c = owner;
+  char peer[TCP_TEXT_BYTES];
+  tcp_peer(c->fd, peer);
+  log_peer_line(LOG_LEVEL_INFO, "event=%s status=%s%s%s%s%s",
+                c->purpose == CONNECTION_REFUSE ? "connection-refused" : "connection-ended",
+                wire_status_name(error->status), LOG_FIELD(" field=", error->field),
+                LOG_FIELD(" peer=", peer));
+}
+
 wire_error connection_refusal(void) {
   return wire_error_busy("max_connections", "fewer open connections", 1000);
 }
@@ -79,6 +90,7 @@ struct client *connection_new(struct server *server, int fd, enum connection_pur
   input_init(&c->input, server);
   output_init(&c->output, server);
   requests_init(&c->requests, &c->input, &c->output, on_wake, c);
+  c->requests.tell_end = log_end;
   return &c->client;
 }
 

@@ -31,6 +31,18 @@ void tcp_bound(int fd, char text[TCP_TEXT_BYTES]) {
 }
 
 void tcp_peer(int fd, char text[TCP_TEXT_BYTES]) {
+  struct ucred process;
+  socklen_t length = sizeof process;
+  int family = AF_UNSPEC;
+  socklen_t family_length = sizeof family;
+  if (getsockopt(fd, SOL_SOCKET, SO_DOMAIN, &family, &family_length) == 0 && family == AF_UNIX) {
+    text[0] = '\0';
+    if (getsockopt(fd, SOL_SOCKET, SO_PEERCRED, &process, &length) == 0) {
+      snprintf(text, TCP_TEXT_BYTES, "unix:pid=%ld,uid=%lu", (long)process.pid,
+               (unsigned long)process.uid);
+    }
+    return;
+  }
   describe(fd, getpeername, text);
 }
 

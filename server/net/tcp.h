@@ -14,8 +14,8 @@ enum { TCP_TEXT_BYTES = 160 };
 /* Writes the address of a listening socket as numeric HOST:PORT, or "" if it is unknown. */
 void tcp_bound(int fd, char text[TCP_TEXT_BYTES]);
 
-/* Writes the address of the peer of a connected socket as numeric HOST:PORT, or "" if it is
- * unknown. */
+/* Writes the address of the peer of a connected socket: numeric HOST:PORT, or unix:pid=PID,uid=UID,
+ * or "" if it is unknown. */
 void tcp_peer(int fd, char text[TCP_TEXT_BYTES]);
 
 #endif

@@ -70,6 +70,15 @@ uint64_t histogram_quantile_ns(const struct histogram_sum *sum, double share) {
   return bucket + 1 < HISTOGRAM_BUCKETS && ns < sum->most_ns ? ns : sum->most_ns;
 }
 
+uint64_t histogram_below(const struct histogram_sum *sum, unsigned octave) {
+  uint64_t below = 0;
+  const size_t end = bucket_of(UINT64_C(1) << octave);
+  for (size_t bucket = 0; bucket < end; bucket++) {
+    below += sum->counts[bucket];
+  }
+  return below;
+}
+
 /* ---- latencies ------------------------------------------------------------------------------- */
 
 void latency_finish(struct latency *latency) {

@@ -52,6 +52,10 @@ void histogram_merge(struct histogram_sum *sum, const struct histogram *histogra
  * are no durations. It does not fall as the share rises. */
 uint64_t histogram_quantile_ns(const struct histogram_sum *sum, double share);
 
+/* Returns how many durations were less than 2^octave ns, from HISTOGRAM_LEAST_OCTAVE to
+ * HISTOGRAM_MOST_OCTAVE: an exact number, because octaves begin with a bucket. */
+uint64_t histogram_below(const struct histogram_sum *sum, unsigned octave);
+
 /* ---- latencies of one worker ----------------------------------------------------------------- */
 
 enum latency_class {

@@ -23,4 +23,7 @@ void log_peer_line(enum log_level level, const char *format, ...)
 
 enum { LOG_PEER_LINES_PER_SECOND = 20 };
 
+/* Two arguments for "%s%s": " KEY=" and a value, or nothing if the value is empty. */
+#define LOG_FIELD(key, value) (value)[0] != '\0' ? (key) : "", (value)
+
 #endif

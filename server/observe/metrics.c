@@ -1,16 +1,20 @@
 #include "server/observe/metrics.h"
 
+#include <dirent.h>
 #include <dlfcn.h>
 #include <errno.h>
 #include <microhttpd.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/resource.h>
+#include <time.h>
 #include <unistd.h>
 
 #include "server/net/tcp.h"
 #include "server/observe/log.h"
 #include "server/observe/report.h"
+#include "server/server.h"
 
 enum {
   MOST_CONNECTIONS = 16, /* the most connections at a time; others wait */
@@ -72,7 +76,6 @@ static void start_family(struct text *text, const struct report_value *value) {
   static const char *const types[] = {
       [REPORT_COUNTER] = "counter",
       [REPORT_GAUGE] = "gauge",
-      [REPORT_SUMMARY] = "summary",
       [REPORT_HISTOGRAM] = "histogram",
   };
   const struct report_family *family = value->family;
@@ -85,6 +88,9 @@ static void start_family(struct text *text, const struct report_value *value) {
 
 static void write_value(void *context, const struct report_value *value) {
   struct text *text = context;
+  if (value->family->type == REPORT_NO_METRIC) {
+    return;
+  }
   if (value->family != text->family) {
     start_family(text, value);
   }
@@ -99,14 +105,73 @@ static void write_value(void *context, const struct report_value *value) {
   }
 }
 
+/* ---- what every program tells Prometheus about itself, under the usual names ------------------ */
+
+static void write_gauge(FILE *file, const char *name, const char *help, double value) {
+  fprintf(file, "# HELP %s %s\n# TYPE %s gauge\n%s %.17g\n", name, help, name, name, value);
+}
+
+/* Writes the pages that the process has, from /proc (man 5 proc); nothing if that is not there. */
+static void write_memory(FILE *file) {
+  unsigned long long all, resident;
+  FILE *statm = fopen("/proc/self/statm", "re");
+  if (statm != NULL && fscanf(statm, "%llu %llu", &all, &resident) == 2) {
+    const double page_bytes = (double)sysconf(_SC_PAGESIZE);
+    write_gauge(file, "process_virtual_memory_bytes", "address space", (double)all * page_bytes);
+    write_gauge(file, "process_resident_memory_bytes", "memory", (double)resident * page_bytes);
+  }
+  if (statm != NULL) {
+    fclose(statm);
+  }
+}
+
+static void write_descriptors(FILE *file) {
+  struct rlimit limit;
+  DIR *folder = opendir("/proc/self/fd");
+  int count = -3; /* without ".", ".." and the folder itself */
+  while (folder != NULL && readdir(folder) != NULL) {
+    count++;
+  }
+  if (folder != NULL) {
+    closedir(folder);
+    write_gauge(file, "process_open_fds", "open file descriptors", count);
+  }
+  if (getrlimit(RLIMIT_NOFILE, &limit) == 0) {
+    write_gauge(file, "process_max_fds", "limit of open file descriptors", (double)limit.rlim_cur);
+  }
+}
+
+static double seconds(const struct timeval *time) {
+  return (double)time->tv_sec + (double)time->tv_usec / 1e6;
+}
+
+static void write_process(FILE *file, const struct server *server, double start_s) {
+  struct rusage used;
+  fprintf(file,
+          "# HELP dipoled_build_info 1, with the version and the instruction set\n"
+          "# TYPE dipoled_build_info gauge\n"
+          "dipoled_build_info{version=\"" DIPOLED_VERSION "\",instruction_set=\"%s\"} 1\n",
+          core_isa_name(server->isa));
+  if (getrusage(RUSAGE_SELF, &used) == 0) {
+    fprintf(file,
+            "# HELP process_cpu_seconds_total processor time of all threads\n"
+            "# TYPE process_cpu_seconds_total counter\nprocess_cpu_seconds_total %.6f\n",
+            seconds(&used.ru_utime) + seconds(&used.ru_stime));
+  }
+  write_gauge(file, "process_start_time_seconds", "since 1970, UTC", start_s);
+  write_memory(file);
+  write_descriptors(file);
+}
+
 /* Makes the text of all metrics, which the caller frees. Returns NULL if there is no memory. */
-static char *make_text(const struct server *server, size_t *bytes) {
+static char *make_text(const struct server *server, double start_s, size_t *bytes) {
   char *memory = NULL;
   struct text text = {open_memstream(&memory, bytes), NULL};
   if (text.file == NULL) {
     return NULL;
   }
   report_each(server, write_value, &text);
+  write_process(text.file, server, start_s);
   const int failed = ferror(text.file);
   if (fclose(text.file) != 0 || failed != 0) {
     free(memory);
@@ -119,6 +184,7 @@ static char *make_text(const struct server *server, size_t *bytes) {
 
 struct metrics {
   const struct server *server;
+  double start_s; /* when the daemon started, since 1970 */
   struct http library;
   struct MHD_Daemon *daemon;
 };
@@ -147,9 +213,9 @@ static enum MHD_Result send_text(const struct http *http, struct MHD_Connection 
 }
 
 static enum MHD_Result send_metrics(const struct http *http, struct MHD_Connection *connection,
-                                    const struct server *server) {
+                                    const struct metrics *metrics) {
   size_t bytes;
-  char *text = make_text(server, &bytes);
+  char *text = make_text(metrics->server, metrics->start_s, &bytes);
   if (text == NULL) {
     return MHD_NO;
   }
@@ -183,7 +249,7 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *connecti
   if (!is_read(method)) {
     return send_text(http, connection, MHD_HTTP_METHOD_NOT_ALLOWED, not_allowed);
   }
-  return is_metrics ? send_metrics(http, connection, metrics->server)
+  return is_metrics ? send_metrics(http, connection, metrics)
          : atomic_load(&metrics->server->draining)
              ? send_text(http, connection, MHD_HTTP_SERVICE_UNAVAILABLE, draining)
              : send_text(http, connection, MHD_HTTP_OK, ok);
@@ -244,6 +310,10 @@ struct metrics *metrics_open(struct server *server, const char *address) {
   if (!load(&metrics->library, &why)) {
     return fail(address, why, fd, metrics);
   }
+  struct timespec now;
+  clock_gettime(CLOCK_REALTIME, &now);
+  metrics->start_s = (double)now.tv_sec + (double)now.tv_nsec / 1e9 -
+                     (double)(uv_hrtime() - server->started_ns) / 1e9;
   metrics->server = server;
   metrics->daemon = start(metrics, fd); /* The library owns the socket from here on. */
   if (metrics->daemon == NULL) {

@@ -140,30 +140,43 @@ static struct histogram_sum sum_of(const struct reporter *to, enum latency_class
   return sum;
 }
 
+/* The upper ends of the buckets in the metrics: powers of 2 in ns, from 4.1 us to 68.7 s. */
+enum { OCTAVE_FIRST = 12, OCTAVE_LAST = 36 };
+
+/* Reports a class as a histogram of Prometheus. Histograms of several daemons can be added, and
+ * give quantiles over any time. */
+static void report_histogram(const struct reporter *to, const char *kind, const char *sum_name,
+                             const char *count_name, const struct histogram_sum *sum) {
+  static const struct report_family family = {
+      "latency_seconds", REPORT_HISTOGRAM,
+      "from a request's last byte to its answer, by class of request"};
+  char labels[80];
+  for (unsigned octave = OCTAVE_FIRST; octave <= OCTAVE_LAST; octave++) {
+    snprintf(labels, sizeof labels, "class=\"%s\",le=\"%.9f\"", kind,
+             (double)(UINT64_C(1) << octave) / 1e9);
+    report(to, NULL, &family, "_bucket", labels, histogram_below(sum, octave));
+  }
+  snprintf(labels, sizeof labels, "class=\"%s\",le=\"+Inf\"", kind);
+  report(to, NULL, &family, "_bucket", labels, sum->count);
+  snprintf(labels, sizeof labels, "class=\"%s\"", kind);
+  report_ns(to, sum_name, &family, "_sum", labels, sum->sum_ns);
+  report(to, count_name, &family, "_count", labels, sum->count);
+}
+
 static void report_latencies(const struct reporter *to) {
-  static const struct report_family seconds = {
-      "latency_seconds", REPORT_SUMMARY,
-      "from a request's last byte to its answer, since the start, by class of request"};
-  static const struct report_family longest = {"latency_max_seconds", REPORT_GAUGE,
-                                               "the longest latency since the start"};
-  uint64_t most_ns[LATENCY_CLASSES];
+  static const struct report_family quantiles = {"", REPORT_NO_METRIC, ""};
   struct histogram_sum sum;
 #define QUANTILE(class, what, share)                                                               \
-  report_ns(to, "latency_" class "_" what "_us", &seconds, "",                                     \
-            "class=\"" class "\",quantile=\"" #share "\"", histogram_quantile_ns(&sum, share));
+  report_ns(to, "latency_" class "_" what "_us", &quantiles, "", "",                               \
+            histogram_quantile_ns(&sum, share));
 #define LATENCY_CLASS(IDENT, name, about)                                                          \
   sum = sum_of(to, LATENCY_##IDENT);                                                               \
-  most_ns[LATENCY_##IDENT] = sum.most_ns;                                                          \
   QUANTILE(name, "p50", 0.5)                                                                       \
   QUANTILE(name, "p90", 0.9)                                                                       \
   QUANTILE(name, "p99", 0.99)                                                                      \
   QUANTILE(name, "p999", 0.999)                                                                    \
-  report_ns(to, "latency_" name "_sum_us", &seconds, "_sum", "class=\"" name "\"", sum.sum_ns);    \
-  report(to, "latency_" name "_count", &seconds, "_count", "class=\"" name "\"", sum.count);
-#include "server/observe/stats.def"
-#define LATENCY_CLASS(IDENT, name, about)                                                          \
-  report_ns(to, "latency_" name "_max_us", &longest, "", "class=\"" name "\"",                     \
-            most_ns[LATENCY_##IDENT]);
+  report_ns(to, "latency_" name "_max_us", &quantiles, "", "", sum.most_ns);                       \
+  report_histogram(to, name, "latency_" name "_sum_us", "latency_" name "_count", &sum);
 #include "server/observe/stats.def"
 }
 

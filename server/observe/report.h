@@ -9,7 +9,12 @@
 struct server;
 
 /* The types of metrics that Prometheus knows. */
-enum report_type { REPORT_COUNTER, REPORT_GAUGE, REPORT_SUMMARY, REPORT_HISTOGRAM };
+enum report_type {
+  REPORT_COUNTER,
+  REPORT_GAUGE,
+  REPORT_HISTOGRAM,
+  REPORT_NO_METRIC, /* only the statistics have these values */
+};
 
 /* The properties that several values share. The values of a family are reported in a row. */
 struct report_family {

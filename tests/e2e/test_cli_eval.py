@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-import struct
 
+import numpy as np
 import pytest
 from command_line import FAILED, Proxy, busy, dipole, eval_json, eval_rows, points, read_csv
 from daemons import read_log_line
@@ -85,7 +85,9 @@ def test_grids():
     assert ratios == pytest.approx([0.01, 0.1, 1, 10, 100], rel=1e-12)
     grid = ["--from", "0.1", "--to", "0.1", "--count", "1"]
     single = eval_json(*MEDIUM, *grid, "--evaluator", "f32")
-    assert single["r"] == [0.10000000149011612]  # the radius in single precision
+    assert single["r"] == [0.1]  # the shortest number that reads back to the single precision radius
+    steps = eval_json(*MEDIUM, "--from", "0.023", "--to", "1.863", "--count", "21")["r"]
+    assert "0.943" in map(repr, steps) and all(len(repr(r)) <= 5 for r in steps)
 
 
 def test_models_are_asked_for_once_each():
@@ -286,5 +288,17 @@ def test_radii_are_the_ones_that_the_evaluator_took():
         *["--r", ",".join(map(repr, radii))],
     )
     for row, r in zip(rows, radii, strict=True):
-        assert float(row["r"]) == struct.unpack("<f", struct.pack("<f", r))[0]
+        assert np.float32(row["r"]) == np.float32(r) and len(row["r"]) <= 13
         assert math.isfinite(float(row["cdf"]))
+
+
+def test_the_usual_model_is_transport_by_table(client):
+    """As the README advises. --help gives the reason."""
+    run = dipole("eval", *MEDIUM, "--r", "0.5,1", "--format", "csv", usual=True)
+    rows = read_csv(run.stdout)
+    assert {row["model"] for row in rows} == {"transport"}
+    media = [(0.01, 10, 0.9, 1.4), (0.1, 10, 0.9, 1.4)]
+    answer = client.eval("transport", media, np.float32([0.5, 1]), evaluator="lut")
+    assert [np.float32(row["R"]) for row in rows] == answer.R.ravel().tolist()
+    said = dipole("eval", "--help").stdout
+    assert "If no model is named, it is transport by table" in said

@@ -7,9 +7,10 @@ import select
 import subprocess
 import time
 
+import numpy as np
 import pytest
 from command_line import (
-    BAD_ROWS, FAILED, PROGRAM, TIMEOUT_S, Proxy, Terminal, busy, dipole, eval_rows, points,
+    BAD_ROWS, FAILED, PROGRAM, TIMEOUT_S, USAGE, Proxy, Terminal, busy, dipole, eval_rows, points,
     read_csv, scratch,
 )
 from daemons import environment
@@ -386,3 +387,80 @@ def test_a_daemon_that_goes_away(daemon):
     assert "connection" in run.stderr
     whole = points(text)
     assert whole.startswith(run.stdout) and len(run.stdout) < len(whole)
+
+
+# ---- models, media, radii, quantities ------------------------------------------------------------
+
+
+def test_the_usual_model_is_transport_by_table(client):
+    text = f"{HEADER}\n{ROW}\n"
+    (row,) = read_csv(dipole("points", stdin=text, usual=True).stdout)
+    answer = client.eval("transport", (0.01, 1, 0, 1.4), [2.0], evaluator="lut", wanted=["R", "cdf"])
+    assert np.float32(row["R"]) == answer.R[0, 0] and np.float32(row["cdf"]) == answer.cdf[0, 0]
+    (named,) = read_csv(dipole("points", "--model", "classical", stdin=text).stdout)
+    assert float(named["R"]) == client.eval("classical", (0.01, 1, 0, 1.4), [2.0]).R[0, 0]
+
+
+def test_a_tolerance_in_place_of_a_model(client):
+    (row,) = read_csv(points(f"{HEADER}\n{ROW}\n", "--tolerance", "0.01"))
+    exact = client.eval("transport", (0.01, 1, 0, 1.4), [2.0]).R[0, 0]
+    assert row["status"] == "ok" and float(row["R"]) == pytest.approx(exact, rel=0.01)
+
+
+def test_measured_media_by_name():
+    text = "medium,channel,r,eta\nskin1,red,1,\nskin1,blue,1,1.4\nmy own,red,1,1.3\nskin1,,1,\n"
+    run = dipole("points", "--want", "R", stdin=text, status=BAD_ROWS)
+    rows = read_csv(run.stdout)
+    known = eval_rows("--medium", "skin1", "--r", "1")[0]
+    changed = eval_rows("--medium", "skin1", "--eta", "1.4", "--r", "1")[2]
+    assert [rows[0]["R"], rows[1]["R"]] == [known["R"], changed["R"]]
+    assert "medium: 'my own' is unknown" in rows[2]["status"]
+    assert "channel: '': allowed: red, green, blue" in rows[3]["status"]
+    own = f"medium,{HEADER}\nmy own,{ROW}\n"
+    assert read_csv(points(own))[0]["status"] == "ok"  # With coefficients, the name is only copied.
+
+
+def test_quantities():
+    text = points(f"{HEADER}\n{ROW}\n", "--want", "cdf,pdf")
+    assert text.splitlines()[0] == f"{HEADER},cdf,pdf,status"
+    (row,) = read_csv(text)
+    (known,) = eval_rows("--sigma-a", "0.01", "--sigma-s", "1", "--eta", "1.4", "--r", "2",
+                         "--want", "cdf,pdf")
+    assert columns(row, "cdf", "pdf") == columns(known, "cdf", "pdf")
+    dipole("points", "--want", "r", stdin=text, status=USAGE)
+
+
+def test_inverted_media_go_straight_into_points():
+    found = dipole("invert", "--albedo", "0.4,0.2", "--mean-free-path", "1", "--format", "csv").stdout
+    rows = read_csv(points(found, "--r", "0.5,2"))
+    assert [(row["channel"], row["r"]) for row in rows] == [
+        ("1", "0.5"), ("1", "2"), ("2", "0.5"), ("2", "2")
+    ]
+    assert all(row["status"] == "ok" and float(row["R"]) > 0 for row in rows)
+    assert {row["model"] for row in rows} == {"better"}
+    measured = dipole("media", "--format", "csv").stdout
+    assert len(read_csv(points(measured, "--r", "1"))) == measured.count("\n") - 1
+    bad = dipole("points", "--r", "1", stdin=f"{HEADER}\n{ROW}\n", status=FAILED)
+    assert "has the column r: leave --r out" in bad.stderr
+
+
+@pytest.mark.parametrize(
+    "column, said",
+    [
+        ("evaluator", "the nearest is the option --evaluator"),
+        ("tolerence", "the nearest that is read is tolerance"),
+        ("Model", "the nearest that is read is model"),
+        ("sigma-a", "the nearest that is read is sigma_a"),
+        ("fit_form", "the nearest that is read is fit_from"),
+    ],
+)
+def test_a_column_that_is_nearly_one_that_is_read(column, said):
+    run = dipole("points", stdin=f"{HEADER},{column}\n{ROW},1\n", status=FAILED)
+    assert f"the column {column} is not read; {said}" in run.stderr and run.stdout == ""
+
+
+def test_semicolons_are_named():
+    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
+        text = f"{HEADER}\n{ROW}\n".replace(",", separator)
+        run = dipole("points", stdin=text, status=FAILED)
+        assert f"are separated by {name}; this command reads commas" in run.stderr

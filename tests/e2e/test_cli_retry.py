@@ -59,7 +59,7 @@ def test_a_daemon_that_comes_later(tmp_path):
         early.listen()
         early.settimeout(TIMEOUT_S)
         with subprocess.Popen(
-            [str(PROGRAM), "eval", "--connect", f"unix:{path}", *LONG, *ARGUMENTS],
+            [str(PROGRAM), "eval", "--model", "better", "--connect", f"unix:{path}", *LONG, *ARGUMENTS],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             env=environment(),

@@ -203,3 +203,53 @@ def test_count_on_a_terminal(daemon):
     assert terminal.end()[0] == 0 and "\033[?25h" in terminal.seen
     # One table since the start of the daemon, and two intervals.
     assert len(screens(terminal.seen)) == 3
+
+
+def shown(seen: str) -> list[str]:
+    """Returns the rows of the last screen that was drawn completely."""
+    screens = re.sub(r"\033\[(\?25[hl]|K|1m|0m|2J)", "", seen).split("\033[H")
+    whole = [screen for screen in screens if screen.endswith("\033[J")]
+    return whole[-1].removesuffix("\033[J").splitlines() if whole else []
+
+
+def test_a_daemon_that_goes_and_comes_back(daemon):
+    """The numbers of a daemon that has gone do not stay on the screen."""
+    one = daemon(listen=["tcp:127.0.0.1:0"])
+    url = one.url("tcp")
+    screen = Terminal("top", "--connect", url, "--interval", "0.1")
+    screen.read_until(lambda seen: "queued" in seen)
+    one.kill()
+    screen.read_until(lambda seen: "No answer from " in (shown(seen) or [""])[0])
+    gone = shown(screen.seen)
+    assert gone[0].startswith(f"No answer from {url} for 0 s") and gone[-1].startswith("Trying again")
+    assert not any("queued" in row for row in gone)
+    other = daemon(listen=[url])
+    screen.read_until(lambda seen: any("queued" in row for row in shown(seen)))
+    screen.process.send_signal(signal.SIGINT)
+    assert screen.end()[0] == 0
+    other.close()
+
+
+def test_a_daemon_that_hangs(daemon):
+    one = daemon()
+    screen = Terminal("top", "--connect", one.url(), "--interval", "0.1")
+    screen.read_until(lambda seen: "queued" in seen)
+    one.process.send_signal(signal.SIGSTOP)
+    screen.read_until(lambda seen: "No answer from " in (shown(seen) or [""])[0])
+    one.process.send_signal(signal.SIGCONT)
+    screen.read_until(lambda seen: any("queued" in row for row in shown(seen)))
+    screen.process.send_signal(signal.SIGINT)
+    assert screen.end()[0] == 0
+
+
+@pytest.mark.parametrize("columns", [30, 50, 80])
+def test_a_narrow_terminal_cuts_nothing(busy, columns):
+    screen = Terminal(
+        "top", "--connect", busy.url(), "--interval", "0.1", "--count", "2", size=(60, columns)
+    )
+    assert screen.end()[0] == 0
+    rows = shown(screen.seen)
+    assert max(map(len, rows)) <= columns
+    words = " ".join(rows).split()
+    for name in ("requests", "misses", "owed", "buffer", "p99.9", "max", "eval_short", "refused"):
+        assert name in words, rows

@@ -59,7 +59,9 @@ def known() -> dict[str, list[str]]:
     """Returns the names in a daemon's lists, and its media."""
     info = json.loads(dipole("info", "--format", "json").stdout)
     lists = {key: value for key, value in info.items() if isinstance(value, list)}
-    names = {key: [entry["name"] for entry in value] for key, value in lists.items()}
+    names = {
+        key: [entry["name"] for entry in value if "name" in entry] for key, value in lists.items()
+    }
     media = json.loads(dipole("media", "--format", "json").stdout)["media"]
     return {**names, "media": [entry["medium"] for entry in media]}
 

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import http.client
+import json
 import math
+import os
 import re
+import shutil
 import socket
+import subprocess
 import time
 import urllib.error
 import urllib.request
+from pathlib import Path
 
 import pytest
-from daemons import eventually, read_log_line, run
-from frames import EVAL, SKIN, R, ask, eval_payload
+from daemons import BUILD, REPOSITORY, eventually, read_log_line, run
+from frames import EVAL, SKIN, R, ask, assert_serves, eval_payload
 from lists import MODELS
 
 TIMEOUT_S = 10
@@ -45,7 +50,7 @@ def fetch(daemon, path: str, method: str = "GET", body: bytes | None = None):
 NAME = r"[a-zA-Z_:][a-zA-Z0-9_:]*"
 LABEL = r'[a-zA-Z_][a-zA-Z0-9_]*="[^"\\\n]*"'
 SAMPLE = re.compile(rf"({NAME})(?:\{{({LABEL}(?:,{LABEL})*)\}})? ([0-9.]+(?:e[+-]?\d+)?)")
-SUFFIXES = {"summary": ["", "_sum", "_count"], "histogram": ["_bucket", "_sum", "_count"]}
+SUFFIXES = {"histogram": ["_bucket", "_sum", "_count"]}
 
 
 def parse(text: str) -> dict[str, tuple[str, dict[str, float]]]:
@@ -61,7 +66,7 @@ def parse(text: str) -> dict[str, tuple[str, dict[str, float]]]:
             helped = helped_now[1]
         elif line.startswith("#"):
             _, name, type = re.fullmatch(
-                rf"# (TYPE) ({NAME}) (counter|gauge|summary|histogram)", line
+                rf"# (TYPE) ({NAME}) (counter|gauge|histogram)", line
             ).groups()
             assert name == helped and name not in families
             assert name.endswith("_total") == (type == "counter")
@@ -102,7 +107,12 @@ def test_every_line_is_right(watched):
     families = parse(fetch(watched, "/metrics")[2])
     assert families["dipoled_requests_total"][0] == "counter"
     assert families["dipoled_connections_open"][0] == "gauge"
-    assert families["dipoled_latency_seconds"][0] == "summary"
+    type, latencies = families["dipoled_latency_seconds"]
+    assert type == "histogram"
+    for kind in ("eval_short", "eval_long", "other", "refused"):
+        buckets = [value for key, value in latencies.items() if f'_bucket{{class="{kind}"' in key]
+        assert len(buckets) == 26 and buckets == sorted(buckets)
+        assert buckets[-1] == latencies[f'dipoled_latency_seconds_count{{class="{kind}"}}']
     type, batches = families["dipoled_batch_requests"]
     assert type == "histogram"
     buckets = [value for key, value in batches.items() if "_bucket" in key]
@@ -130,12 +140,15 @@ def test_counters_rise(watched):
     assert rises['dipoled_latency_seconds_count{class="eval_short"}'] == 5
     assert rises['dipoled_latency_seconds_count{class="refused"}'] == 3
     assert rises["dipoled_connections_open"] == 1
-    last = 0.0
-    for quantile in ("0.5", "0.9", "0.99", "0.999"):
-        value = after[f'dipoled_latency_seconds{{class="eval_short",quantile="{quantile}"}}']
-        assert last <= value and 0 < value < 1
-        last = value
-    assert last <= after['dipoled_latency_max_seconds{class="eval_short"}'] < 1
+    below = [
+        (float(re.search('le="(.*)"', key)[1]), rises.get(key, 0))
+        for key in after
+        if key.startswith('dipoled_latency_seconds_bucket{class="eval_short"')
+    ]
+    assert below[0] == (4.096e-6, 0) and below[-1] == (math.inf, 5)
+    assert dict(below)[1.073741824] == 5
+    sum_s = rises['dipoled_latency_seconds_sum{class="eval_short"}']
+    assert 5 * 4e-6 < sum_s < 5 * next(le for le, count in below if count == 5)
     assert all(later >= 0 for key, later in rises.items() if "_total" in key or "_count" in key)
 
 
@@ -158,8 +171,8 @@ def test_the_same_as_the_statistics(watched):
     }
     for name, metric in by_name.items():
         assert statistics[name] == metrics[f"dipoled_{metric}"] > 0
-    longest = metrics['dipoled_latency_max_seconds{class="eval_long"}']
-    assert abs(longest * 1e6 - statistics["latency_eval_long_max_us"]) <= 0.51
+    longest_s = metrics['dipoled_latency_seconds_sum{class="eval_long"}']
+    assert abs(longest_s * 1e6 - statistics["latency_eval_long_max_us"]) <= 0.51
 
 
 def test_healthz(watched):
@@ -296,3 +309,89 @@ def test_connections_close(watched):
         connection.request("GET", "/healthz")
         assert connection.getresponse().read() == b"ok\n"
     connection.close()
+
+
+# ---- Prometheus itself ---------------------------------------------------------------------------
+
+
+def promtool(*arguments: str, stdin: str = "") -> str:
+    """Runs Debian's promtool, which checks metrics and rules. Returns what it says."""
+    program = shutil.which("promtool") or str(BUILD / "promtool")
+    if not Path(program).exists():
+        pytest.skip("there is no promtool, neither installed nor in the build folder")
+    run = subprocess.run(
+        [program, *arguments], input=stdin, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert run.returncode == 0, run.stdout + run.stderr
+    return run.stdout + run.stderr
+
+
+def test_promtool_has_nothing_to_say(watched):
+    with watched.connect() as connection:
+        ask(connection, EVAL, eval_payload([SKIN], [1.0] * 16))
+    assert promtool("check", "metrics", stdin=fetch(watched, "/metrics")[2]) == ""
+
+
+def test_the_process(watched):
+    before = time.time()
+    metrics = scrape(watched)
+    assert before - 60 < metrics["process_start_time_seconds"] < before
+    assert scrape(watched)["process_start_time_seconds"] == metrics["process_start_time_seconds"]
+    resident = metrics["process_resident_memory_bytes"]
+    assert resident == pytest.approx(watched.resident_bytes(), rel=0.5)
+    assert resident < metrics["process_virtual_memory_bytes"]
+    assert 3 < metrics["process_open_fds"] < metrics["process_max_fds"]
+    assert metrics["process_cpu_seconds_total"] > 0
+    with watched.client() as client:
+        version = client.info.software.split()[1]
+        labels = f'version="{version}",instruction_set="{client.info.instruction_set}"'
+    assert metrics[f"dipoled_build_info{{{labels}}}"] == 1
+
+
+def test_examples_of_alerts(watched):
+    path = REPOSITORY / "clients/deploy/alerts.yml"
+    assert "SUCCESS: 7 rules found" in promtool("check", "rules", str(path))
+    expressions = re.findall(r"(?:dipoled|process)_\w+", path.read_text())
+    names = {re.sub(r"\{.*", "", key) for key in scrape(watched)}
+    assert set(expressions) <= names
+
+
+def test_example_of_a_dashboard(watched):
+    dashboard = json.loads((REPOSITORY / "clients/deploy/dashboard.json").read_text())
+    names = {re.sub(r"\{.*", "", key) for key in scrape(watched)}
+    for panel in dashboard["panels"]:
+        for target in panel["targets"]:
+            used = re.findall(r"(?:dipoled|process)_\w+", target["expr"])
+            assert used and set(used) <= names, target["expr"]
+
+
+# ---- the log -------------------------------------------------------------------------------------
+
+
+def ends(daemon, status: str) -> dict[str, str]:
+    """Waits for the log line of a connection's end with this status."""
+    assert daemon.has_line(f" status={status}", TIMEOUT_S)
+    return next(read_log_line(line) for line in daemon.log if f" status={status}" in line)
+
+
+@pytest.mark.parametrize("scheme", ["tcp", "unix"])
+def test_refusals_and_endings_name_the_peer(daemon, scheme):
+    one = daemon("--max-connections", "1")
+    with one.connect(scheme) as first:
+        assert_serves(first)
+        with one.connect(scheme) as second:
+            second.receive_frame()
+        refused = ends(one, "busy")
+        first.send_bytes(b"nonsense" * 4)
+        ended = ends(one, "bad-magic")
+    assert refused["event"] == "connection-refused" and refused["field"] == "max_connections"
+    assert ended["event"] == "connection-ended"
+    peer = r"127\.0\.0\.1:\d+" if scheme == "tcp" else rf"unix:pid={os.getpid()},uid={os.getuid()}"
+    assert re.fullmatch(peer, refused["peer"]) and re.fullmatch(peer, ended["peer"])
+
+
+def test_empty_fields_are_left_out(watched):
+    with watched.connect() as connection:
+        connection.send_bytes(b"nonsense" * 4)
+        ends(watched, "bad-magic")
+    assert not any(re.search(r"=( |$)", line) for line in watched.log)
