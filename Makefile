@@ -15,7 +15,8 @@
 #   make tradeoff   speed against accuracy, in build/tradeoff, and core/costs.def (minutes)
 #   make tables     core/transport/transport.table, solved anew (two hours; resumes)
 #   make reference  core/transport/reference.csv, R(r) for any g, solved anew (an hour; resumes)
-#   make figures    Figures 1 to 17 of d'Eon 2012, in build/figures (ten minutes; resumes)
+#   make figures    Figures 1 to 17 of d'Eon 2012 and one of tissue, in build/figures (ten minutes;
+#                   resumes), and core/tools/tissue.svg
 #   make install    to $(DESTDIR)$(PREFIX); make uninstall takes it away again
 #   make deb        Debian packages, in build/deb; make check-deb installs them in a new system
 #   make setup      installs the packages of .ci/packages, nothing else
@@ -418,6 +419,7 @@ figures:
 	@sh .ci/install-packages demo figures
 	@$(MAKE) --no-print-directory -j2 $(BUILD)/dipoled
 	DIPOLED=private:$(BUILD)/dipoled $(PYTHON) core/tools/figures.py --output $(BUILD)/figures $(FIGURES_OPTIONS)
+	cp $(BUILD)/figures/tissue.svg core/tools/
 
 docs: $(BUILD)/wire-tables
 	@sh .ci/install-packages docs

@@ -461,7 +461,7 @@ def draw_tissue(path: Path, columns: dict[str, np.ndarray]) -> None:
         "set encoding utf8\nset grid lt 1 lw 0.7 lc rgb '#dddddd'\nset logscale xy\n"
         f"set xrange [{TISSUE_EDGES.start_mm:g}:{TISSUE_EDGES.stop_mm:g}]\n$data << END\n"
         + "".join(" ".join(f"{x:.9g}" for x in row) + "\n" for row in rows)
-        + f"END\nset multiplot title '{title}' font ',17'\nset lmargin at screen 0.11\n"
+        + f"END\nset multiplot title '{title}' font ',17'\nset lmargin at screen 0.13\n"
         "set rmargin at screen 0.97\nset key bottom left Left reverse samplen 3 spacing 1.3\n"
     )
     panels = (

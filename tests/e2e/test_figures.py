@@ -10,6 +10,7 @@ import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_line import dipole, read_csv
 from daemons import BUILD
@@ -80,6 +81,25 @@ def test_only_figures_with_wanted_panels(drawn):
     figures = {f"figure_{n}_{form}.svg" for n in ("07", "13", "17") for form in forms}
     assert pages == figures | {"tissue.svg"}
     assert not list(drawn.rglob("*.part"))
+
+
+def test_tissue(drawn):
+    """Transport agrees with Monte Carlo; its similarity approximation does not."""
+    texts = svg_texts(drawn / "tissue.svg")
+    assert "σa 0.05/mm, σs 10/mm, g 0.9, η 1.4" in texts and "better dipole" in texts
+    rows = rows_of(drawn / "tissue.csv")
+    columns = {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+    error = columns["monte_carlo_error"]
+    good = error < 0.1 * columns["monte_carlo"]
+    assert good.sum() >= 20
+
+    def apart(name: str) -> np.ndarray:
+        return ((columns["monte_carlo"] - columns[name]) / error)[good]
+
+    assert 0.4 < np.mean(apart("transport") ** 2) < 2.2 and np.abs(apart("transport")).max() < 4.5
+    assert all(np.mean(apart(name) ** 2) > 20 for name in ("similarity", "better", "classical"))
+    near = columns["similarity"][0] / columns["transport"][0]
+    assert 3 < near < 3.3
 
 
 def test_tables(drawn):
