@@ -216,8 +216,15 @@ CORE_KERNEL_TABLE_NONE(transport);
 #define RATIO_MOST 100.0
 
 /* For a smaller single-scattering albedo the medium is solved with this one, and the result is
- * scaled: R is then in proportion to the albedo, to that many digits. */
+ * scaled: light that is scattered once is then in proportion to the albedo, and what is scattered
+ * twice in proportion to its square. What is scattered more often does not matter. */
 #define ALBEDO_LEAST 1e-12
+/* For a smaller one, light that was scattered once is most of R near the source, and light that was
+ * scattered twice is most of R far away, since it need not go at an angle under which it can leave.
+ * ln R bends where the two meet: it takes narrower panels, and they are checked between their
+ * nodes. */
+#define ALBEDO_BENDS 0.01
+#define PANEL_WIDTH_BENDS 0.15
 
 core_check_function core_transport_check;
 core_prepare_function core_transport_prepare;
@@ -253,12 +260,15 @@ struct source {
   double kappa;          /* kappa of the medium */
   double solution_kappa; /* kappa of the solution's albedo */
   double extra_kappa; /* kappa of the solution if the solver was given a smaller albedo, else 0 */
+  double share; /* albedo of the medium over that of the solution, if that is larger, else 1 */
+  bool bends;   /* whether ln R may bend within a panel, and the error is measured */
   double ln_first;
   double width; /* width of a panel in ln x */
   size_t panels;
-  double error; /* largest relative error that the solver has estimated so far */
-  bool
-      joined; /* g is not 0: the panels are to be joined, as the table is not smooth at its edges */
+  double error;     /* largest relative error that the solver has estimated so far */
+  double fit_error; /* the same of the series between its nodes, if it is measured */
+  /* g is not 0: the panels are to be joined, as the table is not smooth at its edges */
+  bool joined;
 };
 
 /* Returns the albedo that the solver is called with. The solver's bounds need some decay, so for an
@@ -274,13 +284,37 @@ static double logarithm_at(struct source *source, double y) {
     return transport_series_at(source->series, y);
   }
   const double x = real_exp_signed(y);
-  const transport_number R = transport_at(source->solution, x).R;
+  const transport_values at = transport_at(source->solution, x);
   const double extra = source->extra_kappa * x;
+  const double R =
+      source->share < 1 ? fma(source->share, at.multiple.value, at.single.value) : at.R.value;
+  source->error = fmax(source->error, at.R.error / fmax(R, 1e-300));
   const double more =
       source->difference != NULL ? transport_difference_at(source->difference, y) : 0;
-  source->error = fmax(source->error, R.error / fmax(R.value, 1e-300));
-  return real_log(fmax(x * R.value, 1e-300), 0) + source->solution_kappa * x +
+  return real_log(fmax(x * R, 1e-300), 0) + source->solution_kappa * x +
          (extra - real_log(1 + extra, 0)) + more;
+}
+
+/* Returns a panel's series at s from -1 to 1. */
+static double series_at(const double *series, double s) {
+  double sum = 0, p = 1, before = 0;
+  for (int k = 0; k < TERMS; k++) {
+    sum = fma(series[k], p, sum);
+    const double next = ((2 * k + 1) * s * p - k * before) / (k + 1);
+    before = p;
+    p = next;
+  }
+  return sum;
+}
+
+/* Adds the error of a panel's series to the source's: twice the largest that is seen at its ends,
+ * where such errors are largest, and in its middle. */
+static void measure_panel(struct source *source, double y, const double *series) {
+  for (int i = 0; i <= 2; i++) {
+    const double off =
+        series_at(series, i - 1) - logarithm_at(source, fma(0.5 * i, source->width, y));
+    source->fit_error = fmax(source->fit_error, 2 * fabs(off));
+  }
 }
 
 /* Sets `series` to the Legendre series through the Gauss points of the panel that begins at ln x =
@@ -332,7 +366,11 @@ static void set_series(struct source *source, double *c) {
   c[LN_FIRST] = source->ln_first;
   c[PER_PANEL] = 1 / source->width;
   for (size_t i = 0; i < source->panels; i++) {
-    fit_panel(source, fma((double)i, source->width, source->ln_first), &c[SERIES + i * TERMS]);
+    const double y = fma((double)i, source->width, source->ln_first);
+    fit_panel(source, y, &c[SERIES + i * TERMS]);
+    if (source->bends) {
+      measure_panel(source, y, &c[SERIES + i * TERMS]);
+    }
   }
   if (source->joined) {
     transport_join_panels(source->panels, TERMS, &c[SERIES]);
@@ -344,9 +382,10 @@ static void set_series(struct source *source, double *c) {
   c[FADING] = fades ? more : 0;
 }
 
-/* Divides the range from ln_first to ln_last into equal panels of at most PANEL_WIDTH. */
+/* Divides the range from ln_first to ln_last into equal panels. */
 static void lay_panels(struct source *source, double ln_first, double ln_last) {
-  const double panels = ceil((ln_last - ln_first) / PANEL_WIDTH);
+  const double most = source->bends ? PANEL_WIDTH_BENDS : PANEL_WIDTH;
+  const double panels = ceil((ln_last - ln_first) / most);
   source->ln_first = ln_first;
   source->width = (ln_last - ln_first) / panels;
   source->panels = (size_t)panels;
@@ -424,12 +463,14 @@ static core_fault solve_and_fill(const core_inputs *inputs, double albedo, doubl
                             .joined = difference != NULL,
                             .kappa = difference != NULL && shows ? difference->kappa : kappa,
                             .solution_kappa = kappa,
-                            .extra_kappa = shows ? 0 : transport_kappa(solvable)};
+                            .extra_kappa = shows ? 0 : transport_kappa(solvable),
+                            .share = share,
+                            .bends = difference == NULL && albedo < ALBEDO_BENDS};
     lay_panels(&source, real_log(FIRST, 0), real_log(reach, 0));
     fault = fill(inputs, &source, share, preparation);
     preparation->albedo =
         difference != NULL ? difference->total : transport_total(solution).value * share;
-    preparation->error = fmax(asked, source.error);
+    preparation->error = fmax(asked, source.error + source.fit_error);
   }
   transport_solution_free(solution);
   return fault;

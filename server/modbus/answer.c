@@ -1,9 +1,11 @@
 #include "server/modbus/answer.h"
 
 #include <modbus.h>
+#include <stdio.h>
 #include <string.h>
 
 #include "server/net/worker.h"
+#include "server/observe/log.h"
 
 /* ---- statistics ------------------------------------------------------------------------------ */
 
@@ -217,4 +219,18 @@ size_t modbus_answer_late(const struct modbus_unit *unit, const uint8_t *pdu, si
   struct modbus_request request;
   modbus_pdu_parse(pdu, bytes, &request);
   return put_result(unit, &request, pdu, answer);
+}
+
+void modbus_answer_log(const uint8_t *pdu, size_t bytes, const uint8_t *answer, unsigned number,
+                       const char *key, const char *from) {
+  if (answer[0] < 0x80) { /* no exception */
+    return;
+  }
+  char address[8] = "-"; /* the first register or bit that the request names */
+  if (bytes >= 3 && pdu[0] != MODBUS_FC_READ_DEVICE_ID) {
+    snprintf(address, sizeof address, "%u", (unsigned)pdu[1] << 8 | pdu[2]);
+  }
+  log_peer_line(LOG_LEVEL_INFO,
+                "event=modbus-request-refused function=%u exception=%u address=%s unit=%u %s=%s",
+                pdu[0], answer[1], address, number, key, from);
 }

@@ -19,4 +19,9 @@ size_t modbus_answer(struct modbus_units *units, struct client *client, unsigned
 size_t modbus_answer_late(const struct modbus_unit *unit, const uint8_t *pdu, size_t bytes,
                           uint8_t answer[MODBUS_PDU_MAX]);
 
+/* Logs a request that was refused. Does nothing unless the answer is an exception. number: of the
+ * unit, as in the request. key, from: who has asked, as "peer" and its address. */
+void modbus_answer_log(const uint8_t *pdu, size_t bytes, const uint8_t *answer, unsigned number,
+                       const char *key, const char *from);
+
 #endif

@@ -44,6 +44,15 @@ static void log_closed(const struct modbus_connection *c, const char *reason) {
                 LOG_FIELD(" peer=", peer));
 }
 
+static void log_refusal(const struct modbus_connection *c, const uint8_t *frame, size_t bytes) {
+  const uint8_t *answer = c->unsent + HEADER_BYTES;
+  if (answer[0] >= 0x80) { /* tcp_peer() takes a system call */
+    char peer[TCP_TEXT_BYTES];
+    tcp_peer(c->fd, peer);
+    modbus_answer_log(frame + HEADER_BYTES, bytes - HEADER_BYTES, answer, frame[6], "peer", peer);
+  }
+}
+
 /* ---- ending ---------------------------------------------------------------------------------- */
 
 static void on_closed(uv_handle_t *handle) {
@@ -151,6 +160,7 @@ static void answer_frame(struct modbus_connection *c, const uint8_t *frame, size
       modbus_answer(c->units, &c->client, unit_of(frame[6]), frame + HEADER_BYTES,
                     bytes - HEADER_BYTES, c->unsent + HEADER_BYTES, &unit);
   if (answered > 0) {
+    log_refusal(c, frame, bytes);
     send_answer(c, answered);
   } else {
     c->waits_for = unit;

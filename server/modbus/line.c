@@ -210,6 +210,8 @@ static void answer(struct modbus_line *line) {
   const size_t answered = modbus_answer(line->units, &line->client, line->device.number, pdu,
                                         request_pdu_bytes(line), line->output + 1, &unit);
   if (answered > 0) {
+    modbus_answer_log(pdu, request_pdu_bytes(line), line->output + 1, line->burst.request[0],
+                      "device", line->device.path);
     finish_request(line, answered);
   } else {
     line->waits_for = unit;

@@ -60,6 +60,10 @@ void modbus_task_refresh(struct modbus_task *task) {
   }
 }
 
+void modbus_task_name(struct modbus_task *task) {
+  task->named_ms = now_ms(task->queue);
+}
+
 /* ---- states ---------------------------------------------------------------------------------- */
 
 static void enter(struct modbus_task *task, enum modbus_task_state state) {
@@ -137,6 +141,11 @@ static void fail_job(struct modbus_task *task, const wire_error *error) {
 
 /* ---- committing and cancelling --------------------------------------------------------------- */
 
+/* Returns when a detached job ends if no request names the unit until then. */
+static uint64_t abandoned_ms(const struct modbus_task *task) {
+  return task->named_ms + task->queue->server->options.modbus_idle_timeout_ms;
+}
+
 static void set_deadline(struct modbus_task *task) {
   const registers_job *fields = fields_of(task);
   struct worker *worker = task->queue->client->worker;
@@ -145,6 +154,9 @@ static void set_deadline(struct modbus_task *task) {
   task->deadline_ms = limit_ms > 0 ? worker_round_ns(worker) / 1000000 + (uint64_t)limit_ms : 0;
   if (task->deadline_ms > 0) {
     worker_wake_at(worker, task->deadline_ms);
+  }
+  if (task->detached != NULL) {
+    worker_wake_at(worker, abandoned_ms(task));
   }
 }
 
@@ -223,6 +235,18 @@ static bool expire(struct modbus_task *task) {
   return true;
 }
 
+/* Cancels a detached job that no master asks for any more, because it keeps its place from others. */
+static void abandon(struct modbus_task *task) {
+  if (task->detached == NULL || task->cancelled) {
+    return;
+  }
+  if (now_ms(task->queue) >= abandoned_ms(task)) {
+    modbus_task_cancel(task);
+  } else {
+    worker_wake_at(task->queue->client->worker, abandoned_ms(task));
+  }
+}
+
 void modbus_queue_run(struct modbus_queue *queue) {
   uint64_t budget = JOB_SLICE_RADII;
   struct modbus_task *task;
@@ -265,6 +289,7 @@ void modbus_queue_expire(struct modbus_queue *queue) {
     for (struct modbus_task *task = TAILQ_FIRST(&queue->tasks[states[i]]); task != NULL;
          task = next) {
       next = TAILQ_NEXT(task, in_queue);
+      abandon(task);
       if (!expire(task) && task->deadline_ms != 0) {
         worker_wake_at(queue->client->worker, task->deadline_ms);
       }

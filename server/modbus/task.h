@@ -36,6 +36,7 @@ struct modbus_task {
   uint16_t token;                    /* the value of `commit` that has started the job */
   bool cancelled;                    /* whether the job ends early with its results so far */
   uint64_t deadline_ms;              /* of the job, on the loop's clock; 0: there is none */
+  uint64_t named_ms;                 /* when a request last named the unit, on the loop's clock */
   uint64_t owed_radii;               /* owed_radii of the job when it started */
   struct job *job;                   /* the job, in the slot or detached */
   struct job *detached;
@@ -63,7 +64,8 @@ void modbus_queue_run(struct modbus_queue *queue);
  * task. */
 struct modbus_task *modbus_queue_finish(struct modbus_queue *queue);
 
-/* Ends the jobs whose deadline has passed. */
+/* Ends the jobs whose deadline has passed, and the detached ones whose unit no request has named
+ * for too long. */
 void modbus_queue_expire(struct modbus_queue *queue);
 
 /* Moves the jobs that `from` has committed, when `from` ends: they go on in the turns of `to`. */
@@ -87,6 +89,9 @@ void modbus_task_fail(struct modbus_task *task, const wire_error *error, unsigne
 
 /* Ends the running job, if any: at once, or soon with its results so far if it is Monte Carlo. */
 void modbus_task_cancel(struct modbus_task *task);
+
+/* Notes that a request has named the unit. */
+void modbus_task_name(struct modbus_task *task);
 
 /* Writes progress and place of the running job into the registers. */
 void modbus_task_refresh(struct modbus_task *task);

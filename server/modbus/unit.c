@@ -231,6 +231,9 @@ struct modbus_unit *modbus_units_get(struct modbus_units *units, unsigned number
     batch_finish(&worker_context(units->client.worker)->batch, &units->server->stats);
     finish(&units->client);
   }
+  for (unsigned kind = 0; kind < REGISTERS_JOBS; kind++) {
+    modbus_task_name(&unit->tasks[kind]);
+  }
   return unit;
 }
 

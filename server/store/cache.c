@@ -399,7 +399,7 @@ static enum cache_answer look(struct cache *cache, const struct cache_key *key, 
                               struct cache_waiter *waiter, struct cache_entry **found) {
   struct cache_entry *entry = find(cache, key);
   const bool new = entry == NULL;
-  if ((new ? slow : !entry->begun) && owner->count >= cache->max_waiting) {
+  if ((new ? slow : !entry->begun) && !waiter->admitted && owner->count >= cache->max_waiting) {
     return CACHE_BUSY;
   }
   if (new) {

@@ -86,8 +86,9 @@ struct cache_queue {
 };
 
 /* A waiter: waits for one entry on behalf of a job. `entry` is NULL while there is none, and the
- * other members then have no meaning. */
+ * other members except `admitted` then have no meaning. */
 struct cache_waiter {
+  bool admitted; /* the job has had a profile before: max_waiting does not stop it halfway */
   struct cache_entry *entry;
   struct cache_queue *queue;
   struct cache_owner *owner; /* the owner whose queue it is in; NULL: the preparation has begun */
@@ -96,8 +97,9 @@ struct cache_waiter {
   LIST_ENTRY(cache_waiter) in_list;
 };
 
-/* Makes a cache that keeps at most limit_bytes of prepared profiles. At most max_waiting waiters of
- * one owner can wait for preparations that have not begun. Returns NULL if there is no memory. */
+/* Makes a cache that keeps at most limit_bytes of prepared profiles. A waiter that is
+ * not admitted yet is refused if its owner has max_waiting waiters for preparations that have not
+ * begun. Returns NULL if there is no memory. */
 struct cache *cache_new(const core_isa *isa, uint64_t limit_bytes, uint64_t max_waiting,
                         struct stats *stats);
 
@@ -109,7 +111,7 @@ enum cache_answer {
   CACHE_NEW,  /* the profile is fast to prepare: the caller calls cache_prepare(*entry) at once */
   CACHE_AWAITED, /* the waiter waits; the caller calls cache_prepare_in_pool() */
   CACHE_NO_MEMORY,
-  CACHE_BUSY, /* the owner has max_waiting waiters already */
+  CACHE_BUSY, /* the owner has max_waiting waiters already, and this one is not admitted */
 };
 
 /* Looks a profile up. After KEPT and NEW, *entry is a reference that the caller releases. After

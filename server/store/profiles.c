@@ -214,6 +214,7 @@ enum profiles_answer profiles_get(struct profiles *profiles, struct profiles_loo
   cache_key_set_medium(&lookup->key, medium);
   const enum profiles_answer answer = get(profiles, lookup);
   lookup->ready = answer == PROFILES_READY;
+  lookup->waiter.admitted |= answer != PROFILES_FAULT;
   if (lookup->ready) {
     core_profile_set_angles(&lookup->profile, &lookup->parameters);
   }

@@ -112,3 +112,70 @@ UNIT_TEST(extended_without_absorption_goes_on_falling) {
   }
   core_profile_free(&profile);
 }
+
+/* ---- transport of nearly no scattering ----------------------------------------------------- */
+
+enum { FEW_RADII = 6 };
+
+/* For a medium's transport: R at some radii over that of single scattering, less 1. This is the part
+ * that was scattered more often. */
+struct few_scattered {
+  double r[FEW_RADII], more_often[FEW_RADII], stated;
+};
+
+static struct few_scattered few_scattered(const core_medium *medium) {
+  struct few_scattered few;
+  core_profile transport = prepared(CORE_MODEL_TRANSPORT, *medium, (double)NAN);
+  core_profile single = prepared(CORE_MODEL_SINGLE, *medium, (double)NAN);
+  for (int i = 0; i < FEW_RADII; i++) {
+    few.r[i] = 0.01 * pow(2500, i / (FEW_RADII - 1.0));
+    few.more_often[i] = value_of(&transport, CORE_QUANTITY_R, few.r[i]) /
+                            value_of(&single, CORE_QUANTITY_R, few.r[i]) -
+                        1;
+  }
+  few.stated = transport.numerical_error;
+  assert_near(transport.albedo, single.albedo, 1e-10, "albedo", 0);
+  core_profile_free(&transport);
+  core_profile_free(&single);
+  return few;
+}
+
+/* Below an albedo of 1e-12 the solver solves another medium: what was scattered once is in proportion
+ * to the albedo, and what was scattered twice to its square. */
+UNIT_TEST(transport_of_nearly_no_scattering) {
+  static const double etas[] = {0.8, 2}, albedos[] = {1e-13, 1e-31};
+  for (size_t n = 0; n < 4; n++) {
+    const double albedo = albedos[n % 2], eta = etas[n / 2], share = albedo / 1e-12;
+    const struct few_scattered solved = few_scattered(&(core_medium){1, 1e-12, 0, eta});
+    const struct few_scattered scaled = few_scattered(&(core_medium){1, albedo, 0, eta});
+    for (int i = 0; i < FEW_RADII; i++) {
+      const double expected = solved.more_often[i] * share;
+      const double allowed =
+          scaled.stated * (1 + expected) + solved.stated * share * (1 + solved.more_often[i]);
+      if (!(fabs(scaled.more_often[i] - expected) <= allowed)) {
+        fail_msg("albedo %g, eta %g, r %g: %g of it was scattered more often, not %g", albedo, eta,
+                 solved.r[i], scaled.more_often[i], expected);
+      }
+    }
+  }
+}
+
+/* ln R bends where light that was scattered twice becomes more than what was scattered once. */
+UNIT_TEST(transport_of_little_scattering_is_right_where_it_bends) {
+  static const double albedos[] = {1e-6, 1e-8};
+  transport_boundary *boundary;
+  unit_assert_fault(transport_boundary_create(&boundary, 1.5, 1e-6), NULL, 0);
+  for (size_t a = 0; a < sizeof albedos / sizeof albedos[0]; a++) {
+    const core_medium medium = {1 - albedos[a], albedos[a], 0, 1.5};
+    core_profile profile = prepared(CORE_MODEL_TRANSPORT, medium, (double)NAN);
+    transport_solution *solution;
+    unit_assert_fault(transport_solve(&solution, boundary, albedos[a]), NULL, 0);
+    for (double r = 3; r < 20; r *= 1.1) {
+      assert_near(value_of(&profile, CORE_QUANTITY_R, r), transport_at(solution, r).R.value,
+                  profile.numerical_error, "R of transport", r);
+    }
+    transport_solution_free(solution);
+    core_profile_free(&profile);
+  }
+  transport_boundary_free(boundary);
+}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import time
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from dipole import Draw, Grid, Refused
 from lists import EVALUATORS, MODELS, MOMENTS, choices, needs
 from modbus_master import (
     AT, BAD_ADDRESS, BAD_VALUE, BLOCKS, BUSY, DONE, ERROR, IS_BUSY, MIRROR, TCP, WRITE_REGISTER,
-    Tcp, as_doubles, as_floats, as_words, exception, floats, input_block, swapped, words,
+    Exception_, Tcp, as_doubles, as_floats, as_words, exception, floats, input_block, swapped, words,
     write_read_pdu,
 )
 
@@ -837,6 +838,49 @@ def test_a_job_goes_on_when_its_master_leaves(daemon, kind):
         else:
             progress = numbers(master, f"{kind}_PROGRESS", 1)[0]
             assert eventually(lambda: numbers(master, f"{kind}_PROGRESS", 1)[0] > progress, 60)
+
+
+def test_an_mc_ends_when_no_request_names_its_unit(daemon):
+    """It keeps its place while a master asks for its progress, and ends with its results so far when
+    none has for the idle timeout."""
+    one = daemon(*TCP, "--max-mc-jobs", "1", "--modbus-idle-timeout-ms", "1000")
+    with Tcp(one) as master:
+        commit_slow(master, "MC")
+        begun = time.monotonic()
+        while time.monotonic() < begun + 2.5:
+            assert head(master, "MC").status == IS_BUSY
+        commit_slow(master, "INVERT")  # jobs that keep no place from others go on
+    with one.client() as client:
+        medium = (0.1, 0.9, 0.0, 1.3)
+        assert eventually(lambda: client.statistics()["mc_jobs_open"] == 0, 20)
+        client.mc(medium, Grid(0.0, 1.0, 3), photons=1)
+    with Tcp(one) as master:
+        assert ended(master, "MC").status == CANCELLED
+        assert numbers(master, "MC_PHOTONS_WALKED", 1)[0] > 0
+        assert head(master, "INVERT").status == IS_BUSY
+
+
+def test_a_job_is_not_refused_halfway(daemon):
+    """An invert that needs its next profile gets it, though its master's waiting places are taken by
+    then, as the turn is another master's. A job that begins is refused."""
+    one = daemon(*TCP, "--max-waiting-profiles", "1")
+    refusals = 0
+    with Tcp(one) as master, Tcp(one) as other:
+        commit_slow(master, "INVERT")
+        for number in range(2, 400):
+            for who, first in ((other, 100), (master, 2)):
+                unit = first + number % 8
+                try:
+                    who.write(100, input_block(1, slow_medium(number + first), [1.0], **SLOW), unit)
+                except Exception_ as refused:
+                    assert refused.code == BUSY
+                    refusals += 1
+            assert head(master, "INVERT")[:3] == (IS_BUSY, 0, 0)
+            if refusals > 20 and numbers(master, "INVERT_PROGRESS", 1)[0] > 0:
+                break
+        assert refusals > 20
+        progress = numbers(master, "INVERT_PROGRESS", 1)[0]
+        assert eventually(lambda: numbers(master, "INVERT_PROGRESS", 1)[0] > progress, 60)
 
 
 def test_stopping_while_jobs_of_all_kinds_run(daemon):

@@ -15,7 +15,7 @@ import pytest
 from daemons import eventually, run
 from frames import assert_serves
 from modbus_master import (
-    AT, BAD_FUNCTION, READ_HOLDING, TCP, Exception_, Lost, Tcp, as_words, exception, floats,
+    AT, BAD_ADDRESS, BAD_FUNCTION, BAD_VALUE, READ_HOLDING, TCP, Exception_, Lost, Tcp, as_words, exception, floats,
     input_block, words,
 )
 
@@ -235,6 +235,24 @@ def test_who_is_not(daemon, network):
     assert one.has_line(f"event=modbus-refused reason=not-allowed peer={peer}", 5)
     with one.connect() as connection:
         assert_serves(connection)
+
+
+def test_a_refused_request_is_in_the_log(daemon):
+    """With what it asked for, its unit and its peer. The log names no request that is carried out."""
+    one = daemon(*TCP)
+    with Tcp(one) as master:
+        peer = master.own_address()
+        master.write(AT["SIGMA_S"], floats(1.0), 9)
+        for at, pdu, code in [
+            (AT["SIGMA_S"], struct.pack(">BHHBf", 16, AT["SIGMA_S"], 2, 4, -1.0), BAD_VALUE),
+            (60000, struct.pack(">BHH", 3, 60000, 1), BAD_ADDRESS),
+            ("-", b"\x18", 1),
+        ]:
+            with exception(code):
+                master.ask(pdu, 9)
+            asked = f"function={pdu[0]} exception={code} address={at} unit=9 peer={peer}"
+            assert one.has_line(f"event=modbus-request-refused {asked}", 5)
+    assert sum("event=modbus-request-refused" in line for line in one.log) == 3
 
 
 def test_a_list_of_networks(daemon):

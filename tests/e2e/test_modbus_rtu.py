@@ -136,6 +136,16 @@ def test_requests_for_others_are_not_answered(start):
         assert master.read(0, 1, 7) == b"\0\0"  # The next request is answered, too.
 
 
+def test_a_refused_request_is_in_the_log(start):
+    """With the device that it came from."""
+    master, one = start()
+    with exception(2):
+        master.read(60000, 1, 7)
+    device = one.url("modbus-rtu").removeprefix("modbus-rtu:").split(",")[0]
+    asked = f"function=3 exception=2 address=60000 unit=7 device={device}"
+    assert one.has_line(f"event=modbus-request-refused {asked}", 5)
+
+
 def test_behind_the_traffic_of_others(start):
     """A request is found behind the traffic of other devices, when an adapter delivers all in one
     piece."""
