@@ -44,12 +44,12 @@ def check_numbers(shared, output: str) -> None:
 
 
 def test_a_fit_of_six_readings(shared, tmp_path):
-    """The readings are those of sigma_a 0.05 and sigma_s 1.2, with errors of 2 %."""
+    """The readings are those of sigma_a 0.05 and sigma_s 12, with errors of 2 %."""
     result = run_example(shared, tmp_path, name="fit")
     assert result.returncode == 0, result.stderr
     found = re.findall(r"(\w+) ([\d.]+) 1/mm, \+- ([\d.]+)%", result.stdout)
     assert [name for name, _, _ in found] == ["sigma_a", "sigma_s"]
-    for (_, value, error), true in zip(found, (0.05, 1.2)):
+    for (_, value, error), true in zip(found, (0.05, 12)):
         assert 0.5 < float(error) < 3
         assert abs(float(value) / true - 1) < 3 * float(error) / 100
     assert float(re.search(r"chi squared ([\d.]+)", result.stdout)[1]) < 13.3  # 99 % for 4

@@ -14,12 +14,12 @@ at its first guess and report success; diff_step=1e-3 gives it the step that is 
 import dipole
 import numpy as np
 
-G, ETA = 0.0, 1.4  # known beforehand
+G, ETA = 0.9, 1.4  # known beforehand
 STEP = 1e-3  # of the logarithms of sigma_a and sigma_s
 NOISE = 0.02  # relative standard error of a reading
 
 r = np.array([0.5, 1.0, 1.5, 2.0, 3.0, 4.0])
-readings = np.array([0.0487, 0.0185, 0.00967, 0.00553, 0.00234, 0.00104])  # 1/mm^2
+readings = np.array([0.0427, 0.0210, 0.0117, 0.00672, 0.00276, 0.00119])  # 1/mm^2
 
 
 def ln_R(client: dipole.Client, logarithms: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
@@ -32,7 +32,7 @@ def ln_R(client: dipole.Client, logarithms: np.ndarray) -> np.ndarray:  # type: 
 
 
 with dipole.Client() as client:
-    x = np.log([0.1, 1.0])  # the first guess
+    x = np.log([0.1, 10.0])  # the first guess
     damping = 1e-2
     misfit = (ln_R(client, x)[0] - np.log(readings)) / NOISE
     for _ in range(50):  # Levenberg 1944, Marquardt 1963
