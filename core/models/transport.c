@@ -215,6 +215,9 @@ CORE_KERNEL_TABLE_NONE(transport);
 /* Up to this sigma_a / sigma_s' an albedo is inverted if g is not 0, as the table ends there. */
 #define RATIO_MOST 100.0
 
+/* The error of dR/dr from the table of solutions is up to 20 times that of R (`make truth`). */
+#define TABLE_SLOPE 32.0
+
 /* For a smaller single-scattering albedo the medium is solved with this one, and the result is
  * scaled: light that is scattered once is then in proportion to the albedo, and what is scattered
  * twice in proportion to its square. What is scattered more often does not matter. */
@@ -547,7 +550,7 @@ static core_fault look_up(const core_inputs *inputs, double albedo, double g,
   struct source source = {.series = &series, .kappa = series.kappa, .joined = g < 0 || g > 0};
   lay_panels(&source, series.edge[0], series.edge[TRANSPORT_TABLE_PANELS]);
   preparation->albedo = series.total;
-  preparation->error = isotropic_error(table);
+  preparation->error = isotropic_error(table) * (inputs->tabulated > 0 ? 1 : TABLE_SLOPE);
   return fill(inputs, &source, 1, preparation);
 }
 
@@ -566,8 +569,8 @@ static core_fault prepare_anisotropic(const core_inputs *inputs, double albedo, 
 /* Returns the table of solutions if it covers this medium with isotropic scattering and is as
  * accurate as inputs->tabulated or a tolerance that was given asks, else NULL. */
 static const transport_table *table_for(const core_inputs *inputs, double albedo) {
-  const double accepted =
-      fmax(inputs->tabulated, core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, 0));
+  const double given = core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, 0) / TABLE_SLOPE;
+  const double accepted = fmax(inputs->tabulated, given);
   const transport_table *table = transport_table_shipped();
   const bool serves = table != NULL &&
                       transport_table_covers(table, albedo, 0, inputs->medium->eta) &&
