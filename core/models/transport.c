@@ -395,7 +395,7 @@ static void lay_panels(struct source *source, double ln_first, double ln_last) {
 }
 
 /* Makes the table of a profile that scatters, `share` times the source, and adds it to the
- * preparation. */
+ * preparation, whose albedo has been set. */
 static core_fault fill(const core_inputs *inputs, struct source *source, double share,
                        core_preparation *preparation) {
   const double sigma_t_prime = core_sigma_t_prime(inputs->medium);
@@ -418,7 +418,8 @@ static core_fault fill(const core_inputs *inputs, struct source *source, double 
       core_isa_kernels(inputs->isa, CORE_MODEL_TRANSPORT)->f64->evaluate[CORE_ELEMENTWISE_RING];
   const double energy =
       core_energy_build(ring, c, first * mfp_mm, energy_last * mfp_mm, &c[before_energy]);
-  c[PDF_SCALE] = c[RING_SCALE] / energy;
+  /* If g is not 0, the albedo is more exact than the energy of the series. */
+  c[PDF_SCALE] = c[RING_SCALE] / (source->joined ? preparation->albedo : energy);
   preparation->table = c;
   return (core_fault){0};
 }
@@ -470,9 +471,9 @@ static core_fault solve_and_fill(const core_inputs *inputs, double albedo, doubl
                             .share = share,
                             .bends = difference == NULL && albedo < ALBEDO_BENDS};
     lay_panels(&source, real_log(FIRST, 0), real_log(reach, 0));
-    fault = fill(inputs, &source, share, preparation);
     preparation->albedo =
         difference != NULL ? difference->total : transport_total(solution).value * share;
+    fault = fill(inputs, &source, share, preparation);
     preparation->error = fmax(asked, source.error + source.fit_error);
   }
   transport_solution_free(solution);
@@ -550,7 +551,8 @@ static core_fault look_up(const core_inputs *inputs, double albedo, double g,
   struct source source = {.series = &series, .kappa = series.kappa, .joined = g < 0 || g > 0};
   lay_panels(&source, series.edge[0], series.edge[TRANSPORT_TABLE_PANELS]);
   preparation->albedo = series.total;
-  preparation->error = isotropic_error(table) * (inputs->tabulated > 0 ? 1 : TABLE_SLOPE);
+  const bool as_R = source.joined || inputs->tabulated > 0;
+  preparation->error = isotropic_error(table) * (as_R ? 1 : TABLE_SLOPE);
   return fill(inputs, &source, 1, preparation);
 }
 
