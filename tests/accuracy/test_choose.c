@@ -11,7 +11,15 @@
 
 /* ---- promises against transport -------------------------------------------------------------- */
 
-enum { ETAS = 8, MEDIA_AN_ETA = 10, REQUESTS_A_MEDIUM = 25, RADII = 200, PROFILES_MAX = 1000 };
+/* Preparing for a medium takes most of the time. So the media are few and evenly spread over eta and
+ * the ratio of sigma_a to sigma_s, which leaves smaller gaps than twice as many random ones would,
+ * and each gets many requests. */
+enum { ETAS = 12, MEDIA_AN_ETA = 3, REQUESTS_A_MEDIUM = 60, RADII = 200, PROFILES_MAX = 1000 };
+
+/* The quantities that depend on the radius. */
+static const unsigned quantities[] = {CORE_QUANTITY_R, CORE_QUANTITY_RING, CORE_QUANTITY_PDF,
+                                      CORE_QUANTITY_LN_R};
+enum { QUANTITIES = sizeof quantities / sizeof quantities[0] };
 
 #define KEPT_SHARE 0.995
 #define MISSED_BY_AT_MOST 2.0
@@ -21,6 +29,14 @@ enum { ETAS = 8, MEDIA_AN_ETA = 10, REQUESTS_A_MEDIUM = 25, RADII = 200, PROFILE
 #define OTHER_CHOICES 60
 #define OTHER_PROMISES 2000
 
+/* A profile, and its values at all radii of the medium as far as they have been needed. */
+struct candidate {
+  core_profile profile;
+  double tolerance; /* that it was prepared to, NAN for the default */
+  unsigned known;   /* bits of quantities */
+  double value[QUANTITIES][RADII];
+};
+
 /* A medium, what transport says of it, and the profiles that it has been asked for. */
 struct truth {
   core_medium medium;
@@ -28,9 +44,8 @@ struct truth {
   double r[RADII];
   double R[RADII];
   double albedo;
-  core_profile profiles[PROFILES_MAX];
-  double tolerances[PROFILES_MAX]; /* that they were prepared with */
-  size_t profile_count;
+  struct candidate candidates[PROFILES_MAX];
+  size_t candidate_count;
 };
 
 static int compare(const void *a, const void *b) {
@@ -45,10 +60,8 @@ static double draw_mfp(bool logarithmic, uint64_t *random) {
 }
 
 /* sigma_t' over four decades; the radii are exact in both precisions. */
-static void draw_truth(struct truth *truth, transport_boundary *boundary, double eta, bool little,
+static void draw_truth(struct truth *truth, transport_boundary *boundary, double eta, double ratio,
                        uint64_t *random) {
-  const double ratio =
-      little ? unit_random_log(random, 1e-7, 1e-4) : unit_random_log(random, 1e-4, 10);
   const double scale = unit_random_log(random, 1e-2, 1e2);
   transport_solution *solution;
   *truth = (struct truth){
@@ -75,59 +88,72 @@ static bool are_same(double a, double b) {
 }
 
 /* Profiles are kept: transport takes its time. */
-static const core_profile *profile_of(struct truth *truth, const core_candidate *candidate) {
+static struct candidate *candidate_of(struct truth *truth, const core_candidate *wanted) {
   core_parameters parameters = core_parameters_none();
-  parameters.value[CORE_PARAMETER_TOLERANCE] = candidate->numerical_tolerance;
-  for (size_t i = 0; i < truth->profile_count; i++) {
-    const core_profile *kept = &truth->profiles[i];
-    if (kept->model == candidate->model && kept->evaluator == candidate->evaluator &&
-        are_same(truth->tolerances[i], candidate->numerical_tolerance)) {
+  parameters.value[CORE_PARAMETER_TOLERANCE] = wanted->numerical_tolerance;
+  for (size_t i = 0; i < truth->candidate_count; i++) {
+    struct candidate *kept = &truth->candidates[i];
+    if (kept->profile.model == wanted->model && kept->profile.evaluator == wanted->evaluator &&
+        are_same(kept->tolerance, wanted->numerical_tolerance)) {
       return kept;
     }
   }
-  assert_true(truth->profile_count < PROFILES_MAX);
-  truth->tolerances[truth->profile_count] = candidate->numerical_tolerance;
-  core_profile *profile = &truth->profiles[truth->profile_count++];
-  unit_assert_fault(core_profile_prepare(profile, core_isa_select(NULL), candidate->model,
-                                         CORE_MOMENTS_EXACT, candidate->evaluator, &truth->medium,
+  assert_true(truth->candidate_count < PROFILES_MAX);
+  struct candidate *made = &truth->candidates[truth->candidate_count++];
+  made->known = 0;
+  made->tolerance = wanted->numerical_tolerance;
+  unit_assert_fault(core_profile_prepare(&made->profile, core_isa_select(NULL), wanted->model,
+                                         CORE_MOMENTS_EXACT, wanted->evaluator, &truth->medium,
                                          &parameters),
                     NULL, 0);
-  return profile;
+  return made;
 }
 
-static double value_at(const core_profile *profile, enum core_quantity quantity, double r) {
-  if (profile->evaluator == CORE_EVALUATOR_F64) {
-    double out;
-    core_eval_f64(profile, quantity, 1, &r, &out);
-    return out;
+/* The values of a quantity at all radii. */
+static const double *values_of(struct candidate *of, const struct truth *truth, size_t quantity) {
+  const core_profile *profile = &of->profile;
+  const unsigned bit = quantities[quantity];
+  double *value = of->value[quantity];
+  if ((of->known & bit) == 0 && profile->evaluator == CORE_EVALUATOR_F64) {
+    core_eval_f64(profile, bit, RADII, truth->r, value);
+  } else if ((of->known & bit) == 0) {
+    float single[RADII], out[RADII];
+    for (size_t i = 0; i < RADII; i++) {
+      single[i] = (float)truth->r[i];
+    }
+    core_eval_f32(profile, bit, RADII, single, out);
+    for (size_t i = 0; i < RADII; i++) {
+      value[i] = (double)out[i];
+    }
   }
-  const float single = (float)r;
-  float out;
-  core_eval_f32(profile, quantity, 1, &single, &out);
-  return (double)out;
+  of->known |= bit;
+  return value;
+}
+
+/* The deviation of one quantity from transport at radius i. */
+static double deviation_at(const struct truth *truth, unsigned quantity, size_t i, double value) {
+  const double r = truth->r[i], R = truth->R[i];
+  switch (quantity) {
+  case CORE_QUANTITY_R:
+    return fabs(value / R - 1);
+  case CORE_QUANTITY_RING:
+    return fabs(value / (2 * PI * r * R) - 1);
+  case CORE_QUANTITY_PDF:
+    return fabs(value / (2 * PI * r * R / truth->albedo) - 1);
+  default:
+    return fabs(value - log(R));
+  }
 }
 
 /* How far the wanted quantities are off from transport at radii[first..last]. */
-static double deviation(const core_profile *profile, const struct truth *truth, unsigned wanted,
+static double deviation(struct candidate *of, const struct truth *truth, unsigned wanted,
                         size_t first, size_t last) {
   double worst =
-      (wanted & CORE_QUANTITY_ALBEDO) != 0 ? fabs(profile->albedo / truth->albedo - 1) : 0;
-  for (size_t i = first; i <= last; i++) {
-    const double r = truth->r[i], R = truth->R[i];
-    const struct {
-      enum core_quantity quantity;
-      double value;
-    } truths[] = {{CORE_QUANTITY_R, R},
-                  {CORE_QUANTITY_RING, 2 * PI * r * R},
-                  {CORE_QUANTITY_PDF, 2 * PI * r * R / truth->albedo}};
-    for (size_t k = 0; k < sizeof truths / sizeof truths[0]; k++) {
-      if ((wanted & truths[k].quantity) != 0) {
-        const double value = value_at(profile, truths[k].quantity, r);
-        worst = fmax(worst, fabs(value / truths[k].value - 1));
-      }
-    }
-    if ((wanted & CORE_QUANTITY_LN_R) != 0) {
-      worst = fmax(worst, fabs(value_at(profile, CORE_QUANTITY_LN_R, r) - log(R)));
+      (wanted & CORE_QUANTITY_ALBEDO) != 0 ? fabs(of->profile.albedo / truth->albedo - 1) : 0;
+  for (size_t q = 0; q < QUANTITIES; q++) {
+    const double *value = (wanted & quantities[q]) != 0 ? values_of(of, truth, q) : NULL;
+    for (size_t i = first; i <= last && value != NULL; i++) {
+      worst = fmax(worst, deviation_at(truth, quantities[q], i, value[i]));
     }
   }
   return worst;
@@ -186,8 +212,8 @@ static void ask(struct truth *truth, struct tally *chosen, struct tally *all, ui
   };
   const size_t candidate_count = core_choose(&request, candidates);
   for (size_t i = 0; i < candidate_count && candidates[i].meets; i++) {
-    const core_profile *profile = profile_of(truth, &candidates[i]);
-    const double off = deviation(profile, truth, request.wanted, first, last);
+    const double off =
+        deviation(candidate_of(truth, &candidates[i]), truth, request.wanted, first, last);
     count(all, &candidates[i], off, request.tolerance);
     if (i == 0) {
       count(chosen, &candidates[i], off, request.tolerance);
@@ -213,6 +239,12 @@ static void report(const struct tally *tally, const char *what) {
   assert_true(tally->most <= MISSED_BY_AT_MOST);
 }
 
+/* The fraction of the golden section's multiple: evenly spread for any number of them. */
+static double spread(size_t i) {
+  const double multiple = (double)i * 0.6180339887498949;
+  return multiple - floor(multiple);
+}
+
 /* Of the choices, and of all candidates that say that they would meet the tolerance. */
 UNIT_TEST(promises_are_kept) {
   static struct truth truth;
@@ -220,15 +252,18 @@ UNIT_TEST(promises_are_kept) {
   uint64_t random = unit_seed();
   for (size_t e = 0; e < ETAS; e++) {
     transport_boundary *boundary;
-    const double eta = unit_random_between(&random, 1, 2);
+    const double eta = 1 + ((double)e + unit_random_between(&random, 0, 1)) / ETAS;
     unit_assert_fault(transport_boundary_create(&boundary, eta, 1e-6), NULL, 0);
     for (size_t m = 0; m < MEDIA_AN_ETA; m++) {
-      draw_truth(&truth, boundary, eta, m == 0, &random);
+      /* from 1e-4 to 10, and for each fourth eta down to 1e-7 once */
+      const double ratio = m == 0 && e % 4 == 0 ? 1e-7 * pow(1e3, spread(e))
+                                                : 1e-4 * pow(1e5, spread(e * MEDIA_AN_ETA + m));
+      draw_truth(&truth, boundary, eta, ratio, &random);
       for (size_t i = 0; i < REQUESTS_A_MEDIUM; i++) {
         ask(&truth, &chosen, &all, &random);
       }
-      for (size_t i = 0; i < truth.profile_count; i++) {
-        core_profile_free(&truth.profiles[i]);
+      for (size_t i = 0; i < truth.candidate_count; i++) {
+        core_profile_free(&truth.candidates[i].profile);
       }
     }
     transport_boundary_free(boundary);
