@@ -77,6 +77,8 @@ enum { MEDIA = sizeof media / sizeof media[0] };
 typedef struct kernel_pair {
   core_profile portable;
   core_profile other;
+  size_t medium;    /* its position in the list of media */
+  bool is_portable; /* whether the portable kernels are compared with themselves */
   operation todo;
 } kernel_pair;
 
@@ -122,15 +124,30 @@ static void with_every_operation(kernel_pair *pair, pair_test *test, uint64_t *r
 
 enum { COSTLY_MEDIA = 2 };
 
+/* A sum counts as costly, because its parts' kernels are compared with their own models. */
 static bool is_costly(const core_profile *profile) {
-  return profile->cost > 2;
+  return profile->cost > 2 || profile->parts != NULL;
 }
 
-/* Returns the step between the lengths and places that are tried. It is larger for expensive
- * models, and larger yet for drawing radii from them, except around the lengths of their blocks. */
+/* Drawing radii from expensive models takes most of the time. It is the same code for all of them,
+ * in blocks around their kernels. */
+static bool is_slow(const kernel_pair *pair) {
+  return is_costly(&pair->portable) && pair->todo.quantity == 0;
+}
+
+/* Returns the step between the lengths that are tried. It is larger for expensive models, and larger
+ * yet for drawing radii from them and for portable kernels, which have no lanes, except around the
+ * lengths of their blocks. */
 static size_t stride(const kernel_pair *pair, size_t n) {
-  const bool sampling = pair->todo.quantity == 0;
-  return !is_costly(&pair->portable) ? 1 : sampling ? 67 : n == 31 || n == 32 ? 1 : 11;
+  const bool few = is_slow(pair) || pair->is_portable;
+  return !is_costly(&pair->portable) ? 1 : n == 31 || n == 32 ? 1 : few ? 31 : 11;
+}
+
+/* Returns whether a length and an offset are tried together with the medium of the pair. All media
+ * together try each length at each offset, twice for cheap models. */
+static bool is_share(const kernel_pair *pair, size_t n, size_t offset) {
+  return is_costly(&pair->portable) ? offset == 11 * ((n + pair->medium) % COSTLY_MEDIA)
+                                    : (n + offset + pair->medium) % (MEDIA / 2) == 0;
 }
 
 /* The kernels that evaluate each model. */
@@ -187,7 +204,7 @@ static void with_every_medium(size_t isa, size_t model, unsigned evaluator, pair
     const core_profile *other = prepared(isa, model, evaluator, i);
     assert_true((portable == NULL) == (other == NULL));
     if (portable != NULL && (!is_costly(portable) || i < COSTLY_MEDIA || test == compare_edges)) {
-      kernel_pair pair = {*portable, *other, {0, NULL}};
+      kernel_pair pair = {*portable, *other, i, isa == portable_isa(), {0, NULL}};
       with_every_operation(&pair, test, random);
     }
   }
@@ -353,11 +370,15 @@ static void compare_lengths_and_offsets(const kernel_pair *pair, uint64_t *rando
   const unsigned evaluator = pair->portable.evaluator;
   values inputs, expected, noise;
   unit_random_bytes(random, &noise, sizeof noise);
-  fill_inputs(inputs.storage, pair, LENGTH_MAX, random);
-  apply(&pair->portable, pair->todo, LENGTH_MAX, inputs.storage, expected.storage);
-  for (size_t n = 0; n <= LENGTH_MAX; n += stride(pair, n)) {
-    for (size_t offset = 0; offset < OFFSETS; offset += stride(pair, offset)) {
+  const size_t most = is_slow(pair) ? LENGTH_MAX / 2 : LENGTH_MAX;
+  fill_inputs(inputs.storage, pair, most, random);
+  apply(&pair->portable, pair->todo, most, inputs.storage, expected.storage);
+  for (size_t n = 0; n <= most; n += stride(pair, n)) {
+    for (size_t offset = 0; offset < OFFSETS; offset++) {
       const size_t out_offset = (offset * 7 + n + 3) % OFFSETS;
+      if (!is_share(pair, n, offset)) {
+        continue;
+      }
       values output, input = noise;
       memcpy(at(&input, evaluator, offset), inputs.storage, n * value_bytes(evaluator));
       memset(&output, GUARD, sizeof output);
@@ -374,23 +395,35 @@ UNIT_TEST(every_length_and_offset_gives_the_same_bits) {
   with_every_pair(compare_lengths_and_offsets);
 }
 
-/* Puts the value under test into each lane in turn, and garbage into the other lanes. */
+/* Puts values under test into every second lane, in turn each value into each lane, and garbage into
+ * the other lanes. */
 static void compare_lanes(const kernel_pair *pair, uint64_t *random) {
-  enum { LANES = 2 * OFFSETS };
+  enum { LANES = 2 * OFFSETS, RANDOM = 10 };
   const unsigned evaluator = pair->portable.evaluator;
-  const size_t step = !is_costly(&pair->portable) ? 1 : pair->todo.quantity == 0 ? 11 : 3;
-  for (size_t i = 0; i < edge_count(pair) + 10; i += step) {
-    const double value = i < edge_count(pair) ? edge(pair, i) : random_input(random, pair);
-    values alone, expected;
-    put(alone.storage, evaluator, 0, value);
-    apply(&pair->portable, pair->todo, 1, alone.storage, expected.storage);
-    for (size_t lane = 0; lane < LANES; lane += stride(pair, lane)) {
-      values input, output;
-      for (size_t j = 0; j < LANES; j++) {
-        put(input.storage, evaluator, j, j == lane ? value : garbage(random));
-      }
-      apply(&pair->other, pair->todo, LANES, input.storage, output.storage);
-      assert_same_bits(pair, expected.storage, at(&output, evaluator, lane), 1, "in a lane");
+  const size_t count = edge_count(pair) + RANDOM;
+  if (pair->is_portable) { /* which have no lanes */
+    return;
+  }
+  const bool costly = is_costly(&pair->portable);
+  const size_t step = is_slow(pair) ? count : costly ? 5 : 1;
+  values alone, expected, input, output;
+  assert_true(count <= LENGTH_MAX);
+  for (size_t i = 0; i < count; i++) {
+    put(alone.storage, evaluator, i,
+        i < edge_count(pair) ? edge(pair, i) : random_input(random, pair));
+  }
+  apply(&pair->portable, pair->todo, count, alone.storage, expected.storage);
+  for (size_t i = 0; i < 2 * count; i += step) {
+    for (size_t lane = 0; lane < LANES; lane++) {
+      const bool tested = (lane + i) % 2 == 0;
+      put(input.storage, evaluator, lane,
+          tested ? get(at(&alone, evaluator, (lane + i / 2) % count), evaluator, 0)
+                 : garbage(random));
+    }
+    apply(&pair->other, pair->todo, LANES, input.storage, output.storage);
+    for (size_t lane = i % 2; lane < LANES; lane += 2) {
+      assert_same_bits(pair, at(&expected, evaluator, (lane + i / 2) % count),
+                       at(&output, evaluator, lane), 1, "in a lane");
     }
   }
 }
@@ -403,8 +436,11 @@ UNIT_TEST(a_lane_does_not_see_its_neighbours) {
  * access beyond them. */
 static void compare_slicing(const kernel_pair *pair, uint64_t *random) {
   enum { COUNT = 1000 };
-  const int repeats = is_costly(&pair->portable) ? 1 : 10;
-  const size_t used = !is_costly(&pair->portable) ? COUNT : pair->todo.quantity == 0 ? 40 : 300;
+  if (is_slow(pair) && pair->is_portable) {
+    return;
+  }
+  const int repeats = is_costly(&pair->portable) ? 1 : 3;
+  const size_t used = !is_costly(&pair->portable) ? COUNT : pair->todo.quantity == 0 ? 40 : 150;
   const size_t bytes = value_bytes(pair->portable.evaluator);
   char *in = malloc(COUNT * bytes);
   char *expected = malloc(COUNT * bytes);
@@ -503,7 +539,11 @@ static void compare_edges(const kernel_pair *pair, uint64_t *random) {
     put(in.storage, evaluator, i, edge(pair, i));
   }
   apply(&pair->portable, pair->todo, edge_count(pair), in.storage, expected.storage);
-  apply(&pair->other, pair->todo, edge_count(pair), in.storage, out.storage);
+  if (pair->is_portable) {
+    out = expected;
+  } else {
+    apply(&pair->other, pair->todo, edge_count(pair), in.storage, out.storage);
+  }
   assert_same_bits(pair, expected.storage, out.storage, edge_count(pair), "at an edge");
   for (size_t i = 0; i < edge_count(pair); i++) {
     check_edge(pair, get(in.storage, evaluator, i), get(out.storage, evaluator, i), scatters);
