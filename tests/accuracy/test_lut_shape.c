@@ -38,22 +38,34 @@ struct pair {
   double mfp_mm;
 };
 
+static const double tolerances[] = {1e-3, 1e-6};
+enum { PAIRS = 2 * SUBJECTS };
+static struct pair pairs[PAIRS];
+
+UNIT_SETUP(prepare_all) {
+  for (size_t i = 0; i < PAIRS; i++) {
+    const struct table_place *place = &subjects[i / 2].place;
+    struct pair *pair = &pairs[i];
+    pair->tolerance = tolerances[i % 2];
+    pair->mfp_mm = table_mfp_mm(&place->medium);
+    unit_assert_fault(table_prepare(&pair->table, subjects[i / 2].model, place, pair->tolerance),
+                      NULL, 0);
+    pair->model = pair->table.source;
+  }
+}
+
+UNIT_TEARDOWN(free_all) {
+  for (size_t i = 0; i < PAIRS; i++) {
+    core_profile_free(&pairs[i].table);
+  }
+}
+
 typedef void pair_test(const struct pair *pair, uint64_t *random);
 
 static void with_every_pair(pair_test *test) {
-  static const double tolerances[] = {1e-3, 1e-6};
   uint64_t random = unit_seed();
-  for (size_t i = 0; i < SUBJECTS; i++) {
-    for (size_t t = 0; t < 2; t++) {
-      struct pair pair = {.tolerance = tolerances[t],
-                          .mfp_mm = table_mfp_mm(&subjects[i].place.medium)};
-      unit_assert_fault(
-          table_prepare(&pair.table, subjects[i].model, &subjects[i].place, tolerances[t]), NULL,
-          0);
-      pair.model = pair.table.source;
-      test(&pair, &random);
-      core_profile_free(&pair.table);
-    }
+  for (size_t i = 0; i < PAIRS; i++) {
+    test(&pairs[i], &random);
   }
 }
 
