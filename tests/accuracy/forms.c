@@ -311,9 +311,10 @@ static struct saddle saddle_at(const form_part *p, quad x) {
 
 /* Returns the light that leaves around node i, times e^sharp. *fourth: 4 D t. */
 static quad leaving_at(const form_part *p, const struct saddle *s, int i, quad *fourth) {
-  const quad time = s->middle * expf128(i * s->step);
+  const quad u = i * s->step, time = s->middle * expf128(u), sinh = sinhf128(u / 2);
   *fourth = 4 * p->diffusion * time;
-  const quad alive = expf128(s->sharp - p->rate * time - s->rho * s->rho / *fourth);
+  /* sharp - rate t - rho^2 / (4 D t) = sharp (1 - cosh u) */
+  const quad alive = expf128(-2 * s->sharp * sinh * sinh);
   return s->step * time * alive * leaves_slab(p, time) * p->prefactor;
 }
 
