@@ -27,6 +27,9 @@
  *   ratio.service.fair.echo            dipoled's 99th percentile beside streams over the echo's
  *   service.open.<n>.rate, .p50 ...    requests of 16 radii that are due at n % of the rate of
  *                                      service.redis.dipoled: rate, latency from when they were due
+ *   service.open.<n>.cpu               processor time of the server for one of these requests; times
+ *                                      the rate it is the part of a core that it needs       us
+ *   service.open.<n>.echo.p50 ...      the same of the echo server, at the same rate
  *
  * bulk and rtt are also measured with clients on the servers' core: names with .onecore. No two
  * processes then run at the same time, and no core has to be woken. These figures show the work,
@@ -282,19 +285,31 @@ static double measure_redis(const struct setting *setting) {
   return median(sides[0].rate_per_s, ROUNDS);
 }
 
+/* Measures one side at a fixed rate. prefix: of the names of its figures. */
+static void measure_at(const struct target *target, double rate_per_s, const char *prefix) {
+  struct load *load = load_new(target, CONNECTIONS, OPEN_IN_FLIGHT);
+  const uint64_t cpu_ns = child_cpu_ns(target->server);
+  load_open(load, rate_per_s, OPEN_NS, &samples);
+  const double cpu_us = (double)(child_cpu_ns(target->server) - cpu_ns) * 1e-3;
+  bench_figure(samples_us(&samples, 0.5), "us", "%s.p50", prefix);
+  bench_figure(samples_us(&samples, 0.99), "us", "%s.p99", prefix);
+  bench_figure(samples_us(&samples, 0.999), "us", "%s.p99.9", prefix);
+  bench_figure(cpu_us / (double)samples.count, "us", "%s.cpu", prefix);
+  load_free(load);
+}
+
 static void measure_open(const struct setting *setting, double most_per_s) {
   static const int percents[] = {25, 50, 75};
   bench_progress("service: requests at fixed rates");
-  struct load *load = load_new(&setting->eval, CONNECTIONS, OPEN_IN_FLIGHT);
   for (size_t i = 0; i < sizeof percents / sizeof percents[0]; i++) {
+    char prefix[64];
     const double rate_per_s = most_per_s * percents[i] / 100;
-    load_open(load, rate_per_s, OPEN_NS, &samples);
-    bench_figure(rate_per_s, "requests/s", "service.open.%d.rate", percents[i]);
-    bench_figure(samples_us(&samples, 0.5), "us", "service.open.%d.p50", percents[i]);
-    bench_figure(samples_us(&samples, 0.99), "us", "service.open.%d.p99", percents[i]);
-    bench_figure(samples_us(&samples, 0.999), "us", "service.open.%d.p99.9", percents[i]);
+    snprintf(prefix, sizeof prefix, "service.open.%d", percents[i]);
+    bench_figure(rate_per_s, "requests/s", "%s.rate", prefix);
+    measure_at(&setting->eval, rate_per_s, prefix);
+    snprintf(prefix, sizeof prefix, "service.open.%d.echo", percents[i]);
+    measure_at(&setting->echo, rate_per_s, prefix);
   }
-  load_free(load);
 }
 
 /* ---- fairness ----------------------------------------------------------------------------- */
