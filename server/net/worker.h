@@ -1,6 +1,6 @@
 /* worker: a thread with an event loop of its own, its clients, and their run queue.
  *
- * An eval that misses the cache enters 24 files, in this order, from bytes to bytes:
+ * An eval that misses the cache enters 24 files by callgrind's count, in this order:
  *    1 server/net/worker.c       gives the connection a turn
  *    2 server/net/connection.c   has read the bytes, and writes the answer
  *    3 server/net/buffers.c      finds the frame, and has room for the reply
