@@ -115,7 +115,8 @@ TESTS := $(addprefix $(BUILD)/tests/,unit/test_kernels accuracy/test_choose accu
 TESTS += $(filter-out $(TESTS),$(patsubst tests/%.c,$(BUILD)/tests/%,$(wildcard tests/accuracy/test_*.c tests/unit/test_*.c)))
 TEST_SUPPORT := $(call objects,$(filter-out $(wildcard tests/*/test_*.c) $(wildcard tests/accuracy/rings.c tests/accuracy/truth.c tests/bench/*.c tests/bits/*.c tests/e2e/*.c tests/fuzz/*.c tests/pipeline/*.c tests/soak/*.c),$(wildcard tests/*/*.c)))
 
-PROGRAMS := $(BUILD)/dipoled $(BUILD)/dipole $(BUILD)/bench
+INSTALLED := $(BUILD)/dipoled $(BUILD)/dipole
+PROGRAMS := $(INSTALLED) $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
 .PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-pipeline check-asan check-tsan check-fuzz check-truth check-rings rings soak truth fuzz fuzz-merge bench docs model-errors tables reference tradeoff figures clean

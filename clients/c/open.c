@@ -19,6 +19,7 @@ static bool greet(dipole_client *client, const char *text, unsigned limit_ms, di
     return false;
   }
   libdipole_stream_init(&client->stream, fd);
+  snprintf(client->stream.address, sizeof client->stream.address, "%s", text);
   client->call_timeout_ms = limit_ms;
   if (libdipole_hello(client, text, error)) {
     client->call_timeout_ms = 0;

@@ -3,6 +3,7 @@
 #include <assert.h>
 #include <errno.h>
 #include <poll.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/socket.h>
@@ -16,6 +17,7 @@
 
 void libdipole_stream_init(libdipole_stream *stream, int fd) {
   stream->fd = fd;
+  stream->address[0] = '\0';
   stream->send_errno = 0;
   stream->silent = false;
   stream->out = NULL;
@@ -31,6 +33,13 @@ void libdipole_stream_close(libdipole_stream *stream) {
   }
   free(stream->out);
   libdipole_stream_init(stream, -1);
+}
+
+static bool fail_lost(const libdipole_stream *stream, int number, dipole_error *error) {
+  char what[192];
+  snprintf(what, sizeof what, "the connection to the daemon%s%s was lost",
+           stream->address[0] != '\0' ? " at " : "", stream->address);
+  return libdipole_fail_errno(error, DIPOLE_ERROR_CONNECTION, number, what);
 }
 
 bool libdipole_stream_reserve(libdipole_stream *stream, size_t bytes, dipole_error *error) {
@@ -99,15 +108,15 @@ static bool receive(libdipole_stream *stream, dipole_error *error) {
   assert(room > 0); /* The caller leaves at most an incomplete header in the buffer. */
   const ssize_t got = recv(stream->fd, to, room, 0);
   if (got < 0) {
-    return errno == EAGAIN || errno == EINTR ||
-           libdipole_fail_errno(error, DIPOLE_ERROR_CONNECTION, errno,
-                                "the connection to the daemon was lost");
+    return errno == EAGAIN || errno == EINTR || fail_lost(stream, errno, error);
   }
   if (got == 0) {
     return stream->send_errno != 0
-               ? libdipole_fail_errno(error, DIPOLE_ERROR_CONNECTION, stream->send_errno,
-                                      "the connection to the daemon was lost")
-               : libdipole_fail(error, DIPOLE_ERROR_CONNECTION, "the daemon closed the connection");
+               ? fail_lost(stream, stream->send_errno, error)
+               : libdipole_fail(
+                     error, DIPOLE_ERROR_CONNECTION,
+                     "the daemon, or a proxy, closed the connection%s%s without a reason",
+                     stream->address[0] != '\0' ? " at " : "", stream->address);
   }
   if (stream->target_bytes > 0) {
     stream->target += got;

@@ -7,6 +7,7 @@
 #include "clients/cli/eval.h"
 #include "clients/cli/number.h"
 #include "clients/cli/tables_file.h"
+#include "core/core.h"
 
 /* ---- what the tables are --------------------------------------------------------------------- */
 
@@ -32,6 +33,23 @@ static int check_same(const char *path, const cli_tables *tables) {
   return CLI_OK;
 }
 
+/* Writes the name of a table's medium: that of a measured medium if it is one, as in "skin1 red",
+ * else its number from 1. */
+static void name_channel(const dipole_medium *medium, size_t index, char *name, size_t bytes) {
+  snprintf(name, bytes, "%zu", index + 1);
+  for (size_t i = 0; i < core_measured_media_count; i++) {
+    for (size_t k = 0; k < CLI_COLOURS; k++) {
+      const core_medium *known = &core_measured_media[i].channel[k];
+      if (known->sigma_a_per_mm == medium->sigma_a_per_mm &&
+          known->sigma_s_per_mm == medium->sigma_s_per_mm && known->g == medium->g &&
+          known->eta == medium->eta) {
+        snprintf(name, bytes, "%s %s", core_measured_media[i].name, cli_colours[k]);
+        return;
+      }
+    }
+  }
+}
+
 /* Takes the model and the channels from the tables. */
 static int describe(const char *path, const cli_tables *tables, cli_eval_report *report) {
   const dipole_table_info *first = dipole_table_get_info(tables->items[0]);
@@ -52,7 +70,7 @@ static int describe(const char *path, const cli_tables *tables, cli_eval_report 
   for (size_t i = 0; i < tables->count; i++) {
     const dipole_table_info *info = dipole_table_get_info(tables->items[i]);
     cli_channel *channel = &report->profile.channels[i];
-    snprintf(channel->name, sizeof channel->name, "%zu", i + 1);
+    name_channel(&info->medium, i, channel->name, sizeof channel->name);
     channel->medium = report->profile.media[i] = info->medium;
     report->models[0].notes |= info->notes;
   }

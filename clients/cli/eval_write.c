@@ -341,6 +341,7 @@ static void write_table(const void *context) {
     printf("numerical error: against the model's formula, up to r = %.6g mm\n", radius_max(report));
   }
   puts("model error: of the model against radiative transport");
+  cli_write_launched(profile->media, profile->channel_count, stdout);
   write_notes(report);
   write_chosen(report, stdout);
 }

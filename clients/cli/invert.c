@@ -227,6 +227,7 @@ static void write_table(const void *context) {
   cli_rows_print(stdout, 1, of->count, put_medium, of);
   printf("check: an evaluation of the medium\nalbedos within reach: %.6g to %.17g\n",
          of->albedo_least, of->albedo_most);
+  cli_write_launched(&of->items[0].medium, of->count > 0 ? 1 : 0, stdout); /* all have one eta */
 }
 
 static void put_members(cli_json *json, const void *context) {

@@ -1,17 +1,20 @@
 /* dipole mc: a Monte Carlo job on the daemon, followed until its table is there. */
 #include <math.h>
 #include <signal.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "clients/cli/daemon.h"
+#include "clients/cli/options.h"
 #include "clients/cli/profile.h"
 #include "clients/cli/progress.h"
 #include "clients/cli/rows.h"
 
 typedef struct mc_settings {
   cli_common common;
-  const char *medium, *channel;
-  cli_number sigma_a, sigma_s, g, eta;
+  const char *medium;
+  cli_texts channel;
+  cli_numbers sigma_a, sigma_s, g, eta;
   cli_number thickness;
   const char *phase;
   cli_number phase_share, phase_g;
@@ -23,23 +26,27 @@ typedef struct mc_settings {
   cli_count seed;
 } mc_settings;
 
+#define ETA_DEFAULT 1.3
 #define FIELD(name) offsetof(mc_settings, name)
 
 static const cli_option options[] = {
     {"Medium", NULL, NULL, CLI_HEADING, 0, NULL},
     {"medium", "NAME", "a measured medium; `dipole media` lists them", CLI_TEXT, FIELD(medium),
      NULL},
-    {"channel", "COLOUR", "the channel of the medium: red, green or blue", CLI_TEXT, FIELD(channel),
-     NULL},
-    {"sigma-a", "X", "absorption coefficient, 1/mm", CLI_NUMBER, FIELD(sigma_a), NULL},
-    {"sigma-s", "X", "scattering coefficient, 1/mm", CLI_NUMBER, FIELD(sigma_s), NULL},
-    {"g", "X",
+    {"channel", "COLOUR[,...]", "red, green or blue. Only these channels are taken (default: all)",
+     CLI_NAMES, FIELD(channel), NULL},
+    {"sigma-a", "X[,X...]",
+     "absorption coefficient, 1/mm; one value for each channel. Each channel is\na job of its own",
+     CLI_NUMBERS, FIELD(sigma_a), NULL},
+    {"sigma-s", "X[,X...]", "scattering coefficient, 1/mm; a single value is for all channels",
+     CLI_NUMBERS, FIELD(sigma_s), NULL},
+    {"g", "X[,X...]",
      "mean cosine of the scattering angle (default: 0); sigma_s (1 - g) of a\n"
      "measured medium stays as it was measured",
-     CLI_NUMBER, FIELD(g), NULL},
-    {"eta", "X",
+     CLI_NUMBERS, FIELD(g), NULL},
+    {"eta", "X[,X...]",
      "refractive index inside over outside (default: that of the measured\nmedium, else 1.3)",
-     CLI_NUMBER, FIELD(eta), "1.3"},
+     CLI_NUMBERS, FIELD(eta), NULL},
     {"phase", "NAME",
      "phase function: henyey-greenstein, modified or two-term; `dipole info`\n"
      "describes them; their mean cosine is that of --g (default:\nhenyey-greenstein)",
@@ -74,7 +81,8 @@ static const cli_option options[] = {
 
 typedef struct report {
   const dipole_info *info;
-  const char *medium, *channel; /* of a measured medium; NULL if it is given by numbers */
+  const char *medium; /* a measured medium; NULL if it is given by numbers */
+  char channel[24]; /* its colour or, if there are several channels, their numbers from 1; or "" */
   const dipole_choice *phase;
   cli_parameters parameters;
   dipole_mc_query query;
@@ -83,26 +91,53 @@ typedef struct report {
 
 /* ---- without a daemon ------------------------------------------------------------------------ */
 
-static int check_medium(const mc_settings *settings) {
-  if (settings->medium == NULL) {
-    if (!settings->sigma_a.given || !settings->sigma_s.given) {
-      return cli_fail_usage("give --medium NAME and --channel, or --sigma-a and --sigma-s");
-    }
-    return settings->channel == NULL
-               ? CLI_OK
-               : cli_fail_usage(
-                     "--channel chooses a channel of --medium NAME: add --medium NAME, or leave "
-                     "--channel out");
+static bool is_asked(const mc_settings *settings, size_t colour) {
+  return settings->channel.count == 0 || cli_texts_have(&settings->channel, cli_colours[colour]);
+}
+
+/* Returns the number of channels; 0 if the options disagree about it. */
+static size_t count_channels(const mc_settings *settings) {
+  const size_t counts[] = {settings->sigma_a.count, settings->sigma_s.count, settings->g.count,
+                           settings->eta.count};
+  size_t count = settings->medium == NULL ? 1 : 0;
+  for (size_t i = 0; settings->medium != NULL && i < CLI_COLOURS; i++) {
+    count += is_asked(settings, i);
   }
-  if (settings->sigma_a.given || settings->sigma_s.given) {
+  for (size_t i = 0; i < sizeof counts / sizeof counts[0]; i++) {
+    if (counts[i] > 1 && counts[i] != count) {
+      if (settings->medium != NULL || count > 1) {
+        return 0;
+      }
+      count = counts[i];
+    }
+  }
+  return count;
+}
+
+static int check_medium(const mc_settings *settings) {
+  if (settings->medium == NULL && (settings->sigma_a.count == 0 || settings->sigma_s.count == 0)) {
+    return cli_fail_usage("give --medium NAME, or --sigma-a and --sigma-s");
+  }
+  if (settings->medium == NULL && settings->channel.count > 0) {
+    return cli_fail_usage(
+        "--channel chooses channels of --medium NAME: add --medium NAME, or leave "
+        "--channel out");
+  }
+  if (settings->medium != NULL && (settings->sigma_a.count > 0 || settings->sigma_s.count > 0)) {
     return cli_fail_usage("--medium NAME stands for --sigma-a and --sigma-s: leave these "
                           "out; --g and --eta may stay");
   }
-  return cli_colour(settings->channel) < CLI_COLOURS
+  for (size_t i = 0; i < settings->channel.count; i++) {
+    if (cli_colour(settings->channel.items[i]) == CLI_COLOURS) {
+      return cli_fail_usage("--channel: '%s' is unknown; it is red, green or blue",
+                            settings->channel.items[i]);
+    }
+  }
+  return count_channels(settings) > 0
              ? CLI_OK
              : cli_fail_usage(
-                   "--medium NAME has three channels, and mc takes one: add --channel red, "
-                   "green or blue");
+                   "--sigma-a, --sigma-s, --g and --eta: give one value, or one for each "
+                   "channel");
 }
 
 static int check(void *given) {
@@ -129,21 +164,29 @@ static int check(void *given) {
 
 /* ---- the query ------------------------------------------------------------------------------- */
 
-static int take_measured(const mc_settings *settings, dipole_client *client,
-                         dipole_medium *medium) {
+/* Takes channel number `index` of those that are asked for. */
+static int take_measured(const mc_settings *settings, dipole_client *client, size_t index,
+                         report *of) {
   dipole_measured_medium found;
+  dipole_medium *medium = &of->query.medium;
+  size_t colour = 0;
   const int status = cli_find_medium(client, settings->medium, &found);
   if (status != CLI_OK) {
     return status;
   }
-  *medium = found.channel[cli_colour(settings->channel)];
-  if (settings->g.given) {
+  for (size_t left = index; left > 0 || !is_asked(settings, colour); colour++) {
+    left -= is_asked(settings, colour);
+  }
+  snprintf(of->channel, sizeof of->channel, "%s", cli_colours[colour]);
+  *medium = found.channel[colour];
+  if (settings->g.count > 0) {
     /* Only sigma_s' was measured. So another g needs another sigma_s, which keeps sigma_s' the
      * same. */
-    medium->sigma_s_per_mm = medium->sigma_s_per_mm * (1 - medium->g) / (1 - settings->g.value);
-    medium->g = settings->g.value;
+    const double g = cli_numbers_pick(&settings->g, index, 0);
+    medium->sigma_s_per_mm = medium->sigma_s_per_mm * (1 - medium->g) / (1 - g);
+    medium->g = g;
   }
-  medium->eta = settings->eta.given ? settings->eta.value : medium->eta;
+  medium->eta = cli_numbers_pick(&settings->eta, index, medium->eta);
   return CLI_OK;
 }
 
@@ -184,13 +227,19 @@ static int take_phase(const mc_settings *settings, report *of) {
   return CLI_OK;
 }
 
-static int make_query(const mc_settings *settings, dipole_client *client, report *of) {
+/* Makes the query of channel number `index` of `count`. */
+static int make_query(const mc_settings *settings, dipole_client *client, size_t index,
+                      size_t count, report *of) {
   of->info = dipole_get_info(client);
   of->medium = settings->medium;
-  of->channel = settings->channel;
+  if (count > 1) {
+    snprintf(of->channel, sizeof of->channel, "%zu", index + 1);
+  }
   of->query = (dipole_mc_query){
-      .medium = {settings->sigma_a.value, settings->sigma_s.value, settings->g.value,
-                 settings->eta.value},
+      .medium = {cli_numbers_pick(&settings->sigma_a, index, 0),
+                 cli_numbers_pick(&settings->sigma_s, index, 0),
+                 cli_numbers_pick(&settings->g, index, 0),
+                 cli_numbers_pick(&settings->eta, index, ETA_DEFAULT)},
       .albedos = settings->albedo.items,
       .albedo_count = (unsigned)settings->albedo.count,
       .thickness_mm = settings->thickness.value,
@@ -204,9 +253,8 @@ static int make_query(const mc_settings *settings, dipole_client *client, report
       .error_rings = settings->error.value,
   };
   const int status = take_phase(settings, of);
-  return status != CLI_OK || settings->medium == NULL
-             ? status
-             : take_measured(settings, client, &of->query.medium);
+  return status != CLI_OK || settings->medium == NULL ? status
+                                                      : take_measured(settings, client, index, of);
 }
 
 /* ---- following the job ----------------------------------------------------------------------- */
@@ -300,6 +348,7 @@ static size_t list_parts(const dipole_mc_result *result, size_t albedo, bool all
 typedef struct one_albedo {
   const dipole_mc_result *result;
   uint32_t albedo;
+  const char *channel; /* for CSV of several channels; else NULL */
 } one_albedo;
 
 /* Puts a ring, for people. A ring without light has an error, but no relative error. */
@@ -337,6 +386,8 @@ static void write_title(const report *of) {
   const dipole_mc_result *result = of->result;
   if (of->medium != NULL) {
     printf("%s %s: ", of->medium, of->channel);
+  } else if (of->channel[0] != '\0') {
+    printf("channel %s: ", of->channel);
   }
   printf("Monte Carlo, R in %s\n", of->info->R_unit);
   if (query->albedo_count > 0) {
@@ -371,12 +422,13 @@ static void write_table(const void *context) {
   part parts[PARTS_MAX];
   write_title(of);
   for (uint32_t albedo = 0; albedo < of->result->albedo_count; albedo++) {
-    const one_albedo one = {of->result, albedo};
+    const one_albedo one = {of->result, albedo, NULL};
     printf("\nsingle-scattering albedo %.6g\n\n", of->result->energies[albedo].albedo);
     cli_rows_print(stdout, 0, of->result->ring_count, put_ring, &one);
     putchar('\n');
     cli_rows_print(stdout, 1, list_parts(of->result, albedo, false, parts), put_part, &one);
   }
+  cli_write_launched(&of->query.medium, 1, stdout);
 }
 
 /* Puts a row of CSV: first come those of the rings on each side, then those of the parts of the
@@ -395,6 +447,9 @@ static void put_value(cli_rows *rows, const void *context, size_t index) {
                           {dipole_mc_values(result, of->albedo, side)[ring],
                            dipole_mc_errors(result, of->albedo, side)[ring]}};
   const part *one = is_ring ? &ring_part : &parts[index - ring_rows];
+  if (of->channel != NULL) {
+    cli_put_text(rows, CLI_COLUMN("channel"), of->channel);
+  }
   cli_put_number(rows, CLI_COLUMN("albedo"), result->energies[of->albedo].albedo);
   cli_put_text(rows, CLI_COLUMN("quantity"), one->name);
   cli_put_number(rows, CLI_COLUMN("from"), is_ring ? result->edges_mm[ring] : (double)NAN);
@@ -408,14 +463,15 @@ static void put_value(cli_rows *rows, const void *context, size_t index) {
   }
 }
 
-static void write_csv(const void *context) {
-  const dipole_mc_result *result = ((const report *)context)->result;
+/* Writes a channel. With several, each row names its channel. */
+static void write_channel_csv(const report *of, bool names, bool several) {
+  const dipole_mc_result *result = of->result;
   part parts[PARTS_MAX];
   for (uint32_t albedo = 0; albedo < result->albedo_count; albedo++) {
-    const one_albedo one = {result, albedo};
+    const one_albedo one = {result, albedo, several ? of->channel : NULL};
     const size_t rows =
         (size_t)result->side_count * result->ring_count + list_parts(result, albedo, false, parts);
-    cli_rows_csv(stdout, albedo == 0, rows, put_value, &one);
+    cli_rows_csv(stdout, names && albedo == 0, rows, put_value, &one);
   }
 }
 
@@ -459,6 +515,8 @@ static void put_members(cli_json *json, const void *context) {
   cli_json_text(json, "software", of->info->software);
   if (of->medium != NULL) {
     cli_json_text(json, "medium", of->medium);
+  }
+  if (of->channel[0] != '\0') {
     cli_json_text(json, "channel", of->channel);
   }
   cli_rows_members(json, put_query, &of->query, 0);
@@ -505,22 +563,77 @@ static int judge(const report *of) {
   return CLI_OK;
 }
 
+/* The results of all channels whose jobs have ended. */
+typedef struct reports {
+  size_t count;
+  report *items;
+} reports;
+
+static void write_tables(const void *context) {
+  const reports *all = context;
+  for (size_t i = 0; i < all->count; i++) {
+    fputs(i > 0 ? "\n" : "", stdout);
+    write_table(&all->items[i]);
+  }
+}
+
+static void write_csv(const void *context) {
+  const reports *all = context;
+  for (size_t i = 0; i < all->count; i++) {
+    write_channel_csv(&all->items[i], i == 0, all->count > 1);
+  }
+}
+
+/* The members of one channel or, of several, a list with an object for each. */
+static void put_all(cli_json *json, const void *context) {
+  const reports *all = context;
+  if (all->count == 1) {
+    put_members(json, all->items);
+    return;
+  }
+  cli_json_begin(json, "channels", '[');
+  for (size_t i = 0; i < all->count; i++) {
+    cli_json_begin(json, NULL, '{');
+    put_members(json, &all->items[i]);
+    cli_json_end(json, '}');
+  }
+  cli_json_end(json, ']');
+}
+
+/* Runs the job of each channel. Ctrl-C ends the present one, and none is begun after it. */
+static int run_jobs(const mc_settings *settings, dipole_client *client, size_t count,
+                    reports *all) {
+  dipole_error error;
+  while (all->count < count && interrupted == 0) {
+    report *of = &all->items[all->count];
+    const int status = make_query(settings, client, all->count, count, of);
+    if (status != CLI_OK) {
+      return status;
+    }
+    if (!run_job(client, &settings->common, of, &error)) {
+      return cli_fail_error(&error);
+    }
+    all->count++;
+  }
+  return CLI_OK;
+}
+
 static int run(void *given, dipole_client *client) {
   const mc_settings *settings = given;
-  report of = {0};
-  dipole_error error;
-  const int status = make_query(settings, client, &of);
-  if (status != CLI_OK) {
-    return status;
+  const size_t count = count_channels(settings);
+  reports all = {.items = cli_allocate(count, sizeof *all.items)};
+  int status = run_jobs(settings, client, count, &all);
+  if (all.count > 0) {
+    const cli_output output = {.table = write_tables, .csv = write_csv, .members = put_all};
+    cli_write(&output, settings->common.form, &all);
   }
-  if (!run_job(client, &settings->common, &of, &error)) {
-    return cli_fail_error(&error);
+  for (size_t i = 0; i < all.count; i++) {
+    const int judged = judge(&all.items[i]);
+    status = status != CLI_OK ? status : judged;
+    dipole_mc_result_free(all.items[i].result);
   }
-  const cli_output output = {.table = write_table, .csv = write_csv, .members = put_members};
-  cli_write(&output, settings->common.form, &of);
-  const int judged = judge(&of);
-  dipole_mc_result_free(of.result);
-  return judged;
+  free(all.items);
+  return status;
 }
 
 const cli_command cli_command_mc = {
@@ -535,7 +648,7 @@ const cli_command cli_command_mc = {
         "missed the error that was asked for.\n",
     .formats = "table,csv,json",
     .options = {options},
-    .examples = "  dipole mc --medium skin1 --channel red\n"
+    .examples = "  dipole mc --medium skin1\n"
                 "  dipole mc --medium skin1 --channel blue --g 0.8 --error 0.02 --to 3\n"
                 "  dipole mc --sigma-a 0.01 --sigma-s 10 --g 0.9 --eta 1.4 --thickness 2\n"
                 "  dipole mc --sigma-a 0.1 --sigma-s 50 --g 0.8 --eta 1.4 --phase modified \\\n"

@@ -23,7 +23,8 @@ static const cli_option common_options[] = {
      CLI_COUNT, offsetof(cli_common, timeout_ms), "30000"},
     {"retry-ms", "N",
      "try again for N ms if the daemon is not there, is lost or is busy; 0: do\n"
-     "not (default: 5000; if it is busy, --timeout-ms if that is more)",
+     "not (default: 5000, and --timeout-ms if that is more and it is busy; but a\n"
+     "daemon that is not there at first is an error at once)",
      CLI_COUNT, offsetof(cli_common, retry_ms), NULL},
     {"help", NULL, "print this text", CLI_SWITCH, 0, NULL},
     {0},

@@ -5,9 +5,10 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "clients/cli/daemon.h"
 #include "clients/cli/gnuplot.h"
 
-enum { TEXT_BYTES = 160 };
+enum { TEXT_BYTES = 160, CAPTION_BYTES = 200 };
 
 static const cli_axes axes_kinds[] = {
     {"linear", false, CLI_LINEAR},
@@ -355,8 +356,68 @@ enum {
 typedef struct grid {
   layout places;
   size_t columns, blocks, rows;
-  double width, height, legend_width, legend_height;
+  double width, height, legend_width, legend_height, caption_height;
 } grid;
+
+/* ---- the caption: what was evaluated --------------------------------------------------------- */
+
+/* More channels than this are counted, not listed. */
+enum { CAPTION_CHANNELS = 6, CAPTION_LINE = 15 };
+
+/* Writes line number `line` of the caption: a channel's medium, or a note that holds for a model.
+ * Returns false if there is no such line. */
+static bool caption_line(const cli_eval_report *report, size_t line, char text[CAPTION_BYTES]) {
+  const cli_profile *profile = &report->profile;
+  const size_t count = profile->channel_count;
+  const size_t listed = count > CAPTION_CHANNELS ? CAPTION_CHANNELS : count;
+  if (line < listed) {
+    const dipole_medium *medium = &profile->channels[line].medium;
+    char name[TEXT_BYTES], more[32] = "";
+    cli_channel_title(profile, line, name, sizeof name);
+    if (line + 1 == listed && count > listed) {
+      snprintf(more, sizeof more, "; and %zu more", count - listed);
+    }
+    snprintf(text, CAPTION_BYTES, "%.64s: sigma_a %.6g/mm, sigma_s %.6g/mm, g %.6g, eta %.6g%s",
+             name, medium->sigma_a_per_mm, medium->sigma_s_per_mm, medium->g, medium->eta, more);
+    return true;
+  }
+  unsigned notes = 0;
+  for (size_t i = 0; i < report->model_count; i++) {
+    notes |= report->models[i].notes;
+  }
+  const dipole_choice *note = NULL;
+  size_t from = 0;
+  for (size_t i = listed; i <= line; i++) {
+    note = cli_next_note(profile->info, notes, &from);
+    if (note == NULL) {
+      return false;
+    }
+  }
+  snprintf(text, CAPTION_BYTES, "%s: %s", note->name, note->about);
+  return true;
+}
+
+static size_t caption_lines(const cli_eval_report *report) {
+  char text[CAPTION_BYTES];
+  size_t count = 0;
+  while (caption_line(report, count, text)) {
+    count++;
+  }
+  return count;
+}
+
+/* Writes the caption below all panels, from the lower left corner of the picture upwards. */
+static void write_caption(FILE *script, const cli_eval_report *report, const grid *g) {
+  char text[CAPTION_BYTES];
+  const size_t count = caption_lines(report);
+  for (size_t i = 0; i < count; i++) {
+    caption_line(report, i, text);
+    fputs("set label ", script);
+    cli_gnuplot_quote(script, text);
+    fprintf(script, " at screen %.5f,%.5f left noenhanced font ',9'\n", 8 / g->width,
+            (double)(count - i) * CAPTION_LINE / g->height);
+  }
+}
 
 static grid make_grid(const cli_picture *picture) {
   grid g = {.places = layout_of(picture->report)};
@@ -372,7 +433,8 @@ static grid make_grid(const cli_picture *picture) {
   g.legend_height = LEGEND_LINE * (double)(g.places.curves + 1);
   g.width = LEFT + (double)g.columns * (g.columns > 1 ? NARROW : WIDE) + g.legend_width;
   g.height = (double)g.rows * ((g.rows > 1 ? HEIGHT_OF_SEVERAL : HEIGHT) + GAP_Y) - GAP_Y;
-  g.height = TOP + fmax(g.height + BOTTOM, g.legend_height);
+  g.caption_height = CAPTION_LINE * (double)(caption_lines(picture->report) + 1);
+  g.height = TOP + fmax(g.height + BOTTOM + g.caption_height, g.legend_height);
   if (picture->width_px > 0) {
     g.width = (double)picture->width_px;
     g.height = (double)picture->height_px;
@@ -430,14 +492,19 @@ static void write_file_script(FILE *script, const void *context) {
   fprintf(script,
           "set multiplot layout %zu,%zu margins %.5f,%.5f,%.5f,%.5f spacing %.5f,%.5f title ",
           g.rows, g.columns, LEFT / g.width, 1 - (g.legend_width + GAP_X) / g.width,
-          BOTTOM / g.height, 1 - TOP / g.height, GAP_X / g.width, GAP_Y / g.height);
+          (BOTTOM + g.caption_height) / g.height, 1 - TOP / g.height, GAP_X / g.width,
+          GAP_Y / g.height);
   cli_gnuplot_quote(script, text);
   fputc('\n', script);
   for (size_t place = 0; place < g.rows * g.columns; place++) {
     const size_t row = place / g.columns;
     const size_t panel = row / picture->row_count * g.columns + place % g.columns;
     if (panel < g.places.panels) {
+      if (place == 0) {
+        write_caption(script, picture->report, &g);
+      }
       write_panel(script, picture, &g, panel, row % picture->row_count);
+      fputs("unset label\n", script);
     } else {
       fputs("set multiplot next\n", script);
     }

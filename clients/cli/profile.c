@@ -424,6 +424,22 @@ void cli_write_parameters(const cli_profile *profile, FILE *file) {
   }
 }
 
+void cli_write_launched(const dipole_medium *media, size_t count, FILE *file) {
+  const char *before = "per unit of power launched: values times 1 - ((eta - 1) / (eta + 1))^2 =";
+  for (size_t i = 0; i < count; i++) {
+    bool told = false;
+    for (size_t k = 0; k < i; k++) {
+      told = told || media[k].eta == media[i].eta;
+    }
+    if (!told) {
+      const double share = (media[i].eta - 1) / (media[i].eta + 1);
+      fprintf(file, "%s %.6g (eta %.6g)", before, 1 - share * share, media[i].eta);
+      before = ",";
+    }
+  }
+  fputs(count > 0 ? "\n" : "", file);
+}
+
 void cli_write_notes(const dipole_info *info, unsigned notes, FILE *file) {
   const dipole_choice *note;
   for (size_t from = 0; (note = cli_next_note(info, notes, &from)) != NULL;) {

@@ -149,6 +149,10 @@ void cli_write_medium(const cli_profile *profile, FILE *file);
 /* ", tolerance 0.01, cos_in 0.5" */
 void cli_write_parameters(const cli_profile *profile, FILE *file);
 
+/* How to get from power that entered to power that was launched, for each eta of the media: rule E8
+ * of proto/PROTOCOL.md. */
+void cli_write_launched(const dipole_medium *media, size_t count, FILE *file);
+
 /* "note: NAME: what it says", a line for each note in the sum `notes`. */
 void cli_write_notes(const dipole_info *info, unsigned notes, FILE *file);
 

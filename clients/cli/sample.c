@@ -266,6 +266,7 @@ static void write_table(const void *context) {
     fputc('\n', stdout);
   }
   cli_rows_print(stdout, 1, profile->channel_count, put_channel, of);
+  cli_write_launched(profile->media, profile->channel_count, stdout);
   cli_write_notes(profile->info, of->result->notes, stdout);
 }
 

@@ -156,6 +156,7 @@ static void write_table(const void *context) {
   for (size_t i = 0; i < of->tables.count; i++) {
     notes |= dipole_table_get_info(of->tables.items[i])->notes;
   }
+  cli_write_launched(profile->media, profile->channel_count, stdout);
   cli_write_notes(profile->info, notes, stdout);
 }
 

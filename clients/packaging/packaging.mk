@@ -24,7 +24,7 @@ INSTALL_FILES = BUILD='$(BUILD)' DESTDIR='$(DESTDIR)' VERSION=$(VERSION) SOVERSI
 manuals: $(BUILD)/dipoled $(BUILD)/dipole
 	$(Q)PYTHONDONTWRITEBYTECODE=1 $(PYTHON) clients/packaging/manuals.py $(BUILD) clients/packaging/man
 
-install: all
+install: $(INSTALLED) $(LIBRARIES)
 	$(Q)$(INSTALL_FILES) install
 	$(Q)[ -n "$(DESTDIR)" ] || [ "$$(id -u)" != 0 ] || ldconfig
 

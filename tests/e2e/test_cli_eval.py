@@ -278,7 +278,8 @@ def test_a_connection_that_is_lost(daemon):
     with Proxy(daemon().url(), lambda number, request_id: False) as proxy:
         run = dipole("eval", *MEDIUM, "--connect", proxy.url, "--retry-ms", "300", status=1)
     assert run.stdout == ""
-    assert "the daemon closed the connection" in run.stderr
+    said = f"the daemon, or a proxy, closed the connection at {proxy.url} without a reason"
+    assert said in run.stderr
 
 
 def test_radii_are_the_ones_that_the_evaluator_took():
@@ -302,3 +303,27 @@ def test_the_usual_model_is_transport_by_table(client):
     assert [np.float32(row["R"]) for row in rows] == answer.R.ravel().tolist()
     said = dipole("eval", "--help").stdout
     assert "If no model is named, it is transport by table" in said
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["eval", "--sigma-a", "0.1", "--sigma-s", "1", "--eta", "1.4", "--r", "1"],
+        ["sample", "--sigma-a", "0.1", "--sigma-s", "1", "--eta", "1.4"],
+        ["table", "--sigma-a", "0.1", "--sigma-s", "1", "--eta", "1.4"],
+        ["invert", "--albedo", "0.5", "--mean-free-path", "1", "--eta", "1.4"],
+        ["mc", "--sigma-a", "0.1", "--sigma-s", "1", "--eta", "1.4", "--photons", "100"],
+    ],
+    ids=lambda command: command[0],
+)
+def test_the_foot_has_the_factor_of_power_launched(command):
+    """Rule E8 of the protocol."""
+    (line,) = [line for line in dipole(*command).stdout.splitlines() if "launched" in line]
+    assert line.endswith(f"= {1 - (0.4 / 2.4) ** 2:.6g} (eta 1.4)")
+
+
+def test_a_table_knows_measured_media(tmp_path):
+    path = str(tmp_path / "skin.table")
+    dipole("table", "--medium", "skin1", "--output", path, quiet=False)
+    rows = read_csv(dipole("eval", "--table", path, "--r", "1", "--format", "csv").stdout)
+    assert [row["channel"] for row in rows] == ["skin1 red", "skin1 green", "skin1 blue"]

@@ -95,13 +95,14 @@ def test_error_targets():
 
 
 test_wrong_command_lines_say_what_to_do = says(USAGE, ["mc"], [
-    ([], "give --medium NAME and --channel, or --sigma-a and --sigma-s"),
-    (["--sigma-a", "1"], "give --medium NAME and --channel, or --sigma-a and --sigma-s"),
-    (["--medium", "skin1"], "mc takes one: add --channel red, green or blue"),
-    (["--medium", "skin1", "--channel", "pink"], "mc takes one: add --channel red, green"),
+    ([], "give --medium NAME, or --sigma-a and --sigma-s"),
+    (["--sigma-a", "1"], "give --medium NAME, or --sigma-a and --sigma-s"),
+    (["--medium", "skin1", "--channel", "pink"], "--channel: 'pink' is unknown; it is red, green"),
+    (["--sigma-a", "1,2", "--sigma-s", "1,2,3"], "give one value, or one for each channel"),
+    (["--medium", "skin1", "--eta", "1.3,1.4"], "give one value, or one for each channel"),
     (["--medium", "skin", "--channel", "red"], "--medium: 'skin' is unknown; this daemon has"),
     ([*MEDIUM, "--medium", "skin1"], "--medium NAME stands for --sigma-a and --sigma-s"),
-    ([*MEDIUM, "--channel", "red"], "--channel chooses a channel of --medium NAME"),
+    ([*MEDIUM, "--channel", "red"], "--channel chooses channels of --medium NAME"),
     ([*MEDIUM, "--log"], "--log needs --from, above 0"),
     ([*MEDIUM, "--photons", "1.5"], "--photons: give a whole number from 1 to 9e15, such as 2000000"),
     ([*MEDIUM, "--photons", "0"], "--photons: give a whole number"),
@@ -157,3 +158,23 @@ def test_phase_functions():
     assert "phase_g" in refusal.stderr
     unknown = dipole("mc", *SHORT, "--phase", "mie", status=USAGE)
     assert "henyey-greenstein, modified, two-term" in unknown.stderr
+
+
+def test_several_channels_are_as_many_jobs():
+    options = ["--photons", "2000", "--rings", "3"]
+    both = mc_json("--medium", "skin1", "--channel", "blue,red", "--g", "0.5", *options)
+    red, blue = both["channels"]
+    assert [red["channel"], blue["channel"]] == ["red", "blue"]
+    alone = mc_json("--medium", "skin1", "--channel", "blue", "--g", "0.5", *options)
+    assert blue == alone
+    text = dipole("mc", "--medium", "skin1", "--format", "csv", *options).stdout
+    rows = read_csv(text)
+    assert {row["channel"] for row in rows} == {"red", "green", "blue"}
+    given = mc_json("--sigma-a", "0.1,0.2", "--sigma-s", "1", "--eta", "1.3,1.4", *options)
+    assert [(one["channel"], one["sigma_a"], one["eta"]) for one in given["channels"]] == [
+        ("1", 0.1, 1.3), ("2", 0.2, 1.4)
+    ]
+    table = dipole("mc", "--medium", "skin1", *options).stdout
+    assert [line.split(":")[0] for line in table.splitlines() if "Monte Carlo" in line] == [
+        "skin1 red", "skin1 green", "skin1 blue"
+    ]

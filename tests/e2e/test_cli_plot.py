@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import xml.etree.ElementTree as ElementTree
@@ -184,7 +185,7 @@ def test_panels_for_any_number_of_channels(tmp_path, channels):
     root = ElementTree.parse(tmp_path / "dipole.svg").getroot()
     assert len(svg_lines(root)) == channels * len(everywhere())
     texts = svg_texts(root)
-    assert [text for text in texts if text.startswith("channel ")] == [
+    assert [text for text in texts if re.fullmatch(r"channel \d+", text)] == [
         f"channel {i + 1}" for i in range(channels)
     ]
     check_png(tmp_path / "p.png")
@@ -260,3 +261,13 @@ def test_demo_with_a_daemon_that_does_not_start(tmp_path, copied_build):
     assert run.returncode != 0
     assert "the daemon ended before it was ready" in run.stderr and "out of sockets" in run.stderr
     assert list(folder.iterdir()) == []
+
+
+def test_the_caption_has_the_media_and_the_notes(tmp_path):
+    path = tmp_path / "r.svg"
+    asked = ["--sigma-a", "0.01,0.1", "--sigma-s", "10", "--g", "0.9", "--eta", "1.4"]
+    dipole("eval", *asked, "--model", "better", "--plot", str(path), quiet=False)
+    texts = svg_texts(ElementTree.parse(path).getroot())
+    assert "channel 1: sigma_a 0.01/mm, sigma_s 10/mm, g 0.9, eta 1.4" in texts
+    assert "channel 2: sigma_a 0.1/mm, sigma_s 10/mm, g 0.9, eta 1.4" in texts
+    assert any(text.startswith("similarity: ") for text in texts)

@@ -211,3 +211,8 @@ def test_python_looks_where_the_module_is_installed(tree):
     other = run(sys.executable, script, "/opt/dipole").strip()
     version = ".".join(map(str, sys.version_info[:2]))
     assert other == f"/opt/dipole/lib/python{version}/site-packages"
+
+
+def test_installing_builds_no_benchmark():
+    asked = run("make", "-n", "-B", "install", "DESTDIR=/nowhere", cwd=REPOSITORY)
+    assert "dipoled" in asked and "tests/bench" not in asked
