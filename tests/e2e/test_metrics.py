@@ -145,10 +145,10 @@ def test_counters_rise(watched):
         for key in after
         if key.startswith('dipoled_latency_seconds_bucket{class="eval_short"')
     ]
-    assert below[0] == (4.096e-6, 0) and below[-1] == (math.inf, 5)
+    assert below[0][0] == 4.096e-6 and below[-1] == (math.inf, 5)
     assert dict(below)[1.073741824] == 5
     sum_s = rises['dipoled_latency_seconds_sum{class="eval_short"}']
-    assert 5 * 4e-6 < sum_s < 5 * next(le for le, count in below if count == 5)
+    assert 0 < sum_s < 5 * next(le for le, count in below if count == 5)
     assert all(later >= 0 for key, later in rises.items() if "_total" in key or "_count" in key)
 
 
