@@ -132,6 +132,12 @@ static bool set_profile(dipole_table *table, const wire_table_reply *fixed,
   };
   memcpy(profile->model_errors.error, fixed->model_errors, sizeof fixed->model_errors);
   memcpy(profile->numerical_errors, fixed->numerical_errors, sizeof fixed->numerical_errors);
+  for (size_t i = 0; i <= CORE_MODEL_ERROR_BANDS; i++) {
+    if (!(fixed->numerical_errors[i] >= 0 &&
+          fixed->numerical_errors[i] <= fixed->numerical_error)) {
+      return damaged(error, "its errors by band of radii are not from 0 to its largest error");
+    }
+  }
   if (!(fixed->reach > 0 && fixed->reach_growth >= 0)) {
     return damaged(error, "it does not say up to which radius its error holds");
   }

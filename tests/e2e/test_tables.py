@@ -331,6 +331,8 @@ def test_entries_outside_are_found(client, entry, at):
         ("reach", math.nan),
         ("reach", 0.0),
         ("reach_growth", -1.0),
+        ("numerical_errors", (0.0,) * 10 + (math.nan,)),
+        ("numerical_errors", (1.0,) + (0.0,) * 10),
     ],
 )
 def test_facts_that_do_not_fit(client, field, value):

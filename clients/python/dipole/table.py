@@ -122,6 +122,8 @@ class Table:
         self.model_error: float = fixed.model_error  # at all radii; 0 or, if not measured, NaN
         self._model_errors: tuple[float, ...] = fixed.model_errors
         self._numerical_errors: tuple[float, ...] = fixed.numerical_errors
+        if not all(0 <= one <= fixed.numerical_error for one in self._numerical_errors):
+            raise TableError("a table whose errors by band are not from 0 to its largest error")
         self.pieces_from_mm: float = fixed.pieces_from  # below this radius: an asymptotic formula
         self.pieces_to_mm: float = fixed.pieces_to  # from this radius on: an asymptotic formula
         self.radius_least_mm: float = fixed.radius_least  # the least radius that the model covers
