@@ -27,8 +27,8 @@ def ln_R(client: dipole.Client, logarithms: np.ndarray) -> np.ndarray:  # type: 
     sigma = np.exp(np.atleast_2d(logarithms))
     known = np.broadcast_to([G, ETA], sigma.shape)
     media = np.hstack([sigma, known])
-    # With a tolerance the daemon looks transport up; without one it solves it anew for each medium.
-    return client.eval("transport", media, r, wanted="ln_R", tolerance=1e-4).ln_R
+    # With this tolerance the daemon looks transport up; else it would solve it anew for each medium.
+    return client.eval("transport", media, r, wanted="ln_R", tolerance=1e-3).ln_R
 
 
 with dipole.Client() as client:
