@@ -13,7 +13,7 @@
 #   make docs       the tables in proto/*.md, from proto/*.def, and the manual pages
 #   make model-errors  core/model_errors.def, measured anew against transport (minutes)
 #   make tradeoff   speed against accuracy, in build/tradeoff, and core/costs.def (minutes)
-#   make tables     core/transport/transport.table, solved anew (two hours; resumes)
+#   make tables     core/transport/transport.table, solved anew (half an hour; resumes)
 #   make reference  core/transport/reference.csv, R(r) for any g, solved anew (an hour; resumes)
 #   make figures    Figures 1 to 17 of d'Eon 2012 and one of tissue, in build/figures (ten minutes;
 #                   resumes), and core/tools/tissue.svg
@@ -403,7 +403,7 @@ $(BUILD)/transport-table: $(TABLES) $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
 	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ -lm
 
-# At most two hours on two cores; after an interruption it goes on where it was.
+# Half an hour on two cores; after an interruption it goes on where it was.
 tables: $(BUILD)/transport-table
 	$(BUILD)/transport-table $(BUILD)/tables core/transport/transport.table
 

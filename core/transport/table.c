@@ -19,8 +19,9 @@ enum {
   DIMENSIONS = 3, /* of a coefficient of D, besides y */
 };
 
-/* the s at which u has its pole */
-#define U_END 1.02
+/* u = ln((s + U_BEGIN) / (U_END - s)) */
+#define U_BEGIN 0.6
+#define U_END 1.03
 
 /* ---- coordinates ---------------------------------------------------------------------------- */
 
@@ -36,12 +37,22 @@ double transport_table_albedo(double t) {
 }
 
 double transport_table_u(double albedo) {
-  return -fn_log(U_END - sqrt(1 - albedo));
+  const double s = sqrt(1 - albedo);
+  return fn_log((s + U_BEGIN) / (U_END - s));
 }
 
 double transport_table_albedo_of_u(double u) {
-  const double s = U_END - fn_exp(-u);
+  const double e = fn_exp(u);
+  const double s = fmax((U_END * e - U_BEGIN) / (1 + e), 0);
   return (1 - s) * (1 + s);
+}
+
+double transport_table_w(double g) {
+  return g * (1 + g / 20);
+}
+
+double transport_table_g(double w) {
+  return 2 * w / (1 + sqrt(1 + w / 5));
 }
 
 enum transport_table_side transport_table_side(double eta) {
@@ -65,18 +76,19 @@ void transport_table_v_range(const double *field, enum transport_table_side side
 
 void transport_table_edges(const double *field, bool of_difference, double kappa,
                            double edge[PANELS + 1]) {
+  const double *fixed = &field[of_difference ? TRANSPORT_TABLE_D_EDGES : TRANSPORT_TABLE_EDGES];
+  const int near = of_difference ? TRANSPORT_TABLE_D_NEAR : TRANSPORT_TABLE_NEAR;
   const double decays =
       field[of_difference ? TRANSPORT_TABLE_D_REACH_DECAYS : TRANSPORT_TABLE_REACH_DECAYS];
   const double most =
       field[of_difference ? TRANSPORT_TABLE_D_REACH_MOST : TRANSPORT_TABLE_REACH_MOST];
   const double reach = 1 / (kappa / decays + 1 / most);
-  for (int i = 0; i <= TRANSPORT_TABLE_NEAR; i++) {
-    edge[i] = fn_log(field[TRANSPORT_TABLE_EDGES + i]);
+  for (int i = 0; i <= near; i++) {
+    edge[i] = fn_log(fixed[i]);
   }
-  const double from = edge[TRANSPORT_TABLE_NEAR];
-  const double width = (fn_log(reach) - from) / TRANSPORT_TABLE_FAR;
-  for (int i = 1; i <= TRANSPORT_TABLE_FAR; i++) {
-    edge[TRANSPORT_TABLE_NEAR + i] = from + i * width;
+  const double width = (fn_log(reach) - edge[near]) / (PANELS - near);
+  for (int i = 1; i <= PANELS - near; i++) {
+    edge[near + i] = edge[near] + i * width;
   }
 }
 
@@ -195,12 +207,20 @@ static bool pass_over_side(struct reader *reader, size_t totals, size_t indices)
   return reader->good;
 }
 
-/* Returns whether a part reaches beyond the last fixed edge for every albedo. decays and most: as in
- * the formula of the reach. */
-static bool reaches(const double *field, double decays, double most) {
+/* Returns whether the edges of a part ascend for every albedo. */
+static bool edges_ascend(const double *field, bool of_difference) {
   const double kappa_most = 1;
-  return decays > 0 && most > 0 &&
-         1 / (kappa_most / decays + 1 / most) > field[TRANSPORT_TABLE_EDGES + TRANSPORT_TABLE_NEAR];
+  const int first = of_difference ? TRANSPORT_TABLE_D_EDGES : TRANSPORT_TABLE_EDGES;
+  const int reach = of_difference ? TRANSPORT_TABLE_D_REACH_DECAYS : TRANSPORT_TABLE_REACH_DECAYS;
+  double edge[PANELS + 1];
+  bool good = field[first] > 0 && field[reach] > 0 && field[reach + 1] > 0;
+  if (good) {
+    transport_table_edges(field, of_difference, kappa_most, edge);
+  }
+  for (int i = 0; i < PANELS && good; i++) {
+    good = edge[i] < edge[i + 1];
+  }
+  return good;
 }
 
 static bool sane(const double *field) {
@@ -211,19 +231,13 @@ static bool sane(const double *field) {
               field[TRANSPORT_TABLE_ETA_LEAST] >= TRANSPORT_ETA_MIN &&
               field[TRANSPORT_TABLE_ETA_LEAST] < 1 && field[TRANSPORT_TABLE_ETA_MOST] > 1 &&
               field[TRANSPORT_TABLE_ETA_MOST] <= TRANSPORT_ETA_MAX &&
-              field[TRANSPORT_TABLE_EDGES] > 0 && field[TRANSPORT_TABLE_D_QUANTUM] > 0 &&
-              field[TRANSPORT_TABLE_G_LEAST] > -1 && field[TRANSPORT_TABLE_G_LEAST] < 0 &&
-              field[TRANSPORT_TABLE_G_MOST] > 0 && field[TRANSPORT_TABLE_G_MOST] < 1 &&
-              field[TRANSPORT_TABLE_TOTALS_ERROR] >= 0;
-  for (int i = 0; i < TRANSPORT_TABLE_NEAR; i++) {
-    good &= field[TRANSPORT_TABLE_EDGES + i] < field[TRANSPORT_TABLE_EDGES + i + 1];
+              field[TRANSPORT_TABLE_D_QUANTUM] > 0 && field[TRANSPORT_TABLE_G_LEAST] > -1 &&
+              field[TRANSPORT_TABLE_G_LEAST] < 0 && field[TRANSPORT_TABLE_G_MOST] > 0 &&
+              field[TRANSPORT_TABLE_G_MOST] < 1 && field[TRANSPORT_TABLE_TOTALS_ERROR] >= 0;
+  for (int i = TRANSPORT_TABLE_DIFFUSE_ERRORS; i < TRANSPORT_TABLE_FIELDS; i++) {
+    good &= field[i] >= 0; /* errors */
   }
-  for (int i = 0; i < TRANSPORT_TABLE_REGIONS; i++) {
-    good &= field[TRANSPORT_TABLE_D_ERRORS + i] >= 0;
-  }
-  return good &&
-         reaches(field, field[TRANSPORT_TABLE_REACH_DECAYS], field[TRANSPORT_TABLE_REACH_MOST]) &&
-         reaches(field, field[TRANSPORT_TABLE_D_REACH_DECAYS], field[TRANSPORT_TABLE_D_REACH_MOST]);
+  return good && edges_ascend(field, false) && edges_ascend(field, true);
 }
 
 bool transport_table_open(transport_table *table, const uint8_t *bytes, size_t length) {
@@ -285,14 +299,17 @@ static size_t band(double x, const double *limits, size_t count) {
   return i;
 }
 
+size_t transport_table_albedo_band(double albedo) {
+  static const double limits[TRANSPORT_TABLE_BANDS_ALBEDO - 1] = {1.0 / 11, 0.5, 0.9};
+  return band(albedo, limits, TRANSPORT_TABLE_BANDS_ALBEDO - 1);
+}
+
 size_t transport_table_region(double albedo, double g, double eta, double x) {
   static const double g_limits[TRANSPORT_TABLE_BANDS_G - 1] = {0.6, 0.85};
-  static const double albedo_limits[TRANSPORT_TABLE_BANDS_ALBEDO - 1] = {1.0 / 11, 0.5, 0.9};
   static const double eta_limits[TRANSPORT_TABLE_BANDS_ETA - 1] = {1.5};
-  static const double x_limits[TRANSPORT_TABLE_BANDS_X - 1] = {0.05, 1, 10};
+  static const double x_limits[TRANSPORT_TABLE_BANDS_X - 1] = {0.05, 1, 10, 20, 100};
   size_t region = band(g, g_limits, TRANSPORT_TABLE_BANDS_G - 1);
-  region = region * TRANSPORT_TABLE_BANDS_ALBEDO +
-           band(albedo, albedo_limits, TRANSPORT_TABLE_BANDS_ALBEDO - 1);
+  region = region * TRANSPORT_TABLE_BANDS_ALBEDO + transport_table_albedo_band(albedo);
   region =
       region * TRANSPORT_TABLE_BANDS_ETA + band(eta, eta_limits, TRANSPORT_TABLE_BANDS_ETA - 1);
   return region * TRANSPORT_TABLE_BANDS_X + band(x, x_limits, TRANSPORT_TABLE_BANDS_X - 1);
@@ -314,6 +331,10 @@ double transport_table_error(const transport_table *table, double albedo, double
 
 double transport_table_total_error(const transport_table *table, double g) {
   return table->field[g == 0 ? TRANSPORT_TABLE_ERROR : TRANSPORT_TABLE_TOTALS_ERROR];
+}
+
+double transport_table_diffuse_error(const transport_table *table, double albedo) {
+  return table->field[TRANSPORT_TABLE_DIFFUSE_ERRORS + transport_table_albedo_band(albedo)];
 }
 
 /* Sets values to the polynomials of v on the side of this eta. */
@@ -341,17 +362,15 @@ static double read_total(struct reader *reader, const double (*basis)[TERMS_MAX]
   return albedo * fn_exp(logarithm[0] * quantum);
 }
 
-/* From these terms on, a panel's series of D is nothing but the solver's noise, which would put kinks
- * into profiles. */
-static const size_t terms_of_D[PANELS] = {10, 16, 12, 12};
-
 void transport_table_difference(const transport_table *table, double albedo, double g, double eta,
                                 transport_difference *difference) {
   assert(transport_table_covers_difference(table, albedo, g, eta));
   const double *field = table->field;
   const int side = SIDES + (int)transport_table_side(eta);
   double basis[DIMENSIONS][TERMS_MAX];
-  chebyshev(mapped(g, field[TRANSPORT_TABLE_G_LEAST], field[TRANSPORT_TABLE_G_MOST]), basis[0]);
+  chebyshev(mapped(transport_table_w(g), transport_table_w(field[TRANSPORT_TABLE_G_LEAST]),
+                   transport_table_w(field[TRANSPORT_TABLE_G_MOST])),
+            basis[0]);
   chebyshev(mapped(transport_table_u(albedo), transport_table_u(1),
                    transport_table_u(field[TRANSPORT_TABLE_ALBEDO_LEAST])),
             basis[1]);
@@ -367,9 +386,7 @@ void transport_table_difference(const transport_table *table, double albedo, dou
   read_panels(&reader, basis, 3, field[TRANSPORT_TABLE_D_QUANTUM], difference->terms,
               difference->term);
   for (size_t i = 0; i < PANELS; i++) {
-    const size_t most = terms_of_D[i] < difference->terms[i] ? terms_of_D[i] : difference->terms[i];
-    memset(&difference->term[i][most], 0, (TERMS_MAX - most) * sizeof(double));
-    difference->terms[i] = most < 2 ? 2 : most;
+    difference->terms[i] = difference->terms[i] < 2 ? 2 : difference->terms[i];
   }
   transport_join_panels(PANELS, TERMS_MAX, difference->term[0]);
 }
@@ -442,23 +459,9 @@ static double sum_at(const double edge[PANELS + 1], const size_t terms[PANELS],
   return sum_of(term[panel], terms[panel], mapped(y, edge[panel], edge[panel + 1]));
 }
 
-/* Returns what is added to D beyond its last edge: there the series goes on with its slope, the less
- * the fewer decay lengths that edge is away from the source, as D is constant where R is diffusion. */
-static double beyond_D(const transport_difference *difference, double y) {
-  const double *term = difference->term[PANELS - 1], *edge = difference->edge;
-  const double decays = difference->kappa_isotropic * fn_exp(edge[PANELS]);
-  double slope = 0; /* of the series at s = 1 */
-  for (size_t k = 1; k < difference->terms[PANELS - 1]; k++) {
-    slope += (double)(k * k) * term[k];
-  }
-  const double share = decays / (decays + 2);
-  return share * slope * 2 / (edge[PANELS] - edge[PANELS - 1]) * (y - edge[PANELS]);
-}
-
 double transport_difference_at(const transport_difference *difference, double y) {
   const double x = fn_exp(y);
-  const double beyond = y > difference->edge[PANELS] ? beyond_D(difference, y) : 0;
-  return sum_at(difference->edge, difference->terms, difference->term, y) + beyond +
+  return sum_at(difference->edge, difference->terms, difference->term, y) +
          fn_log((1 + difference->kappa * x) / (1 + difference->kappa_isotropic * x));
 }
 

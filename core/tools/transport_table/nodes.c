@@ -18,17 +18,23 @@ enum {
    * coefficients to be below the quantum. */
   NODES_T = 72,
   NODES_X = 32,
-  NODES_D_X = 24,
+  NODES_D_X = 20,
   NODES_D_BELOW_1 = 10,
   NODES_D_FROM_1 = 16,
   NODES_D_V = NODES_D_BELOW_1 + NODES_D_FROM_1,
   TOTALS_G = 18,
-  TOTALS_U = 40,
+  TOTALS_U = 31,
   TOTALS_BELOW_1 = 12,
   TOTALS_FROM_1 = 20,
   DIMENSIONS_MAX = 4,
   BYTES_MAX = 1 << 22
 };
+
+/* For smaller g, the quick grids are as accurate as the normal ones are for larger g. */
+#define QUICK_MOST 0.6
+
+/* The solver's errors are as large as R where R is smaller, per squared reduced mean free path. */
+#define R_NOISE 1e-14
 
 static void *allocate(size_t count, size_t size) {
   void *memory = calloc(count, size);
@@ -90,7 +96,8 @@ void nodes_make(const double *field, table_sample samples[NODES]) {
 }
 
 static double g_point(const double *field, size_t l, size_t n) {
-  return point(l, n, field[TRANSPORT_TABLE_G_LEAST], field[TRANSPORT_TABLE_G_MOST]);
+  return transport_table_g(point(l, n, transport_table_w(field[TRANSPORT_TABLE_G_LEAST]),
+                                 transport_table_w(field[TRANSPORT_TABLE_G_MOST])));
 }
 
 static double u_point(const double *field, size_t i, size_t n) {
@@ -110,6 +117,7 @@ void nodes_make_difference(const double *field, table_sample samples[NODES_D]) {
     }
     table_sample *sample = &samples[sample_of(l, i)];
     sample_make(sample, g_point(field, l, NODES_D_G), NODES_D_V, PANELS * NODES_D_X);
+    sample->effort = sample->g > QUICK_MOST ? TRANSPORT_EFFORT_NORMAL : TRANSPORT_EFFORT_QUICK;
     make_etas(field, TRANSPORT_TABLE_BELOW_1, NODES_D_BELOW_1, sample->eta);
     make_etas(field, TRANSPORT_TABLE_FROM_1, NODES_D_FROM_1, sample->eta + NODES_D_BELOW_1);
     for (size_t j = 0; j < NODES_D_V; j++) {
@@ -217,13 +225,14 @@ static void put_terms(table_bytes *writer, const int64_t *terms, const struct sh
   }
 }
 
-/* Writes the series through values at Chebyshev's points, which it overwrites. */
+/* Writes the series through values at Chebyshev's points, which it overwrites. keep: the number of
+ * terms in the first direction that are not left out. */
 static void put_series(table_bytes *writer, double quantum, double *values,
-                       const struct shape *shape) {
+                       const struct shape *shape, size_t keep) {
   transform_all(values, shape);
-  const size_t size = size_from(shape, 0);
+  const size_t size = size_from(shape, 0), kept = keep * size_from(shape, 1);
   int64_t *rounded = allocate(size, sizeof *rounded);
-  for (size_t i = 0; i < size; i++) {
+  for (size_t i = 0; i < kept; i++) {
     const double value = values[i] / quantum;
     if (!(fabs(value) < 0x1p47)) {
       tools_fail("a coefficient of the table is too large or not a number");
@@ -251,7 +260,7 @@ static void put_side(table_bytes *writer, double quantum, const table_sample *sa
       values[i * nv + j] = fn_log(samples[j].total[i] / samples[j].albedo[i]);
     }
   }
-  put_series(writer, quantum, values, &(struct shape){3, {1, NODES_T, nv}});
+  put_series(writer, quantum, values, &(struct shape){3, {1, NODES_T, nv}}, 1);
   for (size_t p = 0; p < PANELS; p++) {
     for (size_t k = 0; k < NODES_X; k++) {
       for (size_t i = 0; i < NODES_T; i++) {
@@ -260,7 +269,7 @@ static void put_side(table_bytes *writer, double quantum, const table_sample *sa
         }
       }
     }
-    put_series(writer, quantum, values, &(struct shape){3, {NODES_X, NODES_T, nv}});
+    put_series(writer, quantum, values, &(struct shape){3, {NODES_X, NODES_T, nv}}, NODES_X);
   }
   free(values);
 }
@@ -268,7 +277,7 @@ static void put_side(table_bytes *writer, double quantum, const table_sample *sa
 /* Writes a series that is 0. */
 static void put_zero(table_bytes *writer) {
   double zero = 0;
-  put_series(writer, 1, &zero, &(struct shape){4, {1, 1, 1, 1}});
+  put_series(writer, 1, &zero, &(struct shape){4, {1, 1, 1, 1}}, 1);
 }
 
 table_bytes nodes_encode(const double *field, const table_sample samples[NODES]) {
@@ -318,20 +327,34 @@ static void put_totals(table_bytes *writer, const struct totals *totals,
     }
   }
   put_series(writer, totals->field[TRANSPORT_TABLE_QUANTUM], values,
-             &(struct shape){4, {1, TOTALS_G, TOTALS_U, nv}});
+             &(struct shape){4, {1, TOTALS_G, TOTALS_U, nv}}, 1);
   free(values);
 }
 
-/* Returns D at radius k, a number that counts through all panels, of medium j of a sample. series:
- * of isotropic scattering. */
-static double difference(const table_sample *sample, size_t j, size_t k,
-                         const transport_series *series) {
-  const size_t at = j * sample->radii + k;
-  const double x = sample->x[at], y = fn_log(x);
-  const double kx = transport_anisotropic_kappa(sample->albedo[j], sample->g) * x;
-  const double kx_isotropic = series->kappa * x;
-  return fn_log(x * sample->R[at]) + kx - transport_series_at(series, y) -
+/* Returns D at a radius x from R there. kappa: of the medium. isotropic: the medium's isotropic
+ * counterpart. */
+static double difference(double x, double R, double kappa, const transport_series *isotropic) {
+  const double kx = kappa * x, kx_isotropic = isotropic->kappa * x;
+  return fn_log(x * R) + kx - transport_series_at(isotropic, fn_log(x)) -
          fn_log((1 + kx) / (1 + kx_isotropic));
+}
+
+/* Sets values to D at the radii of medium j of a sample. Where R is below R_NOISE, D keeps the value
+ * that it has at the last radius before. */
+static void find_differences(const transport_table *isotropic, const table_sample *sample, size_t j,
+                             double values[PANELS * NODES_D_X]) {
+  const double kappa = transport_anisotropic_kappa(sample->albedo[j], sample->g);
+  const double *x = sample->x + j * sample->radii, *R = sample->R + j * sample->radii;
+  transport_series series;
+  transport_table_look_up(isotropic, sample->albedo[j], 0, sample->eta[j], &series);
+  double last = 0;
+  for (size_t p = 0; p < PANELS; p++) {
+    for (size_t k = NODES_D_X; k-- > 0;) { /* the radii of a panel descend */
+      const size_t at = p * NODES_D_X + k;
+      last = R[at] > R_NOISE ? difference(x[at], R[at], kappa, &series) : last;
+      values[at] = last;
+    }
+  }
 }
 
 /* Sets values to D at all points of one side: [panel][x][g][u][eta]. */
@@ -339,17 +362,11 @@ static void fill_differences(const transport_table *isotropic, const table_sampl
                              size_t first, size_t nv, double *values) {
   for (size_t li = 0; li < NODES_D_G * NODES_D_U; li++) {
     const size_t l = li / NODES_D_U, i = li % NODES_D_U;
-    if (l == NODES_D_G_ZERO) {
-      continue; /* D is 0 */
-    }
-    const table_sample *sample = &samples[sample_of(l, i)];
-    for (size_t j = 0; j < nv; j++) {
-      transport_series series;
-      transport_table_look_up(isotropic, sample->albedo[first + j], 0, sample->eta[first + j],
-                              &series);
+    for (size_t j = 0; j < nv && l != NODES_D_G_ZERO; j++) { /* D is 0 for g = 0 */
+      double of_medium[PANELS * NODES_D_X];
+      find_differences(isotropic, &samples[sample_of(l, i)], first + j, of_medium);
       for (size_t k = 0; k < PANELS * NODES_D_X; k++) {
-        values[(k * NODES_D_G * NODES_D_U + li) * nv + j] =
-            difference(sample, first + j, k, &series);
+        values[(k * NODES_D_G * NODES_D_U + li) * nv + j] = of_medium[k];
       }
     }
   }
@@ -357,6 +374,8 @@ static void fill_differences(const transport_table *isotropic, const table_sampl
 
 static void put_differences(table_bytes *writer, const transport_table *isotropic,
                             const table_sample samples[NODES_D], enum transport_table_side side) {
+  /* further terms are nothing but the solver's noise, which would put kinks into profiles */
+  static const size_t keep[PANELS] = {10, 16, 10, 8};
   const size_t first = side == TRANSPORT_TABLE_BELOW_1 ? 0 : NODES_D_BELOW_1;
   const size_t nv = side == TRANSPORT_TABLE_BELOW_1 ? NODES_D_BELOW_1 : NODES_D_FROM_1;
   const size_t size = NODES_D_X * NODES_D_G * NODES_D_U * nv;
@@ -364,7 +383,7 @@ static void put_differences(table_bytes *writer, const transport_table *isotropi
   fill_differences(isotropic, samples, first, nv, values);
   for (size_t p = 0; p < PANELS; p++) {
     put_series(writer, isotropic->field[TRANSPORT_TABLE_D_QUANTUM], values + p * size,
-               &(struct shape){4, {NODES_D_X, NODES_D_G, NODES_D_U, nv}});
+               &(struct shape){4, {NODES_D_X, NODES_D_G, NODES_D_U, nv}}, keep[p]);
   }
   free(values);
 }

@@ -11,9 +11,9 @@ enum {
   NODES_FROM_1 = 32,
   NODES = NODES_BELOW_1 + NODES_FROM_1,
   /* samples of the difference D: one for each g, of which 0 needs none, and each albedo */
-  NODES_D_G = 11,
-  NODES_D_G_ZERO = 6, /* the point of g that is 0 */
-  NODES_D_U = 12,
+  NODES_D_G = 9,
+  NODES_D_G_ZERO = 5, /* the point of g that is 0 */
+  NODES_D_U = 14,
   NODES_D = (NODES_D_G - 1) * NODES_D_U
 };
 

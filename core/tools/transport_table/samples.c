@@ -22,7 +22,7 @@ enum { PATH_MAX_BYTES = 1024 };
 /* ---- samples --------------------------------------------------------------------------------- */
 
 void sample_make(table_sample *sample, double g, size_t media, size_t radii) {
-  const size_t numbers = media * (4 + 2 * radii);
+  const size_t numbers = media * (3 + 2 * radii);
   *sample = (struct table_sample){
       .g = g, .effort = TRANSPORT_EFFORT_NORMAL, .media = media, .radii = radii};
   sample->bytes = numbers * sizeof(double);
@@ -34,8 +34,7 @@ void sample_make(table_sample *sample, double g, size_t media, size_t radii) {
   sample->eta = sample->albedo + media;
   sample->x = sample->eta + media;
   sample->total = sample->x + media * radii;
-  sample->diffuse = sample->total + media;
-  sample->R = sample->diffuse + media;
+  sample->R = sample->total + media;
 }
 
 void sample_free(table_sample *sample) {
@@ -61,16 +60,11 @@ static void solve_anisotropic(table_sample *sample) {
   const transport_phase phase = {sample->g, 0, NULL};
   const core_isa *isa = core_isa_select(NULL);
   const double ratio = (1 - sample->albedo[0]) / sample->albedo[0];
-  transport_totals totals[TRANSPORT_ANISOTROPIC_ETAS_MAX];
   transport_anisotropic *solution;
-  tools_check(transport_anisotropic_totals(totals, isa, ratio, &phase, sample->eta, sample->media),
-              "transport");
   tools_check(transport_anisotropic_solve_once(&solution, isa, ratio, &phase, sample->eta,
                                                sample->media, sample->effort),
               "transport");
   for (size_t i = 0; i < sample->media; i++) {
-    sample->total[i] = totals[i].normal.value;
-    sample->diffuse[i] = totals[i].diffuse.value;
     for (size_t j = i * sample->radii; j < (i + 1) * sample->radii; j++) {
       sample->R[j] = transport_anisotropic_at(solution, i, sample->x[j]).value;
     }

@@ -17,11 +17,10 @@ typedef struct table_sample {
   double *albedo;  /* [media] */
   double *eta;     /* [media] */
   double *x;       /* [media][radii], reduced mean free paths */
-  double *total;   /* [media], solved: the energy that leaves in all */
-  double *diffuse; /* [media], solved: the same for diffuse light; 0 for isotropic scattering */
+  double *total;   /* [media], solved: the energy that leaves in all, of isotropic scattering */
   double *R;       /* [media][radii], solved */
   size_t bytes;    /* size of numbers */
-  double *numbers; /* memory that holds the six arrays */
+  double *numbers; /* memory that holds the five arrays */
 } table_sample;
 
 /* Allocates the arrays. The effort is TRANSPORT_EFFORT_NORMAL. If no memory is left, the program ends
