@@ -498,7 +498,7 @@ static void compare_with_plain(const plain_medium *medium, int plain_photons) {
 UNIT_TEST(a_plain_walk_is_met) {
   static const struct {
     plain_medium medium;
-    int photons; /* more where few of them are ever scattered */
+    int photons; /* number of photons in the plain walk; thin slabs scatter only few of them */
   } rows[] = {
       {{0.9, 0, 1.5, 0.1}, 300000},
       {{0.95, 0.5, 1.7, 3}, 100000},

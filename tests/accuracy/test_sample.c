@@ -14,14 +14,15 @@ static const unsigned evaluators[EVALUATORS] = {CORE_EVALUATOR_F64, CORE_EVALUAT
 static const double epsilons[EVALUATORS] = {DBL_EPSILON, FLT_EPSILON};
 static const double promised[EVALUATORS] = {CORE_SAMPLE_ERROR_F64, CORE_SAMPLE_ERROR_F32};
 
-/* Worst errors over all media, and where. */
+/* The largest errors over all media. */
 struct worst {
-  double round_trip;
-  double at_u;
+  double round_trip; /* |cdf(radius of u) - u| */
+  double at_u;       /* the u and the medium that have it */
   core_medium at;
-  double integral; /* over the whole: |1 - integral| over what it may be */
-  double interval; /* of one interval between samples, likewise */
-  size_t points;
+  double integral; /* |1 - integral of the pdf from 0 to infinity|, over its allowed error */
+  double interval; /* |integral of the pdf between the radii of two u - difference of these u|, over
+                    * its allowed error */
+  size_t points;   /* number of round trips */
 };
 
 static struct worst worsts[EVALUATORS];

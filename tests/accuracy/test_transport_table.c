@@ -95,7 +95,8 @@ static void compare_medium(struct worsts *worst, transport_boundary *boundary, d
   transport_solution_free(solution);
 }
 
-/* 1 - a equally dense in its logarithm, or a. */
+/* Draws an albedo. For even i the logarithm of 1 - albedo is uniform, for odd i that of the albedo.
+ */
 static double random_albedo(uint64_t *random, size_t i) {
   return i % 2 == 0 ? 1 - unit_random_log(random, 1e-6, 0.99)
                     : unit_random_log(random, 0.01, 1 - 1e-6);
