@@ -179,3 +179,23 @@ UNIT_TEST(transport_of_little_scattering_is_right_where_it_bends) {
   }
   transport_boundary_free(boundary);
 }
+
+/* A table of transport that is made from the shipped solutions, which are less exact there. */
+UNIT_TEST(a_table_of_transport_far_away_with_eta_1) {
+  const core_medium medium = {.9, .1, 0, 1};
+  core_parameters parameters = core_parameters_none();
+  parameters.value[CORE_PARAMETER_TOLERANCE] = 1e-5;
+  core_profile exact = prepared(CORE_MODEL_TRANSPORT, medium, 1e-7), table;
+  unit_assert_fault(core_profile_prepare(&table, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
+                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_LUT, &medium,
+                                         &parameters),
+                    NULL, 0);
+  for (float r = 20; r < 29.8f; r *= 1.01f) {
+    float R;
+    core_eval_f32(&table, CORE_QUANTITY_R, 1, &r, &R);
+    assert_near((double)R, value_of(&exact, CORE_QUANTITY_R, (double)r),
+                table.numerical_error + exact.numerical_error, "R of a table", (double)r);
+  }
+  core_profile_free(&exact);
+  core_profile_free(&table);
+}
