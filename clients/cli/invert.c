@@ -117,26 +117,28 @@ static int choose(const invert_settings *settings, const char *length, report *o
              : cli_fail("--%s: this daemon does not know it; name another length", length);
 }
 
-static void take(report *of, const invert_settings *settings, const dipole_inversion *inversion) {
+static void take(report *of, const invert_settings *settings, size_t first,
+                 const dipole_inversion *inversion) {
   of->albedo_least = inversion->albedo_least;
   of->albedo_most = inversion->albedo_most;
-  of->missing = (size_t)inversion->missing_count;
-  for (size_t i = 0; i < of->count; i++) {
-    of->items[i].found = !isnan(inversion->sigma_a_per_mm[i]);
-    of->items[i].medium =
-        (dipole_medium){inversion->sigma_a_per_mm[i], inversion->sigma_s_per_mm[i],
-                        settings->g.value, settings->eta.value};
-    of->items[i].albedo = (double)NAN;
+  of->missing += (size_t)inversion->missing_count;
+  for (size_t i = 0; i < inversion->medium_count; i++) {
+    wanted *one = &of->items[first + i];
+    one->found = !isnan(inversion->sigma_a_per_mm[i]);
+    one->medium = (dipole_medium){inversion->sigma_a_per_mm[i], inversion->sigma_s_per_mm[i],
+                                  settings->g.value, settings->eta.value};
+    one->albedo = (double)NAN;
   }
 }
 
-static bool ask(dipole_client *client, const invert_settings *settings, report *of,
-                dipole_error *error) {
-  double *albedos = cli_allocate(of->count, sizeof *albedos);
-  double *lengths_mm = cli_allocate(of->count, sizeof *lengths_mm);
-  for (size_t i = 0; i < of->count; i++) {
-    albedos[i] = of->items[i].wanted_albedo;
-    lengths_mm[i] = of->items[i].length_mm;
+/* Asks for `count` media from number `first` on. */
+static bool ask_some(dipole_client *client, const invert_settings *settings, report *of,
+                     size_t first, size_t count, dipole_error *error) {
+  double *albedos = cli_allocate(count, sizeof *albedos);
+  double *lengths_mm = cli_allocate(count, sizeof *lengths_mm);
+  for (size_t i = 0; i < count; i++) {
+    albedos[i] = of->items[first + i].wanted_albedo;
+    lengths_mm[i] = of->items[first + i].length_mm;
   }
   const dipole_invert_query query = {.model = of->model->id,
                                      .moments = of->moments->id,
@@ -145,17 +147,31 @@ static bool ask(dipole_client *client, const invert_settings *settings, report *
                                      .eta = settings->eta.value,
                                      .albedos = albedos,
                                      .lengths_mm = lengths_mm,
-                                     .medium_count = of->count,
+                                     .medium_count = count,
                                      .deadline_ms = (unsigned)settings->profile.deadline_ms.value};
   dipole_inversion *inversion;
   const bool good =
       CLI_ASK(&settings->profile.common, error, dipole_invert(client, &query, &inversion, error));
   if (good) {
-    take(of, settings, inversion);
+    take(of, settings, first, inversion);
     dipole_inversion_free(inversion);
   }
   free(albedos);
   free(lengths_mm);
+  return good;
+}
+
+/* Transport takes a second for each medium, so it is asked for one at a time: the daemon is then not
+ * silent for long, and there is no limit of media. */
+static bool ask(dipole_client *client, const invert_settings *settings, report *of,
+                dipole_error *error) {
+  const bool slow = strcmp(of->model->name, CLI_MODEL_DEFAULT) == 0;
+  const size_t each = slow ? 1 : of->count;
+  bool good = true;
+  of->missing = 0;
+  for (size_t first = 0; good && first < of->count; first += each) {
+    good = ask_some(client, settings, of, first, each, error);
+  }
   return good;
 }
 
