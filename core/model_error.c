@@ -37,6 +37,26 @@ unsigned core_error_code(double error) {
   return code;
 }
 
+/* The symbols are '#' to '~', with two of them replaced: a '?' could begin a trigraph, and a
+ * backslash an escape sequence. */
+enum { SYMBOL_LEAST = '#', SYMBOL_MOST = '~', SYMBOL_CODE_LEAST = 73, SYMBOL_CODE_STEP = 2 };
+
+unsigned core_error_code_of_symbol(char symbol) {
+  const int plain = symbol == ' ' ? '?' : symbol == '!' ? '\\' : symbol;
+  return plain < SYMBOL_MOST
+             ? (unsigned)(SYMBOL_CODE_LEAST + SYMBOL_CODE_STEP * (plain - SYMBOL_LEAST))
+             : CORE_ERROR_CODE_ANY;
+}
+
+char core_error_symbol(double error) {
+  int plain = SYMBOL_LEAST;
+  while (plain < SYMBOL_MOST &&
+         !(error <= core_error_of_code(core_error_code_of_symbol((char)plain)))) {
+    plain++;
+  }
+  return plain == '?' ? ' ' : plain == '\\' ? '!' : (char)plain;
+}
+
 /* ---- what was measured ----------------------------------------------------------------------- */
 
 const double core_error_edges_mfp[] = {
@@ -59,11 +79,30 @@ static const double g_ratios[] = {
 #include "core/model_errors.def"
 };
 
+/* Edges of the cells. */
+static const double cell_gs[] = {
+#define CORE_ERROR_CELL_G(g) g,
+#include "core/model_errors.def"
+};
+
+static const double cell_ratios[] = {
+#define CORE_ERROR_CELL_RATIO(ratio) ratio,
+#include "core/model_errors.def"
+};
+
+static const double cell_etas[] = {
+#define CORE_ERROR_CELL_ETA(eta) eta,
+#include "core/model_errors.def"
+};
+
 enum {
   BANDS = CORE_MODEL_ERROR_BANDS,
   RATIOS = sizeof ratios / sizeof ratios[0],
   ETAS = sizeof etas / sizeof etas[0],
   G_RATIOS = sizeof g_ratios / sizeof g_ratios[0],
+  CELL_GS = sizeof cell_gs / sizeof cell_gs[0] - 1,
+  CELL_RATIOS = sizeof cell_ratios / sizeof cell_ratios[0] - 1,
+  CELL_ETAS = sizeof cell_etas / sizeof cell_etas[0] - 1,
   DIGITS = 2,                  /* number of digits of a code */
   NODE = (BANDS + 1) * DIGITS, /* a code for each band, then the albedo's */
 };
@@ -71,6 +110,7 @@ enum {
 _Static_assert(sizeof core_error_edges_mfp / sizeof core_error_edges_mfp[0] == BANDS + 1,
                "as core.h has it");
 
+/* With isotropic scattering. */
 static const struct measured {
   unsigned model;
   bool similarity; /* true if g and sigma_s matter only as sigma_s (1 - g) */
@@ -80,8 +120,20 @@ static const struct measured {
 #include "core/model_errors.def"
 };
 
-enum { MEASURED = sizeof measured / sizeof measured[0] };
+/* With anisotropic scattering. */
+static const struct cells {
+  unsigned model;
+  char symbols[CELL_GS * CELL_RATIOS][CELL_ETAS * (BANDS + 1) + 1];
+} cells[] = {
+#define CORE_ERROR_CELLS(model, ...) {model, {__VA_ARGS__}},
+#include "core/model_errors.def"
+};
 
+enum { MODELS = sizeof measured / sizeof measured[0] };
+
+_Static_assert(MODELS == sizeof cells / sizeof cells[0], "the same models in the same order");
+
+/* For g beyond the cells: those of isotropic scattering in place of anisotropic. */
 static const struct similarity {
   double g;
   char codes[G_RATIOS][NODE + 1];
@@ -90,11 +142,13 @@ static const struct similarity {
 #include "core/model_errors.def"
 };
 
-enum { GS = sizeof similarities / sizeof similarities[0] };
+enum { SIMILARITIES = sizeof similarities / sizeof similarities[0] };
 
-/* Between nodes the error may be larger than at the nodes around, by up to this factor.
- * tests/accuracy/test_model_error.c checks it with media between the nodes. */
+/* Between nodes the error may be larger than at the nodes around, by up to this factor, and in a
+ * cell larger than at the media measured in it. tests/accuracy/test_model_error.c checks both with
+ * other media. */
 #define BETWEEN_NODES 1.08
+#define IN_CELL 1.04
 
 /* ---- where in the map ------------------------------------------------------------------------ */
 
@@ -123,23 +177,16 @@ static inline bool enclose(const double *list, size_t count, double value, struc
   return true;
 }
 
-/* Finds the neighbours of g among the measured g; returns false outside of them. g = 0 is a node as
- * well, with the error 0, but is not in the list. */
-static bool enclose_g(double g, struct span *span) {
-  if (!(g >= similarities[0].g && g <= similarities[GS - 1].g)) {
-    return false;
+/* Returns the cell between two of `count` + 1 edges that holds the value, or `count` if none does. */
+static size_t cell_of(const double *edges, size_t count, double value) {
+  if (!(value >= edges[0] - SLACK && value <= edges[count] * (1 + SLACK))) {
+    return count;
   }
-  span->first = span->last = 0;
-  while (similarities[span->last].g < g) {
-    span->last++;
+  size_t cell = 0;
+  for (size_t i = 1; i < count; i++) {
+    cell += edges[i] <= value;
   }
-  const bool from_below =
-      span->last > 0 && similarities[span->last].g > g && similarities[span->last - 1].g > 0;
-  if (g < 0 && similarities[span->last].g > 0) {
-    span->last--;
-  }
-  span->first = from_below ? span->last - 1 : span->last;
-  return true;
+  return cell;
 }
 
 static unsigned digit(char hexadecimal) {
@@ -170,13 +217,31 @@ static bool find_isotropic(unsigned char codes[BANDS + 1], const struct measured
   return true;
 }
 
-static bool find_similarity(unsigned char codes[BANDS + 1], double ratio, double eta, double g) {
-  struct span at_ratio, at_eta, at_g;
-  if (!enclose(g_ratios, G_RATIOS, ratio, &at_ratio) || !enclose(etas, ETAS, eta, &at_eta) ||
-      !enclose_g(g, &at_g)) {
+static bool find_anisotropic(unsigned char codes[BANDS + 1], const struct cells *of, double ratio,
+                             const core_medium *medium) {
+  const size_t g = cell_of(cell_gs, CELL_GS, medium->g);
+  const size_t row = cell_of(cell_ratios, CELL_RATIOS, ratio);
+  const size_t column = cell_of(cell_etas, CELL_ETAS, medium->eta);
+  if (g == CELL_GS || row == CELL_RATIOS || column == CELL_ETAS) {
     return false;
   }
-  for (size_t k = at_g.first; k <= at_g.last; k++) {
+  const char *symbols = &of->symbols[g * CELL_RATIOS + row][column * (BANDS + 1)];
+  for (size_t i = 0; i <= BANDS; i++) {
+    codes[i] = (unsigned char)core_error_code_of_symbol(symbols[i]);
+  }
+  return true;
+}
+
+/* The g between the first and the last of the list get the largest error of the list. */
+static bool find_similarity(unsigned char codes[BANDS + 1], double ratio,
+                            const core_medium *medium) {
+  struct span at_ratio, at_eta;
+  if (!(medium->g >= similarities[0].g && medium->g <= similarities[SIMILARITIES - 1].g) ||
+      !enclose(g_ratios, G_RATIOS, ratio, &at_ratio) ||
+      !enclose(etas, ETAS, medium->eta, &at_eta)) {
+    return false;
+  }
+  for (size_t k = 0; k < SIMILARITIES; k++) {
     for (size_t i = at_ratio.first; i <= at_ratio.last; i++) {
       merge_node(codes, similarities[k].codes[i]);
     }
@@ -184,22 +249,17 @@ static bool find_similarity(unsigned char codes[BANDS + 1], double ratio, double
   return true;
 }
 
-static double error_of(unsigned code) {
-  return code < CORE_ERROR_CODE_ANY ? core_error_of_code(code) * BETWEEN_NODES : (double)NAN;
+static double error_of(unsigned code, double margin) {
+  return code < CORE_ERROR_CODE_ANY ? core_error_of_code(code) * margin : (double)NAN;
 }
 
-/* Combines two relative errors, of which one applies to the result of the other. */
-static double upon(double a, double b) {
-  return (1 + a) * (1 + b) - 1;
-}
-
-static const struct measured *find_model(enum core_model model) {
-  for (size_t i = 0; i < MEASURED; i++) {
-    if (measured[i].model == (unsigned)model) {
-      return &measured[i];
-    }
+/* Returns the position of a model in both lists, or MODELS if it was not measured. */
+static size_t find_model(enum core_model model) {
+  size_t i = 0;
+  while (i < MODELS && measured[i].model != (unsigned)model) {
+    i++;
   }
-  return NULL;
+  return i;
 }
 
 core_model_errors core_model_errors_exact(void) {
@@ -214,23 +274,40 @@ core_model_errors core_model_errors_unknown(void) {
   return errors;
 }
 
+/* Finds the errors of a model that sees isotropic scattering of sigma_s (1 - g), for g beyond the
+ * cells. of: NULL for `transport`, which has no other error. */
+static bool find_beyond(core_model_errors *errors, const struct measured *of, double ratio,
+                        const core_medium *medium) {
+  unsigned char codes[BANDS + 1] = {0}, similarity[BANDS + 1] = {0};
+  if (!find_similarity(similarity, ratio, medium) ||
+      (of != NULL && !(of->similarity && find_isotropic(codes, of, ratio, medium->eta)))) {
+    return false;
+  }
+  for (size_t i = 0; i <= BANDS; i++) {
+    const double isotropic = of != NULL ? error_of(codes[i], BETWEEN_NODES) : 0;
+    errors->error[i] = (1 + isotropic) * (1 + error_of(similarity[i], BETWEEN_NODES)) - 1;
+  }
+  return true;
+}
+
 core_model_errors core_model_errors_find(enum core_model model, enum core_moments moments,
                                          const core_medium *medium) {
-  const bool exact = model == CORE_MODEL_TRANSPORT;
   const bool isotropic = !(medium->g < 0 || medium->g > 0);
   const double ratio = medium->sigma_a_per_mm / (medium->sigma_s_per_mm * (1 - medium->g));
-  const struct measured *of = find_model(model);
-  unsigned char codes[BANDS + 1] = {0}, similarity[BANDS + 1] = {0};
-  core_model_errors errors = {.exact = exact && isotropic};
-  const bool known =
-      errors.exact || ((exact || (of != NULL && moments == CORE_MOMENTS_EXACT &&
-                                  find_isotropic(codes, of, ratio, medium->eta))) &&
-                       (isotropic || ((exact || of->similarity) &&
-                                      find_similarity(similarity, ratio, medium->eta, medium->g))));
-  for (size_t i = 0; i <= BANDS; i++) {
-    const double first = exact ? 0 : error_of(codes[i]);
-    const double second = isotropic ? 0 : error_of(similarity[i]);
-    errors.error[i] = known ? upon(first, second) : (double)NAN;
+  const size_t at = find_model(model);
+  const bool is_measured = at < MODELS && moments == CORE_MOMENTS_EXACT;
+  unsigned char codes[BANDS + 1] = {0};
+  core_model_errors errors = core_model_errors_unknown();
+  if (model == CORE_MODEL_TRANSPORT && isotropic) {
+    return core_model_errors_exact();
+  }
+  if (is_measured && (isotropic ? find_isotropic(codes, &measured[at], ratio, medium->eta)
+                                : find_anisotropic(codes, &cells[at], ratio, medium))) {
+    for (size_t i = 0; i <= BANDS; i++) {
+      errors.error[i] = error_of(codes[i], isotropic ? BETWEEN_NODES : IN_CELL);
+    }
+  } else if (is_measured || model == CORE_MODEL_TRANSPORT) {
+    find_beyond(&errors, is_measured ? &measured[at] : NULL, ratio, medium);
   }
   return errors;
 }

@@ -5,10 +5,12 @@
  * eta
  *   from 1 to 2: the largest error of R in each of ten bands of radii from 0.01 to 20 mean free
  *   paths 1 / sigma_t', and the error of the albedo;
- * - for the similarity relation, which replaces anisotropic scattering (Henyey and Greenstein) by
- * isotropic scattering with the same sigma_s': its errors at eight g and eleven ratios, for radii
- * from 0.1 mean free paths on. They come from Monte Carlo, and two of its standard errors are
- * added.
+ * - for each model and anisotropic scattering (Henyey and Greenstein), in cells of g from -0.5 to
+ *   0.95, of ratios from 0 to 10 and of eta from 1 to 2: the same errors, the largest in each cell.
+ *   They were measured against the model `transport` with the medium's own g, and contain its error;
+ * - for the similarity relation, which replaces anisotropic scattering by isotropic scattering with
+ *   the same sigma_s': its errors at g 0.95 and 0.98 and at eleven ratios, for radii from 0.1 mean
+ *   free paths on. They come from Monte Carlo, and two of its standard errors are added.
  *
  * Replies quote the error for the radii that were asked for, and core/choose.h chooses by it.
  */
@@ -17,12 +19,15 @@
 
 #include "core/core.h"
 
-/* Finds the errors of a model for a medium that has been checked. An error is the largest one at
- * the measured ratios, eta and g that enclose the medium, times 1.08, because it may be larger
- * between them. Values within 1e-7 of a node, relative, count as the node, so that rounding to
- * single precision moves nothing out of the measured range. It is NAN where nothing was measured: outside of the measured ranges, for moments
- * other than the exact ones, and for models that need more than a medium. The model `transport` is
- * exact where g is 0; its errors for another g are those of the similarity relation. */
+/* Finds the errors of a model for a medium that has been checked. For g = 0 an error is the largest
+ * one at the measured ratios and eta that enclose the medium, times 1.08, because it may be larger
+ * between them; for other g it is that of the medium's cell, times 1.04. For g beyond the cells, up
+ * to 0.98, it combines that for g = 0 and that of the similarity relation, for models that see
+ * sigma_s (1 - g) alone. Values within 1e-7 of a node or edge, relative, count as the node, so that
+ * rounding to single precision moves nothing out of the measured range. An error is NAN where
+ * nothing was measured: outside of the measured ranges, for moments other than the exact ones, and
+ * for models that need more than a medium. `transport` is exact where g is 0; for other g its errors
+ * are those of the similarity relation. */
 core_model_errors core_model_errors_find(enum core_model model, enum core_moments moments,
                                          const core_medium *medium);
 
@@ -52,5 +57,14 @@ unsigned core_error_code(double error);
 /* Returns the error of a code: 1e-4 times 1.04^code up to code 230, and 1.25 times more for each
  * code beyond it. Code 255 means INFINITY. The bits are the same on every machine. */
 double core_error_of_code(unsigned code);
+
+/* An error in one printable character, which may stand in a string, for every other code from 73 to
+ * 249 and for CORE_ERROR_CODE_ANY. */
+
+/* Returns the symbol of the least error that is at least `error`, which must be 0 or more. */
+char core_error_symbol(double error);
+
+/* Returns the code of a symbol. */
+unsigned core_error_code_of_symbol(char symbol);
 
 #endif

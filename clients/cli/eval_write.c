@@ -77,17 +77,22 @@ static bool is_cheaper_and_off(const dipole_offer *offer, const dipole_offer *ta
   return !offer->meets && offer < taken;
 }
 
-static void write_range(const cli_eval_report *report, FILE *file) {
+enum { RANGE_BYTES = 64 };
+
+/* Writes the range of the radii, such as "from 1 to 2 mm"; nothing if there are none. */
+static const char *range_of(const cli_eval_report *report, char text[RANGE_BYTES]) {
   double least = (double)INFINITY, most = 0;
   for (size_t i = 0; i < report->radius_count; i++) {
     least = fmin(least, report->radii[i]);
     most = fmax(most, report->radii[i]);
   }
+  text[0] = '\0';
   if (report->radius_count > 0 && least < most) {
-    fprintf(file, " from %.6g to %.6g mm", least, most);
+    snprintf(text, RANGE_BYTES, "from %.6g to %.6g mm", least, most);
   } else if (report->radius_count > 0) {
-    fprintf(file, " at %.6g mm", least);
+    snprintf(text, RANGE_BYTES, "at %.6g mm", least);
   }
+  return text;
 }
 
 /* Returns a bound in two digits, rounded up so that it stays a bound. */
@@ -155,8 +160,10 @@ static void write_chosen(const cli_eval_report *report, FILE *file) {
           report->profile.evaluator->id == DIPOLE_LUT ? " by table" : "",
           report->profile.evaluator->name);
   if (taken != NULL) {
+    char text[RANGE_BYTES];
+    const char *range = range_of(report, text);
     fprintf(file, ": within %.2g of transport", rounded_up(taken->error));
-    write_range(report, file);
+    fprintf(file, "%s%s", range[0] != '\0' ? " " : "", range);
     fprintf(file, ", %.2g ns a value after %.2g ms of preparing", taken->cost_ns,
             taken->prepare_ns / 1e6);
     write_cheaper(report, taken, file);
@@ -273,8 +280,12 @@ static void put_channel(cli_rows *rows, const void *context, size_t index) {
                  values->numerical_error);
   cli_put_number(rows, CLI_COLUMN("numerical_error_per_mm", .forms = CLI_IN_JSON),
                  values->numerical_error_per_mm);
-  cli_put_number(rows, CLI_COLUMN("model_error", "model error", "relative", "%.1e", "not measured"),
-                 values->model_error);
+  char range[RANGE_BYTES];
+  const bool ranged = range_of(report, range)[0] != '\0';
+  cli_put_number(
+      rows,
+      CLI_COLUMN("model_error", "model error", ranged ? range : "relative", "%.1e", "not measured"),
+      values->model_error);
   if (albedo && rows->form == CLI_JSON) {
     cli_put_number(rows, CLI_COLUMN("albedo"), values->albedo);
   }
@@ -340,7 +351,7 @@ static void write_table(const void *context) {
   if (radius_max(report) > 0) {
     printf("numerical error: against the model's formula, up to r = %.6g mm\n", radius_max(report));
   }
-  puts("model error: of the model against radiative transport");
+  puts("model error: of the model against radiative transport, relative");
   cli_write_launched(profile->media, profile->channel_count, stdout);
   write_notes(report);
   write_chosen(report, stdout);

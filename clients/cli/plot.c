@@ -247,8 +247,14 @@ static size_t add_gamma(cli_eval_report *report, double gamma, derived *names) {
   return at;
 }
 
+/* Returns whether the reference is radiative transport itself for a channel. It is not where it
+ * replaces anisotropic scattering by isotropic scattering. */
+static bool holds(const cli_eval_report *report, size_t reference, size_t channel) {
+  return cli_eval_values_of(report, reference, channel)->model_error == 0;
+}
+
 /* Adds the relative deviation of the first quantity from its value in the reference model. It is
- * NaN where that value is 0 or either value is infinite. Returns its position. */
+ * NaN in channels for which the reference does not hold, and where that value is 0 or either value is infinite. Returns its position. */
 static size_t add_deviation(cli_eval_report *report, size_t reference, derived *names) {
   const size_t channels = report->profile.channel_count;
   snprintf(names->name, sizeof names->name, "deviation");
@@ -256,13 +262,34 @@ static size_t add_deviation(cli_eval_report *report, size_t reference, derived *
   const size_t at = add_quantity(report, names);
   for (size_t k = 0; k < report->model_count * channels; k++) {
     const double *from = cli_eval_values_of(report, reference, k % channels)->arrays[0];
+    const bool comparable = holds(report, reference, k % channels);
     double *const *arrays = report->values[k].arrays;
     for (size_t i = 0; i < report->radius_count; i++) {
       const bool good = isfinite(arrays[0][i]) && isfinite(from[i]) && from[i] != 0;
-      arrays[at][i] = good ? arrays[0][i] / from[i] - 1 : (double)NAN;
+      arrays[at][i] = good && comparable ? arrays[0][i] / from[i] - 1 : (double)NAN;
     }
   }
   return at;
+}
+
+/* Names the channels for which the reference does not hold. Fails if these are all. */
+static int check_reference(const cli_eval_report *report, size_t reference) {
+  const size_t channels = report->profile.channel_count;
+  size_t missing = 0;
+  for (size_t i = 0; i < channels; i++) {
+    missing += !holds(report, reference, i);
+  }
+  for (size_t i = 0; i < channels && missing < channels; i++) {
+    if (!holds(report, reference, i)) {
+      cli_fail("--error: no deviation is shown of %s, because " REFERENCE
+               " is not known to hold for its g, eta and absorption",
+               report->profile.channels[i].name);
+    }
+  }
+  return missing < channels ? CLI_OK
+                            : cli_fail("--error: " REFERENCE " is not known to hold for this "
+                                       "medium's g, eta and absorption, so that there is nothing "
+                                       "to compare with: leave --error out");
 }
 
 /* Finds the reference model and adds the deviations from it. Removes the reference if it was asked
@@ -276,6 +303,10 @@ static int take_deviation(cli_eval_report *report, derived *names, size_t *posit
   if (reference == report->model_count) {
     return cli_fail("--error: " REFERENCE " does not answer this, so that there is nothing "
                     "to compare with: leave --error out");
+  }
+  const int status = check_reference(report, reference);
+  if (status != CLI_OK) {
+    return status;
   }
   *position = add_deviation(report, reference, names);
   if (report->models[report->model_count - 1].unlisted) {

@@ -198,7 +198,8 @@ static void put_channel(cli_rows *rows, const void *context, size_t index) {
                  channel->numerical_error);
   cli_put_number(rows, CLI_COLUMN("numerical_error_per_mm", .forms = CLI_IN_JSON),
                  channel->numerical_error_per_mm);
-  cli_put_number(rows, CLI_COLUMN("model_error", "model error", "relative", "%.1e", "not measured"),
+  cli_put_number(rows,
+                 CLI_COLUMN("model_error", "model error", "at all radii", "%.1e", "not measured"),
                  channel->model_error);
   if (has_albedo(of)) {
     cli_put_number(rows, CLI_COLUMN("albedo"), channel->albedo);

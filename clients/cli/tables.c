@@ -136,7 +136,7 @@ static void put_table(cli_rows *rows, const void *context, size_t index) {
   cli_put_number(rows, CLI_COLUMN("numerical error", NULL, "relative, at most", "%.1e"),
                  info->numerical_error);
   cli_put_number(rows, CLI_COLUMN("reach", "holds up to", "mm", "%.4g"), info->reach_mm);
-  cli_put_number(rows, CLI_COLUMN("model error", NULL, "relative", "%.1e", "not measured"),
+  cli_put_number(rows, CLI_COLUMN("model error", NULL, "at all radii", "%.1e", "not measured"),
                  info->model_error);
 }
 

@@ -190,6 +190,37 @@ def test_evaluators_of_a_precision_mean_the_same(connection):
     assert ask(connection, EVAL, any_model(evaluator=F64)).payload not in same
 
 
+# ---- anisotropic scattering ----------------------------------------------------------------------
+
+TISSUE = (0.05, 9.5, 0.9, 1.4)
+
+
+def test_a_tolerance_is_answered_for_tissue(client):
+    """From .1 to 5 mm, 20 media of g from -.5 to .95 and all quantities with an error."""
+    radii = [0.1, 1.0, 5.0]
+    for g in np.linspace(-0.5, 0.95, 20):
+        medium = (0.05, 0.95 / (1 - g), float(g), 1.4)
+        for tolerance, wanted in ((0.02, ["R", "albedo"]), (0.05, ["cdf", "pdf"])):
+            answer = client.eval(None, medium, radii, tolerance=tolerance, wanted=wanted)
+            assert error_of(answer) <= tolerance
+    report = eval_json(*"--sigma-a .05 --sigma-s 9.5 --g .9 --eta 1.4 --tolerance .01".split(),
+                       *["--r", "0.1,1,5"])
+    assert report["chosen"]["error"] <= 0.01 and report["models"][0]["model"] == "transport"
+
+
+def test_other_models_are_offered_for_tissue(client):
+    """Their errors are known at this g, and a loose tolerance takes one of them."""
+    how = {"evaluator": "f32", "wanted": ["R"]}
+    offers, taken = client.offers(TISSUE, [2.0, 5.0], tolerance=0.5, **how)
+    assert taken.model != "transport" and all(np.isfinite(offer.error) for offer in offers)
+    assert {"single", "better+single", "better", "beam"} <= {offer.model for offer in offers}
+    truth = client.eval("transport", TISSUE, [2.0, 3.0, 5.0], tolerance=1e-3, wanted=["R"])
+    for model in {offer.model for offer in offers}:
+        answer = client.eval(model, TISSUE, [2.0, 3.0, 5.0], wanted=["R"])
+        off = np.abs(answer.R / truth.R - 1).max()
+        assert off <= (1 + answer.model_error[0]) * (1 + 2 * error_of(truth)) - 1
+
+
 # ---- dipole eval ---------------------------------------------------------------------------------
 
 

@@ -16,7 +16,7 @@ enum { ETAS = 3, RINGS = 48, WALKS = SIMILARITY_GS * ETAS };
  */
 #define FIRST_BAND 3
 
-const double similarity_gs[SIMILARITY_GS] = {-0.5, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98};
+const double similarity_gs[SIMILARITY_GS] = {0.95, 0.98};
 const double similarity_ratios[SIMILARITY_RATIOS] = {1e-4, 1e-3, 0.01, 0.03, 0.1, 0.2,
                                                      0.5,  1,    2,    5,    10};
 static const double etas[ETAS] = {1, 1.4, 2};

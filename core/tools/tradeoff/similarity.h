@@ -7,7 +7,7 @@
 #include "core/tools/tools.h"
 #include "core/tools/tradeoff/nodes.h"
 
-enum { SIMILARITY_GS = 8, SIMILARITY_RATIOS = 11 };
+enum { SIMILARITY_GS = 2, SIMILARITY_RATIOS = 11 };
 
 extern const double similarity_gs[SIMILARITY_GS];         /* rising; 0 is not among them */
 extern const double similarity_ratios[SIMILARITY_RATIOS]; /* sigma_a / sigma_s', rising */

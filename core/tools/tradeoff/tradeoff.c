@@ -4,8 +4,8 @@
  *   costs    measures the speed of each evaluator, and its error against transport at the media of
  *            the paper. It writes DIR/costs.def, which `make tradeoff` copies to core/, and
  *            DIR/tradeoff.csv, which draw.py reads; see write_csv()
- *   errors   measures the error of each model against transport, and of isotropic scattering in
- *            place of anisotropic. It writes DIR/model_errors.def, which `make model-errors` copies
+ *   errors   measures the error of each model against transport, for isotropic and for anisotropic
+ *            scattering, and of isotropic scattering in place of anisotropic with g near 1. It writes DIR/model_errors.def, which `make model-errors` copies
  *            to core/. Every machine writes the same file.
  */
 #include <getopt.h>
@@ -16,6 +16,7 @@
 
 #include "core/model_error.h"
 #include "core/tools/tools.h"
+#include "core/tools/tradeoff/cells.h"
 #include "core/tools/tradeoff/costs.h"
 #include "core/tools/tradeoff/errors.h"
 #include "core/tools/tradeoff/similarity.h"
@@ -152,6 +153,27 @@ static void put_model(FILE *file, const errors_table *errors, size_t m) {
   fputs(")\n", file);
 }
 
+/* Writes a model's line: a string for each g and, within it, each ratio, with the symbols for each
+ * eta. */
+static void put_cells(FILE *file, const subjects *of, size_t m, errors_node *cells) {
+  const core_choice *model = of->models[m].model;
+  fprintf(file, "/* %s */\nCORE_ERROR_CELLS(%u", model->name, model->id);
+  for (size_t g = 0; g < CELLS_GS; g++) {
+    for (size_t ratio = 0; ratio < CELLS_RATIOS; ratio++) {
+      fputs(",\n\"", file);
+      for (size_t eta = 0; eta < CELLS_ETAS; eta++) {
+        const errors_node *cell = cells_at(cells, m, g, ratio, eta);
+        for (size_t band = 0; band < NODES_BANDS; band++) {
+          fputc(core_error_symbol(cell->worst[band]), file);
+        }
+        fputc(core_error_symbol(cell->albedo), file);
+      }
+      fputc('"', file);
+    }
+  }
+  fputs(")\n", file);
+}
+
 static void put_similarity(FILE *file, size_t k, const similarity_node *nodes) {
   fprintf(file, "CORE_ERROR_SIMILARITY(%g", similarity_gs[k]);
   for (size_t ratio = 0; ratio < SIMILARITY_RATIOS; ratio++) {
@@ -195,11 +217,15 @@ static const char errors_head[] =
     " * CORE_ERROR_EDGE(mean free paths)   the edges of the bands of radii, rising\n"
     " * CORE_ERROR_RATIO(sigma_a / sigma_s'), CORE_ERROR_ETA(eta)   the nodes of all models, "
     "rising\n"
-    " * CORE_ERROR_MODEL(model, similarity, \"...\" for each ratio)\n"
-    " *   similarity  true if g and sigma_s matter only as sigma_s (1 - g)\n"
-    " *   \"...\"       for each eta: for each band the largest |R / R_transport - 1|, then that "
-    "of the\n"
-    " *               albedo, as codes of core/model_error.h, two hexadecimal digits each\n"
+    " * CORE_ERROR_MODEL(model, similarity, \"...\" for each ratio)   g = 0\n"
+    " *   similarity: true if g and sigma_s matter only as sigma_s (1 - g)\n"
+    " *   for each eta: for each band the largest |R / R_transport - 1|, then that of the albedo, "
+    "as\n"
+    " *   codes of core/model_error.h, two hexadecimal digits each\n"
+    " * CORE_ERROR_CELL_G(g), CORE_ERROR_CELL_RATIO(sigma_a / sigma_s'), CORE_ERROR_CELL_ETA(eta)\n"
+    " *   the edges of the cells of all models, rising\n"
+    " * CORE_ERROR_CELLS(model, \"...\" for each g and, within it, each ratio)   other g\n"
+    " *   for each eta: the same errors as symbols of core/model_error.h, one character each\n"
     " * CORE_ERROR_G_RATIO(sigma_a / sigma_s')   the nodes of the similarity relation, rising\n"
     " * CORE_ERROR_SIMILARITY(g, \"...\" for each of these ratios)   the same codes, with g "
     "rising\n"
@@ -210,13 +236,15 @@ static const char errors_head[] =
 static const char *const macros[][2] = {
     {"EDGE", "mfp"},      {"RATIO", "ratio"},
     {"ETA", "eta"},       {"MODEL", "model, similarity, ..."},
+    {"CELL_G", "g"},      {"CELL_RATIO", "ratio"},
+    {"CELL_ETA", "eta"},  {"CELLS", "model, ..."},
     {"G_RATIO", "ratio"}, {"SIMILARITY", "g, ..."},
 };
 
 enum { MACROS = sizeof macros / sizeof macros[0] };
 
 /* Writes core/model_errors.def, which core/model_error.c includes. The table has errors->nodes. */
-static void write_errors(const char *path, const errors_table *errors,
+static void write_errors(const char *path, const errors_table *errors, errors_node *cells,
                          similarity_node similarity[SIMILARITY_GS][SIMILARITY_RATIOS]) {
   const subjects *of = errors->of;
   double etas[NODES_ETAS];
@@ -236,6 +264,14 @@ static void write_errors(const char *path, const errors_table *errors,
   for (size_t m = 0; m < of->model_count; m++) {
     if (of->models[m].model->id != CORE_MODEL_TRANSPORT) {
       put_model(file, errors, m);
+    }
+  }
+  put_list(file, "CELL_G", cells_gs, CELLS_GS + 1);
+  put_list(file, "CELL_RATIO", cells_ratios, CELLS_RATIOS + 1);
+  put_list(file, "CELL_ETA", cells_etas, CELLS_ETAS + 1);
+  for (size_t m = 0; m < of->model_count; m++) {
+    if (of->models[m].model->id != CORE_MODEL_TRANSPORT) {
+      put_cells(file, of, m, cells);
     }
   }
   put_list(file, "G_RATIO", similarity_ratios, SIMILARITY_RATIOS);
@@ -294,11 +330,14 @@ static void measure_errors(const options *o, const subjects *of) {
   errors_table errors;
   tools_progress progress;
   tools_progress_start(&progress,
-                       (errors_cost_us(ERRORS_NODES) + similarity_cost_us()) / (double)o->threads);
+                       (errors_cost_us(ERRORS_NODES) + cells_cost_us() + similarity_cost_us()) /
+                           (double)o->threads);
   errors_measure(&errors, of, ERRORS_NODES, o->threads, &progress);
+  errors_node *cells = cells_measure(of, o->threads, &progress);
   similarity_measure(similarity, o->threads, &progress);
-  write_errors(in_output(path, o, "model_errors.def"), &errors, similarity);
+  write_errors(in_output(path, o, "model_errors.def"), &errors, cells, similarity);
   tools_progress_end(&progress);
+  free(cells);
   errors_free(&errors);
 }
 
