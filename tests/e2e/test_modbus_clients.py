@@ -296,6 +296,37 @@ def job(one: Daemon, name: str) -> subprocess.CompletedProcess[str]:
     return run(sys.executable, str(EXAMPLES / "jobs.py"), address, name)
 
 
+@needs("mbpoll")
+def test_the_jobs_with_mbpoll(daemon):
+    """jobs.sh prints the answers of the binary protocol, whatever was in the registers before."""
+    one = daemon(*TCP)
+    address = one.url("modbus-tcp").removeprefix("modbus-tcp:")
+    with Tcp(one) as master:
+        master.write(AT["MODEL"], words(29, 3, 2))
+        master.write(AT["MC_RING_COUNT"], words(50, 2) + floats(1e9) + words(8, 9))
+
+    def printed(name: str) -> list[str]:
+        result = run("sh", str(EXAMPLES / "jobs.sh"), address, name)
+        assert result.returncode == 0, result.stdout + result.stderr
+        return re.findall(r"\]: *\t *(\S+)", result.stdout)
+
+    def rounded(*arrays) -> list[str]:
+        return [f"{x:.6g}" for x in np.concatenate(arrays).astype("f4")]
+
+    skin = np.array([0.032, 0.74, 0, 1.3], np.float32).astype(float)
+    lengths = np.array([1.3, 0.95, 0.67], np.float32).astype(float)
+    albedos = np.array([0.44, 0.22, 0.13], np.float32).astype(float)
+    with one.client() as client:
+        draw = dipole.Draw(10, "regular", 0)
+        answer = client.sample("better", skin, evaluator="f32", draw=draw)
+        assert printed("sample") == rounded(answer.r[0])
+        answer = client.invert("better", albedos, lengths, eta=skin[3])
+        assert printed("invert") == rounded(answer.sigma_a, answer.sigma_s)
+        edges = dipole.Grid(float(np.float32(0.1)), 10.0, 6, "logarithmic")
+        answer = client.mc(skin, edges, photons=1_000_000)
+        assert printed("mc") == rounded(answer.edges, answer.R[0], answer.R_error[0])
+
+
 def test_the_jobs_of_an_odd_unit(daemon):
     """jobs.py prints the answers of the binary protocol, whatever was in the registers before."""
     one = daemon(*TCP)

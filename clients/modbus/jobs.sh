@@ -1,0 +1,73 @@
+#!/bin/sh
+# One of the longer jobs of a unit, with mbpoll, as jobs.py does it with pymodbus: jobs.sh HOST:PORT
+# JOB, or jobs.sh DEVICE,BAUD JOB for a serial line. JOB is sample, invert or mc. Ctrl-C cancels it.
+set -eu
+usage="jobs.sh HOST:PORT sample|invert|mc, or jobs.sh DEVICE,BAUD sample|invert|mc"
+case ${1?$usage} in
+/*) line="-m rtu -b ${1##*,} -P none -a 1 -0 -1 -q -B" where=${1%,*} ;;
+*) line="-m tcp -p ${1##*:} -a 1 -0 -1 -q -B" where=${1%:*} ;;
+esac
+
+# register TYPE ADDRESS VALUE...: writes. $line is not quoted: the shell splits it into options.
+# shellcheck disable=SC2086
+register() {
+  type=$1 address=$2
+  shift 2
+  mbpoll $line -r "$address" -t "$type" "$where" "$@" >/dev/null 2>&1 && return
+  echo "error $(number 302) at register $(number 303)" >&2
+  exit 1
+}
+
+# show TYPE ADDRESS COUNT: reads, and prints lines such as "[4440]: 0.04".
+# shellcheck disable=SC2086
+show() {
+  mbpoll $line -r "$2" -c "$3" -t "$1" "$where" | grep '^\['
+}
+
+number() { # the value of one register
+  show 4 "$1" 1 | sed 's/^\[[0-9]*\]:[[:space:]]*\([0-9]*\).*/\1/'
+}
+
+run() { # run COMMIT STATUS: `cancel` follows `commit`, and `done` follows `status`
+  token=$(($(number $(($2 + 1))) % 65535 + 1)) # not that of the job that was done last
+  cancel=$(($1 + 1))
+  trap 'register 4 $cancel 1; echo cancelled >&2; exit 1' INT
+  register 4 "$1" "$token"
+  while state=$(number "$2") && [ "$state" = 1 ]; do sleep 0.1; done
+  if [ "$state" != 2 ] || [ "$(number $(($2 + 1)))" != "$token" ]; then
+    echo "status $state, error $(number $(($2 + 2))) at register $(number $(($2 + 3)))" >&2
+    exit 1
+  fi
+}
+
+register 4 251 1                      # defaults: other masters may have left anything
+register 4:float 106 0.032 0.74 0 1.3 # sigma_a, sigma_s, g, eta of skin
+case ${2?$usage} in
+sample)
+  register 4 4304 2 10 # the draw regular, ten radii
+  run 4300 4420
+  show 4:float 4440 10 # radii in mm
+  ;;
+invert)
+  register 4 4704 1 3                 # mean free paths are given, of three media
+  register 4:float 4706 0.44 0.22 0.13 # albedos
+  register 4:float 4806 1.3 0.95 0.67  # mm
+  run 4700 4920
+  show 4:float 4940 3 # sigma_a, 1/mm
+  show 4:float 5040 3 # sigma_s
+  ;;
+mc)
+  register 4:float 116 0.1 10  # from 0.1 to 10 mm
+  register 4 5302 5 3          # five rings, logarithmic
+  register 4:float 5304 1e6    # photons
+  register 4 5306 0 1          # seed
+  run 5300 5320
+  show 4:float 5366 6 # edges of the rings in mm
+  show 4:float 5468 5 # R, 1/mm^2
+  show 4:float 5568 5 # its standard errors
+  ;;
+*)
+  echo "$usage" >&2
+  exit 1
+  ;;
+esac
