@@ -74,7 +74,7 @@ static void compare_row(const double row[6], struct worst *worst) {
       fail_msg("ratio %g, g %g, eta %g, r %g, evaluator %u: off by %g, stated %g, the vector's %g",
                row[0], row[1], row[2], row[3], evaluators[i], off, allowed, row[5]);
     }
-    assert_true(allowed <= 0.1);
+    assert_true(allowed <= 0.01);
     worst->off = fmax(worst->off, off);
     worst->share = fmax(worst->share, off / (allowed + row[5]));
     worst->stated = fmax(worst->stated, allowed);
