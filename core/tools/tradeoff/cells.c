@@ -4,7 +4,7 @@
 #include <stdlib.h>
 
 /* Each side of a cell has this many steps, and a medium at each end of a step. */
-enum { STEPS = 3, POINTS = STEPS + 1 };
+enum { STEPS = 2, POINTS = STEPS + 1 };
 
 /* `transport` looks a medium up in its table of solutions if this much is accepted. */
 #define LOOK_UP_TOLERANCE 1e-4
