@@ -431,12 +431,13 @@ static core_parameters draw_parameters(const struct subject *s, uint64_t *random
   return parameters;
 }
 
-/* Radii around the medium's own scale and, one in ten, around its decay length. */
+/* Radii around the medium's own scale and, one in ten, around its decay length, which counts up to
+ * 1e26 mean free paths: the forms reach not much further. */
 static double draw_radius(const struct subject *s, bool narrow, uint64_t *random) {
   static const double ends[][2] = {{1e-3, 1e2},   {1e-2, 1e3}, {1e-12, 1e6},
                                    {1e-30, 1e30}, {1e2, 1e4},  {1e-4, 1e2}};
   const form_part *part = &s->form.part[0];
-  const double per_mm = (double)(part->mu * part->sigma_t_prime);
+  const double per_mm = fmax((double)part->mu, 1e-26) * (double)part->sigma_t_prime;
   const size_t kind = below(random, 66);
   const size_t range = kind < 25   ? 0
                        : kind < 38 ? 1
@@ -444,7 +445,7 @@ static double draw_radius(const struct subject *s, bool narrow, uint64_t *random
                        : kind < 50 ? 3
                        : kind < 60 ? 4
                                    : 5;
-  const double scale_mm = range == 5 && per_mm > 0 ? 1 / per_mm : s->profiles[FINE].scale_mm;
+  const double scale_mm = range == 5 ? 1 / per_mm : s->profiles[FINE].scale_mm;
   const double r = scale_mm * log_between(random, ends[range][0], ends[range][1]);
   return kind == 59 ? 0 : kind == 58 ? (double)INFINITY : narrow ? (double)(float)r : r;
 }
