@@ -538,8 +538,10 @@ bool core_transport_added_errors(const core_medium *medium, core_added_errors *a
   const size_t bands = CORE_MODEL_ERROR_BANDS;
   for (size_t i = 0; i < bands; i++) {
     const double least = i == 0 ? 0 : core_error_edges_mfp[i];
+    /* Beyond the reach core_error_beyond() is added. */
+    const double reach = core_transport_reach(medium).most_mm * core_sigma_t_prime(medium);
     const double most =
-        i + 1 == bands ? (double)INFINITY : core_error_edges_mfp[i + 1] * (1 - 1e-6);
+        i + 1 == bands ? fmax(least, reach) : core_error_edges_mfp[i + 1] * (1 - 1e-6);
     added->banded[i] = transport_table_error(table, albedo, g, medium->eta, least, most);
     added->all = fmax(added->all, added->banded[i]);
   }
