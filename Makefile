@@ -12,6 +12,7 @@
 #   make bench      every benchmark; build/bench GROUP runs one
 #   make docs       the tables in proto/*.md, from proto/*.def, and the manual pages
 #   make model-errors  core/model_errors.def, measured anew against transport (minutes)
+#   make gamma-errors  core/gamma_errors.def, transport with gamma for other phase functions
 #   make tradeoff   speed against accuracy, in build/tradeoff, and core/costs.def (minutes)
 #   make tables     core/transport/transport.table, solved anew (half an hour; resumes)
 #   make reference  core/transport/reference.csv, R(r) for any g, solved anew (an hour; resumes)
@@ -108,6 +109,7 @@ TOOLS := $(call objects,core/tools/tools.c clients/cli/progress.c)
 TRADEOFF := $(call objects,$(wildcard core/tools/tradeoff/*.c)) $(TOOLS)
 TABLES := $(call objects,$(wildcard core/tools/transport_table/*.c)) $(TOOLS)
 REFERENCE := $(call objects,$(wildcard core/tools/reference/*.c)) $(TOOLS)
+PHASES := $(call objects,$(wildcard core/tools/phases/*.c) core/tools/reference/walks.c) $(TOOLS)
 SOAK := $(call objects,$(wildcard tests/soak/*.c))
 PIPELINE := $(call objects,$(wildcard tests/pipeline/*.c))
 # The longest ones come first, so that no processor waits for them at the end.
@@ -119,7 +121,7 @@ INSTALLED := $(BUILD)/dipoled $(BUILD)/dipole
 PROGRAMS := $(INSTALLED) $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-pipeline check-asan check-tsan check-fuzz check-truth check-rings rings soak truth fuzz fuzz-merge bench docs model-errors tables reference tradeoff figures clean
+.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-pipeline check-asan check-tsan check-fuzz check-truth check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables reference tradeoff figures clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -415,6 +417,14 @@ $(BUILD)/reference: $(REFERENCE) $(BUILD)/libcore.a
 EFFORT ?= finest
 reference: $(BUILD)/reference
 	$(BUILD)/reference $(BUILD)/reference-parts core/transport/reference.csv $(EFFORT)
+
+$(BUILD)/phases: $(PHASES) $(BUILD)/libcore.a
+	$(call SAY,LD,$@)
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
+
+# Minutes, on all cores; after an interruption it goes on where it was.
+gamma-errors: $(BUILD)/phases
+	$(BUILD)/phases $(BUILD)/phases-parts core/gamma_errors.def
 
 figures:
 	@sh .ci/install-packages demo figures

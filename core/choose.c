@@ -51,6 +51,12 @@ static bool accepts(const struct cost *cost, const core_choose_request *request,
 static core_model_errors errors_of(const struct cost *cost, const core_choose_request *request,
                                    const core_medium *medium) {
   core_added_errors added;
+  if (request->gamma > 0) {
+    const core_medium taken = core_transport_medium(medium, request->gamma);
+    return cost->model == CORE_MODEL_TRANSPORT && core_transport_added_errors(&taken, &added)
+               ? core_gamma_errors_find(request->gamma, medium)
+               : core_model_errors_unknown();
+  }
   return cost->model != CORE_MODEL_TRANSPORT
              ? core_model_errors_find(cost->model, request->moments, medium)
          : core_transport_added_errors(medium, &added) ? core_model_errors_exact()
@@ -86,8 +92,10 @@ static double added_error(const struct cost *cost, const core_choose_request *re
   for (size_t i = 0; i < request->media_count && cost->model == CORE_MODEL_TRANSPORT; i++) {
     const core_medium *medium = &request->media[i];
     const double most_mm = (request->wanted & FOLLOWS_R) != 0 ? request->radii.most_mm : 0;
+    const core_medium taken =
+        core_transport_medium(medium, request->gamma > 0 ? request->gamma : (double)NAN);
     core_added_errors added;
-    core_transport_added_errors(medium, &added);
+    core_transport_added_errors(&taken, &added);
     error = fmax(error, core_error_beyond(core_transport_reach(medium), most_mm) +
                             core_banded_error(added.banded, added.all, medium, request->wanted,
                                               request->radii));

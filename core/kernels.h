@@ -107,6 +107,12 @@ typedef core_fault core_prepare_function(const core_inputs *inputs, core_prepara
 /* Returns the reach of the model `transport` for a medium that scatters. */
 core_reach core_transport_reach(const core_medium *medium);
 
+/* Returns the medium that the model `transport` evaluates in place of one whose phase function has
+ * this gamma = (1 - g_2) / (1 - g): sigma_s' and the rest are the same, and g is gamma - 1, because
+ * that is the function of Henyey and Greenstein with this gamma. gamma: NAN if it is not given; the
+ * medium is then returned as it is. */
+core_medium core_transport_medium(const core_medium *medium, double gamma);
+
 /* Returns whether the model `transport` evaluates the scattering of a medium as it is: g is 0, or
  * the table of anisotropic scattering covers the medium. Otherwise it uses the similarity relation.
  * Sets *added, to zeros if g is 0 or the result is false. */

@@ -144,6 +144,33 @@ static const struct similarity {
 
 enum { SIMILARITIES = sizeof similarities / sizeof similarities[0] };
 
+static const double gamma_least[] = {
+#define CORE_GAMMA_LEAST(gamma) gamma,
+#include "core/gamma_errors.def"
+};
+
+static const double gamma_ratios[] = {
+#define CORE_GAMMA_RATIO(ratio) ratio,
+#include "core/gamma_errors.def"
+};
+
+static const double gamma_etas[] = {
+#define CORE_GAMMA_ETA(least, most) least, most
+#include "core/gamma_errors.def"
+};
+
+enum { GAMMA_RATIOS = sizeof gamma_ratios / sizeof gamma_ratios[0] };
+
+static const struct gamma_errors {
+  double most;
+  char codes[GAMMA_RATIOS][NODE + 1];
+} gammas[] = {
+#define CORE_GAMMA_ERROR(gamma, ...) {gamma, {__VA_ARGS__}},
+#include "core/gamma_errors.def"
+};
+
+enum { GAMMAS = sizeof gammas / sizeof gammas[0] };
+
 /* Between nodes the error may be larger than at the nodes around, by up to this factor, and in a
  * cell larger than at the media measured in it. tests/accuracy/test_model_error.c checks both with
  * other media. */
@@ -308,6 +335,29 @@ core_model_errors core_model_errors_find(enum core_model model, enum core_moment
     }
   } else if (is_measured || model == CORE_MODEL_TRANSPORT) {
     find_beyond(&errors, is_measured ? &measured[at] : NULL, ratio, medium);
+  }
+  return errors;
+}
+
+core_model_errors core_gamma_errors_find(double gamma, const core_medium *medium) {
+  const double ratio = medium->sigma_a_per_mm / (medium->sigma_s_per_mm * (1 - medium->g));
+  core_model_errors errors = core_model_errors_unknown();
+  unsigned char codes[BANDS + 1] = {0};
+  struct span at_ratio, at_eta;
+  size_t range = 0;
+  while (range < GAMMAS && gamma > gammas[range].most * (1 + SLACK)) {
+    range++;
+  }
+  if (!(gamma >= gamma_least[0] * (1 - SLACK)) || range == GAMMAS ||
+      !enclose(gamma_ratios, GAMMA_RATIOS, ratio, &at_ratio) ||
+      !enclose(gamma_etas, sizeof gamma_etas / sizeof gamma_etas[0], medium->eta, &at_eta)) {
+    return errors;
+  }
+  for (size_t i = at_ratio.first; i <= at_ratio.last; i++) {
+    merge_node(codes, gammas[range].codes[i]);
+  }
+  for (size_t i = 0; i <= BANDS; i++) {
+    errors.error[i] = error_of(codes[i], BETWEEN_NODES);
   }
   return errors;
 }

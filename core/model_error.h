@@ -34,6 +34,12 @@ core_model_errors core_model_errors_find(enum core_model model, enum core_moment
 /* The edges of the bands of radii that errors are stated for, in mean free paths 1 / sigma_t'. */
 extern const double core_error_edges_mfp[CORE_MODEL_ERROR_BANDS + 1];
 
+/* Finds the errors of `transport` with the parameter gamma. `make gamma-errors` has measured them
+ * (core/gamma_errors.def): they are the largest among modified and two-term Henyey-Greenstein
+ * functions and those of spheres, with a gamma in the same range, at the ratios that enclose that of
+ * the medium, times 1.08. They are NAN where nothing was measured. */
+core_model_errors core_gamma_errors_find(double gamma, const core_medium *medium);
+
 /* Returns the errors of a model that is transport itself. */
 core_model_errors core_model_errors_exact(void);
 

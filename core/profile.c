@@ -174,6 +174,12 @@ static void set_model_errors(core_profile *profile, const core_parameters *param
       : isnan(parameters->value[CORE_PARAMETER_SURFACE_ALBEDO])
           ? core_model_errors_find(profile->model, profile->moments, &profile->medium)
           : core_model_errors_unknown();
+  const double gamma = parameters->value[CORE_PARAMETER_GAMMA];
+  if (!isnan(gamma)) {
+    profile->model_errors =
+        exact ? core_gamma_errors_find(gamma, &profile->medium) : core_model_errors_unknown();
+    profile->notes |= CORE_NOTE_GAMMA;
+  }
   if (profile->albedo > 1 + profile->numerical_error) {
     profile->notes |= CORE_NOTE_ALBEDO_ABOVE_1;
   }

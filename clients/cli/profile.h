@@ -10,7 +10,8 @@
 /* A command has options only for the members that it uses. */
 typedef struct cli_profile_settings {
   cli_common common;
-  cli_number tolerance, cos_in, cos_out, thickness, surface_albedo, gaussians, fit_from, fit_to;
+  cli_number tolerance, cos_in, cos_out, thickness, surface_albedo, gaussians, fit_from, fit_to,
+      gamma;
   const char *fit_model;
   const char *medium; /* names, separated by commas */
   cli_texts channel;

@@ -600,7 +600,18 @@ static const transport_table *table_for(const core_inputs *inputs, double albedo
   return serves ? table : NULL;
 }
 
-core_fault core_transport_prepare(const core_inputs *inputs, core_preparation *preparation) {
+/* Bevilacqua and Depeursinge 1999: R beyond half a mean free path depends on the phase function by
+ * sigma_s' and gamma. */
+core_medium core_transport_medium(const core_medium *medium, double gamma) {
+  core_medium other = *medium;
+  if (!isnan(gamma)) {
+    other.g = gamma - 1;
+    other.sigma_s_per_mm = medium->sigma_s_per_mm * (1 - medium->g) / (2 - gamma);
+  }
+  return other;
+}
+
+static core_fault prepare(const core_inputs *inputs, core_preparation *preparation) {
   const double albedo = albedo_of(inputs->medium);
   const double asked = core_parameter_or(inputs, CORE_PARAMETER_TOLERANCE, TOLERANCE);
   preparation->notes = core_transport_added_errors(inputs->medium, &preparation->added)
@@ -617,6 +628,14 @@ core_fault core_transport_prepare(const core_inputs *inputs, core_preparation *p
   return for_g != NULL   ? prepare_anisotropic(inputs, albedo, asked, for_g, preparation)
          : table != NULL ? look_up(inputs, albedo, 0, table, preparation)
                          : solve_and_fill(inputs, albedo, asked, NULL, preparation);
+}
+
+core_fault core_transport_prepare(const core_inputs *inputs, core_preparation *preparation) {
+  const core_medium medium =
+      core_transport_medium(inputs->medium, inputs->parameters->value[CORE_PARAMETER_GAMMA]);
+  core_inputs taken = *inputs;
+  taken.medium = &medium;
+  return prepare(&taken, preparation);
 }
 
 #endif

@@ -43,6 +43,7 @@ wire_error choice_check(const eval_request *request) {
 
 void choice_list(const eval_request *request, core_radii_range radii, struct choice *choice) {
   const wire_eval_request *fixed = &request->fixed;
+  const double gamma = request->parameters.value[CORE_PARAMETER_GAMMA];
   const core_choose_request asked = {
       .media = media_of(request),
       .media_count = fixed->medium_count,
@@ -52,6 +53,7 @@ void choice_list(const eval_request *request, core_radii_range radii, struct cho
       .radius_count = fixed->radius_count,
       .single = core_evaluator_bytes(fixed->evaluator) == sizeof(float),
       .tolerance = request->parameters.value[CORE_PARAMETER_TOLERANCE],
+      .gamma = isnan(gamma) ? 0 : gamma,
   };
   choice->count = core_choose(&asked, choice->candidates);
 }

@@ -549,6 +549,26 @@ UNIT_TEST(a_tolerance_that_nothing_meets) {
   assert_true(isinf(choice.error));
 }
 
+/* A phase function of which only gamma is known: transport alone takes gamma, with the error that
+ * was measured for it, which no small tolerance allows. */
+UNIT_TEST(gamma_is_for_transport) {
+  const core_medium tissue = {0.05, 10, 0.9, 1.4};
+  core_choose_request request = easy(&tissue, 1);
+  request.gamma = 1.6;
+  request.tolerance = 0.5;
+  request.radii = (core_radii_range){1, 4};
+  core_candidate choice = choose(&request);
+  assert_true(choice.meets && choice.model == CORE_MODEL_TRANSPORT);
+  assert_true(choice.model_error > 0.01 && choice.model_error < 0.5);
+  request.tolerance = 0.01;
+  choice = choose(&request);
+  assert_false(choice.meets);
+  assert_true(choice.model == CORE_MODEL_TRANSPORT && choice.error > 0.01);
+  request.gamma = 0.6; /* nothing was measured */
+  request.tolerance = 1;
+  assert_true(isinf(choose(&request).error));
+}
+
 /* The tighter the tolerance, the tighter transport is solved; and no tighter than it is asked. */
 UNIT_TEST(the_numerical_tolerance_follows) {
   core_choose_request request = easy(&ordinary, 1);

@@ -293,3 +293,80 @@ UNIT_TEST(between_measured_media_the_larger_error_is_stated) {
   const double between = error_of(CORE_MODEL_CLASSICAL, medium_of(0.55, 0, 1.3), 0.1, 20);
   assert_true(between == fmax(low, high));
 }
+
+/* ---- phase functions of which gamma is known ------------------------------------------------- */
+
+static core_profile prepared_with_gamma(core_medium medium, double gamma) {
+  core_profile profile;
+  core_parameters parameters = core_parameters_none();
+  parameters.value[CORE_PARAMETER_GAMMA] = gamma;
+  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
+                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium,
+                                         &parameters),
+                    NULL, 0);
+  return profile;
+}
+
+static double R_at(const core_profile *profile, double r_mm) {
+  double R;
+  core_eval_f64(profile, CORE_QUANTITY_R, 1, &r_mm, &R);
+  return R;
+}
+
+/* A phase function that was not measured, half 3 cos^2 and Henyey-Greenstein in part, in media
+ * between the measured ones: R is within the stated error of the solver's, which has all moments. */
+UNIT_TEST(gamma_is_within_what_is_said) {
+  enum { MOMENTS = 300 };
+  static const double etas[] = {0.9, 1.33, 1.5};
+  static const double ratio = 0.03, share = 0.93, g = 0.85;
+  static const double radii[] = {0.013, 0.03, 0.07, 0.15, 0.3, 0.7, 1.5, 3, 7, 15};
+  double moment[MOMENTS], power = share;
+  for (size_t l = 0; l < MOMENTS; l++, power *= g) {
+    moment[l] = power + (l == 0 ? 1 - share : l == 2 ? 0.4 * (1 - share) : 0);
+  }
+  const transport_phase phase = {0, MOMENTS, moment};
+  const double gamma = (1 - moment[2]) / (1 - moment[1]);
+  transport_anisotropic *truth;
+  unit_assert_fault(transport_anisotropic_solve(&truth, core_isa_select(NULL), ratio, &phase, etas,
+                                                3, TRANSPORT_EFFORT_QUICK),
+                    NULL, 0);
+  for (size_t eta = 0; eta < 3; eta++) {
+    core_profile profile = prepared_with_gamma(medium_of(ratio, moment[1], etas[eta]), gamma);
+    assert_true((profile.notes & CORE_NOTE_GAMMA) != 0);
+    assert_true((profile.notes & CORE_NOTE_SIMILARITY) == 0);
+    for (size_t i = 0; i < sizeof radii / sizeof radii[0]; i++) {
+      const double off =
+          fabs(R_at(&profile, radii[i]) / transport_anisotropic_at(truth, eta, radii[i]).value - 1);
+      const double said = stated(&profile, CORE_QUANTITY_R, radii[i], radii[i]);
+      printf("gamma %.3f, eta %g, r %g: off by %.3f, stated %.3f\n", gamma, etas[eta], radii[i],
+             off, said);
+      assert_true(off <= said);
+      assert_true(radii[i] < 0.5 || said < 0.3);
+    }
+    core_profile_free(&profile);
+  }
+  transport_anisotropic_free(truth);
+}
+
+/* Without another phase function gamma changes nothing, and beyond what was measured its error is
+ * not known. */
+UNIT_TEST(gamma_of_henyey_greenstein_changes_nothing) {
+  bool refused;
+  core_profile usual = prepared(CORE_MODEL_TRANSPORT, medium_of(0.1, 0.5, 1.4), &refused);
+  core_profile same = prepared_with_gamma(medium_of(0.1, 0.5, 1.4), 1.5);
+  assert_true(R_at(&same, 1) == R_at(&usual, 1) && same.albedo == usual.albedo);
+  assert_true(stated(&usual, CORE_QUANTITY_R, 1, 1) == 0);
+  assert_true(stated(&same, CORE_QUANTITY_R, 1, 1) > 0);
+  assert_true(isnan(stated(&same, CORE_QUANTITY_R, 0.005, 1)));
+  core_profile_free(&usual);
+  core_profile_free(&same);
+  static const struct {
+    double ratio, eta, gamma;
+  } beyond[] = {{0.1, 1.4, 0.7}, {2, 1.4, 1.5}, {1e-5, 1.4, 1.5}, {0.1, 2.1, 1.5}};
+  for (size_t i = 0; i < sizeof beyond / sizeof beyond[0]; i++) {
+    core_profile profile =
+        prepared_with_gamma(medium_of(beyond[i].ratio, 0.5, beyond[i].eta), beyond[i].gamma);
+    assert_true(isnan(stated(&profile, CORE_QUANTITY_R, 1, 1)));
+    core_profile_free(&profile);
+  }
+}

@@ -37,8 +37,9 @@ enum {
 /* Photons take long with little absorption. */
 #define RATIO_SLOW 0.01
 
-static int photons_of(double ratio) {
-  return ratio > RATIO_SLOW ? PHOTONS : PHOTONS / 4;
+static int photons_of(transport_effort effort, double ratio) {
+  const int photons = effort == TRANSPORT_EFFORT_FINEST ? PHOTONS : PHOTONS / 4;
+  return ratio > RATIO_SLOW ? photons : photons / 4;
 }
 
 /* A value with its absolute error bound or standard error; NaN where there is none. */
@@ -150,9 +151,9 @@ static void solve_or_read(struct run *run, size_t i) {
   tools_progress_add(&run->progress, SOLVING_US);
 }
 
-static void walk(struct walked *to, const walks_medium *medium, uint64_t seed) {
+static void walk(struct walked *to, const walks_medium *medium, int photons, uint64_t seed) {
   walks_result result;
-  walks_run(&result, medium, WALKS_TENTHS, (uint64_t)photons_of(medium->ratio), seed);
+  walks_run(&result, medium, WALKS_TENTHS, (uint64_t)photons, seed);
   to->total = (struct number){result.total.value, result.total.error};
   for (size_t i = 0; i < RADII; i++) {
     const core_mc_ring *ring = &result.rings[walks_ring_of(WALKS_TENTHS, radii[i])];
@@ -167,15 +168,16 @@ static void walk_or_read(struct run *run, size_t i) {
   const struct pair *pair = &pairs[i / ETAS];
   const walks_medium medium = {.ratio = pair->ratio, .g = pair->g, .eta = etas[i % ETAS]};
   char path[PATH_BYTES], key[KEY_BYTES];
+  const int photons = photons_of(run->effort, medium.ratio);
   walks_result probe;
   walks_run(&probe, &medium, WALKS_TENTHS, CORE_MC_BATCH_PHOTONS, SEED + i);
   snprintf(path, sizeof path, "%s/walked-%g-%g-%g", run->folder, medium.ratio, medium.g,
            medium.eta);
-  snprintf(key, sizeof key, "walked %d photons: %a\n", photons_of(medium.ratio), probe.total.value);
+  snprintf(key, sizeof key, "walked %d photons: %a\n", photons, probe.total.value);
   double *numbers = (double *)&run->walked[i];
   const size_t count = sizeof run->walked[i] / sizeof *numbers;
   if (!read_numbers(path, key, numbers, count)) {
-    walk(&run->walked[i], &medium, SEED + i);
+    walk(&run->walked[i], &medium, photons, SEED + i);
     write_numbers(path, key, numbers, count);
   }
   tools_progress_add(&run->progress, WALKING_US);
