@@ -15,7 +15,7 @@
 #   make gamma-errors  core/gamma_errors.def, transport with gamma for other phase functions
 #   make tradeoff   speed against accuracy, in build/tradeoff, and core/costs.def (minutes)
 #   make tables     core/transport/transport.table, solved anew (half an hour; resumes)
-#   make reference  core/transport/reference.csv, R(r) for any g, solved anew (an hour; resumes)
+#   make reference  core/transport/reference.csv, R(r) for many g, solved anew (an hour; resumes)
 #   make figures    Figures 1 to 17 of d'Eon 2012 and one of tissue, in build/figures (ten minutes;
 #                   resumes), and core/tools/tissue.svg
 #   make install    to $(DESTDIR)$(PREFIX); make uninstall takes it away again

@@ -196,6 +196,90 @@ UNIT_TEST(rings_are_those_of_monte_carlo) {
   free(text);
 }
 
+/* ---- the reference table -------------------------------------------------------------------- */
+
+/* A row of core/transport/reference.csv; r is 0 in those of totals, and mc NaN where it is empty. */
+struct row {
+  double ratio, g, eta, r, value, bound, mc, mc_error;
+  char quantity[16];
+};
+
+/* sscanf() does not read empty cells. */
+static bool read_row(const char *line, struct row *row) {
+  double *const number[] = {&row->ratio, &row->g,     &row->eta, NULL,          &row->r,
+                            &row->value, &row->bound, &row->mc,  &row->mc_error};
+  for (size_t i = 0; i < sizeof number / sizeof number[0]; i++) {
+    const size_t length = strcspn(line, ",");
+    if (number[i] == NULL) {
+      snprintf(row->quantity, sizeof row->quantity, "%.*s", (int)length, line);
+    } else if (length == 0) {
+      *number[i] = i == 4 ? 0 : (double)NAN;
+    } else {
+      char *end;
+      *number[i] = strtod(line, &end);
+      if (end != line + length) {
+        return false;
+      }
+    }
+    line += length + (line[length] == ',');
+  }
+  return true;
+}
+
+/* Returns the solver's own value of a row, by solutions for isotropic scattering. */
+static double isotropic_value(const struct row *row, const transport_solution *solution) {
+  return row->r > 0 ? transport_at(solution, row->r).R.value : transport_total(solution).value;
+}
+
+/* The rows for g = 0 are within their bounds of the solver for isotropic scattering, Monte Carlo is
+ * within its standard errors of all rows, and each medium has all of its rows. */
+UNIT_TEST(the_reference_table_holds) {
+  enum { MEDIUM_ROWS = 20, MEDIA_LEAST = 56 };
+  char *text = unit_read_file("core/transport/reference.csv");
+  assert_non_null(text);
+  transport_boundary *boundary = NULL;
+  transport_solution *solution = NULL;
+  double chi_squared = 0, largest = 0, before[3] = {0};
+  size_t rows = 0, walked = 0, isotropic = 0;
+  strtok(text, "\n"); /* the names of the columns */
+  for (char *line; (line = strtok(NULL, "\n")) != NULL; rows++) {
+    struct row row;
+    assert_true(read_row(line, &row));
+    assert_true(row.value > 0 && row.bound > 0 && row.bound < 2e-3);
+    const double medium[] = {row.ratio, row.g, row.eta};
+    assert_int_equal(memcmp(medium, before, sizeof medium) != 0, rows % MEDIUM_ROWS == 0);
+    if (rows % MEDIUM_ROWS == 0 && row.g == 0) {
+      transport_solution_free(solution);
+      transport_boundary_free(boundary);
+      unit_assert_fault(transport_boundary_create(&boundary, row.eta, 1e-8), NULL, 0);
+      unit_assert_fault(transport_solve(&solution, boundary, 1 / (1 + row.ratio)), NULL, 0);
+    }
+    memcpy(before, medium, sizeof medium);
+    if (row.g == 0 && strcmp(row.quantity, "total_diffuse") != 0) {
+      const double off = fabs(row.value / isotropic_value(&row, solution) - 1);
+      if (!(off <= row.bound)) {
+        fail_msg("%s of ratio %g, eta %g at %g: off by %g, stated %g", row.quantity, row.ratio,
+                 row.eta, row.r, off, row.bound);
+      }
+      isotropic++;
+    }
+    if (!isnan(row.mc)) {
+      const double off = fabs(row.mc / row.value - 1) / hypot(row.mc_error, row.bound);
+      chi_squared += off * off;
+      largest = fmax(largest, off);
+      walked++;
+    }
+  }
+  printf("%zu media; Monte Carlo at %zu values: chi-squared per value %.2f, largest %.1f sigma\n",
+         rows / MEDIUM_ROWS, walked, chi_squared / (double)walked, largest);
+  assert_true(rows % MEDIUM_ROWS == 0 && rows / MEDIUM_ROWS >= MEDIA_LEAST && isotropic > 100);
+  assert_true(walked > rows / 2 && chi_squared > 0.8 * (double)walked &&
+              chi_squared < 1.2 * (double)walked && largest < 4.5);
+  transport_solution_free(solution);
+  transport_boundary_free(boundary);
+  free(text);
+}
+
 /* ---- the interface -------------------------------------------------------------------------- */
 
 UNIT_TEST(totals_by_moments_are_those_by_g) {

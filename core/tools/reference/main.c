@@ -17,9 +17,8 @@
 static const struct pair {
   double ratio, g;
 } pairs[] = {
-    {0.01, -0.5}, {0.3, -0.5}, {0.001, 0},   {0.1, 0},     {0.03, 0.3}, {1, 0.3},
-    {0.1, 0.5},   {0.01, 0.7}, {0.3, 0.7},   {0.001, 0.8}, {0.1, 0.8},  {0.001, 0.9},
-    {0.03, 0.9},  {1, 0.9},    {0.01, 0.95}, {0.3, 0.95},
+    {0.01, -0.5}, {0.3, -0.5}, {0.001, 0},   {0.1, 0},   {0.03, 0.3},  {1, 0.3},    {0.1, 0.5},
+    {0.01, 0.7},  {0.3, 0.7},  {0.001, 0.8}, {0.1, 0.8}, {0.001, 0.9}, {0.03, 0.9}, {1, 0.9},
 };
 static const double etas[] = {1, 1.33, 1.4, 2};
 static const double radii[] = {0.01, 0.02, 0.03, 0.05, 0.07, 0.1, 0.2, 0.3, 0.5,
@@ -195,7 +194,9 @@ static void step(void *context, size_t i) {
 
 /* The bound is written with two digits, rounded up. */
 #define UP 1.053
-/* least relative error bound of a total: its two grids share a part of their errors */
+/* Least relative error bounds: two grids share a part of their errors. For g = 0 the normal grids
+ * were off by up to 1.7e-5 where they agreed better. */
+#define R_ERROR_LEAST 5e-5
 #define TOTAL_ERROR_LEAST 1e-7
 
 static void write_row(FILE *file, const struct pair *pair, double eta, const char *quantity,
@@ -206,7 +207,7 @@ static void write_row(FILE *file, const struct pair *pair, double eta, const cha
   }
   const double error = by_solver.error / by_solver.value;
   fprintf(file, ",%.9e,%.1e,", by_solver.value,
-          UP * (isnan(r) ? fmax(error, TOTAL_ERROR_LEAST) : error));
+          UP * (isnan(r) ? fmax(error, TOTAL_ERROR_LEAST) : fmax(error, R_ERROR_LEAST)));
   if (isnan(by_walk.value)) {
     fputs(",\n", file);
   } else {
