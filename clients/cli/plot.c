@@ -53,7 +53,7 @@ static const cli_option options[] = {
      "are logarithmic; logarithmic: r is, too; gamma: values to the power\n"
      "1/2.2 over linear r (default: " AXES_DEFAULT ")",
      CLI_NAMES, FIELD(axes), NULL},
-    {"gamma", "X", "values to the power 1/X on the axes gamma (default: 2.2)", CLI_NUMBER,
+    {"axes-gamma", "X", "values to the power 1/X on the axes gamma (default: 2.2)", CLI_NUMBER,
      FIELD(gamma), "2.2"},
     {"error", NULL, "add a panel with the relative deviation from " REFERENCE, CLI_SWITCH,
      FIELD(error), NULL},
@@ -163,11 +163,11 @@ static int check(void *given) {
     return status;
   }
   if (settings->gamma.given && !cli_texts_have(&settings->axes, "gamma")) {
-    return cli_fail_usage("--gamma changes nothing but the axes gamma: add --axes gamma, or leave "
-                          "--gamma out");
+    return cli_fail_usage("--axes-gamma changes nothing but the axes gamma: add --axes gamma, or "
+                          "leave --axes-gamma out");
   }
   if (!(settings->gamma.value > 0 && isfinite(settings->gamma.value))) {
-    return cli_fail_usage("--gamma: give a number above 0");
+    return cli_fail_usage("--axes-gamma: give a number above 0");
   }
   if (!parse_size(settings->size, &width_px, &height_px)) {
     return cli_fail_usage("--size %s: write WIDTHxHEIGHT, such as 900x600; each side %d "

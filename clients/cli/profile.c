@@ -53,7 +53,7 @@ const cli_option cli_parameter_options[] = {
      FIELD(fit_from), NULL},
     {"fit-to", "X", "largest radius of the fit, mm (default: 10 mean free paths)", CLI_NUMBER,
      FIELD(fit_to), NULL},
-    {"gamma", "X", "(1 - g_2) / (1 - g) of the phase function, for transport (default: 1 + g)",
+    {"gamma", "X", "of the phase function, (1 - g_2) / (1 - g), for transport (default: 1 + g)",
      CLI_NUMBER, FIELD(gamma), NULL},
     {0},
 };

@@ -172,9 +172,9 @@ def test_gamma(tmp_path):
     arguments = [*SKIN, "--axes", "gamma", "--count", "20", "--format", "csv"]
     rows = read_csv(dipole(*arguments).stdout)
     assert column(rows, "R^(1/2.2)") == pytest.approx(column(rows, "R") ** (1 / 2.2), rel=1e-14)
-    rows = read_csv(dipole(*arguments, "--gamma", "3", "--quantity", "cdf").stdout)
+    rows = read_csv(dipole(*arguments, "--axes-gamma", "3", "--quantity", "cdf").stdout)
     assert column(rows, "cdf^(1/3)") == pytest.approx(column(rows, "cdf") ** (1 / 3), rel=1e-14)
-    text = dipole(*arguments[:-1], "json", "--gamma", "3", "--quantity", "cdf").stdout
+    text = dipole(*arguments[:-1], "json", "--axes-gamma", "3", "--quantity", "cdf").stdout
     assert json.loads(text)["units"]["cdf^(1/3)"] == "cdf"
 
 
@@ -533,10 +533,10 @@ def test_monte_carlo_of_a_slab(client):
         ([*SKIN, "--axes", "log"], "--axes: 'log' is unknown; they are linear, semilog"),
         ([*SKIN, "--axes", ""], "--axes: '' is unknown"),
         ([*SKIN, "--axes", "gamma,linear,gamma"], "--axes: name gamma only once"),
-        ([*SKIN, "--gamma", "2"], "--gamma changes nothing but the axes gamma: add"),
-        ([*SKIN, "--axes", "gamma", "--gamma", "0"], "--gamma: give a number above 0"),
-        ([*SKIN, "--axes", "gamma", "--gamma", "inf"], "--gamma: give a number above 0"),
-        ([*SKIN, "--axes", "gamma", "--gamma", "nan"], "--gamma: give a number above 0"),
+        ([*SKIN, "--axes-gamma", "2"], "--axes-gamma changes nothing but the axes gamma: add"),
+        ([*SKIN, "--axes", "gamma", "--axes-gamma", "0"], "--axes-gamma: give a number above 0"),
+        ([*SKIN, "--axes", "gamma", "--axes-gamma", "inf"], "--axes-gamma: give a number above 0"),
+        ([*SKIN, "--axes", "gamma", "--axes-gamma", "nan"], "--axes-gamma: give a number above 0"),
         ([*SKIN, "--quantity", "colour"], "--quantity: 'colour' is unknown; this daemon has R"),
         ([*SKIN, "--quantity", "albedo"], "--quantity albedo: there is no curve of it over r"),
         ([*SKIN, "--quantity", "r"], "--quantity r: there is no curve of it over r"),
