@@ -123,17 +123,21 @@ static const struct {
 enum {
   FINEST = sizeof finest / sizeof finest[0],
   RANDOM_D = TRANSPORT_TABLE_BANDS_G * TRANSPORT_TABLE_BANDS_ALBEDO,
-  CHECKS_D = RANDOM_D + FINEST
+  BACKWARD = TRANSPORT_TABLE_BANDS_ALBEDO,
+  CHECKS_D = RANDOM_D + FINEST + BACKWARD
 };
 
-/* A random medium in each band of g and of the albedo (transport_table_region()). */
+/* A random medium in each band of g and of the albedo (transport_table_region()). The band of the
+ * smallest g is wide, so the last BACKWARD media are of g below 0. */
 static void make_random_medium(const double *field, size_t n, uint64_t *random,
                                table_sample *sample, double *albedo) {
-  static const double g[TRANSPORT_TABLE_BANDS_G + 1] = {-0.5, 0.6, 0.85, 0.95};
+  static const double bands[TRANSPORT_TABLE_BANDS_G + 1] = {-0.5, 0.6, 0.85, 0.95};
+  static const double backward[TRANSPORT_TABLE_BANDS_G + 1] = {-0.5, 0, 0, 0};
+  const double *g = n < RANDOM_D ? bands : backward;
   const double albedos[TRANSPORT_TABLE_BANDS_ALBEDO + 1] = {field[TRANSPORT_TABLE_ALBEDO_LEAST],
                                                             1.0 / 11, 0.5, 0.9, 1};
-  const size_t i = n % TRANSPORT_TABLE_BANDS_G;
-  const size_t j = n / TRANSPORT_TABLE_BANDS_G % TRANSPORT_TABLE_BANDS_ALBEDO;
+  const size_t i = n < RANDOM_D ? n % TRANSPORT_TABLE_BANDS_G : 0;
+  const size_t j = n < RANDOM_D ? n / TRANSPORT_TABLE_BANDS_G : n - (RANDOM_D + FINEST);
   sample_make(sample, between(random, g[i], g[i + 1]), ETAS_D, RADII_D);
   *albedo = transport_table_albedo_of_u(
       between(random, transport_table_u(albedos[j]), transport_table_u(albedos[j + 1])));
@@ -166,7 +170,7 @@ static void checks_make_difference(const double *field, table_sample samples[CHE
   uint64_t random = 1941;
   for (size_t n = 0; n < CHECKS_D; n++) {
     double albedo;
-    if (n < RANDOM_D) {
+    if (n < RANDOM_D || n >= RANDOM_D + FINEST) {
       make_random_medium(field, n, &random, &samples[n], &albedo);
     } else {
       sample_make(&samples[n], finest[n - RANDOM_D].g, ETAS_D, RADII_D);

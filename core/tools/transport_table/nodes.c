@@ -30,7 +30,7 @@ enum {
   BYTES_MAX = 1 << 22
 };
 
-/* For smaller g, the quick grids are as accurate as the normal ones are for larger g. */
+/* From g = 0 to this g, the quick grids are as accurate as the normal ones are for any other g. */
 #define QUICK_MOST 0.6
 
 /* The solver's errors are as large as R where R is smaller, per squared reduced mean free path. */
@@ -117,7 +117,8 @@ void nodes_make_difference(const double *field, table_sample samples[NODES_D]) {
     }
     table_sample *sample = &samples[sample_of(l, i)];
     sample_make(sample, g_point(field, l, NODES_D_G), NODES_D_V, PANELS * NODES_D_X);
-    sample->effort = sample->g > QUICK_MOST ? TRANSPORT_EFFORT_NORMAL : TRANSPORT_EFFORT_QUICK;
+    const bool quick = sample->g > 0 && sample->g <= QUICK_MOST;
+    sample->effort = quick ? TRANSPORT_EFFORT_QUICK : TRANSPORT_EFFORT_NORMAL;
     make_etas(field, TRANSPORT_TABLE_BELOW_1, NODES_D_BELOW_1, sample->eta);
     make_etas(field, TRANSPORT_TABLE_FROM_1, NODES_D_FROM_1, sample->eta + NODES_D_BELOW_1);
     for (size_t j = 0; j < NODES_D_V; j++) {
