@@ -60,6 +60,7 @@
  * The stated errors are TRANSPORT_TABLE_MARGIN times the largest relative error that was found, of
  * R where R is above TRANSPORT_TABLE_R_LEAST and of the totals, plus the error of the solver itself.
  * For g other than 0 there is an error for each region: a band of g, of the albedo, of eta and of x.
+ * Their margin is TRANSPORT_TABLE_MARGIN_D.
  * With sigma_a up to sigma_s' and x from 0.05 to 20, the largest error that was found is 8e-4 for g
  * up to 0.9 and 3e-3 for larger g; nineteen of twenty are below 3e-4. It is 3e-3 for smaller x, and 2
  * percent where sigma_a is more than ten times sigma_s'.
@@ -75,6 +76,8 @@
 /* smallest R that the field ERROR holds for, per squared mean free path */
 #define TRANSPORT_TABLE_R_LEAST 1e-12
 #define TRANSPORT_TABLE_MARGIN 1.5
+/* the same for regions of g other than 0, each of which has few media */
+#define TRANSPORT_TABLE_MARGIN_D 2.0
 
 enum {
   TRANSPORT_TABLE_VERSION = 2,

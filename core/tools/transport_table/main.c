@@ -120,28 +120,29 @@ static const struct {
 } finest[] = {{0.9, 0.05}, {0.95, 0.7}, {0.8, 0.3},  {0.95, 0.003},
               {0.9, 5},    {0.5, 0.02}, {-0.5, 0.2}, {0.95, 30}};
 
+/* Where the media of the checks are drawn from: from each band of g and of the albedo
+ * (transport_table_region()), then, because bands are wide, from g below 0 and from the smallest
+ * albedos of the second band. */
+static const struct {
+  double g[2];
+  double albedo[2];
+} drawn[] = {{{-0.5, 0.6}, {0.0099, 1.0 / 11}}, {{0.6, 0.85}, {0.0099, 1.0 / 11}},
+             {{0.85, 0.95}, {0.0099, 1.0 / 11}}, {{-0.5, 0.6}, {1.0 / 11, 0.5}},
+             {{0.6, 0.85}, {1.0 / 11, 0.5}},     {{0.85, 0.95}, {1.0 / 11, 0.5}},
+             {{-0.5, 0.6}, {0.5, 0.9}},          {{0.6, 0.85}, {0.5, 0.9}},
+             {{0.85, 0.95}, {0.5, 0.9}},         {{-0.5, 0.6}, {0.9, 1}},
+             {{0.6, 0.85}, {0.9, 1}},            {{0.85, 0.95}, {0.9, 1}},
+             {{-0.5, 0}, {0.0099, 1.0 / 11}},    {{-0.5, 0}, {1.0 / 11, 0.5}},
+             {{-0.5, 0}, {0.5, 0.9}},            {{-0.5, 0}, {0.9, 1}},
+             {{-0.5, 0}, {1.0 / 11, 0.2}},       {{0.3, 0.6}, {1.0 / 11, 0.2}},
+             {{0.6, 0.85}, {1.0 / 11, 0.2}},     {{0.85, 0.95}, {1.0 / 11, 0.2}}};
+
 enum {
   FINEST = sizeof finest / sizeof finest[0],
-  RANDOM_D = TRANSPORT_TABLE_BANDS_G * TRANSPORT_TABLE_BANDS_ALBEDO,
-  BACKWARD = TRANSPORT_TABLE_BANDS_ALBEDO,
-  CHECKS_D = RANDOM_D + FINEST + BACKWARD
+  DRAWN = sizeof drawn / sizeof drawn[0],
+  CHECKS_D = DRAWN + FINEST,
+  FINEST_FIRST = 12 /* number of the first of `finest` among the checks */
 };
-
-/* A random medium in each band of g and of the albedo (transport_table_region()). The band of the
- * smallest g is wide, so the last BACKWARD media are of g below 0. */
-static void make_random_medium(const double *field, size_t n, uint64_t *random,
-                               table_sample *sample, double *albedo) {
-  static const double bands[TRANSPORT_TABLE_BANDS_G + 1] = {-0.5, 0.6, 0.85, 0.95};
-  static const double backward[TRANSPORT_TABLE_BANDS_G + 1] = {-0.5, 0, 0, 0};
-  const double *g = n < RANDOM_D ? bands : backward;
-  const double albedos[TRANSPORT_TABLE_BANDS_ALBEDO + 1] = {field[TRANSPORT_TABLE_ALBEDO_LEAST],
-                                                            1.0 / 11, 0.5, 0.9, 1};
-  const size_t i = n < RANDOM_D ? n % TRANSPORT_TABLE_BANDS_G : 0;
-  const size_t j = n < RANDOM_D ? n / TRANSPORT_TABLE_BANDS_G : n - (RANDOM_D + FINEST);
-  sample_make(sample, between(random, g[i], g[i + 1]), ETAS_D, RADII_D);
-  *albedo = transport_table_albedo_of_u(
-      between(random, transport_table_u(albedos[j]), transport_table_u(albedos[j + 1])));
-}
 
 /* Returns eta i of a medium: some fixed ones, then random ones below 1, from 1 on, and large ones. */
 static double eta_of_difference(size_t i, uint64_t *random) {
@@ -170,12 +171,16 @@ static void checks_make_difference(const double *field, table_sample samples[CHE
   uint64_t random = 1941;
   for (size_t n = 0; n < CHECKS_D; n++) {
     double albedo;
-    if (n < RANDOM_D || n >= RANDOM_D + FINEST) {
-      make_random_medium(field, n, &random, &samples[n], &albedo);
-    } else {
-      sample_make(&samples[n], finest[n - RANDOM_D].g, ETAS_D, RADII_D);
+    if (n >= FINEST_FIRST && n < FINEST_FIRST + FINEST) {
+      sample_make(&samples[n], finest[n - FINEST_FIRST].g, ETAS_D, RADII_D);
       samples[n].effort = TRANSPORT_EFFORT_FINEST;
-      albedo = 1 / (1 + finest[n - RANDOM_D].ratio);
+      albedo = 1 / (1 + finest[n - FINEST_FIRST].ratio);
+    } else {
+      const size_t i = n < FINEST_FIRST ? n : n - FINEST;
+      const double *g = drawn[i].g, *from = drawn[i].albedo;
+      sample_make(&samples[n], between(&random, g[0], g[1]), ETAS_D, RADII_D);
+      albedo = transport_table_albedo_of_u(
+          between(&random, transport_table_u(from[0]), transport_table_u(from[1])));
     }
     make_places(field, &random, albedo, &samples[n]);
   }
@@ -281,9 +286,9 @@ static void totals_compare(const transport_table *table, checks_result *result) 
 
 /* ---- the table ------------------------------------------------------------------------------- */
 
-/* Returns an error times the margin, plus the solver's own, rounded up to two digits. */
-static double quoted(double found, double of_solver) {
-  const double error = TRANSPORT_TABLE_MARGIN * found + of_solver;
+/* Returns an error times a margin, plus the solver's own, rounded up to two digits. */
+static double quoted(double margin, double found, double of_solver) {
+  const double error = margin * found + of_solver;
   double unit = 1;
   while (unit > error / 10 && unit > 1e-12) {
     unit /= 10;
@@ -329,13 +334,15 @@ static double error_of(const checks_result *result, size_t region) {
 }
 
 static void set_errors(double *field, const checks_result *result) {
-  field[TRANSPORT_TABLE_ERROR] = quoted(fmax(result->R.error, result->total.error), 0);
-  field[TRANSPORT_TABLE_TOTALS_ERROR] = quoted(result->D_total.error, 0);
+  const double margin = TRANSPORT_TABLE_MARGIN;
+  field[TRANSPORT_TABLE_ERROR] = quoted(margin, fmax(result->R.error, result->total.error), 0);
+  field[TRANSPORT_TABLE_TOTALS_ERROR] = quoted(margin, result->D_total.error, 0);
   for (size_t i = 0; i < TRANSPORT_TABLE_BANDS_ALBEDO; i++) {
-    field[TRANSPORT_TABLE_DIFFUSE_ERRORS + i] = quoted(result->D_diffuse[i].error, 0);
+    field[TRANSPORT_TABLE_DIFFUSE_ERRORS + i] = quoted(margin, result->D_diffuse[i].error, 0);
   }
   for (size_t i = 0; i < TRANSPORT_TABLE_REGIONS; i++) {
-    field[TRANSPORT_TABLE_D_ERRORS + i] = quoted(error_of(result, i), D_SOLVER_ERROR);
+    field[TRANSPORT_TABLE_D_ERRORS + i] =
+        quoted(TRANSPORT_TABLE_MARGIN_D, error_of(result, i), D_SOLVER_ERROR);
   }
 }
 
