@@ -226,9 +226,10 @@ $(BUILD)/tests/bits: $(OBJ)/tests/bits/bits.o $(BUILD)/libcore.a
 	$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
 
 # For clang and its libFuzzer alone: `make fuzz` builds it in a folder of its own.
+FUZZ := $(call objects,$(wildcard tests/fuzz/*.c))
 FUZZED := $(filter-out $(call objects,server/main.c clients/cli/main.c),$(SERVER) $(CLI))
-$(OBJ)/tests/fuzz/fuzz.o: EXTRA_CPPFLAGS = $(UV_CFLAGS) $(MODBUS_CFLAGS)
-$(BUILD)/fuzz: $(OBJ)/tests/fuzz/fuzz.o $(FUZZED) $(BUILD)/libdipole.a
+$(FUZZ): EXTRA_CPPFLAGS = $(UV_CFLAGS) $(MODBUS_CFLAGS)
+$(BUILD)/fuzz: $(FUZZ) $(FUZZED) $(BUILD)/libdipole.a
 	$(call SAY,LD,$@)
 	$(Q)$(CC) $(ALL_LDFLAGS) -fsanitize=fuzzer -o $@ $^ $(UV_LIBS) $(MODBUS_LIBS) $(CORE_LIBS) -lm
 

@@ -1,4 +1,4 @@
-"""Runs each target of tests/fuzz/fuzz.c with libFuzzer, on all processors, and prints the outcome
+"""Runs each target of tests/fuzz/fuzz.h with libFuzzer, on all processors, and prints the outcome
 of each.
 
   fuzz.py PROGRAM check          runs a fixed number of inputs from a fixed seed, for `make check`
@@ -30,8 +30,6 @@ PROTO = FUZZ.parent.parent / "proto"
 # longer than CHECK_S seconds.
 CHECK_RUNS = 20000
 CHECK_S = 5
-# A single input takes longer than this only if it hangs: the slowest profile takes some seconds.
-HANG_S = 60
 MEMORY_MB = 3000
 JOBS = int(os.environ.get("FUZZ_JOBS", os.cpu_count() or 1))
 
@@ -87,7 +85,8 @@ def unpack(inputs: Iterable[tuple[str, bytes]], folder: Path) -> None:
 
 def libfuzzer(program: Path, name: str, log: Path, *arguments: str) -> int:
     """Runs one target. Returns its exit status."""
-    flags = [f"-timeout={HANG_S}", f"-rss_limit_mb={MEMORY_MB}", f"-artifact_prefix={log.parent}/{name}-"]
+    # The program looks for hangs itself, since libFuzzer's clock runs while others have the processors.
+    flags = ["-timeout=0", f"-rss_limit_mb={MEMORY_MB}", f"-artifact_prefix={log.parent}/{name}-"]
     environment = os.environ | {"FUZZ_TARGET": name}
     with log.open("wb") as output:
         command = [str(program), *flags, "-print_final_stats=1", *arguments]

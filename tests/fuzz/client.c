@@ -1,0 +1,296 @@
+/* The targets for libdipole: `table`, tables from elsewhere, and `replies`, answers of a daemon. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include "clients/c/info.h"
+#include "clients/c/request.h"
+#include "core/lut/lut.h"
+#include "proto/table.h"
+#include "tests/fuzz/fuzz.h"
+
+/* ---- tables from elsewhere ----------------------------------------------------------------------- */
+
+static uint8_t *whole_table; /* a valid table: the frame of a table reply */
+static size_t whole_table_bytes;
+
+void fuzz_table_start(void) {
+  const core_medium medium = {0.032, 0.74, 0, 1.3};
+  core_parameters parameters;
+  core_profile profile;
+  for (int i = 0; i < CORE_PARAMETERS_END; i++) {
+    parameters.value[i] = (double)NAN;
+  }
+  parameters.value[CORE_PARAMETER_TOLERANCE] = CORE_LUT_TOLERANCE_MAX;
+  CHECK(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_BETTER, CORE_MOMENTS_EXACT,
+                             CORE_EVALUATOR_LUT, &medium, &parameters)
+            .field == NULL);
+  const size_t payload_bytes = table_reply_bytes(1, profile.lut_count);
+  const wire_header header = {.magic = WIRE_MAGIC,
+                              .version = WIRE_VERSION,
+                              .type = WIRE_TYPE_TABLE | WIRE_REPLY,
+                              .payload_bytes = (uint32_t)payload_bytes};
+  whole_table_bytes = WIRE_BYTES_header + payload_bytes;
+  whole_table = malloc(whole_table_bytes);
+  wire_put_header(whole_table, &header);
+  table_reply_put(whole_table + WIRE_BYTES_header, &profile, &parameters);
+  core_profile_free(&profile);
+}
+
+/* The octaves of positive floats, from OCTAVE_FIRST to OCTAVE_END - 1. The radii are the first and
+ * the last float of each octave, and then 0 and infinity. */
+enum { OCTAVE_FIRST = -149, OCTAVE_END = 128, RADII = 2 * (OCTAVE_END - OCTAVE_FIRST) + 2 };
+
+static void check_same(const float *a, const float *b) {
+  for (int i = 0; i < RADII; i++) {
+    CHECK(a[i] == b[i] || (a[i] != a[i] && b[i] != b[i]));
+  }
+}
+
+/* Evaluates the table at all radii, by the best instruction set and by the portable one, of which
+ * the sanitizer sees every read. */
+static void check_table(const dipole_table *table, const uint8_t *payload, size_t payload_bytes) {
+  float r[RADII], u[RADII], best[RADII], portable[RADII];
+  wire_table_reply fixed;
+  core_parameters parameters;
+  const float *words;
+  for (int octave = OCTAVE_FIRST, i = 0; octave < OCTAVE_END; octave++, i += 2) {
+    r[i] = ldexpf(1, octave);
+    r[i + 1] = nextafterf(2 * r[i], 0);
+    u[i] = octave < 0 ? r[i] : 1 - ldexpf(1, -octave);
+    u[i + 1] = octave < 0 ? r[i + 1] : nextafterf(u[i], 0);
+  }
+  r[RADII - 2] = u[RADII - 2] = 0;
+  r[RADII - 1] = (float)INFINITY;
+  u[RADII - 1] = 1;
+  CHECK(table_reply_parse(payload, payload_bytes, &fixed, &parameters, &words));
+  core_profile profile = {.medium = {fixed.sigma_a, fixed.sigma_s, fixed.g, fixed.eta},
+                          .model = (enum core_model)fixed.model,
+                          .albedo = fixed.albedo,
+                          .radii = {fixed.radius_least, fixed.radius_most}};
+  CHECK(core_profile_from_table(&profile, core_isa_select("portable"), words, fixed.word_count)
+            .field == NULL);
+  for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
+    if (dipole_table_values(table, (enum dipole_quantity)quantity->id, RADII, r, best) &&
+        quantity->id != CORE_QUANTITY_S) { /* S depends on the angles. */
+      core_eval_f32(&profile, (enum core_quantity)quantity->id, RADII, r, portable);
+      check_same(best, portable);
+    }
+  }
+  dipole_errors errors;
+  if (dipole_table_errors(table, DIPOLE_R, RADII, r, &errors)) {
+    double least = fixed.numerical_error;
+    for (size_t i = 0; i < CORE_MODEL_ERROR_BANDS; i++) {
+      least = fixed.numerical_errors[i] < least ? fixed.numerical_errors[i] : least;
+    }
+    CHECK(!(errors.numerical_error < least));
+  }
+  CHECK(dipole_table_radii(table, RADII, u, best));
+  core_sample_f32(&profile, RADII, u, portable);
+  check_same(best, portable);
+  core_profile_free(&profile);
+}
+
+/* The target for tables. An input is a row of changes to a valid table: the number of a word, two
+ * bytes, and its new value, four bytes. A number beyond the words cuts the table short. Afterwards
+ * the checksum, and fields that repeat words, are corrected, unless the last byte is odd. */
+void fuzz_table(const uint8_t *data, size_t size) {
+  size_t bytes = whole_table_bytes;
+  uint8_t *frame = fuzz_copy(whole_table, bytes);
+  const bool put_right = size % 6 == 0 || !(data[size - 1] & 1);
+  for (; size >= 6; size -= 6, data += 6) {
+    const size_t at = 4 * (data[0] | (size_t)data[1] << 8);
+    if (at + 4 <= bytes) {
+      memcpy(frame + at, data + 2, 4);
+    } else if (data[2] * (size_t)16 < bytes) {
+      bytes -= data[2] * (size_t)16;
+    }
+  }
+  if (put_right && bytes >= WIRE_BYTES_header + table_reply_bytes(1, CORE_LUT_PIECES)) {
+    wire_table_reply fixed;
+    float first, last;
+    uint8_t *payload = frame + WIRE_BYTES_header;
+    wire_get_table_reply(payload, &fixed);
+    const size_t words_at = table_reply_bytes(1, 0);
+    const uint32_t payload_bytes = (uint32_t)(bytes - WIRE_BYTES_header);
+    memcpy(frame + 16, &payload_bytes, sizeof payload_bytes);
+    fixed.parameter_count = 1;
+    fixed.word_count = (uint32_t)((payload_bytes - words_at) / sizeof(float));
+    fixed.checksum = table_checksum(payload + words_at, fixed.word_count * sizeof(float));
+    memcpy(&first, payload + words_at + CORE_LUT_FIRST_MM * sizeof first, sizeof first);
+    memcpy(&last, payload + words_at + CORE_LUT_LAST_MM * sizeof last, sizeof last);
+    fixed.pieces_from = (double)first;
+    fixed.pieces_to = (double)last;
+    wire_put_table_reply(payload, &fixed);
+  }
+  dipole_table *loaded;
+  dipole_error error;
+  uint8_t *exact = fuzz_copy(frame, bytes);
+  if (dipole_table_load(exact, bytes, &loaded, &error)) {
+    const uint8_t *kept = dipole_table_bytes(loaded, &bytes);
+    check_table(loaded, kept + WIRE_BYTES_header, bytes - WIRE_BYTES_header);
+    dipole_table_free(loaded);
+  } else {
+    CHECK(error.kind == DIPOLE_ERROR_TABLE && error.text[0] != '\0');
+  }
+  free(exact);
+  free(frame);
+}
+
+/* ---- answers of a daemon ------------------------------------------------------------------------- */
+
+static bool take_part(void *context, const dipole_result *part, uint64_t radius_first) {
+  const uint64_t *limit = context;
+  return part->radius_count + radius_first < *limit;
+}
+
+static bool see_progress(void *context, const dipole_mc_progress *now) {
+  const uint64_t *limit = context;
+  return now->photons < *limit;
+}
+
+/* Makes the call whose answer has this type. */
+static bool ask(dipole_client *client, unsigned type, unsigned how, dipole_error *error) {
+  static const dipole_medium media[] = {{0.032, 0.74, 0, 1.3}, {0.17, 0.88, 0, 1.3}};
+  static const double radii[] = {0.5, 1}, albedos[] = {0.5, 0.3, 1};
+  double values[16], into_radii[2];
+  const bool into = how & 1;
+  dipole_query query = {.model = CORE_MODEL_BETTER,
+                        .evaluator = DIPOLE_F64,
+                        .moments = DIPOLE_EXACT,
+                        .wanted = how >> 4 ? how >> 4 : 7,
+                        .media = media,
+                        .medium_count = 1 + (how >> 1 & 1),
+                        .spacing = DIPOLE_LIST,
+                        .radii = radii,
+                        .radius_count = 2,
+                        .into_values = into ? values : NULL,
+                        .into_radii = into ? into_radii : NULL};
+  uint64_t limit = 2;
+  bool good;
+  switch (type) {
+  case WIRE_TYPE_EVAL: {
+    dipole_result *result;
+    if (how & 4) {
+      return dipole_eval_parts(client, &query, take_part, &limit, error);
+    }
+    if ((good = dipole_eval(client, &query, &result, error))) {
+      dipole_result_free(result);
+    }
+    return good;
+  }
+  case WIRE_TYPE_SAMPLE: {
+    dipole_result *result;
+    const dipole_sample_query sample = {.model = CORE_MODEL_BETTER,
+                                        .evaluator = DIPOLE_F64,
+                                        .moments = DIPOLE_EXACT,
+                                        .wanted = query.wanted,
+                                        .media = media,
+                                        .medium_count = query.medium_count,
+                                        .draw = DIPOLE_DRAW_REGULAR,
+                                        .sample_count = 4};
+    if ((good = dipole_sample(client, &sample, &result, error))) {
+      dipole_result_free(result);
+    }
+    return good;
+  }
+  case WIRE_TYPE_INVERT: {
+    dipole_inversion *inversion;
+    const dipole_invert_query invert = {.model = CORE_MODEL_BETTER,
+                                        .moments = DIPOLE_EXACT,
+                                        .given = DIPOLE_MEAN_FREE_PATH,
+                                        .eta = 1.3,
+                                        .albedos = albedos,
+                                        .lengths_mm = radii,
+                                        .medium_count = query.medium_count};
+    if ((good = dipole_invert(client, &invert, &inversion, error))) {
+      dipole_inversion_free(inversion);
+    }
+    return good;
+  }
+  case WIRE_TYPE_MC: {
+    dipole_mc_result *result;
+    const dipole_mc_query mc = {.medium = media[0],
+                                .albedos = albedos,
+                                .albedo_count = how >> 1 & 3,
+                                .thickness_mm = how & 8 ? 1 : (double)INFINITY,
+                                .spacing = DIPOLE_LINEAR,
+                                .ring_count = 2 + (how >> 4),
+                                .radius_stop_mm = 1,
+                                .photons = 8};
+    if ((good = dipole_mc(client, &mc, into ? see_progress : NULL, &limit, &result, error))) {
+      dipole_mc_result_free(result);
+    }
+    return good;
+  }
+  case WIRE_TYPE_TABLE: {
+    dipole_table *fetched;
+    const dipole_table_query asked = {
+        .model = CORE_MODEL_BETTER, .moments = DIPOLE_EXACT, .medium = media[0]};
+    if ((good = dipole_table_fetch(client, &asked, &fetched, error))) {
+      dipole_table_free(fetched);
+    }
+    return good;
+  }
+  case WIRE_TYPE_OFFERS: {
+    dipole_offer *offers;
+    size_t count, taken;
+    query.model = DIPOLE_ANY_MODEL;
+    if ((good = dipole_offers(client, &query, &offers, &count, &taken, error))) {
+      free(offers);
+    }
+    return good;
+  }
+  case WIRE_TYPE_MEDIA: {
+    dipole_measured_medium *measured;
+    size_t count;
+    if ((good = dipole_media(client, &measured, &count, error))) {
+      free(measured);
+    }
+    return good;
+  }
+  case WIRE_TYPE_STATS: {
+    dipole_value *statistics;
+    size_t count;
+    if ((good = dipole_statistics(client, &statistics, &count, error))) {
+      free(statistics);
+    }
+    return good;
+  }
+  case WIRE_TYPE_PING:
+    return dipole_ping(client, error);
+  default:
+    free(client->info);
+    client->info = NULL;
+    return libdipole_hello(client, "fuzz", error);
+  }
+}
+
+/* The target for a client. The first byte of an input says which call the client makes, and the
+ * second how. The other bytes are the daemon's answer. */
+void fuzz_replies(const uint8_t *data, size_t size) {
+  int fds[2];
+  if (size < 2 + WIRE_BYTES_header || size > 65536) {
+    return;
+  }
+  wire_header header;
+  wire_get_header(data + 2, &header);
+  dipole_client *client = calloc(1, sizeof *client);
+  dipole_error error = {0};
+  CHECK(client != NULL && dipole_local_info(&client->info, &error));
+  CHECK(socketpair(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0, fds) == 0);
+  CHECK(send(fds[1], data + 2, size - 2, MSG_NOSIGNAL) == (ssize_t)(size - 2));
+  shutdown(fds[1], SHUT_WR);
+  libdipole_stream_init(&client->stream, fds[0]);
+  client->last_id = header.request_id - 1 < UINT64_MAX - 2 ? header.request_id - 1 : 0;
+  client->in_flight_max = 16;
+  for (int call = 0; call < 2; call++) {
+    error = (dipole_error){0};
+    const bool good = ask(client, data[0], data[1], &error);
+    CHECK(good == (error.kind == DIPOLE_ERROR_NONE));
+  }
+  close(fds[1]);
+  dipole_close(client);
+}

@@ -1,0 +1,280 @@
+/* The target for messages: payloads are decoded, and what was decoded is encoded. The replies' part
+ * serves the other targets, too. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "proto/channels.h"
+#include "proto/invert.h"
+#include "proto/mc.h"
+#include "proto/sample.h"
+#include "proto/table.h"
+#include "tests/fuzz/fuzz.h"
+
+/* A structure that is read from any bytes, written and read again is the same. */
+#define WIRE_STRUCTURE(name, about)                                                                \
+  static void round_trip_##name(const uint8_t *data) {                                             \
+    uint8_t once[WIRE_BYTES_##name], twice[WIRE_BYTES_##name];                                     \
+    wire_##name structure;                                                                         \
+    wire_get_##name(data, &structure);                                                             \
+    wire_put_##name(once, &structure);                                                             \
+    wire_get_##name(once, &structure);                                                             \
+    wire_put_##name(twice, &structure);                                                            \
+    CHECK(memcmp(once, twice, sizeof once) == 0);                                                  \
+  }
+#include "proto/messages.def"
+
+static void round_trips(const uint8_t *data, size_t size) {
+#define WIRE_STRUCTURE(name, about)                                                                \
+  if (size >= WIRE_BYTES_##name) {                                                                 \
+    uint8_t *copy = fuzz_copy(data, WIRE_BYTES_##name);                                            \
+    round_trip_##name(copy);                                                                       \
+    free(copy);                                                                                    \
+  }
+#include "proto/messages.def"
+}
+
+static bool is_good(const wire_error *error) {
+  if (error->status == WIRE_STATUS_OK) {
+    return true;
+  }
+  CHECK(error->status == WIRE_STATUS_BAD_LENGTH || error->status == WIRE_STATUS_BAD_COUNT ||
+        error->status == WIRE_STATUS_BAD_VALUE);
+  CHECK(error->field[0] != '\0' && error->allowed[0] != '\0');
+  return false;
+}
+
+/* Reads all bytes of an array, and checks that it lies in the payload. */
+static void read_array(const uint8_t *payload, size_t size, uint64_t offset, uint64_t bytes) {
+  CHECK(offset <= size && bytes <= size - offset);
+  free(fuzz_copy(payload + offset, (size_t)bytes));
+}
+
+/* Encodes and decodes parameters once more, and checks that they are the same. */
+static void check_parameters(const core_parameters *parameters, uint32_t count) {
+  uint8_t bytes[CORE_PARAMETERS_END * WIRE_BYTES_parameter];
+  core_parameters again;
+  CHECK(channels_count_parameters(parameters) == count);
+  CHECK(channels_put_parameters(bytes, parameters) == count * (size_t)WIRE_BYTES_parameter);
+  CHECK(channels_parse_parameters(bytes, count, &again).status == WIRE_STATUS_OK);
+  CHECK(memcmp(again.value, parameters->value, sizeof again.value) == 0);
+}
+
+static void check_lists(const eval_request *request, const uint8_t *payload, size_t size,
+                        uint64_t listed) {
+  const uint64_t value_bytes = core_evaluator_bytes(request->fixed.evaluator);
+  CHECK(value_bytes == 4 || value_bytes == 8);
+  read_array(payload, size, (uint64_t)(request->media - payload),
+             request->fixed.medium_count * (uint64_t)WIRE_BYTES_medium);
+  CHECK((request->radii != NULL) == (listed > 0 || request->radii != NULL));
+  if (listed > 0) {
+    read_array(payload, size, (uint64_t)((const uint8_t *)request->radii - payload),
+               listed * value_bytes);
+  }
+  check_parameters(&request->parameters, request->fixed.parameter_count);
+}
+
+static void decode_eval(const uint8_t *payload, size_t size) {
+  eval_request request;
+  const wire_error error = eval_request_parse(payload, size, &request);
+  if (is_good(&error)) {
+    const wire_eval_request *fixed = &request.fixed;
+    const uint64_t listed = fixed->spacing == CORE_SPACING_LIST ? fixed->radius_count : 0;
+    check_lists(&request, payload, size, listed);
+    CHECK(eval_request_bytes(fixed->medium_count, fixed->parameter_count,
+                             listed * core_evaluator_bytes(fixed->evaluator)) == size);
+    uint8_t again[WIRE_BYTES_eval_request];
+    wire_put_eval_request(again, fixed);
+    CHECK(memcmp(again, payload, sizeof again) == 0);
+  }
+}
+
+static void decode_sample(const uint8_t *payload, size_t size) {
+  core_draw draw;
+  eval_request request;
+  const wire_error error = sample_request_parse(payload, size, &draw, &request);
+  if (is_good(&error)) {
+    const uint64_t listed = draw.rule == CORE_DRAW_LIST ? draw.count : 0;
+    check_lists(&request, payload, size, listed);
+    CHECK(sample_request_bytes(request.fixed.medium_count, request.fixed.parameter_count,
+                               listed * core_evaluator_bytes(request.fixed.evaluator)) == size);
+  }
+}
+
+static void decode_invert(const uint8_t *payload, size_t size) {
+  invert_request request;
+  const wire_error error = invert_request_parse(payload, size, &request);
+  if (is_good(&error)) {
+    const uint64_t bytes = request.fixed.medium_count * sizeof(double);
+    read_array(payload, size, (uint64_t)((const uint8_t *)request.albedos - payload), bytes);
+    read_array(payload, size, (uint64_t)((const uint8_t *)request.lengths - payload), bytes);
+    CHECK(invert_request_bytes(request.fixed.medium_count) == size);
+  }
+}
+
+static void decode_mc(const uint8_t *payload, size_t size) {
+  mc_request request;
+  const wire_error error = mc_request_parse(payload, size, &request);
+  if (is_good(&error)) {
+    CHECK(request.fixed.albedo_count <= CORE_MC_ALBEDOS_MAX);
+    CHECK(mc_request_bytes(request.fixed.albedo_count,
+                           channels_count_parameters(&request.parameters)) == size);
+  }
+}
+
+static void decode_table(const uint8_t *payload, size_t size) {
+  table_request request;
+  const wire_error error = table_request_parse(payload, size, &request);
+  if (is_good(&error)) {
+    check_parameters(&request.parameters, request.fixed.parameter_count);
+    CHECK(table_request_bytes(request.fixed.parameter_count) == size);
+  }
+}
+
+/* Checks that values are what their quantity can be: not NaN, not negative unless they are ln R or
+ * dR/dr, and a cdf is at most 1. */
+static void check_values(const uint8_t *values, uint64_t count, unsigned evaluator,
+                         unsigned quantity) {
+  const bool any_sign = quantity == CORE_QUANTITY_LN_R || quantity == CORE_QUANTITY_SLOPE;
+  for (uint64_t i = 0; i < count; i++) {
+    double value;
+    if (evaluator == CORE_EVALUATOR_F64) {
+      memcpy(&value, values + i * sizeof value, sizeof value);
+    } else {
+      float single;
+      memcpy(&single, values + i * sizeof single, sizeof single);
+      value = single;
+    }
+    CHECK(any_sign ? value == value : value >= 0);
+    CHECK(quantity != CORE_QUANTITY_CDF || value <= 1);
+  }
+}
+
+/* Checks the albedo of a channel. It may exceed 1 for a published model, if the notes say so. */
+static void check_albedo(const wire_eval_reply *fixed, const uint8_t *at) {
+  wire_channel channel;
+  wire_get_channel(at, &channel);
+  CHECK(!(fixed->wanted & CORE_QUANTITY_ALBEDO) ||
+        (channel.albedo >= 0 && (fixed->notes & CORE_NOTE_ALBEDO_ABOVE_1 ||
+                                 channel.albedo <= 1 + channel.numerical_error)));
+}
+
+bool fuzz_decode_eval_reply(const uint8_t *payload, size_t size, bool drawn, bool honest) {
+  wire_eval_reply fixed;
+  eval_layout layout;
+  if (!eval_reply_parse(payload, size, drawn, &fixed, &layout)) {
+    return false;
+  }
+  const unsigned wanted = fixed.wanted | (drawn ? EVAL_DRAWN : 0);
+  CHECK(layout.payload_bytes == size && fixed.part < fixed.part_count);
+  for (uint32_t i = 0; i < fixed.channel_count; i++) {
+    read_array(payload, size, layout.channels_offset + i * (uint64_t)WIRE_BYTES_channel,
+               WIRE_BYTES_channel);
+    if (honest) {
+      check_albedo(&fixed, payload + layout.channels_offset + i * (size_t)WIRE_BYTES_channel);
+    }
+    for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
+      if (eval_is_array(wanted, quantity->id)) {
+        const uint64_t at = eval_array_offset(&layout, wanted, i, (enum core_quantity)quantity->id);
+        read_array(payload, size, at, layout.array_bytes);
+        if (honest) {
+          check_values(payload + at, fixed.radius_count, fixed.evaluator, quantity->id);
+        }
+      }
+    }
+  }
+  if (!drawn && fixed.wanted & CORE_QUANTITY_RADIUS) {
+    read_array(payload, size, layout.radius_offset, layout.array_bytes);
+  }
+  return true;
+}
+
+bool fuzz_decode_invert_reply(const uint8_t *payload, size_t size) {
+  wire_invert_reply fixed;
+  const bool good = invert_reply_parse(payload, size, &fixed);
+  for (int array = 0; good && array < INVERT_ARRAYS; array++) {
+    read_array(payload, size, invert_array_offset((enum invert_array)array, fixed.medium_count),
+               fixed.medium_count * sizeof(double));
+  }
+  return good;
+}
+
+bool fuzz_decode_mc_reply(const uint8_t *payload, size_t size, bool *under_way) {
+  wire_mc_reply fixed;
+  mc_layout layout;
+  if (!mc_reply_parse(payload, size, &fixed, &layout)) {
+    return false;
+  }
+  *under_way = fixed.state == MC_UNDER_WAY;
+  if (!*under_way) {
+    CHECK(layout.payload_bytes == size);
+    for (uint32_t side = 0; side < fixed.side_count; side++) {
+      read_array(payload, size, mc_photons_offset(&layout, fixed.ring_count, side),
+                 fixed.ring_count * sizeof(uint64_t));
+      for (uint32_t i = 0; i < 2 * fixed.albedo_count; i++) {
+        read_array(payload, size,
+                   mc_rings_offset(&layout, fixed.side_count, fixed.ring_count, i / 2, side, i % 2),
+                   fixed.ring_count * sizeof(double));
+      }
+    }
+  }
+  return true;
+}
+
+static void decode_table_reply(const uint8_t *payload, size_t size) {
+  wire_table_reply fixed;
+  core_parameters parameters;
+  const float *words;
+  if (table_reply_parse(payload, size, &fixed, &parameters, &words)) {
+    check_parameters(&parameters, fixed.parameter_count);
+    read_array(payload, size, (uint64_t)((const uint8_t *)words - payload),
+               fixed.word_count * sizeof *words);
+  }
+}
+
+/* The target for messages. An input is the type of a message, in two bytes, and a payload. */
+void fuzz_messages(const uint8_t *data, size_t size) {
+  bool under_way;
+  if (size < 2) {
+    return;
+  }
+  const unsigned type = data[0] | (unsigned)data[1] << 8;
+  size -= 2;
+  uint8_t *payload = fuzz_copy(data + 2, size);
+  round_trips(payload, size);
+  switch (type) {
+  case WIRE_TYPE_EVAL:
+  case WIRE_TYPE_OFFERS:
+    decode_eval(payload, size);
+    break;
+  case WIRE_TYPE_SAMPLE:
+    decode_sample(payload, size);
+    break;
+  case WIRE_TYPE_INVERT:
+    decode_invert(payload, size);
+    break;
+  case WIRE_TYPE_MC:
+    decode_mc(payload, size);
+    break;
+  case WIRE_TYPE_TABLE:
+    decode_table(payload, size);
+    break;
+  case WIRE_TYPE_EVAL | WIRE_REPLY:
+    fuzz_decode_eval_reply(payload, size, false, false);
+    break;
+  case WIRE_TYPE_SAMPLE | WIRE_REPLY:
+    fuzz_decode_eval_reply(payload, size, true, false);
+    break;
+  case WIRE_TYPE_INVERT | WIRE_REPLY:
+    fuzz_decode_invert_reply(payload, size);
+    break;
+  case WIRE_TYPE_MC | WIRE_REPLY:
+    fuzz_decode_mc_reply(payload, size, &under_way);
+    break;
+  case WIRE_TYPE_TABLE | WIRE_REPLY:
+    decode_table_reply(payload, size);
+    break;
+  default:
+    break;
+  }
+  free(payload);
+}
