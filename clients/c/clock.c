@@ -58,6 +58,14 @@ unsigned libdipole_jitter(uint64_t *state, unsigned pause_ms) {
   return pause_ms - libdipole_random(state) % (pause_ms / 2 + 1);
 }
 
-unsigned libdipole_next_pause_ms(unsigned pause_ms) {
-  return 2 * pause_ms < LIBDIPOLE_PAUSE_MOST_MS ? 2 * pause_ms : LIBDIPOLE_PAUSE_MOST_MS;
+unsigned libdipole_pause(uint64_t *state, unsigned *pause_ms, uint32_t retry_after_ms,
+                         int64_t until_ms) {
+  const int64_t left_ms = until_ms - libdipole_now_ms();
+  if (left_ms < LIBDIPOLE_PAUSE_FIRST_MS || left_ms <= (int64_t)retry_after_ms) {
+    return 0;
+  }
+  const unsigned usual_ms = libdipole_jitter(state, *pause_ms);
+  const unsigned short_ms = usual_ms < left_ms / 2 ? usual_ms : (unsigned)(left_ms / 2);
+  *pause_ms = 2 * *pause_ms < LIBDIPOLE_PAUSE_MOST_MS ? 2 * *pause_ms : LIBDIPOLE_PAUSE_MOST_MS;
+  return short_ms > retry_after_ms ? short_ms : retry_after_ms;
 }

@@ -25,7 +25,12 @@ uint32_t libdipole_random(uint64_t *state);
  * do not all come back at the same moment. */
 unsigned libdipole_jitter(uint64_t *state, unsigned pause_ms);
 
-/* Returns the pause after one of pause_ms: twice as long, but at most LIBDIPOLE_PAUSE_MOST_MS. */
-unsigned libdipole_next_pause_ms(unsigned pause_ms);
+/* Returns how long to wait before the next attempt to connect, or 0 if no attempt is left before
+ * until_ms. *pause_ms: the usual pause; set it to LIBDIPOLE_PAUSE_FIRST_MS before the first call,
+ * and each call doubles it up to LIBDIPOLE_PAUSE_MOST_MS. A pause takes at most half of the time
+ * that is left, so that the last attempts come close to until_ms; but it takes at least
+ * retry_after_ms, which the daemon has asked for. */
+unsigned libdipole_pause(uint64_t *state, unsigned *pause_ms, uint32_t retry_after_ms,
+                         int64_t until_ms);
 
 #endif

@@ -102,11 +102,11 @@ typedef struct dipole_options {
    * stay outstanding; the answer to any other request is thrown away when it comes. The daemon is
    * not told this limit, only the deadline_ms of a query. Default: 0. */
   unsigned call_timeout_ms;
-  /* See dipole_set_retry_ms(). It is always 0 for private: addresses. Default: 5000. */
+  /* For how long the client goes on trying, here and in later calls: see dipole_set_retry_ms().
+   * dipole_open_with() tries all addresses in turn until one answers, and fails when no daemon has
+   * answered for retry_ms; 0: it tries each address once. It is always 0 for private: addresses.
+   * Default: 5000. */
   unsigned retry_ms;
-  /* For how long dipole_open_with() tries again while no daemon answers or all are busy, with the
-   * pauses of dipole_set_retry_ms(); 0: it tries each address once. Default: 0. */
-  unsigned open_ms;
   /* The number of outstanding queries at which dipole_submit() fails with kind FULL; 0 is no limit.
    * Default: 4096. */
   unsigned in_flight_max;
@@ -123,7 +123,7 @@ bool dipole_open_with(const char *address, const dipole_options *options, dipole
                       dipole_error *error);
 
 /* Opens a client like dipole_open(), with the options timeout_ms and connect_timeout_ms both set to
- * timeout_ms. */
+ * timeout_ms. Opening takes no longer than that; later calls retry for DIPOLE_RETRY_MS. */
 bool dipole_open_within(const char *address, unsigned timeout_ms, dipole_client **client,
                         dipole_error *error);
 
@@ -141,7 +141,8 @@ void dipole_set_call_timeout_ms(dipole_client *client, unsigned call_timeout_ms)
  * TIMEOUT), and the answers BUSY and SHUTTING_DOWN. The client connects again if it has to, and
  * sends the requests again, with the same ids and the rest of their deadlines, and not before the
  * daemon's retry_after_ms. The pauses between two attempts grow from 10 ms to 1 s: each is twice as
- * long as the one before, shortened at random by up to a half. A request that has no answer
+ * long as the one before, shortened at random by up to a half, and at most half of the time that is
+ * left. A request that has no answer
  * retry_ms after its first failure fails with the kind of that failure: CONNECTION or REFUSED.
  *
  * The client repeats a request only if every daemon gives the same answer to it, so a repeated
@@ -156,9 +157,10 @@ void dipole_set_call_timeout_ms(dipole_client *client, unsigned call_timeout_ms)
  *
  * Several daemons. The client connects to the first address that answers. When that connection is
  * lost, or its daemon is silent for timeout_ms, the client tries the next address in the list, and
- * so on in a circle. It pauses before each round. The rest of retry_ms or open_ms is shared equally
- * among the addresses that are still to be tried, so that every address has its turn. Outstanding
- * requests go to the new daemon: daemons of the same version give the same bits on every machine.
+ * so on in a circle. It pauses before each round. The rest of retry_ms is shared equally among the
+ * addresses that are still to be tried, so that a daemon that hangs leaves time for the others.
+ * Outstanding requests go to the new daemon: daemons of the same version give the same bits on
+ * every machine.
  * The client skips a daemon with other lists. It stays with a daemon as long as that answers. */
 void dipole_set_retry_ms(dipole_client *client, unsigned retry_ms);
 

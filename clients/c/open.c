@@ -137,27 +137,43 @@ void dipole_options_init(dipole_options *options) {
                               .in_flight_max = DIPOLE_IN_FLIGHT_MAX};
 }
 
-/* Tries all addresses in rounds, until one answers or open_ms of the options has passed. */
+/* Adds to the text of an error for how long the client has tried. */
+static void add_time(dipole_error *error, int64_t time_ms) {
+  const size_t length = strlen(error->text);
+  snprintf(error->text + length, sizeof error->text - length, " (tried for %.1f s)",
+           (double)time_ms / 1000);
+}
+
+/* Tries all addresses in rounds, until one answers or retry_ms has passed; 0 is one round. */
+static dipole_client *try_in_rounds(libdipole_addresses *addresses, unsigned limit_ms,
+                                    unsigned retry_ms, uint64_t *random, dipole_error *error) {
+  const int64_t start_ms = libdipole_now_ms(), until_ms = start_ms + retry_ms;
+  unsigned pause_ms = LIBDIPOLE_PAUSE_FIRST_MS;
+  for (;;) {
+    bool may_pass;
+    dipole_client *client =
+        try_each(addresses, limit_ms, retry_ms > 0 ? until_ms : INT64_MAX, NULL, &may_pass, error);
+    if (client != NULL || !may_pass) {
+      return client;
+    }
+    const unsigned wait_ms = libdipole_pause(random, &pause_ms, error->retry_after_ms, until_ms);
+    if (wait_ms == 0) {
+      if (retry_ms > 0) {
+        add_time(error, libdipole_now_ms() - start_ms);
+      }
+      return NULL;
+    }
+    libdipole_sleep_ms(wait_ms);
+  }
+}
+
 static dipole_client *open_any(libdipole_addresses *addresses, const dipole_options *options,
                                dipole_error *error) {
   const bool private = libdipole_addresses_is_private(addresses);
-  const unsigned limit_ms = private ? options->timeout_ms : options->connect_timeout_ms;
-  const int64_t until_ms = libdipole_now_ms() + options->open_ms;
-  unsigned pause_ms = LIBDIPOLE_PAUSE_FIRST_MS;
   uint64_t random = 0;
   addresses->at = options->spread ? libdipole_random(&random) % addresses->count : 0;
-  for (;;) {
-    bool may_pass;
-    const int64_t round_until_ms = options->open_ms > 0 ? until_ms : INT64_MAX;
-    dipole_client *client = try_each(addresses, limit_ms, round_until_ms, NULL, &may_pass, error);
-    int64_t wait_ms = libdipole_jitter(&random, pause_ms);
-    wait_ms = client == NULL && error->retry_after_ms > wait_ms ? error->retry_after_ms : wait_ms;
-    if (client != NULL || !may_pass || private || libdipole_now_ms() + wait_ms >= until_ms) {
-      return client;
-    }
-    libdipole_sleep_ms(wait_ms);
-    pause_ms = libdipole_next_pause_ms(pause_ms);
-  }
+  return try_in_rounds(addresses, private ? options->timeout_ms : options->connect_timeout_ms,
+                       private ? 0 : options->retry_ms, &random, error);
 }
 
 bool dipole_open_with(const char *address, const dipole_options *options, dipole_client **client,
@@ -191,7 +207,16 @@ bool dipole_open_within(const char *address, unsigned timeout_ms, dipole_client 
   dipole_options options;
   dipole_options_init(&options);
   options.timeout_ms = options.connect_timeout_ms = timeout_ms;
-  return dipole_open_with(address, &options, client, error);
+  if (timeout_ms != 0 && timeout_ms < options.retry_ms) {
+    options.retry_ms = timeout_ms;
+  }
+  if (!dipole_open_with(address, &options, client, error)) {
+    return false;
+  }
+  if ((*client)->retry.for_ms != 0) { /* 0: a private daemon */
+    dipole_set_retry_ms(*client, DIPOLE_RETRY_MS);
+  }
+  return true;
 }
 
 bool dipole_open(const char *address, dipole_client **client, dipole_error *error) {

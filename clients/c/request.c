@@ -619,15 +619,13 @@ static bool send_all_again(dipole_client *client, dipole_error *error) {
  * requests may no longer be sent again, else the call has no time left and *error says so. */
 static bool wait_for_round(dipole_client *client, int64_t until_ms, uint32_t retry_after_ms,
                            bool *over, dipole_error *error) {
-  const unsigned usual_ms = libdipole_jitter(&client->retry.random, client->retry.pause_ms);
-  const unsigned wait_ms = retry_after_ms > usual_ms ? retry_after_ms : usual_ms;
-  unsigned call_ms = wait_ms;
-  *over = until_ms - libdipole_now_ms() <= (int64_t)wait_ms;
+  unsigned call_ms =
+      libdipole_pause(&client->retry.random, &client->retry.pause_ms, retry_after_ms, until_ms);
+  *over = call_ms == 0;
   if (*over || !limit_to_call(client, &call_ms, error)) {
     return false;
   }
   libdipole_sleep_ms(call_ms);
-  client->retry.pause_ms = libdipole_next_pause_ms(client->retry.pause_ms);
   return limit_to_call(client, &call_ms, error);
 }
 

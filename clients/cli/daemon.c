@@ -13,7 +13,7 @@ void cli_connection_options(const cli_common *common, dipole_options *options) {
     options->connect_timeout_ms = options->timeout_ms;
   }
   if (common->retry_ms.given) {
-    options->open_ms = options->retry_ms = (unsigned)common->retry_ms.value;
+    options->retry_ms = (unsigned)common->retry_ms.value;
   }
 }
 
@@ -32,10 +32,12 @@ dipole_client *cli_open(const cli_common *common) {
   const char *address = common->connect != NULL ? common->connect : getenv("DIPOLED");
   if (error.kind == DIPOLE_ERROR_CONNECT && address != NULL &&
       strncmp(address, "private:", strlen("private:")) != 0) {
+    const bool several = strstr(address, ",unix:") != NULL || strstr(address, ",tcp:") != NULL;
     fprintf(stderr,
-            "The address is from %s. Start a daemon there, with `dipoled --listen %s`. Or %s: "
-            "dipole then starts a daemon for itself.\n",
-            common->connect != NULL ? "--connect" : "the environment variable DIPOLED", address,
+            "The address is from %s. If no daemon runs there, start one with `dipoled --listen "
+            "%s`. Or %s: dipole then starts a daemon for itself.\n",
+            common->connect != NULL ? "--connect" : "the environment variable DIPOLED",
+            several ? "ADDRESS" : address,
             common->connect != NULL ? "leave --connect out" : "unset that variable");
   }
   return NULL;

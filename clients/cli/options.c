@@ -22,9 +22,8 @@ static const cli_option common_options[] = {
     {"timeout-ms", "N", "give up if the daemon is silent for N ms; 0: never (default: 30000)",
      CLI_COUNT, offsetof(cli_common, timeout_ms), "30000"},
     {"retry-ms", "N",
-     "try again for N ms if the daemon is not there, is lost or is busy; 0: do\n"
-     "not (default: 5000, and --timeout-ms if that is more and it is busy; but a\n"
-     "daemon that is not there at first is an error at once)",
+     "go on trying for N ms if no daemon is there, or if it is lost or busy; 0: do\n"
+     "not (default: 5000; while it is busy: --timeout-ms, if that is more)",
      CLI_COUNT, offsetof(cli_common, retry_ms), NULL},
     {"help", NULL, "print this text", CLI_SWITCH, 0, NULL},
     {0},

@@ -446,7 +446,7 @@ static void hurry(dipole_client *client) {
 static bool connect_again(watched *of, dipole_error *error) {
   dipole_options options;
   cli_connection_options(&of->settings->common, &options);
-  options.open_ms = options.retry_ms = 0;
+  options.retry_ms = 0;
   options.connect_timeout_ms = ANSWER_MS;
   if (!dipole_open_with(of->settings->common.connect, &options, &of->client, error)) {
     return false;

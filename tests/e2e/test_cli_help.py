@@ -119,7 +119,8 @@ test_what_the_daemon_refuses_or_cannot_be_reached = says(FAILED, ["eval"], [
     ([*EVAL[1:], "--to", "inf"], "bad-value: radius_stop: allowed: "),
     ([*EVAL[1:], "--count", "99999999999999"], "too-large: radius_count: allowed: "),
     ([*EVAL[1:], "--connect", "localhost"], "write unix:PATH, tcp:HOST:PORT or private:"),
-    ([*EVAL[1:], "--connect", "unix:/nonexistent"], "cannot connect to the socket /nonexist"),
+    ([*EVAL[1:], "--connect", "unix:/nonexistent", "--retry-ms", "0"],
+     "cannot connect to the socket /nonexist"),
     ([*EVAL[1:], "--connect", "private:/nonexistent"], "Install dipoled, or name a running daemon"),
     ([*EVAL[1:], "--tolerance", "1e-9"], "eval: bad-value: tolerance: allowed: at least 1e-08"),
     ([*EVAL[1:], "--model", "better,multipole"], "model multipole: bad-value: thickness: allowed: "
@@ -132,10 +133,10 @@ test_what_the_daemon_refuses_or_cannot_be_reached = says(FAILED, ["eval"], [
 def test_an_address_without_a_daemon_is_explained():
     """The error says where the address comes from, and how to do without it."""
     there = "unix:/nonexistent/d"
-    run = dipole("media", "--connect", there, status=FAILED)
-    assert f"from --connect. Start a daemon there, with `dipoled --listen {there}`" in run.stderr
+    run = dipole("media", "--connect", there, "--retry-ms", "0", status=FAILED)
+    assert f"there, start one with `dipoled --listen {there}`" in run.stderr
     assert "Or leave --connect out" in run.stderr
-    run = dipole("media", status=FAILED, env={"DIPOLED": there})
+    run = dipole("media", "--retry-ms", "0", status=FAILED, env={"DIPOLED": there})
     assert "from the environment variable DIPOLED" in run.stderr
     assert "Or unset that variable" in run.stderr
 

@@ -110,7 +110,7 @@ test_what_the_daemon_refuses = says(FAILED, ["invert"], [
     ([*BOTH, "--eta", "0"], "bad-value: eta: allowed: "),
     ([*BOTH, "--model", "skin-red"], "a model whose albedo depends on the medium (--model)"),
     ([*BOTH, "--model", "multipole"], "bad-value: thickness: allowed: "),
-    ([*BOTH, "--connect", "unix:/nonexistent"], "cannot connect to the socket /nonexist"),
+    ([*BOTH, "--connect", "unix:/nonexistent", "--retry-ms", "0"], "cannot connect to the socket"),
 ])
 
 

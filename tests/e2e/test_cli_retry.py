@@ -3,8 +3,11 @@ or stay busy."""
 
 from __future__ import annotations
 
+import signal
 import socket
 import subprocess
+import threading
+import time
 
 import pytest
 from command_line import FAILED, PROGRAM, TIMEOUT_S, Proxy, busy, dipole, eval_rows
@@ -40,7 +43,9 @@ def test_addresses_come_from_the_environment_too(daemon, tmp_path, known):
 
 def test_nobody_is_there(tmp_path):
     several = f"unix:{tmp_path}/a,unix:{tmp_path}/b"
-    error = dipole("eval", "--connect", several, *ARGUMENTS, status=FAILED).stderr
+    now = ("--retry-ms", "0")
+    error = dipole("eval", "--connect", several, *now, *ARGUMENTS, status=FAILED).stderr
+    assert "tried for" not in error
     assert f"{tmp_path}/a: No such file" in error and f"{tmp_path}/b: No such file" in error
 
 
@@ -73,6 +78,59 @@ def test_a_daemon_that_comes_later(tmp_path):
             late.close()
     assert (waiting.returncode, errors) == (0, "")
     assert "better" in output
+
+
+@pytest.mark.parametrize("why", ["no socket", "refused", "no such host", "several"])
+def test_opening_goes_on_until_the_time_is_over(tmp_path, why):
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.1", 0))
+        address = {
+            "no socket": f"unix:{tmp_path}/none",
+            "refused": f"tcp:127.0.0.1:{closed.getsockname()[1]}",
+            "no such host": "tcp:no-such-host.invalid:4817",
+            "several": f"unix:{tmp_path}/none,tcp:127.0.0.1:{closed.getsockname()[1]}",
+        }[why]
+        began_s = time.monotonic()
+        options = ("--connect", address, "--retry-ms", "300")
+        error = dipole("eval", *options, *ARGUMENTS, status=FAILED).stderr
+    assert 0.28 <= time.monotonic() - began_s < 10
+    assert "(tried for 0.3 s)" in error and "The address is from --connect." in error
+
+
+def test_the_usual_time_is_enough_for_a_restart(tmp_path, known):
+    """The daemon comes .3 s later than the command."""
+    path, late = f"unix:{tmp_path}/s", []
+    begin = threading.Timer(0.3, lambda: late.append(Daemon(listen=[path])))
+    begin.start()
+    try:
+        assert eval_rows("--connect", path, *ARGUMENTS) == known
+    finally:
+        begin.join()
+        late[0].close()
+
+
+def test_a_daemon_that_hangs_before_hello(daemon, known):
+    hung, good = daemon(), daemon()
+    hung.process.send_signal(signal.SIGSTOP)
+    began_s = time.monotonic()
+    try:
+        rows = eval_rows("--connect", f"{hung.url()},{good.url()}", "--retry-ms", "600", *ARGUMENTS)
+        run = dipole(
+            "eval", "--connect", hung.url(), "--retry-ms", "200", *ARGUMENTS, status=FAILED
+        )
+    finally:
+        hung.process.send_signal(signal.SIGCONT)
+    assert rows == known and "does not say hello" in run.stderr
+    assert time.monotonic() - began_s < 10
+
+
+def test_a_daemon_that_hangs_later(daemon, known):
+    ends = threading.Event()
+    url = daemon().url()
+    with Proxy(url, lambda *_: not ends.wait(TIMEOUT_S)) as hung:
+        rows = eval_rows("--connect", f"{hung.url},{url}", "--timeout-ms", "300", *ARGUMENTS)
+        ends.set()
+    assert rows == known
 
 
 @pytest.mark.parametrize("command", ["eval", "points"])

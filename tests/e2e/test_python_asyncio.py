@@ -255,7 +255,7 @@ def test_nobody_is_there():
 
         async def ask() -> None:
             with pytest.raises(dipole.ConnectError):
-                await AsyncClient(f"tcp:127.0.0.1:{port}").open()
+                await AsyncClient(f"tcp:127.0.0.1:{port}", retry_s=0).open()
 
         run(ask())
 

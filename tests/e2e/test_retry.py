@@ -3,9 +3,13 @@ and repeat their requests, and every request gets its correct answer once."""
 
 from __future__ import annotations
 
+import asyncio
 import itertools
+import signal
+import socket
 import subprocess
 import threading
+import time
 
 import dipole
 import pytest
@@ -272,7 +276,108 @@ def test_addresses_where_nobody_answers(daemon, tmp_path):
     with dipole.Client(f"unix:{tmp_path}/none,{one.url()}") as client:
         assert client.info.address == one.url()
     with pytest.raises(dipole.ConnectError, match="none.*no,ne") as caught:
-        dipole.Client(f"unix:{tmp_path}/none,unix:{tmp_path}/no,ne")
+        dipole.Client(f"unix:{tmp_path}/none,unix:{tmp_path}/no,ne", retry_s=0)
     assert str(caught.value).count("unix:") == 2
     with pytest.raises(dipole.AddressError, match="private"):
         dipole.Client(f"{one.url()},private:")
+
+
+# ---- both clients --------------------------------------------------------------------------------
+
+
+def eval_once(address: str, **options) -> tuple[str, dipole.Result]:
+    """Opens a Client and evaluates one query. Returns the first daemon's address, too."""
+    with dipole.Client(address, **options) as client:
+        return client.info.address, client.eval("better", SKIN, [1.0])
+
+
+def eval_once_async(address: str, **options) -> tuple[str, dipole.Result]:
+    """Does the same with an AsyncClient."""
+
+    async def ask() -> tuple[str, dipole.Result]:
+        async with dipole.AsyncClient(address, **options) as client:
+            return client.info.address, await client.eval("better", SKIN, [1.0])
+
+    return asyncio.run(ask())
+
+
+both = pytest.mark.parametrize("ask", [eval_once, eval_once_async])
+
+
+@both
+@pytest.mark.parametrize("why", ["no socket", "refused", "no such host", "several"])
+def test_opening_goes_on_until_the_time_is_over(tmp_path, ask, why):
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.1", 0))
+        address = {
+            "no socket": f"unix:{tmp_path}/none",
+            "refused": f"tcp:127.0.0.1:{closed.getsockname()[1]}",
+            "no such host": "tcp:no-such-host.invalid:4817",
+            "several": f"unix:{tmp_path}/none,tcp:127.0.0.1:{closed.getsockname()[1]}",
+        }[why]
+        began_s = time.monotonic()
+        with pytest.raises(dipole.ConnectError, match="tried for") as caught:
+            ask(address, retry_s=0.3)
+        assert 0.28 <= time.monotonic() - began_s < 10
+    assert all(one in str(caught.value) for one in address.split(","))
+
+
+@both
+def test_a_daemon_that_comes_later(tmp_path, ask):
+    """The default of retry_s is enough for a daemon that is being started again."""
+    path, late = f"unix:{tmp_path}/s", []
+    begin = threading.Timer(0.3, lambda: late.append(Daemon(listen=[path])))
+    begin.start()
+    try:
+        assert ask(path)[1].R > 0
+    finally:
+        begin.join()
+        late[0].close()
+
+
+@pytest.fixture
+def hung(daemon):
+    """Returns a daemon that is stopped with SIGSTOP: the kernel still takes connections for it."""
+    one = daemon()
+    one.process.send_signal(signal.SIGSTOP)
+    yield one
+    one.process.send_signal(signal.SIGCONT)
+
+
+@both
+def test_opening_beside_one_that_hangs(daemon, hung, ask):
+    """A daemon that hangs has a share of the time, a half of 1 s here, and the next one answers."""
+    good = daemon()
+    began_s = time.monotonic()
+    assert ask(f"{hung.url()},{good.url()}", retry_s=1.0)[0] == good.url()
+    assert time.monotonic() - began_s < 5
+
+
+@both
+def test_a_daemon_that_hangs_alone(hung, ask):
+    began_s = time.monotonic()
+    with pytest.raises(dipole.ConnectError, match="before it said hello.*tried for"):
+        ask(hung.url(), retry_s=0.5)
+    assert 0.48 <= time.monotonic() - began_s < 10
+
+
+def test_a_daemon_that_hangs_is_left(daemon):
+    """After timeout_s of silence both clients go on with the other daemon, and then stay there."""
+    one, other = daemon(), daemon()
+    addresses, known = f"{one.url()},{other.url()}", eval_once(other.url())[1]
+
+    async def ask() -> list[dipole.Result]:
+        async with dipole.AsyncClient(addresses, timeout_s=0.5) as client:
+            await client.ping()
+            one.process.send_signal(signal.SIGSTOP)
+            return await asyncio.gather(*(client.eval("better", SKIN, [1.0]) for _ in range(3)))
+
+    with dipole.Client(addresses, timeout_s=0.5) as client:
+        client.ping()
+        try:
+            results = asyncio.run(ask())
+            results += [client.eval("better", SKIN, [1.0]) for _ in range(3)]
+        finally:
+            one.process.send_signal(signal.SIGCONT)
+    assert all(result_bytes(result) == result_bytes(known) for result in results)
+    assert other.client().statistics()["requests_eval"] == 7

@@ -21,7 +21,6 @@ enum {
   MODELS = 2,
   MEDIA = 2,
   EVALUATORS = 2,
-  OPEN_MS = 30000,
   RETRY_MS = 60000,
 };
 
@@ -173,7 +172,6 @@ static void open_client(worker *of) {
   dipole_options options;
   dipole_error error;
   dipole_options_init(&options);
-  options.open_ms = OPEN_MS;
   options.retry_ms = RETRY_MS;
   options.in_flight_max = IN_FLIGHT;
   options.spread = true;

@@ -107,8 +107,11 @@ UNIT_TEST(test_nobody_answers) {
   dipole_error error;
   const int fd = take_dead_port(dead, sizeof dead);
   snprintf(list, sizeof list, "unix:/nonexistent/s,%s", dead);
-  assert_false(dipole_open(list, &client, &error));
+  dipole_options options = peer_options();
+  options.retry_ms = 0;
+  assert_false(dipole_open_with(list, &options, &client, &error));
   assert_int_equal(error.kind, DIPOLE_ERROR_CONNECT);
+  assert_null(strstr(error.text, "tried for"));
   assert_non_null(strstr(error.text, "/nonexistent/s: No such file")); /* one of all failures */
   assert_non_null(strstr(error.text, strrchr(dead, ':') + 1));
   close(fd);
@@ -121,6 +124,7 @@ UNIT_TEST(test_one_that_does_not_say_hello) {
   dipole_error error;
   peer_script *const twice[] = {peer_accept_only, peer_accept_only, NULL};
   options.connect_timeout_ms = 50;
+  options.retry_ms = 0;
   peer_start_scripts(&mute, twice, NULL);
   peer_start(&peer, peer_serve, NULL);
   const char *const addresses[] = {mute.address, peer.address};
@@ -143,7 +147,6 @@ UNIT_TEST(test_opening_again_and_again) {
                                   NULL};
   dipole_options options = peer_options();
   scripted_peer peer;
-  options.open_ms = PEER_PATIENCE_MS;
   peer_start_scripts(&peer, scripts, NULL);
   const int64_t start_ms = peer_now_ms();
   dipole_client *client = peer_open(peer.address, &options);
@@ -152,16 +155,54 @@ UNIT_TEST(test_opening_again_and_again) {
   peer_finish(&peer, client);
 }
 
-UNIT_TEST(test_opening_ends) {
+/* Whatever the reason why nobody answers, opening goes on until retry_ms has passed. */
+UNIT_TEST(test_opening_goes_on_until_the_time_is_over) {
+  static const char *const addresses[] = {
+      "unix:/nonexistent/a,unix:/nonexistent/b",
+      NULL, /* refuses connections */
+      "tcp:no-such-host.invalid:4817",
+  };
+  char dead[64];
+  const int fd = take_dead_port(dead, sizeof dead);
   dipole_options options = peer_options();
+  options.retry_ms = 200;
+  for (size_t i = 0; i < sizeof addresses / sizeof addresses[0]; i++) {
+    dipole_client *client;
+    dipole_error error;
+    const int64_t start_ms = peer_now_ms();
+    assert_false(
+        dipole_open_with(addresses[i] != NULL ? addresses[i] : dead, &options, &client, &error));
+    assert_int_equal(error.kind, DIPOLE_ERROR_CONNECT);
+    assert_non_null(strstr(error.text, "(tried for "));
+    assert_in_range(peer_now_ms() - start_ms, 190, SOON_MS); /* the shortest pause is 10 ms */
+  }
+  close(fd);
+}
+
+UNIT_TEST(test_opening_within) {
   dipole_client *client;
   dipole_error error;
-  options.open_ms = 100;
   const int64_t start_ms = peer_now_ms();
-  assert_false(
-      dipole_open_with("unix:/nonexistent/a,unix:/nonexistent/b", &options, &client, &error));
-  assert_int_equal(error.kind, DIPOLE_ERROR_CONNECT);
-  assert_in_range(peer_now_ms() - start_ms, 40, SOON_MS);
+  assert_false(dipole_open_within("unix:/nonexistent/a", 100, &client, &error));
+  assert_in_range(peer_now_ms() - start_ms, 90, DIPOLE_RETRY_MS - 1);
+}
+
+/* A daemon that hangs is left for the next one after its share of retry_ms. */
+UNIT_TEST(test_opening_beside_one_that_hangs) {
+  dipole_options options = peer_options();
+  scripted_peer mute, peer;
+  options.retry_ms = 400;
+  peer_start(&mute, peer_accept_only, NULL);
+  peer_start(&peer, peer_serve, NULL);
+  const char *const addresses[] = {mute.address, peer.address};
+  char *list = peer_list(addresses, 2);
+  const int64_t start_ms = peer_now_ms();
+  dipole_client *client = peer_open(list, &options);
+  assert_in_range(peer_now_ms() - start_ms, 190, SOON_MS);
+  assert_string_equal(dipole_address(client), peer.address);
+  peer_end(&mute);
+  peer_finish(&peer, client);
+  free(list);
 }
 
 static void count_and_serve(int fd, void *context) {

@@ -262,7 +262,9 @@ UNIT_TEST(test_busy_at_connecting) {
   dipole_client *client;
   dipole_error error;
   peer_start(&peer, be_busy, NULL);
-  assert_false(dipole_open_within(peer.address, PEER_PATIENCE_MS, &client, &error));
+  dipole_options options = peer_options();
+  options.retry_ms = 0;
+  assert_false(dipole_open_with(peer.address, &options, &client, &error));
   assert_null(client);
   assert_int_equal(error.kind, DIPOLE_ERROR_REFUSED);
   assert_int_equal(error.status, WIRE_STATUS_BUSY);
@@ -429,7 +431,9 @@ UNIT_TEST(test_addresses) {
   for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
     dipole_client *client;
     dipole_error error;
-    assert_false(dipole_open_within(cases[i].address, PEER_PATIENCE_MS, &client, &error));
+    dipole_options options = peer_options();
+    options.retry_ms = 0;
+    assert_false(dipole_open_with(cases[i].address, &options, &client, &error));
     assert_null(client);
     if (error.kind != cases[i].kind || error.text[0] == '\0') {
       fail_msg("%s: kind %d: %s", cases[i].address, error.kind, error.text);

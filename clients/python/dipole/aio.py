@@ -19,7 +19,8 @@ from . import broadcast, calls, evaluation, inversion, mc, rings, wire
 from .broadcast import Values
 from .connection import Connection, Frame
 from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
-from .exchange import RETRY_S, Exchange, Request, connect_again, open_connection
+from .exchange import Exchange, Request
+from .opening import Opening
 from .rings import RingMeans
 from .table import Table
 from .values import Draw, Grid, Info, Inversion, McProgress, McResult, Media, Medium
@@ -84,11 +85,9 @@ class AsyncClient:
 
     async def open(self) -> None:
         """Connects and reads the daemon's lists."""
-        connection, self._info = await asyncio.to_thread(
-            open_connection, self._address, self._timeout_s, calls.hello
-        )
-        default_s = 0.0 if connection.is_private else RETRY_S
-        self._exchange.retry_s = default_s if self._retry_s is None else self._retry_s
+        self._opening = Opening(self._address, self._timeout_s, self._retry_s, calls.hello)
+        connection, self._info = await asyncio.to_thread(self._opening.open)
+        self._exchange.retry_s = self._opening.retry_s
         self._stream = _Stream(connection)
         self._connected.set()
         self._start(self._read())
@@ -322,14 +321,19 @@ class AsyncClient:
             self._start(self._send_later())
 
     async def _watch(self, timeout_s: float) -> None:
-        """Fails all calls when one waits and the daemon has sent nothing for timeout_s."""
+        """When a call waits and the daemon has sent nothing for timeout_s, goes on with the next of
+        several addresses, or else fails all calls."""
         while True:
             await asyncio.sleep(timeout_s / 8)
-            silent_s = time.monotonic() - max(self._waiting_since_s, self._opened().moved_s)
-            if self._waiting and self._connected.is_set() and silent_s > timeout_s:
-                break
-        text = f"{self._name()}: nothing moved for {timeout_s} s"
-        self._fail(ConnectionLost(text, final=True))
+            stream = self._opened()
+            silent_s = time.monotonic() - max(self._waiting_since_s, stream.moved_s)
+            if not self._waiting or not self._connected.is_set() or silent_s <= timeout_s:
+                continue
+            text = f"{self._name()}: nothing moved for {timeout_s:g} s"
+            if not stream.connection.is_one_of_several:
+                self._fail(ConnectionLost(text, final=True))
+                return
+            stream.give_up(ConnectionLost(text))
 
     def _start(self, work: Coroutine[Any, Any, None]) -> None:
         task = asyncio.create_task(work)
@@ -356,15 +360,9 @@ class AsyncClient:
         fails."""
         until_s = self._exchange.lost(lost)
         self._connected.clear()
-        addresses = self._opened().connection.next_addresses()
         await self._opened().close()
-
-        def connect(left_s: float) -> tuple[Connection, Info]:
-            limit_s = left_s if self._timeout_s is None else min(left_s, self._timeout_s)
-            return open_connection(addresses, limit_s, calls.hello)
-
         self._stream = _Stream(
-            await asyncio.to_thread(connect_again, connect, self.info, until_s, lost)
+            await asyncio.to_thread(self._opening.open_again, self.info, until_s, lost)
         )
         sent = self._exchange.restored()
         self._connected.set()
@@ -390,17 +388,26 @@ class _Stream:
         self._sending = asyncio.Lock()
         self._sends: set[asyncio.Task[None]] = set()
         self._closed = False
+        self._given_up: ConnectionLost | None = None
         connection.socket.setblocking(False)
 
     async def close(self) -> None:
         """Closes the connection; a private daemon ends with it. No task may be receiving."""
+        self._shut_down()
+        await asyncio.gather(*self._sends)
+        await asyncio.to_thread(self.connection.close)
+
+    def give_up(self, error: ConnectionLost) -> None:
+        """Makes the task that receives raise this error."""
+        self._given_up = error
+        self._shut_down()
+
+    def _shut_down(self) -> None:
         self._closed = True
-        try:  # so that sends end which wait for room
+        try:  # so that those end who wait for bytes, or for room to send
             self.connection.socket.shutdown(socket.SHUT_RDWR)
         except OSError:
             pass
-        await asyncio.gather(*self._sends)
-        await asyncio.to_thread(self.connection.close)
 
     async def send(self, pieces: list[bytes]) -> None:
         """Sends a frame, completely even if the caller is cancelled. A lost connection raises
@@ -427,6 +434,8 @@ class _Stream:
                 count = await self._loop.sock_recv_into(self.connection.socket, incoming.room())
             except OSError as error:
                 raise ConnectionLost(f"{self.connection.address}: {error}") from error
+            if self._given_up is not None:
+                raise self._given_up
             self.connection.received(count)
             self.moved_s = time.monotonic()
         return frame

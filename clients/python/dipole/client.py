@@ -14,9 +14,10 @@ from typing import Any, TypeVar
 
 from . import broadcast, calls, evaluation, inversion, mc, rings
 from .broadcast import Values
-from .connection import Connection, Frame
+from .connection import Frame
 from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
-from .exchange import RETRY_S, Exchange, Request, connect_again, open_connection
+from .exchange import Exchange, Request
+from .opening import Opening
 from .rings import RingMeans
 from .table import Table
 from .values import Draw, Grid, Info, Inversion, McProgress, McResult, Media, Medium
@@ -29,14 +30,20 @@ class Client:
     """A connection to a daemon. The constructor connects, agrees on a protocol version and reads
     the daemon's lists.
 
-    address and timeout_s: see Connection. A client belongs to one thread at a time. Close it, or
-    use it in a with statement: a private daemon ends with the client.
+    address: as of a Connection. Several unix: and tcp: addresses, separated by commas without
+    blanks, are tried in turn. info.address is the one that answered. A client belongs to one
+    thread at a time. Close it, or use it in a with statement: a private daemon ends with the
+    client.
 
-    retry_s: for how long the client tries again when the connection is lost, or when the daemon is
-    busy or stops. The default is 5 s; for a private daemon it is 0, which means never. The client
-    connects again and sends the requests without an answer again. It cannot repeat mc(),
-    eval_parts() once a part has come, and requests beyond 64 MiB of waiting ones: these raise
-    ConnectionLost. dipole_set_retry_ms() in dipole.h has the details.
+    timeout_s: how long a call waits while no byte is sent or received, and how long an address may
+    take to answer; None means no limit. After that, the client goes on with the next of several
+    addresses; with a single one, the call raises ConnectionLost.
+
+    retry_s: for how long the client goes on trying when no daemon is there, when the connection is
+    lost, or when the daemon is busy or stops. The default is 5 s; for a private daemon it is 0,
+    which means never. The client connects again and sends the requests without an answer again. It
+    cannot repeat mc(), eval_parts() once a part has come, and requests beyond 64 MiB of waiting
+    ones: these raise ConnectionLost. dipole_set_retry_ms() in dipole.h has the details.
     """
 
     def __init__(
@@ -46,9 +53,9 @@ class Client:
         retry_s: float | None = None,
     ):
         self.info: Info
-        self._connection, self.info = open_connection(address, timeout_s, calls.hello)
-        default_s = 0.0 if self._connection.is_private else RETRY_S
-        self._exchange = Exchange(default_s if retry_s is None else retry_s)
+        self._opening = Opening(address, timeout_s, retry_s, calls.hello)
+        self._connection, self.info = self._opening.open()
+        self._exchange = Exchange(self._opening.retry_s)
         self._submitted: dict[int, None] = {}
         self._measured: dict[str, tuple[Medium, Medium, Medium]] = {}
 
@@ -341,17 +348,8 @@ class Client:
         """Connects again and sends the requests without an answer again. Raises `lost` if that
         fails."""
         until_s = self._exchange.lost(lost)
-        timeout_s = self._connection.timeout_s
-        addresses = self._connection.next_addresses()
         self._connection.close()
-
-        def connect(left_s: float) -> tuple[Connection, Info]:
-            limit_s = left_s if timeout_s is None else min(left_s, timeout_s)
-            return open_connection(addresses, limit_s, calls.hello)
-
-        self._connection = connect_again(connect, self.info, until_s, lost)
-        self._connection.timeout_s = timeout_s
-        self._connection.socket.settimeout(timeout_s)
+        self._connection = self._opening.open_again(self.info, until_s, lost)
         try:
             self._send_again(self._exchange.restored())
         except ConnectionLost as again:

@@ -4,7 +4,6 @@ frames."""
 from __future__ import annotations
 
 import os
-import re
 import select
 import shutil
 import socket
@@ -96,16 +95,15 @@ class Connection:
 
     address: unix:PATH, tcp:HOST:PORT ([::1]:PORT for IPv6), private: or private:PROGRAM. None means
         $DIPOLED if that is set, else private:, which starts a daemon that ends with the connection.
-        Several unix: and tcp: addresses, separated by commas without blanks, are tried in turn;
-        the attribute `address` is the one that answered.
-    timeout_s: how long a call waits while no byte is sent or received, and how long each address
-        may take to answer; None means no limit.
+        Unlike a Client, a Connection takes a single address.
+    timeout_s: how long a call waits while no byte is sent or received, and how long connecting may
+        take; None means no limit.
     """
 
     def __init__(self, address: str | None = None, timeout_s: float | None = 30.0):
-        self._addresses = _several(address or os.environ.get("DIPOLED") or "private:")
-        self.address = self._addresses[0]
+        self.address = address or usual_address()
         self.timeout_s = timeout_s
+        self.is_one_of_several = False  # whether a client may leave a silent daemon for another
         self.incoming = Incoming()
         self._process: subprocess.Popen[bytes] | None = None
         self.socket = self._open()
@@ -132,26 +130,13 @@ class Connection:
             _end(self._process)
             self._process = None
 
+    def set_timeout_s(self, timeout_s: float | None) -> None:
+        self.timeout_s = timeout_s
+        self.socket.settimeout(timeout_s)
+
     # ---- connecting ------------------------------------------------------------------------------
 
-    def next_addresses(self) -> str:
-        """Returns all addresses in the order in which they are tried after a loss: the address of
-        this connection comes last."""
-        at = self._addresses.index(self.address) + 1
-        return ",".join(self._addresses[at:] + self._addresses[:at])
-
     def _open(self) -> socket.socket:
-        failures = []
-        for self.address in self._addresses:
-            try:
-                return self._open_one()
-            except ConnectError as error:
-                failures.append(error)
-        if len(failures) == 1:
-            raise failures[0]
-        raise ConnectError("; ".join(map(str, failures))) from failures[-1]
-
-    def _open_one(self) -> socket.socket:
         scheme, colon, rest = self.address.partition(":")
         try:
             if colon and scheme == "unix" and rest:
@@ -259,8 +244,8 @@ class Connection:
         wait_ms = None if self.timeout_s is None else self.timeout_s * 1000
         events = _poll(self.socket, wanted, wait_ms)
         if not events:
-            text = f"{self.address}: nothing moved for {self.timeout_s} s"
-            raise ConnectionLost(text, final=True)
+            text = f"{self.address}: nothing moved for {self.timeout_s:g} s"
+            raise ConnectionLost(text, final=not self.is_one_of_several)
         readable = select.POLLIN | select.POLLHUP | select.POLLERR
         return bool(events & readable), bool(events & select.POLLOUT)
 
@@ -325,12 +310,9 @@ def frame_pieces(
     return [header + payload] if len(payload) < LARGE_BYTES else [header, payload]
 
 
-def _several(text: str) -> list[str]:
-    """Splits a list of addresses at each comma before a scheme. Other commas belong to a path."""
-    addresses = re.split(",(?=unix:|tcp:|private:)", text)
-    if len(addresses) > 1 and any(address.startswith("private:") for address in addresses):
-        raise AddressError(f"{text}: private: cannot be one of several addresses")
-    return addresses
+def usual_address() -> str:
+    """Returns the address, or the addresses, that are meant where none is given."""
+    return os.environ.get("DIPOLED") or "private:"
 
 
 def _poll(connection: socket.socket, wanted: int, wait_ms: float | None) -> int:

@@ -12,7 +12,7 @@ class AddressError(DipoleError, ValueError):
 
 
 class ConnectError(DipoleError, ConnectionError):
-    """No daemon answers at the address, or the private daemon does not start."""
+    """No daemon answers at any of the addresses, or the private daemon does not start."""
 
 
 class ConnectionLost(DipoleError, ConnectionError):

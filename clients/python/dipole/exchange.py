@@ -15,17 +15,14 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from . import wire
-from .connection import Connection, Frame, frame_pieces
+from .connection import Frame, frame_pieces
 from .errors import ArgumentError, ConnectError, ConnectionLost, DipoleError, ProtocolError, Refused
-from .values import Info
 
 T = TypeVar("T")
 
-RETRY_S = 5.0  # how long a client of a unix: or tcp: address tries again by default
 KEPT_BYTES = 64 << 20  # the most payload bytes that a client keeps to send them again
 
-_PAUSE_FIRST_S = 0.010
-_PAUSE_MOST_S = 1.0
+PAUSE_FIRST_S = 0.010
 # Requests that may be sent again. An mc request may not: the photons that its job has walked would
 # be lost, and a second job would delay the jobs of other clients.
 _REPEATABLE = ("eval", "sample", "invert", "offers", "table", "media", "statistics", "ping")
@@ -226,7 +223,7 @@ class Exchange:
         """Plans to send a refused request again. Returns False if the refusal is final."""
         if not entry.can_repeat() or error.status not in ("busy", "shutting-down"):
             return False
-        pause_s = max(error.retry_after_ms / 1000, _PAUSE_FIRST_S) + _with_jitter(_PAUSE_FIRST_S)
+        pause_s = max(error.retry_after_ms / 1000, PAUSE_FIRST_S) + with_jitter(PAUSE_FIRST_S)
         again_s = time.monotonic() + pause_s
         if again_s > entry.failed_since_s() + self.retry_s:
             return False
@@ -284,70 +281,7 @@ def is_temporary(error: DipoleError) -> bool:
     return isinstance(error, ConnectError)
 
 
-# ---- connecting ----------------------------------------------------------------------------------
-
-
-def open_connection(
-    address: str | None, timeout_s: float | None, hello: Callable[[str], Request[Info]]
-) -> tuple[Connection, Info]:
-    """Connects, sends hello and waits for the reply. hello: makes the request for an address."""
-    connection = Connection(address, timeout_s)
-    try:
-        exchange = Exchange(0.0)
-        request_id = exchange.begin(hello(connection.address))
-        for data in exchange.frame(request_id):
-            connection.send_bytes(data)
-        while not exchange.is_ready(request_id):
-            exchange.take(connection.receive_frame())
-        return connection, exchange.next(request_id)
-    except BaseException:
-        connection.close()
-        raise
-
-
-def connect_again(
-    connect: Callable[[float], tuple[Connection, Info]],
-    info: Info,
-    until_s: float,
-    lost: DipoleError,
-) -> Connection:
-    """Tries to connect, with growing pauses, until the time until_s. Raises `lost` if that fails.
-
-    connect: tries once; its argument says how long it may take, in seconds. info: what the lost
-    daemon said about itself.
-    """
-    latest = lost
-    pause_s = _PAUSE_FIRST_S
-    while True:
-        wait_s = max(_with_jitter(pause_s), getattr(latest, "retry_after_ms", 0) / 1000)
-        if time.monotonic() + wait_s >= until_s:
-            raise lost
-        time.sleep(wait_s)
-        pause_s = min(2 * pause_s, _PAUSE_MOST_S)
-        try:
-            connection, fresh = connect(max(until_s - time.monotonic(), 0.001))
-        except DipoleError as error:
-            if not is_temporary(error):
-                raise lost from error
-            latest = error
-            continue
-        if _has_lists_of(fresh, info):
-            return connection
-        connection.close()
-        raise ConnectionLost(f"{info.address}: the daemon that is there now has other lists")
-
-
-def _with_jitter(pause_s: float) -> float:
+def with_jitter(pause_s: float) -> float:
     """Returns a random pause, so that clients that lost the same daemon do not all return at the
     same moment."""
     return random.uniform(pause_s / 2, pause_s)
-
-
-def _has_lists_of(fresh: Info, info: Info) -> bool:
-    """Returns whether each name in the lists of `info` has the same id in the lists of `fresh`, so
-    that the ids in requests keep their meaning."""
-    return all(
-        choice.name in fresh.choices[kind] and fresh.choices[kind][choice.name].id == choice.id
-        for kind, choices in info.choices.items()
-        for choice in choices.values()
-    )
