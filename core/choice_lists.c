@@ -117,8 +117,8 @@ static int folded(char c) {
   return c == '-' ? '_' : tolower((unsigned char)c);
 }
 
-/* Levenshtein (1966). cost[k] is the distance of what has been read of `a` to the first k characters
- * of `b`. */
+/* Levenshtein (1966). cost[k] is the distance of what has been read of `a` to the first k
+ * characters of `b`. */
 unsigned core_name_distance(const char *a, const char *b) {
   enum { MOST = 64 };
   unsigned cost[MOST + 1];

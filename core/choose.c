@@ -46,8 +46,8 @@ static bool accepts(const struct cost *cost, const core_choose_request *request,
          (request->radii.least_mm >= domain.least_mm && request->radii.most_mm <= domain.most_mm);
 }
 
-/* Returns the errors of a model. Those of the similarity relation are not known of transport, so that
- * no tolerance is answered with it. */
+/* Returns the errors of a model. Those of the similarity relation are not known of transport, so
+ * that no tolerance is answered with it. */
 static core_model_errors errors_of(const struct cost *cost, const core_choose_request *request,
                                    const core_medium *medium) {
   core_added_errors added;
@@ -119,8 +119,8 @@ static double logarithm_error(const core_choose_request *request) {
 
 #define SAVES 0.95 /* a cost that is less than this share of another is less */
 
-/* Returns which of the tolerances to prepare with if the numerical error may be `most`: the smallest
- * of those that are cheapest. */
+/* Returns which of the tolerances to prepare with if the numerical error may be `most`: the
+ * smallest of those that are cheapest. */
 static size_t cheapest_tolerance(const struct cost *cost, double most) {
   size_t best = 0;
   for (size_t i = 1; i < CORE_CHOOSE_TOLERANCE_COUNT && tolerances[i] <= most; i++) {

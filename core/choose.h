@@ -2,8 +2,8 @@
  *
  * core/model_error.h gives the errors of models; core/costs.def has the costs of evaluators, which
  * `make tradeoff` measured. A choice depends on the request alone: the same request gives the same
- * choice on every machine, whatever is cached. The number of radii is part of the request: few radii
- * are not worth a long preparation.
+ * choice on every machine, whatever is cached. The number of radii is part of the request: few
+ * radii are not worth a long preparation.
  *
  * The functions are pure: they allocate nothing and keep no state.
  */
@@ -63,13 +63,13 @@ enum {
 /* Lists every candidate of the precision that is asked for and returns their number, or 0 if there
  * are no media. The first one is the choice: the one with the least total_ns of those that meet the
  * tolerance. Among costs that count as equal the least error wins, then the earlier line of
- * core/costs.def. The caller takes the next candidate if it cannot prepare one. If none meets the tolerance, the
- * candidate with the least error comes first.
+ * core/costs.def. The caller takes the next candidate if it cannot prepare one. If none meets the
+ * tolerance, the candidate with the least error comes first.
  *
  * The errors of `transport` are known everywhere in its domain for g = 0, and for other g where it
- * does not use the similarity relation. For other models they are known where core/model_error.h has
- * them, but those of the cdf and dR/dr are not.
- * The numerical error of `transport` grows beyond its reach (core_reach). */
+ * does not use the similarity relation. For other models they are known where core/model_error.h
+ * has them, but those of the cdf and dR/dr are not. The numerical error of `transport` grows beyond
+ * its reach (core_reach). */
 size_t core_choose(const core_choose_request *request,
                    core_candidate candidates[CORE_CANDIDATES_MAX]);
 

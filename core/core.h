@@ -154,8 +154,8 @@ typedef struct core_medium {
 
 #define CORE_SIGMA_MAX_PER_MM 1e15
 #define CORE_SIGMA_T_PRIME_MIN_PER_MM 1e-15 /* least sigma_a + sigma_s (1 - g) */
-/* A medium either scatters nothing or has at least this ratio of sigma_s (1 - g) to sigma_t'. Below,
- * its albedo would underflow. */
+/* A medium either scatters nothing or has at least this ratio of sigma_s (1 - g) to sigma_t'.
+ * Below, its albedo would underflow. */
 #define CORE_SCATTERED_MIN 1e-32
 #define CORE_ETA_MIN 1e-3
 #define CORE_ETA_MAX 1e3
@@ -268,12 +268,12 @@ typedef struct core_profile {
    * numbers, whichever is more. A value that is larger than the largest finite number of its
    * precision is infinity. S is R times a number: its relative error is CORE_S_ERROR more, and what
    * R loses by underflow or overflow, S loses times that number. The bound holds for R, S and cdf,
-   * and for the albedo with r = 0, since every evaluator computes the albedo in double precision. It
-   * holds for dR/dr, pdf and 2 pi r R with sigma_t' from 1e-6 to 1e6 per mm, sigma_a up to 1e6
+   * and for the albedo with r = 0, since every evaluator computes the albedo in double precision.
+   * It holds for dR/dr, pdf and 2 pi r R with sigma_t' from 1e-6 to 1e6 per mm, sigma_a up to 1e6
    * sigma_s', eta from 0.2 to 5, and r either 0 or from 1e-12 to 1e6 mean free paths 1 / sigma_t';
    * beyond, these three may underflow too early. For ln R see core_eval_f64(). Where the albedo has
-   * underflowed to 0, cdf and pdf are 0 at every radius, infinity included. The bound holds for radii
-   * within `reach`; core_profile_errors() gives the error for any radii and quantities. */
+   * underflowed to 0, cdf and pdf are 0 at every radius, infinity included. The bound holds for
+   * radii within `reach`; core_profile_errors() gives the error for any radii and quantities. */
   double numerical_error;
   double numerical_error_per_mm;
   /* The same for R, 2 pi r R, S and ln R in each band of radii of core_model_errors, then for the
@@ -426,9 +426,9 @@ core_inversion core_invert_albedo(unsigned model, unsigned moments, double albed
 
 /* ---- radii ----------------------------------------------------------------------------------- */
 
-/* Returns the fault of the first radius that is negative or NaN; -0.0 counts as 0. If there is none,
- * sets *range to the least and the largest of the finite radii. Infinite radii are left out, because
- * every model has R = 0 there. Without a finite radius the range is from INFINITY to 0. */
+/* Returns the fault of the first radius that is negative or NaN; -0.0 counts as 0. If there is
+ * none, sets *range to the least and the largest of the finite radii. Infinite radii are left out,
+ * because every model has R = 0 there. Without a finite radius the range is from INFINITY to 0. */
 core_fault core_radii_check_f64(size_t n, const double *r, core_radii_range *range);
 core_fault core_radii_check_f32(size_t n, const float *r, core_radii_range *range);
 

@@ -62,7 +62,8 @@ void core_times_node(const core_times *times, size_t i, double *time, double *we
 /* ---- the complementary error function -------------------------------------------------------- */
 
 /* Hunter, Regan 1972 (after Goodwin 1949): with t_n = (n + 1/2) h,
- *   e^(x^2) erfc(x) = 2 h / pi sum_n e^(-t_n^2) x / (t_n^2 + x^2) + 2 e^(x^2) / (e^(2 pi x / h) + 1)
+ *   e^(x^2) erfc(x) = 2 h / pi sum_n e^(-t_n^2) x / (t_n^2 + x^2) + 2 e^(x^2) / (e^(2 pi x / h) +
+ *   1)
  * for x < pi / h. For larger x the last term is left out. The error is below e^(-(pi / h)^2). */
 #define H 0.5
 enum { TERMS = 13 };

@@ -243,8 +243,8 @@ core_fresnel core_fresnel_moments(enum core_moments moments, double eta) {
   return (core_fresnel){0, 0};
 }
 
-/* Returns (eta cos_inside)^2 = cos_outside^2 + eta^2 - 1. Both parts are positive for eta > 1; for eta < 1 they cancel at
- * the critical angle and are summed in double-double. */
+/* Returns (eta cos_inside)^2 = cos_outside^2 + eta^2 - 1. Both parts are positive for eta > 1; for
+ * eta < 1 they cancel at the critical angle and are summed in double-double. */
 static double eta_cos_inside_squared(double eta, double cos_outside) {
   if (eta >= 1) {
     return fma(cos_outside, cos_outside, (eta - 1) * (eta + 1));

@@ -55,10 +55,10 @@ typedef struct core_inverter {
 } core_inverter;
 
 /* Begins to find the reach of a model: its albedos without absorption and without scattering. The
- * probes have this sigma_t', which must be one that a medium with g = 0 may have; for g next to 1 it
- * is smaller, so that sigma_s is in range. Returns the faults of
- * core_profile_check() without parameters, and a fault of `model` for a fit, because its albedo
- * depends on the range of the fit. */
+ * probes have this sigma_t', which must be one that a medium with g = 0 may have; for g next to 1
+ * it is smaller, so that sigma_s is in range. Returns the faults of core_profile_check() without
+ * parameters, and a fault of `model` for a fit, because its albedo depends on the range of the
+ * fit. */
 core_fault core_inverter_start(core_inverter *inverter, unsigned model, unsigned moments, double g,
                                double eta, double sigma_t_prime_per_mm);
 

@@ -73,8 +73,8 @@ typedef struct core_inputs {
 } core_inputs;
 
 /* What the table of anisotropic scattering adds to the numerical error of `transport`, relative: to
- * that of R in each band of radii of core_model_errors, then of the albedo; and to that of any other
- * quantity at any radius. */
+ * that of R in each band of radii of core_model_errors, then of the albedo; and to that of any
+ * other quantity at any radius. */
 typedef struct core_added_errors {
   double banded[CORE_MODEL_ERROR_BANDS + 1];
   double all; /* at least as large as each of `banded` */
@@ -118,8 +118,8 @@ core_medium core_transport_medium(const core_medium *medium, double gamma);
  * Sets *added, to zeros if g is 0 or the result is false. */
 bool core_transport_added_errors(const core_medium *medium, core_added_errors *added);
 
-/* Returns the largest ratio sigma_a / sigma_s' at which `transport` evaluates scattering with this g
- * and eta as it is, or INFINITY if there is none or the model uses the similarity relation. */
+/* Returns the largest ratio sigma_a / sigma_s' at which `transport` evaluates scattering with this
+ * g and eta as it is, or INFINITY if there is none or the model uses the similarity relation. */
 double core_transport_ratio_most(double g, double eta);
 
 /* Returns the numerical error of the wanted quantities at radii from least to most; there are no

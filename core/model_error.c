@@ -204,7 +204,8 @@ static inline bool enclose(const double *list, size_t count, double value, struc
   return true;
 }
 
-/* Returns the cell between two of `count` + 1 edges that holds the value, or `count` if none does. */
+/* Returns the cell between two of `count` + 1 edges that holds the value, or `count` if none
+ * does. */
 static size_t cell_of(const double *edges, size_t count, double value) {
   if (!(value >= edges[0] - SLACK && value <= edges[count] * (1 + SLACK))) {
     return count;

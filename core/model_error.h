@@ -7,7 +7,8 @@
  *   paths 1 / sigma_t', and the error of the albedo;
  * - for each model and anisotropic scattering (Henyey and Greenstein), in cells of g from -0.5 to
  *   0.95, of ratios from 0 to 10 and of eta from 1 to 2: the same errors, the largest in each cell.
- *   They were measured against the model `transport` with the medium's own g, and contain its error;
+ *   They were measured against the model `transport` with the medium's own g, and contain its
+ *   error;
  * - for the similarity relation, which replaces anisotropic scattering by isotropic scattering with
  *   the same sigma_s': its errors at g 0.95 and 0.98 and at eleven ratios, for radii from 0.1 mean
  *   free paths on. They come from Monte Carlo, and two of its standard errors are added.
@@ -26,8 +27,8 @@
  * sigma_s (1 - g) alone. Values within 1e-7 of a node or edge, relative, count as the node, so that
  * rounding to single precision moves nothing out of the measured range. An error is NAN where
  * nothing was measured: outside of the measured ranges, for moments other than the exact ones, and
- * for models that need more than a medium. `transport` is exact where g is 0; for other g its errors
- * are those of the similarity relation. */
+ * for models that need more than a medium. `transport` is exact where g is 0; for other g its
+ * errors are those of the similarity relation. */
 core_model_errors core_model_errors_find(enum core_model model, enum core_moments moments,
                                          const core_medium *medium);
 
@@ -36,8 +37,8 @@ extern const double core_error_edges_mfp[CORE_MODEL_ERROR_BANDS + 1];
 
 /* Finds the errors of `transport` with the parameter gamma. `make gamma-errors` has measured them
  * (core/gamma_errors.def): they are the largest among modified and two-term Henyey-Greenstein
- * functions and those of spheres, with a gamma in the same range, at the ratios that enclose that of
- * the medium, times 1.08. They are NAN where nothing was measured. */
+ * functions and those of spheres, with a gamma in the same range, at the ratios that enclose that
+ * of the medium, times 1.08. They are NAN where nothing was measured. */
 core_model_errors core_gamma_errors_find(double gamma, const core_medium *medium);
 
 /* Returns the errors of a model that is transport itself. */

@@ -286,8 +286,8 @@ static bool fits(const struct model *model) {
   return (model->parameters & BIT(GAUSSIANS)) != 0;
 }
 
-/* Whether the profile comes from the table of anisotropic scattering, whose error does not depend on
- * a tolerance. */
+/* Whether the profile comes from the table of anisotropic scattering, whose error does not depend
+ * on a tolerance. */
 static bool is_anisotropic(const core_profile *profile) {
   return profile->numerical_errors[CORE_MODEL_ERROR_BANDS] < profile->numerical_error;
 }

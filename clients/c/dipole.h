@@ -421,7 +421,8 @@ typedef struct dipole_offer {
  * cheapest first. The caller frees *offers, an array of *count, with free(). *taken is the position
  * of the offer that dipole_eval() would take, or *count if it would take none; taken may be NULL.
  * Cheapest are those with the least prepare_ns + cost_ns * radius_count * wanted quantities with a
- * value for each radius. Of listed radii, only the smallest, the largest and their number matter. */
+ * value for each radius. Of listed radii, only the smallest, the largest and their number
+ * matter. */
 bool dipole_offers(dipole_client *client, const dipole_query *query, dipole_offer **offers,
                    size_t *count, size_t *taken, dipole_error *error);
 

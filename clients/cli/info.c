@@ -72,8 +72,8 @@ static facts gather(const dipole_info *info, const dipole_value *statistics, siz
 
 /* ---- what evaluating costs ------------------------------------------------------------------- */
 
-/* Asks for the offers of one precision and appends them. The costs of offers for a tolerance that is
- * as small as this one are those by default. */
+/* Asks for the offers of one precision and appends them. The costs of offers for a tolerance that
+ * is as small as this one are those by default. */
 static bool ask_costs(dipole_client *client, unsigned evaluator, facts *all, dipole_error *error) {
   const unsigned tolerance = dipole_id(client, DIPOLE_PARAMETER, "tolerance");
   const dipole_parameter parameter = {tolerance, 1e-5};

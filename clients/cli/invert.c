@@ -161,8 +161,8 @@ static bool ask_some(dipole_client *client, const invert_settings *settings, rep
   return good;
 }
 
-/* Transport takes a second for each medium, so it is asked for one at a time: the daemon is then not
- * silent for long, and there is no limit of media. */
+/* Transport takes a second for each medium, so it is asked for one at a time: the daemon is then
+ * not silent for long, and there is no limit of media. */
 static bool ask(dipole_client *client, const invert_settings *settings, report *of,
                 dipole_error *error) {
   const bool slow = strcmp(of->model->name, CLI_MODEL_DEFAULT) == 0;

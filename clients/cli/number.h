@@ -19,8 +19,8 @@ bool cli_count_parse(const char *text, uint64_t *value);
  * whichever is shorter. Returns text. */
 const char *cli_number_format(double value, char text[CLI_NUMBER_BYTES]);
 
-/* Returns the decimal number with the fewest digits that reads back to the same float: 0.1 for 0.1f.
- * Infinities and NaN stay. */
+/* Returns the decimal number with the fewest digits that reads back to the same float: 0.1 for
+ * 0.1f. Infinities and NaN stay. */
 double cli_number_of_single(float value);
 
 /* Returns the nearest decimal number of 15 digits: 0.943 for 0.9430000000000001. Infinities and NaN

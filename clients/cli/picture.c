@@ -287,8 +287,9 @@ static void write_set(FILE *script, const char *what, const char *text) {
   fputc('\n', script);
 }
 
-/* Writes a block of data for each curve. Its columns are the radius, for each row of the picture the
- * value that is shown there and, if there are standard errors, for each row that of the value. */
+/* Writes a block of data for each curve. Its columns are the radius, for each row of the picture
+ * the value that is shown there and, if there are standard errors, for each row that of the
+ * value. */
 static void write_data(FILE *script, const cli_picture *picture) {
   const layout places = layout_of(picture->report);
   for (size_t c = 0; c < places.panels * places.curves; c++) {

@@ -254,7 +254,8 @@ static bool holds(const cli_eval_report *report, size_t reference, size_t channe
 }
 
 /* Adds the relative deviation of the first quantity from its value in the reference model. It is
- * NaN in channels for which the reference does not hold, and where that value is 0 or either value is infinite. Returns its position. */
+ * NaN in channels for which the reference does not hold, and where that value is 0 or either value
+ * is infinite. Returns its position. */
 static size_t add_deviation(cli_eval_report *report, size_t reference, derived *names) {
   const size_t channels = report->profile.channel_count;
   snprintf(names->name, sizeof names->name, "deviation");

@@ -34,8 +34,9 @@
  *
  * Domain of quantized diffusion: every medium. Below LEAST tolerance mean free paths R is continued
  * in proportion to 1 / r. Without absorption R is continued in proportion to 1 / r^3 from MOST mean
- * free paths on, or from 1e-3 z_b MOST where that is more. Domain of the multipole: a thickness from THICKNESS_LEAST to THICKNESS_MOST mean
- * free paths, so that the source lies inside the slab; a thicker slab is a half space.
+ * free paths on, or from 1e-3 z_b MOST where that is more. Domain of the multipole: a thickness
+ * from THICKNESS_LEAST to THICKNESS_MOST mean free paths, so that the source lies inside the slab;
+ * a thicker slab is a half space.
  *
  * Error, relative: the tolerance (QUANTIZED_TOLERANCE or SLAB_TOLERANCE if the request names none),
  * plus 64 epsilon, plus 4 epsilon times the exponent with which R falls.
@@ -165,9 +166,10 @@ static double leaves_half_space(const struct cloud *cloud, double time) {
  * varies slowly with t.
  */
 
-/* Up to the time YOUNG L^2 / D the code sums POLES pairs of poles, later it sums MODES modes. If the
- * slab is thinner than z_b, poles on both sides of it nearly cancel after the time YOUNG_THIN L^2 /
- * D, and the code sums MODES_THIN modes from then on. What these sums leave out is less than 1e-17.
+/* Up to the time YOUNG L^2 / D the code sums POLES pairs of poles, later it sums MODES modes. If
+ * the slab is thinner than z_b, poles on both sides of it nearly cancel after the time YOUNG_THIN
+ * L^2 / D, and the code sums MODES_THIN modes from then on. What these sums leave out is less than
+ * 1e-17.
  */
 #define YOUNG 0.12
 #define YOUNG_THIN 0.015

@@ -97,10 +97,10 @@ _Static_assert((int)COEFFICIENTS <= CORE_COEFFICIENTS_MAX, "the profile has room
  * less than this, relative. SAMPLE_STEPS: the largest number of steps that Newton's method needs in
  * find_radius(), and one more, if the mirror source is no higher than WIDE_Z2. SAMPLE_STEPS_WIDE:
  * the same for higher ones, where the cdf hardly rises between z1 and z2 and most steps halve the
- * bracket. DENSE: up to this many kernel units in a mm, that is up to a sigma_t' of 2^16 per mm, R in
- * single precision has underflowed before 1 - e^(-mu (d2 - d1)) loses digits that matter. DENSE_SMALL:
- * for a smaller mu (d2 - d1), 1 - e^(-mu (d2 - d1)) equals it to the last digit; both are multiplied
- * by DENSE_SCALE, as in dipole_R_dense(). */
+ * bracket. DENSE: up to this many kernel units in a mm, that is up to a sigma_t' of 2^16 per mm, R
+ * in single precision has underflowed before 1 - e^(-mu (d2 - d1)) loses digits that matter.
+ * DENSE_SMALL: for a smaller mu (d2 - d1), 1 - e^(-mu (d2 - d1)) equals it to the last digit; both
+ * are multiplied by DENSE_SCALE, as in dipole_R_dense(). */
 #define WIDE_Z2 (256 * REAL_Z1)
 #define DENSE (REAL_Z1 * 0x1p16f)
 #define DENSE_SCALE 0x1p64f

@@ -142,7 +142,8 @@ static inline double finish_pdf(const double *c, double r, double tau, double su
   return real_times_exp(c[PDF_SCALE] * sum, -c[EXPONENT] * tau, 0);
 }
 
-/* Returns tau for ln R, at most FAR. Beyond FAR finish_ln_R() continues the sum by powers of tau. */
+/* Returns tau for ln R, at most FAR. Beyond FAR finish_ln_R() continues the sum by powers of
+ * tau. */
 static inline double begin_ln_R(const double *c, double r) {
   return real_min(r * c[SIGMA_T], FAR);
 }
@@ -304,8 +305,8 @@ static void add_zone(struct rule *rule, double end_of_zone) {
 }
 
 /* Writes the ends of the tail's panels, in u less u_c, and returns their number less 1. The panels
- * grow, because the integrand falls like e^(-u). For g near -1 it first rises like e^(2 u), as far as
- * the phase function rises: up to E = 2 / (1 + g). */
+ * grow, because the integrand falls like e^(-u). For g near -1 it first rises like e^(2 u), as far
+ * as the phase function rises: up to E = 2 / (1 + g). */
 static int tail_ends(double g, double *ends) {
   static const double growing[] = {1, 2.5, 4.5, 7, 10, 13.5, 18.5, 26.5, 39.5};
   const double peak = g < TAIL_FINE ? real_log(2 / (1 + g), 0) + TAIL_PEAK : ZONE;

@@ -17,8 +17,8 @@
  *
  * Anisotropic scattering (Henyey and Greenstein 1941, g from -0.5 to 0.95) always comes from that
  * table, which covers sigma_a up to 100 sigma_s' and eta from 0.7 to 2.2. Solving it would take
- * seconds. The table's error is larger than that for g = 0, whatever the tolerance, and is stated by
- * band of radii. Other media go through the similarity relation, with a note.
+ * seconds. The table's error is larger than that for g = 0, whatever the tolerance, and is stated
+ * by band of radii. Other media go through the similarity relation, with a note.
  *
  * Domain: eta from 0.25 to 4. Below FIRST mean free paths R is continued in proportion to 1 / x.
  * The last radius is LAST_EXPONENT / kappa or LAST mean free paths, whichever is less. Beyond it R
@@ -33,8 +33,8 @@
  * Beyond the last radius the error grows as core_transport_reach() says. It was measured against
  * solutions to 110 / kappa (tests/accuracy/test_transport_far.c), where the continuation is off by
  * 0.4 at most, for an albedo of 0.01. With the table: the table's measured error plus
- * TOLERANCE_LEAST, where R is above TRANSPORT_TABLE_R_LEAST. For g other than 0 the table's error by
- * region is added (core_added_errors).
+ * TOLERANCE_LEAST, where R is above TRANSPORT_TABLE_R_LEAST. For g other than 0 the table's error
+ * by region is added (core_added_errors).
  */
 #include "core/kernels.h"
 
@@ -215,9 +215,9 @@ CORE_KERNEL_TABLE_NONE(transport);
 /* Up to this sigma_a / sigma_s' an albedo is inverted if g is not 0, as the table ends there. */
 #define RATIO_MOST 100.0
 
-/* Next to eta = 1 the table is less exact far from the source in media that absorb: there R changes by
- * half a percent between eta = 1 and 1.0001, and the table's nodes do not follow. It is off by up to
- * 1.5e-5 at the end of the reach. */
+/* Next to eta = 1 the table is less exact far from the source in media that absorb: there R changes
+ * by half a percent between eta = 1 and 1.0001, and the table's nodes do not follow. It is off by
+ * up to 1.5e-5 at the end of the reach. */
 #define TABLE_NEAR_1 1.6e-5
 #define TABLE_IS_NEAR_1 1e-4
 
@@ -424,8 +424,11 @@ static core_fault fill(const core_inputs *inputs, struct source *source, double 
       core_isa_kernels(inputs->isa, CORE_MODEL_TRANSPORT)->f64->evaluate[CORE_ELEMENTWISE_RING];
   const double energy =
       core_energy_build(ring, c, first * mfp_mm, energy_last * mfp_mm, &c[before_energy]);
-  /* If g is not 0, the albedo is more exact than the energy of the series. */
-  c[PDF_SCALE] = c[RING_SCALE] / (source->joined ? preparation->albedo : energy);
+  c[PDF_SCALE] = c[RING_SCALE] / energy;
+  if (source->joined) {
+    /* The albedo has a table of its own, which is more exact than that of R. */
+    set_scales(c, sigma_t_prime, share * (preparation->albedo / energy));
+  }
   preparation->table = c;
   return (core_fault){0};
 }
@@ -450,8 +453,8 @@ static core_fault fill_nothing(double sigma_t_prime, core_preparation *preparati
   return (core_fault){0};
 }
 
-/* Solves the medium with isotropic scattering. difference: what the medium's g adds to the solution,
- * or NULL if there is none. */
+/* Solves the medium with isotropic scattering. difference: what the medium's g adds to the
+ * solution, or NULL if there is none. */
 static core_fault solve_and_fill(const core_inputs *inputs, double albedo, double asked,
                                  const transport_difference *difference,
                                  core_preparation *preparation) {
@@ -503,8 +506,8 @@ static const transport_table *table_for_g(const core_medium *medium) {
 /* The reach that the profile reports is that of the table of solutions, which is shorter than the
  * solver's: so it does not depend on which of the two was used. For g other than 0 it is where the
  * difference from isotropic scattering ends, or, with sigma_a above sigma_s', where R falls below
- * TRANSPORT_TABLE_R_LEAST; and the growth is an upper bound of what was measured against the solver up
- * to 30 decay lengths. */
+ * TRANSPORT_TABLE_R_LEAST; and the growth is an upper bound of what was measured against the solver
+ * up to 30 decay lengths. */
 core_reach core_transport_reach(const core_medium *medium) {
   const double sigma_t_prime = core_sigma_t_prime(medium);
   const double kappa = transport_kappa(albedo_of(medium));
@@ -536,10 +539,10 @@ bool core_transport_added_errors(const core_medium *medium, core_added_errors *a
   }
   const double albedo = albedo_of(medium), g = medium->g;
   const size_t bands = CORE_MODEL_ERROR_BANDS;
+  /* Beyond the reach core_error_beyond() is added. */
+  const double reach = core_transport_reach(medium).most_mm * core_sigma_t_prime(medium);
   for (size_t i = 0; i < bands; i++) {
     const double least = i == 0 ? 0 : core_error_edges_mfp[i];
-    /* Beyond the reach core_error_beyond() is added. */
-    const double reach = core_transport_reach(medium).most_mm * core_sigma_t_prime(medium);
     const double most =
         i + 1 == bands ? fmax(least, reach) : core_error_edges_mfp[i + 1] * (1 - 1e-6);
     added->banded[i] = transport_table_error(table, albedo, g, medium->eta, least, most);

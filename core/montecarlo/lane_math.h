@@ -91,7 +91,8 @@ static inline lane_uniform lane_uniform_from(uint32_t bits) {
   return (lane_uniform){((float)i + 0.5f) * 0x1p-31f, ((float)complement + 0.5f) * 0x1p-31f};
 }
 
-/* Returns the uniform number that is point i of `count` equally likely points; inverse: 1 / count. */
+/* Returns the uniform number that is point i of `count` equally likely points; inverse: 1 /
+ * count. */
 static inline lane_uniform lane_uniform_within(uint32_t i, uint32_t count, float inverse) {
   const int32_t complement = (int32_t)(count - 1 - i);
   return (lane_uniform){((float)(int32_t)i + 0.5f) * inverse, ((float)complement + 0.5f) * inverse};
@@ -120,8 +121,8 @@ static inline float lane_minus_log(float v, float w) {
 }
 
 /* Returns the cube root of x from -1 to 1. Two steps of Halley's method follow a guess that divides
- * the exponent by three. The relative error is 2.5e-7 for |x| from 2^-100 on; below, the result is at
- * most 2e-10. */
+ * the exponent by three. The relative error is 2.5e-7 for |x| from 2^-100 on; below, the result is
+ * at most 2e-10. */
 static inline float lane_cube_root(float x) {
   const uint32_t sign = lane_bits(x) & UINT32_C(0x80000000);
   const float size = lane_float(lane_bits(x) ^ sign);

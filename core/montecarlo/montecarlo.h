@@ -99,9 +99,9 @@ typedef struct core_mc_request {
  * (asserted). The other fields of the request do not change. */
 void core_mc_request_medium(core_mc_request *request, const core_medium *medium);
 
-/* Sets the phase function from the parameters phase, phase_share and phase_g. Returns a fault, whose
- * field is a parameter's name, if one is out of its range, is not taken by the phase function or is
- * missing, or if any other parameter is given. */
+/* Sets the phase function from the parameters phase, phase_share and phase_g. Returns a fault,
+ * whose field is a parameter's name, if one is out of its range, is not taken by the phase function
+ * or is missing, or if any other parameter is given. */
 core_fault core_mc_request_phase(core_mc_request *request, const core_parameters *parameters);
 
 /* Returns the mean cosine of the first of Henyey and Greenstein's functions that the phase function
@@ -109,8 +109,8 @@ core_fault core_mc_request_phase(core_mc_request *request, const core_parameters
 double core_mc_first_g(const core_mc_request *request);
 
 /* Returns the first fault of the request. Its field is one of sigma_t, g, phase, phase_share,
- * phase_g, eta, thickness, albedo_count, albedo (with its index), radius_spacing, radius_count, radius_start, radius_stop,
- * roulette_weight, scatterings_max. */
+ * phase_g, eta, thickness, albedo_count, albedo (with its index), radius_spacing, radius_count,
+ * radius_start, radius_stop, roulette_weight, scatterings_max. */
 core_fault core_mc_check(const core_mc_request *request);
 
 /* The data that all batches of a request share. */

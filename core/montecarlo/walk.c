@@ -65,8 +65,8 @@ static inline struct deflection deflect_by_square(float t, lane_uniform u) {
   return (struct deflection){.cosine = cosine, .sine = sqrtf(one_plus * one_minus)};
 }
 
-/* A mixture of two functions: points of the random number below m->share draw from the first one, and
- * the place among these points is the uniform number that it inverts. */
+/* A mixture of two functions: points of the random number below m->share draw from the first one,
+ * and the place among these points is the uniform number that it inverts. */
 struct drawn {
   lane_mask first;
   uint32_t count; /* number of points of the function that is drawn from */

@@ -10,9 +10,9 @@
  * where `far` is known from light that is scattered twice close to the source, and b and c are
  * fitted. There the path turns upwards, where H0 decays.
  *
- * `far`: light that is scattered twice and comes back to where it entered runs along a triangle. The
- * number of triangles of size l is in proportion to dl / l, so that R2(r) = far / (2 pi) ln(1 / r) +
- * ..., with
+ * `far`: light that is scattered twice and comes back to where it entered runs along a triangle.
+ * The number of triangles of size l is in proportion to dl / l, so that R2(r) = far / (2 pi) ln(1 /
+ * r) + ..., with
  *
  *   far = (2 pi a)^2 int_0^pi/2 T(mu) mu dtheta int_theta^pi p(cos t) p(-cos(t - theta)) dt,
  *
@@ -246,7 +246,8 @@ struct panel {
   double begin, end;
 };
 
-/* What is known of X for one boundary: a Chebyshev series in s on each panel, and the tail beyond K. */
+/* What is known of X for one boundary: a Chebyshev series in s on each panel, and the tail beyond
+ * K. */
 struct exitance {
   double complex term[PANELS_MAX][NODES_MAX];
   double far, tail[TAIL_TERMS];
@@ -371,8 +372,8 @@ static double complex tail_at(const struct exitance *at, double complex k) {
   return sum;
 }
 
-/* Solves the wavenumbers of the nodes from *next on that belong to one tier. values: [boundary][node
- * of all panels]. Returns false if memory runs out or an equation is singular. */
+/* Solves the wavenumbers of the nodes from *next on that belong to one tier. values:
+ * [boundary][node of all panels]. Returns false if memory runs out or an equation is singular. */
 static bool solve_tier(struct grid *of, const struct tier *tier, const double *etas, size_t count,
                        double complex **values, size_t *next) {
   const size_t nodes = of->rules->nodes;

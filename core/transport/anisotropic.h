@@ -1,5 +1,5 @@
-/* anisotropic: radiative transport without noise for any phase function. A pencil beam enters a half
- * space at right angles through a smooth boundary with Fresnel's reflectance.
+/* anisotropic: radiative transport without noise for any phase function. A pencil beam enters a
+ * half space at right angles through a smooth boundary with Fresnel's reflectance.
  *
  * Method: Fourier transform over the plane, half-range expansion in angle, the half space's
  * reflection by doubling (halfspace.c), wavenumbers on a line in the complex plane. Light scattered
@@ -7,8 +7,8 @@
  * grids, and their difference is the error estimate.
  *
  * Units: lengths are in reduced mean free paths, 1 / (sigma_a + sigma_s (1 - g)) with g the mean
- * cosine of scattering. R is per squared reduced mean free path. All energies are per power that has
- * entered, which excludes the specular reflection of the beam.
+ * cosine of scattering. R is per squared reduced mean free path. All energies are per power that
+ * has entered, which excludes the specular reflection of the beam.
  *
  * The same input gives the same bits on every machine and for every instruction set `isa`. These
  * functions allocate and do not log. They have no state: threads may call them at the same time.
@@ -43,29 +43,31 @@ typedef struct transport_anisotropic transport_anisotropic;
 /* Solves one medium for some boundaries together, which takes little longer than for one.
  * sigma_a_ratio: sigma_a / (sigma_s (1 - g)), 1e-6 to 100. etas: index inside over index outside,
  * TRANSPORT_ETA_MIN to TRANSPORT_ETA_MAX, 1 to TRANSPORT_ANISOTROPIC_ETAS_MAX of them. Faults:
- * `sigma_a_ratio`, `phase`, `eta`, `memory`. On a fault *solution is NULL. Otherwise the caller owns
- * it and frees it with transport_anisotropic_free(), which accepts NULL. */
+ * `sigma_a_ratio`, `phase`, `eta`, `memory`. On a fault *solution is NULL. Otherwise the caller
+ * owns it and frees it with transport_anisotropic_free(), which accepts NULL. */
 core_fault transport_anisotropic_solve(transport_anisotropic **solution, const core_isa *isa,
                                        double sigma_a_ratio, const transport_phase *phase,
                                        const double *etas, size_t count, transport_effort effort);
 
-/* The same without the coarser grid, in two thirds of the time: the errors of the values are NAN. */
+/* The same without the coarser grid, in two thirds of the time: the errors of the values are
+ * NAN. */
 core_fault transport_anisotropic_solve_once(transport_anisotropic **solution, const core_isa *isa,
                                             double sigma_a_ratio, const transport_phase *phase,
                                             const double *etas, size_t count,
                                             transport_effort effort);
 void transport_anisotropic_free(transport_anisotropic *solution);
 
-/* Returns R at the radius r for the boundary etas[eta], with an estimate of its absolute error. r: 0
- * (where R is infinite) to infinity. Beyond 30 decay lengths the error grows up to the size of R. */
+/* Returns R at the radius r for the boundary etas[eta], with an estimate of its absolute error. r:
+ * 0 (where R is infinite) to infinity. Beyond 30 decay lengths the error grows up to the size of
+ * R. */
 transport_number transport_anisotropic_at(const transport_anisotropic *solution, size_t eta,
                                           double r);
 
 /* Returns the part of R that was scattered once. It has no error of the grids. */
 double transport_anisotropic_single_at(const transport_anisotropic *solution, size_t eta, double r);
 
-/* The energy that leaves per power that has entered, specular reflection excluded, with estimates of
- * the absolute errors. */
+/* The energy that leaves per power that has entered, specular reflection excluded, with estimates
+ * of the absolute errors. */
 typedef struct transport_totals {
   transport_number normal;  /* of a beam that enters at right angles */
   transport_number diffuse; /* of light that strikes the surface with the same radiance from all

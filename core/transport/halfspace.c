@@ -15,13 +15,13 @@
  * For real k all of these are real.
  *
  * Orders above M are eliminated as if they were not scattered, with a rate alpha that all of them
- * share: their continued fraction adds the matrix of (sqrt(alpha^2 + k^2 (1 - mu^2)) - alpha) / 2 to
- * the block m = M of E.
+ * share: their continued fraction adds the matrix of (sqrt(alpha^2 + k^2 (1 - mu^2)) - alpha) / 2
+ * to the block m = M of E.
  *
- * The reflection rho of the half space is the limit of a thin layer that is doubled again and again.
- * The layer's operators come from Cayley transforms with a step beta, so that the limit solves the
- * expanded equations exactly, for any beta. With I-(0) = rho I+(0) + r_b, and with Fresnel's
- * reflectance between I-(0) and I+(0), both systems of linear equations follow:
+ * The reflection rho of the half space is the limit of a thin layer that is doubled again and
+ * again. The layer's operators come from Cayley transforms with a step beta, so that the limit
+ * solves the expanded equations exactly, for any beta. With I-(0) = rho I+(0) + r_b, and with
+ * Fresnel's reflectance between I-(0) and I+(0), both systems of linear equations follow:
  *
  *   (W + 1 - rho V) r_b = a (b- + rho b+),   (1 - rho F) I- = r_b,   exitance = <mu T psi>.I-.
  *

@@ -1,5 +1,5 @@
-/* halfspace: the transport equation with anisotropic scattering in a half space, Fourier transformed
- * over the plane, at one wavenumber.
+/* halfspace: the transport equation with anisotropic scattering in a half space, Fourier
+ * transformed over the plane, at one wavenumber.
  *
  * Lengths in this module are in scaled mean free paths: the part of the phase function that a
  * truncated series cannot tell from unscattered light counts as unscattered (Joseph, Wiscombe,
@@ -38,9 +38,9 @@ typedef struct halfspace_rules {
 typedef struct halfspace halfspace;
 
 /* Returns the angular integrals for one medium and some boundaries, and memory for solving with
- * them on an instruction set; or NULL if memory runs out. Each thread needs its own. The caller frees it with
- * transport_halfspace_free(), which accepts NULL. medium: it has to outlive the result. etas: index
- * inside over index outside, 1 to HALFSPACE_ETAS_MAX of them, each 0.2 to 5. */
+ * them on an instruction set; or NULL if memory runs out. Each thread needs its own. The caller
+ * frees it with transport_halfspace_free(), which accepts NULL. medium: it has to outlive the
+ * result. etas: index inside over index outside, 1 to HALFSPACE_ETAS_MAX of them, each 0.2 to 5. */
 halfspace *transport_halfspace_new(const core_isa *isa, const halfspace_rules *rules,
                                    const halfspace_medium *medium, const double *etas,
                                    size_t count);

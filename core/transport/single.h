@@ -6,9 +6,9 @@
 
 enum { SINGLE_MAX = 320 };
 
-/* Returns Fresnel's transmittance of the boundary for unpolarized light. eta: index inside over index
- * outside, positive. mu and mu_outside: the cosines inside and outside, 0 to 1, of which one at
- * most is 0. */
+/* Returns Fresnel's transmittance of the boundary for unpolarized light. eta: index inside over
+ * index outside, positive. mu and mu_outside: the cosines inside and outside, 0 to 1, of which one
+ * at most is 0. */
 double transport_transmittance(double eta, double mu, double mu_outside);
 
 /* A quadrature rule for one eta, which serves all radii and albedos. */

@@ -418,7 +418,8 @@ void transport_table_look_up(const transport_table *table, double albedo, double
   }
 }
 
-/* Returns the sum of a panel's terms at its beginning or its end, where each polynomial is -1 or 1. */
+/* Returns the sum of a panel's terms at its beginning or its end, where each polynomial is -1 or
+ * 1. */
 static double at_end(const double *term, size_t count, bool begin) {
   double sum = 0;
   for (size_t k = 0; k < count; k++) {

@@ -235,7 +235,8 @@ static bool expire(struct modbus_task *task) {
   return true;
 }
 
-/* Cancels a detached job that no master asks for any more, because it keeps its place from others. */
+/* Cancels a detached job that no master asks for any more, because it keeps its place from
+ * others. */
 static void abandon(struct modbus_task *task) {
   if (task->detached == NULL || task->cancelled) {
     return;

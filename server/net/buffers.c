@@ -407,8 +407,8 @@ size_t output_buffers(struct output *output, uv_buf_t *buffers, size_t count) {
   return used;
 }
 
-/* Chunks hold whole frames. The parts of an answer follow each other and have the same id. Errors of
- * the connection have the id 0. */
+/* Chunks hold whole frames. The parts of an answer follow each other and have the same id. Errors
+ * of the connection have the id 0. */
 unsigned output_count(const struct output *output, uint64_t except) {
   unsigned count = 0;
   uint64_t last = 0;

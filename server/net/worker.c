@@ -42,8 +42,8 @@ static void publish_queue(struct worker *worker) {
   stats_set(stats, STATS_OWED_RADII, worker->context.owed_radii);
 }
 
-/* Gives one turn to each client of the queue. After all turns, evaluates the short requests of these
- * clients together and lets the clients write. */
+/* Gives one turn to each client of the queue. After all turns, evaluates the short requests of
+ * these clients together and lets the clients write. */
 static void serve(struct worker *worker, struct client_queue *queue) {
   struct client *client;
   while ((client = TAILQ_FIRST(queue)) != NULL) {

@@ -75,9 +75,9 @@ typedef struct form_values {
 void form_prepare(form_model *form, unsigned model, enum core_moments moments,
                   const core_medium *medium, const core_parameters *parameters);
 
-/* Returns the values at r mm, from 0 to infinity, in 113 bits. If `fast` is true, the integrals of the
- * extended source, of quantized diffusion and of single scattering are summed in long double, which
- * takes a twentieth of the time; their relative error is then below 1e-17. */
+/* Returns the values at r mm, from 0 to infinity, in 113 bits. If `fast` is true, the integrals of
+ * the extended source, of quantized diffusion and of single scattering are summed in long double,
+ * which takes a twentieth of the time; their relative error is then below 1e-17. */
 form_values form_at(const form_model *form, double r, bool fast);
 
 /* Returns the truth of a quantity at r mm, `at` being form_at()'s values there: NAN if it is not

@@ -1,8 +1,8 @@
-/* rings MILLIONS: Monte Carlo against the solver for any phase function, ring by ring, with at least
- * MILLIONS of photons for each g and for each mixture of two functions. Exits with EXIT_FAILURE if
- * any ring or total is off by 4.5 standard errors or more, or if chi-squared per ring is not
- * between 0.8 and 1.2 for a g, or for all. `make rings` walks 100 millions each,
- * `make check-rings` 4. */
+/* rings MILLIONS: Monte Carlo against the solver for any phase function, ring by ring, with at
+ * least MILLIONS of photons for each g and for each mixture of two functions. Exits with
+ * EXIT_FAILURE if any ring or total is off by 4.5 standard errors or more, or if chi-squared per
+ * ring is not between 0.8 and 1.2 for a g, or for all. `make rings` walks 100 millions each, `make
+ * check-rings` 4. */
 #include <math.h>
 #include <stdlib.h>
 

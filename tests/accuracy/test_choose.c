@@ -11,9 +11,9 @@
 
 /* ---- promises against transport -------------------------------------------------------------- */
 
-/* Preparing for a medium takes most of the time. So the media are few and evenly spread over eta and
- * the ratio of sigma_a to sigma_s, which leaves smaller gaps than twice as many random ones would,
- * and each gets many requests. */
+/* Preparing for a medium takes most of the time. So the media are few and evenly spread over eta
+ * and the ratio of sigma_a to sigma_s, which leaves smaller gaps than twice as many random ones
+ * would, and each gets many requests. */
 enum {
   ETAS = 12,
   MEDIA_AN_ETA = 3,
@@ -608,8 +608,8 @@ UNIT_TEST(the_choice_holds_for_all_channels) {
   assert_int_equal(core_choose(&request, candidates), 0);
 }
 
-/* A tolerance is answered for any g, with errors that were measured at that g: of single scattering,
- * too. */
+/* A tolerance is answered for any g, with errors that were measured at that g: of single
+ * scattering, too. */
 UNIT_TEST(a_tolerance_is_answered_for_any_g) {
   static const double gs[] = {-0.5, -0.1, 0.3, 0.7, 0.85, 0.9, 0.95};
   for (size_t k = 0; k < sizeof gs / sizeof gs[0]; k++) {

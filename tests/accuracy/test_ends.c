@@ -117,8 +117,8 @@ UNIT_TEST(extended_without_absorption_goes_on_falling) {
 
 enum { FEW_RADII = 6 };
 
-/* For a medium's transport: R at some radii over that of single scattering, less 1. This is the part
- * that was scattered more often. */
+/* For a medium's transport: R at some radii over that of single scattering, less 1. This is the
+ * part that was scattered more often. */
 struct few_scattered {
   double r[FEW_RADII], more_often[FEW_RADII], stated;
 };
@@ -140,8 +140,8 @@ static struct few_scattered few_scattered(const core_medium *medium) {
   return few;
 }
 
-/* Below an albedo of 1e-12 the solver solves another medium: what was scattered once is in proportion
- * to the albedo, and what was scattered twice to its square. */
+/* Below an albedo of 1e-12 the solver solves another medium: what was scattered once is in
+ * proportion to the albedo, and what was scattered twice to its square. */
 UNIT_TEST(transport_of_nearly_no_scattering) {
   static const double etas[] = {0.8, 2}, albedos[] = {1e-13, 1e-31};
   for (size_t n = 0; n < 4; n++) {

@@ -1,6 +1,6 @@
-/* The model error that is stated for the radii of a request: never smaller than what is seen at media
- * and radii that were drawn, and unknown where nothing was measured. Transport is core's own: for
- * anisotropic scattering its table of solutions, its solver, and an independent Monte Carlo
+/* The model error that is stated for the radii of a request: never smaller than what is seen at
+ * media and radii that were drawn, and unknown where nothing was measured. Transport is core's own:
+ * for anisotropic scattering its table of solutions, its solver, and an independent Monte Carlo
  * program's rings, where ../shared is there. */
 #include <math.h>
 
@@ -314,7 +314,8 @@ static double R_at(const core_profile *profile, double r_mm) {
 }
 
 /* A phase function that was not measured, half 3 cos^2 and Henyey-Greenstein in part, in media
- * between the measured ones: R is within the stated error of the solver's, which has all moments. */
+ * between the measured ones: R is within the stated error of the solver's, which has all
+ * moments. */
 UNIT_TEST(gamma_is_within_what_is_said) {
   enum { MOMENTS = 300 };
   static const double etas[] = {0.9, 1.33, 1.5};

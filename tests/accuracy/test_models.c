@@ -157,8 +157,8 @@ UNIT_TEST(transport_has_its_published_values) {
   }
 }
 
-/* The columns R and total of ../shared/vectors/transport.csv: every eighth medium, at two tolerances
- * in turn. */
+/* The columns R and total of ../shared/vectors/transport.csv: every eighth medium, at two
+ * tolerances in turn. */
 UNIT_TEST(transport_agrees_with_exact_solutions) {
   char *text = unit_read_file("../shared/vectors/transport.csv");
   if (text == NULL) {

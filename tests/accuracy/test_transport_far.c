@@ -42,25 +42,13 @@ static void draw_truth(struct truth *truth, transport_boundary *boundary, double
   transport_solution_free(solution);
 }
 
-static double value_at(const core_profile *profile, enum core_quantity quantity, double r) {
-  if (profile->evaluator == CORE_EVALUATOR_F64) {
-    double out;
-    core_eval_f64(profile, quantity, 1, &r, &out);
-    return out;
-  }
-  const float single = (float)r;
-  float out;
-  core_eval_f32(profile, quantity, 1, &single, &out);
-  return (double)out;
-}
-
 /* The largest deviation of R at radii[first..last], over what is allowed of it. */
 static double excess(const core_profile *profile, const struct truth *truth, size_t first,
                      size_t last, double allowed) {
   const double negligible = 16 * (profile->evaluator == CORE_EVALUATOR_F64 ? 0x1p-1074 : 0x1p-149);
   double most = 0;
   for (size_t i = first; i <= last; i++) {
-    const double off = fabs(value_at(profile, CORE_QUANTITY_R, truth->r[i]) - truth->R[i]);
+    const double off = fabs(unit_value_at(profile, CORE_QUANTITY_R, truth->r[i]) - truth->R[i]);
     const double bound = fmax((allowed + truth->error) * truth->R[i], negligible);
     if (off > bound) {
       print_error(

@@ -6,6 +6,7 @@
 #include "core/inverter.h"
 #include "core/kernels.h"
 #include "core/transport/anisotropic.h"
+#include "tests/accuracy/vectors.h"
 #include "tests/unit/unit.h"
 
 #define PI 3.14159265358979323846
@@ -18,18 +19,6 @@ static core_profile prepare(const core_medium *medium, unsigned evaluator, doubl
                                          CORE_MOMENTS_EXACT, evaluator, medium, &parameters),
                     NULL, 0);
   return profile;
-}
-
-static double value_at(const core_profile *profile, enum core_quantity quantity, double r) {
-  if (profile->evaluator == CORE_EVALUATOR_F64) {
-    double out;
-    core_eval_f64(profile, quantity, 1, &r, &out);
-    return out;
-  }
-  const float single = (float)r;
-  float out;
-  core_eval_f32(profile, quantity, 1, &single, &out);
-  return (double)out;
 }
 
 static double stated(const core_profile *profile, unsigned wanted, double least, double most) {
@@ -48,35 +37,26 @@ static core_medium medium_of(double ratio, double g, double eta) {
 
 static const unsigned evaluators[] = {CORE_EVALUATOR_F64, CORE_EVALUATOR_F32, CORE_EVALUATOR_LUT};
 
-/* A selection of ../shared/vectors/anisotropic.csv: ratio, g, eta, radius, R, its error bound. */
-static const double selected[][6] = {
-    {0.0001, 0.9, 1, 0.05, 5.7952365e-01, 6.0e-04},  {0.0001, 0.9, 1, 20, 3.1503938e-05, 6.0e-05},
-    {0.01, 0.95, 0.8, 0.01, 2.4694328e+00, 1.1e-03}, {0.01, 0.95, 0.8, 2, 1.1566337e-02, 6.0e-05},
-    {0.02, 0.3, 2, 0.1, 1.3196148e-01, 6.1e-04},     {0.02, 0.3, 2, 7, 3.1780277e-04, 3.0e-05},
-    {0.1, 0.5, 1.5, 0.2, 7.5861861e-02, 1.9e-04},    {0.1, 0.5, 1.5, 12, 2.6222986e-06, 3.0e-05},
-    {0.2, -0.5, 1.2, 0.5, 5.0520357e-02, 1.2e-04},   {0.2, -0.5, 1.2, 4, 1.8985658e-04, 2.4e-04},
-    {1, 0.9, 1.3, 1, 2.2504001e-03, 6.0e-05},        {1, 0.9, 1.3, 20, 2.4547242e-13, 6.0e-05}};
-
 struct worst {
   double off, share, stated;
   size_t count;
 };
 
-/* row: as above. Each evaluator is within what it states for this radius. */
-static void compare_row(const double row[6], struct worst *worst) {
-  const core_medium medium = medium_of(row[0], row[1], row[2]);
+/* Each evaluator is within what it states for this radius. */
+static void compare_row(const anisotropic_vector *row, struct worst *worst) {
+  const core_medium medium = medium_of(row->ratio, row->g, row->eta);
   for (size_t i = 0; i < sizeof evaluators / sizeof evaluators[0]; i++) {
     core_profile profile = prepare(&medium, evaluators[i], (double)NAN);
     assert_int_equal(profile.notes, 0);
-    const double allowed = stated(&profile, CORE_QUANTITY_R, row[3], row[3]);
-    const double off = fabs(value_at(&profile, CORE_QUANTITY_R, row[3]) / row[4] - 1);
-    if (!(off <= allowed + row[5])) {
+    const double allowed = stated(&profile, CORE_QUANTITY_R, row->x, row->x);
+    const double off = fabs(unit_value_at(&profile, CORE_QUANTITY_R, row->x) / row->R - 1);
+    if (!(off <= allowed + row->error)) {
       fail_msg("ratio %g, g %g, eta %g, r %g, evaluator %u: off by %g, stated %g, the vector's %g",
-               row[0], row[1], row[2], row[3], evaluators[i], off, allowed, row[5]);
+               row->ratio, row->g, row->eta, row->x, evaluators[i], off, allowed, row->error);
     }
     assert_true(allowed <= 0.01);
     worst->off = fmax(worst->off, off);
-    worst->share = fmax(worst->share, off / (allowed + row[5]));
+    worst->share = fmax(worst->share, off / (allowed + row->error));
     worst->stated = fmax(worst->stated, allowed);
     worst->count++;
     core_profile_free(&profile);
@@ -84,23 +64,14 @@ static void compare_row(const double row[6], struct worst *worst) {
 }
 
 UNIT_TEST(values_of_another_implementation_are_within_the_stated_error) {
+  anisotropic_vector rows[ANISOTROPIC_MEDIA][ANISOTROPIC_RADII];
+  vectors_read_anisotropic(rows);
   struct worst worst = {0};
-  for (size_t i = 0; i < sizeof selected / sizeof selected[0]; i++) {
-    compare_row(selected[i], &worst);
-  }
-  char *text = unit_read_file("../shared/vectors/anisotropic.csv");
-  printf("%s", text == NULL ? "the rest skipped: ../shared/vectors is not there\n" : "");
-  for (char *line = text != NULL ? strtok(text, "\n") : NULL; line != NULL;
-       line = strtok(NULL, "\n")) {
-    double row[6];
-    if (sscanf(line, "%lf,%lf,%lf,%lf,%lf,%lf", &row[0], &row[1], &row[2], &row[3], &row[4],
-               &row[5]) == 6) {
-      compare_row(row, &worst);
-    }
+  for (size_t i = 0; i < ANISOTROPIC_MEDIA * ANISOTROPIC_RADII; i++) {
+    compare_row(&rows[i / ANISOTROPIC_RADII][i % ANISOTROPIC_RADII], &worst);
   }
   printf("%zu values: off by at most %.1e, %.2f of what is allowed; stated at most %.1e\n",
          worst.count, worst.off, worst.share, worst.stated);
-  free(text);
 }
 
 /* R of a ring is the energy in it over its area. MCML counts 0.05 mean free paths a ring. */
@@ -117,8 +88,8 @@ UNIT_TEST(rings_are_those_of_mcml) {
   for (char *line = strtok(text, "\n"); line != NULL; line = strtok(NULL, "\n")) {
     double from, to, R, sigma;
     if (sscanf(line, "%lf,%lf,%lf,%lf", &from, &to, &R, &sigma) == 4 && sigma < 0.1) {
-      const double within =
-          value_at(&profile, CORE_QUANTITY_CDF, to) - value_at(&profile, CORE_QUANTITY_CDF, from);
+      const double within = unit_value_at(&profile, CORE_QUANTITY_CDF, to) -
+                            unit_value_at(&profile, CORE_QUANTITY_CDF, from);
       const double off = (R * PI * (to * to - from * from) / (within * profile.albedo) - 1) / sigma;
       chi_squared += off * off;
       largest = fmax(largest, fabs(off));
@@ -136,8 +107,8 @@ UNIT_TEST(rings_are_those_of_mcml) {
   free(text);
 }
 
-/* Totals by adding-doubling, per launched power with the specular reflection, and how far their last
- * digit may be off. */
+/* Totals by adding-doubling, per launched power with the specular reflection, and how far their
+ * last digit may be off. */
 UNIT_TEST(albedos_are_those_of_adding_doubling) {
   static const double known[][5] = {{0.9, 0.9, 1.4, 0.0573000, 3e-7},
                                     {0.95, 0.8, 1, 0.238946, 1e-6},
@@ -194,10 +165,10 @@ UNIT_TEST(values_are_those_of_the_solver) {
         if (truth.value < 1e-12 || error > 2e-3) {
           continue;
         }
-        const double off = fabs(value_at(&profile, CORE_QUANTITY_R, r) / truth.value - 1);
+        const double off = fabs(unit_value_at(&profile, CORE_QUANTITY_R, r) / truth.value - 1);
         const double allowed = stated(&profile, CORE_QUANTITY_R, r, r) + error;
         const double off_slope =
-            fabs(value_at(&profile, CORE_QUANTITY_SLOPE, r) / slope_of(solution, e, r) - 1);
+            fabs(unit_value_at(&profile, CORE_QUANTITY_SLOPE, r) / slope_of(solution, e, r) - 1);
         const double allowed_slope = stated(&profile, CORE_QUANTITY_SLOPE, r, r) + 3 * error;
         if (!(off <= allowed && off_slope <= allowed_slope)) {
           fail_msg(
@@ -235,13 +206,13 @@ static void check_quantities(const core_profile *profile, double mfp_mm, uint64_
   for (int i = 0; i < 40; i++) {
     const double r =
         (double)(float)(mfp_mm * exp(-9 + 12.0 * i / 40 + unit_random_between(random, 0, 0.3)));
-    const double R = value_at(profile, CORE_QUANTITY_R, r);
-    const double ring = value_at(profile, CORE_QUANTITY_RING, r);
-    const double pdf = value_at(profile, CORE_QUANTITY_PDF, r);
-    const double cdf = value_at(profile, CORE_QUANTITY_CDF, r);
-    const double ln_R = value_at(profile, CORE_QUANTITY_LN_R, r);
-    const double slope = value_at(profile, CORE_QUANTITY_SLOPE, r);
-    const double S = value_at(profile, CORE_QUANTITY_S, r);
+    const double R = unit_value_at(profile, CORE_QUANTITY_R, r);
+    const double ring = unit_value_at(profile, CORE_QUANTITY_RING, r);
+    const double pdf = unit_value_at(profile, CORE_QUANTITY_PDF, r);
+    const double cdf = unit_value_at(profile, CORE_QUANTITY_CDF, r);
+    const double ln_R = unit_value_at(profile, CORE_QUANTITY_LN_R, r);
+    const double slope = unit_value_at(profile, CORE_QUANTITY_SLOPE, r);
+    const double S = unit_value_at(profile, CORE_QUANTITY_S, r);
     if (R * mfp_mm * mfp_mm < 1e-20) {
       continue;
     }
@@ -251,13 +222,13 @@ static void check_quantities(const core_profile *profile, double mfp_mm, uint64_
     assert_true(S > 0 && S < R);
     assert_true(cdf >= before && cdf <= 1);
     before = cdf;
-    const double h = 1e-3 * r, up = value_at(profile, CORE_QUANTITY_LN_R, r + h),
-                 down = value_at(profile, CORE_QUANTITY_LN_R, r - h);
+    const double h = 1e-3 * r, up = unit_value_at(profile, CORE_QUANTITY_LN_R, r + h),
+                 down = unit_value_at(profile, CORE_QUANTITY_LN_R, r - h);
     if (profile->evaluator == CORE_EVALUATOR_F64) {
       /* where two panels of the series meet, their slopes differ a little */
       assert_true(fabs((up - down) / (2 * h) * R / slope - 1) < 5e-3);
-      const double more = value_at(profile, CORE_QUANTITY_CDF, r + h),
-                   less = value_at(profile, CORE_QUANTITY_CDF, r - h);
+      const double more = unit_value_at(profile, CORE_QUANTITY_CDF, r + h),
+                   less = unit_value_at(profile, CORE_QUANTITY_CDF, r - h);
       assert_true(more > 0.9999 || fabs((more - less) / (2 * h) / pdf - 1) < 5e-3);
       const double u = cdf;
       double back;
@@ -265,7 +236,7 @@ static void check_quantities(const core_profile *profile, double mfp_mm, uint64_
       assert_true(u > 0.999999 || fabs(back / r - 1) < 1e-6);
     }
   }
-  assert_true(value_at(profile, CORE_QUANTITY_CDF, (double)INFINITY) == 1);
+  assert_true(unit_value_at(profile, CORE_QUANTITY_CDF, (double)INFINITY) == 1);
 }
 
 UNIT_TEST(quantities_and_evaluators_agree) {
@@ -280,13 +251,13 @@ UNIT_TEST(quantities_and_evaluators_agree) {
     assert_true(f64.albedo == f32.albedo && f64.albedo == lut.albedo);
     for (int i = 0; i < 60; i++) {
       const double r = (double)(float)(mfp_mm * unit_random_log(&random, 1e-6, 30));
-      const double R = value_at(&f64, CORE_QUANTITY_R, r);
+      const double R = unit_value_at(&f64, CORE_QUANTITY_R, r);
       if (R * mfp_mm * mfp_mm > 1e-14) {
-        assert_true(fabs(value_at(&f32, CORE_QUANTITY_R, r) / R - 1) < 1e-6);
-        assert_true(fabs(value_at(&lut, CORE_QUANTITY_R, r) / R - 1) < 1e-4);
-        assert_true(
-            fabs(value_at(&lut, CORE_QUANTITY_CDF, r) / value_at(&f64, CORE_QUANTITY_CDF, r) - 1) <
-            1e-4);
+        assert_true(fabs(unit_value_at(&f32, CORE_QUANTITY_R, r) / R - 1) < 1e-6);
+        assert_true(fabs(unit_value_at(&lut, CORE_QUANTITY_R, r) / R - 1) < 1e-4);
+        assert_true(fabs(unit_value_at(&lut, CORE_QUANTITY_CDF, r) /
+                             unit_value_at(&f64, CORE_QUANTITY_CDF, r) -
+                         1) < 1e-4);
       }
     }
     check_quantities(&f64, mfp_mm, &random);
@@ -345,7 +316,7 @@ UNIT_TEST(outside_of_the_table_the_similarity_relation_is_named) {
   const core_medium nothing = {1, 0, 0.9, 1.4};
   core_profile profile = prepare(&nothing, CORE_EVALUATOR_F64, (double)NAN);
   assert_int_equal(profile.notes, 0);
-  assert_true(value_at(&profile, CORE_QUANTITY_R, 1) == 0);
+  assert_true(unit_value_at(&profile, CORE_QUANTITY_R, 1) == 0);
   core_profile_free(&profile);
 }
 

@@ -5,6 +5,7 @@
 #include "core/transport/anisotropic.h"
 #include "core/transport/table.h"
 #include "core/transport/transport.h"
+#include "tests/accuracy/vectors.h"
 #include "tests/unit/unit.h"
 
 #define PI 3.14159265358979323846
@@ -172,64 +173,18 @@ static double hold_forward(const transport_series *series, double albedo, double
   return error;
 }
 
-/* Values of another implementation (../shared/vectors/anisotropic.csv), with their error bounds. */
 UNIT_TEST(the_difference_agrees_with_another_implementation) {
-  static const struct {
-    double ratio, g, eta;
-    double rows[4][3]; /* radius, R, relative error bound */
-  } known[] = {
-      {0.0001,
-       0.9,
-       1,
-       {{0.02, 1.3984231e+00, 6.0e-04},
-        {0.2, 1.6262979e-01, 2.0e-04},
-        {2, 1.2662261e-02, 6.0e-05},
-        {12, 1.4544293e-04, 6.0e-05}}},
-      {0.01,
-       0.95,
-       0.8,
-       {{0.02, 1.2530397e+00, 1.1e-03},
-        {0.2, 1.4687168e-01, 2.0e-04},
-        {2, 1.1566337e-02, 6.0e-05},
-        {12, 5.7431398e-05, 6.0e-05}}},
-      {0.02,
-       0.3,
-       2,
-       {{0.02, 8.7539968e-01, 9.3e-04},
-        {0.2, 5.6152919e-02, 6.1e-04},
-        {2, 4.2531321e-03, 6.0e-05},
-        {12, 4.4846836e-05, 3.0e-05}}},
-      {0.1,
-       0.5,
-       1.5,
-       {{0.02, 9.7887076e-01, 3.3e-04},
-        {0.2, 7.5861861e-02, 1.9e-04},
-        {2, 3.7155577e-03, 3.0e-05},
-        {12, 2.6222986e-06, 3.0e-05}}},
-      {0.2,
-       -0.5,
-       1.2,
-       {{0.02, 5.7308992e+00, 3.0e-04},
-        {0.2, 2.6910775e-01, 1.2e-04},
-        {2, 1.7483365e-03, 2.4e-04},
-        {12, 3.6497109e-07, 1.0e-04}}},
-      {1,
-       0.9,
-       1.3,
-       {{0.02, 4.0176122e-01, 1.1e-03},
-        {0.2, 2.6069663e-02, 2.0e-04},
-        {2, 4.8525568e-04, 6.0e-05},
-        {12, 2.3936894e-09, 6.0e-05}}},
-  };
+  anisotropic_vector rows[ANISOTROPIC_MEDIA][ANISOTROPIC_RADII];
+  vectors_read_anisotropic(rows);
   double worst = 0;
-  for (size_t i = 0; i < sizeof known / sizeof known[0]; i++) {
-    const double albedo = 1 / (1 + known[i].ratio);
+  for (size_t i = 0; i < ANISOTROPIC_MEDIA; i++) {
+    const anisotropic_vector *known = rows[i];
+    const double albedo = 1 / (1 + known->ratio);
     transport_series series;
-    transport_table_look_up(transport_table_shipped(), albedo, known[i].g, known[i].eta, &series);
-    for (size_t row = 0; row < 4; row++) {
-      const double *at = known[i].rows[row];
-      worst =
-          fmax(worst, hold_forward(&series, albedo, known[i].g, known[i].eta, at[0], at[1], at[2]));
+    transport_table_look_up(transport_table_shipped(), albedo, known->g, known->eta, &series);
+    for (size_t row = 0; row < ANISOTROPIC_RADII; row++) {
+      worst = fmax(worst, hold_forward(&series, albedo, known->g, known->eta, known[row].x,
+                                       known[row].R, known[row].error));
     }
   }
   printf("another implementation: off by at most %.2g\n", worst);

@@ -14,9 +14,10 @@
  *   by more than 0.9 of its stated error is compared with the formula itself.
  *
  * Two models have no formula: `transport` is compared with itself at its tightest tolerance, and
- * the stated errors of both are added, and in one of 48 rounds with a solution for g other than 0; `gaussians` is compared with the model that it was fitted to.
- * Besides values the rounds check samples (core_sample), inversions (core_invert_albedo), that a cdf
- * never falls once it is 1, and the stated errors of models against solutions of transport.
+ * the stated errors of both are added, and in one of 48 rounds with a solution for g other than 0;
+ * `gaussians` is compared with the model that it was fitted to. Besides values the rounds check
+ * samples (core_sample), inversions (core_invert_albedo), that a cdf never falls once it is 1, and
+ * the stated errors of models against solutions of transport.
  *
  * Each processor runs rounds of its own. The program prints its seed, how many values of each class
  * it compared, and each class's largest error as a share of what was stated. Its exit status is 1
@@ -459,8 +460,8 @@ static void prepare(struct subject *s, enum evaluator e, double tolerance) {
                                      evaluator_ids[e], &s->medium, &parameters)
                     .field == NULL;
   if (s->ready[e] && models[s->model] == CORE_MODEL_TRANSPORT) {
-    /* The table's error for g other than 0 is common to all evaluators, and check_scattering() looks
-     * for it. What is left is each evaluator's own. */
+    /* The table's error for g other than 0 is common to all evaluators, and check_scattering()
+     * looks for it. What is left is each evaluator's own. */
     core_added_errors added;
     core_transport_added_errors(&s->medium, &added);
     s->profiles[e].numerical_error -= added.all;
@@ -672,7 +673,8 @@ static void check_model_errors(uint64_t *random) {
   }
 }
 
-/* Compares the evaluators of transport with solutions for one g other than 0, of some boundaries. */
+/* Compares the evaluators of transport with solutions for one g other than 0, of some
+ * boundaries. */
 static void check_scattering(uint64_t *random) {
   enum { BOUNDARIES = 3 };
   static struct subject s;

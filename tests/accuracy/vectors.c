@@ -10,6 +10,10 @@
 
 #define HEADER "model,moments,sigma_a,sigma_s,g,eta,r,R,albedo,cdf\n"
 
+#define ANISOTROPIC_FILE "tests/accuracy/anisotropic_vectors.csv"
+#define ANISOTROPIC_HEADER                                                                         \
+  "sigma_a_over_sigma_s_prime,g,eta,r_in_mfp_prime,R_per_square_mfp_prime,relative_error_bound\n"
+
 enum { LINE_BYTES = 1024, ROWS_MAX = 100000, NUMBERS = 8 };
 
 static vector read_row(char *line) {
@@ -59,4 +63,21 @@ vector *vectors_read(const char *path, size_t *count) {
   fclose(file);
   assert_true(*count > 0);
   return rows;
+}
+
+void vectors_read_anisotropic(anisotropic_vector rows[ANISOTROPIC_MEDIA][ANISOTROPIC_RADII]) {
+  FILE *file = fopen(ANISOTROPIC_FILE, "r");
+  assert_non_null(file);
+  char line[LINE_BYTES];
+  assert_non_null(fgets(line, sizeof line, file));
+  assert_string_equal(line, ANISOTROPIC_HEADER);
+  for (size_t i = 0; i < ANISOTROPIC_MEDIA * ANISOTROPIC_RADII; i++) {
+    anisotropic_vector *row = &rows[i / ANISOTROPIC_RADII][i % ANISOTROPIC_RADII];
+    assert_non_null(fgets(line, sizeof line, file));
+    assert_int_equal(sscanf(line, "%lf,%lf,%lf,%lf,%lf,%lf", &row->ratio, &row->g, &row->eta,
+                            &row->x, &row->R, &row->error),
+                     6);
+  }
+  assert_null(fgets(line, sizeof line, file));
+  fclose(file);
 }

@@ -197,7 +197,8 @@ static bool is_due(const core_choice *model, const core_choice *evaluator,
          (evaluator->id == CORE_EVALUATOR_F64 && needed);
 }
 
-/* Prints a checksum for each evaluator of transport with tissue's g, from the table of solutions. */
+/* Prints a checksum for each evaluator of transport with tissue's g, from the table of
+ * solutions. */
 static void print_transport_with_g(const core_isa *isa) {
   static const core_medium media[] = {{0.05, 9.5, 0.9, 1.4}, {2, 1.25, -0.3, 0.8}};
   for (const core_choice *evaluator = core_evaluators; evaluator->name != NULL; evaluator++) {

@@ -135,9 +135,9 @@ static bool is_slow(const kernel_pair *pair) {
   return is_costly(&pair->portable) && pair->todo.quantity == 0;
 }
 
-/* Returns the step between the lengths that are tried. It is larger for expensive models, and larger
- * yet for drawing radii from them and for portable kernels, which have no lanes, except around the
- * lengths of their blocks. */
+/* Returns the step between the lengths that are tried. It is larger for expensive models, and
+ * larger yet for drawing radii from them and for portable kernels, which have no lanes, except
+ * around the lengths of their blocks. */
 static size_t stride(const kernel_pair *pair, size_t n) {
   const bool few = is_slow(pair) || pair->is_portable;
   return !is_costly(&pair->portable) ? 1 : n == 31 || n == 32 ? 1 : few ? 31 : 11;
@@ -395,8 +395,8 @@ UNIT_TEST(every_length_and_offset_gives_the_same_bits) {
   with_every_pair(compare_lengths_and_offsets);
 }
 
-/* Puts values under test into every second lane, in turn each value into each lane, and garbage into
- * the other lanes. */
+/* Puts values under test into every second lane, in turn each value into each lane, and garbage
+ * into the other lanes. */
 static void compare_lanes(const kernel_pair *pair, uint64_t *random) {
   enum { LANES = 2 * OFFSETS, RANDOM = 10 };
   const unsigned evaluator = pair->portable.evaluator;

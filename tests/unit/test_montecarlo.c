@@ -306,8 +306,8 @@ static void assert_same(const core_mc_request *request, const core_mc_total *a,
   }
 }
 
-/* Returns request number i. Together they run every loop of the walk: each phase function, in a half
- * space or a slab. */
+/* Returns request number i. Together they run every loop of the walk: each phase function, in a
+ * half space or a slab. */
 static core_mc_request bit_request(size_t i) {
   static const double g[] = {0, 0.85, -0.4};
   static const double thickness_mm[] = {(double)INFINITY, 1.5, 0.001};

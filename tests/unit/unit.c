@@ -105,6 +105,18 @@ core_parameters unit_parameters(unsigned model, const core_medium *medium) {
   return parameters;
 }
 
+double unit_value_at(const core_profile *profile, enum core_quantity quantity, double r_mm) {
+  if (profile->evaluator == CORE_EVALUATOR_F64) {
+    double out;
+    core_eval_f64(profile, quantity, 1, &r_mm, &out);
+    return out;
+  }
+  const float single = (float)r_mm;
+  float out;
+  core_eval_f32(profile, quantity, 1, &single, &out);
+  return (double)out;
+}
+
 char *unit_read_file(const char *path) {
   FILE *file = fopen(path, "rb");
   if (file == NULL) {

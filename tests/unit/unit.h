@@ -63,6 +63,9 @@ void unit_assert_fault(core_fault fault, const char *field, size_t index);
  * free paths. */
 core_parameters unit_parameters(unsigned model, const core_medium *medium);
 
+/* Returns an elementwise quantity of a profile at r mm, in the precision of its evaluator. */
+double unit_value_at(const core_profile *profile, enum core_quantity quantity, double r_mm);
+
 /* Reads a whole file as text, which the caller frees. Returns NULL if there is no such file. */
 char *unit_read_file(const char *path);
 

@@ -36,7 +36,8 @@ class _Media(NamedTuple):
     """The distinct media of a call, and which of them each medium of the call is."""
 
     distinct: Array  # [C, 4]
-    index: Array  # type: ignore[assignment]  # [...] of each medium in the call: its position in `distinct`
+    # [...] of each medium in the call: its position in `distinct`
+    index: Array  # type: ignore[assignment]
 
 
 def plan(

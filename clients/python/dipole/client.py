@@ -89,9 +89,10 @@ class Client:
         each other as numpy's functions do.
 
         media: a Medium whose fields may be arrays, or an array [..., 4], or the name of a measured
-        medium, whose three channels become the first axis. r: radii in mm, of any shape. For example, sigma_a of shape [H, W, 1] and r of shape [N] give values [H, W, N]; for
-        an image of media, r of shape [H, W] gives each pixel its own radius. quantity: the name of
-        a quantity that has a value for each radius. options: as of a Query.
+        medium, whose three channels become the first axis. r: radii in mm, of any shape. For
+        example, sigma_a of shape [H, W, 1] and r of shape [N] give values [H, W, N]; for an image
+        of media, r of shape [H, W] gives each pixel its own radius. quantity: the name of a
+        quantity that has a value for each radius. options: as of a Query.
 
         The number of media and radii is not limited: this method sends as many queries as it needs.
         deadline_ms holds for each query. Equal media are sent once.

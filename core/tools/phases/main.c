@@ -1,7 +1,7 @@
-/* phases FOLDER FILE: measures how far R of the model `transport` with the parameter gamma is from R
- * of phase functions with that gamma, and writes core/gamma_errors.def. The truth is the solver's,
- * with each phase function's own moments. It keeps results in FOLDER, so that an interrupted run
- * continues where it stopped. */
+/* phases FOLDER FILE: measures how far R of the model `transport` with the parameter gamma is from
+ * R of phase functions with that gamma, and writes core/gamma_errors.def. The truth is the
+ * solver's, with each phase function's own moments. It keeps results in FOLDER, so that an
+ * interrupted run continues where it stopped. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>

@@ -9,10 +9,10 @@
 
 enum { TERMS_MAX = 120, PANELS = 12, PANEL_NODES = 24, ANGLES = PANELS * PANEL_NODES, SIZES = 21 };
 
-/* Adds |S1|^2 + |S2|^2 of a sphere, times `share`, at each cosine. The equations are those of Bohren
- * and Huffman 1983, section 4.8 and Appendix A: D is the logarithmic derivative of psi(index x), by
- * downward recurrence; psi and chi are Riccati and Bessel's functions of x. Returns the number of
- * terms. */
+/* Adds |S1|^2 + |S2|^2 of a sphere, times `share`, at each cosine. The equations are those of
+ * Bohren and Huffman 1983, section 4.8 and Appendix A: D is the logarithmic derivative of psi(index
+ * x), by downward recurrence; psi and chi are Riccati and Bessel's functions of x. Returns the
+ * number of terms. */
 static size_t add_sphere(double index, double x, double share, const double *mu, double *sum) {
   const size_t terms = (size_t)(x + 4 * cbrt(x) + 2);
   double D[TERMS_MAX + 16] = {0}, before[ANGLES] = {0}, here[ANGLES];

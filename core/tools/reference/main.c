@@ -1,10 +1,11 @@
-/* reference FOLDER FILE EFFORT: writes the table core/transport/reference.csv: R(r) and totals of media with
- * Henyey and Greenstein's phase function by the solver's finest grids, each with an error bound, and
- * by Monte Carlo beside it. core/transport/REFERENCE.md says more. It keeps results in FOLDER, so
- * that an interrupted run continues where it stopped. Every machine writes the same file.
+/* reference FOLDER FILE EFFORT: writes the table core/transport/reference.csv: R(r) and totals of
+ * media with Henyey and Greenstein's phase function by the solver's finest grids, each with an
+ * error bound, and by Monte Carlo beside it. core/transport/REFERENCE.md says more. It keeps
+ * results in FOLDER, so that an interrupted run continues where it stopped. Every machine writes
+ * the same file.
  *
- * EFFORT is finest, or normal for a table with larger error bounds in a fifth of the time. A run with
- * normal takes what FOLDER has by the finest grids. */
+ * EFFORT is finest, or normal for a table with larger error bounds in a fifth of the time. A run
+ * with normal takes what FOLDER has by the finest grids. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>

@@ -31,8 +31,8 @@ void walks_run(walks_result *result, const walks_medium *medium, size_t rings, u
 /* Returns which of the rings has a radius; one of them must have it. */
 size_t walks_ring_of(size_t rings, double r);
 
-/* Returns the solver's mean of R over one of the rings, for boundary `eta` of the solution. If error
- * is not NULL, sets *error to the mean of the error that the solver states. */
+/* Returns the solver's mean of R over one of the rings, for boundary `eta` of the solution. If
+ * error is not NULL, sets *error to the mean of the error that the solver states. */
 double walks_mean(const transport_anisotropic *solution, size_t eta, size_t rings, size_t ring,
                   double *error);
 

@@ -5,8 +5,9 @@
  *            the paper. It writes DIR/costs.def, which `make tradeoff` copies to core/, and
  *            DIR/tradeoff.csv, which draw.py reads; see write_csv()
  *   errors   measures the error of each model against transport, for isotropic and for anisotropic
- *            scattering, and of isotropic scattering in place of anisotropic with g near 1. It writes DIR/model_errors.def, which `make model-errors` copies
- *            to core/. Every machine writes the same file.
+ *            scattering, and of isotropic scattering in place of anisotropic with g near 1. It
+ *            writes DIR/model_errors.def, which `make model-errors` copies to core/. Every machine
+ *            writes the same file.
  */
 #include <getopt.h>
 #include <math.h>

@@ -13,8 +13,8 @@
 #include "core/transport/transport.h"
 
 #define D_SOLVER_ERROR 2e-4 /* of the solver with TRANSPORT_EFFORT_NORMAL */
-/* With these ends, g = 0 is one of Chebyshev's points in w: w(G_LEAST) / w(G_MOST) = -(1 - c) / (1 +
- * c), c = sin(pi / 9). */
+/* With these ends, g = 0 is one of Chebyshev's points in w: w(G_LEAST) / w(G_MOST) = -(1 - c) / (1
+ * + c), c = sin(pi / 9). */
 #define G_MOST 0.951
 #define G_LEAST -0.50098670663654021
 
@@ -144,7 +144,8 @@ enum {
   FINEST_FIRST = 12 /* number of the first of `finest` among the checks */
 };
 
-/* Returns eta i of a medium: some fixed ones, then random ones below 1, from 1 on, and large ones. */
+/* Returns eta i of a medium: some fixed ones, then random ones below 1, from 1 on, and large
+ * ones. */
 static double eta_of_difference(size_t i, uint64_t *random) {
   static const double fixed[] = {0.7, 1, 1.01, 2.2};
   static const double ends[][2] = {{0.7, 1}, {1, 1.5}, {1.5, 2.2}};
@@ -310,10 +311,10 @@ static struct bands bands_of(size_t region) {
                         region % TRANSPORT_TABLE_BANDS_ALBEDO, eta, x};
 }
 
-/* Returns the largest error of a region and of those that are like it. Not every region has a medium
- * with the finest grids. Near the source the error hardly depends on the albedo, unless that is very
- * small. If it is, or if the region has few values, the error for all g counts. Where R is negligible
- * in all of them, the error is that of the band of smaller x. */
+/* Returns the largest error of a region and of those that are like it. Not every region has a
+ * medium with the finest grids. Near the source the error hardly depends on the albedo, unless that
+ * is very small. If it is, or if the region has few values, the error for all g counts. Where R is
+ * negligible in all of them, the error is that of the band of smaller x. */
 static double error_of(const checks_result *result, size_t region) {
   enum { FEW = 20, NEAR = 2 /* bands of x */ };
   const struct bands of = bands_of(region);

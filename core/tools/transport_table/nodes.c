@@ -340,8 +340,8 @@ static double difference(double x, double R, double kappa, const transport_serie
          fn_log((1 + kx) / (1 + kx_isotropic));
 }
 
-/* Sets values to D at the radii of medium j of a sample. Where R is below R_NOISE, D keeps the value
- * that it has at the last radius before. */
+/* Sets values to D at the radii of medium j of a sample. Where R is below R_NOISE, D keeps the
+ * value that it has at the last radius before. */
 static void find_differences(const transport_table *isotropic, const table_sample *sample, size_t j,
                              double values[PANELS * NODES_D_X]) {
   const double kappa = transport_anisotropic_kappa(sample->albedo[j], sample->g);
