@@ -69,7 +69,7 @@ MODBUS_LIBS = $(shell $(PKG_CONFIG) --libs libmodbus)
 CMINPACK ?= yes
 ifeq ($(CMINPACK),yes)
 CORE_LIBS = $(shell $(PKG_CONFIG) --libs cminpack)
-$(BUILD)/obj/core/models/fit.o: EXTRA_CPPFLAGS = $(shell $(PKG_CONFIG) --cflags cminpack)
+$(BUILD)/obj/core/models/gaussian_fit.o: EXTRA_CPPFLAGS = $(shell $(PKG_CONFIG) --cflags cminpack)
 else
 CPPFLAGS += -DCORE_WITHOUT_CMINPACK
 endif
@@ -98,7 +98,7 @@ KERNELS := $(foreach isa,$(ISAS),$(foreach real,32 64,$(MODELS:%=$(OBJ)/core/mod
 LOOPS := core/montecarlo/walk core/transport/dense_product
 KERNELS += $(foreach isa,$(ISAS),$(LOOPS:%=$(OBJ)/%.$(isa).o))
 
-CORE := $(call objects,$(filter-out $(LOOPS:%=%.c),$(wildcard core/*.c core/models/*.c core/montecarlo/*.c core/transport/*.c core/lut/*.c))) $(KERNELS)
+CORE := $(call objects,$(filter-out $(LOOPS:%=%.c),$(wildcard core/*.c core/models/*.c core/montecarlo/*.c core/transport/*.c core/lut/*.c core/fit/*.c))) $(KERNELS)
 PROTO := $(call objects,$(wildcard proto/*.c))
 SERVER := $(call objects,$(wildcard server/*.c server/*/*.c))
 LIBRARY := $(call objects,$(wildcard clients/c/*.c))

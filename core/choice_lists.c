@@ -70,6 +70,24 @@ const core_choice core_notes[] = {
     END,
 };
 
+#define CORE_FIT_SCALE(id, IDENT, name, about) {id, name, about},
+const core_choice core_fit_scales[] = {
+#include "core/choices.def"
+    END,
+};
+
+#define CORE_FIT_AXIS(id, IDENT, name, about) {id, name, about},
+const core_choice core_fit_axes[] = {
+#include "core/choices.def"
+    END,
+};
+
+#define CORE_FIT_STATUS(id, IDENT, name, about) {id, name, about},
+const core_choice core_fit_statuses[] = {
+#include "core/choices.def"
+    END,
+};
+
 #define ELEMENTWISE true
 #define CHANNEL false
 #define RADII false

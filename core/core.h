@@ -94,6 +94,21 @@ enum core_note {
 #include "core/choices.def"
 };
 
+#define CORE_FIT_SCALE(id, IDENT, name, about) CORE_FIT_SCALE_##IDENT = (id),
+enum core_fit_scale {
+#include "core/choices.def"
+};
+
+#define CORE_FIT_AXIS(id, IDENT, name, about) CORE_FIT_AXIS_##IDENT = (id),
+enum core_fit_axis {
+#include "core/choices.def"
+};
+
+#define CORE_FIT_STATUS(id, IDENT, name, about) CORE_FIT_STATUS_##IDENT = (id),
+enum core_fit_status {
+#include "core/choices.def"
+};
+
 /* One entry of a list, for listings and for turning names into ids. `about` is the source of a
  * model, the unit of a quantity, or the meaning of any other entry. */
 typedef struct core_choice {
@@ -113,6 +128,9 @@ extern const core_choice core_lengths[];
 extern const core_choice core_phases[];
 extern const core_choice core_parameter_list[];
 extern const core_choice core_notes[];
+extern const core_choice core_fit_scales[];
+extern const core_choice core_fit_axes[];
+extern const core_choice core_fit_statuses[];
 
 /* Returns the entry of a list with this id or this exact name, or NULL if there is none. */
 const core_choice *core_choice_by_id(const core_choice *list, unsigned id);

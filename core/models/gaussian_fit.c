@@ -38,21 +38,21 @@
 
 enum { POINTS = 100, CHECKS = 1000, STARTS = 2, CALLS_MAX = 200, UNKNOWNS = 2 * GAUSSIANS_MOST };
 
-core_check_function core_fit_check;
-core_prepare_function core_fit_prepare;
+core_check_function core_gaussian_fit_check;
+core_prepare_function core_gaussian_fit_prepare;
 
 #ifdef CORE_WITHOUT_CMINPACK
 
 static const core_fault without_cminpack = {
     "model", "another one: this build has no cminpack to fit with", 0};
 
-core_fault core_fit_check(const core_inputs *inputs, core_radii_range *radii) {
+core_fault core_gaussian_fit_check(const core_inputs *inputs, core_radii_range *radii) {
   (void)inputs;
   (void)radii;
   return without_cminpack;
 }
 
-core_fault core_fit_prepare(const core_inputs *inputs, core_preparation *preparation) {
+core_fault core_gaussian_fit_prepare(const core_inputs *inputs, core_preparation *preparation) {
   (void)inputs;
   (void)preparation;
   return without_cminpack;
@@ -91,7 +91,7 @@ static bool is_whole(double value) {
   return isnan(value) || value == floor(value);
 }
 
-core_fault core_fit_check(const core_inputs *inputs, core_radii_range *radii) {
+core_fault core_gaussian_fit_check(const core_inputs *inputs, core_radii_range *radii) {
   const struct asked asked = asked_of(inputs);
   if (!is_whole(inputs->parameters->value[CORE_PARAMETER_GAUSSIANS])) {
     return (core_fault){"gaussians", "an integer from 1 to 12", 0};
@@ -269,7 +269,7 @@ static core_fault fit_profile(const core_inputs *inputs, const core_profile *pro
   return fault;
 }
 
-core_fault core_fit_prepare(const core_inputs *inputs, core_preparation *preparation) {
+core_fault core_gaussian_fit_prepare(const core_inputs *inputs, core_preparation *preparation) {
   const struct asked asked = asked_of(inputs);
   core_profile profile;
   core_fault fault = core_profile_prepare(&profile, inputs->isa, asked.model, inputs->moments,

@@ -1,0 +1,124 @@
+/* fit: finds sigma_a and sigma_s' of a medium from readings of its reflectance.
+ *
+ * core_fit_create() takes what an instrument is: its places (distances or spatial frequencies), its
+ * fibres, the model, g, eta, and what is known about the scale. core_fit_run() then takes one set of
+ * readings after the other; it allocates nothing, keeps no state, and may be called from any number
+ * of threads with the same core_fit. The same readings give the same bits on every machine,
+ * whatever was fitted before.
+ *
+ * Method: chi-squared = sum ((value - factor model) / error)^2 is minimized by Levenberg's and
+ * Marquardt's method (Marquardt 1963) in ln sigma_a and ln sigma_s'; an unknown factor is eliminated,
+ * because the model is linear in it (Golub, Pereyra 1973). A grid of media, which the design keeps,
+ * gives the starts: each of its local minima is one, so that a second solution is found.
+ */
+#ifndef DIPOLED_CORE_FIT_H
+#define DIPOLED_CORE_FIT_H
+
+#include "core/core.h"
+
+/* Readings in a set. */
+#define CORE_FIT_READINGS_MAX 1024
+
+/* Media that are tried: sigma_a / sigma_s' between these two, and sigma_s' from CORE_FIT_NEAR_MIN
+ * over the largest distance to CORE_FIT_NEAR_MAX over the least. A frequency f counts as the
+ * distance 1 / (2 pi f), a distance that is shorter than the fibres' mean radius as that radius, and
+ * without any positive distance 1 mm counts. */
+#define CORE_FIT_RATIO_MIN 1e-8
+#define CORE_FIT_RATIO_MAX 100.0
+#define CORE_FIT_NEAR_MIN 1e-3
+#define CORE_FIT_NEAR_MAX 1e3
+
+/* A fit is `undetermined` if its condition number is at least CORE_FIT_CONDITION_MAX, or if the
+ * standard error of ln sigma_a or ln sigma_s' is at least CORE_FIT_LN_ERROR_MAX. It is `ambiguous`
+ * if the chi-squared of a second solution is less than CORE_FIT_AMBIGUOUS above that of the first. */
+#define CORE_FIT_CONDITION_MAX 1e6
+#define CORE_FIT_LN_ERROR_MAX 1.0
+#define CORE_FIT_AMBIGUOUS 9.0
+
+/* What does not change from one set of readings to the next. Arrays have `count` values. */
+typedef struct core_fit_design {
+  unsigned model;
+  unsigned moments;
+  double g;
+  double eta;
+  const core_parameters *parameters; /* of the model; NULL: none is given */
+  unsigned axis;                     /* of enum core_fit_axis */
+  size_t count;                      /* at least 2, or 3 with a free factor */
+  const double *at; /* axis RADIUS: distances in mm, above 0 without fibres; axis FREQUENCY:
+                                frequencies in 1/mm, at least 0 */
+  const double
+      *source_mm; /* diameters of the light's disc and of the detector's disc, at least 0; */
+  const double *detector_mm; /* NULL: 0. Each disc is uniform. */
+  unsigned scale;            /* of enum core_fit_scale */
+  core_medium reference;     /* the known medium, for scale REFERENCE alone */
+} core_fit_design;
+
+/* A design, prepared. It is immutable. */
+typedef struct core_fit core_fit;
+
+/* Returns the fault that core_fit_create() would return, but for memory. Fields: those of
+ * core_profile_check(); `axis`, `scale`, `count`; `at`, `source`, `detector` with the index of the
+ * reading; and `reference` if the model gives no light for it at the reading of that index. */
+core_fault core_fit_check(const core_fit_design *design);
+
+/* Prepares a design; the arrays are copied. On a fault *fit is NULL, else the caller owns it and
+ * frees it with core_fit_free(), which accepts NULL. */
+core_fault core_fit_create(core_fit **fit, const core_isa *isa, const core_fit_design *design);
+void core_fit_free(core_fit *fit);
+
+/* Returns the size in bytes of a prepared design. */
+size_t core_fit_bytes(const core_fit *fit);
+
+/* Bounds that a fit has reached, as bits. */
+enum core_fit_bound {
+  CORE_FIT_RATIO_LEAST = 1,
+  CORE_FIT_RATIO_MOST = 2,
+  CORE_FIT_SCATTERING_LEAST = 4,
+  CORE_FIT_SCATTERING_MOST = 8,
+};
+
+/* A medium that fits. */
+typedef struct core_fit_solution {
+  double sigma_a_per_mm;
+  double sigma_s_prime_per_mm; /* sigma_s (1 - g) */
+  double factor;               /* of all readings; 1 unless the scale is FREE */
+  double chi_squared;
+} core_fit_solution;
+
+/* Variances of sigma_a, sigma_s' and the factor and their covariances, in the units of their
+ * products. They follow from the readings' errors as stated and from the derivatives at the best
+ * medium. Those of the factor are 0 unless the scale is FREE. Without information they are
+ * infinite. */
+typedef struct core_fit_covariance {
+  double a_a;
+  double a_s;
+  double s_s;
+  double a_factor;
+  double s_factor;
+  double factor_factor;
+} core_fit_covariance;
+
+typedef struct core_fit_result {
+  enum core_fit_status status;
+  core_fault
+      fault; /* status REFUSED: field `value` or `error`, and the index; the rest is NAN or 0 */
+  core_fit_solution best;
+  core_fit_covariance covariance;
+  double reduced_chi_squared; /* chi-squared over (readings - unknowns); NAN if they are as many */
+  /* The largest over the least standard error along any direction of (ln sigma_a, ln sigma_s'), the
+   * factor being free if it is unknown: the square root of the condition of the information matrix.
+   * INFINITY if a direction changes nothing. */
+  double condition;
+  core_fit_solution second; /* all NAN if no other was found */
+  unsigned bounds;          /* bits of enum core_fit_bound */
+  unsigned evaluations;     /* of the model for all readings */
+  unsigned notes;           /* bits of enum core_note, of the model */
+} core_fit_result;
+
+/* Fits one set: values[count] at least 0, in 1/mm^2 (axis RADIUS) or 1 (FREQUENCY), or 1 for ratios;
+ * errors[count] are their standard errors, above 0 and finite. residuals: NULL, or room for count
+ * numbers (value - factor model) / error at the best medium. */
+void core_fit_run(const core_fit *fit, const double *values, const double *errors,
+                  core_fit_result *result, double *residuals);
+
+#endif

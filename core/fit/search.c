@@ -1,0 +1,362 @@
+#include "core/fit/search.h"
+
+#define CORE_REAL 64
+#include "core/kernel.h"
+
+/* Starts: local minima of the grid, the best first. */
+enum { STARTS_MAX = 4, EVALUATIONS_MAX = 60 };
+
+/* In the grid each reading has this relative error besides its own, so that the valley of media that
+ * fit is wider than the grid's steps. */
+#define GRID_ERROR 0.3
+
+/* The search ends with a step that is shorter than this in both logarithms, or, if rounding keeps
+ * chi-squared from falling, one that is shorter than STEP_ROUNDED. */
+#define STEP_END 1e-9
+#define STEP_ROUNDED 1e-5
+#define STEP_MOST 2.0 /* longer steps are shortened to this */
+
+#define DAMPING_FIRST 1e-2
+#define DAMPING_LEAST 1e-12
+#define DAMPING_MOST 1e10
+
+/* Two solutions within this in both logarithms are one. */
+#define SAME 1e-3
+
+struct fit_place fit_grid_place(const core_fit *fit, size_t i) {
+  const double ratio = (double)(i / FIT_GRID_SCATTERINGS) / (FIT_GRID_RATIOS - 1);
+  const double scattering = (double)(i % FIT_GRID_SCATTERINGS) / (FIT_GRID_SCATTERINGS - 1);
+  return (struct fit_place){
+      fma(ratio, fit->most.ln_ratio - fit->least.ln_ratio, fit->least.ln_ratio),
+      fma(scattering, fit->most.ln_scattering - fit->least.ln_scattering, fit->least.ln_scattering),
+  };
+}
+
+/* ---- chi-squared ----------------------------------------------------------------------------- */
+
+/* The readings of a set. */
+struct readings {
+  const double *values;
+  const double *errors;
+};
+
+/* Chi-squared at a medium as far as it is quadratic: information and gradient by (ln_ratio,
+ * ln_scattering), with the factor eliminated. */
+struct quadratic {
+  struct fit_place place;
+  double factor;
+  double chi_squared;
+  double rr, rs, ss; /* information */
+  double to_r, to_s; /* half of the descent of chi-squared by each logarithm */
+  double fr, fs, ff; /* information of ln factor with the two and by itself; 0 if it is known */
+};
+
+/* Returns the factor that fits best, which may be negative only if there is no light. */
+static double best_factor(const core_fit *fit, struct readings readings, const double *model) {
+  double both = 0, square = 0;
+  for (size_t i = 0; fit->free_factor && i < fit->count; i++) {
+    const double m = model[i] / readings.errors[i];
+    both = fma(m, readings.values[i] / readings.errors[i], both);
+    square = fma(m, m, square);
+  }
+  return fit->free_factor ? (square > 0 ? both / square : 0) : 1;
+}
+
+static double chi_squared(size_t count, struct readings readings, const double *model,
+                          double factor) {
+  double sum = 0;
+  for (size_t i = 0; i < count; i++) {
+    const double off = fma(-factor, model[i], readings.values[i]) / readings.errors[i];
+    sum = fma(off, off, sum);
+  }
+  return sum;
+}
+
+static void eliminate_factor(struct quadratic *q) {
+  if (q->ff > 0) {
+    q->rr -= q->fr * q->fr / q->ff;
+    q->rs -= q->fr * q->fs / q->ff;
+    q->ss -= q->fs * q->fs / q->ff;
+  }
+}
+
+/* Evaluates the model with its derivatives. Returns false if there is no such medium or no finite
+ * chi-squared. residuals may be NULL. */
+static bool expand(const core_fit *fit, struct readings readings, struct fit_place place,
+                   struct quadratic *q, double *residuals) {
+  double model[CORE_FIT_READINGS_MAX], by_r[CORE_FIT_READINGS_MAX], by_s[CORE_FIT_READINGS_MAX];
+  if (fit_values(&fit->model, place, fit->count, fit->at, model, by_r, by_s).field != NULL) {
+    return false;
+  }
+  for (size_t i = 0; i < fit->count; i++) {
+    model[i] *= fit->weight[i];
+  }
+  *q = (struct quadratic){.place = place, .factor = best_factor(fit, readings, model)};
+  for (size_t i = 0; i < fit->count; i++) {
+    const double error = readings.errors[i];
+    const double off = fma(-q->factor, model[i], readings.values[i]) / error;
+    const double r = q->factor * fit->weight[i] * by_r[i] / error;
+    const double s = q->factor * fit->weight[i] * by_s[i] / error;
+    const double f = fit->free_factor ? q->factor * model[i] / error : 0;
+    q->chi_squared = fma(off, off, q->chi_squared);
+    q->to_r = fma(off, r, q->to_r);
+    q->to_s = fma(off, s, q->to_s);
+    q->rr = fma(r, r, q->rr);
+    q->rs = fma(r, s, q->rs);
+    q->ss = fma(s, s, q->ss);
+    q->fr = fma(f, r, q->fr);
+    q->fs = fma(f, s, q->fs);
+    q->ff = fma(f, f, q->ff);
+    if (residuals != NULL) {
+      residuals[i] = off;
+    }
+  }
+  eliminate_factor(q);
+  return q->chi_squared < (double)INFINITY;
+}
+
+/* ---- the starts ------------------------------------------------------------------------------ */
+
+/* Sets chi[FIT_GRID] to chi-squared of each medium of the grid, with GRID_ERROR. */
+static void measure_grid(const core_fit *fit, struct readings readings, double *chi) {
+  double errors[CORE_FIT_READINGS_MAX];
+  for (size_t i = 0; i < fit->count; i++) {
+    const double wide = GRID_ERROR * readings.values[i];
+    errors[i] = sqrt(fma(wide, wide, readings.errors[i] * readings.errors[i]));
+  }
+  const struct readings widened = {readings.values, errors};
+  for (size_t i = 0; i < FIT_GRID; i++) {
+    const double *model = &fit->grid[i * fit->count];
+    chi[i] = chi_squared(fit->count, widened, model, best_factor(fit, widened, model));
+  }
+}
+
+/* Whether no neighbour of medium i has a smaller chi-squared, or an equal one and comes first. */
+static bool is_minimum(const double *chi, size_t i) {
+  const int ratio = (int)(i / FIT_GRID_SCATTERINGS), scattering = (int)(i % FIT_GRID_SCATTERINGS);
+  bool least = chi[i] < (double)INFINITY;
+  for (int u = ratio - 1; least && u <= ratio + 1; u++) {
+    for (int v = scattering - 1; least && v <= scattering + 1; v++) {
+      if (u >= 0 && u < FIT_GRID_RATIOS && v >= 0 && v < FIT_GRID_SCATTERINGS) {
+        const size_t other = (size_t)u * FIT_GRID_SCATTERINGS + (size_t)v;
+        least = !(chi[other] < chi[i]) && !(chi[other] <= chi[i] && other < i);
+      }
+    }
+  }
+  return least;
+}
+
+/* Sets starts[STARTS_MAX] to the best minima of the grid, the best first, and returns their number.
+ */
+static size_t find_starts(const core_fit *fit, struct readings readings, size_t *starts) {
+  double chi[FIT_GRID];
+  size_t count = 0;
+  measure_grid(fit, readings, chi);
+  for (size_t i = 0; i < FIT_GRID; i++) {
+    if (!is_minimum(chi, i)) {
+      continue;
+    }
+    size_t at = count < STARTS_MAX ? count++ : STARTS_MAX;
+    while (at > 0 && chi[i] < chi[starts[at - 1]]) {
+      if (at < STARTS_MAX) {
+        starts[at] = starts[at - 1];
+      }
+      at--;
+    }
+    if (at < STARTS_MAX) {
+      starts[at] = i;
+    }
+  }
+  return count;
+}
+
+/* ---- Levenberg and Marquardt ----------------------------------------------------------------- */
+
+static double clamp(double x, double least, double most) {
+  return real_min(real_max(x, least), most);
+}
+
+/* Returns whether a step of this sign would leave the bounds at once. */
+static bool blocked(double at, double least, double most, double step) {
+  return (at <= least && step < 0) || (at >= most && step > 0);
+}
+
+/* Returns the damped step from a medium. A logarithm that stands on its bound stays there if the step
+ * would cross it. */
+static struct fit_place step_from(const core_fit *fit, const struct quadratic *q, double damping) {
+  const double rr = q->rr * (1 + damping), ss = q->ss * (1 + damping);
+  const double determinant = fma(rr, ss, -q->rs * q->rs);
+  struct fit_place step = {0, 0};
+  if (determinant > 1e-15 * rr * ss) {
+    step.ln_ratio = fma(ss, q->to_r, -q->rs * q->to_s) / determinant;
+    step.ln_scattering = fma(rr, q->to_s, -q->rs * q->to_r) / determinant;
+  }
+  const bool no_ratio =
+      blocked(q->place.ln_ratio, fit->least.ln_ratio, fit->most.ln_ratio, step.ln_ratio);
+  const bool no_scattering = blocked(q->place.ln_scattering, fit->least.ln_scattering,
+                                     fit->most.ln_scattering, step.ln_scattering);
+  if (no_ratio) {
+    step = (struct fit_place){0, no_scattering || !(ss > 0) ? 0 : q->to_s / ss};
+  } else if (no_scattering) {
+    step = (struct fit_place){rr > 0 ? q->to_r / rr : 0, 0};
+  }
+  const double longest = real_max(fabs(step.ln_ratio), fabs(step.ln_scattering));
+  const double kept = longest > STEP_MOST ? STEP_MOST / longest : 1;
+  return (struct fit_place){step.ln_ratio * kept, step.ln_scattering * kept};
+}
+
+static struct fit_place moved(const core_fit *fit, struct fit_place place, struct fit_place step) {
+  return (struct fit_place){
+      clamp(place.ln_ratio + step.ln_ratio, fit->least.ln_ratio, fit->most.ln_ratio),
+      clamp(place.ln_scattering + step.ln_scattering, fit->least.ln_scattering,
+            fit->most.ln_scattering),
+  };
+}
+
+static double distance(struct fit_place a, struct fit_place b) {
+  return real_max(fabs(a.ln_ratio - b.ln_ratio), fabs(a.ln_scattering - b.ln_scattering));
+}
+
+/* Descends from *q to a minimum. Returns whether it settled. */
+static bool descend(const core_fit *fit, struct readings readings, struct quadratic *q,
+                    unsigned *evaluations) {
+  double damping = DAMPING_FIRST;
+  for (int i = 0; i < EVALUATIONS_MAX && damping < DAMPING_MOST; i++) {
+    const struct fit_place to = moved(fit, q->place, step_from(fit, q, damping));
+    const double length = distance(to, q->place);
+    struct quadratic next;
+    const bool valid = length > 0 && expand(fit, readings, to, &next, NULL);
+    *evaluations += length > 0;
+    if (valid && next.chi_squared <= q->chi_squared) {
+      *q = next;
+      damping = real_max(damping * 0.1, DAMPING_LEAST);
+      if (length < STEP_END) {
+        return true;
+      }
+    } else if (length < STEP_ROUNDED) {
+      return true;
+    } else {
+      damping *= 10;
+    }
+  }
+  return false;
+}
+
+/* ---- the result ------------------------------------------------------------------------------ */
+
+static core_fit_solution solution_of(const struct fit_model *model, const struct quadratic *q) {
+  const core_medium medium = fit_medium(model, q->place);
+  return (core_fit_solution){medium.sigma_a_per_mm, medium.sigma_s_per_mm * (1 - model->g),
+                             q->factor, q->chi_squared};
+}
+
+/* Sets the condition number and the covariance, from the information by the logarithms of sigma_a and
+ * sigma_s': ln(ratio) = ln sigma_a - ln sigma_s'. */
+static void set_errors(const struct quadratic *q, core_fit_result *result) {
+  const double aa = q->rr, as = q->rs - q->rr, ss = q->rr - 2 * q->rs + q->ss;
+  const double half = 0.5 * (aa + ss), apart = 0.5 * (aa - ss);
+  const double larger = half + sqrt(fma(apart, apart, as * as));
+  const double determinant = fma(q->rr, q->ss, -q->rs * q->rs);
+  const bool known = determinant > 1e-15 * q->rr * q->ss;
+  const core_fit_solution *best = &result->best;
+  core_fit_covariance *c = &result->covariance;
+  result->condition = known ? larger / sqrt(determinant) : (double)INFINITY;
+  if (!known) {
+    *c = (core_fit_covariance){
+        (double)INFINITY, 0, (double)INFINITY, 0, 0, q->ff > 0 ? (double)INFINITY : 0};
+    return;
+  }
+  const double var_a = ss / determinant, cov = -as / determinant, var_s = aa / determinant;
+  *c = (core_fit_covariance){
+      .a_a = best->sigma_a_per_mm * best->sigma_a_per_mm * var_a,
+      .a_s = best->sigma_a_per_mm * best->sigma_s_prime_per_mm * cov,
+      .s_s = best->sigma_s_prime_per_mm * best->sigma_s_prime_per_mm * var_s,
+  };
+  if (q->ff > 0) {
+    const double fa = q->fr / q->ff, fs = (q->fs - q->fr) / q->ff;
+    const double a = -(fa * var_a + fs * cov), s = -(fa * cov + fs * var_s);
+    c->a_factor = best->factor * best->sigma_a_per_mm * a;
+    c->s_factor = best->factor * best->sigma_s_prime_per_mm * s;
+    c->factor_factor = best->factor * best->factor * (1 / q->ff - fa * a - fs * s);
+  }
+}
+
+static unsigned bounds_of(const core_fit *fit, struct fit_place place) {
+  return (place.ln_ratio <= fit->least.ln_ratio ? CORE_FIT_RATIO_LEAST : 0u) |
+         (place.ln_ratio >= fit->most.ln_ratio ? CORE_FIT_RATIO_MOST : 0u) |
+         (place.ln_scattering <= fit->least.ln_scattering ? CORE_FIT_SCATTERING_LEAST : 0u) |
+         (place.ln_scattering >= fit->most.ln_scattering ? CORE_FIT_SCATTERING_MOST : 0u);
+}
+
+static enum core_fit_status status_of(const core_fit_result *result, bool settled) {
+  const core_fit_solution *best = &result->best;
+  const double limit = CORE_FIT_LN_ERROR_MAX * CORE_FIT_LN_ERROR_MAX;
+  const bool vague =
+      !(result->condition < CORE_FIT_CONDITION_MAX) ||
+      !(result->covariance.a_a < limit * best->sigma_a_per_mm * best->sigma_a_per_mm) ||
+      !(result->covariance.s_s < limit * best->sigma_s_prime_per_mm * best->sigma_s_prime_per_mm);
+  return result->bounds != 0 ? CORE_FIT_STATUS_AT_BOUND
+         : vague             ? CORE_FIT_STATUS_UNDETERMINED
+         : !settled          ? CORE_FIT_STATUS_UNFINISHED
+         : result->second.chi_squared < best->chi_squared + CORE_FIT_AMBIGUOUS
+             ? CORE_FIT_STATUS_AMBIGUOUS
+             : CORE_FIT_STATUS_FITTED;
+}
+
+/* A minimum that the search has found. */
+struct minimum {
+  struct quadratic at;
+  bool settled;
+  bool found;
+};
+
+/* Keeps the best two minima that are not the same. */
+static void keep(struct minimum *best, struct minimum *second, const struct minimum *now) {
+  if (best->found && distance(best->at.place, now->at.place) < SAME) {
+    if (now->at.chi_squared < best->at.chi_squared) {
+      *best = *now;
+    }
+  } else if (!best->found || now->at.chi_squared < best->at.chi_squared) {
+    *second = *best;
+    *best = *now;
+  } else if (!second->found || now->at.chi_squared < second->at.chi_squared) {
+    *second = *now;
+  }
+}
+
+static const core_fit_solution no_solution = {(double)NAN, (double)NAN, (double)NAN, (double)NAN};
+
+void fit_search(const core_fit *fit, const double *values, const double *errors,
+                core_fit_result *result, double *residuals) {
+  const struct readings readings = {values, errors};
+  struct minimum best = {.found = false}, second = {.found = false};
+  size_t starts[STARTS_MAX];
+  const size_t count = find_starts(fit, readings, starts);
+  *result = (core_fit_result){.best = no_solution, .second = no_solution, .notes = fit->notes};
+  for (size_t i = 0; i < count; i++) {
+    struct minimum now = {.found = true};
+    result->evaluations++;
+    if (expand(fit, readings, fit_grid_place(fit, starts[i]), &now.at, NULL)) {
+      now.settled = descend(fit, readings, &now.at, &result->evaluations);
+      keep(&best, &second, &now);
+    }
+  }
+  if (!best.found) {
+    result->status = CORE_FIT_STATUS_UNFINISHED;
+    return;
+  }
+  const size_t unknowns = fit->free_factor ? 3 : 2;
+  result->best = solution_of(&fit->model, &best.at);
+  result->bounds = bounds_of(fit, best.at.place);
+  result->reduced_chi_squared =
+      fit->count > unknowns ? best.at.chi_squared / (double)(fit->count - unknowns) : (double)NAN;
+  if (second.found && second.settled) {
+    result->second = solution_of(&fit->model, &second.at);
+  }
+  set_errors(&best.at, result);
+  result->status = status_of(result, best.settled);
+  if (residuals != NULL) {
+    struct quadratic again;
+    expand(fit, readings, best.at.place, &again, residuals);
+  }
+}
