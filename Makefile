@@ -429,9 +429,10 @@ gamma-errors: $(BUILD)/phases
 
 figures:
 	@sh .ci/install-packages demo figures
-	@$(MAKE) --no-print-directory -j2 $(BUILD)/dipoled
+	@$(MAKE) --no-print-directory -j2 $(BUILD)/dipoled $(BUILD)/dipole
 	DIPOLED=private:$(BUILD)/dipoled $(PYTHON) core/tools/figures.py --output $(BUILD)/figures $(FIGURES_OPTIONS)
 	cp $(BUILD)/figures/tissue.svg core/tools/
+	$(BUILD)/dipole plot --medium skin1 --model classical,better,transport --error --plot clients/cli/skin1.svg
 
 docs: $(BUILD)/wire-tables
 	@sh .ci/install-packages docs

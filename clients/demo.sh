@@ -45,7 +45,7 @@ daemon=$!
 
 # Ready when it answers; it has ten seconds to get there.
 tries=100
-until "$build/dipole" info --connect "$address" >/dev/null 2>&1; do
+until "$build/dipole" info --connect "$address" --retry-ms 0 >/dev/null 2>&1; do
   kill -0 "$daemon" 2>/dev/null || fail "the daemon ended before it was ready"
   tries=$((tries - 1))
   [ "$tries" -gt 0 ] || fail "the daemon was not ready after 10 seconds"

@@ -407,7 +407,7 @@ static size_t caption_lines(const cli_eval_report *report) {
   return count;
 }
 
-/* Writes the caption below all panels, from the lower left corner of the picture upwards. */
+/* Writes the caption of a file: below all panels, from the lower left corner of it upwards. */
 static void write_caption(FILE *script, const cli_eval_report *report, const grid *g) {
   char text[CAPTION_BYTES];
   const size_t count = caption_lines(report);
@@ -515,7 +515,7 @@ static void write_file_script(FILE *script, const void *context) {
 
 /* ---- text: panel below panel, each as large as the terminal ---------------------------------- */
 
-enum { TEXT_COLUMNS_LEAST = 32, TEXT_ROWS_LEAST = 14 };
+enum { TEXT_COLUMNS_LEAST = 32, TEXT_ROWS_LEAST = 13 };
 
 /* Curve i is drawn with mark i. If there are more curves than marks, some curves share a mark. */
 static const char marks[] = "*o+x#@%&=$abcdefghijklmnpqrstuvwyzABCDEFGHIJKLMNOPQRSTUVWXYZ";
@@ -562,12 +562,46 @@ static void write_text_script(FILE *script, const void *context) {
   }
 }
 
+/* Writes the caption in lines of at most `columns` characters, broken at blanks. Returns how many
+ * lines it has. file: NULL if the lines are only to be counted. */
+static size_t write_text_caption(FILE *file, const cli_eval_report *report, size_t columns) {
+  char text[CAPTION_BYTES];
+  size_t lines = 0;
+  for (size_t i = 0; caption_line(report, i, text); i++) {
+    for (const char *at = text; *at != '\0'; lines++) {
+      size_t length = strlen(at);
+      if (length > columns) {
+        length = columns;
+        while (length > 0 && at[length] != ' ') {
+          length--;
+        }
+        length = length > 0 ? length : columns;
+      }
+      if (file != NULL) {
+        fprintf(file, "%.*s\n", (int)length, at);
+      }
+      at += length + strspn(at + length, " ");
+    }
+  }
+  return lines;
+}
+
+/* One row of the terminal is for the prompt, and some are for the caption. An empty line is above
+ * the caption if there is room; gnuplot ends a coloured text with such a line itself. */
 static bool draw_text(const cli_picture *picture, char error[CLI_GNUPLOT_ERROR_BYTES]) {
   const cli_terminal terminal = cli_terminal_look();
-  const size_t columns = terminal.columns, rows = terminal.rows - 1; /* one row is for the prompt */
-  return cli_gnuplot_text(
-      stdout, terminal.styled, columns > TEXT_COLUMNS_LEAST ? columns : TEXT_COLUMNS_LEAST,
-      rows > TEXT_ROWS_LEAST ? rows : TEXT_ROWS_LEAST, write_text_script, picture, error);
+  const size_t columns =
+      terminal.columns > TEXT_COLUMNS_LEAST ? terminal.columns : TEXT_COLUMNS_LEAST;
+  const size_t others = 2 + write_text_caption(NULL, picture->report, columns);
+  const bool fits = terminal.rows >= others + TEXT_ROWS_LEAST;
+  if (!cli_gnuplot_text(stdout, terminal.styled, columns,
+                        fits ? terminal.rows - others : TEXT_ROWS_LEAST, write_text_script, picture,
+                        error)) {
+    return false;
+  }
+  fputs(fits && !terminal.styled ? "\n" : "", stdout);
+  write_text_caption(stdout, picture->report, columns);
+  return true;
 }
 
 /* ---- drawing --------------------------------------------------------------------------------- */

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from daemons import Daemon
-from lists import read_list
+from lists import EVALUATORS, MODELS, read_list
 
 TCP = "--modbus", "tcp:127.0.0.1:0"
 
@@ -25,6 +25,7 @@ WRITE_COIL, WRITE_REGISTER, WRITE_COILS, WRITE_REGISTERS = 5, 6, 15, 16
 REPORT_ID, MASK_WRITE, WRITE_READ, DEVICE_ID = 17, 22, 23, 43
 BAD_FUNCTION, BAD_ADDRESS, BAD_VALUE, BUSY, NO_UNIT = 1, 2, 3, 6, 11
 
+BAD_VALUE_STATUS, BUSY_STATUS, DEADLINE_STATUS, BAD_ADDRESS_STATUS = 6, 10, 12, 13  # `error`
 IDLE, IS_BUSY, DONE, ERROR = range(4)  # values of the register `status`
 MIRROR = 2000
 
@@ -332,3 +333,25 @@ def input_block(
     data = words(token, model, evaluator, moments) + floats(tolerance, *medium)
     data += words(spacing, count) + floats(start, stop)
     return data if grid else data + floats(*radii)
+
+
+# ---- jobs ----------------------------------------------------------------------------------------
+
+SKIN = (0.032, 0.74, 0.0, 1.3)
+SLOW = {"model": MODELS["transport"], "evaluator": EVALUATORS["f64"]}
+
+
+def slow_medium(number: int) -> tuple[float, ...]:
+    """Returns a medium that no request has had."""
+    return single((0.032 + 1e-3 * number, 0.74, 0.0, 1.3))
+
+
+def single(values) -> tuple[float, ...]:
+    """Rounds numbers to float32."""
+    return tuple(float(np.float32(value)) for value in values)
+
+
+def run_job(master: Tcp, unit: int, block: bytes):
+    """Commits a job, waits for its end, and returns the head of the output block."""
+    master.write_read(100, block, 300, 8, unit)
+    return master.wait(unit)

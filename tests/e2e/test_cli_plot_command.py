@@ -13,6 +13,7 @@ import dipole as dipole_module
 import numpy as np
 import pytest
 from command_line import FAILED, USAGE, Proxy, Terminal, busy, dipole, eval_rows, read_csv, says
+from daemons import REPOSITORY
 from lists import everywhere
 from pictures import SVG, check_png, path_points, png_size, style, svg_lines, svg_size, svg_texts
 
@@ -302,7 +303,17 @@ def test_a_table_and_a_drawing():
     run = dipole(*SKIN, "--axes", "gamma", "--format", "table", "--count", "3", "--plot", "-")
     table, _, drawing = run.stdout.partition("skin1: R^(1/2.2) (R in 1/mm^2)\n")
     assert "R^(1/2.2) red" in table and "numerical error" in table
-    assert drawing.endswith("better, blue\n")
+    assert "better, blue\n\nred: sigma_a 0.032/mm" in drawing
+
+
+def test_the_picture_of_the_readme_is_current(tmp_path):
+    """`make figures` draws it with this command."""
+    drawn, kept = tmp_path / "a.svg", REPOSITORY / "clients/cli/skin1.svg"
+    arguments = ["--model", "classical,better,transport", "--error", "--plot", str(drawn)]
+    dipole("plot", "--medium", "skin1", *arguments)
+    texts = [sorted(svg_texts(ElementTree.parse(path).getroot())) for path in (drawn, kept)]
+    assert texts[0] == texts[1]
+    assert "red: sigma_a 0.032/mm, sigma_s 0.74/mm, g 0, eta 1.3" in texts[0]
 
 
 def test_without_gnuplot(tmp_path):
@@ -360,14 +371,15 @@ def test_marks_stand_where_the_values_are(axes):
             assert "*" in near, (at, row, lines)
             checked += 1
     assert checked >= 8
-    assert lines[-1].split() == ["+..*..+better"]
+    assert lines[-3].split() == ["+..*..+better"]
+    assert lines[-2:] == ["", "red: sigma_a 0.032/mm, sigma_s 0.74/mm, g 0, eta 1.3"]
 
 
 def test_curves_have_marks_and_a_legend():
     lines = dipole(*SKIN, "--model", "classical,better").stdout.splitlines()
     assert lines[0].strip() == f"skin1: R ({UNIT})"
     assert set("*o+x#@") <= set("".join(inside(lines)[1]))
-    legend = " ".join(lines[-2:])
+    legend = " ".join(lines[-6:-4])
     assert sorted(re.findall(r"\+\.\.(\S)\.\.\+(\w+, \w+)", legend)) == sorted([
         ("*", "classical, red"),
         ("o", "classical, green"),
@@ -396,7 +408,22 @@ def test_eval_draws_text_too():
     assert run.stdout.startswith(table)
     drawing = run.stdout[len(table) :].splitlines()
     assert drawing[0].strip() == f"skin1: R ({UNIT})"
-    assert len(inside(drawing)[1]) >= 8 and "..*..+better, red" in drawing[-1]
+    assert len(inside(drawing)[1]) >= 8 and "..*..+better, red" in drawing[-5]
+    assert drawing[-3:] == [
+        "red: sigma_a 0.032/mm, sigma_s 0.74/mm, g 0, eta 1.3",
+        "green: sigma_a 0.17/mm, sigma_s 0.88/mm, g 0, eta 1.3",
+        "blue: sigma_a 0.48/mm, sigma_s 1.01/mm, g 0, eta 1.3",
+    ]
+
+
+def test_the_caption_fits_a_narrow_terminal():
+    """A medium with g has a note. Both are broken at blanks."""
+    medium = ["--sigma-a", "0.05", "--sigma-s", "9", "--g", "0.9", "--eta", "1.4"]
+    lines = shown("plot", *medium, "--model", "better", size=(30, 40), NO_COLOR="1").splitlines()
+    assert max(map(len, lines)) <= 40 and len(lines) <= 29
+    caption = " ".join(lines[-4:])
+    values = "channel 1: sigma_a 0.05/mm, sigma_s 9/mm, g 0.9, eta 1.4"
+    assert caption.startswith(f"{values} similarity: ")
 
 
 def shown(*arguments: str, on: int = 1, **how) -> str:

@@ -8,12 +8,11 @@ import struct
 import pytest
 from lists import EVALUATORS, MODELS
 from modbus_master import (
-    AT, BAD_ADDRESS, BAD_FUNCTION, BAD_VALUE, MASK_WRITE, MIRROR, READ_COILS, READ_HOLDING,
-    READ_INPUTS, WRITE_COIL, WRITE_COILS, WRITE_READ, WRITE_REGISTER, WRITE_REGISTERS, Exception_,
-    Tcp, as_floats, as_words, floats, swapped, words,
+    AT, BAD_ADDRESS, BAD_ADDRESS_STATUS, BAD_FUNCTION, BAD_VALUE, BAD_VALUE_STATUS, MASK_WRITE,
+    MIRROR, READ_COILS, READ_HOLDING, READ_INPUTS, WRITE_COIL, WRITE_COILS, WRITE_READ,
+    WRITE_REGISTER, WRITE_REGISTERS, Exception_, Tcp, as_floats, as_words, floats, swapped, words,
 )
 
-BAD_VALUE_STATUS, BAD_ADDRESS_STATUS = 6, 13
 NAN, INF = float("nan"), float("inf")
 
 

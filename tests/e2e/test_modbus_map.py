@@ -106,7 +106,7 @@ def test_statistics_are_the_daemons(daemon):
 
 
 def test_the_defaults_can_be_committed(master):
-    unit = 80  # test_modbus_jobs.py uses 2 to 60 of the same daemon
+    unit = 80  # test_modbus_eval.py uses 2 to 60 of the same daemon
     assert master.job(unit) == (0,) * 8
     assert np.isnan(as_floats(master.read(AT["R"], 100, unit))).all()
     master.write_one(AT["COMMIT"], 5, unit)

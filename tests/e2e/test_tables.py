@@ -5,12 +5,13 @@ from __future__ import annotations
 import ctypes
 import functools
 import math
+import re
 import zlib
 
 import dipole
 import numpy as np
 import pytest
-from daemons import BUILD, sanitized
+from daemons import BUILD, REPOSITORY, sanitized
 from dipole import Medium, Table, wire
 from frames import BETTER, EXACT, SKIN, ask, assert_refused, media_bytes, parameters_bytes, refused
 from lists import MODELS, NOTES, PARAMETERS, QUANTITIES, needs
@@ -73,6 +74,28 @@ def assert_same_bits(table: Table, client: dipole.Client, model: str, medium: Me
 def test_same_bits_as_the_daemon(client, case):
     model, medium = case
     assert_same_bits(client.table(model, medium), client, model, medium)
+
+
+def test_the_tolerances_of_the_header(client):
+    """dipole.h says which tolerances tables are built to, and which is the default."""
+    header = " ".join((REPOSITORY / "clients/c/dipole.h").read_text().split())
+    number = r"(\S+)"
+    said = re.search(
+        rf"built to: at least {number}, by default {number}\. "
+        rf"A value above {number} counts as {number}\. \*/",
+        header,
+    )
+    least, usual, most, same = map(float, said.groups())
+    assert most == same
+
+    def ask(**tolerance: float) -> bytes:
+        radii = [0.1, 0.5, 1, 3, 10]
+        return client.eval("transport", SKIN, radii, evaluator="lut", **tolerance).R.tobytes()
+
+    assert ask() == ask(tolerance=usual) != ask(tolerance=least)
+    assert ask(tolerance=2 * most) == ask(tolerance=most) != ask(tolerance=usual)
+    with pytest.raises(dipole.Refused, match=f"tolerance: allowed is {said[1]} to 1 with lut"):
+        ask(tolerance=0.99 * least)
 
 
 def test_a_tolerance_above_a_tenth_counts_as_a_tenth(client):
