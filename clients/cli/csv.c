@@ -40,12 +40,14 @@ static int peek(cli_csv_reader *reader) {
   return (unsigned char)reader->input[reader->begin];
 }
 
-static void keep(cli_csv_record *record, int byte) {
-  if (record->length == record->capacity) {
-    record->capacity = record->capacity == 0 ? 256 : 2 * record->capacity;
+static void keep(cli_csv_record *record, const char *bytes, size_t count) {
+  if (count > record->capacity - record->length) {
+    record->capacity = 2 * (record->capacity + count) + 128;
     record->bytes = cli_resize(record->bytes, record->capacity, 1);
+    record->texts = cli_resize(record->texts, record->capacity, 1);
   }
-  record->bytes[record->length++] = (char)byte;
+  memcpy(record->bytes + record->length, bytes, count);
+  record->length += count;
 }
 
 static void end_cell(cli_csv_record *record, size_t begin, size_t end) {
@@ -53,7 +55,7 @@ static void end_cell(cli_csv_record *record, size_t begin, size_t end) {
     record->cell_capacity = record->cell_capacity == 0 ? 16 : 2 * record->cell_capacity;
     record->cells = cli_resize(record->cells, record->cell_capacity, sizeof *record->cells);
   }
-  record->cells[record->cell_count++] = (cli_csv_cell){begin, end};
+  record->cells[record->cell_count++] = (cli_csv_cell){begin, end, 0};
 }
 
 /* ---- records --------------------------------------------------------------------------------- */
@@ -81,6 +83,28 @@ static enum state next_state(enum state state, int byte, cli_csv_record *record)
   return state;
 }
 
+/* Copies the text of a cell without its quotes, with a zero byte behind it. The texts of a record's
+ * cells lie where the cells do, so that each has room. */
+static void copy_text(cli_csv_record *record, cli_csv_cell *cell) {
+  const char *from = record->bytes + cell->begin;
+  char *text = record->texts + cell->begin;
+  size_t left = cell->end - cell->begin;
+  const bool quoted = left >= 2 && from[0] == '"' && from[left - 1] == '"';
+  if (!quoted) {
+    memcpy(text, from, left);
+    cell->text_length = left;
+    text[left] = '\0';
+    return;
+  }
+  from++;
+  left -= 2;
+  for (size_t i = 0; i < left; i++) {
+    text[cell->text_length++] = from[i];
+    i += from[i] == '"' && i + 1 < left && from[i + 1] == '"';
+  }
+  text[cell->text_length] = '\0';
+}
+
 /* Ends the last cell before the line's end. */
 static void end_record(cli_csv_record *record, size_t cell_begin, bool comment) {
   const size_t length = record->length;
@@ -90,6 +114,11 @@ static void end_record(cli_csv_record *record, size_t cell_begin, bool comment) 
   if (!comment) {
     const size_t end = length - record->ending_bytes;
     end_cell(record, cell_begin, end > cell_begin ? end : cell_begin);
+    keep(record, "", 1); /* room for the zero byte of the last text */
+    record->length--;
+    for (size_t i = 0; i < record->cell_count; i++) {
+      copy_text(record, &record->cells[i]);
+    }
   }
 }
 
@@ -101,6 +130,22 @@ static bool is_blank(const cli_csv_record *record, size_t begin) {
   return begin == record->length;
 }
 
+/* Takes further bytes of a cell that began without a quote, or of a comment: those that have been
+ * read and end neither. */
+static void take_run(cli_csv_reader *reader, cli_csv_record *record, bool comment) {
+  const char *from = reader->input + reader->begin;
+  size_t most = reader->end - reader->begin;
+  if (most > CLI_CSV_RECORD_MAX_BYTES - record->length) {
+    most = CLI_CSV_RECORD_MAX_BYTES - record->length;
+  }
+  size_t count = 0;
+  while (count < most && from[count] != '\n' && (comment || from[count] != ',')) {
+    count++;
+  }
+  keep(record, from, count);
+  reader->begin += count;
+}
+
 /* Takes the bytes of a byte order mark at the start of the input, and returns their number: 3, or
  * less if the mark is not whole. */
 static size_t take_byte_order_mark(cli_csv_reader *reader, cli_csv_record *record) {
@@ -110,7 +155,7 @@ static size_t take_byte_order_mark(cli_csv_reader *reader, cli_csv_record *recor
     return 0;
   }
   while (taken < sizeof mark && peek(reader) == mark[taken]) {
-    keep(record, mark[taken++]);
+    keep(record, (const char *)&mark[taken++], 1);
     reader->begin++;
   }
   return taken;
@@ -130,7 +175,7 @@ enum cli_csv_kind cli_csv_read(cli_csv_reader *reader, cli_csv_record *record) {
       return CLI_CSV_TOO_LONG;
     }
     reader->begin++;
-    keep(record, byte);
+    keep(record, &(char){(char)byte}, 1);
     reader->lines += byte == '\n';
     if (byte == '\n' && state != IN_QUOTES) {
       break;
@@ -141,6 +186,9 @@ enum cli_csv_kind cli_csv_read(cli_csv_reader *reader, cli_csv_record *record) {
       state = CELL_START;
     } else {
       state = next_state(state, byte, record);
+    }
+    if (state == IN_CELL || state == IN_COMMENT) {
+      take_run(reader, record, state == IN_COMMENT);
     }
   }
   if (reader->read_errno != 0) {
@@ -159,6 +207,7 @@ enum cli_csv_kind cli_csv_read(cli_csv_reader *reader, cli_csv_record *record) {
 
 void cli_csv_record_free(cli_csv_record *record) {
   free(record->bytes);
+  free(record->texts);
   free(record->cells);
   *record = (cli_csv_record){0};
 }
@@ -172,29 +221,14 @@ void cli_csv_record_trim(cli_csv_record *record) {
 
 /* ---- cells ----------------------------------------------------------------------------------- */
 
-char *cli_csv_cell_text(const cli_csv_record *record, size_t index, size_t *length) {
-  const cli_csv_cell cell = record->cells[index];
-  const char *from = record->bytes + cell.begin;
-  size_t left = cell.end - cell.begin;
-  char *text = cli_allocate(left + 1, 1);
-  size_t kept = 0;
-  const bool quoted = left >= 2 && from[0] == '"' && from[left - 1] == '"';
-  if (quoted) {
-    from++;
-    left -= 2;
-  }
-  for (size_t i = 0; i < left; i++) {
-    text[kept++] = from[i];
-    i += quoted && from[i] == '"' && i + 1 < left && from[i + 1] == '"';
-  }
-  text[kept] = '\0';
-  *length = kept;
-  return text;
+const char *cli_csv_cell_text(const cli_csv_record *record, size_t index, size_t *length) {
+  *length = record->cells[index].text_length;
+  return record->texts + record->cells[index].begin;
 }
 
 void cli_csv_copy_cell(const cli_csv_record *record, size_t index, FILE *file) {
   const cli_csv_cell cell = record->cells[index];
-  fwrite(record->bytes + cell.begin, 1, cell.end - cell.begin, file);
+  fwrite_unlocked(record->bytes + cell.begin, 1, cell.end - cell.begin, file);
 }
 
 void cli_csv_write_cell(const char *text, FILE *file) {

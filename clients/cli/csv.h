@@ -16,11 +16,13 @@
 enum { CLI_CSV_INPUT_BYTES = 65536 };
 
 typedef struct cli_csv_cell {
-  size_t begin, end; /* where the cell lies in the record's bytes, with its quotes */
+  size_t begin, end;  /* where the cell lies in the record's bytes, with its quotes */
+  size_t text_length; /* of the cell without its quotes */
 } cli_csv_cell;
 
 typedef struct cli_csv_record {
   char *bytes; /* the record as it was read, with the line's end */
+  char *texts; /* the texts of the cells, see cli_csv_cell_text() */
   size_t length, capacity;
   size_t ending_bytes; /* how many bytes the line's end has: 0, 1 or 2 */
   cli_csv_cell *cells;
@@ -54,9 +56,9 @@ enum cli_csv_kind {
  * the input is part of the first record's bytes, but not of its first cell. */
 enum cli_csv_kind cli_csv_read(cli_csv_reader *reader, cli_csv_record *record);
 
-/* Returns the text of a cell without its quotes; free it. The text may hold zero bytes; *length is
- * its length with them. */
-char *cli_csv_cell_text(const cli_csv_record *record, size_t index, size_t *length);
+/* Returns the text of a cell without its quotes. It is valid until the next record is read. The text
+ * may hold zero bytes; *length is its length with them. */
+const char *cli_csv_cell_text(const cli_csv_record *record, size_t index, size_t *length);
 
 /* Write a cell as it was read, or a text as a cell, in quotes where it needs them. */
 void cli_csv_copy_cell(const cli_csv_record *record, size_t index, FILE *file);

@@ -204,9 +204,7 @@ static bool fail_missing(const char *source, const char *missing, const cli_csv_
   size_t bytes = 0, length;
   FILE *found = open_memstream(&text, &bytes);
   for (size_t i = 0; found != NULL && i < header->cell_count; i++) {
-    char *name = cli_csv_cell_text(header, i, &length);
-    fprintf(found, "%s%s", i > 0 ? ", " : "", name);
-    free(name);
+    fprintf(found, "%s%s", i > 0 ? ", " : "", cli_csv_cell_text(header, i, &length));
   }
   if (found != NULL) {
     fclose(found);
@@ -268,9 +266,7 @@ static bool find_columns(const points_usual *usual, const char *source,
   columns->parameter_count = columns->output_count = 0;
   list_outputs(usual, columns);
   for (size_t i = 0; good && i < header->cell_count; i++) {
-    char *name = cli_csv_cell_text(header, i, &length);
-    good = take_column(usual, source, name, i, columns);
-    free(name);
+    good = take_column(usual, source, cli_csv_cell_text(header, i, &length), i, columns);
   }
   if (good && has_radii(usual) && columns->input_at[R] != POINTS_ABSENT) {
     cli_fail("%s: the header has the column r: leave --r out, or rename the column", source);
@@ -368,23 +364,19 @@ __attribute__((format(printf, 2, 3))) static bool make_bad(points_row *row, cons
   return false;
 }
 
-/* Returns the text of an input's cell, which the caller frees; NULL if it is empty or absent. */
-static char *text_of(const points_columns *columns, const points_row *row, size_t input) {
+/* Returns the text of an input's cell; NULL if it is empty or absent. */
+static const char *text_of(const points_columns *columns, const points_row *row, size_t input) {
   size_t length = 0;
   const size_t at = columns->input_at[input];
-  char *text = at == POINTS_ABSENT ? NULL : cli_csv_cell_text(&row->record, at, &length);
-  if (length == 0) {
-    free(text);
-    return NULL;
-  }
-  return text;
+  const char *text = at == POINTS_ABSENT ? NULL : cli_csv_cell_text(&row->record, at, &length);
+  return length == 0 ? NULL : text;
 }
 
 /* Reads the name of a model or a kind of moments, `otherwise` if the cell is empty or absent. */
 static bool parse_name(const points_usual *usual, const points_columns *columns, points_row *row,
                        size_t input, enum dipole_kind kind, const char *otherwise, unsigned *id) {
   char known[160];
-  char *text = text_of(columns, row, input);
+  const char *text = text_of(columns, row, input);
   const char *name = text != NULL ? text : otherwise;
   const dipole_choice *choice = cli_choice(usual->info, kind, name);
   if (choice == NULL) {
@@ -394,7 +386,6 @@ static bool parse_name(const points_usual *usual, const points_columns *columns,
   } else {
     *id = choice->id;
   }
-  free(text);
   return choice != NULL;
 }
 
@@ -411,7 +402,7 @@ static bool has_parameter(const points_usual *usual, const points_row *row, cons
 /* Chooses the model and the evaluator, as `dipole eval` does. The parameters are known already. */
 static bool parse_model(const points_usual *usual, const points_columns *columns, points_row *row) {
   const cli_profile_settings *settings = &usual->settings->profile;
-  char *text = text_of(columns, row, MODEL);
+  const char *text = text_of(columns, row, MODEL);
   const char *name = text != NULL ? text : settings->model;
   const dipole_choice *evaluator =
       cli_choice(usual->info, DIPOLE_EVALUATOR,
@@ -424,7 +415,6 @@ static bool parse_model(const points_usual *usual, const points_columns *columns
                       name != NULL ? name : CLI_MODEL_DEFAULT, &row->model);
   }
   row->evaluator = good ? evaluator->id : 0;
-  free(text);
   return good;
 }
 
@@ -445,11 +435,10 @@ static bool parse_numbers(const points_usual *usual, const points_columns *colum
     size_t length = 0;
     const bool needed = i == R ? !has_radii(usual) : !measured;
     const size_t at = columns->input_at[i];
-    char *text = at != POINTS_ABSENT ? cli_csv_cell_text(&row->record, at, &length) : NULL;
+    const char *text = at != POINTS_ABSENT ? cli_csv_cell_text(&row->record, at, &length) : "";
     if (needed || length > 0) {
-      good = parse_number(row, i, text != NULL ? text : "", length);
+      good = parse_number(row, i, text, length);
     }
-    free(text);
   }
   return good;
 }
@@ -480,15 +469,11 @@ static bool take_measured(const points_usual *usual, const char *name, const cha
  * sigma_s are both empty, those of a measured medium. */
 static bool parse_medium(const points_usual *usual, const points_columns *columns,
                          points_row *row) {
-  char *cells[] = {text_of(columns, row, MEDIUM), text_of(columns, row, CHANNEL),
-                   text_of(columns, row, FIRST_NUMBER), text_of(columns, row, FIRST_NUMBER + 1)};
-  const bool measured = cells[0] != NULL && cells[2] == NULL && cells[3] == NULL;
-  const bool good = (!measured || take_measured(usual, cells[0], cells[1], row)) &&
-                    parse_numbers(usual, columns, measured, row);
-  for (size_t i = 0; i < sizeof cells / sizeof cells[0]; i++) {
-    free(cells[i]);
-  }
-  return good;
+  const char *name = text_of(columns, row, MEDIUM);
+  const bool measured = name != NULL && text_of(columns, row, FIRST_NUMBER) == NULL &&
+                        text_of(columns, row, FIRST_NUMBER + 1) == NULL;
+  return (!measured || take_measured(usual, name, text_of(columns, row, CHANNEL), row)) &&
+         parse_numbers(usual, columns, measured, row);
 }
 
 /* Sets the parameters of the row: first the usual ones, then those in its cells. */
@@ -500,7 +485,7 @@ static bool parse_parameters(const points_usual *usual, const points_columns *co
     const dipole_choice *parameter = columns->parameters[i];
     size_t length;
     double value;
-    char *text = cli_csv_cell_text(&row->record, columns->parameter_at[i], &length);
+    const char *text = cli_csv_cell_text(&row->record, columns->parameter_at[i], &length);
     good = length == 0 ||
            (strlen(text) == length && cli_parameter_parse(usual->info, parameter, text, &value));
     if (!good) {
@@ -509,7 +494,6 @@ static bool parse_parameters(const points_usual *usual, const points_columns *co
     } else if (length > 0) {
       cli_parameters_set(&row->parameters, parameter->id, value);
     }
-    free(text);
   }
   return good;
 }
