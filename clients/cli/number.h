@@ -5,8 +5,10 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "proto/decimal.h"
+
 /* Room for any number that cli_number_format() writes. */
-#define CLI_NUMBER_BYTES 32
+#define CLI_NUMBER_BYTES DECIMAL_BYTES
 
 /* Reads a whole text as a decimal number, inf or nan, in the notation of the C locale. No spaces,
  * no hexadecimal. False also when the number is finite but beyond the range of doubles. */

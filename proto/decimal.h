@@ -1,0 +1,20 @@
+/* decimal: writes numbers as the shortest decimals that read back to the same bits, for texts such
+ * as CSV and JSON. */
+#ifndef DIPOLED_PROTO_DECIMAL_H
+#define DIPOLED_PROTO_DECIMAL_H
+
+#include <stddef.h>
+
+enum { DECIMAL_BYTES = 32 };
+
+/* Writes the shortest decimal that reads back to the value, and of the shortest ones the nearest:
+ * 0.032, 1e-9, 123000, -0. Infinities are "inf" and "-inf"; a NaN is "nan". Returns the length; a
+ * zero byte follows.
+ *
+ * Source: Giulietti 2020, "The Schubfach way to render doubles", Section 9 and Figure 7. */
+size_t decimal_write(double value, char text[DECIMAL_BYTES]);
+
+/* The same for the shortest decimal that reads back to the same float: 0.1 for 0.1f. */
+size_t decimal_write_single(float value, char text[DECIMAL_BYTES]);
+
+#endif
