@@ -6,6 +6,7 @@
 
 #include "clients/c/answer.h"
 #include "clients/c/error.h"
+#include "core/core.h"
 #include "core/draw.h"
 #include "proto/sample.h"
 
@@ -185,10 +186,22 @@ static bool check_into(const dipole_query *query, dipole_error *error) {
                               "for none of it");
 }
 
+/* Checks that a query that leaves the model to the daemon says how good it has to be. */
+static bool check_choice(const dipole_query *query, dipole_error *error) {
+  for (size_t i = 0; i < query->parameter_count && query->parameters != NULL; i++) {
+    if (query->parameters[i].id == CORE_PARAMETER_TOLERANCE) {
+      return true;
+    }
+  }
+  return query->model != DIPOLE_ANY_MODEL ||
+         libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
+                        "DIPOLE_ANY_MODEL needs the parameter tolerance");
+}
+
 static bool submit(dipole_client *client, const dipole_query *query, libdipole_reader *reader,
                    uint64_t *id, dipole_error *error) {
   const bool into = reader == NULL && (query->into_values != NULL || query->into_radii != NULL);
-  if (into && !check_into(query, error)) {
+  if ((into && !check_into(query, error)) || !check_choice(query, error)) {
     return false;
   }
   libdipole_pending pending = {.kind = into ? &libdipole_eval_into_kind : &libdipole_eval_kind,

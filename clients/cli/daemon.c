@@ -136,8 +136,15 @@ const dipole_choice *cli_named(const dipole_info *info, enum dipole_kind kind, c
   char known[1024];
   const dipole_choice *choice = cli_choice(info, kind, name);
   if (choice == NULL) {
+    cli_nearest nearest = {0};
+    size_t from = 0;
+    while ((choice = cli_next_choice(info, kind, &from)) != NULL) {
+      cli_nearest_try(&nearest, name, choice->name, 1 + strlen(choice->name) / 4);
+    }
     cli_list_names(info, kind, known, sizeof known);
-    cli_fail_usage("--%s: '%s' is unknown; this daemon has %s", option, name, known);
+    cli_fail_usage("--%s: '%s' is unknown; this daemon has %s%s%s%s", option, name, known,
+                   nearest.name != NULL ? ". Is it " : "", nearest.name != NULL ? nearest.name : "",
+                   nearest.name != NULL ? "?" : "");
   }
   return choice;
 }

@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "clients/cli/number.h"
+#include "core/core.h"
 
 #define AT(settings, option, type) ((type *)(void *)((char *)(settings) + (option)->offset))
 
@@ -248,6 +249,29 @@ static bool take_option(const cli_option *option, char **argv, void *settings, i
   return expected == NULL;
 }
 
+void cli_nearest_try(cli_nearest *so_far, const char *name, const char *known, size_t most) {
+  const unsigned distance = core_name_distance(name, known);
+  if (distance <= most && (so_far->name == NULL || distance < so_far->distance)) {
+    *so_far = (cli_nearest){known, distance};
+  }
+}
+
+/* Refuses an option that the command does not have: --NAME or --NAME=VALUE. */
+static int fail_unknown(const char *given, const cli_option *const *all, size_t count) {
+  char name[64];
+  cli_nearest nearest = {0};
+  snprintf(name, sizeof name, "%.*s", (int)strcspn(given, "="), given);
+  for (size_t i = 0; i < count; i++) {
+    if (all[i]->kind != CLI_HEADING) {
+      cli_nearest_try(&nearest, name + strspn(name, "-"), all[i]->name,
+                      1 + strlen(all[i]->name) / 4);
+    }
+  }
+  return nearest.name != NULL
+             ? cli_fail_usage("%s: no such option; the nearest is --%s", given, nearest.name)
+             : cli_fail_usage("%s: no such option", given);
+}
+
 /* getopt returns FIRST_RESULT + i for option i. No character has such a number. */
 enum { FIRST_RESULT = 256 };
 
@@ -280,8 +304,8 @@ bool cli_options_read(int argc, char **argv, void *settings, int *status) {
       return false;
     }
     if (result < FIRST_RESULT) {
-      *status = cli_fail_usage("%s: %s", argv[optind - 1],
-                               result == ':' ? "a value is missing" : "no such option");
+      *status = result == ':' ? cli_fail_usage("%s: a value is missing", argv[optind - 1])
+                              : fail_unknown(argv[optind - 1], all, count);
       return false;
     }
     if (!take_option(all[result - FIRST_RESULT], argv, settings, status)) {

@@ -16,6 +16,16 @@ void cli_options_free(void *settings);
  * --from for radius_start; NULL if there is none. */
 const cli_option *cli_options_find(const char *field);
 
+/* The known name that is the nearest to a name that is unknown: to ask whether that was meant.
+ * Starts as {0}; its name is NULL as long as no known name is near enough. */
+typedef struct cli_nearest {
+  const char *name;
+  unsigned distance; /* as of core_name_distance() */
+} cli_nearest;
+
+/* Compares a known name, which is near enough if it is at most `most` apart from `name`. */
+void cli_nearest_try(cli_nearest *so_far, const char *name, const char *known, size_t most);
+
 /* Writes what --help says to standard output. */
 void cli_options_help(const cli_command *command);
 

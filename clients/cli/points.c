@@ -14,6 +14,7 @@
 #include "clients/cli/csv.h"
 #include "clients/cli/daemon.h"
 #include "clients/cli/number.h"
+#include "clients/cli/options.h"
 #include "clients/cli/profile.h"
 #include "clients/cli/progress.h"
 #include "core/core.h"
@@ -158,45 +159,37 @@ static size_t *place_of(points_columns *columns, const dipole_info *info, const 
   return parameter != NULL ? parameter_place(columns, parameter) : NULL;
 }
 
-/* Keeps the nearest of several names, which is so near that `name` is probably it misspelt. */
-static void compare_name(const char *name, const char *known, unsigned *distance,
-                         const char **nearest) {
-  const unsigned apart = core_name_distance(name, known);
-  if (apart <= strlen(known) / 4 && apart < *distance) {
-    *distance = apart;
-    *nearest = known;
-  }
-}
-
 /* Refuses a column that is not read although its name is nearly that of one that is, or is that of
  * an option. Others are copied. */
 static bool check_unread(const points_usual *usual, const char *source, const char *name) {
   const dipole_choice *parameter;
-  const char *nearest = NULL;
-  unsigned distance = UINT_MAX;
+  cli_nearest nearest = {0};
   if (cli_choice(usual->info, DIPOLE_QUANTITY, name) != NULL) {
     return true;
   }
   for (size_t i = 0; i < POINTS_INPUTS; i++) {
-    compare_name(name, inputs[i].name, &distance, &nearest);
+    cli_nearest_try(&nearest, name, inputs[i].name, strlen(inputs[i].name) / 4);
   }
   for (size_t from = 0;
        (parameter = cli_next_choice(usual->info, DIPOLE_PARAMETER, &from)) != NULL;) {
-    compare_name(name, parameter->name, &distance, &nearest);
+    cli_nearest_try(&nearest, name, parameter->name, strlen(parameter->name) / 4);
   }
-  if (nearest != NULL) {
+  if (nearest.name != NULL) {
     cli_fail("%s: the column %s is not read; the nearest that is read is %s: rename it", source,
-             name, nearest);
+             name, nearest.name);
+    return false;
   }
-  for (const cli_option *option = options; nearest == NULL && option->name != NULL; option++) {
-    if (option->kind != CLI_HEADING && core_name_distance(option->name, name) == 0) {
-      cli_fail("%s: the column %s is not read; the nearest is the option --%s, which holds for all "
-               "rows: give it, and rename the column",
-               source, name, option->name);
-      return false;
+  for (const cli_option *option = options; option->name != NULL; option++) {
+    if (option->kind != CLI_HEADING) {
+      cli_nearest_try(&nearest, name, option->name, strlen(option->name) / 8);
     }
   }
-  return nearest == NULL;
+  if (nearest.name != NULL) {
+    cli_fail("%s: the column %s is not read; the nearest is the option --%s, which holds for all "
+             "rows: give it, and rename the column",
+             source, name, nearest.name);
+  }
+  return nearest.name == NULL;
 }
 
 static bool fail_missing(const char *source, const char *missing, const cli_csv_record *header) {

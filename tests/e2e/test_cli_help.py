@@ -68,6 +68,8 @@ test_wrong_command_lines_say_what_to_do = says(USAGE, [], [
     (["points", "a.csv", "b.csv"], "'b.csv' is one argument too many"),
     (["media", "--mediun"], "--mediun: no such option"),
     (["media", "-x"], "-x: no such option"),
+    (["eval", "--meduim=skin1"], "--meduim=skin1: no such option; the nearest is --medium"),
+    ([*EVAL, "--model", "bettr"], "transport. Is it better?"),
     (["eval", "--sigma-a"], "--sigma-a: a value is missing"),
     (["media", "--format", "xml"], "--format xml: it is one of table,csv,json"),
     (["media", "--format", "able"], "--format able: it is one of table,csv,json"),

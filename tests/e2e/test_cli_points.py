@@ -448,6 +448,7 @@ def test_inverted_media_go_straight_into_points():
     "column, said",
     [
         ("evaluator", "the nearest is the option --evaluator"),
+        ("evaluater", "the nearest is the option --evaluator"),
         ("tolerence", "the nearest that is read is tolerance"),
         ("Model", "the nearest that is read is model"),
         ("sigma-a", "the nearest that is read is sigma_a"),

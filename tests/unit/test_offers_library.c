@@ -140,6 +140,12 @@ UNIT_TEST(wrong_queries_are_not_sent) {
     assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
   }
   assert_non_null(strstr(error.text, "parameters[0]"));
+  dipole_query untold = query_of(DIPOLE_ANY_MODEL, DIPOLE_LUT);
+  dipole_result *result;
+  untold.parameter_count = 0;
+  assert_false(dipole_eval(client, &untold, &result, &error));
+  assert_int_equal(error.kind, DIPOLE_ERROR_ARGUMENT);
+  assert_non_null(strstr(error.text, "needs the parameter tolerance"));
   const dipole_query right = query_of(DIPOLE_ANY_MODEL, DIPOLE_F64);
   assert_true(dipole_offers(client, &right, &offers, &count, NULL, NULL));
   assert_offers(offers);
