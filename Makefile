@@ -268,19 +268,18 @@ demo:
 	@$(MAKE) --no-print-directory -j2 all
 	@sh clients/demo.sh $(BUILD)
 
-# Debian's promtool, taken out of the package prometheus: installing that would start a server. The
-# tests that need it say so if it is not to be had.
-$(BUILD)/promtool:
-	@mkdir -p $(@D)/promtool.d
-	-@if command -v promtool >/dev/null; then ln -s "$$(command -v promtool)" $@; \
-	  elif command -v apt-get >/dev/null; then cd $(@D)/promtool.d && apt-get -qq -o APT::Sandbox::User=root download prometheus && \
-	  dpkg-deb --fsys-tarfile prometheus_*.deb | tar -xO ./usr/bin/promtool >../promtool.new && \
-	  chmod +x ../promtool.new && mv ../promtool.new ../promtool; fi
-	@rm -rf $(@D)/promtool.d $@.new
+# Debian's prometheus and promtool, taken out of the package: installing that would start a server.
+# The tests that need them say so if they are not to be had.
+$(BUILD)/prometheus:
+	@mkdir -p $(@D)/prometheus.d
+	-@if command -v prometheus >/dev/null; then ln -sf "$$(command -v prometheus)" "$$(command -v promtool)" $(@D); \
+	  elif command -v apt-get >/dev/null; then cd $(@D)/prometheus.d && apt-get -qq -o APT::Sandbox::User=root download prometheus && \
+	  dpkg-deb --fsys-tarfile prometheus_*.deb | tar -x ./usr/bin && mv -f usr/bin/promtool usr/bin/prometheus ..; fi
+	@rm -rf $(@D)/prometheus.d
 
 check:
 	@sh .ci/install-packages
-	@$(MAKE) --no-print-directory $(BUILD)/promtool
+	@$(MAKE) --no-print-directory $(BUILD)/prometheus
 	@$(MAKE) --no-print-directory -j2 all $(TESTS) $(BUILD)/tests/bits $(BUILD)/tests/accuracy/truth $(BUILD)/dipoled-counting $(BUILD)/wire-tables $(BUILD)/trade-speed $(BUILD)/soak-load $(BUILD)/pipeline
 	+@bash tests/run-check.sh $(BUILD)/logs structure types bits unit truth fuzz e2e+soak
 

@@ -12,6 +12,7 @@ import socket
 import subprocess
 import time
 import urllib.error
+import urllib.parse
 import urllib.request
 from pathlib import Path
 
@@ -314,13 +315,18 @@ def test_connections_close(watched):
 # ---- Prometheus itself ---------------------------------------------------------------------------
 
 
+def program(name: str) -> str:
+    """Returns the path of one of Debian's programs of Prometheus."""
+    found = shutil.which(name) or str(BUILD / name)
+    if not Path(found).exists():
+        pytest.skip(f"there is no {name}, neither installed nor in the build folder")
+    return found
+
+
 def promtool(*arguments: str, stdin: str = "") -> str:
-    """Runs Debian's promtool, which checks metrics and rules. Returns what it says."""
-    program = shutil.which("promtool") or str(BUILD / "promtool")
-    if not Path(program).exists():
-        pytest.skip("there is no promtool, neither installed nor in the build folder")
+    """Runs promtool, which checks metrics and rules. Returns what it says."""
     run = subprocess.run(
-        [program, *arguments], input=stdin, capture_output=True, text=True, timeout=60, check=False
+        [program("promtool"), *arguments], input=stdin, capture_output=True, text=True, timeout=60, check=False
     )
     assert run.returncode == 0, run.stdout + run.stderr
     return run.stdout + run.stderr
@@ -363,6 +369,70 @@ def test_example_of_a_dashboard(watched):
         for target in panel["targets"]:
             used = re.findall(r"(?:dipoled|process)_\w+", target["expr"])
             assert used and set(used) <= names, target["expr"]
+
+
+class Prometheus:
+    """A server that scrapes daemons five times a second, with the alerts of clients/deploy, which
+    do not wait until they fire."""
+
+    def __init__(self, folder: Path, daemons: list):
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self._address = f"127.0.0.1:{free.getsockname()[1]}"
+        alerts = (REPOSITORY / "clients/deploy/alerts.yml").read_text()
+        (folder / "alerts.yml").write_text(re.sub(r"for: \d+m", "for: 0s", alerts))
+        (folder / "prometheus.yml").write_text(
+            "global: {scrape_interval: 200ms, evaluation_interval: 200ms}\n"
+            "scrape_configs: [{job_name: dipoled, static_configs: "
+            f"[{{targets: {[address_of(daemon) for daemon in daemons]}}}]}}]\n"
+            "rule_files: [alerts.yml]\n"
+        )
+        self.process = subprocess.Popen(
+            [
+                *[program("prometheus"), f"--config.file={folder}/prometheus.yml"],
+                *[f"--storage.tsdb.path={folder}/data", f"--web.listen-address={self._address}"],
+            ],
+            stderr=subprocess.DEVNULL,
+        )
+
+    def values(self, expression: str) -> list[dict]:
+        """Returns the labels of all values of an expression. [] also while it starts."""
+        query = urllib.parse.urlencode({"query": expression})
+        try:
+            url = f"http://{self._address}/api/v1/query?{query}"
+            with urllib.request.urlopen(url, timeout=TIMEOUT_S) as answer:
+                return [value["metric"] for value in json.load(answer)["data"]["result"]]
+        except urllib.error.HTTPError as error:
+            assert error.code == 503, expression  # 400 for an expression that is none
+        except OSError:
+            pass
+        return []
+
+
+def test_prometheus_draws_the_dashboard_and_fires_the_alerts(daemon, tmp_path):
+    """Every expression of the dashboard has values, and one alert fires when a daemon is killed."""
+    one, other = daemon("--metrics", "127.0.0.1:0"), daemon("--metrics", "127.0.0.1:0")
+    expressions = re.findall(
+        r'"expr": "(.*)"', (REPOSITORY / "clients/deploy/dashboard.json").read_text()
+    )
+    server = Prometheus(tmp_path, [one, other])
+    try:
+        assert eventually(lambda: len(server.values("up == 1")) == 2, 30)
+        for expression in expressions:
+            asked = json.loads(f'"{expression}"').replace("$instance", ".*")
+            asked = asked.replace("$class", "eval_short").replace("$__rate_interval", "5s")
+            assert "$" not in asked and eventually(lambda: server.values(asked), 10), asked
+        assert server.values("ALERTS") == []
+        down = address_of(one)
+        one.kill()
+        assert eventually(lambda: server.values('ALERTS{alertstate="firing"}'), 30)
+        alerts = server.values("ALERTS")
+        assert [(alert["alertname"], alert["instance"]) for alert in alerts] == [
+            ("DipoledDown", down)
+        ]
+    finally:
+        server.process.kill()
+        server.process.wait()
 
 
 # ---- the log -------------------------------------------------------------------------------------
