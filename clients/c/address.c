@@ -46,6 +46,12 @@ static bool parse_tcp(const char *whole, const char *text, libdipole_address *ad
                       dipole_error *error) {
   const char *colon = strrchr(text, ':');
   const char *host = text;
+  if (strpbrk(text, " \t,;") != NULL) {
+    return libdipole_fail(error, DIPOLE_ERROR_ADDRESS,
+                          "address '%.80s': write several as tcp:HOST:PORT,tcp:HOST:PORT, with "
+                          "nothing but a comma between them",
+                          whole);
+  }
   size_t host_bytes = colon != NULL ? (size_t)(colon - text) : 0;
   if (host_bytes >= 2 && host[0] == '[' && host[host_bytes - 1] == ']') {
     host++;

@@ -471,7 +471,10 @@ def test_ping_and_frames(client):
     assert client.receive_frame() == dipole.Frame(PING | wire.REPLY, 12345, b"8 bytes!")
 
 
-NO_ADDRESSES = ["nonsense", "unix:", "tcp:", "tcp:h", "tcp:h:", "tcp::1", "tcp:h:99999", "http:x"]
+NO_ADDRESSES = [
+    *["nonsense", "unix:", "tcp:", "tcp:h", "tcp:h:", "tcp::1", "tcp:h:99999", "http:x"],
+    *["tcp:a:1, tcp:b:2", "tcp:a:1;tcp:b:2", "tcp:a:1,b:2"],
+]
 
 
 @pytest.mark.parametrize("address", NO_ADDRESSES)

@@ -55,10 +55,17 @@ static void fail_open(const char *text) {
   }
 }
 
+UNIT_TEST(test_what_is_said_of_a_wrong_separator) {
+  dipole_client *client;
+  dipole_error error;
+  assert_false(dipole_open("tcp:a:1, tcp:b:2", &client, &error));
+  assert_non_null(strstr(error.text, "nothing but a comma between them"));
+}
+
 UNIT_TEST(test_wrong_lists) {
   static const char *const cases[] = {
-      "unix:/a,tcp:",     "unix:/a,unix:", ",unix:/a", "unix:/a,private:",
-      "private:,unix:/a", "unix:/a,tcp:h", "tcp:h:1,", "tcp:h:1, unix:/a",
+      "unix:/a,tcp:",  "unix:/a,unix:", ",unix:/a",         "unix:/a,private:", "private:,unix:/a",
+      "unix:/a,tcp:h", "tcp:h:1,",      "tcp:h:1, unix:/a", "tcp:a:1,b:2",      "tcp:a:1;tcp:b:2",
   };
   const char *many[DIPOLE_ADDRESSES_MAX + 1];
   for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {

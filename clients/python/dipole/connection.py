@@ -4,6 +4,7 @@ frames."""
 from __future__ import annotations
 
 import os
+import re
 import select
 import shutil
 import socket
@@ -162,6 +163,11 @@ class Connection:
         return connection
 
     def _open_tcp(self, host_and_port: str) -> socket.socket:
+        if re.search("[ \t,;]", host_and_port):
+            raise AddressError(
+                f"{self.address}: several addresses have nothing but a comma between them, as in "
+                "tcp:HOST:PORT,tcp:HOST:PORT"
+            )
         host, _, port = host_and_port.rpartition(":")
         if host.startswith("[") and host.endswith("]"):
             host = host[1:-1]
