@@ -2,7 +2,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "core/core.h"
+#include "core/varying.h"
 
 #define END                                                                                        \
   { 0, NULL, NULL }
@@ -84,6 +84,12 @@ const core_choice core_fit_axes[] = {
 
 #define CORE_FIT_STATUS(id, IDENT, name, about) {id, name, about},
 const core_choice core_fit_statuses[] = {
+#include "core/choices.def"
+    END,
+};
+
+#define CORE_VALUE(id, IDENT, name, field, allowed) {id, name, allowed},
+const core_choice core_value_statuses[] = {
 #include "core/choices.def"
     END,
 };

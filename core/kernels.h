@@ -3,7 +3,7 @@
 #ifndef DIPOLED_CORE_KERNELS_H
 #define DIPOLED_CORE_KERNELS_H
 
-#include "core/core.h"
+#include "core/varying.h"
 
 /* The instruction sets that kernels are compiled for, slowest first, each as X(level, ...). The
  * Makefile holds the compiler flags of each under the same name. */
@@ -29,17 +29,59 @@ enum core_elementwise {
 typedef void core_kernel_f64(const double *coefficients, size_t n, const double *in, double *out);
 typedef void core_kernel_f32(const float *coefficients, size_t n, const float *in, float *out);
 
+/* The same where every value has a medium of its own (core/varying.h): sigma_a[n] and sigma_s[n] in
+ * 1/mm. shared: numbers that all media share; words: tables that they share, or NULL. Media and
+ * arguments outside of the domain give NaN. */
+typedef void core_varying_kernel_f64(const double *shared, const float *words, size_t n,
+                                     const double *sigma_a, const double *sigma_s, const double *in,
+                                     double *out);
+typedef void core_varying_kernel_f32(const float *shared, const float *words, size_t n,
+                                     const float *sigma_a, const float *sigma_s, const float *in,
+                                     float *out);
+
+/* The argument of core_varying_check_kernel: radii up to infinity, or numbers u up to 1. */
+enum core_varying_argument { CORE_VARYING_RADII, CORE_VARYING_NUMBERS };
+
+/* Sets status[n] to the statuses (enum core_value_status) of n values, albedo[n] to sigma_s' /
+ * sigma_t', and mfp[n] to in[n] sigma_t'. */
+typedef void core_varying_check_kernel_f64(const double *shared, size_t n, const double *sigma_a,
+                                           const double *sigma_s, const double *in,
+                                           enum core_varying_argument argument, uint8_t *status,
+                                           double *albedo, double *mfp);
+typedef void core_varying_check_kernel_f32(const float *shared, size_t n, const float *sigma_a,
+                                           const float *sigma_s, const float *in,
+                                           enum core_varying_argument argument, uint8_t *status,
+                                           float *albedo, float *mfp);
+
+/* Does what core_varying_invert_f64() does; `what` is as core_colour, and albedo is not NULL. */
+typedef void core_varying_invert_kernel_f64(const double *shared, const float *words,
+                                            const core_colour *what, size_t n, const double *colour,
+                                            const double *length_mm, double *sigma_a,
+                                            double *sigma_s, double *albedo, uint8_t *status);
+typedef void core_varying_invert_kernel_f32(const float *shared, const float *words,
+                                            const core_colour *what, size_t n, const float *colour,
+                                            const float *length_mm, float *sigma_a, float *sigma_s,
+                                            float *albedo, uint8_t *status);
+
 /* An entry is NULL where core has one method for all models: core/evaluate.c makes S from R, and
  * core/sample.c inverts the cdf. If all entries of an f32 table are NULL, core evaluates in double
- * precision and rounds. */
+ * precision and rounds. The entries for media that vary are NULL too if a model has none. */
 typedef struct core_kernels_f64 {
   core_kernel_f64 *evaluate[CORE_ELEMENTWISE_COUNT]; /* in: radii in mm */
   core_kernel_f64 *sample;                           /* in: cdf values; out: radii in mm */
+  core_varying_kernel_f64 *varying[CORE_ELEMENTWISE_COUNT];
+  core_varying_kernel_f64 *varying_sample;
+  core_varying_check_kernel_f64 *varying_check; /* in core/models/varying.c alone, for all models */
+  core_varying_invert_kernel_f64 *varying_invert;
 } core_kernels_f64;
 
 typedef struct core_kernels_f32 {
   core_kernel_f32 *evaluate[CORE_ELEMENTWISE_COUNT];
   core_kernel_f32 *sample;
+  core_varying_kernel_f32 *varying[CORE_ELEMENTWISE_COUNT];
+  core_varying_kernel_f32 *varying_sample;
+  core_varying_check_kernel_f32 *varying_check;
+  core_varying_invert_kernel_f32 *varying_invert;
 } core_kernels_f32;
 
 /* The kernels of one model for one instruction set. */
@@ -59,6 +101,10 @@ const struct core_kernels *core_isa_kernels(const core_isa *isa, enum core_model
 
 /* Returns the kernels of tables (core/models/lut.c). They exist in single precision only. */
 const struct core_kernels *core_isa_lut_kernels(const core_isa *isa);
+
+/* Returns the kernels of core/models/varying.c, and those of surfaces (core/models/surface.c). */
+const struct core_kernels *core_isa_varying_kernels(const core_isa *isa);
+const struct core_kernels *core_isa_surface_kernels(const core_isa *isa);
 
 /* The inputs of preparing a model. The medium, the moments and the parameters' ranges have been
  * checked. */

@@ -31,11 +31,16 @@ enum coefficient {
   PDF_SCALE,  /* 1 / (4 d) */
   R_SCALE,    /* A / (8 pi d), in 1/mm; R is this times the exponentials, divided by r */
   LIMIT,      /* limit of the cdf at infinity: 1, or 0 if A is 0 */
+  COEFFICIENTS
 };
+
+/* A surface albedo below this is taken as 0. */
+#define ALBEDO_LEAST 1e-250
 
 #ifdef CORE_ISA
 
 #include "core/kernel.h"
+#include "core/models/lanes.h"
 
 #if CORE_REAL == 64
 
@@ -171,14 +176,56 @@ CORE_KERNEL(eval_pdf, burley_pdf)
 CORE_KERNEL(eval_ring, burley_ring)
 CORE_KERNEL(sample, burley_sample)
 
+/* ---- a medium for each value ----------------------------------------------------------------- */
+
+/* Returns s = l / d. */
+static inline double lane_divisor(const double *shared, double albedo) {
+  const double away = albedo - 0.8;
+  const double cubic = 1.85 - albedo + 7 * fabs(away) * (away * away);
+  const double square = 1.9 - albedo + 3.5 * (away * away);
+  const double off = (albedo - 0.33) * (albedo - 0.33);
+  const double fourth = 3.5 + 100 * (off * off);
+  const double fit = shared[LANES_FIT];
+  return fit > CORE_BURLEY_DIFFUSE ? fourth : fit > CORE_BURLEY_SEARCHLIGHT ? square : cubic;
+}
+
+/* Sets the coefficients of a medium in the same way as core_burley_prepare(). */
+static inline void lane_fill(const double *shared, struct lane lane, double *c) {
+  const struct lane_dipole better = lane_dipole_of(shared, lane);
+  const double given = shared[LANES_SURFACE_ALBEDO];
+  const double asked = given >= 0 ? given : real_min(0.5 * better.power * better.sum, 1);
+  const double albedo = asked >= ALBEDO_LEAST ? asked : 0;
+  const double mu = shared[LANES_FIT] > CORE_BURLEY_DIFFUSE ? better.mu : 1;
+  c[PER_D] = lane.sigma_t * mu * lane_divisor(shared, albedo);
+  c[D] = 1 / c[PER_D];
+  c[PDF_SCALE] = albedo > 0 ? 0.25 * c[PER_D] : 0;
+  c[RING_SCALE] = albedo * 0.25 * c[PER_D];
+  c[R_SCALE] = albedo * c[PER_D] * (1 / 25.1327412287183459077);
+  c[LIMIT] = albedo > 0 ? 1 : 0;
+}
+
+LANES_KERNEL(varying_R, COEFFICIENTS, lane_fill, zero_R, INFINITY)
+LANES_KERNEL(varying_cdf, COEFFICIENTS, lane_fill, zero_cdf, INFINITY)
+LANES_KERNEL(varying_pdf, COEFFICIENTS, lane_fill, burley_pdf, INFINITY)
+LANES_KERNEL(varying_ring, COEFFICIENTS, lane_fill, burley_ring, INFINITY)
+LANES_KERNEL(varying_sample, COEFFICIENTS, lane_fill, burley_sample, 1)
+
 CORE_KERNEL_TABLE(burley, .sample = sample,
-                  .evaluate = {
-                      [CORE_ELEMENTWISE_R] = eval_R,
-                      [CORE_ELEMENTWISE_CDF] = eval_cdf,
-                      [CORE_ELEMENTWISE_SLOPE] = eval_slope,
-                      [CORE_ELEMENTWISE_LN_R] = eval_ln_R,
-                      [CORE_ELEMENTWISE_PDF] = eval_pdf,
-                      [CORE_ELEMENTWISE_RING] = eval_ring,
+                  .evaluate =
+                      {
+                          [CORE_ELEMENTWISE_R] = eval_R,
+                          [CORE_ELEMENTWISE_CDF] = eval_cdf,
+                          [CORE_ELEMENTWISE_SLOPE] = eval_slope,
+                          [CORE_ELEMENTWISE_LN_R] = eval_ln_R,
+                          [CORE_ELEMENTWISE_PDF] = eval_pdf,
+                          [CORE_ELEMENTWISE_RING] = eval_ring,
+                      },
+                  .varying_sample = varying_sample,
+                  .varying = {
+                      [CORE_ELEMENTWISE_R] = varying_R,
+                      [CORE_ELEMENTWISE_CDF] = varying_cdf,
+                      [CORE_ELEMENTWISE_PDF] = varying_pdf,
+                      [CORE_ELEMENTWISE_RING] = varying_ring,
                   });
 
 #else
@@ -188,9 +235,6 @@ CORE_KERNEL_TABLE_NONE(burley);
 #else /* what follows prepares a profile, and is compiled once for all instruction sets */
 
 #include <math.h>
-
-/* A surface albedo below this is taken as 0. */
-#define ALBEDO_LEAST 1e-250
 
 core_check_function core_burley_check;
 core_prepare_function core_burley_prepare;

@@ -87,6 +87,7 @@ _Static_assert((int)COEFFICIENTS <= CORE_COEFFICIENTS_MAX, "the profile has room
 #ifdef CORE_ISA /* the kernels, compiled for each instruction set and precision */
 
 #include "core/kernel.h"
+#include "core/models/lanes.h"
 
 #define REAL_Z1 ((real)Z1)
 
@@ -95,7 +96,7 @@ _Static_assert((int)COEFFICIENTS <= CORE_COEFFICIENTS_MAX, "the profile has room
  * logarithm gives ln R have not underflowed. SMALL_U: for a smaller cdf, (x / CORE)^2 equals the
  * cdf to the last digit. BRACKET_SLACK: dipole_sample() accepts a step that leaves its bracket by
  * less than this, relative. SAMPLE_STEPS: the largest number of steps that Newton's method needs in
- * find_radius(), and one more, if the mirror source is no higher than WIDE_Z2. SAMPLE_STEPS_WIDE:
+ * a search, and one more, if the mirror source is no higher than WIDE_Z2. SAMPLE_STEPS_WIDE:
  * the same for higher ones, where the cdf hardly rises between z1 and z2 and most steps halve the
  * bracket. DENSE: up to this many kernel units in a mm, that is up to a sigma_t' of 2^16 per mm, R
  * in single precision has underflowed before 1 - e^(-mu (d2 - d1)) loses digits that matter.
@@ -284,48 +285,86 @@ static inline real dipole_cdf(const real *c, real r) {
  * domain; the round trip in tests/accuracy/test_sample.c checks this. The code sums 1 - cdf from
  * the light beyond r, so that both tails keep their digits.
  */
-static inline real find_radius(const real *c, real u, int steps) {
+struct search {
+  real x;
+  real low;
+  real high;
+};
+
+static inline struct search search_begin(const real *c, real u) {
+  const real inside = real_max(u, SMALL_U);
+  const real outside = real_max(1 - inside, REAL_HALF_EPSILON);
+  const real spread = c[TAIL] / outside;
+  struct search s;
+  s.low = real_sqrt(inside) * c[CORE];
+  const real decayed = real_fma(real_log(spread / REAL_Z1, 0), c[INVERSE_MU], REAL_Z1);
+  s.high = real_max(real_min(spread, decayed), s.low);
+  s.x = real_min(s.low * real_sqrt(1 / outside), s.high);
+  return s;
+}
+
+static inline struct search search_step(const real *c, real u, struct search s) {
   const real inside = real_max(u, SMALL_U);
   const real outside = real_max(1 - inside, REAL_HALF_EPSILON);
   const real wanted = real_log(inside / outside, 0);
-  const real spread = c[TAIL] / outside;
-  real low = real_sqrt(inside) * c[CORE];
-  const real decayed = real_fma(real_log(spread / REAL_Z1, 0), c[INVERSE_MU], REAL_Z1);
-  real high = real_max(real_min(spread, decayed), low);
-  real x = real_min(low * real_sqrt(1 / outside), high);
-  for (int step = 0; step < steps; step++) {
-    const struct view v = look(c, x);
-    const struct within within = gather(c, v);
-    const real mirror_beyond = c[Z2] * v.inverse_d2 * v.mirror.exp;
-    const real flux_beyond = real_fma(REAL_Z1, v.inverse_d1, mirror_beyond);
-    const real phi_beyond = c[CDF_PHI_NEAR] * v.apart * v.mirror.quotient;
-    const real beyond = within.real_left * real_fma(c[CDF_FLUX_1], flux_beyond, phi_beyond);
-    const real density =
-        x * within.real_left *
-        bracket(v, c[MU], c[CDF_PHI_NEAR], c[CDF_FLUX_1] * REAL_Z1, c[CDF_FLUX_1] * c[Z2]);
-    const real excess = real_log(within.cdf / beyond, 0) - wanted;
-    low = excess < 0 ? x : low;
-    high = excess < 0 ? high : x;
-    const real newton = -excess * (within.cdf * beyond) / (x * density);
-    const real next = x * real_exp(real_max(real_min(newton, 5), -5)).exp;
-    /* At the root, rounding decides which end of the bracket x becomes. BRACKET_SLACK makes sure
-     * that the next x is still accepted then. */
-    const int kept = next > low * (1 - BRACKET_SLACK) && next < high * (1 + BRACKET_SLACK);
-    x = kept ? next : real_sqrt(low * high);
-  }
-  x = u < SMALL_U ? real_sqrt(u) * c[CORE] : x;
+  const struct view v = look(c, s.x);
+  const struct within within = gather(c, v);
+  const real mirror_beyond = c[Z2] * v.inverse_d2 * v.mirror.exp;
+  const real flux_beyond = real_fma(REAL_Z1, v.inverse_d1, mirror_beyond);
+  const real phi_beyond = c[CDF_PHI_NEAR] * v.apart * v.mirror.quotient;
+  const real beyond = within.real_left * real_fma(c[CDF_FLUX_1], flux_beyond, phi_beyond);
+  const real density =
+      s.x * within.real_left *
+      bracket(v, c[MU], c[CDF_PHI_NEAR], c[CDF_FLUX_1] * REAL_Z1, c[CDF_FLUX_1] * c[Z2]);
+  const real excess = real_log(within.cdf / beyond, 0) - wanted;
+  s.low = excess < 0 ? s.x : s.low;
+  s.high = excess < 0 ? s.high : s.x;
+  const real newton = -excess * (within.cdf * beyond) / (s.x * density);
+  const real next = s.x * real_exp(real_max(real_min(newton, 5), -5)).exp;
+  /* At the root, rounding decides which end of the bracket x becomes. BRACKET_SLACK makes sure
+   * that the next x is still accepted then. */
+  const int kept = next > s.low * (1 - BRACKET_SLACK) && next < s.high * (1 + BRACKET_SLACK);
+  s.x = kept ? next : real_sqrt(s.low * s.high);
+  return s;
+}
+
+static inline real search_end(const real *c, real u, real found) {
+  const real x = u < SMALL_U ? real_sqrt(u) * c[CORE] : found;
   const real r = x * c[MM_PER_UNIT];
   const real bounded = u < 1 ? r : (real)INFINITY;
   return c[CDF_LIMIT] > 0 && u > 0 ? bounded : 0;
 }
 
-static inline real dipole_sample(const real *c, real u) {
-  return find_radius(c, u, SAMPLE_STEPS);
-}
-
-static inline real dipole_sample_wide(const real *c, real u) {
-  return find_radius(c, u, SAMPLE_STEPS_WIDE);
-}
+/* SEARCH(n, u, r, steps, coefficients) finds the radii r[n] of u[n] in blocks: each loop over the
+ * numbers of a block is vectorized. `coefficients` are statements that declare the coefficients c of
+ * number k. */
+enum { SEARCH_BLOCK = 64 };
+#define SEARCH(n, u, r, steps, coefficients)                                                       \
+  for (size_t done = 0; done < n; done += SEARCH_BLOCK) {                                          \
+    const size_t block = n - done < SEARCH_BLOCK ? n - done : SEARCH_BLOCK;                        \
+    real x[SEARCH_BLOCK], low[SEARCH_BLOCK], high[SEARCH_BLOCK];                                   \
+    for (size_t i = 0; i < block; i++) {                                                           \
+      const size_t k = done + i;                                                                   \
+      coefficients const struct search begun = search_begin(c, u[k]);                              \
+      x[i] = begun.x;                                                                              \
+      low[i] = begun.low;                                                                          \
+      high[i] = begun.high;                                                                        \
+    }                                                                                              \
+    for (int step = 0; step < steps; step++) {                                                     \
+      for (size_t i = 0; i < block; i++) {                                                         \
+        const size_t k = done + i;                                                                 \
+        coefficients const struct search next =                                                    \
+            search_step(c, u[k], (struct search){x[i], low[i], high[i]});                          \
+        x[i] = next.x;                                                                             \
+        low[i] = next.low;                                                                         \
+        high[i] = next.high;                                                                       \
+      }                                                                                            \
+    }                                                                                              \
+    for (size_t i = 0; i < block; i++) {                                                           \
+      const size_t k = done + i;                                                                   \
+      coefficients r[k] = search_end(c, u[k], x[i]);                                               \
+    }                                                                                              \
+  }
 
 CORE_KERNEL(eval_R_usual, dipole_R)
 CORE_KERNEL(eval_R_dense, dipole_R_dense)
@@ -334,8 +373,6 @@ CORE_KERNEL(eval_slope, dipole_slope)
 CORE_KERNEL(eval_ln_R, dipole_ln_R)
 CORE_KERNEL(eval_pdf, dipole_pdf)
 CORE_KERNEL(eval_ring, dipole_ring)
-CORE_KERNEL(sample_near, dipole_sample)
-CORE_KERNEL(sample_wide, dipole_sample_wide)
 
 static void eval_R(const real *restrict c, size_t n, const real *restrict r, real *restrict R) {
   const int dense = CORE_REAL == 32 && c[UNITS_PER_MM] > DENSE;
@@ -343,17 +380,109 @@ static void eval_R(const real *restrict c, size_t n, const real *restrict r, rea
 }
 
 static void sample(const real *restrict c, size_t n, const real *restrict u, real *restrict r) {
-  (c[Z2] > WIDE_Z2 ? sample_wide : sample_near)(c, n, u, r);
+  const int steps = c[Z2] > WIDE_Z2 ? SAMPLE_STEPS_WIDE : SAMPLE_STEPS;
+  SEARCH(n, u, r, steps, )
+}
+
+/* ---- a medium for each value ----------------------------------------------------------------- */
+
+/* The powers of two by which the weights of R and of the densities are multiplied. With sigma_t' from
+ * 1e-6 to 1e6 per mm no sum overflows near the source, and none underflows before the result does. */
+#define LANE_R_UP 80
+#define LANE_RING_UP 40
+
+/* Returns the least of the numbers of kernel units where the cdf has rounded to its limit, from the
+ * bounds of set_bracket(). */
+static inline real lane_whole(real tail, real mu) {
+  const real far = REAL(0x1p56) * tail;
+  const real decayed = real_log(real_max(far / REAL_Z1, 1), 0) / real_max(mu, REAL(1e-30));
+  return real_min(real_min(far, REAL_Z1 + decayed), REAL(1e19));
+}
+
+/* Sets the coefficients of a medium in the same way as core_dipole_prepare(), in plain arithmetic. */
+static inline void lane_fill(const real *shared, struct lane lane, real *c) {
+  const struct lane_dipole d = lane_dipole_of(shared, lane);
+  const real z2 = 1 + d.z2_less_1;
+  const real flux = shared[LANES_C_FLUX];
+  c[UNITS_PER_MM] = lane.sigma_t * REAL_Z1;
+  c[MM_PER_UNIT] = lane.mfp / REAL_Z1;
+  c[MU] = d.mu / REAL_Z1;
+  c[INVERSE_MU] = real_min(1 / c[MU], REAL(1e30));
+  c[Z2] = z2 * REAL_Z1;
+  c[Z2_LESS_Z1] = d.z2_less_1 * REAL_Z1;
+  c[Z2_SQUARED] = z2 * z2 * (REAL_Z1 * REAL_Z1);
+  c[Z2_SQUARED_LESS_Z1_SQUARED] = d.z2_less_1 * (2 + d.z2_less_1) * (REAL_Z1 * REAL_Z1);
+
+  const real up = REAL(0x1p40); /* half of LANE_R_UP, and all of LANE_RING_UP */
+  const real scale =
+      (lane.sigma_t * up) * (lane.sigma_t * up) * d.power * REAL(0.0795774715459476679);
+  const real near_scale = scale * (REAL_Z1 * REAL_Z1 * REAL_Z1);
+  c[R_PHI] = scale * REAL_Z1 * d.phi;
+  c[R_FLUX_1] = near_scale * flux;
+  c[R_FLUX_2] = near_scale * flux * z2;
+  c[R_EXPONENT] = -LANE_R_UP;
+  const real inverse_sum = d.power > 0 ? 1 / d.sum : 0;
+  const real pdf_scale = lane.sigma_t * inverse_sum * up;
+  c[PDF_PHI] = pdf_scale * d.phi;
+  c[PDF_FLUX_1] = pdf_scale * (REAL_Z1 * REAL_Z1) * flux;
+  c[PDF_FLUX_2] = c[PDF_FLUX_1] * z2;
+  c[PDF_EXPONENT] = -LANE_RING_UP;
+  const real ring_scale = lane.sigma_t * (REAL(0.5) * d.power) * up;
+  c[RING_PHI] = ring_scale * d.phi;
+  c[RING_FLUX_1] = ring_scale * (REAL_Z1 * REAL_Z1) * flux;
+  c[RING_FLUX_2] = c[RING_FLUX_1] * z2;
+  c[RING_EXPONENT] = -LANE_RING_UP;
+
+  c[CDF_LIMIT] = d.power > 0 ? 1 : 0;
+  c[CDF_FLUX_1] = flux * d.real_share * inverse_sum;
+  c[CDF_FLUX_2] = flux * d.mirror_share * inverse_sum;
+  c[CDF_PHI_FAR] = d.between * inverse_sum;
+  const real phi_near = d.phi * d.real_share * inverse_sum;
+  c[CDF_PHI_NEAR] = phi_near / REAL_Z1;
+  const real_exp_values mirror = real_exp(-d.mu * d.z2_less_1);
+  const real fluence = phi_near * (d.z2_less_1 + mirror.one_minus_exp) / z2;
+  const real fluxes = c[CDF_FLUX_1] * (1 + d.mu + (1 + d.mu * z2) / (z2 * z2) * mirror.exp);
+  c[CORE] = d.power > 0 ? REAL_Z1 * real_sqrt(2 / (fluence + fluxes)) : 0;
+  c[TAIL] = REAL_Z1 * (c[CDF_FLUX_1] * (1 + z2) + REAL(0.5) * phi_near * (d.z2_less_1 * (1 + z2)));
+  c[CDF_WHOLE] = lane_whole(c[TAIL], c[MU]);
+}
+
+LANES_KERNEL(varying_R, COEFFICIENTS, lane_fill, dipole_R, INFINITY)
+LANES_KERNEL(varying_cdf, COEFFICIENTS, lane_fill, dipole_cdf, INFINITY)
+LANES_KERNEL(varying_pdf, COEFFICIENTS, lane_fill, dipole_pdf, INFINITY)
+LANES_KERNEL(varying_ring, COEFFICIENTS, lane_fill, dipole_ring, INFINITY)
+
+static void varying_sample(const real *restrict shared, const float *restrict words, size_t n,
+                           const real *restrict sigma_a, const real *restrict sigma_s,
+                           const real *restrict u, real *restrict r) {
+  (void)words;
+  /* The mirror source of this eta is highest where nothing scatters, with D = 2/3. */
+  const real z2 = (1 + shared[LANES_Z2_PER_D] * (REAL(2.0) / 3)) * REAL_Z1;
+  const int steps = z2 > WIDE_Z2 ? SAMPLE_STEPS_WIDE : SAMPLE_STEPS;
+  SEARCH(n, u, r, steps, real c[COEFFICIENTS];
+         lane_fill(shared, lane_of(shared, sigma_a[k], sigma_s[k]), c);)
+  for (size_t i = 0; i < n; i++) {
+    const int good = lane_good(shared, sigma_a[i], sigma_s[i]) & (u[i] >= 0) & (u[i] <= 1);
+    r[i] = good ? r[i] : (real)NAN;
+  }
 }
 
 CORE_KERNEL_TABLE(dipole, .sample = sample,
-                  .evaluate = {
-                      [CORE_ELEMENTWISE_R] = eval_R,
-                      [CORE_ELEMENTWISE_CDF] = eval_cdf,
-                      [CORE_ELEMENTWISE_SLOPE] = eval_slope,
-                      [CORE_ELEMENTWISE_LN_R] = eval_ln_R,
-                      [CORE_ELEMENTWISE_PDF] = eval_pdf,
-                      [CORE_ELEMENTWISE_RING] = eval_ring,
+                  .evaluate =
+                      {
+                          [CORE_ELEMENTWISE_R] = eval_R,
+                          [CORE_ELEMENTWISE_CDF] = eval_cdf,
+                          [CORE_ELEMENTWISE_SLOPE] = eval_slope,
+                          [CORE_ELEMENTWISE_LN_R] = eval_ln_R,
+                          [CORE_ELEMENTWISE_PDF] = eval_pdf,
+                          [CORE_ELEMENTWISE_RING] = eval_ring,
+                      },
+                  .varying_sample = varying_sample,
+                  .varying = {
+                      [CORE_ELEMENTWISE_R] = varying_R,
+                      [CORE_ELEMENTWISE_CDF] = varying_cdf,
+                      [CORE_ELEMENTWISE_PDF] = varying_pdf,
+                      [CORE_ELEMENTWISE_RING] = varying_ring,
                   });
 
 #else /* what follows prepares a profile, and is compiled once for all instruction sets */

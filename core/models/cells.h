@@ -1,0 +1,61 @@
+/* cells: finds and evaluates the cells of core/varying/surface.h. Each sum and product is rounded
+ * separately. */
+#ifndef DIPOLED_CORE_MODELS_CELLS_H
+#define DIPOLED_CORE_MODELS_CELLS_H
+
+#include "core/kernel.h"
+#include "core/varying/surface.h"
+
+#if CORE_REAL == 64
+typedef int64_t cells_integer;
+#else
+typedef int32_t cells_integer;
+#endif
+
+static inline int32_t cells_word(const float *words, cells_integer at) {
+  const float number = words[at];
+  int32_t word;
+  memcpy(&word, &number, sizeof word);
+  return word;
+}
+
+/* A cell of an axis, and the position in it, from 0 to 1. */
+struct cells_place {
+  cells_integer cell;
+  real t;
+};
+
+/* axis: of enum core_surface_axis; kept: the coordinate, clamped to the axis. */
+static inline struct cells_place cells_find(const float *words, cells_integer axis, real kept) {
+  const cells_integer bits = (cells_integer)real_to_bits(kept);
+  const cells_integer octave =
+      (bits >> REAL_MANTISSA_BITS) - (REAL_EXPONENT_BIAS + CORE_SURFACE_EXPONENT);
+  const cells_integer entry =
+      cells_word(words, CORE_SURFACE_ENTRIES + CORE_SURFACE_AXIS * axis + octave);
+  const cells_integer shift = REAL_MANTISSA_BITS - (entry & 31);
+  const cells_integer mantissa = bits & (((cells_integer)1 << REAL_MANTISSA_BITS) - 1);
+  const cells_integer index = mantissa >> shift;
+  const cells_integer rest = mantissa - (index << shift);
+  const real unit = real_from_bits((real_bits)(REAL_EXPONENT_BIAS - shift) << REAL_MANTISSA_BITS);
+  return (struct cells_place){(entry >> 5) + index, (real)rest * unit};
+}
+
+static inline real cells_kept(const float *words, cells_integer axis, real x) {
+  return real_min(real_max(x, (real)words[CORE_SURFACE_LEAST + axis]),
+                  (real)words[CORE_SURFACE_MOST + axis]);
+}
+
+/* Returns the polynomial at word `at`. */
+static inline real cells_line(const float *words, cells_integer at, real t) {
+  return (real)words[at] +
+         t * ((real)words[at + 1] + t * ((real)words[at + 2] + t * (real)words[at + 3]));
+}
+
+/* Returns the polynomial of two coordinates at word `at`; p is that of the rows. */
+static inline real cells_patch(const float *words, cells_integer at, real p, real t) {
+  return cells_line(words, at, t) +
+         p * (cells_line(words, at + 4, t) +
+              p * (cells_line(words, at + 8, t) + p * cells_line(words, at + 12, t)));
+}
+
+#endif

@@ -1,0 +1,193 @@
+/* The kernels of a surface (core/varying/surface.h): `transport` where every value has a medium of
+ * its own.
+ *
+ * Error: the one that was measured when the surface was made, and rounding, which is at most 8
+ * epsilon (4 + k x).
+ */
+#ifdef CORE_ISA
+
+#include "core/models/cells.h"
+#include "core/models/lanes.h"
+
+#if CORE_REAL == 64
+#define EXP_LEAST (-1400.0)
+#define EXP_LN2_HI 0x1.62e42feep-1
+#define EXP_LN2_LO 0x1.a39ef35793c76p-33
+enum { EXP_TERMS = 14 };
+#else
+#define EXP_LEAST (-174.0f)
+#define EXP_LN2_HI 0x1.63p-1f
+#define EXP_LN2_LO (-0x1.bd0106p-13f)
+enum { EXP_TERMS = 8 };
+#endif
+
+/* Larger numbers of mean free paths are taken as this; R has underflowed there, or its surface ends
+ * long before. */
+#define X_MOST REAL(1e15)
+
+/* The series of e^f, 1 / k!, from the last term to the first. */
+static const real series[] = {
+#if CORE_REAL == 64
+    1 / 6227020800.0,
+    1 / 479001600.0,
+    1 / 39916800.0,
+    1 / 3628800.0,
+    1 / 362880.0,
+    1 / 40320.0,
+#endif
+    REAL(1.0) / 5040,
+    REAL(1.0) / 720,
+    REAL(1.0) / 120,
+    REAL(1.0) / 24,
+    REAL(1.0) / 6,
+    REAL(0.5),
+    1,
+    1};
+_Static_assert(sizeof series / sizeof series[0] == EXP_TERMS, "as many as the precision needs");
+
+/* Returns scale e^z with gradual underflow, in plain sums and products. */
+static inline real times_exp(real scale, real z) {
+  const real kept = real_max(z, EXP_LEAST);
+  const real k = (kept * REAL(1.44269504088896340736) + REAL_ROUND_MAGIC) - REAL_ROUND_MAGIC;
+  const real f = (kept - k * EXP_LN2_HI) - k * EXP_LN2_LO;
+  real e = series[0];
+  for (int i = 1; i < EXP_TERMS; i++) {
+    e = series[i] + f * e;
+  }
+  /* two powers of two, since 2^k alone may underflow */
+  const real_bits both = real_to_bits(k + (2 * REAL_EXPONENT_BIAS + REAL_ROUND_MAGIC));
+  const real_bits half = both >> 1;
+  return scale * e * real_from_bits(half << REAL_MANTISSA_BITS) *
+         real_from_bits((both - half) << REAL_MANTISSA_BITS);
+}
+
+/* A medium and where it is on the axis of albedos. */
+struct row {
+  struct lane lane;
+  real s;
+  real k;
+  struct cells_place place;
+};
+
+static inline struct row row_of(const real *shared, const float *words, real sigma_a,
+                                real sigma_s) {
+  struct row row;
+  row.lane = lane_of(shared, sigma_a, sigma_s);
+  row.s = real_sqrt(row.lane.absorbed);
+  const int by_s = row.s < REAL(0.5);
+  const cells_integer axis = by_s ? CORE_SURFACE_S : CORE_SURFACE_W;
+  const real w = row.lane.scattered / (1 + row.s);
+  row.place = cells_find(words, axis, cells_kept(words, axis, by_s ? row.s : w));
+  row.place.cell += by_s ? 0 : cells_word(words, CORE_SURFACE_CELLS + CORE_SURFACE_S);
+  real k = (real)words[CORE_SURFACE_KAPPA + CORE_SURFACE_KAPPA_TERMS - 1];
+  for (int i = CORE_SURFACE_KAPPA_TERMS - 2; i >= 0; i--) {
+    k = (real)words[CORE_SURFACE_KAPPA + i] + row.s * k;
+  }
+  row.k = row.s * k;
+  return row;
+}
+
+/* Returns the position of a patch. */
+static inline cells_integer patch_at(const float *words, cells_integer function, cells_integer axis,
+                                     cells_integer row, cells_integer column) {
+  return cells_word(words, CORE_SURFACE_AT + function) +
+         16 * (row * cells_word(words, CORE_SURFACE_CELLS + axis) + column);
+}
+
+/* Returns scale x R / sigma_t'^2. */
+static inline real x_R(const float *words, struct row row, real true_x, real scale) {
+  const real x = real_min(true_x, X_MOST);
+  const real kept = cells_kept(words, CORE_SURFACE_RADIUS, x);
+  const struct cells_place place = cells_find(words, CORE_SURFACE_RADIUS, kept);
+  const real Q = cells_patch(
+      words, patch_at(words, CORE_SURFACE_Q, CORE_SURFACE_RADIUS, row.place.cell, place.cell),
+      row.place.t, place.t);
+  const real kx = row.k * x;
+  /* Beyond the axis x R falls by another factor of 1 / x^2. */
+  const real beyond = real_min(kept / x, 1);
+  const real far = x > kept ? beyond * beyond : 1;
+  return times_exp(scale * row.lane.scattered * (1 + kx) * far, Q - kx);
+}
+
+static inline real surface_R(const real *shared, const float *words, real sigma_a, real sigma_s,
+                             real r) {
+  const struct row row = row_of(shared, words, sigma_a, sigma_s);
+  const real x = r * row.lane.sigma_t;
+  const real R = x_R(words, row, x, row.lane.sigma_t * row.lane.sigma_t) / x;
+  return (row.lane.scattered > 0) & (r < (real)INFINITY) ? R : 0;
+}
+
+static inline real surface_ring(const real *shared, const float *words, real sigma_a, real sigma_s,
+                                real r) {
+  const struct row row = row_of(shared, words, sigma_a, sigma_s);
+  const real ring =
+      x_R(words, row, r * row.lane.sigma_t, row.lane.sigma_t * REAL(6.28318530717958647693));
+  return (row.lane.scattered > 0) & (r < (real)INFINITY) ? ring : 0;
+}
+
+static inline real surface_pdf(const real *shared, const float *words, real sigma_a, real sigma_s,
+                               real r) {
+  const struct row row = row_of(shared, words, sigma_a, sigma_s);
+  const real total = cells_line(
+      words, cells_word(words, CORE_SURFACE_AT + CORE_SURFACE_TOTAL) + 4 * row.place.cell,
+      row.place.t);
+  return surface_ring(shared, words, sigma_a, sigma_s, r) / total;
+}
+
+static inline real surface_cdf(const real *shared, const float *words, real sigma_a, real sigma_s,
+                               real r) {
+  const struct row row = row_of(shared, words, sigma_a, sigma_s);
+  const real x = r * row.lane.sigma_t;
+  const real kept = cells_kept(words, CORE_SURFACE_RADIUS, x);
+  const struct cells_place place = cells_find(words, CORE_SURFACE_RADIUS, kept);
+  const real cdf = cells_patch(
+      words, patch_at(words, CORE_SURFACE_CDF, CORE_SURFACE_RADIUS, row.place.cell, place.cell),
+      row.place.t, place.t);
+  const real bounded = real_min(cdf * real_min(x / kept, 1), REAL_BELOW_1);
+  return row.lane.scattered > 0 ? (r < (real)INFINITY ? bounded : 1) : 0;
+}
+
+static inline real surface_radius(const real *shared, const float *words, real sigma_a,
+                                  real sigma_s, real u) {
+  const struct row row = row_of(shared, words, sigma_a, sigma_s);
+  const int near = u <= REAL(0.5);
+  const real wanted = near ? u : 1 - u;
+  const cells_integer rest = near ? 0 : 1;
+  const cells_integer axis = CORE_SURFACE_U + rest;
+  const real kept = cells_kept(words, axis, wanted);
+  const struct cells_place place = cells_find(words, axis, kept);
+  const real x = cells_patch(
+      words, patch_at(words, CORE_SURFACE_X_OF_U + rest, axis, row.place.cell, place.cell),
+      row.place.t, place.t);
+  const real below = near ? real_min(wanted / kept, 1) : 1;
+  const real r = x * below * row.lane.mfp;
+  return (row.lane.scattered > 0) & (u > 0) ? (u < 1 ? r : (real)INFINITY) : 0;
+}
+
+#define SURFACE_KERNEL(name, element, most)                                                        \
+  static void name(const real *restrict shared, const float *restrict words, size_t n,             \
+                   const real *restrict sigma_a, const real *restrict sigma_s,                     \
+                   const real *restrict in, real *restrict out) {                                  \
+    for (size_t i = 0; i < n; i++) {                                                               \
+      const int good =                                                                             \
+          lane_good(shared, sigma_a[i], sigma_s[i]) & (in[i] >= 0) & (in[i] <= (real)(most));      \
+      const real value = element(shared, words, sigma_a[i], sigma_s[i], in[i] + 0);                \
+      out[i] = good ? value : (real)NAN;                                                           \
+    }                                                                                              \
+  }
+
+SURFACE_KERNEL(varying_R, surface_R, INFINITY)
+SURFACE_KERNEL(varying_cdf, surface_cdf, INFINITY)
+SURFACE_KERNEL(varying_pdf, surface_pdf, INFINITY)
+SURFACE_KERNEL(varying_ring, surface_ring, INFINITY)
+SURFACE_KERNEL(varying_sample, surface_radius, 1)
+
+CORE_KERNEL_TABLE(surface, .varying_sample = varying_sample,
+                  .varying = {
+                      [CORE_ELEMENTWISE_R] = varying_R,
+                      [CORE_ELEMENTWISE_CDF] = varying_cdf,
+                      [CORE_ELEMENTWISE_PDF] = varying_pdf,
+                      [CORE_ELEMENTWISE_RING] = varying_ring,
+                  });
+
+#endif

@@ -1,0 +1,204 @@
+/* varying: evaluates profiles where every value has a medium of its own, as the shading points of a
+ * texture do.
+ *
+ * Each value has its own sigma_a, sigma_s and radius (or u); model, moments, g and eta are those of
+ * the request. core_varying_prepare() makes what depends on these alone. The rest of the
+ * preparation is part of the kernels. It serves the dipole family, Burley's three and `transport`.
+ *
+ * For `transport` the preparation makes a surface (core/varying/surface.h): a table over albedo and
+ * radius for one g and eta, from the table of solutions. Its error is measured after it is made,
+ * and stated.
+ *
+ * A value that cannot be answered is NaN and has a status that says why; the others are answered.
+ * The same value gets the same bits on every instruction set and in every slice of an array.
+ *
+ * Arrays need only their type's alignment; outputs must not overlap inputs or each other. Nothing
+ * but core_varying_prepare() and core_varying_open() allocates.
+ */
+#ifndef DIPOLED_CORE_VARYING_H
+#define DIPOLED_CORE_VARYING_H
+
+#include "core/core.h"
+
+/* ---- statuses -------------------------------------------------------------------------------- */
+
+/* What became of one value, in one byte. */
+#define CORE_VALUE(id, IDENT, name, field, allowed) CORE_VALUE_##IDENT = (id),
+enum core_value_status {
+#include "core/choices.def"
+};
+
+extern const core_choice core_value_statuses[]; /* `about` says what is allowed */
+
+/* Returns the fault of a status: its field and what is allowed. `index` is the value's position.
+ * For CORE_VALUE_OK, and for CORE_VALUE_FAR, whose value is answered, the field is NULL. */
+core_fault core_value_fault(unsigned status, size_t index);
+
+/* ---- preparing ------------------------------------------------------------------------------- */
+
+#define CORE_VARYING_TOLERANCE 1e-3 /* of a surface, if the parameter `tolerance` is not given */
+#define CORE_VARYING_TOLERANCE_MIN 1e-5
+/* sigma_t' = sigma_a + sigma_s (1 - g) of media that vary */
+#define CORE_VARYING_SIGMA_T_PRIME_MIN_PER_MM 1e-6
+#define CORE_VARYING_SIGMA_T_PRIME_MAX_PER_MM 1e6
+/* least sigma_s (1 - g) / sigma_t' of a dipole or Burley's profile where sigma_s is not 0 */
+#define CORE_VARYING_SCATTERED_MIN 1e-12
+
+enum { CORE_VARYING_SHARED_MAX = 32 };
+
+/* The light that a colour, an albedo painted by an artist, belongs to. */
+enum core_light {
+  CORE_LIGHT_BEAM,    /* a beam at normal incidence */
+  CORE_LIGHT_DIFFUSE, /* the same radiance from all directions: a furnace */
+  CORE_LIGHTS
+};
+
+/* A model with g, eta and an evaluator, prepared. Callers read the fields down to `words_count`;
+ * the others belong to core. Copies share the owned memory, which is freed once. */
+typedef struct core_varying {
+  enum core_model model;
+  enum core_moments moments;
+  enum core_evaluator evaluator; /* f64 or f32 */
+  double g;
+  double eta;
+  unsigned notes; /* bits of enum core_note */
+  /* The media that the preparation serves have a ratio sigma_s' / sigma_t' from least to most.
+   * sigma_s may also be 0, unless the model is `transport`. */
+  double albedo_least;
+  double albedo_most;
+  /* The colours that a medium has, from least to most, per power that entered. The most is below
+   * the least for light that the model does not know. */
+  double colour_least[CORE_LIGHTS];
+  double colour_most[CORE_LIGHTS];
+  /* The share of the light striking the surface that the surface itself reflects (Fresnel). */
+  double specular[CORE_LIGHTS];
+  float *words; /* of the surface and of colours, for core_varying_open(); owned */
+  size_t words_count;
+
+  const struct core_kernels *kernels;       /* of the model */
+  const struct core_kernels *check_kernels; /* of all models: checks and colours */
+  struct {
+    double f64[CORE_VARYING_SHARED_MAX];
+    float f32[CORE_VARYING_SHARED_MAX];
+  } shared;
+} core_varying;
+
+/* Prepares *varying for the kernels of isa. model, moments and evaluator may be any integers.
+ * parameters (NULL: none): `tolerance`, from CORE_VARYING_TOLERANCE_MIN on, of the surface's error
+ * against the evaluator f64 of the same model; `surface_albedo`; `gamma`. Faults: those of
+ * core_profile_check() for a medium with this g and eta; `model` or `evaluator` if media cannot
+ * vary with it; `eta` if the table of solutions does not cover it; `tolerance` if no surface keeps
+ * it; and `memory`. On a fault *varying is unspecified. Otherwise the caller frees it. For
+ * `transport` this takes up to 50 ms, else some ten microseconds. */
+core_fault core_varying_prepare(core_varying *varying, const core_isa *isa, unsigned model,
+                                unsigned moments, unsigned evaluator, double g, double eta,
+                                const core_parameters *parameters);
+
+/* Does the same, but takes the `count` words of another preparation with the same arguments in
+ * place of making them. It copies the words. Evaluating then gives the same bits. Fault besides:
+ * `table` if the words are not such words. Whatever numbers they hold, evaluating reads nothing
+ * else. */
+core_fault core_varying_open(core_varying *varying, const core_isa *isa, unsigned model,
+                             unsigned moments, unsigned evaluator, double g, double eta,
+                             const core_parameters *parameters, const float *words, size_t count);
+
+/* Frees what the preparation owns. */
+void core_varying_free(core_varying *varying);
+
+/* Size in bytes of the memory that a preparation owns, without the structure itself. */
+size_t core_varying_bytes(const core_varying *varying);
+
+/* ---- checking and errors --------------------------------------------------------------------- */
+
+/* What the answered values of an array have in common. */
+typedef struct core_varying_range {
+  size_t answered;     /* number of values with a status OK or FAR; the rest is of those with OK */
+  double albedo_least; /* sigma_s' / sigma_t'; the least is above the most if there are none */
+  double albedo_most;
+  double mfp_least; /* r sigma_t', of finite radii */
+  double mfp_most;
+} core_varying_range;
+
+/* Sets status[n] to those of n values with sigma_a[n], sigma_s[n] in 1/mm and r[n] in mm, and
+ * *range. */
+void core_varying_check_f64(const core_varying *varying, size_t n, const double *sigma_a,
+                            const double *sigma_s, const double *r, uint8_t *status,
+                            core_varying_range *range);
+void core_varying_check_f32(const core_varying *varying, size_t n, const float *sigma_a,
+                            const float *sigma_s, const float *r, uint8_t *status,
+                            core_varying_range *range);
+
+/* The same for u[n] in place of radii. In the range only the albedos are set, and the radii are 0
+ * to infinity. */
+void core_varying_check_u_f64(const core_varying *varying, size_t n, const double *sigma_a,
+                              const double *sigma_s, const double *u, uint8_t *status,
+                              core_varying_range *range);
+void core_varying_check_u_f32(const core_varying *varying, size_t n, const float *sigma_a,
+                              const float *sigma_s, const float *u, uint8_t *status,
+                              core_varying_range *range);
+
+/* Joins the ranges of two arrays into *range. */
+void core_varying_range_add(core_varying_range *range, const core_varying_range *other);
+
+/* Returns the errors of the wanted quantities (bits) of values in a range whose status is OK. The
+ * numerical error is relative, against the exact formula of the model. It contains rounding, up to
+ * where a value underflows; for `transport` also the measured error of the surface and that of the
+ * table of solutions. The field numerical_per_mm is 0. The model's error is that of
+ * core_profile_errors(), the largest of the media and radii. */
+core_stated_errors core_varying_errors(const core_varying *varying, unsigned wanted,
+                                       const core_varying_range *range);
+
+/* ---- evaluating ------------------------------------------------------------------------------ */
+
+/* Evaluates R, CDF, PDF or RING (core.h) of a preparation of evaluator f64 (asserted) for n values:
+ * out[i] of the medium sigma_a[i], sigma_s[i] at r[i] mm. A value whose status is neither OK nor
+ * FAR is NaN. */
+void core_varying_eval_f64(const core_varying *varying, enum core_quantity quantity, size_t n,
+                           const double *sigma_a, const double *sigma_s, const double *r,
+                           double *out);
+void core_varying_eval_f32(const core_varying *varying, enum core_quantity quantity, size_t n,
+                           const float *sigma_a, const float *sigma_s, const float *r, float *out);
+
+/* Sets r[i] to the radius in mm at which the cdf of the medium is u[i], 0 to 1. */
+void core_varying_sample_f64(const core_varying *varying, size_t n, const double *sigma_a,
+                             const double *sigma_s, const double *u, double *r);
+void core_varying_sample_f32(const core_varying *varying, size_t n, const float *sigma_a,
+                             const float *sigma_s, const float *u, float *r);
+
+/* The values of core_varying_gradient_f64(), each an array of n numbers, or NULL if not wanted. */
+typedef struct core_gradient {
+  double *ln_R;
+  double *by_ln_sigma_a; /* d ln R / d ln sigma_a at fixed r and sigma_s */
+  double *by_ln_sigma_s; /* d ln R / d ln sigma_s at fixed r and sigma_a; for sigma_s' the same */
+} core_gradient;
+
+/* Sets ln R and its derivatives, for all models that core_varying_prepare() accepts, with evaluator
+ * f64 (asserted). Derivatives of a surface are exact for the surface. A value whose status is
+ * neither OK nor FAR is NaN. */
+void core_varying_gradient_f64(const core_varying *varying, size_t n, const double *sigma_a,
+                               const double *sigma_s, const double *r, const core_gradient *out);
+
+/* ---- from colours to media ------------------------------------------------------------------- */
+
+/* What a colour means. */
+typedef struct core_colour {
+  enum core_light light;
+  bool specular; /* whether the colour contains what the surface itself reflects (Fresnel) */
+  enum core_length length;
+} core_colour;
+
+/* Returns a fault if the model does not know this light (`light`) or length (`length`). */
+core_fault core_colour_check(const core_varying *varying, const core_colour *what);
+
+/* Sets sigma_a[n] and sigma_s[n], in 1/mm, to the media of the colours (diffuse albedos) colour[n]
+ * and lengths length_mm[n]. albedo[n] is set to sigma_s / (sigma_a + sigma_s), which a random walk
+ * needs; it may be NULL. A colour that no medium has, or a length that leads out of the domain,
+ * gets its status, and its results are NaN. */
+void core_varying_invert_f64(const core_varying *varying, const core_colour *what, size_t n,
+                             const double *colour, const double *length_mm, double *sigma_a,
+                             double *sigma_s, double *albedo, uint8_t *status);
+void core_varying_invert_f32(const core_varying *varying, const core_colour *what, size_t n,
+                             const float *colour, const float *length_mm, float *sigma_a,
+                             float *sigma_s, float *albedo, uint8_t *status);
+
+#endif

@@ -1,0 +1,105 @@
+/* surface: the words that media which vary share (core/varying.h): from colours to media for every
+ * model, and for `transport` the profile over albedo and radius for one g and eta. They have the
+ * same form in memory and on the wire.
+ *
+ * The words are 32-bit, little-endian: numbers in IEEE single precision, and integers. A function
+ * is cut into cells, which are polynomials of the third degree in each coordinate, with all
+ * coefficients side by side: 16 words, one cache line, in two dimensions. Sums and products are
+ * each rounded, so any program with IEEE arithmetic gets the same bits.
+ *
+ * Coordinates. Each axis cuts the octaves [2^e, 2^(e+1)) of its coordinate into equal cells, a
+ * power of two of them for each octave. An axis is CORE_SURFACE_AXIS words: for each exponent e
+ * from CORE_SURFACE_EXPONENT on an integer, cell << 5 | cuts, where `cell` is the octave's first
+ * one and it has 2^cuts cells; and a coordinate's position t in its cell is from 0 to 1.
+ * Coordinates are clamped to the axis first.
+ *
+ *   albedo  s = sqrt(sigma_a / sigma_t') up to 1/2, as what diffuses is smooth in s where little is
+ *           absorbed; and w = 1 - s, which is nearly in proportion to the albedo, beyond. The rows
+ *           of cells along s come first.
+ *   radius  x = r sigma_t', in mean free paths
+ *   u       the cdf, up to 1/2; and 1 - u beyond
+ *   colour  v, the colour over the largest that a medium has, up to 1/2; and 1 - v beyond
+ *
+ * Functions:
+ *   Q(s, x)        R = sigma_t'^2 a (1 + k x) / x e^(Q - k x), with the reduced albedo a and k = s
+ *                  times a polynomial of s, the words CORE_SURFACE_KAPPA: nearly the rate at which
+ *                  diffuse light decays (core/transport/table.h). Below the axis Q is constant.
+ *   cdf(s, x)      below the axis in proportion to x
+ *   x(s, u)        the radius whose cdf is u, below the axis in proportion to u; and x(s, 1 - u)
+ *   total(s)       the energy that leaves per power that has entered
+ *   w(v), s(1 - v) for each light; below the axis s is in proportion to 1 - v
+ */
+#ifndef DIPOLED_CORE_SURFACE_H
+#define DIPOLED_CORE_SURFACE_H
+
+#include "core/varying.h"
+
+enum core_surface_axis {
+  CORE_SURFACE_S,
+  CORE_SURFACE_W,
+  CORE_SURFACE_RADIUS,
+  CORE_SURFACE_U,
+  CORE_SURFACE_REST, /* 1 - u */
+  CORE_SURFACE_COLOUR,
+  CORE_SURFACE_COLOUR_REST,
+  CORE_SURFACE_AXES
+};
+
+enum core_surface_function {
+  CORE_SURFACE_Q,
+  CORE_SURFACE_CDF,
+  CORE_SURFACE_X_OF_U,
+  CORE_SURFACE_X_OF_REST,
+  CORE_SURFACE_TOTAL,
+  CORE_SURFACE_W_OF_COLOUR,                                        /* for each light */
+  CORE_SURFACE_S_OF_REST = CORE_SURFACE_W_OF_COLOUR + CORE_LIGHTS, /* for each light */
+  CORE_SURFACE_FUNCTIONS = CORE_SURFACE_S_OF_REST + CORE_LIGHTS
+};
+
+enum {
+  CORE_SURFACE_EXPONENT = -40, /* of the first octave that an axis may have */
+  CORE_SURFACE_AXIS = 64,
+  CORE_SURFACE_CUTS_MAX = 7,
+  CORE_SURFACE_TERMS = 4, /* of a cell, in each direction */
+  CORE_SURFACE_KAPPA_TERMS = 5,
+  CORE_SURFACE_VERSION = 1
+};
+
+/* Positions of the words. */
+enum core_surface_word {
+  CORE_SURFACE_VERSION_WORD,                                     /* integer */
+  CORE_SURFACE_LEAST,                                            /* of each axis */
+  CORE_SURFACE_MOST = CORE_SURFACE_LEAST + CORE_SURFACE_AXES,    /* of each axis */
+  CORE_SURFACE_CELLS = CORE_SURFACE_MOST + CORE_SURFACE_AXES,    /* integers */
+  CORE_SURFACE_AT = CORE_SURFACE_CELLS + CORE_SURFACE_AXES,      /* integers: where a */
+  CORE_SURFACE_KAPPA = CORE_SURFACE_AT + CORE_SURFACE_FUNCTIONS, /* function begins, 0: none */
+  CORE_SURFACE_COLOUR_MOST = /* for each light, 0 if it is not known */
+  CORE_SURFACE_KAPPA + CORE_SURFACE_KAPPA_TERMS,
+  CORE_SURFACE_COLOUR_LEAST = CORE_SURFACE_COLOUR_MOST + CORE_LIGHTS,
+  CORE_SURFACE_SCATTERED_LEAST = CORE_SURFACE_COLOUR_LEAST + CORE_LIGHTS,
+  CORE_SURFACE_FAR,                          /* three words, as LANES_FAR of core/models/lanes.h */
+  CORE_SURFACE_ERROR = CORE_SURFACE_FAR + 3, /* measured, of R, cdf and radius, relative */
+  CORE_SURFACE_ENTRIES = 64,                 /* the axes */
+  CORE_SURFACE_PATCHES = CORE_SURFACE_ENTRIES + CORE_SURFACE_AXES * CORE_SURFACE_AXIS
+};
+_Static_assert((int)CORE_SURFACE_ERROR < CORE_SURFACE_ENTRIES, "the words do not overlap");
+
+/* The inputs of making the words. */
+typedef struct core_surface_inputs {
+  const core_isa *isa;
+  enum core_moments moments;
+  double g; /* that `transport` scatters with */
+  double eta;
+  double tolerance;
+  bool is_transport;
+  const double *shared; /* of dipoles: see core/models/lanes.h */
+} core_surface_inputs;
+
+/* Makes the words; the caller frees them. Faults: `tolerance`, `memory`. */
+core_fault core_surface_build(const core_surface_inputs *inputs, float **words, size_t *count);
+
+/* Checks words that a peer or a file has given. Without a fault, evaluating reads no words outside
+ * of them, whatever numbers they hold. The fault's field is `table`. */
+core_fault core_surface_check(const float *words, size_t count, bool is_transport);
+
+#endif
