@@ -362,3 +362,35 @@ UNIT_TEST(a_table_states_its_largest_error) {
   printf("tables: at most %.3f of what is stated\n", worst);
   assert_true(worst <= 1);
 }
+
+/* R of transport for g below 0 halfway between two albedos of its table, where its series are
+ * furthest off. The truth is a solution with TRANSPORT_EFFORT_NORMAL, whose error it states itself. */
+UNIT_TEST(transport_between_the_albedos_of_its_table) {
+  const core_medium medium = {0.0086343149442095583, 0.68876179057435116, -0.4393447758318606,
+                              2.1485858171691916};
+  static const double truth[][3] = {
+      {12, 9.0219266e-05, 2.3e-5}, {16, 3.1239052e-05, 2.6e-5}, {20, 1.1687489e-05, 3.4e-5}};
+  const unsigned evaluators[] = {CORE_EVALUATOR_F64, CORE_EVALUATOR_F32, CORE_EVALUATOR_LUT};
+  for (size_t i = 0; i < sizeof evaluators / sizeof evaluators[0]; i++) {
+    core_profile profile;
+    unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
+                                           CORE_MOMENTS_EXACT, evaluators[i], &medium, NULL),
+                      NULL, 0);
+    for (size_t j = 0; j < sizeof truth / sizeof truth[0]; j++) {
+      const double r = truth[j][0];
+      const float r_f32 = (float)r;
+      double R;
+      float R_f32;
+      if (evaluators[i] == CORE_EVALUATOR_F64) {
+        core_eval_f64(&profile, CORE_QUANTITY_R, 1, &r, &R);
+      } else {
+        core_eval_f32(&profile, CORE_QUANTITY_R, 1, &r_f32, &R_f32);
+        R = (double)R_f32;
+      }
+      const double stated =
+          core_profile_errors(&profile, CORE_QUANTITY_R, (core_radii_range){r, r}).numerical;
+      assert_true(fabs(R / truth[j][1] - 1) <= stated + truth[j][2]);
+    }
+    core_profile_free(&profile);
+  }
+}

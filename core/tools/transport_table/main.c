@@ -137,10 +137,15 @@ static const struct {
              {{-0.5, 0}, {1.0 / 11, 0.2}},       {{0.3, 0.6}, {1.0 / 11, 0.2}},
              {{0.6, 0.85}, {1.0 / 11, 0.2}},     {{0.85, 0.95}, {1.0 / 11, 0.2}}};
 
+/* Besides, media halfway between the points of u, where the series are furthest off, with the g at
+ * which they converge most slowly. */
+#define BETWEEN_G (-0.42)
+
 enum {
   FINEST = sizeof finest / sizeof finest[0],
   DRAWN = sizeof drawn / sizeof drawn[0],
-  CHECKS_D = DRAWN + FINEST,
+  BETWEEN = NODES_D_U - 1,
+  CHECKS_D = DRAWN + FINEST + BETWEEN,
   FINEST_FIRST = 12 /* number of the first of `finest` among the checks */
 };
 
@@ -176,6 +181,9 @@ static void checks_make_difference(const double *field, table_sample samples[CHE
       sample_make(&samples[n], finest[n - FINEST_FIRST].g, ETAS_D, RADII_D);
       samples[n].effort = TRANSPORT_EFFORT_FINEST;
       albedo = 1 / (1 + finest[n - FINEST_FIRST].ratio);
+    } else if (n >= DRAWN + FINEST) {
+      sample_make(&samples[n], BETWEEN_G, ETAS_D, RADII_D);
+      albedo = nodes_albedo(field, (double)(n - DRAWN - FINEST) + 0.5);
     } else {
       const size_t i = n < FINEST_FIRST ? n : n - FINEST;
       const double *g = drawn[i].g, *from = drawn[i].albedo;

@@ -104,6 +104,13 @@ static double u_point(const double *field, size_t i, size_t n) {
   return point(i, n, transport_table_u(1), transport_table_u(field[TRANSPORT_TABLE_ALBEDO_LEAST]));
 }
 
+double nodes_albedo(const double *field, double i) {
+  const double first = floor(i), part = i - first;
+  const double u = u_point(field, (size_t)first, NODES_D_U);
+  const double next = part > 0 ? u_point(field, (size_t)first + 1, NODES_D_U) : u;
+  return transport_table_albedo_of_u(u + part * (next - u));
+}
+
 /* The sample of point l of g and point i of u, where g is not 0. */
 static size_t sample_of(size_t l, size_t i) {
   return (l < NODES_D_G_ZERO ? l : l - 1) * NODES_D_U + i;
@@ -122,7 +129,7 @@ void nodes_make_difference(const double *field, table_sample samples[NODES_D]) {
     make_etas(field, TRANSPORT_TABLE_BELOW_1, NODES_D_BELOW_1, sample->eta);
     make_etas(field, TRANSPORT_TABLE_FROM_1, NODES_D_FROM_1, sample->eta + NODES_D_BELOW_1);
     for (size_t j = 0; j < NODES_D_V; j++) {
-      sample->albedo[j] = transport_table_albedo_of_u(u_point(field, i, NODES_D_U));
+      sample->albedo[j] = nodes_albedo(field, (double)i);
       make_radii(field, true, sample->albedo[j], NODES_D_X, sample->x + j * PANELS * NODES_D_X);
     }
   }

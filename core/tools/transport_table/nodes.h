@@ -21,6 +21,9 @@ enum {
 void nodes_make(const double *field, table_sample samples[NODES]);
 void nodes_make_difference(const double *field, table_sample samples[NODES_D]);
 
+/* Returns the albedo of point i of NODES_D_U, or of the middle of two points for i + 0.5. */
+double nodes_albedo(const double *field, double i);
+
 /* A table's bytes, which the caller frees. */
 typedef struct table_bytes {
   uint8_t *bytes;
