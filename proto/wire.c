@@ -220,6 +220,9 @@ static const struct {
     {WIRE_CHOICE_DRAW, core_draws},
     {WIRE_CHOICE_LENGTH, core_lengths},
     {WIRE_CHOICE_PHASE, core_phases},
+    {WIRE_CHOICE_SCALE, core_fit_scales},
+    {WIRE_CHOICE_AXIS, core_fit_axes},
+    {WIRE_CHOICE_FIT_STATUS, core_fit_statuses},
 };
 
 enum { CHOICE_LISTS = sizeof choice_lists / sizeof choice_lists[0] };

@@ -45,6 +45,9 @@ enum wire_choice_kind {
   WIRE_CHOICE_DRAW,
   WIRE_CHOICE_LENGTH,
   WIRE_CHOICE_PHASE,
+  WIRE_CHOICE_SCALE,
+  WIRE_CHOICE_AXIS,
+  WIRE_CHOICE_FIT_STATUS,
 };
 
 /* ---- structures ------------------------------------------------------------------------------ */

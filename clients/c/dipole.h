@@ -187,6 +187,9 @@ enum dipole_kind {
   DIPOLE_DRAW,
   DIPOLE_LENGTH,
   DIPOLE_PHASE,
+  DIPOLE_SCALE,
+  DIPOLE_AXIS,
+  DIPOLE_FIT_STATUS,
 };
 
 typedef struct dipole_choice {
@@ -510,6 +513,93 @@ bool dipole_invert(dipole_client *client, const dipole_invert_query *query,
                    dipole_inversion **inversion, dipole_error *error);
 
 void dipole_inversion_free(dipole_inversion *inversion); /* inversion may be NULL */
+
+/* ---- from readings to coefficients --------------------------------------------------------- */
+
+/* Where the readings of a fit were taken. */
+enum dipole_axis {
+  DIPOLE_AXIS_RADIUS = 1,    /* at distances in mm; a reading is R in 1/mm^2 */
+  DIPOLE_AXIS_FREQUENCY = 2, /* under striped light of spatial frequencies in 1/mm; it is R(f) */
+};
+
+/* What is known about the scale of the readings. */
+enum dipole_scale {
+  DIPOLE_ABSOLUTE = 1,  /* readings are R or R(f) themselves */
+  DIPOLE_FREE = 2,      /* readings are R or R(f) times one unknown factor, which is fitted too */
+  DIPOLE_REFERENCE = 3, /* readings are divided by those of a known medium at the same places */
+};
+
+/* How a fit has ended. Only DIPOLE_FITTED is a success. */
+enum dipole_fit_status {
+  DIPOLE_FITTED = 1,
+  DIPOLE_FIT_AT_BOUND = 2,     /* the best medium is at the edge of those that are tried */
+  DIPOLE_FIT_UNDETERMINED = 3, /* a whole line of media fits: see `condition` and the variances */
+  DIPOLE_FIT_AMBIGUOUS = 4,    /* a second medium fits as well */
+  DIPOLE_FIT_UNFINISHED = 5,   /* the search did not settle */
+  DIPOLE_FIT_REFUSED = 6,      /* a reading is wrong: see `field` and `index` */
+};
+
+typedef struct dipole_fit_query {
+  unsigned model;                     /* the model of the readings */
+  unsigned moments;                   /* enum dipole_moments */
+  double g, eta;                      /* of all media */
+  const dipole_parameter *parameters; /* [parameter_count], as of an eval */
+  size_t parameter_count;
+  unsigned axis;           /* enum dipole_axis */
+  unsigned scale;          /* enum dipole_scale */
+  dipole_medium reference; /* for DIPOLE_REFERENCE: the known medium */
+  uint64_t reading_count;  /* of each set: 2 to 1024, with DIPOLE_FREE at least 3 */
+  const double *at;        /* [reading_count] distances in mm, or frequencies in 1/mm */
+  const double *source_mm; /* [reading_count] diameters of the discs that emit the light and that */
+  const double *detector_mm; /* detect it; NULL: 0 */
+  uint64_t set_count;   /* At least 1. All sets must fit into a frame (limit max_frame_bytes). */
+  const double *values; /* [set_count][reading_count], at least 0 */
+  const double *errors; /* [set_count][reading_count] their standard errors, above 0 and finite */
+  bool residuals;       /* whether the residuals are wanted */
+  unsigned deadline_ms; /* as of an eval */
+} dipole_fit_query;
+
+/* What was found for one set of readings. With DIPOLE_FIT_REFUSED all numbers from sigma_a_per_mm
+ * on are NaN. */
+typedef struct dipole_fitted {
+  uint16_t status; /* enum dipole_fit_status */
+  uint16_t bounds; /* sum of: 1 least and 2 largest sigma_a / sigma_s' that is tried, 4 least and 8
+                      largest sigma_s' */
+  uint16_t field;  /* DIPOLE_FIT_REFUSED: what is wrong of a reading: 1 its value, 2 its error */
+  uint16_t zero;
+  uint32_t index; /* DIPOLE_FIT_REFUSED: the position of that reading in its set */
+  uint32_t evaluations;
+  double sigma_a_per_mm;
+  double sigma_s_prime_per_mm; /* sigma_s (1 - g) */
+  double factor;               /* of all readings; 1 unless the scale is DIPOLE_FREE */
+  double chi_squared;
+  double reduced_chi_squared; /* over readings less unknowns; NaN if there are as many unknowns */
+  double condition; /* largest over least standard error along any direction of ln sigma_a and ln
+                       sigma_s' */
+  /* The squares of the standard errors of sigma_a, sigma_s' and the factor, and the covariances.
+   * Those with the factor are 0 unless the scale is DIPOLE_FREE. */
+  double variance_a, covariance_a_s, variance_s, covariance_a_factor, covariance_s_factor,
+      variance_factor;
+  /* A second medium that is a local best; all NaN if none was found. */
+  double second_sigma_a_per_mm, second_sigma_s_prime_per_mm, second_factor, second_chi_squared;
+} dipole_fitted;
+
+typedef struct dipole_fits {
+  uint64_t set_count;
+  uint64_t fitted_count;     /* number of sets whose status is DIPOLE_FITTED */
+  const dipole_fitted *sets; /* [set_count], in the order of the query */
+  uint32_t reading_count;    /* of the residuals; 0 if they are not wanted */
+  const double *residuals; /* [set_count][reading_count]: (value - factor model) / error, or NULL */
+  unsigned notes;          /* sum of the bits of the notes that hold */
+} dipole_fits;
+
+/* Finds the media whose readings are most likely, and waits for the answer. The daemon prepares
+ * what all sets have in common once, and keeps it. The caller frees *fits with dipole_fits_free().
+ */
+bool dipole_fit(dipole_client *client, const dipole_fit_query *query, dipole_fits **fits,
+                dipole_error *error);
+
+void dipole_fits_free(dipole_fits *fits); /* fits may be NULL */
 
 /* ---- tables -------------------------------------------------------------------------------- */
 

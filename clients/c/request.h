@@ -74,8 +74,8 @@ struct libdipole_pending {
   uint64_t reply_bytes_min, reply_bytes_max; /* limits for the payload of each frame */
   unsigned model;                            /* of an eval or sample; may be DIPOLE_ANY_MODEL */
   uint16_t evaluator, wanted;                /* of an eval or sample */
-  uint32_t medium_count;                     /* 0 if the request lists no media */
-  uint64_t radius_count;                     /* of an eval or sample; for an invert: its media */
+  uint32_t medium_count; /* 0 if the request lists no media; for a fit: residuals of each set */
+  uint64_t radius_count; /* of an eval or sample; for an invert: its media; for a fit: its sets */
   libdipole_reader *reader; /* gets each part when it arrives; NULL: the parts are put together */
   void *into_values;        /* see dipole_query */
   void *into_radii;
@@ -83,7 +83,7 @@ struct libdipole_pending {
   uint64_t id;
   libdipole_frame *frame; /* the answer; NULL if it is not complete yet */
   uint32_t next_part;     /* the number of the next part of the answer */
-  uint64_t next_radius;   /* the position of the first radius or medium of the next part */
+  uint64_t next_radius;   /* the position of the first radius, medium or set of the next part */
   /* The parts so far, as one answer. If there is a reader, this frame has no arrays. */
   libdipole_frame *gathered;
   bool dropped; /* The caller has dropped the request: do not use reader and into_*. */

@@ -6,6 +6,8 @@
 #include <string.h>
 #include <uv.h>
 
+#include "proto/fit.h"
+
 enum {
   BUCKETS_MIN = 256, /* Each number of buckets is a power of two. */
   FAST_SHARE = 4,    /* Fast profiles may hold a quarter of all bytes. */
@@ -32,6 +34,8 @@ struct cache_entry {
   uint64_t bytes;
   core_fault fault;
   core_profile profile;
+  core_fit *fit;   /* NULL unless the key has a design */
+  double design[]; /* that of the key */
 };
 
 TAILQ_HEAD(entries, cache_entry);
@@ -62,7 +66,9 @@ struct cache {
 
 /* ---- keys ------------------------------------------------------------------------------------ */
 
-static_assert(sizeof(struct cache_key) == 16 + 8 * CORE_PARAMETERS_END + 32 + 16, "no padding");
+enum { PLAIN_BYTES = offsetof(struct cache_key, design) }; /* of a key, compared as they are */
+
+static_assert(PLAIN_BYTES == 16 + 8 * CORE_PARAMETERS_END + 32 + 16, "no padding");
 
 static double normalized(double value) {
   if (isnan(value)) {
@@ -102,8 +108,19 @@ void cache_key_set_medium(struct cache_key *key, const core_medium *medium) {
   }
 }
 
+void cache_key_set_design(struct cache_key *key, const uint8_t *design, size_t design_bytes) {
+  *key = (struct cache_key){.design = design, .design_bytes = design_bytes};
+  for (size_t i = 0; i < design_bytes; i += sizeof(double)) {
+    double word;
+    memcpy(&word, design + i, sizeof word);
+    key->hash = mix(key->hash, word);
+  }
+}
+
 bool cache_key_equal(const struct cache_key *a, const struct cache_key *b) {
-  return a->hash == b->hash && memcmp(a, b, sizeof *a) == 0;
+  return a->hash == b->hash && memcmp(a, b, PLAIN_BYTES) == 0 &&
+         a->design_bytes == b->design_bytes &&
+         (a->design_bytes == 0 || memcmp(a->design, b->design, a->design_bytes) == 0);
 }
 
 core_fault cache_key_prepare(const struct cache_key *key, const core_isa *isa,
@@ -128,6 +145,7 @@ void cache_release(struct cache_entry *entry) {
   }
   if (entry->bytes > 0) {
     core_profile_free(&entry->profile);
+    core_fit_free(entry->fit);
   }
   free(entry);
 }
@@ -142,6 +160,10 @@ static void release_all(struct entries *evicted) {
 
 const core_profile *cache_profile(const struct cache_entry *entry) {
   return &entry->profile;
+}
+
+const core_fit *cache_fit(const struct cache_entry *entry) {
+  return entry->fit;
 }
 
 core_fault cache_fault(const struct cache_entry *entry) {
@@ -381,10 +403,13 @@ static struct cache_entry *begin_turn(struct cache *cache) {
 
 /* Makes an entry with one reference, which the table holds. Returns NULL if there is no memory. */
 static struct cache_entry *new_entry(struct cache *cache, const struct cache_key *key, bool slow) {
-  struct cache_entry *entry = calloc(1, sizeof *entry);
+  struct cache_entry *entry = calloc(1, sizeof *entry + key->design_bytes);
   if (entry != NULL) {
     entry->cache = cache;
     entry->key = *key;
+    if (key->design != NULL) {
+      entry->key.design = memcpy(entry->design, key->design, key->design_bytes);
+    }
     entry->slow = slow;
     entry->under_way = true;
     entry->begun = !slow;
@@ -528,6 +553,22 @@ void cache_move_waiters(struct cache *cache, struct cache_owner *from, struct ca
   uv_mutex_unlock(&cache->mutex);
 }
 
+/* Prepares the profile or the fit, or sets the fault. Returns the bytes of the entry; 0 with a
+ * fault. */
+static uint64_t prepare_entry(struct cache_entry *entry) {
+  const struct cache_key *key = &entry->key;
+  const core_isa *isa = entry->cache->isa;
+  if (key->design == NULL) {
+    entry->fault = cache_key_prepare(key, isa, &entry->profile);
+    return entry->fault.field == NULL ? sizeof *entry + core_profile_bytes(&entry->profile) : 0;
+  }
+  fit_design read;
+  fit_design_read(key->design, &read);
+  entry->fault = core_fit_create(&entry->fit, isa, &read.design);
+  return entry->fault.field == NULL ? sizeof *entry + key->design_bytes + core_fit_bytes(entry->fit)
+                                    : 0;
+}
+
 void cache_prepare(struct cache_entry *entry) {
   struct cache *cache = entry->cache;
   uv_mutex_lock(&cache->mutex);
@@ -538,10 +579,7 @@ void cache_prepare(struct cache_entry *entry) {
     return;
   }
   stats_add(cache->stats, STATS_CACHE_BUILDS, 1);
-  entry->fault = cache_key_prepare(&entry->key, cache->isa, &entry->profile);
-  if (entry->fault.field == NULL) {
-    entry->bytes = sizeof *entry + core_profile_bytes(&entry->profile);
-  }
+  entry->bytes = prepare_entry(entry);
   struct entries evicted = TAILQ_HEAD_INITIALIZER(evicted);
   uv_mutex_lock(&cache->mutex);
   entry->under_way = false;

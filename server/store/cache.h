@@ -1,5 +1,5 @@
-/* cache: keeps prepared profiles, found by what they are prepared from. All workers share it, and
- * its bytes are bounded.
+/* cache: keeps prepared profiles, and prepared fits, found by what they are prepared from. All
+ * workers share it, and its bytes are bounded. What is said of profiles holds for fits, too.
  *
  * An entry is a profile that is being prepared or has been prepared. After its preparation nothing
  * in it changes. The cache's table, the workers' local stores and the jobs each hold a reference to
@@ -32,13 +32,17 @@
 #include <sys/queue.h>
 #include <uv.h>
 
-#include "core/core.h"
+#include "core/fit/fit.h"
 #include "server/observe/stats.h"
 
 /* The key of a profile: everything from which it is prepared. Two profiles are the same if their
  * keys have the same bytes: there is no padding, 0 has no sign, and all parameters that are not
  * given are the same NaN. The angles of S are not in the key, because a job sets them in its copy
- * of the profile. */
+ * of the profile.
+ *
+ * The key of a prepared fit (core/fit/fit.h) has a `design`: the bytes of fit_design_read(), which
+ * are compared one by one. Its other members, except the hash, are 0. The design belongs to the
+ * caller; an entry of the cache has a copy. */
 struct cache_key {
   uint32_t model;
   uint32_t moments;
@@ -48,6 +52,8 @@ struct cache_key {
   double medium[4]; /* sigma_a, sigma_s (1/mm), g, eta */
   uint64_t hash_before_medium;
   uint64_t hash;
+  const uint8_t *design; /* NULL for a profile */
+  uint64_t design_bytes; /* a multiple of 8 */
 };
 
 /* Sets the members of the key that all channels of a request share. */
@@ -56,6 +62,9 @@ void cache_key_start(struct cache_key *key, unsigned model, unsigned moments, un
 
 /* Sets the medium of one channel, and the hash. Call it after cache_key_start(). */
 void cache_key_set_medium(struct cache_key *key, const core_medium *medium);
+
+/* Makes the key of a prepared fit. */
+void cache_key_set_design(struct cache_key *key, const uint8_t *design, size_t design_bytes);
 
 bool cache_key_equal(const struct cache_key *a, const struct cache_key *b);
 
@@ -148,10 +157,11 @@ uint64_t cache_place(const struct cache_waiter *waiter);
 /* Ends the waiting of a waiter, woken or not. Does nothing if it does not wait. */
 void cache_leave(struct cache_waiter *waiter);
 
-/* These return the profile and the fault of a prepared entry: one that was KEPT, that the caller
- * has prepared, or whose waiter was woken. The profile is valid if the fault's field is NULL, and
- * as long as the caller holds a reference. */
+/* These return the profile or the fit, and the fault, of a prepared entry: one that was KEPT, that
+ * the caller has prepared, or whose waiter was woken. The profile or fit is valid if the fault's
+ * field is NULL, and as long as the caller holds a reference. */
 const core_profile *cache_profile(const struct cache_entry *entry);
+const core_fit *cache_fit(const struct cache_entry *entry);
 core_fault cache_fault(const struct cache_entry *entry);
 
 /* Returns whether the entry is in the cache. A local store releases entries that are not. */

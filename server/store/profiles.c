@@ -144,6 +144,10 @@ static enum profiles_answer take(struct profiles *profiles, struct profiles_look
     return PROFILES_FAULT;
   }
   lookup->entry = entry;
+  lookup->fit = cache_fit(entry);
+  if (lookup->fit != NULL) {
+    return PROFILES_READY;
+  }
   lookup->profile = *cache_profile(entry);
   set_place(lookup, put(profiles, &lookup->key, &lookup->profile, entry));
   return PROFILES_READY;
@@ -151,7 +155,8 @@ static enum profiles_answer take(struct profiles *profiles, struct profiles_look
 
 static enum profiles_answer get_from_cache(struct profiles *profiles,
                                            struct profiles_lookup *lookup) {
-  const bool slow = core_prepares_slowly(lookup->key.model, lookup->key.evaluator);
+  const bool slow =
+      lookup->key.design != NULL || core_prepares_slowly(lookup->key.model, lookup->key.evaluator);
   struct cache_entry *entry;
   const enum cache_answer answer =
       cache_look(profiles->server->cache, &lookup->key, slow, lookup->owner, &profiles->queue,
@@ -218,6 +223,18 @@ enum profiles_answer profiles_get(struct profiles *profiles, struct profiles_loo
   if (lookup->ready) {
     core_profile_set_angles(&lookup->profile, &lookup->parameters);
   }
+  return answer;
+}
+
+enum profiles_answer profiles_get_fit(struct profiles *profiles, struct profiles_lookup *lookup,
+                                      const uint8_t *design, size_t design_bytes) {
+  assert(!lookup->ready);
+  cache_key_set_design(&lookup->key, design, design_bytes);
+  const enum profiles_answer answer = lookup->waiter.entry != NULL
+                                          ? get_awaited(profiles, lookup)
+                                          : get_from_cache(profiles, lookup);
+  lookup->ready = answer == PROFILES_READY;
+  lookup->waiter.admitted |= answer != PROFILES_FAULT;
   return answer;
 }
 

@@ -85,6 +85,7 @@ struct profiles_lookup {
   core_profile profile;        /* a copy, with the angles of the request */
   struct profiles_place place; /* of the profile without the angles, if the table has it */
   struct cache_entry *entry;   /* reference to the entry that was copied; NULL: none */
+  const core_fit *fit;         /* in place of `profile`, after profiles_get_fit() */
   core_fault fault;            /* after PROFILES_FAULT: why there is no profile */
   struct cache_waiter waiter;
   bool woken;
@@ -121,6 +122,12 @@ void profiles_start(struct profiles_lookup *lookup, unsigned model, unsigned mom
  * and on_ready(), call it again for the same medium. */
 enum profiles_answer profiles_get(struct profiles *profiles, struct profiles_lookup *lookup,
                                   const core_medium *medium);
+
+/* Gets the prepared fit of a design (server/store/cache.h), in place of profiles_start() and
+ * profiles_get(). It comes from the cache; the store does not keep it. The bytes stay valid until
+ * profiles_return(). After PROFILES_WAIT and on_ready(), call it again for the same design. */
+enum profiles_answer profiles_get_fit(struct profiles *profiles, struct profiles_lookup *lookup,
+                                      const uint8_t *design, size_t design_bytes);
 
 /* Returns the profile to the store, or gives up waiting for it. Does nothing if there is neither.
  */

@@ -33,15 +33,16 @@ from .errors import AddressError, ArgumentError, ConnectError, ConnectionLost, D
 from .errors import ProtocolError, Refused, TableError
 from .rings import RingMeans
 from .table import Table, TableErrors
-from .values import Choice, Draw, Grid, Info, Inversion, McEnergy, McProgress, McResult, McValue
-from .values import Medium, Offer, Offers, Query, Result, Samples
+from .values import Choice, Draw, Fits, Grid, Info, Inversion, McEnergy, McProgress, McResult
+from .values import McValue, Medium, Offer, Offers, Query, Result, Samples
 
 __version__ = "0.1.0"  # the version of the whole project, as in the Makefile
 
 # fmt: off
 __all__ = [
     "AddressError", "ArgumentError", "AsyncClient", "Choice", "Client", "ConnectError",
-    "Connection", "ConnectionLost", "DipoleError", "Draw", "Frame", "Grid", "Info", "Inversion",
+    "Connection", "ConnectionLost", "DipoleError", "Draw", "Fits", "Frame", "Grid", "Info",
+    "Inversion",
     "McEnergy", "McProgress", "McResult", "McValue", "Medium", "Offer", "Offers", "Parts",
     "ProtocolError", "Query", "Refused", "Result", "RingMeans", "Samples", "Table", "TableError",
     "TableErrors", "Values",

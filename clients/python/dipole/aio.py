@@ -15,7 +15,7 @@ from collections.abc import AsyncIterator, Callable, Coroutine, Iterable
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from . import broadcast, calls, evaluation, inversion, mc, rings, wire
+from . import broadcast, calls, evaluation, fitting, inversion, mc, rings, wire
 from .broadcast import Values
 from .connection import Connection, Frame
 from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
@@ -23,7 +23,7 @@ from .exchange import Exchange, Request
 from .opening import Opening
 from .rings import RingMeans
 from .table import Table
-from .values import Draw, Grid, Info, Inversion, McProgress, McResult, Media, Medium
+from .values import Draw, Fits, Grid, Info, Inversion, McProgress, McResult, Media, Medium
 from .values import Offers, Query, Result, Samples
 
 T = TypeVar("T")
@@ -179,6 +179,17 @@ class AsyncClient:
     async def invert(self, model: str | int, albedo: Any, length: Any, **options: Any) -> Inversion:
         """See Client.invert()."""
         return await self._ask(inversion.request(self.info, model, albedo, length, **options))
+
+    async def fit(
+        self, model: str | int, at: Any, values: Any, errors: Any, **options: Any
+    ) -> Fits:
+        """See Client.fit()."""
+        deadline_ms = options.pop("deadline_ms", 0)
+        made = fitting.design(self.info, model, at, values, errors, **options)
+        collected = fitting.Collected(self.info, made)
+        for request in fitting.requests(made, deadline_ms):
+            collected.add(await self._ask(request))
+        return collected.fits()
 
     async def media(self) -> dict[str, tuple[Medium, Medium, Medium]]:
         """See Client.media()."""

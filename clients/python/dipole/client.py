@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from . import broadcast, calls, evaluation, inversion, mc, rings
+from . import broadcast, calls, evaluation, fitting, inversion, mc, rings
 from .broadcast import Values
 from .connection import Frame
 from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
@@ -20,7 +20,7 @@ from .exchange import Exchange, Request
 from .opening import Opening
 from .rings import RingMeans
 from .table import Table
-from .values import Draw, Grid, Info, Inversion, McProgress, McResult, Media, Medium
+from .values import Draw, Fits, Grid, Info, Inversion, McProgress, McResult, Media, Medium
 from .values import Offers, Query, Result, Samples
 
 T = TypeVar("T")
@@ -195,6 +195,44 @@ class Client:
         moments, deadline_ms: as of a Query.
         """
         return self._ask(inversion.request(self.info, model, albedo, length, **options))
+
+    def fit(
+        self, model: str | int, at: Any, values: Any, errors: Any, **options: Any
+    ) -> Fits:
+        """Finds the sigma_a and sigma_s' under a model that make readings most likely.
+
+        at: [N] distances in mm or, with axis="f", spatial frequencies in 1/mm. values: [..., N]
+        readings there, such as an image [H, W, N]: R in 1/mm^2, or R(f). errors: their standard
+        errors, of a shape that broadcasts. A reading that is negative or NaN, or whose error is 0,
+        gives its set the status "refused"; the others are fitted.
+
+        options: scale: "absolute"; "free" if all readings of a set have an unknown factor. In its
+        place, reference names the Medium whose readings, by the same instrument, the values were
+        divided by. source, detector: diameters of the discs that emit and detect the light, mm, one
+        for all readings or [N]. residuals: whether they are wanted. g=0.0 and eta=1.3 hold for all
+        sets. moments, parameters, deadline_ms: as of a Query; large images are sent in several
+        requests, and the deadline holds for each.
+        """
+        deadline_ms = options.pop("deadline_ms", 0)
+        made = fitting.design(self.info, model, at, values, errors, **options)
+        collected = fitting.Collected(self.info, made)
+        under_way: list[int] = []
+
+        def collect_one() -> None:
+            collected.add(self._next(under_way[0]))
+            self._exchange.drop(under_way.pop(0))
+
+        try:
+            for request in fitting.requests(made, deadline_ms):
+                under_way.append(self._send(request))
+                if len(under_way) >= fitting.OUTSTANDING:
+                    collect_one()
+            while under_way:
+                collect_one()
+        finally:  # After an error, the other answers are no longer wanted.
+            for request_id in under_way:
+                self._exchange.drop(request_id)
+        return collected.fits()
 
     # ---- Monte Carlo -----------------------------------------------------------------------------
 

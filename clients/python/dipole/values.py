@@ -14,6 +14,8 @@ from typing import Any, NamedTuple, Union
 import numpy as np
 from numpy.typing import NDArray
 
+from . import wire
+
 Array = NDArray[Any]
 
 _LINE_MOST = 100  # columns of a line that describes an object
@@ -350,6 +352,93 @@ class Inversion:
         g = np.full_like(self.sigma_a, self.g)
         eta = np.full_like(self.sigma_a, self.eta)
         return np.stack([self.sigma_a, self.sigma_s, g, eta], axis=-1)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Fits:
+    """What was fitted to sets of readings. Arrays have the shape of the sets: that of the values of
+    fit() without its last axis. With status "refused" all numbers are NaN."""
+
+    sets: Array  # a structured array with the fields of `fitted` in PROTOCOL.md
+    residuals: Array | None  # [..., N]: (value - factor model) / error; None if not wanted
+    status_names: dict[int, str]  # the name of each number of `sets["status"]`
+
+    def __repr__(self) -> str:
+        counts = ", ".join(
+            f"{np.count_nonzero(self.sets['status'] == number)} {name}"
+            for number, name in self.status_names.items()
+            if np.any(self.sets["status"] == number)
+        )
+        return in_short(
+            f"<Fits: {counted(self.sets.size, 'set', 'sets')} of shape {self.sets.shape}: {counts}",
+            f"sigma_a {span(self.sigma_a)} 1/mm, sigma_s' {span(self.sigma_s_prime)} 1/mm, "
+            f"reduced chi-squared {span(self.sets['reduced_chi_squared'])}>",
+        )
+
+    @property
+    def status(self) -> Array:
+        """The names of how each fit has ended; only "fitted" is a success."""
+        return np.vectorize(self.status_names.get, otypes=[object])(self.sets["status"])
+
+    @property
+    def fitted(self) -> Array:
+        """Whether each fit is a success."""
+        fitted: Array = self.sets["status"] == wire.FIT_FITTED
+        return fitted
+
+    @property
+    def sigma_a(self) -> Array:
+        """1/mm."""
+        return self.sets["sigma_a"]
+
+    @property
+    def sigma_s_prime(self) -> Array:
+        """sigma_s (1 - g), 1/mm."""
+        return self.sets["sigma_s_prime"]
+
+    @property
+    def sigma_a_error(self) -> Array:
+        """The standard error of sigma_a, 1/mm."""
+        return np.sqrt(self.sets["variance_a"])
+
+    @property
+    def sigma_s_prime_error(self) -> Array:
+        """The standard error of sigma_s', 1/mm."""
+        return np.sqrt(self.sets["variance_s"])
+
+    @property
+    def correlation(self) -> Array:
+        """The correlation of the errors of sigma_a and sigma_s', from -1 to 1."""
+        with np.errstate(invalid="ignore"):
+            product = self.sigma_a_error * self.sigma_s_prime_error
+            correlation: Array = self.sets["covariance_a_s"] / product
+        return correlation
+
+    @property
+    def factor(self) -> Array:
+        """The factor of all readings; 1 unless the scale is "free"."""
+        return self.sets["factor"]
+
+    @property
+    def factor_error(self) -> Array:
+        """The standard error of the factor; 0 unless the scale is "free"."""
+        return np.sqrt(self.sets["variance_factor"])
+
+    @property
+    def chi_squared(self) -> Array:
+        """The sum of the squares of the residuals."""
+        return self.sets["chi_squared"]
+
+    @property
+    def reduced_chi_squared(self) -> Array:
+        """chi_squared over readings less unknowns; NaN if there are as many unknowns."""
+        return self.sets["reduced_chi_squared"]
+
+    @property
+    def condition(self) -> Array:
+        """The largest over the least standard error along any direction of ln sigma_a and ln
+        sigma_s'."""
+        return self.sets["condition"]
 
 
 class McProgress(NamedTuple):

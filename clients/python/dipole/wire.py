@@ -11,6 +11,8 @@ import struct
 from collections import namedtuple
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from .errors import ArgumentError
 
 MAGIC = 0x4C504944
@@ -26,7 +28,7 @@ def _numbered(names: str, first: int = 1) -> dict[int, str]:
 
 
 # Types of requests by name.
-_TYPES = _numbered("hello eval media statistics ping mc cancel table offers sample invert")
+_TYPES = _numbered("hello eval media statistics ping mc cancel table offers sample invert fit")
 MESSAGES = {name: type for type, name in _TYPES.items()}
 
 # Maps the code of a status to its name.
@@ -38,7 +40,10 @@ STATUSES = _numbered(
 STATUS_DEADLINE = 12
 
 # Maps the number of a kind of choices to its name.
-KINDS = _numbered("model evaluator moments quantity spacing status parameter note draw length phase")
+KINDS = _numbered(
+    "model evaluator moments quantity spacing status parameter note draw length phase scale axis "
+    "fit_status"
+)
 
 # Permanent ids that the layout of a payload depends on.
 EVALUATOR_TYPES = {1: "<f8", 2: "<f4", 3: "<f4"}  # by evaluator: the numpy type of its values
@@ -60,6 +65,8 @@ DRAW_LIST = 1
 DRAW_REGULAR = 2
 DRAW_STRATIFIED = 3
 DRAW_RANDOM = 4
+SCALE_REFERENCE = 3
+FIT_FITTED = 1  # the only status of a fit that is a success
 ANY_MODEL = 0  # in place of a model: the daemon chooses one by the parameter tolerance
 
 # States of an mc job. MC_STATES holds the states in which a job has ended.
@@ -127,6 +134,11 @@ class Structure:
                 return field.name
             at += count
         return self.name
+
+    def dtype(self) -> np.dtype[Any]:
+        """Returns the type of numpy arrays of this structure, which has no text and no arrays."""
+        numpy_kinds = {"u16": "<u2", "u32": "<u4", "u64": "<u8", "f64": "<f8"}
+        return np.dtype([(field.name, numpy_kinds[field.kind]) for field in self.fields])
 
     def unpack(self, data: bytes, offset: int = 0) -> Any:
         """Reads the structure at an offset of the data as a named tuple. An array becomes a tuple,
@@ -229,6 +241,25 @@ INVERT_REPLY = Structure(
     "invert_reply",
     "u16 model, u16 moments, u16 given, u16 zero, u32 part, u32 part_count, u64 medium_count, "
     "u64 medium_first, u64 missing_count, f64 albedo_least, f64 albedo_most",
+)
+FIT_REQUEST = Structure("fit_request", "u64 set_count, u16 residuals, u16 zero, u32 zero_too")
+FIT_DESIGN = Structure(
+    "fit_design",
+    "u16 model, u16 moments, u16 axis, u16 scale, u32 reading_count, u16 parameter_count, "
+    "u16 zero, f64 g, f64 eta",
+)
+FIT_REPLY = Structure(
+    "fit_reply",
+    "u32 part, u32 part_count, u64 set_count, u64 set_first, u64 fitted_count, "
+    "u32 reading_count, u32 notes",
+)
+FITTED = Structure(
+    "fitted",
+    "u16 status, u16 bounds, u16 field, u16 zero, u32 index, u32 evaluations, f64 sigma_a, "
+    "f64 sigma_s_prime, f64 factor, f64 chi_squared, f64 reduced_chi_squared, f64 condition, "
+    "f64 variance_a, f64 covariance_a_s, f64 variance_s, f64 covariance_a_factor, "
+    "f64 covariance_s_factor, f64 variance_factor, f64 second_sigma_a, "
+    "f64 second_sigma_s_prime, f64 second_factor, f64 second_chi_squared",
 )
 ERROR = Structure(
     "error",

@@ -1,0 +1,58 @@
+/* fit: encodes and decodes the payloads of a fit request and its reply. */
+#ifndef DIPOLED_PROTO_FIT_H
+#define DIPOLED_PROTO_FIT_H
+
+#include "core/fit/fit.h"
+#include "proto/wire.h"
+
+/* The part of a request that says what an instrument is, and what is fitted. `design` points into
+ * the bytes and to `parameters`. */
+typedef struct fit_design {
+  core_fit_design design;
+  core_parameters parameters;
+} fit_design;
+
+/* A parsed fit request. Its arrays point into the payload, which starts at a multiple of 8. */
+typedef struct fit_request {
+  wire_fit_request fixed;
+  wire_fit_design design;      /* core checks the values */
+  const uint8_t *design_bytes; /* for fit_design_read() */
+  size_t design_bytes_count;
+  const double *values; /* [fixed.set_count][design.reading_count] */
+  const double *errors; /* the same */
+} fit_request;
+
+/* Parses a payload. Checks its shape, the ids of lists, the counts and the padding. */
+wire_error fit_request_parse(const uint8_t *payload, size_t payload_bytes, fit_request *request);
+
+/* Reads the design of a request that was parsed; the bytes may be a copy at a multiple of 8. */
+void fit_design_read(const uint8_t *design_bytes, fit_design *design);
+
+/* Returns the payload bytes of a request. set_count is at most 2^40. */
+uint64_t fit_request_bytes(const wire_fit_design *design, uint64_t set_count);
+
+/* These write a request piece by piece, and return the address behind what they have written: the
+ * two structures, which the parameters follow; then the reference medium, if the scale has one, and
+ * where the readings were taken, which the values and the errors follow. */
+uint8_t *fit_request_put(uint8_t *payload, const wire_fit_request *request,
+                         const wire_fit_design *design);
+uint8_t *fit_places_put(uint8_t *at, const core_fit_design *design);
+
+/* Makes the structure of one result. */
+wire_fitted fit_result_encode(const core_fit_result *result);
+
+/* Returns the payload bytes of a reply, or part of one, whose sets have `residuals` residuals each.
+ * set_count is at most 2^40. */
+uint64_t fit_reply_bytes(uint64_t set_count, uint32_t residuals);
+
+/* Returns the offset of the residuals, [set_count][residuals], in the payload of a reply. */
+uint64_t fit_residuals_offset(uint64_t set_count);
+
+/* Returns how many sets fit into a reply of max_payload_bytes. */
+uint64_t fit_part_sets(uint32_t residuals, uint64_t max_payload_bytes);
+
+/* Parses the fixed part of a reply. Returns false if the payload does not have the shape that its
+ * fixed part announces. */
+bool fit_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_fit_reply *fixed);
+
+#endif
