@@ -11,10 +11,20 @@ static const struct {
   enum dipole_kind kind;
   const char *plural;
 } lists[] = {
-    {DIPOLE_MODEL, "models"},         {DIPOLE_EVALUATOR, "evaluators"}, {DIPOLE_MOMENTS, "moments"},
-    {DIPOLE_QUANTITY, "quantities"},  {DIPOLE_SPACING, "spacings"},     {DIPOLE_STATUS, "statuses"},
-    {DIPOLE_PARAMETER, "parameters"}, {DIPOLE_NOTE, "notes"},           {DIPOLE_DRAW, "draws"},
-    {DIPOLE_LENGTH, "lengths"},       {DIPOLE_PHASE, "phases"},
+    {DIPOLE_MODEL, "models"},
+    {DIPOLE_EVALUATOR, "evaluators"},
+    {DIPOLE_MOMENTS, "moments"},
+    {DIPOLE_QUANTITY, "quantities"},
+    {DIPOLE_SPACING, "spacings"},
+    {DIPOLE_STATUS, "statuses"},
+    {DIPOLE_PARAMETER, "parameters"},
+    {DIPOLE_NOTE, "notes"},
+    {DIPOLE_DRAW, "draws"},
+    {DIPOLE_LENGTH, "lengths"},
+    {DIPOLE_PHASE, "phases"},
+    {DIPOLE_SCALE, "scales of readings"},
+    {DIPOLE_AXIS, "axes of readings"},
+    {DIPOLE_FIT_STATUS, "statuses of fits"},
 };
 
 #define DAEMON "daemon"
@@ -110,8 +120,8 @@ static int by_model(const void *a, const void *b) {
 
 static bool gather_costs(dipole_client *client, facts *all, dipole_error *error) {
   all->info = dipole_get_info(client);
-  const bool good = ask_costs(client, DIPOLE_F64, all, error) &&
-                    ask_costs(client, DIPOLE_F32, all, error);
+  const bool good =
+      ask_costs(client, DIPOLE_F64, all, error) && ask_costs(client, DIPOLE_F32, all, error);
   if (good) {
     qsort(all->offers, all->offer_count, sizeof *all->offers, by_model);
   }

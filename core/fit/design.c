@@ -19,8 +19,9 @@ static core_fault check_readings(const core_fit_design *design) {
   for (size_t i = 0; i < design->count; i++) {
     const double source = design->source_mm != NULL ? design->source_mm[i] : 0;
     const double detector = design->detector_mm != NULL ? design->detector_mm[i] : 0;
-    if (source < 0 || source > 0 || detector < 0 || detector > 0) {
-      return (core_fault){source < 0 || source > 0 ? "source" : "detector", "0", i};
+    const bool point = source >= 0 && source <= 0; /* neither holds for NaN */
+    if (!point || !(detector >= 0 && detector <= 0)) {
+      return (core_fault){point ? "detector" : "source", "0", i};
     }
     const double at = design->at[i];
     if (!(at >= 0 && at <= 1e12)) {

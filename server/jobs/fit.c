@@ -2,7 +2,7 @@
  * share is prepared on another thread and kept in the cache. */
 #include "proto/fit.h"
 
-#include <string.h>
+#include <assert.h>
 
 #include "server/jobs/job.h"
 
@@ -44,23 +44,20 @@ static uint64_t set_radii(const struct fit_job *fit) {
 
 /* ---- starting -------------------------------------------------------------------------------- */
 
-/* Cuts the reply into parts: one if it fits into a frame, else parts of max_part_bytes. */
-static wire_error cut(struct fit_job *fit, const struct options *options) {
+/* Cuts the reply into parts: one if it fits into a frame, else parts of max_part_bytes. A reply is
+ * larger than its request only if a set has few readings, so that many sets fit into a part. */
+static void cut(struct fit_job *fit, const struct options *options) {
   const uint64_t count = fit->request.fixed.set_count;
   fit->part_sets = count;
   if (fit_reply_bytes(count, fit->residuals) > options->max_frame_bytes) {
     fit->part_sets = fit_part_sets(fit->residuals, options->max_part_bytes);
   }
-  if (fit->part_sets == 0) {
-    return wire_error_make(WIRE_STATUS_TOO_LARGE, "residuals",
-                           "0: those of one set do not fit into a part (max_part_bytes)");
-  }
+  assert(fit->part_sets > 0);
   fit->first = 0;
   fit->count = fit->part_sets;
   fit->part = 0;
   fit->part_count =
       (uint32_t)((count - 1) / fit->part_sets + 1); /* a frame holds fewer than 2^32 sets */
-  return wire_error_none();
 }
 
 static wire_error check(struct fit_job *fit, const struct job_request *from) {
@@ -80,7 +77,8 @@ static wire_error check(struct fit_job *fit, const struct job_request *from) {
   fit->evaluation_radii =
       (costly ? COSTLY_MEDIUM_RADII : MEDIUM_RADII) + READING_RADII * (uint64_t)read.design.count;
   fit->residuals = fit->request.fixed.residuals != 0 ? fit->request.design.reading_count : 0;
-  return cut(fit, &fit->job.context->server->options);
+  cut(fit, &fit->job.context->server->options);
+  return wire_error_none();
 }
 
 static enum job_outcome start(struct job *job, const struct job_request *request) {

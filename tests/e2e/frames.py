@@ -21,6 +21,7 @@ MEDIA = wire.MESSAGES["media"]
 STATISTICS = wire.MESSAGES["statistics"]
 SAMPLE = wire.MESSAGES["sample"]
 INVERT = wire.MESSAGES["invert"]
+FIT_REQUEST = wire.MESSAGES["fit"]
 
 
 def header(**changes: int) -> bytes:
@@ -119,6 +120,37 @@ def invert_payload(albedos=(0.5, 0.9), lengths=(1.0, 2.0), **fixed: float) -> by
     fields.update(fixed)
     numbers = np.asarray([*albedos, *lengths], "<f8").tobytes()
     return wire.INVERT_REQUEST.pack(**fields) + numbers
+
+
+READINGS = (0.0234, 0.00787, 0.00159)  # of sigma_a 0.03, sigma_s' 1.2 and eta 1.4 at 1, 2, 4 mm
+
+
+def fit_payload(
+    values=(READINGS,), errors=((5e-4, 2e-4, 3e-5),), at=(1.0, 2.0, 4.0), parameters=(),
+    reference=None, discs=None, **fixed: float,
+) -> bytes:
+    """Makes the payload of a fit request: readings of several sets under the better dipole. Counts
+    fit unless `fixed` has others."""
+    head = {"set_count": len(values), "residuals": 0}
+    design = {
+        "model": BETTER,
+        "moments": EXACT,
+        "axis": 1,
+        "scale": 1 if reference is None else wire.SCALE_REFERENCE,
+        "reading_count": len(at),
+        "parameter_count": len(parameters),
+        "g": 0.0,
+        "eta": 1.4,
+    }
+    head.update({name: value for name, value in fixed.items() if name in (*head, "zero")})
+    design.update({name: value for name, value in fixed.items() if name in design})
+    places = np.asarray([at, *(discs or np.zeros((2, len(at))))], "<f8")
+    sets = np.asarray([values, np.broadcast_to(errors, np.shape(values))], "<f8")
+    return b"".join([
+        wire.FIT_REQUEST.pack(**head), wire.FIT_DESIGN.pack(**design),
+        parameters_bytes(parameters), media_bytes([] if reference is None else reference),
+        places.tobytes(), sets.tobytes(),
+    ])  # fmt: skip
 
 
 def ask(connection: Connection, type: int, payload: bytes = b"", request_id: int = 77) -> Frame:

@@ -46,6 +46,9 @@ def test_the_lists(client):
     assert ids["draw"] == choices("CORE_DRAW")
     assert ids["length"] == choices("CORE_LENGTH")
     assert ids["phase"] == choices("CORE_PHASE")
+    assert ids["scale"] == choices("CORE_FIT_SCALE")
+    assert ids["axis"] == choices("CORE_FIT_AXIS")
+    assert ids["fit_status"] == choices("CORE_FIT_STATUS")
     assert ids["status"] == {name: code for code, name in wire.STATUSES.items()}
     assert "d'Eon" in listed["model"]["better"].about
     assert listed["quantity"]["R"].about == "1/mm^2"
@@ -64,6 +67,12 @@ def test_permanent_ids(client):
         "spacing": {"list": 1, "linear": 2, "logarithmic": 3},
         "draw": {"list": 1, "regular": 2, "stratified": 3, "random": 4},
         "length": {"mean-free-path": 1, "diffuse-mean-free-path": 2, "classical-diffuse-path": 3},
+        "scale": {"absolute": 1, "free": 2, "reference": 3},
+        "axis": {"r": 1, "f": 2},
+        "fit_status": {
+            "fitted": 1, "at-bound": 2, "undetermined": 3, "ambiguous": 4, "unfinished": 5,
+            "refused": 6,
+        },
     }
     for kind, ids in permanent.items():
         for name, number in ids.items():

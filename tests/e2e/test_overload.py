@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from daemons import eventually, sanitized
 from dipole import Connection, wire
-from frames import EVAL, INVERT, RADIUS, SAMPLE, SKIN, R, ask, assert_error, assert_serves
-from frames import eval_payload, frame, invert_payload, sample_payload, statistics
+from frames import EVAL, FIT_REQUEST, INVERT, RADIUS, READINGS, SAMPLE, SKIN, R, ask
+from frames import assert_error, assert_serves, eval_payload, fit_payload, frame, invert_payload, sample_payload, statistics
 from lists import MODELS
 from parted import EVALUATED, put_together, receive_parts
 
@@ -23,6 +23,12 @@ def sample(count: int, model: str = "beam+single") -> bytes:
 def invert(count: int, model: str = "better") -> bytes:
     albedos = np.linspace(0.01, 0.99, count)
     return invert_payload(albedos, np.ones(count), model=MODELS[model], eta=1.37)
+
+
+def fit(count: int) -> bytes:
+    """Noisy readings, so that each set is a search."""
+    noise = np.random.default_rng(1).normal(1, 0.02, (count, len(READINGS)))
+    return fit_payload(READINGS * noise)
 
 
 # A request for about a second of work, whose reply fits into one frame.
@@ -148,18 +154,19 @@ def test_a_request_larger_than_the_backlog_is_taken_when_there_is_none(daemon):
                 assert put_together(receive_parts(connection)).fixed.radius_count == 2_000_000
 
 
-# ---- samples and inversions ----------------------------------------------------------------------
+# ---- samples, inversions and fits ----------------------------------------------------------------------
 
 # Each entry has: type, a small request, how its work is counted, and the work of a small request.
 KINDS = {
     "sample": (SAMPLE, sample_payload(), "radii_drawn", 2),
     "invert": (INVERT, invert_payload(), "media_inverted", 2),
+    "fit": (FIT_REQUEST, fit_payload(), "sets_fitted", 1),
 }
 
 
 @pytest.mark.parametrize(
     "kind, count, large",
-    [("sample", 50_000, sample(50_000)), ("invert", 20_000, invert(20_000))],
+    [("sample", 50_000, sample(50_000)), ("invert", 20_000, invert(20_000)), ("fit", 500, fit(500))],
     ids=KINDS,
 )
 def test_small_requests_do_not_wait_for_large_ones(daemon, kind, count, large):
@@ -180,7 +187,7 @@ def test_small_requests_do_not_wait_for_large_ones(daemon, kind, count, large):
         assert (reply.type, reply.request_id) == (type | wire.REPLY, 1)
         now = statistics(other)
         assert now[counted] == count + 20 * done and now["owed_radii"] == 0
-        assert now["inversion_probes"] > 2 * now["media_inverted"] or kind == "sample"
+        assert now["inversion_probes"] > 2 * now["media_inverted"] or kind != "invert"
 
 
 @pytest.mark.parametrize(
@@ -188,6 +195,7 @@ def test_small_requests_do_not_wait_for_large_ones(daemon, kind, count, large):
     [
         ("sample", sample(20_000, "extended"), "sample_count"),
         ("invert", invert(20_000), "medium_count"),
+        ("fit", fit(5000), "set_count"),
     ],
     ids=KINDS,
 )
@@ -214,8 +222,9 @@ def test_large_ones_are_refused_while_there_is_much_to_do(daemon, kind, large, f
         ("invert", invert(1_000_000)),
         # An inversion of a slow model waits for profiles that other threads prepare.
         ("invert", invert(60, "transport")),
+        ("fit", fit(200_000)),
     ],
-    ids=["sample", "invert", "prepared"],
+    ids=["sample", "invert", "prepared", "fit"],
 )
 def test_deadlines_are_kept(daemon, kind, large):
     type, small, *_ = KINDS[kind]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
 import pytest
 from daemons import REPOSITORY
 from dipole import Table, wire
@@ -117,10 +118,26 @@ def check_offers(payload: bytes) -> None:
     assert fixed.taken < fixed.count
 
 
+def check_fit(payload: bytes) -> None:
+    """Checks what was found: the last digits depend on how the search goes."""
+    expected = payload_of("fit-reply")
+    assert len(payload) == len(expected)
+    head = wire.FIT_REPLY.bytes
+    assert payload[:head] == expected[:head]
+    for i in range(2):
+        at = head + i * wire.FITTED.bytes
+        found, shown = wire.FITTED.unpack(payload, at), wire.FITTED.unpack(expected, at)
+        assert found[:4] == shown[:4] and found.index == shown.index
+        np.testing.assert_allclose(found[6:-4], shown[6:-4], rtol=1e-6)
+    residuals = [np.frombuffer(one, "<f8", 6, len(one) - 48) for one in (payload, expected)]
+    np.testing.assert_allclose(*residuals, rtol=1e-4)
+
+
 STRUCTURE = {
     "hello": check_hello,
     "media": check_list(wire.MEASURED_MEDIUM),
     "statistics": check_list(wire.VALUE),
     "table": check_table,
     "offers": check_offers,
+    "fit": check_fit,
 }

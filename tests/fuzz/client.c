@@ -210,6 +210,25 @@ static bool ask(dipole_client *client, unsigned type, unsigned how, dipole_error
     }
     return good;
   }
+  case WIRE_TYPE_FIT: {
+    dipole_fits *fits;
+    const dipole_fit_query fit = {.model = CORE_MODEL_BETTER,
+                                  .moments = DIPOLE_EXACT,
+                                  .eta = 1.3,
+                                  .axis = DIPOLE_AXIS_RADIUS,
+                                  .scale = how & 8 ? DIPOLE_REFERENCE : DIPOLE_ABSOLUTE,
+                                  .reference = media[0],
+                                  .reading_count = 2,
+                                  .at = radii,
+                                  .set_count = query.medium_count / 2 + 1,
+                                  .values = albedos,
+                                  .errors = albedos,
+                                  .residuals = into};
+    if ((good = dipole_fit(client, &fit, &fits, error))) {
+      dipole_fits_free(fits);
+    }
+    return good;
+  }
   case WIRE_TYPE_MC: {
     dipole_mc_result *result;
     const dipole_mc_query mc = {.medium = media[0],

@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "proto/channels.h"
+#include "proto/fit.h"
 #include "proto/invert.h"
 #include "proto/mc.h"
 #include "proto/sample.h"
@@ -111,6 +112,28 @@ static void decode_invert(const uint8_t *payload, size_t size) {
   }
 }
 
+/* The design of a good request is written and read again. */
+static void decode_fit(const uint8_t *payload, size_t size) {
+  fit_request request;
+  const wire_error error = fit_request_parse(payload, size, &request);
+  if (!is_good(&error)) {
+    return;
+  }
+  const uint64_t numbers = request.fixed.set_count * request.design.reading_count * sizeof(double);
+  read_array(payload, size, (uint64_t)((const uint8_t *)request.values - payload), numbers);
+  read_array(payload, size, (uint64_t)((const uint8_t *)request.errors - payload), numbers);
+  CHECK(fit_request_bytes(&request.design, request.fixed.set_count) == size);
+  fit_design read;
+  fit_design_read(request.design_bytes, &read);
+  uint8_t *again = malloc(size);
+  CHECK(again != NULL);
+  uint8_t *at = fit_request_put(again, &request.fixed, &request.design);
+  at += channels_put_parameters(at, &read.parameters);
+  at = fit_places_put(at, &read.design);
+  CHECK((size_t)(at - again) == size - 2 * (size_t)numbers);
+  free(again);
+}
+
 static void decode_mc(const uint8_t *payload, size_t size) {
   mc_request request;
   const wire_error error = mc_request_parse(payload, size, &request);
@@ -198,6 +221,18 @@ bool fuzz_decode_invert_reply(const uint8_t *payload, size_t size) {
   return good;
 }
 
+bool fuzz_decode_fit_reply(const uint8_t *payload, size_t size) {
+  wire_fit_reply fixed;
+  const bool good = fit_reply_parse(payload, size, &fixed);
+  if (good) {
+    CHECK(fit_reply_bytes(fixed.set_count, fixed.reading_count) == size);
+    read_array(payload, size, WIRE_BYTES_fit_reply, fixed.set_count * WIRE_BYTES_fitted);
+    read_array(payload, size, fit_residuals_offset(fixed.set_count),
+               fixed.set_count * fixed.reading_count * sizeof(double));
+  }
+  return good;
+}
+
 bool fuzz_decode_mc_reply(const uint8_t *payload, size_t size, bool *under_way) {
   wire_mc_reply fixed;
   mc_layout layout;
@@ -252,6 +287,9 @@ void fuzz_messages(const uint8_t *data, size_t size) {
   case WIRE_TYPE_INVERT:
     decode_invert(payload, size);
     break;
+  case WIRE_TYPE_FIT:
+    decode_fit(payload, size);
+    break;
   case WIRE_TYPE_MC:
     decode_mc(payload, size);
     break;
@@ -266,6 +304,9 @@ void fuzz_messages(const uint8_t *data, size_t size) {
     break;
   case WIRE_TYPE_INVERT | WIRE_REPLY:
     fuzz_decode_invert_reply(payload, size);
+    break;
+  case WIRE_TYPE_FIT | WIRE_REPLY:
+    fuzz_decode_fit_reply(payload, size);
     break;
   case WIRE_TYPE_MC | WIRE_REPLY:
     fuzz_decode_mc_reply(payload, size, &under_way);

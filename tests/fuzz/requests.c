@@ -3,6 +3,7 @@
 #include <string.h>
 #include <sys/socket.h>
 
+#include "proto/fit.h"
 #include "proto/invert.h"
 #include "proto/mc.h"
 #include "proto/sample.h"
@@ -28,7 +29,7 @@ static bool names_slow_profile(unsigned type, const uint8_t *payload, size_t siz
     wire_get_invert_request(payload, &invert);
     eval.fixed.model = invert.model;
   }
-  return type == WIRE_TYPE_TABLE || eval.fixed.model == EVAL_ANY_MODEL ||
+  return type == WIRE_TYPE_TABLE || type == WIRE_TYPE_FIT || eval.fixed.model == EVAL_ANY_MODEL ||
          core_prepares_slowly(eval.fixed.model, eval.fixed.evaluator);
 }
 
@@ -99,6 +100,12 @@ static bool check_answer(const wire_header *header, const uint8_t *payload, size
     wire_invert_reply fixed;
     CHECK(fuzz_decode_invert_reply(payload, size));
     wire_get_invert_reply(payload, &fixed);
+    return check_part(fixed.part, fixed.part_count, next_part);
+  }
+  case WIRE_TYPE_FIT | WIRE_REPLY: {
+    wire_fit_reply fixed;
+    CHECK(fuzz_decode_fit_reply(payload, size));
+    wire_get_fit_reply(payload, &fixed);
     return check_part(fixed.part, fixed.part_count, next_part);
   }
   case WIRE_TYPE_MC | WIRE_REPLY:

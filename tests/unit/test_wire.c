@@ -207,6 +207,9 @@ UNIT_TEST(choices_hold_every_list) {
   assert_choices_hold(WIRE_CHOICE_DRAW, core_draws, &index);
   assert_choices_hold(WIRE_CHOICE_LENGTH, core_lengths, &index);
   assert_choices_hold(WIRE_CHOICE_PHASE, core_phases, &index);
+  assert_choices_hold(WIRE_CHOICE_SCALE, core_fit_scales, &index);
+  assert_choices_hold(WIRE_CHOICE_AXIS, core_fit_axes, &index);
+  assert_choices_hold(WIRE_CHOICE_FIT_STATUS, core_fit_statuses, &index);
   assert_int_equal(index, wire_choice_count());
 }
 

@@ -354,6 +354,11 @@ class Inversion:
         return np.stack([self.sigma_a, self.sigma_s, g, eta], axis=-1)
 
 
+def _root(variance: Array) -> Array:
+    root: Array = np.sqrt(variance)
+    return root
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Fits:
     """What was fitted to sets of readings. Arrays have the shape of the sets: that of the values of
@@ -375,10 +380,15 @@ class Fits:
             f"reduced chi-squared {span(self.sets['reduced_chi_squared'])}>",
         )
 
+    def _field(self, name: str) -> Array:
+        field: Array = self.sets[name]
+        return field
+
     @property
     def status(self) -> Array:
         """The names of how each fit has ended; only "fitted" is a success."""
-        return np.vectorize(self.status_names.get, otypes=[object])(self.sets["status"])
+        names: Array = np.vectorize(self.status_names.get, otypes=[object])(self.sets["status"])
+        return names
 
     @property
     def fitted(self) -> Array:
@@ -389,22 +399,22 @@ class Fits:
     @property
     def sigma_a(self) -> Array:
         """1/mm."""
-        return self.sets["sigma_a"]
+        return self._field("sigma_a")
 
     @property
     def sigma_s_prime(self) -> Array:
         """sigma_s (1 - g), 1/mm."""
-        return self.sets["sigma_s_prime"]
+        return self._field("sigma_s_prime")
 
     @property
     def sigma_a_error(self) -> Array:
         """The standard error of sigma_a, 1/mm."""
-        return np.sqrt(self.sets["variance_a"])
+        return _root(self._field("variance_a"))
 
     @property
     def sigma_s_prime_error(self) -> Array:
         """The standard error of sigma_s', 1/mm."""
-        return np.sqrt(self.sets["variance_s"])
+        return _root(self._field("variance_s"))
 
     @property
     def correlation(self) -> Array:
@@ -417,28 +427,28 @@ class Fits:
     @property
     def factor(self) -> Array:
         """The factor of all readings; 1 unless the scale is "free"."""
-        return self.sets["factor"]
+        return self._field("factor")
 
     @property
     def factor_error(self) -> Array:
         """The standard error of the factor; 0 unless the scale is "free"."""
-        return np.sqrt(self.sets["variance_factor"])
+        return _root(self._field("variance_factor"))
 
     @property
     def chi_squared(self) -> Array:
         """The sum of the squares of the residuals."""
-        return self.sets["chi_squared"]
+        return self._field("chi_squared")
 
     @property
     def reduced_chi_squared(self) -> Array:
         """chi_squared over readings less unknowns; NaN if there are as many unknowns."""
-        return self.sets["reduced_chi_squared"]
+        return self._field("reduced_chi_squared")
 
     @property
     def condition(self) -> Array:
         """The largest over the least standard error along any direction of ln sigma_a and ln
         sigma_s'."""
-        return self.sets["condition"]
+        return self._field("condition")
 
 
 class McProgress(NamedTuple):
