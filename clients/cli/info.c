@@ -22,9 +22,9 @@ static const struct {
     {DIPOLE_DRAW, "draws"},
     {DIPOLE_LENGTH, "lengths"},
     {DIPOLE_PHASE, "phases"},
-    {DIPOLE_SCALE, "scales of readings"},
-    {DIPOLE_AXIS, "axes of readings"},
-    {DIPOLE_FIT_STATUS, "statuses of fits"},
+    {DIPOLE_SCALE, "scales"},
+    {DIPOLE_AXIS, "axes"},
+    {DIPOLE_FIT_STATUS, "fit statuses"},
 };
 
 #define DAEMON "daemon"
