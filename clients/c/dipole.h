@@ -78,8 +78,9 @@ typedef struct dipole_error {
  *   NULL               $DIPOLED if that is set, else private:
  * Several unix: and tcp: addresses may be given, separated by commas without blanks: see "Several
  * daemons" below. A comma that no unix: or tcp: follows is part of a path. The caller closes
- * *client with dipole_close(). On failure *client is NULL; kind REFUSED then means that the daemon
- * did not take the connection, for example because it has too many. */
+ * *client with dipole_close(). While no daemon answers, the call goes on trying for
+ * DIPOLE_RETRY_MS. On failure *client is NULL; kind REFUSED then means that the daemon did not take
+ * the connection, for example because it has too many. */
 bool dipole_open(const char *address, dipole_client **client, dipole_error *error);
 
 /* The values that dipole_options_init() sets. */

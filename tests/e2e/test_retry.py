@@ -223,7 +223,7 @@ def test_nobody_comes_back(daemon):
     with dipole.Client(one.url(), retry_s=0.2) as client:
         client.ping()
         one.kill()
-        with pytest.raises(dipole.ConnectionLost):
+        with pytest.raises(dipole.ConnectionLost, match="and connecting again failed: unix:"):
             client.eval("better", SKIN, [1.0])
 
 

@@ -59,6 +59,8 @@ class Opening:
         opened = self._try_in_rounds(until_s, info, failures)
         if opened is not None:
             return opened[0]
+        if isinstance(lost, ConnectionLost) and failures != [lost]:
+            raise ConnectionLost(f"{lost} (and connecting again failed: {failures[-1]})")
         raise lost from failures[-1]
 
     # ---- attempts --------------------------------------------------------------------------------
