@@ -3,8 +3,12 @@
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
+#include <unistd.h>
 
 #include "clients/cli/options.h"
+
+/* A daemon that runs answers within this time. */
+#define AT_ONCE_MS 1000
 
 void cli_connection_options(const cli_common *common, dipole_options *options) {
   dipole_options_init(options);
@@ -17,19 +21,39 @@ void cli_connection_options(const cli_common *common, dipole_options *options) {
   }
 }
 
+/* Opens a client. A person at a terminal is told when no daemon has answered at once. */
+static bool open_client(const cli_common *common, const char *address, dipole_client **client,
+                        dipole_error *error) {
+  dipole_options options;
+  cli_connection_options(common, &options);
+  const bool is_private = address == NULL || strncmp(address, "private:", strlen("private:")) == 0;
+  if (!is_private && options.retry_ms > 0 && isatty(STDERR_FILENO) == 1) {
+    dipole_options at_once = options;
+    at_once.retry_ms = 0;
+    at_once.connect_timeout_ms = AT_ONCE_MS;
+    if (dipole_open_with(common->connect, &at_once, client, error)) {
+      dipole_set_retry_ms(*client, options.retry_ms);
+      return true;
+    }
+    if (error->kind == DIPOLE_ERROR_CONNECT) {
+      fprintf(stderr, "%s. Trying for another %g s, see --retry-ms.\n", error->text,
+              options.retry_ms / 1e3);
+    }
+  }
+  return dipole_open_with(common->connect, &options, client, error);
+}
+
 dipole_client *cli_open(const cli_common *common) {
   dipole_client *client;
-  dipole_options options;
   dipole_error error;
-  cli_connection_options(common, &options);
-  if (dipole_open_with(common->connect, &options, &client, &error)) {
+  const char *address = common->connect != NULL ? common->connect : getenv("DIPOLED");
+  if (open_client(common, address, &client, &error)) {
     if (common->retry_ms.given) { /* dipole_open_with() does not do so for private: */
       dipole_set_retry_ms(client, (unsigned)common->retry_ms.value);
     }
     return client;
   }
   cli_fail("%s", error.text);
-  const char *address = common->connect != NULL ? common->connect : getenv("DIPOLED");
   if (error.kind == DIPOLE_ERROR_CONNECT && address != NULL &&
       strncmp(address, "private:", strlen("private:")) != 0) {
     const bool several = strstr(address, ",unix:") != NULL || strstr(address, ",tcp:") != NULL;

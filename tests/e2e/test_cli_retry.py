@@ -10,7 +10,7 @@ import threading
 import time
 
 import pytest
-from command_line import FAILED, PROGRAM, TIMEOUT_S, Proxy, busy, dipole, eval_rows
+from command_line import FAILED, PROGRAM, TIMEOUT_S, Proxy, Terminal, busy, dipole, eval_rows
 from daemons import Daemon, environment
 
 ARGUMENTS = ("--sigma-a", "0.03", "--sigma-s", "1", "--r", "0.5,1,2")
@@ -47,6 +47,16 @@ def test_nobody_is_there(tmp_path):
     error = dipole("eval", "--connect", several, *now, *ARGUMENTS, status=FAILED).stderr
     assert "tried for" not in error
     assert f"{tmp_path}/a: No such file" in error and f"{tmp_path}/b: No such file" in error
+
+
+def test_a_person_is_told_at_once(tmp_path):
+    with_wait = ("--connect", f"unix:{tmp_path}/a", "--retry-ms", "400", *ARGUMENTS)
+    terminal = Terminal("eval", *with_wait, on=(2,))
+    assert terminal.end() == (FAILED, "")
+    assert "Trying for another 0.4 s, see --retry-ms." in terminal.seen.splitlines()[0]
+    assert "Trying" not in dipole("eval", *with_wait, status=FAILED).stderr
+    terminal = Terminal("eval", "--connect", "nowhere", *ARGUMENTS, on=(2,))
+    assert terminal.end()[0] != 0 and "Trying" not in terminal.seen
 
 
 def test_zero_retries(daemon):
