@@ -2,6 +2,8 @@
 
 #include <float.h>
 
+#include "core/splitmix.h"
+
 core_fault core_draw_check(const core_draw *draw) {
   const bool by_rule = draw->rule != CORE_DRAW_LIST;
   const bool seeded = draw->rule == CORE_DRAW_STRATIFIED || draw->rule == CORE_DRAW_RANDOM;
@@ -22,10 +24,8 @@ core_fault core_draw_check(const core_draw *draw) {
 /* ---- by rule --------------------------------------------------------------------------------- */
 
 static uint64_t random_bits(uint64_t seed, uint64_t i) {
-  uint64_t z = seed + (i + 1) * UINT64_C(0x9e3779b97f4a7c15);
-  z = (z ^ z >> 30) * UINT64_C(0xbf58476d1ce4e5b9);
-  z = (z ^ z >> 27) * UINT64_C(0x94d049bb133111eb);
-  return z ^ z >> 31;
+  uint64_t state = seed + i * UINT64_C(0x9e3779b97f4a7c15);
+  return core_splitmix(&state);
 }
 
 static double random_f64(uint64_t seed, uint64_t i) {

@@ -210,17 +210,7 @@ LANES_KERNEL(varying_pdf, COEFFICIENTS, lane_fill, burley_pdf, INFINITY)
 LANES_KERNEL(varying_ring, COEFFICIENTS, lane_fill, burley_ring, INFINITY)
 LANES_KERNEL(varying_sample, COEFFICIENTS, lane_fill, burley_sample, 1)
 
-CORE_KERNEL_TABLE(burley, .sample = sample,
-                  .evaluate =
-                      {
-                          [CORE_ELEMENTWISE_R] = eval_R,
-                          [CORE_ELEMENTWISE_CDF] = eval_cdf,
-                          [CORE_ELEMENTWISE_SLOPE] = eval_slope,
-                          [CORE_ELEMENTWISE_LN_R] = eval_ln_R,
-                          [CORE_ELEMENTWISE_PDF] = eval_pdf,
-                          [CORE_ELEMENTWISE_RING] = eval_ring,
-                      },
-                  .varying_sample = varying_sample,
+CORE_KERNEL_TABLE(burley, .sample = sample, CORE_KERNELS_OF_ALL, .varying_sample = varying_sample,
                   .varying = {
                       [CORE_ELEMENTWISE_R] = varying_R,
                       [CORE_ELEMENTWISE_CDF] = varying_cdf,

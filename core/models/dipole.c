@@ -467,17 +467,7 @@ static void varying_sample(const real *restrict shared, const float *restrict wo
   }
 }
 
-CORE_KERNEL_TABLE(dipole, .sample = sample,
-                  .evaluate =
-                      {
-                          [CORE_ELEMENTWISE_R] = eval_R,
-                          [CORE_ELEMENTWISE_CDF] = eval_cdf,
-                          [CORE_ELEMENTWISE_SLOPE] = eval_slope,
-                          [CORE_ELEMENTWISE_LN_R] = eval_ln_R,
-                          [CORE_ELEMENTWISE_PDF] = eval_pdf,
-                          [CORE_ELEMENTWISE_RING] = eval_ring,
-                      },
-                  .varying_sample = varying_sample,
+CORE_KERNEL_TABLE(dipole, .sample = sample, CORE_KERNELS_OF_ALL, .varying_sample = varying_sample,
                   .varying = {
                       [CORE_ELEMENTWISE_R] = varying_R,
                       [CORE_ELEMENTWISE_CDF] = varying_cdf,

@@ -312,14 +312,7 @@ static void eval_cdf(const double *restrict c, size_t n, const double *restrict 
   }
 }
 
-CORE_KERNEL_TABLE(extended, .evaluate = {
-                                [CORE_ELEMENTWISE_R] = eval_R,
-                                [CORE_ELEMENTWISE_CDF] = eval_cdf,
-                                [CORE_ELEMENTWISE_SLOPE] = eval_slope,
-                                [CORE_ELEMENTWISE_LN_R] = eval_ln_R,
-                                [CORE_ELEMENTWISE_PDF] = eval_pdf,
-                                [CORE_ELEMENTWISE_RING] = eval_ring,
-                            });
+CORE_KERNEL_TABLE(extended, CORE_KERNELS_OF_ALL);
 
 #else
 CORE_KERNEL_TABLE_NONE(extended);

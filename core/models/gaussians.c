@@ -163,14 +163,7 @@ static void eval_slope(const double *restrict c, size_t n, const double *restric
   }
 }
 
-CORE_KERNEL_TABLE(gaussians, .evaluate = {
-                                 [CORE_ELEMENTWISE_R] = eval_R,
-                                 [CORE_ELEMENTWISE_CDF] = eval_cdf,
-                                 [CORE_ELEMENTWISE_SLOPE] = eval_slope,
-                                 [CORE_ELEMENTWISE_LN_R] = eval_ln_R,
-                                 [CORE_ELEMENTWISE_PDF] = eval_pdf,
-                                 [CORE_ELEMENTWISE_RING] = eval_ring,
-                             });
+CORE_KERNEL_TABLE(gaussians, CORE_KERNELS_OF_ALL);
 
 #else
 CORE_KERNEL_TABLE_NONE(gaussians);

@@ -180,14 +180,7 @@ BLOCK_KERNEL(eval_pdf, begin, sum_R, finish_pdf)
 BLOCK_KERNEL(eval_ln_R, begin_ln_R, sum_R, finish_ln_R)
 BLOCK_KERNEL(eval_cdf, begin, sum_energy, finish_cdf)
 
-CORE_KERNEL_TABLE(single, .evaluate = {
-                              [CORE_ELEMENTWISE_R] = eval_R,
-                              [CORE_ELEMENTWISE_CDF] = eval_cdf,
-                              [CORE_ELEMENTWISE_SLOPE] = eval_slope,
-                              [CORE_ELEMENTWISE_LN_R] = eval_ln_R,
-                              [CORE_ELEMENTWISE_PDF] = eval_pdf,
-                              [CORE_ELEMENTWISE_RING] = eval_ring,
-                          });
+CORE_KERNEL_TABLE(single, CORE_KERNELS_OF_ALL);
 
 #else
 CORE_KERNEL_TABLE_NONE(single);

@@ -176,14 +176,7 @@ CORE_KERNEL(eval_ln_R, transport_ln_R)
 CORE_KERNEL(eval_pdf, transport_pdf)
 CORE_KERNEL(eval_ring, transport_ring)
 
-CORE_KERNEL_TABLE(transport, .evaluate = {
-                                 [CORE_ELEMENTWISE_R] = eval_R,
-                                 [CORE_ELEMENTWISE_CDF] = eval_cdf,
-                                 [CORE_ELEMENTWISE_SLOPE] = eval_slope,
-                                 [CORE_ELEMENTWISE_LN_R] = eval_ln_R,
-                                 [CORE_ELEMENTWISE_PDF] = eval_pdf,
-                                 [CORE_ELEMENTWISE_RING] = eval_ring,
-                             });
+CORE_KERNEL_TABLE(transport, CORE_KERNELS_OF_ALL);
 
 #else
 CORE_KERNEL_TABLE_NONE(transport);

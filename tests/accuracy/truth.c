@@ -38,25 +38,19 @@
 #include <unistd.h>
 
 #include "core/kernels.h"
+#include "core/splitmix.h"
 #include "core/transport/anisotropic.h"
 #include "core/transport/transport.h"
 #include "tests/accuracy/forms.h"
 
-/* ---- random numbers (Vigna's splitmix64) --------------------------------------------------------- */
-
-static uint64_t random_bits(uint64_t *state) {
-  uint64_t z = (*state += UINT64_C(0x9e3779b97f4a7c15));
-  z = (z ^ (z >> 30)) * UINT64_C(0xbf58476d1ce4e5b9);
-  z = (z ^ (z >> 27)) * UINT64_C(0x94d049bb133111eb);
-  return z ^ (z >> 31);
-}
+/* ---- random numbers ------------------------------------------------------------------------------ */
 
 static size_t below(uint64_t *state, size_t limit) {
-  return (size_t)(random_bits(state) % limit);
+  return (size_t)(core_splitmix(state) % limit);
 }
 
 static double between(uint64_t *state, double low, double high) {
-  return low + (high - low) * ((double)(random_bits(state) >> 11) * 0x1p-53);
+  return low + (high - low) * core_splitmix_f64(state);
 }
 
 static double log_between(uint64_t *state, double low, double high) {
@@ -733,9 +727,9 @@ static void check_scattering(uint64_t *random) {
 
 static void run_round(uint64_t seed, unsigned only) {
   uint64_t random = seed + round_now * UINT64_C(0xd1342543de82ef95);
-  random_bits(&random);
+  core_splitmix(&random);
   for (size_t model = 0; model < MODELS; model++) {
-    uint64_t own = random_bits(&random);
+    uint64_t own = core_splitmix(&random);
     if (only == 0 || only == models[model]) {
       const double start_s = now_s();
       const bool slow = (round_now + model) % 16 == 0 || only != 0;

@@ -11,6 +11,8 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "core/splitmix.h"
+
 typedef struct plain_medium {
   double albedo;
   double g;
@@ -32,12 +34,9 @@ typedef struct plain_photon {
 #define PLAIN_ROULETTE_WEIGHT 1e-4
 #define PLAIN_ROULETTE_CHANCE 0.1
 
-/* Returns a random number from (0, 1), by Vigna's splitmix64. */
+/* Returns a random number from (0, 1). */
 static inline double plain_random(uint64_t *state) {
-  uint64_t z = *state += UINT64_C(0x9e3779b97f4a7c15);
-  z = (z ^ (z >> 30)) * UINT64_C(0xbf58476d1ce4e5b9);
-  z = (z ^ (z >> 27)) * UINT64_C(0x94d049bb133111eb);
-  return ((double)((z ^ (z >> 31)) >> 12) + 0.5) * 0x1p-52;
+  return ((double)(core_splitmix(state) >> 12) + 0.5) * 0x1p-52;
 }
 
 /* Returns the Fresnel reflectance of unpolarized light from inside. */

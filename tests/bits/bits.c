@@ -8,6 +8,7 @@
 #include <string.h>
 
 #include "core/core.h"
+#include "core/splitmix.h"
 #include "core/transport/anisotropic.h"
 #include "core/transport/halfspace.h"
 
@@ -28,24 +29,12 @@ static uint64_t checksum(uint64_t sum, const void *bytes, size_t n) {
 
 static const uint64_t CHECKSUM_START = UINT64_C(0xcbf29ce484222325);
 
-/* Returns a random number of splitmix64, which is the same on every machine. */
-static uint64_t random_bits(uint64_t *state) {
-  uint64_t z = (*state += UINT64_C(0x9e3779b97f4a7c15));
-  z = (z ^ (z >> 30)) * UINT64_C(0xbf58476d1ce4e5b9);
-  z = (z ^ (z >> 27)) * UINT64_C(0x94d049bb133111eb);
-  return z ^ (z >> 31);
-}
-
-static double uniform(uint64_t *state) {
-  return (double)(random_bits(state) >> 11) * 0x1p-53;
-}
-
 /* Returns a power of two with a random mantissa, so that numbers spread over many magnitudes
  * without pow(). */
 static double spread(uint64_t *state, int least_exponent, int most_exponent) {
   const uint64_t biased = (uint64_t)(1023 + least_exponent) +
-                          random_bits(state) % (uint64_t)(most_exponent - least_exponent + 1);
-  const uint64_t bits = (biased << 52) | (random_bits(state) >> 12);
+                          core_splitmix(state) % (uint64_t)(most_exponent - least_exponent + 1);
+  const uint64_t bits = (biased << 52) | (core_splitmix(state) >> 12);
   double value;
   memcpy(&value, &bits, sizeof value);
   return value;
@@ -54,9 +43,9 @@ static double spread(uint64_t *state, int least_exponent, int most_exponent) {
 static core_medium random_medium(uint64_t *state) {
   core_medium medium;
   medium.sigma_s_per_mm = spread(state, -20, 20);
-  medium.sigma_a_per_mm = random_bits(state) % 8 == 0 ? 0 : spread(state, -30, 20);
-  medium.g = 1.9 * uniform(state) - 0.95;
-  medium.eta = 0.5 + 1.6 * uniform(state);
+  medium.sigma_a_per_mm = core_splitmix(state) % 8 == 0 ? 0 : spread(state, -30, 20);
+  medium.g = 1.9 * core_splitmix_f64(state) - 0.95;
+  medium.eta = 0.5 + 1.6 * core_splitmix_f64(state);
   return medium;
 }
 
@@ -91,7 +80,7 @@ static uint64_t add_samples(uint64_t sum, const core_profile *profile, uint64_t 
   float u32[RADII];
   float r32[RADII];
   for (int i = 0; i < radii; i++) {
-    u[i] = uniform(state);
+    u[i] = core_splitmix_f64(state);
     u32[i] = (float)u[i];
   }
   if (profile->evaluator != CORE_EVALUATOR_F64) {
@@ -169,7 +158,7 @@ static void print_inversions(const core_choice *model) {
   uint64_t state = 2001;
   uint64_t sum = CHECKSUM_START;
   for (int i = 0; i < MEDIA; i++) {
-    const double albedo = uniform(&state);
+    const double albedo = core_splitmix_f64(&state);
     const core_inversion inversion =
         core_invert_albedo(model->id, CORE_MOMENTS_EXACT, albedo, spread(&state, -10, 10), 1.3);
     sum = checksum(sum, &inversion.medium, sizeof inversion.medium);

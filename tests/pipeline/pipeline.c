@@ -13,6 +13,7 @@
 
 #include "clients/c/dipole.h"
 #include "core/core.h"
+#include "core/splitmix.h"
 
 enum {
   THREADS = 8,
@@ -61,14 +62,6 @@ static _Noreturn void fail(const char *what, const dipole_error *error) {
   exit(1);
 }
 
-/* Returns the next random number of splitmix64 (Steele, Lea, Flood 2014). */
-static uint64_t next_random(uint64_t *state) {
-  uint64_t z = *state += 0x9e3779b97f4a7c15u;
-  z = (z ^ z >> 30) * 0xbf58476d1ce4e5b9u;
-  z = (z ^ z >> 27) * 0x94d049bb133111ebu;
-  return z ^ z >> 31;
-}
-
 /* ---- requests ------------------------------------------------------------------------------ */
 
 /* Makes the radii of a request. Up to 15 million requests have different first radii, even in
@@ -86,7 +79,7 @@ static void make_radii(slot *to, uint64_t number) {
 
 static void submit(worker *of, uint64_t number) {
   slot *to = &of->slots[of->order[of->used]];
-  const uint64_t random = next_random(&of->random);
+  const uint64_t random = core_splitmix(&of->random);
   dipole_error error;
   to->model = random % MODELS;
   to->medium = random / 16 % MEDIA;
@@ -152,7 +145,7 @@ static const slot *take(worker *of, uint64_t id) {
 
 /* Collects and checks one answer: half of the time that with a random id, else any. */
 static void collect(worker *of) {
-  const uint64_t random = next_random(&of->random);
+  const uint64_t random = core_splitmix(&of->random);
   dipole_result *result;
   dipole_error error;
   uint64_t id = of->ids[random / 2 % of->used];
@@ -196,7 +189,7 @@ static void *work(void *argument) {
     while (of->used < IN_FLIGHT && submitted < of->count) {
       submit(of, of->first + submitted++);
     }
-    const size_t least = submitted < of->count ? (size_t)(next_random(&of->random) % of->used) : 0;
+    const size_t least = submitted < of->count ? (size_t)(core_splitmix(&of->random) % of->used) : 0;
     while (of->used > least) {
       collect(of);
     }

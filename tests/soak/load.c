@@ -11,6 +11,7 @@
 #include <string.h>
 
 #include "clients/c/dipole.h"
+#include "core/splitmix.h"
 
 enum {
   QUESTIONS_MAX = 512,
@@ -41,14 +42,6 @@ static _Noreturn void fail(const char *what, const dipole_error *error) {
   fprintf(stderr, "soak-load: %s%s%s\n", what, error != NULL ? ": " : "",
           error != NULL ? error->text : "");
   exit(1);
-}
-
-/* Returns the next random number of splitmix64 (Steele, Lea, Flood 2014). */
-static uint64_t next_random(uint64_t *state) {
-  uint64_t z = *state += 0x9e3779b97f4a7c15u;
-  z = (z ^ z >> 30) * 0xbf58476d1ce4e5b9u;
-  z = (z ^ z >> 27) * 0x94d049bb133111ebu;
-  return z ^ z >> 31;
 }
 
 /* ---- answers as bytes ---------------------------------------------------------------------- */
@@ -211,16 +204,16 @@ typedef struct slot {
 static const question *choose(uint64_t *random) {
   /* The last question is large. If it were as frequent as the others, it would take all the time.
    */
-  const uint64_t which = next_random(random) % (64 * question_count);
+  const uint64_t which = core_splitmix(random) % (64 * question_count);
   return which == 0 ? &questions[question_count - 1] : &questions[which % (question_count - 1)];
 }
 
 static void submit(dipole_client *client, slot *to, uint64_t *random) {
   dipole_error error;
   to->question = choose(random);
-  to->may_be_late = next_random(random) % 8 == 0;
+  to->may_be_late = core_splitmix(random) % 8 == 0;
   dipole_query query = to->question->query;
-  query.deadline_ms = to->may_be_late ? 1 + (uint32_t)(next_random(random) % 20) : 0;
+  query.deadline_ms = to->may_be_late ? 1 + (uint32_t)(core_splitmix(random) % 20) : 0;
   if (!dipole_submit(client, &query, &to->id, &error)) {
     fail("submit", &error);
   }

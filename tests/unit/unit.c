@@ -2,6 +2,8 @@
 
 #include <math.h>
 
+#include "core/splitmix.h"
+
 enum { TESTS_MAX = 64 };
 
 /* The tests, sorted by their lines in the file. The entries behind the last test have no name, and
@@ -55,14 +57,11 @@ uint64_t unit_seed(void) {
 }
 
 uint64_t unit_random(uint64_t *state) {
-  uint64_t z = *state += UINT64_C(0x9e3779b97f4a7c15);
-  z = (z ^ (z >> 30)) * UINT64_C(0xbf58476d1ce4e5b9);
-  z = (z ^ (z >> 27)) * UINT64_C(0x94d049bb133111eb);
-  return z ^ (z >> 31);
+  return core_splitmix(state);
 }
 
 double unit_random_between(uint64_t *state, double low, double high) {
-  return low + (high - low) * ((double)(unit_random(state) >> 11) * 0x1p-53);
+  return low + (high - low) * (core_splitmix_f64(state));
 }
 
 double unit_random_log(uint64_t *state, double low, double high) {

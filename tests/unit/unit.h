@@ -48,7 +48,7 @@ enum { UNIT_ROWS_MAX = 100 }; /* a bound for loops over lists that end with an e
  * seed a failure can be repeated. */
 uint64_t unit_seed(void);
 
-/* Returns the next 64 random bits of Vigna's splitmix64. */
+/* Returns the next 64 random bits (core/splitmix.h). */
 uint64_t unit_random(uint64_t *state);
 double unit_random_between(uint64_t *state, double low, double high);
 double unit_random_log(uint64_t *state, double low, double high); /* equal chance per decade */
