@@ -4,6 +4,7 @@
  * numbers rise, or stay equal, after rounding. */
 #include "core/lut/fit.h"
 
+#include <assert.h>
 #include <math.h>
 #include <stdlib.h>
 
@@ -227,6 +228,7 @@ static double error_at(const struct lut_subject *subject, int exponent, unsigned
   double x[SCANNED_PER_PIECE];
   double y[SCANNED_PER_PIECE];
   double worst = 0;
+  assert(n > 0 && n <= SCANNED_PER_PIECE);
   for (size_t k = 0; k < n; k++) {
     x[k] = ldexp(1 + ldexp((double)index + shares[k], -(int)cuts), exponent);
   }
