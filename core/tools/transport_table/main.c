@@ -6,6 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "core/splitmix.h"
 #include "core/tools/tools.h"
 #include "core/tools/transport_table/nodes.h"
 #include "core/transport/functions.h"
@@ -38,17 +39,8 @@ enum { ETAS_D = 16, RADII_D = 64 };
 
 /* ---- media and radii that the table is not made from ----------------------------------------- */
 
-/* Returns a random number from 0 to 1, by Vigna's splitmix64. */
-static double next_random(uint64_t *state) {
-  uint64_t z = *state += UINT64_C(0x9e3779b97f4a7c15);
-  z = (z ^ z >> 30) * UINT64_C(0xbf58476d1ce4e5b9);
-  z = (z ^ z >> 27) * UINT64_C(0x94d049bb133111eb);
-  z ^= z >> 31;
-  return (double)(z >> 11) * 0x1p-53;
-}
-
 static double between(uint64_t *state, double low, double high) {
-  return low + (high - low) * next_random(state);
+  return low + (high - low) * core_splitmix_f64(state);
 }
 
 /* The first samples have `etas`: the ends of the range and values around 1. Random eta follow. The
@@ -183,7 +175,7 @@ static void checks_make_difference(const double *field, table_sample samples[CHE
       albedo = 1 / (1 + finest[n - FINEST_FIRST].ratio);
     } else if (n >= DRAWN + FINEST) {
       sample_make(&samples[n], BETWEEN_G, ETAS_D, RADII_D);
-      albedo = nodes_albedo(field, (double)(n - DRAWN - FINEST) + 0.5);
+      albedo = nodes_albedo_between(field, n - DRAWN - FINEST);
     } else {
       const size_t i = n < FINEST_FIRST ? n : n - FINEST;
       const double *g = drawn[i].g, *from = drawn[i].albedo;

@@ -22,6 +22,7 @@ enum {
   NODES_D_BELOW_1 = 10,
   NODES_D_FROM_1 = 16,
   NODES_D_V = NODES_D_BELOW_1 + NODES_D_FROM_1,
+  DIFFERENCE_U = NODES_D_U_BELOW_0, /* points of u of the series */
   TOTALS_G = 18,
   TOTALS_U = 31,
   TOTALS_BELOW_1 = 12,
@@ -104,33 +105,52 @@ static double u_point(const double *field, size_t i, size_t n) {
   return point(i, n, transport_table_u(1), transport_table_u(field[TRANSPORT_TABLE_ALBEDO_LEAST]));
 }
 
-double nodes_albedo(const double *field, double i) {
-  const double first = floor(i), part = i - first;
-  const double u = u_point(field, (size_t)first, NODES_D_U);
-  const double next = part > 0 ? u_point(field, (size_t)first + 1, NODES_D_U) : u;
-  return transport_table_albedo_of_u(u + part * (next - u));
+/* Point k of u, in angles of pi / (2 NODES_D_U): those of odd k are Chebyshev's points. */
+static double u_at_angle(const double *field, size_t k) {
+  double sine, cosine;
+  fn_sincos(FN_PI * (double)k / (double)(2 * NODES_D_U), &sine, &cosine);
+  const double from = transport_table_u(1);
+  const double to = transport_table_u(field[TRANSPORT_TABLE_ALBEDO_LEAST]);
+  return from + (to - from) * 0.5 * (1 + cosine);
+}
+
+double nodes_albedo_between(const double *field, size_t i) {
+  const double u = u_point(field, i, NODES_D_U), next = u_point(field, i + 1, NODES_D_U);
+  return transport_table_albedo_of_u(u + 0.5 * (next - u));
+}
+
+/* Below g = 0 the series in u converge more slowly. */
+static size_t u_count(size_t l) {
+  return l < NODES_D_G_ZERO ? NODES_D_U : NODES_D_U_BELOW_0;
+}
+
+static double sample_u(const double *field, size_t l, size_t i) {
+  return u_at_angle(field, l < NODES_D_G_ZERO ? 2 * i + 1 : i + 1);
 }
 
 /* The sample of point l of g and point i of u, where g is not 0. */
 static size_t sample_of(size_t l, size_t i) {
-  return (l < NODES_D_G_ZERO ? l : l - 1) * NODES_D_U + i;
+  return l < NODES_D_G_ZERO ? l * NODES_D_U + i
+                            : NODES_D_ABOVE_0 + (l - 1 - NODES_D_G_ZERO) * NODES_D_U_BELOW_0 + i;
+}
+
+static void make_node(const double *field, double g, double albedo, table_sample *sample) {
+  sample_make(sample, g, NODES_D_V, PANELS * NODES_D_X);
+  const bool quick = g > 0 && g <= QUICK_MOST;
+  sample->effort = quick ? TRANSPORT_EFFORT_QUICK : TRANSPORT_EFFORT_NORMAL;
+  make_etas(field, TRANSPORT_TABLE_BELOW_1, NODES_D_BELOW_1, sample->eta);
+  make_etas(field, TRANSPORT_TABLE_FROM_1, NODES_D_FROM_1, sample->eta + NODES_D_BELOW_1);
+  for (size_t j = 0; j < NODES_D_V; j++) {
+    sample->albedo[j] = albedo;
+    make_radii(field, true, albedo, NODES_D_X, sample->x + j * PANELS * NODES_D_X);
+  }
 }
 
 void nodes_make_difference(const double *field, table_sample samples[NODES_D]) {
-  for (size_t li = 0; li < NODES_D_G * NODES_D_U; li++) {
-    const size_t l = li / NODES_D_U, i = li % NODES_D_U;
-    if (l == NODES_D_G_ZERO) {
-      continue;
-    }
-    table_sample *sample = &samples[sample_of(l, i)];
-    sample_make(sample, g_point(field, l, NODES_D_G), NODES_D_V, PANELS * NODES_D_X);
-    const bool quick = sample->g > 0 && sample->g <= QUICK_MOST;
-    sample->effort = quick ? TRANSPORT_EFFORT_QUICK : TRANSPORT_EFFORT_NORMAL;
-    make_etas(field, TRANSPORT_TABLE_BELOW_1, NODES_D_BELOW_1, sample->eta);
-    make_etas(field, TRANSPORT_TABLE_FROM_1, NODES_D_FROM_1, sample->eta + NODES_D_BELOW_1);
-    for (size_t j = 0; j < NODES_D_V; j++) {
-      sample->albedo[j] = nodes_albedo(field, (double)i);
-      make_radii(field, true, sample->albedo[j], NODES_D_X, sample->x + j * PANELS * NODES_D_X);
+  for (size_t l = 0; l < NODES_D_G; l++) {
+    for (size_t i = 0; i < u_count(l) && l != NODES_D_G_ZERO; i++) {
+      make_node(field, g_point(field, l, NODES_D_G),
+                transport_table_albedo_of_u(sample_u(field, l, i)), &samples[sample_of(l, i)]);
     }
   }
 }
@@ -365,16 +385,38 @@ static void find_differences(const transport_table *isotropic, const table_sampl
   }
 }
 
-/* Sets values to D at all points of one side: [panel][x][g][u][eta]. */
-static void fill_differences(const transport_table *isotropic, const table_sample samples[NODES_D],
-                             size_t first, size_t nv, double *values) {
-  for (size_t li = 0; li < NODES_D_G * NODES_D_U; li++) {
-    const size_t l = li / NODES_D_U, i = li % NODES_D_U;
-    for (size_t j = 0; j < nv && l != NODES_D_G_ZERO; j++) { /* D is 0 for g = 0 */
-      double of_medium[PANELS * NODES_D_X];
+/* Sets weight[i] such that the sum of weight[i] f(x[i]) is, at the point `at`, the polynomial of
+ * degree n - 1 through f at n points x (Lagrange). */
+static void interpolate(size_t n, const double *x, double at, double *weight) {
+  for (size_t i = 0; i < n; i++) {
+    weight[i] = 1;
+    for (size_t k = 0; k < n; k++) {
+      weight[i] *= k == i ? 1 : (at - x[k]) / (x[i] - x[k]);
+    }
+  }
+}
+
+/* Adds D of one g, at all radii and boundaries of a side, to values at Chebyshev's points of u:
+ * [panel][x][g][u][eta]. */
+static void add_differences(const transport_table *isotropic, const table_sample samples[NODES_D],
+                            size_t l, size_t first, size_t nv, double *values) {
+  const double *field = isotropic->field;
+  const size_t nu = u_count(l);
+  double u[DIFFERENCE_U], weight[DIFFERENCE_U][DIFFERENCE_U], of_medium[PANELS * NODES_D_X];
+  for (size_t i = 0; i < nu; i++) {
+    u[i] = sample_u(field, l, i);
+  }
+  for (size_t to = 0; to < DIFFERENCE_U; to++) {
+    interpolate(nu, u, u_point(field, to, DIFFERENCE_U), weight[to]);
+  }
+  for (size_t i = 0; i < nu; i++) {
+    for (size_t j = 0; j < nv; j++) {
       find_differences(isotropic, &samples[sample_of(l, i)], first + j, of_medium);
       for (size_t k = 0; k < PANELS * NODES_D_X; k++) {
-        values[(k * NODES_D_G * NODES_D_U + li) * nv + j] = of_medium[k];
+        for (size_t to = 0; to < DIFFERENCE_U; to++) {
+          values[((k * NODES_D_G + l) * DIFFERENCE_U + to) * nv + j] +=
+              weight[to][i] * of_medium[k];
+        }
       }
     }
   }
@@ -386,12 +428,16 @@ static void put_differences(table_bytes *writer, const transport_table *isotropi
   static const size_t keep[PANELS] = {10, 16, 10, 8};
   const size_t first = side == TRANSPORT_TABLE_BELOW_1 ? 0 : NODES_D_BELOW_1;
   const size_t nv = side == TRANSPORT_TABLE_BELOW_1 ? NODES_D_BELOW_1 : NODES_D_FROM_1;
-  const size_t size = NODES_D_X * NODES_D_G * NODES_D_U * nv;
+  const size_t size = NODES_D_X * NODES_D_G * DIFFERENCE_U * nv;
   double *values = allocate(PANELS * size, sizeof *values);
-  fill_differences(isotropic, samples, first, nv, values);
+  for (size_t l = 0; l < NODES_D_G; l++) {
+    if (l != NODES_D_G_ZERO) { /* D is 0 for g = 0 */
+      add_differences(isotropic, samples, l, first, nv, values);
+    }
+  }
   for (size_t p = 0; p < PANELS; p++) {
     put_series(writer, isotropic->field[TRANSPORT_TABLE_D_QUANTUM], values + p * size,
-               &(struct shape){4, {NODES_D_X, NODES_D_G, NODES_D_U, nv}}, keep[p]);
+               &(struct shape){4, {NODES_D_X, NODES_D_G, DIFFERENCE_U, nv}}, keep[p]);
   }
   free(values);
 }

@@ -12,17 +12,20 @@ enum {
   NODES = NODES_BELOW_1 + NODES_FROM_1,
   /* samples of the difference D: one for each g, of which 0 needs none, and each albedo */
   NODES_D_G = 9,
-  NODES_D_G_ZERO = 5, /* the point of g that is 0 */
-  NODES_D_U = 14,
-  NODES_D = (NODES_D_G - 1) * NODES_D_U
+  NODES_D_G_ZERO = 5, /* the point of g that is 0; those of g above 0 come before it */
+  NODES_D_U = 14,     /* points of u for g above 0 */
+  NODES_D_U_BELOW_0 =
+      2 * NODES_D_U - 1, /* the same points and those halfway between, in the angle */
+  NODES_D_ABOVE_0 = NODES_D_G_ZERO * NODES_D_U,
+  NODES_D = NODES_D_ABOVE_0 + (NODES_D_G - 1 - NODES_D_G_ZERO) * NODES_D_U_BELOW_0
 };
 
 /* Makes the samples at Chebyshev's points in all coordinates. */
 void nodes_make(const double *field, table_sample samples[NODES]);
 void nodes_make_difference(const double *field, table_sample samples[NODES_D]);
 
-/* Returns the albedo of point i of NODES_D_U, or of the middle of two points for i + 0.5. */
-double nodes_albedo(const double *field, double i);
+/* Returns the albedo whose u is the middle between points i and i + 1 of NODES_D_U. */
+double nodes_albedo_between(const double *field, size_t i);
 
 /* A table's bytes, which the caller frees. */
 typedef struct table_bytes {
