@@ -29,12 +29,13 @@ static const struct formula *formula_of(unsigned model) {
 }
 
 enum form_family form_family_of(unsigned model) {
-  static const char *const names[] = {"dipole",    "extended", "",    "single",    "burley",
-                                      "gaussians", "cloud",    "fit", "transport", "sum"};
+  static const char *const names[] = {"dipole",    "extended", "",             "single",    "burley",
+                                      "gaussians", "cloud",    "gaussian_fit", "transport", "sum"};
   if (model == CORE_MODEL_QUANTIZED) {
     return FORM_QUANTIZED;
   }
   for (enum form_family f = FORM_DIPOLE;; f++) {
+    assert(f < sizeof names / sizeof names[0]);
     if (strcmp(formula_of(model)->name, names[f]) == 0) {
       return f;
     }
