@@ -127,15 +127,16 @@ static core_fault set_weights(core_fit *fit, const core_fit_design *design) {
 /* Evaluates the model for each medium of the grid. Media that the model does not take get NAN, which
  * is never a minimum. */
 static core_fault fill_grid(core_fit *fit) {
+  double values[CORE_FIT_READINGS_MAX];
   for (size_t i = 0; i < FIT_GRID; i++) {
-    double *values = &fit->grid[i * fit->count];
     const core_fault fault =
         fit_values(&fit->model, fit_grid_place(fit, i), fit->count, fit->at, values, NULL, NULL);
     if (fault.field != NULL && strcmp(fault.field, CORE_FIELD_MEMORY) == 0) {
       return fault;
     }
     for (size_t k = 0; k < fit->count; k++) {
-      values[k] = fault.field == NULL ? values[k] * fit->weight[k] : (double)NAN;
+      fit->grid[k * FIT_GRID + i] =
+          fault.field == NULL ? fit_ln(values[k] * fit->weight[k]) : (double)NAN;
     }
   }
   return (core_fault){0};

@@ -3,12 +3,27 @@
 #define CORE_REAL 64
 #include "core/kernel.h"
 
-/* Starts: local minima of the grid, the best first. */
-enum { STARTS_MAX = 4, EVALUATIONS_MAX = 60 };
+enum { EVALUATIONS_MAX = 40, STARTS_MAX = 16 };
 
-/* In the grid each reading has this relative error besides its own, so that the valley of media that
- * fit is wider than the grid's steps. */
-#define GRID_ERROR 0.3
+/* How starts are chosen. In the grid each reading has the relative error `error` besides its own, so
+ * that the valley of media that fit is wider than the grid's steps. The starts are the best `most`
+ * media that no neighbour is better than; with `rows`, no neighbour of the same ratio. */
+struct choosing {
+  double error;
+  bool rows;
+  size_t most;
+};
+static const struct choosing usual = {0.3, false, 4};
+
+/* A second solution is looked for with more care if the readings are at most CAREFUL_SPARE more than
+ * the unknowns, or if the best one is not a good fit. */
+static const struct choosing careful = {0.1, true, STARTS_MAX};
+#define CAREFUL_SPARE 3
+#define CAREFUL_REDUCED 3.0
+
+/* First the residuals are those of logarithms, which are less curved, until steps are shorter than
+ * this. */
+#define STEP_LOGARITHMS 1e-2
 
 /* The search ends with a step that is shorter than this in both logarithms, or, if rounding keeps
  * chi-squared from falling, one that is shorter than STEP_ROUNDED. */
@@ -44,6 +59,7 @@ struct readings {
  * ln_scattering), with the factor eliminated. */
 struct quadratic {
   struct fit_place place;
+  bool logarithms; /* whether the residuals are those of logarithms */
   double factor;
   double chi_squared;
   double rr, rs, ss; /* information */
@@ -51,25 +67,43 @@ struct quadratic {
   double fr, fs, ff; /* information of ln factor with the two and by itself; 0 if it is known */
 };
 
-/* Returns the factor that fits best, which may be negative only if there is no light. */
-static double best_factor(const core_fit *fit, struct readings readings, const double *model) {
-  double both = 0, square = 0;
-  for (size_t i = 0; fit->free_factor && i < fit->count; i++) {
-    const double m = model[i] / readings.errors[i];
-    both = fma(m, readings.values[i] / readings.errors[i], both);
-    square = fma(m, m, square);
+/* What a residual is made of: (value - factor model) / error, or that of logarithms, with the model's
+ * derivatives. */
+struct residual {
+  double value;
+  double model;
+  double weight;
+  double by_r;
+  double by_s;
+};
+
+/* Sets out[count] to the parts of the residuals. `scale` is what the derivatives are multiplied by
+ * together with the factor. */
+static void take_apart(const core_fit *fit, struct readings readings, bool logarithms,
+                       const double *model, struct residual *out) {
+  for (size_t i = 0; i < fit->count; i++) {
+    const double m = fit->weight[i] * model[i], value = readings.values[i];
+    const double weight = 1 / readings.errors[i];
+    struct residual *r = &out[i];
+    if (logarithms) {
+      const double slope = fit->weight[i] / real_max(m, 0x1p-1022);
+      *r = (struct residual){fit_ln(value), fit_ln(m), value * weight, r->by_r * slope,
+                             r->by_s * slope};
+    } else {
+      *r = (struct residual){value, m, weight, r->by_r * fit->weight[i], r->by_s * fit->weight[i]};
+    }
   }
-  return fit->free_factor ? (square > 0 ? both / square : 0) : 1;
 }
 
-static double chi_squared(size_t count, struct readings readings, const double *model,
-                          double factor) {
-  double sum = 0;
-  for (size_t i = 0; i < count; i++) {
-    const double off = fma(-factor, model[i], readings.values[i]) / readings.errors[i];
-    sum = fma(off, off, sum);
+/* Returns the factor, or its logarithm, that fits best. */
+static double best_factor(const core_fit *fit, bool logarithms, const struct residual *parts) {
+  double both = 0, square = 0;
+  for (size_t i = 0; fit->free_factor && i < fit->count; i++) {
+    const double m = parts[i].weight * (logarithms ? 1 : parts[i].model);
+    both += m * parts[i].weight * (parts[i].value - (logarithms ? parts[i].model : 0));
+    square += m * m;
   }
-  return sum;
+  return fit->free_factor ? (square > 0 ? both / square : 0) : logarithms ? 0 : 1;
 }
 
 static void eliminate_factor(struct quadratic *q) {
@@ -80,33 +114,43 @@ static void eliminate_factor(struct quadratic *q) {
   }
 }
 
+/* Adds one residual's square and the products of its derivatives. */
+static void add(struct quadratic *q, bool free_factor, const struct residual *part, double off) {
+  const double scale = part->weight * (q->logarithms ? 1 : q->factor);
+  const double r = scale * part->by_r, s = scale * part->by_s;
+  const double f = free_factor ? scale * (q->logarithms ? 1 : part->model) : 0;
+  q->chi_squared += off * off;
+  q->to_r += off * r;
+  q->to_s += off * s;
+  q->rr += r * r;
+  q->rs += r * s;
+  q->ss += s * s;
+  q->fr += f * r;
+  q->fs += f * s;
+  q->ff += f * f;
+}
+
 /* Evaluates the model with its derivatives. Returns false if there is no such medium or no finite
  * chi-squared. residuals may be NULL. */
-static bool expand(const core_fit *fit, struct readings readings, struct fit_place place,
-                   struct quadratic *q, double *residuals) {
+static bool expand(const core_fit *fit, struct readings readings, bool logarithms,
+                   struct fit_place place, struct quadratic *q, double *residuals) {
   double model[CORE_FIT_READINGS_MAX], by_r[CORE_FIT_READINGS_MAX], by_s[CORE_FIT_READINGS_MAX];
+  struct residual parts[CORE_FIT_READINGS_MAX];
   if (fit_values(&fit->model, place, fit->count, fit->at, model, by_r, by_s).field != NULL) {
     return false;
   }
   for (size_t i = 0; i < fit->count; i++) {
-    model[i] *= fit->weight[i];
+    parts[i].by_r = by_r[i];
+    parts[i].by_s = by_s[i];
   }
-  *q = (struct quadratic){.place = place, .factor = best_factor(fit, readings, model)};
+  take_apart(fit, readings, logarithms, model, parts);
+  *q = (struct quadratic){.place = place,
+                          .logarithms = logarithms,
+                          .factor = best_factor(fit, logarithms, parts)};
   for (size_t i = 0; i < fit->count; i++) {
-    const double error = readings.errors[i];
-    const double off = fma(-q->factor, model[i], readings.values[i]) / error;
-    const double r = q->factor * fit->weight[i] * by_r[i] / error;
-    const double s = q->factor * fit->weight[i] * by_s[i] / error;
-    const double f = fit->free_factor ? q->factor * model[i] / error : 0;
-    q->chi_squared = fma(off, off, q->chi_squared);
-    q->to_r = fma(off, r, q->to_r);
-    q->to_s = fma(off, s, q->to_s);
-    q->rr = fma(r, r, q->rr);
-    q->rs = fma(r, s, q->rs);
-    q->ss = fma(s, s, q->ss);
-    q->fr = fma(f, r, q->fr);
-    q->fs = fma(f, s, q->fs);
-    q->ff = fma(f, f, q->ff);
+    const double scaled = logarithms ? q->factor + parts[i].model : q->factor * parts[i].model;
+    const double off = parts[i].weight * (parts[i].value - scaled);
+    add(q, fit->free_factor, &parts[i], off);
     if (residuals != NULL) {
       residuals[i] = off;
     }
@@ -117,25 +161,36 @@ static bool expand(const core_fit *fit, struct readings readings, struct fit_pla
 
 /* ---- the starts ------------------------------------------------------------------------------ */
 
-/* Sets chi[FIT_GRID] to chi-squared of each medium of the grid, with GRID_ERROR. */
-static void measure_grid(const core_fit *fit, struct readings readings, double *chi) {
-  double errors[CORE_FIT_READINGS_MAX];
-  for (size_t i = 0; i < fit->count; i++) {
-    const double wide = GRID_ERROR * readings.values[i];
-    errors[i] = sqrt(fma(wide, wide, readings.errors[i] * readings.errors[i]));
-  }
-  const struct readings widened = {readings.values, errors};
+/* Sets chi[FIT_GRID] to chi-squared of the logarithms for each medium of the grid. */
+static void measure_grid(const core_fit *fit, struct readings readings, double error, double *chi) {
+  double mean[FIT_GRID];
+  double weights = 0;
   for (size_t i = 0; i < FIT_GRID; i++) {
-    const double *model = &fit->grid[i * fit->count];
-    chi[i] = chi_squared(fit->count, widened, model, best_factor(fit, widened, model));
+    chi[i] = mean[i] = 0;
+  }
+  for (size_t k = 0; k < fit->count; k++) {
+    const double *model = &fit->grid[k * FIT_GRID];
+    const double value = readings.values[k], own = readings.errors[k];
+    const double logarithm = fit_ln(value);
+    const double weight = value * value / (own * own + error * error * value * value);
+    weights += weight;
+    for (size_t i = 0; i < FIT_GRID; i++) {
+      const double off = logarithm - model[i];
+      mean[i] += weight * off;
+      chi[i] += weight * off * off;
+    }
+  }
+  for (size_t i = 0; i < FIT_GRID && fit->free_factor && weights > 0; i++) {
+    chi[i] -= mean[i] * mean[i] / weights;
   }
 }
 
 /* Whether no neighbour of medium i has a smaller chi-squared, or an equal one and comes first. */
-static bool is_minimum(const double *chi, size_t i) {
+static bool is_minimum(const double *chi, size_t i, bool rows) {
   const int ratio = (int)(i / FIT_GRID_SCATTERINGS), scattering = (int)(i % FIT_GRID_SCATTERINGS);
+  const int beside = rows ? 0 : 1;
   bool least = chi[i] < (double)INFINITY;
-  for (int u = ratio - 1; least && u <= ratio + 1; u++) {
+  for (int u = ratio - beside; least && u <= ratio + beside; u++) {
     for (int v = scattering - 1; least && v <= scattering + 1; v++) {
       if (u >= 0 && u < FIT_GRID_RATIOS && v >= 0 && v < FIT_GRID_SCATTERINGS) {
         const size_t other = (size_t)u * FIT_GRID_SCATTERINGS + (size_t)v;
@@ -146,24 +201,25 @@ static bool is_minimum(const double *chi, size_t i) {
   return least;
 }
 
-/* Sets starts[STARTS_MAX] to the best minima of the grid, the best first, and returns their number.
- */
-static size_t find_starts(const core_fit *fit, struct readings readings, size_t *starts) {
+/* Sets starts[STARTS_MAX] to positions in the grid, the best first, and returns their number. */
+static size_t find_starts(const core_fit *fit, struct readings readings,
+                          const struct choosing *choosing, size_t *starts) {
   double chi[FIT_GRID];
   size_t count = 0;
-  measure_grid(fit, readings, chi);
+  measure_grid(fit, readings, choosing->error, chi);
   for (size_t i = 0; i < FIT_GRID; i++) {
-    if (!is_minimum(chi, i)) {
+    if (!is_minimum(chi, i, choosing->rows)) {
       continue;
     }
-    size_t at = count < STARTS_MAX ? count++ : STARTS_MAX;
+    const size_t last = choosing->most;
+    size_t at = count < last ? count++ : last;
     while (at > 0 && chi[i] < chi[starts[at - 1]]) {
-      if (at < STARTS_MAX) {
+      if (at < last) {
         starts[at] = starts[at - 1];
       }
       at--;
     }
-    if (at < STARTS_MAX) {
+    if (at < last) {
       starts[at] = i;
     }
   }
@@ -217,26 +273,35 @@ static double distance(struct fit_place a, struct fit_place b) {
   return real_max(fabs(a.ln_ratio - b.ln_ratio), fabs(a.ln_scattering - b.ln_scattering));
 }
 
-/* Descends from *q to a minimum. Returns whether it settled. */
-static bool descend(const core_fit *fit, struct readings readings, struct quadratic *q,
+/* Returns by how much chi-squared falls with a step if it is quadratic. */
+static double expected_fall(const struct quadratic *q, struct fit_place from, struct fit_place to) {
+  const double r = to.ln_ratio - from.ln_ratio, s = to.ln_scattering - from.ln_scattering;
+  return r * (2 * q->to_r - q->rr * r - 2 * q->rs * s) + s * (2 * q->to_s - q->ss * s);
+}
+
+/* Descends from *q until a step is shorter than `end`. Returns whether it settled. */
+static bool descend(const core_fit *fit, struct readings readings, double end, struct quadratic *q,
                     unsigned *evaluations) {
   double damping = DAMPING_FIRST;
   for (int i = 0; i < EVALUATIONS_MAX && damping < DAMPING_MOST; i++) {
     const struct fit_place to = moved(fit, q->place, step_from(fit, q, damping));
     const double length = distance(to, q->place);
     struct quadratic next;
-    const bool valid = length > 0 && expand(fit, readings, to, &next, NULL);
+    const bool valid = length > 0 && expand(fit, readings, q->logarithms, to, &next, NULL);
     *evaluations += length > 0;
     if (valid && next.chi_squared <= q->chi_squared) {
+      const double fell = q->chi_squared - next.chi_squared;
+      const double expected = expected_fall(q, q->place, to);
+      damping *= fell > 0.7 * expected ? 0.1 : fell < 0.2 * expected ? 3 : 1;
+      damping = real_max(damping, DAMPING_LEAST);
       *q = next;
-      damping = real_max(damping * 0.1, DAMPING_LEAST);
-      if (length < STEP_END) {
+      if (length < end) {
         return true;
       }
     } else if (length < STEP_ROUNDED) {
       return true;
     } else {
-      damping *= 10;
+      damping *= 5;
     }
   }
   return false;
@@ -313,7 +378,7 @@ struct minimum {
 /* Keeps the best two minima that are not the same. */
 static void keep(struct minimum *best, struct minimum *second, const struct minimum *now) {
   if (best->found && distance(best->at.place, now->at.place) < SAME) {
-    if (now->at.chi_squared < best->at.chi_squared) {
+    if (now->settled && (!best->settled || now->at.chi_squared < best->at.chi_squared)) {
       *best = *now;
     }
   } else if (!best->found || now->at.chi_squared < best->at.chi_squared) {
@@ -326,37 +391,72 @@ static void keep(struct minimum *best, struct minimum *second, const struct mini
 
 static const core_fit_solution no_solution = {(double)NAN, (double)NAN, (double)NAN, (double)NAN};
 
+/* The minima that were found, the best two of which count. */
+struct minima {
+  struct minimum best;
+  struct minimum second;
+};
+
+static bool is_known(const struct minima *minima, struct fit_place place) {
+  const struct minimum *best = &minima->best, *second = &minima->second;
+  return (best->settled && distance(best->at.place, place) < SAME) ||
+         (second->settled && distance(second->at.place, place) < SAME);
+}
+
+/* Descends from a medium of the grid: first with logarithms, if that can be done. */
+static void try_start(const core_fit *fit, struct readings readings, size_t start,
+                      struct minima *minima, unsigned *evaluations) {
+  struct minimum now = {.found = true};
+  struct fit_place place = fit_grid_place(fit, start);
+  ++*evaluations;
+  if (expand(fit, readings, true, place, &now.at, NULL)) {
+    descend(fit, readings, STEP_LOGARITHMS, &now.at, evaluations);
+    place = now.at.place;
+  }
+  ++*evaluations;
+  if (!is_known(minima, place) && expand(fit, readings, false, place, &now.at, NULL)) {
+    now.settled = descend(fit, readings, STEP_END, &now.at, evaluations);
+    keep(&minima->best, &minima->second, &now);
+  }
+}
+
+static void try_starts(const core_fit *fit, struct readings readings,
+                       const struct choosing *choosing, struct minima *minima,
+                       unsigned *evaluations) {
+  size_t starts[STARTS_MAX];
+  const size_t count = find_starts(fit, readings, choosing, starts);
+  for (size_t i = 0; i < count; i++) {
+    try_start(fit, readings, starts[i], minima, evaluations);
+  }
+}
+
 void fit_search(const core_fit *fit, const double *values, const double *errors,
                 core_fit_result *result, double *residuals) {
   const struct readings readings = {values, errors};
-  struct minimum best = {.found = false}, second = {.found = false};
-  size_t starts[STARTS_MAX];
-  const size_t count = find_starts(fit, readings, starts);
+  const size_t spare = fit->count - (fit->free_factor ? 3 : 2);
+  struct minima minima = {.best.found = false};
   *result = (core_fit_result){.best = no_solution, .second = no_solution, .notes = fit->notes};
-  for (size_t i = 0; i < count; i++) {
-    struct minimum now = {.found = true};
-    result->evaluations++;
-    if (expand(fit, readings, fit_grid_place(fit, starts[i]), &now.at, NULL)) {
-      now.settled = descend(fit, readings, &now.at, &result->evaluations);
-      keep(&best, &second, &now);
-    }
+  try_starts(fit, readings, &usual, &minima, &result->evaluations);
+  const struct minimum *best = &minima.best;
+  if (spare <= CAREFUL_SPARE || !best->found || !best->settled ||
+      best->at.chi_squared > CAREFUL_REDUCED * (double)spare) {
+    try_starts(fit, readings, &careful, &minima, &result->evaluations);
   }
-  if (!best.found) {
+  if (!best->found) {
     result->status = CORE_FIT_STATUS_UNFINISHED;
     return;
   }
-  const size_t unknowns = fit->free_factor ? 3 : 2;
-  result->best = solution_of(&fit->model, &best.at);
-  result->bounds = bounds_of(fit, best.at.place);
+  result->best = solution_of(&fit->model, &best->at);
+  result->bounds = bounds_of(fit, best->at.place);
   result->reduced_chi_squared =
-      fit->count > unknowns ? best.at.chi_squared / (double)(fit->count - unknowns) : (double)NAN;
-  if (second.found && second.settled) {
-    result->second = solution_of(&fit->model, &second.at);
+      spare > 0 ? best->at.chi_squared / (double)spare : (double)NAN;
+  if (minima.second.found && minima.second.settled) {
+    result->second = solution_of(&fit->model, &minima.second.at);
   }
-  set_errors(&best.at, result);
-  result->status = status_of(result, best.settled);
+  set_errors(&best->at, result);
+  result->status = status_of(result, best->settled);
   if (residuals != NULL) {
     struct quadratic again;
-    expand(fit, readings, best.at.place, &again, residuals);
+    expand(fit, readings, false, best->at.place, &again, residuals);
   }
 }

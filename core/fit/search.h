@@ -22,7 +22,7 @@ struct core_fit {
   struct fit_place most;
   double *at;     /* [count] */
   double *weight; /* [count]: what the model of each reading is multiplied by */
-  double *grid;   /* [FIT_GRID][count]: the model of each medium of the grid; NAN if it has none */
+  double *grid;   /* [count][FIT_GRID]: ln of the model of each medium; NAN if it has none */
 };
 
 /* Returns medium i of the grid. */

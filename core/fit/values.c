@@ -20,6 +20,10 @@ core_medium fit_medium(const struct fit_model *model, struct fit_place place) {
   };
 }
 
+double fit_ln(double x) {
+  return real_log(real_max(x, 0x1p-1022), 0);
+}
+
 /* error: NULL, or receives the model's numerical error. */
 static core_fault evaluate(const struct fit_model *model, const core_medium *medium, size_t n,
                            const double *at, double *value, double *error) {

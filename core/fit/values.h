@@ -22,6 +22,9 @@ struct fit_place {
 
 core_medium fit_medium(const struct fit_model *model, struct fit_place place);
 
+/* Returns ln x, or that of the least normal number if x is less. */
+double fit_ln(double x);
+
 /* Evaluates the model at[n] for a medium, whose g and eta need not be those of the model. */
 core_fault fit_values_of_medium(const struct fit_model *model, const core_medium *medium, size_t n,
                                 const double *at, double *value);

@@ -107,12 +107,12 @@ static void expect_recovery(unsigned model, unsigned scale) {
     told += result.status == CORE_FIT_STATUS_FITTED;
     worst = is_undetermined(&result) ? worst : fmax(worst, error);
     if (!is_undetermined(&result) && !(error < 1e-6)) {
-      fail_msg("set %zu, %zu readings, sigma_a %.9g, sigma_s' %.9g, eta %.4f: %.9g, %.9g, status "
-               "%d, chi-squared %.3g, condition %.3g",
+      print_error("set %zu, %zu readings, sigma_a %.9g, sigma_s' %.9g, eta %.4f: %.9g, %.9g, status "
+               "%d, chi-squared %.3g, condition %.3g second %.3g evals %u\n",
                i, subject.design.count, subject.medium.sigma_a_per_mm,
                subject.medium.sigma_s_per_mm, subject.medium.eta, result.best.sigma_a_per_mm,
                result.best.sigma_s_prime_per_mm, (int)result.status, result.best.chi_squared,
-               result.condition);
+               result.condition, result.second.chi_squared, result.evaluations);
     }
   }
   printf("%s, scale %u: off by %.2g at most; %zu of %zu fitted\n",
@@ -121,6 +121,9 @@ static void expect_recovery(unsigned model, unsigned scale) {
 
 UNIT_TEST(dipoles_come_back) {
   expect_recovery(CORE_MODEL_BETTER, CORE_FIT_SCALE_ABSOLUTE);
+  expect_recovery(CORE_MODEL_CLASSICAL, CORE_FIT_SCALE_ABSOLUTE);
+  expect_recovery(CORE_MODEL_BETTER, CORE_FIT_SCALE_FREE);
+  expect_recovery(CORE_MODEL_BURLEY, CORE_FIT_SCALE_ABSOLUTE);
 }
 
 /* ---- refusals -------------------------------------------------------------------------------- */
