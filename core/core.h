@@ -247,7 +247,7 @@ const char *core_isa_listed(size_t index);
 
 /* ---- profiles -------------------------------------------------------------------------------- */
 
-enum { CORE_COEFFICIENTS_MAX = 32 };
+enum { CORE_COEFFICIENTS_MAX = 38 };
 
 /* Radii in mm from least to most, both included. */
 typedef struct core_radii_range {
@@ -347,6 +347,9 @@ core_fault core_profile_prepare(core_profile *profile, const core_isa *isa, unsi
 /* The relative error of S / R: of the Fresnel moment and of both transmittances. */
 #define CORE_S_ERROR 0x1p-49
 
+/* What the transformation of R to TRANSFER adds to the numerical error. */
+#define CORE_TRANSFER_ERROR 1e-8
+
 /* The errors of a profile's values that a reply states. */
 typedef struct core_stated_errors {
   double numerical;        /* as core_profile.numerical_error, for all of the radii */
@@ -356,7 +359,7 @@ typedef struct core_stated_errors {
 
 /* The errors of the wanted quantities (bits) at radii from least to most; there are no radii if
  * least is above most. The model's error is relative, but absolute for ln R. It does not cover the
- * cdf and dR/dr, which were not measured. */
+ * cdf, dR/dr and TRANSFER, which were not measured. */
 core_stated_errors core_profile_errors(const core_profile *profile, unsigned wanted,
                                        core_radii_range radii);
 
@@ -384,10 +387,17 @@ size_t core_profile_bytes(const core_profile *profile);
  *   S      the BSSRDF for the two angles of the parameters (normal when not given), 1/(mm^2 sr):
  *          F_t(cos_in) R(r) F_t(cos_out) / (pi (1 - 2 C1(1 / eta))), with the exact C1
  *          (d'Eon 2012, Eq. 1; Jensen et al. 2001, Eq. 5)
+ *   TRANSFER the reflectance for striped light, the Hankel transform of R(r): the numbers r[n] are
+ *          spatial frequencies f in 1/mm, and R(f) is int 2 pi r R(r) J0(2 pi f r) dr. R(0) is the
+ *          albedo, R(infinity) 0. Its error is absolute: the numerical error times the albedo
  * The arrays need only their type's alignment and must not overlap. Values for radii that
  * core_radii_check_f64() faults are unspecified. */
 void core_eval_f64(const core_profile *profile, enum core_quantity quantity, size_t n,
                    const double *r, double *out);
+
+/* Returns the cost of evaluating the wanted quantities (bits) at one radius, in evaluations of one
+ * quantity of a dipole. A model without a closed form of TRANSFER takes hundreds of them. */
+double core_radius_cost(const core_profile *profile, unsigned wanted);
 
 /* Does the same as core_eval_f64() for profiles of the evaluators f32 and lut. */
 void core_eval_f32(const core_profile *profile, enum core_quantity quantity, size_t n,

@@ -70,7 +70,13 @@ void core_evaluate(const core_profile *profile, enum core_quantity quantity, siz
   if (profile->parts == NULL) {
     const double *coefficients =
         profile->table != NULL ? profile->table : profile->coefficients.f64;
-    profile->kernels->f64->evaluate[position(quantity)](coefficients, n, r, out);
+    core_kernel_f64 *kernel = profile->kernels->f64->evaluate[position(quantity)];
+    if (kernel == NULL) {
+      assert(quantity == CORE_QUANTITY_TRANSFER);
+      core_transfer(profile, n, r, out);
+    } else {
+      kernel(coefficients, n, r, out);
+    }
     return;
   }
   for (size_t done = 0; done < n; done += CHUNK) {

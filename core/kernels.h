@@ -63,8 +63,8 @@ typedef void core_varying_invert_kernel_f32(const float *shared, const float *wo
                                             const float *length_mm, float *sigma_a, float *sigma_s,
                                             float *albedo, uint8_t *status);
 
-/* An entry is NULL where core has one method for all models: core/evaluate.c makes S from R, and
- * core/sample.c inverts the cdf. If all entries of an f32 table are NULL, core evaluates in double
+/* An entry is NULL where core has one method for all models: core/evaluate.c makes S from R,
+ * core/transfer.c transforms R, and core/sample.c inverts the cdf. If all entries of an f32 table are NULL, core evaluates in double
  * precision and rounds. The entries for media that vary are NULL too if a model has none. */
 typedef struct core_kernels_f64 {
   core_kernel_f64 *evaluate[CORE_ELEMENTWISE_COUNT]; /* in: radii in mm */
@@ -202,6 +202,10 @@ static inline unsigned core_similarity_note(const core_inputs *inputs) {
  * long as its coefficients are in double precision: it is of f64, a sum, or has no f32 kernels. */
 void core_evaluate(const core_profile *profile, enum core_quantity quantity, size_t n,
                    const double *r, double *out);
+
+/* Does what core_evaluate() does for the quantity TRANSFER of models without a kernel for it. The
+ * profile is not a sum. */
+void core_transfer(const core_profile *profile, size_t n, const double *f, double *out);
 
 /* Whether a profile has kernels and coefficients in single precision. */
 static inline bool core_is_narrow(const core_profile *profile) {

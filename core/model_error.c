@@ -443,7 +443,9 @@ static size_t edges_below(double mfp) {
 
 double core_banded_error(const double errors[CORE_MODEL_ERROR_BANDS + 1], double all,
                          const core_medium *medium, unsigned wanted, core_radii_range radii) {
-  enum { ANY = CORE_QUANTITY_CDF | CORE_QUANTITY_SLOPE | CORE_QUANTITY_PDF };
+  enum {
+    ANY = CORE_QUANTITY_CDF | CORE_QUANTITY_SLOPE | CORE_QUANTITY_PDF | CORE_QUANTITY_TRANSFER
+  };
   const double sigma_t_prime = core_sigma_t_prime(medium);
   const bool at_radii = radii.least_mm <= radii.most_mm;
   if (at_radii && (wanted & ANY) != 0) {
@@ -470,7 +472,8 @@ core_stated_errors core_profile_errors(const core_profile *profile, unsigned wan
                                              &profile->medium, wanted, radii);
   return (core_stated_errors){
       .numerical = numerical + core_error_beyond(profile->reach, most_mm) +
-                   ((wanted & CORE_QUANTITY_S) != 0 ? CORE_S_ERROR : 0),
+                   ((wanted & CORE_QUANTITY_S) != 0 ? CORE_S_ERROR : 0) +
+                   ((wanted & CORE_QUANTITY_TRANSFER) != 0 ? CORE_TRANSFER_ERROR : 0),
       .numerical_per_mm = profile->numerical_error_per_mm,
       .model = core_model_errors_of(&profile->model_errors, &profile->medium, wanted, radii),
   };

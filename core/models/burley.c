@@ -77,6 +77,16 @@ static inline double burley_pdf(const double *c, double r) {
   return exponentials(c[PDF_SCALE], burley_x(c, r), 0);
 }
 
+/* The Hankel transform of e^(-s r) / r is 2 pi / sqrt(s^2 + k^2), k = 2 pi f: here
+ * A / 4 [1 / sqrt(1 + (k d)^2) + 3 / sqrt(1 + 9 (k d)^2)]. */
+static inline double burley_transfer(const double *c, double f) {
+  const double kd = real_min(6.28318530717958647693 * f * c[D], FAR);
+  const double squared = kd * kd;
+  const double sum = 1 / real_sqrt(1 + squared) + 3 / real_sqrt(real_fma(9, squared, 1));
+  const double value = c[RING_SCALE] * c[D] * sum;
+  return c[LIMIT] > 0 && f < (double)INFINITY ? value : 0;
+}
+
 /* Returns dR/dr = -A / (8 pi d r) [(1 + q^2) q / r + (1/3 + q^2) q / d], with q = e^(-r / (3 d)).
  */
 static inline double burley_slope(const double *c, double r) {
@@ -174,6 +184,7 @@ CORE_KERNEL(eval_slope, zero_slope)
 CORE_KERNEL(eval_ln_R, burley_ln_R)
 CORE_KERNEL(eval_pdf, burley_pdf)
 CORE_KERNEL(eval_ring, burley_ring)
+CORE_KERNEL(eval_transfer, burley_transfer)
 CORE_KERNEL(sample, burley_sample)
 
 /* ---- a medium for each value ----------------------------------------------------------------- */
@@ -210,7 +221,9 @@ LANES_KERNEL(varying_pdf, COEFFICIENTS, lane_fill, burley_pdf, INFINITY)
 LANES_KERNEL(varying_ring, COEFFICIENTS, lane_fill, burley_ring, INFINITY)
 LANES_KERNEL(varying_sample, COEFFICIENTS, lane_fill, burley_sample, 1)
 
-CORE_KERNEL_TABLE(burley, .sample = sample, CORE_KERNELS_OF_ALL, .varying_sample = varying_sample,
+CORE_KERNEL_TABLE(burley, .sample = sample, CORE_KERNELS_OF_ALL,
+                  .evaluate[CORE_ELEMENTWISE_TRANSFER] = eval_transfer,
+                  .varying_sample = varying_sample,
                   .varying = {
                       [CORE_ELEMENTWISE_R] = varying_R,
                       [CORE_ELEMENTWISE_CDF] = varying_cdf,

@@ -78,6 +78,13 @@ enum coefficient {
   CDF_WHOLE, /* from this radius on, in kernel units, the cdf has rounded to CDF_LIMIT */
   CORE,      /* the cdf is at most (x / CORE)^2, and nearly equal to it for small x */
   TAIL,      /* 1 - cdf is at most TAIL / d1 e^(-mu (d1 - z1)) */
+  /* the transfer function, in units of z1; a number is the sum of its HI, of 24 bits, and LO */
+  WAVE_HI, /* 2 pi z1: the wavenumber of a frequency in 1/mm */
+  WAVE_LO,
+  MU_SQUARED_HI,
+  MU_SQUARED_LO,
+  TRANSFER_FLUX, /* p C_E / 2 */
+  TRANSFER_PHI,  /* p C_phi / (2 D) (z2 - z1) */
   COEFFICIENTS
 };
 _Static_assert((int)COEFFICIENTS <= CORE_COEFFICIENTS_MAX, "the profile has room for them");
@@ -108,6 +115,8 @@ _Static_assert((int)COEFFICIENTS <= CORE_COEFFICIENTS_MAX, "the profile has room
 #define DENSE_SMALL (0x1p-100f * DENSE_SCALE)
 #if CORE_REAL == 64
 #define FAR 1e150
+#define TRANSFER_FAR                                                                               \
+  1e150 /* wavenumbers, in 1 / z1, where R(f) has underflowed but k^2 is finite */
 #define LN_R_FAR (REAL_Z1 * 1e100)
 #define SMALL_U 1e-30
 #define BRACKET_SLACK 1e-13
@@ -115,6 +124,7 @@ _Static_assert((int)COEFFICIENTS <= CORE_COEFFICIENTS_MAX, "the profile has room
 enum { SAMPLE_STEPS = 9, SAMPLE_STEPS_WIDE = 48 };
 #else
 #define FAR 1e19f
+#define TRANSFER_FAR 1e18f
 #define LN_R_FAR (REAL_Z1 * 1e12f)
 #define SMALL_U 1e-13f
 #define BRACKET_SLACK 1e-5f
@@ -274,6 +284,27 @@ static inline real dipole_cdf(const real *c, real r) {
   return v.x < c[CDF_WHOLE] ? real_min(within.cdf, REAL_BELOW_1) : c[CDF_LIMIT];
 }
 
+/* A source at depth z has the Hankel transform e^(-q z), times 2 pi / q for the fluence and 2 pi for
+ * the flux, with q^2 = mu^2 + k^2, k = 2 pi f. q is summed in two parts, as the exponential would
+ * multiply its rounding error by q. */
+static inline real dipole_transfer(const real *c, real f) {
+  const real bounded = real_nearer_zero(f + 0, TRANSFER_FAR / c[WAVE_HI]);
+  const real k = bounded * c[WAVE_HI];
+  const real k_low = real_fma(bounded, c[WAVE_HI], -k) + bounded * c[WAVE_LO];
+  const real squared = k * k;
+  const real squared_low = real_fma(k, k, -squared) + 2 * k * k_low;
+  const real sum = squared + c[MU_SQUARED_HI];
+  const real lost = squared > c[MU_SQUARED_HI] ? c[MU_SQUARED_HI] - (sum - squared)
+                                               : squared - (sum - c[MU_SQUARED_HI]);
+  const real low = lost + squared_low + c[MU_SQUARED_LO];
+  const real q = real_sqrt(sum);
+  const real q_low = q > 0 ? (real_fma(-q, q, sum) + low) / (2 * q) : 0;
+  const real_exp_values mirror = real_exp(-q * (c[Z2_LESS_Z1] * (1 / REAL_Z1)));
+  const real value =
+      real_fma(c[TRANSFER_PHI], mirror.quotient, c[TRANSFER_FLUX] * (1 + mirror.exp));
+  return real_times_exp(value * (1 - q_low), -q, 0);
+}
+
 /* Returns the radius in mm at which the cdf is u, by Newton's method on ln(cdf / (1 - cdf)) as a
  * function of ln x. That function is nearly a straight line: its slope is 2 at the source, 1 in a
  * tail without absorption, and 1 + mu x in a tail with absorption.
@@ -373,6 +404,7 @@ CORE_KERNEL(eval_slope, dipole_slope)
 CORE_KERNEL(eval_ln_R, dipole_ln_R)
 CORE_KERNEL(eval_pdf, dipole_pdf)
 CORE_KERNEL(eval_ring, dipole_ring)
+CORE_KERNEL(eval_transfer, dipole_transfer)
 
 static void eval_R(const real *restrict c, size_t n, const real *restrict r, real *restrict R) {
   const int dense = CORE_REAL == 32 && c[UNITS_PER_MM] > DENSE;
@@ -467,7 +499,9 @@ static void varying_sample(const real *restrict shared, const float *restrict wo
   }
 }
 
-CORE_KERNEL_TABLE(dipole, .sample = sample, CORE_KERNELS_OF_ALL, .varying_sample = varying_sample,
+CORE_KERNEL_TABLE(dipole, .sample = sample, CORE_KERNELS_OF_ALL,
+                  .evaluate[CORE_ELEMENTWISE_TRANSFER] = eval_transfer,
+                  .varying_sample = varying_sample,
                   .varying = {
                       [CORE_ELEMENTWISE_R] = varying_R,
                       [CORE_ELEMENTWISE_CDF] = varying_cdf,
@@ -492,6 +526,7 @@ struct dipole {
   dd sigma_t_prime;
   dd albedo_prime_power; /* p = alpha' or alpha'^2 */
   dd diffusion;          /* D */
+  dd mu_squared;
   dd mu;
   dd z2_less_1;
   dd c_phi;
@@ -512,7 +547,8 @@ static struct dipole table_2(int variant, enum core_moments moments, const core_
   const bool grosjean = (variant & CORE_DIPOLE_GROSJEAN) != 0;
   dipole.diffusion = dd_div(grosjean ? dd_add(ONE, absorbed) : ONE, THREE);
   dipole.albedo_prime_power = grosjean ? dd_mul(scattered, scattered) : scattered;
-  dipole.mu = dd_sqrt(dd_div(absorbed, dipole.diffusion));
+  dipole.mu_squared = dd_div(absorbed, dipole.diffusion);
+  dipole.mu = dd_sqrt(dipole.mu_squared);
 
   const dd lost = (variant & CORE_DIPOLE_BOUNDARY) ? one_minus_3c2 : one_minus_2c1;
   const dd boundary = dd_div(dd_sub(TWO, lost), one_minus_2c1);
@@ -591,6 +627,22 @@ static double set_energy(const struct dipole *dipole, double *c) {
   return dd_round(albedo);
 }
 
+/* Splits a number so that neither part loses digits in single precision. */
+static void set_parts(dd x, double *high, double *low) {
+  *high = (double)(float)dd_round(x);
+  *low = dd_round(dd_sub(x, dd_from(*high)));
+}
+
+static void set_transfer(const struct dipole *dipole, double *c) {
+  const dd half_p = dd_scale(dipole->albedo_prime_power, 0.5);
+  const dd two_pi = dd_scale(FOUR_PI, 0.5);
+  set_parts(dd_div(two_pi, dipole->sigma_t_prime), &c[WAVE_HI], &c[WAVE_LO]);
+  set_parts(dipole->mu_squared, &c[MU_SQUARED_HI], &c[MU_SQUARED_LO]);
+  c[TRANSFER_FLUX] = dd_round(dd_mul(half_p, dipole->c_flux));
+  c[TRANSFER_PHI] =
+      dd_round(dd_mul(dd_mul(half_p, dd_div(dipole->c_phi, dipole->diffusion)), dipole->z2_less_1));
+}
+
 /* Sets the bounds that bracket the inverse of the cdf: CORE, TAIL, INVERSE_MU, CDF_WHOLE. Plain
  * double is exact enough for bounds. */
 static void set_bracket(double *c) {
@@ -640,6 +692,7 @@ core_fault core_dipole_prepare(const core_inputs *inputs, core_preparation *prep
   set_scales(&dipole, c);
   preparation->albedo = set_energy(&dipole, c);
   set_bracket(c);
+  set_transfer(&dipole, c);
   /* the error bound contains 1 + mu_tr d1, which is at most 1 + mu_tr (z1 + r) */
   preparation->error_epsilons = DIPOLE_ERROR_EPSILONS * (1 + dd_round(dipole.mu)) +
                                 3 * fmax(mirrored_condition(&dipole) - 4, 0);

@@ -476,8 +476,8 @@ static double grid_cost(const struct eval_job *eval) {
 static double cost_of(const struct eval_job *eval) {
   const core_profile *profile = &eval->lookup.profile;
   const bool in_reply = eval_is_array(eval_job_wanted(eval), CORE_QUANTITY_RADIUS);
-  return profile->cost + (is_sample(eval) ? core_draw_cost(profile) : 0) +
-         (in_reply ? 0 : grid_cost(eval));
+  return core_radius_cost(profile, eval->request.fixed.wanted) +
+         (is_sample(eval) ? core_draw_cost(profile) : 0) + (in_reply ? 0 : grid_cost(eval));
 }
 
 /* ---- the job --------------------------------------------------------------------------------- */

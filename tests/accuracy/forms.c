@@ -477,6 +477,8 @@ quad form_truth(const form_model *form, form_values at, enum core_elementwise qu
     return dark ? (quad)NAN : ring / form->albedo;
   case CORE_ELEMENTWISE_RING:
     return ring;
+  case CORE_ELEMENTWISE_TRANSFER: /* test_transfer.c */
+    return (quad)NAN;
   default:
     return form->S_per_R > 0 ? R * form->S_per_R : 0;
   }

@@ -231,6 +231,41 @@ static void add_slope(mpfr_t flux, mpfr_t fluence, const reference_dipole *dipol
   mpfr_clears(cube, term, (mpfr_ptr)NULL);
 }
 
+/* flux += e^(-q z), fluence += sign e^(-q z) / q, which is -sign z for q = 0 */
+static void add_transfer(mpfr_t flux, mpfr_t fluence, const mpfr_t q, const mpfr_t z, int sign) {
+  mpfr_t term;
+  mpfr_init2(term, mpfr_get_prec(flux));
+  mpfr_mul(term, q, z, MPFR_RNDN);
+  mpfr_neg(term, term, MPFR_RNDN);
+  mpfr_exp(term, term, MPFR_RNDN);
+  mpfr_add(flux, flux, term, MPFR_RNDN);
+  if (mpfr_zero_p(q)) {
+    mpfr_neg(term, z, MPFR_RNDN);
+  } else {
+    mpfr_div(term, term, q, MPFR_RNDN);
+  }
+  mpfr_mul_si(term, term, sign, MPFR_RNDN);
+  mpfr_add(fluence, fluence, term, MPFR_RNDN);
+  mpfr_clear(term);
+}
+
+/* The Hankel transform of R at a frequency, with q^2 = mu_tr^2 + (2 pi f)^2. */
+static void set_transfer(mpfr_t value, const reference_dipole *dipole, double f_per_mm) {
+  enum { BITS = 2000 }; /* the two sources may cancel */
+  mpfr_t q, flux, fluence;
+  mpfr_inits2(BITS, q, flux, fluence, (mpfr_ptr)NULL);
+  mpfr_const_pi(q, MPFR_RNDN);
+  mpfr_mul_2ui(q, q, 1, MPFR_RNDN);
+  mpfr_mul_d(q, q, f_per_mm, MPFR_RNDN);
+  mpfr_hypot(q, q, dipole->mu_tr_per_mm, MPFR_RNDN);
+  mpfr_set_zero(flux, 1);
+  mpfr_set_zero(fluence, 1);
+  add_transfer(flux, fluence, q, dipole->z1_mm, 1);
+  add_transfer(flux, fluence, q, dipole->z2_mm, -1);
+  combine(value, dipole, flux, fluence);
+  mpfr_clears(q, flux, fluence, (mpfr_ptr)NULL);
+}
+
 typedef void add_function(mpfr_t flux, mpfr_t fluence, const reference_dipole *dipole,
                           const struct source *source, int sign);
 
@@ -313,6 +348,8 @@ void reference_dipole_evaluate(const reference_dipole *dipole, double r_mm,
   mpfr_ptr cdf = values->of[CORE_ELEMENTWISE_CDF];
   sum_sources(cdf, dipole, sources, add_within);
   mpfr_div(cdf, cdf, dipole->albedo, MPFR_RNDN);
+
+  set_transfer(values->of[CORE_ELEMENTWISE_TRANSFER], dipole, r_mm);
 
   if (mpfr_zero_p(R)) { /* last, because it spoils the sources */
     set_deep_ln_R(values->of[CORE_ELEMENTWISE_LN_R], dipole, sources, two_pi);

@@ -168,12 +168,12 @@ UNIT_TEST(parameters_are_taken_apart) {
 
 /* ---- replies ------------------------------------------------------------------------------ */
 
-enum { ALL_QUANTITIES = 511 };
+enum { ALL_QUANTITIES = 1023 };
 
 /* The quantities that have an array for each channel, in the order of the arrays. */
 static const enum core_quantity order[] = {
     CORE_QUANTITY_R,   CORE_QUANTITY_CDF,  CORE_QUANTITY_SLOPE, CORE_QUANTITY_LN_R,
-    CORE_QUANTITY_PDF, CORE_QUANTITY_RING, CORE_QUANTITY_S};
+    CORE_QUANTITY_PDF, CORE_QUANTITY_RING, CORE_QUANTITY_S,     CORE_QUANTITY_TRANSFER};
 enum { ORDER = sizeof order / sizeof order[0] };
 
 static bool has(unsigned wanted, enum core_quantity quantity) {

@@ -104,10 +104,12 @@ static bool prepare(core_profile *profile, const char *isa, unsigned model, unsi
 }
 
 /* Returns whether to compare a quantity. A quantity that a table does not hold is evaluated by the
- * kernels of double precision, which are compared without a table. */
+ * kernels of double precision, which are compared without a table, and so is R for its Hankel
+ * transform. */
 static bool is_held(const core_profile *profile, unsigned quantity) {
-  return profile->lut == NULL ||
-         (quantity != CORE_QUANTITY_SLOPE && quantity != CORE_QUANTITY_LN_R);
+  return core_radius_cost(profile, quantity) <= profile->cost &&
+         (profile->lut == NULL ||
+          (quantity != CORE_QUANTITY_SLOPE && quantity != CORE_QUANTITY_LN_R));
 }
 
 static void with_every_operation(kernel_pair *pair, pair_test *test, uint64_t *random) {
@@ -495,6 +497,10 @@ static bool good_pdf(double r, double value, bool scatters) {
   return value >= 0 && isfinite(value) && ((!isinf(r) && scatters) || value == 0);
 }
 
+static bool good_transfer(double f, double value, bool scatters) {
+  return value >= 0 && value < 1.2 && ((!isinf(f) && scatters) || value == 0);
+}
+
 static bool good_sample(double u, double value, bool scatters) {
   return value >= 0 && !signbit(value) && ((u > 0 && scatters) || value == 0) &&
          (u < 1 || !scatters || isinf(value));
@@ -515,6 +521,7 @@ static void check_edge(const kernel_pair *pair, double input, double value, bool
       {CORE_QUANTITY_PDF, good_pdf},
       {CORE_QUANTITY_RING, good_pdf},
       {CORE_QUANTITY_S, good_R},
+      {CORE_QUANTITY_TRANSFER, good_transfer},
   };
   for (size_t i = 0; i < sizeof checks / sizeof checks[0]; i++) {
     if (checks[i].quantity == pair->todo.quantity) {

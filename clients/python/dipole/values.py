@@ -272,6 +272,11 @@ class Result(_Evaluated):
         """[C, N] 1/(mm^2 sr): the BSSRDF for the parameters cos_in and cos_out."""
         return self._quantity("S")
 
+    @property
+    def R_f(self) -> Array:
+        """[C, N]: the reflectance for striped light; r holds spatial frequencies f in 1/mm."""
+        return self._quantity("R_f")
+
     def numerical_error(self, r: Array | float | None = None) -> Array:
         """Returns how far a value at radius r may be from the model's exact formula: [C, N],
         relative. r: [N] mm; the default is the result's own radii."""

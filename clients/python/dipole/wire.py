@@ -56,8 +56,9 @@ QUANTITY_LN_R = 32
 QUANTITY_PDF = 64
 QUANTITY_RING = 128
 QUANTITY_S = 256
+QUANTITY_TRANSFER = 512
 # Quantities that have a value for each radius and channel, in the order of a reply's arrays.
-ELEMENTWISE = (1, 4, 16, 32, 64, 128, 256)
+ELEMENTWISE = (1, 4, 16, 32, 64, 128, 256, 512)
 # Quantities that a sample has for each radius and channel: the radii are among them.
 DRAWN = tuple(sorted((*ELEMENTWISE, QUANTITY_RADIUS)))
 SPACING_LIST = 1

@@ -1,0 +1,115 @@
+/* The transfer function R(f), the Hankel transform of R(r): closed forms against the transformation,
+ * the transformation of transport against an integral by other means, and its limits. That of dipoles
+ * is compared with many digits in test_dipole.c. */
+#include <math.h>
+
+#include "core/kernels.h"
+#include "tests/unit/unit.h"
+
+static const double pi = 3.14159265358979323846;
+
+static core_profile prepared(unsigned model, unsigned evaluator, core_medium medium) {
+  core_profile profile;
+  const core_parameters parameters = unit_parameters(model, &medium);
+  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT,
+                                         evaluator, &medium, &parameters),
+                    NULL, 0);
+  return profile;
+}
+
+static double transfer(const core_profile *profile, double f) {
+  double value;
+  core_eval_f64(profile, CORE_QUANTITY_TRANSFER, 1, &f, &value);
+  return value;
+}
+
+static void assert_within(double value, double truth, double allowed, const char *what, double f) {
+  if (!(fabs(value - truth) <= allowed)) {
+    fail_msg("%s at %g per mm is %.12g, not %.12g: off by %.3g", what, f, value, truth,
+             value - truth);
+  }
+}
+
+UNIT_TEST(closed_forms_and_the_transformation_agree) {
+  uint64_t random = unit_seed();
+  static const unsigned models[] = {CORE_MODEL_CLASSICAL, CORE_MODEL_BETTER, CORE_MODEL_BURLEY,
+                                    CORE_MODEL_BURLEY_DIFFUSE};
+  double worst = 0;
+  for (size_t i = 0; i < 80; i++) {
+    const double ratio = i % 10 == 0 && i % 4 < 2 ? 0 : unit_random_log(&random, 1e-6, 10);
+    const core_medium medium = {ratio, 1, 0, unit_random_between(&random, 0.8, 2)};
+    const core_profile profile = prepared(models[i % 4], CORE_EVALUATOR_F64, medium);
+    for (int k = 0; k < 20; k++) {
+      const double f = unit_random_log(&random, 1e-12, 1e3);
+      const double closed = transfer(&profile, f);
+      double transformed;
+      core_transfer(&profile, 1, &f, &transformed);
+      worst = fmax(worst, fabs(closed - transformed) / profile.albedo);
+      assert_within(transformed, closed, CORE_TRANSFER_ERROR * profile.albedo, "the transform", f);
+    }
+  }
+  printf("off by %.2g of the albedo at most\n", worst);
+}
+
+/* The integral of R in rings by Gauss's rule in ln r with many points, from the energy that is known:
+ * albedo - int 2 pi r R (1 - J0(k r)) dr. Few periods matter where R falls exponentially. */
+static double integral(const core_profile *profile, double f) {
+  enum { STEPS = 400000 };
+  static double r[STEPS], ring[STEPS];
+  const double from = log(1e-9), to = log(3e3), step = (to - from) / STEPS;
+  double sum = 0;
+  for (size_t i = 0; i < STEPS; i++) {
+    r[i] = exp(from + ((double)i + 0.5) * step);
+  }
+  core_eval_f64(profile, CORE_QUANTITY_RING, STEPS, r, ring);
+  for (size_t i = 0; i < STEPS; i++) {
+    sum += r[i] * ring[i] * j0(2 * pi * f * r[i]);
+  }
+  return sum * step;
+}
+
+UNIT_TEST(transport_has_the_transform_of_its_R) {
+  static const core_medium media[] = {
+      {0.02, 1, 0, 1.4}, {1, 1, 0, 1}, {0.1, 5, 0.8, 1.33}, {0.05, 10, 0.9, 1.5}, {10, 1, 0, 1.5}};
+  double worst = 0;
+  for (size_t i = 0; i < sizeof media / sizeof media[0]; i++) {
+    core_profile profile = prepared(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, media[i]);
+    assert_true(transfer(&profile, 0) == profile.albedo);
+    assert_true(transfer(&profile, (double)INFINITY) == 0);
+    for (double f = 1e-3; f < 2; f *= 2.2) {
+      const double value = transfer(&profile, f), truth = integral(&profile, f);
+      worst = fmax(worst, fabs(value - truth));
+      assert_within(value, truth, 1e-6, "R(f) of transport", f);
+    }
+    assert_within(transfer(&profile, 1e-9), profile.albedo, 1e-4, "R(f) near 0", 1e-9);
+    core_profile_free(&profile);
+  }
+  printf("off by %.2g at most\n", worst);
+}
+
+/* Every model gives its albedo for f = 0, and less for larger f, in every precision. */
+UNIT_TEST(the_albedo_is_the_transform_at_0) {
+  for (const core_choice *model = core_models; model->name != NULL; model++) {
+    for (const core_choice *e = core_evaluators; e->name != NULL; e++) {
+      if (model->id == CORE_MODEL_GAUSSIANS || e->id == CORE_EVALUATOR_LUT) {
+        continue;
+      }
+      core_profile profile = prepared(model->id, e->id, (core_medium){0.1, 1, 0, 1.3});
+      double f[] = {0, 1e-3, 0.1, 1, 10}, value[5];
+      float narrow_f[] = {0, 1e-3f, 0.1f, 1, 10}, narrow[5];
+      if (e->id == CORE_EVALUATOR_F64) {
+        core_eval_f64(&profile, CORE_QUANTITY_TRANSFER, 5, f, value);
+      } else {
+        core_eval_f32(&profile, CORE_QUANTITY_TRANSFER, 5, narrow_f, narrow);
+        for (int i = 0; i < 5; i++) {
+          value[i] = (double)narrow[i];
+        }
+      }
+      assert_within(value[0], profile.albedo, 1e-6 * profile.albedo, model->name, 0);
+      for (int i = 1; i < 5; i++) {
+        assert_true(value[i] < value[i - 1] && value[i] >= 0);
+      }
+      core_profile_free(&profile);
+    }
+  }
+}
