@@ -348,7 +348,7 @@ core_fault core_profile_prepare(core_profile *profile, const core_isa *isa, unsi
 #define CORE_S_ERROR 0x1p-49
 
 /* What the transformation of R to TRANSFER adds to the numerical error. */
-#define CORE_TRANSFER_ERROR 1e-8
+#define CORE_TRANSFER_ERROR 1e-9
 
 /* The errors of a profile's values that a reply states. */
 typedef struct core_stated_errors {

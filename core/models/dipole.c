@@ -289,16 +289,19 @@ static inline real dipole_cdf(const real *c, real r) {
  * multiply its rounding error by q. */
 static inline real dipole_transfer(const real *c, real f) {
   const real bounded = real_nearer_zero(f + 0, TRANSFER_FAR / c[WAVE_HI]);
-  const real k = bounded * c[WAVE_HI];
-  const real k_low = real_fma(bounded, c[WAVE_HI], -k) + bounded * c[WAVE_LO];
+  const real product = bounded * c[WAVE_HI];
+  const real product_low = real_fma(bounded, c[WAVE_HI], -product) + bounded * c[WAVE_LO];
+  const real k = product + product_low;
+  const real k_low = product_low - (k - product);
   const real squared = k * k;
   const real squared_low = real_fma(k, k, -squared) + 2 * k * k_low;
   const real sum = squared + c[MU_SQUARED_HI];
   const real lost = squared > c[MU_SQUARED_HI] ? c[MU_SQUARED_HI] - (sum - squared)
                                                : squared - (sum - c[MU_SQUARED_HI]);
   const real low = lost + squared_low + c[MU_SQUARED_LO];
-  const real q = real_sqrt(sum);
-  const real q_low = q > 0 ? (real_fma(-q, q, sum) + low) / (2 * q) : 0;
+  const real whole = sum + low;
+  const real q = real_sqrt(whole);
+  const real q_low = q > 0 ? (real_fma(-q, q, whole) + (low - (whole - sum))) / (2 * q) : 0;
   const real_exp_values mirror = real_exp(-q * (c[Z2_LESS_Z1] * (1 / REAL_Z1)));
   const real value =
       real_fma(c[TRANSFER_PHI], mirror.quotient, c[TRANSFER_FLUX] * (1 + mirror.exp));

@@ -1,9 +1,11 @@
 /* The transfer function R(f), the Hankel transform of R(r): closed forms against the transformation,
- * the transformation of transport against an integral by other means, and its limits. That of dipoles
- * is compared with many digits in test_dipole.c. */
+ * the transformation of transport against an integral by other means, and its limits. That of
+ * dipoles is compared with many digits. */
+#include <float.h>
 #include <math.h>
 
 #include "core/kernels.h"
+#include "tests/accuracy/reference.h"
 #include "tests/unit/unit.h"
 
 static const double pi = 3.14159265358979323846;
@@ -28,6 +30,60 @@ static void assert_within(double value, double truth, double allowed, const char
     fail_msg("%s at %g per mm is %.12g, not %.12g: off by %.3g", what, f, value, truth,
              value - truth);
   }
+}
+
+/* Returns the error of a dipole's R(f) at one frequency against many digits, in epsilon. */
+static double epsilons_off(const core_medium *medium, unsigned model, bool single, double f,
+                           reference_dipole *dipole, reference_values *values) {
+  const core_profile profile =
+      prepared(model, single ? CORE_EVALUATOR_F32 : CORE_EVALUATOR_F64, *medium);
+  double value;
+  if (single) {
+    const float narrow_f = (float)f;
+    float narrow;
+    core_eval_f32(&profile, CORE_QUANTITY_TRANSFER, 1, &narrow_f, &narrow);
+    value = (double)narrow;
+    f = (double)narrow_f;
+  } else {
+    value = transfer(&profile, f);
+  }
+  reference_dipole_prepare(dipole, reference_switches(model), CORE_MOMENTS_EXACT, medium);
+  reference_dipole_evaluate(dipole, f, values);
+  const double truth = mpfr_get_d(values->of[CORE_ELEMENTWISE_TRANSFER], MPFR_RNDN);
+  const double least = single ? (double)FLT_MIN : DBL_MIN;
+  const double off = fabs(value - truth) - 4 * least * (single ? 0x1p-23 : 0x1p-52);
+  return off / truth / (single ? (double)FLT_EPSILON : DBL_EPSILON);
+}
+
+UNIT_TEST(dipoles_are_within_16_epsilon) {
+  uint64_t random = unit_seed();
+  reference_dipole dipole;
+  reference_values values;
+  reference_dipole_init(&dipole);
+  reference_values_init(&values);
+  double worst[2] = {0, 0};
+  for (size_t i = 0; i < 2000; i++) {
+    const double sigma = unit_random_log(&random, 1e-6, 1e6);
+    const double ratio = i % 7 == 0 ? 0 : unit_random_log(&random, 1e-12, 1e3);
+    const core_medium medium = {sigma * ratio, sigma, i % 3 == 0 ? 0.8 : 0,
+                                unit_random_between(&random, 0.5, 2.5)};
+    const unsigned model = CORE_MODEL_CLASSICAL + (unsigned)(i % 8);
+    const double f = i % 11 == 0 ? 0 : sigma * unit_random_log(&random, 1e-12, 5);
+    for (int single = 0; single < 2; single++) {
+      const double off = epsilons_off(&medium, model, single, f, &dipole, &values);
+      worst[single] = fmax(worst[single], off);
+      if (!(off <= 16)) {
+        fail_msg("model %u, single %d, sigma_a %.17g, sigma_s %.17g, g %g, eta %.17g, f %.17g: "
+                 "%.3g epsilon off",
+                 model, single, medium.sigma_a_per_mm, medium.sigma_s_per_mm, medium.g, medium.eta,
+                 f, off);
+      }
+    }
+  }
+  printf("%.2f epsilon (f64) and %.2f (f32) off at most\n", worst[0], worst[1]);
+  reference_dipole_clear(&dipole);
+  reference_values_clear(&values);
+  reference_fresnel_forget();
 }
 
 UNIT_TEST(closed_forms_and_the_transformation_agree) {
