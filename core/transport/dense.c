@@ -4,6 +4,7 @@
 
 #include "core/kernels.h"
 
+/* PANEL is a multiple of GROUP. */
 enum { GROUP = 8, PANEL = 16 };
 
 static size_t padded(size_t columns) {
@@ -28,11 +29,11 @@ dense transport_dense_at(const core_isa *isa, double **memory, size_t rows, size
 #define INDEX(level, unused) INDEX_##level,
 enum { CORE_ISA_LEVELS(INDEX, ) LEVELS };
 
-#define DECLARE(level, unused) extern dense_add_product transport_dense_product_##level;
+#define DECLARE(level, unused) extern const dense_loops transport_dense_loops_##level;
 CORE_ISA_LEVELS(DECLARE, )
 
-#define PRODUCT(level, unused) [INDEX_##level] = transport_dense_product_##level,
-static dense_add_product *const products[LEVELS] = {CORE_ISA_LEVELS(PRODUCT, )};
+#define LOOPS_OF(level, unused) [INDEX_##level] = &transport_dense_loops_##level,
+static const dense_loops *const loops[LEVELS] = {CORE_ISA_LEVELS(LOOPS_OF, )};
 
 /* ---- products ------------------------------------------------------------------------------- */
 
@@ -43,19 +44,19 @@ static dense within(const dense *of, size_t row, size_t column, size_t rows, siz
                  of->stride, of->re + skip, of->im == NULL ? NULL : of->im + skip};
 }
 
-/* Adds sign times a b to `to`. Each row of b and `to` is padded to a multiple of DENSE_TILE. */
+/* Adds sign times a b to `to`. Each row of b and `to` is padded to a multiple of GROUP. */
 static void add(const dense *to, const dense *a, const dense *b, double sign) {
-  dense_add_product *const add_product = products[to->isa->index];
+  const dense_loops *of = loops[to->isa->index];
   const dense_part to_re = {to->re, to->stride}, to_im = {to->im, to->stride};
   const dense_part a_re = {a->re, a->stride}, a_im = {a->im, a->stride};
   const dense_part b_re = {b->re, b->stride}, b_im = {b->im, b->stride};
   const size_t rows = to->rows, inner = a->columns;
-  const size_t columns = (to->columns + DENSE_TILE - 1) / DENSE_TILE * DENSE_TILE;
-  add_product(to_re, a_re, b_re, rows, inner, columns, sign);
+  const size_t columns = padded(to->columns);
+  of->add_product(to_re, a_re, b_re, rows, inner, columns, sign);
   if (to->im != NULL) {
-    add_product(to_re, a_im, b_im, rows, inner, columns, -sign);
-    add_product(to_im, a_re, b_im, rows, inner, columns, sign);
-    add_product(to_im, a_im, b_re, rows, inner, columns, sign);
+    of->add_product(to_re, a_im, b_im, rows, inner, columns, -sign);
+    of->add_product(to_im, a_re, b_im, rows, inner, columns, sign);
+    of->add_product(to_im, a_im, b_re, rows, inner, columns, sign);
   }
 }
 
@@ -71,6 +72,20 @@ static void clear(const dense *of) {
 void transport_dense_multiply(const dense *to, const dense *a, const dense *b) {
   clear(to);
   add(to, a, b, 1);
+}
+
+void transport_dense_multiply_blocks(const dense *to, const dense *a, const dense *b,
+                                     const size_t *first, size_t blocks) {
+  clear(to);
+  for (size_t i = 0; i < blocks; i++) {
+    /* Groups of columns are multiplied as a whole. The block's neighbours are 0 in these rows. */
+    const size_t row = first[i], inner = first[i + 1] - row;
+    const size_t column = row / GROUP * GROUP, columns = first[i + 1] - column;
+    const dense part = within(to, 0, column, to->rows, columns);
+    const dense left = within(a, 0, row, a->rows, inner);
+    const dense right = within(b, row, column, inner, columns);
+    add(&part, &left, &right, 1);
+  }
 }
 
 /* ---- elimination ---------------------------------------------------------------------------- */
@@ -99,21 +114,13 @@ static number product(number a, number b) {
 /* Subtracts factor times a row from another one, in the columns from `first` to before `end`. */
 static void subtract_row(const dense *of, size_t to, size_t from, number factor, size_t first,
                          size_t end) {
-  double *to_re = of->re + to * of->stride;
-  const double *from_re = of->re + from * of->stride;
+  const dense_loops *by = loops[of->isa->index];
+  const size_t at = to * of->stride + first, other = from * of->stride + first;
   if (of->im == NULL) {
-    for (size_t i = first; i < end; i++) {
-      to_re[i] -= factor.re * from_re[i];
-    }
-    return;
-  }
-  double *to_im = of->im + to * of->stride;
-  const double *from_im = of->im + from * of->stride;
-  for (size_t i = first; i < end; i++) {
-    const double re = factor.re * from_re[i] - factor.im * from_im[i];
-    const double im = factor.re * from_im[i] + factor.im * from_re[i];
-    to_re[i] -= re;
-    to_im[i] -= im;
+    by->subtract_real(of->re + at, of->re + other, factor.re, end - first);
+  } else {
+    by->subtract_complex(of->re + at, of->im + at, of->re + other, of->im + other, factor.re,
+                         factor.im, end - first);
   }
 }
 

@@ -32,13 +32,16 @@ dense transport_dense_at(const core_isa *isa, double **memory, size_t rows, size
  * the others. */
 void transport_dense_multiply(const dense *to, const dense *a, const dense *b);
 
+/* The same for a b of square blocks along its diagonal and zeros elsewhere: block i has the rows and
+ * columns first[i] to before first[i + 1]. first: `blocks` + 1 numbers that ascend. */
+void transport_dense_multiply_blocks(const dense *to, const dense *a, const dense *b,
+                                     const size_t *first, size_t blocks);
+
 /* Replaces b by the solution x of a x = b, by elimination with partial pivoting in blocks. The
  * content of a, which is square, is lost. Returns false if a is singular; then b has no meaning. */
 bool transport_dense_solve(const dense *a, const dense *b);
 
 /* ---- dense_product.c, for dense.c alone ----------------------------------------------------- */
-
-enum { DENSE_TILE = 4 };
 
 /* A rectangle of the real or the imaginary part of a matrix. */
 typedef struct dense_part {
@@ -46,9 +49,17 @@ typedef struct dense_part {
   size_t stride;
 } dense_part;
 
-/* Adds sign times a b to `to`. a: rows by inner numbers. b: inner by columns numbers. columns: a
- * multiple of DENSE_TILE. b and `to`: 32-byte aligned. */
-typedef void dense_add_product(dense_part to, dense_part a, dense_part b, size_t rows, size_t inner,
-                               size_t columns, double sign);
+typedef struct dense_loops {
+  /* Adds sign times a b to `to`. a: rows by inner numbers. b: inner by columns numbers. columns: a
+   * multiple of 8. b and `to`: 16-byte aligned. */
+  void (*add_product)(dense_part to, dense_part a, dense_part b, size_t rows, size_t inner,
+                      size_t columns, double sign);
+  /* Subtracts a factor times one row from another one, for real and for complex rows. */
+  void (*subtract_real)(double *restrict to, const double *restrict from, double factor,
+                        size_t columns);
+  void (*subtract_complex)(double *restrict to_re, double *restrict to_im,
+                           const double *restrict from_re, const double *restrict from_im,
+                           double re, double im, size_t columns);
+} dense_loops;
 
 #endif

@@ -1,40 +1,59 @@
 /* The innermost loops of dense.c, compiled once for each instruction set. All have the same bits,
- * because no product is contracted with a sum. */
+ * because no product is contracted with a sum, and each number's sum has the same order. */
 #include "core/transport/dense.h"
 
-enum { TILE_ROWS = 4 };
+/* A tile of TILE_ROWS by TILE_LANES groups of LANES numbers stays in registers. With eight groups or
+ * more, the sums do not wait for one another. */
+#if defined __AVX512F__
+enum { LANES = 8, TILE_ROWS = 8, TILE_LANES = 2 };
+#elif defined __AVX__
+enum { LANES = 4, TILE_ROWS = 4, TILE_LANES = 2 };
+#else
+enum { LANES = 2, TILE_ROWS = 4, TILE_LANES = 2 };
+#endif
+typedef double lanes __attribute__((vector_size(LANES * sizeof(double)), aligned(16)));
 
-/* A tile of TILE_ROWS by DENSE_TILE numbers stays in registers. */
-typedef double lanes __attribute__((vector_size(DENSE_TILE * sizeof(double)), aligned(32)));
-
-/* Adds sign times a b to `to`, for TILE_ROWS rows or fewer. Columns are multiples of DENSE_TILE.
- */
-static inline __attribute__((always_inline)) void add_rows(dense_part to, dense_part a,
-                                                           dense_part b, size_t rows, size_t inner,
-                                                           size_t columns, double sign) {
-  for (size_t column = 0; column < columns; column += DENSE_TILE) {
-    lanes sum[TILE_ROWS] = {{0}};
-    for (size_t i = 0; i < inner; i++) {
-      const lanes right = *(const lanes *)(b.at + i * b.stride + column);
-#pragma GCC unroll 4
-      for (size_t row = 0; row < rows; row++) {
-        sum[row] += a.at[row * a.stride + i] * right;
+/* Adds sign times a b to `to`, for TILE_ROWS rows or fewer and a few groups of columns. */
+static inline __attribute__((always_inline)) void add_tile(dense_part to, dense_part a,
+                                                           dense_part b, size_t rows, size_t groups,
+                                                           size_t inner, double sign) {
+  lanes sum[TILE_ROWS][TILE_LANES] = {0};
+  for (size_t i = 0; i < inner; i++) {
+    const lanes *right = (const lanes *)(b.at + i * b.stride);
+#pragma GCC unroll 8
+    for (size_t row = 0; row < rows; row++) {
+#pragma GCC unroll 8
+      for (size_t group = 0; group < groups; group++) {
+        sum[row][group] += a.at[row * a.stride + i] * right[group];
       }
     }
-    for (size_t row = 0; row < rows; row++) {
-      lanes *here = (lanes *)(to.at + row * to.stride + column);
-      *here += sign * sum[row];
+  }
+#pragma GCC unroll 8
+  for (size_t row = 0; row < rows; row++) {
+    lanes *here = (lanes *)(to.at + row * to.stride);
+#pragma GCC unroll 8
+    for (size_t group = 0; group < groups; group++) {
+      here[group] += sign * sum[row][group];
     }
   }
 }
 
-/* The one symbol that this object exports. */
-#define PASTE_(a, b) a##b
-#define PASTE(a, b) PASTE_(a, b)
-extern dense_add_product PASTE(transport_dense_product_, CORE_ISA);
-void PASTE(transport_dense_product_, CORE_ISA)(dense_part to, dense_part a, dense_part b,
-                                               size_t rows, size_t inner, size_t columns,
-                                               double sign) {
+static inline __attribute__((always_inline)) void add_rows(dense_part to, dense_part a,
+                                                           dense_part b, size_t rows, size_t inner,
+                                                           size_t columns, double sign) {
+  size_t column = 0;
+  for (; column + TILE_LANES * LANES <= columns; column += TILE_LANES * LANES) {
+    add_tile((dense_part){to.at + column, to.stride}, a, (dense_part){b.at + column, b.stride},
+             rows, TILE_LANES, inner, sign);
+  }
+  for (; column < columns; column += LANES) {
+    add_tile((dense_part){to.at + column, to.stride}, a, (dense_part){b.at + column, b.stride},
+             rows, 1, inner, sign);
+  }
+}
+
+static void add_product(dense_part to, dense_part a, dense_part b, size_t rows, size_t inner,
+                        size_t columns, double sign) {
   size_t row = 0;
   for (; row + TILE_ROWS <= rows; row += TILE_ROWS) {
     const dense_part to_rows = {to.at + row * to.stride, to.stride};
@@ -47,3 +66,26 @@ void PASTE(transport_dense_product_, CORE_ISA)(dense_part to, dense_part a, dens
     add_rows(to_row, a_row, b, 1, inner, columns, sign);
   }
 }
+
+static void subtract_real(double *restrict to, const double *restrict from, double factor,
+                          size_t columns) {
+  for (size_t i = 0; i < columns; i++) {
+    to[i] -= factor * from[i];
+  }
+}
+
+static void subtract_complex(double *restrict to_re, double *restrict to_im,
+                             const double *restrict from_re, const double *restrict from_im,
+                             double re, double im, size_t columns) {
+  for (size_t i = 0; i < columns; i++) {
+    to_re[i] -= re * from_re[i] - im * from_im[i];
+    to_im[i] -= re * from_im[i] + im * from_re[i];
+  }
+}
+
+/* The one symbol that this object exports. */
+#define PASTE_(a, b) a##b
+#define PASTE(a, b) PASTE_(a, b)
+extern const dense_loops PASTE(transport_dense_loops_, CORE_ISA);
+const dense_loops PASTE(transport_dense_loops_, CORE_ISA) = {add_product, subtract_real,
+                                                             subtract_complex};

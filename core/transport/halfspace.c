@@ -580,7 +580,7 @@ bool transport_halfspace_solve(halfspace *of, double complex k, double kappa,
   for (size_t boundary = 0; boundary < of->boundaries; boundary++) {
     fill(t, 0);
     add_blocks(of, t, 1, &of->reflection[boundary]);
-    transport_dense_multiply(&spare[0], r, t);
+    transport_dense_multiply_blocks(&spare[0], r, t, of->first, of->orders + 1);
     combine(&spare[0], -1, &spare[0], 0, t, 1);
     /* the light on its way up, of a beam and of diffuse light */
     dense lit = spare[1];
