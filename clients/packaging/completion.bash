@@ -22,6 +22,7 @@ _dipole_daemon_names() { # PROGRAM OPTION
   --evaluator) list=evaluators ;;
   --moments) list=moments ;;
   --phase) list=phases ;;
+  --scale) list=scales ;;
   --want | --quantity) list=quantities ;;
   --draw) list=draws ;;
   --medium)

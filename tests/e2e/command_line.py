@@ -28,7 +28,7 @@ TIMEOUT_S = 120.0
 
 OK, FAILED, USAGE, BAD_ROWS = 0, 1, 2, 3
 
-COMMANDS_WITH_MODELS = ("eval", "plot", "points", "sample", "invert", "table")
+COMMANDS_WITH_MODELS = ("eval", "plot", "points", "sample", "invert", "fit", "table")
 NAMES_ITS_MODEL = ("--model", "--tolerance", "--table", "--help")
 
 

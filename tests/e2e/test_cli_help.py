@@ -9,7 +9,10 @@ import pytest
 from command_line import FAILED, PROGRAM, TIMEOUT_S, USAGE, dipole, says
 from daemons import environment
 
-COMMANDS = ["eval", "plot", "points", "sample", "invert", "table", "mc", "media", "info", "top", "bench"]
+COMMANDS = [
+    "eval", "plot", "points", "sample", "invert", "fit", "table", "mc", "media", "info", "top",
+    "bench",
+]  # fmt: skip
 
 
 def test_help_lists_the_commands():

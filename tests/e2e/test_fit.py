@@ -181,7 +181,9 @@ WRONG = {
     **refused("bad-value", "thickness", "nothing", {
         "none": fit_payload(parameters=[(PARAMETERS["thickness"].id, 1.0)]),
     }),
-    **refused("bad-count", "parameter_count", "as many", {"65535": fit_payload(parameter_count=65535)}),
+    **refused("bad-count", "parameter_count", "as many", {
+        "65535": fit_payload(parameter_count=65535),
+    }),
     **refused("bad-count", "reading_count", "2 to 1024", {
         "1": (fit_payload([[0.1]], 0.01, [1.0]), 1),
         "0": fit_payload(reading_count=0),

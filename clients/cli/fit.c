@@ -1,0 +1,435 @@
+/* dipole fit: the coefficients of samples whose readings a CSV file holds. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "clients/cli/daemon.h"
+#include "clients/cli/options.h"
+#include "clients/cli/picture.h"
+#include "clients/cli/plot_fit.h"
+#include "clients/cli/profile.h"
+#include "clients/cli/progress.h"
+#include "clients/cli/rows.h"
+
+#define PLOT_FILE "fit.svg"
+
+typedef struct fit_settings {
+  cli_profile_settings profile;
+  cli_number g, eta;
+  const char *scale;
+  cli_numbers reference;
+  cli_texts plot;
+} fit_settings;
+
+#define FIELD(name) offsetof(fit_settings, name)
+
+enum { REFERENCE_NUMBERS = 4 };
+
+static const cli_option options[] = {
+    {"Samples", NULL, NULL, CLI_HEADING, 0, NULL},
+    {"eta", "X",
+     "refractive index inside over outside, where the file does not say\n(default: 1.3)",
+     CLI_NUMBER, FIELD(eta), "1.3"},
+    {"g", "X", "mean cosine of the scattering angle, where the file does not say\n(default: 0)",
+     CLI_NUMBER, FIELD(g), NULL},
+    {"scale", "NAME",
+     "absolute: R is as the model has it; free: R of each sample is that times\na factor, which is "
+     "fitted, too (default: absolute)",
+     CLI_TEXT, FIELD(scale), NULL},
+    {"reference", "A,S,G,ETA",
+     "R is divided by the reading of a known medium at the same place:\nsigma_a, sigma_s (1/mm), g "
+     "and eta of that medium",
+     CLI_NUMBERS, FIELD(reference), NULL},
+    {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
+    {"model", "NAME", "the model that is fitted; see `dipole info` (default: transport)", CLI_TEXT,
+     offsetof(cli_profile_settings, model), CLI_MODEL_DEFAULT},
+    {CLI_MOMENTS_OPTION, "exact"},
+    {CLI_DEADLINE_OPTION, NULL},
+    {"Output", NULL, NULL, CLI_HEADING, 0, NULL},
+    {"plot", "[FILE]",
+     "also draw readings, fit and residuals of the first samples into FILE.svg\nor FILE.png "
+     "(default: " PLOT_FILE "); -: as text. May be repeated",
+     CLI_FILES, FIELD(plot), NULL},
+    {0},
+};
+
+typedef struct report {
+  const fit_settings *settings;
+  const dipole_info *info;
+  const dipole_choice *model, *moments, *axis, *scale;
+  cli_parameters parameters;
+  cli_readings readings;
+  dipole_fitted *fitted; /* [sample_count] */
+  double *residuals;     /* [readings.count]; NAN where nothing was fitted */
+  unsigned notes;
+} report;
+
+static int check(void *given) {
+  const fit_settings *settings = given;
+  const size_t numbers = settings->reference.count;
+  if (numbers != 0 && numbers != REFERENCE_NUMBERS) {
+    return cli_fail_usage("--reference: give four numbers: sigma_a, sigma_s, g and eta");
+  }
+  if (numbers != 0 && settings->scale != NULL) {
+    return cli_fail_usage("--reference says what the scale is: leave --scale out");
+  }
+  if (settings->scale != NULL && strcmp(settings->scale, "reference") == 0) {
+    return cli_fail_usage("--scale reference: give --reference A,S,G,ETA in its place");
+  }
+  for (size_t i = 0; i < settings->plot.count; i++) {
+    if (!cli_picture_check(settings->plot.items[i])) {
+      return CLI_USAGE;
+    }
+  }
+  return cli_deadline_check(&settings->profile);
+}
+
+/* ---- asking ---------------------------------------------------------------------------------- */
+
+static int choose(const fit_settings *settings, report *of) {
+  const char *scale = settings->reference.count > 0 ? "reference"
+                      : settings->scale != NULL     ? settings->scale
+                                                    : "absolute";
+  of->model = cli_named(of->info, DIPOLE_MODEL, "model", settings->profile.model);
+  of->moments = of->model == NULL
+                    ? NULL
+                    : cli_named(of->info, DIPOLE_MOMENTS, "moments", settings->profile.moments);
+  of->scale = of->moments == NULL ? NULL : cli_named(of->info, DIPOLE_SCALE, "scale", scale);
+  of->axis = of->scale == NULL
+                 ? NULL
+                 : cli_named(of->info, DIPOLE_AXIS, "axis", of->readings.frequency ? "f" : "r");
+  return of->axis != NULL && cli_parameters_take(of->info, &settings->profile, &of->parameters)
+             ? CLI_OK
+             : CLI_USAGE;
+}
+
+/* Some samples of one design, in the order of the file. */
+typedef struct batch {
+  size_t count;
+  size_t *samples;
+} batch;
+
+static dipole_fit_query query_of(const report *of, const cli_sample *sample) {
+  const fit_settings *settings = of->settings;
+  const double *known = settings->reference.items;
+  dipole_fit_query query = {
+      .model = of->model->id,
+      .moments = of->moments->id,
+      .g = isnan(sample->g) ? settings->g.value : sample->g,
+      .eta = isnan(sample->eta) ? settings->eta.value : sample->eta,
+      .parameters = of->parameters.items,
+      .parameter_count = of->parameters.count,
+      .axis = of->axis->id,
+      .scale = of->scale->id,
+      .reading_count = sample->count,
+      .at = of->readings.at + sample->first,
+      .source_mm = of->readings.source_mm + sample->first,
+      .detector_mm = of->readings.detector_mm + sample->first,
+      .residuals = true,
+      .deadline_ms = (unsigned)settings->profile.deadline_ms.value,
+  };
+  if (settings->reference.count == REFERENCE_NUMBERS) {
+    query.reference = (dipole_medium){known[0], known[1], known[2], known[3]};
+  }
+  return query;
+}
+
+static void take(report *of, const batch *some, const dipole_fits *fits) {
+  for (size_t i = 0; i < some->count; i++) {
+    const cli_sample *sample = &of->readings.samples[some->samples[i]];
+    of->fitted[some->samples[i]] = fits->sets[i];
+    memcpy(of->residuals + sample->first, fits->residuals + i * sample->count,
+           sample->count * sizeof *of->residuals);
+  }
+  of->notes |= fits->notes;
+}
+
+/* Returns whether a refusal is about what the file says of a sample, and not about an option. */
+static bool is_of_file(const cli_sample *sample, const dipole_error *error) {
+  return error->kind == DIPOLE_ERROR_REFUSED &&
+         (strcmp(error->field, "at") == 0 || strcmp(error->field, "source") == 0 ||
+          strcmp(error->field, "detector") == 0 || strcmp(error->field, "reading_count") == 0 ||
+          (strcmp(error->field, "g") == 0 && !isnan(sample->g)) ||
+          (strcmp(error->field, "eta") == 0 && !isnan(sample->eta)));
+}
+
+/* Says what the daemon refuses of samples of one design, of which this is the first. */
+static void tell_refused(const report *of, const cli_sample *first, size_t count,
+                         const dipole_error *error) {
+  char line[64] = "";
+  if (error->index < first->count && strcmp(error->field, "reading_count") != 0) {
+    snprintf(line, sizeof line, ": reading %zu (line %llu)", (size_t)error->index + 1,
+             (unsigned long long)of->readings.lines[first->first + error->index]);
+  }
+  cli_fail("sample %s%s%s: %s", first->name, count > 1 ? " and others" : "", line, error->text);
+}
+
+/* Asks for samples of one design. If the daemon refuses what the file says of them, they stay
+ * refused. */
+static bool ask_some(dipole_client *client, report *of, const batch *some, dipole_error *error) {
+  const cli_sample *first = &of->readings.samples[some->samples[0]];
+  const size_t bytes = first->count * sizeof(double);
+  dipole_fit_query query = query_of(of, first);
+  double *values = cli_allocate(some->count, bytes), *errors = cli_allocate(some->count, bytes);
+  for (size_t i = 0; i < some->count; i++) {
+    const size_t from = of->readings.samples[some->samples[i]].first;
+    memcpy(values + i * first->count, of->readings.values + from, bytes);
+    memcpy(errors + i * first->count, of->readings.errors + from, bytes);
+  }
+  query.set_count = some->count;
+  query.values = values;
+  query.errors = errors;
+  dipole_fits *fits;
+  bool good =
+      CLI_ASK(&of->settings->profile.common, error, dipole_fit(client, &query, &fits, error));
+  if (good) {
+    take(of, some, fits);
+    dipole_fits_free(fits);
+  } else if (is_of_file(first, error)) {
+    tell_refused(of, first, some->count, error);
+    good = true;
+  }
+  free(values);
+  free(errors);
+  return good;
+}
+
+/* Readings in one request: about a tenth of a second of work, so that the progress moves. */
+enum { BATCH_READINGS = 65536 };
+
+/* Asks for all samples, design by design. */
+static bool ask(dipole_client *client, report *of, dipole_error *error) {
+  const cli_readings *readings = &of->readings;
+  const size_t count = readings->sample_count;
+  size_t *order = cli_allocate(count, sizeof *order);
+  size_t *ends = cli_allocate(readings->design_count + 1, sizeof *ends);
+  cli_progress progress;
+  bool good = true;
+  for (size_t i = 0; i < count; i++) {
+    ends[readings->samples[i].design + 1]++;
+  }
+  for (size_t d = 0; d < readings->design_count; d++) {
+    ends[d + 1] += ends[d];
+  }
+  for (size_t i = 0; i < count; i++) { /* ends[d] becomes the end of design d */
+    order[ends[readings->samples[i].design]++] = i;
+  }
+  cli_progress_start(&progress, "samples");
+  for (size_t done = 0; good && done < count;) {
+    const cli_sample *first = &readings->samples[order[done]];
+    const size_t left = ends[first->design] - done, most = BATCH_READINGS / first->count + 1;
+    const batch some = {left < most ? left : most, order + done};
+    good = ask_some(client, of, &some, error);
+    done += some.count;
+    cli_progress_show(&progress, (double)done / (double)count, (double)done);
+  }
+  cli_progress_wipe(&progress);
+  free(order);
+  free(ends);
+  return good;
+}
+
+/* ---- writing --------------------------------------------------------------------------------- */
+
+static const char *status_of(const report *of, const dipole_fitted *fitted) {
+  const dipole_choice *status = cli_choice_of_id(of->info, DIPOLE_FIT_STATUS, fitted->status);
+  return status != NULL ? status->name : "unknown";
+}
+
+static bool is_free(const report *of) {
+  return of->scale->id == DIPOLE_FREE;
+}
+
+static void put_second(cli_json *json, const dipole_fitted *one) {
+  cli_json_begin(json, "second", '{');
+  cli_json_number(json, "sigma_a", one->second_sigma_a_per_mm);
+  cli_json_number(json, "sigma_s_prime", one->second_sigma_s_prime_per_mm);
+  cli_json_number(json, "scale", one->second_factor);
+  cli_json_number(json, "chi2", one->second_chi_squared);
+  cli_json_end(json, '}');
+}
+
+static void put_sample(cli_rows *rows, const void *context, size_t index) {
+  const report *of = context;
+  const cli_sample *sample = &of->readings.samples[index];
+  const dipole_fitted *one = &of->fitted[index];
+  const double a = sqrt(one->variance_a), s = sqrt(one->variance_s);
+  const double scale_error = sqrt(one->variance_factor);
+  const unsigned with_factor = is_free(of) ? 0u : CLI_IN_CSV | CLI_IN_JSON;
+  cli_put_text(rows, CLI_COLUMN("sample"), sample->name);
+  cli_put_number(rows, CLI_COLUMN("sigma_a", NULL, "1/mm", "%.5g", "-"), one->sigma_a_per_mm);
+  cli_put_number(rows, CLI_COLUMN("sigma_s_prime", "sigma_s'", "1/mm", "%.5g", "-"),
+                 one->sigma_s_prime_per_mm);
+  cli_put_number(rows, CLI_COLUMN("sigma_a_error", "error of a", "1/mm", "%.2g", "-"), a);
+  cli_put_number(rows, CLI_COLUMN("sigma_s_prime_error", "error of s'", "1/mm", "%.2g", "-"), s);
+  cli_put_number(rows, CLI_COLUMN("correlation", NULL, " ", "%.3f", "-"),
+                 one->covariance_a_s / (a * s));
+  cli_put_number(rows, CLI_COLUMN("scale", NULL, " ", "%.5g", "-", NULL, with_factor), one->factor);
+  cli_put_number(rows, CLI_COLUMN("scale_error", "its error", " ", "%.2g", "-", NULL, with_factor),
+                 scale_error);
+  cli_put_number(rows, CLI_COLUMN("chi2", NULL, " ", "%.4g", "-"), one->chi_squared);
+  cli_put_count(rows, CLI_COLUMN("readings", .unit = " "), sample->count);
+  cli_put_text(rows, CLI_COLUMN("status", .unit = " "), status_of(of, one));
+  if (rows->json != NULL) {
+    cli_json_number(rows->json, "reduced_chi2", one->reduced_chi_squared);
+    cli_json_number(rows->json, "condition", one->condition);
+    cli_json_count(rows->json, "bounds", one->bounds);
+    cli_json_count(rows->json, "evaluations", one->evaluations);
+    put_second(rows->json, one);
+    cli_json_numbers(rows->json, "residuals", of->residuals + sample->first, sample->count);
+  }
+}
+
+static void write_table(const void *context) {
+  const report *of = context;
+  printf("coefficients fitted to readings; model %s, moments %s, scale %s\n\n", of->model->name,
+         of->moments->name, of->scale->name);
+  cli_rows_print(stdout, 1, of->readings.sample_count, put_sample, of);
+  puts("\nerrors are standard errors; chi2 is the sum of the squares of (reading - fit) / error");
+  cli_write_notes(of->info, of->notes, stdout);
+}
+
+static void put_members(cli_json *json, const void *context) {
+  const report *of = context;
+  cli_json_text(json, "software", of->info->software);
+  cli_json_text(json, "model", of->model->name);
+  cli_json_text(json, "moments", of->moments->name);
+  cli_json_text(json, "axis", of->axis->name);
+  cli_json_text(json, "scale", of->scale->name);
+  cli_json_notes(json, of->info, of->notes);
+  cli_json_texts(json, "units", "sigma_a", "1/mm", "sigma_s_prime", "1/mm", "sigma_a_error", "1/mm",
+                 "sigma_s_prime_error", "1/mm", NULL);
+  cli_rows_json(json, "samples", of->readings.sample_count, put_sample, of);
+}
+
+/* ---- what is no success ---------------------------------------------------------------------- */
+
+enum { TOLD_MAX = 10 };
+
+/* Says which reading of a sample is wrong. */
+static void tell_reading(const report *of, const cli_sample *sample, const dipole_fitted *one) {
+  const size_t index = one->index < sample->count ? one->index : 0;
+  const bool is_error = one->field == 2;
+  cli_fail("sample %s: reading %zu (line %llu): its %s must be %s, and finite", sample->name,
+           index + 1, (unsigned long long)of->readings.lines[sample->first + index],
+           is_error ? "error" : "R", is_error ? "above 0" : "at least 0");
+}
+
+/* Everything is written in any case; then the user is told what is no success. */
+static int judge(const report *of) {
+  size_t bad = 0, told = 0;
+  for (size_t i = 0; i < of->readings.sample_count; i++) {
+    const dipole_fitted *one = &of->fitted[i];
+    bad += one->status != DIPOLE_FITTED;
+    if (one->status == DIPOLE_FIT_REFUSED && one->field != 0 && told < TOLD_MAX) {
+      tell_reading(of, &of->readings.samples[i], one);
+      told++;
+    }
+  }
+  if (bad == 0) {
+    return CLI_OK;
+  }
+  cli_fail("%s: %zu of %zu samples were not fitted: see the column status",
+           cli_readings_source(of->settings->profile.common.operand), bad,
+           of->readings.sample_count);
+  return CLI_BAD_ROWS;
+}
+
+/* ---- the command ----------------------------------------------------------------------------- */
+
+static int draw(const report *of) {
+  char title[160];
+  snprintf(title, sizeof title, "fit of %s, scale %s: readings, fit (lines) and residuals",
+           of->model->name, of->scale->name);
+  const cli_fit_picture picture = {&of->readings, of->residuals, title};
+  return cli_fit_draw(&picture, &of->settings->plot);
+}
+
+/* Until they are answered, samples are refused. */
+static void refuse_all(report *of) {
+  const double nan = (double)NAN;
+  of->fitted = cli_allocate(of->readings.sample_count, sizeof *of->fitted);
+  of->residuals = cli_allocate(of->readings.count, sizeof *of->residuals);
+  for (size_t i = 0; i < of->readings.sample_count; i++) {
+    of->fitted[i] = (dipole_fitted){.status = DIPOLE_FIT_REFUSED,
+                                    .sigma_a_per_mm = nan,
+                                    .sigma_s_prime_per_mm = nan,
+                                    .factor = nan,
+                                    .chi_squared = nan,
+                                    .reduced_chi_squared = nan,
+                                    .condition = nan,
+                                    .variance_a = nan,
+                                    .covariance_a_s = nan,
+                                    .variance_s = nan,
+                                    .variance_factor = nan,
+                                    .second_sigma_a_per_mm = nan,
+                                    .second_sigma_s_prime_per_mm = nan,
+                                    .second_factor = nan,
+                                    .second_chi_squared = nan};
+  }
+  for (size_t i = 0; i < of->readings.count; i++) {
+    of->residuals[i] = nan;
+  }
+}
+
+static int fit_and_write(dipole_client *client, report *of) {
+  dipole_error error;
+  int status = cli_readings_read(of->settings->profile.common.operand, &of->readings);
+  status = status == CLI_OK ? choose(of->settings, of) : status;
+  if (status != CLI_OK) {
+    return status;
+  }
+  refuse_all(of);
+  if (!ask(client, of, &error)) {
+    return cli_fail_error(&error);
+  }
+  const cli_output output = {.table = write_table,
+                             .rows = of->readings.sample_count,
+                             .put_row = put_sample,
+                             .members = put_members};
+  cli_write(&output, of->settings->profile.common.form, of);
+  status = of->settings->plot.count > 0 ? draw(of) : CLI_OK;
+  const int judged = judge(of);
+  return status != CLI_OK ? status : judged;
+}
+
+static int run(void *settings, dipole_client *client) {
+  report of = {.settings = settings, .info = dipole_get_info(client)};
+  const int status = fit_and_write(client, &of);
+  cli_readings_free(&of.readings);
+  free(of.fitted);
+  free(of.residuals);
+  return status;
+}
+
+const cli_command cli_command_fit = {
+    .name = "fit",
+    .operand = "[FILE]",
+    .about = "Find sigma_a and sigma_s' of samples from readings of their reflectance",
+    .more =
+        "\n"
+        "FILE is CSV; without it, standard input is read. The header names the columns: r\n"
+        "(distance from the light, mm) or f (spatial frequency of striped light, 1/mm), R (the\n"
+        "reading, 1/mm^2 per unit of power that entered; at f its share) and error (its standard\n"
+        "error). These may be absent: sample (a name; lines of the same name belong together),\n"
+        "eta, g, source_mm and detector_mm (diameters of the discs that light enters through and\n"
+        "is detected on). Each sample has at least as many readings as unknowns: 2, or 3 with\n"
+        "--scale free.\n"
+        "\n"
+        "status is fitted, or says why a sample is no success: at-bound, undetermined, ambiguous,\n"
+        "unfinished or refused; `dipole info` describes them. The exit status is then 3, and all\n"
+        "samples are written nevertheless. sigma_s' is sigma_s (1 - g). chi2 is the sum of the\n"
+        "squares of (R - fit) / error: about readings less unknowns if the errors are right.\n",
+    .formats = "table,csv,json",
+    .options = {options, cli_parameter_options},
+    .usual_file = PLOT_FILE,
+    .settings_bytes = sizeof(fit_settings),
+    .check = check,
+    .run = run,
+    .examples =
+        "  dipole fit readings.csv --eta 1.4\n"
+        "  dipole fit readings.csv --model better --scale free --format csv > coefficients.csv\n"
+        "  dipole fit readings.csv --g 0.8 --eta 1.4 --plot fit.svg\n"
+        "  printf 'r,R,error\\n1,.0234,.0005\\n2,.00787,.0002\\n4,.00159,.00003\\n' |\n"
+        "    dipole fit --model better --eta 1.4\n",
+};

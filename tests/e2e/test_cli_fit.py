@@ -1,0 +1,221 @@
+"""dipole fit: reads readings by column names, and tells of each sample what was found, or why it is
+no success."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+
+import numpy as np
+import pytest
+from command_line import BAD_ROWS, FAILED, USAGE, dipole, says
+from dipole import Medium
+
+COLUMNS = (
+    "sample,sigma_a,sigma_s_prime,sigma_a_error,sigma_s_prime_error,correlation,scale,scale_error,"
+    "chi2,readings,status"
+)
+AT_MM = np.array([0.5, 1.0, 2.0, 4.0])
+MEDIA = {"milk": Medium(0.01, 1.5, 0.0, 1.4), "skin": Medium(0.05, 1.0, 0.0, 1.4)}
+OPTIONS = ["--model", "better", "--eta", "1.4"]
+
+
+@pytest.fixture(scope="module")
+def readings(slave) -> dict[str, np.ndarray]:
+    with slave.client() as client:
+        return {name: client.eval("better", one, AT_MM).R[0] for name, one in MEDIA.items()}
+
+
+def lines(name: str, R: np.ndarray, at=AT_MM, error: float = 0.01) -> str:
+    return "".join(f"{name},{r!r},{v!r},{error * v!r}\n" for r, v in zip(at.tolist(), R.tolist()))
+
+
+def table_of(readings: dict[str, np.ndarray]) -> str:
+    return "sample,r,R,error\n" + "".join(lines(name, R) for name, R in readings.items())
+
+
+def rows(text: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+# ---- what is found -------------------------------------------------------------------------------
+
+
+def test_csv_has_a_line_for_each_sample(readings, slave):
+    run = dipole("fit", "-", *OPTIONS, "--format", "csv", stdin=table_of(readings))
+    assert run.stdout.splitlines()[0] == COLUMNS
+    found = rows(run.stdout)
+    assert [row["sample"] for row in found] == list(MEDIA)
+    with slave.client() as client:
+        for row, (name, medium) in zip(found, MEDIA.items(), strict=True):
+            assert row["status"] == "fitted" and row["readings"] == "4"
+            assert float(row["sigma_a"]) == pytest.approx(medium.sigma_a, rel=1e-6)
+            assert float(row["sigma_s_prime"]) == pytest.approx(medium.sigma_s, rel=1e-6)
+            assert (row["scale"], row["scale_error"]) == ("1", "0")
+            R = readings[name]
+            same = client.fit("better", AT_MM, R, 0.01 * R, eta=1.4)
+            assert float(row["sigma_a_error"]) == pytest.approx(same.sigma_a_error)
+            assert float(row["sigma_s_prime_error"]) == pytest.approx(same.sigma_s_prime_error)
+            assert float(row["correlation"]) == pytest.approx(same.correlation)
+            assert float(row["chi2"]) == pytest.approx(same.chi_squared, abs=1e-12)
+
+
+def test_table_and_json(readings, tmp_path):
+    path = tmp_path / "readings.csv"
+    path.write_text(table_of(readings))
+    text = dipole("fit", str(path), *OPTIONS).stdout
+    head = text.splitlines()
+    assert "model better" in head[0] and "scale absolute" in head[0]
+    assert "sigma_s'" in head[2] and head[3].split().count("1/mm") == 4
+    assert "its error" not in text  # the factor is known
+    assert "its error" in dipole("fit", str(path), *OPTIONS, "--scale", "free").stdout
+    report = json.loads(dipole("fit", str(path), *OPTIONS, "--format", "json").stdout)
+    assert (report["model"], report["axis"], report["scale"]) == ("better", "r", "absolute")
+    assert report["notes"] == [] and report["units"]["sigma_a"] == "1/mm"
+    one = report["samples"][1]
+    assert one["sample"] == "skin" and one["status"] == "fitted" and len(one["residuals"]) == 4
+    assert one["sigma_s_prime"] == pytest.approx(1.0, rel=1e-6) and one["condition"] > 1
+
+
+def test_lines_of_samples_in_any_order_and_columns_too(readings):
+    """What is found does not depend on the order of lines, or on columns that are not read."""
+    usual = rows(
+        dipole("fit", *OPTIONS, "--format", "csv", stdin=table_of(readings)).stdout
+    )
+    mixed = ["# a comment", "who,error,R,comment,r,sample", ""]
+    for i, r in enumerate(AT_MM.tolist()):
+        for name, R in readings.items():
+            value = R.tolist()[i]
+            mixed.append(f'me,{0.01 * value!r},{value!r},"odd, ""quoted""",{r!r},{name}')
+    found = rows(dipole("fit", *OPTIONS, "--format", "csv", stdin="\r\n".join(mixed)).stdout)
+    assert found == usual
+
+
+def test_no_sample_column_and_g_and_eta_of_the_file(readings):
+    R = readings["milk"]
+    head = "r,R,error,g,eta\n"
+    data = "".join(f"{r},{v!r},{0.01 * v!r},0.8,1.4\n" for r, v in zip(AT_MM, R.tolist()))
+    found = rows(dipole("fit", "--model", "better", "--format", "csv", stdin=head + data).stdout)
+    assert [row["sample"] for row in found] == ["1"]
+    assert float(found[0]["sigma_s_prime"]) == pytest.approx(1.5, rel=1e-6)
+    text = dipole("fit", "--model", "better", stdin=head + data).stdout
+    assert "note: similarity: " in text
+
+
+def test_a_free_scale_and_a_reference(readings, slave):
+    R = 5 * readings["skin"]
+    text = "sample,r,R,error\n" + lines("skin", R)
+    row = rows(dipole("fit", *OPTIONS, "--scale", "free", "--format", "csv", stdin=text).stdout)[0]
+    assert float(row["scale"]) == pytest.approx(5, rel=1e-5) and float(row["scale_error"]) > 0
+    ratio = readings["skin"] / readings["milk"]
+    known = ["--reference", "0.01,1.5,0,1.4"]
+    text = "sample,r,R,error\n" + lines("skin", ratio)
+    row = rows(dipole("fit", *OPTIONS, *known, "--format", "csv", stdin=text).stdout)[0]
+    assert float(row["sigma_a"]) == pytest.approx(0.05, rel=1e-6)
+
+
+def test_many_samples_of_several_designs(readings):
+    """500 samples, every third of which was measured at other places: the order is kept."""
+    rng = np.random.default_rng(4)
+    text = "sample,r,R,error\n"
+    for i in range(500):
+        take = slice(0, 3) if i % 3 == 0 else slice(0, 4)
+        R = readings["skin"][take] * rng.normal(1, 0.005, len(AT_MM[take]))
+        text += lines(f"s{i}", R, AT_MM[take])
+    found = rows(dipole("fit", *OPTIONS, "--format", "csv", stdin=text).stdout)
+    assert [row["sample"] for row in found] == [f"s{i}" for i in range(500)]
+    assert [row["readings"] for row in found] == ["3" if i % 3 == 0 else "4" for i in range(500)]
+    assert np.mean([float(row["sigma_a"]) for row in found]) == pytest.approx(0.05, rel=0.01)
+
+
+# ---- pictures ------------------------------------------------------------------------------------
+
+
+def test_plot(readings, tmp_path):
+    files = ["--plot", str(tmp_path / "fit.svg"), "--plot", str(tmp_path / "fit.png")]
+    dipole("fit", *OPTIONS, *files, "--plot", "-", stdin=table_of(readings))
+    svg = (tmp_path / "fit.svg").read_text()
+    for shown in ("milk", "skin", "distance r (mm)", "R (1/mm^2)", "residual / error", "better"):
+        assert shown in svg, shown
+    assert (tmp_path / "fit.png").read_bytes().startswith(b"\x89PNG")
+    text = dipole("fit", *OPTIONS, "--plot", "-", stdin=table_of(readings)).stdout
+    assert "residuals" in text and "distance r (mm)" in text
+    usual = dipole(
+        "fit", *OPTIONS, "--plot", stdin=table_of(readings), cwd=tmp_path, quiet=False
+    )
+    assert "the picture is fit.svg" in usual.stderr
+    many = {f"s{i}": readings["milk"] for i in range(9)}
+    told = dipole("fit", *OPTIONS, "--plot", "-", stdin=table_of(many), quiet=False).stderr
+    assert "first 8 of 9 samples" in told
+
+
+# ---- what is never a success ---------------------------------------------------------------------
+
+
+def test_statuses_and_the_exit_status(readings):
+    R = readings["milk"]
+    text = "sample,r,R,error\n" + lines("good", R)
+    text += lines("rising", R[::-1]) + lines("negative", np.array([*R[:2], -R[2], R[3]]))
+    text += "few,1,.02,.001\nzero,1,.02,0\nzero,2,.01,.001\nblank,1,.02,\nblank,2,.01,.001\n"
+    text += "origin,0,.02,.001\norigin,2,.01,.001\n"
+    run = dipole("fit", *OPTIONS, "--format", "csv", stdin=text, status=BAD_ROWS)
+    statuses = {row["sample"]: row["status"] for row in rows(run.stdout)}
+    assert statuses == {
+        "good": "fitted", "rising": "at-bound", "negative": "refused", "few": "refused",
+        "zero": "refused", "blank": "refused", "origin": "refused",
+    }  # fmt: skip
+    for said in (
+        "sample negative: reading 3 (line 12): its R must be at least 0",
+        "sample zero: reading 1 (line 15): its error must be above 0",
+        "sample blank: reading 1 (line 17): its error must be above 0",
+        "sample few: ", "reading_count", "6 of 7 samples",
+        "sample origin: reading 1 (line 19): bad-value: at",
+    ):  # fmt: skip
+        assert said in run.stderr, (said, run.stderr)
+    empty = [row for row in rows(run.stdout) if row["status"] == "refused"]
+    assert all(row["sigma_a"] == row["sigma_a_error"] == row["chi2"] == "" for row in empty)
+    report = dipole("fit", *OPTIONS, "--format", "json", stdin=text, status=BAD_ROWS).stdout
+    assert json.loads(report)["samples"][1]["bounds"] > 0
+    assert "refused" in dipole("fit", *OPTIONS, stdin=text, status=BAD_ROWS).stdout
+
+
+WRONG_FILES = {
+    "": "there are no readings",
+    "r,R,error\n": "there are no readings",
+    "R,error\n1,1\n": "needs either the column r",
+    "r,f,R,error\n1,1,1,1\n": "needs either the column r",
+    "r,R\n1,1\n": "the column error is missing",
+    "r,error\n1,1\n": "the column R is missing",
+    "r,R,errors\n1,1,1\n": "the nearest that is read is error",
+    "r,R,error,R\n1,1,1,1\n": "the column R twice",
+    "r,R,error\n1,x,1\n": "line 2: R: 'x' is no number",
+    "r,R,error,g\n1,1,1,0\n2,1,1,.5\n": "line 3: g differs",
+    'r,R,error\n1,"1,1\n': "a quote is not closed",
+}
+
+
+@pytest.mark.parametrize("text", WRONG_FILES)
+def test_a_file_that_is_wrong(text):
+    run = dipole("fit", *OPTIONS, stdin=text, status=FAILED)
+    assert WRONG_FILES[text] in run.stderr and run.stdout == ""
+
+
+test_usage = says(USAGE, ["fit"], [
+    (["--reference", "1,2,3"], "give four numbers"),
+    (["--reference", "1,2,3,4", "--scale", "free"], "leave --scale out"),
+    (["--scale", "reference"], "--reference A,S,G,ETA"),
+    (["--plot", "fit.pdf"], ".svg or .png"),
+])  # fmt: skip
+
+
+def test_options_that_the_daemon_refuses(readings):
+    text = table_of(readings)
+    run = dipole("fit", "--model", "better", "--eta", "0", stdin=text, status=FAILED)
+    assert "eta" in run.stderr and "--eta" in run.stderr
+    run = dipole("fit", "--model", "skin-red", stdin=text, status=FAILED)
+    assert "coefficients alone" in run.stderr
+    run = dipole("fit", "--model", "bettr", stdin=text, status=USAGE)
+    assert "better" in run.stderr
+    run = dipole("fit", "/nonexistent/readings.csv", status=FAILED)
+    assert "No such file" in run.stderr
