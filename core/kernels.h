@@ -30,9 +30,9 @@ typedef void core_kernel_f64(const double *coefficients, size_t n, const double 
 typedef void core_kernel_f32(const float *coefficients, size_t n, const float *in, float *out);
 
 /* The same where every value has a medium of its own (core/varying.h): sigma_a[n] and sigma_s[n] in
- * 1/mm. shared: numbers that all media share; words: tables that they share, or NULL. Media and
+ * 1/mm. shared: numbers that all media share; words: tables that they share (core/models/cells.h). Media and
  * arguments outside of the domain give NaN. */
-typedef void core_varying_kernel_f64(const double *shared, const float *words, size_t n,
+typedef void core_varying_kernel_f64(const double *shared, const double *words, size_t n,
                                      const double *sigma_a, const double *sigma_s, const double *in,
                                      double *out);
 typedef void core_varying_kernel_f32(const float *shared, const float *words, size_t n,
@@ -54,7 +54,7 @@ typedef void core_varying_check_kernel_f32(const float *shared, size_t n, const 
                                            float *albedo, float *mfp);
 
 /* Does what core_varying_invert_f64() does; `what` is as core_colour, and albedo is not NULL. */
-typedef void core_varying_invert_kernel_f64(const double *shared, const float *words,
+typedef void core_varying_invert_kernel_f64(const double *shared, const double *words,
                                             const core_colour *what, size_t n, const double *colour,
                                             const double *length_mm, double *sigma_a,
                                             double *sigma_s, double *albedo, uint8_t *status);

@@ -77,6 +77,7 @@ typedef struct core_varying {
 
   const struct core_kernels *kernels;       /* of the model */
   const struct core_kernels *check_kernels; /* of all models: checks and colours */
+  double *wide_words; /* the words for kernels in double precision, or NULL; owned */
   struct {
     double f64[CORE_VARYING_SHARED_MAX];
     float f32[CORE_VARYING_SHARED_MAX];

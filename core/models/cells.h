@@ -12,9 +12,11 @@ typedef int64_t cells_integer;
 typedef int32_t cells_integer;
 #endif
 
-static inline int32_t cells_word(const float *words, cells_integer at) {
-  const float number = words[at];
-  int32_t word;
+/* Words are of the kernels' precision, integers as the bits of such a number, because compilers
+ * gather only with indices of the same size. */
+static inline cells_integer cells_word(const real *words, cells_integer at) {
+  const real number = words[at];
+  cells_integer word;
   memcpy(&word, &number, sizeof word);
   return word;
 }
@@ -26,7 +28,7 @@ struct cells_place {
 };
 
 /* axis: of enum core_surface_axis; kept: the coordinate, clamped to the axis. */
-static inline struct cells_place cells_find(const float *words, cells_integer axis, real kept) {
+static inline struct cells_place cells_find(const real *words, cells_integer axis, real kept) {
   const cells_integer bits = (cells_integer)real_to_bits(kept);
   const cells_integer octave =
       (bits >> REAL_MANTISSA_BITS) - (REAL_EXPONENT_BIAS + CORE_SURFACE_EXPONENT);
@@ -40,19 +42,17 @@ static inline struct cells_place cells_find(const float *words, cells_integer ax
   return (struct cells_place){(entry >> 5) + index, (real)rest * unit};
 }
 
-static inline real cells_kept(const float *words, cells_integer axis, real x) {
-  return real_min(real_max(x, (real)words[CORE_SURFACE_LEAST + axis]),
-                  (real)words[CORE_SURFACE_MOST + axis]);
+static inline real cells_kept(const real *words, cells_integer axis, real x) {
+  return real_min(real_max(x, words[CORE_SURFACE_LEAST + axis]), words[CORE_SURFACE_MOST + axis]);
 }
 
 /* Returns the polynomial at word `at`. */
-static inline real cells_line(const float *words, cells_integer at, real t) {
-  return (real)words[at] +
-         t * ((real)words[at + 1] + t * ((real)words[at + 2] + t * (real)words[at + 3]));
+static inline real cells_line(const real *words, cells_integer at, real t) {
+  return words[at] + t * (words[at + 1] + t * (words[at + 2] + t * words[at + 3]));
 }
 
 /* Returns the polynomial of two coordinates at word `at`; p is that of the rows. */
-static inline real cells_patch(const float *words, cells_integer at, real p, real t) {
+static inline real cells_patch(const real *words, cells_integer at, real p, real t) {
   return cells_line(words, at, t) +
          p * (cells_line(words, at + 4, t) +
               p * (cells_line(words, at + 8, t) + p * cells_line(words, at + 12, t)));

@@ -487,7 +487,7 @@ LANES_KERNEL(varying_cdf, COEFFICIENTS, lane_fill, dipole_cdf, INFINITY)
 LANES_KERNEL(varying_pdf, COEFFICIENTS, lane_fill, dipole_pdf, INFINITY)
 LANES_KERNEL(varying_ring, COEFFICIENTS, lane_fill, dipole_ring, INFINITY)
 
-static void varying_sample(const real *restrict shared, const float *restrict words, size_t n,
+static void varying_sample(const real *restrict shared, const real *restrict words, size_t n,
                            const real *restrict sigma_a, const real *restrict sigma_s,
                            const real *restrict u, real *restrict r) {
   (void)words;

@@ -98,7 +98,7 @@ static inline struct lane_dipole lane_dipole_of(const real *shared, struct lane 
  * each value, fill(shared, lane, c) sets the coefficients c[coefficients] of its medium, and
  * element(c, x) is the result, for x from 0 to most. The compiler keeps c in registers. */
 #define LANES_KERNEL(name, coefficients, fill, element, most)                                      \
-  static void name(const real *restrict shared, const float *restrict words, size_t n,             \
+  static void name(const real *restrict shared, const real *restrict words, size_t n,             \
                    const real *restrict sigma_a, const real *restrict sigma_s,                     \
                    const real *restrict in, real *restrict out) {                                  \
     (void)words;                                                                                   \

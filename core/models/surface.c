@@ -69,33 +69,33 @@ struct row {
   struct cells_place place;
 };
 
-static inline struct row row_of(const real *shared, const float *words, real sigma_a,
-                                real sigma_s) {
+static inline struct row row_of(const real *shared, const real *words, real sigma_a, real sigma_s) {
   struct row row;
   row.lane = lane_of(shared, sigma_a, sigma_s);
   row.s = real_sqrt(row.lane.absorbed);
-  const int by_s = row.s < REAL(0.5);
-  const cells_integer axis = by_s ? CORE_SURFACE_S : CORE_SURFACE_W;
   const real w = row.lane.scattered / (1 + row.s);
-  row.place = cells_find(words, axis, cells_kept(words, axis, by_s ? row.s : w));
-  row.place.cell += by_s ? 0 : cells_word(words, CORE_SURFACE_CELLS + CORE_SURFACE_S);
-  real k = (real)words[CORE_SURFACE_KAPPA + CORE_SURFACE_KAPPA_TERMS - 1];
+  const cells_integer by_w = row.s < REAL(0.5) ? 0 : 1;
+  const cells_integer axis = CORE_SURFACE_S + by_w;
+  row.place = cells_find(words, axis, cells_kept(words, axis, row.s < REAL(0.5) ? row.s : w));
+  /* a product in place of a choice, for vectors */
+  row.place.cell += by_w * cells_word(words, CORE_SURFACE_CELLS + CORE_SURFACE_S);
+  real k = words[CORE_SURFACE_KAPPA + CORE_SURFACE_KAPPA_TERMS - 1];
   for (int i = CORE_SURFACE_KAPPA_TERMS - 2; i >= 0; i--) {
-    k = (real)words[CORE_SURFACE_KAPPA + i] + row.s * k;
+    k = words[CORE_SURFACE_KAPPA + i] + row.s * k;
   }
   row.k = row.s * k;
   return row;
 }
 
 /* Returns the position of a patch. */
-static inline cells_integer patch_at(const float *words, cells_integer function, cells_integer axis,
+static inline cells_integer patch_at(const real *words, cells_integer function, cells_integer axis,
                                      cells_integer row, cells_integer column) {
   return cells_word(words, CORE_SURFACE_AT + function) +
          16 * (row * cells_word(words, CORE_SURFACE_CELLS + axis) + column);
 }
 
 /* Returns scale x R / sigma_t'^2. */
-static inline real x_R(const float *words, struct row row, real true_x, real scale) {
+static inline real x_R(const real *words, struct row row, real true_x, real scale) {
   const real x = real_min(true_x, X_MOST);
   const real kept = cells_kept(words, CORE_SURFACE_RADIUS, x);
   const struct cells_place place = cells_find(words, CORE_SURFACE_RADIUS, kept);
@@ -109,7 +109,7 @@ static inline real x_R(const float *words, struct row row, real true_x, real sca
   return times_exp(scale * row.lane.scattered * (1 + kx) * far, Q - kx);
 }
 
-static inline real surface_R(const real *shared, const float *words, real sigma_a, real sigma_s,
+static inline real surface_R(const real *shared, const real *words, real sigma_a, real sigma_s,
                              real r) {
   const struct row row = row_of(shared, words, sigma_a, sigma_s);
   const real x = r * row.lane.sigma_t;
@@ -117,7 +117,7 @@ static inline real surface_R(const real *shared, const float *words, real sigma_
   return (row.lane.scattered > 0) & (r < (real)INFINITY) ? R : 0;
 }
 
-static inline real surface_ring(const real *shared, const float *words, real sigma_a, real sigma_s,
+static inline real surface_ring(const real *shared, const real *words, real sigma_a, real sigma_s,
                                 real r) {
   const struct row row = row_of(shared, words, sigma_a, sigma_s);
   const real ring =
@@ -125,7 +125,7 @@ static inline real surface_ring(const real *shared, const float *words, real sig
   return (row.lane.scattered > 0) & (r < (real)INFINITY) ? ring : 0;
 }
 
-static inline real surface_pdf(const real *shared, const float *words, real sigma_a, real sigma_s,
+static inline real surface_pdf(const real *shared, const real *words, real sigma_a, real sigma_s,
                                real r) {
   const struct row row = row_of(shared, words, sigma_a, sigma_s);
   const real total = cells_line(
@@ -134,7 +134,7 @@ static inline real surface_pdf(const real *shared, const float *words, real sigm
   return surface_ring(shared, words, sigma_a, sigma_s, r) / total;
 }
 
-static inline real surface_cdf(const real *shared, const float *words, real sigma_a, real sigma_s,
+static inline real surface_cdf(const real *shared, const real *words, real sigma_a, real sigma_s,
                                real r) {
   const struct row row = row_of(shared, words, sigma_a, sigma_s);
   const real x = r * row.lane.sigma_t;
@@ -147,8 +147,8 @@ static inline real surface_cdf(const real *shared, const float *words, real sigm
   return row.lane.scattered > 0 ? (r < (real)INFINITY ? bounded : 1) : 0;
 }
 
-static inline real surface_radius(const real *shared, const float *words, real sigma_a,
-                                  real sigma_s, real u) {
+static inline real surface_radius(const real *shared, const real *words, real sigma_a, real sigma_s,
+                                  real u) {
   const struct row row = row_of(shared, words, sigma_a, sigma_s);
   const int near = u <= REAL(0.5);
   const real wanted = near ? u : 1 - u;
@@ -165,7 +165,7 @@ static inline real surface_radius(const real *shared, const float *words, real s
 }
 
 #define SURFACE_KERNEL(name, element, most)                                                        \
-  static void name(const real *restrict shared, const float *restrict words, size_t n,             \
+  static void name(const real *restrict shared, const real *restrict words, size_t n,              \
                    const real *restrict sigma_a, const real *restrict sigma_s,                     \
                    const real *restrict in, real *restrict out) {                                  \
     for (size_t i = 0; i < n; i++) {                                                               \

@@ -5,8 +5,9 @@
 #include "core/models/cells.h"
 #include "core/models/lanes.h"
 
-static inline int status_of(const real *shared, real sigma_a, real sigma_s, real in, real most,
-                            int out_of_range, real *albedo, real *mfp) {
+static inline cells_integer status_of(const real *shared, real sigma_a, real sigma_s, real in,
+                                      real most, cells_integer out_of_range, real *albedo,
+                                      real *mfp) {
   const struct lane lane = lane_of(shared, sigma_a, sigma_s);
   const real s = real_sqrt(lane.absorbed);
   const real far = shared[LANES_FAR] + s * (shared[LANES_FAR_S] + s * shared[LANES_FAR_S2]);
@@ -19,14 +20,21 @@ static inline int status_of(const real *shared, real sigma_a, real sigma_s, real
   const int ratio = lane_good(shared, sigma_a, sigma_s);
   const int argument = (in >= 0) & (in <= most);
   const int near = (most <= 1) | !(*mfp * far > 1) | !(sigma_s > 0);
-  /* sums of products in place of choices: the first fault counts */
-  const int faults = !a          ? CORE_VALUE_SIGMA_A
-                     : !range    ? CORE_VALUE_SIGMA_S
-                     : !ratio    ? CORE_VALUE_RATIO
-                     : !argument ? out_of_range
-                     : !near     ? CORE_VALUE_FAR
-                                 : CORE_VALUE_OK;
-  return faults;
+  cells_integer status = near ? CORE_VALUE_OK : CORE_VALUE_FAR;
+  status = argument ? status : out_of_range;
+  status = ratio ? status : CORE_VALUE_RATIO;
+  status = range ? status : CORE_VALUE_SIGMA_S;
+  return a ? status : CORE_VALUE_SIGMA_A;
+}
+
+/* Statuses are narrowed to bytes in a loop of their own, since compilers vectorize no loop with
+ * both. */
+enum { BLOCK = 64 };
+
+static void narrow(size_t n, const cells_integer *restrict wide, uint8_t *restrict status) {
+  for (size_t i = 0; i < n; i++) {
+    status[i] = (uint8_t)wide[i];
+  }
 }
 
 static void check(const real *restrict shared, size_t n, const real *restrict sigma_a,
@@ -35,16 +43,21 @@ static void check(const real *restrict shared, size_t n, const real *restrict si
                   real *restrict albedo, real *restrict mfp) {
   const int numbers = argument == CORE_VARYING_NUMBERS;
   const real most = numbers ? 1 : (real)INFINITY;
-  const int out_of_range = numbers ? CORE_VALUE_NUMBER : CORE_VALUE_RADIUS;
-  for (size_t i = 0; i < n; i++) {
-    status[i] = (uint8_t)status_of(shared, sigma_a[i], sigma_s[i], in[i], most, out_of_range,
-                                   &albedo[i], &mfp[i]);
+  const cells_integer out_of_range = numbers ? CORE_VALUE_NUMBER : CORE_VALUE_RADIUS;
+  for (size_t done = 0; done < n; done += BLOCK) {
+    const size_t end = n - done < BLOCK ? n : done + BLOCK;
+    cells_integer wide[BLOCK];
+    for (size_t i = done; i < end; i++) {
+      wide[i - done] =
+          status_of(shared, sigma_a[i], sigma_s[i], in[i], most, out_of_range, &albedo[i], &mfp[i]);
+    }
+    narrow(end - done, wide, status + done);
   }
 }
 
 /* Returns s = sqrt(sigma_a / sigma_t') of the medium of a colour, and sets *w to 1 - s. v: the
  * colour over the largest one. */
-static inline real invert_colour(const float *words, enum core_light light, real v, real *w) {
+static inline real invert_colour(const real *words, enum core_light light, real v, real *w) {
   const int near = v <= REAL(0.5);
   const real wanted = near ? v : 1 - v;
   const cells_integer rest = near ? 0 : 1;
@@ -54,51 +67,57 @@ static inline real invert_colour(const float *words, enum core_light light, real
   const cells_integer function = CORE_SURFACE_W_OF_COLOUR + rest * CORE_LIGHTS + light;
   const real value =
       cells_line(words, cells_word(words, CORE_SURFACE_AT + function) + 4 * place.cell, place.t);
-  const real below = near ? 1 : real_min(wanted / kept, 1);
-  const real found = v > 0 ? value * below : 0;
+  const real found = value * real_min(wanted / kept, 1);
   *w = near ? found : 1 - found;
   return near ? 1 - found : found;
 }
 
-/* Returns sigma_t' times the length, for s = sqrt(sigma_a / sigma_t'). */
-static inline real free_paths(enum core_length length, real s) {
+/* Returns sigma_t' times the length, for s = sqrt(sigma_a / sigma_t'). The shares are 1 for the kind
+ * of length, and else 0. */
+struct lengths {
+  real free_path, diffuse, classical;
+};
+
+static inline real free_paths(struct lengths of, real s) {
   const real grosjean = s * real_sqrt(3 / (1 + s * s));
   const real classical = s * REAL(1.7320508075688772);
-  const real inverse = length == CORE_LENGTH_DIFFUSE             ? grosjean
-                       : length == CORE_LENGTH_CLASSICAL_DIFFUSE ? classical
-                                                                 : 1;
-  return 1 / inverse;
+  return 1 / (of.free_path + of.diffuse * grosjean + of.classical * classical);
 }
 
-static void invert(const real *restrict shared, const float *restrict words,
-                   const core_colour *what, size_t n, const real *restrict colour,
-                   const real *restrict length_mm, real *restrict sigma_a, real *restrict sigma_s,
-                   real *restrict albedo, uint8_t *restrict status) {
+static void invert(const real *restrict shared, const real *restrict words, const core_colour *what,
+                   size_t n, const real *restrict colour, const real *restrict length_mm,
+                   real *restrict sigma_a, real *restrict sigma_s, real *restrict albedo,
+                   uint8_t *restrict status) {
   const enum core_light light = what->light;
-  const enum core_length length = what->length;
+  const struct lengths lengths = {what->length == CORE_LENGTH_FREE_PATH,
+                                  what->length == CORE_LENGTH_DIFFUSE,
+                                  what->length == CORE_LENGTH_CLASSICAL_DIFFUSE};
   const real least = shared[LANES_COLOUR_LEAST + light];
   const real most = shared[LANES_COLOUR_MOST + light];
   const real specular = what->specular ? shared[LANES_SPECULAR + light] : 0;
   const real scatter = shared[LANES_SCATTER];
-  for (size_t i = 0; i < n; i++) {
-    const real entered = (colour[i] - specular) / (1 - specular);
-    const int has_medium =
-        (entered <= most) & ((entered >= least) | !((entered < 0) | (entered > 0)));
-    real w;
-    const real s = invert_colour(words, light, real_max(entered, 0) / most, &w);
-    const real sigma_t = free_paths(length, s) / length_mm[i];
-    const real scattered = w * (1 + s);
-    const int has_length = (length_mm[i] > 0) & (sigma_t >= shared[LANES_SIGMA_T_LEAST]) &
-                           (sigma_t <= shared[LANES_SIGMA_T_MOST]);
-    const int good = has_medium & has_length;
-    const real true_scattered = scattered / scatter;
-    const real absorbed = s * s;
-    sigma_a[i] = good ? sigma_t * absorbed : (real)NAN;
-    sigma_s[i] = good ? sigma_t * true_scattered : (real)NAN;
-    albedo[i] = good ? true_scattered / (true_scattered + absorbed) : (real)NAN;
-    status[i] = (uint8_t)(!has_medium   ? CORE_VALUE_COLOUR
-                          : !has_length ? CORE_VALUE_LENGTH
-                                        : CORE_VALUE_OK);
+  for (size_t done = 0; done < n; done += BLOCK) {
+    const size_t end = n - done < BLOCK ? n : done + BLOCK;
+    cells_integer wide[BLOCK];
+    for (size_t i = done; i < end; i++) {
+      const real entered = (colour[i] - specular) / (1 - specular);
+      const int has_medium =
+          (entered <= most) & ((entered >= least) | !((entered < 0) | (entered > 0)));
+      real w;
+      const real s = invert_colour(words, light, real_max(entered, 0) / most, &w);
+      const real sigma_t = free_paths(lengths, s) / length_mm[i];
+      const real scattered = w * (1 + s) / scatter;
+      const real absorbed = s * s;
+      const int has_length = (length_mm[i] > 0) & (sigma_t >= shared[LANES_SIGMA_T_LEAST]) &
+                             (sigma_t <= shared[LANES_SIGMA_T_MOST]);
+      const int good = has_medium & has_length;
+      sigma_a[i] = good ? sigma_t * absorbed : (real)NAN;
+      sigma_s[i] = good ? sigma_t * scattered : (real)NAN;
+      albedo[i] = good ? scattered / (scattered + absorbed) : (real)NAN;
+      const cells_integer status_of_length = has_length ? CORE_VALUE_OK : CORE_VALUE_LENGTH;
+      wide[i - done] = has_medium ? status_of_length : CORE_VALUE_COLOUR;
+    }
+    narrow(end - done, wide, status + done);
   }
 }
 

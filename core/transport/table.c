@@ -5,6 +5,7 @@
 #include <assert.h>
 #include <math.h>
 #include <pthread.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "core/transport/anisotropic.h"
@@ -344,6 +345,33 @@ static void polynomials_of_v(const double *field, double eta, double *values) {
   chebyshev(mapped(transport_table_v(eta), range[0], range[1]), values);
 }
 
+/* The same for the albedo, of isotropic scattering and of D, and for g. */
+static void polynomials_of_t(const double *field, double albedo, double *values) {
+  chebyshev(mapped(transport_table_t(albedo), transport_table_t(field[TRANSPORT_TABLE_ALBEDO_MOST]),
+                   transport_table_t(field[TRANSPORT_TABLE_ALBEDO_LEAST])),
+            values);
+}
+
+static void polynomials_of_u(const double *field, double albedo, double *values) {
+  chebyshev(mapped(transport_table_u(albedo), transport_table_u(1),
+                   transport_table_u(field[TRANSPORT_TABLE_ALBEDO_LEAST])),
+            values);
+}
+
+static void polynomials_of_w(const double *field, double g, double *values) {
+  chebyshev(mapped(transport_table_w(g), transport_table_w(field[TRANSPORT_TABLE_G_LEAST]),
+                   transport_table_w(field[TRANSPORT_TABLE_G_MOST])),
+            values);
+}
+
+/* Ends a difference whose terms have been read. */
+static void end_difference(transport_difference *difference) {
+  for (size_t i = 0; i < PANELS; i++) {
+    difference->terms[i] = difference->terms[i] < 2 ? 2 : difference->terms[i];
+  }
+  transport_join_panels(PANELS, TERMS_MAX, difference->term[0]);
+}
+
 static void read_panels(struct reader *reader, const double (*basis)[TERMS_MAX], size_t indices,
                         double quantum, size_t terms[PANELS], double term[PANELS][TERMS_MAX]) {
   for (int i = 0; i < PANELS; i++) {
@@ -368,12 +396,8 @@ void transport_table_difference(const transport_table *table, double albedo, dou
   const double *field = table->field;
   const int side = SIDES + (int)transport_table_side(eta);
   double basis[DIMENSIONS][TERMS_MAX];
-  chebyshev(mapped(transport_table_w(g), transport_table_w(field[TRANSPORT_TABLE_G_LEAST]),
-                   transport_table_w(field[TRANSPORT_TABLE_G_MOST])),
-            basis[0]);
-  chebyshev(mapped(transport_table_u(albedo), transport_table_u(1),
-                   transport_table_u(field[TRANSPORT_TABLE_ALBEDO_LEAST])),
-            basis[1]);
+  polynomials_of_w(field, g, basis[0]);
+  polynomials_of_u(field, albedo, basis[1]);
   polynomials_of_v(field, eta, basis[2]);
   struct reader reader = {table->side[side], table->side[side + 1], true};
   const double quantum = field[TRANSPORT_TABLE_QUANTUM];
@@ -385,10 +409,7 @@ void transport_table_difference(const transport_table *table, double albedo, dou
   memset(difference->term, 0, sizeof difference->term);
   read_panels(&reader, basis, 3, field[TRANSPORT_TABLE_D_QUANTUM], difference->terms,
               difference->term);
-  for (size_t i = 0; i < PANELS; i++) {
-    difference->terms[i] = difference->terms[i] < 2 ? 2 : difference->terms[i];
-  }
-  transport_join_panels(PANELS, TERMS_MAX, difference->term[0]);
+  end_difference(difference);
 }
 
 void transport_table_look_up(const transport_table *table, double albedo, double g, double eta,
@@ -398,9 +419,7 @@ void transport_table_look_up(const transport_table *table, double albedo, double
   const enum transport_table_side side = transport_table_side(eta);
   const double quantum = field[TRANSPORT_TABLE_QUANTUM];
   double basis[2][TERMS_MAX];
-  chebyshev(mapped(transport_table_t(albedo), transport_table_t(field[TRANSPORT_TABLE_ALBEDO_MOST]),
-                   transport_table_t(field[TRANSPORT_TABLE_ALBEDO_LEAST])),
-            basis[0]);
+  polynomials_of_t(field, albedo, basis[0]);
   polynomials_of_v(field, eta, basis[1]);
   struct reader reader = {table->side[side], table->side[side + 1], true};
   series->g = g;
@@ -417,6 +436,129 @@ void transport_table_look_up(const transport_table *table, double albedo, double
     series->total_diffuse = series->difference.total_diffuse;
   }
 }
+
+/* ---- slices ---------------------------------------------------------------------------------- */
+
+/* A series over k, as the table has it, and the albedo's index i; the other indices are summed. */
+struct slice_series {
+  size_t terms;     /* of k */
+  size_t of_albedo; /* of i */
+  double term[TERMS_MAX][TERMS_MAX];
+};
+
+/* The parts of a slice: of isotropic scattering, then of D. */
+struct transport_slice {
+  const transport_table *table;
+  double g, eta;
+  struct slice_series total, panel[PANELS];
+  struct slice_series beam, diffuse, difference[PANELS];
+};
+
+/* Reads a series whose indices are k, that of g if of_g is not NULL, the albedo's and that of v. */
+static void read_slice(struct reader *reader, const double *of_g, const double (*of_v)[TERMS_MAX],
+                       double quantum, struct slice_series *series) {
+  series->terms = read_count(reader, 1);
+  series->of_albedo = 0;
+  for (size_t k = 0; k < series->terms; k++) {
+    const size_t outer = of_g != NULL ? read_count(reader, 0) : 1;
+    for (size_t l = 0; l < outer; l++) {
+      const double factor = of_g != NULL ? quantum * of_g[l] : quantum;
+      const size_t count = read_count(reader, 0);
+      series->of_albedo = count > series->of_albedo ? count : series->of_albedo;
+      for (size_t i = 0; i < count; i++) {
+        series->term[k][i] += factor * read_sum(reader, of_v, 1);
+      }
+    }
+  }
+}
+
+transport_slice *transport_slice_create(const transport_table *table, double g, double eta) {
+  assert(transport_table_covers_difference(table, 0.5, g, eta));
+  transport_slice *slice = calloc(1, sizeof *slice);
+  if (slice == NULL) {
+    return NULL;
+  }
+  const double *field = table->field;
+  const int side = transport_table_side(eta);
+  double of_g[TERMS_MAX], of_v[1][TERMS_MAX];
+  slice->table = table;
+  slice->g = g;
+  slice->eta = eta;
+  polynomials_of_v(field, eta, of_v[0]);
+  polynomials_of_w(field, g, of_g);
+  struct reader reader = {table->side[side], table->side[side + 1], true};
+  read_slice(&reader, NULL, of_v, field[TRANSPORT_TABLE_QUANTUM], &slice->total);
+  for (int i = 0; i < PANELS; i++) {
+    read_slice(&reader, NULL, of_v, field[TRANSPORT_TABLE_QUANTUM], &slice->panel[i]);
+  }
+  reader = (struct reader){table->side[SIDES + side], table->side[SIDES + side + 1], true};
+  read_slice(&reader, of_g, of_v, field[TRANSPORT_TABLE_QUANTUM], &slice->beam);
+  read_slice(&reader, of_g, of_v, field[TRANSPORT_TABLE_QUANTUM], &slice->diffuse);
+  for (int i = 0; i < PANELS; i++) {
+    read_slice(&reader, of_g, of_v, field[TRANSPORT_TABLE_D_QUANTUM], &slice->difference[i]);
+  }
+  return slice;
+}
+
+/* Sets the terms of k of a medium. Returns their number. */
+static size_t sum_slice(const struct slice_series *series, const double *of_albedo, double *terms) {
+  for (size_t k = 0; k < series->terms; k++) {
+    double sum = 0;
+    for (size_t i = 0; i < series->of_albedo; i++) {
+      sum += series->term[k][i] * of_albedo[i];
+    }
+    terms[k] = sum;
+  }
+  return series->terms;
+}
+
+transport_slice_sums transport_slice_total(const transport_slice *slice, double albedo) {
+  double of_t[TERMS_MAX], of_u[TERMS_MAX], beam[TERMS_MAX], diffuse[TERMS_MAX];
+  polynomials_of_u(slice->table->field, albedo, of_u);
+  sum_slice(&slice->diffuse, of_u, diffuse);
+  if (slice->g == 0) {
+    polynomials_of_t(slice->table->field, albedo, of_t);
+    sum_slice(&slice->total, of_t, beam);
+  } else {
+    sum_slice(&slice->beam, of_u, beam);
+  }
+  return (transport_slice_sums){albedo * fn_exp(beam[0]), albedo * fn_exp(diffuse[0])};
+}
+
+void transport_slice_look_up(const transport_slice *slice, double albedo, double kappa,
+                             transport_series *series) {
+  assert(transport_table_covers(slice->table, albedo, slice->g, slice->eta));
+  const double *field = slice->table->field;
+  transport_difference *difference = &series->difference;
+  double of_t[TERMS_MAX], of_u[TERMS_MAX];
+  polynomials_of_t(field, albedo, of_t);
+  polynomials_of_u(field, albedo, of_u);
+  const transport_slice_sums totals = transport_slice_total(slice, albedo);
+  series->g = slice->g;
+  series->kappa = transport_kappa(albedo);
+  series->total = totals.beam;
+  series->total_diffuse = totals.diffuse;
+  series->ln_albedo = fn_log(albedo);
+  transport_table_edges(field, false, series->kappa, series->edge);
+  for (int i = 0; i < PANELS; i++) {
+    series->terms[i] = sum_slice(&slice->panel[i], of_t, series->term[i]);
+  }
+  if (slice->g != 0) {
+    difference->kappa_isotropic = series->kappa;
+    difference->kappa = kappa;
+    difference->total = totals.beam;
+    difference->total_diffuse = totals.diffuse;
+    transport_table_edges(field, true, series->kappa, difference->edge);
+    memset(difference->term, 0, sizeof difference->term);
+    for (int i = 0; i < PANELS; i++) {
+      difference->terms[i] = sum_slice(&slice->difference[i], of_u, difference->term[i]);
+    }
+    end_difference(difference);
+    series->kappa = difference->kappa;
+  }
+}
+
+/* ---- evaluating ------------------------------------------------------------------------------ */
 
 /* Returns the sum of a panel's terms at its beginning or its end, where each polynomial is -1 or
  * 1. */

@@ -209,6 +209,28 @@ typedef struct transport_series {
 void transport_table_look_up(const transport_table *table, double albedo, double g, double eta,
                              transport_series *series);
 
+/* What the table holds for one g and eta, as series in the albedo's coordinate: looking up one
+ * albedo after the other then takes microseconds. About a megabyte. */
+typedef struct transport_slice transport_slice;
+
+/* Creates the slice of a g and eta, which the table has to cover (asserted). Returns NULL if memory
+ * runs out. The caller frees it with free(). */
+transport_slice *transport_slice_create(const transport_table *table, double g, double eta);
+
+/* Does the same as transport_table_look_up() for the slice's g and eta, up to rounding. The albedo
+ * has to be covered (asserted). kappa: that of the medium (transport_anisotropic_kappa()), if g is
+ * not 0. */
+void transport_slice_look_up(const transport_slice *slice, double albedo, double kappa,
+                             transport_series *series);
+
+/* The totals of an albedo that is covered, for a beam at right angles and for diffuse light, also if
+ * g is 0. */
+typedef struct transport_slice_sums {
+  double beam;
+  double diffuse;
+} transport_slice_sums;
+transport_slice_sums transport_slice_total(const transport_slice *slice, double albedo);
+
 /* Returns ln(x R) + kappa x at y = ln x, for y from the first edge to the last (asserted, up to
  * rounding). */
 double transport_series_at(const transport_series *series, double y);

@@ -7,6 +7,8 @@
 
 #include "core/kernels.h"
 #include "core/transport/functions.h"
+#include "core/transport/table.h"
+#include "core/varying/rows.h"
 
 #define CORE_REAL 64
 #include "core/models/cells.h"
@@ -92,6 +94,34 @@ static void fit_lines(const double *values, size_t cells, float *out) {
   }
 }
 
+/* The axes of each function; the first two share their rows. */
+static const struct {
+  bool of_transport;
+  bool has_rows;
+  enum core_surface_axis columns;
+} shapes[CORE_SURFACE_FUNCTIONS] = {
+    [CORE_SURFACE_Q] = {true, true, CORE_SURFACE_RADIUS},
+    [CORE_SURFACE_CDF] = {true, true, CORE_SURFACE_RADIUS},
+    [CORE_SURFACE_X_OF_U] = {true, true, CORE_SURFACE_U},
+    [CORE_SURFACE_X_OF_REST] = {true, true, CORE_SURFACE_REST},
+    [CORE_SURFACE_TOTAL] = {true, true, CORE_SURFACE_AXES},
+    [CORE_SURFACE_W_OF_COLOUR + CORE_LIGHT_BEAM] = {false, false, CORE_SURFACE_COLOUR},
+    [CORE_SURFACE_W_OF_COLOUR + CORE_LIGHT_DIFFUSE] = {true, false, CORE_SURFACE_COLOUR},
+    [CORE_SURFACE_S_OF_REST + CORE_LIGHT_BEAM] = {false, false, CORE_SURFACE_COLOUR_REST},
+    [CORE_SURFACE_S_OF_REST + CORE_LIGHT_DIFFUSE] = {true, false, CORE_SURFACE_COLOUR_REST},
+};
+
+/* Returns the number of words of a function. */
+static size_t words_of(const float *words, enum core_surface_function function) {
+  const size_t lines = shapes[function].has_rows
+                           ? cells_of(words, CORE_SURFACE_S) + cells_of(words, CORE_SURFACE_W)
+                           : 1;
+  const bool line = !shapes[function].has_rows || shapes[function].columns == CORE_SURFACE_AXES;
+  const size_t columns =
+      shapes[function].columns == CORE_SURFACE_AXES ? 1 : cells_of(words, shapes[function].columns);
+  return lines * columns * (line ? CORE_SURFACE_TERMS : CORE_SURFACE_TERMS * CORE_SURFACE_TERMS);
+}
+
 /* ---- colours --------------------------------------------------------------------------------- */
 
 enum {
@@ -109,9 +139,15 @@ enum {
 struct albedos {
   double (*at)(const struct albedos *albedos, double s, double w); /* w = 1 - s; falls with s */
   const double *shared;                                            /* of a dipole */
-  const struct solutions *solutions;                               /* of transport */
+  const rows *rows;                                                /* of transport */
   enum core_light light;
 };
+
+static double transport_albedo(const struct albedos *albedos, double s, double w) {
+  const transport_slice_sums totals =
+      rows_totals(albedos->rows, s, fmax(w, rows_w_least(albedos->rows)));
+  return albedos->light == CORE_LIGHT_BEAM ? totals.beam : totals.diffuse;
+}
 
 static double dipole_albedo(const struct albedos *albedos, double s, double w) {
   const struct lane lane = {1, 1, s * s, w * (1 + s)};
@@ -177,19 +213,434 @@ static void lay_colour_axes(float *words) {
   lay_axis(words, CORE_SURFACE_COLOUR_REST, COLOUR_REST_FIRST, COLOUR_END, cuts);
 }
 
-core_fault core_surface_build(const core_surface_inputs *inputs, float **words, size_t *count) {
-  *count = CORE_SURFACE_PATCHES + COLOUR_WORDS;
+/* ---- the surface ----------------------------------------------------------------------------- */
+
+enum {
+  S_FIRST = -17, /* octaves of each axis */
+  W_FIRST = -8,
+  ALBEDO_END = -1,
+  U_FIRST = -20,
+  REST_FIRST = -24,
+  U_END = -1,
+  LEVELS = 4
+};
+
+/* The cells of an octave, as powers of two, in ranges of octaves up to `end`. Each level has one cut
+ * more in all octaves, which divides errors by 16. */
+static uint8_t *cuts_of(enum core_surface_axis axis, int first, int end, int level, uint8_t *cuts) {
+  for (int octave = first; octave < end; octave++) {
+    int base = 0;
+    if (axis == CORE_SURFACE_RADIUS) { /* single scattering gives way to multiple near x = 8 */
+      base = octave < -1 ? 0 : octave == 0 ? 3 : octave > 0 && octave < 5 ? 2 : 1;
+    } else if (axis == CORE_SURFACE_W) { /* the first octave is not full: see fill_rows() */
+      base = octave == W_FIRST ? 2 : 1;
+    } else if (axis == CORE_SURFACE_S) {
+      base = octave < -4 ? 1 : 2;
+    } else {
+      base = octave >= -4 ? 2 : axis == CORE_SURFACE_REST;
+    }
+    cuts[octave - first] = (uint8_t)(base + level);
+  }
+  return cuts;
+}
+
+static void lay_axes(float *words, int level) {
+  static const struct {
+    enum core_surface_axis axis;
+    int first, end;
+  } ranges[] = {
+      {CORE_SURFACE_S, S_FIRST, ALBEDO_END},       {CORE_SURFACE_W, W_FIRST, ALBEDO_END},
+      {CORE_SURFACE_RADIUS, ROWS_FIRST, ROWS_END}, {CORE_SURFACE_U, U_FIRST, U_END},
+      {CORE_SURFACE_REST, REST_FIRST, U_END},
+  };
+  for (size_t i = 0; i < sizeof ranges / sizeof ranges[0]; i++) {
+    uint8_t cuts[CORE_SURFACE_AXIS];
+    lay_axis(words, ranges[i].axis, ranges[i].first, ranges[i].end,
+             cuts_of(ranges[i].axis, ranges[i].first, ranges[i].end, level, cuts));
+  }
+}
+
+/* Sets the words of k: the polynomial through kappa / s at Chebyshev points. */
+static void put_kappa(const rows *all, float *words) {
+  enum { TERMS = CORE_SURFACE_KAPPA_TERMS };
+  double sum[TERMS] = {0};
+  double at[TERMS];
+  for (int i = 0; i < TERMS; i++) {
+    double sine, cosine;
+    fn_sincos(FN_PI * (i + 0.5) / TERMS, &sine, &cosine);
+    at[i] = 0.5 * (1 + cosine);
+  }
+  for (int i = 0; i < TERMS; i++) {
+    double basis[TERMS] = {rows_kappa_per_s(all, at[i], 1 - at[i])};
+    for (int k = 0, degree = 0; k < TERMS; k++) {
+      if (k != i) { /* times (s - at[k]) / (at[i] - at[k]) */
+        degree++;
+        for (int j = degree; j >= 0; j--) {
+          basis[j] = ((j > 0 ? basis[j - 1] : 0) - at[k] * basis[j]) / (at[i] - at[k]);
+        }
+      }
+    }
+    for (int j = 0; j < TERMS; j++) {
+      sum[j] += basis[j];
+    }
+  }
+  for (int j = 0; j < TERMS; j++) {
+    words[CORE_SURFACE_KAPPA + j] = (float)sum[j];
+  }
+}
+
+/* Returns Q with the k of the words in place of the exact kappa. */
+static double Q_of_words(const float *words, const rows_row *row, double x) {
+  double k = 0;
+  for (int i = CORE_SURFACE_KAPPA_TERMS - 1; i >= 0; i--) {
+    k = (double)words[CORE_SURFACE_KAPPA + i] + row->s * k;
+  }
+  k *= row->s;
+  return rows_Q(row, x) + (k - row->kappa) * x + fn_log((1 + row->kappa * x) / (1 + k * x));
+}
+
+/* The points of all axes, and the values of a function at the points of all rows. */
+struct grid {
+  double *nodes[CORE_SURFACE_AXES]; /* STEPS cells + 1 for each axis */
+  double *values[CORE_SURFACE_FUNCTIONS];
+};
+
+static size_t nodes_of(const float *words, enum core_surface_axis axis) {
+  return STEPS * cells_of(words, axis) + 1;
+}
+
+/* Sets the values of a row, number `index` of all. */
+static void set_values(const float *words, const struct grid *grid, const rows_row *row,
+                       size_t index) {
+  static const struct {
+    enum core_surface_function function;
+    enum core_surface_axis axis;
+    double (*of)(const rows_row *row, double x);
+  } functions[] = {
+      {CORE_SURFACE_CDF, CORE_SURFACE_RADIUS, rows_cdf},
+      {CORE_SURFACE_X_OF_U, CORE_SURFACE_U, rows_radius},
+      {CORE_SURFACE_X_OF_REST, CORE_SURFACE_REST, rows_radius_of_rest},
+  };
+  for (size_t f = 0; f < sizeof functions / sizeof functions[0]; f++) {
+    const size_t count = nodes_of(words, functions[f].axis);
+    double *values = &grid->values[functions[f].function][index * count];
+    for (size_t i = 0; i < count; i++) {
+      values[i] = functions[f].of(row, grid->nodes[functions[f].axis][i]);
+    }
+  }
+  const size_t count = nodes_of(words, CORE_SURFACE_RADIUS);
+  for (size_t i = 0; i < count; i++) {
+    grid->values[CORE_SURFACE_Q][index * count + i] =
+        Q_of_words(words, row, grid->nodes[CORE_SURFACE_RADIUS][i]);
+  }
+  grid->values[CORE_SURFACE_TOTAL][index] = row->total;
+}
+
+/* Sets the patches of `cells` rows of cells. */
+static void fit_patches(const double *values, size_t cells, size_t columns, float *out) {
+  const size_t count = STEPS * columns + 1;
+  for (size_t patch = 0; patch < cells * columns; patch++) {
+    const double *corner = &values[STEPS * (patch / columns) * count + STEPS * (patch % columns)];
+    for (int p = 0; p < CORE_SURFACE_TERMS; p++) {
+      for (int q = 0; q < CORE_SURFACE_TERMS; q++) {
+        double sum = 0;
+        for (int i = 0; i <= STEPS; i++) {
+          for (int k = 0; k <= STEPS; k++) {
+            sum += lagrange[i][p] * lagrange[k][q] * corner[(size_t)i * count + (size_t)k];
+          }
+        }
+        out[16 * patch + (size_t)(4 * p + q)] = (float)sum;
+      }
+    }
+  }
+}
+
+/* Sets the words of all functions of a surface from the values. */
+static void put_functions(const struct grid *grid, float *words, size_t *at) {
+  const size_t s_cells = cells_of(words, CORE_SURFACE_S), w_cells = cells_of(words, CORE_SURFACE_W);
+  for (int i = 0; i <= CORE_SURFACE_X_OF_REST; i++) {
+    const size_t columns = cells_of(words, shapes[i].columns), count = STEPS * columns + 1;
+    put_integer(words, (size_t)CORE_SURFACE_AT + (size_t)i, *at);
+    fit_patches(grid->values[i], s_cells, columns, &words[*at]);
+    *at += 16 * s_cells * columns;
+    fit_patches(&grid->values[i][(STEPS * s_cells + 1) * count], w_cells, columns, &words[*at]);
+    *at += 16 * w_cells * columns;
+  }
+  put_integer(words, (size_t)CORE_SURFACE_AT + CORE_SURFACE_TOTAL, *at);
+  fit_lines(grid->values[CORE_SURFACE_TOTAL], s_cells, &words[*at]);
+  *at += CORE_SURFACE_TERMS * s_cells;
+  fit_lines(&grid->values[CORE_SURFACE_TOTAL][STEPS * s_cells + 1], w_cells, &words[*at]);
+  *at += CORE_SURFACE_TERMS * w_cells;
+}
+
+/* ---- measuring ------------------------------------------------------------------------------- */
+
+enum { MEASURED = 256 };
+
+/* One row of a surface that is measured. */
+struct measured {
+  const double *shared;
+  const float *words;
+  const double *wide; /* the words in double precision */
+  const struct grid *grid;
+  const rows_row *row;
+};
+
+static double row_R(const rows_row *row, double x) {
+  const double kx = row->kappa * x;
+  return row->albedo * (1 + kx) / x * fn_exp(rows_Q(row, x) - kx);
+}
+
+/* Sets x to the middle of cell number `first` of an axis and of those that follow. */
+static void middles(const struct grid *grid, enum core_surface_axis axis, size_t first,
+                    size_t count, double *x) {
+  for (size_t i = 0; i < count; i++) {
+    const double *node = &grid->nodes[axis][STEPS * (first + i)];
+    x[i] = 0.5 * (node[1] + node[2]);
+  }
+}
+
+/* Returns the largest relative error of a function in the middle of cells, for one row, up to the
+ * reach. */
+static double measure_function(const struct measured *of, enum core_surface_function function,
+                               core_varying_kernel_f64 *kernel) {
+  const rows_row *row = of->row;
+  const enum core_surface_axis axis = shapes[function].columns;
+  const float *far = &of->words[CORE_SURFACE_FAR];
+  const double reach = 1 / ((double)far[0] + row->s * ((double)far[1] + row->s * (double)far[2]));
+  double sigma_a[MEASURED], sigma_s[MEASURED], x[MEASURED], found[MEASURED];
+  double worst = 0;
+  for (size_t i = 0; i < MEASURED; i++) {
+    sigma_a[i] = row->s * row->s;
+    sigma_s[i] = row->albedo / of->shared[LANES_SCATTER];
+  }
+  const size_t cells = cells_of(of->words, axis);
+  for (size_t begin = 0; begin < cells; begin += MEASURED) {
+    const size_t count = cells - begin < MEASURED ? cells - begin : MEASURED;
+    middles(of->grid, axis, begin, count, x);
+    if (function == CORE_SURFACE_X_OF_REST) {
+      for (size_t i = 0; i < count; i++) {
+        x[i] = 1 - x[i];
+      }
+    }
+    kernel(of->shared, of->wide, count, sigma_a, sigma_s, x, found);
+    for (size_t i = 0; i < count; i++) {
+      const double exact = function == CORE_SURFACE_Q        ? row_R(row, x[i])
+                           : function == CORE_SURFACE_CDF    ? rows_cdf(row, x[i])
+                           : function == CORE_SURFACE_X_OF_U ? rows_radius(row, x[i])
+                                                             : rows_radius_of_rest(row, 1 - x[i]);
+      const double r = axis == CORE_SURFACE_RADIUS ? x[i] : exact;
+      worst = r <= reach ? fmax(worst, fabs(found[i] / exact - 1)) : worst;
+    }
+  }
+  return worst;
+}
+
+/* Returns the largest error of all functions for one row. */
+static double measure_row(const struct measured *of, const core_kernels_f64 *kernels) {
+  double worst = 0;
+  for (int i = 0; i <= CORE_SURFACE_X_OF_REST; i++) {
+    core_varying_kernel_f64 *kernel = i == CORE_SURFACE_Q ? kernels->varying[CORE_ELEMENTWISE_R]
+                                      : i == CORE_SURFACE_CDF
+                                          ? kernels->varying[CORE_ELEMENTWISE_CDF]
+                                          : kernels->varying_sample;
+    worst = fmax(worst, measure_function(of, i, kernel));
+  }
+  return worst;
+}
+
+/* ---- all words ------------------------------------------------------------------------------- */
+
+/* Sets the words of the reach, such that it is nowhere beyond that of core_transport_reach(). */
+static void put_far(const core_surface_inputs *inputs, const struct grid *grid, float *words) {
+  double far[3] = {0}, slack = 1 + 0x1p-20; /* for rounding to single precision */
+  for (int power = 0; power < 3; power++) {
+    for (int i = 0; i <= 64; i++) {
+      const double s = i / 64.0 * 0.995;
+      const core_medium medium = {s * s, (1 - s) * (1 + s) / (1 - inputs->g), inputs->g,
+                                  inputs->eta};
+      const double wanted = slack / core_transport_reach(&medium).most_mm;
+      const double rest = wanted - (far[0] + s * (far[1] + s * far[2]));
+      if ((power == 0 && i == 0) || (power == 1 && i > 0 && i <= 40) || (power == 2 && i > 0)) {
+        far[power] += fmax(rest, 0) / (power == 0 ? 1 : power == 1 ? s : s * s);
+      }
+    }
+    words[CORE_SURFACE_FAR + power] = (float)(far[power] * slack);
+  }
+  (void)grid;
+}
+
+/* Number of points of both axes of albedos. */
+static size_t rows_of(const float *words) {
+  return nodes_of(words, CORE_SURFACE_S) + nodes_of(words, CORE_SURFACE_W);
+}
+
+static void free_grid(struct grid *grid) {
+  for (int i = 0; i < CORE_SURFACE_AXES; i++) {
+    free(grid->nodes[i]);
+  }
+  for (int i = 0; i < CORE_SURFACE_FUNCTIONS; i++) {
+    free(grid->values[i]);
+  }
+}
+
+static bool make_grid(const float *words, struct grid *grid) {
+  bool good = true;
+  *grid = (struct grid){{NULL}, {NULL}};
+  for (int i = 0; i < CORE_SURFACE_COLOUR; i++) {
+    grid->nodes[i] = malloc(nodes_of(words, i) * sizeof(double));
+    good = good && grid->nodes[i] != NULL;
+  }
+  for (int i = 0; i <= CORE_SURFACE_TOTAL; i++) {
+    const size_t columns =
+        shapes[i].columns == CORE_SURFACE_AXES ? 1 : nodes_of(words, shapes[i].columns);
+    grid->values[i] = malloc(rows_of(words) * columns * sizeof(double));
+    good = good && grid->values[i] != NULL;
+  }
+  for (int i = 0; good && i < CORE_SURFACE_COLOUR; i++) {
+    axis_nodes(words, i, grid->nodes[i]);
+  }
+  return good;
+}
+
+/* Fills the rows of an axis of albedos; `first` is the number of the first one. */
+static void fill_rows(const rows *all, const float *words, const struct grid *grid,
+                      enum core_surface_axis axis, size_t first, rows_row *row) {
+  for (size_t i = 0; i < nodes_of(words, axis); i++) {
+    const double node = grid->nodes[axis][i];
+    const bool by_s = axis == CORE_SURFACE_S;
+    /* Rows far below the least albedo only fill up the first octave. */
+    const double w = fmax(by_s ? 1 - node : node, 0.95 * rows_w_least(all));
+    rows_fill(all, by_s ? node : 1 - w, w, row);
+    set_values(words, grid, row, first + i);
+  }
+}
+
+/* Returns the largest error in the middle of cells of both axes of albedos. */
+static double measure(const core_surface_inputs *inputs, const rows *all, const float *words,
+                      size_t count, const struct grid *grid, rows_row *row) {
+  double *wide = core_surface_widen(words, count);
+  const struct measured of = {inputs->shared, words, wide, grid, row};
+  const core_kernels_f64 *kernels = core_isa_surface_kernels(inputs->isa)->f64;
+  double worst = wide != NULL ? 0 : (double)INFINITY;
+  for (int axis = CORE_SURFACE_S; wide != NULL && axis <= CORE_SURFACE_W; axis++) {
+    for (size_t i = 0; i < cells_of(words, axis); i++) {
+      const double middle =
+          0.5 * (grid->nodes[axis][STEPS * i + 1] + grid->nodes[axis][STEPS * i + 2]);
+      const double w = axis == CORE_SURFACE_S ? 1 - middle : middle;
+      if (w >= rows_w_least(all)) {
+        rows_fill(all, axis == CORE_SURFACE_S ? middle : 1 - middle, w, row);
+        worst = fmax(worst, measure_row(&of, kernels));
+      }
+    }
+  }
+  free(wide);
+  return worst;
+}
+
+static void put_all_colours(const rows *all, const double *shared, float *words, size_t *at) {
+  for (int light = 0; light < (all != NULL ? CORE_LIGHTS : 1); light++) {
+    const struct albedos albedos = {all != NULL ? transport_albedo : dipole_albedo, shared, all,
+                                    light};
+    const double most = all != NULL ? 1 : dipole_albedo(&albedos, 0, 1);
+    put_colours(&albedos, most, words, at);
+    if (all != NULL) {
+      const double w = rows_w_least(all);
+      words[CORE_SURFACE_COLOUR_LEAST + light] = (float)(transport_albedo(&albedos, 1 - w, w));
+    }
+  }
+}
+
+/* Makes the words of a surface, from a header that holds the axes. */
+static core_fault build_surface(const core_surface_inputs *inputs, const rows *all, rows_row *row,
+                                const float *header, float **words, size_t *count) {
+  struct grid grid;
+  *count = CORE_SURFACE_PATCHES;
+  for (int i = 0; i < CORE_SURFACE_FUNCTIONS; i++) {
+    *count += words_of(header, i);
+  }
   *words = calloc(*count, sizeof **words);
+  if (!make_grid(header, &grid) || *words == NULL) {
+    free_grid(&grid);
+    free(*words);
+    return CORE_OUT_OF_MEMORY;
+  }
+  memcpy(*words, header, CORE_SURFACE_PATCHES * sizeof *header);
+  put_kappa(all, *words);
+  put_far(inputs, &grid, *words);
+  fill_rows(all, *words, &grid, CORE_SURFACE_S, 0, row);
+  fill_rows(all, *words, &grid, CORE_SURFACE_W, nodes_of(header, CORE_SURFACE_S), row);
+  size_t at = CORE_SURFACE_PATCHES;
+  put_functions(&grid, *words, &at);
+  put_all_colours(all, NULL, *words, &at);
+  (*words)[CORE_SURFACE_SCATTERED_LEAST] =
+      (float)(rows_w_least(all) * (2 - rows_w_least(all)) * (1 + 0x1p-20));
+  (*words)[CORE_SURFACE_ERROR] = (float)measure(inputs, all, *words, *count, &grid, row);
+  free_grid(&grid);
+  return (core_fault){0};
+}
+
+/* Makes surfaces with more and more cells until one is within the tolerance. */
+static core_fault build_transport(const core_surface_inputs *inputs, float *header, float **words,
+                                  size_t *count) {
+  const transport_table *table = transport_table_shipped();
+  if (table == NULL || !transport_table_covers(table, 0.5, inputs->g, inputs->eta)) {
+    return (core_fault){"eta", "0.7 to 2.2 if media vary", 0};
+  }
+  rows *all = rows_create(table, inputs->g, inputs->eta, inputs->tolerance);
+  rows_row *row = malloc(sizeof *row);
+  core_fault fault = all == NULL || row == NULL ? CORE_OUT_OF_MEMORY : (core_fault){0};
+  int level = inputs->tolerance < 3e-4;
+  bool good = false;
+  while (fault.field == NULL && !good) {
+    lay_axes(header, level);
+    fault = build_surface(inputs, all, row, header, words, count);
+    good = fault.field == NULL && (double)(*words)[CORE_SURFACE_ERROR] <= inputs->tolerance;
+    level++;
+    if (fault.field == NULL && !good && level == LEVELS) {
+      fault = (core_fault){"tolerance", "a larger one, for transport with this g", 0};
+    }
+    if (fault.field == NULL && !good) {
+      free(*words);
+    }
+  }
+  rows_free(all);
+  free(row);
+  return fault;
+}
+
+core_fault core_surface_build(const core_surface_inputs *inputs, float **words, size_t *count) {
+  float header[CORE_SURFACE_PATCHES] = {0};
+  put_integer(header, CORE_SURFACE_VERSION_WORD, CORE_SURFACE_VERSION);
+  lay_colour_axes(header);
+  if (inputs->is_transport) {
+    return build_transport(inputs, header, words, count);
+  }
+  *count = CORE_SURFACE_PATCHES + COLOUR_WORDS / CORE_LIGHTS;
+  *words = malloc(*count * sizeof **words);
   if (*words == NULL) {
     return CORE_OUT_OF_MEMORY;
   }
+  memcpy(*words, header, sizeof header);
   size_t at = CORE_SURFACE_PATCHES;
-  put_integer(*words, CORE_SURFACE_VERSION_WORD, CORE_SURFACE_VERSION);
-  lay_colour_axes(*words);
-  const struct albedos albedos = {dipole_albedo, inputs->shared, NULL, CORE_LIGHT_BEAM};
-  put_colours(&albedos, dipole_albedo(&albedos, 0, 1), *words, &at);
-  *count = at;
+  put_all_colours(NULL, inputs->shared, *words, &at);
   return (core_fault){0};
+}
+
+double *core_surface_widen(const float *words, size_t count) {
+  double *wide = malloc(count * sizeof *wide);
+  for (size_t i = 0; wide != NULL && i < count; i++) {
+    const bool integer = i < CORE_SURFACE_LEAST ||
+                         (i >= CORE_SURFACE_CELLS && i < CORE_SURFACE_KAPPA) ||
+                         (i >= CORE_SURFACE_ENTRIES && i < CORE_SURFACE_PATCHES);
+    const int64_t bits = (int64_t)integer_at(words, i);
+    if (integer) {
+      memcpy(&wide[i], &bits, sizeof bits);
+    } else {
+      wide[i] = (double)words[i];
+    }
+  }
+  return wide;
 }
 
 /* ---- checking -------------------------------------------------------------------------------- */
@@ -213,34 +664,6 @@ static bool axis_good(const float *words, enum core_surface_axis axis, size_t mo
     cells += good ? (size_t)1 << (entry & 31) : 0;
   }
   return good && cells == cells_of(words, axis) && cells <= most_cells;
-}
-
-/* The axes of each function; the first two share their rows. */
-static const struct {
-  bool of_transport;
-  bool has_rows;
-  enum core_surface_axis columns;
-} shapes[CORE_SURFACE_FUNCTIONS] = {
-    [CORE_SURFACE_Q] = {true, true, CORE_SURFACE_RADIUS},
-    [CORE_SURFACE_CDF] = {true, true, CORE_SURFACE_RADIUS},
-    [CORE_SURFACE_X_OF_U] = {true, true, CORE_SURFACE_U},
-    [CORE_SURFACE_X_OF_REST] = {true, true, CORE_SURFACE_REST},
-    [CORE_SURFACE_TOTAL] = {true, true, CORE_SURFACE_AXES},
-    [CORE_SURFACE_W_OF_COLOUR + CORE_LIGHT_BEAM] = {false, false, CORE_SURFACE_COLOUR},
-    [CORE_SURFACE_W_OF_COLOUR + CORE_LIGHT_DIFFUSE] = {true, false, CORE_SURFACE_COLOUR},
-    [CORE_SURFACE_S_OF_REST + CORE_LIGHT_BEAM] = {false, false, CORE_SURFACE_COLOUR_REST},
-    [CORE_SURFACE_S_OF_REST + CORE_LIGHT_DIFFUSE] = {true, false, CORE_SURFACE_COLOUR_REST},
-};
-
-/* Returns the number of words of a function. */
-static size_t words_of(const float *words, enum core_surface_function function) {
-  const size_t rows = shapes[function].has_rows
-                          ? cells_of(words, CORE_SURFACE_S) + cells_of(words, CORE_SURFACE_W)
-                          : 1;
-  const bool line = !shapes[function].has_rows || shapes[function].columns == CORE_SURFACE_AXES;
-  const size_t columns =
-      shapes[function].columns == CORE_SURFACE_AXES ? 1 : cells_of(words, shapes[function].columns);
-  return rows * columns * (line ? CORE_SURFACE_TERMS : CORE_SURFACE_TERMS * CORE_SURFACE_TERMS);
 }
 
 core_fault core_surface_check(const float *words, size_t count, bool is_transport) {

@@ -87,9 +87,16 @@ static void share(core_varying *varying, enum family family, int variant,
   }
 }
 
-/* Sets the numbers that the words hold. */
-static void share_words(core_varying *varying) {
+/* Sets what follows from the words. */
+static core_fault share_words(core_varying *varying) {
   const float *words = varying->words;
+  if (varying->evaluator == CORE_EVALUATOR_F64) {
+    varying->wide_words = core_surface_widen(words, varying->words_count);
+    if (varying->wide_words == NULL) {
+      core_varying_free(varying);
+      return CORE_OUT_OF_MEMORY;
+    }
+  }
   double *shared = varying->shared.f64;
   if (words[CORE_SURFACE_SCATTERED_LEAST] > 0) {
     shared[LANES_SCATTERED_LEAST] = (double)words[CORE_SURFACE_SCATTERED_LEAST];
@@ -113,6 +120,7 @@ static void share_words(core_varying *varying) {
   for (int i = 0; i < CORE_VARYING_SHARED_MAX; i++) {
     varying->shared.f32[i] = (float)shared[i];
   }
+  return (core_fault){0};
 }
 
 static core_fault check(unsigned model, unsigned moments, unsigned evaluator, double g, double eta,
@@ -122,8 +130,8 @@ static core_fault check(unsigned model, unsigned moments, unsigned evaluator, do
   if (fault.field != NULL) {
     return fault;
   }
-  if (family == NONE || family == TRANSPORT) {
-    return (core_fault){"model", "a dipole or Burley's profile if media vary", 0};
+  if (family == NONE) {
+    return (core_fault){"model", "a dipole, Burley's profile or transport if media vary", 0};
   }
   if (evaluator == CORE_EVALUATOR_LUT) {
     return (core_fault){"evaluator", "f64 or f32 if media vary", 0};
@@ -181,10 +189,7 @@ core_fault core_varying_prepare(core_varying *varying, const core_isa *isa, unsi
       .shared = varying->shared.f64,
   };
   fault = core_surface_build(&inputs, &varying->words, &varying->words_count);
-  if (fault.field == NULL) {
-    share_words(varying);
-  }
-  return fault;
+  return fault.field == NULL ? share_words(varying) : fault;
 }
 
 core_fault core_varying_open(core_varying *varying, const core_isa *isa, unsigned model,
@@ -206,17 +211,19 @@ core_fault core_varying_open(core_varying *varying, const core_isa *isa, unsigne
     return CORE_OUT_OF_MEMORY;
   }
   memcpy(varying->words, words, count * sizeof *words);
-  share_words(varying);
-  return (core_fault){0};
+  return share_words(varying);
 }
 
 void core_varying_free(core_varying *varying) {
   free(varying->words);
+  free(varying->wide_words);
   varying->words = NULL;
+  varying->wide_words = NULL;
 }
 
 size_t core_varying_bytes(const core_varying *varying) {
-  return varying->words_count * sizeof *varying->words;
+  const size_t wide = varying->wide_words != NULL ? sizeof *varying->wide_words : 0;
+  return varying->words_count * (sizeof *varying->words + wide);
 }
 
 /* ---- checking -------------------------------------------------------------------------------- */
@@ -298,15 +305,15 @@ void core_varying_eval_f64(const core_varying *varying, enum core_quantity quant
                            const double *sigma_a, const double *sigma_s, const double *r,
                            double *out) {
   assert(varying->evaluator == CORE_EVALUATOR_F64);
-  varying->kernels->f64->varying[position(quantity)](varying->shared.f64, varying->words, n,
+  varying->kernels->f64->varying[position(quantity)](varying->shared.f64, varying->wide_words, n,
                                                      sigma_a, sigma_s, r, out);
 }
 
 void core_varying_sample_f64(const core_varying *varying, size_t n, const double *sigma_a,
                              const double *sigma_s, const double *u, double *r) {
   assert(varying->evaluator == CORE_EVALUATOR_F64);
-  varying->kernels->f64->varying_sample(varying->shared.f64, varying->words, n, sigma_a, sigma_s, u,
-                                        r);
+  varying->kernels->f64->varying_sample(varying->shared.f64, varying->wide_words, n, sigma_a,
+                                        sigma_s, u, r);
 }
 
 /* Evaluates in double precision and rounds. `below_1`: whether a value below 1 must stay so. */
@@ -321,7 +328,7 @@ static void widely(const core_varying *varying, core_varying_kernel_f64 *kernel,
       wide[1][i] = (double)sigma_s[done + i];
       wide[2][i] = (double)in[done + i];
     }
-    kernel(varying->shared.f64, varying->words, count, wide[0], wide[1], wide[2], wide[3]);
+    kernel(varying->shared.f64, varying->wide_words, count, wide[0], wide[1], wide[2], wide[3]);
     for (size_t i = 0; i < count; i++) {
       const float rounded = (float)wide[3][i];
       out[done + i] = below_1 && wide[3][i] < 1 && rounded >= 1 ? 1 - FLT_EPSILON / 2 : rounded;
@@ -367,7 +374,7 @@ core_fault core_colour_check(const core_varying *varying, const core_colour *wha
   return (core_fault){0};
 }
 
-#define DEFINE_INVERT(type, bits)                                                                  \
+#define DEFINE_INVERT(type, bits, table)                                                           \
   void core_varying_invert_##bits(const core_varying *varying, const core_colour *what, size_t n,  \
                                   const type *colour, const type *length_mm, type *sigma_a,        \
                                   type *sigma_s, type *albedo, uint8_t *status) {                  \
@@ -376,11 +383,11 @@ core_fault core_colour_check(const core_varying *varying, const core_colour *wha
     for (size_t done = 0; done < n; done += CHUNK) {                                               \
       const size_t count = n - done < CHUNK ? n - done : CHUNK;                                    \
       varying->check_kernels->bits->varying_invert(                                                \
-          varying->shared.bits, varying->words, what, count, colour + done, length_mm + done,      \
+          varying->shared.bits, varying->table, what, count, colour + done, length_mm + done,      \
           sigma_a + done, sigma_s + done, albedo != NULL ? albedo + done : unwanted,               \
           status + done);                                                                          \
     }                                                                                              \
   }
 
-DEFINE_INVERT(double, f64)
-DEFINE_INVERT(float, f32)
+DEFINE_INVERT(double, f64, wide_words)
+DEFINE_INVERT(float, f32, words)

@@ -1,0 +1,57 @@
+/* rows: the rows of a surface, each one medium of `transport` from the table of solutions: Q, the cdf
+ * and the radius for a cdf (core/varying/surface.h). Lengths are in mean free paths. */
+#ifndef DIPOLED_CORE_VARYING_ROWS_H
+#define DIPOLED_CORE_VARYING_ROWS_H
+
+#include "core/transport/table.h"
+
+enum {
+  ROWS_FIRST = -20, /* octaves of x with a series each; below, x R is constant */
+  ROWS_END = 14,
+  ROWS_FAR_END = 40, /* the energy is summed to here */
+  ROWS_OCTAVES = ROWS_FAR_END - ROWS_FIRST,
+  ROWS_TERMS = 12 /* of a series in an octave */
+};
+
+typedef struct rows_row {
+  double s, w; /* w = 1 - s */
+  double albedo;
+  double kappa;
+  double total;
+  double total_diffuse;
+  double Q[ROWS_OCTAVES][ROWS_TERMS];      /* with the exact kappa: Chebyshev series */
+  double within[ROWS_OCTAVES][ROWS_TERMS]; /* energy within, from the octave's begin: likewise */
+  double before[ROWS_OCTAVES + 1];         /* energy below the octave, per total */
+  double beyond[ROWS_OCTAVES + 1];         /* energy from the octave's begin on, per total */
+} rows_row;
+
+/* What all rows of one g and eta share. */
+typedef struct rows rows;
+
+/* Creates rows whose R has a relative error against the table that is far below the tolerance.
+ * Returns NULL if memory runs out. The table has to cover g and eta (asserted). The caller frees the
+ * rows with rows_free(), which accepts NULL. */
+rows *rows_create(const transport_table *table, double g, double eta, double tolerance);
+void rows_free(rows *all);
+
+/* The least w = 1 - sqrt(1 - albedo) whose albedo the table covers. Rows a little below it are
+ * extrapolated, as are those of s below that of the table's largest albedo. */
+double rows_w_least(const rows *all);
+
+/* Sets *row to that of s = sqrt(sigma_a / sigma_t') and w = 1 - s, which both are given since one of
+ * them may be small. s: 0 to 1. */
+void rows_fill(const rows *all, double s, double w, rows_row *row);
+
+/* Returns the energy that leaves per power that has entered, of a beam or of diffuse light. */
+transport_slice_sums rows_totals(const rows *all, double s, double w);
+
+/* Returns kappa / s. */
+double rows_kappa_per_s(const rows *all, double s, double w);
+
+/* Return Q and the cdf at x, and the radius whose cdf is u, or 1 - rest. */
+double rows_Q(const rows_row *row, double x);
+double rows_cdf(const rows_row *row, double x);
+double rows_radius(const rows_row *row, double u);
+double rows_radius_of_rest(const rows_row *row, double rest);
+
+#endif
