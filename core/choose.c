@@ -148,6 +148,10 @@ static void set_numerical_error(core_candidate *candidate, const struct cost *co
     candidate->numerical_tolerance = fmax(share - floor, cost->tolerance_least);
     candidate->numerical_error = candidate->numerical_tolerance + floor;
   }
+  const bool slope = (request->wanted & CORE_QUANTITY_SLOPE) != 0;
+  if (slope && cost->model == CORE_MODEL_TRANSPORT && cost->evaluator == CORE_EVALUATOR_LUT) {
+    candidate->numerical_error = fmax(candidate->numerical_error, core_transport_slope_error());
+  }
   candidate->numerical_error += logarithm_error(request) + added_error(cost, request);
 }
 

@@ -298,6 +298,7 @@ typedef struct core_profile {
    * albedo. None is larger than numerical_error, and all are equal to it unless the model is
    * `transport` and g is not 0. Below the first band and above the last one, their errors hold. */
   double numerical_errors[CORE_MODEL_ERROR_BANDS + 1];
+  double slope_error; /* the relative error of dR/dr, if it is larger than these; else 0 */
   core_reach reach;
   core_model_errors model_errors;
   unsigned notes;         /* bits of enum core_note */

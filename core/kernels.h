@@ -135,6 +135,7 @@ typedef struct core_preparation {
   double albedo;
   double error;            /* numerical error of all values, relative */
   core_added_errors added; /* further error by band of radii, 0 for every model but transport */
+  double slope_error;      /* numerical error of dR/dr if it is larger than error, else 0 */
   double error_epsilons;   /* further error, in epsilons of the evaluator */
   double error_epsilons_per_mm; /* further error for each mm of r, in epsilons */
   double cost;                  /* see core_profile */
@@ -149,6 +150,10 @@ typedef struct core_preparation {
  * faults that show only in preparing. */
 typedef core_fault core_check_function(const core_inputs *inputs, core_radii_range *radii);
 typedef core_fault core_prepare_function(const core_inputs *inputs, core_preparation *preparation);
+
+/* Returns the relative error of dR/dr of the model `transport` where it comes from the table of
+ * solutions for g = 0, as it does with the evaluator lut. */
+double core_transport_slope_error(void);
 
 /* Returns the reach of the model `transport` for a medium that scatters. */
 core_reach core_transport_reach(const core_medium *medium);

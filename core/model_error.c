@@ -470,8 +470,9 @@ core_stated_errors core_profile_errors(const core_profile *profile, unsigned wan
   const double most_mm = (wanted & FOLLOWS_R) != 0 ? radii.most_mm : 0;
   const double numerical = core_banded_error(profile->numerical_errors, profile->numerical_error,
                                              &profile->medium, wanted, radii);
+  const double slope = (wanted & CORE_QUANTITY_SLOPE) != 0 ? profile->slope_error : 0;
   return (core_stated_errors){
-      .numerical = numerical + core_error_beyond(profile->reach, most_mm) +
+      .numerical = fmax(numerical, slope) + core_error_beyond(profile->reach, most_mm) +
                    ((wanted & CORE_QUANTITY_S) != 0 ? CORE_S_ERROR : 0) +
                    ((wanted & CORE_QUANTITY_TRANSFER) != 0 ? CORE_TRANSFER_ERROR : 0),
       .numerical_per_mm = profile->numerical_error_per_mm,

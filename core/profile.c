@@ -212,6 +212,7 @@ static core_fault prepare_model(core_profile *profile, const struct model *model
                        preparation.error + preparation.error_epsilons * epsilon +
                            (single && wide ? (double)FLT_EPSILON : 0),
                        &preparation.added);
+  profile->slope_error = preparation.slope_error > 0 ? preparation.slope_error + epsilon : 0;
   profile->numerical_error_per_mm = preparation.error_epsilons_per_mm * epsilon;
   profile->reach = preparation.reach;
   profile->notes = preparation.notes;
@@ -309,6 +310,7 @@ static core_fault build_table(core_profile *profile, const struct model *model, 
     for (size_t i = 0; i <= CORE_MODEL_ERROR_BANDS; i++) {
       profile->numerical_errors[i] = own + source->numerical_errors[i];
     }
+    profile->slope_error = source->slope_error > 0 ? source->slope_error + rounding : 0;
     profile->numerical_error_per_mm = source->numerical_error_per_mm;
   }
   return fault;

@@ -560,6 +560,11 @@ static double error_of_slope(const transport_table *table) {
   return isotropic_error(table) * TABLE_SLOPE;
 }
 
+double core_transport_slope_error(void) {
+  const transport_table *table = transport_table_shipped();
+  return table != NULL ? error_of_slope(table) : 0;
+}
+
 static core_fault look_up(const core_inputs *inputs, double albedo, double g,
                           const transport_table *table, core_preparation *preparation) {
   transport_series series;
@@ -569,6 +574,7 @@ static core_fault look_up(const core_inputs *inputs, double albedo, double g,
   preparation->albedo = series.total;
   const bool as_R = source.joined || inputs->tabulated > 0;
   preparation->error = as_R ? error_of_R(table, inputs->medium->eta) : error_of_slope(table);
+  preparation->slope_error = source.joined ? 0 : error_of_slope(table);
   return fill(inputs, &source, 1, preparation);
 }
 

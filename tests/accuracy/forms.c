@@ -29,8 +29,9 @@ static const struct formula *formula_of(unsigned model) {
 }
 
 enum form_family form_family_of(unsigned model) {
-  static const char *const names[] = {"dipole",    "extended", "",             "single",    "burley",
-                                      "gaussians", "cloud",    "gaussian_fit", "transport", "sum"};
+  static const char *const names[] = {"dipole",    "extended",  "",      "single",
+                                      "burley",    "gaussians", "cloud", "gaussian_fit",
+                                      "transport", "sum"};
   if (model == CORE_MODEL_QUANTIZED) {
     return FORM_QUANTIZED;
   }
@@ -501,7 +502,8 @@ static bool is_wide(const core_profile *profile, int quantity) {
 quad form_allowed(const core_profile *profile, int quantity, double r, quad size) {
   const quad epsilon = is_wide(profile, quantity) ? (quad)DBL_EPSILON : (quad)FLT_EPSILON;
   const quad per_mm = (quad)profile->numerical_error_per_mm;
-  const quad relative = (quad)profile->numerical_error +
+  const double slope = quantity == CORE_ELEMENTWISE_SLOPE ? profile->slope_error : 0;
+  const quad relative = (quad)fmax(profile->numerical_error, slope) +
                         (quantity == CORE_ELEMENTWISE_S ? (quad)CORE_S_ERROR : 0) +
                         (quantity == FORM_ALBEDO || isinf(r) ? 0 : per_mm * (quad)r);
   return quantity == CORE_ELEMENTWISE_LN_R ? relative + 8 * epsilon * size : relative * size;

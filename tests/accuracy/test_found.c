@@ -394,3 +394,33 @@ UNIT_TEST(transport_between_the_albedos_of_its_table) {
     core_profile_free(&profile);
   }
 }
+
+/* dR/dr of transport by table is that of the stored solutions, whose slopes are less exact than their
+ * values, whatever the tolerance of the table. */
+UNIT_TEST(slopes_beside_a_table_have_an_error_of_their_own) {
+  const core_medium medium = {9.8273266432665927e-05, 2.2953981017321046, 0, 2.08};
+  const float r_f32 = 0.51388126611709595F;
+  const double r = (double)r_f32;
+  for (double tolerance = 1e-5; tolerance < 1e-3; tolerance *= 2) {
+    core_parameters parameters = core_parameters_none();
+    core_profile lut, exact;
+    float slope;
+    double truth;
+    parameters.value[CORE_PARAMETER_TOLERANCE] = tolerance;
+    unit_assert_fault(core_profile_prepare(&lut, core_isa_select(NULL), CORE_MODEL_TRANSPORT, 4,
+                                           CORE_EVALUATOR_LUT, &medium, &parameters),
+                      NULL, 0);
+    parameters.value[CORE_PARAMETER_TOLERANCE] = 1e-8;
+    unit_assert_fault(core_profile_prepare(&exact, core_isa_select(NULL), CORE_MODEL_TRANSPORT, 4,
+                                           CORE_EVALUATOR_F64, &medium, &parameters),
+                      NULL, 0);
+    core_eval_f32(&lut, CORE_QUANTITY_SLOPE, 1, &r_f32, &slope);
+    core_eval_f64(&exact, CORE_QUANTITY_SLOPE, 1, &r, &truth);
+    const core_radii_range radii = {r, r};
+    const double stated = core_profile_errors(&lut, CORE_QUANTITY_SLOPE, radii).numerical;
+    assert_true(fabs((double)slope / truth - 1) <= stated + 1e-8);
+    assert_true(core_profile_errors(&lut, CORE_QUANTITY_R, radii).numerical <= tolerance);
+    core_profile_free(&lut);
+    core_profile_free(&exact);
+  }
+}
