@@ -63,6 +63,7 @@ UV_LIBS = $(shell $(PKG_CONFIG) --libs libuv)
 HTTP_CFLAGS = $(shell $(PKG_CONFIG) --cflags libmicrohttpd)
 MODBUS_CFLAGS = $(shell $(PKG_CONFIG) --cflags libmodbus)
 MODBUS_LIBS = $(shell $(PKG_CONFIG) --libs libmodbus)
+JSON_LIBS = $(shell $(PKG_CONFIG) --libs jansson)
 # What core's preparation uses. The archives' members are taken as needed, so that the client library
 # does without.
 # CMINPACK=no builds without the model `gaussians`.
@@ -184,12 +185,12 @@ $(BUILD)/libdipole.so: $(BUILD)/libdipole.so.$(VERSION)
 
 $(BUILD)/dipoled: $(SERVER) $(BUILD)/libproto.a $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(UV_LIBS) $(MODBUS_LIBS) $(CORE_LIBS) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(UV_LIBS) $(MODBUS_LIBS) $(JSON_LIBS) $(CORE_LIBS) -lm
 
 # The same, and a test can see how often it takes memory from the heap.
 $(BUILD)/dipoled-counting: $(SERVER) $(OBJ)/tests/e2e/count_allocations.o $(BUILD)/libproto.a $(BUILD)/libcore.a
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc -o $@ $^ $(UV_LIBS) $(MODBUS_LIBS) $(CORE_LIBS) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc -o $@ $^ $(UV_LIBS) $(MODBUS_LIBS) $(JSON_LIBS) $(CORE_LIBS) -lm
 
 $(BUILD)/dipole: $(CLI) $(BUILD)/libdipole.a
 	$(call SAY,LD,$@)
@@ -231,7 +232,7 @@ FUZZED := $(filter-out $(call objects,server/main.c clients/cli/main.c),$(SERVER
 $(FUZZ): EXTRA_CPPFLAGS = $(UV_CFLAGS) $(MODBUS_CFLAGS)
 $(BUILD)/fuzz: $(FUZZ) $(FUZZED) $(BUILD)/libdipole.a
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -fsanitize=fuzzer -o $@ $^ $(UV_LIBS) $(MODBUS_LIBS) $(CORE_LIBS) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -fsanitize=fuzzer -o $@ $^ $(UV_LIBS) $(MODBUS_LIBS) $(JSON_LIBS) $(CORE_LIBS) -lm
 
 $(BUILD)/tests/%: $(OBJ)/tests/%.o $(TEST_SUPPORT) $(BUILD)/libdipole.a
 	@mkdir -p $(@D)

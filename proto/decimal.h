@@ -1,8 +1,9 @@
-/* decimal: writes numbers as the shortest decimals that read back to the same bits, for texts such
- * as CSV and JSON. */
+/* decimal: reads decimal numbers strictly, and writes numbers as the shortest decimals that read back
+ * to the same bits, for texts such as CSV and JSON. */
 #ifndef DIPOLED_PROTO_DECIMAL_H
 #define DIPOLED_PROTO_DECIMAL_H
 
+#include <stdbool.h>
 #include <stddef.h>
 
 enum { DECIMAL_BYTES = 32 };
@@ -16,5 +17,10 @@ size_t decimal_write(double value, char text[DECIMAL_BYTES]);
 
 /* The same for the shortest decimal that reads back to the same float: 0.1 for 0.1f. */
 size_t decimal_write_single(float value, char text[DECIMAL_BYTES]);
+
+/* Reads a whole text as a decimal number, inf, infinity or nan, in the notation of the C locale. No
+ * spaces, no hexadecimal. Returns false also when the number is finite but beyond the range of
+ * doubles. */
+bool decimal_read(const char *text, double *value);
 
 #endif

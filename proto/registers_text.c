@@ -159,7 +159,7 @@ static void describe_list(const struct description *to, const char *name, const 
 static void describe_errors(const struct description *to) {
   title(to, "Errors", "error | name | exception | meaning");
   char row[ROW_BYTES];
-#define WIRE_STATUS(code, IDENT, modbus_exception, name, text)                                     \
+#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \
   snprintf(row, sizeof row, "| %d | %s | %02x | %s |\n", code, name, (unsigned)(modbus_exception), \
            text);                                                                                  \
   to->print(to->context, row);

@@ -142,7 +142,7 @@ wire_error wire_header_check(const wire_header *header, uint64_t max_payload_byt
 
 const char *wire_status_name(unsigned status) {
   switch (status) {
-#define WIRE_STATUS(code, IDENT, modbus_exception, name, text)                                     \
+#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \
   case code:                                                                                       \
     return name;
 #include "proto/statuses.def"
@@ -154,13 +154,25 @@ const char *wire_status_name(unsigned status) {
 
 const char *wire_status_text(unsigned status) {
   switch (status) {
-#define WIRE_STATUS(code, IDENT, modbus_exception, name, text)                                     \
+#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \
   case code:                                                                                       \
     return text;
 #include "proto/statuses.def"
 #undef WIRE_STATUS
   default:
     return "an error that this version does not know";
+  }
+}
+
+unsigned wire_status_http(unsigned status) {
+  switch (status) {
+#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \
+  case code:                                                                                       \
+    return http;
+#include "proto/statuses.def"
+#undef WIRE_STATUS
+  default:
+    return 500;
   }
 }
 
@@ -199,7 +211,7 @@ wire_error wire_error_not_in_list(const char *field, const core_choice *list, co
 /* ---- the list of choices --------------------------------------------------------------------- */
 
 static const core_choice statuses[] = {
-#define WIRE_STATUS(code, IDENT, modbus_exception, name, text) {code, name, text},
+#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text) {code, name, text},
 #include "proto/statuses.def"
 #undef WIRE_STATUS
     {0, NULL, NULL},
@@ -295,10 +307,10 @@ static void describe_title(struct description *to, const char *name, size_t byte
 }
 
 static void describe_status(struct description *to, int code, const char *ident, int modbus,
-                            const char *name, const char *text) {
+                            int http, const char *name, const char *text) {
   char row[256];
-  snprintf(row, sizeof row, "| %d | %s | %s | %02x | %s |\n", code, ident, name, (unsigned)modbus,
-           text);
+  snprintf(row, sizeof row, "| %d | %s | %s | %02x | %d | %s |\n", code, ident, name,
+           (unsigned)modbus, http, text);
   to->print(to->context, row);
 }
 
@@ -308,10 +320,10 @@ void wire_describe(void (*print)(void *context, const char *text), void *context
   describe_title(&to, #name, WIRE_BYTES_##name, about);                                            \
   WIRE_FIELDS_##name(DESCRIBE_ONE, DESCRIBE_ARRAY, DESCRIBE_TEXT) print(context, "\n");
 #include "proto/messages.def"
-  print(context, "## Statuses\n| code | status | name | Modbus exception | meaning |\n"
-                 "|---|---|---|---|---|\n");
-#define WIRE_STATUS(code, IDENT, modbus_exception, name, text)                                     \
-  describe_status(&to, code, #IDENT, modbus_exception, name, text);
+  print(context, "## Statuses\n| code | status | name | Modbus exception | HTTP | meaning |\n"
+                 "|---|---|---|---|---|---|\n");
+#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \
+  describe_status(&to, code, #IDENT, modbus_exception, http, name, text);
 #include "proto/statuses.def"
 #undef WIRE_STATUS
   print(context, "\n");

@@ -28,7 +28,7 @@ enum wire_type {
 };
 
 enum wire_status {
-#define WIRE_STATUS(code, IDENT, modbus_exception, name, text) WIRE_STATUS_##IDENT = (code),
+#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text) WIRE_STATUS_##IDENT = (code),
 #include "proto/statuses.def"
 #undef WIRE_STATUS
 };
@@ -133,6 +133,9 @@ wire_error wire_header_check(const wire_header *header, uint64_t max_payload_byt
  * not in the list has the name "unknown". */
 const char *wire_status_name(unsigned status);
 const char *wire_status_text(unsigned status);
+
+/* Returns the status of HTTP that stands for a status, for example 429 for BUSY. */
+unsigned wire_status_http(unsigned status);
 
 /* Returns the name of a message for the type of its request or of its reply. Returns "error" for
  * WIRE_TYPE_ERROR and "unknown" for other types. */

@@ -9,6 +9,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "server/http/service.h"
 #include "server/jobs/mc_pool.h"
 #include "server/modbus/service.h"
 #include "server/net/listener.h"
@@ -33,7 +34,8 @@ struct daemon {
   struct systemd systemd;
   struct listener listeners[SYSTEMD_SOCKETS_MAX + 2 * OPTIONS_LIST_MAX + 2];
   size_t listener_count;
-  struct metrics *metrics; /* NULL without --metrics */
+  struct metrics *metrics;   /* NULL without --metrics */
+  struct http_service *http; /* NULL without --http */
   uint64_t workers_started;
   bool ready; /* whether the daemon has started; if not, it stops without another message */
   bool stopping;
@@ -123,8 +125,9 @@ static bool choose_isa(struct server *server) {
 
 static bool start_workers(struct daemon *daemon) {
   struct server *server = &daemon->server;
-  server->workers = calloc(server->options.workers, sizeof *server->workers);
-  server->latencies = calloc(server->options.workers, sizeof *server->latencies);
+  const uint64_t count = server_worker_count(server);
+  server->workers = calloc(count, sizeof *server->workers);
+  server->latencies = calloc(count, sizeof *server->latencies);
   server->cache = cache_new(server->isa, server->options.cache_bytes,
                             server->options.max_waiting_profiles, &server->stats);
   server->mc = mc_pool_new(server);
@@ -132,7 +135,7 @@ static bool start_workers(struct daemon *daemon) {
       server->mc == NULL) {
     return complain("workers", "out of memory");
   }
-  for (; daemon->workers_started < server->options.workers; daemon->workers_started++) {
+  for (; daemon->workers_started < count; daemon->workers_started++) {
     const int error = worker_start(&server->workers[daemon->workers_started], server);
     if (error != 0) {
       return complain("workers", uv_strerror(error));
@@ -268,6 +271,15 @@ static bool open_metrics(struct daemon *daemon) {
   return address == NULL || daemon->metrics != NULL;
 }
 
+/* Starts to serve HTTP, if --http is given. Its requests run on the last worker. */
+static bool open_http(struct daemon *daemon) {
+  struct server *server = &daemon->server;
+  if (server->options.http != NULL) {
+    daemon->http = http_service_open(server, &server->workers[server->options.workers]);
+  }
+  return server->options.http == NULL || daemon->http != NULL;
+}
+
 /* Sets up Modbus, if --modbus is given. Called before the workers start, because one of them gets
  * the registers. */
 static bool set_up_modbus(struct server *server) {
@@ -324,7 +336,7 @@ static int run(struct daemon *daemon) {
   raise_descriptor_limit();
   set_up_loop(daemon);
   daemon->ready = set_up_modbus(server) && start_workers(daemon) && open_metrics(daemon) &&
-                  open_addresses(daemon) && open_modbus(daemon);
+                  open_addresses(daemon) && open_modbus(daemon) && open_http(daemon);
   if (daemon->ready) {
     log_line(LOG_LEVEL_INFO, "event=ready workers=%llu isa=%s",
              (unsigned long long)server->options.workers, core_isa_name(server->isa));
@@ -335,6 +347,7 @@ static int run(struct daemon *daemon) {
   uv_run(&daemon->loop, UV_RUN_DEFAULT);
   uv_loop_close(&daemon->loop);
   modbus_service_free(server->modbus);
+  http_service_free(daemon->http);
   free(server->workers);
   free(server->latencies);
   cache_free(server->cache);

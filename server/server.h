@@ -22,13 +22,18 @@ struct server {
   _Atomic uint64_t buffer_bytes; /* memory that the buffers of all connections hold */
   uint64_t started_ns;
   _Atomic bool draining;         /* whether the daemon stops and takes no new clients */
-  struct worker *workers;        /* [options.workers] */
-  struct latency *latencies;     /* [options.workers]; each worker writes its own */
+  struct worker *workers;        /* [server_worker_count()] */
+  struct latency *latencies;     /* [server_worker_count()]; each worker writes its own */
   struct cache *cache;           /* prepared profiles */
   struct mc_pool *mc;            /* Monte Carlo jobs */
   struct modbus_service *modbus; /* NULL without --modbus */
   uv_async_t inherited_closed;   /* of main's loop: sent when the connection of --fd has ended */
 };
+
+/* Returns the number of workers: the last one serves HTTP alone, if that is asked for. */
+static inline uint64_t server_worker_count(const struct server *server) {
+  return server->options.workers + (server->options.http != NULL);
+}
 
 /* Takes bytes from the budget of all buffers (--max-total-bytes). If too few bytes are left, takes
  * none and returns false. */

@@ -10,7 +10,7 @@
 
 static unsigned exception_of(enum wire_status status) {
   switch (status) {
-#define WIRE_STATUS(code, IDENT, modbus_exception, name, text)                                     \
+#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \
   case code:                                                                                       \
     return modbus_exception;
 #include "proto/statuses.def"

@@ -82,7 +82,7 @@ static void run_round(struct worker *worker) {
 
 /* ---- all clients ----------------------------------------------------------------------------- */
 
-static void start_client(struct worker *worker, struct client *client) {
+void worker_adopt(struct worker *worker, struct client *client) {
   client->worker = worker;
   LIST_INSERT_HEAD(&worker->clients, client, in_clients);
   client->kind->start(client);
@@ -161,7 +161,7 @@ static void take_from_inbox(struct worker *worker) {
   uv_mutex_unlock(&worker->mutex);
   while (given != NULL) {
     struct client *next = given->next_in_inbox;
-    start_client(worker, given);
+    worker_adopt(worker, given);
     given = next;
   }
   if (stop_wanted && worker->stop_rounds == 0) {

@@ -109,6 +109,8 @@ uint64_t worker_round_ns(struct worker *worker);
 void worker_run_later(struct client *client);
 /* Makes the worker call finish() in this round of the loop, after it has evaluated the batch. */
 void worker_finish_later(struct client *client);
+/* Makes the worker serve a client at once, as worker_give() does from other threads. */
+void worker_adopt(struct worker *worker, struct client *client);
 /* Removes a client that has ended; the worker does not touch it again. */
 void worker_forget(struct client *client);
 /* Makes the worker call deadline() of all clients at the time at_ms of the loop, or a little later.

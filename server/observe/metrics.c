@@ -1,9 +1,6 @@
 #include "server/observe/metrics.h"
 
 #include <dirent.h>
-#include <dlfcn.h>
-#include <errno.h>
-#include <microhttpd.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -11,6 +8,7 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "server/http/library.h"
 #include "server/net/tcp.h"
 #include "server/observe/log.h"
 #include "server/observe/report.h"
@@ -24,46 +22,6 @@ enum {
 
 #define PLAIN "text/plain; charset=utf-8"
 #define EXPOSITION "text/plain; version=0.0.4; charset=utf-8"
-
-/* ---- the library ----------------------------------------------------------------------------- */
-
-/* libmicrohttpd is loaded only if --metrics is given. Linking it would cost every daemon 2 ms of
- * its start and 2.7 MB, together with the TLS library that it needs. */
-
-/* HTTP_FUNCTION(name) for each function of the library that this file uses. */
-#define HTTP_FUNCTIONS                                                                             \
-  HTTP_FUNCTION(start_daemon)                                                                      \
-  HTTP_FUNCTION(stop_daemon)                                                                       \
-  HTTP_FUNCTION(create_response_from_buffer)                                                       \
-  HTTP_FUNCTION(add_response_header)                                                               \
-  HTTP_FUNCTION(queue_response)                                                                    \
-  HTTP_FUNCTION(destroy_response)
-
-struct http {
-#define HTTP_FUNCTION(name) __typeof__(&MHD_##name) name;
-  HTTP_FUNCTIONS
-#undef HTTP_FUNCTION
-};
-
-/* The version of the library whose interface microhttpd.h of the 0.9 and 1.0 releases declares. */
-#define LIBRARY "libmicrohttpd.so.12"
-
-/* Loads the library for good. If that fails, returns false and sets *why to the reason. */
-static bool load(struct http *http, const char **why) {
-  void *library = dlopen(LIBRARY, RTLD_NOW | RTLD_LOCAL);
-  void *address;
-  bool found = library != NULL;
-  /* POSIX guarantees that a function's address fits into a void *. C has no conversion between
-   * them, so the address is copied by memcpy(). */
-#define HTTP_FUNCTION(name)                                                                        \
-  address = found ? dlsym(library, "MHD_" #name) : NULL;                                           \
-  found = address != NULL;                                                                         \
-  memcpy(&http->name, &address, sizeof address);
-  HTTP_FUNCTIONS
-#undef HTTP_FUNCTION
-  *why = found ? NULL : dlerror();
-  return found;
-}
 
 /* ---- the text format of Prometheus, version 0.0.4 -------------------------------------------- */
 
@@ -185,14 +143,14 @@ static char *make_text(const struct server *server, double start_s, size_t *byte
 struct metrics {
   const struct server *server;
   double start_s; /* when the daemon started, since 1970 */
-  struct http library;
+  struct http_library library;
   struct MHD_Daemon *daemon;
 };
 
 /* Sends a response and frees it. If it is NULL, for lack of memory, closes the connection. */
-static enum MHD_Result send_response(const struct http *http, struct MHD_Connection *connection,
-                                     unsigned status, const char *type,
-                                     struct MHD_Response *response) {
+static enum MHD_Result send_response(const struct http_library *http,
+                                     struct MHD_Connection *connection, unsigned status,
+                                     const char *type, struct MHD_Response *response) {
   if (response == NULL) {
     return MHD_NO;
   }
@@ -205,14 +163,15 @@ static enum MHD_Result send_response(const struct http *http, struct MHD_Connect
   return sent;
 }
 
-static enum MHD_Result send_text(const struct http *http, struct MHD_Connection *connection,
+static enum MHD_Result send_text(const struct http_library *http, struct MHD_Connection *connection,
                                  unsigned status, char *text) {
   return send_response(
       http, connection, status, PLAIN,
       http->create_response_from_buffer(strlen(text), text, MHD_RESPMEM_PERSISTENT));
 }
 
-static enum MHD_Result send_metrics(const struct http *http, struct MHD_Connection *connection,
+static enum MHD_Result send_metrics(const struct http_library *http,
+                                    struct MHD_Connection *connection,
                                     const struct metrics *metrics) {
   size_t bytes;
   char *text = make_text(metrics->server, metrics->start_s, &bytes);
@@ -240,7 +199,7 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *connecti
   static char not_found[] = "There is /metrics, and /healthz.\n";
   static char not_allowed[] = "It is only for reading: GET or HEAD.\n";
   const struct metrics *metrics = context;
-  const struct http *http = &metrics->library;
+  const struct http_library *http = &metrics->library;
   (void)version, (void)body, (void)body_bytes, (void)state;
   const bool is_metrics = strcmp(url, "/metrics") == 0;
   if (!is_metrics && strcmp(url, "/healthz") != 0) {
@@ -255,37 +214,13 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *connecti
              : send_text(http, connection, MHD_HTTP_OK, ok);
 }
 
-/* Keeps the library from decoding escapes in paths. If it did, it would take /metrics%00x for
- * /metrics. */
-static size_t leave_escaped(void *context, struct MHD_Connection *connection, char *text) {
-  (void)context, (void)connection;
-  return strlen(text);
-}
-
 static struct MHD_Daemon *start(struct metrics *metrics, int fd) {
   return metrics->library.start_daemon(
       MHD_USE_AUTO | MHD_USE_INTERNAL_POLLING_THREAD | MHD_USE_ITC, 0, NULL, NULL, on_request,
       metrics, MHD_OPTION_LISTEN_SOCKET, fd, MHD_OPTION_CONNECTION_LIMIT,
       (unsigned)MOST_CONNECTIONS, MHD_OPTION_CONNECTION_TIMEOUT, (unsigned)SILENCE_S,
       MHD_OPTION_CONNECTION_MEMORY_LIMIT, (size_t)CONNECTION_BYTES, MHD_OPTION_UNESCAPE_CALLBACK,
-      leave_escaped, NULL, MHD_OPTION_END);
-}
-
-static int listen_at(const char *address) {
-  char local[64];
-  const char *port = strchr(address, ':') == NULL ? address
-                     : address[0] == ':'          ? address + 1
-                                                  : NULL;
-  const char *why;
-  if (port != NULL) {
-    snprintf(local, sizeof local, "127.0.0.1:%s", port);
-  }
-  const int fd = tcp_listen(port != NULL ? local : address, &why);
-  if (fd < 0) {
-    fprintf(stderr, "dipoled: --metrics %s: %s. Write HOST:PORT, or a PORT of this machine\n",
-            address, errno == EADDRINUSE ? "another process listens there" : why);
-  }
-  return fd;
+      http_library_leave_escaped, NULL, MHD_OPTION_END);
 }
 
 static struct metrics *fail(const char *address, const char *why, int fd, struct metrics *metrics) {
@@ -296,7 +231,7 @@ static struct metrics *fail(const char *address, const char *why, int fd, struct
 }
 
 struct metrics *metrics_open(struct server *server, const char *address) {
-  const int fd = listen_at(address);
+  const int fd = http_library_listen("metrics", address);
   if (fd < 0) {
     return NULL;
   }
@@ -307,7 +242,7 @@ struct metrics *metrics_open(struct server *server, const char *address) {
   if (metrics == NULL) {
     return fail(address, "out of memory", fd, metrics);
   }
-  if (!load(&metrics->library, &why)) {
+  if (!http_library_load(&metrics->library, &why)) {
     return fail(address, why, fd, metrics);
   }
   struct timespec now;

@@ -83,7 +83,7 @@ static void report_requests(const struct reporter *to) {
 static void report_answers(const struct reporter *to) {
   static const struct report_family family = {"answers", REPORT_COUNTER,
                                               "requests answered, by status; ok or an error"};
-#define WIRE_STATUS(code, IDENT, modbus_exception, name, text)                                     \
+#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \
   report(to, "answers_" name, &family, "_total", "status=\"" name "\"",                            \
          counted(to, STATS_ANSWERS_##IDENT));
 #include "proto/statuses.def"
@@ -134,7 +134,7 @@ static void report_ns(const struct reporter *to, const char *name,
 /* Returns the latencies of one class of requests, summed over all workers. */
 static struct histogram_sum sum_of(const struct reporter *to, enum latency_class kind) {
   struct histogram_sum sum = {.count = 0};
-  for (uint64_t i = 0; to->server != NULL && i < to->server->options.workers; i++) {
+  for (uint64_t i = 0; to->server != NULL && i < server_worker_count(to->server); i++) {
     histogram_merge(&sum, &to->server->latencies[i].histograms[kind]);
   }
   return sum;

@@ -14,7 +14,7 @@ void stats_count_request(struct stats *stats, unsigned type) {
 
 void stats_count_answer(struct stats *stats, unsigned status) {
   switch (status) {
-#define WIRE_STATUS(code, IDENT, modbus_exception, name, text)                                     \
+#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \
   case code:                                                                                       \
     stats_add(stats, STATS_ANSWERS_##IDENT, 1);                                                    \
     break;

@@ -15,7 +15,7 @@ enum stats_index {
 #include "server/observe/stats.def"
 #define WIRE_MESSAGE(type, IDENT, name) STATS_REQUESTS_##IDENT,
 #include "proto/messages.def"
-#define WIRE_STATUS(code, IDENT, modbus_exception, name, text) STATS_ANSWERS_##IDENT,
+#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text) STATS_ANSWERS_##IDENT,
 #include "proto/statuses.def"
 #undef WIRE_STATUS
   STATS_RADII, /* the first of the radii by model */
@@ -30,7 +30,7 @@ enum stats_index {
 
 /* Each worker has a shard of its own, which no other thread writes. All other threads share the
  * first shard. A counter's value is its sum over all shards. */
-enum { STATS_SHARDS = 65 };
+enum { STATS_SHARDS = 66 };
 
 struct stats_shard {
   _Alignas(64) _Atomic uint64_t values[STATS_COUNT];

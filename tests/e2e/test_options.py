@@ -21,6 +21,8 @@ OTHERS = [
     "fd",
     "isa",
     "metrics",
+    "http",
+    "http-allow-origin",
     "modbus",
     "modbus-allow",
     "modbus-read-only",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -78,6 +79,18 @@ def test_modbus(daemon, folder):
     assert "123456" in result.stdout, result.stdout + result.stderr
 
 
+@pytest.mark.skipif(shutil.which("curl") is None, reason="curl is not installed")
+def test_http(daemon, folder):
+    one = daemon("--http", "127.0.0.1:0")
+    address = next(line for line in one.log if "url=http://" in line).split("url=")[1].split()[0]
+    commands = lines_of("curl ")
+    assert len(commands) >= 4
+    for command in commands:
+        changed = command.replace("http://127.0.0.1:8017", address).replace("curl", "curl -sf", 1)
+        result = run(changed, folder)
+        assert result.returncode == 0 and json.loads(result.stdout), command
+
+
 def test_every_link_leads_somewhere():
     for target in re.findall(r"\]\(([^)]+)\)", README):
-        assert (TOP / target).exists(), target
+        assert (TOP / target.partition("#")[0]).exists(), target

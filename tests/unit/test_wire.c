@@ -157,7 +157,7 @@ UNIT_TEST(the_magic_reads_as_text) {
 /* ---- names -------------------------------------------------------------------------------- */
 
 UNIT_TEST(statuses_and_types_have_names) {
-#define WIRE_STATUS(code, IDENT, modbus_exception, name, text)                                     \
+#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text)                               \
   assert_string_equal(wire_status_name(code), name);                                               \
   assert_string_equal(wire_status_text(code), text);
 #include "proto/statuses.def"
@@ -190,7 +190,7 @@ static void assert_choices_hold(enum wire_choice_kind kind, const core_choice *l
 /* The choices are all lists of core, complete, and then the statuses. */
 UNIT_TEST(choices_hold_every_list) {
   static const core_choice statuses[] = {
-#define WIRE_STATUS(code, IDENT, modbus_exception, name, text) {code, name, text},
+#define WIRE_STATUS(code, IDENT, modbus_exception, http, name, text) {code, name, text},
 #include "proto/statuses.def"
 #undef WIRE_STATUS
       {0, NULL, NULL},

@@ -51,7 +51,7 @@ static void wait_until_ready(pid_t child, const char *path, char *log, size_t by
 /* Finds in the daemon's log the port at which it listens. */
 static struct target_address find_port(const char *log, const char *scheme) {
   char text[64];
-  snprintf(text, sizeof text, "url=%s:127.0.0.1:", scheme);
+  snprintf(text, sizeof text, "url=%s127.0.0.1:", scheme);
   const char *port = strstr(log, text);
   if (port == NULL) {
     bench_fail("dipoled does not say where it listens");
@@ -67,13 +67,24 @@ void daemon_start(struct daemon *daemon, const char *name, unsigned workers) {
   snprintf(log_name, sizeof log_name, "%s.log", name);
   snprintf(count, sizeof count, "%u", workers);
   const char *log_path = child_path(log_name);
-  char *arguments[] = {program,    "--listen",        listen,      "--listen", "tcp:127.0.0.1:0",
-                       "--modbus", "tcp:127.0.0.1:0", "--workers", count,      NULL};
+  char *arguments[] = {program,
+                       "--listen",
+                       listen,
+                       "--listen",
+                       "tcp:127.0.0.1:0",
+                       "--modbus",
+                       "tcp:127.0.0.1:0",
+                       "--http",
+                       "127.0.0.1:0",
+                       "--workers",
+                       count,
+                       NULL};
   daemon->child = child_run(CHILD_SERVER, arguments, log_path);
   wait_until_ready(daemon->child, log_path, log, sizeof log);
   daemon->at_unix = target_unix(path);
-  daemon->at_tcp = find_port(log, "tcp");
-  daemon->at_modbus = find_port(log, "modbus-tcp");
+  daemon->at_tcp = find_port(log, "tcp:");
+  daemon->at_modbus = find_port(log, "modbus-tcp:");
+  daemon->at_http = find_port(log, "http://");
 }
 
 void daemon_end(struct daemon *daemon) {

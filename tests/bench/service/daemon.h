@@ -10,6 +10,7 @@ struct daemon {
   struct target_address at_unix;
   struct target_address at_tcp;
   struct target_address at_modbus;
+  struct target_address at_http;
 };
 
 /* Starts the daemon and returns when it is ready. name is the file name of its Unix socket in the

@@ -1,0 +1,318 @@
+#include "server/http/answer.h"
+
+#include <assert.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "proto/eval.h"
+#include "proto/invert.h"
+#include "proto/sample.h"
+#include "proto/table.h"
+
+/* ---- fields ---------------------------------------------------------------------------------- */
+
+static uint64_t get_le(const uint8_t *at, size_t bytes) {
+  uint64_t number = 0;
+  for (size_t i = 0; i < bytes; i++) {
+    number |= (uint64_t)at[i] << (8 * i);
+  }
+  return number;
+}
+
+static double get_f64(const uint8_t *at) {
+  const uint64_t bits = get_le(at, sizeof bits);
+  double number;
+  memcpy(&number, &bits, sizeof number);
+  return number;
+}
+
+/* Writes a choice by its name, or the names of a sum of choices. */
+static void write_choice(struct http_text *text, const char *name, const core_choice *list,
+                         bool bits, unsigned number) {
+  const core_choice *entry = bits ? NULL : core_choice_by_id(list, number);
+  if (!bits) {
+    http_text_string(text, name, entry != NULL ? entry->name : "");
+    return;
+  }
+  http_text_begin(text, name, '[');
+  for (entry = list; entry->name != NULL; entry++) {
+    if ((entry->id & number) != 0) {
+      http_text_string(text, NULL, entry->name);
+    }
+  }
+  http_text_end(text, ']');
+}
+
+static void write_one(struct http_text *text, const char *key, enum http_kind kind,
+                      const uint8_t *at, size_t bytes) {
+  if (kind == HTTP_f64) {
+    http_text_number(text, key, get_f64(at));
+  } else {
+    http_text_count(text, key, get_le(at, bytes));
+  }
+}
+
+static void write_field(struct http_text *text, const struct http_field *field, const uint8_t *at) {
+  bool bits;
+  const size_t bytes = http_field_bytes(field) / field->count;
+  const core_choice *list = http_choices_of(field->name, &bits);
+  if (list != NULL) {
+    write_choice(text, field->name, list, bits, (unsigned)get_le(at, bytes));
+  } else if (field->kind == HTTP_text) {
+    char string[129];
+    assert(field->count < sizeof string);
+    memcpy(string, at, field->count);
+    string[field->count] = '\0';
+    http_text_string(text, field->name, string);
+  } else if (field->count == 1) {
+    write_one(text, field->name, field->kind, at, bytes);
+  } else {
+    http_text_begin(text, field->name, '[');
+    for (unsigned i = 0; i < field->count; i++) {
+      write_one(text, NULL, field->kind, at + i * bytes, bytes);
+    }
+    http_text_end(text, ']');
+  }
+}
+
+/* Writes the fields of a structure into an object that is open. Returns where the structure ends. */
+static const uint8_t *write_fields(struct http_text *text, const struct http_field *fields,
+                                   const uint8_t *at) {
+  for (; fields->name != NULL; fields++) {
+    if (fields->kind == HTTP_f64 &&
+        fields->count == 1) { /* never internal or a choice */
+      http_text_number(text, fields->name, get_f64(at));
+    } else if (!http_is_internal(fields->name)) {
+      write_field(text, fields, at);
+    }
+    at += http_field_bytes(fields);
+  }
+  return at;
+}
+
+static const uint8_t *write_object(struct http_text *text, const char *key,
+                                   const struct http_field *fields, const uint8_t *at) {
+  http_text_begin(text, key, '{');
+  at = write_fields(text, fields, at);
+  http_text_end(text, '}');
+  return at;
+}
+
+/* Writes the units of those fields that have one. */
+static void write_units(struct http_text *text, const struct http_field *fields) {
+  for (; fields->name != NULL; fields++) {
+    const char *unit = http_unit_of(fields);
+    if (unit != NULL) {
+      http_text_string(text, fields->name, unit);
+    }
+  }
+}
+
+/* ---- eval and sample ------------------------------------------------------------------------- */
+
+static void write_quantity_units(struct http_text *text, unsigned wanted) {
+  for (const core_choice *one = core_quantities; one->name != NULL; one++) {
+    if ((one->id & wanted) != 0) {
+      http_text_string(text, one->name, one->id == CORE_QUANTITY_R ? WIRE_R_UNIT : one->about);
+    }
+  }
+}
+
+static void write_channel(struct http_text *text, const uint8_t *payload, const uint8_t *media,
+                          const wire_eval_reply *fixed, const eval_layout *layout, uint32_t channel,
+                          unsigned wanted) {
+  const bool single = core_evaluator_bytes(fixed->evaluator) == sizeof(float);
+  http_text_begin(text, NULL, '{');
+  write_fields(text, http_fields_of_medium, media + (size_t)channel * WIRE_BYTES_medium);
+  write_fields(text, http_fields_of_channel,
+               payload + layout->channels_offset + (size_t)channel * WIRE_BYTES_channel);
+  for (const core_choice *one = core_quantities; one->name != NULL; one++) {
+    if ((one->id & fixed->wanted) != 0 && eval_is_array(wanted, one->id)) {
+      http_text_numbers(text, one->name,
+                        payload + eval_array_offset(layout, wanted, channel, one->id),
+                        fixed->radius_count, single);
+    }
+  }
+  http_text_end(text, '}');
+}
+
+/* media: the structures in the request. */
+static void write_eval(struct http_text *text, const uint8_t *media, const uint8_t *payload,
+                       size_t payload_bytes, bool drawn) {
+  wire_eval_reply fixed;
+  eval_layout layout;
+  const bool parsed = eval_reply_parse(payload, payload_bytes, drawn, &fixed, &layout);
+  assert(parsed);
+  (void)parsed;
+  const unsigned wanted = fixed.wanted | (drawn ? EVAL_DRAWN : 0);
+  write_fields(text, http_fields_of_eval_reply, payload);
+  http_text_begin(text, "units", '{');
+  write_units(text, http_fields_of_medium);
+  http_text_string(text, "numerical_error_per_mm", "1/mm");
+  write_quantity_units(text, fixed.wanted);
+  http_text_end(text, '}');
+  if ((fixed.wanted & CORE_QUANTITY_RADIUS) != 0 && !drawn) {
+    http_text_numbers(text, "r", payload + layout.radius_offset, fixed.radius_count,
+                      core_evaluator_bytes(fixed.evaluator) == sizeof(float));
+  }
+  http_text_begin(text, "channels", '[');
+  for (uint32_t i = 0; i < fixed.channel_count; i++) {
+    write_channel(text, payload, media, &fixed, &layout, i, wanted);
+  }
+  http_text_end(text, ']');
+}
+
+/* ---- the other replies ----------------------------------------------------------------------- */
+
+static void write_offers(struct http_text *text, const uint8_t *payload) {
+  wire_offers_reply fixed;
+  wire_get_offers_reply(payload, &fixed);
+  const uint8_t *at = write_fields(text, http_fields_of_offers_reply, payload);
+  http_text_begin(text, "units", '{');
+  write_units(text, http_fields_of_offer);
+  http_text_end(text, '}');
+  http_text_begin(text, "offers", '[');
+  for (uint32_t i = 0; i < fixed.count; i++) {
+    at = write_object(text, NULL, http_fields_of_offer, at);
+  }
+  http_text_end(text, ']');
+}
+
+static void write_invert(struct http_text *text, const uint8_t *payload) {
+  static const char *const names[INVERT_ARRAYS] = {
+      [INVERT_SIGMA_A] = "sigma_a", [INVERT_SIGMA_S] = "sigma_s", [INVERT_ALBEDO] = "albedo"};
+  wire_invert_reply fixed;
+  wire_get_invert_reply(payload, &fixed);
+  write_fields(text, http_fields_of_invert_reply, payload);
+  http_text_begin(text, "units", '{');
+  write_units(text, http_fields_of_medium);
+  http_text_string(text, "albedo", "1");
+  http_text_end(text, '}');
+  for (unsigned i = 0; i < INVERT_ARRAYS; i++) {
+    http_text_numbers(text, names[i], payload + invert_array_offset(i, fixed.medium_count),
+                      fixed.medium_count, false);
+  }
+}
+
+static void write_table(struct http_text *text, const uint8_t *payload) {
+  wire_table_reply fixed;
+  wire_get_table_reply(payload, &fixed);
+  const uint8_t *at = write_fields(text, http_fields_of_table_reply, payload);
+  http_text_begin(text, "units", '{');
+  write_units(text, http_fields_of_table_reply);
+  http_text_end(text, '}');
+  http_text_begin(text, "parameters", '{');
+  for (unsigned i = 0; i < fixed.parameter_count; i++, at += WIRE_BYTES_parameter) {
+    wire_parameter parameter;
+    wire_get_parameter(at, &parameter);
+    http_text_number(text, core_choice_by_id(core_parameter_list, parameter.parameter)->name,
+                     parameter.value);
+  }
+  http_text_end(text, '}');
+  http_text_begin(text, "words", '[');
+  for (uint32_t i = 0; i < fixed.word_count; i++) {
+    http_text_count(text, NULL, get_le(at + i * sizeof(uint32_t), sizeof(uint32_t)));
+  }
+  http_text_end(text, ']');
+}
+
+void http_answer_write(const struct http_message *message, const uint8_t *question,
+                       const uint8_t *payload, size_t payload_bytes, struct http_text *text) {
+  http_text_begin(text, NULL, '{');
+  switch (message->type) {
+  case WIRE_TYPE_EVAL:
+    write_eval(text, question + WIRE_BYTES_eval_request, payload, payload_bytes, false);
+    break;
+  case WIRE_TYPE_SAMPLE:
+    write_eval(text, question + WIRE_BYTES_sample_request, payload, payload_bytes, true);
+    break;
+  case WIRE_TYPE_OFFERS:
+    write_offers(text, payload);
+    break;
+  case WIRE_TYPE_INVERT:
+    write_invert(text, payload);
+    break;
+  case WIRE_TYPE_TABLE:
+    write_table(text, payload);
+    break;
+  default:
+    assert(!"a message of http_messages");
+  }
+  http_text_end(text, '}');
+}
+
+/* ---- lists ----------------------------------------------------------------------------------- */
+
+/* The names of the lists of choices, in the order of their kinds. */
+static const char *const list_names[] = {
+    [WIRE_CHOICE_MODEL] = "models",         [WIRE_CHOICE_EVALUATOR] = "evaluators",
+    [WIRE_CHOICE_MOMENTS] = "moments",      [WIRE_CHOICE_QUANTITY] = "quantities",
+    [WIRE_CHOICE_SPACING] = "spacings",     [WIRE_CHOICE_STATUS] = "statuses",
+    [WIRE_CHOICE_PARAMETER] = "parameters", [WIRE_CHOICE_NOTE] = "notes",
+    [WIRE_CHOICE_DRAW] = "draws",           [WIRE_CHOICE_LENGTH] = "lengths",
+    [WIRE_CHOICE_PHASE] = "phases",         [WIRE_CHOICE_SCALE] = "scales",
+    [WIRE_CHOICE_AXIS] = "axes",            [WIRE_CHOICE_FIT_STATUS] = "fit_statuses",
+};
+
+void http_answer_write_models(const uint8_t *payload, struct http_text *text) {
+  wire_hello_reply fixed;
+  unsigned kind = 0;
+  wire_get_hello_reply(payload, &fixed);
+  http_text_begin(text, NULL, '{');
+  const uint8_t *at = write_fields(text, http_fields_of_hello_reply, payload);
+  for (uint32_t i = 0; i < fixed.choice_count; i++, at += WIRE_BYTES_choice) {
+    wire_choice choice;
+    wire_get_choice(at, &choice);
+    if (choice.kind != kind) {
+      if (kind > 0) {
+        http_text_end(text, ']');
+      }
+      kind = choice.kind;
+      http_text_begin(text, list_names[kind], '[');
+    }
+    http_text_begin(text, NULL, '{');
+    http_text_count(text, "id", choice.id);
+    http_text_string(text, "name", choice.name);
+    http_text_string(text, "about", choice.about);
+    http_text_end(text, '}');
+  }
+  http_text_end(text, ']');
+  http_text_begin(text, "limits", '{');
+  for (uint32_t i = 0; i < fixed.limit_count; i++, at += WIRE_BYTES_value) {
+    wire_value value;
+    wire_get_value(at, &value);
+    http_text_count(text, value.name, value.value);
+  }
+  http_text_end(text, '}');
+  http_text_end(text, '}');
+}
+
+void http_answer_write_media(const uint8_t *payload, struct http_text *text) {
+  wire_list_reply list;
+  wire_get_list_reply(payload, &list);
+  http_text_begin(text, NULL, '{');
+  http_text_begin(text, "units", '{');
+  write_units(text, http_fields_of_measured_medium);
+  http_text_end(text, '}');
+  http_text_begin(text, "media", '[');
+  const uint8_t *at = payload + WIRE_BYTES_list_reply;
+  for (uint32_t i = 0; i < list.count; i++) {
+    at = write_object(text, NULL, http_fields_of_measured_medium, at);
+  }
+  http_text_end(text, ']');
+  http_text_end(text, '}');
+}
+
+/* ---- errors ---------------------------------------------------------------------------------- */
+
+unsigned http_answer_write_error(const wire_error *error, struct http_text *text) {
+  http_text_begin(text, NULL, '{');
+  http_text_string(text, "status", wire_status_name(error->status));
+  http_text_string(text, "text", wire_status_text(error->status));
+  http_text_string(text, "field", error->field);
+  http_text_string(text, "allowed", error->allowed);
+  http_text_count(text, "index", error->index);
+  http_text_count(text, "retry_after_ms", error->retry_after_ms);
+  http_text_end(text, '}');
+  return wire_status_http(error->status);
+}

@@ -1,0 +1,638 @@
+#include "server/http/connection.h"
+
+#include <poll.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/socket.h>
+
+#include "server/http/answer.h"
+#include "server/http/openapi.h"
+#include "server/http/question.h"
+#include "server/jobs/requests.h"
+#include "server/net/worker.h"
+
+enum {
+  REST_MS = 1000, /* the silence after which the connection releases its buffers */
+  BRACKETS = 16,  /* arrays and objects of a request besides one for each medium */
+};
+
+/* What a path asks for. */
+struct route {
+  const char *path;
+  enum route_kind { HEALTH, DOCUMENT, LISTS, MEDIA, MESSAGE } kind;
+  const struct http_message *message; /* MESSAGE */
+};
+
+enum state {
+  AWAITS,   /* a request has still to arrive, or to arrive completely */
+  RECEIVES, /* its header has arrived */
+  RUNS,     /* its job runs, and the library leaves the connection alone */
+  READY,    /* the answer is in the output */
+  GIVEN_UP, /* the job was given up, and the connection is to be closed */
+  ANSWERED, /* the library has the answer */
+};
+
+struct http_connection {
+  struct client client; /* first member: see client.h */
+  struct http_host *host;
+  struct MHD_Connection *handle;
+  int fd;
+
+  enum state state;
+  uint64_t since_ms; /* when the connection began to wait for a request */
+  bool has_body;     /* whether the request is a POST */
+  unsigned refused;  /* the status of HTTP by which the header or the body is refused; 0: none */
+  wire_error refusal;
+  char *uri; /* of the request */
+  struct route route;
+  struct http_text body;    /* of the request, as far as it has arrived */
+  struct http_text payload; /* of the frame that asks the same */
+
+  struct input input;
+  struct output output;
+  struct requests requests;
+  bool more_to_do; /* whether the job can go on */
+};
+
+static const struct client_kind kind;
+
+static struct http_connection *of(struct client *client) {
+  return (struct http_connection *)(void *)client;
+}
+
+static struct http_connection *of_handle(const struct http_host *host,
+                                         struct MHD_Connection *handle) {
+  return host->library.get_connection_info(handle, MHD_CONNECTION_INFO_SOCKET_CONTEXT)
+      ->socket_context;
+}
+
+static uint64_t now_ms(const struct http_connection *c) {
+  return uv_now(worker_loop(c->host->worker));
+}
+
+static const struct options *options_of(const struct http_connection *c) {
+  return &c->host->server->options;
+}
+
+/* ---- beginning and end ----------------------------------------------------------------------- */
+
+static void on_wake(void *owner) {
+  struct http_connection *c = owner;
+  worker_run_later(&c->client);
+}
+
+static void open_connection(struct http_host *host, struct MHD_Connection *handle, void **to) {
+  struct http_connection *c = calloc(1, sizeof *c);
+  *to = c;
+  if (c == NULL) {
+    return;
+  }
+  c->client.kind = &kind;
+  c->host = host;
+  c->handle = handle;
+  c->fd = host->library.get_connection_info(handle, MHD_CONNECTION_INFO_CONNECTION_FD)->connect_fd;
+  http_text_init(&c->body, host->server);
+  http_text_init(&c->payload, host->server);
+  input_init(&c->input, host->server);
+  output_init(&c->output, host->server);
+  requests_init(&c->requests, &c->input, &c->output, on_wake, c);
+  host->connection_count++;
+  worker_adopt(host->worker, &c->client);
+  c->since_ms = now_ms(c);
+}
+
+static void forget_request(struct http_connection *c) {
+  http_text_free(&c->body);
+  http_text_free(&c->payload);
+  free(c->uri);
+  c->uri = NULL;
+}
+
+/* The library closes no connection whose job runs, so the client is in no queue of the worker. */
+static void close_connection(struct http_connection *c) {
+  forget_request(c);
+  requests_drop(&c->requests);
+  input_free(&c->input);
+  output_free(&c->output);
+  worker_forget(&c->client);
+  c->host->connection_count--;
+  free(c);
+}
+
+void http_connection_notify(void *context, struct MHD_Connection *connection, void **socket_context,
+                            enum MHD_ConnectionNotificationCode what) {
+  if (what == MHD_CONNECTION_NOTIFY_STARTED) {
+    open_connection(context, connection, socket_context);
+  } else if (*socket_context != NULL) {
+    close_connection(*socket_context);
+  }
+}
+
+void *http_connection_begin(void *context, const char *uri, struct MHD_Connection *connection) {
+  struct http_connection *c = of_handle(context, connection);
+  if (c != NULL) {
+    free(c->uri);
+    c->uri = strdup(uri);
+    c->state = AWAITS;
+  }
+  return c;
+}
+
+void http_connection_complete(void *context, struct MHD_Connection *connection, void **state,
+                              enum MHD_RequestTerminationCode why) {
+  struct http_connection *c = of_handle(context, connection);
+  (void)state, (void)why;
+  if (c != NULL) {
+    forget_request(c);
+    c->state = AWAITS;
+    c->since_ms = now_ms(c);
+  }
+}
+
+/* ---- sending --------------------------------------------------------------------------------- */
+
+static void free_text(void *context) {
+  struct http_text *text = context;
+  http_text_free(text);
+  free(text);
+}
+
+static void add_headers(const struct http_connection *c, struct MHD_Response *response,
+                        unsigned status, uint32_t retry_after_ms) {
+  const struct http_library *http = &c->host->library;
+  const char *origin = options_of(c)->http_allow_origin;
+  char seconds[16];
+  http->add_response_header(response, MHD_HTTP_HEADER_CONTENT_TYPE, "application/json");
+  http->add_response_header(response, "X-Content-Type-Options", "nosniff");
+  if (status == MHD_HTTP_METHOD_NOT_ALLOWED || status == MHD_HTTP_NO_CONTENT) {
+    http->add_response_header(response, MHD_HTTP_HEADER_ALLOW, "GET, HEAD, POST");
+  }
+  if (status == MHD_HTTP_TOO_MANY_REQUESTS) {
+    snprintf(seconds, sizeof seconds, "%u", (unsigned)(retry_after_ms + 999) / 1000);
+    http->add_response_header(response, MHD_HTTP_HEADER_RETRY_AFTER, seconds);
+  }
+  if (c->host->stopping) {
+    http->add_response_header(response, MHD_HTTP_HEADER_CONNECTION, "close");
+  }
+  if (origin != NULL) {
+    http->add_response_header(response, "Access-Control-Allow-Origin", origin);
+    http->add_response_header(response, "Access-Control-Allow-Headers", "Content-Type");
+    http->add_response_header(response, MHD_HTTP_HEADER_VARY, "Origin");
+  }
+}
+
+/* Sends a text, which it takes over. If there is no memory, closes the connection. */
+static enum MHD_Result send_text(struct http_connection *c, unsigned status,
+                                 uint32_t retry_after_ms, struct http_text *text) {
+  const struct http_library *http = &c->host->library;
+  struct http_text *kept = malloc(sizeof *kept);
+  c->state = ANSWERED;
+  if (text->failed || kept == NULL) {
+    http_text_free(text);
+    free(kept);
+    return MHD_NO;
+  }
+  *kept = *text;
+  struct MHD_Response *response = http->create_response_from_buffer_with_free_callback_cls(
+      kept->count, kept->bytes, free_text, kept);
+  if (response == NULL) {
+    free_text(kept);
+    return MHD_NO;
+  }
+  add_headers(c, response, status, retry_after_ms);
+  const enum MHD_Result sent = http->queue_response(c->handle, status, response);
+  http->destroy_response(response);
+  return sent;
+}
+
+/* Sends an error. status: 0 for the one that proto/statuses.def gives it. */
+static enum MHD_Result send_error(struct http_connection *c, const wire_error *error,
+                                  unsigned status) {
+  struct http_text text;
+  http_text_init(&text, c->host->server);
+  const unsigned usual = http_answer_write_error(error, &text);
+  return send_text(c, status != 0 ? status : usual, error->retry_after_ms, &text);
+}
+
+static wire_error refuse(enum wire_status status, const char *field, const char *allowed) {
+  return wire_error_make(status, field, allowed);
+}
+
+/* ---- the answer ------------------------------------------------------------------------------ */
+
+static wire_error too_large(const struct http_connection *c, const char *field) {
+  char allowed[81];
+  snprintf(allowed, sizeof allowed, "over HTTP a request and a reply of max_part_bytes, %llu",
+           (unsigned long long)options_of(c)->max_part_bytes);
+  return refuse(WIRE_STATUS_TOO_LARGE, field, allowed);
+}
+
+/* Gives the job up, and what it has written. */
+static void give_up(struct http_connection *c) {
+  batch_finish(&worker_context(c->host->worker)->batch, &c->host->server->stats);
+  requests_drop(&c->requests);
+  requests_init(&c->requests, &c->input, &c->output, on_wake, c);
+  c->requests.context = worker_context(c->host->worker);
+  c->requests.profiles = &c->client.profiles;
+  input_discard(&c->input);
+  output_free(&c->output);
+  output_init(&c->output, c->host->server);
+}
+
+static void write_reply(const struct http_connection *c, const uint8_t *payload, size_t bytes,
+                        struct http_text *text) {
+  if (c->route.kind == LISTS) {
+    http_answer_write_models(payload, text);
+  } else if (c->route.kind == MEDIA) {
+    http_answer_write_media(payload, text);
+  } else {
+    http_answer_write(c->route.message, (const uint8_t *)c->payload.bytes, payload, bytes, text);
+  }
+}
+
+/* Sends what is in the output: one frame. */
+static enum MHD_Result send_answer(struct http_connection *c) {
+  uv_buf_t frame;
+  wire_header header;
+  wire_error error;
+  struct http_text text;
+  if (output_buffers(&c->output, &frame, 1) == 0 || c->requests.no_room) {
+    error = wire_error_busy("max_total_bytes", "less at a time", 1000);
+    return send_error(c, &error, 0);
+  }
+  wire_get_header((const uint8_t *)frame.base, &header);
+  const uint8_t *payload = (const uint8_t *)frame.base + WIRE_BYTES_header;
+  if (header.type == WIRE_TYPE_ERROR) {
+    wire_get_error(payload, &error);
+    output_consume(&c->output, WIRE_BYTES_header + header.payload_bytes);
+    return send_error(c, &error, 0);
+  }
+  http_text_init(&text, c->host->server);
+  write_reply(c, payload, header.payload_bytes, &text);
+  output_consume(&c->output, WIRE_BYTES_header + header.payload_bytes);
+  if (text.failed) {
+    http_text_free(&text);
+    error = wire_error_busy("max_total_bytes", "less at a time", 1000);
+    return send_error(c, &error, 0);
+  }
+  return send_text(c, MHD_HTTP_OK, 0, &text);
+}
+
+/* ---- the job --------------------------------------------------------------------------------- */
+
+/* Returns the field that makes a reply too large. */
+static const char *size_field(const struct http_connection *c) {
+  const struct http_message *message = c->route.message;
+  return message != NULL && message->lists[0].name != NULL ? message->lists[0].count : "tolerance";
+}
+
+/* Does the work of one turn. */
+static void step(struct http_connection *c) {
+  uint64_t budget = JOB_SLICE_RADII;
+  struct requests *r = &c->requests;
+  bool more = true;
+  while (more && budget > 0) {
+    more = requests_step(r, &budget);
+    const bool is_large = r->job != NULL && r->job->part_bytes > options_of(c)->max_part_bytes;
+    if (is_large || r->between_parts) {
+      const wire_error error = too_large(c, size_field(c));
+      give_up(c);
+      requests_refuse(r, 0, &error);
+      more = false;
+    }
+  }
+  c->more_to_do = more && r->job != NULL;
+}
+
+static bool is_done(const struct http_connection *c) {
+  return c->requests.job == NULL;
+}
+
+/* Gives a frame to the requests. Returns false if there is no memory. */
+static bool feed(struct http_connection *c, const void *bytes, size_t count) {
+  const uint64_t now_ns = worker_round_ns(c->host->worker);
+  const uint8_t *from = bytes;
+  while (count > 0) {
+    uint8_t *room;
+    const size_t most = input_room(&c->input, &room), piece = count < most ? count : most;
+    if (piece == 0) {
+      return false;
+    }
+    memcpy(room, from, piece);
+    input_arrived(&c->input, piece, now_ns);
+    from += piece;
+    count -= piece;
+  }
+  return true;
+}
+
+/* Asks for what the payload says. Answers at once, or when the job is done. */
+static enum MHD_Result ask(struct http_connection *c, enum wire_type type, uint32_t deadline_ms) {
+  const wire_header header = {
+      .magic = WIRE_MAGIC,
+      .version = WIRE_VERSION,
+      .type = (uint16_t)type,
+      .payload_bytes = (uint32_t)c->payload.count,
+      .deadline_ms = deadline_ms,
+  };
+  uint8_t bytes[WIRE_BYTES_header];
+  wire_put_header(bytes, &header);
+  if (!feed(c, bytes, sizeof bytes) || !feed(c, c->payload.bytes, c->payload.count)) {
+    const wire_error busy = wire_error_busy("max_total_bytes", "less at a time", 1000);
+    input_discard(&c->input);
+    return send_error(c, &busy, 0);
+  }
+  step(c);
+  if (is_done(c)) {
+    batch_finish(&worker_context(c->host->worker)->batch, &c->host->server->stats);
+    return send_answer(c);
+  }
+  c->state = RUNS;
+  c->host->library.suspend_connection(c->handle);
+  if (c->more_to_do) {
+    worker_run_later(&c->client);
+  } else if (requests_deadline_ms(&c->requests) != 0) {
+    worker_wake_at(c->host->worker, requests_deadline_ms(&c->requests));
+  }
+  return MHD_YES;
+}
+
+static void resume(struct http_connection *c, enum state state) {
+  c->state = state;
+  c->host->library.resume_connection(c->handle);
+  c->host->on_resumed(c->host);
+}
+
+/* ---- requests -------------------------------------------------------------------------------- */
+
+static bool find_route(const char *url, struct route *route) {
+  static const struct route routes[] = {{"/healthz", HEALTH, NULL},
+                                        {"/v1/openapi.json", DOCUMENT, NULL},
+                                        {"/v1/models", LISTS, NULL},
+                                        {"/v1/media", MEDIA, NULL}};
+  for (size_t i = 0; i < sizeof routes / sizeof routes[0]; i++) {
+    if (strcmp(routes[i].path, url) == 0) {
+      *route = routes[i];
+      return true;
+    }
+  }
+  for (const struct http_message *one = http_messages; one->type != 0; one++) {
+    if (strncmp(url, "/v1/", 4) == 0 && strcmp(url + 4, wire_type_name(one->type)) == 0) {
+      *route = (struct route){url, MESSAGE, one};
+      return true;
+    }
+  }
+  return false;
+}
+
+static enum MHD_Result answer_message(struct http_connection *c) {
+  wire_error error = wire_error_none();
+  uint32_t deadline_ms = 0;
+  const char *query = c->uri != NULL ? strchr(c->uri, '?') : NULL;
+  json_t *object =
+      c->has_body ? http_question_parse(c->body.bytes != NULL ? c->body.bytes : "", c->body.count,
+                                        (size_t)options_of(c)->max_media + BRACKETS, &error)
+                  : http_question_parse_query(query != NULL ? query + 1 : "", &error);
+  if (object != NULL) {
+    error =
+        http_question_translate(c->route.message, object, !c->has_body, &c->payload, &deadline_ms);
+    json_decref(object);
+  }
+  http_text_free(&c->body);
+  if (error.status == WIRE_STATUS_OK && c->payload.count > options_of(c)->max_part_bytes) {
+    error = too_large(c, "body");
+  }
+  if (error.status != WIRE_STATUS_OK) {
+    stats_count_request(&c->host->server->stats, c->route.message->type);
+    stats_count_answer(&c->host->server->stats, error.status);
+    return send_error(c, &error, 0);
+  }
+  return ask(c, c->route.message->type, deadline_ms);
+}
+
+static enum MHD_Result answer(struct http_connection *c) {
+  static const wire_hello_request hello = {WIRE_VERSION, WIRE_VERSION, 0};
+  struct http_text text;
+  http_text_init(&text, c->host->server);
+  switch (c->route.kind) {
+  case HEALTH:
+    http_text_begin(&text, NULL, '{');
+    http_text_string(&text, "status", "ok");
+    http_text_end(&text, '}');
+    return send_text(c, MHD_HTTP_OK, 0, &text);
+  case DOCUMENT:
+    http_openapi_write(&text);
+    return send_text(c, MHD_HTTP_OK, 0, &text);
+  case LISTS: {
+    uint8_t bytes[WIRE_BYTES_hello_request];
+    wire_put_hello_request(bytes, &hello);
+    http_text_add(&c->payload, (const char *)bytes, sizeof bytes);
+    return ask(c, WIRE_TYPE_HELLO, 0);
+  }
+  case MEDIA:
+    return ask(c, WIRE_TYPE_MEDIA, 0);
+  case MESSAGE:
+    return answer_message(c);
+  }
+  return MHD_NO;
+}
+
+/* Checks a request as far as its header says. Returns the status of HTTP that refuses it, or 0. */
+static unsigned check_header(struct http_connection *c, const char *url, const char *method,
+                             wire_error *error) {
+  const struct http_library *http = &c->host->library;
+  const bool reads = strcmp(method, "GET") == 0 || strcmp(method, "HEAD") == 0;
+  c->has_body = strcmp(method, "POST") == 0;
+  if (!find_route(url, &c->route)) {
+    *error = refuse(WIRE_STATUS_BAD_TYPE, "path", "what /v1/openapi.json lists");
+    return MHD_HTTP_NOT_FOUND;
+  }
+  if (strcmp(method, "OPTIONS") == 0 && options_of(c)->http_allow_origin != NULL) {
+    return MHD_HTTP_NO_CONTENT;
+  }
+  if (!reads && !(c->has_body && c->route.kind == MESSAGE)) {
+    *error = refuse(WIRE_STATUS_BAD_TYPE, "method", "GET and HEAD, and POST for requests");
+    return MHD_HTTP_METHOD_NOT_ALLOWED;
+  }
+  const char *type =
+      http->lookup_connection_value(c->handle, MHD_HEADER_KIND, MHD_HTTP_HEADER_CONTENT_TYPE);
+  if (c->has_body && (type == NULL || strncasecmp(type, "application/json", 16) != 0)) {
+    *error = refuse(WIRE_STATUS_BAD_VALUE, "Content-Type", "application/json");
+    return MHD_HTTP_UNSUPPORTED_MEDIA_TYPE;
+  }
+  const char *length =
+      http->lookup_connection_value(c->handle, MHD_HEADER_KIND, MHD_HTTP_HEADER_CONTENT_LENGTH);
+  if (length != NULL && strtoull(length, NULL, 10) > options_of(c)->max_part_bytes) {
+    *error = too_large(c, "body");
+    return wire_status_http(error->status);
+  }
+  if (c->host->stopping) {
+    *error = refuse(WIRE_STATUS_SHUTTING_DOWN, "daemon", "another one, or this one started again");
+    return wire_status_http(error->status);
+  }
+  return 0;
+}
+
+/* Notes whether the header refuses the request. The answer has to wait for the end of the request:
+ * if it came before, the library would close the connection, and the client might not see it. */
+static enum MHD_Result take_header(struct http_connection *c, const char *url, const char *method) {
+  c->refusal = wire_error_none();
+  c->refused = check_header(c, url, method, &c->refusal);
+  c->state = RECEIVES;
+  return MHD_YES;
+}
+
+/* Takes a part of the body, or drops it if the request is refused anyway. */
+static enum MHD_Result take_body(struct http_connection *c, const char *body, size_t *body_bytes) {
+  if (c->refused == 0 && c->body.count + *body_bytes > options_of(c)->max_part_bytes) {
+    c->refusal = too_large(c, "body");
+    c->refused = wire_status_http(c->refusal.status);
+  }
+  if (c->refused == 0) {
+    http_text_add(&c->body, body, *body_bytes);
+  } else {
+    http_text_free(&c->body);
+  }
+  if (c->body.failed) {
+    c->refusal = wire_error_busy("max_total_bytes", "less at a time", 1000);
+    c->refused = wire_status_http(c->refusal.status);
+  }
+  *body_bytes = 0;
+  return MHD_YES;
+}
+
+/* Answers a request that has arrived completely. */
+static enum MHD_Result take_end(struct http_connection *c) {
+  struct http_text empty;
+  if (c->refused == 0) {
+    return answer(c);
+  }
+  if (c->refused != MHD_HTTP_NO_CONTENT) {
+    return send_error(c, &c->refusal, c->refused);
+  }
+  http_text_init(&empty, c->host->server);
+  return send_text(c, c->refused, 0, &empty);
+}
+
+enum MHD_Result http_connection_take(void *context, struct MHD_Connection *connection,
+                                     const char *url, const char *method, const char *version,
+                                     const char *body, size_t *body_bytes, void **state) {
+  struct http_connection *c = of_handle(context, connection);
+  (void)version, (void)state;
+  if (c == NULL) {
+    return MHD_NO;
+  }
+  switch (c->state) {
+  case AWAITS:
+    return take_header(c, url, method);
+  case RECEIVES:
+    return *body_bytes > 0 ? take_body(c, body, body_bytes) : take_end(c);
+  case READY:
+    return send_answer(c);
+  case ANSWERED:
+  case RUNS:
+  case GIVEN_UP:
+    return MHD_NO;
+  }
+  return MHD_NO;
+}
+
+/* ---- the client of the worker ---------------------------------------------------------------- */
+
+static void start(struct client *client) {
+  struct http_connection *c = of(client);
+  c->requests.context = worker_context(client->worker);
+  c->requests.profiles = &client->profiles;
+}
+
+static void run(struct client *client) {
+  struct http_connection *c = of(client);
+  if (c->state == RUNS) {
+    step(c);
+  }
+}
+
+static void finish(struct client *client) {
+  struct http_connection *c = of(client);
+  if (c->state != RUNS) {
+    return;
+  }
+  if (is_done(c)) {
+    resume(c, READY);
+  } else if (c->more_to_do) {
+    worker_run_later(client);
+  } else if (requests_deadline_ms(&c->requests) != 0) {
+    worker_wake_at(client->worker, requests_deadline_ms(&c->requests));
+  }
+}
+
+static void deadline(struct client *client) {
+  struct http_connection *c = of(client);
+  if (c->state != RUNS) {
+    return;
+  }
+  if (requests_expire(&c->requests)) {
+    worker_run_later(client);
+  } else if (requests_deadline_ms(&c->requests) != 0) {
+    worker_wake_at(client->worker, requests_deadline_ms(&c->requests));
+  }
+}
+
+/* Returns whether the peer has closed its side. The library does not look while a job runs. */
+static bool is_abandoned(const struct http_connection *c) {
+  struct pollfd peer = {.fd = c->fd, .events = POLLRDHUP};
+  return poll(&peer, 1, 0) > 0 && (peer.revents & (POLLRDHUP | POLLHUP | POLLERR)) != 0;
+}
+
+/* A request has to arrive within frame_timeout_ms, counted from the last answer. So one rule bounds
+ * slow clients and idle ones. */
+static void tick(struct client *client, uint64_t at_ms) {
+  struct http_connection *c = of(client);
+  if (c->state == RUNS && is_abandoned(c)) {
+    give_up(c);
+    resume(c, GIVEN_UP);
+  }
+  if (c->state != AWAITS && c->state != RECEIVES) {
+    return;
+  }
+  if (at_ms - c->since_ms > options_of(c)->frame_timeout_ms) {
+    shutdown(c->fd, SHUT_RDWR);
+  } else if (at_ms - c->since_ms > REST_MS) {
+    input_release(&c->input);
+    output_release(&c->output);
+  }
+}
+
+/* The daemon stops: a connection without a request is closed. */
+static void stop(struct client *client) {
+  struct http_connection *c = of(client);
+  if (c->state == AWAITS || c->state == RECEIVES) {
+    shutdown(c->fd, SHUT_RDWR);
+  }
+}
+
+static void abort_client(struct client *client) {
+  struct http_connection *c = of(client);
+  shutdown(c->fd, SHUT_RDWR);
+  if (c->state == RUNS) {
+    give_up(c);
+    resume(c, GIVEN_UP);
+  }
+}
+
+static unsigned count_requests(const struct client *client) {
+  const struct http_connection *c = (const struct http_connection *)(const void *)client;
+  return c->state == RUNS;
+}
+
+static const struct client_kind kind = {
+    .start = start,
+    .run = run,
+    .finish = finish,
+    .tick = tick,
+    .deadline = deadline,
+    .stop = stop,
+    .abort = abort_client,
+    .count = count_requests,
+};

@@ -1,0 +1,36 @@
+/* connection: one HTTP connection, whose requests are answered one after the other.
+ *
+ * A request becomes a frame of the binary protocol, which server/jobs/requests.h answers: so HTTP
+ * has the limits, shares, deadlines and errors of that protocol. Most requests are answered at
+ * once. The others go on in the turns of the connection, as a client of the worker
+ * (server/net/client.h), while the library leaves the connection alone.
+ */
+#ifndef DIPOLED_HTTP_CONNECTION_H
+#define DIPOLED_HTTP_CONNECTION_H
+
+#include "server/http/library.h"
+#include "server/net/client.h"
+#include "server/server.h"
+
+/* What all connections share. */
+struct http_host {
+  struct server *server;
+  struct worker *worker;
+  struct http_library library;
+  uint64_t connection_count;
+  bool stopping; /* whether the daemon stops */
+  /* Called after a suspended connection has been resumed. */
+  void (*on_resumed)(struct http_host *host);
+};
+
+/* The functions that the library calls; `context` is the struct http_host. */
+void http_connection_notify(void *context, struct MHD_Connection *connection, void **socket_context,
+                            enum MHD_ConnectionNotificationCode what);
+void *http_connection_begin(void *context, const char *uri, struct MHD_Connection *connection);
+enum MHD_Result http_connection_take(void *context, struct MHD_Connection *connection,
+                                     const char *url, const char *method, const char *version,
+                                     const char *body, size_t *body_bytes, void **state);
+void http_connection_complete(void *context, struct MHD_Connection *connection, void **state,
+                              enum MHD_RequestTerminationCode why);
+
+#endif

@@ -1,0 +1,111 @@
+#include "server/http/fields.h"
+
+#include <limits.h>
+#include <string.h>
+
+#define ONE(kind, field, meaning) {#field, HTTP_##kind, 1, meaning},
+#define ARRAY(kind, field, count, meaning) {#field, HTTP_##kind, count, meaning},
+#define TEXT(field, bytes, meaning) {#field, HTTP_text, bytes, meaning},
+#define WIRE_STRUCTURE(name, about)                                                                \
+  const struct http_field http_fields_of_##name[] = {                                              \
+      WIRE_FIELDS_##name(ONE, ARRAY, TEXT){NULL, HTTP_u16, 0, NULL}};
+#include "proto/messages.def"
+
+const struct http_message http_messages[] = {
+    {WIRE_TYPE_EVAL,
+     "Evaluates a model for media at radii",
+     http_fields_of_eval_request,
+     http_fields_of_eval_reply,
+     UINT_MAX,
+     true,
+     "r,R,albedo",
+     {{"r", "radius_count", "spacing", "mm; the radii, with spacing list"}}},
+    {WIRE_TYPE_OFFERS,
+     "Lists the models that could answer an eval with a tolerance",
+     http_fields_of_eval_request,
+     http_fields_of_offers_reply,
+     UINT_MAX,
+     true,
+     "R",
+     {{"r", "radius_count", "spacing", "mm; the radii, with spacing list"}}},
+    {WIRE_TYPE_SAMPLE,
+     "Draws radii in proportion to the light that leaves there",
+     http_fields_of_sample_request,
+     http_fields_of_eval_reply,
+     UINT_MAX,
+     true,
+     "r",
+     {{"u", "sample_count", "draw", "the numbers from 0 to 1, with draw list"}}},
+    {WIRE_TYPE_INVERT,
+     "Finds the media that have given albedos and lengths",
+     http_fields_of_invert_request,
+     http_fields_of_invert_reply,
+     0,
+     false,
+     NULL,
+     {{"albedo", "medium_count", NULL, "diffuse albedos, 0 to 1"},
+      {"length", "medium_count", NULL, "mm; lengths, as `given` says, 1e-14 to 1e14"}}},
+    {WIRE_TYPE_TABLE,
+     "Makes the table of a medium, to be evaluated at home",
+     http_fields_of_table_request,
+     http_fields_of_table_reply,
+     1,
+     true,
+     NULL,
+     {{0}}},
+    {0, NULL, NULL, NULL, 0, false, NULL, {{0}}},
+};
+
+size_t http_field_bytes(const struct http_field *field) {
+  static const size_t bytes[] = {[HTTP_u16] = WIRE_SIZE_u16,
+                                 [HTTP_u32] = WIRE_SIZE_u32,
+                                 [HTTP_u64] = WIRE_SIZE_u64,
+                                 [HTTP_f64] = WIRE_SIZE_f64,
+                                 [HTTP_text] = 1};
+  return bytes[field->kind] * field->count;
+}
+
+const core_choice *http_choices_of(const char *field, bool *bits) {
+  static const struct {
+    const char *field;
+    const core_choice *list;
+    bool bits;
+  } lists[] = {
+      {"model", core_models, false},         {"evaluator", core_evaluators, false},
+      {"moments", core_moments_list, false}, {"spacing", core_spacings, false},
+      {"draw", core_draws, false},           {"given", core_lengths, false},
+      {"wanted", core_quantities, true},     {"notes", core_notes, true},
+  };
+  for (size_t i = 0; i < sizeof lists / sizeof lists[0]; i++) {
+    if (strcmp(lists[i].field, field) == 0) {
+      *bits = lists[i].bits;
+      return lists[i].list;
+    }
+  }
+  return NULL;
+}
+
+const char *http_unit_of(const struct http_field *field) {
+  static const char *const units[] = {"1/mm", "mm", "ns"};
+  for (size_t i = 0; i < sizeof units / sizeof units[0]; i++) {
+    const size_t length = strlen(units[i]);
+    if (strncmp(field->meaning, units[i], length) == 0 &&
+        (field->meaning[length] == ';' || field->meaning[length] == ' ')) {
+      return units[i];
+    }
+  }
+  return NULL;
+}
+
+bool http_is_internal(const char *field) {
+  static const char *const names[] = {"zero",         "zero_too",        "medium_count",
+                                      "part",         "parameter_count", "part_count",
+                                      "radius_first", "medium_first",    "channel_count",
+                                      "choice_count", "limit_count",     "count"};
+  for (size_t i = 0; i < sizeof names / sizeof names[0]; i++) {
+    if (strcmp(names[i], field) == 0) {
+      return true;
+    }
+  }
+  return false;
+}

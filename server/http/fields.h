@@ -1,0 +1,61 @@
+/* fields: the structures of proto/messages.def as data, from which requests and answers in JSON and
+ * the OpenAPI document are made, and the requests that HTTP offers. */
+#ifndef DIPOLED_HTTP_FIELDS_H
+#define DIPOLED_HTTP_FIELDS_H
+
+#include "core/core.h"
+#include "proto/wire.h"
+
+enum http_kind { HTTP_u16, HTTP_u32, HTTP_u64, HTTP_f64, HTTP_text };
+
+struct http_field {
+  const char *name; /* NULL ends a list of fields */
+  enum http_kind kind;
+  unsigned count; /* how many values, or bytes of text */
+  const char *meaning;
+};
+
+/* Returns the bytes that a field takes on the wire. */
+size_t http_field_bytes(const struct http_field *field);
+
+/* The structures: http_fields_of_eval_request and so on. */
+#define WIRE_STRUCTURE(name, about) extern const struct http_field http_fields_of_##name[];
+#include "proto/messages.def"
+
+/* Returns the list that a field of this name chooses from, or NULL if it is a number. *bits is true
+ * for a sum of entries. */
+const core_choice *http_choices_of(const char *field, bool *bits);
+
+/* Returns the unit with which a field's meaning begins, or NULL. */
+const char *http_unit_of(const struct http_field *field);
+
+/* Returns whether JSON leaves out a field, because it is padding, or counts what is an array there,
+ * or numbers the parts of a reply, which has one part there. */
+bool http_is_internal(const char *field);
+
+/* A list of numbers at the end of a request. */
+struct http_list {
+  const char *name;  /* NULL: there is none */
+  const char *count; /* the field that holds its length */
+  const char *rule;  /* the field that says so, with the entry `list`; NULL: there is none */
+  const char *meaning;
+};
+
+enum { HTTP_LISTS = 2 };
+
+/* A request that HTTP offers: POST and GET /v1/NAME. */
+struct http_message {
+  enum wire_type type;
+  const char *about;
+  const struct http_field *request;
+  const struct http_field *reply;
+  unsigned media_most; /* 0: it has no media; 1: it has one; UINT_MAX: any number */
+  bool parameters;     /* whether it has parameters */
+  const char *wanted;  /* the quantities that are wanted if the request does not say */
+  struct http_list lists[HTTP_LISTS];
+};
+
+/* The list of these requests, which ends with type 0. */
+extern const struct http_message http_messages[];
+
+#endif

@@ -1,0 +1,367 @@
+#include "server/http/openapi.h"
+
+#include <stdio.h>
+#include <string.h>
+
+#include "server/http/fields.h"
+
+#define REFERENCE(name) "{\"$ref\":\"#/components/schemas/" name "\"}"
+#define NUMBER REFERENCE("Number")
+
+/* ---- schemas --------------------------------------------------------------------------------- */
+
+static void write_names(struct http_text *text, const core_choice *list) {
+  http_text_begin(text, "enum", '[');
+  for (; list->name != NULL; list++) {
+    http_text_string(text, NULL, list->name);
+  }
+  http_text_end(text, ']');
+}
+
+/* Writes the members of the schema for the names of a list. */
+static void write_choice(struct http_text *text, const core_choice *list, bool bits) {
+  http_text_string(text, "type", bits ? "array" : "string");
+  if (bits) {
+    http_text_begin(text, "items", '{');
+    http_text_string(text, "type", "string");
+    write_names(text, list);
+    http_text_end(text, '}');
+  } else {
+    write_names(text, list);
+  }
+}
+
+static void write_scalar(struct http_text *text, enum http_kind kind) {
+  switch (kind) {
+  case HTTP_f64:
+    http_text_raw(text, "allOf", "[" NUMBER "]");
+    break;
+  case HTTP_u64:
+    http_text_raw(text, "oneOf",
+                  "[{\"type\":\"integer\",\"minimum\":0},{\"type\":\"string\",\"pattern\":"
+                  "\"^[0-9]{1,20}$\"}]");
+    break;
+  case HTTP_u16:
+  case HTTP_u32:
+    http_text_string(text, "type", "integer");
+    http_text_count(text, "minimum", 0);
+    break;
+  case HTTP_text:
+    http_text_string(text, "type", "string");
+    break;
+  }
+}
+
+/* Writes the members of a field's schema. */
+static void write_members(struct http_text *text, const struct http_field *field) {
+  bool bits;
+  const core_choice *list = http_choices_of(field->name, &bits);
+  if (list != NULL) {
+    write_choice(text, list, bits);
+  } else if (field->kind == HTTP_text || field->count == 1) {
+    write_scalar(text, field->kind);
+  } else {
+    http_text_string(text, "type", "array");
+    http_text_begin(text, "items", '{');
+    write_scalar(text, field->kind);
+    http_text_end(text, '}');
+  }
+  if (field->meaning[0] != '\0') {
+    http_text_string(text, "description", field->meaning);
+  }
+}
+
+static void write_property(struct http_text *text, const struct http_field *field) {
+  http_text_begin(text, field->name, '{');
+  write_members(text, field);
+  http_text_end(text, '}');
+}
+
+static void write_properties(struct http_text *text, const struct http_field *fields) {
+  for (; fields->name != NULL; fields++) {
+    if (!http_is_internal(fields->name)) {
+      write_property(text, fields);
+    }
+  }
+}
+
+static void begin_object(struct http_text *text, const char *name) {
+  http_text_begin(text, name, '{');
+  http_text_string(text, "type", "object");
+  http_text_begin(text, "properties", '{');
+}
+
+static void end_object(struct http_text *text) {
+  http_text_end(text, '}');
+  http_text_end(text, '}');
+}
+
+static void write_list(struct http_text *text, const char *name, const char *items,
+                       const char *description) {
+  http_text_begin(text, name, '{');
+  http_text_string(text, "type", "array");
+  http_text_raw(text, "items", items);
+  if (description != NULL) {
+    http_text_string(text, "description", description);
+  }
+  http_text_end(text, '}');
+}
+
+static void write_units(struct http_text *text) {
+  http_text_raw(text, "units",
+                "{\"type\":\"object\",\"additionalProperties\":{\"type\":\"string\"}}");
+}
+
+/* ---- what a request says --------------------------------------------------------------------- */
+
+/* Calls write() for each field of a request, with its name, and with the members of its schema to
+ * be written by write_request_field(). */
+struct request_field {
+  const char *name;
+  const struct http_field *field; /* a field of a structure, or NULL */
+  const core_choice *parameter;   /* else a parameter, or NULL */
+  const char *description;        /* else a list of numbers, or of media */
+};
+
+enum { REQUEST_FIELDS_MAX = 64 };
+
+/* Fills in the fields that a request may have. Returns how many there are. */
+static size_t list_request_fields(const struct http_message *message,
+                                  struct request_field fields[REQUEST_FIELDS_MAX]) {
+  size_t count = 0;
+  for (const struct http_field *field = message->request; field->name != NULL; field++) {
+    if (!http_is_internal(field->name)) {
+      fields[count++] = (struct request_field){field->name, field, NULL, NULL};
+    }
+  }
+  for (int i = 0; i < HTTP_LISTS && message->lists[i].name != NULL; i++) {
+    fields[count++] =
+        (struct request_field){message->lists[i].name, NULL, NULL, message->lists[i].meaning};
+  }
+  if (message->media_most > 0) {
+    fields[count++] = (struct request_field){
+        "medium", NULL, NULL, "names of /v1/media, of three channels each; else the coefficients"};
+    for (const struct http_field *field = http_fields_of_medium; field->name != NULL; field++) {
+      fields[count++] = (struct request_field){field->name, NULL, NULL, field->meaning};
+    }
+  }
+  for (const core_choice *one = core_parameter_list; message->parameters && one->name != NULL;
+       one++) {
+    fields[count++] = (struct request_field){one->name, NULL, one, NULL};
+  }
+  fields[count++] = (struct request_field){"deadline_ms", &http_fields_of_header[5], NULL, NULL};
+  return count;
+}
+
+static void write_request_field(struct http_text *text, const struct request_field *field) {
+  if (field->field != NULL) {
+    write_members(text, field->field);
+  } else if (field->parameter != NULL) {
+    write_scalar(text, HTTP_f64);
+    http_text_string(text, "description", field->parameter->about);
+  } else {
+    http_text_string(text, "type", "array");
+    http_text_raw(text, "items", strcmp(field->name, "medium") == 0 ? REFERENCE("Medium") : NUMBER);
+    http_text_string(text, "description", field->description);
+  }
+}
+
+/* ---- paths ----------------------------------------------------------------------------------- */
+
+static void write_responses(struct http_text *text, const char *schema) {
+  static const struct {
+    const char *status;
+    const char *meaning;
+  } faults[] = {{"400", "a field is wrong"},
+                {"413", "the request or the reply is too large for HTTP"},
+                {"429", "the daemon is at a limit; Retry-After says when to try again"},
+                {"503", "the daemon stops, or the deadline has passed"}};
+  http_text_begin(text, "responses", '{');
+  http_text_begin(text, "200", '{');
+  http_text_string(text, "description", "the answer");
+  http_text_raw(text, "content", "{\"application/json\":{\"schema\":");
+  http_text_add(text, schema, strlen(schema));
+  http_text_add(text, "}}", 2);
+  http_text_end(text, '}');
+  for (size_t i = 0; i < sizeof faults / sizeof faults[0]; i++) {
+    http_text_begin(text, faults[i].status, '{');
+    http_text_string(text, "description", faults[i].meaning);
+    http_text_raw(text, "content", "{\"application/json\":{\"schema\":" REFERENCE("Error") "}}");
+    http_text_end(text, '}');
+  }
+  http_text_end(text, '}');
+}
+
+static void write_get(struct http_text *text, const struct http_message *message,
+                      const char *schema) {
+  struct request_field fields[REQUEST_FIELDS_MAX];
+  const size_t count = list_request_fields(message, fields);
+  char id[32];
+  snprintf(id, sizeof id, "get_%s", wire_type_name(message->type));
+  http_text_begin(text, "get", '{');
+  http_text_string(text, "operationId", id);
+  http_text_string(text, "summary", message->about);
+  http_text_begin(text, "parameters", '[');
+  for (size_t i = 0; i < count; i++) {
+    http_text_begin(text, NULL, '{');
+    http_text_string(text, "name", fields[i].name);
+    http_text_string(text, "in", "query");
+    http_text_string(text, "style", "form");
+    http_text_bool(text, "explode", false);
+    http_text_begin(text, "schema", '{');
+    if (strcmp(fields[i].name, "medium") == 0) {
+      http_text_raw(text, "type", "\"array\",\"items\":{\"type\":\"string\"}");
+    } else {
+      write_request_field(text, &fields[i]);
+    }
+    http_text_end(text, '}');
+    http_text_end(text, '}');
+  }
+  http_text_end(text, ']');
+  write_responses(text, schema);
+  http_text_end(text, '}');
+}
+
+static void write_message(struct http_text *text, const struct http_message *message) {
+  const char *name = wire_type_name(message->type);
+  char path[40], schema[80], body[80];
+  snprintf(path, sizeof path, "/v1/%s", name);
+  snprintf(schema, sizeof schema, REFERENCE("%s_reply"), name);
+  snprintf(body, sizeof body, REFERENCE("%s_request"), name);
+  http_text_begin(text, path, '{');
+  write_get(text, message, schema);
+  http_text_begin(text, "post", '{');
+  http_text_string(text, "operationId", name);
+  http_text_string(text, "summary", message->about);
+  http_text_begin(text, "requestBody", '{');
+  http_text_bool(text, "required", true);
+  http_text_raw(text, "content", "{\"application/json\":{\"schema\":");
+  http_text_add(text, body, strlen(body));
+  http_text_add(text, "}}", 2);
+  http_text_end(text, '}');
+  write_responses(text, schema);
+  http_text_end(text, '}');
+  http_text_end(text, '}');
+}
+
+static void write_list_path(struct http_text *text, const char *path, const char *id,
+                            const char *summary) {
+  http_text_begin(text, path, '{');
+  http_text_begin(text, "get", '{');
+  http_text_string(text, "operationId", id);
+  http_text_string(text, "summary", summary);
+  write_responses(text, "{\"type\":\"object\"}");
+  http_text_end(text, '}');
+  http_text_end(text, '}');
+}
+
+/* ---- components ------------------------------------------------------------------------------ */
+
+static void write_request_schema(struct http_text *text, const struct http_message *message) {
+  struct request_field fields[REQUEST_FIELDS_MAX];
+  const size_t count = list_request_fields(message, fields);
+  char name[32];
+  snprintf(name, sizeof name, "%s_request", wire_type_name(message->type));
+  begin_object(text, name);
+  for (size_t i = 0; i < count; i++) {
+    http_text_begin(text, fields[i].name, '{');
+    write_request_field(text, &fields[i]);
+    http_text_end(text, '}');
+  }
+  http_text_end(text, '}');
+  http_text_bool(text, "additionalProperties", false);
+  http_text_end(text, '}');
+}
+
+static void write_reply_schema(struct http_text *text, const struct http_message *message) {
+  char name[32];
+  snprintf(name, sizeof name, "%s_reply", wire_type_name(message->type));
+  begin_object(text, name);
+  write_properties(text, message->reply);
+  write_units(text);
+  if (message->reply == http_fields_of_eval_reply) {
+    write_list(text, "r", NUMBER, "mm; the radii of an eval, if they are wanted");
+    write_list(text, "channels", REFERENCE("Channel"), NULL);
+  } else if (message->reply == http_fields_of_offers_reply) {
+    write_list(text, "offers", REFERENCE("Offer"), NULL);
+  } else if (message->reply == http_fields_of_invert_reply) {
+    write_list(text, "sigma_a", NUMBER, "1/mm");
+    write_list(text, "sigma_s", NUMBER, "1/mm");
+    write_list(text, "albedo", NUMBER, "of the medium that was found");
+  } else {
+    http_text_raw(text, "parameters", "{\"type\":\"object\"}");
+    write_list(text, "words", "{\"type\":\"integer\"}", "32 bits each");
+  }
+  end_object(text);
+}
+
+static void write_channel_schema(struct http_text *text) {
+  begin_object(text, "Channel");
+  write_properties(text, http_fields_of_medium);
+  write_properties(text, http_fields_of_channel);
+  for (const core_choice *one = core_quantities; one->name != NULL; one++) {
+    if (one->id != CORE_QUANTITY_ALBEDO) {
+      write_list(text, one->name, NUMBER, one->about);
+    }
+  }
+  end_object(text);
+}
+
+static void write_components(struct http_text *text) {
+  http_text_begin(text, "components", '{');
+  http_text_begin(text, "schemas", '{');
+  http_text_raw(text, "Number",
+                "{\"nullable\":true,\"description\":\"A number; infinities are texts. In answers, "
+                "null is a number that is not known.\",\"oneOf\":[{\"type\":\"number\"},"
+                "{\"type\":\"string\",\"enum\":[\"inf\",\"-inf\"]}]}");
+  http_text_raw(text, "Medium",
+                "{\"oneOf\":[{\"type\":\"string\"}," REFERENCE("Coefficients") "]}");
+  begin_object(text, "Coefficients");
+  write_properties(text, http_fields_of_medium);
+  end_object(text);
+  begin_object(text, "Error");
+  http_text_raw(text, "text", "{\"type\":\"string\"}");
+  for (const struct http_field *field = http_fields_of_error; field->name != NULL; field++) {
+    if (strcmp(field->name, "status") == 0) {
+      http_text_raw(text, "status", "{\"type\":\"string\"}");
+    } else if (!http_is_internal(field->name)) {
+      write_property(text, field);
+    }
+  }
+  end_object(text);
+  begin_object(text, "Offer");
+  write_properties(text, http_fields_of_offer);
+  end_object(text);
+  write_channel_schema(text);
+  for (const struct http_message *one = http_messages; one->type != 0; one++) {
+    write_request_schema(text, one);
+    write_reply_schema(text, one);
+  }
+  http_text_end(text, '}');
+  http_text_end(text, '}');
+}
+
+void http_openapi_write(struct http_text *text) {
+  http_text_begin(text, NULL, '{');
+  http_text_string(text, "openapi", "3.0.3");
+  http_text_begin(text, "info", '{');
+  http_text_string(text, "title", "dipoled");
+  http_text_string(text, "version", DIPOLED_VERSION);
+  http_text_string(text, "description",
+                   "Evaluates subsurface-scattering profiles R(r). Fields, limits and errors are "
+                   "those of the binary protocol (PROTOCOL.md).");
+  http_text_end(text, '}');
+  http_text_raw(text, "servers", "[{\"url\":\"/\"}]");
+  http_text_begin(text, "paths", '{');
+  for (const struct http_message *one = http_messages; one->type != 0; one++) {
+    write_message(text, one);
+  }
+  write_list_path(text, "/v1/models", "models",
+                  "Lists models, evaluators, parameters and the other choices, and the limits");
+  write_list_path(text, "/v1/media", "media", "Lists the measured media");
+  write_list_path(text, "/v1/openapi.json", "openapi", "This document");
+  write_list_path(text, "/healthz", "health", "Whether the daemon serves");
+  http_text_end(text, '}');
+  write_components(text);
+  http_text_end(text, '}');
+}

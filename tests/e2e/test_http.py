@@ -1,0 +1,631 @@
+"""--http: requests of the binary protocol as JSON, with its limits and errors."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import os
+import random
+import re
+import shutil
+import socket
+import subprocess
+import time
+from urllib.parse import quote
+
+import dipole
+import numpy as np
+import pytest
+from daemons import BUILD, Daemon, eventually, sanitized
+
+TIMEOUT_S = 30
+SKIN = {"sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3}
+JSON = {"Content-Type": "application/json"}
+# The packages that npm fetches, if npm is installed: versions that are known to work.
+NODE_MODULES = {
+    "@seriousme/openapi-schema-validator": "2.11.0",
+    "openapi-client-axios": "7.9.1",
+    "axios": "1.16.0",
+}
+
+
+def address(daemon) -> tuple[str, int]:
+    line = next(line for line in daemon.log if "url=http://" in line)
+    host, _, port = line.split("url=http://")[1].split()[0].rpartition(":")
+    return host, int(port)
+
+
+@pytest.fixture(scope="module")
+def served():
+    """Returns a daemon that serves HTTP at a free port, for tests that change nothing in it."""
+    one = Daemon("--http", "127.0.0.1:0")
+    yield one
+    one.close()
+
+
+class Answer:
+    def __init__(self, answer: http.client.HTTPResponse):
+        self.status = answer.status
+        self.headers = answer.headers
+        self.text = answer.read()
+
+    @property
+    def json(self):
+        return json.loads(self.text)
+
+
+def ask(daemon, method: str, path: str, body=None, headers=None) -> Answer:
+    """Makes one HTTP request. A body that is no bytes becomes JSON."""
+    connection = http.client.HTTPConnection(*address(daemon), timeout=TIMEOUT_S)
+    try:
+        if body is not None and not isinstance(body, bytes):
+            body = json.dumps(body).encode()
+        connection.request(method, path, body, JSON if headers is None else headers)
+        return Answer(connection.getresponse())
+    finally:
+        connection.close()
+
+
+def get(daemon, path: str) -> Answer:
+    return ask(daemon, "GET", path)
+
+
+def post(daemon, path: str, **fields) -> Answer:
+    return ask(daemon, "POST", path, fields)
+
+
+def good(answer: Answer):
+    assert answer.status == 200, answer.text
+    assert answer.headers["Content-Type"] == "application/json"
+    return answer.json
+
+
+def bits(values, like) -> bytes:
+    """Returns the bytes of values that JSON has, where null is NaN, in the precision of `like`."""
+    numbers = [float("nan") if v is None else float(v) for v in np.ravel(values).tolist()]
+    return np.array(numbers, np.float64).astype(like.dtype).tobytes()
+
+
+# ---- answers are those of the binary protocol ----------------------------------------------------
+
+
+@pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
+@pytest.mark.parametrize("how", ["GET", "POST"])
+def test_eval(served, evaluator, how):
+    wanted = ["R", "albedo", "cdf", "dR_dr", "ln_R", "pdf", "2_pi_r_R", "S", "r"]
+    radii = [0.0, 0.1, 0.123456789, 1.0, 1e-7, 25.0]
+    if how == "GET":
+        listed = ",".join(map(repr, radii))
+        path = f"/v1/eval?model=better&evaluator={evaluator}&medium=skin1&r={listed}"
+        answer = good(get(served, path + "&wanted=" + ",".join(wanted)))
+    else:
+        answer = good(post(served, "/v1/eval", model="better", evaluator=evaluator,
+                           medium="skin1", r=radii, wanted=wanted))
+    with served.client() as client:
+        expected = client.eval("better", "skin1", radii, evaluator=evaluator, wanted=wanted)
+    assert answer["model"] == "better" and answer["evaluator"] == evaluator
+    assert answer["notes"] == [] and answer["units"]["dR_dr"] == "1/mm^3"
+    assert bits(answer["r"], expected.r) == expected.r.tobytes()
+    for i, channel in enumerate(answer["channels"]):
+        for name in wanted[:1] + wanted[2:-1]:
+            values = getattr(expected, "two_pi_r_R" if name == "2_pi_r_R" else name)[i]
+            assert bits(channel[name], values) == values.tobytes(), name
+        assert channel["albedo"] == expected.albedo[i]
+        error = expected.model_error[i]
+        assert bits(channel["model_error"], error) == error.tobytes()
+        assert channel["sigma_a"] == [0.032, 0.17, 0.48][i] and channel["eta"] == 1.3
+
+
+def test_coefficients_parameters_and_grids(served):
+    answer = good(
+        get(
+            served,
+            "/v1/eval?model=better&sigma_a=0.1,0.2&sigma_s=1&g=0.5&eta=1.4&cos_in=0.5&wanted=S,r"
+            "&spacing=logarithmic&radius_count=5&radius_start=0.1&radius_stop=10",
+        )
+    )
+    media = [dipole.Medium(0.1, 1, 0.5, 1.4), dipole.Medium(0.2, 1, 0.5, 1.4)]
+    with served.client() as client:
+        expected = client.eval("better", media, answer["r"], wanted="S", parameters={"cos_in": 0.5})
+    assert [c["S"] for c in answer["channels"]] == expected.S.tolist()
+    assert [c["sigma_a"] for c in answer["channels"]] == [0.1, 0.2]
+    assert [c["sigma_s"] for c in answer["channels"]] == [1, 1]
+    assert answer["r"][0] == 0.1 and answer["r"][-1] == 10 and len(answer["r"]) == 5
+    assert "similarity" in answer["notes"]
+
+
+def models(daemon) -> list[str]:
+    return [one["name"] for one in good(get(daemon, "/v1/models"))["models"]]
+
+
+def test_tolerance_chooses(served):
+    answer = good(post(served, "/v1/eval", medium=SKIN, r=[0.5, 1], tolerance=0.01))
+    with served.client() as client:
+        expected = client.eval(None, dipole.Medium(**SKIN), [0.5, 1], tolerance=0.01)
+    assert answer["model"] == expected.model
+    offers = good(post(served, "/v1/offers", medium=SKIN, r=[0.5, 1], tolerance=0.01))
+    taken = offers["offers"][offers["taken"]]
+    assert taken["model"] == answer["model"] and taken["meets"] == 1
+
+
+def test_defaults_are_those_of_the_command_line(served):
+    answer = good(get(served, "/v1/eval?medium=skin1&r=1"))
+    assert (answer["model"], answer["evaluator"]) == ("transport", "lut")
+    assert good(get(served, "/v1/eval?model=better&medium=skin1&r=1"))["evaluator"] == "f64"
+
+
+def test_infinite_radius_and_unknown_numbers(served):
+    fields = {"model": "better", "medium": SKIN, "r": [1, "inf"], "wanted": ["R", "r"]}
+    answer = good(post(served, "/v1/eval", **fields))
+    assert answer["r"] == [1, "inf"] and answer["channels"][0]["R"][1] == 0
+    assert answer["channels"][0]["albedo"] is None
+    assert good(get(served, "/v1/eval?model=better&medium=skin1&r=inf"))["r"] == ["inf"]
+
+
+def test_sample(served):
+    answer = good(post(served, "/v1/sample", model="better", medium="skin1", draw="random",
+                       sample_count=100, seed="18446744073709551615", wanted=["r", "pdf"]))
+    with served.client() as client:
+        expected = client.sample("better", "skin1", draw=dipole.Draw(100, seed=2**64 - 1))
+    for i, channel in enumerate(answer["channels"]):
+        assert bits(channel["r"], expected.r[i]) == expected.r[i].tobytes()
+        assert bits(channel["pdf"], expected.pdf[i]) == expected.pdf[i].tobytes()
+    listed = good(get(served, "/v1/sample?model=better&medium=skin1&u=0,0.5,1"))
+    assert listed["channels"][0]["r"][0] == 0 and listed["channels"][0]["r"][2] == "inf"
+
+
+def test_invert(served):
+    answer = good(get(served, "/v1/invert?model=better&albedo=0.5,0.9&length=1,2&eta=1.3"
+                      "&given=diffuse-mean-free-path"))
+    # The example invert-reply of PROTOCOL.md.
+    assert answer["sigma_a"] == [0.09130701779526738, 0.006862514332128416]
+    assert answer["sigma_s"] == [3.648510779643631, 12.14326159713412]
+    assert answer["units"]["sigma_a"] == "1/mm" and answer["missing_count"] == 0
+
+
+def test_table(served):
+    answer = good(post(served, "/v1/table", model="better", tolerance=1e-3, **SKIN))
+    with served.client() as client:
+        expected = client.table("better", dipole.Medium(**SKIN), tolerance=1e-3)
+    assert answer["parameters"] == {"tolerance": 1e-3}
+    assert answer["albedo"] == expected.albedo and len(answer["words"]) == answer["word_count"]
+
+
+def test_lists(served):
+    with served.client() as client:
+        info = client.info
+    answer = good(get(served, "/v1/models"))
+    assert answer["limits"]["max_media"] == 64
+    assert [m["name"] for m in answer["models"]] == list(info.choices["model"])
+    for name in ["quantities", "parameters", "notes", "spacings"]:
+        assert all({"id", "name", "about"} == set(one) for one in answer[name])
+    media = good(get(served, "/v1/media"))["media"]
+    skin = next(one for one in media if one["name"] == "skin1")
+    assert skin["sigma_a"] == [0.032, 0.17, 0.48] and skin["eta"] == 1.3
+
+
+# ---- faults ------------------------------------------------------------------------------------
+
+
+GOOD = {"model": "better", "medium": SKIN, "r": [1]}
+
+
+@pytest.mark.parametrize(
+    "change, field",
+    [
+        ({"r": [1, -1]}, "r"),
+        ({"r": [None]}, "r"),
+        ({"r": ["nan"]}, "r"),
+        ({"r": [[1]]}, "r"),
+        ({"r": [1e300], "evaluator": "f32"}, "r"),
+        ({"model": "best"}, "model"),
+        ({"model": 999}, "model"),
+        ({"model": ["better"]}, "model"),
+        ({"evaluator": "f16"}, "evaluator"),
+        ({"wanted": []}, "wanted"),
+        ({"wanted": ["Q"]}, "wanted"),
+        ({"medium": "skin9"}, "medium"),
+        ({"medium": []}, "medium_count"),
+        ({"medium": 5}, "medium"),
+        ({"medium": {**SKIN, "x": 1}}, "medium"),
+        ({"medium": {"sigma_a": 1}}, "sigma_s"),
+        ({"medium": {**SKIN, "sigma_s": -1}}, "sigma_s"),
+        ({"medium": [SKIN] * 65}, "medium_count"),
+        ({"sigma_a": 1}, "sigma_a"),
+        ({"radius_count": 5}, "radius_count"),
+        ({"spacing": "linear"}, "payload_bytes"),
+        ({"radius_start": 1}, "radius_start"),
+        ({"tolerance": 2}, "tolerance"),
+        ({"thickness": 1}, "thickness"),
+        ({"deadline_ms": -1}, "deadline_ms"),
+        ({"deadline_ms": 2**40}, "deadline_ms"),
+        ({"medium_count": 1}, "medium_count"),
+        ({"unknown": 1}, "unknown"),
+        ({"n" * 100: 1}, "body"),
+    ],
+)
+def test_faults_name_the_field(served, change, field):
+    answer = ask(served, "POST", "/v1/eval", {**GOOD, **change})
+    assert answer.status in (400, 413), answer.text
+    assert answer.json["field"] == field and answer.json["allowed"], answer.text
+    assert good(ask(served, "POST", "/v1/eval", GOOD))
+
+
+BAD_BODIES = [
+    b"", b"{", b"[]", b"5", b"null", b"\xff\xfe", b'{"r":[1e999]}', b'{"r":[1],"r":[2]}',
+    b'{"model":"\\ud800"}', b'{"model":"\xed\xa0\x80"}', b'{"r":[01]}', b'{"r":[NaN]}',
+    b'{"r":[1],}', b'{"r":[1]} x', b'{"\\u0000":1}', b'{"r":[99999999999999999999999]}',
+    b"[" * 100000, b'{"a":' * 5000 + b"1" + b"}" * 5000, b'{"r":[' + b"[]," * 100000 + b"1]}",
+    b'{"x":"' + b"[" * 1000 + b'"}', b'{"model":"' + b"x" * 100000 + b'"}',
+]
+
+
+@pytest.mark.parametrize("body", BAD_BODIES, ids=lambda body: repr(body[:20]))
+def test_bodies_that_are_wrong(served, body):
+    answer = ask(served, "POST", "/v1/eval", body)
+    assert answer.status == 400, answer.text
+    assert answer.json["status"].startswith("bad-")
+
+
+@pytest.mark.parametrize(
+    "query", ["r", "r=%", "r=%g0", "r=%00", "r=1&r=2", "r=%ff", "r=1,,2", "=", "model=%C3%28",
+              "r=0x1", "r=1e999", "r=1 2", "medium=" + "%41" * 5000, "x" * 3000 + "=1"]
+)
+def test_queries_that_are_wrong(served, query):
+    answer = get(served, "/v1/eval?model=better&" + query.replace(" ", "%20"))
+    assert 400 <= answer.status < 500, answer.text
+
+
+def test_paths_methods_and_types(served):
+    unknown = ["/", "/v1", "/v1/", "/v1/evals", "/v1/hello", "/v1/eval/", "/v1/eval%00", "/%2e%2e"]
+    for path in [*unknown, "/v1/mc", "/metrics"]:
+        assert get(served, path).status == 404, path
+    for method in ["PUT", "DELETE", "PATCH", "OPTIONS", "TRACE", "X"]:
+        answer = ask(served, method, "/v1/eval", headers={})
+        assert answer.status == 405 and "POST" in answer.headers["Allow"]
+    assert ask(served, "POST", "/v1/media", {}).status == 405
+    assert ask(served, "POST", "/v1/eval", b"{}", {"Content-Type": "text/plain"}).status == 415
+    answer = ask(served, "HEAD", "/healthz")
+    assert answer.status == 200 and answer.text == b""
+
+
+def test_too_large(served):
+    answer = post(served, "/v1/eval", model="better", medium=SKIN, spacing="linear",
+                  radius_count=10**6, radius_stop=1)
+    assert answer.status == 413 and answer.json["field"] == "radius_count"
+    answer = post(served, "/v1/eval", model="better", medium=SKIN, spacing="linear",
+                  radius_count=10**11, radius_stop=1)
+    assert answer.status == 413 and answer.json["field"] == "radius_count"
+    body = b'{"model":"better","r":[' + b"1," * 600000 + b"1]}"
+    assert ask(served, "POST", "/v1/eval", body).status == 413
+    most = good(post(served, "/v1/eval", model="better", medium=SKIN, spacing="linear",
+                     radius_count=65000, radius_stop=1))
+    assert len(most["r"]) == len(most["channels"][0]["R"]) == 65000
+
+
+def test_a_chunked_body_is_bounded(daemon):
+    one = daemon("--http", "127.0.0.1:0", "--frame-timeout-ms", "2000")
+    before = one.resident_bytes()
+    head = (
+        b"POST /v1/eval HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n"
+        b"Transfer-Encoding: chunked\r\n\r\n"
+    )
+    chunk = b"10000\r\n" + b" " * 65536 + b"\r\n"
+    with socket.create_connection(address(one), TIMEOUT_S) as sock:
+        sock.sendall(head + 40 * chunk + b"0\r\n\r\n")
+        assert sock.recv(1000).startswith(b"HTTP/1.1 413 ")
+        with pytest.raises(OSError):  # One that never ends has frame_timeout_ms.
+            sock.sendall(head)
+            while True:
+                sock.sendall(chunk)
+    assert sanitized() or one.resident_bytes() < before + 16 * 2**20
+    assert good(get(one, "/healthz")) == {"status": "ok"}
+
+
+def test_a_deadline_is_503(served):
+    answer = post(served, "/v1/eval", model="transport", evaluator="f64", deadline_ms=1,
+                  r=[1], sigma_a=[0.011, 0.012, 0.013], sigma_s=1, g=0, eta=1.31)
+    assert answer.status == 503 and answer.json["field"] == "deadline_ms"
+
+
+def test_busy_is_429_with_retry_after(daemon):
+    one = daemon("--http", "127.0.0.1:0", "--max-total-bytes", "1048576")
+    with socket.create_connection(address(one), TIMEOUT_S) as hog:
+        # Another client's body takes most of the memory.
+        hog.sendall(b"POST /v1/eval HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n"
+                    b"Content-Length: 1000000\r\n\r\n" + b" " * 600000)
+
+        def is_busy() -> bool:
+            answer = post(one, "/v1/eval", model="better", medium=SKIN, spacing="linear",
+                          radius_count=40000, radius_stop=1)
+            if answer.status == 429:
+                assert int(answer.headers["Retry-After"]) >= 1
+                assert answer.json["status"] == "busy"
+            return answer.status == 429
+
+        assert eventually(is_busy, 10)
+    assert eventually(lambda: get(one, "/v1/eval?model=better&medium=skin1&r=1").status == 200, 10)
+
+
+# ---- CORS --------------------------------------------------------------------------------------
+
+
+def test_other_origins_are_refused_unless_asked_for(served, daemon):
+    origin = {"Origin": "http://example.org", "Access-Control-Request-Method": "POST"}
+    answer = ask(served, "OPTIONS", "/v1/eval", headers=origin)
+    assert answer.status == 405 and "Access-Control-Allow-Origin" not in answer.headers
+    one = daemon("--http", "127.0.0.1:0", "--http-allow-origin", "http://example.org")
+    answer = ask(one, "OPTIONS", "/v1/eval", headers=origin)
+    assert answer.status == 204
+    assert answer.headers["Access-Control-Allow-Origin"] == "http://example.org"
+    assert answer.headers["Access-Control-Allow-Headers"] == "Content-Type"
+    answer = ask(one, "POST", "/v1/eval", GOOD, {**JSON, **origin})
+    assert answer.status == 200 and answer.headers["Access-Control-Allow-Origin"]
+
+
+# ---- connections -------------------------------------------------------------------------------
+
+
+def test_many_requests_over_one_connection(served):
+    connection = http.client.HTTPConnection(*address(served), timeout=TIMEOUT_S)
+    for i in range(20):
+        connection.request("GET", f"/v1/eval?model=better&medium=skin1&r={i}")
+        assert connection.getresponse().read()
+        first = connection.sock if i == 0 else first
+        assert connection.sock is first
+    connection.close()
+
+
+def test_one_more_connection_is_closed(daemon):
+    one = daemon("--http", "127.0.0.1:0", "--max-http-connections", "3")
+    held = [socket.create_connection(address(one), TIMEOUT_S) for _ in range(3)]
+    for sock in held:
+        sock.sendall(b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\n")
+        assert sock.recv(100).startswith(b"HTTP/1.1 200")
+    with socket.create_connection(address(one), TIMEOUT_S) as sock:
+        try:
+            sock.sendall(b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\n")
+            assert sock.recv(100) == b""
+        except ConnectionError:
+            pass
+    held.pop().close()
+    assert eventually(lambda: _serves(one), 10)
+    for sock in held:
+        sock.close()
+
+
+def _serves(daemon) -> bool:
+    try:
+        return get(daemon, "/healthz").status == 200
+    except (OSError, http.client.HTTPException):
+        return False
+
+
+@pytest.mark.parametrize(
+    "beginning",
+    [
+        b"",
+        b"GET /healthz HTTP/1.1\r\nX: ",
+        b"POST /v1/eval HTTP/1.1\r\nContent-Type: application/json\r\nContent-Length: 100\r\n\r\n{",
+    ],
+)
+def test_slow_and_idle_clients_are_closed(daemon, beginning):
+    one = daemon("--http", "127.0.0.1:0", "--frame-timeout-ms", "400")
+    began = time.monotonic()
+    with socket.create_connection(address(one), TIMEOUT_S) as sock:
+        sock.sendall(beginning)
+        sock.settimeout(0.1)
+        while True:
+            assert time.monotonic() - began < 10
+            try:
+                if sock.recv(1000) == b"":
+                    break
+            except TimeoutError:
+                if beginning:
+                    sock.sendall(b"x")  # A byte now and then does not help.
+            except OSError:
+                break
+    assert time.monotonic() - began >= 0.35
+    assert _serves(one)
+
+
+def test_idle_and_slow_clients_leave_the_binary_protocol_alone(daemon):
+    one = daemon("--http", "127.0.0.1:0", "--max-http-connections", "2000")
+    held = [socket.create_connection(address(one), TIMEOUT_S) for _ in range(1000)]
+    try:
+        for sock in held[:100]:
+            sock.sendall(b"GET /healthz HTTP/1.1\r\nX: ")
+        with one.client() as client:
+            for _ in range(200):
+                client.eval("better", "skin1", [1.0])
+        assert _serves(one)
+    finally:
+        for sock in held:
+            sock.close()
+
+
+def test_an_abandoned_job_ends(daemon):
+    one = daemon("--http", "127.0.0.1:0", "--workers", "1")
+    body = json.dumps({"model": "transport", "given": "mean-free-path", "g": 0, "eta": 1.37,
+                       "albedo": [0.1 + 0.01 * i for i in range(40)], "length": [1] * 40}).encode()
+    with socket.create_connection(address(one), TIMEOUT_S) as sock:
+        sock.sendall(b"POST /v1/invert HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n"
+                     b"Content-Length: %d\r\n\r\n" % len(body) + body)
+        time.sleep(0.3)
+    assert _serves(one)  # The daemon stops at once at the end of the test, or close() says so.
+
+
+def test_a_running_request_is_answered_when_the_daemon_stops(daemon):
+    one = daemon("--http", "127.0.0.1:0")
+    path = ("/v1/eval?model=transport&evaluator=f64&sigma_a=0.021&sigma_s=1&eta=1.33&r=1")
+    idle = socket.create_connection(address(one), TIMEOUT_S)
+    connection = http.client.HTTPConnection(*address(one), timeout=TIMEOUT_S)
+    connection.request("GET", path)
+    with one.client() as client:
+        assert eventually(lambda: client.statistics()["requests_eval"] >= 1, 10)
+    one.terminate()
+    answer = connection.getresponse()
+    assert answer.status == 200 and json.loads(answer.read())["channels"][0]["R"]
+    connection.close()
+    assert idle.recv(10) == b""
+    idle.close()
+
+
+# ---- noise -------------------------------------------------------------------------------------
+
+
+NAMES = ["model", "medium", "r", "u", "wanted", "sigma_a", "eta", "deadline_ms", "zero", "x"]
+VALUES = ["better", "skin1", "1e999", "-0", "inf", "nan", "1,2,3", "%41", "%", "é", "9" * 400]
+PATHS = ["/v1/eval", "/v1/sample", "/v1/invert", "/v1/table", "/v1/fit", "/%2f", "*", "//"]
+HEADERS = [
+    "",
+    "Host: x\r\n",
+    "Content-Length: 5\r\n",
+    "Content-Length: -1\r\n",
+    "Transfer-Encoding: chunked\r\n",
+    "X: " + "y" * 40000 + "\r\n",
+    "Content-Type: application/json\r\n",
+    ": \r\n",
+    "Expect: 100-continue\r\n",
+]
+
+
+def noise(dice: random.Random) -> bytes:
+    """Returns bytes that resemble an HTTP request more or less."""
+    pairs = [f"{dice.choice(NAMES)}={dice.choice(VALUES)}" for _ in range(dice.randrange(6))]
+    method = dice.choice(["GET", "POST", "HEAD", "OPTIONS", "x"])
+    head = dice.choice(HEADERS) * dice.randrange(3)
+    text = f"{method} {dice.choice(PATHS)}?{'&'.join(pairs)} HTTP/1.1\r\n{head}\r\n"
+    data = bytearray(text.encode())
+    for _ in range(dice.randrange(4)):
+        data[dice.randrange(len(data))] = dice.randrange(256)
+    return bytes(data[: dice.randrange(1, len(data) + 1)] if dice.random() < 0.3 else data)
+
+
+def any_json(dice: random.Random, depth: int = 0) -> object:
+    kind = dice.randrange(8 if depth < 6 else 6)
+    if kind == 6:
+        return [any_json(dice, depth + 1) for _ in range(dice.randrange(4))]
+    if kind == 7:
+        keys = ["model", "r", "medium", "sigma_a", "x", "eta", "wanted", "albedo", "length", "u"]
+        return {dice.choice(keys): any_json(dice, depth + 1) for _ in range(dice.randrange(5))}
+    return [None, True, dice.randrange(-2**70, 2**70), dice.uniform(-1e3, 1e3), "better",
+            dice.choice(["skin1", "inf", "\ud800", "1", ""])][kind]
+
+
+def exchange(daemon, messages: list[bytes]) -> list[bytes]:
+    """Sends all messages at the same time, over connections of their own. Returns the answers."""
+    socks = [socket.create_connection(address(daemon), TIMEOUT_S) for _ in messages]
+    answers = [b""] * len(messages)
+    for sock, message in zip(socks, messages):
+        try:
+            sock.sendall(message)
+            sock.shutdown(socket.SHUT_WR)
+        except OSError:
+            pass  # The daemon has refused the message and closed the connection.
+    for i, sock in enumerate(socks):
+        try:
+            while more := sock.recv(65536):
+                answers[i] += more
+        except ConnectionError:
+            pass
+        sock.close()
+    return answers
+
+
+def test_noise_is_answered_and_takes_no_memory(daemon):
+    one = daemon("--http", "127.0.0.1:0", "--frame-timeout-ms", "400")
+    dice = random.Random(20120101)
+    get(one, "/v1/eval?model=better&medium=skin1&r=1")
+    before = one.resident_bytes()
+    for _ in range(10):
+        for answer in exchange(one, [noise(dice) for _ in range(100)]):
+            assert answer == b"" or re.match(rb"HTTP/1\.[01] ([124]\d\d|505)", answer), answer
+    for _ in range(500):
+        path = "/v1/" + dice.choice(["eval", "sample", "invert", "table", "offers", "fit"])
+        answer = ask(one, "POST", path, any_object(dice))
+        assert 200 <= answer.status < 500, answer.text
+        assert answer.json
+    if not sanitized():
+        assert one.resident_bytes() < before + 32 * 2**20
+
+
+def any_object(dice: random.Random) -> dict:
+    one = any_json(dice)
+    return one if isinstance(one, dict) else {"model": "better", "medium": "skin1", "r": one}
+
+
+# ---- the OpenAPI document ----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def node_modules():
+    """Returns the folder in which npm has installed the packages above."""
+    if shutil.which("node") is None or shutil.which("npm") is None:
+        pytest.skip("node and npm are not installed")
+    folder = BUILD / "node-openapi"
+    folder.mkdir(parents=True, exist_ok=True)
+    if not all((folder / "node_modules" / name).is_dir() for name in NODE_MODULES):
+        wanted = [f"{name}@{version}" for name, version in NODE_MODULES.items()]
+        options = ["--no-audit", "--no-fund", "--ignore-scripts", "--omit=optional"]
+        try:
+            fetched = subprocess.run(["npm", "install", *options, *wanted], cwd=folder, text=True,
+                                     capture_output=True, timeout=120, check=False)
+            failure = fetched.stderr.strip()[-200:] if fetched.returncode else ""
+        except subprocess.TimeoutExpired:
+            failure = "it takes too long"
+        if failure:
+            pytest.skip(f"npm cannot install {' '.join(wanted)}: {failure}")
+    return folder
+
+
+VALIDATE = """
+import { Validator } from "@seriousme/openapi-schema-validator";
+const result = await new Validator().validate(JSON.parse(process.argv[2]));
+console.log(result.valid ? "valid" : JSON.stringify(result.errors));
+"""
+
+GENERATED = """
+import { OpenAPIClientAxios } from "openapi-client-axios";
+const url = process.argv[2];
+const api = new OpenAPIClientAxios({ definition: url + "/v1/openapi.json",
+                                     axiosConfigDefaults: { baseURL: url } });
+const client = await api.init();
+const posted = await client.eval(null, { model: "better", medium: ["skin1"], r: [0.5, 1, 2] });
+const got = await client.get_eval({ model: "better", medium: "skin1", r: "0.5,1,2" });
+console.log(JSON.stringify([posted.data, got.data]));
+"""
+
+
+def run_node(folder, name: str, script: str, argument: str) -> str:
+    (folder / name).write_text(script)
+    done = subprocess.run(["node", name, argument], cwd=folder, capture_output=True, text=True,
+                          timeout=TIMEOUT_S, check=False, env={**os.environ, "NO_PROXY": "*"})
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_the_document_is_valid(served, node_modules):
+    document = get(served, "/v1/openapi.json").text.decode()
+    assert run_node(node_modules, "validate.mjs", VALIDATE, document) == "valid\n"
+
+
+def test_a_client_made_from_the_document_alone(served, node_modules):
+    host, port = address(served)
+    posted, got = json.loads(
+        run_node(node_modules, "generated.mjs", GENERATED, f"http://{host}:{port}")
+    )
+    with served.client() as client:
+        expected = client.eval("better", "skin1", [0.5, 1, 2])
+    assert posted == got
+    assert [c["R"] for c in posted["channels"]] == expected.R.tolist()
+
+
+def test_the_document_lists_what_there_is(served):
+    document = good(get(served, "/v1/openapi.json"))
+    for path, methods in document["paths"].items():
+        assert get(served, path).status in (200, 400), path
+        assert ("post" in methods) == (ask(served, "POST", path, {}).status == 400), path
+    properties = document["components"]["schemas"]["eval_request"]["properties"]
+    assert properties["model"]["enum"] == models(served)
+    assert "tolerance" in properties and "zero" not in properties
