@@ -63,6 +63,12 @@ typedef void core_varying_invert_kernel_f32(const float *shared, const float *wo
                                             const float *length_mm, float *sigma_a, float *sigma_s,
                                             float *albedo, uint8_t *status);
 
+/* ln R and its derivatives by the logarithms of sigma_a and sigma_s. */
+typedef void core_varying_gradient_kernel_f64(const double *shared, const double *words, size_t n,
+                                              const double *sigma_a, const double *sigma_s,
+                                              const double *r, double *ln_R, double *by_ln_sigma_a,
+                                              double *by_ln_sigma_s);
+
 /* An entry is NULL where core has one method for all models: core/evaluate.c makes S from R,
  * core/transfer.c transforms R, and core/sample.c inverts the cdf. If all entries of an f32 table are NULL, core evaluates in double
  * precision and rounds. The entries for media that vary are NULL too if a model has none. */
@@ -71,6 +77,7 @@ typedef struct core_kernels_f64 {
   core_kernel_f64 *sample;                           /* in: cdf values; out: radii in mm */
   core_varying_kernel_f64 *varying[CORE_ELEMENTWISE_COUNT];
   core_varying_kernel_f64 *varying_sample;
+  core_varying_gradient_kernel_f64 *varying_gradient; /* NULL: core takes differences of ln R */
   core_varying_check_kernel_f64 *varying_check; /* in core/models/varying.c alone, for all models */
   core_varying_invert_kernel_f64 *varying_invert;
 } core_kernels_f64;
@@ -168,6 +175,10 @@ core_medium core_transport_medium(const core_medium *medium, double gamma);
  * the table of anisotropic scattering covers the medium. Otherwise it uses the similarity relation.
  * Sets *added, to zeros if g is 0 or the result is false. */
 bool core_transport_added_errors(const core_medium *medium, core_added_errors *added);
+
+/* Returns the error of `transport` with isotropic scattering where the table of solutions covers the
+ * medium, relative. */
+double core_transport_table_error(double eta);
 
 /* Returns the largest ratio sigma_a / sigma_s' at which `transport` evaluates scattering with this
  * g and eta as it is, or INFINITY if there is none or the model uses the similarity relation. */

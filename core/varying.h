@@ -72,9 +72,13 @@ typedef struct core_varying {
   double colour_most[CORE_LIGHTS];
   /* The share of the light striking the surface that the surface itself reflects (Fresnel). */
   double specular[CORE_LIGHTS];
+  double surface_error; /* measured error of the surface, relative; 0 for other models */
   float *words; /* of the surface and of colours, for core_varying_open(); owned */
   size_t words_count;
 
+  double table_g; /* with which the surface scatters: g, gamma - 1, or 0 by similarity */
+  double gamma;   /* the parameters, NAN if they are not given */
+  double surface_albedo;
   const struct core_kernels *kernels;       /* of the model */
   const struct core_kernels *check_kernels; /* of all models: checks and colours */
   double *wide_words; /* the words for kernels in double precision, or NULL; owned */
@@ -180,6 +184,10 @@ void core_varying_gradient_f64(const core_varying *varying, size_t n, const doub
                                const double *sigma_s, const double *r, const core_gradient *out);
 
 /* ---- from colours to media ------------------------------------------------------------------- */
+
+/* The albedo of a medium from core_varying_invert_f64() or _f32() is off from the colour, per power
+ * that entered, by less than this, absolute. */
+#define CORE_COLOUR_ERROR 1e-5
 
 /* What a colour means. */
 typedef struct core_colour {

@@ -219,6 +219,7 @@ LANES_KERNEL(varying_R, COEFFICIENTS, lane_fill, zero_R, INFINITY)
 LANES_KERNEL(varying_cdf, COEFFICIENTS, lane_fill, zero_cdf, INFINITY)
 LANES_KERNEL(varying_pdf, COEFFICIENTS, lane_fill, burley_pdf, INFINITY)
 LANES_KERNEL(varying_ring, COEFFICIENTS, lane_fill, burley_ring, INFINITY)
+LANES_KERNEL(varying_ln_R, COEFFICIENTS, lane_fill, burley_ln_R, INFINITY)
 LANES_KERNEL(varying_sample, COEFFICIENTS, lane_fill, burley_sample, 1)
 
 CORE_KERNEL_TABLE(burley, .sample = sample, CORE_KERNELS_OF_ALL,
@@ -229,6 +230,7 @@ CORE_KERNEL_TABLE(burley, .sample = sample, CORE_KERNELS_OF_ALL,
                       [CORE_ELEMENTWISE_CDF] = varying_cdf,
                       [CORE_ELEMENTWISE_PDF] = varying_pdf,
                       [CORE_ELEMENTWISE_RING] = varying_ring,
+                      [CORE_ELEMENTWISE_LN_R] = varying_ln_R,
                   });
 
 #else

@@ -25,6 +25,7 @@ static inline cells_integer cells_word(const real *words, cells_integer at) {
 struct cells_place {
   cells_integer cell;
   real t;
+  real per_unit; /* by how much t grows for each unit of the coordinate */
 };
 
 /* axis: of enum core_surface_axis; kept: the coordinate, clamped to the axis. */
@@ -39,7 +40,11 @@ static inline struct cells_place cells_find(const real *words, cells_integer axi
   const cells_integer index = mantissa >> shift;
   const cells_integer rest = mantissa - (index << shift);
   const real unit = real_from_bits((real_bits)(REAL_EXPONENT_BIAS - shift) << REAL_MANTISSA_BITS);
-  return (struct cells_place){(entry >> 5) + index, (real)rest * unit};
+  /* cells for each unit of the coordinate: 2^(cuts - exponent) */
+  const real per_unit =
+      real_from_bits((real_bits)(REAL_EXPONENT_BIAS - octave - CORE_SURFACE_EXPONENT + (entry & 31))
+                     << REAL_MANTISSA_BITS);
+  return (struct cells_place){(entry >> 5) + index, (real)rest * unit, per_unit};
 }
 
 static inline real cells_kept(const real *words, cells_integer axis, real x) {
@@ -49,6 +54,11 @@ static inline real cells_kept(const real *words, cells_integer axis, real x) {
 /* Returns the polynomial at word `at`. */
 static inline real cells_line(const real *words, cells_integer at, real t) {
   return words[at] + t * (words[at + 1] + t * (words[at + 2] + t * words[at + 3]));
+}
+
+/* Returns its derivative by t. */
+static inline real cells_slope(const real *words, cells_integer at, real t) {
+  return words[at + 1] + t * (2 * words[at + 2] + t * (3 * words[at + 3]));
 }
 
 /* Returns the polynomial of two coordinates at word `at`; p is that of the rows. */

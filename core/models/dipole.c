@@ -486,6 +486,7 @@ LANES_KERNEL(varying_R, COEFFICIENTS, lane_fill, dipole_R, INFINITY)
 LANES_KERNEL(varying_cdf, COEFFICIENTS, lane_fill, dipole_cdf, INFINITY)
 LANES_KERNEL(varying_pdf, COEFFICIENTS, lane_fill, dipole_pdf, INFINITY)
 LANES_KERNEL(varying_ring, COEFFICIENTS, lane_fill, dipole_ring, INFINITY)
+LANES_KERNEL(varying_ln_R, COEFFICIENTS, lane_fill, dipole_ln_R, INFINITY)
 
 static void varying_sample(const real *restrict shared, const real *restrict words, size_t n,
                            const real *restrict sigma_a, const real *restrict sigma_s,
@@ -510,6 +511,7 @@ CORE_KERNEL_TABLE(dipole, .sample = sample, CORE_KERNELS_OF_ALL,
                       [CORE_ELEMENTWISE_CDF] = varying_cdf,
                       [CORE_ELEMENTWISE_PDF] = varying_pdf,
                       [CORE_ELEMENTWISE_RING] = varying_ring,
+                      [CORE_ELEMENTWISE_LN_R] = varying_ln_R,
                   });
 
 #else /* what follows prepares a profile, and is compiled once for all instruction sets */

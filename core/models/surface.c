@@ -182,7 +182,80 @@ SURFACE_KERNEL(varying_pdf, surface_pdf, INFINITY)
 SURFACE_KERNEL(varying_ring, surface_ring, INFINITY)
 SURFACE_KERNEL(varying_sample, surface_radius, 1)
 
-CORE_KERNEL_TABLE(surface, .varying_sample = varying_sample,
+#if CORE_REAL == 64
+
+/* ln R and its derivatives. */
+struct gradient {
+  double ln_R;
+  double by_sigma_a;
+  double by_sigma_s;
+};
+
+/* With s^2 = sigma_a / sigma_t' = e and x = r sigma_t', the logarithm of sigma_a changes ln s by
+ * a / 2, ln a by -e and ln x by e; that of sigma_s' changes ln s by -a / 2, ln a by e and ln x by
+ * a.
+ */
+static inline struct gradient surface_gradient(const double *shared, const double *words,
+                                               double sigma_a, double sigma_s, double r) {
+  const struct row row = row_of(shared, words, sigma_a, sigma_s);
+  const double a = row.lane.scattered, e = row.lane.absorbed;
+  const double x = real_max(real_min(r * row.lane.sigma_t, X_MOST), 1e-300);
+  const double kept = cells_kept(words, CORE_SURFACE_RADIUS, x);
+  const struct cells_place place = cells_find(words, CORE_SURFACE_RADIUS, kept);
+  const cells_integer at =
+      patch_at(words, CORE_SURFACE_Q, CORE_SURFACE_RADIUS, row.place.cell, place.cell);
+  const double p = row.place.t;
+  const double Q = cells_patch(words, at, p, place.t);
+  const double by_p =
+      cells_line(words, at + 4, place.t) +
+      p * (2 * cells_line(words, at + 8, place.t) + p * (3 * cells_line(words, at + 12, place.t)));
+  const double by_t =
+      cells_slope(words, at, place.t) +
+      p * (cells_slope(words, at + 4, place.t) +
+           p * (cells_slope(words, at + 8, place.t) + p * cells_slope(words, at + 12, place.t)));
+  /* Outside the axis of radii Q falls like 2 ln x, or is constant. */
+  const double by_ln_x = x > kept ? -2 : x < kept ? 0 : by_t * place.per_unit * x;
+  const double s_sign = row.s < 0.5 ? 1 : -1; /* the axis is that of w = 1 - s beyond */
+  const double by_ln_s = by_p * row.place.per_unit * s_sign * row.s;
+  double k_slope = 0; /* d k / d s */
+  for (int i = CORE_SURFACE_KAPPA_TERMS - 1; i >= 0; i--) {
+    k_slope = (i + 1) * words[CORE_SURFACE_KAPPA + i] + row.s * k_slope;
+  }
+  const double kx = row.k * x;
+  const double by_kx = -kx / (1 + kx); /* of ln(1 + k x) - k x, times k x: d / d (k x) */
+  const double beyond = x > kept ? 2 * (real_log(kept, 0) - real_log(x, 0)) : 0;
+  const double ln_st = real_log(row.lane.sigma_t, 0);
+  const double through_s = by_ln_s + by_kx * k_slope * row.s * x;
+  const double through_x = by_ln_x + by_kx * kx - 1;
+  return (struct gradient){
+      .ln_R = 2 * ln_st + real_log(a, 0) + real_log(1 + kx, 0) - real_log(x, 0) + Q + beyond - kx,
+      .by_sigma_a = 2 * e - e + 0.5 * a * through_s + e * through_x,
+      .by_sigma_s = 2 * a + e - 0.5 * a * through_s + a * through_x,
+  };
+}
+
+static void gradient(const double *restrict shared, const double *restrict words, size_t n,
+                     const double *restrict sigma_a, const double *restrict sigma_s,
+                     const double *restrict r, double *restrict ln_R, double *restrict by_sigma_a,
+                     double *restrict by_sigma_s) {
+  for (size_t i = 0; i < n; i++) {
+    const int good = lane_good(shared, sigma_a[i], sigma_s[i]) & (r[i] >= 0);
+    const struct gradient found = surface_gradient(shared, words, sigma_a[i], sigma_s[i], r[i] + 0);
+    const int some = good & (sigma_s[i] > 0);
+    const double none = good ? -INFINITY : (double)NAN;
+    ln_R[i] = some ? (r[i] > 0 ? (r[i] < INFINITY ? found.ln_R : -INFINITY) : INFINITY) : none;
+    by_sigma_a[i] = some ? found.by_sigma_a : (double)NAN;
+    by_sigma_s[i] = some ? found.by_sigma_s : (double)NAN;
+  }
+}
+
+#endif
+
+CORE_KERNEL_TABLE(surface,
+#if CORE_REAL == 64
+                  .varying_gradient = gradient,
+#endif
+                  .varying_sample = varying_sample,
                   .varying = {
                       [CORE_ELEMENTWISE_R] = varying_R,
                       [CORE_ELEMENTWISE_CDF] = varying_cdf,

@@ -555,6 +555,11 @@ static double error_of_R(const transport_table *table, double eta) {
   return isotropic_error(table) + (fabs(eta - 1) < TABLE_IS_NEAR_1 ? TABLE_NEAR_1 : 0);
 }
 
+double core_transport_table_error(double eta) {
+  const transport_table *table = transport_table_shipped();
+  return table != NULL ? error_of_R(table, eta) : (double)INFINITY;
+}
+
 /* This is more than the error of R. */
 static double error_of_slope(const transport_table *table) {
   return isotropic_error(table) * TABLE_SLOPE;

@@ -72,8 +72,8 @@ static inline real invert_colour(const real *words, enum core_light light, real 
   return near ? 1 - found : found;
 }
 
-/* Returns sigma_t' times the length, for s = sqrt(sigma_a / sigma_t'). The shares are 1 for the kind
- * of length, and else 0. */
+/* Returns sigma_t' times the length, for s = sqrt(sigma_a / sigma_t'). The shares are 1 for the
+ * kind of length, and else 0. */
 struct lengths {
   real free_path, diffuse, classical;
 };

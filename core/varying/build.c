@@ -225,8 +225,8 @@ enum {
   LEVELS = 4
 };
 
-/* The cells of an octave, as powers of two, in ranges of octaves up to `end`. Each level has one cut
- * more in all octaves, which divides errors by 16. */
+/* The cells of an octave, as powers of two, in ranges of octaves up to `end`. Each level has one
+ * cut more in all octaves, which divides errors by 16. */
 static uint8_t *cuts_of(enum core_surface_axis axis, int first, int end, int level, uint8_t *cuts) {
   for (int octave = first; octave < end; octave++) {
     int base = 0;
@@ -374,6 +374,9 @@ static void put_functions(const struct grid *grid, float *words, size_t *at) {
 }
 
 /* ---- measuring ------------------------------------------------------------------------------- */
+
+/* The stated error is the one found in the middle of cells times this. */
+#define FOUND_MARGIN 1.2
 
 enum { MEASURED = 256 };
 
@@ -575,7 +578,8 @@ static core_fault build_surface(const core_surface_inputs *inputs, const rows *a
   put_all_colours(all, NULL, *words, &at);
   (*words)[CORE_SURFACE_SCATTERED_LEAST] =
       (float)(rows_w_least(all) * (2 - rows_w_least(all)) * (1 + 0x1p-20));
-  (*words)[CORE_SURFACE_ERROR] = (float)measure(inputs, all, *words, *count, &grid, row);
+  (*words)[CORE_SURFACE_ERROR] =
+      (float)(FOUND_MARGIN * measure(inputs, all, *words, *count, &grid, row) + rows_error(all));
   free_grid(&grid);
   return (core_fault){0};
 }
@@ -590,7 +594,7 @@ static core_fault build_transport(const core_surface_inputs *inputs, float *head
   rows *all = rows_create(table, inputs->g, inputs->eta, inputs->tolerance);
   rows_row *row = malloc(sizeof *row);
   core_fault fault = all == NULL || row == NULL ? CORE_OUT_OF_MEMORY : (core_fault){0};
-  int level = inputs->tolerance < 3e-4;
+  int level = inputs->tolerance >= 3e-4 ? 0 : inputs->tolerance >= 2e-5 ? 1 : 2;
   bool good = false;
   while (fault.field == NULL && !good) {
     lay_axes(header, level);

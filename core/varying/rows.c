@@ -13,9 +13,10 @@
 
 enum { TERMS = ROWS_TERMS, BASES = 3, STEPS = 40, KAPPA_TERMS = 32 };
 
-/* The series of kappa / s has a relative error of 4e-6, so R is off by a tenth of a thousandth at 25
- * decay lengths. */
-#define INTERPOLATES_FROM 1e-3
+/* The series of kappa / s has a relative error of 1e-6 (for g above 0.5 less), which puts R off by
+ * 25e-6 at 25 decay lengths. */
+#define INTERPOLATES_FROM 3e-4
+#define INTERPOLATES_ERROR 3e-5
 
 struct rows {
   const transport_table *table;
@@ -277,6 +278,10 @@ void rows_fill(const rows *all, double s, double w, rows_row *row) {
 }
 
 /* ---- all rows -------------------------------------------------------------------------------- */
+
+double rows_error(const rows *all) {
+  return all->interpolates ? INTERPOLATES_ERROR : 0;
+}
 
 double rows_w_least(const rows *all) {
   return all->w_least;

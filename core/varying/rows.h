@@ -1,5 +1,5 @@
-/* rows: the rows of a surface, each one medium of `transport` from the table of solutions: Q, the cdf
- * and the radius for a cdf (core/varying/surface.h). Lengths are in mean free paths. */
+/* rows: the rows of a surface, each one medium of `transport` from the table of solutions: Q, the
+ * cdf and the radius for a cdf (core/varying/surface.h). Lengths are in mean free paths. */
 #ifndef DIPOLED_CORE_VARYING_ROWS_H
 #define DIPOLED_CORE_VARYING_ROWS_H
 
@@ -10,7 +10,7 @@ enum {
   ROWS_END = 14,
   ROWS_FAR_END = 40, /* the energy is summed to here */
   ROWS_OCTAVES = ROWS_FAR_END - ROWS_FIRST,
-  ROWS_TERMS = 12 /* of a series in an octave */
+  ROWS_TERMS = 16 /* of a series in an octave */
 };
 
 typedef struct rows_row {
@@ -29,17 +29,20 @@ typedef struct rows_row {
 typedef struct rows rows;
 
 /* Creates rows whose R has a relative error against the table that is far below the tolerance.
- * Returns NULL if memory runs out. The table has to cover g and eta (asserted). The caller frees the
- * rows with rows_free(), which accepts NULL. */
+ * Returns NULL if memory runs out. The table has to cover g and eta (asserted). The caller frees
+ * the rows with rows_free(), which accepts NULL. */
 rows *rows_create(const transport_table *table, double g, double eta, double tolerance);
 void rows_free(rows *all);
+
+/* Returns the relative error of R of the rows against the table. */
+double rows_error(const rows *all);
 
 /* The least w = 1 - sqrt(1 - albedo) whose albedo the table covers. Rows a little below it are
  * extrapolated, as are those of s below that of the table's largest albedo. */
 double rows_w_least(const rows *all);
 
-/* Sets *row to that of s = sqrt(sigma_a / sigma_t') and w = 1 - s, which both are given since one of
- * them may be small. s: 0 to 1. */
+/* Sets *row to that of s = sqrt(sigma_a / sigma_t') and w = 1 - s, which both are given since one
+ * of them may be small. s: 0 to 1. */
 void rows_fill(const rows *all, double s, double w, rows_row *row);
 
 /* Returns the energy that leaves per power that has entered, of a beam or of diffuse light. */

@@ -98,8 +98,8 @@ typedef struct core_surface_inputs {
 /* Makes the words; the caller frees them. Faults: `tolerance`, `memory`. */
 core_fault core_surface_build(const core_surface_inputs *inputs, float **words, size_t *count);
 
-/* Returns the words for kernels in double precision (core/models/cells.h), which the caller frees, or
- * NULL if memory runs out. */
+/* Returns the words for kernels in double precision (core/models/cells.h), which the caller frees,
+ * or NULL if memory runs out. */
 double *core_surface_widen(const float *words, size_t count);
 
 /* Checks words that a peer or a file has given. Without a fault, evaluating reads no words outside

@@ -115,6 +115,7 @@ static core_fault share_words(core_varying *varying) {
     shared[LANES_COLOUR_MOST + light] = varying->colour_most[light];
     shared[LANES_SPECULAR + light] = varying->specular[light];
   }
+  varying->surface_error = (double)words[CORE_SURFACE_ERROR];
   varying->albedo_least = shared[LANES_SCATTERED_LEAST];
   varying->albedo_most = 1;
   for (int i = 0; i < CORE_VARYING_SHARED_MAX; i++) {
@@ -142,6 +143,18 @@ static core_fault check(unsigned model, unsigned moments, unsigned evaluator, do
   return (core_fault){0};
 }
 
+/* Sets the g of the surface, and the notes, which are those of core_profile_prepare(). */
+static void set_scattering(core_varying *varying, enum family family) {
+  const core_medium medium = example(varying->g, varying->eta);
+  const core_medium taken = core_transport_medium(&medium, varying->gamma);
+  core_added_errors added;
+  const bool similar = family == TRANSPORT ? !core_transport_added_errors(&taken, &added)
+                                           : varying->g < 0 || varying->g > 0;
+  varying->table_g = family == TRANSPORT && !similar ? taken.g : 0;
+  varying->notes = (similar ? (unsigned)CORE_NOTE_SIMILARITY : 0) |
+                   (isnan(varying->gamma) ? 0 : (unsigned)CORE_NOTE_GAMMA);
+}
+
 /* Prepares all but the words. */
 static core_fault begin(core_varying *varying, const core_isa *isa, unsigned model,
                         unsigned moments, unsigned evaluator, double g, double eta,
@@ -161,7 +174,10 @@ static core_fault begin(core_varying *varying, const core_isa *isa, unsigned mod
       .kernels =
           *family == TRANSPORT ? core_isa_surface_kernels(isa) : core_isa_kernels(isa, model),
       .check_kernels = core_isa_varying_kernels(isa),
+      .gamma = parameters->value[CORE_PARAMETER_GAMMA],
+      .surface_albedo = parameters->value[CORE_PARAMETER_SURFACE_ALBEDO],
   };
+  set_scattering(varying, *family);
   share(varying, *family, variant, parameters);
   return (core_fault){0};
 }
@@ -177,12 +193,10 @@ core_fault core_varying_prepare(core_varying *varying, const core_isa *isa, unsi
     return fault;
   }
   const double tolerance = given->value[CORE_PARAMETER_TOLERANCE];
-  const core_medium medium = example(g, eta);
-  const core_medium taken = core_transport_medium(&medium, given->value[CORE_PARAMETER_GAMMA]);
   const core_surface_inputs inputs = {
       .isa = isa,
       .moments = moments,
-      .g = taken.g,
+      .g = varying->table_g,
       .eta = eta,
       .tolerance = isnan(tolerance) ? CORE_VARYING_TOLERANCE : tolerance,
       .is_transport = family == TRANSPORT,
@@ -283,6 +297,101 @@ void core_varying_range_add(core_varying_range *range, const core_varying_range 
 DEFINE_CHECK(double, f64)
 DEFINE_CHECK(float, f32)
 
+/* ---- errors ---------------------------------------------------------------------------------- */
+
+/* At most so many decay lengths 1 / mu are there to where a value underflows in each precision. */
+#define DECAYS_MOST_F32 140.0
+#define DECAYS_MOST_F64 800.0
+
+/* Rounding of dipoles, in epsilons for each unit of the condition; see core/models/dipole.c. */
+#define ROUNDING 16.0
+
+/* The largest s = l / d of Burley's fits, times that of mu_tr in units of sigma_t'. */
+#define BURLEY_MOST 44.0
+
+/* Returns the error by rounding of values in a range. */
+static double rounding(const core_varying *varying, enum family family,
+                       const core_varying_range *range) {
+  const bool f32 = varying->evaluator == CORE_EVALUATOR_F32;
+  const double epsilon = f32 && family != BURLEY ? (double)FLT_EPSILON : DBL_EPSILON;
+  const double most = f32 && family != BURLEY ? DECAYS_MOST_F32 : DECAYS_MOST_F64;
+  const double per_mfp = family == BURLEY ? BURLEY_MOST : sqrt(3 * (1 - range->albedo_least));
+  const double decays = per_mfp > 0 ? fmin(per_mfp * range->mfp_most, most) : 0;
+  const double mirror = real_log(1 + varying->shared.f64[LANES_Z2_PER_D], 0);
+  return ROUNDING * epsilon * (1 + per_mfp + decays) + 3 * epsilon * fmax(mirror - 4, 0) +
+         (f32 && family == BURLEY ? (double)FLT_EPSILON : 0);
+}
+
+/* Number of albedos, from the least to the most of a range, that an error is the largest of. It is
+ * so large that each cell of the lists of errors that the range touches is among them. */
+enum { ALBEDOS = 256 };
+
+/* Returns the medium i of ALBEDOS, whose sigma_t' is 1. */
+static core_medium medium_of_range(const core_varying *varying, double g,
+                                   const core_varying_range *range, int i) {
+  const double first = 1 - range->albedo_most, last = 1 - range->albedo_least;
+  const double least = fmax(first, 1e-7), share = (double)i / (ALBEDOS - 1);
+  const double ratio = real_log(fmax(last, least) / least, 0);
+  const double absorbed = i == 0             ? first
+                          : i == ALBEDOS - 1 ? last
+                                             : least * real_exp_signed(ratio * share);
+  const double scattered = i == 0             ? range->albedo_most
+                           : i == ALBEDOS - 1 ? range->albedo_least
+                                              : fmax(1 - absorbed, range->albedo_least);
+  return (core_medium){absorbed, scattered / (1 - g), g, varying->eta};
+}
+
+/* Returns the error of the table of solutions, of the wanted quantities in a range. */
+static double table_error(const core_varying *varying, unsigned wanted,
+                          const core_varying_range *range) {
+  const double isotropic = core_transport_table_error(varying->eta);
+  double error = 0;
+  for (int i = 0; i < ALBEDOS && varying->table_g != 0; i++) {
+    const core_medium medium = medium_of_range(varying, varying->table_g, range, i);
+    core_added_errors added;
+    core_transport_added_errors(&medium, &added);
+    error = fmax(error, core_banded_error(added.banded, added.all, &medium, wanted,
+                                          (core_radii_range){range->mfp_least, range->mfp_most}));
+  }
+  /* Densities and the cdf have the error of R and that of the energy that they are divided by. */
+  return 2 * isotropic + error;
+}
+
+/* Returns the errors of the model for a medium, as core_profile_prepare() finds them. */
+static core_model_errors model_errors(const core_varying *varying, enum family family,
+                                      const core_medium *medium) {
+  const bool exact = family == TRANSPORT && (varying->notes & CORE_NOTE_SIMILARITY) == 0;
+  if (!isnan(varying->gamma)) {
+    return exact ? core_gamma_errors_find(varying->gamma, medium) : core_model_errors_unknown();
+  }
+  return exact ? core_model_errors_exact()
+         : isnan(varying->surface_albedo)
+             ? core_model_errors_find(varying->model, varying->moments, medium)
+             : core_model_errors_unknown();
+}
+
+core_stated_errors core_varying_errors(const core_varying *varying, unsigned wanted,
+                                       const core_varying_range *range) {
+  int variant;
+  const enum family family = family_of(varying->model, &variant);
+  core_stated_errors errors = {0, 0, 0};
+  if (range->albedo_least > range->albedo_most) {
+    return errors;
+  }
+  errors.numerical = rounding(varying, family, range) + varying->surface_error;
+  if (family == TRANSPORT) {
+    errors.numerical += table_error(varying, wanted, range);
+  }
+  for (int i = 0; i < ALBEDOS && !isnan(errors.model); i++) {
+    const core_medium medium = medium_of_range(varying, varying->g, range, i);
+    const core_model_errors found = model_errors(varying, family, &medium);
+    const double model = core_model_errors_of(
+        &found, &medium, wanted, (core_radii_range){range->mfp_least, range->mfp_most});
+    errors.model = isnan(model) ? model : fmax(errors.model, model);
+  }
+  return errors;
+}
+
 /* ---- evaluating ------------------------------------------------------------------------------ */
 
 static enum core_elementwise position(enum core_quantity quantity) {
@@ -307,6 +416,62 @@ void core_varying_eval_f64(const core_varying *varying, enum core_quantity quant
   assert(varying->evaluator == CORE_EVALUATOR_F64);
   varying->kernels->f64->varying[position(quantity)](varying->shared.f64, varying->wide_words, n,
                                                      sigma_a, sigma_s, r, out);
+}
+
+/* Steps of differences of ln R, in ln sigma. */
+#define DIFFERENCE 1e-5
+
+/* Sets ln_R[n] with one coefficient of the media multiplied. */
+static void shifted(const core_varying *varying, size_t n, const double *sigma_a,
+                    const double *sigma_s, const double *r, double a_factor, double s_factor,
+                    double *ln_R) {
+  double a[CHUNK], s[CHUNK];
+  for (size_t i = 0; i < n; i++) {
+    a[i] = sigma_a[i] * a_factor;
+    s[i] = sigma_s[i] * s_factor;
+  }
+  varying->kernels->f64->varying[CORE_ELEMENTWISE_LN_R](varying->shared.f64, varying->wide_words, n,
+                                                        a, s, r, ln_R);
+}
+
+/* Does what core_varying_gradient_f64() does for at most CHUNK values, by central differences. */
+static void differences(const core_varying *varying, size_t n, const double *sigma_a,
+                        const double *sigma_s, const double *r, double *ln_R, double *by_a,
+                        double *by_s) {
+  double low[CHUNK];
+  shifted(varying, n, sigma_a, sigma_s, r, 1, 1, ln_R);
+  for (int of_s = 0; of_s < 2; of_s++) {
+    double *out = of_s ? by_s : by_a;
+    const double a = of_s ? 0 : DIFFERENCE, s = of_s ? DIFFERENCE : 0;
+    shifted(varying, n, sigma_a, sigma_s, r, 1 + a, 1 + s, out);
+    shifted(varying, n, sigma_a, sigma_s, r, 1 - a, 1 - s, low);
+    for (size_t i = 0; i < n; i++) {
+      out[i] = (out[i] - low[i]) / (2 * DIFFERENCE);
+    }
+  }
+}
+
+void core_varying_gradient_f64(const core_varying *varying, size_t n, const double *sigma_a,
+                               const double *sigma_s, const double *r, const core_gradient *out) {
+  assert(varying->evaluator == CORE_EVALUATOR_F64);
+  core_varying_gradient_kernel_f64 *kernel = varying->kernels->f64->varying_gradient;
+  double found[3][CHUNK];
+  double *const wanted[3] = {out->ln_R, out->by_ln_sigma_a, out->by_ln_sigma_s};
+  for (size_t done = 0; done < n; done += CHUNK) {
+    const size_t count = n - done < CHUNK ? n - done : CHUNK;
+    const double *a = sigma_a + done, *s = sigma_s + done, *radii = r + done;
+    if (kernel != NULL) {
+      kernel(varying->shared.f64, varying->wide_words, count, a, s, radii, found[0], found[1],
+             found[2]);
+    } else {
+      differences(varying, count, a, s, radii, found[0], found[1], found[2]);
+    }
+    for (int i = 0; i < 3; i++) {
+      if (wanted[i] != NULL) {
+        memcpy(wanted[i] + done, found[i], count * sizeof **found);
+      }
+    }
+  }
 }
 
 void core_varying_sample_f64(const core_varying *varying, size_t n, const double *sigma_a,
