@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "proto/eval.h"
+#include "proto/fit.h"
 #include "proto/invert.h"
 #include "proto/sample.h"
 #include "proto/table.h"
@@ -75,12 +76,11 @@ static void write_field(struct http_text *text, const struct http_field *field, 
   }
 }
 
-/* Writes the fields of a structure into an object that is open. Returns where the structure ends. */
+/* Writes the fields of a structure into an open object. Returns where the structure ends. */
 static const uint8_t *write_fields(struct http_text *text, const struct http_field *fields,
                                    const uint8_t *at) {
   for (; fields->name != NULL; fields++) {
-    if (fields->kind == HTTP_f64 &&
-        fields->count == 1) { /* never internal or a choice */
+    if (fields->kind == HTTP_f64 && fields->count == 1) { /* never internal or a choice */
       http_text_number(text, fields->name, get_f64(at));
     } else if (!http_is_internal(fields->name)) {
       write_field(text, fields, at);
@@ -216,6 +216,27 @@ static void write_table(struct http_text *text, const uint8_t *payload) {
   http_text_end(text, ']');
 }
 
+static void write_fit(struct http_text *text, const uint8_t *payload) {
+  wire_fit_reply fixed;
+  wire_get_fit_reply(payload, &fixed);
+  const uint8_t *at = write_fields(text, http_fields_of_fit_reply, payload);
+  const uint8_t *residuals = payload + fit_residuals_offset(fixed.set_count);
+  http_text_begin(text, "units", '{');
+  write_units(text, http_fields_of_fitted);
+  http_text_end(text, '}');
+  http_text_begin(text, "sets", '[');
+  for (uint64_t i = 0; i < fixed.set_count; i++) {
+    http_text_begin(text, NULL, '{');
+    at = write_fields(text, http_fields_of_fitted, at);
+    if (fixed.reading_count > 0) {
+      http_text_numbers(text, "residuals", residuals + i * fixed.reading_count * sizeof(double),
+                        fixed.reading_count, false);
+    }
+    http_text_end(text, '}');
+  }
+  http_text_end(text, ']');
+}
+
 void http_answer_write(const struct http_message *message, const uint8_t *question,
                        const uint8_t *payload, size_t payload_bytes, struct http_text *text) {
   http_text_begin(text, NULL, '{');
@@ -232,6 +253,9 @@ void http_answer_write(const struct http_message *message, const uint8_t *questi
   case WIRE_TYPE_INVERT:
     write_invert(text, payload);
     break;
+  case WIRE_TYPE_FIT:
+    write_fit(text, payload);
+    break;
   case WIRE_TYPE_TABLE:
     write_table(text, payload);
     break;
@@ -245,13 +269,20 @@ void http_answer_write(const struct http_message *message, const uint8_t *questi
 
 /* The names of the lists of choices, in the order of their kinds. */
 static const char *const list_names[] = {
-    [WIRE_CHOICE_MODEL] = "models",         [WIRE_CHOICE_EVALUATOR] = "evaluators",
-    [WIRE_CHOICE_MOMENTS] = "moments",      [WIRE_CHOICE_QUANTITY] = "quantities",
-    [WIRE_CHOICE_SPACING] = "spacings",     [WIRE_CHOICE_STATUS] = "statuses",
-    [WIRE_CHOICE_PARAMETER] = "parameters", [WIRE_CHOICE_NOTE] = "notes",
-    [WIRE_CHOICE_DRAW] = "draws",           [WIRE_CHOICE_LENGTH] = "lengths",
-    [WIRE_CHOICE_PHASE] = "phases",         [WIRE_CHOICE_SCALE] = "scales",
-    [WIRE_CHOICE_AXIS] = "axes",            [WIRE_CHOICE_FIT_STATUS] = "fit_statuses",
+    [WIRE_CHOICE_MODEL] = "models",
+    [WIRE_CHOICE_EVALUATOR] = "evaluators",
+    [WIRE_CHOICE_MOMENTS] = "moments",
+    [WIRE_CHOICE_QUANTITY] = "quantities",
+    [WIRE_CHOICE_SPACING] = "spacings",
+    [WIRE_CHOICE_STATUS] = "statuses",
+    [WIRE_CHOICE_PARAMETER] = "parameters",
+    [WIRE_CHOICE_NOTE] = "notes",
+    [WIRE_CHOICE_DRAW] = "draws",
+    [WIRE_CHOICE_LENGTH] = "lengths",
+    [WIRE_CHOICE_PHASE] = "phases",
+    [WIRE_CHOICE_SCALE] = "scales",
+    [WIRE_CHOICE_AXIS] = "axes",
+    [WIRE_CHOICE_FIT_STATUS] = "fit_statuses",
 };
 
 void http_answer_write_models(const uint8_t *payload, struct http_text *text) {

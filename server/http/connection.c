@@ -13,8 +13,8 @@
 #include "server/net/worker.h"
 
 enum {
-  REST_MS = 1000, /* the silence after which the connection releases its buffers */
-  BRACKETS = 16,  /* arrays and objects of a request besides one for each medium */
+  REST_MS = 1000,     /* the silence after which the connection releases its buffers */
+  BRACKET_BYTES = 16, /* a body has at most one array or object for so many bytes it may have */
 };
 
 /* What a path asks for. */
@@ -391,9 +391,10 @@ static enum MHD_Result answer_message(struct http_connection *c) {
   uint32_t deadline_ms = 0;
   const char *query = c->uri != NULL ? strchr(c->uri, '?') : NULL;
   json_t *object =
-      c->has_body ? http_question_parse(c->body.bytes != NULL ? c->body.bytes : "", c->body.count,
-                                        (size_t)options_of(c)->max_media + BRACKETS, &error)
-                  : http_question_parse_query(query != NULL ? query + 1 : "", &error);
+      c->has_body
+          ? http_question_parse(c->body.bytes != NULL ? c->body.bytes : "", c->body.count,
+                                (size_t)options_of(c)->max_part_bytes / BRACKET_BYTES, &error)
+          : http_question_parse_query(query != NULL ? query + 1 : "", &error);
   if (object != NULL) {
     error =
         http_question_translate(c->route.message, object, !c->has_body, &c->payload, &deadline_ms);

@@ -14,46 +14,58 @@
 const struct http_message http_messages[] = {
     {WIRE_TYPE_EVAL,
      "Evaluates a model for media at radii",
-     http_fields_of_eval_request,
+     {http_fields_of_eval_request},
      http_fields_of_eval_reply,
      UINT_MAX,
      true,
      "r,R,albedo",
-     {{"r", "radius_count", "spacing", "mm; the radii, with spacing list"}}},
+     {{"r", "radius_count", "spacing", "mm; the radii, with spacing list", HTTP_GIVEN}}},
     {WIRE_TYPE_OFFERS,
      "Lists the models that could answer an eval with a tolerance",
-     http_fields_of_eval_request,
+     {http_fields_of_eval_request},
      http_fields_of_offers_reply,
      UINT_MAX,
      true,
      "R",
-     {{"r", "radius_count", "spacing", "mm; the radii, with spacing list"}}},
+     {{"r", "radius_count", "spacing", "mm; the radii, with spacing list", HTTP_GIVEN}}},
     {WIRE_TYPE_SAMPLE,
      "Draws radii in proportion to the light that leaves there",
-     http_fields_of_sample_request,
+     {http_fields_of_sample_request},
      http_fields_of_eval_reply,
      UINT_MAX,
      true,
      "r",
-     {{"u", "sample_count", "draw", "the numbers from 0 to 1, with draw list"}}},
+     {{"u", "sample_count", "draw", "the numbers from 0 to 1, with draw list", HTTP_GIVEN}}},
     {WIRE_TYPE_INVERT,
      "Finds the media that have given albedos and lengths",
-     http_fields_of_invert_request,
+     {http_fields_of_invert_request},
      http_fields_of_invert_reply,
      0,
      false,
      NULL,
-     {{"albedo", "medium_count", NULL, "diffuse albedos, 0 to 1"},
-      {"length", "medium_count", NULL, "mm; lengths, as `given` says, 1e-14 to 1e14"}}},
+     {{"albedo", "medium_count", NULL, "diffuse albedos, 0 to 1", HTTP_GIVEN},
+      {"length", "medium_count", NULL, "mm; lengths, as `given` says, 1e-14 to 1e14", HTTP_GIVEN}}},
     {WIRE_TYPE_TABLE,
      "Makes the table of a medium, to be evaluated at home",
-     http_fields_of_table_request,
+     {http_fields_of_table_request},
      http_fields_of_table_reply,
      1,
      true,
      NULL,
      {{0}}},
-    {0, NULL, NULL, NULL, 0, false, NULL, {{0}}},
+    {WIRE_TYPE_FIT,
+     "Finds the coefficients of media from readings",
+     {http_fields_of_fit_request, http_fields_of_fit_design},
+     http_fields_of_fit_reply,
+     0,
+     true,
+     NULL,
+     {{"at", "reading_count", NULL, "mm, or 1/mm; where the readings were taken", HTTP_GIVEN},
+      {"source", "reading_count", NULL, "mm; diameters of the light; else 0", HTTP_ZEROS},
+      {"detector", "reading_count", NULL, "mm; diameters of the detector; else 0", HTTP_ZEROS},
+      {"values", "set_count", NULL, "the readings, or a list of them for each set", HTTP_SETS},
+      {"errors", "set_count", NULL, "their standard errors, in the same form", HTTP_SETS}}},
+    {0, NULL, {NULL}, NULL, 0, false, NULL, {{NULL, NULL, NULL, NULL, HTTP_GIVEN}}},
 };
 
 size_t http_field_bytes(const struct http_field *field) {
@@ -74,7 +86,9 @@ const core_choice *http_choices_of(const char *field, bool *bits) {
       {"model", core_models, false},         {"evaluator", core_evaluators, false},
       {"moments", core_moments_list, false}, {"spacing", core_spacings, false},
       {"draw", core_draws, false},           {"given", core_lengths, false},
-      {"wanted", core_quantities, true},     {"notes", core_notes, true},
+      {"axis", core_fit_axes, false},        {"scale", core_fit_scales, false},
+      {"status", core_fit_statuses, false},  {"wanted", core_quantities, true},
+      {"notes", core_notes, true},
   };
   for (size_t i = 0; i < sizeof lists / sizeof lists[0]; i++) {
     if (strcmp(lists[i].field, field) == 0) {
@@ -98,10 +112,10 @@ const char *http_unit_of(const struct http_field *field) {
 }
 
 bool http_is_internal(const char *field) {
-  static const char *const names[] = {"zero",         "zero_too",        "medium_count",
-                                      "part",         "parameter_count", "part_count",
-                                      "radius_first", "medium_first",    "channel_count",
-                                      "choice_count", "limit_count",     "count"};
+  static const char *const names[] = {
+      "zero",         "zero_too",     "medium_count", "part",         "parameter_count",
+      "part_count",   "radius_first", "set_first",    "medium_first", "channel_count",
+      "choice_count", "limit_count",  "count"};
   for (size_t i = 0; i < sizeof names / sizeof names[0]; i++) {
     if (strcmp(names[i], field) == 0) {
       return true;

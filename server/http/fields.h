@@ -39,15 +39,20 @@ struct http_list {
   const char *count; /* the field that holds its length */
   const char *rule;  /* the field that says so, with the entry `list`; NULL: there is none */
   const char *meaning;
+  enum {
+    HTTP_GIVEN, /* the list has to be given, unless it has a rule */
+    HTTP_ZEROS, /* without it, all its numbers are 0 */
+    HTTP_SETS,  /* a list, or a list of lists: one for each set of readings */
+  } kind;
 };
 
-enum { HTTP_LISTS = 2 };
+enum { HTTP_LISTS = 5, HTTP_STRUCTURES = 2 };
 
 /* A request that HTTP offers: POST and GET /v1/NAME. */
 struct http_message {
   enum wire_type type;
   const char *about;
-  const struct http_field *request;
+  const struct http_field *request[HTTP_STRUCTURES]; /* NULL: there is one alone */
   const struct http_field *reply;
   unsigned media_most; /* 0: it has no media; 1: it has one; UINT_MAX: any number */
   bool parameters;     /* whether it has parameters */

@@ -125,14 +125,30 @@ struct request_field {
 
 enum { REQUEST_FIELDS_MAX = 64 };
 
+/* Returns whether a field is the length of lists that always have to be given. */
+static bool follows_from_list(const struct http_message *message, const char *field) {
+  for (int i = 0; i < HTTP_LISTS && message->lists[i].name != NULL; i++) {
+    if (message->lists[i].rule == NULL && strcmp(message->lists[i].count, field) == 0) {
+      return true;
+    }
+  }
+  return false;
+}
+
 /* Fills in the fields that a request may have. Returns how many there are. */
 static size_t list_request_fields(const struct http_message *message,
                                   struct request_field fields[REQUEST_FIELDS_MAX]) {
   size_t count = 0;
-  for (const struct http_field *field = message->request; field->name != NULL; field++) {
-    if (!http_is_internal(field->name)) {
-      fields[count++] = (struct request_field){field->name, field, NULL, NULL};
+  for (int i = 0; i < HTTP_STRUCTURES && message->request[i] != NULL; i++) {
+    for (const struct http_field *field = message->request[i]; field->name != NULL; field++) {
+      if (!http_is_internal(field->name) && !follows_from_list(message, field->name)) {
+        fields[count++] = (struct request_field){field->name, field, NULL, NULL};
+      }
     }
+  }
+  if (message->type == WIRE_TYPE_FIT) {
+    fields[count++] =
+        (struct request_field){"reference", NULL, NULL, "the known medium, with scale reference"};
   }
   for (int i = 0; i < HTTP_LISTS && message->lists[i].name != NULL; i++) {
     fields[count++] =
@@ -288,6 +304,8 @@ static void write_reply_schema(struct http_text *text, const struct http_message
     write_list(text, "sigma_a", NUMBER, "1/mm");
     write_list(text, "sigma_s", NUMBER, "1/mm");
     write_list(text, "albedo", NUMBER, "of the medium that was found");
+  } else if (message->reply == http_fields_of_fit_reply) {
+    write_list(text, "sets", REFERENCE("Fitted"), NULL);
   } else {
     http_text_raw(text, "parameters", "{\"type\":\"object\"}");
     write_list(text, "words", "{\"type\":\"integer\"}", "32 bits each");
@@ -328,6 +346,12 @@ static void write_components(struct http_text *text) {
       write_property(text, field);
     }
   }
+  end_object(text);
+  http_text_raw(text, "Readings",
+                "{\"oneOf\":[" NUMBER ",{\"type\":\"array\",\"items\":" NUMBER "}]}");
+  begin_object(text, "Fitted");
+  write_properties(text, http_fields_of_fitted);
+  write_list(text, "residuals", NUMBER, "of the readings, if they are wanted");
   end_object(text);
   begin_object(text, "Offer");
   write_properties(text, http_fields_of_offer);

@@ -46,8 +46,9 @@ static wire_error check_brackets(const char *bytes, size_t count, size_t bracket
       depth--;
     }
     if (depth > DEPTH_MAX || brackets > brackets_max) {
-      return bad("body", depth > DEPTH_MAX ? "JSON that is nested 4 deep at most"
-                                           : "fewer arrays and objects: one for each of max_media");
+      return bad("body", depth > DEPTH_MAX
+                             ? "JSON that is nested 4 deep at most"
+                             : "fewer arrays and objects: a sixteenth of max_part_bytes");
     }
   }
   return wire_error_none();
@@ -286,9 +287,9 @@ static wire_error add_measured(struct question *q, const char *name) {
 }
 
 /* Reads coefficients from an object whose members are numbers, or element `index` of lists. */
-static wire_error add_coefficients(struct question *q, const json_t *object, size_t index) {
-  wire_medium medium = {.eta = USUAL_ETA};
-  double *const to[] = {&medium.sigma_a, &medium.sigma_s, &medium.g, &medium.eta};
+static wire_error read_coefficients(const struct question *q, const json_t *object, size_t index,
+                                    wire_medium *medium) {
+  double *const to[] = {&medium->sigma_a, &medium->sigma_s, &medium->g, &medium->eta};
   wire_error error = wire_error_none();
   for (int i = 0; is_good(&error) && http_fields_of_medium[i].name != NULL; i++) {
     const char *name = http_fields_of_medium[i].name;
@@ -297,14 +298,21 @@ static wire_error add_coefficients(struct question *q, const json_t *object, siz
       const size_t count = length_of(value);
       error = read_number(q, name, item_of(value, count > 1 ? index : 0), to[i]);
       error.index = index;
-    } else if (to[i] == &medium.sigma_a || to[i] == &medium.sigma_s) {
+    } else if (to[i] == &medium->sigma_a || to[i] == &medium->sigma_s) {
       error = bad(name, "a number: a medium needs sigma_a and sigma_s");
     }
   }
+  return error;
+}
+
+static wire_error add_coefficients(struct question *q, const json_t *object, size_t index) {
+  wire_medium medium = {.eta = USUAL_ETA};
+  const wire_error error = read_coefficients(q, object, index, &medium);
   return is_good(&error) ? add_medium(q, &medium) : error;
 }
 
-static wire_error add_media_object(struct question *q, const json_t *object) {
+/* Checks the members of an object with coefficients. */
+static wire_error check_object(const char *field, const json_t *object) {
   const char *key;
   json_t *value;
   json_object_foreach((json_t *)(uintptr_t)object, key, value) {
@@ -313,10 +321,43 @@ static wire_error add_media_object(struct question *q, const json_t *object) {
       known = known || strcmp(key, http_fields_of_medium[i].name) == 0;
     }
     if (!known || json_is_array(value)) {
-      return bad("medium", "objects of sigma_a, sigma_s, g and eta, each one number");
+      return bad(field, "objects of sigma_a, sigma_s, g and eta, each one number");
     }
   }
-  return add_coefficients(q, object, 0);
+  return wire_error_none();
+}
+
+static wire_error add_media_object(struct question *q, const json_t *object) {
+  const wire_error error = check_object("medium", object);
+  return is_good(&error) ? add_coefficients(q, object, 0) : error;
+}
+
+/* Writes the known medium of a fit, which has one with scale `reference` alone. */
+static wire_error add_reference(const struct question *q) {
+  const json_t *object = json_object_get(q->object, "reference");
+  const json_t *scale = json_object_get(q->object, "scale");
+  uint64_t id = 0;
+  if (q->message->type != WIRE_TYPE_FIT) {
+    return wire_error_none();
+  }
+  wire_error error =
+      scale != NULL ? read_choice("scale", core_fit_scales, scale, false, &id) : wire_error_none();
+  if (is_good(&error) && (id == CORE_FIT_SCALE_REFERENCE) != json_is_object(object)) {
+    error = bad("reference", "with scale reference an object of coefficients, else nothing");
+  }
+  if (!is_good(&error) || object == NULL) {
+    return error;
+  }
+  wire_medium medium = {.eta = USUAL_ETA};
+  error = check_object("reference", object);
+  if (is_good(&error)) {
+    error = read_coefficients(q, object, 0, &medium);
+  }
+  uint8_t *at = is_good(&error) ? add(q, WIRE_BYTES_medium) : NULL;
+  if (at != NULL) {
+    wire_put_medium(at, &medium);
+  }
+  return at == NULL && is_good(&error) ? no_memory() : error;
 }
 
 /* Reads lists of coefficients. A list of one holds for all media. */
@@ -402,8 +443,8 @@ static bool put_single(uint8_t *at, double number) {
   return isfinite(single) == isfinite(number) && (single != 0) == (number != 0);
 }
 
-static wire_error add_list(const struct question *q, const char *name, const json_t *value,
-                           bool single) {
+static wire_error add_numbers(const struct question *q, const char *name, const json_t *value,
+                              bool single) {
   const size_t count = length_of(value), bytes = single ? sizeof(float) : sizeof(double);
   uint8_t *at = add(q, (size_t)wire_padded(count * bytes));
   if (at == NULL) {
@@ -423,6 +464,26 @@ static wire_error add_list(const struct question *q, const char *name, const jso
     }
   }
   return wire_error_none();
+}
+
+/* Returns how many sets of readings a list has. */
+static size_t sets_of(const json_t *value) {
+  return json_is_array(json_array_get(value, 0)) ? json_array_size(value) : 1;
+}
+
+/* Writes the readings of all sets, each as many as `count`. */
+static wire_error add_sets(const struct question *q, const char *name, const json_t *value,
+                           size_t count) {
+  const size_t sets = sets_of(value);
+  const bool is_nested = json_is_array(json_array_get(value, 0));
+  wire_error error = wire_error_none();
+  for (size_t i = 0; is_good(&error) && i < sets; i++) {
+    const json_t *set = is_nested ? json_array_get(value, i) : value;
+    error = length_of(set) == count
+                ? add_numbers(q, name, set, false)
+                : wire_error_make(WIRE_STATUS_BAD_COUNT, name, "as many in each set as in `at`");
+  }
+  return error;
 }
 
 /* ---- the fixed part -------------------------------------------------------------------------- */
@@ -450,12 +511,14 @@ static const char *usual_choice(const struct question *q, const char *field) {
   return strcmp(field, "model") == 0       ? "transport"
          : strcmp(field, "evaluator") == 0 ? (named ? "f64" : "lut")
          : strcmp(field, "moments") == 0   ? "exact"
+         : strcmp(field, "axis") == 0      ? "r"
+         : strcmp(field, "scale") == 0     ? "absolute"
                                            : NULL;
 }
 
 /* Returns whether the request leaves the choice of the model to its tolerance. */
 static bool chooses_by_tolerance(const struct question *q) {
-  return q->message->request == http_fields_of_eval_request &&
+  return q->message->request[0] == http_fields_of_eval_request &&
          (q->message->type == WIRE_TYPE_OFFERS || json_object_get(q->object, "tolerance") != NULL);
 }
 
@@ -515,7 +578,7 @@ static wire_error read_field(const struct question *q, const struct http_field *
     return read_list_field(q, field, choices, bits, number);
   }
   if (values != NULL) {
-    *number = length_of(values);
+    *number = list->kind == HTTP_SETS ? sets_of(values) : length_of(values);
     return json_object_get(q->object, field->name) == NULL
                ? wire_error_none()
                : bad(field->name, "nothing beside the list that it counts");
@@ -529,28 +592,30 @@ static wire_error read_field(const struct question *q, const struct http_field *
   return read_plain(q, field, number);
 }
 
-static size_t bytes_of(const struct http_field *fields) {
+static size_t bytes_of(const struct http_message *message) {
   size_t bytes = 0;
-  for (; fields->name != NULL; fields++) {
-    bytes += http_field_bytes(fields);
+  for (int i = 0; i < HTTP_STRUCTURES && message->request[i] != NULL; i++) {
+    for (const struct http_field *field = message->request[i]; field->name != NULL; field++) {
+      bytes += http_field_bytes(field);
+    }
   }
   return bytes;
 }
 
-/* Writes the fixed part to the start of the payload. Sets *single to whether the evaluator has
- * single precision. */
-static wire_error put_fixed(const struct question *q, bool *single) {
-  size_t offset = 0;
+/* Writes a structure of the fixed part at *offset, which it moves. Sets *single to whether the
+ * evaluator has single precision. */
+static wire_error put_fixed(const struct question *q, const struct http_field *fields,
+                            size_t *offset, bool *single) {
   wire_error error = wire_error_none();
-  for (const struct http_field *field = q->message->request; field->name != NULL; field++) {
+  for (const struct http_field *field = fields; field->name != NULL; field++) {
     uint64_t number = 0;
     error = read_field(q, field, &number);
     if (!is_good(&error)) {
       return error;
     }
     const size_t bytes = http_field_bytes(field);
-    put_le((uint8_t *)q->payload->bytes + offset, number, bytes);
-    offset += bytes;
+    put_le((uint8_t *)q->payload->bytes + *offset, number, bytes);
+    *offset += bytes;
     if (strcmp(field->name, "evaluator") == 0) {
       *single = core_evaluator_bytes((unsigned)number) == sizeof(float);
     }
@@ -563,11 +628,14 @@ static wire_error put_fixed(const struct question *q, bool *single) {
 static bool is_known(const struct http_message *message, const char *key) {
   bool known =
       strcmp(key, "deadline_ms") == 0 || (message->media_most > 0 && strcmp(key, "medium") == 0);
-  for (const struct http_field *field = message->request; field->name != NULL; field++) {
-    known = known || (strcmp(field->name, key) == 0 &&
-                      (!http_is_internal(key) &&
-                       (list_of(message, key) == NULL || list_of(message, key)->rule != NULL)));
+  const struct http_list *list = list_of(message, key);
+  const bool follows = http_is_internal(key) || (list != NULL && list->rule == NULL);
+  for (int i = 0; i < HTTP_STRUCTURES && message->request[i] != NULL; i++) {
+    for (const struct http_field *field = message->request[i]; field->name != NULL; field++) {
+      known = known || (strcmp(field->name, key) == 0 && !follows);
+    }
   }
+  known = known || (message->type == WIRE_TYPE_FIT && strcmp(key, "reference") == 0);
   for (int i = 0; message->media_most > 0 && http_fields_of_medium[i].name != NULL; i++) {
     known = known || strcmp(key, http_fields_of_medium[i].name) == 0;
   }
@@ -589,20 +657,28 @@ static wire_error check_keys(const struct http_message *message, const json_t *o
   return wire_error_none();
 }
 
-/* Checks that the lists that a request cannot do without are there. */
+static wire_error add_list(const struct question *q, const struct http_list *list, bool single) {
+  const json_t *value = json_object_get(q->object, list->name);
+  const json_t *first = json_object_get(q->object, q->message->lists[0].name);
+  const size_t count = first != NULL ? length_of(first) : 0;
+  if (value == NULL && list->kind == HTTP_ZEROS) {
+    return add(q, count * sizeof(double)) != NULL ? wire_error_none() : no_memory();
+  }
+  if (value == NULL) {
+    return list->rule != NULL ? wire_error_none() : bad(list->name, "a list: it has to be given");
+  }
+  if (list->kind == HTTP_SETS) {
+    return add_sets(q, list->name, value, count);
+  }
+  return length_of(value) == count
+             ? add_numbers(q, list->name, value, single)
+             : wire_error_make(WIRE_STATUS_BAD_COUNT, list->name, "as many as in the other list");
+}
+
 static wire_error add_all_lists(const struct question *q, bool single) {
   wire_error error = wire_error_none();
   for (int i = 0; is_good(&error) && i < HTTP_LISTS && q->message->lists[i].name != NULL; i++) {
-    const struct http_list *list = &q->message->lists[i];
-    const json_t *value = json_object_get(q->object, list->name);
-    const json_t *first = json_object_get(q->object, q->message->lists[0].name);
-    if (value == NULL && list->rule == NULL) {
-      error = bad(list->name, "a list: it has to be given");
-    } else if (value != NULL && first != NULL && length_of(value) != length_of(first)) {
-      error = wire_error_make(WIRE_STATUS_BAD_COUNT, list->name, "as many as in the other list");
-    } else if (value != NULL) {
-      error = add_list(q, list->name, value, single);
-    }
+    error = add_list(q, &q->message->lists[i], single);
   }
   return error;
 }
@@ -612,13 +688,14 @@ wire_error http_question_translate(const struct http_message *message, const jso
   struct question q = {message, object, texts, payload, 0, 0};
   const json_t *deadline = json_object_get(object, "deadline_ms");
   uint64_t limit_ms = 0;
+  size_t offset = 0;
   bool single = false;
   wire_error error = check_keys(message, object);
   if (is_good(&error) && deadline != NULL) {
     error = read_count("deadline_ms", deadline, UINT32_MAX, &limit_ms);
   }
   *deadline_ms = (uint32_t)limit_ms;
-  if (is_good(&error) && add(&q, bytes_of(message->request)) == NULL) {
+  if (is_good(&error) && add(&q, bytes_of(message)) == NULL) {
     error = no_memory();
   }
   if (is_good(&error)) {
@@ -628,7 +705,10 @@ wire_error http_question_translate(const struct http_message *message, const jso
     error = add_parameters(&q);
   }
   if (is_good(&error)) {
-    error = put_fixed(&q, &single);
+    error = add_reference(&q);
+  }
+  for (int i = 0; is_good(&error) && i < HTTP_STRUCTURES && message->request[i] != NULL; i++) {
+    error = put_fixed(&q, message->request[i], &offset, &single);
   }
   return is_good(&error) ? add_all_lists(&q, single) : error;
 }

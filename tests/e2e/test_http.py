@@ -183,6 +183,58 @@ def test_invert(served):
     assert answer["units"]["sigma_a"] == "1/mm" and answer["missing_count"] == 0
 
 
+@pytest.mark.parametrize("scale", ["absolute", "free", "reference"])
+def test_fit(served, scale):
+    at = [0.5, 1, 2, 4, 8]
+    known = dipole.Medium(0.1, 1.2)
+    with served.client() as client:
+        media = [dipole.Medium(0.02, 1.0), dipole.Medium(0.1, 0.8)]
+        values = client.eval("better", media, at).R
+        if scale == "reference":
+            values = values / client.eval("better", known, at).R
+        options = {"reference": known} if scale == "reference" else {"scale": scale}
+        expected = client.fit("better", at, values, values * 0.01, residuals=True, **options)
+    fields = {"model": "better", "at": at, "values": values.tolist(), "scale": scale}
+    fields["residuals"] = 1
+    if scale == "reference":
+        fields["reference"] = {"sigma_a": 0.1, "sigma_s": 1.2}
+    answer = good(post(served, "/v1/fit", errors=(values * 0.01).tolist(), **fields))
+    assert answer["fitted_count"] == 2 and answer["units"]["sigma_a"] == "1/mm"
+    for i, one in enumerate(answer["sets"]):
+        assert one["status"] == "fitted"
+        assert one["sigma_a"] == expected.sigma_a[i] and one["factor"] == expected.factor[i]
+        assert one["residuals"] == expected.residuals[i].tolist()
+    one_set = good(
+        post(served, "/v1/fit", model="better", at=at, values=[0.1, 0.05, 0.01, 1e-3, 1e-4],
+             errors=[0.01] * 5)
+    )
+    assert len(one_set["sets"]) == 1 and "residuals" not in one_set["sets"][0]
+
+
+@pytest.mark.parametrize(
+    "change, field",
+    [
+        ({"at": [1, 2]}, "values"),
+        ({"at": None}, "at"),
+        ({"errors": [[1, 1, 1]]}, "set_count"),
+        ({"values": [[1, 2, 3], [1, 2]]}, "values"),
+        ({"values": [[1, [2], 3], [1, 2, 3]]}, "values"),
+        ({"scale": "reference"}, "reference"),
+        ({"reference": SKIN}, "reference"),
+        ({"scale": "reference", "reference": {"x": 1}}, "reference"),
+        ({"reading_count": 3}, "reading_count"),
+        ({"axis": "x"}, "axis"),
+        ({"residuals": 2}, "residuals"),
+        ({"source": [1]}, "source"),
+    ],
+)
+def test_faults_of_fits(served, change, field):
+    two = [[1, 0.5, 0.2], [1, 0.4, 0.1]]
+    fields = {"model": "better", "at": [1, 2, 3], "values": two, "errors": two, **change}
+    answer = post(served, "/v1/fit", **fields)
+    assert answer.status == 400 and answer.json["field"] == field, answer.text
+
+
 def test_table(served):
     answer = good(post(served, "/v1/table", model="better", tolerance=1e-3, **SKIN))
     with served.client() as client:
