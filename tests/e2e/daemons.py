@@ -5,10 +5,13 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import tempfile
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import dipole
@@ -233,3 +236,20 @@ def eventually(condition, timeout_s: float = 10.0, interval_s: float = 0.005) ->
             return False
         time.sleep(interval_s)
     return True
+
+
+NOWHERE = ("no socket", "refused", "no such host", "several")
+
+
+@contextmanager
+def nowhere(why: str, folder: Path) -> Iterator[str]:
+    """Yields an address where no daemon is, of a kind in NOWHERE."""
+    with socket.socket() as closed:  # bound, so that nobody else gets the port
+        closed.bind(("127.0.0.1", 0))
+        refused = f"tcp:127.0.0.1:{closed.getsockname()[1]}"
+        yield {
+            "no socket": f"unix:{folder}/none",
+            "refused": refused,
+            "no such host": "tcp:no-such-host.invalid:4817",
+            "several": f"unix:{folder}/none,{refused}",
+        }[why]

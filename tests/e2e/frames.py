@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from dipole import Connection, ConnectionLost, Frame, wire
 
@@ -233,3 +236,17 @@ def assert_daemon_serves(daemon) -> None:
     """Checks that the daemon answers on a new connection."""
     with daemon.connect() as fresh:
         assert_serves(fresh)
+
+
+def changed_choices(type: int, payload: bytes, change: Callable[[Any], Any]) -> bytes:
+    """Returns a reply to hello with each choice changed, at least one of them, or another reply as it
+    is."""
+    if type != HELLO | wire.REPLY:
+        return payload
+    data = bytearray(payload)
+    for i in range(wire.HELLO_REPLY.unpack(payload).choice_count):
+        at = wire.HELLO_REPLY.bytes + i * wire.CHOICE.bytes
+        choice = change(wire.CHOICE.unpack(payload, at))
+        data[at : at + wire.CHOICE.bytes] = wire.CHOICE.pack(**choice._asdict())
+    assert data != payload
+    return bytes(data)

@@ -10,7 +10,7 @@ import pytest
 from command_line import BAD_ROWS, FAILED, USAGE, Proxy, dipole, eval_json, eval_rows, points
 from command_line import read_csv
 from dipole import Medium, wire
-from frames import HELLO
+from frames import changed_choices
 from lists import MC_PARAMETERS, MODELS, NOTES, PARAMETERS, covers, needs, some_value, takes
 
 MEDIUM = ["--sigma-a", "0.032", "--sigma-s", "0.74"]  # SKIN
@@ -99,16 +99,12 @@ def test_parameters_are_repeated_in_the_answer():
 def without_parameters(type: int, payload: bytes) -> bytes:
     """Changes the reply to hello so that the daemon has no parameters: it turns them into
     statuses."""
-    if type != HELLO | wire.REPLY:
-        return payload
-    data = bytearray(payload)
-    for i in range(wire.HELLO_REPLY.unpack(payload).choice_count):
-        at = wire.HELLO_REPLY.bytes + i * wire.CHOICE.bytes
-        choice = wire.CHOICE.unpack(payload, at)
-        if wire.KINDS[choice.kind] == "parameter":
-            changed = choice._replace(kind=6, id=choice.id + 1000)
-            data[at : at + wire.CHOICE.bytes] = wire.CHOICE.pack(**changed._asdict())
-    return bytes(data)
+
+    def change(choice):
+        is_parameter = wire.KINDS[choice.kind] == "parameter"
+        return choice._replace(kind=6, id=choice.id + 1000) if is_parameter else choice
+
+    return changed_choices(type, payload, change)
 
 
 def test_a_daemon_without_the_parameter(daemon):

@@ -11,7 +11,7 @@ import time
 
 import pytest
 from command_line import FAILED, PROGRAM, TIMEOUT_S, Proxy, Terminal, busy, dipole, eval_rows
-from daemons import Daemon, environment
+from daemons import NOWHERE, Daemon, environment, nowhere
 
 ARGUMENTS = ("--sigma-a", "0.03", "--sigma-s", "1", "--r", "0.5,1,2")
 LONG = ("--retry-ms", "60000")
@@ -90,16 +90,9 @@ def test_a_daemon_that_comes_later(tmp_path):
     assert "better" in output
 
 
-@pytest.mark.parametrize("why", ["no socket", "refused", "no such host", "several"])
+@pytest.mark.parametrize("why", NOWHERE)
 def test_opening_goes_on_until_the_time_is_over(tmp_path, why):
-    with socket.socket() as closed:
-        closed.bind(("127.0.0.1", 0))
-        address = {
-            "no socket": f"unix:{tmp_path}/none",
-            "refused": f"tcp:127.0.0.1:{closed.getsockname()[1]}",
-            "no such host": "tcp:no-such-host.invalid:4817",
-            "several": f"unix:{tmp_path}/none,tcp:127.0.0.1:{closed.getsockname()[1]}",
-        }[why]
+    with nowhere(why, tmp_path) as address:
         began_s = time.monotonic()
         options = ("--connect", address, "--retry-ms", "300")
         error = dipole("eval", *options, *ARGUMENTS, status=FAILED).stderr

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from command_line import Proxy, dipole, eval_json, eval_rows
 from dipole import Medium, wire
-from frames import HELLO
+from frames import changed_choices
 
 WANTED = ("R", "albedo", "cdf", "dR_dr", "ln_R", "pdf")
 
@@ -62,17 +62,12 @@ def test_every_format_of_the_command_line_has_them(client, evaluator):
 def sums_for_quantities(type: int, payload: bytes) -> bytes:
     """Changes a reply to hello: the id of the quantity pdf becomes the sum of the bits of R and
     cdf."""
-    if type != HELLO | wire.REPLY:
-        return payload
-    data = bytearray(payload)
-    for i in range(wire.HELLO_REPLY.unpack(payload).choice_count):
-        at = wire.HELLO_REPLY.bytes + i * wire.CHOICE.bytes
-        choice = wire.CHOICE.unpack(payload, at)
-        if wire.KINDS[choice.kind] == "quantity" and choice.name == "pdf":
-            changed = choice._replace(id=wire.QUANTITY_R | wire.QUANTITY_CDF)
-            data[at : at + wire.CHOICE.bytes] = wire.CHOICE.pack(**changed._asdict())
-    assert data != payload
-    return bytes(data)
+
+    def change(choice):
+        is_pdf = wire.KINDS[choice.kind] == "quantity" and choice.name == "pdf"
+        return choice._replace(id=wire.QUANTITY_R | wire.QUANTITY_CDF) if is_pdf else choice
+
+    return changed_choices(type, payload, change)
 
 
 @pytest.mark.parametrize("want", ["R", "pdf"])

@@ -6,14 +6,13 @@ from __future__ import annotations
 import asyncio
 import itertools
 import signal
-import socket
 import subprocess
 import threading
 import time
 
 import dipole
 import pytest
-from daemons import BUILD, Daemon, eventually
+from daemons import BUILD, NOWHERE, Daemon, eventually, nowhere
 from frames import EVAL, SKIN, SPECTRALON, R, eval_payload, frame
 
 RETRY_S = 60.0
@@ -305,16 +304,9 @@ both = pytest.mark.parametrize("ask", [eval_once, eval_once_async])
 
 
 @both
-@pytest.mark.parametrize("why", ["no socket", "refused", "no such host", "several"])
+@pytest.mark.parametrize("why", NOWHERE)
 def test_opening_goes_on_until_the_time_is_over(tmp_path, ask, why):
-    with socket.socket() as closed:
-        closed.bind(("127.0.0.1", 0))
-        address = {
-            "no socket": f"unix:{tmp_path}/none",
-            "refused": f"tcp:127.0.0.1:{closed.getsockname()[1]}",
-            "no such host": "tcp:no-such-host.invalid:4817",
-            "several": f"unix:{tmp_path}/none,tcp:127.0.0.1:{closed.getsockname()[1]}",
-        }[why]
+    with nowhere(why, tmp_path) as address:
         began_s = time.monotonic()
         with pytest.raises(dipole.ConnectError, match="tried for") as caught:
             ask(address, retry_s=0.3)
