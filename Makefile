@@ -136,6 +136,9 @@ $(OBJ)/%.o: %.c Makefile
 # Whose loop over listed radii is to be vectorized, and as fast wherever the linker puts it.
 $(OBJ)/core/radii.o: override CFLAGS := $(CFLAGS) -O3 -fopenmp-simd -falign-loops=64 -falign-functions=64
 
+# The loops of fits over a grid of media and over the points of a table.
+$(OBJ)/core/fit/search.o $(OBJ)/core/fit/table.o: override CFLAGS := $(CFLAGS) -O3
+
 # core/models/NAME.ISA.fREAL.o
 define kernel_rule
 $(OBJ)/core/models/%.$(1).f$(2).o: core/models/%.c Makefile

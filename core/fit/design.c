@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "core/fit/discs.h"
 #include "core/fit/search.h"
 #include "core/fit/values.h"
 #include "core/kernels.h"
@@ -14,20 +15,29 @@
 
 /* ---- checking -------------------------------------------------------------------------------- */
 
+/* Returns the diameter of a reading's disc; diameters may be NULL. */
+static double diameter(const double *diameters, size_t i) {
+  return diameters != NULL ? diameters[i] : 0;
+}
+
 static core_fault check_readings(const core_fit_design *design) {
   const bool frequency = design->axis == CORE_FIT_AXIS_FREQUENCY;
   for (size_t i = 0; i < design->count; i++) {
-    const double source = design->source_mm != NULL ? design->source_mm[i] : 0;
-    const double detector = design->detector_mm != NULL ? design->detector_mm[i] : 0;
-    const bool point = source >= 0 && source <= 0; /* neither holds for NaN */
-    if (!point || !(detector >= 0 && detector <= 0)) {
-      return (core_fault){point ? "detector" : "source", "0", i};
+    const double source = diameter(design->source_mm, i);
+    const double detector = diameter(design->detector_mm, i);
+    const double most = frequency ? 0 : 1e12;
+    const char *allowed = frequency ? "0 with frequencies" : "0 to 1e12";
+    if (!(source >= 0 && source <= most)) { /* NaN is refused */
+      return (core_fault){"source", allowed, i};
+    }
+    if (!(detector >= 0 && detector <= most)) {
+      return (core_fault){"detector", allowed, i};
     }
     const double at = design->at[i];
     if (!(at >= 0 && at <= 1e12)) {
       return (core_fault){"at", "0 to 1e12", i};
     }
-    if (!frequency && !(at > 0)) {
+    if (!frequency && !(at + source + detector > 0)) {
       return (core_fault){"at", "above 0 without fibres", i};
     }
   }
@@ -50,9 +60,6 @@ core_fault core_fit_check(const core_fit_design *design) {
   const size_t least = design->scale == CORE_FIT_SCALE_FREE ? 3 : 2;
   if (design->count < least || design->count > CORE_FIT_READINGS_MAX) {
     return (core_fault){"count", "2 to 1024 readings, 3 or more with a free factor", design->count};
-  }
-  if (design->axis != CORE_FIT_AXIS_RADIUS) {
-    return (core_fault){"axis", "r with this model", 0};
   }
   if (!(design->g > -1 && design->g < 1)) {
     return (core_fault){"g", "above -1 and below 1", 0};
@@ -77,7 +84,8 @@ static struct fit_model model_of(const core_isa *isa, const core_fit_design *des
       .isa = isa,
       .model = design->model,
       .moments = design->moments,
-      .quantity = CORE_QUANTITY_R,
+      .quantity =
+          design->axis == CORE_FIT_AXIS_FREQUENCY ? CORE_QUANTITY_TRANSFER : CORE_QUANTITY_R,
       .g = design->g,
       .eta = design->eta,
       .parameters = design->parameters != NULL ? *design->parameters : core_parameters_none(),
@@ -90,7 +98,9 @@ static void set_bounds(core_fit *fit, const core_fit_design *design) {
   for (size_t i = 0; i < design->count; i++) {
     const double at = design->at[i];
     const bool frequency = design->axis == CORE_FIT_AXIS_FREQUENCY;
-    const double distance = frequency ? (at > 0 ? 1 / (6.28318530717958647693 * at) : 0) : at;
+    const double radii = diameter(design->source_mm, i) + diameter(design->detector_mm, i);
+    const double distance =
+        frequency ? (at > 0 ? 1 / (6.28318530717958647693 * at) : 0) : real_max(at, 0.25 * radii);
     if (distance > 0) {
       least = least > 0 ? real_min(least, distance) : distance;
       most = real_max(most, distance);
@@ -114,7 +124,7 @@ static core_fault set_weights(core_fit *fit, const core_fit_design *design) {
   reference.g = design->reference.g;
   reference.eta = design->reference.eta;
   const core_fault fault =
-      fit_values_of_medium(&reference, &design->reference, fit->count, fit->at, fit->weight);
+      fit_values_of_medium(&reference, &design->reference, &fit->places, fit->weight);
   for (size_t i = 0; fault.field == NULL && i < fit->count; i++) {
     if (!(fit->weight[i] > 1e-300)) {
       return (core_fault){"reference", "a medium with light at each reading", i};
@@ -130,7 +140,7 @@ static core_fault fill_grid(core_fit *fit) {
   double values[CORE_FIT_READINGS_MAX];
   for (size_t i = 0; i < FIT_GRID; i++) {
     const core_fault fault =
-        fit_values(&fit->model, fit_grid_place(fit, i), fit->count, fit->at, values, NULL, NULL);
+        fit_values(&fit->model, fit_grid_place(fit, i), &fit->places, values, NULL, NULL);
     if (fault.field != NULL && strcmp(fault.field, CORE_FIELD_MEMORY) == 0) {
       return fault;
     }
@@ -155,18 +165,56 @@ static core_fault set_notes(core_fit *fit) {
   return fault;
 }
 
+/* Sets the nodes of each reading. */
+static void set_places(core_fit *fit, const core_fit_design *design) {
+  struct fit_places *places = &fit->places;
+  places->first[0] = 0;
+  for (size_t i = 0; i < places->count; i++) {
+    const size_t first = places->first[i];
+    places->first[i + 1] = first + fit_disc_nodes(design->at[i], diameter(design->source_mm, i),
+                                                  diameter(design->detector_mm, i),
+                                                  places->at + first, places->weight + first);
+    for (size_t k = first; k < places->first[i + 1]; k++) {
+      places->ln_at[k] = fit_ln(places->at[k]);
+    }
+  }
+}
+
+/* Prepares what evaluates the model fast, if there is such a thing. */
+static core_fault set_kernels(struct fit_model *model) {
+  if (model->model == CORE_MODEL_TRANSPORT) {
+    return fit_table_create(&model->table, model->isa, model->quantity, model->g, model->eta,
+                            &model->parameters);
+  }
+  model->varies = model->quantity == CORE_QUANTITY_R &&
+                  core_varying_prepare(&model->varying, model->isa, model->model, model->moments,
+                                       CORE_EVALUATOR_F64, model->g, model->eta, &model->parameters)
+                          .field == NULL;
+  return (core_fault){0};
+}
+
 static core_fault fill(core_fit *fit, const core_fit_design *design) {
-  memcpy(fit->at, design->at, fit->count * sizeof *fit->at);
+  set_places(fit, design);
   set_bounds(fit, design);
   core_fault fault = set_notes(fit);
+  if (fault.field == NULL) {
+    fault = set_kernels(&fit->model);
+  }
   if (fault.field == NULL) {
     fault = set_weights(fit, design);
   }
   return fault.field == NULL ? fill_grid(fit) : fault;
 }
 
-/* The numbers that a design holds for each reading: where it is, its weight, and the grid. */
-enum { NUMBERS = 2 + FIT_GRID };
+/* Returns the most nodes that a design may have. */
+static size_t nodes_of(const core_fit_design *design) {
+  const bool points = design->source_mm == NULL && design->detector_mm == NULL;
+  return design->count * (points ? 1 : FIT_DISC_NODES);
+}
+
+/* The numbers that a design holds for each reading: its weight, the grid, and where it begins; for
+ * each node: where it is, the logarithm of that, and its weight. */
+enum { NUMBERS = 1 + FIT_GRID, NODE_NUMBERS = 3 };
 
 core_fault core_fit_create(core_fit **made, const core_isa *isa, const core_fit_design *design) {
   *made = NULL;
@@ -174,20 +222,25 @@ core_fault core_fit_create(core_fit **made, const core_isa *isa, const core_fit_
   if (fault.field != NULL) {
     return fault;
   }
+  const size_t count = design->count, nodes = nodes_of(design);
   core_fit *fit = malloc(sizeof *fit);
-  double *numbers = malloc(NUMBERS * design->count * sizeof *numbers);
-  if (fit == NULL || numbers == NULL) {
+  double *numbers = malloc((NUMBERS * count + NODE_NUMBERS * nodes) * sizeof *numbers);
+  size_t *first = malloc((count + 1) * sizeof *first);
+  if (fit == NULL || numbers == NULL || first == NULL) {
     free(fit);
     free(numbers);
+    free(first);
     return CORE_OUT_OF_MEMORY;
   }
   *fit = (core_fit){
       .model = model_of(isa, design),
       .free_factor = design->scale == CORE_FIT_SCALE_FREE,
-      .count = design->count,
-      .at = numbers,
-      .weight = numbers + design->count,
-      .grid = numbers + 2 * design->count,
+      .count = count,
+      .nodes_most = nodes,
+      .weight = numbers,
+      .grid = numbers + count,
+      .places = {count, first, numbers + NUMBERS * count, numbers + NUMBERS * count + nodes,
+                 numbers + NUMBERS * count + 2 * nodes},
   };
   fault = fill(fit, design);
   if (fault.field != NULL) {
@@ -200,13 +253,30 @@ core_fault core_fit_create(core_fit **made, const core_isa *isa, const core_fit_
 
 void core_fit_free(core_fit *fit) {
   if (fit != NULL) {
-    free(fit->at);
+    fit_table_free(fit->model.table);
+    if (fit->model.varies) {
+      core_varying_free(&fit->model.varying);
+    }
+    free(fit->places.first);
+    free(fit->weight);
     free(fit);
   }
 }
 
 size_t core_fit_bytes(const core_fit *fit) {
-  return sizeof *fit + NUMBERS * fit->count * sizeof *fit->at;
+  return sizeof *fit + (NUMBERS * fit->count + NODE_NUMBERS * fit->nodes_most) * sizeof(double) +
+         (fit->count + 1) * sizeof(size_t) + fit_table_bytes(fit->model.table) +
+         (fit->model.varies ? core_varying_bytes(&fit->model.varying) : 0);
+}
+
+void core_fit_model(const core_fit *fit, double sigma_a_per_mm, double sigma_s_prime_per_mm,
+                    double *values) {
+  const struct fit_place place = {fit_ln(sigma_a_per_mm / sigma_s_prime_per_mm),
+                                  fit_ln(sigma_s_prime_per_mm)};
+  const core_fault fault = fit_values(&fit->model, place, &fit->places, values, NULL, NULL);
+  for (size_t i = 0; i < fit->count; i++) {
+    values[i] = fault.field == NULL ? values[i] * fit->weight[i] : (double)NAN;
+  }
 }
 
 /* ---- a set of readings ----------------------------------------------------------------------- */

@@ -23,8 +23,8 @@
  * over the largest distance to CORE_FIT_NEAR_MAX over the least. A frequency f counts as the
  * distance 1 / (2 pi f), a distance that is shorter than the fibres' mean radius as that radius, and
  * without any positive distance 1 mm counts. */
-#define CORE_FIT_RATIO_MIN 1e-8
-#define CORE_FIT_RATIO_MAX 100.0
+#define CORE_FIT_RATIO_MIN 1e-6
+#define CORE_FIT_RATIO_MAX 50.0
 #define CORE_FIT_NEAR_MIN 1e-3
 #define CORE_FIT_NEAR_MAX 1e3
 
@@ -61,7 +61,8 @@ typedef struct core_fit core_fit;
  * reading; and `reference` if the model gives no light for it at the reading of that index. */
 core_fault core_fit_check(const core_fit_design *design);
 
-/* Prepares a design; the arrays are copied. On a fault *fit is NULL, else the caller owns it and
+/* Prepares a design; the arrays are copied. With `transport` this takes about a second, for a table
+ * of its ratios and distances, and other models are prepared some hundred times. On a fault *fit is NULL, else the caller owns it and
  * frees it with core_fit_free(), which accepts NULL. */
 core_fault core_fit_create(core_fit **fit, const core_isa *isa, const core_fit_design *design);
 void core_fit_free(core_fit *fit);
@@ -114,6 +115,11 @@ typedef struct core_fit_result {
   unsigned evaluations;     /* of the model for all readings */
   unsigned notes;           /* bits of enum core_note, of the model */
 } core_fit_result;
+
+/* Sets values[count] to the readings of a medium with these coefficients, more than 0, without noise
+ * and with the factor 1, as the fit models them; NAN if the model does not take the medium. */
+void core_fit_model(const core_fit *fit, double sigma_a_per_mm, double sigma_s_prime_per_mm,
+                    double *values);
 
 /* Fits one set: values[count] at least 0, in 1/mm^2 (axis RADIUS) or 1 (FREQUENCY), or 1 for ratios;
  * errors[count] are their standard errors, above 0 and finite. residuals: NULL, or room for count

@@ -12,18 +12,20 @@ struct choosing {
   double error;
   bool rows;
   size_t most;
+  double
+      worse; /* by how much more chi-squared, for each reading, a start may have than the best one */
 };
-static const struct choosing usual = {0.3, false, 4};
+static const struct choosing usual = {0.3, false, 4, 3};
 
 /* A second solution is looked for with more care if the readings are at most CAREFUL_SPARE more than
  * the unknowns, or if the best one is not a good fit. */
-static const struct choosing careful = {0.1, true, STARTS_MAX};
+static const struct choosing careful = {0.1, true, STARTS_MAX, 1e300};
 #define CAREFUL_SPARE 3
 #define CAREFUL_REDUCED 3.0
 
 /* First the residuals are those of logarithms, which are less curved, until steps are shorter than
  * this. */
-#define STEP_LOGARITHMS 1e-2
+#define STEP_LOGARITHMS 5e-2
 
 /* The search ends with a step that is shorter than this in both logarithms, or, if rounding keeps
  * chi-squared from falling, one that is shorter than STEP_ROUNDED. */
@@ -136,7 +138,7 @@ static bool expand(const core_fit *fit, struct readings readings, bool logarithm
                    struct fit_place place, struct quadratic *q, double *residuals) {
   double model[CORE_FIT_READINGS_MAX], by_r[CORE_FIT_READINGS_MAX], by_s[CORE_FIT_READINGS_MAX];
   struct residual parts[CORE_FIT_READINGS_MAX];
-  if (fit_values(&fit->model, place, fit->count, fit->at, model, by_r, by_s).field != NULL) {
+  if (fit_values(&fit->model, place, &fit->places, model, by_r, by_s).field != NULL) {
     return false;
   }
   for (size_t i = 0; i < fit->count; i++) {
@@ -144,9 +146,8 @@ static bool expand(const core_fit *fit, struct readings readings, bool logarithm
     parts[i].by_s = by_s[i];
   }
   take_apart(fit, readings, logarithms, model, parts);
-  *q = (struct quadratic){.place = place,
-                          .logarithms = logarithms,
-                          .factor = best_factor(fit, logarithms, parts)};
+  *q = (struct quadratic){
+      .place = place, .logarithms = logarithms, .factor = best_factor(fit, logarithms, parts)};
   for (size_t i = 0; i < fit->count; i++) {
     const double scaled = logarithms ? q->factor + parts[i].model : q->factor * parts[i].model;
     const double off = parts[i].weight * (parts[i].value - scaled);
@@ -222,6 +223,10 @@ static size_t find_starts(const core_fit *fit, struct readings readings,
     if (at < last) {
       starts[at] = i;
     }
+  }
+  const double most = count > 0 ? chi[starts[0]] + choosing->worse * (double)fit->count : 0;
+  while (count > 1 && chi[starts[count - 1]] > most) {
+    count--;
   }
   return count;
 }
@@ -448,8 +453,7 @@ void fit_search(const core_fit *fit, const double *values, const double *errors,
   }
   result->best = solution_of(&fit->model, &best->at);
   result->bounds = bounds_of(fit, best->at.place);
-  result->reduced_chi_squared =
-      spare > 0 ? best->at.chi_squared / (double)spare : (double)NAN;
+  result->reduced_chi_squared = spare > 0 ? best->at.chi_squared / (double)spare : (double)NAN;
   if (minima.second.found && minima.second.settled) {
     result->second = solution_of(&fit->model, &minima.second.at);
   }

@@ -1,6 +1,6 @@
 #include "core/fit/values.h"
 
-#include <stdlib.h>
+#include "core/fit/fit.h"
 
 #define CORE_REAL 64
 #include "core/kernel.h"
@@ -24,25 +24,113 @@ double fit_ln(double x) {
   return real_log(real_max(x, 0x1p-1022), 0);
 }
 
+enum { CHUNK = 256 }; /* nodes that are evaluated together */
+
+/* Adds the nodes' values from position `start` on to their readings, the first of which is *reading.
+ */
+static void add_up(const struct fit_places *places, size_t start, size_t n, const double *values,
+                   size_t *reading, double *sums) {
+  for (size_t k = 0; k < n; k++) {
+    while (start + k >= places->first[*reading + 1]) {
+      sums[++*reading] = 0;
+    }
+    sums[*reading] += places->weight[start + k] * values[k];
+  }
+}
+
 /* error: NULL, or receives the model's numerical error. */
-static core_fault evaluate(const struct fit_model *model, const core_medium *medium, size_t n,
-                           const double *at, double *value, double *error) {
+static core_fault evaluate(const struct fit_model *model, const core_medium *medium,
+                           const struct fit_places *places, double *value, double *error) {
   core_profile profile;
   const core_fault fault = core_profile_prepare(&profile, model->isa, model->model, model->moments,
                                                 CORE_EVALUATOR_F64, medium, &model->parameters);
-  if (fault.field == NULL) {
-    core_eval_f64(&profile, model->quantity, n, at, value);
-    if (error != NULL) {
-      *error = profile.numerical_error;
-    }
-    core_profile_free(&profile);
+  if (fault.field != NULL) {
+    return fault;
   }
+  const size_t nodes = places->first[places->count];
+  size_t reading = 0;
+  value[0] = 0;
+  for (size_t start = 0; start < nodes; start += CHUNK) {
+    const size_t n = nodes - start < CHUNK ? nodes - start : CHUNK;
+    double values[CHUNK];
+    core_eval_f64(&profile, model->quantity, n, places->at + start, values);
+    add_up(places, start, n, values, &reading, value);
+  }
+  if (error != NULL) {
+    *error = profile.numerical_error;
+  }
+  core_profile_free(&profile);
   return fault;
 }
 
-core_fault fit_values_of_medium(const struct fit_model *model, const core_medium *medium, size_t n,
-                                const double *at, double *value) {
-  return evaluate(model, medium, n, at, value, NULL);
+/* Does what fit_values() does, by the table. */
+static void look_up(const struct fit_model *model, struct fit_place place,
+                    const struct fit_places *places, double *value, double *by_ratio,
+                    double *by_scattering) {
+  const size_t nodes = places->first[places->count];
+  const bool slopes = by_ratio != NULL;
+  size_t reading[3] = {0, 0, 0};
+  value[0] = 0;
+  if (slopes) {
+    by_ratio[0] = by_scattering[0] = 0;
+  }
+  for (size_t start = 0; start < nodes; start += CHUNK) {
+    const size_t n = nodes - start < CHUNK ? nodes - start : CHUNK;
+    double R[CHUNK], r[CHUNK], s[CHUNK];
+    fit_table_values(model->table, place.ln_ratio, place.ln_scattering, n, places->at + start,
+                     places->ln_at + start, R, slopes ? r : NULL, slopes ? s : NULL);
+    add_up(places, start, n, R, &reading[0], value);
+    if (slopes) {
+      add_up(places, start, n, r, &reading[1], by_ratio);
+      add_up(places, start, n, s, &reading[2], by_scattering);
+    }
+  }
+}
+
+/* Steps in ln_ratio and ln_scattering: none, and both ways along each. */
+enum { STEPS = 5 };
+static const int steps[STEPS][2] = {{0, 0}, {1, 0}, {-1, 0}, {0, 1}, {0, -1}};
+
+/* Does what fit_values() does, where kernels take a medium for each value. */
+static void vary(const struct fit_model *model, struct fit_place place,
+                 const struct fit_places *places, double *value, double *by_ratio,
+                 double *by_scattering) {
+  enum { NODES = 48 };
+  const size_t nodes = places->first[places->count], media = by_ratio != NULL ? STEPS : 1;
+  double *sums[] = {value, by_ratio, by_scattering};
+  size_t reading[3] = {0, 0, 0};
+  for (size_t q = 0; q < (media > 1 ? 3 : 1); q++) {
+    sums[q][0] = 0;
+  }
+  for (size_t start = 0; start < nodes; start += NODES) {
+    const size_t n = nodes - start < NODES ? nodes - start : NODES;
+    double a[STEPS * NODES], s[STEPS * NODES], r[STEPS * NODES], R[STEPS * NODES];
+    for (size_t m = 0; m < media; m++) {
+      const core_medium medium =
+          fit_medium(model, (struct fit_place){place.ln_ratio + STEP_LEAST * steps[m][0],
+                                               place.ln_scattering + STEP_LEAST * steps[m][1]});
+      for (size_t i = 0; i < n; i++) {
+        a[m * n + i] = medium.sigma_a_per_mm;
+        s[m * n + i] = medium.sigma_s_per_mm;
+        r[m * n + i] = places->at[start + i];
+      }
+    }
+    core_varying_eval_f64(&model->varying, model->quantity, media * n, a, s, r, R);
+    add_up(places, start, n, R, &reading[0], value);
+    for (size_t q = 1; q < 3 && media > 1; q++) {
+      const double *up = &R[(2 * q - 1) * n], *down = &R[2 * q * n];
+      double slope[NODES];
+      for (size_t i = 0; i < n; i++) {
+        slope[i] = (up[i] - down[i]) / (2 * STEP_LEAST);
+      }
+      add_up(places, start, n, slope, &reading[q], sums[q]);
+    }
+  }
+}
+
+core_fault fit_values_of_medium(const struct fit_model *model, const core_medium *medium,
+                                const struct fit_places *places, double *value) {
+  return evaluate(model, medium, places, value, NULL);
 }
 
 static double step_for(double error) {
@@ -53,42 +141,46 @@ static double step_for(double error) {
   return step;
 }
 
-/* Sets slope[n] to the central difference along a step, and divides it by `width`. */
+/* Sets slope[count] to the central difference along a step, and divides it by `width`. */
 static core_fault differentiate(const struct fit_model *model, struct fit_place place,
-                                struct fit_place step, double width, size_t n, const double *at,
-                                double *slope) {
-  enum { CHUNK = 128 };
-  const core_medium low = fit_medium(model, (struct fit_place){
-                                                place.ln_ratio - step.ln_ratio,
-                                                place.ln_scattering - step.ln_scattering,
-                                            });
-  const core_medium high = fit_medium(model, (struct fit_place){
-                                                 place.ln_ratio + step.ln_ratio,
-                                                 place.ln_scattering + step.ln_scattering,
-                                             });
-  core_fault fault = evaluate(model, &high, n, at, slope, NULL);
-  for (size_t done = 0; fault.field == NULL && done < n; done += CHUNK) {
-    const size_t count = n - done < CHUNK ? n - done : CHUNK;
-    double before[CHUNK];
-    fault = evaluate(model, &low, count, at + done, before, NULL);
-    for (size_t i = 0; fault.field == NULL && i < count; i++) {
-      slope[done + i] = (slope[done + i] - before[i]) / (2 * width);
-    }
+                                struct fit_place step, double width,
+                                const struct fit_places *places, double *slope) {
+  double before[CORE_FIT_READINGS_MAX];
+  const struct fit_place down = {place.ln_ratio - step.ln_ratio,
+                                 place.ln_scattering - step.ln_scattering};
+  const struct fit_place up = {place.ln_ratio + step.ln_ratio,
+                               place.ln_scattering + step.ln_scattering};
+  const core_medium low = fit_medium(model, down), high = fit_medium(model, up);
+  core_fault fault = evaluate(model, &high, places, slope, NULL);
+  if (fault.field == NULL) {
+    fault = evaluate(model, &low, places, before, NULL);
+  }
+  for (size_t i = 0; fault.field == NULL && i < places->count; i++) {
+    slope[i] = (slope[i] - before[i]) / (2 * width);
   }
   return fault;
 }
 
-core_fault fit_values(const struct fit_model *model, struct fit_place place, size_t n,
-                      const double *at, double *value, double *by_ratio, double *by_scattering) {
+core_fault fit_values(const struct fit_model *model, struct fit_place place,
+                      const struct fit_places *places, double *value, double *by_ratio,
+                      double *by_scattering) {
+  if (model->table != NULL) {
+    look_up(model, place, places, value, by_ratio, by_scattering);
+    return (core_fault){0};
+  }
+  if (model->varies) {
+    vary(model, place, places, value, by_ratio, by_scattering);
+    return (core_fault){0};
+  }
   const core_medium medium = fit_medium(model, place);
   double error;
-  core_fault fault = evaluate(model, &medium, n, at, value, &error);
+  core_fault fault = evaluate(model, &medium, places, value, &error);
   if (fault.field == NULL && by_ratio != NULL) {
     const double step = step_for(error);
     const struct fit_place along = {step, 0}, across = {0, step};
-    fault = differentiate(model, place, along, step, n, at, by_ratio);
+    fault = differentiate(model, place, along, step, places, by_ratio);
     if (fault.field == NULL) {
-      fault = differentiate(model, place, across, step, n, at, by_scattering);
+      fault = differentiate(model, place, across, step, places, by_scattering);
     }
   }
   return fault;

@@ -1,17 +1,33 @@
-/* values: evaluates the model of a fit for a medium that the search tries. Internal to core/fit. */
+/* values: evaluates the model of a fit's readings for a medium that the search tries. Internal to
+ * core/fit. */
 #ifndef DIPOLED_CORE_FIT_VALUES_H
 #define DIPOLED_CORE_FIT_VALUES_H
 
 #include "core/core.h"
+#include "core/fit/table.h"
+#include "core/varying.h"
 
 struct fit_model {
   const core_isa *isa;
   unsigned model;
   unsigned moments;
-  enum core_quantity quantity; /* what a reading is */
+  enum core_quantity quantity; /* what a reading is made of: R or TRANSFER */
   double g;
   double eta;
   core_parameters parameters;
+  fit_table *table;     /* of transport, else NULL */
+  bool varies;          /* whether `varying` evaluates the quantity for any medium */
+  core_varying varying; /* owned */
+};
+
+/* Where readings are taken: reading i is the sum of weight R(at) over the nodes from first[i] to
+ * first[i + 1] - 1. */
+struct fit_places {
+  size_t count;
+  size_t *first; /* [count + 1] */
+  double *at;
+  double *ln_at; /* of the least normal number for 0 */
+  double *weight;
 };
 
 /* A medium by ln(sigma_a / sigma_s') and ln(sigma_s'), sigma_s' in 1/mm. */
@@ -25,13 +41,14 @@ core_medium fit_medium(const struct fit_model *model, struct fit_place place);
 /* Returns ln x, or that of the least normal number if x is less. */
 double fit_ln(double x);
 
-/* Evaluates the model at[n] for a medium, whose g and eta need not be those of the model. */
-core_fault fit_values_of_medium(const struct fit_model *model, const core_medium *medium, size_t n,
-                                const double *at, double *value);
+/* Evaluates the readings for a medium, whose g and eta need not be those of the model. */
+core_fault fit_values_of_medium(const struct fit_model *model, const core_medium *medium,
+                                const struct fit_places *places, double *value);
 
-/* Evaluates the model at[n]. Sets value[n] and, unless they are NULL, its derivatives by ln_ratio
- * and by ln_scattering. Returns the fault of a medium that the model does not take. */
-core_fault fit_values(const struct fit_model *model, struct fit_place place, size_t n,
-                      const double *at, double *value, double *by_ratio, double *by_scattering);
+/* Evaluates the readings. Sets value[count] and, unless they are NULL, its derivatives by ln_ratio and
+ * by ln_scattering. Returns the fault of a medium that the model does not take. */
+core_fault fit_values(const struct fit_model *model, struct fit_place place,
+                      const struct fit_places *places, double *value, double *by_ratio,
+                      double *by_scattering);
 
 #endif
