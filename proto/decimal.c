@@ -130,7 +130,7 @@ static struct digits shortest(uint64_t significand, int exponent, bool power_of_
 /* ---- text ------------------------------------------------------------------------------------ */
 
 /* Two digits at a time. */
-static size_t write_integer(uint64_t integer, char text[DECIMAL_BYTES]) {
+static size_t write_integer(uint64_t integer, char *text) {
   static const char pairs[] = "00010203040506070809101112131415161718192021222324"
                               "25262728293031323334353637383940414243444546474849"
                               "50515253545556575859606162636465666768697071727374"
@@ -148,63 +148,64 @@ static size_t write_integer(uint64_t integer, char text[DECIMAL_BYTES]) {
   return count;
 }
 
-/* Writes d.ddde-5 for digits whose first one stands for 10^exponent. */
-static size_t write_scientific(const char *digits, size_t count, int exponent, char *text) {
-  size_t length = 0;
-  text[length++] = digits[0];
+/* Returns the length of d.ddde-5 for digits whose first one stands for 10^exponent. */
+static size_t scientific_length(size_t count, int exponent) {
+  const int size = exponent < 0 ? -exponent : exponent;
+  return count + (count > 1) + 1 + (exponent < 0) + (size < 10 ? 1 : size < 100 ? 2 : 3);
+}
+
+static void write_scientific(const char *digits, size_t count, int exponent, char *text) {
+  *text++ = digits[0];
   if (count > 1) {
-    text[length++] = '.';
-    memcpy(text + length, digits + 1, count - 1);
-    length += count - 1;
+    *text++ = '.';
+    memcpy(text, digits + 1, count - 1);
+    text += count - 1;
   }
-  text[length++] = 'e';
+  *text++ = 'e';
   if (exponent < 0) {
-    text[length++] = '-';
+    *text++ = '-';
   }
-  return length + write_integer((uint64_t)(exponent < 0 ? -exponent : exponent), text + length);
+  write_integer((uint64_t)(exponent < 0 ? -exponent : exponent), text);
 }
 
-static size_t put(char *text, char character, size_t count) {
-  memset(text, character, count);
-  return count;
-}
-
-/* Writes 0.00123, 123000 or 12.3. exponent: -5 to 15 */
-static size_t write_plain(const char *digits, size_t count, int exponent, char *text) {
+/* Returns the length of 0.00123, 123000 or 12.3. */
+static size_t plain_length(size_t count, int exponent) {
   const size_t whole = exponent < 0 ? 0 : (size_t)exponent + 1; /* digits before the point */
-  size_t length = 0;
+  return whole == 0 ? count + 1 + (size_t)-exponent : count > whole ? count + 1 : whole;
+}
+
+static void write_plain(const char *digits, size_t count, int exponent, char *text) {
+  const size_t whole = exponent < 0 ? 0 : (size_t)exponent + 1;
   if (whole == 0) {
-    length += put(text, '0', 1);
-    length += put(text + length, '.', 1);
-    length += put(text + length, '0', (size_t)-exponent - 1);
+    memset(text, '0', (size_t)-exponent + 1);
+    text[1] = '.';
+    memcpy(text + 1 - exponent, digits, count);
+  } else if (count <= whole) {
+    memcpy(text, digits, count);
+    memset(text + count, '0', whole - count);
+  } else {
+    memcpy(text, digits, whole);
+    text[whole] = '.';
+    memcpy(text + whole + 1, digits + whole, count - whole);
   }
-  for (size_t i = 0; i < count; i++) {
-    if (i == whole && i > 0) {
-      text[length++] = '.';
-    }
-    text[length++] = digits[i];
-  }
-  return length + (whole > count ? put(text + length, '0', whole - count) : 0);
 }
 
 /* Writes a positive and finite decimal. The plain form is taken unless it is longer. */
 static size_t write_decimal(struct digits decimal, char *text) {
-  char digits[DECIMAL_BYTES], plain[DECIMAL_BYTES];
+  char digits[DECIMAL_BYTES];
   size_t count = write_integer(decimal.integer, digits);
   const int exponent = decimal.exponent + (int)count - 1;
   while (count > 1 && digits[count - 1] == '0') {
     count--;
   }
-  const size_t length = write_scientific(digits, count, exponent, text);
-  if (exponent < -5 || exponent > 15) {
-    return length;
+  const size_t scientific = scientific_length(count, exponent);
+  const size_t plain = exponent < -5 || exponent > 15 ? SIZE_MAX : plain_length(count, exponent);
+  if (plain > scientific) {
+    write_scientific(digits, count, exponent, text);
+    return scientific;
   }
-  const size_t plain_length = write_plain(digits, count, exponent, plain);
-  if (plain_length > length) {
-    return length;
-  }
-  memcpy(text, plain, plain_length);
-  return plain_length;
+  write_plain(digits, count, exponent, text);
+  return plain;
 }
 
 /* Writes a value. magnitude: its bits in IEEE 754 without the sign, for significands of `precision`
@@ -213,7 +214,8 @@ static size_t write_bits(double value, uint64_t magnitude, int precision, int le
                          char text[DECIMAL_BYTES]) {
   static pthread_once_t once = PTHREAD_ONCE_INIT;
   const char *name = isnan(value) ? "nan" : isinf(value) ? "inf" : value == 0 ? "0" : NULL;
-  size_t length = signbit(value) && !isnan(value) ? put(text, '-', 1) : 0;
+  size_t length = signbit(value) && !isnan(value);
+  text[0] = '-';
   if (name != NULL) {
     memcpy(text + length, name, strlen(name));
     length += strlen(name);
