@@ -17,7 +17,7 @@
 #   make tables     core/transport/transport.table, solved anew (half an hour; resumes)
 #   make reference  core/transport/reference.csv, R(r) for many g, solved anew (an hour; resumes)
 #   make figures    Figures 1 to 17 of d'Eon 2012 and one of tissue, in build/figures (ten minutes;
-#                   resumes), and core/tools/tissue.svg
+#                   resumes), with build/figures/index.html, and core/tools/tissue.svg
 #   make install    to $(DESTDIR)$(PREFIX); make uninstall takes it away again
 #   make deb        Debian packages, in build/deb; make check-deb installs them in a new system
 #   make setup      installs the packages of .ci/packages, nothing else

@@ -3,6 +3,7 @@ the README's figure of tissue, which scatters forward.
 
 A daemon of its own computes all values. Written into the folder:
 
+    index.html              all pictures, and what each says
     figure_NN_log.svg, figure_NN_gamma.svg, figure_NN.csv, figure_NN_albedos.csv
     summary.csv             which model is nearer to transport
     monte_carlo_check.csv   whether Monte Carlo agrees with transport
@@ -491,6 +492,86 @@ def draw_tissue(path: Path, columns: dict[str, np.ndarray]) -> None:
     plot(path, script + "unset multiplot\n")
 
 
+# ---- the index -----------------------------------------------------------------------------------
+
+STYLE = """
+:root { color-scheme: light dark }
+body { font: 16px/1.5 sans-serif; max-width: 75em; margin: auto; padding: 1em }
+img { max-width: 100%; background: white }
+table { border-collapse: collapse }
+th, td { text-align: right; padding: 0.1em 0.8em; font-variant-numeric: tabular-nums }
+th:first-child, td:first-child { text-align: left }
+"""
+
+
+def deviations(page: Page) -> list[tuple[str, list[float]]]:
+    """The title of each curve but transport's, and the factors by which it is off in each range of
+    radii, then in the albedo: the medians over the page's panels."""
+    panels = list(page.cells.values())
+
+    def factor(name: str, radii: tuple[float, float]) -> float:
+        return math.exp(float(np.median([deviation(p, name, radii) for p in panels])))
+
+    ranges = [*RANGES[1:], ALBEDO]
+    return [(title, [factor(name, r) for r in ranges]) for name, title, *_ in page.lines[1:]]
+
+
+def finding(page: Page) -> str:
+    """What a page says, in words: the models nearest to transport, and by how much they are off."""
+    found = deviations(page)
+    parts = []
+    for i, (start, stop) in enumerate(RANGES[1:]):
+        title, factors = min(found, key=lambda row: row[1][i])
+        parts.append(f"from {start:g} to {stop:g} the {title} (a factor of {factors[i]:.3g})")
+    worst, factors = max(found, key=lambda row: row[1][0])
+    return (
+        f"Nearest to transport, in mean free paths: {', '.join(parts)}. Below {RANGES[1][1]:g}, "
+        f"the {worst} is off by a factor of {factors[0]:.3g}."
+    )
+
+
+def section(page: Page) -> str:
+    name = f"figure_{page.figure:02}"
+    heads = [f"{start:g} to {stop:g}" for start, stop in RANGES[1:]] + ["albedo"]
+    rows = [
+        "<tr>" + "".join(f"<td>{x}</td>" for x in [title, *(f"{f:.3g}" for f in factors)]) + "</tr>"
+        for title, factors in deviations(page)
+    ]
+    return (
+        f'<section id="{name}">\n<h2>{page.title}</h2>\n<p>{finding(page)}</p>\n'
+        f'<a href="{name}_log.svg"><img src="{name}_log.svg" loading="lazy" '
+        f'alt="R over the radius, both logarithmic, for {len(page.cells)} media. '
+        f'{finding(page)}"></a>\n'
+        "<table>\n<caption>Factor by which R is off, median over the media</caption>\n"
+        "<tr>" + "".join(f"<th>{x}</th>" for x in ["mean free paths", *heads]) + "</tr>\n"
+        + "\n".join(rows) + "\n</table>\n"
+        f'<p><a href="{name}_gamma.svg">As it looks on a screen</a>, '
+        f'<a href="{name}.csv">values</a>, <a href="{name}_albedos.csv">albedos</a></p>\n'
+        "</section>\n"
+    )
+
+
+def write_index(path: Path, pages: Sequence[Page], tissue: bool) -> None:
+    links = "".join(f'<li><a href="#figure_{p.figure:02}">{p.title}</a></li>\n' for p in pages)
+    body = "".join(map(section, pages))
+    if tissue:
+        body += (
+            '<section>\n<h2>Tissue, which scatters forward</h2>\n<a href="tissue.svg"><img '
+            'src="tissue.svg" loading="lazy" alt="R of tissue over the radius by Monte Carlo, '
+            'transport and two dipoles, and their ratios to transport"></a>\n<p>Transport agrees '
+            'with Monte Carlo; <a href="tissue.csv">values</a></p>\n</section>\n'
+        )
+    path.write_text(
+        '<!DOCTYPE html>\n<html lang="en">\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width">\n'
+        f"<title>A Better Dipole: figures</title>\n<style>{STYLE}</style>\n"
+        "<h1>Figures of d'Eon 2012, with Monte Carlo and transport</h1>\n"
+        "<p>A factor of 2 means half or double of transport's value. A page has a panel for each "
+        'eta. <a href="summary.csv">Which model is nearer</a>, for all pairs.</p>\n'
+        f"<ul>\n{links}</ul>\n{body}</html>\n"
+    )
+
+
 # ---- all of it -----------------------------------------------------------------------------------
 
 
@@ -554,16 +635,17 @@ def main() -> None:
             columns = tissue_columns(client, options.tissue_photons, kept)
             write_csv(options.output / "tissue.csv", list(columns), zip(*columns.values()))
             draw_tissue(options.output / "tissue.svg", columns)
-    for page in pages_of(panels):
-        if page.cells:
-            name, shown = f"figure_{page.figure:02}", list(page.cells.values())
-            for form in ("log", "gamma"):
-                draw(options.output / f"{name}_{form}.svg", page, form)
-            names = ["figure", "ratio", "eta", "r", "ring_from", "ring_to", *COLUMNS]
-            write_csv(options.output / f"{name}.csv", names, figure_rows(page.figure, shown))
-            names = "figure ratio eta curve albedo error relative_to_transport".split()
-            rows = albedo_rows(page.figure, shown)
-            write_csv(options.output / f"{name}_albedos.csv", names, rows)
+    drawn = [page for page in pages_of(panels) if page.cells]
+    for page in drawn:
+        name, shown = f"figure_{page.figure:02}", list(page.cells.values())
+        for form in ("log", "gamma"):
+            draw(options.output / f"{name}_{form}.svg", page, form)
+        names = ["figure", "ratio", "eta", "r", "ring_from", "ring_to", *COLUMNS]
+        write_csv(options.output / f"{name}.csv", names, figure_rows(page.figure, shown))
+        names = "figure ratio eta curve albedo error relative_to_transport".split()
+        rows = albedo_rows(page.figure, shown)
+        write_csv(options.output / f"{name}_albedos.csv", names, rows)
+    write_index(options.output / "index.html", drawn, options.tissue_photons > 0)
     wanted = [panels[ratio, eta] for ratio in options.ratios for eta in options.etas]
     names = (
         "model against ratio_from ratio_to eta_from eta_to r_from r_to panels nearer share "

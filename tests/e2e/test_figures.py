@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
+from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
@@ -100,6 +101,36 @@ def test_tissue(drawn):
     assert all(np.mean(apart(name) ** 2) > 20 for name in ("similarity", "better", "classical"))
     near = columns["similarity"][0] / columns["transport"][0]
     assert 3 < near < 3.3
+
+
+class Found(HTMLParser):
+    """Gathers what a page refers to, and its texts."""
+
+    def __init__(self):
+        super().__init__()
+        self.targets: list[str] = []
+        self.descriptions: list[str] = []
+        self.texts: list[str] = []
+
+    def handle_starttag(self, tag, attributes):
+        named = dict(attributes)
+        self.targets += [named[name] for name in ("href", "src") if name in named]
+        self.descriptions += [named["alt"]] if tag == "img" else []
+
+    def handle_data(self, data):
+        self.texts.append(data)
+
+
+def test_index(drawn):
+    page = Found()
+    page.feed((drawn / "index.html").read_text())
+    for target in page.targets:
+        assert target.startswith("#") or (drawn / target).is_file(), target
+    pictures = {path.name for path in drawn.glob("*.svg")}
+    assert pictures <= set(page.targets)
+    assert len(page.descriptions) == 4 and all(len(text) > 50 for text in page.descriptions)
+    said = [text for text in page.texts if text.startswith("Nearest to transport")]
+    assert len(said) == 3 and all("quantized" in text or "better" in text for text in said)
 
 
 def test_tables(drawn):
