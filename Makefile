@@ -122,7 +122,7 @@ INSTALLED := $(BUILD)/dipoled $(BUILD)/dipole
 PROGRAMS := $(INSTALLED) $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-pipeline check-asan check-tsan check-fuzz check-truth check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables reference tradeoff figures clean
+.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-pipeline check-asan check-tsan check-fuzz check-truth check-fits check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables reference tradeoff figures clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -291,7 +291,7 @@ check:
 check-long:
 	@sh .ci/install-packages demo check deb ci
 	@$(MAKE) --no-print-directory -j2 all $(BUILD)/tests/bits $(BUILD)/soak-load $(BUILD)/pipeline
-	+@bash tests/run-check.sh $(BUILD)/logs-long bits-aarch64 soak-long pipeline rings packages deb
+	+@bash tests/run-check.sh $(BUILD)/logs-long bits-aarch64 soak-long pipeline rings fits packages deb
 
 # Fails when modules include each other in a circle.
 check-structure:
@@ -375,6 +375,10 @@ check-truth: $(BUILD)/tests/accuracy/truth
 
 truth: $(BUILD)/tests/accuracy/truth
 	$(BUILD)/tests/accuracy/truth --seconds $(or $(SECONDS),60) $(SEED:%=--seed %)
+
+# Coefficients from 10,000 random sets of readings for each model and scale.
+check-fits: $(BUILD)/tests/accuracy/test_fit
+	FIT_SETS=10000 $(BUILD)/tests/accuracy/test_fit
 
 # Monte Carlo against the solver, ring by ring, MILLIONS of photons for each g.
 check-rings: MILLIONS = 4

@@ -61,9 +61,10 @@ typedef struct core_fit core_fit;
  * reading; and `reference` if the model gives no light for it at the reading of that index. */
 core_fault core_fit_check(const core_fit_design *design);
 
-/* Prepares a design; the arrays are copied. With `transport` this takes about a second, for a table
- * of its ratios and distances, and other models are prepared some hundred times. On a fault *fit is NULL, else the caller owns it and
- * frees it with core_fit_free(), which accepts NULL. */
+/* Prepares a design; the arrays are copied. With `transport` this takes 30 to 600 ms, for a table of
+ * its ratios and distances, and a dipole takes a millisecond. Each fibre's disc takes about a
+ * millisecond more. Other models are prepared some hundred times. On a fault *fit is NULL, else the
+ * caller owns it and frees it with core_fit_free(), which accepts NULL. */
 core_fault core_fit_create(core_fit **fit, const core_isa *isa, const core_fit_design *design);
 void core_fit_free(core_fit *fit);
 
