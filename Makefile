@@ -18,6 +18,7 @@
 #   make reference  core/transport/reference.csv, R(r) for many g, solved anew (an hour; resumes)
 #   make figures    Figures 1 to 17 of d'Eon 2012 and one of tissue, in build/figures (ten minutes;
 #                   resumes), with build/figures/index.html, and core/tools/tissue.svg
+#   make fit-bias   coefficients that diffusion models give, beside those by transport
 #   make install    to $(DESTDIR)$(PREFIX); make uninstall takes it away again
 #   make deb        Debian packages, in build/deb; make check-deb installs them in a new system
 #   make setup      installs the packages of .ci/packages, nothing else
@@ -122,7 +123,7 @@ INSTALLED := $(BUILD)/dipoled $(BUILD)/dipole
 PROGRAMS := $(INSTALLED) $(BUILD)/bench
 LIBRARIES := $(BUILD)/libdipole.a $(BUILD)/libdipole.so
 
-.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-pipeline check-asan check-tsan check-fuzz check-truth check-fits check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables reference tradeoff figures clean
+.PHONY: all setup demo check check-long check-structure check-types check-unit check-bits check-bits-aarch64 check-e2e check-packages check-soak check-soak-long check-pipeline check-asan check-tsan check-fuzz check-truth check-fits check-rings rings soak truth fuzz fuzz-merge bench docs model-errors gamma-errors tables reference tradeoff figures fit-bias clean
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -440,6 +441,12 @@ figures:
 	DIPOLED=private:$(BUILD)/dipoled $(PYTHON) core/tools/figures.py --output $(BUILD)/figures $(FIGURES_OPTIONS)
 	cp $(BUILD)/figures/tissue.svg core/tools/
 	$(BUILD)/dipole plot --medium skin1 --model classical,better,transport --error --plot clients/cli/skin1.svg
+
+# What diffusion models make of readings, beside transport: a table and build/figures/fit_bias.svg.
+fit-bias:
+	@sh .ci/install-packages demo figures
+	@$(MAKE) --no-print-directory -j2 $(BUILD)/dipoled
+	DIPOLED=private:$(BUILD)/dipoled $(PYTHON) core/tools/fit_bias.py --output $(BUILD)/figures
 
 docs: $(BUILD)/wire-tables
 	@sh .ci/install-packages docs

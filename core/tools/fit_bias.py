@@ -1,0 +1,81 @@
+"""Draws the bias of coefficients that are fitted with diffusion models: the reason to fit with
+transport.
+
+The readings are R of transport without noise, at ten distances from 0.5 to 8 mean free paths
+1 / sigma_t', with errors of 2 %. Each model is fitted to them with an absolute scale. Written into the
+folder: fit_bias.csv (ratio, model, status, both coefficients over the true ones, reduced
+chi-squared) and fit_bias.svg."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "clients" / "python"))
+
+import dipole  # noqa: E402  (needs the path above)
+
+RATIOS = np.geomspace(1e-3, 1, 13)
+MODELS = ("transport", "better", "classical", "burley")
+AT_MFP = np.geomspace(0.5, 8, 10)
+ETA = 1.4
+
+
+def rows(client: dipole.Client) -> list[tuple[float, str, str, float, float, float]]:
+    """Fits each model to the readings of each ratio; sigma_s' is 1 per mm."""
+    found = []
+    for ratio in RATIOS:
+        at = AT_MFP / (1 + ratio)
+        medium = dipole.Medium(ratio, 1.0, 0.0, ETA)
+        readings = client.eval("transport", [medium], at).R[0]
+        for model in MODELS:
+            fits = client.fit(model, at, readings, 0.02 * readings, eta=ETA)
+            a, s = float(fits.sigma_a) / ratio, float(fits.sigma_s_prime)
+            found.append((ratio, model, str(fits.status), a, s, float(fits.sets['reduced_chi_squared'])))
+    return found
+
+
+def script(found: list[tuple[float, str, str, float, float, float]], to: Path) -> str:
+    """Two panels: sigma_a and sigma_s' over the true ones."""
+    text = (
+        "set terminal svg size 900,700 dynamic background rgb 'white' font 'sans,14' noenhanced\n"
+        f"set encoding utf8\nset output '{to}'\nset logscale xy\nset grid\n"
+    )
+    for model in MODELS:
+        text += f"${model} << END\n"
+        text += "".join(f"{r:.6g} {a:.6g} {s:.6g}\n" for r, m, _, a, s, _ in found if m == model)
+        text += "END\n"
+    text += "set multiplot layout 2,1 title 'Fitted over true coefficients, readings of transport'\n"
+    for column, name in ((2, "sigma_a"), (3, "sigma_s (1 - g)")):
+        curves = ", ".join(f"${m} using 1:{column} with linespoints title '{m}'" for m in MODELS)
+        text += f"set ylabel '{name}'\nset xlabel 'sigma_a / sigma_s (1 - g)'\nplot {curves}\n"
+    return text + "unset multiplot\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--output", type=Path, default=Path("build/figures"), metavar="DIR")
+    folder = parser.parse_args().output
+    folder.mkdir(parents=True, exist_ok=True)
+    with dipole.Client(timeout_s=None) as client:
+        found = rows(client)
+    with open(folder / "fit_bias.csv", "w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow("ratio model status sigma_a sigma_s_prime reduced_chi_squared".split())
+        for row in found:
+            writer.writerow([f"{row[0]:.6g}", *row[1:3], *(f"{x:.6g}" for x in row[3:])])
+    subprocess.run(["gnuplot"], input=script(found, folder / "fit_bias.svg"), text=True, check=True)
+    for ratio, model, status, a, s, chi in found:
+        print(f"{ratio:8.4f} {model:10} {status:13} sigma_a {a:8.4f} sigma_s' {s:8.4f} of the truth, "
+              f"chi-squared {chi:.3g}")
+
+
+if __name__ == "__main__":
+    main()
