@@ -54,7 +54,7 @@ static enum family family_of(unsigned model, int *variant) {
 /* Returns a medium that stands for all: its faults are those of the model, g, eta and
  * parameters. */
 static core_medium example(double g, double eta) {
-  return (core_medium){1, 1 / (1 - g), g, eta};
+  return (core_medium){1, g > -1 && g < 1 ? 1 / (1 - g) : 1, g, eta};
 }
 
 static void share_dipole(double *shared, int variant, core_fresnel fresnel) {

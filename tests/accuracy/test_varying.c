@@ -1,0 +1,495 @@
+/* Media that vary: every value against the evaluator f64 of the same model and medium, within what
+ * core_varying_errors() states for it. VARYING_MEDIA=N in the environment takes N media for each
+ * model and g (the default takes seconds; 100000 take an hour). */
+#include <float.h>
+#include <math.h>
+
+#include "core/transport/table.h"
+#include "core/varying.h"
+#include "tests/unit/unit.h"
+
+enum { QUANTITIES = 4, RADII = 4, LENGTH_MAX = 67 };
+
+static const enum core_quantity quantities[QUANTITIES] = {CORE_QUANTITY_R, CORE_QUANTITY_CDF,
+                                                          CORE_QUANTITY_PDF, CORE_QUANTITY_RING};
+
+static const unsigned dipoles[] = {CORE_MODEL_CLASSICAL,
+                                   CORE_MODEL_BETTER,
+                                   CORE_MODEL_GROSJEAN,
+                                   CORE_MODEL_BOUNDARY,
+                                   CORE_MODEL_EXITANCE,
+                                   CORE_MODEL_GROSJEAN_BOUNDARY,
+                                   CORE_MODEL_GROSJEAN_EXITANCE,
+                                   CORE_MODEL_BOUNDARY_EXITANCE,
+                                   CORE_MODEL_BURLEY,
+                                   CORE_MODEL_BURLEY_DIFFUSE,
+                                   CORE_MODEL_BURLEY_DMFP};
+enum { DIPOLES = sizeof dipoles / sizeof dipoles[0] };
+
+static size_t media_count(size_t otherwise) {
+  const char *given = getenv("VARYING_MEDIA");
+  return given != NULL ? (size_t)strtoull(given, NULL, 10) : otherwise;
+}
+
+static core_varying prepare(unsigned model, unsigned evaluator, double g, double eta,
+                            const core_parameters *parameters) {
+  core_varying varying;
+  unit_assert_fault(core_varying_prepare(&varying, core_isa_select(NULL), model, CORE_MOMENTS_EXACT,
+                                         evaluator, g, eta, parameters),
+                    NULL, 0);
+  return varying;
+}
+
+/* A random value: its coefficients in single precision, so that both evaluators see the same. */
+struct value {
+  double sigma_a, sigma_s, r, u;
+};
+
+static double rounded(double x) {
+  return (double)(float)x;
+}
+
+/* ratio_most: the largest sigma_a / sigma_s'. */
+static struct value random_value(uint64_t *state, double g, double ratio_most) {
+  const double sigma_t = unit_random_log(state, 1e-3, 1e3);
+  const double any = unit_random_log(state, 1e-6, ratio_most);
+  const double ratio = unit_random_below(state, 16) == 0 ? 0 : any;
+  struct value value;
+  value.sigma_s = rounded(sigma_t / (1 + ratio) / (1 - g));
+  value.sigma_a = rounded(value.sigma_s * (1 - g) * ratio);
+  value.r = rounded(unit_random_log(state, 1e-3, 40) / sigma_t);
+  value.u = rounded(unit_random_between(state, 0, 1));
+  return value;
+}
+
+static double eval(const core_varying *varying, enum core_quantity quantity,
+                   const struct value *value) {
+  if (varying->evaluator == CORE_EVALUATOR_F64) {
+    double out;
+    core_varying_eval_f64(varying, quantity, 1, &value->sigma_a, &value->sigma_s, &value->r, &out);
+    return out;
+  }
+  const float a = (float)value->sigma_a, s = (float)value->sigma_s, r = (float)value->r;
+  float out;
+  core_varying_eval_f32(varying, quantity, 1, &a, &s, &r, &out);
+  return (double)out;
+}
+
+static double sample(const core_varying *varying, const struct value *value) {
+  if (varying->evaluator == CORE_EVALUATOR_F64) {
+    double out;
+    core_varying_sample_f64(varying, 1, &value->sigma_a, &value->sigma_s, &value->u, &out);
+    return out;
+  }
+  const float a = (float)value->sigma_a, s = (float)value->sigma_s, u = (float)value->u;
+  float out;
+  core_varying_sample_f32(varying, 1, &a, &s, &u, &out);
+  return (double)out;
+}
+
+static uint8_t check(const core_varying *varying, const struct value *value,
+                     core_varying_range *range) {
+  uint8_t status;
+  core_varying_check_f64(varying, 1, &value->sigma_a, &value->sigma_s, &value->r, &status, range);
+  return status;
+}
+
+/* Compares all quantities of one value with the profile of its medium. f32: of the same model, or
+ * NULL. Returns the largest relative error of f64. */
+static double compare(const core_varying *f64, const core_varying *f32, const struct value *value,
+                      const core_profile *profile) {
+  core_varying_range range;
+  const uint8_t status = check(f64, value, &range);
+  double worst = 0;
+  if (status == CORE_VALUE_FAR) {
+    return 0;
+  }
+  assert_int_equal(status, CORE_VALUE_OK);
+  for (int i = 0; i < QUANTITIES; i++) {
+    double exact;
+    core_eval_f64(profile, quantities[i], 1, &value->r, &exact);
+    const double own = profile->numerical_error + profile->numerical_error_per_mm * value->r;
+    for (int narrow = 0; narrow < (f32 != NULL ? 2 : 1); narrow++) {
+      const core_varying *varying = narrow ? f32 : f64;
+      const double tiny = 64 * (narrow ? 0x1p-149 : 0x1p-1074);
+      const double error = core_varying_errors(varying, quantities[i], &range).numerical;
+      /* Of transport only what the surface adds is allowed, as both come from the same table. */
+      const bool transport = f64->model == CORE_MODEL_TRANSPORT;
+      assert_true(!transport || error >= f64->surface_error);
+      const double allowed = transport ? fmin(CORE_VARYING_TOLERANCE, error) : error + own;
+      const double found = eval(varying, quantities[i], value);
+      const double off = fabs(found - exact);
+      if (!(off <= allowed * exact + tiny)) {
+        print_message("model %d g %g eta %g sigma_a %g sigma_s %g r %g quantity %d narrow %d: %g "
+                      "for %g, off by %g, allowed %g\n",
+                      (int)f64->model, f64->g, f64->eta, value->sigma_a, value->sigma_s, value->r,
+                      (int)quantities[i], narrow, found, exact, off / exact, allowed);
+        fail();
+      }
+      worst = narrow || exact < 1e-300 ? worst : fmax(worst, off / exact);
+    }
+  }
+  return worst;
+}
+
+/* ---- errors ---------------------------------------------------------------------------------- */
+
+UNIT_TEST(dipoles_and_burley_are_within_the_stated_error) {
+  uint64_t random = unit_seed();
+  const size_t media = media_count(150);
+  double worst = 0;
+  for (size_t m = 0; m < DIPOLES; m++) {
+    const double g = unit_random_between(&random, -0.9, 0.95);
+    const double eta = unit_random_between(&random, 0.6, 2);
+    core_varying f64 = prepare(dipoles[m], CORE_EVALUATOR_F64, g, eta, NULL);
+    core_varying f32 = prepare(dipoles[m], CORE_EVALUATOR_F32, g, eta, NULL);
+    for (size_t i = 0; i < media; i++) {
+      struct value value = random_value(&random, g, 1e4);
+      value.sigma_a =
+          dipoles[m] == CORE_MODEL_BURLEY_DMFP ? fmax(value.sigma_a, 1e-9) : value.sigma_a;
+      const core_medium medium = {value.sigma_a, value.sigma_s, g, eta};
+      core_profile profile;
+      unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), dipoles[m],
+                                             CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium, NULL),
+                        NULL, 0);
+      worst = fmax(worst, compare(&f64, &f32, &value, &profile));
+      double u;
+      const double r = sample(&f64, &value), r_f32 = sample(&f32, &value);
+      core_eval_f64(&profile, CORE_QUANTITY_CDF, 1, &r, &u);
+      assert_true(fabs(u - value.u) <= 1e-13);
+      core_eval_f64(&profile, CORE_QUANTITY_CDF, 1, &r_f32, &u);
+      assert_true(fabs(u - value.u) <= 2 * CORE_SAMPLE_ERROR_F32);
+    }
+    core_varying_free(&f64);
+    core_varying_free(&f32);
+  }
+  print_message("%zu media of each of %d models, f64: largest error %.2g\n", media, (int)DIPOLES,
+                worst);
+}
+
+/* A profile of transport from the table of solutions. */
+static core_profile tabulated(const core_medium *medium) {
+  core_parameters parameters = core_parameters_none();
+  parameters.value[CORE_PARAMETER_TOLERANCE] = 1e-3;
+  core_profile profile;
+  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
+                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, medium,
+                                         &parameters),
+                    NULL, 0);
+  return profile;
+}
+
+UNIT_TEST(transport_is_within_its_tolerance) {
+  static const double gs[] = {0, 0.3, 0.8, 0.93, -0.4};
+  uint64_t random = unit_seed();
+  const size_t media = media_count(40);
+  for (size_t k = 0; k < sizeof gs / sizeof gs[0]; k++) {
+    const double g = gs[k], eta = unit_random_between(&random, 0.75, 2.1);
+    core_varying f64 = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, g, eta, NULL);
+    core_varying f32 = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F32, g, eta, NULL);
+    assert_true(f64.surface_error <= CORE_VARYING_TOLERANCE);
+    double worst = 0, worst_radius = 0;
+    for (size_t i = 0; i < media; i++) {
+      struct value value = random_value(&random, g, 99);
+      value.sigma_a = fmax(value.sigma_a, rounded(2e-6 * value.sigma_s * (1 - g)));
+      const core_medium medium = {value.sigma_a, value.sigma_s, g, eta};
+      core_profile profile = tabulated(&medium);
+      for (int j = 0; j < RADII; j++) {
+        worst = fmax(worst, compare(&f64, &f32, &value, &profile));
+        double r;
+        core_sample_f64(&profile, 1, &value.u, &r);
+        if (r < profile.reach.most_mm) {
+          worst_radius = fmax(worst_radius, fabs(sample(&f64, &value) / r - 1));
+        }
+        const double sigma_t = value.sigma_a + value.sigma_s * (1 - g);
+        value.r = rounded(unit_random_log(&random, 1e-3, 40) / sigma_t);
+        value.u = rounded(unit_random_between(&random, 0, 1));
+      }
+      core_profile_free(&profile);
+    }
+    print_message("g %g eta %.3f: found %.2g, of sampled radii %.2g, stated for the surface %.2g\n",
+                  g, eta, worst, worst_radius, f64.surface_error);
+    assert_true(worst_radius <= CORE_VARYING_TOLERANCE);
+    core_varying_free(&f64);
+    core_varying_free(&f32);
+  }
+}
+
+UNIT_TEST(transport_without_absorption_is_continued_to_the_limit) {
+  core_varying varying = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, 0, 1.4, NULL);
+  const struct value value = {0, 1, 3, 0.5};
+  const core_medium medium = {0, 1, 0, 1.4};
+  core_profile profile;
+  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
+                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium, NULL),
+                    NULL, 0);
+  compare(&varying, NULL, &value, &profile);
+  core_profile_free(&profile);
+  core_varying_free(&varying);
+}
+
+/* ---- colours --------------------------------------------------------------------------------- */
+
+/* The albedo of a medium under the model itself: for g = 0, transport is solved. */
+static double albedo_of(unsigned model, const core_medium *medium) {
+  core_profile profile;
+  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), model, CORE_MOMENTS_EXACT,
+                                         CORE_EVALUATOR_F64, medium, NULL),
+                    NULL, 0);
+  const double albedo = profile.albedo;
+  core_profile_free(&profile);
+  return albedo;
+}
+
+static void round_trips(unsigned model, double g, double eta, size_t count, uint64_t *state) {
+  core_varying varying = prepare(model, CORE_EVALUATOR_F64, g, eta, NULL);
+  const core_colour what = {CORE_LIGHT_BEAM, true, CORE_LENGTH_DIFFUSE};
+  const double rho = varying.specular[CORE_LIGHT_BEAM];
+  double worst = 0;
+  for (size_t i = 0; i < count; i++) {
+    const double entered = unit_random_between(state, 0.01, 0.999), length = 0.7;
+    const double colour = rho + (1 - rho) * entered;
+    double a, s, albedo;
+    uint8_t status;
+    core_varying_invert_f64(&varying, &what, 1, &colour, &length, &a, &s, &albedo, &status);
+    assert_int_equal(status, CORE_VALUE_OK);
+    const core_medium medium = {a, s, g, eta};
+    worst = fmax(worst, fabs(albedo_of(model, &medium) - entered));
+    assert_true(fabs(albedo - s / (a + s)) < 1e-12);
+    const double sigma_t = a + s * (1 - g), absorbed = a / sigma_t;
+    assert_true(fabs(length * sigma_t * sqrt(3 * absorbed / (1 + absorbed)) - 1) < 1e-6);
+  }
+  print_message("model %u, g %g: %zu colours, albedo off by %.2g at most\n", model, g, count,
+                worst);
+  assert_true(worst < CORE_COLOUR_ERROR);
+  core_varying_free(&varying);
+}
+
+UNIT_TEST(colours_lead_to_media_that_have_them) {
+  uint64_t random = unit_seed();
+  for (size_t m = 0; m < DIPOLES; m++) {
+    round_trips(dipoles[m], 0.5, 1.3, 200, &random);
+  }
+  round_trips(CORE_MODEL_TRANSPORT, 0, 1.4, getenv("VARYING_MEDIA") != NULL ? 1000 : 10, &random);
+  round_trips(CORE_MODEL_TRANSPORT, 0.8, 1.4, 200, &random);
+  round_trips(CORE_MODEL_TRANSPORT, -0.3, 1.1, 200, &random);
+}
+
+UNIT_TEST(colours_of_diffuse_light_lead_to_media_that_have_them) {
+  static const double gs[] = {0, 0.9, -0.4};
+  for (size_t k = 0; k < sizeof gs / sizeof gs[0]; k++) {
+    core_varying varying = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, gs[k], 1.5, NULL);
+    const core_colour what = {CORE_LIGHT_DIFFUSE, false, CORE_LENGTH_FREE_PATH};
+    for (double colour = 0.01; colour < 1; colour += 0.03) {
+      const double length = 2;
+      double a, s, albedo;
+      uint8_t status;
+      core_varying_invert_f64(&varying, &what, 1, &colour, &length, &a, &s, &albedo, &status);
+      assert_int_equal(status, CORE_VALUE_OK);
+      transport_difference difference;
+      transport_table_difference(transport_table_shipped(), 1 - a / 0.5, gs[k], 1.5, &difference);
+      assert_true(fabs(difference.total_diffuse - colour) < CORE_COLOUR_ERROR);
+      assert_true(fabs((a + s * (1 - gs[k])) * length - 1) < 1e-6);
+    }
+    core_varying_free(&varying);
+  }
+}
+
+UNIT_TEST(colours_that_no_medium_has_are_said_to_be_so) {
+  core_varying varying = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F32, 0, 1.4, NULL);
+  const core_colour what = {CORE_LIGHT_BEAM, true, CORE_LENGTH_FREE_PATH};
+  const float colours[] = {0.5f, 0.01f, 1.01f, NAN, -1, 0.5f, 0.5f, 0.5f, 1};
+  const float lengths[] = {1, 1, 1, 1, 1, 0, NAN, 1e-9f, 1};
+  const uint8_t expected[] = {CORE_VALUE_OK,     CORE_VALUE_COLOUR, CORE_VALUE_COLOUR,
+                              CORE_VALUE_COLOUR, CORE_VALUE_COLOUR, CORE_VALUE_LENGTH,
+                              CORE_VALUE_LENGTH, CORE_VALUE_LENGTH, CORE_VALUE_OK};
+  enum { COUNT = sizeof colours / sizeof colours[0] };
+  float a[COUNT], s[COUNT];
+  uint8_t status[COUNT];
+  core_varying_invert_f32(&varying, &what, COUNT, colours, lengths, a, s, NULL, status);
+  for (size_t i = 0; i < COUNT; i++) {
+    assert_int_equal(status[i], expected[i]);
+    assert_int_equal(isnan(a[i]) && isnan(s[i]), expected[i] != CORE_VALUE_OK);
+  }
+  assert_true(a[8] == 0 && s[8] == 1);
+  core_varying dipole = prepare(CORE_MODEL_BETTER, CORE_EVALUATOR_F32, 0, 1.4, NULL);
+  const core_colour diffuse = {CORE_LIGHT_DIFFUSE, false, CORE_LENGTH_FREE_PATH};
+  unit_assert_fault(core_colour_check(&dipole, &diffuse), "light", 0);
+  core_varying_free(&varying);
+  core_varying_free(&dipole);
+}
+
+/* ---- statuses, bits, words ------------------------------------------------------------------- */
+
+UNIT_TEST(wrong_values_have_a_status_and_the_others_are_answered) {
+  core_varying varying = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F64, 0, 1.4, NULL);
+  enum { COUNT = 9 };
+  const double a[COUNT] = {1, -1, NAN, 1, 1, 1, 1, 0.1, 1e7};
+  const double s[COUNT] = {1, 1, 1, NAN, 1e-3, 1, 1, 9, 1};
+  const double r[COUNT] = {1, 1, 1, 1, 1, -1, NAN, 1e4, 1};
+  const uint8_t expected[COUNT] = {CORE_VALUE_OK,      CORE_VALUE_SIGMA_A, CORE_VALUE_SIGMA_A,
+                                   CORE_VALUE_SIGMA_S, CORE_VALUE_RATIO,   CORE_VALUE_RADIUS,
+                                   CORE_VALUE_RADIUS,  CORE_VALUE_FAR,     CORE_VALUE_SIGMA_A};
+  static const char *const fields[COUNT] = {NULL, "sigma_a", "sigma_a", "sigma_s", "sigma_s",
+                                            "r",  "r",       NULL,      "sigma_a"};
+  uint8_t status[COUNT];
+  double out[COUNT];
+  core_varying_range range;
+  core_varying_check_f64(&varying, COUNT, a, s, r, status, &range);
+  core_varying_eval_f64(&varying, CORE_QUANTITY_R, COUNT, a, s, r, out);
+  for (size_t i = 0; i < COUNT; i++) {
+    assert_int_equal(status[i], expected[i]);
+    assert_int_equal(isnan(out[i]), expected[i] > CORE_VALUE_FAR);
+    unit_assert_fault(core_value_fault(status[i], i), fields[i], fields[i] != NULL ? i : 0);
+  }
+  assert_int_equal(range.answered, 2);
+  assert_true(range.albedo_least >= 0.5 && range.albedo_most <= 0.5 && range.mfp_most <= 2);
+  const double us[3] = {0, 1.5, 1};
+  core_varying_check_u_f64(&varying, 3, (double[]){1, 1, 1}, (double[]){1, 1, 1}, us, status,
+                           &range);
+  assert_int_equal(status[1], CORE_VALUE_NUMBER);
+  core_varying_sample_f64(&varying, 3, (double[]){1, 1, 1}, (double[]){1, 1, 1}, us, out);
+  assert_true(!(out[0] > 0) && isnan(out[1]) && isinf(out[2]));
+  core_varying_free(&varying);
+}
+
+/* Compares the bits of all kernels of one preparation with those of another, in two pieces: for each
+ * place of the cut that is a multiple of `step`. */
+static void compare_bits(const core_varying *whole, const core_varying *pieces, size_t step,
+                         uint64_t *state) {
+  float a[LENGTH_MAX + 1], s[LENGTH_MAX + 1], r[LENGTH_MAX + 1], u[LENGTH_MAX + 1];
+  float one[LENGTH_MAX], other[LENGTH_MAX];
+  for (int i = 0; i < LENGTH_MAX; i++) {
+    const struct value value = random_value(state, whole->g, 50);
+    a[i + 1] = (float)value.sigma_a;
+    s[i + 1] = (float)value.sigma_s;
+    r[i + 1] = i == 0 ? 0 : (float)value.r;
+    u[i + 1] = (float)value.u;
+  }
+  for (int i = 0; i <= QUANTITIES; i++) {
+    for (size_t cut = 0; cut <= LENGTH_MAX; cut += step) {
+      for (int piece = 0; piece < 2; piece++) {
+        const size_t at = 1 + (piece == 0 ? 0 : cut), n = piece == 0 ? cut : LENGTH_MAX - cut;
+        if (i < QUANTITIES) {
+          core_varying_eval_f32(pieces, quantities[i], n, a + at, s + at, r + at, other + at - 1);
+        } else {
+          core_varying_sample_f32(pieces, n, a + at, s + at, u + at, other + at - 1);
+        }
+      }
+      if (i < QUANTITIES) {
+        core_varying_eval_f32(whole, quantities[i], LENGTH_MAX, a + 1, s + 1, r + 1, one);
+      } else {
+        core_varying_sample_f32(whole, LENGTH_MAX, a + 1, s + 1, u + 1, one);
+      }
+      assert_memory_equal(one, other, sizeof one);
+    }
+  }
+}
+
+UNIT_TEST(each_instruction_set_and_each_slice_gives_the_same_bits) {
+  static const unsigned models[] = {CORE_MODEL_BETTER, CORE_MODEL_BURLEY, CORE_MODEL_TRANSPORT};
+  uint64_t random = unit_seed();
+  for (size_t m = 0; m < sizeof models / sizeof models[0]; m++) {
+    core_varying portable;
+    core_varying_prepare(&portable, core_isa_select("portable"), models[m], CORE_MOMENTS_EXACT,
+                         CORE_EVALUATOR_F32, 0, 1.4, NULL);
+    for (size_t i = 0; core_isa_listed(i) != NULL; i++) {
+      const core_isa *isa = core_isa_select(core_isa_listed(i));
+      core_varying other;
+      if (isa == NULL) {
+        continue;
+      }
+      core_varying_prepare(&other, isa, models[m], CORE_MOMENTS_EXACT, CORE_EVALUATOR_F32, 0, 1.4,
+                           NULL);
+      assert_int_equal(other.words_count, portable.words_count);
+      assert_memory_equal(other.words, portable.words, other.words_count * sizeof *other.words);
+      compare_bits(&portable, &other, 1, &random);
+      core_varying_free(&other);
+    }
+    core_varying_free(&portable);
+  }
+}
+
+UNIT_TEST(copied_words_give_the_same_bits_and_wrong_ones_are_refused) {
+  uint64_t random = unit_seed();
+  core_varying made = prepare(CORE_MODEL_TRANSPORT, CORE_EVALUATOR_F32, 0.6, 1.4, NULL);
+  core_varying opened;
+  const size_t count = made.words_count;
+  float *words = malloc(count * sizeof *words);
+  memcpy(words, made.words, count * sizeof *words);
+  unit_assert_fault(core_varying_open(&opened, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
+                                      CORE_MOMENTS_EXACT, CORE_EVALUATOR_F32, 0.6, 1.4, NULL, words,
+                                      count),
+                    NULL, 0);
+  compare_bits(&made, &opened, 1, &random);
+  core_varying_free(&opened);
+  unit_assert_fault(core_varying_open(&opened, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
+                                      CORE_MOMENTS_EXACT, CORE_EVALUATOR_F32, 0.6, 1.4, NULL, words,
+                                      count - 1),
+                    "table", 0);
+  /* Any bits in the words lead to a fault or to values, never to a read outside of them. */
+  for (int i = 0; i < 300; i++) {
+    const size_t at = unit_random_below(&random, unit_random_below(&random, 2) ? 512 : count);
+    unit_random_bytes(&random, &words[at], sizeof *words);
+    if (core_varying_open(&opened, core_isa_select(NULL), CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
+                          CORE_EVALUATOR_F32, 0.6, 1.4, NULL, words, count)
+            .field == NULL) {
+      compare_bits(&opened, &opened, LENGTH_MAX, &random);
+      core_varying_free(&opened);
+    }
+    words[at] = made.words[at];
+  }
+  free(words);
+  core_varying_free(&made);
+}
+
+/* ---- derivatives and faults ------------------------------------------------------------------ */
+
+UNIT_TEST(derivatives_are_those_of_ln_R) {
+  static const unsigned models[] = {CORE_MODEL_BETTER, CORE_MODEL_BURLEY, CORE_MODEL_TRANSPORT};
+  uint64_t random = unit_seed();
+  for (size_t m = 0; m < sizeof models / sizeof models[0]; m++) {
+    core_varying varying = prepare(models[m], CORE_EVALUATOR_F64, 0.4, 1.4, NULL);
+    for (int i = 0; i < 300; i++) {
+      const struct value value = random_value(&random, 0.4, 50);
+      double ln_R[3], by[2];
+      for (int k = -1; k <= 1; k++) {
+        /* Along sigma_a = sigma_a0 e^t, sigma_s = sigma_s0 e^(-2 t). */
+        const double t = 1e-6 * k, a = value.sigma_a * (1 + t), s = value.sigma_s * (1 - 2 * t);
+        const core_gradient out = {&ln_R[k + 1], k == 0 ? &by[0] : NULL, k == 0 ? &by[1] : NULL};
+        core_varying_gradient_f64(&varying, 1, &a, &s, &value.r, &out);
+      }
+      struct value same = value;
+      assert_true(fabs(ln_R[1] - log(eval(&varying, CORE_QUANTITY_R, &same))) < 1e-9 ||
+                  ln_R[1] < -600);
+      const double slope = (ln_R[2] - ln_R[0]) / 2e-6;
+      assert_true(fabs(slope - (by[0] - 2 * by[1])) < 1e-5 * (1 + fabs(slope)));
+    }
+    core_varying_free(&varying);
+  }
+}
+
+UNIT_TEST(preparing_refuses_what_cannot_vary) {
+  core_varying varying;
+  core_parameters parameters = core_parameters_none();
+  const core_isa *isa = core_isa_select(NULL);
+  unit_assert_fault(core_varying_prepare(&varying, isa, CORE_MODEL_MULTIPOLE, CORE_MOMENTS_EXACT,
+                                         CORE_EVALUATOR_F64, 0, 1.4, NULL),
+                    "thickness", 0);
+  unit_assert_fault(core_varying_prepare(&varying, isa, CORE_MODEL_EXTENDED, CORE_MOMENTS_EXACT,
+                                         CORE_EVALUATOR_F64, 0, 1.4, NULL),
+                    "model", 0);
+  unit_assert_fault(core_varying_prepare(&varying, isa, CORE_MODEL_BETTER, CORE_MOMENTS_EXACT,
+                                         CORE_EVALUATOR_LUT, 0, 1.4, NULL),
+                    "evaluator", 0);
+  unit_assert_fault(core_varying_prepare(&varying, isa, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
+                                         CORE_EVALUATOR_F64, 0, 3, NULL),
+                    "eta", 0);
+  parameters.value[CORE_PARAMETER_TOLERANCE] = 1e-6;
+  unit_assert_fault(core_varying_prepare(&varying, isa, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
+                                         CORE_EVALUATOR_F64, 0, 1.4, &parameters),
+                    "tolerance", 0);
+  unit_assert_fault(core_varying_prepare(&varying, isa, CORE_MODEL_TRANSPORT, CORE_MOMENTS_EXACT,
+                                         CORE_EVALUATOR_F64, 1, 1.4, NULL),
+                    "g", 0);
+}
