@@ -455,8 +455,9 @@ static double measure_row(const struct measured *of, const core_kernels_f64 *ker
 /* ---- all words ------------------------------------------------------------------------------- */
 
 /* Sets the words of the reach, such that it is nowhere beyond that of core_transport_reach(). */
-static void put_far(const core_surface_inputs *inputs, const struct grid *grid, float *words) {
-  double far[3] = {0}, slack = 1 + 0x1p-20; /* for rounding to single precision */
+static void put_far(const core_surface_inputs *inputs, float *words) {
+  const double slack = 1 + 0x1p-20; /* for rounding to single precision */
+  double far[3] = {0};
   for (int power = 0; power < 3; power++) {
     for (int i = 0; i <= 64; i++) {
       const double s = i / 64.0 * 0.995;
@@ -470,7 +471,6 @@ static void put_far(const core_surface_inputs *inputs, const struct grid *grid, 
     }
     words[CORE_SURFACE_FAR + power] = (float)(far[power] * slack);
   }
-  (void)grid;
 }
 
 /* Number of points of both axes of albedos. */
@@ -570,7 +570,7 @@ static core_fault build_surface(const core_surface_inputs *inputs, const rows *a
   }
   memcpy(*words, header, CORE_SURFACE_PATCHES * sizeof *header);
   put_kappa(all, *words);
-  put_far(inputs, &grid, *words);
+  put_far(inputs, *words);
   fill_rows(all, *words, &grid, CORE_SURFACE_S, 0, row);
   fill_rows(all, *words, &grid, CORE_SURFACE_W, nodes_of(header, CORE_SURFACE_S), row);
   size_t at = CORE_SURFACE_PATCHES;

@@ -11,6 +11,7 @@
 #include "core/splitmix.h"
 #include "core/transport/anisotropic.h"
 #include "core/transport/halfspace.h"
+#include "core/varying.h"
 
 enum { MEDIA = 61, RADII = 257 };
 
@@ -214,6 +215,59 @@ static void print_transport_with_g(const core_isa *isa) {
   }
 }
 
+/* Prints the checksum of media that vary, for one model and evaluator: of the words, all quantities,
+ * sampled radii and media of colours. */
+static void print_varying(const core_isa *isa, unsigned model, unsigned evaluator) {
+  static const unsigned quantities[] = {CORE_QUANTITY_R, CORE_QUANTITY_CDF, CORE_QUANTITY_PDF,
+                                        CORE_QUANTITY_RING};
+  enum { QUANTITIES = sizeof quantities / sizeof quantities[0] };
+  const core_colour what = {CORE_LIGHT_BEAM, true, CORE_LENGTH_FREE_PATH};
+  double in[4][RADII], out[4][RADII];
+  float in32[4][RADII], out32[4][RADII];
+  uint8_t status[RADII];
+  uint64_t state = 2016, sum = CHECKSUM_START;
+  for (int i = 0; i < RADII; i++) {
+    in[0][i] = spread(&state, -12, 4);
+    in[1][i] = spread(&state, -8, 4);
+    in[2][i] = spread(&state, -12, 6);
+    in[3][i] = core_splitmix_f64(&state);
+    for (int k = 0; k < 4; k++) {
+      in32[k][i] = (float)in[k][i];
+    }
+  }
+  core_varying varying;
+  if (core_varying_prepare(&varying, isa, model, CORE_MOMENTS_EXACT, evaluator, 0.6, 1.4, NULL)
+          .field != NULL) {
+    return;
+  }
+  sum = checksum(sum, varying.words, varying.words_count * sizeof *varying.words);
+  for (int i = 0; i < QUANTITIES + 2; i++) {
+    if (evaluator == CORE_EVALUATOR_F64) {
+      if (i < QUANTITIES) {
+        core_varying_eval_f64(&varying, quantities[i], RADII, in[0], in[1], in[2], out[0]);
+      } else if (i == QUANTITIES) {
+        core_varying_sample_f64(&varying, RADII, in[0], in[1], in[3], out[0]);
+      } else {
+        core_varying_invert_f64(&varying, &what, RADII, in[3], in[2], out[0], out[1], out[2],
+                                status);
+      }
+      sum = checksum(sum, out[0], sizeof out[0]);
+    } else {
+      if (i < QUANTITIES) {
+        core_varying_eval_f32(&varying, quantities[i], RADII, in32[0], in32[1], in32[2], out32[0]);
+      } else if (i == QUANTITIES) {
+        core_varying_sample_f32(&varying, RADII, in32[0], in32[1], in32[3], out32[0]);
+      } else {
+        core_varying_invert_f32(&varying, &what, RADII, in32[3], in32[2], out32[0], out32[1],
+                                out32[2], status);
+      }
+      sum = checksum(sum, out32[0], sizeof out32[0]);
+    }
+  }
+  core_varying_free(&varying);
+  printf("varying %u %u %016" PRIx64 "\n", model, evaluator, sum);
+}
+
 /* Prints checksums of the solver for any phase function: totals, and one wavenumber in real and in
  * complex numbers. */
 static void print_anisotropic(const core_isa *isa) {
@@ -248,6 +302,11 @@ int main(int argc, char **argv) {
   if (isa == NULL) {
     fprintf(stderr, "bits: this machine cannot run %s\n", argv[1]);
     return EXIT_FAILURE;
+  }
+  static const unsigned varied[] = {CORE_MODEL_BETTER, CORE_MODEL_BURLEY, CORE_MODEL_TRANSPORT};
+  for (size_t i = 0; i < sizeof varied / sizeof varied[0]; i++) {
+    print_varying(isa, varied[i], CORE_EVALUATOR_F64);
+    print_varying(isa, varied[i], CORE_EVALUATOR_F32);
   }
   for (const core_choice *model = core_models; model->name != NULL; model++) {
     const bool all_moments = model->id == CORE_MODEL_CLASSICAL || model->id == CORE_MODEL_BETTER;
