@@ -508,7 +508,7 @@ core_reach core_transport_reach(const core_medium *medium) {
   if (table != NULL) {
     double edge[TRANSPORT_TABLE_PANELS + 1];
     transport_table_edges(table->field, true, kappa, edge);
-    const double decays = fmax(23 + 6 * real_log(2 * albedo_of(medium), 0), 11);
+    const double decays = fmax(21 + 6 * real_log(2 * albedo_of(medium), 0), 11);
     const double end = real_exp_signed(edge[TRANSPORT_TABLE_PANELS]);
     return (core_reach){
         .most_mm = (2 * albedo_of(medium) < 1 ? fmin(end, decays / kappa) : end) / sigma_t_prime,

@@ -424,3 +424,23 @@ UNIT_TEST(slopes_beside_a_table_have_an_error_of_their_own) {
     core_profile_free(&exact);
   }
 }
+
+/* Far away in a dark medium, where R is below what the table's solutions resolve. The truth is a
+ * solution with TRANSPORT_EFFORT_NORMAL. */
+UNIT_TEST(transport_with_g_where_its_table_ends) {
+  const core_medium medium = {0.54875120806794742, 1.6528208203568595, 0.72698263092146687, 1};
+  const double truth[][2] = {{23.334396362304688, 2.2871e-15}, {24.4, 6.649e-16}};
+  core_profile profile;
+  unit_assert_fault(core_profile_prepare(&profile, core_isa_select(NULL), CORE_MODEL_TRANSPORT,
+                                         CORE_MOMENTS_EXACT, CORE_EVALUATOR_F64, &medium, NULL),
+                    NULL, 0);
+  for (size_t i = 0; i < sizeof truth / sizeof truth[0]; i++) {
+    const double r = truth[i][0];
+    double R;
+    core_eval_f64(&profile, CORE_QUANTITY_R, 1, &r, &R);
+    const double stated =
+        core_profile_errors(&profile, CORE_QUANTITY_R, (core_radii_range){r, r}).numerical;
+    assert_true(fabs(R / truth[i][1] - 1) <= stated + 2e-4);
+  }
+  core_profile_free(&profile);
+}
