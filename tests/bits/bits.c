@@ -3,11 +3,13 @@
  * bits; tests/run-bits.sh compares them.
  */
 #include <inttypes.h>
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "core/core.h"
+#include "core/montecarlo/montecarlo.h"
 #include "core/splitmix.h"
 #include "core/transport/anisotropic.h"
 #include "core/transport/halfspace.h"
@@ -297,6 +299,44 @@ static void print_anisotropic(const core_isa *isa) {
   printf("anisotropic %016" PRIx64 "\n", sum);
 }
 
+/* Prints a checksum for each phase function of Monte Carlo. */
+static void print_walks(const core_isa *isa) {
+  static const struct {
+    const char *name;
+    unsigned phase;
+    double share, g;
+  } phases[] = {{"Henyey-Greenstein", 0, 0, 0},
+                {"modified", CORE_PHASE_MODIFIED, 0.9, 0},
+                {"two-term", CORE_PHASE_TWO_TERM, 0.95, -0.3}};
+  const core_medium medium = {0.5, 9.5, 0.85, 1.4};
+  for (size_t i = 0; i < sizeof phases / sizeof phases[0]; i++) {
+    core_mc_request request = {.thickness_mm = (double)INFINITY,
+                               .edges = {CORE_SPACING_LOGARITHMIC, 17, 0.01, 20},
+                               .seed = 1968,
+                               .phase = phases[i].phase,
+                               .phase_share = phases[i].share,
+                               .phase_g = phases[i].g};
+    uint64_t sum = CHECKSUM_START;
+    core_mc_request_medium(&request, &medium);
+    core_mc_plan *plan = core_mc_plan_create(&request);
+    core_mc_total *total = core_mc_total_create(plan);
+    core_mc_batch *batch = core_mc_batch_create(plan);
+    core_mc_batch_start(batch, 0);
+    while (!core_mc_batch_walk(batch, isa, 1000000)) {
+    }
+    core_mc_total_merge(total, batch);
+    core_mc_ring rings[16];
+    core_mc_total_rings(total, 0, CORE_MC_REFLECTED, rings);
+    for (size_t j = 0; j < sizeof rings / sizeof rings[0]; j++) {
+      sum = checksum(sum, &rings[j].R_per_mm2, sizeof rings[j].R_per_mm2);
+    }
+    core_mc_batch_free(batch);
+    core_mc_total_free(total);
+    core_mc_plan_free(plan);
+    printf("walks %s %016" PRIx64 "\n", phases[i].name, sum);
+  }
+}
+
 int main(int argc, char **argv) {
   const core_isa *isa = core_isa_select(argc > 1 ? argv[1] : "portable");
   if (isa == NULL) {
@@ -333,5 +373,6 @@ int main(int argc, char **argv) {
   print_transport_with_g(isa);
   print_grids();
   print_anisotropic(isa);
+  print_walks(isa);
   return EXIT_SUCCESS;
 }
