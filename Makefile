@@ -61,6 +61,8 @@ ALL_LDFLAGS = -pthread $(LDFLAGS) $(SANITIZE)
 PKG_CONFIG ?= pkg-config
 UV_CFLAGS = $(shell $(PKG_CONFIG) --cflags libuv)
 UV_LIBS = $(shell $(PKG_CONFIG) --libs libuv)
+PNG_CFLAGS = $(shell $(PKG_CONFIG) --cflags libpng)
+PNG_LIBS = $(shell $(PKG_CONFIG) --libs libpng)
 HTTP_CFLAGS = $(shell $(PKG_CONFIG) --cflags libmicrohttpd)
 MODBUS_CFLAGS = $(shell $(PKG_CONFIG) --cflags libmodbus)
 MODBUS_LIBS = $(shell $(PKG_CONFIG) --libs libmodbus)
@@ -140,6 +142,9 @@ $(OBJ)/core/radii.o: override CFLAGS := $(CFLAGS) -O3 -fopenmp-simd -falign-loop
 # The loops of fits over a grid of media and over the points of a table.
 $(OBJ)/core/fit/search.o $(OBJ)/core/fit/table.o: override CFLAGS := $(CFLAGS) -O3
 
+# Whose loops for the range of media and radii are to be vectorized.
+$(OBJ)/core/varying/varying.o: override CFLAGS := $(CFLAGS) -O3
+
 # core/models/NAME.ISA.fREAL.o
 define kernel_rule
 $(OBJ)/core/models/%.$(1).f$(2).o: core/models/%.c Makefile
@@ -196,9 +201,10 @@ $(BUILD)/dipoled-counting: $(SERVER) $(OBJ)/tests/e2e/count_allocations.o $(BUIL
 	$(call SAY,LD,$@)
 	$(Q)$(CC) $(ALL_LDFLAGS) -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc -o $@ $^ $(UV_LIBS) $(MODBUS_LIBS) $(JSON_LIBS) $(CORE_LIBS) -lm
 
+$(OBJ)/clients/cli/image.o: EXTRA_CPPFLAGS = $(PNG_CFLAGS)
 $(BUILD)/dipole: $(CLI) $(BUILD)/libdipole.a
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(CORE_LIBS) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -o $@ $^ $(PNG_LIBS) $(CORE_LIBS) -lm
 
 $(BUILD)/bench: $(BENCH) $(BUILD)/libdipole.a
 	$(call SAY,LD,$@)
@@ -236,7 +242,7 @@ FUZZED := $(filter-out $(call objects,server/main.c clients/cli/main.c),$(SERVER
 $(FUZZ): EXTRA_CPPFLAGS = $(UV_CFLAGS) $(MODBUS_CFLAGS)
 $(BUILD)/fuzz: $(FUZZ) $(FUZZED) $(BUILD)/libdipole.a
 	$(call SAY,LD,$@)
-	$(Q)$(CC) $(ALL_LDFLAGS) -fsanitize=fuzzer -o $@ $^ $(UV_LIBS) $(MODBUS_LIBS) $(JSON_LIBS) $(CORE_LIBS) -lm
+	$(Q)$(CC) $(ALL_LDFLAGS) -fsanitize=fuzzer -o $@ $^ $(UV_LIBS) $(MODBUS_LIBS) $(JSON_LIBS) $(PNG_LIBS) $(CORE_LIBS) -lm
 
 $(BUILD)/tests/%: $(OBJ)/tests/%.o $(TEST_SUPPORT) $(BUILD)/libdipole.a
 	@mkdir -p $(@D)

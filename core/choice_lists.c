@@ -64,6 +64,18 @@ const core_choice core_parameter_list[] = {
     END,
 };
 
+#define CORE_COEFFICIENT(bit, IDENT, name, about) {bit, name, about},
+const core_choice core_coefficients[] = {
+#include "core/choices.def"
+    END,
+};
+
+#define CORE_LIGHT(id, IDENT, name, about) {id, name, about},
+const core_choice core_lights[] = {
+#include "core/choices.def"
+    END,
+};
+
 #define CORE_NOTE(bit, IDENT, name, about) {bit, name, about},
 const core_choice core_notes[] = {
 #include "core/choices.def"

@@ -89,6 +89,11 @@ enum core_parameter {
   CORE_PARAMETERS_END
 };
 
+#define CORE_COEFFICIENT(bit, IDENT, name, about) CORE_COEFFICIENT_##IDENT = (bit),
+enum core_coefficient {
+#include "core/choices.def"
+};
+
 #define CORE_NOTE(bit, IDENT, name, about) CORE_NOTE_##IDENT = (bit),
 enum core_note {
 #include "core/choices.def"
@@ -128,6 +133,8 @@ extern const core_choice core_lengths[];
 extern const core_choice core_phases[];
 extern const core_choice core_parameter_list[];
 extern const core_choice core_notes[];
+extern const core_choice core_coefficients[];
+extern const core_choice core_lights[];
 extern const core_choice core_fit_scales[];
 extern const core_choice core_fit_axes[];
 extern const core_choice core_fit_statuses[];

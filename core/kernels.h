@@ -43,7 +43,8 @@ typedef void core_varying_kernel_f32(const float *shared, const float *words, si
 enum core_varying_argument { CORE_VARYING_RADII, CORE_VARYING_NUMBERS };
 
 /* Sets status[n] to the statuses (enum core_value_status) of n values, albedo[n] to sigma_s' /
- * sigma_t', and mfp[n] to in[n] sigma_t'. */
+ * sigma_t', and mfp[n] to in[n] sigma_t'. The last two are NaN where the status is not OK, and mfp
+ * where it is infinite. */
 typedef void core_varying_check_kernel_f64(const double *shared, size_t n, const double *sigma_a,
                                            const double *sigma_s, const double *in,
                                            enum core_varying_argument argument, uint8_t *status,

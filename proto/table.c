@@ -90,6 +90,45 @@ void table_reply_put(uint8_t *at, const core_profile *profile, const core_parame
   memcpy(at, words, word_bytes);
 }
 
+size_t table_surface_words(const core_varying *surface) {
+  return (surface->words_count + 3) / 4 * 4;
+}
+
+void table_reply_put_surface(uint8_t *at, const core_varying *surface,
+                             const core_parameters *parameters) {
+  const size_t word_bytes = table_surface_words(surface) * sizeof(float);
+  const core_varying_range all = {.answered = 1,
+                                  .albedo_least = surface->albedo_least,
+                                  .albedo_most = surface->albedo_most,
+                                  .mfp_most = (double)INFINITY};
+  const unsigned wanted = CORE_QUANTITY_R | CORE_QUANTITY_CDF | CORE_QUANTITY_RADIUS;
+  uint8_t *words = at + table_reply_bytes(channels_count_parameters(parameters), 0);
+  memset(words, 0, word_bytes);
+  memcpy(words, surface->words, surface->words_count * sizeof(float));
+  wire_table_reply fixed = {
+      .layout = TABLE_LAYOUT,
+      .model = (uint16_t)surface->model,
+      .moments = (uint16_t)surface->moments,
+      .parameter_count = (uint16_t)channels_count_parameters(parameters),
+      .word_count = (uint32_t)table_surface_words(surface),
+      .checksum = table_checksum(words, word_bytes),
+      .notes = surface->notes,
+      .g = surface->g,
+      .eta = surface->eta,
+      .albedo = (double)NAN,
+      .numerical_error = core_varying_errors(surface, wanted, &all).numerical,
+      .model_error = (double)NAN,
+      .radius_most = (double)INFINITY,
+      .reach = (double)INFINITY,
+  };
+  for (size_t i = 0; i < sizeof fixed.model_errors / sizeof fixed.model_errors[0]; i++) {
+    fixed.model_errors[i] = (double)NAN;
+    fixed.numerical_errors[i] = fixed.numerical_error;
+  }
+  wire_put_table_reply(at, &fixed);
+  channels_put_parameters(at + WIRE_BYTES_table_reply, parameters);
+}
+
 bool table_reply_parse(const uint8_t *payload, size_t payload_bytes, wire_table_reply *fixed,
                        core_parameters *parameters, const float **words) {
   if (payload_bytes < WIRE_BYTES_table_reply) {

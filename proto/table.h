@@ -3,7 +3,7 @@
 #ifndef DIPOLED_PROTO_TABLE_H
 #define DIPOLED_PROTO_TABLE_H
 
-#include "core/core.h"
+#include "core/varying.h"
 #include "proto/wire.h"
 
 #define TABLE_LAYOUT 3 /* version of the layout of table_reply and the words (core/lut/lut.h) */
@@ -14,6 +14,12 @@ typedef struct table_request {
   core_medium medium;
   core_parameters parameters;
 } table_request;
+
+/* Whether a request or reply is for the surface of all media with its g and eta (core/varying.h):
+ * sigma_a and sigma_s are 0. */
+static inline bool table_is_surface(const core_medium *medium) {
+  return medium->sigma_a_per_mm == 0 && medium->sigma_s_per_mm == 0;
+}
 
 /* Parses a payload. Checks its shape, the ids and the padding. Core checks the values. */
 wire_error table_request_parse(const uint8_t *payload, size_t payload_bytes,
@@ -32,6 +38,13 @@ uint32_t table_checksum(const uint8_t *bytes, size_t count);
 /* Writes the reply for a profile of evaluator lut, table_reply_bytes() long. `at` is a multiple of
  * 8. `parameters` are those of the request. */
 void table_reply_put(uint8_t *at, const core_profile *profile, const core_parameters *parameters);
+
+/* The number of words of a surface on the wire: with zeros, a multiple of 4. */
+size_t table_surface_words(const core_varying *surface);
+
+/* Writes the reply for a surface, table_reply_bytes() long for table_surface_words(). */
+void table_reply_put_surface(uint8_t *at, const core_varying *surface,
+                             const core_parameters *parameters);
 
 /* Parses a reply. *words points into the payload, which starts at a multiple of 8. Returns false if
  * the payload does not have the shape that its fixed part announces, has another layout, or has a

@@ -3,7 +3,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "core/core.h"
+#include "core/varying.h"
 
 /* ---- structures ------------------------------------------------------------------------------ */
 
@@ -235,6 +235,9 @@ static const struct {
     {WIRE_CHOICE_SCALE, core_fit_scales},
     {WIRE_CHOICE_AXIS, core_fit_axes},
     {WIRE_CHOICE_FIT_STATUS, core_fit_statuses},
+    {WIRE_CHOICE_LIGHT, core_lights},
+    {WIRE_CHOICE_VALUE, core_value_statuses},
+    {WIRE_CHOICE_COEFFICIENT, core_coefficients},
 };
 
 enum { CHOICE_LISTS = sizeof choice_lists / sizeof choice_lists[0] };

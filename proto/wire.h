@@ -48,6 +48,9 @@ enum wire_choice_kind {
   WIRE_CHOICE_SCALE,
   WIRE_CHOICE_AXIS,
   WIRE_CHOICE_FIT_STATUS,
+  WIRE_CHOICE_LIGHT,
+  WIRE_CHOICE_VALUE,
+  WIRE_CHOICE_COEFFICIENT,
 };
 
 /* ---- structures ------------------------------------------------------------------------------ */

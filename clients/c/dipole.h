@@ -191,6 +191,9 @@ enum dipole_kind {
   DIPOLE_SCALE,
   DIPOLE_AXIS,
   DIPOLE_FIT_STATUS,
+  DIPOLE_LIGHT,
+  DIPOLE_VALUE,
+  DIPOLE_COEFFICIENT,
 };
 
 typedef struct dipole_choice {
@@ -704,6 +707,109 @@ bool dipole_grid_radii(enum dipole_spacing spacing, double start_mm, double stop
  * evaluates tables. No daemon is needed; address is "". The caller frees *info, which is one block,
  * with free(). */
 bool dipole_local_info(dipole_info **info, dipole_error *error);
+
+/* ---- media that vary ----------------------------------------------------------------------- */
+
+/* A query in which every value has a medium of its own, as the shading points of a texture have.
+ * The model, g and eta are those of all values. A value costs some ten nanoseconds. */
+
+/* The coefficients of a medium that a query can ask for. */
+enum dipole_coefficient {
+  DIPOLE_SIGMA_A = 1,  /* 1/mm */
+  DIPOLE_SIGMA_S = 2,  /* 1/mm */
+  DIPOLE_SCATTERED = 4 /* sigma_s / (sigma_a + sigma_s): the single-scattering albedo, which random
+                          walks use */
+};
+
+/* The light of a colour, which is a diffuse albedo. */
+enum dipole_light {
+  DIPOLE_BEAM = 1,   /* a beam at normal incidence */
+  DIPOLE_DIFFUSE = 2 /* the same radiance from all directions, as in a furnace */
+};
+
+/* What became of a value. The choices of kind DIPOLE_VALUE have all statuses: their names, and what
+ * is allowed in the field that they name. */
+enum dipole_value_status {
+  DIPOLE_VALUE_OK = 0, /* answered, within the errors that the result states */
+  DIPOLE_VALUE_FAR = 1 /* answered, but at a radius beyond which no error is stated */
+};
+
+/* All arrays are [value_count] of double (F64) or float (F32). */
+typedef struct dipole_varying_query {
+  unsigned model;     /* dipole_id(client, DIPOLE_MODEL, name): transport, a dipole or burley */
+  unsigned evaluator; /* DIPOLE_F64 or DIPOLE_F32 */
+  unsigned moments;   /* enum dipole_moments */
+  unsigned wanted;    /* sum of DIPOLE_R, ALBEDO, CDF, PDF, RING, and with `numbers` RADIUS */
+  unsigned coefficients; /* sum of enum dipole_coefficient that are wanted */
+  double g, eta;         /* of all media */
+  /* The media: either both coefficients, or colours with lengths. The others are NULL. */
+  const void *sigma_a_per_mm;
+  const void *sigma_s_per_mm;
+  const void *colours; /* 0 to 1 */
+  const void *lengths_mm;
+  unsigned given; /* with colours: enum dipole_length, the kind of lengths_mm; else 0 */
+  unsigned light; /* with colours: enum dipole_light; else 0 */
+  bool specular;  /* whether the colours contain what the surface itself reflects (Fresnel) */
+  /* At most one of these; without one, only DIPOLE_ALBEDO and coefficients may be wanted. */
+  const void *radii;   /* mm, 0 to infinity: one for each value */
+  const void *numbers; /* u, 0 to 1: radii are drawn, whose cdf is u */
+  uint64_t value_count;
+  const dipole_parameter *parameters; /* [parameter_count], as in dipole_query. The tolerance bounds
+                                         the error of transport: at least 1e-5, by default 1e-3. */
+  size_t parameter_count;
+  unsigned deadline_ms; /* as of an eval */
+} dipole_varying_query;
+
+typedef struct dipole_varying_result {
+  unsigned model, evaluator, moments, wanted, coefficients; /* as in the query */
+  unsigned notes;          /* sum of the ids of the notes (kind DIPOLE_NOTE) that hold */
+  uint64_t value_count;
+  uint64_t answered_count; /* number of values that are answered; the others are NaN */
+  const uint8_t *statuses; /* [value_count]: enum dipole_value_status, or the id of a fault */
+  double numerical_error;  /* relative, of all values whose status is DIPOLE_VALUE_OK */
+  double model_error;      /* against radiative transport, relative; NaN if it was not measured */
+  double colour_least;     /* the range of colours that media have, as in the query; NaN if the */
+  double colour_most;      /* query has none */
+  double specular;         /* the share of the light that the surface reflects; NaN likewise */
+} dipole_varying_result;
+
+/* Evaluates a query and waits for the answer. The arrays of a request must fit into a frame (limit
+ * max_frame_bytes); its answer may have any size. The caller frees *result with
+ * dipole_varying_result_free(). A value that cannot be answered is no error of the query. */
+bool dipole_varying(dipole_client *client, const dipole_varying_query *query,
+                    dipole_varying_result **result, dipole_error *error);
+
+/* What a client needs to evaluate a model for all media of one g and eta: the words that a daemon
+ * shares between them. A surface never changes: any number of threads may use it at once. */
+typedef struct dipole_surface dipole_surface;
+
+/* Fetches a surface. sigma_a_per_mm and sigma_s_per_mm of query->medium are 0. The caller frees
+ * *surface with dipole_surface_free(). */
+bool dipole_surface_fetch(dipole_client *client, const dipole_table_query *query,
+                          dipole_surface **surface, dipole_error *error);
+
+/* Makes a surface of bytes that dipole_surface_bytes() returned, like dipole_table_load(). */
+bool dipole_surface_load(const void *bytes, size_t count, dipole_surface **surface,
+                         dipole_error *error);
+
+/* Returns the surface as *count bytes, for saving. The surface owns the bytes. */
+const void *dipole_surface_bytes(const dipole_surface *surface, size_t *count);
+
+void dipole_surface_free(dipole_surface *surface); /* surface may be NULL */
+
+/* Evaluates a query in this process, without a daemon and with its bits. Model, moments, g, eta and
+ * parameters of the query are those of the surface. */
+bool dipole_varying_at_home(const dipole_surface *surface, const dipole_varying_query *query,
+                            dipole_varying_result **result, dipole_error *error);
+
+/* Return the array [value_count] of a quantity or of a coefficient, which the result owns. NULL if
+ * it was not wanted, or if the evaluator has the other type. */
+const double *dipole_varying_f64(const dipole_varying_result *result, unsigned quantity);
+const float *dipole_varying_f32(const dipole_varying_result *result, unsigned quantity);
+const double *dipole_coefficients_f64(const dipole_varying_result *result, unsigned coefficient);
+const float *dipole_coefficients_f32(const dipole_varying_result *result, unsigned coefficient);
+
+void dipole_varying_result_free(dipole_varying_result *result); /* result may be NULL */
 
 /* ---- Monte Carlo --------------------------------------------------------------------------- */
 

@@ -6,6 +6,7 @@
 #include "clients/c/error.h"
 #include "clients/c/query.h"
 #include "clients/c/request.h"
+#include "clients/c/table.h"
 #include "core/lut/lut.h"
 #include "proto/table.h"
 
@@ -25,9 +26,8 @@ static bool damaged(dipole_error *error, const char *what) {
   return libdipole_fail(error, DIPOLE_ERROR_TABLE, "this is not an intact table: %s", what);
 }
 
-/* Reads the header of the frame at the start of the bytes; sets *frame_bytes to its length. */
-static bool check_frame(const uint8_t *bytes, size_t count, size_t *frame_bytes,
-                        dipole_error *error) {
+bool libdipole_table_check(const uint8_t *bytes, size_t count, size_t *frame_bytes,
+                           dipole_error *error) {
   wire_header header;
   wire_table_reply fixed;
   *frame_bytes = 0;
@@ -188,7 +188,7 @@ static bool hand_out(dipole_table *made, dipole_table **table, dipole_error *err
 bool dipole_table_load(const void *bytes, size_t count, dipole_table **table, dipole_error *error) {
   size_t frame_bytes;
   error = error != NULL ? error : &(dipole_error){0};
-  if (!check_frame(bytes, count, &frame_bytes, error)) {
+  if (!libdipole_table_check(bytes, count, &frame_bytes, error)) {
     return false;
   }
   dipole_table *made = make_room(frame_bytes, error);
@@ -210,10 +210,14 @@ static bool is_asked_for(const dipole_table *table, const dipole_table_query *qu
          info->parameter_count == query->parameter_count;
 }
 
-static libdipole_frame *ask(dipole_client *client, const dipole_table_query *query,
-                            dipole_error *error) {
+libdipole_frame *libdipole_table_ask(dipole_client *client, const dipole_table_query *query,
+                                     size_t words_max, dipole_error *error) {
   const uint32_t parameters = (uint32_t)query->parameter_count;
-  const size_t words_max = CORE_LUT_PIECES + CORE_LUT_TERMS * (size_t)CORE_LUT_PIECES_MAX;
+  if (!libdipole_model_check(query->model, error) ||
+      !libdipole_check_u16(query->model | query->moments, "model and moments", error) ||
+      !libdipole_parameters_check(query->parameters, query->parameter_count, error)) {
+    return NULL;
+  }
   const wire_table_request fixed = {.model = (uint16_t)query->model,
                                     .moments = (uint16_t)query->moments,
                                     .parameter_count = (uint16_t)parameters};
@@ -250,12 +254,12 @@ bool dipole_table_fetch(dipole_client *client, const dipole_table_query *query,
                         dipole_table **table, dipole_error *error) {
   dipole_table *fetched = NULL;
   error = error != NULL ? error : &(dipole_error){0};
-  if (!libdipole_model_check(query->model, error) ||
-      !libdipole_check_u16(query->model | query->moments, "model and moments", error) ||
-      !libdipole_parameters_check(query->parameters, query->parameter_count, error)) {
-    return false;
+  if (query->medium.sigma_a_per_mm == 0 && query->medium.sigma_s_per_mm == 0) {
+    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
+                          "sigma_a and sigma_s are 0: dipole_surface_fetch() is for all media");
   }
-  libdipole_frame *frame = ask(client, query, error);
+  const size_t words_max = CORE_LUT_PIECES + CORE_LUT_TERMS * (size_t)CORE_LUT_PIECES_MAX;
+  libdipole_frame *frame = libdipole_table_ask(client, query, words_max, error);
   if (frame == NULL) {
     return false;
   }

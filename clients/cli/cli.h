@@ -66,7 +66,8 @@ typedef struct cli_common {
   enum cli_form form;  /* what --format means, also if it is not given */
   cli_count timeout_ms;
   cli_count retry_ms;
-  const char *operand; /* NULL if there is none */
+  const char *operand;        /* NULL if there is none */
+  const char *second_operand; /* NULL if there is none */
 } cli_common;
 
 /* ---- commands -------------------------------------------------------------------------------- */
@@ -76,6 +77,7 @@ enum { CLI_LISTS_MAX = 6 };
 typedef struct cli_command {
   const char *name;
   const char *operand;  /* what --help calls it; NULL if the command takes none */
+  const char *second_operand; /* the same for one that may follow */
   const char *about;    /* one line */
   const char *more;     /* further text for --help, which ends with a newline; NULL if none */
   const char *examples; /* example command lines; the text ends with a newline */

@@ -23,8 +23,11 @@ static const struct {
     {DIPOLE_LENGTH, "lengths"},
     {DIPOLE_PHASE, "phases"},
     {DIPOLE_SCALE, "scales"},
+    {DIPOLE_LIGHT, "lights"},
+    {DIPOLE_COEFFICIENT, "coefficients"},
     {DIPOLE_AXIS, "axes"},
     {DIPOLE_FIT_STATUS, "fit statuses"},
+    {DIPOLE_VALUE, "value statuses"},
 };
 
 #define DAEMON "daemon"

@@ -11,7 +11,7 @@
 typedef struct invert_settings {
   cli_profile_settings profile;
   cli_numbers albedo;
-  cli_numbers free_path, diffuse_path, classical_path;
+  cli_lengths lengths;
   cli_number g, eta;
 } invert_settings;
 
@@ -22,13 +22,7 @@ static const cli_option options[] = {
     {"albedo", "X[,X...]",
      "diffuse albedo: the share of the power that leaves, 0 to 1; one value\nfor each channel",
      CLI_NUMBERS, FIELD(albedo), NULL},
-    {"mean-free-path", "X[,X...]", "1 / sigma_t', mm; a single value is for all channels",
-     CLI_NUMBERS, FIELD(free_path), NULL},
-    {"diffuse-mean-free-path", "X[,X...]",
-     "instead: 1 / (sigma_t' sqrt(3 a / (1 + a))), a = sigma_a / sigma_t', mm", CLI_NUMBERS,
-     FIELD(diffuse_path), NULL},
-    {"classical-diffuse-path", "X[,X...]", "instead: 1 / sqrt(3 sigma_a sigma_t'), mm", CLI_NUMBERS,
-     FIELD(classical_path), NULL},
+    CLI_LENGTH_OPTIONS(invert_settings, lengths),
     {"g", "X", "mean cosine of the scattering angle (default: 0)", CLI_NUMBER, FIELD(g), NULL},
     {"eta", "X", "refractive index inside over outside (default: 1.3)", CLI_NUMBER, FIELD(eta),
      "1.3"},
@@ -58,41 +52,18 @@ typedef struct report {
   wanted *items;
 } report;
 
-/* ---- lengths --------------------------------------------------------------------------------- */
-
-/* Returns the one length that is given, and its name, which is that of the option and of the
- * daemon's choice. Returns NULL if none or several are given. */
-static const cli_numbers *length_of(const invert_settings *settings, const char **name) {
-  const struct {
-    const char *name;
-    const cli_numbers *numbers;
-  } lengths[] = {{"mean-free-path", &settings->free_path},
-                 {"diffuse-mean-free-path", &settings->diffuse_path},
-                 {"classical-diffuse-path", &settings->classical_path}};
-  const cli_numbers *found = NULL;
-  for (size_t i = 0; i < sizeof lengths / sizeof lengths[0]; i++) {
-    if (lengths[i].numbers->count > 0) {
-      if (found != NULL) {
-        return NULL;
-      }
-      found = lengths[i].numbers;
-      *name = lengths[i].name;
-    }
-  }
-  return found;
-}
+/* ---- the command line ------------------------------------------------------------------------ */
 
 static int check(void *given) {
   const invert_settings *settings = given;
   const char *name;
-  const cli_numbers *lengths = length_of(settings, &name);
   const size_t albedos = settings->albedo.count;
   if (albedos == 0) {
     return cli_fail_usage("give --albedo, and --mean-free-path in mm");
   }
+  const cli_numbers *lengths = cli_lengths_find(&settings->lengths, &name);
   if (lengths == NULL) {
-    return cli_fail_usage("give exactly one of --mean-free-path, --diffuse-mean-free-path and "
-                          "--classical-diffuse-path, in mm");
+    return CLI_USAGE;
   }
   if (albedos > 1 && lengths->count > 1 && albedos != lengths->count) {
     return cli_fail_usage("--%s has %zu values and --albedo has %zu: give one value or as many",
@@ -278,7 +249,7 @@ static int write_and_judge(const invert_settings *settings, const report *of) {
 
 static int ask_and_write(const invert_settings *settings, dipole_client *client, report *of) {
   const char *length = NULL;
-  const cli_numbers *lengths = length_of(settings, &length);
+  const cli_numbers *lengths = cli_lengths_find(&settings->lengths, &length);
   dipole_error error;
   of->count = settings->albedo.count > lengths->count ? settings->albedo.count : lengths->count;
   of->items = cli_allocate(of->count, sizeof *of->items);

@@ -206,8 +206,9 @@ static enum cli_form form_of(const char *format) {
 /* Reads the operand and the format, and checks what getopt does not. Returns an exit status. */
 static int finish(int argc, char **argv, cli_common *common) {
   const cli_command *command = cli_running();
-  const int operands = command->operand != NULL ? 1 : 0;
+  const int operands = (command->operand != NULL) + (command->second_operand != NULL);
   common->operand = optind < argc ? argv[optind] : NULL;
+  common->second_operand = optind + 1 < argc ? argv[optind + 1] : NULL;
   if (argc - optind > operands) {
     return cli_fail_usage("'%s' is one argument too many: leave it out", argv[optind + operands]);
   }
@@ -340,9 +341,11 @@ void cli_options_help(const cli_command *command) {
   char formats[96];
   snprintf(formats, sizeof formats, "one of %s (default: %.*s)", command->formats,
            (int)strcspn(command->formats, ","), command->formats);
-  printf("Usage: dipole %s [OPTION]...%s%s\n\n%s.\n%s", command->name,
+  printf("Usage: dipole %s [OPTION]...%s%s%s%s\n\n%s.\n%s", command->name,
          command->operand != NULL ? " " : "", command->operand != NULL ? command->operand : "",
-         command->about, command->more != NULL ? command->more : "");
+         command->second_operand != NULL ? " " : "",
+         command->second_operand != NULL ? command->second_operand : "", command->about,
+         command->more != NULL ? command->more : "");
   for (size_t i = 0; i < count; i++) {
     if (all[i]->kind == CLI_HEADING) {
       printf("\n%s\n", all[i]->name);
@@ -350,8 +353,8 @@ void cli_options_help(const cli_command *command) {
       print_option(all[i], is_format(all[i]) ? formats : all[i]->help);
     }
   }
-  printf("\nExit status: 0 done, 1 failed, 2 wrong command line, 3 some rows are bad (points, "
-         "invert).\n"
+  printf("\nExit status: 0 done, 1 failed, 2 wrong command line, 3 some rows or values are bad\n"
+         "(points, invert, texture).\n"
          "\nExamples\n%s",
          command->examples);
 }

@@ -52,6 +52,34 @@ extern const cli_option cli_medium_options[];
   "where f64 takes .1 s for a medium. --model better, which many renderers use, takes\n"           \
   "microseconds.\n"
 
+/* The lengths by which a medium can be given with an albedo. */
+typedef struct cli_lengths {
+  cli_numbers free_path, diffuse_path, classical_path;
+} cli_lengths;
+
+/* Their options, for settings of this type with this member. */
+#define CLI_LENGTH_OPTIONS(type, member)                                                           \
+  {"mean-free-path",                                                                               \
+   "X[,X...]",                                                                                     \
+   "1 / sigma_t', mm; a single value is for all channels",                                         \
+   CLI_NUMBERS,                                                                                    \
+   offsetof(type, member.free_path),                                                               \
+   NULL},                                                                                          \
+      {"diffuse-mean-free-path",                                                                   \
+       "X[,X...]",                                                                                 \
+       "instead: 1 / (sigma_t' sqrt(3 a / (1 + a))), a = sigma_a / sigma_t', mm",                  \
+       CLI_NUMBERS,                                                                                \
+       offsetof(type, member.diffuse_path),                                                        \
+       NULL},                                                                                      \
+  {                                                                                                \
+    "classical-diffuse-path", "X[,X...]", "instead: 1 / sqrt(3 sigma_a sigma_t'), mm",             \
+        CLI_NUMBERS, offsetof(type, member.classical_path), NULL                                   \
+  }
+
+/* Returns the one length that is given, and its name, which is that of the option and of the
+ * daemon's choice. If none or several are given, says so and returns NULL. */
+const cli_numbers *cli_lengths_find(const cli_lengths *lengths, const char **name);
+
 /* Returns the evaluator that is taken if none is given. model: NULL if none is named. */
 const char *cli_usual_evaluator(const char *model);
 

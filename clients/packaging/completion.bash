@@ -23,6 +23,8 @@ _dipole_daemon_names() { # PROGRAM OPTION
   --moments) list=moments ;;
   --phase) list=phases ;;
   --scale) list=scales ;;
+  --light) list=lights ;;
+  --coefficients) list=coefficients ;;
   --want | --quantity) list=quantities ;;
   --draw) list=draws ;;
   --medium)

@@ -48,8 +48,13 @@ static void check(const real *restrict shared, size_t n, const real *restrict si
     const size_t end = n - done < BLOCK ? n : done + BLOCK;
     cells_integer wide[BLOCK];
     for (size_t i = done; i < end; i++) {
-      wide[i - done] =
-          status_of(shared, sigma_a[i], sigma_s[i], in[i], most, out_of_range, &albedo[i], &mfp[i]);
+      real scattered, free_paths;
+      const cells_integer found = status_of(shared, sigma_a[i], sigma_s[i], in[i], most,
+                                            out_of_range, &scattered, &free_paths);
+      const int finite = free_paths < (real)INFINITY;
+      wide[i - done] = found;
+      albedo[i] = found == CORE_VALUE_OK ? scattered : (real)NAN;
+      mfp[i] = (found == CORE_VALUE_OK) & finite ? free_paths : (real)NAN;
     }
     narrow(end - done, wide, status + done);
   }

@@ -95,6 +95,16 @@ typedef struct core_surface_inputs {
   const double *shared; /* of dipoles: see core/models/lanes.h */
 } core_surface_inputs;
 
+/* Prepares all but the words. The arguments are those of core_varying_prepare(), with parameters. It
+ * checks what evaluating relies on, so that a client that has the words needs no preparation of
+ * profiles. */
+core_fault core_surface_begin(core_varying *varying, const core_isa *isa, unsigned model,
+                              unsigned moments, unsigned evaluator, double g, double eta,
+                              const core_parameters *parameters);
+
+/* Takes what all media share from varying->words, which are set. Fault: `memory`. */
+core_fault core_surface_share(core_varying *varying);
+
 /* Makes the words; the caller frees them. Faults: `tolerance`, `memory`. */
 core_fault core_surface_build(const core_surface_inputs *inputs, float **words, size_t *count);
 

@@ -88,7 +88,7 @@ static void share(core_varying *varying, enum family family, int variant,
 }
 
 /* Sets what follows from the words. */
-static core_fault share_words(core_varying *varying) {
+core_fault core_surface_share(core_varying *varying) {
   const float *words = varying->words;
   if (varying->evaluator == CORE_EVALUATOR_F64) {
     varying->wide_words = core_surface_widen(words, varying->words_count);
@@ -124,17 +124,24 @@ static core_fault share_words(core_varying *varying) {
   return (core_fault){0};
 }
 
-static core_fault check(unsigned model, unsigned moments, unsigned evaluator, double g, double eta,
+/* Checks what evaluating relies on. Making the words needs more (core/varying/prepare.c). */
+static core_fault check(unsigned moments, unsigned evaluator, double g, double eta,
                         const core_parameters *parameters, enum family family) {
   const core_medium medium = example(g, eta);
-  const core_fault fault = core_profile_check(model, moments, evaluator, &medium, parameters, NULL);
+  core_fault fault = core_medium_check(&medium);
+  if (fault.field == NULL && core_choice_by_id(core_moments_list, moments) == NULL) {
+    fault = (core_fault){"moments", "one of the list", 0};
+  }
+  if (fault.field == NULL) {
+    fault = core_fresnel_check(moments, eta);
+  }
   if (fault.field != NULL) {
     return fault;
   }
   if (family == NONE) {
     return (core_fault){"model", "a dipole, Burley's profile or transport if media vary", 0};
   }
-  if (evaluator == CORE_EVALUATOR_LUT) {
+  if (evaluator != CORE_EVALUATOR_F64 && evaluator != CORE_EVALUATOR_F32) {
     return (core_fault){"evaluator", "f64 or f32 if media vary", 0};
   }
   if (parameters->value[CORE_PARAMETER_TOLERANCE] < CORE_VARYING_TOLERANCE_MIN) {
@@ -155,13 +162,12 @@ static void set_scattering(core_varying *varying, enum family family) {
                    (isnan(varying->gamma) ? 0 : (unsigned)CORE_NOTE_GAMMA);
 }
 
-/* Prepares all but the words. */
-static core_fault begin(core_varying *varying, const core_isa *isa, unsigned model,
-                        unsigned moments, unsigned evaluator, double g, double eta,
-                        const core_parameters *parameters, enum family *family) {
+core_fault core_surface_begin(core_varying *varying, const core_isa *isa, unsigned model,
+                              unsigned moments, unsigned evaluator, double g, double eta,
+                              const core_parameters *parameters) {
   int variant = 0;
-  *family = family_of(model, &variant);
-  const core_fault fault = check(model, moments, evaluator, g, eta, parameters, *family);
+  const enum family family = family_of(model, &variant);
+  const core_fault fault = check(moments, evaluator, g, eta, parameters, family);
   if (fault.field != NULL) {
     return fault;
   }
@@ -171,50 +177,24 @@ static core_fault begin(core_varying *varying, const core_isa *isa, unsigned mod
       .evaluator = evaluator,
       .g = g,
       .eta = eta,
-      .kernels =
-          *family == TRANSPORT ? core_isa_surface_kernels(isa) : core_isa_kernels(isa, model),
+      .kernels = family == TRANSPORT ? core_isa_surface_kernels(isa) : core_isa_kernels(isa, model),
       .check_kernels = core_isa_varying_kernels(isa),
       .gamma = parameters->value[CORE_PARAMETER_GAMMA],
       .surface_albedo = parameters->value[CORE_PARAMETER_SURFACE_ALBEDO],
   };
-  set_scattering(varying, *family);
-  share(varying, *family, variant, parameters);
+  set_scattering(varying, family);
+  share(varying, family, variant, parameters);
   return (core_fault){0};
-}
-
-core_fault core_varying_prepare(core_varying *varying, const core_isa *isa, unsigned model,
-                                unsigned moments, unsigned evaluator, double g, double eta,
-                                const core_parameters *parameters) {
-  const core_parameters none = core_parameters_none();
-  const core_parameters *given = parameters != NULL ? parameters : &none;
-  enum family family;
-  core_fault fault = begin(varying, isa, model, moments, evaluator, g, eta, given, &family);
-  if (fault.field != NULL) {
-    return fault;
-  }
-  const double tolerance = given->value[CORE_PARAMETER_TOLERANCE];
-  const core_surface_inputs inputs = {
-      .isa = isa,
-      .moments = moments,
-      .g = varying->table_g,
-      .eta = eta,
-      .tolerance = isnan(tolerance) ? CORE_VARYING_TOLERANCE : tolerance,
-      .is_transport = family == TRANSPORT,
-      .shared = varying->shared.f64,
-  };
-  fault = core_surface_build(&inputs, &varying->words, &varying->words_count);
-  return fault.field == NULL ? share_words(varying) : fault;
 }
 
 core_fault core_varying_open(core_varying *varying, const core_isa *isa, unsigned model,
                              unsigned moments, unsigned evaluator, double g, double eta,
                              const core_parameters *parameters, const float *words, size_t count) {
   const core_parameters none = core_parameters_none();
-  enum family family;
-  core_fault fault = begin(varying, isa, model, moments, evaluator, g, eta,
-                           parameters != NULL ? parameters : &none, &family);
+  core_fault fault = core_surface_begin(varying, isa, model, moments, evaluator, g, eta,
+                                        parameters != NULL ? parameters : &none);
   if (fault.field == NULL) {
-    fault = core_surface_check(words, count, family == TRANSPORT);
+    fault = core_surface_check(words, count, model == CORE_MODEL_TRANSPORT);
   }
   if (fault.field != NULL) {
     return fault;
@@ -225,7 +205,7 @@ core_fault core_varying_open(core_varying *varying, const core_isa *isa, unsigne
     return CORE_OUT_OF_MEMORY;
   }
   memcpy(varying->words, words, count * sizeof *words);
-  return share_words(varying);
+  return core_surface_share(varying);
 }
 
 void core_varying_free(core_varying *varying) {
@@ -254,29 +234,47 @@ void core_varying_range_add(core_varying_range *range, const core_varying_range 
   range->mfp_most = fmax(range->mfp_most, other->mfp_most);
 }
 
+/* Extremes are found in so many places side by side, so that the compiler vectorizes the loop. */
+enum { LANES = 64 };
+
 #define DEFINE_CHECK(type, bits)                                                                   \
+  /* Adds the numbers that are not NaN to the least and the most of each lane. */                  \
+  static void widen_##bits(size_t n, const type *restrict x, type *restrict least,                 \
+                           type *restrict most) {                                                  \
+    for (size_t i = 0; i < n; i++) {                                                               \
+      least[i] = x[i] < least[i] ? x[i] : least[i];                                                \
+      most[i] = x[i] > most[i] ? x[i] : most[i];                                                   \
+    }                                                                                              \
+  }                                                                                                \
   static void check_##bits(const core_varying *varying, enum core_varying_argument argument,       \
                            size_t n, const type *sigma_a, const type *sigma_s, const type *in,     \
                            uint8_t *status, core_varying_range *range) {                           \
-    type albedo[CHUNK], mfp[CHUNK];                                                                \
+    type albedo[CHUNK], mfp[CHUNK], albedo_least[LANES], albedo_most[LANES], mfp_least[LANES],     \
+        mfp_most[LANES];                                                                           \
     *range = nothing();                                                                            \
+    for (size_t i = 0; i < LANES; i++) {                                                           \
+      albedo_least[i] = mfp_least[i] = (type)INFINITY;                                             \
+      albedo_most[i] = mfp_most[i] = 0;                                                            \
+    }                                                                                              \
     for (size_t done = 0; done < n; done += CHUNK) {                                               \
       const size_t count = n - done < CHUNK ? n - done : CHUNK;                                    \
       varying->check_kernels->bits->varying_check(varying->shared.bits, count, sigma_a + done,     \
                                                   sigma_s + done, in + done, argument,             \
                                                   status + done, albedo, mfp);                     \
       for (size_t i = 0; i < count; i++) {                                                         \
-        const uint8_t found = status[done + i];                                                    \
-        range->answered += found <= CORE_VALUE_FAR;                                                \
-        if (found == CORE_VALUE_OK) {                                                              \
-          range->albedo_least = fmin(range->albedo_least, (double)albedo[i]);                      \
-          range->albedo_most = fmax(range->albedo_most, (double)albedo[i]);                        \
-          if (mfp[i] < (type)INFINITY) {                                                           \
-            range->mfp_least = fmin(range->mfp_least, (double)mfp[i]);                             \
-            range->mfp_most = fmax(range->mfp_most, (double)mfp[i]);                               \
-          }                                                                                        \
-        }                                                                                          \
+        range->answered += status[done + i] <= CORE_VALUE_FAR;                                     \
       }                                                                                            \
+      for (size_t i = 0; i < count; i += LANES) {                                                  \
+        const size_t lanes = count - i < LANES ? count - i : LANES;                                \
+        widen_##bits(lanes, albedo + i, albedo_least, albedo_most);                                \
+        widen_##bits(lanes, mfp + i, mfp_least, mfp_most);                                         \
+      }                                                                                            \
+    }                                                                                              \
+    for (size_t i = 0; i < LANES && i < n; i++) {                                                  \
+      range->albedo_least = fmin(range->albedo_least, (double)albedo_least[i]);                    \
+      range->albedo_most = fmax(range->albedo_most, (double)albedo_most[i]);                       \
+      range->mfp_least = fmin(range->mfp_least, (double)mfp_least[i]);                             \
+      range->mfp_most = fmax(range->mfp_most, (double)mfp_most[i]);                                \
     }                                                                                              \
     if (argument == CORE_VARYING_NUMBERS) {                                                        \
       range->mfp_least = 0;                                                                        \

@@ -53,6 +53,7 @@ void job_init_lookup(struct job *job, struct profiles_lookup *lookup,
   lookup->place = (struct profiles_place){0};
   lookup->entry = NULL;
   lookup->fit = NULL;
+  lookup->varying = NULL;
   lookup->waiter.entry = NULL;
   lookup->waiter.admitted = false;
   lookup->woken = false;

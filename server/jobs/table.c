@@ -1,4 +1,5 @@
-/* Table: sends the table of a model for one medium, so that the client can evaluate it itself. */
+/* Table: sends the table of a model for one medium, or the surface for all media of one g and eta, so
+ * that the client can evaluate it itself. */
 #include "proto/table.h"
 #include "proto/channels.h"
 #include "server/jobs/job.h"
@@ -15,6 +16,16 @@ static struct table *of(struct job *job) {
   return (struct table *)(void *)job;
 }
 
+/* Checks a request for a surface with a medium that every model takes. */
+static core_fault check(const table_request *request, unsigned evaluator) {
+  core_medium medium = request->medium;
+  if (table_is_surface(&medium)) {
+    medium.sigma_a_per_mm = medium.sigma_s_per_mm = 1;
+  }
+  return core_profile_check(request->fixed.model, request->fixed.moments, evaluator, &medium,
+                            &request->parameters, NULL);
+}
+
 static enum job_outcome start(struct job *job, const struct job_request *from) {
   struct table *table = of(job);
   table_request *request = &table->request;
@@ -23,21 +34,29 @@ static enum job_outcome start(struct job *job, const struct job_request *from) {
     return job_refuse(job, error);
   }
   const wire_table_request *fixed = &request->fixed;
-  const core_fault fault = core_profile_check(fixed->model, fixed->moments, CORE_EVALUATOR_LUT,
-                                              &request->medium, &request->parameters, NULL);
+  const unsigned evaluator =
+      table_is_surface(&request->medium) ? CORE_EVALUATOR_F32 : CORE_EVALUATOR_LUT;
+  const core_fault fault = check(request, evaluator);
   if (fault.field != NULL) {
     return job_refuse(job, job_error(fault));
   }
   job_init_lookup(&table->job, &table->lookup, from);
-  profiles_start(&table->lookup, fixed->model, fixed->moments, CORE_EVALUATOR_LUT,
-                 &request->parameters);
+  profiles_start(&table->lookup, fixed->model, fixed->moments, evaluator, &request->parameters);
   return JOB_GOES_ON;
+}
+
+static enum profiles_answer get(struct table *table) {
+  struct profiles *profiles = &table->job.context->profiles;
+  const core_medium *medium = &table->request.medium;
+  return table_is_surface(medium)
+             ? profiles_get_varying(profiles, &table->lookup, medium->g, medium->eta)
+             : profiles_get(profiles, &table->lookup, medium);
 }
 
 static enum job_outcome step(struct job *job, uint64_t *budget) {
   struct table *table = of(job);
   *budget -= *budget < JOB_STEP_RADII ? *budget : JOB_STEP_RADII;
-  switch (profiles_get(&job->context->profiles, &table->lookup, &table->request.medium)) {
+  switch (get(table)) {
   case PROFILES_WAIT:
     return JOB_WAITS;
   case PROFILES_FAULT:
@@ -45,8 +64,10 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
   case PROFILES_READY:
     break;
   }
+  const core_varying *surface = table->lookup.varying;
   job->part_bytes = table_reply_bytes(channels_count_parameters(&table->request.parameters),
-                                      table->lookup.profile.lut_count);
+                                      surface != NULL ? table_surface_words(surface)
+                                                      : table->lookup.profile.lut_count);
   return job->part_bytes > job->context->server->options.max_frame_bytes
              ? job_refuse(job, wire_error_make(WIRE_STATUS_TOO_LARGE, "tolerance",
                                                "more: the table is larger than max_frame_bytes"))
@@ -55,7 +76,12 @@ static enum job_outcome step(struct job *job, uint64_t *budget) {
 
 static enum job_outcome put(struct job *job, uint8_t *at) {
   struct table *table = of(job);
-  table_reply_put(at, &table->lookup.profile, &table->request.parameters);
+  const core_varying *surface = table->lookup.varying;
+  if (surface != NULL) {
+    table_reply_put_surface(at, surface, &table->request.parameters);
+  } else {
+    table_reply_put(at, &table->lookup.profile, &table->request.parameters);
+  }
   return JOB_DONE;
 }
 

@@ -33,7 +33,10 @@ struct cache_entry {
   /* The thread that prepares the profile sets these before other threads see them. */
   uint64_t bytes;
   core_fault fault;
-  core_profile profile;
+  union {
+    core_profile profile;
+    core_varying varying; /* if key.varying is 1 */
+  };
   core_fit *fit;   /* NULL unless the key has a design */
   double design[]; /* that of the key */
 };
@@ -132,6 +135,14 @@ core_fault cache_key_prepare(const struct cache_key *key, const core_isa *isa,
                               &parameters);
 }
 
+core_fault cache_key_prepare_varying(const struct cache_key *key, const core_isa *isa,
+                                     core_varying *varying) {
+  core_parameters parameters;
+  memcpy(parameters.value, key->parameters, sizeof parameters.value);
+  return core_varying_prepare(varying, isa, key->model, key->moments, key->evaluator,
+                              key->medium[2], key->medium[3], &parameters);
+}
+
 /* ---- references ------------------------------------------------------------------------------ */
 
 void cache_hold(struct cache_entry *entry) {
@@ -143,7 +154,9 @@ void cache_release(struct cache_entry *entry) {
   if (atomic_fetch_sub_explicit(&entry->references, 1, memory_order_acq_rel) > 1) {
     return;
   }
-  if (entry->bytes > 0) {
+  if (entry->bytes > 0 && entry->key.varying != 0) {
+    core_varying_free(&entry->varying);
+  } else if (entry->bytes > 0) {
     core_profile_free(&entry->profile);
     core_fit_free(entry->fit);
   }
@@ -164,6 +177,10 @@ const core_profile *cache_profile(const struct cache_entry *entry) {
 
 const core_fit *cache_fit(const struct cache_entry *entry) {
   return entry->fit;
+}
+
+const core_varying *cache_varying(const struct cache_entry *entry) {
+  return &entry->varying;
 }
 
 core_fault cache_fault(const struct cache_entry *entry) {
@@ -558,6 +575,10 @@ void cache_move_waiters(struct cache *cache, struct cache_owner *from, struct ca
 static uint64_t prepare_entry(struct cache_entry *entry) {
   const struct cache_key *key = &entry->key;
   const core_isa *isa = entry->cache->isa;
+  if (key->varying != 0) {
+    entry->fault = cache_key_prepare_varying(key, isa, &entry->varying);
+    return entry->fault.field == NULL ? sizeof *entry + core_varying_bytes(&entry->varying) : 0;
+  }
   if (key->design == NULL) {
     entry->fault = cache_key_prepare(key, isa, &entry->profile);
     return entry->fault.field == NULL ? sizeof *entry + core_profile_bytes(&entry->profile) : 0;

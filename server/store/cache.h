@@ -33,6 +33,7 @@
 #include <uv.h>
 
 #include "core/fit/fit.h"
+#include "core/varying.h"
 #include "server/observe/stats.h"
 
 /* The key of a profile: everything from which it is prepared. Two profiles are the same if their
@@ -47,9 +48,9 @@ struct cache_key {
   uint32_t model;
   uint32_t moments;
   uint32_t evaluator;
-  uint32_t zero;
+  uint32_t varying; /* 1: the preparation of media that vary (core/varying.h), 0: a profile */
   double parameters[CORE_PARAMETERS_END];
-  double medium[4]; /* sigma_a, sigma_s (1/mm), g, eta */
+  double medium[4]; /* sigma_a, sigma_s (1/mm), g, eta; the first two are 0 if media vary */
   uint64_t hash_before_medium;
   uint64_t hash;
   const uint8_t *design; /* NULL for a profile */
@@ -68,10 +69,12 @@ void cache_key_set_design(struct cache_key *key, const uint8_t *design, size_t d
 
 bool cache_key_equal(const struct cache_key *a, const struct cache_key *b);
 
-/* Calls core_profile_prepare() with the members of the key and nothing else, so that the bits do
- * not depend on who asks first. */
+/* These call core_profile_prepare() and core_varying_prepare() with the members of the key and
+ * nothing else, so that the bits do not depend on who asks first. */
 core_fault cache_key_prepare(const struct cache_key *key, const core_isa *isa,
                              core_profile *profile);
+core_fault cache_key_prepare_varying(const struct cache_key *key, const core_isa *isa,
+                                     core_varying *varying);
 
 struct cache;
 struct cache_entry;
@@ -157,11 +160,12 @@ uint64_t cache_place(const struct cache_waiter *waiter);
 /* Ends the waiting of a waiter, woken or not. Does nothing if it does not wait. */
 void cache_leave(struct cache_waiter *waiter);
 
-/* These return the profile or the fit, and the fault, of a prepared entry: one that was KEPT, that
- * the caller has prepared, or whose waiter was woken. The profile or fit is valid if the fault's
- * field is NULL, and as long as the caller holds a reference. */
+/* These return the profile, the fit or what media that vary share, and the fault, of a prepared
+ * entry: one that was KEPT, that the caller has prepared, or whose waiter was woken. What its key
+ * asked for is valid if the fault's field is NULL, and as long as the caller holds a reference. */
 const core_profile *cache_profile(const struct cache_entry *entry);
 const core_fit *cache_fit(const struct cache_entry *entry);
+const core_varying *cache_varying(const struct cache_entry *entry);
 core_fault cache_fault(const struct cache_entry *entry);
 
 /* Returns whether the entry is in the cache. A local store releases entries that are not. */

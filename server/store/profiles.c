@@ -145,7 +145,8 @@ static enum profiles_answer take(struct profiles *profiles, struct profiles_look
   }
   lookup->entry = entry;
   lookup->fit = cache_fit(entry);
-  if (lookup->fit != NULL) {
+  lookup->varying = lookup->key.varying != 0 ? cache_varying(entry) : NULL;
+  if (lookup->fit != NULL || lookup->varying != NULL) {
     return PROFILES_READY;
   }
   lookup->profile = *cache_profile(entry);
@@ -238,6 +239,18 @@ enum profiles_answer profiles_get_fit(struct profiles *profiles, struct profiles
   return answer;
 }
 
+enum profiles_answer profiles_get_varying(struct profiles *profiles, struct profiles_lookup *lookup,
+                                          double g, double eta) {
+  assert(!lookup->ready && lookup->varying == NULL);
+  lookup->key.varying = 1;
+  cache_key_set_medium(&lookup->key, &(core_medium){0, 0, g, eta});
+  const enum profiles_answer answer = lookup->waiter.entry != NULL
+                                          ? get_awaited(profiles, lookup)
+                                          : get_from_cache(profiles, lookup);
+  lookup->waiter.admitted |= answer != PROFILES_FAULT;
+  return answer;
+}
+
 void profiles_return(struct profiles_lookup *lookup) {
   if (lookup->entry != NULL) {
     cache_release(lookup->entry);
@@ -245,6 +258,7 @@ void profiles_return(struct profiles_lookup *lookup) {
   } else if (lookup->ready) {
     core_profile_free(&lookup->profile);
   }
+  lookup->varying = NULL;
   lookup->ready = false;
   cache_leave(&lookup->waiter);
   lookup->woken = false;

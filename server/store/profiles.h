@@ -86,6 +86,7 @@ struct profiles_lookup {
   struct profiles_place place; /* of the profile without the angles, if the table has it */
   struct cache_entry *entry;   /* reference to the entry that was copied; NULL: none */
   const core_fit *fit;         /* in place of `profile`, after profiles_get_fit() */
+  const core_varying *varying; /* after profiles_get_varying(): what was prepared */
   core_fault fault;            /* after PROFILES_FAULT: why there is no profile */
   struct cache_waiter waiter;
   bool woken;
@@ -128,6 +129,11 @@ enum profiles_answer profiles_get(struct profiles *profiles, struct profiles_loo
  * profiles_return(). After PROFILES_WAIT and on_ready(), call it again for the same design. */
 enum profiles_answer profiles_get_fit(struct profiles *profiles, struct profiles_lookup *lookup,
                                       const uint8_t *design, size_t design_bytes);
+/* Gets what media that vary share (core/varying.h), for the arguments of profiles_start(), from the
+ * cache; the store does not keep it. Sets lookup->varying, which is valid until profiles_return().
+ * After PROFILES_WAIT and on_ready(), call it again. */
+enum profiles_answer profiles_get_varying(struct profiles *profiles, struct profiles_lookup *lookup,
+                                          double g, double eta);
 
 /* Returns the profile to the store, or gives up waiting for it. Does nothing if there is neither.
  */

@@ -31,6 +31,9 @@
  *                                      the rate it is the part of a core that it needs       us
  *   service.open.<n>.echo.p50 ...      the same of the echo server, at the same rate
  *
+ *   service.varying.<model>.<side>     round trip of 65,536 values, each with a medium of its own
+ *   ratio.service.varying.<model>      dipoled over the sum of echo and kernel
+ *
  * bulk and rtt are also measured with clients on the servers' core: names with .onecore. No two
  * processes then run at the same time, and no core has to be woken. These figures show the work,
  * that of the client included, and hardly depend on what else the machine does.
@@ -154,20 +157,23 @@ static void ping_round(struct side *sides, size_t count) {
 
 /* ---- bulk --------------------------------------------------------------------------------- */
 
-/* The evaluation of the radii of a bulk request in this process. */
+/* The evaluation of the values of a bulk request in this process. */
 struct kernel {
-  core_profile profile;
-  const float *r;
+  core_profile profile;        /* unless each value has a medium of its own */
+  const core_varying *varying; /* if it has, else NULL */
+  const float *arrays;         /* radii; or sigma_a, sigma_s and radii */
   float *R;
 };
 
-static struct kernel make_kernel(const struct target *bulk) {
-  struct kernel kernel;
+static struct kernel make_kernel(const struct target *bulk, const core_varying *varying) {
+  struct kernel kernel = {.varying = varying};
+  const size_t arrays = varying != NULL ? 3 : 1;
   const core_medium *medium = &core_measured_medium_by_name("skin1")->channel[0];
   const core_fault fault =
       core_profile_prepare(&kernel.profile, core_isa_select(NULL), CORE_MODEL_BETTER,
                            CORE_MOMENTS_EXACT, CORE_EVALUATOR_F32, medium, NULL);
-  kernel.r = (const float *)(bulk->requests + bulk->request_bytes - BULK_RADII * sizeof *kernel.r);
+  kernel.arrays = (const float *)(bulk->requests + bulk->request_bytes -
+                                  arrays * BULK_RADII * sizeof *kernel.arrays);
   kernel.R = malloc(BULK_RADII * sizeof *kernel.R);
   if (fault.field != NULL || kernel.R == NULL) {
     bench_fail("a measured medium was refused, or out of memory");
@@ -175,11 +181,21 @@ static struct kernel make_kernel(const struct target *bulk) {
   return kernel;
 }
 
+static void evaluate(const struct kernel *kernel) {
+  const float *arrays = kernel->arrays;
+  if (kernel->varying != NULL) {
+    core_varying_eval_f32(kernel->varying, CORE_QUANTITY_R, BULK_RADII, arrays, arrays + BULK_RADII,
+                          arrays + 2 * (size_t)BULK_RADII, kernel->R);
+  } else {
+    core_eval_f32(&kernel->profile, CORE_QUANTITY_R, BULK_RADII, arrays, kernel->R);
+  }
+}
+
 static double kernel_us(const struct kernel *kernel) {
   const uint64_t end_ns = bench_now_ns() + KERNEL_NS;
   samples_clear(&samples);
   for (uint64_t start_ns = bench_now_ns(); start_ns < end_ns;) {
-    core_eval_f32(&kernel->profile, CORE_QUANTITY_R, BULK_RADII, kernel->r, kernel->R);
+    evaluate(kernel);
     const uint64_t now_ns = bench_now_ns();
     samples_add(&samples, now_ns - start_ns);
     start_ns = now_ns;
@@ -188,17 +204,19 @@ static double kernel_us(const struct kernel *kernel) {
   return samples_us(&samples, 0.5);
 }
 
-static void report_bulk(const struct side *side, const char *where) {
+static void report_bulk(const struct side *side, const char *name) {
   const double us = median(side->p50_us, side->rounds);
   const double bytes = (double)(side->target->request_bytes + side->target->reply_bytes);
-  bench_figure(us, "us", "service.bulk%s.%s", where, side->name);
-  bench_figure(bytes / us, "MB/s", "service.bulk%s.%s.rate", where, side->name);
+  bench_figure(us, "us", "service.%s.%s", name, side->name);
+  bench_figure(bytes / us, "MB/s", "service.%s.%s.rate", name, side->name);
 }
 
-static void measure_bulk(const struct target *bulk, const struct target *echo, const char *where) {
+/* varying: the model of values with media of their own, or NULL. name: that of the figures. */
+static void measure_bulk(const struct target *bulk, const struct target *echo,
+                         const core_varying *varying, const char *name) {
   bench_progress("service: bulk");
   struct side sides[] = {side_of(bulk), side_of(echo)};
-  struct kernel kernel = make_kernel(bulk);
+  struct kernel kernel = make_kernel(bulk, varying);
   double kernels_us[ROUNDS], floor_us[ROUNDS];
   open_pings(sides, 2);
   kernel_us(&kernel);
@@ -208,11 +226,10 @@ static void measure_bulk(const struct target *bulk, const struct target *echo, c
     floor_us[round] = sides[1].p50_us[round] + kernels_us[round];
   }
   close_pings(sides, 2);
-  report_bulk(&sides[0], where);
-  report_bulk(&sides[1], where);
-  bench_figure(median(kernels_us, ROUNDS), "us", "service.bulk%s.kernel", where);
-  bench_figure(median_ratio(sides[0].p50_us, floor_us, ROUNDS), "times", "ratio.service.bulk%s",
-               where);
+  report_bulk(&sides[0], name);
+  report_bulk(&sides[1], name);
+  bench_figure(median(kernels_us, ROUNDS), "us", "service.%s.kernel", name);
+  bench_figure(median_ratio(sides[0].p50_us, floor_us, ROUNDS), "times", "ratio.service.%s", name);
   core_profile_free(&kernel.profile);
   free(kernel.R);
 }
@@ -223,8 +240,30 @@ static void measure_bulk_tcp(const struct setting *setting) {
   bulk.address = setting->daemon.at_tcp;
   echo.address = target_tcp(0);
   echo_start(&echo);
-  measure_bulk(&bulk, &echo, ".tcp");
+  measure_bulk(&bulk, &echo, NULL, "bulk.tcp");
   child_end(echo.server);
+}
+
+/* Measures a request of values with media of their own over the Unix socket. */
+static void measure_varying(const struct setting *setting, enum core_model model,
+                            const char *name) {
+  core_varying varying;
+  struct target bulk, echo;
+  if (core_varying_prepare(&varying, core_isa_select(NULL), model, CORE_MOMENTS_EXACT,
+                           CORE_EVALUATOR_F32, 0, 1.3, NULL)
+          .field != NULL) {
+    bench_fail("media cannot vary with a model");
+  }
+  target_make_varying(&bulk, &varying, BULK_RADII);
+  bulk.address = setting->daemon.at_unix;
+  target_make_echo(&echo, &bulk);
+  echo.address = target_unix(child_path(name));
+  echo_start(&echo);
+  measure_bulk(&bulk, &echo, &varying, name);
+  child_end(echo.server);
+  target_free(&bulk);
+  target_free(&echo);
+  core_varying_free(&varying);
 }
 
 /* ---- round trips -------------------------------------------------------------------------- */
@@ -395,13 +434,15 @@ void bench_service(void) {
   child_begin(LIMIT_S);
   start_servers(&setting);
   child_pin(CHILD_CLIENT);
-  measure_bulk(&setting.bulk, &setting.bulk_echo, "");
+  measure_bulk(&setting.bulk, &setting.bulk_echo, NULL, "bulk");
   measure_bulk_tcp(&setting);
+  measure_varying(&setting, CORE_MODEL_BETTER, "varying.better");
+  measure_varying(&setting, CORE_MODEL_TRANSPORT, "varying.transport");
   measure_rtt(&setting, "");
   measure_open(&setting, measure_redis(&setting));
   measure_fairness(&setting);
   child_pin(CHILD_SERVER);
-  measure_bulk(&setting.bulk, &setting.bulk_echo, ".onecore");
+  measure_bulk(&setting.bulk, &setting.bulk_echo, NULL, "bulk.onecore");
   measure_rtt(&setting, ".onecore");
   daemon_end(&setting.daemon);
   child_end_all();

@@ -25,6 +25,7 @@ STATISTICS = wire.MESSAGES["statistics"]
 SAMPLE = wire.MESSAGES["sample"]
 INVERT = wire.MESSAGES["invert"]
 FIT_REQUEST = wire.MESSAGES["fit"]
+VARYING = wire.MESSAGES["varying"]
 
 
 def header(**changes: int) -> bytes:
@@ -123,6 +124,34 @@ def invert_payload(albedos=(0.5, 0.9), lengths=(1.0, 2.0), **fixed: float) -> by
     fields.update(fixed)
     numbers = np.asarray([*albedos, *lengths], "<f8").tobytes()
     return wire.INVERT_REQUEST.pack(**fields) + numbers
+
+
+def varying_payload(media=((0.032, 0.74), (0.1, 1.0)), numbers=(0.5, 1.0), parameters=(),
+                    **fixed: float) -> bytes:
+    """Makes the payload of a varying request. Its count fits unless `fixed` has another. media:
+    pairs of sigma_a and sigma_s, or of colour and length. numbers: radii or, with numbers=2, u;
+    None: neither."""
+    fields = {
+        "model": BETTER,
+        "evaluator": F64,
+        "moments": EXACT,
+        "wanted": R,
+        "coefficients": 0,
+        "given": 0,
+        "light": 0,
+        "specular": 0,
+        "numbers": wire.VARYING_RADII if numbers is not None else wire.VARYING_NONE,
+        "parameter_count": len(parameters),
+        "value_count": len(media),
+        "g": 0.0,
+        "eta": 1.3,
+    }
+    fields.update(fixed)
+    evaluator = fields["evaluator"] if fields["evaluator"] in wire.EVALUATOR_TYPES else F64
+    pairs = np.asarray(media, float).reshape(-1, 2)
+    arrays = [pairs[:, 0], pairs[:, 1], *([] if numbers is None else [numbers])]
+    listed = b"".join(radii_bytes(array, evaluator) for array in arrays)
+    return wire.VARYING_REQUEST.pack(**fields) + parameters_bytes(parameters) + listed
 
 
 READINGS = (0.0234, 0.00787, 0.00159)  # of sigma_a 0.03, sigma_s' 1.2 and eta 1.4 at 1, 2, 4 mm

@@ -9,8 +9,8 @@ from daemons import Daemon
 from dipole import Connection, Frame, wire
 from frames import (
     ALBEDO, BETTER, CDF, CLASSICAL, EVAL, F32, F64, FIT_REQUEST, INVERT, MEDIA, PING, RADIUS,
-    READINGS, SAMPLE, SKIN, SPECTRALON, R, eval_payload, fit_payload, frame, invert_payload,
-    media_bytes, sample_payload,
+    READINGS, SAMPLE, SKIN, SPECTRALON, VARYING, R, eval_payload, fit_payload, frame,
+    invert_payload, media_bytes, sample_payload, varying_payload,
 )
 from lists import PARAMETERS
 
@@ -55,6 +55,8 @@ def is_last(reply: Frame) -> bool:
         fixed = wire.INVERT_REPLY.unpack(reply.payload)
     elif reply.type == FIT_REQUEST | wire.REPLY:
         fixed = wire.FIT_REPLY.unpack(reply.payload)
+    elif reply.type == VARYING | wire.REPLY:
+        fixed = wire.VARYING_REPLY.unpack(reply.payload)
     else:
         return True
     return fixed.part + 1 == fixed.part_count
@@ -123,6 +125,7 @@ def every_kind() -> list[tuple[int, bytes]]:
         (SAMPLE, sample_payload([SKIN], None, sample_count=200_000, evaluator=LUT)),
         (INVERT, invert_payload()),
         (FIT_REQUEST, fit_payload([READINGS, (0.02, 0.008, 0.002)], residuals=1)),
+        (VARYING, varying_payload(wanted=R | ALBEDO, coefficients=1)),
         (INVERT, invert_payload([i / 3000 for i in range(1, 3000)], [1.0] * 2999)),
     ]
 

@@ -10,8 +10,8 @@ from command_line import FAILED, PROGRAM, TIMEOUT_S, USAGE, dipole, says
 from daemons import environment
 
 COMMANDS = [
-    "eval", "plot", "points", "sample", "invert", "fit", "table", "mc", "media", "info", "top",
-    "bench",
+    "eval", "plot", "points", "sample", "invert", "fit", "texture", "table", "mc", "media", "info",
+    "top", "bench",
 ]  # fmt: skip
 
 

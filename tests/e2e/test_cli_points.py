@@ -23,6 +23,16 @@ def columns(row: dict[str, str], *names: str) -> list[str]:
     return [row[name] for name in names]
 
 
+# Rows that share a model, g and eta are evaluated together, each with a medium of its own. The
+# coefficients are then rounded otherwise than where one medium is prepared.
+ROUNDING = 3e-14
+
+
+def assert_near(row: dict[str, str], other: dict[str, str], *names: str) -> None:
+    for name in names:
+        assert float(row[name]) == pytest.approx(float(other[name]), rel=ROUNDING), name
+
+
 # ---- good rows -----------------------------------------------------------------------------------
 
 
@@ -35,9 +45,7 @@ def test_columns_are_appended():
         *["--sigma-a", "0.01", "--sigma-s", "1", "--eta", "1.4", "--r", "2"],
         *["--want", "R,albedo,cdf"],
     )[0]
-    assert columns(read_csv(text)[0], "R", "albedo", "cdf") == columns(
-        expected, "R", "albedo", "cdf"
-    )
+    assert_near(read_csv(text)[0], expected, "R", "albedo", "cdf")
 
 
 def test_columns_in_any_order_with_others_between():
@@ -90,7 +98,8 @@ def test_single_precision(evaluator, within):
     double = read_csv(points(text))
     single = read_csv(points(text, "--evaluator", evaluator))
     for one, other in zip(double, single, strict=True):
-        assert one["r"] == other["r"] and one["albedo"] == other["albedo"]
+        assert one["r"] == other["r"]
+        assert_near(one, other, "albedo")
         for column in ("R", "cdf"):
             assert one[column] != other[column]
             assert float(one[column]) == pytest.approx(float(other[column]), rel=within)
@@ -376,16 +385,17 @@ def test_a_busy_daemon_is_asked_again(daemon):
         return busy(request_id) if number % 3 == 0 and number < 600 else None
 
     with Proxy(daemon().url(), on_eval) as proxy:
-        assert points(text, "--connect", proxy.url) == points(text)
+        wanted = ["--want", "R,dR_dr"]
+        assert points(text, "--connect", proxy.url, *wanted) == points(text, *wanted)
 
 
 def test_a_daemon_that_goes_away(daemon):
     text = "\n".join([f"id,{HEADER}", *(f"{i},0.01,1,0,1.4,{i}" for i in range(3000))])
     with Proxy(daemon().url(), lambda number, _: False if number == 1500 else None) as proxy:
-        options = ["--connect", proxy.url, "--retry-ms", "300"]
+        options = ["--connect", proxy.url, "--retry-ms", "300", "--want", "R,dR_dr"]
         run = dipole("points", *options, stdin=text, status=FAILED)
     assert "connection" in run.stderr
-    whole = points(text)
+    whole = points(text, "--want", "R,dR_dr")
     assert whole.startswith(run.stdout) and len(run.stdout) < len(whole)
 
 
@@ -396,9 +406,11 @@ def test_the_usual_model_is_transport_by_table(client):
     text = f"{HEADER}\n{ROW}\n"
     (row,) = read_csv(dipole("points", stdin=text, usual=True).stdout)
     answer = client.eval("transport", (0.01, 1, 0, 1.4), [2.0], evaluator="lut", wanted=["R", "cdf"])
-    assert np.float32(row["R"]) == answer.R[0, 0] and np.float32(row["cdf"]) == answer.cdf[0, 0]
+    assert float(row["R"]) == pytest.approx(answer.R[0, 0], rel=2e-4)
+    assert float(row["cdf"]) == pytest.approx(answer.cdf[0, 0], rel=2e-4)
     (named,) = read_csv(dipole("points", "--model", "classical", stdin=text).stdout)
-    assert float(named["R"]) == client.eval("classical", (0.01, 1, 0, 1.4), [2.0]).R[0, 0]
+    double = client.eval("classical", (0.01, 1, 0, 1.4), [2.0]).R[0, 0]
+    assert float(named["R"]) == pytest.approx(double, rel=ROUNDING)
 
 
 def test_a_tolerance_in_place_of_a_model(client):
@@ -426,7 +438,7 @@ def test_quantities():
     (row,) = read_csv(text)
     (known,) = eval_rows("--sigma-a", "0.01", "--sigma-s", "1", "--eta", "1.4", "--r", "2",
                          "--want", "cdf,pdf")
-    assert columns(row, "cdf", "pdf") == columns(known, "cdf", "pdf")
+    assert_near(row, known, "cdf", "pdf")
     dipole("points", "--want", "r", stdin=text, status=USAGE)
 
 

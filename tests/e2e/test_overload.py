@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from daemons import eventually, sanitized
 from dipole import Connection, wire
-from frames import EVAL, FIT_REQUEST, INVERT, RADIUS, READINGS, SAMPLE, SKIN, R, ask
+from frames import EVAL, FIT_REQUEST, INVERT, RADIUS, READINGS, SAMPLE, SKIN, VARYING, R, ask
 from frames import assert_error, assert_serves, eval_payload, fit_payload, frame, invert_payload, sample_payload, statistics
+from frames import varying_payload
 from lists import MODELS
 from parted import EVALUATED, put_together, receive_parts
 
@@ -23,6 +24,11 @@ def sample(count: int, model: str = "beam+single") -> bytes:
 def invert(count: int, model: str = "better") -> bytes:
     albedos = np.linspace(0.01, 0.99, count)
     return invert_payload(albedos, np.ones(count), model=MODELS[model], eta=1.37)
+
+
+def varying(count: int) -> bytes:
+    """A request for R, albedo, cdf, pdf and 2_pi_r_R of many media."""
+    return varying_payload(np.tile([0.1, 1.0], (count, 1)), np.ones(count), wanted=199)
 
 
 def fit(count: int) -> bytes:
@@ -161,12 +167,14 @@ KINDS = {
     "sample": (SAMPLE, sample_payload(), "radii_drawn", 2),
     "invert": (INVERT, invert_payload(), "media_inverted", 2),
     "fit": (FIT_REQUEST, fit_payload(), "sets_fitted", 1),
+    "varying": (VARYING, varying_payload(), "radii_evaluated", 2),
 }
 
 
 @pytest.mark.parametrize(
     "kind, count, large",
-    [("sample", 50_000, sample(50_000)), ("invert", 20_000, invert(20_000)), ("fit", 500, fit(500))],
+    [("sample", 50_000, sample(50_000)), ("invert", 20_000, invert(20_000)), ("fit", 500, fit(500)),
+     ("varying", 500_000, varying(500_000))],
     ids=KINDS,
 )
 def test_small_requests_do_not_wait_for_large_ones(daemon, kind, count, large):
@@ -197,7 +205,7 @@ def test_small_requests_do_not_wait_for_large_ones(daemon, kind, count, large):
         ("invert", invert(20_000), "medium_count"),
         ("fit", fit(5000), "set_count"),
     ],
-    ids=KINDS,
+    ids=["sample", "invert", "fit"],
 )
 def test_large_ones_are_refused_while_there_is_much_to_do(daemon, kind, large, field):
     type, small, *_ = KINDS[kind]
@@ -213,6 +221,22 @@ def test_large_ones_are_refused_while_there_is_much_to_do(daemon, kind, large, f
         # A client that has left owes no work.
         assert eventually(lambda: statistics(second)["owed_radii"] == 0)
         assert_serves(second)
+
+
+def test_values_with_media_of_their_own_are_admitted_and_timed(daemon):
+    """They are too fast to fill a backlog themselves."""
+    one = daemon("--workers", "1", "--max-backlog-ms", "1", "--drain-timeout-ms", "100")
+    with one.connect() as second:
+        with Others(one, second, 16, INVERT, invert(20_000)):
+            refused = ask(second, VARYING, varying(60_000))
+            assert_error(refused, "busy", "value_count", "max_backlog_ms")
+            assert ask(second, VARYING, varying_payload()).type == VARYING | wire.REPLY
+    with daemon("--workers", "1").connect() as connection:
+        connection.send_bytes(frame(VARYING, 77, varying(2_000_000), 1))
+        while (reply := connection.receive_frame()).type == VARYING | wire.REPLY:
+            assert reply.request_id == 77  # a part that was complete in time
+        assert_error(reply, "deadline", "deadline_ms", "more")
+        assert_serves(connection)
 
 
 @pytest.mark.parametrize(

@@ -229,6 +229,23 @@ static bool ask(dipole_client *client, unsigned type, unsigned how, dipole_error
     }
     return good;
   }
+  case WIRE_TYPE_VARYING: {
+    dipole_varying_result *result;
+    const dipole_varying_query varying = {.model = CORE_MODEL_BETTER,
+                                          .evaluator = DIPOLE_F64,
+                                          .moments = DIPOLE_EXACT,
+                                          .wanted = DIPOLE_R,
+                                          .coefficients = DIPOLE_SIGMA_A,
+                                          .eta = 1.3,
+                                          .sigma_a_per_mm = albedos,
+                                          .sigma_s_per_mm = radii,
+                                          .radii = radii,
+                                          .value_count = query.medium_count};
+    if ((good = dipole_varying(client, &varying, &result, error))) {
+      dipole_varying_result_free(result);
+    }
+    return good;
+  }
   case WIRE_TYPE_MC: {
     dipole_mc_result *result;
     const dipole_mc_query mc = {.medium = media[0],

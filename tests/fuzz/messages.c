@@ -9,6 +9,7 @@
 #include "proto/mc.h"
 #include "proto/sample.h"
 #include "proto/table.h"
+#include "proto/varying.h"
 #include "tests/fuzz/fuzz.h"
 
 /* A structure that is read from any bytes, written and read again is the same. */
@@ -233,6 +234,37 @@ bool fuzz_decode_fit_reply(const uint8_t *payload, size_t size) {
   return good;
 }
 
+static void decode_varying(const uint8_t *payload, size_t size) {
+  varying_request request;
+  if (varying_request_parse(payload, size, &request).status != WIRE_STATUS_OK) {
+    return;
+  }
+  check_parameters(&request.parameters, request.fixed.parameter_count);
+  const size_t bytes =
+      (size_t)request.fixed.value_count * core_evaluator_bytes(request.fixed.evaluator);
+  const void *arrays[] = {request.media[0], request.media[1], request.numbers};
+  for (size_t i = 0; i < sizeof arrays / sizeof arrays[0]; i++) {
+    if (arrays[i] != NULL) {
+      read_array(payload, size, (uint64_t)((const uint8_t *)arrays[i] - payload), bytes);
+    }
+  }
+}
+
+bool fuzz_decode_varying_reply(const uint8_t *payload, size_t size) {
+  wire_varying_reply fixed;
+  varying_layout layout;
+  if (!varying_reply_parse(payload, size, &fixed, &layout)) {
+    return false;
+  }
+  for (uint32_t array = 1; array != 0 && array <= layout.arrays; array <<= 1) {
+    if ((layout.arrays & array) != 0) {
+      read_array(payload, size, varying_array_offset(&layout, array), layout.array_bytes);
+    }
+  }
+  read_array(payload, size, layout.status_offset, fixed.value_count);
+  return true;
+}
+
 bool fuzz_decode_mc_reply(const uint8_t *payload, size_t size, bool *under_way) {
   wire_mc_reply fixed;
   mc_layout layout;
@@ -290,6 +322,9 @@ void fuzz_messages(const uint8_t *data, size_t size) {
   case WIRE_TYPE_FIT:
     decode_fit(payload, size);
     break;
+  case WIRE_TYPE_VARYING:
+    decode_varying(payload, size);
+    break;
   case WIRE_TYPE_MC:
     decode_mc(payload, size);
     break;
@@ -307,6 +342,9 @@ void fuzz_messages(const uint8_t *data, size_t size) {
     break;
   case WIRE_TYPE_FIT | WIRE_REPLY:
     fuzz_decode_fit_reply(payload, size);
+    break;
+  case WIRE_TYPE_VARYING | WIRE_REPLY:
+    fuzz_decode_varying_reply(payload, size);
     break;
   case WIRE_TYPE_MC | WIRE_REPLY:
     fuzz_decode_mc_reply(payload, size, &under_way);

@@ -5,6 +5,7 @@
 
 #include "proto/fit.h"
 #include "proto/invert.h"
+#include "proto/varying.h"
 #include "proto/mc.h"
 #include "proto/sample.h"
 #include "server/jobs/requests.h"
@@ -28,6 +29,10 @@ static bool names_slow_profile(unsigned type, const uint8_t *payload, size_t siz
     wire_invert_request invert;
     wire_get_invert_request(payload, &invert);
     eval.fixed.model = invert.model;
+  } else if (type == WIRE_TYPE_VARYING && size >= WIRE_BYTES_varying_request) {
+    wire_varying_request varying;
+    wire_get_varying_request(payload, &varying);
+    eval.fixed.model = varying.model;
   }
   return type == WIRE_TYPE_TABLE || type == WIRE_TYPE_FIT || eval.fixed.model == EVAL_ANY_MODEL ||
          core_prepares_slowly(eval.fixed.model, eval.fixed.evaluator);
@@ -106,6 +111,12 @@ static bool check_answer(const wire_header *header, const uint8_t *payload, size
     wire_fit_reply fixed;
     CHECK(fuzz_decode_fit_reply(payload, size));
     wire_get_fit_reply(payload, &fixed);
+    return check_part(fixed.part, fixed.part_count, next_part);
+  }
+  case WIRE_TYPE_VARYING | WIRE_REPLY: {
+    wire_varying_reply fixed;
+    CHECK(fuzz_decode_varying_reply(payload, size));
+    wire_get_varying_reply(payload, &fixed);
     return check_part(fixed.part, fixed.part_count, next_part);
   }
   case WIRE_TYPE_MC | WIRE_REPLY:

@@ -34,7 +34,7 @@ from .errors import ProtocolError, Refused, TableError
 from .rings import RingMeans
 from .table import Table, TableErrors
 from .values import Choice, Draw, Fits, Grid, Info, Inversion, McEnergy, McProgress, McResult
-from .values import McValue, Medium, Offer, Offers, Query, Result, Samples
+from .values import McValue, Medium, Offer, Offers, Query, Result, Samples, Varying
 
 __version__ = "0.1.0"  # the version of the whole project, as in the Makefile
 
@@ -45,5 +45,5 @@ __all__ = [
     "Inversion",
     "McEnergy", "McProgress", "McResult", "McValue", "Medium", "Offer", "Offers", "Parts",
     "ProtocolError", "Query", "Refused", "Result", "RingMeans", "Samples", "Table", "TableError",
-    "TableErrors", "Values",
+    "TableErrors", "Values", "Varying",
 ]

@@ -15,7 +15,7 @@ from collections.abc import AsyncIterator, Callable, Coroutine, Iterable
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from . import broadcast, calls, evaluation, fitting, inversion, mc, rings, wire
+from . import broadcast, calls, evaluation, fitting, inversion, mc, rings, varying, wire
 from .broadcast import Values
 from .connection import Connection, Frame
 from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
@@ -24,7 +24,7 @@ from .opening import Opening
 from .rings import RingMeans
 from .table import Table
 from .values import Draw, Fits, Grid, Info, Inversion, McProgress, McResult, Media, Medium
-from .values import Offers, Query, Result, Samples
+from .values import Offers, Query, Result, Samples, Varying
 
 T = TypeVar("T")
 
@@ -190,6 +190,11 @@ class AsyncClient:
         for request in fitting.requests(made, deadline_ms):
             collected.add(await self._ask(request))
         return collected.fits()
+
+    async def varying(self, model: str | int, **options: Any) -> Varying:
+        """See Client.varying()."""
+        plan = varying.plan(self.info, model, **options)
+        return plan.join([await self._ask(request) for request in plan.requests()])
 
     async def media(self) -> dict[str, tuple[Medium, Medium, Medium]]:
         """See Client.media()."""

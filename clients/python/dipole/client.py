@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from . import broadcast, calls, evaluation, fitting, inversion, mc, rings
+from . import broadcast, calls, evaluation, fitting, inversion, mc, rings, varying
 from .broadcast import Values
 from .connection import Frame
 from .errors import ArgumentError, ConnectionLost, DipoleError, Refused
@@ -21,7 +21,7 @@ from .opening import Opening
 from .rings import RingMeans
 from .table import Table
 from .values import Draw, Fits, Grid, Info, Inversion, McProgress, McResult, Media, Medium
-from .values import Offers, Query, Result, Samples
+from .values import Offers, Query, Result, Samples, Varying
 
 T = TypeVar("T")
 
@@ -233,6 +233,26 @@ class Client:
             for request_id in under_way:
                 self._exchange.drop(request_id)
         return collected.fits()
+
+    def varying(self, model: str | int, **options: Any) -> Varying:
+        """Evaluates values each of which has a medium of its own, as the points of a texture have.
+        A value costs some ten nanoseconds.
+
+        sigma_a, sigma_s: 1/mm. In place of them, colour and length give the media: a colour is a
+        diffuse albedo, from 0 to 1; given names the kind of length, as for invert(). light: "beam"
+        or "diffuse", the light of the colours. specular: whether the colours contain what the
+        surface itself reflects. r: radii in mm; or u: numbers from 0 to 1, for which radii are
+        drawn. All of them are arrays of any shapes that can be broadcast with each other. g=0.0 and
+        eta=1.3 hold for all values.
+
+        wanted: names of quantities. The default is R, or r for numbers u. coefficients: names from
+        info.choices["coefficient"]; the default is sigma_a and sigma_s for colours without r and u.
+        evaluator: "f32" or "f64", also the precision of the arrays. A value that has no answer is
+        NaN; statuses says why. tolerance: of transport, 1e-5 or more, 1e-3 by default. moments,
+        parameters, deadline_ms: as of a Query. The number of values is not limited.
+        """
+        plan = varying.plan(self.info, model, **options)
+        return plan.join([self._ask(request) for request in plan.requests()])
 
     # ---- Monte Carlo -----------------------------------------------------------------------------
 

@@ -44,6 +44,12 @@ def name_of(info: Info, kind: str, number: int) -> str:
     raise ProtocolError(f"a reply with {kind} {number}, which the daemon has not listed")
 
 
+def notes_of(info: Info, notes: int) -> tuple[str, ...]:
+    """Returns the names of the notes in a sum of their bits."""
+    listed = info.choices["note"].values()
+    return tuple(note.name for note in listed if note.id and notes & note.id)
+
+
 def unpack_list(
     payload: bytes, fixed_structure: wire.Structure, **lists: wire.Structure
 ) -> tuple[Any, list[list[Any]]]:
@@ -433,7 +439,6 @@ def _common_fields(part: Part, info: Info) -> dict[str, Any]:
     fixed, channels, arrays = part
     if fixed.wanted & wire.QUANTITY_ALBEDO:
         arrays[wire.QUANTITY_ALBEDO] = channels[:, 0]
-    notes = info.choices["note"].values()
     quantities = info.choices["quantity"].values()
     return {
         "model": name_of(info, "model", fixed.model),
@@ -442,7 +447,7 @@ def _common_fields(part: Part, info: Info) -> dict[str, Any]:
         "numerical_error_constant": channels[:, 1],
         "numerical_error_per_mm": channels[:, 2],
         "model_error": channels[:, 3],
-        "notes": tuple(note.name for note in notes if note.id and fixed.notes & note.id),
+        "notes": notes_of(info, fixed.notes),
         "quantities": {one.name: arrays[one.id] for one in quantities if one.id in arrays},
     }
 

@@ -26,7 +26,7 @@ PAUSE_FIRST_S = 0.010
 # Requests that may be sent again. An mc request may not: the photons that its job has walked would
 # be lost, and a second job would delay the jobs of other clients.
 _REPEATABLE = (
-    "eval", "sample", "invert", "fit", "offers", "table", "media", "statistics", "ping"
+    "eval", "sample", "invert", "fit", "varying", "offers", "table", "media", "statistics", "ping"
 )  # fmt: skip
 _TEMPORARY = ("busy", "shutting-down", "timeout")
 

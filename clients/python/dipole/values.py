@@ -456,6 +456,46 @@ class Fits:
         return self._field("condition")
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class Varying:
+    """Values each of which has a medium of its own. The arrays have the shape of the arguments of
+    varying(), and NaN where there is no answer."""
+
+    model: str
+    moments: str
+    evaluator: str
+    g: float
+    eta: float
+    quantities: dict[str, Array]  # those that were wanted, by name
+    coefficients: dict[str, Array]  # those that were wanted: sigma_a, sigma_s, scattered
+    statuses: Array  # numbers of uint8, ids of info.choices["value"]
+    faults: dict[str, str]  # what is allowed, for each status of a value that has no answer
+    notes: tuple[str, ...]
+    numerical_error: float  # relative, of all values whose status is "ok"
+    model_error: float  # against radiative transport, relative; nan if it was not measured
+    colour_least: float  # the range of colours that media have, if colours were given; else nan
+    colour_most: float
+    specular: float  # the share of the light that the surface reflects; nan without colours
+
+    def __getitem__(self, name: str) -> Array:
+        """The array of a quantity or of a coefficient."""
+        return self.quantities[name] if name in self.quantities else self.coefficients[name]
+
+    @property
+    def answered(self) -> Array:
+        """Whether each value is answered."""
+        return self.statuses <= 1
+
+    def __repr__(self) -> str:
+        missing = int(np.count_nonzero(~self.answered))
+        arrays = {**self.quantities, **self.coefficients}
+        return in_short(
+            f"<Varying: {self.model}, {self.evaluator}; {counted(self.statuses.size, 'value', 'values')}"
+            f" of shape {self.statuses.shape}, g {self.g:.3g}, eta {self.eta:.4g}, {missing} missing",
+            ", ".join(f"{name} {span(array)}" for name, array in arrays.items()) + ">",
+        )
+
+
 class McProgress(NamedTuple):
     """A report on the progress of a Monte Carlo job."""
 

@@ -28,7 +28,9 @@ def _numbered(names: str, first: int = 1) -> dict[int, str]:
 
 
 # Types of requests by name.
-_TYPES = _numbered("hello eval media statistics ping mc cancel table offers sample invert fit")
+_TYPES = _numbered(
+    "hello eval media statistics ping mc cancel table offers sample invert fit varying"
+)
 MESSAGES = {name: type for type, name in _TYPES.items()}
 
 # Maps the code of a status to its name.
@@ -42,7 +44,7 @@ STATUS_DEADLINE = 12
 # Maps the number of a kind of choices to its name.
 KINDS = _numbered(
     "model evaluator moments quantity spacing status parameter note draw length phase scale axis "
-    "fit_status"
+    "fit_status light value coefficient"
 )
 
 # Permanent ids that the layout of a payload depends on.
@@ -68,6 +70,11 @@ DRAW_STRATIFIED = 3
 DRAW_RANDOM = 4
 SCALE_REFERENCE = 3
 FIT_FITTED = 1  # the only status of a fit that is a success
+# Of varying: what the third array holds, and the statuses of values that are answered.
+VARYING_NONE = 0
+VARYING_RADII = 1
+VARYING_DRAWN = 2
+VALUES_ANSWERED = (0, 1)
 ANY_MODEL = 0  # in place of a model: the daemon chooses one by the parameter tolerance
 
 # States of an mc job. MC_STATES holds the states in which a job has ended.
@@ -261,6 +268,17 @@ FITTED = Structure(
     "f64 variance_a, f64 covariance_a_s, f64 variance_s, f64 covariance_a_factor, "
     "f64 covariance_s_factor, f64 variance_factor, f64 second_sigma_a, "
     "f64 second_sigma_s_prime, f64 second_factor, f64 second_chi_squared",
+)
+VARYING_REQUEST = Structure(
+    "varying_request",
+    "u16 model, u16 evaluator, u16 moments, u16 wanted, u16 coefficients, u16 given, u16 light, "
+    "u16 specular, u16 numbers, u16 parameter_count, u32 zero, u64 value_count, f64 g, f64 eta",
+)
+VARYING_REPLY = Structure(
+    "varying_reply",
+    "u16 model, u16 evaluator, u16 moments, u16 wanted, u16 coefficients, u16 zero, u32 notes, "
+    "u64 value_count, u64 value_first, u32 part, u32 part_count, u64 answered_count, "
+    "f64 numerical_error, f64 model_error, f64 colour_least, f64 colour_most, f64 specular",
 )
 ERROR = Structure(
     "error",

@@ -13,6 +13,7 @@
 
 #include "core/core.h"
 #include "proto/eval.h"
+#include "proto/varying.h"
 #include "tests/bench/bench.h"
 
 /* ---- addresses ---------------------------------------------------------------------------- */
@@ -164,6 +165,73 @@ void target_make_eval(struct target *target, size_t n) {
     put_reply(target, variant, n, r);
   }
   free(r);
+}
+
+/* Fills media and radii with what renderers meet: mean free paths of about a millimetre, and some
+ * tenth of the light absorbed. */
+static void fill_media(float *sigma_a, float *sigma_s, float *r, size_t n) {
+  uint32_t random = 1;
+  float *arrays[] = {sigma_a, sigma_s, r};
+  const float least[] = {0.001f, 0.5f, 0.05f}, range[] = {0.5f, 2, 3};
+  for (size_t i = 0; i < n; i++) {
+    for (size_t array = 0; array < 3; array++) {
+      random = random * 1664525u + 1013904223u;
+      arrays[array][i] = least[array] + range[array] * (float)(random >> 8) * 0x1p-24f;
+    }
+  }
+}
+
+/* Evaluates the request of a target into its reply. */
+static void answer_varying(const struct target *target, const core_varying *varying, size_t n) {
+  varying_request request;
+  varying_part part;
+  double *scratch = malloc(VARYING_SCRATCH_ARRAYS * VARYING_SLICE_VALUES * sizeof *scratch);
+  const wire_error error = varying_request_parse(
+      target->requests + WIRE_BYTES_header, target->request_bytes - WIRE_BYTES_header, &request);
+  if (error.status != WIRE_STATUS_OK || scratch == NULL) {
+    bench_fail("a request is wrong, or out of memory");
+  }
+  varying_part_start(&part, &request, target->replies + WIRE_BYTES_header, 0, n);
+  for (size_t at = 0; at < n; at += VARYING_SLICE_VALUES) {
+    const size_t left = n - at;
+    varying_part_evaluate(&part, &request, varying, at,
+                          left < VARYING_SLICE_VALUES ? left : VARYING_SLICE_VALUES, scratch);
+  }
+  varying_part_end(&part, &request, varying, 0, 1);
+  free(scratch);
+}
+
+void target_make_varying(struct target *target, const core_varying *varying, size_t n) {
+  const wire_varying_request fixed = {.model = (uint16_t)varying->model,
+                                      .evaluator = CORE_EVALUATOR_F32,
+                                      .moments = CORE_MOMENTS_EXACT,
+                                      .wanted = CORE_QUANTITY_R,
+                                      .numbers = VARYING_RADII,
+                                      .value_count = n,
+                                      .g = varying->g,
+                                      .eta = varying->eta};
+  const varying_layout layout = varying_reply_layout(CORE_EVALUATOR_F32, CORE_QUANTITY_R, 0, n);
+  *target = (struct target){
+      .name = "dipoled",
+      .framed = true,
+      .variants = 1,
+      .request_bytes =
+          WIRE_BYTES_header + (size_t)varying_request_bytes(0, CORE_EVALUATOR_F32, 3, n),
+      .reply_bytes = WIRE_BYTES_header + (size_t)layout.payload_bytes,
+      .values_from = WIRE_BYTES_header + WIRE_BYTES_varying_reply,
+      .check_every = CHECK_LARGE_EVERY,
+  };
+  allocate(target);
+  wire_header header = {.magic = WIRE_MAGIC, .version = WIRE_VERSION, .type = WIRE_TYPE_VARYING};
+  header.payload_bytes = (uint32_t)(target->request_bytes - WIRE_BYTES_header);
+  wire_put_header(target->requests, &header);
+  wire_put_varying_request(target->requests + WIRE_BYTES_header, &fixed);
+  float *arrays = (float *)(target->requests + WIRE_BYTES_header + WIRE_BYTES_varying_request);
+  fill_media(arrays, arrays + n, arrays + 2 * n, n);
+  header.type |= WIRE_REPLY;
+  header.payload_bytes = (uint32_t)(target->reply_bytes - WIRE_BYTES_header);
+  wire_put_header(target->replies, &header);
+  answer_varying(target, varying, n);
 }
 
 void target_make_echo(struct target *target, const struct target *eval) {

@@ -13,6 +13,8 @@
 #include <stdint.h>
 #include <sys/socket.h>
 
+#include "core/varying.h"
+
 struct target_address {
   struct sockaddr_storage name;
   socklen_t bytes;
@@ -48,6 +50,10 @@ int target_connect(const struct target_address *address);
 /* Makes requests that evaluate R of skin1 by the better dipole in single precision, at listed radii
  * from 0.01 to 10 mm. The expected values are computed in this process. */
 void target_make_eval(struct target *target, size_t radius_count);
+
+/* Makes a request of `count` values each of which has a medium of its own: R by a model in single
+ * precision. varying: the model, prepared for the media's g and eta. */
+void target_make_varying(struct target *target, const core_varying *varying, size_t count);
 
 /* Makes a target with the same requests, whose replies are all equal to the first reply. It is for
  * servers that do not look at requests. */

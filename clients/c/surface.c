@@ -1,0 +1,127 @@
+/* Fetches, loads and saves surfaces: what evaluating at home needs of a daemon. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "clients/c/error.h"
+#include "clients/c/table.h"
+#include "proto/table.h"
+
+struct dipole_surface {
+  wire_table_reply fixed;
+  core_parameters parameters;
+  const float *words; /* in the frame */
+  size_t frame_bytes;
+  _Alignas(8) uint8_t frame[]; /* header and payload */
+};
+
+/* The most words of a surface: a frame of the largest size holds no more. */
+#define WORDS_MAX ((UINT32_MAX - (size_t)WIRE_BYTES_table_reply) / sizeof(float) - 1024)
+
+/* Allocates a surface with room for a frame of frame_bytes, which the caller fills in. */
+static dipole_surface *make_room(size_t frame_bytes, dipole_error *error) {
+  dipole_surface *surface = malloc(sizeof *surface + frame_bytes);
+  if (surface == NULL) {
+    libdipole_fail_memory(error);
+    return NULL;
+  }
+  surface->frame_bytes = frame_bytes;
+  return surface;
+}
+
+/* Prepares the model once with the words, which checks them. */
+static core_fault try_words(const dipole_surface *surface) {
+  core_varying varying;
+  const wire_table_reply *fixed = &surface->fixed;
+  const core_fault fault = core_varying_open(
+      &varying, core_isa_select(NULL), fixed->model, fixed->moments, CORE_EVALUATOR_F32, fixed->g,
+      fixed->eta, &surface->parameters, surface->words, fixed->word_count);
+  if (fault.field == NULL) {
+    core_varying_free(&varying);
+  }
+  return fault;
+}
+
+/* Gives the caller a surface whose frame is filled in, or frees it and fails if it is not intact. */
+static bool hand_out(dipole_surface *made, dipole_surface **surface, dipole_error *error) {
+  const wire_table_reply *fixed = &made->fixed;
+  const char *wrong = NULL;
+  if (!table_reply_parse(made->frame + WIRE_BYTES_header, made->frame_bytes - WIRE_BYTES_header,
+                         &made->fixed, &made->parameters, &made->words)) {
+    wrong = "its counts or its checksum are wrong";
+  } else if (fixed->sigma_a != 0 || fixed->sigma_s != 0) {
+    wrong = "it is the table of one medium";
+  } else if (try_words(made).field != NULL) {
+    wrong = "its words are not those of its model";
+  }
+  if (wrong != NULL) {
+    dipole_surface_free(made);
+    return libdipole_fail(error, DIPOLE_ERROR_TABLE, "this is not an intact surface: %s", wrong);
+  }
+  *surface = made;
+  return true;
+}
+
+bool dipole_surface_load(const void *bytes, size_t count, dipole_surface **surface,
+                         dipole_error *error) {
+  size_t frame_bytes;
+  error = error != NULL ? error : &(dipole_error){0};
+  if (!libdipole_table_check(bytes, count, &frame_bytes, error)) {
+    return false;
+  }
+  dipole_surface *made = make_room(frame_bytes, error);
+  if (made == NULL) {
+    return false;
+  }
+  memcpy(made->frame, bytes, frame_bytes);
+  return hand_out(made, surface, error);
+}
+
+bool dipole_surface_fetch(dipole_client *client, const dipole_table_query *query,
+                          dipole_surface **surface, dipole_error *error) {
+  error = error != NULL ? error : &(dipole_error){0};
+  if (query->medium.sigma_a_per_mm != 0 || query->medium.sigma_s_per_mm != 0) {
+    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
+                          "sigma_a and sigma_s of a surface's query are 0: it is for all media");
+  }
+  libdipole_frame *frame = libdipole_table_ask(client, query, WORDS_MAX, error);
+  if (frame == NULL) {
+    return false;
+  }
+  const size_t payload_bytes = frame->header.payload_bytes;
+  dipole_surface *made = make_room(WIRE_BYTES_header + payload_bytes, error);
+  if (made != NULL) {
+    wire_put_header(made->frame, &frame->header);
+    memcpy(made->frame + WIRE_BYTES_header, frame->payload, payload_bytes);
+  }
+  free(frame);
+  if (made == NULL || hand_out(made, surface, error)) {
+    return made != NULL;
+  }
+  return error->kind == DIPOLE_ERROR_TABLE
+             ? libdipole_bad_answer(client, "it answered with what is not a surface", error)
+             : false;
+}
+
+const void *dipole_surface_bytes(const dipole_surface *surface, size_t *count) {
+  *count = surface->frame_bytes;
+  return surface->frame;
+}
+
+const float *libdipole_surface_words(const dipole_surface *surface, const varying_request *request,
+                                     size_t *count) {
+  const wire_table_reply *own = &surface->fixed;
+  const wire_varying_request *fixed = &request->fixed;
+  bool same = own->model == fixed->model && own->moments == fixed->moments && own->g == fixed->g &&
+              own->eta == fixed->eta;
+  for (unsigned id = 0; id < CORE_PARAMETERS_END; id++) {
+    const double a = surface->parameters.value[id], b = request->parameters.value[id];
+    same = same && (a == b || (isnan(a) && isnan(b)));
+  }
+  *count = own->word_count;
+  return same ? surface->words : NULL;
+}
+
+void dipole_surface_free(dipole_surface *surface) {
+  free(surface);
+}

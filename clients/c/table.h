@@ -1,0 +1,23 @@
+/* table: what fetching and loading a table and a surface have in common. */
+#ifndef LIBDIPOLE_TABLE_H
+#define LIBDIPOLE_TABLE_H
+
+#include "clients/c/request.h"
+#include "proto/varying.h"
+
+/* Reads the header of the frame at the start of the bytes; sets *frame_bytes to its length. Fails if
+ * they do not start with the whole frame of a table. */
+bool libdipole_table_check(const uint8_t *bytes, size_t count, size_t *frame_bytes,
+                           dipole_error *error);
+
+/* Sends a table request and waits for the reply, of at most words_max words. Returns NULL if it
+ * failed or was refused. */
+libdipole_frame *libdipole_table_ask(dipole_client *client, const dipole_table_query *query,
+                                     size_t words_max, dipole_error *error);
+
+/* Returns the words of a surface if it is that of this request's model, moments, g, eta and
+ * parameters, else NULL. */
+const float *libdipole_surface_words(const dipole_surface *surface, const varying_request *request,
+                                     size_t *count);
+
+#endif

@@ -1,0 +1,369 @@
+/* Evaluates values each of which has a medium of its own: asks a daemon, or evaluates at home with
+ * the daemon's own code. The parts of an answer are put together as they arrive. */
+#include "proto/varying.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "clients/c/error.h"
+#include "clients/c/query.h"
+#include "clients/c/request.h"
+#include "clients/c/table.h"
+
+/* The result that the caller gets, and the frame that holds its arrays. */
+struct varying {
+  dipole_varying_result public;
+  varying_layout layout;
+  libdipole_frame *frame;
+};
+
+/* ---- parts --------------------------------------------------------------------------------- */
+
+/* Returns whether a reply is the next part of the answer, and has what was asked for. */
+static bool is_next(const libdipole_pending *pending, const wire_varying_reply *fixed) {
+  const uint64_t left = pending->radius_count - pending->next_radius;
+  const bool is_last = fixed->part + 1 == fixed->part_count;
+  return fixed->evaluator == pending->evaluator && fixed->wanted == pending->wanted &&
+         fixed->coefficients == pending->medium_count && fixed->part == pending->next_part &&
+         fixed->value_first == pending->next_radius && fixed->value_count <= left &&
+         is_last == (fixed->value_count == left);
+}
+
+static double largest(double a, double b) {
+  return isnan(a) || isnan(b) ? (double)NAN : fmax(a, b);
+}
+
+static void copy_arrays(libdipole_pending *pending, const libdipole_frame *part,
+                        const wire_varying_reply *fixed, const varying_layout *from) {
+  const size_t value_bytes = core_evaluator_bytes(fixed->evaluator);
+  const varying_layout to = varying_reply_layout(fixed->evaluator, fixed->wanted,
+                                                 fixed->coefficients, pending->radius_count);
+  uint8_t *whole = pending->gathered->payload;
+  for (uint32_t array = 1; array != 0 && array <= to.arrays; array <<= 1) {
+    if ((to.arrays & array) != 0) {
+      memcpy(whole + varying_array_offset(&to, array) + fixed->value_first * value_bytes,
+             part->payload + varying_array_offset(from, array),
+             (size_t)fixed->value_count * value_bytes);
+    }
+  }
+  memcpy(whole + to.status_offset + fixed->value_first, part->payload + from->status_offset,
+         (size_t)fixed->value_count);
+}
+
+static bool take_part(libdipole_pending *pending, libdipole_frame *frame, dipole_error *error) {
+  wire_varying_reply fixed;
+  varying_layout layout;
+  if (!varying_reply_parse(frame->payload, (size_t)frame->payload_bytes, &fixed, &layout) ||
+      !is_next(pending, &fixed)) {
+    return libdipole_fail_protocol(error, "it answered a varying request with another shape than "
+                                          "was asked for");
+  }
+  wire_varying_reply whole = fixed;
+  if (pending->gathered == NULL) {
+    const uint64_t bytes = varying_reply_layout(fixed.evaluator, fixed.wanted, fixed.coefficients,
+                                                pending->radius_count)
+                               .payload_bytes;
+    pending->gathered = libdipole_frame_new(&frame->header, bytes, bytes, 0, error);
+    if (pending->gathered == NULL) {
+      return false;
+    }
+  } else {
+    wire_varying_reply before;
+    wire_get_varying_reply(pending->gathered->payload, &before);
+    whole.answered_count += before.answered_count;
+    whole.numerical_error = largest(before.numerical_error, fixed.numerical_error);
+    whole.model_error = largest(before.model_error, fixed.model_error);
+  }
+  copy_arrays(pending, frame, &fixed, &layout);
+  wire_put_varying_reply(pending->gathered->payload, &whole);
+  libdipole_part_end(pending, fixed.value_count, fixed.part + 1 == fixed.part_count);
+  return true;
+}
+
+static bool take_frame(libdipole_pending *pending, libdipole_frame *frame, dipole_error *error) {
+  const bool good = take_part(pending, frame, error);
+  free(frame);
+  return good;
+}
+
+static const libdipole_kind kind = {.repeatable = true, .take = take_frame};
+
+/* ---- asking -------------------------------------------------------------------------------- */
+
+static bool fail_argument(dipole_error *error, const char *text) {
+  return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s", text);
+}
+
+static bool check(const dipole_varying_query *query, dipole_error *error) {
+  const bool coloured = query->colours != NULL || query->lengths_mm != NULL;
+  const void *first = coloured ? query->colours : query->sigma_a_per_mm;
+  const void *second = coloured ? query->lengths_mm : query->sigma_s_per_mm;
+  if (!libdipole_model_check(query->model, error) ||
+      !libdipole_check_u16(query->model | query->evaluator | query->moments | query->wanted |
+                               query->coefficients | query->given | query->light,
+                           "model, evaluator, moments, wanted, coefficients, given and light",
+                           error) ||
+      !libdipole_parameters_check(query->parameters, query->parameter_count, error)) {
+    return false;
+  }
+  if (query->evaluator != DIPOLE_F64 && query->evaluator != DIPOLE_F32) {
+    return fail_argument(error, "evaluator is neither DIPOLE_F64 nor DIPOLE_F32");
+  }
+  if ((first == NULL || second == NULL) && query->value_count > 0) {
+    return fail_argument(error, "sigma_a_per_mm and sigma_s_per_mm, or colours and lengths_mm, "
+                                "are NULL, value_count is not 0");
+  }
+  if (coloured && (query->sigma_a_per_mm != NULL || query->sigma_s_per_mm != NULL)) {
+    return fail_argument(error, "both coefficients and colours are given");
+  }
+  if (coloured != (query->given != 0)) {
+    return fail_argument(error, "given is 0, although colours are given, or the reverse");
+  }
+  if (query->radii != NULL && query->numbers != NULL) {
+    return fail_argument(error, "both radii and numbers are given");
+  }
+  if (query->value_count > UINT32_MAX / (2 * sizeof(float))) {
+    return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT,
+                          "%llu values are more than a frame holds: ask for fewer at a time",
+                          (unsigned long long)query->value_count);
+  }
+  return true;
+}
+
+static unsigned numbers_of(const dipole_varying_query *query) {
+  return query->radii != NULL     ? VARYING_RADII
+         : query->numbers != NULL ? VARYING_DRAWN
+                                  : VARYING_NONE;
+}
+
+static uint64_t request_bytes(const dipole_varying_query *query) {
+  return varying_request_bytes((uint32_t)query->parameter_count, query->evaluator,
+                               numbers_of(query) == VARYING_NONE ? 2 : 3, query->value_count);
+}
+
+static uint8_t *put_array(uint8_t *at, const void *array, size_t used) {
+  const size_t padded = (size_t)wire_padded(used);
+  if (used > 0) {
+    memcpy(at, array, used);
+  }
+  memset(at + used, 0, padded - used);
+  return at + padded;
+}
+
+static void put(const dipole_varying_query *query, uint8_t *at) {
+  const bool coloured = query->given != 0;
+  const wire_varying_request fixed = {.model = (uint16_t)query->model,
+                                      .evaluator = (uint16_t)query->evaluator,
+                                      .moments = (uint16_t)query->moments,
+                                      .wanted = (uint16_t)query->wanted,
+                                      .coefficients = (uint16_t)query->coefficients,
+                                      .given = (uint16_t)query->given,
+                                      .light = (uint16_t)query->light,
+                                      .specular = query->specular,
+                                      .numbers = (uint16_t)numbers_of(query),
+                                      .parameter_count = (uint16_t)query->parameter_count,
+                                      .value_count = query->value_count,
+                                      .g = query->g,
+                                      .eta = query->eta};
+  const size_t used = (size_t)query->value_count * core_evaluator_bytes(query->evaluator);
+  wire_put_varying_request(at, &fixed);
+  at = libdipole_parameters_put(at + WIRE_BYTES_varying_request, query->parameters,
+                                query->parameter_count);
+  at = put_array(at, coloured ? query->colours : query->sigma_a_per_mm, used);
+  at = put_array(at, coloured ? query->lengths_mm : query->sigma_s_per_mm, used);
+  if (fixed.numbers != VARYING_NONE) {
+    put_array(at, query->radii != NULL ? query->radii : query->numbers, used);
+  }
+}
+
+/* Makes a result of a frame that holds a whole reply, and that the result then owns. */
+static bool take(libdipole_frame *frame, dipole_varying_result **result, dipole_error *error) {
+  struct varying *made = calloc(1, sizeof *made);
+  wire_varying_reply fixed;
+  if (made == NULL) {
+    free(frame);
+    return libdipole_fail_memory(error);
+  }
+  wire_get_varying_reply(frame->payload, &fixed);
+  made->frame = frame;
+  made->layout =
+      varying_reply_layout(fixed.evaluator, fixed.wanted, fixed.coefficients, fixed.value_count);
+  made->public = (dipole_varying_result){
+      .model = fixed.model,
+      .evaluator = fixed.evaluator,
+      .moments = fixed.moments,
+      .wanted = fixed.wanted,
+      .coefficients = fixed.coefficients,
+      .notes = fixed.notes,
+      .value_count = fixed.value_count,
+      .answered_count = fixed.answered_count,
+      .statuses = frame->payload + made->layout.status_offset,
+      .numerical_error = fixed.numerical_error,
+      .model_error = fixed.model_error,
+      .colour_least = fixed.colour_least,
+      .colour_most = fixed.colour_most,
+      .specular = fixed.specular,
+  };
+  *result = &made->public;
+  return true;
+}
+
+bool dipole_varying(dipole_client *client, const dipole_varying_query *query,
+                    dipole_varying_result **result, dipole_error *error) {
+  uint8_t *at;
+  error = error != NULL ? error : &(dipole_error){0};
+  if (!check(query, error)) {
+    return false;
+  }
+  const varying_layout layout = varying_reply_layout(query->evaluator, query->wanted,
+                                                     query->coefficients, query->value_count);
+  libdipole_pending pending = {.kind = &kind,
+                               .type = WIRE_TYPE_VARYING,
+                               .deadline_ms = query->deadline_ms,
+                               .reply_bytes_min = WIRE_BYTES_varying_reply,
+                               .reply_bytes_max = layout.payload_bytes,
+                               .evaluator = (uint16_t)query->evaluator,
+                               .wanted = (uint16_t)query->wanted,
+                               .medium_count = query->coefficients,
+                               .radius_count = query->value_count};
+  if (!libdipole_request_begin(client, &pending, request_bytes(query), &at, error)) {
+    return false;
+  }
+  put(query, at);
+  if (!libdipole_request_send(client, error)) {
+    return false;
+  }
+  libdipole_frame *frame = libdipole_reply(client, &pending, error);
+  return frame != NULL && take(frame, result, error);
+}
+
+/* ---- at home ------------------------------------------------------------------------------- */
+
+static bool fail_fault(core_fault fault, dipole_error *error) {
+  return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s: allowed: %s", fault.field,
+                        fault.allowed);
+}
+
+/* Prepares the model of a request with the words of a surface. */
+static bool prepare(const dipole_surface *surface, const varying_request *request,
+                    core_varying *varying, dipole_error *error) {
+  size_t count;
+  const wire_varying_request *fixed = &request->fixed;
+  const float *words = libdipole_surface_words(surface, request, &count);
+  if (words == NULL) {
+    return fail_argument(error, "the surface is not that of this query's model, moments, g, eta "
+                                "and parameters");
+  }
+  const core_fault fault =
+      core_varying_open(varying, core_isa_select(NULL), fixed->model, fixed->moments,
+                        fixed->evaluator, fixed->g, fixed->eta, &request->parameters, words, count);
+  if (fault.field != NULL) {
+    return fail_fault(fault, error);
+  }
+  const core_fault wrong = fixed->given != 0 ? core_colour_check(varying, &request->colour)
+                                             : (core_fault){NULL, NULL, 0};
+  if (wrong.field != NULL) {
+    core_varying_free(varying);
+    return fail_fault(wrong, error);
+  }
+  return true;
+}
+
+/* Evaluates all values of a request into the frame of a reply. */
+static void evaluate(const varying_request *request, const core_varying *varying, double *scratch,
+                     libdipole_frame *frame) {
+  varying_part part;
+  const uint64_t count = request->fixed.value_count;
+  varying_part_start(&part, request, frame->payload, 0, count);
+  for (uint64_t at = 0; at < count; at += VARYING_SLICE_VALUES) {
+    const uint64_t left = count - at;
+    varying_part_evaluate(&part, request, varying, at,
+                          left < VARYING_SLICE_VALUES ? (size_t)left : VARYING_SLICE_VALUES,
+                          scratch);
+  }
+  varying_part_end(&part, request, varying, 0, 1);
+}
+
+/* Parses the request that a daemon would get, and answers it. */
+static libdipole_frame *answer(const dipole_surface *surface, const uint8_t *payload, size_t bytes,
+                               dipole_error *error) {
+  varying_request request;
+  core_varying varying;
+  const wire_error wrong = varying_request_parse(payload, bytes, &request);
+  if (wrong.status != WIRE_STATUS_OK) {
+    libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s: allowed: %s", wrong.field, wrong.allowed);
+    return NULL;
+  }
+  if (!prepare(surface, &request, &varying, error)) {
+    return NULL;
+  }
+  const wire_varying_request *fixed = &request.fixed;
+  const uint64_t reply_bytes =
+      varying_reply_layout(fixed->evaluator, fixed->wanted, fixed->coefficients, fixed->value_count)
+          .payload_bytes;
+  double *scratch = malloc(VARYING_SCRATCH_ARRAYS * VARYING_SLICE_VALUES * sizeof *scratch);
+  libdipole_frame *frame =
+      libdipole_frame_new(&(wire_header){0}, reply_bytes, reply_bytes, 0, error);
+  if (scratch != NULL && frame != NULL) {
+    evaluate(&request, &varying, scratch, frame);
+  } else {
+    libdipole_fail_memory(error);
+    free(frame);
+    frame = NULL;
+  }
+  free(scratch);
+  core_varying_free(&varying);
+  return frame;
+}
+
+bool dipole_varying_at_home(const dipole_surface *surface, const dipole_varying_query *query,
+                            dipole_varying_result **result, dipole_error *error) {
+  error = error != NULL ? error : &(dipole_error){0};
+  if (!check(query, error)) {
+    return false;
+  }
+  const size_t bytes = (size_t)request_bytes(query);
+  uint8_t *payload = malloc(bytes);
+  if (payload == NULL) {
+    return libdipole_fail_memory(error);
+  }
+  put(query, payload);
+  libdipole_frame *frame = answer(surface, payload, bytes, error);
+  free(payload);
+  return frame != NULL && take(frame, result, error);
+}
+
+/* ---- results ------------------------------------------------------------------------------- */
+
+static const void *array_of(const dipole_varying_result *result, bool single, uint32_t array) {
+  const struct varying *made = (const struct varying *)(const void *)result;
+  return (result->evaluator == DIPOLE_F32) == single && array != 0 && (array & (array - 1)) == 0 &&
+                 (made->layout.arrays & array) != 0
+             ? made->frame->payload + varying_array_offset(&made->layout, array)
+             : NULL;
+}
+
+const double *dipole_varying_f64(const dipole_varying_result *result, unsigned quantity) {
+  return array_of(result, false, VARYING_QUANTITY(quantity));
+}
+
+const float *dipole_varying_f32(const dipole_varying_result *result, unsigned quantity) {
+  return array_of(result, true, VARYING_QUANTITY(quantity));
+}
+
+const double *dipole_coefficients_f64(const dipole_varying_result *result, unsigned coefficient) {
+  return array_of(result, false, coefficient & (VARYING_QUANTITY(1) - 1));
+}
+
+const float *dipole_coefficients_f32(const dipole_varying_result *result, unsigned coefficient) {
+  return array_of(result, true, coefficient & (VARYING_QUANTITY(1) - 1));
+}
+
+void dipole_varying_result_free(dipole_varying_result *result) {
+  struct varying *made = (struct varying *)(void *)result;
+  if (made != NULL) {
+    free(made->frame);
+    free(made);
+  }
+}

@@ -1,0 +1,240 @@
+#include "clients/cli/image.h"
+
+#include <errno.h>
+#include <math.h>
+#include <png.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "clients/cli/cli.h"
+
+_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "PFM is written little-endian");
+
+static bool fail(const char *file, const char *what) {
+  cli_fail("%s: %s", file, what);
+  return false;
+}
+
+/* Allocates the values of an image of this size, if it is one that is supported. */
+static bool allocate(const char *file, size_t width, size_t height, size_t channels,
+                     cli_image *image) {
+  if (width < 1 || height < 1 || width > CLI_IMAGE_SIDE_MAX || height > CLI_IMAGE_SIDE_MAX) {
+    return fail(file, "its width and height are not from 1 to 65536");
+  }
+  *image = (cli_image){width, height, channels, NULL};
+  image->values = malloc(width * height * channels * sizeof *image->values);
+  return image->values != NULL || fail(file, "there is no memory for an image of its size");
+}
+
+/* ---- PNG ------------------------------------------------------------------------------------- */
+
+static void on_png_error(png_structp png, png_const_charp what) {
+  fail(png_get_error_ptr(png), what);
+  png_longjmp(png, 1);
+}
+
+static void on_png_warning(png_structp png, png_const_charp what) {
+  (void)png;
+  (void)what;
+}
+
+/* Decodes a share of the largest value to linear light: IEC 61966-2-1. */
+static float decode(double share, bool linear) {
+  return (float)(linear             ? share
+                 : share <= 0.04045 ? share / 12.92
+                                    : pow((share + 0.055) / 1.055, 2.4));
+}
+
+/* Computes the values of one row. table: [256] for 8 bits. */
+static void take_row(const uint8_t *row, unsigned bits, const float table[256], bool linear,
+                     size_t count, float *values) {
+  for (size_t i = 0; i < count; i++) {
+    values[i] =
+        bits == 8 ? table[row[i]] : decode((row[2 * i] * 256 + row[2 * i + 1]) / 65535.0, linear);
+  }
+}
+
+/* Reads the header and makes libpng give 8 or 16 bits of 1 or 3 channels. */
+static bool start_png(png_structp png, png_infop info, const char *file, cli_image *image) {
+  png_read_info(png, info);
+  const unsigned type = png_get_color_type(png, info);
+  png_set_expand(png); /* palettes become colours, and few bits become 8 */
+  png_set_strip_alpha(png);
+  const int passes = png_set_interlace_handling(png);
+  png_read_update_info(png, info);
+  (void)passes;
+  return allocate(file, png_get_image_width(png, info), png_get_image_height(png, info),
+                  (type & PNG_COLOR_MASK_COLOR) != 0 ? 3 : 1, image);
+}
+
+/* What is freed also if libpng gives up halfway. */
+struct png_reading {
+  uint8_t *bytes;
+  uint8_t **rows;
+};
+
+static bool read_png_rows(png_structp png, png_infop info, const char *file, bool linear,
+                          struct png_reading *reading, cli_image *image) {
+  float table[256];
+  if (!start_png(png, info, file, image)) {
+    return false;
+  }
+  const size_t row_bytes = png_get_rowbytes(png, info);
+  reading->bytes = malloc(row_bytes * image->height);
+  reading->rows = calloc(image->height, sizeof *reading->rows);
+  if (reading->bytes == NULL || reading->rows == NULL) {
+    return fail(file, "there is no memory for an image of its size");
+  }
+  for (size_t y = 0; y < image->height; y++) {
+    reading->rows[y] = reading->bytes + y * row_bytes;
+  }
+  png_read_image(png, reading->rows);
+  png_read_end(png, NULL);
+  for (unsigned i = 0; i < 256; i++) {
+    table[i] = decode(i / 255.0, linear);
+  }
+  const size_t count = image->width * image->channels;
+  for (size_t y = 0; y < image->height; y++) {
+    take_row(reading->rows[y], png_get_bit_depth(png, info), table, linear, count,
+             image->values + y * count);
+  }
+  return true;
+}
+
+static bool read_png(const char *file, FILE *from, bool linear, cli_image *image) {
+  struct png_reading *reading = cli_allocate(1, sizeof *reading);
+  png_structp png = png_create_read_struct(PNG_LIBPNG_VER_STRING, (png_voidp)(uintptr_t)file,
+                                           on_png_error, on_png_warning);
+  png_infop info = png != NULL ? png_create_info_struct(png) : NULL;
+  volatile bool good = false;
+  if (info != NULL && setjmp(png_jmpbuf(png)) == 0) {
+    png_init_io(png, from);
+    png_set_user_limits(png, CLI_IMAGE_SIDE_MAX, CLI_IMAGE_SIDE_MAX);
+    good = read_png_rows(png, info, file, linear, reading, image);
+  }
+  png_destroy_read_struct(&png, &info, NULL);
+  free(reading->rows);
+  free(reading->bytes);
+  free(reading);
+  return good;
+}
+
+static void put_png_rows(png_structp png, png_infop info, const cli_image *image, uint8_t *row) {
+  const size_t count = image->width * image->channels;
+  png_set_IHDR(png, info, (png_uint_32)image->width, (png_uint_32)image->height, 16,
+               image->channels == 3 ? PNG_COLOR_TYPE_RGB : PNG_COLOR_TYPE_GRAY, PNG_INTERLACE_NONE,
+               PNG_COMPRESSION_TYPE_DEFAULT, PNG_FILTER_TYPE_DEFAULT);
+  png_set_gAMA(png, info, 1);
+  png_set_compression_level(png, 1);
+  png_write_info(png, info);
+  for (size_t y = 0; y < image->height; y++) {
+    for (size_t i = 0; i < count; i++) {
+      const float value = image->values[y * count + i];
+      const long share = value >= 0 && value <= 1 ? lrint((double)value * 65535) : 0;
+      row[2 * i] = (uint8_t)(share >> 8);
+      row[2 * i + 1] = (uint8_t)share;
+    }
+    png_write_row(png, row);
+  }
+  png_write_end(png, NULL);
+}
+
+static bool write_png(const char *file, FILE *to, const cli_image *image) {
+  uint8_t *row = cli_allocate(image->width * image->channels, sizeof(uint16_t));
+  png_structp png = png_create_write_struct(PNG_LIBPNG_VER_STRING, (png_voidp)(uintptr_t)file,
+                                            on_png_error, on_png_warning);
+  png_infop info = png != NULL ? png_create_info_struct(png) : NULL;
+  volatile bool good = false;
+  if (info != NULL && setjmp(png_jmpbuf(png)) == 0) {
+    png_init_io(png, to);
+    put_png_rows(png, info, image, row);
+    good = true;
+  }
+  png_destroy_write_struct(&png, &info);
+  free(row);
+  return good;
+}
+
+/* ---- PFM ------------------------------------------------------------------------------------- */
+
+/* Reads the header: PF (colour) or Pf (grey), the size, and a number whose sign is that of the byte
+ * order, below 0 for little-endian. One white space follows, then the rows, the last one first. */
+static bool read_pfm(const char *file, FILE *from, cli_image *image) {
+  char kind, space;
+  unsigned width, height;
+  double scale;
+  if (fscanf(from, "P%c %6u %6u %lf%c", &kind, &width, &height, &scale, &space) != 5 ||
+      (kind != 'F' && kind != 'f')) {
+    return fail(file, "it is neither a PNG nor a PFM");
+  }
+  if (!(scale < 0)) {
+    return fail(file, "this PFM is big-endian: write it as little-endian, with a negative scale");
+  }
+  if (!allocate(file, width, height, kind == 'F' ? 3 : 1, image)) {
+    return false;
+  }
+  const size_t count = image->width * image->channels;
+  for (size_t y = image->height; y-- > 0;) {
+    if (fread(image->values + y * count, sizeof(float), count, from) != count) {
+      return fail(file, "the PFM ends too early");
+    }
+  }
+  return true;
+}
+
+static bool write_pfm(FILE *to, const cli_image *image) {
+  const size_t count = image->width * image->channels;
+  fprintf(to, "P%c\n%zu %zu\n-1.0\n", image->channels == 3 ? 'F' : 'f', image->width,
+          image->height);
+  for (size_t y = image->height; y-- > 0;) {
+    fwrite(image->values + y * count, sizeof(float), count, to);
+  }
+  return true;
+}
+
+/* ---- files ----------------------------------------------------------------------------------- */
+
+static bool ends_with(const char *file, const char *suffix) {
+  const size_t length = strlen(file), end = strlen(suffix);
+  return length > end && strcmp(file + length - end, suffix) == 0;
+}
+
+bool cli_image_read(const char *file, bool linear, cli_image *image) {
+  uint8_t start[8];
+  image->values = NULL;
+  FILE *from = fopen(file, "rb");
+  if (from == NULL) {
+    return fail(file, strerror(errno));
+  }
+  const size_t got = fread(start, 1, sizeof start, from);
+  rewind(from);
+  const bool good = got == sizeof start && png_sig_cmp(start, 0, sizeof start) == 0
+                        ? read_png(file, from, linear, image)
+                        : read_pfm(file, from, image);
+  fclose(from);
+  if (!good) {
+    free(image->values);
+    image->values = NULL;
+  }
+  return good;
+}
+
+bool cli_image_can_write(const char *file, bool shares) {
+  return ends_with(file, ".pfm") || (shares && ends_with(file, ".png"));
+}
+
+bool cli_image_write(const char *file, const cli_image *image) {
+  FILE *to = fopen(file, "wb");
+  if (to == NULL) {
+    return fail(file, strerror(errno));
+  }
+  errno = 0;
+  const bool written = ends_with(file, ".png") ? write_png(file, to, image) : write_pfm(to, image);
+  const bool good = !ferror(to) && written;
+  if (fclose(to) != 0 || !good) {
+    return written ? fail(file, errno != 0 ? strerror(errno) : "it cannot be written") : false;
+  }
+  return true;
+}

@@ -1,0 +1,98 @@
+/* points_row: a row of `dipole points`: which columns it has, what its cells ask for, and how it is
+ * written. */
+#ifndef DIPOLE_CLI_POINTS_ROW_H
+#define DIPOLE_CLI_POINTS_ROW_H
+
+#include "clients/cli/csv.h"
+#include "clients/cli/profile.h"
+
+typedef struct points_settings {
+  cli_profile_settings profile;
+  cli_texts want;
+  cli_numbers r;
+} points_settings;
+
+enum { POINTS_INPUTS = 9, POINTS_OUTPUTS_MAX = CLI_QUANTITIES_MAX + 2 };
+
+/* The position of a column that the header does not have. */
+#define POINTS_ABSENT SIZE_MAX
+
+/* A column that is written. */
+typedef struct points_output {
+  const char *name;
+  size_t at; /* its position in the header */
+} points_output;
+
+/* The positions of the columns in the header. */
+typedef struct points_columns {
+  size_t count; /* number of cells in the header */
+  size_t input_at[POINTS_INPUTS];
+  size_t parameter_count; /* number of columns that are named after a parameter */
+  const dipole_choice *parameters[CLI_PARAMETERS_MAX];
+  size_t parameter_at[CLI_PARAMETERS_MAX];
+  size_t output_count; /* with --r the radius, then the quantities, then the status */
+  points_output outputs[POINTS_OUTPUTS_MAX];
+  size_t first_output; /* position of the first column that is replaced; count if none is */
+} points_columns;
+
+enum points_state {
+  POINTS_COPIED,  /* written as it was read */
+  POINTS_READ,    /* its cells have been read */
+  POINTS_WAITING, /* waits for the answer to query `id` */
+  POINTS_GOOD,
+  POINTS_BAD,
+};
+
+enum { POINTS_STATUS_BYTES = 256 };
+
+typedef struct points_row {
+  cli_csv_record record;
+  enum points_state state;
+  unsigned model, evaluator, moments;
+  dipole_medium medium;
+  double r_mm; /* of its cell */
+  cli_parameters parameters;
+  uint64_t id;
+  double *values;                   /* [radii][quantities], set if the row is good */
+  char status[POINTS_STATUS_BYTES]; /* says what is wrong if the row is bad */
+} points_row;
+
+/* What holds for all rows. */
+typedef struct points_usual {
+  const points_settings *settings;
+  const cli_option *options; /* of the command, as a column may have the name of one */
+  const dipole_info *info;
+  cli_parameters parameters; /* for rows whose cells are empty or absent */
+  cli_quantities quantities;
+  unsigned model, moments;             /* of rows whose cells are empty or absent */
+  unsigned evaluator_named, evaluator; /* of rows that name a model, and of others */
+  unsigned transport, tolerance;       /* ids of this model and of this parameter */
+  size_t radius_count;                 /* of each row: those of --r, or 1 */
+  float *r_f32;                        /* [radius_count]; NULL without --r */
+  dipole_measured_medium *media;
+  size_t medium_count;
+} points_usual;
+
+static inline bool points_has_radii(const points_usual *usual) {
+  return usual->settings->r.count > 0;
+}
+
+/* Finds the columns in the header of `source`. Says what is wrong and returns false if one is
+ * missing, misspelt or stands there twice. */
+bool points_find_columns(const points_usual *usual, const char *source,
+                         const cli_csv_record *header, points_columns *columns);
+
+/* Reads the row's cells. Returns false if the row is bad; its status then says why. */
+bool points_read_row(const points_usual *usual, const points_columns *columns, points_row *row);
+
+/* Returns whether the row has the parameter `tolerance`. */
+bool points_has_tolerance(const points_usual *usual, const points_row *row);
+
+/* Writes the header and appends the output columns that it lacks. */
+void points_write_header(const points_columns *columns, const cli_csv_record *header, FILE *file);
+
+/* Writes the line of a row, which is good or bad, for radius number `radius`. */
+void points_write_line(const points_usual *usual, const points_columns *columns,
+                       const points_row *row, size_t radius, FILE *file);
+
+#endif

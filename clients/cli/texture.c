@@ -1,0 +1,303 @@
+/* dipole texture: maps an image of colours to images of the media that have them. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "clients/cli/daemon.h"
+#include "clients/cli/image.h"
+#include "clients/cli/options.h"
+#include "clients/cli/profile.h"
+#include "clients/cli/progress.h"
+
+typedef struct texture_settings {
+  cli_profile_settings profile;
+  cli_lengths lengths;
+  cli_number g, eta;
+  const char *light;
+  bool specular, linear;
+  cli_texts want;
+} texture_settings;
+
+#define FIELD(name) offsetof(texture_settings, name)
+
+static const cli_option options[] = {
+    {"Media", NULL, NULL, CLI_HEADING, 0, NULL},
+    CLI_LENGTH_OPTIONS(texture_settings, lengths),
+    {"g", "X", "mean cosine of the scattering angle (default: 0)", CLI_NUMBER, FIELD(g), NULL},
+    {"eta", "X", "refractive index inside over outside (default: 1.3)", CLI_NUMBER, FIELD(eta),
+     "1.3"},
+    {"Colours", NULL, NULL, CLI_HEADING, 0, NULL},
+    {"light", "NAME",
+     "the light of the colours: beam, at normal incidence, or diffuse, the same\n"
+     "from all directions (default: beam)",
+     CLI_TEXT, FIELD(light), "beam"},
+    {"specular", NULL, "the colours contain what the surface itself reflects (Fresnel)", CLI_SWITCH,
+     FIELD(specular), NULL},
+    {"linear", NULL, "the values of a PNG are linear (default: they are sRGB)", CLI_SWITCH,
+     FIELD(linear), NULL},
+    {"coefficients", "NAME[,NAME...]",
+     "what to write: sigma_a, sigma_s (1/mm), and scattered, the single-scattering\n"
+     "albedo for random walks (default: sigma_a,sigma_s)",
+     CLI_NAMES, FIELD(want), NULL},
+    {"Evaluation", NULL, NULL, CLI_HEADING, 0, NULL},
+    {"model", "NAME", "the model that the colours are right for (default: transport)", CLI_TEXT,
+     FIELD(profile.model), CLI_MODEL_DEFAULT},
+    {CLI_MOMENTS_OPTION, "exact"},
+    {CLI_DEADLINE_OPTION, NULL},
+    {0},
+};
+
+/* How many values a request asks for: 2 MiB and some ten milliseconds. */
+enum { REQUEST_VALUES = 262144, WANTED_MAX = 8 };
+
+typedef struct texture_run {
+  const texture_settings *settings;
+  dipole_client *client;
+  cli_parameters parameters;
+  dipole_varying_query query;
+  size_t wanted_count;
+  const dipole_choice *wanted[WANTED_MAX];
+  cli_image images[WANTED_MAX]; /* of the coefficients that are wanted */
+  float *lengths_mm;            /* [REQUEST_VALUES] */
+  uint64_t missing;             /* how many values have no medium */
+  uint64_t first_missing;       /* position of the first of them */
+  unsigned missing_status;
+  double colour_least, colour_most;
+} texture_run;
+
+/* ---- the command line ------------------------------------------------------------------------ */
+
+static int check(void *given) {
+  const texture_settings *settings = given;
+  const cli_common *common = &settings->profile.common;
+  const char *length;
+  if (common->operand == NULL || common->second_operand == NULL) {
+    return cli_fail_usage("name two files: the image that is read, and the image that is written");
+  }
+  const cli_numbers *lengths = cli_lengths_find(&settings->lengths, &length);
+  if (lengths == NULL) {
+    return CLI_USAGE;
+  }
+  if (lengths->count != 1 && lengths->count != CLI_COLOURS) {
+    return cli_fail_usage("--%s has %zu values: give one, or three for red, green and blue", length,
+                          lengths->count);
+  }
+  return cli_deadline_check(&settings->profile);
+}
+
+/* Finds the coefficients that are wanted. */
+static bool take_wanted(texture_run *run, const dipole_info *info) {
+  static char *usual[] = {"sigma_a", "sigma_s"};
+  const cli_texts *names = &run->settings->want;
+  const size_t count = names->count > 0 ? names->count : 2;
+  for (size_t i = 0; i < count && i < WANTED_MAX; i++) {
+    const dipole_choice *found =
+        cli_named(info, DIPOLE_COEFFICIENT, "coefficients", names->count > 0 ? names->items[i] : usual[i]);
+    if (found == NULL) {
+      return false;
+    }
+    if ((run->query.coefficients & found->id) == 0) {
+      run->query.coefficients |= found->id;
+      run->wanted[run->wanted_count++] = found;
+    }
+  }
+  return true;
+}
+
+/* Returns the file of a coefficient: OUT, or with several coefficients OUT with the name before the
+ * ending, as in skin.sigma_a.pfm. The caller frees it. */
+static char *file_of(const texture_run *run, size_t wanted) {
+  const char *out = run->settings->profile.common.second_operand;
+  const char *name = run->wanted[wanted]->name, *ending = strrchr(out, '.');
+  const size_t bytes = strlen(out) + strlen(name) + 2;
+  char *file = cli_allocate(bytes, 1);
+  if (run->wanted_count == 1 || ending == NULL) {
+    snprintf(file, bytes, "%s", out);
+  } else {
+    snprintf(file, bytes, "%.*s.%s%s", (int)(ending - out), out, name, ending);
+  }
+  return file;
+}
+
+static int take_settings(texture_run *run) {
+  const texture_settings *settings = run->settings;
+  const cli_profile_settings *profile = &settings->profile;
+  const char *length;
+  const dipole_info *info = dipole_get_info(run->client);
+  cli_lengths_find(&settings->lengths, &length);
+  const dipole_choice *model = cli_named(info, DIPOLE_MODEL, "model", profile->model);
+  const dipole_choice *moments =
+      model == NULL ? NULL : cli_named(info, DIPOLE_MOMENTS, "moments", profile->moments);
+  const dipole_choice *light =
+      moments == NULL ? NULL : cli_named(info, DIPOLE_LIGHT, "light", settings->light);
+  const dipole_choice *given = cli_choice(info, DIPOLE_LENGTH, length);
+  if (light == NULL || given == NULL || !take_wanted(run, info) ||
+      !cli_parameters_take(info, profile, &run->parameters)) {
+    return CLI_USAGE;
+  }
+  const bool shares = run->query.coefficients == DIPOLE_SCATTERED;
+  if (!cli_image_can_write(profile->common.second_operand, shares)) {
+    return cli_fail_usage("%s: the name of the image that is written ends with .pfm, or with .png "
+                          "if --coefficients is scattered",
+                          profile->common.second_operand);
+  }
+  run->query.model = model->id;
+  run->query.evaluator = DIPOLE_F32;
+  run->query.moments = moments->id;
+  run->query.light = light->id;
+  run->query.given = given->id;
+  run->query.specular = settings->specular;
+  run->query.g = settings->g.value;
+  run->query.eta = settings->eta.value;
+  run->query.parameters = run->parameters.items;
+  run->query.parameter_count = run->parameters.count;
+  run->query.deadline_ms = (unsigned)profile->deadline_ms.value;
+  return CLI_OK;
+}
+
+/* ---- asking ---------------------------------------------------------------------------------- */
+
+/* Fills the lengths of `count` values from number `first` on. */
+static void set_lengths(texture_run *run, uint64_t first, size_t count, size_t channels) {
+  const char *name;
+  const cli_numbers *lengths = cli_lengths_find(&run->settings->lengths, &name);
+  for (size_t i = 0; i < count; i++) {
+    const size_t channel = lengths->count == 1 ? 0 : (size_t)((first + i) % channels);
+    run->lengths_mm[i] = (float)lengths->items[channel];
+  }
+}
+
+static void take(texture_run *run, uint64_t first, const dipole_varying_result *result) {
+  for (size_t i = 0; i < run->wanted_count; i++) {
+    memcpy(run->images[i].values + first, dipole_coefficients_f32(result, run->wanted[i]->id),
+           (size_t)result->value_count * sizeof(float));
+  }
+  run->colour_least = result->colour_least;
+  run->colour_most = result->colour_most;
+  if (run->missing == 0 && result->answered_count < result->value_count) {
+    uint64_t i = 0;
+    while (result->statuses[i] == DIPOLE_VALUE_OK || result->statuses[i] == DIPOLE_VALUE_FAR) {
+      i++;
+    }
+    run->first_missing = first + i;
+    run->missing_status = result->statuses[i];
+  }
+  run->missing += result->value_count - result->answered_count;
+}
+
+static bool map(texture_run *run, const cli_image *image, dipole_error *error) {
+  cli_progress progress;
+  const uint64_t count = image->width * image->height * image->channels;
+  bool good = true;
+  cli_progress_start(&progress, "values");
+  for (uint64_t first = 0; good && first < count; first += REQUEST_VALUES) {
+    dipole_varying_result *result;
+    const uint64_t left = count - first;
+    const size_t n = left < REQUEST_VALUES ? (size_t)left : REQUEST_VALUES;
+    set_lengths(run, first, n, image->channels);
+    run->query.colours = image->values + first;
+    run->query.lengths_mm = run->lengths_mm;
+    run->query.value_count = n;
+    good = CLI_ASK(&run->settings->profile.common, error,
+                   dipole_varying(run->client, &run->query, &result, error));
+    if (good) {
+      take(run, first, result);
+      dipole_varying_result_free(result);
+      cli_progress_show(&progress, (double)(first + n) / (double)count, (double)(first + n));
+    }
+  }
+  cli_progress_wipe(&progress);
+  return good;
+}
+
+/* ---- the command ----------------------------------------------------------------------------- */
+
+/* Says how many values have no medium, and where the first one is. Returns an exit status. */
+static int tell_missing(const texture_run *run, const cli_image *image) {
+  static const char *const grey[] = {"grey"};
+  if (run->missing == 0) {
+    return CLI_OK;
+  }
+  const dipole_choice *status =
+      cli_choice_of_id(dipole_get_info(run->client), DIPOLE_VALUE, run->missing_status);
+  const uint64_t pixel = run->first_missing / image->channels;
+  const char *const *channels = image->channels == CLI_COLOURS ? cli_colours : grey;
+  cli_say(CLI_BAD_ROWS,
+          "%s: %llu of %llu values are NaN in what was written: no medium has their colour, which "
+          "is from %.6g to %.6g, or their length; the first is %s of column %llu, row %llu: %s: "
+          "allowed: %s",
+          run->settings->profile.common.operand, (unsigned long long)run->missing,
+          (unsigned long long)(image->width * image->height * image->channels), run->colour_least,
+          run->colour_most, channels[run->first_missing % image->channels],
+          (unsigned long long)(pixel % image->width), (unsigned long long)(pixel / image->width),
+          status != NULL ? status->name : "unknown", status != NULL ? status->about : "others");
+  return CLI_BAD_ROWS;
+}
+
+static int write_images(const texture_run *run) {
+  bool good = true;
+  for (size_t i = 0; good && i < run->wanted_count; i++) {
+    char *file = file_of(run, i);
+    good = cli_image_write(file, &run->images[i]);
+    free(file);
+  }
+  return good ? CLI_OK : CLI_FAILED;
+}
+
+static int map_image(texture_run *run, const cli_image *image) {
+  dipole_error error;
+  const uint64_t count = image->width * image->height * image->channels;
+  for (size_t i = 0; i < run->wanted_count; i++) {
+    run->images[i] = *image;
+    run->images[i].values = cli_allocate(count, sizeof(float));
+  }
+  run->lengths_mm = cli_allocate(REQUEST_VALUES, sizeof *run->lengths_mm);
+  int status = map(run, image, &error) ? write_images(run) : cli_fail_error(&error);
+  if (status == CLI_OK) {
+    status = tell_missing(run, image);
+  }
+  for (size_t i = 0; i < run->wanted_count; i++) {
+    free(run->images[i].values);
+  }
+  free(run->lengths_mm);
+  return status;
+}
+
+static int run(void *given, dipole_client *client) {
+  const texture_settings *settings = given;
+  texture_run work = {.settings = settings, .client = client};
+  cli_image image;
+  int status = take_settings(&work);
+  if (status == CLI_OK) {
+    status = cli_image_read(settings->profile.common.operand, settings->linear, &image)
+                 ? CLI_OK
+                 : CLI_FAILED;
+    if (status == CLI_OK) {
+      status = map_image(&work, &image);
+      free(image.values);
+    }
+  }
+  return status;
+}
+
+const cli_command cli_command_texture = {
+    .name = "texture",
+    .operand = "IN",
+    .second_operand = "OUT",
+    .about = "Map an image of colours to images of the media that have them",
+    .more =
+        "\n"
+        "IN is a PNG or a PFM (portable float map). Each of its values is a colour: the diffuse\n"
+        "albedo, the share of the power that leaves of that which entered. OUT ends with .pfm; "
+        "with\n"
+        "several coefficients their names stand before the ending, as in skin.sigma_a.pfm. The\n"
+        "media have the colours under the model, to 1e-5 with transport. A colour that no medium\n"
+        "has becomes NaN; then the exit status is 3.\n",
+    .formats = "none",
+    .options = {options, cli_parameter_options},
+    .examples = "  dipole texture skin.png skin.pfm --mean-free-path 1,.5,.3\n"
+                "  dipole texture skin.png albedo.png --mean-free-path 1 --coefficients scattered\n",
+    .settings_bytes = sizeof(texture_settings),
+    .check = check,
+    .run = run,
+};

@@ -1,0 +1,228 @@
+"""Client.varying(): values each of which has a medium of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from . import wire
+from .errors import ArgumentError, ProtocolError
+from .evaluation import id_of, name_of, notes_of, parameters_list
+from .exchange import Answer as _Answer
+from .exchange import Request
+from .values import Array, Info, Varying
+
+VALUES_MOST = 1 << 20  # of one request: some megabytes
+
+_WANTED = {wire.VARYING_NONE: (), wire.VARYING_RADII: ("R",), wire.VARYING_DRAWN: ("r",)}
+
+
+class Plan(NamedTuple):
+    """What varying() asks for. The arrays have been broadcast and flattened."""
+
+    info: Info
+    shape: tuple[int, ...]
+    fixed: dict[str, Any]  # the fields of the request but value_count
+    parameters: list[bytes]
+    arrays: list[Array]
+    wanted: dict[int, str]  # names of quantities by bit, in the order of a reply's arrays
+    coefficients: dict[int, str]
+    type: str
+    deadline_ms: int
+
+    def requests(self) -> list[Request[Piece]]:
+        """The requests, each of at most VALUES_MOST values."""
+        count = int(np.prod(self.shape))
+        firsts = range(0, max(count, 1), VALUES_MOST)
+        return [self._request(first, min(count - first, VALUES_MOST)) for first in firsts]
+
+    def _request(self, first: int, count: int) -> Request[Piece]:
+        fixed = wire.VARYING_REQUEST.pack(value_count=count, **self.fixed)
+        arrays = [_padded(array[first : first + count].tobytes()) for array in self.arrays]
+        payload = b"".join([fixed, *self.parameters, *arrays])
+        return Request("varying", payload, lambda: Answer(self, count), self.deadline_ms)
+
+    def join(self, pieces: list[Piece]) -> Varying:
+        """Makes the result of the answers to all requests."""
+        info, fixed = self.info, self.fixed
+        replies = [reply for piece in pieces for reply in piece.replies]
+        last = replies[-1]
+        arrays = [
+            np.concatenate(parts).reshape(self.shape)
+            for parts in zip(*(piece.arrays for piece in pieces), strict=True)
+        ]
+        statuses = np.concatenate([piece.statuses for piece in pieces]).reshape(self.shape)
+        for array in (*arrays, statuses):
+            array.setflags(write=False)
+        coefficients = dict(zip(self.coefficients.values(), arrays, strict=False))
+        found = set(np.unique(statuses).tolist()) - set(wire.VALUES_ANSWERED)
+        return Varying(
+            model=name_of(info, "model", fixed["model"]),
+            moments=name_of(info, "moments", fixed["moments"]),
+            evaluator=name_of(info, "evaluator", fixed["evaluator"]),
+            g=fixed["g"],
+            eta=fixed["eta"],
+            quantities=dict(zip(self.wanted.values(), arrays[len(coefficients) :], strict=True)),
+            coefficients=coefficients,
+            statuses=statuses,
+            faults={
+                choice.name: choice.about
+                for choice in info.choices["value"].values()
+                if choice.id in found
+            },
+            notes=notes_of(info, last.notes),
+            numerical_error=float(np.max([reply.numerical_error for reply in replies])),
+            model_error=float(np.max([reply.model_error for reply in replies])),
+            colour_least=last.colour_least,
+            colour_most=last.colour_most,
+            specular=last.specular,
+        )
+
+
+class Piece(NamedTuple):
+    """The answer to one request."""
+
+    replies: list[Any]  # the fixed parts of its parts
+    arrays: list[Array]
+    statuses: Array
+
+
+class Answer(_Answer[Piece]):
+    """The answer to a varying request: puts its parts together."""
+
+    def __init__(self, plan: Plan, count: int):
+        super().__init__()
+        self._plan = plan
+        self._count = count
+        arrays = len(plan.wanted) + len(plan.coefficients)
+        self._arrays = np.empty((arrays, count), plan.type)
+        self._statuses = np.empty(count, np.uint8)
+        self._replies: list[Any] = []
+        self._next = 0
+
+    def _add(self, payload: bytes) -> None:
+        plan = self._plan
+        if len(payload) < wire.VARYING_REPLY.bytes:
+            raise ProtocolError("a varying reply that is too short")
+        fixed = wire.VARYING_REPLY.unpack(payload)
+        count, item = fixed.value_count, self._arrays.itemsize
+        array_bytes = wire.padded(count * item)
+        at = wire.VARYING_REPLY.bytes
+        if len(payload) != at + len(self._arrays) * array_bytes + wire.padded(count):
+            raise ProtocolError("a varying reply whose size does not fit its count")
+        asked = ("model", "evaluator", "moments", "wanted", "coefficients")
+        if any(getattr(fixed, name) != plan.fixed[name] for name in asked):
+            raise ProtocolError("a varying reply that does not answer the request")
+        left = self._count - self._next
+        is_last = fixed.part + 1 == fixed.part_count
+        if (fixed.part, fixed.value_first) != (len(self._replies), self._next):
+            raise ProtocolError("a varying reply that is not the next part")
+        if count > left or is_last != (count == left):
+            raise ProtocolError("a varying reply with another number of values than the request")
+        for array in self._arrays:
+            array[self._next : self._next + count] = np.frombuffer(payload, plan.type, count, at)
+            at += array_bytes
+        statuses = np.frombuffer(payload, np.uint8, count, at)
+        self._statuses[self._next : self._next + count] = statuses
+        self._replies.append(fixed)
+        self._next += count
+        self.ended = is_last
+        if is_last:
+            self.ready.append(Piece(self._replies, list(self._arrays), self._statuses))
+
+
+def _padded(data: bytes) -> bytes:
+    return data + bytes(wire.padded(len(data)) - len(data))
+
+
+def _bits(info: Info, kind: str, names: str | Iterable[str]) -> dict[int, str]:
+    """Returns the names by bit, in the order of the bits."""
+    listed = (names,) if isinstance(names, str) else tuple(names)
+    found = {id_of(info, kind, name): name for name in listed}
+    return dict(sorted(found.items()))
+
+
+def _given(
+    sigma_a: Any, sigma_s: Any, colour: Any, length: Any, r: Any, u: Any
+) -> tuple[dict[str, Any], int]:
+    """Returns the arrays that are given, by name, and what the third one holds."""
+    coloured = colour is not None or length is not None
+    if coloured == (sigma_a is not None or sigma_s is not None):
+        raise ArgumentError("sigma_a and sigma_s, or colour and length: give one pair")
+    media = {"colour": colour, "length": length} if coloured else {
+        "sigma_a": sigma_a, "sigma_s": sigma_s,
+    }
+    for name, array in media.items():
+        if array is None:
+            raise ArgumentError(f"{name}: it is missing")
+    if r is not None and u is not None:
+        raise ArgumentError("r, u: give one of them")
+    if r is not None:
+        return {**media, "r": r}, wire.VARYING_RADII
+    return ({**media, "u": u}, wire.VARYING_DRAWN) if u is not None else (media, wire.VARYING_NONE)
+
+
+def plan(
+    info: Info,
+    model: str | int,
+    *,
+    sigma_a: Any = None,
+    sigma_s: Any = None,
+    colour: Any = None,
+    length: Any = None,
+    given: str | int = "mean-free-path",
+    light: str | int = "beam",
+    specular: bool = False,
+    r: Any = None,
+    u: Any = None,
+    g: float = 0.0,
+    eta: float = 1.3,
+    wanted: str | Iterable[str] | None = None,
+    coefficients: str | Iterable[str] | None = None,
+    evaluator: str | int = "f32",
+    moments: str | int = "exact",
+    parameters: Mapping[str, float | str] | None = None,
+    tolerance: float | None = None,
+    deadline_ms: int = 0,
+) -> Plan:
+    """See Client.varying()."""
+    arrays, numbers = _given(sigma_a, sigma_s, colour, length, r, u)
+    coloured = "colour" in arrays
+    evaluator_id = id_of(info, "evaluator", evaluator)
+    type = wire.EVALUATOR_TYPES.get(evaluator_id, "<f8")
+    try:
+        listed = np.broadcast_arrays(*(np.asarray(array, type) for array in arrays.values()))
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"{', '.join(arrays)}: {error}") from error
+    usual = _WANTED[numbers]
+    wanted_bits = _bits(info, "quantity", usual if wanted is None else wanted)
+    if coefficients is None:
+        coefficients = ("sigma_a", "sigma_s") if coloured and numbers == wire.VARYING_NONE else ()
+    coefficient_bits = _bits(info, "coefficient", coefficients)
+    parameter_structures = parameters_list(info, parameters, tolerance)
+    return Plan(
+        info=info,
+        shape=listed[0].shape,
+        fixed={
+            "model": id_of(info, "model", model),
+            "evaluator": evaluator_id,
+            "moments": id_of(info, "moments", moments),
+            "wanted": sum(wanted_bits),
+            "coefficients": sum(coefficient_bits),
+            "given": id_of(info, "length", given) if coloured else 0,
+            "light": id_of(info, "light", light) if coloured else 0,
+            "specular": int(specular) if coloured else 0,
+            "numbers": numbers,
+            "parameter_count": len(parameter_structures),
+            "g": float(g),
+            "eta": float(eta),
+        },
+        parameters=parameter_structures,
+        arrays=[np.ascontiguousarray(array).ravel() for array in listed],
+        wanted=wanted_bits,
+        coefficients=coefficient_bits,
+        type=type,
+        deadline_ms=deadline_ms,
+    )

@@ -1,0 +1,180 @@
+/* Varying: evaluates values each of which has a medium of its own, slice by slice. */
+#include "proto/varying.h"
+#include "server/jobs/job.h"
+
+struct varying_job {
+  struct job job;
+  varying_request request;
+  struct profiles_lookup lookup;
+  uint64_t value_radii; /* the cost of a value, in radii of a dipole */
+  uint64_t part_values; /* values in each part except the last */
+  varying_part part;
+  uint64_t index; /* position in the part of the next value */
+  uint32_t number;
+  uint32_t part_count;
+};
+
+JOB_FITS_SLOT(struct varying_job);
+
+_Static_assert(VARYING_SCRATCH_ARRAYS *(int)VARYING_SLICE_VALUES <= (int)JOB_SLICE_RADII,
+               "the worker's scratch holds that of a slice");
+
+static struct varying_job *of(struct job *job) {
+  return (struct varying_job *)(void *)job;
+}
+
+/* ---- checking -------------------------------------------------------------------------------- */
+
+/* What steps cost, in radii of a dipole (`build/bench varying`). */
+enum { CHECK_RADII = 2, VALUE_RADII = 6, INVERT_RADII = 10, DRAW_RADII = 15 };
+
+static uint64_t value_cost(const wire_varying_request *fixed) {
+  const unsigned quantities = (unsigned)__builtin_popcount(fixed->wanted);
+  return CHECK_RADII + quantities * VALUE_RADII + (fixed->given != 0 ? INVERT_RADII : 0) +
+         (fixed->numbers == VARYING_DRAWN ? DRAW_RADII : 0);
+}
+
+/* Cuts the reply into parts: one if it fits into a frame, else parts of max_part_bytes. */
+static wire_error cut(struct varying_job *varying, const struct options *options) {
+  const wire_varying_request *fixed = &varying->request.fixed;
+  const varying_layout whole = varying_reply_layout(fixed->evaluator, fixed->wanted,
+                                                    fixed->coefficients, fixed->value_count);
+  varying->part_values = fixed->value_count;
+  varying->part_count = 1;
+  varying->number = 0;
+  if (whole.payload_bytes > options->max_frame_bytes) {
+    varying->part_values = varying_part_values(fixed->evaluator, fixed->wanted, fixed->coefficients,
+                                               options->max_part_bytes);
+    if (varying->part_values == 0) {
+      return wire_error_make(WIRE_STATUS_TOO_LARGE, "wanted",
+                             "fewer quantities, or values: they do not fit into a part "
+                             "(max_part_bytes)");
+    }
+    /* A frame holds fewer than 2^32 values. */
+    varying->part_count = (uint32_t)((fixed->value_count - 1) / varying->part_values + 1);
+  }
+  return wire_error_none();
+}
+
+/* Checks the model, g, eta and the parameters with a medium that every model takes. What depends on
+ * more than that is found when they are prepared. */
+static wire_error check_model(const varying_request *request) {
+  const wire_varying_request *fixed = &request->fixed;
+  const core_medium medium = {1, 1, fixed->g, fixed->eta};
+  const core_fault fault = core_profile_check(fixed->model, fixed->moments, fixed->evaluator,
+                                              &medium, &request->parameters, NULL);
+  return fault.field == NULL ? wire_error_none() : job_error(fault);
+}
+
+static void set_part_bytes(struct varying_job *varying) {
+  const wire_varying_request *fixed = &varying->request.fixed;
+  const uint64_t first = varying->number * varying->part_values;
+  const uint64_t left = fixed->value_count - first;
+  varying->part.first = first;
+  varying->part.count = left < varying->part_values ? left : varying->part_values;
+  varying->job.part_bytes = varying_reply_layout(fixed->evaluator, fixed->wanted,
+                                                 fixed->coefficients, varying->part.count)
+                                .payload_bytes;
+}
+
+static enum job_outcome start(struct job *job, const struct job_request *from) {
+  struct varying_job *varying = of(job);
+  varying_request *request = &varying->request;
+  const wire_varying_request *fixed = &request->fixed;
+  wire_error error = varying_request_parse(from->payload, from->header->payload_bytes, request);
+  if (error.status == WIRE_STATUS_OK) {
+    error = check_model(request);
+  }
+  if (error.status == WIRE_STATUS_OK) {
+    error = cut(varying, &job->context->server->options);
+  }
+  if (error.status == WIRE_STATUS_OK) {
+    varying->value_radii = value_cost(fixed);
+    error =
+        job_admit(job, (double)fixed->value_count * (double)varying->value_radii, "value_count");
+  }
+  if (error.status != WIRE_STATUS_OK) {
+    return job_refuse(job, error);
+  }
+  job_init_lookup(job, &varying->lookup, from);
+  profiles_start(&varying->lookup, fixed->model, fixed->moments, fixed->evaluator,
+                 &request->parameters);
+  set_part_bytes(varying);
+  return JOB_NEXT_PART;
+}
+
+/* ---- parts ----------------------------------------------------------------------------------- */
+
+static enum job_outcome begin_part(struct job *job, uint8_t *payload) {
+  struct varying_job *varying = of(job);
+  varying_part_start(&varying->part, &varying->request, payload, varying->part.first,
+                     varying->part.count);
+  varying->index = 0;
+  return JOB_GOES_ON;
+}
+
+static enum job_outcome end_part(struct varying_job *varying) {
+  varying_part_end(&varying->part, &varying->request, varying->lookup.varying, varying->number,
+                   varying->part_count);
+  varying->number++;
+  if (varying->number == varying->part_count) {
+    return JOB_DONE;
+  }
+  set_part_bytes(varying);
+  return JOB_NEXT_PART;
+}
+
+/* Prepares what all values share, and checks what the colours mean. */
+static enum job_outcome prepare(struct varying_job *varying) {
+  struct job *job = &varying->job;
+  const varying_request *request = &varying->request;
+  switch (profiles_get_varying(&job->context->profiles, &varying->lookup, request->fixed.g,
+                               request->fixed.eta)) {
+  case PROFILES_WAIT:
+    return JOB_WAITS;
+  case PROFILES_FAULT:
+    return job_refuse(job, job_fault(varying->lookup.fault, 0));
+  case PROFILES_READY:
+    break;
+  }
+  const core_fault fault = request->fixed.given != 0
+                               ? core_colour_check(varying->lookup.varying, &request->colour)
+                               : (core_fault){NULL, NULL, 0};
+  return fault.field == NULL ? JOB_GOES_ON : job_refuse(job, job_error(fault));
+}
+
+static size_t slice_length(const struct varying_job *varying) {
+  const uint64_t left = varying->part.count - varying->index;
+  uint64_t most =
+      JOB_SLICE_RADII / varying->value_radii / VARYING_PART_VALUES * VARYING_PART_VALUES;
+  most = most < VARYING_PART_VALUES ? VARYING_PART_VALUES : most;
+  most = most > VARYING_SLICE_VALUES ? VARYING_SLICE_VALUES : most;
+  return (size_t)(left < most ? left : most);
+}
+
+static enum job_outcome step(struct job *job, uint64_t *budget) {
+  struct varying_job *varying = of(job);
+  uint64_t spent = JOB_STEP_RADII;
+  enum job_outcome outcome = varying->lookup.varying != NULL ? JOB_GOES_ON : prepare(varying);
+  if (outcome == JOB_GOES_ON) {
+    const size_t n = slice_length(varying);
+    varying_part_evaluate(&varying->part, &varying->request, varying->lookup.varying,
+                          varying->index, n, job->context->radii);
+    varying->index += n;
+    spent += n * varying->value_radii;
+    job_pay(job, n * varying->value_radii);
+    struct stats *stats = &job->context->server->stats;
+    stats_count_radii(stats, varying->request.fixed.model, n);
+    stats_add(stats, STATS_SLICES_EVALUATED, 1);
+    outcome = varying->index < varying->part.count ? JOB_GOES_ON : end_part(varying);
+  }
+  *budget -= spent < *budget ? spent : *budget;
+  return outcome;
+}
+
+static void end(struct job *job) {
+  profiles_return(&of(job)->lookup);
+}
+
+const struct job_kind job_kind_VARYING = {
+    .start = start, .begin_part = begin_part, .step = step, .end = end};

@@ -1,0 +1,138 @@
+"""`dipole texture`: maps images of colours to images of media."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+import numpy as np
+import pytest
+from command_line import BAD_ROWS, FAILED, USAGE, dipole
+
+
+def write_png(path, values: np.ndarray) -> None:
+    """Writes integers [height, width, channels] of 8 or 16 bits."""
+    height, width, channels = values.shape
+    bits = 8 * values.dtype.itemsize
+    rows = values.astype(values.dtype.newbyteorder(">"))
+    data = b"".join(b"\0" + row.tobytes() for row in rows)
+
+    def chunk(name: bytes, body: bytes) -> bytes:
+        checksum = zlib.crc32(name + body)
+        return struct.pack(">I", len(body)) + name + body + struct.pack(">I", checksum)
+
+    kind = {1: 0, 2: 4, 3: 2, 4: 6}[channels]
+    header = struct.pack(">IIBBBBB", width, height, bits, kind, 0, 0, 0)
+    path.write_bytes(
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(data))
+        + chunk(b"IEND", b"")
+    )
+
+
+def write_pfm(path, values: np.ndarray) -> None:
+    height, width, channels = values.shape
+    kind = "PF" if channels == 3 else "Pf"
+    body = values[::-1].astype("<f4").tobytes()
+    path.write_bytes(f"{kind}\n{width} {height}\n-1.0\n".encode() + body)
+
+
+def read_pfm(path) -> np.ndarray:
+    kind, size, scale, body = path.read_bytes().split(b"\n", 3)
+    width, height = map(int, size.split())
+    assert float(scale) == -1
+    channels = {b"PF": 3, b"Pf": 1}[kind]
+    return np.frombuffer(body, "<f4").reshape(height, width, channels)[::-1]
+
+
+def decoded(shares: np.ndarray) -> np.ndarray:
+    """Linear light of sRGB: IEC 61966-2-1."""
+    return np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4)
+
+
+def texture(*arguments, **options):
+    return dipole("texture", *map(str, arguments), usual=True, **options)
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3, 4])
+@pytest.mark.parametrize("type", [np.uint8, np.uint16])
+def test_media_have_the_colours_of_a_png(tmp_path, client, channels, type):
+    source = np.random.default_rng(channels)
+    most = np.iinfo(type).max
+    values = source.integers(most // 8, most, (5, 7, channels), dtype=type)
+    write_png(tmp_path / "in.png", values)
+    path = "1" if channels < 3 else "1,.5,.3"
+    texture(tmp_path / "in.png", tmp_path / "out.pfm", "--model", "better",
+            "--mean-free-path", path, "--g", ".2", "--eta", "1.4")
+    colours = decoded(values[..., : 1 if channels < 3 else 3] / most)  # without the opacity
+    lengths = 1.0 if channels < 3 else [1.0, 0.5, 0.3]
+    found = client.varying("better", colour=colours, length=lengths, g=0.2, eta=1.4)
+    for name in ("sigma_a", "sigma_s"):
+        written = read_pfm(tmp_path / f"out.{name}.pfm")
+        np.testing.assert_allclose(written, found[name], rtol=1e-5)
+
+
+def test_float_images_and_random_walks(tmp_path, client):
+    colours = np.random.default_rng(1).uniform(0.01, 0.9, (6, 4, 3))
+    write_pfm(tmp_path / "in.pfm", colours)
+    arguments = ["--diffuse-mean-free-path", "2", "--coefficients", "scattered", "--model", "better"]
+    texture(tmp_path / "in.pfm", tmp_path / "out.pfm", *arguments)
+    texture(tmp_path / "in.pfm", tmp_path / "out.png", *arguments)
+    found = client.varying("better", colour=colours.astype("<f4"), length=2.0,
+                           given="diffuse-mean-free-path", coefficients="scattered")
+    np.testing.assert_array_equal(read_pfm(tmp_path / "out.pfm"), found["scattered"])
+    texture(tmp_path / "out.png", tmp_path / "again.pfm", "--linear", *arguments)
+    assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_transport(tmp_path, client):
+    """The usual model is transport; its media have the colours."""
+    colours = np.random.default_rng(2).uniform(0.02, 0.9, (8, 8, 3))
+    write_pfm(tmp_path / "in.pfm", colours)
+    texture(tmp_path / "in.pfm", tmp_path / "out.pfm", "--mean-free-path", "1")
+    sigma_a, sigma_s = (read_pfm(tmp_path / f"out.sigma_{name}.pfm") for name in "as")
+    for at in [(0, 0, 0), (3, 5, 1), (7, 2, 2)]:
+        medium = (float(sigma_a[at]), float(sigma_s[at]), 0.0, 1.3)
+        solved = client.eval("transport", medium, wanted=["albedo"], evaluator="lut")
+        assert abs(solved.albedo[0] - colours[at]) < 1e-5
+
+
+def test_colours_without_a_medium(tmp_path):
+    colours = np.full((2, 3, 3), 0.5)
+    colours[1, 2, 1] = 1.25
+    write_pfm(tmp_path / "in.pfm", colours)
+    run = texture(tmp_path / "in.pfm", tmp_path / "out.pfm", "--model", "better",
+                  "--mean-free-path", "1", status=BAD_ROWS)
+    assert "1 of 18 values" in run.stderr and "green of column 2, row 1" in run.stderr
+    sigma_a = read_pfm(tmp_path / "out.sigma_a.pfm")
+    assert np.count_nonzero(np.isnan(sigma_a)) == 1 and np.isnan(sigma_a[1, 2, 1])
+
+
+def test_what_is_wrong_is_said(tmp_path):
+    write_pfm(tmp_path / "in.pfm", np.full((2, 2, 3), 0.5))
+    good = (tmp_path / "in.pfm").read_bytes()
+    path, out = ["--mean-free-path", "1"], tmp_path / "out.pfm"
+    for arguments, said in {
+        ("in.pfm",): "two files",
+        ("in.pfm", out): "exactly one of --mean-free-path",
+        ("in.pfm", tmp_path / "out.png", *path): "ends with .pfm",
+        ("in.pfm", tmp_path / "out.exr", *path): "ends with .pfm",
+        ("in.pfm", out, "--mean-free-path", "1,2"): "one, or three",
+        ("in.pfm", out, *path, "--light", "moon"): "moon",
+        ("in.pfm", out, *path, "--coefficients", "colour"): "colour",
+    }.items():
+        assert said in texture(*arguments, status=USAGE).stderr
+    for name, data, said in (
+        ("missing.png", None, "No such file"),
+        ("text.png", b"not an image at all", "neither a PNG nor a PFM"),
+        ("empty.pfm", b"", "neither a PNG nor a PFM"),
+        ("cut.pfm", good[:-1], "ends too early"),
+        ("big-endian.pfm", good.replace(b"-1.0", b"1.0"), "big-endian"),
+        ("none.pfm", good.replace(b"2 2", b"0 2"), "width and height"),
+        ("large.pfm", good.replace(b"2 2", b"99999 2"), "width and height"),
+        ("cut.png", b"\x89PNG\r\n\x1a\n" + bytes(8), "cut.png"),
+    ):
+        if data is not None:
+            (tmp_path / name).write_bytes(data)
+        assert said in texture(tmp_path / name, out, *path, status=FAILED).stderr, name
+    run = texture(tmp_path / "in.pfm", tmp_path / "no" / "out.pfm", *path, status=FAILED)
+    assert "No such file" in run.stderr
