@@ -2,8 +2,8 @@
 transport.
 
 The readings are R of transport without noise, at ten distances from 0.5 to 8 mean free paths
-1 / sigma_t', with errors of 2 %. Each model is fitted to them with an absolute scale. Written into the
-folder: fit_bias.csv (ratio, model, status, both coefficients over the true ones, reduced
+1 / sigma_t', with errors of 2 %. Each model is fitted to them with an absolute scale. Written into
+the folder: fit_bias.csv (ratio, model, status, both coefficients over the true ones, reduced
 chi-squared) and fit_bias.svg."""
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ def rows(client: dipole.Client) -> list[tuple[float, str, str, float, float, flo
         for model in MODELS:
             fits = client.fit(model, at, readings, 0.02 * readings, eta=ETA)
             a, s = float(fits.sigma_a) / ratio, float(fits.sigma_s_prime)
-            found.append((ratio, model, str(fits.status), a, s, float(fits.sets['reduced_chi_squared'])))
+            chi = float(fits.sets["reduced_chi_squared"])
+            found.append((ratio, model, str(fits.status), a, s, chi))
     return found
 
 
@@ -50,7 +51,7 @@ def script(found: list[tuple[float, str, str, float, float, float]], to: Path) -
         text += f"${model} << END\n"
         text += "".join(f"{r:.6g} {a:.6g} {s:.6g}\n" for r, m, _, a, s, _ in found if m == model)
         text += "END\n"
-    text += "set multiplot layout 2,1 title 'Fitted over true coefficients, readings of transport'\n"
+    text += "set multiplot layout 2,1 title 'Fitted over true, from readings of transport'\n"
     for column, name in ((2, "sigma_a"), (3, "sigma_s (1 - g)")):
         curves = ", ".join(f"${m} using 1:{column} with linespoints title '{m}'" for m in MODELS)
         text += f"set ylabel '{name}'\nset xlabel 'sigma_a / sigma_s (1 - g)'\nplot {curves}\n"
@@ -73,8 +74,10 @@ def main() -> None:
             writer.writerow([f"{row[0]:.6g}", *row[1:3], *(f"{x:.6g}" for x in row[3:])])
     subprocess.run(["gnuplot"], input=script(found, folder / "fit_bias.svg"), text=True, check=True)
     for ratio, model, status, a, s, chi in found:
-        print(f"{ratio:8.4f} {model:10} {status:13} sigma_a {a:8.4f} sigma_s' {s:8.4f} of the truth, "
-              f"chi-squared {chi:.3g}")
+        print(
+            f"{ratio:8.4f} {model:10} {status:13} sigma_a {a:8.4f} sigma_s' {s:8.4f} of the truth, "
+            f"chi-squared {chi:.3g}"
+        )
 
 
 if __name__ == "__main__":
