@@ -114,7 +114,7 @@ static inline real surface_R(const real *shared, const real *words, real sigma_a
   const struct row row = row_of(shared, words, sigma_a, sigma_s);
   const real x = r * row.lane.sigma_t;
   const real R = x_R(words, row, x, row.lane.sigma_t * row.lane.sigma_t) / x;
-  return (row.lane.scattered > 0) & (r < (real)INFINITY) ? R : 0;
+  return ((row.lane.scattered > 0) & (r < (real)INFINITY)) ? R : 0;
 }
 
 static inline real surface_ring(const real *shared, const real *words, real sigma_a, real sigma_s,
@@ -122,7 +122,7 @@ static inline real surface_ring(const real *shared, const real *words, real sigm
   const struct row row = row_of(shared, words, sigma_a, sigma_s);
   const real ring =
       x_R(words, row, r * row.lane.sigma_t, row.lane.sigma_t * REAL(6.28318530717958647693));
-  return (row.lane.scattered > 0) & (r < (real)INFINITY) ? ring : 0;
+  return ((row.lane.scattered > 0) & (r < (real)INFINITY)) ? ring : 0;
 }
 
 static inline real surface_pdf(const real *shared, const real *words, real sigma_a, real sigma_s,
@@ -161,7 +161,7 @@ static inline real surface_radius(const real *shared, const real *words, real si
       row.place.t, place.t);
   const real below = near ? real_min(wanted / kept, 1) : 1;
   const real r = x * below * row.lane.mfp;
-  return (row.lane.scattered > 0) & (u > 0) ? (u < 1 ? r : (real)INFINITY) : 0;
+  return ((row.lane.scattered > 0) & (u > 0)) ? (u < 1 ? r : (real)INFINITY) : 0;
 }
 
 #define SURFACE_KERNEL(name, element, most)                                                        \

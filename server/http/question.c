@@ -650,7 +650,7 @@ static wire_error check_keys(const struct http_message *message, const json_t *o
   json_t *value;
   json_object_foreach((json_t *)(uintptr_t)object, key, value) {
     if (!is_known(message, key)) {
-      const bool fits = strlen(key) < sizeof((wire_error *)NULL)->field;
+      const bool fits = key[0] != '\0' && strlen(key) < sizeof((wire_error *)NULL)->field;
       return bad(fits ? key : "body", "only fields that /v1/openapi.json lists for this request");
     }
   }

@@ -15,6 +15,7 @@
   X(connection, fuzz_daemon_start)                                                                 \
   X(modbus, fuzz_modbus_start)                                                                     \
   X(rtu, fuzz_modbus_start)                                                                        \
+  X(http, fuzz_daemon_start)                                                                       \
   X(table, fuzz_table_start)                                                                       \
   X(replies, fuzz_start_nothing)                                                                   \
   X(csv, fuzz_csv_start)                                                                           \

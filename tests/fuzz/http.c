@@ -1,0 +1,94 @@
+/* The target for requests over HTTP: queries and JSON texts, and the payloads that they become. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "proto/fit.h"
+#include "proto/invert.h"
+#include "proto/sample.h"
+#include "proto/table.h"
+#include "server/http/answer.h"
+#include "server/http/question.h"
+#include "tests/fuzz/daemon.h"
+
+enum { BRACKETS = 1000, BODY = 1, MESSAGES_AT = 2 };
+
+static const struct http_message *choose(unsigned number) {
+  size_t count = 0;
+  while (http_messages[count].type != 0) {
+    count++;
+  }
+  return &http_messages[number % count];
+}
+
+/* Parses a payload as the daemon does. */
+static wire_error parse(const struct http_message *message, const uint8_t *payload, size_t bytes) {
+  eval_request eval;
+  core_draw draw;
+  invert_request invert;
+  fit_request fit;
+  table_request table;
+  switch (message->type) {
+  case WIRE_TYPE_EVAL:
+  case WIRE_TYPE_OFFERS:
+    return eval_request_parse(payload, bytes, &eval);
+  case WIRE_TYPE_SAMPLE:
+    return sample_request_parse(payload, bytes, &draw, &eval);
+  case WIRE_TYPE_INVERT:
+    return invert_request_parse(payload, bytes, &invert);
+  case WIRE_TYPE_FIT:
+    return fit_request_parse(payload, bytes, &fit);
+  case WIRE_TYPE_TABLE:
+    return table_request_parse(payload, bytes, &table);
+  default:
+    fuzz_fail("http: a message without a parser\n");
+  }
+}
+
+/* Writes an error, and checks that it is JSON and names what is allowed. */
+static void check_error(const wire_error *error) {
+  struct http_text text;
+  http_text_init(&text, &fuzz_server);
+  CHECK(error->allowed[0] != '\0' && error->field[0] != '\0');
+  CHECK(http_answer_write_error(error, &text) >= 400);
+  json_t *object = json_loadb(text.bytes, text.count, JSON_REJECT_DUPLICATES, NULL);
+  CHECK(json_is_object(object));
+  json_decref(object);
+  http_text_free(&text);
+}
+
+/* The first byte of an input says whether it is a query or a body, and the second which request. */
+void fuzz_http(const uint8_t *data, size_t size) {
+  if (size < MESSAGES_AT) {
+    return;
+  }
+  const bool is_body = (data[0] & BODY) != 0;
+  const struct http_message *message = choose(data[1]);
+  const uint64_t before = atomic_load(&fuzz_server.buffer_bytes);
+  wire_error error = wire_error_none();
+  struct http_text payload;
+  uint32_t deadline_ms;
+  http_text_init(&payload, &fuzz_server);
+  char *text = malloc(size);
+  CHECK(text != NULL);
+  memcpy(text, data + MESSAGES_AT, size - MESSAGES_AT);
+  text[size - MESSAGES_AT] = '\0';
+  json_t *object = is_body ? http_question_parse(text, size - MESSAGES_AT, BRACKETS, &error)
+                           : http_question_parse_query(text, &error);
+  CHECK((object == NULL) == (error.status != WIRE_STATUS_OK));
+  if (object != NULL) {
+    error = http_question_translate(message, object, !is_body, &payload, &deadline_ms);
+    json_decref(object);
+  }
+  if (error.status == WIRE_STATUS_OK) {
+    CHECK(payload.count % WIRE_ALIGNMENT == 0);
+    uint8_t *copy = fuzz_copy((const uint8_t *)payload.bytes, payload.count);
+    error = parse(message, copy, payload.count);
+    free(copy);
+  }
+  if (error.status != WIRE_STATUS_OK) {
+    check_error(&error);
+  }
+  http_text_free(&payload);
+  free(text);
+  CHECK(atomic_load(&fuzz_server.buffer_bytes) == before);
+}
