@@ -19,8 +19,9 @@
 enum {
   REGISTERS_RADII_MAX = 50,
   REGISTERS_MIRROR = 2000, /* distance from a register to its mirror, if it has one */
-  REGISTERS_END = 8000,    /* registers in an image */
-  REGISTERS_COILS = 100,   /* coils, from address 0 on */
+  REGISTERS_FIT_READINGS_MAX = 25,
+  REGISTERS_END = 10500, /* registers in an image */
+  REGISTERS_COILS = 100, /* coils, from address 0 on */
   REGISTERS_ERROR_TEXT_BYTES = 80,
 };
 
@@ -72,7 +73,8 @@ enum registers_status {
   REGISTERS_STATUS_BUSY,
   REGISTERS_STATUS_DONE,
   REGISTERS_STATUS_ERROR,
-  REGISTERS_STATUS_CANCELLED
+  REGISTERS_STATUS_CANCELLED,
+  REGISTERS_STATUS_UNFITTED, /* a fit that is no success */
 };
 
 /* The distances of a job's other registers from its register `status`. */

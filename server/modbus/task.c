@@ -104,7 +104,7 @@ static enum job_outcome step(struct modbus_task *task, enum job_outcome outcome,
   outcome = job->kind->begin_part(job, task->reply);
   if (outcome == JOB_GOES_ON && task->detached != NULL) { /* This part was a report of progress. */
     modbus_translate_reply(task->kind, task->question, task->reply, task->reply_bytes,
-                           task->registers);
+                           task->registers, NULL);
   }
   return outcome;
 }
@@ -271,9 +271,15 @@ struct modbus_task *modbus_queue_finish(struct modbus_queue *queue) {
   const registers_job *fields = fields_of(task);
   const unsigned sequence =
       registers_u16(task->registers, fields->status + REGISTERS_BEHIND_SEQUENCE);
-  modbus_translate_reply(task->kind, task->question, task->reply, task->reply_bytes,
-                         task->registers);
-  set_status(task, task->cancelled ? REGISTERS_STATUS_CANCELLED : REGISTERS_STATUS_DONE);
+  wire_error error;
+  const enum registers_status status = modbus_translate_reply(
+      task->kind, task->question, task->reply, task->reply_bytes, task->registers, &error);
+  if (status == REGISTERS_STATUS_ERROR) {
+    fail_job(task, &error);
+    enter(task, MODBUS_TASK_IDLE);
+    return task;
+  }
+  set_status(task, task->cancelled ? REGISTERS_STATUS_CANCELLED : status);
   registers_set_u16(task->registers, fields->status + REGISTERS_BEHIND_DONE, task->token);
   registers_set_u16(task->registers, fields->status + REGISTERS_BEHIND_SEQUENCE, sequence + 1);
   clear_error(task);

@@ -16,6 +16,9 @@ _Static_assert(WIRE_BYTES_sample_request + WIRE_BYTES_medium +
                        REGISTERS_RADII_MAX * sizeof(double) <=
                    MODBUS_QUESTION_BYTES,
                "the request of a sample is shorter");
+_Static_assert(WIRE_BYTES_invert_request + 2 * REGISTERS_RADII_MAX * sizeof(double) <=
+                   MODBUS_QUESTION_BYTES,
+               "the request of an invert is shorter");
 _Static_assert(WIRE_BYTES_eval_reply + WIRE_BYTES_channel +
                        3 * REGISTERS_RADII_MAX * sizeof(double) <=
                    MODBUS_REPLY_BYTES,
@@ -168,14 +171,72 @@ static size_t put_mc(const uint16_t image[REGISTERS_END], uint8_t *question) {
   return bytes + channels_put_parameters(question + bytes, &taken);
 }
 
+/* Sets reading[] to value and standard error of a reading, or of its ratio to what was read of the
+ * reference medium: the relative errors of both are independent. */
+static void take_reading(const uint16_t image[REGISTERS_END], unsigned index, bool ratio,
+                         double reading[2]) {
+  const unsigned offset = 4 * index;
+  reading[0] = registers_number(image, REGISTERS_AT_FIT_READING + offset);
+  reading[1] = registers_number(image, REGISTERS_AT_FIT_READING + offset + 2);
+  if (ratio) {
+    const double known = registers_number(image, REGISTERS_AT_FIT_REFERENCE_READING + offset);
+    const double error = registers_number(image, REGISTERS_AT_FIT_REFERENCE_READING + offset + 2);
+    reading[0] = reading[0] / known;
+    reading[1] = reading[1] > 0 ? hypot(reading[1], reading[0] * error) / known : 0;
+  }
+}
+
+static size_t put_fit(const uint16_t image[REGISTERS_END], uint8_t *question) {
+  const core_parameters parameters = parameters_of(image);
+  const unsigned count = registers_u16(image, REGISTERS_AT_FIT_READING_COUNT);
+  const wire_fit_request request = {.set_count = 1, .residuals = 1};
+  const wire_fit_design fixed = {
+      .model = registers_u16(image, REGISTERS_AT_MODEL),
+      .moments = registers_u16(image, REGISTERS_AT_MOMENTS),
+      .axis = registers_u16(image, REGISTERS_AT_FIT_AXIS),
+      .scale = registers_u16(image, REGISTERS_AT_FIT_SCALE),
+      .reading_count = count,
+      .parameter_count = (uint16_t)channels_count_parameters(&parameters),
+      .g = registers_number(image, REGISTERS_AT_G),
+      .eta = registers_number(image, REGISTERS_AT_ETA),
+  };
+  double at[REGISTERS_FIT_READINGS_MAX];
+  double source_mm[REGISTERS_FIT_READINGS_MAX], detector_mm[REGISTERS_FIT_READINGS_MAX];
+  for (unsigned i = 0; i < count; i++) {
+    at[i] = registers_number(image, REGISTERS_AT_FIT_AT + 2 * i);
+    source_mm[i] = registers_number(image, REGISTERS_AT_FIT_SOURCE);
+    detector_mm[i] = registers_number(image, REGISTERS_AT_FIT_DETECTOR);
+  }
+  const core_fit_design design = {
+      .count = count,
+      .at = at,
+      .source_mm = source_mm,
+      .detector_mm = detector_mm,
+      .scale = fixed.scale,
+      .reference = {registers_number(image, REGISTERS_AT_FIT_REFERENCE_SIGMA_A),
+                    registers_number(image, REGISTERS_AT_FIT_REFERENCE_SIGMA_S),
+                    registers_number(image, REGISTERS_AT_FIT_REFERENCE_G),
+                    registers_number(image, REGISTERS_AT_FIT_REFERENCE_ETA)},
+  };
+  uint8_t *to = fit_request_put(question, &request, &fixed);
+  to += channels_put_parameters(to, &parameters);
+  to = fit_places_put(to, &design);
+  for (unsigned i = 0; i < count; i++) {
+    double reading[2];
+    take_reading(image, i, fixed.scale == CORE_FIT_SCALE_REFERENCE, reading);
+    memcpy(to + i * sizeof(double), &reading[0], sizeof(double));
+    memcpy(to + (count + i) * sizeof(double), &reading[1], sizeof(double));
+  }
+  return (size_t)fit_request_bytes(&fixed, 1);
+}
+
 size_t modbus_translate_input(enum registers_job_kind kind, const uint16_t image[REGISTERS_END],
                               uint8_t *question) {
   static size_t (*const put[REGISTERS_JOBS])(const uint16_t image[REGISTERS_END],
                                              uint8_t *question) = {
-      [REGISTERS_JOB_EVAL] = put_eval,
-      [REGISTERS_JOB_SAMPLE] = put_sample,
-      [REGISTERS_JOB_INVERT] = put_invert,
-      [REGISTERS_JOB_MC] = put_mc,
+      [REGISTERS_JOB_EVAL] = put_eval,     [REGISTERS_JOB_SAMPLE] = put_sample,
+      [REGISTERS_JOB_INVERT] = put_invert, [REGISTERS_JOB_MC] = put_mc,
+      [REGISTERS_JOB_FIT] = put_fit,
   };
   const size_t bytes = put[kind](image, question);
   assert(bytes <= MODBUS_QUESTION_BYTES);
@@ -428,9 +489,82 @@ static void take_mc(const uint8_t *question, const uint8_t *reply, size_t reply_
   registers_set_f32(image, REGISTERS_AT_MC_PROGRESS, 1);
 }
 
-void modbus_translate_reply(enum registers_job_kind kind, const uint8_t *question,
-                            const uint8_t *reply, size_t reply_bytes,
-                            uint16_t image[REGISTERS_END]) {
+/* Names the reading that is wrong. A ratio that is not finite was divided by a reference reading of
+ * 0. */
+static wire_error wrong_reading(const uint8_t *question, const wire_fitted *fitted) {
+  wire_fit_design design;
+  double asked;
+  wire_get_fit_design(question + WIRE_BYTES_fit_request, &design);
+  const size_t bytes = (size_t)fit_request_bytes(&design, 0); /* where the values begin */
+  memcpy(&asked, question + bytes + fitted->index * sizeof asked, sizeof asked);
+  const bool value = fitted->field == 1;
+  wire_error error;
+  if (value && !isfinite(asked)) {
+    error = wire_error_make(WIRE_STATUS_BAD_VALUE, "reference_reading", "above 0");
+  } else {
+    error = wire_error_make(WIRE_STATUS_BAD_VALUE, "reading",
+                            value ? "a value of at least 0" : "a standard error above 0");
+  }
+  error.index = 2 * fitted->index + (value ? 0 : 1);
+  return error;
+}
+
+static float root(double variance) {
+  return rounded_up(sqrt(variance));
+}
+
+static void set_fitted(uint16_t image[REGISTERS_END], const wire_fitted *fitted) {
+  const struct {
+    unsigned at;
+    double value;
+  } numbers[] = {
+      {REGISTERS_AT_FIT_SIGMA_A, fitted->sigma_a},
+      {REGISTERS_AT_FIT_SIGMA_S_PRIME, fitted->sigma_s_prime},
+      {REGISTERS_AT_FIT_CORRELATION,
+       fitted->covariance_a_s / sqrt(fitted->variance_a * fitted->variance_s)},
+      {REGISTERS_AT_FIT_CHI_SQUARED, fitted->chi_squared},
+      {REGISTERS_AT_FIT_REDUCED, fitted->reduced_chi_squared},
+      {REGISTERS_AT_FIT_FACTOR, fitted->factor},
+      {REGISTERS_AT_FIT_CONDITION, fitted->condition},
+      {REGISTERS_AT_FIT_SECOND, fitted->second_sigma_a},
+      {REGISTERS_AT_FIT_SECOND + 2, fitted->second_sigma_s_prime},
+      {REGISTERS_AT_FIT_SECOND + 4, fitted->second_chi_squared},
+  };
+  for (size_t i = 0; i < sizeof numbers / sizeof numbers[0]; i++) {
+    registers_set_f32(image, numbers[i].at, (float)numbers[i].value);
+  }
+  registers_set_f32(image, REGISTERS_AT_FIT_SIGMA_A_ERROR, root(fitted->variance_a));
+  registers_set_f32(image, REGISTERS_AT_FIT_SIGMA_S_PRIME_ERROR, root(fitted->variance_s));
+  registers_set_f32(image, REGISTERS_AT_FIT_FACTOR_ERROR, root(fitted->variance_factor));
+  registers_set_u16(image, REGISTERS_AT_FIT_FIT_STATUS, fitted->status);
+  registers_set_u16(image, REGISTERS_AT_FIT_BOUNDS, fitted->bounds);
+}
+
+static enum registers_status take_fit(const uint8_t *question, const uint8_t *reply,
+                                      size_t reply_bytes, uint16_t image[REGISTERS_END],
+                                      wire_error *error) {
+  wire_fit_reply start;
+  wire_fitted fitted;
+  const bool whole = fit_reply_parse(reply, reply_bytes, &start);
+  assert(whole && start.set_count == 1 && start.reading_count <= REGISTERS_FIT_READINGS_MAX);
+  wire_get_fitted(reply + WIRE_BYTES_fit_reply, &fitted);
+  if (fitted.status == CORE_FIT_STATUS_REFUSED) {
+    *error = wrong_reading(question, &fitted);
+    return REGISTERS_STATUS_ERROR;
+  }
+  set_fitted(image, &fitted);
+  const struct values residuals = {reply + fit_residuals_offset(1), sizeof(double)};
+  set_values(image, REGISTERS_AT_FIT_RESIDUAL, 0, &residuals, start.reading_count,
+             registers_u16(image, REGISTERS_AT_FIT_COUNT));
+  registers_set_u16(image, REGISTERS_AT_FIT_COUNT, start.reading_count);
+  registers_set_u16(image, REGISTERS_AT_FIT_NOTES, start.notes);
+  return fitted.status == CORE_FIT_STATUS_FITTED ? REGISTERS_STATUS_DONE
+                                                 : REGISTERS_STATUS_UNFITTED;
+}
+
+enum registers_status modbus_translate_reply(enum registers_job_kind kind, const uint8_t *question,
+                                             const uint8_t *reply, size_t reply_bytes,
+                                             uint16_t image[REGISTERS_END], wire_error *error) {
   static void (*const take[REGISTERS_JOBS])(const uint8_t *question, const uint8_t *reply,
                                             size_t reply_bytes, uint16_t image[REGISTERS_END]) = {
       [REGISTERS_JOB_EVAL] = take_eval,
@@ -438,5 +572,9 @@ void modbus_translate_reply(enum registers_job_kind kind, const uint8_t *questio
       [REGISTERS_JOB_INVERT] = take_invert,
       [REGISTERS_JOB_MC] = take_mc,
   };
+  if (kind == REGISTERS_JOB_FIT) {
+    return take_fit(question, reply, reply_bytes, image, error);
+  }
   take[kind](question, reply, reply_bytes, image);
+  return REGISTERS_STATUS_DONE;
 }

@@ -6,14 +6,16 @@
 #define DIPOLED_MODBUS_TRANSLATE_H
 
 #include "proto/eval.h"
+#include "proto/fit.h"
 #include "proto/invert.h"
 #include "proto/mc.h"
 #include "proto/registers.h"
 
 enum {
-  /* Bytes of the longest request, that of an invert. */
-  MODBUS_QUESTION_BYTES =
-      (int)WIRE_BYTES_invert_request + 2 * REGISTERS_RADII_MAX * (int)sizeof(double),
+  /* Bytes of the longest request, that of a fit: the design with its places, and the readings. */
+  MODBUS_QUESTION_BYTES = (int)WIRE_BYTES_fit_request + (int)WIRE_BYTES_fit_design +
+                          CORE_PARAMETERS_END * (int)WIRE_BYTES_parameter + (int)WIRE_BYTES_medium +
+                          5 * REGISTERS_FIT_READINGS_MAX * (int)sizeof(double),
   /* Bytes of the longest reply, that of an mc: edges, photons, and R with its errors. */
   MODBUS_REPLY_BYTES =
       (int)WIRE_BYTES_mc_reply + (int)WIRE_BYTES_mc_energy +
@@ -26,9 +28,11 @@ size_t modbus_translate_input(enum registers_job_kind kind, const uint16_t image
                               uint8_t *question);
 
 /* Writes the results of a reply into the output registers, or the progress of an mc job. question:
- * the request. The caller sets the registers for status, done, sequence and the error. */
-void modbus_translate_reply(enum registers_job_kind kind, const uint8_t *question,
-                            const uint8_t *reply, size_t reply_bytes,
-                            uint16_t image[REGISTERS_END]);
+ * the request. The caller sets the registers for status, done, sequence and the error. Returns the
+ * status: DONE, UNFITTED for a fit that is no success, or ERROR if a reading is wrong; *error then
+ * says which, and no results are written. */
+enum registers_status modbus_translate_reply(enum registers_job_kind kind, const uint8_t *question,
+                                             const uint8_t *reply, size_t reply_bytes,
+                                             uint16_t image[REGISTERS_END], wire_error *error);
 
 #endif

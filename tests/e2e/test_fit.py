@@ -261,7 +261,7 @@ def test_without_a_cache(daemon, readings):
 
 def test_leaving_while_it_is_fitted(daemon):
     one = daemon("--workers", "1")
-    for sets in (1, 3000):
+    for sets in (1, 300):
         with one.connect() as leaving:
             payload = fit_payload([READINGS] * sets, eta=1.3 + 1e-4 * sets)
             leaving.send_bytes(frame(FIT_REQUEST, 1, payload))

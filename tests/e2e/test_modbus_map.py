@@ -228,20 +228,32 @@ def examples() -> dict[str, bytes]:
 EXAMPLES = examples()
 
 
+def before(name: str) -> list[str]:
+    """Returns the examples that come before an example of the same unit."""
+    if name.startswith("fit"):
+        order = ["fit-setup", "fit", "fit-again"]
+        return order[: order.index(name)]
+    return [name.split("-")[0]] if name.endswith("-read") else []
+
+
 @pytest.mark.parametrize("name", [n[:-8] for n in EXAMPLES if n.endswith("-request")])
 def test_examples(daemon, name):
     """The examples in REGISTERS.md get their documented answers. An example whose name ends in
     -read is sent after the job that it reads has ended."""
+
+    def busy(master: Tcp, field: str) -> bool:
+        return as_words(master.read(AT[field], 1)) == [1]
+
     with Tcp(daemon(*TCP)) as master:
-        names = [name.split("-")[0]] if name.endswith("-read") else []
-        for one in [*names, name]:
+        for one in [*before(name), name]:
             master.socket.sendall(EXAMPLES[f"{one}-request"])
             expected = EXAMPLES[f"{one}-answer"]
             assert master.receive_bytes(len(expected)).hex() == expected.hex()
-            assert eventually(lambda: as_words(master.read(AT["MC_STATUS"], 1)) != [1])
+            for field in ("MC_STATUS", "FIT_STATUS"):
+                assert eventually(lambda field=field: not busy(master, field))
 
 
 def test_there_are_examples():
-    assert {"job", "discovery", "refused", "sample", "invert", "mc"} <= {
+    assert {"job", "discovery", "refused", "sample", "invert", "mc", "fit", "fit-again"} <= {
         name.removesuffix("-request") for name in EXAMPLES
     }
