@@ -4,6 +4,9 @@ user presses Ctrl-C:
     jobs.py HOST:PORT sample    ten radii, distributed as the light that leaves skin
     jobs.py HOST:PORT invert    the coefficients of three media of known albedo and mean free path
     jobs.py HOST:PORT mc        R of skin by Monte Carlo in five rings, with standard errors
+    jobs.py HOST:PORT fit [MM,READING,ERROR]...
+                                the coefficients of a medium of eta 1.4 from readings of R at some
+                                distances, with their standard errors
 
 DEVICE,BAUD in place of HOST:PORT names a serial line."""
 
@@ -12,17 +15,21 @@ import sys
 from unit import DEFAULTS, Unit
 
 REGULAR, FREE_PATH, LOGARITHMIC = 2, 1, 3
+TRANSPORT = 29
+READINGS = ["1,.02292,.00046", "2,.00781,.00016", "3,.00343,.00007", "5,.000775,.000016"]
 SKIN = 0.032, 0.74, 0, 1.3  # sigma_a, sigma_s (1/mm), g, eta
 
 
 def run(unit: Unit, commit: int, status: int, progress: int, error_text: int) -> None:
-    """Commits a job, whose register `cancel` follows `commit`, and waits until it is done."""
+    """Commits a job, whose register `cancel` follows `commit`, and waits until it is done.
+    progress: 0 if the job has no such register."""
     token = unit.token(status)
 
     def show() -> None:
         place = int.from_bytes(unit.read(status + 6, 1), "big")
         before = f", {place} before it" if place else ""
-        print(f"\r{unit.floats(progress, 1)[0]:4.0%}{before} ", end="", file=sys.stderr, flush=True)
+        done = f"{unit.floats(progress, 1)[0]:4.0%}" if progress else "wait"
+        print(f"\r{done}{before} ", end="", file=sys.stderr, flush=True)
 
     unit.write(commit, "H", token)
     try:
@@ -59,11 +66,25 @@ def mc(unit: Unit) -> None:
         print(f"{start:.3g} to {stop:.3g} mm: {R:.4g} +- {error:.2g} 1/mm^2")
 
 
-def main(where: str, job: str) -> None:
+def fit(unit: Unit, *given: str) -> None:
+    """An instrument writes its places once, and then its readings each time."""
+    at, values, errors = zip(*(map(float, one.split(",")) for one in given or READINGS))
+    unit.write(101, "H", TRANSPORT)
+    unit.write(112, "f", 1.4)  # eta
+    unit.write(8015, f"H{len(at)}f", len(at), *at)  # reading_count, at
+    readings = [number for pair in zip(values, errors) for number in pair]
+    unit.write(8204, f"{len(readings)}f", *readings)
+    run(unit, 8200, 8320, 0, 8420)
+    a, s, a_error, s_error, _, chi_squared = unit.floats(8328, 6)
+    print(f"sigma_a {a:.6g} +- {a_error:.2g}, sigma_s' {s:.6g} +- {s_error:.2g} 1/mm")
+    print(f"chi-squared {chi_squared:.4g} of {len(at)} readings")
+
+
+def main(where: str, job: str, *more: str) -> None:
     unit = Unit(where)
     unit.write(DEFAULTS, "H", 1)  # other masters may have written anything
     unit.write(106, "4f", *SKIN)
-    {"sample": sample, "invert": invert, "mc": mc}[job](unit)
+    {"sample": sample, "invert": invert, "mc": mc, "fit": fit}[job](unit, *more)
 
 
 main(*sys.argv[1:])

@@ -1,8 +1,9 @@
 #!/bin/sh
 # One of the longer jobs of a unit, with mbpoll, as jobs.py does it with pymodbus: jobs.sh HOST:PORT
-# JOB, or jobs.sh DEVICE,BAUD JOB for a serial line. JOB is sample, invert or mc. Ctrl-C cancels it.
+# JOB, or jobs.sh DEVICE,BAUD JOB for a serial line. JOB is sample, invert, mc or fit. Ctrl-C cancels it.
+# After fit may follow readings: MM,READING,ERROR for each distance.
 set -eu
-usage="jobs.sh HOST:PORT sample|invert|mc, or jobs.sh DEVICE,BAUD sample|invert|mc"
+usage="jobs.sh HOST:PORT sample|invert|mc|fit, or jobs.sh DEVICE,BAUD sample|invert|mc|fit"
 case ${1?$usage} in
 /*) line="-m rtu -b ${1##*,} -P none -a 1 -0 -1 -q -B" where=${1%,*} ;;
 *) line="-m tcp -p ${1##*:} -a 1 -0 -1 -q -B" where=${1%:*} ;;
@@ -65,6 +66,20 @@ mc)
   show 4:float 5366 6 # edges of the rings in mm
   show 4:float 5468 5 # R, 1/mm^2
   show 4:float 5568 5 # its standard errors
+  ;;
+fit)
+  shift 2
+  [ $# -gt 0 ] || set -- 1,.02292,.00046 2,.00781,.00016 3,.00343,.00007 5,.000775,.000016
+  at=$(for one; do echo "${one%%,*}"; done)
+  readings=$(for one; do echo "${one#*,}" | tr , ' '; done)
+  register 4 101 29          # the model transport
+  register 4:float 112 1.4   # eta
+  # Places are written once, and readings each time. The shell splits the lists into numbers.
+  # shellcheck disable=SC2086
+  register 4 8015 $# && register 4:float 8016 $at && register 4:float 8204 $readings
+  run 8200 8320
+  show 4:float 8328 4 # sigma_a, sigma_s' and their standard errors, 1/mm
+  show 4:float 8338 1 # chi-squared
   ;;
 *)
   echo "$usage" >&2

@@ -1,9 +1,10 @@
 // R of skin at ten distances, with jsmodbus (npm): node jsmodbus.js HOST:PORT [MODEL].
-// MODEL is an id of the list of models in REGISTERS.md.
+// MODEL is an id of the list of models in REGISTERS.md. With fit [MM,READING,ERROR]... in its place,
+// coefficients are fitted to readings.
 "use strict";
 const net = require("net");
 const Modbus = require("jsmodbus");
-const { printProfile } = require("./unit.js");
+const { work } = require("./unit.js");
 
 // Adds the code of an exception to the error.
 function tell(error) {
@@ -12,7 +13,6 @@ function tell(error) {
 }
 
 const [host, port] = process.argv[2].split(":");
-const model = Number(process.argv[3] || 2);
 const socket = net.connect({ host, port: Number(port) });
 const client = new Modbus.client.TCP(socket, 1);
 const unit = {
@@ -25,7 +25,7 @@ socket.on("error", (error) => {
   process.exit(1);
 });
 socket.on("connect", () => {
-  printProfile(unit, model)
+  work(unit, ...process.argv.slice(3))
     .catch((error) => {
       console.error(error.message);
       process.exitCode = 1;

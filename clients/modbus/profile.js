@@ -1,15 +1,16 @@
 // R of skin at ten distances, with modbus-serial (npm): node profile.js HOST:PORT [MODEL].
-// MODEL is an id of the list of models in REGISTERS.md.
+// MODEL is an id of the list of models in REGISTERS.md. With fit [MM,READING,ERROR]... in its place,
+// coefficients are fitted to readings.
 "use strict";
 const ModbusRTU = require("modbus-serial");
-const { printProfile } = require("./unit.js");
+const { work } = require("./unit.js");
 
 // Adds the code of an exception to the error.
 function tell(error) {
   throw Object.assign(error, { exception: error.modbusCode });
 }
 
-async function main(where, model = "2") {
+async function main(where, ...what) {
   const [host, port] = where.split(":");
   const client = new ModbusRTU();
   await client.connectTCP(host, { port: Number(port) });
@@ -21,7 +22,7 @@ async function main(where, model = "2") {
       (await client.readHoldingRegisters(address, count).catch(tell)).buffer,
   };
   try {
-    await printProfile(unit, Number(model));
+    await work(unit, ...what);
   } finally {
     client.close(() => {});
   }

@@ -1,4 +1,5 @@
-// What both JavaScript examples do with a unit: they read R of skin at ten distances. A `unit` has
+// What both JavaScript examples do with a unit: they read R of skin at ten distances, or fit
+// coefficients to readings. A `unit` has
 //   write(address, registers)  which writes an array of registers
 //   read(address, count)       which resolves to a Buffer with the bytes of `count` registers
 // When the daemon answers with an exception, both reject with an error whose `exception` is its
@@ -7,7 +8,9 @@
 
 const RADII_MM = [0.1, 0.2, 0.5, 1, 1.5, 2, 3, 4, 6, 8];
 const BUSY_EXCEPTION = 6;
-const [BUSY, DONE] = [1, 2]; // values of the register `status`
+const [BUSY, DONE, UNFITTED] = [1, 2, 5]; // values of the register `status`
+const TRANSPORT = 29;
+const READINGS = ["1,.02292,.00046", "2,.00781,.00016", "3,.00343,.00007", "5,.000775,.000016"];
 const PATIENCE_MS = 60000;
 
 const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
@@ -20,9 +23,9 @@ function floats(values) {
 }
 
 // Throws what the daemon says of the last error.
-async function fail(unit) {
-  const error = await unit.read(302, 2);
-  const text = (await unit.read(620, 40)).toString("ascii").replace(/\0+$/, "");
+async function fail(unit, errorAt = 302, textAt = 620) {
+  const error = await unit.read(errorAt, 2);
+  const text = (await unit.read(textAt, 40)).toString("ascii").replace(/\0+$/, "");
   throw new Error(`error ${error.readUInt16BE(0)} at register ${error.readUInt16BE(2)}: ${text}`);
 }
 
@@ -72,4 +75,38 @@ async function printProfile(unit, model) {
   });
 }
 
-module.exports = { printProfile };
+// Finds the coefficients of a medium of eta 1.4 from readings, texts such as "1,.0229,.0005": mm,
+// reading and standard error. An instrument writes its places once, and its readings each time.
+async function printFit(unit, given) {
+  const readings = (given.length ? given : READINGS).map((one) => one.split(",").map(Number));
+  await write(unit, 251, [1]); // defaults
+  await write(unit, 101, [TRANSPORT]);
+  await write(unit, 112, floats([1.4])); // eta
+  await write(unit, 8015, [readings.length, ...floats(readings.map(([mm]) => mm))]);
+  await write(unit, 8204, floats(readings.flatMap(([, value, error]) => [value, error])));
+  const before = await unit.read(8321, 1);
+  const token = (before.readUInt16BE(0) % 65535) + 1;
+  await write(unit, 8200, [token]); // commit
+  let head;
+  while ((head = await unit.read(8320, 20)).readUInt16BE(0) === BUSY) {
+    await pause(20);
+  }
+  if (head.readUInt16BE(0) === UNFITTED) {
+    throw new Error(`the fit is no success: fit_status ${head.readUInt16BE(14)}`);
+  }
+  if (head.readUInt16BE(0) !== DONE) {
+    await fail(unit, 8322, 8420);
+  }
+  const float = (i) => head.readFloatBE(16 + 4 * i);
+  const [a, s, aError, sError, chiSquared] = [0, 1, 2, 3, 5].map(float);
+  const told = (value, error) => `${value.toPrecision(6)} +- ${error.toPrecision(2)}`;
+  console.log(`sigma_a ${told(a, aError)}, sigma_s' ${told(s, sError)} 1/mm`);
+  console.log(`chi-squared ${chiSquared.toPrecision(4)} of ${readings.length} readings`);
+}
+
+// Does what the command line says behind HOST:PORT: the number of a model, or fit and readings.
+function work(unit, what = "2", ...readings) {
+  return what === "fit" ? printFit(unit, readings) : printProfile(unit, Number(what));
+}
+
+module.exports = { work };

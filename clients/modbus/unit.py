@@ -21,7 +21,8 @@ except ImportError:
     )
 
 ERROR, ERROR_TEXT, TEXT_REGISTERS, DEFAULTS = 302, 620, 40, 251
-BUSY, IS_BUSY, DONE = 6, 1, 2  # an exception, and values of the register `status`
+BUSY, IS_BUSY, DONE, UNFITTED = 6, 1, 2, 5  # an exception, and values of the register `status`
+FIT_STATUS = 8327  # why a fit is no success
 PATIENCE_S = 60
 
 
@@ -98,6 +99,8 @@ class Unit:
                 break
             show()
             time.sleep(0.02)
+        if state == UNFITTED:
+            sys.exit(f"the fit is no success: fit_status {self.read(FIT_STATUS, 1)[1]}")
         if state != DONE:
             self.fail(status + 2, error_text)
         if done != token:

@@ -362,6 +362,57 @@ def test_the_jobs_of_an_odd_unit(daemon):
         assert "%" in result.stderr
 
 
+FITTERS = {"jobs.sh": "sh", "jobs.py": sys.executable, "profile.js": "node", "jsmodbus.js": "node"}
+
+
+@pytest.fixture(scope="module")
+def noisy_readings(slave) -> list[str]:
+    """Readings that an instrument might take: Monte Carlo at four distances with 2 % noise, and an
+    error that covers that of the walk. The medium has sigma_a .03, sigma_s' 1.2 and eta 1.4."""
+    medium, readings = dipole.Medium(0.03, 1.2, 0.0, 1.4), []
+    noise = np.random.default_rng(5).normal(0, 0.02, 4)
+    with slave.client() as client:
+        for r, off in zip([1.0, 2.0, 3.0, 5.0], noise):
+            ring = client.mc(medium, dipole.Grid(0.95 * r, 1.05 * r, 2), photons=400_000)
+            value, error = ring.R[0, 0], ring.R_error[0, 0]
+            readings.append(f"{r},{value * (1 + off):.5g},{np.hypot(error, 0.02 * value):.3g}")
+    return readings
+
+
+@pytest.mark.parametrize("name", FITTERS)
+def test_instruments_fit_noisy_monte_carlo(request, address, noisy_readings, name):
+    """Both coefficients come back within three of their standard errors."""
+    environment = dict(os.environ)
+    if name.endswith(".js"):
+        environment["NODE_PATH"] = str(request.getfixturevalue("node_modules"))
+    elif name.endswith(".py"):
+        pytest.importorskip("pymodbus")
+    elif shutil.which("mbpoll") is None:
+        pytest.skip("mbpoll is not installed")
+    command = [FITTERS[name], str(EXAMPLES / name), address, "fit", *noisy_readings]
+    result = run(*command, env=environment)
+    assert result.returncode == 0, result.stdout + result.stderr
+    if name == "jobs.sh":
+        a, s, a_error, s_error, chi = map(float, re.findall(r"\]: *\t *(\S+)", result.stdout))
+    else:
+        found = re.findall(r"(\S+) \+- ([^\s,]+)", result.stdout)
+        (a, a_error), (s, s_error) = (map(float, pair) for pair in found)
+        chi = float(re.search(r"chi-squared (\S+)", result.stdout)[1])
+    assert abs(a - 0.03) < 3 * a_error < 0.03 and abs(s - 1.2) < 3 * s_error < 0.6
+    assert 0 < chi < 12
+
+
+def test_instruments_are_told_what_is_no_success(address):
+    """An error of 0 is named by its register; readings that rise with the distance stand on a
+    bound."""
+    wrong = {"1,.02,.001 2,.01,0": "error 6 at register 8210: a standard error above 0"}
+    wrong["1,.001,.0001 2,.01,.001 4,.1,.01"] = "fit_status 2"
+    for readings, said in wrong.items():
+        script = str(EXAMPLES / "jobs.py")
+        result = run(sys.executable, script, address, "fit", *readings.split())
+        assert result.returncode == 1 and said in result.stderr, result.stderr
+
+
 def test_a_job_that_is_refused_says_why(daemon):
     """A million photons are too many for this daemon."""
     one = daemon(*TCP, "--max-mc-photons", "1000")
