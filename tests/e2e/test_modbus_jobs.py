@@ -469,3 +469,83 @@ def test_slow_jobs_of_many_units_leave_others_their_turns(daemon):
         assert head(master, "INVERT", 10).status == IS_BUSY
         for unit in range(1, 11):
             assert ended(master, "INVERT", unit)[:3] == (DONE, 1, 0)
+
+
+# ---- fits ----------------------------------------------------------------------------------------
+
+FIT_AT_MM = (0.5, 1.0, 2.0, 4.0)
+FIT_ERROR = 5  # value of the register `status`: the fit is no success
+
+
+def pairs(values, errors) -> bytes:
+    """Values and standard errors in turn."""
+    return floats(*np.stack([values, errors], 1).ravel().tolist())
+
+
+def commit_fit(master: Tcp, unit: int, token: int, values, errors) -> list[int]:
+    """Writes readings, commits, and waits. Returns status to fit_status."""
+    readings = words(token, 0) + floats(0.0) + pairs(values, errors)
+    master.write_read(AT["FIT_COMMIT"], readings, AT["FIT_STATUS"], 8, unit)
+    assert eventually(lambda: as_words(master.read(AT["FIT_STATUS"], 1, unit)) != [IS_BUSY])
+    return as_words(master.read(AT["FIT_STATUS"], 8, unit))
+
+
+def fit_results(master: Tcp, unit: int) -> np.ndarray:
+    """Returns sigma_a, sigma_s_prime, their errors, the correlation and chi-squared."""
+    return as_floats(master.read(AT["FIT_SIGMA_A"], 12, unit))
+
+
+def expected_results(found) -> np.ndarray:
+    return np.array([
+        found.sigma_a, found.sigma_s_prime, found.sigma_a_error, found.sigma_s_prime_error,
+        found.correlation, found.chi_squared,
+    ])  # fmt: skip
+
+
+def test_a_fit_has_the_values_of_the_wire(master, client):
+    """Absolute readings, and raw ones with the calibration that the unit keeps."""
+    unit, known = 90, (0.01, 1.0, 0.0, 1.3)
+    single_known = single(known)
+    R = client.eval("better", single((0.03, 1.2, 0.0, 1.3)), FIT_AT_MM).R[0]
+    values = np.float32(R * [1.01, 0.99, 1.02, 0.98])
+    errors = np.float32(0.02 * R)
+    master.write(AT["FIT_READING_COUNT"], words(4) + floats(*FIT_AT_MM), unit)
+    assert commit_fit(master, unit, 7, values, errors) == [DONE, 7, 0, 0, 1, 4, 0, 1]
+    eta = single([1.3])[0]
+    found = client.fit("better", FIT_AT_MM, values, errors, eta=eta, residuals=True)
+    np.testing.assert_allclose(fit_results(master, unit), expected_results(found), rtol=3e-7)
+    residuals = as_floats(master.read(AT["FIT_RESIDUAL"], 50, unit))
+    np.testing.assert_allclose(residuals[:4], found.residuals, rtol=1e-6)
+    assert np.isnan(residuals[4:]).all()
+
+    reference = np.float32(3 * client.eval("better", single_known, FIT_AT_MM).R[0])
+    reference_errors = np.float32(0.01 * reference)
+    master.write(AT["FIT_SCALE"], words(3), unit)
+    master.write(AT["FIT_REFERENCE_SIGMA_A"], floats(*known), unit)
+    master.write(AT["FIT_REFERENCE_READING"], pairs(reference, reference_errors), unit)
+    raw, raw_errors = 3 * values, 3 * errors
+    assert commit_fit(master, unit, 8, raw, raw_errors)[:2] == [DONE, 8]
+    as_double = [array.astype("f8") for array in (raw, raw_errors, reference, reference_errors)]
+    ratio = as_double[0] / as_double[2]
+    spread = ratio * np.hypot(as_double[1] / as_double[0], as_double[3] / as_double[2])
+    found = client.fit("better", FIT_AT_MM, ratio, spread, eta=eta, reference=single_known)
+    np.testing.assert_allclose(fit_results(master, unit), expected_results(found), rtol=1e-5)
+    assert abs(found.sigma_a - 0.03) < 3 * found.sigma_a_error
+
+
+def test_a_fit_that_is_no_success_is_not_done(master):
+    unit = 91
+    master.write(AT["FIT_READING_COUNT"], words(4) + floats(*FIT_AT_MM), unit)
+    rising = np.array([1e-4, 1e-3, 1e-2, 1e-1])
+    head = commit_fit(master, unit, 7, rising, 0.01 * rising)
+    assert head[:3] == [FIT_ERROR, 7, 0] and head[7] in (2, 3)
+    values = fit_results(master, unit)
+    errors = 0.01 * rising
+    errors[2] = 0
+    head = commit_fit(master, unit, 8, rising, errors)
+    assert head[:4] == [ERROR, 7, BAD_VALUE_STATUS, AT["FIT_READING"] + 2 * 5]
+    np.testing.assert_array_equal(fit_results(master, unit), values)  # those of the token 7
+    with exception(BAD_VALUE):
+        master.write(AT["FIT_READING"], floats(-1.0, 0.1), unit)
+    with exception(BAD_VALUE):
+        master.write(AT["FIT_READING_COUNT"], words(1), unit)
