@@ -283,6 +283,9 @@ static const char *const list_names[] = {
     [WIRE_CHOICE_SCALE] = "scales",
     [WIRE_CHOICE_AXIS] = "axes",
     [WIRE_CHOICE_FIT_STATUS] = "fit_statuses",
+    [WIRE_CHOICE_LIGHT] = "lights",
+    [WIRE_CHOICE_VALUE] = "value_statuses",
+    [WIRE_CHOICE_COEFFICIENT] = "coefficients",
 };
 
 void http_answer_write_models(const uint8_t *payload, struct http_text *text) {
@@ -299,6 +302,7 @@ void http_answer_write_models(const uint8_t *payload, struct http_text *text) {
         http_text_end(text, ']');
       }
       kind = choice.kind;
+      assert(kind < sizeof list_names / sizeof list_names[0] && list_names[kind] != NULL);
       http_text_begin(text, list_names[kind], '[');
     }
     http_text_begin(text, NULL, '{');
