@@ -497,10 +497,10 @@ static const transport_table *table_for_g(const core_medium *medium) {
 }
 
 /* The reach that the profile reports is that of the table of solutions, which is shorter than the
- * solver's: so it does not depend on which of the two was used. For g other than 0 it is where the
- * difference from isotropic scattering ends, or, with sigma_a above sigma_s', where R falls below
- * TRANSPORT_TABLE_R_LEAST; and the growth is an upper bound of what was measured against the solver
- * up to 30 decay lengths. */
+ * solver's: so it does not depend on which of the two was used. For g other than 0 it ends where the
+ * difference from isotropic scattering ends, or some 2 decay lengths after R has fallen below
+ * TRANSPORT_TABLE_R_LEAST, if that is nearer; and the growth is an upper bound of what was measured
+ * against the solver up to 30 decay lengths. */
 core_reach core_transport_reach(const core_medium *medium) {
   const double sigma_t_prime = core_sigma_t_prime(medium);
   const double kappa = transport_kappa(albedo_of(medium));
@@ -508,10 +508,10 @@ core_reach core_transport_reach(const core_medium *medium) {
   if (table != NULL) {
     double edge[TRANSPORT_TABLE_PANELS + 1];
     transport_table_edges(table->field, true, kappa, edge);
-    const double decays = fmax(21 + 6 * real_log(2 * albedo_of(medium), 0), 11);
+    const double decays = fmax(19.5 + 3.5 * real_log(2 * albedo_of(medium), 0), 11);
     const double end = real_exp_signed(edge[TRANSPORT_TABLE_PANELS]);
     return (core_reach){
-        .most_mm = (2 * albedo_of(medium) < 1 ? fmin(end, decays / kappa) : end) / sigma_t_prime,
+        .most_mm = fmin(end, decays / kappa) / sigma_t_prime,
         .growth = 0.05 + 8 * fmin(kappa, 0.5),
     };
   }

@@ -140,49 +140,78 @@ static double slope_of(const transport_anisotropic *solution, size_t eta, double
   return (4 * by[0] - by[1]) / 3;
 }
 
+/* How far the values of a medium are off at most, over what is allowed. */
+struct excess {
+  double R, slope;
+};
+
+/* Compares R and dR/dr with the solution for boundary e at random radii. */
+static void compare_with_solution(const transport_anisotropic *solution, size_t e,
+                                  const core_medium *medium, core_radii_range radii, double R_least,
+                                  uint64_t *random, struct excess *excess) {
+  enum { RADII = 24 };
+  core_profile profile = prepare(medium, CORE_EVALUATOR_F64, (double)NAN);
+  for (size_t i = 0; i < RADII; i++) {
+    const double r = unit_random_log(random, radii.least_mm, radii.most_mm);
+    const transport_number truth = transport_anisotropic_at(solution, e, r);
+    const double error = truth.error / truth.value;
+    if (truth.value < R_least || error > 2e-3) {
+      continue;
+    }
+    const double off = fabs(unit_value_at(&profile, CORE_QUANTITY_R, r) / truth.value - 1);
+    const double allowed = stated(&profile, CORE_QUANTITY_R, r, r) + error;
+    const double off_slope =
+        fabs(unit_value_at(&profile, CORE_QUANTITY_SLOPE, r) / slope_of(solution, e, r) - 1);
+    const double allowed_slope = stated(&profile, CORE_QUANTITY_SLOPE, r, r) + 3 * error;
+    if (!(off <= allowed && off_slope <= allowed_slope)) {
+      fail_msg("albedo %g, g %g, eta %g, r %g: R is off by %g, allowed %g, dR/dr by %g, allowed %g",
+               profile.albedo, medium->g, medium->eta, r, off, allowed, off_slope, allowed_slope);
+    }
+    excess->R = fmax(excess->R, off / allowed);
+    excess->slope = fmax(excess->slope, off_slope / allowed_slope);
+  }
+  core_profile_free(&profile);
+}
+
+/* The same for each of three boundaries, for which the medium is solved. */
+static struct excess compare_with_solver(double ratio, double g, const double etas[3],
+                                         enum transport_effort effort, core_radii_range radii,
+                                         double R_least, uint64_t *random) {
+  const transport_phase phase = {g, 0, NULL};
+  struct excess excess = {0, 0};
+  transport_anisotropic *solution;
+  unit_assert_fault(
+      transport_anisotropic_solve(&solution, core_isa_select(NULL), ratio, &phase, etas, 3, effort),
+      NULL, 0);
+  for (size_t e = 0; e < 3; e++) {
+    const core_medium medium = medium_of(ratio, g, etas[e]);
+    compare_with_solution(solution, e, &medium, radii, R_least, random, &excess);
+  }
+  transport_anisotropic_free(solution);
+  printf("of what is allowed: R %.2f, dR/dr %.2f\n", excess.R, excess.slope);
+  return excess;
+}
+
 UNIT_TEST(values_are_those_of_the_solver) {
-  enum { ETAS = 3, RADII = 24, MEDIA = 2 };
-  static const double ends[MEDIA][2] = {{0.6, 0.95}, {-0.5, 0.6}};
+  static const double ends[][2] = {{0.6, 0.95}, {-0.5, 0.6}};
   uint64_t random = unit_seed();
-  double worst_R = 0, worst_slope = 0;
-  for (size_t m = 0; m < MEDIA; m++) {
+  for (size_t m = 0; m < 2; m++) {
     const double g = unit_random_between(&random, ends[m][0], ends[m][1]);
     const double ratio = unit_random_log(&random, 1e-4, 2);
-    const double etas[ETAS] = {unit_random_between(&random, 0.7, 1), 1,
-                               unit_random_between(&random, 1, 2.2)};
-    const transport_phase phase = {g, 0, NULL};
-    transport_anisotropic *solution;
-    unit_assert_fault(transport_anisotropic_solve(&solution, core_isa_select(NULL), ratio, &phase,
-                                                  etas, ETAS, TRANSPORT_EFFORT_QUICK),
-                      NULL, 0);
-    for (size_t e = 0; e < ETAS; e++) {
-      const core_medium medium = medium_of(ratio, g, etas[e]);
-      core_profile profile = prepare(&medium, CORE_EVALUATOR_F64, (double)NAN);
-      for (size_t i = 0; i < RADII; i++) {
-        const double r = unit_random_log(&random, 0.01, 20);
-        const transport_number truth = transport_anisotropic_at(solution, e, r);
-        const double error = truth.error / truth.value;
-        if (truth.value < 1e-12 || error > 2e-3) {
-          continue;
-        }
-        const double off = fabs(unit_value_at(&profile, CORE_QUANTITY_R, r) / truth.value - 1);
-        const double allowed = stated(&profile, CORE_QUANTITY_R, r, r) + error;
-        const double off_slope =
-            fabs(unit_value_at(&profile, CORE_QUANTITY_SLOPE, r) / slope_of(solution, e, r) - 1);
-        const double allowed_slope = stated(&profile, CORE_QUANTITY_SLOPE, r, r) + 3 * error;
-        if (!(off <= allowed && off_slope <= allowed_slope)) {
-          fail_msg(
-              "ratio %g, g %g, eta %g, r %g: R is off by %g, allowed %g, dR/dr by %g, allowed %g",
-              ratio, g, etas[e], r, off, allowed, off_slope, allowed_slope);
-        }
-        worst_R = fmax(worst_R, off / allowed);
-        worst_slope = fmax(worst_slope, off_slope / allowed_slope);
-      }
-      core_profile_free(&profile);
-    }
-    transport_anisotropic_free(solution);
+    const double etas[] = {unit_random_between(&random, 0.7, 1), 1,
+                           unit_random_between(&random, 1, 2.2)};
+    compare_with_solver(ratio, g, etas, TRANSPORT_EFFORT_QUICK, (core_radii_range){0.01, 20}, 1e-12,
+                        &random);
   }
-  printf("of what is allowed: R %.2f, dR/dr %.2f\n", worst_R, worst_slope);
+}
+
+/* The table was measured where R is above 1e-12. Its error grows beyond the reach. */
+UNIT_TEST(smaller_values_are_within_what_is_stated_beyond_the_reach) {
+  uint64_t random = unit_seed();
+  const double etas[] = {0.782, 1, 1.16};
+  const struct excess excess = compare_with_solver(1.2162, 0.727, etas, TRANSPORT_EFFORT_NORMAL,
+                                                   (core_radii_range){15, 25}, 1e-17, &random);
+  assert_true(excess.R > 0);
 }
 
 /* ---- quantities and evaluators ----------------------------------------------------------------- */
