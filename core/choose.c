@@ -132,19 +132,23 @@ static size_t cheapest_tolerance(const struct cost *cost, double most) {
   return best;
 }
 
+#define BELOW (1 - 1e-12) /* leaves room for rounding where errors are added */
+
 /* Chooses the tolerance to prepare with. The numerical error may take a quarter of the tolerance
- * that the model's error leaves. */
+ * that the model's error leaves, but no more than the errors besides leave of that. If nothing is
+ * left, the numerical error is the least that the evaluator can have. */
 static void set_numerical_error(core_candidate *candidate, const struct cost *cost,
                                 const core_choose_request *request) {
+  const double besides = logarithm_error(request) + added_error(cost, request);
   const double left = (request->tolerance - candidate->model_error) / (1 + candidate->model_error);
   const double floor = cost->numerical_least - cost->tolerance_least;
-  const double share = left / 4;
+  const double share = fmin(left / 4, left * BELOW - besides);
   const size_t which = cheapest_tolerance(cost, share - floor);
   candidate->numerical_tolerance = tolerances[which];
   candidate->numerical_error = which > 0 ? tolerances[which] + floor : cost->numerical;
   candidate->cost_ns = cost->with[which].evaluate_ns;
   candidate->prepare_ns = cost->with[which].prepare_ns;
-  if (left > 0 && share < cost->numerical && cost->numerical_least < cost->numerical) {
+  if (share < cost->numerical && cost->numerical_least < cost->numerical) {
     candidate->numerical_tolerance = fmax(share - floor, cost->tolerance_least);
     candidate->numerical_error = candidate->numerical_tolerance + floor;
   }
@@ -152,7 +156,7 @@ static void set_numerical_error(core_candidate *candidate, const struct cost *co
   if (slope && cost->model == CORE_MODEL_TRANSPORT && cost->evaluator == CORE_EVALUATOR_LUT) {
     candidate->numerical_error = fmax(candidate->numerical_error, core_transport_slope_error());
   }
-  candidate->numerical_error += logarithm_error(request) + added_error(cost, request);
+  candidate->numerical_error += besides;
 }
 
 /* ---- choosing -------------------------------------------------------------------------------- */

@@ -64,7 +64,8 @@ enum {
  * are no media. The first one is the choice: the one with the least total_ns of those that meet the
  * tolerance. Among costs that count as equal the least error wins, then the earlier line of
  * core/costs.def. The caller takes the next candidate if it cannot prepare one. If none meets the
- * tolerance, the candidate with the least error comes first.
+ * tolerance, the candidate with the least error comes first. The errors of candidates that do not
+ * meet the tolerance are the least that they can have: each meets any tolerance from there on.
  *
  * The errors of `transport` are known everywhere in its domain for g = 0, and for other g where it
  * does not use the similarity relation. For other models they are known where core/model_error.h

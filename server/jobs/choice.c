@@ -3,11 +3,14 @@
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "server/store/profiles.h"
 
 /* A medium has the same layout on the wire and in core, so core reads the payload as an array. */
 _Static_assert(sizeof(core_medium) == WIRE_BYTES_medium, "one medium after the other");
+
+enum { ROUNDED_BYTES = 16, ALLOWED_BYTES = sizeof((wire_error *)0)->allowed };
 
 static wire_error check_media(const core_medium *media, size_t count) {
   for (size_t i = 0; i < count; i++) {
@@ -41,10 +44,10 @@ wire_error choice_check(const eval_request *request) {
                              : wire_error_make(WIRE_STATUS_BAD_VALUE, fault.field, fault.allowed);
 }
 
-void choice_list(const eval_request *request, core_radii_range radii, struct choice *choice) {
+static core_choose_request asked_of(const eval_request *request, core_radii_range radii) {
   const wire_eval_request *fixed = &request->fixed;
   const double gamma = request->parameters.value[CORE_PARAMETER_GAMMA];
-  const core_choose_request asked = {
+  return (core_choose_request){
       .media = media_of(request),
       .media_count = fixed->medium_count,
       .moments = fixed->moments,
@@ -55,21 +58,140 @@ void choice_list(const eval_request *request, core_radii_range radii, struct cho
       .tolerance = request->parameters.value[CORE_PARAMETER_TOLERANCE],
       .gamma = isnan(gamma) ? 0 : gamma,
   };
+}
+
+void choice_list(const eval_request *request, core_radii_range radii, struct choice *choice) {
+  const core_choose_request asked = asked_of(request, radii);
   choice->count = core_choose(&asked, choice->candidates);
 }
 
-static wire_error none_meets(const struct choice *choice) {
-  char allowed[80];
-  if (choice->count == 0 || !(choice->candidates[0].error < (double)INFINITY)) {
-    return wire_error_make(WIRE_STATUS_BAD_VALUE, "tolerance",
-                           "a model instead: no error is known for this medium and range");
-  }
-  const core_candidate *best = &choice->candidates[0];
-  snprintf(allowed, sizeof allowed, "at least %.3g: %s (%s) is the best there is",
-           best->error * (1 + 5e-3), core_choice_by_id(core_models, best->model)->name,
-           core_choice_by_id(core_evaluators, best->evaluator)->name);
-  return wire_error_make(WIRE_STATUS_BAD_VALUE, "tolerance", allowed);
+/* ---- refusing -------------------------------------------------------------------------------- */
+
+/* Returns the best candidate. */
+static core_candidate best_of(const core_choose_request *asked) {
+  core_candidate candidates[CORE_CANDIDATES_MAX];
+  core_choose(asked, candidates);
+  return candidates[0];
 }
+
+/* Writes a positive number with three digits, rounded up or down. */
+static void round_to(char text[ROUNDED_BYTES], double value, bool up) {
+  snprintf(text, ROUNDED_BYTES, "%.3g", value);
+  const double step = (up ? 1e-3 : -1e-3) * value;
+  for (double from = value; up ? strtod(text, NULL) < value : strtod(text, NULL) > value;) {
+    from += step;
+    snprintf(text, ROUNDED_BYTES, "%.3g", from);
+  }
+}
+
+/* Returns the medium whose error alone is the largest. */
+static size_t worst_medium(const core_choose_request *asked) {
+  core_choose_request one = *asked;
+  size_t worst = 0;
+  double most = -1;
+  one.media_count = 1;
+  for (size_t i = 0; i < asked->media_count; i++) {
+    one.media = &asked->media[i];
+    const double error = best_of(&one).error;
+    worst = error > most ? i : worst;
+    most = fmax(most, error);
+  }
+  return worst;
+}
+
+/* Writes the error without the quantity, other than R, that alone keeps the tolerance from being
+ * met. Returns false if there is none. */
+static bool describe_quantity(const core_choose_request *asked, char *text, size_t bytes) {
+  for (unsigned left = asked->wanted & ~CORE_QUANTITY_R; left != 0; left &= left - 1) {
+    core_choose_request others = *asked;
+    const unsigned bit = left & ~(left - 1);
+    others.wanted &= ~bit;
+    const core_candidate best = best_of(&others);
+    if (others.wanted != 0 && best.meets) {
+      char error[ROUNDED_BYTES];
+      round_to(error, best.error, true);
+      snprintf(text, bytes, "; %s without %s", error,
+               core_choice_by_id(core_quantities, bit)->name);
+      return true;
+    }
+  }
+  return false;
+}
+
+/* Returns up to which radius the tolerance is met, to 1 part in 1e3 or so, or less than the least
+ * radius if that does not meet it. Errors only grow with the range of radii. */
+static double find_radius(const core_choose_request *asked) {
+  core_choose_request nearer = *asked;
+  double least_mm = fmax(asked->radii.least_mm, asked->radii.most_mm * 1e-6);
+  double most_mm = asked->radii.most_mm;
+  nearer.radii.most_mm = least_mm;
+  if (!(least_mm < most_mm && most_mm < (double)INFINITY && best_of(&nearer).meets)) {
+    return -1;
+  }
+  for (int halving = 0; halving < 14; halving++) {
+    nearer.radii.most_mm = sqrt(least_mm) * sqrt(most_mm);
+    *(best_of(&nearer).meets ? &least_mm : &most_mm) = nearer.radii.most_mm;
+  }
+  return least_mm;
+}
+
+/* Writes up to which radius the tolerance is met, and the error there, if that can be found with
+ * few media. Looks at the worst medium alone, because all of them take long. */
+static void describe_radius(const core_choose_request *asked, size_t worst, char *text,
+                            size_t bytes) {
+  core_choose_request all = *asked;
+  for (int round = 0; round < 3; round++) {
+    core_choose_request one = all;
+    one.media = &all.media[worst];
+    one.media_count = 1;
+    char radius_mm[ROUNDED_BYTES], error[ROUNDED_BYTES];
+    const double found_mm = find_radius(&one) * (1 - 1e-6); /* also if it is rounded to single */
+    if (found_mm < asked->radii.least_mm) {
+      return;
+    }
+    round_to(radius_mm, found_mm, false);
+    all.radii.most_mm = strtod(radius_mm, NULL);
+    if (all.radii.most_mm < asked->radii.least_mm) {
+      return;
+    }
+    const core_candidate best = best_of(&all);
+    if (best.meets) {
+      round_to(error, best.error, true);
+      snprintf(text, bytes, "; %s up to %s mm", error, radius_mm);
+      return;
+    }
+    worst = worst_medium(&all);
+  }
+}
+
+/* Returns the refusal of a tolerance that no candidate keeps. */
+static wire_error none_meets(const core_choose_request *asked) {
+  char allowed[ALLOWED_BYTES], medium[32] = "", part[64] = "", least[ROUNDED_BYTES];
+  const size_t worst = worst_medium(asked);
+  const core_candidate best = best_of(asked);
+  if (asked->media_count > 1) {
+    snprintf(medium, sizeof medium, " for medium %zu", worst + 1);
+  }
+  if (best.error <= 1) { /* as large as the parameter may be */
+    round_to(least, best.error, true);
+    snprintf(allowed, sizeof allowed, "at least %s%s (best: %s, %s)", least, medium,
+             core_choice_by_id(core_models, best.model)->name,
+             core_choice_by_id(core_evaluators, best.evaluator)->name);
+  } else {
+    snprintf(allowed, sizeof allowed, "a model instead: no error below 1 is known%s", medium);
+  }
+  if (!describe_quantity(asked, part, sizeof part)) {
+    describe_radius(asked, worst, part, sizeof part);
+  }
+  if (strlen(allowed) + strlen(part) < sizeof allowed) {
+    strcat(allowed, part);
+  }
+  wire_error error = wire_error_make(WIRE_STATUS_BAD_VALUE, "tolerance", allowed);
+  error.index = worst;
+  return error;
+}
+
+/* ---- taking ---------------------------------------------------------------------------------- */
 
 /* Writes the next candidate into the request. Returns false if there is none left, or if it does
  * not keep the tolerance. */
@@ -91,7 +213,8 @@ wire_error choice_first(struct choice_state *state, eval_request *request, core_
   choice_list(request, radii, &choice);
   state->tolerance = request->parameters.value[CORE_PARAMETER_TOLERANCE];
   state->tried = 0;
-  return take_next(state, &choice, request) ? wire_error_none() : none_meets(&choice);
+  const core_choose_request asked = asked_of(request, radii);
+  return take_next(state, &choice, request) ? wire_error_none() : none_meets(&asked);
 }
 
 bool choice_again(struct choice_state *state, core_fault fault, eval_request *request,

@@ -68,7 +68,58 @@ def test_offers_where_nothing_keeps_the_tolerance(client):
     assert taken is None and offers and not any(offer.meets for offer in offers)
     with pytest.raises(python_client.Refused) as caught:
         client.eval(None, SKIN, [1.0], tolerance=1e-9, wanted=["R"])
-    assert caught.value.field == "tolerance" and "the best there is" in caught.value.allowed
+    assert caught.value.field == "tolerance" and "(best: transport, " in caught.value.allowed
+
+
+DENSE = (0.4, 11.0, 0.85, 1.4)  # beyond 10 mean free paths at 4.88 mm
+THREE = [(0.05, 7.0, 0.85, 1.4), DENSE, (0.15, 9.0, 0.85, 1.4)]
+REFUSAL = r"at least (\S+) for medium 2 \(best: transport, (?:lut|f32|f64)\)"
+
+
+def refusal(client, media, radii, **how) -> python_client.Refused:
+    with pytest.raises(python_client.Refused) as caught:
+        client.eval(None, media, radii, **how)
+    assert caught.value.field == "tolerance"
+    return caught.value
+
+
+@pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
+@pytest.mark.parametrize("tolerance", [1e-8, 1e-4, 1e-3])
+def test_the_least_that_a_refusal_quotes_is_accepted(client, evaluator, tolerance):
+    how = {"evaluator": evaluator, "wanted": ["R", "albedo"]}
+    error = refusal(client, THREE, [0.05, 5.0], tolerance=tolerance, **how)
+    least = re.match(REFUSAL, error.allowed)
+    assert error.index == 1 and least is not None
+    assert error_of(client.eval(None, THREE, [0.05, 5.0], tolerance=float(least[1]), **how)) <= 1
+    for part in (0.3, 0.9, 0.99):
+        lower = refusal(client, THREE, [0.05, 5.0], tolerance=part * float(least[1]), **how)
+        assert lower.allowed.startswith(least[0])
+
+
+def test_a_refusal_says_up_to_which_radius_the_tolerance_is_kept(client):
+    how = {"wanted": ["R", "albedo"], "tolerance": 0.004}
+    error = refusal(client, THREE, [0.05, 5.0], **how)
+    nearer = re.fullmatch(REFUSAL + r"; (\S+) up to (\S+) mm", error.allowed)
+    assert nearer is not None and float(nearer[2]) <= 0.004
+    most_mm = float(nearer[3])
+    how["tolerance"] = float(nearer[2])
+    assert error_of(client.eval(None, THREE, [0.05, most_mm], **how)) <= 0.004
+    how["tolerance"] = 0.004
+    refusal(client, THREE, [0.05, 1.01 * most_mm], **how)
+
+
+def test_a_refusal_names_the_quantity_that_is_the_cause(client):
+    how = {"tolerance": 0.01, "wanted": ["R", "cdf"]}
+    error = refusal(client, THREE, [0.05, 5.0], **how)
+    without = re.fullmatch(REFUSAL + r"; (\S+) without cdf", error.allowed)
+    assert without is not None
+    client.eval(None, THREE, [0.05, 5.0], tolerance=float(without[2]), wanted="R")
+
+
+def test_a_medium_whose_error_nothing_bounds_is_named(client):
+    error = refusal(client, [SKIN, (1.0, 1e-3, 0.98, 2.5)], [1.0], tolerance=0.1, wanted="R")
+    assert error.allowed == "a model instead: no error below 1 is known for medium 2"
+    assert error.index == 1
 
 
 def test_grids_and_submitted_queries(client):
@@ -291,7 +342,7 @@ def test_double_precision_where_only_that_will_do():
 
 
 test_refusals_have_the_daemons_words = says(FAILED, ["eval", *MEDIUM], [
-    (["--tolerance", "1e-9"], "the best there is (--tolerance)"),
+    (["--tolerance", "1e-9"], "(best: transport, f64) (--tolerance)"),
     (["--tolerance", "2"], "bad-value: tolerance: allowed: 1e-12 to 1 (--tolerance)"),
     (["--tolerance", "0.1", "--eta", "0"], "bad-value: eta: allowed: "),
     (["--tolerance", "0.1", "--r", "1,-1"], "bad-value: r number 2 of 2: allowed: "),
