@@ -100,6 +100,8 @@ def test_media_may_be_given_in_many_ways(client):
         ({"model": None}, "tolerance=0.01"),
         ({"media": "wholmilk"}, "Did you mean wholemilk?"),
         ({"media": ["a", "b"]}, "could not convert"),
+        ({"media": Medium([0.1, 0.2], [1.0, 2.0])}, "give a list of Medium, or call values()"),
+        ({"media": Medium(*np.full((4, 4), 0.5))}, "give a list of Medium, or call values()"),
         ({"r": None}, "give radii, or a grid"),
         ({"r": None, "wanted": ["R", "albedo"]}, "give radii, or a grid"),
         ({"r": ["near"]}, "r: one radius or an array [N]: could not convert"),
@@ -149,6 +151,8 @@ def test_the_name_of_a_measured_medium(client):
 def test_a_quantity_that_was_not_wanted_is_named(client):
     result = client.eval("better", SKIN, [1.0], wanted="cdf")
     assert list(result.values) == ["cdf"]
+    assert list(client.eval("better", SKIN, [1.0]).values) == ["R", "cdf"]
+    assert list(client.eval(None, SKIN, [1.0], tolerance=0.01).values) == ["R"]
     with pytest.raises(AttributeError, match="R: was not wanted. The answer has: cdf, r"):
         result.R
 
@@ -540,14 +544,14 @@ def test_errors_of_a_private_daemon_appear(tmp_path):
 
 def test_no_daemon_to_start(tmp_path):
     run = run_in_clone(tmp_path, False)
-    assert run.returncode != 0 and "ConnectError: private:: there is no dipoled" in run.stderr
+    assert run.returncode != 0 and "ConnectError: private: there is no dipoled" in run.stderr
 
 
 def test_daemon_from_the_path(monkeypatch):
     monkeypatch.delenv("DIPOLED", raising=False)
     monkeypatch.setenv("PATH", str(PROGRAM.parent))
     with dipole.Client() as client:
-        assert client.info.address == "private:"
+        assert client.info.address == client.address == "private:"
         assert client.ping() > 0
 
 
@@ -617,7 +621,7 @@ def test_timeout():
         address = f"tcp:127.0.0.1:{server.getsockname()[1]}"
         with pytest.raises(dipole.ConnectError) as caught:
             dipole.Client(address, timeout_s=0.1, retry_s=0)
-    assert "nothing moved for 0.1 s before it said hello" in str(caught.value)
+    assert "nothing moved for 0.1 s. The daemon may still be at work: " in str(caught.value)
 
 
 def test_closing_twice_is_fine(shared):

@@ -262,11 +262,12 @@ def test_another_daemon_takes_over(daemon):
     with dipole.Client(addresses, retry_s=RETRY_S) as client:
         known = [result_bytes(client.eval(**question)) for question in QUESTIONS]
         outstanding = {client.submit(**question): i for i, question in enumerate(QUESTIONS)}
-        assert client.info.address == one.url()
+        assert client.address == one.url()
         one.kill()
         while outstanding:
             request_id, result = client.collect()
             assert result_bytes(result) == known[outstanding.pop(request_id)]
+        assert client.address == other.url("tcp")
     assert other.client().statistics()["requests_eval"] > 0
 
 

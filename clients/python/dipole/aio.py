@@ -69,6 +69,11 @@ class AsyncClient:
             raise ArgumentError("this client is not open")
         return self._info
 
+    @property
+    def address(self) -> str:
+        """See Client.address."""
+        return self._opened().connection.address
+
     def __repr__(self) -> str:
         if self._stream is None or self._info is None:
             return f"<AsyncClient: {self._address}, not open>"
@@ -100,13 +105,14 @@ class AsyncClient:
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
-        self._fail(ConnectionLost(f"{self._name()}: this client is closed", final=True))
+        self._fail(ConnectionLost(f"{self._name().removesuffix(':')}: this client is closed", final=True))
         if self._stream is not None:
             stream, self._stream = self._stream, None
             await stream.close()
 
     def _opened(self) -> _Stream:
-        assert self._stream is not None
+        if self._stream is None:
+            raise ArgumentError("this client is not open")
         return self._stream
 
     def _name(self) -> str:
@@ -345,7 +351,7 @@ class AsyncClient:
             silent_s = time.monotonic() - max(self._waiting_since_s, stream.moved_s)
             if not self._waiting or not self._connected.is_set() or silent_s <= timeout_s:
                 continue
-            text = f"{self._name()}: nothing moved for {timeout_s:g} s"
+            text = stream.connection.silent_text(timeout_s)
             if not stream.connection.is_one_of_several:
                 self._fail(ConnectionLost(text, final=True))
                 return
@@ -449,7 +455,7 @@ class _Stream:
             try:
                 count = await self._loop.sock_recv_into(self.connection.socket, incoming.room())
             except OSError as error:
-                raise ConnectionLost(f"{self.connection.address}: {error}") from error
+                raise ConnectionLost(f"{self.connection.name}: {error}") from error
             if self._given_up is not None:
                 raise self._given_up
             self.connection.received(count)

@@ -31,7 +31,7 @@ class Client:
     the daemon's lists.
 
     address: as of a Connection. Several unix: and tcp: addresses, separated by commas without
-    blanks, are tried in turn. info.address is the one that answered. A client belongs to one
+    blanks, are tried in turn. The attribute `address` is the one in use. A client belongs to one
     thread at a time. Close it, or use it in a with statement: a private daemon ends with the
     client.
 
@@ -69,16 +69,22 @@ class Client:
         """Closes the connection and ends a private daemon. Closing twice is fine."""
         self._connection.close()
 
+    @property
+    def address(self) -> str:
+        """The address of the daemon that the client is connected to, or was last connected to. It
+        changes when the client goes on with another daemon."""
+        return self._connection.address
+
     def __repr__(self) -> str:
         closed = ", closed" if self._connection.is_closed else ""
-        software, address = self.info.software, self._connection.address
-        return f"<Client: {software} at {address}{closed}>"
+        return f"<Client: {self.info.software} at {self.address}{closed}>"
 
     # ---- evaluating ------------------------------------------------------------------------------
 
     def eval(self, *query: Any, **options: Any) -> Result:
-        """Evaluates a Query, or its arguments: eval(model, media, r, tolerance=0.01). Waits for the
-        answer. Raises Refused, which names the field at fault, if the daemon refuses the query. The
+        """Evaluates a Query, or its arguments: eval(model, media, r, tolerance=0.01). The options
+        are grid, evaluator, moments, wanted, parameters, tolerance and deadline_ms; help(Query)
+        describes them. Waits for the answer. Raises Refused, which names the field at fault, if the daemon refuses the query. The
         status of Refused is "deadline" if the answer would be too late."""
         return self._ask(evaluation.eval(self.info, self._query(*query, **options)))
 

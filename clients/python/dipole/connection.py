@@ -116,6 +116,18 @@ class Connection:
         self.close()
 
     @property
+    def name(self) -> str:
+        """The address as errors begin with it, before a colon."""
+        return self.address.removesuffix(":")
+
+    def silent_text(self, timeout_s: float) -> str:
+        """Says that the daemon was silent for so long, and what can be done about it."""
+        return (
+            f"{self.name}: nothing moved for {timeout_s:g} s. The daemon may still be at work: "
+            "a larger timeout_s waits longer"
+        )
+
+    @property
     def is_private(self) -> bool:
         """Whether the daemon was started for this connection."""
         return self.address.startswith("private:")
@@ -147,9 +159,9 @@ class Connection:
             if colon and scheme == "private":
                 return self._open_private(rest or _find_daemon())
         except (OSError, subprocess.SubprocessError) as error:
-            raise ConnectError(f"{self.address}: {error}") from error
+            raise ConnectError(f"{self.name}: {error}") from error
         raise AddressError(
-            f"{self.address}: not one of unix:PATH, tcp:HOST:PORT, private:, private:PROGRAM"
+            f"{self.name}: not one of unix:PATH, tcp:HOST:PORT, private:, private:PROGRAM"
         )
 
     def _open_unix(self, path: str) -> socket.socket:
@@ -165,14 +177,14 @@ class Connection:
     def _open_tcp(self, host_and_port: str) -> socket.socket:
         if re.search("[ \t,;]", host_and_port):
             raise AddressError(
-                f"{self.address}: several addresses have nothing but a comma between them, as in "
+                f"{self.name}: several addresses have nothing but a comma between them, as in "
                 "tcp:HOST:PORT,tcp:HOST:PORT"
             )
         host, _, port = host_and_port.rpartition(":")
         if host.startswith("[") and host.endswith("]"):
             host = host[1:-1]
         if not host or not port.isascii() or not port.isdigit() or not 0 < int(port) < 65536:
-            raise AddressError(f"{self.address}: not tcp:HOST:PORT")
+            raise AddressError(f"{self.name}: not tcp:HOST:PORT")
         connection = socket.create_connection((host, int(port)), self.timeout_s)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return connection
@@ -245,12 +257,12 @@ class Connection:
 
     def _wait(self, writing: bool) -> tuple[bool, bool]:
         if self.is_closed:
-            raise ConnectionLost(f"{self.address}: this client is closed", final=True)
+            raise ConnectionLost(f"{self.name}: this client is closed", final=True)
         wanted = select.POLLIN | (select.POLLOUT if writing else 0)
         wait_ms = None if self.timeout_s is None else self.timeout_s * 1000
         events = _poll(self.socket, wanted, wait_ms)
         if not events:
-            text = f"{self.address}: nothing moved for {self.timeout_s:g} s"
+            text = self.silent_text(self.timeout_s or 0)
             raise ConnectionLost(text, final=not self.is_one_of_several)
         readable = select.POLLIN | select.POLLHUP | select.POLLERR
         return bool(events & readable), bool(events & select.POLLOUT)
@@ -261,7 +273,7 @@ class Connection:
         except BlockingIOError:
             return 0
         except OSError as error:
-            raise ConnectionLost(f"{self.address}: {error}") from error
+            raise ConnectionLost(f"{self.name}: {error}") from error
 
     def _receive(self) -> None:
         self._wait(writing=False)
@@ -271,14 +283,14 @@ class Connection:
         try:
             count = self.socket.recv_into(self.incoming.room())
         except OSError as error:
-            raise ConnectionLost(f"{self.address}: {error}") from error
+            raise ConnectionLost(f"{self.name}: {error}") from error
         self.received(count)
 
     def received(self, count: int) -> None:
         """Buffers the first count bytes of incoming.room(). Raises ConnectionLost if count is 0:
         the daemon has closed the connection."""
         if count == 0:
-            raise ConnectionLost(f"{self.address}: the daemon closed the connection")
+            raise ConnectionLost(f"{self.name}: the daemon closed the connection")
         self.incoming.add(count)
 
     # ---- frames ----------------------------------------------------------------------------------

@@ -75,6 +75,11 @@ def unpack_list(
 
 def media_array(media: Media) -> Array:
     """Makes an array [C, 4] of one medium or of several."""
+    if isinstance(media, Medium) and any(map(np.ndim, media)):
+        raise ArgumentError(
+            "media: the fields of this Medium are arrays: give a list of Medium, or call values(), "
+            "which broadcasts them"
+        )
     try:
         listed = media if isinstance(media, (tuple, np.ndarray)) else list(media)
         array: Array = np.asarray(listed, "<f8")
@@ -185,7 +190,8 @@ def _check_model(query: Query) -> None:
 
 def _eval_payload(info: Info, query: Query) -> tuple[bytes, Shape]:
     grid, evaluator = query.grid, query.evaluator
-    wanted = _names(query.wanted, ("R", "albedo", "cdf", "r")[: 3 if grid is None else 4])
+    cdf = () if query.model is None else ("cdf",)
+    wanted = _names(query.wanted, ("R", "albedo", *cdf, *(() if grid is None else ("r",))))
     if grid is not None and not isinstance(grid, Grid):
         raise ArgumentError("grid: a Grid, such as Grid(0.1, 10, 100)")
     if evaluator is None:

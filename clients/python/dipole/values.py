@@ -85,7 +85,8 @@ class Query:
         (1.5e-8 of it) does not change a value in single precision, so that the routine sees no
         slope, stops at its first guess and reports success. examples/fit.py shows a fit.
     moments: how Fresnel reflection is integrated: "exact", or "fit" by published polynomials.
-    wanted: names of quantities, or one name. The default is R, albedo, cdf and, with a grid, r.
+    wanted: names of quantities, or one name. The default is R, albedo, cdf and, with a grid, r. If
+        the model is None, the cdf is not among them, because it keeps fewer tolerances than R.
     parameters: optional numbers by name, for example {"cos_in": 0.8}. Their units and ranges are in
         info.choices["parameter"]. The values of fit_model and phase may also be names. The
         daemon refuses a parameter that the model does not have.
@@ -128,7 +129,7 @@ class Choice(NamedTuple):
 class Info:
     """A daemon's description of itself: its reply to hello."""
 
-    address: str
+    address: str  # of the daemon that said this first; Client.address is the one in use
     software: str
     instruction_set: str
     R_unit: str
