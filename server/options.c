@@ -242,6 +242,25 @@ static void print_help(void) {
   printf("  %-25s this text\n  %-25s the version\n", "--help", "--version");
 }
 
+/* Names the option that is nearest to one that getopt has refused. */
+static void name_nearest(const char *given) {
+  char name[VARIABLE_BYTES];
+  unsigned least = 4; /* Names that are further apart have nothing to do with each other. */
+  const char *nearest = NULL;
+  snprintf(name, sizeof name, "%.*s", (int)strcspn(given, "="), given);
+  for (int i = 0; i < OPTIONS; i++) {
+    char known[VARIABLE_BYTES];
+    snprintf(known, sizeof known, "--%s", descriptions[i].name);
+    const unsigned apart = strcmp(known, name) == 0 ? 0 : 1 + core_name_distance(known, name);
+    nearest = apart < least ? descriptions[i].name : nearest;
+    least = apart < least ? apart : least;
+  }
+  if (nearest != NULL && least > 0) {
+    fprintf(stderr, "dipoled: the nearest option is --%s\n", nearest);
+  }
+  fprintf(stderr, "dipoled --help lists the options\n");
+}
+
 /* ---- command line ---------------------------------------------------------------------------- */
 
 static enum options_outcome read_command_line(int argc, char **argv, struct options *options) {
@@ -264,7 +283,7 @@ static enum options_outcome read_command_line(int argc, char **argv, struct opti
       return OPTIONS_EXIT_OK;
     }
     if (which < 0 || which >= OPTIONS) {
-      fprintf(stderr, "dipoled --help lists the options\n");
+      name_nearest(argv[optind - 1]);
       return OPTIONS_EXIT_USAGE;
     }
     const struct description *option = &descriptions[which];

@@ -213,7 +213,9 @@ static int finish(int argc, char **argv, cli_common *common) {
     return cli_fail_usage("'%s' is one argument too many: leave it out", argv[optind + operands]);
   }
   if (common->format != NULL && !in_list(command->formats, common->format)) {
-    return cli_fail_usage("--format %s: it is one of %s", common->format, command->formats);
+    return cli_fail_usage("--format %s: %s %s", common->format,
+                          strchr(command->formats, ',') != NULL ? "it is one of" : "only",
+                          command->formats);
   }
   common->form = form_of(common->format != NULL ? common->format : command->formats);
   if (common->timeout_ms.value > UINT32_MAX || common->retry_ms.value > UINT32_MAX) {

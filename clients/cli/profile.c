@@ -35,7 +35,8 @@ const cli_option cli_parameter_options[] = {
     {"Parameters, for the models that take them", NULL, NULL, CLI_HEADING, 0, NULL},
     {"tolerance", "X",
      "largest relative numerical error, for models that can choose it, and\n"
-     "for tables",
+     "for tables. Without --model, in eval, plot and points: largest error of\n"
+     "the answer against radiative transport",
      CLI_NUMBER, FIELD(tolerance), NULL},
     {"cos-in", "X", "cosine of the angle of incidence, for S (default: 1)", CLI_NUMBER,
      FIELD(cos_in), NULL},

@@ -27,6 +27,8 @@ manuals: $(BUILD)/dipoled $(BUILD)/dipole
 install: $(INSTALLED) $(LIBRARIES)
 	$(Q)$(INSTALL_FILES) install
 	$(Q)[ -n "$(DESTDIR)" ] || [ "$$(id -u)" != 0 ] || ldconfig
+	@printf 'Installed in %s%s: programs in %s, library in %s, Python module in %s\n' \
+		'$(DESTDIR)' '$(PREFIX)' '$(BINDIR)' '$(LIBDIR)' '$(PYTHONDIR)'
 
 # With the same PREFIX, DESTDIR and the like.
 uninstall:

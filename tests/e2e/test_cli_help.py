@@ -76,7 +76,7 @@ test_wrong_command_lines_say_what_to_do = says(USAGE, [], [
     (["eval", "--sigma-a"], "--sigma-a: a value is missing"),
     (["media", "--format", "xml"], "--format xml: it is one of table,csv,json"),
     (["media", "--format", "able"], "--format able: it is one of table,csv,json"),
-    (["points", "--format", "json"], "--format json: it is one of csv"),
+    (["points", "--format", "json"], "--format json: only csv"),
     (["media", "--timeout-ms", "-1"], "--timeout-ms: '-1' is no whole number"),
     (["media", "--timeout-ms", "4294967296"], "--timeout-ms: give at most 4294967295"),
     (["media", "--retry-ms", "4294967296"], "--retry-ms: give at most 4294967295"),

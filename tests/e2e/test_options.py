@@ -147,6 +147,14 @@ def test_wrong_usage(name):
     assert WRONG[name][0].lstrip("-") in ended.stderr
 
 
+def test_a_misspelt_option_gets_the_nearest():
+    for wrong in ("--wrokers", "--wrokers=3", "--worker-s"):
+        assert "the nearest option is --workers\n" in run(*NOWHERE, wrong).stderr
+    for other in ("--nothing-like-it", "--max-media"):  # the second one lacks its value
+        said = run(*NOWHERE, other).stderr
+        assert "nearest" not in said and "dipoled --help lists the options" in said
+
+
 def test_a_wrong_value_is_quoted():
     for arguments in (WRONG["log level"], WRONG["isa"], ["--fd", "99"]):
         assert arguments[1] in run(*NOWHERE, *arguments).stderr
