@@ -2,6 +2,7 @@
 
 #include <assert.h>
 #include <string.h>
+#include <sys/prctl.h>
 
 /* ---- the run queue --------------------------------------------------------------------------- */
 
@@ -194,8 +195,25 @@ static void stay_awake_for_queue(struct worker *worker) {
   }
 }
 
+/* Notes the time of the loop, which libuv has read before or after the poll. */
+static void note_round(struct worker *worker) {
+  atomic_store_explicit(&worker->round_began_ms, uv_now(&worker->loop), memory_order_relaxed);
+}
+
+uint64_t worker_silence_ms(const struct worker *workers, uint64_t count) {
+  uint64_t latest_ms = 0;
+  for (uint64_t i = 0; i < count; i++) {
+    const uint64_t began_ms =
+        atomic_load_explicit(&workers[i].round_began_ms, memory_order_relaxed);
+    latest_ms = began_ms > latest_ms ? began_ms : latest_ms;
+  }
+  const uint64_t now_ms = uv_hrtime() / 1000000;
+  return now_ms > latest_ms ? now_ms - latest_ms : 0;
+}
+
 static void after_poll(uv_check_t *handle) {
   struct worker *worker = handle->data;
+  note_round(worker);
   run_round(worker);
   stop_round(worker);
   if (worker->run_count > 0 || (worker->stop_rounds > 0 && worker->stop_rounds < 4)) {
@@ -239,7 +257,7 @@ static uint64_t clock_period_ms(const struct options *options) {
   shortest = least(shortest, options->modbus_frame_timeout_ms);
   shortest = least(shortest, options->modbus_idle_timeout_ms);
   shortest = least(shortest, options->drain_timeout_ms);
-  return least(shortest / 4 + 1, 250);
+  return least(shortest / 4 + 1, WORKER_CLOCK_MOST_MS);
 }
 
 static void close_handle(uv_handle_t *handle, void *unused) {
@@ -252,6 +270,7 @@ static void close_handle(uv_handle_t *handle, void *unused) {
 static void thread_main(void *argument) {
   struct worker *worker = argument;
   stats_claim((unsigned)(worker - worker->server->workers) + 1);
+  prctl(PR_SET_NAME, "worker"); /* top -H and debuggers show it */
   uv_run(&worker->loop, UV_RUN_DEFAULT);
   assert(LIST_EMPTY(&worker->clients));
   uv_walk(&worker->loop, close_handle, NULL);
@@ -287,6 +306,9 @@ int worker_open(struct worker *worker, struct server *server) {
   int error = uv_mutex_init(&worker->mutex);
   error = error != 0 ? error : uv_loop_init(&worker->loop);
   error = error != 0 ? error : uv_async_init(&worker->loop, &worker->wake, on_wake);
+  if (error == 0) {
+    note_round(worker);
+  }
   return error != 0 ? error : set_up_handles(worker);
 }
 

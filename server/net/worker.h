@@ -84,8 +84,16 @@ struct worker {
   uint64_t stop_began_ms;
   unsigned abandoned_requests, abandoned_clients; /* by the drain timeout; read after the join */
   _Atomic uint64_t client_count;                  /* number of clients with kind->counts */
+  _Atomic uint64_t round_began_ms;                /* by uv_hrtime(); a round follows soon */
   struct job_context context;
 };
+
+/* Idle workers begin a round of the loop at least this often, for the sake of timeouts. */
+enum { WORKER_CLOCK_MOST_MS = 250 };
+
+/* Returns for how long none of these workers has begun a round of its loop, which means that each
+ * has been busy with a single turn. Any thread may call this. */
+uint64_t worker_silence_ms(const struct worker *workers, uint64_t count);
 
 /* Sets up a worker without a thread. The thread that runs its loop is the worker's thread. Returns
  * 0 or an error code of libuv. */

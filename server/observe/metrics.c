@@ -10,6 +10,7 @@
 
 #include "server/http/library.h"
 #include "server/net/tcp.h"
+#include "server/net/worker.h"
 #include "server/observe/log.h"
 #include "server/observe/report.h"
 #include "server/server.h"
@@ -116,6 +117,10 @@ static void write_process(FILE *file, const struct server *server, double start_
             "# TYPE process_cpu_seconds_total counter\nprocess_cpu_seconds_total %.6f\n",
             seconds(&used.ru_utime) + seconds(&used.ru_stime));
   }
+  write_gauge(
+      file, "dipoled_workers_silent_seconds",
+      "for how long no worker has begun a round of its loop, which idle ones do every 0.25 s",
+      (double)worker_silence_ms(server->workers, server->options.workers) / 1e3);
   write_gauge(file, "process_start_time_seconds", "since 1970, UTC", start_s);
   write_memory(file);
   write_descriptors(file);
@@ -186,6 +191,17 @@ static enum MHD_Result send_metrics(const struct http_library *http,
   return send_response(http, connection, MHD_HTTP_OK, EXPOSITION, response);
 }
 
+/* The daemon does not serve while it drains, or while all workers are busy with a single turn. */
+static enum MHD_Result send_health(const struct http_library *http,
+                                   struct MHD_Connection *connection, const struct server *server) {
+  static char ok[] = "ok\n", draining[] = "draining\n";
+  static char stalled[] = "stalled: no worker has finished a turn for 3 s\n";
+  const bool is_stalled =
+      worker_silence_ms(server->workers, server->options.workers) >= METRICS_STALLED_MS;
+  char *text = atomic_load(&server->draining) ? draining : is_stalled ? stalled : ok;
+  return send_text(http, connection, text == ok ? MHD_HTTP_OK : MHD_HTTP_SERVICE_UNAVAILABLE, text);
+}
+
 static bool is_read(const char *method) {
   return strcmp(method, MHD_HTTP_METHOD_GET) == 0 || strcmp(method, MHD_HTTP_METHOD_HEAD) == 0;
 }
@@ -195,7 +211,6 @@ static bool is_read(const char *method) {
 static enum MHD_Result on_request(void *context, struct MHD_Connection *connection, const char *url,
                                   const char *method, const char *version, const char *body,
                                   size_t *body_bytes, void **state) {
-  static char ok[] = "ok\n", draining[] = "draining\n";
   static char not_found[] = "There is /metrics, and /healthz.\n";
   static char not_allowed[] = "It is only for reading: GET or HEAD.\n";
   const struct metrics *metrics = context;
@@ -209,9 +224,7 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *connecti
     return send_text(http, connection, MHD_HTTP_METHOD_NOT_ALLOWED, not_allowed);
   }
   return is_metrics ? send_metrics(http, connection, metrics)
-         : atomic_load(&metrics->server->draining)
-             ? send_text(http, connection, MHD_HTTP_SERVICE_UNAVAILABLE, draining)
-             : send_text(http, connection, MHD_HTTP_OK, ok);
+                    : send_health(http, connection, metrics->server);
 }
 
 static struct MHD_Daemon *start(struct metrics *metrics, int fd) {

@@ -5,6 +5,9 @@
 
 #include "server/server.h"
 
+/* /healthz answers 503 if no worker has finished a turn for so long. */
+enum { METRICS_STALLED_MS = 3000 };
+
 struct metrics;
 
 /* Listens at [HOST]:PORT, where no HOST means the loopback interface, and logs the address. Call

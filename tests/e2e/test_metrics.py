@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import http.client
 import json
 import math
@@ -182,6 +183,42 @@ def test_healthz(watched):
     assert headers["Content-Type"].startswith("text/plain")
 
 
+PTRACE_ATTACH, PTRACE_DETACH, WAIT_ALL = 16, 17, 0x40000000
+
+
+def trace(request: int, threads: list[int]) -> None:
+    """Stops single threads of a child, or lets them go on (ptrace(2))."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.ptrace.argtypes = [ctypes.c_long, ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p]
+    for thread in threads:
+        if libc.ptrace(request, thread, None, None) != 0:
+            pytest.skip(f"ptrace: {os.strerror(ctypes.get_errno())}")
+        if request == PTRACE_ATTACH:
+            os.waitpid(thread, WAIT_ALL)
+
+
+def test_healthz_when_no_worker_finishes_a_turn(daemon):
+    one = daemon("--metrics", "127.0.0.1:0", "--workers", "2")
+    folder = Path(f"/proc/{one.process.pid}/task")
+    workers = [
+        int(thread.name)
+        for thread in folder.iterdir()
+        if (thread / "comm").read_text() == "worker\n"
+    ]
+    assert len(workers) == 2
+    trace(PTRACE_ATTACH, workers[:1])
+    try:  # The other worker goes round.
+        assert not eventually(lambda: fetch(one, "/healthz")[0] != 200, 3.5, 0.1)
+        trace(PTRACE_ATTACH, workers[1:])
+        assert eventually(lambda: fetch(one, "/healthz")[0] == 503)
+        assert fetch(one, "/healthz")[2].startswith("stalled: ")
+        assert scrape(one)["dipoled_workers_silent_seconds"] >= 3
+    finally:
+        trace(PTRACE_DETACH, workers)
+    assert eventually(lambda: fetch(one, "/healthz")[0] == 200)
+    assert scrape(one)["dipoled_workers_silent_seconds"] < 3
+
+
 WRONG_PATHS = ["/", "/metric", "/metrics/", "/metrics/x", "/healthz%00", "/Metrics"]
 
 
@@ -356,7 +393,7 @@ def test_the_process(watched):
 
 def test_examples_of_alerts(watched):
     path = REPOSITORY / "clients/deploy/alerts.yml"
-    assert "SUCCESS: 7 rules found" in promtool("check", "rules", str(path))
+    assert "SUCCESS: 8 rules found" in promtool("check", "rules", str(path))
     expressions = re.findall(r"(?:dipoled|process)_\w+", path.read_text())
     names = {re.sub(r"\{.*", "", key) for key in scrape(watched)}
     assert set(expressions) <= names
