@@ -26,8 +26,9 @@ static const cli_option options[] = {
      "for files without a column r: each row is written once for each of these\nradii, mm",
      CLI_NUMBERS, offsetof(points_settings, r), NULL},
     {"want", "NAME[,NAME...]",
-     "the quantities to write; `dipole info` lists all (default: R,albedo,cdf)", CLI_NAMES,
-     offsetof(points_settings, want), NULL},
+     "the quantities to write; `dipole info` lists all (default: R,albedo,cdf;\n"
+     "with --tolerance in place of --model R,albedo, which keep more tolerances)",
+     CLI_NAMES, offsetof(points_settings, want), NULL},
     {0},
 };
 
@@ -500,14 +501,15 @@ static int prepare(points_run *points) {
   const points_settings *settings = usual->settings;
   const cli_profile_settings *profile = &settings->profile;
   dipole_error error;
+  const bool any_model = profile->tolerance.given && profile->model == NULL;
+  const unsigned wanted = DIPOLE_R | DIPOLE_ALBEDO | (any_model ? 0 : DIPOLE_CDF);
   usual->info = dipole_get_info(points->client);
   if ((profile->evaluator != NULL &&
        cli_named(usual->info, DIPOLE_EVALUATOR, "evaluator", profile->evaluator) == NULL) ||
       (profile->model != NULL &&
        cli_named(usual->info, DIPOLE_MODEL, "model", profile->model) == NULL) ||
       !cli_parameters_take(usual->info, profile, &usual->parameters) ||
-      !cli_quantities_take(usual->info, &settings->want, DIPOLE_R | DIPOLE_ALBEDO | DIPOLE_CDF, 0,
-                           &usual->quantities)) {
+      !cli_quantities_take(usual->info, &settings->want, wanted, 0, &usual->quantities)) {
     return CLI_USAGE;
   }
   if ((usual->quantities.wanted & DIPOLE_RADIUS) != 0) {

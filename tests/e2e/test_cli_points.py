@@ -417,6 +417,17 @@ def test_a_tolerance_in_place_of_a_model(client):
     (row,) = read_csv(points(f"{HEADER}\n{ROW}\n", "--tolerance", "0.01"))
     exact = client.eval("transport", (0.01, 1, 0, 1.4), [2.0]).R[0, 0]
     assert row["status"] == "ok" and float(row["R"]) == pytest.approx(exact, rel=0.01)
+    absorbing = f"{HEADER}\n0.4,11,0.85,1.4,0.5\n"
+    assert list(row) == [*HEADER.split(","), "R", "albedo", "status"]
+    (dark,) = read_csv(points(absorbing, "--tolerance", "0.01"))
+    assert dark["status"] == "ok"
+    (refused,) = read_csv(
+        dipole("points", "--tolerance", "0.01", "--want", "R,cdf", stdin=absorbing,
+               status=BAD_ROWS).stdout
+    )  # fmt: skip
+    assert refused["status"].endswith(" without cdf")
+    (model,) = read_csv(points(absorbing, "--tolerance", "0.01", "--model", "transport"))
+    assert "cdf" in model
 
 
 def test_measured_media_by_name():
