@@ -58,6 +58,8 @@ static const char *list_name(const core_choice *list) {
          : list == core_moments_list ? "moments"
          : list == core_draws        ? "draws"
          : list == core_lengths      ? "lengths"
+         : list == core_fit_axes     ? "axes"
+         : list == core_fit_scales   ? "scales"
                                      : "spacings";
 }
 
@@ -179,6 +181,9 @@ void registers_describe(void (*print)(void *context, const char *text), void *co
   describe_list(&to, "Draws", core_draws);
   describe_list(&to, "Lengths", core_lengths);
   describe_list(&to, "Phases", core_phases);
+  describe_list(&to, "Axes", core_fit_axes);
+  describe_list(&to, "Scales", core_fit_scales);
+  describe_list(&to, "Fit statuses", core_fit_statuses);
   describe_list(&to, "Notes", core_notes);
   describe_errors(&to);
 }
