@@ -84,7 +84,10 @@ def main(where: str, job: str, *more: str) -> None:
     unit = Unit(where)
     unit.write(DEFAULTS, "H", 1)  # other masters may have written anything
     unit.write(106, "4f", *SKIN)
-    {"sample": sample, "invert": invert, "mc": mc, "fit": fit}[job](unit, *more)
+    if job == "fit":
+        fit(unit, *more)
+    else:
+        {"sample": sample, "invert": invert, "mc": mc}[job](unit)
 
 
 main(*sys.argv[1:])
