@@ -103,19 +103,20 @@ static bool prepare(core_profile *profile, const char *isa, unsigned model, unsi
   return false;
 }
 
-/* Returns whether to compare a quantity. A quantity that a table does not hold is evaluated by the
- * kernels of double precision, which are compared without a table, and so is R for its Hankel
- * transform. */
-static bool is_held(const core_profile *profile, unsigned quantity) {
-  return core_radius_cost(profile, quantity) <= profile->cost &&
-         (profile->lut == NULL ||
-          (quantity != CORE_QUANTITY_SLOPE && quantity != CORE_QUANTITY_LN_R));
+/* Returns whether a test compares a quantity. A quantity that a table does not hold is evaluated by
+ * the kernels of double precision, which are compared without a table: only its edges are tested. A
+ * Hankel transform of R is the same code for all instruction sets: only its edges are tested, once. */
+static bool is_compared(const kernel_pair *pair, unsigned quantity, pair_test *test) {
+  const core_profile *profile = &pair->portable;
+  const bool transforms = core_radius_cost(profile, quantity) > profile->cost;
+  const bool held =
+      profile->lut == NULL || (quantity != CORE_QUANTITY_SLOPE && quantity != CORE_QUANTITY_LN_R);
+  return test == compare_edges ? !transforms || pair->is_portable : held && !transforms;
 }
 
 static void with_every_operation(kernel_pair *pair, pair_test *test, uint64_t *random) {
   for (const core_choice *quantity = core_quantities; quantity->name != NULL; quantity++) {
-    if (core_quantity_elementwise(quantity->id) &&
-        (is_held(&pair->portable, quantity->id) || test == compare_edges)) {
+    if (core_quantity_elementwise(quantity->id) && is_compared(pair, quantity->id, test)) {
       pair->todo = (operation){quantity->id, quantity->name};
       test(pair, random);
     }
