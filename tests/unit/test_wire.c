@@ -210,6 +210,9 @@ UNIT_TEST(choices_hold_every_list) {
   assert_choices_hold(WIRE_CHOICE_SCALE, core_fit_scales, &index);
   assert_choices_hold(WIRE_CHOICE_AXIS, core_fit_axes, &index);
   assert_choices_hold(WIRE_CHOICE_FIT_STATUS, core_fit_statuses, &index);
+  assert_choices_hold(WIRE_CHOICE_LIGHT, core_lights, &index);
+  assert_choices_hold(WIRE_CHOICE_VALUE, core_value_statuses, &index);
+  assert_choices_hold(WIRE_CHOICE_COEFFICIENT, core_coefficients, &index);
   assert_int_equal(index, wire_choice_count());
 }
 
