@@ -1,5 +1,6 @@
 /* The wire's structures, headers, lists and the tables of PROTOCOL.md. */
 #include "proto/wire.h"
+#include "core/varying.h"
 #include "tests/unit/unit.h"
 
 enum { REPEATS = 50, MARGIN = 16, GUARD = 0xa5 };
