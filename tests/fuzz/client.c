@@ -154,7 +154,7 @@ static bool see_progress(void *context, const dipole_mc_progress *now) {
 /* Makes the call whose answer has this type. */
 static bool ask(dipole_client *client, unsigned type, unsigned how, dipole_error *error) {
   static const dipole_medium media[] = {{0.032, 0.74, 0, 1.3}, {0.17, 0.88, 0, 1.3}};
-  static const double radii[] = {0.5, 1}, albedos[] = {0.5, 0.3, 1};
+  static const double radii[] = {0.5, 1}, albedos[] = {0.5, 0.3, 1, 0.7};
   double values[16], into_radii[2];
   const bool into = how & 1;
   dipole_query query = {.model = CORE_MODEL_BETTER,
