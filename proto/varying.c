@@ -414,10 +414,11 @@ void varying_part_evaluate(varying_part *part, const varying_request *request,
   const void *media[] = {(const uint8_t *)request->media[0] + offset,
                          (const uint8_t *)request->media[1] + offset};
   take_media(&slice, part, request, begin, media, &memory);
-  const void *numbers = (const uint8_t *)request->numbers + offset;
+  const void *numbers = memory.r;
   if (fixed->numbers == VARYING_NONE) { /* any number u: the albedo has no radius */
     fill(&slice, 0.5, memory.r);
-    numbers = memory.r;
+  } else {
+    numbers = (const uint8_t *)request->numbers + offset;
   }
   core_varying_range range;
   check(&slice, fixed->numbers != VARYING_RADII, numbers,

@@ -74,6 +74,7 @@ struct libdipole_pending {
   uint64_t reply_bytes_min, reply_bytes_max; /* limits for the payload of each frame */
   unsigned model;                            /* of an eval or sample; may be DIPOLE_ANY_MODEL */
   uint16_t evaluator, wanted;                /* of an eval or sample */
+  uint16_t moments;                          /* of a varying */
   uint32_t medium_count; /* 0 if the request lists no media; for a fit: residuals of each set */
   uint64_t radius_count; /* of an eval or sample; for an invert: its media; for a fit: its sets */
   libdipole_reader *reader; /* gets each part when it arrives; NULL: the parts are put together */

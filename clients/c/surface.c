@@ -46,20 +46,24 @@ static core_fault try_words(const dipole_surface *surface) {
 static bool hand_out(dipole_surface *made, dipole_surface **surface, dipole_error *error) {
   const wire_table_reply *fixed = &made->fixed;
   const char *wrong = NULL;
+  core_fault fault = {NULL, NULL, 0};
   if (!table_reply_parse(made->frame + WIRE_BYTES_header, made->frame_bytes - WIRE_BYTES_header,
                          &made->fixed, &made->parameters, &made->words)) {
     wrong = "its counts or its checksum are wrong";
   } else if (fixed->sigma_a != 0 || fixed->sigma_s != 0) {
     wrong = "it is the table of one medium";
-  } else if (try_words(made).field != NULL) {
+  } else if ((fault = try_words(made)).field != NULL) {
     wrong = "its words are not those of its model";
   }
-  if (wrong != NULL) {
-    dipole_surface_free(made);
-    return libdipole_fail(error, DIPOLE_ERROR_TABLE, "this is not an intact surface: %s", wrong);
+  if (wrong == NULL) {
+    *surface = made;
+    return true;
   }
-  *surface = made;
-  return true;
+  dipole_surface_free(made);
+  return fault.field != NULL && strcmp(fault.field, CORE_FIELD_MEMORY) == 0
+             ? libdipole_fail_memory(error)
+             : libdipole_fail(error, DIPOLE_ERROR_TABLE, "this is not an intact surface: %s",
+                              wrong);
 }
 
 bool dipole_surface_load(const void *bytes, size_t count, dipole_surface **surface,
@@ -75,6 +79,34 @@ bool dipole_surface_load(const void *bytes, size_t count, dipole_surface **surfa
   }
   memcpy(made->frame, bytes, frame_bytes);
   return hand_out(made, surface, error);
+}
+
+static bool is_same(double a, double b) {
+  return a == b || (isnan(a) && isnan(b));
+}
+
+/* Returns whether a surface is that of this model, moments, g, eta and parameters. */
+static bool is_of(const dipole_surface *surface, unsigned model, unsigned moments, double g,
+                  double eta, const core_parameters *parameters) {
+  const wire_table_reply *own = &surface->fixed;
+  bool same = own->model == model && own->moments == moments && own->g == g && own->eta == eta;
+  for (unsigned id = 0; id < CORE_PARAMETERS_END; id++) {
+    same = same && is_same(surface->parameters.value[id], parameters->value[id]);
+  }
+  return same;
+}
+
+static bool is_asked_for(const dipole_surface *surface, const dipole_table_query *query) {
+  core_parameters parameters = core_parameters_none();
+  for (size_t i = 0; i < query->parameter_count; i++) {
+    /* A daemon that answers knows every parameter, but its list may be longer than this one. */
+    if (query->parameters[i].id >= CORE_PARAMETERS_END) {
+      return false;
+    }
+    parameters.value[query->parameters[i].id] = query->parameters[i].value;
+  }
+  return is_of(surface, query->model, query->moments, query->medium.g, query->medium.eta,
+               &parameters);
 }
 
 bool dipole_surface_fetch(dipole_client *client, const dipole_table_query *query,
@@ -95,12 +127,20 @@ bool dipole_surface_fetch(dipole_client *client, const dipole_table_query *query
     memcpy(made->frame + WIRE_BYTES_header, frame->payload, payload_bytes);
   }
   free(frame);
-  if (made == NULL || hand_out(made, surface, error)) {
-    return made != NULL;
+  dipole_surface *fetched = NULL;
+  const bool intact = made != NULL && hand_out(made, &fetched, error);
+  if (intact && is_asked_for(fetched, query)) {
+    *surface = fetched;
+    return true;
   }
-  return error->kind == DIPOLE_ERROR_TABLE
-             ? libdipole_bad_answer(client, "it answered with what is not a surface", error)
-             : false;
+  dipole_surface_free(fetched);
+  if (intact || error->kind == DIPOLE_ERROR_TABLE) {
+    libdipole_bad_answer(client,
+                         intact ? "it answered with the surface of something else"
+                                : "it answered with what is not a surface",
+                         error);
+  }
+  return false;
 }
 
 const void *dipole_surface_bytes(const dipole_surface *surface, size_t *count) {
@@ -110,16 +150,11 @@ const void *dipole_surface_bytes(const dipole_surface *surface, size_t *count) {
 
 const float *libdipole_surface_words(const dipole_surface *surface, const varying_request *request,
                                      size_t *count) {
-  const wire_table_reply *own = &surface->fixed;
   const wire_varying_request *fixed = &request->fixed;
-  bool same = own->model == fixed->model && own->moments == fixed->moments && own->g == fixed->g &&
-              own->eta == fixed->eta;
-  for (unsigned id = 0; id < CORE_PARAMETERS_END; id++) {
-    const double a = surface->parameters.value[id], b = request->parameters.value[id];
-    same = same && (a == b || (isnan(a) && isnan(b)));
-  }
-  *count = own->word_count;
-  return same ? surface->words : NULL;
+  *count = surface->fixed.word_count;
+  return is_of(surface, fixed->model, fixed->moments, fixed->g, fixed->eta, &request->parameters)
+             ? surface->words
+             : NULL;
 }
 
 void dipole_surface_free(dipole_surface *surface) {

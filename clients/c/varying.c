@@ -24,10 +24,11 @@ struct varying {
 static bool is_next(const libdipole_pending *pending, const wire_varying_reply *fixed) {
   const uint64_t left = pending->radius_count - pending->next_radius;
   const bool is_last = fixed->part + 1 == fixed->part_count;
-  return fixed->evaluator == pending->evaluator && fixed->wanted == pending->wanted &&
+  return fixed->model == pending->model && fixed->moments == pending->moments &&
+         fixed->evaluator == pending->evaluator && fixed->wanted == pending->wanted &&
          fixed->coefficients == pending->medium_count && fixed->part == pending->next_part &&
          fixed->value_first == pending->next_radius && fixed->value_count <= left &&
-         is_last == (fixed->value_count == left);
+         is_last == (fixed->value_count == left) && (is_last || fixed->value_count > 0);
 }
 
 static double largest(double a, double b) {
@@ -76,6 +77,7 @@ static bool take_part(libdipole_pending *pending, libdipole_frame *frame, dipole
     whole.model_error = largest(before.model_error, fixed.model_error);
   }
   copy_arrays(pending, frame, &fixed, &layout);
+  whole.value_count = pending->radius_count;
   wire_put_varying_reply(pending->gathered->payload, &whole);
   libdipole_part_end(pending, fixed.value_count, fixed.part + 1 == fixed.part_count);
   return true;
@@ -223,8 +225,10 @@ bool dipole_varying(dipole_client *client, const dipole_varying_query *query,
                                .deadline_ms = query->deadline_ms,
                                .reply_bytes_min = WIRE_BYTES_varying_reply,
                                .reply_bytes_max = layout.payload_bytes,
+                               .model = query->model,
                                .evaluator = (uint16_t)query->evaluator,
                                .wanted = (uint16_t)query->wanted,
+                               .moments = (uint16_t)query->moments,
                                .medium_count = query->coefficients,
                                .radius_count = query->value_count};
   if (!libdipole_request_begin(client, &pending, request_bytes(query), &at, error)) {
@@ -241,6 +245,9 @@ bool dipole_varying(dipole_client *client, const dipole_varying_query *query,
 /* ---- at home ------------------------------------------------------------------------------- */
 
 static bool fail_fault(core_fault fault, dipole_error *error) {
+  if (strcmp(fault.field, CORE_FIELD_MEMORY) == 0) {
+    return libdipole_fail_memory(error);
+  }
   return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s: allowed: %s", fault.field,
                         fault.allowed);
 }
