@@ -42,7 +42,7 @@ static core_fault try_words(const dipole_surface *surface) {
   return fault;
 }
 
-/* Gives the caller a surface whose frame is filled in, or frees it and fails if it is not intact. */
+/* Gives the caller a surface whose frame is filled in. Frees it and fails if it is not intact. */
 static bool hand_out(dipole_surface *made, dipole_surface **surface, dipole_error *error) {
   const wire_table_reply *fixed = &made->fixed;
   const char *wrong = NULL;
