@@ -10,7 +10,7 @@
 struct dipole_surface {
   wire_table_reply fixed;
   core_parameters parameters;
-  const float *words; /* in the frame */
+  core_varying f64, f32; /* prepared with the frame's words */
   size_t frame_bytes;
   _Alignas(8) uint8_t frame[]; /* header and payload */
 };
@@ -26,33 +26,42 @@ static dipole_surface *make_room(size_t frame_bytes, dipole_error *error) {
     return NULL;
   }
   surface->frame_bytes = frame_bytes;
+  surface->f64 = surface->f32 = (core_varying){0};
   return surface;
 }
 
-/* Prepares the model once with the words, which checks them. */
-static core_fault try_words(const dipole_surface *surface) {
-  core_varying varying;
+static core_fault prepare_one(dipole_surface *surface, enum core_evaluator evaluator,
+                              const float *words, core_varying *varying) {
+  core_varying opened;
   const wire_table_reply *fixed = &surface->fixed;
-  const core_fault fault = core_varying_open(
-      &varying, core_isa_select(NULL), fixed->model, fixed->moments, CORE_EVALUATOR_F32, fixed->g,
-      fixed->eta, &surface->parameters, surface->words, fixed->word_count);
+  const core_fault fault =
+      core_varying_open(&opened, core_isa_select(NULL), fixed->model, fixed->moments, evaluator,
+                        fixed->g, fixed->eta, &surface->parameters, words, fixed->word_count);
   if (fault.field == NULL) {
-    core_varying_free(&varying);
+    *varying = opened;
   }
   return fault;
+}
+
+/* Prepares the model with the words, which it checks. */
+static core_fault prepare(dipole_surface *surface, const float *words) {
+  const core_fault fault = prepare_one(surface, CORE_EVALUATOR_F64, words, &surface->f64);
+  return fault.field != NULL ? fault
+                             : prepare_one(surface, CORE_EVALUATOR_F32, words, &surface->f32);
 }
 
 /* Gives the caller a surface whose frame is filled in. Frees it and fails if it is not intact. */
 static bool hand_out(dipole_surface *made, dipole_surface **surface, dipole_error *error) {
   const wire_table_reply *fixed = &made->fixed;
   const char *wrong = NULL;
+  const float *words;
   core_fault fault = {NULL, NULL, 0};
   if (!table_reply_parse(made->frame + WIRE_BYTES_header, made->frame_bytes - WIRE_BYTES_header,
-                         &made->fixed, &made->parameters, &made->words)) {
+                         &made->fixed, &made->parameters, &words)) {
     wrong = "its counts or its checksum are wrong";
   } else if (fixed->sigma_a != 0 || fixed->sigma_s != 0) {
     wrong = "it is the table of one medium";
-  } else if ((fault = try_words(made)).field != NULL) {
+  } else if ((fault = prepare(made, words)).field != NULL) {
     wrong = "its words are not those of its model";
   }
   if (wrong == NULL) {
@@ -148,15 +157,20 @@ const void *dipole_surface_bytes(const dipole_surface *surface, size_t *count) {
   return surface->frame;
 }
 
-const float *libdipole_surface_words(const dipole_surface *surface, const varying_request *request,
-                                     size_t *count) {
+const core_varying *libdipole_surface_varying(const dipole_surface *surface,
+                                              const varying_request *request) {
   const wire_varying_request *fixed = &request->fixed;
-  *count = surface->fixed.word_count;
+  const core_varying *prepared =
+      fixed->evaluator == CORE_EVALUATOR_F64 ? &surface->f64 : &surface->f32;
   return is_of(surface, fixed->model, fixed->moments, fixed->g, fixed->eta, &request->parameters)
-             ? surface->words
+             ? prepared
              : NULL;
 }
 
 void dipole_surface_free(dipole_surface *surface) {
-  free(surface);
+  if (surface != NULL) {
+    core_varying_free(&surface->f64);
+    core_varying_free(&surface->f32);
+    free(surface);
+  }
 }

@@ -244,37 +244,22 @@ bool dipole_varying(dipole_client *client, const dipole_varying_query *query,
 
 /* ---- at home ------------------------------------------------------------------------------- */
 
-static bool fail_fault(core_fault fault, dipole_error *error) {
-  if (strcmp(fault.field, CORE_FIELD_MEMORY) == 0) {
-    return libdipole_fail_memory(error);
+/* Returns the prepared model of a request, which the surface owns. */
+static const core_varying *prepared(const dipole_surface *surface, const varying_request *request,
+                                    dipole_error *error) {
+  const core_varying *varying = libdipole_surface_varying(surface, request);
+  if (varying == NULL) {
+    fail_argument(error, "the surface is not that of this query's model, moments, g, eta and "
+                         "parameters");
+    return NULL;
   }
-  return libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s: allowed: %s", fault.field,
-                        fault.allowed);
-}
-
-/* Prepares the model of a request with the words of a surface. */
-static bool prepare(const dipole_surface *surface, const varying_request *request,
-                    core_varying *varying, dipole_error *error) {
-  size_t count;
-  const wire_varying_request *fixed = &request->fixed;
-  const float *words = libdipole_surface_words(surface, request, &count);
-  if (words == NULL) {
-    return fail_argument(error, "the surface is not that of this query's model, moments, g, eta "
-                                "and parameters");
-  }
-  const core_fault fault =
-      core_varying_open(varying, core_isa_select(NULL), fixed->model, fixed->moments,
-                        fixed->evaluator, fixed->g, fixed->eta, &request->parameters, words, count);
-  if (fault.field != NULL) {
-    return fail_fault(fault, error);
-  }
-  const core_fault wrong = fixed->given != 0 ? core_colour_check(varying, &request->colour)
-                                             : (core_fault){NULL, NULL, 0};
+  const core_fault wrong = request->fixed.given != 0 ? core_colour_check(varying, &request->colour)
+                                                     : (core_fault){NULL, NULL, 0};
   if (wrong.field != NULL) {
-    core_varying_free(varying);
-    return fail_fault(wrong, error);
+    libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s: allowed: %s", wrong.field, wrong.allowed);
+    return NULL;
   }
-  return true;
+  return varying;
 }
 
 /* Evaluates all values of a request into the frame of a reply. */
@@ -296,13 +281,13 @@ static void evaluate(const varying_request *request, const core_varying *varying
 static libdipole_frame *answer(const dipole_surface *surface, const uint8_t *payload, size_t bytes,
                                dipole_error *error) {
   varying_request request;
-  core_varying varying;
   const wire_error wrong = varying_request_parse(payload, bytes, &request);
   if (wrong.status != WIRE_STATUS_OK) {
     libdipole_fail(error, DIPOLE_ERROR_ARGUMENT, "%s: allowed: %s", wrong.field, wrong.allowed);
     return NULL;
   }
-  if (!prepare(surface, &request, &varying, error)) {
+  const core_varying *varying = prepared(surface, &request, error);
+  if (varying == NULL) {
     return NULL;
   }
   const wire_varying_request *fixed = &request.fixed;
@@ -313,14 +298,13 @@ static libdipole_frame *answer(const dipole_surface *surface, const uint8_t *pay
   libdipole_frame *frame =
       libdipole_frame_new(&(wire_header){0}, reply_bytes, reply_bytes, 0, error);
   if (scratch != NULL && frame != NULL) {
-    evaluate(&request, &varying, scratch, frame);
+    evaluate(&request, varying, scratch, frame);
   } else {
     libdipole_fail_memory(error);
     free(frame);
     frame = NULL;
   }
   free(scratch);
-  core_varying_free(&varying);
   return frame;
 }
 
