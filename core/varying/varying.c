@@ -320,32 +320,49 @@ static double rounding(const core_varying *varying, enum family family,
          (f32 && family == BURLEY ? (double)FLT_EPSILON : 0);
 }
 
-/* Number of albedos, from the least to the most of a range, that an error is the largest of. It is
- * so large that each cell of the lists of errors that the range touches is among them. */
-enum { ALBEDOS = 256 };
+/* The albedos of a range that an error is the largest of: its ends, and others between, whose
+ * absorbed share grows by at most a factor e^ALBEDO_STEP from one to the next. The factor is so
+ * small that each cell of the lists of errors that the range touches is among them. */
+#define ALBEDO_STEP 0.0632
+#define ABSORBED_LEAST 1e-7
 
-/* Returns the medium i of ALBEDOS, whose sigma_t' is 1. */
-static core_medium medium_of_range(const core_varying *varying, double g,
-                                   const core_varying_range *range, int i) {
+struct albedos {
+  const core_varying_range *range;
+  double ratio; /* ln of the largest absorbed share over the least */
+  int count;
+};
+
+static struct albedos albedos_of(const core_varying_range *range) {
+  const double least = fmax(1 - range->albedo_most, ABSORBED_LEAST);
+  const double ratio = real_log(fmax(1 - range->albedo_least, least) / least, 0);
+  return (struct albedos){range, ratio, 2 + (int)(ratio / ALBEDO_STEP)};
+}
+
+/* Returns the medium of albedo i, whose sigma_t' is 1. */
+static core_medium medium_of(const struct albedos *albedos, const core_varying *varying, double g,
+                             int i) {
+  const core_varying_range *range = albedos->range;
   const double first = 1 - range->albedo_most, last = 1 - range->albedo_least;
-  const double least = fmax(first, 1e-7), share = (double)i / (ALBEDOS - 1);
-  const double ratio = real_log(fmax(last, least) / least, 0);
-  const double absorbed = i == 0             ? first
-                          : i == ALBEDOS - 1 ? last
-                                             : least * real_exp_signed(ratio * share);
-  const double scattered = i == 0             ? range->albedo_most
-                           : i == ALBEDOS - 1 ? range->albedo_least
-                                              : fmax(1 - absorbed, range->albedo_least);
+  const double share = (double)i / (albedos->count - 1);
+  const bool is_last = i == albedos->count - 1;
+  const double absorbed =
+      i == 0    ? first
+      : is_last ? last
+                : fmax(first, ABSORBED_LEAST) * real_exp_signed(albedos->ratio * share);
+  const double scattered = i == 0    ? range->albedo_most
+                           : is_last ? range->albedo_least
+                                     : fmax(1 - absorbed, range->albedo_least);
   return (core_medium){absorbed, scattered / (1 - g), g, varying->eta};
 }
 
 /* Returns the error of the table of solutions, of the wanted quantities in a range. */
 static double table_error(const core_varying *varying, unsigned wanted,
-                          const core_varying_range *range) {
+                          const struct albedos *albedos) {
+  const core_varying_range *range = albedos->range;
   const double isotropic = core_transport_table_error(varying->eta);
   double error = 0;
-  for (int i = 0; i < ALBEDOS && varying->table_g != 0; i++) {
-    const core_medium medium = medium_of_range(varying, varying->table_g, range, i);
+  for (int i = 0; i < albedos->count && varying->table_g != 0; i++) {
+    const core_medium medium = medium_of(albedos, varying, varying->table_g, i);
     core_added_errors added;
     core_transport_added_errors(&medium, &added);
     error = fmax(error, core_banded_error(added.banded, added.all, &medium, wanted,
@@ -376,12 +393,13 @@ core_stated_errors core_varying_errors(const core_varying *varying, unsigned wan
   if (range->albedo_least > range->albedo_most) {
     return errors;
   }
+  const struct albedos albedos = albedos_of(range);
   errors.numerical = rounding(varying, family, range) + varying->surface_error;
   if (family == TRANSPORT) {
-    errors.numerical += table_error(varying, wanted, range);
+    errors.numerical += table_error(varying, wanted, &albedos);
   }
-  for (int i = 0; i < ALBEDOS && !isnan(errors.model); i++) {
-    const core_medium medium = medium_of_range(varying, varying->g, range, i);
+  for (int i = 0; i < albedos.count && !isnan(errors.model); i++) {
+    const core_medium medium = medium_of(&albedos, varying, varying->g, i);
     const core_model_errors found = model_errors(varying, family, &medium);
     const double model = core_model_errors_of(
         &found, &medium, wanted, (core_radii_range){range->mfp_least, range->mfp_most});
