@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from pathlib import Path
 
@@ -12,6 +13,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "clients" / "python
 from daemons import BUILD, Daemon  # noqa: E402  (needs the path above)
 from modbus_master import Tcp  # noqa: E402
 
+
+# Daemons leave a SIGHUP alone that is ignored, and tests may run under nohup.
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 # The files that take longest. They begin first, so that parallel processes end at about the same
 # time.

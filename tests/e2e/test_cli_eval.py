@@ -22,7 +22,9 @@ HEADER = "model,channel,sigma_a,sigma_s,g,eta,r,R,albedo,cdf,numerical_error,mod
 @pytest.mark.parametrize("evaluator", ["f64", "f32", "lut"])
 @pytest.mark.parametrize("moments", ["exact", "fit"])
 def test_points_says_the_same_as_eval(shared, evaluator, moments):
-    """Both commands use one daemon, so that it builds each table once, and for one medium only."""
+    """Both commands use one daemon, so that it builds each table once, and for one medium only.
+    points asks for media that vary, whose kernels round otherwise, and have surfaces for tables."""
+    within = 2e-4 if evaluator == "lut" else 3e-14
     of = ["--evaluator", evaluator, "--connect", shared.url()]
     medium = [*MEDIUM[:1], "0.01" if evaluator == "lut" else "0.01,0.1", *MEDIUM[2:]]
     rows = eval_rows(
@@ -37,7 +39,7 @@ def test_points_says_the_same_as_eval(shared, evaluator, moments):
     again = read_csv(points(text, *of))
     for row, other in zip(rows, again, strict=True):
         for column in ("R", "albedo", "cdf"):
-            assert row[column] == other[column] != ""
+            assert float(other[column]) == pytest.approx(float(row[column]), rel=within)
 
 
 def test_extremes():
