@@ -30,8 +30,8 @@ typedef void core_kernel_f64(const double *coefficients, size_t n, const double 
 typedef void core_kernel_f32(const float *coefficients, size_t n, const float *in, float *out);
 
 /* The same where every value has a medium of its own (core/varying.h): sigma_a[n] and sigma_s[n] in
- * 1/mm. shared: numbers that all media share; words: tables that they share (core/models/cells.h). Media and
- * arguments outside of the domain give NaN. */
+ * 1/mm. shared: numbers that all media share; words: tables that they share (core/models/cells.h).
+ * Media and arguments outside of the domain give NaN. */
 typedef void core_varying_kernel_f64(const double *shared, const double *words, size_t n,
                                      const double *sigma_a, const double *sigma_s, const double *in,
                                      double *out);
@@ -71,8 +71,9 @@ typedef void core_varying_gradient_kernel_f64(const double *shared, const double
                                               double *by_ln_sigma_s);
 
 /* An entry is NULL where core has one method for all models: core/evaluate.c makes S from R,
- * core/transfer.c transforms R, and core/sample.c inverts the cdf. If all entries of an f32 table are NULL, core evaluates in double
- * precision and rounds. The entries for media that vary are NULL too if a model has none. */
+ * core/transfer.c transforms R, and core/sample.c inverts the cdf. If all entries of an f32 table
+ * are NULL, core evaluates in double precision and rounds. The entries for media that vary are NULL
+ * too if a model has none. */
 typedef struct core_kernels_f64 {
   core_kernel_f64 *evaluate[CORE_ELEMENTWISE_COUNT]; /* in: radii in mm */
   core_kernel_f64 *sample;                           /* in: cdf values; out: radii in mm */
@@ -177,8 +178,8 @@ core_medium core_transport_medium(const core_medium *medium, double gamma);
  * Sets *added, to zeros if g is 0 or the result is false. */
 bool core_transport_added_errors(const core_medium *medium, core_added_errors *added);
 
-/* Returns the error of `transport` with isotropic scattering where the table of solutions covers the
- * medium, relative. */
+/* Returns the error of `transport` with isotropic scattering where the table of solutions covers
+ * the medium, relative. */
 double core_transport_table_error(double eta);
 
 /* Returns the largest ratio sigma_a / sigma_s' at which `transport` evaluates scattering with this

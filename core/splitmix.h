@@ -5,8 +5,8 @@
 
 #include <stdint.h>
 
-/* Returns the next number. A seed is any state. After i numbers from a seed, the state is seed + i *
- * 0x9e3779b97f4a7c15 modulo 2^64. */
+/* Returns the next number. A seed is any state. After i numbers from a seed, the state is seed + i
+ * * 0x9e3779b97f4a7c15 modulo 2^64. */
 static inline uint64_t core_splitmix(uint64_t *state) {
   uint64_t z = *state += UINT64_C(0x9e3779b97f4a7c15);
   z = (z ^ z >> 30) * UINT64_C(0xbf58476d1ce4e5b9);

@@ -2,11 +2,12 @@
  *
  *   R(f) = int_0^inf 2 pi r R(r) J0(k r) dr = 2 pi / k^2 int_0^inf t R(t / k) J0(t) dt,  k = 2 pi f
  *
- * The nodes t and their weights are the same for all frequencies. Up to t = FIRST, which is next to the
- * first zero of J0, they are Gauss points in panels of ln t, down to where less than 1e-9 of the
- * energy is left. From there on each half period is a panel, and Euler's transformation sums the
- * alternating series (Longman 1956, "Note on a method for computing infinite integrals of oscillatory
- * functions"). The error was measured against closed forms: less than 1e-9 of the albedo.
+ * The nodes t and their weights are the same for all frequencies. Up to t = FIRST, which is next to
+ * the first zero of J0, they are Gauss points in panels of ln t, down to where less than 1e-9 of
+ * the energy is left. From there on each half period is a panel, and Euler's transformation sums
+ * the alternating series (Longman 1956, "Note on a method for computing infinite integrals of
+ * oscillatory functions"). The error was measured against closed forms: less than 1e-9 of the
+ * albedo.
  */
 #include <math.h>
 

@@ -1,5 +1,5 @@
-/* decimal: reads decimal numbers strictly, and writes numbers as the shortest decimals that read back
- * to the same bits, for texts such as CSV and JSON. */
+/* decimal: reads decimal numbers strictly, and writes numbers as the shortest decimals that read
+ * back to the same bits, for texts such as CSV and JSON. */
 #ifndef DIPOLED_PROTO_DECIMAL_H
 #define DIPOLED_PROTO_DECIMAL_H
 

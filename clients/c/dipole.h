@@ -257,8 +257,9 @@ enum dipole_quantity {
   DIPOLE_RING = 128, /* 2 pi r R, 1/mm: the power that leaves per mm of radius. It is finite even
                         where R is infinite at r = 0. */
   DIPOLE_S = 256,    /* the BSSRDF, 1/(mm^2 sr), for the parameters cos_in and cos_out */
-  /* The reflectance for striped light: the radii are spatial frequencies f in 1/mm. It is the Hankel
-   * transform of R(r), and the albedo at f = 0. Its error is the numerical error times the albedo. */
+  /* The reflectance for striped light: the radii are spatial frequencies f in 1/mm. It is the
+   * Hankel transform of R(r), and the albedo at f = 0. Its error is the numerical error times the
+   * albedo. */
   DIPOLE_TRANSFER = 512
 };
 enum dipole_spacing { DIPOLE_LIST = 1, DIPOLE_LINEAR = 2, DIPOLE_LOGARITHMIC = 3 };

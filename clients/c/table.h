@@ -5,8 +5,8 @@
 #include "clients/c/request.h"
 #include "proto/varying.h"
 
-/* Reads the header of the frame at the start of the bytes; sets *frame_bytes to its length. Fails if
- * they do not start with the whole frame of a table. */
+/* Reads the header of the frame at the start of the bytes; sets *frame_bytes to its length. Fails
+ * if they do not start with the whole frame of a table. */
 bool libdipole_table_check(const uint8_t *bytes, size_t count, size_t *frame_bytes,
                            dipole_error *error);
 

@@ -56,8 +56,8 @@ enum cli_csv_kind {
  * the input is part of the first record's bytes, but not of its first cell. */
 enum cli_csv_kind cli_csv_read(cli_csv_reader *reader, cli_csv_record *record);
 
-/* Returns the text of a cell without its quotes. It is valid until the next record is read. The text
- * may hold zero bytes; *length is its length with them. */
+/* Returns the text of a cell without its quotes. It is valid until the next record is read. The
+ * text may hold zero bytes; *length is its length with them. */
 const char *cli_csv_cell_text(const cli_csv_record *record, size_t index, size_t *length);
 
 /* Write a cell as it was read, or a text as a cell, in quotes where it needs them. */

@@ -1,5 +1,5 @@
-/* image: reads and writes pictures whose values are numbers: PNG (libpng) and the portable float map
- * PFM (Debevec 1998). */
+/* image: reads and writes pictures whose values are numbers: PNG (libpng) and the portable float
+ * map PFM (Debevec 1998). */
 #ifndef DIPOLE_CLI_IMAGE_H
 #define DIPOLE_CLI_IMAGE_H
 

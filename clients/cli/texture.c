@@ -91,8 +91,8 @@ static bool take_wanted(texture_run *run, const dipole_info *info) {
   const cli_texts *names = &run->settings->want;
   const size_t count = names->count > 0 ? names->count : 2;
   for (size_t i = 0; i < count && i < WANTED_MAX; i++) {
-    const dipole_choice *found =
-        cli_named(info, DIPOLE_COEFFICIENT, "coefficients", names->count > 0 ? names->items[i] : usual[i]);
+    const dipole_choice *found = cli_named(info, DIPOLE_COEFFICIENT, "coefficients",
+                                           names->count > 0 ? names->items[i] : usual[i]);
     if (found == NULL) {
       return false;
     }
@@ -295,8 +295,9 @@ const cli_command cli_command_texture = {
         "has becomes NaN; then the exit status is 3.\n",
     .formats = "none",
     .options = {options, cli_parameter_options},
-    .examples = "  dipole texture skin.png skin.pfm --mean-free-path 1,.5,.3\n"
-                "  dipole texture skin.png albedo.png --mean-free-path 1 --coefficients scattered\n",
+    .examples =
+        "  dipole texture skin.png skin.pfm --mean-free-path 1,.5,.3\n"
+        "  dipole texture skin.png albedo.png --mean-free-path 1 --coefficients scattered\n",
     .settings_bytes = sizeof(texture_settings),
     .check = check,
     .run = run,

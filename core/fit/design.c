@@ -134,8 +134,8 @@ static core_fault set_weights(core_fit *fit, const core_fit_design *design) {
   return fault;
 }
 
-/* Evaluates the model for each medium of the grid. Media that the model does not take get NAN, which
- * is never a minimum. */
+/* Evaluates the model for each medium of the grid. Media that the model does not take get NAN,
+ * which is never a minimum. */
 static core_fault fill_grid(core_fit *fit) {
   double values[CORE_FIT_READINGS_MAX];
   for (size_t i = 0; i < FIT_GRID; i++) {

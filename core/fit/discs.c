@@ -2,11 +2,11 @@
  *
  *   p(s) = s int_0^2pi C(t) dphi,  t^2 = d^2 + s^2 - 2 d s cos phi
  *
- * where d is the distance of the centres and C(t) the area that the discs share when their centres are t
- * apart, divided by the product of their areas: C is the density of the difference of two such points.
- * The mean of R is int p(s) R(s) ds. In panels of ln s, s R(s) is replaced by the polynomial through
- * Gauss points, and the polynomial is integrated with p(s) as it is, kinks included. So the weights
- * know the discs, and the nodes R alone.
+ * where d is the distance of the centres and C(t) the area that the discs share when their centres
+ * are t apart, divided by the product of their areas: C is the density of the difference of two
+ * such points. The mean of R is int p(s) R(s) ds. In panels of ln s, s R(s) is replaced by the
+ * polynomial through Gauss points, and the polynomial is integrated with p(s) as it is, kinks
+ * included. So the weights know the discs, and the nodes R alone.
  */
 #include "core/fit/discs.h"
 
@@ -62,8 +62,8 @@ static double angle_at(double d, double s, double t) {
   return arccos((d * d + s * s - t * t) / (2 * d * s));
 }
 
-/* Returns 3 x^2 - 2 x^3, which maps [0, 1] to itself with zero slope at both ends, where integrands may
- * have roots. */
+/* Returns 3 x^2 - 2 x^3, which maps [0, 1] to itself with zero slope at both ends, where integrands
+ * may have roots. */
 static double eased(double x) {
   return x * x * (3 - 2 * x);
 }

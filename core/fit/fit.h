@@ -1,15 +1,16 @@
 /* fit: finds sigma_a and sigma_s' of a medium from readings of its reflectance.
  *
  * core_fit_create() takes what an instrument is: its places (distances or spatial frequencies), its
- * fibres, the model, g, eta, and what is known about the scale. core_fit_run() then takes one set of
- * readings after the other; it allocates nothing, keeps no state, and may be called from any number
- * of threads with the same core_fit. The same readings give the same bits on every machine,
+ * fibres, the model, g, eta, and what is known about the scale. core_fit_run() then takes one set
+ * of readings after the other; it allocates nothing, keeps no state, and may be called from any
+ * number of threads with the same core_fit. The same readings give the same bits on every machine,
  * whatever was fitted before.
  *
  * Method: chi-squared = sum ((value - factor model) / error)^2 is minimized by Levenberg's and
- * Marquardt's method (Marquardt 1963) in ln sigma_a and ln sigma_s'; an unknown factor is eliminated,
- * because the model is linear in it (Golub, Pereyra 1973). A grid of media, which the design keeps,
- * gives the starts: each of its local minima is one, so that a second solution is found.
+ * Marquardt's method (Marquardt 1963) in ln sigma_a and ln sigma_s'; an unknown factor is
+ * eliminated, because the model is linear in it (Golub, Pereyra 1973). A grid of media, which the
+ * design keeps, gives the starts: each of its local minima is one, so that a second solution is
+ * found.
  */
 #ifndef DIPOLED_CORE_FIT_H
 #define DIPOLED_CORE_FIT_H
@@ -21,8 +22,8 @@
 
 /* Media that are tried: sigma_a / sigma_s' between these two, and sigma_s' from CORE_FIT_NEAR_MIN
  * over the largest distance to CORE_FIT_NEAR_MAX over the least. A frequency f counts as the
- * distance 1 / (2 pi f), a distance that is shorter than the fibres' mean radius as that radius, and
- * without any positive distance 1 mm counts. */
+ * distance 1 / (2 pi f), a distance that is shorter than the fibres' mean radius as that radius,
+ * and without any positive distance 1 mm counts. */
 #define CORE_FIT_RATIO_MIN 1e-6
 #define CORE_FIT_RATIO_MAX 50.0
 #define CORE_FIT_NEAR_MIN 1e-3
@@ -30,7 +31,8 @@
 
 /* A fit is `undetermined` if its condition number is at least CORE_FIT_CONDITION_MAX, or if the
  * standard error of ln sigma_a or ln sigma_s' is at least CORE_FIT_LN_ERROR_MAX. It is `ambiguous`
- * if the chi-squared of a second solution is less than CORE_FIT_AMBIGUOUS above that of the first. */
+ * if the chi-squared of a second solution is less than CORE_FIT_AMBIGUOUS above that of the
+ * first. */
 #define CORE_FIT_CONDITION_MAX 1e6
 #define CORE_FIT_LN_ERROR_MAX 1.0
 #define CORE_FIT_AMBIGUOUS 9.0
@@ -44,13 +46,15 @@ typedef struct core_fit_design {
   const core_parameters *parameters; /* of the model; NULL: none is given */
   unsigned axis;                     /* of enum core_fit_axis */
   size_t count;                      /* at least 2, or 3 with a free factor */
-  const double *at; /* axis RADIUS: distances in mm, above 0 without fibres; axis FREQUENCY:
-                                frequencies in 1/mm, at least 0 */
-  const double
-      *source_mm; /* diameters of the light's disc and of the detector's disc, at least 0; */
-  const double *detector_mm; /* NULL: 0. Each disc is uniform. */
-  unsigned scale;            /* of enum core_fit_scale */
-  core_medium reference;     /* the known medium, for scale REFERENCE alone */
+  /* Axis RADIUS: distances in mm, above 0 without fibres. FREQUENCY: frequencies in 1/mm, at least
+   * 0. */
+  const double *at;
+  /* Diameters of the light's disc and of the detector's disc, at least 0; NULL: all are 0. Each
+   * disc is uniform. */
+  const double *source_mm;
+  const double *detector_mm;
+  unsigned scale;        /* of enum core_fit_scale */
+  core_medium reference; /* the known medium, for scale REFERENCE alone */
 } core_fit_design;
 
 /* A design, prepared. It is immutable. */
@@ -61,8 +65,8 @@ typedef struct core_fit core_fit;
  * reading; and `reference` if the model gives no light for it at the reading of that index. */
 core_fault core_fit_check(const core_fit_design *design);
 
-/* Prepares a design; the arrays are copied. With `transport` this takes 30 to 600 ms, for a table of
- * its ratios and distances, and a dipole takes a millisecond. Each fibre's disc takes about a
+/* Prepares a design; the arrays are copied. With `transport` this takes 30 to 600 ms, for a table
+ * of its ratios and distances, and a dipole takes a millisecond. Each fibre's disc takes about a
  * millisecond more. Other models are prepared some hundred times. On a fault *fit is NULL, else the
  * caller owns it and frees it with core_fit_free(), which accepts NULL. */
 core_fault core_fit_create(core_fit **fit, const core_isa *isa, const core_fit_design *design);
@@ -102,8 +106,9 @@ typedef struct core_fit_covariance {
 
 typedef struct core_fit_result {
   enum core_fit_status status;
-  core_fault
-      fault; /* status REFUSED: field `value` or `error`, and the index; the rest is NAN or 0 */
+  /* Status REFUSED: field `value` or `error`, and the index. The other members are then NAN or
+   * 0. */
+  core_fault fault;
   core_fit_solution best;
   core_fit_covariance covariance;
   double reduced_chi_squared; /* chi-squared over (readings - unknowns); NAN if they are as many */
@@ -117,14 +122,15 @@ typedef struct core_fit_result {
   unsigned notes;           /* bits of enum core_note, of the model */
 } core_fit_result;
 
-/* Sets values[count] to the readings of a medium with these coefficients, more than 0, without noise
- * and with the factor 1, as the fit models them; NAN if the model does not take the medium. */
+/* Sets values[count] to the readings of a medium with these coefficients, more than 0, without
+ * noise and with the factor 1, as the fit models them; NAN if the model does not take the
+ * medium. */
 void core_fit_model(const core_fit *fit, double sigma_a_per_mm, double sigma_s_prime_per_mm,
                     double *values);
 
-/* Fits one set: values[count] at least 0, in 1/mm^2 (axis RADIUS) or 1 (FREQUENCY), or 1 for ratios;
- * errors[count] are their standard errors, above 0 and finite. residuals: NULL, or room for count
- * numbers (value - factor model) / error at the best medium. */
+/* Fits one set: values[count] at least 0, in 1/mm^2 (axis RADIUS) or 1 (FREQUENCY), or 1 for
+ * ratios; errors[count] are their standard errors, above 0 and finite. residuals: NULL, or room for
+ * count numbers (value - factor model) / error at the best medium. */
 void core_fit_run(const core_fit *fit, const double *values, const double *errors,
                   core_fit_result *result, double *residuals);
 

@@ -5,20 +5,20 @@
 
 enum { EVALUATIONS_MAX = 40, STARTS_MAX = 16 };
 
-/* How starts are chosen. In the grid each reading has the relative error `error` besides its own, so
- * that the valley of media that fit is wider than the grid's steps. The starts are the best `most`
- * media that no neighbour is better than; with `rows`, no neighbour of the same ratio. */
+/* How starts are chosen. In the grid each reading has the relative error `error` besides its own,
+ * so that the valley of media that fit is wider than the grid's steps. The starts are the best
+ * `most` media that no neighbour is better than; with `rows`, no neighbour of the same ratio. A
+ * start may have `worse` more chi-squared for each reading than the best one. */
 struct choosing {
   double error;
   bool rows;
   size_t most;
-  double
-      worse; /* by how much more chi-squared, for each reading, a start may have than the best one */
+  double worse;
 };
 static const struct choosing usual = {0.3, false, 4, 3};
 
-/* A second solution is looked for with more care if the readings are at most CAREFUL_SPARE more than
- * the unknowns, or if the best one is not a good fit. */
+/* A second solution is looked for with more care if the readings are at most CAREFUL_SPARE more
+ * than the unknowns, or if the best one is not a good fit. */
 static const struct choosing careful = {0.1, true, STARTS_MAX, 1e300};
 #define CAREFUL_SPARE 3
 #define CAREFUL_REDUCED 3.0
@@ -69,8 +69,8 @@ struct quadratic {
   double fr, fs, ff; /* information of ln factor with the two and by itself; 0 if it is known */
 };
 
-/* What a residual is made of: (value - factor model) / error, or that of logarithms, with the model's
- * derivatives. */
+/* What a residual is made of: (value - factor model) / error, or that of logarithms, with the
+ * model's derivatives. */
 struct residual {
   double value;
   double model;
@@ -242,8 +242,8 @@ static bool blocked(double at, double least, double most, double step) {
   return (at <= least && step < 0) || (at >= most && step > 0);
 }
 
-/* Returns the damped step from a medium. A logarithm that stands on its bound stays there if the step
- * would cross it. */
+/* Returns the damped step from a medium. A logarithm that stands on its bound stays there if the
+ * step would cross it. */
 static struct fit_place step_from(const core_fit *fit, const struct quadratic *q, double damping) {
   const double rr = q->rr * (1 + damping), ss = q->ss * (1 + damping);
   const double determinant = fma(rr, ss, -q->rs * q->rs);
@@ -320,8 +320,8 @@ static core_fit_solution solution_of(const struct fit_model *model, const struct
                              q->factor, q->chi_squared};
 }
 
-/* Sets the condition number and the covariance, from the information by the logarithms of sigma_a and
- * sigma_s': ln(ratio) = ln sigma_a - ln sigma_s'. */
+/* Sets the condition number and the covariance, from the information by the logarithms of sigma_a
+ * and sigma_s': ln(ratio) = ln sigma_a - ln sigma_s'. */
 static void set_errors(const struct quadratic *q, core_fit_result *result) {
   const double aa = q->rr, as = q->rs - q->rr, ss = q->rr - 2 * q->rs + q->ss;
   const double half = 0.5 * (aa + ss), apart = 0.5 * (aa - ss);

@@ -109,8 +109,8 @@ size_t fit_table_bytes(const fit_table *table) {
 
 /* ---- evaluating ------------------------------------------------------------------------------ */
 
-/* Where a number lies among nodes with equal steps: the first of the `points` nodes to interpolate, and
- * their Lagrange polynomials and the derivatives of these, in steps. */
+/* Where a number lies among nodes with equal steps: the first of the `points` nodes to interpolate,
+ * and their Lagrange polynomials and the derivatives of these, in steps. */
 struct stencil {
   size_t first;
   double value[ACROSS];

@@ -5,8 +5,8 @@
  *
  *   L = ln(x R) + kappa x - ln(1 + kappa x) - ln(sigma_s' / sigma_t')   or   ln R(f)
  *
- * at equal steps of ln(sigma_a / sigma_s') and of ln x or ln q. L is smooth: six points along the one
- * and four along the other are interpolated by polynomials. Preparing takes half a second. */
+ * at equal steps of ln(sigma_a / sigma_s') and of ln x or ln q. L is smooth: six points along the
+ * one and four along the other are interpolated by polynomials. Preparing takes half a second. */
 #ifndef DIPOLED_CORE_FIT_TABLE_H
 #define DIPOLED_CORE_FIT_TABLE_H
 
@@ -22,8 +22,9 @@ core_fault fit_table_create(fit_table **table, const core_isa *isa, enum core_qu
 void fit_table_free(fit_table *table);
 size_t fit_table_bytes(const fit_table *table);
 
-/* Evaluates the quantity at[n], in mm above 0 or in 1/mm, for a medium by ln(sigma_a / sigma_s') and
- * ln(sigma_s'). ln_at[n] holds the logarithms of at[n], of any very small number for 0. Sets value[n] and, unless they are NULL, its derivatives by both. */
+/* Evaluates the quantity at[n], in mm above 0 or in 1/mm, for a medium by ln(sigma_a / sigma_s')
+ * and ln(sigma_s'). ln_at[n] holds the logarithms of at[n], of any very small number for 0. Sets
+ * value[n] and, unless they are NULL, its derivatives by both. */
 void fit_table_values(const fit_table *table, double ln_ratio, double ln_scattering, size_t n,
                       const double *at, const double *ln_at, double *value, double *by_ratio,
                       double *by_scattering);

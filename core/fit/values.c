@@ -26,7 +26,8 @@ double fit_ln(double x) {
 
 enum { CHUNK = 256 }; /* nodes that are evaluated together */
 
-/* Adds the nodes' values from position `start` on to their readings, the first of which is *reading.
+/* Adds the nodes' values from position `start` on to their readings, the first of which is
+ * *reading.
  */
 static void add_up(const struct fit_places *places, size_t start, size_t n, const double *values,
                    size_t *reading, double *sums) {

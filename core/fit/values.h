@@ -45,8 +45,8 @@ double fit_ln(double x);
 core_fault fit_values_of_medium(const struct fit_model *model, const core_medium *medium,
                                 const struct fit_places *places, double *value);
 
-/* Evaluates the readings. Sets value[count] and, unless they are NULL, its derivatives by ln_ratio and
- * by ln_scattering. Returns the fault of a medium that the model does not take. */
+/* Evaluates the readings. Sets value[count] and, unless they are NULL, its derivatives by ln_ratio
+ * and by ln_scattering. Returns the fault of a medium that the model does not take. */
 core_fault fit_values(const struct fit_model *model, struct fit_place place,
                       const struct fit_places *places, double *value, double *by_ratio,
                       double *by_scattering);

@@ -284,9 +284,9 @@ static inline real dipole_cdf(const real *c, real r) {
   return v.x < c[CDF_WHOLE] ? real_min(within.cdf, REAL_BELOW_1) : c[CDF_LIMIT];
 }
 
-/* A source at depth z has the Hankel transform e^(-q z), times 2 pi / q for the fluence and 2 pi for
- * the flux, with q^2 = mu^2 + k^2, k = 2 pi f. q is summed in two parts, as the exponential would
- * multiply its rounding error by q. */
+/* A source at depth z has the Hankel transform e^(-q z), times 2 pi / q for the fluence and 2 pi
+ * for the flux, with q^2 = mu^2 + k^2, k = 2 pi f. q is summed in two parts, as the exponential
+ * would multiply its rounding error by q. */
 static inline real dipole_transfer(const real *c, real f) {
   const real bounded = real_nearer_zero(f + 0, TRANSFER_FAR / c[WAVE_HI]);
   const real product = bounded * c[WAVE_HI];
@@ -370,8 +370,8 @@ static inline real search_end(const real *c, real u, real found) {
 }
 
 /* SEARCH(n, u, r, steps, coefficients) finds the radii r[n] of u[n] in blocks: each loop over the
- * numbers of a block is vectorized. `coefficients` are statements that declare the coefficients c of
- * number k. */
+ * numbers of a block is vectorized. `coefficients` are statements that declare the coefficients c
+ * of number k. */
 enum { SEARCH_BLOCK = 64 };
 #define SEARCH(n, u, r, steps, coefficients)                                                       \
   for (size_t done = 0; done < n; done += SEARCH_BLOCK) {                                          \
@@ -421,8 +421,9 @@ static void sample(const real *restrict c, size_t n, const real *restrict u, rea
 
 /* ---- a medium for each value ----------------------------------------------------------------- */
 
-/* The powers of two by which the weights of R and of the densities are multiplied. With sigma_t' from
- * 1e-6 to 1e6 per mm no sum overflows near the source, and none underflows before the result does. */
+/* The powers of two by which the weights of R and of the densities are multiplied. With sigma_t'
+ * from 1e-6 to 1e6 per mm no sum overflows near the source, and none underflows before the result
+ * does. */
 #define LANE_R_UP 80
 #define LANE_RING_UP 40
 
@@ -434,7 +435,8 @@ static inline real lane_whole(real tail, real mu) {
   return real_min(real_min(far, REAL_Z1 + decayed), REAL(1e19));
 }
 
-/* Sets the coefficients of a medium in the same way as core_dipole_prepare(), in plain arithmetic. */
+/* Sets the coefficients of a medium in the same way as core_dipole_prepare(), in plain
+ * arithmetic. */
 static inline void lane_fill(const real *shared, struct lane lane, real *c) {
   const struct lane_dipole d = lane_dipole_of(shared, lane);
   const real z2 = 1 + d.z2_less_1;

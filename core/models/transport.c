@@ -497,8 +497,8 @@ static const transport_table *table_for_g(const core_medium *medium) {
 }
 
 /* The reach that the profile reports is that of the table of solutions, which is shorter than the
- * solver's: so it does not depend on which of the two was used. For g other than 0 it ends where the
- * difference from isotropic scattering ends, or some 2 decay lengths after R has fallen below
+ * solver's: so it does not depend on which of the two was used. For g other than 0 it ends where
+ * the difference from isotropic scattering ends, or some 2 decay lengths after R has fallen below
  * TRANSPORT_TABLE_R_LEAST, if that is nearer; and the growth is an upper bound of what was measured
  * against the solver up to 30 decay lengths. */
 core_reach core_transport_reach(const core_medium *medium) {

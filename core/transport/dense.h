@@ -32,8 +32,8 @@ dense transport_dense_at(const core_isa *isa, double **memory, size_t rows, size
  * the others. */
 void transport_dense_multiply(const dense *to, const dense *a, const dense *b);
 
-/* The same for a b of square blocks along its diagonal and zeros elsewhere: block i has the rows and
- * columns first[i] to before first[i + 1]. first: `blocks` + 1 numbers that ascend. */
+/* The same for a b of square blocks along its diagonal and zeros elsewhere: block i has the rows
+ * and columns first[i] to before first[i + 1]. first: `blocks` + 1 numbers that ascend. */
 void transport_dense_multiply_blocks(const dense *to, const dense *a, const dense *b,
                                      const size_t *first, size_t blocks);
 

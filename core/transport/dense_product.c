@@ -2,8 +2,8 @@
  * because no product is contracted with a sum, and each number's sum has the same order. */
 #include "core/transport/dense.h"
 
-/* A tile of TILE_ROWS by TILE_LANES groups of LANES numbers stays in registers. With eight groups or
- * more, the sums do not wait for one another. */
+/* A tile of TILE_ROWS by TILE_LANES groups of LANES numbers stays in registers. With eight groups
+ * or more, the sums do not wait for one another. */
 #if defined __AVX512F__
 enum { LANES = 8, TILE_ROWS = 8, TILE_LANES = 2 };
 #elif defined __AVX__

@@ -1,5 +1,5 @@
-/* Prepares what media that vary have in common, and makes its words. It is apart from evaluating, so
- * that a client that has the words does without the preparation of profiles. */
+/* Prepares what media that vary have in common, and makes its words. It is apart from evaluating,
+ * so that a client that has the words does without the preparation of profiles. */
 #include <math.h>
 
 #include "core/varying.h"

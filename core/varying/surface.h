@@ -95,8 +95,8 @@ typedef struct core_surface_inputs {
   const double *shared; /* of dipoles: see core/models/lanes.h */
 } core_surface_inputs;
 
-/* Prepares all but the words. The arguments are those of core_varying_prepare(), with parameters. It
- * checks what evaluating relies on, so that a client that has the words needs no preparation of
+/* Prepares all but the words. The arguments are those of core_varying_prepare(), with parameters.
+ * It checks what evaluating relies on, so that a client that has the words needs no preparation of
  * profiles. */
 core_fault core_surface_begin(core_varying *varying, const core_isa *isa, unsigned model,
                               unsigned moments, unsigned evaluator, double g, double eta,

@@ -1,5 +1,5 @@
-/* Table: sends the table of a model for one medium, or the surface for all media of one g and eta, so
- * that the client can evaluate it itself. */
+/* Table: sends the table of a model for one medium, or the surface for all media of one g and eta,
+ * so that the client can evaluate it itself. */
 #include "proto/table.h"
 #include "proto/channels.h"
 #include "server/jobs/job.h"

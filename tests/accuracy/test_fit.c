@@ -1,5 +1,5 @@
-/* Fits: coefficients from readings of the model itself, with noise and without, and what is refused.
- * $FIT_SETS is the number of random sets for each test. */
+/* Fits: coefficients from readings of the model itself, with noise and without, and what is
+ * refused. $FIT_SETS is the number of random sets for each test. */
 #include "core/fit/fit.h"
 
 #include <math.h>
@@ -282,8 +282,8 @@ UNIT_TEST(the_table_is_transport) {
 
 /* ---- fibres ---------------------------------------------------------------------------------- */
 
-/* Returns the mean of R over two discs from evenly spread pairs of points (Roberts 2018, the sequence of
- * the generalized golden ratio in four dimensions). */
+/* Returns the mean of R over two discs from evenly spread pairs of points (Roberts 2018, the
+ * sequence of the generalized golden ratio in four dimensions). */
 static double mean_of_points(const core_profile *profile, double apart, double source,
                              double detector) {
   enum { PAIRS = 400000 };
@@ -370,9 +370,10 @@ static double normal(uint64_t *random) {
   return sqrt(-2 * log(u)) * cos(6.28318530717958647693 * v);
 }
 
-/* The mean over the rings of a Monte Carlo run, of photons that were walked with other code, as readings
- * of a model that is transport: the coefficients that the photons were walked with come back within
- * three of their standard errors. The files give lengths in mean free paths 1 / sigma_t'. */
+/* The mean over the rings of a Monte Carlo run, of photons that were walked with other code, as
+ * readings of a model that is transport: the coefficients that the photons were walked with come
+ * back within three of their standard errors. The files give lengths in mean free paths 1 /
+ * sigma_t'. */
 static void expect_monte_carlo(const char *name, double ratio, double eta, double g) {
   enum { RINGS = 400 };
   static double at[RINGS], values[RINGS], errors[RINGS];
@@ -434,8 +435,8 @@ UNIT_TEST(monte_carlo_gives_back_its_coefficients) {
   expect_monte_carlo("r10_n1.5_g0.0.csv", 10, 1.5, 0);
 }
 
-/* The bound of Cramer and Rao is the covariance of the noiseless readings. The spread of SETS fits has a
- * standard error of 1 / sqrt(2 SETS) itself, three of which are allowed besides the 5 %. */
+/* The bound of Cramer and Rao is the covariance of the noiseless readings. The spread of SETS fits
+ * has a standard error of 1 / sqrt(2 SETS) itself, three of which are allowed besides the 5 %. */
 static void expect_noise(unsigned scale) {
   enum { SETS = 1000, MOST = 40 };
   double at[MOST], clean[MOST], errors[MOST], values[MOST];

@@ -364,7 +364,8 @@ UNIT_TEST(a_table_states_its_largest_error) {
 }
 
 /* R of transport for g below 0 halfway between two albedos of its table, where its series are
- * furthest off. The truth is a solution with TRANSPORT_EFFORT_NORMAL, whose error it states itself. */
+ * furthest off. The truth is a solution with TRANSPORT_EFFORT_NORMAL, whose error it states
+ * itself. */
 UNIT_TEST(transport_between_the_albedos_of_its_table) {
   const core_medium medium = {0.0086343149442095583, 0.68876179057435116, -0.4393447758318606,
                               2.1485858171691916};
@@ -395,8 +396,8 @@ UNIT_TEST(transport_between_the_albedos_of_its_table) {
   }
 }
 
-/* dR/dr of transport by table is that of the stored solutions, whose slopes are less exact than their
- * values, whatever the tolerance of the table. */
+/* dR/dr of transport by table is that of the stored solutions, whose slopes are less exact than
+ * their values, whatever the tolerance of the table. */
 UNIT_TEST(slopes_beside_a_table_have_an_error_of_their_own) {
   const core_medium medium = {9.8273266432665927e-05, 2.2953981017321046, 0, 2.08};
   const float r_f32 = 0.51388126611709595F;

@@ -1,6 +1,6 @@
-/* The transfer function R(f), the Hankel transform of R(r): closed forms against the transformation,
- * the transformation of transport against an integral by other means, and its limits. That of
- * dipoles is compared with many digits. */
+/* The transfer function R(f), the Hankel transform of R(r): closed forms against the
+ * transformation, the transformation of transport against an integral by other means, and its
+ * limits. That of dipoles is compared with many digits. */
 #include <float.h>
 #include <math.h>
 
@@ -107,8 +107,8 @@ UNIT_TEST(closed_forms_and_the_transformation_agree) {
   printf("off by %.2g of the albedo at most\n", worst);
 }
 
-/* The integral of R in rings by Gauss's rule in ln r with many points, from the energy that is known:
- * albedo - int 2 pi r R (1 - J0(k r)) dr. Few periods matter where R falls exponentially. */
+/* The integral of R in rings by Gauss's rule in ln r with many points, from the energy that is
+ * known: albedo - int 2 pi r R (1 - J0(k r)) dr. Few periods matter where R falls exponentially. */
 static double integral(const core_profile *profile, double f) {
   enum { STEPS = 400000 };
   static double r[STEPS], ring[STEPS];

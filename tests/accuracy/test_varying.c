@@ -353,8 +353,8 @@ UNIT_TEST(wrong_values_have_a_status_and_the_others_are_answered) {
   core_varying_free(&varying);
 }
 
-/* Compares the bits of all kernels of one preparation with those of another, in two pieces: for each
- * place of the cut that is a multiple of `step`. */
+/* Compares the bits of all kernels of one preparation with those of another, in two pieces: for
+ * each place of the cut that is a multiple of `step`. */
 static void compare_bits(const core_varying *whole, const core_varying *pieces, size_t step,
                          uint64_t *state) {
   float a[LENGTH_MAX + 1], s[LENGTH_MAX + 1], r[LENGTH_MAX + 1], u[LENGTH_MAX + 1];

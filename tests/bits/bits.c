@@ -221,8 +221,8 @@ static void print_transport_with_g(const core_isa *isa) {
   }
 }
 
-/* Prints the checksum of media that vary, for one model and evaluator: of the words, all quantities,
- * sampled radii and media of colours. */
+/* Prints the checksum of media that vary, for one model and evaluator: of the words, all
+ * quantities, sampled radii and media of colours. */
 static void print_varying(const core_isa *isa, unsigned model, unsigned evaluator) {
   static const unsigned quantities[] = {CORE_QUANTITY_R, CORE_QUANTITY_CDF, CORE_QUANTITY_PDF,
                                         CORE_QUANTITY_RING};

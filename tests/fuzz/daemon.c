@@ -1,5 +1,5 @@
-/* The daemon in this process, with one worker, whose loop the fuzzing thread runs; and the peer of a
- * connection. */
+/* The daemon in this process, with one worker, whose loop the fuzzing thread runs; and the peer of
+ * a connection. */
 #include "tests/fuzz/daemon.h"
 
 #include <errno.h>

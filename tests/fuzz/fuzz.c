@@ -94,9 +94,9 @@ static double clock_s(clockid_t clock) {
   return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
-/* Ends the process by an abort of the fuzzing thread once an input takes HANG_S seconds of processor
- * time, or as long in which no thread runs or waits for a processor. A machine that is busy with
- * other work is not taken for a hang. */
+/* Ends the process by an abort of the fuzzing thread once an input takes HANG_S seconds of
+ * processor time, or as long in which no thread runs or waits for a processor. A machine that is
+ * busy with other work is not taken for a hang. */
 static void *watch(void *unused) {
   unsigned long long input = 0;
   double begin_s = 0, ran_begin_s = 0, queued_begin_s = 0;

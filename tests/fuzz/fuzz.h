@@ -1,5 +1,5 @@
-/* fuzz: what the targets share. A target is a function that libFuzzer calls with arbitrary bytes. It
- * checks the properties that must hold for any bytes, and aborts if one does not. */
+/* fuzz: what the targets share. A target is a function that libFuzzer calls with arbitrary bytes.
+ * It checks the properties that must hold for any bytes, and aborts if one does not. */
 #ifndef DIPOLED_TESTS_FUZZ_H
 #define DIPOLED_TESTS_FUZZ_H
 

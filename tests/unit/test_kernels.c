@@ -105,7 +105,8 @@ static bool prepare(core_profile *profile, const char *isa, unsigned model, unsi
 
 /* Returns whether a test compares a quantity. A quantity that a table does not hold is evaluated by
  * the kernels of double precision, which are compared without a table: only its edges are tested. A
- * Hankel transform of R is the same code for all instruction sets: only its edges are tested, once. */
+ * Hankel transform of R is the same code for all instruction sets: only its edges are tested,
+ * once. */
 static bool is_compared(const kernel_pair *pair, unsigned quantity, pair_test *test) {
   const core_profile *profile = &pair->portable;
   const bool transforms = core_radius_cost(profile, quantity) > profile->cost;
