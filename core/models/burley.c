@@ -224,14 +224,7 @@ LANES_KERNEL(varying_sample, COEFFICIENTS, lane_fill, burley_sample, 1)
 
 CORE_KERNEL_TABLE(burley, .sample = sample, CORE_KERNELS_OF_ALL,
                   .evaluate[CORE_ELEMENTWISE_TRANSFER] = eval_transfer,
-                  .varying_sample = varying_sample,
-                  .varying = {
-                      [CORE_ELEMENTWISE_R] = varying_R,
-                      [CORE_ELEMENTWISE_CDF] = varying_cdf,
-                      [CORE_ELEMENTWISE_PDF] = varying_pdf,
-                      [CORE_ELEMENTWISE_RING] = varying_ring,
-                      [CORE_ELEMENTWISE_LN_R] = varying_ln_R,
-                  });
+                  LANES_KERNELS_OF_ALL);
 
 #else
 CORE_KERNEL_TABLE_NONE(burley);

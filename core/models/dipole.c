@@ -507,14 +507,7 @@ static void varying_sample(const real *restrict shared, const real *restrict wor
 
 CORE_KERNEL_TABLE(dipole, .sample = sample, CORE_KERNELS_OF_ALL,
                   .evaluate[CORE_ELEMENTWISE_TRANSFER] = eval_transfer,
-                  .varying_sample = varying_sample,
-                  .varying = {
-                      [CORE_ELEMENTWISE_R] = varying_R,
-                      [CORE_ELEMENTWISE_CDF] = varying_cdf,
-                      [CORE_ELEMENTWISE_PDF] = varying_pdf,
-                      [CORE_ELEMENTWISE_RING] = varying_ring,
-                      [CORE_ELEMENTWISE_LN_R] = varying_ln_R,
-                  });
+                  LANES_KERNELS_OF_ALL);
 
 #else /* what follows prepares a profile, and is compiled once for all instruction sets */
 

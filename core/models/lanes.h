@@ -112,5 +112,15 @@ static inline struct lane_dipole lane_dipole_of(const real *shared, struct lane 
     }                                                                                              \
   }
 
+/* The members of a kernel table for the kernels varying_sample, varying_R and so on. */
+#define LANES_KERNELS_OF_ALL                                                                       \
+  .varying_sample = varying_sample, .varying = {                                                   \
+      [CORE_ELEMENTWISE_R] = varying_R,                                                            \
+      [CORE_ELEMENTWISE_CDF] = varying_cdf,                                                        \
+      [CORE_ELEMENTWISE_PDF] = varying_pdf,                                                        \
+      [CORE_ELEMENTWISE_RING] = varying_ring,                                                      \
+      [CORE_ELEMENTWISE_LN_R] = varying_ln_R,                                                      \
+  }
+
 #endif
 #endif

@@ -46,3 +46,23 @@ def needs(*programs: str) -> None:
     for program in programs:
         if shutil.which(program) is None:
             pytest.skip(f"{program} is not installed")
+
+
+def npm_install(folder: Path, packages: dict[str, str]) -> Path:
+    """Installs packages of npm, by name and version, into a folder that keeps them, and returns it.
+    Skips the test if they cannot be had."""
+    if shutil.which("node") is None or shutil.which("npm") is None:
+        pytest.skip("node and npm are not installed")
+    folder.mkdir(parents=True, exist_ok=True)
+    if not all((folder / "node_modules" / name).is_dir() for name in packages):
+        wanted = [f"{name}@{version}" for name, version in packages.items()]
+        options = ["--no-audit", "--no-fund", "--ignore-scripts", "--omit=optional"]
+        try:
+            fetched = subprocess.run(["npm", "install", *options, *wanted], cwd=folder, text=True,
+                                     capture_output=True, timeout=TIMEOUT_S, check=False)
+            failure = fetched.stderr.strip()[-200:] if fetched.returncode else ""
+        except subprocess.TimeoutExpired:
+            failure = "it takes too long"
+        if failure:
+            pytest.skip(f"npm cannot install {' '.join(wanted)}: {failure}")
+    return folder

@@ -7,7 +7,6 @@ import json
 import os
 import random
 import re
-import shutil
 import socket
 import subprocess
 import time
@@ -17,6 +16,7 @@ import dipole
 import numpy as np
 import pytest
 from daemons import BUILD, Daemon, eventually, sanitized
+from installing import npm_install
 
 TIMEOUT_S = 30
 SKIN = {"sigma_a": 0.032, "sigma_s": 0.74, "g": 0, "eta": 1.3}
@@ -613,22 +613,7 @@ def any_object(dice: random.Random) -> dict:
 @pytest.fixture(scope="module")
 def node_modules():
     """Returns the folder in which npm has installed the packages above."""
-    if shutil.which("node") is None or shutil.which("npm") is None:
-        pytest.skip("node and npm are not installed")
-    folder = BUILD / "node-openapi"
-    folder.mkdir(parents=True, exist_ok=True)
-    if not all((folder / "node_modules" / name).is_dir() for name in NODE_MODULES):
-        wanted = [f"{name}@{version}" for name, version in NODE_MODULES.items()]
-        options = ["--no-audit", "--no-fund", "--ignore-scripts", "--omit=optional"]
-        try:
-            fetched = subprocess.run(["npm", "install", *options, *wanted], cwd=folder, text=True,
-                                     capture_output=True, timeout=120, check=False)
-            failure = fetched.stderr.strip()[-200:] if fetched.returncode else ""
-        except subprocess.TimeoutExpired:
-            failure = "it takes too long"
-        if failure:
-            pytest.skip(f"npm cannot install {' '.join(wanted)}: {failure}")
-    return folder
+    return npm_install(BUILD / "node-openapi", NODE_MODULES)
 
 
 VALIDATE = """

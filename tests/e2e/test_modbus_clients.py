@@ -18,6 +18,7 @@ import dipole
 import numpy as np
 import pytest
 from daemons import BUILD, Daemon, eventually
+from installing import npm_install
 from modbus_master import AT, BAD_VALUE, TCP, Tcp, exception, floats, input_block, words
 
 TOP = Path(__file__).parents[2]
@@ -184,21 +185,7 @@ def test_pymodbus_of_every_generation(address, expected, tmp_path, keyword):
 @pytest.fixture(scope="module")
 def node_modules():
     """Returns the folder in which npm has installed the packages of the JavaScript examples."""
-    if shutil.which("node") is None or shutil.which("npm") is None:
-        pytest.skip("node and npm are not installed")
-    folder = BUILD / "node"
-    folder.mkdir(parents=True, exist_ok=True)
-    if not all((folder / "node_modules" / name).is_dir() for name in NODE_MODULES):
-        wanted = [f"{name}@{version}" for name, version in NODE_MODULES.items()]
-        options = ["--no-audit", "--no-fund", "--ignore-scripts", "--omit=optional"]
-        try:
-            fetched = run("npm", "install", *options, *wanted, cwd=folder)
-            failure = fetched.stderr.strip()[-200:] if fetched.returncode else ""
-        except subprocess.TimeoutExpired:
-            failure = "it takes too long"
-        if failure:
-            pytest.skip(f"npm cannot install {' '.join(wanted)}: {failure}")
-    return folder / "node_modules"
+    return npm_install(BUILD / "node", NODE_MODULES) / "node_modules"
 
 
 @pytest.mark.parametrize("script", ["profile.js", "jsmodbus.js"])
