@@ -126,10 +126,10 @@ def test_while_a_table_is_built(daemon):
             return fixed + np.asarray(medium, "<f8").tobytes() + given
 
         def ask_late() -> None:
-            connection.send_bytes(frame(TABLE, 77, table_payload(), 20))
+            connection.send_bytes(frame(TABLE, 77, table_payload(), 3))
             assert_late(connection.receive_frame())
 
-        assert_refused_in_time(ask_late, 20)
+        assert_refused_in_time(ask_late, 3)
         reply = ask(connection, TABLE, table_payload())
         assert reply.type == TABLE | wire.REPLY
         assert_serves(connection)
