@@ -200,12 +200,16 @@ def trace(request: int, threads: list[int]) -> None:
 def test_healthz_when_no_worker_finishes_a_turn(daemon):
     one = daemon("--metrics", "127.0.0.1:0", "--workers", "2")
     folder = Path(f"/proc/{one.process.pid}/task")
-    workers = [
-        int(thread.name)
-        for thread in folder.iterdir()
-        if (thread / "comm").read_text() == "worker\n"
-    ]
-    assert len(workers) == 2
+
+    def named_workers() -> list[int]:  # A thread names itself when it starts to run.
+        return [
+            int(thread.name)
+            for thread in folder.iterdir()
+            if (thread / "comm").read_text() == "worker\n"
+        ]
+
+    assert eventually(lambda: len(named_workers()) == 2)
+    workers = named_workers()
     trace(PTRACE_ATTACH, workers[:1])
     try:  # The other worker goes round.
         assert not eventually(lambda: fetch(one, "/healthz")[0] != 200, 3.5, 0.1)
@@ -256,7 +260,7 @@ def raw(daemon) -> socket.socket:
 NONSENSE = [b"nonsense\r\n\r\n", b"\0" * 1000, b"GET /metrics HTTP/9.9\r\n\r\n"]
 
 
-@pytest.mark.parametrize("sent", NONSENSE)
+@pytest.mark.parametrize("sent", NONSENSE, ids=["text", "zeros", "version"])
 def test_nonsense_is_refused(watched, sent):
     with raw(watched) as one:
         one.sendall(sent)
