@@ -224,7 +224,7 @@ static void print_help(void) {
       "  dipoled                                   this machine only, at the default addresses\n"
       "  dipoled --listen unix:/run/dipoled.sock --workers 4\n"
       "  dipoled --listen tcp:0.0.0.0:4817         whoever reaches this machine\n"
-      "  dipoled --metrics 127.0.0.1:9817          numbers for Prometheus, and /healthz\n"
+      "  dipoled --metrics 127.0.0.1:9817          numbers for Prometheus, /healthz, /readyz\n"
       "  dipoled --http 127.0.0.1:8017             JSON for curl and browsers, besides\n"
       "  dipoled --modbus tcp:127.0.0.1:5020       registers for instruments, besides\n"
       "\n"

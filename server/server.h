@@ -22,6 +22,7 @@ struct server {
   _Atomic uint64_t buffer_bytes; /* memory that the buffers of all connections hold */
   uint64_t started_ns;
   _Atomic bool draining;         /* whether the daemon stops and takes no new clients */
+  _Atomic uint64_t refused_ms;   /* when capacity last lacked, by uv_hrtime(); 0: never */
   struct worker *workers;        /* [server_worker_count()] */
   struct latency *latencies;     /* [server_worker_count()]; each worker writes its own */
   struct cache *cache;           /* prepared profiles */

@@ -11,6 +11,7 @@
 #include "server/http/question.h"
 #include "server/jobs/requests.h"
 #include "server/net/worker.h"
+#include "server/observe/health.h"
 
 enum {
   REST_MS = 1000,     /* the silence after which the connection releases its buffers */
@@ -20,7 +21,7 @@ enum {
 /* What a path asks for. */
 struct route {
   const char *path;
-  enum route_kind { HEALTH, DOCUMENT, LISTS, MEDIA, MESSAGE } kind;
+  enum route_kind { HEALTH, READINESS, DOCUMENT, LISTS, MEDIA, MESSAGE } kind;
   const struct http_message *message; /* MESSAGE */
 };
 
@@ -211,6 +212,7 @@ static enum MHD_Result send_error(struct http_connection *c, const wire_error *e
                                   unsigned status) {
   struct http_text text;
   http_text_init(&text, c->host->server);
+  health_note_refusal(c->host->server, error);
   const unsigned usual = http_answer_write_error(error, &text);
   return send_text(c, status != 0 ? status : usual, error->retry_after_ms, &text);
 }
@@ -368,6 +370,7 @@ static void resume(struct http_connection *c, enum state state) {
 
 static bool find_route(const char *url, struct route *route) {
   static const struct route routes[] = {{"/healthz", HEALTH, NULL},
+                                        {"/readyz", READINESS, NULL},
                                         {"/v1/openapi.json", DOCUMENT, NULL},
                                         {"/v1/models", LISTS, NULL},
                                         {"/v1/media", MEDIA, NULL}};
@@ -412,16 +415,27 @@ static enum MHD_Result answer_message(struct http_connection *c) {
   return ask(c, c->route.message->type, deadline_ms);
 }
 
+static enum MHD_Result send_health(struct http_connection *c, enum health health) {
+  struct http_text text;
+  http_text_init(&text, c->host->server);
+  http_text_begin(&text, NULL, '{');
+  http_text_string(&text, "status", health_name(health));
+  if (health_reason(health)[0] != '\0') {
+    http_text_string(&text, "reason", health_reason(health));
+  }
+  http_text_end(&text, '}');
+  return send_text(c, health == HEALTH_OK ? MHD_HTTP_OK : MHD_HTTP_SERVICE_UNAVAILABLE, 0, &text);
+}
+
 static enum MHD_Result answer(struct http_connection *c) {
   static const wire_hello_request hello = {WIRE_VERSION, WIRE_VERSION, 0};
   struct http_text text;
   http_text_init(&text, c->host->server);
   switch (c->route.kind) {
   case HEALTH:
-    http_text_begin(&text, NULL, '{');
-    http_text_string(&text, "status", "ok");
-    http_text_end(&text, '}');
-    return send_text(c, MHD_HTTP_OK, 0, &text);
+    return send_health(c, health_of(c->host->server));
+  case READINESS:
+    return send_health(c, health_readiness(c->host->server));
   case DOCUMENT:
     http_openapi_write(&text);
     return send_text(c, MHD_HTTP_OK, 0, &text);
@@ -468,7 +482,7 @@ static unsigned check_header(struct http_connection *c, const char *url, const c
     *error = too_large(c, "body");
     return wire_status_http(error->status);
   }
-  if (c->host->stopping) {
+  if (c->host->stopping && c->route.kind != HEALTH && c->route.kind != READINESS) {
     *error = refuse(WIRE_STATUS_SHUTTING_DOWN, "daemon", "another one, or this one started again");
     return wire_status_http(error->status);
   }

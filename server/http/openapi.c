@@ -384,7 +384,9 @@ void http_openapi_write(struct http_text *text) {
                   "Lists models, evaluators, parameters and the other choices, and the limits");
   write_list_path(text, "/v1/media", "media", "Lists the measured media");
   write_list_path(text, "/v1/openapi.json", "openapi", "This document");
-  write_list_path(text, "/healthz", "health", "Whether the daemon serves");
+  write_list_path(text, "/healthz", "health", "Whether the daemon serves; 503 if not");
+  write_list_path(text, "/readyz", "readiness",
+                  "Whether the daemon serves and has capacity for more clients; 503 if not");
   http_text_end(text, '}');
   write_components(text);
   http_text_end(text, '}');

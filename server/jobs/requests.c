@@ -1,5 +1,7 @@
 #include "server/jobs/requests.h"
 
+#include "server/observe/health.h"
+
 void requests_init(struct requests *requests, struct input *input, struct output *output,
                    void (*wake)(void *owner), void *owner) {
   *requests = (struct requests){.input = input, .output = output, .wake = wake, .owner = owner};
@@ -45,6 +47,7 @@ static uint8_t *begin_reply(struct requests *r, const struct job *job) {
 
 bool requests_refuse(struct requests *r, uint64_t request_id, const wire_error *error) {
   stats_count_answer(stats_of(r), error->status);
+  health_note_refusal(r->context->server, error);
   uint8_t *at = begin_frame(r->output, WIRE_TYPE_ERROR, request_id, WIRE_BYTES_error);
   if (at == NULL) {
     return false;

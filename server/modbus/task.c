@@ -3,6 +3,7 @@
 #include <assert.h>
 
 #include "server/net/worker.h"
+#include "server/observe/health.h"
 
 static const registers_job *fields_of(const struct modbus_task *task) {
   return &registers_jobs[task->kind];
@@ -120,10 +121,11 @@ static wire_error follow(struct modbus_task *task, enum job_outcome outcome, uin
   } else if (outcome == JOB_WAITS || outcome == JOB_DETACHED) {
     enter(task, MODBUS_TASK_WAITS);
   } else {
-    const wire_error refusal = task->job->refusal;
+    const wire_error error = outcome == JOB_DONE ? wire_error_none() : task->job->refusal;
+    health_note_refusal(task->queue->server, &error);
     job_end(task->job);
     enter(task, outcome == JOB_DONE ? MODBUS_TASK_EVALUATED : MODBUS_TASK_IDLE);
-    return outcome == JOB_DONE ? wire_error_none() : refusal;
+    return error;
   }
   return wire_error_none();
 }
@@ -180,6 +182,7 @@ wire_error modbus_task_commit(struct modbus_task *task, struct client *master) {
   };
   enum job_outcome outcome = job_start(&task->slot, &request, &task->job);
   if (outcome == JOB_REFUSED) {
+    health_note_refusal(task->queue->server, &task->job->refusal);
     return task->job->refusal;
   }
   task->job = outcome == JOB_DETACHED ? task->detached : task->job;

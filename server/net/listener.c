@@ -13,6 +13,7 @@
 #include "server/net/connection.h"
 #include "server/net/tcp.h"
 #include "server/net/worker.h"
+#include "server/observe/health.h"
 #include "server/observe/log.h"
 
 enum {
@@ -58,6 +59,7 @@ static void refuse_at_once(struct server *server, int fd) {
                               .type = WIRE_TYPE_ERROR,
                               .payload_bytes = WIRE_BYTES_error};
   const wire_error error = connection_refusal();
+  health_note_refusal(server, &error);
   uint8_t frame[WIRE_BYTES_header + WIRE_BYTES_error];
   wire_put_header(frame, &header);
   wire_put_error(frame + WIRE_BYTES_header, &error);

@@ -11,6 +11,7 @@
 #include "server/http/library.h"
 #include "server/net/tcp.h"
 #include "server/net/worker.h"
+#include "server/observe/health.h"
 #include "server/observe/log.h"
 #include "server/observe/report.h"
 #include "server/server.h"
@@ -169,10 +170,10 @@ static enum MHD_Result send_response(const struct http_library *http,
 }
 
 static enum MHD_Result send_text(const struct http_library *http, struct MHD_Connection *connection,
-                                 unsigned status, char *text) {
-  return send_response(
-      http, connection, status, PLAIN,
-      http->create_response_from_buffer(strlen(text), text, MHD_RESPMEM_PERSISTENT));
+                                 unsigned status, const char *text) {
+  return send_response(http, connection, status, PLAIN,
+                       http->create_response_from_buffer(strlen(text), (void *)(uintptr_t)text,
+                                                         MHD_RESPMEM_MUST_COPY));
 }
 
 static enum MHD_Result send_metrics(const struct http_library *http,
@@ -191,15 +192,14 @@ static enum MHD_Result send_metrics(const struct http_library *http,
   return send_response(http, connection, MHD_HTTP_OK, EXPOSITION, response);
 }
 
-/* The daemon does not serve while it drains, or while all workers are busy with a single turn. */
 static enum MHD_Result send_health(const struct http_library *http,
-                                   struct MHD_Connection *connection, const struct server *server) {
-  static char ok[] = "ok\n", draining[] = "draining\n";
-  static char stalled[] = "stalled: no worker has finished a turn for 3 s\n";
-  const bool is_stalled =
-      worker_silence_ms(server->workers, server->options.workers) >= METRICS_STALLED_MS;
-  char *text = atomic_load(&server->draining) ? draining : is_stalled ? stalled : ok;
-  return send_text(http, connection, text == ok ? MHD_HTTP_OK : MHD_HTTP_SERVICE_UNAVAILABLE, text);
+                                   struct MHD_Connection *connection, enum health health) {
+  const char *reason = health_reason(health);
+  char text[128];
+  snprintf(text, sizeof text, "%s%s%s\n", health_name(health), reason[0] != '\0' ? ": " : "",
+           reason);
+  return send_text(http, connection,
+                   health == HEALTH_OK ? MHD_HTTP_OK : MHD_HTTP_SERVICE_UNAVAILABLE, text);
 }
 
 static bool is_read(const char *method) {
@@ -211,20 +211,22 @@ static bool is_read(const char *method) {
 static enum MHD_Result on_request(void *context, struct MHD_Connection *connection, const char *url,
                                   const char *method, const char *version, const char *body,
                                   size_t *body_bytes, void **state) {
-  static char not_found[] = "There is /metrics, and /healthz.\n";
-  static char not_allowed[] = "It is only for reading: GET or HEAD.\n";
+  static const char not_found[] = "There are /metrics, /healthz and /readyz.\n";
+  static const char not_allowed[] = "It is only for reading: GET or HEAD.\n";
   const struct metrics *metrics = context;
   const struct http_library *http = &metrics->library;
   (void)version, (void)body, (void)body_bytes, (void)state;
-  const bool is_metrics = strcmp(url, "/metrics") == 0;
-  if (!is_metrics && strcmp(url, "/healthz") != 0) {
+  const bool is_metrics = strcmp(url, "/metrics") == 0, is_ready = strcmp(url, "/readyz") == 0;
+  if (!is_metrics && !is_ready && strcmp(url, "/healthz") != 0) {
     return send_text(http, connection, MHD_HTTP_NOT_FOUND, not_found);
   }
   if (!is_read(method)) {
     return send_text(http, connection, MHD_HTTP_METHOD_NOT_ALLOWED, not_allowed);
   }
   return is_metrics ? send_metrics(http, connection, metrics)
-                    : send_health(http, connection, metrics->server);
+                    : send_health(http, connection,
+                                  is_ready ? health_readiness(metrics->server)
+                                           : health_of(metrics->server));
 }
 
 static struct MHD_Daemon *start(struct metrics *metrics, int fd) {

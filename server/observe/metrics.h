@@ -1,12 +1,9 @@
-/* metrics: serves /metrics, in the text format of Prometheus, and /healthz over HTTP. The server
- * has a thread of its own, which reads the workers' counters and never waits for a worker. */
+/* metrics: serves /metrics, in the text format of Prometheus, and /healthz and /readyz over HTTP.
+ * The server has a thread of its own, which reads the workers' counters and never waits for a worker. */
 #ifndef DIPOLED_METRICS_H
 #define DIPOLED_METRICS_H
 
 #include "server/server.h"
-
-/* /healthz answers 503 if no worker has finished a turn for so long. */
-enum { METRICS_STALLED_MS = 3000 };
 
 struct metrics;
 

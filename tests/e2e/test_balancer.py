@@ -3,6 +3,7 @@ when a daemon is killed, drained or stopped."""
 
 from __future__ import annotations
 
+import contextlib
 import re
 import shutil
 import signal
@@ -19,6 +20,7 @@ from frames import SKIN
 
 CONFIGURATION = REPOSITORY / "clients/deploy/haproxy.cfg"
 METRICS = ("--metrics", "127.0.0.1:0")
+MOST = 24
 
 pytestmark = pytest.mark.skipif(shutil.which("haproxy") is None, reason="haproxy is not installed")
 
@@ -36,7 +38,7 @@ def free_port() -> int:
 @pytest.fixture
 def balancer(daemon, tmp_path):
     """Yields the address of a balancer, and its three daemons."""
-    farm = [daemon(*METRICS) for _ in range(3)]
+    farm = [daemon(*METRICS, "--max-connections", str(MOST)) for _ in range(3)]
     port = free_port()
     text = CONFIGURATION.read_text().replace("bind :4817", f"bind 127.0.0.1:{port}")
     for number, one in enumerate(farm, 1):
@@ -84,6 +86,44 @@ class Load(threading.Thread):
                     self.answers += 1
         except BaseException as error:
             self.error = error
+
+
+def open_three(address: str) -> bool:
+    """Opens three clients at a time, of which each daemon in rotation gets one. Returns whether
+    none is refused."""
+    with contextlib.ExitStack() as held:
+        try:
+            for _ in range(3):
+                held.enter_context(dipole.Client(address, retry_s=0)).ping()
+        except dipole.DipoleError:
+            return False
+    return True
+
+
+def test_an_overloaded_daemon_keeps_its_connections_and_gets_no_new_ones(balancer):
+    address, farm = balancer
+    watcher = farm[0].client()
+
+    def accepted() -> int:
+        return watcher.statistics()["connections_accepted"]
+
+    with contextlib.ExitStack() as held:
+        earlier = [held.enter_context(dipole.Client(address, retry_s=0)) for _ in range(3)]
+        with contextlib.ExitStack() as full:
+            while watcher.statistics()["connections_open"] < MOST:
+                full.enter_context(farm[0].connect())
+            before = accepted()
+            assert eventually(lambda: not open_three(address), 10)
+            assert eventually(lambda: open_three(address), 10)
+            for _ in range(20):  # More connections are refused meanwhile, but not these.
+                with farm[0].connect() as one, contextlib.suppress(OSError, EOFError):
+                    one.receive_frame()
+                assert open_three(address)
+                for client in earlier:
+                    client.ping()
+            assert accepted() == before
+        assert eventually(lambda: open_three(address) and accepted() > before, 10)
+    watcher.close()
 
 
 @pytest.mark.parametrize("what", ["killed", "drained", "stopped"])

@@ -14,6 +14,7 @@ from dipole import wire
 from frames import EVAL, ask, assert_error, assert_serves, eval_payload, frame
 from lists import MODELS
 from modbus_master import BUSY, TCP, Exception_, Tcp, input_block
+from test_metrics import fetch
 
 UNITS = range(1, 248)
 NUMBERS = count(1)
@@ -113,8 +114,8 @@ def test_a_master_gets_its_turns_beside_clients_that_ask_without_end(daemon):
 
 def test_a_master_may_have_so_many_waiting(daemon):
     """A master may have this many waiting profiles. One more is refused with exception 06. Other
-    masters may have as many."""
-    one = daemon(*TCP, "--max-waiting-profiles", "3")
+    masters may have as many, so the daemon is ready."""
+    one = daemon(*TCP, "--max-waiting-profiles", "3", "--metrics", "127.0.0.1:0")
     with Tcp(one) as master, Tcp(one) as other:
         for unit in range(1, 4):
             commit(master, unit)
@@ -122,6 +123,7 @@ def test_a_master_may_have_so_many_waiting(daemon):
             for unit in range(4, 10):  # Some preparations have begun and no longer count.
                 commit(master, unit)
         assert refused.value.code == BUSY
+        assert fetch(one, "/readyz")[0] == 200
         commit(other, 100)
         assert other.wait(100).status == 2
         assert master.wait(1).status == 2

@@ -177,10 +177,44 @@ def test_the_same_as_the_statistics(watched):
     assert abs(longest_s * 1e6 - statistics["latency_eval_long_max_us"]) <= 0.51
 
 
-def test_healthz(watched):
-    status, headers, text = fetch(watched, "/healthz")
+@pytest.mark.parametrize("path", ["/healthz", "/readyz"])
+def test_health(watched, path):
+    status, headers, text = fetch(watched, path)
     assert (status, text) == (200, "ok\n")
     assert headers["Content-Type"].startswith("text/plain")
+
+
+def health(port: int, path: str) -> tuple[int, str]:
+    """Returns the status of HTTP and the name of the daemon's state, of text or JSON."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=TIMEOUT_S)
+    try:
+        connection.request("GET", path)
+        answer = connection.getresponse()
+        text = answer.read().decode()
+        is_json = answer.headers["Content-Type"] == "application/json"
+        return answer.status, json.loads(text)["status"] if is_json else re.match(r"\w+", text)[0]
+    finally:
+        connection.close()
+
+
+def health_ports(daemon) -> list[int]:
+    """Returns the ports of --metrics and --http."""
+    return [int(re.search(r"url=http://.*?:(\d+)", x)[1]) for x in daemon.log if "url=http:" in x]
+
+
+def test_overload_makes_the_daemon_unready_for_a_second(daemon):
+    one = daemon("--metrics", "127.0.0.1:0", "--http", "127.0.0.1:0", "--max-connections", "1")
+    ports = health_ports(one)
+    assert len(ports) == 2
+    with one.connect():
+        one.connect().receive_frame()  # BUSY
+        for port in ports:
+            assert health(port, "/readyz") == (503, "overloaded")
+            assert health(port, "/healthz") == (200, "ok")
+        began = time.monotonic()
+        for port in ports:
+            assert eventually(lambda: health(port, "/readyz") == (200, "ok"), 5)
+        assert time.monotonic() - began < 3
 
 
 PTRACE_ATTACH, PTRACE_DETACH, WAIT_ALL = 16, 17, 0x40000000
@@ -216,6 +250,7 @@ def test_healthz_when_no_worker_finishes_a_turn(daemon):
         trace(PTRACE_ATTACH, workers[1:])
         assert eventually(lambda: fetch(one, "/healthz")[0] == 503)
         assert fetch(one, "/healthz")[2].startswith("stalled: ")
+        assert fetch(one, "/readyz")[0] == 503 and fetch(one, "/readyz")[2].startswith("stalled: ")
         assert scrape(one)["dipoled_workers_silent_seconds"] >= 3
     finally:
         trace(PTRACE_DETACH, workers)
@@ -223,7 +258,7 @@ def test_healthz_when_no_worker_finishes_a_turn(daemon):
     assert scrape(one)["dipoled_workers_silent_seconds"] < 3
 
 
-WRONG_PATHS = ["/", "/metric", "/metrics/", "/metrics/x", "/healthz%00", "/Metrics"]
+WRONG_PATHS = ["/", "/metric", "/metrics/", "/metrics/x", "/healthz%00", "/readyz/", "/Metrics"]
 
 
 @pytest.mark.parametrize("path", WRONG_PATHS)
@@ -234,7 +269,7 @@ def test_wrong_path(watched, path):
 
 @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS", "PATCH"])
 def test_wrong_method(watched, method):
-    for path in ("/metrics", "/healthz"):
+    for path in ("/metrics", "/healthz", "/readyz"):
         status, headers, _ = fetch(watched, path, method, b"x" if method == "POST" else None)
         assert status == 405
         assert headers["Allow"] == "GET, HEAD"

@@ -138,6 +138,7 @@ def test_health_and_metrics_until_the_end(daemon):
         one.terminate()
         assert eventually(lambda: fetch(one, "/healthz")[0] == 503)
         assert fetch(one, "/healthz")[2] == "draining\n"
+        assert fetch(one, "/readyz")[::2] == (503, "draining\n")
         status, _, text = fetch(one, "/metrics")
         assert status == 200 and "dipoled_connections_open 1\n" in text
         for _ in range(9):
